@@ -1,0 +1,82 @@
+"""Checks of concrete arguments: errors that say what was given, what is allowed and what to do. Tracers pass."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from lieint_jax.types import concrete
+
+UNIT_TOLERANCE = 1e-6
+
+
+def real_array(name: str, value: Any, *shapes: Sequence[int]) -> Array:
+    """`value` as a floating-point array of one of `shapes`, finite where it is concrete."""
+    try:
+        array = jnp.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be an array of real numbers, got {value!r}") from error
+    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
+        raise ValueError(f"{name} must hold real numbers, got dtype {array.dtype}")
+    if shapes and array.shape not in [tuple(shape) for shape in shapes]:
+        allowed = " or ".join(str(tuple(shape)) for shape in shapes)
+        raise ValueError(f"{name} must have shape {allowed}, got {array.shape}; use jax.vmap for batches")
+    if concrete(array) and not np.all(np.isfinite(array)):
+        raise ValueError(f"{name} must be finite, got {np.asarray(array)}")
+    return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(jnp.result_type(float))
+
+
+def inertia(value: Any) -> Array:
+    """A positive definite inertia: principal moments (3,) or a symmetric tensor (3, 3).
+
+    Moments that break the triangle inequality (Jᵢ ≤ Jⱼ + Jₖ) belong to no distribution of mass; they draw a warning,
+    not an error, since such pseudo-inertias are used.
+    """
+    array = real_array("inertia", value, (3,), (3, 3))
+    if not concrete(array):
+        return array
+    J = np.asarray(array, float)
+    if J.ndim == 2 and not np.allclose(J, J.T, rtol=1e-6, atol=1e-6 * np.abs(J).max()):
+        raise ValueError(f"inertia must be symmetric, got\n{J}\nTake (J + J.T) / 2 if the difference is noise")
+    moments = np.sort(J if J.ndim == 1 else np.linalg.eigvalsh(J))
+    if moments[0] <= 0:
+        raise ValueError(f"inertia must be positive definite, got principal moments {moments}")
+    if moments[2] > (1 + UNIT_TOLERANCE) * (moments[0] + moments[1]):
+        warnings.warn(
+            f"principal moments {moments} break the triangle inequality: no rigid body has them", stacklevel=3
+        )
+    return array
+
+
+def unit_quaternion(name: str, value: Any) -> Array:
+    """A quaternion (w, x, y, z) of unit length to 1e-6. It is returned as given: to normalise is the caller's part."""
+    q = real_array(name, value, (4,))
+    if concrete(q):
+        norm = float(np.linalg.norm(np.asarray(q, float)))
+        if abs(norm - 1) > UNIT_TOLERANCE:
+            raise ValueError(
+                f"{name} must be a unit quaternion (w, x, y, z): its norm is {norm:.9g}, allowed is 1 ± "
+                f"{UNIT_TOLERANCE:g}; divide it by its norm if it is meant as a direction"
+            )
+    return q
+
+
+def rotation_matrix(name: str, value: Any) -> Array:
+    """A proper rotation matrix, orthogonal to 1e-6."""
+    R = real_array(name, value, (3, 3))
+    if concrete(R):
+        M = np.asarray(R, float)
+        defect = float(np.abs(M.T @ M - np.eye(3)).max())
+        if defect > UNIT_TOLERANCE:
+            raise ValueError(
+                f"{name} must be orthogonal: max|RᵀR − 1| is {defect:.3g}, allowed is {UNIT_TOLERANCE:g}; "
+                "project it with a polar or QR decomposition first"
+            )
+        if np.linalg.det(M) < 0:
+            raise ValueError(f"{name} must be a rotation, got a reflection (determinant −1)")
+    return R

@@ -1,0 +1,231 @@
+"""The rotation group SO(3) as unit quaternions (Section 2.1).
+
+An attitude Λ is a unit quaternion q = (w, x, y, z), shape (4,), scalar first; q and −q are the same rotation. Algebra
+and dual are ℝ³, bracket and pairing are × and ·. Everything is smooth where the group is, the derivative of `log` at 0
+and near π included, and works in float32 and float64.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from lieint_jax import small
+from lieint_jax.small import cross, dot
+
+dim = 3
+identity = np.array([1.0, 0.0, 0.0, 0.0])
+identity.flags.writeable = False
+
+
+def examples() -> dict[str, object]:
+    import sys
+
+    return {"so3": sys.modules[__name__]}
+
+
+def multiply(a: Array, b: Array) -> Array:
+    """The product ab: first b, then a."""
+    return jnp.stack(_product(a, b))
+
+
+def inverse(q: Array) -> Array:
+    """q⁻¹ of a unit quaternion: its conjugate."""
+    return jnp.stack([q[0], -q[1], -q[2], -q[3]])
+
+
+def normalise(q: Array) -> Array:
+    """q / |q|."""
+    return q / jnp.sqrt(_norm_squared(q))
+
+
+def defect(q: Array) -> Array:
+    """|q|² − 1: by how much q leaves the group."""
+    return _norm_squared(q) - 1
+
+
+def exp(xi: Array) -> Array:
+    """exp ξ, the rotation about ξ by the angle |ξ| (2.3)."""
+    x = dot(xi, xi) / 4
+    return jnp.concatenate([small.cos_sqrt(x)[None], small.sinc_sqrt(x) * xi / 2])
+
+
+def log(q: Array) -> Array:
+    """ξ with exp ξ = q and |ξ| ≤ π."""
+    q = jnp.where(q[0] < 0, -q, q)
+    w, v = q[0], q[1:]
+    s = dot(v, v)
+    near = s < 0.01
+    w_near = jnp.where(near, w, 1)  # away from w = 0, where the rotation is by π
+    s_far = jnp.where(near, 1, s)  # away from s = 0, where the square root has no derivative
+    series = small.arctan_sqrt(jnp.where(near, s, 0) / (w_near * w_near)) / w_near
+    closed = jnp.arctan2(jnp.sqrt(s_far), w) / jnp.sqrt(s_far)
+    return 2 * jnp.where(near, series, closed) * v
+
+
+def cayley(xi: Array) -> Array:
+    """cay ξ = (1 + ½ξ̂)(1 − ½ξ̂)⁻¹ (2.5): the rotation about ξ by 2 arctan(|ξ|/2)."""
+    h = xi / 2
+    return jnp.concatenate([jnp.ones_like(h[:1]), h]) / jnp.sqrt(1 + dot(h, h))
+
+
+def Ad(q: Array, xi: Array) -> Array:
+    """Λξ: from body to space."""
+    return jnp.stack(_rotate(q[0], q[1:], xi))
+
+
+def Ad_star(q: Array, mu: Array) -> Array:
+    """Λᵀμ, the transpose of Ad: takes spatial momentum π to body momentum Π."""
+    return jnp.stack(_rotate(-q[0], q[1:], mu))
+
+
+def ad(xi: Array, eta: Array) -> Array:
+    """[ξ, η] = ξ × η (2.1)."""
+    return jnp.stack(cross(xi, eta))
+
+
+def ad_star(xi: Array, mu: Array) -> Array:
+    """μ × ξ, the transpose of ad: ⟨ad*_ξ μ, η⟩ = ⟨μ, ξ × η⟩."""
+    return jnp.stack(cross(mu, xi))
+
+
+def hat(xi: Array) -> Array:
+    """ξ̂, the skew matrix with ξ̂ h = ξ × h (2.1)."""
+    x, y, z = small.components(xi)
+    o = jnp.zeros_like(x)
+    return jnp.stack([jnp.stack(row) for row in ((o, -z, y), (z, o, -x), (-y, x, o))])
+
+
+def vee(M: Array) -> Array:
+    """The inverse of `hat`. Of any M it takes the skew part: the paper's rot[M]."""
+    return jnp.stack([M[2, 1] - M[1, 2], M[0, 2] - M[2, 0], M[1, 0] - M[0, 1]]) / 2
+
+
+def spatial_velocity(q: Array, q_dot: Array) -> Array:
+    """θ with q̇ = ½ θ q, that is Λ̇ = θ̂Λ."""
+    return 2 * jnp.stack(_product(q_dot, inverse(q))[1:])
+
+
+def body_velocity(q: Array, q_dot: Array) -> Array:
+    """Θ with q̇ = ½ q Θ, that is Λ̇ = ΛΘ̂."""
+    return 2 * jnp.stack(_product(inverse(q), q_dot)[1:])
+
+
+def tangent(q: Array, Omega: Array) -> Array:
+    """q̇ = ½ q Ω for the body velocity Ω: the inverse of `body_velocity`."""
+    return jnp.stack(_product(q, (jnp.zeros_like(Omega[0]), *(Omega[i] / 2 for i in range(3)))))
+
+
+def cayley_increment(q: Array, h: Array) -> Array:
+    """q cay(2h), as q + q(c − 1, ch) with c = 1/√(1+|h|²).
+
+    The product q·dq would round at |q| each step; the increment rounds at the size of the step. The defect of |q| is
+    folded into the increment, so |q| = 1 to round-off for ever. Energy then drifts 7e-14 in 10⁶ steps, not 1e-12.
+    """
+    w, v = q[0], (q[1], q[2], q[3])
+    y = dot(h, h)
+    s = jnp.sqrt(1 + y)
+    r = 1 / (s * (1 + s))
+    c, k = r * (1 + s), -y * r - defect(q) / 2  # k = c − 1 without cancellation, and the norm defect
+    ch = (c * h[0], c * h[1], c * h[2])
+    x = cross(v, ch)
+    return q + jnp.stack([w * k - dot(v, ch), *(w * ch[i] + k * v[i] + x[i] for i in range(3))])
+
+
+def to_matrix(q: Array) -> Array:
+    """The rotation matrix Λ, shape (3, 3)."""
+    w, x, y, z = small.components(q)
+    return jnp.stack(
+        [
+            jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
+            jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
+            jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
+        ]
+    )
+
+
+def from_matrix(R: Array) -> Array:
+    """The unit quaternion of a rotation matrix, its largest component positive."""
+    a, b, c = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]  # 4wx, 4wy, 4wz
+    d, e, f = R[2, 1] + R[1, 2], R[0, 2] + R[2, 0], R[1, 0] + R[0, 1]  # 4yz, 4xz, 4xy
+    squares = jnp.stack(  # 4w², 4x², 4y², 4z²; the largest is at least 1, so nothing below is near 0/0
+        [
+            1 + R[0, 0] + R[1, 1] + R[2, 2],
+            1 + R[0, 0] - R[1, 1] - R[2, 2],
+            1 - R[0, 0] + R[1, 1] - R[2, 2],
+            1 - R[0, 0] - R[1, 1] + R[2, 2],
+        ]
+    )
+    w, x, y, z = small.components(squares)
+    candidates = jnp.stack([jnp.stack(row) for row in ((w, a, b, c), (a, x, f, e), (b, f, y, d), (c, e, d, z))])
+    largest = jnp.argmax(squares)
+    return normalise(candidates[largest])
+
+
+def from_euler_313(angles: Array) -> Array:
+    """The attitude R_z(α) R_x(β) R_z(γ) of Euler angles (α, β, γ) in radians, shape (3,)."""
+    half_sum, half_difference, b = (angles[0] + angles[2]) / 2, (angles[0] - angles[2]) / 2, angles[1] / 2
+    return jnp.stack(
+        [
+            jnp.cos(b) * jnp.cos(half_sum),
+            jnp.sin(b) * jnp.cos(half_difference),
+            jnp.sin(b) * jnp.sin(half_difference),
+            jnp.cos(b) * jnp.sin(half_sum),
+        ]
+    )
+
+
+def to_euler_313(q: Array) -> Array:
+    """Euler angles (α, β, γ) of q = R_z(α) R_x(β) R_z(γ): β in [0, π], α and γ in (−π, π].
+
+    At β = 0 or π only α + γ or α − γ is determined; the other is set to 0.
+    """
+    w, x, y, z = small.components(q)
+    half_sum, half_difference = _arctan2(z, w), _arctan2(y, x)
+    b = 2 * jnp.arctan2(_length(x, y), _length(w, z))
+    return jnp.stack([_wrap(half_sum + half_difference), b, _wrap(half_sum - half_difference)])
+
+
+def angle(a: Array, b: Array) -> Array:
+    """The angle of the rotation between two attitudes, in [0, π]."""
+    w, *v = _product(inverse(a), b)
+    return 2 * jnp.arctan2(jnp.sqrt(dot(v, v)), jnp.abs(w))
+
+
+def _product(a: small.Vector, b: small.Vector) -> tuple[Array, Array, Array, Array]:
+    return (
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] + a[2] * b[0] + a[3] * b[1] - a[1] * b[3],
+        a[0] * b[3] + a[3] * b[0] + a[1] * b[2] - a[2] * b[1],
+    )
+
+
+def _norm_squared(q: Array) -> Array:
+    return q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+
+
+def _rotate(w: Array, v: small.Vector, u: small.Vector) -> tuple[Array, ...]:
+    """u + 2w v×u + 2 v×(v×u): u turned by the unit quaternion (w, v); by its inverse for −w."""
+    t = tuple(2 * x for x in cross(v, u))
+    c = cross(v, t)
+    return tuple(u[i] + w * t[i] + c[i] for i in range(3))
+
+
+def _length(x: Array, y: Array) -> Array:
+    """√(x² + y²), with derivative 0 at 0."""
+    square = x * x + y * y
+    positive = square > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1)), 0)
+
+
+def _arctan2(y: Array, x: Array) -> Array:
+    """arctan2, with value and derivative 0 at the origin."""
+    origin = (x == 0) & (y == 0)
+    return jnp.where(origin, 0, jnp.arctan2(y, jnp.where(origin, 1, x)))
+
+
+def _wrap(angle: Array) -> Array:
+    """The same angle in (−π, π]."""
+    return angle - 2 * jnp.pi * jnp.ceil(angle / (2 * jnp.pi) - 0.5)

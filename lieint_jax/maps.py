@@ -1,0 +1,105 @@
+"""Maps τ from the algebra to the group, and the scalings κ that tell them apart on SO(3) (Sections 2.1.2, 2.2, 3.2).
+
+On SO(3) every map of the paper is a scaled Cayley map, cay[κ(|Θ̄|²) Θ̄]:
+
+    κ = 1                        Cayley: Austin, Krishnaprasad & Wan 1993
+    κ = tan(½√x)/(½√x)           exponential (2.29): Simo & Wong 1991
+    κ = 2/(1 + √(1 − x))         symplectic (3.16): Lewis & Simo 1994; also the Moser–Veselov (RATTLE) step
+
+A τ here is called `tau(group, theta)`, so that one map serves every group.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from lieint_jax import small
+from lieint_jax.types import Group, pytree, static
+
+Map = Callable[[Group, Array], Array]
+
+
+def exponential(group: Group, theta: Array) -> Array:
+    """exp Θ."""
+    return group.exp(theta)
+
+
+def cayley(group: Group, theta: Array) -> Array:
+    """cay Θ = (1 − Θ/2)⁻¹(1 + Θ/2) (2.5)."""
+    return group.cayley(theta)
+
+
+def scaled_cayley(kappa: Callable[[Array], Array]) -> Map:
+    """The map Θ̄ ↦ cay[κ(|Θ̄|²) Θ̄] of SO(3) (3.17)."""
+
+    def tau(group: Group, theta: Array) -> Array:
+        return group.cayley(kappa(small.dot(theta, theta)) * theta)
+
+    return tau
+
+
+def derivative(tau: Map, group: Group, theta: Array) -> Array:
+    """H(Θ) of Dτ(Θ)·δΘ = τ(Θ)(HδΘ)^ (5.28), shape (d, d), by autodiff."""
+    value, tangents = tau(group, theta), jax.jacfwd(lambda x: tau(group, x))(theta)
+    return jax.vmap(lambda t: group.body_velocity(value, t), in_axes=-1, out_axes=-1)(tangents)
+
+
+@pytree
+class Kappa:
+    """A scaling κ(x), x = |Θ̄|², smooth at 0 with κ(0) = 1: momentum and energy are exact for any (Result 3).
+
+    Attributes:
+        function: x ↦ κ(x), a callable pytree. Its array leaves, if any, can be differentiated and batched.
+        name: for reports.
+        limit: the largest |Θ̄| where κ is real and finite.
+        solve_by: "vector", Newton for the three components of Θ̄; or "scalar", Newton for the one unknown that is
+            left when κ is the symplectic one (see `schemes.so3_midpoint`).
+    """
+
+    function: Callable[[Array], Array]
+    name: str = static(default="user")
+    limit: float = static(default=math.inf)
+    solve_by: Literal["vector", "scalar"] = static(default="vector")
+
+    def __call__(self, x: Array) -> Array:
+        return self.function(x)
+
+
+def as_kappa(kappa: Kappa | Callable[[Array], Array]) -> Kappa:
+    """Any callable x ↦ κ(x) as a `Kappa`. Parameters of its own travel in a `jax.tree_util.Partial`."""
+    if isinstance(kappa, Kappa):
+        return kappa
+    if not callable(kappa):
+        raise ValueError(f"kappa must be a callable of x = |Θ̄|², such as maps.kappa_symplectic, got {kappa!r}")
+    name = getattr(kappa, "__name__", type(kappa).__name__)
+    return Kappa(_as_pytree(kappa), name=name)
+
+
+def _as_pytree(function: Callable[..., Any]) -> Callable[..., Any]:
+    is_leaf = jax.tree_util.all_leaves([function])
+    return jax.tree_util.Partial(function) if is_leaf else function
+
+
+def _symplectic(x: Array) -> Array:
+    return 2 / (1 + jnp.sqrt(1 - x))
+
+
+def _exponential(x: Array) -> Array:
+    return small.sinc_sqrt(x / 4) / small.cos_sqrt(x / 4)
+
+
+kappa_cayley = Kappa(_as_pytree(jnp.ones_like), name="cayley")
+kappa_exponential = Kappa(_as_pytree(_exponential), name="exponential", limit=math.pi)
+kappa_symplectic = Kappa(_as_pytree(_symplectic), name="symplectic", limit=1.0, solve_by="scalar")
+
+
+def examples() -> dict[str, Map]:
+    """Maps of SO(3)."""
+    kappas = (kappa_cayley, kappa_exponential, kappa_symplectic)
+    return {"exponential": exponential, "cayley": cayley} | {f"scaled_cayley[{k.name}]": scaled_cayley(k) for k in kappas}

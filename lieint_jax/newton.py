@@ -1,0 +1,52 @@
+"""Newton's method inside `lax.custom_root`: a fixed number of iterations, exact derivatives by the implicit function.
+
+A fixed count (no `while_loop`) lets XLA fuse the iterations of a whole batch, and no derivative ever passes through
+them: `custom_root` differentiates the equation at its root, forward or reverse, nested as you like.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from lieint_jax import small
+
+
+def root(
+    residual: Callable[[Array], Array],
+    correction: Callable[[Array, Array], Array],
+    guess: Array,
+    iterations: int,
+) -> tuple[Array, Array]:
+    """The root of `residual` near `guess`.
+
+    Args:
+        residual: F(x), same shape as x: a scalar () or a vector (d,). It may close over traced values.
+        correction: (x, F(x)) ↦ the step to subtract; Newton's is F'(x)⁻¹F(x), with a matrix the caller knows.
+        guess: where to start.
+        iterations: how many corrections, a Python integer.
+
+    Returns:
+        The last iterate x and F(x) there, for the caller to judge. Derivatives of x are exact at a root; F(x) carries
+        none.
+    """
+
+    def solve(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
+        for _ in range(iterations):
+            x = x - correction(x, function(x))
+        return x, function(x)
+
+    return lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)
+
+
+def _tangent_solve(linear: Callable[[Array], Array], y: Array) -> Array:
+    """x with linear(x) = y. `custom_root` gives the derivative of the residual as a function, not as a matrix."""
+    if y.ndim == 0:
+        return y / linear(jnp.ones_like(y))
+    columns = [linear(e) for e in jnp.eye(y.shape[0], dtype=y.dtype)]
+    if y.shape[0] == 3:
+        return jnp.stack(small.solve([[c[i] for c in columns] for i in range(3)], y))
+    return jax.numpy.linalg.solve(jnp.stack(columns, axis=1), y)

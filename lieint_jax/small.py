@@ -1,0 +1,129 @@
+"""Arithmetic of tiny vectors and matrices, component by component.
+
+XLA fuses scalar arithmetic over a batch into vector loops; `@`, `einsum` and `jnp.linalg` on 3×3 data become calls that
+it cannot fuse. So a vector here is anything with three components (an array (3,) or a tuple of scalars), results are
+tuples, and a symmetric matrix is the tuple of its distinct entries: 3 of them if it is diagonal, 6 if it is full.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+Vector = Any  # three components: Array (3,) or a tuple of scalars
+Symmetric = tuple[Array, ...]  # (xx, yy, zz) or (xx, yy, zz, yz, xz, xy)
+Matrix = Sequence[Vector]  # rows
+
+
+def components(v: Array) -> tuple[Array, ...]:
+    return tuple(v[i] for i in range(v.shape[0]))
+
+
+def dot(a: Vector, b: Vector) -> Array:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Vector, b: Vector) -> tuple[Array, Array, Array]:
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def max_abs(v: Vector) -> Array:
+    return jnp.maximum(jnp.maximum(jnp.abs(v[0]), jnp.abs(v[1])), jnp.abs(v[2]))
+
+
+def solve(K: Matrix, b: Vector) -> tuple[Array, Array, Array]:
+    """K⁻¹b for a 3×3 matrix of rows, by the adjugate."""
+    c0, c1, c2 = cross(K[1], K[2]), cross(K[2], K[0]), cross(K[0], K[1])
+    r = 1 / dot(K[0], c0)
+    x, y, z = ((c0[i] * b[0] + c1[i] * b[1] + c2[i] * b[2]) * r for i in range(3))
+    return x, y, z
+
+
+def symmetric(J: Array) -> Symmetric:
+    """The distinct entries of a symmetric matrix given by its diagonal, shape (3,), or in full, shape (3, 3)."""
+    if J.ndim == 1:
+        return components(J)
+    off = [(J[i, j] + J[j, i]) / 2 for i, j in ((1, 2), (0, 2), (0, 1))]
+    return (J[0, 0], J[1, 1], J[2, 2], *off)
+
+
+def trace(S: Symmetric) -> Array:
+    return S[0] + S[1] + S[2]
+
+
+def rows(S: Symmetric) -> Matrix:
+    x, y, z, yz, xz, xy = S
+    return ((x, xy, xz), (xy, y, yz), (xz, yz, z))
+
+
+def apply(S: Symmetric, v: Vector) -> tuple[Array, Array, Array]:
+    """S v."""
+    if len(S) == 3:
+        return (S[0] * v[0], S[1] * v[1], S[2] * v[2])
+    r = rows(S)
+    return (dot(r[0], v), dot(r[1], v), dot(r[2], v))
+
+
+def adjugate(S: Symmetric) -> Symmetric:
+    """adj S, so that S⁻¹ = adj S / det S."""
+    x, y, z = S[:3]
+    if len(S) == 3:
+        return (y * z, z * x, x * y)
+    yz, xz, xy = S[3:]
+    return (y * z - yz * yz, x * z - xz * xz, x * y - xy * xy, xz * xy - x * yz, xy * yz - y * xz, xz * yz - z * xy)
+
+
+def determinant(S: Symmetric, adj: Symmetric) -> Array:
+    """det S from S and its adjugate, along the first row."""
+    if len(S) == 3:
+        return S[0] * adj[0]
+    return S[0] * adj[0] + S[4] * adj[4] + S[5] * adj[5]
+
+
+def solve_symmetric(S: Symmetric, v: Vector) -> tuple[Array, Array, Array]:
+    """S⁻¹ v."""
+    if len(S) == 3:
+        return (v[0] / S[0], v[1] / S[1], v[2] / S[2])
+    r = 1 / trace(S)  # scaled by the trace: the cube of a large inertia leaves the range of float32
+    S = tuple(s * r for s in S)
+    adj = adjugate(S)
+    x, y, z = apply(adj, v)
+    r = r / determinant(S, adj)
+    return (x * r, y * r, z * r)
+
+
+def _entire(series: Sequence[float], closed: Callable[[Array], Array], radius: float) -> Callable[[Array], Array]:
+    """A function of x ≥ 0 that is smooth at 0: its Taylor series for x < radius, its closed form beyond.
+
+    Each branch is given a harmless argument where the other is taken, so that no derivative meets 0/0.
+    """
+
+    def function(x: Array) -> Array:
+        near = x < radius
+        small = jnp.where(near, x, 0)
+        value = jnp.full_like(small, series[-1])
+        for coefficient in series[-2::-1]:
+            value = coefficient + small * value
+        return jnp.where(near, value, closed(jnp.where(near, radius, x)))
+
+    return function
+
+
+def _reciprocal_factorials(first: int, terms: int) -> list[float]:
+    """1/first!, −1/(first+2)!, 1/(first+4)!, …"""
+    values, value = [], 1.0
+    for k in range(terms):
+        values.append((-1) ** k * value)
+        value /= (first + 2 * k + 1) * (first + 2 * k + 2)
+    return values
+
+
+# cos √x, sin √x / √x and arctan √x / √x: analytic in x = |θ|², so is everything built of them.
+cos_sqrt = _entire(_reciprocal_factorials(0, 11), lambda x: jnp.cos(jnp.sqrt(x)), 1.0)
+sinc_sqrt = _entire(_reciprocal_factorials(1, 11), lambda x: jnp.sin(jnp.sqrt(x)) / jnp.sqrt(x), 1.0)
+arctan_sqrt = _entire(
+    [(-1) ** k / (2 * k + 1) for k in range(18)], lambda x: jnp.arctan(jnp.sqrt(x)) / jnp.sqrt(x), 0.1
+)

@@ -1,0 +1,156 @@
+"""The words of the house: states, steps, trajectories, groups and phase spaces.
+
+Systems and steps are frozen dataclasses registered as JAX pytrees (`pytree`). Their array fields are leaves, so
+derivatives and batches over an inertia tensor go through them; fields marked `static` (functions, options) are part of
+the tree's structure, so a step that is built again hits the same jit cache.
+"""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol, Self, TypeVar, dataclass_transform
+
+import jax
+from jax import Array
+from jax.typing import ArrayLike
+
+_T = TypeVar("_T")
+
+
+def static(**options: Any) -> Any:
+    """A dataclass field that is part of a pytree's structure, not one of its leaves. Its value must be hashable."""
+    return dataclasses.field(metadata={"static": True}, **options)
+
+
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(dataclasses.field, static))
+def pytree(cls: type[_T]) -> type[_T]:
+    """Make `cls` a frozen dataclass and a pytree whose leaves are its fields, but for the `static` ones."""
+    return jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True, eq=False)(cls))
+
+
+class State(NamedTuple):
+    """A point of phase space.
+
+    Attributes:
+        q: configuration. On SO(3) the attitude as a unit quaternion (w, x, y, z), shape (4,).
+        p: momentum. On SO(3) the spatial angular momentum π, shape (3,).
+    """
+
+    q: Array
+    p: Array
+
+
+class StepInfo(NamedTuple):
+    """What a step says of its own solve.
+
+    Attributes:
+        residual: largest component of the implicit equation's residual, in the scheme's own dimensionless form.
+        converged: residual ≤ 32·eps·scale and the root lies on the scheme's branch. False wherever a result is not to
+            be trusted; a NaN never comes without it.
+    """
+
+    residual: Array
+    converged: Array
+
+
+class Trajectory(NamedTuple):
+    """States at the saved times; every leaf has a leading time axis and entry 0 is the initial state.
+
+    Attributes:
+        t: times, shape (n+1,).
+        state: the states.
+        info: over the steps since the entry before: the largest residual, and whether all converged.
+    """
+
+    t: Array
+    state: State
+    info: StepInfo
+
+
+class Group(Protocol):
+    """The questions that every group answers (a module such as `groups.so3`, or an object).
+
+    Algebra elements are coordinate vectors of shape (dim,), their duals likewise; `Ad_star(q, ·)` and `ad_star(ξ, ·)`
+    are the transposes of `Ad(q, ·)` and `ad(ξ, ·)`.
+    """
+
+    @property
+    def dim(self) -> int: ...
+    @property
+    def identity(self) -> Any: ...
+    def multiply(self, a: Array, b: Array, /) -> Array: ...
+    def inverse(self, a: Array, /) -> Array: ...
+    def exp(self, xi: Array, /) -> Array: ...
+    def log(self, q: Array, /) -> Array: ...
+    def cayley(self, xi: Array, /) -> Array: ...
+    def Ad(self, q: Array, xi: Array, /) -> Array: ...
+    def Ad_star(self, q: Array, mu: Array, /) -> Array: ...
+    def ad(self, xi: Array, eta: Array, /) -> Array: ...
+    def ad_star(self, xi: Array, mu: Array, /) -> Array: ...
+    def spatial_velocity(self, q: Array, q_dot: Array, /) -> Array: ...
+    def body_velocity(self, q: Array, q_dot: Array, /) -> Array: ...
+    def defect(self, q: Array, /) -> Array: ...
+
+
+class PhaseSpace(Protocol):
+    """A manifold with a symplectic form, in coordinates of its tangent spaces that the diagnostics work in."""
+
+    @property
+    def dim(self) -> int: ...
+    def perturb(self, state: State, delta: Array, /) -> State: ...
+    def trivialise(self, state: State, tangent: State, /) -> Array: ...
+    def omega(self, state: State, /) -> Array: ...
+    def defect(self, state: State, /) -> Array: ...
+
+
+class System(Protocol):
+    """A Hamiltonian system: what every scheme and every diagnostic may ask of it."""
+
+    @property
+    def phase_space(self) -> PhaseSpace: ...
+    def energy(self, state: State, /) -> Array: ...
+    def momentum(self, state: State, /) -> Array: ...
+    def vector_field(self, state: State, /) -> State: ...
+    def check(self, state: State, /) -> None: ...
+
+
+class Step(abc.ABC):
+    """One step of a scheme for a system: `step(state, dt) -> (state, info)`, a pure function and a pytree.
+
+    Attributes:
+        order: order of accuracy.
+        symmetric: whether step(·, −dt) undoes step(·, dt).
+    """
+
+    system: Any
+    order: int
+    symmetric: bool
+
+    @abc.abstractmethod
+    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]: ...
+
+    def prepare(self, state: State, dt: ArrayLike) -> Self:
+        """Solve once what is constant along the trajectory of `state`; here nothing."""
+        return self
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        """What to tell somebody whose step failed from `state`: what was given, what is allowed, what to do."""
+        return f"the step did not converge at dt = {dt}: take a smaller dt"
+
+    def check(self, state: State, dt: ArrayLike) -> None:
+        """Raise ValueError if a concrete `state` or `dt` is out of range; tracers pass."""
+        if not concrete(self, state, dt):
+            return
+        self.system.check(state)
+        if not self(state, dt)[1].converged:
+            raise ValueError(self.advice(state, dt))
+
+
+Kernel = Callable[[State, ArrayLike], tuple[State, StepInfo]]
+
+
+def concrete(*trees: Any) -> bool:
+    """Whether every leaf is a value that can be looked at, not a tracer."""
+    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))
