@@ -90,8 +90,25 @@ def _symplectic(x: Array) -> Array:
     return 2 / (1 + jnp.sqrt(1 - x))
 
 
+def _lambert(levels: int) -> tuple[list[float], list[float]]:
+    """Coefficients in u² of tan(u)/u as a quotient of polynomials: 1/(1 − u²/(3 − u²/(5 − …))), so many levels deep."""
+    numerator, denominator = [1], [2 * levels + 1]
+    for odd in range(2 * levels - 1, 0, -2):
+        longer = [odd * c for c in denominator] + [0] * (len(numerator) + 1 - len(denominator))
+        for k, c in enumerate(numerator):
+            longer[k + 1] -= c
+        numerator, denominator = denominator, longer
+    unit = denominator[0]
+    return [c / unit for c in numerator], [c / unit for c in denominator]
+
+
+_TAN = _lambert(11)
+
+
 def _exponential(x: Array) -> Array:
-    return small.sinc_sqrt(x / 4) / small.cos_sqrt(x / 4)
+    """tan(u)/u, u² = x/4: a rational function, exact to round-off up to the pole at x = π² and smooth at 0."""
+    numerator, denominator = (small.horner(c, x / 4) for c in _TAN)
+    return numerator / denominator
 
 
 kappa_cayley = Kappa(_as_pytree(jnp.ones_like), name="cayley")

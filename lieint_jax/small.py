@@ -95,6 +95,14 @@ def solve_symmetric(S: Symmetric, v: Vector) -> tuple[Array, Array, Array]:
     return (x * r, y * r, z * r)
 
 
+def horner(coefficients: Sequence[float], x: Array) -> Array:
+    """Σ cₖ xᵏ."""
+    value = jnp.full_like(x, coefficients[-1])
+    for c in coefficients[-2::-1]:
+        value = c + x * value
+    return value
+
+
 def _entire(series: Sequence[float], closed: Callable[[Array], Array], radius: float) -> Callable[[Array], Array]:
     """A function of x ≥ 0 that is smooth at 0: its Taylor series for x < radius, its closed form beyond.
 
@@ -104,10 +112,7 @@ def _entire(series: Sequence[float], closed: Callable[[Array], Array], radius: f
     def function(x: Array) -> Array:
         near = x < radius
         small = jnp.where(near, x, 0)
-        value = jnp.full_like(small, series[-1])
-        for coefficient in series[-2::-1]:
-            value = coefficient + small * value
-        return jnp.where(near, value, closed(jnp.where(near, radius, x)))
+        return jnp.where(near, horner(series, small), closed(jnp.where(near, radius, x)))
 
     return function
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, Self, TypeVar, dataclass_transform
 
 import jax
@@ -46,7 +45,7 @@ class StepInfo(NamedTuple):
     """What a step says of its own solve.
 
     Attributes:
-        residual: largest component of the implicit equation's residual, in the scheme's own dimensionless form.
+        residual: norm of the implicit equation's residual, in the scheme's own dimensionless form.
         converged: residual ≤ 32·eps·scale and the root lies on the scheme's branch. False wherever a result is not to
             be trusted; a NaN never comes without it.
     """
@@ -128,6 +127,11 @@ class Step(abc.ABC):
     order: int
     symmetric: bool
 
+    @property
+    @abc.abstractmethod
+    def name(self) -> str:
+        """What reports call this step."""
+
     @abc.abstractmethod
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]: ...
 
@@ -146,9 +150,6 @@ class Step(abc.ABC):
         self.system.check(state)
         if not self(state, dt)[1].converged:
             raise ValueError(self.advice(state, dt))
-
-
-Kernel = Callable[[State, ArrayLike], tuple[State, StepInfo]]
 
 
 def concrete(*trees: Any) -> bool:

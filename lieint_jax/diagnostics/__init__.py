@@ -1,0 +1,21 @@
+"""What a scheme conserves, measured: by autodiff and by running it, never by a formula for the scheme at hand."""
+
+from lieint_jax.diagnostics.certify import Certificate, certify
+from lieint_jax.diagnostics.order import flow, order, reversibility
+from lieint_jax.diagnostics.poisson import poisson_error
+from lieint_jax.diagnostics.series import constraint_error, energy_error, momentum_error
+from lieint_jax.diagnostics.symplectic import linearization, symplectic_defect
+
+__all__ = [
+    "Certificate",
+    "certify",
+    "constraint_error",
+    "energy_error",
+    "flow",
+    "linearization",
+    "momentum_error",
+    "order",
+    "poisson_error",
+    "reversibility",
+    "symplectic_defect",
+]

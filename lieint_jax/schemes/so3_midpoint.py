@@ -23,7 +23,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import newton, small
@@ -49,11 +49,15 @@ class SO3Midpoint(Step):
     order: int = static(default=2)
     symmetric: bool = static(default=True)
 
+    @property
+    def name(self) -> str:
+        return f"so3_midpoint[{self.kappa.name}]"
+
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         J, a = _scaled(self.system, state, dt)
         solve = _solve_scalar if self.kappa.solve_by == "scalar" else _solve_vector
         h, residual, on_branch = solve(self.kappa, J, a, self.iterations)
-        residual = small.max_abs(residual)
+        residual = lax.stop_gradient(jnp.sqrt(dot(residual, residual)))
         converged = (residual <= 32 * jnp.finfo(a.dtype).eps * small.max_abs(a)) & on_branch
         return State(so3.cayley_increment(state.q, h), state.p), StepInfo(residual, converged)
 
@@ -110,7 +114,7 @@ def examples(system: System) -> dict[str, Step]:
     if not hasattr(system, "inertia") or getattr(system, "potential", None) is not None:
         return {}
     kappas = (kappa_cayley, kappa_exponential, kappa_symplectic)
-    return {f"so3_midpoint[{kappa.name}]": so3_midpoint(system, kappa) for kappa in kappas}
+    return {step.name: step for step in (so3_midpoint(system, kappa) for kappa in kappas)}
 
 
 def _scaled(system: System, state: State, dt: ArrayLike) -> tuple[Symmetric, Array]:
@@ -149,7 +153,7 @@ def _solve_scalar(_: Kappa, J: Symmetric, a: Array, iterations: int) -> tuple[Ve
     k = s - m * (1 - m)
     r = 1 / (J3 + aJa - m * (J2 + k))
     x = cross(a, Ja)
-    h = tuple((Ca[i] + k * a[i] + m * Ja[i] - x[i]) * r for i in range(3))
+    h = r * k * a + r * jnp.stack([Ca[i] + m * Ja[i] - x[i] for i in range(3)])
     m, x, Jh = dot(a, h), cross(a, h), apply(J, h)
     return h, tuple(Jh[i] - m * h[i] - a[i] - x[i] for i in range(3)), dot(h, h) <= 1
 

@@ -1,0 +1,118 @@
+"""One report of what a step conserves."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from lieint_jax.diagnostics.order import order, reversibility
+from lieint_jax.diagnostics.series import constraint_error, energy_error, momentum_error
+from lieint_jax.diagnostics.symplectic import symplectic_defect
+from lieint_jax.integrate import integrate
+from lieint_jax.types import State, Step
+
+
+class Certificate(NamedTuple):
+    """What was measured of one step from one state; `print` it.
+
+    Attributes:
+        scheme: name of the step.
+        system: name of the system.
+        precision: "float64" or "float32".
+        dt: step size.
+        num_steps: length of the run behind energy, momentum, constraint, residual and converged.
+        energy: max|H_n − H₀| / |H₀|.
+        momentum: max|Φ_n − Φ₀| / max|Φ₀| over the components of the momentum map; nan if there is none.
+        constraint: largest defect of the configuration, such as ||q|² − 1|.
+        symplectic_defect: max|Lᵀω(z₁)L − ω(z₀)| of the first step.
+        symplectic_order: r of a defect O(Δtʳ) a step, from dt and dt/2; inf if the defect is round-off.
+        order: measured order of accuracy; inf if exact to round-off.
+        reversibility: max|z − step(step(z, dt), −dt)|.
+        residual: largest residual of the run.
+        converged: whether every step converged.
+    """
+
+    scheme: str
+    system: str
+    precision: str
+    dt: float
+    num_steps: int
+    energy: float
+    momentum: float
+    constraint: float
+    symplectic_defect: float
+    symplectic_order: float
+    order: float
+    reversibility: float
+    residual: float
+    converged: bool
+
+    def __str__(self) -> str:
+        eps = float(jnp.finfo(self.precision).eps)
+        exact = 16 * eps * math.sqrt(self.num_steps)
+        form = "exact to round-off" if math.isinf(self.symplectic_order) else f"broken as dt^{self.symplectic_order:.2f}"
+        rows = [
+            ("energy", self.energy, _kept(self.energy, exact, eps)),
+            ("momentum", self.momentum, _kept(self.momentum, exact, eps)),
+            ("constraint", self.constraint, _kept(self.constraint, exact, eps)),
+            ("symplectic form", self.symplectic_defect, f"{form} a step"),
+            ("reversibility", self.reversibility, _kept(self.reversibility, exact, eps)),
+            ("residual", self.residual, "every step converged" if self.converged else "NOT every step converged"),
+            ("order", self.order, "exact flow" if math.isinf(self.order) else f"measured {self.order:.2f}"),
+        ]
+        head = f"{self.scheme} · {self.system} · dt = {self.dt:g}, {self.num_steps} steps, {self.precision}"
+        lines = [f"  {name:<16} {value:>9.2g}   {verdict}" for name, value, verdict in rows]
+        return "\n".join([head, *lines])
+
+
+def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
+    """Measure what `step` conserves from `state`: energy, momentum, form, order, reversibility.
+
+    Args:
+        step: a scheme's step.
+        state: the initial state of one body.
+        dt: step size.
+        num_steps: how many steps the invariants are watched for.
+
+    Raises:
+        ValueError: as `integrate`.
+    """
+    run = integrate(step, state, dt, num_steps)
+    system = step.system
+    momentum = np.abs(np.asarray(momentum_error(system, run)))
+    energy = float(jnp.max(jnp.abs(energy_error(system, run))))
+    coarse, fine = (float(symplectic_defect(step, state, h)) for h in (dt, dt / 2))
+    size = float(jnp.max(jnp.abs(system.phase_space.omega(state))))
+    floor = 32 * float(jnp.finfo(state.p.dtype).eps) * size
+    return Certificate(
+        scheme=step.name,
+        system=type(system).__name__,
+        precision=str(state.p.dtype),
+        dt=float(dt),
+        num_steps=num_steps,
+        energy=_relative(energy, float(jnp.abs(system.energy(state)))),
+        momentum=_relative(momentum.max(), float(jnp.max(jnp.abs(system.momentum(state))))) if momentum.size else math.nan,
+        constraint=float(jnp.max(jnp.abs(constraint_error(system, run)))),
+        symplectic_defect=coarse,
+        symplectic_order=math.log2(coarse / fine) if coarse > floor and fine > 0 else math.inf,
+        order=order(step, state, dt),
+        reversibility=float(reversibility(step, state, dt)),
+        residual=float(jnp.max(run.info.residual)),
+        converged=bool(jnp.all(run.info.converged)),
+    )
+
+
+def _relative(error: float, size: float) -> float:
+    return float(error / size) if size else float(error)
+
+
+def _kept(error: float, exact: float, eps: float) -> str:
+    if math.isnan(error):
+        return "none"
+    if error == 0:
+        return "conserved bit for bit"
+    digits = f"{-math.log10(error):.1f} digits" if error < 1 else "no digit"
+    return f"conserved to round-off, {digits}" if error <= exact else f"not conserved, {digits}"

@@ -1,0 +1,33 @@
+"""The linearised step and what it does to the symplectic form (3.1)."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax.types import State, Step
+
+
+def linearization(step: Step, state: State, dt: ArrayLike) -> Array:
+    """L_n of δz_{n+1} = L_n δz_n, shape (2d, 2d), by jacfwd of the step.
+
+    Rows and columns are the phase space's own coordinates: (δθ, δπ) on T*G, with δq = δθ q.
+    """
+    space = step.system.phase_space
+
+    def push(delta: Array) -> State:
+        return step(space.perturb(state, delta), dt)[0]
+
+    zero = jnp.zeros(space.dim, state.p.dtype)
+    end, tangents = push(zero), jax.jacfwd(push)(zero)
+    return jax.vmap(lambda tangent: space.trivialise(end, tangent), in_axes=-1, out_axes=-1)(tangents)
+
+
+def symplectic_defect(step: Step, state: State, dt: ArrayLike) -> Array:
+    """max|Lᵀω(z₁)L − ω(z₀)|: zero if and only if the step is symplectic at this state (3.1)."""
+    space = step.system.phase_space
+    L = linearization(step, state, dt)
+    omega = space.omega(step(state, dt)[0])
+    return jnp.max(jnp.abs(L.T @ omega @ L - space.omega(state)))
