@@ -1,0 +1,89 @@
+"""The command `lieint`: parses and calls, nothing else."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import warnings
+from pathlib import Path
+
+_EPILOG = """examples:
+  lieint run toutatis                      800 days of a tumbling asteroid, 1000 members
+  lieint run my.toml --members 100         your own scenario (copy lieint_jax/data/toutatis.toml)
+  lieint check                             what every scheme conserves, measured
+  lieint check rigid_body --scheme cayley  one of them
+  lieint figure 1 2 --out figures          the paper's figures
+"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; 0 if all went well, 2 with one line on stderr if the user can mend it."""
+    options = _parser().parse_args(arguments)
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    warnings.showwarning = lambda message, *_, **__: print(f"lieint: warning: {message}", file=sys.stderr)
+    try:
+        options.command(options)
+    except ValueError as error:
+        print(f"lieint: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("lieint: interrupted; nothing was written", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="lieint",
+        description="Conserving integrators for Hamiltonian systems on Lie groups. Everything runs in float64.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    run = commands.add_parser("run", help="integrate a scenario and report", description="Integrate a scenario.")
+    run.add_argument("scenario", metavar="SCENARIO", help="a shipped scenario (toutatis) or a .toml file")
+    run.add_argument("--out", type=Path, metavar="PATH.npz", help="where to write results; pictures go beside it")
+    run.add_argument("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
+    run.add_argument("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
+    run.set_defaults(command=_run)
+    check = commands.add_parser(
+        "check", help="print certificates", description="Measure what each scheme conserves, system by system."
+    )
+    check.add_argument("system", nargs="?", default="", metavar="SYSTEM", help="a system module or example (default: all)")
+    check.add_argument("--scheme", default="", metavar="NAME", help="only schemes whose name contains NAME")
+    check.add_argument("--steps", type=int, default=1000, metavar="N", help="length of each run (default 1000)")
+    check.set_defaults(command=_check)
+    figure = commands.add_parser("figure", help="recompute figures of the paper", description="Write figures as PNG.")
+    figure.add_argument("numbers", nargs="+", type=int, metavar="N", help="numbers in the paper: 1, 2")
+    figure.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
+    figure.set_defaults(command=_figure)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> None:
+    from lieint_jax import report
+
+    report.run(options.scenario, options.out, members=options.members, steps=options.steps)
+
+
+def _check(options: argparse.Namespace) -> None:
+    from lieint_jax import report
+
+    report.check(options.system, options.scheme, options.steps)
+
+
+def _figure(options: argparse.Namespace) -> None:
+    from lieint_jax.figures import FIGURES
+
+    unknown = [n for n in options.numbers if n not in FIGURES]
+    if unknown:
+        raise ValueError(f"figure {unknown[0]} is not one of {', '.join(map(str, FIGURES))}")
+    options.out.mkdir(parents=True, exist_ok=True)
+    for n in options.numbers:
+        print(FIGURES[n](options.out), f"  written to {options.out / f'figure-{n}.png'}", sep="\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,13 @@
+"""Every module of a package, by looking: a new group, system or scheme is one file, and no list to edit."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from types import ModuleType
+
+
+def modules(package: ModuleType) -> dict[str, ModuleType]:
+    """The modules of `package` by their short names. Each has `examples()`."""
+    names = [module.name for module in pkgutil.iter_modules(package.__path__) if not module.name.startswith("_")]
+    return {name: importlib.import_module(f"{package.__name__}.{name}") for name in names}

@@ -1,0 +1,77 @@
+"""Arrays in, axes out. Every function draws on the axes it is given and returns them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+INK, BLUE, RED, GREY = "#222222", "#2a6f97", "#c8553d", "#b8b8b8"
+STYLES = ({"color": INK}, {"color": RED, "ls": "--"}, {"color": BLUE, "ls": ":", "lw": 1.8})
+
+
+def figure(columns: int = 1, rows: int = 1, **axes: Any) -> tuple[Figure, Any]:
+    """A figure, made without pyplot, so that no window system is needed, and its array of axes."""
+    fig = Figure(figsize=(4.6 * columns, 3.6 * rows), layout="constrained")
+    return fig, fig.subplots(rows, columns, squeeze=False, **axes)
+
+
+def series(ax: Axes, t: np.ndarray, curves: Mapping[str, np.ndarray], ylabel: str, time_unit: str = "") -> Axes:
+    """Curves against time in the paper's line styles: solid, dashed, dotted."""
+    for (label, y), style in zip(curves.items(), STYLES, strict=False):
+        ax.plot(t, y, label=label, **{"lw": 1.0} | style)
+    ax.set(xlabel=f"t ({time_unit})" if time_unit else "t", ylabel=ylabel)
+    if len(curves) > 1:
+        ax.legend(frameon=False, fontsize="small")
+    return ax
+
+
+def log_error(ax: Axes, t: np.ndarray, curves: Mapping[str, np.ndarray], ylabel: str, time_unit: str = "") -> Axes:
+    """Absolute errors on a logarithmic axis; exact zeros are drawn at a tenth of round-off."""
+    tiny = np.finfo(float).eps / 10
+    series(ax, t, {label: np.maximum(np.abs(y), tiny) for label, y in curves.items()}, ylabel, time_unit)
+    ax.set_yscale("log")
+    return ax
+
+
+def sphere_path(ax: Any, path: np.ndarray, pole: np.ndarray | None = None) -> Any:
+    """A path of unit vectors (n, 3) on the sphere, far side paler, and the direction `pole` that it turns about."""
+    u, v = np.mgrid[0 : 2 * np.pi : 37j, 0 : np.pi : 19j]
+    ax.plot_wireframe(np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v), color=GREY, lw=0.3, alpha=0.6)
+    middle = path.mean(axis=0) if pole is None else pole
+    middle = middle / max(float(np.linalg.norm(middle)), 1e-9)
+    elevation, azimuth = np.rad2deg(np.arcsin(middle[2])), np.rad2deg(np.arctan2(middle[1], middle[0]))
+    ax.view_init(elev=elevation + 28, azim=azimuth + 25)
+    a, e = np.deg2rad(ax.azim), np.deg2rad(ax.elev)
+    far = path @ [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)] < 0
+    for hidden, alpha in ((far, 0.25), (~far, 0.9)):
+        ax.plot(*np.where(hidden[:, None], path, np.nan).T, color=BLUE, lw=0.6, alpha=alpha)
+    if pole is not None:
+        end = 1.3 * np.asarray(pole)
+        ax.plot(*np.stack([0 * end, end]).T, color=RED, lw=1.5)
+    ax.set_aspect("equal")
+    ax.set_box_aspect((1, 1, 1), zoom=1.5)
+    ax.set_axis_off()
+    return ax
+
+
+def loglog_lines(ax: Axes, curves: Mapping[str, tuple[np.ndarray, np.ndarray]], xlabel: str, ylabel: str) -> Axes:
+    """Marked lines on two logarithmic axes, such as error against cost."""
+    markers = "os^Dv<>Pp*hX"
+    for k, (label, (x, y)) in enumerate(curves.items()):
+        ax.loglog(x, y, marker=markers[k % len(markers)], ms=4, lw=1.0, label=label)
+    ax.set(xlabel=xlabel, ylabel=ylabel)
+    ax.grid(True, which="major", lw=0.3, color=GREY)
+    ax.legend(frameon=False, fontsize="small")
+    return ax
+
+
+def marked_times(ax: Axes, times: Mapping[str, float]) -> Axes:
+    """Vertical lines at named times."""
+    for label, t in times.items():
+        ax.axvline(t, color=RED, lw=0.8)
+        ax.annotate(label, (t, 1), xycoords=("data", "axes fraction"), fontsize="x-small", rotation=90, va="top")
+    return ax

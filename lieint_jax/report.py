@@ -1,0 +1,145 @@
+"""What the commands print and write: a scenario's results, certificates."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from lieint_jax import __version__, discover, ensemble, plots, scenarios, schemes, store, systems
+from lieint_jax.diagnostics import certify, energy_error, poisson_error
+from lieint_jax.groups import so3
+from lieint_jax.integrate import integrate
+from lieint_jax.scenarios import Row, Scenario, Sighting
+from lieint_jax.types import State, Step
+
+_LONGEST, _POINTS = 200_000, 4_000  # steps of the nominal member that are drawn, and points of a curve
+
+
+def run(name: str, out: Path | None, members: int | None = None, steps: int | None = None) -> None:
+    """Integrate a scenario, print the report, write results and pictures."""
+    scenario = scenarios.load(name, members=members, steps=steps)
+    out = store.free(out or _unused(Path(Path(name).stem).with_suffix(".npz")))
+    step, states = scenarios.build(scenario)
+    print(_headline(scenario, step))
+    run = ensemble.run(step, states, scenario.dt, scenario.steps, scenario.save_every)
+    store.save(out, run, {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__})
+    body = step.system
+    print(_table(scenario, scenarios.quantities(scenario, body, run)))
+    for sighting in scenarios.sightings(scenario, body, run):
+        print(_sighting(scenario, sighting))
+    start = State(states.q[0], states.p[0])
+    print("\nCertificate of the nominal member:")
+    print(certify(step, start, scenario.dt, min(scenario.steps, 10_000)))
+    well = int(np.asarray(run.info.converged).all(axis=0).sum())
+    print(f"  {well} of {scenario.members} members converged at every step")
+    pictures = [out.with_name(f"{out.stem}-{kind}.png") for kind in ("path", "invariants")]
+    _draw(scenario, step, start, pictures)
+    print(f"\nwritten: {out} (t, q, p, residual, converged, metadata), {pictures[0]}, {pictures[1]}")
+
+
+def check(system: str, scheme: str, num_steps: int) -> None:
+    """Print the certificate of every example of every system with every scheme that takes it."""
+    found = False
+    for module_name, module in discover.modules(systems).items():
+        for name, (body, state, dt) in module.examples().items():
+            if system not in ("", module_name, name):
+                continue
+            for scheme_module in discover.modules(schemes).values():
+                for step_name, step in scheme_module.examples(body).items():
+                    if scheme in step_name:
+                        found = True
+                        print(f"{module_name}.{name}\n{certify(step, state, dt, num_steps)}\n")
+    if not found:
+        known = [f"{n} ({', '.join(m.examples())})" for n, m in discover.modules(systems).items()]
+        raise ValueError(f"nothing to check for system {system!r} and scheme {scheme!r}; systems: {'; '.join(known)}")
+
+
+def _unused(path: Path) -> Path:
+    """`path`, or the first of path-2, path-3, … that does not exist."""
+    candidate, k = path, 1
+    while candidate.exists():
+        k += 1
+        candidate = path.with_stem(f"{path.stem}-{k}")
+    return candidate
+
+
+def _headline(scenario: Scenario, step: Step) -> str:
+    unit, span = scenario.time_unit, scenario.dt * scenario.steps
+    spread = scenario.spread
+    lines = [
+        scenario.title,
+        f"  {scenario.members} member(s), {scenario.steps} steps of {scenario.dt:.6g} {unit} = {span:.6g} {unit}, {step.name}",
+    ]
+    if scenario.members > 1:
+        lines.append(
+            f"  spread about the nominal state, an assumption: {spread.attitude_deg:g}° of attitude and "
+            f"{spread.angular_velocity_deg:g}°/{unit} of angular velocity (1 sigma, each component)"
+        )
+    return "\n".join(lines)
+
+
+def _table(scenario: Scenario, rows: list[Row]) -> str:
+    lines = [f"\n  {'':<34}{'nominal':>10}{'± ensemble':>12}   published"]
+    for row in rows:
+        published = ""
+        if row.published:
+            error = f" ± {row.published.error:g}" if row.published.error is not None else ""
+            published = f"{row.published.value:g}{error}  ({scenario.sources.get(row.published.source, row.published.source)})"
+        lines.append(f"  {row.name:<34}{row.nominal:>10.4f}{row.spread:>12.4f}   {published}")
+    return "\n".join(lines)
+
+
+def _sighting(scenario: Scenario, sighting: Sighting) -> str:
+    seen = sighting.observation
+
+    def triple(values: np.ndarray | list[float]) -> str:
+        return "(" + ", ".join(f"{x:8.2f}" for x in values) + ")"
+
+    lines = [f"\n  {seen.label}: t = {seen.t:g} {scenario.time_unit}   [{scenario.sources.get(seen.source, seen.source)}]"]
+    if seen.euler_313_deg:
+        lines += [
+            f"    Euler 3-1-3 (°)      predicted {triple(sighting.euler_313_deg)}   observed {triple(seen.euler_313_deg)}"
+        ]
+    if seen.angular_velocity_deg:
+        predicted, observed = triple(sighting.angular_velocity_deg), triple(seen.angular_velocity_deg)
+        lines += [f"    body rate (°/{scenario.time_unit})      predicted {predicted}   observed {observed}"]
+    lines += [
+        f"    predicted and observed attitude are {sighting.apart_deg:.2f}° apart; the members lie {sighting.spread_deg:.2f}° "
+        f"(rms) about the nominal one; the integrator's own error is {sighting.integrator_error_deg:.2g}°"
+    ]
+    return "\n".join(lines)
+
+
+def _draw(scenario: Scenario, step: Step, start: State, paths: list[Path]) -> None:
+    """The nominal member: its z axis in space, its angular momentum in the body, energy and Poisson error."""
+    every = -(-min(scenario.steps, _LONGEST) // _POINTS)
+    n = min(scenario.steps, _LONGEST) // every * every
+
+    @jax.jit
+    def nominal(z: State) -> tuple[Array, Array, Array, Array, Array]:
+        run = integrate(step, z, scenario.dt, n, every)
+        energy = energy_error(step.system, run) / step.system.energy(z)
+        sigma = jax.vmap(so3.vee)(poisson_error(step, z, scenario.dt, n)[::every])
+        axis = jax.vmap(so3.Ad, in_axes=(0, None))(run.state.q, jnp.array([0.0, 0.0, 1.0]))
+        return run.t, axis, jax.vmap(step.system.body_momentum)(run.state), energy, jnp.linalg.norm(sigma, axis=1)
+
+    t, axis, Pi, energy, sigma = (np.asarray(x) for x in nominal(start))
+    size = np.linalg.norm(start.p)
+    fig, axes = plots.figure(2, subplot_kw={"projection": "3d"})
+    for ax, path, pole, title in (
+        (axes[0, 0], axis, np.asarray(start.p) / size, "body axis z in space, angular momentum in red"),
+        (axes[0, 1], Pi / size, None, "angular momentum in the body"),
+    ):
+        plots.sphere_path(ax, path, pole)
+        ax.set_title(title, fontsize="small")
+    fig.suptitle(f"{scenario.title}: {t[-1]:.4g} {scenario.time_unit}", fontsize="medium")
+    fig.savefig(paths[0], dpi=160)
+
+    fig, axes = plots.figure(2)
+    plots.series(axes[0, 0], t, {"": energy}, "relative energy error", scenario.time_unit)
+    plots.log_error(axes[0, 1], t, {"": sigma}, "Poisson error |σ|", scenario.time_unit)
+    fig.savefig(paths[1], dpi=160)
