@@ -51,7 +51,9 @@ def _parser() -> argparse.ArgumentParser:
     check = commands.add_parser(
         "check", help="print certificates", description="Measure what each scheme conserves, system by system."
     )
-    check.add_argument("system", nargs="?", default="", metavar="SYSTEM", help="a system module or example (default: all)")
+    check.add_argument(
+        "system", nargs="?", default="", metavar="SYSTEM", help="a system module or example (default: all)"
+    )
     check.add_argument("--scheme", default="", metavar="NAME", help="only schemes whose name contains NAME")
     check.add_argument("--steps", type=int, default=1000, metavar="N", help="length of each run (default 1000)")
     check.set_defaults(command=_check)

@@ -81,7 +81,8 @@ def figure_2(out: Path) -> str:
     axes[0, 0].legend(frameon=False, fontsize="small")
     fig.savefig(out / "figure-2.png", dpi=150)
     rows = [
-        f"  {run.dt:<6} {run.body}  {run.kappa:<12} {run.poisson.max():>10.3g} {np.ptp(run.energy):>12.2g}" for run in runs
+        f"  {run.dt:<6} {run.body}  {run.kappa:<12} {run.poisson.max():>10.3g} {np.ptp(run.energy):>12.2g}"
+        for run in runs
     ]
     head = f"  {'Δt':<6} J  {'κ':<12} {'max|σ|':>10} {'max H−min H':>12}"
     return "\n".join(["Figure 2: A is J = diag(1,2,3), S is J = diag(1,1,2); t = 50", head, *rows])

@@ -119,4 +119,6 @@ kappa_symplectic = Kappa(_as_pytree(_symplectic), name="symplectic", limit=1.0, 
 def examples() -> dict[str, Map]:
     """Maps of SO(3)."""
     kappas = (kappa_cayley, kappa_exponential, kappa_symplectic)
-    return {"exponential": exponential, "cayley": cayley} | {f"scaled_cayley[{k.name}]": scaled_cayley(k) for k in kappas}
+    return {"exponential": exponential, "cayley": cayley} | {
+        f"scaled_cayley[{k.name}]": scaled_cayley(k) for k in kappas
+    }

@@ -10,7 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 INK, BLUE, RED, GREY = "#222222", "#2a6f97", "#c8553d", "#b8b8b8"
-STYLES = ({"color": INK}, {"color": RED, "ls": "--"}, {"color": BLUE, "ls": ":", "lw": 1.8})
+STYLES: tuple[dict[str, Any], ...] = (
+    {"color": INK, "lw": 1.0},
+    {"color": RED, "lw": 1.0, "ls": "--"},
+    {"color": BLUE, "lw": 1.8, "ls": ":"},
+)
 
 
 def figure(columns: int = 1, rows: int = 1, **axes: Any) -> tuple[Figure, Any]:
@@ -22,7 +26,7 @@ def figure(columns: int = 1, rows: int = 1, **axes: Any) -> tuple[Figure, Any]:
 def series(ax: Axes, t: np.ndarray, curves: Mapping[str, np.ndarray], ylabel: str, time_unit: str = "") -> Axes:
     """Curves against time in the paper's line styles: solid, dashed, dotted."""
     for (label, y), style in zip(curves.items(), STYLES, strict=False):
-        ax.plot(t, y, label=label, **{"lw": 1.0} | style)
+        ax.plot(t, y, label=label, **style)
     ax.set(xlabel=f"t ({time_unit})" if time_unit else "t", ylabel=ylabel)
     if len(curves) > 1:
         ax.legend(frameon=False, fontsize="small")

@@ -72,7 +72,8 @@ def _headline(scenario: Scenario, step: Step) -> str:
     spread = scenario.spread
     lines = [
         scenario.title,
-        f"  {scenario.members} member(s), {scenario.steps} steps of {scenario.dt:.6g} {unit} = {span:.6g} {unit}, {step.name}",
+        f"  {scenario.members} member(s), {scenario.steps} steps of {scenario.dt:.6g} {unit} = {span:.6g} {unit}, "
+        f"{step.name}",
     ]
     if scenario.members > 1:
         lines.append(
@@ -88,7 +89,9 @@ def _table(scenario: Scenario, rows: list[Row]) -> str:
         published = ""
         if row.published:
             error = f" ± {row.published.error:g}" if row.published.error is not None else ""
-            published = f"{row.published.value:g}{error}  ({scenario.sources.get(row.published.source, row.published.source)})"
+            published = (
+                f"{row.published.value:g}{error}  ({scenario.sources.get(row.published.source, row.published.source)})"
+            )
         lines.append(f"  {row.name:<34}{row.nominal:>10.4f}{row.spread:>12.4f}   {published}")
     return "\n".join(lines)
 
@@ -99,17 +102,18 @@ def _sighting(scenario: Scenario, sighting: Sighting) -> str:
     def triple(values: np.ndarray | list[float]) -> str:
         return "(" + ", ".join(f"{x:8.2f}" for x in values) + ")"
 
-    lines = [f"\n  {seen.label}: t = {seen.t:g} {scenario.time_unit}   [{scenario.sources.get(seen.source, seen.source)}]"]
+    lines = [
+        f"\n  {seen.label}: t = {seen.t:g} {scenario.time_unit}   [{scenario.sources.get(seen.source, seen.source)}]"
+    ]
     if seen.euler_313_deg:
-        lines += [
-            f"    Euler 3-1-3 (°)      predicted {triple(sighting.euler_313_deg)}   observed {triple(seen.euler_313_deg)}"
-        ]
+        predicted, observed = triple(sighting.euler_313_deg), triple(seen.euler_313_deg)
+        lines += [f"    Euler 3-1-3 (°)      predicted {predicted}   observed {observed}"]
     if seen.angular_velocity_deg:
         predicted, observed = triple(sighting.angular_velocity_deg), triple(seen.angular_velocity_deg)
         lines += [f"    body rate (°/{scenario.time_unit})      predicted {predicted}   observed {observed}"]
     lines += [
-        f"    predicted and observed attitude are {sighting.apart_deg:.2f}° apart; the members lie {sighting.spread_deg:.2f}° "
-        f"(rms) about the nominal one; the integrator's own error is {sighting.integrator_error_deg:.2g}°"
+        f"    attitude predicted and observed: {sighting.apart_deg:.2f}° apart; members about the nominal one: "
+        f"{sighting.spread_deg:.2f}° rms; the integrator's own error: {sighting.integrator_error_deg:.2g}°"
     ]
     return "\n".join(lines)
 

@@ -23,6 +23,7 @@ from lieint_jax.types import State, Step, Trajectory
 
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 Quadruple = Annotated[list[float], Field(min_length=4, max_length=4)]
+NonNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[int, Field(gt=0)]
 
 
@@ -60,8 +61,8 @@ class InitialState(_Table):
 class Spread(_Table):
     """Standard deviations, a component, of the members about the nominal state."""
 
-    attitude_deg: float = Field(0.0, ge=0)
-    angular_velocity_deg: float = Field(0.0, ge=0)
+    attitude_deg: NonNegative = 0.0
+    angular_velocity_deg: NonNegative = 0.0
 
 
 class Published(_Table):
@@ -89,7 +90,7 @@ class Scenario(_Table):
     steps: Positive
     save_every: Positive = 1
     members: Positive = 1
-    seed: int = Field(0, ge=0)
+    seed: Annotated[int, Field(ge=0)] = 0
     state: InitialState
     spread: Spread = Spread()
     published: dict[
@@ -139,7 +140,11 @@ def load(name: str, **changes: Any) -> Scenario:
     except ValidationError as error:
         problem, *others = error.errors()
         key = ".".join(map(str, problem["loc"])) or "the file"
-        given = "" if problem["type"] in ("missing", "extra_forbidden") or not problem["loc"] else f" (got {problem['input']!r})"
+        given = (
+            ""
+            if problem["type"] in ("missing", "extra_forbidden") or not problem["loc"]
+            else f" (got {problem['input']!r})"
+        )
         message = {"extra_forbidden": "unknown key", "missing": "key missing"}.get(problem["type"], problem["msg"])
         more = f"; and {len(others)} more" if others else ""
         raise ValueError(f"{name}: {key}: {message.removeprefix('Value error, ')}{given}{more}") from error

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Protocol, Self, TypeVar, dataclass_transform
 
 import jax
 from jax import Array
+from jax.core import Tracer
 from jax.typing import ArrayLike
 
 _T = TypeVar("_T")
@@ -154,4 +155,4 @@ class Step(abc.ABC):
 
 def concrete(*trees: Any) -> bool:
     """Whether every leaf is a value that can be looked at, not a tracer."""
-    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))
+    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))

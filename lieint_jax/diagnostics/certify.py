@@ -53,7 +53,9 @@ class Certificate(NamedTuple):
     def __str__(self) -> str:
         eps = float(jnp.finfo(self.precision).eps)
         exact = 16 * eps * math.sqrt(self.num_steps)
-        form = "exact to round-off" if math.isinf(self.symplectic_order) else f"broken as dt^{self.symplectic_order:.2f}"
+        form = (
+            "exact to round-off" if math.isinf(self.symplectic_order) else f"broken as dt^{self.symplectic_order:.2f}"
+        )
         rows = [
             ("energy", self.energy, _kept(self.energy, exact, eps)),
             ("momentum", self.momentum, _kept(self.momentum, exact, eps)),
@@ -94,7 +96,9 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
         dt=float(dt),
         num_steps=num_steps,
         energy=_relative(energy, float(jnp.abs(system.energy(state)))),
-        momentum=_relative(momentum.max(), float(jnp.max(jnp.abs(system.momentum(state))))) if momentum.size else math.nan,
+        momentum=_relative(momentum.max(), float(jnp.max(jnp.abs(system.momentum(state)))))
+        if momentum.size
+        else math.nan,
         constraint=float(jnp.max(jnp.abs(constraint_error(system, run)))),
         symplectic_defect=coarse,
         symplectic_order=math.log2(coarse / fine) if coarse > floor and fine > 0 else math.inf,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -37,8 +39,7 @@ def flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
         row = [midpoint(z, n) for n in counts]
         for k in range(1, _ROWS):
             row = [
-                b + (b - a) / ((counts[j + k] / counts[j]) ** 2 - 1)
-                for j, (a, b) in enumerate(zip(row[:-1], row[1:], strict=True))
+                b + (b - a) / ((counts[j + k] / counts[j]) ** 2 - 1) for j, (a, b) in enumerate(itertools.pairwise(row))
             ]
         return row[0], None
 

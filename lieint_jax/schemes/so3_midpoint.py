@@ -19,6 +19,7 @@ a quartic for m, the same for every step of a trajectory.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +34,13 @@ from lieint_jax.small import Symmetric, Vector, apply, cross, dot
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
 
+class FreeBody(System, Protocol):
+    """A system on T*SO(3) that is all kinetic energy."""
+
+    @property
+    def inertia(self) -> Array: ...
+
+
 @pytree
 class SO3Midpoint(Step):
     """The step made by `so3_midpoint`.
@@ -43,9 +51,9 @@ class SO3Midpoint(Step):
         iterations: Newton corrections a step.
     """
 
-    system: System
+    system: FreeBody
     kappa: Kappa
-    iterations: int = static(default=3)
+    iterations: int = static()
     order: int = static(default=2)
     symmetric: bool = static(default=True)
 
@@ -62,21 +70,19 @@ class SO3Midpoint(Step):
         return State(so3.cayley_increment(state.q, h), state.p), StepInfo(residual, converged)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
-        _, a = _scaled(self.system, state, dt)
-        J = np.asarray(self.system.inertia)  # pyright: ignore[reportAttributeAccessIssue]
+        J = np.asarray(self.system.inertia)
         Pi = np.asarray(so3.Ad_star(state.q, state.p))
         turn = float(np.abs(dt) * np.linalg.norm(Pi / J if J.ndim == 1 else np.linalg.solve(J, Pi)))
-        limit = f"|Δt Ω_(n+1/2)| ≤ {self.kappa.limit:.4g}" if np.isfinite(self.kappa.limit) else "not bounded"
+        branch = f"ends at |Δt Ω| ≈ {self.kappa.limit:.3g}" if np.isfinite(self.kappa.limit) else "has no end"
+        more = f" or more iterations than {self.iterations}" if turn < self.kappa.limit else ""
         return (
-            f"so3_midpoint with the {self.kappa.name} κ does not converge: |Δt Ω| = {turn:.4g} at dt = {dt}. The branch "
-            f"of this κ is {limit}, and {self.iterations} iterations reach round-off for |Δt Ω| ≤ about "
-            f"{_reach(self.kappa, self.iterations)}. Take a smaller dt"
-            + (" or more iterations" if turn < self.kappa.limit else "")
+            f"{self.name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}; the branch of this κ {branch}. "
+            f"Take a smaller dt{more}"
         )
 
 
 def so3_midpoint(
-    system: System, kappa: Kappa | Callable[[Array], Array] = kappa_symplectic, iterations: int = 3
+    system: FreeBody, kappa: Kappa | Callable[[Array], Array] = kappa_symplectic, iterations: int | None = None
 ) -> SO3Midpoint:
     """The scheme (2.24), (2.28) = (3.3) for a free rigid body, for any scaling κ.
 
@@ -91,8 +97,12 @@ def so3_midpoint(
     Args:
         system: `systems.rigid_body(...)`.
         kappa: κ as a callable of x = |Θ̄|² with κ(0) = 1. A κ with parameters of its own is a `jax.tree_util.Partial`.
-        iterations: Newton corrections. The symplectic κ reaches round-off with 2 for |Δt Ω| ≤ .7, with 3 for ≤ .95;
-            the others with 2 for ≤ .2, 3 for ≤ .5, 4 for ≤ .8. A step that fell short says `converged=False`.
+        iterations: Newton corrections a step; by default 3 for the symplectic κ and 4 for any other. The symplectic
+            one reaches round-off with 2 for |Δt Ω| ≤ .7, with 3 for ≤ .95; the others with 2 for ≤ .2, 3 for ≤ .5, 4
+            for ≤ .8. A step that fell short says `converged=False`.
+
+    The scalar form loses digits on rods (J₁ ≪ J₂) at large |Δt Ω|, and says so by `converged`; there, take the slower
+    vector form, `dataclasses.replace(maps.kappa_symplectic, solve_by="vector")`.
 
     The rotation of a step is at most 90° for the symplectic κ, which is real for |Θ̄| ≤ 1 only: on a principal axis the
     branch ends at |Δt Ω| = 1, off axis at up to 1.08.
@@ -102,33 +112,41 @@ def so3_midpoint(
 
     Source: Lewis & Simo 1994, Results 1–5; scalar form and quaternion increments: this package.
     """
-    if not hasattr(system, "inertia") or getattr(system, "potential", None) is not None:
+    if not _is_free_body(system):
         raise ValueError(f"so3_midpoint integrates free rigid bodies (systems.rigid_body), got {type(system).__name__}")
+    kappa = as_kappa(kappa)
+    if iterations is None:
+        iterations = 3 if kappa.solve_by == "scalar" else 4
     if not isinstance(iterations, int) or iterations < 1:
         raise ValueError(f"iterations must be a positive integer, got {iterations!r}")
-    return SO3Midpoint(system, as_kappa(kappa), iterations)
+    return SO3Midpoint(system, kappa, iterations)
 
 
-def examples(system: System) -> dict[str, Step]:
+def examples(system: Any) -> dict[str, Step]:
     """The paper's three κ's, for free rigid bodies."""
-    if not hasattr(system, "inertia") or getattr(system, "potential", None) is not None:
+    if not _is_free_body(system):
         return {}
     kappas = (kappa_cayley, kappa_exponential, kappa_symplectic)
     return {step.name: step for step in (so3_midpoint(system, kappa) for kappa in kappas)}
 
 
-def _scaled(system: System, state: State, dt: ArrayLike) -> tuple[Symmetric, Array]:
+def _is_free_body(system: Any) -> bool:
+    return hasattr(system, "inertia") and getattr(system, "potential", None) is None
+
+
+def _scaled(system: FreeBody, state: State, dt: ArrayLike) -> tuple[Symmetric, Array]:
     """J and a = ½Δt Π_n, both over tr J: then |a| is an angle, and no power of a large inertia overflows."""
-    J = small.symmetric(system.inertia)  # pyright: ignore[reportAttributeAccessIssue]
+    J = small.symmetric(system.inertia)
     r = 1 / small.trace(J)
     return tuple(r * x for x in J), (0.5 * r * dt) * so3.Ad_star(state.q, state.p)
 
 
-def _solve_scalar(_: Kappa, J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vector, Array]:
+def _solve_scalar(kappa: Kappa, J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vector, Array]:
     """h = ½Θ of the symplectic κ by the scalar form, its residual, and whether h is on the branch |h| ≤ 1.
 
     With adj(J − m − â)a = adj(J)a + (m² − m tr J + |a|²)a + m Ja − a×Ja and tr J = 1, everything is a polynomial in m.
     """
+    del kappa  # it is the symplectic one
     C = small.adjugate(J)
     J3, J2 = small.determinant(J, C), small.trace(C)
     s, Ja, Ca = dot(a, a), apply(J, a), apply(C, a)
@@ -203,8 +221,3 @@ def _dense(J: Symmetric) -> small.Matrix:
         return small.rows(J)
     zero = jnp.zeros_like(J[0])
     return ((J[0], zero, zero), (zero, J[1], zero), (zero, zero, J[2]))
-
-
-def _reach(kappa: Kappa, iterations: int) -> float:
-    reach = {1: 0.4, 2: 0.7} if kappa.solve_by == "scalar" else {1: 0.02, 2: 0.2, 3: 0.5}
-    return reach.get(iterations, 0.95 if kappa.solve_by == "scalar" else 0.8)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
 from lieint_jax import checks, small
 from lieint_jax.groups import so3
@@ -133,11 +134,11 @@ def examples() -> dict[str, tuple[RigidBody, State, float]]:
 
 
 def _attitude(attitude: ArrayLike) -> Array:
-    if jnp.shape(attitude) == (3, 3):
+    if np.shape(attitude) == (3, 3):
         return so3.from_matrix(checks.rotation_matrix("attitude", attitude))
-    if jnp.shape(attitude) != (4,):
+    if np.shape(attitude) != (4,):
         raise ValueError(
-            f"attitude must be a quaternion (4,) or a rotation matrix (3, 3), got shape {jnp.shape(attitude)}; "
+            f"attitude must be a quaternion (4,) or a rotation matrix (3, 3), got shape {np.shape(attitude)}; "
             "use jax.vmap for batches"
         )
     return so3.normalise(checks.unit_quaternion("attitude", attitude))
