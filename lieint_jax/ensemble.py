@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import warnings
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -48,30 +48,37 @@ def run(
     Warns:
         RuntimeWarning: members that stopped converging later, with the step where each first did.
     """
-    num_steps_saved = save_every or max(num_steps, 1)
-    num_saves = saves(num_steps, num_steps_saved)
+    interval = save_every or max(num_steps, 1)
+    num_saves = saves(num_steps, interval)
     members = _check(step, states)
     dtype = np.result_type(*states)
-    dt_ = jnp.asarray(dt, dtype)
+    h = jnp.asarray(dt, dtype)
     states = State(*(jnp.asarray(leaf, dtype) for leaf in states))
+    fresh = Progress(StepInfo(jnp.zeros(members, dtype), jnp.ones(members, bool)), jnp.full(members, -1, jnp.int32))
     advance = _compile(step_axis)
-    _check_first(advance(step, states, dt_, 1, 0, _unfailed(members))[2], step, states, dt, step_axis)
+    _check_first(advance(step, states, fresh, h, 0, 1)[1], step, states, dt, step_axis)
 
-    out = _allocate(num_saves + 1, states, dt * num_steps_saved)
-    failed = _unfailed(members)
-    chunk = min(num_steps_saved, max(1, num_steps // 100))
+    out = jax.tree.map(lambda leaf: np.empty((num_saves + 1, *leaf.shape), leaf.dtype), (states, fresh.info))
+    jax.tree.map(partial(_put, 0), out, (states, fresh.info))
+    progressed = fresh
     with tqdm(total=num_steps, unit="step", disable=not progress, leave=False) as bar:
-        for k in range(1, num_saves + 1):
-            info = StepInfo(np.zeros(members, dtype), np.ones(members, bool))
-            for start in range(0, num_steps_saved, chunk):
-                count = min(chunk, num_steps_saved - start)
-                done = (k - 1) * num_steps_saved + start
-                states, new, failed = advance(step, states, dt_, count, done, failed)
-                info = StepInfo(np.maximum(info.residual, new.residual), info.converged & np.asarray(new.converged))
+        for k in range(num_saves):
+            progressed = progressed._replace(info=fresh.info)
+            for done, count in _chunks(k * interval, interval, max(1, num_steps // 100)):
+                states, progressed = advance(step, states, progressed, h, done, count)
+                jax.block_until_ready(states)
                 bar.update(count)
-            jax.tree.map(partial(_put, k), (out.state, out.info), (states, info))
-    _report(np.asarray(failed))
-    return out
+            jax.tree.map(partial(_put, k + 1), out, (states, progressed.info))
+    _report(np.asarray(progressed.failed))
+    t: Any = dt * interval * np.arange(num_saves + 1, dtype=dtype)
+    return Trajectory(t, *out)
+
+
+class Progress(NamedTuple):
+    """What a run carries beside the states: the report since the last save, and the step where each member failed."""
+
+    info: StepInfo
+    failed: Array
 
 
 def compiler_options() -> dict[str, Any]:
@@ -81,32 +88,26 @@ def compiler_options() -> dict[str, Any]:
 
 
 def _compile(step_axis: int | None) -> Any:
+    """(step, states, progress, dt, done, count) ↦ the states and progress after `count` more steps."""
+
     def advance(
-        step: Step, states: State, dt: Array, count: Array, done: Array, failed: Array
-    ) -> tuple[State, StepInfo, Array]:
-        def one(i: Array, carry: tuple[State, StepInfo, Array]) -> tuple[State, StepInfo, Array]:
-            states, info, failed = carry
+        step: Step, states: State, progress: Progress, dt: Array, done: Array, count: Array
+    ) -> tuple[State, Progress]:
+        def one(i: Array, carry: tuple[State, Progress]) -> tuple[State, Progress]:
+            states, (info, failed) = carry
             states, new = jax.vmap(lambda s, z: s(z, dt), in_axes=(step_axis, 0))(step, states)
             failed = jnp.where((failed < 0) & ~new.converged, done + i, failed)
-            return states, StepInfo(jnp.maximum(info.residual, new.residual), info.converged & new.converged), failed
+            info = StepInfo(jnp.maximum(info.residual, new.residual), info.converged & new.converged)
+            return states, Progress(info, failed)
 
-        start = StepInfo(jnp.zeros(failed.shape, states.p.dtype), jnp.ones(failed.shape, bool))
-        return lax.fori_loop(0, count, one, (states, start, failed))
+        return lax.fori_loop(0, count, one, (states, progress))
 
     return jax.jit(advance, compiler_options=compiler_options())
 
 
-def _unfailed(members: int) -> Array:
-    return jnp.full(members, -1, jnp.int32)
-
-
-def _allocate(length: int, states: State, interval: float) -> Trajectory:
-    members, dtype = states.p.shape[0], states.p.dtype
-    state = jax.tree.map(lambda leaf: np.empty((length, *leaf.shape), leaf.dtype), states)
-    info = StepInfo(np.empty((length, members), dtype), np.empty((length, members), bool))
-    out = Trajectory(np.asarray(interval * np.arange(length), dtype), state, info)  # pyright: ignore[reportArgumentType]
-    jax.tree.map(partial(_put, 0), (out.state, out.info), (states, StepInfo(np.zeros(members), np.ones(members, bool))))
-    return out
+def _chunks(start: int, length: int, size: int) -> list[tuple[int, int]]:
+    """`length` steps from `start` on, cut to pieces (first step, count) short enough for a progress bar."""
+    return [(start + k, min(size, length - k)) for k in range(0, length, size)]
 
 
 def _put(k: int, target: Any, value: Any) -> None:
@@ -131,8 +132,8 @@ def _check(step: Step, states: State) -> int:
     return shapes[0][0]
 
 
-def _check_first(failed: Array, step: Step, states: State, dt: float, step_axis: int | None) -> None:
-    bad = np.flatnonzero(np.asarray(failed) >= 0)
+def _check_first(progress: Progress, step: Step, states: State, dt: float, step_axis: int | None) -> None:
+    bad = np.flatnonzero(np.asarray(progress.failed) >= 0)
     if bad.size:
         one = jax.tree.map(lambda leaf: leaf[bad[0]], states)
         its = step if step_axis is None else jax.tree.map(lambda leaf: leaf[bad[0]], step)

@@ -27,17 +27,17 @@ def run(name: str, out: Path | None, members: int | None = None, steps: int | No
     print(_headline(scenario, step))
     run = ensemble.run(step, states, scenario.dt, scenario.steps, scenario.save_every)
     store.save(out, run, {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__})
+    start = State(states.q[0], states.p[0])
+    pictures = [out.with_name(f"{out.stem}-{kind}.png") for kind in ("path", "invariants")]
+    _draw(scenario, step, start, pictures)
     body = step.system
     print(_table(scenario, scenarios.quantities(scenario, body, run)))
     for sighting in scenarios.sightings(scenario, body, run):
         print(_sighting(scenario, sighting))
-    start = State(states.q[0], states.p[0])
     print("\nCertificate of the nominal member:")
     print(certify(step, start, scenario.dt, min(scenario.steps, 10_000)))
     well = int(np.asarray(run.info.converged).all(axis=0).sum())
     print(f"  {well} of {scenario.members} members converged at every step")
-    pictures = [out.with_name(f"{out.stem}-{kind}.png") for kind in ("path", "invariants")]
-    _draw(scenario, step, start, pictures)
     print(f"\nwritten: {out} (t, q, p, residual, converged, metadata), {pictures[0]}, {pictures[1]}")
 
 

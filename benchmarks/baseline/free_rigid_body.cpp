@@ -16,10 +16,6 @@ namespace {
 
 constexpr int kIterations = 3;
 
-// As wide as T, so that the compiler's vectors hold as many flags as numbers.
-template <class T>
-using Flag = std::conditional_t<sizeof(T) == 8, std::int64_t, std::int32_t>;
-
 template <class T>
 struct Vec {
   T x, y, z;
@@ -53,13 +49,14 @@ struct Root {
 
 template <class T>
 struct Newton {
+  using Flag = std::conditional_t<sizeof(T) == 8, std::int64_t, std::int32_t>;  // vectors of one width: fastest here
   Vec<T> J, J_inverse, d;
 
   explicit Newton(Vec<T> inertia)
       : J(inertia), J_inverse{1 / J.x, 1 / J.y, 1 / J.z}, d{J.z - J.y, J.x - J.z, J.y - J.x} {}
 
   Vec<T> residual(Vec<T> h, Vec<T> a) const {
-    return J * h + d * Vec<T>{h.y * h.z, h.z * h.x, h.x * h.y} - (1 + dot(h, h)) * a;
+    return J * h + Vec<T>{d.x * h.y * h.z, d.y * h.z * h.x, d.z * h.x * h.y} - (1 + dot(h, h)) * a;
   }
 
   // K⁻¹f by the adjugate, K = J + (h × J h)' − 2 a⊗h.
@@ -83,6 +80,7 @@ struct Newton {
 
 template <class T>
 struct Scalar {
+  using Flag = std::uint8_t;  // interleaves eight vectors: fastest here, where the chain of operations is long
   Vec<T> J, C;  // C = adj J
   T J2, J3;
 
@@ -108,15 +106,15 @@ struct Scalar {
 };
 
 template <class T, class Solve>
-void advance(T* q, const T* p, T* worst, Flag<T>* converged, std::int64_t bodies, std::int64_t steps, double dt,
-             const double* inertia) {
+void advance(T* q, const T* p, T* worst, typename Solve::Flag* converged, std::int64_t bodies,
+             std::int64_t steps, double dt, const double* inertia) {
   const double r = 1 / (inertia[0] + inertia[1] + inertia[2]);
   const Solve solve({T(r * inertia[0]), T(r * inertia[1]), T(r * inertia[2])});
   const T scale = T(0.5 * r * dt), tolerance = 32 * std::numeric_limits<T>::epsilon();
   T *__restrict qw = q, *__restrict qx = q + bodies, *__restrict qy = q + 2 * bodies, *__restrict qz = q + 3 * bodies;
   const T *__restrict px = p, *__restrict py = p + bodies, *__restrict pz = p + 2 * bodies;
   T* __restrict largest = worst;
-  Flag<T>* __restrict all = converged;
+  typename Solve::Flag* __restrict all = converged;
 
   for (std::int64_t n = 0; n < steps; ++n) {
 #pragma GCC ivdep
@@ -145,10 +143,10 @@ void advance(T* q, const T* p, T* worst, Flag<T>* converged, std::int64_t bodies
 
 }  // namespace
 
-#define EXPORT(name, T, Solve)                                                                                     \
-  extern "C" void name(T* q, const T* p, T* worst, Flag<T>* converged, std::int64_t bodies, std::int64_t steps, \
-                       double dt, const double* inertia) {                                                         \
-    advance<T, Solve<T>>(q, p, worst, converged, bodies, steps, dt, inertia);                                      \
+#define EXPORT(name, T, Solve)                                                                          \
+  extern "C" void name(T* q, const T* p, T* worst, Solve<T>::Flag* converged, std::int64_t bodies,       \
+                       std::int64_t steps, double dt, const double* inertia) {                           \
+    advance<T, Solve<T>>(q, p, worst, converged, bodies, steps, dt, inertia);                            \
   }
 
 EXPORT(newton_float64, double, Newton)

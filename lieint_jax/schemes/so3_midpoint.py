@@ -105,7 +105,7 @@ def so3_midpoint(
     vector form, `dataclasses.replace(maps.kappa_symplectic, solve_by="vector")`.
 
     The rotation of a step is at most 90° for the symplectic κ, which is real for |Θ̄| ≤ 1 only: on a principal axis the
-    branch ends at |Δt Ω| = 1, off axis at up to 1.08.
+    branch ends at |Δt Ω| = 1, off axis a little later (1.18 for J = (1, 2, 3)).
 
     Raises:
         ValueError: the system has no inertia or has a potential, κ is not callable, iterations is not a positive int.

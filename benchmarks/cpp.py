@@ -1,0 +1,69 @@
+"""The C++ baseline, compiled here and called in this process: the same scheme on the same states."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import shutil
+import subprocess
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+from contest import Contestant
+
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-shared", "-fPIC")
+_SOURCE = Path(__file__).parent / "baseline" / "free_rigid_body.cpp"
+_PACE = 1.5e8
+
+
+class Bodies(NamedTuple):
+    """Structure of arrays: q (4, B), p (3, B), and for each body the largest residual and whether all steps converged."""
+
+    q: np.ndarray
+    p: np.ndarray
+    residual: np.ndarray
+    converged: np.ndarray
+
+
+@functools.cache
+def library() -> tuple[ctypes.CDLL, float]:
+    """The compiled baseline and the seconds its compilation took; ImportError without g++."""
+    if shutil.which("g++") is None:
+        raise ImportError("no g++")
+    binary = _SOURCE.parent / "bin" / "free_rigid_body.so"
+    binary.parent.mkdir(exist_ok=True)
+    start = time.perf_counter()
+    subprocess.run(["g++", *FLAGS, str(_SOURCE), "-o", str(binary)], check=True)
+    return ctypes.CDLL(str(binary)), time.perf_counter() - start
+
+
+def symplectic(
+    form: Literal["newton", "scalar"], inertia: Sequence[float], dt: float, dtype: str = "float64"
+) -> Contestant:
+    """The step with the symplectic κ, by Newton on the vector h or by the scalar form; ImportError without g++."""
+    function = getattr(library()[0], f"{form}_{dtype}")
+    function.restype = None
+    flag = np.dtype("u1" if form == "scalar" else f"i{np.dtype(dtype).itemsize}")  # as in the source: fastest for each
+    J = np.asarray(inertia, np.float64)
+
+    def load(q: np.ndarray, p: np.ndarray) -> Bodies:
+        q, p = (np.ascontiguousarray(x.T, dtype) for x in (q, p))
+        return Bodies(q, p, np.zeros(len(q.T), dtype), np.ones(len(q.T), flag))
+
+    def advance(bodies: Bodies, num_steps: int) -> Bodies:
+        bodies = Bodies(*(x.copy() for x in bodies))
+        count = bodies.residual.size
+        pointers = [ctypes.c_void_p(x.ctypes.data) for x in (*bodies, J)]
+        function(*pointers[:4], ctypes.c_int64(count), ctypes.c_int64(num_steps), ctypes.c_double(dt), pointers[4])
+        return bodies
+
+    def read(bodies: Bodies) -> tuple[np.ndarray, np.ndarray]:
+        return bodies.q.T, bodies.p.T
+
+    def info(bodies: Bodies) -> tuple[float, bool]:
+        return float(bodies.residual.max()), bool(bodies.converged.all())
+
+    return Contestant(f"C++ symplectic, {form} form", dtype, _PACE, load, advance, read, info)

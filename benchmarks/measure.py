@@ -1,0 +1,298 @@
+"""What is measured of the contestants: rates, errors against a reference, drifts of the invariants, work and precision.
+
+Importing this imports jax: pin the process to a core first.
+"""
+
+from __future__ import annotations
+
+import platform
+import re
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cpp
+import jax
+import jax.numpy as jnp
+import numpy as np
+import peers
+from contest import Contestant, Timing, race, steps_lasting
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+import lieint_jax as li
+from lieint_jax.ensemble import compiler_options
+from lieint_jax.groups import so3
+from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symplectic
+
+jax.config.update("jax_enable_x64", True)
+
+INERTIA, DT, END, WATCHED, BATCH = (1.0, 2.0, 3.0), 0.05, 10.0, 16, 1000
+KAPPAS = (kappa_symplectic, kappa_cayley, kappa_exponential)
+DTYPES = ("float64", "float32")
+WIDE = ", wide vectors"
+
+
+class Sizes(NamedTuple):
+    """How much to measure.
+
+    Attributes:
+        batches: numbers of bodies of the scaling table.
+        seconds: about how long one timed call takes.
+        rounds: timed calls of each contestant.
+        drift_steps: steps of the drift run.
+        drift_seconds: about how long it may take; slow peers take fewer steps.
+        points: step sizes of a curve of the work-precision plot.
+    """
+
+    batches: tuple[int, ...] = (1, 1000, 100_000)
+    seconds: float = 0.15
+    rounds: int = 5
+    drift_steps: int = 100_000
+    drift_seconds: float = 10.0
+    points: int = 6
+
+
+QUICK = Sizes((1, 1000), 0.02, 3, 2_000, 1.0, 2)
+
+
+def _machine() -> dict[str, Any]:
+    cpu = re.search("model name.*: (.*)", Path("/proc/cpuinfo").read_text())
+    return {
+        "cpu": cpu.group(1) if cpu else platform.processor(),
+        "python": platform.python_version(),
+        "packages": {name: _version(name) for name in ("jax", "numpy", "diffrax", "mujoco", "scipy")},
+    }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def bodies(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Random unit quaternions, and the spatial momenta of random body velocities in the unit ball."""
+    attitude, velocity, radius = (np.random.default_rng(seed) for seed in (1, 2, 3))
+    q, Omega = attitude.normal(size=(count, 4)), velocity.normal(size=(count, 3))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    Omega *= np.cbrt(radius.random((count, 1))) / np.linalg.norm(Omega, axis=1, keepdims=True)
+    return q, np.asarray(jax.vmap(so3.Ad)(q, np.asarray(INERTIA) * Omega))
+
+
+def ours(kappa: Kappa, dt: float = DT, dtype: str = "float64", wide: bool = False) -> Contestant:
+    """Our step through `integrate`, vmapped and jitted, the batch split over the devices that there are."""
+    body = li.systems.rigid_body(np.asarray(INERTIA, dtype))
+    step = li.schemes.so3_midpoint(body, kappa)
+    split = NamedSharding(Mesh(np.array(jax.devices()), ("bodies",)), PartitionSpec("bodies"))
+
+    @partial(jax.jit, static_argnums=1, compiler_options=compiler_options() if wide else {})
+    def run(states: li.State, n: int) -> tuple[li.State, li.StepInfo]:
+        trajectory = jax.vmap(lambda z: li.integrate(step, z, dt, n, n))(states)
+        return jax.tree.map(lambda leaf: leaf[:, -1], (trajectory.state, trajectory.info))
+
+    def load(q: np.ndarray, p: np.ndarray) -> tuple[li.State, li.StepInfo]:
+        state = li.State(q.astype(dtype), p.astype(dtype))
+        info = li.StepInfo(np.zeros(len(q), dtype), np.ones(len(q), bool))  # pyright: ignore[reportArgumentType]
+        return jax.device_put((state, info), split)
+
+    def advance(states: tuple[li.State, li.StepInfo], num_steps: int) -> tuple[li.State, li.StepInfo]:
+        return jax.block_until_ready(run(states[0], num_steps))
+
+    def read(states: tuple[li.State, li.StepInfo]) -> tuple[np.ndarray, np.ndarray]:
+        return np.asarray(states[0].q), np.asarray(states[0].p)
+
+    def info(states: tuple[li.State, li.StepInfo]) -> tuple[float, bool]:
+        return float(states[1].residual.max()), bool(states[1].converged.all())
+
+    name = f"ours, {kappa.name} κ" + (WIDE if wide else "")
+    return Contestant(name, dtype, _pace(kappa), load, advance, read, info)
+
+
+def _pace(kappa: Kappa) -> float:
+    return {"symplectic": 9e7, "cayley": 4e7}.get(kappa.name, 2e7)
+
+
+def contestants(missing: list[str]) -> list[Contestant]:
+    """Everybody at dt = DT; a note on each one whose package is not here goes to `missing`."""
+    makers: list[tuple[str, Callable[[], Contestant]]] = []
+    for dtype in DTYPES:
+        for form in ("newton", "scalar"):
+            makers.append(("C++", partial(cpp.symplectic, form, INERTIA, DT, dtype)))
+        for kappa in KAPPAS:
+            for wide in (False, True):
+                makers.append(("ours", partial(ours, kappa, DT, dtype, wide)))
+        for peer in (peers.tsit5, peers.dopri8):
+            makers.append(("diffrax", partial(peer, INERTIA, DT, dtype)))
+    makers.append(("MuJoCo", partial(peers.mujoco_rk4, INERTIA, DT)))
+    makers.append(("scipy", partial(peers.dop853, INERTIA, DT)))
+    return list(_those_here(makers, missing))
+
+
+def _those_here(makers: Sequence[tuple[str, Callable[[], Contestant]]], missing: list[str]) -> Iterator[Contestant]:
+    for name, make in makers:
+        try:
+            yield make()
+        except ImportError as error:
+            note = f"{name} left out: {error}"
+            if note not in missing:
+                missing.append(note)
+
+
+def everything(sizes: Sizes) -> dict[str, Any]:
+    """All results, as what JSON knows. To be run on one core."""
+    notes: list[str] = []
+    entries = contestants(notes)
+    same_scheme = [c for c in entries if "symplectic" in c.name]
+    exact, doubt = reference()
+    return {
+        "machine": _machine(),
+        "rates": [r for b in sizes.batches for r in rates(entries if b == BATCH else same_scheme, b, sizes)],
+        "quality": [quality(c, exact, sizes) for c in entries],
+        "agreement": agreement(same_scheme, sizes.drift_steps // 50),
+        "reference_doubt": doubt,
+        "curves": work_precision(exact, sizes),
+        "notes": notes,
+    }
+
+
+def our_rates(sizes: Sizes) -> list[dict[str, Any]]:
+    """Rates of our symplectic step alone, of batches that divide evenly among the devices."""
+    entries = [ours(kappa_symplectic, dtype=dtype, wide=wide) for dtype in DTYPES for wide in (False, True)]
+    devices = len(jax.devices())
+    return [r for b in sizes.batches if b >= devices for r in rates(entries, b - b % devices, sizes)]
+
+
+def rates(entries: Sequence[Contestant], count: int, sizes: Sizes) -> list[dict[str, Any]]:
+    """Body-steps a second with so many bodies; scipy, which takes one after the other, gets `WATCHED` of them."""
+    q, p = bodies(count)
+    found = []
+    for single in (False, True):
+        group = [c for c in entries if c.name.startswith("scipy") == single]
+        watched = min(count, WATCHED) if single else count
+        steps = [steps_lasting(sizes.seconds, c, watched) for c in group]
+        timings = race(group, q[:watched], p[:watched], steps, sizes.rounds)
+        found += [_record(c, t, count) for c, t in zip(group, timings, strict=True)]
+    return found
+
+
+def _record(contestant: Contestant, timing: Timing, count: int) -> dict[str, Any]:
+    return {
+        "name": contestant.name,
+        "dtype": contestant.dtype,
+        "bodies": count,
+        "rate": timing.rate,
+        "median_rate": timing.median_rate,
+        "compile_seconds": timing.compile_seconds,
+    }
+
+
+def reference() -> tuple[np.ndarray, float]:
+    """Attitudes of the watched bodies at t = END by `diagnostics.flow`, and how far scipy at rtol 1e-13 is from them."""
+    q, p = bodies(WATCHED)
+    body = li.systems.rigid_body(INERTIA)
+    end = np.asarray(jax.jit(jax.vmap(lambda z: li.diagnostics.flow(body, z, END, 100)))(li.State(q, p)).q)  # pyright: ignore[reportArgumentType]
+    try:
+        other = peers.dop853(INERTIA, END, rtol=1e-13)
+    except ImportError:
+        return end, np.nan
+    return end, attitude_error(other.read(other.advance(other.load(q, p), 1))[0], end)
+
+
+def attitude_error(q: np.ndarray, exact: np.ndarray) -> float:
+    """The largest angle between two sets of attitudes, in radians."""
+    return float(jax.vmap(so3.angle)(_unit(q), exact).max())
+
+
+def quality(contestant: Contestant, exact: np.ndarray, sizes: Sizes) -> dict[str, Any]:
+    """How accurate and how conserving it is at dt = DT, the worst of the watched bodies.
+
+    The attitude error at t = END; then, at ten times of a long run, the largest |H/H₀ − 1| and |π − π₀|/|π₀| (0 means
+    bit for bit), the largest residual and whether all steps converged (None for those that solve no equation).
+    """
+    start = contestant.load(*bodies(WATCHED))
+    error = attitude_error(contestant.read(contestant.advance(start, round(END / DT)))[0], exact)
+    chunk = max(min(sizes.drift_steps, int(sizes.drift_seconds * contestant.pace / WATCHED)) // 10, 1)
+    states = [start]
+    for _ in range(10):
+        states.append(contestant.advance(states[-1], chunk))
+    q, p = (np.stack(x) for x in zip(*map(contestant.read, states), strict=True))
+    H = np.stack([energy(*z) for z in zip(q, p, strict=True)])
+    solved = [contestant.info(z) for z in states[1:]] if contestant.info else None
+    return {
+        "name": contestant.name,
+        "dtype": contestant.dtype,
+        "error": error,
+        "steps": 10 * chunk,
+        "energy_drift": float(np.max(np.abs(H / H[0] - 1))),
+        "momentum_drift": float(np.max(np.abs(p - p[0]) / np.linalg.norm(p[0], axis=1, keepdims=True))),
+        "residual": max(residual for residual, _ in solved) if solved else None,
+        "converged": all(converged for _, converged in solved) if solved else None,
+    }
+
+
+def energy(q: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """½ Π·J⁻¹Π with Π = Λ(q/|q|)ᵀπ."""
+    body = li.systems.rigid_body(INERTIA)
+    return np.asarray(jax.vmap(body.energy)(li.State(_unit(q), jnp.asarray(p, float))))
+
+
+def _unit(q: np.ndarray) -> Any:
+    return jnp.asarray(q, float) / jnp.linalg.norm(jnp.asarray(q, float), axis=1, keepdims=True)
+
+
+def agreement(same_scheme: Sequence[Contestant], num_steps: int) -> list[dict[str, Any]]:
+    """How far the end states of a batch are from those of C++'s newton form (else ours): same scheme, same states."""
+    found = []
+    for dtype in DTYPES:
+        first, *others = [c for c in same_scheme if c.dtype == dtype]
+        ends = [np.concatenate(c.read(c.advance(c.load(*bodies(BATCH)), num_steps)), axis=1) for c in (first, *others)]
+        for c, end in zip(others, ends[1:], strict=True):
+            apart = float(np.max(np.abs(end - ends[0])))
+            found.append({"a": first.name, "b": c.name, "dtype": dtype, "steps": num_steps, "apart": apart})
+    return found
+
+
+def work_precision(exact: np.ndarray, sizes: Sizes) -> list[dict[str, Any]]:
+    """For each contestant in float64, milliseconds per 1000 bodies up to t = END and attitude errors there.
+
+    scipy's cost is that of `WATCHED` bodies, scaled.
+    """
+    curves = []
+    for make in _fixed_step_makers() + [_adaptive]:
+        try:
+            points = make(sizes.points)
+        except ImportError:
+            continue
+        count = WATCHED if make is _adaptive else BATCH
+        q, p = bodies(count)
+        runners, steps = [c for c, _ in points], [n for _, n in points]
+        timings = race(runners, q, p, steps, min(sizes.rounds, 3))
+        ends = [c.read(c.advance(c.load(q, p), n))[0][:WATCHED] for c, n in points]
+        milliseconds = [1e3 * min(t.later) * 1000 / count for t in timings]
+        errors = [attitude_error(end, exact) for end in ends]
+        curves.append({"name": runners[0].name, "milliseconds": milliseconds, "errors": errors})
+    return curves
+
+
+def _fixed_step_makers() -> list[Callable[[int], list[tuple[Contestant, int]]]]:
+    """Functions of a number of points: contestants and step counts, each count twice the one before."""
+
+    def halving(make: Callable[[float], Contestant], coarsest: int, most: int, points: int) -> Any:
+        counts = [coarsest * 2**k for k in range(min(most, points))]
+        return [(make(END / n), n) for n in counts]
+
+    makers = [partial(halving, partial(ours, kappa), 25, 7) for kappa in KAPPAS]
+    return [
+        *makers,
+        partial(halving, partial(cpp.symplectic, "newton", INERTIA), 25, 7),
+        partial(halving, partial(peers.tsit5, INERTIA), 10, 6),
+        partial(halving, partial(peers.dopri8, INERTIA), 5, 5),
+        partial(halving, partial(peers.mujoco_rk4, INERTIA), 25, 4),
+    ]
+
+
+def _adaptive(points: int) -> list[tuple[Contestant, int]]:
+    return [(peers.dop853(INERTIA, END, 10.0 ** -(3 + 2 * k)), 1) for k in range(points)]

@@ -1,0 +1,193 @@
+"""Results 1 to 5 of the paper as theorems, each with its refutation. Bounds are a few times the floor in the comment."""
+
+import hypothesis
+import hypothesis.strategies as st
+import jax
+import jax.numpy as jnp
+import numpy as np
+import paper
+import pytest
+from paper import ONE, hat
+
+import lieint_jax as li
+from lieint_jax.diagnostics import constraint_error, energy_error, linearization, momentum_error, symplectic_defect
+from lieint_jax.groups import so3
+from lieint_jax.maps import kappa_cayley, kappa_exponential, kappa_symplectic
+
+KAPPAS = {k.name: k for k in (kappa_cayley, kappa_exponential, kappa_symplectic)}
+KAPPAS["1 + x/3"] = li.maps.as_kappa(lambda x: 1 + x / 3)
+number = st.floats(-1, 1, width=64)
+vectors = st.tuples(number, number, number).map(np.array)
+directions = vectors.filter(lambda v: np.linalg.norm(v) > 0.1).map(lambda v: v / np.linalg.norm(v))
+moments = st.tuples(*[st.floats(0.2, 1)] * 3).map(lambda m: np.array([m[1] + m[2], m[0] + m[2], m[0] + m[1]]))
+turns = st.floats(0.01, 0.75)
+signs = st.sampled_from([-1.0, 1.0])
+
+
+@hypothesis.given(vectors, vectors, st.floats(0, 1), st.floats(-2, 2))
+def test_result_01_momentum_for_any_theta_and_any_alpha(Theta, Pi, alpha, size):
+    """(2.19) keeps Φ = ΛΠ whatever Θ and α: consistent or not, on SO(3) or off it."""
+    T = paper.T(alpha, size * Theta)
+    Q = paper.exp(np.array([0.3, -0.4, 0.5]))
+    after = (Q @ T) @ np.linalg.solve(T, Pi)
+    np.testing.assert_allclose(after, Q @ Pi, atol=1e-13)  # floor 1e-14
+
+
+@hypothesis.given(directions, st.floats(0.1, 2), st.floats(0, 1))
+def test_result_02_on_the_group_exactly_if_alpha_is_one_half(axis, size, alpha):
+    Theta = size * axis
+    defect = np.abs(paper.T(alpha, Theta) @ paper.T(alpha, Theta).T - ONE).max()
+    nu = (2 * alpha - 1) / (1 + alpha**2 * size**2)
+    assert defect == pytest.approx(np.abs(nu * hat(Theta) @ hat(Theta)).max(), abs=2e-15)
+    assert np.abs(paper.T(0.5, Theta) @ paper.T(0.5, Theta).T - ONE).max() < 2e-15
+    np.testing.assert_allclose(paper.T(0.5, Theta), so3.to_matrix(so3.cayley(jnp.array(Theta))), atol=2e-15)  # (2.23)
+
+
+@jax.jit
+def _steps(J, q, Omega, dt, kappa):
+    """Twenty steps from a state, for any κ: energies and residuals relative to their scale."""
+    body = li.systems.RigidBody(J)
+    state = body.state(q, angular_velocity=Omega)
+    step = li.schemes.so3_midpoint(body, kappa, iterations=6)
+    run = li.integrate(step, state, dt, 20)
+    energy = energy_error(body, run) / body.energy(state)
+    return energy, momentum_error(body, run), constraint_error(body, run), run.info.converged, body.momentum(state)
+
+
+@pytest.mark.parametrize("name", KAPPAS)
+@hypothesis.given(moments, st.tuples(number, number, number, st.floats(0.2, 1)), directions, turns, signs)
+def test_result_03_energy_for_any_kappa(name, J, q, axis, turn, sign):
+    """Random bodies, attitudes, spins and steps of both signs: energy to round-off, momentum bit for bit, |q| = 1."""
+    q = np.array(q) / np.linalg.norm(q)
+    energy, momentum, constraint, converged, _ = _steps(J, q, axis, sign * turn, KAPPAS[name])
+    hypothesis.assume(bool(converged.all()))
+    assert np.abs(energy).max() < 8e-15  # floor 2e-15
+    assert np.abs(momentum).max() == 0
+    assert np.abs(constraint).max() < 2e-15  # floor 7e-16
+
+
+@pytest.mark.parametrize("name", KAPPAS)
+def test_result_03_holds_at_every_converged_step_of_moderate_size(name):
+    """The assumption above is not empty: for |ΔtΩ| ≤ .7 every step of ordinary bodies converges."""
+    rng = np.random.default_rng(5)
+    moments = rng.uniform(0.3, 1, (200, 3)) @ np.array([[0, 1, 1], [1, 0, 1], [1, 1, 0]])
+    Omega = rng.normal(size=(200, 3))
+    Omega /= np.linalg.norm(Omega, axis=1, keepdims=True)
+
+    def one(J, Omega):
+        body = li.systems.RigidBody(J)
+        return li.schemes.so3_midpoint(body, KAPPAS[name])(body.state(angular_velocity=Omega), 0.7)[1].converged
+
+    assert jax.jit(jax.vmap(one))(moments, Omega).all()
+
+
+def test_result_03_energy_needs_theta_parallel_to_the_mean_velocity():
+    """A Θ turned by a degree from Ω_{n+½} is still momentum-conserving and loses energy."""
+    J = np.diag([1.0, 2.0, 3.0])
+    Pi0 = J @ [0.5, -0.3, 0.8]
+
+    def step(turn):
+        Pi1 = Pi0
+        for _ in range(200):
+            bar = 0.1 * np.linalg.inv(J) @ (Pi0 + Pi1) / 2
+            Pi1 = paper.cay(-turn @ bar) @ Pi0
+        return Pi1 @ np.linalg.inv(J) @ Pi1 / 2 - Pi0 @ np.linalg.inv(J) @ Pi0 / 2
+
+    assert abs(step(ONE)) < 4e-16
+    assert abs(step(paper.exp(np.array([0.0, np.pi / 180, 0.0])))) > 1e-4
+
+
+def _condition_and_defect(name, J, Omega, dt):
+    """Both sides of Result 4: the residual of (3.5), and the symplectic defect by autodiff."""
+    body = li.systems.rigid_body(J)
+    step = li.schemes.so3_midpoint(body, KAPPAS[name], iterations=8)
+    state = body.state(angular_velocity=Omega)
+    after, info = step(state, dt)
+    assert info.converged
+    Pi0, Pi1 = np.array(body.body_momentum(state)), np.array(body.body_momentum(after))
+    M = np.diag(J)
+    bar = dt * np.linalg.inv(M) @ (Pi0 + Pi1) / 2
+    kappa = step.kappa
+    tau = li.maps.scaled_cayley(kappa)
+    H = np.array(li.maps.derivative(tau, so3, jnp.array(bar)))
+    T = np.array(so3.to_matrix(tau(so3, jnp.array(bar))))
+    residual = 4 / dt * paper.skew((T + ONE) @ np.linalg.inv(H).T @ M) - hat(Pi0) + hat(Pi1)
+    return np.abs(residual).max(), float(symplectic_defect(step, state, dt))
+
+
+@pytest.mark.parametrize("name", KAPPAS)
+@pytest.mark.parametrize(
+    ("J", "Omega"), [([1.0, 2, 3], [0.2, 0, 1]), ([1.0, 1, 2], [0.4, 0.1, 0.6]), ([1.0, 1, 1], [0.4, 0.1, 0.6])]
+)
+def test_result_04_symplectic_if_and_only_if_condition_3_5(name, J, Omega):
+    """Both vanish together or neither does. For the spherical body both vanish for every κ."""
+    residual, defect = _condition_and_defect(name, J, Omega, 0.4)
+    exact = name == "symplectic" or J == [1.0, 1, 1]
+    if exact:
+        assert residual < 1e-14  # floor 3e-15
+        assert defect < 4e-15  # floor 9e-16
+    else:
+        assert residual > 5e-3  # least of all: 0.01 and 0.001
+        assert defect > 5e-4
+
+
+@jax.jit
+def _linearized(J, q, Omega, dt):
+    body = li.systems.RigidBody(J)
+    step, state = li.schemes.so3_midpoint(body), body.state(q, angular_velocity=Omega)
+    L = linearization(step, state, dt)
+    omega = body.phase_space.omega(state)
+    return L.T @ omega @ L - omega, jnp.abs(L).max(), step(state, dt)[1].converged
+
+
+@hypothesis.given(moments, st.tuples(number, number, number, st.floats(0.2, 1)), directions, turns, signs)
+def test_result_05_symplectic_kappa_preserves_the_form(J, q, axis, turn, sign):
+    q = np.array(q) / np.linalg.norm(q)
+    defect, size, converged = _linearized(J, q, axis, sign * turn)
+    hypothesis.assume(bool(converged))
+    assert np.abs(defect).max() < 6e-15 * size**2  # floor 1.5e-15
+
+
+@pytest.mark.parametrize(("name", "printed"), [("cayley", 2.5e-5), ("exponential", 1.7e-5)])
+def test_result_05_refutation_cayley_and_exponential_are_not_symplectic(name, printed):
+    """Their defect is O(Δt³) a step."""
+    body = li.systems.rigid_body([1.0, 2.0, 3.0])
+    state = body.state(angular_velocity=[0.2, 0.0, 1.0])
+    step = li.schemes.so3_midpoint(body, KAPPAS[name])
+    coarse, fine = (float(symplectic_defect(step, state, dt)) for dt in (0.05, 0.025))
+    assert coarse == pytest.approx(printed, rel=0.03)
+    assert np.log2(coarse / fine) == pytest.approx(3, abs=0.01)
+
+
+def test_result_05_time_step_bound_on_a_principal_axis():
+    """The branch of the symplectic κ ends at Δt|Ω| = 1, where a step turns by 90°."""
+    body = li.systems.rigid_body([1.0, 2.0, 3.0])
+    step = li.schemes.so3_midpoint(body, iterations=12)
+    for axis in np.eye(3):
+        state = body.state(angular_velocity=axis)
+        after, info = step(state, 0.999)
+        assert info.converged
+        turned = so3.angle(state.q, after.q)
+        assert turned == pytest.approx(np.arcsin(0.999), abs=1e-12)  # arcsin|Θ̄|
+        for dt in (1.001, 1.3, 2.0, 10.0):
+            assert not step(state, dt)[1].converged
+            with pytest.raises(ValueError, match=r"\|Δt Ω\| = .*smaller dt"):
+                step.check(state, dt)
+
+
+def test_result_05_off_axis_the_branch_reaches_further():
+    body = li.systems.rigid_body([1.0, 2.0, 3.0])
+    step = li.schemes.so3_midpoint(body, iterations=30)
+    rng = np.random.default_rng(0)
+    Omega = rng.normal(size=(4000, 3))
+    Omega /= np.linalg.norm(Omega, axis=1, keepdims=True)
+
+    @jax.jit
+    @jax.vmap
+    def converged(Omega):
+        return jnp.stack([step(body.state(angular_velocity=Omega), dt)[1].converged for dt in (0.98, 1.1, 1.2)])
+
+    share = np.asarray(converged(Omega)).mean(axis=0)
+    assert share[0] == 1
+    assert 0 < share[1] < 1
+    assert share[2] == 0  # for this body it ends at 1.18

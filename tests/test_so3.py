@@ -1,0 +1,160 @@
+"""SO(3): group axioms, maps against matrices and mpmath, derivatives at 0 and near π, on random and chosen elements."""
+
+import hypothesis
+import hypothesis.strategies as st
+import jax
+import jax.numpy as jnp
+import numpy as np
+import paper
+import pytest
+
+from lieint_jax.groups import so3
+
+EPS = np.finfo(float).eps
+coordinate = st.floats(-3, 3, allow_nan=False, width=64)
+vectors = st.tuples(coordinate, coordinate, coordinate).map(np.array)
+units = st.tuples(*[st.floats(-1, 1, width=64)] * 4).map(np.array).filter(lambda q: np.linalg.norm(q) > 0.1)
+units = units.map(lambda q: q / np.linalg.norm(q))
+
+
+def same(a, b, bound=4 * EPS):
+    np.testing.assert_allclose(np.asarray(a), np.asarray(b), rtol=0, atol=bound)
+
+
+def jitted(function):
+    return jax.jit(function)
+
+
+EXP, LOG, MUL, AD, AD_STAR, MATRIX, FROM_MATRIX, EULER, FROM_EULER = map(
+    jitted,
+    (
+        so3.exp,
+        so3.log,
+        so3.multiply,
+        so3.Ad,
+        so3.Ad_star,
+        so3.to_matrix,
+        so3.from_matrix,
+        so3.to_euler_313,
+        so3.from_euler_313,
+    ),
+)
+
+
+@hypothesis.given(units, units, units)
+def test_group_axioms(a, b, c):
+    same(MUL(MUL(a, b), c), MUL(a, MUL(b, c)))
+    same(MUL(a, so3.identity), a)
+    same(MUL(a, so3.inverse(a)), so3.identity)
+    assert abs(so3.defect(MUL(a, b))) < 4 * EPS
+
+
+@hypothesis.given(units, units, vectors, vectors)
+def test_Ad_is_the_rotation_matrix_and_a_homomorphism(a, b, u, v):
+    R = np.array(MATRIX(a))
+    same(R.T @ R, np.eye(3), 8 * EPS)
+    same(AD(a, u), R @ u, 32 * EPS)
+    same(AD_STAR(a, u), R.T @ u, 32 * EPS)
+    same(AD(MUL(a, b), u), AD(a, AD(b, u)), 64 * EPS)
+    same(np.dot(AD_STAR(a, u), v), np.dot(u, AD(a, v)), 128 * EPS)
+
+
+@hypothesis.given(vectors, vectors, vectors)
+def test_algebra(u, v, w):
+    same(so3.ad(u, v), np.cross(u, v), 0)
+    same(so3.hat(jnp.array(u)) @ v, np.cross(u, v), 8 * EPS)
+    same(so3.vee(so3.hat(jnp.array(u))), u, 0)
+    same(np.dot(so3.ad_star(u, v), w), np.dot(v, so3.ad(u, w)), 256 * EPS)
+    jacobi = so3.ad(u, so3.ad(v, w)) + so3.ad(v, so3.ad(w, u)) + so3.ad(w, so3.ad(u, v))
+    same(jacobi, 0, 256 * EPS)
+
+
+@hypothesis.given(vectors)
+def test_exp_against_the_matrix_and_log_inverts_it(v):
+    q = EXP(v)
+    if np.linalg.norm(v) > 1e-3:
+        same(MATRIX(q), paper.exp(v), 32 * EPS)
+    angle = np.linalg.norm(v)
+    wrapped = v if angle <= np.pi else v * (1 - 2 * np.pi / angle)
+    same(LOG(q), wrapped, 64 * EPS)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-300, 1e-160, 1e-9, 1e-4, 0.19999, 0.2, 1.0, 1.99, 2.0, 2.01, 3.1, 3.1415926])
+def test_exp_and_log_and_their_derivatives_at_every_size(angle):
+    """Right up to both sides of every series threshold: values, and D log ∘ D exp = 1."""
+    axis = np.array([0.6, -0.48, 0.64])
+    v = jnp.array(axis * angle)
+    same(so3.log(so3.exp(v)), v, 8 * EPS)
+    D = jax.jacfwd(lambda v: so3.log(so3.exp(v)))(v)
+    same(D, np.eye(3), 1e-13 if angle < 3 else 1e-7)
+    H = jax.vmap(lambda t: so3.body_velocity(so3.exp(v), t), in_axes=-1, out_axes=-1)(jax.jacfwd(so3.exp)(v))
+    a, b = (1.0, 0.0) if angle == 0 else (np.sin(angle) / angle, 2 * np.sin(angle / 2) ** 2 / angle)
+    u = np.array(paper.hat(axis))
+    same(H, np.eye(3) + (a - 1) * (-u @ u) - b * u, 1e-15)  # left-trivialised derivative of exp
+    second = jax.jacfwd(jax.jacfwd(so3.exp))(v)
+    assert np.isfinite(second).all()
+
+
+def test_second_derivative_of_exp_at_zero():
+    """exp(v) = 1 + v/2 − |v|²/8 + …"""
+    second = jax.jacfwd(jax.jacrev(so3.exp))(jnp.zeros(3))
+    same(second[0], -np.eye(3) / 4)
+    same(second[1:], 0)
+
+
+@pytest.mark.parametrize("angle", [np.pi, np.pi - 1e-9, np.pi - 1e-4, 3.0, 1e-9, 0.0])
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, 0.8, 0), (0.6, -0.48, 0.64)])
+def test_quaternion_of_a_matrix_near_half_turns(axis, angle):
+    q = so3.exp(jnp.array(axis, float) * angle)
+    back = so3.from_matrix(so3.to_matrix(q))
+    same(so3.multiply(so3.inverse(back), q)[1:], 0)
+    D = jax.jacfwd(lambda v: so3.from_matrix(so3.to_matrix(so3.multiply(so3.exp(v), q))))(jnp.zeros(3))
+    velocity = jax.vmap(lambda t: so3.spatial_velocity(back, t), in_axes=-1, out_axes=-1)(D)
+    same(velocity, np.eye(3), 16 * EPS)
+
+
+@hypothesis.given(st.floats(-3, 3), st.floats(0.01, 3.13), st.floats(-3, 3))
+def test_euler_angles_round_trip(alpha, beta, gamma):
+    angles = np.array([alpha, beta, gamma])
+    same(EULER(FROM_EULER(angles)), angles, 2e-13)  # sin β down to .01 divides the round-off
+
+
+@hypothesis.given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3))
+def test_euler_angles_are_z_x_z(alpha, beta, gamma):
+    def turn(axis, angle):
+        return paper.exp(np.eye(3)[axis] * angle) if abs(angle) > 1e-9 else np.eye(3)
+
+    R = turn(2, alpha) @ turn(0, beta) @ turn(2, gamma)
+    same(MATRIX(FROM_EULER(np.array([alpha, beta, gamma]))), R, 16 * EPS)
+
+
+@pytest.mark.parametrize("beta", [0.0, np.pi])
+def test_euler_angles_at_the_lock_give_the_attitude_back(beta):
+    q = so3.from_euler_313(jnp.array([0.7, beta, 0.4]))
+    again = so3.from_euler_313(so3.to_euler_313(q))
+    assert so3.angle(q, again) < 8 * EPS
+    assert np.isfinite(jax.jacfwd(so3.to_euler_313)(q)).all()
+
+
+@hypothesis.given(units, vectors)
+def test_velocities(q, v):
+    q_dot = jax.jvp(lambda t: so3.multiply(jnp.array(q), so3.exp(t * v)), (0.0,), (1.0,))[1]
+    same(so3.body_velocity(q, q_dot), v, 32 * EPS)
+    same(so3.spatial_velocity(q, q_dot), so3.Ad(q, v), 64 * EPS)
+    same(so3.tangent(q, v), q_dot, 8 * EPS)
+
+
+@hypothesis.given(units, vectors)
+def test_cayley_increment_is_the_product(q, h):
+    same(so3.cayley_increment(q, h), MUL(q, so3.cayley(2 * h)), 8 * EPS)
+
+
+def test_cayley_increment_mends_the_norm():
+    q = jnp.array([1.0, 2, -2, 4]) / 5 * (1 + 1e-9)
+    assert abs(so3.defect(so3.cayley_increment(q, jnp.array([0.1, 0.2, 0.3])))) < 4 * EPS
+
+
+@hypothesis.given(units, vectors)
+def test_angle_is_the_length_of_the_logarithm(q, v):
+    r = so3.multiply(jnp.array(q), so3.exp(jnp.array(v)))
+    same(so3.angle(q, r), np.linalg.norm(so3.log(so3.exp(jnp.array(v)))), 64 * EPS)

@@ -1,0 +1,225 @@
+"""The step itself: its two forms, its derivatives, its batches, its order, what it does with bad input."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+
+import lieint_jax as li
+from lieint_jax.groups import so3
+from lieint_jax.maps import kappa_cayley, kappa_exponential, kappa_symplectic
+
+KAPPAS = (kappa_cayley, kappa_exponential, kappa_symplectic)
+BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+STATE = BODY.state(so3.normalise(jnp.array([1.0, 2, -1, 0.5])), angular_velocity=[0.3, -0.5, 0.8])
+
+
+def dop853(J, q, p, t):
+    """Another package's solution: quaternion kinematics and Euler's equations in the body."""
+    J = np.asarray(J)
+
+    def f(_, z):
+        w, v, Pi = z[0], z[1:4], z[4:]
+        Omega = Pi / J
+        return np.concatenate([[-v @ Omega / 2], (w * Omega + np.cross(v, Omega)) / 2, np.cross(Pi, Omega)])
+
+    Pi = np.array(so3.Ad_star(q, p))
+    out = scipy.integrate.solve_ivp(f, (0, t), np.concatenate([q, Pi]), "DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+    return out[:4], out[4:]
+
+
+def test_the_reference_flow_agrees_with_another_package():
+    q, Pi = dop853([1.0, 2, 3], *STATE, 10.0)
+    end = li.diagnostics.flow(BODY, STATE, 10.0, 20)
+    np.testing.assert_allclose(end.q, q, atol=2e-12)  # DOP853's own error
+    np.testing.assert_allclose(BODY.body_momentum(end), Pi, atol=5e-12)
+
+
+@pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
+def test_second_order_against_another_package(kappa):
+    q, _ = dop853([1.0, 2, 3], *STATE, 10.0)
+    step = li.schemes.so3_midpoint(BODY, kappa)
+    errors = [
+        float(so3.angle(li.integrate(step, STATE, 10 / n, n, n).state.q[-1], jnp.array(q))) for n in (200, 400, 800)
+    ]
+    rates = np.log2(np.array(errors[:-1]) / errors[1:])
+    np.testing.assert_allclose(rates, 2, atol=0.01)
+    assert errors[0] < 5e-3
+
+
+def test_scalar_and_vector_forms_agree_to_round_off():
+    """Two ways to the same root, at steps up to the branch; and a full tensor turned to its axes is the same body."""
+    vector = dataclasses.replace(kappa_symplectic, solve_by="vector")
+    for dt in (0.05, -0.3, 0.6, 0.9):
+        a, b = (li.schemes.so3_midpoint(BODY, k, iterations=8)(STATE, dt) for k in (kappa_symplectic, vector))
+        assert a[1].converged
+        assert b[1].converged
+        np.testing.assert_allclose(a[0].q, b[0].q, atol=2e-15)
+
+
+@pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
+def test_full_inertia_is_the_same_body_in_other_axes(kappa):
+    turn = so3.exp(jnp.array([0.4, -0.2, 0.7]))
+    R = so3.to_matrix(turn)
+    full = li.systems.rigid_body(R @ jnp.diag(BODY.inertia) @ R.T)
+    state = li.State(so3.multiply(STATE.q, so3.inverse(turn)), STATE.p)
+    assert full.energy(state) == pytest.approx(float(BODY.energy(STATE)), rel=1e-15)
+    a, _ = li.schemes.so3_midpoint(full, kappa)(state, 0.3)
+    b, _ = li.schemes.so3_midpoint(BODY, kappa)(STATE, 0.3)
+    assert so3.angle(so3.multiply(a.q, turn), b.q) < 2e-15
+
+
+def test_moser_veselov():
+    """The symplectic step is the discrete Moser–Veselov map: M = ωᵀJd − Jdω, ω the transposed rotation of the step."""
+    after, _ = li.schemes.so3_midpoint(BODY)(STATE, 0.3)
+    R = np.array(so3.to_matrix(so3.multiply(so3.inverse(STATE.q), after.q)))
+    J = np.diag(BODY.inertia)
+    Jd = np.trace(J) / 2 * np.eye(3) - J
+    M = R @ Jd - Jd @ R.T
+    momenta = [np.array(BODY.body_momentum(z)) for z in (STATE, after)]
+    assert np.abs(M - np.array(so3.hat(jnp.array(0.3 * momenta[0])))).max() < 2e-15
+    assert np.abs(R.T @ M @ R - np.array(so3.hat(jnp.array(0.3 * momenta[1])))).max() < 2e-15
+
+
+@pytest.mark.parametrize("kappa", [*KAPPAS, lambda x: 1 + x / 5], ids=["cayley", "exponential", "symplectic", "user"])
+def test_time_symmetric(kappa):
+    step = li.schemes.so3_midpoint(BODY, kappa, iterations=5)
+    assert li.diagnostics.reversibility(step, STATE, 0.3) < 1e-15  # floor 2e-16
+
+
+# Derivatives ---------------------------------------------------------------------------------------------------------
+
+
+def loss(J, z, dt, kappa):
+    body = li.systems.RigidBody(J)
+    end, _ = li.schemes.so3_midpoint(body, kappa, iterations=4)(z, dt)
+    return end.q[1] + 2 * end.q[3] * end.p[0] + body.energy(end)
+
+
+@pytest.mark.parametrize(
+    ("kappa", "full"),
+    [(kappa_symplectic, False), (kappa_symplectic, True), (kappa_cayley, True), (kappa_exponential, False)],
+    ids=lambda k: getattr(k, "name", ""),
+)
+def test_derivatives_forward_reverse_and_finite_differences(kappa, full):
+    J = jnp.diag(BODY.inertia) + 0.1 if full else BODY.inertia
+    at = (J, STATE, 0.3)
+    reverse = jax.jit(jax.grad(loss, argnums=(0, 1, 2)))(*at, kappa)
+    forward = jax.jit(jax.jacfwd(loss, argnums=(0, 1, 2)))(*at, kappa)
+    for a, b in zip(jax.tree.leaves(reverse), jax.tree.leaves(forward), strict=True):
+        np.testing.assert_allclose(a, b, atol=4e-15)
+    f = jax.jit(loss)
+    direction = jax.tree.map(lambda x: jnp.asarray(np.random.default_rng(1).normal(size=jnp.shape(x))), at)
+    h = 1e-5
+    ends = [f(*jax.tree.map(lambda x, d, s=s: x + s * h * d, at, direction), kappa) for s in (1, -1)]
+    slope = sum(jnp.vdot(a, d) for a, d in zip(jax.tree.leaves(reverse), jax.tree.leaves(direction), strict=True))
+    assert (ends[0] - ends[1]) / (2 * h) == pytest.approx(float(slope), rel=1e-8)
+
+
+def test_derivatives_nest():
+    """grad of jacfwd, jacfwd of grad and jacrev of jacfwd agree: the Hessian in the inertia is symmetric."""
+    f = lambda J: loss(J, STATE, 0.3, kappa_symplectic)  # noqa: E731
+    hessians = [jax.jit(h)(BODY.inertia) for h in (jax.jacfwd(jax.grad(f)), jax.jacrev(jax.jacfwd(f)))]
+    np.testing.assert_allclose(*hessians, atol=1e-14)
+    np.testing.assert_allclose(hessians[0], hessians[0].T, atol=1e-14)
+    g = jax.grad(lambda J: jnp.sum(jax.jacfwd(f)(J) ** 2))(BODY.inertia)
+    np.testing.assert_allclose(g, 2 * hessians[0] @ jax.grad(f)(BODY.inertia), atol=1e-13)
+
+
+def test_derivative_in_a_parameter_of_kappa():
+    """A κ with a parameter of its own is a Partial; its derivative goes through the step's leaves."""
+
+    def kappa(c, x):
+        return 1 + c * x
+
+    def angle(c):
+        step = li.schemes.so3_midpoint(BODY, jax.tree_util.Partial(kappa, c), iterations=6)
+        return step(STATE, 0.3)[0].q[0]
+
+    h = 1e-5
+    assert jax.grad(angle)(0.2) == pytest.approx(float((angle(0.2 + h) - angle(0.2 - h)) / (2 * h)), rel=1e-8)
+
+
+@pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
+def test_at_rest_value_and_derivative_are_finite(kappa):
+    """No momentum, no step, no 0/0: and it converges."""
+    rest = BODY.state(angular_velocity=[0.0, 0.0, 0.0])
+    for state, dt in ((rest, 0.1), (STATE, 0.0)):
+        step = li.schemes.so3_midpoint(BODY, kappa)
+        after, info = step(state, dt)
+        assert info.converged
+        np.testing.assert_allclose(after.q, state.q, atol=2e-16)
+        assert all(
+            np.isfinite(x).all()
+            for x in jax.tree.leaves(jax.jacfwd(loss, argnums=(0, 1, 2))(BODY.inertia, state, dt, kappa))
+        )
+
+
+# Batches -------------------------------------------------------------------------------------------------------------
+
+
+def test_vmap_over_states_steps_and_inertias():
+    rng = np.random.default_rng(2)
+    J = jnp.array(rng.uniform(1, 1.9, (8, 3)))
+    q = jnp.array(rng.normal(size=(8, 4)))
+    q /= jnp.linalg.norm(q, axis=1, keepdims=True)
+    states = jax.vmap(lambda q, v: BODY.state(q, angular_velocity=v))(q, jnp.array(rng.uniform(-1, 1, (8, 3))))
+    steps = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.rigid_body(J)))(J)
+    dts = jnp.linspace(-0.3, 0.3, 8)
+    batch, info = jax.jit(jax.vmap(lambda s, z, dt: s(z, dt)))(steps, states, dts)
+    assert info.converged.all()
+    for k in range(8):
+        one, _ = li.schemes.so3_midpoint(li.systems.rigid_body(J[k]))(jax.tree.map(lambda x, k=k: x[k], states), dts[k])
+        np.testing.assert_allclose(batch.q[k], one.q, atol=4e-16)
+
+
+def test_building_the_step_again_hits_the_same_jit_cache():
+    count = 0
+
+    @jax.jit
+    def advance(step, state):
+        nonlocal count
+        count += 1
+        return step(state, 0.1)
+
+    for J in ([1.0, 2, 3], [1.0, 1, 2]):
+        advance(li.schemes.so3_midpoint(li.systems.rigid_body(J), kappa_symplectic), STATE)
+    assert count == 1
+
+
+# Bad input -----------------------------------------------------------------------------------------------------------
+
+
+def test_inside_jit_a_failure_is_a_flag_never_an_exception_never_silent():
+    @jax.jit
+    def f(dt):
+        return li.schemes.so3_midpoint(BODY)(STATE, dt)
+
+    assert f(0.2)[1].converged
+    for dt in (1.5, 3.0, 100.0, np.nan, np.inf):
+        assert not f(dt)[1].converged
+
+
+@pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
+def test_every_nan_comes_with_the_flag(kappa):
+    step = li.schemes.so3_midpoint(BODY, kappa)
+    dts = jnp.concatenate([jnp.linspace(-20, 20, 2001), jnp.array([jnp.nan, jnp.inf, -jnp.inf])])
+    states, info = jax.jit(jax.vmap(lambda dt: step(STATE, dt)))(dts)
+    energy = jax.vmap(BODY.energy)(states) / BODY.energy(STATE) - 1
+    good = np.asarray(info.converged)
+    assert 0 < good.sum() < len(good)
+    assert np.isfinite(states.q[good]).all()
+    assert np.abs(energy[good]).max() < 1e-14  # whatever is called converged is right
+
+
+def test_scheme_arguments():
+    with pytest.raises(ValueError, match="free rigid bodies"):
+        li.schemes.so3_midpoint("a top")
+    with pytest.raises(ValueError, match="callable"):
+        li.schemes.so3_midpoint(BODY, 1.0)
+    for iterations in (0, -1, 2.5):
+        with pytest.raises(ValueError, match="positive integer"):
+            li.schemes.so3_midpoint(BODY, iterations=iterations)
