@@ -74,5 +74,5 @@ def race(
 
 
 def steps_lasting(seconds: float, contestant: Contestant, bodies: int) -> int:
-    """How many steps of so many bodies take about so long, at most 100 000."""
-    return int(np.clip(seconds * contestant.pace / bodies, 10, 100_000))
+    """How many steps of so many bodies take about so long, at most a million."""
+    return int(np.clip(seconds * contestant.pace / bodies, 10, 1_000_000))

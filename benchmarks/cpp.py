@@ -20,7 +20,7 @@ _PACE = 1.5e8
 
 
 class Bodies(NamedTuple):
-    """Structure of arrays: q (4, B), p (3, B), and for each body the largest residual and whether all steps converged."""
+    """Structure of arrays: q (4, B), p (3, B), and of each body the largest residual and whether all converged."""
 
     q: np.ndarray
     p: np.ndarray
@@ -38,6 +38,14 @@ def library() -> tuple[ctypes.CDLL, float]:
     start = time.perf_counter()
     subprocess.run(["g++", *FLAGS, str(_SOURCE), "-o", str(binary)], check=True)
     return ctypes.CDLL(str(binary)), time.perf_counter() - start
+
+
+def notes() -> list[str]:
+    """How the baseline was built, for the report."""
+    if shutil.which("g++") is None:
+        return []
+    version = subprocess.run(["g++", "--version"], check=True, capture_output=True, text=True).stdout.splitlines()[0]
+    return [f"C++ by {version}, {' '.join(FLAGS)}, in {library()[1]:.1f} s"]
 
 
 def symplectic(

@@ -51,7 +51,7 @@ def run(
     interval = save_every or max(num_steps, 1)
     num_saves = saves(num_steps, interval)
     members = _check(step, states)
-    dtype = np.result_type(*states)
+    dtype = jnp.result_type(*states)
     h = jnp.asarray(dt, dtype)
     states = State(*(jnp.asarray(leaf, dtype) for leaf in states))
     fresh = Progress(StepInfo(jnp.zeros(members, dtype), jnp.ones(members, bool)), jnp.full(members, -1, jnp.int32))

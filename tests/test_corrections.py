@@ -3,6 +3,8 @@
 Floors observed are in the comments; bounds are a few times that.
 """
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import mpmath
@@ -258,7 +260,7 @@ def test_3_29_is_twice_the_inverse_transpose_of_C(s):
 def sigma_of_3_28(name, trajectory, J, pi, dt):
     sigma, series = np.zeros(3), []
     Q = np.array(jax.vmap(so3.to_matrix)(trajectory.state.q))
-    for Q0, Q1 in zip(Q[:-1], Q[1:], strict=True):
+    for Q0, Q1 in itertools.pairwise(Q):
         bar = dt * np.linalg.inv(J) @ (Q0.T @ pi + Q1.T @ pi) / 2
         N = N_matrix(J, name, bar, Q1, pi, dt)
         sigma = sigma + 4 / np.linalg.det(N) * N @ rot((ONE + hat(pi) @ hat(sigma)) @ (N - hat(pi)))

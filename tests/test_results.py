@@ -1,4 +1,4 @@
-"""Results 1 to 5 of the paper as theorems, each with its refutation. Bounds are a few times the floor in the comment."""
+"""Results 1 to 5 of the paper as theorems, each with its refutation. Bounds are a few times the floors noted."""
 
 import hypothesis
 import hypothesis.strategies as st

@@ -1,0 +1,125 @@
+"""The measuring instruments: each against something that is not itself, on the whole grid of systems and schemes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from grid import steps
+
+import lieint_jax as li
+from lieint_jax import diagnostics
+from lieint_jax.groups import so3
+from lieint_jax.types import State, Step, StepInfo, pytree
+
+GRID = {name: rest for name, *rest in steps()}
+BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+STATE = BODY.state(so3.normalise(jnp.array([1.0, 2, -1, 0.5])), angular_velocity=[0.3, -0.5, 0.8])
+
+
+@pytree
+class Euler(Step):
+    """Explicit Euler: a step that conserves nothing, to see that the instruments show it."""
+
+    system: li.systems.RigidBody
+
+    order, symmetric, name = 1, False, "explicit Euler"
+
+    def __call__(self, state, dt):
+        rate = self.system.vector_field(state)
+        return State(state.q + dt * rate.q, state.p + dt * rate.p), StepInfo(jnp.zeros(()), jnp.ones((), bool))
+
+
+@pytest.mark.parametrize("name", GRID)
+def test_linearization_against_finite_differences(name):
+    step, state, dt = GRID[name]
+    L = jax.jit(lambda z: diagnostics.linearization(step, z, dt))(state)
+    space = step.system.phase_space
+    end = step(state, dt)[0]
+
+    @jax.jit
+    def push(delta):
+        after = step(space.perturb(state, delta), dt)[0]
+        return jnp.concatenate([so3.log(so3.multiply(after.q, so3.inverse(end.q))), after.p - end.p])
+
+    h = 1e-5
+    columns = [(push(h * e) - push(-h * e)) / (2 * h) for e in np.eye(6)]
+    np.testing.assert_allclose(L, np.stack(columns, axis=1), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", [name for name in GRID if "asymmetric-" in name or "full" in name])
+def test_poisson_error_by_recursion_and_by_product_of_jacobians(name):
+    """(5.36) against (5.34) over 1000 steps, to round-off; and skew."""
+    step, state, dt = GRID[name]
+    recursion, product = jax.jit(
+        lambda z: [diagnostics.poisson_error(step, z, dt, 1000, m) for m in ("recursion", "product")]
+    )(state)
+    assert recursion.shape == (1001, 3, 3)
+    np.testing.assert_allclose(recursion, product, atol=8e-13)  # floor 2e-13, all of it the product's
+    np.testing.assert_allclose(recursion, -np.swapaxes(recursion, 1, 2), atol=1e-16)
+    worst = np.abs(recursion).max()
+    assert worst < 4e-14 if step.kappa.name == "symplectic" else worst > 1e-3  # floor 9e-15
+
+
+def test_poisson_error_wants_a_known_method():
+    step, state, dt = next(iter(GRID.values()))
+    with pytest.raises(ValueError, match="recursion, product"):
+        diagnostics.poisson_error(step, state, dt, 1, "magic")
+
+
+def test_flow_converges_and_preserves_what_it_should():
+    """The extrapolated reference: self-consistent to round-off and on the invariants, which it does not know of."""
+    coarse, fine = (diagnostics.flow(BODY, STATE, 10.0, n) for n in (12, 24))
+    np.testing.assert_allclose(coarse.q, fine.q, atol=2e-14)
+    assert BODY.energy(fine) == pytest.approx(float(BODY.energy(STATE)), rel=1e-14)
+    back = diagnostics.flow(BODY, fine, -10.0, 24)
+    np.testing.assert_allclose(back.q, STATE.q, atol=4e-14)
+
+
+def test_order_of_explicit_euler_and_its_certificate_shows_every_loss():
+    certificate = diagnostics.certify(Euler(BODY), STATE, 0.05, 100)
+    assert certificate.order == pytest.approx(1, abs=0.1)
+    assert certificate.energy > 1e-2
+    assert certificate.constraint > 1e-2
+    assert certificate.momentum == 0
+    assert certificate.symplectic_defect > 1e-3
+    assert certificate.symplectic_order == pytest.approx(2, abs=0.2)
+    assert certificate.reversibility > 1e-4
+    text = str(certificate)
+    assert text.count("not conserved") == 3
+    assert "broken as dt^" in text
+    assert "measured 1." in text
+
+
+@pytest.mark.parametrize("name", [name for name in GRID if "asymmetric-" in name])
+def test_certificate_of_the_paper_s_schemes(name):
+    step, state, dt = GRID[name]
+    c = diagnostics.certify(step, state, dt, 400)
+    assert c.energy < 4e-15
+    assert c.momentum == 0
+    assert c.constraint < 2e-15
+    assert c.order == pytest.approx(2, abs=0.01)
+    assert c.reversibility < 1e-15
+    assert c.converged
+    if step.kappa.name == "symplectic":
+        assert c.symplectic_defect < 2e-15
+        assert c.symplectic_order == np.inf
+        assert "exact to round-off" in str(c)
+    else:
+        assert c.symplectic_order == pytest.approx(3, abs=0.01)
+    assert "conserved bit for bit" in str(c)
+    assert step.name in str(c)
+
+
+def test_series_start_at_zero_and_show_a_planted_error():
+    step = li.schemes.so3_midpoint(BODY)
+    run = li.integrate(step, STATE, 0.1, 20)
+    planted = run._replace(state=State(run.state.q.at[7].multiply(1.001), run.state.p.at[9, 1].add(1e-3)))
+    for series, at in (
+        (diagnostics.energy_error, 7),
+        (diagnostics.constraint_error, 7),
+        (diagnostics.momentum_error, 9),
+    ):
+        error = np.abs(series(BODY, planted)).reshape(21, -1).max(axis=1)
+        assert error[0] < 4e-16
+        assert error[at] > 1e-4
+        assert error[at - 1] < 2e-15

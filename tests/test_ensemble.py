@@ -1,0 +1,101 @@
+"""Batches: the same numbers as one body at a time, a report that names member and step, files that are not lost."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax import State, ensemble, store
+
+BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+STEP = li.schemes.so3_midpoint(BODY)
+
+
+def states(members, size=0.5):
+    rng = np.random.default_rng(4)
+    q, Omega = rng.normal(size=(members, 4)), rng.normal(size=(members, 3))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    Omega *= size / np.linalg.norm(Omega, axis=1, keepdims=True)
+    return jax.vmap(lambda q, v: BODY.state(q, angular_velocity=v))(jnp.array(q), jnp.array(Omega))
+
+
+def test_the_batch_is_the_bodies_one_by_one():
+    batch = states(5)
+    run = ensemble.run(STEP, batch, 0.1, 60, 20, progress=False)
+    assert run.state.q.shape == (4, 5, 4)
+    np.testing.assert_allclose(run.t, [0, 2, 4, 6])
+    assert run.info.converged.all()
+    for m in range(5):
+        one = li.integrate(STEP, State(batch.q[m], batch.p[m]), 0.1, 60, 20)
+        np.testing.assert_allclose(run.state.q[:, m], one.state.q, atol=1e-14)
+        np.testing.assert_array_equal(run.state.p[:, m], one.state.p)
+
+
+def test_keeping_the_last_state_only_and_an_inertia_each():
+    batch = states(4)
+    J = jnp.array([[1.0, 2, 3], [1, 1, 2], [2, 2, 2], [1, 1.5, 2]])
+    steps = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.rigid_body(J)))(J)
+    run = ensemble.run(steps, batch, 0.1, 150, step_axis=0, progress=False)
+    assert run.state.q.shape == (2, 4, 4)
+    one = li.integrate(li.schemes.so3_midpoint(li.systems.rigid_body(J[1])), State(batch.q[1], batch.p[1]), 0.1, 150)
+    np.testing.assert_allclose(run.state.q[-1, 1], one.state.q[-1], atol=1e-14)
+
+
+def test_a_late_failure_names_member_and_step():
+    """A spin-up along the trajectory takes two members past the branch; the run goes on and says who and when."""
+    batch, step = states(4), li.schemes.so3_midpoint(BODY, iterations=8)
+    fast = BODY.state(angular_velocity=[0.0, 1.0, 1e-4])  # about the intermediate axis: Ω grows in the flip
+    q, p = batch.q.at[2].set(fast.q), batch.p.at[2].set(fast.p)
+    batch = State(q, p)
+    alone = li.integrate(step, State(q[2], p[2]), 0.99, 100)
+    first = int(np.argmin(np.asarray(alone.info.converged))) - 1
+    assert first > 0
+    with pytest.warns(RuntimeWarning, match=rf"member 2 at step {first}"):
+        run = ensemble.run(step, batch, 0.99, 100, 10, progress=False)
+    assert not run.info.converged[:, 2].all()
+
+
+def test_a_failure_of_the_first_step_is_an_error():
+    with pytest.raises(ValueError, match=r"first step fails for 4 member\(s\): 0, 1, 2, 3\. Member 0: .*smaller dt"):
+        ensemble.run(STEP, states(4), 3.0, 10, progress=False)
+
+
+def test_bad_batches():
+    good = states(3)
+    for bad, message in (
+        (State(good.q[0], good.p[0]), "leading member axis"),
+        (State(good.q[:2], good.p), "leading member axis"),
+        (State(good.q.at[1, 0].set(jnp.nan), good.p), r"states\.q must be finite; 1 member\(s\): 1"),
+        (State(good.q.at[2].multiply(1.01), good.p), r"off the configuration space.*1 member\(s\): 2"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            ensemble.run(STEP, bad, 0.1, 10, progress=False)
+    with pytest.raises(ValueError, match="not a multiple"):
+        ensemble.run(STEP, good, 0.1, 10, 3, progress=False)
+
+
+def test_the_progress_bar_goes_to_stderr(capfd):
+    ensemble.run(STEP, states(2), 0.1, 200)
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert "200/200" in err or "step" in err
+
+
+def test_store_round_trip_and_that_nothing_is_overwritten(tmp_path):
+    run = ensemble.run(STEP, states(3), 0.1, 20, 10, progress=False)
+    path = store.free(tmp_path / "run.npz")
+    store.save(path, run, {"seed": 4})
+    again, metadata = store.load(path)
+    jax.tree.map(np.testing.assert_array_equal, again, run)
+    assert metadata == {"seed": 4}
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match="exists and is not overwritten"):
+        store.free(path)
+    with pytest.raises(FileExistsError):
+        store.save(path, run, {})
+    assert path.read_bytes() == before
+    with pytest.raises(ValueError, match=r"\.npz"):
+        store.free(tmp_path / "run.txt")
+    with pytest.raises(ValueError, match="does not exist"):
+        store.free(tmp_path / "no" / "run.npz")
