@@ -1,9 +1,9 @@
 """How many body-steps a second, how accurate, how conserving, against C++ of the same scheme and what one would use?
 
 Free rigid bodies of inertia (1, 2, 3), random attitudes, body velocities random in the unit ball, dt = 0.05. Everything
-runs in one process pinned to one core; "all cores" is a second process without the pin, the batch split over one XLA
-host device a core. Contestants are called in turn; a rate is that of the best call, the median beside it. "Wide vectors"
-are `ensemble.compiler_options()`. g++ uses the full vector width by itself, XLA only when told.
+runs in one process pinned to one core (as Linux can); "all cores" is a second process without the pin, the batch split
+over one XLA host device a core. Contestants are called in turn; a rate is that of the best call, the median beside it.
+"Wide vectors" are `ensemble.compiler_options()`: g++ uses the full vector width by itself, XLA only when told.
 
     python benchmarks/free_rigid_body.py [--quick] [--out DIR]
 

@@ -57,22 +57,6 @@ class Sizes(NamedTuple):
 QUICK = Sizes((1, 1000), 0.02, 3, 2_000, 1.0, 2)
 
 
-def _machine() -> dict[str, Any]:
-    cpu = re.search("model name.*: (.*)", Path("/proc/cpuinfo").read_text())
-    return {
-        "cpu": cpu.group(1) if cpu else platform.processor(),
-        "python": platform.python_version(),
-        "packages": {name: _version(name) for name in ("jax", "numpy", "diffrax", "mujoco", "scipy")},
-    }
-
-
-def _version(package: str) -> str | None:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None
-
-
 def bodies(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Random unit quaternions, and the spatial momenta of random body velocities in the unit ball."""
     attitude, velocity, radius = (np.random.default_rng(seed) for seed in (1, 2, 3))
@@ -156,6 +140,22 @@ def everything(sizes: Sizes) -> dict[str, Any]:
         "curves": work_precision(exact, sizes),
         "notes": notes,
     }
+
+
+def _machine() -> dict[str, Any]:
+    cpu = re.search("model name.*: (.*)", Path("/proc/cpuinfo").read_text())
+    return {
+        "cpu": cpu.group(1) if cpu else platform.processor(),
+        "python": platform.python_version(),
+        "packages": {name: _version(name) for name in ("jax", "numpy", "diffrax", "mujoco", "scipy")},
+    }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
 
 
 def our_rates(sizes: Sizes) -> list[dict[str, Any]]:
@@ -297,10 +297,10 @@ def _fixed_step_makers() -> list[Callable[[int], list[tuple[Contestant, int]]]]:
         counts = [coarsest * 2**k for k in range(min(most, points))]
         return [(make(END / n), n) for n in counts]
 
-    makers = [partial(halving, partial(ours, kappa), 25, 7) for kappa in KAPPAS]
+    makers = [partial(halving, partial(ours, kappa), 25, 6) for kappa in KAPPAS]
     return [
         *makers,
-        partial(halving, partial(cpp.symplectic, "newton", INERTIA), 25, 7),
+        partial(halving, partial(cpp.symplectic, "newton", INERTIA), 25, 6),
         partial(halving, partial(peers.tsit5, INERTIA), 10, 6),
         partial(halving, partial(peers.dopri8, INERTIA), 5, 5),
         partial(halving, partial(peers.mujoco_rk4, INERTIA), 25, 4),

@@ -1,9 +1,10 @@
 """What one would use instead: diffrax, MuJoCo, scipy. Each function imports its package and makes a contestant.
 
 Each is called the way that serves it best among those a user would think of. diffrax integrates our vector field
-(quaternion and spatial momentum), vmapped, with time counted in steps: fixed steps then end exactly at a whole number,
-and it runs 10 % faster than with dt0 = dt. MuJoCo has contacts and constraints switched off, one thread, many states a
-call. scipy takes one body at a time, with Euler's equations in plain floats, which is faster there than numpy.
+(quaternion and spatial momentum, so momentum is exact there too), vmapped, with time counted in steps: fixed steps then
+end exactly at a whole number, and run 10 % faster than with dt0 = dt. MuJoCo has contacts and constraints switched off,
+one thread, many states a call; its rollout keeps every state. scipy takes one body at a time, with Euler's equations in
+plain floats, which is faster there than numpy.
 """
 
 from __future__ import annotations

@@ -12,7 +12,8 @@ from lieint_jax.types import State, Step, StepInfo, Trajectory
 def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_every: int = 1) -> Trajectory:
     """Take `num_steps` steps of size `dt` and keep every `save_every`-th state.
 
-    A plain `lax.scan`: jit it, vmap it over states, differentiate it forward or reverse.
+    A plain `lax.scan`: vmap it over states, differentiate it forward or reverse. It is not jitted: in a loop of your
+    own, call `jax.jit(li.integrate, static_argnames=("num_steps", "save_every"))`, which compiles once.
 
     Args:
         step: a scheme's step.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from typing import Any
 
@@ -25,7 +26,7 @@ def figure(columns: int = 1, rows: int = 1, **axes: Any) -> tuple[Figure, Any]:
 
 def series(ax: Axes, t: np.ndarray, curves: Mapping[str, np.ndarray], ylabel: str, time_unit: str = "") -> Axes:
     """Curves against time in the paper's line styles: solid, dashed, dotted."""
-    for (label, y), style in zip(curves.items(), STYLES, strict=False):
+    for (label, y), style in zip(curves.items(), itertools.cycle(STYLES), strict=False):
         ax.plot(t, y, label=label, **style)
     ax.set(xlabel=f"t ({time_unit})" if time_unit else "t", ylabel=ylabel)
     if len(curves) > 1:
@@ -64,9 +65,8 @@ def sphere_path(ax: Any, path: np.ndarray, pole: np.ndarray | None = None) -> An
 
 def loglog_lines(ax: Axes, curves: Mapping[str, tuple[np.ndarray, np.ndarray]], xlabel: str, ylabel: str) -> Axes:
     """Marked lines on two logarithmic axes, such as error against cost."""
-    markers = "os^Dv<>Pp*hX"
-    for k, (label, (x, y)) in enumerate(curves.items()):
-        ax.loglog(x, y, marker=markers[k % len(markers)], ms=4, lw=1.0, label=label)
+    for (label, (x, y)), marker in zip(curves.items(), itertools.cycle("os^Dv<>Pp*hX"), strict=False):
+        ax.loglog(x, y, marker=marker, ms=4, lw=1.0, label=label)
     ax.set(xlabel=xlabel, ylabel=ylabel)
     ax.grid(True, which="major", lw=0.3, color=GREY)
     ax.legend(frameon=False, fontsize="small")

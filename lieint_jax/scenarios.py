@@ -242,7 +242,7 @@ def sightings(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Sigh
     """What the nominal member predicts for each observation within the run.
 
     `spread_deg` is the root mean square angle of the members about the nominal one; `integrator_error_deg` the angle
-    between the nominal one and an extrapolation of the equations of motion to order 16.
+    between the nominal one and the solution of the equations of motion to round-off.
     """
     found = []
     for seen in scenario.observation:
@@ -252,7 +252,7 @@ def sightings(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Sigh
         now = State(jnp.asarray(run.state.q[k, 0]), jnp.asarray(run.state.p[k, 0]))
         start = State(jnp.asarray(run.state.q[0, 0]), jnp.asarray(run.state.p[0, 0]))
         Omega = jnp.linalg.norm(body.angular_velocity(start))
-        true = diagnostics.flow(body, start, seen.t, int(abs(seen.t * Omega)) + 1)
+        true = diagnostics.flow(body, start, seen.t, 2 * int(abs(seen.t * Omega)) + 2)
         apart = jax.vmap(so3.angle, in_axes=(0, None))(jnp.asarray(run.state.q[k]), now.q)
         found.append(
             Sighting(

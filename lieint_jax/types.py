@@ -148,9 +148,10 @@ class Step(abc.ABC):
         """Raise ValueError if a concrete `state` or `dt` is out of range; tracers pass."""
         if not concrete(self, state, dt):
             return
-        self.system.check(state)
-        if not self(state, dt)[1].converged:
-            raise ValueError(self.advice(state, dt))
+        with jax.ensure_compile_time_eval():  # constants are concrete inside jit too
+            self.system.check(state)
+            if not self(state, dt)[1].converged:
+                raise ValueError(self.advice(state, dt))
 
 
 def concrete(*trees: Any) -> bool:

@@ -82,12 +82,12 @@ def test_2_9_is_preserved_by_the_exact_flow():
     space = body.phase_space
 
     def push(delta):
-        return li.diagnostics.flow(body, space.perturb(state, delta), 2.0, 4)
+        return li.diagnostics.flow(body, space.perturb(state, delta), 2.0, 5)
 
     zero = jnp.zeros(6)
     end, tangents = push(zero), jax.jacfwd(push)(zero)
     L = jax.vmap(lambda t: space.trivialise(end, t), in_axes=-1, out_axes=-1)(tangents)
-    assert close(L.T @ omega(end.p) @ L, omega(state.p)) < 3e-13  # floor 6e-14
+    assert close(L.T @ omega(end.p) @ L, omega(state.p)) < 1e-14
     canonical = np.block([[0 * ONE, ONE], [-ONE, 0 * ONE]])
     assert close(L.T @ canonical @ L, canonical) > 0.1  # the canonical matrix is not the form here
 

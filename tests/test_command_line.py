@@ -1,0 +1,224 @@
+"""The command: the main job on a small ensemble, certificates, and one clear line for whatever is wrong."""
+
+import re
+
+import jax
+import numpy as np
+import pytest
+
+from lieint_jax import cli, scenarios, store
+
+
+@pytest.fixture(autouse=True)
+def in_a_fresh_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+SCENARIO = """
+title = "a book"
+system = "rigid_body"
+inertia = [1.0, 2.0, 3.0]
+scheme = "so3_midpoint"
+dt = 0.1
+steps = 100
+save_every = 10
+members = 4
+seed = 1
+[state]
+angular_velocity = [0.01, 1.0, 0.0]
+[spread]
+angular_velocity_deg = 1.0
+"""
+
+
+def book(**changes):
+    text = SCENARIO
+    for key, line in changes.items():
+        text = re.sub(rf"(?m)^{key} = .*$", line, text)
+    with open("book.toml", "w") as file:
+        file.write(text)
+    return "book.toml"
+
+
+@pytest.fixture(scope="module")
+def toutatis(tmp_path_factory):
+    """`lieint run toutatis` with few members for its first 64 days: output and results."""
+    folder = tmp_path_factory.mktemp("toutatis")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        import contextlib
+        import io
+
+        out = io.StringIO()
+        with contextlib.redirect_stdout(out):
+            assert cli.main(["run", "toutatis", "--members", "8", "--steps", "12800"]) == 0
+    return folder, out.getvalue()
+
+
+def test_toutatis_reaches_the_radar_epoch_and_meets_the_independent_prediction(toutatis):
+    """An integration at rtol 1e-12 by another package gave (115.52, 81.96, 110.69)° and 8.60° from the radar fix."""
+    _, out = toutatis
+    euler = re.search(r"Euler 3-1-3 .*predicted \(([^)]*)\)", out)[1]
+    np.testing.assert_allclose([float(x) for x in euler.split(",")], [115.52, 81.96, 110.69], atol=0.05)
+    rate = re.search(r"body rate .*predicted \(([^)]*)\)", out)[1]
+    np.testing.assert_allclose([float(x) for x in rate.split(",")], [-38.55, 1.46, -97.14], atol=0.05)
+    assert float(re.search(r"observed: ([\d.]+)° apart", out)[1]) == pytest.approx(8.60, abs=0.03)
+    assert float(re.search(r"own error: ([\d.]+)°", out)[1]) < 0.04
+
+
+def test_toutatis_output_says_what_it_assumes_and_cites_what_it_compares(toutatis):
+    _, out = toutatis
+    for text in ("an assumption", "7.4 ± 0.03", "5.38 ± 0.03", "180.2", "-54.75", "arXiv 1504.02024"):
+        assert text in out
+    assert "Takahashi" in out
+    assert "8 of 8 members converged" in out
+    assert "exact to round-off" in out
+
+
+def test_toutatis_writes_results_and_pictures(toutatis):
+    folder, _ = toutatis
+    run, metadata = store.load(folder / "toutatis.npz")
+    assert run.state.q.shape == (81, 8, 4)
+    assert metadata["scenario"]["members"] == 8
+    assert abs(run.t[29] - 23.159873) < 1e-9  # the radar epoch is one of the saved times
+    for name in ("toutatis-path.png", "toutatis-invariants.png"):
+        assert (folder / name).read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("members", [2])
+def test_toutatis_periods_over_800_days(members):
+    """7.3998 d and 5.3804 d by an independent integration; the published ones are 7.40 and 5.38, ± 0.03."""
+    from lieint_jax import ensemble
+
+    scenario = scenarios.load("toutatis", members=members)
+    step, states = scenarios.build(scenario)
+    run = ensemble.run(step, states, scenario.dt, scenario.steps, scenario.save_every, progress=False)
+    assert run.t[-1] >= 800
+    precession, rotation = scenarios.mean_periods(step.system, run)
+    assert precession[0] == pytest.approx(7.3998, abs=2e-4)
+    assert rotation[0] == pytest.approx(5.3804, abs=2e-4)
+    rows = {row.name: row for row in scenarios.quantities(scenario, step.system, run)}
+    assert rows["angular momentum longitude (°)"].nominal == pytest.approx(180.46, abs=0.01)
+    assert rows["angular momentum latitude (°)"].nominal == pytest.approx(-54.70, abs=0.01)
+
+
+def test_periods_of_bodies_with_known_ones():
+    """A symmetric top, long and flat, and turned axes: precession |π|/J₁, rotation in the body Ω₃(J₁−J₃)/J₁."""
+    import jax.numpy as jnp
+
+    import lieint_jax as li
+    from lieint_jax import ensemble
+    from lieint_jax.groups import so3
+
+    turn = so3.to_matrix(so3.exp(jnp.array([0.4, -0.2, 0.7])))
+    for J in (np.array([2.0, 2.0, 1.0]), np.array([1.0, 1.0, 1.7])):
+        Omega, angle = np.array([0.3, 0.1, 0.9]), np.linalg.norm(J * [0.3, 0.1, 0.9])
+        for body, rate in (
+            (li.systems.rigid_body(J), Omega),
+            (li.systems.rigid_body(turn @ np.diag(J) @ turn.T), turn @ Omega),
+        ):
+            state = body.state(angular_velocity=rate)
+            states = jax.tree.map(lambda x: jnp.stack([x, x]), state)
+            run = ensemble.run(li.schemes.so3_midpoint(body), states, 0.01, 20_000, 100, progress=False)
+            precession, rotation = scenarios.mean_periods(body, run)
+            np.testing.assert_allclose(precession, 2 * np.pi / (angle / J[0]), rtol=1e-3)
+            np.testing.assert_allclose(rotation, 2 * np.pi / abs(0.9 * (J[2] - J[0]) / J[0]), rtol=1e-3)
+
+
+def test_a_scenario_of_one_s_own(capsys):
+    assert cli.main(["run", book()]) == 0
+    out = capsys.readouterr().out
+    assert "4 member(s), 100 steps of 0.1" in out
+    run, _ = store.load(scenarios.Path("book.npz"))
+    assert run.state.q.shape == (11, 4, 4)
+    assert cli.main(["run", book(), "--steps", "50"]) == 0  # a second run loses nothing
+    assert store.load(scenarios.Path("book.npz"))[0].state.q.shape == (11, 4, 4)
+    assert store.load(scenarios.Path("book-2.npz"))[0].state.q.shape == (6, 4, 4)
+
+
+def test_the_same_seed_is_the_same_ensemble():
+    a, b, c = (scenarios.build(scenarios.load(book(seed=f"seed = {s}")))[1] for s in (1, 1, 2))
+    np.testing.assert_array_equal(a.p, b.p)
+    assert np.abs(np.asarray(a.p) - np.asarray(c.p)).max() > 1e-3
+    nominal = scenarios.build(scenarios.load(book(), members=1))[1]
+    np.testing.assert_array_equal(a.p[0], nominal.p[0])  # member 0 is the nominal state
+
+
+BAD = [
+    (dict(dt="dt = 0"), "dt must not be 0"),
+    (dict(dt='dt = "fast"'), "dt: .*number.*'fast'"),
+    (dict(dt="dt = nan"), "dt: .*finite"),
+    (dict(dt=""), "dt: key missing"),
+    (dict(steps="steps = 55"), "steps = 55 must be a multiple of save_every = 10"),
+    (dict(members="members = 0"), "members: .*greater than 0.*got 0"),
+    (dict(members="members = 1.5"), "members: .*integer"),
+    (dict(seed="sed = 1"), "sed: unknown key"),
+    (dict(system='system = "heavy"'), "system: .*'rigid_body'.*got 'heavy'"),
+    (dict(scheme='scheme = "rk4"'), "scheme: .*so3_midpoint"),
+    (dict(inertia="inertia = [1.0, 2.0]"), "inertia.*at least 3"),
+    (dict(inertia="inertia = [1.0, 2.0, -3.0]"), "inertia must be positive definite"),
+    (dict(angular_velocity=""), "state: give exactly one of angular_velocity"),
+    (
+        dict(angular_velocity_deg="angular_velocity_deg = -1.0"),
+        "spread.angular_velocity_deg: .*greater than or equal to 0",
+    ),
+    (dict(dt="dt = 3.0"), "first step fails for 4 member"),
+    (dict(title="title = "), "not valid TOML"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), BAD, ids=[m[:30] for _, m in BAD])
+def test_a_bad_file_gets_one_line_that_names_the_key(changes, message, capsys):
+    assert cli.main(["run", book(**changes)]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert re.search(message, err)
+    assert not list(scenarios.Path().glob("*.npz"))
+
+
+def test_bad_commands(capsys):
+    for arguments, message in (
+        (["run", "nowhere"], "no scenario 'nowhere': give a .toml file or one of toutatis"),
+        (["run", "toutatis", "--members", "0"], "members: .*greater than 0"),
+        (["run", "toutatis", "--out", "results.csv"], r"\.npz, got results\.csv"),
+        (["run", "toutatis", "--out", "no/where.npz"], "folder no does not exist"),
+        (["figure", "9"], "figure 9 is not one of 1, 2"),
+        (["check", "rocket"], "nothing to check for system 'rocket'.*rigid_body"),
+        (["check", "--scheme", "rk4"], "scheme 'rk4'"),
+    ):
+        assert cli.main(arguments) == 2
+        assert re.search(message, capsys.readouterr().err)
+
+
+def test_an_existing_file_is_not_overwritten(capsys):
+    scenarios.Path("mine.npz").write_text("precious")
+    assert cli.main(["run", book(), "--out", "mine.npz"]) == 2
+    assert "exists and is not overwritten" in capsys.readouterr().err
+    assert scenarios.Path("mine.npz").read_text() == "precious"
+
+
+def test_check_prints_certificates(capsys):
+    assert cli.main(["check", "asymmetric", "--scheme", "symplectic", "--steps", "100"]) == 0
+    out = capsys.readouterr().out
+    assert out.count("so3_midpoint[symplectic] · RigidBody") == 1
+    assert "exact to round-off" in out
+    assert "every step converged" in out
+
+
+def test_help_names_every_command(capsys):
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["--help"])
+    assert stop.value.code == 0
+    out = capsys.readouterr().out
+    for word in ("run", "check", "figure", "toutatis", "my.toml"):
+        assert word in out
+
+
+def test_the_command_turns_float64_on():
+    jax.config.update("jax_enable_x64", False)
+    try:
+        cli.main(["check", "nothing"])
+        assert jax.config.jax_enable_x64
+    finally:
+        jax.config.update("jax_enable_x64", True)
