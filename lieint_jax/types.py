@@ -150,7 +150,8 @@ class Step(abc.ABC):
             return
         with jax.ensure_compile_time_eval():  # constants are concrete inside jit too
             self.system.check(state)
-            if not self(state, dt)[1].converged:
+            converged = self(state, dt)[1].converged
+            if concrete(converged) and not converged:  # older JAX traces custom_root even here
                 raise ValueError(self.advice(state, dt))
 
 
