@@ -13,39 +13,39 @@ Rates, 1000 bodies, one core: millions of body-steps a second (for scipy a step 
 
 |                                   |   dtype |  best | median | ÷ C++ newton | ÷ C++ scalar | ours ÷ it | compile s |
 | --------------------------------- | ------: | ----: | -----: | -----------: | -----------: | --------: | --------: |
-| C++ symplectic, newton form       | float64 |   168 |    168 |            1 |        0.894 |     0.541 |       0.0 |
-| C++ symplectic, scalar form       | float64 |   188 |    188 |         1.12 |            1 |     0.484 |       0.0 |
-| ours, symplectic κ                | float64 |  91.2 |     91 |        0.541 |        0.484 |         1 |       0.3 |
-| ours, symplectic κ, wide vectors  | float64 |   134 |    133 |        0.794 |         0.71 |     0.682 |       0.3 |
-| ours, cayley κ                    | float64 |  37.3 |   36.5 |        0.221 |        0.198 |      2.44 |       0.9 |
-| ours, cayley κ, wide vectors      | float64 |  57.5 |     57 |        0.341 |        0.305 |      1.59 |       0.8 |
-| ours, exponential κ               | float64 |  19.4 |   18.5 |        0.115 |        0.103 |      4.71 |       1.0 |
-| ours, exponential κ, wide vectors | float64 |  34.4 |     33 |        0.204 |        0.183 |      2.65 |       1.1 |
-| diffrax Tsit5, vmapped            | float64 |  6.68 |   6.28 |       0.0396 |       0.0354 |      13.7 |       1.0 |
-| diffrax Dopri8, vmapped           | float64 |   1.9 |    1.8 |       0.0113 |       0.0101 |      47.9 |       1.1 |
-| C++ symplectic, newton form       | float32 |   342 |    340 |            1 |        0.744 |     0.511 |       0.0 |
-| C++ symplectic, scalar form       | float32 |   459 |    458 |         1.34 |            1 |     0.381 |       0.0 |
-| ours, symplectic κ                | float32 |   175 |    173 |        0.511 |        0.381 |         1 |       0.4 |
-| ours, symplectic κ, wide vectors  | float32 |   253 |    251 |         0.74 |        0.551 |     0.691 |       0.3 |
-| ours, cayley κ                    | float32 |  71.3 |   70.8 |        0.209 |        0.155 |      2.45 |       1.0 |
-| ours, cayley κ, wide vectors      | float32 |   105 |    104 |        0.306 |        0.228 |      1.67 |       0.8 |
-| ours, exponential κ               | float32 |  38.4 |   38.2 |        0.112 |       0.0836 |      4.55 |       1.1 |
-| ours, exponential κ, wide vectors | float32 |  66.5 |   63.8 |        0.195 |        0.145 |      2.63 |       1.0 |
-| diffrax Tsit5, vmapped            | float32 |  12.2 |   10.4 |       0.0358 |       0.0266 |      14.3 |       1.2 |
-| diffrax Dopri8, vmapped           | float32 |   3.6 |   3.54 |       0.0105 |      0.00784 |      48.6 |       0.9 |
-| MuJoCo RK4, rollout               | float64 | 0.282 |  0.279 |      0.00167 |       0.0015 |       323 |       0.0 |
-| scipy DOP853, rtol 1e-10          | float64 | 0.217 |  0.167 |      0.00129 |      0.00115 |       420 |       0.0 |
+| C++ symplectic, newton form       | float64 |   162 |    162 |            1 |        0.843 |     0.564 |       0.0 |
+| C++ symplectic, scalar form       | float64 |   193 |    192 |         1.19 |            1 |     0.475 |       0.0 |
+| ours, symplectic κ                | float64 |  91.5 |   91.4 |        0.564 |        0.475 |         1 |       0.3 |
+| ours, symplectic κ, wide vectors  | float64 |   134 |    133 |        0.824 |        0.695 |     0.684 |       0.3 |
+| ours, cayley κ                    | float64 |  37.4 |   37.4 |         0.23 |        0.194 |      2.45 |       0.8 |
+| ours, cayley κ, wide vectors      | float64 |  57.7 |   57.4 |        0.355 |        0.299 |      1.59 |       0.7 |
+| ours, exponential κ               | float64 |  19.4 |   19.4 |         0.12 |        0.101 |      4.71 |       1.0 |
+| ours, exponential κ, wide vectors | float64 |  34.4 |   34.3 |        0.212 |        0.179 |      2.66 |       1.0 |
+| diffrax Tsit5, vmapped            | float64 |  6.04 |   6.02 |       0.0372 |       0.0314 |      15.2 |       1.1 |
+| diffrax Dopri8, vmapped           | float64 |  1.74 |   1.73 |       0.0107 |      0.00904 |      52.6 |       0.9 |
+| C++ symplectic, newton form       | float32 |   332 |    332 |            1 |        0.733 |     0.526 |       0.0 |
+| C++ symplectic, scalar form       | float32 |   453 |    450 |         1.36 |            1 |     0.386 |       0.0 |
+| ours, symplectic κ                | float32 |   175 |    173 |        0.526 |        0.386 |         1 |       0.3 |
+| ours, symplectic κ, wide vectors  | float32 |   254 |    251 |        0.764 |        0.561 |     0.688 |       0.5 |
+| ours, cayley κ                    | float32 |  71.3 |   71.1 |        0.215 |        0.157 |      2.45 |       0.7 |
+| ours, cayley κ, wide vectors      | float32 |   105 |    104 |        0.317 |        0.233 |      1.66 |       0.9 |
+| ours, exponential κ               | float32 |  38.4 |   38.1 |        0.116 |       0.0847 |      4.55 |       0.9 |
+| ours, exponential κ, wide vectors | float32 |  66.7 |   66.4 |        0.201 |        0.147 |      2.62 |       1.1 |
+| diffrax Tsit5, vmapped            | float32 |    11 |   10.9 |       0.0331 |       0.0243 |      15.9 |       0.9 |
+| diffrax Dopri8, vmapped           | float32 |  3.35 |   3.32 |       0.0101 |      0.00739 |      52.2 |       0.9 |
+| MuJoCo RK4, rollout               | float64 | 0.283 |  0.282 |      0.00174 |      0.00147 |       323 |       0.0 |
+| scipy DOP853, rtol 1e-10          | float64 |  0.25 |  0.249 |      0.00154 |       0.0013 |       366 |       0.0 |
 
-| ours: symplectic κ, float64, one core                | measured |     bar |        |
-| ---------------------------------------------------- | -------: | ------: | -----: |
-| rate ÷ C++ newton form, default flags                |    0.541 |   ≥ 0.3 |   held |
-| rate ÷ C++ newton form, wide vectors                 |    0.794 |  ≥ 0.45 |   held |
-| rate ÷ C++ scalar form, default flags                |    0.484 |   ≥ 0.3 |   held |
-| rate ÷ C++ scalar form, wide vectors                 |     0.71 |  ≥ 0.45 |   held |
-| rate ÷ diffrax Tsit5 vmapped, default flags          |     13.7 |    ≥ 15 | MISSED |
-| rate ÷ diffrax Tsit5 vmapped, ours with wide vectors |       20 |    ≥ 15 |   held |
-| energy drift over 100000 steps                       |  2.1e-14 | ≤ 5e-13 |   held |
-| momentum drift over 100000 steps                     |        0 |     ≤ 0 |   held |
+| ours: symplectic κ, float64, one core                | measured |     bar |      |
+| ---------------------------------------------------- | -------: | ------: | ---: |
+| rate ÷ C++ newton form, default flags                |    0.564 |   ≥ 0.3 | held |
+| rate ÷ C++ newton form, wide vectors                 |    0.824 |  ≥ 0.45 | held |
+| rate ÷ C++ scalar form, default flags                |    0.475 |   ≥ 0.3 | held |
+| rate ÷ C++ scalar form, wide vectors                 |    0.695 |  ≥ 0.45 | held |
+| rate ÷ diffrax Tsit5 vmapped, default flags          |     15.2 |    ≥ 15 | held |
+| rate ÷ diffrax Tsit5 vmapped, ours with wide vectors |     22.2 |    ≥ 15 | held |
+| energy drift over 100000 steps                       |  2.1e-14 | ≤ 5e-13 | held |
+| momentum drift over 100000 steps                     |        0 |     ≤ 0 | held |
 """
 
 from __future__ import annotations

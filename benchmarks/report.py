@@ -82,7 +82,7 @@ def _quality(records: Sequence[dict[str, Any]]) -> str:
 
 
 def _agreement(result: dict[str, Any]) -> str:
-    reference = "`diagnostics.flow` and the reference, scipy DOP853 at rtol 1e-13, at t = 10"
+    reference = "scipy DOP853 at rtol 1e-13 and the reference, `diagnostics.flow`, at t = 10"
     lines = [f"- {reference}: {result['reference_doubt']:.1e} rad"]
     for r in result["agreement"]:
         lines.append(f"- {r['a']} and {r['b']}, {r['dtype']}, after {r['steps']} steps: {r['apart']:.1e}")

@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from tqdm import tqdm
 
 from lieint_jax.integrate import saves
 from lieint_jax.types import State, Step, StepInfo, Trajectory
@@ -48,6 +47,8 @@ def run(
     Warns:
         RuntimeWarning: members that stopped converging later, with the step where each first did.
     """
+    from tqdm import tqdm  # where it is used: the package imports in a moment
+
     interval = save_every or max(num_steps, 1)
     num_saves = saves(num_steps, interval)
     members = _check(step, states)

@@ -77,8 +77,9 @@ def figure_2(out: Path) -> str:
             ax.bar(np.arange(4) + 0.27 * (k - 1), values[k::3], 0.25, color=colour, label=kappa.name)
         ax.set_xticks(range(4), [f"{body}\nΔt={dt}" for body, dt in groups])
         ax.set_yscale("log")
+        ax.set_ylim(1e-17, 100 * max(values))
         ax.set_ylabel(label)
-    axes[0, 0].legend(frameon=False, fontsize="small")
+        ax.legend(frameon=False, fontsize="small", ncols=3, loc="upper center")
     fig.savefig(out / "figure-2.png", dpi=150)
     rows = [
         f"  {run.dt:<6} {run.body}  {run.kappa:<12} {run.poisson.max():>10.3g} {np.ptp(run.energy):>12.2g}"

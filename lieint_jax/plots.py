@@ -42,25 +42,39 @@ def log_error(ax: Axes, t: np.ndarray, curves: Mapping[str, np.ndarray], ylabel:
     return ax
 
 
-def sphere_path(ax: Any, path: np.ndarray, pole: np.ndarray | None = None) -> Any:
-    """A path of unit vectors (n, 3) on the sphere, far side paler, and the direction `pole` that it turns about."""
+def sphere_path(ax: Any, path: np.ndarray, pole: np.ndarray | None = None, eye: np.ndarray | None = None) -> Any:
+    """A path of unit vectors (n, 3) on the sphere, its far side paler, and the axis `pole` that it turns about.
+
+    It is seen from the direction `eye`, by default from aside its middle.
+    """
     u, v = np.mgrid[0 : 2 * np.pi : 37j, 0 : np.pi : 19j]
     ax.plot_wireframe(np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v), color=GREY, lw=0.3, alpha=0.6)
-    middle = path.mean(axis=0) if pole is None else pole
-    middle = middle / max(float(np.linalg.norm(middle)), 1e-9)
-    elevation, azimuth = np.rad2deg(np.arcsin(middle[2])), np.rad2deg(np.arctan2(middle[1], middle[0]))
-    ax.view_init(elev=elevation + 28, azim=azimuth + 25)
-    a, e = np.deg2rad(ax.azim), np.deg2rad(ax.elev)
-    far = path @ [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)] < 0
-    for hidden, alpha in ((far, 0.25), (~far, 0.9)):
-        ax.plot(*np.where(hidden[:, None], path, np.nan).T, color=BLUE, lw=0.6, alpha=alpha)
+    x, y, z = path.mean(axis=0) if eye is None else eye
+    aside = 25 if eye is None else 0
+    ax.view_init(elev=np.rad2deg(np.arctan2(z, np.hypot(x, y))) + aside, azim=np.rad2deg(np.arctan2(y, x)) + aside)
+    hidden = path @ _sight(ax) < 0
+    for side, alpha in ((hidden, 0.25), (~hidden, 0.9)):
+        ax.plot(*np.where(side[:, None], path, np.nan).T, color=BLUE, lw=0.7, alpha=alpha)
     if pole is not None:
         end = 1.3 * np.asarray(pole)
-        ax.plot(*np.stack([0 * end, end]).T, color=RED, lw=1.5)
+        ax.plot(*np.stack([0 * end, end]).T, color=RED, lw=1.5, label="angular momentum")
     ax.set_aspect("equal")
     ax.set_box_aspect((1, 1, 1), zoom=1.5)
     ax.set_axis_off()
     return ax
+
+
+def sphere_points(ax: Any, points: np.ndarray, label: str, **style: Any) -> Any:
+    """Unit vectors (n, 3) as dots on the sphere of `sphere_path`, those on the far side left out."""
+    seen = points[points @ _sight(ax) >= 0]
+    ax.scatter(*(1.01 * seen.T), label=label, depthshade=False, **style)
+    return ax
+
+
+def _sight(ax: Any) -> np.ndarray:
+    """The unit vector towards the eye."""
+    a, e = np.deg2rad(ax.azim), np.deg2rad(ax.elev)
+    return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
 
 
 def loglog_lines(ax: Axes, curves: Mapping[str, tuple[np.ndarray, np.ndarray]], xlabel: str, ylabel: str) -> Axes:

@@ -14,7 +14,7 @@ from lieint_jax.diagnostics import certify, energy_error, poisson_error
 from lieint_jax.groups import so3
 from lieint_jax.integrate import integrate
 from lieint_jax.scenarios import Row, Scenario, Sighting
-from lieint_jax.types import State, Step
+from lieint_jax.types import State, Step, Trajectory
 
 _LONGEST, _POINTS = 200_000, 4_000  # steps of the nominal member that are drawn, and points of a curve
 
@@ -27,15 +27,15 @@ def run(name: str, out: Path | None, members: int | None = None, steps: int | No
     print(_headline(scenario, step))
     run = ensemble.run(step, states, scenario.dt, scenario.steps, scenario.save_every)
     store.save(out, run, {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__})
-    start = State(states.q[0], states.p[0])
     pictures = [out.with_name(f"{out.stem}-{kind}.png") for kind in ("path", "invariants")]
-    _draw(scenario, step, start, pictures)
+    _draw_path(scenario, step, run, pictures[0])
+    _draw_invariants(scenario, step, run, pictures[1])
     body = step.system
     print(_table(scenario, scenarios.quantities(scenario, body, run)))
     for sighting in scenarios.sightings(scenario, body, run):
         print(_sighting(scenario, sighting))
     print("\nCertificate of the nominal member:")
-    print(certify(step, start, scenario.dt, min(scenario.steps, 10_000)))
+    print(certify(step, _nominal(run), scenario.dt, min(scenario.steps, 10_000)))
     well = int(np.asarray(run.info.converged).all(axis=0).sum())
     print(f"  {well} of {scenario.members} members converged at every step")
     print(f"\nwritten: {out} (t, q, p, residual, converged, metadata), {pictures[0]}, {pictures[1]}")
@@ -118,32 +118,53 @@ def _sighting(scenario: Scenario, sighting: Sighting) -> str:
     return "\n".join(lines)
 
 
-def _draw(scenario: Scenario, step: Step, start: State, paths: list[Path]) -> None:
-    """The nominal member: its z axis in space, its angular momentum in the body, energy and Poisson error."""
+def _draw_path(scenario: Scenario, step: Step, run: Trajectory, path: Path) -> None:
+    """The long view: the body's z axis in space, where the members have it at an observation; the polhode."""
+    seen = [s for s in scenario.observation if 0 <= scenarios.save_index(scenario, s) < len(run.t)][:1]
+    last = scenarios.save_index(scenario, seen[0]) if seen else len(run.t) - 1
+    every = -(-min(last * scenario.save_every, _LONGEST) // _POINTS) or 1
+    nominal = jax.jit(integrate, static_argnames=("num_steps", "save_every"))(
+        step, _nominal(run), scenario.dt, max(last * scenario.save_every // every, 1) * every, every
+    )
+    size = np.linalg.norm(run.state.p[0, 0])
+    fig, axes = plots.figure(2, subplot_kw={"projection": "3d"})
+    left, right = axes[0]
+    axis, members = _z_axis(nominal.state.q), _z_axis(jnp.asarray(run.state.q[last]))
+    pole = np.asarray(run.state.p[0, 0]) / size
+    plots.sphere_path(left, axis, pole, eye=axis.mean(axis=0) + members.mean(axis=0))
+    plots.sphere_points(left, members, "members", color=plots.INK, s=2, alpha=0.5)
+    if seen:
+        plots.sphere_points(left, _z_axis(seen[0].attitude()[None]), seen[0].label, color=plots.RED, marker="x", s=60)
+    left.legend(frameon=False, fontsize="x-small", loc="lower left")
+    left.set_title(f"body axis z in space to t = {nominal.t[-1]:.4g} {scenario.time_unit}", fontsize="small")
+    plots.sphere_path(right, np.asarray(jax.vmap(step.system.body_momentum)(nominal.state)) / size)
+    right.set_title("angular momentum in the body", fontsize="small")
+    fig.suptitle(scenario.title, fontsize="medium")
+    fig.savefig(path, dpi=160)
+
+
+def _draw_invariants(scenario: Scenario, step: Step, run: Trajectory, path: Path) -> None:
+    """Energy and Poisson error of the nominal member against time."""
     every = -(-min(scenario.steps, _LONGEST) // _POINTS)
     n = min(scenario.steps, _LONGEST) // every * every
 
     @jax.jit
-    def nominal(z: State) -> tuple[Array, Array, Array, Array, Array]:
-        run = integrate(step, z, scenario.dt, n, every)
-        energy = energy_error(step.system, run) / step.system.energy(z)
+    def nominal(z: State) -> tuple[Array, Array, Array]:
+        series = integrate(step, z, scenario.dt, n, every)
+        energy = energy_error(step.system, series) / step.system.energy(z)
         sigma = jax.vmap(so3.vee)(poisson_error(step, z, scenario.dt, n)[::every])
-        axis = jax.vmap(so3.Ad, in_axes=(0, None))(run.state.q, jnp.array([0.0, 0.0, 1.0]))
-        return run.t, axis, jax.vmap(step.system.body_momentum)(run.state), energy, jnp.linalg.norm(sigma, axis=1)
+        return series.t, energy, jnp.linalg.norm(sigma, axis=1)
 
-    t, axis, Pi, energy, sigma = (np.asarray(x) for x in nominal(start))
-    size = np.linalg.norm(start.p)
-    fig, axes = plots.figure(2, subplot_kw={"projection": "3d"})
-    for ax, path, pole, title in (
-        (axes[0, 0], axis, np.asarray(start.p) / size, "body axis z in space, angular momentum in red"),
-        (axes[0, 1], Pi / size, None, "angular momentum in the body"),
-    ):
-        plots.sphere_path(ax, path, pole)
-        ax.set_title(title, fontsize="small")
-    fig.suptitle(f"{scenario.title}: {t[-1]:.4g} {scenario.time_unit}", fontsize="medium")
-    fig.savefig(paths[0], dpi=160)
-
+    t, energy, sigma = (np.asarray(x) for x in nominal(_nominal(run)))
     fig, axes = plots.figure(2)
     plots.series(axes[0, 0], t, {"": energy}, "relative energy error", scenario.time_unit)
     plots.log_error(axes[0, 1], t, {"": sigma}, "Poisson error |σ|", scenario.time_unit)
-    fig.savefig(paths[1], dpi=160)
+    fig.savefig(path, dpi=160)
+
+
+def _nominal(run: Trajectory) -> State:
+    return State(jnp.asarray(run.state.q[0, 0]), jnp.asarray(run.state.p[0, 0]))
+
+
+def _z_axis(q: Array) -> np.ndarray:
+    return np.asarray(jax.vmap(so3.Ad, in_axes=(0, None))(q, jnp.array([0.0, 0.0, 1.0])))

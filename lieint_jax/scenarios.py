@@ -227,6 +227,11 @@ def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarr
     return np.array(precession), np.array(rotation)
 
 
+def save_index(scenario: Scenario, seen: Observation) -> int:
+    """Which saved state an observation falls on."""
+    return round(seen.t / (scenario.dt * scenario.save_every))
+
+
 class Sighting(NamedTuple):
     """An observation beside the prediction for it; angles in degrees."""
 
@@ -246,7 +251,7 @@ def sightings(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Sigh
     """
     found = []
     for seen in scenario.observation:
-        k = round(seen.t / (scenario.dt * scenario.save_every))
+        k = save_index(scenario, seen)
         if not 0 <= k < len(run.t):
             continue
         now = State(jnp.asarray(run.state.q[k, 0]), jnp.asarray(run.state.p[k, 0]))

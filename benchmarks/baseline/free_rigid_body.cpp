@@ -3,7 +3,7 @@
 //   a = ½Δt Π_n / tr J,   Π_n = Λ_nᵀπ;   J/tr J → J
 //   newton   J h + h × J h = a (1 + |h|²)                          three Newton steps on the vector h
 //   scalar   h = (J − m − â)⁻¹ a,   m = a·h                        three Halley steps on the quartic for m
-//   q ← q + q (c − 1 − ½(|q|² − 1), c h),   c = 1/√(1 + |h|²)      an increment, norm defect folded in
+//   q ← q + q (c − 1 − d, (c − d) h),   c = 1/√(1 + |h|²), d = ½c(|q|² − 1)    an increment, norm defect folded in
 //
 // Per body it keeps the largest |residual| and whether every step converged: |residual| ≤ 32 eps max|a| and |h| ≤ 1.
 
@@ -130,8 +130,9 @@ void advance(T* q, const T* p, T* worst, typename Solve::Flag* converged, std::i
       all[i] &= (residual <= tolerance * max_abs(a)) & (hh <= 1);
 
       const T root = std::sqrt(1 + hh), inverse = 1 / (root * (1 + root));
-      const T k = (1 - w * w - dot(v, v)) / 2 - hh * inverse;
-      const Vec<T> ch = (inverse * (1 + root)) * h;
+      const T c = inverse * (1 + root), d = c * (w * w + dot(v, v) - 1) / 2;
+      const T k = -hh * inverse - d;
+      const Vec<T> ch = (c - d) * h;
       const Vec<T> dv = w * ch + k * v + cross(v, ch);
       qw[i] = w + (w * k - dot(v, ch));
       qx[i] = v.x + dv.x;
