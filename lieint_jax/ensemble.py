@@ -98,8 +98,7 @@ def _compile(step_axis: int | None) -> Any:
             states, (info, failed) = carry
             states, new = jax.vmap(lambda s, z: s(z, dt), in_axes=(step_axis, 0))(step, states)
             failed = jnp.where((failed < 0) & ~new.converged, done + i, failed)
-            info = StepInfo(jnp.maximum(info.residual, new.residual), info.converged & new.converged)
-            return states, Progress(info, failed)
+            return states, Progress(info.worse(new), failed)
 
         return lax.fori_loop(0, count, one, (states, progress))
 

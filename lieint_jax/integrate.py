@@ -34,13 +34,12 @@ def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_ever
     step = step.prepare(state, dt)
     dtype = jnp.result_type(*state)
     dt = jnp.asarray(dt, dtype)
-    started = StepInfo(jnp.zeros((), dtype), jnp.ones((), bool))
+    started = StepInfo.fresh(state.p)
 
     def one(carry: tuple[State, StepInfo], _: None) -> tuple[tuple[State, StepInfo], None]:
         state, so_far = carry
         state, info = step(state, dt)
-        worst = StepInfo(jnp.maximum(so_far.residual, info.residual), so_far.converged & info.converged)
-        return (state, worst), None
+        return (state, so_far.worse(info)), None
 
     def interval(state: State, _: None) -> tuple[State, tuple[State, StepInfo]]:
         (state, info), _ = lax.scan(one, (state, started), None, length=save_every)

@@ -60,12 +60,14 @@ class Kappa:
         limit: the largest |Θ̄| where κ is real and finite.
         solve_by: "vector", Newton for the three components of Θ̄; or "scalar", Newton for the one unknown that is
             left when κ is the symplectic one (see `schemes.so3_midpoint`).
+        symplectic: whether it satisfies (3.15).
     """
 
     function: Callable[[Array], Array]
     name: str = static(default="user")
     limit: float = static(default=math.inf)
     solve_by: Literal["vector", "scalar"] = static(default="vector")
+    symplectic: bool = static(default=False)
 
     def __call__(self, x: Array) -> Array:
         return self.function(x)
@@ -113,7 +115,7 @@ def _exponential(x: Array) -> Array:
 
 kappa_cayley = Kappa(_as_pytree(jnp.ones_like), name="cayley")
 kappa_exponential = Kappa(_as_pytree(_exponential), name="exponential", limit=math.pi)
-kappa_symplectic = Kappa(_as_pytree(_symplectic), name="symplectic", limit=1.0, solve_by="scalar")
+kappa_symplectic = Kappa(_as_pytree(_symplectic), name="symplectic", limit=1.0, solve_by="scalar", symplectic=True)
 
 
 def examples() -> dict[str, Map]:

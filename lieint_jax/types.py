@@ -12,6 +12,7 @@ import dataclasses
 from typing import Any, NamedTuple, Protocol, Self, TypeVar, dataclass_transform
 
 import jax
+import jax.numpy as jnp
 from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike
@@ -53,6 +54,15 @@ class StepInfo(NamedTuple):
 
     residual: Array
     converged: Array
+
+    def worse(self, other: StepInfo) -> StepInfo:
+        """The report of two steps together."""
+        return StepInfo(jnp.maximum(self.residual, other.residual), self.converged & other.converged)
+
+    @classmethod
+    def fresh(cls, like: Array) -> StepInfo:
+        """The report of no step yet, a scalar of the dtype of `like`."""
+        return cls(jnp.zeros((), like.dtype), jnp.ones((), bool))
 
 
 class Trajectory(NamedTuple):
@@ -135,6 +145,11 @@ class Step(abc.ABC):
 
     @abc.abstractmethod
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]: ...
+
+    @property
+    def commuting(self) -> bool:
+        """Whether steps of different sizes commute: then compositions need fewer stages (`schemes.compose`)."""
+        return False
 
     def prepare(self, state: State, dt: ArrayLike) -> Self:
         """Solve once what is constant along the trajectory of `state`; here nothing."""

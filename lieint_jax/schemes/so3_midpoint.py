@@ -58,6 +58,10 @@ class SO3Midpoint(Step):
     symmetric: bool = static(default=True)
 
     @property
+    def commuting(self) -> bool:
+        return self.kappa.symplectic
+
+    @property
     def name(self) -> str:
         return f"so3_midpoint[{self.kappa.name}]"
 
