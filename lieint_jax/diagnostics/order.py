@@ -46,33 +46,43 @@ def _gauss(stages: int) -> tuple[np.ndarray, np.ndarray]:
     return integrals @ ((2 * np.arange(stages) + 1)[:, None] / 2 * w * P[:, :-1].T), w / 2
 
 
-def order(step: Step, state: State, dt: float, num_steps: int = 8, levels: int = 3) -> float:
-    """The order of accuracy, fitted to the errors at time T = num_steps·dt of runs with dt, dt/2, …
+def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
+    """The order of accuracy, fitted to the errors at time T = num_steps·dt of runs of different step sizes.
+
+    The sizes are dt, dt/2, dt/4; where they are too fine to see an error above round-off, 2dt, 4dt, … up to T as well.
 
     Args:
         step: a scheme's step.
         state: the initial state; one whose motion is not an equilibrium.
-        dt: the largest step.
+        dt: a step size within the scheme's limit.
         num_steps: steps of that size.
-        levels: how many step sizes.
 
     Returns:
-        The slope of log error against log dt over the errors above the floor of round-off; inf if fewer than two are
-        above it, that is, if the scheme is exact as far as can be seen.
+        The slope of log error against log step size, over the converged runs with errors above the floor of round-off;
+        inf if fewer than two are above it: the scheme is exact as far as can be seen.
     """
-    end = flow(step.system, state, num_steps * dt, 2 * num_steps)
-    dts = dt / 2.0 ** np.arange(levels)
-    errors = []
-    for k, h in enumerate(dts):
-        n = num_steps * 2**k
-        last = jax.tree.map(lambda leaf: leaf[-1], integrate(step, state, float(h), n, n).state)
-        errors.append(float(distance(last, end)))
-    errors = np.array(errors)
+    T = num_steps * dt
+    end = flow(step.system, state, T, 2 * num_steps)
     scale = max(float(jnp.max(jnp.abs(leaf))) for leaf in end)
-    above = errors > 100 * np.sqrt(num_steps) * jnp.finfo(end.p.dtype).eps * scale
-    if above.sum() < 2:
+    floor = 100 * np.sqrt(num_steps) * float(jnp.finfo(end.p.dtype).eps) * scale
+    seen: dict[float, float] = {}
+
+    def look(n: int) -> None:
+        run = integrate(step, state, T / n, n, n)
+        error = float(distance(State(run.state.q[-1], run.state.p[-1]), end))
+        if error > floor and bool(run.info.converged[-1]):
+            seen[T / n] = error
+
+    for n in (num_steps, 2 * num_steps, 4 * num_steps):
+        look(n)
+    while len(seen) < 2 and n > 1:
+        n = min(n, num_steps) // 2
+        if not step(state, T / n)[1].converged:
+            break
+        look(n)
+    if len(seen) < 2:
         return float("inf")
-    return float(np.polyfit(np.log(dts[above]), np.log(errors[above]), 1)[0])
+    return float(np.polyfit(np.log(list(seen)), np.log(list(seen.values())), 1)[0])
 
 
 def distance(a: State, b: State) -> Array:

@@ -116,7 +116,7 @@ def so3_midpoint(
 
     Source: Lewis & Simo 1994, Results 1–5; scalar form and quaternion increments: this package.
     """
-    if not _is_free_body(system):
+    if not is_free_body(system):
         raise ValueError(f"so3_midpoint integrates free rigid bodies (systems.rigid_body), got {type(system).__name__}")
     kappa = as_kappa(kappa)
     if iterations is None:
@@ -128,13 +128,14 @@ def so3_midpoint(
 
 def examples(system: Any) -> dict[str, Step]:
     """The paper's three κ's, for free rigid bodies."""
-    if not _is_free_body(system):
+    if not is_free_body(system):
         return {}
     kappas = (kappa_cayley, kappa_exponential, kappa_symplectic)
     return {step.name: step for step in (so3_midpoint(system, kappa) for kappa in kappas)}
 
 
-def _is_free_body(system: Any) -> bool:
+def is_free_body(system: Any) -> bool:
+    """Whether `system` has an inertia and no potential."""
     return hasattr(system, "inertia") and getattr(system, "potential", None) is None
 
 
