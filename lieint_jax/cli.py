@@ -28,6 +28,9 @@ def main(arguments: list[str] | None = None) -> int:
     except ValueError as error:
         print(f"lieint: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:  # `lieint … | head`: whoever read has read enough
+        sys.stderr.close()
+        return 1
     except KeyboardInterrupt:
         print("lieint: interrupted; nothing was written", file=sys.stderr)
         return 130
