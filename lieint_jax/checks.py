@@ -15,20 +15,37 @@ from lieint_jax.types import concrete
 UNIT_TOLERANCE = 1e-6
 
 
-def real_array(name: str, value: Any, *shapes: Sequence[int]) -> Array:
-    """`value` as a floating-point array of one of `shapes`, finite where it is concrete."""
+def real_array(name: str, value: Any, *shapes: Sequence[int], finite: bool = True) -> Array:
+    """`value` as a floating-point array of one of `shapes` (of any, if none is given), finite where it is concrete."""
     try:
         array = jnp.asarray(value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name} must be an array of real numbers, got {value!r}") from error
     if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
         raise ValueError(f"{name} must hold real numbers, got dtype {array.dtype}")
     if shapes and array.shape not in [tuple(shape) for shape in shapes]:
         allowed = " or ".join(str(tuple(shape)) for shape in shapes)
         raise ValueError(f"{name} must have shape {allowed}, got {array.shape}; use jax.vmap for batches")
-    if concrete(array) and not np.all(np.isfinite(array)):
+    if finite and concrete(array) and not np.all(np.isfinite(array)):
         raise ValueError(f"{name} must be finite, got {np.asarray(array)}")
     return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(jnp.result_type(float))
+
+
+def step_size(dt: Any) -> Any:
+    """A real scalar: the same time for every component of a state."""
+    kind = jnp.result_type(dt) if isinstance(dt, int | float | np.generic | np.ndarray | Array) else None
+    if kind is None or not (jnp.issubdtype(kind, jnp.floating) or jnp.issubdtype(kind, jnp.integer)):
+        raise ValueError(f"dt must be a real number, got {dt!r}")
+    if jnp.ndim(dt):
+        raise ValueError(f"dt must be a scalar, got shape {jnp.shape(dt)}; use jax.vmap for a batch of step sizes")
+    return dt
+
+
+def count(name: str, value: Any, least: int) -> int:
+    """An integer ≥ `least`, as a Python int."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ValueError(f"{name} must be an integer ≥ {least}, got {value!r}")
+    return int(value)
 
 
 def inertia(value: Any) -> Array:

@@ -31,8 +31,11 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:  # `lieint … | head`: whoever read has read enough
         sys.stderr.close()
         return 1
+    except OSError as error:
+        print(f"lieint: {error}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
-        print("lieint: interrupted; nothing was written", file=sys.stderr)
+        print("lieint: interrupted", file=sys.stderr)
         return 130
     return 0
 
@@ -58,13 +61,20 @@ def _parser() -> argparse.ArgumentParser:
         "system", nargs="?", default="", metavar="SYSTEM", help="a system module or example (default: all)"
     )
     check.add_argument("--scheme", default="", metavar="NAME", help="only schemes whose name contains NAME")
-    check.add_argument("--steps", type=int, default=1000, metavar="N", help="length of each run (default 1000)")
+    check.add_argument("--steps", type=_positive, default=1000, metavar="N", help="length of each run (default 1000)")
     check.set_defaults(command=_check)
     figure = commands.add_parser("figure", help="recompute figures of the paper", description="Write figures as PNG.")
     figure.add_argument("numbers", nargs="+", type=int, metavar="N", help="numbers in the paper: 1, 2")
     figure.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
     figure.set_defaults(command=_figure)
     return parser
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value} is not a positive number")
+    return value
 
 
 def _run(options: argparse.Namespace) -> None:

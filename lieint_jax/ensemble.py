@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import warnings
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from lieint_jax.integrate import saves
+from lieint_jax import checks
+from lieint_jax.integrate import promoted, saves
 from lieint_jax.types import State, Step, StepInfo, Trajectory
 
 _NAMED = 5  # how many failed members a report names
@@ -36,7 +37,7 @@ def run(
         num_steps: a multiple of `save_every`.
         save_every: steps between saved states; None keeps the last only.
         step_axis: None or 0.
-        progress: show a progress bar on stderr.
+        progress: show a progress bar on stderr, if that is a terminal.
 
     Returns:
         A `Trajectory` of numpy arrays, axes (time, member, …), the initial states first.
@@ -49,12 +50,14 @@ def run(
     """
     from tqdm import tqdm  # where it is used: the package imports in a moment
 
-    interval = save_every or max(num_steps, 1)
+    num_steps = checks.count("num_steps", num_steps, 0)
+    interval = max(num_steps, 1) if save_every is None else checks.count("save_every", save_every, 1)
     num_saves = saves(num_steps, interval)
+    if step_axis not in (None, 0):
+        raise ValueError(f"step_axis must be None (one step for all) or 0 (one a member), got {step_axis!r}")
+    states, dtype = promoted(step, states)
     members = _check(step, states)
-    dtype = jnp.result_type(*states)
-    h = jnp.asarray(dt, dtype)
-    states = State(*(jnp.asarray(leaf, dtype) for leaf in states))
+    h = jnp.asarray(checks.step_size(dt), dtype)
     fresh = Progress(StepInfo(jnp.zeros(members, dtype), jnp.ones(members, bool)), jnp.full(members, -1, jnp.int32))
     advance = _compile(step_axis)
     _check_first(advance(step, states, fresh, h, 0, 1)[1], step, states, dt, step_axis)
@@ -62,7 +65,7 @@ def run(
     out = jax.tree.map(lambda leaf: np.empty((num_saves + 1, *leaf.shape), leaf.dtype), (states, fresh.info))
     jax.tree.map(partial(_put, 0), out, (states, fresh.info))
     progressed = fresh
-    with tqdm(total=num_steps, unit="step", disable=not progress, leave=False) as bar:
+    with tqdm(total=num_steps, unit="step", disable=None if progress else True, leave=False) as bar:
         for k in range(num_saves):
             progressed = progressed._replace(info=fresh.info)
             for done, count in _chunks(k * interval, interval, max(1, num_steps // 100)):
@@ -88,6 +91,7 @@ def compiler_options() -> dict[str, Any]:
     return {"xla_cpu_prefer_vector_width": 512} if on_x86 else {}
 
 
+@cache
 def _compile(step_axis: int | None) -> Any:
     """(step, states, progress, dt, done, count) ↦ the states and progress after `count` more steps."""
 

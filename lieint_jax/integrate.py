@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.typing import ArrayLike
 
+from lieint_jax import checks
 from lieint_jax.types import State, Step, StepInfo, Trajectory
 
 
@@ -29,11 +31,12 @@ def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_ever
         ValueError: a bad count, a concrete state that is not one of the system, or a concrete dt past the scheme's
             limit at the first step. Later failures, and all of them inside jit, show in `info.converged`.
     """
+    num_steps, save_every = checks.count("num_steps", num_steps, 0), checks.count("save_every", save_every, 1)
     num_saves = saves(num_steps, save_every)
+    state, dtype = promoted(step, state)
     step.check(state, dt)
     step = step.prepare(state, dt)
-    dtype = jnp.result_type(*state)
-    dt = jnp.asarray(dt, dtype)
+    dt = jnp.asarray(checks.step_size(dt), dtype)
     started = StepInfo.fresh(state.p)
 
     def one(carry: tuple[State, StepInfo], _: None) -> tuple[tuple[State, StepInfo], None]:
@@ -52,11 +55,19 @@ def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_ever
     return Trajectory(t, State(*joined[:2]), StepInfo(*joined[2:]))
 
 
+def promoted(step: Step, state: State) -> tuple[State, jnp.dtype]:
+    """The state in the floating-point type that it and the numbers of `step` have in common, and that type."""
+    if not isinstance(state, State):
+        raise ValueError(f"state must be a State(q, p), such as system.state(...) makes, got {type(state).__name__}")
+    named = zip(State._fields, state, strict=True)
+    leaves = [checks.real_array(f"state.{name}", leaf, finite=False) for name, leaf in named]
+    numbers = [leaf for leaf in jax.tree.leaves(step) if jnp.issubdtype(jnp.result_type(leaf), jnp.floating)]
+    dtype = jnp.result_type(*leaves, *numbers)
+    return State(*(leaf.astype(dtype) for leaf in leaves)), dtype
+
+
 def saves(num_steps: int, save_every: int) -> int:
-    """How many states a run of `num_steps` keeps after the initial one; ValueError if the counts do not fit."""
-    for name, value, least in (("num_steps", num_steps, 0), ("save_every", save_every, 1)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise ValueError(f"{name} must be an integer ≥ {least}, got {value!r}")
+    """How many states a run of `num_steps` keeps after the initial one; ValueError if it is no whole number."""
     if num_steps % save_every:
         below = num_steps - num_steps % save_every
         raise ValueError(

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax import small
-from lieint_jax.types import Group, pytree, static
+from lieint_jax.types import Group, concrete, pytree, static
 
 Map = Callable[[Group, Array], Array]
 
@@ -80,7 +80,12 @@ def as_kappa(kappa: Kappa | Callable[[Array], Array]) -> Kappa:
     if not callable(kappa):
         raise ValueError(f"kappa must be a callable of x = |Θ̄|², such as maps.kappa_symplectic, got {kappa!r}")
     name = getattr(kappa, "__name__", type(kappa).__name__)
-    return Kappa(_as_pytree(kappa), name=name)
+    made = Kappa(_as_pytree(kappa), name=name)
+    with jax.ensure_compile_time_eval():
+        at_zero = made(jnp.zeros(())) if concrete(made) else 1.0
+    if jnp.shape(at_zero) or (concrete(at_zero) and abs(at_zero - 1) > 1e-6):
+        raise ValueError(f"κ(0) must be the number 1 for the scheme to be consistent, got κ(0) = {at_zero} of {name}")
+    return made
 
 
 def _as_pytree(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -27,18 +27,20 @@ def run(name: str, out: Path | None, members: int | None = None, steps: int | No
     print(_headline(scenario, step))
     run = ensemble.run(step, states, scenario.dt, scenario.steps, scenario.save_every)
     store.save(out, run, {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__})
-    pictures = [out.with_name(f"{out.stem}-{kind}.png") for kind in ("path", "invariants")]
+    print(f"  results in {out}; drawing and certifying …", flush=True)
+    pictures = store.pictures(out)
     _draw_path(scenario, step, run, pictures[0])
     _draw_invariants(scenario, step, run, pictures[1])
     body = step.system
     print(_table(scenario, scenarios.quantities(scenario, body, run)))
     for sighting in scenarios.sightings(scenario, body, run):
         print(_sighting(scenario, sighting))
-    print("\nCertificate of the nominal member:")
-    print(certify(step, _nominal(run), scenario.dt, min(scenario.steps, 10_000)))
+    watched = min(scenario.steps, 10_000)
+    print(f"\nCertificate of the nominal member, first {watched} of {scenario.steps} steps:")
+    print(certify(step, _nominal(run), scenario.dt, watched))
     well = int(np.asarray(run.info.converged).all(axis=0).sum())
     print(f"  {well} of {scenario.members} members converged at every step")
-    print(f"\nwritten: {out} (t, q, p, residual, converged, metadata), {pictures[0]}, {pictures[1]}")
+    print(f"\nwritten: {out} (t, q, p, residual, converged, metadata; {_megabytes(out)}), {pictures[0]}, {pictures[1]}")
 
 
 def check(system: str, scheme: str, num_steps: int) -> None:
@@ -46,7 +48,7 @@ def check(system: str, scheme: str, num_steps: int) -> None:
     found = False
     for module_name, module in discover.modules(systems).items():
         for name, (body, state, dt) in module.examples().items():
-            if system not in ("", module_name, name):
+            if system not in ("", module_name, name, f"{module_name}.{name}"):
                 continue
             for scheme_module in discover.modules(schemes).values():
                 for step_name, step in scheme_module.examples(body).items():
@@ -58,10 +60,14 @@ def check(system: str, scheme: str, num_steps: int) -> None:
         raise ValueError(f"nothing to check for system {system!r} and scheme {scheme!r}; systems: {'; '.join(known)}")
 
 
+def _megabytes(path: Path) -> str:
+    return f"{path.stat().st_size / 1e6:.3g} MB"
+
+
 def _unused(path: Path) -> Path:
     """`path`, or the first of path-2, path-3, … that does not exist."""
     candidate, k = path, 1
-    while candidate.exists():
+    while any(file.exists() for file in (candidate, *store.pictures(candidate))):
         k += 1
         candidate = path.with_stem(f"{path.stem}-{k}")
     return candidate
@@ -92,7 +98,12 @@ def _table(scenario: Scenario, rows: list[Row]) -> str:
             published = (
                 f"{row.published.value:g}{error}  ({scenario.sources.get(row.published.source, row.published.source)})"
             )
-        lines.append(f"  {row.name:<34}{row.nominal:>10.4f}{row.spread:>12.4f}   {published}")
+        nominal, spread = (f"{x:.4f}" if np.isfinite(x) else "—" for x in (row.nominal, row.spread))
+        lines.append(f"  {row.name:<34}{nominal:>10}{spread:>12}   {published}")
+    if any(np.isnan(row.nominal) for row in rows):
+        lines.append(
+            "  — no period: the body spins about an axis, or states are saved too far apart (lower save_every)"
+        )
     return "\n".join(lines)
 
 
@@ -113,7 +124,8 @@ def _sighting(scenario: Scenario, sighting: Sighting) -> str:
         lines += [f"    body rate (°/{scenario.time_unit})      predicted {predicted}   observed {observed}"]
     lines += [
         f"    attitude predicted and observed: {sighting.apart_deg:.2f}° apart; members about the nominal one: "
-        f"{sighting.spread_deg:.2f}° rms; the integrator's own error: {sighting.integrator_error_deg:.2g}°"
+        f"{sighting.spread_deg:.2f}° rms; the integrator's own error: {sighting.integrator_error_deg:.2g}°",
+        "    (torque-free: what remains is the error of the initial state, of the observation, and torques left out)",
     ]
     return "\n".join(lines)
 

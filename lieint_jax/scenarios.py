@@ -14,9 +14,9 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from lieint_jax import diagnostics, maps, schemes, systems
+from lieint_jax import checks, diagnostics, maps, schemes, systems
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, Trajectory
@@ -24,11 +24,12 @@ from lieint_jax.types import State, Step, Trajectory
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 Quadruple = Annotated[list[float], Field(min_length=4, max_length=4)]
 NonNegative = Annotated[float, Field(ge=0)]
-Positive = Annotated[int, Field(gt=0)]
+Positive = Annotated[int, Field(gt=0, le=10**12)]
+Text = Annotated[str, Field(pattern=r"^[^$]*$")]  # no mathematics: it goes into pictures
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=False, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class InitialState(_Table):
@@ -45,6 +46,8 @@ class InitialState(_Table):
             raise ValueError("give quaternion or euler_313_deg, not both")
         if (self.angular_velocity is None) == (self.angular_velocity_deg is None):
             raise ValueError("give exactly one of angular_velocity (radians) and angular_velocity_deg")
+        if self.quaternion is not None:
+            checks.unit_quaternion("quaternion", self.quaternion)
         return self
 
     def attitude(self) -> Any:
@@ -72,7 +75,7 @@ class Published(_Table):
 
 
 class Observation(InitialState):
-    label: str
+    label: Text
     t: float
     source: str
 
@@ -80,17 +83,17 @@ class Observation(InitialState):
 class Scenario(_Table):
     """The keys of a scenario file."""
 
-    title: str
-    time_unit: str = "time unit"
+    title: Text
+    time_unit: Text = "time unit"
     system: Literal["rigid_body"]
-    inertia: Triple | Annotated[list[Triple], Field(min_length=3, max_length=3)]
+    inertia: list[Any]
     scheme: Literal["so3_midpoint"] = "so3_midpoint"
     kappa: Literal["symplectic", "cayley", "exponential"] = "symplectic"
     dt: float
     steps: Positive
     save_every: Positive = 1
-    members: Positive = 1
-    seed: Annotated[int, Field(ge=0)] = 0
+    members: Annotated[int, Field(gt=0, le=10**9)] = 1
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     state: InitialState
     spread: Spread = Spread()
     published: dict[
@@ -98,6 +101,12 @@ class Scenario(_Table):
     ] = {}
     observation: list[Observation] = []
     sources: dict[str, str] = {}
+
+    @field_validator("inertia")
+    @classmethod
+    def _a_body(cls, value: list[Any]) -> list[Any]:
+        checks.inertia(value)
+        return value
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -128,7 +137,10 @@ def load(name: str, **changes: Any) -> Scenario:
     if name in scenario_names():
         text = resources.files("lieint_jax.data").joinpath(f"{name}.toml").read_text(encoding="utf-8")
     elif path.is_file():
-        text = path.read_text(encoding="utf-8")
+        try:
+            text = path.read_bytes().decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise ValueError(f"{name} is not UTF-8 text: {error}") from error
     else:
         raise ValueError(f"no scenario {name!r}: give a .toml file or one of {', '.join(scenario_names())}")
     try:
@@ -139,7 +151,7 @@ def load(name: str, **changes: Any) -> Scenario:
         return Scenario.model_validate(table | {key: value for key, value in changes.items() if value is not None})
     except ValidationError as error:
         problem, *others = error.errors()
-        key = ".".join(map(str, problem["loc"])) or "the file"
+        key = "".join(f"{part}." for part in problem["loc"] if part != "[key]").removesuffix(".")
         given = (
             ""
             if problem["type"] in ("missing", "extra_forbidden") or not problem["loc"]
@@ -147,7 +159,8 @@ def load(name: str, **changes: Any) -> Scenario:
         )
         message = {"extra_forbidden": "unknown key", "missing": "key missing"}.get(problem["type"], problem["msg"])
         more = f"; and {len(others)} more" if others else ""
-        raise ValueError(f"{name}: {key}: {message.removeprefix('Value error, ')}{given}{more}") from error
+        where = f"{name}: {key}: " if key else f"{name}: "
+        raise ValueError(f"{where}{message.removeprefix('Value error, ')}{given}{more}") from error
 
 
 def build(scenario: Scenario) -> tuple[Step, State]:
@@ -190,9 +203,15 @@ def quantities(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Row
         "momentum_latitude_deg": ("angular momentum latitude (°)", latitude),
     }
     return [
-        Row(name, float(x[0]), float(np.std(x, ddof=1)) if len(x) > 1 else 0.0, scenario.published.get(key))  # pyright: ignore[reportArgumentType]
+        Row(name, float(x[0]), _spread(x, key.endswith("_deg")), scenario.published.get(key))  # pyright: ignore[reportArgumentType]
         for key, (name, x) in table.items()
     ]
+
+
+def _spread(x: np.ndarray, angle: bool) -> float:
+    """The standard deviation of the members; of angles in degrees, about the nominal one and round the circle."""
+    deviation = (x - x[0] + 180) % 360 - 180 if angle else x
+    return float(np.std(deviation, ddof=1)) if len(x) > 1 else 0.0
 
 
 def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:

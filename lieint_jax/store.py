@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +13,23 @@ from lieint_jax.types import State, StepInfo, Trajectory
 
 
 def free(path: Path) -> Path:
-    """`path`, which must end in .npz and not exist yet."""
+    """`path`, which must end in .npz; neither it nor its pictures may exist, and its folder must be writable."""
     if path.suffix != ".npz":
         raise ValueError(f"results are written as .npz, got {path}")
-    if path.exists():
-        raise ValueError(f"{path} exists and is not overwritten; move it away or choose another --out")
+    for file in (path, *pictures(path)):
+        if file.exists():
+            raise ValueError(f"{file} exists and is not overwritten; move it away or choose another --out")
     if not path.parent.is_dir():
         raise ValueError(f"the folder {path.parent} does not exist; make it first")
+    if not os.access(path.parent, os.W_OK):
+        raise ValueError(f"the folder {path.parent} cannot be written to; choose another --out")
     return path
+
+
+def pictures(path: Path) -> tuple[Path, Path]:
+    """Where the pictures beside results at `path` go."""
+    path_of_axis, invariants = (path.with_name(f"{path.stem}-{kind}.png") for kind in ("path", "invariants"))
+    return path_of_axis, invariants
 
 
 def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:

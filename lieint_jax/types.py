@@ -160,7 +160,7 @@ class Step(abc.ABC):
         return f"the step did not converge at dt = {dt}: take a smaller dt"
 
     def check(self, state: State, dt: ArrayLike) -> None:
-        """Raise ValueError if a concrete `state` or `dt` is out of range; tracers pass."""
+        """Raise ValueError if a concrete `state` or `dt` is out of range at this step; tracers pass."""
         if not concrete(self, state, dt):
             return
         with jax.ensure_compile_time_eval():  # constants are concrete inside jit too

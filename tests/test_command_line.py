@@ -156,8 +156,8 @@ BAD = [
     (dict(seed="sed = 1"), "sed: unknown key"),
     (dict(system='system = "heavy"'), "system: .*'rigid_body'.*got 'heavy'"),
     (dict(scheme='scheme = "rk4"'), "scheme: .*so3_midpoint"),
-    (dict(inertia="inertia = [1.0, 2.0]"), "inertia.*at least 3"),
-    (dict(inertia="inertia = [1.0, 2.0, -3.0]"), "inertia must be positive definite"),
+    (dict(inertia="inertia = [1.0, 2.0]"), "inertia: inertia must have shape"),
+    (dict(inertia="inertia = [1.0, 2.0, -3.0]"), "inertia: inertia must be positive definite"),
     (dict(angular_velocity=""), "state: give exactly one of angular_velocity"),
     (
         dict(angular_velocity_deg="angular_velocity_deg = -1.0"),
@@ -165,6 +165,14 @@ BAD = [
     ),
     (dict(dt="dt = 3.0"), "first step fails for 4 member"),
     (dict(title="title = "), "not valid TOML"),
+    (
+        dict(angular_velocity="angular_velocity = [1.0, 0.0, 0.0]\nquaternion = [2.0, 0, 0, 0]"),
+        "state: .*unit quaternion",
+    ),
+    (dict(dt='dt = "0.1"'), "dt: .*'0.1'"),
+    (dict(members="members = true"), "members: .*integer"),
+    (dict(seed="seed = 9223372036854775808"), "seed: "),
+    (dict(title='title = "$\\\\foo$"'), "title: "),
 ]
 
 
@@ -196,6 +204,32 @@ def test_an_existing_file_is_not_overwritten(capsys):
     assert cli.main(["run", book(), "--out", "mine.npz"]) == 2
     assert "exists and is not overwritten" in capsys.readouterr().err
     assert scenarios.Path("mine.npz").read_text() == "precious"
+
+
+def test_existing_pictures_are_not_overwritten(capsys):
+    scenarios.Path("mine-path.png").write_text("precious")
+    assert cli.main(["run", book(), "--out", "mine.npz"]) == 2
+    assert "mine-path.png exists" in capsys.readouterr().err
+    assert not scenarios.Path("mine.npz").exists()
+
+
+def test_a_file_in_the_place_of_a_folder(capsys):
+    scenarios.Path("file").write_text("")
+    assert cli.main(["figure", "1", "--out", "file"]) == 2
+    assert capsys.readouterr().err.startswith("lieint: ")
+
+
+def test_a_file_that_is_no_text(capsys):
+    scenarios.Path("bad.toml").write_bytes(b"\xff\xfe\x00")
+    assert cli.main(["run", "bad.toml"]) == 2
+    assert "bad.toml is not UTF-8" in capsys.readouterr().err
+    with open(book(), "rb") as file:
+        scenarios.Path("bom.toml").write_bytes(b"\xef\xbb\xbf" + file.read())
+    assert scenarios.load("bom.toml").members == 4
+
+
+def test_spread_of_an_angle_goes_round_the_circle():
+    assert scenarios._spread(np.array([0.1, 359.9, 0.3]), angle=True) == pytest.approx(0.2)
 
 
 def test_check_prints_certificates(capsys):

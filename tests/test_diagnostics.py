@@ -147,6 +147,39 @@ def test_certificate_tells_orders_apart_even_where_the_given_step_is_at_round_of
     assert c.energy < 4e-15
 
 
+@pytest.mark.parametrize("scale", [1e-20, 1e-4, 1e20])
+def test_verdicts_do_not_depend_on_units(scale):
+    """The same body in other units of mass, and its clock run backwards: the same certificate."""
+    for kappa, form in ((li.maps.kappa_symplectic, np.inf), (li.maps.kappa_cayley, pytest.approx(3, abs=0.02))):
+        body = li.systems.rigid_body(np.array([1.0, 2.0, 3.0]) * scale)
+        state = body.state(angular_velocity=[0.3, -0.5, 0.8])
+        c = diagnostics.certify(li.schemes.so3_midpoint(body, kappa), state, -0.05, 20)
+        assert c.order == pytest.approx(2, abs=0.01)
+        assert c.symplectic_order == form
+        assert c.reversibility < 1e-15
+
+
+def test_diagnostics_past_the_branch_are_errors():
+    step = li.schemes.so3_midpoint(BODY)
+    for measure in (
+        diagnostics.linearization,
+        diagnostics.symplectic_defect,
+        diagnostics.reversibility,
+        lambda *a: diagnostics.poisson_error(*a, 3),
+    ):
+        with pytest.raises(ValueError, match="does not converge"):
+            measure(step, STATE, 2.0)
+    with pytest.raises(ValueError, match="num_steps must be an integer"):
+        diagnostics.poisson_error(step, STATE, 0.1, 2.5)
+
+
+def test_delay():
+    points = diagnostics.delay(jnp.arange(10.0), 3)
+    np.testing.assert_array_equal(points, [[k, k + 3, k + 6] for k in range(4)])
+    with pytest.raises(ValueError, match="more than 10 numbers"):
+        diagnostics.delay(jnp.arange(10.0), 5)
+
+
 def test_series_start_at_zero_and_show_a_planted_error():
     step = li.schemes.so3_midpoint(BODY)
     run = li.integrate(step, STATE, 0.1, 20)

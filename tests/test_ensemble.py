@@ -71,15 +71,25 @@ def test_bad_batches():
     ):
         with pytest.raises(ValueError, match=message):
             ensemble.run(STEP, bad, 0.1, 10, progress=False)
-    with pytest.raises(ValueError, match="not a multiple"):
-        ensemble.run(STEP, good, 0.1, 10, 3, progress=False)
+    for options, message in (
+        (dict(num_steps=10, save_every=3), "not a multiple"),
+        (dict(num_steps=10, save_every=0), "save_every must be an integer ≥ 1"),
+        (dict(num_steps="10"), "num_steps must be an integer"),
+        (dict(num_steps=10, step_axis=1), "step_axis must be None"),
+        (dict(num_steps=10, dt="fast"), "dt must be a real number"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            ensemble.run(STEP, good, **{"dt": 0.1, "progress": False} | options)
 
 
-def test_the_progress_bar_goes_to_stderr(capfd):
+def test_the_progress_bar_goes_to_a_terminal_and_nowhere_else(capfd, monkeypatch):
+    ensemble.run(STEP, states(2), 0.1, 200)
+    assert capfd.readouterr() == ("", "")
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     ensemble.run(STEP, states(2), 0.1, 200)
     out, err = capfd.readouterr()
     assert out == ""
-    assert "200/200" in err or "step" in err
+    assert "step" in err
 
 
 def test_store_round_trip_and_that_nothing_is_overwritten(tmp_path):

@@ -83,6 +83,19 @@ def test_bad_states_and_steps_are_refused_before_anything_runs():
         li.integrate(STEP, STATE, 2.0, 10)
 
 
+def test_mixed_precisions_and_integers_are_promoted():
+    single = State(*(x.astype(jnp.float32) for x in STATE))
+    assert li.integrate(STEP, single, 0.1, 2).state.q.dtype == jnp.float64
+    whole = State(jnp.array([1, 0, 0, 0]), jnp.array([0, 1, 1]))
+    assert li.integrate(STEP, whole, 0.1, np.int64(4), np.int64(2)).state.q.shape == (3, 4)
+
+
+@pytest.mark.parametrize("state", [(STATE.q, STATE.p), None, STATE.q], ids=["tuple", "None", "array"])
+def test_a_state_is_a_State(state):
+    with pytest.raises(ValueError, match="state must be a State"):
+        li.integrate(STEP, state, 0.1, 2)
+
+
 def test_a_run_that_leaves_the_branch_later_says_so():
     """Ω grows in the flip of the intermediate axis: the first steps are within the branch, a later one is not."""
     state = BODY.state(angular_velocity=[0.0, 1.0, 1e-4])

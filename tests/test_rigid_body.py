@@ -103,6 +103,13 @@ def test_a_quaternion_nearly_of_unit_length_is_normalised():
     assert state.q[0] == 1
 
 
+def test_numbers_beyond_range():
+    with pytest.raises(ValueError, match="real numbers"):
+        BODY.state(Q, angular_velocity=10**400)
+    with pytest.raises(ValueError, match="spatial momentum must be finite"):
+        BODY.state(Q, angular_velocity=[1e308, 1e308, 1e308])
+
+
 def test_exactly_one_kind_of_motion():
     for given in ({}, {"angular_velocity": OMEGA, "body_momentum": OMEGA}):
         with pytest.raises(ValueError, match="exactly one of angular_velocity"):

@@ -154,6 +154,13 @@ def test_cayley_increment_mends_the_norm():
     assert abs(so3.defect(so3.cayley_increment(q, jnp.array([0.1, 0.2, 0.3])))) < 4 * EPS
 
 
+def test_angle_has_no_nan_gradient_where_it_vanishes():
+    """It is the natural loss of an attitude fit, and zero at its minimum."""
+    gradient = jax.grad(lambda v: so3.angle(jnp.array(so3.identity), so3.exp(v)))
+    np.testing.assert_array_equal(gradient(jnp.zeros(3)), 0)
+    np.testing.assert_allclose(gradient(jnp.array([0.0, 1e-8, 0.0])), [0, 1, 0], atol=1e-12)
+
+
 @hypothesis.given(units, vectors)
 def test_angle_is_the_length_of_the_logarithm(q, v):
     r = so3.multiply(jnp.array(q), so3.exp(jnp.array(v)))

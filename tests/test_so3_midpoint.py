@@ -213,11 +213,83 @@ def test_every_nan_comes_with_the_flag(kappa):
     assert np.abs(energy[good]).max() < 1e-14  # whatever is called converged is right
 
 
+@pytest.mark.parametrize(
+    ("J", "Omega", "dt", "kappa"),
+    [
+        ([1.0, 5, 5.9], [-1.20794800e-03, 9.99999231e-01, -2.82142517e-04], 1.84, kappa_exponential),
+        ([1.0, 2, 3], [0.091, 0.995, 0.050], 2.298, kappa_exponential),
+        ([0.01, 1, 1.005], [-0.0745, 0.9938, -0.0824], 4.159, kappa_cayley),
+    ],
+)
+def test_a_root_past_a_fold_of_the_branch_is_not_called_converged(J, Omega, dt, kappa):
+    """Newton finds another root there, with residual 0: det K < 0 tells it from the branch that starts at Δt = 0."""
+    body = li.systems.rigid_body(J)
+    _, info = li.schemes.so3_midpoint(body, kappa, iterations=8)(body.state(angular_velocity=Omega), dt)
+    assert not info.converged
+
+
+@pytest.mark.parametrize("kappa", [kappa_cayley, kappa_exponential], ids=lambda k: k.name)
+def test_converged_roots_are_those_of_the_branch_from_zero(kappa):
+    """Against continuation in 60 increments of dt, each from the root before, near the intermediate axis."""
+    body = li.systems.rigid_body([1.0, 2.0, 3.0])
+    rng = np.random.default_rng(8)
+    Omega = np.array([0.0, 1.0, 0.0]) + 0.1 * rng.normal(size=(300, 3))
+    step = li.schemes.so3_midpoint(body, kappa, iterations=8)
+    J = np.array([1.0, 2, 3])
+
+    def branch(Omega, dt, bar):
+        """Newton on (3.4) in Θ̄ with numpy, from a nearby root."""
+        for _ in range(6):
+            k, dk = (float(x) for x in jax.value_and_grad(kappa)(jnp.array(bar @ bar)))
+            F = J * bar + k / 2 * np.cross(bar, J * bar) - dt * J * Omega
+            hat = lambda v: np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])  # noqa: E731
+            K = np.diag(J) + k / 2 * (hat(bar) @ np.diag(J) - hat(J * bar)) + dk * np.outer(np.cross(bar, J * bar), bar)
+            bar = bar - np.linalg.solve(K, F)
+        return bar
+
+    end = 2.6 if kappa is kappa_exponential else 3.9
+    after, info = jax.jit(jax.vmap(lambda v: step(body.state(angular_velocity=v), end)))(jnp.array(Omega))
+    good = np.flatnonzero(np.asarray(info.converged))
+    assert 5 < len(good) < 300
+    for m in good[:4]:
+        bar = np.zeros(3)
+        for dt in np.linspace(0, end, 61)[1:]:
+            bar = branch(Omega[m], dt, bar)
+        exact = so3.cayley(kappa(jnp.array(bar @ bar)) * bar)
+        assert so3.angle(exact, after.q[m]) < 1e-12
+
+
+def test_dt_is_a_real_scalar():
+    step = li.schemes.so3_midpoint(BODY)
+    for dt in (jnp.array([0.1, 0.2, 0.3]), 0.1j, "fast", None, [0.1]):
+        for call in (step, step.check, lambda z, dt: li.integrate(step, z, dt, 2)):
+            with pytest.raises(ValueError, match="dt must be a"):
+                call(STATE, dt)
+
+
+def test_kappa_must_be_one_at_zero():
+    for kappa in (lambda x: 2.0 + x, lambda x: jnp.stack([x, x])):
+        with pytest.raises(ValueError, match=r"κ\(0\) must be the number 1"):
+            li.schemes.so3_midpoint(BODY, kappa)
+    li.schemes.so3_midpoint(BODY, lambda x: 1)
+
+
+def test_advice_for_rods_names_the_vector_form():
+    rod = li.systems.rigid_body([1.0, 1.0, 1e-3])
+    state = rod.state(angular_velocity=[-0.89670228, -0.44166441, 0.02928439])
+    step = li.schemes.so3_midpoint(rod)
+    assert not step(state, 0.5)[1].converged
+    with pytest.raises(ValueError, match="slender body the vector form"):
+        step.check(state, 0.5)
+    vector = dataclasses.replace(kappa_symplectic, solve_by="vector")
+    assert li.schemes.so3_midpoint(rod, vector)(state, 0.5)[1].converged
+
+
 def test_scheme_arguments():
     with pytest.raises(ValueError, match="free rigid bodies"):
         li.schemes.so3_midpoint("a top")
     with pytest.raises(ValueError, match="callable"):
         li.schemes.so3_midpoint(BODY, 1.0)
     for iterations in (0, -1, 2.5):
-        with pytest.raises(ValueError, match="positive integer"):
+        with pytest.raises(ValueError, match="iterations must be an integer ≥ 1"):
             li.schemes.so3_midpoint(BODY, iterations=iterations)

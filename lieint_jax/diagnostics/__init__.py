@@ -3,13 +3,14 @@
 from lieint_jax.diagnostics.certify import Certificate, certify
 from lieint_jax.diagnostics.order import flow, order, reversibility
 from lieint_jax.diagnostics.poisson import poisson_error
-from lieint_jax.diagnostics.series import constraint_error, energy_error, momentum_error
+from lieint_jax.diagnostics.series import constraint_error, delay, energy_error, momentum_error
 from lieint_jax.diagnostics.symplectic import linearization, symplectic_defect
 
 __all__ = [
     "Certificate",
     "certify",
     "constraint_error",
+    "delay",
     "energy_error",
     "flow",
     "linearization",

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax.diagnostics.order import order, reversibility
+from lieint_jax.diagnostics.order import order, reversibility, size
 from lieint_jax.diagnostics.series import constraint_error, energy_error, momentum_error
-from lieint_jax.diagnostics.symplectic import symplectic_defect
+from lieint_jax.diagnostics.symplectic import defect_matrix
 from lieint_jax.integrate import integrate
 from lieint_jax.types import State, Step
 
@@ -27,10 +27,10 @@ class Certificate(NamedTuple):
         energy: max|H_n − H₀| / |H₀|.
         momentum: max|Φ_n − Φ₀| / max|Φ₀| over the components of the momentum map; nan if there is none.
         constraint: largest defect of the configuration, such as ||q|² − 1|.
-        symplectic_defect: max|Lᵀω(z₁)L − ω(z₀)| of the first step.
+        symplectic_defect: max|Lᵀω(z₁)L − ω(z₀)| of the first step, momenta measured in max|π|.
         symplectic_order: r of a defect O(Δtʳ) a step, from dt and dt/2; inf if the defect is round-off.
         order: measured order of accuracy; inf if exact to round-off.
-        reversibility: max|z − step(step(z, dt), −dt)|.
+        reversibility: max|z − step(step(z, dt), −dt)|, momenta measured in max|π|.
         residual: largest residual of the run.
         converged: whether every step converged.
     """
@@ -52,7 +52,7 @@ class Certificate(NamedTuple):
 
     def __str__(self) -> str:
         eps = float(jnp.finfo(self.precision).eps)
-        exact = 16 * eps * math.sqrt(self.num_steps)
+        exact = 16 * eps * math.sqrt(max(self.num_steps, 1))
         form = (
             "exact to round-off" if math.isinf(self.symplectic_order) else f"broken as dt^{self.symplectic_order:.2f}"
         )
@@ -61,7 +61,11 @@ class Certificate(NamedTuple):
             ("momentum", self.momentum, _kept(self.momentum, exact, eps)),
             ("constraint", self.constraint, _kept(self.constraint, exact, eps)),
             ("symplectic form", self.symplectic_defect, f"{form} a step"),
-            ("reversibility", self.reversibility, _kept(self.reversibility, exact, eps)),
+            (
+                "reversibility",
+                self.reversibility,
+                _kept(self.reversibility, exact, eps).replace("conserved", "reversible"),
+            ),
             ("residual", self.residual, "every step converged" if self.converged else "NOT every step converged"),
             ("order", self.order, "exact flow" if math.isinf(self.order) else f"measured {self.order:.2f}"),
         ]
@@ -86,9 +90,8 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
     system = step.system
     momentum = np.abs(np.asarray(momentum_error(system, run)))
     energy = float(jnp.max(jnp.abs(energy_error(system, run))))
-    coarse, fine = (float(symplectic_defect(step, state, h)) for h in (dt, dt / 2))
-    size = float(jnp.max(jnp.abs(system.phase_space.omega(state))))
-    floor = 32 * float(jnp.finfo(state.p.dtype).eps) * size
+    coarse, fine = (_form_defect(step, state, h) for h in (dt, dt / 2))
+    floor = 32 * float(jnp.finfo(state.p.dtype).eps)
     return Certificate(
         scheme=step.name,
         system=type(system).__name__,
@@ -109,6 +112,14 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
     )
 
 
+def _form_defect(step: Step, state: State, dt: float) -> float:
+    """The symplectic defect with δπ measured in |π|, so that no unit of the state matters."""
+    defect = np.asarray(defect_matrix(step, state, dt))
+    p, d = float(size(state.p)), defect.shape[0] // 2
+    unit = np.repeat([p**-0.5, p**0.5], d)
+    return float(np.abs(unit[:, None] * defect * unit).max())
+
+
 def _relative(error: float, size: float) -> float:
     return float(error / size) if size else float(error)
 
@@ -118,5 +129,5 @@ def _kept(error: float, exact: float, eps: float) -> str:
         return "none"
     if error == 0:
         return "conserved bit for bit"
-    digits = f"{-math.log10(error):.1f} digits" if error < 1 else "no digit"
+    digits = f"{-math.log10(max(error, eps)):.1f} digits" if error < 1 else "no digit"
     return f"conserved to round-off, {digits}" if error <= exact else f"not conserved, {digits}"

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
+from lieint_jax import checks
 from lieint_jax.diagnostics.symplectic import linearization
 from lieint_jax.types import State, Step
 
@@ -27,6 +28,8 @@ def poisson_error(
         method: "recursion" adds up (5.36) from the block C_n of the linearised step (5.29) and holds a symplectic
             scheme at round-off; "product" multiplies P_{n+1} = L_n P_n L_nᵀ (5.34) and takes the block from it.
     """
+    num_steps = checks.count("num_steps", num_steps, 0)
+    step.check(state, dt)
     space = step.system.phase_space
     d, omega = space.dim // 2, space.omega(state)
     alpha, one = omega[:d, :d], jnp.eye(d, dtype=omega.dtype)

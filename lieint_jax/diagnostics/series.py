@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import jax
+import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax import checks
 from lieint_jax.types import System, Trajectory
 
 
@@ -23,3 +25,12 @@ def momentum_error(system: System, trajectory: Trajectory) -> Array:
 def constraint_error(system: System, trajectory: Trajectory) -> Array:
     """By how much q leaves the configuration space: |q|² − 1, shape (n+1,), for unit quaternions."""
     return jax.vmap(system.phase_space.defect)(trajectory.state)
+
+
+def delay(series: Array, lag: int) -> Array:
+    """The delay plot of a series: points (x_n, x_{n+lag}, x_{n+2lag}), shape (len − 2·lag, 3)."""
+    lag = checks.count("lag", lag, 1)
+    if series.ndim != 1 or len(series) <= 2 * lag:
+        raise ValueError(f"a delay plot of lag {lag} needs a series of more than {2 * lag} numbers, got {series.shape}")
+    n = len(series) - 2 * lag
+    return jnp.stack([series[k * lag : k * lag + n] for k in range(3)], axis=1)

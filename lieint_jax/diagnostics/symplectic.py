@@ -15,6 +15,7 @@ def linearization(step: Step, state: State, dt: ArrayLike) -> Array:
 
     Rows and columns are the phase space's own coordinates: (δθ, δπ) on T*G, with δq = δθ q.
     """
+    step.check(state, dt)
     space = step.system.phase_space
 
     def push(delta: Array) -> State:
@@ -26,8 +27,15 @@ def linearization(step: Step, state: State, dt: ArrayLike) -> Array:
 
 
 def symplectic_defect(step: Step, state: State, dt: ArrayLike) -> Array:
-    """max|Lᵀω(z₁)L − ω(z₀)|: zero if and only if the step is symplectic at this state (3.1)."""
+    """max|Lᵀω(z₁)L − ω(z₀)|: zero if and only if the step is symplectic at this state (3.1).
+
+    In the units of the state: the (δθ, δθ) block is a momentum, the (δθ, δπ) blocks are numbers.
+    """
+    return jnp.max(jnp.abs(defect_matrix(step, state, dt)))
+
+
+def defect_matrix(step: Step, state: State, dt: ArrayLike) -> Array:
+    """Lᵀω(z₁)L − ω(z₀), shape (2d, 2d)."""
     space = step.system.phase_space
     L = linearization(step, state, dt)
-    omega = space.omega(step(state, dt)[0])
-    return jnp.max(jnp.abs(L.T @ omega @ L - space.omega(state)))
+    return L.T @ space.omega(step(state, dt)[0]) @ L - space.omega(state)

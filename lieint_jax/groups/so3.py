@@ -190,9 +190,9 @@ def to_euler_313(q: Array) -> Array:
 
 
 def angle(a: Array, b: Array) -> Array:
-    """The angle of the rotation between two attitudes, in [0, π]."""
-    w, *v = _product(inverse(a), b)
-    return 2 * jnp.arctan2(jnp.sqrt(dot(v, v)), jnp.abs(w))
+    """The angle of the rotation between two attitudes, in [0, π]; like any length, with derivative 0 where it is 0."""
+    w, x, y, z = _product(inverse(a), b)
+    return 2 * jnp.arctan2(_length(x, y, z), jnp.abs(w))
 
 
 def _product(a: small.Vector, b: small.Vector) -> tuple[Array, Array, Array, Array]:
@@ -215,9 +215,9 @@ def _rotate(w: Array, v: small.Vector, u: small.Vector) -> tuple[Array, ...]:
     return tuple(u[i] + w * t[i] + c[i] for i in range(3))
 
 
-def _length(x: Array, y: Array) -> Array:
-    """√(x² + y²), with derivative 0 at 0."""
-    square = x * x + y * y
+def _length(*components: Array) -> Array:
+    """√(x² + y² + …), with derivative 0 at 0."""
+    square = sum(x * x for x in components[1:]) + components[0] * components[0]
     positive = square > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1)), 0)
 

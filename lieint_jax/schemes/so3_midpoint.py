@@ -27,7 +27,7 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import newton, small
+from lieint_jax import checks, newton, small
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa, as_kappa, kappa_cayley, kappa_exponential, kappa_symplectic
 from lieint_jax.small import Symmetric, Vector, apply, cross, dot
@@ -77,8 +77,10 @@ class SO3Midpoint(Step):
         J = np.asarray(self.system.inertia)
         Pi = np.asarray(so3.Ad_star(state.q, state.p))
         turn = float(np.abs(dt) * np.linalg.norm(Pi / J if J.ndim == 1 else np.linalg.solve(J, Pi)))
-        branch = f"ends at |Δt Ω| ≈ {self.kappa.limit:.3g}" if np.isfinite(self.kappa.limit) else "has no end"
-        more = f" or more iterations than {self.iterations}" if turn < self.kappa.limit else ""
+        branch = "ends at |Δt Ω| ≈ 1" if self.kappa.solve_by == "scalar" else "folds at |Δt Ω| of 2 to 4"
+        more = f", or more iterations than {self.iterations}" if turn < self.kappa.limit else ""
+        rod = self.kappa.solve_by == "scalar" and turn < 0.9 * self.kappa.limit
+        more += ", or for a slender body the vector form (see so3_midpoint)" if rod else ""
         return (
             f"{self.name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}; the branch of this κ {branch}. "
             f"Take a smaller dt{more}"
@@ -121,9 +123,7 @@ def so3_midpoint(
     kappa = as_kappa(kappa)
     if iterations is None:
         iterations = 3 if kappa.solve_by == "scalar" else 4
-    if not isinstance(iterations, int) or iterations < 1:
-        raise ValueError(f"iterations must be a positive integer, got {iterations!r}")
-    return SO3Midpoint(system, kappa, iterations)
+    return SO3Midpoint(system, kappa, checks.count("iterations", iterations, 1))
 
 
 def examples(system: Any) -> dict[str, Step]:
@@ -143,7 +143,7 @@ def _scaled(system: FreeBody, state: State, dt: ArrayLike) -> tuple[Symmetric, A
     """J and a = ½Δt Π_n, both over tr J: then |a| is an angle, and no power of a large inertia overflows."""
     J = small.symmetric(system.inertia)
     r = 1 / small.trace(J)
-    return tuple(r * x for x in J), (0.5 * r * dt) * so3.Ad_star(state.q, state.p)
+    return tuple(r * x for x in J), (0.5 * r * checks.step_size(dt)) * so3.Ad_star(state.q, state.p)
 
 
 def _solve_scalar(kappa: Kappa, J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vector, Array]:
@@ -182,26 +182,29 @@ def _solve_scalar(kappa: Kappa, J: Symmetric, a: Array, iterations: int) -> tupl
 
 
 def _solve_vector(kappa: Kappa, J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vector, Array]:
-    """h = ½Θ for any κ by the vector form, its residual, and whether |Θ̄| is within κ's limit."""
+    """h = ½Θ for any κ by the vector form, its residual, and whether it is on the branch that starts at Δt = 0."""
 
     def residual(y: Array) -> Array:
         k, Jy = kappa(4 * dot(y, y)), jnp.stack(apply(J, y))
         return Jy + k * jnp.stack(cross(y, Jy)) - a
 
-    def correction(y: Array, f: Array) -> Array:
-        """K⁻¹f with K = J + κ(ŷJ − (Jy)^) + 8κ′(y×Jy)⊗y."""
+    def matrix(y: Array) -> small.Matrix:
+        """K = J + κ(ŷJ − (Jy)^) + 8κ′(y×Jy)⊗y."""
         k, slope = jax.jvp(kappa, (4 * dot(y, y),), (jnp.full_like(y[0], 8),))
         G, g = _gyroscopic(J, y), cross(y, apply(J, y))
         e = _dense(J)
-        K = [[e[i][j] + k * G[i][j] + slope * g[i] * y[j] for j in range(3)] for i in range(3)]
-        return jnp.stack(small.solve(K, f))
+        return [[e[i][j] + k * G[i][j] + slope * g[i] * y[j] for j in range(3)] for i in range(3)]
+
+    def correction(y: Array, f: Array) -> Array:
+        return jnp.stack(small.solve(matrix(y), f))
 
     u = jnp.stack(small.solve_symmetric(J, a))
     guess = u + jnp.stack(small.solve_symmetric(J, cross(a, u)))  # ½(ΔtΩ + ½Δt²J⁻¹(Π × Ω))
     y, f = newton.root(residual, correction, guess, iterations)
-    x = 4 * dot(y, y)
+    x, K = 4 * dot(y, y), matrix(lax.stop_gradient(y))
     k = kappa(x)
-    return (k * y[0], k * y[1], k * y[2]), f, x <= kappa.limit**2
+    on_branch = (x <= kappa.limit**2) & (dot(K[0], cross(K[1], K[2])) > 0)  # det K changes sign where the branch folds
+    return (k * y[0], k * y[1], k * y[2]), f, on_branch
 
 
 def _gyroscopic(J: Symmetric, y: Vector) -> small.Matrix:

@@ -68,7 +68,7 @@ class RigidBody:
             value = jnp.stack(small.apply(small.symmetric(self.inertia), value))
         p = value if name == "spatial_momentum" else so3.Ad(q, value)
         dtype = jnp.result_type(q, p)
-        return State(q.astype(dtype), p.astype(dtype))
+        return State(q.astype(dtype), checks.real_array("the spatial momentum", p.astype(dtype)))
 
     def rotation_matrix(self, state: State) -> Array:
         """Λ, body to space, shape (3, 3)."""
