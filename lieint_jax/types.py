@@ -130,12 +130,12 @@ class Step(abc.ABC):
     """One step of a scheme for a system: `step(state, dt) -> (state, info)`, a pure function and a pytree.
 
     Attributes:
-        order: order of accuracy.
+        order: order of accuracy; infinite for the exact flow.
         symmetric: whether step(·, −dt) undoes step(·, dt).
     """
 
     system: Any
-    order: int
+    order: float
     symmetric: bool
 
     @property

@@ -26,10 +26,12 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("schemes",),
     ("systems",),
     ("phase_spaces",),
+    ("free_body",),
     ("maps",),
     ("groups",),
     ("checks",),
     ("newton",),
+    ("elliptic",),
     ("small",),
     ("types", "discover", "data"),
 ]

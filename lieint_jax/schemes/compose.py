@@ -44,7 +44,7 @@ class Composition(Step):
 
     step: Step
     method: str = static()
-    order: int = static()
+    order: float = static()
     symmetric: bool = static(default=True)
 
     @property

@@ -37,7 +37,7 @@ class Preprocessed(Step):
     """
 
     system: FreeBody
-    order: int = static()
+    order: float = static()
     iterations: int | None = static(default=None)
     symmetric: bool = static(default=True)
 

@@ -54,7 +54,7 @@ class SO3Midpoint(Step):
     system: FreeBody
     kappa: Kappa
     iterations: int = static()
-    order: int = static(default=2)
+    order: float = static(default=2)
     symmetric: bool = static(default=True)
 
     @property

@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import checks, small
+from lieint_jax import checks, free_body, small
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.types import State, pytree
@@ -93,6 +93,13 @@ class RigidBody:
     def vector_field(self, state: State) -> State:
         """(q̇, π̇) = (½ q Ω, 0) (2.12)."""
         return State(so3.tangent(state.q, self.angular_velocity(state)), jnp.zeros_like(state.p))
+
+    def solution(self, state: State, t: ArrayLike) -> State:
+        """The exact state after time t, of any size and sign, without stepping; π bit for bit.
+
+        In Jacobi's elliptic functions, see `free_body`. For many times, `jax.vmap(body.solution, (None, 0))`.
+        """
+        return State(free_body.attitude(self.inertia, state.q, state.p, t)[0], state.p)
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""

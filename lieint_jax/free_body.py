@@ -1,0 +1,219 @@
+"""The motion of the free rigid body in closed form, for any inertia, momentum and time.
+
+Units |Π| = 1 and tr J = 1: e = Π/|Π|, τ = |Π|t/tr J, b_i = tr J/J_i. The axes are r, m, o, right-handed: m that of
+middle inertia and, of the other two, r the one that π keeps away from: e_r² ≤ ½ at all times. Euler's equations are
+
+    ė_r = (b_o − b_m) e_m e_o,    ė_m = (b_r − b_o) e_o e_r,    ė_o = (b_m − b_r) e_r e_m
+
+**Body momentum.** Let
+
+    f_r = (b_r − b_m)[(b_r − b_o)e_r² + (b_m − b_o)e_m²],    f_o = (b_o − b_m)[(b_o − b_r)e_o² + (b_m − b_r)e_m²]
+
+be constants, f the greater and f′ the less; e circulates about the axis of the greater. With S = sn(√f τ)/√f, cn and dn
+of parameter f′/f, the addition theorems of sn, cn, dn move e without any initial phase:
+
+    e_m(τ) = [e_m cn dn + S ė_m]/D,    e_r(τ) = [e_r q_r + S q_o ė_r]/D,    e_o(τ) = [e_o q_o + S q_r ė_o]/D
+
+where q = dn for the axis c of circulation and cn for the other, and D = cn² + S²(b_r − b_o)(b_c − b_m) e_c² up to the
+sign that makes it a sum. S, cn, dn are smooth in f and f′ ≥ 0, so symmetric and spherical bodies (f′ = 0, f = 0) and the
+separatrix (f = f′) are no special cases.
+
+**Attitude.** Axis r turns about π by the angle
+
+    φ = b_o τ − (b_o − b_r) ν X + θ,    X = ∫₀^τ S²/(1 + νS²) dτ,    ν = (b_m − b_o)[(b_r − b_o)e_r² + (b_m − b_o)e_m²]
+    θ = arctan2((b_m − b_o) S e_m e_m(τ),  1 − e_r(τ)² − (b_m − b_o) S e_m e_r(τ) e_o(τ))
+
+X being S³ R_J(cn², dn², 1, 1 + νS²)/3 up to a quarter period, and θ the addition theorem of Legendre's integral of the
+third kind. With ψ the azimuth of e about r, and "e → r" the shortest rotation from e to r,
+
+    Λ(τ) = Λ (r → e)(turn about r by φ + ψ − ψ(τ))(e(τ) → r)
+
+Every arctangent has an argument of size ½ at least. The sign of the quaternion is continuous in time.
+
+Sources: Jacobi 1850; for the addition theorems DLMF 22.8 and 19.11; the form without phases and cases: this package.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from lieint_jax import elliptic, small
+from lieint_jax.groups import so3
+from lieint_jax.small import Vector, dot
+
+_NEAR = 1e-5  # f τ² below which S, cn, dn are series, to 1e-17
+
+
+def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, Array]:
+    """The attitude after time t of a free body of attitude q and spatial momentum π, which is constant.
+
+    Args:
+        inertia: principal moments (3,) or a symmetric tensor (3, 3).
+        q: unit quaternion, shape (4,).
+        p: π, shape (3,).
+        t: time, of any size and sign.
+
+    Returns:
+        The unit quaternion at t, shape (4,), and | |e(τ)|² − 1 |, the error of the momentum's length in the body.
+
+    Derivatives are right wherever the principal moments are distinct, and for principal (3,) moments also where they are
+    not. For a full tensor with moments equal to √eps they are finite, but leave out the change of the inertia's
+    off-diagonal elements between the equal axes.
+    """
+    scale = 1 / small.trace(small.symmetric(inertia))
+    Pi = scale * so3.Ad_star(q, p)
+    square = dot(Pi, Pi)
+    rest = square == 0
+    G = jnp.sqrt(jnp.where(rest, 1, square))
+    e = jnp.where(rest, math.sqrt(1 / 3), Pi / G)
+    increment, error = _increment(scale * inertia, e, G * t)
+    Omega = jnp.stack(small.solve_symmetric(small.symmetric(inertia), so3.Ad_star(q, p)))
+    increment = jnp.where(rest, so3.exp(t * jnp.where(rest, Omega, 0)), increment)  # 1, with its derivative in π
+    return so3.normalise(so3.multiply(q, increment)), jnp.where(rest, 0, error)
+
+
+def _increment(inertia: Array, e: Array, tau: Array) -> tuple[Array, Array]:
+    """Λ⁻¹Λ(τ) in body axes: principal axes are sorted, right-handed, by a permutation or by eigenvectors."""
+    if inertia.ndim == 1:
+        order = jnp.argsort(lax.stop_gradient(inertia))
+        hand = jnp.where((order[1] - order[0]) % 3 == 1, 1, -1).astype(e.dtype)
+        sorted_e = e[order]
+        w, v, error = _sorted(inertia[order], (sorted_e[0], hand * sorted_e[1], sorted_e[2]), tau)
+        return jnp.concatenate([w[None], jnp.stack([v[0], hand * v[1], v[2]])[jnp.argsort(order)]]), error
+    moments, V = _eigh(inertia)
+    columns = [small.components(V[:, k]) for k in range(3)]
+    hand = lax.stop_gradient(jnp.sign(dot(columns[0], small.cross(columns[1], columns[2]))))
+    columns[1] = tuple(hand * x for x in columns[1])
+    w, v, error = _sorted(moments, tuple(dot(c, e) for c in columns), tau)
+    a, b, c = columns
+    return jnp.stack([w, *(v[0] * a[i] + v[1] * b[i] + v[2] * c[i] for i in range(3))]), error
+
+
+@jax.custom_jvp
+def _eigh(J: Array) -> tuple[Array, Array]:
+    """Moments in ascending order, and eigenvectors as columns."""
+    return tuple(jnp.linalg.eigh(J))
+
+
+@_eigh.defjvp
+def _eigh_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    w, V = _eigh(*primals)
+    M = V.T @ tangents[0] @ V
+    M = (M + M.T) / 2
+    gap = w[None, :] - w[:, None]
+    equal = jnp.abs(gap) <= jnp.sqrt(jnp.finfo(w.dtype).eps) * w[2]
+    turn = jnp.where(equal, 0, M / jnp.where(equal, 1, gap))
+    return (w, V), (jnp.stack([M[0, 0], M[1, 1], M[2, 2]]), V @ turn)
+
+
+def _sorted(J: Array, e: Vector, tau: Array) -> tuple[Array, Vector, Array]:
+    """Λ⁻¹Λ(τ) as scalar and vector part, and the error, for ascending moments J."""
+    d01, d12, d02 = ((J[j] - J[i]) / (J[i] * J[j]) for i, j in ((0, 1), (1, 2), (0, 2)))  # b_i − b_j
+    x, y, z = (c * c for c in e)
+    far0, far2 = d02 * x + d12 * y, d02 * z + d01 * y
+    first = (far0 < far2) | ((far0 == far2) & (x <= z))  # whether axis 0 is r, else axis 2; m is turned to suit
+
+    def choose(a: Array, b: Array) -> Array:
+        return jnp.where(first, a, b)
+
+    turned = choose(e[1], -e[1])
+    w, v, error = _labelled(
+        _Labels(
+            b_o=choose(1 / J[2], 1 / J[0]),
+            rm=choose(d01, -d12),
+            mo=choose(d12, -d01),
+            ro=choose(d02, -d02),
+        ),
+        (choose(e[0], e[2]), turned, choose(e[2], e[0])),
+        tau,
+    )
+    return w, (choose(v[0], v[2]), choose(v[1], -v[1]), choose(v[2], v[0])), error
+
+
+class _Labels(NamedTuple):
+    """b_o, and the differences b_r − b_m, b_m − b_o, b_r − b_o: all of one sign."""
+
+    b_o: Array
+    rm: Array
+    mo: Array
+    ro: Array
+
+
+def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Array]:
+    """Λ⁻¹Λ(τ) as scalar and vector part, and the error, in the axes r, m, o."""
+    er, em, eo = e
+    rate = (-b.mo * em * eo, b.ro * eo * er, -b.rm * er * em)
+    nu = b.mo * (b.ro * er * er + b.mo * em * em)
+    share_r, share_o = b.ro * b.rm * er * er, b.ro * b.mo * eo * eo  # f_r − f_o = share_r − share_o
+    about_r = share_r > share_o
+    f_r = share_r + b.rm * b.mo * em * em
+    f_o = share_o + b.rm * b.mo * em * em
+    greater, less = jnp.where(about_r, f_r, f_o), jnp.where(about_r, f_o, f_r)
+    difference = jnp.where(about_r, share_r - share_o, share_o - share_r)  # abs() has no derivative at 0
+    m = _motion(greater, less, difference, nu, tau)
+    q_r, q_o = jnp.where(about_r, m.dn, m.cn), jnp.where(about_r, m.cn, m.dn)
+    r = 1 / (m.cn * m.cn + m.S * m.S * jnp.where(about_r, share_r, share_o))
+    fr = r * (er * q_r + m.S * q_o * rate[0])
+    fm = r * (em * m.cn * m.dn + m.S * rate[1])
+    fo = r * (eo * q_o + m.S * q_r * rate[2])
+    theta = jnp.arctan2(b.mo * m.S * em * fm, 1 - fr * fr - b.mo * m.S * em * fr * fo)
+    odd = 1 - 2 * jnp.abs(m.halves % 2)  # sn and cn change sign every half period
+    fr, fm, fo = jnp.where(about_r, 1, odd) * fr, odd * fm, jnp.where(about_r, odd, 1) * fo
+    sign = jnp.where(about_r, odd, 1)
+    azimuth = jnp.arctan2(sign * (em * fo - eo * fm), sign * (em * fm + eo * fo))
+    azimuth = azimuth - jnp.where(about_r, jnp.pi * m.halves * jnp.sign(er * b.rm), 0)
+    twist = (b.b_o * tau + b.ro * nu * m.X + theta - azimuth) / 2
+    w, v = _between(e, (fr, fm, fo), jnp.cos(twist), jnp.sin(twist))
+    return w, v, lax.stop_gradient(jnp.abs(fr * fr + fm * fm + fo * fo - 1))
+
+
+class _Motion(NamedTuple):
+    """S, cn, dn at τ less a number of half periods, that number, and X at τ."""
+
+    S: Array
+    cn: Array
+    dn: Array
+    halves: Array
+    X: Array
+
+
+def _motion(f: Array, g: Array, difference: Array, nu: Array, tau: Array) -> _Motion:
+    """For f ≥ g ≥ 0, given their difference too."""
+    near = f * tau * tau < _NEAR
+    f_far, m1 = jnp.where(near, 1, f), jnp.where(near, 1, difference / jnp.where(near, 1, f))
+    frequency = jnp.sqrt(f_far)
+    K = elliptic.quarter_period(m1)
+    u = jnp.where(near, 0, frequency * tau)
+    halves = lax.stop_gradient(jnp.round(u / (2 * K)))
+    sn, cn, dn = elliptic.jacobi(u - 2 * K * halves, m1)
+    x, y, time = *(jnp.where(near, k * tau * tau, 0) for k in (f, g)), jnp.where(near, tau, 0)
+    S = jnp.where(near, time * (1 - (x + y) / 6 + (x * x + 14 * x * y + y * y) / 120), sn / frequency)
+    cn = jnp.where(near, 1 - x / 2 + x * (x + 4 * y) / 24, cn)
+    dn = jnp.where(near, 1 - y / 2 + y * (y + 4 * x) / 24, dn)
+    part, quarter = _third(cn, dn, nu * S * S, m1, nu / f_far)
+    return _Motion(S, cn, dn, halves, S**3 * part + jnp.where(near, 0, 2 * halves * quarter / (f_far * frequency)))
+
+
+def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array) -> tuple[Array, Array]:
+    """R_J/3 of (cn², dn², 1, 1 + n), and that of a quarter period, (0, m1, 1, 1 + n_quarter): one loop for both."""
+    root = jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny))
+    x, y, p = (jnp.stack(pair) for pair in ((cn, jnp.zeros_like(cn)), (dn, root), (1 + n, 1 + n_quarter)))
+    part, quarter = small.components(elliptic.carlson_rj(x, y, jnp.ones_like(x), p) / 3)
+    return part, quarter
+
+
+def _between(e: Vector, f: Vector, c: Array, s: Array) -> tuple[Array, Vector]:
+    """(r → e)(turn about r by 2 arctan2(s, c))(f → r), times a positive number, as scalar and vector part."""
+    a, b = 1 + e[0], 1 + f[0]
+    t = (c * b, s * b, c * f[2] + s * f[1], s * f[2] - c * f[1])
+    return a * t[0] + e[2] * t[2] - e[1] * t[3], (
+        a * t[1] - e[2] * t[3] - e[1] * t[2],
+        a * t[2] - e[2] * t[0] + e[1] * t[1],
+        a * t[3] + e[1] * t[0] + e[2] * t[1],
+    )
