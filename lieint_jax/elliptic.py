@@ -29,8 +29,8 @@ def jacobi(u: Array, m1: Array) -> tuple[Array, Array, Array]:
     """sn u, cn u and dn u of parameter m = 1 − m1, for 0 ≤ m1 ≤ 1 and |u| up to a quarter period or two.
 
     For m1 ≥ ½ Landen's descending transformation, which ends at sin and cos, else the ascending one, which ends at tanh
-    and sech: neither has a singular derivative at its end. Error: a few eps relative to each, but for the eps·|u| of the
-    argument. Source: DLMF 22.7.
+    and sech: neither has a singular derivative at its end. Error: a few eps relative to each function, but for the
+    eps·|u| of the argument. Source: DLMF 22.7.
     """
     circular = m1 >= 0.5
     descending = _descending(u, jnp.where(circular, m1, 1))
@@ -59,7 +59,7 @@ def _descending(u: Array, m1: Array) -> tuple[Array, Array, Array]:
 
 
 def _ascending(u: Array, m1: Array) -> tuple[Array, Array, Array]:
-    """Ends at tanh and sech. With l_n = (1 − k_{n−1})/(1 + k_{n−1}) the complement k_n′, and functions of u_n = u_{n−1}/(1 + l_n) on the right,
+    """With l_n = (1 − k_{n−1})/(1 + k_{n−1}), which is k_n′, and functions of u_n = u_{n−1}/(1 + l_n) on the right,
 
     sn = (1 + l) sn cn / dn,    cn = (dn² − l) / ((1 − l) dn),    dn = (dn² + l) / ((1 + l) dn)
     """
@@ -79,8 +79,8 @@ def _ascending(u: Array, m1: Array) -> tuple[Array, Array, Array]:
 def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     """R_J(x, y, z, p) = (3/2) ∫₀^∞ dt / ((t + p) √((t + x)(t + y)(t + z))) of the square roots of x, y and z.
 
-    For p ≥ x, y, z ≥ 0, at most one of which is 0; roots are the arguments so that derivatives are finite there, and one
-    of them may be a little negative: the integral continued beyond a quarter period. Duplication, then the series of
+    For p ≥ x, y, z ≥ 0, at most one of which is 0. Roots are the arguments so that derivatives are finite there, and
+    one of them may be a little negative: the integral continued beyond a quarter period. Duplication, then the series of
     degree 7. Relative error 1e-15 for x, y ≥ 1e-60 z. Source: DLMF 19.26(iii), 19.36(i).
     """
     x, y, z = root_x * root_x, root_y * root_y, root_z * root_z

@@ -15,8 +15,8 @@ of parameter f′/f, the addition theorems of sn, cn, dn move e without any init
     e_m(τ) = [e_m cn dn + S ė_m]/D,    e_r(τ) = [e_r q_r + S q_o ė_r]/D,    e_o(τ) = [e_o q_o + S q_r ė_o]/D
 
 where q = dn for the axis c of circulation and cn for the other, and D = cn² + S²(b_r − b_o)(b_c − b_m) e_c² up to the
-sign that makes it a sum. S, cn, dn are smooth in f and f′ ≥ 0, so symmetric and spherical bodies (f′ = 0, f = 0) and the
-separatrix (f = f′) are no special cases.
+sign that makes it a sum. S, cn, dn are smooth in f and f′ ≥ 0, so symmetric and spherical bodies (f′ = 0, f = 0) and
+the separatrix (f = f′) are no special cases.
 
 **Attitude.** Axis r turns about π by the angle
 
@@ -62,8 +62,8 @@ def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, A
     Returns:
         The unit quaternion at t, shape (4,), and | |e(τ)|² − 1 |, the error of the momentum's length in the body.
 
-    Derivatives are right wherever the principal moments are distinct, and for principal (3,) moments also where they are
-    not. For a full tensor with moments equal to √eps they are finite, but leave out the change of the inertia's
+    Derivatives are right to round-off for principal (3,) moments, equal or not, and for a full tensor of distinct
+    ones. For a full tensor with moments equal to √eps they are finite, but leave out the change of the inertia's
     off-diagonal elements between the equal axes.
     """
     scale = 1 / small.trace(small.symmetric(inertia))
@@ -74,7 +74,7 @@ def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, A
     e = jnp.where(rest, math.sqrt(1 / 3), Pi / G)
     increment, error = _increment(scale * inertia, e, G * t)
     Omega = jnp.stack(small.solve_symmetric(small.symmetric(inertia), so3.Ad_star(q, p)))
-    increment = jnp.where(rest, so3.exp(t * jnp.where(rest, Omega, 0)), increment)  # 1, with its derivative in π
+    increment = jnp.where(rest, so3.exp(jnp.where(rest, Omega, 0) * t), increment)  # 1, with its derivative in π
     return so3.normalise(so3.multiply(q, increment)), jnp.where(rest, 0, error)
 
 
@@ -87,12 +87,18 @@ def _increment(inertia: Array, e: Array, tau: Array) -> tuple[Array, Array]:
         w, v, error = _sorted(inertia[order], (sorted_e[0], hand * sorted_e[1], sorted_e[2]), tau)
         return jnp.concatenate([w[None], jnp.stack([v[0], hand * v[1], v[2]])[jnp.argsort(order)]]), error
     moments, V = _eigh(inertia)
-    columns = [small.components(V[:, k]) for k in range(3)]
-    hand = lax.stop_gradient(jnp.sign(dot(columns[0], small.cross(columns[1], columns[2]))))
-    columns[1] = tuple(hand * x for x in columns[1])
-    w, v, error = _sorted(moments, tuple(dot(c, e) for c in columns), tau)
-    a, b, c = columns
+    a, b = (small.components(V[:, k]) for k in (0, 1))  # orthonormal but for round-off, which would make energy drift
+    a = _unit(a)
+    overlap = dot(a, b)
+    b = _unit(tuple(y - overlap * x for x, y in zip(a, b, strict=True)))
+    c = small.cross(a, b)
+    w, v, error = _sorted(moments, (dot(a, e), dot(b, e), dot(c, e)), tau)
     return jnp.stack([w, *(v[0] * a[i] + v[1] * b[i] + v[2] * c[i] for i in range(3))]), error
+
+
+def _unit(v: Vector) -> Vector:
+    r = 1 / jnp.sqrt(dot(v, v))
+    return tuple(r * x for x in v)
 
 
 @jax.custom_jvp

@@ -94,7 +94,7 @@ class RigidBody:
         """(q̇, π̇) = (½ q Ω, 0) (2.12)."""
         return State(so3.tangent(state.q, self.angular_velocity(state)), jnp.zeros_like(state.p))
 
-    def solution(self, state: State, t: ArrayLike) -> State:
+    def solution(self, state: State, t: Array | float) -> State:
         """The exact state after time t, of any size and sign, without stepping; π bit for bit.
 
         In Jacobi's elliptic functions, see `free_body`. For many times, `jax.vmap(body.solution, (None, 0))`.

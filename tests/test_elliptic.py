@@ -1,0 +1,83 @@
+"""Jacobi's functions, K and R_J against mpmath at 160 digits: both branches, their seam, and both ends."""
+
+import jax
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+
+from lieint_jax import elliptic
+
+EPS = 2.2e-16
+M1 = [1.0, 1 - 1e-16, 1 - 1e-8, 0.9, 0.500001, 0.5, 0.499999, 0.1, 1e-3, 1e-8, 1e-16, 1e-30, 1e-100]
+
+JACOBIAN = jax.jit(lambda u, m1: tuple(zip(*jax.jacfwd(elliptic.jacobi, argnums=(0, 1))(u, m1), strict=True)))
+
+
+@pytest.fixture(autouse=True)
+def digits():
+    with mpmath.workdps(160):
+        yield
+
+
+def test_quarter_period():
+    K = jax.jit(jax.vmap(elliptic.quarter_period))(jnp.array(M1))
+    exact = [mpmath.ellipk(1 - mpmath.mpf(m1)) for m1 in M1]
+    assert max(abs(float(mpmath.mpf(float(a)) / b - 1)) for a, b in zip(K, exact, strict=True)) < 1e-15  # floor 3e-16
+    assert np.isfinite(elliptic.quarter_period(jnp.array(0.0)))
+
+
+def test_jacobi():
+    """Each function to a few eps of itself and of its change over u·eps."""
+    function = jax.jit(jax.vmap(elliptic.jacobi))
+    cases = []
+    for m1 in M1:
+        K = float(mpmath.ellipk(1 - mpmath.mpf(m1)))
+        cases += [(m1, f * K) for f in (1e-9, 0.01, 0.3, 0.5, 0.77, 0.99, 1.0, -0.6)]
+    u, m1 = jnp.array([c[1] for c in cases]), jnp.array([c[0] for c in cases])
+    found = np.stack(function(u, m1), axis=1)
+    for (m1, u), values in zip(cases, found, strict=True):
+        m = 1 - mpmath.mpf(m1)
+        sn, cn, dn = (mpmath.ellipfun(kind, mpmath.mpf(u), m=m) for kind in ("sn", "cn", "dn"))
+        slopes = (cn * dn, -sn * dn, -m * sn * cn)
+        for value, exact, slope in zip(values, (sn, cn, dn), slopes, strict=True):
+            allowed = EPS * (abs(exact) + abs(u * slope))
+            assert abs(mpmath.mpf(float(value)) - exact) < 6 * allowed, (m1, u)  # floor 2.4
+
+
+@pytest.mark.parametrize("m1", [1.0, 0.7, 0.5, 0.2, 1e-6, 0.0])
+def test_derivatives(m1):
+    """In u, the defining equations; in m1 against mpmath. At 0 and at 1 too."""
+    u = 1.1
+    of_u, of_m1 = JACOBIAN(jnp.array(u), jnp.array(m1))
+    sn, cn, dn = elliptic.jacobi(jnp.array(u), jnp.array(m1))
+    assert np.abs(np.array(of_u) - np.array([cn * dn, -sn * dn, -(1 - m1) * sn * cn])).max() < 1e-15  # floor 3e-16
+    h = mpmath.mpf(10) ** -40
+    for value, kind in zip(of_m1, ("sn", "cn", "dn"), strict=True):
+        up, down = (mpmath.ellipfun(kind, mpmath.mpf(u), m=1 - mpmath.mpf(m1) + s * h) for s in (-1, 1))
+        assert float(value) == pytest.approx(float(mpmath.re(up - down) / (2 * h)), abs=2e-15)
+
+
+def test_the_ends_are_elementary():
+    u = jnp.linspace(-3, 3, 13)
+    circle = elliptic.jacobi(u, jnp.ones_like(u))
+    assert np.abs(np.array(circle) - np.array([np.sin(u), np.cos(u), np.ones(13)])).max() < 5e-16
+    line = elliptic.jacobi(u, jnp.zeros_like(u))
+    assert np.abs(np.array(line) - np.array([np.tanh(u), 1 / np.cosh(u), 1 / np.cosh(u)])).max() < 5e-16
+
+
+def test_carlson_rj():
+    cases = [(x, y, p) for x in (0, 1e-30, 1e-5, 0.2, 1) for y in (1, 0.5, 1e-3, 1e-20, 1e-60) for p in (1, 1.001, 2)]
+    rx, ry, p = (jnp.array(c) for c in zip(*((x**0.5, y**0.5, float(p)) for x, y, p in cases), strict=True))
+    found = jax.jit(elliptic.carlson_rj)(rx, ry, jnp.ones_like(rx), p)
+    with mpmath.workdps(80):
+        for value, a, b, c in zip(found, rx, ry, p, strict=True):
+            exact = mpmath.elliprj(mpmath.mpf(float(a)) ** 2, mpmath.mpf(float(b)) ** 2, 1, mpmath.mpf(float(c)))
+            assert float(value) == pytest.approx(float(exact), rel=2e-15)  # floor 8e-16
+
+
+def test_float32():
+    m1 = jnp.array(M1 + [0.0], "float32")
+    for x in (*elliptic.jacobi(jnp.full_like(m1, 1.3), m1), elliptic.quarter_period(m1)):
+        assert x.dtype == jnp.float32
+        assert np.isfinite(x).all()
