@@ -80,7 +80,7 @@ def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     """R_J(x, y, z, p) = (3/2) ∫₀^∞ dt / ((t + p) √((t + x)(t + y)(t + z))) of the square roots of x, y and z.
 
     For p ≥ x, y, z ≥ 0, at most one of which is 0. Roots are the arguments so that derivatives are finite there, and
-    one of them may be a little negative: the integral continued beyond a quarter period. Duplication, then the series of
+    one of them may be a little negative: the integral continued beyond a quarter period. Duplication, then a series of
     degree 7. Relative error 1e-15 for x, y ≥ 1e-60 z. Source: DLMF 19.26(iii), 19.36(i).
     """
     x, y, z = root_x * root_x, root_y * root_y, root_z * root_z

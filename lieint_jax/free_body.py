@@ -87,7 +87,7 @@ def _increment(inertia: Array, e: Array, tau: Array) -> tuple[Array, Array]:
         w, v, error = _sorted(inertia[order], (sorted_e[0], hand * sorted_e[1], sorted_e[2]), tau)
         return jnp.concatenate([w[None], jnp.stack([v[0], hand * v[1], v[2]])[jnp.argsort(order)]]), error
     moments, V = _eigh(inertia)
-    a, b = (small.components(V[:, k]) for k in (0, 1))  # orthonormal but for round-off, which would make energy drift
+    a, b = (small.components(V[:, k]) for k in (0, 1))  # then right-handed, and orthonormal to the last bit
     a = _unit(a)
     overlap = dot(a, b)
     b = _unit(tuple(y - overlap * x for x, y in zip(a, b, strict=True)))

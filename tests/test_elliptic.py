@@ -77,7 +77,7 @@ def test_carlson_rj():
 
 
 def test_float32():
-    m1 = jnp.array(M1 + [0.0], "float32")
+    m1 = jnp.array([*M1, 0.0], "float32")
     for x in (*elliptic.jacobi(jnp.full_like(m1, 1.3), m1), elliptic.quarter_period(m1)):
         assert x.dtype == jnp.float32
         assert np.isfinite(x).all()

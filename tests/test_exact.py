@@ -1,4 +1,4 @@
-"""The exact flow against Taylor series at 35 digits and closed forms; its invariants, its group law, its derivatives."""
+"""The exact flow against Taylor series at 35 digits and closed forms; invariants, group law, derivatives."""
 
 import itertools
 
@@ -148,7 +148,7 @@ def test_invariants_group_law_and_form(full):
     state = body.state(Q, angular_velocity=jnp.array([0.3, 0.6, 0.8]))
     run = li.integrate(exact(body), state, 3.0, 300)
     assert run.info.converged.all()
-    assert np.abs(diagnostics.energy_error(body, run)).max() < 1e-14  # floor 4e-15
+    assert np.abs(diagnostics.energy_error(body, run)).max() < 1e-13  # floor 4e-15; full 3e-14, half an eps a step
     assert np.abs(diagnostics.momentum_error(body, run)).max() == 0
     assert difference(run.state.q[30], body.solution(state, 90.0).q) < 1e-13
     assert diagnostics.reversibility(exact(body), state, 20.0) < 5e-14
@@ -172,7 +172,7 @@ def test_poinsot():
 def test_gradient_of_a_full_tensor_and_reverse_mode():
     J, state = TURN @ jnp.diag(jnp.array([1.0, 2.0, 3.0])) @ TURN.T, setting([1, 2, 3], [0.3, 0.6, 0.8])[1]
     end = jax.jit(lambda J, t: RigidBody(J).solution(state, t).q[1])
-    by_J, by_t = jax.jit(jax.grad(lambda J, t: RigidBody(J).solution(state, t).q[1], argnums=(0, 1)))(J, 4.0)
+    by_J, by_t = jax.grad(lambda J, t: RigidBody(J).solution(state, t).q[1], argnums=(0, 1))(J, 4.0)
     E, h = jnp.array([[0.2, 0.5, -0.3], [0.5, 0.1, 0.7], [-0.3, 0.7, 0.4]]), 1e-5
     assert float(jnp.sum(by_J * E)) == pytest.approx(
         float(end(J + h * E, 4.0) - end(J - h * E, 4.0)) / (2 * h), rel=1e-7

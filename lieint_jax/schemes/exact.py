@@ -54,8 +54,8 @@ def exact(system: FreeBody) -> Exact:
     more: near the separatrix. No equation is solved; `residual` is the error of |Π|², relative. `order` is infinite.
 
     Args:
-        system: `systems.rigid_body(...)`. For a full tensor each step finds the principal axes; principal moments and
-            axes are faster. Derivatives: see `free_body.attitude`.
+        system: `systems.rigid_body(...)`. For a full tensor each step finds the principal axes, which is slower, and
+            energy drifts by half an eps a step. Derivatives: see `free_body.attitude`.
 
     Raises:
         ValueError: not a free rigid body.
