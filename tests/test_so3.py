@@ -52,7 +52,7 @@ def test_group_axioms(a, b, c):
 @hypothesis.given(units, units, vectors, vectors)
 def test_Ad_is_the_rotation_matrix_and_a_homomorphism(a, b, u, v):
     R = np.array(MATRIX(a))
-    same(R.T @ R, np.eye(3), 8 * EPS)
+    same(R.T @ R, np.eye(3), 32 * EPS)
     same(AD(a, u), R @ u, 32 * EPS)
     same(AD_STAR(a, u), R.T @ u, 32 * EPS)
     same(AD(MUL(a, b), u), AD(a, AD(b, u)), 64 * EPS)
@@ -61,9 +61,9 @@ def test_Ad_is_the_rotation_matrix_and_a_homomorphism(a, b, u, v):
 
 @hypothesis.given(vectors, vectors, vectors)
 def test_algebra(u, v, w):
-    same(so3.ad(u, v), np.cross(u, v), 0)
+    same(so3.ad(u, v), np.cross(u, v), 8 * EPS)
     same(so3.hat(jnp.array(u)) @ v, np.cross(u, v), 8 * EPS)
-    same(so3.vee(so3.hat(jnp.array(u))), u, 0)
+    same(so3.vee(so3.hat(jnp.array(u))), u, 1e-300)  # but for numbers that are flushed to 0
     same(np.dot(so3.ad_star(u, v), w), np.dot(v, so3.ad(u, w)), 256 * EPS)
     jacobi = so3.ad(u, so3.ad(v, w)) + so3.ad(v, so3.ad(w, u)) + so3.ad(w, so3.ad(u, v))
     same(jacobi, 0, 256 * EPS)
@@ -122,7 +122,7 @@ def test_euler_angles_round_trip(alpha, beta, gamma):
 @hypothesis.given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3))
 def test_euler_angles_are_z_x_z(alpha, beta, gamma):
     def turn(axis, angle):
-        return paper.exp(np.eye(3)[axis] * angle) if abs(angle) > 1e-9 else np.eye(3)
+        return paper.exp(np.eye(3)[axis] * angle) if abs(angle) > 1e-100 else np.eye(3)
 
     R = turn(2, alpha) @ turn(0, beta) @ turn(2, gamma)
     same(MATRIX(FROM_EULER(np.array([alpha, beta, gamma]))), R, 16 * EPS)
