@@ -25,13 +25,10 @@ def main(arguments: list[str] | None = None) -> int:
     warnings.showwarning = lambda message, *_, **__: print(f"lieint: warning: {message}", file=sys.stderr)
     try:
         options.command(options)
-    except ValueError as error:
-        print(f"lieint: {error}", file=sys.stderr)
-        return 2
     except BrokenPipeError:  # `lieint … | head`: whoever read has read enough
         sys.stderr.close()
         return 1
-    except OSError as error:
+    except (ValueError, OSError) as error:
         print(f"lieint: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

@@ -127,10 +127,10 @@ def _check(step: Step, states: State) -> int:
         if bad.size:
             raise ValueError(f"states.{name} must be finite; {_some(bad)} not")
     defect = np.abs(np.asarray(jax.vmap(step.system.phase_space.defect)(states)))
-    bad = np.flatnonzero(defect > 2e-6)
+    bad = np.flatnonzero(defect > 2 * checks.UNIT_TOLERANCE)  # |q|² − 1 is twice the error of |q|
     if bad.size:
         raise ValueError(
-            f"states.q is off the configuration space by more than 1e-6: {_some(bad)} "
+            f"states.q is off the configuration space by more than {checks.UNIT_TOLERANCE:g}: {_some(bad)} "
             f"(worst defect {defect.max():.3g}); make states with system.state(...)"
         )
     return shapes[0][0]

@@ -66,14 +66,15 @@ def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, A
     ones. For a full tensor with moments equal to √eps they are finite, but leave out the change of the inertia's
     off-diagonal elements between the equal axes.
     """
-    scale = 1 / small.trace(small.symmetric(inertia))
-    Pi = scale * so3.Ad_star(q, p)
-    square = dot(Pi, Pi)
+    J, Pi = small.symmetric(inertia), so3.Ad_star(q, p)
+    scale = 1 / small.trace(J)
+    scaled = scale * Pi
+    square = dot(scaled, scaled)
     rest = square == 0
     G = jnp.sqrt(jnp.where(rest, 1, square))
-    e = jnp.where(rest, math.sqrt(1 / 3), Pi / G)
+    e = jnp.where(rest, math.sqrt(1 / 3), scaled / G)
     increment, error = _increment(scale * inertia, e, G * t)
-    Omega = jnp.stack(small.solve_symmetric(small.symmetric(inertia), so3.Ad_star(q, p)))
+    Omega = jnp.stack(small.solve_symmetric(J, Pi))
     increment = jnp.where(rest, so3.exp(jnp.where(rest, Omega, 0) * t), increment)  # 1, with its derivative in π
     return so3.normalise(so3.multiply(q, increment)), jnp.where(rest, 0, error)
 

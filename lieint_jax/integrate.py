@@ -48,11 +48,10 @@ def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_ever
         (state, info), _ = lax.scan(one, (state, started), None, length=save_every)
         return state, (state, info)
 
-    _, (states, infos) = lax.scan(interval, state, None, length=num_saves)
-    first = jnp.asarray
-    joined = [jnp.concatenate([first(a)[None], b]) for a, b in zip((*state, *started), (*states, *infos), strict=True)]
+    _, later = lax.scan(interval, state, None, length=num_saves)
+    joined = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), (state, started), later)
     t = dt * save_every * jnp.arange(num_saves + 1, dtype=dtype)
-    return Trajectory(t, State(*joined[:2]), StepInfo(*joined[2:]))
+    return Trajectory(t, *joined)
 
 
 def promoted(step: Step, state: State) -> tuple[State, jnp.dtype]:

@@ -58,7 +58,7 @@ def sphere_path(ax: Any, path: np.ndarray, pole: np.ndarray | None = None, eye: 
     if pole is not None:
         end = 1.3 * np.asarray(pole)
         ax.plot(*np.stack([0 * end, end]).T, color=RED, lw=1.5, label="angular momentum")
-    ax.set_aspect("equal")
+    ax.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1))  # a cube, or the sphere is an egg
     ax.set_box_aspect((1, 1, 1), zoom=1.5)
     ax.set_axis_off()
     return ax
@@ -84,12 +84,4 @@ def loglog_lines(ax: Axes, curves: Mapping[str, tuple[np.ndarray, np.ndarray]], 
     ax.set(xlabel=xlabel, ylabel=ylabel)
     ax.grid(True, which="major", lw=0.3, color=GREY)
     ax.legend(frameon=False, fontsize="small")
-    return ax
-
-
-def marked_times(ax: Axes, times: Mapping[str, float]) -> Axes:
-    """Vertical lines at named times."""
-    for label, t in times.items():
-        ax.axvline(t, color=RED, lw=0.8)
-        ax.annotate(label, (t, 1), xycoords=("data", "axes fraction"), fontsize="x-small", rotation=90, va="top")
     return ax

@@ -65,8 +65,9 @@ class Preprocessed(Step):
 
     def _clock(self, state: State, dt: ArrayLike) -> tuple[Array, Array]:
         """s and d, the latter over the trace of I: computed for I of trace 1, so that no power overflows."""
-        r = 1 / small.trace(small.symmetric(self.system.inertia))
-        I = tuple(r * x for x in small.symmetric(self.system.inertia))  # noqa: E741
+        J = small.symmetric(self.system.inertia)
+        r = 1 / small.trace(J)
+        I = tuple(r * x for x in J)  # noqa: E741
         adj = small.adjugate(I)
         D = small.determinant(I, adj)
         X1, S2 = small.trace(adj) / D, small.trace(I) ** 2 - 2 * small.trace(adj)
