@@ -61,6 +61,8 @@ def run(
     fresh = Progress(StepInfo(jnp.zeros(members, dtype), jnp.ones(members, bool)), jnp.full(members, -1, jnp.int32))
     advance = _compile(step_axis)
     _check_first(advance(step, states, fresh, h, 0, 1)[1], step, states, dt, step_axis)
+    if type(step).prepare is not Step.prepare:  # constants of its own for every member
+        step, advance = _prepare(step_axis)(step, states, h), _compile(0)
 
     out = jax.tree.map(lambda leaf: np.empty((num_saves + 1, *leaf.shape), leaf.dtype), (states, fresh.info))
     jax.tree.map(partial(_put, 0), out, (states, fresh.info))
@@ -107,6 +109,12 @@ def _compile(step_axis: int | None) -> Any:
         return lax.fori_loop(0, count, one, (states, progress))
 
     return jax.jit(advance, compiler_options=compiler_options())
+
+
+@cache
+def _prepare(step_axis: int | None) -> Any:
+    """(step, states, dt) ↦ the prepared steps, with the member axis on every leaf."""
+    return jax.jit(jax.vmap(lambda step, state, dt: step.prepare(state, dt), in_axes=(step_axis, 0, None)))
 
 
 def _chunks(start: int, length: int, size: int) -> list[tuple[int, int]]:

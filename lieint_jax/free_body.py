@@ -30,6 +30,14 @@ third kind. With ψ the azimuth of e about r, and "e → r" the shortest rotatio
 
 Every arctangent has an argument of size ½ at least. The sign of the quaternion is continuous in time.
 
+**Clock.** The symplectic step of 1/Ĩ = s/J + d, 2y = τ(s b + d)·½(e + e(τ)), h = (1 + |h|²) y, is this very motion for
+the right s and d. The same all along the trajectory, they are found where the step is symmetric: from −τ/2 to τ/2 about
+a passage of e_m through 0. With S, q, χ = b_o τ/2 − (b_o − b_r) ν X all at τ/2, and ν = (b_m − b_o) R,
+
+    ℓ = cos χ − R S (q_r/q_o) sin χ,    s = ℓ² S q_o/(½τ q_r (1 + νS²)),    s b_o + d = ℓ sin χ/(½τ)
+
+where q_o ℓ/√(1 + νS²) is the cosine of half the angle of the step, and nothing is divided by what may vanish.
+
 Sources: Jacobi 1850; for the addition theorems DLMF 22.8 and 19.11; the form without phases and cases: this package.
 """
 
@@ -79,6 +87,35 @@ def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, A
     return so3.normalise(so3.multiply(q, increment)), jnp.where(rest, 0, error)
 
 
+def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]:
+    """s and d of the inertia Ĩ = J(s + dJ)⁻¹ whose symplectic step of size t is the exact motion.
+
+    Args:
+        inertia: as of `attitude`.
+        Pi: body momentum, shape (3,).
+        t: the size of the step.
+
+    Returns:
+        s, d in the unit of 1/inertia, and whether there is such a step: one that turns the body by at most 90°. The
+        same for every Π of a trajectory; 1, 0 and True at rest and for t = 0.
+    """
+    J = small.symmetric(inertia)
+    scale = 1 / small.trace(J)
+    scaled = scale * Pi
+    square = dot(scaled, scaled)
+    still = (square == 0) | (jnp.asarray(t) == 0)
+    G = jnp.sqrt(jnp.where(still, 1, square))
+    e = jnp.where(still, math.sqrt(1 / 3), scaled / G)
+    if inertia.ndim == 1:
+        order = jnp.argsort(lax.stop_gradient(inertia))
+        moments, e = (scale * inertia)[order], e[order]
+    else:
+        moments, V = _eigh(scale * inertia)
+        e = jnp.stack([dot(V[:, k], e) for k in range(3)])
+    s, d, on_branch = _sorted_clock(moments, e, jnp.where(still, 1e-3, G * t))
+    return jnp.where(still, 1, s), jnp.where(still, 0, scale * d), still | on_branch
+
+
 def _increment(inertia: Array, e: Array, tau: Array) -> tuple[Array, Array]:
     """Λ⁻¹Λ(τ) in body axes: principal axes are sorted, right-handed, by a permutation or by eigenvectors."""
     if inertia.ndim == 1:
@@ -119,30 +156,6 @@ def _eigh_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple[Arra
     return (w, V), (jnp.stack([M[0, 0], M[1, 1], M[2, 2]]), V @ turn)
 
 
-def _sorted(J: Array, e: Vector, tau: Array) -> tuple[Array, Vector, Array]:
-    """Λ⁻¹Λ(τ) as scalar and vector part, and the error, for ascending moments J."""
-    d01, d12, d02 = ((J[j] - J[i]) / (J[i] * J[j]) for i, j in ((0, 1), (1, 2), (0, 2)))  # b_i − b_j
-    x, y, z = (c * c for c in e)
-    far0, far2 = d02 * x + d12 * y, d02 * z + d01 * y
-    first = (far0 < far2) | ((far0 == far2) & (x <= z))  # whether axis 0 is r, else axis 2; m is turned to suit
-
-    def choose(a: Array, b: Array) -> Array:
-        return jnp.where(first, a, b)
-
-    turned = choose(e[1], -e[1])
-    w, v, error = _labelled(
-        _Labels(
-            b_o=choose(1 / J[2], 1 / J[0]),
-            rm=choose(d01, -d12),
-            mo=choose(d12, -d01),
-            ro=choose(d02, -d02),
-        ),
-        (choose(e[0], e[2]), turned, choose(e[2], e[0])),
-        tau,
-    )
-    return w, (choose(v[0], v[2]), choose(v[1], -v[1]), choose(v[2], v[0])), error
-
-
 class _Labels(NamedTuple):
     """b_o, and the differences b_r − b_m, b_m − b_o, b_r − b_o: all of one sign."""
 
@@ -152,48 +165,95 @@ class _Labels(NamedTuple):
     ro: Array
 
 
-def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Array]:
-    """Λ⁻¹Λ(τ) as scalar and vector part, and the error, in the axes r, m, o."""
+def _labels(J: Array, e: Vector) -> tuple[Array, _Labels]:
+    """Whether axis 0 of ascending moments J is r, else axis 2, and the labels; m is turned to suit."""
+    d01, d12, d02 = ((J[j] - J[i]) / (J[i] * J[j]) for i, j in ((0, 1), (1, 2), (0, 2)))  # b_i − b_j
+    x, y, z = (c * c for c in e)
+    far0, far2 = d02 * x + d12 * y, d02 * z + d01 * y
+    first = (far0 < far2) | ((far0 == far2) & (x <= z))
+    return first, _Labels(
+        b_o=jnp.where(first, 1 / J[2], 1 / J[0]),
+        rm=jnp.where(first, d01, -d12),
+        mo=jnp.where(first, d12, -d01),
+        ro=jnp.where(first, d02, -d02),
+    )
+
+
+def _relabelled(first: Array, v: Vector) -> Vector:
+    """From the axes 0, 1, 2 to r, m, o, or back."""
+    return jnp.where(first, v[0], v[2]), jnp.where(first, v[1], -v[1]), jnp.where(first, v[2], v[0])
+
+
+def _sorted(J: Array, e: Vector, tau: Array) -> tuple[Array, Vector, Array]:
+    """Λ⁻¹Λ(τ) as scalar and vector part, and the error, for ascending moments J."""
+    first, b = _labels(J, e)
+    w, v, f = _labelled(b, _relabelled(first, e), tau)
+    return w, _relabelled(first, v), lax.stop_gradient(jnp.abs(dot(f, f) - 1))
+
+
+def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Vector]:
+    """Λ⁻¹Λ(τ) as scalar and vector part, times a positive number, and e(τ), in the axes r, m, o."""
     er, em, eo = e
+    m = _motion(b, e, tau)
     rate = (-b.mo * em * eo, b.ro * eo * er, -b.rm * er * em)
-    nu = b.mo * (b.ro * er * er + b.mo * em * em)
-    share_r, share_o = b.ro * b.rm * er * er, b.ro * b.mo * eo * eo  # f_r − f_o = share_r − share_o
-    about_r = share_r > share_o
-    f_r = share_r + b.rm * b.mo * em * em
-    f_o = share_o + b.rm * b.mo * em * em
-    greater, less = jnp.where(about_r, f_r, f_o), jnp.where(about_r, f_o, f_r)
-    difference = jnp.where(about_r, share_r - share_o, share_o - share_r)  # abs() has no derivative at 0
-    m = _motion(greater, less, difference, nu, tau)
-    q_r, q_o = jnp.where(about_r, m.dn, m.cn), jnp.where(about_r, m.cn, m.dn)
-    r = 1 / (m.cn * m.cn + m.S * m.S * jnp.where(about_r, share_r, share_o))
-    fr = r * (er * q_r + m.S * q_o * rate[0])
+    r = 1 / (m.cn * m.cn + m.S * m.S * b.ro * jnp.where(m.about_r, b.rm * er * er, b.mo * eo * eo))
+    fr = r * (er * m.q_r + m.S * m.q_o * rate[0])
     fm = r * (em * m.cn * m.dn + m.S * rate[1])
-    fo = r * (eo * q_o + m.S * q_r * rate[2])
+    fo = r * (eo * m.q_o + m.S * m.q_r * rate[2])
     theta = jnp.arctan2(b.mo * m.S * em * fm, 1 - fr * fr - b.mo * m.S * em * fr * fo)
     odd = 1 - 2 * jnp.abs(m.halves % 2)  # sn and cn change sign every half period
-    fr, fm, fo = jnp.where(about_r, 1, odd) * fr, odd * fm, jnp.where(about_r, odd, 1) * fo
-    sign = jnp.where(about_r, odd, 1)
+    fr, fm, fo = jnp.where(m.about_r, 1, odd) * fr, odd * fm, jnp.where(m.about_r, odd, 1) * fo
+    sign = jnp.where(m.about_r, odd, 1)
     azimuth = jnp.arctan2(sign * (em * fo - eo * fm), sign * (em * fm + eo * fo))
-    azimuth = azimuth - jnp.where(about_r, jnp.pi * m.halves * jnp.sign(er * b.rm), 0)
-    twist = (b.b_o * tau + b.ro * nu * m.X + theta - azimuth) / 2
+    azimuth = azimuth - jnp.where(m.about_r, jnp.pi * m.halves * jnp.sign(er * b.rm), 0)
+    twist = (m.turn + theta - azimuth) / 2
     w, v = _between(e, (fr, fm, fo), jnp.cos(twist), jnp.sin(twist))
-    return w, v, lax.stop_gradient(jnp.abs(fr * fr + fm * fm + fo * fo - 1))
+    return w, v, (fr, fm, fo)
+
+
+def _sorted_clock(J: Array, e: Vector, tau: Array) -> tuple[Array, Array, Array]:
+    """`clock` for ascending moments J of trace 1 and τ ≠ 0."""
+    first, b = _labels(J, e)
+    half = tau / 2
+    m = _motion(b, _relabelled(first, e), half)
+    c, s = jnp.cos(m.turn), jnp.sin(m.turn)
+    lag = c - m.R * m.S * (m.q_r / m.q_o) * s
+    size = 1 + m.nu * m.S * m.S
+    scale = m.S * m.q_o * lag * lag / (half * m.q_r * size)
+    small_turn = (m.q_o * lag >= jnp.sqrt(size / 2)) & (jnp.abs(tau) <= 2 * math.pi * J[0])  # nor one by 720°
+    return scale, s * lag / half - scale * b.b_o, small_turn
 
 
 class _Motion(NamedTuple):
-    """S, cn, dn at τ less a number of half periods, that number, and X at τ."""
+    """What moves e by τ less a number of half periods, that number, and the angle (b_o τ − (b_o − b_r) ν X)."""
 
+    about_r: Array
+    R: Array
+    nu: Array
     S: Array
     cn: Array
     dn: Array
     halves: Array
-    X: Array
+    turn: Array
+
+    @property
+    def q_r(self) -> Array:
+        return jnp.where(self.about_r, self.dn, self.cn)
+
+    @property
+    def q_o(self) -> Array:
+        return jnp.where(self.about_r, self.cn, self.dn)
 
 
-def _motion(f: Array, g: Array, difference: Array, nu: Array, tau: Array) -> _Motion:
-    """For f ≥ g ≥ 0, given their difference too."""
+def _motion(b: _Labels, e: Vector, tau: Array) -> _Motion:
+    x, y, z = (c * c for c in e)
+    R, excess = b.ro * x + b.mo * y, b.ro * (b.rm * x - b.mo * z)  # excess = f_r − f_o
+    f_r, f_o, nu = b.rm * R, b.mo * (b.ro * z + b.rm * y), b.mo * R
+    about_r = excess > 0
+    f, g = jnp.where(about_r, f_r, f_o), jnp.where(about_r, f_o, f_r)
     near = f * tau * tau < _NEAR
-    f_far, m1 = jnp.where(near, 1, f), jnp.where(near, 1, difference / jnp.where(near, 1, f))
+    f_far = jnp.where(near, 1, f)
+    m1 = jnp.where(near, 1, jnp.where(about_r, excess, -excess) / f_far)  # abs() has no derivative at 0
     frequency = jnp.sqrt(f_far)
     K = elliptic.quarter_period(m1)
     u = jnp.where(near, 0, frequency * tau)
@@ -204,7 +264,8 @@ def _motion(f: Array, g: Array, difference: Array, nu: Array, tau: Array) -> _Mo
     cn = jnp.where(near, 1 - x / 2 + x * (x + 4 * y) / 24, cn)
     dn = jnp.where(near, 1 - y / 2 + y * (y + 4 * x) / 24, dn)
     part, quarter = _third(cn, dn, nu * S * S, m1, nu / f_far)
-    return _Motion(S, cn, dn, halves, S**3 * part + jnp.where(near, 0, 2 * halves * quarter / (f_far * frequency)))
+    X = S**3 * part + jnp.where(near, 0, 2 * halves * quarter / (f_far * frequency))
+    return _Motion(about_r, R, nu, S, cn, dn, halves, b.b_o * tau + b.ro * nu * X)
 
 
 def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array) -> tuple[Array, Array]:

@@ -1,8 +1,20 @@
 """Schemes: each makes a `types.Step` for a system. Each module has `examples(system)`, its steps for that system."""
 
+from lieint_jax.schemes.calibrated import Calibrated, calibrated
 from lieint_jax.schemes.compose import Composition, compose
 from lieint_jax.schemes.exact import Exact, exact
 from lieint_jax.schemes.preprocessed import Preprocessed, preprocessed
 from lieint_jax.schemes.so3_midpoint import SO3Midpoint, so3_midpoint
 
-__all__ = ["Composition", "Exact", "Preprocessed", "SO3Midpoint", "compose", "exact", "preprocessed", "so3_midpoint"]
+__all__ = [
+    "Calibrated",
+    "Composition",
+    "Exact",
+    "Preprocessed",
+    "SO3Midpoint",
+    "calibrated",
+    "compose",
+    "exact",
+    "preprocessed",
+    "so3_midpoint",
+]

@@ -23,7 +23,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import small
 from lieint_jax.maps import kappa_symplectic
-from lieint_jax.schemes.so3_midpoint import FreeBody, is_free_body, so3_midpoint
+from lieint_jax.schemes.so3_midpoint import FreeBody, SO3Midpoint, is_free_body, so3_midpoint
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 
 
@@ -52,16 +52,7 @@ class Preprocessed(Step):
         return f"{self.name} takes the step of another inertia; {self._base(state, dt).advice(state, dt)}"
 
     def _base(self, state: State, dt: ArrayLike) -> Step:
-        """The order-2 step with Ĩ = I(s + dI)⁻¹ for I."""
-        s, d = self._clock(state, dt)
-        J = self.system.inertia
-        if J.ndim == 1:
-            modified = J / (s + d * J)
-        else:
-            M = small.symmetric(s * jnp.eye(3, dtype=J.dtype) + d * J)
-            modified = jnp.stack([jnp.stack(small.solve_symmetric(M, J[:, k])) for k in range(3)], axis=1)
-        body = dataclasses.replace(self.system, inertia=modified)  # pyright: ignore[reportArgumentType, reportCallIssue]
-        return so3_midpoint(body, kappa_symplectic, self.iterations)
+        return retimed(self.system, *self._clock(state, dt), self.iterations)
 
     def _clock(self, state: State, dt: ArrayLike) -> tuple[Array, Array]:
         """s and d, the latter over the trace of I: computed for I of trace 1, so that no power overflows."""
@@ -79,6 +70,18 @@ class Preprocessed(Step):
             s = s + ((S2 / D - X1) * C * C + (1 - Y) * C * H) / (30 * D) + (3 / D + 2 * X2) / 60 * H * H
             d = d - C * C / (60 * D * D) + (X1 / (10 * D) - S2 / (60 * D * D)) * C * H - (9 + Y) / (60 * D) * H * H
         return s, d * r
+
+
+def retimed(system: FreeBody, s: Array, d: Array, iterations: int | None) -> SO3Midpoint:
+    """The symplectic step of the inertia Ĩ = I(s + dI)⁻¹."""
+    I = system.inertia  # noqa: E741
+    if I.ndim == 1:
+        modified = I / (s + d * I)
+    else:
+        M = small.symmetric(s * jnp.eye(3, dtype=I.dtype) + d * I)
+        modified = jnp.stack([jnp.stack(small.solve_symmetric(M, I[:, k])) for k in range(3)], axis=1)
+    body = dataclasses.replace(system, inertia=modified)  # pyright: ignore[reportArgumentType, reportCallIssue]
+    return so3_midpoint(body, kappa_symplectic, iterations)
 
 
 def preprocessed(system: FreeBody, order: int, iterations: int | None = None) -> Preprocessed:
