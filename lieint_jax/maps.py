@@ -13,14 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax import small
-from lieint_jax.types import Group, concrete, pytree, static
+from lieint_jax.types import Group, callable_pytree, concrete, pytree, static
 
 Map = Callable[[Group, Array], Array]
 
@@ -80,17 +80,12 @@ def as_kappa(kappa: Kappa | Callable[[Array], Array]) -> Kappa:
     if not callable(kappa):
         raise ValueError(f"kappa must be a callable of x = |Θ̄|², such as maps.kappa_symplectic, got {kappa!r}")
     name = getattr(kappa, "__name__", type(kappa).__name__)
-    made = Kappa(_as_pytree(kappa), name=name)
+    made = Kappa(callable_pytree(kappa), name=name)
     with jax.ensure_compile_time_eval():
         at_zero = made(jnp.zeros(())) if concrete(made) else 1.0
     if jnp.shape(at_zero) or (concrete(at_zero) and abs(at_zero - 1) > 1e-6):
         raise ValueError(f"κ(0) must be the number 1 for the scheme to be consistent, got κ(0) = {at_zero} of {name}")
     return made
-
-
-def _as_pytree(function: Callable[..., Any]) -> Callable[..., Any]:
-    is_leaf = jax.tree_util.all_leaves([function])
-    return jax.tree_util.Partial(function) if is_leaf else function
 
 
 def _symplectic(x: Array) -> Array:
@@ -118,9 +113,9 @@ def _exponential(x: Array) -> Array:
     return numerator / denominator
 
 
-kappa_cayley = Kappa(_as_pytree(jnp.ones_like), name="cayley")
-kappa_exponential = Kappa(_as_pytree(_exponential), name="exponential", limit=math.pi)
-kappa_symplectic = Kappa(_as_pytree(_symplectic), name="symplectic", limit=1.0, solve_by="scalar", symplectic=True)
+kappa_cayley = Kappa(callable_pytree(jnp.ones_like), name="cayley")
+kappa_exponential = Kappa(callable_pytree(_exponential), name="exponential", limit=math.pi)
+kappa_symplectic = Kappa(callable_pytree(_symplectic), name="symplectic", limit=1.0, solve_by="scalar", symplectic=True)
 
 
 def examples() -> dict[str, Map]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, Self, TypeVar, dataclass_transform
 
 import jax
@@ -29,6 +30,11 @@ def static(**options: Any) -> Any:
 def pytree(cls: type[_T]) -> type[_T]:
     """Make `cls` a frozen dataclass and a pytree whose leaves are its fields, but for the `static` ones."""
     return jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True, eq=False)(cls))
+
+
+def callable_pytree(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that can be a field of a pytree: itself if it is one (it may have leaves), else without leaves."""
+    return jax.tree_util.Partial(function) if jax.tree_util.all_leaves([function]) else function
 
 
 class State(NamedTuple):

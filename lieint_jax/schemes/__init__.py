@@ -5,6 +5,8 @@ from lieint_jax.schemes.compose import Composition, compose
 from lieint_jax.schemes.exact import Exact, exact
 from lieint_jax.schemes.preprocessed import Preprocessed, preprocessed
 from lieint_jax.schemes.so3_midpoint import SO3Midpoint, so3_midpoint
+from lieint_jax.schemes.splitting import Splitting, splitting
+from lieint_jax.schemes.top_energy_momentum import TopEnergyMomentum, top_energy_momentum
 
 __all__ = [
     "Calibrated",
@@ -12,9 +14,13 @@ __all__ = [
     "Exact",
     "Preprocessed",
     "SO3Midpoint",
+    "Splitting",
+    "TopEnergyMomentum",
     "calibrated",
     "compose",
     "exact",
     "preprocessed",
     "so3_midpoint",
+    "splitting",
+    "top_energy_momentum",
 ]

@@ -185,26 +185,35 @@ def _solve_vector(kappa: Kappa, J: Symmetric, a: Array, iterations: int) -> tupl
     """h = ½Θ for any κ by the vector form, its residual, and whether it is on the branch that starts at Δt = 0."""
 
     def residual(y: Array) -> Array:
-        k, Jy = kappa(4 * dot(y, y)), jnp.stack(apply(J, y))
-        return Jy + k * jnp.stack(cross(y, Jy)) - a
-
-    def matrix(y: Array) -> small.Matrix:
-        """K = J + κ(ŷJ − (Jy)^) + 8κ′(y×Jy)⊗y."""
-        k, slope = jax.jvp(kappa, (4 * dot(y, y),), (jnp.full_like(y[0], 8),))
-        G, g = _gyroscopic(J, y), cross(y, apply(J, y))
-        e = _dense(J)
-        return [[e[i][j] + k * G[i][j] + slope * g[i] * y[j] for j in range(3)] for i in range(3)]
+        return gyration(kappa, J, y) - a
 
     def correction(y: Array, f: Array) -> Array:
-        return jnp.stack(small.solve(matrix(y), f))
+        return jnp.stack(small.solve(gyration_matrix(kappa, J, y), f))
 
     u = jnp.stack(small.solve_symmetric(J, a))
     guess = u + jnp.stack(small.solve_symmetric(J, cross(a, u)))  # ½(ΔtΩ + ½Δt²J⁻¹(Π × Ω))
     y, f = newton.root(residual, correction, guess, iterations)
-    x, K = 4 * dot(y, y), matrix(lax.stop_gradient(y))
-    k = kappa(x)
-    on_branch = (x <= kappa.limit**2) & (dot(K[0], cross(K[1], K[2])) > 0)  # det K changes sign where the branch folds
-    return (k * y[0], k * y[1], k * y[2]), f, on_branch
+    k = kappa(4 * dot(y, y))
+    return (k * y[0], k * y[1], k * y[2]), f, on_branch(kappa, y, gyration_matrix(kappa, J, lax.stop_gradient(y)))
+
+
+def gyration(kappa: Kappa, J: Symmetric, y: Array) -> Array:
+    """Jy + κ y × Jy, shape (3,): the left side of the vector form."""
+    k, Jy = kappa(4 * dot(y, y)), jnp.stack(apply(J, y))
+    return Jy + k * jnp.stack(cross(y, Jy))
+
+
+def gyration_matrix(kappa: Kappa, J: Symmetric, y: Array) -> small.Matrix:
+    """Its derivative, K = J + κ(ŷJ − (Jy)^) + 8κ′(y × Jy)⊗y, as rows."""
+    k, slope = jax.jvp(kappa, (4 * dot(y, y),), (jnp.full_like(y[0], 8),))
+    G, g = _gyroscopic(J, y), cross(y, apply(J, y))
+    e = _dense(J)
+    return [[e[i][j] + k * G[i][j] + slope * g[i] * y[j] for j in range(3)] for i in range(3)]
+
+
+def on_branch(kappa: Kappa, y: Array, K: small.Matrix) -> Array:
+    """Whether y = ½Θ̄ lies where κ is real, and before the fold of the branch, where det K changes its sign."""
+    return (4 * dot(y, y) <= kappa.limit**2) & (dot(K[0], cross(K[1], K[2])) > 0)
 
 
 def _gyroscopic(J: Symmetric, y: Vector) -> small.Matrix:

@@ -1,0 +1,96 @@
+"""What every rigid body can do: make states and read them. No system of its own."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import checks, small
+from lieint_jax.groups import so3
+from lieint_jax.phase_spaces import CotangentGroup
+from lieint_jax.types import State
+
+_PHASE_SPACE = CotangentGroup(so3)
+
+
+class Body:
+    """A body of inertia J on T*SO(3), its state an attitude q and a spatial momentum π."""
+
+    inertia: Array
+
+    @property
+    def phase_space(self) -> CotangentGroup:
+        return _PHASE_SPACE
+
+    def state(
+        self,
+        attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        *,
+        angular_velocity: ArrayLike | None = None,
+        body_momentum: ArrayLike | None = None,
+        spatial_momentum: ArrayLike | None = None,
+    ) -> State:
+        """The state of an attitude and one of three ways to give the motion.
+
+        Args:
+            attitude: unit quaternion (w, x, y, z) or rotation matrix (3, 3), body to space. A quaternion within 1e-6
+                of unit length is normalised.
+            angular_velocity: body angular velocity Ω, radians per unit time, shape (3,).
+            body_momentum: Π = JΩ, shape (3,).
+            spatial_momentum: π = ΛΠ, shape (3,).
+
+        Raises:
+            ValueError: not exactly one of the three, a wrong shape, a NaN, or an attitude that is no rotation.
+        """
+        q = _attitude(attitude)
+        given = {
+            "angular_velocity": angular_velocity,
+            "body_momentum": body_momentum,
+            "spatial_momentum": spatial_momentum,
+        }
+        given = {name: checks.real_array(name, value, (3,)) for name, value in given.items() if value is not None}
+        if len(given) != 1:
+            raise ValueError(
+                "give exactly one of angular_velocity (body), body_momentum, spatial_momentum; got "
+                f"{' and '.join(given) or 'none'}"
+            )
+        [(name, value)] = given.items()
+        if name == "angular_velocity":
+            value = jnp.stack(small.apply(small.symmetric(self.inertia), value))
+        p = value if name == "spatial_momentum" else so3.Ad(q, value)
+        dtype = jnp.result_type(q, p)
+        return State(q.astype(dtype), checks.real_array("the spatial momentum", p.astype(dtype)))
+
+    def rotation_matrix(self, state: State) -> Array:
+        """Λ, body to space, shape (3, 3)."""
+        return so3.to_matrix(state.q)
+
+    def body_momentum(self, state: State) -> Array:
+        """Π = Λᵀπ, shape (3,)."""
+        return so3.Ad_star(state.q, state.p)
+
+    def angular_velocity(self, state: State) -> Array:
+        """The body angular velocity Ω = J⁻¹Π, shape (3,)."""
+        return jnp.stack(small.solve_symmetric(small.symmetric(self.inertia), self.body_momentum(state)))
+
+    def kinetic_energy(self, state: State) -> Array:
+        """½ Π·J⁻¹Π."""
+        return small.dot(self.body_momentum(state), self.angular_velocity(state)) / 2
+
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system."""
+        checks.unit_quaternion("state.q", state.q)
+        checks.real_array("state.p", state.p, (3,))
+
+
+def _attitude(attitude: ArrayLike) -> Array:
+    if np.shape(attitude) == (3, 3):
+        return so3.from_matrix(checks.rotation_matrix("attitude", attitude))
+    if np.shape(attitude) != (4,):
+        raise ValueError(
+            f"attitude must be a quaternion (4,) or a rotation matrix (3, 3), got shape {np.shape(attitude)}; "
+            "use jax.vmap for batches"
+        )
+    return so3.normalise(checks.unit_quaternion("attitude", attitude))

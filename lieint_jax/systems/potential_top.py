@@ -1,0 +1,152 @@
+"""A rigid body with one point fixed, in any potential (Section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import checks, small
+from lieint_jax.groups import so3
+from lieint_jax.systems._body import Body
+from lieint_jax.systems.rigid_body import RigidBody
+from lieint_jax.types import State, callable_pytree, concrete, pytree
+
+
+@pytree
+class Quadratic:
+    """Ṽ(Γ) = ½ Γ·SΓ: a field that grows linearly, such as gravity's gradient (S = 3n²J) and Brun's problem (S = εJ)."""
+
+    matrix: Array
+
+    def __call__(self, Gamma: Array) -> Array:
+        return small.dot(Gamma, small.apply(small.symmetric(self.matrix), Gamma)) / 2
+
+    def discrete_gradient(self, a: Array, b: Array) -> Array:
+        """S·½(a + b)."""
+        return jnp.stack(small.apply(small.symmetric(self.matrix), (a + b) / 2))
+
+
+@pytree
+class PotentialTop(Body):
+    """H = ½ Π·J⁻¹Π + V: Λ̇ = ΛΩ̂, π̇ = γ × ΛDṼ(Γ) with Γ = Λᵀγ (4.2). Made by `potential_top`, `heavy_top`.
+
+    Attributes:
+        inertia: J about the fixed point, principal (3,) or full (3, 3).
+        potential: Ṽ(Γ); or V(Λ) if there is no axis.
+        axis: γ in space, shape (3,), or None.
+    """
+
+    inertia: Array
+    potential: Callable[[Array], Array]
+    axis: Array | None
+
+    @property
+    def free(self) -> RigidBody:
+        """The same body without its potential."""
+        return RigidBody(self.inertia)
+
+    def Gamma(self, state: State) -> Array:
+        """Γ = Λᵀγ, the axis as the body sees it, shape (3,)."""
+        return so3.Ad_star(state.q, self.axis)
+
+    def potential_energy(self, q: Array) -> Array:
+        """V, a scalar, at an attitude."""
+        if self.axis is None:
+            return self.potential(so3.to_matrix(q))
+        return self.potential(so3.Ad_star(q, self.axis))
+
+    def force(self, q: Array) -> Array:
+        """The torque in space, shape (3,): what the potential adds to π̇. With an axis, γ × ΛDṼ(Γ) (4.1)."""
+        if self.axis is None:
+            return -jax.grad(lambda theta: self.potential_energy(so3.multiply(so3.exp(theta), q)))(
+                jnp.zeros_like(q[:3])
+            )
+        gradient = jax.grad(self.potential)(so3.Ad_star(q, self.axis))
+        return jnp.stack(small.cross(self.axis, so3.Ad(q, gradient)))
+
+    def energy(self, state: State) -> Array:
+        """½ Π·J⁻¹Π + V."""
+        return self.kinetic_energy(state) + self.potential_energy(state.q)
+
+    def momentum(self, state: State) -> Array:
+        """γ·π, shape (1,): rotations about γ are a symmetry. Shape (0,) without an axis."""
+        return state.p[:0] if self.axis is None else small.dot(self.axis, state.p)[None]
+
+    def vector_field(self, state: State) -> State:
+        """(q̇, π̇) = (½ q Ω, torque) (4.2)."""
+        return State(so3.tangent(state.q, self.angular_velocity(state)), self.force(state.q))
+
+
+def potential_top(
+    inertia: ArrayLike, potential: Callable[[Array], Array], axis: ArrayLike | None = (0.0, 0.0, 1.0)
+) -> PotentialTop:
+    """A rigid body with a fixed point in a potential.
+
+    Args:
+        inertia: about the fixed point: principal moments (3,) or a symmetric tensor (3, 3).
+        potential: with an axis, Ṽ(Γ) of Γ = Λᵀγ (3,): all that is symmetric about γ. Without one, V(Λ) of the rotation
+            matrix (3, 3). A smooth JAX function with a scalar value; parameters to be differentiated or batched go into
+            a `jax.tree_util.Partial`. One that knows a discrete gradient of its own (D̄·(b − a) = Ṽ(b) − Ṽ(a),
+            symmetric) has a method `discrete_gradient(a, b)`, as `Quadratic` does.
+        axis: γ in space, shape (3,), of any length but 0; None for a V(Λ).
+
+    Raises:
+        ValueError: bad inertia, an axis that is no vector or zero, a potential that is no scalar function.
+
+    Example:
+        >>> top = potential_top([1.0, 2.0, 3.0], lambda Gamma: Gamma[0] ** 4)
+        >>> state = top.state(angular_velocity=[0.1, 0.2, 1.0])
+    """
+    inertia = checks.inertia(inertia)
+    if axis is not None:
+        axis = checks.real_array("axis", axis, (3,))
+        if concrete(axis) and not jnp.any(axis != 0):
+            raise ValueError("axis must not be zero; without a symmetry axis give axis=None and a potential of Λ")
+    if not callable(potential):
+        raise ValueError(f"potential must be a function of {_argument(axis)}, got {potential!r}")
+    made = PotentialTop(inertia, callable_pytree(potential), axis)
+    try:
+        shape = jax.eval_shape(made.potential_energy, jnp.zeros(4, inertia.dtype)).shape
+    except (TypeError, IndexError, ValueError) as error:
+        raise ValueError(f"potential fails as a function of {_argument(axis)}: {error}") from error
+    if shape != ():
+        raise ValueError(f"potential must be a scalar function of {_argument(axis)}, got a value of shape {shape}")
+    return made
+
+
+def brun() -> tuple[PotentialTop, State]:
+    """Brun 1893, Öfvers. K. Vetensk. Akad.: V = (ε/2)Γ·JΓ, a body in a quadratic field.
+
+    Integrable: `clebsch_integral`.
+    """
+    J = jnp.array([1.0, 2.0, 3.0])
+    top = potential_top(J, Quadratic(0.8 * J), [0.0, 0.6, 0.8])
+    return top, top.state(so3.exp(jnp.array([0.3, -0.8, 0.5])), angular_velocity=[0.4, 0.6, -0.3])
+
+
+def clebsch_integral(top: PotentialTop, state: State, strength: float) -> Array:
+    """|Π|² − ε det J Γ·J⁻¹Γ, constant for V = (ε/2)Γ·JΓ (Clebsch 1871)."""
+    J, Pi, Gamma = small.symmetric(top.inertia), top.body_momentum(state), top.Gamma(state)
+    det = small.determinant(J, small.adjugate(J))
+    return small.dot(Pi, Pi) - strength * det * small.dot(Gamma, small.solve_symmetric(J, Gamma))
+
+
+def examples() -> dict[str, Any]:
+    """Brun's problem, and a potential that has no axis."""
+    tilted = potential_top([1.0, 2.0, 2.5], _three_wells, None)
+    state = tilted.state(so3.exp(jnp.array([0.3, 0.1, 0.7])), angular_velocity=[0.2, 0.5, -0.4])
+    return {"brun": (*brun(), 0.05), "three_wells": (tilted, state, 0.05)}
+
+
+def _three_wells(R: Array) -> Array:
+    """A trace and a square of the rotation matrix: the misalignment of two frames, and a preference for one axis."""
+    return 0.3 * (3 - R[0, 0] - R[1, 1] - R[2, 2]) + 0.4 * R[2, 0] ** 2
+
+
+def _argument(axis: ArrayLike | None) -> str:
+    return "the rotation matrix Λ, shape (3, 3)" if axis is None else "Γ = Λᵀγ, shape (3,)"
