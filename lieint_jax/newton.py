@@ -20,6 +20,7 @@ def root(
     correction: Callable[[Array, Array], Array],
     guess: Array,
     iterations: int,
+    unroll: bool = True,
 ) -> tuple[Array, Array]:
     """The root of `residual` near `guess`.
 
@@ -28,6 +29,8 @@ def root(
         correction: (x, F(x)) ↦ the step to subtract; Newton's is F'(x)⁻¹F(x), with a matrix the caller knows.
         guess: where to start.
         iterations: how many corrections, a Python integer.
+        unroll: whether to write the corrections out one after the other, which lets XLA fuse them, or to loop, which
+            compiles once what is long.
 
     Returns:
         The last iterate x and F(x) there, for the caller to judge. Derivatives of x are exact at a root; F(x) carries
@@ -35,8 +38,14 @@ def root(
     """
 
     def solve(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
-        for _ in range(iterations):
-            x = x - correction(x, function(x))
+        def improved(x: Array) -> Array:
+            return x - correction(x, function(x))
+
+        if not unroll:
+            x = lax.fori_loop(0, iterations, lambda _, x: improved(x), x)
+        else:
+            for _ in range(iterations):
+                x = improved(x)
         return x, function(x)
 
     return lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)

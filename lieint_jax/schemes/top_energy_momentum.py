@@ -25,10 +25,10 @@ from lieint_jax import checks, newton, small
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa, as_kappa, kappa_cayley, kappa_exponential, kappa_symplectic
 from lieint_jax.schemes.so3_midpoint import gyration, gyration_matrix, on_branch
-from lieint_jax.small import Symmetric, apply, cross, dot
+from lieint_jax.small import apply, cross, dot
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
-_NODES, _WEIGHTS = (x.tolist() for x in np.polynomial.legendre.leggauss(4))
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _APART = 1e-4  # |ΔΓ|² from where on the quadrature of D̄ is corrected to give the difference of Ṽ
 
 
@@ -70,39 +70,37 @@ class TopEnergyMomentum(Step):
         e = k * so3.Ad(q, _half_turn(k * y, D))
         return State(so3.cayley_increment(q, k * y), state.p + dt * jnp.stack(cross(self.system.axis, e))), info
 
-    def _solve(self, state: State, dt: Array) -> tuple[Array, Array, StepInfo]:
-        """y, the discrete gradient, and the report. J, a and s = ¼Δt² are over tr J: then |a| is an angle."""
+    def _solve(self, state: State, dt: ArrayLike) -> tuple[Array, Array, StepInfo]:
+        """y, the discrete gradient, and the report. J, a and s = ¼Δt² are divided by tr J: then |a| is an angle."""
         kappa, potential, J = self.kappa, self.system.potential, small.symmetric(self.system.inertia)
         r = 1 / small.trace(J)
         J, s = tuple(r * x for x in J), 0.25 * r * dt * dt
         a, Gamma = (0.5 * r * dt) * so3.Ad_star(state.q, state.p), so3.Ad_star(state.q, self.system.axis)
 
         def gradient(y: Array) -> Array:
-            h = kappa(4 * dot(y, y)) * y
-            return discrete_gradient(potential, Gamma, Gamma + _turned(h, Gamma))
+            return discrete_gradient(potential, Gamma, _turned(kappa(4 * dot(y, y)) * y, Gamma))
 
         def residual(y: Array) -> Array:
             k = kappa(4 * dot(y, y))
-            return gyration(kappa, J, y) - a - (s * k) * _torque(k * y, Gamma, gradient(y))
+            return gyration(kappa, J, y) - a - (s * k) * _force(k * y, Gamma, gradient(y))
 
         def correction(y: Array, f: Array) -> Array:
             return jnp.stack(small.solve(matrix(y), f))
 
         def matrix(y: Array) -> small.Matrix:
-            """K less sκ²[(D̄·Γ)1 − Γ⊗D̄ + Γ^(∂D̄/∂Γ_{n+1})2Γ^], what the force adds but for O(Δt³)."""
-            k, D = kappa(4 * dot(y, y)), gradient(y)
-            K, S = gyration_matrix(kappa, J, y), _slope(potential, Gamma + (2 / 3) * _turned(k * y, Gamma))
-            columns = [cross(Gamma, apply(S, cross(Gamma, e))) for e in np.eye(3)]
-            m, d = s * k * k, dot(D, Gamma)
-            return [
-                [K[i][j] - m * ((d if i == j else 0) - Gamma[i] * D[j] + columns[j][i]) for j in range(3)]
-                for i in range(3)
-            ]
+            """K less sκ²[(Γ·D̄)1 − Γ⊗D̄ + Γ^ S Γ^], S the slope of D̄: what the force adds, but for O(Δt³)."""
+            k, D, K = kappa(4 * dot(y, y)), gradient(y), gyration_matrix(kappa, J, y)
+            m, d = s * k * k, dot(Gamma, D)
+            if not _is_linear(potential):  # S = 2∂D̄/∂Γ_{n+1}, up to O(ΔΓ²)
+                S = small.symmetric(jax.hessian(potential)((Gamma + 2 * _turned(k * y, Gamma)) / 3))
+                bend = [cross(Gamma, apply(S, cross(Gamma, e))) for e in np.eye(3)]
+                K = [[K[i][j] - m * bend[j][i] for j in range(3)] for i in range(3)]
+            return [[K[i][j] - m * ((d if i == j else 0) - Gamma[i] * D[j]) for j in range(3)] for i in range(3)]
 
         u = jnp.stack(small.solve_symmetric(J, a))
-        force = s * jnp.stack(cross(Gamma, discrete_gradient(potential, Gamma, Gamma)))
-        guess = u + jnp.stack(small.solve_symmetric(J, jnp.stack(cross(a, u)) + force))
-        y, f = newton.root(residual, correction, guess, self.iterations)
+        at_rest = s * jnp.stack(cross(Gamma, discrete_gradient(potential, Gamma, Gamma)))
+        guess = u + jnp.stack(small.solve_symmetric(J, jnp.stack(cross(a, u)) + at_rest))
+        y, f = newton.root(residual, correction, guess, self.iterations, unroll=_is_linear(potential))
         at = lax.stop_gradient(y)
         size = lax.stop_gradient(small.max_abs(a) + s * _size(potential, Gamma, gradient(y), y))
         f = lax.stop_gradient(jnp.sqrt(dot(f, f)))
@@ -118,7 +116,7 @@ class TopEnergyMomentum(Step):
 
 
 def top_energy_momentum(
-    system: Top, kappa: Kappa | Callable[[Array], Array] = kappa_cayley, iterations: int = 5
+    system: Top, kappa: Kappa | Callable[[Array], Array] = kappa_cayley, iterations: int | None = None
 ) -> TopEnergyMomentum:
     """The energy-momentum scheme (4.3), (4.4) with (4.6) corrected, for a rigid body in a potential with an axis.
 
@@ -134,8 +132,8 @@ def top_energy_momentum(
     Args:
         system: `systems.heavy_top(...)` or `systems.potential_top(...)` with an axis.
         kappa: κ as of `so3_midpoint`.
-        iterations: Newton corrections a step; 5 reach round-off for |Δt Ω| ≤ .8. A step that fell short says
-            `converged=False`.
+        iterations: Newton corrections a step; by default 4 for a linear Ṽ and 6 for any other. A step that fell short
+            says `converged=False`.
 
     Raises:
         ValueError: no potential or no axis, κ is not callable, iterations is not a positive int.
@@ -149,6 +147,8 @@ def top_energy_momentum(
             f"systems.potential_top), got {type(system).__name__}"
             + (" without an axis; take splitting" if getattr(system, "potential", None) is not None else "")
         )
+    if iterations is None:
+        iterations = 4 if _is_linear(system.potential) else 6
     return TopEnergyMomentum(system, as_kappa(kappa), checks.count("iterations", iterations, 1))
 
 
@@ -158,17 +158,16 @@ def discrete_gradient(potential: Callable[[Array], Array], a: Array, b: Array) -
     if own is not None:
         return own(a, b)
     step = b - a
-    nodes = [jax.grad(potential)((a + b) / 2 + (x / 2) * step) for x in _NODES]
-    mean = sum(w / 2 * g for w, g in zip(_WEIGHTS, nodes, strict=True)) + jnp.zeros_like(a)
+    at = (a + b) / 2 + jnp.asarray(_NODES, a.dtype)[:, None] * (step / 2)
+    mean = jnp.tensordot(jnp.asarray(_WEIGHTS / 2, a.dtype), jax.vmap(jax.grad(potential))(at), 1)
     square = dot(step, step)
     apart = square > _APART
     missing = potential(b) - potential(a) - dot(mean, step)
     return mean + jnp.where(apart, missing / jnp.where(apart, square, 1), 0) * step
 
 
-def _slope(potential: Callable[[Array], Array], Gamma: Array) -> Symmetric:
-    """∂D̄/∂Γ_{n+1}, twice: the second derivative of Ṽ two thirds of the way, up to O(ΔΓ²)."""
-    return small.symmetric(jax.hessian(potential)(Gamma))
+def _is_linear(potential: Callable[[Array], Array]) -> bool:
+    return getattr(potential, "linear", False)
 
 
 def _size(potential: Callable[[Array], Array], Gamma: Array, D: Array, y: Array) -> Array:
@@ -181,25 +180,20 @@ def _size(potential: Callable[[Array], Array], Gamma: Array, D: Array, y: Array)
 
 
 def _turned(h: Array, Gamma: Array) -> Array:
-    """ΔΓ = (cay(2h)ᵀ − 1)Γ = 2(h × (h × Γ) − h × Γ)/(1 + |h|²)."""
-    x = cross(h, Gamma)
-    xx = cross(h, x)
-    r = 2 / (1 + dot(h, h))
-    return jnp.stack([r * (xx[i] - x[i]) for i in range(3)])
+    """Γ_{n+1} = cay(2h)ᵀΓ = Γ + 2(h × (h × Γ) − h × Γ)/(1 + |h|²)."""
+    x = jnp.stack(cross(h, Gamma))
+    return Gamma + (2 / (1 + dot(h, h))) * (jnp.stack(cross(h, x)) - x)
 
 
 def _half_turn(h: Array, D: Array) -> Array:
     """½(1 + cay(2h))D = (D + h × D + h(h·D))/(1 + |h|²)."""
-    x, g, r = cross(h, D), dot(h, D), 1 / (1 + dot(h, h))
-    return jnp.stack([r * (D[i] + x[i] + g * h[i]) for i in range(3)])
+    return (1 / (1 + dot(h, h))) * (D + jnp.stack(cross(h, D)) + dot(h, D) * h)
 
 
-def _torque(h: Array, Gamma: Array, D: Array) -> Array:
-    """w − h(h·w)/(1 + |h|²) with w = (Γ − h × Γ) × D̄."""
-    x = cross(h, Gamma)
-    w = cross(tuple(Gamma[i] - x[i] for i in range(3)), D)
-    g = dot(h, w) / (1 + dot(h, h))
-    return jnp.stack([w[i] - g * h[i] for i in range(3)])
+def _force(h: Array, Gamma: Array, D: Array) -> Array:
+    """w − h(h·w)/(1 + |h|²), with w = (Γ − h × Γ) × D̄ = Γ × D̄ + (Γ·D̄)h − (h·D̄)Γ."""
+    w = jnp.stack(cross(Gamma, D)) + dot(Gamma, D) * h - dot(h, D) * Gamma
+    return w - (dot(h, w) / (1 + dot(h, h))) * h
 
 
 def examples(system: Any) -> dict[str, Step]:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import checks, small
 from lieint_jax.groups import so3
 from lieint_jax.systems.potential_top import PotentialTop, potential_top
-from lieint_jax.types import State, pytree
+from lieint_jax.types import State, pytree, static
 
 
 @pytree
@@ -19,6 +19,7 @@ class Linear:
     """Ṽ(Γ) = E·Γ: uniform gravity, E the weight times the centre of mass in the body."""
 
     weight: Array
+    linear: bool = static(default=True)
 
     def __call__(self, Gamma: Array) -> Array:
         return small.dot(self.weight, Gamma)

@@ -52,7 +52,7 @@ class PotentialTop(Body):
 
     def Gamma(self, state: State) -> Array:
         """Γ = Λᵀγ, the axis as the body sees it, shape (3,)."""
-        return so3.Ad_star(state.q, self.axis)
+        return so3.Ad_star(state.q, self._axis)
 
     def potential_energy(self, q: Array) -> Array:
         """V, a scalar, at an attitude."""
@@ -68,6 +68,12 @@ class PotentialTop(Body):
             )
         gradient = jax.grad(self.potential)(so3.Ad_star(q, self.axis))
         return jnp.stack(small.cross(self.axis, so3.Ad(q, gradient)))
+
+    @property
+    def _axis(self) -> Array:
+        if self.axis is None:
+            raise ValueError("this potential has no axis γ: it is a function of Λ (see potential_top)")
+        return self.axis
 
     def energy(self, state: State) -> Array:
         """½ Π·J⁻¹Π + V."""
