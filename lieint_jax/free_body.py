@@ -197,9 +197,15 @@ def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Vector]
     m = _motion(b, e, tau)
     rate = (-b.mo * em * eo, b.ro * eo * er, -b.rm * er * em)
     r = 1 / (m.cn * m.cn + m.S * m.S * b.ro * jnp.where(m.about_r, b.rm * er * er, b.mo * eo * eo))
-    fr = r * (er * m.q_r + m.S * m.q_o * rate[0])
-    fm = r * (em * m.cn * m.dn + m.S * rate[1])
-    fo = r * (eo * m.q_o + m.S * m.q_r * rate[2])
+    fr, fm, fo = _on_polhode(
+        b,
+        m.R,
+        (
+            r * (er * m.q_r + m.S * m.q_o * rate[0]),
+            r * (em * m.cn * m.dn + m.S * rate[1]),
+            r * (eo * m.q_o + m.S * m.q_r * rate[2]),
+        ),
+    )
     theta = jnp.arctan2(b.mo * m.S * em * fm, 1 - fr * fr - b.mo * m.S * em * fr * fo)
     odd = 1 - 2 * jnp.abs(m.halves % 2)  # sn and cn change sign every half period
     fr, fm, fo = jnp.where(m.about_r, 1, odd) * fr, odd * fm, jnp.where(m.about_r, odd, 1) * fo
@@ -209,6 +215,21 @@ def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Vector]
     twist = (m.turn + theta - azimuth) / 2
     w, v = _between(e, (fr, fm, fo), jnp.cos(twist), jnp.sin(twist))
     return w, v, (fr, fm, fo)
+
+
+def _on_polhode(b: _Labels, R: Array, f: Vector) -> Vector:
+    """f less its errors of round-off in |f|² = 1 and R: those of S, cn, dn are the same at every step, and add up.
+
+    Where the gradient of R along the sphere vanishes, so does what an error of f does to R, and nothing is done.
+    """
+    x, y, z = lax.stop_gradient(f)
+    b, R = lax.stop_gradient((b, R))
+    long = (x * x + y * y + z * z - 1) / 2
+    x, y, z = x - long * x, y - long * y, z - long * z
+    gx, gy, gz = 2 * (b.ro - R) * x, 2 * (b.mo - R) * y, -2 * R * z
+    floor = jnp.where(b.ro == 0, 1, b.ro * b.ro / 4)
+    off = (b.ro * x * x + b.mo * y * y - R) / jnp.maximum(gx * gx + gy * gy + gz * gz, floor)
+    return (f[0] - long * x - off * gx, f[1] - long * y - off * gy, f[2] - long * z - off * gz)
 
 
 def _sorted_clock(J: Array, e: Vector, tau: Array) -> tuple[Array, Array, Array]:
