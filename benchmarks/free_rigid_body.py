@@ -73,7 +73,7 @@ def main() -> None:
 
 
 def on_one_core(quick: bool, out: Path) -> None:
-    """Measure everything, print it, write the tables as .md and .json and the plot as .png."""
+    """Measure everything, print it, write the tables as .md and .json."""
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, cores[-1:])  # before jax makes its threads
     import measure

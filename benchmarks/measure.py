@@ -1,4 +1,4 @@
-"""What is measured of the contestants: rates, errors against a reference, drifts of the invariants, work and precision.
+"""What is measured of the contestants: rates, errors against a reference, drifts of the invariants.
 
 Importing this imports jax: pin the process to a core first.
 """
@@ -25,6 +25,7 @@ import lieint_jax as li
 from lieint_jax.ensemble import compiler_options
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symplectic
+from lieint_jax.systems import RigidBody
 
 jax.config.update("jax_enable_x64", True)
 
@@ -43,7 +44,6 @@ class Sizes(NamedTuple):
         rounds: timed calls of each contestant.
         drift_steps: steps of the drift run.
         drift_seconds: about how long it may take; slow peers take fewer steps.
-        points: step sizes of a curve of the work-precision plot.
     """
 
     batches: tuple[int, ...] = (1, 1000, 100_000)
@@ -51,10 +51,9 @@ class Sizes(NamedTuple):
     rounds: int = 5
     drift_steps: int = 100_000
     drift_seconds: float = 10.0
-    points: int = 6
 
 
-QUICK = Sizes((1, 1000), 0.02, 3, 2_000, 1.0, 2)
+QUICK = Sizes((1, 1000), 0.02, 3, 2_000, 1.0)
 
 
 def bodies(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -66,10 +65,20 @@ def bodies(count: int) -> tuple[np.ndarray, np.ndarray]:
     return q, np.asarray(jax.vmap(so3.Ad)(jnp.asarray(q), jnp.asarray(INERTIA * Omega)))
 
 
-def ours(kappa: Kappa, dt: float = DT, dtype: str = "float64", wide: bool = False) -> Contestant:
-    """Our step through `integrate`, vmapped and jitted, the batch split over the devices that there are."""
-    body = li.systems.rigid_body(np.asarray(INERTIA, dtype))
-    step = li.schemes.so3_midpoint(body, kappa)
+def body(dtype: str = "float64") -> RigidBody:
+    return li.systems.rigid_body(np.asarray(INERTIA, dtype))
+
+
+def midpoint(kappa: Kappa, dtype: str = "float64", wide: bool = False) -> Contestant:
+    """The paper's scheme at dt = DT."""
+    step = li.schemes.so3_midpoint(body(dtype), kappa)
+    pace = {"symplectic": 9e7, "cayley": 4e7}.get(kappa.name, 2e7)
+    return ours(f"ours, {kappa.name} κ" + (WIDE if wide else ""), step, DT, wide, pace)
+
+
+def ours(name: str, step: li.Step, dt: float, wide: bool, pace: float = 1e7) -> Contestant:
+    """A step through `integrate`, vmapped and jitted, the batch split over the devices that there are."""
+    dtype = str(step.system.inertia.dtype)
     split = NamedSharding(Mesh(np.array(jax.devices()), ("bodies",)), PartitionSpec("bodies"))
 
     @partial(jax.jit, static_argnums=1, compiler_options=compiler_options() if wide else {})
@@ -90,12 +99,7 @@ def ours(kappa: Kappa, dt: float = DT, dtype: str = "float64", wide: bool = Fals
     def info(states: tuple[li.State, li.StepInfo]) -> tuple[float, bool]:
         return float(states[1].residual.max()), bool(states[1].converged.all())
 
-    name = f"ours, {kappa.name} κ" + (WIDE if wide else "")
-    return Contestant(name, dtype, _pace(kappa), load, advance, read, info)
-
-
-def _pace(kappa: Kappa) -> float:
-    return {"symplectic": 9e7, "cayley": 4e7}.get(kappa.name, 2e7)
+    return Contestant(name, dtype, pace, load, advance, read, info)
 
 
 def contestants(missing: list[str]) -> list[Contestant]:
@@ -106,7 +110,7 @@ def contestants(missing: list[str]) -> list[Contestant]:
             makers.append(("C++", partial(cpp.symplectic, form, INERTIA, DT, dtype)))
         for kappa in KAPPAS:
             for wide in (False, True):
-                makers.append(("ours", partial(ours, kappa, DT, dtype, wide)))
+                makers.append(("ours", partial(midpoint, kappa, dtype, wide)))
         for peer in (peers.tsit5, peers.dopri8):
             makers.append(("diffrax", partial(peer, INERTIA, DT, dtype)))
     makers.append(("MuJoCo", partial(peers.mujoco_rk4, INERTIA, DT)))
@@ -130,19 +134,18 @@ def everything(sizes: Sizes) -> dict[str, Any]:
     entries = contestants(notes)
     notes += cpp.notes()
     same_scheme = [c for c in entries if "symplectic" in c.name]
-    exact, doubt = reference()
+    exact, doubt = reference(END)
     return {
-        "machine": _machine(),
+        "machine": machine(),
         "rates": [r for b in sizes.batches for r in rates(entries if b == BATCH else same_scheme, b, sizes)],
         "quality": [quality(c, exact, sizes) for c in entries if WIDE not in c.name],
         "agreement": agreement(same_scheme),
         "reference_doubt": doubt,
-        "curves": work_precision(exact, sizes),
         "notes": notes,
     }
 
 
-def _machine() -> dict[str, Any]:
+def machine() -> dict[str, Any]:
     cpu = re.search("model name.*: (.*)", Path("/proc/cpuinfo").read_text())
     return {
         "cpu": cpu.group(1) if cpu else platform.processor(),
@@ -160,7 +163,7 @@ def _version(package: str) -> str | None:
 
 def our_rates(sizes: Sizes) -> list[dict[str, Any]]:
     """Rates of our symplectic step alone, of batches that divide evenly among the devices."""
-    entries = [ours(kappa_symplectic, dtype=dtype, wide=wide) for dtype in DTYPES for wide in (False, True)]
+    entries = [midpoint(kappa_symplectic, dtype, wide) for dtype in DTYPES for wide in (False, True)]
     devices = len(jax.devices())
     return [r for b in sizes.batches if b >= devices for r in rates(entries, b - b % devices, sizes)]
 
@@ -189,19 +192,16 @@ def _record(contestant: Contestant, timing: Timing, count: int) -> dict[str, Any
     }
 
 
-def reference() -> tuple[np.ndarray, float]:
-    """Attitudes of the watched bodies at t = END by `diagnostics.flow`, and how far scipy's DOP853 at rtol 1e-13 is.
+def reference(end: float) -> tuple[np.ndarray, float]:
+    """Attitudes of the watched bodies at t = end by `RigidBody.solution`, and how far `diagnostics.flow` is from them.
 
-    `flow` agrees with 25 digits to 3e-15 there (tests); the distance is DOP853's error. nan without scipy.
+    The two share nothing; what keeps them apart is the rounding of many steps of the latter.
     """
-    q, p = bodies(WATCHED)
-    body = li.systems.rigid_body(INERTIA)
-    exact = np.asarray(jax.jit(jax.vmap(lambda z: li.diagnostics.flow(body, z, END, 40)))(_state(q, p)).q)
-    try:
-        tight = peers.dop853(INERTIA, END, rtol=1e-13)
-    except ImportError:
-        return exact, np.nan
-    return exact, attitude_error(tight.read(tight.advance(tight.load(q, p), 1))[0], exact)
+    states = _state(*bodies(WATCHED))
+    exact = np.asarray(jax.jit(jax.vmap(body().solution, (0, None)))(states, end).q)
+    steps = round(4 * end)
+    flowed = jax.jit(jax.vmap(lambda z: li.diagnostics.flow(body(), z, end, steps)))(states).q
+    return exact, attitude_error(np.asarray(flowed), exact)
 
 
 def attitude_error(q: np.ndarray, exact: np.ndarray) -> float:
@@ -222,24 +222,23 @@ def quality(contestant: Contestant, exact: np.ndarray, sizes: Sizes) -> dict[str
     for _ in range(10):
         states.append(contestant.advance(states[-1], chunk))
     q, p = (np.stack(x) for x in zip(*map(contestant.read, states), strict=True))
-    H = np.stack([energy(*z) for z in zip(q, p, strict=True)])
     solved = [contestant.info(z) for z in states[1:]] if contestant.info else None
     return {
         "name": contestant.name,
         "dtype": contestant.dtype,
         "error": error,
         "steps": 10 * chunk,
-        "energy_drift": float(np.max(np.abs(H / H[0] - 1))),
+        "energy_drift": energy_drift(q, p),
         "momentum_drift": float(np.max(np.abs(p - p[0]) / np.linalg.norm(p[0], axis=1, keepdims=True))),
         "residual": max(residual for residual, _ in solved) if solved else None,
         "converged": all(converged for _, converged in solved) if solved else None,
     }
 
 
-def energy(q: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """½ Π·J⁻¹Π with Π = Λ(q/|q|)ᵀπ."""
-    body = li.systems.rigid_body(INERTIA)
-    return np.asarray(jax.vmap(body.energy)(_state(_unit(q), p)))
+def energy_drift(q: np.ndarray, p: np.ndarray) -> float:
+    """The largest |H/H₀ − 1| of states (times, bodies, …), with H = ½ Π·J⁻¹Π and Π = Λ(q/|q|)ᵀπ."""
+    H = np.asarray(jax.vmap(jax.vmap(body().energy))(_state(_unit(q), p)))
+    return float(np.max(np.abs(H / H[0] - 1)))
 
 
 def _state(q: np.ndarray, p: np.ndarray, dtype: str = "float64") -> li.State:
@@ -248,7 +247,7 @@ def _state(q: np.ndarray, p: np.ndarray, dtype: str = "float64") -> li.State:
 
 def _unit(q: np.ndarray) -> np.ndarray:
     q = q.astype(np.float64)
-    return q / np.linalg.norm(q, axis=1, keepdims=True)
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
 
 
 def agreement(same_scheme: Sequence[Contestant]) -> list[dict[str, Any]]:
@@ -264,47 +263,3 @@ def agreement(same_scheme: Sequence[Contestant]) -> list[dict[str, Any]]:
             apart = float(np.max(np.abs(end - ends[0])))
             found.append({"a": first.name, "b": c.name, "dtype": dtype, "steps": num_steps, "apart": apart})
     return found
-
-
-def work_precision(exact: np.ndarray, sizes: Sizes) -> list[dict[str, Any]]:
-    """For each contestant in float64, milliseconds per 1000 bodies up to t = END and attitude errors there.
-
-    scipy's cost is that of `WATCHED` bodies, scaled.
-    """
-    curves = []
-    for make in (*_fixed_step_makers(), _adaptive):
-        try:
-            points = make(sizes.points)
-        except ImportError:
-            continue
-        count = WATCHED if make is _adaptive else BATCH
-        q, p = bodies(count)
-        runners, steps = [c for c, _ in points], [n for _, n in points]
-        timings = race(runners, q, p, steps, min(sizes.rounds, 3))
-        ends = [c.read(c.advance(c.load(q, p), n))[0][:WATCHED] for c, n in points]
-        milliseconds = [1e3 * min(t.later) * 1000 / count for t in timings]
-        errors = [attitude_error(end, exact) for end in ends]
-        name = f"scipy DOP853, scaled from {WATCHED} bodies" if make is _adaptive else runners[0].name
-        curves.append({"name": name, "milliseconds": milliseconds, "errors": errors})
-    return curves
-
-
-def _fixed_step_makers() -> list[Callable[[int], list[tuple[Contestant, int]]]]:
-    """Functions of a number of points: contestants and step counts, each count twice the one before."""
-
-    def halving(make: Callable[[float], Contestant], coarsest: int, most: int, points: int) -> Any:
-        counts = [coarsest * 2**k for k in range(min(most, points))]
-        return [(make(END / n), n) for n in counts]
-
-    makers = [partial(halving, partial(ours, kappa), 25, 6) for kappa in KAPPAS]
-    return [
-        *makers,
-        partial(halving, partial(cpp.symplectic, "newton", INERTIA), 25, 6),
-        partial(halving, partial(peers.tsit5, INERTIA), 10, 6),
-        partial(halving, partial(peers.dopri8, INERTIA), 5, 5),
-        partial(halving, partial(peers.mujoco_rk4, INERTIA), 25, 4),
-    ]
-
-
-def _adaptive(points: int) -> list[tuple[Contestant, int]]:
-    return [(peers.dop853(INERTIA, END, 10.0 ** -(3 + 2 * k)), 1) for k in range(min(points, 5))]

@@ -2,14 +2,16 @@
 
 Each is called as its documentation does, in the way that serves it best. diffrax integrates our vector field
 (quaternion and spatial momentum, so momentum is exact there too; 25 % faster than the same with jnp.cross), vmapped,
-with dt0 = dt and constant steps; with time counted in steps, so that dt0 = 1, it runs 10 % faster. MuJoCo has contacts
-and constraints switched off, one thread, many states a call; its rollout keeps every state. scipy takes one body at a
-time, with Euler's equations in plain floats, which is faster there than numpy.
+with dt0 = dt and constant steps; with time counted in steps, so that dt0 = 1, it runs 10 % faster. Adaptive, it takes
+its PIDController with rtol = atol and finds its first step; a batch then takes as many steps as its worst body. MuJoCo
+has contacts and constraints switched off, one thread, many states a call; its rollout keeps every state. scipy takes
+one body at a time, with Euler's equations in plain floats, which is faster there than numpy.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -18,6 +20,7 @@ import numpy as np
 from contest import Contestant
 
 import lieint_jax as li
+from lieint_jax.ensemble import compiler_options
 from lieint_jax.groups import so3
 
 _ROLLOUT = 100  # steps a call of MuJoCo's rollout, which keeps every state
@@ -32,44 +35,64 @@ _MODEL = """
 """
 
 
-def tsit5(inertia: Sequence[float], dt: float, dtype: str = "float64") -> Contestant:
-    """diffrax's Tsit5, order 5, fixed step, vmapped."""
-    import diffrax
-
-    return _diffrax("diffrax Tsit5, vmapped", diffrax.Tsit5(), inertia, dt, dtype, pace=6e6)
-
-
-def dopri8(inertia: Sequence[float], dt: float, dtype: str = "float64") -> Contestant:
-    """diffrax's Dopri8, order 8, fixed step, vmapped."""
-    import diffrax
-
-    return _diffrax("diffrax Dopri8, vmapped", diffrax.Dopri8(), inertia, dt, dtype, pace=1.5e6)
+def tsit5(
+    inertia: Sequence[float], dt: float, dtype: str = "float64", rtol: float | None = None, wide: bool = False
+) -> Contestant:
+    """diffrax's Tsit5, order 5, vmapped, steps of dt; with rtol = atol given, adaptive, and its "step" is a time dt."""
+    return _diffrax("Tsit5", inertia, dt, dtype, rtol, wide, pace=6e6)
 
 
-def _diffrax(name: str, solver: Any, inertia: Sequence[float], dt: float, dtype: str, pace: float) -> Contestant:
-    import diffrax
+def dopri8(
+    inertia: Sequence[float], dt: float, dtype: str = "float64", rtol: float | None = None, wide: bool = False
+) -> Contestant:
+    """diffrax's Dopri8, order 8; the rest as `tsit5`."""
+    return _diffrax("Dopri8", inertia, dt, dtype, rtol, wide, pace=1.5e6)
 
-    body = li.systems.rigid_body(np.asarray(inertia, dtype))
-    term = diffrax.ODETerm(lambda t, z, args: body.vector_field(z))
-    zero, h = np.zeros((), dtype), np.asarray(dt, dtype)
 
-    @jax.jit
-    def solve(states: li.State, num_steps: jax.Array) -> li.State:
-        def one_body(z: li.State) -> Any:
-            return diffrax.diffeqsolve(term, solver, zero, num_steps * h, h, z, max_steps=None).ys
-
-        return jax.tree.map(lambda leaf: leaf[:, -1], jax.vmap(one_body)(states))
+def _diffrax(
+    name: str, inertia: Sequence[float], dt: float, dtype: str, rtol: float | None, wide: bool, pace: float
+) -> Contestant:
+    adaptive = rtol is not None
+    solve = _solver(name, tuple(inertia), dtype, adaptive, wide)
+    h, tolerance = (np.asarray(x, dtype) for x in (dt, rtol or 0.0))
 
     def load(q: np.ndarray, p: np.ndarray) -> li.State:
         return li.State(jnp.asarray(q, dtype), jnp.asarray(p, dtype))
 
     def advance(states: li.State, num_steps: int) -> li.State:
-        return jax.block_until_ready(solve(states, jnp.asarray(num_steps, dtype)))
+        return jax.block_until_ready(solve(states, np.asarray(num_steps, dtype), h, tolerance))
 
     def read(states: li.State) -> tuple[np.ndarray, np.ndarray]:
         return np.asarray(states.q), np.asarray(states.p)
 
-    return Contestant(name, dtype, pace, load, advance, read)
+    title = f"diffrax {name}, vmapped" + (", adaptive" if adaptive else "")
+    return Contestant(title, dtype, pace, load, advance, read)
+
+
+@cache
+def _solver(name: str, inertia: tuple[float, ...], dtype: str, adaptive: bool, wide: bool) -> Callable[..., li.State]:
+    """(states, number of steps, dt, rtol) ↦ states, compiled once for all numbers."""
+    import diffrax
+
+    solver: Any = getattr(diffrax, name)()
+    body = li.systems.rigid_body(np.asarray(inertia, dtype))
+    term = diffrax.ODETerm(lambda t, z, args: body.vector_field(z))
+    zero = np.zeros((), dtype)
+
+    @partial(jax.jit, compiler_options=compiler_options() if wide else {})
+    def solve(states: li.State, num_steps: jax.Array, h: jax.Array, rtol: jax.Array) -> li.State:
+        controller = diffrax.PIDController(rtol, rtol) if adaptive else diffrax.ConstantStepSize()
+        first = None if adaptive else h
+
+        def one_body(z: li.State) -> Any:
+            end = num_steps * h
+            return diffrax.diffeqsolve(
+                term, solver, zero, end, first, z, stepsize_controller=controller, max_steps=None
+            ).ys
+
+        return jax.tree.map(lambda leaf: leaf[:, -1], jax.vmap(one_body)(states))
+
+    return solve
 
 
 def mujoco_rk4(inertia: Sequence[float], dt: float) -> Contestant:

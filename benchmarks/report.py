@@ -1,4 +1,4 @@
-"""What `free_rigid_body.py` found, as tables, a plot and a list of bars held or missed."""
+"""What `free_rigid_body.py` found, as tables and a list of bars held or missed; and what every report is made of."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from lieint_jax import plots
-
 NEWTON, SCALAR = "C++ symplectic, newton form", "C++ symplectic, scalar form"
 OURS, WIDE = "ours, symplectic κ", "ours, symplectic κ, wide vectors"
 TSIT5 = "diffrax Tsit5, vmapped"
@@ -18,21 +16,30 @@ BATCH = 1000
 
 
 def write(result: dict[str, Any], out: Path) -> None:
-    """Print the tables; write them as .md, the numbers as .json, work against precision as .png."""
+    """Print the tables; write them as .md and the numbers as .json."""
+    publish("free_rigid_body", _sections(result), result, out)
+
+
+def publish(name: str, sections: Sequence[str], result: dict[str, Any], out: Path) -> None:
+    """Print the sections; write them as name.md and the result as name.json."""
     out.mkdir(parents=True, exist_ok=True)
-    text = "\n\n".join(_sections(result)) + "\n"
+    text = "\n\n".join(sections) + "\n"
     print(text)
-    (out / "free_rigid_body.md").write_text(text)
-    (out / "free_rigid_body.json").write_text(json.dumps(result, indent=1))
-    _draw(result["curves"], out / "free_rigid_body.png")
-    print(f"written: {out}/free_rigid_body.md, .json, .png")
+    (out / f"{name}.md").write_text(text)
+    (out / f"{name}.json").write_text(json.dumps(result, indent=1))
+    print(f"written: {out}/{name}.md, .json")
+
+
+def machine(result: dict[str, Any]) -> str:
+    """What it ran on."""
+    found = result["machine"]
+    packages = ", ".join(f"{name} {version}" for name, version in found["packages"].items() if version)
+    return f"{found['cpu']}; Python {found['python']}, {packages}"
 
 
 def _sections(result: dict[str, Any]) -> list[str]:
-    machine = result["machine"]
-    packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items() if version)
     return [
-        f"{machine['cpu']}; Python {machine['python']}, {packages}",
+        machine(result),
         *result["notes"],
         f"Rates, {BATCH} bodies, one core: millions of body-steps a second (for scipy a step is a time dt)",
         _rates(result["rates"]),
@@ -55,7 +62,7 @@ def _rates(records: Sequence[dict[str, Any]]) -> str:
         ratios = [f"{x:.3g}" for x in (r["rate"] / newton, r["rate"] / scalar, ours / r["rate"])]
         millions = [f"{r[key] / 1e6:.3g}" for key in ("rate", "median_rate")]
         rows.append([r["name"], r["dtype"], *millions, *ratios, f"{r['compile_seconds']:.1f}"])
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def _sizes(one: Sequence[dict[str, Any]], every: Sequence[dict[str, Any]]) -> str:
@@ -66,7 +73,7 @@ def _sizes(one: Sequence[dict[str, Any]], every: Sequence[dict[str, Any]]) -> st
     for name, dtype in names:
         rates = [_rate(one, name, dtype, b) for b in batches] + [_rate(every, name, dtype, b) for b in batches_all]
         rows.append([name, dtype, *(f"{rate / 1e6:.3g}" for rate in rates)])
-    return _table(["", "dtype", *map(str, batches), *(f"{b}, all" for b in batches_all)], rows)
+    return table(["", "dtype", *map(str, batches), *(f"{b}, all" for b in batches_all)], rows)
 
 
 def _quality(records: Sequence[dict[str, Any]]) -> str:
@@ -78,11 +85,11 @@ def _quality(records: Sequence[dict[str, Any]]) -> str:
             [f"{r['residual']:.1e}", "all" if r["converged"] else "NOT ALL"] if r["residual"] is not None else ["", ""]
         )
         rows.append([r["name"], r["dtype"], *(f"{r[key]:.2g}" for key in keys), str(r["steps"]), *solved])
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def _agreement(result: dict[str, Any]) -> str:
-    reference = "scipy DOP853 at rtol 1e-13 and the reference, `diagnostics.flow`, at t = 10"
+    reference = "The two references, `RigidBody.solution` and `diagnostics.flow`, at t = 10"
     lines = [f"- {reference}: {result['reference_doubt']:.1e} rad"]
     for r in result["agreement"]:
         lines.append(f"- {r['a']} and {r['b']}, {r['dtype']}, after {r['steps']} steps: {r['apart']:.1e}")
@@ -105,12 +112,12 @@ def _bars(result: dict[str, Any]) -> str:
         (f"energy drift over {quality['steps']} steps", quality["energy_drift"], 5e-13),
         (f"momentum drift over {quality['steps']} steps", quality["momentum_drift"], 0.0),
     ]
-    rows = [[name, f"{x:.3g}", f"≥ {bar:g}", _verdict(x, x >= bar)] for name, x, bar in at_least]
-    rows += [[name, f"{x:.2g}", f"≤ {bar:g}", _verdict(x, x <= bar)] for name, x, bar in at_most]
-    return _table(["ours: symplectic κ, float64, one core", "measured", "bar", ""], rows)
+    rows = [[name, f"{x:.3g}", f"≥ {bar:g}", verdict(x, x >= bar)] for name, x, bar in at_least]
+    rows += [[name, f"{x:.2g}", f"≤ {bar:g}", verdict(x, x <= bar)] for name, x, bar in at_most]
+    return table(["ours: symplectic κ, float64, one core", "measured", "bar", ""], rows)
 
 
-def _verdict(measured: float, held: bool) -> str:
+def verdict(measured: float, held: bool) -> str:
     return "not measured" if np.isnan(measured) else "held" if held else "MISSED"
 
 
@@ -119,7 +126,7 @@ def _rate(records: Sequence[dict[str, Any]], name: str, dtype: str = "float64", 
     return rates[0] if rates else np.nan
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table that can be read as it stands; columns after the first are flush right, nan is a blank."""
     cells = [["" if cell == "nan" else cell for cell in row] for row in (head, *rows)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
@@ -129,11 +136,3 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         for row in (cells[0], rule, *cells[1:])
     ]
     return "\n".join(f"| {line} |" for line in lines)
-
-
-def _draw(curves: Sequence[dict[str, Any]], path: Path) -> None:
-    fig, axes = plots.figure()
-    fig.set_size_inches(6.4, 5.0)
-    points = {c["name"]: (np.array(c["milliseconds"]), np.array(c["errors"])) for c in curves}
-    plots.loglog_lines(axes[0, 0], points, "milliseconds per 1000 bodies, one core", "attitude error at t = 10 (rad)")
-    fig.savefig(path, dpi=160)

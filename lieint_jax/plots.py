@@ -77,10 +77,18 @@ def _sight(ax: Any) -> np.ndarray:
     return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
 
 
-def loglog_lines(ax: Axes, curves: Mapping[str, tuple[np.ndarray, np.ndarray]], xlabel: str, ylabel: str) -> Axes:
-    """Marked lines on two logarithmic axes, such as error against cost."""
+def loglog_lines(
+    ax: Axes,
+    curves: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    xlabel: str,
+    ylabel: str,
+    styles: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Axes:
+    """Marked lines on two logarithmic axes, such as error against cost; `styles` of some of them, by label."""
     for (label, (x, y)), marker in zip(curves.items(), itertools.cycle("os^Dv<>Pp*hX"), strict=False):
-        ax.loglog(x, y, marker=marker, ms=4, lw=1.0, label=label)
+        ax.loglog(
+            x, y, **({"marker": marker, "ms": 4, "lw": 1.0, "label": label} | dict((styles or {}).get(label, {})))
+        )
     ax.set(xlabel=xlabel, ylabel=ylabel)
     ax.grid(True, which="major", lw=0.3, color=GREY)
     ax.legend(frameon=False, fontsize="small")
