@@ -32,9 +32,9 @@ class Sizes(NamedTuple):
     """
 
     ends: tuple[float, ...] = (10.0, 1000.0)
-    rounds: tuple[int, ...] = (7, 1)
+    rounds: tuple[int, ...] = (5, 1)
     stride: tuple[int, ...] = (1, 2)
-    longest: float = 3.0
+    longest: float = 2.0
 
 
 QUICK = Sizes((10.0, 100.0), (1, 1), (5, 10), 0.3)
@@ -89,7 +89,7 @@ def curves() -> list[Curve]:
             _growing(7, 8),
         ),
         ("preprocessed 4", "preprocessed", make.preprocessed(body, 4), _growing(12, 11)),
-        ("preprocessed 6", "preprocessed", make.preprocessed(body, 6), _growing(12, 11)),
+        ("preprocessed 6", "preprocessed", make.preprocessed(body, 6), _growing(12, 12)),
         ("calibrated", "exact", make.calibrated(body), (10, 20, 40)),
         ("exact", "exact", make.exact(body), (1, 10, 100)),
     ]
