@@ -16,20 +16,24 @@ from lieint_jax.types import State, Step
 def poisson_error(
     step: Step, state: State, dt: ArrayLike, num_steps: int, method: Literal["recursion", "product"] = "recursion"
 ) -> Array:
-    """σ_n, shape (num_steps+1, d, d), skew, σ₀ = 0: zero for ever if and only if the steps are symplectic.
+    """How far a run has carried the Poisson matrix from ω⁻¹: zero for ever if and only if the steps are symplectic.
 
-    For systems on T*G without potential, whose Poisson matrix stays of the form [[σ_n, −1], [1, α]] (5.35).
+    For systems on T*G without potential, whose Poisson matrix stays of the form [[σ_n, −1], [1, α]] (5.35): σ_n, shape
+    (num_steps+1, d, d), skew. For all others, the whole P_n − ω⁻¹(z_n), shape (num_steps+1, 2d, 2d), by the product.
 
     Args:
-        step: a scheme's step that conserves the spatial momentum.
+        step: a scheme's step.
         state: the initial state.
         dt: step size.
         num_steps: how many steps.
         method: "recursion" adds up (5.36) from the block C_n of the linearised step (5.29) and holds a symplectic
-            scheme at round-off; "product" multiplies P_{n+1} = L_n P_n L_nᵀ (5.34) and takes the block from it.
+            scheme at round-off; "product" multiplies P_{n+1} = L_n P_n L_nᵀ (5.34) and takes the block from it. Both
+            say the same of systems without potential; "recursion" is not for others.
     """
     num_steps = checks.count("num_steps", num_steps, 0)
     step.check(state, dt)
+    if not hasattr(step.system, "inertia") or hasattr(step.system, "force"):
+        return _whole(step, state, dt, num_steps)
     space = step.system.phase_space
     d, omega = space.dim // 2, space.omega(state)
     alpha, one = omega[:d, :d], jnp.eye(d, dtype=omega.dtype)
@@ -55,3 +59,21 @@ def poisson_error(
 
     _, sigma = lax.scan(one_step, (state, start), None, length=num_steps)
     return jnp.concatenate([0 * one[None], sigma])
+
+
+def _whole(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:
+    """P_n − ω⁻¹(z_n), shape (num_steps+1, 2d, 2d)."""
+    space = step.system.phase_space
+
+    def poisson(state: State) -> Array:
+        return jnp.linalg.inv(space.omega(state))
+
+    def one_step(carry: tuple[State, Array], _: None) -> tuple[tuple[State, Array], Array]:
+        state, P = carry
+        L = linearization(step, state, dt)
+        state, P = step(state, dt)[0], L @ P @ L.T
+        return (state, P), P - poisson(state)
+
+    P = poisson(state)
+    _, errors = lax.scan(one_step, (state, P), None, length=num_steps)
+    return jnp.concatenate([0 * P[None], errors])

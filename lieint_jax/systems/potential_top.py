@@ -110,7 +110,8 @@ def potential_top(
     """
     inertia = checks.inertia(inertia)
     if axis is not None:
-        axis = checks.real_array("axis", axis, (3,))
+        given, axis = axis, checks.real_array("axis", axis, (3,))
+        axis = axis if hasattr(given, "dtype") else axis.astype(inertia.dtype)  # a tuple does not decide the precision
         if concrete(axis) and not jnp.any(axis != 0):
             raise ValueError("axis must not be zero; without a symmetry axis give axis=None and a potential of Λ")
     if not callable(potential):
