@@ -85,17 +85,20 @@ def test_every_module_has_examples_and_is_exported(package):
     assert maps.examples()
 
 
+once = jax.jit(lambda step, state, dt: step(state, dt))
+
+
 @pytest.mark.parametrize(("name", "step", "state", "dt"), list(steps()), ids=[s[0] for s in steps()])
 def test_the_grid_of_systems_and_schemes_runs(name, step, state, dt):
     """The contract of every step: a pytree with its system as a child, a flag, and an order and symmetry stated."""
     assert isinstance(step, Step)
-    after, info = jax.jit(lambda s, z: s(z, dt))(step, state)
+    after, info = once(step, state, dt)
     assert jax.tree.structure(after) == jax.tree.structure(state)
     assert info.converged
     assert step.order >= 1
     assert isinstance(step.symmetric, bool)
-    assert step.prepare(state, dt)(state, dt)[1].converged
-    step.check(state, dt)
+    if type(step).prepare is not Step.prepare:
+        assert once(step.prepare(state, dt), state, dt)[1].converged
     assert jax.tree.leaves(step)
 
 

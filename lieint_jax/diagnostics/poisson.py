@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -12,10 +12,10 @@ from lieint_jax import checks
 from lieint_jax.diagnostics.symplectic import linearization
 from lieint_jax.types import State, Step
 
+_Method = Literal["recursion", "product"]
 
-def poisson_error(
-    step: Step, state: State, dt: ArrayLike, num_steps: int, method: Literal["recursion", "product"] = "recursion"
-) -> Array:
+
+def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, method: _Method = "recursion") -> Array:
     """How far a run has carried the Poisson matrix from ω⁻¹: zero for ever if and only if the steps are symplectic.
 
     For systems on T*G without potential, whose Poisson matrix stays of the form [[σ_n, −1], [1, α]] (5.35): σ_n, shape
@@ -31,6 +31,8 @@ def poisson_error(
             say the same of systems without potential; "recursion" is not for others.
     """
     num_steps = checks.count("num_steps", num_steps, 0)
+    if method not in get_args(_Method):
+        raise ValueError(f"method must be one of {', '.join(get_args(_Method))}, got {method!r}")
     step.check(state, dt)
     if not hasattr(step.system, "inertia") or hasattr(step.system, "force"):
         return _whole(step, state, dt, num_steps)
@@ -47,10 +49,7 @@ def poisson_error(
     def product(P: Array, L: Array) -> Array:
         return L @ P @ L.T
 
-    methods = {"recursion": (recursion, 0 * one), "product": (product, P0)}
-    if method not in methods:
-        raise ValueError(f"method must be one of {', '.join(methods)}, got {method!r}")
-    update, start = methods[method]
+    update, start = (recursion, 0 * one) if method == "recursion" else (product, P0)
 
     def one_step(carry: tuple[State, Array], _: None) -> tuple[tuple[State, Array], Array]:
         state, matrix = carry
