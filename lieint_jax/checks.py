@@ -54,20 +54,34 @@ def inertia(value: Any) -> Array:
     Moments that break the triangle inequality (Jᵢ ≤ Jⱼ + Jₖ) belong to no distribution of mass; they draw a warning,
     not an error, since such pseudo-inertias are used.
     """
-    array = real_array("inertia", value, (3,), (3, 3))
+    array = positive_definite("inertia", value)
     if not concrete(array):
         return array
-    J = np.asarray(array, float)
-    if J.ndim == 2 and not np.allclose(J, J.T, rtol=1e-6, atol=1e-6 * np.abs(J).max()):
-        raise ValueError(f"inertia must be symmetric, got\n{J}\nTake (J + J.T) / 2 if the difference is noise")
-    moments = np.sort(J if J.ndim == 1 else np.linalg.eigvalsh(J))
-    if moments[0] <= 0:
-        raise ValueError(f"inertia must be positive definite, got principal moments {moments}")
+    moments = _moments(array)
     if moments[2] > (1 + UNIT_TOLERANCE) * (moments[0] + moments[1]):
         warnings.warn(
             f"principal moments {moments} break the triangle inequality: no rigid body has them", stacklevel=3
         )
     return array
+
+
+def positive_definite(name: str, value: Any) -> Array:
+    """A positive definite tensor: principal moments (3,) or a symmetric tensor (3, 3)."""
+    array = real_array(name, value, (3,), (3, 3))
+    if not concrete(array):
+        return array
+    J = np.asarray(array, float)
+    if J.ndim == 2 and not np.allclose(J, J.T, rtol=1e-6, atol=1e-6 * np.abs(J).max()):
+        raise ValueError(f"{name} must be symmetric, got\n{J}\nTake (J + J.T) / 2 if the difference is noise")
+    moments = _moments(array)
+    if moments[0] <= 0:
+        raise ValueError(f"{name} must be positive definite, got principal moments {moments}")
+    return array
+
+
+def _moments(array: Array) -> np.ndarray:
+    J = np.asarray(array, float)
+    return np.sort(J if J.ndim == 1 else np.linalg.eigvalsh(J))
 
 
 def unit_quaternion(name: str, value: Any) -> Array:

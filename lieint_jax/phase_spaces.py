@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax import small
+from lieint_jax.groups import so3
 from lieint_jax.types import Group, State, pytree, static
 
 
@@ -42,3 +44,76 @@ class CotangentGroup:
     def defect(self, state: State) -> Array:
         """By how much q leaves the group: |q|² − 1 for unit quaternions."""
         return self.group.defect(state.q)
+
+
+@pytree
+class CotangentMatrices:
+    """T*GL⁺(3) = GL⁺(3) × L(3), canonical: a state is (F, P), a tangent vector (δF, δP), row by row (6.1)."""
+
+    @property
+    def dim(self) -> int:
+        """Dimension of the phase space, 18."""
+        return 18
+
+    def perturb(self, state: State, delta: Array) -> State:
+        """(F + δF, P + δP) for δ = (δF, δP), shape (18,)."""
+        return State(state.q + delta[:9].reshape(3, 3), state.p + delta[9:].reshape(3, 3))
+
+    def trivialise(self, state: State, tangent: State) -> Array:
+        """(δF, δP), shape (18,)."""
+        return jnp.concatenate([tangent.q.ravel(), tangent.p.ravel()])
+
+    def omega(self, state: State) -> Array:
+        """[[0, 1], [−1, 0]], shape (18, 18): ω(δ₁, δ₂) = ⟨δP₂, δF₁⟩ − ⟨δP₁, δF₂⟩ (6.1)."""
+        one = jnp.eye(9, dtype=state.p.dtype)
+        return jnp.block([[0 * one, one], [-one, 0 * one]])
+
+    def defect(self, state: State) -> Array:
+        """0 where det F > 0, 1 where F has left GL⁺(3) (an open set: there is no distance to measure)."""
+        inside = small.dot(state.q[0], jnp.stack(small.cross(state.q[1], state.q[2]))) > 0
+        return jnp.where(inside, 0, 1).astype(state.q.dtype)
+
+
+@pytree
+class CotangentSphere:
+    """T*S²: a state is (q, π) with |q| = 1 and q·π = 0 (1.3), π = m q × q̇; a tangent vector has four coordinates.
+
+    They belong to a frame e₁, e₂, q, orthonormal and right-handed: δq = a₁e₁ + a₂e₂, and δπ = b₁e₁ + b₂e₂ − (π·δq) q,
+    as q·δπ + π·δq = 0 wants it.
+    """
+
+    @property
+    def dim(self) -> int:
+        """Dimension of the phase space, 4."""
+        return 4
+
+    def perturb(self, state: State, delta: Array) -> State:
+        """The state moved by δ = (a, b), shape (4,): q and π + δπ turned by exp(θ̂), θ = q × δq; never off T*S²."""
+        e1, e2 = frame(state.q)
+        turn = so3.exp(delta[0] * e2 - delta[1] * e1)
+        return State(so3.Ad(turn, state.q), so3.Ad(turn, state.p + delta[2] * e1 + delta[3] * e2))
+
+    def trivialise(self, state: State, tangent: State) -> Array:
+        """(a, b), shape (4,), of a tangent vector given in the coordinates of `State`."""
+        e1, e2 = frame(state.q)
+        return jnp.stack([small.dot(e, v) for v in tangent for e in (e1, e2)])
+
+    def omega(self, state: State) -> Array:
+        """ω(δ₁, δ₂) = q·(δq₁ × δπ₂ + δπ₁ × δq₂), shape (4, 4): the inverse of 𝒥 (1.4), the same in every frame."""
+        turn = jnp.array([[0, 1], [-1, 0]], state.p.dtype)
+        return jnp.block([[0 * turn, turn], [turn, 0 * turn]])
+
+    def defect(self, state: State) -> Array:
+        """The larger of ||q|² − 1| and |q·π| over the largest component of π."""
+        size = small.max_abs(state.p)
+        tilt = jnp.abs(small.dot(state.q, state.p)) / jnp.where(size > 0, size, 1)
+        return jnp.maximum(jnp.abs(small.dot(state.q, state.q) - 1), tilt)
+
+
+def frame(q: Array) -> tuple[Array, Array]:
+    """Unit vectors e₁, e₂ with e₁ × e₂ = q, for a unit vector q (Duff et al. 2017, J. Comput. Graph. Tech. 6)."""
+    x, y, z = q
+    sign = jnp.where(z < 0, -1, 1).astype(q.dtype)
+    a = -1 / (sign + z)
+    b = x * y * a
+    return jnp.stack([1 + sign * x * x * a, sign * b, -sign * x]), jnp.stack([b, sign + y * y * a, -y])

@@ -16,6 +16,7 @@ from jax import Array
 Vector = Any  # three components: Array (3,) or a tuple of scalars
 Symmetric = tuple[Array, ...]  # (xx, yy, zz) or (xx, yy, zz, yz, xz, xy)
 Matrix = Sequence[Vector]  # rows
+PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # which entries a full Symmetric holds
 
 
 def components(v: Array) -> tuple[Array, ...]:
@@ -40,6 +41,45 @@ def solve(K: Matrix, b: Vector) -> tuple[Array, Array, Array]:
     r = 1 / dot(K[0], c0)
     x, y, z = ((c0[i] * b[0] + c1[i] * b[1] + c2[i] * b[2]) * r for i in range(3))
     return x, y, z
+
+
+def transpose(A: Matrix) -> Matrix:
+    return tuple(zip(*A, strict=True))
+
+
+def product(A: Matrix, B: Matrix) -> Matrix:
+    """A B."""
+    columns = transpose(B)
+    return tuple(tuple(dot(row, column) for column in columns) for row in A)
+
+
+def combine(A: Matrix, B: Matrix, b: Any = 1) -> Matrix:
+    """A + b B."""
+    return tuple(tuple(x + b * y for x, y in zip(r, s, strict=True)) for r, s in zip(A, B, strict=True))
+
+
+def det(A: Matrix) -> Array:
+    return dot(A[0], cross(A[1], A[2]))
+
+
+def eliminate(A: Sequence[Sequence[Array]], b: Sequence[Array]) -> list[Array]:
+    """A⁻¹b of any size by Gaussian elimination without pivots, written out.
+
+    Over a batch it is 4 times faster than `jnp.linalg.solve` at 9×9. Meant for Newton steps: a small pivot costs digits
+    of a step, which the next one mends.
+    """
+    n = len(b)
+    M = [[*row, x] for row, x in zip(A, b, strict=True)]
+    for k in range(n):
+        r = 1 / M[k][k]
+        for i in range(k + 1, n):
+            f = r * M[i][k]
+            M[i][k + 1 :] = [x - f * y for x, y in zip(M[i][k + 1 :], M[k][k + 1 :], strict=True)]
+    x: list[Array] = []
+    for i in reversed(range(n)):
+        known = sum((m * v for m, v in zip(M[i][i + 1 : n], x, strict=True)), start=jnp.zeros_like(M[i][n]))
+        x.insert(0, (M[i][n] - known) / M[i][i])
+    return x
 
 
 def symmetric(J: Array) -> Symmetric:
@@ -83,6 +123,22 @@ def determinant(S: Symmetric, adj: Symmetric) -> Array:
     return S[0] * adj[0] + S[4] * adj[4] + S[5] * adj[5]
 
 
+def inner(S: Symmetric, R: Symmetric) -> Array:
+    """S:R = tr(SR), of two full ones."""
+    return S[0] * R[0] + S[1] * R[1] + S[2] * R[2] + 2 * (S[3] * R[3] + S[4] * R[4] + S[5] * R[5])
+
+
+def plus_transpose(A: Matrix) -> Symmetric:
+    """A + Aᵀ, full."""
+    return tuple(A[i][j] + A[j][i] for i, j in PAIRS)
+
+
+def gram(F: Matrix) -> Symmetric:
+    """FᵀF, full."""
+    columns = transpose(F)
+    return tuple(dot(columns[i], columns[j]) for i, j in PAIRS)
+
+
 def solve_symmetric(S: Symmetric, v: Vector) -> tuple[Array, Array, Array]:
     """S⁻¹ v."""
     if len(S) == 3:
@@ -124,6 +180,16 @@ def _reciprocal_factorials(first: int, terms: int) -> list[float]:
         values.append((-1) ** k * value)
         value /= (first + 2 * k + 1) * (first + 2 * k + 2)
     return values
+
+
+def log1p_ratio(y: Array) -> Array:
+    """log(1 + y)/y for y > −1, smooth at 0: below |y| = .1 by the series of 2 artanh z, z = y/(2 + y)."""
+    near = jnp.abs(y) < 0.1
+    small_y = jnp.where(near, y, 0)
+    z = small_y / (2 + small_y)
+    series = 2 / (2 + small_y) * horner([1 / (2 * k + 1) for k in range(7)], z * z)
+    far = jnp.where(near, 1, y)
+    return jnp.where(near, series, jnp.log1p(far) / far)
 
 
 # cos √x, sin √x / √x and arctan √x / √x: analytic in x = |θ|², so is everything built of them.

@@ -2,6 +2,26 @@
 
 from lieint_jax.systems.heavy_top import heavy_top
 from lieint_jax.systems.potential_top import PotentialTop, potential_top
+from lieint_jax.systems.pseudo_rigid import (
+    PseudoRigidBody,
+    StoredEnergy,
+    mooney_rivlin,
+    neo_hookean,
+    pseudo_rigid_body,
+    saint_venant_kirchhoff,
+)
 from lieint_jax.systems.rigid_body import RigidBody, rigid_body
 
-__all__ = ["PotentialTop", "RigidBody", "heavy_top", "potential_top", "rigid_body"]
+__all__ = [
+    "PotentialTop",
+    "PseudoRigidBody",
+    "RigidBody",
+    "StoredEnergy",
+    "heavy_top",
+    "mooney_rivlin",
+    "neo_hookean",
+    "potential_top",
+    "pseudo_rigid_body",
+    "rigid_body",
+    "saint_venant_kirchhoff",
+]

@@ -1,0 +1,211 @@
+"""Stored energies W(C) of homogeneous elastic bodies, C = FᵀF, and their stresses S = 2∇W(C).
+
+Each gives two stresses, as symmetric tensors by their six entries (see `small`):
+
+    stress(C)          S(C) = 2∇W(C), the second Piola–Kirchhoff stress
+    mean_stress(C, D)  a symmetric S̄ with ½ S̄:D = W(C + D) − W(C), S̄(C, 0) = S(C), free of cancellation for small D
+
+The second is a discrete gradient: with it in place of S, energy is conserved and no equation for γ (6.13) is solved.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import checks, small
+from lieint_jax.small import Symmetric
+from lieint_jax.types import concrete, pytree, static
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+
+
+class StoredEnergy(abc.ABC):
+    """W(C), an energy, of the right Cauchy–Green tensor C = FᵀF, shape (3, 3)."""
+
+    @abc.abstractmethod
+    def __call__(self, C: Array) -> Array: ...
+
+    @abc.abstractmethod
+    def stress(self, C: Symmetric) -> Symmetric:
+        """S = 2∇W(C)."""
+
+    @abc.abstractmethod
+    def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
+        """S̄ with ½ S̄:D = W(C + D) − W(C)."""
+
+
+class _VolumeAndTrace(StoredEnergy):
+    """W = (μ/2)(I₁ − 3) + w(I₃), so S = μ1 + 2w′(I₃) cof C and, by its invariants one by one,
+
+    S̄ = μ1 + 2 Δw/ΔI₃ · (cof(C + ½D) + cof(D)/12),   ΔI₃ = cof(C + ½D):D + det(D)/4.
+    """
+
+    mu: Array
+
+    @abc.abstractmethod
+    def volume_energy(self, I3: Array) -> Array:
+        """w(I₃)."""
+
+    @abc.abstractmethod
+    def slope(self, I3: Array, change: Array) -> Array:
+        """(w(I₃ + ΔI₃) − w(I₃))/ΔI₃, and w′(I₃) for ΔI₃ = 0."""
+
+    def __call__(self, C: Array) -> Array:
+        S = small.symmetric(C)
+        I3 = small.determinant(S, small.adjugate(S))
+        return self.mu / 2 * (small.trace(S) - 3) + self.volume_energy(I3)
+
+    def stress(self, C: Symmetric) -> Symmetric:
+        cofactor = small.adjugate(C)
+        I3 = small.determinant(C, cofactor)
+        return self._with(2 * self.slope(I3, jnp.zeros_like(I3)), cofactor)
+
+    def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
+        middle = small.adjugate(tuple(c + d / 2 for c, d in zip(C, D, strict=True)))
+        cofactor = small.adjugate(D)
+        change = small.inner(middle, D) + small.determinant(D, cofactor) / 4
+        slope = self.slope(small.determinant(C, small.adjugate(C)), change)
+        return self._with(2 * slope, tuple(m + c / 12 for m, c in zip(middle, cofactor, strict=True)))
+
+    def _with(self, pressure: Array, cofactor: Symmetric) -> Symmetric:
+        return _plus(self.mu, tuple(pressure * c for c in cofactor))
+
+
+@pytree
+class MooneyRivlin(_VolumeAndTrace):
+    """W = (λ/2)(I₃ − 1 − ln I₃) + (μ/2)(I₁ − 3 − ln I₃), the material of the paper's Figures 3 to 5."""
+
+    lam: Array
+    mu: Array
+
+    def volume_energy(self, I3: Array) -> Array:
+        return self.lam / 2 * (I3 - 1) - (self.lam + self.mu) / 2 * jnp.log(I3)
+
+    def slope(self, I3: Array, change: Array) -> Array:
+        return self.lam / 2 - (self.lam + self.mu) / 2 * small.log1p_ratio(change / I3) / I3
+
+
+@pytree
+class NeoHookean(_VolumeAndTrace):
+    """W = (μ/2)(I₁ − 3 − ln I₃) + (λ/8)(ln I₃)²."""
+
+    lam: Array
+    mu: Array
+
+    def volume_energy(self, I3: Array) -> Array:
+        log = jnp.log(I3)
+        return (self.lam / 8 * log - self.mu / 2) * log
+
+    def slope(self, I3: Array, change: Array) -> Array:
+        logs = jnp.log(I3) + jnp.log(I3 + change)
+        return (self.lam / 8 * logs - self.mu / 2) * small.log1p_ratio(change / I3) / I3
+
+
+@pytree
+class SaintVenantKirchhoff(StoredEnergy):
+    """W = (λ/8)(tr C − 3)² + (μ/4)|C − 1|²: quadratic in C, so S̄ is the stress at the middle."""
+
+    lam: Array
+    mu: Array
+
+    def __call__(self, C: Array) -> Array:
+        G = _plus(-1, small.symmetric(C))
+        return self.lam / 8 * small.trace(G) ** 2 + self.mu / 4 * small.inner(G, G)
+
+    def stress(self, C: Symmetric) -> Symmetric:
+        G = _plus(-1, C)
+        return _plus(self.lam / 2 * small.trace(G), tuple(self.mu * g for g in G))
+
+    def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
+        return self.stress(tuple(c + d / 2 for c, d in zip(C, D, strict=True)))
+
+
+@pytree
+class General(StoredEnergy):
+    """Any W, its stress by autodiff. S̄ = 2∫₀¹∇W(C + sD) ds by 8 Gauss nodes."""
+
+    function: Callable[[Array], Array]
+    name: str = static(default="user")
+
+    def __call__(self, C: Array) -> Array:
+        return self.function((C + C.T) / 2)
+
+    def stress(self, C: Symmetric) -> Symmetric:
+        return small.symmetric(self._stress(jnp.array(small.rows(C))))
+
+    def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
+        start, change = jnp.array(small.rows(C)), jnp.array(small.rows(D))
+        nodes = jnp.asarray((_NODES + 1) / 2, start.dtype)
+        stresses = jax.vmap(lambda s: self._stress(start + s * change))(nodes)
+        return small.symmetric(jnp.tensordot(jnp.asarray(_WEIGHTS / 2, start.dtype), stresses, 1))
+
+    def _stress(self, C: Array) -> Array:
+        return 2 * jax.grad(self)(C)
+
+
+def _plus(pressure: ArrayLike, S: Symmetric) -> Symmetric:
+    """pressure·1 + S."""
+    return (*(pressure + s for s in S[:3]), *S[3:])
+
+
+def mooney_rivlin(lam: ArrayLike, mu: ArrayLike) -> MooneyRivlin:
+    """W = (λ/2)(I₃ − 1 − ln I₃) + (μ/2)(I₁ − 3 − ln I₃), I₁ = tr C, I₃ = det C: what the paper's Figures 3–5 integrate.
+
+    Args:
+        lam: λ > 0, resistance to a change of volume; an energy.
+        mu: μ > 0, resistance to shear; an energy.
+
+    Raises:
+        ValueError: not positive or not finite.
+    """
+    return MooneyRivlin(*_moduli(lam, mu))
+
+
+def neo_hookean(lam: ArrayLike, mu: ArrayLike) -> NeoHookean:
+    """W = (μ/2)(I₁ − 3 − ln I₃) + (λ/8)(ln I₃)², the common compressible neo-Hookean material; λ, μ > 0, energies."""
+    return NeoHookean(*_moduli(lam, mu))
+
+
+def saint_venant_kirchhoff(lam: ArrayLike, mu: ArrayLike) -> SaintVenantKirchhoff:
+    """W = (λ/8)(tr C − 3)² + (μ/4)|C − 1|²; λ, μ > 0, energies.
+
+    It stays finite where the volume vanishes: at strong compression a body can be turned inside out. `converged` watches
+    det F.
+    """
+    return SaintVenantKirchhoff(*_moduli(lam, mu))
+
+
+def as_stored_energy(energy: Any) -> StoredEnergy:
+    """A material of this module, or any callable W(C) of a matrix (3, 3) that gives a scalar, smooth for C > 0.
+
+    Parameters of its own travel in a `jax.tree_util.Partial`.
+    """
+    if isinstance(energy, StoredEnergy):
+        return energy
+    if not callable(energy):
+        raise ValueError(
+            "stored_energy must be a material such as systems.mooney_rivlin(lam, mu), or a callable W(C) of C = FᵀF, "
+            f"shape (3, 3); got {energy!r}"
+        )
+    name = getattr(energy, "__name__", type(energy).__name__)
+    made = General(jax.tree_util.Partial(energy) if jax.tree_util.all_leaves([energy]) else energy, name)
+    value = jax.eval_shape(made, jax.ShapeDtypeStruct((3, 3), jnp.result_type(float)))
+    if getattr(value, "shape", None) != ():
+        raise ValueError(f"W(C) must be a scalar, got {value} of {name}")
+    return made
+
+
+def _moduli(lam: ArrayLike, mu: ArrayLike) -> tuple[Array, Array]:
+    moduli = checks.real_array("lam", lam, ()), checks.real_array("mu", mu, ())
+    for name, value in zip(("lam", "mu"), moduli, strict=True):
+        if concrete(value) and not value > 0:
+            raise ValueError(f"{name} must be positive, got {value}")
+    return moduli
