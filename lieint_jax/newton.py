@@ -21,6 +21,7 @@ def root(
     guess: Array,
     iterations: int,
     unroll: bool = True,
+    done: Callable[[Array, Array], Array] | None = None,
 ) -> tuple[Array, Array]:
     """The root of `residual` near `guess`.
 
@@ -31,6 +32,9 @@ def root(
         iterations: how many corrections, a Python integer.
         unroll: whether to write the corrections out one after the other, which lets XLA fuse them, or to loop, which
             compiles once what is long.
+        done: (x, correction) ↦ whether no further one is needed. Then `iterations` is a budget, and the loop is a
+            `while_loop`, whose length the slowest member of a batch decides: for large steps, whose unrolled iterations
+            would take long to compile and gain nothing.
 
     Returns:
         The last iterate x and F(x) there, for the caller to judge. Derivatives of x are exact at a root; F(x) carries
@@ -38,24 +42,40 @@ def root(
     """
 
     def solve(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
-        def improved(x: Array) -> Array:
-            return x - correction(x, function(x))
+        def improved(x: Array) -> tuple[Array, Array]:
+            step = correction(x, function(x))
+            return x - step, step
 
-        if not unroll:
-            x = lax.fori_loop(0, iterations, lambda _, x: improved(x), x)
-        else:
+        if done is not None:
+            x = _until(done, improved, x, iterations)
+        elif unroll:
             for _ in range(iterations):
-                x = improved(x)
+                x, _ = improved(x)
+        else:
+            x = lax.fori_loop(0, iterations, lambda _, x: improved(x)[0], x)
         return x, function(x)
 
+    return lax.custom_root(residual, guess, solve_until_done, _tangent_solve, has_aux=True)
     return lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)
+
+
+def _until(
+    done: Callable[[Array, Array], Array], improved: Callable[[Array], tuple[Array, Array]], x: Array, most: int
+) -> Array:
+    def one(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        x, k, _ = carry
+        x, step = improved(x)
+        return x, k + 1, done(x, step)
+
+    start = (x, jnp.zeros((), jnp.int32), jnp.zeros((), bool))
+    return lax.while_loop(lambda carry: (carry[1] < most) & ~carry[2], one, start)[0]
 
 
 def _tangent_solve(linear: Callable[[Array], Array], y: Array) -> Array:
     """x with linear(x) = y. `custom_root` gives the derivative of the residual as a function, not as a matrix."""
     if y.ndim == 0:
         return y / linear(jnp.ones_like(y))
-    columns = [linear(e) for e in jnp.eye(y.shape[0], dtype=y.dtype)]
     if y.shape[0] == 3:
+        columns = [linear(e) for e in jnp.eye(3, dtype=y.dtype)]
         return jnp.stack(small.solve([[c[i] for c in columns] for i in range(3)], y))
-    return jax.numpy.linalg.solve(jnp.stack(columns, axis=1), y)
+    return jnp.linalg.solve(jax.vmap(linear, out_axes=1)(jnp.eye(y.shape[0], dtype=y.dtype)), y)

@@ -1,5 +1,6 @@
 """Schemes: each makes a `types.Step` for a system. Each module has `examples(system)`, its steps for that system."""
 
+from lieint_jax.schemes.additive import Additive, additive
 from lieint_jax.schemes.calibrated import Calibrated, calibrated
 from lieint_jax.schemes.compose import Composition, compose
 from lieint_jax.schemes.exact import Exact, exact
@@ -9,6 +10,7 @@ from lieint_jax.schemes.splitting import Splitting, splitting
 from lieint_jax.schemes.top_energy_momentum import TopEnergyMomentum, top_energy_momentum
 
 __all__ = [
+    "Additive",
     "Calibrated",
     "Composition",
     "Exact",
@@ -16,6 +18,7 @@ __all__ = [
     "SO3Midpoint",
     "Splitting",
     "TopEnergyMomentum",
+    "additive",
     "calibrated",
     "compose",
     "exact",

@@ -177,8 +177,7 @@ def neo_hookean(lam: ArrayLike, mu: ArrayLike) -> NeoHookean:
 def saint_venant_kirchhoff(lam: ArrayLike, mu: ArrayLike) -> SaintVenantKirchhoff:
     """W = (λ/8)(tr C − 3)² + (μ/4)|C − 1|²; λ, μ > 0, energies.
 
-    It stays finite where the volume vanishes: at strong compression a body can be turned inside out. `converged` watches
-    det F.
+    It stays finite where the volume vanishes, so strong compression can turn a body inside out: steps watch det F.
     """
     return SaintVenantKirchhoff(*_moduli(lam, mu))
 
