@@ -55,7 +55,6 @@ def root(
             x = lax.fori_loop(0, iterations, lambda _, x: improved(x)[0], x)
         return x, function(x)
 
-    return lax.custom_root(residual, guess, solve_until_done, _tangent_solve, has_aux=True)
     return lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)
 
 

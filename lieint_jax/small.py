@@ -15,7 +15,7 @@ from jax import Array
 
 Vector = Any  # three components: Array (3,) or a tuple of scalars
 Symmetric = tuple[Array, ...]  # (xx, yy, zz) or (xx, yy, zz, yz, xz, xy)
-Matrix = Sequence[Vector]  # rows
+Matrix = Any  # three rows: Array (3, 3) or a tuple of vectors
 PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # which entries a full Symmetric holds
 
 

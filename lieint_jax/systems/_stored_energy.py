@@ -151,7 +151,7 @@ class General(StoredEnergy):
         return 2 * jax.grad(self)(C)
 
 
-def _plus(pressure: ArrayLike, S: Symmetric) -> Symmetric:
+def _plus(pressure: Array | float, S: Symmetric) -> Symmetric:
     """pressure·1 + S."""
     return (*(pressure + s for s in S[:3]), *S[3:])
 
@@ -195,7 +195,8 @@ def as_stored_energy(energy: Any) -> StoredEnergy:
             f"shape (3, 3); got {energy!r}"
         )
     name = getattr(energy, "__name__", type(energy).__name__)
-    made = General(jax.tree_util.Partial(energy) if jax.tree_util.all_leaves([energy]) else energy, name)
+    function: Any = jax.tree_util.Partial(energy) if jax.tree_util.all_leaves([energy]) else energy
+    made = General(function, name)
     value = jax.eval_shape(made, jax.ShapeDtypeStruct((3, 3), jnp.result_type(float)))
     if getattr(value, "shape", None) != ():
         raise ValueError(f"W(C) must be a scalar, got {value} of {name}")
