@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,12 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax import plots
-from lieint_jax.diagnostics import energy_error, poisson_error
+from lieint_jax.diagnostics import delay, energy_error, poisson_error
 from lieint_jax.groups import so3
 from lieint_jax.integrate import integrate
 from lieint_jax.maps import kappa_cayley, kappa_exponential, kappa_symplectic
-from lieint_jax.schemes import so3_midpoint
-from lieint_jax.systems import rigid_body
+from lieint_jax.schemes import additive, so3_midpoint
+from lieint_jax.systems import mooney_rivlin, pseudo_rigid_body, rigid_body, saint_venant_kirchhoff
+from lieint_jax.types import State, Step
 
 KAPPAS = (kappa_cayley, kappa_exponential, kappa_symplectic)
 BODIES = {"A": (1.0, 2.0, 3.0), "S": (1.0, 1.0, 2.0)}  # asymmetric and symmetric, as in the caption of Fig. 2
@@ -89,4 +91,99 @@ def figure_2(out: Path) -> str:
     return "\n".join(["Figure 2: A is J = diag(1,2,3), S is J = diag(1,1,2); t = 50", head, *rows])
 
 
-FIGURES: dict[int, Callable[[Path], str]] = {1: figure_1, 2: figure_2}
+class Panel(NamedTuple):
+    """One panel of Figures 3 to 5: a delay plot of the energy, or of the displacement ‖F − 1‖².
+
+    Attributes:
+        name: as in the paper.
+        dt: time step.
+        lag: N of the delay plot.
+        Phi: P₀ = π̂F₀ with π = (0, 0, Phi).
+        printed: the variation in the caption, max − min.
+        displacement: whether it is the displacement that is plotted.
+        F33: None for F₀ = 1; else F₀ = ((1.01, .01, 0), (.01, 1.01, 0), (0, 0, F33)).
+        steps: how many.
+        note: what there is to say beside the two numbers.
+    """
+
+    name: str
+    dt: float
+    lag: int
+    Phi: float
+    printed: float
+    displacement: bool = False
+    F33: float | None = None
+    steps: int = 4000
+    note: str = ""
+
+
+_UNSTABLE = "1500 steps; later rounding, which grows, breaks the symmetry of this motion"
+_EXCHANGED = "read with F33 = .9 for .99 and the captions of (a) and (b) exchanged"
+PANELS = {
+    3: (
+        Panel("3a", 0.005, 3, 0.4, 4.0e-8),
+        Panel("3b", 0.005, 3, 2.0, 1.8e-5),
+        Panel("3c", 0.005, 3, 6.0, 2.3e-3),
+        Panel("3d", 0.005, 3, 10.0, 1.6e-1),
+    ),
+    4: (
+        Panel("4a", 0.05, 3, 6.0, 3.9e-1),
+        Panel("4b", 0.05, 5, 6.0, 3.9e-1),
+        Panel("4c", 0.05, 3, 10.0, 6.2, steps=1500, note=_UNSTABLE),
+        Panel("4d", 0.05, 5, 10.0, 6.2, steps=1500, note=_UNSTABLE),
+    ),
+    5: (
+        Panel("5a", 0.005, 3, 0.0, 2.0e-2, F33=0.9, note=_EXCHANGED),
+        Panel("5b", 0.05, 5, 0.0, 1.6, F33=0.9, note=_EXCHANGED),
+        Panel("5c", 0.001, 3, 0.0, 3.1e-4, True, F33=0.99, note="St Venant–Kirchhoff, (6.13): not reproduced"),
+        Panel("5d", 0.05, 5, 10.0, 32.1, True, steps=1500, note=_UNSTABLE),
+    ),
+}
+
+
+class DelayRun(NamedTuple):
+    """The series of a panel, at every step, and whether every step converged."""
+
+    series: np.ndarray
+    converged: bool
+
+
+def delay_run(panel: Panel) -> DelayRun:
+    """Integrate a panel of Figures 3 to 5.
+
+    E = 2·1; λ = 2000, μ = 6; the implicit midpoint rule (6.17) but for 5c, whose (6.13) gives γ = ½ for that material.
+    """
+    saint_venant = panel.name == "5c"
+    body = pseudo_rigid_body(np.full(3, 2.0), (saint_venant_kirchhoff if saint_venant else mooney_rivlin)(2000.0, 6.0))
+    F = np.eye(3) if panel.F33 is None else np.array([[1.01, 0.01, 0], [0.01, 1.01, 0], [0, 0, panel.F33]])
+    state = body.state(F, momentum=so3.hat(jnp.array([0.0, 0.0, panel.Phi])) @ F)
+    step = additive(body, "average" if saint_venant else "symplectic")
+    energy, displacement, converged = _series(step, state, panel.dt, panel.steps)
+    return DelayRun(np.asarray(displacement if panel.displacement else energy), bool(converged))
+
+
+@partial(jax.jit, static_argnames="num_steps")
+def _series(step: Step, state: State, dt: float, num_steps: int) -> tuple[jax.Array, jax.Array, jax.Array]:
+    run = integrate(step, state, dt, num_steps)
+    displacement = jnp.sum((run.state.q - jnp.eye(3)) ** 2, axis=(1, 2))
+    return jax.vmap(step.system.energy)(run.state), displacement, run.info.converged.all()
+
+
+def _delay_figure(number: int, out: Path) -> str:
+    fig, axes = plots.figure(4, subplot_kw={"projection": "3d"})
+    lines = [f"Figure {number}: variation max − min", f"  {'':<4} {'ours':>9} {'printed':>9}   all converged"]
+    for ax, panel in zip(axes[0], PANELS[number], strict=True):
+        run = delay_run(panel)
+        plots.delay_plot(ax, np.asarray(delay(jnp.asarray(run.series), panel.lag)))
+        variation = np.ptp(run.series)
+        kind = "‖F−1‖²" if panel.displacement else "H"
+        ax.set_title(f"({panel.name[1]}) {kind}: {variation:.3g}, printed {panel.printed:.3g}", fontsize="small")
+        verdict = "yes" if run.converged else "NO"
+        lines.append(f"  {panel.name:<4} {variation:>9.3g} {panel.printed:>9.3g}   {verdict:<4} {panel.note}".rstrip())
+    fig.savefig(out / f"figure-{number}.png", dpi=150)
+    return "\n".join(lines)
+
+
+FIGURES: dict[int, Callable[[Path], str]] = {1: figure_1, 2: figure_2} | {
+    number: partial(_delay_figure, number) for number in PANELS
+}

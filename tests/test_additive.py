@@ -47,7 +47,7 @@ def spinning(Phi):
     return BALL.state(angular_velocity=[0.0, 0.0, Phi / 2])
 
 
-# Section 6 in the paper's letters, on numpy matrices, solved by scipy ---------------------------------------------------
+# Section 6 in the paper's letters, on numpy matrices, solved by scipy -------------------------------------------------
 
 
 def gradient(C, lam=40.0, mu=6.0):
@@ -102,7 +102,7 @@ def condition_of_the_symmetrised(F, F1, gamma):
     return (condition_6_13(F, F1, gamma) + condition_6_13(F, F1, 1 - gamma)) / 2
 
 
-# Results 12 and 13: identities of the class (6.5), whatever the force ---------------------------------------------------
+# Results 12 and 13: identities of the class (6.5), whatever the force -------------------------------------------------
 
 
 @pytest.mark.parametrize("beta", [0.0, 0.3, 0.5, 1.0])
@@ -324,9 +324,9 @@ def test_a_step_that_turns_the_body_inside_out_is_flagged():
     collapse = SOFT.state(np.eye(3), velocity=-np.diag([1.0, 0.0, 0.0]) * 15)
     after, info = step(collapse, 0.3)
     assert not info.converged or np.linalg.det(after.q) > 0
-    huge, info = step(SOFT.state(F0, momentum=300 * P0), 2.0)
+    _, info = step(SOFT.state(F0, momentum=300 * P0), 2.0)
     assert not info.converged
-    nan, info = step(SOFT_STATE._replace(q=SOFT_STATE.q * jnp.nan), 0.1)
+    _, info = step(SOFT_STATE._replace(q=SOFT_STATE.q * jnp.nan), 0.1)
     assert not info.converged
     with pytest.raises(ValueError, match="does not converge within 25 iterations"):
         step.check(SOFT.state(F0, momentum=300 * P0), 2.0)
