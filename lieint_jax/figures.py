@@ -170,9 +170,9 @@ def _series(step: Step, state: State, dt: float, num_steps: int) -> tuple[jax.Ar
 
 
 def _delay_figure(number: int, out: Path) -> str:
-    fig, axes = plots.figure(4, subplot_kw={"projection": "3d"})
+    fig, axes = plots.figure(2, 2, subplot_kw={"projection": "3d"})
     lines = [f"Figure {number}: variation max − min", f"  {'':<4} {'ours':>9} {'printed':>9}   all converged"]
-    for ax, panel in zip(axes[0], PANELS[number], strict=True):
+    for ax, panel in zip(axes.flat, PANELS[number], strict=True):
         run = delay_run(panel)
         plots.delay_plot(ax, np.asarray(delay(jnp.asarray(run.series), panel.lag)))
         variation = np.ptp(run.series)

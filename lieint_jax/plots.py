@@ -80,7 +80,7 @@ def _sight(ax: Any) -> np.ndarray:
 def delay_plot(ax: Any, points: np.ndarray) -> Any:
     """The points (x_n, x_{n+N}, x_{n+2N}) of a series, shape (n, 3), less their mean, as small dots."""
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
-    ax.scatter(*(points - middle).T, s=0.5, color=BLUE, alpha=0.6, depthshade=False, linewidths=0)
+    ax.scatter(*(points - middle).T, s=1.5, color=BLUE, alpha=0.7, depthshade=False, linewidths=0)
     ax.set_box_aspect((1, 1, 1))
     ax.tick_params(labelsize="xx-small", pad=-2)
     ax.ticklabel_format(style="sci", scilimits=(-2, 2), useMathText=True)

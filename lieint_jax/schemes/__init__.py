@@ -6,6 +6,7 @@ from lieint_jax.schemes.compose import Composition, compose
 from lieint_jax.schemes.exact import Exact, exact
 from lieint_jax.schemes.preprocessed import Preprocessed, preprocessed
 from lieint_jax.schemes.so3_midpoint import SO3Midpoint, so3_midpoint
+from lieint_jax.schemes.sphere_midpoint import SphereMidpoint, sphere_midpoint
 from lieint_jax.schemes.splitting import Splitting, splitting
 from lieint_jax.schemes.top_energy_momentum import TopEnergyMomentum, top_energy_momentum
 
@@ -16,6 +17,7 @@ __all__ = [
     "Exact",
     "Preprocessed",
     "SO3Midpoint",
+    "SphereMidpoint",
     "Splitting",
     "TopEnergyMomentum",
     "additive",
@@ -24,6 +26,7 @@ __all__ = [
     "exact",
     "preprocessed",
     "so3_midpoint",
+    "sphere_midpoint",
     "splitting",
     "top_energy_momentum",
 ]

@@ -1,6 +1,7 @@
 """Hamiltonian systems. Each module has `examples()`: systems with a state worth integrating and a time step."""
 
 from lieint_jax.systems.heavy_top import heavy_top
+from lieint_jax.systems.pendulum import Pendulum, pendulum
 from lieint_jax.systems.potential_top import PotentialTop, potential_top
 from lieint_jax.systems.pseudo_rigid import (
     PseudoRigidBody,
@@ -13,6 +14,7 @@ from lieint_jax.systems.pseudo_rigid import (
 from lieint_jax.systems.rigid_body import RigidBody, rigid_body
 
 __all__ = [
+    "Pendulum",
     "PotentialTop",
     "PseudoRigidBody",
     "RigidBody",
@@ -20,6 +22,7 @@ __all__ = [
     "heavy_top",
     "mooney_rivlin",
     "neo_hookean",
+    "pendulum",
     "potential_top",
     "pseudo_rigid_body",
     "rigid_body",
