@@ -13,6 +13,7 @@ from paper import hat, rot
 from scipy.optimize import root
 
 import lieint_jax as li
+from lieint_jax import small
 from lieint_jax.diagnostics import flow, linearization
 from lieint_jax.types import State
 
@@ -200,6 +201,31 @@ def test_6_17_is_second_order_at_one_half_only(alpha, order):
     assert (made.order, made.symmetric) == (order, order == 2)
 
 
+def test_6_4_the_momentum_map_is_twice_rot():
+    """⟨P, ξ̂F⟩ = 2ξ·rot[PFᵀ], for the pairing tr PᵀV; without the 2 it is not the momentum of rotations."""
+    xi = np.array([0.3, -1.0, 0.7])
+    pairing = np.sum(P0 * (hat(xi) @ F0))
+    assert pairing == pytest.approx(2 * xi @ rot(P0 @ F0.T), abs=1e-15)
+    assert pairing != pytest.approx(xi @ rot(P0 @ F0.T), abs=0.1)
+    np.testing.assert_allclose(SOFT.momentum(SOFT_STATE), rot(P0 @ F0.T), atol=1e-15)
+    np.testing.assert_allclose(SOFT.angular_momentum(SOFT_STATE), 2 * rot(P0 @ F0.T), atol=1e-15)
+
+
+def test_6_15_and_6_16_with_beta_of_6_9():
+    """Ψ_n = αE⁻¹, and α ∂S/∂F_n = (1−α) ∂S/∂F_{n+1} for the stress of (6.17); as printed α and 1 − α are exchanged."""
+    alpha, beta = 0.3, 0.7
+    Psi = jax.jacfwd(lambda P: (beta * P0 + (1 - beta) * P) @ np.linalg.inv(E))(jnp.array(P0))
+    np.testing.assert_allclose(Psi[0, :, 0, :].T, alpha * np.linalg.inv(E), atol=1e-15)
+
+    def stress(F, F1):
+        middle = alpha * F1 + (1 - alpha) * F
+        return jnp.stack(SOFT.stored_energy.stress(small.gram(middle)))
+
+    by_F, by_F1 = jax.jit(jax.jacfwd(stress, argnums=(0, 1)))(jnp.array(F0), jnp.array(F0 + 0.1 * P0))
+    np.testing.assert_allclose(alpha * by_F, (1 - alpha) * by_F1, atol=1e-13)
+    assert np.abs((1 - alpha) * by_F - alpha * by_F1).max() > 1
+
+
 # Result 16, corrected -------------------------------------------------------------------------------------------------
 
 
@@ -213,7 +239,8 @@ def test_result_16_energy_and_momentum_second_order_reversible_not_symplectic(ru
     assert _order(step) == pytest.approx(2, abs=0.12)
     back, _ = step(step(SOFT_STATE, 0.05)[0], -0.05)
     apart = max(np.abs(back.q - SOFT_STATE.q).max(), np.abs(back.p - SOFT_STATE.p).max())
-    assert (apart < 1e-14) == step.symmetric  # "energy" is not symmetric, the others are
+    assert step.symmetric
+    assert apart < 1e-14
     assert _defect_by_differences(step, SOFT_STATE, 0.1) > 1e-4
 
 
@@ -341,7 +368,7 @@ def test_gradients_through_a_step():
 
     slope = jax.jit(jax.jacfwd(end))(40.0)
     h = 1e-3
-    assert slope == pytest.approx((end(40 + h) - end(40 - h)) / (2 * h), rel=1e-7)
+    assert float(slope) == pytest.approx(float(end(40 + h) - end(40 - h)) / (2 * h), rel=1e-7)
 
 
 def test_float32_is_kept():

@@ -126,7 +126,7 @@ class Additive(Step):
             return ends & jnp.all(jnp.abs(step[9:]) <= 100 * small_step)
 
         guess = jnp.concatenate([jnp.zeros(9, state.q.dtype), jnp.full(rule.gammas, rule.guess, state.q.dtype)])
-        x, R = newton.root(equation, correction, guess, self.iterations, done)
+        x, R = newton.root(equation, correction, guess, self.iterations, done=done)
         U = _matrix(x)
         D = change(U)
         S = rule.stress(W, C, D, *x[9:])
@@ -171,7 +171,7 @@ def additive(
     | `"energy"` (6.11), (6.13) | exact | exact | O(Δt³) a step | 2 |
     | `"energy_momentum"` (6.14), γ corrected | exact | exact | O(Δt³) a step | 2 |
 
-    "Exact" is to round-off at a converged step. With α = ½ all but "energy" are time-symmetric.
+    "Exact" is to round-off at a converged step. With α = ½ all are time-symmetric.
 
     "average" takes a stress with ½S:ΔC = ΔW that needs no γ: by invariants for the shipped materials, else 8 Gauss
     nodes of ∇W along C. The two rules of the paper ask for a γ as well, whose equation may have several roots; they are
@@ -207,7 +207,7 @@ def additive(
         raise ValueError(f"the rule {rule!r} conserves energy for alpha = 1/2 only, got {alpha}")
     iterations = 25 if iterations is None else checks.count("iterations", iterations, 1)
     order = 2 if middle else 1
-    return Additive(system, alpha, rule, iterations, order, middle and rule != "energy")
+    return Additive(system, alpha, rule, iterations, order, middle)
 
 
 def examples(system: Any) -> dict[str, Step]:
