@@ -49,7 +49,7 @@ def test_claims_1_and_2_constraints_momentum_and_energy(field, normalised):
         assert 1e-5 < energy < 1e-2
 
 
-@pytest.mark.parametrize("field", FIELDS)
+@pytest.mark.parametrize("field", ["linear", "cubic"])
 def test_claim_3_the_plain_rule_is_not_symplectic_the_normalised_one_is(field):
     bob = BOBS[field]
     plain, normalised = (li.schemes.sphere_midpoint(bob, normalised) for normalised in (False, True))
