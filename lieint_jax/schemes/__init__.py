@@ -5,6 +5,7 @@ from lieint_jax.schemes.calibrated import Calibrated, calibrated
 from lieint_jax.schemes.compose import Composition, compose
 from lieint_jax.schemes.exact import Exact, exact
 from lieint_jax.schemes.preprocessed import Preprocessed, preprocessed
+from lieint_jax.schemes.so3_explicit import SO3Explicit, so3_explicit
 from lieint_jax.schemes.so3_midpoint import SO3Midpoint, so3_midpoint
 from lieint_jax.schemes.sphere_midpoint import SphereMidpoint, sphere_midpoint
 from lieint_jax.schemes.splitting import Splitting, splitting
@@ -16,6 +17,7 @@ __all__ = [
     "Composition",
     "Exact",
     "Preprocessed",
+    "SO3Explicit",
     "SO3Midpoint",
     "SphereMidpoint",
     "Splitting",
@@ -25,6 +27,7 @@ __all__ = [
     "compose",
     "exact",
     "preprocessed",
+    "so3_explicit",
     "so3_midpoint",
     "sphere_midpoint",
     "splitting",

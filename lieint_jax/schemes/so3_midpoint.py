@@ -66,7 +66,7 @@ class SO3Midpoint(Step):
         return f"so3_midpoint[{self.kappa.name}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        J, a = _scaled(self.system, state, dt)
+        J, a = scaled(self.system, state, dt)
         solve = _solve_scalar if self.kappa.solve_by == "scalar" else _solve_vector
         h, residual, on_branch = solve(self.kappa, J, a, self.iterations)
         residual = lax.stop_gradient(jnp.sqrt(dot(residual, residual)))
@@ -139,7 +139,7 @@ def is_free_body(system: Any) -> bool:
     return hasattr(system, "inertia") and getattr(system, "potential", None) is None
 
 
-def _scaled(system: FreeBody, state: State, dt: ArrayLike) -> tuple[Symmetric, Array]:
+def scaled(system: FreeBody, state: State, dt: ArrayLike) -> tuple[Symmetric, Array]:
     """J and a = ½Δt Π_n, both over tr J: then |a| is an angle, and no power of a large inertia overflows."""
     J = small.symmetric(system.inertia)
     r = 1 / small.trace(J)
@@ -147,16 +147,18 @@ def _scaled(system: FreeBody, state: State, dt: ArrayLike) -> tuple[Symmetric, A
 
 
 def _solve_scalar(kappa: Kappa, J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vector, Array]:
-    """h = ½Θ of the symplectic κ by the scalar form, its residual, and whether h is on the branch |h| ≤ 1.
-
-    With adj(J − m − â)a = adj(J)a + (m² − m tr J + |a|²)a + m Ja − a×Ja and tr J = 1, everything is a polynomial in m.
-    """
+    """h = ½Θ of the symplectic κ by the scalar form, its residual, and whether h is on the branch |h| ≤ 1."""
     del kappa  # it is the symplectic one
+    h = half_cayley(J, a, scalar_root(J, a, iterations))
+    return h, scalar_residual(J, a, h), dot(h, h) <= 1
+
+
+def scalar_root(J: Symmetric, a: Array, iterations: int) -> Array:
+    """m = a·(J − m − â)⁻¹a, constant along a trajectory, for tr J = 1."""
     C = small.adjugate(J)
     J3, J2 = small.determinant(J, C), small.trace(C)
-    s, Ja, Ca = dot(a, a), apply(J, a), apply(C, a)
-    aJa, aCa = dot(a, Ja), dot(a, Ca)
-    c0, c1, c2 = -(aCa + s * s), J3 + s, -(J2 + 2 * s)  # m det(J − m − â) − a·adj(J − m − â)a = c0 + c1 m + …
+    s, Ca = dot(a, a), apply(C, a)
+    c0, c1, c2 = -(dot(a, Ca) + s * s), J3 + s, -(J2 + 2 * s)  # m det(J − m − â) − a·adj(J − m − â)a = c0 + c1 m + …
 
     def quartic(m: Array) -> Array:
         return c0 + m * (c1 + m * (c2 + m * (1 - m)))
@@ -170,15 +172,28 @@ def _solve_scalar(kappa: Kappa, J: Symmetric, a: Array, iterations: int) -> tupl
     r = 1 / J3
     u = tuple(r * x for x in Ca)  # J⁻¹a
     g = cross(a, u)
-    m = r * aCa * (1 + dot(u, u)) - r * dot(g, apply(C, g))  # the root, but for O(Δt⁶)
-    m, _ = newton.root(quartic, correction, m, iterations)
+    m = r * dot(a, Ca) * (1 + dot(u, u)) - r * dot(g, apply(C, g))  # the root, but for O(Δt⁶)
+    return newton.root(quartic, correction, m, iterations)[0]
 
-    k = s - m * (1 - m)
-    r = 1 / (J3 + aJa - m * (J2 + k))
+
+def half_cayley(J: Symmetric, a: Array, m: Array) -> Array:
+    """h = (J − m − â)⁻¹a, shape (3,), for tr J = 1.
+
+    With adj(J − m − â)a = adj(J)a + (m² − m tr J + |a|²)a + m Ja − a×Ja everything is a polynomial in m.
+    """
+    C = small.adjugate(J)
+    J3, J2 = small.determinant(J, C), small.trace(C)
+    Ja, Ca = apply(J, a), apply(C, a)
+    k = dot(a, a) - m * (1 - m)
+    r = 1 / (J3 + dot(a, Ja) - m * (J2 + k))
     x = cross(a, Ja)
-    h = r * k * a + r * jnp.stack([Ca[i] + m * Ja[i] - x[i] for i in range(3)])
+    return r * k * a + r * jnp.stack([Ca[i] + m * Ja[i] - x[i] for i in range(3)])
+
+
+def scalar_residual(J: Symmetric, a: Array, h: Array) -> Vector:
+    """Jh − a − a × h − (a·h)h: the scalar form itself, with m = a·h."""
     m, x, Jh = dot(a, h), cross(a, h), apply(J, h)
-    return h, tuple(Jh[i] - m * h[i] - a[i] - x[i] for i in range(3)), dot(h, h) <= 1
+    return tuple(Jh[i] - m * h[i] - a[i] - x[i] for i in range(3))
 
 
 def _solve_vector(kappa: Kappa, J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vector, Array]:

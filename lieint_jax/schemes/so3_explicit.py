@@ -1,0 +1,101 @@
+"""The symplectic step of the free rigid body without an equation to solve at each step.
+
+In the scalar form of `so3_midpoint` all that has to be solved for is m = a·h, and it is the same at every step of a
+trajectory: the coefficients of its quartic are invariants. `prepare` solves it once; then a step is
+
+    h = (J − m − â)⁻¹ a,    a = ½Δt Π_n,    Λ_{n+1} = Λ_n cay 2h
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Self
+
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from lieint_jax import small
+from lieint_jax.groups import so3
+from lieint_jax.schemes.so3_midpoint import (
+    FreeBody,
+    half_cayley,
+    is_free_body,
+    scalar_residual,
+    scalar_root,
+    scaled,
+    so3_midpoint,
+)
+from lieint_jax.small import dot
+from lieint_jax.types import State, Step, StepInfo, pytree, static
+
+_DRIFT = 4096  # round-offs that a·h may drift from m before the step is called unconverged
+
+
+@pytree
+class SO3Explicit(Step):
+    """The step made by `so3_explicit`.
+
+    Attributes:
+        system: a free rigid body.
+        m: what `prepare` solved for; None before.
+        iterations: corrections that `prepare` takes.
+    """
+
+    system: FreeBody
+    m: Array | None = None
+    iterations: int = static(default=4)
+    order: float = static(default=2)
+    symmetric: bool = static(default=True)
+
+    @property
+    def commuting(self) -> bool:
+        return True
+
+    @property
+    def name(self) -> str:
+        return "so3_explicit"
+
+    def prepare(self, state: State, dt: ArrayLike) -> Self:
+        return dataclasses.replace(self, m=scalar_root(*scaled(self.system, state, dt), self.iterations))
+
+    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        """One step; of the trajectory and step size that it was prepared for, or else it prepares itself."""
+        J, a = scaled(self.system, state, dt)
+        h = half_cayley(J, a, scalar_root(J, a, self.iterations) if self.m is None else self.m)
+        residual = scalar_residual(J, a, h)
+        residual = lax.stop_gradient(jnp.sqrt(dot(residual, residual)))
+        converged = (residual <= _DRIFT * jnp.finfo(a.dtype).eps * small.max_abs(a)) & (dot(h, h) <= 1)
+        return State(so3.cayley_increment(state.q, h), state.p), StepInfo(residual, converged)
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        if self.m is not None and dataclasses.replace(self, m=None)(state, dt)[1].converged:
+            return f"{self.name} was prepared for another trajectory or another step size than {dt}: prepare it again"
+        return so3_midpoint(self.system).advice(state, dt)
+
+
+def so3_explicit(system: FreeBody) -> SO3Explicit:
+    """The symplectic scheme of `so3_midpoint`, solved once a trajectory instead of once a step.
+
+    Equal to `so3_midpoint(system, maps.kappa_symplectic)` to round-off, with the same invariants, order, symmetry and
+    end of the branch (|Δt Ω| ≈ 1), and a third to a half faster. `integrate` and `ensemble.run` call `prepare` once.
+    Called by hand without `prepare`, it solves at every step. Prepared for one trajectory or step size and used with
+    another, it says `converged=False`; so it does when energy has drifted by thousands of round-offs.
+
+    Args:
+        system: `systems.rigid_body(...)`, principal or full inertia.
+
+    Raises:
+        ValueError: not a free rigid body.
+
+    Source: this package; that the multiplier of the discrete Moser–Veselov step is constant is due to Hairer & Vilmart
+    2006, J. Phys. A 39.
+    """
+    if not is_free_body(system):
+        raise ValueError(f"so3_explicit integrates free rigid bodies (systems.rigid_body), got {type(system).__name__}")
+    return SO3Explicit(system)
+
+
+def examples(system: Any) -> dict[str, Step]:
+    """The one of it, for free rigid bodies."""
+    return {"so3_explicit": so3_explicit(system)} if is_free_body(system) else {}
