@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,11 @@ import numpy as np
 from lieint_jax.types import State, StepInfo, Trajectory
 
 
-def free(path: Path) -> Path:
+def free(path: Path, kinds: Iterable[str] = ()) -> Path:
     """`path`, which must end in .npz; neither it nor its pictures may exist, and its folder must be writable."""
     if path.suffix != ".npz":
         raise ValueError(f"results are written as .npz, got {path}")
-    for file in (path, *pictures(path)):
+    for file in (path, *pictures(path, kinds)):
         if file.exists():
             raise ValueError(f"{file} exists and is not overwritten; move it away or choose another --out")
     if not path.parent.is_dir():
@@ -26,10 +27,9 @@ def free(path: Path) -> Path:
     return path
 
 
-def pictures(path: Path) -> tuple[Path, Path]:
-    """Where the pictures beside results at `path` go."""
-    path_of_axis, invariants = (path.with_name(f"{path.stem}-{kind}.png") for kind in ("path", "invariants"))
-    return path_of_axis, invariants
+def pictures(path: Path, kinds: Iterable[str]) -> list[Path]:
+    """Where the pictures beside results at `path` go, such as NAME-path.png of the kind "path"."""
+    return [path.with_name(f"{path.stem}-{kind}.png") for kind in kinds]
 
 
 def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:

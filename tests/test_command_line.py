@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lieint_jax import cli, scenarios, store
+from lieint_jax.scenarios import rigid_body
 
 
 @pytest.fixture(autouse=True)
@@ -95,10 +96,10 @@ def test_toutatis_periods_over_800_days(members):
     step, states = scenarios.build(scenario)
     run = ensemble.run(step, states, scenario.dt, scenario.steps, scenario.save_every, progress=False)
     assert run.t[-1] >= 800
-    precession, rotation = scenarios.mean_periods(step.system, run)
+    precession, rotation = rigid_body.mean_periods(step.system, run)
     assert precession[0] == pytest.approx(7.3998, abs=2e-4)
     assert rotation[0] == pytest.approx(5.3804, abs=2e-4)
-    rows = {row.name: row for row in scenarios.quantities(scenario, step.system, run)}
+    rows = {row.name: row for row in rigid_body.quantities(scenario, step.system, run)}
     assert rows["angular momentum longitude (°)"].nominal == pytest.approx(180.46, abs=0.01)
     assert rows["angular momentum latitude (°)"].nominal == pytest.approx(-54.70, abs=0.01)
 
@@ -121,7 +122,7 @@ def test_periods_of_bodies_with_known_ones():
             state = body.state(angular_velocity=rate)
             states = jax.tree.map(lambda x: jnp.stack([x, x]), state)
             run = ensemble.run(li.schemes.so3_midpoint(body), states, 0.01, 20_000, 100, progress=False)
-            precession, rotation = scenarios.mean_periods(body, run)
+            precession, rotation = rigid_body.mean_periods(body, run)
             np.testing.assert_allclose(precession, 2 * np.pi / (angle / J[0]), rtol=1e-3)
             np.testing.assert_allclose(rotation, 2 * np.pi / abs(0.9 * (J[2] - J[0]) / J[0]), rtol=1e-3)
 
@@ -229,7 +230,7 @@ def test_a_file_that_is_no_text(capsys):
 
 
 def test_spread_of_an_angle_goes_round_the_circle():
-    assert scenarios._spread(np.array([0.1, 359.9, 0.3]), angle=True) == pytest.approx(0.2)
+    assert rigid_body._spread(np.array([0.1, 359.9, 0.3]), angle=True) == pytest.approx(0.2)
 
 
 def test_check_prints_certificates(capsys):

@@ -1,74 +1,28 @@
-"""Scenario files (*.toml), shipped or the user's own, and their meaning: from a file to a batch of states and a report.
-
-A scenario is a system, a scheme, a time step and an ensemble of initial states; it may hold published values and
-observations to set beside the results. `scenario_names` lists the shipped ones.
-"""
+"""A tumbling free rigid body: its mean periods and the direction of its momentum, beside published ones."""
 
 from __future__ import annotations
 
-import tomllib
-from importlib import resources
-from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from jax import Array
+from matplotlib.figure import Figure
+from pydantic import model_validator
 
-from lieint_jax import checks, diagnostics, maps, schemes, systems
+from lieint_jax import diagnostics, maps, plots, schemes, systems
 from lieint_jax.groups import so3
+from lieint_jax.integrate import integrate
+from lieint_jax.scenarios._body import BodyScenario, InitialState, ensemble, in_space
+from lieint_jax.scenarios._common import Table, Text, follow, nominal, thinned
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, Trajectory
 
-Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
-Quadruple = Annotated[list[float], Field(min_length=4, max_length=4)]
-NonNegative = Annotated[float, Field(ge=0)]
-Positive = Annotated[int, Field(gt=0, le=10**12)]
-Text = Annotated[str, Field(pattern=r"^[^$]*$")]  # no mathematics: it goes into pictures
+Z = (0.0, 0.0, 1.0)  # the body axis that is drawn
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class InitialState(_Table):
-    """The nominal state: an attitude (quaternion or Euler 3-1-3 angles) and a body angular velocity."""
-
-    quaternion: Quadruple | None = None
-    euler_313_deg: Triple | None = None
-    angular_velocity: Triple | None = None
-    angular_velocity_deg: Triple | None = None
-
-    @model_validator(mode="after")
-    def _one_of_each(self) -> Self:
-        if self.quaternion is not None and self.euler_313_deg is not None:
-            raise ValueError("give quaternion or euler_313_deg, not both")
-        if (self.angular_velocity is None) == (self.angular_velocity_deg is None):
-            raise ValueError("give exactly one of angular_velocity (radians) and angular_velocity_deg")
-        if self.quaternion is not None:
-            checks.unit_quaternion("quaternion", self.quaternion)
-        return self
-
-    def attitude(self) -> Any:
-        if self.euler_313_deg is not None:
-            return so3.from_euler_313(jnp.deg2rad(jnp.asarray(self.euler_313_deg)))
-        return jnp.asarray(self.quaternion or [1.0, 0.0, 0.0, 0.0])
-
-    def rate(self) -> Any:
-        if self.angular_velocity_deg is not None:
-            return jnp.deg2rad(jnp.asarray(self.angular_velocity_deg))
-        return jnp.asarray(self.angular_velocity)
-
-
-class Spread(_Table):
-    """Standard deviations, a component, of the members about the nominal state."""
-
-    attitude_deg: NonNegative = 0.0
-    angular_velocity_deg: NonNegative = 0.0
-
-
-class Published(_Table):
+class Published(Table):
     value: float
     error: float | None = None
     source: str
@@ -80,40 +34,19 @@ class Observation(InitialState):
     source: str
 
 
-class Scenario(_Table):
-    """The keys of a scenario file."""
+class Scenario(BodyScenario):
+    """The keys of a scenario of this kind."""
 
-    title: Text
-    time_unit: Text = "time unit"
-    system: Literal["rigid_body"]
-    inertia: list[Any]
+    system: Literal["rigid_body"]  # pyright: ignore[reportIncompatibleVariableOverride]
     scheme: Literal["so3_midpoint"] = "so3_midpoint"
     kappa: Literal["symplectic", "cayley", "exponential"] = "symplectic"
-    dt: float
-    steps: Positive
-    save_every: Positive = 1
-    members: Annotated[int, Field(gt=0, le=10**9)] = 1
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    state: InitialState
-    spread: Spread = Spread()
     published: dict[
         Literal["precession_period", "rotation_period", "momentum_longitude_deg", "momentum_latitude_deg"], Published
     ] = {}
     observation: list[Observation] = []
-    sources: dict[str, str] = {}
-
-    @field_validator("inertia")
-    @classmethod
-    def _a_body(cls, value: list[Any]) -> list[Any]:
-        checks.inertia(value)
-        return value
 
     @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        if self.dt == 0:
-            raise ValueError("dt must not be 0")
-        if self.steps % self.save_every:
-            raise ValueError(f"steps = {self.steps} must be a multiple of save_every = {self.save_every}")
+    def _observations_are_saved(self) -> Self:
         interval = self.dt * self.save_every
         for seen in self.observation:
             if abs(seen.t / interval - round(seen.t / interval)) > 1e-6:
@@ -121,62 +54,16 @@ class Scenario(_Table):
         return self
 
 
-def scenario_names() -> list[str]:
-    """The scenarios in the package."""
-    files = resources.files("lieint_jax.data").iterdir()
-    return sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml"))
-
-
-def load(name: str, **changes: Any) -> Scenario:
-    """The scenario shipped under `name`, or the one in the file `name`, with `changes` to its keys.
-
-    Raises:
-        ValueError: no such scenario, not TOML, or a key that is missing, unknown or out of range: the message names it.
-    """
-    path = Path(name)
-    if name in scenario_names():
-        text = resources.files("lieint_jax.data").joinpath(f"{name}.toml").read_text(encoding="utf-8")
-    elif path.is_file():
-        try:
-            text = path.read_bytes().decode("utf-8-sig")
-        except UnicodeDecodeError as error:
-            raise ValueError(f"{name} is not UTF-8 text: {error}") from error
-    else:
-        raise ValueError(f"no scenario {name!r}: give a .toml file or one of {', '.join(scenario_names())}")
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{name} is not valid TOML: {error}") from error
-    try:
-        return Scenario.model_validate(table | {key: value for key, value in changes.items() if value is not None})
-    except ValidationError as error:
-        problem, *others = error.errors()
-        key = "".join(f"{part}." for part in problem["loc"] if part != "[key]").removesuffix(".")
-        given = (
-            ""
-            if problem["type"] in ("missing", "extra_forbidden") or not problem["loc"]
-            else f" (got {problem['input']!r})"
-        )
-        message = {"extra_forbidden": "unknown key", "missing": "key missing"}.get(problem["type"], problem["msg"])
-        more = f"; and {len(others)} more" if others else ""
-        where = f"{name}: {key}: " if key else f"{name}: "
-        raise ValueError(f"{where}{message.removeprefix('Value error, ')}{given}{more}") from error
-
-
 def build(scenario: Scenario) -> tuple[Step, State]:
-    """The step and the batch of initial states; member 0 is the nominal state."""
+    """The step and the batch of initial states."""
     body = systems.rigid_body(scenario.inertia)
-    step = schemes.so3_midpoint(body, getattr(maps, f"kappa_{scenario.kappa}"))
-    kick, jolt = jax.random.normal(jax.random.key(scenario.seed), (2, scenario.members, 3))
-    kick, jolt = (x.at[0].set(0.0) for x in (kick, jolt))
-    kick = jnp.deg2rad(scenario.spread.attitude_deg) * kick
-    jolt = jnp.deg2rad(scenario.spread.angular_velocity_deg) * jolt
-    q, Omega = scenario.state.attitude(), scenario.state.rate()
+    return schemes.so3_midpoint(body, getattr(maps, f"kappa_{scenario.kappa}")), ensemble(scenario, body)
 
-    def member(kick: jax.Array, jolt: jax.Array) -> State:
-        return body.state(so3.multiply(so3.exp(kick), q), angular_velocity=Omega + jolt)
 
-    return step, jax.vmap(member)(kick, jolt)
+def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
+    """Periods and directions beside the published ones; predictions beside observations."""
+    table = _table(scenario, quantities(scenario, step.system, run))
+    return "\n".join([table, *(_sighting(scenario, seen) for seen in sightings(scenario, step.system, run))])
 
 
 class Row(NamedTuple):
@@ -289,3 +176,85 @@ def sightings(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Sigh
             )
         )
     return found
+
+
+def _table(scenario: Scenario, rows: list[Row]) -> str:
+    lines = [f"\n  {'':<34}{'nominal':>10}{'± ensemble':>12}   published"]
+    for row in rows:
+        published = ""
+        if row.published:
+            error = f" ± {row.published.error:g}" if row.published.error is not None else ""
+            published = f"{row.published.value:g}{error}  ({scenario.source(row.published.source)})"
+        nominal, spread = (f"{x:.4f}" if np.isfinite(x) else "—" for x in (row.nominal, row.spread))
+        lines.append(f"  {row.name:<34}{nominal:>10}{spread:>12}   {published}")
+    if any(np.isnan(row.nominal) for row in rows):
+        lines.append(
+            "  — no period: the body spins about an axis, or states are saved too far apart (lower save_every)"
+        )
+    return "\n".join(lines)
+
+
+def _sighting(scenario: Scenario, sighting: Sighting) -> str:
+    seen = sighting.observation
+
+    def triple(values: np.ndarray | list[float]) -> str:
+        return "(" + ", ".join(f"{x:8.2f}" for x in values) + ")"
+
+    lines = [f"\n  {seen.label}: t = {seen.t:g} {scenario.time_unit}   [{scenario.source(seen.source)}]"]
+    if seen.euler_313_deg:
+        predicted, observed = triple(sighting.euler_313_deg), triple(seen.euler_313_deg)
+        lines += [f"    Euler 3-1-3 (°)      predicted {predicted}   observed {observed}"]
+    if seen.angular_velocity_deg:
+        predicted, observed = triple(sighting.angular_velocity_deg), triple(seen.angular_velocity_deg)
+        lines += [f"    body rate (°/{scenario.time_unit})      predicted {predicted}   observed {observed}"]
+    lines += [
+        f"    attitude predicted and observed: {sighting.apart_deg:.2f}° apart; members about the nominal one: "
+        f"{sighting.spread_deg:.2f}° rms; the integrator's own error: {sighting.integrator_error_deg:.2g}°",
+        "    (torque-free: what remains is the error of the initial state, of the observation, and torques left out)",
+    ]
+    return "\n".join(lines)
+
+
+def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """The long view: the body's z axis in space, where the members have it at an observation; the polhode."""
+    seen = [s for s in scenario.observation if 0 <= save_index(scenario, s) < len(run.t)][:1]
+    last = save_index(scenario, seen[0]) if seen else len(run.t) - 1
+    long = follow(step, nominal(run), scenario.dt, last * scenario.save_every)
+    size = np.linalg.norm(run.state.p[0, 0])
+    fig, axes = plots.figure(2, subplot_kw={"projection": "3d"})
+    left, right = axes[0]
+    axis, members = in_space(long.state.q, Z), in_space(run.state.q[last], Z)
+    pole = np.asarray(run.state.p[0, 0]) / size
+    plots.sphere_path(left, axis, pole, eye=axis.mean(axis=0) + members.mean(axis=0))
+    plots.sphere_points(left, members, "members", color=plots.INK, s=2, alpha=0.5)
+    if seen:
+        plots.sphere_points(
+            left, in_space(seen[0].attitude()[None], Z), seen[0].label, color=plots.RED, marker="x", s=60
+        )
+    left.legend(frameon=False, fontsize="x-small", loc="lower left")
+    left.set_title(f"body axis z in space to t = {long.t[-1]:.4g} {scenario.time_unit}", fontsize="small")
+    plots.sphere_path(right, np.asarray(jax.vmap(step.system.body_momentum)(long.state)) / size)
+    right.set_title("angular momentum in the body", fontsize="small")
+    fig.suptitle(scenario.title, fontsize="medium")
+    return fig
+
+
+def draw_invariants(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Energy and Poisson error of the nominal member against time."""
+    n, every = thinned(scenario.steps)
+
+    @jax.jit
+    def errors(z: State) -> tuple[Array, Array, Array]:
+        series = integrate(step, z, scenario.dt, n, every)
+        energy = diagnostics.energy_error(step.system, series) / step.system.energy(z)
+        sigma = jax.vmap(so3.vee)(diagnostics.poisson_error(step, z, scenario.dt, n)[::every])
+        return series.t, energy, jnp.linalg.norm(sigma, axis=1)
+
+    t, energy, sigma = (np.asarray(x) for x in errors(nominal(run)))
+    fig, axes = plots.figure(2)
+    plots.series(axes[0, 0], t, {"": energy}, "relative energy error", scenario.time_unit)
+    plots.log_error(axes[0, 1], t, {"": sigma}, "Poisson error |σ|", scenario.time_unit)
+    return fig
+
+
+PICTURES = {"path": draw_path, "invariants": draw_invariants}

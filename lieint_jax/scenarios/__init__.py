@@ -1,0 +1,99 @@
+"""Scenario files (*.toml), shipped or the user's own, and their meaning: from a file to a batch of states and a report.
+
+A scenario is a system, a scheme, a time step and an ensemble of initial states; it may hold published values and
+observations to set beside the results. `scenario_names` lists the shipped ones. What all have in common is in
+`_common.py`; each kind of system is one module, named as the file's `system` key, which holds
+
+| name | |
+|---|---|
+| `Scenario` | a pydantic model of its keys, a subclass of `_common.Common` |
+| `build(scenario)` | the step and the batch of initial states; member 0 is the nominal state |
+| `report(scenario, step, run)` | the text to print of a run |
+| `PICTURES` | by the end of their file names, functions (scenario, step, run) ↦ figure |
+"""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from importlib import resources
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from pydantic import ValidationError
+
+from lieint_jax import discover
+from lieint_jax.scenarios._common import Common
+from lieint_jax.types import State, Step
+
+
+def scenario_names() -> list[str]:
+    """The scenarios in the package."""
+    files = resources.files("lieint_jax.data").iterdir()
+    return sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml"))
+
+
+def kinds() -> dict[str, ModuleType]:
+    """The modules of this package, by the `system` key of the scenarios that they are for."""
+    return discover.modules(sys.modules[__name__])
+
+
+def kind(scenario: Common) -> ModuleType:
+    """The module of a scenario."""
+    return kinds()[scenario.system]
+
+
+def build(scenario: Common) -> tuple[Step, State]:
+    """The step and the batch of initial states; member 0 is the nominal state."""
+    return kind(scenario).build(scenario)
+
+
+def load(name: str, **changes: Any) -> Any:
+    """The scenario shipped under `name`, or the one in the file `name`, with `changes` to its keys.
+
+    Returns:
+        A `Scenario` of the module that its `system` key names.
+
+    Raises:
+        ValueError: no such scenario, not TOML, or a key that is missing, unknown or out of range: the message names it.
+    """
+    table = _table(name)
+    if "system" not in table:
+        raise ValueError(f"{name}: system: key missing")
+    if table["system"] not in kinds():
+        allowed = " or ".join(map(repr, kinds()))
+        raise ValueError(f"{name}: system: must be {allowed} (got {table['system']!r})")
+    model = kinds()[table["system"]].Scenario
+    try:
+        return model.model_validate(table | {key: value for key, value in changes.items() if value is not None})
+    except ValidationError as error:
+        raise ValueError(f"{name}: {_explain(error)}") from error
+
+
+def _table(name: str) -> dict[str, Any]:
+    path = Path(name)
+    if name in scenario_names():
+        text = resources.files("lieint_jax.data").joinpath(f"{name}.toml").read_text(encoding="utf-8")
+    elif path.is_file():
+        try:
+            text = path.read_bytes().decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise ValueError(f"{name} is not UTF-8 text: {error}") from error
+    else:
+        raise ValueError(f"no scenario {name!r}: give a .toml file or one of {', '.join(scenario_names())}")
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{name} is not valid TOML: {error}") from error
+
+
+def _explain(error: ValidationError) -> str:
+    """The first problem in one line that names the key."""
+    problem, *others = error.errors()
+    key = "".join(f"{part}." for part in problem["loc"] if part != "[key]").removesuffix(".")
+    silent = problem["type"] in ("missing", "extra_forbidden") or not problem["loc"]
+    given = "" if silent else f" (got {problem['input']!r})"
+    message = {"extra_forbidden": "unknown key", "missing": "key missing"}.get(problem["type"], problem["msg"])
+    more = f"; and {len(others)} more" if others else ""
+    return f"{key}{': ' if key else ''}{message.removeprefix('Value error, ')}{given}{more}"

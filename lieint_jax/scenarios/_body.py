@@ -1,0 +1,89 @@
+"""What the scenarios of rigid bodies share: inertia, an initial attitude and angular velocity, a spread about them."""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from pydantic import field_validator, model_validator
+
+from lieint_jax import checks
+from lieint_jax.groups import so3
+from lieint_jax.scenarios._common import Common, NonNegative, Quadruple, Table, Triple
+from lieint_jax.types import State
+
+
+class InitialState(Table):
+    """The nominal state: an attitude (quaternion or Euler 3-1-3 angles) and a body angular velocity."""
+
+    quaternion: Quadruple | None = None
+    euler_313_deg: Triple | None = None
+    angular_velocity: Triple | None = None
+    angular_velocity_deg: Triple | None = None
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> Self:
+        if self.quaternion is not None and self.euler_313_deg is not None:
+            raise ValueError("give quaternion or euler_313_deg, not both")
+        if (self.angular_velocity is None) == (self.angular_velocity_deg is None):
+            raise ValueError("give exactly one of angular_velocity (radians) and angular_velocity_deg")
+        if self.quaternion is not None:
+            checks.unit_quaternion("quaternion", self.quaternion)
+        return self
+
+    def attitude(self) -> Any:
+        if self.euler_313_deg is not None:
+            return so3.from_euler_313(jnp.deg2rad(jnp.asarray(self.euler_313_deg)))
+        return jnp.asarray(self.quaternion or [1.0, 0.0, 0.0, 0.0])
+
+    def rate(self) -> Any:
+        if self.angular_velocity_deg is not None:
+            return jnp.deg2rad(jnp.asarray(self.angular_velocity_deg))
+        return jnp.asarray(self.angular_velocity)
+
+
+class Spread(Table):
+    """Standard deviations, a component, of the members about the nominal state."""
+
+    attitude_deg: NonNegative = 0.0
+    angular_velocity_deg: NonNegative = 0.0
+
+
+class BodyScenario(Common):
+    inertia: list[Any]
+    state: InitialState
+    spread: Spread = Spread()
+
+    @field_validator("inertia")
+    @classmethod
+    def _a_body(cls, value: list[Any]) -> list[Any]:
+        checks.inertia(value)
+        return value
+
+    def assumption(self) -> str:
+        return (
+            f"spread about the nominal state, an assumption: {self.spread.attitude_deg:g}° of attitude and "
+            f"{self.spread.angular_velocity_deg:g}°/{self.time_unit} of angular velocity (1 sigma, each component)"
+        )
+
+
+def ensemble(scenario: BodyScenario, body: Any) -> State:
+    """The members' states, the nominal one first."""
+    kick, jolt = jax.random.normal(jax.random.key(scenario.seed), (2, scenario.members, 3))
+    kick, jolt = (x.at[0].set(0.0) for x in (kick, jolt))
+    kick = jnp.deg2rad(scenario.spread.attitude_deg) * kick
+    jolt = jnp.deg2rad(scenario.spread.angular_velocity_deg) * jolt
+    q, Omega = scenario.state.attitude(), scenario.state.rate()
+
+    def member(kick: Array, jolt: Array) -> State:
+        return body.state(so3.multiply(so3.exp(kick), q), angular_velocity=Omega + jolt)
+
+    return jax.vmap(member)(kick, jolt)
+
+
+def in_space(q: Any, axis: Any) -> np.ndarray:
+    """An axis of the body as it points in space, (n, 3), for attitudes (n, 4)."""
+    return np.asarray(jax.vmap(so3.Ad, in_axes=(0, None))(jnp.asarray(q), jnp.asarray(axis)))

@@ -1,0 +1,76 @@
+"""What every scenario has, whatever its system."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+import jax
+import jax.numpy as jnp
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from lieint_jax.integrate import integrate
+from lieint_jax.types import State, Step, Trajectory
+
+LONGEST, POINTS = 200_000, 4_000  # steps of the nominal member that are drawn, and points of a curve
+
+Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
+Quadruple = Annotated[list[float], Field(min_length=4, max_length=4)]
+NonNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[int, Field(gt=0, le=10**12)]
+Text = Annotated[str, Field(pattern=r"^[^$]*$")]  # no mathematics: it goes into pictures
+
+
+class Table(BaseModel):
+    """Keys as they are: none unknown, no text for a number, no nan."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Common(Table):
+    """The keys of every scenario. A kind adds `system: Literal["its name"]`, its schemes and its numbers."""
+
+    title: Text
+    time_unit: Text = "time unit"
+    system: str
+    dt: float
+    steps: Positive
+    save_every: Positive = 1
+    members: Annotated[int, Field(gt=0, le=10**9)] = 1
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    sources: dict[str, str] = {}
+
+    @model_validator(mode="after")
+    def _steps_and_saves(self) -> Self:
+        if self.dt == 0:
+            raise ValueError("dt must not be 0")
+        if self.steps % self.save_every:
+            raise ValueError(f"steps = {self.steps} must be a multiple of save_every = {self.save_every}")
+        return self
+
+    def assumption(self) -> str:
+        """What the ensemble assumes, a line for the report; empty if nothing."""
+        return ""
+
+    def source(self, key: str) -> str:
+        """The source under `key`, or `key` itself."""
+        return self.sources.get(key, key)
+
+
+def nominal(run: Trajectory, time: int = 0) -> State:
+    """Member 0 of a run, at a saved time."""
+    return State(jnp.asarray(run.state.q[time, 0]), jnp.asarray(run.state.p[time, 0]))
+
+
+def thinned(num_steps: int) -> tuple[int, int]:
+    """How many of so many steps are drawn, and every which, for at most `POINTS` points."""
+    every = -(-min(num_steps, LONGEST) // POINTS) or 1
+    return max(min(num_steps, LONGEST) // every, 1) * every, every
+
+
+def follow(step: Step, state: State, dt: float, num_steps: int) -> Trajectory:
+    """One member over so many steps, at most `LONGEST`, as few points as are drawn."""
+    num_steps, every = thinned(num_steps)
+    return _follow(step, state, dt, num_steps, every)
+
+
+_follow = jax.jit(integrate, static_argnames=("num_steps", "save_every"))
