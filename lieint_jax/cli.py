@@ -9,6 +9,7 @@ from pathlib import Path
 
 _EPILOG = """examples:
   lieint run toutatis                      800 days of a tumbling asteroid, 1000 members
+  lieint run heavy_top                     nutation and precession of 200 tops beside the closed form
   lieint run my.toml --members 100         your own scenario (copy lieint_jax/data/toutatis.toml)
   lieint check                             what every scheme conserves, measured
   lieint check rigid_body --scheme cayley  one of them
@@ -46,7 +47,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     run = commands.add_parser("run", help="integrate a scenario and report", description="Integrate a scenario.")
-    run.add_argument("scenario", metavar="SCENARIO", help="a shipped scenario (toutatis) or a .toml file")
+    run.add_argument("scenario", metavar="SCENARIO", help="a shipped scenario (toutatis, heavy_top) or a .toml file")
     run.add_argument("--out", type=Path, metavar="PATH.npz", help="where to write results; pictures go beside it")
     run.add_argument("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
     run.add_argument("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")

@@ -42,7 +42,13 @@ def log_error(ax: Axes, t: np.ndarray, curves: Mapping[str, np.ndarray], ylabel:
     return ax
 
 
-def sphere_path(ax: Any, path: np.ndarray, pole: np.ndarray | None = None, eye: np.ndarray | None = None) -> Any:
+def sphere_path(
+    ax: Any,
+    path: np.ndarray,
+    pole: np.ndarray | None = None,
+    eye: np.ndarray | None = None,
+    pole_label: str = "angular momentum",
+) -> Any:
     """A path of unit vectors (n, 3) on the sphere, its far side paler, and the axis `pole` that it turns about.
 
     It is seen from the direction `eye`, by default from aside its middle.
@@ -57,7 +63,7 @@ def sphere_path(ax: Any, path: np.ndarray, pole: np.ndarray | None = None, eye: 
         ax.plot(*np.where(side[:, None], path, np.nan).T, color=BLUE, lw=0.7, alpha=alpha)
     if pole is not None:
         end = 1.3 * np.asarray(pole)
-        ax.plot(*np.stack([0 * end, end]).T, color=RED, lw=1.5, label="angular momentum")
+        ax.plot(*np.stack([0 * end, end]).T, color=RED, lw=1.5, label=pole_label)
     ax.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1))  # a cube, or the sphere is an egg
     ax.set_box_aspect((1, 1, 1), zoom=1.5)
     ax.set_axis_off()

@@ -188,7 +188,7 @@ def test_a_bad_file_gets_one_line_that_names_the_key(changes, message, capsys):
 
 def test_bad_commands(capsys):
     for arguments, message in (
-        (["run", "nowhere"], "no scenario 'nowhere': give a .toml file or one of toutatis"),
+        (["run", "nowhere"], "no scenario 'nowhere': give a .toml file or one of heavy_top, toutatis"),
         (["run", "toutatis", "--members", "0"], "members: .*greater than 0"),
         (["run", "toutatis", "--out", "results.csv"], r"\.npz, got results\.csv"),
         (["run", "toutatis", "--out", "no/where.npz"], "folder no does not exist"),

@@ -61,15 +61,16 @@ def nominal(run: Trajectory, time: int = 0) -> State:
     return State(jnp.asarray(run.state.q[time, 0]), jnp.asarray(run.state.p[time, 0]))
 
 
-def thinned(num_steps: int) -> tuple[int, int]:
+def thinned(num_steps: int, longest: int = LONGEST) -> tuple[int, int]:
     """How many of so many steps are drawn, and every which, for at most `POINTS` points."""
-    every = -(-min(num_steps, LONGEST) // POINTS) or 1
-    return max(min(num_steps, LONGEST) // every, 1) * every, every
+    num_steps = min(num_steps, longest)
+    every = -(-num_steps // POINTS) or 1
+    return max(num_steps // every, 1) * every, every
 
 
-def follow(step: Step, state: State, dt: float, num_steps: int) -> Trajectory:
-    """One member over so many steps, at most `LONGEST`, as few points as are drawn."""
-    num_steps, every = thinned(num_steps)
+def follow(step: Step, state: State, dt: float, num_steps: int, longest: int = LONGEST) -> Trajectory:
+    """One member over so many steps, at most `longest`, at as many points as are drawn."""
+    num_steps, every = thinned(num_steps, longest)
     return _follow(step, state, dt, num_steps, every)
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import checks, small
+from lieint_jax import checks, elliptic, small
 from lieint_jax.groups import so3
 from lieint_jax.systems.potential_top import PotentialTop, potential_top
 from lieint_jax.types import State, pytree, static
@@ -53,6 +53,58 @@ def lagrange() -> tuple[PotentialTop, State]:
     """The fast symmetric top of Simo & Wong 1991, Int. J. Numer. Methods Eng. 31: J = (5, 5, 1), Mgl = 20, spin 50."""
     top = heavy_top([5.0, 5.0, 1.0], [0.0, 0.0, 20.0])
     return top, top.state(so3.exp(jnp.array([0.3, 0.0, 0.0])), angular_velocity=[0.0, 0.0, 50.0])
+
+
+class LagrangeMotion(NamedTuple):
+    """What the axis of a symmetric top does.
+
+    Attributes:
+        nutation_period: time from one lowest inclination to the next; if there is no nutation, that of a small one.
+        precession_rate: mean angular velocity about γ.
+        inclination: the least and the greatest angle between γ and the axis to the centre of mass, shape (2,).
+    """
+
+    nutation_period: Array
+    precession_rate: Array
+    inclination: Array
+
+
+def lagrange_motion(top: PotentialTop, state: State) -> LagrangeMotion:
+    """Nutation and precession of Lagrange's top, J₁ = J₂ and E along the third axis, from its integrals.
+
+    With u the cosine of the inclination, u̇² = (a − αu)(1 − u²) − (b − cu)² = α(u − u₁)(u − u₂)(u − u₃), and the angle
+    of precession grows as (b − cu)/(1 − u²): complete elliptic integrals of the first and the third kind. Good to some
+    1e-13 but for tops that pass close to γ or −γ; nan for one that sleeps there.
+
+    Source: Whittaker, Analytical Dynamics, §71–72.
+    """
+    assert isinstance(top.potential, Linear)
+    J, size = small.symmetric(top.inertia), jnp.sqrt(small.dot(top._axis, top._axis))
+    E = top.potential.weight[2]
+    Pi = top.body_momentum(state)
+    spin = jnp.sign(E) * Pi[2]
+    alpha = 2 * jnp.abs(E) * size / J[0]
+    a = (2 * top.energy(state) - Pi[2] ** 2 / J[2]) / J[0]
+    b, c = small.dot(top._axis, state.p) / (size * J[0]), spin / J[0]
+    u1, u2, u3 = _real_roots(-(a + c * c) / alpha, 2 * b * c / alpha - 1, (a - b * b) / alpha)
+    m1, swing = (u3 - u2) / (u3 - u1), u2 - u1
+    K, slow = elliptic.quarter_period(m1), 4 / jnp.sqrt(alpha * (u3 - u1))
+
+    def third_kind(n: Array) -> Array:
+        """Π(n, m). Its R_J has p = 1 − n < m1 < 1 or p > 1: (p − x)(p − y)(p − z) > 0, as `carlson_rj` needs."""
+        return K + n / 3 * elliptic.carlson_rj(jnp.zeros_like(K), jnp.sqrt(m1), jnp.ones_like(K), 1 - n)
+
+    up, down = (b - c) / (1 - u1) * third_kind(swing / (1 - u1)), (b + c) / (1 + u1) * third_kind(-swing / (1 + u1))
+    period, turned = slow * K, slow * (up + down) / 2
+    return LagrangeMotion(period, turned / period, jnp.arccos(jnp.clip(jnp.stack([u2, u1]), -1, 1)))
+
+
+def _real_roots(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
+    """The roots of u³ + Au² + Bu + C in ascending order, all of them real (Viète)."""
+    p, q = (A * A - 3 * B) / 9, (A * (2 * A * A - 9 * B) + 27 * C) / 54
+    third = jnp.arccos(jnp.clip(q / jnp.sqrt(p) ** 3, -1, 1)) / 3
+    least, greatest, middle = (-2 * jnp.sqrt(p) * jnp.cos(third + k * 2 * jnp.pi / 3) - A / 3 for k in range(3))
+    return least, middle, greatest
 
 
 def kovalevskaya() -> tuple[PotentialTop, State]:

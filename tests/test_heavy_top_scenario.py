@@ -1,0 +1,147 @@
+"""`lieint run heavy_top`, and Lagrange's top in closed form against references that share nothing with it."""
+
+import re
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax import cli, ensemble, scenarios
+from lieint_jax.groups import so3
+from lieint_jax.scenarios import heavy_top
+from lieint_jax.systems.heavy_top import kovalevskaya, lagrange_motion
+
+TOPS = [  # weight, axis, angular velocity; the third passes 0.9° from hanging, the fourth swings through a loop
+    (20.0, [0.0, 0.0, 1.0], [0.0, 0.0, 50.0]),
+    (20.0, [0.0, 0.6, 0.8], [1.0, 0.5, 4.0]),
+    (-3.0, [0.0, 0.0, 2.0], [1.0, 0.5, 4.0]),
+    (20.0, [0.0, 0.0, 1.0], [3.0, 0.0, 8.0]),
+]
+_motion = jax.jit(lagrange_motion)
+
+
+@jax.jit
+def _flow(top, state, t):
+    return li.diagnostics.flow(top, state, t, 200)
+
+
+def _top(weight, axis, velocity):
+    top = li.systems.heavy_top([5.0, 5.0, 1.0], [0.0, 0.0, weight], axis)
+    return top, top.state(so3.exp(jnp.array([0.8, 0.1, 0.0])), angular_velocity=velocity)
+
+
+@pytest.mark.parametrize("case", TOPS, ids=["fast", "tilted", "hanging", "looping"])
+def test_lagrange_s_top_against_quadrature_in_30_digits_and_the_flow(case):
+    """Floors: period 3e-16, precession 3e-13 (roots close together), recurrence 2e-15."""
+    top, state = _top(*case)
+    found = _motion(top, state)
+    with mpmath.workdps(30):
+
+        def number(x):
+            return mpmath.mpf(float(x))
+
+        size, Pi = number(np.linalg.norm(case[1])), [number(x) for x in top.body_momentum(state)]
+        sign = int(np.sign(case[0]))
+        alpha, a = abs(case[0]) * size * 2 / 5, (2 * number(top.energy(state)) - Pi[2] ** 2) / 5
+        b, c = number(top.axis @ state.p) / size / 5, sign * Pi[2] / 5
+        cubic = [alpha, -(a + c * c), 2 * b * c - alpha, a - b * b]
+        guesses = np.sort(np.roots(np.array(cubic, float)).real)
+        u1, u2, u3 = (mpmath.findroot(lambda x: mpmath.polyval(cubic, x), guess) for guess in guesses)
+
+        def integral(f):
+            def at(s):
+                u = u1 + (u2 - u1) * mpmath.sin(s) ** 2
+                return 4 * f(u) / mpmath.sqrt(alpha * (u3 - u))
+
+            return mpmath.quad(at, mpmath.linspace(0, mpmath.pi / 2, 9))
+
+        period, turned = integral(lambda u: 1), integral(lambda u: (b - c * u) / (1 - u * u))
+        assert abs(number(found.nutation_period) / period - 1) < 3e-15
+        assert abs(number(found.precession_rate) * period / turned - 1) < 3e-12
+        np.testing.assert_allclose(np.cos(found.inclination), [float(u2), float(u1)], atol=1e-13)
+    e = jnp.array([0.0, 0.0, sign])
+    after = _flow(top, state, found.nutation_period)
+    cosine = [so3.Ad(z.q, e) @ top.axis / jnp.linalg.norm(top.axis) for z in (state, after)]
+    assert abs(cosine[1] - cosine[0]) < 2e-14
+    east, turn = (so3.Ad(z.q, e) for z in (state, after)), float(found.precession_rate * found.nutation_period)
+    across = np.linalg.svd(np.asarray(top.axis)[None])[2][1:]
+    across[1] *= np.sign(np.linalg.det([*across, np.asarray(top.axis)]))
+    angle = np.diff([np.arctan2(*(across @ np.asarray(x))[::-1]) for x in east])[0]
+    assert abs((angle - turn + np.pi) % (2 * np.pi) - np.pi) < 3e-12
+
+
+def test_the_measured_motion_tends_to_the_closed_form():
+    """At order 4 with dt = .01: the period within 1e-4 and the precession within 1e-5 of the closed form."""
+    scenario = scenarios.load("heavy_top", members=2, steps=2000, order=4)
+    step, states = scenarios.build(scenario)
+    run = ensemble.run(step, states, scenario.dt, scenario.steps, scenario.save_every, progress=False)
+    for row in heavy_top.quantities(step.system, run, "s"):
+        assert row.nominal == pytest.approx(row.closed_form, rel=2e-4), row.name
+        assert row.spread > 0
+
+
+def test_states_saved_too_far_apart_are_not_measured():
+    scenario = scenarios.load("heavy_top", members=1, steps=2000, save_every=20)
+    step, states = scenarios.build(scenario)
+    run = ensemble.run(step, states, scenario.dt, scenario.steps, scenario.save_every, progress=False)
+    period, rate, least, greatest = heavy_top.motion(step.system, run)
+    assert np.isnan([period, rate]).all()
+    assert 17 < least < greatest < 19
+
+
+def test_run_heavy_top(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["run", "heavy_top", "--members", "3", "--steps", "500"]) == 0
+    out = capsys.readouterr().out
+    assert "3 of 3 members converged" in out
+    nutation = re.search(r"nutation period \(s\) +([\d.]+) +[\d.]+ +([\d.]+)", out)
+    assert float(nutation[2]) == pytest.approx(0.68226, abs=1e-5)  # 0.682261 by quadrature of 30 digits
+    assert float(nutation[1]) == pytest.approx(0.68226, rel=0.02)
+    assert float(re.search(r"γ·π, relative to \|π\| +(\S+)", out)[1]) == 0
+    for name in ("heavy_top-path.png", "heavy_top-energy.png"):
+        assert Path(name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_tops_without_closed_form_report_what_they_have():
+    top, state = kovalevskaya()
+    assert not heavy_top.is_lagrange(top)
+    run = ensemble.run(li.schemes.splitting(top), jax.tree.map(lambda x: x[None], state), 0.02, 2000, 5, progress=False)
+    found = heavy_top.changes(top, run)
+    assert 1e-5 < found["Kovalevskaya's integral, relative"] < 1e-2
+    assert found["γ·π, relative to |π|"] < 1e-14
+    assert "Π₃, relative to |π|" not in found
+    assert np.isnan([row.closed_form for row in heavy_top.quantities(top, run, "s")]).all()
+
+
+SCENARIO = """
+title = "a top"
+system = "heavy_top"
+inertia = [5.0, 5.0, 1.0]
+weight = [0.0, 0.0, 20.0]
+scheme = "splitting"
+dt = 0.01
+steps = 100
+[state]
+angular_velocity = [0.0, 1.0, 5.0]
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("weight = [0.0, 0.0, 20.0]", "weight = [0.0, 0.0, 0.0]", "weight: must not be zero"),
+        ("weight = [0.0, 0.0, 20.0]", "", "weight: key missing"),
+        ("dt = 0.01", 'dt = 0.01\nkappa = "cayley"', "kappa is a key of top_energy_momentum"),
+        ("dt = 0.01", "dt = 0.01\norder = 3", "order: "),
+        ('"splitting"', '"rk4"', "scheme: .*'top_energy_momentum' or 'splitting'"),
+        ("dt = 0.01", "dt = 0.01\naxis = [0.0, 1.0]", "axis: "),
+    ],
+)
+def test_a_bad_file_gets_one_line_that_names_the_key(old, new, message, tmp_path):
+    (tmp_path / "top.toml").write_text(SCENARIO.replace(old, new))
+    with pytest.raises(ValueError, match=message):
+        scenarios.load(str(tmp_path / "top.toml"))
