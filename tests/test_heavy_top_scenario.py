@@ -48,9 +48,9 @@ def test_lagrange_s_top_against_quadrature_in_30_digits_and_the_flow(case):
         sign = int(np.sign(case[0]))
         alpha, a = abs(case[0]) * size * 2 / 5, (2 * number(top.energy(state)) - Pi[2] ** 2) / 5
         b, c = number(top.axis @ state.p) / size / 5, sign * Pi[2] / 5
-        cubic = [alpha, -(a + c * c), 2 * b * c - alpha, a - b * b]
-        guesses = np.sort(np.roots(np.array(cubic, float)).real)
-        u1, u2, u3 = (mpmath.findroot(lambda x: mpmath.polyval(cubic, x), guess) for guess in guesses)
+        guesses = np.sort(np.roots([float(x) for x in (alpha, -(a + c * c), 2 * b * c - alpha, a - b * b)]).real)
+        speed = lambda u: (a - alpha * u) * (1 - u * u) - (b - c * u) ** 2  # noqa: E731
+        u1, u2, u3 = (mpmath.findroot(speed, guess) for guess in guesses)
 
         def integral(f):
             def at(s):
