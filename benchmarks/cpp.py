@@ -1,4 +1,4 @@
-"""The C++ baseline, compiled here and called in this process: the same scheme on the same states."""
+"""The C++ baselines, compiled here and called in this process: the same schemes on the same states."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import subprocess
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from contest import Contestant
 
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-shared", "-fPIC")
-_SOURCE = Path(__file__).parent / "baseline" / "free_rigid_body.cpp"
+_SOURCES = Path(__file__).parent / "baseline"
 _PACE = 1.5e8
 
 
@@ -29,33 +29,50 @@ class Bodies(NamedTuple):
 
 
 @functools.cache
-def library() -> tuple[ctypes.CDLL, float]:
-    """The compiled baseline and the seconds its compilation took; ImportError without g++."""
+def library(name: str) -> tuple[ctypes.CDLL, float]:
+    """The compiled baseline/NAME.cpp and the seconds its compilation took; ImportError without g++."""
     if shutil.which("g++") is None:
         raise ImportError("no g++")
-    binary = _SOURCE.parent / "bin" / "free_rigid_body.so"
+    binary = _SOURCES / "bin" / f"{name}.so"
     binary.parent.mkdir(exist_ok=True)
     start = time.perf_counter()
-    subprocess.run(["g++", *FLAGS, str(_SOURCE), "-o", str(binary)], check=True)
+    subprocess.run(["g++", *FLAGS, str(_SOURCES / f"{name}.cpp"), "-o", str(binary)], check=True)
     return ctypes.CDLL(str(binary)), time.perf_counter() - start
 
 
-def notes() -> list[str]:
-    """How the baseline was built, for the report."""
+def notes(name: str) -> list[str]:
+    """How baseline/NAME.cpp was built, for the report."""
     if shutil.which("g++") is None:
         return []
     version = subprocess.run(["g++", "--version"], check=True, capture_output=True, text=True).stdout.splitlines()[0]
-    return [f"C++ by {version}, {' '.join(FLAGS)}, in {library()[1]:.1f} s"]
+    return [f"C++ by {version}, {' '.join(FLAGS)}, in {library(name)[1]:.1f} s"]
 
 
 def symplectic(
     form: Literal["newton", "scalar"], inertia: Sequence[float], dt: float, dtype: str = "float64"
 ) -> Contestant:
-    """The step with the symplectic κ, by Newton on the vector h or by the scalar form; ImportError without g++."""
-    function = getattr(library()[0], f"{form}_{dtype}")
+    """The free body's step with the symplectic κ, by Newton on the vector h or by the scalar form."""
+    function = getattr(library("free_rigid_body")[0], f"{form}_{dtype}")
+    narrow = form == "scalar"
+    return _contestant(f"C++ symplectic, {form} form", function, inertia, dt, dtype, narrow)
+
+
+def top(
+    scheme: Literal["splitting", "energy_momentum"], inertia: Sequence[float], weight: Sequence[float], dt: float
+) -> Contestant:
+    """A scheme for heavy tops with the axis e₃: the splitting, or the energy-momentum scheme with the Cayley κ."""
+    function = getattr(library("heavy_top")[0], f"{scheme}_float64")
+    name = "C++ splitting" if scheme == "splitting" else "C++ energy-momentum"
+    return _contestant(name, function, [*inertia, *weight], dt, "float64", narrow=scheme == "splitting")
+
+
+def _contestant(
+    name: str, function: Any, constants: Sequence[float], dt: float, dtype: str, narrow: bool
+) -> Contestant:
+    """`narrow`: flags of one byte, as in the sources: fastest for each."""
     function.restype = None
-    flag = np.dtype("u1" if form == "scalar" else f"i{np.dtype(dtype).itemsize}")  # as in the source: fastest for each
-    J = np.asarray(inertia, np.float64)
+    flag = np.dtype("u1" if narrow else f"i{np.dtype(dtype).itemsize}")
+    numbers = np.asarray(constants, np.float64)
 
     def load(q: np.ndarray, p: np.ndarray) -> Bodies:
         q, p = (np.ascontiguousarray(x.T, dtype) for x in (q, p))
@@ -64,7 +81,7 @@ def symplectic(
     def advance(bodies: Bodies, num_steps: int) -> Bodies:
         bodies = Bodies(*(x.copy() for x in bodies))
         count = bodies.residual.size
-        pointers = [ctypes.c_void_p(x.ctypes.data) for x in (*bodies, J)]
+        pointers = [ctypes.c_void_p(x.ctypes.data) for x in (*bodies, numbers)]
         function(*pointers[:4], ctypes.c_int64(count), ctypes.c_int64(num_steps), ctypes.c_double(dt), pointers[4])
         return bodies
 
@@ -74,4 +91,4 @@ def symplectic(
     def info(bodies: Bodies) -> tuple[float, bool]:
         return float(bodies.residual.max()), bool(bodies.converged.all())
 
-    return Contestant(f"C++ symplectic, {form} form", dtype, _PACE, load, advance, read, info)
+    return Contestant(name, dtype, _PACE, load, advance, read, info)

@@ -35,6 +35,18 @@ DTYPES = ("float64", "float32")
 WIDE = ", wide vectors"
 
 
+class Problem(NamedTuple):
+    """What is integrated, from the states of `bodies`, and what the results are held against.
+
+    Attributes:
+        system: for energy and momentum.
+        reference: at a time, the attitudes of the watched bodies, and how far a second reference is from them.
+    """
+
+    system: Any
+    reference: Callable[[float], tuple[np.ndarray, float]]
+
+
 class Sizes(NamedTuple):
     """How much to measure.
 
@@ -115,10 +127,11 @@ def contestants(missing: list[str]) -> list[Contestant]:
             makers.append(("diffrax", partial(peer, INERTIA, DT, dtype)))
     makers.append(("MuJoCo", partial(peers.mujoco_rk4, INERTIA, DT)))
     makers.append(("scipy", partial(peers.dop853, INERTIA, DT)))
-    return list(_those_here(makers, missing))
+    return list(those_here(makers, missing))
 
 
-def _those_here(makers: Sequence[tuple[str, Callable[[], Contestant]]], missing: list[str]) -> Iterator[Contestant]:
+def those_here(makers: Sequence[tuple[str, Callable[[], Contestant]]], missing: list[str]) -> Iterator[Contestant]:
+    """What can be made; a note on each one whose package is not here goes to `missing`."""
     for name, make in makers:
         try:
             yield make()
@@ -132,13 +145,14 @@ def everything(sizes: Sizes) -> dict[str, Any]:
     """All results, as what JSON knows. To be run on one core."""
     notes: list[str] = []
     entries = contestants(notes)
-    notes += cpp.notes()
+    notes += cpp.notes("free_rigid_body")
     same_scheme = [c for c in entries if "symplectic" in c.name]
     exact, doubt = reference(END)
+    free = Problem(body(), reference)
     return {
         "machine": machine(),
         "rates": [r for b in sizes.batches for r in rates(entries if b == BATCH else same_scheme, b, sizes)],
-        "quality": [quality(c, exact, sizes) for c in entries if WIDE not in c.name],
+        "quality": [quality(c, exact, sizes, free.system) for c in entries if WIDE not in c.name],
         "agreement": agreement(same_scheme),
         "reference_doubt": doubt,
         "notes": notes,
@@ -209,11 +223,11 @@ def attitude_error(q: np.ndarray, exact: np.ndarray) -> float:
     return float(jax.vmap(so3.angle)(jnp.asarray(_unit(q)), jnp.asarray(exact)).max())
 
 
-def quality(contestant: Contestant, exact: np.ndarray, sizes: Sizes) -> dict[str, Any]:
+def quality(contestant: Contestant, exact: np.ndarray, sizes: Sizes, system: Any) -> dict[str, Any]:
     """How accurate and how conserving it is at dt = DT, the worst of the watched bodies.
 
-    The attitude error at t = END; then, at ten times of a long run, the largest |H/H₀ − 1| and |π − π₀|/|π₀| (0 means
-    bit for bit), the largest residual and whether all steps converged (None for those that solve no equation).
+    The attitude error at t = END; then, at ten times of a long run, the largest |H − H₀|/H₀, |Φ − Φ₀|/|π₀| of its
+    momentum map Φ (0 means bit for bit) and residual, and whether all steps converged (None where none is solved).
     """
     start = contestant.load(*bodies(WATCHED))
     error = attitude_error(contestant.read(contestant.advance(start, round(END / DT)))[0], exact)
@@ -228,17 +242,25 @@ def quality(contestant: Contestant, exact: np.ndarray, sizes: Sizes) -> dict[str
         "dtype": contestant.dtype,
         "error": error,
         "steps": 10 * chunk,
-        "energy_drift": energy_drift(q, p),
-        "momentum_drift": float(np.max(np.abs(p - p[0]) / np.linalg.norm(p[0], axis=1, keepdims=True))),
+        "energy_drift": energy_drift(system, q, p),
+        "momentum_drift": _momentum_drift(system, q, p),
         "residual": max(residual for residual, _ in solved) if solved else None,
         "converged": all(converged for _, converged in solved) if solved else None,
     }
 
 
-def energy_drift(q: np.ndarray, p: np.ndarray) -> float:
-    """The largest |H/H₀ − 1| of states (times, bodies, …), with H = ½ Π·J⁻¹Π and Π = Λ(q/|q|)ᵀπ."""
-    H = np.asarray(jax.vmap(jax.vmap(body().energy))(_state(_unit(q), p)))
-    return float(np.max(np.abs(H / H[0] - 1)))
+def energy_drift(system: Any, q: np.ndarray, p: np.ndarray) -> float:
+    """The largest |H − H₀|/H₀ of states (times, bodies, …) at attitudes q/|q|; of tops, in units of T₀ + |E|."""
+    states = _state(_unit(q), p)
+    H = np.asarray(jax.vmap(jax.vmap(system.energy))(states))
+    weight = getattr(getattr(system, "potential", None), "weight", np.zeros(3))
+    size = np.asarray(jax.vmap(system.kinetic_energy)(jax.tree.map(lambda x: x[0], states))) + np.linalg.norm(weight)
+    return float(np.max(np.abs(H - H[0]) / size))
+
+
+def _momentum_drift(system: Any, q: np.ndarray, p: np.ndarray) -> float:
+    Phi = np.asarray(jax.vmap(jax.vmap(system.momentum))(_state(q, p)))
+    return float(np.max(np.abs(Phi - Phi[0]) / np.linalg.norm(p[0], axis=1, keepdims=True)))
 
 
 def _state(q: np.ndarray, p: np.ndarray, dtype: str = "float64") -> li.State:
@@ -250,13 +272,13 @@ def _unit(q: np.ndarray) -> np.ndarray:
     return q / np.linalg.norm(q, axis=-1, keepdims=True)
 
 
-def agreement(same_scheme: Sequence[Contestant]) -> list[dict[str, Any]]:
+def agreement(same_scheme: Sequence[Contestant], dtypes: Sequence[str] = DTYPES) -> list[dict[str, Any]]:
     """How far the states of a batch at t = END are from those of the first: same scheme, same start.
 
     Not later: on bodies that start near the middle axis the motion itself makes rounding grow exponentially.
     """
     found, num_steps = [], round(END / DT)
-    for dtype in DTYPES:
+    for dtype in dtypes:
         first, *others = [c for c in same_scheme if c.dtype == dtype]
         ends = [np.concatenate(c.read(c.advance(c.load(*bodies(BATCH)), num_steps)), axis=1) for c in (first, *others)]
         for c, end in zip(others, ends[1:], strict=True):

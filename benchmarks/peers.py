@@ -27,33 +27,55 @@ _ROLLOUT = 100  # steps a call of MuJoCo's rollout, which keeps every state
 
 _MODEL = """
 <mujoco>
-  <option timestep="{dt!r}" integrator="RK4" gravity="0 0 0"><flag contact="disable" constraint="disable"/></option>
+  <option timestep="{dt!r}" integrator="RK4" gravity="0 0 {down!r}">
+    <flag contact="disable" constraint="disable"/>
+  </option>
   <worldbody>
-    <body><joint type="ball"/><inertial pos="0 0 0" mass="1" diaginertia="{inertia}"/></body>
+    <body><joint type="ball"/><inertial pos="{centre}" mass="1" fullinertia="{inertia}"/></body>
   </worldbody>
 </mujoco>
 """
 
 
 def tsit5(
-    inertia: Sequence[float], dt: float, dtype: str = "float64", rtol: float | None = None, wide: bool = False
+    inertia: Sequence[float],
+    dt: float,
+    dtype: str = "float64",
+    rtol: float | None = None,
+    wide: bool = False,
+    weight: Sequence[float] | None = None,
 ) -> Contestant:
-    """diffrax's Tsit5, order 5, vmapped, steps of dt; with rtol = atol given, adaptive, and its "step" is a time dt."""
-    return _diffrax("Tsit5", inertia, dt, dtype, rtol, wide, pace=6e6)
+    """diffrax's Tsit5, order 5, vmapped, steps of dt; with rtol = atol given, adaptive, and its "step" is a time dt.
+
+    With a `weight` it integrates heavy tops, as all of these do.
+    """
+    return _diffrax("Tsit5", inertia, weight, dt, dtype, rtol, wide, pace=6e6)
 
 
 def dopri8(
-    inertia: Sequence[float], dt: float, dtype: str = "float64", rtol: float | None = None, wide: bool = False
+    inertia: Sequence[float],
+    dt: float,
+    dtype: str = "float64",
+    rtol: float | None = None,
+    wide: bool = False,
+    weight: Sequence[float] | None = None,
 ) -> Contestant:
     """diffrax's Dopri8, order 8; the rest as `tsit5`."""
-    return _diffrax("Dopri8", inertia, dt, dtype, rtol, wide, pace=1.5e6)
+    return _diffrax("Dopri8", inertia, weight, dt, dtype, rtol, wide, pace=1.5e6)
 
 
 def _diffrax(
-    name: str, inertia: Sequence[float], dt: float, dtype: str, rtol: float | None, wide: bool, pace: float
+    name: str,
+    inertia: Sequence[float],
+    weight: Sequence[float] | None,
+    dt: float,
+    dtype: str,
+    rtol: float | None,
+    wide: bool,
+    pace: float,
 ) -> Contestant:
     adaptive = rtol is not None
-    solve = _solver(name, tuple(inertia), dtype, adaptive, wide)
+    solve = _solver(name, tuple(inertia), weight and tuple(weight), dtype, adaptive, wide)
     h, tolerance = (np.asarray(x, dtype) for x in (dt, rtol or 0.0))
 
     def load(q: np.ndarray, p: np.ndarray) -> li.State:
@@ -70,12 +92,15 @@ def _diffrax(
 
 
 @cache
-def _solver(name: str, inertia: tuple[float, ...], dtype: str, adaptive: bool, wide: bool) -> Callable[..., li.State]:
+def _solver(
+    name: str, inertia: tuple[float, ...], weight: tuple[float, ...] | None, dtype: str, adaptive: bool, wide: bool
+) -> Callable[..., li.State]:
     """(states, number of steps, dt, rtol) ↦ states, compiled once for all numbers."""
     import diffrax
 
     solver: Any = getattr(diffrax, name)()
-    body = li.systems.rigid_body(np.asarray(inertia, dtype))
+    J = np.asarray(inertia, dtype)
+    body = li.systems.heavy_top(J, np.asarray(weight, dtype)) if weight else li.systems.rigid_body(J)
     term = diffrax.ODETerm(lambda t, z, args: body.vector_field(z))
     zero = np.zeros((), dtype)
 
@@ -95,12 +120,17 @@ def _solver(name: str, inertia: tuple[float, ...], dtype: str, adaptive: bool, w
     return solve
 
 
-def mujoco_rk4(inertia: Sequence[float], dt: float) -> Contestant:
-    """MuJoCo's RK4 on a ball joint without gravity, through `mujoco.rollout` on one thread."""
+def mujoco_rk4(inertia: Sequence[float], dt: float, weight: Sequence[float] | None = None) -> Contestant:
+    """MuJoCo's RK4 on a ball joint, through `mujoco.rollout` on one thread; a weight is 1 kg at weight/10, g = 10."""
     import mujoco
     from mujoco import rollout
 
-    xml = _MODEL.format(dt=dt, inertia=" ".join(map(repr, inertia)))
+    g = 10.0 if weight else 0.0
+    c = np.asarray(weight or [0.0, 0.0, 0.0]) / 10
+    about = np.diag(inertia) - (c @ c) * np.eye(3) + np.outer(c, c)  # its centre of mass (Steiner)
+    six = about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    numbers = {"inertia": " ".join(map(repr, six.tolist())), "centre": " ".join(map(repr, c.tolist()))}
+    xml = _MODEL.format(dt=dt, down=-g, **numbers)
     model = mujoco.MjModel.from_xml_string(xml)  # pyright: ignore[reportAttributeAccessIssue]
     data = mujoco.MjData(model)  # pyright: ignore[reportAttributeAccessIssue]
     J = np.asarray(inertia)

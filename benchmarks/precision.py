@@ -13,7 +13,7 @@ import measure
 import numpy as np
 import peers
 from contest import Contestant, race
-from measure import BATCH, INERTIA, WATCHED
+from measure import BATCH, INERTIA, WATCHED, Problem
 
 import lieint_jax as li
 from lieint_jax.maps import kappa_cayley, kappa_exponential, kappa_symplectic
@@ -73,23 +73,23 @@ def curves() -> list[Curve]:
     """All of ours for the free body, then the peers."""
     body, make = measure.body(), li.schemes
     steps: list[tuple[str, str, li.Step, Sequence[int]]] = [
-        (f"κ {kappa.name}", "order 2", make.so3_midpoint(body, kappa), _growing(25, 6, 2))
+        (f"κ {kappa.name}", "order 2", make.so3_midpoint(body, kappa), growing(25, 6, 2))
         for kappa in (kappa_symplectic, kappa_cayley, kappa_exponential)
     ]
     base = make.so3_midpoint(body)
     for order, points in ((4, 9), (6, 8), (8, 7), (10, 7)):
         name = f"compose {order}, commuting"
-        steps.append((name, "composition", make.compose(base, order), _growing(5, points)))
+        steps.append((name, "composition", make.compose(base, order), growing(5, points)))
     steps += [
-        ("compose 8, Kahan & Li", "composition", make.compose(base, 8, "kahan_li_8"), _growing(7, 7)),
+        ("compose 8, Kahan & Li", "composition", make.compose(base, 8, "kahan_li_8"), growing(7, 7)),
         (
             "compose 4 of κ Cayley, Suzuki",
             "composition",
             make.compose(make.so3_midpoint(body, kappa_cayley), 4),
-            _growing(7, 8),
+            growing(7, 8),
         ),
-        ("preprocessed 4", "preprocessed", make.preprocessed(body, 4), _growing(12, 11)),
-        ("preprocessed 6", "preprocessed", make.preprocessed(body, 6), _growing(12, 12)),
+        ("preprocessed 4", "preprocessed", make.preprocessed(body, 4), growing(12, 11)),
+        ("preprocessed 6", "preprocessed", make.preprocessed(body, 6), growing(12, 12)),
         ("calibrated", "exact", make.calibrated(body), (10, 20, 40)),
         ("exact", "exact", make.exact(body), (1, 10, 100)),
     ]
@@ -100,37 +100,39 @@ def curves() -> list[Curve]:
     few = [10.0**-k for k in range(4, 14)]
     return [
         *ours,
-        Curve("diffrax Tsit5", "peer", fives, _growing(20, 13)),
+        Curve("diffrax Tsit5", "peer", fives, growing(20, 13)),
         Curve("diffrax Tsit5, adaptive", "peer", fives, tolerances=few),
-        Curve("diffrax Dopri8", "peer", eights, _growing(5, 11)),
+        Curve("diffrax Dopri8", "peer", eights, growing(5, 11)),
         Curve("diffrax Dopri8, adaptive", "peer", eights, tolerances=few),
-        Curve("MuJoCo RK4", "peer", partial(peers.mujoco_rk4, INERTIA), _growing(25, 7, 2), bodies=WATCHED),
+        Curve("MuJoCo RK4", "peer", partial(peers.mujoco_rk4, INERTIA), growing(25, 7, 2), bodies=WATCHED),
         Curve("scipy DOP853", "peer", partial(peers.dop853, INERTIA), tolerances=few, bodies=WATCHED),
     ]
 
 
-def _growing(first: int, points: int, factor: float = 2**0.5) -> tuple[int, ...]:
+def growing(first: int, points: int, factor: float = 2**0.5) -> tuple[int, ...]:
     return tuple(round(first * factor**k) for k in range(points))
 
 
-def everything(sizes: Sizes) -> dict[str, Any]:
-    """All results, as what JSON knows. To be run on one core."""
+def everything(sizes: Sizes, problem: Problem | None = None, contest: Sequence[Curve] | None = None) -> dict[str, Any]:
+    """All results, as what JSON knows; without a problem, the free body's. To be run on one core."""
     notes: list[str] = []
+    problem = problem or Problem(measure.body(), measure.reference)
+    contest = contest or curves()
     found: list[dict[str, Any]] = []
     for end, rounds, stride in zip(sizes.ends, sizes.rounds, sizes.stride, strict=True):
         long = {key for before in found for key in _too_long(before, end, sizes.longest)}
-        points = [x for curve in curves() for x in _points(curve, end, stride, notes) if _key(x) not in long]
-        found.append(at(end, points, rounds))
+        points = [x for curve in contest for x in _points(curve, end, stride, notes) if _key(x) not in long]
+        found.append(at(end, points, rounds, problem))
     return {"machine": measure.machine(), "ends": found, "notes": notes}
 
 
-def at(end: float, points: Sequence[Point], rounds: int) -> dict[str, Any]:
+def at(end: float, points: Sequence[Point], rounds: int, problem: Problem) -> dict[str, Any]:
     """Milliseconds per 1000 bodies, attitude error and energy drift of every point at t = end.
 
     They are called in turn, and the best call counts. The error is that of the worst of `WATCHED` bodies, the drift
     that of the worst body timed. An error smaller than the distance of the two references is given as that distance.
     """
-    exact, doubt = measure.reference(end)
+    exact, doubt = problem.reference(end)
     records: list[dict[str, Any]] = []
     for count in (BATCH, WATCHED):
         group = [x for x in points if x.curve.bodies == count]
@@ -138,7 +140,9 @@ def at(end: float, points: Sequence[Point], rounds: int) -> dict[str, Any]:
         timings = race([x.contestant for x in group], q, p, [x.steps for x in group], rounds)
         for point, timing in zip(group, timings, strict=True):
             best = min(timing.first, *timing.later)
-            records.append(_record(point, q, p, exact, doubt) | {"milliseconds": 1e3 * best * 1000 / count})
+            records.append(
+                _record(point, q, p, exact, doubt, problem.system) | {"milliseconds": 1e3 * best * 1000 / count}
+            )
     return {"end": end, "reference_doubt": doubt, "points": records}
 
 
@@ -172,7 +176,7 @@ def _too_long(before: dict[str, Any], end: float, longest: float) -> list[tuple[
     ]
 
 
-def _record(point: Point, q: np.ndarray, p: np.ndarray, exact: np.ndarray, doubt: float) -> dict[str, Any]:
+def _record(point: Point, q: np.ndarray, p: np.ndarray, exact: np.ndarray, doubt: float, system: Any) -> dict[str, Any]:
     contestant = point.contestant
     end = contestant.advance(contestant.load(q, p), point.steps)
     after = contestant.read(end)
@@ -184,6 +188,6 @@ def _record(point: Point, q: np.ndarray, p: np.ndarray, exact: np.ndarray, doubt
         "setting": point.setting,
         "steps": point.steps,
         "error": max(measure.attitude_error(after[0][:WATCHED], exact), doubt),
-        "energy_drift": measure.energy_drift(*(np.stack(pair) for pair in zip((q, p), after, strict=True))),
+        "energy_drift": measure.energy_drift(system, *(np.stack(pair) for pair in zip((q, p), after, strict=True))),
         "converged": contestant.info(end)[1] if contestant.info else None,
     }

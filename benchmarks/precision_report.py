@@ -24,7 +24,7 @@ ALLOWED: dict[str, Callable[[Record], bool]] = {
 def write(result: Record, out: Path) -> None:
     """Print the tables; write them as .md, the numbers as .json, the plot as .png."""
     report.publish("work_precision", _sections(result), result, out)
-    _draw(result["ends"], out / "work_precision.png")
+    draw(result["ends"], out / "work_precision.png")
 
 
 def _sections(result: Record) -> list[str]:
@@ -37,7 +37,7 @@ def _sections(result: Record) -> list[str]:
         "Bars, at t = 10: milliseconds for an error, interpolated between the points of a curve, as if its step were "
         "chosen for it; the cheapest of ours, and the cheaper of Tsit5 with fixed and with adaptive steps",
         _bars(result),
-        *(section for x in result["ends"] for section in _at(x)),
+        *(section for x in result["ends"] for section in at(x)),
     ]
 
 
@@ -77,7 +77,7 @@ def setting(record: Record) -> str:
     return f"{'rtol' if record['adaptive'] else 'Δt'} {record['setting']:.3g}"
 
 
-def _at(found: Record) -> list[str]:
+def at(found: Record) -> list[str]:
     rows = []
     for r in found["points"]:
         failed = " (NOT ALL STEPS CONVERGED)" if r["converged"] is False else ""
@@ -95,15 +95,16 @@ def _at(found: Record) -> list[str]:
 _COLORS = {"order 2": "Blues", "composition": "Greens", "preprocessed": "Oranges", "exact": "Reds", "peer": "Greys"}
 
 
-def _draw(ends: Sequence[Record], path: Path) -> None:
+def draw(ends: Sequence[Record], path: Path) -> None:
+    """Error against time, a picture for each end."""
     names = {kind: list(dict.fromkeys(r["curve"] for r in ends[0]["points"] if r["kind"] == kind)) for kind in _COLORS}
     styles = {
         name: {"color": color, "marker": marker, "ls": "--" if kind == "peer" else "-", "ms": 4.5}
         for kind, group in names.items()
         for name, color, marker in zip(group, _shades(_COLORS[kind], len(group)), "os^DvPX", strict=False)
     }
-    fig, axes = plots.figure(2)
-    fig.set_size_inches(11.5, 6.0)
+    fig, axes = plots.figure(len(ends))
+    fig.set_size_inches(5.75 * len(ends), 6.0)
     for ax, found in zip(axes[0], ends, strict=True):
         good = [r for r in found["points"] if r["converged"] is not False]
         curves = {name: (_series(good, name, "milliseconds"), _series(good, name, "error")) for name in styles}
@@ -113,7 +114,11 @@ def _draw(ends: Sequence[Record], path: Path) -> None:
         ax.axhspan(found["reference_doubt"] / 10, found["reference_doubt"], color=plots.GREY, alpha=0.3, lw=0)
         ax.get_legend().remove()
     fig.legend(
-        *axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False, fontsize="small"
+        *axes[0, 0].get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=1 + 2 * len(ends),
+        frameon=False,
+        fontsize="small",
     )
     fig.savefig(path, dpi=130)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,24 +42,25 @@ def _sections(result: dict[str, Any]) -> list[str]:
         machine(result),
         *result["notes"],
         f"Rates, {BATCH} bodies, one core: millions of body-steps a second (for scipy a step is a time dt)",
-        _rates(result["rates"]),
+        rates(result["rates"], {"C++ newton": NEWTON, "C++ scalar": SCALAR}, OURS),
         'Millions of body-steps a second by number of bodies; "all": all cores',
         _sizes(result["rates"], result["all_cores"]),
         "Attitude error at t = 10 (radians), then the largest relative drifts over a long run, worst of 16 bodies",
-        _quality(result["quality"]),
+        quality(result["quality"]),
         _agreement(result),
         "Bars",
         _bars(result),
     ]
 
 
-def _rates(records: Sequence[dict[str, Any]]) -> str:
+def rates(records: Sequence[dict[str, Any]], baselines: Mapping[str, str], ours: str) -> str:
+    """Rates of a batch, over those of baselines (by column, their names), and that of `ours` over each."""
     records = [r for r in records if r["bodies"] == BATCH]
-    head = ["", "dtype", "best", "median", "÷ C++ newton", "÷ C++ scalar", "ours ÷ it", "compile s"]
+    head = ["", "dtype", "best", "median", *(f"÷ {column}" for column in baselines), "ours ÷ it", "compile s"]
     rows = []
     for r in records:
-        newton, scalar, ours = (_rate(records, name, r["dtype"]) for name in (NEWTON, SCALAR, OURS))
-        ratios = [f"{x:.3g}" for x in (r["rate"] / newton, r["rate"] / scalar, ours / r["rate"])]
+        over = [r["rate"] / rate(records, name, r["dtype"]) for name in baselines.values()]
+        ratios = [f"{x:.3g}" for x in (*over, rate(records, ours, r["dtype"]) / r["rate"])]
         millions = [f"{r[key] / 1e6:.3g}" for key in ("rate", "median_rate")]
         rows.append([r["name"], r["dtype"], *millions, *ratios, f"{r['compile_seconds']:.1f}"])
     return table(head, rows)
@@ -71,12 +72,13 @@ def _sizes(one: Sequence[dict[str, Any]], every: Sequence[dict[str, Any]]) -> st
     names = list(dict.fromkeys((r["name"], r["dtype"]) for r in one if r["bodies"] != BATCH))
     rows = []
     for name, dtype in names:
-        rates = [_rate(one, name, dtype, b) for b in batches] + [_rate(every, name, dtype, b) for b in batches_all]
-        rows.append([name, dtype, *(f"{rate / 1e6:.3g}" for rate in rates)])
+        found = [rate(one, name, dtype, b) for b in batches] + [rate(every, name, dtype, b) for b in batches_all]
+        rows.append([name, dtype, *(f"{x / 1e6:.3g}" for x in found)])
     return table(["", "dtype", *map(str, batches), *(f"{b}, all" for b in batches_all)], rows)
 
 
-def _quality(records: Sequence[dict[str, Any]]) -> str:
+def quality(records: Sequence[dict[str, Any]]) -> str:
+    """Errors, drifts and residuals."""
     head = ["", "dtype", "error", "energy", "momentum", "steps", "residual", "converged"]
     keys = ("error", "energy_drift", "momentum_drift")
     rows = []
@@ -98,7 +100,7 @@ def _agreement(result: dict[str, Any]) -> str:
 
 def _bars(result: dict[str, Any]) -> str:
     double = [r for r in result["rates"] if r["bodies"] == BATCH]
-    ours, wide, newton, scalar, tsit5 = (_rate(double, name) for name in (OURS, WIDE, NEWTON, SCALAR, TSIT5))
+    ours, wide, newton, scalar, tsit5 = (rate(double, name) for name in (OURS, WIDE, NEWTON, SCALAR, TSIT5))
     [quality] = [r for r in result["quality"] if (r["name"], r["dtype"]) == (OURS, "float64")]
     at_least = [
         ("rate ÷ C++ newton form, default flags", ours / newton, 0.30),
@@ -121,9 +123,10 @@ def verdict(measured: float, held: bool) -> str:
     return "not measured" if np.isnan(measured) else "held" if held else "MISSED"
 
 
-def _rate(records: Sequence[dict[str, Any]], name: str, dtype: str = "float64", bodies: int = BATCH) -> float:
-    rates = [r["rate"] for r in records if (r["name"], r["dtype"], r["bodies"]) == (name, dtype, bodies)]
-    return rates[0] if rates else np.nan
+def rate(records: Sequence[dict[str, Any]], name: str, dtype: str = "float64", bodies: int = BATCH) -> float:
+    """Of a contestant; nan if it is not there."""
+    found = [r["rate"] for r in records if (r["name"], r["dtype"], r["bodies"]) == (name, dtype, bodies)]
+    return found[0] if found else np.nan
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -1,0 +1,41 @@
+"""Heavy tops: how many body-steps a second, what is kept, and how much time does an accuracy cost?
+
+Heavy plates of inertia (1, 2, 3), fixed at a point of theirs, weight (.9, .8, 0): three moments, not integrable. Random
+attitudes, body velocities random in the unit ball, dt = 0.05. Ours (the energy-momentum scheme with three κ's, the
+splitting, both composed) against C++ of the same schemes, diffrax and MuJoCo, called in turn in one process pinned to
+one core (as Linux can).
+The reference is `diagnostics.flow`, Gauss collocation of order 16. Tsit5 is as vmapped and jitted by default; "wide
+vectors" are `ensemble.compiler_options()`.
+
+    python benchmarks/heavy_top.py [--quick] [--out DIR]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+HERE = Path(__file__).parent
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="small sizes, few points")
+    parser.add_argument("--out", type=Path, default=HERE / "results", metavar="DIR", help="where the results go")
+    options = parser.parse_args()
+    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-1:])  # before jax makes its threads
+    import measure
+    import precision
+    import tops
+    import tops_report
+
+    before = os.getloadavg()[0]
+    points = precision.Sizes((10.0,), (3,), (1,)) if not options.quick else precision.Sizes((10.0,), (1,), (5,), 0.3)
+    result = tops.everything(measure.QUICK if options.quick else measure.Sizes(), points)
+    result["load"] = [before, os.getloadavg()[0]]
+    tops_report.write(result, options.out)
+
+
+if __name__ == "__main__":
+    main()
