@@ -116,7 +116,7 @@ def draw(ends: Sequence[Record], path: Path) -> None:
     fig.legend(
         *axes[0, 0].get_legend_handles_labels(),
         loc="outside lower center",
-        ncols=1 + 2 * len(ends),
+        ncols=5 if len(ends) > 1 else 2,
         frameon=False,
         fontsize="small",
     )

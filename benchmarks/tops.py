@@ -23,7 +23,7 @@ from precision import Curve, growing
 import lieint_jax as li
 
 WEIGHT = (0.9, 0.8, 0.0)
-_LEVELS = (0.5, 1.0)  # number of steps of the two references, in those that a quarter of a turn takes
+_LEVELS = (4, 8)  # steps a unit of time, of the two references
 
 
 def top() -> Any:
@@ -59,7 +59,7 @@ def reference(end: float) -> tuple[np.ndarray, float]:
     """Attitudes of the watched bodies at t = end by `diagnostics.flow`, and how far it is with half as many steps."""
     states = li.State(*map(jnp.asarray, measure.bodies(WATCHED)))
     flow = jax.jit(jax.vmap(li.diagnostics.flow, (None, 0, None, None)), static_argnums=3)
-    coarse, fine = (np.asarray(flow(top(), states, end, round(level * 8 * end)).q) for level in _LEVELS)
+    coarse, fine = (np.asarray(flow(top(), states, end, round(level * end)).q) for level in _LEVELS)
     return fine, measure.attitude_error(coarse, fine)
 
 
@@ -94,9 +94,9 @@ def curves() -> list[Curve]:
     steps: list[tuple[str, str, li.Step, tuple[int, ...]]] = [
         (name, "order 2", step, growing(25, 6, 2)) for name, step in bases.items()
     ]
-    for order, count in ((4, 8), (6, 6)):
+    for order, count in ((4, 12), (6, 10)):
         for name, step in bases.items():
-            steps.append((f"{name}, order {order}", "composition", make.compose(step, order), growing(8, count)))
+            steps.append((f"{name}, order {order}", "composition", make.compose(step, order), growing(16, count)))
     ours = [Curve(name, kind, partial(measure.ours, name, step, wide=True), n) for name, kind, step, n in steps]
     fives, eights = (partial(peer, INERTIA, wide=True, weight=WEIGHT) for peer in (peers.tsit5, peers.dopri8))
     few = [10.0**-k for k in range(4, 14)]
