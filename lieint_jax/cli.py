@@ -10,10 +10,12 @@ from pathlib import Path
 _EPILOG = """examples:
   lieint run toutatis                      800 days of a tumbling asteroid, 1000 members
   lieint run heavy_top                     nutation and precession of 200 tops beside the closed form
+  lieint run pseudo_rigid                  a spinning elastic ball, with the delay plots of the paper's Figure 3c
+  lieint run pendulum                      a spherical pendulum beside the closed form
   lieint run my.toml --members 100         your own scenario (copy lieint_jax/data/toutatis.toml)
   lieint check                             what every scheme conserves, measured
   lieint check rigid_body --scheme cayley  one of them
-  lieint figure 1 2 --out figures          the paper's figures
+  lieint figure 1 2 3 --out figures        the paper's figures
 """
 
 
@@ -47,7 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     run = commands.add_parser("run", help="integrate a scenario and report", description="Integrate a scenario.")
-    run.add_argument("scenario", metavar="SCENARIO", help="a shipped scenario (toutatis, heavy_top) or a .toml file")
+    run.add_argument("scenario", metavar="SCENARIO", help="a shipped scenario (toutatis, heavy_top, …) or a .toml file")
     run.add_argument("--out", type=Path, metavar="PATH.npz", help="where to write results; pictures go beside it")
     run.add_argument("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
     run.add_argument("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
@@ -62,7 +64,7 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("--steps", type=_positive, default=1000, metavar="N", help="length of each run (default 1000)")
     check.set_defaults(command=_check)
     figure = commands.add_parser("figure", help="recompute figures of the paper", description="Write figures as PNG.")
-    figure.add_argument("numbers", nargs="+", type=int, metavar="N", help="numbers in the paper: 1, 2")
+    figure.add_argument("numbers", nargs="+", type=int, metavar="N", help="numbers in the paper: 1 to 5")
     figure.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
     figure.set_defaults(command=_figure)
     return parser

@@ -188,11 +188,14 @@ def test_a_bad_file_gets_one_line_that_names_the_key(changes, message, capsys):
 
 def test_bad_commands(capsys):
     for arguments, message in (
-        (["run", "nowhere"], "no scenario 'nowhere': give a .toml file or one of heavy_top, toutatis"),
+        (
+            ["run", "nowhere"],
+            "no scenario 'nowhere': give a .toml file or one of heavy_top, pendulum, pseudo_rigid, toutatis",
+        ),
         (["run", "toutatis", "--members", "0"], "members: .*greater than 0"),
         (["run", "toutatis", "--out", "results.csv"], r"\.npz, got results\.csv"),
         (["run", "toutatis", "--out", "no/where.npz"], "folder no does not exist"),
-        (["figure", "9"], "figure 9 is not one of 1, 2"),
+        (["figure", "9"], "figure 9 is not one of 1, 2, 3, 4, 5"),
         (["check", "rocket"], "nothing to check for system 'rocket'.*rigid_body"),
         (["check", "--scheme", "rk4"], "scheme 'rk4'"),
     ):

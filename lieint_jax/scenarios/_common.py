@@ -26,6 +26,14 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
+class Published(Table):
+    """A number from elsewhere, to set beside ours."""
+
+    value: float
+    error: float | None = None
+    source: str
+
+
 class Common(Table):
     """The keys of every scenario. A kind adds `system: Literal["its name"]`, its schemes and its numbers."""
 

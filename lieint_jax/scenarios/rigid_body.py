@@ -15,17 +15,11 @@ from lieint_jax import diagnostics, maps, plots, schemes, systems
 from lieint_jax.groups import so3
 from lieint_jax.integrate import integrate
 from lieint_jax.scenarios._body import BodyScenario, InitialState, ensemble, in_space
-from lieint_jax.scenarios._common import Table, Text, follow, nominal, thinned
+from lieint_jax.scenarios._common import Published, Text, follow, nominal, thinned
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, Trajectory
 
 Z = (0.0, 0.0, 1.0)  # the body axis that is drawn
-
-
-class Published(Table):
-    value: float
-    error: float | None = None
-    source: str
 
 
 class Observation(InitialState):

@@ -211,7 +211,11 @@ def additive(
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """The two rules that solve no equation for γ, for pseudo-rigid bodies."""
+    """The two rules that solve no equation for γ, for pseudo-rigid bodies.
+
+    The other two compile too long to be among the examples, which every test of a scheme and `lieint check` go through;
+    `diagnostics.certify(additive(body, "energy"), …)` certifies them.
+    """
     if not _is_elastic(system):
         return {}
     return {step.name: step for step in (additive(system, "average"), additive(system, "symplectic"))}

@@ -1,0 +1,199 @@
+"""A spherical pendulum: what the midpoint rule keeps, its swing and precession beside the closed form, its path."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.figure import Figure
+from pydantic import Field, field_validator, model_validator
+
+from lieint_jax import checks, diagnostics, plots, schemes, systems
+from lieint_jax.groups import so3
+from lieint_jax.phase_spaces import frame
+from lieint_jax.scenarios import heavy_top
+from lieint_jax.scenarios._common import Common, NonNegative, Table, Triple, follow, nominal
+from lieint_jax.systems import Pendulum, PotentialTop
+from lieint_jax.types import State, Step, Trajectory
+
+
+class InitialState(Table):
+    """The nominal state: a unit vector, and a velocity whose part along it is taken away."""
+
+    direction: Triple
+    velocity: Triple
+
+    @field_validator("direction")
+    @classmethod
+    def _unit(cls, value: list[float]) -> list[float]:
+        return _unit_vector(value)
+
+
+class Spread(Table):
+    """Standard deviations, a component, of the members about the nominal state."""
+
+    direction_deg: NonNegative = 0.0
+    velocity: NonNegative = 0.0
+
+
+class Scenario(Common):
+    """The keys of a scenario of this kind."""
+
+    system: Literal["pendulum"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    mass: Annotated[float, Field(gt=0)]
+    gravity: float
+    axis: Triple = [0.0, 0.0, -1.0]
+    scheme: Literal["sphere_midpoint"] = "sphere_midpoint"
+    normalised: bool = False
+    state: InitialState
+    spread: Spread = Spread()
+
+    @field_validator("axis")
+    @classmethod
+    def _unit(cls, value: list[float]) -> list[float]:
+        return _unit_vector(value)
+
+    @model_validator(mode="after")
+    def _some_gravity(self) -> Scenario:
+        if self.gravity == 0:
+            raise ValueError("gravity must not be 0")
+        return self
+
+    def assumption(self) -> str:
+        return (
+            f"spread about the nominal state, an assumption: {self.spread.direction_deg:g}° of direction and "
+            f"{self.spread.velocity:g} of velocity (1 sigma, each component)"
+        )
+
+
+def _unit_vector(value: list[float]) -> list[float]:
+    if abs(np.linalg.norm(value) - 1) > checks.UNIT_TOLERANCE:
+        raise ValueError("must be a unit vector; divide it by its norm")
+    return value
+
+
+def build(scenario: Scenario) -> tuple[Step, State]:
+    """The step and the batch of initial states, the nominal one first."""
+    bob = systems.pendulum(scenario.mass, scenario.gravity, scenario.axis)
+    kick, jolt = jax.random.normal(jax.random.key(scenario.seed), (2, scenario.members, 3)).at[:, 0].set(0.0)
+    kick, jolt = jnp.deg2rad(scenario.spread.direction_deg) * kick, scenario.spread.velocity * jolt
+
+    def member(kick: Any, jolt: Any) -> State:
+        q = so3.Ad(so3.exp(kick), jnp.asarray(scenario.state.direction))
+        V = jnp.asarray(scenario.state.velocity) + jolt
+        return bob.state(q, velocity=V - q * (q @ V) / (q @ q))
+
+    return schemes.sphere_midpoint(bob, scenario.normalised), jax.vmap(member)(kick, jolt)
+
+
+class Row(NamedTuple):
+    """A quantity of the motion: of the nominal member, its spread over the members, the nominal one's closed form."""
+
+    name: str
+    nominal: float
+    spread: float
+    closed_form: float
+
+
+def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
+    """What is conserved, worst of all members; the swing beside the closed form."""
+    lines = [f"\n  {'largest change, all members':<34}{'found':>10}   the scheme promises"]
+    lines += [f"  {name:<34}{x:>10.1e}   conserved to round-off" for name, x in changes(step.system, run).items()]
+    lines += [f"\n  {'':<34}{'nominal':>10}{'± ensemble':>12}{'closed form':>14}"]
+    for row in quantities(step.system, run, scenario.time_unit):
+        values = (f"{x:.5f}" if np.isfinite(x) else "—" for x in row[1:])
+        lines.append("  {:<34}{:>10}{:>12}{:>14}".format(row.name, *values))
+    lines.append("  closed form: elliptic integrals; the difference is the scheme's error, O(Δt²)")
+    lines.append("  — none: fewer than two swings, states saved too far apart, or a swing through the axis")
+    return "\n".join(lines)
+
+
+def changes(bob: Pendulum, run: Trajectory) -> dict[str, float]:
+    """Largest changes: energy relative to ½|π|²/m + |mG|, γ·π relative to √(2m(H + |mG|)); |q|² − 1 and q·π."""
+    states = State(*(jnp.asarray(x) for x in run.state))
+    H, gamma_pi, defect = (
+        np.asarray(_each(f)(states)) for f in (bob.energy, lambda z: bob.momentum(z)[0], bob.phase_space.defect)
+    )
+    depth = abs(float(bob.potential(bob.axis)))
+    kinetic = H[0] + depth  # at the lowest point, the largest there is
+    return {
+        "energy, relative": float(np.max(abs(H - H[0]) / (kinetic + depth))),
+        "γ·π, relative": float(np.max(abs(gamma_pi - gamma_pi[0]) / np.sqrt(2 * float(bob.mass) * kinetic))),
+        "constraints |q| = 1, q·π = 0": float(np.max(defect)),
+    }
+
+
+def as_top(bob: Pendulum, run: Trajectory) -> tuple[PotentialTop, Trajectory]:
+    """A spherical pendulum in a uniform field is Lagrange's top without spin: Λe₃ = q, Π₃ = q·π = 0; its axis is −γ."""
+    depth = -bob.potential(bob.axis)
+    top = systems.heavy_top(jnp.full(3, bob.mass), jnp.array([0.0, 0.0, 1.0]) * depth, -bob.axis)
+
+    def attitude(q: Any) -> Any:
+        return so3.from_matrix(jnp.stack([*frame(q), q], axis=1))
+
+    q: Any = np.asarray(_each(attitude)(jnp.asarray(run.state.q)))
+    return top, run._replace(state=State(q, run.state.p))
+
+
+def quantities(bob: Pendulum, run: Trajectory, unit: str) -> list[Row]:
+    """Period and precession of the swing, and its bounds: measured, member by member, and in closed form."""
+    top, turned = as_top(bob, run)
+    period, rate, least, greatest = heavy_top.quantities(top, turned, unit)
+    return [
+        Row(f"lowest point to lowest point ({unit})", *period[1:]),
+        Row(f"mean rate about γ (rad/{unit})", -rate.nominal, rate.spread, -rate.closed_form),
+        Row("least angle from γ (°)", 180 - greatest.nominal, greatest.spread, 180 - greatest.closed_form),
+        Row("greatest angle from γ (°)", 180 - least.nominal, least.spread, 180 - least.closed_form),
+    ]
+
+
+def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """The bob on the sphere, a dozen swings of it, seen from below and aside; its angle from γ with time."""
+    bob, unit = step.system, scenario.time_unit
+    rows = quantities(bob, run, unit)
+    steps = scenario.steps
+    if np.isfinite(rows[0].nominal):
+        steps = min(steps, int(12 * rows[0].nominal / abs(scenario.dt)) + 1)
+    long = follow(step, nominal(run), scenario.dt, steps)
+    path, axis = np.asarray(long.state.q), np.asarray(bob.axis)
+    fig, axes = plots.figure(2)
+    axes[0, 0].remove()
+    left, right = fig.add_subplot(1, 2, 1, projection="3d"), axes[0, 1]
+    plots.sphere_path(left, path, axis, eye=axis + 0.8 * path[0], pole_label="γ")
+    if scenario.members > 1:
+        ends = np.asarray(run.state.q[-1])
+        plots.sphere_points(left, ends, f"members at t = {run.t[-1]:.4g}", color=plots.INK, s=2, alpha=0.5)
+    left.legend(frameon=False, fontsize="x-small", loc="lower left")
+    left.set_title(f"the bob to t = {long.t[-1]:.4g} {unit}", fontsize="small")
+    angle = np.rad2deg(np.arccos(np.clip(path @ axis, -1, 1)))
+    plots.series(right, np.asarray(long.t), {"": angle}, "angle from γ (°)", unit)
+    for row in rows[2:]:
+        if np.isfinite(row.closed_form):
+            right.axhline(row.closed_form, color=plots.RED, lw=0.7, ls="--")
+    right.set_title("dashed: its bounds in closed form", fontsize="small")
+    fig.suptitle(scenario.title, fontsize="medium")
+    return fig
+
+
+def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Energy and constraint errors of the nominal member by both forms of the midpoint rule."""
+    bob, energy, constraint, t = step.system, {}, {}, None
+    for normalised in (False, True):
+        scheme = schemes.sphere_midpoint(bob, normalised)
+        long = follow(scheme, nominal(run), scenario.dt, scenario.steps)
+        energy[scheme.name] = np.asarray(diagnostics.energy_error(bob, long))
+        constraint[scheme.name] = np.asarray(diagnostics.constraint_error(bob, long))
+        t = np.asarray(long.t)
+    fig, axes = plots.figure(2)
+    for ax, curves, label in zip(axes[0], (energy, constraint), ("energy error", "constraint error"), strict=True):
+        plots.log_error(ax, t, curves, label, scenario.time_unit)
+    return fig
+
+
+def _each(function: Any) -> Any:
+    return jax.jit(jax.vmap(jax.vmap(function)))
+
+
+PICTURES = {"path": draw_path, "energy": draw_energy}

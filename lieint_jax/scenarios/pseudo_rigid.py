@@ -1,0 +1,206 @@
+"""A pseudo-rigid body: what the rule promises beside what it kept, the paper's delay plots, energy by two rules."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.figure import Figure
+from pydantic import Field, field_validator, model_validator
+
+from lieint_jax import checks, diagnostics, plots, schemes, systems
+from lieint_jax.scenarios._common import Common, NonNegative, Positive, Published, Table, Triple, follow, nominal
+from lieint_jax.systems import PseudoRigidBody
+from lieint_jax.types import State, Step, Trajectory
+
+_LONGEST = 4_000  # steps of the nominal member that are drawn, every one of them: a delay plot needs neighbours
+
+Matrix = Annotated[list[Triple], Field(min_length=3, max_length=3)]
+Above = Annotated[float, Field(gt=0)]
+
+
+class Material(Table):
+    law: Literal["mooney_rivlin", "neo_hookean", "saint_venant_kirchhoff"] = "mooney_rivlin"
+    lam: Above
+    mu: Above
+
+
+class InitialState(Table):
+    """The nominal state: F, and one of three ways to give the motion."""
+
+    deformation: Matrix = np.eye(3).tolist()
+    angular_velocity: Triple | None = None
+    velocity: Matrix | None = None
+    momentum: Matrix | None = None
+
+    @field_validator("deformation")
+    @classmethod
+    def _not_inside_out(cls, value: Any) -> Any:
+        if not np.linalg.det(value) > 0:
+            raise ValueError("must have a positive determinant")
+        return value
+
+    @model_validator(mode="after")
+    def _one_motion(self) -> Self:
+        if len(self.motion()) != 1:
+            raise ValueError("give exactly one of angular_velocity, velocity, momentum")
+        return self
+
+    def motion(self) -> dict[str, Any]:
+        given = {key: getattr(self, key) for key in ("angular_velocity", "velocity", "momentum")}
+        return {key: value for key, value in given.items() if value is not None}
+
+
+class Spread(Table):
+    """Standard deviations of the members about the nominal state: of each entry of F, of an angular velocity added."""
+
+    deformation: NonNegative = 0.0
+    angular_velocity: NonNegative = 0.0
+
+
+class Scenario(Common):
+    """The keys of a scenario of this kind."""
+
+    system: Literal["pseudo_rigid"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    inertia: list[Any]
+    material: Material
+    scheme: Literal["additive"] = "additive"
+    rule: Literal["average", "symplectic", "energy", "energy_momentum"] = "average"
+    alpha: Annotated[float, Field(ge=0, le=1)] = 0.5
+    lag: Positive = 3
+    state: InitialState
+    spread: Spread = Spread()
+    published: dict[Literal["midpoint_energy_variation"], Published] = {}
+
+    @field_validator("inertia")
+    @classmethod
+    def _positive_definite(cls, value: list[Any]) -> list[Any]:
+        checks.positive_definite("inertia", value)
+        return value
+
+    @model_validator(mode="after")
+    def _alpha_of_the_rule(self) -> Self:
+        if self.alpha != 0.5 and self.rule != "symplectic":
+            raise ValueError(f"alpha: the rule {self.rule!r} conserves energy for 0.5 only (got {self.alpha})")
+        if self.steps <= 2 * self.lag:
+            raise ValueError(f"steps = {self.steps} must be more than 2·lag = {2 * self.lag}")
+        return self
+
+    def assumption(self) -> str:
+        return (
+            f"spread about the nominal state, an assumption: {self.spread.deformation:g} of each entry of F and "
+            f"{self.spread.angular_velocity:g} of angular velocity (1 sigma, each component)"
+        )
+
+
+def build(scenario: Scenario) -> tuple[Step, State]:
+    """The step and the batch of initial states, the nominal one first."""
+    material = getattr(systems, scenario.material.law)(scenario.material.lam, scenario.material.mu)
+    body = systems.pseudo_rigid_body(np.asarray(scenario.inertia), material)
+    start = body.state(np.asarray(scenario.state.deformation), **scenario.state.motion())
+    for_F, for_spin = jax.random.split(jax.random.key(scenario.seed))
+    dF = scenario.spread.deformation * jax.random.normal(for_F, (scenario.members, 3, 3)).at[0].set(0.0)
+    spin = scenario.spread.angular_velocity * jax.random.normal(for_spin, (scenario.members, 3)).at[0].set(0.0)
+    V = body.velocity(start)
+
+    def member(dF: Any, spin: Any) -> State:
+        F = start.q + dF
+        turned = body.state(F, angular_velocity=spin)
+        return turned._replace(p=turned.p + body.state(F, velocity=V @ jnp.linalg.inv(start.q) @ F).p)
+
+    states = jax.vmap(member)(dF, spin)
+    exact = jax.tree.map(lambda x, x0: x.at[0].set(x0), states, start)  # F⁻¹F rounds
+    return schemes.additive(body, scenario.rule, scenario.alpha), exact
+
+
+class Row(NamedTuple):
+    """A quantity of the report: its name, its value over all members and saved times, what the rule promises."""
+
+    name: str
+    found: float
+    promised: str
+
+
+def quantities(scenario: Scenario, body: PseudoRigidBody, run: Trajectory) -> list[Row]:
+    """Largest changes, relative to the largest |H| and |Φ| of the member's start; the least det F."""
+    states = State(*(jnp.asarray(x) for x in run.state))
+    H, Phi = (np.asarray(_each(f)(states)) for f in (body.energy, body.momentum))
+    size = np.maximum(np.linalg.norm(Phi[0], axis=-1, keepdims=True), np.finfo(float).tiny)
+    energy = {"symplectic": "bounded, not conserved"}.get(scenario.rule, "conserved to round-off")
+    return [
+        Row("energy, relative", float(np.max(abs(H - H[0]) / np.maximum(abs(H[0]), np.finfo(float).tiny))), energy),
+        Row("momentum rot[PFᵀ], relative", float(np.max(abs(Phi - Phi[0]) / size)), "conserved to round-off"),
+        Row("least det F", float(np.linalg.det(run.state.q).min()), "above 0, or flagged"),
+    ]
+
+
+def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
+    """What is conserved beside what is promised; the energy of the midpoint rule beside the published variation."""
+    lines = [f"\n  {'all members and saved times':<34}{'found':>12}   the rule {scenario.rule!r} promises"]
+    lines += [f"  {row.name:<34}{row.found:>12.3g}   {row.promised}" for row in quantities(scenario, step.system, run)]
+    series = energies(scenario, step, run)
+    lines += [f"\n  energy of the nominal member, {len(series.t) - 1} steps, max − min"]
+    lines += [f"  {name:<34}{np.ptp(H):>12.3g}" for name, H in series.energy.items()]
+    if (printed := scenario.published.get("midpoint_energy_variation")) is not None:
+        lines[-1] += f"   published {printed.value:g}  ({scenario.source(printed.source)})"
+    if not series.converged:
+        lines.append("  NOT every one of these steps converged: do not trust what follows the first that did not")
+    return "\n".join(lines)
+
+
+class Energies(NamedTuple):
+    """Of the nominal member at every step: H by the scenario's rule and the midpoint rule, ‖F − 1‖² by the former."""
+
+    t: np.ndarray
+    energy: dict[str, np.ndarray]
+    displacement: np.ndarray
+    converged: bool
+
+
+MIDPOINT = "implicit midpoint rule"
+
+
+def energies(scenario: Scenario, step: Any, run: Trajectory) -> Energies:
+    """Both rules from the nominal state, at most `_LONGEST` steps, every one saved."""
+    body, start, energy = step.system, nominal(run), {}
+    steps = min(scenario.steps, _LONGEST)
+    own = long = follow(step, start, scenario.dt, steps)
+    converged = bool(np.all(own.info.converged))
+    if (scenario.rule, scenario.alpha) != ("symplectic", 0.5):
+        energy[f"the rule {scenario.rule!r}"] = np.asarray(jax.vmap(body.energy)(own.state))
+        long = follow(schemes.additive(body, "symplectic"), start, scenario.dt, steps)
+        converged &= bool(np.all(long.info.converged))
+    energy[MIDPOINT] = np.asarray(jax.vmap(body.energy)(long.state))
+    displacement = np.sum((np.asarray(own.state.q) - np.eye(3)) ** 2, axis=(1, 2))
+    return Energies(np.asarray(own.t), energy, displacement, converged)
+
+
+def draw_torus(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Delay plots, as in the paper's Figures 3 to 5: of the midpoint rule's energy, and of the displacement."""
+    series = energies(scenario, step, run)
+    fig, axes = plots.figure(2, subplot_kw={"projection": "3d"})
+    panels = {f"H, {MIDPOINT}": series.energy[MIDPOINT], f"‖F − 1‖², rule {scenario.rule!r}": series.displacement}
+    for ax, (title, x) in zip(axes[0], panels.items(), strict=True):
+        plots.delay_plot(ax, np.asarray(diagnostics.delay(jnp.asarray(x), scenario.lag)))
+        ax.set_title(f"{title}, lag {scenario.lag}", fontsize="small")
+    fig.suptitle(scenario.title, fontsize="medium")
+    return fig
+
+
+def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Energy errors of the nominal member by the scenario's rule and by the midpoint rule; its displacement."""
+    series = energies(scenario, step, run)
+    fig, axes = plots.figure(2)
+    errors = {name: H - H[0] for name, H in series.energy.items()}
+    plots.log_error(axes[0, 0], series.t, errors, "energy error", scenario.time_unit)
+    plots.series(axes[0, 1], series.t, {"": series.displacement}, "‖F − 1‖²", scenario.time_unit)
+    return fig
+
+
+def _each(function: Any) -> Any:
+    return jax.jit(jax.vmap(jax.vmap(function)))
+
+
+PICTURES = {"torus": draw_torus, "energy": draw_energy}
