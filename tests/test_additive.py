@@ -361,15 +361,20 @@ def test_a_step_that_turns_the_body_inside_out_is_flagged():
 
 
 def test_gradients_through_a_step():
-    """By the implicit function, with respect to a modulus: against differences."""
+    """By the implicit function, with respect to λ, μ, which are leaves of the step, and Δt: against differences."""
+    step = additive(SOFT)
 
-    def end(lam):
-        body = li.systems.PseudoRigidBody(SOFT.inertia, li.systems.mooney_rivlin(lam, 6.0))
-        return additive(body)(SOFT_STATE, 0.1)[0].p[0, 1]
+    def end(x):
+        body = dataclasses.replace(step.system, stored_energy=li.systems.mooney_rivlin(x[0], x[1]))
+        after, _ = dataclasses.replace(step, system=body)(SOFT_STATE, x[2])
+        return jnp.concatenate([after.q.ravel(), after.p.ravel()])
 
-    slope = jax.jit(jax.jacfwd(end))(40.0)
-    h = 1e-3
-    assert float(slope) == pytest.approx(float(end(40 + h) - end(40 - h)) / (2 * h), rel=1e-7)
+    x, h = jnp.array([40.0, 6.0, 0.1]), 1e-4 * jnp.diag(jnp.array([40.0, 6.0, 0.1]))
+    slopes = jax.jit(jax.jacfwd(end))(x)
+    for k in range(3):
+        difference = (end(x + h[k]) - end(x - h[k])) / (2 * h[k, k])
+        np.testing.assert_allclose(slopes[:, k], difference, rtol=1e-6, atol=1e-7)  # of O(h²)
+    assert np.abs(slopes).max(axis=0).min() > 1e-3  # every parameter matters
 
 
 def test_float32_is_kept():

@@ -8,13 +8,23 @@ from scipy.optimize import root
 
 import lieint_jax as li
 from lieint_jax.diagnostics import constraint_error, energy_error, flow, linearization, momentum_error
+from lieint_jax.systems.pendulum import Uniform
 from lieint_jax.types import State
 
 AXIS = np.array([0.6, 0.0, -0.8])
 Q = np.array([0.48, 0.6, -0.64])
 V = np.cross(Q, [0.9, -0.3, 0.5])
-FIELDS = {"linear": lambda s: 2 * s, "quadratic": lambda s: 2 * s - s**2, "cubic": lambda s: 2 * s + s**3}
-BOBS = {name: li.systems.pendulum(1.5, g, AXIS) for name, g in FIELDS.items()}
+FIELDS = {"linear": (0.0, 0.0), "quadratic": (-1.0, 0.0), "cubic": (0.0, 1.0)}
+
+
+def field(b, c, s):
+    return 2 * s + b * s**2 + c * s**3
+
+
+BOBS = {  # their coefficients are leaves, so all of them share compilations
+    name: li.systems.pendulum(1.5, jax.tree_util.Partial(field, *map(jnp.array, coefficients)), AXIS)
+    for name, coefficients in FIELDS.items()
+}
 
 
 def start(bob):
@@ -190,11 +200,43 @@ def test_the_frame_form_is_q_dot_the_cross_products(seed):
     np.testing.assert_allclose(space.omega(state).T @ field, slope, atol=1e-14)  # ω(X_H, ·) = dH
 
 
+@pytest.mark.parametrize("normalised", [False, True])
+def test_gradients_through_a_step(normalised):
+    """By the implicit function, with respect to m, mG, γ (leaves of the step) and Δt: against differences, by a jvp."""
+
+    def end(x):
+        bob = li.systems.Pendulum(x[0], Uniform(x[1]), x[2:5])
+        return li.schemes.sphere_midpoint(bob, normalised)(start(BOBS["linear"]), x[5])[0]
+
+    x, direction = jnp.array([1.5, 2.0, *AXIS, 0.1]), jnp.array([0.3, -0.5, 0.2, 0.7, 0.1, 0.2])
+    h, end = 1e-4, jax.jit(end)
+    _, slope = jax.jit(lambda: jax.jvp(end, (x,), (direction,)))()
+    for ours, ahead, behind in zip(slope, end(x + h * direction), end(x - h * direction), strict=True):
+        np.testing.assert_allclose(ours, (ahead - behind) / (2 * h), atol=1e-7)
+        assert np.abs(ours).max() > 1e-2
+
+
+def test_float32_is_kept():
+    with jax.enable_x64(False):
+        bob = li.systems.pendulum(1.5, 2.0)
+        state = bob.state([0.6, 0.0, -0.8], velocity=[0.0, 0.7, 0.0])
+        step, energy = jax.jit(li.schemes.sphere_midpoint(bob, True).__call__), bob.energy(state)
+        for _ in range(50):
+            state, info = step(state, 0.1)
+            assert info.converged
+        assert state.q.dtype == state.p.dtype == info.residual.dtype == jnp.float32
+        assert abs(bob.energy(state) - energy) < 2e-5
+
+
 def test_errors():
     bob = BOBS["linear"]
     for make, message in (
         (lambda: li.systems.pendulum(-1.0, 1.0), "mass must be positive"),
         (lambda: li.systems.pendulum(1.0, 1.0, [0, 0, 2]), "axis must be a unit vector"),
+        (lambda: li.systems.pendulum([1.0], 1.0), "mass must have shape"),
+        (lambda: bob.state([1.0, 0], velocity=[0, 0, 1]), "direction must have shape"),
+        (lambda: bob.state([1.0, 0, 0], velocity=[0, 0, jnp.nan]), "velocity must be finite"),
+        (lambda: li.schemes.sphere_midpoint(bob, iterations=0), "iterations must be an integer"),
         (lambda: bob.state([1.0, 1, 0], velocity=[0, 0, 1]), "direction must be a unit vector"),
         (lambda: bob.state([1.0, 0, 0], velocity=[1, 0, 1]), "orthogonal to q"),
         (lambda: bob.state([1.0, 0, 0]), "exactly one of velocity and momentum"),
