@@ -236,6 +236,7 @@ def test_errors():
         (lambda: li.systems.pendulum([1.0], 1.0), "mass must have shape"),
         (lambda: bob.state([1.0, 0], velocity=[0, 0, 1]), "direction must have shape"),
         (lambda: bob.state([1.0, 0, 0], velocity=[0, 0, jnp.nan]), "velocity must be finite"),
+        (lambda: li.schemes.top_energy_momentum(bob), "rigid bodies in a potential with an axis"),
         (lambda: li.schemes.sphere_midpoint(bob, iterations=0), "iterations must be an integer"),
         (lambda: bob.state([1.0, 1, 0], velocity=[0, 0, 1]), "direction must be a unit vector"),
         (lambda: bob.state([1.0, 0, 0], velocity=[1, 0, 1]), "orthogonal to q"),

@@ -141,11 +141,11 @@ def top_energy_momentum(
     Source: Lewis & Simo 1994, Results 6–8, with the factor κ that (4.6) lacks; the discrete gradient: Gonzalez 1996,
     J. Nonlinear Sci. 6.
     """
-    if getattr(system, "potential", None) is None or getattr(system, "axis", None) is None:
+    if not _is_top(system):
         raise ValueError(
             "top_energy_momentum integrates rigid bodies in a potential with an axis (systems.heavy_top, "
             f"systems.potential_top), got {type(system).__name__}"
-            + (" without an axis; take splitting" if getattr(system, "potential", None) is not None else "")
+            + (" without an axis; take splitting" if _is_top(system, axis=False) else "")
         )
     if iterations is None:
         iterations = 4 if _is_linear(system.potential) else 6
@@ -198,7 +198,13 @@ def _force(h: Array, Gamma: Array, D: Array) -> Array:
 
 def examples(system: Any) -> dict[str, Step]:
     """The paper's three κ's, for rigid bodies in a potential with an axis."""
-    if getattr(system, "potential", None) is None or getattr(system, "axis", None) is None:
+    if not _is_top(system):
         return {}
     kappas = (kappa_cayley, kappa_exponential, kappa_symplectic)
     return {step.name: step for step in (top_energy_momentum(system, kappa) for kappa in kappas)}
+
+
+def _is_top(system: Any, axis: bool = True) -> bool:
+    """Whether it is a rigid body in a potential, with an axis; or, if not `axis`, whether it has all but that."""
+    needed = ("inertia", "potential", "kinetic_energy", *(("axis",) if axis else ()))
+    return all(getattr(system, name, None) is not None for name in needed)
