@@ -128,7 +128,7 @@ def asymmetric() -> tuple[PotentialTop, State]:
 
     Studied by Galgani, Giorgilli & Strelcyn 1981, Nuovo Cimento B 61.
     """
-    top = heavy_top([1.0, 2.0, 3.0], [0.5, 0.4, 1.0])
+    top = heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
     return top, top.state(so3.exp(jnp.array([1.2, 0.5, -0.2])), angular_velocity=[0.4, 0.9, 0.6])
 
 
