@@ -13,13 +13,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Literal
+from functools import cache
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from lieint_jax import small
+from lieint_jax import dense, small
 from lieint_jax.types import Group, callable_pytree, concrete, pytree, static
 
 Map = Callable[[Group, Array], Array]
@@ -37,11 +39,11 @@ def cayley(group: Group, theta: Array) -> Array:
 
 def scaled_cayley(kappa: Callable[[Array], Array]) -> Map:
     """The map Θ̄ ↦ cay[κ(|Θ̄|²) Θ̄] of SO(3) (3.17)."""
+    return jax.tree_util.Partial(_scaled_cayley, kappa)
 
-    def tau(group: Group, theta: Array) -> Array:
-        return group.cayley(kappa(small.dot(theta, theta)) * theta)
 
-    return tau
+def _scaled_cayley(kappa: Callable[[Array], Array], group: Group, theta: Array) -> Array:
+    return group.cayley(kappa(small.dot(theta, theta)) * theta)
 
 
 def derivative(tau: Map, group: Group, theta: Array) -> Array:
@@ -116,6 +118,216 @@ def _exponential(x: Array) -> Array:
 kappa_cayley = Kappa(callable_pytree(jnp.ones_like), name="cayley")
 kappa_exponential = Kappa(callable_pytree(_exponential), name="exponential", limit=math.pi)
 kappa_symplectic = Kappa(callable_pytree(_symplectic), name="symplectic", limit=1.0, solve_by="scalar", symplectic=True)
+
+
+# Maps of any group ---------------------------------------------------------------------------------------------------
+
+
+def arcsine(group: Group, theta: Array) -> Array:
+    """exp(s(x)Θ), s(x) = arcsin(√x)/√x, x = −λ² for the eigenvalues 0 and ±λ of ad_Θ (arsinh for x < 0).
+
+    On SO(3) it is the scaled Cayley map of the symplectic κ. Elsewhere it is symplectic for every metric on SL(2),
+    SE(2), E(1,1), the Heisenberg groups, Aff(1) and Bianchi's type V, and not on SE(3), for one: numerical evidence, no
+    proof; `symplectic_residual` measures it.
+
+    Raises:
+        ValueError: ad_Θ has nonzero eigenvalues of several sizes (SO(4), SL(3), …): the map is not defined there.
+    """
+    return group.exp(_arcsine_scale(group, theta) * theta)
+
+
+@pytree
+class Tau:
+    """A map τ from the algebra to the group, as schemes use it. Made by `as_tau`.
+
+    Attributes:
+        function: (group, Θ) ↦ τ(Θ), a callable pytree.
+        name: for reports.
+        slope: (group, Θ) ↦ H(Θ) of (5.28), (d, d), for Newton's matrix: it may be approximate. None for autodiff.
+        holds: (group, Θ) ↦ whether τ(Θ) is exact to round-off. None if it always is.
+    """
+
+    function: Map
+    name: str = static(default="user")
+    slope: Callable[[Group, Array], dense.Matrix] | None = static(default=None)
+    holds: Callable[[Group, Array], Array] | None = static(default=None)
+
+    def __call__(self, group: Group, theta: Array) -> Array:
+        return self.function(group, theta)
+
+
+def as_tau(tau: Tau | Map, group: Group) -> Tau:
+    """Any map τ(group, Θ) as a `Tau`, checked on `group`.
+
+    Raises:
+        ValueError: not callable; not τ(0) = 1 with H(0) = 1, so not consistent; it leaves the group; or not
+            Ad_τ(Θ) Θ = Θ, without which energy is not conserved (Result 10).
+    """
+    if isinstance(tau, Tau):
+        return tau
+    if not callable(tau):
+        raise ValueError(f"tau must be a map (group, theta) ↦ group element, such as maps.exponential, got {tau!r}")
+    name = getattr(tau, "__name__", type(tau).__name__)
+    if tau is exponential:
+        if hasattr(group, "exp_near"):
+            return Tau(callable_pytree(_exponential_near), name, _exponential_slope, _near)
+        return Tau(callable_pytree(exponential), name)
+    if tau is arcsine:
+        with jax.ensure_compile_time_eval():
+            arcsine_form(group)
+        if hasattr(group, "exp_near"):
+            return Tau(callable_pytree(_arcsine_near), name, _arcsine_slope, _arcsine_holds)
+        return Tau(callable_pytree(arcsine), name)
+    if tau is cayley and hasattr(group, "cayley_slope"):
+        if not getattr(group, "cayley_lands", True):
+            raise ValueError(f"the Cayley map does not land in {group}: take maps.exponential")
+        return Tau(callable_pytree(cayley), name, _cayley_slope)
+    made = Tau(callable_pytree(tau), name)
+    if concrete(made):
+        with jax.ensure_compile_time_eval():
+            _check_map(made, group)
+    return made
+
+
+def axis_residual(tau: Map, group: Group, theta: Array) -> Array:
+    """max|Ad_τ(Θ) Θ − Θ| / max|Θ|: zero if a step by τ conserves energy (Result 10)."""
+    return jnp.max(jnp.abs(group.Ad(tau(group, theta), theta) - theta)) / jnp.max(jnp.abs(theta))
+
+
+def symplectic_residual(tau: Map, group: Group, metric: Array, theta: Array) -> Array:
+    """The residual of the symplectic condition (5.31), relative to the metric.
+
+    With (5.33) put in, Δt drops out: skew[m H⁻¹ (1 + Ad_τ⁻¹)] = ad*([(1 + Ad*_τ⁻¹)⁻¹ − ½] m Θ). The step of
+    `schemes.group_midpoint` from a state with Δt Ω_{n+½} = Θ is symplectic if and only if it is zero.
+
+    Args:
+        tau: a map.
+        group: a group.
+        metric: m, principal (d,) or full (d, d).
+        theta: Θ, shape (d,).
+    """
+    one = jnp.eye(group.dim, dtype=theta.dtype)
+    m = jnp.diag(metric) if jnp.ndim(metric) == 1 else metric
+    back = jax.vmap(group.Ad, (None, 1), 1)(group.inverse(tau(group, theta)), one)  # Ad_τ⁻¹
+    M = m @ jnp.linalg.solve(derivative(tau, group, theta), one + back)
+    mu = jnp.linalg.solve(one + back.T, m @ theta) - m @ theta / 2
+    right = jax.vmap(group.ad_star, (1, None), 1)(one, mu)
+    return jnp.max(jnp.abs((M - M.T) / 2 - right)) / jnp.max(jnp.abs(m))
+
+
+def is_symplectic(tau: Map, group: Group, metric: Array, size: float = 0.3, samples: int = 8) -> bool:
+    """Whether τ keeps the symplectic form for this group and metric, measured at random Θ with |Θᵢ| ≤ `size`."""
+    theta = np.random.default_rng(0).uniform(-size, size, (samples, group.dim))
+    theta = jnp.asarray(theta, jnp.result_type(metric, float))
+    found = jax.jit(jax.vmap(lambda x: symplectic_residual(tau, group, metric, x)))(theta)
+    return bool(jnp.max(found) < 1e3 * jnp.finfo(theta.dtype).eps)
+
+
+@cache
+def arcsine_form(group: Group) -> np.ndarray:
+    """The matrix of the quadratic form x = −λ² of `arcsine`, (d, d): the Killing form over −(number of λ's).
+
+    For an ad_Θ with nonzero eigenvalues ±λ, r in all: tr ad² = rλ², tr ad⁴ = rλ⁴, tr ad⁶ = rλ⁶.
+    """
+    d = group.dim
+    with jax.ensure_compile_time_eval():
+        ad = np.array([[group.ad(x, y) for y in jnp.eye(d)] for x in jnp.eye(d)]).transpose(0, 2, 1)  # ad[i] is ad_eᵢ
+    killing = np.einsum("iab,jba->ij", ad, ad)
+    A = np.tensordot(np.random.default_rng(0).normal(size=(8, d)), ad, 1)
+    two, four, six = (np.trace(np.linalg.matrix_power(A, k), axis1=1, axis2=2) for k in (2, 4, 6))
+    size = np.abs(A).sum(axis=(1, 2)) ** 2
+    if np.all(np.abs(two) < 1e-6 * size) and np.all(np.abs(four) < 1e-6 * size**2):
+        return np.zeros((d, d))
+    r = two**2 / np.where(four == 0, np.inf, four)
+    count = np.round(r[0])
+    if (
+        count < 1
+        or np.abs(r - count).max() > 1e-4
+        or np.abs(six * count**2 - two**3).max() > 1e-4 * np.abs(two**3).max()
+    ):
+        raise ValueError(
+            f"the arcsine map is defined where ad_Θ has one pair of nonzero eigenvalues ±λ only; {group} is not such a "
+            "group: take maps.exponential"
+        )
+    return -killing / count
+
+
+def _arcsine_scale(group: Group, theta: Array) -> Array:
+    K = arcsine_form(group)
+    terms = [(float(K[i, j]), theta[i] * theta[j]) for i, j in zip(*np.nonzero(K), strict=True)]
+    return _arcsine_of_square(dense.total(dense.times(c, x) for c, x in terms) + 0 * theta[0])
+
+
+_ARCSINE = [math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(20)]
+
+
+def _arcsine_of_square(x: Array) -> Array:
+    """arcsin(√x)/√x: analytic for x < 1, arsinh(√−x)/√−x for negative x."""
+    near, positive = jnp.abs(x) < 0.1, x > 0
+    root = jnp.sqrt(jnp.where(near, 0.25, jnp.abs(x)))
+    up = jnp.where(positive, root, 0.5)
+    closed = jnp.where(positive, jnp.arcsin(up), jnp.arcsinh(root)) / root
+    return jnp.where(near, small.horner(_ARCSINE, jnp.where(near, x, 0)), closed)
+
+
+_SLOPE_TERMS = 6  # of H in Newton's matrix: what is cut is |Θ|⁶/5040
+
+
+def _exponential_near(group: Any, theta: Array) -> Array:
+    return group.exp_near(theta)
+
+
+def _near(group: Any, theta: Array) -> Array:
+    return group.near(theta)
+
+
+def _exponential_slope(group: Any, theta: Any) -> dense.Matrix:
+    return group.exp_slope(theta, _SLOPE_TERMS)
+
+
+def _cayley_slope(group: Any, theta: Any) -> dense.Matrix:
+    return group.cayley_slope(theta)
+
+
+def _arcsine_near(group: Any, theta: Array) -> Array:
+    return group.exp_near(_arcsine_scale(group, theta) * theta)
+
+
+def _arcsine_holds(group: Any, theta: Array) -> Array:
+    return group.near(_arcsine_scale(group, theta) * theta)
+
+
+def _arcsine_slope(group: Any, theta: Any) -> dense.Matrix:
+    """H_exp(sΘ)(s + Θ⊗∇s)."""
+    vector = jnp.stack(theta) if isinstance(theta, list) else theta
+    s, gradient = jax.value_and_grad(lambda x: _arcsine_scale(group, x))(vector)
+    H = group.exp_slope([s * x for x in theta] if isinstance(theta, list) else s * theta, _SLOPE_TERMS)
+    along = dense.matvec(H, theta)
+    if not isinstance(theta, list):
+        return s * H + along[:, None] * gradient
+    return [[dense.times(s, h) + a * gradient[j] for j, h in enumerate(row)] for row, a in zip(H, along, strict=True)]
+
+
+def _check_map(tau: Tau, group: Group) -> None:
+    rng = np.random.default_rng(0)
+    one, eps = jnp.asarray(group.identity, float), float(jnp.finfo(float).eps)
+    zero = jnp.zeros(group.dim)
+    off = float(jnp.max(jnp.abs(tau(group, zero) - one)))
+    slope = float(jnp.max(jnp.abs(derivative(tau, group, zero) - jnp.eye(group.dim))))
+    if not (off < 1e3 * eps and slope < 1e-6):
+        raise ValueError(
+            f"τ(0) must be the identity and Dτ(0) too for the scheme to be consistent; {tau.name} is off by {off:.2g} "
+            f"and {slope:.2g}"
+        )
+    for theta in jnp.asarray(rng.uniform(-0.3, 0.3, (3, group.dim))):
+        defect, turned = abs(float(group.defect(tau(group, theta)))), float(axis_residual(tau, group, theta))
+        if not defect < 1e4 * eps:
+            raise ValueError(f"τ(Θ) must lie in {group}; {tau.name} leaves it by {defect:.2g}")
+        if not turned < 1e4 * eps:
+            raise ValueError(
+                f"Ad_τ(Θ) Θ = Θ must hold for energy to be conserved (Result 10); for {tau.name} on {group} it is off "
+                f"by {turned:.2g}. To use it all the same, pass maps.Tau(tau)"
+            )
 
 
 def examples() -> dict[str, Map]:

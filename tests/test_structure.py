@@ -32,7 +32,7 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("checks",),
     ("newton",),
     ("elliptic",),
-    ("small",),
+    ("small", "dense"),
     ("types", "discover", "data"),
 ]
 LEVEL = {name: level for level, floor in enumerate(FLOORS) for name in floor}

@@ -233,7 +233,7 @@ def test_poisson_error_of_a_system_with_a_potential_is_the_whole_matrix():
     assert kept.shape == (51, 6, 6)
     assert np.abs(kept).max() < 2e-12  # floor 2e-13: the product's own round-off
     assert np.abs(kept + np.swapaxes(kept, 1, 2)).max() < 2e-12
-    lost = diagnostics.poisson_error(top_energy_momentum(top, iterations=2), state, 0.1, 1)
+    lost = diagnostics.poisson_error(top_energy_momentum(top), state, 0.1, 1)
     assert np.abs(lost[1]).max() > 1e-5
     assert np.abs(lost[0]).max() == 0
 
@@ -255,9 +255,7 @@ def test_batches_over_weights_and_gradients():
 
     def height(weight):
         top = li.systems.heavy_top([1.0, 2.0, 3.0], weight)
-        return top.Gamma(
-            State(*(x[-1] for x in li.integrate(top_energy_momentum(top, iterations=3), state, 0.1, 20).state))
-        )[2]
+        return top.Gamma(State(*(x[-1] for x in li.integrate(top_energy_momentum(top), state, 0.1, 20).state)))[2]
 
     weights = jnp.array([[0.0, 0.0, 1.0], [0.5, 0.4, 1.0]])
     values, slopes = jax.jit(jax.vmap(jax.value_and_grad(height)))(weights)

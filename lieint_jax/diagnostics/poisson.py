@@ -10,6 +10,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import checks
 from lieint_jax.diagnostics.symplectic import linearization
+from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.types import State, Step
 
 _Method = Literal["recursion", "product"]
@@ -34,9 +35,9 @@ def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, metho
     if method not in get_args(_Method):
         raise ValueError(f"method must be one of {', '.join(get_args(_Method))}, got {method!r}")
     step.check(state, dt)
-    if not hasattr(step.system, "inertia") or hasattr(step.system, "force"):
-        return _whole(step, state, dt, num_steps)
     space = step.system.phase_space
+    if not isinstance(space, CotangentGroup) or hasattr(step.system, "force"):
+        return _whole(step, state, dt, num_steps)
     d, omega = space.dim // 2, space.omega(state)
     alpha, one = omega[:d, :d], jnp.eye(d, dtype=omega.dtype)
     P0 = jnp.block([[0 * one, -one], [one, alpha]])  # ω⁻¹ (5.7)

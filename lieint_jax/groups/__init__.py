@@ -1,5 +1,35 @@
 """Lie groups: each answers the questions of `types.Group` in the same order."""
 
-from lieint_jax.groups import so3
+from lieint_jax.groups import catalogue, so3
+from lieint_jax.groups.catalogue import (
+    affine,
+    heisenberg,
+    hyperbolic_motions,
+    product,
+    special_euclidean,
+    special_linear,
+    special_orthogonal,
+    special_unitary,
+    symplectic,
+    translations,
+    upper_triangular,
+)
+from lieint_jax.groups.matrix import MatrixGroup, matrix
 
-__all__ = ["so3"]
+__all__ = [
+    "MatrixGroup",
+    "affine",
+    "catalogue",
+    "heisenberg",
+    "hyperbolic_motions",
+    "matrix",
+    "product",
+    "so3",
+    "special_euclidean",
+    "special_linear",
+    "special_orthogonal",
+    "special_unitary",
+    "symplectic",
+    "translations",
+    "upper_triangular",
+]

@@ -117,6 +117,11 @@ def tangent(q: Array, Omega: Array) -> Array:
     return jnp.stack(_product(q, (jnp.zeros_like(Omega[0]), *(Omega[i] / 2 for i in range(3)))))
 
 
+def spatial_tangent(q: Array, theta: Array) -> Array:
+    """q̇ = ½ θ q for the spatial velocity θ: the inverse of `spatial_velocity`."""
+    return jnp.stack(_product((jnp.zeros_like(theta[0]), *(theta[i] / 2 for i in range(3))), q))
+
+
 def cayley_increment(q: Array, h: Array) -> Array:
     """q cay(2h), as q + q(c − 1, ch) with c = 1/√(1+|h|²).
 

@@ -4,6 +4,8 @@ from lieint_jax.schemes.additive import Additive, additive
 from lieint_jax.schemes.calibrated import Calibrated, calibrated
 from lieint_jax.schemes.compose import Composition, compose
 from lieint_jax.schemes.exact import Exact, exact
+from lieint_jax.schemes.group_energy_momentum import GroupEnergyMomentum, group_energy_momentum
+from lieint_jax.schemes.group_midpoint import GroupMidpoint, group_midpoint
 from lieint_jax.schemes.preprocessed import Preprocessed, preprocessed
 from lieint_jax.schemes.so3_explicit import SO3Explicit, so3_explicit
 from lieint_jax.schemes.so3_midpoint import SO3Midpoint, so3_midpoint
@@ -16,6 +18,8 @@ __all__ = [
     "Calibrated",
     "Composition",
     "Exact",
+    "GroupEnergyMomentum",
+    "GroupMidpoint",
     "Preprocessed",
     "SO3Explicit",
     "SO3Midpoint",
@@ -26,6 +30,8 @@ __all__ = [
     "calibrated",
     "compose",
     "exact",
+    "group_energy_momentum",
+    "group_midpoint",
     "preprocessed",
     "so3_explicit",
     "so3_midpoint",

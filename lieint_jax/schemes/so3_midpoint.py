@@ -135,8 +135,9 @@ def examples(system: Any) -> dict[str, Step]:
 
 
 def is_free_body(system: Any) -> bool:
-    """Whether `system` has an inertia and no potential."""
-    return hasattr(system, "inertia") and getattr(system, "potential", None) is None
+    """Whether `system` is on T*SO(3), with an inertia and no potential."""
+    on_so3 = getattr(getattr(system, "phase_space", None), "group", None) is so3
+    return on_so3 and hasattr(system, "inertia") and getattr(system, "potential", None) is None
 
 
 def scaled(system: FreeBody, state: State, dt: ArrayLike) -> tuple[Symmetric, Array]:

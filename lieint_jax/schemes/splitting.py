@@ -9,13 +9,17 @@ error is bounded and does not drift.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any, Protocol
 
+import jax
 from jax import Array
 from jax.typing import ArrayLike
 
+from lieint_jax.maps import arcsine, is_symplectic
+from lieint_jax.schemes.group_midpoint import group_midpoint, is_geodesic
 from lieint_jax.schemes.so3_midpoint import is_free_body, so3_midpoint
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, concrete, pytree, static
 
 
 class Forced(System, Protocol):
@@ -68,11 +72,12 @@ def splitting(system: Forced, drift: Step | None = None) -> Splitting:
 
     Args:
         system: `systems.heavy_top(...)`, `systems.potential_top(...)`.
-        drift: a symmetric step of `system.free`; by default the symplectic `so3_midpoint`. `exact(system.free)` has
-            smaller errors where the body turns fast in a weak potential, and no limit on |Δt Ω|.
+        drift: a symmetric step of `system.free`; by default the symplectic `so3_midpoint`, on other groups
+            `group_midpoint` with `maps.arcsine` where that is symplectic. `exact(system.free)` has smaller errors where
+            the body turns fast in a weak potential, and no limit on |Δt Ω|.
 
     Raises:
-        ValueError: a system without potential, or a drift that is not symmetric.
+        ValueError: a system without potential, a drift that is not symmetric, or none given where none is known.
 
     Source: Strang 1968, SIAM J. Numer. Anal. 5; for rigid bodies Touma & Wisdom 1994, Astron. J. 107.
     """
@@ -89,9 +94,16 @@ def splitting(system: Forced, drift: Step | None = None) -> Splitting:
 
 
 def _drift(free: Any) -> Step:
-    if not is_free_body(free):
-        raise ValueError(f"give a drift: a symplectic, symmetric step of {type(free).__name__}")
-    return so3_midpoint(free)
+    if is_free_body(free):
+        return so3_midpoint(free)
+    if is_geodesic(free) and concrete(free.metric):
+        with suppress(ValueError), jax.ensure_compile_time_eval():  # groups where the arcsine map is not defined
+            if is_symplectic(arcsine, free.group, free.metric):
+                return group_midpoint(free, arcsine)
+    raise ValueError(
+        f"no symplectic drift is known for {getattr(free, 'group', type(free).__name__)} with this metric: give a "
+        "symmetric step of system.free, such as group_midpoint(system.free), which keeps the form up to O(Δt³) a step"
+    )
 
 
 def examples(system: Any) -> dict[str, Step]:

@@ -1,0 +1,265 @@
+"""Generalised Euler equations: geodesics of a left-invariant metric on any group (Section 5.1.6)."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import checks, dense
+from lieint_jax.phase_spaces import CotangentGroup
+from lieint_jax.types import Group, State, concrete, pytree, static
+
+
+@pytree
+class Euler:
+    """H = ½⟨Π, m⁻¹Π⟩ with Π = Ad*_q π (5.18); q̇ = qΩ̂, π̇ = 0, Ω = m⁻¹Π (5.14). Made by `euler`.
+
+    Attributes:
+        metric: m in the basis of the algebra, principal (d,) or full (d, d).
+        group: the group G.
+    """
+
+    metric: Array
+    group: Group = static()
+
+    @property
+    def phase_space(self) -> CotangentGroup:
+        return CotangentGroup(self.group)
+
+    def state(
+        self,
+        q: ArrayLike | None = None,
+        *,
+        velocity: ArrayLike | None = None,
+        body_momentum: ArrayLike | None = None,
+        spatial_momentum: ArrayLike | None = None,
+    ) -> State:
+        """The state at a configuration, with one of three ways to give the motion.
+
+        Args:
+            q: a group element, shape (n, n), within 1e-6 of the group; a unit quaternion for `groups.so3`. By default
+                the identity.
+            velocity: body velocity Ω, shape (d,).
+            body_momentum: Π = mΩ, shape (d,).
+            spatial_momentum: π, with Π = Ad*_q π, shape (d,).
+
+        Raises:
+            ValueError: not exactly one of the three, a wrong shape, a NaN, or a q off the group.
+        """
+        return state_of(self.group, self.metric, q, velocity, body_momentum, spatial_momentum)
+
+    def body_momentum(self, state: State) -> Array:
+        """Π = Ad*_q π, shape (d,)."""
+        return self.group.Ad_star(state.q, state.p)
+
+    def velocity(self, state: State) -> Array:
+        """The body velocity Ω = m⁻¹Π, shape (d,)."""
+        return lowered(self.metric, self.body_momentum(state))
+
+    def energy(self, state: State) -> Array:
+        """½⟨Π, m⁻¹Π⟩ (5.18)."""
+        return dense.dot(*(dense.as_list(x) for x in (self.body_momentum(state), self.velocity(state)))) / 2
+
+    def momentum(self, state: State) -> Array:
+        """The momentum map of the left action (5.21): π itself, shape (d,)."""
+        return state.p
+
+    def vector_field(self, state: State) -> State:
+        """(q̇, π̇) = (qΩ̂, 0) (5.14)."""
+        return State(self.group.tangent(state.q, self.velocity(state)), jnp.zeros_like(state.p))
+
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system."""
+        check_state(self.group, state)
+
+
+def euler(group: Group, metric: ArrayLike) -> Euler:
+    """Geodesic motion on a group: the free rigid body for SO(3), a body in a perfect fluid for SE(3), …
+
+    Args:
+        group: `groups.so3`, a group of the catalogue, or `groups.matrix(basis)`.
+        metric: m in the basis of the group, positive definite: its diagonal, shape (d,), or in full, (d, d).
+
+    Raises:
+        ValueError: a wrong shape, NaN or inf, not symmetric or not positive definite.
+
+    Example:
+        >>> from lieint_jax import groups
+        >>> plane = euler(groups.special_euclidean(2), [2.0, 1.0, 1.0])
+        >>> float(plane.energy(plane.state(velocity=[1.0, 2.0, 0.0])))
+        3.0
+    """
+    return Euler(checked_metric(group, metric), group)
+
+
+def kirchhoff(semi_axes: tuple[float, float, float] = (3.0, 2.0, 1.0), center_of_mass: ArrayLike = (0, 0, 0)) -> Euler:
+    """A neutrally buoyant ellipsoid in a perfect fluid at rest at infinity: Kirchhoff's equations on SE(3).
+
+    The metric is that of body and displaced fluid, the mass of the body being 1 (so is the displaced fluid's). With
+    semi-axes a, b, c and A_i = abc ∫₀^∞ ds / ((i² + s)√((a²+s)(b²+s)(c²+s))), A_a + A_b + A_c = 2, the added mass
+    along a is A_a/(2 − A_a), the added inertia about a is
+
+        (1/5) (b² − c²)² (A_c − A_b) / (2(b² − c²) + (b² + c²)(A_b − A_c)),
+
+    and cyclically. The body is homogeneous but for a shift of its centre of mass, which couples rotation and
+    translation: the block m r̂ of the metric. Basis: rotations, then translations, along the axes of the ellipsoid.
+
+    Args:
+        semi_axes: a, b, c, positive; any unit of length. Equal ones are allowed.
+        center_of_mass: r, from the centre of the ellipsoid, in its axes; the moments of inertia about r are kept.
+
+    Source: Lamb, Hydrodynamics, 6th ed., §§114–115, 124, 126; Kirchhoff 1869; Leonard, Automatica 33 (1997) 331
+    (stability of underwater vehicles).
+    """
+    from lieint_jax.groups import special_euclidean
+
+    axes = np.asarray(semi_axes, float)
+    if axes.shape != (3,) or not np.all(np.isfinite(axes)) or axes.min() <= 0:
+        raise ValueError(f"semi_axes must be three positive lengths, got {semi_axes}")
+    r = np.asarray(checks.real_array("center_of_mass", center_of_mass, (3,)), float)
+    A = _depolarisation(axes)
+    added_mass = A / (2 - A)
+    added_inertia, inertia = np.zeros(3), np.zeros(3)
+    for i in range(3):
+        (b, B), (c, C) = ((axes[k] ** 2, A[k]) for k in ((i + 1) % 3, (i + 2) % 3))
+        inertia[i] = (b + c) / 5
+        if abs(b - c) > 1e-9 * (b + c):
+            added_inertia[i] = (b - c) ** 2 * (C - B) / (2 * (b - c) + (b + c) * (B - C)) / 5
+    skew = np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])
+    J = np.diag(inertia + added_inertia) - skew @ skew
+    return euler(special_euclidean(3), np.block([[J, skew], [-skew, np.diag(1 + added_mass)]]))
+
+
+def manakov(a: ArrayLike = (1.0, 2.0, 3.5, 5.0)) -> Euler:
+    """The free n-dimensional rigid body: J = diag(a), so that Π_ij = (a_i + a_j) Ω_ij. Integrable (Manakov 1976).
+
+    Source: Manakov, Funct. Anal. Appl. 10 (1976) 328; Ratiu, Indiana Univ. Math. J. 29 (1980) 609.
+    """
+    from lieint_jax.groups import special_orthogonal
+
+    array = checks.real_array("a", a)
+    if array.ndim != 1 or len(array) < 4 or (concrete(array) and np.asarray(array).min() <= 0):
+        raise ValueError(f"a must be at least four positive numbers, got {a}; for n = 3 see rigid_body")
+    i, j = np.triu_indices(len(array), 1)
+    return Euler(array[i] + array[j], special_orthogonal(len(array)))
+
+
+def manakov_integrals(a: ArrayLike, Pi: Array) -> Array:
+    """Coefficients of tr(Π̂ + λJ²)ᵏ in λ, for k = 2 … n: every invariant of `manakov(a)`, shape (Σ k,).
+
+    Args:
+        a: as given to `manakov`, shape (n,).
+        Pi: body momentum, shape (n(n−1)/2,).
+    """
+    a = jnp.asarray(a)
+    n = len(a)
+    M = jnp.zeros((n, n), Pi.dtype).at[np.triu_indices(n, 1)].set(Pi)
+    M, J2 = M - M.T, jnp.diag(a * a)
+    found, power = [], [M, J2]  # power[l]: the coefficient of λˡ in (M + λJ²)ᵏ
+    for _ in range(2, n + 1):
+        lower = [P @ M for P in power] + [jnp.zeros_like(M)]
+        upper = [jnp.zeros_like(M)] + [P @ J2 for P in power]
+        power = [x + y for x, y in zip(lower, upper, strict=True)]
+        found += [jnp.trace(P) for P in power[:-1]]
+    return jnp.stack(found)
+
+
+def examples() -> dict[str, tuple[Euler, State, float]]:
+    """Kirchhoff's ellipsoid, its centre of mass below its centre, and a four-dimensional rigid body."""
+    ellipsoid, body = kirchhoff(center_of_mass=(0.0, 0.0, -0.2)), manakov()
+    return {
+        "kirchhoff": (ellipsoid, ellipsoid.state(velocity=[0.3, -0.4, 0.5, 0.6, 0.2, -0.3]), 0.1),
+        "manakov": (body, body.state(velocity=[0.5, -0.3, 0.4, 0.2, 0.6, -0.4]), 0.1),
+    }
+
+
+# Shared with `group_potential` ---------------------------------------------------------------------------------------
+
+
+def checked_metric(group: Group, metric: ArrayLike) -> Array:
+    """A positive definite metric of the algebra, (d,) or (d, d)."""
+    d = group.dim
+    array = checks.real_array("metric", metric, (d,), (d, d))
+    if concrete(array):
+        m = np.asarray(array, float)
+        if m.ndim == 2 and not np.allclose(m, m.T, rtol=1e-6, atol=1e-6 * np.abs(m).max()):
+            raise ValueError(f"metric must be symmetric, got\n{m}\nTake (m + m.T) / 2 if the difference is noise")
+        values = m if m.ndim == 1 else np.linalg.eigvalsh(m)
+        if values.min() <= 0:
+            raise ValueError(f"metric must be positive definite, got eigenvalues {np.sort(values)}")
+    return array
+
+
+def state_of(
+    group: Group,
+    metric: Array,
+    q: ArrayLike | None,
+    velocity: ArrayLike | None,
+    body_momentum: ArrayLike | None,
+    spatial_momentum: ArrayLike | None,
+) -> State:
+    """See `Euler.state`."""
+    element = jnp.asarray(group.identity, metric.dtype) if q is None else checks.real_array("q", q)
+    check_element("q", group, element)
+    given = {"velocity": velocity, "body_momentum": body_momentum, "spatial_momentum": spatial_momentum}
+    given = {k: checks.real_array(k, value, (group.dim,)) for k, value in given.items() if value is not None}
+    if len(given) != 1:
+        raise ValueError(
+            "give exactly one of velocity (body), body_momentum, spatial_momentum; got "
+            + (" and ".join(given) or "none")
+        )
+    [(name, value)] = given.items()
+    if name == "velocity":
+        value = raised(metric, value)
+    if name != "spatial_momentum":
+        value = group.Ad_star(group.inverse(element), value)
+    dtype = jnp.result_type(element, value)
+    return State(element.astype(dtype), checks.real_array("the spatial momentum", value.astype(dtype)))
+
+
+def check_element(name: str, group: Group, q: Array) -> None:
+    """Raise ValueError if a concrete q is off the group."""
+    shape = np.shape(group.identity)
+    if np.shape(q) != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {np.shape(q)}; use jax.vmap for batches")
+    if concrete(q):
+        with jax.ensure_compile_time_eval():
+            defect = abs(float(group.defect(jnp.asarray(q))))
+        if not defect <= 2 * checks.UNIT_TOLERANCE:
+            raise ValueError(
+                f"{name} is off the group by {defect:.3g}, allowed is {2 * checks.UNIT_TOLERANCE:g}; make it by "
+                "group.exp and group.multiply"
+            )
+
+
+def check_state(group: Group, state: State) -> None:
+    """Raise ValueError if a concrete `state` is not on T*G."""
+    check_element("state.q", group, state.q)
+    checks.real_array("state.p", state.p, (group.dim,))
+
+
+def raised(metric: Array, xi: Array) -> Array:
+    """m ξ."""
+    return (
+        metric * xi if metric.ndim == 1 else dense.as_array(dense.matvec(dense.as_list(metric), dense.as_list(xi)), xi)
+    )
+
+
+def lowered(metric: Array, mu: Array) -> Array:
+    """m⁻¹ μ."""
+    if metric.ndim == 1:
+        return mu / metric
+    return dense.as_array(dense.solve(dense.as_list(metric), dense.as_list(mu)), mu)
+
+
+def _depolarisation(axes: np.ndarray) -> np.ndarray:
+    """abc ∫₀^∞ ds / ((i² + s)√((a²+s)(b²+s)(c²+s))) by Gauss–Legendre, each i."""
+    x, w = np.polynomial.legendre.leggauss(200)
+    u, w = (x + 1) / 2, w / 2
+    g2 = np.prod(axes) ** (2 / 3)
+    s, ds = g2 * (1 / (u * u) - 1), 2 * g2 / u**3  # the integrand decays as s^(−5/2): regular in u = (1 + s/g²)^(−1/2)
+    root = np.sqrt(np.prod(axes[:, None] ** 2 + s, axis=0))
+    return np.prod(axes) * np.array([np.sum(w * ds / ((i * i + s) * root)) for i in axes])

@@ -1,0 +1,114 @@
+"""Potentials on any group: energy, momentum, order, reversibility of `group_energy_momentum` (Result 13)."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax import discover, groups
+from lieint_jax.diagnostics import energy_error, flow, symplectic_defect
+
+MATRIX = discover.modules(groups)["matrix"]
+QUICK = {"xla_llvm_disable_expensive_passes": True}
+
+
+def wells(W, q):
+    """A potential without any symmetry."""
+    return jnp.sum(W * jnp.sin(q)) + 0.1 * jnp.sum(q * q)
+
+
+def system_and_state(group, seed=0):
+    rng = np.random.default_rng(seed)
+    g = MATRIX.MatrixGroup(group.basis, group.name, unrolled=False)
+    A = rng.normal(size=(g.dim, g.dim))
+    W = jnp.array(rng.normal(size=(g.size, g.size))) / 4
+    system = li.systems.group_potential(g, A @ A.T / g.dim + np.eye(g.dim), jax.tree_util.Partial(wells, W))
+    v = rng.normal(size=g.dim)
+    return system, system.state(g.exp(jnp.array(v) / 5), velocity=v / np.linalg.norm(v) / 2)
+
+
+@functools.partial(jax.jit, compiler_options=QUICK)
+def measured(step, state, dt):
+    system = step.system
+    run = li.integrate(step, state, dt, 200, 20)
+    after, _ = step(state, dt)
+    back, _ = step(after, -dt)
+    exact = flow(system, state, dt, 1)
+    return {
+        "energy": energy_error(system, run),
+        "converged": run.info.converged,
+        "all": run.state.p - state.p,
+        "momentum": jax.vmap(system.momentum)(run.state) - system.momentum(state),
+        "error": jnp.maximum(jnp.abs(after.q - exact.q).max(), jnp.abs(after.p - exact.p).max()),
+        "back": jnp.maximum(jnp.abs(back.q - state.q).max(), jnp.abs(back.p - state.p).max()),
+        "form": symplectic_defect(step, state, dt),
+    }
+
+
+def check(system, state, dt):
+    """Energy, order 2, reversibility; not symplectic, Result 8: the defect is O(Δt³)."""
+    step = li.schemes.group_energy_momentum(system)
+    out, half = measured(step, state, dt), measured(step, state, dt / 2)
+    assert out["converged"].all()
+    assert np.abs(out["energy"]).max() < 2e-14
+    assert out["back"] < 4e-15
+    assert np.log2(out["error"] / half["error"]) == pytest.approx(3, abs=0.15)
+    assert out["form"] > 1e-8
+    assert np.log2(out["form"] / half["form"]) == pytest.approx(3, abs=0.15)
+    return out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["SL(2)", "SE(2)", "SE(3)", "Sp(4)"])
+def test_result_13_energy_for_any_potential(name):
+    check(*system_and_state(groups.catalogue.examples()[name]), 0.05)
+
+
+def test_momentum_of_the_symmetries_is_kept():
+    """A bottom-heavy ellipsoid in a fluid: spatial momentum and the angular momentum about the vertical."""
+    g = MATRIX.MatrixGroup(groups.special_euclidean(3).basis, "SE(3)", unrolled=False)
+    example, _, dt = discover.modules(li.systems)["group_potential"].examples()["bottom_heavy"]
+    system = li.systems.group_potential(g, example.metric, example.potential, example.symmetry)
+    state = system.state(velocity=[0.3, -0.4, 0.5, 0.6, 0.2, -0.3])
+    out = check(system, state, dt)
+    assert np.abs(out["momentum"]).max() < 4e-15
+    assert np.abs(np.asarray(out["all"])).max() > 0.01  # the others are not
+
+
+def test_splitting_takes_the_arcsine_map_where_it_is_symplectic():
+    """Kick – drift – kick on SL(2): the form to round-off. On SE(3) no drift is known, and it says so."""
+    system, state = system_and_state(groups.special_linear(2))
+    step = li.schemes.splitting(system)
+    assert step.drift.tau.name == "arcsine"
+    form, back = jax.jit(
+        lambda z: (symplectic_defect(step, z, 0.1), step(step(z, 0.1)[0], -0.1)[0]), compiler_options=QUICK
+    )(state)
+    assert form < 4e-15
+    assert np.abs(back.q - state.q).max() < 4e-15
+    with pytest.raises(ValueError, match="give a symmetric step"):
+        li.schemes.splitting(system_and_state(groups.special_euclidean(3))[0])
+
+
+def test_the_equations_of_motion_are_hamiltonian():
+    system, state = system_and_state(groups.special_euclidean(2))
+    space = system.phase_space
+    DH = jax.grad(lambda delta: system.energy(space.perturb(state, delta)))(jnp.zeros(space.dim))
+    motion = space.trivialise(state, system.vector_field(state))
+    assert np.abs(motion + np.linalg.solve(space.omega(state), DH)).max() < 1e-14
+
+
+def test_arguments():
+    g = groups.special_euclidean(2)
+    with pytest.raises(ValueError, match="function of q"):
+        li.systems.group_potential(g, [1.0, 1, 1], 3.0)
+    with pytest.raises(ValueError, match="scalar"):
+        li.systems.group_potential(g, [1.0, 1, 1], lambda q: q)
+    with pytest.raises(ValueError, match="symmetry must have shape"):
+        li.systems.group_potential(g, [1.0, 1, 1], jnp.sum, [1.0, 2.0])
+    with pytest.raises(ValueError, match="take group_midpoint"):
+        li.schemes.group_energy_momentum(li.systems.euler(g, [1.0, 1, 1]))
+    with pytest.raises(ValueError, match="take group_energy_momentum"):
+        li.schemes.group_midpoint(li.systems.group_potential(g, [1.0, 1, 1], jnp.sum))
