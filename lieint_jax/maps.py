@@ -236,7 +236,7 @@ def arcsine_form(group: Group) -> np.ndarray:
     A = np.tensordot(np.random.default_rng(0).normal(size=(8, d)), ad, 1)
     two, four, six = (np.trace(np.linalg.matrix_power(A, k), axis1=1, axis2=2) for k in (2, 4, 6))
     size = np.abs(A).sum(axis=(1, 2)) ** 2
-    if np.all(np.abs(two) < 1e-6 * size) and np.all(np.abs(four) < 1e-6 * size**2):
+    if np.all(np.abs(two) <= 1e-6 * size) and np.all(np.abs(four) <= 1e-6 * size**2):
         return np.zeros((d, d))
     r = two**2 / np.where(four == 0, np.inf, four)
     count = np.round(r[0])

@@ -15,14 +15,15 @@ hypothesis.settings.load_profile("house")
 
 def pytest_addoption(parser):
     parser.addoption("--slow", action="store_true", help="run every slow test, not the first of each function")
+    parser.addoption("--long", action="store_true", help="run the long tests too")
 
 
 def pytest_collection_modifyitems(config, items):
-    if config.getoption("--slow"):
-        return
     seen = set()
     for item in items:
-        if item.get_closest_marker("slow"):
+        if item.get_closest_marker("long") and not config.getoption("--long"):
+            item.add_marker(pytest.mark.skip(reason="long: runs with --long"))
+        elif item.get_closest_marker("slow") and not config.getoption("--slow"):
             function = (item.path, item.originalname)
             if function in seen:
                 item.add_marker(pytest.mark.skip(reason="slow: the first of its function runs, all with --slow"))

@@ -362,6 +362,7 @@ def test_a_step_that_turns_the_body_inside_out_is_flagged():
         step.check(SOFT.state(F0, momentum=300 * P0), 2.0)
 
 
+@pytest.mark.long
 def test_gradients_through_a_step():
     """By the implicit function, with respect to λ, μ, which are leaves of the step, and Δt: against differences."""
     step = additive(SOFT)

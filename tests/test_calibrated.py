@@ -133,6 +133,7 @@ def test_what_it_was_not_prepared_for_is_told():
     assert not calibrated(body)(State(state.q, state.p * jnp.nan), 0.5)[1].converged
 
 
+@pytest.mark.long
 def test_single_precision():
     J, Pi = jnp.array([1, 2, 3], "float32"), momenta().astype("float32")
     state, info = jax.vmap(lambda Pi: calibrated(RigidBody(J))(State(Q.astype("float32"), Pi), jnp.float32(0.5)))(Pi)

@@ -150,6 +150,7 @@ def test_certificate_tells_orders_apart_even_where_the_given_step_is_at_round_of
     assert c.energy < 4e-15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-20, 1e-4, 1e20])
 def test_verdicts_do_not_depend_on_units(scale):
     """The same body in other units of mass, and its clock run backwards: the same certificate."""

@@ -27,6 +27,7 @@ def run(scenario):
 # Pseudo-rigid bodies --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_run_pseudo_rigid(tmp_path, monkeypatch, capsys):
     """The first quarter of Figure 3c's midpoint run already has the variation of its caption."""
     monkeypatch.chdir(tmp_path)
@@ -44,6 +45,7 @@ def test_run_pseudo_rigid(tmp_path, monkeypatch, capsys):
         assert Path(name).read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_run_pseudo_rigid_as_it_is_shipped():
     scenario = scenarios.load("pseudo_rigid", members=8)
@@ -110,6 +112,7 @@ def test_bad_keys_of_pseudo_rigid(changes, message):
 # The spherical pendulum -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_run_pendulum(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["run", "pendulum", "--members", "3", "--steps", "1000"]) == 0

@@ -295,6 +295,7 @@ def stretched(M, group, theta):
     return group.exp(theta + jnp.dot(theta, theta) * (M @ theta))
 
 
+@pytest.mark.long
 def test_abelian_remark_both_ways():
     """On an abelian group a map is symplectic if and only if H*m = mH; energy is conserved by any map."""
     system, state = system_and_state("R^3")
@@ -319,6 +320,7 @@ def twisted(group, theta):
     return group.multiply(group.exp(theta), group.exp(0.3 * jnp.roll(theta, 1) * jnp.sum(theta * theta)))
 
 
+@pytest.mark.long
 def test_result_10_refutation_energy_needs_the_axis():
     system, state = system_and_state("SO(3)")
     with pytest.raises(ValueError, match=r"Ad_τ\(Θ\) Θ = Θ must hold"):

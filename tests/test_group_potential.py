@@ -61,12 +61,14 @@ def check(system, state, dt):
     return out
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["SL(2)", "SE(2)", "SE(3)", "Sp(4)"])
 def test_result_13_energy_for_any_potential(name):
     check(*system_and_state(groups.catalogue.examples()[name]), 0.05)
 
 
+@pytest.mark.long
 def test_momentum_of_the_symmetries_is_kept():
     """A bottom-heavy ellipsoid in a fluid: spatial momentum and the angular momentum about the vertical."""
     g = MATRIX.MatrixGroup(groups.special_euclidean(3).basis, "SE(3)", unrolled=False)
@@ -78,6 +80,7 @@ def test_momentum_of_the_symmetries_is_kept():
     assert np.abs(np.asarray(out["all"])).max() > 0.01  # the others are not
 
 
+@pytest.mark.long
 def test_splitting_takes_the_arcsine_map_where_it_is_symplectic():
     """Kick – drift – kick on SL(2): the form to round-off. On SE(3) no drift is known, and it says so."""
     system, state = system_and_state(groups.special_linear(2))

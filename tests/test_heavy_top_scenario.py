@@ -93,6 +93,7 @@ def test_states_saved_too_far_apart_are_not_measured():
     assert 17 < least < greatest < 19
 
 
+@pytest.mark.long
 def test_run_heavy_top(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["run", "heavy_top", "--members", "3", "--steps", "500"]) == 0

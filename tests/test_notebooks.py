@@ -9,6 +9,7 @@ import pytest
 FOLDER = Path(__file__).parents[1] / "notebooks"
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.ipynb")), ids=lambda p: p.stem)
 def test_notebook(path):

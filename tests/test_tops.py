@@ -143,6 +143,7 @@ def test_compositions_raise_the_order_and_keep_what_the_base_keeps():
         assert np.abs(diagnostics.momentum_error(top, runs[1])).max() < 5e-15
 
 
+@pytest.mark.long
 def test_a_drift_of_ones_own():
     """With the exact drift a fast top in a weak field has a smaller error; and no step is too long."""
     top = li.systems.heavy_top([1.0, 2.0, 3.0], [0.0, 0.0, 1e-3])
@@ -190,6 +191,7 @@ def test_value_and_derivatives_are_finite_where_gamma_does_not_move(name):
             assert np.abs(p[1] - field.p).max() < 1e-15
 
 
+@pytest.mark.long
 def test_linearization_against_finite_differences():
     top = TOPS["transcendental"]
     state, step, space, h = start(top), top_energy_momentum(top), top.phase_space, 1e-4
@@ -249,6 +251,7 @@ def test_single_precision():
     assert abs(float(diagnostics.energy_error(top, trajectory)[-1])) < 2e-5
 
 
+@pytest.mark.long
 def test_batches_over_weights_and_gradients():
     """The weight is a leaf: vmapped and differentiated like an inertia."""
     state = start(TOPS["linear"])
