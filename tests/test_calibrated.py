@@ -96,6 +96,7 @@ def test_derivatives_are_those_of_the_exact_flow(J):
                 assert np.abs(a - b).max() < 3e-15  # floor 3e-16
 
 
+@pytest.mark.long
 def test_gradients_go_through_the_constants():
     body = RigidBody(jnp.array([1.0, 2.0, 3.0]))
     state = body.state(Q, angular_velocity=[0.3, 0.6, 0.8])
@@ -104,6 +105,7 @@ def test_gradients_go_through_the_constants():
     np.testing.assert_allclose(by_steps, at_once, atol=3e-14)
 
 
+@pytest.mark.long
 def test_an_ensemble_prepares_every_member():
     body = RigidBody(jnp.array([1.0, 2.0, 3.0]))
     states = jax.vmap(at)(momenta(20) * jnp.linspace(0.1, 1, 20)[:, None])

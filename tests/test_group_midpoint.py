@@ -60,6 +60,7 @@ def measured(step, state, dt):
     }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "tau"), PAIRS + [pytest.param(*pair, marks=pytest.mark.slow) for pair in MORE])
 def test_results_9_10_11_momentum_energy_order_and_form(name, tau):
     """Spatial momentum bit for bit, energy, order 2, reversibility; the form exactly where the map is symplectic."""

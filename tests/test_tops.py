@@ -128,6 +128,7 @@ def test_splitting_has_no_drift_of_energy_where_the_top_is_chaotic():
     assert abs(slope) < 3 * np.sqrt(rest @ rest / 98 / (x @ x))
 
 
+@pytest.mark.long
 def test_compositions_raise_the_order_and_keep_what_the_base_keeps():
     top = TOPS["linear"]
     state = start(top)
@@ -157,6 +158,7 @@ def test_a_drift_of_ones_own():
     assert errors["exact"] < 1e-2 * errors["symplectic"]
 
 
+@pytest.mark.long
 def test_clebsch_and_kovalevskaya():
     """The fourth integrals: constant along the exact flow, bounded along the schemes, their errors O(Δt²)."""
     for (top, state), integral, dt in (
