@@ -75,12 +75,7 @@ def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, A
     off-diagonal elements between the equal axes.
     """
     J, Pi = small.symmetric(inertia), so3.Ad_star(q, p)
-    scale = 1 / small.trace(J)
-    scaled = scale * Pi
-    square = dot(scaled, scaled)
-    rest = square == 0
-    G = jnp.sqrt(jnp.where(rest, 1, square))
-    e = jnp.where(rest, math.sqrt(1 / 3), scaled / G)
+    scale, G, e, rest = _units(inertia, Pi)
     increment, error = _increment(scale * inertia, e, G * t)
     Omega = jnp.stack(small.solve_symmetric(J, Pi))
     increment = jnp.where(rest, so3.exp(jnp.where(rest, Omega, 0) * t), increment)  # 1, with its derivative in π
@@ -99,13 +94,8 @@ def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]
         s, d in the unit of 1/inertia, and whether there is such a step: one that turns the body by at most 90°. The
         same for every Π of a trajectory; 1, 0 and True at rest and for t = 0.
     """
-    J = small.symmetric(inertia)
-    scale = 1 / small.trace(J)
-    scaled = scale * Pi
-    square = dot(scaled, scaled)
-    still = (square == 0) | (jnp.asarray(t) == 0)
-    G = jnp.sqrt(jnp.where(still, 1, square))
-    e = jnp.where(still, math.sqrt(1 / 3), scaled / G)
+    scale, G, e, rest = _units(inertia, Pi)
+    still = rest | (jnp.asarray(t) == 0)
     if inertia.ndim == 1:
         order = jnp.argsort(lax.stop_gradient(inertia))
         moments, e = (scale * inertia)[order], e[order]
@@ -114,6 +104,16 @@ def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]
         e = jnp.stack([dot(V[:, k], e) for k in range(3)])
     s, d, on_branch = _sorted_clock(moments, e, jnp.where(still, 1e-3, G * t))
     return jnp.where(still, 1, s), jnp.where(still, 0, scale * d), still | on_branch
+
+
+def _units(inertia: Array, Pi: Array) -> tuple[Array, Array, Array, Array]:
+    """1/tr J, |Π|/tr J, e, and whether the body is at rest; then |Π|/tr J is 1 and e some unit vector."""
+    scale = 1 / small.trace(small.symmetric(inertia))
+    scaled = scale * Pi
+    square = dot(scaled, scaled)
+    rest = square == 0
+    G = jnp.sqrt(jnp.where(rest, 1, square))
+    return scale, G, jnp.where(rest, math.sqrt(1 / 3), scaled / G), rest
 
 
 def _increment(inertia: Array, e: Array, tau: Array) -> tuple[Array, Array]:

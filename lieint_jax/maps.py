@@ -118,6 +118,7 @@ def _exponential(x: Array) -> Array:
 kappa_cayley = Kappa(callable_pytree(jnp.ones_like), name="cayley")
 kappa_exponential = Kappa(callable_pytree(_exponential), name="exponential", limit=math.pi)
 kappa_symplectic = Kappa(callable_pytree(_symplectic), name="symplectic", limit=1.0, solve_by="scalar", symplectic=True)
+KAPPAS = (kappa_cayley, kappa_exponential, kappa_symplectic)
 
 
 # Maps of any group ---------------------------------------------------------------------------------------------------
@@ -332,7 +333,6 @@ def _check_map(tau: Tau, group: Group) -> None:
 
 def examples() -> dict[str, Map]:
     """Maps of SO(3)."""
-    kappas = (kappa_cayley, kappa_exponential, kappa_symplectic)
     return {"exponential": exponential, "cayley": cayley} | {
-        f"scaled_cayley[{k.name}]": scaled_cayley(k) for k in kappas
+        f"scaled_cayley[{k.name}]": scaled_cayley(k) for k in KAPPAS
     }

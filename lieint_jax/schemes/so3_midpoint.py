@@ -29,7 +29,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import checks, newton, small
 from lieint_jax.groups import so3
-from lieint_jax.maps import Kappa, as_kappa, kappa_cayley, kappa_exponential, kappa_symplectic
+from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
 from lieint_jax.small import Symmetric, Vector, apply, cross, dot
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
@@ -130,8 +130,7 @@ def examples(system: Any) -> dict[str, Step]:
     """The paper's three κ's, for free rigid bodies."""
     if not is_free_body(system):
         return {}
-    kappas = (kappa_cayley, kappa_exponential, kappa_symplectic)
-    return {step.name: step for step in (so3_midpoint(system, kappa) for kappa in kappas)}
+    return {step.name: step for step in (so3_midpoint(system, kappa) for kappa in KAPPAS)}
 
 
 def is_free_body(system: Any) -> bool:
@@ -229,7 +228,7 @@ def gyration_matrix(kappa: Kappa, J: Symmetric, y: Array) -> small.Matrix:
 
 def on_branch(kappa: Kappa, y: Array, K: small.Matrix) -> Array:
     """Whether y = ½Θ̄ lies where κ is real, and before the fold of the branch, where det K changes its sign."""
-    return (4 * dot(y, y) <= kappa.limit**2) & (dot(K[0], cross(K[1], K[2])) > 0)
+    return (4 * dot(y, y) <= kappa.limit**2) & (small.det(K) > 0)
 
 
 def _gyroscopic(J: Symmetric, y: Vector) -> small.Matrix:

@@ -23,7 +23,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import checks, newton, small
 from lieint_jax.groups import so3
-from lieint_jax.maps import Kappa, as_kappa, kappa_cayley, kappa_exponential, kappa_symplectic
+from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes.so3_midpoint import gyration, gyration_matrix, on_branch
 from lieint_jax.small import apply, cross, dot
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
@@ -101,17 +101,17 @@ class TopEnergyMomentum(Step):
         at_rest = s * jnp.stack(cross(Gamma, discrete_gradient(potential, Gamma, Gamma)))
         guess = u + jnp.stack(small.solve_symmetric(J, jnp.stack(cross(a, u)) + at_rest))
         y, f = newton.root(residual, correction, guess, self.iterations, unroll=_is_linear(potential))
-        at = lax.stop_gradient(y)
-        size = lax.stop_gradient(small.max_abs(a) + s * _size(potential, Gamma, gradient(y), y))
+        D, at = gradient(y), lax.stop_gradient(y)
+        size = lax.stop_gradient(small.max_abs(a) + s * _size(potential, Gamma, D, y))
         f = lax.stop_gradient(jnp.sqrt(dot(f, f)))
         converged = (f <= 32 * jnp.finfo(a.dtype).eps * size) & on_branch(kappa, at, matrix(at))
-        return y, gradient(y), StepInfo(f, converged)
+        return y, D, StepInfo(f, converged)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
+        branch = "ends where |Δt Ω| ≈ 1" if self.kappa.limit == 1 else "folds where |Δt Ω| is 2 to 4"
         return (
-            f"{self.name} does not converge at dt = {dt}: the branch of this κ ends where the body turns by "
-            f"{'90°' if self.kappa.limit == 1 else 'more than 120°'} a step, or the potential is too stiff for it. "
-            f"Take a smaller dt, or more iterations than {self.iterations}"
+            f"{self.name} does not converge at dt = {dt}: the branch of this κ {branch}, or the potential is too stiff "
+            f"for {self.iterations} iterations. Take a smaller dt, or more iterations"
         )
 
 
@@ -200,8 +200,7 @@ def examples(system: Any) -> dict[str, Step]:
     """The paper's three κ's, for rigid bodies in a potential with an axis."""
     if not _is_top(system):
         return {}
-    kappas = (kappa_cayley, kappa_exponential, kappa_symplectic)
-    return {step.name: step for step in (top_energy_momentum(system, kappa) for kappa in kappas)}
+    return {step.name: step for step in (top_energy_momentum(system, kappa) for kappa in KAPPAS)}
 
 
 def _is_top(system: Any, axis: bool = True) -> bool:
