@@ -63,6 +63,7 @@ class Kappa:
         solve_by: "vector", Newton for the three components of Θ̄; or "scalar", Newton for the one unknown that is
             left when κ is the symplectic one (see `schemes.so3_midpoint`).
         symplectic: whether it satisfies (3.15).
+        constant: whether κ = 1 everywhere, which saves its derivative.
     """
 
     function: Callable[[Array], Array]
@@ -70,6 +71,7 @@ class Kappa:
     limit: float = static(default=math.inf)
     solve_by: Literal["vector", "scalar"] = static(default="vector")
     symplectic: bool = static(default=False)
+    constant: bool = static(default=False)
 
     def __call__(self, x: Array) -> Array:
         return self.function(x)
@@ -115,7 +117,7 @@ def _exponential(x: Array) -> Array:
     return numerator / denominator
 
 
-kappa_cayley = Kappa(callable_pytree(jnp.ones_like), name="cayley")
+kappa_cayley = Kappa(callable_pytree(jnp.ones_like), name="cayley", constant=True)
 kappa_exponential = Kappa(callable_pytree(_exponential), name="exponential", limit=math.pi)
 kappa_symplectic = Kappa(callable_pytree(_symplectic), name="symplectic", limit=1.0, solve_by="scalar", symplectic=True)
 KAPPAS = (kappa_cayley, kappa_exponential, kappa_symplectic)

@@ -7,6 +7,7 @@ them: `custom_root` differentiates the equation at its root, forward or reverse,
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,19 +15,22 @@ from jax import Array, lax
 
 from lieint_jax import small
 
+_Unknown = TypeVar("_Unknown")
+
 
 def root(
-    residual: Callable[[Array], Array],
-    correction: Callable[[Array, Array], Array],
-    guess: Array,
+    residual: Callable[[_Unknown], _Unknown],
+    correction: Callable[[_Unknown, _Unknown], _Unknown],
+    guess: _Unknown,
     iterations: int,
     unroll: bool = True,
-    done: Callable[[Array, Array], Array] | None = None,
-) -> tuple[Array, Array]:
+    done: Callable[[_Unknown, _Unknown], Array] | None = None,
+) -> tuple[_Unknown, _Unknown]:
     """The root of `residual` near `guess`.
 
     Args:
-        residual: F(x), same shape as x: a scalar () or a vector (d,). It may close over traced values.
+        residual: F(x), as x a scalar (), a vector (d,) or the tuple of its components, which XLA fuses best. It may
+            close over traced values.
         correction: (x, F(x)) ↦ the step to subtract; Newton's is F'(x)⁻¹F(x), with a matrix the caller knows.
         guess: where to start.
         iterations: how many corrections, a Python integer.
@@ -41,10 +45,10 @@ def root(
         none.
     """
 
-    def solve(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
-        def improved(x: Array) -> tuple[Array, Array]:
+    def solve(function: Callable[[_Unknown], _Unknown], x: _Unknown) -> tuple[_Unknown, _Unknown]:
+        def improved(x: _Unknown) -> tuple[_Unknown, _Unknown]:
             step = correction(x, function(x))
-            return x - step, step
+            return jax.tree.map(jnp.subtract, x, step), step
 
         if done is not None:
             x = _until(done, improved, x, iterations)
@@ -59,9 +63,12 @@ def root(
 
 
 def _until(
-    done: Callable[[Array, Array], Array], improved: Callable[[Array], tuple[Array, Array]], x: Array, most: int
-) -> Array:
-    def one(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    done: Callable[[_Unknown, _Unknown], Array],
+    improved: Callable[[_Unknown], tuple[_Unknown, _Unknown]],
+    x: _Unknown,
+    most: int,
+) -> _Unknown:
+    def one(carry: tuple[_Unknown, Array, Array]) -> tuple[_Unknown, Array, Array]:
         x, k, _ = carry
         x, step = improved(x)
         return x, k + 1, done(x, step)
@@ -70,8 +77,11 @@ def _until(
     return lax.while_loop(lambda carry: (carry[1] < most) & ~carry[2], one, start)[0]
 
 
-def _tangent_solve(linear: Callable[[Array], Array], y: Array) -> Array:
+def _tangent_solve(linear: Callable[[Any], Any], y: Any) -> Any:
     """x with linear(x) = y. `custom_root` gives the derivative of the residual as a function, not as a matrix."""
+    if isinstance(y, tuple):
+        solution = _tangent_solve(lambda x: jnp.stack(linear(small.components(x))), jnp.stack(y))
+        return small.components(solution)
     if y.ndim == 0:
         return y / linear(jnp.ones_like(y))
     if y.shape[0] == 3:

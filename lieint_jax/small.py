@@ -23,6 +23,18 @@ def components(v: Array) -> tuple[Array, ...]:
     return tuple(v[i] for i in range(v.shape[0]))
 
 
+def add(a: Vector, b: Vector) -> tuple[Array, Array, Array]:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def subtract(a: Vector, b: Vector) -> tuple[Array, Array, Array]:
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+def scale(s: Any, v: Vector) -> tuple[Array, Array, Array]:
+    return (s * v[0], s * v[1], s * v[2])
+
+
 def dot(a: Vector, b: Vector) -> Array:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
@@ -35,10 +47,10 @@ def max_abs(v: Vector) -> Array:
     return jnp.maximum(jnp.maximum(jnp.abs(v[0]), jnp.abs(v[1])), jnp.abs(v[2]))
 
 
-def solve(K: Matrix, b: Vector) -> tuple[Array, Array, Array]:
-    """K⁻¹b for a 3×3 matrix of rows, by the adjugate."""
+def solve(K: Matrix, b: Vector, n: Array | float = 1) -> tuple[Array, Array, Array]:
+    """(nK)⁻¹b for a 3×3 matrix of rows, by the adjugate."""
     c0, c1, c2 = cross(K[1], K[2]), cross(K[2], K[0]), cross(K[0], K[1])
-    r = 1 / dot(K[0], c0)
+    r = 1 / (n * dot(K[0], c0))
     x, y, z = ((c0[i] * b[0] + c1[i] * b[1] + c2[i] * b[2]) * r for i in range(3))
     return x, y, z
 

@@ -30,7 +30,7 @@ from jax.typing import ArrayLike
 from lieint_jax import checks, newton, small
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
-from lieint_jax.small import Symmetric, Vector, apply, cross, dot
+from lieint_jax.small import Symmetric, Vector, add, apply, cross, dot, scale, subtract
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
 
@@ -199,36 +199,44 @@ def scalar_residual(J: Symmetric, a: Array, h: Array) -> Vector:
 def _solve_vector(kappa: Kappa, J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vector, Array]:
     """h = ½Θ for any κ by the vector form, its residual, and whether it is on the branch that starts at Δt = 0."""
 
-    def residual(y: Array) -> Array:
-        return gyration(kappa, J, y) - a
+    def residual(y: Vector) -> Vector:
+        return subtract(gyration(kappa, J, y), a)
 
-    def correction(y: Array, f: Array) -> Array:
-        return jnp.stack(small.solve(gyration_matrix(kappa, J, y), f))
+    def correction(y: Vector, f: Vector) -> Vector:
+        return small.solve(gyration_matrix(kappa, J, y), f)
 
-    u = jnp.stack(small.solve_symmetric(J, a))
-    guess = u + jnp.stack(small.solve_symmetric(J, cross(a, u)))  # ½(ΔtΩ + ½Δt²J⁻¹(Π × Ω))
+    u = small.solve_symmetric(J, a)
+    guess = add(u, small.solve_symmetric(J, cross(a, u)))  # ½(ΔtΩ + ½Δt²J⁻¹(Π × Ω))
     y, f = newton.root(residual, correction, guess, iterations)
     k = kappa(4 * dot(y, y))
     return (k * y[0], k * y[1], k * y[2]), f, on_branch(kappa, y, gyration_matrix(kappa, J, lax.stop_gradient(y)))
 
 
-def gyration(kappa: Kappa, J: Symmetric, y: Array) -> Array:
-    """Jy + κ y × Jy, shape (3,): the left side of the vector form."""
-    k, Jy = kappa(4 * dot(y, y)), jnp.stack(apply(J, y))
-    return Jy + k * jnp.stack(cross(y, Jy))
+def gyration(kappa: Kappa, J: Symmetric, y: Vector) -> Vector:
+    """Jy + κ y × Jy: the left side of the vector form."""
+    return add(apply(J, y), scale(kappa(4 * dot(y, y)), _cross_apply(y, J)))
 
 
-def gyration_matrix(kappa: Kappa, J: Symmetric, y: Array) -> small.Matrix:
+def gyration_matrix(kappa: Kappa, J: Symmetric, y: Vector) -> small.Matrix:
     """Its derivative, K = J + κ(ŷJ − (Jy)^) + 8κ′(y × Jy)⊗y, as rows."""
+    e, G = _dense(J), _gyroscopic(J, y)
+    if kappa.constant:
+        return small.combine(e, G)
     k, slope = jax.jvp(kappa, (4 * dot(y, y),), (jnp.full_like(y[0], 8),))
-    G, g = _gyroscopic(J, y), cross(y, apply(J, y))
-    e = _dense(J)
-    return [[e[i][j] + k * G[i][j] + slope * g[i] * y[j] for j in range(3)] for i in range(3)]
+    g = scale(slope, _cross_apply(y, J))
+    return [[e[i][j] + k * G[i][j] + g[i] * y[j] for j in range(3)] for i in range(3)]
 
 
-def on_branch(kappa: Kappa, y: Array, K: small.Matrix) -> Array:
+def on_branch(kappa: Kappa, y: Vector, K: small.Matrix) -> Array:
     """Whether y = ½Θ̄ lies where κ is real, and before the fold of the branch, where det K changes its sign."""
     return (4 * dot(y, y) <= kappa.limit**2) & (small.det(K) > 0)
+
+
+def _cross_apply(y: Vector, J: Symmetric) -> Vector:
+    """y × Jy."""
+    if len(J) == 3:
+        return ((J[2] - J[1]) * (y[1] * y[2]), (J[0] - J[2]) * (y[2] * y[0]), (J[1] - J[0]) * (y[0] * y[1]))
+    return cross(y, apply(J, y))
 
 
 def _gyroscopic(J: Symmetric, y: Vector) -> small.Matrix:
