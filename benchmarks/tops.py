@@ -12,6 +12,7 @@ from typing import Any
 import cpp
 import jax
 import jax.numpy as jnp
+import kovalevskaya
 import measure
 import numpy as np
 import peers
@@ -77,9 +78,11 @@ def everything(sizes: measure.Sizes, points: precision.Sizes) -> dict[str, Any]:
             ("C++ energy-momentum", "ours, energy-momentum, cayley κ", "ours, energy-momentum, cayley κ" + WIDE),
         )
     ]
+    rates = measure.rates(entries, BATCH, sizes)
     return {
         **precision.everything(points, problem, curves()),
-        "rates": measure.rates(entries, BATCH, sizes),
+        "rates": rates,
+        "equal_cost": kovalevskaya.at_equal_cost(rates, sizes.drift_steps / 10),
         "quality": [measure.quality(c, exact, sizes, problem.system) for c in entries if WIDE not in c.name],
         "agreement": [r for same in pairs for r in measure.agreement(same, ("float64",))],
         "reference_doubt": doubt,

@@ -271,6 +271,19 @@ def test_batches_over_weights_and_gradients():
     np.testing.assert_allclose(values, many(weights), atol=1e-15)
 
 
+def test_a_top_made_inside_jit_checks_what_is_concrete():
+    def energy(inertia, axis):
+        top = li.systems.heavy_top(inertia, [0.5, 0.4, 1.0], axis)
+        return top.energy(top.state(angular_velocity=[0.1, 0.2, 0.3]))
+
+    J, axis = jnp.array([1.0, 2.0, 2.5]), jnp.array([0.0, 0.6, 0.8])
+    outside = energy(J, axis)
+    assert jax.jit(lambda J: energy(J, [0.0, 0.6, 0.8]))(J) == pytest.approx(float(outside), rel=1e-15)
+    assert jax.jit(energy)(J, axis) == pytest.approx(float(outside), rel=1e-15)
+    with pytest.raises(ValueError, match="axis must not be zero"):
+        jax.jit(lambda J: energy(J, [0.0, 0.0, 0.0]))(J)
+
+
 def test_bad_arguments():
     with pytest.raises(ValueError, match="axis must not be zero"):
         li.systems.potential_top([1.0, 2.0, 3.0], quartic, [0.0, 0.0, 0.0])

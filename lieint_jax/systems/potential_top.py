@@ -113,7 +113,7 @@ def potential_top(
     if axis is not None:
         given, axis = axis, checks.real_array("axis", axis, (3,))
         axis = axis if hasattr(given, "dtype") else axis.astype(inertia.dtype)  # a tuple does not decide the precision
-        if concrete(axis) and not np.any(np.asarray(axis)):
+        if concrete(given) and not np.any(np.asarray(given)):
             raise ValueError("axis must not be zero; without a symmetry axis give axis=None and a potential of Λ")
     if not callable(potential):
         raise ValueError(f"potential must be a function of {_argument(axis)}, got {potential!r}")
