@@ -93,7 +93,11 @@ def measure(batch: int, rounds: int, points: int) -> dict[str, Any]:
     for solver, record in zip(solvers, records, strict=True):
         record |= quality(body, solver, exact)
     steps = (100, 200, 400, 800)[:points]
-    curves = [curve(rule, [ours(body, rule, dt=END / n) for n in steps], exact) for rule in ("symplectic", "average")]
+    curves = [
+        curve(f"{rule}, order {order}", [ours(body, rule, dt=END / n, order=order) for n in steps], exact)
+        for rule in ("symplectic", "average")
+        for order in (2, 4, 6)
+    ]
     tsit5 = [diffrax_solver(body, "Tsit5", None, END / n) for n in (50, 100, 200, 400)[:points]]
     kvaerno5 = [diffrax_solver(body, "Kvaerno5", tol, DT) for tol in (1e-4, 1e-6, 1e-8)[:points]]
     curves += [curve("diffrax Tsit5", tsit5, exact), curve("diffrax Kvaerno5", kvaerno5, exact)]
@@ -162,13 +166,15 @@ def curve(name: str, solvers: list[Solver], exact: np.ndarray) -> dict[str, Any]
     return {"name": name, "milliseconds": cost, "errors": errors}
 
 
-def ours(body: Any, rule: Any, wide: bool = False, dt: float = DT) -> Solver:
-    """Our step, vmapped, in a compiled loop as `ensemble.run` has it."""
+def ours(body: Any, rule: Any, wide: bool = False, dt: float = DT, order: int = 2) -> Solver:
+    """Our step, composed beyond order 2, vmapped, in a compiled loop as `ensemble.run` has it."""
     import jax
 
     import lieint_jax as li
 
     step, run = li.schemes.additive(body, rule), _our_loop(wide)
+    if order > 2:
+        step = li.schemes.compose(step, order)
 
     def advance(F: np.ndarray, P: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         end, good = run(step, li.State(jax.numpy.asarray(F), jax.numpy.asarray(P)), dt, round(t / dt))
