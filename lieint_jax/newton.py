@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from lieint_jax import small
+from lieint_jax import dense, small
 
-_Unknown = TypeVar("_Unknown")
+_Unknown = TypeVar("_Unknown")  # an array, or a tuple or list of its components
 
 
 def root(
@@ -29,8 +29,8 @@ def root(
     """The root of `residual` near `guess`.
 
     Args:
-        residual: F(x), as x a scalar (), a vector (d,) or the tuple of its components, which XLA fuses best. It may
-            close over traced values.
+        residual: F(x), as x a scalar (), a vector (d,) or its components in a tuple or a list, which XLA fuses best. It
+            may close over traced values.
         correction: (x, F(x)) ↦ the step to subtract; Newton's is F'(x)⁻¹F(x), with a matrix the caller knows.
         guess: where to start.
         iterations: how many corrections, a Python integer.
@@ -62,6 +62,56 @@ def root(
     return lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)
 
 
+def chords(
+    residual: Callable[[_Unknown], _Unknown],
+    factored: Callable[[_Unknown, _Unknown], dense.Factored],
+    size: Callable[[_Unknown], Array],
+    guess: _Unknown,
+    iterations: int,
+    uses: int = 3,
+) -> tuple[_Unknown, tuple[_Unknown, Array]]:
+    """The root of `residual` near `guess`, each matrix of Newton's method being used several times (Shamanskii 1967).
+
+    The order is uses + 1. It ends as soon as one more use would leave a residual below round-off, going by how the last
+    two shrank, so a matrix that is not quite F' does no harm. A `while_loop`, whose length the slowest member of a
+    batch decides; a member that is done does not move any more.
+
+    Args:
+        residual: F(x), as of `root`.
+        factored: (x, F(x)) ↦ F'(x), factored.
+        size: F ↦ its size, in units in which a root is exact to 1.
+        guess: where to start.
+        iterations: how many matrices at most.
+        uses: of each, 2 or more.
+
+    Returns:
+        The last iterate x; F(x) there; the determinant of the last matrix K, which has the sign of det F'(x), since the
+        corrections shrink: |1 − K⁻¹F'| < 1. Derivatives of x are exact at a root; the others carry none.
+    """
+
+    def solve(function: Callable[[_Unknown], _Unknown], x: _Unknown) -> tuple[_Unknown, tuple[_Unknown, Array]]:
+        zero = 0 * jax.tree.leaves(x)[0].ravel()[0]
+        eps = float(jnp.finfo(zero.dtype).eps)
+
+        def one(carry: tuple[_Unknown, Array, Array, Array]) -> tuple[_Unknown, Array, Array, Array]:
+            x, k, *_ = carry
+            F = function(x)
+            K = factored(x, F)
+            sizes = []
+            for use in range(uses):
+                F = function(x) if use else F
+                sizes.append(size(F))
+                x = jax.tree.map(jnp.subtract, x, K.solve(F))
+            before, last = sizes[-2:]
+            return x, k + 1, (last <= eps) | (last * last <= eps / 8 * before), K.determinant
+
+        start = (x, jnp.zeros((), jnp.int32), jnp.zeros((), bool), zero)
+        x, _, _, determinant = lax.while_loop(lambda carry: (carry[1] < iterations) & ~carry[2], one, start)
+        return x, (function(x), determinant)
+
+    return lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)
+
+
 def _until(
     done: Callable[[_Unknown, _Unknown], Array],
     improved: Callable[[_Unknown], tuple[_Unknown, _Unknown]],
@@ -79,9 +129,10 @@ def _until(
 
 def _tangent_solve(linear: Callable[[Any], Any], y: Any) -> Any:
     """x with linear(x) = y. `custom_root` gives the derivative of the residual as a function, not as a matrix."""
-    if isinstance(y, tuple):
-        solution = _tangent_solve(lambda x: jnp.stack(linear(small.components(x))), jnp.stack(y))
-        return small.components(solution)
+    if isinstance(y, tuple | list):
+        kind = type(y)
+        x = _tangent_solve(lambda v: jnp.stack(linear(kind(small.components(v)))), jnp.stack(y))
+        return kind(small.components(x))
     if y.ndim == 0:
         return y / linear(jnp.ones_like(y))
     if y.shape[0] == 3:
