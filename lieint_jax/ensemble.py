@@ -338,7 +338,7 @@ class _Disk:
         self._pending: list[tuple[Any, int]] = []
         self._since = 0.0
         self._next: dict[str, Any] | None = None  # the progress of the commit that is being written
-        self.rows: int = recorder.attributes["time_chunk"]
+        self.rows = int(recorder.attributes["time_chunk"])
 
     @property
     def _held(self) -> int:

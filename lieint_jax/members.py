@@ -1,8 +1,9 @@
 """Members over devices: how a batch is cut, padded and placed, and the one compiled loop that advances it.
 
 The loop is the same on one device, on many, and on many processes: `shard_map` over the mesh axis "members". A device's
-members are padded to a multiple of 16, whole vectors of any width, so that the bits of a result depend neither on how
-many devices there are nor on where a member lies. On a CPU the loop takes them in blocks that stay in its cache.
+members are padded to a multiple of 16, whole vectors of any width, and to 64 at least: below, a CPU's compiler unrolls
+the loop over the vectors and rounds otherwise. So the bits of a result depend neither on how many devices there are nor
+on where a member lies. On a CPU the loop takes the members in blocks that stay in its cache.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from lieint_jax.types import State, Step, StepInfo
 
 AXIS = "members"
 LANES = 16  # members of a whole vector: 16 float32 of 512 bits
-_BLOCK = 1024  # members that a CPU works on at once: their states and temporaries fit its cache
+_LEAST, _BLOCK = 64, 1024  # members that a CPU works on at once: their states and temporaries fit its cache
 
 Reduction = Callable[[Step, State], Array]
 
@@ -124,11 +125,11 @@ def layout_of(mesh: Mesh, members: int, chunk: int | None = None) -> Layout:
     if chunk is None or processes == 1:
         each = -(-members // mesh.size)
         blocks = -(-each // _BLOCK) if on_cpu else 1
-        return Layout(mesh, members, LANES * -(-each // (LANES * blocks)), blocks)
+        return Layout(mesh, members, max(_LEAST, LANES * -(-each // (LANES * blocks))), blocks)
     devices = mesh.size // processes
-    unit = lcm(chunk, LANES * devices)
+    unit = lcm(chunk, _LEAST * devices)
     each = unit * -(-members // (processes * unit)) // devices
-    block = max(b for b in range(LANES, _BLOCK + 1, LANES) if each % b == 0) if on_cpu else each
+    block = max(b for b in range(_LEAST, _BLOCK + 1, LANES) if each % b == 0) if on_cpu else each
     return Layout(mesh, members, block, each // block)
 
 

@@ -115,7 +115,8 @@ def _contents(path: Path) -> str:
     if progress:
         members, planned = metadata["members"], metadata["num_steps"]
         lines.append(
-            f"  {metadata['scheme']} · {metadata['system']}, {members} member(s), {planned} steps of {metadata['dt']:.6g}"
+            f"  {metadata['scheme']} · {metadata['system']}, {members} member(s), {planned} steps of "
+            f"{metadata['dt']:.6g}"
         )
         state = "complete" if progress["complete"] else f"{progress['steps']} of {planned} steps; --resume goes on"
         lines.append(f"  {state}: {len(t)} of {planned // metadata['save_every'] + 1} entries")
@@ -142,7 +143,7 @@ def _contents(path: Path) -> str:
 
 
 def _kept(step: Step, run: Trajectory) -> str:
-    """The largest change of energy at some of the saved times, and the members that did not converge, block by block."""
+    """The largest change of energy at some of the saved times, and how many members converged, block by block."""
     count, energies = run.state.p.shape[1], jax.jit(jax.vmap(jax.vmap(step.system.energy)))
     times = np.unique(np.linspace(0, len(run.t) - 1, _TIMES).astype(int))
     worst = size = failed = 0.0

@@ -137,7 +137,8 @@ class Recorder:
     """
 
     def __init__(self, path: Path, leader: bool) -> None:
-        self.path, self.attributes = path, _attributes(path)
+        self.path = path
+        self.attributes: dict[str, Any] = _attributes(path)
         self._leader = leader
         self._writing: Future[None] | None = None
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="lieint-store")
