@@ -179,23 +179,24 @@ class _Job(NamedTuple):
 
 def _integrate(job: _Job, layout: Layout, sink: _Memory | _Disk, progress: bool) -> Any:
     """Run a job to its end, giving what it saves to `sink`."""
-    axis, mesh = job.step_axis, layout.mesh
-    step = members.replicate(mesh, job.step) if axis is None else members.place(layout, job.step)
+    axis, mesh, on_all = job.step_axis, layout.mesh, partial(members.each, layout)
+    step = (members.replicate if axis is None else members.place)(layout, job.step)
     starts = members.place(layout, job.states)
-    begin, origin = members.start(layout, axis, job.reduction)(step, starts)
-    if type(step).prepare is not Step.prepare:  # constants of its own for every member
-        step, axis = members.prepare(layout, axis)(step, starts, job.dt), 0
-    advance = members.advance(layout, axis, job.reduction, sink.rows)
+    begun = on_all(members.start(axis, job.reduction), step, starts)
+    begin, origin = [carry for carry, _ in begun], [start for _, start in begun]
+    if type(job.step).prepare is not Step.prepare:  # constants of its own for every member
+        step, axis = on_all(lambda s, z: members.prepare(job.step_axis)(s, z, job.dt), step, starts), 0
+    loop = members.advance(axis, job.reduction, sink.rows)
     resumed = sink.resumed()
     if resumed is None:
         if job.num_steps:
-            first = advance(step, begin, origin, job.dt, 0, 1, 1, True)[0].failed
+            first = on_all(lambda s, c, o: loop(s, c, o, job.dt, 0, 1, 1, True)[0].failed, step, begin, origin)
             _check_first(members.fetch(layout, first), job)
         sink.begin(begin)
     carry, done = resumed or (begin, 0)
     pace = Pace(layout)
-    energies = members.energies(layout, axis) if members.agree(mesh, progress and Bar.visible())[0] else None
-    H0 = energies(step, starts) if energies else carry.failed
+    energies = members.energies(axis) if members.agree(mesh, progress and Bar.visible())[0] else None
+    H0 = on_all(energies, step, starts) if energies else []
     with Interrupts(sink.patient) as interrupts, Bar(progress, job.num_steps, job.members, done) as bar:
         while done < job.num_steps:
             into = done % job.interval
@@ -205,20 +206,22 @@ def _integrate(job: _Job, layout: Layout, sink: _Memory | _Disk, progress: bool)
                 left = (job.num_steps - done) // job.interval
                 number, every = min(pace.steps // job.interval, sink.room, left), job.interval
             clock = time.perf_counter()
-            carry, saved = advance(step, carry, origin, job.dt, done, number, every, not into)
-            jax.block_until_ready(carry.state)
+            now = (job.dt, done, number, every, not into)
+            results = on_all(lambda s, c, o, now=now: loop(s, c, o, *now), step, carry, origin)
+            carry, saved = [c for c, _ in results], [rows for _, rows in results]
             done += number * every
             if done % job.interval == 0:
                 sink.add(saved, number)
             bar.update(number * every)
             if energies:
-                bar.tell(*members.worst(layout, H0, energies(step, carry.state), carry.failed))
+                H = on_all(energies, step, [c.state for c in carry])
+                bar.tell(*members.worst(layout, H0, H, [c.failed for c in carry]))
             stop = pace.measure(number * every, time.perf_counter() - clock, interrupts.asked)
             sink.offer(carry, done, pace.seconds, stop)
             if stop and sink.stopped(done):
                 raise KeyboardInterrupt(sink.farewell(done, job.num_steps))
         result = sink.end(carry)
-    _report(members.fetch(layout, carry.failed))
+    _report(members.fetch(layout, [c.failed for c in carry]))
     return result
 
 
@@ -236,17 +239,16 @@ class _Memory:
     def resumed(self) -> None:
         return None
 
-    def begin(self, carry: Carry) -> None:
+    def begin(self, carry: list[Carry]) -> None:
         if self._job.reduction is not None:
             self._series.append(_first_entry(self._job))
             return
-        first = (carry.info, carry.state)
-        length = self._job.num_saves + 1
-        self._out = jax.tree.map(lambda x: np.empty((length, self._job.members, *x.shape[1:]), x.dtype), first)
-        self._put(jax.tree.map(lambda x: members.fetch(self._layout, x)[None], first))
+        first = members.fetch(self._layout, [(c.info, c.state) for c in carry])
+        self._out = jax.tree.map(lambda x: np.empty((self._job.num_saves + 1, *x.shape), x.dtype), first)
+        self._put(jax.tree.map(lambda x: x[None], first))
 
     def add(self, saved: Any, number: int) -> None:
-        fetched = jax.tree.map(lambda x: members.fetch(self._layout, x, 1)[:number], saved)
+        fetched = _rows(self._layout, saved, number)
         if self._job.reduction is None:
             self._put(fetched)
         else:
@@ -258,7 +260,7 @@ class _Memory:
             target[self._entries : self._entries + number] = x
         self._entries += number
 
-    def offer(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
+    def offer(self, carry: list[Carry], done: int, seconds: float, stop: bool) -> None:
         pass
 
     def stopped(self, done: int) -> bool:
@@ -267,13 +269,18 @@ class _Memory:
     def farewell(self, done: int, num_steps: int) -> str:
         return f"stopped after {done} of {num_steps} steps; a run with a store can be resumed"
 
-    def end(self, carry: Carry) -> Any:
+    def end(self, carry: list[Carry]) -> Any:
         if self._job.reduction is None:
             info, state = self._out
             return Trajectory(self._job.times, state, info)  # pyright: ignore[reportArgumentType]
         series = {name: np.concatenate([part[name] for part in self._series]) for name in self._series[0]}
-        state, failed = jax.tree.map(lambda x: members.fetch(self._layout, x), (carry.state, carry.failed))
+        state, failed = members.fetch(self._layout, [(c.state, c.failed) for c in carry])
         return Summary(self._job.times, **series, state=state, failed=failed)
+
+
+def _rows(layout: Layout, saved: list[Any], number: int) -> Any:
+    """What the compiled loop saved, of all members: the first `number` rows."""
+    return members.fetch(layout, [jax.tree.map(lambda x: x[:number], piece) for piece in saved], 1)
 
 
 def _first_entry(job: _Job) -> dict[str, np.ndarray]:
@@ -349,7 +356,7 @@ class _Disk:
         """Saves until the chunk is whole."""
         return self.rows - (self._entries + self._held) % self.rows
 
-    def resumed(self) -> tuple[Carry, int] | None:
+    def resumed(self) -> tuple[list[Carry], int] | None:
         done = self._recorder.progress
         if not done["commits"]:
             return None
@@ -364,19 +371,18 @@ class _Disk:
         carry = Carry(State(read("q"), read("p")), info, read("failed"), change)  # pyright: ignore[reportArgumentType]
         return members.place(self._layout, carry, part.start), done["steps"]
 
-    def begin(self, carry: Carry) -> None:
+    def begin(self, carry: list[Carry]) -> None:
         if self._job.reduction is None:
-            self._pending.append((jax.tree.map(lambda x: x[None], (carry.info, carry.state)), 1))
+            self._pending.append(([jax.tree.map(lambda x: x[None], (c.info, c.state)) for c in carry], 1))
         else:
             self._pending.append((_first_entry(self._job), 1))
 
     def add(self, saved: Any, number: int) -> None:
         if self._job.reduction is not None:
-            fetched = jax.tree.map(lambda x: members.fetch(self._layout, x, 1)[:number], saved)
-            saved = _reduced(fetched, self._job)
+            saved = _reduced(_rows(self._layout, saved, number), self._job)
         self._pending.append((saved, number))
 
-    def offer(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
+    def offer(self, carry: list[Carry], done: int, seconds: float, stop: bool) -> None:
         """Commit if a chunk is whole, or if it has been long and nothing is half a chunk."""
         self._settle(wait=False)
         self._since += seconds
@@ -385,7 +391,7 @@ class _Disk:
         if last or whole or (not self._held and (stop or self._since > _PATIENCE)):
             self._commit(carry, done, last)
 
-    def _commit(self, carry: Carry, done: int, last: bool) -> None:
+    def _commit(self, carry: list[Carry], done: int, last: bool) -> None:
         self._settle(wait=True)
         pieces, first, number = self._pending, self._entries, self._held
         slot = (self._recorder.progress["commits"] + 1) % 2
@@ -410,15 +416,13 @@ class _Disk:
             else:
                 time.sleep(0.002)
 
-    def _parts(self, carry: Carry, pieces: list[tuple[Any, int]], first: int, slot: int, last: bool) -> Any:
+    def _parts(self, carry: list[Carry], pieces: list[tuple[Any, int]], first: int, slot: int, last: bool) -> Any:
         """The arrays of a commit, made when they are written."""
         layout, part = self._layout, storage.Part
         mine = layout.own.start
         series = self._job.reduction is not None
         if len(layout.own):
-            named = {"q": carry.state.q, "p": carry.state.p, "failed": carry.failed, **carry.info._asdict()}
-            named |= carry.change._asdict() if carry.change is not None else {}
-            host = {name: members.own(layout, x) for name, x in named.items()}
+            host = {name: members.own(layout, x) for name, x in _named(carry).items()}
             for name, x in host.items():
                 yield part(f"checkpoint/{name}", (slot, mine), x[None])
             if last:
@@ -442,9 +446,10 @@ class _Disk:
 
     def _rows(self, pieces: list[tuple[Any, int]]) -> dict[str, np.ndarray]:
         joined: dict[str, list[np.ndarray]] = {}
-        for (info, state), number in pieces:
-            for name, x in {"q": state.q, "p": state.p, **info._asdict()}.items():
-                joined.setdefault(name, []).append(members.own(self._layout, x, 1)[:number])
+        for saved, number in pieces:
+            for name in ("q", "p", *StepInfo._fields):
+                parts = [getattr(state if name in "qp" else info, name)[:number] for info, state in saved]
+                joined.setdefault(name, []).append(members.own(self._layout, parts, 1))
         return {name: np.concatenate(parts) for name, parts in joined.items()}
 
     def stopped(self, done: int) -> bool:
@@ -457,9 +462,19 @@ class _Disk:
     def farewell(self, done: int, num_steps: int) -> str:
         return f"stopped after {done} of {num_steps} steps, all of them in {self._recorder.path}; resume to go on"
 
-    def end(self, carry: Carry) -> None:
+    def end(self, carry: list[Carry]) -> None:
         self._settle(wait=True)
         members.agree(self._layout.mesh, 0.0)
+
+
+def _named(carry: list[Carry]) -> dict[str, list[Any]]:
+    """The pieces of each array of a carry."""
+    found: dict[str, list[Any]] = {}
+    for c in carry:
+        change = c.change._asdict() if c.change is not None else {}
+        for name, x in {**c.state._asdict(), "failed": c.failed, **c.info._asdict(), **change}.items():
+            found.setdefault(name, []).append(x)
+    return found
 
 
 def _columns(job: _Job, chunk: int, place: Place) -> tuple[dict[str, storage.Column], dict[str, storage.Column]]:

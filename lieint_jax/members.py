@@ -1,17 +1,23 @@
 """Members over devices: how a batch is cut, padded and placed, and the one compiled loop that advances it.
 
-The loop is the same on one device, on many, and on many processes: `shard_map` over the mesh axis "members". A device's
-members are padded to a multiple of 16, whole vectors of any width, and to 64 at least: below, a CPU's compiler unrolls
-the loop over the vectors and rounds otherwise. So the bits of a result depend neither on how many devices there are nor
-on where a member lies. On a CPU the loop takes the members in blocks that stay in its cache.
+The mesh axis "members" runs over devices and processes. A device's members lie on it in blocks, and the bits of a
+result depend neither on how many devices there are nor on where a member lies:
+
+* every block is advanced by the same program, compiled for one device. (One program for all, by `shard_map`, would
+  round differently for each number of devices: XLA fuses it differently.)
+* blocks are multiples of 16, whole vectors of any width, and behind each are 32 copies of a member whose results are
+  dropped: a CPU takes the last vector of a loop over components in memory by scalar code, which rounds differently.
+
+On a CPU a block stays in its cache.
 """
 
 from __future__ import annotations
 
 import contextlib
 import platform
-from collections.abc import Callable
-from functools import cache, partial
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from math import lcm
 from typing import Any, NamedTuple
 
@@ -25,15 +31,23 @@ from lieint_jax.types import State, Step, StepInfo
 
 AXIS = "members"
 LANES = 16  # members of a whole vector: 16 float32 of 512 bits
-_LEAST, _BLOCK = 64, 1024  # members that a CPU works on at once: their states and temporaries fit its cache
+_TAIL = 32  # members behind a block, in which its last vectors lie
+_BLOCK = 1024  # members that a CPU works on at once: their states and temporaries fit its cache
 
 Reduction = Callable[[Step, State], Array]
+
+
+class Piece(NamedTuple):
+    """A block of members on a device of this process: those from `start` on."""
+
+    device: Any
+    start: int
 
 
 class Layout(NamedTuple):
     """How `members` members lie on the devices of a mesh: `blocks` blocks of `block` members on each, in order.
 
-    What is beyond the last member is padding: copies of it.
+    What is beyond the last member is padding: copies of it. Blocks of nothing else are left out.
     """
 
     mesh: Mesh
@@ -47,10 +61,22 @@ class Layout(NamedTuple):
         return self.block * self.blocks
 
     @property
+    def here(self) -> list[int]:
+        """Which of the mesh's devices are of this process."""
+        return [k for k, device in enumerate(self.mesh.devices.flat) if device.process_index == jax.process_index()]
+
+    @property
     def own(self) -> range:
         """The members of this process, without padding."""
-        here = [k for k, device in enumerate(self.mesh.devices.flat) if device.process_index == jax.process_index()]
-        return range(min(here) * self.each, min((max(here) + 1) * self.each, self.members))
+        first, last = min(self.here) * self.each, (max(self.here) + 1) * self.each
+        return range(min(first, self.members), min(last, self.members))
+
+    @property
+    def pieces(self) -> list[Piece]:
+        """The blocks of this process, in the order of their members; one of padding, if it has no members."""
+        devices, starts = self.mesh.devices.flat, range(0, self.each, self.block)
+        found = [Piece(devices[k], k * self.each + start) for k in self.here for start in starts]
+        return [piece for piece in found if piece.start < self.members] or found[:1]
 
 
 class Range(NamedTuple):
@@ -120,79 +146,114 @@ def first_devices(count: int | None) -> Mesh:
 
 def layout_of(mesh: Mesh, members: int, chunk: int | None = None) -> Layout:
     """How so many members lie on a mesh; with a `chunk`, each process holds a whole number of chunks of members."""
-    processes = len({device.process_index for device in mesh.devices.flat})
+    processes = _processes(mesh)
     on_cpu = mesh.devices.flat[0].platform == "cpu"
     if chunk is None or processes == 1:
         each = -(-members // mesh.size)
         blocks = -(-each // _BLOCK) if on_cpu else 1
-        return Layout(mesh, members, max(_LEAST, LANES * -(-each // (LANES * blocks))), blocks)
+        return Layout(mesh, members, LANES * -(-each // (LANES * blocks)), blocks)
     devices = mesh.size // processes
-    unit = lcm(chunk, _LEAST * devices)
+    unit = lcm(chunk, LANES * devices)
     each = unit * -(-members // (processes * unit)) // devices
-    block = max(b for b in range(_LEAST, _BLOCK + 1, LANES) if each % b == 0) if on_cpu else each
+    block = max(b for b in range(LANES, _BLOCK + 1, LANES) if each % b == 0) if on_cpu else each
     return Layout(mesh, members, block, each // block)
 
 
 def chunk_of(layout: Layout, most: int) -> int:
     """How many members a chunk of a store holds, at most `most` or one block of each device of a process."""
-    devices = sum(device.process_index == jax.process_index() for device in layout.mesh.devices.flat)
-    row = devices * layout.block
+    row = len(layout.here) * layout.block
     return row * min(layout.blocks, max(1, most // row))
 
 
-def place(layout: Layout, tree: Any, first: int = 0) -> Any:
-    """Arrays of the host, from member `first` on, padded and spread over the devices; each process places its own."""
-    size, spread = layout.mesh.size * layout.each, NamedSharding(layout.mesh, PartitionSpec(AXIS))
+def place(layout: Layout, tree: Any, first: int = 0) -> list[Any]:
+    """Arrays of the host, from member `first` on, cut to the pieces of this process, padded, each on its device."""
+    tree = jax.tree.map(np.asarray, tree)
 
-    def one(leaf: Any) -> Array:
-        leaf = np.asarray(leaf)
+    def one(piece: Piece) -> Any:
+        rows = np.arange(piece.start, piece.start + layout.block + _TAIL) - first
+        return jax.device_put(jax.tree.map(lambda x: x[np.clip(rows, 0, len(x) - 1)], tree), piece.device)
 
-        def part(index: Any) -> np.ndarray:
-            return leaf[np.clip(np.arange(size)[index[0]] - first, 0, len(leaf) - 1)]
-
-        return jax.make_array_from_callback((size, *leaf.shape[1:]), spread, part)
-
-    return jax.tree.map(one, tree)
+    return [one(piece) for piece in layout.pieces]
 
 
-def replicate(mesh: Mesh, tree: Any) -> Any:
-    """Arrays of the host, whole, on every device."""
-    whole = NamedSharding(mesh, PartitionSpec())
-
-    def one(leaf: Any) -> Array:
-        leaf = np.asarray(leaf)
-        return jax.make_array_from_callback(leaf.shape, whole, lambda index: leaf[index])
-
-    return jax.tree.map(one, tree)
+def replicate(layout: Layout, tree: Any) -> list[Any]:
+    """The same for every piece."""
+    copies = {piece.device: jax.device_put(tree, piece.device) for piece in layout.pieces}
+    return [copies[piece.device] for piece in layout.pieces]
 
 
-def own(layout: Layout, array: Array, axis: int = 0) -> np.ndarray:
+def each(layout: Layout, function: Callable[..., Any], *pieces: list[Any]) -> list[Any]:
+    """`function` of every piece, on all devices at a time; returns when the work is done."""
+    work: dict[Any, list[int]] = {}
+    for k, piece in enumerate(layout.pieces):
+        work.setdefault(piece.device, []).append(k)
+
+    def on_device(which: list[int]) -> list[tuple[int, Any]]:
+        return jax.block_until_ready([(k, function(*(x[k] for x in pieces))) for k in which])
+
+    if len(work) == 1:
+        return [result for which in work.values() for _, result in on_device(which)]
+    with ThreadPoolExecutor(len(work)) as pool:
+        return [result for done in pool.map(on_device, work.values()) for _, result in done]
+
+
+def own(layout: Layout, pieces: Sequence[Array], axis: int = 0) -> np.ndarray:
     """This process' part of an array, without padding; `axis` is the member axis."""
-    shards = sorted(array.addressable_shards, key=lambda shard: shard.index[axis].start or 0)
-    whole = np.concatenate([np.asarray(shard.data) for shard in shards], axis) if len(shards) > 1 else shards[0].data
-    return np.asarray(whole)[(slice(None),) * axis + (slice(len(layout.own)),)]
+    before = (slice(None),) * axis
+    parts = [np.asarray(x)[*before, : layout.block] for x in pieces]
+    return (np.concatenate(parts, axis) if len(parts) > 1 else parts[0])[*before, : len(layout.own)]
 
 
-def fetch(layout: Layout, array: Array, axis: int = 0) -> np.ndarray:
-    """A whole array on every process, without padding; `axis` is the member axis."""
-    if not array.is_fully_addressable:
-        array = jax.jit(lambda x: x, out_shardings=NamedSharding(layout.mesh, PartitionSpec()))(array)
-        array = array.addressable_data(0)
-    return np.asarray(array)[(slice(None),) * axis + (slice(layout.members),)]
+def fetch(layout: Layout, trees: Sequence[Any], axis: int = 0) -> Any:
+    """Whole arrays on every process, without padding, of one tree a piece; `axis` is the member axis."""
+    return jax.tree.map(lambda *pieces: _fetch(layout, pieces, axis), *trees)
+
+
+def _fetch(layout: Layout, pieces: Sequence[Array], axis: int) -> np.ndarray:
+    mine = own(layout, pieces, axis)
+    if _processes(layout.mesh) == 1:
+        return mine
+    mine, devices = np.moveaxis(mine, axis, 0), len(layout.here)
+    mine = np.concatenate([mine, np.zeros((devices * layout.each - len(mine), *mine.shape[1:]), mine.dtype)])
+    whole = _gather(layout.mesh, mine.reshape(devices, layout.each, *mine.shape[1:]))
+    return np.moveaxis(whole.reshape(-1, *mine.shape[1:])[: layout.members], 0, axis)
+
+
+def _gather(mesh: Mesh, mine: np.ndarray) -> np.ndarray:
+    """Rows of all processes, one a device, on every process."""
+    spread, first = (
+        NamedSharding(mesh, PartitionSpec(AXIS)),
+        mesh.devices.size // _processes(mesh) * jax.process_index(),
+    )
+
+    def part(index: Any) -> np.ndarray:
+        return mine[index[0].start - first : index[0].stop - first]
+
+    array = jax.make_array_from_callback((mesh.size, *mine.shape[1:]), spread, part)
+    return np.asarray(_everywhere(mesh)(array).addressable_data(0))
+
+
+@cache
+def _everywhere(mesh: Mesh) -> Any:
+    return jax.jit(lambda x: x, out_shardings=NamedSharding(mesh, PartitionSpec()))
+
+
+def _processes(mesh: Mesh) -> int:
+    return len({device.process_index for device in mesh.devices.flat})
+
+
+def everyone(mesh: Mesh, *values: float) -> np.ndarray:
+    """Some numbers of each process, (processes, numbers), on every process."""
+    count = _processes(mesh)
+    if count == 1:
+        return np.array([values], float)
+    devices = mesh.size // count
+    return _gather(mesh, np.tile(np.array(values, float), (devices, 1)))[::devices]
 
 
 def agree(mesh: Mesh, *values: float) -> tuple[float, ...]:
     """Each value's largest over the processes: what all of them then act on alike."""
-    if len({device.process_index for device in mesh.devices.flat}) == 1:
-        return values
-    spread = NamedSharding(mesh, PartitionSpec(AXIS))
-    each = jax.make_array_from_callback((mesh.size, len(values)), spread, lambda _: np.asarray([values]))
-    return tuple(map(float, np.asarray(_largest(mesh)(each).addressable_data(0))))
-
-
-@cache
-def _largest(mesh: Mesh) -> Any:
-    return jax.jit(lambda x: x.max(axis=0), out_shardings=NamedSharding(mesh, PartitionSpec()))
+    return tuple(everyone(mesh, *values).max(axis=0).tolist())
 
 
 def compiler_options() -> dict[str, Any]:
@@ -201,58 +262,47 @@ def compiler_options() -> dict[str, Any]:
     return {"xla_cpu_prefer_vector_width": 512} if on_x86 else {}
 
 
-def start(layout: Layout, step_axis: int | None, reduction: Reduction | None) -> Callable[..., tuple[Carry, Any]]:
-    """(step, states, dt) ↦ the carry of a run and the reduced quantity at its start (None if nothing is reduced)."""
-    return _start(layout.mesh, layout.block, layout.blocks, step_axis, reduction)
-
-
 @cache
-def _start(mesh: Mesh, block: int, blocks: int, step_axis: int | None, reduction: Reduction | None) -> Any:
-    def kernel(step: Step, states: State) -> tuple[Carry, Any]:
+def start(step_axis: int | None, reduction: Reduction | None) -> Callable[..., tuple[Carry, Any]]:
+    """(step, states) ↦ the carry of a run and the reduced quantity at its start (None if nothing is reduced)."""
+
+    def begin(step: Step, states: State) -> tuple[Carry, Any]:
         members = states.p.shape[0]
         info = StepInfo(jnp.zeros(members, states.p.dtype), jnp.ones(members, bool))
         origin = None if reduction is None else jax.vmap(reduction, in_axes=(step_axis, 0))(step, states)
         change = None if origin is None else Range.fresh(origin)
-        return Carry(states, info, jnp.full(members, -1, _integer()), change), origin
+        failed = jnp.full(members, -1, jax.dtypes.canonicalize_dtype(np.int64))
+        return Carry(states, info, failed, change), origin
 
-    return _spread(kernel, mesh, (block, blocks), (step_axis, 0), (0, 0))
-
-
-def prepare(layout: Layout, step_axis: int | None) -> Callable[..., Any]:
-    """(step, states, dt) ↦ the prepared steps, with the member axis on every leaf."""
-    return _prepare(layout.mesh, layout.block, layout.blocks, step_axis)
+    return jax.jit(begin, compiler_options=compiler_options())
 
 
 @cache
-def _prepare(mesh: Mesh, block: int, blocks: int, step_axis: int | None) -> Any:
-    def kernel(step: Step, states: State, dt: Array) -> Step:
-        return jax.vmap(lambda step, state: step.prepare(state, dt), in_axes=(step_axis, 0), axis_size=block)(
-            step, states
-        )
+def prepare(step_axis: int | None) -> Callable[..., Any]:
+    """(step, states, dt) ↦ the prepared steps, with the member axis on every leaf."""
 
-    return _spread(kernel, mesh, (block, blocks), (step_axis, 0, None), 0)
+    def prepared(step: Step, states: State, dt: Array) -> Step:
+        size = states.p.shape[0]
+        return jax.vmap(lambda s, z: s.prepare(z, dt), in_axes=(step_axis, 0), axis_size=size)(step, states)
+
+    return jax.jit(prepared, compiler_options=compiler_options())
 
 
-def advance(
-    layout: Layout, step_axis: int | None, reduction: Reduction | None, rows: int
-) -> Callable[..., tuple[Carry, Any]]:
+@cache
+def advance(step_axis: int | None, reduction: Reduction | None, rows: int) -> Callable[..., tuple[Carry, Any]]:
     """The compiled loop, for at most `rows` saves a call.
 
     (step, carry, origin, dt, done, saves, every, fresh) ↦ the carry after `saves` times `every` more steps, `done`
-    having been taken before, and what is saved: of each save the state and the report, or the report and the change of
-    the reduced quantity. Without `fresh` the first save interval goes on with the report that the carry brings.
+    having been taken before, and what is saved: of each save the report, and the state or the change of the reduced
+    quantity. Without `fresh` the first save interval goes on with the report that the carry brings.
     """
-    return _advance(layout.mesh, layout.block, layout.blocks, step_axis, reduction, rows)
 
-
-@cache
-def _advance(mesh: Mesh, block: int, blocks: int, step_axis: int | None, reduction: Reduction | None, rows: int) -> Any:
-    def kernel(
+    def loop(
         step: Step, carry: Carry, origin: Any, dt: Array, done: Array, saves: Array, every: Array, fresh: Array
     ) -> tuple[Carry, Any]:
         none = Carry(
             carry.state,
-            jax.tree.map(lambda like, x: jnp.full_like(like, x), carry.info, StepInfo(0, True)),  # pyright: ignore[reportArgumentType]
+            StepInfo(jnp.zeros_like(carry.info.residual), jnp.ones_like(carry.info.converged)),
             jnp.full(carry.failed.shape, -1, jnp.int32),
             None if carry.change is None else Range.fresh(carry.change.total),
         )
@@ -281,78 +331,28 @@ def _advance(mesh: Mesh, block: int, blocks: int, step_axis: int | None, reducti
         first = jnp.where(end.failed < 0, -1, done + end.failed)
         return end._replace(failed=jnp.where(carry.failed < 0, first, carry.failed).astype(carry.failed.dtype)), saved
 
-    return _spread(kernel, mesh, (block, blocks), (step_axis, 0, 0, *(None,) * 5), (0, 1))
+    return jax.jit(loop, compiler_options=compiler_options())
 
 
 def _saved(carry: Carry) -> Any:
     return (carry.info, carry.state if carry.change is None else carry.change)
 
 
-def energies(layout: Layout, step_axis: int | None) -> Callable[..., Array]:
+@cache
+def energies(step_axis: int | None) -> Callable[..., Array]:
     """(step, states) ↦ the energy of each member."""
-    return _energies(layout.mesh, layout.block, layout.blocks, step_axis)
+    return jax.jit(jax.vmap(energy, in_axes=(step_axis, 0)), compiler_options=compiler_options())
 
 
-@cache
-def _energies(mesh: Mesh, block: int, blocks: int, step_axis: int | None) -> Any:
-    return _spread(jax.vmap(energy, in_axes=(step_axis, 0)), mesh, (block, blocks), (step_axis, 0), 0)
-
-
-def worst(layout: Layout, H0: Array, H: Array, failed: Array) -> tuple[float, int]:
+def worst(layout: Layout, H0: list[Array], H: list[Array], failed: list[Array]) -> tuple[float, int]:
     """The largest |H − H₀| over the largest |H₀|, and how many members have failed."""
-    change, size, count = (x.addressable_data(0) for x in _worst(layout.mesh, layout.members)(H0, H, failed))
-    return float(change) / float(size) if size else float(change), int(count)
-
-
-@cache
-def _worst(mesh: Mesh, members: int) -> Any:
-    def worst(H0: Array, H: Array, failed: Array) -> tuple[Array, Array, Array]:
-        return jnp.max(jnp.abs(H - H0)), jnp.max(jnp.abs(H0)), jnp.sum(failed[:members] >= 0)
-
-    return jax.jit(worst, out_shardings=NamedSharding(mesh, PartitionSpec()))
+    H0_, H_, failed_ = (own(layout, x) for x in (H0, H, failed))
+    change, size = (np.max(np.abs(x), initial=0.0) for x in (H_ - H0_, H0_))
+    found = everyone(layout.mesh, float(change), float(size), float(np.sum(failed_ >= 0)))
+    change, size = found[:, :2].max(axis=0)
+    return float(change / size if size else change), int(found[:, 2].sum())
 
 
 def energy(step: Step, state: State) -> Array:
     """The energy of a step's system."""
     return step.system.energy(state)
-
-
-def _integer() -> Any:
-    return jax.dtypes.canonicalize_dtype(np.int64)
-
-
-def _spread(function: Any, mesh: Mesh, cut: tuple[int, int], axes: tuple[int | None, ...], out: Any) -> Any:
-    """A function of one block of members, jitted, over all blocks of all devices.
-
-    `axes` says which arguments have the member axis (first), `out` where each result has it.
-    """
-    block, blocks = cut
-
-    def specs(axis: int | None) -> PartitionSpec:
-        return PartitionSpec() if axis is None else PartitionSpec(*(None,) * axis, AXIS)
-
-    def on_device(*arguments: Any) -> Any:
-        if blocks == 1:
-            return function(*arguments)
-
-        def split(x: Array) -> Array:
-            return x.reshape(blocks, block, *x.shape[1:])
-
-        def join(axis: int, x: Array) -> Array:
-            x = jnp.moveaxis(x, 0, axis)
-            return x.reshape(*x.shape[:axis], blocks * block, *x.shape[axis + 2 :])
-
-        batched = [jax.tree.map(split, x) for x, axis in zip(arguments, axes, strict=True) if axis is not None]
-
-        def one(parts: list[Any]) -> Any:
-            rest = iter(parts)
-            return function(*(x if axis is None else next(rest) for x, axis in zip(arguments, axes, strict=True)))
-
-        result = lax.map(one, batched)
-        if isinstance(out, int):
-            return jax.tree.map(partial(join, out), result)
-        return tuple(jax.tree.map(partial(join, axis), part) for axis, part in zip(out, result, strict=True))
-
-    shape = specs(out) if isinstance(out, int) else tuple(map(specs, out))
-    spread = jax.shard_map(on_device, mesh=mesh, in_specs=tuple(map(specs, axes)), out_specs=shape, check_vma=False)
-    return jax.jit(spread, compiler_options=compiler_options())

@@ -108,7 +108,7 @@ class Crash(BaseException):
 
 @pytest.mark.parametrize("reduce", [None, "energy"])
 def test_an_end_at_any_write_leaves_a_store_that_resumes_to_the_same_bits(tmp_path, small_chunks, monkeypatch, reduce):
-    """A crash at one wait for the disk after another, between which lie all writes and renames (every one was tried)."""
+    """A crash at one wait for the disk after another, between which lie all writes and renames."""
     path, whole, sync = tmp_path / "run.zarr", tmp_path / "whole.zarr", os.fsync
     run(whole, reduce=reduce)
     seen, stages = 0, set()
@@ -292,7 +292,8 @@ def free_port():
 @pytest.mark.long
 def test_two_processes_are_one(book):
     for process in meet(book, free_port(), "--out", "two.zarr"):
-        assert process.wait(120) == 0, process.stderr.read()
+        error = process.communicate(timeout=120)[1]
+        assert process.returncode == 0, error
     assert same_arrays(book / "two.zarr", book / "whole.zarr")
 
 
@@ -311,6 +312,7 @@ def test_the_loss_of_a_process_ends_the_other_and_the_store_resumes(book, victim
         assert time.monotonic() < limit
         time.sleep(0.1)
     both[victim].kill()
+    both[victim].communicate()
     start = time.monotonic()
     error = both[1 - victim].communicate(timeout=60)[1]
     assert time.monotonic() - start < 30
