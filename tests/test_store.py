@@ -32,7 +32,7 @@ system = "rigid_body"
 inertia = [1.0, 2.0, 3.0]
 time_unit = "s"
 dt = 0.1
-steps = 1_600_000
+steps = 800_000
 save_every = 100
 members = 100
 seed = 1
@@ -262,7 +262,7 @@ def command(folder, *options, **popen):
 
 @pytest.mark.long
 def test_killed_at_random_moments_and_resumed(book):
-    delays = np.random.default_rng(11).uniform(1.5, 6.0, 6)
+    delays = np.random.default_rng(11).uniform(1.5, 5.0, 5)
     ended = 0
     for delay in delays:
         process = command(book, "--out", "killed.zarr", "--resume", stderr=subprocess.DEVNULL)
@@ -270,7 +270,7 @@ def test_killed_at_random_moments_and_resumed(book):
         ended += process.poll() is None
         process.kill()
         process.wait()
-    assert ended >= 3
+    assert ended >= 2
     assert command(book, "--out", "killed.zarr", "--resume").wait() == 0
     assert same_folders(book / "killed.zarr", book / "whole.zarr")
 
@@ -324,9 +324,9 @@ def test_the_loss_of_a_process_ends_the_other_and_the_store_resumes(book, victim
     assert same_arrays(path, book / "whole.zarr")
 
 
-def test_the_command_line_writes_shows_and_draws(tmp_path, monkeypatch, capsys):
+def test_the_command_line_writes_resumes_and_shows(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "book.toml").write_text(SCENARIO.replace("1_600_000", "2000"))
+    (tmp_path / "book.toml").write_text(SCENARIO.replace("800_000", "2000"))
     arguments = ["run", "book.toml", "--out", "run.zarr", "--members", "3"]
     assert cli.main([*arguments, "--devices", "1"]) == 0
     assert "3 of 3 members converged at every step" in capsys.readouterr().out
@@ -339,11 +339,6 @@ def test_the_command_line_writes_shows_and_draws(tmp_path, monkeypatch, capsys):
     out = capsys.readouterr().out
     assert "complete: 21 of 21 entries" in out
     assert "so3_midpoint[symplectic]" in out
-    assert cli.main(["plot", "run.zarr"]) == 0
-    assert "precession period" in capsys.readouterr().out
-    assert (tmp_path / "run-path.png").read_bytes().startswith(b"\x89PNG")
-    assert cli.main(["plot", "run.zarr"]) == 2
-    assert "run-path.png exists" in capsys.readouterr().err
     for bad, message in (
         (["info", "no.zarr"], "no.zarr is not there"),
         (["run", "book.toml", "--out", "x.npz", "--resume"], "only a run written as .zarr can be resumed"),
@@ -353,3 +348,59 @@ def test_the_command_line_writes_shows_and_draws(tmp_path, monkeypatch, capsys):
     ):
         assert cli.main(bad) == 2
         assert message in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_the_command_line_draws_what_is_in_a_store(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "book.toml").write_text(SCENARIO.replace("800_000", "2000"))
+    assert cli.main(["run", "book.toml", "--out", "run.zarr", "--members", "3"]) == 0
+    assert cli.main(["plot", "run.zarr"]) == 0
+    assert "precession period" in capsys.readouterr().out
+    assert (tmp_path / "run-path.png").read_bytes().startswith(b"\x89PNG")
+    assert cli.main(["plot", "run.zarr"]) == 2
+    assert "run-path.png exists" in capsys.readouterr().err
+
+
+EIGHT = """
+import hashlib, jax, lieint_jax as li
+from lieint_jax import ensemble
+jax.config.update("jax_enable_x64", True)
+J = jax.numpy.array([[1.0, 2.0, 3.0], [1.0, 1.0, 1.5]] * 150)
+states = jax.vmap(lambda J, w: li.systems.rigid_body(J).state(angular_velocity=w))(
+    J, 0.4 * jax.random.normal(jax.random.key(0), (300, 3))
+)
+steps = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.rigid_body(J)))(J)
+for count in (1, 3, 8):
+    mesh = ensemble.first_devices(count)
+    kept = [ensemble.run(steps, states, 0.1, 400, 100, 0, reduce=how, mesh=mesh) for how in (None, "energy")]
+    print(*(hashlib.sha256(b"".join(x.tobytes() for x in jax.tree.leaves(k))).hexdigest() for k in kept))
+"""
+
+
+@pytest.mark.long
+def test_one_device_or_eight_are_the_same_bits():
+    """States and reductions, of an inertia each, of members that divide evenly among the devices or not."""
+    environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=8"}
+    found = subprocess.run([sys.executable, "-c", EIGHT], env=environment, check=True, capture_output=True, text=True)
+    assert len(found.stdout.splitlines()) == 3
+    assert len(set(found.stdout.splitlines())) == 1
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("make", [li.schemes.so3_midpoint, li.schemes.so3_explicit])
+def test_energy_over_a_million_steps(make):
+    """Worst of 16 random bodies at any of 10⁶ steps; the floor is 6e-14 and 9e-14. benchmarks/round_off.py has 10⁷."""
+    rng = np.random.default_rng(1)
+    q, w = rng.normal(size=(16, 4)), rng.normal(size=(16, 3))
+    w *= np.cbrt(rng.random((16, 1))) / np.linalg.norm(w, axis=1, keepdims=True)
+    states = jax.vmap(lambda q, w: BODY.state(q, angular_velocity=w))(
+        jnp.array(q / np.linalg.norm(q, axis=1, keepdims=True)), jnp.array(w)
+    )
+    relative = lambda step, z: jnp.log(step.system.energy(z))  # noqa: E731
+    found = ensemble.run(make(BODY), states, 0.05, 1_000_000, 100_000, reduce=relative, progress=False)
+    worst = max(-found.least.min(), found.greatest.max())
+    slope = np.polyfit(found.t / 0.05, found.mean, 1)[0]
+    assert worst < 3e-13
+    assert abs(slope) < 1e-19  # a step
+    assert not found.unconverged.any()
