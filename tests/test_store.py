@@ -388,9 +388,9 @@ def test_one_device_or_eight_are_the_same_bits():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("make", [li.schemes.so3_midpoint, li.schemes.so3_explicit])
-def test_energy_over_a_million_steps(make):
-    """Worst of 16 random bodies at any of 10⁶ steps; the floor is 6e-14 and 9e-14. benchmarks/round_off.py has 10⁷."""
+@pytest.mark.parametrize(("make", "bound"), [(li.schemes.so3_midpoint, 3e-13), (li.schemes.so3_explicit, 1e-14)])
+def test_energy_over_a_million_steps(make, bound):
+    """Worst of 16 random bodies at any of 10⁶ steps; the floor is 6e-14 and 3e-15. benchmarks/round_off.py has 10⁸."""
     rng = np.random.default_rng(1)
     q, w = rng.normal(size=(16, 4)), rng.normal(size=(16, 3))
     w *= np.cbrt(rng.random((16, 1))) / np.linalg.norm(w, axis=1, keepdims=True)
@@ -401,6 +401,6 @@ def test_energy_over_a_million_steps(make):
     found = ensemble.run(make(BODY), states, 0.05, 1_000_000, 100_000, reduce=relative, progress=False)
     worst = max(-found.least.min(), found.greatest.max())
     slope = np.polyfit(found.t / 0.05, found.mean, 1)[0]
-    assert worst < 3e-13
-    assert abs(slope) < 1e-19  # a step
+    assert worst < bound
+    assert abs(slope) < bound / 3e6  # a step
     assert not found.unconverged.any()
