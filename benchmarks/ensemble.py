@@ -95,7 +95,6 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
 
 def bodies(count: int) -> Any:
     """Free bodies, as in `measure`, a thousand of them over and over."""
-    import jax
     import jax.numpy as jnp
     import measure
     import numpy as np
@@ -103,7 +102,7 @@ def bodies(count: int) -> Any:
     import lieint_jax as li
 
     q, p = (np.resize(x, (count, x.shape[1])) for x in measure.bodies(min(count, 1000)))
-    return jax.tree.map(jnp.asarray, li.State(q, p))
+    return li.State(jnp.asarray(q), jnp.asarray(p))
 
 
 def free_steps() -> dict[str, Any]:
@@ -242,7 +241,7 @@ def roofline(quick: bool, _: Sequence[int]) -> Any:
         prepared = jax.vmap(lambda z, step=step: step.prepare(z, 0.05))(states)
         axis = 0 if name == "so3_explicit" else None
         one = jax.jit(jax.vmap(lambda s, z: s(z, 0.05), in_axes=(axis, 0)), compiler_options=compiler_options())
-        counted = one.lower(prepared if axis == 0 else step, states).compile().cost_analysis()
+        counted: Any = one.lower(prepared if axis == 0 else step, states).compile().cost_analysis()
         n = 500 if quick else 8000
         call = ours(step, states, 0.05, n)
         found[name] = {

@@ -57,14 +57,17 @@ class Pace:
     """How many steps a call of the compiled loop takes, so that it lasts about half a second on every process."""
 
     def __init__(self, layout: Layout) -> None:
-        self._mesh, self._members = layout.mesh, layout.members
+        self._mesh, self._call = (
+            layout.mesh,
+            _CALL + 1e-3 * layout.blocks,
+        )  # every block is a call, which costs time too
         self.steps, self.seconds = max(1, 100_000 // layout.members), 0.0
 
     def measure(self, steps: int, seconds: float, interrupted: bool) -> bool:
         """Learn from a call; whether to stop, because a process was interrupted."""
         self.seconds, stop = members.agree(self._mesh, seconds, interrupted)
-        if steps == self.steps or self.seconds > _CALL:
-            grown = self.steps * min(4.0, _CALL / max(self.seconds, 1e-6))
+        if steps == self.steps or self.seconds > self._call:
+            grown = self.steps * min(4.0, self._call / max(self.seconds, 1e-6))
             self.steps = int(min(max(1, grown), 2**30))
         return bool(stop)
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax import cli, ensemble, store
+from lieint_jax import archive, cli, ensemble, runs, store
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)
@@ -50,7 +50,7 @@ def run(path=None, step=STEP, dt=0.1, num_steps=60, save_every=5, **options):
 @pytest.fixture
 def small_chunks(monkeypatch):
     """Commits after every 4 saves, so that a short run has many."""
-    monkeypatch.setattr(ensemble._Job, "rows", lambda self, across: 4)
+    monkeypatch.setattr(runs.Job, "rows", lambda self, across: 4)
 
 
 def same_folders(a, b):
@@ -172,7 +172,7 @@ def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunk
     with pytest.raises(ValueError, match=r"versions\.lieint_jax is .* there and '9\.9' here"):
         run(path, resume=True)
     monkeypatch.undo()
-    monkeypatch.setattr(ensemble, "compiler_options", lambda: {"xla_cpu_prefer_vector_width": 128})
+    monkeypatch.setattr(archive, "compiler_options", lambda: {"xla_cpu_prefer_vector_width": 128})
     with pytest.raises(ValueError, match=r"compiler_options\.\w+ is .* there and 128 here"):
         run(path, resume=True)
     assert before == {f: f.read_bytes() for f in path.rglob("*") if f.is_file()}
@@ -228,7 +228,7 @@ def test_a_limit_on_the_size_of_files_likewise(tmp_path, small_chunks):
 
 
 def test_an_interrupt_waits_for_the_chunk_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(ensemble._Job, "rows", lambda self, across: 50)
+    monkeypatch.setattr(runs.Job, "rows", lambda self, across: 50)
     path, steps = tmp_path / "run.zarr", 20_000_000
 
     def interrupt():
