@@ -14,6 +14,8 @@ _EPILOG = """examples:
   lieint run pendulum                      a spherical pendulum beside the closed form
   lieint run kirchhoff                     a spinning spheroid in water, on SE(3)
   lieint run my.toml --members 100         your own scenario (copy lieint_jax/data/toutatis.toml)
+  lieint run toutatis --out runs.zarr --members 100000   to disk while it runs; with --resume it goes on
+  lieint info runs.zarr                    what is in it
   lieint check                             what every scheme conserves, measured
   lieint check rigid_body --scheme cayley  one of them
   lieint check "SE(3)"                     what is kept on a matrix group, by which map
@@ -37,8 +39,8 @@ def main(arguments: list[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         print(f"lieint: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("lieint: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        print(f"lieint: {stop if str(stop) else 'interrupted'}", file=sys.stderr)
         return 130
     return 0
 
@@ -53,10 +55,29 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     run = commands.add_parser("run", help="integrate a scenario and report", description="Integrate a scenario.")
     run.add_argument("scenario", metavar="SCENARIO", help="a shipped scenario (toutatis, heavy_top, …) or a .toml file")
-    run.add_argument("--out", type=Path, metavar="PATH.npz", help="where to write results; pictures go beside it")
+    run.add_argument(
+        "--out",
+        type=Path,
+        metavar="PATH",
+        help="where to write results: NAME.npz at the end, with pictures beside it, or NAME.zarr while the run goes on",
+    )
     run.add_argument("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
     run.add_argument("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
+    run.add_argument("--resume", action="store_true", help="go on with the run in PATH.zarr; start it if there is none")
+    run.add_argument(
+        "--devices", type=_positive, metavar="N", help="devices of this process; on a CPU, about one a core"
+    )
+    run.add_argument("--distributed", action="store_true", help="one of many processes, as srun or mpirun start them")
+    run.add_argument("--coordinator", metavar="HOST:PORT", help="with --distributed and no srun: the first process")
+    run.add_argument("--processes", type=_positive, metavar="N", help="… how many there are")
+    run.add_argument("--process", type=int, metavar="K", help="… which this one is, from 0")
     run.set_defaults(command=_run)
+    info = commands.add_parser("info", help="what a file of results holds", description="Look into results.")
+    info.add_argument("path", type=Path, metavar="PATH")
+    info.set_defaults(command=_info)
+    plot = commands.add_parser("plot", help="report on results and draw them", description="Pictures of results.")
+    plot.add_argument("path", type=Path, metavar="PATH")
+    plot.set_defaults(command=_plot)
     check = commands.add_parser(
         "check", help="print certificates", description="Measure what each scheme conserves, system by system."
     )
@@ -87,9 +108,31 @@ def _positive(text: str) -> int:
 
 
 def _run(options: argparse.Namespace) -> None:
+    from lieint_jax import ensemble, processes, report
+
+    apart = (options.coordinator, options.processes, options.process)
+    if not options.distributed and any(x is not None for x in apart):
+        raise ValueError("--coordinator, --processes and --process go with --distributed")
+    if options.devices:
+        ensemble.want_devices(options.devices)
+    if options.distributed:
+        processes.initialize(*apart)
+    try:
+        report.run(options.scenario, options.out, options.members, options.steps, options.devices, options.resume)
+    except processes.LostProcess as error:
+        processes.leave(f"lieint: {error}")
+
+
+def _info(options: argparse.Namespace) -> None:
     from lieint_jax import report
 
-    report.run(options.scenario, options.out, members=options.members, steps=options.steps)
+    report.info(options.path)
+
+
+def _plot(options: argparse.Namespace) -> None:
+    from lieint_jax import report
+
+    report.plot(options.path)
 
 
 def _check(options: argparse.Namespace) -> None:

@@ -1,20 +1,26 @@
-"""Many bodies at once: one compiled loop over a batch, with a progress bar and a report of what failed."""
+"""Many bodies at once: over devices and processes, with results in memory or on disk, and a report of what failed."""
 
 from __future__ import annotations
 
-import platform
+import time
 import warnings
-from functools import cache, partial
-from typing import Any, NamedTuple
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax.sharding import Mesh
 
-from lieint_jax import checks
+from lieint_jax import archive, checks, members, processes
+from lieint_jax.archive import Place
 from lieint_jax.integrate import promoted, saves
-from lieint_jax.types import State, Step, StepInfo, Trajectory
+from lieint_jax.members import Carry, Layout, Reduction, compiler_options, energy, first_devices, want_devices
+from lieint_jax.progress import Bar, Interrupts, Pace
+from lieint_jax.runs import Job, Summary, first_entry, reduced, rows
+from lieint_jax.types import State, Step, Trajectory
+
+__all__ = ["Place", "Summary", "compiler_options", "energy", "first_devices", "run", "want_devices"]
 
 _NAMED = 5  # how many failed members a report names
 
@@ -26,9 +32,16 @@ def run(
     num_steps: int,
     save_every: int | None = None,
     step_axis: int | None = None,
+    reduce: Reduction | Literal["energy"] | None = None,
+    mesh: Mesh | None = None,
+    store: str | Path | Place | None = None,
     progress: bool = True,
-) -> Trajectory:
+    resume: bool = False,
+) -> Any:
     """Integrate a batch of initial states with one compiled loop.
+
+    The bits of the results depend neither on the number of devices and processes nor on whether the run was resumed.
+    With `jax.distributed`, every process calls this with the same arguments and gets the same results.
 
     Args:
         step: a scheme's step; with `step_axis=0` its leaves carry the member axis too (one inertia a member).
@@ -37,93 +50,148 @@ def run(
         num_steps: a multiple of `save_every`.
         save_every: steps between saved states; None keeps the last only.
         step_axis: None or 0.
+        reduce: keep no states on the way but, of each save interval, the least, greatest and mean change of a quantity
+            over all its steps and members: "energy" or a function (step, state) ↦ scalar.
+        mesh: devices, a `jax.sharding.Mesh` of the one axis "members"; None takes all.
+        store: write results there as they come, a folder NAME.zarr; memory then holds no more than a chunk of them.
         progress: show a progress bar on stderr, if that is a terminal.
+        resume: go on with the run that is in `store`, from the last chunk that is whole; start it if none is there.
 
     Returns:
-        A `Trajectory` of numpy arrays, axes (time, member, …), the initial states first.
+        A `Trajectory` of numpy arrays, axes (time, member, …), the initial states first; with `store`, of Zarr arrays,
+        which are read where they are indexed. With `reduce`, a `Summary`.
 
     Raises:
-        ValueError: bad counts, states off the group or not finite, or members whose very first step fails.
+        ValueError: bad counts, states off the group or not finite, members whose very first step fails, a store that
+            exists, or one to resume that another run wrote.
+        KeyboardInterrupt: interrupted; with `store`, after the chunk has been written.
+        processes.LostProcess: another process of this run is gone.
 
     Warns:
         RuntimeWarning: members that stopped converging later, with the step where each first did.
     """
-    from tqdm import tqdm  # where it is used: the package imports in a moment
-
     num_steps = checks.count("num_steps", num_steps, 0)
     interval = max(num_steps, 1) if save_every is None else checks.count("save_every", save_every, 1)
     num_saves = saves(num_steps, interval)
     if step_axis not in (None, 0):
         raise ValueError(f"step_axis must be None (one step for all) or 0 (one a member), got {step_axis!r}")
+    if reduce is not None and reduce != "energy" and not callable(reduce):
+        raise ValueError(f'reduce must be None, "energy" or a function (step, state) ↦ scalar, got {reduce!r}')
+    if resume and store is None:
+        raise ValueError("resume goes on with a run in a store; give store=PATH.zarr")
+    mesh = members.mesh_of(mesh)
     states, dtype = promoted(step, states)
-    members = _check(step, states)
-    h = jnp.asarray(checks.step_size(dt), dtype)
-    fresh = Progress(StepInfo(jnp.zeros(members, dtype), jnp.ones(members, bool)), jnp.full(members, -1, jnp.int32))
-    advance = _compile(step_axis)
-    _check_first(advance(step, states, fresh, h, 0, 1)[1], step, states, dt, step_axis)
-    if type(step).prepare is not Step.prepare:  # constants of its own for every member
-        step, advance = _prepare(step_axis)(step, states, h), _compile(0)
-
-    out = jax.tree.map(lambda leaf: np.empty((num_saves + 1, *leaf.shape), leaf.dtype), (states, fresh.info))
-    jax.tree.map(partial(_put, 0), out, (states, fresh.info))
-    progressed = fresh
-    with tqdm(total=num_steps, unit="step", disable=None if progress else True, leave=False) as bar:
-        for k in range(num_saves):
-            progressed = progressed._replace(info=fresh.info)
-            for done, count in _chunks(k * interval, interval, max(1, num_steps // 100)):
-                states, progressed = advance(step, states, progressed, h, done, count)
-                jax.block_until_ready(states)
-                bar.update(count)
-            jax.tree.map(partial(_put, k + 1), out, (states, progressed.info))
-    _report(np.asarray(progressed.failed))
-    t: Any = dt * interval * np.arange(num_saves + 1, dtype=dtype)
-    return Trajectory(t, *out)
+    count = _check(step, states)
+    reduction = energy if reduce == "energy" else reduce
+    h = np.asarray(checks.step_size(dt), dtype)
+    job = Job(step, states, float(dt), h, interval, num_saves, step_axis, reduction)
+    with processes.watched(mesh):
+        if store is None:
+            layout = members.layout_of(mesh, count)
+            return _integrate(job, layout, _Memory(job, layout), progress)
+        place = store if isinstance(store, Place) else Place(store)
+        return archive.record(job, mesh, place, resume, lambda layout, sink: _integrate(job, layout, sink, progress))
 
 
-class Progress(NamedTuple):
-    """What a run carries beside the states: the report since the last save, and the step where each member failed."""
+def _integrate(job: Job, layout: Layout, sink: _Memory | archive.Recording, progress: bool) -> Any:
+    """Run a job to its end, giving what it saves to `sink`."""
+    axis, mesh, on_all = job.step_axis, layout.mesh, partial(members.each, layout)
+    step = (members.replicate if axis is None else members.place)(layout, job.step)
+    starts = members.place(layout, job.states)
+    begun = on_all(members.start(axis, job.reduction), step, starts)
+    begin, origin = [carry for carry, _ in begun], [start for _, start in begun]
+    if type(job.step).prepare is not Step.prepare:  # constants of its own for every member
+        step, axis = on_all(lambda s, z: members.prepare(job.step_axis)(s, z, job.dt), step, starts), 0
+    loop = members.advance(axis, job.reduction, sink.rows)
+    resumed = sink.resumed()
+    if resumed is None:
+        if job.num_steps:
+            first = on_all(lambda s, c, o: loop(s, c, o, job.dt, 0, 1, 1, True)[0].failed, step, begin, origin)
+            _check_first(members.fetch(layout, first), job)
+        sink.begin(begin)
+    carry, done = resumed or (begin, 0)
+    pace = Pace(layout)
+    energies = members.energies(axis) if members.agree(mesh, progress and Bar.visible())[0] else None
+    H0 = on_all(energies, step, starts) if energies else []
+    with Interrupts(sink.patient) as interrupts, Bar(progress, job.num_steps, job.members, done) as bar:
+        while done < job.num_steps:
+            into = done % job.interval
+            if into or pace.steps < job.interval:
+                number, every = 1, min(pace.steps, job.interval - into)
+            else:
+                left = (job.num_steps - done) // job.interval
+                number, every = min(pace.steps // job.interval, sink.room, left), job.interval
+            clock = time.perf_counter()
+            now = (job.dt, done, number, every, not into)
+            results = on_all(lambda s, c, o, now=now: loop(s, c, o, *now), step, carry, origin)
+            carry, saved = [c for c, _ in results], [rows for _, rows in results]
+            done += number * every
+            if done % job.interval == 0:
+                sink.add(saved, number)
+            bar.update(number * every)
+            if energies:
+                H = on_all(energies, step, [c.state for c in carry])
+                bar.tell(*members.worst(layout, H0, H, [c.failed for c in carry]))
+            stop = pace.measure(number * every, time.perf_counter() - clock, interrupts.asked)
+            sink.offer(carry, done, pace.seconds, stop)
+            if stop and sink.stopped(done):
+                raise KeyboardInterrupt(sink.farewell(done, job.num_steps))
+        result = sink.end(carry)
+    _report(members.fetch(layout, [c.failed for c in carry]))
+    return result
 
-    info: StepInfo
-    failed: Array
 
+class _Memory:
+    """Results in arrays of numpy."""
 
-def compiler_options() -> dict[str, Any]:
-    """What the compiled loops are built with: full-width vectors, 1.4 to 1.7 times faster on AVX-512 machines."""
-    on_x86 = jax.default_backend() == "cpu" and platform.machine().lower() in ("x86_64", "amd64")
-    return {"xla_cpu_prefer_vector_width": 512} if on_x86 else {}
+    patient, rows = False, 1
 
+    def __init__(self, job: Job, layout: Layout) -> None:
+        self._job, self._layout, self._entries = job, layout, 0
+        self.rows = self.room = job.rows(job.members)
+        self._series: list[dict[str, np.ndarray]] = []
+        self._out: Any = None
 
-@cache
-def _compile(step_axis: int | None) -> Any:
-    """(step, states, progress, dt, done, count) ↦ the states and progress after `count` more steps."""
+    def resumed(self) -> None:
+        return None
 
-    def advance(
-        step: Step, states: State, progress: Progress, dt: Array, done: Array, count: Array
-    ) -> tuple[State, Progress]:
-        def one(i: Array, carry: tuple[State, Progress]) -> tuple[State, Progress]:
-            states, (info, failed) = carry
-            states, new = jax.vmap(lambda s, z: s(z, dt), in_axes=(step_axis, 0))(step, states)
-            failed = jnp.where((failed < 0) & ~new.converged, done + i, failed)
-            return states, Progress(info.worse(new), failed)
+    def begin(self, carry: list[Carry]) -> None:
+        if self._job.reduction is not None:
+            self._series.append(first_entry(self._job))
+            return
+        first = members.fetch(self._layout, [(c.info, c.state) for c in carry])
+        self._out = jax.tree.map(lambda x: np.empty((self._job.num_saves + 1, *x.shape), x.dtype), first)
+        self._put(jax.tree.map(lambda x: x[None], first))
 
-        return lax.fori_loop(0, count, one, (states, progress))
+    def add(self, saved: Any, number: int) -> None:
+        fetched = rows(self._layout, saved, number)
+        if self._job.reduction is None:
+            self._put(fetched)
+        else:
+            self._series.append(reduced(fetched, self._job))
 
-    return jax.jit(advance, compiler_options=compiler_options())
+    def _put(self, rows: Any) -> None:
+        number = len(jax.tree.leaves(rows)[0])
+        for target, x in zip(jax.tree.leaves(self._out), jax.tree.leaves(rows), strict=True):
+            target[self._entries : self._entries + number] = x
+        self._entries += number
 
+    def offer(self, carry: list[Carry], done: int, seconds: float, stop: bool) -> None:
+        pass
 
-@cache
-def _prepare(step_axis: int | None) -> Any:
-    """(step, states, dt) ↦ the prepared steps, with the member axis on every leaf."""
-    return jax.jit(jax.vmap(lambda step, state, dt: step.prepare(state, dt), in_axes=(step_axis, 0, None)))
+    def stopped(self, done: int) -> bool:
+        return True
 
+    def farewell(self, done: int, num_steps: int) -> str:
+        return f"stopped after {done} of {num_steps} steps; a run with a store can be resumed"
 
-def _chunks(start: int, length: int, size: int) -> list[tuple[int, int]]:
-    """`length` steps from `start` on, cut to pieces (first step, count) short enough for a progress bar."""
-    return [(start + k, min(size, length - k)) for k in range(0, length, size)]
-
-
-def _put(k: int, target: Any, value: Any) -> None:
-    target[k] = value
+    def end(self, carry: list[Carry]) -> Any:
+        if self._job.reduction is None:
+            info, state = self._out
+            return Trajectory(self._job.times, state, info)  # pyright: ignore[reportArgumentType]
+        series = {name: np.concatenate([part[name] for part in self._series]) for name in self._series[0]}
+        state, failed = members.fetch(self._layout, [(c.state, c.failed) for c in carry])
+        return Summary(self._job.times, **series, state=state, failed=failed)
 
 
 def _check(step: Step, states: State) -> int:
@@ -144,12 +212,12 @@ def _check(step: Step, states: State) -> int:
     return shapes[0][0]
 
 
-def _check_first(progress: Progress, step: Step, states: State, dt: float, step_axis: int | None) -> None:
-    bad = np.flatnonzero(np.asarray(progress.failed) >= 0)
+def _check_first(failed: np.ndarray, job: Job) -> None:
+    bad = np.flatnonzero(failed >= 0)
     if bad.size:
-        one = jax.tree.map(lambda leaf: leaf[bad[0]], states)
-        its = step if step_axis is None else jax.tree.map(lambda leaf: leaf[bad[0]], step)
-        raise ValueError(f"the first step fails for {_some(bad)}. Member {bad[0]}: {its.advice(one, dt)}")
+        one = jax.tree.map(lambda leaf: leaf[bad[0]], job.states)
+        its = job.step if job.step_axis is None else jax.tree.map(lambda leaf: leaf[bad[0]], job.step)
+        raise ValueError(f"the first step fails for {_some(bad)}. Member {bad[0]}: {its.advice(one, job.given)}")
 
 
 def _report(failed: np.ndarray) -> None:
@@ -162,10 +230,10 @@ def _report(failed: np.ndarray) -> None:
             f"{bad.size} of {failed.size} members did not converge at every step: {named}{more}; "
             "their results from there on are not to be trusted (take a smaller dt)",
             RuntimeWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
 
 
-def _some(members: np.ndarray) -> str:
-    more = ", …" if members.size > _NAMED else ""
-    return f"{members.size} member(s): {', '.join(map(str, members[:_NAMED]))}{more}"
+def _some(which: np.ndarray) -> str:
+    more = ", …" if which.size > _NAMED else ""
+    return f"{which.size} member(s): {', '.join(map(str, which[:_NAMED]))}{more}"

@@ -58,7 +58,11 @@ def load(name: str, **changes: Any) -> Any:
     Raises:
         ValueError: no such scenario, not TOML, or a key that is missing, unknown or out of range: the message names it.
     """
-    table = _table(name)
+    return parse(_table(name) | {key: value for key, value in changes.items() if value is not None}, name)
+
+
+def parse(table: dict[str, Any], name: str) -> Any:
+    """The scenario of a table of keys; `name` is what errors call it."""
     if "system" not in table:
         raise ValueError(f"{name}: system: key missing")
     if table["system"] not in kinds():
@@ -66,7 +70,7 @@ def load(name: str, **changes: Any) -> Any:
         raise ValueError(f"{name}: system: must be {allowed} (got {table['system']!r})")
     model = kinds()[table["system"]].Scenario
     try:
-        return model.model_validate(table | {key: value for key, value in changes.items() if value is not None})
+        return model.model_validate(table)
     except ValidationError as error:
         raise ValueError(f"{name}: {_explain(error)}") from error
 

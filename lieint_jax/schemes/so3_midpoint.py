@@ -176,17 +176,24 @@ def scalar_root(J: Symmetric, a: Array, iterations: int) -> Array:
     return newton.root(quartic, correction, m, iterations)[0]
 
 
-def half_cayley(J: Symmetric, a: Array, m: Array) -> Array:
+def half_cayley(J: Symmetric, a: Array, m: Array, gain: Array | None = None) -> Array:
     """h = (J − m − â)⁻¹a, shape (3,), for tr J = 1.
 
-    With adj(J − m − â)a = adj(J)a + (m² − m tr J + |a|²)a + m Ja − a×Ja everything is a polynomial in m.
+    With adj(J − m − â)a = adj(J)a + (m² − m tr J + |a|²)a + m Ja − a×Ja everything is a polynomial in m. If m was
+    solved for elsewhere on a trajectory, the quartic says by how much energy is off here; with a `gain`, a turn about
+    a × J⁻¹a takes so much of it back.
     """
     C = small.adjugate(J)
     J3, J2 = small.determinant(J, C), small.trace(C)
-    Ja, Ca = apply(J, a), apply(C, a)
-    k = dot(a, a) - m * (1 - m)
-    r = 1 / (J3 + dot(a, Ja) - m * (J2 + k))
-    x = cross(a, Ja)
+    Ja, Ca, s = apply(J, a), apply(C, a), dot(a, a)
+    k = s - m * (1 - m)
+    w = J3 - m * (J2 + k)
+    r = 1 / (w + dot(a, Ja))
+    if gain is None:
+        x = cross(a, Ja)
+    else:
+        t = gain * lax.stop_gradient(m * w - k * s - dot(a, Ca))  # 0 but for rounding, and so is its derivative
+        x = cross(a, tuple(Ja[i] + t * Ca[i] for i in range(3)))
     return r * k * a + r * jnp.stack([Ca[i] + m * Ja[i] - x[i] for i in range(3)])
 
 

@@ -1,0 +1,346 @@
+"""How do ensembles scale: with the number of bodies, over devices, against C++ on as many threads, against the machine?
+
+Free rigid bodies of inertia (1, 2, 3) at dt = 0.05, and an example of each other system, float64, through the loop that
+`ensemble.run` compiles. Everything is timed in turn, round after round, so that a slow spell hits all alike; a rate is
+that of the best call.
+
+    python benchmarks/ensemble.py [--quick] [--out DIR] [--only PART …]
+
+Parts: `sizes` (bodies from 1 to a million), `systems` (a thousand of each), `threads` (C++ and ours on one core and on
+all; strong scaling is the same bodies on more devices, weak scaling as many bodies on each), `roofline` (operations
+that XLA counts in a step, against what the core can do). Each part runs in a process of its own, pinned to a core but
+for `threads`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+PARTS = ("sizes", "systems", "threads", "roofline")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="small sizes, about a minute")
+    parser.add_argument("--out", type=Path, default=HERE / "results", metavar="DIR", help="where the results go")
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART")
+    parser.add_argument("--part", choices=PARTS, help=argparse.SUPPRESS)  # how the processes are called
+    options = parser.parse_args()
+    cores = sorted(os.sched_getaffinity(0))
+    if options.part:
+        if options.part != "threads":
+            os.sched_setaffinity(0, cores[-1:])  # before jax makes its threads
+        print(json.dumps(PART[options.part](options.quick, cores)))
+        return
+    found: dict[str, Any] = {}
+    for part in options.only:
+        arguments = [sys.executable, __file__, "--part", part] + ["--quick"] * options.quick
+        found[part] = json.loads(subprocess.run(arguments, check=True, stdout=subprocess.PIPE, text=True).stdout)
+    os.sched_setaffinity(0, cores[-1:])
+    import measure
+    import report
+
+    found["machine"] = measure.machine()
+    sections = [report.machine(found), f"{len(cores)} core(s)"]
+    for part in options.only:
+        sections += TABLE[part](found[part])
+    report.publish("ensemble", sections, found, options.out)
+
+
+def best(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
+    """Seconds of the best of so many calls of each, in turn, after a first one that compiles."""
+    import time
+
+    seconds = dict.fromkeys(calls, float("inf"))
+    for k in range(rounds + 1):
+        for name, call in calls.items():
+            start = time.perf_counter()
+            call()
+            if k:
+                seconds[name] = min(seconds[name], time.perf_counter() - start)
+    return seconds
+
+
+def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) -> Callable[[], Any]:
+    """A call of the ensemble's loop on some devices."""
+    import jax
+    import numpy as np
+
+    import lieint_jax as li
+    from lieint_jax import members
+
+    layout = members.layout_of(members.first_devices(devices), len(states.p))
+    h, axis = np.asarray(dt), None
+    steps, starts = members.replicate(layout, step), members.place(layout, states)
+    carry = [c for c, _ in members.each(layout, members.start(axis, None), steps, starts)]
+    if type(step).prepare is not li.Step.prepare:
+        steps, axis = members.each(layout, lambda s, z: members.prepare(None)(s, z, h), steps, starts), 0
+    loop = members.advance(axis, None, 1)
+
+    def call() -> Any:
+        return members.each(layout, lambda s, c: loop(s, c, None, h, 0, 1, num_steps, True)[0], steps, carry)
+
+    jax.block_until_ready(call())
+    return call
+
+
+def bodies(count: int) -> Any:
+    """Free bodies, as in `measure`, a thousand of them over and over."""
+    import jax.numpy as jnp
+    import measure
+    import numpy as np
+
+    import lieint_jax as li
+
+    q, p = (np.resize(x, (count, x.shape[1])) for x in measure.bodies(min(count, 1000)))
+    return li.State(jnp.asarray(q), jnp.asarray(p))
+
+
+def free_steps() -> dict[str, Any]:
+    import measure
+
+    import lieint_jax as li
+
+    body = measure.body()
+    return {"so3_midpoint, symplectic κ": li.schemes.so3_midpoint(body), "so3_explicit": li.schemes.so3_explicit(body)}
+
+
+def sizes(quick: bool, _: Sequence[int]) -> Any:
+    """Rates of the free body by number of bodies."""
+    counts = (1, 10, 100, 1000, 10_000) if quick else (1, 10, 100, 1000, 10_000, 100_000, 1_000_000)
+    work, rounds = (1e6, 2) if quick else (1.5e7, 4)
+    rates: dict[str, dict[int, float]] = {name: {} for name in free_steps()}
+    for group in (counts[:3], counts[3:]):
+        calls, done = {}, {}
+        for count in group:
+            n = int(max(10, min(work / max(count, 64), 100_000)))
+            for name, step in free_steps().items():
+                calls[f"{name}|{count}"], done[f"{name}|{count}"] = ours(step, bodies(count), 0.05, n), n * count
+        for key, seconds in best(calls, rounds).items():
+            name, count = key.split("|")
+            rates[name][int(count)] = done[key] / seconds
+    return rates
+
+
+def systems(quick: bool, _: Sequence[int]) -> Any:
+    """Rates of a thousand bodies of an example of each system, by each of a few schemes."""
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    import lieint_jax as li
+
+    found = {}
+    chosen = [
+        ("rigid_body", "asymmetric", ("so3_midpoint", "so3_explicit", "preprocessed", "calibrated", "exact")),
+        ("heavy_top", "asymmetric_top", ("splitting", "top_energy_momentum")),
+        ("potential_top", "brun", ("splitting", "top_energy_momentum")),
+        ("pendulum", "uniform", ("sphere_midpoint",)),
+        ("pseudo_rigid", "ball", ("additive",)),
+        ("euler", "kirchhoff", ("group_midpoint",)),
+        ("group_potential", "bottom_heavy", ("group_energy_momentum",)),
+    ]
+    for module, example, makers in chosen[:4] if quick else chosen:
+        system, state, dt = _example(module, example)
+        noise = np.random.default_rng(0).normal(size=(1000, *state.p.shape))
+        p = state.p * (1 + 0.01 * jnp.asarray(noise))
+        if module == "pendulum":
+            p = p - jnp.sum(p * state.q, axis=1, keepdims=True) * state.q
+        states = li.State(jnp.broadcast_to(state.q, (1000, *state.q.shape)), p)
+        for maker in makers:
+            name, step = next(iter(_schemes(maker, system).items()))
+            pilot = ours(step, states, dt, 20)
+            seconds = best({"": pilot}, 2)[""]
+            n = int(max(20, min(20 * (0.05 if quick else 0.3) / seconds, 1e5)))
+            call = ours(step, states, dt, n)
+            found[f"{module}.{example}, {name}"] = 1000 * n / best({"": call}, 3)[""]
+            jax.clear_caches()
+    return found
+
+
+def _example(module: str, example: str) -> Any:
+    import importlib
+
+    return importlib.import_module(f"lieint_jax.systems.{module}").examples()[example]
+
+
+def _schemes(module: str, system: Any) -> Any:
+    import importlib
+
+    return importlib.import_module(f"lieint_jax.schemes.{module}").examples(system)
+
+
+def threads(quick: bool, cores: Sequence[int]) -> Any:
+    """Rates on one core and on all, ours and C++ by threads (the batch split, as C++ releases Python's lock)."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    import jax
+
+    jax.config.update("jax_num_cpu_devices", len(cores))
+    import cpp
+    import measure
+    import numpy as np
+
+    count, n = (2000, 500) if quick else (20_000, 500)
+    rates: dict[str, float] = {}
+
+    def cpp_call(form: Any, parts: int, total: int) -> Callable[[], Any]:
+        contestant = cpp.symplectic(form, measure.INERTIA, 0.05)
+        q, p = (np.asarray(x) for x in bodies(total))
+        blocks = [
+            contestant.load(a, b) for a, b in zip(*(np.array_split(x, total // 1000) for x in (q, p)), strict=True)
+        ]
+        pool = ThreadPoolExecutor(parts)
+        return lambda: list(pool.map(lambda block: contestant.advance(block, n), blocks))
+
+    def pinned(which: Sequence[int], call: Callable[[], Any]) -> Callable[[], Any]:
+        """Every thread of the process on these cores while it lasts."""
+
+        def run() -> Any:
+            for thread in os.listdir("/proc/self/task"):
+                with contextlib.suppress(ProcessLookupError):  # it has just ended
+                    os.sched_setaffinity(int(thread), which)
+            return call()
+
+        return run
+
+    many = len(cores)
+    work: dict[str, tuple[Callable[[], Any], int]] = {}
+    for name, step in free_steps().items():
+        work[f"{name}|one"] = pinned(cores[-1:], ours(step, bodies(count), 0.05, n)), count
+        work[f"{name}|strong"] = pinned(cores, ours(step, bodies(count), 0.05, n, many)), count
+        work[f"{name}|weak"] = pinned(cores, ours(step, bodies(many * count), 0.05, n, many)), many * count
+    for form in ("newton", "scalar"):
+        name = f"C++ {form} form"
+        work[f"{name}|one"] = pinned(cores[-1:], cpp_call(form, 1, count)), count
+        work[f"{name}|strong"] = pinned(cores, cpp_call(form, many, count)), count
+        work[f"{name}|weak"] = pinned(cores, cpp_call(form, many, many * count)), many * count
+    seconds = best({key: call for key, (call, _) in work.items()}, 3 if quick else 8)
+    rates = {key: total * n / seconds[key] for key, (_, total) in work.items()}
+    return {"devices": many, "bodies": count, "rates": rates}
+
+
+def roofline(quick: bool, _: Sequence[int]) -> Any:
+    """Operations a body-step as XLA counts them, and the rate that the core reaches in a product of matrices."""
+    import jax
+    import numpy as np
+
+    from lieint_jax.ensemble import compiler_options
+
+    states, found = bodies(1024), {}
+    for name, step in free_steps().items():
+        prepared = jax.vmap(lambda z, step=step: step.prepare(z, 0.05))(states)
+        axis = 0 if name == "so3_explicit" else None
+        one = jax.jit(jax.vmap(lambda s, z: s(z, 0.05), in_axes=(axis, 0)), compiler_options=compiler_options())
+        counted: Any = one.lower(prepared if axis == 0 else step, states).compile().cost_analysis()
+        n = 500 if quick else 8000
+        call = ours(step, states, 0.05, n)
+        found[name] = {
+            "flops": counted["flops"] / 1024,
+            "bytes": counted["bytes accessed"] / 1024,
+            "rate": 1024 * n / best({"": call}, 5)[""],
+        }
+
+    A = np.random.default_rng(0).random((768, 768))
+    seconds = best({"": lambda: A @ A}, 10)[""]
+    return {"steps": found, "peak": 2 * 768**3 / seconds}
+
+
+def sizes_table(rates: Any) -> list[str]:
+    import report
+
+    counts = list(next(iter(rates.values())))
+    rows = [[name, *(f"{r[c] / 1e6:.3g}" for c in counts)] for name, r in rates.items()]
+    bars = []
+    if "100000" in counts:
+        for name, r in rates.items():
+            ratio = r["100000"] / r["1000"]
+            bars.append(
+                [
+                    f"{name}: a body of 10⁵ against one of 1000",
+                    f"{ratio:.2f}",
+                    "≥ 0.87",
+                    report.verdict(ratio, ratio >= 1 / 1.15),
+                ]
+            )
+    title = "Millions of body-steps a second by number of free bodies, one core"
+    table = report.table(["", *map(str, counts)], rows)
+    return [title, table, *([report.table(["", "measured", "bar", ""], bars)] if bars else [])]
+
+
+def systems_table(rates: Any) -> list[str]:
+    import report
+
+    rows = [[name, f"{rate / 1e6:.3g}"] for name, rate in rates.items()]
+    return ["Millions of body-steps a second, 1000 bodies, one core", report.table(["", "rate"], rows)]
+
+
+def threads_table(found: Any) -> list[str]:
+    import report
+
+    rates, devices, rows, bars = found["rates"], found["devices"], [], []
+    for name in dict.fromkeys(key.split("|")[0] for key in rates):
+        one, strong, weak = (rates[f"{name}|{kind}"] for kind in ("one", "strong", "weak"))
+        rows.append(
+            [name, *(f"{x / 1e6:.3g}" for x in (one, strong, weak)), f"{strong / one:.2f}", f"{weak / one:.2f}"]
+        )
+        if not name.startswith("C++") and devices > 1:
+            ratio = max(strong, weak) / one
+            bars.append(
+                [
+                    f"{name}: {devices} devices against one",
+                    f"{ratio:.2f}",
+                    f"≥ {0.85 * devices:g}",
+                    report.verdict(ratio, ratio >= 0.85 * devices),
+                ]
+            )
+    for name, form in (("so3_midpoint, symplectic κ", "newton"), ("so3_explicit", "scalar")):
+        ratio, bar = rates[f"{name}|one"] / rates[f"C++ {form} form|one"], 0.45 if form == "newton" else 0.25
+        bars.append(
+            [f"{name} ÷ C++ {form} form, one core", f"{ratio:.2f}", f"≥ {bar:g}", report.verdict(ratio, ratio >= bar)]
+        )
+    title = (
+        f"Millions of body-steps a second: {found['bodies']} free bodies on one core; on {devices} cores, one device "
+        "each (strong); as many on each of them (weak); C++ in blocks of 1000 too, a thread a core"
+    )
+    head = ["", "one", "strong", "weak", "strong ÷ one", "weak ÷ one"]
+    return [title, report.table(head, rows), report.table(["", "measured", "bar", ""], bars)]
+
+
+def roofline_table(found: Any) -> list[str]:
+    import report
+
+    rows = []
+    for name, r in found["steps"].items():
+        reached = r["flops"] * r["rate"]
+        rows.append(
+            [
+                name,
+                f"{r['flops']:.0f}",
+                f"{r['bytes']:.0f}",
+                f"{reached / 1e9:.3g}",
+                f"{100 * reached / found['peak']:.0f} %",
+            ]
+        )
+    title = (
+        "Operations and bytes a body-step as XLA counts them in the compiled step, and what of the peak the loop "
+        f"reaches; peak: {found['peak'] / 1e9:.3g} billion operations a second, those of a product of matrices by BLAS"
+    )
+    return [title, report.table(["", "operations", "bytes", "billion operations/s", "of the peak"], rows)]
+
+
+PART = {"sizes": sizes, "systems": systems, "threads": threads, "roofline": roofline}
+TABLE = {"sizes": sizes_table, "systems": systems_table, "threads": threads_table, "roofline": roofline_table}
+
+
+if __name__ == "__main__":
+    main()

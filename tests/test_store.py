@@ -1,0 +1,406 @@
+"""Runs on disk: the same bits as in memory, whatever ended them and however often, and nothing lost or half written."""
+
+import contextlib
+import filecmp
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax import archive, cli, ensemble, runs, store
+
+BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+STEP = li.schemes.so3_midpoint(BODY)
+RNG = np.random.default_rng(7)
+Q = RNG.normal(size=(40, 4))
+STATES = jax.vmap(lambda q, w: BODY.state(q, angular_velocity=w))(
+    jnp.array(Q / np.linalg.norm(Q, axis=1, keepdims=True)), jnp.array(0.4 * RNG.normal(size=(40, 3)))
+)
+SCENARIO = """
+title = "a book"
+system = "rigid_body"
+inertia = [1.0, 2.0, 3.0]
+time_unit = "s"
+dt = 0.1
+steps = 800_000
+save_every = 100
+members = 100
+seed = 1
+[state]
+angular_velocity = [0.01, 1.0, 0.0]
+[spread]
+angular_velocity_deg = 5.0
+"""
+
+
+def run(path=None, step=STEP, dt=0.1, num_steps=60, save_every=5, **options):
+    return ensemble.run(step, STATES, dt, num_steps, save_every, store=path, progress=False, **options)
+
+
+@pytest.fixture
+def small_chunks(monkeypatch):
+    """Commits after every 4 saves, so that a short run has many."""
+    monkeypatch.setattr(runs.Job, "rows", lambda self, across: 4)
+
+
+def same_folders(a, b):
+    """Whether two stores are the same, file by file and byte by byte."""
+    files = [sorted(f.relative_to(p) for p in (path,) for f in p.rglob("*") if f.is_file()) for path in (a, b)]
+    assert files[0] == files[1]
+    _, different, missing = filecmp.cmpfiles(a, b, files[0], shallow=False)
+    return not different and not missing
+
+
+def test_a_store_holds_what_memory_would(tmp_path, small_chunks):
+    memory, disk = run(), run(tmp_path / "run.zarr")
+    for a, b in zip(jax.tree.leaves(memory), jax.tree.leaves(disk), strict=True):
+        np.testing.assert_array_equal(a, b[...])
+    assert not list((tmp_path / "run.zarr").rglob("*.partial"))
+    assert not (tmp_path / "run.zarr/checkpoint").exists()
+    again, metadata = store.load(tmp_path / "run.zarr")
+    np.testing.assert_array_equal(again.state.q[3, 5], memory.state.q[3, 5])
+    assert metadata["scheme"] == "so3_midpoint[symplectic]"
+    assert metadata["run"]["versions"]["jax"] == jax.__version__
+
+
+def test_reductions_are_those_of_the_trajectory(tmp_path, small_chunks):
+    every = ensemble.run(STEP, STATES, 0.1, 60, 1, progress=False)
+    change = (every.state.q[1:, :, 0] - every.state.q[0, :, 0]).reshape(12, 5 * 40)
+    found = run(reduce=lambda step, z: z.q[0])
+    for kept, expected in zip(found[1:4], (change.min(1), change.max(1), change.mean(1)), strict=True):
+        np.testing.assert_allclose(kept[1:], expected, rtol=1e-12)
+    np.testing.assert_array_equal(found.residual[1:], every.info.residual[1:].reshape(12, -1).max(1))
+    assert not found.unconverged.any()
+    np.testing.assert_array_equal(found.state.q, every.state.q[-1])
+    energy = run(reduce="energy")
+    assert max(np.abs(x).max() for x in energy[1:4]) < 2e-14  # floor 3e-15
+    assert energy.least[1:].max() < 0 < energy.greatest[1:].min()
+    jax.tree.map(np.testing.assert_array_equal, run(tmp_path / "a.zarr", reduce="energy"), energy)
+    with pytest.raises(ValueError, match=r'reduce must be None, "energy" or a function'):
+        run(reduce="momentum")
+
+
+def test_xarray_reads_it(tmp_path, small_chunks):
+    xarray = pytest.importorskip("xarray")
+    memory = run()
+    run(ensemble.Place(tmp_path / "run.zarr", {"seed": 3, "scenario": {"title": "x"}}, "d"))
+    with xarray.open_zarr(tmp_path / "run.zarr") as data:
+        assert data.sizes == {"time": 13, "member": 40, "q_component": 4, "p_component": 3}
+        np.testing.assert_array_equal(data.q.sel(time=2.0, method="nearest"), memory.state.q[4])
+        np.testing.assert_array_equal(data.time, memory.t)
+        assert (data.attrs["dt"], data.attrs["seed"], data.time.attrs["units"]) == (0.1, 3, "d")
+        assert data.p.attrs["units"] == "unit of inertia / d"
+
+
+class Crash(BaseException):
+    """As if the process ended here."""
+
+
+@pytest.mark.parametrize("reduce", [None, "energy"])
+def test_an_end_at_any_write_leaves_a_store_that_resumes_to_the_same_bits(tmp_path, small_chunks, monkeypatch, reduce):
+    """A crash at one wait for the disk after another, between which lie all writes and renames."""
+    path, whole, sync = tmp_path / "run.zarr", tmp_path / "whole.zarr", os.fsync
+    run(whole, reduce=reduce)
+    seen, stages = 0, set()
+    for last in range(0, 1000, 11):
+        left = [last]
+
+        def fails(descriptor, left=left):
+            left[0] -= 1
+            if left[0] < 0:
+                raise Crash
+            sync(descriptor)
+
+        monkeypatch.setattr(os, "fsync", fails)
+        with contextlib.suppress(Crash):
+            run(path, reduce=reduce, resume=True)
+        monkeypatch.setattr(os, "fsync", sync)
+        crashed = left[0] < 0
+        if path.exists():
+            found, metadata = store.load(path)
+            progress = metadata["progress"]
+            assert progress["entries"] >= seen  # nothing that counted is lost
+            seen = progress["entries"]
+            stages.add(seen)
+            if reduce is None and seen:
+                assert np.isfinite(found.state.q[...]).all()
+                assert found.info.converged[...].all()
+        if crashed and last % 2:  # else the next crash is one of the same run, a little later
+            run(path, reduce=reduce, resume=True)
+            assert same_folders(path, whole)
+            shutil.rmtree(path)
+            seen = 0
+        elif not crashed:
+            break
+    assert len(stages) >= 4
+    assert same_folders(path, whole)
+
+
+def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunks, monkeypatch):
+    path = tmp_path / "run.zarr"
+    run(ensemble.Place(path, {"scenario": {"seed": 1}}))
+    before = {f: f.read_bytes() for f in path.rglob("*") if f.is_file()}
+    with pytest.raises(ValueError, match=r"exists and is not overwritten; resume continues it"):
+        run(path)
+    for options, message in (
+        (dict(dt=0.2), r"dt is 0\.1 there and 0\.2 here"),
+        (dict(num_steps=70), r"num_steps is 60 there and 70 here"),
+        (dict(save_every=10), r"save_every is 5 there and 10 here"),
+        (
+            dict(step=li.schemes.so3_midpoint(BODY, li.maps.kappa_cayley)),
+            r"scheme is 'so3_midpoint\[symplectic\]' there",
+        ),
+        (dict(step=li.schemes.so3_midpoint(BODY, iterations=7)), "options of the step is"),
+        (dict(step=li.schemes.so3_midpoint(li.systems.rigid_body([1.0, 2.0, 2.5]))), "numbers of the step is"),
+        (dict(reduce="energy"), "reduce is None there and 'energy' here"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            run(path, resume=True, **options)
+    with pytest.raises(ValueError, match=r"scenario\.seed is 1 there and 2 here"):
+        run(ensemble.Place(path, {"scenario": {"seed": 2}}), resume=True)
+    monkeypatch.setattr(li, "__version__", "9.9")
+    with pytest.raises(ValueError, match=r"versions\.lieint_jax is .* there and '9\.9' here"):
+        run(path, resume=True)
+    monkeypatch.undo()
+    monkeypatch.setattr(archive, "compiler_options", lambda: {"xla_cpu_prefer_vector_width": 128})
+    with pytest.raises(ValueError, match=r"compiler_options\.\w+ is .* there and 128 here"):
+        run(path, resume=True)
+    assert before == {f: f.read_bytes() for f in path.rglob("*") if f.is_file()}
+    with pytest.raises(ValueError, match="give store"):
+        run(resume=True)
+    with pytest.raises(ValueError, match=r"ends in \.zarr"):
+        run(tmp_path / "run.npz")
+
+
+def test_two_runs_do_not_write_to_one_store(tmp_path, small_chunks):
+    run(tmp_path / "run.zarr")
+    with store.opened(tmp_path / "run.zarr", True), pytest.raises(ValueError, match="another run is writing"):
+        run(tmp_path / "run.zarr", resume=True)
+
+
+@contextlib.contextmanager
+def tmpfs(path, size):
+    path.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "none", path], capture_output=True).returncode:
+        pytest.skip("mounting needs root")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", "-l", path], check=True)
+
+
+def test_a_full_disk_ends_a_run_that_resumes_to_the_same_bits(tmp_path, small_chunks):
+    run(tmp_path / "whole.zarr", num_steps=600)
+    with tmpfs(tmp_path / "disk", "240k"):
+        path = tmp_path / "disk/run.zarr"
+        with pytest.raises(OSError, match=r"No space left on device: .* holds everything up to step \d+; .* resume"):
+            run(path, num_steps=600)
+        found, metadata = store.load(path)
+        assert 4 <= metadata["progress"]["entries"] < 121
+        assert np.isfinite(found.state.q[...]).all()
+        subprocess.run(["mount", "-o", "remount,size=4m", tmp_path / "disk"], check=True)
+        run(path, num_steps=600, resume=True)
+        assert same_folders(path, tmp_path / "whole.zarr")
+
+
+def test_a_limit_on_the_size_of_files_likewise(tmp_path, small_chunks):
+    """What needs no root: the system refuses files of more than so many bytes, with the chunks larger than that."""
+    run(tmp_path / "whole.zarr")
+    path, before = tmp_path / "run.zarr", resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, before[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            run(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    run(path, resume=True)
+    assert same_folders(path, tmp_path / "whole.zarr")
+
+
+def test_an_interrupt_waits_for_the_chunk_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(runs.Job, "rows", lambda self, across: 50)
+    path, steps = tmp_path / "run.zarr", 20_000_000
+
+    def interrupt():
+        while not (path.exists() and store.load(path)[1]["progress"]["entries"]):
+            time.sleep(0.05)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt, daemon=True).start()
+    with pytest.raises(KeyboardInterrupt, match=rf"stopped after \d+ of {steps} steps, all of them in .*; resume"):
+        run(path, num_steps=steps, save_every=1000)
+    assert "finishing the chunk" in capsys.readouterr().err
+    progress = store.load(path)[1]["progress"]
+    assert progress["steps"] > 0
+    assert progress["entries"] % 50 == 0
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.fixture(scope="module")
+def book(tmp_path_factory):
+    """A scenario of some seconds, and the store of its uninterrupted run."""
+    folder = tmp_path_factory.mktemp("book")
+    (folder / "book.toml").write_text(SCENARIO)
+    assert command(folder, "--out", "whole.zarr").wait() == 0
+    return folder
+
+
+def command(folder, *options, **popen):
+    arguments = [sys.executable, "-m", "lieint_jax.cli", "run", "book.toml", *options]
+    return subprocess.Popen(arguments, cwd=folder, stdout=subprocess.DEVNULL, **popen)
+
+
+@pytest.mark.long
+def test_killed_at_random_moments_and_resumed(book):
+    delays = np.random.default_rng(11).uniform(1.5, 5.0, 5)
+    ended = 0
+    for delay in delays:
+        process = command(book, "--out", "killed.zarr", "--resume", stderr=subprocess.DEVNULL)
+        time.sleep(delay)
+        ended += process.poll() is None
+        process.kill()
+        process.wait()
+    assert ended >= 2
+    assert command(book, "--out", "killed.zarr", "--resume").wait() == 0
+    assert same_folders(book / "killed.zarr", book / "whole.zarr")
+
+
+def meet(folder, port, *options):
+    distributed = ["--distributed", "--coordinator", f"localhost:{port}", "--processes", "2", "--process"]
+    text = dict(stderr=subprocess.PIPE, text=True)
+    return [command(folder, *options, *distributed, str(k), **text) for k in range(2)]
+
+
+def free_port():
+    import socket
+
+    with socket.socket() as s:
+        s.bind(("localhost", 0))
+        return s.getsockname()[1]
+
+
+@pytest.mark.long
+def test_two_processes_are_one(book):
+    for process in meet(book, free_port(), "--out", "two.zarr"):
+        error = process.communicate(timeout=120)[1]
+        assert process.returncode == 0, error
+    assert same_arrays(book / "two.zarr", book / "whole.zarr")
+
+
+def same_arrays(a, b):
+    (x, _), (y, _) = store.load(a), store.load(b)
+    return all((p[...] == q[...]).all() for p, q in zip(jax.tree.leaves(x), jax.tree.leaves(y), strict=True))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("victim", [1, 0], ids=["worker", "coordinator"])
+def test_the_loss_of_a_process_ends_the_other_and_the_store_resumes(book, victim):
+    path = book / f"lost-{victim}.zarr"
+    both = meet(book, free_port(), "--out", path.name)
+    limit = time.monotonic() + 60
+    while not (path.exists() and store.load(path)[1]["progress"]["entries"]):
+        assert time.monotonic() < limit
+        time.sleep(0.1)
+    both[victim].kill()
+    both[victim].communicate()
+    start = time.monotonic()
+    error = both[1 - victim].communicate(timeout=60)[1]
+    assert time.monotonic() - start < 30
+    assert both[1 - victim].returncode != 0
+    if victim == 1:  # the coordinator's own loss may end in the runtime's abort
+        assert "process 1 of 2 is lost; what is in the store can be resumed" in error or "unhealthy" in error
+    assert not store.load(path)[1]["progress"]["complete"]
+    assert command(book, "--out", path.name, "--resume").wait() == 0
+    assert same_arrays(path, book / "whole.zarr")
+
+
+def test_the_command_line_writes_resumes_and_shows(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "book.toml").write_text(SCENARIO.replace("800_000", "2000"))
+    arguments = ["run", "book.toml", "--out", "run.zarr", "--members", "3"]
+    assert cli.main([*arguments, "--devices", "1"]) == 0
+    assert "3 of 3 members converged at every step" in capsys.readouterr().out
+    assert cli.main(arguments) == 2
+    assert "run.zarr exists and is not overwritten" in capsys.readouterr().err
+    assert cli.main([*arguments, "--resume"]) == 0
+    assert cli.main(["run", "book.toml", "--out", "run.zarr", "--members", "4", "--resume"]) == 2
+    assert "scenario.members is 3 there and 4 here" in capsys.readouterr().err
+    assert cli.main(["info", "run.zarr"]) == 0
+    out = capsys.readouterr().out
+    assert "complete: 21 of 21 entries" in out
+    assert "so3_midpoint[symplectic]" in out
+    for bad, message in (
+        (["info", "no.zarr"], "no.zarr is not there"),
+        (["run", "book.toml", "--out", "x.npz", "--resume"], "only a run written as .zarr can be resumed"),
+        (["run", "book.toml", "--processes", "2"], "go with --distributed"),
+        (["run", "book.toml", "--devices", "99"], "99 devices were asked for"),
+        (["run", "book.toml", "--distributed", "--processes", "2"], "give all of coordinator"),
+    ):
+        assert cli.main(bad) == 2
+        assert message in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_the_command_line_draws_what_is_in_a_store(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "book.toml").write_text(SCENARIO.replace("800_000", "2000"))
+    assert cli.main(["run", "book.toml", "--out", "run.zarr", "--members", "3"]) == 0
+    assert cli.main(["plot", "run.zarr"]) == 0
+    assert "precession period" in capsys.readouterr().out
+    assert (tmp_path / "run-path.png").read_bytes().startswith(b"\x89PNG")
+    assert cli.main(["plot", "run.zarr"]) == 2
+    assert "run-path.png exists" in capsys.readouterr().err
+
+
+EIGHT = """
+import hashlib, jax, lieint_jax as li
+from lieint_jax import ensemble
+jax.config.update("jax_enable_x64", True)
+J = jax.numpy.array([[1.0, 2.0, 3.0], [1.0, 1.0, 1.5]] * 150)
+states = jax.vmap(lambda J, w: li.systems.rigid_body(J).state(angular_velocity=w))(
+    J, 0.4 * jax.random.normal(jax.random.key(0), (300, 3))
+)
+steps = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.rigid_body(J)))(J)
+for count in (1, 3, 8):
+    mesh = ensemble.first_devices(count)
+    kept = [ensemble.run(steps, states, 0.1, 400, 100, 0, reduce=how, mesh=mesh) for how in (None, "energy")]
+    print(*(hashlib.sha256(b"".join(x.tobytes() for x in jax.tree.leaves(k))).hexdigest() for k in kept))
+"""
+
+
+@pytest.mark.long
+def test_one_device_or_eight_are_the_same_bits():
+    """States and reductions, of an inertia each, of members that divide evenly among the devices or not."""
+    environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=8"}
+    found = subprocess.run([sys.executable, "-c", EIGHT], env=environment, check=True, capture_output=True, text=True)
+    assert len(found.stdout.splitlines()) == 3
+    assert len(set(found.stdout.splitlines())) == 1
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("make", "bound"), [(li.schemes.so3_midpoint, 3e-13), (li.schemes.so3_explicit, 1e-14)])
+def test_energy_over_a_million_steps(make, bound):
+    """Worst of 16 random bodies at any of 10⁶ steps; the floor is 6e-14 and 3e-15. benchmarks/round_off.py has 10⁸."""
+    rng = np.random.default_rng(1)
+    q, w = rng.normal(size=(16, 4)), rng.normal(size=(16, 3))
+    w *= np.cbrt(rng.random((16, 1))) / np.linalg.norm(w, axis=1, keepdims=True)
+    states = jax.vmap(lambda q, w: BODY.state(q, angular_velocity=w))(
+        jnp.array(q / np.linalg.norm(q, axis=1, keepdims=True)), jnp.array(w)
+    )
+    relative = lambda step, z: jnp.log(step.system.energy(z))  # noqa: E731
+    found = ensemble.run(make(BODY), states, 0.05, 1_000_000, 100_000, reduce=relative, progress=False)
+    worst = max(-found.least.min(), found.greatest.max())
+    slope = np.polyfit(found.t / 0.05, found.mean, 1)[0]
+    assert worst < bound
+    assert abs(slope) < bound / 3e6  # a step
+    assert not found.unconverged.any()
