@@ -26,6 +26,7 @@ from jax.typing import ArrayLike
 from lieint_jax import checks
 from lieint_jax.diagnostics.order import distance
 from lieint_jax.integrate import promoted, saves
+from lieint_jax.studies._components import repeat
 from lieint_jax.types import State, Step, StepInfo, Trajectory, concrete
 
 Derivative = Literal["reversible", "checkpoint"]
@@ -194,7 +195,7 @@ def _march_back(tolerance: float, kept: Any, cotangents: tuple[State, Any]) -> t
     step, state, dt, counts, later = kept
     smooth, rebuild = _smooth_leaves(step)
 
-    def undo(_: Array, carry: Any) -> Any:
+    def undo(carry: Any) -> Any:
         z, lam, sums = carry
         z = step(z, -dt)[0]
         _, pull = jax.vjp(lambda leaves, z, dt: rebuild(leaves)(z, dt)[0], smooth, z, dt)
@@ -204,7 +205,7 @@ def _march_back(tolerance: float, kept: Any, cotangents: tuple[State, Any]) -> t
     def interval(carry: Any, saved: tuple[State, State, State, Array]) -> tuple[Any, Array]:
         lam, sums = carry
         start, end, seen, count = saved
-        rebuilt, lam, sums = lax.fori_loop(0, count, undo, (end, jax.tree.map(jnp.add, lam, seen), sums))
+        rebuilt, lam, sums = repeat(count, undo, (end, jax.tree.map(jnp.add, lam, seen), sums))
         return (lam, sums), distance(rebuilt, start)
 
     starts = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest[:-1]]), state, later)
