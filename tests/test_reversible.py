@@ -1,7 +1,5 @@
 """Three derivatives, one answer: forward, reverse through the scan, reverse by undoing steps; and differences."""
 
-import warnings
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +8,6 @@ from grid import steps
 
 import lieint_jax as li
 from lieint_jax import studies
-from lieint_jax.types import State
 
 N, EVERY = 6, 3
 GRID = {name: rest for name, *rest in steps()}
