@@ -21,9 +21,9 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 _LONGEST = 10_000  # scalar operations
 _MOST = 64  # entries of an array that is taken to pieces
 _NAMES = """
-add sub mul div neg sign abs max min sqrt rsqrt cbrt square exp exp2 log log1p expm1 pow integer_pow sin cos tan asin acos
-atan atan2 sinh cosh tanh asinh acosh atanh logistic floor ceil round is_finite and or xor not eq ne lt le gt ge add_any
-convert_element_type select_n stop_gradient clamp copy nextafter rem
+add sub mul div neg sign abs max min sqrt rsqrt cbrt square exp exp2 log log1p expm1 pow integer_pow sin cos tan asin
+acos atan atan2 sinh cosh tanh asinh acosh atanh logistic floor ceil round is_finite and or xor not eq ne lt le gt ge
+add_any convert_element_type select_n stop_gradient clamp copy nextafter rem
 """
 _ELEMENTWISE = frozenset(_NAMES.split())
 

@@ -359,7 +359,7 @@ def _descent(scalar: Any, optimizer: Any, optax: Any, tolerance: float) -> _Meth
 def _lbfgs(scalar: Any, optax: Any, tolerance: float) -> _Method:
     """optax's L-BFGS with its zoom line search, which sees a high wall where a trial fails."""
     look = _looked(scalar)
-    optimizer = optax.lbfgs(linesearch=optax.scale_by_zoom_linesearch(max_linesearch_steps=30))
+    optimizer = optax.lbfgs(linesearch=optax.scale_by_zoom_linesearch(max_linesearch_steps=20, initial_guess_strategy="one"))
 
     def first(x: Array) -> tuple[Array, _Descent, Array]:
         value, gradient, ok = look(x)
