@@ -87,10 +87,19 @@ def test_many_starts_at_once_and_the_best_is_taken():
     starts = jnp.linspace(-3.0, 3.0, 9)
     found = studies.fit(loss, starts, starts=True)
     alone = [studies.fit(loss, s) for s in (starts[0], starts[5])]
-    params, losses, _ = found.starts
-    assert found.loss == min(losses)
-    np.testing.assert_allclose(params[jnp.array([0, 5])], [a.params for a in alone], atol=1e-6)
+    assert found.loss == min(found.starts.loss)
+    np.testing.assert_allclose(found.starts.params[jnp.array([0, 5])], [a.params for a in alone], atol=1e-6)
     assert float(found.params) == pytest.approx(-0.53, abs=0.05)
+
+
+def test_each_start_may_have_data_of_its_own():
+    def loss(p, data):
+        return p - data
+
+    found = studies.fit(loss, jnp.zeros(3), starts=True, data=jnp.array([1.0, 2.0, 3.0]))
+    np.testing.assert_allclose(found.starts.params, [1, 2, 3], atol=1e-9)
+    np.testing.assert_allclose(found.starts.covariance, np.ones((3, 1, 1)))
+    assert found.starts.success.all()
 
 
 def test_stopping_rules():

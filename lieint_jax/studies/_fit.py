@@ -27,7 +27,25 @@ REASONS = (
     "every shorter step failed or went up",
     "the first guess failed",
 )
+_GOOD = (FLAT, STILL, TARGET)
+_LEAST_SQUARES = ("levenberg_marquardt", "gauss_newton")
 _SHORTENINGS = 40  # in a row, before a fit gives up
+
+
+class Starts(NamedTuple):
+    """What many starts found, each leaf with a leading axis.
+
+    Attributes:
+        params: the estimates.
+        loss: there.
+        success: whether each stopped for a good reason.
+        covariance: as of `Fit`, (starts, p, p), or None.
+    """
+
+    params: Any
+    loss: np.ndarray
+    success: np.ndarray
+    covariance: np.ndarray | None
 
 
 class Fit(NamedTuple):
@@ -43,7 +61,7 @@ class Fit(NamedTuple):
         history: the loss after each iteration, shape (iterations + 1,), the first guess first.
         covariance: of the estimate, (p, p) in the order of `ravel_pytree(params)`: the inverse of the Gauss–Newton
             matrix. For residuals in units of their standard deviation. None if it is no least-squares fit.
-        starts: with many starts, (params, losses, stopped codes) with a leading axis; else None.
+        starts: with many starts, what was found from each, with a leading axis; else None.
     """
 
     params: Any
@@ -54,7 +72,7 @@ class Fit(NamedTuple):
     failures: int
     history: np.ndarray
     covariance: np.ndarray | None
-    starts: Any
+    starts: Starts | None
 
     @property
     def standard_errors(self) -> Any:
@@ -85,7 +103,6 @@ class _Method(NamedTuple):
 
     first: Callable[[Array], tuple[Array, Any, Array]]  # x ↦ loss, memory, ok
     advance: Callable[[Carry], Carry]
-    least_squares: bool
 
 
 def fit(
@@ -98,6 +115,7 @@ def fit(
     tolerance: float = 1e-10,
     target: float | None = None,
     starts: bool = False,
+    data: Any = None,
     progress: bool = True,
 ) -> Fit:
     """Minimise a loss over parameters.
@@ -116,6 +134,7 @@ def fit(
             below this, relative to the loss (Adam and the like go on up to `iterations` unless the loss is flat).
         target: stop when the loss is at most this.
         starts: whether many starts are fitted at once, vmapped.
+        data: what else the loss takes: loss(params, data). With `starts`, each start has its own: a leading axis.
         progress: show a progress bar on stderr, if that is a terminal.
 
     Returns:
@@ -132,72 +151,76 @@ def fit(
         raise ValueError("some of the starts are not inside their bounds")
     example = jax.tree.map(lambda leaf: leaf[0], x0) if starts else x0
     flat, unravel = ravel_pytree(example)
-    method = _method(optimizer, loss, lambda x: confine(bounds, unravel(x)), tolerance, flat.size)
+    takes = (lambda p, data: loss(p)) if data is None else loss
+
+    def method(data: Any) -> _Method:
+        return _method(optimizer, lambda x: takes(confine(bounds, unravel(x)), data), tolerance)
+
     x = jax.vmap(lambda tree: ravel_pytree(tree)[0])(x0) if starts else flat
 
-    def begin(x: Array) -> Carry:
-        value, memory, ok = method.first(x)
+    def begin(x: Array, data: Any) -> Carry:
+        value, memory, ok = method(data).first(x)
         count = jnp.zeros((), jnp.int32)
         return Carry(x, value, memory, jnp.where(ok, RUNNING, NOWHERE).astype(jnp.int32), count, 0 * count, 0 * count)
 
-    def advance(carry: Carry) -> Carry:
-        after = method.advance(carry)
+    def advance(carry: Carry, data: Any) -> Carry:
+        after = method(data).advance(carry)
         if target is not None:
             reached = (after.code == RUNNING) & (after.loss <= target)
             after = after._replace(code=jnp.where(reached, TARGET, after.code))
         after = after._replace(made=carry.made + 1)
         return jax.tree.map(lambda new, old: jnp.where(carry.code == RUNNING, new, old), after, carry)
 
+    def errors(x: Array, data: Any) -> Array:
+        return _covariance(lambda x: takes(confine(bounds, unravel(x)), data), lambda x: confine(bounds, unravel(x)), x)
+
     spread = jax.vmap if starts else (lambda f: f)
-    carry = jax.jit(spread(begin))(x)
+    carry = jax.jit(spread(begin))(x, data)
     advance = jax.jit(spread(advance))
     history = [np.asarray(carry.loss)]
     with tqdm(total=iterations, unit="iteration", disable=None if progress else True, leave=False) as bar:
         for _ in range(iterations):
             if not np.any(np.asarray(carry.code) == RUNNING):
                 break
-            carry = advance(carry)
+            carry = advance(carry, data)
             history.append(np.asarray(carry.loss))
             bar.update()
             bar.set_postfix_str(f"loss {np.nanmin(history[-1]):.4g}")
-    return _result(carry, np.stack(history), unravel, bounds, loss, method, starts)
+    matrix = np.asarray(jax.jit(spread(errors))(carry.x, data)) if optimizer in _LEAST_SQUARES else None
+    return _result(carry, np.stack(history), lambda x: confine(bounds, unravel(x)), matrix, starts)
 
 
-def _result(
-    carry: Carry, history: np.ndarray, unravel: Any, bounds: Any, loss: Any, method: _Method, starts: bool
-) -> Fit:
-    everything = None
+def _result(carry: Carry, history: np.ndarray, inside: Any, matrix: np.ndarray | None, starts: bool) -> Fit:
+    found = None
     if starts:
         losses, codes = np.asarray(carry.loss), np.asarray(carry.code)
         best = int(np.argmin(np.where(codes == NOWHERE, np.inf, losses)))
-        everything = (jax.vmap(lambda x: confine(bounds, unravel(x)))(carry.x), losses, codes)
+        found = Starts(jax.vmap(inside)(carry.x), losses, np.isin(codes, _GOOD), matrix)
         carry, history = jax.tree.map(lambda leaf: leaf[best], carry), history[:, best]
+        matrix = None if matrix is None else matrix[best]
     code, made = int(carry.code), int(carry.made)
-    covariance = None
-    if method.least_squares and code != NOWHERE:
-        covariance = np.asarray(_covariance(loss, lambda x: confine(bounds, unravel(x)), carry.x))
     return Fit(
-        confine(bounds, unravel(carry.x)),
+        inside(carry.x),
         float(carry.loss),
         REASONS[code],
-        code in (FLAT, STILL, TARGET),
+        code in _GOOD,
         made,
         int(carry.failures),
         history[: made + 1],
-        covariance,
-        everything,
+        None if code == NOWHERE else matrix,
+        found,
     )
 
 
 def covariance(residuals: Callable[..., Any], params: Any) -> Array:
     """(JᵀJ)⁻¹ of residuals in units of their standard deviation, (p, p) in the order of `ravel_pytree(params)`."""
     x, unravel = ravel_pytree(params)
-    return _covariance(residuals, unravel, x)
+    return _covariance(lambda x: residuals(unravel(x)), unravel, x)
 
 
-def _covariance(residuals: Callable[..., Any], inside: Callable[[Array], Any], x: Array) -> Array:
+def _covariance(residuals: Callable[[Array], Any], inside: Callable[[Array], Any], x: Array) -> Array:
     """D (JᵀJ)⁻¹ Dᵀ, J in the free parameters and D the derivative of the parameters in them."""
-    J = jax.jacfwd(lambda x: _residuals(residuals, inside(x))[0])(x)
+    J = jax.jacfwd(lambda x: _residuals(residuals, x)[0])(x)
     D = jax.jacfwd(lambda x: ravel_pytree(inside(x))[0])(x)
     half = jax.scipy.linalg.solve_triangular(jnp.linalg.qr(J, mode="r").T, D.T, lower=True)  # R⁻ᵀDᵀ
     return half.T @ half
@@ -216,13 +239,14 @@ def _residuals(function: Callable[..., Any], params: Any) -> tuple[Array, Array]
     return ravel_pytree(value)[0], ok
 
 
-def _method(optimizer: Any, loss: Any, inside: Callable[[Array], Any], tolerance: float, size: int) -> _Method:
-    if optimizer in ("levenberg_marquardt", "gauss_newton"):
-        return _least_squares(lambda x: _residuals(loss, inside(x)), optimizer == "gauss_newton", tolerance)
+def _method(optimizer: Any, loss: Callable[[Array], Any], tolerance: float) -> _Method:
+    """The optimiser for a loss of free parameters."""
+    if optimizer in _LEAST_SQUARES:
+        return _least_squares(lambda x: _residuals(loss, x), optimizer == "gauss_newton", tolerance)
     import optax
 
     def scalar(x: Array) -> tuple[Array, Array]:
-        value, ok = _value(loss(inside(x)))
+        value, ok = _value(loss(x))
         if jnp.shape(value):
             raise ValueError(
                 f"the loss must be a scalar for this optimiser, got shape {jnp.shape(value)}; for residuals take "
@@ -301,7 +325,7 @@ def _least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: 
             carry.made,
         )
 
-    return _Method(first, advance, least_squares=True)
+    return _Method(first, advance)
 
 
 class _Descent(NamedTuple):
@@ -353,13 +377,14 @@ def _descent(scalar: Any, optimizer: Any, optax: Any, tolerance: float) -> _Meth
         memory = kept[2]._replace(length=length)
         return Carry(kept[0], kept[1], memory, code.astype(jnp.int32), bad, carry.failures + ~ok, carry.made)
 
-    return _Method(first, advance, least_squares=False)
+    return _Method(first, advance)
 
 
 def _lbfgs(scalar: Any, optax: Any, tolerance: float) -> _Method:
     """optax's L-BFGS with its zoom line search, which sees a high wall where a trial fails."""
     look = _looked(scalar)
-    optimizer = optax.lbfgs(linesearch=optax.scale_by_zoom_linesearch(max_linesearch_steps=20, initial_guess_strategy="one"))
+    search = optax.scale_by_zoom_linesearch(max_linesearch_steps=20, initial_guess_strategy="one")
+    optimizer = optax.lbfgs(linesearch=search)
 
     def first(x: Array) -> tuple[Array, _Descent, Array]:
         value, gradient, ok = look(x)
@@ -396,4 +421,4 @@ def _lbfgs(scalar: Any, optax: Any, tolerance: float) -> _Method:
         )
         return Carry(*kept, code.astype(jnp.int32), bad, carry.failures + ~ok, carry.made)
 
-    return _Method(first, advance, least_squares=False)
+    return _Method(first, advance)
