@@ -113,19 +113,22 @@ def observe(
     t = checks.real_array("times", times).astype(h.dtype)
     if t.ndim != 1:
         raise ValueError(f"times must have shape (m,), got {t.shape}; use jax.vmap for batches")
-    whole = jnp.round(lax.stop_gradient(t / h)).astype(jnp.int32)
-    if concrete(whole) and np.any(np.asarray(whole) < 0):
-        raise ValueError(f"times must lie on the side of 0 that dt = {dt} leads to, got {np.asarray(t)}")
-    order = jnp.argsort(whole)
-    counts = jnp.diff(whole[order], prepend=0)
+    known = concrete(times, dt)  # then nothing is traced, inside jit or not
+    xp: Any = np if known else jnp
+    ratio = np.asarray(times, float) / np.asarray(dt, float) if known else lax.stop_gradient(t / h)
+    whole = xp.round(ratio).astype(np.int32)
+    if known and np.any(whole < 0):
+        raise ValueError(f"times must lie on the side of 0 that dt = {dt} leads to, got {np.asarray(times)}")
+    order = xp.argsort(whole)
+    counts = xp.diff(whole[order], prepend=0)
     prepared = step.prepare(state, h)
     if derivative == "checkpoint":
-        if not concrete(counts):
+        if not known:
             raise ValueError('derivative="checkpoint" needs concrete times and dt: the number of steps is compiled in')
-        later, info = _checkpointed(prepared, state, h, np.asarray(counts).tolist())
+        later, info = _checkpointed(prepared, state, h, counts.tolist())
     else:
         later, info = _march(prepared, state, h, counts, _tolerance(tolerance, state))
-    back = jnp.argsort(order)
+    back = xp.argsort(order)
     later, info = jax.tree.map(lambda leaf: leaf[back], (later, info))
     seen, last = jax.vmap(step)(later, t - h * whole)  # `step` as it was given: prepared for no step size
     return seen, info.worse(last)
@@ -266,30 +269,25 @@ def _watched(error: Array, tolerance: float) -> Array:
 
 
 def _checkpointed(step: Step, state: State, dt: Array, counts: list[int]) -> tuple[State, StepInfo]:
-    """As `_march`, by scans whose derivative keeps the states at nested checkpoints only."""
+    """As `_march`, by scans whose derivative keeps the states at nested checkpoints only.
 
-    def one(carry: tuple[State, StepInfo], _: None) -> tuple[tuple[State, StepInfo], None]:
-        state, so_far = carry
-        state, info = step(state, dt)
-        return (state, so_far.worse(info)), None
+    One loop is compiled, as long as the longest interval; in shorter ones its last steps are taken and thrown away.
+    """
 
-    def interval(state: State, count: int) -> tuple[State, StepInfo]:
-        return _nested(one, (state, StepInfo.fresh(state.p)), count, _LEVELS)
+    def interval(state: State, count: Array) -> tuple[State, tuple[State, StepInfo]]:
+        def one(carry: tuple[Array, State, StepInfo], _: None) -> tuple[tuple[Array, State, StepInfo], None]:
+            k, state, so_far = carry
+            after, info = step(state, dt)
+            taken = jax.tree.map(
+                lambda new, old: jnp.where(k < count, new, old), (after, so_far.worse(info)), carry[1:]
+            )
+            return (k + 1, *taken), None
 
-    if len(set(counts)) == 1:  # one loop compiled for all
+        start = (jnp.zeros((), jnp.int32), state, StepInfo.fresh(state.p))
+        _, state, info = _nested(one, start, max(counts, default=0), _LEVELS)
+        return state, (state, info)
 
-        def repeat(state: State, _: None) -> tuple[State, tuple[State, StepInfo]]:
-            state, info = interval(state, counts[0])
-            return state, (state, info)
-
-        return lax.scan(jax.checkpoint(repeat), state, None, length=len(counts))[1]
-    found = []
-    for count in counts:
-        state, info = interval(state, count)
-        found.append((state, info))
-    if not found:
-        return jax.tree.map(lambda leaf: leaf[None][:0], (state, StepInfo.fresh(state.p)))
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *found)
+    return lax.scan(jax.checkpoint(interval), state, jnp.asarray(counts, jnp.int32))[1]
 
 
 def _nested(one: Callable[..., Any], carry: Any, length: int, levels: int) -> Any:

@@ -1,9 +1,9 @@
 """Inertia ratios and biases of a tumbling body out of a noisy rate gyro, a hundred times over.
 
 The gyro sees body rates alone, Ω(t) + bias + noise. Only ratios of the inertia move them, so there are eight unknowns:
-two ratios, the rate at the start, three biases. The data are synthetic, from the exact motion in elliptic functions; the
-model is the scheme of order 6. If the covariance that a fit reports is right, each parameter lies within 2σ of the truth
-in 95 of 100 trials, and the truth in the joint 95 % ellipsoid in 95.
+two ratios, the rate at the start, three biases. The data are synthetic, from the exact motion in elliptic functions;
+the model is the scheme of order 6. If the covariance that a fit reports is right, each parameter lies within 2σ of the
+truth in 95 of 100 trials, and the truth in the joint 95 % ellipsoid in 95.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ TRUTH = {
     "inertia": jnp.array([0.6, 0.8]),  # ratios to the third moment
     "rate": jnp.array([0.5, 0.3, 0.4]),  # rad/s
 }
-NOISE = 0.01  # rad/s, of each reading
+NOISE = 0.002  # rad/s, of each reading
 _EVERY, _READINGS = 0.5, 80  # seconds between readings, and how many
 _NAMES = ("bias x", "bias y", "bias z", "Jx/Jz", "Jy/Jz", "Ωx(0)", "Ωy(0)", "Ωz(0)")
 _BEYOND = 15.507  # the 95 % point of χ² with 8 degrees of freedom
@@ -87,7 +87,7 @@ def run(quick: bool = False, trials: int = 100, seed: int = 4, progress: bool = 
     trials = 12 if quick else trials
     noise = np.random.default_rng(seed).normal(size=(trials, _READINGS, 3))
     data = exact_rates(TRUTH) + NOISE * jnp.asarray(noise)
-    guess = {"bias": jnp.zeros(3), "inertia": jnp.array([0.7, 0.85]), "rate": jnp.array([0.5, 0.3, 0.4])}
+    guess = {"bias": jnp.zeros(3), "inertia": jnp.array([0.63, 0.78]), "rate": jnp.array([0.5, 0.3, 0.4])}
     guesses = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (trials, *leaf.shape)), guess)
     guesses["rate"] = data[:, 0]
     bounds = {"bias": free, "inertia": inertia_ratios, "rate": free}

@@ -1,10 +1,10 @@
 """λ and μ of an elastic body out of its vibration.
 
-A pseudo-rigid ball, stretched and let go, turns and vibrates. What is seen is its strain C = FᵀF at irregular times, with
-noise; what is sought are the constants of its material. The data come from the equations of motion by collocation of
-order 16; the model is the energy-momentum scheme of order 2 at observation times between its steps (`observe`), once by
-L-BFGS with the derivative by undoing steps, once by least squares with the forward one: two derivatives, two optimisers,
-one answer.
+A pseudo-rigid ball, stretched and let go, turns and vibrates. What is seen is its strain C = FᵀF at irregular times,
+with noise; what is sought are the constants of its material. The data come from the equations of motion by collocation
+of order 16; the model is the energy-momentum scheme of order 2 at observation times between its steps (`observe`), once
+by L-BFGS with the derivative by undoing steps, once by least squares with the forward one: two derivatives, two
+optimisers, one answer.
 """
 
 from __future__ import annotations

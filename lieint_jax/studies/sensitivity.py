@@ -1,9 +1,10 @@
 """Finite-time Lyapunov exponents of a chaotic heavy top, from the linearisation of the step itself.
 
 The tangent flow carries a frame along, W ← L_n W with L_n the derivative of the step in (δθ, δπ), and a QR
-decomposition after each step keeps it a frame; the logarithms of R's diagonal add up to the exponents. A symplectic
-step gives them in pairs ±λ to round-off. The chaotic motion has one pair that is not zero in the limit: the flow
-itself, energy, and the turn about the vertical with its momentum take the others to zero like log(t)/t.
+decomposition after each step keeps it a frame; the logarithms of R's diagonal add up to the exponents. Their sum is
+zero to round-off for a symplectic step, and in the limit they come in pairs ±λ. The chaotic motion has one pair that is
+not zero in the limit: the flow itself with energy, and the turn about the vertical with its momentum, take the others
+to zero like log(t)/t.
 
 The independent value: the variational equations of the vector field in its own coordinates, by another integrator
 (`reference`), or two neighbours that are let part and are brought together again (`shadow`).
@@ -31,6 +32,7 @@ class Found(NamedTuple):
     Attributes:
         t: times, (n,).
         exponents: finite-time exponents at these times, (n, 6), 1/time unit.
+        total: sum of the exponents at the end.
         pairs: largest |λ_i + λ_{7−i}| at the end, of exponents in descending order.
         short: exponents at the end of a short run by `exponents`, (6,).
         independent: the same by `reference`.
@@ -40,6 +42,7 @@ class Found(NamedTuple):
 
     t: np.ndarray
     exponents: np.ndarray
+    total: float
     pairs: float
     short: np.ndarray
     independent: np.ndarray
@@ -140,6 +143,7 @@ def run(quick: bool = False, progress: bool = True) -> Found:
     return Found(
         np.asarray(t),
         np.asarray(values),
+        float(last.sum()),
         float(np.abs(last + last[::-1]).max()),
         np.asarray(close),
         np.asarray(independent),
@@ -161,9 +165,9 @@ def text(found: Found) -> str:
             f"  the same by the vector field:  {listed(found.independent)}",
             f"  largest difference             {np.abs(found.short - found.independent).max():.1e}",
             f"  to t = {found.t[-1]:g}, splitting:      {listed(found.exponents[-1])}",
-            f"  pairs ±λ:                      |λ_i + λ_7−i| ≤ {found.pairs:.1e}",
+            f"  their sum                      {found.total:.1e}; pairs ±λ to {found.pairs:.1e}",
             f"  largest by two neighbours      {found.apart:.5f}",
-            f"  largest, over the second half  {found.limit:.5f}; a neighbour is e times as far every {1 / found.limit:.0f}",
+            f"  largest, over the second half  {found.limit:.5f}: neighbours are e times apart in {1 / found.limit:.0f}",
         ]
     )
 

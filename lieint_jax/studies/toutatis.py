@@ -37,7 +37,7 @@ _NAMES = (
 
 
 def _ratios(x: Array) -> Array:
-    """(Jx/Jz, Jy/Jz) of second moments e^x, 1 and 1 … with that of z set by the sum: the triangle inequality holds."""
+    """(Jx/Jz, Jy/Jz) of second moments e^x₀, e^x₁, 1: the triangle inequality holds."""
     a, b, c = jnp.exp(x[0]), jnp.exp(x[1]), jnp.ones(())
     return jnp.stack([(b + c) / (a + b), (a + c) / (a + b)])
 
@@ -190,7 +190,7 @@ def text(found: Found) -> str:
     lines += [
         f"  attitude at the second fix: {was:.2f}° off with the published state, {now:.2f}° fitted",
         f"  the errors above assume one sigma for all angles (°) and rates (°/d), {found.sigma:.2f}: that of what is",
-        f"  left, with {found.residuals.size - len(_NAMES)} degrees of freedom. No errors are published with the states.",
+        f"  left, with {found.residuals.size - len(_NAMES)} degrees of freedom. No errors are published with them.",
         "\n  prediction, nothing of it fitted:",
     ]
     for (value, error), key, name in zip(
