@@ -171,12 +171,15 @@ def fit(
         after = after._replace(made=carry.made + 1)
         return jax.tree.map(lambda new, old: jnp.where(carry.code == RUNNING, new, old), after, carry)
 
-    def errors(x: Array, data: Any) -> Array:
-        return _covariance(lambda x: takes(confine(bounds, unravel(x)), data), lambda x: confine(bounds, unravel(x)), x)
+    def errors(carry: Carry) -> Array:
+        return _spread(carry.memory.J, lambda x: confine(bounds, unravel(x)), carry.x)
 
     spread = jax.vmap if starts else (lambda f: f)
     carry = jax.jit(spread(begin))(x, data)
     advance = jax.jit(spread(advance))
+    if optimizer in _LEAST_SQUARES:
+        carry = advance(carry, data)
+        carry = carry._replace(made=0 * carry.made)
     history = [np.asarray(carry.loss)]
     with tqdm(total=iterations, unit="iteration", disable=None if progress else True, leave=False) as bar:
         for _ in range(iterations):
@@ -186,7 +189,7 @@ def fit(
             history.append(np.asarray(carry.loss))
             bar.update()
             bar.set_postfix_str(f"loss {np.nanmin(history[-1]):.4g}")
-    matrix = np.asarray(jax.jit(spread(errors))(carry.x, data)) if optimizer in _LEAST_SQUARES else None
+    matrix = np.asarray(jax.jit(spread(errors))(carry)) if optimizer in _LEAST_SQUARES else None
     return _result(carry, np.stack(history), lambda x: confine(bounds, unravel(x)), matrix, starts)
 
 
@@ -215,12 +218,11 @@ def _result(carry: Carry, history: np.ndarray, inside: Any, matrix: np.ndarray |
 def covariance(residuals: Callable[..., Any], params: Any) -> Array:
     """(JᵀJ)⁻¹ of residuals in units of their standard deviation, (p, p) in the order of `ravel_pytree(params)`."""
     x, unravel = ravel_pytree(params)
-    return _covariance(lambda x: residuals(unravel(x)), unravel, x)
+    return _spread(jax.jacfwd(lambda x: _residuals(residuals, unravel(x))[0])(x), unravel, x)
 
 
-def _covariance(residuals: Callable[[Array], Any], inside: Callable[[Array], Any], x: Array) -> Array:
+def _spread(J: Array, inside: Callable[[Array], Any], x: Array) -> Array:
     """D (JᵀJ)⁻¹ Dᵀ, J in the free parameters and D the derivative of the parameters in them."""
-    J = jax.jacfwd(lambda x: _residuals(residuals, x)[0])(x)
     D = jax.jacfwd(lambda x: ravel_pytree(inside(x))[0])(x)
     half = jax.scipy.linalg.solve_triangular(jnp.linalg.qr(J, mode="r").T, D.T, lower=True)  # R⁻ᵀDᵀ
     return half.T @ half
@@ -283,9 +285,10 @@ def _least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: 
         return r, J, ok & jnp.all(jnp.isfinite(r)) & jnp.all(jnp.isfinite(J))
 
     def first(x: Array) -> tuple[Array, _Normal, Array]:
-        r, J, ok = look(x)
+        """Nothing yet: the first iteration goes nowhere and looks, so that the simulation is compiled once."""
+        r, J, _ = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, x))
         one = jnp.ones((), r.dtype)
-        return jnp.vdot(r, r) / 2, _Normal(r, J, 0 * one if undamped else 1e-3 * one, one), ok
+        return jnp.inf * one, _Normal(r, J, 0 * one if undamped else 1e-3 * one, one), jnp.ones((), bool)
 
     def advance(carry: Carry) -> Carry:
         r, J, damping, length = carry.memory
@@ -301,8 +304,9 @@ def _least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: 
         value = jnp.vdot(new_r, new_r) / 2
         better = ok & (value <= carry.loss)
         slope = jnp.max(jnp.abs((J / D).T @ r))  # the fall that is left, in the unit of |r|
-        flat = slope <= tolerance * (jnp.sqrt(2 * carry.loss) + jnp.finfo(r.dtype).tiny)
-        still = better & (carry.loss - value <= tolerance * carry.loss)
+        begun = jnp.isfinite(carry.loss)
+        flat = begun & (slope <= tolerance * (jnp.sqrt(2 * carry.loss) + jnp.finfo(r.dtype).tiny))
+        still = begun & better & (carry.loss - value <= tolerance * carry.loss)
         if undamped:
             length = jnp.where(better, jnp.minimum(1, 2 * length), length / 2)
         else:
@@ -310,8 +314,9 @@ def _least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: 
         bad = jnp.where(better, 0, carry.bad + 1)
         tiny = jnp.max(jnp.abs(length * delta)) <= 4 * jnp.finfo(x.dtype).eps * (1 + jnp.max(jnp.abs(carry.x)))
         code = jnp.where(
-            flat, FLAT, jnp.where(still | (tiny & ok), STILL, jnp.where(bad > _SHORTENINGS, STUCK, RUNNING))
+            flat, FLAT, jnp.where(still | (begun & tiny & ok), STILL, jnp.where(bad > _SHORTENINGS, STUCK, RUNNING))
         )
+        code = jnp.where(begun | ok, code, NOWHERE)
         kept = jax.tree.map(
             lambda new, old: jnp.where(better, new, old), (x, value, new_r, new_J), (carry.x, carry.loss, r, J)
         )

@@ -167,7 +167,7 @@ def text(found: Found) -> str:
             f"  to t = {found.t[-1]:g}, splitting:      {listed(found.exponents[-1])}",
             f"  their sum                      {found.total:.1e}; pairs ±λ to {found.pairs:.1e}",
             f"  largest by two neighbours      {found.apart:.5f}",
-            f"  largest, over the second half  {found.limit:.5f}: neighbours are e times apart in {1 / found.limit:.0f}",
+            f"  largest, over the second half  {found.limit:.5f}: a factor e in t = {1 / found.limit:.0f}",
         ]
     )
 
