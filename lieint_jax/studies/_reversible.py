@@ -271,7 +271,7 @@ def _watched(error: Array, tolerance: float) -> Array:
 def _checkpointed(step: Step, state: State, dt: Array, counts: list[int]) -> tuple[State, StepInfo]:
     """As `_march`, by scans whose derivative keeps the states at nested checkpoints only.
 
-    One loop is compiled, as long as the longest interval; in shorter ones its last steps are taken and thrown away.
+    One loop is compiled, as long as the longest interval and a little more; what is too much is taken and thrown away.
     """
 
     def interval(state: State, count: Array) -> tuple[State, tuple[State, StepInfo]]:
@@ -291,13 +291,13 @@ def _checkpointed(step: Step, state: State, dt: Array, counts: list[int]) -> tup
 
 
 def _nested(one: Callable[..., Any], carry: Any, length: int, levels: int) -> Any:
-    """`length` times `one`, in about length^(1/levels) blocks of blocks …, each a checkpoint."""
-    if levels == 1 or length <= 2:
+    """At least `length` times `one`, in about length^(1/levels) blocks of blocks …, each a checkpoint."""
+    if levels == 1:
         return lax.scan(jax.checkpoint(one), carry, None, length=length)[0]
-    block = math.ceil(length ** (1 - 1 / levels))
+    blocks = math.ceil(length ** (1 / levels))
+    block = math.ceil(length / blocks) if blocks else 0
 
-    def blocks(carry: Any, _: None) -> tuple[Any, None]:
+    def inner(carry: Any, _: None) -> tuple[Any, None]:
         return _nested(one, carry, block, levels - 1), None
 
-    carry = lax.scan(jax.checkpoint(blocks), carry, None, length=length // block)[0]
-    return _nested(one, carry, length % block, levels - 1)
+    return lax.scan(jax.checkpoint(inner), carry, None, length=blocks)[0]
