@@ -12,7 +12,7 @@ A system and a scheme make a step; a step makes everything else.
 float64 is the user's choice: `jax.config.update("jax_enable_x64", True)`.
 """
 
-from lieint_jax import diagnostics, ensemble, groups, maps, phase_spaces, schemes, systems
+from lieint_jax import diagnostics, ensemble, groups, maps, phase_spaces, schemes, studies, systems
 from lieint_jax.integrate import integrate
 from lieint_jax.types import State, Step, StepInfo, Trajectory
 
@@ -29,5 +29,6 @@ __all__ = [
     "maps",
     "phase_spaces",
     "schemes",
+    "studies",
     "systems",
 ]

@@ -21,6 +21,7 @@ _EPILOG = """examples:
   lieint check "SE(3)"                     what is kept on a matrix group, by which map
   lieint check groups                      energy and symplectic form, group by group and map by map
   lieint figure 1 2 3 --out figures        the paper's figures
+  lieint study toutatis                    fit a spin state and inertia ratios to two radar fixes
 """
 
 
@@ -97,6 +98,11 @@ def _parser() -> argparse.ArgumentParser:
     figure.add_argument("numbers", nargs="+", type=int, metavar="N", help="numbers in the paper: 1 to 5")
     figure.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
     figure.set_defaults(command=_figure)
+    study = commands.add_parser("study", help="fit parameters, learn κ, measure chaos", description="Run a study.")
+    study.add_argument("name", metavar="NAME", help="toutatis, gyro, kappa, material or sensitivity")
+    study.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder for its picture (default: here)")
+    study.add_argument("--quick", action="store_true", help="a small one")
+    study.set_defaults(command=_study)
     return parser
 
 
@@ -150,6 +156,20 @@ def _figure(options: argparse.Namespace) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     for n in options.numbers:
         print(FIGURES[n](options.out), f"  written to {options.out / f'figure-{n}.png'}", sep="\n")
+
+
+def _study(options: argparse.Namespace) -> None:
+    from lieint_jax import discover, studies
+
+    found = discover.modules(studies)
+    if options.name not in found:
+        raise ValueError(f"study {options.name!r} is not one of {', '.join(found)}")
+    options.out.mkdir(parents=True, exist_ok=True)
+    study, picture = found[options.name], options.out / f"study-{options.name}.png"
+    result = study.run(quick=options.quick)
+    print(study.text(result))
+    study.draw(result).savefig(picture, dpi=150)
+    print(f"  written to {picture}")
 
 
 if __name__ == "__main__":

@@ -47,12 +47,19 @@ def max_abs(v: Vector) -> Array:
     return jnp.maximum(jnp.maximum(jnp.abs(v[0]), jnp.abs(v[1])), jnp.abs(v[2]))
 
 
-def solve(K: Matrix, b: Vector, n: Array | float = 1) -> tuple[Array, Array, Array]:
-    """(nK)⁻¹b for a 3×3 matrix of rows, by the adjugate."""
+def solve(K: Matrix, b: Vector, n: Array | float = 1, divide: bool = False) -> tuple[Array, Array, Array]:
+    """(nK)⁻¹b for a 3×3 matrix of rows, by the adjugate.
+
+    With `divide`, by three divisions instead of one. XLA never computes a quotient twice, so what follows, if it is
+    much, does not repeat the solve for each of its results: so it is where derivatives are pulled back.
+    """
     c0, c1, c2 = cross(K[1], K[2]), cross(K[2], K[0]), cross(K[0], K[1])
-    r = 1 / (n * dot(K[0], c0))
-    x, y, z = ((c0[i] * b[0] + c1[i] * b[1] + c2[i] * b[2]) * r for i in range(3))
-    return x, y, z
+    d = n * dot(K[0], c0)
+    x, y, z = (c0[i] * b[0] + c1[i] * b[1] + c2[i] * b[2] for i in range(3))
+    if divide:
+        return x / d, y / d, z / d
+    r = 1 / d
+    return x * r, y * r, z * r
 
 
 def transpose(A: Matrix) -> Matrix:

@@ -17,6 +17,7 @@ ROOT = Path(li.__file__).parent
 FLOORS = [  # from the roof down; a module imports only from floors below its own, or its own package
     ("cli",),
     ("report",),
+    ("studies",),
     ("scenarios", "figures"),
     ("plots",),
     ("ensemble",),

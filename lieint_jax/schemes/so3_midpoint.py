@@ -147,10 +147,15 @@ def scaled(system: FreeBody, state: State, dt: ArrayLike) -> tuple[Symmetric, Ar
 
 
 def _solve_scalar(kappa: Kappa, J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vector, Array]:
-    """h = ½Θ of the symplectic κ by the scalar form, its residual, and whether h is on the branch |h| ≤ 1."""
+    """h = ½Θ of the symplectic κ by the scalar form, its residual, and whether h is on the branch |h| ≤ 1.
+
+    The scalar form gives the value; derivatives are those of the equation for h, which has far fewer terms.
+    """
     del kappa  # it is the symplectic one
-    h = half_cayley(J, a, scalar_root(J, a, iterations))
-    return h, scalar_residual(J, a, h), dot(h, h) <= 1
+    here, there = lax.stop_gradient((J, a))
+    h = half_cayley(here, there, scalar_root(here, there, iterations))
+    h, residual = newton.root(lambda h: jnp.stack(scalar_residual(J, a, h)), lambda _, f: f, h, iterations=0)
+    return h, residual, dot(h, h) <= 1
 
 
 def scalar_root(J: Symmetric, a: Array, iterations: int) -> Array:

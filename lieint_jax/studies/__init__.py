@@ -1,0 +1,47 @@
+"""Parameter studies: derivatives of whole trajectories, fits, and studies that use them.
+
+Which derivative to take, for N steps, p parameters and a loss or m residuals:
+
+| derivative | how | time, in runs forward | memory |
+|---|---|---|---|
+| forward | `jax.jvp`, `jax.jacfwd` through `integrate` | about 1 + p | none |
+| reverse, by undoing steps | `jax.grad` through `reversible`, `observe` | 3 to 7, for any p | the saved states |
+| reverse, by checkpoints | the same with `derivative="checkpoint"` | 6 to 18, for any p | some 3 N^(1/3) states |
+| reverse, through the scan | `jax.grad` through `integrate` | 10 and more | what N steps computed |
+| a tangent flow | `jax.jvp` step by step (`studies.sensitivity`) | 1 + its dimension | none |
+
+* Few parameters, or residuals to be squared: forward. `fit` does so for "levenberg_marquardt".
+* Many parameters and a scalar: `reversible`. The step must be symmetric, which all of the package are but
+  `additive(…, "symplectic", alpha)` for α ≠ ½ and steps of your own.
+* A step that is not symmetric, or a motion on which neighbours part so fast that steps cannot be undone (see
+  `round_trip_error`; a warning says so): checkpoints. But where e^(λt) is past 1/eps no derivative means anything.
+* Short runs: the scan itself, the simplest; the only one that nests (grad of grad).
+
+All agree to round-off, for they are derivatives of the same discrete flow. On a chaotic motion they agree as long as
+the motion can be followed at all.
+
+The studies: `toutatis`, `gyro`, `kappa`, `material`, `sensitivity`, each a module with `run`, `text` and `draw`, and
+`lieint study NAME`.
+"""
+
+from lieint_jax.studies._bounds import Bound, free, inertia, interval, positive, principal_inertia, spd
+from lieint_jax.studies._fit import Fit, covariance, fit
+from lieint_jax.studies._members import over_members
+from lieint_jax.studies._reversible import observe, reversible, round_trip_error
+
+__all__ = [
+    "Bound",
+    "Fit",
+    "covariance",
+    "fit",
+    "free",
+    "inertia",
+    "interval",
+    "observe",
+    "over_members",
+    "positive",
+    "principal_inertia",
+    "reversible",
+    "round_trip_error",
+    "spd",
+]

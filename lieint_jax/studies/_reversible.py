@@ -1,0 +1,303 @@
+"""Trajectories whose reverse-mode derivative costs no memory: a symmetric step is undone, not remembered.
+
+Backwards from the end, step(·, −Δt) rebuilds the state that step(·, Δt) came from, and the cotangents of one step are
+pulled back there:
+
+    z_n = Ψ₋(z_{n+1}),    (λ_n, θ̄, Δ̄) = (∂Ψ(z_n)/∂(z, θ, Δt))ᵀ λ_{n+1}
+
+Only the saved states are kept, which the caller holds anyway. At each of them the rebuilt state is compared with the
+saved one and put aside, so the errors of rounding do not add up from one interval to the next.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Literal, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from lieint_jax import checks
+from lieint_jax.diagnostics.order import distance
+from lieint_jax.integrate import promoted, saves
+from lieint_jax.studies._components import repeat
+from lieint_jax.types import State, Step, StepInfo, Trajectory, concrete
+
+Derivative = Literal["reversible", "checkpoint"]
+_LEVELS = 3  # of nested checkpoints: some 3 N^(1/3) states of N are kept
+
+
+def reversible(
+    step: Step,
+    state: State,
+    dt: ArrayLike,
+    num_steps: int,
+    save_every: int | None = None,
+    derivative: Derivative = "reversible",
+    tolerance: float | None = None,
+) -> Trajectory:
+    """As `integrate`, with a reverse-mode derivative that keeps the saved states and nothing else.
+
+    The leaves of `step`, the initial state and dt get gradients. Forward mode is not offered here: use `integrate`.
+
+    Args:
+        step: a symmetric step; with `derivative="checkpoint"` any.
+        state: the initial state of one body; vmap for many.
+        dt: step size, either sign.
+        num_steps: a multiple of `save_every`.
+        save_every: steps between saved states; None keeps the first and the last only.
+        derivative: "reversible" rebuilds states by steps of −dt. "checkpoint" keeps some 3 N^(1/3) states and takes
+            about three more runs forward.
+        tolerance: how far a rebuilt state may be from the saved one, in q and in p over max|p|, before the gradient
+            draws a warning; by default √eps. See `round_trip_error`.
+
+    Returns:
+        A `Trajectory`, the same as that of `integrate` but for the last bits.
+
+    Raises:
+        ValueError: a step that is not symmetric, or as `integrate`.
+
+    Warns:
+        RuntimeWarning: when the gradient is computed and reversal has lost more digits than `tolerance` allows.
+
+    Source: Zhuang et al. 2021, ICLR (for a leapfrog); for symmetric methods and checkpoints: this package.
+    """
+    num_steps = checks.count("num_steps", num_steps, 0)
+    interval = max(num_steps, 1) if save_every is None else checks.count("save_every", save_every, 1)
+    num_saves = saves(num_steps, interval)
+    step, state, h = _ready(step, state, dt, derivative)
+    prepared = step.prepare(state, h)
+    if derivative == "checkpoint":
+        later = _checkpointed(prepared, state, h, [interval] * num_saves)
+    else:
+        later = _march(prepared, state, h, np.full(num_saves, interval, np.int32), _tolerance(tolerance, state))
+    first = (state, StepInfo.fresh(state.p))
+    joined = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
+    return Trajectory(h * interval * jnp.arange(num_saves + 1, dtype=h.dtype), *joined)
+
+
+def observe(
+    step: Step,
+    state: State,
+    dt: ArrayLike,
+    times: ArrayLike,
+    derivative: Derivative = "reversible",
+    tolerance: float | None = None,
+) -> tuple[State, StepInfo]:
+    """The states at observation times, whatever they are: the nearest whole number of steps, then one shorter step.
+
+    The steps of size dt are one trajectory, the shorter ones (at most dt/2, forwards or back) leave it and do not
+    return. Derivatives as of `reversible`, with respect to the times too.
+
+    Args:
+        step: a symmetric step; with `derivative="checkpoint"` any.
+        state: the state at time 0.
+        dt: step size, of the sign of the times.
+        times: shape (m,), in any order.
+        derivative: as of `reversible`; for "checkpoint" times and dt must be concrete.
+        tolerance: as of `reversible`.
+
+    Returns:
+        The states, with a leading axis (m,), and of each the report of all steps since the observation before it.
+
+    Raises:
+        ValueError: times of the other sign than dt, or not finite; the rest as `reversible`.
+    """
+    step, state, h = _ready(step, state, dt, derivative)
+    t = checks.real_array("times", times).astype(h.dtype)
+    if t.ndim != 1:
+        raise ValueError(f"times must have shape (m,), got {t.shape}; use jax.vmap for batches")
+    known = concrete(times, dt)  # then nothing is traced, inside jit or not
+    xp: Any = np if known else jnp
+    ratio = np.asarray(times, float) / np.asarray(dt, float) if known else lax.stop_gradient(t / h)
+    whole = xp.round(ratio).astype(np.int32)
+    if known and np.any(whole < 0):
+        raise ValueError(f"times must lie on the side of 0 that dt = {dt} leads to, got {np.asarray(times)}")
+    order = xp.argsort(whole)
+    counts = xp.diff(whole[order], prepend=0)
+    prepared = step.prepare(state, h)
+    if derivative == "checkpoint":
+        if not known:
+            raise ValueError('derivative="checkpoint" needs concrete times and dt: the number of steps is compiled in')
+        later, info = _checkpointed(prepared, state, h, counts.tolist())
+    else:
+        later, info = _march(prepared, state, h, counts, _tolerance(tolerance, state))
+    back = xp.argsort(order)
+    later, info = jax.tree.map(lambda leaf: leaf[back], (later, info))
+    seen, last = jax.vmap(step)(later, t - h * whole)  # `step` as it was given: prepared for no step size
+    return seen, info.worse(last)
+
+
+def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:
+    """How far `num_steps` steps of −dt end from where `num_steps` steps of dt began: what `reversible` loses.
+
+    In q, and in p over max|p|. It is some round-offs a step where motions stay together, and grows like their
+    distance where they do not: over a time t on a chaotic motion of Lyapunov exponent λ, like e^(λt). The gradient's
+    relative error is of that size times what the motion bends over such a distance.
+    """
+    step, state, h = _ready(step, state, dt, "reversible")
+    prepared = step.prepare(state, h)
+    end = _steps(prepared, state, h, checks.count("num_steps", num_steps, 0))[0]
+    return distance(_steps(prepared, end, -h, num_steps)[0], state)
+
+
+def _ready(step: Step, state: State, dt: ArrayLike, derivative: str) -> tuple[Step, State, Array]:
+    """The arguments checked, and dt as an array of the state's dtype."""
+    if derivative not in get_args(Derivative):
+        raise ValueError(f"derivative must be one of {', '.join(get_args(Derivative))}, got {derivative!r}")
+    if not isinstance(step, Step):
+        raise ValueError(f"step must be a Step, such as schemes.so3_midpoint(...) makes, got {type(step).__name__}")
+    if derivative == "reversible" and not step.symmetric:
+        raise ValueError(
+            f'{step.name} is not symmetric, so its steps cannot be undone by −dt: give derivative="checkpoint", or '
+            "take a symmetric scheme"
+        )
+    state, dtype = promoted(step, state)
+    step.check(state, dt)
+    return step, state, jnp.asarray(checks.step_size(dt), dtype)
+
+
+def _tolerance(tolerance: float | None, state: State) -> float:
+    return math.sqrt(jnp.finfo(state.p.dtype).eps) if tolerance is None else float(tolerance)
+
+
+def _steps(step: Step, state: State, dt: Array, count: Any) -> tuple[State, StepInfo]:
+    """So many steps, with the worst of their reports."""
+
+    def one(_: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:
+        state, so_far = carry
+        state, info = step(state, dt)
+        return state, so_far.worse(info)
+
+    return lax.fori_loop(0, count, one, (state, StepInfo.fresh(state.p)))
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(4,))
+def _march(step: Step, state: State, dt: Array, counts: Any, tolerance: float) -> tuple[State, StepInfo]:
+    """The states after counts[0], counts[0] + counts[1], … steps, and the reports in between."""
+
+    def interval(state: State, count: Array) -> tuple[State, tuple[State, StepInfo]]:
+        state, info = _steps(step, state, dt, count)
+        return state, (state, info)
+
+    return lax.scan(interval, state, jnp.asarray(counts))[1]
+
+
+def _march_forward(step: Step, state: State, dt: Array, counts: Any, tolerance: float) -> Any:
+    later, info = _march(step, state, dt, counts, tolerance)
+    return (later, info), (step, state, dt, counts, later)
+
+
+def _march_back(tolerance: float, kept: Any, cotangents: tuple[State, Any]) -> tuple[Any, ...]:
+    step, state, dt, counts, later = kept
+    smooth, rebuild = _smooth_leaves(step)
+
+    def undo(carry: Any) -> Any:
+        z, lam, sums = carry
+        z = step(z, -dt)[0]
+        _, pull = jax.vjp(lambda leaves, z, dt: rebuild(leaves)(z, dt)[0], smooth, z, dt)
+        leaves, lam, h = pull(lam)
+        return z, lam, jax.tree.map(jnp.add, sums, (leaves, h))
+
+    def interval(carry: Any, saved: tuple[State, State, State, Array]) -> tuple[Any, Array]:
+        lam, sums = carry
+        start, end, seen, count = saved
+        rebuilt, lam, sums = repeat(count, undo, (end, jax.tree.map(jnp.add, lam, seen), sums))
+        return (lam, sums), distance(rebuilt, start)
+
+    starts = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest[:-1]]), state, later)
+    zero = jax.tree.map(jnp.zeros_like, (state, (smooth, dt)))
+    (lam, (leaves, h)), errors = lax.scan(
+        interval, zero, (starts, later, cotangents[0], jnp.asarray(counts)), reverse=True
+    )
+    h = h + _watched(jnp.max(errors, initial=0), tolerance)
+    return _as_cotangent(step, leaves), lam, h, np.zeros(np.shape(counts), jax.dtypes.float0)
+
+
+_march.defvjp(_march_forward, _march_back)
+
+
+def _smooth_leaves(step: Step) -> tuple[list[Array], Callable[[list[Array]], Step]]:
+    """The leaves of a step that are real numbers, and how to put others in their place."""
+    leaves, structure = jax.tree.flatten(step)
+    where = [k for k, leaf in enumerate(leaves) if jnp.issubdtype(jnp.result_type(leaf), jnp.floating)]
+
+    def rebuild(smooth: list[Array]) -> Step:
+        filled = list(leaves)
+        for k, leaf in zip(where, smooth, strict=True):
+            filled[k] = leaf
+        return jax.tree.unflatten(structure, filled)
+
+    return [jnp.asarray(leaves[k]) for k in where], rebuild
+
+
+def _as_cotangent(step: Step, smooth: list[Array]) -> Any:
+    """Cotangents of a step from those of its real leaves; whole numbers and truth values have none."""
+    leaves, structure = jax.tree.flatten(step)
+    given = iter(smooth)
+    real = [jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for leaf in leaves]
+    filled = [
+        next(given) if yes else np.zeros(np.shape(leaf), jax.dtypes.float0)
+        for yes, leaf in zip(real, leaves, strict=True)
+    ]
+    return jax.tree.unflatten(structure, filled)
+
+
+def _watched(error: Array, tolerance: float) -> Array:
+    """Zero, and a warning on the host if `error` is above `tolerance`: one call, however many bodies."""
+
+    def warn(error: np.ndarray) -> np.ndarray:
+        error = np.asarray(error)
+        bad = ~(error <= tolerance)
+        if bad.any():
+            warnings.warn(
+                f"reversal lost digits: a rebuilt state is {np.max(error):.2g} from the saved one (tolerance "
+                f"{tolerance:.2g}; {bad.sum()} of {bad.size}): the gradient is good to some such part only. Save more "
+                'often (save_every), take a shorter run, or derivative="checkpoint"',
+                RuntimeWarning,
+                stacklevel=2,
+            )
+        return np.zeros_like(error)
+
+    return jax.pure_callback(warn, jax.ShapeDtypeStruct((), error.dtype), error, vmap_method="expand_dims")
+
+
+def _checkpointed(step: Step, state: State, dt: Array, counts: list[int]) -> tuple[State, StepInfo]:
+    """As `_march`, by scans whose derivative keeps the states at nested checkpoints only.
+
+    One loop is compiled, as long as the longest interval and a little more; what is too much is taken and thrown away.
+    """
+
+    def interval(state: State, count: Array) -> tuple[State, tuple[State, StepInfo]]:
+        def one(carry: tuple[Array, State, StepInfo], _: None) -> tuple[tuple[Array, State, StepInfo], None]:
+            k, state, so_far = carry
+            after, info = step(state, dt)
+            taken = jax.tree.map(
+                lambda new, old: jnp.where(k < count, new, old), (after, so_far.worse(info)), carry[1:]
+            )
+            return (k + 1, *taken), None
+
+        start = (jnp.zeros((), jnp.int32), state, StepInfo.fresh(state.p))
+        _, state, info = _nested(one, start, max(counts, default=0), _LEVELS)
+        return state, (state, info)
+
+    return lax.scan(jax.checkpoint(interval), state, jnp.asarray(counts, jnp.int32))[1]
+
+
+def _nested(one: Callable[..., Any], carry: Any, length: int, levels: int) -> Any:
+    """At least `length` times `one`, in about length^(1/levels) blocks of blocks …, each a checkpoint."""
+    if levels == 1:
+        return lax.scan(jax.checkpoint(one), carry, None, length=length)[0]
+    blocks = math.ceil(length ** (1 / levels))
+    block = math.ceil(length / blocks) if blocks else 0
+
+    def inner(carry: Any, _: None) -> tuple[Any, None]:
+        return _nested(one, carry, block, levels - 1), None
+
+    return lax.scan(jax.checkpoint(inner), carry, None, length=blocks)[0]

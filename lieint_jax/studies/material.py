@@ -1,0 +1,126 @@
+"""λ and μ of an elastic body out of its vibration.
+
+A pseudo-rigid ball, stretched and let go, turns and vibrates. What is seen is its strain C = FᵀF at irregular times,
+with noise; what is sought are the constants of its material. The data come from the equations of motion by collocation
+of order 16; the model is the energy-momentum scheme of order 2 at observation times between its steps (`observe`). The
+fit takes the forward derivative, and the one by undoing steps must vanish where it ends.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.flatten_util import ravel_pytree
+from matplotlib.figure import Figure
+
+from lieint_jax import diagnostics, plots, schemes, systems
+from lieint_jax.studies._bounds import positive
+from lieint_jax.studies._fit import Fit, fit
+from lieint_jax.studies._reversible import observe
+from lieint_jax.systems import PseudoRigidBody
+from lieint_jax.types import State
+
+TRUTH = {"lam": jnp.array(20.0), "mu": jnp.array(6.0)}
+NOISE = 0.005  # of each component of C
+DT, _END, _SEEN = 0.02, 4.0, 40
+
+
+class Found(NamedTuple):
+    """What the study found.
+
+    Attributes:
+        fit: by least squares, with a covariance.
+        left: the gradient of the loss at the estimate over that at the guess, by `observe`'s reverse mode.
+        times: of the observations.
+        data: C observed, (n, 6): xx, yy, zz, yz, xz, xy.
+        fitted: C of the fit.
+    """
+
+    fit: Fit
+    left: float
+    times: np.ndarray
+    data: np.ndarray
+    fitted: np.ndarray
+
+
+def start(params: dict[str, Array]) -> tuple[PseudoRigidBody, State]:
+    """The ball of these constants, stretched by a fifth and turning."""
+    body = PseudoRigidBody(jnp.full(3, 2.0), systems.mooney_rivlin(params["lam"], params["mu"]))
+    F = jnp.array([[1.2, 0.05, 0.0], [0.0, 0.95, 0.1], [0.0, 0.0, 0.9]])
+    return body, body.state(F, angular_velocity=jnp.array([0.3, 0.2, 1.0]))
+
+
+def strains(params: dict[str, Array], times: Array, derivative: str) -> tuple[Array, Array]:
+    """C at the times, (n, 6), and whether the steps converged."""
+    body, state = start(params)
+    step = schemes.additive(body)
+    seen, info = observe(step, state, DT, times, derivative=derivative)  # pyright: ignore[reportArgumentType]
+    return _six(jax.vmap(body.strain)(seen)), jnp.all(info.converged)
+
+
+def exact_strains(times: np.ndarray) -> Array:
+    """C by collocation of order 16, from one time to the next."""
+    body, state = start(TRUTH)
+    move = jax.jit(lambda state, t: diagnostics.flow(body, state, t, 4))
+    seen, now = [], 0.0
+    for t in times:
+        state, now = move(state, t - now), t
+        seen.append(body.strain(state))
+    return _six(jnp.stack(seen))
+
+
+def run(quick: bool = False, progress: bool = True) -> Found:
+    """Fit from a guess that is a quarter off; `quick` observes half the time."""
+    rng = np.random.default_rng(6)
+    part = 2 if quick else 1
+    times = np.sort(rng.uniform(0, _END / part, _SEEN // part))
+    clean = exact_strains(times)
+    data = clean + NOISE * jnp.asarray(rng.normal(size=clean.shape))
+    guess = {"lam": jnp.array(25.0), "mu": jnp.array(4.5)}
+
+    def residuals(params: dict[str, Array]) -> tuple[Array, Array]:
+        seen, converged = strains(params, times, "checkpoint")  # pyright: ignore[reportArgumentType]
+        return (seen - data) / NOISE, converged
+
+    def half_square(params: dict[str, Array]) -> tuple[Array, Array]:
+        seen, converged = strains(params, times, "reversible")  # pyright: ignore[reportArgumentType]
+        return jnp.sum(((seen - data) / NOISE) ** 2) / 2, converged
+
+    found = fit(residuals, guess, bounds=positive, iterations=30, progress=progress)
+    reverse = jax.jit(jax.grad(lambda p: half_square(p)[0]))
+    first, last = (float(jnp.linalg.norm(ravel_pytree(reverse(p))[0])) for p in (guess, found.params))
+    fitted = jax.jit(lambda p: strains(p, times, "checkpoint")[0])(found.params)
+    return Found(found, last / first, times, np.asarray(data), np.asarray(fitted))
+
+
+def _six(C: Array) -> Array:
+    i, j = (0, 1, 2, 1, 0, 0), (0, 1, 2, 2, 2, 1)
+    return C[..., i, j]
+
+
+def text(found: Found) -> str:
+    """The report."""
+    errors = found.fit.standard_errors
+    lines = [
+        f"λ and μ of an elastic ball from {len(found.times)} observations of its strain, noise {NOISE} a component",
+        f"  {found.fit}",
+        f"  the gradient in reverse mode, by undoing steps, is {found.left:.1e} there of what it was at the guess\n",
+        f"  {'':<4}{'truth':>9}{'estimate':>12}{'± 1 sigma':>11}",
+    ]
+    lines += [
+        f"  {symbol:<4}{TRUTH[key]:>9.4f}{found.fit.params[key]:>12.5f}{errors[key]:>11.5f}"
+        for key, symbol in (("lam", "λ"), ("mu", "μ"))
+    ]
+    return "\n".join(lines)
+
+
+def draw(found: Found) -> Figure:
+    """Strains observed and fitted."""
+    fig, axes = plots.figure(1)
+    plots.series(axes[0, 0], found.times, dict(zip(("Cxx", "Cyy", "Czz"), found.fitted.T, strict=False)), "strain C")
+    axes[0, 0].plot(found.times, found.data[:, :3], ".", ms=3, color=plots.GREY)
+    return fig

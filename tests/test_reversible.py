@@ -1,0 +1,206 @@
+"""Three derivatives, one answer: forward, reverse through the scan, reverse by undoing steps; and differences."""
+
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from grid import steps
+
+import lieint_jax as li
+from lieint_jax import studies
+from lieint_jax.types import State
+
+N, EVERY = 6, 3
+GRID = {name: rest for name, *rest in steps()}
+FEW = [
+    "rigid_body.asymmetric-so3_midpoint[symplectic]",
+    "rigid_body.full_tensor-so3_explicit",
+    "heavy_top.asymmetric_top-top_energy_momentum[exponential]",
+    "pendulum.quadratic-sphere_midpoint[normalised]",
+]
+
+
+def plain(step, state, dt):
+    return li.integrate(step, state, dt, N, EVERY)
+
+
+def by_reversal(step, state, dt):
+    return studies.reversible(step, state, dt, N, EVERY)
+
+
+def by_checkpoints(step, state, dt):
+    return studies.reversible(step, state, dt, N, EVERY, derivative="checkpoint")
+
+
+def setting(name):
+    """A loss of a run, as a function of (real leaves of the step, tangent vector at the state, dt), and a direction."""
+    step, state, dt = GRID[name]
+    space, rng = step.system.phase_space, np.random.default_rng(0)
+    leaves, structure = jax.tree.flatten(step)
+    weights = jax.tree.map(lambda x: jnp.asarray(rng.normal(size=(N // EVERY + 1, *x.shape))), state)
+
+    def loss(run, leaves, delta, dt):
+        state_ = space.perturb(state, delta)
+        seen = run(jax.tree.unflatten(structure, leaves), state_, dt).state
+        return sum(jnp.sum(w * x) for w, x in zip(jax.tree.leaves(weights), jax.tree.leaves(seen), strict=True))
+
+    direction = [rng.normal(size=np.shape(x)) * np.abs(x).max() for x in leaves]
+    direction = [(d + d.T) / 2 if d.ndim == 2 else d for d in direction]  # inertias stay symmetric
+    delta = rng.normal(size=space.dim) * np.repeat([1.0, float(jnp.abs(state.p).max())], space.dim // 2)
+    at = ([jnp.asarray(x) for x in leaves], jnp.zeros(space.dim), jnp.asarray(dt))
+    return loss, at, ([jnp.asarray(d) for d in direction], jnp.asarray(delta), jnp.asarray(0.3 * dt))
+
+
+def agree(name):
+    loss, at, along = setting(name)
+
+    def moved(t):
+        return loss(plain, *jax.tree.map(lambda x, d: x + t * d, at, along))
+
+    forward = jax.jit(lambda: jax.jvp(moved, (0.0,), (1.0,))[1])()
+    gradients = [
+        jax.jit(jax.grad(lambda *x, run=run: loss(run, *x), argnums=(0, 1, 2)))(*at)
+        for run in (plain, by_reversal, by_checkpoints)
+    ]
+    size = max(float(jnp.max(jnp.abs(leaf))) for leaf in jax.tree.leaves(gradients[0]))
+    for gradient in gradients:
+        for one, other in zip(jax.tree.leaves(gradients[0]), jax.tree.leaves(gradient), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-10 * size)  # floor 1e-13
+        slope = sum(jnp.sum(g * d) for g, d in zip(jax.tree.leaves(gradient), jax.tree.leaves(along), strict=True))
+        scale = sum(
+            jnp.sum(jnp.abs(g * d)) for g, d in zip(jax.tree.leaves(gradient), jax.tree.leaves(along), strict=True)
+        )
+        assert abs(slope - forward) <= 1e-9 * scale
+    h = 1e-3
+    at_ = jax.jit(jax.vmap(moved))(jnp.array([-2 * h, -h, h, 2 * h]))
+    difference = (at_[0] - 8 * at_[1] + 8 * at_[2] - at_[3]) / (12 * h)
+    assert abs(difference - forward) <= 1e-7 * scale
+
+
+@pytest.mark.parametrize("name", FEW)
+def test_three_derivatives_agree(name):
+    agree(name)
+
+
+@pytest.mark.long
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in GRID if name not in FEW])
+def test_three_derivatives_agree_on_the_whole_grid(name):
+    agree(name)
+
+
+BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+STATE = BODY.state(angular_velocity=[0.2, 0.3, 1.0])
+STEP = li.schemes.so3_midpoint(BODY)
+
+
+def end(J, state, dt, num_steps=40, **options):
+    step = li.schemes.so3_midpoint(li.systems.RigidBody(J))
+    return studies.reversible(step, state, dt, num_steps, **options).state.q[-1, 0]
+
+
+def test_the_trajectory_is_that_of_integrate():
+    ours, theirs = studies.reversible(STEP, STATE, 0.05, 12, 4), li.integrate(STEP, STATE, 0.05, 12, 4)
+    for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-15)
+    assert studies.reversible(STEP, STATE, 0.05, 0).t.shape == (1,)
+
+
+def test_batches_of_states_and_of_parameters():
+    J = jnp.array([[1.0, 2.0, 3.0], [1.0, 2.5, 2.8]])
+    states = jax.vmap(lambda w: BODY.state(angular_velocity=w))(jnp.array([[0.2, 0.3, 1.0], [0.5, -0.3, 0.2]]))
+    both = jax.jit(jax.vmap(jax.grad(end), (0, 0, None)))(J, states, 0.05)
+    alone = [jax.jit(jax.grad(end))(J[k], State(states.q[k], states.p[k]), 0.05) for k in (0, 1)]
+    np.testing.assert_allclose(both, jnp.stack(alone), rtol=1e-12)
+
+
+def test_members_are_split_over_devices():
+    """One device here; `benchmarks/gradients.py` and the command below take two."""
+    states = jax.vmap(lambda w: BODY.state(angular_velocity=w))(jnp.eye(3))
+    slopes = studies.over_members(jax.grad(end), (None, 0, None))(BODY.inertia, states, 0.05)
+    np.testing.assert_allclose(slopes, jax.jit(jax.vmap(jax.grad(end), (None, 0, None)))(BODY.inertia, states, 0.05))
+
+
+def test_memory_does_not_grow_with_the_number_of_steps():
+    used = [
+        jax.jit(jax.grad(lambda J, n=n: end(J, STATE, 0.05, n))).lower(BODY.inertia).compile().memory_analysis()
+        for n in (40, 40_000)
+    ]
+    assert used[1].temp_size_in_bytes <= used[0].temp_size_in_bytes + 64
+
+
+def observed(step, state, dt, times, **options):
+    return studies.observe(step, state, dt, times, **options)[0]
+
+
+def test_observations_at_any_times():
+    """The exact flow takes whole and shorter steps alike, so any times must be met to round-off, in any order."""
+    exact = li.schemes.exact(BODY)
+    times = jnp.array([0.33, 0.0, 1.0, 0.05, 0.071, 0.33])
+    for derivative in ("reversible", "checkpoint"):
+        seen, info = studies.observe(exact, STATE, 0.05, times, derivative=derivative)
+        true = jax.vmap(BODY.solution, (None, 0), State(0, None))(STATE, times)
+        np.testing.assert_allclose(seen.q, true.q, atol=1e-14)
+        assert info.converged.all()
+    back = studies.observe(exact, STATE, -0.05, -times)[0]
+    np.testing.assert_allclose(back.q[0], BODY.solution(STATE, -0.33).q, atol=1e-14)
+    with pytest.raises(ValueError, match="side of 0"):
+        studies.observe(exact, STATE, -0.05, times)
+
+
+@pytest.mark.long
+def test_derivatives_of_observations_in_everything():
+    times = jnp.array([0.33, 1.0, 0.071])
+
+    def loss(derivative, J, state, dt, times):
+        step = li.schemes.so3_explicit(li.systems.RigidBody(J))  # its `prepare` depends on everything
+        q = studies.observe(step, state, dt, times, derivative=derivative)[0].q
+        return jnp.sum(q * jnp.arange(12.0).reshape(3, 4))
+
+    at = (BODY.inertia, STATE, 0.05, times)
+    reverse = jax.jit(jax.grad(lambda *x: loss("reversible", *x), argnums=(0, 1, 2, 3)))(*at)
+    for k in (0, 1):  # times and dt must be concrete for checkpoints
+        other = jax.jit(jax.grad(lambda x, k=k: loss("checkpoint", *at[:k], x, *at[k + 1 :])))(at[k])
+        for one, two in zip(jax.tree.leaves(reverse[k]), jax.tree.leaves(other), strict=True):
+            np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-11)
+    h = 1e-4
+    value = jax.jit(lambda dt, t: loss("reversible", *at[:2], dt, t))
+    slope = [value(0.05 + k * h / 10, times) for k in (-2, -1, 1, 2)]
+    assert (slope[0] - 8 * slope[1] + 8 * slope[2] - slope[3]) / 1.2 / h == pytest.approx(float(reverse[2]), rel=1e-6)
+    slope = [value(0.05, times.at[0].add(k * h)) for k in (-2, -1, 1, 2)]
+    assert (slope[0] - 8 * slope[1] + 8 * slope[2] - slope[3]) / 12 / h == pytest.approx(float(reverse[3][0]), rel=1e-7)
+
+
+def test_round_trips_are_measured_and_lost_digits_draw_a_warning():
+    """A chaotic top comes back less and less; a gradient over that time says so, unless states are saved in between."""
+    step, state, dt = GRID["heavy_top.asymmetric_top-splitting[so3_midpoint[symplectic]]"]
+    trip = jax.jit(studies.round_trip_error, static_argnums=3)
+    assert trip(step, state, dt, 100) < 1e-13  # 2e-14
+    lost = trip(step, state, dt, 4000)
+    assert lost > 1e-9  # the Lyapunov exponent is .12: e^(.12 · 200) = 3e10
+
+    def slope(save_every):
+        return jax.jit(jax.grad(lambda dt: studies.reversible(step, state, dt, 4000, save_every).state.q[-1, 0]))(dt)
+
+    with pytest.warns(RuntimeWarning, match="reversal lost digits"):
+        slope(None).block_until_ready()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        slope(100).block_until_ready()
+
+
+def test_errors_and_the_way_out():
+    ball = GRID["pseudo_rigid.ball-additive[symplectic]"]
+    lopsided = li.schemes.additive(ball[0].system, "symplectic", 0.3)
+    with pytest.raises(ValueError, match="not symmetric.*checkpoint"):
+        studies.reversible(lopsided, ball[1], ball[2], 4)
+    with pytest.raises(ValueError, match="must be one of reversible, checkpoint"):
+        studies.reversible(STEP, STATE, 0.05, 4, derivative="scan")
+    with pytest.raises(ValueError, match="multiple of save_every"):
+        studies.reversible(STEP, STATE, 0.05, 5, 2)
+    with pytest.raises(ValueError, match="shape"):
+        studies.observe(STEP, STATE, 0.05, 1.0)
+    with pytest.raises(TypeError, match="forward-mode"):
+        jax.jvp(lambda J: end(J, STATE, 0.05), (BODY.inertia,), (BODY.inertia,))
