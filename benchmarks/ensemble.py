@@ -6,10 +6,10 @@ that of the best call.
 
     python benchmarks/ensemble.py [--quick] [--out DIR] [--only PART …]
 
-Parts: `sizes` (bodies from 1 to a million), `systems` (a thousand of each), `peers`, `threads` (C++ and ours on one core
-and on all; strong scaling is the same bodies on more devices, weak scaling as many bodies on each), `roofline`
-(operations that XLA counts in a step, against what the core can do). Each part runs in a process of its own, pinned to a
-core but for `threads`.
+Parts: `sizes` (bodies from 1 to a million), `systems` (a thousand of each), `peers`, `threads` (C++ and ours on one
+core and on all; strong scaling is the same bodies on more devices, weak scaling as many bodies on each), `roofline`
+(operations that XLA counts in a step, against what the core can do). Each part runs in a process of its own, pinned to
+a core but for `threads`.
 """
 
 from __future__ import annotations
