@@ -6,10 +6,10 @@ that of the best call.
 
     python benchmarks/ensemble.py [--quick] [--out DIR] [--only PART …]
 
-Parts: `sizes` (bodies from 1 to a million), `systems` (a thousand of each), `threads` (C++ and ours on one core and on
-all; strong scaling is the same bodies on more devices, weak scaling as many bodies on each), `roofline` (operations
-that XLA counts in a step, against what the core can do). Each part runs in a process of its own, pinned to a core but
-for `threads`.
+Parts: `sizes` (bodies from 1 to a million), `systems` (a thousand of each), `peers`, `threads` (C++ and ours on one
+core and on all; strong scaling is the same bodies on more devices, weak scaling as many bodies on each), `roofline`
+(operations that XLA counts in a step, against what the core can do). Each part runs in a process of its own, pinned to
+a core but for `threads`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
-PARTS = ("sizes", "systems", "threads", "roofline")
+PARTS = ("sizes", "systems", "peers", "threads", "roofline")
 
 
 def main() -> None:
@@ -179,6 +179,27 @@ def _schemes(module: str, system: Any) -> Any:
     return importlib.import_module(f"lieint_jax.schemes.{module}").examples(system)
 
 
+def against(quick: bool, _: Sequence[int]) -> Any:
+    """Rates of the free body beside those of what one would use instead, by number of bodies."""
+    from functools import partial
+
+    import measure
+    import peers
+
+    J, dt, notes = measure.INERTIA, measure.DT, []
+    step = free_steps()["so3_midpoint, symplectic κ"]
+    makers: list[tuple[str, Callable[[], Any]]] = [
+        ("ours", partial(measure.ours, "ours, symplectic κ", step, dt, True, 9e7)),
+        ("diffrax", partial(peers.tsit5, J, dt, wide=True)),
+        ("diffrax", partial(peers.dopri8, J, dt, wide=True)),
+        ("MuJoCo", partial(peers.mujoco_rk4, J, dt)),
+    ]
+    entries = list(measure.those_here(makers, notes))
+    spent = measure.QUICK if quick else measure.Sizes(seconds=0.3)
+    counts = (1, 1000) if quick else (1, 1000, 100_000)
+    return {"notes": notes, "rates": [r for count in counts for r in measure.rates(entries, count, spent)]}
+
+
 def threads(quick: bool, cores: Sequence[int]) -> Any:
     """Rates on one core and on all, ours and C++ by threads (the batch split, as C++ releases Python's lock)."""
     from concurrent.futures import ThreadPoolExecutor
@@ -284,6 +305,16 @@ def systems_table(rates: Any) -> list[str]:
     return ["Millions of body-steps a second, 1000 bodies, one core", report.table(["", "rate"], rows)]
 
 
+def peers_table(found: Any) -> list[str]:
+    import report
+
+    counts, rates = sorted({r["bodies"] for r in found["rates"]}), found["rates"]
+    names = dict.fromkeys(r["name"] for r in rates)
+    rows = [[name, *(f"{report.rate(rates, name, bodies=c) / 1e6:.3g}" for c in counts)] for name in names]
+    title = "Millions of body-steps a second by number of free bodies, one core, all compiled at full vector width"
+    return [title, report.table(["", *map(str, counts)], rows), *found["notes"]]
+
+
 def threads_table(found: Any) -> list[str]:
     import report
 
@@ -338,8 +369,14 @@ def roofline_table(found: Any) -> list[str]:
     return [title, report.table(["", "operations", "bytes", "billion operations/s", "of the peak"], rows)]
 
 
-PART = {"sizes": sizes, "systems": systems, "threads": threads, "roofline": roofline}
-TABLE = {"sizes": sizes_table, "systems": systems_table, "threads": threads_table, "roofline": roofline_table}
+PART = {"sizes": sizes, "systems": systems, "peers": against, "threads": threads, "roofline": roofline}
+TABLE = {
+    "sizes": sizes_table,
+    "systems": systems_table,
+    "peers": peers_table,
+    "threads": threads_table,
+    "roofline": roofline_table,
+}
 
 
 if __name__ == "__main__":

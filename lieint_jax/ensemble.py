@@ -136,6 +136,8 @@ def _integrate(job: Job, layout: Layout, sink: _Memory | archive.Recording, prog
             sink.offer(carry, done, pace.seconds, stop)
             if stop and sink.stopped(done):
                 raise KeyboardInterrupt(sink.farewell(done, job.num_steps))
+        if not job.num_steps:
+            sink.offer(carry, 0, 0.0, stop=False)
         result = sink.end(carry)
     _report(members.fetch(layout, [c.failed for c in carry]))
     return result

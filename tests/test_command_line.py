@@ -194,7 +194,7 @@ def test_bad_commands(capsys):
             "no scenario 'nowhere': give a .toml file or one of heavy_top, pendulum, pseudo_rigid, toutatis",
         ),
         (["run", "toutatis", "--members", "0"], "members: .*greater than 0"),
-        (["run", "toutatis", "--out", "results.csv"], r"\.npz, got results\.csv"),
+        (["run", "toutatis", "--out", "results.csv"], r"\.npz or \.zarr, got results\.csv"),
         (["run", "toutatis", "--out", "no/where.npz"], "folder no does not exist"),
         (["figure", "9"], "figure 9 is not one of 1, 2, 3, 4, 5"),
         (["check", "rocket"], "nothing to check for system 'rocket'.*rigid_body"),
