@@ -194,7 +194,7 @@ def test_round_trips_are_measured_and_lost_digits_draw_a_warning():
 def test_errors_and_the_way_out():
     ball = GRID["pseudo_rigid.ball-additive[symplectic]"]
     lopsided = li.schemes.additive(ball[0].system, "symplectic", 0.3)
-    with pytest.raises(ValueError, match="not symmetric.*checkpoint"):
+    with pytest.raises(ValueError, match=r"not symmetric.*checkpoint"):
         studies.reversible(lopsided, ball[1], ball[2], 4)
     with pytest.raises(ValueError, match="must be one of reversible, checkpoint"):
         studies.reversible(STEP, STATE, 0.05, 4, derivative="scan")
