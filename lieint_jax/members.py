@@ -14,6 +14,7 @@ On a CPU a block stays in its cache.
 from __future__ import annotations
 
 import contextlib
+import os
 import platform
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -127,10 +128,17 @@ def mesh_of(mesh: Mesh | None) -> Mesh:
     return mesh
 
 
-def want_devices(count: int) -> None:
-    """Cut the CPU into so many devices; without effect on accelerators, or once JAX has started."""
-    with contextlib.suppress(RuntimeError):
-        jax.config.update("jax_num_cpu_devices", count)
+def want_devices(count: int | None) -> None:
+    """Cut the CPU into so many devices; None: one a core, the fastest.
+
+    Without effect on accelerators, once JAX has started, or where XLA_FLAGS says how many.
+    """
+    if count is None:
+        affinity = getattr(os, "sched_getaffinity", None)  # not on every system
+        count = len(affinity(0)) if affinity else os.cpu_count() or 1
+    if "host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
+        with contextlib.suppress(RuntimeError):
+            jax.config.update("jax_num_cpu_devices", count)
 
 
 def first_devices(count: int | None) -> Mesh:
