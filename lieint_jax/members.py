@@ -57,6 +57,11 @@ class Layout(NamedTuple):
     blocks: int
 
     @property
+    def lanes(self) -> int:
+        """Members of a block and what is behind it. One member alone, always in one block, needs neither."""
+        return 1 if self.members == 1 else self.block + _TAIL
+
+    @property
     def each(self) -> int:
         """Members a device, padding included."""
         return self.block * self.blocks
@@ -154,6 +159,8 @@ def first_devices(count: int | None) -> Mesh:
 
 def layout_of(mesh: Mesh, members: int, chunk: int | None = None) -> Layout:
     """How so many members lie on a mesh; with a `chunk`, each process holds a whole number of chunks of members."""
+    if members == 1:
+        return Layout(mesh, 1, 1, 1)
     processes = _processes(mesh)
     on_cpu = mesh.devices.flat[0].platform == "cpu"
     if chunk is None or processes == 1:
@@ -178,7 +185,7 @@ def place(layout: Layout, tree: Any, first: int = 0) -> list[Any]:
     tree = jax.tree.map(np.asarray, tree)
 
     def one(piece: Piece) -> Any:
-        rows = np.arange(piece.start, piece.start + layout.block + _TAIL) - first
+        rows = np.arange(piece.start, piece.start + layout.lanes) - first
         return jax.device_put(jax.tree.map(lambda x: x[np.clip(rows, 0, len(x) - 1)], tree), piece.device)
 
     return [one(piece) for piece in layout.pieces]
