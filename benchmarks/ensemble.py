@@ -9,18 +9,17 @@ that of the best call.
 Parts: `sizes` (bodies from 1 to a million), `systems` (a thousand of each), `peers`, `threads` (C++ and ours on one
 core and on all; strong scaling is the same bodies on more devices, weak scaling as many bodies on each), `roofline`
 (operations that XLA counts in a step, against what the core can do). Each part runs in a process of its own, pinned to
-a core but for `threads`.
+a core before JAX starts, and `threads` in a second one without the pin.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -34,17 +33,20 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=HERE / "results", metavar="DIR", help="where the results go")
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART")
     parser.add_argument("--part", choices=PARTS, help=argparse.SUPPRESS)  # how the processes are called
+    parser.add_argument("--all-cores", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     cores = sorted(os.sched_getaffinity(0))
     if options.part:
-        if options.part != "threads":
+        if not options.all_cores:
             os.sched_setaffinity(0, cores[-1:])  # before jax makes its threads
-        print(json.dumps(PART[options.part](options.quick, cores)))
+        print(json.dumps(PART[options.part](options.quick, len(cores))))
         return
     found: dict[str, Any] = {}
     for part in options.only:
         arguments = [sys.executable, __file__, "--part", part] + ["--quick"] * options.quick
-        found[part] = json.loads(subprocess.run(arguments, check=True, stdout=subprocess.PIPE, text=True).stdout)
+        found[part] = _result(arguments)
+        if part == "threads":
+            found[part]["rates"] |= _result([*arguments, "--all-cores"])["rates"]
     os.sched_setaffinity(0, cores[-1:])
     import measure
     import report
@@ -54,6 +56,10 @@ def main() -> None:
     for part in options.only:
         sections += TABLE[part](found[part])
     report.publish("ensemble", sections, found, options.out)
+
+
+def _result(arguments: list[str]) -> Any:
+    return json.loads(subprocess.run(arguments, check=True, stdout=subprocess.PIPE, text=True).stdout)
 
 
 def best(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
@@ -114,7 +120,7 @@ def free_steps() -> dict[str, Any]:
     return {"so3_midpoint, symplectic κ": li.schemes.so3_midpoint(body), "so3_explicit": li.schemes.so3_explicit(body)}
 
 
-def sizes(quick: bool, _: Sequence[int]) -> Any:
+def sizes(quick: bool, _: int) -> Any:
     """Rates of the free body by number of bodies."""
     counts = (1, 10, 100, 1000, 10_000) if quick else (1, 10, 100, 1000, 10_000, 100_000, 1_000_000)
     work, rounds = (1e6, 2) if quick else (1.5e7, 4)
@@ -131,7 +137,7 @@ def sizes(quick: bool, _: Sequence[int]) -> Any:
     return rates
 
 
-def systems(quick: bool, _: Sequence[int]) -> Any:
+def systems(quick: bool, _: int) -> Any:
     """Rates of a thousand bodies of an example of each system, by each of a few schemes."""
     import jax
     import jax.numpy as jnp
@@ -179,7 +185,7 @@ def _schemes(module: str, system: Any) -> Any:
     return importlib.import_module(f"lieint_jax.schemes.{module}").examples(system)
 
 
-def against(quick: bool, _: Sequence[int]) -> Any:
+def against(quick: bool, _: int) -> Any:
     """Rates of the free body beside those of what one would use instead, by number of bodies."""
     from functools import partial
 
@@ -200,57 +206,43 @@ def against(quick: bool, _: Sequence[int]) -> Any:
     return {"notes": notes, "rates": [r for count in counts for r in measure.rates(entries, count, spent)]}
 
 
-def threads(quick: bool, cores: Sequence[int]) -> Any:
-    """Rates on one core and on all, ours and C++ by threads (the batch split, as C++ releases Python's lock)."""
+def threads(quick: bool, cores: int) -> Any:
+    """Rates on the cores that this process has, of ours and of C++ (blocks over threads: it releases Python's lock)."""
     from concurrent.futures import ThreadPoolExecutor
 
     import jax
 
-    jax.config.update("jax_num_cpu_devices", len(cores))
+    here = len(os.sched_getaffinity(0))
+    jax.config.update("jax_num_cpu_devices", here)
     import cpp
     import measure
     import numpy as np
 
-    count, n = (2000, 500) if quick else (20_000, 500)
-    rates: dict[str, float] = {}
+    count, n = (2000, 500) if quick else (20_000, 2000)
+    kinds = {"one": count} if here == 1 else {"strong": count, "weak": here * count}
 
-    def cpp_call(form: Any, parts: int, total: int) -> Callable[[], Any]:
+    def by_cpp(form: Any, total: int) -> Callable[[], Any]:
         contestant = cpp.symplectic(form, measure.INERTIA, 0.05)
-        q, p = (np.asarray(x) for x in bodies(total))
-        blocks = [
-            contestant.load(a, b) for a, b in zip(*(np.array_split(x, total // 1000) for x in (q, p)), strict=True)
-        ]
-        pool = ThreadPoolExecutor(parts)
+        q, p = (np.array_split(np.asarray(x), total // 1000) for x in bodies(total))
+        blocks = [contestant.load(a, b) for a, b in zip(q, p, strict=True)]
+        pool = ThreadPoolExecutor(here)
         return lambda: list(pool.map(lambda block: contestant.advance(block, n), blocks))
 
-    def pinned(which: Sequence[int], call: Callable[[], Any]) -> Callable[[], Any]:
-        """Every thread of the process on these cores while it lasts."""
-
-        def run() -> Any:
-            for thread in os.listdir("/proc/self/task"):
-                with contextlib.suppress(ProcessLookupError):  # it has just ended
-                    os.sched_setaffinity(int(thread), which)
-            return call()
-
-        return run
-
-    many = len(cores)
-    work: dict[str, tuple[Callable[[], Any], int]] = {}
-    for name, step in free_steps().items():
-        work[f"{name}|one"] = pinned(cores[-1:], ours(step, bodies(count), 0.05, n)), count
-        work[f"{name}|strong"] = pinned(cores, ours(step, bodies(count), 0.05, n, many)), count
-        work[f"{name}|weak"] = pinned(cores, ours(step, bodies(many * count), 0.05, n, many)), many * count
-    for form in ("newton", "scalar"):
-        name = f"C++ {form} form"
-        work[f"{name}|one"] = pinned(cores[-1:], cpp_call(form, 1, count)), count
-        work[f"{name}|strong"] = pinned(cores, cpp_call(form, many, count)), count
-        work[f"{name}|weak"] = pinned(cores, cpp_call(form, many, many * count)), many * count
-    seconds = best({key: call for key, (call, _) in work.items()}, 3 if quick else 8)
-    rates = {key: total * n / seconds[key] for key, (_, total) in work.items()}
-    return {"devices": many, "bodies": count, "rates": rates}
+    calls: dict[str, Callable[[], Any]] = {}
+    for kind, total in kinds.items():
+        for name, step in free_steps().items():
+            calls[f"{name}|{kind}"] = ours(step, bodies(total), 0.05, n, here)
+        for form in ("newton", "scalar"):
+            calls[f"C++ {form} form|{kind}"] = by_cpp(form, total)
+    seconds = best(calls, 3 if quick else 5)
+    return {
+        "devices": cores,
+        "bodies": count,
+        "rates": {key: kinds[key.split("|")[1]] * n / s for key, s in seconds.items()},
+    }
 
 
-def roofline(quick: bool, _: Sequence[int]) -> Any:
+def roofline(quick: bool, _: int) -> Any:
     """Operations a body-step as XLA counts them, and the rate that the core reaches in a product of matrices."""
     import jax
     import numpy as np

@@ -65,9 +65,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
     run.add_argument("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
     run.add_argument("--resume", action="store_true", help="go on with the run in PATH.zarr; start it if there is none")
-    run.add_argument(
-        "--devices", type=_positive, metavar="N", help="devices of this process; on a CPU, about one a core"
-    )
+    run.add_argument("--devices", type=_positive, metavar="N", help="devices to use; on a CPU, if not told, one a core")
     run.add_argument("--distributed", action="store_true", help="one of many processes, as srun or mpirun start them")
     run.add_argument("--coordinator", metavar="HOST:PORT", help="with --distributed and no srun: the first process")
     run.add_argument("--processes", type=_positive, metavar="N", help="… how many there are")
@@ -119,7 +117,7 @@ def _run(options: argparse.Namespace) -> None:
     apart = (options.coordinator, options.processes, options.process)
     if not options.distributed and any(x is not None for x in apart):
         raise ValueError("--coordinator, --processes and --process go with --distributed")
-    if options.devices:
+    if options.devices or not options.distributed:
         ensemble.want_devices(options.devices)
     if options.distributed:
         processes.initialize(*apart)

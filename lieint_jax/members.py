@@ -14,6 +14,7 @@ On a CPU a block stays in its cache.
 from __future__ import annotations
 
 import contextlib
+import os
 import platform
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -54,6 +55,11 @@ class Layout(NamedTuple):
     members: int
     block: int
     blocks: int
+
+    @property
+    def lanes(self) -> int:
+        """Members of a block and what is behind it. One member alone, always in one block, needs neither."""
+        return 1 if self.members == 1 else self.block + _TAIL
 
     @property
     def each(self) -> int:
@@ -127,10 +133,17 @@ def mesh_of(mesh: Mesh | None) -> Mesh:
     return mesh
 
 
-def want_devices(count: int) -> None:
-    """Cut the CPU into so many devices; without effect on accelerators, or once JAX has started."""
-    with contextlib.suppress(RuntimeError):
-        jax.config.update("jax_num_cpu_devices", count)
+def want_devices(count: int | None) -> None:
+    """Cut the CPU into so many devices; None: one a core, the fastest.
+
+    Without effect on accelerators, once JAX has started, or where XLA_FLAGS says how many.
+    """
+    if count is None:
+        affinity = getattr(os, "sched_getaffinity", None)  # not on every system
+        count = len(affinity(0)) if affinity else os.cpu_count() or 1
+    if "host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
+        with contextlib.suppress(RuntimeError):
+            jax.config.update("jax_num_cpu_devices", count)
 
 
 def first_devices(count: int | None) -> Mesh:
@@ -146,6 +159,8 @@ def first_devices(count: int | None) -> Mesh:
 
 def layout_of(mesh: Mesh, members: int, chunk: int | None = None) -> Layout:
     """How so many members lie on a mesh; with a `chunk`, each process holds a whole number of chunks of members."""
+    if members == 1:
+        return Layout(mesh, 1, 1, 1)
     processes = _processes(mesh)
     on_cpu = mesh.devices.flat[0].platform == "cpu"
     if chunk is None or processes == 1:
@@ -170,7 +185,7 @@ def place(layout: Layout, tree: Any, first: int = 0) -> list[Any]:
     tree = jax.tree.map(np.asarray, tree)
 
     def one(piece: Piece) -> Any:
-        rows = np.arange(piece.start, piece.start + layout.block + _TAIL) - first
+        rows = np.arange(piece.start, piece.start + layout.lanes) - first
         return jax.device_put(jax.tree.map(lambda x: x[np.clip(rows, 0, len(x) - 1)], tree), piece.device)
 
     return [one(piece) for piece in layout.pieces]
