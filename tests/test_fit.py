@@ -53,7 +53,16 @@ def test_scalar_losses(optimizer, iterations):
         _ = found.standard_errors
 
 
-@pytest.mark.parametrize("optimizer", ["levenberg_marquardt", "gauss_newton", "lbfgs", optax.adam(0.3), optax.sgd(5.0)])
+@pytest.mark.parametrize(
+    "optimizer",
+    [
+        "levenberg_marquardt",
+        "gauss_newton",
+        pytest.param("lbfgs", marks=pytest.mark.long),
+        optax.adam(0.3),
+        optax.sgd(5.0),
+    ],
+)
 def test_a_failed_trial_never_poisons_the_fit(optimizer):
     """The minimum at 1 lies beside a region where the solve fails, one time with nan, one time with its flag down."""
 

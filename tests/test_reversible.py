@@ -17,8 +17,6 @@ GRID = {name: rest for name, *rest in steps()}
 FEW = [
     "rigid_body.asymmetric-so3_midpoint[symplectic]",
     "rigid_body.full_tensor-so3_explicit",
-    "heavy_top.asymmetric_top-top_energy_momentum[exponential]",
-    "pendulum.quadratic-sphere_midpoint[normalised]",
 ]
 
 

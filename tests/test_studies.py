@@ -58,6 +58,7 @@ def test_gyro_covers_the_truth_as_often_as_it_says():
     assert "joint 95 % ellipsoid" in gyro.text(found)
 
 
+@pytest.mark.long
 def test_the_gyro_model_agrees_with_the_closed_form():
     np.testing.assert_allclose(jax.jit(gyro.rates)(gyro.TRUTH)[0], gyro.exact_rates(gyro.TRUTH), atol=gyro.NOISE / 20)
 
@@ -85,6 +86,7 @@ def test_material_constants_are_recovered():
     assert "undoing steps" in material.text(found)
 
 
+@pytest.mark.long
 def test_lyapunov_exponents_against_the_vector_field_and_two_neighbours():
     found = sensitivity.run(quick=True, progress=False)
     np.testing.assert_allclose(found.short, found.independent, atol=1e-8)  # 1e-9

@@ -123,8 +123,8 @@ def fit(
     Args:
         loss: parameters ↦ a scalar; for "levenberg_marquardt" and "gauss_newton" ↦ residuals, an array of any shape
             or a tree of them, whose sum of squares is minimised. Either may come as a pair (value, converged), with
-            the flag of the solves behind it (`StepInfo.converged`): a trial without it has failed. Its derivative is
-            taken forward (jacfwd) for residuals, in reverse for scalars.
+            the flag of the solves behind it (`StepInfo.converged`): a trial without it has failed. A pair is always
+            read so. Derivatives are taken forward (jacfwd) of residuals, in reverse of scalars.
         params: the first guess, a tree of arrays. With `starts`, each leaf has a leading axis of starts.
         optimizer: "levenberg_marquardt", "gauss_newton", "lbfgs" (optax, zoom line search), "adam", or any
             `optax.GradientTransformation`.
@@ -281,7 +281,11 @@ def _least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: 
     """Gauss–Newton, damped as Marquardt has it: minimise |r + Jδ|² + λ|Dδ|², D² the diagonal of JᵀJ."""
 
     def look(x: Array) -> tuple[Array, Array, Array]:
-        J, (r, ok) = jax.jacfwd(lambda x: (lambda r, ok: (r, (r, ok)))(*residuals(x)), has_aux=True)(x)
+        def twice(x: Array) -> tuple[Array, tuple[Array, Array]]:
+            r, ok = residuals(x)
+            return r, (r, ok)
+
+        J, (r, ok) = jax.jacfwd(twice, has_aux=True)(x)
         return r, J, ok & jnp.all(jnp.isfinite(r)) & jnp.all(jnp.isfinite(J))
 
     def first(x: Array) -> tuple[Array, _Normal, Array]:
@@ -424,6 +428,6 @@ def _lbfgs(scalar: Any, optax: Any, tolerance: float) -> _Method:
             (x, value, _Descent(new_gradient, after, length, quiet)),
             (carry.x, carry.loss, _Descent(gradient, fresh, length, quiet)),
         )
-        return Carry(*kept, code.astype(jnp.int32), bad, carry.failures + ~ok, carry.made)
+        return Carry(kept[0], kept[1], kept[2], code.astype(jnp.int32), bad, carry.failures + ~ok, carry.made)
 
     return _Method(first, advance)

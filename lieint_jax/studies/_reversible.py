@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from functools import partial
 from typing import Any, Literal, get_args
 
 import jax
@@ -178,8 +177,7 @@ def _steps(step: Step, state: State, dt: Array, count: Any) -> tuple[State, Step
     return lax.fori_loop(0, count, one, (state, StepInfo.fresh(state.p)))
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(4,))
-def _march(step: Step, state: State, dt: Array, counts: Any, tolerance: float) -> tuple[State, StepInfo]:
+def _marched(step: Step, state: State, dt: Array, counts: Any, tolerance: float) -> tuple[State, StepInfo]:
     """The states after counts[0], counts[0] + counts[1], … steps, and the reports in between."""
 
     def interval(state: State, count: Array) -> tuple[State, tuple[State, StepInfo]]:
@@ -187,6 +185,9 @@ def _march(step: Step, state: State, dt: Array, counts: Any, tolerance: float) -
         return state, (state, info)
 
     return lax.scan(interval, state, jnp.asarray(counts))[1]
+
+
+_march: Any = jax.custom_vjp(_marched, nondiff_argnums=(4,))
 
 
 def _march_forward(step: Step, state: State, dt: Array, counts: Any, tolerance: float) -> Any:
