@@ -35,6 +35,9 @@ DTYPES = ("float64", "float32")
 WIDE = ", wide vectors"
 
 
+States = tuple[np.ndarray, np.ndarray]  # configurations and momenta
+
+
 class Problem(NamedTuple):
     """What is integrated, from the states of `bodies`, and what the results are held against.
 
@@ -90,7 +93,7 @@ def midpoint(kappa: Kappa, dtype: str = "float64", wide: bool = False) -> Contes
 
 def ours(name: str, step: li.Step, dt: float, wide: bool, pace: float = 1e7) -> Contestant:
     """A step through `integrate`, vmapped and jitted, the batch split over the devices that there are."""
-    dtype = str(step.system.inertia.dtype)
+    dtype = str(jax.tree.leaves(step.system)[0].dtype)
     split = NamedSharding(Mesh(np.array(jax.devices()), ("bodies",)), PartitionSpec("bodies"))
 
     @partial(jax.jit, static_argnums=1, compiler_options=compiler_options() if wide else {})
@@ -182,9 +185,11 @@ def our_rates(sizes: Sizes) -> list[dict[str, Any]]:
     return [r for b in sizes.batches if b >= devices for r in rates(entries, b - b % devices, sizes)]
 
 
-def rates(entries: Sequence[Contestant], count: int, sizes: Sizes) -> list[dict[str, Any]]:
+def rates(
+    entries: Sequence[Contestant], count: int, sizes: Sizes, start: Callable[[int], States] = bodies
+) -> list[dict[str, Any]]:
     """Body-steps a second with so many bodies; scipy, which takes one after the other, gets `WATCHED` of them."""
-    q, p = bodies(count)
+    q, p = start(count)
     found = []
     for single in (False, True):
         group = [c for c in entries if c.name.startswith("scipy") == single]
@@ -223,14 +228,31 @@ def attitude_error(q: np.ndarray, exact: np.ndarray) -> float:
     return float(jax.vmap(so3.angle)(jnp.asarray(_unit(q)), jnp.asarray(exact)).max())
 
 
-def quality(contestant: Contestant, exact: np.ndarray, sizes: Sizes, system: Any) -> dict[str, Any]:
+def energy_drift(system: Any, q: np.ndarray, p: np.ndarray) -> float:
+    """The largest |H − H₀|/H₀ of states (times, bodies, …) at attitudes q/|q|; of tops, in units of T₀ + |E|."""
+    states = _state(_unit(q), p)
+    H = np.asarray(jax.vmap(jax.vmap(system.energy))(states))
+    weight = getattr(getattr(system, "potential", None), "weight", np.zeros(3))
+    size = np.asarray(jax.vmap(system.kinetic_energy)(jax.tree.map(lambda x: x[0], states))) + np.linalg.norm(weight)
+    return float(np.max(np.abs(H - H[0]) / size))
+
+
+def quality(
+    contestant: Contestant,
+    exact: np.ndarray,
+    sizes: Sizes,
+    system: Any,
+    bodies: Callable[[int], States] = bodies,
+    apart: Callable[[np.ndarray, np.ndarray], float] = attitude_error,
+    energy_drift: Callable[[Any, np.ndarray, np.ndarray], float] = energy_drift,
+) -> dict[str, Any]:
     """How accurate and how conserving it is at dt = DT, the worst of the watched bodies.
 
     The attitude error at t = END; then, at ten times of a long run, the largest |H − H₀|/H₀, |Φ − Φ₀|/|π₀| of its
     momentum map Φ (0 means bit for bit) and residual, and whether all steps converged (None where none is solved).
     """
     start = contestant.load(*bodies(WATCHED))
-    error = attitude_error(contestant.read(contestant.advance(start, round(END / DT)))[0], exact)
+    error = apart(contestant.read(contestant.advance(start, round(END / DT)))[0], exact)
     chunk = max(min(sizes.drift_steps, int(sizes.drift_seconds * contestant.pace / WATCHED)) // 10, 1)
     states = [start]
     for _ in range(10):
@@ -247,15 +269,6 @@ def quality(contestant: Contestant, exact: np.ndarray, sizes: Sizes, system: Any
         "residual": max(residual for residual, _ in solved) if solved else None,
         "converged": all(converged for _, converged in solved) if solved else None,
     }
-
-
-def energy_drift(system: Any, q: np.ndarray, p: np.ndarray) -> float:
-    """The largest |H − H₀|/H₀ of states (times, bodies, …) at attitudes q/|q|; of tops, in units of T₀ + |E|."""
-    states = _state(_unit(q), p)
-    H = np.asarray(jax.vmap(jax.vmap(system.energy))(states))
-    weight = getattr(getattr(system, "potential", None), "weight", np.zeros(3))
-    size = np.asarray(jax.vmap(system.kinetic_energy)(jax.tree.map(lambda x: x[0], states))) + np.linalg.norm(weight)
-    return float(np.max(np.abs(H - H[0]) / size))
 
 
 def _momentum_drift(system: Any, q: np.ndarray, p: np.ndarray) -> float:

@@ -74,8 +74,20 @@ def _diffrax(
     wide: bool,
     pace: float,
 ) -> Contestant:
-    adaptive = rtol is not None
-    solve = _solver(name, tuple(inertia), weight and tuple(weight), dtype, adaptive, wide)
+    solve = _solver(name, tuple(inertia), weight and tuple(weight), dtype, rtol is not None, wide)
+    return _contestant(name, solve, dt, dtype, rtol, pace)
+
+
+def tsit5_of(system: Any, dt: float, wide: bool = False) -> Contestant:
+    """diffrax's Tsit5 on the right-hand side of any system, vmapped, steps of dt, float64."""
+    name = "Tsit5"
+    found = _contestant(name, _compiled(name, system, False, wide), dt, "float64", None, pace=1.5e6)
+    return found._replace(name=found.name + ", wide vectors" * wide)
+
+
+def _contestant(
+    name: str, solve: Callable[..., li.State], dt: float, dtype: str, rtol: float | None, pace: float
+) -> Contestant:
     h, tolerance = (np.asarray(x, dtype) for x in (dt, rtol or 0.0))
 
     def load(q: np.ndarray, p: np.ndarray) -> li.State:
@@ -87,7 +99,7 @@ def _diffrax(
     def read(states: li.State) -> tuple[np.ndarray, np.ndarray]:
         return np.asarray(states.q), np.asarray(states.p)
 
-    title = f"diffrax {name}, vmapped" + (", adaptive" if adaptive else "")
+    title = f"diffrax {name}, vmapped" + (", adaptive" if rtol is not None else "")
     return Contestant(title, dtype, pace, load, advance, read)
 
 
@@ -95,14 +107,18 @@ def _diffrax(
 def _solver(
     name: str, inertia: tuple[float, ...], weight: tuple[float, ...] | None, dtype: str, adaptive: bool, wide: bool
 ) -> Callable[..., li.State]:
+    J = np.asarray(inertia, dtype)
+    body = li.systems.heavy_top(J, np.asarray(weight, dtype)) if weight else li.systems.rigid_body(J)
+    return _compiled(name, body, adaptive, wide)
+
+
+def _compiled(name: str, system: Any, adaptive: bool, wide: bool) -> Callable[..., li.State]:
     """(states, number of steps, dt, rtol) ↦ states, compiled once for all numbers."""
     import diffrax
 
     solver: Any = getattr(diffrax, name)()
-    J = np.asarray(inertia, dtype)
-    body = li.systems.heavy_top(J, np.asarray(weight, dtype)) if weight else li.systems.rigid_body(J)
-    term = diffrax.ODETerm(lambda t, z, args: body.vector_field(z))
-    zero = np.zeros((), dtype)
+    term = diffrax.ODETerm(lambda t, z, args: system.vector_field(z))
+    zero = np.zeros((), jax.tree.leaves(system)[0].dtype)
 
     @partial(jax.jit, compiler_options=compiler_options() if wide else {})
     def solve(states: li.State, num_steps: jax.Array, h: jax.Array, rtol: jax.Array) -> li.State:

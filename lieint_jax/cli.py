@@ -12,9 +12,12 @@ _EPILOG = """examples:
   lieint run heavy_top                     nutation and precession of 200 tops beside the closed form
   lieint run pseudo_rigid                  a spinning elastic ball, with the delay plots of the paper's Figure 3c
   lieint run pendulum                      a spherical pendulum beside the closed form
+  lieint run kirchhoff                     a spinning spheroid in water, on SE(3)
   lieint run my.toml --members 100         your own scenario (copy lieint_jax/data/toutatis.toml)
   lieint check                             what every scheme conserves, measured
   lieint check rigid_body --scheme cayley  one of them
+  lieint check "SE(3)"                     what is kept on a matrix group, by which map
+  lieint check groups                      energy and symplectic form, group by group and map by map
   lieint figure 1 2 3 --out figures        the paper's figures
 """
 
@@ -58,10 +61,16 @@ def _parser() -> argparse.ArgumentParser:
         "check", help="print certificates", description="Measure what each scheme conserves, system by system."
     )
     check.add_argument(
-        "system", nargs="?", default="", metavar="SYSTEM", help="a system module or example (default: all)"
+        "system",
+        nargs="?",
+        default="",
+        metavar="SYSTEM",
+        help="a system module, example, or group (default: all systems)",
     )
     check.add_argument("--scheme", default="", metavar="NAME", help="only schemes whose name contains NAME")
-    check.add_argument("--steps", type=_positive, default=1000, metavar="N", help="length of each run (default 1000)")
+    check.add_argument(
+        "--steps", type=_positive, metavar="N", help="length of a run (default 1000; 100 where Ad_q grows)"
+    )
     check.set_defaults(command=_check)
     figure = commands.add_parser("figure", help="recompute figures of the paper", description="Write figures as PNG.")
     figure.add_argument("numbers", nargs="+", type=int, metavar="N", help="numbers in the paper: 1 to 5")

@@ -8,8 +8,8 @@ what is multiplied by a known 0 or 1 costs nothing. Arrays go to the library, wh
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -66,6 +66,27 @@ def combination(*pairs: tuple[Scalar, Matrix]) -> Matrix:
     return [[total(times(c, A[i][j]) for c, A in pairs) for j in range(m)] for i in range(n)]
 
 
+def plus(*terms: Any) -> Vector:
+    """Σ cx over vectors x and pairs (c, x)."""
+    pairs = [term if isinstance(term, tuple) else (1.0, term) for term in terms]
+    if any(_whole(x) for _, x in pairs):
+        return sum((c * x for c, x in pairs[1:]), pairs[0][0] * pairs[0][1])
+    rows = zip(*(x for _, x in pairs), strict=True)
+    return [total(times(c, x) for (c, _), x in zip(pairs, row, strict=True)) for row in rows]
+
+
+def scaled(c: Scalar, x: Vector) -> Vector:
+    """cx."""
+    return c * x if _whole(x) else [times(c, entry) for entry in x]
+
+
+def each(function: Callable[..., Scalar], *vectors: Vector) -> Vector:
+    """The function of the entries, one by one."""
+    if any(_whole(x) for x in vectors):
+        return function(*vectors)
+    return [function(*entries) for entries in zip(*vectors, strict=True)]
+
+
 def identity(like: Matrix) -> Matrix:
     n = len(like)
     return jnp.eye(n, dtype=like.dtype) if _whole(like) else [[float(i == j) for j in range(n)] for i in range(n)]
@@ -93,6 +114,11 @@ def inverse(A: Matrix) -> Matrix:
     return [[times(r, entry) for entry in row] for row in adjugate]
 
 
+def determinant(A: Matrix) -> Scalar:
+    """det A, by cofactors or by the library."""
+    return jnp.linalg.det(A) if _whole(A) else _adjugate(A)[1]
+
+
 def _adjugate(A: Matrix) -> tuple[Matrix, Scalar]:
     """adj A and det A by cofactors."""
     n, minors = len(A), {}
@@ -117,53 +143,67 @@ def _adjugate(A: Matrix) -> tuple[Matrix, Scalar]:
     return adjugate, dot(A[0], [row[0] for row in adjugate])
 
 
+class Factored(NamedTuple):
+    """What elimination finds of a matrix K.
+
+    Attributes:
+        solve: b ↦ K⁻¹b.
+        determinant: det K.
+    """
+
+    solve: Callable[[Vector], Vector]
+    determinant: Scalar
+
+
 def solve(K: Matrix, b: Vector) -> Vector:
-    """K⁻¹b, see `inverse_definite`."""
-    return matvec(inverse_definite(K), b)
+    """K⁻¹b, see `factored`."""
+    return factored(K).solve(b)
 
 
-def inverse_definite(K: Matrix) -> Matrix:
-    """K⁻¹ by elimination without pivoting: for K with a positive definite symmetric part, or near such a matrix.
+def factored(K: Matrix) -> Factored:
+    """Elimination without pivoting: for K with a positive definite symmetric part, or near such a matrix.
 
     The matrices here are a metric less a nearly skew matrix, where no pivot can vanish and none is small. Lists are
     halved, so that there are two divisions for up to six unknowns: XLA stops fusing at a division.
     """
-    d, k = len(K), (len(K) + 1) // 2
     if _whole(K):
-        return jnp.linalg.inv(K)
-    if d <= 3:
-        return inverse(K)
-    rows = settled(K)
-    A, B = [row[:k] for row in rows[:k]], [row[k:] for row in rows[:k]]
-    C, D = [row[:k] for row in rows[k:]], [row[k:] for row in rows[k:]]
-    P = settled(inverse_definite(A))
-    W, V = settled(matmul(P, B)), settled(matmul(C, P))
-    S = settled(inverse_definite(settled(combination((1.0, D), (-1.0, matmul(C, W))))))
-    X = settled(matmul(W, S))
-    upper = [
-        [*p, *(times(-1.0, x) for x in q)] for p, q in zip(combination((1.0, P), (1.0, matmul(X, V))), X, strict=True)
-    ]
-    lower = [[*(times(-1.0, x) for x in p), *q] for p, q in zip(matmul(S, V), S, strict=True)]
-    return settled(upper + lower)
+        inverted = jnp.linalg.inv(K)
+        return Factored(lambda b: inverted @ as_array(b, K), jnp.linalg.det(K))
+    if len(K) <= 3:
+        adjugate, det = _adjugate(K)
+        r = 1 / det
+        inverted = settled([[times(r, entry) for entry in row] for row in adjugate])
+        return Factored(lambda b: matvec(inverted, b), det)
+    k = (len(K) + 1) // 2
+    B, C, D = [row[k:] for row in K[:k]], [row[:k] for row in K[k:]], [row[k:] for row in K[k:]]
+    first = factored([row[:k] for row in K[:k]])
+    W = settled(transpose([first.solve(column) for column in transpose(B)]))  # A⁻¹B
+    second = factored(settled(combination((1.0, D), (-1.0, matmul(C, W)))))
+
+    def solved(b: Vector) -> Vector:
+        y = settled(first.solve(b[:k]))
+        z = settled(second.solve(settled([u - v for u, v in zip(b[k:], matvec(C, y), strict=True)])))
+        return [u - v for u, v in zip(y, matvec(W, z), strict=True)] + z
+
+    return Factored(solved, times(first.determinant, second.determinant))
 
 
-def determinant(K: Matrix) -> Scalar:
-    """det K, of a matrix as `inverse_definite` takes it."""
-    if _whole(K):
-        return jnp.linalg.det(K)
-    d, k = len(K), (len(K) + 1) // 2
-    if d <= 3:
-        return _adjugate(K)[1]
-    rows = settled(K)
-    A, B = [row[:k] for row in rows[:k]], [row[k:] for row in rows[:k]]
-    C, D = [row[:k] for row in rows[k:]], [row[k:] for row in rows[k:]]
-    W = settled(matmul(inverse_definite(A), B))
-    return times(determinant(A), determinant(combination((1.0, D), (-1.0, matmul(C, W)))))
+def settled(A: Vector | Matrix) -> Vector | Matrix:
+    """The same, each entry worked out once and held in memory.
 
-
-def settled(A: list[list[Scalar]]) -> list[list[Scalar]]:
-    """The same, held in memory: else XLA works out what is shared once for every entry that needs it."""
-    return as_list(lax.optimization_barrier(as_array(A, total(flatten(A)))))
+    XLA on CPUs else works out what is shared once for every entry that needs it, over and over. It has no barrier that
+    would last until it fuses, but it works out once what is expensive, such as a quotient: so each entry is divided by
+    a 1 that is not known when the program is compiled.
+    """
+    if _whole(A):
+        return A
+    rows = A if isinstance(A[0], list) else [A]
+    unknown = [x for x in flatten(rows) if not _known(x)]
+    if not unknown:
+        return A
+    one = lax.stop_gradient(1 + 0 * (unknown[0] / lax.stop_gradient(1 + 0 * unknown[0])))
+    held = [[x if _known(x) else x / one for x in row] for row in rows]
+    return held if isinstance(A[0], list) else held[0]
 
 
 def as_list(x: Array) -> Any:

@@ -22,6 +22,7 @@ import numpy as np
 from jax import Array
 
 from lieint_jax import dense, small
+from lieint_jax.groups._closed_form import squared_eigenvalue
 from lieint_jax.types import Group, callable_pytree, concrete, pytree, static
 
 Map = Callable[[Group, Array], Array]
@@ -146,12 +147,14 @@ class Tau:
         name: for reports.
         slope: (group, Θ) ↦ H(Θ) of (5.28), (d, d), for Newton's matrix: it may be approximate. None for autodiff.
         holds: (group, Θ) ↦ whether τ(Θ) is exact to round-off. None if it always is.
+        coadjoint: (group, Θ, μ) ↦ Ad*_τ(Θ) μ, on `dense` vectors. None where a step is to find it by τ(Θ).
     """
 
     function: Map
     name: str = static(default="user")
     slope: Callable[[Group, Array], dense.Matrix] | None = static(default=None)
     holds: Callable[[Group, Array], Array] | None = static(default=None)
+    coadjoint: Callable[[Group, dense.Vector, dense.Vector], dense.Vector] | None = static(default=None)
 
     def __call__(self, group: Group, theta: Array) -> Array:
         return self.function(group, theta)
@@ -171,18 +174,18 @@ def as_tau(tau: Tau | Map, group: Group) -> Tau:
     name = getattr(tau, "__name__", type(tau).__name__)
     if tau is exponential:
         if hasattr(group, "exp_near"):
-            return Tau(callable_pytree(_exponential_near), name, _exponential_slope, _near)
+            return Tau(callable_pytree(_exponential_near), name, _exponential_slope, _near, _exponential_coadjoint)
         return Tau(callable_pytree(exponential), name)
     if tau is arcsine:
         with jax.ensure_compile_time_eval():
             arcsine_form(group)
         if hasattr(group, "exp_near"):
-            return Tau(callable_pytree(_arcsine_near), name, _arcsine_slope, _arcsine_holds)
+            return Tau(callable_pytree(_arcsine_near), name, _arcsine_slope, _arcsine_holds, _arcsine_coadjoint)
         return Tau(callable_pytree(arcsine), name)
     if tau is cayley and hasattr(group, "cayley_slope"):
         if not getattr(group, "cayley_lands", True):
             raise ValueError(f"the Cayley map does not land in {group}: take maps.exponential")
-        return Tau(callable_pytree(cayley), name, _cayley_slope)
+        return Tau(callable_pytree(cayley), name, _cayley_slope, None, _cayley_coadjoint)
     made = Tau(callable_pytree(tau), name)
     if concrete(made):
         with jax.ensure_compile_time_eval():
@@ -226,34 +229,20 @@ def is_symplectic(tau: Map, group: Group, metric: Array, size: float = 0.3, samp
 
 @cache
 def arcsine_form(group: Group) -> np.ndarray:
-    """The matrix of the quadratic form x = −λ² of `arcsine`, (d, d): the Killing form over −(number of λ's).
-
-    For an ad_Θ with nonzero eigenvalues ±λ, r in all: tr ad² = rλ², tr ad⁴ = rλ⁴, tr ad⁶ = rλ⁶.
-    """
+    """The matrix of the quadratic form x = −λ² of `arcsine`, (d, d): the Killing form over −(number of λ's)."""
     d = group.dim
     with jax.ensure_compile_time_eval():
         ad = np.array([[group.ad(x, y) for y in jnp.eye(d)] for x in jnp.eye(d)]).transpose(0, 2, 1)  # ad[i] is ad_eᵢ
-    killing = np.einsum("iab,jba->ij", ad, ad)
-    A = np.tensordot(np.random.default_rng(0).normal(size=(8, d)), ad, 1)
-    two, four, six = (np.trace(np.linalg.matrix_power(A, k), axis1=1, axis2=2) for k in (2, 4, 6))
-    size = np.abs(A).sum(axis=(1, 2)) ** 2
-    if np.all(np.abs(two) <= 1e-6 * size) and np.all(np.abs(four) <= 1e-6 * size**2):
-        return np.zeros((d, d))
-    r = two**2 / np.where(four == 0, np.inf, four)
-    count = np.round(r[0])
-    if (
-        count < 1
-        or np.abs(r - count).max() > 1e-4
-        or np.abs(six * count**2 - two**3).max() > 1e-4 * np.abs(two**3).max()
-    ):
+    form = squared_eigenvalue(ad)
+    if form is None:
         raise ValueError(
             f"the arcsine map is defined where ad_Θ has one pair of nonzero eigenvalues ±λ only; {group} is not such a "
             "group: take maps.exponential"
         )
-    return -killing / count
+    return -form
 
 
-def _arcsine_scale(group: Group, theta: Array) -> Array:
+def _arcsine_scale(group: Group, theta: dense.Vector) -> Array:
     K = arcsine_form(group)
     terms = [(float(K[i, j]), theta[i] * theta[j]) for i, j in zip(*np.nonzero(K), strict=True)]
     return _arcsine_of_square(dense.total(dense.times(c, x) for c, x in terms) + 0 * theta[0])
@@ -271,7 +260,7 @@ def _arcsine_of_square(x: Array) -> Array:
     return jnp.where(near, small.horner(_ARCSINE, jnp.where(near, x, 0)), closed)
 
 
-_SLOPE_TERMS = 6  # of H in Newton's matrix: what is cut is |Θ|⁶/5040
+_SLOPE_TERMS = 3  # of H in Newton's matrix: what is cut is |Θ|³/24
 
 
 def _exponential_near(group: Any, theta: Array) -> Array:
@@ -290,6 +279,18 @@ def _cayley_slope(group: Any, theta: Any) -> dense.Matrix:
     return group.cayley_slope(theta)
 
 
+def _exponential_coadjoint(group: Any, theta: dense.Vector, mu: dense.Vector) -> dense.Vector:
+    return group.exp_coadjoint(theta, mu)
+
+
+def _cayley_coadjoint(group: Any, theta: dense.Vector, mu: dense.Vector) -> dense.Vector:
+    return group.coadjoint(*group.cayley_both(theta), mu)
+
+
+def _arcsine_coadjoint(group: Any, theta: dense.Vector, mu: dense.Vector) -> dense.Vector:
+    return group.exp_coadjoint(dense.scaled(_arcsine_scale(group, theta), theta), mu)
+
+
 def _arcsine_near(group: Any, theta: Array) -> Array:
     return group.exp_near(_arcsine_scale(group, theta) * theta)
 
@@ -302,7 +303,7 @@ def _arcsine_slope(group: Any, theta: Any) -> dense.Matrix:
     """H_exp(sΘ)(s + Θ⊗∇s)."""
     vector = jnp.stack(theta) if isinstance(theta, list) else theta
     s, gradient = jax.value_and_grad(lambda x: _arcsine_scale(group, x))(vector)
-    H = group.exp_slope([s * x for x in theta] if isinstance(theta, list) else s * theta, _SLOPE_TERMS)
+    H = group.exp_slope(dense.scaled(s, theta), _SLOPE_TERMS)
     along = dense.matvec(H, theta)
     if not isinstance(theta, list):
         return s * H + along[:, None] * gradient

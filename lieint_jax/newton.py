@@ -7,12 +7,15 @@ them: `custom_root` differentiates the equation at its root, forward or reverse,
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from lieint_jax import small
+from lieint_jax import dense, small
+
+Vector = Any  # an array, or a list of scalars
 
 
 def root(
@@ -58,6 +61,56 @@ def root(
     return lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)
 
 
+def chords(
+    residual: Callable[[Vector], Vector],
+    factored: Callable[[Vector, Vector], dense.Factored],
+    size: Callable[[Vector], Array],
+    guess: Vector,
+    iterations: int,
+    uses: int = 3,
+) -> tuple[Vector, tuple[Vector, Array]]:
+    """The root of `residual` near `guess`, each matrix of Newton's method being used several times (Shamanskii 1967).
+
+    The order is uses + 1. It ends as soon as one more use would leave a residual below round-off, going by how the last
+    two shrank, so a matrix that is not quite F' does no harm. A `while_loop`, whose length the slowest member of a
+    batch decides; a member that is done does not move any more.
+
+    Args:
+        residual: F(x), of the kind of x: an array (d,), or a list of scalars, which need not be stacked over a batch.
+        factored: (x, F(x)) ↦ F'(x), factored.
+        size: F ↦ its size, in units in which a root is exact to 1.
+        guess: where to start.
+        iterations: how many matrices at most.
+        uses: of each, 2 or more.
+
+    Returns:
+        The last iterate x; F(x) there; the determinant of the last matrix K, which has the sign of det F'(x), since the
+        corrections shrink: |1 − K⁻¹F'| < 1. Derivatives of x are exact at a root; the others carry none.
+    """
+
+    def solve(function: Callable[[Vector], Vector], x: Vector) -> tuple[Vector, tuple[Vector, Array]]:
+        zero = 0 * jax.tree.leaves(x)[0].ravel()[0]
+        eps = float(jnp.finfo(zero.dtype).eps)
+
+        def one(carry: tuple[Vector, Array, Array, Array]) -> tuple[Vector, Array, Array, Array]:
+            x, k, *_ = carry
+            F = function(x)
+            K = factored(x, F)
+            sizes = []
+            for use in range(uses):
+                F = function(x) if use else F
+                sizes.append(size(F))
+                x = jax.tree.map(jnp.subtract, x, K.solve(F))
+            before, last = sizes[-2:]
+            return x, k + 1, (last <= eps) | (last * last <= eps / 8 * before), K.determinant
+
+        start = (x, jnp.zeros((), jnp.int32), jnp.zeros((), bool), zero)
+        x, _, _, determinant = lax.while_loop(lambda carry: (carry[1] < iterations) & ~carry[2], one, start)
+        return x, (function(x), determinant)
+
+    return lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)
+
+
 def _until(
     done: Callable[[Array, Array], Array], improved: Callable[[Array], tuple[Array, Array]], x: Array, most: int
 ) -> Array:
@@ -70,8 +123,11 @@ def _until(
     return lax.while_loop(lambda carry: (carry[1] < most) & ~carry[2], one, start)[0]
 
 
-def _tangent_solve(linear: Callable[[Array], Array], y: Array) -> Array:
+def _tangent_solve(linear: Callable[[Vector], Vector], y: Vector) -> Vector:
     """x with linear(x) = y. `custom_root` gives the derivative of the residual as a function, not as a matrix."""
+    if isinstance(y, list):
+        x = _tangent_solve(lambda v: jnp.stack(linear([v[i] for i in range(len(y))])), jnp.stack(y))
+        return [x[i] for i in range(len(y))]
     if y.ndim == 0:
         return y / linear(jnp.ones_like(y))
     if y.shape[0] == 3:

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from lieint_jax import __version__, discover, ensemble, scenarios, schemes, store, systems
-from lieint_jax.diagnostics import certify
+from lieint_jax.diagnostics import by_group, certify
 from lieint_jax.scenarios._common import Common, nominal
 from lieint_jax.types import Step
 
@@ -37,9 +37,17 @@ def run(name: str, out: Path | None, members: int | None = None, steps: int | No
     print(f"\nwritten: {out} (t, q, p, residual, converged, metadata; {_megabytes(out)}){drawn}")
 
 
-def check(system: str, scheme: str, num_steps: int) -> None:
-    """Print the certificate of every example of every system with every scheme that takes it."""
+def check(system: str, scheme: str, num_steps: int | None) -> None:
+    """Print the certificate of every example of every system with every scheme that takes it, or those of a group."""
+    if system == "groups":
+        print(by_group.table())
+        return
+    group = by_group.named(system)
+    if group is not None:
+        print(by_group.certificates(group, scheme, num_steps))
+        return
     found = False
+    num_steps = num_steps or 1000
     for module_name, module in discover.modules(systems).items():
         for name, (body, state, dt) in module.examples().items():
             if system not in ("", module_name, name, f"{module_name}.{name}"):
@@ -51,7 +59,10 @@ def check(system: str, scheme: str, num_steps: int) -> None:
                         print(f"{module_name}.{name}\n{certify(step, state, dt, num_steps)}\n")
     if not found:
         known = [f"{n} ({', '.join(m.examples())})" for n, m in discover.modules(systems).items()]
-        raise ValueError(f"nothing to check for system {system!r} and scheme {scheme!r}; systems: {'; '.join(known)}")
+        raise ValueError(
+            f"nothing to check for system {system!r} and scheme {scheme!r}; systems: {'; '.join(known)}; groups: "
+            f"{', '.join(by_group.catalogue())}"
+        )
 
 
 def _megabytes(path: Path) -> str:

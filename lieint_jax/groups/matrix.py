@@ -8,6 +8,7 @@ dual element μ (d,) has the coordinates ⟨μ, Eᵢ⟩. Everything else follows
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -18,10 +19,13 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import dense
+from lieint_jax.groups import _casimirs, _closed_form
 
 _UNROLLED_DIM, _UNROLLED_SIZE = 6, 5  # groups up to this size are worked out entry by entry, see `dense`
 _TOLERANCE = 1e-10
-_BLOCKS = 6  # exp by a Taylor polynomial of degree 4·6 − 1, at round-off for norms up to 2
+_POWERS = 5  # in a closed form
+_DEGREE = 24  # exp by a Taylor polynomial of degree 23, at round-off for norms up to 2
+_EXPONENTIAL = [1 / math.factorial(n) for n in range(_DEGREE + 4)]
 _SQUARINGS = 6  # and by scaling up to 2·2⁶
 _CORRECTIONS = 4  # of log
 
@@ -98,16 +102,19 @@ class MatrixGroup:
         X = self.hat(xi)
         size = jnp.minimum(jnp.abs(X).sum(0).max(), jnp.abs(X).sum(1).max())
         halvings = jnp.ceil(jnp.log2(jnp.maximum(jax.lax.stop_gradient(size) / 2, 1)))
-        E = _taylor(X * 2.0**-halvings)
+        E = _sum_and_difference(*_taylor(X * 2.0**-halvings))[0]
         E = jax.lax.fori_loop(0, _SQUARINGS, lambda k, E: jnp.where(k < halvings, E @ E, E), E)
         return jnp.where(halvings <= _SQUARINGS, E, jnp.nan)
 
     def exp_near(self, xi: Array) -> Array:
         """exp ξ̂ without scaling, for the steps of schemes: to round-off where `near` holds."""
-        return dense.as_array(_taylor(self._hat(self._vector(xi))), xi)
+        return dense.as_array(self.exp_both(self._vector(xi))[0], xi)
 
     def near(self, xi: Array) -> Array:
-        """Whether ξ̂ is small enough for `exp_near`: ‖ξ̂¹⁶‖ ≤ 2¹⁶ max(1, ‖ξ̂‖), so that translations may be large."""
+        """Whether ξ̂ is small enough for `exp_near`: its eigenvalue within ±2, or, where there are several,
+        ‖ξ̂¹⁶‖ ≤ 2¹⁶ max(1, ‖ξ̂‖). Translations may be large."""
+        if self._closed is not None:
+            return jnp.abs(self._closed.square(self._vector(xi))) <= 4
         X = power = self._hat(self._vector(xi))
         for _ in range(4):
             power = dense.matmul(power, power)
@@ -126,8 +133,7 @@ class MatrixGroup:
 
     def cayley(self, xi: Array) -> Array:
         """(1 − ½ξ̂)⁻¹(1 + ½ξ̂). In the group only if the algebra holds its cubes: see `cayley_lands`."""
-        minus = self._resolvent(self._vector(xi), -1)
-        return dense.as_array(dense.combination((2.0, minus), (-1.0, dense.identity(minus))), xi)
+        return dense.as_array(self.cayley_both(self._vector(xi))[0], xi)
 
     @cached_property
     def cayley_lands(self) -> bool:
@@ -158,7 +164,7 @@ class MatrixGroup:
     def Ad_star(self, q: Array, mu: Array) -> Array:
         """Ad*_q μ, the transpose of Ad: takes spatial momentum π to body momentum Π."""
         q_ = self._element(q)
-        return dense.as_array(self._coadjoint(q_, self._inverse(q_), self._vector(mu)), jnp.asarray(mu))
+        return dense.as_array(self.coadjoint(q_, self._inverse(q_), self._vector(mu)), jnp.asarray(mu))
 
     def ad(self, xi: Array, eta: Array) -> Array:
         """[ξ, η]."""
@@ -181,10 +187,32 @@ class MatrixGroup:
         """[ξ, η], the same as `ad`."""
         return self.ad(xi, eta)
 
+    def casimirs(self, mu: Array) -> Array:
+        """Functions of μ that no Ad*_q changes, (k,): the linear ones (the centre), then the quadratic ones.
+
+        All of degree up to two, products of linear ones left out: Π·P and |P|² on SE(3), |Π|² on SO(3), the Pfaffian
+        and |Π|² on SO(4). SL(3), Sp(4) and others have more, of higher degree; Aff(1) has none.
+        """
+        central, forms = (jnp.asarray(x, mu.dtype) for x in self._casimirs)
+        return jnp.concatenate([central @ mu, forms @ mu @ mu])
+
     def rounding(self, q: Array, mu: Array) -> Array:
         """What `Ad_star(q, mu)` sums up in size, (d,): times eps, a bound of its rounding error."""
         a, b, c = (_absolute(x) for x in (self._element(q), self._inverse(self._element(q)), self._vector(mu)))
-        return dense.as_array(self._coadjoint(a, b, c, np.abs), jnp.asarray(mu))
+        return dense.as_array(self.coadjoint(a, b, c, np.abs), jnp.asarray(mu))
+
+    def drift(self, q: Array) -> Array:
+        """How far q has left the group, where that is cheap to see: |q⁻¹q − 1| by the form that it should keep, or
+        |det q − 1|; else 0. For all that is known, see `defect`."""
+        q_ = self._element(q)
+        one = dense.identity(q_)
+        if self._form is not None:
+            off = dense.combination((1.0, dense.matmul(self._inverse(q_), q_)), (-1.0, one))
+        elif self._traceless:
+            off = [[dense.determinant(q_) - 1]]
+        else:
+            return jnp.zeros((), jnp.asarray(q).dtype)
+        return jnp.max(jnp.abs(dense.as_array(dense.flatten(off), jnp.asarray(q))))
 
     # Velocities
 
@@ -206,9 +234,58 @@ class MatrixGroup:
         product = dense.matmul(self._hat(self._vector(theta)), self._element(q))
         return dense.as_array(product, jnp.asarray(q))
 
+    # For the steps of schemes, on lists of entries for small groups: maps with their inverses, and what they do
+
+    def exp_both(self, xi: dense.Vector) -> tuple[dense.Matrix, dense.Matrix]:
+        """exp ξ̂ and exp(−ξ̂), as `exp_near`: by the closed form if there is one."""
+        X = self._hat(xi)
+        if self._closed is None:
+            return _sum_and_difference(*_taylor(X))
+        x = dense.settled([self._closed.square(xi)])[0]
+        return self._both(X, [_closed_form.evaluated(c, x) for c in self._closed.series(_EXPONENTIAL)])
+
+    def cayley_both(self, xi: dense.Vector) -> tuple[dense.Matrix, dense.Matrix]:
+        """cay ξ and cay(−ξ): by the closed form if there is one."""
+        X, closed = self._hat(xi), self._closed
+        if closed is None or closed.pairs > 1:
+            plus, minus = (dense.inverse(dense.combination((1.0, dense.identity(X)), (s, X))) for s in (0.5, -0.5))
+            one = dense.identity(plus)
+            return dense.combination((2.0, minus), (-1.0, one)), dense.combination((2.0, plus), (-1.0, one))
+        coefficients: list[dense.Scalar] = [1.0, *(2.0 ** (1 - m) for m in range(1, closed.powers))]
+        if closed.pairs:  # 2 Σ (X/2)ⁿ, from the last two powers on a geometric series in x/4
+            r = 1 / (1 - closed.square(xi) / 4)
+            coefficients[-2:] = [c * r if m else 2 * r - 1 for m, c in [*enumerate(coefficients)][-2:]]
+        return self._both(X, coefficients)
+
+    def _both(self, X: dense.Matrix, c: list[dense.Scalar]) -> tuple[dense.Matrix, dense.Matrix]:
+        """Σ c_m Xᵐ and Σ c_m (−X)ᵐ."""
+        powers = [dense.identity(X), X]
+        while len(powers) < len(c):
+            powers.append(dense.settled(dense.matmul(powers[-1], X)))
+        pairs = list(zip(c, powers, strict=False))
+        return _sum_and_difference(dense.combination(*pairs[::2]), dense.combination(*pairs[1::2]) if c[1:] else None)
+
+    def exp_coadjoint(self, xi: dense.Vector, mu: dense.Vector) -> dense.Vector:
+        """Ad*_exp(ξ) μ = exp(ad*_ξ) μ, where `near` holds: by the closed form of ad, if there is one."""
+        closed = self._closed_ad
+        if closed is None or not self.unrolled:
+            return self.coadjoint(*self.exp_both(xi), mu)
+        x = dense.settled([closed.square(xi)])[0]
+        *lower, top = dense.settled([_closed_form.evaluated(c, x) for c in closed.series(_EXPONENTIAL)])
+        value = dense.scaled(top, mu)
+        for c in reversed(lower):
+            value = dense.settled(dense.plus((c, mu), dense.matvec(self.ad_star_matrix(value), xi)))
+        return value
+
+    def coadjoint(self, q: dense.Matrix, inverse: dense.Matrix, mu: dense.Vector, of: Any = np.asarray) -> Any:
+        """Ad*_q μ: ⟨μ, (q Eᵢ q⁻¹)^∨⟩ = tr[(qᵀ D q⁻ᵀ)ᵀ Eᵢ] for the matrix D with ⟨μ, ξ⟩ = tr[Dᵀξ̂]."""
+        D = dense.linear(of(self._dual.transpose(1, 2, 0)), mu)
+        carried = dense.matmul(dense.matmul(dense.transpose(q), D), dense.transpose(inverse))
+        return dense.linear(of(self.basis.reshape(self.dim, -1)), dense.flatten(carried))
+
     # Derivatives of maps, H of (5.28)
 
-    def exp_slope(self, xi: Any, terms: int = 24) -> dense.Matrix:
+    def exp_slope(self, xi: dense.Vector, terms: int = 24) -> dense.Matrix:
         """H of exp, Σ (−ad_ξ)ᵏ/(k+1)!, as a matrix (d, d), cut after so many terms."""
         A = self.ad_matrix(xi)
         H = one = dense.identity(A)
@@ -216,14 +293,28 @@ class MatrixGroup:
             H = dense.combination((1.0, one), (-1.0 / k, dense.matmul(A, H)))
         return H
 
-    def cayley_slope(self, xi: Any) -> dense.Matrix:
-        """H of cay, Hη = ((1 + ½ξ̂)⁻¹ η̂ (1 − ½ξ̂)⁻¹)^∨, as a matrix (d, d)."""
-        plus, minus = self._resolvent(xi, 1), self._resolvent(xi, -1)
+    def cayley_slope(self, xi: dense.Vector) -> dense.Matrix:
+        """H of cay, Hη = ((1 + ½ξ̂)⁻¹ η̂ (1 − ½ξ̂)⁻¹)^∨, as a matrix (d, d). Note (1 ∓ ½ξ̂)⁻¹ = ½(1 + cay(±ξ))."""
+        minus, plus = (
+            dense.settled(dense.combination((0.5, dense.identity(q)), (0.5, q))) for q in self.cayley_both(xi)
+        )
         E = self.basis if isinstance(plus, Array) else self.basis.tolist()
         columns = [self._vee(dense.matmul(dense.matmul(plus, e), minus)) for e in E]
         return jnp.stack(columns, axis=1) if isinstance(plus, Array) else dense.transpose(columns)
 
     # What these are made of: the same, on lists of entries for small groups and on arrays for large ones
+
+    @cached_property
+    def _closed(self) -> _closed_form.ClosedForm | None:
+        return _closed_form.find(self.basis, _POWERS)
+
+    @cached_property
+    def _casimirs(self) -> tuple[np.ndarray, np.ndarray]:
+        return _casimirs.linear(self.structure), _casimirs.quadratic(self.structure)
+
+    @cached_property
+    def _closed_ad(self) -> _closed_form.ClosedForm | None:
+        return _closed_form.find(self.structure.transpose(0, 2, 1), _POWERS)
 
     @cached_property
     def _ad(self) -> np.ndarray:
@@ -259,8 +350,11 @@ class MatrixGroup:
         span = _algebra(self.basis)
         complement = _null(span.reshape(len(span), -1)).reshape(-1, *self.basis.shape[1:])
         forms = _invariant_forms(self.basis), _invariant_forms(self.basis.transpose(0, 2, 1))
-        traceless = bool(np.abs(np.trace(self.basis, axis1=1, axis2=2)).max() < _TOLERANCE)
-        return complement, *forms, traceless
+        return complement, *forms, self._traceless
+
+    @cached_property
+    def _traceless(self) -> bool:
+        return bool(np.abs(np.trace(self.basis, axis1=1, axis2=2)).max() < _TOLERANCE)
 
     def _outside(self, M: np.ndarray) -> float:
         """How far matrices are from the algebra."""
@@ -300,17 +394,6 @@ class MatrixGroup:
         if self.unrolled:
             S, S_inverse = S.tolist(), S_inverse.tolist()
         return dense.matmul(dense.matmul(S_inverse, dense.transpose(q)), S)
-
-    def _coadjoint(self, q: dense.Matrix, inverse: dense.Matrix, mu: dense.Vector, of: Any = np.asarray) -> Any:
-        """⟨μ, (q Eᵢ q⁻¹)^∨⟩ = tr[(qᵀ D q⁻ᵀ)ᵀ Eᵢ] for the matrix D with ⟨μ, ξ⟩ = tr[Dᵀξ̂]."""
-        D = dense.linear(of(self._dual.transpose(1, 2, 0)), mu)
-        carried = dense.matmul(dense.matmul(dense.transpose(q), D), dense.transpose(inverse))
-        return dense.linear(of(self.basis.reshape(self.dim, -1)), dense.flatten(carried))
-
-    def _resolvent(self, xi: dense.Vector, sign: int) -> dense.Matrix:
-        """(1 ± ½ξ̂)⁻¹."""
-        X = self._hat(xi)
-        return dense.inverse(dense.combination((1.0, dense.identity(X)), (sign / 2, X)))
 
 
 def matrix(basis: ArrayLike, name: str = "matrix group", unrolled: bool | None = None) -> MatrixGroup:
@@ -352,16 +435,29 @@ def examples() -> dict[str, MatrixGroup]:
     return {name: matrix([A, x, y], name) for name, A in {"Bianchi V": scale, "Bianchi IV": shear}.items()}
 
 
-def _taylor(X: dense.Matrix) -> dense.Matrix:
-    """Σ Xᵏ/k! in blocks of four powers (Paterson & Stockmeyer 1973)."""
-    X2 = dense.matmul(X, X)
-    X3, X4 = dense.matmul(X2, X), dense.matmul(X2, X2)
-    powers = (dense.identity(X), X, X2, X3)
-    E: dense.Matrix | None = None
-    for block in reversed(range(_BLOCKS)):
-        terms = [(1 / math.factorial(4 * block + k), power) for k, power in enumerate(powers)]
-        E = dense.combination(*terms, *([(1.0, dense.matmul(E, X4))] if E is not None else []))
-    return E
+def _taylor(X: dense.Matrix) -> tuple[dense.Matrix, dense.Matrix]:
+    """The even and the odd part of Σ Xᵏ/k!, in blocks of powers of X² (Paterson & Stockmeyer 1973)."""
+    Y = dense.settled(dense.matmul(X, X))
+    powers = [dense.identity(X), Y, dense.settled(dense.matmul(Y, Y))]
+    cube = dense.settled(dense.matmul(powers[2], Y))
+    even, odd = (_in_blocks(_EXPONENTIAL[parity:_DEGREE:2], powers, cube) for parity in (0, 1))
+    return even, dense.settled(dense.matmul(X, odd))
+
+
+def _in_blocks(weights: Sequence[float], powers: Sequence[dense.Matrix], next_power: dense.Matrix) -> dense.Matrix:
+    """Σ wₖYᵏ, with powers 1, Y, …, and the one after these."""
+    blocks = [weights[k : k + len(powers)] for k in range(0, len(weights), len(powers))]
+    value = dense.combination(*zip(blocks[-1], powers, strict=True))
+    for block in blocks[-2::-1]:
+        shifted = dense.settled(dense.matmul(value, next_power))
+        value = dense.combination(*zip(block, powers, strict=True), (1.0, shifted))
+    return dense.settled(value)
+
+
+def _sum_and_difference(even: dense.Matrix, odd: dense.Matrix | None) -> tuple[dense.Matrix, dense.Matrix]:
+    if odd is None:
+        return even, even
+    return dense.combination((1.0, even), (1.0, odd)), dense.combination((1.0, even), (-1.0, odd))
 
 
 def _artanh(q: Array) -> Array:

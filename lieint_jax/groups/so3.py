@@ -90,6 +90,11 @@ def ad_star(xi: Array, mu: Array) -> Array:
     return jnp.stack(cross(mu, xi))
 
 
+def casimirs(mu: Array) -> Array:
+    """|μ|², (1,): what no Ad*_q changes."""
+    return jnp.stack([dot(mu, mu)])
+
+
 def hat(xi: Array) -> Array:
     """ξ̂, the skew matrix with ξ̂ h = ξ × h (2.1)."""
     x, y, z = small.components(xi)

@@ -20,7 +20,7 @@ _BODIES, _STEPS, _ROUNDS = 256, 50, 5
 
 @pytree
 class RungeKutta(Step):
-    """Order 4, four evaluations of the vector field of a body; the quaternion is normalised after each step."""
+    """Order 4, four evaluations of the vector field of a body; a quaternion is normalised after each step."""
 
     system: System
     order: float = static(default=4)
@@ -39,7 +39,8 @@ class RungeKutta(Step):
         k3 = rate(dt / 2, k2)
         k4 = rate(dt, k3)
         q, p = jax.tree.map(lambda x, a, b, c, d: x + dt / 6 * (a + 2 * b + 2 * c + d), state, k1, k2, k3, k4)
-        return State(so3.normalise(q), p), StepInfo(jnp.zeros_like(p[0]), jnp.isfinite(p).all())
+        q = so3.normalise(q) if q.ndim == 1 else q
+        return State(q, p), StepInfo(jnp.zeros_like(p[0]), jnp.isfinite(p).all())
 
 
 def cost(step: Step, state: State, dt: float) -> float:

@@ -25,13 +25,13 @@ from jax.typing import ArrayLike
 from lieint_jax import checks, dense, newton
 from lieint_jax.maps import Tau, as_tau, exponential
 from lieint_jax.schemes.group_midpoint import (
-    applied,
     as_vector,
+    coadjoint,
     digits_left,
     guess,
     newton_matrix,
-    on_branch,
     report,
+    size_unit,
     unpacked,
 )
 from lieint_jax.types import Group, State, Step, StepInfo, System, pytree, static
@@ -74,36 +74,42 @@ class GroupEnergyMomentum(Step):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         group, tau, m, q = self.system.group, self.tau, unpacked(self.system.group, self.system.metric), state.q
         dt = jnp.asarray(checks.step_size(dt), state.p.dtype)
-        a, s = 0.5 * dt * group.Ad_star(q, state.p), 0.5 * dt * dt  # ½Δt Π_n
+        half, s = 0.5 * dt, 0.5 * dt * dt
+        a = dense.settled(as_vector(m, half * group.Ad_star(q, state.p)))  # ½Δt Π_n
+        pull = dense.settled(as_vector(m, s * self.system.body_force(q)))  # what the kick is, nearly
 
-        def force(theta: Array) -> Array:
+        def force(theta: dense.Vector) -> Array:
             """𝓕(q_n, Θ)."""
-            nodes = jnp.asarray(_NODES, theta.dtype)
-            at = jax.vmap(lambda s: self.system.force(group.multiply(q, tau(group, s * theta))))(nodes)
-            return jnp.tensordot(jnp.asarray(_WEIGHTS, theta.dtype), at, 1)
+            Theta = dense.as_array(theta, state.p)
+            nodes = jnp.asarray(_NODES, Theta.dtype)
+            at = jax.vmap(lambda s: self.system.force(group.multiply(q, tau(group, s * Theta))))(nodes)
+            return jnp.tensordot(jnp.asarray(_WEIGHTS, Theta.dtype), at, 1)
 
-        def residual(theta: Array) -> Array:
-            return applied(m, theta) - a - group.Ad_star(tau(group, theta), a + s * group.Ad_star(q, force(theta)))
+        def residual(theta: dense.Vector) -> dense.Vector:
+            kicked = dense.plus(a, as_vector(m, s * group.Ad_star(q, force(theta))))
+            after = coadjoint(tau, group, theta, dense.settled(kicked))
+            return dense.settled(dense.plus(dense.matvec(m, theta), (-1.0, a), (-1.0, after)))
 
-        def matrix(theta: Array, F: Array) -> dense.Matrix:
-            middle = lax.stop_gradient(group.multiply(q, tau(group, theta / 2)))
+        def matrix(theta: dense.Vector, F: dense.Vector) -> dense.Matrix:
+            half_turn = dense.as_array(theta, state.p) / 2
+            middle = lax.stop_gradient(group.multiply(q, tau(group, half_turn)))
             bend = jax.jacfwd(lambda x: self.system.body_force(middle + group.tangent(middle, x)))(
-                jnp.zeros_like(theta)
+                jnp.zeros_like(half_turn)
             )
             bend = lax.stop_gradient(s / 2 * bend)
             K = newton_matrix(group, tau, m, theta, F, a)
             return dense.combination((1.0, K), (-1.0, dense.as_list(bend) if isinstance(K, list) else bend))
 
-        def correction(theta: Array, F: Array) -> Array:
-            return dense.as_array(dense.solve(matrix(theta, F), as_vector(m, F)), F)
+        def factored(theta: dense.Vector, F: dense.Vector) -> dense.Factored:
+            return dense.factored(matrix(theta, F))
 
-        start = guess(group, m, a + s / 2 * self.system.body_force(q))
-        theta, F = newton.root(residual, correction, start, self.iterations, unroll=False)
-        kick = s * group.Ad_star(q, force(theta))
-        good = on_branch(matrix(theta, F)) & digits_left(group, m, state, a, 0.5 * dt)
-        size = jnp.maximum(jnp.abs(a), jnp.maximum(jnp.abs(kick), jnp.abs(applied(m, theta))))
-        info = report(m, F, size, good & tau.holds(group, theta) if tau.holds else good)
-        return State(group.multiply(q, tau(group, theta)), state.p + dt * force(theta)), info
+        unit = size_unit(m, dense.each(jnp.maximum, dense.each(jnp.abs, a), dense.each(jnp.abs, pull)))
+        start = guess(group, m, dense.plus(a, (0.5, pull)))
+        theta, (F, determinant) = newton.chords(residual, factored, unit, start, self.iterations)
+        good = (determinant > 0) & digits_left(group, m, state, a, half)
+        Theta = dense.as_array(theta, state.p)
+        info = report(unit(F), good & tau.holds(group, Theta) if tau.holds else good)
+        return State(group.multiply(q, tau(group, Theta)), state.p + dt * force(theta)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (

@@ -5,15 +5,18 @@ One step of the generalised Euler equations, for a map τ with Ad_τ(Θ) Θ = Θ
     q_{n+1} = q_n τ(Θ),    π_{n+1} = π_n,    Θ = Δt Ω_{n+½} = Δt m⁻¹ ½(Π_n + Π_{n+1})         (5.23), (5.27)
 
 With Π_{n+1} = Ad*_τ(Θ) Π_n it is one equation for Θ in the algebra, solved by Newton's method from a second-order
-guess, each matrix being used three times:
+guess, each matrix being used three times (`newton.chords`):
 
     F(Θ) = m Θ − ½Δt (Π_n + Ad*_τ(Θ) Π_n) = 0,    F′ = m − ½Δt ad*(Π_{n+1}) H(Θ)
 
 where ad*(Π)ξ = ad*_ξ Π and H is the derivative of τ (5.28). F′ is (Δt/2) times the matrix of (5.30), times H.
+Steps of SE(3) and its like take their Ad*_τ and τ in closed form (`groups._closed_form`).
 """
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import jax
@@ -26,7 +29,7 @@ from lieint_jax import checks, dense, newton
 from lieint_jax.maps import Map, Tau, as_tau, cayley, derivative, exponential
 from lieint_jax.types import Group, State, Step, StepInfo, System, pytree, static
 
-_USES = 3  # of each Newton matrix
+_ITERATIONS = 8  # at most
 
 
 class Geodesic(System, Protocol):
@@ -45,7 +48,7 @@ class GroupMidpoint(Step):
     Attributes:
         system: anything with a `group` and a `metric` and no potential.
         tau: the map τ.
-        iterations: Newton matrices a step.
+        iterations: Newton matrices a step, at most.
     """
 
     system: Geodesic
@@ -61,23 +64,21 @@ class GroupMidpoint(Step):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         group, tau, m = self.system.group, self.tau, unpacked(self.system.group, self.system.metric)
         half = 0.5 * checks.step_size(dt)
-        a = lax.optimization_barrier(half * group.Ad_star(state.q, state.p))  # ½Δt Π_n
+        a = dense.settled(as_vector(m, half * group.Ad_star(state.q, state.p)))  # ½Δt Π_n
+        unit = size_unit(m, a)
 
-        def residual(theta: Array) -> Array:
-            return applied(m, theta) - a - group.Ad_star(tau(group, theta), a)
+        def residual(theta: dense.Vector) -> dense.Vector:
+            after = coadjoint(tau, group, theta, a)
+            return dense.settled(dense.plus(dense.matvec(m, theta), (-1.0, a), (-1.0, after)))
 
-        def correction(theta: Array, F: Array) -> Array:
-            """One matrix, used three times: order four."""
-            inverse, start = dense.inverse_definite(newton_matrix(group, tau, m, theta, F, a)), theta
-            for use in range(_USES):
-                F = lax.optimization_barrier(residual(theta) if use else F)
-                theta = theta - dense.as_array(dense.matvec(inverse, as_vector(m, F)), F)
-            return start - theta
+        def factored(theta: dense.Vector, F: dense.Vector) -> dense.Factored:
+            return dense.factored(newton_matrix(group, tau, m, theta, F, a))
 
-        theta, F = newton.root(residual, correction, guess(group, m, a), self.iterations, unroll=False)
-        good = on_branch(newton_matrix(group, tau, m, theta, F, a)) & digits_left(group, m, state, a, half)
-        info = report(m, F, a, good & tau.holds(group, theta) if tau.holds else good)
-        return State(group.multiply(state.q, tau(group, theta)), state.p), info
+        theta, (F, determinant) = newton.chords(residual, factored, unit, guess(group, m, a), self.iterations)
+        good = (determinant > 0) & digits_left(group, m, state, a, half)  # past the fold of the branch it is negative
+        Theta = dense.as_array(theta, state.p)
+        info = report(unit(F), good & tau.holds(group, Theta) if tau.holds else good)
+        return State(group.multiply(state.q, tau(group, Theta)), state.p), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         m, Pi = self.system.metric, np.asarray(self.system.group.Ad_star(state.q, state.p))
@@ -104,8 +105,9 @@ def group_midpoint(system: Geodesic, tau: Tau | Map = exponential, iterations: i
         system: `systems.euler(group, metric)`.
         tau: `maps.exponential`, `maps.cayley` (where it lands in the group), `maps.arcsine`, or a map of your own
             (group, Θ) ↦ τ(Θ) with Ad_τ(Θ) Θ = Θ, which is checked at three random Θ.
-        iterations: Newton matrices a step, each used three times; by default 3. 1 reaches round-off for |Δt Ω| ≤ .05,
-            2 for ≤ .2, 3 for ≤ .5; more if the metric is far from round.
+        iterations: how many Newton matrices a step may take, each used three times. For |Δt Ω| ≤ .05 it takes 1, for
+            ≤ .2 it takes 2, for ≤ .5 it takes 3; the largest of a batch decides. More than the 8 of the default are of
+            use for |Δt Ω| > 1, or if the metric is far from round.
 
     Raises:
         ValueError: the system has no group and metric or has a potential; a τ that does not fit; bad iterations.
@@ -117,7 +119,7 @@ def group_midpoint(system: Geodesic, tau: Tau | Map = exponential, iterations: i
             f"group_midpoint integrates geodesics on groups (systems.euler), got {type(system).__name__}; with a "
             "potential take group_energy_momentum"
         )
-    iterations = 3 if iterations is None else iterations
+    iterations = _ITERATIONS if iterations is None else iterations
     return GroupMidpoint(system, as_tau(tau, system.group), checks.count("iterations", iterations, 1))
 
 
@@ -134,7 +136,7 @@ def is_geodesic(system: Any) -> bool:
     return hasattr(system, "metric") and hasattr(system, "group") and getattr(system, "potential", None) is None
 
 
-# Shared with `group_energy_momentum` ---------------------------------------------------------------------------------
+# Shared with `group_energy_momentum`: vectors are lists for small groups, arrays for large ones, see `dense` --------
 
 
 def unpacked(group: Any, metric: Array) -> dense.Matrix:
@@ -152,67 +154,77 @@ def as_vector(m: dense.Matrix, x: Array) -> dense.Vector:
     return dense.as_list(x) if isinstance(m, list) else x
 
 
-def applied(m: dense.Matrix, xi: Array) -> Array:
-    """m ξ."""
-    return dense.as_array(dense.matvec(m, as_vector(m, xi)), xi)
+def ad_star(group: Any, xi: dense.Vector, mu: dense.Vector) -> dense.Vector:
+    """ad*_ξ μ."""
+    return dense.matvec(ad_star_matrix(group, mu), xi)
 
 
-def lowered(m: dense.Matrix, mu: Array) -> Array:
-    """m⁻¹ μ."""
-    return dense.as_array(dense.solve(m, as_vector(m, mu)), mu)
-
-
-def ad_star_matrix(group: Any, mu: Array) -> dense.Matrix:
+def ad_star_matrix(group: Any, mu: dense.Vector) -> dense.Matrix:
     """ad*(μ), (d, d)."""
     if hasattr(group, "ad_star_matrix"):
-        return group.ad_star_matrix(dense.as_list(mu) if group.unrolled else mu)
+        return group.ad_star_matrix(mu)
+    mu = dense.as_array(mu, mu[0])
     return dense.as_list(jax.vmap(group.ad_star, (1, None), 1)(jnp.eye(group.dim, dtype=mu.dtype), mu))
 
 
-def slope(tau: Tau, group: Any, theta: Array) -> dense.Matrix:
+def coadjoint(tau: Tau, group: Any, theta: dense.Vector, mu: dense.Vector) -> dense.Vector:
+    """Ad*_τ(Θ) μ."""
+    if tau.coadjoint is not None:
+        return tau.coadjoint(group, theta, mu)
+    turned = group.Ad_star(tau(group, dense.as_array(theta, theta[0])), dense.as_array(mu, mu[0]))
+    return dense.as_list(turned) if isinstance(theta, list) else turned
+
+
+def slope(tau: Tau, group: Any, theta: dense.Vector) -> dense.Matrix:
     """H(Θ), (d, d)."""
     if tau.slope is not None:
-        return tau.slope(group, dense.as_list(theta) if group.unrolled else theta)
-    H = derivative(tau, group, theta)
-    return dense.as_list(H) if getattr(group, "unrolled", True) else H
+        return tau.slope(group, theta)
+    H = derivative(tau, group, dense.as_array(theta, theta[0]))
+    return dense.as_list(H) if isinstance(theta, list) else H
 
 
-def guess(group: Group, m: dense.Matrix, a: Array) -> Array:
+def guess(group: Group, m: dense.Matrix, a: dense.Vector) -> dense.Vector:
     """Θ ≈ ΔtΩ + ½Δt² m⁻¹ ad*_Ω Π, from a = ½Δt Π: second order."""
-    half_turn = lax.optimization_barrier(lowered(m, a))
-    return 2 * (half_turn + lowered(m, group.ad_star(half_turn, a)))
+    lowered = dense.factored(m).solve
+    half_turn = dense.settled(lowered(a))
+    bent = lowered(dense.settled(ad_star(group, half_turn, a)))
+    return dense.settled(dense.plus((2.0, half_turn), (2.0, bent)))
 
 
-def newton_matrix(group: Any, tau: Tau, m: dense.Matrix, theta: Array, F: Array, a: Array) -> dense.Matrix:
+def newton_matrix(
+    group: Any, tau: Tau, m: dense.Matrix, theta: dense.Vector, F: dense.Vector, a: dense.Vector
+) -> dense.Matrix:
     """F′ at Θ, with ½Δt Π_{n+1} = mΘ − ½Δt Π_n − F. Nothing is differentiated through it."""
     theta, F, a, m = lax.stop_gradient((theta, F, a, m))
-    after = lax.optimization_barrier(applied(m, theta) - a - F)
-    turned = dense.matmul(ad_star_matrix(group, after), slope(tau, group, theta))
-    return dense.combination((1.0, m), (-1.0, turned))
+    after = dense.settled(dense.plus(dense.matvec(m, theta), (-1.0, a), (-1.0, F)))
+    turned = dense.matmul(ad_star_matrix(group, after), dense.settled(slope(tau, group, theta)))
+    return dense.settled(dense.combination((1.0, m), (-1.0, turned)))
 
 
-def on_branch(K: dense.Matrix) -> Array:
-    """Whether det F′ > 0, as at Θ = 0: roots past the fold of the branch have the other sign."""
-    return dense.determinant(K) > 0
+def size_unit(m: dense.Matrix, a: dense.Vector) -> Callable[[dense.Vector], Array]:
+    """F ↦ the largest |Fᵢ|/√mᵢᵢ over √(2H)Δt: whatever the units of the basis, round-off is round-off."""
+    a, m = lax.stop_gradient((a, m))
+    scale = 2 * jnp.sqrt(jnp.maximum(dense.dot(a, dense.solve(m, a)), 0))
+    units = [jnp.sqrt(m[i][i]) * jnp.where(scale == 0, 1, scale) for i in range(len(m))]
+
+    def size(F: dense.Vector) -> Array:
+        return functools.reduce(jnp.maximum, (jnp.abs(lax.stop_gradient(F[i])) / units[i] for i in range(len(units))))
+
+    return size
 
 
-def report(m: dense.Matrix, F: Array, a: Array, good: Array) -> StepInfo:
-    """The largest |Fᵢ|/√mᵢᵢ over √(2H)Δt: whatever the units of the basis, round-off is round-off."""
-    F, a = lax.stop_gradient((F, a))
-    unit = jnp.sqrt(jnp.stack([m[i][i] for i in range(len(m))]))
-    scale = 2 * jnp.sqrt(jnp.maximum(jnp.sum(a * lowered(lax.stop_gradient(m), a)), 0))
-    size = jnp.max(jnp.abs(F) / unit)
-    residual = jnp.where(size == 0, 0, size / jnp.where(scale == 0, 1, scale))
-    return StepInfo(residual, (residual <= 32 * jnp.finfo(F.dtype).eps) & good)
+def report(residual: Array, good: Array) -> StepInfo:
+    """Converged if the residual, in the units of `size_unit`, is round-off, and all else is good."""
+    return StepInfo(residual, (residual <= 32 * jnp.finfo(residual.dtype).eps) & good)
 
 
-def digits_left(group: Any, m: dense.Matrix, state: State, a: Array, half: Array) -> Array:
-    """Whether Ad*_q π keeps six digits in float64: ε (what it sums up / what is left)² ≤ ε^{3/8}."""
+def digits_left(group: Any, m: dense.Matrix, state: State, a: dense.Vector, half: Array) -> Array:
+    """Whether Ad*_q π keeps six digits in float64: ε (what it sums up / what is left)² ≤ ε^{3/8}; q too."""
     if not hasattr(group, "rounding"):
         return jnp.ones((), bool)
     state, a, half = lax.stop_gradient((state, a, half))
     unit = jnp.sqrt(jnp.stack([m[i][i] for i in range(len(m))]))
     summed = jnp.max(jnp.abs(half) * group.rounding(state.q, state.p) / unit)
-    left = jnp.max(jnp.abs(a) / unit)
-    eps = float(jnp.finfo(a.dtype).eps)
-    return eps * summed**2 <= eps**0.375 * left**2
+    left = jnp.max(jnp.abs(dense.as_array(a, state.p)) / unit)
+    eps = float(jnp.finfo(left.dtype).eps)
+    return (eps * summed**2 <= eps**0.375 * left**2) & (group.drift(state.q) <= eps**0.375)

@@ -67,6 +67,11 @@ class Euler:
         """The momentum map of the left action (5.21): π itself, shape (d,)."""
         return state.p
 
+    def casimirs(self, state: State) -> Array:
+        """The Casimirs of body momentum that are known (`group.casimirs`), (k,): constant along every motion."""
+        Pi = self.body_momentum(state)
+        return self.group.casimirs(Pi) if hasattr(self.group, "casimirs") else jnp.zeros(0, Pi.dtype)
+
     def vector_field(self, state: State) -> State:
         """(q̇, π̇) = (qΩ̂, 0) (5.14)."""
         return State(self.group.tangent(state.q, self.velocity(state)), jnp.zeros_like(state.p))

@@ -1,0 +1,164 @@
+"""What the midpoint scheme keeps on each matrix group, measured: `lieint check GROUP`, `lieint check groups`.
+
+Energy and spatial momentum are kept on every group by every map (Results 9 and 10); the symplectic form only where
+(5.31) holds (Result 11). Largest defect of the form in one step, |Δt Ω| = .05, over four random metrics:
+
+| group | exponential | cayley | arcsine |
+|---|---|---|---|
+"""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from lieint_jax import discover, groups, maps
+from lieint_jax.diagnostics.certify import certify
+from lieint_jax.diagnostics.series import energy_error
+from lieint_jax.diagnostics.symplectic import symplectic_defect
+from lieint_jax.groups import MatrixGroup
+from lieint_jax.integrate import integrate
+from lieint_jax.maps import Map
+from lieint_jax.schemes import group_midpoint
+from lieint_jax.systems import Euler
+from lieint_jax.types import State
+
+MAPS: dict[str, Map] = {"exponential": maps.exponential, "cayley": maps.cayley, "arcsine": maps.arcsine}
+_QUICK = {"xla_llvm_disable_expensive_passes": True}  # compiled to be run once
+
+
+def catalogue() -> dict[str, MatrixGroup]:
+    """The groups of the catalogue, and those that `groups.matrix` gives as examples."""
+    return groups.catalogue.examples() | discover.modules(groups)["matrix"].examples()
+
+
+def named(name: str) -> MatrixGroup | None:
+    """A group of the catalogue by its name, however it is written: "SE(3)", "se3", "Heis 5"; None if there is none."""
+    found = {_plain(key): group for key, group in catalogue().items()}
+    return found.get(_plain(name))
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+def light(group: MatrixGroup) -> MatrixGroup:
+    """The same group, worked out whole: to be compiled quickly and run a few times."""
+    return MatrixGroup(group.basis, group.name, unrolled=False)
+
+
+def bounded(group: MatrixGroup) -> bool:
+    """Whether Ad_q stays small along every motion: on compact groups, abelian ones, and nilpotent ones.
+
+    Elsewhere Ad_q may grow, and Π = Ad*_q π loses digits like ε‖Ad_q‖².
+    """
+    ad = np.tensordot(np.random.default_rng(0).normal(size=(8, group.dim)), group.structure.transpose(0, 2, 1), 1)
+    size = np.abs(ad).sum(axis=(1, 2)).max()
+    nilpotent = np.abs(np.linalg.matrix_power(ad, group.dim)).max() <= 1e-9 * max(1.0, size) ** group.dim
+    killing = np.einsum("iab,jba->ij", group.structure, group.structure)
+    return bool(nilpotent or np.linalg.eigvalsh(killing).max() < -1e-9)
+
+
+def takes(group: MatrixGroup) -> dict[str, Map]:
+    """The maps that there are on a group."""
+    found = {"exponential": MAPS["exponential"]}
+    if group.cayley_lands:
+        found["cayley"] = MAPS["cayley"]
+    try:
+        maps.arcsine_form(group)
+    except ValueError:
+        return found
+    return found | {"arcsine": MAPS["arcsine"]}
+
+
+def example(group: MatrixGroup, seed: int = 0) -> tuple[Euler, State]:
+    """A random metric, not diagonal, and a random state with |Ω| = 1."""
+    rng, d = np.random.default_rng(seed), group.dim
+    A, v, xi = rng.normal(size=(d, d)), rng.normal(size=d), rng.normal(size=d) / 3
+    system = Euler(jnp.asarray(A @ A.T / d + np.eye(d)), group)
+    with jax.ensure_compile_time_eval():
+        q = group.exp(jnp.asarray(xi))
+    return system, system.state(q, velocity=v / np.linalg.norm(v))
+
+
+class Kept(NamedTuple):
+    """What was measured on one group with one map, over several random metrics.
+
+    Attributes:
+        energy: largest |H − H₀|/H₀: over 1000 steps of .1 where Ad_q is bounded; else over 100 steps of .05, divided by
+            max(1, ‖Ad_q‖²).
+        momentum: largest change of π; 0 means bit for bit.
+        form: largest symplectic defect of a step of .05.
+        converged: whether every step of these runs converged.
+    """
+
+    energy: float
+    momentum: float
+    form: float
+    converged: bool
+
+
+def measure(group: MatrixGroup, tau: Map, metrics: int = 4) -> Kept:
+    """What the step of `group_midpoint` keeps on a group, over so many random metrics."""
+    group = light(group)
+    dt, steps = (0.1, 1000) if bounded(group) else (0.05, 100)
+    systems, states = zip(*(example(group, seed) for seed in range(metrics)), strict=True)
+    stacked = [jax.tree.map(lambda *x: jnp.stack(x), *trees) for trees in (systems, states)]
+    energy, growth, momentum, form, converged = jax.vmap(partial(_kept, tau, dt, steps))(*stacked)
+    scale = 1.0 if bounded(group) else np.maximum(1, np.asarray(growth) ** 2)
+    return Kept(*(float(np.max(x)) for x in (energy / scale, momentum, form)), bool(np.all(converged)))
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=_QUICK)
+def _kept(tau: Map, dt: float, steps: int, system: Euler, state: State) -> tuple[Array, ...]:
+    step = group_midpoint(system, tau)
+    run = integrate(step, state, dt, steps, steps // 10)
+    one = jnp.eye(system.group.dim)
+    Ad_q = jax.vmap(lambda q: jax.vmap(system.group.Ad, (None, 1), 1)(q, one))(run.state.q)
+    return (
+        jnp.max(jnp.abs(energy_error(system, run))) / system.energy(state),
+        jnp.max(jnp.linalg.norm(Ad_q, axis=(1, 2))),
+        jnp.max(jnp.abs(run.state.p - state.p)),
+        symplectic_defect(step, state, 0.05),
+        jnp.all(run.info.converged),
+    )
+
+
+def table(metrics: int = 4) -> str:
+    """Energy and form on every group of the catalogue with every map, as in the docstring of this module."""
+    rows = ["| group | energy | form, exponential | cayley | arcsine |", "|---|---|---|---|---|"]
+    for name, group in catalogue().items():
+        found = {key: measure(group, tau, metrics) for key, tau in takes(group).items()}
+        flag = "" if all(kept.converged for kept in found.values()) else " NOT ALL CONVERGED"
+        worst = max(kept.energy for kept in found.values())
+        forms = [f"{found[key].form:.1e}" if key in found else "—" for key in MAPS]
+        rows.append(f"| {name} | {worst:.1e}{flag} | {' | '.join(forms)} |")
+    return "\n".join(rows)
+
+
+def certificates(group: MatrixGroup, scheme: str = "", num_steps: int | None = None) -> str:
+    """The certificates of a random metric on a group by each map, as text."""
+    system, state = example(light(group))
+    steps = num_steps or (1000 if bounded(group) else 100)
+    wanted = [tau for name, tau in takes(group).items() if scheme in f"group_midpoint[{name}]"]
+    if not wanted:
+        raise ValueError(f"no scheme {scheme!r} on {group.name}: the maps there are {', '.join(takes(group))}")
+    lines = [_about(group, system)]
+    lines += [str(certify(group_midpoint(system, tau), state, 0.05, steps)) for tau in wanted]
+    return "\n\n".join(lines)
+
+
+def _about(group: MatrixGroup, system: Any) -> str:
+    central, quadratic = (len(x) for x in group._casimirs)
+    form = "yes" if "arcsine" in takes(group) and maps.is_symplectic(maps.arcsine, group, system.metric) else "no"
+    growth = "Ad_q stays bounded" if bounded(group) else "Ad_q may grow, and digits of Π are lost like ε‖Ad_q‖²"
+    return (
+        f"{group}: {growth}; Casimirs known: {central} linear, {quadratic} quadratic; a symplectic map known: {form}\n"
+        "A random metric, |Ω| = 1"
+    )

@@ -1,0 +1,59 @@
+"""Casimirs: functions of body momentum that are constant on coadjoint orbits, so along every motion on the group."""
+
+from __future__ import annotations
+
+import numpy as np
+
+_TOLERANCE = 1e-9
+
+
+def linear(structure: np.ndarray) -> np.ndarray:
+    """The λ with ⟨ad*_ξ μ, λ⟩ = 0, rows (k, d): the centre of the algebra."""
+    return _echelon(_null(structure.transpose(0, 2, 1).reshape(-1, len(structure))))
+
+
+def quadratic(structure: np.ndarray) -> np.ndarray:
+    """A basis of the symmetric Q with ⟨ad*_ξ μ, Qμ⟩ = 0, (k, d, d), less the products of linear ones."""
+    d = len(structure)
+    pairs = [(i, j) for i in range(d) for j in range(i, d)]
+    symmetric = np.zeros((len(pairs), d, d))
+    for k, (i, j) in enumerate(pairs):
+        symmetric[k, i, j] = symmetric[k, j, i] = 1 if i == j else 0.5
+    turned = np.einsum("kab,icb->kiac", symmetric, structure.transpose(0, 2, 1))  # Q ad_ξᵀ
+    rates = (turned + turned.transpose(0, 1, 3, 2)).reshape(len(pairs), -1)
+    central = linear(structure)
+    products = [_coordinates(np.outer(x, y), pairs) for n, x in enumerate(central) for y in central[n:]]
+    kept, rank = list(products), len(products)
+    found = []
+    for row in _echelon(_null(rates.T)):
+        if np.linalg.matrix_rank([*kept, row], _TOLERANCE) > rank:
+            kept.append(row)
+            found.append(row)
+            rank += 1
+    return np.tensordot(np.array(found).reshape(-1, len(pairs)), symmetric, 1)
+
+
+def _coordinates(Q: np.ndarray, pairs: list[tuple[int, int]]) -> np.ndarray:
+    return np.array([Q[i, j] if i == j else Q[i, j] + Q[j, i] for i, j in pairs])
+
+
+def _null(M: np.ndarray) -> np.ndarray:
+    """A basis of the x with Mx = 0, as rows."""
+    _, values, rows = np.linalg.svd(M)
+    return rows[int(np.sum(values > _TOLERANCE * max(1.0, values.max(initial=0)))) :]
+
+
+def _echelon(rows: np.ndarray) -> np.ndarray:
+    """The reduced echelon form of independent rows, so that what can be 0 or 1 is."""
+    rows = rows.copy()
+    for k, _ in enumerate(rows):
+        size = np.abs(rows[k:]) > _TOLERANCE
+        column = int(np.argmax(size.any(axis=0)))
+        best = k + int(np.argmax(np.abs(rows[k:, column])))
+        rows[[k, best]] = rows[[best, k]]
+        rows[k] /= rows[k, column]
+        for other in range(len(rows)):
+            if other != k:
+                rows[other] -= rows[other, column] * rows[k]
+    near = np.round(12 * rows) / 12
+    return np.where(np.abs(rows - near) < _TOLERANCE, near, rows)
