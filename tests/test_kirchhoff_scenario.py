@@ -1,4 +1,4 @@
-"""`lieint run kirchhoff`: what is kept, a steady motion, and the spin that it needs, against the linearised equations."""
+"""`lieint run kirchhoff`: what is kept, a steady motion, and its spin against the linearised equations."""
 
 import re
 from pathlib import Path

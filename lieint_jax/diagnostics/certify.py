@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -86,7 +87,8 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
     Raises:
         ValueError: as `integrate`.
     """
-    run = integrate(step, state, dt, num_steps)
+    step.check(state, dt)
+    run = _integrate(step, state, dt, num_steps)
     system = step.system
     momentum = np.abs(np.asarray(momentum_error(system, run)))
     energy = float(jnp.max(jnp.abs(energy_error(system, run))))
@@ -112,9 +114,13 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
     )
 
 
+_integrate = jax.jit(integrate, static_argnums=3)
+_defect_matrix = jax.jit(defect_matrix)
+
+
 def _form_defect(step: Step, state: State, dt: float) -> float:
     """The symplectic defect with δπ measured in |π|, so that no unit of the state matters."""
-    defect = np.asarray(defect_matrix(step, state, dt))
+    defect = np.asarray(_defect_matrix(step, state, dt))
     p, d = float(size(state.p)), defect.shape[0] // 2
     unit = np.repeat([p**-0.5, p**0.5], d)
     return float(np.abs(unit[:, None] * defect * unit).max())

@@ -9,8 +9,8 @@ from jax import Array, lax
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
-from lieint_jax.integrate import integrate
-from lieint_jax.types import State, Step, System
+from lieint_jax.integrate import promoted
+from lieint_jax.types import State, Step, StepInfo, System
 
 _STAGES, _ITERATIONS = 8, 24
 
@@ -66,22 +66,37 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
     floor = 100 * np.sqrt(num_steps) * float(jnp.finfo(end.p.dtype).eps)
     seen: dict[float, float] = {}
 
+    step.check(state, dt)
+    state, _ = promoted(step, state)
+
     def look(n: int) -> None:
-        run = integrate(step, state, T / n, n, n)
-        error = float(distance(State(run.state.q[-1], run.state.p[-1]), end))
-        if error > floor and bool(run.info.converged[-1]):
+        last, info = _after(step, state, T / n, n)
+        error = float(distance(last, end))
+        if error > floor and bool(info.converged):
             seen[T / n] = error
 
     for n in (num_steps, 2 * num_steps, 4 * num_steps):
         look(n)
     while len(seen) < 2 and n > 1:
         n = min(n, num_steps) // 2
-        if not step(state, T / n)[1].converged:
+        if not _after(step, state, T / n, 1)[1].converged:
             break
         look(n)
     if len(seen) < 2:
         return float("inf")
     return float(np.polyfit(np.log(np.abs(list(seen))), np.log(list(seen.values())), 1)[0])
+
+
+@jax.jit
+def _after(step: Step, state: State, dt: ArrayLike, num_steps: ArrayLike) -> tuple[State, StepInfo]:
+    """The state after so many steps, any number of them by one program, and whether all converged."""
+    step = step.prepare(state, dt)
+
+    def one(_: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:
+        state, info = step(carry[0], dt)
+        return state, carry[1].worse(info)
+
+    return lax.fori_loop(0, num_steps, one, (state, StepInfo.fresh(state.p)))
 
 
 def distance(a: State, b: State) -> Array:
@@ -98,5 +113,10 @@ def size(p: Array) -> Array:
 def reversibility(step: Step, state: State, dt: ArrayLike) -> Array:
     """`distance` of z and step(step(z, dt), −dt): zero to round-off if and only if the step is time-symmetric here."""
     step.check(state, dt)
-    back, _ = step(step(state, dt)[0], -jnp.asarray(dt))
-    return distance(back, state)
+    state, dtype = promoted(step, state)
+    return distance(_there_and_back(step, state, jnp.asarray(dt, dtype)), state)
+
+
+@jax.jit
+def _there_and_back(step: Step, state: State, dt: Array) -> State:
+    return lax.fori_loop(0, 2, lambda k, z: step(z, jnp.where(k == 0, dt, -dt))[0], state)
