@@ -40,7 +40,8 @@ def run(name: str, out: Path | None, members: int | None = None, steps: int | No
 def check(system: str, scheme: str, num_steps: int | None) -> None:
     """Print the certificate of every example of every system with every scheme that takes it, or those of a group."""
     if system == "groups":
-        print(by_group.table())
+        for line in by_group.table():
+            print(line, flush=True)
         return
     group = by_group.named(system)
     if group is not None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lieint_jax import cli, scenarios, store
+from lieint_jax.diagnostics import by_group
 from lieint_jax.scenarios import rigid_body
 
 
@@ -242,6 +243,29 @@ def test_check_prints_certificates(capsys):
     assert out.count("so3_midpoint[symplectic] · RigidBody") == 1
     assert "exact to round-off" in out
     assert "every step converged" in out
+
+
+@pytest.mark.long
+def test_check_takes_a_group(capsys):
+    """However its name is written."""
+    assert cli.main(["check", "se 2", "--scheme", "arcsine", "--steps", "20"]) == 0
+    out = capsys.readouterr().out
+    assert "SE(2), dimension 3: Ad_q may grow" in out
+    assert "Casimirs known: 0 linear, 1 quadratic; a symplectic map known: yes" in out
+    assert re.search(r"symplectic form +\S+ +exact to round-off", out)
+    assert "conserved bit for bit" in out
+
+
+def test_groups_by_name():
+    assert by_group.named("heis 5").dim == 5
+    assert by_group.named("SO(3)xAff(1)").dim == 5
+    assert by_group.named("so3") == by_group.catalogue()["SO(3)"]
+    assert by_group.named("E8") is None
+    with pytest.raises(ValueError, match="no scheme 'rk4' on SL\\(3\\): the maps there are exponential"):
+        by_group.certificates(by_group.named("sl3"), "rk4")
+    assert {name for name, group in by_group.catalogue().items() if by_group.bounded(group)} == {
+        *("SO(3)", "SO(4)", "SU(2)", "Heis(3)", "Heis(5)", "R^3")
+    }
 
 
 def test_help_names_every_command(capsys):

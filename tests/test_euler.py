@@ -36,7 +36,26 @@ def test_coadjoint_invariants(name):
     for xi, mu in rng.normal(size=(4, 2, g.dim)) / 2:
         after = np.array(moved(xi, mu))
         np.testing.assert_allclose(invariant(after), invariant(mu), atol=1e-14)
+        np.testing.assert_allclose(g.casimirs(after), g.casimirs(mu), atol=1e-14)
         assert np.abs(after - mu).max() > 1e-2
+
+
+def test_the_casimirs_found_are_those_known():
+    """By name; the same numbers up to a constant. On Aff(1) there is none, on SU(2) and quaternions |Π|²."""
+    rng = np.random.default_rng(1)
+    for name, invariant in CASIMIRS.items():
+        g = groups.catalogue.examples()[name]
+        points = rng.normal(size=(12, g.dim))
+        found, known = (np.array([f(x) for x in points]) for f in (g.casimirs, invariant))
+        assert np.linalg.lstsq(found, known, rcond=None)[1].max(initial=0) < 1e-26
+        assert found.shape == known.shape
+    mu = np.array([1.0, 2.0, 3.0])
+    assert groups.affine(1).casimirs(mu[:2]).size == 0
+    for group in (groups.special_unitary(2), groups.so3, groups.special_orthogonal(3)):
+        system = li.systems.euler(group, [1.0, 2.0, 3.0])
+        assert system.casimirs(system.state(body_momentum=mu)) == pytest.approx([14.0])
+    assert groups.translations(3).casimirs(mu).tolist() == [1, 2, 3]
+    assert groups.upper_triangular(3).casimirs(np.arange(6.0)).tolist() == [8]  # the trace
 
 
 def lamb(axes):

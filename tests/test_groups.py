@@ -172,8 +172,41 @@ def test_entry_by_entry_and_whole_are_the_same_group():
             (g.Ad_star(q, mu), h.Ad_star(q, mu)),
             (g.cayley(xi), h.cayley(xi)),
             (g.rounding(q, mu), h.rounding(q, mu)),
+            (g.drift(q), h.drift(q)),
+            (g.exp_near(-xi), dense.as_array(g.exp_both(dense.as_list(xi))[1], xi)),
+            (g.cayley(-xi), dense.as_array(g.cayley_both(dense.as_list(xi))[1], xi)),
+            (h.Ad_star(q, mu), jnp.stack(g.exp_coadjoint(*map(dense.as_list, (xi, mu))))),
         ):
             close(ours, theirs, 2e-15)
+
+
+CLOSED = {  # Xʲ(X² − x)ᵏ = 0: (j, k)
+    "SO(3)": (1, 1),
+    "SU(2)": (0, 1),
+    "SE(2)": (1, 1),
+    "SE(3)": (2, 1),
+    "SL(2)": (0, 1),
+    "Aff(1)": (1, 1),
+    "Heis(5)": (3, 0),
+    "E(1,1)": (1, 1),
+    "R^3": (2, 0),
+}
+
+
+def test_closed_forms_where_there_is_one_pair_of_eigenvalues():
+    """Rodrigues' formula among them; x = −|θ|² on SO(3) and SE(3), −det on SL(2). Others have none."""
+    for name, group in CATALOGUE.items():
+        closed = group._closed
+        if name in CLOSED:
+            assert (closed.nilpotent, closed.pairs) == CLOSED[name], name
+            xi = np.random.default_rng(0).normal(size=group.dim)
+            largest = np.linalg.eigvals(hat(group, xi)) ** 2
+            np.testing.assert_allclose(np.abs(largest - closed.square(jnp.array(xi))).min(), 0, atol=1e-14)
+        elif name in ("SO(4)", "SL(3)", "Sp(4)", "T(3)", "SO(3) x Aff(1)"):
+            assert closed is None, name
+    sine, cosine = groups.special_orthogonal(3)._closed.series([1, 1, 1 / 2, 1 / 6, 1 / 24, 1 / 120])[1:]
+    assert sine == pytest.approx([1, 1 / 6, 1 / 120])  # of x = −θ²
+    assert cosine == pytest.approx([1 / 2, 1 / 24])
 
 
 def test_groups_by_their_known_structure():
