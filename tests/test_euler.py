@@ -58,6 +58,20 @@ def test_the_casimirs_found_are_those_known():
     assert groups.upper_triangular(3).casimirs(np.arange(6.0)).tolist() == [8]  # the trace
 
 
+@pytest.mark.parametrize("name", ["SL(2)", "SE(2)", "Heis(3)"])
+def test_body_and_spatial_pictures_agree(name):
+    """With π̇ = 0 and q̇ = qΩ̂ (5.14), Π = Ad*_q π follows Π̇ = ad*_Ω Π (5.13); energy from either is the same."""
+    g, rng = groups.catalogue.examples()[name], np.random.default_rng(3)
+    A = rng.normal(size=(3, 3))
+    system = li.systems.euler(g, A @ A.T + np.eye(3))
+    state = system.state(g.exp_near(rng.normal(size=3) / 3), velocity=rng.normal(size=3))
+    Pi, rate = jax.jvp(system.body_momentum, (state,), (system.vector_field(state),))
+    Omega = np.linalg.solve(system.metric, Pi)
+    np.testing.assert_allclose(rate, g.ad_star(Omega, Pi), atol=4e-15)
+    assert np.abs(rate).max() > 1e-2
+    assert float(system.energy(state)) == pytest.approx(float(Pi @ Omega) / 2, rel=1e-15)
+
+
 def lamb(axes):
     """α₀, β₀, γ₀ of Lamb §114 by mpmath."""
     a, b, c = map(mpmath.mpf, axes)

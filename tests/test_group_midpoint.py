@@ -9,7 +9,7 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import discover, groups, maps
-from lieint_jax.diagnostics import energy_error, flow, linearization, poisson_error, symplectic_defect
+from lieint_jax.diagnostics import by_group, energy_error, flow, linearization, poisson_error, symplectic_defect
 from lieint_jax.schemes import group_midpoint
 
 MATRIX = discover.modules(groups)["matrix"]
@@ -84,6 +84,17 @@ def test_results_9_10_11_momentum_energy_order_and_form(name, tau):
     else:
         assert small["form"] > 1e-7
         assert np.log2(small["form"] / half["form"]) == pytest.approx(3, abs=0.1)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "tau"), PAIRS + [pytest.param(*pair, marks=pytest.mark.slow) for pair in MORE])
+def test_the_energy_bar_over_random_metrics(name, tau):
+    """Four metrics: 1000 steps of .1 where Ad_q is bounded, else 100 of .05 over max(1, ‖Ad_q‖²). Floor 1e-14."""
+    kept = by_group.measure(CATALOGUE[name], TAUS[tau])
+    assert kept.converged
+    assert kept.momentum == 0
+    assert kept.energy < 1e-13
+    assert (kept.form < 1e-13) == ((name, tau) in SYMPLECTIC or name == "R^3")
 
 
 KAPPAS = {"cayley": maps.kappa_cayley, "exponential": maps.kappa_exponential, "arcsine": maps.kappa_symplectic}

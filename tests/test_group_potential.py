@@ -61,9 +61,13 @@ def check(system, state, dt):
     return out
 
 
+LARGER = [pytest.param(name, marks=pytest.mark.slow) for name in ("SE(3)", "SL(3)", "SO(4)")]
+
+
 @pytest.mark.long
-def test_result_13_energy_for_any_potential():
-    check(*system_and_state(groups.catalogue.examples()["SL(2)"]), 0.05)
+@pytest.mark.parametrize("name", ["SL(2)", *LARGER])
+def test_result_13_energy_for_any_potential(name):
+    check(*system_and_state(groups.catalogue.examples()[name]), 0.05)
 
 
 @pytest.mark.long
