@@ -9,7 +9,8 @@ one equation for Θ,
 
     F(Θ) = m Θ − ½Δt Π_n − Ad*_exp(Θ) ½Δt (Π_n + Δt Ad*_{q_n} 𝓕) = 0
 
-and Newton's matrix is that of `group_midpoint` with the second derivative of V at the middle of the step.
+and Newton's matrix is that of `group_midpoint` with the second derivative of V at the middle of the step
+(`newton.chords`).
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ class GroupEnergyMomentum(Step):
     Attributes:
         system: anything with a `group`, a `metric`, a `force` and a `body_force`.
         tau: the exponential map.
-        iterations: Newton corrections a step.
+        iterations: Newton matrices a step, at most.
     """
 
     system: Mechanical
@@ -131,7 +132,8 @@ def group_energy_momentum(system: Mechanical, iterations: int = 6) -> GroupEnerg
 
     Args:
         system: `systems.group_potential(...)`.
-        iterations: Newton corrections a step. A step that fell short says `converged=False`.
+        iterations: how many Newton matrices a step may take, each used three times. A step that fell short says
+            `converged=False`.
 
     Raises:
         ValueError: the system has no group, metric or potential; bad iterations.
