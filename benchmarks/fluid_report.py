@@ -43,7 +43,7 @@ def _bars(result: dict[str, Any]) -> str:
             rows.append([*row, report.verdict(ratio, ratio >= FASTER)])
     for r in result["quality"]:
         if r["name"] in OURS:
-            for key, bar in (("energy_drift", 5e-13), ("momentum_drift", 0.0)):
+            for key, bar in (("energy_drift", 1e-13), ("momentum_drift", 0.0)):
                 row = [f"{r['name']}: {key.replace('_', ' ')} over {r['steps']} steps", f"{r[key]:.2g}", f"≤ {bar:g}"]
                 rows.append([*row, report.verdict(r[key], r[key] <= bar)])
     return report.table(["float64, one core", "measured", "bar", ""], rows)

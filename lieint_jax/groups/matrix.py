@@ -108,7 +108,7 @@ class MatrixGroup:
 
     def exp_near(self, xi: Array) -> Array:
         """exp ξ̂ without scaling, for the steps of schemes: to round-off where `near` holds."""
-        return dense.as_array(self.exp_both(self._vector(xi))[0], xi)
+        return dense.as_array(dense.settled(self.exp_both(self._vector(xi))[0]), xi)
 
     def near(self, xi: Array) -> Array:
         """Whether ξ̂ is small enough for `exp_near`: its eigenvalue within ±2, or, where there are several,
@@ -133,7 +133,7 @@ class MatrixGroup:
 
     def cayley(self, xi: Array) -> Array:
         """(1 − ½ξ̂)⁻¹(1 + ½ξ̂). In the group only if the algebra holds its cubes: see `cayley_lands`."""
-        return dense.as_array(self.cayley_both(self._vector(xi))[0], xi)
+        return dense.as_array(dense.settled(self.cayley_both(self._vector(xi))[0]), xi)
 
     @cached_property
     def cayley_lands(self) -> bool:
@@ -242,7 +242,8 @@ class MatrixGroup:
         if self._closed is None:
             return _sum_and_difference(*_taylor(X))
         x = dense.settled([self._closed.square(xi)])[0]
-        return self._both(X, [_closed_form.evaluated(c, x) for c in self._closed.series(_EXPONENTIAL)])
+        series = self._closed.series(_EXPONENTIAL)
+        return self._both(X, dense.settled([_closed_form.evaluated(c, x) for c in series]))
 
     def cayley_both(self, xi: dense.Vector) -> tuple[dense.Matrix, dense.Matrix]:
         """cay ξ and cay(−ξ): by the closed form if there is one."""
