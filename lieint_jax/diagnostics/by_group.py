@@ -1,10 +1,21 @@
 """What the midpoint scheme keeps on each matrix group, measured: `lieint check GROUP`, `lieint check groups`.
 
 Energy and spatial momentum are kept on every group by every map (Results 9 and 10); the symplectic form only where
-(5.31) holds (Result 11). Largest defect of the form in one step, |Δt Ω| = .05, over four random metrics:
+(5.31) holds (Result 11). Over four random metrics each: the largest
+relative energy error (1000 steps of .1 where Ad_q is bounded; else 100 of .05, over max(1, ‖Ad_q‖²)), and the largest
+defect of the form in one step of |Δt Ω| = .05, in the basis of the group. `lieint check groups` prints it for all:
 
-| group | exponential | cayley | arcsine |
-|---|---|---|---|
+| group | energy | form, exponential | cayley | arcsine |
+|---|---|---|---|---|
+| SO(3) | 8.6e-15 | 4.8e-05 | 7.2e-05 | 2.7e-15 |
+| SO(4) | 2.2e-14 | 3.0e-05 | 2.6e-05 | — |
+| SU(2) | 2.0e-14 | 4.8e-05 | 5.4e-05 | 6.7e-16 |
+| SE(2) | 1.8e-16 | 8.9e-05 | 1.3e-04 | 8.9e-16 |
+| SE(3) | 6.8e-17 | 3.6e-05 | 4.9e-05 | 2.5e-05 |
+| SL(2) | 2.5e-16 | 3.2e-03 | 3.6e-03 | 7.1e-15 |
+| SL(3) | 1.1e-17 | 1.3e-03 | — | — |
+| Sp(4) | 7.7e-18 | 3.5e-04 | 3.7e-04 | — |
+| Aff(1) | 1.8e-15 | 1.7e-04 | 2.6e-04 | 8.9e-16 |
 """
 
 from __future__ import annotations
@@ -113,7 +124,8 @@ def measure(group: MatrixGroup, tau: Map, metrics: int = 4) -> Kept:
     stacked = [jax.tree.map(lambda *x: jnp.stack(x), *trees) for trees in (systems, states)]
     energy, growth, momentum, form, converged = jax.vmap(partial(_kept, tau, dt, steps))(*stacked)
     scale = 1.0 if bounded(group) else np.maximum(1, np.asarray(growth) ** 2)
-    return Kept(*(float(np.max(x)) for x in (energy / scale, momentum, form)), bool(np.all(converged)))
+    energy, momentum, form = (float(np.max(x)) for x in (energy / scale, momentum, form))
+    return Kept(energy, momentum, form, bool(np.all(converged)))
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=_QUICK)

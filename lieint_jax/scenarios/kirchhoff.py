@@ -55,7 +55,8 @@ class Scenario(Common):
 
 def build(scenario: Scenario) -> tuple[Step, State]:
     """The step and the batch of initial states, the nominal one first."""
-    body = kirchhoff(tuple(scenario.semi_axes), scenario.center_of_mass)
+    a, b, c = scenario.semi_axes
+    body = kirchhoff((a, b, c), scenario.center_of_mass)
     step: Step = schemes.group_midpoint(body, getattr(maps, scenario.map))
     if scenario.order > 2:
         step = schemes.compose(step, scenario.order)
@@ -67,7 +68,8 @@ def build(scenario: Scenario) -> tuple[Step, State]:
 
 def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
     """The body in the fluid; what is conserved, worst of all members; how it moves."""
-    m, axes = np.diag(np.asarray(kirchhoff(tuple(scenario.semi_axes)).metric)), np.array(scenario.semi_axes)
+    a, b, c = scenario.semi_axes
+    m, axes = np.diag(np.asarray(kirchhoff((a, b, c)).metric)), np.array([a, b, c])
     solid = (np.sum(axes**2) - axes**2) / 5
     lines = [f"\n  {'in the axes of the ellipsoid':<34}" + "".join(f"{a:>10g}" for a in axes)]
     for name, values in {"added mass ÷ displaced": m[3:] - 1, "added inertia ÷ displaced": m[:3] / solid - 1}.items():
@@ -182,7 +184,7 @@ def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     return fig
 
 
-def _each(function: Any) -> np.ndarray | Any:
+def _each(function: Any) -> Any:
     mapped = jax.jit(jax.vmap(jax.vmap(function)))
     return lambda states: np.asarray(mapped(states))
 

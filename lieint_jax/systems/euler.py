@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -70,7 +72,8 @@ class Euler:
     def casimirs(self, state: State) -> Array:
         """The Casimirs of body momentum that are known (`group.casimirs`), (k,): constant along every motion."""
         Pi = self.body_momentum(state)
-        return self.group.casimirs(Pi) if hasattr(self.group, "casimirs") else jnp.zeros(0, Pi.dtype)
+        known: Any = getattr(self.group, "casimirs", None)
+        return known(Pi) if known else jnp.zeros(0, Pi.dtype)
 
     def vector_field(self, state: State) -> State:
         """(q̇, π̇) = (qΩ̂, 0) (5.14)."""
