@@ -7,11 +7,7 @@ them: `custom_root` differentiates the equation at its root, forward or reverse,
 from __future__ import annotations
 
 from collections.abc import Callable
-<<<<<<< HEAD
 from typing import Any, TypeVar
-=======
-from typing import Any
->>>>>>> h4
 
 import jax
 import jax.numpy as jnp
@@ -19,11 +15,7 @@ from jax import Array, lax
 
 from lieint_jax import dense, small
 
-<<<<<<< HEAD
 _Unknown = TypeVar("_Unknown")  # an array, or a tuple or list of its components
-=======
-Vector = Any  # an array, or a list of scalars
->>>>>>> h4
 
 
 def root(
@@ -71,7 +63,6 @@ def root(
 
 
 def chords(
-<<<<<<< HEAD
     residual: Callable[[_Unknown], _Unknown],
     factored: Callable[[_Unknown, _Unknown], dense.Factored],
     size: Callable[[_Unknown], Array],
@@ -79,15 +70,6 @@ def chords(
     iterations: int,
     uses: int = 3,
 ) -> tuple[_Unknown, tuple[_Unknown, Array]]:
-=======
-    residual: Callable[[Vector], Vector],
-    factored: Callable[[Vector, Vector], dense.Factored],
-    size: Callable[[Vector], Array],
-    guess: Vector,
-    iterations: int,
-    uses: int = 3,
-) -> tuple[Vector, tuple[Vector, Array]]:
->>>>>>> h4
     """The root of `residual` near `guess`, each matrix of Newton's method being used several times (Shamanskii 1967).
 
     The order is uses + 1. It ends as soon as one more use would leave a residual below round-off, going by how the last
@@ -95,11 +77,7 @@ def chords(
     batch decides; a member that is done does not move any more.
 
     Args:
-<<<<<<< HEAD
         residual: F(x), as of `root`.
-=======
-        residual: F(x), of the kind of x: an array (d,), or a list of scalars, which need not be stacked over a batch.
->>>>>>> h4
         factored: (x, F(x)) ↦ F'(x), factored.
         size: F ↦ its size, in units in which a root is exact to 1.
         guess: where to start.
@@ -111,19 +89,11 @@ def chords(
         corrections shrink: |1 − K⁻¹F'| < 1. Derivatives of x are exact at a root; the others carry none.
     """
 
-<<<<<<< HEAD
     def solve(function: Callable[[_Unknown], _Unknown], x: _Unknown) -> tuple[_Unknown, tuple[_Unknown, Array]]:
         zero = 0 * jax.tree.leaves(x)[0].ravel()[0]
         eps = float(jnp.finfo(zero.dtype).eps)
 
         def one(carry: tuple[_Unknown, Array, Array, Array]) -> tuple[_Unknown, Array, Array, Array]:
-=======
-    def solve(function: Callable[[Vector], Vector], x: Vector) -> tuple[Vector, tuple[Vector, Array]]:
-        zero = 0 * jax.tree.leaves(x)[0].ravel()[0]
-        eps = float(jnp.finfo(zero.dtype).eps)
-
-        def one(carry: tuple[Vector, Array, Array, Array]) -> tuple[Vector, Array, Array, Array]:
->>>>>>> h4
             x, k, *_ = carry
             F = function(x)
             K = factored(x, F)
@@ -157,20 +127,12 @@ def _until(
     return lax.while_loop(lambda carry: (carry[1] < most) & ~carry[2], one, start)[0]
 
 
-<<<<<<< HEAD
 def _tangent_solve(linear: Callable[[Any], Any], y: Any) -> Any:
     """x with linear(x) = y. `custom_root` gives the derivative of the residual as a function, not as a matrix."""
     if isinstance(y, tuple | list):
         kind = type(y)
         x = _tangent_solve(lambda v: jnp.stack(linear(kind(small.components(v)))), jnp.stack(y))
         return kind(small.components(x))
-=======
-def _tangent_solve(linear: Callable[[Vector], Vector], y: Vector) -> Vector:
-    """x with linear(x) = y. `custom_root` gives the derivative of the residual as a function, not as a matrix."""
-    if isinstance(y, list):
-        x = _tangent_solve(lambda v: jnp.stack(linear([v[i] for i in range(len(y))])), jnp.stack(y))
-        return [x[i] for i in range(len(y))]
->>>>>>> h4
     if y.ndim == 0:
         return y / linear(jnp.ones_like(y))
     if y.shape[0] == 3:

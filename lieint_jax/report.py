@@ -67,7 +67,6 @@ def run(
     print(f"\nwritten: {out} (t, q, p, residual, converged, metadata; {_megabytes(out)}){drawn}")
 
 
-<<<<<<< HEAD
 def info(path: Path) -> None:
     """Print what a file of results holds."""
     print(_contents(path))
@@ -161,8 +160,6 @@ def _kept(step: Step, run: Trajectory) -> str:
     )
 
 
-=======
->>>>>>> h4
 def check(system: str, scheme: str, num_steps: int | None) -> None:
     """Print the certificate of every example of every system with every scheme that takes it, or those of a group."""
     if system == "groups":
