@@ -176,6 +176,7 @@ FORMULAS += [pytest.param(*pair, marks=pytest.mark.slow) for pair in LARGER]
 formulas = pytest.mark.parametrize(("name", "tau"), FORMULAS)
 
 
+@pytest.mark.long
 @formulas
 def test_5_25_5_26_energy_condition(name, tau):
     m, dt, d, o = one_step(name, tau)
@@ -238,6 +239,7 @@ def test_6_31_6_32_are_why(name, tau):
         assert (np.abs(skew(inside) - carried).max() < 1e-12 * scale) == (sign == -1)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "tau"), [("SE(2)", "cayley"), ("SL(2)", "arcsine")])
 def test_5_34_5_35_5_36_the_recursion_is_the_product(name, tau):
@@ -361,6 +363,7 @@ def test_maps_that_do_not_fit_are_refused():
         group_midpoint(li.systems.rigid_body([1.0, 2, 3]))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "holds"),
     [("SL(2)", True), ("SE(2)", True), ("Heis(3)", True), ("Bianchi V", True), ("SE(3)", False), ("R^3", True)],
@@ -419,6 +422,7 @@ def test_past_its_range_a_step_says_so():
     assert np.abs(after.q - rest.q).max() == 0
 
 
+@pytest.mark.long
 def test_derivatives_forward_reverse_and_finite_differences():
     g = light("SE(2)")
 

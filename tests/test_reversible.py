@@ -77,6 +77,7 @@ def agree(name):
     assert abs(difference - forward) <= 1e-7 * scale
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", FEW)
 def test_three_derivatives_agree(name):
     agree(name)
@@ -133,6 +134,7 @@ def observed(step, state, dt, times, **options):
     return studies.observe(step, state, dt, times, **options)[0]
 
 
+@pytest.mark.long
 def test_observations_at_any_times():
     """The exact flow takes whole and shorter steps alike, so any times must be met to round-off, in any order."""
     exact = li.schemes.exact(BODY)

@@ -92,7 +92,11 @@ def test_every_module_has_examples_and_is_exported(package):
 once = jax.jit(lambda step, state, dt: step(state, dt))
 
 
-@pytest.mark.parametrize(("name", "step", "state", "dt"), list(steps()), ids=[s[0] for s in steps()])
+LARGE = ("euler.manakov", "group_potential.bottom_heavy")  # groups whose steps compile for ten seconds and more
+GRID = [pytest.param(*s, id=s[0], marks=[pytest.mark.long] * s[0].startswith(LARGE)) for s in steps()]
+
+
+@pytest.mark.parametrize(("name", "step", "state", "dt"), GRID)
 def test_the_grid_of_systems_and_schemes_runs(name, step, state, dt):
     """The contract of every step: a pytree with its system as a child, a flag, and an order and symmetry stated."""
     assert isinstance(step, Step)
