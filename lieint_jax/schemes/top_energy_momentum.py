@@ -145,7 +145,7 @@ def top_energy_momentum(
     Args:
         system: `systems.heavy_top(...)` or `systems.potential_top(...)` with an axis.
         kappa: κ as of `so3_midpoint`.
-        iterations: Newton corrections a step; by default 3 for a linear Ṽ and κ = 1, 4 for a linear Ṽ and any other κ,
+        iterations: Newton corrections a step; by default 3 for a linear Ṽ and κ = 1, 5 for a linear Ṽ and any other κ,
             6 for any other Ṽ. With κ = 1, J = (1, 2, 2.5) and Δt²|E| = .008, 3 reach round-off for |Δt Ω| ≤ .3, 4 for
             ≤ .8. A step that fell short says `converged=False`.
 
@@ -163,7 +163,7 @@ def top_energy_momentum(
         )
     kappa = as_kappa(kappa)
     if iterations is None:
-        iterations = (3 if kappa.constant else 4) if _is_linear(system.potential) else 6
+        iterations = (3 if kappa.constant else 5) if _is_linear(system.potential) else 6
     return TopEnergyMomentum(system, kappa, checks.count("iterations", iterations, 1))
 
 
