@@ -20,17 +20,15 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).parent
+import command
+
 PARTS = ("sizes", "systems", "peers", "threads", "roofline")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="small sizes, about a minute")
-    parser.add_argument("--out", type=Path, default=HERE / "results", metavar="DIR", help="where the results go")
+    parser = command.parser(__doc__)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART")
     parser.add_argument("--part", choices=PARTS, help=argparse.SUPPRESS)  # how the processes are called
     parser.add_argument("--all-cores", action="store_true", help=argparse.SUPPRESS)
@@ -38,7 +36,7 @@ def main() -> None:
     cores = sorted(os.sched_getaffinity(0))
     if options.part:
         if not options.all_cores:
-            os.sched_setaffinity(0, cores[-1:])  # before jax makes its threads
+            command.pin()  # before jax makes its threads
         print(json.dumps(PART[options.part](options.quick, len(cores))))
         return
     found: dict[str, Any] = {}

@@ -57,13 +57,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-HERE = Path(__file__).parent
+import command
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="small sizes, under a minute")
-    parser.add_argument("--out", type=Path, default=HERE / "results", metavar="DIR", help="where the results go")
+    parser = command.parser(__doc__)
     parser.add_argument("--all-cores", metavar="CORES", help=argparse.SUPPRESS)  # how the second process is called
     options = parser.parse_args()
     if options.all_cores:
@@ -75,7 +73,7 @@ def main() -> None:
 def on_one_core(quick: bool, out: Path) -> None:
     """Measure everything, print it, write the tables as .md and .json."""
     cores = sorted(os.sched_getaffinity(0))
-    os.sched_setaffinity(0, cores[-1:])  # before jax makes its threads
+    command.pin()  # before jax makes its threads
     import measure
     import report
 

@@ -11,26 +11,20 @@ run forward.
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).parent
+import command
+
 DT = 0.01
 SLOWEST, LARGEST = 8.0, 2.0  # bars: times the forward run; MiB of temporaries
 OURS, FORWARD = "reversible", "forward run"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="small sizes")
-    parser.add_argument("--out", type=Path, default=HERE / "results", metavar="DIR", help="where the results go")
-    options = parser.parse_args()
-    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-1:])  # before jax makes its threads
+    options = command.on_one_core(__doc__)
     bodies, steps, rounds = (100, 500, 2) if options.quick else (1000, 10_000, 3)
     rows = measure(bodies, steps, rounds)
     table = render(rows, bodies, steps)

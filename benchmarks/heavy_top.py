@@ -12,19 +12,13 @@ vectors" are `ensemble.compiler_options()`.
 
 from __future__ import annotations
 
-import argparse
 import os
-from pathlib import Path
 
-HERE = Path(__file__).parent
+import command
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="small sizes, few points")
-    parser.add_argument("--out", type=Path, default=HERE / "results", metavar="DIR", help="where the results go")
-    options = parser.parse_args()
-    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-1:])  # before jax makes its threads
+    options = command.on_one_core(__doc__)
     import measure
     import precision
     import tops

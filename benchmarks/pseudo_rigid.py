@@ -12,7 +12,6 @@ the table. Compilations are shared by tolerances: the second of these rows shows
 
 from __future__ import annotations
 
-import argparse
 import ctypes
 import json
 import os
@@ -23,6 +22,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import command
 import numpy as np
 
 HERE = Path(__file__).parent
@@ -56,11 +56,7 @@ def bodies(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="small sizes")
-    parser.add_argument("--out", type=Path, default=HERE / "results", metavar="DIR", help="where the results go")
-    options = parser.parse_args()
-    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-1:])  # before jax makes its threads
+    options = command.on_one_core(__doc__)
     import jax
 
     jax.config.update("jax_enable_x64", True)

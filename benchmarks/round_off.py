@@ -12,14 +12,13 @@ Rates are of 1024 bodies, timed in turn in one process on one core.
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).parent
+import command
 
 
 def main() -> None:
@@ -27,9 +26,9 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=10_000_000, metavar="N")
     parser.add_argument("--only", nargs="*", metavar="NAME")
     parser.add_argument("--name", default="round_off", help="of the files written")
-    parser.add_argument("--out", type=Path, default=HERE / "results", metavar="DIR")
+    parser.add_argument("--out", type=Path, default=command.RESULTS, metavar="DIR")
     options = parser.parse_args()
-    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-1:])  # before jax makes its threads
+    command.pin()  # before jax makes its threads
     import measure
     import report
 

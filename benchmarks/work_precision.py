@@ -11,19 +11,13 @@ within 1e-14 rad of it at t = 10 and within 7e-13 at t = 1000.
 
 from __future__ import annotations
 
-import argparse
 import os
-from pathlib import Path
 
-HERE = Path(__file__).parent
+import command
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="few points, under a minute")
-    parser.add_argument("--out", type=Path, default=HERE / "results", metavar="DIR", help="where the results go")
-    options = parser.parse_args()
-    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-1:])  # before jax makes its threads
+    options = command.on_one_core(__doc__)
     import precision
     import precision_report
 
