@@ -138,7 +138,7 @@ def group_energy_momentum(system: Mechanical, iterations: int = 6) -> GroupEnerg
     Raises:
         ValueError: the system has no group, metric or potential; bad iterations.
     """
-    if not all(hasattr(system, name) for name in ("group", "metric", "potential", "body_force")):
+    if not _is_mechanical(system):
         raise ValueError(
             f"group_energy_momentum integrates systems.group_potential(...), got {type(system).__name__}; without a "
             "potential take group_midpoint"
@@ -149,7 +149,12 @@ def group_energy_momentum(system: Mechanical, iterations: int = 6) -> GroupEnerg
 
 def examples(system: Any) -> dict[str, Step]:
     """The scheme, for systems with a potential on a group."""
-    if not all(hasattr(system, name) for name in ("group", "metric", "potential", "body_force")):
+    if not _is_mechanical(system):
         return {}
     step = group_energy_momentum(system)
     return {step.name: step}
+
+
+def _is_mechanical(system: Any) -> bool:
+    """Whether `system` has a group, a metric and a potential with its force in the body."""
+    return all(hasattr(system, name) for name in ("group", "metric", "potential", "body_force"))

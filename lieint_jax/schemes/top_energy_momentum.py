@@ -81,24 +81,27 @@ class TopEnergyMomentum(Step):
         a = scale(0.5 * r * dt, so3.Ad_star(state.q, state.p))
         Gamma = small.components(so3.Ad_star(state.q, self.system.axis))
 
+        def turn(y: Vector) -> tuple[Array, Vector]:
+            """κ and h."""
+            k = kappa(4 * dot(y, y))
+            return k, scale(k, y)
+
         def gradient(h: Vector) -> Array:
             return discrete_gradient(potential, jnp.stack(Gamma), jnp.stack(_turned(h, Gamma)))
 
         def residual(y: Vector) -> Vector:
-            k = kappa(4 * dot(y, y))
-            h = scale(k, y)
+            k, h = turn(y)
             w = _moment(h, Gamma, scale(k, scale(s, gradient(h))))
             balance = subtract(subtract(gyration(kappa, J, y), a), w)
             return add(scale(1 + dot(h, h), balance), scale(dot(h, w), h))
 
         def correction(y: Vector, f: Vector) -> Vector:
-            h = scale(kappa(4 * dot(y, y)), y)
+            _, h = turn(y)
             return small.solve(matrix(y), f, 1 + dot(h, h))
 
         def matrix(y: Vector) -> small.Matrix:
             """∂/∂y over 1 + |h|², but for κ′ in the moment and O(Δt⁴): the last two terms are those of (h·w) h."""
-            k, K = kappa(4 * dot(y, y)), gyration_matrix(kappa, J, y)
-            h = scale(k, y)
+            (k, h), K = turn(y), gyration_matrix(kappa, J, y)
             D = scale(k * k, scale(s, gradient(h)))
             w = _moment(h, Gamma, D)
             d = dot(Gamma, D) - dot(h, w)
@@ -114,7 +117,7 @@ class TopEnergyMomentum(Step):
         at_rest = scale(s, cross(Gamma, gradient(jnp.zeros_like(state.p))))
         guess = add(u, small.solve_symmetric(J, add(cross(a, u), at_rest)))
         y, f = newton.root(residual, correction, guess, self.iterations, unroll=_is_linear(potential))
-        D, at = gradient(scale(kappa(4 * dot(y, y)), y)), lax.stop_gradient(y)
+        D, at = gradient(turn(y)[1]), lax.stop_gradient(y)
         size = lax.stop_gradient(small.max_abs(a) + s * _size(potential, Gamma, D, y))
         f = lax.stop_gradient(jnp.sqrt(dot(f, f)))
         converged = (f <= 32 * jnp.finfo(f.dtype).eps * size) & on_branch(kappa, at, matrix(at))

@@ -34,14 +34,17 @@ def repeat(count: Any, function: Callable[[Any], Any], carry: Any) -> Any:
     A function that would be thousands of scalar operations is left whole: it would take long to compile.
     """
     leaves, structure = jax.tree.flatten(carry)
+    ends = np.cumsum([leaf.size for leaf in leaves])
 
-    def flat(scalars: list[Array]) -> list[Array]:
-        ends = np.cumsum([leaf.size for leaf in leaves])
+    def joined(scalars: list[Array]) -> Any:
         arrays = [
             jnp.stack(scalars[end - leaf.size : end]).reshape(leaf.shape) if leaf.size else leaf
             for end, leaf in zip(ends, leaves, strict=True)
         ]
-        after = jax.tree.leaves(function(jax.tree.unflatten(structure, arrays)))
+        return jax.tree.unflatten(structure, arrays)
+
+    def flat(scalars: list[Array]) -> list[Array]:
+        after = jax.tree.leaves(function(joined(scalars)))
         return [leaf.ravel()[k] for leaf in after for k in range(leaf.size)]
 
     scalars = [leaf.ravel()[k] for leaf in leaves for k in range(leaf.size)]
@@ -53,15 +56,7 @@ def repeat(count: Any, function: Callable[[Any], Any], carry: Any) -> Any:
     def one(_: Array, scalars: list[Array]) -> list[Array]:
         return [_whole(x) for x in _evaluate(closed.jaxpr, consts, [_apart(x) for x in scalars])]
 
-    after = lax.fori_loop(0, count, one, scalars)
-    ends = np.cumsum([leaf.size for leaf in leaves])
-    return jax.tree.unflatten(
-        structure,
-        [
-            jnp.stack(after[end - leaf.size : end]).reshape(leaf.shape) if leaf.size else leaf
-            for end, leaf in zip(ends, leaves, strict=True)
-        ],
-    )
+    return joined(lax.fori_loop(0, count, one, scalars))
 
 
 def _length(jaxpr: Jaxpr) -> int:
