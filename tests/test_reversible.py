@@ -115,6 +115,16 @@ def test_batches_of_states_and_of_parameters():
     np.testing.assert_allclose(both, jnp.stack(alone), rtol=1e-12)
 
 
+def test_functions_of_a_step_may_close_over_what_is_differentiated():
+    def bent(c, run):
+        step = li.schemes.so3_midpoint(BODY, lambda x: 1 + c * x)
+        return run(step, STATE, 0.5, 8).state.q[-1, 0]
+
+    slopes = [jax.jit(jax.grad(lambda c, run=run: bent(c, run)))(0.3) for run in (studies.reversible, li.integrate)]
+    assert slopes[0] == pytest.approx(float(slopes[1]), rel=1e-12)
+    assert abs(slopes[0]) > 1e-6
+
+
 def test_members_are_split_over_devices():
     """One device here; `benchmarks/gradients.py` and the command below take two."""
     states = jax.vmap(lambda w: BODY.state(angular_velocity=w))(jnp.eye(3))

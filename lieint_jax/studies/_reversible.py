@@ -29,6 +29,7 @@ from lieint_jax.studies._components import repeat
 from lieint_jax.types import State, Step, StepInfo, Trajectory, concrete
 
 Derivative = Literal["reversible", "checkpoint"]
+Advance = Callable[[State], tuple[State, StepInfo]]
 _LEVELS = 3  # of nested checkpoints: some 3 N^(1/3) states of N are kept
 
 
@@ -75,7 +76,7 @@ def reversible(
     if derivative == "checkpoint":
         later = _checkpointed(prepared, state, h, [interval] * num_saves)
     else:
-        later = _march(prepared, state, h, np.full(num_saves, interval, np.int32), _tolerance(tolerance, state))
+        later = _undoable(prepared, state, h, np.full(num_saves, interval, np.int32), tolerance)
     first = (state, StepInfo.fresh(state.p))
     joined = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
     return Trajectory(h * interval * jnp.arange(num_saves + 1, dtype=h.dtype), *joined)
@@ -126,7 +127,7 @@ def observe(
             raise ValueError('derivative="checkpoint" needs concrete times and dt: the number of steps is compiled in')
         later, info = _checkpointed(prepared, state, h, counts.tolist())
     else:
-        later, info = _march(prepared, state, h, counts, _tolerance(tolerance, state))
+        later, info = _undoable(prepared, state, h, counts, tolerance)
     back = xp.argsort(order)
     later, info = jax.tree.map(lambda leaf: leaf[back], (later, info))
     seen, last = jax.vmap(step)(later, t - h * whole)  # `step` as it was given: prepared for no step size
@@ -142,8 +143,9 @@ def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) ->
     """
     step, state, h = _ready(step, state, dt, "reversible")
     prepared = step.prepare(state, h)
-    end = _steps(prepared, state, h, checks.count("num_steps", num_steps, 0))[0]
-    return distance(_steps(prepared, end, -h, num_steps)[0], state)
+    num_steps = checks.count("num_steps", num_steps, 0)
+    end = _steps(lambda z: prepared(z, h), state, num_steps)[0]
+    return distance(_steps(lambda z: prepared(z, -h), end, num_steps)[0], state)
 
 
 def _ready(step: Step, state: State, dt: ArrayLike, derivative: str) -> tuple[Step, State, Array]:
@@ -162,48 +164,64 @@ def _ready(step: Step, state: State, dt: ArrayLike, derivative: str) -> tuple[St
     return step, state, jnp.asarray(checks.step_size(dt), dtype)
 
 
-def _tolerance(tolerance: float | None, state: State) -> float:
-    return math.sqrt(jnp.finfo(state.p.dtype).eps) if tolerance is None else float(tolerance)
+def _undoable(step: Step, state: State, dt: Array, counts: Any, tolerance: float | None) -> tuple[State, StepInfo]:
+    """`_marched`, differentiated by undoing its steps; in what the functions of the step close over, too."""
+    advance, closed = jax.closure_convert(lambda step, z, dt: step(z, dt), step, state, dt)
+    tolerance = math.sqrt(jnp.finfo(state.p.dtype).eps) if tolerance is None else float(tolerance)
+    return _march(advance, tolerance, (step, closed), state, dt, counts)
 
 
-def _steps(step: Step, state: State, dt: Array, count: Any) -> tuple[State, StepInfo]:
+def _steps(advance: Advance, state: State, count: Any) -> tuple[State, StepInfo]:
     """So many steps, with the worst of their reports."""
 
     def one(_: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:
         state, so_far = carry
-        state, info = step(state, dt)
+        state, info = advance(state)
         return state, so_far.worse(info)
 
     return lax.fori_loop(0, count, one, (state, StepInfo.fresh(state.p)))
 
 
-def _marched(step: Step, state: State, dt: Array, counts: Any, tolerance: float) -> tuple[State, StepInfo]:
-    """The states after counts[0], counts[0] + counts[1], … steps, and the reports in between."""
+def _marched(
+    advance: Callable[..., Any], tolerance: float, held: Any, state: State, dt: Array, counts: Any
+) -> tuple[State, StepInfo]:
+    """The states after counts[0], counts[0] + counts[1], … steps, and the reports in between.
+
+    A step is advance(step, z, Δt, *closed), and `held` is (step, closed): all that it depends on.
+    """
+    step, closed = held
 
     def interval(state: State, count: Array) -> tuple[State, tuple[State, StepInfo]]:
-        state, info = _steps(step, state, dt, count)
+        state, info = _steps(lambda z: advance(step, z, dt, *closed), state, count)
         return state, (state, info)
 
     return lax.scan(interval, state, jnp.asarray(counts))[1]
 
 
-_march: Any = jax.custom_vjp(_marched, nondiff_argnums=(4,))
+_march: Any = jax.custom_vjp(_marched, nondiff_argnums=(0, 1))
 
 
-def _march_forward(step: Step, state: State, dt: Array, counts: Any, tolerance: float) -> Any:
-    later, info = _march(step, state, dt, counts, tolerance)
-    return (later, info), (step, state, dt, counts, later)
+def _march_forward(
+    advance: Callable[..., Any], tolerance: float, held: Any, state: State, dt: Array, counts: Any
+) -> Any:
+    later, info = _march(advance, tolerance, held, state, dt, counts)
+    return (later, info), (held, state, dt, counts, later)
 
 
-def _march_back(tolerance: float, kept: Any, cotangents: tuple[State, Any]) -> tuple[Any, ...]:
-    step, state, dt, counts, later = kept
-    smooth, rebuild = _smooth_leaves(step)
+def _march_back(
+    advance: Callable[..., Any], tolerance: float, kept: Any, cotangents: tuple[State, Any]
+) -> tuple[Any, ...]:
+    held, state, dt, counts, later = kept
+    smooth = _smooth(held)
+
+    def go(leaves: Any, z: State, dt: Array) -> State:
+        step, closed = _filled(held, leaves)
+        return advance(step, z, dt, *closed)[0]
 
     def undo(carry: Any) -> Any:
         z, lam, sums = carry
-        z = step(z, -dt)[0]
-        _, pull = jax.vjp(lambda leaves, z, dt: rebuild(leaves)(z, dt)[0], smooth, z, dt)
-        leaves, lam, h = pull(lam)
+        z = go(smooth, z, -dt)
+        leaves, lam, h = jax.vjp(go, smooth, z, dt)[1](lam)
         return z, lam, jax.tree.map(jnp.add, sums, (leaves, h))
 
     def interval(carry: Any, saved: tuple[State, State, State, Array]) -> tuple[Any, Array]:
@@ -218,36 +236,25 @@ def _march_back(tolerance: float, kept: Any, cotangents: tuple[State, Any]) -> t
         interval, zero, (starts, later, cotangents[0], jnp.asarray(counts)), reverse=True
     )
     h = h + _watched(jnp.max(errors, initial=0), tolerance)
-    return _as_cotangent(step, leaves), lam, h, np.zeros(np.shape(counts), jax.dtypes.float0)
+    return _cotangent(held, leaves), lam, h, np.zeros(np.shape(counts), jax.dtypes.float0)
 
 
 _march.defvjp(_march_forward, _march_back)
 
 
-def _smooth_leaves(step: Step) -> tuple[list[Array], Callable[[list[Array]], Step]]:
-    """The leaves of a step that are real numbers, and how to put others in their place."""
-    leaves, structure = jax.tree.flatten(step)
-    where = [k for k, leaf in enumerate(leaves) if jnp.issubdtype(jnp.result_type(leaf), jnp.floating)]
-
-    def rebuild(smooth: list[Array]) -> Step:
-        filled = list(leaves)
-        for k, leaf in zip(where, smooth, strict=True):
-            filled[k] = leaf
-        return jax.tree.unflatten(structure, filled)
-
-    return [jnp.asarray(leaves[k]) for k in where], rebuild
+def _smooth(tree: Any) -> Any:
+    """The leaves of a tree that are real numbers, None in place of the others."""
+    return jax.tree.map(lambda x: jnp.asarray(x) if jnp.issubdtype(jnp.result_type(x), jnp.floating) else None, tree)
 
 
-def _as_cotangent(step: Step, smooth: list[Array]) -> Any:
-    """Cotangents of a step from those of its real leaves; whole numbers and truth values have none."""
-    leaves, structure = jax.tree.flatten(step)
-    given = iter(smooth)
-    real = [jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for leaf in leaves]
-    filled = [
-        next(given) if yes else np.zeros(np.shape(leaf), jax.dtypes.float0)
-        for yes, leaf in zip(real, leaves, strict=True)
-    ]
-    return jax.tree.unflatten(structure, filled)
+def _filled(tree: Any, smooth: Any) -> Any:
+    """A tree with other real leaves."""
+    return jax.tree.map(lambda x, new: x if new is None else new, tree, smooth)
+
+
+def _cotangent(tree: Any, smooth: Any) -> Any:
+    """Cotangents of a tree from those of its real leaves; whole numbers and truth values have none."""
+    return jax.tree.map(lambda x, c: np.zeros(np.shape(x), jax.dtypes.float0) if c is None else c, tree, smooth)
 
 
 def _watched(error: Array, tolerance: float) -> Array:
