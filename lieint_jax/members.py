@@ -161,7 +161,7 @@ def layout_of(mesh: Mesh, members: int, chunk: int | None = None) -> Layout:
     """How so many members lie on a mesh; with a `chunk`, each process holds a whole number of chunks of members."""
     if members == 1:
         return Layout(mesh, 1, 1, 1)
-    processes = _processes(mesh)
+    processes = count_processes(mesh)
     on_cpu = mesh.devices.flat[0].platform == "cpu"
     if chunk is None or processes == 1:
         each = -(-members // mesh.size)
@@ -226,7 +226,7 @@ def fetch(layout: Layout, trees: Sequence[Any], axis: int = 0) -> Any:
 
 def _fetch(layout: Layout, pieces: Sequence[Array], axis: int) -> np.ndarray:
     mine = own(layout, pieces, axis)
-    if _processes(layout.mesh) == 1:
+    if count_processes(layout.mesh) == 1:
         return mine
     mine, devices = np.moveaxis(mine, axis, 0), len(layout.here)
     mine = np.concatenate([mine, np.zeros((devices * layout.each - len(mine), *mine.shape[1:]), mine.dtype)])
@@ -238,7 +238,7 @@ def _gather(mesh: Mesh, mine: np.ndarray) -> np.ndarray:
     """Rows of all processes, one a device, on every process."""
     spread, first = (
         NamedSharding(mesh, PartitionSpec(AXIS)),
-        mesh.devices.size // _processes(mesh) * jax.process_index(),
+        mesh.devices.size // count_processes(mesh) * jax.process_index(),
     )
 
     def part(index: Any) -> np.ndarray:
@@ -253,13 +253,14 @@ def _everywhere(mesh: Mesh) -> Any:
     return jax.jit(lambda x: x, out_shardings=NamedSharding(mesh, PartitionSpec()))
 
 
-def _processes(mesh: Mesh) -> int:
+def count_processes(mesh: Mesh) -> int:
+    """How many processes the devices of a mesh belong to."""
     return len({device.process_index for device in mesh.devices.flat})
 
 
 def everyone(mesh: Mesh, *values: float) -> np.ndarray:
     """Some numbers of each process, (processes, numbers), on every process."""
-    count = _processes(mesh)
+    count = count_processes(mesh)
     if count == 1:
         return np.array([values], float)
     devices = mesh.size // count

@@ -169,15 +169,3 @@ def test_errors():
         studies.fit(residuals, TRUTH, "lbfgs")
     with pytest.raises(ValueError, match="made of Bound"):
         studies.fit(residuals, TRUTH, bounds="positive")
-
-
-def test_over_members_is_vmap():
-    def slope(k, a):
-        return jax.grad(lambda k: jnp.sum(decay({"a": a, "k": k}) ** 2))(k)
-
-    k = jnp.linspace(0.1, 1, 5)
-    np.testing.assert_allclose(studies.over_members(slope, (0, None))(k, 2.0), jax.vmap(slope, (0, None))(k, 2.0))
-    with pytest.raises(ValueError, match="one number of members"):
-        studies.over_members(slope)(k, jnp.ones(4))
-    with pytest.raises(ValueError, match="in_axes"):
-        studies.over_members(slope, (None, None))(k, 2.0)

@@ -125,13 +125,6 @@ def test_functions_of_a_step_may_close_over_what_is_differentiated():
     assert abs(slopes[0]) > 1e-6
 
 
-def test_members_are_split_over_devices():
-    """One device here; `benchmarks/gradients.py` and the command below take two."""
-    states = jax.vmap(lambda w: BODY.state(angular_velocity=w))(jnp.eye(3))
-    slopes = studies.over_members(jax.grad(end), (None, 0, None))(BODY.inertia, states, 0.05)
-    np.testing.assert_allclose(slopes, jax.jit(jax.vmap(jax.grad(end), (None, 0, None)))(BODY.inertia, states, 0.05))
-
-
 def test_memory_does_not_grow_with_the_number_of_steps():
     used = [
         jax.jit(jax.grad(lambda J, n=n: end(J, STATE, 0.05, n))).lower(BODY.inertia).compile().memory_analysis()
@@ -183,6 +176,7 @@ def test_derivatives_of_observations_in_everything():
     assert (slope[0] - 8 * slope[1] + 8 * slope[2] - slope[3]) / 12 / h == pytest.approx(float(reverse[3][0]), rel=1e-7)
 
 
+@pytest.mark.long
 def test_round_trips_are_measured_and_lost_digits_draw_a_warning():
     """A chaotic top comes back less and less; a gradient over that time says so, unless states are saved in between."""
     step, state, dt = GRID["heavy_top.asymmetric_top-splitting[so3_midpoint[symplectic]]"]
@@ -191,14 +185,18 @@ def test_round_trips_are_measured_and_lost_digits_draw_a_warning():
     lost = trip(step, state, dt, 4000)
     assert lost > 1e-9  # the Lyapunov exponent is .12: e^(.12 · 200) = 3e10
 
-    def slope(save_every):
-        return jax.jit(jax.grad(lambda dt: studies.reversible(step, state, dt, 4000, save_every).state.q[-1, 0]))(dt)
+    def slope(save_every, k):
+        def last(dt, p):
+            return studies.reversible(step, State(state.q, p), dt, 4000, save_every).state.q[-1, 0]
 
-    with pytest.warns(RuntimeWarning, match="reversal lost digits"):
-        slope(None).block_until_ready()
+        return jax.jit(jax.grad(last, argnums=k))(jnp.asarray(dt), state.p)
+
+    for k in (0, 1):  # whatever is differentiated
+        with pytest.warns(RuntimeWarning, match="reversal lost digits"):
+            slope(None, k).block_until_ready()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        slope(100).block_until_ready()
+        slope(100, 0).block_until_ready()
 
 
 def test_errors_and_the_way_out():

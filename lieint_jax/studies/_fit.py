@@ -7,16 +7,20 @@ that led there is taken back and shortened, and nothing of it enters the state o
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.custom_batching import sequential_vmap
 from jax.flatten_util import ravel_pytree
+from jax.sharding import Mesh
 
 from lieint_jax import checks
 from lieint_jax.studies._bounds import confine, free, release
+from lieint_jax.studies._members import over_members
 
 RUNNING, FLAT, STILL, TARGET, STUCK, NOWHERE = range(6)
 REASONS = (
@@ -116,6 +120,7 @@ def fit(
     target: float | None = None,
     starts: bool = False,
     data: Any = None,
+    mesh: Mesh | None = None,
     progress: bool = True,
 ) -> Fit:
     """Minimise a loss over parameters.
@@ -133,8 +138,9 @@ def fit(
         tolerance: stop when the gradient, scaled by the curvature or the loss, or ten falls of the loss in a row are
             below this, relative to the loss (Adam and the like go on up to `iterations` unless the loss is flat).
         target: stop when the loss is at most this.
-        starts: whether many starts are fitted at once, vmapped.
+        starts: whether many starts are fitted at once, vmapped, each device taking a share of them.
         data: what else the loss takes: loss(params, data). With `starts`, each start has its own: a leading axis.
+        mesh: devices for many starts, as of `ensemble.run`; None takes all.
         progress: show a progress bar on stderr, if that is a terminal.
 
     Returns:
@@ -174,9 +180,9 @@ def fit(
     def errors(carry: Carry) -> Array:
         return _spread(carry.memory.J, lambda x: confine(bounds, unravel(x)), carry.x)
 
-    spread = jax.vmap if starts else (lambda f: f)
-    carry = jax.jit(spread(begin))(x, data)
-    advance = jax.jit(spread(advance))
+    compiled = partial(over_members, mesh=mesh) if starts else jax.jit
+    carry = compiled(begin)(x, data)
+    advance = compiled(advance)
     if optimizer in _LEAST_SQUARES:
         carry = advance(carry, data)
         carry = carry._replace(made=0 * carry.made)
@@ -189,7 +195,7 @@ def fit(
             history.append(np.asarray(carry.loss))
             bar.update()
             bar.set_postfix_str(f"loss {np.nanmin(history[-1]):.4g}")
-    matrix = np.asarray(jax.jit(spread(errors))(carry)) if optimizer in _LEAST_SQUARES else None
+    matrix = np.asarray(compiled(errors)(carry)) if optimizer in _LEAST_SQUARES else None
     return _result(carry, np.stack(history), lambda x: confine(bounds, unravel(x)), matrix, starts)
 
 
@@ -224,8 +230,27 @@ def covariance(residuals: Callable[..., Any], params: Any) -> Array:
 def _spread(J: Array, inside: Callable[[Array], Any], x: Array) -> Array:
     """D (JᵀJ)⁻¹ Dᵀ, J in the free parameters and D the derivative of the parameters in them."""
     D = jax.jacfwd(lambda x: ravel_pytree(inside(x))[0])(x)
-    half = jax.scipy.linalg.solve_triangular(jnp.linalg.qr(J, mode="r").T, D.T, lower=True)  # R⁻ᵀDᵀ
+    half = _solve_triangular(_triangle(J).T, D.T)  # R⁻ᵀDᵀ
     return half.T @ half
+
+
+# LAPACK calls of one matrix at a time. XLA does those of a batch on the threads that run a CPU's devices, and waits for
+# ever where each core is a device.
+
+
+@sequential_vmap
+def _svd(A: Array) -> tuple[Array, Array, Array]:
+    return jnp.linalg.svd(A, full_matrices=False)
+
+
+@sequential_vmap
+def _triangle(A: Array) -> Array:
+    return jnp.linalg.qr(A, mode="r")
+
+
+@sequential_vmap
+def _solve_triangular(L: Array, b: Array) -> Array:
+    return jax.scipy.linalg.solve_triangular(L, b, lower=True)
 
 
 def _value(outcome: Any) -> tuple[Any, Array]:
@@ -299,7 +324,7 @@ def _least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: 
         D = jnp.sqrt(jnp.sum(J * J, axis=0))
         D = jnp.where(D > 0, D, 1)
         A = jnp.concatenate([J / D, jnp.sqrt(damping) * jnp.eye(D.size, dtype=D.dtype)])  # columns of length 1
-        U, s, Vt = jnp.linalg.svd(A, full_matrices=False)
+        U, s, Vt = _svd(A)
         keep = s > jnp.finfo(s.dtype).eps * A.shape[0] * s[0]
         b = jnp.concatenate([r, jnp.zeros_like(D)])
         delta = -(Vt.T @ jnp.where(keep, (U.T @ b) / jnp.where(keep, s, 1), 0)) / D

@@ -232,10 +232,9 @@ def _march_back(
 
     starts = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest[:-1]]), state, later)
     zero = jax.tree.map(jnp.zeros_like, (state, (smooth, dt)))
-    (lam, (leaves, h)), errors = lax.scan(
-        interval, zero, (starts, later, cotangents[0], jnp.asarray(counts)), reverse=True
-    )
-    h = h + _watched(jnp.max(errors, initial=0), tolerance)
+    found, errors = lax.scan(interval, zero, (starts, later, cotangents[0], jnp.asarray(counts)), reverse=True)
+    none = _watched(jnp.max(errors, initial=0), tolerance)  # part of each result, for whichever is used
+    lam, (leaves, h) = jax.tree.map(lambda x: x + none.astype(x.dtype), found)
     return _cotangent(held, leaves), lam, h, np.zeros(np.shape(counts), jax.dtypes.float0)
 
 
