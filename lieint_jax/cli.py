@@ -157,8 +157,9 @@ def _figure(options: argparse.Namespace) -> None:
 
 
 def _study(options: argparse.Namespace) -> None:
-    from lieint_jax import discover, studies
+    from lieint_jax import discover, ensemble, studies
 
+    ensemble.want_devices(None)
     found = discover.modules(studies)
     if options.name not in found:
         raise ValueError(f"study {options.name!r} is not one of {', '.join(found)}")
