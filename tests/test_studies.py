@@ -39,9 +39,9 @@ def test_toutatis_from_two_fixes():
 
 def test_ratios_of_inertia_keep_the_triangle_inequality():
     x = 3 * jax.random.normal(jax.random.key(1), (50, 2))
-    J = np.sort(np.concatenate([jax.vmap(toutatis.inertia_ratios.inside)(x), np.ones((50, 1))], axis=1))
+    J = np.sort(np.concatenate([jax.vmap(studies.inertia_ratios.inside)(x), np.ones((50, 1))], axis=1))
     assert (J[:, 2] <= (1 + 1e-12) * (J[:, 0] + J[:, 1])).all()
-    back = jax.vmap(lambda x: toutatis.inertia_ratios.free(toutatis.inertia_ratios.inside(x)))(x)
+    back = jax.vmap(lambda x: studies.inertia_ratios.free(studies.inertia_ratios.inside(x)))(x)
     np.testing.assert_allclose(back, x, atol=1e-9)
 
 

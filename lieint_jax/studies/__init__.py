@@ -24,7 +24,7 @@ The studies: `toutatis`, `gyro`, `kappa`, `material`, `sensitivity`, each a modu
 `lieint study NAME`.
 """
 
-from lieint_jax.studies._bounds import Bound, free, inertia, interval, positive, principal_inertia, spd
+from lieint_jax.studies._bounds import Bound, free, inertia, inertia_ratios, interval, positive, principal_inertia, spd
 from lieint_jax.studies._fit import Fit, covariance, fit
 from lieint_jax.studies._members import over_members
 from lieint_jax.studies._reversible import observe, reversible, round_trip_error
@@ -36,6 +36,7 @@ __all__ = [
     "fit",
     "free",
     "inertia",
+    "inertia_ratios",
     "interval",
     "observe",
     "over_members",

@@ -55,6 +55,17 @@ def _to_second_moments(J: Array) -> Array:
     return jnp.log(jnp.sum(J) / 2 - J)
 
 
+def _ratios(x: Array) -> Array:
+    """(J₁/J₃, J₂/J₃), the third second moment being 1."""
+    J = _from_second_moments(jnp.append(x, 0.0))
+    return J[:2] / J[2]
+
+
+def _from_ratios(ratios: Array) -> Array:
+    x = _to_second_moments(jnp.append(ratios, 1.0))
+    return x[:2] - x[2]
+
+
 def _cholesky(x: Array) -> Array:
     """LLᵀ of a lower triangular L whose six entries are x, the diagonal's by their logarithms."""
     L = jnp.diag(jnp.exp(x[:3])) + jnp.zeros((3, 3), x.dtype).at[(1, 2, 2), (0, 0, 1)].set(x[3:])
@@ -79,7 +90,9 @@ def _from_tensor(J: Array) -> Array:
 free = Bound("free", lambda x: x, lambda p: p)
 positive = Bound("positive", jnp.exp, jnp.log)
 spd = Bound("spd", _cholesky, _from_cholesky)  # symmetric positive definite (3, 3)
-principal_inertia = Bound("principal_inertia", _from_second_moments, _to_second_moments)  # (3,), triangle inequality
+principal_inertia_ratios = Bound("inertia_ratios", _ratios, _from_ratios)  # (2,), to the third moment
+inertia = Bound("principal_inertia", _from_second_moments, _to_second_moments)  # (3,), triangle inequality
+inertia_ratios = Bound("inertia_ratios", _ratios, _from_ratios)  # (2,), to the third moment
 inertia = Bound("inertia", _tensor, _from_tensor)  # full (3, 3), positive definite, triangle inequality
 
 

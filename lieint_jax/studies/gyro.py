@@ -19,9 +19,8 @@ from matplotlib.figure import Figure
 
 from lieint_jax import plots, schemes
 from lieint_jax.integrate import integrate
-from lieint_jax.studies._bounds import free
+from lieint_jax.studies._bounds import free, inertia_ratios
 from lieint_jax.studies._fit import Fit, fit
-from lieint_jax.studies.toutatis import inertia_ratios
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State
 

@@ -21,7 +21,7 @@ from lieint_jax import ensemble, plots, scenarios, schemes
 from lieint_jax.groups import so3
 from lieint_jax.integrate import integrate
 from lieint_jax.scenarios.rigid_body import mean_periods
-from lieint_jax.studies._bounds import Bound, free
+from lieint_jax.studies._bounds import free, inertia_ratios
 from lieint_jax.studies._fit import Fit, fit
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State
@@ -34,21 +34,6 @@ _NAMES = (
     "inertia ratio Jy/Jz",
     *(f"body rate {axis} (°/d)" for axis in "xyz"),
 )
-
-
-def _ratios(x: Array) -> Array:
-    """(Jx/Jz, Jy/Jz) of second moments e^x₀, e^x₁, 1: the triangle inequality holds."""
-    a, b, c = jnp.exp(x[0]), jnp.exp(x[1]), jnp.ones(())
-    return jnp.stack([(b + c) / (a + b), (a + c) / (a + b)])
-
-
-def _second_moments(ratios: Array) -> Array:
-    J = jnp.stack([ratios[0], ratios[1], jnp.ones(())])
-    a = jnp.sum(J) / 2 - J
-    return jnp.log(a[:2] / a[2])
-
-
-inertia_ratios = Bound("inertia_ratios", _ratios, _second_moments)
 
 
 class Found(NamedTuple):
@@ -149,7 +134,7 @@ def _periods(params: Any, matrix: np.ndarray, attitude: Array, samples: int) -> 
 
 
 def _exists(ratios: Array) -> bool:
-    return bool(jnp.all(jnp.isfinite(_second_moments(ratios))))
+    return bool(jnp.all(jnp.isfinite(inertia_ratios.free(ratios))))
 
 
 def _track(
