@@ -90,9 +90,8 @@ def _from_tensor(J: Array) -> Array:
 free = Bound("free", lambda x: x, lambda p: p)
 positive = Bound("positive", jnp.exp, jnp.log)
 spd = Bound("spd", _cholesky, _from_cholesky)  # symmetric positive definite (3, 3)
-principal_inertia_ratios = Bound("inertia_ratios", _ratios, _from_ratios)  # (2,), to the third moment
-inertia = Bound("principal_inertia", _from_second_moments, _to_second_moments)  # (3,), triangle inequality
-inertia_ratios = Bound("inertia_ratios", _ratios, _from_ratios)  # (2,), to the third moment
+principal_inertia = Bound("principal_inertia", _from_second_moments, _to_second_moments)  # (3,), triangle inequality
+inertia_ratios = Bound("inertia_ratios", _ratios, _from_ratios)  # (2,), to the third moment; triangle inequality
 inertia = Bound("inertia", _tensor, _from_tensor)  # full (3, 3), positive definite, triangle inequality
 
 
