@@ -40,6 +40,73 @@ def test_least_squares_finds_what_scipy_finds(optimizer):
     assert np.all(np.diff(found.history) <= 0)
 
 
+U = jnp.arange(1.0, 16.0)
+BARD = jnp.array([0.14, 0.18, 0.22, 0.25, 0.29, 0.32, 0.35, 0.39, 0.37, 0.58, 0.73, 0.96, 1.34, 2.1, 4.39])
+MEYER = [34780, 28610, 23650, 19630, 16370, 13720, 11540, 9744, 8261, 7030, 6005, 5147, 4427, 3820, 3307, 2872]
+# Moré, Garbow & Hillstrom 1981, ACM Trans. Math. Softw. 7: residuals, start, least sum of squares.
+PUBLISHED = {
+    "powell_singular": (
+        lambda x: jnp.stack(
+            [x[0] + 10 * x[1], 5**0.5 * (x[2] - x[3]), (x[1] - 2 * x[2]) ** 2, 10**0.5 * (x[0] - x[3]) ** 2]
+        ),
+        [3.0, -1.0, 0.0, 1.0],
+        0.0,
+    ),
+    "freudenstein_roth": (
+        lambda x: jnp.stack(
+            [-13 + x[0] + ((5 - x[1]) * x[1] - 2) * x[1], -29 + x[0] + ((x[1] + 1) * x[1] - 14) * x[1]]
+        ),
+        [0.5, -2.0],
+        48.9842,
+    ),
+    "bard": (
+        lambda x: BARD - x[0] - U / ((16 - U) * x[1] + jnp.minimum(U, 16 - U) * x[2]),
+        [1.0, 1.0, 1.0],
+        8.21487e-3,
+    ),
+    "meyer": (
+        lambda x: x[0] * jnp.exp(x[1] / (45 + 5 * jnp.arange(1.0, 17.0) + x[2])) - jnp.array(MEYER),
+        [0.02, 4000.0, 250.0],
+        87.9458,
+    ),
+    "brown_badly_scaled": (lambda x: jnp.stack([x[0] - 1e6, x[1] - 2e-6, x[0] * x[1] - 2]), [1.0, 1.0], 0.0),
+}
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_levenberg_marquardt_takes_as_many_evaluations_as_minpack(name):
+    from scipy.optimize import least_squares
+
+    function, start, least = PUBLISHED[name]
+    found = studies.fit(function, jnp.array(start), iterations=300)
+    r, J = jax.jit(function), jax.jit(jax.jacfwd(function))
+    theirs = least_squares(
+        lambda x: np.asarray(r(x)), start, jac=lambda x: np.asarray(J(x)), method="lm",
+        x_scale="jac", xtol=1e-10, ftol=1e-10, gtol=1e-10, max_nfev=1000,
+    )  # fmt: skip
+    assert found.success
+    assert 2 * found.loss == pytest.approx(least, rel=1e-5, abs=1e-20)
+    assert found.loss <= theirs.cost + 1e-10 * (1 + theirs.cost)
+    assert found.iterations + 1 <= 1.8 * theirs.nfev  # .75 to 1.7
+
+
+def test_what_the_residuals_do_not_determine_has_an_infinite_variance():
+    found = studies.fit(lambda x: jnp.array([x[0] + x[1] - 3, x[2] - 1, 2 * x[2] - 2]), jnp.zeros(3))
+    assert found.success
+    np.testing.assert_allclose(found.params, [1.5, 1.5, 1], atol=1e-12)  # of all least ones the nearest
+    C = found.covariance
+    np.testing.assert_allclose(np.diagonal(C), [np.inf, np.inf, 0.2])
+    assert np.isnan(C[0, 1])
+    fewer = studies.fit(lambda x: x[:1] - 1, jnp.zeros(2), "gauss_newton")
+    np.testing.assert_allclose(np.diagonal(fewer.covariance), [1, np.inf])
+
+
+def test_a_pair_of_residuals_is_no_value_with_a_flag():
+    found = studies.fit(lambda x: (x - 1, x - 3), jnp.array(0.0))
+    assert float(found.params) == pytest.approx(2)
+    assert not studies.fit(lambda x: (x - 1, x > 5), jnp.array(0.0)).success  # a flag, and it is down
+
+
 def rosenbrock(p):
     return (1 - p[0]) ** 2 + 100 * (p[1] - p[0] ** 2) ** 2
 
