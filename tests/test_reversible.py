@@ -125,12 +125,23 @@ def test_functions_of_a_step_may_close_over_what_is_differentiated():
     assert abs(slopes[0]) > 1e-6
 
 
+def temporaries(make, num_steps):
+    def last(J, states):
+        step = make(li.schemes.so3_midpoint(li.systems.RigidBody(J)))
+        return jnp.sum(jax.vmap(lambda z: studies.reversible(step, z, 0.05, num_steps).state.q[-1, 0])(states))
+
+    states = jax.vmap(lambda w: BODY.state(angular_velocity=w))(jnp.ones((100, 3)))
+    return jax.jit(jax.grad(last)).lower(BODY.inertia, states).compile().memory_analysis().temp_size_in_bytes
+
+
 def test_memory_does_not_grow_with_the_number_of_steps():
-    used = [
-        jax.jit(jax.grad(lambda J, n=n: end(J, STATE, 0.05, n))).lower(BODY.inertia).compile().memory_analysis()
-        for n in (40, 40_000)
-    ]
-    assert used[1].temp_size_in_bytes <= used[0].temp_size_in_bytes + 64
+    assert temporaries(lambda step: step, 40_000) <= temporaries(lambda step: step, 40) + 64
+
+
+@pytest.mark.long
+def test_a_composition_is_undone_in_the_memory_of_its_base_step():
+    """It has 19 sub-steps."""
+    assert temporaries(lambda step: li.schemes.compose(step, 8), 40) <= 1.5 * temporaries(lambda step: step, 40)
 
 
 def observed(step, state, dt, times, **options):

@@ -28,13 +28,15 @@ add_any convert_element_type select_n stop_gradient clamp copy nextafter rem
 _ELEMENTWISE = frozenset(_NAMES.split())
 
 
-def repeat(count: Any, function: Callable[[Any], Any], carry: Any) -> Any:
-    """`function` applied to `carry` so many times, by a `fori_loop` that carries scalars. Not to be differentiated.
+def repeat(count: Any, function: Callable[[Any, Any], Any], carry: Any, over: tuple[float, ...]) -> Any:
+    """carry ↦ function(carry, x) for x in `over`, and that `count` times, by loops that carry scalars.
 
-    A function that would be thousands of scalar operations is left whole: it would take long to compile.
+    Not to be differentiated. A function that would be thousands of scalar operations is left whole: it would take long
+    to compile.
     """
     leaves, structure = jax.tree.flatten(carry)
     ends = np.cumsum([leaf.size for leaf in leaves])
+    dtype = jnp.result_type(*leaves)
 
     def joined(scalars: list[Array]) -> Any:
         arrays = [
@@ -43,20 +45,32 @@ def repeat(count: Any, function: Callable[[Any], Any], carry: Any) -> Any:
         ]
         return jax.tree.unflatten(structure, arrays)
 
-    def flat(scalars: list[Array]) -> list[Array]:
-        after = jax.tree.leaves(function(joined(scalars)))
+    def flat(scalars: list[Array], x: Any) -> list[Array]:
+        after = jax.tree.leaves(function(joined(scalars), x))
         return [leaf.ravel()[k] for leaf in after for k in range(leaf.size)]
 
     scalars = [leaf.ravel()[k] for leaf in leaves for k in range(leaf.size)]
-    closed = jax.make_jaxpr(flat)(scalars)
+    closed = jax.make_jaxpr(flat)(scalars, jnp.ones((), dtype))
     if _length(closed.jaxpr) > _LONGEST:
-        return lax.fori_loop(0, count, lambda _, c: function(c), carry)
+        return _looped(count, function, carry, over, dtype)
     consts = [_apart(c) for c in closed.consts]
 
-    def one(_: Array, scalars: list[Array]) -> list[Array]:
-        return [_whole(x) for x in _evaluate(closed.jaxpr, consts, [_apart(x) for x in scalars])]
+    def by_scalars(scalars: list[Array], x: Any) -> list[Array]:
+        return [_whole(y) for y in _evaluate(closed.jaxpr, consts, [*map(_apart, scalars), _apart(x)])]
 
-    return joined(lax.fori_loop(0, count, one, scalars))
+    return joined(_looped(count, by_scalars, scalars, over, dtype))
+
+
+def _looped(count: Any, function: Callable[[Any, Any], Any], carry: Any, over: tuple[float, ...], dtype: Any) -> Any:
+    if len(over) == 1:
+        return lax.fori_loop(0, count, lambda _, c: function(c, np.asarray(over[0], dtype)), carry)
+
+    # x is carried: XLA fuses a slice of `over` into every loop over a batch
+    def one(carry: tuple[Any, Array], following: Array) -> tuple[tuple[Any, Array], None]:
+        return (function(*carry), following), None
+
+    xs = jnp.asarray(over, dtype)
+    return lax.fori_loop(0, count, lambda _, c: lax.scan(one, (c, xs[0]), jnp.roll(xs, -1))[0][0], carry)
 
 
 def _length(jaxpr: Jaxpr) -> int:

@@ -5,12 +5,14 @@ pulled back there:
 
     z_n = Ψ₋(z_{n+1}),    (λ_n, θ̄, Δ̄) = (∂Ψ(z_n)/∂(z, θ, Δt))ᵀ λ_{n+1}
 
-Only the saved states are kept, which the caller holds anyway. At each of them the rebuilt state is compared with the
-saved one and put aside, so the errors of rounding do not add up from one interval to the next.
+A composition is undone sub-step by sub-step. Only the saved states are kept, which the caller holds anyway. At each of
+them the rebuilt state is compared with the saved one and put aside, so the errors of rounding do not add up from one
+interval to the next.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import warnings
 from collections.abc import Callable
@@ -25,11 +27,11 @@ from jax.typing import ArrayLike
 from lieint_jax import checks
 from lieint_jax.diagnostics.order import distance
 from lieint_jax.integrate import promoted, saves
+from lieint_jax.schemes.compose import Composition
 from lieint_jax.studies._components import repeat
-from lieint_jax.types import State, Step, StepInfo, Trajectory, concrete
+from lieint_jax.types import State, Step, StepInfo, Trajectory, concrete, pytree, static
 
 Derivative = Literal["reversible", "checkpoint"]
-Advance = Callable[[State], tuple[State, StepInfo]]
 _LEVELS = 3  # of nested checkpoints: some 3 N^(1/3) states of N are kept
 
 
@@ -144,8 +146,8 @@ def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) ->
     step, state, h = _ready(step, state, dt, "reversible")
     prepared = step.prepare(state, h)
     num_steps = checks.count("num_steps", num_steps, 0)
-    end = _steps(lambda z: prepared(z, h), state, num_steps)[0]
-    return distance(_steps(lambda z: prepared(z, -h), end, num_steps)[0], state)
+    end = _steps(prepared, state, h, num_steps)[0]
+    return distance(_steps(prepared, end, -h, num_steps)[0], state)
 
 
 def _ready(step: Step, state: State, dt: ArrayLike, derivative: str) -> tuple[Step, State, Array]:
@@ -164,70 +166,77 @@ def _ready(step: Step, state: State, dt: ArrayLike, derivative: str) -> tuple[St
     return step, state, jnp.asarray(checks.step_size(dt), dtype)
 
 
+@pytree
+class _Opened:
+    """A step whose functions close over nothing: what they closed over is `closed`."""
+
+    step: Step
+    closed: tuple[Array, ...]
+    function: Callable[..., tuple[State, StepInfo]] = static()
+
+    def __call__(self, state: State, dt: Array) -> tuple[State, StepInfo]:
+        return self.function(self.step, state, dt, *self.closed)
+
+
+def _opened(step: Step, state: State, dt: Array) -> Any:
+    if isinstance(step, Composition):
+        return dataclasses.replace(step, step=_opened(step.step, state, dt))
+    function, closed = jax.closure_convert(lambda step, z, dt: step(z, dt), step, state, dt)
+    return _Opened(step, tuple(closed), function)
+
+
 def _undoable(step: Step, state: State, dt: Array, counts: Any, tolerance: float | None) -> tuple[State, StepInfo]:
     """`_marched`, differentiated by undoing its steps; in what the functions of the step close over, too."""
-    advance, closed = jax.closure_convert(lambda step, z, dt: step(z, dt), step, state, dt)
     tolerance = math.sqrt(jnp.finfo(state.p.dtype).eps) if tolerance is None else float(tolerance)
-    return _march(advance, tolerance, (step, closed), state, dt, counts)
+    return _march(_opened(step, state, dt), state, dt, counts, tolerance)
 
 
-def _steps(advance: Advance, state: State, count: Any) -> tuple[State, StepInfo]:
+def _steps(step: Any, state: State, dt: Array, count: Any) -> tuple[State, StepInfo]:
     """So many steps, with the worst of their reports."""
 
     def one(_: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:
         state, so_far = carry
-        state, info = advance(state)
+        state, info = step(state, dt)
         return state, so_far.worse(info)
 
     return lax.fori_loop(0, count, one, (state, StepInfo.fresh(state.p)))
 
 
-def _marched(
-    advance: Callable[..., Any], tolerance: float, held: Any, state: State, dt: Array, counts: Any
-) -> tuple[State, StepInfo]:
-    """The states after counts[0], counts[0] + counts[1], … steps, and the reports in between.
-
-    A step is advance(step, z, Δt, *closed), and `held` is (step, closed): all that it depends on.
-    """
-    step, closed = held
+def _marched(step: Any, state: State, dt: Array, counts: Any, tolerance: float) -> tuple[State, StepInfo]:
+    """The states after counts[0], counts[0] + counts[1], … steps, and the reports in between."""
 
     def interval(state: State, count: Array) -> tuple[State, tuple[State, StepInfo]]:
-        state, info = _steps(lambda z: advance(step, z, dt, *closed), state, count)
+        state, info = _steps(step, state, dt, count)
         return state, (state, info)
 
     return lax.scan(interval, state, jnp.asarray(counts))[1]
 
 
-_march: Any = jax.custom_vjp(_marched, nondiff_argnums=(0, 1))
+_march: Any = jax.custom_vjp(_marched, nondiff_argnums=(4,))
 
 
-def _march_forward(
-    advance: Callable[..., Any], tolerance: float, held: Any, state: State, dt: Array, counts: Any
-) -> Any:
-    later, info = _march(advance, tolerance, held, state, dt, counts)
-    return (later, info), (held, state, dt, counts, later)
+def _march_forward(step: Any, state: State, dt: Array, counts: Any, tolerance: float) -> Any:
+    later, info = _march(step, state, dt, counts, tolerance)
+    return (later, info), (step, state, dt, counts, later)
 
 
-def _march_back(
-    advance: Callable[..., Any], tolerance: float, kept: Any, cotangents: tuple[State, Any]
-) -> tuple[Any, ...]:
-    held, state, dt, counts, later = kept
-    smooth = _smooth(held)
+def _march_back(tolerance: float, kept: Any, cotangents: tuple[State, Any]) -> tuple[Any, ...]:
+    step, state, dt, counts, later = kept
+    smooth = _smooth(step)
 
     def go(leaves: Any, z: State, dt: Array) -> State:
-        step, closed = _filled(held, leaves)
-        return advance(step, z, dt, *closed)[0]
+        return _stage(_filled(step, leaves))(z, dt)[0]
 
-    def undo(carry: Any) -> Any:
-        z, lam, sums = carry
-        z = go(smooth, z, -dt)
-        leaves, lam, h = jax.vjp(go, smooth, z, dt)[1](lam)
-        return z, lam, jax.tree.map(jnp.add, sums, (leaves, h))
+    def undo(carry: Any, gamma: Any) -> Any:
+        z, lam, (leaves, h) = carry
+        z = go(smooth, z, -gamma * dt)
+        more, lam, slope = jax.vjp(go, smooth, z, gamma * dt)[1](lam)
+        return z, lam, (jax.tree.map(jnp.add, leaves, more), h + gamma * slope)
 
     def interval(carry: Any, saved: tuple[State, State, State, Array]) -> tuple[Any, Array]:
         lam, sums = carry
         start, end, seen, count = saved
-        rebuilt, lam, sums = repeat(count, undo, (end, jax.tree.map(jnp.add, lam, seen), sums))
+        rebuilt, lam, sums = repeat(count, undo, (end, jax.tree.map(jnp.add, lam, seen), sums), _gammas(step)[::-1])
         return (lam, sums), distance(rebuilt, start)
 
     starts = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest[:-1]]), state, later)
@@ -235,10 +244,20 @@ def _march_back(
     found, errors = lax.scan(interval, zero, (starts, later, cotangents[0], jnp.asarray(counts)), reverse=True)
     none = _watched(jnp.max(errors, initial=0), tolerance)  # part of each result, for whichever is used
     lam, (leaves, h) = jax.tree.map(lambda x: x + none.astype(x.dtype), found)
-    return _cotangent(held, leaves), lam, h, np.zeros(np.shape(counts), jax.dtypes.float0)
+    return _cotangent(step, leaves), lam, h, np.zeros(np.shape(counts), jax.dtypes.float0)
 
 
 _march.defvjp(_march_forward, _march_back)
+
+
+def _stage(step: Any) -> Any:
+    """The step that a composition repeats; any other itself."""
+    return step.step if isinstance(step, Composition) else step
+
+
+def _gammas(step: Any) -> tuple[float, ...]:
+    """The sub-steps of a step of 1."""
+    return step.gammas if isinstance(step, Composition) else (1.0,)
 
 
 def _smooth(tree: Any) -> Any:
