@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax.types import State, Step
+from lieint_jax.types import PhaseSpace, State, Step
 
 
 def linearization(step: Step, state: State, dt: ArrayLike) -> Array:
@@ -16,14 +19,18 @@ def linearization(step: Step, state: State, dt: ArrayLike) -> Array:
     Rows and columns are the phase space's own coordinates: (δθ, δπ) on T*G, with δq = δθ q.
     """
     step.check(state, dt)
-    space = step.system.phase_space
+    return pushed(step.system.phase_space, lambda z: step(z, dt), state)[2]
 
-    def push(delta: Array) -> State:
-        return step(space.perturb(state, delta), dt)[0]
 
-    zero = jnp.zeros(space.dim, state.p.dtype)
-    end, tangents = push(zero), jax.jacfwd(push)(zero)
-    return jax.vmap(lambda tangent: space.trivialise(end, tangent), in_axes=-1, out_axes=-1)(tangents)
+def pushed(space: PhaseSpace, function: Callable[[State], tuple[State, Any]], state: State) -> tuple[State, Any, Array]:
+    """function(state) = (end, aux), and the derivative of end, (2d, 2d), in the coordinates of the phase space."""
+
+    def push(delta: Array) -> tuple[State, tuple[State, Any]]:
+        end, aux = function(space.perturb(state, delta))
+        return end, (end, aux)
+
+    tangents, (end, aux) = jax.jacfwd(push, has_aux=True)(jnp.zeros(space.dim, state.p.dtype))
+    return end, aux, jax.vmap(lambda tangent: space.trivialise(end, tangent), in_axes=-1, out_axes=-1)(tangents)
 
 
 def symplectic_defect(step: Step, state: State, dt: ArrayLike) -> Array:
@@ -36,6 +43,7 @@ def symplectic_defect(step: Step, state: State, dt: ArrayLike) -> Array:
 
 def defect_matrix(step: Step, state: State, dt: ArrayLike) -> Array:
     """Lᵀω(z₁)L − ω(z₀), shape (2d, 2d)."""
+    step.check(state, dt)
     space = step.system.phase_space
-    L = linearization(step, state, dt)
-    return L.T @ space.omega(step(state, dt)[0]) @ L - space.omega(state)
+    end, _, L = pushed(space, lambda z: step(z, dt), state)
+    return L.T @ space.omega(end) @ L - space.omega(state)

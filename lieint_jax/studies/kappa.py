@@ -19,6 +19,7 @@ from jax.typing import ArrayLike
 from matplotlib.figure import Figure
 
 from lieint_jax import diagnostics, maps, plots, schemes, systems
+from lieint_jax.diagnostics.symplectic import pushed
 from lieint_jax.integrate import integrate
 from lieint_jax.studies._fit import Fit, fit
 from lieint_jax.types import State
@@ -134,13 +135,8 @@ def defects(kappa: Callable[[Array], Array], states: State, dt: ArrayLike) -> tu
     space = step.system.phase_space
 
     def one(state: State) -> tuple[Array, Array]:
-        def push(delta: Array) -> tuple[State, tuple[State, Array]]:
-            after, info = step(space.perturb(state, delta), dt)
-            return after, (after, info.converged)
-
-        tangents, (end, converged) = jax.jacfwd(push, has_aux=True)(jnp.zeros(space.dim))
-        L = jax.vmap(lambda tangent: space.trivialise(end, tangent), in_axes=-1, out_axes=-1)(tangents)
-        return L.T @ space.omega(end) @ L - space.omega(state), converged
+        end, info, L = pushed(space, lambda z: step(z, dt), state)
+        return L.T @ space.omega(end) @ L - space.omega(state), info.converged
 
     matrices, converged = jax.vmap(one)(states)
     return matrices, jnp.all(converged)

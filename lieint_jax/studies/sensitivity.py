@@ -20,8 +20,10 @@ import numpy as np
 from jax import Array, lax
 from matplotlib.figure import Figure
 
-from lieint_jax import diagnostics, plots, schemes
+from lieint_jax import plots, schemes
 from lieint_jax.diagnostics.order import flow
+from lieint_jax.diagnostics.symplectic import pushed
+from lieint_jax.integrate import saves
 from lieint_jax.systems.heavy_top import asymmetric
 from lieint_jax.types import State, Step, System
 
@@ -63,20 +65,27 @@ def exponents(step: Step, state: State, dt: float, num_steps: int, save_every: i
     Returns:
         Times (n,), and exponents (n, 2d) in units of 1/time in the order of the frame, which grow less from one to the
         next in the limit; in the phase space's own coordinates, momenta in the units of the state.
+
+    Raises:
+        ValueError: `num_steps` is no multiple of `save_every`; the first step fails.
     """
-    frame = jnp.eye(step.system.phase_space.dim, dtype=state.p.dtype)
+    num_saves = saves(num_steps, save_every)
+    step.check(state, dt)
+    space = step.system.phase_space
+    frame = jnp.eye(space.dim, dtype=state.p.dtype)
 
     def one(carry: tuple[State, Array, Array], _: None) -> tuple[tuple[State, Array, Array], None]:
         state, frame, sums = carry
-        frame, growth = _orthonormal(diagnostics.linearization(step, state, dt) @ frame)
-        return (step(state, dt)[0], frame, sums + growth), None
+        state, _, L = pushed(space, lambda z: step(z, dt), state)
+        frame, growth = _orthonormal(L @ frame)
+        return (state, frame, sums + growth), None
 
     def interval(carry: tuple[State, Array, Array], _: None) -> tuple[tuple[State, Array, Array], Array]:
         carry, _ = lax.scan(one, carry, None, length=save_every)
         return carry, carry[2]
 
-    _, sums = lax.scan(interval, (state, frame, jnp.zeros_like(frame[0])), None, length=num_steps // save_every)
-    t = dt * save_every * jnp.arange(1, num_steps // save_every + 1)
+    _, sums = lax.scan(interval, (state, frame, jnp.zeros_like(frame[0])), None, length=num_saves)
+    t = dt * save_every * jnp.arange(1, num_saves + 1)
     return t, sums / t[:, None]
 
 
@@ -91,12 +100,7 @@ def reference(system: System, state: State, t: float, pieces: int) -> Array:
 
     def one(carry: tuple[State, Array, Array], _: None) -> tuple[tuple[State, Array, Array], None]:
         state, frame, sums = carry
-
-        def push(delta: Array) -> State:
-            return flow(system, space.perturb(state, delta), t / pieces, 2)
-
-        end, tangents = push(jnp.zeros(space.dim)), jax.jacfwd(push)(jnp.zeros(space.dim))
-        L = jax.vmap(lambda tangent: space.trivialise(end, tangent), in_axes=-1, out_axes=-1)(tangents)
+        end, _, L = pushed(space, lambda z: (flow(system, z, t / pieces, 2), None), state)
         frame, growth = _orthonormal(L @ frame)
         return (end, frame, sums + growth), None
 
