@@ -5,7 +5,7 @@ Which derivative to take, for N steps, p parameters and a loss or m residuals:
 | derivative | how | time, in runs forward | memory |
 |---|---|---|---|
 | forward | `jax.jvp`, `jax.jacfwd` through `integrate` | about 1 + p | none |
-| reverse, by undoing steps | `jax.grad` through `reversible`, `observe` | 3 to 7, for any p | the saved states |
+| reverse, by undoing steps | `jax.grad` through `reversible`, `observe` | 4 to 9, for any p | the saved states |
 | reverse, by checkpoints | the same with `derivative="checkpoint"` | 6 to 18, for any p | some 3 N^(1/3) states |
 | reverse, through the scan | `jax.grad` through `integrate` | 10 and more | what N steps computed |
 | a tangent flow | `jax.jvp` step by step (`studies.sensitivity`) | 1 + its dimension | none |

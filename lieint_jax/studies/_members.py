@@ -23,6 +23,9 @@ def over_members(function: Callable[..., Any], in_axes: Any = 0, mesh: Mesh | No
     the same results. As one program serves all devices, the last bits may depend on how many there are; those of
     `ensemble.run` do not.
 
+    LAPACK (`svd`, `qr`, `solve`, …) inside `function` wants `jax.custom_batching.sequential_vmap`: where a CPU's cores
+    are a device each, XLA does a batch of them on the very threads that wait for it.
+
     Args:
         function: of arrays or trees of arrays; of one member.
         in_axes: 0 for what carries the member axis, None for what all share; one for all arguments or a tuple, one
