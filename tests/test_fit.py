@@ -101,6 +101,36 @@ def test_what_the_residuals_do_not_determine_has_an_infinite_variance():
     np.testing.assert_allclose(np.diagonal(fewer.covariance), [1, np.inf])
 
 
+WALL = 2.0  # the least is behind a wall at 1
+CASES = {
+    "gauss_newton": (lambda x: (WALL - x, x[0] < 1), "gauss_newton"),
+    "levenberg_marquardt": (lambda x: (WALL - x, x[0] < 1), "levenberg_marquardt"),
+    "lbfgs": (lambda x: (jnp.sum((WALL - x) ** 2), x[0] < 1), "lbfgs"),
+    "adam": (lambda x: (jnp.sum((WALL - x) ** 2), x[0] < 1), optax.adam(0.1)),
+    "short steps": (lambda x: jnp.sum((WALL - x) ** 2), optax.sgd(1e-12)),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_no_success_where_the_gradient_has_not_vanished(name):
+    loss, optimizer = CASES[name]
+    found = studies.fit(loss, jnp.array([0.5]), optimizer, iterations=200)
+    assert not found.success
+    assert found.params[0] <= 1
+
+
+def test_the_unit_of_a_loss_does_not_matter():
+    for unit, dtype in ((1e-12, jnp.float64), (1e-9, jnp.float32)):
+        found = studies.fit(lambda x, u=unit: u * jnp.sum((x - 0.3) ** 4), jnp.ones(2, dtype), "lbfgs")
+        assert found.success
+        np.testing.assert_allclose(found.params, 0.3, atol=2e-3 if dtype == jnp.float64 else 1e-2)
+
+
+def test_the_best_place_seen_is_what_is_given():
+    found = studies.fit(lambda x: jnp.sum((x - 0.3) ** 2), jnp.ones(2), optax.adam(1.0), iterations=11)
+    assert found.loss == found.history.min() < found.history[-1]
+
+
 def test_a_pair_of_residuals_is_no_value_with_a_flag():
     found = studies.fit(lambda x: (x - 1, x - 3), jnp.array(0.0))
     assert float(found.params) == pytest.approx(2)
@@ -217,6 +247,8 @@ def test_a_bounded_fit_stays_inside_and_a_guess_outside_is_refused():
     bounds = {"a": studies.positive, "b": studies.free}
     found = studies.fit(loss, {"a": 1.0, "b": 0.0}, bounds=bounds, iterations=30)
     assert 0 <= found.params["a"] < 1e-3
+    assert found.at_bound
+    assert "at a bound" in str(found)
     np.testing.assert_allclose(found.params["b"], 3, atol=1e-6)
     with pytest.raises(ValueError, match="not inside its bound, positive"):
         studies.fit(loss, {"a": -1.0, "b": 0.0}, bounds=bounds)
@@ -230,6 +262,10 @@ def test_covariance_does_not_depend_on_the_bound():
 
 
 def test_errors():
+    with pytest.raises(ValueError, match="leading axis of as many starts"):
+        studies.fit(rosenbrock, {"a": jnp.zeros(2), "b": jnp.zeros(3)}, starts=True)
+    with pytest.raises(ValueError, match="do not match the parameters"):
+        studies.fit(residuals, TRUTH, bounds={"a": studies.positive})
     with pytest.raises(ValueError, match="optimizer must be"):
         studies.fit(rosenbrock, jnp.zeros(2), "newton")
     with pytest.raises(ValueError, match="must be a scalar"):

@@ -125,6 +125,54 @@ def test_functions_of_a_step_may_close_over_what_is_differentiated():
     assert abs(slopes[0]) > 1e-6
 
 
+def test_no_steps_have_the_derivative_of_no_steps():
+    slopes = jax.grad(lambda q: studies.reversible(STEP, State(q, STATE.p), 0.05, 0).state.q[-1, 1])(STATE.q)
+    np.testing.assert_array_equal(slopes, [0, 1, 0, 0])
+
+
+SECOND = [
+    "rigid_body.asymmetric-so3_midpoint[symplectic]",
+    "rigid_body.asymmetric-so3_midpoint[cayley]",
+    "rigid_body.asymmetric-preprocessed[6]",
+    "heavy_top.asymmetric_top-splitting[so3_midpoint[symplectic]]",
+    "pendulum.uniform-sphere_midpoint[plain]",
+]
+
+
+@pytest.mark.long
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SECOND)
+def test_second_derivatives_through_a_run(name):
+    """Forward over reverse, as `jax.hessian` has it, against forward over forward. JAX differentiates the solver itself
+    there, not the equation: the iterations must carry derivatives."""
+    step, state, dt = GRID[name]
+    space, rng = step.system.phase_space, np.random.default_rng(0)
+    at = (jnp.zeros(space.dim), jnp.asarray(dt))
+    one, two = ((jnp.asarray(rng.normal(size=space.dim)), jnp.asarray(k * dt)) for k in (0.2, 0.3))
+
+    def value(delta, dt):
+        end = li.integrate(step, space.perturb(state, delta), dt, 3, 3).state
+        return jnp.sum(jnp.sin(end.q[-1])) + jnp.sum(end.p[-1] ** 2)
+
+    def along(way):
+        return lambda t: jax.tree.map(lambda x, d: x + t * d, at, way)
+
+    @jax.jit
+    def both():
+        def slope(t):
+            return sum(jnp.vdot(g, d) for g, d in zip(jax.grad(value, (0, 1))(*along(two)(t)), one, strict=True))
+
+        def forward(t):
+            return jax.jvp(lambda s: value(*jax.tree.map(lambda x, d: x + s * d, along(two)(t), one)), (0.0,), (1.0,))[
+                1
+            ]
+
+        return jax.jvp(slope, (0.0,), (1.0,))[1], jax.jvp(forward, (0.0,), (1.0,))[1]
+
+    reverse, forward = both()
+    assert float(reverse) == pytest.approx(float(forward), rel=1e-12)  # floor 1e-15
+
+
 def temporaries(make, num_steps):
     def last(J, states):
         step = make(li.schemes.so3_midpoint(li.systems.RigidBody(J)))
@@ -162,6 +210,17 @@ def test_observations_at_any_times():
     np.testing.assert_allclose(back.q[0], BODY.solution(STATE, -0.33).q, atol=1e-14)
     with pytest.raises(ValueError, match="side of 0"):
         studies.observe(exact, STATE, -0.05, times)
+    with pytest.raises(ValueError, match="dt must not be 0"):
+        studies.observe(exact, STATE, 0.0, times)
+
+
+def test_traced_times_that_are_not_reached_are_flagged_and_harm_no_other():
+    seen = jax.jit(lambda dt, t: studies.observe(STEP, STATE, dt, t))
+    state, info = seen(0.05, jnp.array([-0.5, 0.5, 0.52]))
+    assert info.converged.tolist() == [False, True, True]
+    end = li.integrate(STEP, STATE, 0.05, 10, 10).state.q[-1]
+    np.testing.assert_allclose(state.q[1], end, atol=1e-14)
+    assert not seen(0.0, jnp.array([0.5, 0.5, 0.5]))[1].converged.any()
 
 
 @pytest.mark.long
@@ -194,7 +253,7 @@ def test_round_trips_are_measured_and_lost_digits_draw_a_warning():
     trip = jax.jit(studies.round_trip_error, static_argnums=3)
     assert trip(step, state, dt, 100) < 1e-13  # 2e-14
     lost = trip(step, state, dt, 4000)
-    assert lost > 1e-9  # the Lyapunov exponent is .12: e^(.12 · 200) = 3e10
+    assert lost > 1e-9  # the largest Lyapunov exponent is .086: e^(.086 · 200) = 3e7
 
     def slope(save_every, k):
         def last(dt, p):

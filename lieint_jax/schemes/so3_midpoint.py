@@ -152,8 +152,7 @@ def _solve_scalar(kappa: Kappa, J: Symmetric, a: Array, iterations: int) -> tupl
     The scalar form gives the value; derivatives are those of the equation for h, which has far fewer terms.
     """
     del kappa  # it is the symplectic one
-    here, there = lax.stop_gradient((J, a))
-    h = half_cayley(here, there, scalar_root(here, there, iterations))
+    h = half_cayley(J, a, scalar_root(J, a, iterations))
     h, residual = newton.root(lambda h: jnp.stack(scalar_residual(J, a, h)), lambda _, f: f, h, iterations=0)
     return h, residual, dot(h, h) <= 1
 

@@ -1,4 +1,5 @@
-"""Bounds by smooth reparametrisation: an optimiser moves freely in x, the parameters never leave their domain.
+"""Bounds by smooth reparametrisation: an optimiser moves freely in x, the parameters never leave their domain. (They
+may reach its edge, to round-off, where the minimum is not inside: `Fit.at_bound` says so.)
 
 A `Bound` is a pair of inverse maps, x ↦ parameter and back. Give `fit` one for all parameters, or a tree of them that
 matches the parameters as far as it goes.
@@ -110,7 +111,12 @@ def release(bounds: Any, params: Any) -> Any:
             raise ValueError(f"the first guess {part} is not inside its bound, {bound.name}")
         return x
 
-    return jax.tree.map(one, bounds, params)
+    try:
+        structure = jax.tree.structure(bounds)
+        parts = structure.flatten_up_to(params)
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"bounds do not match the parameters as far as they go: {error}") from None
+    return structure.unflatten([one(bound, part) for bound, part in zip(jax.tree.leaves(bounds), parts, strict=True)])
 
 
 def confine(bounds: Any, x: Any) -> Any:

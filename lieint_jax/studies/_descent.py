@@ -13,15 +13,18 @@ from lieint_jax.studies._search import FLAT, RUNNING, SHORTENINGS, STILL, STUCK,
 
 Scalar = Callable[[Array], tuple[Array, Array]]
 _QUIET = {"lbfgs": 3, "other": 10}  # iterations in a row without a fall to speak of, before the end
+_LEVEL = 1e-5  # of the loss: what a step as long as x may change where no step led down
 _SEARCHES = 3  # line searches in a row that may fail
 
 
 class _Memory(NamedTuple):
-    """The gradient, optax's own state, the share of a step that is taken, quiet iterations in a row."""
+    """The gradient, the largest component of one so far, optax's own state, the unit (the share of a step that is
+    taken, or that of the loss), quiet iterations in a row."""
 
     gradient: Array
+    largest: Array
     state: Any
-    length: Array
+    unit: Array
     quiet: Array
 
 
@@ -38,9 +41,20 @@ def _looked(scalar: Scalar) -> Callable[[Array], tuple[Array, Array, Array]]:
 def _start(look: Callable[[Array], tuple[Array, Array, Array]], optimizer: Any) -> Callable[[Array], Any]:
     def first(x: Array) -> tuple[Array, _Memory, Array]:
         value, gradient, ok = look(x)
-        return value, _Memory(gradient, optimizer.init(x), jnp.ones((), x.dtype), jnp.zeros((), jnp.int32)), ok
+        largest, one, none = jnp.max(jnp.abs(gradient)), jnp.ones((), x.dtype), jnp.zeros((), jnp.int32)
+        return value, _Memory(gradient, largest, optimizer.init(x), one, none), ok
 
     return first
+
+
+def _judged(x: Array, loss: Array, memory: _Memory, ended: Array, tolerance: float) -> Array:
+    """Whether to go on, and why not. The gradient is measured by the largest so far; where a search has `ended`, it
+    is enough that a step as long as x itself would not change the loss much."""
+    small = jnp.maximum(tolerance, 8 * jnp.finfo(x.dtype).eps)
+    level = jnp.max(jnp.abs(memory.gradient) * jnp.maximum(jnp.abs(x), 1)) <= _LEVEL * jnp.abs(loss)
+    code = jnp.where(ended, jnp.where(level, STILL, STUCK), RUNNING)
+    flat = jnp.max(jnp.abs(memory.gradient)) <= small * memory.largest
+    return jnp.where(flat, FLAT, code).astype(jnp.int32)
 
 
 def descent(scalar: Scalar, optimizer: Any, tolerance: float) -> Method:
@@ -50,56 +64,65 @@ def descent(scalar: Scalar, optimizer: Any, tolerance: float) -> Method:
     look = _looked(scalar)
 
     def advance(carry: Carry) -> Carry:
-        gradient, state, length, quiet = carry.memory
+        gradient, largest, state, share, quiet = carry.memory
         update, after = optimizer.update(gradient, state, carry.x)
-        x: Any = optax.apply_updates(carry.x, length * update)
+        x: Any = optax.apply_updates(carry.x, share * update)
         value, slope, ok = look(x)
         quiet = jnp.where(jnp.abs(carry.loss - value) <= tolerance * jnp.abs(carry.loss), quiet + 1, 0)
         bad = jnp.where(ok, 0, carry.bad + 1)
-        ended = jnp.where(quiet >= _QUIET["other"], STILL, jnp.where(bad > SHORTENINGS, STUCK, RUNNING))
-        code = jnp.where(ok & jnp.all(slope == 0), FLAT, ended)
-        memory = where(ok, _Memory(slope, after, length, quiet), carry.memory)
-        memory = memory._replace(length=jnp.where(ok, jnp.minimum(1, 1.1 * length), length / 4))
+        largest = jnp.maximum(largest, jnp.max(jnp.abs(slope)))
+        memory = where(ok, _Memory(slope, largest, after, share, quiet), carry.memory)
+        memory = memory._replace(unit=jnp.where(ok, jnp.minimum(1, 1.1 * share), share / 4))
         x, value = where(ok, (x, value), (carry.x, carry.loss))
-        return Carry(x, value, memory, code.astype(jnp.int32), bad, carry.failures + ~ok)
+        ended = (memory.quiet >= _QUIET["other"]) | (bad > SHORTENINGS)
+        return Carry(x, value, memory, _judged(x, value, memory, ended, tolerance), bad, carry.failures + ~ok)
 
     return Method(_start(look, optimizer), advance)
 
 
 def lbfgs(scalar: Scalar, tolerance: float) -> Method:
-    """optax's L-BFGS with its zoom line search, which sees a high wall where a trial fails."""
+    """optax's L-BFGS with its zoom line search, which sees a high wall where a trial fails.
+
+    It works on the loss in units of the first gradient: the line search knows no other scale.
+    """
     import optax
 
     look = _looked(scalar)
     search = optax.scale_by_zoom_linesearch(max_linesearch_steps=20, initial_guess_strategy="one")
     optimizer = optax.lbfgs(linesearch=search)
 
+    def first(x: Array) -> tuple[Array, _Memory, Array]:
+        value, memory, ok = _start(look, optimizer)(x)
+        return value, memory._replace(unit=jnp.where(memory.largest > 0, memory.largest, 1)), ok
+
     def advance(carry: Carry) -> Carry:
-        wall = carry.loss + 1e3 * (1 + jnp.abs(carry.loss))
+        gradient, largest, state, unit, quiet = carry.memory
+        now = carry.loss / unit
+        wall = now + 1e3 * (1 + jnp.abs(now))
 
         @jax.custom_jvp
         def walled(x: Array) -> Array:
-            return jnp.where(look(x)[2], look(x)[0], wall)
+            value, _, ok = look(x)
+            return jnp.where(ok, value / unit, wall)
 
         @walled.defjvp
         def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
             value, slope, ok = look(primals[0])
-            return jnp.where(ok, value, wall), jnp.vdot(jnp.where(ok, slope, 0), tangents[0])
+            return jnp.where(ok, value / unit, wall), jnp.vdot(jnp.where(ok, slope / unit, 0), tangents[0])
 
-        gradient, state, length, quiet = carry.memory
-        update, after = optimizer.update(gradient, state, carry.x, value=carry.loss, grad=gradient, value_fn=walled)
+        scaled = gradient / unit
+        update, after = optimizer.update(scaled, state, carry.x, value=now, grad=scaled, value_fn=walled)
         x = optax.apply_updates(carry.x, update)
-        value, slope = (optax.tree.get(after, name) for name in ("value", "grad"))  # of x, as the search saw it
-        ok = value < wall
+        value, slope = (unit * optax.tree.get(after, name) for name in ("value", "grad"))  # of x, as the search saw it
+        ok = value < unit * wall
         better = ok & (value <= carry.loss)
         quiet = jnp.where(better & (carry.loss - value <= tolerance * jnp.abs(carry.loss)), quiet + 1, 0)
         bad = jnp.where(better, 0, carry.bad + 1)
-        flat = jnp.max(jnp.abs(slope)) <= tolerance * (1 + jnp.abs(value))
-        ended = jnp.where(quiet >= _QUIET["lbfgs"], STILL, jnp.where(bad >= _SEARCHES, STUCK, RUNNING))
-        code = jnp.where(better & flat, FLAT, ended)
-        again = _Memory(gradient, optimizer.init(carry.x), length, quiet)  # along the gradient, after a failed search
-        memory = where(better, _Memory(slope, after, length, quiet), again)
+        largest = jnp.maximum(largest, jnp.max(jnp.abs(slope)))
+        again = carry.memory._replace(state=optimizer.init(carry.x))  # along the gradient, after a failed search
+        memory = where(better, _Memory(slope, largest, after, unit, quiet), again)
         x, value = where(better, (x, value), (carry.x, carry.loss))
-        return Carry(x, value, memory, code.astype(jnp.int32), bad, carry.failures + ~ok)
+        ended = (quiet >= _QUIET["lbfgs"]) | (bad >= _SEARCHES)
+        return Carry(x, value, memory, _judged(x, value, memory, ended, tolerance), bad, carry.failures + ~ok)
 
-    return Method(_start(look, optimizer), advance)
+    return Method(first, advance)

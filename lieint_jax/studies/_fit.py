@@ -36,6 +36,7 @@ from lieint_jax.studies._search import (
 )
 
 LEAST_SQUARES = ("levenberg_marquardt", "gauss_newton")
+_EDGE = 1e-6  # of the speed that a parameter had at first: where it counts as being at its bound
 
 
 class Starts(NamedTuple):
@@ -45,12 +46,14 @@ class Starts(NamedTuple):
         params: the estimates.
         loss: there.
         success: whether each stopped for a good reason.
+        at_bound: as of `Fit`, of each.
         covariance: as of `Fit`, (starts, p, p), or None.
     """
 
     params: Any
     loss: np.ndarray
     success: np.ndarray
+    at_bound: np.ndarray
     covariance: np.ndarray | None
 
 
@@ -61,7 +64,9 @@ class Fit(NamedTuple):
         params: the estimate, of the structure of the first guess.
         loss: there; of a least-squares fit half the sum of squares of the residuals.
         stopped: why it stopped, in words.
-        success: whether it stopped for a good reason: a vanishing gradient, a loss that no longer falls, the target.
+        success: whether it stopped for a good reason: a vanishing gradient; a loss that no longer falls and a gradient
+            that is small; the target.
+        at_bound: whether a parameter has run to the edge of its bound, where no gradient and no covariance tells more.
         iterations: how many were made.
         failures: how many trials failed (no finite loss and gradient, or not converged).
         history: the loss after each iteration, shape (iterations + 1,), the first guess first.
@@ -74,6 +79,7 @@ class Fit(NamedTuple):
     loss: float
     stopped: str
     success: bool
+    at_bound: bool
     iterations: int
     failures: int
     history: np.ndarray
@@ -88,8 +94,9 @@ class Fit(NamedTuple):
         return ravel_pytree(self.params)[1](jnp.sqrt(jnp.diagonal(jnp.asarray(self.covariance))))
 
     def __str__(self) -> str:
+        edge = ", at a bound" if self.at_bound else ""
         failed = f", {self.failures} trials failed" if self.failures else ""
-        return f"loss {self.loss:.6g} after {self.iterations} iterations: {self.stopped}{failed}"
+        return f"loss {self.loss:.6g} after {self.iterations} iterations: {self.stopped}{edge}{failed}"
 
 
 def fit(
@@ -111,15 +118,18 @@ def fit(
     Args:
         loss: parameters ↦ a scalar; for "levenberg_marquardt" and "gauss_newton" ↦ residuals, an array of any shape
             or a tree of them, whose sum of squares is minimised. Either may come as a pair (value, converged), with
-            the flag of the solves behind it (`StepInfo.converged`): a trial without it has failed. A pair is always
-            read so. Derivatives are taken forward (jacfwd) of residuals, in reverse of scalars.
+            the truth values of the solves behind it, or their `StepInfo`: a trial that did not converge has failed.
+            Derivatives are taken forward (jacfwd) of residuals, in reverse of scalars.
         params: the first guess, a tree of arrays. With `starts`, each leaf has a leading axis of starts.
         optimizer: "levenberg_marquardt", "gauss_newton", "lbfgs" (optax, zoom line search), "adam", or any
             `optax.GradientTransformation`.
         bounds: a `Bound`, or a tree of them that matches the parameters as far as it goes.
         iterations: the most iterations.
-        tolerance: stop when the gradient, scaled by the curvature or the loss, or ten falls of the loss in a row are
-            below this, relative to the loss (Adam and the like go on up to `iterations` unless the loss is flat).
+        tolerance: stop when the gradient vanishes to this: the largest cosine between the residuals and a column of
+            their Jacobian, or a scalar's gradient against its largest so far. Or when the loss falls by less than this,
+            relative, and the gradient is small: once in least squares, where that cosine is below √tolerance; three
+            times in a row ("lbfgs") or ten times (others), where the gradient times x is below 1e-5 of the loss. Or
+            when the step of Gauss–Newton is below this, relative to x.
         target: stop when the loss is at most this.
         starts: whether many starts are fitted at once, vmapped, each device taking a share of them.
         data: what else the loss takes: loss(params, data). With `starts`, each start has its own: a leading axis.
@@ -133,6 +143,8 @@ def fit(
         ValueError: an unknown optimiser, a guess outside its bounds, a loss that is no scalar where one is needed.
     """
     iterations = checks.count("iterations", iterations, 0)
+    if starts:
+        _check_starts(params, data)
     x0 = jax.vmap(lambda p: release(bounds, p))(params) if starts else release(bounds, params)
     if starts and not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(x0)):
         raise ValueError("some of the starts are not inside their bounds")
@@ -169,7 +181,17 @@ def fit(
     matrix = None
     if optimizer in LEAST_SQUARES:
         matrix = np.asarray(compiled(lambda f: spread(f.carry.memory.J, inside, f.carry.x))(fitted))
-    return _result(fitted, history, inside, matrix, starts)
+    edge = np.asarray((jax.vmap if starts else lambda f: f)(partial(_at_edge, inside))(fitted.best, x))
+    return _result(fitted, history, inside, edge, matrix, starts)
+
+
+def _check_starts(params: Any, data: Any) -> None:
+    counts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves((params, data))}
+    if len(counts) != 1 or () in counts:
+        raise ValueError(
+            "with starts=True every leaf of params and data carries a leading axis of as many starts, got shapes "
+            f"{[np.shape(leaf) for leaf in jax.tree.leaves((params, data))]}"
+        )
 
 
 class _Fitted(NamedTuple):
@@ -197,20 +219,32 @@ def _iterate(go: Any, fitted: _Fitted, iterations: int, progress: bool) -> tuple
     return fitted, np.stack(history)
 
 
-def _result(fitted: _Fitted, history: np.ndarray, inside: Any, matrix: np.ndarray | None, starts: bool) -> Fit:
+def _at_edge(inside: Callable[[Array], Any], x: Array, start: Array) -> Array:
+    """Whether a parameter hardly moves with x any more."""
+
+    def speed(x: Array) -> Array:
+        return jnp.linalg.norm(jax.jacfwd(lambda x: ravel_pytree(inside(x))[0])(x), axis=0)
+
+    return jnp.any(speed(x) <= _EDGE * speed(start))
+
+
+def _result(
+    fitted: _Fitted, history: np.ndarray, inside: Any, edge: np.ndarray, matrix: np.ndarray | None, starts: bool
+) -> Fit:
     found = None
     if starts:
         losses, codes = np.asarray(fitted.least), np.asarray(fitted.carry.code)
         best = int(np.argmin(np.where(np.isfinite(losses), losses, np.inf)))
-        found = Starts(jax.vmap(inside)(fitted.best), losses, np.isin(codes, GOOD), matrix)
+        found = Starts(jax.vmap(inside)(fitted.best), losses, np.isin(codes, GOOD), edge, matrix)
         fitted, history = jax.tree.map(lambda leaf: leaf[best], fitted), history[:, best]
-        matrix = None if matrix is None else matrix[best]
+        edge, matrix = edge[best], None if matrix is None else matrix[best]
     code, made = int(fitted.carry.code), int(fitted.made)
     return Fit(
         inside(fitted.best),
         float(fitted.least),
         REASONS[code],
         code in GOOD,
+        bool(edge),
         made,
         int(fitted.carry.failures),
         history[: made + 1],

@@ -53,8 +53,8 @@ def least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: b
         r, J, D, radius = carry.memory
         begun = jnp.isfinite(carry.loss)
         scale = jnp.where(D > 0, D, 1)
-        step, damping = _step(J / scale, r, jnp.inf if undamped else radius)
-        step = radius * step if undamped else step
+        newton, damped, damping = _steps(J / scale, r, radius)
+        step, damping = (radius * newton, 0.0) if undamped else (damped, damping)
         x = carry.x + step / scale
         trial, slopes, ok = look(x)
         loss = jnp.vdot(trial, trial) / 2
@@ -63,30 +63,31 @@ def least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: b
         foreseen = jnp.vdot(along, along) / 2 + damping * jnp.vdot(step, step)
         better = ok & ((fall >= 1e-4 * foreseen) | ~begun)
         grown = jnp.maximum(D, jnp.linalg.norm(slopes, axis=0))
-        length = jnp.linalg.norm(step)
+        length, size = jnp.linalg.norm(step), jnp.linalg.norm(scale * carry.x)
         if undamped:
             radius = jnp.where(better, jnp.minimum(1, 2 * radius), radius / 2)
         else:
             well = (fall >= 0.75 * foreseen) | (damping == 0)
-            shorter = jnp.where(fall < 0.25 * foreseen, length / 2, jnp.where(well, 2 * length, radius))
-            radius = jnp.where(better, shorter, length / 4)
+            follows = jnp.where(fall < 0.25 * foreseen, length / 2, jnp.where(well, 2 * length, radius))
+            radius = jnp.where(better, follows, length / 4)
             radius = jnp.where(begun, radius, jnp.linalg.norm(grown * jnp.maximum(jnp.abs(x), 1)))
         memory = where(better, _Memory(trial, slopes, grown, radius), carry.memory)._replace(radius=radius)
         x, loss = where(better, (x, loss), (carry.x, carry.loss))
         small = jnp.maximum(tolerance, 8 * jnp.finfo(x.dtype).eps)
-        flat = _cosine(memory.J, memory.r) <= small
-        still = (jnp.abs(fall) <= small * carry.loss) & (foreseen <= small * carry.loss)
-        tiny = length <= small * jnp.linalg.norm(scale * carry.x)
+        cosine = _cosine(memory.J, memory.r)
+        settled = (cosine <= jnp.sqrt(small)) & (jnp.abs(fall) <= small * carry.loss) & (foreseen <= small * carry.loss)
+        there = jnp.linalg.norm(newton) <= small * size  # even the whole step goes nowhere
         bad = jnp.where(better, 0, carry.bad + 1)
-        code = jnp.where(begun & ok & (still | tiny), STILL, jnp.where(bad > SHORTENINGS, STUCK, RUNNING))
-        code = jnp.where(jnp.isfinite(loss), jnp.where(flat, FLAT, code), NOWHERE)
+        stuck = (bad > SHORTENINGS) | (begun & (length <= jnp.finfo(x.dtype).eps * size))
+        code = jnp.where(begun & ok & (settled | there), STILL, jnp.where(stuck, STUCK, RUNNING))
+        code = jnp.where(jnp.isfinite(loss), jnp.where(cosine <= small, FLAT, code), NOWHERE)
         return Carry(x, loss, memory, code.astype(jnp.int32), bad, carry.failures + ~ok)
 
     return Method(first, advance)
 
 
-def _step(A: Array, r: Array, radius: Array | float) -> tuple[Array, Array]:
-    """The least |r + Aδ| with |δ| ≤ radius, and its λ: (AᵀA + λ)δ = −Aᵀr. Of the shortest δ, if many are least."""
+def _steps(A: Array, r: Array, radius: Array) -> tuple[Array, Array, Array]:
+    """The shortest δ of the least |r + Aδ|; the δ of the least one with |δ| ≤ radius, and its λ: (AᵀA + λ)δ = −Aᵀr."""
     U, s, Vt = _svd(A)
     known = _known(s, A)
     g, s = jnp.where(known, U.T @ r, 0), jnp.where(known, s, 1)
@@ -98,7 +99,7 @@ def _step(A: Array, r: Array, radius: Array | float) -> tuple[Array, Array]:
         return damping + jnp.where(length > radius, length**2 * (length - radius) / (radius * slope), 0)
 
     damping = lax.fori_loop(0, _SECULAR, correction, jnp.zeros_like(s[0]))
-    return -(Vt.T @ (s * g / (s * s + damping))), damping
+    return -(Vt.T @ (g / s)), -(Vt.T @ (s * g / (s * s + damping))), damping
 
 
 def _known(s: Array, A: Array) -> Array:

@@ -98,7 +98,7 @@ def observe(
     return. Derivatives as of `reversible`, with respect to the times too.
 
     Args:
-        step: a symmetric step; with `derivative="checkpoint"` any.
+        step: a symmetric step, as a scheme makes it; with `derivative="checkpoint"` any.
         state: the state at time 0.
         dt: step size, of the sign of the times.
         times: shape (m,), in any order.
@@ -106,10 +106,11 @@ def observe(
         tolerance: as of `reversible`.
 
     Returns:
-        The states, with a leading axis (m,), and of each the report of all steps since the observation before it.
+        The states, with a leading axis (m,), and of each the report of all steps since the observation before it. What
+        is traced cannot raise: times on the other side of 0, and all with dt = 0, have `converged=False`.
 
     Raises:
-        ValueError: times of the other sign than dt, or not finite; the rest as `reversible`.
+        ValueError: times on the other side of 0 than dt leads to, or not finite; dt = 0; the rest as `reversible`.
     """
     step, state, h = _ready(step, state, dt, derivative)
     t = checks.real_array("times", times).astype(h.dtype)
@@ -117,10 +118,13 @@ def observe(
         raise ValueError(f"times must have shape (m,), got {t.shape}; use jax.vmap for batches")
     known = concrete(times, dt)  # then nothing is traced, inside jit or not
     xp: Any = np if known else jnp
-    ratio = np.asarray(times, float) / np.asarray(dt, float) if known else lax.stop_gradient(t / h)
-    whole = xp.round(ratio).astype(np.int32)
-    if known and np.any(whole < 0):
+    if known and not np.all(np.asarray(times, float) * float(np.asarray(dt)) >= 0):
         raise ValueError(f"times must lie on the side of 0 that dt = {dt} leads to, got {np.asarray(times)}")
+    if known and not float(np.asarray(dt)):
+        raise ValueError("dt must not be 0: no number of steps leads to other times")
+    ratio = np.asarray(times, float) / np.asarray(dt, float) if known else lax.stop_gradient(t / h)
+    reached = xp.isfinite(ratio) & (ratio >= -1e-9)  # traced times on the wrong side of 0 are not
+    whole = xp.round(xp.where(reached, ratio, 0)).astype(np.int32)
     order = xp.argsort(whole)
     counts = xp.diff(whole[order], prepend=0)
     prepared = step.prepare(state, h)
@@ -133,7 +137,8 @@ def observe(
     back = xp.argsort(order)
     later, info = jax.tree.map(lambda leaf: leaf[back], (later, info))
     seen, last = jax.vmap(step)(later, t - h * whole)  # `step` as it was given: prepared for no step size
-    return seen, info.worse(last)
+    info = info.worse(last)
+    return seen, info._replace(converged=info.converged & reached)
 
 
 def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:
@@ -239,7 +244,7 @@ def _march_back(tolerance: float, kept: Any, cotangents: tuple[State, Any]) -> t
         rebuilt, lam, sums = repeat(count, undo, (end, jax.tree.map(jnp.add, lam, seen), sums), _gammas(step)[::-1])
         return (lam, sums), distance(rebuilt, start)
 
-    starts = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest[:-1]]), state, later)
+    starts = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest])[:-1], state, later)
     zero = jax.tree.map(jnp.zeros_like, (state, (smooth, dt)))
     found, errors = lax.scan(interval, zero, (starts, later, cotangents[0], jnp.asarray(counts)), reverse=True)
     none = _watched(jnp.max(errors, initial=0), tolerance)  # part of each result, for whichever is used

@@ -11,13 +11,15 @@ import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
+from lieint_jax.types import StepInfo
+
 RUNNING, FLAT, STILL, TARGET, STUCK, NOWHERE = range(6)
 REASONS = (
     "the iterations were used up",
     "the gradient vanished",
     "the loss no longer fell",
     "the target was reached",
-    "every shorter step failed or went up",
+    "no step led further down, though the gradient has not vanished",
     "the first guess failed",
 )
 GOOD = (FLAT, STILL, TARGET)
@@ -52,9 +54,12 @@ class Method(NamedTuple):
 
 
 def valued(outcome: Any) -> tuple[Any, Array]:
-    """A value and whether it converged: a pair with a truth value, or a bare value, which has."""
-    if isinstance(outcome, tuple) and len(outcome) == 2 and _is_flag(outcome[1]):
-        return outcome[0], jnp.all(jnp.asarray(outcome[1]))
+    """A value and whether it converged: a pair with truth values or a `StepInfo`, or a bare value, which has."""
+    if isinstance(outcome, tuple) and len(outcome) == 2:
+        value, flag = outcome
+        flag = flag.converged if isinstance(flag, StepInfo) else flag
+        if _is_flag(flag):
+            return value, jnp.all(jnp.asarray(flag))
     return outcome, jnp.ones((), bool)
 
 
