@@ -1,4 +1,4 @@
-"""The studies: what is known of their answers. Small ones; `kappa` and `material` are put to the test in notebook 05."""
+"""The studies: what is known of their answers. Small ones; notebook 05 puts `kappa` and `material` to the test."""
 
 import jax
 import jax.numpy as jnp
