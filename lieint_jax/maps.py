@@ -11,6 +11,7 @@ A τ here is called `tau(group, theta)`, so that one map serves every group.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 from functools import cache
@@ -150,6 +151,8 @@ class Tau:
         slope: (group, Θ) ↦ H(Θ) of (5.28), (d, d), for Newton's matrix: it may be approximate. None for autodiff.
         holds: (group, Θ) ↦ whether τ(Θ) is exact to round-off. None if it always is.
         coadjoint: (group, Θ, μ) ↦ Ad*_τ(Θ) μ, on `dense` vectors. None where a step is to find it by τ(Θ).
+        symmetric: whether τ(−Θ) = τ(Θ)⁻¹, which makes a step of τ time-symmetric and of second order. `as_tau` measures
+            it; who makes a `Tau` by hand says it.
     """
 
     function: Map
@@ -157,13 +160,16 @@ class Tau:
     slope: Callable[[Group, Array], dense.Matrix] | None = static(default=None)
     holds: Callable[[Group, Array], Array] | None = static(default=None)
     coadjoint: Callable[[Group, dense.Vector, dense.Vector], dense.Vector] | None = static(default=None)
+    symmetric: bool = static(default=True)
 
     def __call__(self, group: Group, theta: Array) -> Array:
         return self.function(group, theta)
 
 
 def as_tau(tau: Tau | Map, group: Group) -> Tau:
-    """Any map τ(group, Θ) as a `Tau`, checked on `group`.
+    """Any map τ(group, Θ) as a `Tau`, checked on `group`; whether it is symmetric is measured.
+
+    A map with traced parameters of its own is neither checked nor measured, and taken for symmetric.
 
     Raises:
         ValueError: not callable; not τ(0) = 1 with H(0) = 1, so not consistent; it leaves the group; or not
@@ -189,10 +195,10 @@ def as_tau(tau: Tau | Map, group: Group) -> Tau:
             raise ValueError(f"the Cayley map does not land in {group}: take maps.exponential")
         return Tau(callable_pytree(cayley), name, _cayley_slope, None, _cayley_coadjoint)
     made = Tau(callable_pytree(tau), name)
-    if concrete(made):
-        with jax.ensure_compile_time_eval():
-            _check_map(made, group)
-    return made
+    if not concrete(made):
+        return made
+    with jax.ensure_compile_time_eval():
+        return dataclasses.replace(made, symmetric=_check_map(made, group))
 
 
 def axis_residual(tau: Map, group: Group, theta: Array) -> Array:
@@ -312,7 +318,8 @@ def _arcsine_slope(group: Any, theta: Any) -> dense.Matrix:
     return [[dense.times(s, h) + a * gradient[j] for j, h in enumerate(row)] for row, a in zip(H, along, strict=True)]
 
 
-def _check_map(tau: Tau, group: Group) -> None:
+def _check_map(tau: Tau, group: Group) -> bool:
+    """Whether τ(−Θ) = τ(Θ)⁻¹; ValueError for a τ that no step can take."""
     rng = np.random.default_rng(0)
     one, eps = jnp.asarray(group.identity, float), float(jnp.finfo(float).eps)
     zero = jnp.zeros(group.dim)
@@ -323,6 +330,7 @@ def _check_map(tau: Tau, group: Group) -> None:
             f"τ(0) must be the identity and Dτ(0) too for the scheme to be consistent; {tau.name} is off by {off:.2g} "
             f"and {slope:.2g}"
         )
+    symmetric = True
     for theta in jnp.asarray(rng.uniform(-0.3, 0.3, (3, group.dim))):
         defect, turned = abs(float(group.defect(tau(group, theta)))), float(axis_residual(tau, group, theta))
         if not defect < 1e4 * eps:
@@ -332,6 +340,9 @@ def _check_map(tau: Tau, group: Group) -> None:
                 f"Ad_τ(Θ) Θ = Θ must hold for energy to be conserved (Result 10); for {tau.name} on {group} it is off "
                 f"by {turned:.2g}. To use it all the same, pass maps.Tau(tau)"
             )
+        there_and_back = group.multiply(tau(group, theta), tau(group, -theta))
+        symmetric &= bool(jnp.max(jnp.abs(there_and_back - one)) < 1e4 * eps)
+    return symmetric
 
 
 def examples() -> dict[str, Map]:

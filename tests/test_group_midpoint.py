@@ -9,7 +9,16 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import discover, groups, maps
-from lieint_jax.diagnostics import by_group, energy_error, flow, linearization, poisson_error, symplectic_defect
+from lieint_jax.diagnostics import (
+    by_group,
+    energy_error,
+    flow,
+    linearization,
+    order,
+    poisson_error,
+    reversibility,
+    symplectic_defect,
+)
 from lieint_jax.schemes import group_midpoint
 
 MATRIX = discover.modules(groups)["matrix"]
@@ -344,6 +353,28 @@ def test_result_10_refutation_energy_needs_the_axis():
     assert info.converged
     assert np.abs(after.p - state.p).max() == 0  # Result 9 all the same
     assert abs(system.energy(after) - system.energy(state)) > 1e-4
+
+
+def lopsided(group, theta):
+    """exp((1 + Θ₁)Θ): it fixes its axis, and τ(−Θ) is not τ(Θ)⁻¹."""
+    return group.exp((1 + theta[0]) * theta)
+
+
+def test_a_map_that_is_not_symmetric_makes_a_step_that_is_not():
+    rotations, state = system_and_state("SO(3)")
+    step = group_midpoint(rotations, lopsided)
+    assert not step.symmetric
+    assert step.order == 1
+    assert order(step, state, 0.1) == pytest.approx(1, abs=0.1)
+    assert reversibility(step, state, 0.1) > 1e-3  # 1.3e-2 seen
+    after, info = step(state, 0.1)
+    assert info.converged
+    assert abs(rotations.energy(after) / rotations.energy(state) - 1) < 4e-15  # Result 10 all the same: 2e-16 seen
+    with pytest.raises(ValueError, match="symmetric step of order 2"):
+        li.schemes.compose(step, 4)
+    with pytest.raises(ValueError, match="not symmetric"):
+        li.studies.reversible(step, state, 0.1, 2)
+    assert group_midpoint(rotations, lambda g, x: g.exp(x)).symmetric
 
 
 def test_maps_that_do_not_fit_are_refused():

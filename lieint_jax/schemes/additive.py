@@ -159,9 +159,7 @@ class Additive(Step):
 _step = jax.jit(Additive._step)  # called eagerly, the Newton loop would be traced and compiled anew each time
 
 
-def additive(
-    system: ElasticBody, rule: Rule = "average", alpha: ArrayLike = 0.5, iterations: int | None = None
-) -> Additive:
+def additive(system: ElasticBody, rule: Rule = "average", alpha: ArrayLike = 0.5, iterations: int = 25) -> Additive:
     """The schemes of Section 6.2 for a pseudo-rigid body, by how they choose the stress S.
 
     | rule | energy | momentum rot[PFᵀ] | symplectic form | order |
@@ -182,7 +180,7 @@ def additive(
         rule: as above.
         alpha: α in [0, 1], where the force acts; ½ but for "symplectic". There ½ is the implicit midpoint rule; 0 and 1
             are the two explicit symplectic Euler schemes.
-        iterations: the most Newton corrections a step, 25 by default. They end early: after 3 to 4 at the steps of the
+        iterations: the most Newton corrections per step. They end early: after 3 to 4 at the steps of the
             paper's Figure 3, up to a dozen at those of Figure 4.
 
     A Newton correction that would nearly turn the watched F inside out is shortened (to as little as a sixteenth).
@@ -205,9 +203,8 @@ def additive(
         raise ValueError(f"alpha must be in [0, 1], got {alpha}")
     if not middle and rule != "symplectic":
         raise ValueError(f"the rule {rule!r} conserves energy for alpha = 1/2 only, got {alpha}")
-    iterations = 25 if iterations is None else checks.count("iterations", iterations, 1)
     order = 2 if middle else 1
-    return Additive(system, alpha, rule, iterations, order, middle)
+    return Additive(system, alpha, rule, checks.count("iterations", iterations, 1), order, middle)
 
 
 def examples(system: Any) -> dict[str, Step]:

@@ -29,8 +29,6 @@ from lieint_jax import checks, dense, newton
 from lieint_jax.maps import Map, Tau, as_tau, cayley, derivative, exponential
 from lieint_jax.types import Group, State, Step, StepInfo, System, pytree, static
 
-_ITERATIONS = 8  # at most
-
 
 class Geodesic(System, Protocol):
     """A system on T*G that is all kinetic energy of a left-invariant metric."""
@@ -91,12 +89,13 @@ class GroupMidpoint(Step):
         )
 
 
-def group_midpoint(system: Geodesic, tau: Tau | Map = exponential, iterations: int | None = None) -> GroupMidpoint:
+def group_midpoint(system: Geodesic, tau: Tau | Map = exponential, iterations: int = 8) -> GroupMidpoint:
     """The generalised midpoint rule (5.23) with (5.27), for a geodesic system on any group and any map τ.
 
     Spatial momentum is exact, bit for bit (Result 9); energy is exact (Result 10). "Exact" is to round-off at a
-    converged step. Second order, time-symmetric if τ(−Θ) = τ(Θ)⁻¹. The symplectic form is kept if and only if (5.31)
-    holds (Result 11), which `maps.symplectic_residual` measures; otherwise its defect is O(Δt³) a step.
+    converged step. Second order and time-symmetric if τ(−Θ) = τ(Θ)⁻¹, which is measured; else `symmetric` is False and
+    `order` 1. The symplectic form is kept if and only if (5.31) holds (Result 11), which `maps.symplectic_residual`
+    measures; otherwise its defect is O(Δt³) per step.
 
     On groups that are not compact Ad_q can grow exponentially, and Π = Ad*_q π then loses digits with any scheme: at
     worst like ε‖Ad_q‖², and on SL(2) energy was seen to lose them like ε‖Ad_q‖. The step says `converged=False` where
@@ -105,7 +104,8 @@ def group_midpoint(system: Geodesic, tau: Tau | Map = exponential, iterations: i
     Args:
         system: `systems.euler(group, metric)`.
         tau: `maps.exponential`, `maps.cayley` (where it lands in the group), `maps.arcsine`, or a map of your own
-            (group, Θ) ↦ τ(Θ) with Ad_τ(Θ) Θ = Θ, which is checked at three random Θ.
+            (group, Θ) ↦ τ(Θ) with Ad_τ(Θ) Θ = Θ, which is checked at three random Θ. `compose`, `splitting` and
+            `studies.reversible` take symmetric ones only.
         iterations: how many Newton matrices a step may take, each used three times. For |Δt Ω| ≤ .05 it takes 1, for
             ≤ .2 it takes 2, for ≤ .5 it takes 3; the largest of a batch decides. More than the 8 of the default are of
             use for |Δt Ω| > 1, or if the metric is far from round.
@@ -120,8 +120,9 @@ def group_midpoint(system: Geodesic, tau: Tau | Map = exponential, iterations: i
             f"group_midpoint integrates geodesics on groups (systems.euler), got {type(system).__name__}; with a "
             "potential take group_energy_momentum"
         )
-    iterations = _ITERATIONS if iterations is None else iterations
-    return GroupMidpoint(system, as_tau(tau, system.group), checks.count("iterations", iterations, 1))
+    tau = as_tau(tau, system.group)
+    order = 2 if tau.symmetric else 1
+    return GroupMidpoint(system, tau, checks.count("iterations", iterations, 1), order, tau.symmetric)
 
 
 def examples(system: Any) -> dict[str, Step]:
