@@ -78,6 +78,11 @@ class Kappa:
     def __call__(self, x: Array) -> Array:
         return self.function(x)
 
+    @property
+    def branch(self) -> str:
+        """Where the branch of solutions that starts at Δt = 0 ends, for messages."""
+        return "ends at |Δt Ω| ≈ 1" if self.limit == 1 else "folds at |Δt Ω| of 2 to 4"
+
 
 def as_kappa(kappa: Kappa | Callable[[Array], Array]) -> Kappa:
     """Any callable x ↦ κ(x) as a `Kappa`. Parameters of its own travel in a `jax.tree_util.Partial`."""

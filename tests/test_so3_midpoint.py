@@ -285,6 +285,13 @@ def test_advice_for_rods_names_the_vector_form():
     assert li.schemes.so3_midpoint(rod, vector)(state, 0.5)[1].converged
 
 
+def test_advice_for_the_symplectic_kappa_says_where_it_ends_in_either_form():
+    vector = dataclasses.replace(kappa_symplectic, solve_by="vector")
+    for kappa, ends in ((kappa_symplectic, "ends at"), (vector, "ends at"), (kappa_cayley, "folds at")):
+        step = li.schemes.so3_midpoint(BODY, kappa)
+        assert f"the branch of this κ {ends} |Δt Ω|" in step.advice(STATE, 2.0)
+
+
 def test_scheme_arguments():
     with pytest.raises(ValueError, match="free rigid bodies"):
         li.schemes.so3_midpoint("a top")

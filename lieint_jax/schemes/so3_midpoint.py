@@ -77,12 +77,11 @@ class SO3Midpoint(Step):
         J = np.asarray(self.system.inertia)
         Pi = np.asarray(so3.Ad_star(state.q, state.p))
         turn = float(np.abs(dt) * np.linalg.norm(Pi / J if J.ndim == 1 else np.linalg.solve(J, Pi)))
-        branch = "ends at |Δt Ω| ≈ 1" if self.kappa.solve_by == "scalar" else "folds at |Δt Ω| of 2 to 4"
         more = f", or more iterations than {self.iterations}" if turn < self.kappa.limit else ""
         rod = self.kappa.solve_by == "scalar" and turn < 0.9 * self.kappa.limit
         more += ", or for a slender body the vector form (see so3_midpoint)" if rod else ""
         return (
-            f"{self.name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}; the branch of this κ {branch}. "
+            f"{self.name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}; the branch of this κ {self.kappa.branch}. "
             f"Take a smaller dt{more}"
         )
 
@@ -103,9 +102,9 @@ def so3_midpoint(
     Args:
         system: `systems.rigid_body(...)`.
         kappa: κ as a callable of x = |Θ̄|² with κ(0) = 1. A κ with parameters of its own is a `jax.tree_util.Partial`.
-        iterations: Newton corrections a step; by default 3 for the symplectic κ and 4 for any other. The symplectic
-            one reaches round-off with 2 for |Δt Ω| ≤ .7, with 3 for ≤ .95; the others with 2 for ≤ .2, 3 for ≤ .5, 4
-            for ≤ .8. A step that fell short says `converged=False`.
+        iterations: Newton corrections per step; by default 3 for the scalar form (the symplectic κ), 4 for the vector
+            form. The scalar form reaches round-off with 2 for |Δt Ω| ≤ .7, with 3 for ≤ .95; the vector form with 2 for
+            ≤ .2, 3 for ≤ .5, 4 for ≤ .8. A step that fell short says `converged=False`.
 
     The scalar form loses digits on rods (J₁ ≪ J₂) at large |Δt Ω|, and says so by `converged`; there, take the slower
     vector form, `dataclasses.replace(maps.kappa_symplectic, solve_by="vector")`.

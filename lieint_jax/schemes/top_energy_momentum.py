@@ -124,10 +124,9 @@ class TopEnergyMomentum(Step):
         return y, D, StepInfo(f, converged)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
-        branch = "ends where |Δt Ω| ≈ 1" if self.kappa.limit == 1 else "folds where |Δt Ω| is 2 to 4"
         return (
-            f"{self.name} does not converge at dt = {dt}: the branch of this κ {branch}, or the potential is too stiff "
-            f"for {self.iterations} iterations. Take a smaller dt, or more iterations"
+            f"{self.name} does not converge at dt = {dt}: the branch of this κ {self.kappa.branch}, or the potential is "
+            f"too stiff for {self.iterations} iterations. Take a smaller dt, or more iterations"
         )
 
 
