@@ -132,6 +132,9 @@ def test_what_it_was_not_prepared_for_is_told():
     assert calibrated(body, 6)(fast, 1.5)[1].converged
     with pytest.raises(ValueError, match="free rigid bodies"):
         calibrated("top")
+    for iterations in (0, -1, 2.5):
+        with pytest.raises(ValueError, match="iterations must be an integer ≥ 1"):
+            calibrated(body, iterations)
     assert not calibrated(body)(State(state.q, state.p * jnp.nan), 0.5)[1].converged
 
 

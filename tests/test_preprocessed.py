@@ -95,6 +95,9 @@ def test_bad_arguments():
         preprocessed(body, 8)
     with pytest.raises(ValueError, match="free rigid bodies"):
         preprocessed("top", 4)
+    for iterations in (0, -1, 2.5):
+        with pytest.raises(ValueError, match="iterations must be an integer ≥ 1"):
+            preprocessed(body, 4, iterations)
     state, _ = setting(body)
     with pytest.raises(ValueError, match=r"preprocessed\[4\] takes the step of another inertia; .*does not converge"):
         li.integrate(preprocessed(body, 4), state, 3.0, 1)

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import free_body
+from lieint_jax import checks, free_body
 from lieint_jax.groups import so3
 from lieint_jax.schemes.preprocessed import retimed
 from lieint_jax.schemes.so3_midpoint import FreeBody, is_free_body
@@ -119,12 +119,14 @@ def calibrated(system: FreeBody, iterations: int | None = None) -> Calibrated:
             `converged=False`.
 
     Raises:
-        ValueError: not a free rigid body.
+        ValueError: not a free rigid body; bad iterations.
 
     Source: McLachlan & Zanna 2005, Found. Comput. Math. 5 (that s and d exist); the closed form: this package.
     """
     if not is_free_body(system):
         raise ValueError(f"calibrated integrates free rigid bodies (systems.rigid_body), got {type(system).__name__}")
+    if iterations is not None:
+        iterations = checks.count("iterations", iterations, 1)
     return Calibrated(system, None, iterations)
 
 

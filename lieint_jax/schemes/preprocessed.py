@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax import small
+from lieint_jax import checks, small
 from lieint_jax.maps import kappa_symplectic
 from lieint_jax.schemes.so3_midpoint import FreeBody, SO3Midpoint, is_free_body, so3_midpoint
 from lieint_jax.types import State, Step, StepInfo, pytree, static
@@ -101,7 +101,7 @@ def preprocessed(system: FreeBody, order: int, iterations: int | None = None) ->
         iterations: as of `so3_midpoint`.
 
     Raises:
-        ValueError: not a free rigid body, or another order.
+        ValueError: not a free rigid body, another order, or bad iterations.
 
     Source: McLachlan & Zanna 2005, Found. Comput. Math. 5; Hairer & Vilmart 2006, J. Phys. A 39.
     """
@@ -109,6 +109,8 @@ def preprocessed(system: FreeBody, order: int, iterations: int | None = None) ->
         raise ValueError(f"preprocessed integrates free rigid bodies (systems.rigid_body), got {type(system).__name__}")
     if order not in (4, 6):
         raise ValueError(f"order must be 4 or 6, got {order!r}; compose(so3_midpoint(...), order) goes to 10")
+    if iterations is not None:
+        iterations = checks.count("iterations", iterations, 1)
     return Preprocessed(system, order, iterations)
 
 

@@ -33,6 +33,7 @@ from lieint_jax.schemes.so3_midpoint import (
 from lieint_jax.small import dot
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 
+_ITERATIONS = 4  # corrections of m, which is solved for once
 _FEEDBACK = 1 / 32  # of an energy error taken back a step, where the lever is longest
 _DRIFT = 4096  # round-offs that a·h may drift from m before the step is called unconverged
 
@@ -45,13 +46,11 @@ class SO3Explicit(Step):
         system: a free rigid body.
         m: what `prepare` solved for; None before.
         gain: of the feedback that holds the energy; None before.
-        iterations: corrections that `prepare` takes.
     """
 
     system: FreeBody
     m: Array | None = None
     gain: Array | None = None
-    iterations: int = static(default=4)
     order: float = static(default=2)
     symmetric: bool = static(default=True)
 
@@ -70,12 +69,12 @@ class SO3Explicit(Step):
         lever = lax.stop_gradient(4 * dot(a, a) * dot(Ca, Ca))  # |a × adj(J)a|² is at most a quarter of it
         there = lever > jnp.finfo(a.dtype).tiny
         gain = jnp.where(there, _FEEDBACK * small.determinant(J, C) / jnp.where(there, lever, 1), 0)
-        return dataclasses.replace(self, m=scalar_root(J, a, self.iterations), gain=lax.stop_gradient(gain))
+        return dataclasses.replace(self, m=scalar_root(J, a, _ITERATIONS), gain=lax.stop_gradient(gain))
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         """One step; of the trajectory and step size that it was prepared for, or else it prepares itself."""
         J, a = scaled(self.system, state, dt)
-        h = half_cayley(J, a, scalar_root(J, a, self.iterations) if self.m is None else self.m, self.gain)
+        h = half_cayley(J, a, scalar_root(J, a, _ITERATIONS) if self.m is None else self.m, self.gain)
         residual = lax.stop_gradient(small.max_abs(scalar_residual(J, a, h)))
         converged = (residual <= _DRIFT * jnp.finfo(a.dtype).eps * small.max_abs(a)) & (dot(h, h) <= 1)
         return State(so3.cayley_increment(state.q, h), state.p), StepInfo(residual, converged)

@@ -81,8 +81,8 @@ class SO3Midpoint(Step):
         rod = self.kappa.solve_by == "scalar" and turn < 0.9 * self.kappa.limit
         more += ", or for a slender body the vector form (see so3_midpoint)" if rod else ""
         return (
-            f"{self.name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}; the branch of this κ {self.kappa.branch}. "
-            f"Take a smaller dt{more}"
+            f"{self.name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}; the branch of this κ "
+            f"{self.kappa.branch}. Take a smaller dt{more}"
         )
 
 

@@ -125,8 +125,8 @@ class TopEnergyMomentum(Step):
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
-            f"{self.name} does not converge at dt = {dt}: the branch of this κ {self.kappa.branch}, or the potential is "
-            f"too stiff for {self.iterations} iterations. Take a smaller dt, or more iterations"
+            f"{self.name} does not converge at dt = {dt}: the branch of this κ {self.kappa.branch}, or the potential "
+            f"is too stiff for {self.iterations} iterations. Take a smaller dt, or more iterations"
         )
 
 
