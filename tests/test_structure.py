@@ -89,6 +89,19 @@ def test_every_module_has_examples_and_is_exported(package):
     assert maps.examples()
 
 
+def test_what_a_factory_s_name_hides_is_exported():
+    """`li.systems.euler` is the function, so nothing else of its module can be reached through it."""
+    offered = {
+        "euler": ("kirchhoff", "manakov", "manakov_integrals"),
+        "heavy_top": ("LagrangeMotion", "kovalevskaya_integral", "lagrange_motion"),
+        "potential_top": ("Quadratic", "clebsch_integral"),
+    }
+    for name, module in discover.modules(li.systems).items():
+        for offer in offered.get(name, ()):
+            assert getattr(li.systems, offer) is getattr(module, offer)
+            assert offer in li.systems.__all__
+
+
 once = jax.jit(lambda step, state, dt: step(state, dt))
 
 

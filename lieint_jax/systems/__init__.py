@@ -1,10 +1,10 @@
 """Hamiltonian systems. Each module has `examples()`: systems with a state worth integrating and a time step."""
 
-from lieint_jax.systems.euler import Euler, euler
+from lieint_jax.systems.euler import Euler, euler, kirchhoff, manakov, manakov_integrals
 from lieint_jax.systems.group_potential import GroupPotential, group_potential
-from lieint_jax.systems.heavy_top import heavy_top
+from lieint_jax.systems.heavy_top import LagrangeMotion, heavy_top, kovalevskaya_integral, lagrange_motion
 from lieint_jax.systems.pendulum import Pendulum, pendulum
-from lieint_jax.systems.potential_top import PotentialTop, potential_top
+from lieint_jax.systems.potential_top import PotentialTop, Quadratic, clebsch_integral, potential_top
 from lieint_jax.systems.pseudo_rigid import (
     PseudoRigidBody,
     StoredEnergy,
@@ -18,14 +18,22 @@ from lieint_jax.systems.rigid_body import RigidBody, rigid_body
 __all__ = [
     "Euler",
     "GroupPotential",
+    "LagrangeMotion",
     "Pendulum",
     "PotentialTop",
     "PseudoRigidBody",
+    "Quadratic",
     "RigidBody",
     "StoredEnergy",
+    "clebsch_integral",
     "euler",
     "group_potential",
     "heavy_top",
+    "kirchhoff",
+    "kovalevskaya_integral",
+    "lagrange_motion",
+    "manakov",
+    "manakov_integrals",
     "mooney_rivlin",
     "neo_hookean",
     "pendulum",
