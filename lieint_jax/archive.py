@@ -121,7 +121,7 @@ class Recording:
             self._pending.append((first_entry(self._job), 1))
 
     def add(self, saved: Any, number: int) -> None:
-        """Take so many saved rows."""
+        """Take `number` saved rows."""
         if self._job.reduction is not None:
             saved = reduced(rows(self._layout, saved, number), self._job)
         else:
@@ -206,7 +206,7 @@ class Recording:
         return True
 
     def farewell(self, done: int, num_steps: int) -> str:
-        """What to tell who interrupted the run."""
+        """What to tell whoever interrupted the run."""
         return f"stopped after {done} of {num_steps} steps, all of them in {self._recorder.path}; resume to go on"
 
     def end(self, carry: list[Carry]) -> None:

@@ -8,6 +8,6 @@ from types import ModuleType
 
 
 def modules(package: ModuleType) -> dict[str, ModuleType]:
-    """The modules of `package` by their short names. Each has `examples()`."""
+    """The public modules of `package`, by their short names."""
     names = [module.name for module in pkgutil.iter_modules(package.__path__) if not module.name.startswith("_")]
     return {name: importlib.import_module(f"{package.__name__}.{name}") for name in names}

@@ -1,4 +1,4 @@
-"""The scan driver."""
+"""Take many steps in one `lax.scan`."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ def _symplectic(x: Array) -> Array:
 
 
 def _lambert(levels: int) -> tuple[list[float], list[float]]:
-    """Coefficients in u² of tan(u)/u as a quotient of polynomials: 1/(1 − u²/(3 − u²/(5 − …))), so many levels deep."""
+    """Coefficients in u² of tan(u)/u as a quotient of polynomials: 1/(1 − u²/(3 − u²/(5 − …))), `levels` deep."""
     numerator, denominator = [1], [2 * levels + 1]
     for odd in range(2 * levels - 1, 0, -2):
         longer = [odd * c for c in denominator] + [0] * (len(numerator) + 1 - len(denominator))

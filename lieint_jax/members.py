@@ -134,7 +134,7 @@ def mesh_of(mesh: Mesh | None) -> Mesh:
 
 
 def want_devices(count: int | None) -> None:
-    """Cut the CPU into so many devices; None: one a core, the fastest.
+    """Split the CPU into `count` devices; by default one per core, which is fastest.
 
     Without effect on accelerators, once JAX has started, or where XLA_FLAGS says how many.
     """
@@ -158,7 +158,7 @@ def first_devices(count: int | None) -> Mesh:
 
 
 def layout_of(mesh: Mesh, members: int, chunk: int | None = None) -> Layout:
-    """How so many members lie on a mesh; with a `chunk`, each process holds a whole number of chunks of members."""
+    """How `members` members lie on a mesh; with a `chunk`, each process holds a whole number of chunks of members."""
     if members == 1:
         return Layout(mesh, 1, 1, 1)
     processes = count_processes(mesh)

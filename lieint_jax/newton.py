@@ -1,7 +1,8 @@
 """Newton's method inside `lax.custom_root`: a fixed number of iterations, exact derivatives by the implicit function.
 
 A fixed count (no `while_loop`) lets XLA fuse the iterations of a whole batch, and no derivative ever passes through
-them: `custom_root` differentiates the equation at its root, forward or reverse, nested as you like.
+them: `custom_root` differentiates the equation at its root, forward or reverse, nested as you like. `root(done=…)` and
+`chords` loop until they are done instead, for large steps that would compile long and not fuse.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from jax import Array, lax
 
 from lieint_jax import dense, small
 
+_USES = 3  # of each matrix of `chords`; 2 or more
 _Unknown = TypeVar("_Unknown")  # an array, or a tuple or list of its components
 
 
@@ -68,13 +70,12 @@ def chords(
     size: Callable[[_Unknown], Array],
     guess: _Unknown,
     iterations: int,
-    uses: int = 3,
 ) -> tuple[_Unknown, tuple[_Unknown, Array]]:
     """The root of `residual` near `guess`, each matrix of Newton's method being used several times (Shamanskii 1967).
 
-    The order is uses + 1. It ends as soon as one more use would leave a residual below round-off, going by how the last
-    two shrank, so a matrix that is not quite F' does no harm. A `while_loop`, whose length the slowest member of a
-    batch decides; a member that is done does not move any more.
+    Three times, so the order is 4. It ends as soon as one more use would leave a residual below round-off, going by how
+    the last two shrank, so a matrix that is not quite F' does no harm. A `while_loop`, whose length the slowest member
+    of a batch decides; a member that is done does not move any more.
 
     Args:
         residual: F(x), as of `root`.
@@ -82,7 +83,6 @@ def chords(
         size: F ↦ its size, in units in which a root is exact to 1.
         guess: where to start.
         iterations: how many matrices at most.
-        uses: of each, 2 or more.
 
     Returns:
         The last iterate x; F(x) there; the determinant of the last matrix K, which has the sign of det F'(x), since the
@@ -98,7 +98,7 @@ def chords(
             F = function(x)
             K = factored(x, F)
             sizes = []
-            for use in range(uses):
+            for use in range(_USES):
                 F = function(x) if use else F
                 sizes.append(size(F))
                 x = jax.tree.map(jnp.subtract, x, K.solve(F))

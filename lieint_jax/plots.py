@@ -51,7 +51,7 @@ def sphere_path(
 ) -> Any:
     """A path of unit vectors (n, 3) on the sphere, its far side paler, and the axis `pole` that it turns about.
 
-    It is seen from the direction `eye`, by default from aside its middle.
+    It is seen from the direction `eye`, by default obliquely onto its middle.
     """
     u, v = np.mgrid[0 : 2 * np.pi : 37j, 0 : np.pi : 19j]
     ax.plot_wireframe(np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v), color=GREY, lw=0.3, alpha=0.6)

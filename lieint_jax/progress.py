@@ -38,7 +38,7 @@ class Bar:
         return jax.process_index() == 0 and sys.stderr.isatty()
 
     def update(self, steps: int) -> None:
-        """So many more steps of all members are done."""
+        """All members have taken `steps` more steps."""
         self._bar.update(steps * self._count)
 
     def tell(self, energy: float, unconverged: int) -> None:

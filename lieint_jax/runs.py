@@ -52,17 +52,17 @@ class Job(NamedTuple):
 
     @property
     def num_steps(self) -> int:
-        """In all."""
+        """Number of steps in all."""
         return self.interval * self.num_saves
 
     @property
     def times(self) -> np.ndarray:
-        """Of all entries."""
+        """Times of all entries."""
         return self.given * self.interval * np.arange(self.num_saves + 1, dtype=self.dt.dtype)
 
     @property
     def members(self) -> int:
-        """How many."""
+        """Number of members."""
         return self.states.p.shape[0]
 
     def rows(self, across: int) -> int:

@@ -67,7 +67,7 @@ def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:
 
 
 def load(path: Path) -> tuple[Any, dict[str, Any]]:
-    """A run and its metadata: what `save` wrote, or what of a .zarr is complete.
+    """A run and its metadata: what `save` wrote, or the complete part of a .zarr.
 
     Of a .zarr the leaves of the trajectory are arrays on disk, read where they are indexed; a run that kept reductions
     only gives a dict of numpy arrays.

@@ -1,4 +1,4 @@
-"""The words of the house: states, steps, trajectories, groups and phase spaces.
+"""The core types: states, steps, trajectories, groups, phase spaces.
 
 Systems and steps are frozen dataclasses registered as JAX pytrees (`pytree`). Their array fields are leaves, so
 derivatives and batches over an inertia tensor go through them; fields marked `static` (functions, options) are part of
@@ -41,8 +41,10 @@ class State(NamedTuple):
     """A point of phase space.
 
     Attributes:
-        q: configuration. On SO(3) the attitude as a unit quaternion (w, x, y, z), shape (4,).
-        p: momentum. On SO(3) the spatial angular momentum π, shape (3,).
+        q: configuration. SO(3): unit quaternion (w, x, y, z), (4,). Matrix groups: (n, n). GL⁺(3): F, (3, 3). S²: unit
+            vector, (3,).
+        p: momentum. SO(3): spatial angular momentum π, (3,). Matrix groups: π in the dual basis, (d,). GL⁺(3): P,
+            (3, 3). S²: π = m q × q̇, (3,).
     """
 
     q: Array
@@ -54,7 +56,8 @@ class StepInfo(NamedTuple):
 
     Attributes:
         residual: norm of the implicit equation's residual, in the scheme's own dimensionless form.
-        converged: residual ≤ 32·eps·scale and the root lies on the scheme's branch. False wherever a result is not to
+        converged: the residual is round-off (within a multiple of eps·scale that each scheme states, 32 for those that
+            solve an equation at each step) and the root lies on the scheme's branch. False wherever a result is not to
             be trusted; a NaN never comes without it.
     """
 
@@ -90,6 +93,18 @@ class Group(Protocol):
 
     Algebra elements are coordinate vectors of shape (dim,), their duals likewise; `Ad_star(q, ·)` and `ad_star(ξ, ·)`
     are the transposes of `Ad(q, ·)` and `ad(ξ, ·)`.
+
+    A group may also have these, which schemes and systems use where they are there (see `groups.matrix.MatrixGroup`):
+
+    | | |
+    |---|---|
+    | `exp_near`, `near`, `exp_slope`, `exp_coadjoint` | exp of a step, where it is exact, its H (5.28), its Ad* |
+    | `cayley_slope`, `cayley_both`, `coadjoint` | H of cay; cay(±ξ), and Ad* of an element and its inverse |
+    | `cayley_lands` | whether the Cayley map lands in the group; without it, it does |
+    | `ad_star_matrix` | the matrix of ξ ↦ ad*_ξ μ |
+    | `unrolled` | whether vectors are lists of entries in a step, see `dense`; without it, they are |
+    | `rounding`, `drift` | what rounding costs `Ad_star`, and how far q has left the group |
+    | `casimirs` | functions of μ that no Ad* changes |
     """
 
     @property

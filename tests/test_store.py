@@ -214,7 +214,7 @@ def test_a_full_disk_ends_a_run_that_resumes_to_the_same_bits(tmp_path, small_ch
 
 
 def test_a_limit_on_the_size_of_files_likewise(tmp_path, small_chunks):
-    """What needs no root: the system refuses files of more than so many bytes, with the chunks larger than that."""
+    """What needs no root: the system refuses files above a size, and the chunks are larger."""
     run(tmp_path / "whole.zarr")
     path, before = tmp_path / "run.zarr", resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (3000, before[1]))

@@ -125,7 +125,7 @@ class Kept(NamedTuple):
 
 
 def measure(group: MatrixGroup, tau: Map, metrics: int = 4) -> Kept:
-    """What the step of `group_midpoint` keeps on a group, over so many random metrics."""
+    """What the step of `group_midpoint` keeps on a group, over `metrics` random metrics."""
     group = light(group)
     dt, steps = (0.1, 1000) if bounded(group) else (0.05, 100)
     systems, states = zip(*(example(group, seed) for seed in range(metrics)), strict=True)

@@ -89,7 +89,7 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
 
 @jax.jit
 def _after(step: Step, state: State, dt: ArrayLike, num_steps: ArrayLike) -> tuple[State, StepInfo]:
-    """The state after so many steps, any number of them by one program, and whether all converged."""
+    """The state after `num_steps` steps, any number of them by one program, and whether all converged."""
     step = step.prepare(state, dt)
 
     def one(_: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:

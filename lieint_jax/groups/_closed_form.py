@@ -66,7 +66,7 @@ def evaluated(series: Sequence[float], x: dense.Scalar) -> dense.Scalar:
 
 
 def find(E: np.ndarray, most: int) -> ClosedForm | None:
-    """The closed form of the span of matrices E, (d, n, n), with at most so many powers, if there is one."""
+    """The closed form of the span of matrices E, (d, n, n), with at most `most` powers, if there is one."""
     form = squared_eigenvalue(E)
     if form is None:
         return None

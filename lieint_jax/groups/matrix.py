@@ -287,7 +287,7 @@ class MatrixGroup:
     # Derivatives of maps, H of (5.28)
 
     def exp_slope(self, xi: dense.Vector, terms: int = 24) -> dense.Matrix:
-        """H of exp, Σ (−ad_ξ)ᵏ/(k+1)!, as a matrix (d, d), cut after so many terms."""
+        """H of exp, Σ (−ad_ξ)ᵏ/(k+1)!, as a matrix (d, d), cut after `terms` terms."""
         A = self.ad_matrix(xi)
         H = one = dense.identity(A)
         for k in range(terms, 1, -1):
@@ -429,7 +429,7 @@ def matrix(basis: ArrayLike, name: str = "matrix group", unrolled: bool | None =
 
 
 def examples() -> dict[str, MatrixGroup]:
-    """Groups that the catalogue has not: Bianchi's types IV and V, dilations and translations of the plane."""
+    """Groups not in the catalogue: Bianchi's types IV and V, dilations and translations of the plane."""
     scale = np.diag([1.0, 1.0, 0.0])
     shear = scale + np.outer(np.eye(3)[0], np.eye(3)[1])
     x, y = (np.outer(np.eye(3)[i], np.eye(3)[2]) for i in (0, 1))

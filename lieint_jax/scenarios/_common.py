@@ -70,14 +70,14 @@ def nominal(run: Trajectory, time: int = 0) -> State:
 
 
 def thinned(num_steps: int, longest: int = LONGEST) -> tuple[int, int]:
-    """How many of so many steps are drawn, and every which, for at most `POINTS` points."""
+    """(steps, stride) of a drawn curve: at most `longest` steps, at most `POINTS` points."""
     num_steps = min(num_steps, longest)
     every = -(-num_steps // POINTS) or 1
     return max(num_steps // every, 1) * every, every
 
 
 def follow(step: Step, state: State, dt: float, num_steps: int, longest: int = LONGEST) -> Trajectory:
-    """One member over so many steps, at most `longest`, at as many points as are drawn."""
+    """One member's trajectory, at most `longest` steps, saved at the points that are drawn."""
     num_steps, every = thinned(num_steps, longest)
     return _follow(step, state, dt, num_steps, every)
 

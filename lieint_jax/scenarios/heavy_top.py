@@ -225,7 +225,7 @@ def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
 
 
 def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
-    """The largest energy error so far of each scheme and of Runge–Kutta at the cost of the dearer one."""
+    """The largest energy error so far of each scheme and of Runge–Kutta at the cost of the more expensive one."""
     top, start, dt = step.system, nominal(run), scenario.dt
     both, peer = _schemes(scenario, top), RungeKutta(top)
     ratio = cost(peer, start, dt) / max(cost(scheme, start, dt) for scheme in both.values())

@@ -28,7 +28,7 @@ from lieint_jax.types import State, Step, StepInfo, pytree, static
 
 
 class Clock(NamedTuple):
-    """The constants s and d, whether they are to be had, and the step size, energy and |π|² that they belong to."""
+    """The constants s and d, whether they exist, and the step size, energy and |π|² that they belong to."""
 
     s: Array
     d: Array
@@ -131,5 +131,5 @@ def calibrated(system: FreeBody, iterations: int | None = None) -> Calibrated:
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """The one of it, for free rigid bodies."""
+    """The scheme, for free rigid bodies."""
     return {"calibrated": calibrated(system)} if is_free_body(system) else {}

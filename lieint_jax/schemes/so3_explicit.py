@@ -89,7 +89,7 @@ def so3_explicit(system: FreeBody) -> SO3Explicit:
     """The symplectic scheme of `so3_midpoint`, solved once a trajectory instead of once a step.
 
     Equal to `so3_midpoint(system, maps.kappa_symplectic)` to round-off, with the same invariants, order, symmetry and
-    end of the branch (|Δt Ω| ≈ 1), and a tenth faster and more. `integrate` and `ensemble.run` call `prepare` once.
+    end of the branch (|Δt Ω| ≈ 1), and at least a tenth faster. `integrate` and `ensemble.run` call `prepare` once.
     Energy then stays within 4e-15 of its first value, relative, however long the run; rounding lets that of
     `so3_midpoint` drift by 3e-12 in 10⁸ steps. Called by hand without `prepare`, it solves at every step. Prepared for
     one trajectory or step size and used with another, it says `converged=False`.
@@ -109,5 +109,5 @@ def so3_explicit(system: FreeBody) -> SO3Explicit:
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """The one of it, for free rigid bodies."""
+    """The scheme, for free rigid bodies."""
     return {"so3_explicit": so3_explicit(system)} if is_free_body(system) else {}

@@ -71,7 +71,7 @@ def splitting(system: Forced, drift: Step | None = None) -> Splitting:
     Second order, time-symmetric; `compose` raises the order.
 
     Args:
-        system: `systems.heavy_top(...)`, `systems.potential_top(...)`.
+        system: `systems.heavy_top(...)`, `systems.potential_top(...)`, `systems.group_potential(...)`.
         drift: a symmetric step of `system.free`; by default the symplectic `so3_midpoint`, on other groups
             `group_midpoint` with `maps.arcsine` where that is symplectic. `exact(system.free)` has smaller errors where
             the body turns fast in a weak potential, and no limit on |Δt Ω|.
