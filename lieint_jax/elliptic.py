@@ -59,20 +59,20 @@ def _descending(u: Array, m1: Array) -> tuple[Array, Array, Array]:
 
 
 def _ascending(u: Array, m1: Array) -> tuple[Array, Array, Array]:
-    """With l_n = (1 − k_{n−1})/(1 + k_{n−1}), which is k_n′, and functions of u_n = u_{n−1}/(1 + l_n) on the right,
+    """With k′ = k′_n = (1 − k_{n−1})/(1 + k_{n−1}), and functions of u_n = u_{n−1}/(1 + k′_n) on the right,
 
-    sn = (1 + l) sn cn / dn,    cn = (dn² − l) / ((1 − l) dn),    dn = (dn² + l) / ((1 + l) dn)
+    sn = (1 + k′) sn cn / dn,    cn = (dn² − k′) / ((1 − k′) dn),    dn = (dn² + k′) / ((1 + k′) dn)
     """
     moduli, square = [], m1
     for _ in range(_LANDEN):
-        l = square / (1 + jnp.sqrt(1 - square)) ** 2  # noqa: E741
-        u, square = u / (1 + l), l * l
-        moduli.append(l)
+        k1 = square / (1 + jnp.sqrt(1 - square)) ** 2
+        u, square = u / (1 + k1), k1 * k1
+        moduli.append(k1)
     sn, dn = jnp.tanh(u), 1 / jnp.cosh(u)
     cn = dn
-    for l in reversed(moduli):  # noqa: E741
+    for k1 in reversed(moduli):
         r, square = 1 / dn, dn * dn
-        sn, cn, dn = (1 + l) * sn * cn * r, (square - l) * r / (1 - l), (square + l) * r / (1 + l)
+        sn, cn, dn = (1 + k1) * sn * cn * r, (square - k1) * r / (1 - k1), (square + k1) * r / (1 + k1)
     return sn, cn, dn
 
 

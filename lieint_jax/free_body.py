@@ -30,7 +30,7 @@ third kind. With ψ the azimuth of e about r, and "e → r" the shortest rotatio
 
 Every arctangent has an argument of size ½ at least. The sign of the quaternion is continuous in time.
 
-**Clock.** The symplectic step of 1/Ĩ = s/J + d, 2y = τ(s b + d)·½(e + e(τ)), h = (1 + |h|²) y, is this very motion for
+**Clock.** The symplectic step of 1/J̃ = s/J + d, 2y = τ(s b + d)·½(e + e(τ)), h = (1 + |h|²) y, is this very motion for
 the right s and d. The same all along the trajectory, they are found where the step is symmetric: from −τ/2 to τ/2 about
 a passage of e_m through 0. With S, q, χ = b_o τ/2 − (b_o − b_r) ν X all at τ/2, and ν = (b_m − b_o) R,
 
@@ -83,7 +83,7 @@ def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, A
 
 
 def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]:
-    """s and d of the inertia Ĩ = J(s + dJ)⁻¹ whose symplectic step of size t is the exact motion.
+    """s and d of the inertia J̃ = J(s + dJ)⁻¹ whose symplectic step of size t is the exact motion.
 
     Args:
         inertia: as of `attitude`.

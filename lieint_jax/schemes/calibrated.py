@@ -2,7 +2,7 @@
 
 The discrete free body runs along the exact one with its clock wrong (see `preprocessed`). With
 
-    1/Ĩ_j = s/I_j + d
+    1/J̃_j = s/J_j + d
 
 two constants set the clock right, altogether: one for the motion of Π along its polhode, one for the turn about π. They
 depend on the step size and on energy and |π|, so `prepare` finds them once, in closed form (`free_body.clock`), and
@@ -114,7 +114,7 @@ def calibrated(system: FreeBody, iterations: int | None = None) -> Calibrated:
 
     Args:
         system: `systems.rigid_body(...)`.
-        iterations: Newton corrections a step. 3, the default, reach round-off where a step turns the body by up to
+        iterations: Newton corrections per step. 3, the default, reach round-off where a step turns the body by up to
             70°, 4 up to 80°, 5 to 86°, 6 to 89°; the branch ends at 90°. A step that fell short says
             `converged=False`.
 

@@ -1,10 +1,10 @@
 """Order 4 or 6 at the price of order 2, for the free body: the symplectic step of another inertia.
 
-    1/Ĩ_j = s/I_j + d                                    (s and d from energy and momentum, both constant)
+    1/J̃_j = s/J_j + d                                    (s and d from energy and momentum, both constant)
 
-The discrete body of inertia I runs along the exact one with its clock a little wrong. The inertia Ĩ sets the clock
-right to higher order, and as s/I_j + d has the same polhodes as 1/I_j, nothing that was exact is lost: with
-C = ½Δt²|Π|², H = Δt²·energy, S_n = ΣIⁿ, X_n = ΣI⁻ⁿ, D = det I and Y = S₁X₁ − 3,
+The discrete body of inertia J runs along the exact one with its clock a little wrong. The inertia J̃ sets the clock
+right to higher order, and as s/J_j + d has the same polhodes as 1/J_j, nothing that was exact is lost: with
+C = ½Δt²|Π|², H = Δt²·energy, S_n = ΣJⁿ, X_n = ΣJ⁻ⁿ, D = det J and Y = S₁X₁ − 3,
 
     s = 1 + S₁C/(6D) − X₁H/3  + [(S₂/D − X₁)/(30D)]C² + [(1 − Y)/(30D)]CH + [(3S₁/D + 2X₂)/60]H²
     d = −C/(3D) + S₁H/(6D)    − S₁C²/(60D²) + [X₁/(10D) − S₂/(60D²)]CH − [(9 + Y)/(60D)]H²
@@ -55,14 +55,14 @@ class Preprocessed(Step):
         return retimed(self.system, *self._clock(state, dt), self.iterations)
 
     def _clock(self, state: State, dt: ArrayLike) -> tuple[Array, Array]:
-        """s and d, the latter over the trace of I: computed for I of trace 1, so that no power overflows."""
+        """s and d, the latter over the trace of J: computed for J of trace 1, so that no power overflows."""
         J = small.symmetric(self.system.inertia)
         r = 1 / small.trace(J)
-        I = tuple(r * x for x in J)  # noqa: E741
-        adj = small.adjugate(I)
-        D = small.determinant(I, adj)
-        X1, S2 = small.trace(adj) / D, small.trace(I) ** 2 - 2 * small.trace(adj)
-        X2, Y = X1**2 - 2 / D, X1 - 3  # S₁ = 1; Σ 1/(I_iI_j) = S₁/D
+        J = tuple(r * x for x in J)
+        adj = small.adjugate(J)
+        D = small.determinant(J, adj)
+        X1, S2 = small.trace(adj) / D, small.trace(J) ** 2 - 2 * small.trace(adj)
+        X2, Y = X1**2 - 2 / D, X1 - 3  # S₁ = 1; Σ 1/(J_iJ_j) = S₁/D
         C = small.dot(state.p, state.p) * (r * dt) ** 2 / 2
         H = self.system.energy(state) * r * dt**2
         s, d = 1 + C / (6 * D) - X1 * H / 3, -C / (3 * D) + H / (6 * D)
@@ -73,13 +73,13 @@ class Preprocessed(Step):
 
 
 def retimed(system: FreeBody, s: Array, d: Array, iterations: int | None) -> SO3Midpoint:
-    """The symplectic step of the inertia Ĩ = I(s + dI)⁻¹."""
-    I = system.inertia  # noqa: E741
-    if I.ndim == 1:
-        modified = I / (s + d * I)
+    """The symplectic step of the inertia J̃ = J(s + dJ)⁻¹."""
+    J = system.inertia
+    if J.ndim == 1:
+        modified = J / (s + d * J)
     else:
-        M = small.symmetric(s * jnp.eye(3, dtype=I.dtype) + d * I)
-        modified = jnp.stack([jnp.stack(small.solve_symmetric(M, I[:, k])) for k in range(3)], axis=1)
+        M = small.symmetric(s * jnp.eye(3, dtype=J.dtype) + d * J)
+        modified = jnp.stack([jnp.stack(small.solve_symmetric(M, J[:, k])) for k in range(3)], axis=1)
     body = dataclasses.replace(system, inertia=modified)  # pyright: ignore[reportArgumentType, reportCallIssue]
     return so3_midpoint(body, kappa_symplectic, iterations)
 
