@@ -46,7 +46,7 @@ class GroupMidpoint(Step):
     Attributes:
         system: anything with a `group` and a `metric` and no potential.
         tau: the map τ.
-        iterations: Newton matrices a step, at most.
+        iterations: Newton matrices per step, at most.
     """
 
     system: Geodesic
@@ -187,9 +187,9 @@ def slope(tau: Tau, group: Any, theta: dense.Vector) -> dense.Matrix:
 
 def guess(group: Group, m: dense.Matrix, a: dense.Vector) -> dense.Vector:
     """Θ ≈ ΔtΩ + ½Δt² m⁻¹ ad*_Ω Π, from a = ½Δt Π: second order."""
-    lowered = dense.factored(m).solve
-    half_turn = dense.settled(lowered(a))
-    bent = lowered(dense.settled(ad_star(group, half_turn, a)))
+    sharp = dense.factored(m).solve
+    half_turn = dense.settled(sharp(a))
+    bent = sharp(dense.settled(ad_star(group, half_turn, a)))
     return dense.settled(dense.plus((2.0, half_turn), (2.0, bent)))
 
 

@@ -59,7 +59,7 @@ class Euler:
 
     def velocity(self, state: State) -> Array:
         """The body velocity Ω = m⁻¹Π, shape (d,)."""
-        return lowered(self.metric, self.body_momentum(state))
+        return sharp(self.metric, self.body_momentum(state))
 
     def energy(self, state: State) -> Array:
         """½⟨Π, m⁻¹Π⟩ (5.18)."""
@@ -221,7 +221,7 @@ def state_of(
         )
     [(name, value)] = given.items()
     if name == "velocity":
-        value = raised(metric, value)
+        value = flat(metric, value)
     if name != "spatial_momentum":
         value = group.Ad_star(group.inverse(element), value)
     dtype = jnp.result_type(element, value)
@@ -249,15 +249,15 @@ def check_state(group: Group, state: State) -> None:
     checks.real_array("state.p", state.p, (group.dim,))
 
 
-def raised(metric: Array, xi: Array) -> Array:
-    """m ξ."""
+def flat(metric: Array, xi: Array) -> Array:
+    """ξ♭ = m ξ."""
     return (
         metric * xi if metric.ndim == 1 else dense.as_array(dense.matvec(dense.as_list(metric), dense.as_list(xi)), xi)
     )
 
 
-def lowered(metric: Array, mu: Array) -> Array:
-    """m⁻¹ μ."""
+def sharp(metric: Array, mu: Array) -> Array:
+    """μ♯ = m⁻¹ μ."""
     if metric.ndim == 1:
         return mu / metric
     return dense.as_array(dense.solve(dense.as_list(metric), dense.as_list(mu)), mu)
