@@ -183,10 +183,6 @@ class MatrixGroup:
         """The matrix ad*(μ) of ξ ↦ ad*_ξ μ, (d, d): skew."""
         return dense.linear(self._ad_star, mu)
 
-    def bracket(self, xi: Array, eta: Array) -> Array:
-        """[ξ, η], the same as `ad`."""
-        return self.ad(xi, eta)
-
     def casimirs(self, mu: Array) -> Array:
         """Functions of μ that no Ad*_q changes, (k,): the linear ones (the centre), then the quadratic ones.
 

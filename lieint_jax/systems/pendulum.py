@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
 from lieint_jax import checks, small
 from lieint_jax.phase_spaces import CotangentSphere
@@ -100,7 +100,9 @@ class Pendulum:
             raise ValueError("state must have |q| = 1 and q·π = 0 to 1e-6; make it with pendulum.state(...)")
 
 
-def pendulum(mass: ArrayLike, gravity: ArrayLike | Callable[[Array], Array], axis: Any = (0.0, 0.0, -1.0)) -> Pendulum:
+def pendulum(
+    mass: ArrayLike, gravity: ArrayLike | Callable[[Array], Array], axis: ArrayLike = (0.0, 0.0, -1.0)
+) -> Pendulum:
     """A particle on the unit sphere in a field along an axis, V(q) = −g(γ·q).
 
     Args:

@@ -40,11 +40,6 @@ class PseudoRigidBody:
     def phase_space(self) -> CotangentMatrices:
         return _PHASE_SPACE
 
-    @property
-    def potential(self) -> StoredEnergy:
-        """W: what makes this body not a free one."""
-        return self.stored_energy
-
     def state(
         self,
         deformation: ArrayLike | None = None,
