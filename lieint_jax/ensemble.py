@@ -44,7 +44,7 @@ def run(
     With `jax.distributed`, every process calls this with the same arguments and gets the same results.
 
     Args:
-        step: a scheme's step; with `step_axis=0` its leaves carry the member axis too (one inertia a member).
+        step: a scheme's step; with `step_axis=0` its leaves carry the member axis too (one inertia per member).
         states: initial states with a leading member axis.
         dt: step size, the same for all.
         num_steps: a multiple of `save_every`.
@@ -74,7 +74,7 @@ def run(
     interval = max(num_steps, 1) if save_every is None else checks.count("save_every", save_every, 1)
     num_saves = saves(num_steps, interval)
     if step_axis not in (None, 0):
-        raise ValueError(f"step_axis must be None (one step for all) or 0 (one a member), got {step_axis!r}")
+        raise ValueError(f"step_axis must be None (one step for all) or 0 (one per member), got {step_axis!r}")
     if reduce is not None and reduce != "energy" and not callable(reduce):
         raise ValueError(f'reduce must be None, "energy" or a function (step, state) ↦ scalar, got {reduce!r}')
     if resume and store is None:

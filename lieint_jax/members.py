@@ -63,7 +63,7 @@ class Layout(NamedTuple):
 
     @property
     def each(self) -> int:
-        """Members a device, padding included."""
+        """Members per device, padding included."""
         return self.block * self.blocks
 
     @property
@@ -86,7 +86,7 @@ class Layout(NamedTuple):
 
 
 class Range(NamedTuple):
-    """Least, greatest and sum of a number over the steps since the last save, one a member."""
+    """Least, greatest and sum of a number over the steps since the last save, one per member."""
 
     least: Array
     greatest: Array
@@ -98,7 +98,7 @@ class Range(NamedTuple):
         return cls(jnp.full_like(like, jnp.inf), jnp.full_like(like, -jnp.inf), jnp.zeros_like(like))
 
     def with_(self, x: Array) -> Range:
-        """Together with one more number a member; a NaN shows in all three."""
+        """Together with one more number per member; a NaN shows in all three."""
         return Range(jnp.minimum(self.least, x), jnp.maximum(self.greatest, x), self.total + x)
 
 
@@ -220,7 +220,7 @@ def own(layout: Layout, pieces: Sequence[Array], axis: int = 0) -> np.ndarray:
 
 
 def fetch(layout: Layout, trees: Sequence[Any], axis: int = 0) -> Any:
-    """Whole arrays on every process, without padding, of one tree a piece; `axis` is the member axis."""
+    """Whole arrays on every process, without padding, of one tree per piece; `axis` is the member axis."""
     return jax.tree.map(lambda *pieces: _fetch(layout, pieces, axis), *trees)
 
 
@@ -235,7 +235,7 @@ def _fetch(layout: Layout, pieces: Sequence[Array], axis: int) -> np.ndarray:
 
 
 def _gather(mesh: Mesh, mine: np.ndarray) -> np.ndarray:
-    """Rows of all processes, one a device, on every process."""
+    """Rows of all processes, one per device, on every process."""
     spread, first = (
         NamedSharding(mesh, PartitionSpec(AXIS)),
         mesh.devices.size // count_processes(mesh) * jax.process_index(),

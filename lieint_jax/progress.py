@@ -16,7 +16,7 @@ _CALL = 0.5  # seconds that one call of the compiled loop is to take
 
 
 class Bar:
-    """A progress bar on stderr: body-steps a second, time left, the worst energy error so far, members unconverged."""
+    """A progress bar on stderr: body-steps per second, time left, worst energy error so far, members unconverged."""
 
     def __init__(self, shown: bool, num_steps: int, count: int, done: int) -> None:
         from tqdm import tqdm  # where it is used: the package imports in a moment

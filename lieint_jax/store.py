@@ -306,7 +306,7 @@ def _lock(path: Path) -> int | None:
 
 
 def differences(stored: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """In what two descriptions of a run differ, a line each, by the names of the keys."""
+    """In what two descriptions of a run differ, one line each, by the names of the keys."""
     lines = []
     for key in sorted(stored.keys() | now.keys()):
         a, b = stored.get(key), now.get(key)

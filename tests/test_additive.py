@@ -309,8 +309,9 @@ def test_6_13_gamma_is_not_below_one_half():
 
 @pytest.mark.parametrize(("dt", "Phi"), [(0.005, 6.0), (0.05, 10.0)], ids=["3c", "4c"])
 def test_average_keeps_energy_and_momentum_where_the_figures_are(dt, Phi):
-    """λ = 2000 makes rounding visible. Of 4c it is a random walk of 5e-14 a step once the motion has lost its symmetry
-    (|F| up to 3.6): a stress rounded otherwise or further Newton corrections end between 4e-12 and 6e-12 as well.
+    """λ = 2000 makes rounding visible. Of 4c it is a random walk of 5e-14 per step once the motion has lost its
+    symmetry (|F| up to 3.6): a stress rounded otherwise or further Newton corrections end between 4e-12 and 6e-12 as
+    well.
     """
     H, moments, converged, end = run(additive(BALL), spinning(Phi), dt, 4000)
     assert converged.all()

@@ -148,7 +148,7 @@ def test_invariants_group_law_and_form(full):
     state = body.state(Q, angular_velocity=jnp.array([0.3, 0.6, 0.8]))
     run = li.integrate(exact(body), state, 3.0, 300)
     assert run.info.converged.all()
-    assert np.abs(diagnostics.energy_error(body, run)).max() < 1e-13  # floor 4e-15; full 3e-14, half an eps a step
+    assert np.abs(diagnostics.energy_error(body, run)).max() < 1e-13  # floor 4e-15; full 3e-14, half an eps per step
     assert np.abs(diagnostics.momentum_error(body, run)).max() == 0
     assert difference(run.state.q[30], body.solution(state, 90.0).q) < 1e-13
     assert diagnostics.reversibility(exact(body), state, 20.0) < 5e-14

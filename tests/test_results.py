@@ -150,7 +150,7 @@ def test_result_05_symplectic_kappa_preserves_the_form(J, q, axis, turn, sign):
 
 @pytest.mark.parametrize(("name", "printed"), [("cayley", 2.5e-5), ("exponential", 1.7e-5)])
 def test_result_05_refutation_cayley_and_exponential_are_not_symplectic(name, printed):
-    """Their defect is O(Δt³) a step."""
+    """Their defect is O(Δt³) per step."""
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     state = body.state(angular_velocity=[0.2, 0.0, 1.0])
     step = li.schemes.so3_midpoint(body, KAPPAS[name])

@@ -402,5 +402,5 @@ def test_energy_over_a_million_steps(make, bound):
     worst = max(-found.least.min(), found.greatest.max())
     slope = np.polyfit(found.t / 0.05, found.mean, 1)[0]
     assert worst < bound
-    assert abs(slope) < bound / 3e6  # a step
+    assert abs(slope) < bound / 3e6  # per step
     assert not found.unconverged.any()

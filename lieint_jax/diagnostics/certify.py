@@ -29,7 +29,7 @@ class Certificate(NamedTuple):
         momentum: max|Φ_n − Φ₀| / max|Φ₀| over the components of the momentum map; nan if there is none.
         constraint: largest defect of the configuration, such as ||q|² − 1|.
         symplectic_defect: max|Lᵀω(z₁)L − ω(z₀)| of the first step, momenta measured in max|π|.
-        symplectic_order: r of a defect O(Δtʳ) a step, from dt and dt/2; inf if the defect is round-off.
+        symplectic_order: r of a defect O(Δtʳ) per step, from dt and dt/2; inf if the defect is round-off.
         order: measured order of accuracy; inf if exact to round-off.
         reversibility: max|z − step(step(z, dt), −dt)|, momenta measured in max|π|.
         residual: largest residual of the run.

@@ -46,7 +46,7 @@ class InitialState(Table):
 
 
 class Spread(Table):
-    """Standard deviations, a component, of the members about the nominal state."""
+    """Standard deviations, per component, of the members about the nominal state."""
 
     attitude_deg: NonNegative = 0.0
     angular_velocity_deg: NonNegative = 0.0

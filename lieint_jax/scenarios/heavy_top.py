@@ -20,7 +20,7 @@ from lieint_jax.systems.heavy_top import kovalevskaya_integral, lagrange_motion
 from lieint_jax.types import State, Step, Trajectory
 
 _LONG = 10  # times the run: how long the energies are drawn
-_SAMPLES = 6  # saved states a nutation, at least, to measure it by
+_SAMPLES = 6  # saved states per nutation, at least, to measure it by
 
 
 class Scenario(BodyScenario):

@@ -28,7 +28,7 @@ class InitialState(Table):
 
 
 class Spread(Table):
-    """Standard deviations, a component, of the members about the nominal state."""
+    """Standard deviations, per component, of the members about the nominal state."""
 
     angular_velocity: NonNegative = 0.0
     velocity: NonNegative = 0.0

@@ -32,7 +32,7 @@ class InitialState(Table):
 
 
 class Spread(Table):
-    """Standard deviations, a component, of the members about the nominal state."""
+    """Standard deviations, per component, of the members about the nominal state."""
 
     direction_deg: NonNegative = 0.0
     velocity: NonNegative = 0.0

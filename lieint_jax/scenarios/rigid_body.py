@@ -96,7 +96,7 @@ def _spread(x: np.ndarray, angle: bool) -> float:
 
 
 def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Mean periods, one a member, of the tumbling of a free body about the principal axis that it tumbles about.
+    """Mean periods, one per member, of the tumbling of a free body about the principal axis that it tumbles about.
 
     That axis is the one of least inertia if |Π|² < 2H J₂, else the one of greatest (Poinsot). The first period is that
     of the axis' precession about the angular momentum, the second that of Π about the axis in the body.

@@ -64,7 +64,7 @@ class Additive(Step):
         system: a pseudo-rigid body.
         alpha: where between F_n and F_{n+1} the force acts.
         rule: how S is chosen.
-        iterations: the most Newton corrections a step.
+        iterations: the most Newton corrections per step.
     """
 
     system: ElasticBody
@@ -164,10 +164,10 @@ def additive(system: ElasticBody, rule: Rule = "average", alpha: ArrayLike = 0.5
 
     | rule | energy | momentum rot[PFᵀ] | symplectic form | order |
     |---|---|---|---|---|
-    | `"average"` (ours) | exact | exact | O(Δt³) a step | 2 |
+    | `"average"` (ours) | exact | exact | O(Δt³) per step | 2 |
     | `"symplectic"` (6.17) | bounded | exact | exact, for every α | 2 for α = ½, else 1 |
-    | `"energy"` (6.11), (6.13) | exact | exact | O(Δt³) a step | 2 |
-    | `"energy_momentum"` (6.14), γ corrected | exact | exact | O(Δt³) a step | 2 |
+    | `"energy"` (6.11), (6.13) | exact | exact | O(Δt³) per step | 2 |
+    | `"energy_momentum"` (6.14), γ corrected | exact | exact | O(Δt³) per step | 2 |
 
     "Exact" is to round-off at a converged step. With α = ½ all are time-symmetric.
 

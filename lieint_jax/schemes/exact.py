@@ -55,7 +55,7 @@ def exact(system: FreeBody) -> Exact:
 
     Args:
         system: `systems.rigid_body(...)`. For a full tensor each step finds the principal axes, which is slower, and
-            energy drifts by half an eps a step. Derivatives: see `free_body.attitude`.
+            energy drifts by half an eps per step. Derivatives: see `free_body.attitude`.
 
     Raises:
         ValueError: not a free rigid body.

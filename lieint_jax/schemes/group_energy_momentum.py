@@ -59,7 +59,7 @@ class GroupEnergyMomentum(Step):
     Attributes:
         system: anything with a `group`, a `metric`, a `force` and a `body_force`.
         tau: the exponential map.
-        iterations: Newton matrices a step, at most.
+        iterations: Newton matrices per step, at most.
     """
 
     system: Mechanical
@@ -126,7 +126,7 @@ def group_energy_momentum(system: Mechanical, iterations: int = 6) -> GroupEnerg
     |---|---|
     | energy | round-off, where five Gauss nodes integrate dV along a step to round-off: their error is O(Δt¹¹) |
     | ⟨π, η⟩ for each left symmetry η of V | round-off |
-    | the symplectic form | no: defect O(Δt³) a step (Result 8); `splitting` with a symplectic drift keeps it |
+    | the symplectic form | no: defect O(Δt³) per step (Result 8); `splitting` with a symplectic drift keeps it |
 
     Second order, time-symmetric.
 

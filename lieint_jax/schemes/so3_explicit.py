@@ -34,7 +34,7 @@ from lieint_jax.small import dot
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 
 _ITERATIONS = 4  # corrections of m, which is solved for once
-_FEEDBACK = 1 / 32  # of an energy error taken back a step, where the lever is longest
+_FEEDBACK = 1 / 32  # of an energy error taken back per step, where the lever is longest
 _DRIFT = 4096  # round-offs that a·h may drift from m before the step is called unconverged
 
 
@@ -86,7 +86,7 @@ class SO3Explicit(Step):
 
 
 def so3_explicit(system: FreeBody) -> SO3Explicit:
-    """The symplectic scheme of `so3_midpoint`, solved once a trajectory instead of once a step.
+    """The symplectic scheme of `so3_midpoint`, solved once per trajectory instead of once per step.
 
     Equal to `so3_midpoint(system, maps.kappa_symplectic)` to round-off, with the same invariants, order, symmetry and
     end of the branch (|Δt Ω| ≈ 1), and at least a tenth faster. `integrate` and `ensemble.run` call `prepare` once.

@@ -48,7 +48,7 @@ class SO3Midpoint(Step):
     Attributes:
         system: a free rigid body: anything with an `inertia` on T*SO(3).
         kappa: the scaling κ.
-        iterations: Newton corrections a step.
+        iterations: Newton corrections per step.
     """
 
     system: FreeBody
@@ -94,7 +94,7 @@ def so3_midpoint(
     | κ | energy | spatial momentum | symplectic form |
     |---|---|---|---|
     | `maps.kappa_symplectic` | exact | exact, bit for bit | exact (Result 5) |
-    | any other | exact (Result 3) | exact, bit for bit | defect O(Δt³) a step |
+    | any other | exact (Result 3) | exact, bit for bit | defect O(Δt³) per step |
 
     Second order, time-symmetric, |q| = 1 to round-off. Momentum is a Noether invariant of rotations in space; energy is
     ½ Π·J⁻¹Π. "Exact" is to round-off at a converged step.

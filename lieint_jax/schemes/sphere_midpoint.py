@@ -36,7 +36,7 @@ class SphereMidpoint(Step):
     Attributes:
         system: a pendulum.
         normalised: whether r lies on the sphere.
-        iterations: Newton corrections a step.
+        iterations: Newton corrections per step.
     """
 
     system: OnSphere
@@ -85,14 +85,14 @@ def sphere_midpoint(system: OnSphere, normalised: bool = False, iterations: int 
     | \\|q\\| = 1 and q·π = 0 | exact | exact |
     | momentum γ·π | exact | exact |
     | energy | exact for at most quadratic g | exact for linear g |
-    | symplectic form | O(Δt³) a step | exact |
+    | symplectic form | O(Δt³) per step | exact |
 
     "Exact" is to round-off. Both are of second order and time-symmetric.
 
     Args:
         system: `systems.pendulum(...)`.
         normalised: take q_m/|q_m| for the mean direction q_m on the right-hand sides.
-        iterations: Newton corrections a step; 6 reach round-off where a step turns q by less than about a radian.
+        iterations: Newton corrections per step; 6 reach round-off where a step turns q by less than about a radian.
 
     Raises:
         ValueError: not a system on T*S² with a mass and a potential, a bad count.

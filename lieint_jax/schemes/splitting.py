@@ -102,7 +102,7 @@ def _drift(free: Any) -> Step:
                 return group_midpoint(free, arcsine)
     raise ValueError(
         f"no symplectic drift is known for {getattr(free, 'group', type(free).__name__)} with this metric: give a "
-        "symmetric step of system.free, such as group_midpoint(system.free), which keeps the form up to O(Δt³) a step"
+        "symmetric step of system.free, such as group_midpoint(system.free), which keeps the form up to O(Δt³) per step"
     )
 
 

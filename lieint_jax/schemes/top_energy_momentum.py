@@ -50,7 +50,7 @@ class TopEnergyMomentum(Step):
     Attributes:
         system: a rigid body in a potential with an axis.
         kappa: the scaling κ.
-        iterations: Newton corrections a step.
+        iterations: Newton corrections per step.
     """
 
     system: Top
@@ -139,7 +139,7 @@ def top_energy_momentum(
     |---|---|
     | energy | round-off, for any κ and any Ṽ (Result 7) |
     | γ·π | round-off (Result 6) |
-    | the symplectic form | no: defect O(Δt³) a step, for any κ (Result 8); `splitting` keeps it |
+    | the symplectic form | no: defect O(Δt³) per step, for any κ (Result 8); `splitting` keeps it |
 
     Second order, time-symmetric. D̄ is the potential's own `discrete_gradient` if it has one, else the average of the
     gradient between Γ_n and Γ_{n+1} by 4 Gauss nodes, corrected along ΔΓ where |ΔΓ| > .01.
@@ -147,9 +147,9 @@ def top_energy_momentum(
     Args:
         system: `systems.heavy_top(...)` or `systems.potential_top(...)` with an axis.
         kappa: κ as of `so3_midpoint`.
-        iterations: Newton corrections a step; by default 3 for a linear Ṽ and κ = 1, 5 for a linear Ṽ and any other κ,
-            6 for any other Ṽ. With κ = 1, J = (1, 2, 2.5) and Δt²|E| = .008, 3 reach round-off for |Δt Ω| ≤ .3, 4 for
-            ≤ .8. A step that fell short says `converged=False`.
+        iterations: Newton corrections per step; by default 3 for a linear Ṽ and κ = 1, 5 for a linear Ṽ and any other
+            κ, 6 for any other Ṽ. With κ = 1, J = (1, 2, 2.5) and Δt²|E| = .008, 3 reach round-off for |Δt Ω| ≤ .3, 4
+            for ≤ .8. A step that fell short says `converged=False`.
 
     Raises:
         ValueError: no potential or no axis, κ is not callable, iterations is not a positive int.
