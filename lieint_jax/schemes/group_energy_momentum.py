@@ -23,18 +23,9 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import checks, dense, newton
+from lieint_jax import checks, dense
 from lieint_jax.maps import Tau, as_tau, exponential
-from lieint_jax.schemes.group_midpoint import (
-    as_vector,
-    coadjoint,
-    digits_left,
-    guess,
-    newton_matrix,
-    report,
-    size_unit,
-    unpacked,
-)
+from lieint_jax.schemes._on_groups import Equation, as_vector, coadjoint, guess, newton_matrix, size_unit, solved
 from lieint_jax.types import Group, State, Step, StepInfo, System, pytree, static
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
@@ -73,10 +64,10 @@ class GroupEnergyMomentum(Step):
         return "group_energy_momentum"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        group, tau, m, q = self.system.group, self.tau, unpacked(self.system.group, self.system.metric), state.q
+        group, tau, q = self.system.group, self.tau, state.q
         dt = jnp.asarray(checks.step_size(dt), state.p.dtype)
-        half, s = 0.5 * dt, 0.5 * dt * dt
-        a = dense.settled(as_vector(m, half * group.Ad_star(q, state.p)))  # ½Δt Π_n
+        equation, s = Equation.of(self.system, tau, state, 0.5 * dt), 0.5 * dt * dt
+        m, a = equation.m, equation.a
         pull = dense.settled(as_vector(m, s * self.system.body_force(q)))  # what the kick is, nearly
 
         def force(theta: dense.Vector) -> Array:
@@ -88,8 +79,7 @@ class GroupEnergyMomentum(Step):
 
         def residual(theta: dense.Vector) -> dense.Vector:
             kicked = dense.plus(a, as_vector(m, s * group.Ad_star(q, force(theta))))
-            after = coadjoint(tau, group, theta, dense.settled(kicked))
-            return dense.settled(dense.plus(dense.matvec(m, theta), (-1.0, a), (-1.0, after)))
+            return equation.residual(theta, coadjoint(tau, group, theta, dense.settled(kicked)))
 
         def matrix(theta: dense.Vector, F: dense.Vector) -> dense.Matrix:
             half_turn = dense.as_array(theta, state.p) / 2
@@ -98,18 +88,12 @@ class GroupEnergyMomentum(Step):
                 jnp.zeros_like(half_turn)
             )
             bend = lax.stop_gradient(s / 2 * bend)
-            K = newton_matrix(group, tau, m, theta, F, a)
+            K = newton_matrix(equation, theta, F)
             return dense.combination((1.0, K), (-1.0, dense.as_list(bend) if isinstance(K, list) else bend))
 
-        def factored(theta: dense.Vector, F: dense.Vector) -> dense.Factored:
-            return dense.factored(matrix(theta, F))
-
-        unit = size_unit(m, dense.each(jnp.maximum, dense.each(jnp.abs, a), dense.each(jnp.abs, pull)))
+        size = size_unit(m, dense.each(jnp.maximum, dense.each(jnp.abs, a), dense.each(jnp.abs, pull)))
         start = guess(group, m, dense.plus(a, (0.5, pull)))
-        theta, (F, determinant) = newton.chords(residual, factored, unit, start, self.iterations)
-        good = (determinant > 0) & digits_left(group, m, state, a, half)
-        Theta = dense.as_array(theta, state.p)
-        info = report(unit(F), good & tau.holds(group, Theta) if tau.holds else good)
+        theta, Theta, info = solved(equation, residual, matrix, size, start, self.iterations)
         return State(group.multiply(q, tau(group, Theta)), state.p + dt * force(theta)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:

@@ -15,18 +15,15 @@ Steps of SE(3) and its like take their Ad*_τ and τ in closed form (`groups._cl
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
 from typing import Any, Protocol
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax import checks, dense, newton
-from lieint_jax.maps import Map, Tau, as_tau, cayley, derivative, exponential
+from lieint_jax import checks, dense
+from lieint_jax.maps import Map, Tau, as_tau, cayley, exponential
+from lieint_jax.schemes._on_groups import Equation, coadjoint, guess, newton_matrix, size_unit, solved
 from lieint_jax.types import Group, State, Step, StepInfo, System, pytree, static
 
 
@@ -60,22 +57,17 @@ class GroupMidpoint(Step):
         return f"group_midpoint[{self.tau.name}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        group, tau, m = self.system.group, self.tau, unpacked(self.system.group, self.system.metric)
-        half = 0.5 * checks.step_size(dt)
-        a = dense.settled(as_vector(m, half * group.Ad_star(state.q, state.p)))  # ½Δt Π_n
-        unit = size_unit(m, a)
+        group, tau = self.system.group, self.tau
+        equation = Equation.of(self.system, tau, state, 0.5 * checks.step_size(dt))
 
         def residual(theta: dense.Vector) -> dense.Vector:
-            after = coadjoint(tau, group, theta, a)
-            return dense.settled(dense.plus(dense.matvec(m, theta), (-1.0, a), (-1.0, after)))
+            return equation.residual(theta, coadjoint(tau, group, theta, equation.a))
 
-        def factored(theta: dense.Vector, F: dense.Vector) -> dense.Factored:
-            return dense.factored(newton_matrix(group, tau, m, theta, F, a))
+        def matrix(theta: dense.Vector, F: dense.Vector) -> dense.Matrix:
+            return newton_matrix(equation, theta, F)
 
-        theta, (F, determinant) = newton.chords(residual, factored, unit, guess(group, m, a), self.iterations)
-        good = (determinant > 0) & digits_left(group, m, state, a, half)  # past the fold of the branch it is negative
-        Theta = dense.as_array(theta, state.p)
-        info = report(unit(F), good & tau.holds(group, Theta) if tau.holds else good)
+        m, a = equation.m, equation.a
+        _, Theta, info = solved(equation, residual, matrix, size_unit(m, a), guess(group, m, a), self.iterations)
         return State(group.multiply(state.q, tau(group, Theta)), state.p), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
@@ -136,97 +128,3 @@ def examples(system: Any) -> dict[str, Step]:
 def is_geodesic(system: Any) -> bool:
     """Whether `system` has a group and a metric and no potential."""
     return hasattr(system, "metric") and hasattr(system, "group") and getattr(system, "potential", None) is None
-
-
-# Shared with `group_energy_momentum`: vectors are lists for small groups, arrays for large ones, see `dense` --------
-
-
-def unpacked(group: Any, metric: Array) -> dense.Matrix:
-    """The metric as a matrix: a list of rows for small groups, an array for large ones."""
-    d = metric.shape[0]
-    if not getattr(group, "unrolled", True):
-        return jnp.diag(metric) if metric.ndim == 1 else metric
-    if metric.ndim == 2:
-        return dense.as_list(metric)
-    return [[metric[i] if i == j else 0.0 for j in range(d)] for i in range(d)]
-
-
-def as_vector(m: dense.Matrix, x: Array) -> dense.Vector:
-    """x as a list if m is one."""
-    return dense.as_list(x) if isinstance(m, list) else x
-
-
-def ad_star(group: Any, xi: dense.Vector, mu: dense.Vector) -> dense.Vector:
-    """ad*_ξ μ."""
-    return dense.matvec(ad_star_matrix(group, mu), xi)
-
-
-def ad_star_matrix(group: Any, mu: dense.Vector) -> dense.Matrix:
-    """ad*(μ), (d, d)."""
-    if hasattr(group, "ad_star_matrix"):
-        return group.ad_star_matrix(mu)
-    mu = dense.as_array(mu, mu[0])
-    return dense.as_list(jax.vmap(group.ad_star, (1, None), 1)(jnp.eye(group.dim, dtype=mu.dtype), mu))
-
-
-def coadjoint(tau: Tau, group: Any, theta: dense.Vector, mu: dense.Vector) -> dense.Vector:
-    """Ad*_τ(Θ) μ."""
-    if tau.coadjoint is not None:
-        return tau.coadjoint(group, theta, mu)
-    turned = group.Ad_star(tau(group, dense.as_array(theta, theta[0])), dense.as_array(mu, mu[0]))
-    return dense.as_list(turned) if isinstance(theta, list) else turned
-
-
-def slope(tau: Tau, group: Any, theta: dense.Vector) -> dense.Matrix:
-    """H(Θ), (d, d)."""
-    if tau.slope is not None:
-        return tau.slope(group, theta)
-    H = derivative(tau, group, dense.as_array(theta, theta[0]))
-    return dense.as_list(H) if isinstance(theta, list) else H
-
-
-def guess(group: Group, m: dense.Matrix, a: dense.Vector) -> dense.Vector:
-    """Θ ≈ ΔtΩ + ½Δt² m⁻¹ ad*_Ω Π, from a = ½Δt Π: second order."""
-    sharp = dense.factored(m).solve
-    half_turn = dense.settled(sharp(a))
-    bent = sharp(dense.settled(ad_star(group, half_turn, a)))
-    return dense.settled(dense.plus((2.0, half_turn), (2.0, bent)))
-
-
-def newton_matrix(
-    group: Any, tau: Tau, m: dense.Matrix, theta: dense.Vector, F: dense.Vector, a: dense.Vector
-) -> dense.Matrix:
-    """F′ at Θ, with ½Δt Π_{n+1} = mΘ − ½Δt Π_n − F. Nothing is differentiated through it."""
-    theta, F, a, m = lax.stop_gradient((theta, F, a, m))
-    after = dense.settled(dense.plus(dense.matvec(m, theta), (-1.0, a), (-1.0, F)))
-    turned = dense.matmul(ad_star_matrix(group, after), dense.settled(slope(tau, group, theta)))
-    return dense.settled(dense.combination((1.0, m), (-1.0, turned)))
-
-
-def size_unit(m: dense.Matrix, a: dense.Vector) -> Callable[[dense.Vector], Array]:
-    """F ↦ the largest |Fᵢ|/√mᵢᵢ over √(2H)Δt: whatever the units of the basis, round-off is round-off."""
-    a, m = lax.stop_gradient((a, m))
-    scale = 2 * jnp.sqrt(jnp.maximum(dense.dot(a, dense.solve(m, a)), 0))
-    units = [jnp.sqrt(m[i][i]) * jnp.where(scale == 0, 1, scale) for i in range(len(m))]
-
-    def size(F: dense.Vector) -> Array:
-        return functools.reduce(jnp.maximum, (jnp.abs(lax.stop_gradient(F[i])) / units[i] for i in range(len(units))))
-
-    return size
-
-
-def report(residual: Array, good: Array) -> StepInfo:
-    """Converged if the residual, in the units of `size_unit`, is round-off, and all else is good."""
-    return StepInfo(residual, (residual <= 32 * jnp.finfo(residual.dtype).eps) & good)
-
-
-def digits_left(group: Any, m: dense.Matrix, state: State, a: dense.Vector, half: Array) -> Array:
-    """Whether Ad*_q π keeps six digits in float64: ε (what it sums up / what is left)² ≤ ε^{3/8}; q too."""
-    if not hasattr(group, "rounding"):
-        return jnp.ones((), bool)
-    state, a, half = lax.stop_gradient((state, a, half))
-    unit = jnp.sqrt(jnp.stack([m[i][i] for i in range(len(m))]))
-    summed = jnp.max(jnp.abs(half) * group.rounding(state.q, state.p) / unit)
-    left = jnp.max(jnp.abs(dense.as_array(a, state.p)) / unit)
-    eps = float(jnp.finfo(left.dtype).eps)
-    return (eps * summed**2 <= eps**0.375 * left**2) & (group.drift(state.q) <= eps**0.375)
