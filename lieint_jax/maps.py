@@ -26,32 +26,7 @@ from lieint_jax import dense, small
 from lieint_jax.groups._closed_form import squared_eigenvalue
 from lieint_jax.types import Group, callable_pytree, concrete, pytree, static
 
-Map = Callable[[Group, Array], Array]
-
-
-def exponential(group: Group, theta: Array) -> Array:
-    """exp Θ."""
-    return group.exp(theta)
-
-
-def cayley(group: Group, theta: Array) -> Array:
-    """cay Θ = (1 − Θ/2)⁻¹(1 + Θ/2) (2.5)."""
-    return group.cayley(theta)
-
-
-def scaled_cayley(kappa: Callable[[Array], Array]) -> Map:
-    """The map Θ̄ ↦ cay[κ(|Θ̄|²) Θ̄] of SO(3) (3.17)."""
-    return jax.tree_util.Partial(_scaled_cayley, kappa)
-
-
-def _scaled_cayley(kappa: Callable[[Array], Array], group: Group, theta: Array) -> Array:
-    return group.cayley(kappa(small.dot(theta, theta)) * theta)
-
-
-def derivative(tau: Map, group: Group, theta: Array) -> Array:
-    """H(Θ) of Dτ(Θ)·δΘ = τ(Θ)(HδΘ)^ (5.28), shape (d, d), by autodiff."""
-    value, tangents = tau(group, theta), jax.jacfwd(lambda x: tau(group, x))(theta)
-    return jax.vmap(lambda t: group.body_velocity(value, t), in_axes=-1, out_axes=-1)(tangents)
+# Scalings κ of SO(3) --------------------------------------------------------------------------------------------------
 
 
 @pytree
@@ -130,7 +105,35 @@ kappa_symplectic = Kappa(callable_pytree(_symplectic), name="symplectic", limit=
 KAPPAS = (kappa_cayley, kappa_exponential, kappa_symplectic)
 
 
-# Maps of any group ---------------------------------------------------------------------------------------------------
+# Maps τ of any group --------------------------------------------------------------------------------------------------
+
+
+Map = Callable[[Group, Array], Array]
+
+
+def exponential(group: Group, theta: Array) -> Array:
+    """exp Θ."""
+    return group.exp(theta)
+
+
+def cayley(group: Group, theta: Array) -> Array:
+    """cay Θ = (1 − Θ/2)⁻¹(1 + Θ/2) (2.5)."""
+    return group.cayley(theta)
+
+
+def scaled_cayley(kappa: Callable[[Array], Array]) -> Map:
+    """The map Θ̄ ↦ cay[κ(|Θ̄|²) Θ̄] of SO(3) (3.17)."""
+    return jax.tree_util.Partial(_scaled_cayley, kappa)
+
+
+def _scaled_cayley(kappa: Callable[[Array], Array], group: Group, theta: Array) -> Array:
+    return group.cayley(kappa(small.dot(theta, theta)) * theta)
+
+
+def derivative(tau: Map, group: Group, theta: Array) -> Array:
+    """H(Θ) of Dτ(Θ)·δΘ = τ(Θ)(HδΘ)^ (5.28), shape (d, d), by autodiff."""
+    value, tangents = tau(group, theta), jax.jacfwd(lambda x: tau(group, x))(theta)
+    return jax.vmap(lambda t: group.body_velocity(value, t), in_axes=-1, out_axes=-1)(tangents)
 
 
 def arcsine(group: Group, theta: Array) -> Array:
@@ -144,100 +147,6 @@ def arcsine(group: Group, theta: Array) -> Array:
         ValueError: ad_Θ has nonzero eigenvalues of several sizes (SO(4), SL(3), …): the map is not defined there.
     """
     return group.exp(_arcsine_scale(group, theta) * theta)
-
-
-@pytree
-class Tau:
-    """A map τ from the algebra to the group, as schemes use it. Made by `as_tau`.
-
-    Attributes:
-        function: (group, Θ) ↦ τ(Θ), a callable pytree.
-        name: for reports.
-        slope: (group, Θ) ↦ H(Θ) of (5.28), (d, d), for Newton's matrix: it may be approximate. None for autodiff.
-        holds: (group, Θ) ↦ whether τ(Θ) is exact to round-off. None if it always is.
-        coadjoint: (group, Θ, μ) ↦ Ad*_τ(Θ) μ, on `dense` vectors. None where a step is to find it by τ(Θ).
-        symmetric: whether τ(−Θ) = τ(Θ)⁻¹, which makes a step of τ time-symmetric and of second order. `as_tau` measures
-            it; who makes a `Tau` by hand says it.
-    """
-
-    function: Map
-    name: str = static(default="user")
-    slope: Callable[[Group, Array], dense.Matrix] | None = static(default=None)
-    holds: Callable[[Group, Array], Array] | None = static(default=None)
-    coadjoint: Callable[[Group, dense.Vector, dense.Vector], dense.Vector] | None = static(default=None)
-    symmetric: bool = static(default=True)
-
-    def __call__(self, group: Group, theta: Array) -> Array:
-        return self.function(group, theta)
-
-
-def as_tau(tau: Tau | Map, group: Group) -> Tau:
-    """Any map τ(group, Θ) as a `Tau`, checked on `group`; whether it is symmetric is measured.
-
-    A map with traced parameters of its own is neither checked nor measured, and taken for symmetric.
-
-    Raises:
-        ValueError: not callable; not τ(0) = 1 with H(0) = 1, so not consistent; it leaves the group; or not
-            Ad_τ(Θ) Θ = Θ, without which energy is not conserved (Result 10).
-    """
-    if isinstance(tau, Tau):
-        return tau
-    if not callable(tau):
-        raise ValueError(f"tau must be a map (group, theta) ↦ group element, such as maps.exponential, got {tau!r}")
-    name = getattr(tau, "__name__", type(tau).__name__)
-    if tau is exponential:
-        if hasattr(group, "exp_near"):
-            return Tau(callable_pytree(_exponential_near), name, _exponential_slope, _near, _exponential_coadjoint)
-        return Tau(callable_pytree(exponential), name)
-    if tau is arcsine:
-        with jax.ensure_compile_time_eval():
-            arcsine_form(group)
-        if hasattr(group, "exp_near"):
-            return Tau(callable_pytree(_arcsine_near), name, _arcsine_slope, _arcsine_holds, _arcsine_coadjoint)
-        return Tau(callable_pytree(arcsine), name)
-    if tau is cayley and hasattr(group, "cayley_slope"):
-        if not getattr(group, "cayley_lands", True):
-            raise ValueError(f"the Cayley map does not land in {group}: take maps.exponential")
-        return Tau(callable_pytree(cayley), name, _cayley_slope, None, _cayley_coadjoint)
-    made = Tau(callable_pytree(tau), name)
-    if not concrete(made):
-        return made
-    with jax.ensure_compile_time_eval():
-        return dataclasses.replace(made, symmetric=_check_map(made, group))
-
-
-def axis_residual(tau: Map, group: Group, theta: Array) -> Array:
-    """max|Ad_τ(Θ) Θ − Θ| / max|Θ|: zero if a step by τ conserves energy (Result 10)."""
-    return jnp.max(jnp.abs(group.Ad(tau(group, theta), theta) - theta)) / jnp.max(jnp.abs(theta))
-
-
-def symplectic_residual(tau: Map, group: Group, metric: Array, theta: Array) -> Array:
-    """The residual of the symplectic condition (5.31), relative to the metric.
-
-    With (5.33) put in, Δt drops out: skew[m H⁻¹ (1 + Ad_τ⁻¹)] = ad*([(1 + Ad*_τ⁻¹)⁻¹ − ½] m Θ). The step of
-    `schemes.group_midpoint` from a state with Δt Ω_{n+½} = Θ is symplectic if and only if it is zero.
-
-    Args:
-        tau: a map.
-        group: a group.
-        metric: m, principal (d,) or full (d, d).
-        theta: Θ, shape (d,).
-    """
-    one = jnp.eye(group.dim, dtype=theta.dtype)
-    m = jnp.diag(metric) if jnp.ndim(metric) == 1 else metric
-    back = jax.vmap(group.Ad, (None, 1), 1)(group.inverse(tau(group, theta)), one)  # Ad_τ⁻¹
-    M = m @ jnp.linalg.solve(derivative(tau, group, theta), one + back)
-    mu = jnp.linalg.solve(one + back.T, m @ theta) - m @ theta / 2
-    right = jax.vmap(group.ad_star, (1, None), 1)(one, mu)
-    return jnp.max(jnp.abs((M - M.T) / 2 - right)) / jnp.max(jnp.abs(m))
-
-
-def is_symplectic(tau: Map, group: Group, metric: Array, size: float = 0.3, samples: int = 8) -> bool:
-    """Whether τ keeps the symplectic form for this group and metric, measured at random Θ with |Θᵢ| ≤ `size`."""
-    theta = np.random.default_rng(0).uniform(-size, size, (samples, group.dim))
-    theta = jnp.asarray(theta, jnp.result_type(metric, float))
-    found = jax.jit(jax.vmap(lambda x: symplectic_residual(tau, group, metric, x)))(theta)
-    return bool(jnp.max(found) < 1e3 * jnp.finfo(theta.dtype).eps)
 
 
 @cache
@@ -273,35 +182,47 @@ def _arcsine_of_square(x: Array) -> Array:
     return jnp.where(near, small.horner(_ARCSINE, jnp.where(near, x, 0)), closed)
 
 
+@pytree
+class Tau:
+    """A map τ from the algebra to the group, as schemes use it. Made by `as_tau`.
+
+    Attributes:
+        function: (group, Θ) ↦ τ(Θ), a callable pytree.
+        name: for reports.
+        slope: (group, Θ) ↦ H(Θ) of (5.28), (d, d), for Newton's matrix: it may be approximate. None for autodiff.
+        holds: (group, Θ) ↦ whether τ(Θ) is exact to round-off. None if it always is.
+        coadjoint: (group, Θ, μ) ↦ Ad*_τ(Θ) μ, on `dense` vectors. None where a step is to find it by τ(Θ).
+        symmetric: whether τ(−Θ) = τ(Θ)⁻¹, which makes a step of τ time-symmetric and of second order. `as_tau` measures
+            it; who makes a `Tau` by hand says it.
+    """
+
+    function: Map
+    name: str = static(default="user")
+    slope: Callable[[Group, Array], dense.Matrix] | None = static(default=None)
+    holds: Callable[[Group, Array], Array] | None = static(default=None)
+    coadjoint: Callable[[Group, dense.Vector, dense.Vector], dense.Vector] | None = static(default=None)
+    symmetric: bool = static(default=True)
+
+    def __call__(self, group: Group, theta: Array) -> Array:
+        return self.function(group, theta)
+
+
 _SLOPE_TERMS = 3  # of H in Newton's matrix: what is cut is |Θ|³/24
 
 
-def _exponential_near(group: Any, theta: Array) -> Array:
-    return group.exp_near(theta)
+@dataclasses.dataclass(frozen=True)
+class _Ask:
+    """(group, …) ↦ group.method(…, *more): a function that is equal to one of the same fields, and can be pickled."""
 
+    method: str
+    more: tuple[Any, ...] = ()
 
-def _near(group: Any, theta: Array) -> Array:
-    return group.near(theta)
-
-
-def _exponential_slope(group: Any, theta: Any) -> dense.Matrix:
-    return group.exp_slope(theta, _SLOPE_TERMS)
-
-
-def _cayley_slope(group: Any, theta: Any) -> dense.Matrix:
-    return group.cayley_slope(theta)
-
-
-def _exponential_coadjoint(group: Any, theta: dense.Vector, mu: dense.Vector) -> dense.Vector:
-    return group.exp_coadjoint(theta, mu)
+    def __call__(self, group: Any, *arguments: Any) -> Any:
+        return getattr(group, self.method)(*arguments, *self.more)
 
 
 def _cayley_coadjoint(group: Any, theta: dense.Vector, mu: dense.Vector) -> dense.Vector:
     return group.coadjoint(*group.cayley_both(theta), mu)
-
-
-def _arcsine_coadjoint(group: Any, theta: dense.Vector, mu: dense.Vector) -> dense.Vector:
-    return group.exp_coadjoint(dense.scaled(_arcsine_scale(group, theta), theta), mu)
 
 
 def _arcsine_near(group: Any, theta: Array) -> Array:
@@ -321,6 +242,57 @@ def _arcsine_slope(group: Any, theta: Any) -> dense.Matrix:
     if not isinstance(theta, list):
         return s * H + along[:, None] * gradient
     return [[dense.times(s, h) + a * gradient[j] for j, h in enumerate(row)] for row, a in zip(H, along, strict=True)]
+
+
+def _arcsine_coadjoint(group: Any, theta: dense.Vector, mu: dense.Vector) -> dense.Vector:
+    return group.exp_coadjoint(dense.scaled(_arcsine_scale(group, theta), theta), mu)
+
+
+_BY_EXPONENTIAL = Tau(
+    callable_pytree(_Ask("exp_near")),
+    "exponential",
+    slope=_Ask("exp_slope", (_SLOPE_TERMS,)),
+    holds=_Ask("near"),
+    coadjoint=_Ask("exp_coadjoint"),
+)
+_BY_CAYLEY = Tau(callable_pytree(cayley), "cayley", slope=_Ask("cayley_slope"), coadjoint=_cayley_coadjoint)
+_BY_ARCSINE = Tau(
+    callable_pytree(_arcsine_near), "arcsine", slope=_arcsine_slope, holds=_arcsine_holds, coadjoint=_arcsine_coadjoint
+)
+_ON_MATRIX_GROUPS = (  # a map, what a step takes in its place, and what a group must offer for that
+    (exponential, _BY_EXPONENTIAL, "exp_near"),
+    (cayley, _BY_CAYLEY, "cayley_slope"),
+    (arcsine, _BY_ARCSINE, "exp_near"),
+)
+
+
+def as_tau(tau: Tau | Map, group: Group) -> Tau:
+    """Any map τ(group, Θ) as a `Tau`, checked on `group`; whether it is symmetric is measured.
+
+    A map with traced parameters of its own is neither checked nor measured, and taken for symmetric.
+
+    Raises:
+        ValueError: not callable; not τ(0) = 1 with H(0) = 1, so not consistent; it leaves the group; or not
+            Ad_τ(Θ) Θ = Θ, without which energy is not conserved (Result 10).
+    """
+    if isinstance(tau, Tau):
+        return tau
+    if not callable(tau):
+        raise ValueError(f"tau must be a map (group, theta) ↦ group element, such as maps.exponential, got {tau!r}")
+    name = getattr(tau, "__name__", type(tau).__name__)
+    if tau is arcsine:
+        with jax.ensure_compile_time_eval():
+            arcsine_form(group)
+    if tau is cayley and not getattr(group, "cayley_lands", True):
+        raise ValueError(f"the Cayley map does not land in {group}: take maps.exponential")
+    for known, its, needed in _ON_MATRIX_GROUPS:
+        if tau is known and hasattr(group, needed):
+            return its
+    made = Tau(callable_pytree(tau), name)
+    if tau is exponential or tau is arcsine or not concrete(made):
+        return made
+    with jax.ensure_compile_time_eval():
+        return dataclasses.replace(made, symmetric=_check_map(made, group))
 
 
 def _check_map(tau: Tau, group: Group) -> bool:
@@ -348,6 +320,40 @@ def _check_map(tau: Tau, group: Group) -> bool:
         there_and_back = group.multiply(tau(group, theta), tau(group, -theta))
         symmetric &= bool(jnp.max(jnp.abs(there_and_back - one)) < 1e4 * eps)
     return symmetric
+
+
+def axis_residual(tau: Map, group: Group, theta: Array) -> Array:
+    """max|Ad_τ(Θ) Θ − Θ| / max|Θ|: zero if a step by τ conserves energy (Result 10)."""
+    return jnp.max(jnp.abs(group.Ad(tau(group, theta), theta) - theta)) / jnp.max(jnp.abs(theta))
+
+
+def symplectic_residual(tau: Map, group: Group, metric: Array, theta: Array) -> Array:
+    """The residual of the symplectic condition (5.31), relative to the metric.
+
+    With (5.33) put in, Δt drops out: skew[m H⁻¹ (1 + Ad_τ⁻¹)] = ad*([(1 + Ad*_τ⁻¹)⁻¹ − ½] m Θ). The step of
+    `schemes.group_midpoint` from a state with Δt Ω_{n+½} = Θ is symplectic if and only if it is zero.
+
+    Args:
+        tau: a map.
+        group: a group.
+        metric: m, principal (d,) or full (d, d).
+        theta: Θ, shape (d,).
+    """
+    one = jnp.eye(group.dim, dtype=theta.dtype)
+    m = jnp.diag(metric) if jnp.ndim(metric) == 1 else metric
+    back = jax.vmap(group.Ad, (None, 1), 1)(group.inverse(tau(group, theta)), one)  # Ad_τ⁻¹
+    M = m @ jnp.linalg.solve(derivative(tau, group, theta), one + back)
+    mu = jnp.linalg.solve(one + back.T, m @ theta) - m @ theta / 2
+    right = jax.vmap(group.ad_star, (1, None), 1)(one, mu)
+    return jnp.max(jnp.abs((M - M.T) / 2 - right)) / jnp.max(jnp.abs(m))
+
+
+def is_symplectic(tau: Map, group: Group, metric: Array, size: float = 0.3, samples: int = 8) -> bool:
+    """Whether τ keeps the symplectic form for this group and metric, measured at random Θ with |Θᵢ| ≤ `size`."""
+    theta = np.random.default_rng(0).uniform(-size, size, (samples, group.dim))
+    theta = jnp.asarray(theta, jnp.result_type(metric, float))
+    found = jax.jit(jax.vmap(lambda x: symplectic_residual(tau, group, metric, x)))(theta)
+    return bool(jnp.max(found) < 1e3 * jnp.finfo(theta.dtype).eps)
 
 
 def examples() -> dict[str, Map]:
