@@ -101,6 +101,12 @@ def linear(C: np.ndarray, x: Vector) -> Any:
     return [total(times(float(c[i]), x[i]) for i in np.flatnonzero(c)) for c in C]
 
 
+def quadratic(C: np.ndarray, x: Vector) -> Array:
+    """Σ C[i, j] x_i x_j for constants C, (d, d): an array scalar, even where C vanishes."""
+    terms = [(float(C[i, j]), x[i] * x[j]) for i, j in zip(*np.nonzero(C), strict=True)]
+    return total(times(c, xx) for c, xx in terms) + 0 * x[0]
+
+
 def flatten(A: Matrix) -> Vector:
     return A.reshape(-1) if _whole(A) else list(itertools.chain.from_iterable(A))
 

@@ -165,9 +165,7 @@ def arcsine_form(group: Group) -> np.ndarray:
 
 
 def _arcsine_scale(group: Group, theta: dense.Vector) -> Array:
-    K = arcsine_form(group)
-    terms = [(float(K[i, j]), theta[i] * theta[j]) for i, j in zip(*np.nonzero(K), strict=True)]
-    return _arcsine_of_square(dense.total(dense.times(c, x) for c, x in terms) + 0 * theta[0])
+    return _arcsine_of_square(dense.quadratic(arcsine_form(group), theta))
 
 
 _ARCSINE = [math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(20)]

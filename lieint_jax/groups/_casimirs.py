@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from lieint_jax.groups._basis import null, rounded
+
 _TOLERANCE = 1e-9
 
 
 def linear(structure: np.ndarray) -> np.ndarray:
     """The λ with ⟨ad*_ξ μ, λ⟩ = 0, rows (k, d): the centre of the algebra."""
-    return _echelon(_null(structure.transpose(0, 2, 1).reshape(-1, len(structure))))
+    return _echelon(null(structure.transpose(0, 2, 1).reshape(-1, len(structure)), _TOLERANCE))
 
 
 def quadratic(structure: np.ndarray) -> np.ndarray:
@@ -25,7 +27,7 @@ def quadratic(structure: np.ndarray) -> np.ndarray:
     products = [_coordinates(np.outer(x, y), pairs) for n, x in enumerate(central) for y in central[n:]]
     kept, rank = list(products), len(products)
     found = []
-    for row in _echelon(_null(rates.T)):
+    for row in _echelon(null(rates.T, _TOLERANCE)):
         if np.linalg.matrix_rank([*kept, row], _TOLERANCE) > rank:
             kept.append(row)
             found.append(row)
@@ -35,12 +37,6 @@ def quadratic(structure: np.ndarray) -> np.ndarray:
 
 def _coordinates(Q: np.ndarray, pairs: list[tuple[int, int]]) -> np.ndarray:
     return np.array([Q[i, j] if i == j else Q[i, j] + Q[j, i] for i, j in pairs])
-
-
-def _null(M: np.ndarray) -> np.ndarray:
-    """A basis of the x with Mx = 0, as rows."""
-    _, values, rows = np.linalg.svd(M)
-    return rows[int(np.sum(values > _TOLERANCE * max(1.0, values.max(initial=0)))) :]
 
 
 def _echelon(rows: np.ndarray) -> np.ndarray:
@@ -55,5 +51,4 @@ def _echelon(rows: np.ndarray) -> np.ndarray:
         for other in range(len(rows)):
             if other != k:
                 rows[other] -= rows[other, column] * rows[k]
-    near = np.round(12 * rows) / 12
-    return np.where(np.abs(rows - near) < _TOLERANCE, near, rows)
+    return rounded(rows, _TOLERANCE)

@@ -40,8 +40,7 @@ class ClosedForm(NamedTuple):
 
     def square(self, xi: dense.Vector) -> dense.Scalar:
         """x, the square of the eigenvalue λ of ξ̂."""
-        terms = [(float(self.form[i, j]), xi[i] * xi[j]) for i, j in zip(*np.nonzero(self.form), strict=True)]
-        return dense.total(dense.times(c, x) for c, x in terms) + 0 * xi[0]
+        return dense.quadratic(self.form, xi)
 
     def series(self, weights: Sequence[float]) -> list[list[float]]:
         """The coefficients in x of each c_m."""

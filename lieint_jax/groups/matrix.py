@@ -19,10 +19,9 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import dense
-from lieint_jax.groups import _casimirs, _closed_form
+from lieint_jax.groups import _basis, _casimirs, _closed_form
 
 _UNROLLED_DIM, _UNROLLED_SIZE = 6, 5  # groups up to this size are worked out entry by entry, see `dense`
-_TOLERANCE = 1e-10
 _POWERS = 5  # in a closed form
 _DEGREE = 24  # exp by a Taylor polynomial of degree 23, at round-off for norms up to 2
 _EXPONENTIAL = [1 / math.factorial(n) for n in range(_DEGREE + 4)]
@@ -45,11 +44,11 @@ class MatrixGroup:
     """
 
     def __init__(self, basis: np.ndarray, name: str, unrolled: bool | None = None) -> None:
-        self.basis, self.name = _frozen(basis), name
+        self.basis, self.name = _basis.frozen(basis), name
         small = self.dim <= _UNROLLED_DIM and self.size <= _UNROLLED_SIZE
         self.unrolled = small if unrolled is None else unrolled
-        self._dual, self.structure = (_frozen(x) for x in _closed(self.basis))
-        self.identity = _frozen(np.eye(self.basis.shape[1]))
+        self._dual, self.structure = (_basis.frozen(x) for x in _basis.dual_and_structure(self.basis))
+        self.identity = _basis.frozen(np.eye(self.basis.shape[1]))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, MatrixGroup) and self._key == other._key
@@ -140,7 +139,7 @@ class MatrixGroup:
         """Whether the Cayley map lands in this group: whether X³ is in the algebra for every X of it."""
         rng = np.random.default_rng(0)
         X = np.tensordot(rng.normal(size=(2 * self.dim**2 + 8, self.dim)), self.basis, 1)
-        return bool(self._outside(X @ X @ X) <= _TOLERANCE * np.abs(X).max() ** 3)
+        return bool(self._outside(X @ X @ X) <= _basis.TOLERANCE * np.abs(X).max() ** 3)
 
     def defect(self, q: Array) -> Array:
         """By how much q leaves the group: the largest violation of what its elements are known to satisfy.
@@ -315,11 +314,11 @@ class MatrixGroup:
 
     @cached_property
     def _ad(self) -> np.ndarray:
-        return _frozen(self.structure.transpose(2, 1, 0))
+        return _basis.frozen(self.structure.transpose(2, 1, 0))
 
     @cached_property
     def _ad_star(self) -> np.ndarray:
-        return _frozen(self.structure.transpose(1, 0, 2))
+        return _basis.frozen(self.structure.transpose(1, 0, 2))
 
     @cached_property
     def _free(self) -> np.ndarray:
@@ -332,26 +331,26 @@ class MatrixGroup:
     @cached_property
     def _form(self) -> tuple[np.ndarray, np.ndarray] | None:
         """S and S⁻¹ of a bilinear form with EᵀS + SE = 0 for every E, if there is an invertible one that is known."""
-        forms = _invariant_forms(self.basis)
+        forms = _basis.invariant_forms(self.basis)
         candidates = [self.identity, *(forms if len(forms) == 1 else [])]
         for S in candidates:
             S = S / np.abs(S).max()
             error = np.abs(self.basis.transpose(0, 2, 1) @ S + S @ self.basis).max()
-            if error < _TOLERANCE and np.linalg.cond(S) < 1e3:
-                return _rounded(S), _rounded(np.linalg.inv(S))
+            if error < _basis.TOLERANCE and np.linalg.cond(S) < 1e3:
+                return _basis.rounded(S), _basis.rounded(np.linalg.inv(S))
         return None
 
     @cached_property
     def _constraints(self) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray], bool]:
         """The complement of span(G) − 1, invariant forms of vectors and of covectors, whether det = 1."""
-        span = _algebra(self.basis)
-        complement = _null(span.reshape(len(span), -1)).reshape(-1, *self.basis.shape[1:])
-        forms = _invariant_forms(self.basis), _invariant_forms(self.basis.transpose(0, 2, 1))
+        span = _basis.algebra(self.basis)
+        complement = _basis.null(span.reshape(len(span), -1)).reshape(-1, *self.basis.shape[1:])
+        forms = _basis.invariant_forms(self.basis), _basis.invariant_forms(self.basis.transpose(0, 2, 1))
         return complement, *forms, self._traceless
 
     @cached_property
     def _traceless(self) -> bool:
-        return bool(np.abs(np.trace(self.basis, axis1=1, axis2=2)).max() < _TOLERANCE)
+        return bool(np.abs(np.trace(self.basis, axis1=1, axis2=2)).max() < _basis.TOLERANCE)
 
     def _outside(self, M: np.ndarray) -> float:
         """How far matrices are from the algebra."""
@@ -467,71 +466,5 @@ def _artanh(q: Array) -> Array:
     return z @ value
 
 
-def _closed(E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The dual basis, with tr(DᵢᵀEⱼ) = δᵢⱼ, and the structure constants; ValueError if there are none."""
-    d = len(E)
-    flat = E.reshape(d, -1)
-    size = np.linalg.norm(flat, axis=1)
-    if not size.all():
-        raise ValueError(f"basis[{int(np.argmin(size))}] is zero: take it out")
-    values = np.linalg.svd(flat / size[:, None], compute_uv=False)
-    if d > flat.shape[1] or values[-1] < _TOLERANCE * values[0]:
-        guilty = next(k for k in range(d) if np.linalg.matrix_rank(flat[: k + 1] / size[: k + 1, None], 1e-10) <= k)
-        raise ValueError(f"basis[{guilty}] is a combination of the matrices before it: take it out")
-    dual = np.linalg.solve(flat @ flat.T, flat)
-    brackets = np.einsum("iab,jbc->ijac", E, E)
-    brackets = brackets - brackets.transpose(1, 0, 2, 3)
-    c = np.einsum("ijab,kab->ijk", brackets, dual.reshape(E.shape))
-    outside = np.abs(brackets - np.einsum("ijk,kab->ijab", c, E)).max(axis=(2, 3))
-    outside /= size[:, None] * size
-    if outside.max() > _TOLERANCE:
-        i, j = np.unravel_index(int(np.argmax(outside)), outside.shape)
-        raise ValueError(
-            f"the bracket of basis[{min(i, j)}] and basis[{max(i, j)}] leaves the span of the basis (by "
-            f"{outside.max():.2g} of their sizes): add it, or correct one of the two"
-        )
-    return _rounded(dual).reshape(E.shape), _rounded(c)
-
-
-def _rounded(x: np.ndarray) -> np.ndarray:
-    """x with what is within round-off of a multiple of 1/12 set to it: structural zeros and ones are then exact."""
-    near = np.round(12 * x) / 12
-    return np.where(np.abs(x - near) < 1e-14 * max(1.0, np.abs(x).max()), near, x)
-
-
 def _absolute(x: Any) -> Any:
     return [_absolute(entry) for entry in x] if isinstance(x, list) else abs(x)
-
-
-def _invariant_forms(E: np.ndarray) -> list[np.ndarray]:
-    """A basis of the S with EᵀS + SE = 0 for every E."""
-    n = E.shape[1]
-    one = np.eye(n)
-    equations = np.concatenate([np.kron(e.T, one) + np.kron(one, e.T) for e in E])
-    return [_rounded(S / np.abs(S).max()) for S in _null(equations).reshape(-1, n, n)]
-
-
-def _algebra(E: np.ndarray) -> np.ndarray:
-    """A basis of the span of all products of the matrices E."""
-    n = E.shape[1]
-    span = E
-    while True:
-        products = np.concatenate([span, np.einsum("iab,jbc->ijac", span, E).reshape(-1, n, n)])
-        _, values, rows = np.linalg.svd(products.reshape(len(products), -1), full_matrices=False)
-        larger = rows[values > _TOLERANCE * values[0]].reshape(-1, n, n)
-        if len(larger) == len(span):
-            return larger
-        span = larger
-
-
-def _null(M: np.ndarray) -> np.ndarray:
-    """An orthonormal basis of the null space of M, as rows."""
-    _, values, rows = np.linalg.svd(M)
-    rank = int(np.sum(values > _TOLERANCE * max(1.0, values.max(initial=0))))
-    return rows[rank:]
-
-
-def _frozen(x: np.ndarray) -> np.ndarray:
-    x = np.array(x, float)
-    x.flags.writeable = False
-    return x

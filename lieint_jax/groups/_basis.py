@@ -1,0 +1,73 @@
+"""What follows from the basis of an algebra alone, by numpy: its dual, structure constants, invariant forms."""
+
+from __future__ import annotations
+
+import numpy as np
+
+TOLERANCE = 1e-10
+
+
+def dual_and_structure(E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The dual basis, with tr(DᵢᵀEⱼ) = δᵢⱼ, and the structure constants; ValueError if there are none."""
+    d = len(E)
+    flat = E.reshape(d, -1)
+    size = np.linalg.norm(flat, axis=1)
+    if not size.all():
+        raise ValueError(f"basis[{int(np.argmin(size))}] is zero: take it out")
+    values = np.linalg.svd(flat / size[:, None], compute_uv=False)
+    if d > flat.shape[1] or values[-1] < TOLERANCE * values[0]:
+        guilty = next(k for k in range(d) if np.linalg.matrix_rank(flat[: k + 1] / size[: k + 1, None], 1e-10) <= k)
+        raise ValueError(f"basis[{guilty}] is a combination of the matrices before it: take it out")
+    dual = np.linalg.solve(flat @ flat.T, flat)
+    brackets = np.einsum("iab,jbc->ijac", E, E)
+    brackets = brackets - brackets.transpose(1, 0, 2, 3)
+    c = np.einsum("ijab,kab->ijk", brackets, dual.reshape(E.shape))
+    outside = np.abs(brackets - np.einsum("ijk,kab->ijab", c, E)).max(axis=(2, 3))
+    outside /= size[:, None] * size
+    if outside.max() > TOLERANCE:
+        i, j = np.unravel_index(int(np.argmax(outside)), outside.shape)
+        raise ValueError(
+            f"the bracket of basis[{min(i, j)}] and basis[{max(i, j)}] leaves the span of the basis (by "
+            f"{outside.max():.2g} of their sizes): add it, or correct one of the two"
+        )
+    return rounded(dual).reshape(E.shape), rounded(c)
+
+
+def invariant_forms(E: np.ndarray) -> list[np.ndarray]:
+    """A basis of the S with EᵀS + SE = 0 for every E."""
+    n = E.shape[1]
+    one = np.eye(n)
+    equations = np.concatenate([np.kron(e.T, one) + np.kron(one, e.T) for e in E])
+    return [rounded(S / np.abs(S).max()) for S in null(equations).reshape(-1, n, n)]
+
+
+def algebra(E: np.ndarray) -> np.ndarray:
+    """A basis of the span of all products of the matrices E."""
+    n = E.shape[1]
+    span = E
+    while True:
+        products = np.concatenate([span, np.einsum("iab,jbc->ijac", span, E).reshape(-1, n, n)])
+        _, values, rows = np.linalg.svd(products.reshape(len(products), -1), full_matrices=False)
+        larger = rows[values > TOLERANCE * values[0]].reshape(-1, n, n)
+        if len(larger) == len(span):
+            return larger
+        span = larger
+
+
+def null(M: np.ndarray, tolerance: float = TOLERANCE) -> np.ndarray:
+    """An orthonormal basis of the x with Mx = 0, as rows."""
+    _, values, rows = np.linalg.svd(M)
+    return rows[int(np.sum(values > tolerance * max(1.0, values.max(initial=0)))) :]
+
+
+def rounded(x: np.ndarray, tolerance: float | None = None) -> np.ndarray:
+    """x with what is near a multiple of 1/12 set to it, by default within round-off: zeros and ones are then exact."""
+    near = np.round(12 * x) / 12
+    least = 1e-14 * max(1.0, np.abs(x).max()) if tolerance is None else tolerance
+    return np.where(np.abs(x - near) < least, near, x)
+
+
+def frozen(x: np.ndarray) -> np.ndarray:
+    x = np.array(x, float)
+    x.flags.writeable = False
+    return x
