@@ -48,6 +48,14 @@ def count(name: str, value: Any, least: int) -> int:
     return int(value)
 
 
+def one_of(**given: Any) -> tuple[str, Any]:
+    """The only argument that is not None, by name."""
+    named = {name: value for name, value in given.items() if value is not None}
+    if len(named) != 1:
+        raise ValueError(f"give exactly one of {', '.join(given)}; got {' and '.join(named) or 'none'}")
+    return named.popitem()
+
+
 def inertia(value: Any) -> Array:
     """A positive definite inertia: principal moments (3,) or a symmetric tensor (3, 3).
 
@@ -65,17 +73,17 @@ def inertia(value: Any) -> Array:
     return array
 
 
-def positive_definite(name: str, value: Any) -> Array:
-    """A positive definite tensor: principal moments (3,) or a symmetric tensor (3, 3)."""
-    array = real_array(name, value, (3,), (3, 3))
+def positive_definite(name: str, value: Any, d: int = 3) -> Array:
+    """A positive definite tensor: principal values (d,) or a symmetric tensor (d, d)."""
+    array = real_array(name, value, (d,), (d, d))
     if not concrete(array):
         return array
     J = np.asarray(array, float)
     if J.ndim == 2 and not np.allclose(J, J.T, rtol=1e-6, atol=1e-6 * np.abs(J).max()):
-        raise ValueError(f"{name} must be symmetric, got\n{J}\nTake (J + J.T) / 2 if the difference is noise")
+        raise ValueError(f"{name} must be symmetric, got\n{J}\nTake (A + A.T) / 2 if the difference is noise")
     moments = _moments(array)
     if moments[0] <= 0:
-        raise ValueError(f"{name} must be positive definite, got principal moments {moments}")
+        raise ValueError(f"{name} must be positive definite, got principal values {moments}")
     return array
 
 

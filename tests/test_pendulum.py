@@ -240,7 +240,7 @@ def test_errors():
         (lambda: li.schemes.sphere_midpoint(bob, iterations=0), "iterations must be an integer"),
         (lambda: bob.state([1.0, 1, 0], velocity=[0, 0, 1]), "direction must be a unit vector"),
         (lambda: bob.state([1.0, 0, 0], velocity=[1, 0, 1]), "orthogonal to q"),
-        (lambda: bob.state([1.0, 0, 0]), "exactly one of velocity and momentum"),
+        (lambda: bob.state([1.0, 0, 0]), "exactly one of velocity, momentum; got none"),
         (lambda: bob.check(State(jnp.array([1.0, 0, 0]), jnp.array([1.0, 0, 0]))), "made|make it"),
         (lambda: li.schemes.sphere_midpoint(li.systems.rigid_body([1.0, 2, 3])), "pendulums"),
         (lambda: li.schemes.sphere_midpoint(bob).check(start(bob), 50.0), "does not converge"),

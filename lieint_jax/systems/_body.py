@@ -45,18 +45,10 @@ class Body:
             ValueError: not exactly one of the three, a wrong shape, a NaN, or an attitude that is no rotation.
         """
         q = _attitude(attitude)
-        given = {
-            "angular_velocity": angular_velocity,
-            "body_momentum": body_momentum,
-            "spatial_momentum": spatial_momentum,
-        }
-        given = {name: checks.real_array(name, value, (3,)) for name, value in given.items() if value is not None}
-        if len(given) != 1:
-            raise ValueError(
-                "give exactly one of angular_velocity (body), body_momentum, spatial_momentum; got "
-                f"{' and '.join(given) or 'none'}"
-            )
-        [(name, value)] = given.items()
+        name, given = checks.one_of(
+            angular_velocity=angular_velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum
+        )
+        value = checks.real_array(name, given, (3,))
         if name == "angular_velocity":
             value = jnp.stack(small.apply(small.symmetric(self.inertia), value))
         p = value if name == "spatial_momentum" else so3.Ad(q, value)

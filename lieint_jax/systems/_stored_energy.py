@@ -22,7 +22,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import checks, small
 from lieint_jax.small import Symmetric
-from lieint_jax.types import concrete, pytree, static
+from lieint_jax.types import callable_pytree, concrete, pytree, static
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
@@ -195,8 +195,7 @@ def as_stored_energy(energy: Any) -> StoredEnergy:
             f"shape (3, 3); got {energy!r}"
         )
     name = getattr(energy, "__name__", type(energy).__name__)
-    function: Any = jax.tree_util.Partial(energy) if jax.tree_util.all_leaves([energy]) else energy
-    made = General(function, name)
+    made = General(callable_pytree(energy), name)
     value = jax.eval_shape(made, jax.ShapeDtypeStruct((3, 3), jnp.result_type(float)))
     if getattr(value, "shape", None) != ():
         raise ValueError(f"W(C) must be a scalar, got {value} of {name}")

@@ -100,7 +100,7 @@ def euler(group: Group, metric: ArrayLike) -> Euler:
         >>> float(plane.energy(plane.state(velocity=[1.0, 2.0, 0.0])))
         3.0
     """
-    return Euler(checked_metric(group, metric), group)
+    return Euler(checks.positive_definite("metric", metric, group.dim), group)
 
 
 def kirchhoff(semi_axes: tuple[float, float, float] = (3.0, 2.0, 1.0), center_of_mass: ArrayLike = (0, 0, 0)) -> Euler:
@@ -187,20 +187,6 @@ def examples() -> dict[str, tuple[Euler, State, float]]:
 # Shared with `group_potential` ---------------------------------------------------------------------------------------
 
 
-def checked_metric(group: Group, metric: ArrayLike) -> Array:
-    """A positive definite metric of the algebra, (d,) or (d, d)."""
-    d = group.dim
-    array = checks.real_array("metric", metric, (d,), (d, d))
-    if concrete(array):
-        m = np.asarray(array, float)
-        if m.ndim == 2 and not np.allclose(m, m.T, rtol=1e-6, atol=1e-6 * np.abs(m).max()):
-            raise ValueError(f"metric must be symmetric, got\n{m}\nTake (m + m.T) / 2 if the difference is noise")
-        values = m if m.ndim == 1 else np.linalg.eigvalsh(m)
-        if values.min() <= 0:
-            raise ValueError(f"metric must be positive definite, got eigenvalues {np.sort(values)}")
-    return array
-
-
 def state_of(
     group: Group,
     metric: Array,
@@ -212,14 +198,8 @@ def state_of(
     """See `Euler.state`."""
     element = jnp.asarray(group.identity, metric.dtype) if q is None else checks.real_array("q", q)
     check_element("q", group, element)
-    given = {"velocity": velocity, "body_momentum": body_momentum, "spatial_momentum": spatial_momentum}
-    given = {k: checks.real_array(k, value, (group.dim,)) for k, value in given.items() if value is not None}
-    if len(given) != 1:
-        raise ValueError(
-            "give exactly one of velocity (body), body_momentum, spatial_momentum; got "
-            + (" and ".join(given) or "none")
-        )
-    [(name, value)] = given.items()
+    name, given = checks.one_of(velocity=velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum)
+    value = checks.real_array(name, given, (group.dim,))
     if name == "velocity":
         value = flat(metric, value)
     if name != "spatial_momentum":

@@ -10,7 +10,7 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import checks
-from lieint_jax.systems.euler import Euler, checked_metric, kirchhoff
+from lieint_jax.systems.euler import Euler, kirchhoff
 from lieint_jax.types import Group, State, callable_pytree, pytree, static
 
 
@@ -81,7 +81,7 @@ def group_potential(
         >>> weight.force(weight.state(velocity=[0.0, 0.0, 0.0]).q).tolist()
         [-0.0, -0.0, -19.62]
     """
-    metric = checked_metric(group, metric)
+    metric = checks.positive_definite("metric", metric, group.dim)
     if not callable(potential):
         raise ValueError(f"potential must be a function of q, got {potential!r}")
     directions = checks.real_array("symmetry", jnp.zeros((0, group.dim)) if symmetry is None else symmetry)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import checks, small
 from lieint_jax.phase_spaces import CotangentSphere
-from lieint_jax.types import State, concrete, pytree
+from lieint_jax.types import State, callable_pytree, concrete, pytree
 
 _PHASE_SPACE = CotangentSphere()
 
@@ -60,16 +59,14 @@ class Pendulum:
             ValueError: not exactly one of the two, a wrong shape, a NaN, |q| ≠ 1, or a part along q above 1e-6 of the
                 whole.
         """
-        if (velocity is None) == (momentum is None):
-            raise ValueError("give exactly one of velocity and momentum")
+        name, given = checks.one_of(velocity=velocity, momentum=momentum)
         q = _unit("direction", direction)
-        name, given = ("velocity", velocity) if momentum is None else ("momentum", momentum)
         vector = checks.real_array(name, given, (3,))
         along = small.dot(q, vector)
         if concrete(along) and abs(float(along)) > checks.UNIT_TOLERANCE * float(jnp.linalg.norm(vector)):
             raise ValueError(f"{name} must be orthogonal to q: its part along q is {float(along):.3g}; subtract it")
         vector = vector - along * q
-        p = vector if momentum is not None else self.mass * jnp.cross(q, vector)
+        p = vector if name == "momentum" else self.mass * jnp.cross(q, vector)
         dtype = jnp.result_type(q, p)
         return State(q.astype(dtype), p.astype(dtype))
 
@@ -125,11 +122,9 @@ def pendulum(
     m = checks.real_array("mass", mass, ())
     if concrete(m) and not m > 0:
         raise ValueError(f"mass must be positive, got {m}")
-    if callable(gravity):
-        field: Any = jax.tree_util.Partial(gravity) if jax.tree_util.all_leaves([gravity]) else gravity
-    else:
-        field = Uniform(m * checks.real_array("gravity", gravity, ()))
-    return Pendulum(m, field, _unit("axis", axis))
+    if not callable(gravity):
+        gravity = Uniform(m * checks.real_array("gravity", gravity, ()))
+    return Pendulum(m, callable_pytree(gravity), _unit("axis", axis))
 
 
 def _unit(name: str, value: ArrayLike) -> Array:

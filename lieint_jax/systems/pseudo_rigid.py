@@ -62,17 +62,8 @@ class PseudoRigidBody:
         """
         F = jnp.eye(3) if deformation is None else checks.real_array("deformation", deformation, (3, 3))
         _orientation("deformation", F)
-        given = {"momentum": momentum, "velocity": velocity, "angular_velocity": angular_velocity}
-        given = {
-            name: checks.real_array(name, value, (3,) if name == "angular_velocity" else (3, 3))
-            for name, value in given.items()
-            if value is not None
-        }
-        if len(given) != 1:
-            raise ValueError(
-                f"give exactly one of momentum, velocity, angular_velocity; got {' and '.join(given) or 'none'}"
-            )
-        [(name, P)] = given.items()
+        name, given = checks.one_of(momentum=momentum, velocity=velocity, angular_velocity=angular_velocity)
+        P = checks.real_array(name, given, (3,) if name == "angular_velocity" else (3, 3))
         if name == "angular_velocity":
             P = so3.hat(P) @ F
         if name != "momentum":
