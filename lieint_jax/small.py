@@ -116,6 +116,13 @@ def trace(S: Symmetric) -> Array:
     return S[0] + S[1] + S[2]
 
 
+def unit_trace(J: Array) -> tuple[Symmetric, Array]:
+    """J / tr J and 1 / tr J, of a symmetric matrix as of `symmetric`."""
+    S = symmetric(J)
+    r = 1 / trace(S)
+    return tuple(r * x for x in S), r
+
+
 def rows(S: Symmetric) -> Matrix:
     x, y, z, yz, xz, xy = S
     return ((x, xy, xz), (xy, y, yz), (xz, yz, z))

@@ -22,7 +22,7 @@ from jax.typing import ArrayLike
 from lieint_jax import checks, free_body
 from lieint_jax.groups import so3
 from lieint_jax.schemes.preprocessed import retimed
-from lieint_jax.schemes.so3_midpoint import FreeBody, is_free_body
+from lieint_jax.schemes.so3_midpoint import FreeBody, check_free_body, is_free_body
 from lieint_jax.small import dot
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 
@@ -123,8 +123,7 @@ def calibrated(system: FreeBody, iterations: int | None = None) -> Calibrated:
 
     Source: McLachlan & Zanna 2005, Found. Comput. Math. 5 (that s and d exist); the closed form: this package.
     """
-    if not is_free_body(system):
-        raise ValueError(f"calibrated integrates free rigid bodies (systems.rigid_body), got {type(system).__name__}")
+    check_free_body(system, "calibrated")
     if iterations is not None:
         iterations = checks.count("iterations", iterations, 1)
     return Calibrated(system, None, iterations)

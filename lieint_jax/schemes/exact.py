@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from lieint_jax import free_body
-from lieint_jax.schemes.so3_midpoint import FreeBody, is_free_body
+from lieint_jax.schemes.so3_midpoint import FreeBody, check_free_body, is_free_body
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 
 
@@ -62,8 +62,7 @@ def exact(system: FreeBody) -> Exact:
 
     Source: this package; another form is that of Celledoni, Fassò, Säfström & Zanna 2008, SIAM J. Sci. Comput. 30.
     """
-    if not is_free_body(system):
-        raise ValueError(f"exact moves free rigid bodies (systems.rigid_body), got {type(system).__name__}")
+    check_free_body(system, "exact")
     return Exact(system)
 
 

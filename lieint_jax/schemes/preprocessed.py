@@ -23,7 +23,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import checks, small
 from lieint_jax.maps import kappa_symplectic
-from lieint_jax.schemes.so3_midpoint import FreeBody, SO3Midpoint, is_free_body, so3_midpoint
+from lieint_jax.schemes.so3_midpoint import FreeBody, SO3Midpoint, check_free_body, is_free_body, so3_midpoint
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 
 
@@ -56,9 +56,7 @@ class Preprocessed(Step):
 
     def _clock(self, state: State, dt: ArrayLike) -> tuple[Array, Array]:
         """s and d, the latter over the trace of J: computed for J of trace 1, so that no power overflows."""
-        J = small.symmetric(self.system.inertia)
-        r = 1 / small.trace(J)
-        J = tuple(r * x for x in J)
+        J, r = small.unit_trace(self.system.inertia)
         adj = small.adjugate(J)
         D = small.determinant(J, adj)
         X1, S2 = small.trace(adj) / D, small.trace(J) ** 2 - 2 * small.trace(adj)
@@ -105,8 +103,7 @@ def preprocessed(system: FreeBody, order: int, iterations: int | None = None) ->
 
     Source: McLachlan & Zanna 2005, Found. Comput. Math. 5; Hairer & Vilmart 2006, J. Phys. A 39.
     """
-    if not is_free_body(system):
-        raise ValueError(f"preprocessed integrates free rigid bodies (systems.rigid_body), got {type(system).__name__}")
+    check_free_body(system, "preprocessed")
     if order not in (4, 6):
         raise ValueError(f"order must be 4 or 6, got {order!r}; compose(so3_midpoint(...), order) goes to 10")
     if iterations is not None:

@@ -23,6 +23,7 @@ from lieint_jax import small
 from lieint_jax.groups import so3
 from lieint_jax.schemes.so3_midpoint import (
     FreeBody,
+    check_free_body,
     half_cayley,
     is_free_body,
     scalar_residual,
@@ -103,8 +104,7 @@ def so3_explicit(system: FreeBody) -> SO3Explicit:
     Source: this package; that the multiplier of the discrete Moser–Veselov step is constant is due to Hairer & Vilmart
     2006, J. Phys. A 39.
     """
-    if not is_free_body(system):
-        raise ValueError(f"so3_explicit integrates free rigid bodies (systems.rigid_body), got {type(system).__name__}")
+    check_free_body(system, "so3_explicit")
     return SO3Explicit(system)
 
 

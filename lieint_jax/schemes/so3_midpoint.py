@@ -117,8 +117,7 @@ def so3_midpoint(
 
     Source: Lewis & Simo 1994, Results 1–5; scalar form and quaternion increments: this package.
     """
-    if not is_free_body(system):
-        raise ValueError(f"so3_midpoint integrates free rigid bodies (systems.rigid_body), got {type(system).__name__}")
+    check_free_body(system, "so3_midpoint")
     kappa = as_kappa(kappa)
     if iterations is None:
         iterations = 3 if kappa.solve_by == "scalar" else 4
@@ -138,11 +137,16 @@ def is_free_body(system: Any) -> bool:
     return on_so3 and hasattr(system, "inertia") and getattr(system, "potential", None) is None
 
 
+def check_free_body(system: Any, scheme: str) -> None:
+    """Raise ValueError if `system` is not a free rigid body."""
+    if not is_free_body(system):
+        raise ValueError(f"{scheme} integrates free rigid bodies (systems.rigid_body), got {type(system).__name__}")
+
+
 def scaled(system: FreeBody, state: State, dt: ArrayLike) -> tuple[Symmetric, Array]:
     """J and a = ½Δt Π_n, both over tr J: then |a| is an angle, and no power of a large inertia overflows."""
-    J = small.symmetric(system.inertia)
-    r = 1 / small.trace(J)
-    return tuple(r * x for x in J), (0.5 * r * checks.step_size(dt)) * so3.Ad_star(state.q, state.p)
+    J, r = small.unit_trace(system.inertia)
+    return J, (0.5 * r * checks.step_size(dt)) * so3.Ad_star(state.q, state.p)
 
 
 def _solve_scalar(kappa: Kappa, J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vector, Array]:

@@ -75,9 +75,9 @@ class TopEnergyMomentum(Step):
 
     def _solve(self, state: State, dt: ArrayLike) -> tuple[Vector, Vector, StepInfo]:
         """y, the discrete gradient, and the report. J, a and s are divided by tr J: then |a| is an angle."""
-        kappa, potential, J = self.kappa, self.system.potential, small.symmetric(self.system.inertia)
-        r = 1 / small.trace(J)
-        J, s = tuple(r * x for x in J), 0.25 * r * dt * dt
+        kappa, potential = self.kappa, self.system.potential
+        J, r = small.unit_trace(self.system.inertia)
+        s = 0.25 * r * dt * dt
         a = scale(0.5 * r * dt, so3.Ad_star(state.q, state.p))
         Gamma = small.components(so3.Ad_star(state.q, self.system.axis))
 
