@@ -242,9 +242,11 @@ def test_poisson_error_of_a_system_with_a_potential_is_the_whole_matrix():
     assert kept.shape == (51, 6, 6)
     assert np.abs(kept).max() < 2e-12  # floor 2e-13: the product's own round-off
     assert np.abs(kept + np.swapaxes(kept, 1, 2)).max() < 2e-12
-    lost = diagnostics.poisson_error(top_energy_momentum(top), state, 0.1, 1)
+    lost = diagnostics.poisson_error(top_energy_momentum(top), state, 0.1, 1, "product")
     assert np.abs(lost[1]).max() > 1e-5
     assert np.abs(lost[0]).max() == 0
+    with pytest.raises(ValueError, match=r"recursion.*without potential, got PotentialTop.*'product'"):
+        diagnostics.poisson_error(splitting(top), state, 0.1, 1, "recursion")
 
 
 def test_single_precision():

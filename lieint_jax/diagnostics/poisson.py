@@ -16,7 +16,7 @@ from lieint_jax.types import State, Step
 _Method = Literal["recursion", "product"]
 
 
-def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, method: _Method = "recursion") -> Array:
+def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, method: _Method | None = None) -> Array:
     """How far a run has carried the Poisson matrix from ω⁻¹: zero for ever if and only if the steps are symplectic.
 
     For systems on T*G without potential, whose Poisson matrix stays of the form [[σ_n, −1], [1, α]] (5.35): σ_n, shape
@@ -29,35 +29,44 @@ def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, metho
         num_steps: how many steps.
         method: "recursion" adds up (5.36) from the block C_n of the linearised step (5.29) and holds a symplectic
             scheme at round-off; "product" multiplies P_{n+1} = L_n P_n L_nᵀ (5.34) and takes the block from it. Both
-            say the same of systems without potential; "recursion" is not for others.
+            say the same of systems without potential, for which "recursion" is the default; the others have "product"
+            only.
+
+    Raises:
+        ValueError: a bad count, another method, or "recursion" for a system with a potential or not on a T*G.
     """
     num_steps = checks.count("num_steps", num_steps, 0)
-    if method not in get_args(_Method):
+    if method not in (None, *get_args(_Method)):
         raise ValueError(f"method must be one of {', '.join(get_args(_Method))}, got {method!r}")
     step.check(state, dt)
     space = step.system.phase_space
     if not isinstance(space, CotangentGroup) or hasattr(step.system, "force"):
+        if method == "recursion":
+            raise ValueError(
+                f"the recursion (5.36) is for systems on T*G without potential, got {type(step.system).__name__}; "
+                "take method='product'"
+            )
         return _whole(step, state, dt, num_steps)
+    if method == "product":
+        d = space.dim // 2
+        return _whole(step, state, dt, num_steps)[:, :d, :d]
+    return _recursion(step, state, dt, num_steps)
+
+
+def _recursion(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:
+    """σ_n by (5.36), shape (num_steps+1, d, d)."""
+    space = step.system.phase_space
     d, omega = space.dim // 2, space.omega(state)
     alpha, one = omega[:d, :d], jnp.eye(d, dtype=omega.dtype)
-    P0 = jnp.block([[0 * one, -one], [one, alpha]])  # ω⁻¹ (5.7)
-
-    def recursion(sigma: Array, L: Array) -> Array:
-        C = L[:d, d:]
-        M = C @ (one + alpha @ sigma) @ (2 * one - alpha @ C.T)
-        return sigma + (M - M.T) / 2
-
-    def product(P: Array, L: Array) -> Array:
-        return L @ P @ L.T
-
-    update, start = (recursion, 0 * one) if method == "recursion" else (product, P0)
 
     def one_step(carry: tuple[State, Array], _: None) -> tuple[tuple[State, Array], Array]:
-        state, matrix = carry
-        matrix = update(matrix, linearization(step, state, dt))
-        return (step(state, dt)[0], matrix), matrix[:d, :d]
+        state, sigma = carry
+        C = linearization(step, state, dt)[:d, d:]
+        M = C @ (one + alpha @ sigma) @ (2 * one - alpha @ C.T)
+        sigma = sigma + (M - M.T) / 2
+        return (step(state, dt)[0], sigma), sigma
 
-    _, sigma = lax.scan(one_step, (state, start), None, length=num_steps)
+    _, sigma = lax.scan(one_step, (state, 0 * one), None, length=num_steps)
     return jnp.concatenate([0 * one[None], sigma])
 
 
