@@ -54,13 +54,13 @@ def record(job: Job, mesh: Mesh, place: Place, resume: bool, integrate: Callable
     if not there and leader:
         chunk = members.chunk_of(layout, _CHUNK_MEMBERS)
         store.create(path, *_columns(job, chunk, place), _attributes(job, place, described, chunk))
-    members.agree(mesh, 0.0)  # it is there for all
+    members.meet(mesh)  # it is there for all
     with store.opened(path, leader) as recorder:
         _check_same(path, recorder.attributes["run"], described)
         if leader:
             store.clean(path)
         layout = members.layout_of(mesh, job.members, recorder.attributes["member_chunk"])
-        members.agree(mesh, 0.0)
+        members.meet(mesh)
         if not recorder.progress["complete"]:
             integrate(layout, Recording(job, layout, recorder))
     return _opened(path)
@@ -212,7 +212,7 @@ class Recording:
     def end(self, carry: list[Carry]) -> None:
         """Wait until everything is written."""
         self._settle(wait=True)
-        members.agree(self._layout.mesh, 0.0)
+        members.meet(self._layout.mesh)
 
 
 def _named(carry: list[Carry]) -> dict[str, list[Any]]:
@@ -272,15 +272,11 @@ def _columns(job: Job, chunk: int, place: Place) -> tuple[dict[str, store.Column
             times, "", dtype=integer, long_name="members with a step that did not", units="1"
         )
     checkpoint = {name: along(slots | many, name, leaf) for name, leaf in state.items()}
-    checkpoint |= {"failed": along(slots | many, "", dtype=_failed_dtype()), "residual": along(slots | many, "")}
+    checkpoint |= {"failed": along(slots | many, "", dtype=members.step_dtype()), "residual": along(slots | many, "")}
     checkpoint["converged"] = along(slots | many, "", dtype=bool)
     if job.reduction is not None:
         checkpoint |= {name: along(slots | many, "") for name in Range._fields}
     return columns, checkpoint
-
-
-def _failed_dtype() -> Any:
-    return jax.dtypes.canonicalize_dtype(np.int64)
 
 
 def _unit(name: str, job: Job, place: Place) -> str:

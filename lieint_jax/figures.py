@@ -15,12 +15,11 @@ from lieint_jax import plots
 from lieint_jax.diagnostics import delay, energy_error, poisson_error
 from lieint_jax.groups import so3
 from lieint_jax.integrate import integrate
-from lieint_jax.maps import kappa_cayley, kappa_exponential, kappa_symplectic
+from lieint_jax.maps import KAPPAS
 from lieint_jax.schemes import additive, so3_midpoint
 from lieint_jax.systems import mooney_rivlin, pseudo_rigid_body, rigid_body, saint_venant_kirchhoff
 from lieint_jax.types import State, Step
 
-KAPPAS = (kappa_cayley, kappa_exponential, kappa_symplectic)
 BODIES = {"A": (1.0, 2.0, 3.0), "S": (1.0, 1.0, 2.0)}  # asymmetric and symmetric, as in the caption of Fig. 2
 DURATION, OMEGA = 50.0, (0.2, 0.0, 1.0)
 STEPS = 4000  # of Figures 3 to 5

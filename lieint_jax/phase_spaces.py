@@ -70,8 +70,7 @@ class CotangentMatrices:
 
     def defect(self, state: State) -> Array:
         """0 where det F > 0, 1 where F has left GL⁺(3) (an open set: there is no distance to measure)."""
-        inside = small.dot(state.q[0], jnp.stack(small.cross(state.q[1], state.q[2]))) > 0
-        return jnp.where(inside, 0, 1).astype(state.q.dtype)
+        return jnp.where(small.det(state.q) > 0, 0, 1).astype(state.q.dtype)
 
 
 @pytree
