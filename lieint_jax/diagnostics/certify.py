@@ -62,11 +62,7 @@ class Certificate(NamedTuple):
             ("momentum", self.momentum, _kept(self.momentum, exact, eps)),
             ("constraint", self.constraint, _kept(self.constraint, exact, eps)),
             ("symplectic form", self.symplectic_defect, f"{form} a step"),
-            (
-                "reversibility",
-                self.reversibility,
-                _kept(self.reversibility, exact, eps).replace("conserved", "reversible"),
-            ),
+            ("reversibility", self.reversibility, _kept(self.reversibility, exact, eps, "reversible")),
             ("residual", self.residual, "every step converged" if self.converged else "NOT every step converged"),
             ("order", self.order, "exact flow" if math.isinf(self.order) else f"measured {self.order:.2f}"),
         ]
@@ -130,10 +126,10 @@ def _relative(error: float, size: float) -> float:
     return float(error / size) if size else float(error)
 
 
-def _kept(error: float, exact: float, eps: float) -> str:
+def _kept(error: float, exact: float, eps: float, verb: str = "conserved") -> str:
     if math.isnan(error):
         return "none"
     if error == 0:
-        return "conserved bit for bit"
+        return f"{verb} bit for bit"
     digits = f"{-math.log10(max(error, eps)):.1f} digits" if error < 1 else "no digit"
-    return f"conserved to round-off, {digits}" if error <= exact else f"not conserved, {digits}"
+    return f"{verb} to round-off, {digits}" if error <= exact else f"not {verb}, {digits}"

@@ -75,10 +75,11 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
         if error > floor and bool(info.converged):
             seen[T / n] = error
 
-    for n in (num_steps, 2 * num_steps, 4 * num_steps):
-        look(n)
+    for fine in (1, 2, 4):
+        look(fine * num_steps)
+    n = num_steps
     while len(seen) < 2 and n > 1:
-        n = min(n, num_steps) // 2
+        n //= 2
         if not _after(step, state, T / n, 1)[1].converged:
             break
         look(n)

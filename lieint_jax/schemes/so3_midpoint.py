@@ -67,10 +67,12 @@ class SO3Midpoint(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         J, a = scaled(self.system, state, dt)
-        solve = _solve_scalar if self.kappa.solve_by == "scalar" else _solve_vector
-        h, residual, on_branch = solve(self.kappa, J, a, self.iterations)
+        if self.kappa.solve_by == "scalar":
+            h, residual, good = _solve_scalar(J, a, self.iterations)
+        else:
+            h, residual, good = _solve_vector(self.kappa, J, a, self.iterations)
         residual = lax.stop_gradient(jnp.sqrt(dot(residual, residual)))
-        converged = (residual <= 32 * jnp.finfo(a.dtype).eps * small.max_abs(a)) & on_branch
+        converged = (residual <= 32 * jnp.finfo(a.dtype).eps * small.max_abs(a)) & good
         return State(so3.cayley_increment(state.q, h), state.p), StepInfo(residual, converged)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
@@ -149,12 +151,11 @@ def scaled(system: FreeBody, state: State, dt: ArrayLike) -> tuple[Symmetric, Ar
     return J, (0.5 * r * checks.step_size(dt)) * so3.Ad_star(state.q, state.p)
 
 
-def _solve_scalar(kappa: Kappa, J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vector, Array]:
+def _solve_scalar(J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vector, Array]:
     """h = ½Θ of the symplectic κ by the scalar form, its residual, and whether h is on the branch |h| ≤ 1.
 
     The scalar form gives the value; derivatives are those of the equation for h, which has far fewer terms.
     """
-    del kappa  # it is the symplectic one
     h = half_cayley(J, a, scalar_root(J, a, iterations))
     h, residual = newton.root(lambda h: jnp.stack(scalar_residual(J, a, h)), lambda _, f: f, h, iterations=0)
     return h, residual, dot(h, h) <= 1

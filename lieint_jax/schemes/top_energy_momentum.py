@@ -95,23 +95,23 @@ class TopEnergyMomentum(Step):
             balance = subtract(subtract(gyration(kappa, J, y), a), w)
             return add(scale(1 + dot(h, h), balance), scale(dot(h, w), h))
 
-        def correction(y: Vector, f: Vector) -> Vector:
-            _, h = turn(y)
-            return small.solve(matrix(y), f, 1 + dot(h, h))
-
         def matrix(y: Vector) -> small.Matrix:
             """∂/∂y over 1 + |h|², but for κ′ in the moment and O(Δt⁴): the last two terms are those of (h·w) h."""
             (k, h), K = turn(y), gyration_matrix(kappa, J, y)
-            D = scale(k * k, scale(s, gradient(h)))
-            w = _moment(h, Gamma, D)
-            d = dot(Gamma, D) - dot(h, w)
+            F = scale(k * k, scale(s, gradient(h)))  # sκ²D̄
+            w = _moment(h, Gamma, F)
+            d = dot(Gamma, F) - dot(h, w)
             if not _is_linear(potential):  # S = 2∂D̄/∂Γ_{n+1}, up to O(ΔΓ²)
                 at = jnp.stack(add(Gamma, scale(2, _turned(h, Gamma)))) / 3
                 S = small.symmetric(jax.hessian(potential)(at))
                 K = small.combine(K, [cross(Gamma, apply(S, cross(Gamma, e))) for e in np.eye(3)], -s * k * k)
             return [
-                [K[i][j] - (d if i == j else 0) + Gamma[i] * D[j] + h[i] * w[j] for j in range(3)] for i in range(3)
+                [K[i][j] - (d if i == j else 0) + Gamma[i] * F[j] + h[i] * w[j] for j in range(3)] for i in range(3)
             ]
+
+        def correction(y: Vector, f: Vector) -> Vector:
+            _, h = turn(y)
+            return small.solve(matrix(y), f, 1 + dot(h, h))
 
         u = small.solve_symmetric(J, a)
         at_rest = scale(s, cross(Gamma, gradient(jnp.zeros_like(state.p))))
