@@ -72,6 +72,16 @@ def product(A: Matrix, B: Matrix) -> Matrix:
     return tuple(tuple(dot(row, column) for column in columns) for row in A)
 
 
+def transposed_product(A: Matrix, B: Matrix) -> Matrix:
+    """Aᵀ B."""
+    return product(transpose(A), B)
+
+
+def scale_matrix(s: Any, A: Matrix) -> Matrix:
+    """s A."""
+    return tuple(tuple(s * x for x in row) for row in A)
+
+
 def combine(A: Matrix, B: Matrix, b: Any = 1) -> Matrix:
     """A + b B."""
     return tuple(tuple(x + b * y for x, y in zip(r, s, strict=True)) for r, s in zip(A, B, strict=True))
@@ -121,6 +131,16 @@ def unit_trace(J: Array) -> tuple[Symmetric, Array]:
     S = symmetric(J)
     r = 1 / trace(S)
     return tuple(r * x for x in S), r
+
+
+def along(S: Symmetric, R: Symmetric, s: Any) -> Symmetric:
+    """S + s R."""
+    return tuple(x + s * y for x, y in zip(S, R, strict=True))
+
+
+def full(S: Symmetric) -> Symmetric:
+    """All six entries, of a diagonal one too."""
+    return S if len(S) == 6 else (*S, *[jnp.zeros_like(S[0])] * 3)
 
 
 def rows(S: Symmetric) -> Matrix:

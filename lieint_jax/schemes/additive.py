@@ -79,66 +79,25 @@ class Additive(Step):
         return f"additive[{self.rule}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        return _step(self, state, checks.step_size(dt))
+        return _compiled(self, state, checks.step_size(dt))
 
     def _step(self, state: State, dt: Array) -> tuple[State, StepInfo]:
-        rule, W = _RULES[self.rule], self.system.stored_energy
-        alpha = self.alpha.astype(state.p.dtype)
-        E = _full(small.symmetric(self.system.inertia))
-        F, P = _matrix(state.q.ravel()), _matrix(state.p.ravel())
-        C, c, a = small.gram(F), (1 - alpha) * dt * dt, alpha if self.rule == "symplectic" else 1
-        stiffness = _stiffness(W, C)
-
-        def change(U: Matrix) -> Symmetric:
-            """D = FᵀV + VᵀF + VᵀV with V = aU."""
-            V = _times(a, U)
-            return _along(small.plus_transpose(_At_B(F, V)), small.gram(V), 1)
-
-        def law(D: Symmetric, gamma: tuple[Array, ...]) -> tuple[Symmetric, tuple[Array, ...]]:
-            """S, and by how much ½S:D misses ΔW if γ is to mend it."""
-            S = rule.stress(W, C, D, *gamma)
-            return S, tuple(_missed(W, C, D, S) + _regular(D, C, stiffness, g - rule.guess) for g in gamma)
-
-        def equation(x: Array) -> Array:
-            U = _matrix(x)
-            S, missed = law(change(U), tuple(x[9:]))
-            force = small.product(small.combine(F, U, alpha), small.rows(S))
-            motion = small.combine(small.combine(small.product(U, small.rows(E)), force, c), P, -dt)
-            return jnp.stack([*_entries(motion), *missed])
-
-        def correction(x: Array, R: Array) -> Array:
-            """Newton's step, shortened where it would lead out of GL⁺(3), γ kept in its interval."""
-            U, gamma = _matrix(x), tuple(x[9:])
-            (S, _), tangent = jax.linearize(law, change(U), gamma)
-            N = _along(E, S, alpha * c)
-            watched, middle = small.combine(F, U, a), small.combine(F, U, alpha)
-            columns = [tangent(*direction) for direction in _directions(len(gamma), x[0])]
-            dU, d_gamma = _newton_step(N, watched, _times(c, middle), a, columns, R, [(g - rule.end, g) for g in gamma])
-            t = _fraction(watched, _times(-a, dU))
-            return jnp.stack([*_entries(_times(t, dU)), *d_gamma])
-
-        size = jnp.max(jnp.abs(state.q))
-
-        def done(x: Array, step: Array) -> Array:
-            """Whether the next correction, quadratically smaller, would be round-off."""
-            small_step = jnp.sqrt(jnp.finfo(step.dtype).eps) / 10
-            ends = jnp.max(jnp.abs(step[:9])) <= small_step * size
-            return ends & jnp.all(jnp.abs(step[9:]) <= 100 * small_step)
-
+        equation = _Equation.of(self, state, dt)
+        rule, W, E, alpha, F = equation.rule, equation.W, equation.E, equation.alpha, equation.F
         guess = jnp.concatenate([jnp.zeros(9, state.q.dtype), jnp.full(rule.gammas, rule.guess, state.q.dtype)])
-        x, R = newton.root(equation, correction, guess, self.iterations, done=done)
+        x, R = newton.root(equation.residual, equation.correction, guess, self.iterations, done=equation.done)
         U = _matrix(x)
-        D = change(U)
-        S = rule.stress(W, C, D, *x[9:])
+        D = equation.change(U)
+        S = rule.stress(W, equation.C, D, *x[9:])
         middle, end = small.combine(F, U, alpha), small.combine(F, U)
-        after = small.combine(P, small.product(middle, small.rows(S)), -dt)
+        after = small.combine(equation.P, small.product(middle, small.rows(S)), -dt)
 
-        stiff = _largest(S) + stiffness
-        scale = size * (_largest(E) + c * stiff) + jnp.abs(dt) * jnp.max(jnp.abs(state.p))
+        stiff = _largest(S) + equation.stiffness
+        scale = equation.size * (_largest(E) + equation.c * stiff) + jnp.abs(dt) * jnp.max(jnp.abs(state.p))
         residual, tolerance = jnp.max(jnp.abs(R[:9])) / scale, 32 * jnp.finfo(R.dtype).eps
         converged = (residual <= tolerance) & (small.det(middle) > 0) & (small.det(end) > 0)
         if rule.gammas:
-            converged &= jnp.abs(_missed(W, C, D, S)) <= tolerance * stiff * _largest(D)
+            converged &= jnp.abs(_missed(W, equation.C, D, S)) <= tolerance * stiff * _largest(D)
         return State(_array(end), _array(after)), lax.stop_gradient(StepInfo(residual, converged))
 
     def check(self, state: State, dt: ArrayLike) -> None:
@@ -156,7 +115,7 @@ class Additive(Step):
         )
 
 
-_step = jax.jit(Additive._step)  # called eagerly, the Newton loop would be traced and compiled anew each time
+_compiled = jax.jit(Additive._step)  # called eagerly, the Newton loop would be traced and compiled anew each time
 
 
 def additive(system: ElasticBody, rule: Rule = "average", alpha: ArrayLike = 0.5, iterations: int = 25) -> Additive:
@@ -226,7 +185,7 @@ def _is_elastic(system: Any) -> bool:
 
 
 def _symplectic(W: Material, C: Symmetric, D: Symmetric) -> Symmetric:
-    return W.stress(_along(C, D, 1))
+    return W.stress(small.along(C, D, 1))
 
 
 def _average(W: Material, C: Symmetric, D: Symmetric) -> Symmetric:
@@ -234,11 +193,11 @@ def _average(W: Material, C: Symmetric, D: Symmetric) -> Symmetric:
 
 
 def _energy(W: Material, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
-    return W.stress(_along(C, D, gamma))
+    return W.stress(small.along(C, D, gamma))
 
 
 def _energy_momentum(W: Material, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
-    ends = (W.stress(_along(C, D, s)) for s in (gamma, 1 - gamma))
+    ends = (W.stress(small.along(C, D, s)) for s in (gamma, 1 - gamma))
     return tuple((x + y) / 2 for x, y in zip(*ends, strict=True))
 
 
@@ -261,7 +220,7 @@ _RULES: dict[str, _Rule] = {
 
 def _missed(W: Material, C: Symmetric, D: Symmetric, S: Symmetric) -> Array:
     """S:D − 2ΔW."""
-    return small.inner(_along(S, W.mean_stress(C, D), -1), D)
+    return small.inner(small.along(S, W.mean_stress(C, D), -1), D)
 
 
 def _regular(D: Symmetric, C: Symmetric, stiffness: Array, off: Array) -> Array:
@@ -275,11 +234,87 @@ def _stiffness(W: Material, C: Symmetric) -> Array:
     return lax.stop_gradient(_largest(jax.jvp(W.stress, (C,), (C,))[1]))
 
 
-def _along(C: Symmetric, D: Symmetric, s: Any) -> Symmetric:
-    return tuple(c + s * d for c, d in zip(C, D, strict=True))
+# The equation, and Newton's step for it -------------------------------------------------------------------------------
 
 
-# Newton's step --------------------------------------------------------------------------------------------------------
+class _Equation(NamedTuple):
+    """R(x) = 0 of one step, for x = (U, γ): nine entries of U, row by row, and γ if the rule has one.
+
+    Attributes:
+        rule: how S is chosen.
+        W: the stored energy.
+        alpha: α.
+        E: the inertia, in full.
+        F: F_n.
+        P: P_n.
+        C: F_nᵀF_n.
+        dt: Δt.
+        c: βΔt².
+        a: where F is watched, at F_n + aU: what W sees must stay in GL⁺(3).
+        stiffness: by how much eps of C moves S.
+        size: of F_n.
+    """
+
+    rule: _Rule
+    W: Material
+    alpha: Array
+    E: Symmetric
+    F: Matrix
+    P: Matrix
+    C: Symmetric
+    dt: Array
+    c: Array
+    a: Any
+    stiffness: Array
+    size: Array
+
+    @classmethod
+    def of(cls, step: Additive, state: State, dt: Array) -> _Equation:
+        """Of a step from a state."""
+        rule, W = _RULES[step.rule], step.system.stored_energy
+        alpha = step.alpha.astype(state.p.dtype)
+        E = small.full(small.symmetric(step.system.inertia))
+        F, P = _matrix(state.q.ravel()), _matrix(state.p.ravel())
+        C, c, a = small.gram(F), (1 - alpha) * dt * dt, alpha if step.rule == "symplectic" else 1
+        return cls(rule, W, alpha, E, F, P, C, dt, c, a, _stiffness(W, C), jnp.max(jnp.abs(state.q)))
+
+    def change(self, U: Matrix) -> Symmetric:
+        """D = FᵀV + VᵀF + VᵀV with V = aU."""
+        V = small.scale_matrix(self.a, U)
+        return small.along(small.plus_transpose(small.transposed_product(self.F, V)), small.gram(V), 1)
+
+    def law(self, D: Symmetric, gamma: tuple[Array, ...]) -> tuple[Symmetric, tuple[Array, ...]]:
+        """S, and by how much ½S:D misses ΔW if γ is to mend it."""
+        rule, W, C = self.rule, self.W, self.C
+        S = rule.stress(W, C, D, *gamma)
+        return S, tuple(_missed(W, C, D, S) + _regular(D, C, self.stiffness, g - rule.guess) for g in gamma)
+
+    def residual(self, x: Array) -> Array:
+        """U E + c F_{n+α} S − Δt P_n, and what ½S:D misses."""
+        U = _matrix(x)
+        S, missed = self.law(self.change(U), tuple(x[9:]))
+        force = small.product(small.combine(self.F, U, self.alpha), small.rows(S))
+        motion = small.combine(small.product(U, small.rows(self.E)), force, self.c)
+        return jnp.stack([*_entries(small.combine(motion, self.P, -self.dt)), *missed])
+
+    def correction(self, x: Array, R: Array) -> Array:
+        """Newton's step, shortened where it would lead out of GL⁺(3), γ kept in its interval."""
+        rule, c, a = self.rule, self.c, self.a
+        U, gamma = _matrix(x), tuple(x[9:])
+        (S, _), tangent = jax.linearize(self.law, self.change(U), gamma)
+        N = small.along(self.E, S, self.alpha * c)
+        watched, middle = small.combine(self.F, U, a), small.combine(self.F, U, self.alpha)
+        columns = [tangent(*direction) for direction in _directions(len(gamma), x[0])]
+        force, limits = small.scale_matrix(c, middle), [(g - rule.end, g) for g in gamma]
+        dU, d_gamma = _newton_step(N, watched, force, a, columns, R, limits)
+        t = _fraction(watched, small.scale_matrix(-a, dU))
+        return jnp.stack([*_entries(small.scale_matrix(t, dU)), *d_gamma])
+
+    def done(self, x: Array, step: Array) -> Array:
+        """Whether the next correction, quadratically smaller, would be round-off."""
+        small_step = jnp.sqrt(jnp.finfo(step.dtype).eps) / 10
+        ends = jnp.max(jnp.abs(step[:9])) <= small_step * self.size
+        return ends & jnp.all(jnp.abs(step[9:]) <= 100 * small_step)
 
 
 def _newton_step(
@@ -299,9 +334,9 @@ def _newton_step(
     adjugate = small.adjugate(N)
     r = 1 / small.determinant(N, adjugate)
     N_inverse = small.rows(tuple(r * x for x in adjugate))
-    A = _times(a, _At_B(watched, force))
+    A = small.scale_matrix(a, small.transposed_product(watched, force))
     free = small.product(_matrix(R), N_inverse)
-    right = small.plus_transpose(_times(a, _At_B(watched, free)))
+    right = small.plus_transpose(small.scale_matrix(a, small.transposed_product(watched, free)))
     images = [small.plus_transpose(small.product(small.product(A, small.rows(S)), N_inverse)) for S, _ in columns]
     K = [[images[p][q] + (1 if p == q else 0) for p in range(6)] for q in range(6)]
     dD, *by_gamma = small.eliminate(K, right, *images[6:])
@@ -336,14 +371,6 @@ def _fraction(G: Matrix, dG: Matrix) -> Array:
     return fraction
 
 
-def _At_B(A: Matrix, B: Matrix) -> Matrix:
-    return small.product(small.transpose(A), B)
-
-
-def _times(s: Any, A: Matrix) -> Matrix:
-    return tuple(tuple(s * x for x in row) for row in A)
-
-
 def _matrix(u: Array) -> Matrix:
     return tuple(tuple(u[3 * i + j] for j in range(3)) for i in range(3))
 
@@ -354,10 +381,6 @@ def _array(A: Matrix) -> Array:
 
 def _entries(A: Matrix) -> list[Array]:
     return [x for row in A for x in row]
-
-
-def _full(S: Symmetric) -> Symmetric:
-    return S if len(S) == 6 else (*S, *[jnp.zeros_like(S[0])] * 3)
 
 
 def _largest(S: Symmetric) -> Array:
