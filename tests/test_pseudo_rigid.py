@@ -10,7 +10,7 @@ import pytest
 from paper import hat
 
 import lieint_jax as li
-from lieint_jax import small, systems
+from lieint_jax import dense, small, systems
 from lieint_jax.types import State
 
 MATERIALS = {
@@ -72,7 +72,7 @@ def test_log1p_ratio_on_both_sides_of_its_threshold():
 def test_elimination_and_the_arithmetic_of_matrices():
     rng = np.random.default_rng(0)
     A, b = rng.normal(size=(7, 7)) + 5 * np.eye(7), rng.normal(size=(7, 2))
-    ours = small.eliminate(A, b[:, 0], b[:, 1])
+    ours = dense.eliminate(A, b[:, 0], b[:, 1])
     np.testing.assert_allclose(np.transpose(ours), np.linalg.solve(A, b), atol=1e-14)
     X, Y = rng.normal(size=(2, 3, 3))
     np.testing.assert_allclose(small.product(X, Y), X @ Y, atol=1e-15)

@@ -30,7 +30,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import checks, newton, small
+from lieint_jax import checks, dense, newton, small
 from lieint_jax.phase_spaces import CotangentMatrices
 from lieint_jax.small import Matrix, Symmetric
 from lieint_jax.types import State, Step, StepInfo, System, concrete, pytree, static
@@ -339,7 +339,7 @@ def _newton_step(
     right = small.plus_transpose(small.scale_matrix(a, small.transposed_product(watched, free)))
     images = [small.plus_transpose(small.product(small.product(A, small.rows(S)), N_inverse)) for S, _ in columns]
     K = [[images[p][q] + (1 if p == q else 0) for p in range(6)] for q in range(6)]
-    dD, *by_gamma = small.eliminate(K, right, *images[6:])
+    dD, *by_gamma = dense.eliminate(K, right, *images[6:])
     step, d_gamma = dD, []
     for k, (per_gamma, (least, most)) in enumerate(zip(by_gamma, limits, strict=True)):
         row = [missed[k] for _, missed in columns]
