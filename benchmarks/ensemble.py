@@ -80,18 +80,18 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
     import numpy as np
 
     import lieint_jax as li
-    from lieint_jax import members
+    from lieint_jax import loop, members
 
     layout = members.layout_of(members.first_devices(devices), len(states.p))
     h, axis = np.asarray(dt), None
     steps, starts = members.replicate(layout, step), members.place(layout, states)
-    carry = [c for c, _ in members.each(layout, members.start(axis, None), steps, starts)]
+    carry = [c for c, _ in members.on_each(layout, loop.start(axis, None), steps, starts)]
     if type(step).prepare is not li.Step.prepare:
-        steps, axis = members.each(layout, lambda s, z: members.prepare(None)(s, z, h), steps, starts), 0
-    loop = members.advance(axis, None, 1)
+        steps, axis = members.on_each(layout, lambda s, z: loop.prepare(None)(s, z, h), steps, starts), 0
+    advance = loop.advance(axis, None, 1)
 
     def call() -> Any:
-        return members.each(layout, lambda s, c: loop(s, c, None, h, 0, 1, num_steps, True)[0], steps, carry)
+        return members.on_each(layout, lambda s, c: advance(s, c, None, h, 0, 1, num_steps, True)[0], steps, carry)
 
     jax.block_until_ready(call())
     return call

@@ -18,7 +18,8 @@ import numpy as np
 from jax.sharding import Mesh
 
 from lieint_jax import members, store
-from lieint_jax.members import Carry, Layout, Range, compiler_options
+from lieint_jax.loop import Carry, Range, compiler_options, step_dtype
+from lieint_jax.members import Layout
 from lieint_jax.runs import Job, Summary, first_entry, first_rows, reduced, rows
 from lieint_jax.types import State, StepInfo, Trajectory
 
@@ -102,7 +103,7 @@ class Recording:
         done = self._recorder.progress
         if not done["commits"]:
             return None
-        mine = self._layout.own
+        mine = self._layout.members_here
         part = range(max(min(mine.start, self._layout.members - 1), 0), max(mine.stop, mine.start + 1))
 
         def read(name: str) -> Any:
@@ -165,14 +166,16 @@ class Recording:
     def _parts(self, carry: list[Carry], pieces: list[tuple[Any, int]], first: int, slot: int, last: bool) -> Any:
         """The arrays of a commit, made when they are written."""
         layout, part = self._layout, store.Part
-        mine = layout.own.start
+        mine = layout.members_here.start
         series = self._job.reduction is not None
-        if len(layout.own):
-            host = {name: members.own(layout, x) for name, x in _named(carry).items()}
+        if len(layout.members_here):
+            host = {name: members.own_part(layout, x) for name, x in _named(carry).items()}
             for name, x in host.items():
                 yield part(f"checkpoint/{name}", (slot, mine), x[None])
             if last:
-                kept = {"first_failure": host["failed"]} | ({name: host[name] for name in "qp"} if series else {})
+                kept = {"first_failure": host["failed"]} | (
+                    {name: host[name] for name in State._fields} if series else {}
+                )
                 for name, x in kept.items():
                     yield part(name, (mine,), x)
         if not pieces:
@@ -193,9 +196,9 @@ class Recording:
     def _rows(self, pieces: list[tuple[Any, int]]) -> dict[str, np.ndarray]:
         joined: dict[str, list[np.ndarray]] = {}
         for saved, _ in pieces:
-            for name in ("q", "p", *StepInfo._fields):
-                parts = [getattr(state if name in "qp" else info, name) for info, state in saved]
-                joined.setdefault(name, []).append(members.own(self._layout, parts, 1))
+            for name in (*State._fields, *StepInfo._fields):
+                parts = [getattr(state if name in State._fields else info, name) for info, state in saved]
+                joined.setdefault(name, []).append(members.own_part(self._layout, parts, 1))
         return {name: np.concatenate(parts) for name, parts in joined.items()}
 
     def stopped(self, done: int) -> bool:
@@ -272,7 +275,7 @@ def _columns(job: Job, chunk: int, place: Place) -> tuple[dict[str, store.Column
             times, "", dtype=integer, long_name="members with a step that did not", units="1"
         )
     checkpoint = {name: along(slots | many, name, leaf) for name, leaf in state.items()}
-    checkpoint |= {"failed": along(slots | many, "", dtype=members.step_dtype()), "residual": along(slots | many, "")}
+    checkpoint |= {"failed": along(slots | many, "", dtype=step_dtype()), "residual": along(slots | many, "")}
     checkpoint["converged"] = along(slots | many, "", dtype=bool)
     if job.reduction is not None:
         checkpoint |= {name: along(slots | many, "") for name in Range._fields}
@@ -289,8 +292,8 @@ def _attributes(job: Job, place: Place, described: dict[str, Any], chunk: int) -
         "title": str(place.attributes.get("title", job.step.name)),
         "scheme": job.step.name,
         "system": type(job.step.system).__name__,
-        "dt": job.given,
-        "save_every": job.interval,
+        "dt": job.dt_given,
+        "save_every": job.save_every,
         "num_steps": job.num_steps,
         "members": job.members,
         "reduce": described["reduce"],
@@ -314,9 +317,9 @@ def _description(job: Job, place: Place) -> dict[str, Any]:
         "numbers of the step": _digest(*leaves),
         "initial states": _digest(*job.states),
         "members": job.members,
-        "dt": job.given,
+        "dt": job.dt_given,
         "num_steps": job.num_steps,
-        "save_every": job.interval,
+        "save_every": job.save_every,
         "step_axis": job.step_axis,
         "reduce": getattr(job.reduction, "__name__", "a function") if job.reduction is not None else None,
         "dtype": str(job.dt.dtype),

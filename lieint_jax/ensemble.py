@@ -12,12 +12,13 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
-from lieint_jax import archive, checks, members, processes
+from lieint_jax import archive, checks, loop, members, processes
 from lieint_jax.archive import Place
 from lieint_jax.integrate import promoted, saves
-from lieint_jax.members import Carry, Layout, Reduction, compiler_options, energy, first_devices, want_devices
+from lieint_jax.loop import Carry, Reduction, compiler_options, energy
+from lieint_jax.members import Layout, first_devices, want_devices
 from lieint_jax.progress import Bar, Interrupts, Pace
-from lieint_jax.runs import Job, Summary, first_entry, reduced, rows
+from lieint_jax.runs import Job, Sink, Summary, first_entry, reduced, rows
 from lieint_jax.types import State, Step, Trajectory
 
 __all__ = ["Place", "Summary", "compiler_options", "energy", "first_devices", "run", "want_devices"]
@@ -93,40 +94,40 @@ def run(
         return archive.record(job, mesh, place, resume, lambda layout, sink: _integrate(job, layout, sink, progress))
 
 
-def _integrate(job: Job, layout: Layout, sink: _Memory | archive.Recording, progress: bool) -> Any:
+def _integrate(job: Job, layout: Layout, sink: Sink, progress: bool) -> Any:
     """Run a job to its end, giving what it saves to `sink`."""
-    axis, mesh, on_all = job.step_axis, layout.mesh, partial(members.each, layout)
+    axis, mesh, on_all = job.step_axis, layout.mesh, partial(members.on_each, layout)
     step = (members.replicate if axis is None else members.place)(layout, job.step)
     starts = members.place(layout, job.states)
-    begun = on_all(members.start(axis, job.reduction), step, starts)
+    begun = on_all(loop.start(axis, job.reduction), step, starts)
     begin, origin = [carry for carry, _ in begun], [start for _, start in begun]
     if type(job.step).prepare is not Step.prepare:  # constants of its own for every member
-        step, axis = on_all(lambda s, z: members.prepare(job.step_axis)(s, z, job.dt), step, starts), 0
-    loop = members.advance(axis, job.reduction, sink.rows)
+        step, axis = on_all(lambda s, z: loop.prepare(job.step_axis)(s, z, job.dt), step, starts), 0
+    advance = loop.advance(axis, job.reduction, sink.rows)
     resumed = sink.resumed()
     if resumed is None:
         if job.num_steps:
-            first = on_all(lambda s, c, o: loop(s, c, o, job.dt, 0, 1, 1, True)[0].failed, step, begin, origin)
+            first = on_all(lambda s, c, o: advance(s, c, o, job.dt, 0, 1, 1, True)[0].failed, step, begin, origin)
             _check_first(members.fetch(layout, first), job)
         sink.begin(begin)
     carry, done = resumed or (begin, 0)
     pace = Pace(layout)
-    energies = members.energies(axis) if members.agree(mesh, progress and Bar.visible())[0] else None
+    energies = loop.energies(axis) if members.agree(mesh, progress and Bar.visible())[0] else None
     H0 = on_all(energies, step, starts) if energies else []
     with Interrupts(sink.patient) as interrupts, Bar(progress, job.num_steps, job.members, done) as bar:
         while done < job.num_steps:
-            into = done % job.interval
-            if into or pace.steps < job.interval:
-                number, every = 1, min(pace.steps, job.interval - into)
+            into = done % job.save_every
+            if into or pace.steps < job.save_every:
+                number, every = 1, min(pace.steps, job.save_every - into)
             else:
-                left = (job.num_steps - done) // job.interval
-                number, every = min(pace.steps // job.interval, sink.room, left), job.interval
+                left = (job.num_steps - done) // job.save_every
+                number, every = min(pace.steps // job.save_every, sink.room, left), job.save_every
             clock = time.perf_counter()
             now = (job.dt, done, number, every, not into)
-            results = on_all(lambda s, c, o, now=now: loop(s, c, o, *now), step, carry, origin)
+            results = on_all(lambda s, c, o, now=now: advance(s, c, o, *now), step, carry, origin)
             carry, saved = [c for c, _ in results], [rows for _, rows in results]
             done += number * every
-            if done % job.interval == 0:
+            if done % job.save_every == 0:
                 sink.add(saved, number)
             bar.update(number * every)
             if energies:
@@ -146,7 +147,7 @@ def _integrate(job: Job, layout: Layout, sink: _Memory | archive.Recording, prog
 class _Memory:
     """Results in arrays of numpy."""
 
-    patient, rows = False, 1
+    patient = False
 
     def __init__(self, job: Job, layout: Layout) -> None:
         self._job, self._layout, self._entries = job, layout, 0
@@ -219,7 +220,7 @@ def _check_first(failed: np.ndarray, job: Job) -> None:
     if bad.size:
         one = jax.tree.map(lambda leaf: leaf[bad[0]], job.states)
         its = job.step if job.step_axis is None else jax.tree.map(lambda leaf: leaf[bad[0]], job.step)
-        raise ValueError(f"the first step fails for {_some(bad)}. Member {bad[0]}: {its.advice(one, job.given)}")
+        raise ValueError(f"the first step fails for {_some(bad)}. Member {bad[0]}: {its.advice(one, job.dt_given)}")
 
 
 def _report(failed: np.ndarray) -> None:

@@ -1,10 +1,10 @@
-"""Members over devices: how a batch is cut, padded and placed, and the one compiled loop that advances it.
+"""Members over devices: how a batch is cut, padded and placed.
 
 The mesh axis "members" runs over devices and processes. A device's members lie on it in blocks, and the bits of a
 result depend neither on how many devices there are nor on where a member lies:
 
-* every block is advanced by the same program, compiled for one device. (One program for all, by `shard_map`, would
-  round differently for each number of devices: XLA fuses it differently.)
+* every block is advanced by the same program (`loop`), compiled for one device. (One program for all, by `shard_map`,
+  would round differently for each number of devices: XLA fuses it differently.)
 * blocks are multiples of 16, whole vectors of any width, and behind each are 32 copies of a member whose results are
   dropped: a CPU takes the last vector of a loop over components in memory by scalar code, which rounds differently.
 
@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import platform
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -23,19 +22,14 @@ from math import lcm
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-
-from lieint_jax.types import State, Step, StepInfo
 
 AXIS = "members"
 LANES = 16  # members of a whole vector: 16 float32 of 512 bits
 _TAIL = 32  # members behind a block, in which its last vectors lie
 _BLOCK = 1024  # members that a CPU works on at once: their states and temporaries fit its cache
-
-Reduction = Callable[[Step, State], Array]
 
 
 class Piece(NamedTuple):
@@ -62,7 +56,7 @@ class Layout(NamedTuple):
         return 1 if self.members == 1 else self.block + _TAIL
 
     @property
-    def each(self) -> int:
+    def per_device(self) -> int:
         """Members per device, padding included."""
         return self.block * self.blocks
 
@@ -72,55 +66,17 @@ class Layout(NamedTuple):
         return [k for k, device in enumerate(self.mesh.devices.flat) if device.process_index == jax.process_index()]
 
     @property
-    def own(self) -> range:
+    def members_here(self) -> range:
         """The members of this process, without padding."""
-        first, last = min(self.here) * self.each, (max(self.here) + 1) * self.each
+        first, last = min(self.here) * self.per_device, (max(self.here) + 1) * self.per_device
         return range(min(first, self.members), min(last, self.members))
 
     @property
     def pieces(self) -> list[Piece]:
         """The blocks of this process, in the order of their members; one of padding, if it has no members."""
-        devices, starts = self.mesh.devices.flat, range(0, self.each, self.block)
-        found = [Piece(devices[k], k * self.each + start) for k in self.here for start in starts]
+        devices, starts = self.mesh.devices.flat, range(0, self.per_device, self.block)
+        found = [Piece(devices[k], k * self.per_device + start) for k in self.here for start in starts]
         return [piece for piece in found if piece.start < self.members] or found[:1]
-
-
-class Range(NamedTuple):
-    """Least, greatest and sum of a number over the steps since the last save, one per member."""
-
-    least: Array
-    greatest: Array
-    total: Array
-
-    @classmethod
-    def fresh(cls, like: Array) -> Range:
-        """Of no steps yet."""
-        return cls(jnp.full_like(like, jnp.inf), jnp.full_like(like, -jnp.inf), jnp.zeros_like(like))
-
-    def with_(self, x: Array) -> Range:
-        """Together with one more number per member; a NaN shows in all three."""
-        return Range(jnp.minimum(self.least, x), jnp.maximum(self.greatest, x), self.total + x)
-
-
-class Carry(NamedTuple):
-    """All that a run carries from one step to the next, every leaf with the member axis first.
-
-    Attributes:
-        state: the states.
-        info: the report since the last save.
-        failed: the first step that did not converge, or −1.
-        change: of a reduced quantity, since the last save; None if nothing is reduced.
-    """
-
-    state: State
-    info: StepInfo
-    failed: Array
-    change: Range | None
-
-
-def step_dtype() -> Any:
-    """What numbers of steps are kept in: int64, or int32 without x64."""
-    return jax.dtypes.canonicalize_dtype(np.int64)
 
 
 def mesh_of(mesh: Mesh | None) -> Mesh:
@@ -202,7 +158,7 @@ def replicate(layout: Layout, tree: Any) -> list[Any]:
     return [copies[piece.device] for piece in layout.pieces]
 
 
-def each(layout: Layout, function: Callable[..., Any], *pieces: list[Any]) -> list[Any]:
+def on_each(layout: Layout, function: Callable[..., Any], *pieces: list[Any]) -> list[Any]:
     """`function` of every piece, on all devices at a time; returns when the work is done."""
     work: dict[Any, list[int]] = {}
     for k, piece in enumerate(layout.pieces):
@@ -217,11 +173,11 @@ def each(layout: Layout, function: Callable[..., Any], *pieces: list[Any]) -> li
         return [result for done in pool.map(on_device, work.values()) for _, result in done]
 
 
-def own(layout: Layout, pieces: Sequence[Array], axis: int = 0) -> np.ndarray:
+def own_part(layout: Layout, pieces: Sequence[Array], axis: int = 0) -> np.ndarray:
     """This process' part of an array, without padding; `axis` is the member axis."""
     before = (slice(None),) * axis
     parts = [np.asarray(x)[*before, : layout.block] for x in pieces]
-    return (np.concatenate(parts, axis) if len(parts) > 1 else parts[0])[*before, : len(layout.own)]
+    return (np.concatenate(parts, axis) if len(parts) > 1 else parts[0])[*before, : len(layout.members_here)]
 
 
 def fetch(layout: Layout, trees: Sequence[Any], axis: int = 0) -> Any:
@@ -230,21 +186,19 @@ def fetch(layout: Layout, trees: Sequence[Any], axis: int = 0) -> Any:
 
 
 def _fetch(layout: Layout, pieces: Sequence[Array], axis: int) -> np.ndarray:
-    mine = own(layout, pieces, axis)
+    mine = own_part(layout, pieces, axis)
     if count_processes(layout.mesh) == 1:
         return mine
     mine, devices = np.moveaxis(mine, axis, 0), len(layout.here)
-    mine = np.concatenate([mine, np.zeros((devices * layout.each - len(mine), *mine.shape[1:]), mine.dtype)])
-    whole = _gather(layout.mesh, mine.reshape(devices, layout.each, *mine.shape[1:]))
+    mine = np.concatenate([mine, np.zeros((devices * layout.per_device - len(mine), *mine.shape[1:]), mine.dtype)])
+    whole = _gather(layout.mesh, mine.reshape(devices, layout.per_device, *mine.shape[1:]))
     return np.moveaxis(whole.reshape(-1, *mine.shape[1:])[: layout.members], 0, axis)
 
 
 def _gather(mesh: Mesh, mine: np.ndarray) -> np.ndarray:
     """Rows of all processes, one per device, on every process."""
-    spread, first = (
-        NamedSharding(mesh, PartitionSpec(AXIS)),
-        mesh.devices.size // count_processes(mesh) * jax.process_index(),
-    )
+    spread = NamedSharding(mesh, PartitionSpec(AXIS))
+    first = mesh.devices.size // count_processes(mesh) * jax.process_index()
 
     def part(index: Any) -> np.ndarray:
         return mine[index[0].start - first : index[0].stop - first]
@@ -282,103 +236,10 @@ def meet(mesh: Mesh) -> None:
     everyone(mesh, 0.0)
 
 
-def compiler_options() -> dict[str, Any]:
-    """What the compiled loops are built with: full-width vectors, 1.4 to 1.7 times faster on AVX-512 machines."""
-    on_x86 = jax.default_backend() == "cpu" and platform.machine().lower() in ("x86_64", "amd64")
-    return {"xla_cpu_prefer_vector_width": 512} if on_x86 else {}
-
-
-@cache
-def start(step_axis: int | None, reduction: Reduction | None) -> Callable[..., tuple[Carry, Any]]:
-    """(step, states) ↦ the carry of a run and the reduced quantity at its start (None if nothing is reduced)."""
-
-    def begin(step: Step, states: State) -> tuple[Carry, Any]:
-        members = states.p.shape[0]
-        info = StepInfo(jnp.zeros(members, states.p.dtype), jnp.ones(members, bool))
-        origin = None if reduction is None else jax.vmap(reduction, in_axes=(step_axis, 0))(step, states)
-        change = None if origin is None else Range.fresh(origin)
-        failed = jnp.full(members, -1, step_dtype())
-        return Carry(states, info, failed, change), origin
-
-    return jax.jit(begin, compiler_options=compiler_options())
-
-
-@cache
-def prepare(step_axis: int | None) -> Callable[..., Any]:
-    """(step, states, dt) ↦ the prepared steps, with the member axis on every leaf."""
-
-    def prepared(step: Step, states: State, dt: Array) -> Step:
-        size = states.p.shape[0]
-        return jax.vmap(lambda s, z: s.prepare(z, dt), in_axes=(step_axis, 0), axis_size=size)(step, states)
-
-    return jax.jit(prepared, compiler_options=compiler_options())
-
-
-@cache
-def advance(step_axis: int | None, reduction: Reduction | None, rows: int) -> Callable[..., tuple[Carry, Any]]:
-    """The compiled loop, for at most `rows` saves a call.
-
-    (step, carry, origin, dt, done, saves, every, fresh) ↦ the carry after `saves` times `every` more steps, `done`
-    having been taken before, and what is saved: of each save the report, and the state or the change of the reduced
-    quantity. Without `fresh` the first save interval goes on with the report that the carry brings.
-    """
-
-    def loop(
-        step: Step, carry: Carry, origin: Any, dt: Array, done: Array, saves: Array, every: Array, fresh: Array
-    ) -> tuple[Carry, Any]:
-        none = Carry(
-            carry.state,
-            StepInfo(jnp.zeros_like(carry.info.residual), jnp.ones_like(carry.info.converged)),
-            jnp.full(carry.failed.shape, -1, jnp.int32),
-            None if carry.change is None else Range.fresh(carry.change.total),
-        )
-
-        def one(n: Array, carry: Carry) -> Carry:
-            state, info = jax.vmap(lambda s, z: s(z, dt), in_axes=(step_axis, 0))(step, carry.state)
-            failed = jnp.where((carry.failed < 0) & ~info.converged, n, carry.failed)
-            change = carry.change
-            if reduction is not None and change is not None:
-                change = change.with_(jax.vmap(reduction, in_axes=(step_axis, 0))(step, state) - origin)
-            return Carry(state, carry.info.worse(info), failed, change)
-
-        def interval(k: Array, loop: tuple[Carry, Any]) -> tuple[Carry, Any]:
-            carry, saved = loop
-            begun = (k > 0) | fresh
-            info, change = jax.tree.map(
-                lambda new, old: jnp.where(begun, new, old), (none.info, none.change), (carry.info, carry.change)
-            )
-            carry = carry._replace(info=info, change=change)
-            carry = lax.fori_loop(0, every, lambda i, c: one(k * every + i, c), carry)
-            return carry, jax.tree.map(lambda to, x: to.at[k].set(x), saved, _saved(carry))
-
-        buffer = jax.tree.map(lambda x: jnp.zeros((rows, *x.shape), x.dtype), _saved(carry))
-        begin = carry._replace(failed=none.failed)
-        end, saved = lax.fori_loop(0, saves, interval, (begin, buffer))
-        first = jnp.where(end.failed < 0, -1, done + end.failed)
-        return end._replace(failed=jnp.where(carry.failed < 0, first, carry.failed).astype(carry.failed.dtype)), saved
-
-    return jax.jit(loop, compiler_options=compiler_options())
-
-
-def _saved(carry: Carry) -> Any:
-    return (carry.info, carry.state if carry.change is None else carry.change)
-
-
-@cache
-def energies(step_axis: int | None) -> Callable[..., Array]:
-    """(step, states) ↦ the energy of each member."""
-    return jax.jit(jax.vmap(energy, in_axes=(step_axis, 0)), compiler_options=compiler_options())
-
-
 def worst(layout: Layout, H0: list[Array], H: list[Array], failed: list[Array]) -> tuple[float, int]:
     """The largest |H − H₀| over the largest |H₀|, and how many members have failed."""
-    H0_, H_, failed_ = (own(layout, x) for x in (H0, H, failed))
+    H0_, H_, failed_ = (own_part(layout, x) for x in (H0, H, failed))
     change, size = (np.max(np.abs(x), initial=0.0) for x in (H_ - H0_, H0_))
     found = everyone(layout.mesh, float(change), float(size), float(np.sum(failed_ >= 0)))
     change, size = found[:, :2].max(axis=0)
     return float(change / size if size else change), int(found[:, 2].sum())
-
-
-def energy(step: Step, state: State) -> Array:
-    """The energy of a step's system."""
-    return step.system.energy(state)

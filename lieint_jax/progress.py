@@ -57,10 +57,8 @@ class Pace:
     """How many steps a call of the compiled loop takes, so that it lasts about half a second on every process."""
 
     def __init__(self, layout: Layout) -> None:
-        self._mesh, self._call = (
-            layout.mesh,
-            _CALL + 1e-3 * layout.blocks,
-        )  # every block is a call, which costs time too
+        self._mesh = layout.mesh
+        self._call = _CALL + 1e-3 * layout.blocks  # every block is a call, which costs time too
         self.steps, self.seconds = max(1, 100_000 // layout.members), 0.0
 
     def measure(self, steps: int, seconds: float, interrupted: bool) -> bool:

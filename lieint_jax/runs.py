@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import numpy as np
 
 from lieint_jax import members
-from lieint_jax.members import Layout, Range, Reduction
+from lieint_jax.loop import Carry, Range, Reduction
+from lieint_jax.members import Layout
 from lieint_jax.types import State, Step, StepInfo
 
 _CHUNK_BYTES, _MEMORY = 2**22, 2**28  # of an array on disk; of what is kept together of all members
@@ -39,13 +40,13 @@ class Summary(NamedTuple):
 
 
 class Job(NamedTuple):
-    """What is to be integrated. `given` is dt as the caller has it, `dt` an array of the states' dtype."""
+    """What is to be integrated. `dt_given` is dt as the caller has it, `dt` an array of the states' dtype."""
 
     step: Step
     states: State
-    given: float
+    dt_given: float
     dt: Any
-    interval: int
+    save_every: int
     num_saves: int
     step_axis: int | None
     reduction: Reduction | None
@@ -53,12 +54,12 @@ class Job(NamedTuple):
     @property
     def num_steps(self) -> int:
         """Number of steps in all."""
-        return self.interval * self.num_saves
+        return self.save_every * self.num_saves
 
     @property
     def times(self) -> np.ndarray:
         """Times of all entries."""
-        return self.given * self.interval * np.arange(self.num_saves + 1, dtype=self.dt.dtype)
+        return self.dt_given * self.save_every * np.arange(self.num_saves + 1, dtype=self.dt.dtype)
 
     @property
     def members(self) -> int:
@@ -69,7 +70,49 @@ class Job(NamedTuple):
         """How many saves are kept together, for chunks of `across` members."""
         row = max(sum(leaf[0].nbytes for leaf in self.states) + 9, 24)
         enough = min(_CHUNK_BYTES // (across * row), _MEMORY // (self.members * row))
-        return int(max(1, min(enough, _CHUNK_WORK // (self.members * self.interval), self.num_saves + 1)))
+        return int(max(1, min(enough, _CHUNK_WORK // (self.members * self.save_every), self.num_saves + 1)))
+
+
+class Sink(Protocol):
+    """Where a run puts what it saves: in memory (`ensemble`) or on disk (`archive`)."""
+
+    @property
+    def patient(self) -> bool:
+        """Whether an interrupt waits until the run has `stopped` well."""
+        ...
+
+    @property
+    def rows(self) -> int:
+        """The most saves of one call of the compiled loop: its buffer."""
+        ...
+
+    @property
+    def room(self) -> int:
+        """The most saves that may come next."""
+        ...
+
+    def resumed(self) -> tuple[list[Carry], int] | None:
+        """The carry and the steps taken of the run that is there, or None."""
+
+    def begin(self, carry: list[Carry]) -> None:
+        """Take the entry of the start; not called if the run was resumed."""
+
+    def add(self, saved: Any, number: int) -> None:
+        """Take `number` saved rows."""
+
+    def offer(self, carry: list[Carry], done: int, seconds: float, stop: bool) -> None:
+        """After each call of the loop, what a run could go on from, and whether it is to stop: keep it, or not."""
+
+    def stopped(self, done: int) -> bool:
+        """Whether the run may stop here."""
+        ...
+
+    def farewell(self, done: int, num_steps: int) -> str:
+        """What to tell whoever interrupted the run."""
+        ...
+
+    def end(self, carry: list[Carry]) -> Any:
+        """The result, when all steps are taken."""
 
 
 def first_rows(saved: list[Any], number: int) -> list[Any]:
@@ -94,7 +137,7 @@ def reduced(rows: tuple[StepInfo, Range], job: Job) -> dict[str, np.ndarray]:
     return {
         "least": change.least.min(axis=1),
         "greatest": change.greatest.max(axis=1),
-        "mean": np.array([np.sum(row) for row in np.asarray(change.total)]) / (job.members * job.interval),
+        "mean": np.array([np.sum(row) for row in np.asarray(change.total)]) / (job.members * job.save_every),
         "residual": info.residual.max(axis=1),
         "unconverged": (~np.asarray(info.converged)).sum(axis=1),
     }  # pyright: ignore[reportReturnType]

@@ -1,0 +1,148 @@
+"""The one compiled loop that advances a batch, and what it carries from one step to the next."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from lieint_jax.types import State, Step, StepInfo
+
+Reduction = Callable[[Step, State], Array]
+
+
+class Range(NamedTuple):
+    """Least, greatest and sum of a number over the steps since the last save, one per member."""
+
+    least: Array
+    greatest: Array
+    total: Array
+
+    @classmethod
+    def fresh(cls, like: Array) -> Range:
+        """Of no steps yet."""
+        return cls(jnp.full_like(like, jnp.inf), jnp.full_like(like, -jnp.inf), jnp.zeros_like(like))
+
+    def with_(self, x: Array) -> Range:
+        """Together with one more number per member; a NaN shows in all three."""
+        return Range(jnp.minimum(self.least, x), jnp.maximum(self.greatest, x), self.total + x)
+
+
+class Carry(NamedTuple):
+    """All that a run carries from one step to the next, every leaf with the member axis first.
+
+    Attributes:
+        state: the states.
+        info: the report since the last save.
+        failed: the first step that did not converge, or −1.
+        change: of a reduced quantity, since the last save; None if nothing is reduced.
+    """
+
+    state: State
+    info: StepInfo
+    failed: Array
+    change: Range | None
+
+
+def compiler_options() -> dict[str, Any]:
+    """What the compiled loops are built with: full-width vectors, 1.4 to 1.7 times faster on AVX-512 machines."""
+    on_x86 = jax.default_backend() == "cpu" and platform.machine().lower() in ("x86_64", "amd64")
+    return {"xla_cpu_prefer_vector_width": 512} if on_x86 else {}
+
+
+def step_dtype() -> Any:
+    """What numbers of steps are kept in: int64, or int32 without x64."""
+    return jax.dtypes.canonicalize_dtype(np.int64)
+
+
+@cache
+def start(step_axis: int | None, reduction: Reduction | None) -> Callable[..., tuple[Carry, Any]]:
+    """(step, states) ↦ the carry of a run and the reduced quantity at its start (None if nothing is reduced)."""
+
+    def begin(step: Step, states: State) -> tuple[Carry, Any]:
+        members = states.p.shape[0]
+        info = StepInfo(jnp.zeros(members, states.p.dtype), jnp.ones(members, bool))
+        origin = None if reduction is None else jax.vmap(reduction, in_axes=(step_axis, 0))(step, states)
+        change = None if origin is None else Range.fresh(origin)
+        failed = jnp.full(members, -1, step_dtype())
+        return Carry(states, info, failed, change), origin
+
+    return jax.jit(begin, compiler_options=compiler_options())
+
+
+@cache
+def prepare(step_axis: int | None) -> Callable[..., Any]:
+    """(step, states, dt) ↦ the prepared steps, with the member axis on every leaf."""
+
+    def prepared(step: Step, states: State, dt: Array) -> Step:
+        size = states.p.shape[0]
+        return jax.vmap(lambda s, z: s.prepare(z, dt), in_axes=(step_axis, 0), axis_size=size)(step, states)
+
+    return jax.jit(prepared, compiler_options=compiler_options())
+
+
+@cache
+def advance(step_axis: int | None, reduction: Reduction | None, rows: int) -> Callable[..., tuple[Carry, Any]]:
+    """The compiled loop, for at most `rows` saves a call.
+
+    (step, carry, origin, dt, done, saves, every, fresh) ↦ the carry after `saves` times `every` more steps, `done`
+    having been taken before, and what is saved: of each save the report, and the state or the change of the reduced
+    quantity. Without `fresh` the first save interval goes on with the report that the carry brings.
+    """
+
+    def loop(
+        step: Step, carry: Carry, origin: Any, dt: Array, done: Array, saves: Array, every: Array, fresh: Array
+    ) -> tuple[Carry, Any]:
+        none = Carry(
+            carry.state,
+            StepInfo(jnp.zeros_like(carry.info.residual), jnp.ones_like(carry.info.converged)),
+            jnp.full(carry.failed.shape, -1, jnp.int32),
+            None if carry.change is None else Range.fresh(carry.change.total),
+        )
+
+        def one(n: Array, carry: Carry) -> Carry:
+            state, info = jax.vmap(lambda s, z: s(z, dt), in_axes=(step_axis, 0))(step, carry.state)
+            failed = jnp.where((carry.failed < 0) & ~info.converged, n, carry.failed)
+            change = carry.change
+            if reduction is not None and change is not None:
+                change = change.with_(jax.vmap(reduction, in_axes=(step_axis, 0))(step, state) - origin)
+            return Carry(state, carry.info.worse(info), failed, change)
+
+        def interval(k: Array, loop: tuple[Carry, Any]) -> tuple[Carry, Any]:
+            carry, saved = loop
+            begun = (k > 0) | fresh
+            info, change = jax.tree.map(
+                lambda new, old: jnp.where(begun, new, old), (none.info, none.change), (carry.info, carry.change)
+            )
+            carry = carry._replace(info=info, change=change)
+            carry = lax.fori_loop(0, every, lambda i, c: one(k * every + i, c), carry)
+            return carry, jax.tree.map(lambda to, x: to.at[k].set(x), saved, _saved(carry))
+
+        buffer = jax.tree.map(lambda x: jnp.zeros((rows, *x.shape), x.dtype), _saved(carry))
+        begin = carry._replace(failed=none.failed)
+        end, saved = lax.fori_loop(0, saves, interval, (begin, buffer))
+        first = jnp.where(end.failed < 0, -1, done + end.failed)
+        return end._replace(failed=jnp.where(carry.failed < 0, first, carry.failed).astype(carry.failed.dtype)), saved
+
+    return jax.jit(loop, compiler_options=compiler_options())
+
+
+def _saved(carry: Carry) -> Any:
+    return (carry.info, carry.state if carry.change is None else carry.change)
+
+
+@cache
+def energies(step_axis: int | None) -> Callable[..., Array]:
+    """(step, states) ↦ the energy of each member."""
+    return jax.jit(jax.vmap(energy, in_axes=(step_axis, 0)), compiler_options=compiler_options())
+
+
+def energy(step: Step, state: State) -> Array:
+    """The energy of a step's system."""
+    return step.system.energy(state)
