@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from collections.abc import Callable
+from typing import Annotated, Any, Self
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from lieint_jax.integrate import integrate
@@ -64,9 +66,24 @@ class Common(Table):
         return self.sources.get(key, key)
 
 
+def member(run: Trajectory, m: int, time: int = 0) -> State:
+    """One member of a run, at a saved time."""
+    return State(*(jnp.asarray(x[time, m]) for x in run.state))
+
+
 def nominal(run: Trajectory, time: int = 0) -> State:
     """Member 0 of a run, at a saved time."""
-    return State(jnp.asarray(run.state.q[time, 0]), jnp.asarray(run.state.p[time, 0]))
+    return member(run, 0, time)
+
+
+def series(function: Callable[[State], Any], run: Trajectory) -> np.ndarray:
+    """A function of the state at all saved times, of all members: (times, members, …)."""
+    return np.asarray(jax.jit(jax.vmap(jax.vmap(function)))(State(*(jnp.asarray(x) for x in run.state))))
+
+
+def deviation(x: np.ndarray) -> np.ndarray:
+    """The standard deviation of the members, which are the first axis; 0 of one alone."""
+    return np.std(x, axis=0, ddof=1) if len(x) > 1 else np.zeros(x.shape[1:])
 
 
 def thinned(num_steps: int, longest: int = LONGEST) -> tuple[int, int]:

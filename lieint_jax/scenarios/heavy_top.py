@@ -12,11 +12,11 @@ from pydantic import field_validator, model_validator
 
 from lieint_jax import diagnostics, maps, plots, schemes, small, systems
 from lieint_jax.groups import so3
+from lieint_jax.phase_spaces import frame
 from lieint_jax.scenarios._body import BodyScenario, ensemble, in_space
-from lieint_jax.scenarios._common import LONGEST, POINTS, Triple, follow, nominal
+from lieint_jax.scenarios._common import LONGEST, POINTS, Triple, deviation, follow, nominal, series
 from lieint_jax.scenarios._runge_kutta import RungeKutta, cost
-from lieint_jax.systems import PotentialTop
-from lieint_jax.systems.heavy_top import kovalevskaya_integral, lagrange_motion
+from lieint_jax.systems import PotentialTop, kovalevskaya_integral, lagrange_motion
 from lieint_jax.types import State, Step, Trajectory
 
 _LONG = 10  # times the run: how long the energies are drawn
@@ -102,30 +102,24 @@ def is_lagrange(top: PotentialTop) -> bool:
 
 def changes(top: PotentialTop, run: Trajectory) -> dict[str, float]:
     """Largest changes of the integrals: relative, energies to ½Π·J⁻¹Π + |E||γ|, momenta to |π|, of the first time."""
-    states = State(*(jnp.asarray(x) for x in run.state))
     size = np.linalg.norm(_weight(top)) * np.linalg.norm(np.asarray(top.axis))
-    kinetic = np.asarray(_each(top.kinetic_energy)(states))[0]
+    kinetic = series(top.kinetic_energy, run)[0]
     momentum = np.linalg.norm(np.asarray(run.state.p[0]), axis=-1) * np.linalg.norm(np.asarray(top.axis))
     found = {
-        "energy, relative": _change(_each(top.energy)(states), kinetic + size),
-        "γ·π, relative to |π|": _change(_each(lambda z: top.momentum(z)[0])(states), momentum),
+        "energy, relative": _change(series(top.energy, run), kinetic + size),
+        "γ·π, relative to |π|": _change(series(lambda z: top.momentum(z)[0], run), momentum),
     }
     J, E = _inertia(top), _weight(top)
     if is_lagrange(top):
-        found["Π₃, relative to |π|"] = _change(_each(lambda z: top.body_momentum(z)[2])(states), momentum)
+        found["Π₃, relative to |π|"] = _change(series(lambda z: top.body_momentum(z)[2], run), momentum)
     if np.allclose(J, np.diag([2.0, 2.0, 1.0]) * J[2, 2], atol=1e-12) and not E[1:].any():
-        K = np.asarray(_each(lambda z: kovalevskaya_integral(top, z))(states))
+        K = series(lambda z: kovalevskaya_integral(top, z), run)
         found["Kovalevskaya's integral, relative"] = _change(K, np.maximum(abs(K[0]), (size / J[2, 2]) ** 2))
     return found
 
 
-def _each(function: Any) -> Any:
-    return jax.jit(jax.vmap(jax.vmap(function)))
-
-
-def _change(series: Any, size: np.ndarray) -> float:
-    series = np.asarray(series)
-    return float((abs(series - series[0]) / size).max())
+def _change(x: np.ndarray, size: np.ndarray) -> float:
+    return float((abs(x - x[0]) / size).max())
 
 
 def _inertia(top: PotentialTop) -> np.ndarray:
@@ -154,8 +148,7 @@ def quantities(top: PotentialTop, run: Trajectory, unit: str) -> list[Row]:
         "least inclination (°)",
         "greatest inclination (°)",
     )
-    spread = np.std(motions, axis=0, ddof=1) if len(motions) > 1 else np.zeros(4)
-    return [Row(name, *map(float, x)) for name, *x in zip(names, motions[0], spread, closed, strict=True)]
+    return [Row(name, *map(float, x)) for name, *x in zip(names, motions[0], deviation(motions), closed, strict=True)]
 
 
 def motion(top: PotentialTop, run: Trajectory, member: int = 0) -> np.ndarray:
@@ -168,8 +161,7 @@ def motion(top: PotentialTop, run: Trajectory, member: int = 0) -> np.ndarray:
     t, axis = np.asarray(run.t), _unit(np.asarray(top.axis))
     e, velocity = (np.asarray(x) for x in _axis_and_velocity(top, State(q, p), _unit(_weight(top))))
     u, slope = e @ axis, velocity @ axis
-    across = np.linalg.svd(axis[None])[2][1:]
-    across[1] *= np.sign(np.linalg.det([*across, axis]))
+    across = np.stack(frame(jnp.asarray(axis)))
     phi = np.unwrap(np.arctan2(*(across @ e.T)[::-1]))
     angle = np.rad2deg(np.arccos(np.clip(u, -1, 1)))
     lowest = np.flatnonzero(

@@ -11,10 +11,9 @@ from matplotlib.figure import Figure
 from pydantic import Field
 
 from lieint_jax import diagnostics, maps, plots, schemes
-from lieint_jax.scenarios._common import Common, NonNegative, Table, Triple, follow, nominal
+from lieint_jax.scenarios._common import Common, NonNegative, Table, Triple, deviation, follow, member, nominal, series
 from lieint_jax.scenarios._runge_kutta import RungeKutta
-from lieint_jax.systems import Euler
-from lieint_jax.systems.euler import kirchhoff
+from lieint_jax.systems import Euler, kirchhoff
 from lieint_jax.types import State, Step, Trajectory
 
 PositiveTriple = Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=3, max_length=3)]
@@ -91,8 +90,7 @@ def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
 
 def changes(body: Euler, run: Trajectory) -> dict[str, tuple[float, str]]:
     """Largest changes, relative, and what the scheme promises of them."""
-    states = State(*(jnp.asarray(x) for x in run.state))
-    H, (Pi_P, P_P) = _each(body.energy)(states), np.moveaxis(_each(lambda z: body.casimirs(z))(states), -1, 0)
+    H, (Pi_P, P_P) = series(body.energy, run), np.moveaxis(series(body.casimirs, run), -1, 0)
     p = np.asarray(run.state.p)
     sizes = [np.linalg.norm(x[0], axis=-1) for x in (p[..., :3], p[..., 3:])]
     found = {
@@ -133,7 +131,7 @@ def quantities(scenario: Scenario, run: Trajectory) -> list[Row]:
     tilt = tilts(q).max(axis=0)
     unit = scenario.time_unit
     return [
-        Row(name, float(x[0]), float(np.std(x, ddof=1)) if len(x) > 1 else 0.0)
+        Row(name, float(x[0]), float(deviation(x)))
         for name, x in ((f"mean speed along the impulse (/{unit})", speed), ("third axis strays by (°)", tilt))
     ]
 
@@ -151,7 +149,7 @@ def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     for ax in axes[0]:
         ax.remove()
     left, right = (fig.add_subplot(1, 2, k, projection="3d") for k in (1, 2))
-    last = State(*(jnp.asarray(x[0, -1]) for x in run.state))
+    last = member(run, -1)
     members = {"nominal": nominal(run)} | ({"the last member": last} if scenario.members > 1 else {})
     paths = {name: np.asarray(follow(step, z, scenario.dt, scenario.steps).state.q) for name, z in members.items()}
     for (name, q), color in zip(paths.items(), (plots.INK, plots.BLUE), strict=False):
@@ -170,7 +168,7 @@ def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
 def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Energy errors of the last member by this scheme and by Runge–Kutta; the tilt of all members' axes with time."""
     body, curves, t = step.system, {}, np.zeros(0)
-    start = State(*(jnp.asarray(x[0, -1]) for x in run.state))
+    start = member(run, -1)
     for scheme in (step, RungeKutta(body)):
         long = follow(scheme, start, scenario.dt, scenario.steps)
         curves[scheme.name] = np.asarray(diagnostics.energy_error(body, long)) / float(body.energy(start))
@@ -182,11 +180,6 @@ def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     right.plot(np.asarray(run.t), tilts(run.state.q)[:, 0], color=plots.INK, lw=1.2)
     right.set(xlabel=f"t ({scenario.time_unit})", ylabel="third axis strays by (°)")
     return fig
-
-
-def _each(function: Any) -> Any:
-    mapped = jax.jit(jax.vmap(jax.vmap(function)))
-    return lambda states: np.asarray(mapped(states))
 
 
 PICTURES = {"path": draw_path, "energy": draw_energy}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,8 @@ from lieint_jax import checks, diagnostics, plots, schemes, systems
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.scenarios import heavy_top
-from lieint_jax.scenarios._common import Common, NonNegative, Table, Triple, follow, nominal
+from lieint_jax.scenarios._common import Common, NonNegative, Table, Triple, follow, nominal, series
+from lieint_jax.scenarios.heavy_top import Row
 from lieint_jax.systems import Pendulum, PotentialTop
 from lieint_jax.types import State, Step, Trajectory
 
@@ -88,15 +89,6 @@ def build(scenario: Scenario) -> tuple[Step, State]:
     return schemes.sphere_midpoint(bob, scenario.normalised), jax.vmap(member)(kick, jolt)
 
 
-class Row(NamedTuple):
-    """A quantity of the motion: of the nominal member, its spread over the members, the nominal one's closed form."""
-
-    name: str
-    nominal: float
-    spread: float
-    closed_form: float
-
-
 def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
     """What is conserved, worst of all members; the swing beside the closed form."""
     lines = [f"\n  {'largest change, all members':<34}{'found':>10}   the scheme promises"]
@@ -112,10 +104,7 @@ def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
 
 def changes(bob: Pendulum, run: Trajectory) -> dict[str, float]:
     """Largest changes: energy relative to ½|π|²/m + |mG|, γ·π relative to √(2m(H + |mG|)); |q|² − 1 and q·π."""
-    states = State(*(jnp.asarray(x) for x in run.state))
-    H, gamma_pi, defect = (
-        np.asarray(_each(f)(states)) for f in (bob.energy, lambda z: bob.momentum(z)[0], bob.phase_space.defect)
-    )
+    H, gamma_pi, defect = (series(f, run) for f in (bob.energy, lambda z: bob.momentum(z)[0], bob.phase_space.defect))
     depth = abs(float(bob.potential(bob.axis)))
     kinetic = H[0] + depth  # at the lowest point, the largest there is
     return {
@@ -130,10 +119,10 @@ def as_top(bob: Pendulum, run: Trajectory) -> tuple[PotentialTop, Trajectory]:
     depth = -bob.potential(bob.axis)
     top = systems.heavy_top(jnp.full(3, bob.mass), jnp.array([0.0, 0.0, 1.0]) * depth, -bob.axis)
 
-    def attitude(q: Any) -> Any:
-        return so3.from_matrix(jnp.stack([*frame(q), q], axis=1))
+    def attitude(state: State) -> Any:
+        return so3.from_matrix(jnp.stack([*frame(state.q), state.q], axis=1))
 
-    q: Any = np.asarray(_each(attitude)(jnp.asarray(run.state.q)))
+    q: Any = series(attitude, run)
     return top, run._replace(state=State(q, run.state.p))
 
 
@@ -190,10 +179,6 @@ def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     for ax, curves, label in zip(axes[0], (energy, constraint), ("energy error", "constraint error"), strict=True):
         plots.log_error(ax, t, curves, label, scenario.time_unit)
     return fig
-
-
-def _each(function: Any) -> Any:
-    return jax.jit(jax.vmap(jax.vmap(function)))
 
 
 PICTURES = {"path": draw_path, "energy": draw_energy}

@@ -11,7 +11,17 @@ from matplotlib.figure import Figure
 from pydantic import Field, field_validator, model_validator
 
 from lieint_jax import checks, diagnostics, plots, schemes, systems
-from lieint_jax.scenarios._common import Common, NonNegative, Positive, Published, Table, Triple, follow, nominal
+from lieint_jax.scenarios._common import (
+    Common,
+    NonNegative,
+    Positive,
+    Published,
+    Table,
+    Triple,
+    follow,
+    nominal,
+    series,
+)
 from lieint_jax.systems import PseudoRigidBody
 from lieint_jax.types import State, Step, Trajectory
 
@@ -125,8 +135,7 @@ class Row(NamedTuple):
 
 def quantities(scenario: Scenario, body: PseudoRigidBody, run: Trajectory) -> list[Row]:
     """Largest changes, relative to the largest |H| and |Φ| of the member's start; the least det F."""
-    states = State(*(jnp.asarray(x) for x in run.state))
-    H, Phi = (np.asarray(_each(f)(states)) for f in (body.energy, body.momentum))
+    H, Phi = series(body.energy, run), series(body.momentum, run)
     size = np.maximum(np.linalg.norm(Phi[0], axis=-1, keepdims=True), np.finfo(float).tiny)
     energy = {"symplectic": "bounded, not conserved"}.get(scenario.rule, "conserved to round-off")
     return [
@@ -140,12 +149,12 @@ def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
     """What is conserved beside what is promised; the energy of the midpoint rule beside the published variation."""
     lines = [f"\n  {'all members and saved times':<34}{'found':>12}   the rule {scenario.rule!r} promises"]
     lines += [f"  {row.name:<34}{row.found:>12.3g}   {row.promised}" for row in quantities(scenario, step.system, run)]
-    series = energies(scenario, step, run)
-    lines += [f"\n  energy of the nominal member, {len(series.t) - 1} steps, max − min"]
-    lines += [f"  {name:<34}{np.ptp(H):>12.3g}" for name, H in series.energy.items()]
+    found = energies(scenario, step, run)
+    lines += [f"\n  energy of the nominal member, {len(found.t) - 1} steps, max − min"]
+    lines += [f"  {name:<34}{np.ptp(H):>12.3g}" for name, H in found.energy.items()]
     if (printed := scenario.published.get("midpoint_energy_variation")) is not None:
         lines[-1] += f"   published {printed.value:g}  ({scenario.source(printed.source)})"
-    if not series.converged:
+    if not found.converged:
         lines.append("  NOT every one of these steps converged: do not trust what follows the first that did not")
     return "\n".join(lines)
 
@@ -179,9 +188,9 @@ def energies(scenario: Scenario, step: Any, run: Trajectory) -> Energies:
 
 def draw_torus(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Delay plots, as in the paper's Figures 3 to 5: of the midpoint rule's energy, and of the displacement."""
-    series = energies(scenario, step, run)
+    found = energies(scenario, step, run)
     fig, axes = plots.figure(2, subplot_kw={"projection": "3d"})
-    panels = {f"H, {MIDPOINT}": series.energy[MIDPOINT], f"‖F − 1‖², rule {scenario.rule!r}": series.displacement}
+    panels = {f"H, {MIDPOINT}": found.energy[MIDPOINT], f"‖F − 1‖², rule {scenario.rule!r}": found.displacement}
     for ax, (title, x) in zip(axes[0], panels.items(), strict=True):
         plots.delay_plot(ax, np.asarray(diagnostics.delay(jnp.asarray(x), scenario.lag)))
         ax.set_title(f"{title}, lag {scenario.lag}", fontsize="small")
@@ -191,16 +200,12 @@ def draw_torus(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
 
 def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Energy errors of the nominal member by the scenario's rule and by the midpoint rule; its displacement."""
-    series = energies(scenario, step, run)
+    found = energies(scenario, step, run)
     fig, axes = plots.figure(2)
-    errors = {name: H - H[0] for name, H in series.energy.items()}
-    plots.log_error(axes[0, 0], series.t, errors, "energy error", scenario.time_unit)
-    plots.series(axes[0, 1], series.t, {"": series.displacement}, "‖F − 1‖²", scenario.time_unit)
+    errors = {name: H - H[0] for name, H in found.energy.items()}
+    plots.log_error(axes[0, 0], found.t, errors, "energy error", scenario.time_unit)
+    plots.series(axes[0, 1], found.t, {"": found.displacement}, "‖F − 1‖²", scenario.time_unit)
     return fig
-
-
-def _each(function: Any) -> Any:
-    return jax.jit(jax.vmap(jax.vmap(function)))
 
 
 PICTURES = {"torus": draw_torus, "energy": draw_energy}

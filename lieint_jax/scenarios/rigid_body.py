@@ -14,8 +14,9 @@ from pydantic import model_validator
 from lieint_jax import diagnostics, maps, plots, schemes, systems
 from lieint_jax.groups import so3
 from lieint_jax.integrate import integrate
+from lieint_jax.phase_spaces import frame
 from lieint_jax.scenarios._body import BodyScenario, InitialState, ensemble, in_space
-from lieint_jax.scenarios._common import Published, Text, follow, nominal, thinned
+from lieint_jax.scenarios._common import Published, Text, deviation, follow, nominal, thinned
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, Trajectory
 
@@ -91,8 +92,8 @@ def quantities(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Row
 
 def _spread(x: np.ndarray, angle: bool) -> float:
     """The standard deviation of the members; of angles in degrees, about the nominal one and round the circle."""
-    deviation = (x - x[0] + 180) % 360 - 180 if angle else x
-    return float(np.std(deviation, ddof=1)) if len(x) > 1 else 0.0
+    x = (x - x[0] + 180) % 360 - 180 if angle else x
+    return float(deviation(x))
 
 
 def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
@@ -116,8 +117,7 @@ def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarr
         long = square < (Pi[0] ** 2 / moments).sum() * moments[1]
         e = R @ axes[:, 0 if long else 2]
         Pi = Pi[:, [1, 2, 0]] if long else Pi
-        across = np.linalg.svd(pi[None])[2][1:]
-        across[1] *= np.sign(np.linalg.det([*across, pi]))
+        across = np.stack(frame(jnp.asarray(pi / np.maximum(np.linalg.norm(pi), np.finfo(float).tiny))))
         rate = np.sqrt(square) / moments[0]
         too_coarse = rate * abs(run.t[1] - run.t[0]) > 2.5
         phi, psi = (np.unwrap(np.arctan2(y, x)) for x, y in (across @ e.T, Pi[:, :2].T))
@@ -154,8 +154,7 @@ def sightings(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Sigh
         k = save_index(scenario, seen)
         if not 0 <= k < len(run.t):
             continue
-        now = State(jnp.asarray(run.state.q[k, 0]), jnp.asarray(run.state.p[k, 0]))
-        start = State(jnp.asarray(run.state.q[0, 0]), jnp.asarray(run.state.p[0, 0]))
+        now, start = nominal(run, k), nominal(run)
         Omega = jnp.linalg.norm(body.angular_velocity(start))
         true = diagnostics.flow(body, start, seen.t, 2 * int(abs(seen.t * Omega)) + 2)
         apart = jax.vmap(so3.angle, in_axes=(0, None))(jnp.asarray(run.state.q[k]), now.q)
