@@ -144,7 +144,7 @@ def observe(
 def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:
     """How far `num_steps` steps of −dt end from where `num_steps` steps of dt began: what `reversible` loses.
 
-    In q, and in p over max|p|. It is some round-offs a step where motions stay together, and grows like their
+    In q, and in p over max|p|. It is some round-offs per step where motions stay together, and grows like their
     distance where they do not: over a time t on a chaotic motion of Lyapunov exponent λ, like e^(λt). The gradient's
     relative error is of that size times what the motion bends over such a distance.
     """
@@ -197,7 +197,7 @@ def _undoable(step: Step, state: State, dt: Array, counts: Any, tolerance: float
 
 
 def _steps(step: Any, state: State, dt: Array, count: Any) -> tuple[State, StepInfo]:
-    """So many steps, with the worst of their reports."""
+    """`count` steps, with the worst of their reports."""
 
     def one(_: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:
         state, so_far = carry

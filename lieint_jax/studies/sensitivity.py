@@ -111,7 +111,7 @@ def reference(system: System, state: State, t: float, pieces: int) -> Array:
 
 
 def shadow(step: Step, state: State, dt: float, num_steps: int, every: int = 20, distance: float = 1e-8) -> Array:
-    """The largest exponent by two neighbours that are brought together again after every so many steps.
+    """The largest exponent by two neighbours that are brought together again after every `every` steps.
 
     Source: Benettin, Galgani & Strelcyn 1976, Phys. Rev. A 14.
     """
