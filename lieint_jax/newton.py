@@ -1,8 +1,8 @@
 """Newton's method inside `lax.custom_root`: a fixed number of iterations, exact derivatives by the implicit function.
 
 A fixed count (no `while_loop`) lets XLA fuse the iterations of a whole batch. First derivatives never pass through
-them: `custom_root` differentiates the equation at its root, forward or reverse. Nor do higher ones, but for forward over
-reverse through a `scan`, where JAX keeps the solver and loses its rule. So iterations and guesses must carry
+them: `custom_root` differentiates the equation at its root, forward or reverse. Nor do higher ones, but forward over
+reverse through a `scan` does: there JAX keeps the solver and loses its rule. So iterations and guesses must carry
 derivatives too: a `stop_gradient` around either would make `jax.hessian` of a run wrong, silently. `root(done=…)` and
 `chords` loop until they are done instead, for large steps that would compile long and not fuse.
 """
