@@ -173,6 +173,18 @@ def test_second_derivatives_through_a_run(name):
     assert float(reverse) == pytest.approx(float(forward), rel=1e-12)  # floor 1e-15
 
 
+@pytest.mark.long
+def test_a_hessian_by_undoing_steps():
+    def slope(J):
+        return jax.grad(lambda J: end(J, STATE, 0.05))(J)
+
+    def plain_end(J):
+        return li.integrate(li.schemes.so3_midpoint(li.systems.RigidBody(J)), STATE, 0.05, 40).state.q[-1, 0]
+
+    forward = jax.jit(jax.jacfwd(jax.jacfwd(plain_end)))(BODY.inertia)
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(slope))(BODY.inertia), forward, rtol=1e-11, atol=1e-12)  # 1e-15
+
+
 def temporaries(make, num_steps):
     def last(J, states):
         step = make(li.schemes.so3_midpoint(li.systems.RigidBody(J)))

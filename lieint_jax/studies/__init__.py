@@ -8,6 +8,7 @@ Which derivative to take, for N steps, p parameters and a loss or m residuals:
 | reverse, by undoing steps | `jax.grad` through `reversible`, `observe` | 4 to 9, for any p | the saved states |
 | reverse, by checkpoints | the same with `derivative="checkpoint"` | 6 to 18, for any p | some 3 N^(1/3) states |
 | reverse, through the scan | `jax.grad` through `integrate` | 10 and more | what N steps computed |
+| a Hessian times a vector | `jax.jvp` of `jax.grad` through `reversible`, `observe` | some 40 | the saved states |
 | a tangent flow | `jax.jvp` step by step (`studies.sensitivity`) | 1 + its dimension | none |
 
 * Few parameters, or residuals to be squared: forward. `fit` does so for "levenberg_marquardt".
@@ -15,7 +16,7 @@ Which derivative to take, for N steps, p parameters and a loss or m residuals:
   `additive(…, "symplectic", alpha)` for α ≠ ½ and steps of your own.
 * A step that is not symmetric, or a motion on which neighbours part so fast that steps cannot be undone (see
   `round_trip_error`; a warning says so): checkpoints. But where e^(λt) is past 1/eps no derivative means anything.
-* Short runs: the scan itself, the simplest; the only one that nests (grad of grad).
+* Short runs: the scan itself, the simplest; the only one for reverse over reverse.
 
 All agree to round-off, for they are derivatives of the same discrete flow. On a chaotic motion they agree as long as
 the motion can be followed at all.

@@ -16,6 +16,7 @@ import dataclasses
 import math
 import warnings
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Literal, get_args
 
 import jax
@@ -46,7 +47,9 @@ def reversible(
 ) -> Trajectory:
     """As `integrate`, with a reverse-mode derivative that keeps the saved states and nothing else.
 
-    The leaves of `step`, the initial state and dt get gradients. Forward mode is not offered here: use `integrate`.
+    The leaves of `step`, the initial state and dt get gradients, and so does what its functions close over. Products
+    with a Hessian, forward over reverse, keep no more: `jax.jvp(jax.grad(loss), …)`. Forward mode alone is not offered
+    here: use `integrate`.
 
     Args:
         step: a symmetric step; with `derivative="checkpoint"` any.
@@ -221,7 +224,7 @@ _march: Any = jax.custom_vjp(_marched, nondiff_argnums=(4,))
 
 
 def _march_forward(step: Any, state: State, dt: Array, counts: Any, tolerance: float) -> Any:
-    later, info = _march(step, state, dt, counts, tolerance)
+    later, info = _marched(step, state, dt, counts, tolerance)
     return (later, info), (step, state, dt, counts, later)
 
 
@@ -280,6 +283,7 @@ def _cotangent(tree: Any, smooth: Any) -> Any:
     return jax.tree.map(lambda x, c: np.zeros(np.shape(x), jax.dtypes.float0) if c is None else c, tree, smooth)
 
 
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
 def _watched(error: Array, tolerance: float) -> Array:
     """Zero, and a warning on the host if `error` is above `tolerance`: one call, however many bodies."""
 
@@ -297,6 +301,12 @@ def _watched(error: Array, tolerance: float) -> Array:
         return np.zeros_like(error)
 
     return jax.pure_callback(warn, jax.ShapeDtypeStruct((), error.dtype), error, vmap_method="expand_dims")
+
+
+@_watched.defjvp
+def _(tolerance: float, primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    none = _watched(primals[0], tolerance)
+    return none, jnp.zeros_like(none)
 
 
 def _checkpointed(step: Step, state: State, dt: Array, counts: list[int]) -> tuple[State, StepInfo]:
