@@ -119,6 +119,7 @@ def test_no_success_where_the_gradient_has_not_vanished(name):
     assert found.params[0] <= 1
 
 
+@pytest.mark.long
 def test_the_unit_of_a_loss_does_not_matter():
     for unit, dtype in ((1e-12, jnp.float64), (1e-9, jnp.float32)):
         found = studies.fit(lambda x, u=unit: u * jnp.sum((x - 0.3) ** 4), jnp.ones(2, dtype), "lbfgs")
