@@ -7,45 +7,16 @@ over one XLA host device a core. Contestants are called in turn; a rate is that 
 
     python benchmarks/free_rigid_body.py [--quick] [--out DIR]
 
-A typical printout, shortened:
-
-Rates, 1000 bodies, one core: millions of body-steps a second (for scipy a step is a time dt)
+Of a printout (the whole one is results/free_rigid_body.md), millions of body-steps a second:
 
 |                                   |   dtype |  best | median | ÷ C++ newton | ÷ C++ scalar | ours ÷ it | compile s |
 | --------------------------------- | ------: | ----: | -----: | -----------: | -----------: | --------: | --------: |
-| C++ symplectic, newton form       | float64 |   165 |    165 |            1 |        0.854 |      0.55 |       0.0 |
-| C++ symplectic, scalar form       | float64 |   194 |    193 |         1.17 |            1 |     0.469 |       0.0 |
-| ours, symplectic κ                | float64 |  90.9 |   90.9 |         0.55 |        0.469 |         1 |       0.3 |
-| ours, symplectic κ, wide vectors  | float64 |   133 |    133 |        0.806 |        0.688 |     0.682 |       0.3 |
-| ours, cayley κ                    | float64 |  36.2 |   36.1 |        0.219 |        0.187 |      2.51 |       0.9 |
-| ours, cayley κ, wide vectors      | float64 |  56.6 |   56.4 |        0.342 |        0.292 |      1.61 |       0.9 |
-| ours, exponential κ               | float64 |  16.5 |   16.4 |       0.0997 |       0.0852 |      5.51 |       1.2 |
-| ours, exponential κ, wide vectors | float64 |  29.8 |   29.6 |         0.18 |        0.154 |      3.05 |       1.1 |
-| diffrax Tsit5, vmapped            | float64 |  6.11 |   6.09 |        0.037 |       0.0316 |      14.9 |       1.1 |
-| diffrax Dopri8, vmapped           | float64 |  1.75 |   1.74 |       0.0106 |      0.00901 |      52.1 |       0.9 |
-| C++ symplectic, newton form       | float32 |   329 |    328 |            1 |        0.746 |     0.528 |       0.0 |
-| C++ symplectic, scalar form       | float32 |   441 |    440 |         1.34 |            1 |     0.394 |       0.0 |
-| ours, symplectic κ                | float32 |   174 |    173 |        0.528 |        0.394 |         1 |       0.5 |
-| ours, symplectic κ, wide vectors  | float32 |   251 |    249 |        0.763 |         0.57 |     0.692 |       0.4 |
-| ours, cayley κ                    | float32 |    69 |   68.6 |         0.21 |        0.157 |      2.52 |       0.8 |
-| ours, cayley κ, wide vectors      | float32 |   103 |    103 |        0.314 |        0.234 |      1.68 |       1.0 |
-| ours, exponential κ               | float32 |  32.5 |   32.3 |       0.0989 |       0.0738 |      5.34 |       1.1 |
-| ours, exponential κ, wide vectors | float32 |  56.4 |     56 |        0.172 |        0.128 |      3.08 |       1.3 |
-| diffrax Tsit5, vmapped            | float32 |    11 |   10.9 |       0.0333 |       0.0249 |      15.9 |       1.0 |
-| diffrax Dopri8, vmapped           | float32 |  3.34 |   3.32 |       0.0101 |      0.00757 |      52.1 |       1.2 |
-| MuJoCo RK4, rollout               | float64 | 0.281 |  0.279 |       0.0017 |      0.00145 |       323 |       0.0 |
-| scipy DOP853, rtol 1e-10          | float64 |  0.25 |  0.249 |      0.00151 |      0.00129 |       364 |       0.0 |
-
-| ours: symplectic κ, float64, one core                | measured |     bar |        |
-| ---------------------------------------------------- | -------: | ------: | -----: |
-| rate ÷ C++ newton form, default flags                |     0.55 |   ≥ 0.3 |   held |
-| rate ÷ C++ newton form, wide vectors                 |    0.806 |  ≥ 0.45 |   held |
-| rate ÷ C++ scalar form, default flags                |    0.469 |   ≥ 0.3 |   held |
-| rate ÷ C++ scalar form, wide vectors                 |    0.688 |  ≥ 0.45 |   held |
-| rate ÷ diffrax Tsit5 vmapped, default flags          |     14.9 |    ≥ 15 | MISSED |
-| rate ÷ diffrax Tsit5 vmapped, ours with wide vectors |     21.8 |    ≥ 15 |   held |
-| energy drift over 100000 steps                       |  2.1e-14 | ≤ 5e-13 |   held |
-| momentum drift over 100000 steps                     |        0 |     ≤ 0 |   held |
+| C++ symplectic, newton form       | float64 |   158 |    157 |            1 |        0.895 |     0.555 |       0.0 |
+| C++ symplectic, scalar form       | float64 |   177 |    175 |         1.12 |            1 |     0.497 |       0.0 |
+| ours, symplectic κ                | float64 |  87.9 |   86.3 |        0.555 |        0.497 |         1 |       0.5 |
+| ours, symplectic κ, wide vectors  | float64 |   129 |    128 |        0.812 |        0.727 |     0.684 |       0.4 |
+| diffrax Tsit5, vmapped            | float64 |  5.71 |   5.63 |       0.0361 |       0.0323 |      15.4 |       1.2 |
+| MuJoCo RK4, rollout               | float64 | 0.249 |  0.248 |      0.00157 |      0.00141 |       353 |       0.0 |
 """
 
 from __future__ import annotations
