@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 RESULTS = Path(__file__).parent / "results"
 
@@ -20,6 +22,13 @@ def parser(doc: str | None) -> argparse.ArgumentParser:
 def pin() -> None:
     """Keep this process to the last core it may use (as Linux can). To be called before jax is imported."""
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-1:])
+
+
+def under_load(work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """What `work` returns, and the load of the machine before and after it."""
+    before = os.getloadavg()[0]
+    result = work()
+    return result | {"load": [before, os.getloadavg()[0]]}
 
 
 def on_one_core(doc: str | None) -> argparse.Namespace:

@@ -12,8 +12,6 @@ vectors" are `ensemble.compiler_options()`.
 
 from __future__ import annotations
 
-import os
-
 import command
 
 
@@ -24,10 +22,8 @@ def main() -> None:
     import tops
     import tops_report
 
-    before = os.getloadavg()[0]
     points = precision.Sizes((10.0,), (3,), (1,)) if not options.quick else precision.Sizes((10.0,), (1,), (5,), 0.3)
-    result = tops.everything(measure.QUICK if options.quick else measure.Sizes(), points)
-    result["load"] = [before, os.getloadavg()[0]]
+    result = command.under_load(lambda: tops.everything(measure.QUICK if options.quick else measure.Sizes(), points))
     tops_report.write(result, options.out)
 
 

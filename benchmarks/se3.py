@@ -11,8 +11,6 @@ process pinned to one core (as Linux can). The reference is `diagnostics.flow`, 
 
 from __future__ import annotations
 
-import os
-
 import command
 
 
@@ -22,9 +20,7 @@ def main() -> None:
     import fluid_report
     import measure
 
-    before = os.getloadavg()[0]
-    result = fluid.everything(measure.QUICK if options.quick else measure.Sizes())
-    result["load"] = [before, os.getloadavg()[0]]
+    result = command.under_load(lambda: fluid.everything(measure.QUICK if options.quick else measure.Sizes()))
     fluid_report.write(result, options.out)
 
 

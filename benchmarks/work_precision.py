@@ -11,8 +11,6 @@ within 1e-14 rad of it at t = 10 and within 7e-13 at t = 1000.
 
 from __future__ import annotations
 
-import os
-
 import command
 
 
@@ -21,9 +19,7 @@ def main() -> None:
     import precision
     import precision_report
 
-    before = os.getloadavg()[0]
-    result = precision.everything(precision.QUICK if options.quick else precision.Sizes())
-    result["load"] = [before, os.getloadavg()[0]]
+    result = command.under_load(lambda: precision.everything(precision.QUICK if options.quick else precision.Sizes()))
     precision_report.write(result, options.out)
 
 

@@ -14,7 +14,7 @@ from jax.sharding import Mesh
 
 from lieint_jax import archive, checks, loop, members, processes
 from lieint_jax.archive import Place
-from lieint_jax.integrate import promoted, saves
+from lieint_jax.integrate import intervals, promoted
 from lieint_jax.loop import Carry, Reduction, compiler_options, energy
 from lieint_jax.members import Layout, first_devices, want_devices
 from lieint_jax.progress import Bar, Interrupts, Pace
@@ -71,9 +71,7 @@ def run(
     Warns:
         RuntimeWarning: members that stopped converging later, with the step where each first did.
     """
-    num_steps = checks.count("num_steps", num_steps, 0)
-    interval = max(num_steps, 1) if save_every is None else checks.count("save_every", save_every, 1)
-    num_saves = saves(num_steps, interval)
+    interval, num_saves = intervals(num_steps, save_every)
     if step_axis not in (None, 0):
         raise ValueError(f"step_axis must be None (one step for all) or 0 (one per member), got {step_axis!r}")
     if reduce is not None and reduce != "energy" and not callable(reduce):

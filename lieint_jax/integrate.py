@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
-from jax import lax
+from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import checks
@@ -49,9 +51,7 @@ def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_ever
         return state, (state, info)
 
     _, later = lax.scan(interval, state, None, length=num_saves)
-    joined = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), (state, started), later)
-    t = dt * save_every * jnp.arange(num_saves + 1, dtype=dtype)
-    return Trajectory(t, *joined)
+    return from_start(state, later, dt * save_every)
 
 
 def promoted(step: Step, state: State) -> tuple[State, jnp.dtype]:
@@ -63,6 +63,34 @@ def promoted(step: Step, state: State) -> tuple[State, jnp.dtype]:
     numbers = [leaf for leaf in jax.tree.leaves(step) if jnp.issubdtype(jnp.result_type(leaf), jnp.floating)]
     dtype = jnp.result_type(*leaves, *numbers)
     return State(*(leaf.astype(dtype) for leaf in leaves)), dtype
+
+
+def from_start(state: State, later: tuple[State, StepInfo], interval: Array) -> Trajectory:
+    """The initial state, and the states and reports saved after it, `interval` in time from one to the next."""
+    first = (state, StepInfo.fresh(state.p))
+    joined = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
+    entries = joined[1].residual.shape[0]
+    return Trajectory(interval * jnp.arange(entries, dtype=interval.dtype), *joined)
+
+
+def steps(
+    step: Callable[..., tuple[State, StepInfo]], state: State, dt: ArrayLike, count: ArrayLike
+) -> tuple[State, StepInfo]:
+    """The state after `count` steps, any number of them by one program, and the worst of their reports."""
+
+    def one(_: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:
+        state, so_far = carry
+        state, info = step(state, dt)
+        return state, so_far.worse(info)
+
+    return lax.fori_loop(0, count, one, (state, StepInfo.fresh(state.p)))
+
+
+def intervals(num_steps: int, save_every: int | None) -> tuple[int, int]:
+    """Steps between saved states, all of them if none is given, and how many states are kept after the initial one."""
+    num_steps = checks.count("num_steps", num_steps, 0)
+    save_every = max(num_steps, 1) if save_every is None else checks.count("save_every", save_every, 1)
+    return save_every, saves(num_steps, save_every)
 
 
 def saves(num_steps: int, save_every: int) -> int:

@@ -6,8 +6,9 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from scenario_runs import run
 
-from lieint_jax import cli, ensemble, scenarios
+from lieint_jax import cli, scenarios
 from lieint_jax.scenarios import pendulum, pseudo_rigid
 from lieint_jax.types import State, StepInfo, Trajectory
 
@@ -17,11 +18,6 @@ def still(states):
     members = len(states.q)
     start = State(*(np.asarray(x)[None] for x in states))
     return Trajectory(np.zeros(1), start, StepInfo(np.zeros((1, members)), np.ones((1, members), bool)))
-
-
-def run(scenario):
-    step, states = scenarios.build(scenario)
-    return step, ensemble.run(step, states, scenario.dt, scenario.steps, scenario.save_every, progress=False)
 
 
 # Pseudo-rigid bodies --------------------------------------------------------------------------------------------------

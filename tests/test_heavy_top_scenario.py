@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
+from scenario_runs import run
 
 import lieint_jax as li
 from lieint_jax import cli, ensemble, scenarios
@@ -77,18 +78,16 @@ def test_lagrange_s_top_against_quadrature_in_30_digits_and_the_flow(case):
 def test_the_measured_motion_tends_to_the_closed_form():
     """At order 4 with dt = .01: the period within 1e-4 and the precession within 1e-5 of the closed form."""
     scenario = scenarios.load("heavy_top", members=2, steps=2000, order=4)
-    step, states = scenarios.build(scenario)
-    run = ensemble.run(step, states, scenario.dt, scenario.steps, scenario.save_every, progress=False)
-    for row in heavy_top.quantities(step.system, run, "s"):
+    step, path = run(scenario)
+    for row in heavy_top.quantities(step.system, path, "s"):
         assert row.nominal == pytest.approx(row.closed_form, rel=2e-4), row.name
         assert row.spread > 0
 
 
 def test_states_saved_too_far_apart_are_not_measured():
     scenario = scenarios.load("heavy_top", members=1, steps=2000, save_every=20)
-    step, states = scenarios.build(scenario)
-    run = ensemble.run(step, states, scenario.dt, scenario.steps, scenario.save_every, progress=False)
-    period, rate, least, greatest = heavy_top.motion(step.system, run)
+    step, path = run(scenario)
+    period, rate, least, greatest = heavy_top.motion(step.system, path)
     assert np.isnan([period, rate]).all()
     assert 17 < least < greatest < 19
 

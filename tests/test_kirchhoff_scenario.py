@@ -8,14 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from lieint_jax import cli, ensemble, scenarios
+from lieint_jax import cli, scenarios
 from lieint_jax.scenarios import kirchhoff
 from lieint_jax.systems.euler import kirchhoff as ellipsoid
-
-
-def run(scenario):
-    step, states = scenarios.build(scenario)
-    return step, ensemble.run(step, states, scenario.dt, scenario.steps, scenario.save_every, progress=False)
 
 
 @pytest.mark.long

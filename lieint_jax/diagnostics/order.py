@@ -9,7 +9,7 @@ from jax import Array, lax
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
-from lieint_jax.integrate import promoted
+from lieint_jax.integrate import promoted, steps
 from lieint_jax.types import State, Step, StepInfo, System
 
 _STAGES, _ITERATIONS = 8, 24
@@ -91,13 +91,7 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
 @jax.jit
 def _after(step: Step, state: State, dt: ArrayLike, num_steps: ArrayLike) -> tuple[State, StepInfo]:
     """The state after `num_steps` steps, any number of them by one program, and whether all converged."""
-    step = step.prepare(state, dt)
-
-    def one(_: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:
-        state, info = step(carry[0], dt)
-        return state, carry[1].worse(info)
-
-    return lax.fori_loop(0, num_steps, one, (state, StepInfo.fresh(state.p)))
+    return steps(step.prepare(state, dt), state, dt, num_steps)
 
 
 def distance(a: State, b: State) -> Array:

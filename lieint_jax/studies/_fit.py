@@ -20,7 +20,7 @@ from jax.sharding import Mesh
 from lieint_jax import checks
 from lieint_jax.studies._bounds import confine, free, release
 from lieint_jax.studies._descent import descent, lbfgs
-from lieint_jax.studies._least_squares import least_squares, spread
+from lieint_jax.studies._least_squares import least_squares, slopes, spread
 from lieint_jax.studies._members import over_members
 from lieint_jax.studies._search import (
     GOOD,
@@ -223,7 +223,7 @@ def _at_edge(inside: Callable[[Array], Any], x: Array, start: Array) -> Array:
     """Whether a parameter hardly moves with x any more."""
 
     def speed(x: Array) -> Array:
-        return jnp.linalg.norm(jax.jacfwd(lambda x: ravel_pytree(inside(x))[0])(x), axis=0)
+        return jnp.linalg.norm(slopes(inside, x), axis=0)
 
     return jnp.any(speed(x) <= _EDGE * speed(start))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -56,13 +56,13 @@ def least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: b
         newton, damped, damping = _steps(J / scale, r, radius)
         step, damping = (radius * newton, 0.0) if undamped else (damped, damping)
         x = carry.x + step / scale
-        trial, slopes, ok = look(x)
+        trial, J_trial, ok = look(x)
         loss = jnp.vdot(trial, trial) / 2
         fall = carry.loss - loss
         along = J @ (step / scale)
         foreseen = jnp.vdot(along, along) / 2 + damping * jnp.vdot(step, step)
         better = ok & ((fall >= 1e-4 * foreseen) | ~begun)
-        grown = jnp.maximum(D, jnp.linalg.norm(slopes, axis=0))
+        grown = jnp.maximum(D, jnp.linalg.norm(J_trial, axis=0))
         length, size = jnp.linalg.norm(step), jnp.linalg.norm(scale * carry.x)
         if undamped:
             radius = jnp.where(better, jnp.minimum(1, 2 * radius), radius / 2)
@@ -71,7 +71,7 @@ def least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: b
             follows = jnp.where(fall < 0.25 * foreseen, length / 2, jnp.where(well, 2 * length, radius))
             radius = jnp.where(better, follows, length / 4)
             radius = jnp.where(begun, radius, jnp.linalg.norm(grown * jnp.maximum(jnp.abs(x), 1)))
-        memory = where(better, _Memory(trial, slopes, grown, radius), carry.memory)._replace(radius=radius)
+        memory = where(better, _Memory(trial, J_trial, grown, radius), carry.memory)._replace(radius=radius)
         x, loss = where(better, (x, loss), (carry.x, carry.loss))
         small = jnp.maximum(tolerance, 8 * jnp.finfo(x.dtype).eps)
         cosine = _cosine(memory.J, memory.r)
@@ -122,7 +122,12 @@ def _svd(A: Array) -> tuple[Array, Array, Array]:
     return U[: A.shape[0]], s, Vt
 
 
-def spread(J: Array, inside: Callable[[Array], Array], x: Array) -> Array:
+def slopes(inside: Callable[[Array], Any], x: Array) -> Array:
+    """The derivative of the parameters, in one vector, in the free x."""
+    return jax.jacfwd(lambda x: ravel_pytree(inside(x))[0])(x)
+
+
+def spread(J: Array, inside: Callable[[Array], Any], x: Array) -> Array:
     """B (JᵀJ)⁻¹ Bᵀ, J in the free parameters x and B the derivative of the parameters in them.
 
     A parameter that the residuals do not determine has an infinite variance, and its covariances are nan.
@@ -131,7 +136,7 @@ def spread(J: Array, inside: Callable[[Array], Array], x: Array) -> Array:
     size = jnp.where(size > 0, size, 1)
     _, s, Vt = _svd(J / size)
     known = _known(s, J)
-    B = jax.jacfwd(lambda x: ravel_pytree(inside(x))[0])(x)
+    B = slopes(inside, x)
     W = B @ (Vt / size).T  # a column for each singular value
     half = W * jnp.where(known, 1 / jnp.where(known, s, 1), 0)
     lost = jnp.sum(jnp.where(known, 0, W * W), axis=1) > jnp.finfo(s.dtype).eps * jnp.sum(W * W, axis=1)

@@ -27,7 +27,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import checks
 from lieint_jax.diagnostics.order import distance
-from lieint_jax.integrate import promoted, saves
+from lieint_jax.integrate import from_start, intervals, promoted, steps
 from lieint_jax.schemes.compose import Composition
 from lieint_jax.studies._components import repeat
 from lieint_jax.types import State, Step, StepInfo, Trajectory, concrete, pytree, static
@@ -73,18 +73,14 @@ def reversible(
 
     Source: Zhuang et al. 2021, ICLR (for a leapfrog); for symmetric methods and checkpoints: this package.
     """
-    num_steps = checks.count("num_steps", num_steps, 0)
-    interval = max(num_steps, 1) if save_every is None else checks.count("save_every", save_every, 1)
-    num_saves = saves(num_steps, interval)
+    interval, num_saves = intervals(num_steps, save_every)
     step, state, h = _ready(step, state, dt, derivative)
     prepared = step.prepare(state, h)
     if derivative == "checkpoint":
         later = _checkpointed(prepared, state, h, [interval] * num_saves)
     else:
         later = _undoable(prepared, state, h, np.full(num_saves, interval, np.int32), tolerance)
-    first = (state, StepInfo.fresh(state.p))
-    joined = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
-    return Trajectory(h * interval * jnp.arange(num_saves + 1, dtype=h.dtype), *joined)
+    return from_start(state, later, h * interval)
 
 
 def observe(
@@ -154,8 +150,8 @@ def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) ->
     step, state, h = _ready(step, state, dt, "reversible")
     prepared = step.prepare(state, h)
     num_steps = checks.count("num_steps", num_steps, 0)
-    end = _steps(prepared, state, h, num_steps)[0]
-    return distance(_steps(prepared, end, -h, num_steps)[0], state)
+    end = steps(prepared, state, h, num_steps)[0]
+    return distance(steps(prepared, end, -h, num_steps)[0], state)
 
 
 def _ready(step: Step, state: State, dt: ArrayLike, derivative: str) -> tuple[Step, State, Array]:
@@ -199,22 +195,11 @@ def _undoable(step: Step, state: State, dt: Array, counts: Any, tolerance: float
     return _march(_opened(step, state, dt), state, dt, counts, tolerance)
 
 
-def _steps(step: Any, state: State, dt: Array, count: Any) -> tuple[State, StepInfo]:
-    """`count` steps, with the worst of their reports."""
-
-    def one(_: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:
-        state, so_far = carry
-        state, info = step(state, dt)
-        return state, so_far.worse(info)
-
-    return lax.fori_loop(0, count, one, (state, StepInfo.fresh(state.p)))
-
-
 def _marched(step: Any, state: State, dt: Array, counts: Any, tolerance: float) -> tuple[State, StepInfo]:
     """The states after counts[0], counts[0] + counts[1], … steps, and the reports in between."""
 
     def interval(state: State, count: Array) -> tuple[State, tuple[State, StepInfo]]:
-        state, info = _steps(step, state, dt, count)
+        state, info = steps(step, state, dt, count)
         return state, (state, info)
 
     return lax.scan(interval, state, jnp.asarray(counts))[1]
