@@ -15,6 +15,9 @@ STYLES: tuple[dict[str, Any], ...] = (
     {"color": INK, "lw": 1.0},
     {"color": RED, "lw": 1.0, "ls": "--"},
     {"color": BLUE, "lw": 1.8, "ls": ":"},
+    {"color": "#5a8f3c", "lw": 1.0, "ls": "-."},
+    {"color": "#8a5aa8", "lw": 1.4},
+    {"color": "#c79a1e", "lw": 1.2, "ls": (0, (6, 3))},
 )
 
 
@@ -25,7 +28,7 @@ def figure(columns: int = 1, rows: int = 1, **axes: Any) -> tuple[Figure, Any]:
 
 
 def series(ax: Axes, t: np.ndarray, curves: Mapping[str, np.ndarray], ylabel: str, time_unit: str = "") -> Axes:
-    """Curves against time in the paper's line styles: solid, dashed, dotted."""
+    """Curves against time in the paper's line styles, solid, dashed, dotted, and three more."""
     for (label, y), style in zip(curves.items(), itertools.cycle(STYLES), strict=False):
         ax.plot(t, y, label=label, **style)
     ax.set(xlabel=f"t ({time_unit})" if time_unit else "t", ylabel=ylabel)

@@ -198,13 +198,14 @@ def text(found: Found) -> str:
 
 
 def draw(found: Found) -> Figure:
-    """Every κ, and the Poisson error along the long runs."""
+    """Every κ where it was learnt (shaded) and tried, and the Poisson error along the long runs."""
     fig, axes = plots.figure(2)
-    x = np.linspace(0, 0.9, 200)
+    x = np.linspace(0, (FASTER * DT) ** 2, 200)
     everyone = _GIVEN | {name: _learnt(jnp.asarray(c)) for name, c in found.coefficients.items()}
     at = jax.vmap(family, (None, 0))
     curves = {name: np.asarray(at(jnp.asarray(w), jnp.asarray(x))) for name, w in everyone.items()}
-    plots.series(axes[0, 0], x, curves, "κ").set_xlabel("|Θ̄|²")
+    plots.series(axes[0, 0], x, curves, "κ").set_xlabel("|ΔtΩ|², nearly |Θ̄|²")
+    axes[0, 0].axvspan(0, (FAST * DT) ** 2, color=plots.GREY, alpha=0.3, lw=0)
     t, series = found.series
     plots.log_error(axes[0, 1], t[1:], {k: y[1:] for k, y in series.items()}, "Poisson error")
     return fig
