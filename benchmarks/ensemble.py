@@ -22,7 +22,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-import command
+from lib import command
 
 PARTS = ("sizes", "systems", "peers", "threads", "roofline")
 
@@ -46,8 +46,7 @@ def main() -> None:
         if part == "threads":
             found[part]["rates"] |= _result([*arguments, "--all-cores"])["rates"]
     os.sched_setaffinity(0, cores[-1:])
-    import measure
-    import report
+    from lib import measure, report
 
     found["machine"] = measure.machine()
     sections = [report.machine(found), f"{len(cores)} core(s)"]
@@ -79,19 +78,17 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
     import jax
     import numpy as np
 
-    import lieint_jax as li
-    from lieint_jax import loop, members
+    from lieint_jax import ensemble
+    from lieint_jax.ensemble import _layout
+    from lieint_jax.ensemble._job import Job
+    from lieint_jax.ensemble._run import CompiledLoop
 
-    layout = members.layout_of(members.first_devices(devices), len(states.p))
-    h, axis = np.asarray(dt), None
-    steps, starts = members.replicate(layout, step), members.place(layout, states)
-    carry = [c for c, _ in members.on_each(layout, loop.start(axis, None), steps, starts)]
-    if type(step).prepare is not li.Step.prepare:
-        steps, axis = members.on_each(layout, lambda s, z: loop.prepare(None)(s, z, h), steps, starts), 0
-    advance = loop.advance(axis, None, 1)
+    layout = _layout.layout_of(ensemble.first_devices(devices), len(states.p))
+    job = Job(step, states, dt, np.asarray(dt), num_steps, 1, None, None)
+    loop = CompiledLoop(job, layout, buffer_rows=1, progress=False)
 
     def call() -> Any:
-        return members.on_each(layout, lambda s, c: advance(s, c, None, h, 0, 1, num_steps, True)[0], steps, carry)
+        return loop.advance(loop.start, 0, 1, num_steps)[0]
 
     jax.block_until_ready(call())
     return call
@@ -100,8 +97,8 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
 def bodies(count: int) -> Any:
     """Free bodies, as in `measure`, a thousand of them over and over."""
     import jax.numpy as jnp
-    import measure
     import numpy as np
+    from lib import measure
 
     import lieint_jax as li
 
@@ -110,7 +107,7 @@ def bodies(count: int) -> Any:
 
 
 def free_steps() -> dict[str, Any]:
-    import measure
+    from lib import measure
 
     import lieint_jax as li
 
@@ -187,8 +184,7 @@ def against(quick: bool, _: int) -> Any:
     """Rates of the free body beside those of what one would use instead, by number of bodies."""
     from functools import partial
 
-    import measure
-    import peers
+    from lib import measure, peers
 
     J, dt, notes = measure.INERTIA, measure.DT, []
     step = free_steps()["so3_midpoint, symplectic κ"]
@@ -212,9 +208,8 @@ def threads(quick: bool, cores: int) -> Any:
 
     here = len(os.sched_getaffinity(0))
     jax.config.update("jax_num_cpu_devices", here)
-    import cpp
-    import measure
     import numpy as np
+    from lib import cpp, measure
 
     count, n = (2000, 500) if quick else (20_000, 2000)
     kinds = {"one": count} if here == 1 else {"strong": count, "weak": here * count}
@@ -267,7 +262,7 @@ def roofline(quick: bool, _: int) -> Any:
 
 
 def sizes_table(rates: Any) -> list[str]:
-    import report
+    from lib import report
 
     counts = list(next(iter(rates.values())))
     rows = [[name, *(f"{r[c] / 1e6:.3g}" for c in counts)] for name, r in rates.items()]
@@ -289,14 +284,14 @@ def sizes_table(rates: Any) -> list[str]:
 
 
 def systems_table(rates: Any) -> list[str]:
-    import report
+    from lib import report
 
     rows = [[name, f"{rate / 1e6:.3g}"] for name, rate in rates.items()]
     return ["Millions of body-steps a second, 1000 bodies, one core", report.table(["", "rate"], rows)]
 
 
 def peers_table(found: Any) -> list[str]:
-    import report
+    from lib import report
 
     counts, rates = sorted({r["bodies"] for r in found["rates"]}), found["rates"]
     names = dict.fromkeys(r["name"] for r in rates)
@@ -306,7 +301,7 @@ def peers_table(found: Any) -> list[str]:
 
 
 def threads_table(found: Any) -> list[str]:
-    import report
+    from lib import report
 
     rates, devices, rows, bars = found["rates"], found["devices"], [], []
     for name in dict.fromkeys(key.split("|")[0] for key in rates):
@@ -338,7 +333,7 @@ def threads_table(found: Any) -> list[str]:
 
 
 def roofline_table(found: Any) -> list[str]:
-    import report
+    from lib import report
 
     rows = []
     for name, r in found["steps"].items():

@@ -28,7 +28,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-import command
+from lib import command
 
 
 def main() -> None:
@@ -45,8 +45,7 @@ def on_one_core(quick: bool, out: Path) -> None:
     """Measure everything, print it, write the tables as .md and .json."""
     cores = sorted(os.sched_getaffinity(0))
     command.pin()  # before jax makes its threads
-    import measure
-    import report
+    from lib import measure, report
 
     result = measure.everything(measure.QUICK if quick else measure.Sizes())
     result["all_cores"] = _second_process(cores, quick)
@@ -57,7 +56,7 @@ def on_all_cores(cores: list[int], quick: bool) -> list[dict[str, object]]:
     """Our rates with one XLA host device a core."""
     os.sched_setaffinity(0, cores)
     os.environ["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={len(cores)}"
-    import measure
+    from lib import measure
 
     return measure.our_rates(measure.QUICK if quick else measure.Sizes())
 

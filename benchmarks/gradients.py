@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import command
+from lib import command
 
 DT = 0.01
 SLOWEST, LARGEST = 8.0, 2.0  # bars: times the forward run; MiB of temporaries
@@ -37,7 +37,7 @@ def main() -> None:
 def measure(bodies: int, steps: int, rounds: int) -> list[dict[str, Any]]:
     """Each contestant's best time, temporaries in MiB, and gradient."""
     import jax
-    import measure as common
+    from lib import measure as common
 
     losses = ours(steps) | diffrax_losses(steps)
     q, p = common.bodies(bodies)

@@ -12,15 +12,12 @@ vectors" are `ensemble.compiler_options()`.
 
 from __future__ import annotations
 
-import command
+from lib import command
 
 
 def main() -> None:
     options = command.on_one_core(__doc__)
-    import measure
-    import precision
-    import tops
-    import tops_report
+    from lib import measure, precision, tops, tops_report
 
     points = precision.Sizes((10.0,), (3,), (1,)) if not options.quick else precision.Sizes((10.0,), (1,), (5,), 0.3)
     result = command.under_load(lambda: tops.everything(measure.QUICK if options.quick else measure.Sizes(), points))

@@ -22,8 +22,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import command
 import numpy as np
+from lib import command
 
 HERE = Path(__file__).parent
 DT, LAM, MU, INERTIA, PHI, END = 0.005, 2000.0, 6.0, 2.0, 6.0, 1.0
@@ -103,8 +103,8 @@ def measure(batch: int, rounds: int, points: int) -> dict[str, Any]:
 
 def race(solvers: list[Solver], states: tuple[np.ndarray, np.ndarray], t: float, rounds: int) -> list[dict[str, Any]]:
     """Body-steps a second, the best call; in turn, round after round."""
-    from contest import Contestant
-    from contest import race as timed
+    from lib.contest import Contestant
+    from lib.contest import race as timed
 
     def entry(solver: Solver) -> Contestant:
         def advance(state: tuple[np.ndarray, np.ndarray], _: int) -> Any:

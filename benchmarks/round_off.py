@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import command
+from lib import command
 
 
 def main() -> None:
@@ -29,8 +29,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=command.RESULTS, metavar="DIR")
     options = parser.parse_args()
     command.pin()  # before jax makes its threads
-    import measure
-    import report
+    from lib import measure, report
 
     names = options.only or list(variants())
     drifts = {name: drift(name, options.steps) for name in names}
@@ -49,10 +48,10 @@ def main() -> None:
 def variants() -> dict[str, Callable[[Any, Any], Any]]:
     """By name: (carry, constants) ↦ the carry after a step. A carry is (q, low bits of q, π)."""
     import jax.numpy as jnp
-    import measure
+    from lib import measure
 
     import lieint_jax as li
-    from lieint_jax import small
+    from lieint_jax._numerics import three
     from lieint_jax.groups import so3
     from lieint_jax.schemes.so3_midpoint import half_cayley, scalar_root, scaled
     from lieint_jax.types import State
@@ -85,15 +84,15 @@ def variants() -> dict[str, Callable[[Any, Any], Any]]:
     def delta(q: Any, h: Any) -> Any:
         """What `cayley_increment` adds to q."""
         w, v = q[0], (q[1], q[2], q[3])
-        y = small.dot(h, h)
+        y = three.dot(h, h)
         s = jnp.sqrt(1 + y)
         r = 1 / (s * (1 + s))
         c = r * (1 + s)
         d = c * so3.defect(q) / 2
         k, c = -y * r - d, c - d
         ch = (c * h[0], c * h[1], c * h[2])
-        x = small.cross(v, ch)
-        return jnp.stack([w * k - small.dot(v, ch), *(w * ch[i] + k * v[i] + x[i] for i in range(3))])
+        x = three.cross(v, ch)
+        return jnp.stack([w * k - three.dot(v, ch), *(w * ch[i] + k * v[i] + x[i] for i in range(3))])
 
     def held(carry: Any, m: Any) -> Any:
         """As `so3_explicit` does it: see `half_cayley`."""
@@ -113,8 +112,8 @@ def _loop(name: str, watch: bool) -> Callable[..., Any]:
     """(carry, m, H₀, steps) ↦ carry and the largest |H − H₀|/H₀, of one batch."""
     import jax
     import jax.numpy as jnp
-    import measure
     from jax import lax
+    from lib import measure
 
     from lieint_jax.ensemble import compiler_options
     from lieint_jax.types import State
@@ -139,7 +138,7 @@ def _loop(name: str, watch: bool) -> Callable[..., Any]:
 def _begin(count: int) -> tuple[Any, Any, Any]:
     import jax
     import jax.numpy as jnp
-    import measure
+    from lib import measure
 
     import lieint_jax as li
 
@@ -158,8 +157,8 @@ def _begin(count: int) -> tuple[Any, Any, Any]:
 def drift(name: str, steps: int, bodies: int = 16) -> tuple[float, float]:
     """The worst error at any step, and the slope a step of the mean signed error."""
     import jax
-    import measure
     import numpy as np
+    from lib import measure
 
     import lieint_jax as li
 

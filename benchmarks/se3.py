@@ -11,14 +11,12 @@ process pinned to one core (as Linux can). The reference is `diagnostics.flow`, 
 
 from __future__ import annotations
 
-import command
+from lib import command
 
 
 def main() -> None:
     options = command.on_one_core(__doc__)
-    import fluid
-    import fluid_report
-    import measure
+    from lib import fluid, fluid_report, measure
 
     result = command.under_load(lambda: fluid.everything(measure.QUICK if options.quick else measure.Sizes()))
     fluid_report.write(result, options.out)

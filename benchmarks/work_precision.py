@@ -11,13 +11,12 @@ within 1e-14 rad of it at t = 10 and within 7e-13 at t = 1000.
 
 from __future__ import annotations
 
-import command
+from lib import command
 
 
 def main() -> None:
     options = command.on_one_core(__doc__)
-    import precision
-    import precision_report
+    from lib import precision, precision_report
 
     result = command.under_load(lambda: precision.everything(precision.QUICK if options.quick else precision.Sizes()))
     precision_report.write(result, options.out)

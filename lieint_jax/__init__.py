@@ -12,23 +12,45 @@ A system and a scheme make a step; a step makes everything else.
 float64 is the user's choice: `jax.config.update("jax_enable_x64", True)`.
 """
 
-from lieint_jax import diagnostics, ensemble, groups, maps, phase_spaces, schemes, studies, systems
+from lieint_jax import (
+    adjoints,
+    diagnostics,
+    ensemble,
+    fitting,
+    groups,
+    maps,
+    phase_spaces,
+    schemes,
+    studies,
+    systems,
+    types,
+)
+from lieint_jax._version import __version__
 from lieint_jax.integrate import integrate
-from lieint_jax.types import State, Step, StepInfo, Trajectory
+from lieint_jax.types import State, Step, StepInfo, Trajectory, pytree, static
 
-__version__ = "0.1.0"
 __all__ = [
     "State",
     "Step",
     "StepInfo",
     "Trajectory",
+    "__version__",
+    "adjoints",
     "diagnostics",
     "ensemble",
+    "fitting",
     "groups",
     "integrate",
     "maps",
     "phase_spaces",
+    "pytree",
     "schemes",
+    "static",
     "studies",
     "systems",
+    "types",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

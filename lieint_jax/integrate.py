@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import checks
+from lieint_jax import _checks
 from lieint_jax.types import State, Step, StepInfo, Trajectory
 
 
@@ -33,18 +33,18 @@ def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_ever
         ValueError: a bad count, a concrete state that is not one of the system, or a concrete dt past the scheme's
             limit at the first step. Later failures, and all of them inside jit, show in `info.converged`.
     """
-    num_steps, save_every = checks.count("num_steps", num_steps, 0), checks.count("save_every", save_every, 1)
+    num_steps, save_every = _checks.count("num_steps", num_steps, 0), _checks.count("save_every", save_every, 1)
     num_saves = saves(num_steps, save_every)
     state, dtype = promoted(step, state)
     step.check(state, dt)
     step = step.prepare(state, dt)
-    dt = jnp.asarray(checks.step_size(dt), dtype)
+    dt = jnp.asarray(_checks.step_size(dt), dtype)
     started = StepInfo.fresh(state.p)
 
     def one(carry: tuple[State, StepInfo], _: None) -> tuple[tuple[State, StepInfo], None]:
         state, so_far = carry
         state, info = step(state, dt)
-        return (state, so_far.worse(info)), None
+        return (state, so_far.merge(info)), None
 
     def interval(state: State, _: None) -> tuple[State, tuple[State, StepInfo]]:
         (state, info), _ = lax.scan(one, (state, started), None, length=save_every)
@@ -59,7 +59,7 @@ def promoted(step: Step, state: State) -> tuple[State, jnp.dtype]:
     if not isinstance(state, State):
         raise ValueError(f"state must be a State(q, p), such as system.state(...) makes, got {type(state).__name__}")
     named = zip(State._fields, state, strict=True)
-    leaves = [checks.real_array(f"state.{name}", leaf, finite=False) for name, leaf in named]
+    leaves = [_checks.real_array(f"state.{name}", leaf, finite=False) for name, leaf in named]
     numbers = [leaf for leaf in jax.tree.leaves(step) if jnp.issubdtype(jnp.result_type(leaf), jnp.floating)]
     dtype = jnp.result_type(*leaves, *numbers)
     return State(*(leaf.astype(dtype) for leaf in leaves)), dtype
@@ -81,15 +81,15 @@ def steps(
     def one(_: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:
         state, so_far = carry
         state, info = step(state, dt)
-        return state, so_far.worse(info)
+        return state, so_far.merge(info)
 
     return lax.fori_loop(0, count, one, (state, StepInfo.fresh(state.p)))
 
 
 def intervals(num_steps: int, save_every: int | None) -> tuple[int, int]:
     """Steps between saved states, all of them if none is given, and how many states are kept after the initial one."""
-    num_steps = checks.count("num_steps", num_steps, 0)
-    save_every = max(num_steps, 1) if save_every is None else checks.count("save_every", save_every, 1)
+    num_steps = _checks.count("num_steps", num_steps, 0)
+    save_every = max(num_steps, 1) if save_every is None else _checks.count("save_every", save_every, 1)
     return save_every, saves(num_steps, save_every)
 
 

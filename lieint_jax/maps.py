@@ -22,9 +22,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax import dense, small
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import power_series, three, unrolled
 from lieint_jax.groups._closed_form import squared_eigenvalue
-from lieint_jax.types import Group, callable_pytree, concrete, pytree, static
+from lieint_jax.types import Group, callable_pytree, pytree, static
 
 # Scalings κ of SO(3) --------------------------------------------------------------------------------------------------
 
@@ -95,7 +96,7 @@ _TAN = _lambert(11)
 
 def _exponential(x: Array) -> Array:
     """tan(u)/u, u² = x/4: a rational function, exact to round-off up to the pole at x = π² and smooth at 0."""
-    numerator, denominator = (small.horner(c, x / 4) for c in _TAN)
+    numerator, denominator = (power_series.horner(c, x / 4) for c in _TAN)
     return numerator / denominator
 
 
@@ -127,7 +128,7 @@ def scaled_cayley(kappa: Callable[[Array], Array]) -> Map:
 
 
 def _scaled_cayley(kappa: Callable[[Array], Array], group: Group, theta: Array) -> Array:
-    return group.cayley(kappa(small.dot(theta, theta)) * theta)
+    return group.cayley(kappa(three.dot(theta, theta)) * theta)
 
 
 def derivative(tau: Map, group: Group, theta: Array) -> Array:
@@ -164,8 +165,8 @@ def arcsine_form(group: Group) -> np.ndarray:
     return -form
 
 
-def _arcsine_scale(group: Group, theta: dense.Vector) -> Array:
-    return _arcsine_of_square(dense.quadratic(arcsine_form(group), theta))
+def _arcsine_scale(group: Group, theta: unrolled.Vector) -> Array:
+    return _arcsine_of_square(unrolled.quadratic(arcsine_form(group), theta))
 
 
 _ARCSINE = [math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(20)]
@@ -177,7 +178,7 @@ def _arcsine_of_square(x: Array) -> Array:
     root = jnp.sqrt(jnp.where(near, 0.25, jnp.abs(x)))
     up = jnp.where(positive, root, 0.5)
     closed = jnp.where(positive, jnp.arcsin(up), jnp.arcsinh(root)) / root
-    return jnp.where(near, small.horner(_ARCSINE, jnp.where(near, x, 0)), closed)
+    return jnp.where(near, power_series.horner(_ARCSINE, jnp.where(near, x, 0)), closed)
 
 
 @pytree
@@ -196,9 +197,9 @@ class Tau:
 
     function: Map
     name: str = static(default="user")
-    slope: Callable[[Group, Array], dense.Matrix] | None = static(default=None)
+    slope: Callable[[Group, Array], unrolled.Matrix] | None = static(default=None)
     holds: Callable[[Group, Array], Array] | None = static(default=None)
-    coadjoint: Callable[[Group, dense.Vector, dense.Vector], dense.Vector] | None = static(default=None)
+    coadjoint: Callable[[Group, unrolled.Vector, unrolled.Vector], unrolled.Vector] | None = static(default=None)
     symmetric: bool = static(default=True)
 
     def __call__(self, group: Group, theta: Array) -> Array:
@@ -219,7 +220,7 @@ class _Ask:
         return getattr(group, self.method)(*arguments, *self.more)
 
 
-def _cayley_coadjoint(group: Any, theta: dense.Vector, mu: dense.Vector) -> dense.Vector:
+def _cayley_coadjoint(group: Any, theta: unrolled.Vector, mu: unrolled.Vector) -> unrolled.Vector:
     return group.coadjoint(*group.cayley_both(theta), mu)
 
 
@@ -231,19 +232,21 @@ def _arcsine_holds(group: Any, theta: Array) -> Array:
     return group.near(_arcsine_scale(group, theta) * theta)
 
 
-def _arcsine_slope(group: Any, theta: Any) -> dense.Matrix:
+def _arcsine_slope(group: Any, theta: Any) -> unrolled.Matrix:
     """H_exp(sΘ)(s + Θ⊗∇s)."""
     vector = jnp.stack(theta) if isinstance(theta, list) else theta
     s, gradient = jax.value_and_grad(lambda x: _arcsine_scale(group, x))(vector)
-    H = group.exp_slope(dense.scaled(s, theta), _SLOPE_TERMS)
-    along = dense.matvec(H, theta)
+    H = group.exp_slope(unrolled.scaled(s, theta), _SLOPE_TERMS)
+    along = unrolled.matvec(H, theta)
     if not isinstance(theta, list):
         return s * H + along[:, None] * gradient
-    return [[dense.times(s, h) + a * gradient[j] for j, h in enumerate(row)] for row, a in zip(H, along, strict=True)]
+    return [
+        [unrolled.times(s, h) + a * gradient[j] for j, h in enumerate(row)] for row, a in zip(H, along, strict=True)
+    ]
 
 
-def _arcsine_coadjoint(group: Any, theta: dense.Vector, mu: dense.Vector) -> dense.Vector:
-    return group.exp_coadjoint(dense.scaled(_arcsine_scale(group, theta), theta), mu)
+def _arcsine_coadjoint(group: Any, theta: unrolled.Vector, mu: unrolled.Vector) -> unrolled.Vector:
+    return group.exp_coadjoint(unrolled.scaled(_arcsine_scale(group, theta), theta), mu)
 
 
 _BY_EXPONENTIAL = Tau(

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax import small
+from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.types import Group, State, pytree, static
 
@@ -70,7 +70,7 @@ class CotangentMatrices:
 
     def defect(self, state: State) -> Array:
         """0 where det F > 0, 1 where F has left GL⁺(3) (an open set: there is no distance to measure)."""
-        return jnp.where(small.det(state.q) > 0, 0, 1).astype(state.q.dtype)
+        return jnp.where(three.det(state.q) > 0, 0, 1).astype(state.q.dtype)
 
 
 @pytree
@@ -95,7 +95,7 @@ class CotangentSphere:
     def trivialise(self, state: State, tangent: State) -> Array:
         """(a, b), shape (4,), of a tangent vector given in the coordinates of `State`."""
         e1, e2 = frame(state.q)
-        return jnp.stack([small.dot(e, v) for v in tangent for e in (e1, e2)])
+        return jnp.stack([three.dot(e, v) for v in tangent for e in (e1, e2)])
 
     def omega(self, state: State) -> Array:
         """ω(δ₁, δ₂) = q·(δq₁ × δπ₂ + δπ₁ × δq₂), shape (4, 4): the inverse of 𝒥 (1.4), the same in every frame."""
@@ -104,9 +104,9 @@ class CotangentSphere:
 
     def defect(self, state: State) -> Array:
         """The larger of ||q|² − 1| and |q·π| over the largest component of π."""
-        size = small.max_abs(state.p)
-        tilt = jnp.abs(small.dot(state.q, state.p)) / jnp.where(size > 0, size, 1)
-        return jnp.maximum(jnp.abs(small.dot(state.q, state.q) - 1), tilt)
+        size = three.max_abs(state.p)
+        tilt = jnp.abs(three.dot(state.q, state.p)) / jnp.where(size > 0, size, 1)
+        return jnp.maximum(jnp.abs(three.dot(state.q, state.q) - 1), tilt)
 
 
 def frame(q: Array) -> tuple[Array, Array]:

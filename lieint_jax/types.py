@@ -15,8 +15,9 @@ from typing import Any, NamedTuple, Protocol, Self, TypeVar, dataclass_transform
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.core import Tracer
 from jax.typing import ArrayLike
+
+from lieint_jax._checks import concrete
 
 _T = TypeVar("_T")
 
@@ -64,8 +65,8 @@ class StepInfo(NamedTuple):
     residual: Array
     converged: Array
 
-    def worse(self, other: StepInfo) -> StepInfo:
-        """The report of two steps together."""
+    def merge(self, other: StepInfo) -> StepInfo:
+        """The report of both: the larger residual, and whether both converged."""
         return StepInfo(jnp.maximum(self.residual, other.residual), self.converged & other.converged)
 
     @classmethod
@@ -191,8 +192,3 @@ class Step(abc.ABC):
             converged = self(state, dt)[1].converged
             if concrete(converged) and not converged:  # older JAX traces custom_root even here
                 raise ValueError(self.advice(state, dt))
-
-
-def concrete(*trees: Any) -> bool:
-    """Whether every leaf is a value that can be looked at, not a tracer."""
-    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))

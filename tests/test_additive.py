@@ -13,7 +13,7 @@ from paper import hat, rot
 from scipy.optimize import root
 
 import lieint_jax as li
-from lieint_jax import small
+from lieint_jax._numerics import three
 from lieint_jax.diagnostics import flow, linearization
 from lieint_jax.types import State
 
@@ -219,7 +219,7 @@ def test_6_15_and_6_16_with_beta_of_6_9():
 
     def stress(F, F1):
         middle = alpha * F1 + (1 - alpha) * F
-        return jnp.stack(SOFT.stored_energy.stress(small.gram(middle)))
+        return jnp.stack(SOFT.stored_energy.stress(three.gram(middle)))
 
     by_F, by_F1 = jax.jit(jax.jacfwd(stress, argnums=(0, 1)))(jnp.array(F0), jnp.array(F0 + 0.1 * P0))
     np.testing.assert_allclose(alpha * by_F, (1 - alpha) * by_F1, atol=1e-13)

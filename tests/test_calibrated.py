@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax import diagnostics, ensemble, free_body
+from lieint_jax import _free_body, diagnostics, ensemble
 from lieint_jax.groups import so3
 from lieint_jax.schemes import calibrated, preprocessed
 from lieint_jax.systems import RigidBody
@@ -67,11 +67,11 @@ def test_constants_are_those_of_the_trajectory_and_the_preprocessed_ones_approac
     body = RigidBody(jnp.array([1.0, 2.0, 3.0]))
     state = body.state(Q, angular_velocity=[0.3, 0.6, 0.8])
     later = [
-        free_body.clock(body.inertia, body.body_momentum(body.solution(state, t)), 0.8)[:2] for t in (0, 1.7, 9, -4)
+        _free_body.clock(body.inertia, body.body_momentum(body.solution(state, t)), 0.8)[:2] for t in (0, 1.7, 9, -4)
     ]
     assert np.ptp(np.array(later), axis=0).max() < 3e-15  # floor 6e-16
     steps = np.array([0.2, 0.1])
-    exact = np.array([free_body.clock(body.inertia, body.body_momentum(state), dt)[:2] for dt in steps])
+    exact = np.array([_free_body.clock(body.inertia, body.body_momentum(state), dt)[:2] for dt in steps])
     series = np.array([preprocessed(body, 6)._clock(state, dt) for dt in steps])
     ratio = np.abs(exact - series)[0] / np.abs(exact - series)[1]
     np.testing.assert_allclose(np.log2(ratio), 6, atol=0.1)

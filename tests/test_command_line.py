@@ -6,8 +6,8 @@ import jax
 import numpy as np
 import pytest
 
-from lieint_jax import cli, scenarios, store
-from lieint_jax.diagnostics import by_group
+from lieint_jax import scenarios
+from lieint_jax.command import by_group, cli, files
 from lieint_jax.scenarios import rigid_body
 
 
@@ -79,7 +79,7 @@ def test_toutatis_output_says_what_it_assumes_and_cites_what_it_compares(toutati
 
 def test_toutatis_writes_results_and_pictures(toutatis):
     folder, _ = toutatis
-    run, metadata = store.load(folder / "toutatis.npz")
+    run, metadata = files.load(folder / "toutatis.npz")
     assert run.state.q.shape == (81, 8, 4)
     assert metadata["scenario"]["members"] == 8
     assert abs(run.t[29] - 23.159873) < 1e-9  # the radar epoch is one of the saved times
@@ -132,11 +132,11 @@ def test_a_scenario_of_one_s_own(capsys):
     assert cli.main(["run", book()]) == 0
     out = capsys.readouterr().out
     assert "4 member(s), 100 steps of 0.1" in out
-    run, _ = store.load(scenarios.Path("book.npz"))
+    run, _ = files.load(scenarios.Path("book.npz"))
     assert run.state.q.shape == (11, 4, 4)
     assert cli.main(["run", book(), "--steps", "50"]) == 0  # a second run loses nothing
-    assert store.load(scenarios.Path("book.npz"))[0].state.q.shape == (11, 4, 4)
-    assert store.load(scenarios.Path("book-2.npz"))[0].state.q.shape == (6, 4, 4)
+    assert files.load(scenarios.Path("book.npz"))[0].state.q.shape == (11, 4, 4)
+    assert files.load(scenarios.Path("book-2.npz"))[0].state.q.shape == (6, 4, 4)
 
 
 def test_the_same_seed_is_the_same_ensemble():

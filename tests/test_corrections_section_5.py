@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax import discover, groups, maps, newton
+from lieint_jax import _discover, groups, maps
+from lieint_jax._numerics import newton
 from lieint_jax.diagnostics import linearization
 from lieint_jax.types import State, Step, StepInfo, pytree
 
-MATRIX = discover.modules(groups)["matrix"]
+MATRIX = _discover.modules(groups)["matrix"]
 QUICK = {"xla_llvm_disable_expensive_passes": True}
 DT = 0.3
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scenario_runs import run
 
-from lieint_jax import cli, scenarios
+from lieint_jax import scenarios
+from lieint_jax.command import cli
 from lieint_jax.scenarios import pendulum, pseudo_rigid
 from lieint_jax.types import State, StepInfo, Trajectory
 

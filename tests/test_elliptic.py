@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from lieint_jax import elliptic
+from lieint_jax._numerics import elliptic
 
 EPS = 2.2e-16
 M1 = [1.0, 1 - 1e-16, 1 - 1e-8, 0.9, 0.500001, 0.5, 0.499999, 0.1, 1e-3, 1e-8, 1e-16, 1e-30, 1e-100]

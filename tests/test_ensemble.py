@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax import State, ensemble, store
+from lieint_jax import State, ensemble
+from lieint_jax.command import files
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)
@@ -94,18 +95,18 @@ def test_the_progress_bar_goes_to_a_terminal_and_nowhere_else(capfd, monkeypatch
 
 def test_store_round_trip_and_that_nothing_is_overwritten(tmp_path):
     run = ensemble.run(STEP, states(3), 0.1, 20, 10, progress=False)
-    path = store.free(tmp_path / "run.npz")
-    store.save(path, run, {"seed": 4})
-    again, metadata = store.load(path)
+    path = files.free(tmp_path / "run.npz")
+    files.save(path, run, {"seed": 4})
+    again, metadata = files.load(path)
     jax.tree.map(np.testing.assert_array_equal, again, run)
     assert metadata == {"seed": 4}
     before = path.read_bytes()
     with pytest.raises(ValueError, match="exists and is not overwritten"):
-        store.free(path)
+        files.free(path)
     with pytest.raises(FileExistsError):
-        store.save(path, run, {})
+        files.save(path, run, {})
     assert path.read_bytes() == before
     with pytest.raises(ValueError, match=r"\.npz"):
-        store.free(tmp_path / "run.txt")
+        files.free(tmp_path / "run.txt")
     with pytest.raises(ValueError, match="does not exist"):
-        store.free(tmp_path / "no" / "run.npz")
+        files.free(tmp_path / "no" / "run.npz")

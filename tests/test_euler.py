@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax import discover, groups
+from lieint_jax import _discover, groups
 
-EULER = discover.modules(li.systems)["euler"]
-MATRIX = discover.modules(groups)["matrix"]
+EULER = _discover.modules(li.systems)["euler"]
+MATRIX = _discover.modules(groups)["matrix"]
 QUICK = {"xla_llvm_disable_expensive_passes": True}
 
 

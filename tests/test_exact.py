@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax import diagnostics, elliptic
+from lieint_jax import diagnostics
+from lieint_jax._numerics import elliptic
 from lieint_jax.groups import so3
 from lieint_jax.schemes import exact
 from lieint_jax.systems import RigidBody

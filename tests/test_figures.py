@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lieint_jax import figures
+from lieint_jax.command import figures
 
 # largest |σ| read off an independent integration with the corrected formulas; 100 times smaller at a tenth of the step
 LARGEST = {("A", 0): 5.88e-3, ("A", 1): 3.92e-3, ("S", 0): 6.24e-3, ("S", 1): 4.17e-3}

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax import discover, groups, maps
+from lieint_jax import _discover, groups, maps
+from lieint_jax.command import by_group
 from lieint_jax.diagnostics import (
-    by_group,
     energy_error,
     flow,
     linearization,
@@ -21,7 +21,7 @@ from lieint_jax.diagnostics import (
 )
 from lieint_jax.schemes import group_midpoint
 
-MATRIX = discover.modules(groups)["matrix"]
+MATRIX = _discover.modules(groups)["matrix"]
 CATALOGUE = groups.catalogue.examples() | MATRIX.examples()
 QUICK = {"xla_llvm_disable_expensive_passes": True}  # compiled to be run once
 BOUNDED = {"SO(3)", "SO(4)", "SU(2)", "Heis(3)", "Heis(5)", "R^3"}  # compact or nilpotent

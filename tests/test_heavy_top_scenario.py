@@ -11,7 +11,8 @@ import pytest
 from scenario_runs import run
 
 import lieint_jax as li
-from lieint_jax import cli, ensemble, scenarios
+from lieint_jax import ensemble, scenarios
+from lieint_jax.command import cli
 from lieint_jax.groups import so3
 from lieint_jax.scenarios import heavy_top
 from lieint_jax.systems.heavy_top import kovalevskaya, lagrange_motion

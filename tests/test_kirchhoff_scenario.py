@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from lieint_jax import cli, scenarios
+from lieint_jax import scenarios
+from lieint_jax.command import cli
 from lieint_jax.scenarios import kirchhoff
 from lieint_jax.systems.euler import kirchhoff as ellipsoid
 

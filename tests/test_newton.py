@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from lieint_jax import dense, newton
+from lieint_jax._numerics import newton, unrolled
 
 
 def cubic_root(c, iterations=8):
@@ -40,13 +40,13 @@ def by_chords(c, iterations=8, wrong=0.0):
     """The same equation, x a list; `wrong` spoils the matrix."""
 
     def residual(x):
-        square = dense.dot(x, x)
+        square = unrolled.dot(x, x)
         return [a + square * a - b for a, b in zip(x, c, strict=True)]
 
     def factored(x, F):
         one = jnp.stack(x)
         K = (1 + wrong + one @ one) * jnp.eye(len(x)) + 2 * jnp.outer(one, one)
-        return dense.factored(dense.as_list(K))
+        return unrolled.factored(unrolled.as_list(K))
 
     return newton.chords(residual, factored, lambda F: jnp.abs(jnp.stack(F)).max(), [x / 2 for x in c], iterations)
 
@@ -55,7 +55,7 @@ def by_chords(c, iterations=8, wrong=0.0):
 def test_chords_end_at_round_off_whatever_the_matrix(wrong):
     """Root, derivatives and batches as of `root`; a matrix off by 5 % costs turns, not digits."""
     c = jnp.array([0.3, -0.5, 0.4])
-    run = jax.jit(lambda c: by_chords(dense.as_list(c), wrong=wrong))
+    run = jax.jit(lambda c: by_chords(unrolled.as_list(c), wrong=wrong))
     x, (F, determinant) = run(c)
     assert np.abs(F).max() < 3e-16
     assert determinant > 0

@@ -10,7 +10,8 @@ import pytest
 from paper import hat
 
 import lieint_jax as li
-from lieint_jax import dense, small, systems
+from lieint_jax import systems
+from lieint_jax._numerics import power_series, three, unrolled
 from lieint_jax.types import State
 
 MATERIALS = {
@@ -28,17 +29,17 @@ D = np.array([[0.1, 0.03, -0.02], [0.03, -0.05, 0.04], [-0.02, 0.04, 0.08]])
 
 
 def matrix(S):
-    return np.array(small.rows(S))
+    return np.array(three.rows(S))
 
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_stress_is_twice_the_gradient_and_the_mean_stress_gives_the_difference(name):
     W = MATERIALS[name]
     gradient = np.array(jax.grad(lambda A: W((A + A.T) / 2))(jnp.array(C)))
-    np.testing.assert_allclose(matrix(W.stress(small.symmetric(jnp.array(C)))), 2 * gradient, rtol=1e-12, atol=1e-11)
-    mean = matrix(W.mean_stress(small.symmetric(jnp.array(C)), small.symmetric(jnp.array(D))))
+    np.testing.assert_allclose(matrix(W.stress(three.symmetric(jnp.array(C)))), 2 * gradient, rtol=1e-12, atol=1e-11)
+    mean = matrix(W.mean_stress(three.symmetric(jnp.array(C)), three.symmetric(jnp.array(D))))
     assert np.sum(mean * D) / 2 == pytest.approx(float(W(C + D) - W(C)), abs=4e-13 * max(1, np.abs(mean).max()))
-    limit = matrix(W.mean_stress(small.symmetric(jnp.array(C)), small.symmetric(jnp.zeros((3, 3)))))
+    limit = matrix(W.mean_stress(three.symmetric(jnp.array(C)), three.symmetric(jnp.zeros((3, 3)))))
     np.testing.assert_allclose(limit, 2 * gradient, rtol=1e-12, atol=1e-11)
 
 
@@ -46,7 +47,7 @@ def test_stress_is_twice_the_gradient_and_the_mean_stress_gives_the_difference(n
 def test_the_mean_stress_does_not_cancel(size):
     """Against 40 digits: a difference quotient of W loses eps·W/|ΔC| instead, all digits but five at |ΔC| = 1e-9."""
     W = MATERIALS["mooney_rivlin"]
-    mean = matrix(W.mean_stress(small.symmetric(jnp.array(C)), small.symmetric(jnp.array(size * D))))
+    mean = matrix(W.mean_stress(three.symmetric(jnp.array(C)), three.symmetric(jnp.array(size * D))))
     with mpmath.workdps(40):
 
         def exact(A):
@@ -60,7 +61,7 @@ def test_the_mean_stress_does_not_cancel(size):
 
 def test_log1p_ratio_on_both_sides_of_its_threshold():
     for y in (-0.5, -0.1000001, -0.0999999, -1e-9, 0.0, 1e-300, 1e-9, 0.0999999, 0.1000001, 3.0):
-        value, slope = small.log1p_ratio(jnp.array(y)), jax.grad(small.log1p_ratio)(jnp.array(y))
+        value, slope = power_series.log1p_ratio(jnp.array(y)), jax.grad(power_series.log1p_ratio)(jnp.array(y))
         with mpmath.workdps(40):
             x = mpmath.mpf(y)
             exact = mpmath.log1p(x) / x if y else mpmath.mpf(1)
@@ -72,15 +73,15 @@ def test_log1p_ratio_on_both_sides_of_its_threshold():
 def test_elimination_and_the_arithmetic_of_matrices():
     rng = np.random.default_rng(0)
     A, b = rng.normal(size=(7, 7)) + 5 * np.eye(7), rng.normal(size=(7, 2))
-    ours = dense.eliminate(A, b[:, 0], b[:, 1])
+    ours = unrolled.eliminate(A, b[:, 0], b[:, 1])
     np.testing.assert_allclose(np.transpose(ours), np.linalg.solve(A, b), atol=1e-14)
     X, Y = rng.normal(size=(2, 3, 3))
-    np.testing.assert_allclose(small.product(X, Y), X @ Y, atol=1e-15)
-    np.testing.assert_allclose(small.combine(X, Y, 2.0), X + 2 * Y, atol=1e-15)
-    np.testing.assert_allclose(matrix(small.gram(X)), X.T @ X, atol=1e-15)
-    np.testing.assert_allclose(matrix(small.plus_transpose(X)), X + X.T, atol=1e-15)
-    assert float(small.det(X)) == pytest.approx(np.linalg.det(X), rel=1e-13)
-    assert small.inner(small.symmetric(X + X.T), small.symmetric(Y + Y.T)) == pytest.approx(
+    np.testing.assert_allclose(three.product(X, Y), X @ Y, atol=1e-15)
+    np.testing.assert_allclose(three.combine(X, Y, 2.0), X + 2 * Y, atol=1e-15)
+    np.testing.assert_allclose(matrix(three.gram(X)), X.T @ X, atol=1e-15)
+    np.testing.assert_allclose(matrix(three.plus_transpose(X)), X + X.T, atol=1e-15)
+    assert float(three.det(X)) == pytest.approx(np.linalg.det(X), rel=1e-13)
+    assert three.inner(three.symmetric(X + X.T), three.symmetric(Y + Y.T)) == pytest.approx(
         np.sum((X + X.T) * (Y + Y.T)), rel=1e-14
     )
 

@@ -17,7 +17,9 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax import archive, cli, ensemble, runs, store
+from lieint_jax import ensemble
+from lieint_jax.command import cli
+from lieint_jax.ensemble import _job, _recording, _store
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)
@@ -50,7 +52,7 @@ def run(path=None, step=STEP, dt=0.1, num_steps=60, save_every=5, **options):
 @pytest.fixture
 def small_chunks(monkeypatch):
     """Commits after every 4 saves, so that a short run has many."""
-    monkeypatch.setattr(runs.Job, "rows", lambda self, across: 4)
+    monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: 4)
 
 
 def same_folders(a, b):
@@ -67,7 +69,7 @@ def test_a_store_holds_what_memory_would(tmp_path, small_chunks):
         np.testing.assert_array_equal(a, b[...])
     assert not list((tmp_path / "run.zarr").rglob("*.partial"))
     assert not (tmp_path / "run.zarr/checkpoint").exists()
-    again, metadata = store.load(tmp_path / "run.zarr")
+    again, metadata = _store.load(tmp_path / "run.zarr")
     np.testing.assert_array_equal(again.state.q[3, 5], memory.state.q[3, 5])
     assert metadata["scheme"] == "so3_midpoint[symplectic]"
     assert metadata["run"]["versions"]["jax"] == jax.__version__
@@ -127,7 +129,7 @@ def test_an_end_at_any_write_leaves_a_store_that_resumes_to_the_same_bits(tmp_pa
         monkeypatch.setattr(os, "fsync", sync)
         crashed = left[0] < 0
         if path.exists():
-            found, metadata = store.load(path)
+            found, metadata = _store.load(path)
             progress = metadata["progress"]
             assert progress["entries"] >= seen  # nothing that counted is lost
             seen = progress["entries"]
@@ -172,7 +174,7 @@ def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunk
     with pytest.raises(ValueError, match=r"versions\.lieint_jax is .* there and '9\.9' here"):
         run(path, resume=True)
     monkeypatch.undo()
-    monkeypatch.setattr(archive, "compiler_options", lambda: {"xla_cpu_prefer_vector_width": 128})
+    monkeypatch.setattr(_recording, "compiler_options", lambda: {"xla_cpu_prefer_vector_width": 128})
     with pytest.raises(ValueError, match=r"compiler_options\.\w+ is .* there and 128 here"):
         run(path, resume=True)
     assert before == {f: f.read_bytes() for f in path.rglob("*") if f.is_file()}
@@ -184,7 +186,7 @@ def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunk
 
 def test_two_runs_do_not_write_to_one_store(tmp_path, small_chunks):
     run(tmp_path / "run.zarr")
-    with store.opened(tmp_path / "run.zarr", True), pytest.raises(ValueError, match="another run is writing"):
+    with _store.opened(tmp_path / "run.zarr", True), pytest.raises(ValueError, match="another run is writing"):
         run(tmp_path / "run.zarr", resume=True)
 
 
@@ -205,7 +207,7 @@ def test_a_full_disk_ends_a_run_that_resumes_to_the_same_bits(tmp_path, small_ch
         path = tmp_path / "disk/run.zarr"
         with pytest.raises(OSError, match=r"No space left on device: .* holds everything up to step \d+; .* resume"):
             run(path, num_steps=600)
-        found, metadata = store.load(path)
+        found, metadata = _store.load(path)
         assert 4 <= metadata["progress"]["entries"] < 121
         assert np.isfinite(found.state.q[...]).all()
         subprocess.run(["mount", "-o", "remount,size=4m", tmp_path / "disk"], check=True)
@@ -228,11 +230,11 @@ def test_a_limit_on_the_size_of_files_likewise(tmp_path, small_chunks):
 
 
 def test_an_interrupt_waits_for_the_chunk_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(runs.Job, "rows", lambda self, across: 50)
+    monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: 50)
     path, steps = tmp_path / "run.zarr", 20_000_000
 
     def interrupt():
-        while not (path.exists() and store.load(path)[1]["progress"]["entries"]):
+        while not (path.exists() and _store.load(path)[1]["progress"]["entries"]):
             time.sleep(0.05)
         os.kill(os.getpid(), signal.SIGINT)
 
@@ -240,7 +242,7 @@ def test_an_interrupt_waits_for_the_chunk_and_says_how_to_go_on(tmp_path, monkey
     with pytest.raises(KeyboardInterrupt, match=rf"stopped after \d+ of {steps} steps, all of them in .*; resume"):
         run(path, num_steps=steps, save_every=1000)
     assert "finishing the chunk" in capsys.readouterr().err
-    progress = store.load(path)[1]["progress"]
+    progress = _store.load(path)[1]["progress"]
     assert progress["steps"] > 0
     assert progress["entries"] % 50 == 0
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -256,7 +258,7 @@ def book(tmp_path_factory):
 
 
 def command(folder, *options, **popen):
-    arguments = [sys.executable, "-m", "lieint_jax.cli", "run", "book.toml", *options]
+    arguments = [sys.executable, "-m", "lieint_jax.command.cli", "run", "book.toml", *options]
     return subprocess.Popen(arguments, cwd=folder, stdout=subprocess.DEVNULL, **popen)
 
 
@@ -298,7 +300,7 @@ def test_two_processes_are_one(book):
 
 
 def same_arrays(a, b):
-    (x, _), (y, _) = store.load(a), store.load(b)
+    (x, _), (y, _) = _store.load(a), _store.load(b)
     return all((p[...] == q[...]).all() for p, q in zip(jax.tree.leaves(x), jax.tree.leaves(y), strict=True))
 
 
@@ -308,7 +310,7 @@ def test_the_loss_of_a_process_ends_the_other_and_the_store_resumes(book, victim
     path = book / f"lost-{victim}.zarr"
     both = meet(book, free_port(), "--out", path.name)
     limit = time.monotonic() + 60
-    while not (path.exists() and store.load(path)[1]["progress"]["entries"]):
+    while not (path.exists() and _store.load(path)[1]["progress"]["entries"]):
         assert time.monotonic() < limit
         time.sleep(0.1)
     both[victim].kill()
@@ -319,7 +321,7 @@ def test_the_loss_of_a_process_ends_the_other_and_the_store_resumes(book, victim
     assert both[1 - victim].returncode != 0
     if victim == 1:  # the coordinator's own loss may end in the runtime's abort
         assert "process 1 of 2 is lost; what is in the store can be resumed" in error or "unhealthy" in error
-    assert not store.load(path)[1]["progress"]["complete"]
+    assert not _store.load(path)[1]["progress"]["complete"]
     assert command(book, "--out", path.name, "--resume").wait() == 0
     assert same_arrays(path, book / "whole.zarr")
 

@@ -10,7 +10,7 @@ import pytest
 from grid import steps, systems
 
 import lieint_jax as li
-from lieint_jax import discover, maps
+from lieint_jax import _discover, maps
 from lieint_jax.types import Step
 
 ROOT = Path(li.__file__).parent
@@ -79,7 +79,7 @@ def test_schemes_import_no_system_and_systems_no_scheme():
 @pytest.mark.parametrize("package", [li.groups, li.systems, li.schemes], ids=lambda p: p.__name__)
 def test_every_module_has_examples_and_is_exported(package):
     names = {name for name, _ in systems()}
-    for name, module in discover.modules(package).items():
+    for name, module in _discover.modules(package).items():
         if package is li.schemes:
             assert any(module.examples(example[0]) for _, example in systems()), f"{name}: no example on any system"
         else:
@@ -96,7 +96,7 @@ def test_what_a_factory_s_name_hides_is_exported():
         "heavy_top": ("LagrangeMotion", "kovalevskaya_integral", "lagrange_motion"),
         "potential_top": ("Quadratic", "clebsch_integral"),
     }
-    for name, module in discover.modules(li.systems).items():
+    for name, module in _discover.modules(li.systems).items():
         for offer in offered.get(name, ()):
             assert getattr(li.systems, offer) is getattr(module, offer)
             assert offer in li.systems.__all__

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax import cli, discover, studies
+from lieint_jax import _discover, studies
+from lieint_jax.command import cli
 from lieint_jax.studies import gyro, sensitivity, toutatis
 
 
 def test_every_study_has_the_three_parts():
-    found = discover.modules(studies)
+    found = _discover.modules(studies)
     assert set(found) == {"toutatis", "gyro", "kappa", "material", "sensitivity"}
     assert all(callable(getattr(m, part)) for m in found.values() for part in ("run", "text", "draw"))
 

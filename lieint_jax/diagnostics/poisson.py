@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import checks
+from lieint_jax import _checks
 from lieint_jax.diagnostics.symplectic import linearization
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.types import State, Step
@@ -35,7 +35,7 @@ def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, metho
     Raises:
         ValueError: a bad count, another method, or "recursion" for a system with a potential or not on a T*G.
     """
-    num_steps = checks.count("num_steps", num_steps, 0)
+    num_steps = _checks.count("num_steps", num_steps, 0)
     if method not in (None, *get_args(_Method)):
         raise ValueError(f"method must be one of {', '.join(get_args(_Method))}, got {method!r}")
     step.check(state, dt)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax import checks
+from lieint_jax import _checks
 from lieint_jax.types import System, Trajectory
 
 
@@ -29,7 +29,7 @@ def constraint_error(system: System, trajectory: Trajectory) -> Array:
 
 def delay(series: Array, lag: int) -> Array:
     """The delay plot of a series: points (x_n, x_{n+lag}, x_{n+2lag}), shape (len − 2·lag, 3)."""
-    lag = checks.count("lag", lag, 1)
+    lag = _checks.count("lag", lag, 1)
     if series.ndim != 1 or len(series) <= 2 * lag:
         raise ValueError(f"a delay plot of lag {lag} needs a series of more than {2 * lag} numbers, got {series.shape}")
     n = len(series) - 2 * lag

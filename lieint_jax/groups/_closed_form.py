@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lieint_jax import dense, small
+from lieint_jax._numerics import power_series, unrolled
 
 _TOLERANCE = 1e-9
 
@@ -38,9 +38,9 @@ class ClosedForm(NamedTuple):
         """K = j + 2k."""
         return self.nilpotent + 2 * self.pairs
 
-    def square(self, xi: dense.Vector) -> dense.Scalar:
+    def square(self, xi: unrolled.Vector) -> unrolled.Scalar:
         """x, the square of the eigenvalue λ of ξ̂."""
-        return dense.quadratic(self.form, xi)
+        return unrolled.quadratic(self.form, xi)
 
     def series(self, weights: Sequence[float]) -> list[list[float]]:
         """The coefficients in x of each c_m."""
@@ -59,9 +59,9 @@ class ClosedForm(NamedTuple):
         return found
 
 
-def evaluated(series: Sequence[float], x: dense.Scalar) -> dense.Scalar:
+def evaluated(series: Sequence[float], x: unrolled.Scalar) -> unrolled.Scalar:
     """A power series at x: a number if it is constant."""
-    return series[0] if len(series) == 1 else small.horner(series, x)
+    return series[0] if len(series) == 1 else power_series.horner(series, x)
 
 
 def find(E: np.ndarray, most: int) -> ClosedForm | None:

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from lieint_jax import checks
+from lieint_jax import _checks
 from lieint_jax.groups.matrix import MatrixGroup, matrix
 
 
@@ -15,13 +15,13 @@ def special_orthogonal(n: int) -> MatrixGroup:
 
     Otherwise it is e_i e_jᵀ − e_j e_iᵀ for i < j, in the order (0,1), (0,2), …
     """
-    n = checks.count("n", n, 2)
+    n = _checks.count("n", n, 2)
     return matrix(_rotations(n), f"SO({n})")
 
 
 def special_euclidean(n: int) -> MatrixGroup:
     """Motions of ℝⁿ as (n+1, n+1) matrices [[R, x], [0, 1]]: the basis of SO(n), then translations."""
-    n = checks.count("n", n, 2)
+    n = _checks.count("n", n, 2)
     rotations = [_framed(E, n + 1) for E in _rotations(n)]
     return matrix([*rotations, *(_unit(n + 1, i, n) for i in range(n))], f"SE({n})")
 
@@ -32,7 +32,7 @@ def special_unitary(n: int) -> MatrixGroup:
     The basis is −i/2 times the Pauli matrices for n = 2, so that brackets are cross products, and −i/2 times the
     generalised Gell-Mann matrices for larger n.
     """
-    n = checks.count("n", n, 2)
+    n = _checks.count("n", n, 2)
     hermitian = []
     for i, j in itertools.combinations(range(n), 2):
         hermitian += [_unit(n, i, j) + _unit(n, j, i), -1j * _unit(n, i, j) + 1j * _unit(n, j, i)]
@@ -44,14 +44,14 @@ def special_unitary(n: int) -> MatrixGroup:
 
 def special_linear(n: int) -> MatrixGroup:
     """Real n×n matrices of determinant 1, dimension n² − 1: e_i e_jᵀ for i ≠ j, then diag(…, 1, −1, …)."""
-    n = checks.count("n", n, 2)
+    n = _checks.count("n", n, 2)
     off = [_unit(n, i, j) for i, j in itertools.permutations(range(n), 2)]
     return matrix([*off, *(_unit(n, i, i) - _unit(n, i + 1, i + 1) for i in range(n - 1))], f"SL({n})")
 
 
 def symplectic(n: int) -> MatrixGroup:
     """Real symplectic matrices of size n, which is even; dimension n(n+1)/2: qᵀJq = J with J = [[0, 1], [−1, 0]]."""
-    n = checks.count("n", n, 2)
+    n = _checks.count("n", n, 2)
     if n % 2:
         raise ValueError(f"n is the size of the matrices and must be even, got {n}")
     m = n // 2
@@ -64,14 +64,14 @@ def symplectic(n: int) -> MatrixGroup:
 
 def affine(n: int) -> MatrixGroup:
     """x ↦ Ax + b on ℝⁿ with det A > 0, dimension n² + n, as (n+1, n+1) matrices: e_i e_jᵀ, then translations."""
-    n = checks.count("n", n, 1)
+    n = _checks.count("n", n, 1)
     linear = [_unit(n + 1, i, j) for i, j in itertools.product(range(n), repeat=2)]
     return matrix([*linear, *(_unit(n + 1, i, n) for i in range(n))], f"Aff({n})")
 
 
 def heisenberg(n: int) -> MatrixGroup:
     """The Heisenberg group, dimension 2n+1: matrices [[1, a, c], [0, 1, b], [0, 0, 1]]; basis a, b, c, [aᵢ, bᵢ] = c."""
-    n = checks.count("n", n, 1)
+    n = _checks.count("n", n, 1)
     a, b = ([_unit(n + 2, 0, i + 1) for i in range(n)], [_unit(n + 2, i + 1, n + 1) for i in range(n)])
     return matrix([*a, *b, _unit(n + 2, 0, n + 1)], f"Heis({2 * n + 1})")
 
@@ -83,13 +83,13 @@ def hyperbolic_motions() -> MatrixGroup:
 
 def upper_triangular(n: int) -> MatrixGroup:
     """Upper-triangular n×n matrices with positive diagonal, dimension n(n+1)/2: e_i e_jᵀ for i ≤ j."""
-    n = checks.count("n", n, 1)
+    n = _checks.count("n", n, 1)
     return matrix([_unit(n, i, j) for i, j in itertools.combinations_with_replacement(range(n), 2)], f"T({n})")
 
 
 def translations(n: int) -> MatrixGroup:
     """The abelian group ℝⁿ as (n+1, n+1) matrices [[1, x], [0, 1]]."""
-    n = checks.count("n", n, 1)
+    n = _checks.count("n", n, 1)
     return matrix([_unit(n + 1, i, n) for i in range(n)], f"R^{n}")
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import dense
+from lieint_jax._numerics import unrolled
 from lieint_jax.groups import _basis, _casimirs, _closed_form
 
 _UNROLLED_DIM, _UNROLLED_SIZE = 6, 5  # groups up to this size are worked out entry by entry, see `dense`
@@ -77,21 +77,21 @@ class MatrixGroup:
 
     def hat(self, xi: Array) -> Array:
         """ξ̂ = Σ ξᵢEᵢ, shape (n, n)."""
-        return dense.as_array(self._hat(self._vector(xi)), xi)
+        return unrolled.as_array(self._hat(self._vector(xi)), xi)
 
     def vee(self, M: Array) -> Array:
         """The inverse of `hat`. Of any M it takes the part in the algebra, orthogonal in the sum of squares."""
-        return dense.as_array(self._vee(self._matrix(M)), M)
+        return unrolled.as_array(self._vee(self._matrix(M)), M)
 
     # The group
 
     def multiply(self, a: Array, b: Array) -> Array:
         """The product ab."""
-        return dense.as_array(dense.matmul(self._element(a), self._element(b)), jnp.asarray(a))
+        return unrolled.as_array(unrolled.matmul(self._element(a), self._element(b)), jnp.asarray(a))
 
     def inverse(self, a: Array) -> Array:
         """a⁻¹: S⁻¹aᵀS if the group preserves a bilinear form S, else by cofactors (n ≤ 5) or elimination."""
-        return dense.as_array(self._inverse(self._element(a)), jnp.asarray(a))
+        return unrolled.as_array(self._inverse(self._element(a)), jnp.asarray(a))
 
     def exp(self, xi: Array) -> Array:
         """exp ξ̂: to round-off for norms up to 128 (largest row or column sum of |ξ̂|), NaN beyond.
@@ -107,7 +107,7 @@ class MatrixGroup:
 
     def exp_near(self, xi: Array) -> Array:
         """exp ξ̂ without scaling, for the steps of schemes: to round-off where `near` holds."""
-        return dense.as_array(dense.settled(self.exp_both(self._vector(xi))[0]), xi)
+        return unrolled.as_array(unrolled.settled(self.exp_both(self._vector(xi))[0]), xi)
 
     def near(self, xi: Array) -> Array:
         """Whether ξ̂ is small enough for `exp_near`: its eigenvalue within ±2, or, where there are several,
@@ -116,8 +116,8 @@ class MatrixGroup:
             return jnp.abs(self._closed.square(self._vector(xi))) <= 4
         X = power = self._hat(self._vector(xi))
         for _ in range(4):
-            power = dense.matmul(power, power)
-        size, last = (jnp.max(jnp.abs(jnp.stack(dense.flatten(dense.as_array(M, xi))))) for M in (X, power))
+            power = unrolled.matmul(power, power)
+        size, last = (jnp.max(jnp.abs(jnp.stack(unrolled.flatten(unrolled.as_array(M, xi))))) for M in (X, power))
         return last <= 2.0**16 * jnp.maximum(1, size)
 
     def log(self, q: Array) -> Array:
@@ -132,7 +132,7 @@ class MatrixGroup:
 
     def cayley(self, xi: Array) -> Array:
         """(1 − ½ξ̂)⁻¹(1 + ½ξ̂). In the group only if the algebra holds its cubes: see `cayley_lands`."""
-        return dense.as_array(dense.settled(self.cayley_both(self._vector(xi))[0]), xi)
+        return unrolled.as_array(unrolled.settled(self.cayley_both(self._vector(xi))[0]), xi)
 
     @cached_property
     def cayley_lands(self) -> bool:
@@ -158,29 +158,29 @@ class MatrixGroup:
     def Ad(self, q: Array, xi: Array) -> Array:
         """Ad_q ξ = (q ξ̂ q⁻¹)^∨ (5.3): from body to space."""
         q_, X = self._element(q), self._hat(self._vector(xi))
-        return dense.as_array(self._vee(dense.matmul(dense.matmul(q_, X), self._inverse(q_))), jnp.asarray(q))
+        return unrolled.as_array(self._vee(unrolled.matmul(unrolled.matmul(q_, X), self._inverse(q_))), jnp.asarray(q))
 
     def Ad_star(self, q: Array, mu: Array) -> Array:
         """Ad*_q μ, the transpose of Ad: takes spatial momentum π to body momentum Π."""
         q_ = self._element(q)
-        return dense.as_array(self.coadjoint(q_, self._inverse(q_), self._vector(mu)), jnp.asarray(mu))
+        return unrolled.as_array(self.coadjoint(q_, self._inverse(q_), self._vector(mu)), jnp.asarray(mu))
 
     def ad(self, xi: Array, eta: Array) -> Array:
         """[ξ, η]."""
-        return dense.as_array(dense.matvec(self.ad_matrix(self._vector(xi)), self._vector(eta)), jnp.asarray(xi))
+        return unrolled.as_array(unrolled.matvec(self.ad_matrix(self._vector(xi)), self._vector(eta)), jnp.asarray(xi))
 
     def ad_star(self, xi: Array, mu: Array) -> Array:
         """The transpose of ad: ⟨ad*_ξ μ, η⟩ = ⟨μ, [ξ, η]⟩ (5.4)."""
-        transposed = dense.transpose(self.ad_matrix(self._vector(xi)))
-        return dense.as_array(dense.matvec(transposed, self._vector(mu)), jnp.asarray(mu))
+        transposed = unrolled.transpose(self.ad_matrix(self._vector(xi)))
+        return unrolled.as_array(unrolled.matvec(transposed, self._vector(mu)), jnp.asarray(mu))
 
-    def ad_matrix(self, xi: Any) -> dense.Matrix:
+    def ad_matrix(self, xi: Any) -> unrolled.Matrix:
         """The matrix of η ↦ [ξ, η], (d, d)."""
-        return dense.linear(self._ad, xi)
+        return unrolled.linear(self._ad, xi)
 
-    def ad_star_matrix(self, mu: Any) -> dense.Matrix:
+    def ad_star_matrix(self, mu: Any) -> unrolled.Matrix:
         """The matrix ad*(μ) of ξ ↦ ad*_ξ μ, (d, d): skew."""
-        return dense.linear(self._ad_star, mu)
+        return unrolled.linear(self._ad_star, mu)
 
     def casimirs(self, mu: Array) -> Array:
         """Functions of μ that no Ad*_q changes, (k,): the linear ones (the centre), then the quadratic ones.
@@ -194,20 +194,20 @@ class MatrixGroup:
     def rounding(self, q: Array, mu: Array) -> Array:
         """What `Ad_star(q, mu)` sums up in size, (d,): times eps, a bound of its rounding error."""
         a, b, c = (_absolute(x) for x in (self._element(q), self._inverse(self._element(q)), self._vector(mu)))
-        return dense.as_array(self.coadjoint(a, b, c, np.abs), jnp.asarray(mu))
+        return unrolled.as_array(self.coadjoint(a, b, c, np.abs), jnp.asarray(mu))
 
     def drift(self, q: Array) -> Array:
         """How far q has left the group, where that is cheap to see: |q⁻¹q − 1| by the form that it should keep, or
         |det q − 1|; else 0. For all that is known, see `defect`."""
         q_ = self._element(q)
-        one = dense.identity(q_)
+        one = unrolled.identity(q_)
         if self._form is not None:
-            off = dense.combination((1.0, dense.matmul(self._inverse(q_), q_)), (-1.0, one))
+            off = unrolled.combination((1.0, unrolled.matmul(self._inverse(q_), q_)), (-1.0, one))
         elif self._traceless:
-            off = [[dense.determinant(q_) - 1]]
+            off = [[unrolled.determinant(q_) - 1]]
         else:
             return jnp.zeros((), jnp.asarray(q).dtype)
-        return jnp.max(jnp.abs(dense.as_array(dense.flatten(off), jnp.asarray(q))))
+        return jnp.max(jnp.abs(unrolled.as_array(unrolled.flatten(off), jnp.asarray(q))))
 
     # Velocities
 
@@ -221,82 +221,86 @@ class MatrixGroup:
 
     def tangent(self, q: Array, Omega: Array) -> Array:
         """q̇ = qΩ̂ for the body velocity Ω: the inverse of `body_velocity`."""
-        product = dense.matmul(self._element(q), self._hat(self._vector(Omega)))
-        return dense.as_array(product, jnp.asarray(q))
+        product = unrolled.matmul(self._element(q), self._hat(self._vector(Omega)))
+        return unrolled.as_array(product, jnp.asarray(q))
 
     def spatial_tangent(self, q: Array, theta: Array) -> Array:
         """q̇ = θ̂q for the spatial velocity θ: the inverse of `spatial_velocity`."""
-        product = dense.matmul(self._hat(self._vector(theta)), self._element(q))
-        return dense.as_array(product, jnp.asarray(q))
+        product = unrolled.matmul(self._hat(self._vector(theta)), self._element(q))
+        return unrolled.as_array(product, jnp.asarray(q))
 
     # For the steps of schemes, on lists of entries for small groups: maps with their inverses, and what they do
 
-    def exp_both(self, xi: dense.Vector) -> tuple[dense.Matrix, dense.Matrix]:
+    def exp_both(self, xi: unrolled.Vector) -> tuple[unrolled.Matrix, unrolled.Matrix]:
         """exp ξ̂ and exp(−ξ̂), as `exp_near`: by the closed form if there is one."""
         X = self._hat(xi)
         if self._closed is None:
             return _sum_and_difference(*_taylor(X))
-        x = dense.settled([self._closed.square(xi)])[0]
+        x = unrolled.settled([self._closed.square(xi)])[0]
         series = self._closed.series(_EXPONENTIAL)
-        return self._both(X, dense.settled([_closed_form.evaluated(c, x) for c in series]))
+        return self._both(X, unrolled.settled([_closed_form.evaluated(c, x) for c in series]))
 
-    def cayley_both(self, xi: dense.Vector) -> tuple[dense.Matrix, dense.Matrix]:
+    def cayley_both(self, xi: unrolled.Vector) -> tuple[unrolled.Matrix, unrolled.Matrix]:
         """cay ξ and cay(−ξ): by the closed form if there is one."""
         X, closed = self._hat(xi), self._closed
         if closed is None or closed.pairs > 1:
-            plus, minus = (dense.inverse(dense.combination((1.0, dense.identity(X)), (s, X))) for s in (0.5, -0.5))
-            one = dense.identity(plus)
-            return dense.combination((2.0, minus), (-1.0, one)), dense.combination((2.0, plus), (-1.0, one))
-        coefficients: list[dense.Scalar] = [1.0, *(2.0 ** (1 - m) for m in range(1, closed.powers))]
+            plus, minus = (
+                unrolled.inverse(unrolled.combination((1.0, unrolled.identity(X)), (s, X))) for s in (0.5, -0.5)
+            )
+            one = unrolled.identity(plus)
+            return unrolled.combination((2.0, minus), (-1.0, one)), unrolled.combination((2.0, plus), (-1.0, one))
+        coefficients: list[unrolled.Scalar] = [1.0, *(2.0 ** (1 - m) for m in range(1, closed.powers))]
         if closed.pairs:  # 2 Σ (X/2)ⁿ, from the last two powers on a geometric series in x/4
             r = 1 / (1 - closed.square(xi) / 4)
             coefficients[-2:] = [c * r if m else 2 * r - 1 for m, c in [*enumerate(coefficients)][-2:]]
         return self._both(X, coefficients)
 
-    def _both(self, X: dense.Matrix, c: list[dense.Scalar]) -> tuple[dense.Matrix, dense.Matrix]:
+    def _both(self, X: unrolled.Matrix, c: list[unrolled.Scalar]) -> tuple[unrolled.Matrix, unrolled.Matrix]:
         """Σ c_m Xᵐ and Σ c_m (−X)ᵐ."""
-        powers = [dense.identity(X), X]
+        powers = [unrolled.identity(X), X]
         while len(powers) < len(c):
-            powers.append(dense.settled(dense.matmul(powers[-1], X)))
+            powers.append(unrolled.settled(unrolled.matmul(powers[-1], X)))
         pairs = list(zip(c, powers, strict=False))
-        return _sum_and_difference(dense.combination(*pairs[::2]), dense.combination(*pairs[1::2]) if c[1:] else None)
+        return _sum_and_difference(
+            unrolled.combination(*pairs[::2]), unrolled.combination(*pairs[1::2]) if c[1:] else None
+        )
 
-    def exp_coadjoint(self, xi: dense.Vector, mu: dense.Vector) -> dense.Vector:
+    def exp_coadjoint(self, xi: unrolled.Vector, mu: unrolled.Vector) -> unrolled.Vector:
         """Ad*_exp(ξ) μ = exp(ad*_ξ) μ, where `near` holds: by the closed form of ad, if there is one."""
         closed = self._closed_ad
         if closed is None or not self.unrolled:
             return self.coadjoint(*self.exp_both(xi), mu)
-        x = dense.settled([closed.square(xi)])[0]
-        *lower, top = dense.settled([_closed_form.evaluated(c, x) for c in closed.series(_EXPONENTIAL)])
-        value = dense.scaled(top, mu)
+        x = unrolled.settled([closed.square(xi)])[0]
+        *lower, top = unrolled.settled([_closed_form.evaluated(c, x) for c in closed.series(_EXPONENTIAL)])
+        value = unrolled.scaled(top, mu)
         for c in reversed(lower):
-            value = dense.settled(dense.plus((c, mu), dense.matvec(self.ad_star_matrix(value), xi)))
+            value = unrolled.settled(unrolled.plus((c, mu), unrolled.matvec(self.ad_star_matrix(value), xi)))
         return value
 
-    def coadjoint(self, q: dense.Matrix, inverse: dense.Matrix, mu: dense.Vector, of: Any = np.asarray) -> Any:
+    def coadjoint(self, q: unrolled.Matrix, inverse: unrolled.Matrix, mu: unrolled.Vector, of: Any = np.asarray) -> Any:
         """Ad*_q μ: ⟨μ, (q Eᵢ q⁻¹)^∨⟩ = tr[(qᵀ D q⁻ᵀ)ᵀ Eᵢ] for the matrix D with ⟨μ, ξ⟩ = tr[Dᵀξ̂]."""
-        D = dense.linear(of(self._dual.transpose(1, 2, 0)), mu)
-        carried = dense.matmul(dense.matmul(dense.transpose(q), D), dense.transpose(inverse))
-        return dense.linear(of(self.basis.reshape(self.dim, -1)), dense.flatten(carried))
+        D = unrolled.linear(of(self._dual.transpose(1, 2, 0)), mu)
+        carried = unrolled.matmul(unrolled.matmul(unrolled.transpose(q), D), unrolled.transpose(inverse))
+        return unrolled.linear(of(self.basis.reshape(self.dim, -1)), unrolled.flatten(carried))
 
     # Derivatives of maps, H of (5.28)
 
-    def exp_slope(self, xi: dense.Vector, terms: int = 24) -> dense.Matrix:
+    def exp_slope(self, xi: unrolled.Vector, terms: int = 24) -> unrolled.Matrix:
         """H of exp, Σ (−ad_ξ)ᵏ/(k+1)!, as a matrix (d, d), cut after `terms` terms."""
         A = self.ad_matrix(xi)
-        H = one = dense.identity(A)
+        H = one = unrolled.identity(A)
         for k in range(terms, 1, -1):
-            H = dense.combination((1.0, one), (-1.0 / k, dense.matmul(A, H)))
+            H = unrolled.combination((1.0, one), (-1.0 / k, unrolled.matmul(A, H)))
         return H
 
-    def cayley_slope(self, xi: dense.Vector) -> dense.Matrix:
+    def cayley_slope(self, xi: unrolled.Vector) -> unrolled.Matrix:
         """H of cay, Hη = ((1 + ½ξ̂)⁻¹ η̂ (1 − ½ξ̂)⁻¹)^∨, as a matrix (d, d). Note (1 ∓ ½ξ̂)⁻¹ = ½(1 + cay(±ξ))."""
         minus, plus = (
-            dense.settled(dense.combination((0.5, dense.identity(q)), (0.5, q))) for q in self.cayley_both(xi)
+            unrolled.settled(unrolled.combination((0.5, unrolled.identity(q)), (0.5, q))) for q in self.cayley_both(xi)
         )
         E = self.basis if isinstance(plus, Array) else self.basis.tolist()
-        columns = [self._vee(dense.matmul(dense.matmul(plus, e), minus)) for e in E]
-        return jnp.stack(columns, axis=1) if isinstance(plus, Array) else dense.transpose(columns)
+        columns = [self._vee(unrolled.matmul(unrolled.matmul(plus, e), minus)) for e in E]
+        return jnp.stack(columns, axis=1) if isinstance(plus, Array) else unrolled.transpose(columns)
 
     # What these are made of: the same, on lists of entries for small groups and on arrays for large ones
 
@@ -357,39 +361,39 @@ class MatrixGroup:
         inside = np.tensordot(np.tensordot(M, self._dual, ((-2, -1), (1, 2))), self.basis, 1)
         return float(np.abs(M - inside).max())
 
-    def _vector(self, x: Any) -> dense.Vector:
+    def _vector(self, x: Any) -> unrolled.Vector:
         if isinstance(x, list):
             return x
         x = jnp.asarray(x)
-        return dense.as_list(x) if self.unrolled else x
+        return unrolled.as_list(x) if self.unrolled else x
 
-    def _matrix(self, M: Any) -> dense.Matrix:
-        return dense.as_list(jnp.asarray(M)) if self.unrolled else jnp.asarray(M)
+    def _matrix(self, M: Any) -> unrolled.Matrix:
+        return unrolled.as_list(jnp.asarray(M)) if self.unrolled else jnp.asarray(M)
 
-    def _element(self, q: Any) -> dense.Matrix:
+    def _element(self, q: Any) -> unrolled.Matrix:
         """The entries of a group element, with those that are 0 or 1 on the whole group known."""
         if not self.unrolled:
             return jnp.asarray(q)
         return [
             [entry if free else float(i == j) for j, (entry, free) in enumerate(zip(*rows, strict=True))]
-            for i, rows in enumerate(zip(dense.as_list(jnp.asarray(q)), self._free, strict=True))
+            for i, rows in enumerate(zip(unrolled.as_list(jnp.asarray(q)), self._free, strict=True))
         ]
 
-    def _hat(self, xi: dense.Vector) -> dense.Matrix:
-        return dense.linear(self.basis.transpose(1, 2, 0), xi)
+    def _hat(self, xi: unrolled.Vector) -> unrolled.Matrix:
+        return unrolled.linear(self.basis.transpose(1, 2, 0), xi)
 
-    def _vee(self, M: dense.Matrix) -> dense.Vector:
-        return dense.linear(self._dual.reshape(self.dim, -1), dense.flatten(M))
+    def _vee(self, M: unrolled.Matrix) -> unrolled.Vector:
+        return unrolled.linear(self._dual.reshape(self.dim, -1), unrolled.flatten(M))
 
-    def _inverse(self, q: dense.Matrix) -> dense.Matrix:
+    def _inverse(self, q: unrolled.Matrix) -> unrolled.Matrix:
         if self._form is None:
-            return dense.inverse(q)
+            return unrolled.inverse(q)
         S, S_inverse = self._form
         if (self.identity == S).all():
-            return dense.transpose(q)
+            return unrolled.transpose(q)
         if self.unrolled:
             S, S_inverse = S.tolist(), S_inverse.tolist()
-        return dense.matmul(dense.matmul(S_inverse, dense.transpose(q)), S)
+        return unrolled.matmul(unrolled.matmul(S_inverse, unrolled.transpose(q)), S)
 
 
 def matrix(basis: ArrayLike, name: str = "matrix group", unrolled: bool | None = None) -> MatrixGroup:
@@ -431,29 +435,31 @@ def examples() -> dict[str, MatrixGroup]:
     return {name: matrix([A, x, y], name) for name, A in {"Bianchi V": scale, "Bianchi IV": shear}.items()}
 
 
-def _taylor(X: dense.Matrix) -> tuple[dense.Matrix, dense.Matrix]:
+def _taylor(X: unrolled.Matrix) -> tuple[unrolled.Matrix, unrolled.Matrix]:
     """The even and the odd part of Σ Xᵏ/k!, in blocks of powers of X² (Paterson & Stockmeyer 1973)."""
-    Y = dense.settled(dense.matmul(X, X))
-    powers = [dense.identity(X), Y, dense.settled(dense.matmul(Y, Y))]
-    cube = dense.settled(dense.matmul(powers[2], Y))
+    Y = unrolled.settled(unrolled.matmul(X, X))
+    powers = [unrolled.identity(X), Y, unrolled.settled(unrolled.matmul(Y, Y))]
+    cube = unrolled.settled(unrolled.matmul(powers[2], Y))
     even, odd = (_in_blocks(_EXPONENTIAL[parity:_DEGREE:2], powers, cube) for parity in (0, 1))
-    return even, dense.settled(dense.matmul(X, odd))
+    return even, unrolled.settled(unrolled.matmul(X, odd))
 
 
-def _in_blocks(weights: Sequence[float], powers: Sequence[dense.Matrix], next_power: dense.Matrix) -> dense.Matrix:
+def _in_blocks(
+    weights: Sequence[float], powers: Sequence[unrolled.Matrix], next_power: unrolled.Matrix
+) -> unrolled.Matrix:
     """Σ wₖYᵏ, with powers 1, Y, …, and the one after these."""
     blocks = [weights[k : k + len(powers)] for k in range(0, len(weights), len(powers))]
-    value = dense.combination(*zip(blocks[-1], powers, strict=True))
+    value = unrolled.combination(*zip(blocks[-1], powers, strict=True))
     for block in blocks[-2::-1]:
-        shifted = dense.settled(dense.matmul(value, next_power))
-        value = dense.combination(*zip(block, powers, strict=True), (1.0, shifted))
-    return dense.settled(value)
+        shifted = unrolled.settled(unrolled.matmul(value, next_power))
+        value = unrolled.combination(*zip(block, powers, strict=True), (1.0, shifted))
+    return unrolled.settled(value)
 
 
-def _sum_and_difference(even: dense.Matrix, odd: dense.Matrix | None) -> tuple[dense.Matrix, dense.Matrix]:
+def _sum_and_difference(even: unrolled.Matrix, odd: unrolled.Matrix | None) -> tuple[unrolled.Matrix, unrolled.Matrix]:
     if odd is None:
         return even, even
-    return dense.combination((1.0, even), (1.0, odd)), dense.combination((1.0, even), (-1.0, odd))
+    return unrolled.combination((1.0, even), (1.0, odd)), unrolled.combination((1.0, even), (-1.0, odd))
 
 
 def _artanh(q: Array) -> Array:

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax import small
-from lieint_jax.small import cross, dot
+from lieint_jax._numerics import power_series, three
+from lieint_jax._numerics.three import cross, dot
 
 dim = 3
 identity = np.array([1.0, 0.0, 0.0, 0.0])
@@ -48,7 +48,7 @@ def defect(q: Array) -> Array:
 def exp(xi: Array) -> Array:
     """exp ξ, the rotation about ξ by the angle |ξ| (2.3)."""
     x = dot(xi, xi) / 4
-    return jnp.concatenate([small.cos_sqrt(x)[None], small.sinc_sqrt(x) * xi / 2])
+    return jnp.concatenate([power_series.cos_sqrt(x)[None], power_series.sinc_sqrt(x) * xi / 2])
 
 
 def log(q: Array) -> Array:
@@ -59,7 +59,7 @@ def log(q: Array) -> Array:
     near = s < 0.01
     w_near = jnp.where(near, w, 1)  # away from w = 0, where the rotation is by π
     s_far = jnp.where(near, 1, s)  # away from s = 0, where the square root has no derivative
-    series = small.arctan_sqrt(jnp.where(near, s, 0) / (w_near * w_near)) / w_near
+    series = power_series.arctan_sqrt(jnp.where(near, s, 0) / (w_near * w_near)) / w_near
     closed = jnp.arctan2(jnp.sqrt(s_far), w) / jnp.sqrt(s_far)
     return 2 * jnp.where(near, series, closed) * v
 
@@ -70,12 +70,12 @@ def cayley(xi: Array) -> Array:
     return jnp.concatenate([jnp.ones_like(h[:1]), h]) / jnp.sqrt(1 + dot(h, h))
 
 
-def Ad(q: Array, xi: small.Vector) -> Array:
+def Ad(q: Array, xi: three.Vector) -> Array:
     """Λξ: from body to space."""
     return jnp.stack(_rotate(q[0], q[1:], xi))
 
 
-def Ad_star(q: Array, mu: small.Vector) -> Array:
+def Ad_star(q: Array, mu: three.Vector) -> Array:
     """Λᵀμ, the transpose of Ad: takes spatial momentum π to body momentum Π."""
     return jnp.stack(_rotate(-q[0], q[1:], mu))
 
@@ -97,7 +97,7 @@ def casimirs(mu: Array) -> Array:
 
 def hat(xi: Array) -> Array:
     """ξ̂, the skew matrix with ξ̂ h = ξ × h (2.1)."""
-    x, y, z = small.components(xi)
+    x, y, z = three.components(xi)
     o = jnp.zeros_like(x)
     return jnp.stack([jnp.stack(row) for row in ((o, -z, y), (z, o, -x), (-y, x, o))])
 
@@ -136,7 +136,7 @@ def cayley_increment(q: Array, h: Array) -> Array:
     return q + jnp.stack(cayley_difference(q, h))
 
 
-def cayley_difference(q: small.Vector, h: small.Vector) -> tuple[Array, Array, Array, Array]:
+def cayley_difference(q: three.Vector, h: three.Vector) -> tuple[Array, Array, Array, Array]:
     """The increment alone, in components."""
     w, v = q[0], (q[1], q[2], q[3])
     y = dot(h, h)
@@ -152,7 +152,7 @@ def cayley_difference(q: small.Vector, h: small.Vector) -> tuple[Array, Array, A
 
 def to_matrix(q: Array) -> Array:
     """The rotation matrix Λ, shape (3, 3)."""
-    w, x, y, z = small.components(q)
+    w, x, y, z = three.components(q)
     return jnp.stack(
         [
             jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
@@ -174,7 +174,7 @@ def from_matrix(R: Array) -> Array:
             1 - R[0, 0] - R[1, 1] + R[2, 2],
         ]
     )
-    w, x, y, z = small.components(squares)
+    w, x, y, z = three.components(squares)
     candidates = jnp.stack([jnp.stack(row) for row in ((w, a, b, c), (a, x, f, e), (b, f, y, d), (c, e, d, z))])
     largest = jnp.argmax(squares)
     return normalise(candidates[largest])
@@ -198,7 +198,7 @@ def to_euler_313(q: Array) -> Array:
 
     At β = 0 or π only α + γ or α − γ is determined; the other is set to 0.
     """
-    w, x, y, z = small.components(q)
+    w, x, y, z = three.components(q)
     half_sum, half_difference = _arctan2(z, w), _arctan2(y, x)
     b = 2 * jnp.arctan2(_length(x, y), _length(w, z))
     return jnp.stack([_wrap(half_sum + half_difference), b, _wrap(half_sum - half_difference)])
@@ -210,7 +210,7 @@ def angle(a: Array, b: Array) -> Array:
     return 2 * jnp.arctan2(_length(x, y, z), jnp.abs(w))
 
 
-def _product(a: small.Vector, b: small.Vector) -> tuple[Array, Array, Array, Array]:
+def _product(a: three.Vector, b: three.Vector) -> tuple[Array, Array, Array, Array]:
     return (
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
@@ -223,7 +223,7 @@ def _norm_squared(q: Array) -> Array:
     return q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
 
 
-def _rotate(w: Array, v: small.Vector, u: small.Vector) -> tuple[Array, ...]:
+def _rotate(w: Array, v: three.Vector, u: three.Vector) -> tuple[Array, ...]:
     """u + 2w v×u + 2 v×(v×u): u turned by the unit quaternion (w, v); by its inverse for −w."""
     t = tuple(2 * x for x in cross(v, u))
     c = cross(v, t)

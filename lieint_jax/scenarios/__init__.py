@@ -23,20 +23,20 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from lieint_jax import discover
+from lieint_jax import _discover
 from lieint_jax.scenarios._common import Common
 from lieint_jax.types import State, Step
 
 
 def scenario_names() -> list[str]:
     """The scenarios in the package."""
-    files = resources.files("lieint_jax.data").iterdir()
+    files = resources.files(__name__).iterdir()
     return sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml"))
 
 
 def kinds() -> dict[str, ModuleType]:
     """The modules of this package, by the `system` key of the scenarios that they are for."""
-    return discover.modules(sys.modules[__name__])
+    return _discover.modules(sys.modules[__name__])
 
 
 def kind(scenario: Common) -> ModuleType:
@@ -78,7 +78,7 @@ def parse(table: dict[str, Any], name: str) -> Any:
 def _table(name: str) -> dict[str, Any]:
     path = Path(name)
     if name in scenario_names():
-        text = resources.files("lieint_jax.data").joinpath(f"{name}.toml").read_text(encoding="utf-8")
+        text = resources.files(__name__).joinpath(f"{name}.toml").read_text(encoding="utf-8")
     elif path.is_file():
         try:
             text = path.read_bytes().decode("utf-8-sig")

@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 from pydantic import field_validator, model_validator
 
-from lieint_jax import checks
+from lieint_jax import _checks
 from lieint_jax.groups import so3
 from lieint_jax.scenarios._common import Common, NonNegative, Quadruple, Table, Triple
 from lieint_jax.types import State
@@ -31,7 +31,7 @@ class InitialState(Table):
         if (self.angular_velocity is None) == (self.angular_velocity_deg is None):
             raise ValueError("give exactly one of angular_velocity (radians) and angular_velocity_deg")
         if self.quaternion is not None:
-            checks.unit_quaternion("quaternion", self.quaternion)
+            _checks.unit_quaternion("quaternion", self.quaternion)
         return self
 
     def attitude(self) -> Any:
@@ -60,7 +60,7 @@ class BodyScenario(Common):
     @field_validator("inertia")
     @classmethod
     def _a_body(cls, value: list[Any]) -> list[Any]:
-        checks.inertia(value)
+        _checks.inertia(value)
         return value
 
     def assumption(self) -> str:

@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from pydantic import field_validator, model_validator
 
-from lieint_jax import diagnostics, maps, plots, schemes, small, systems
+from lieint_jax import diagnostics, maps, plots, schemes, systems
+from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.scenarios._body import BodyScenario, ensemble, in_space
@@ -181,7 +182,7 @@ def _axis_and_velocity(top: PotentialTop, states: State, axis: Any) -> tuple[Any
     """An axis of the body and its velocity, in space, (n, 3) each."""
 
     def one(state: State) -> tuple[Any, Any]:
-        moved = jnp.stack(small.cross(top.angular_velocity(state), axis))
+        moved = jnp.stack(three.cross(top.angular_velocity(state), axis))
         return so3.Ad(state.q, axis), so3.Ad(state.q, moved)
 
     return jax.vmap(one)(states)

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from pydantic import Field, field_validator, model_validator
 
-from lieint_jax import checks, diagnostics, plots, schemes, systems
+from lieint_jax import _checks, diagnostics, plots, schemes, systems
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.scenarios import heavy_top
@@ -70,7 +70,7 @@ class Scenario(Common):
 
 
 def _unit_vector(value: list[float]) -> list[float]:
-    if abs(np.linalg.norm(value) - 1) > checks.UNIT_TOLERANCE:
+    if abs(np.linalg.norm(value) - 1) > _checks.UNIT_TOLERANCE:
         raise ValueError("must be a unit vector; divide it by its norm")
     return value
 

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from pydantic import Field, field_validator, model_validator
 
-from lieint_jax import checks, diagnostics, plots, schemes, systems
+from lieint_jax import _checks, diagnostics, plots, schemes, systems
 from lieint_jax.scenarios._common import (
     Common,
     NonNegative,
@@ -87,7 +87,7 @@ class Scenario(Common):
     @field_validator("inertia")
     @classmethod
     def _positive_definite(cls, value: list[Any]) -> list[Any]:
-        checks.positive_definite("inertia", value)
+        _checks.positive_definite("inertia", value)
         return value
 
     @model_validator(mode="after")

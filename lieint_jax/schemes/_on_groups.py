@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from lieint_jax import dense, newton
+from lieint_jax._numerics import newton, unrolled
 from lieint_jax.maps import Tau, derivative
 from lieint_jax.types import Group, State, StepInfo
 
@@ -34,31 +34,31 @@ class Equation(NamedTuple):
 
     group: Any
     tau: Tau
-    m: dense.Matrix
+    m: unrolled.Matrix
     state: State
     half: Array
-    a: dense.Vector
+    a: unrolled.Vector
 
     @classmethod
     def of(cls, system: Any, tau: Tau, state: State, half: Array) -> Equation:
         """Of a step by τ of a system with a group and a metric."""
         m = unpacked(system.group, system.metric)
-        a = dense.settled(as_vector(m, half * system.group.Ad_star(state.q, state.p)))
+        a = unrolled.settled(as_vector(m, half * system.group.Ad_star(state.q, state.p)))
         return cls(system.group, tau, m, state, half, a)
 
-    def residual(self, theta: dense.Vector, after: dense.Vector) -> dense.Vector:
+    def residual(self, theta: unrolled.Vector, after: unrolled.Vector) -> unrolled.Vector:
         """m Θ − ½Δt Π_n − ½Δt Π_{n+1}, the last given as `after`."""
-        return dense.settled(dense.plus(dense.matvec(self.m, theta), (-1.0, self.a), (-1.0, after)))
+        return unrolled.settled(unrolled.plus(unrolled.matvec(self.m, theta), (-1.0, self.a), (-1.0, after)))
 
 
 def solved(
     equation: Equation,
-    residual: Callable[[dense.Vector], dense.Vector],
-    matrix: Callable[[dense.Vector, dense.Vector], dense.Matrix],
-    size: Callable[[dense.Vector], Array],
-    start: dense.Vector,
+    residual: Callable[[unrolled.Vector], unrolled.Vector],
+    matrix: Callable[[unrolled.Vector, unrolled.Vector], unrolled.Matrix],
+    size: Callable[[unrolled.Vector], Array],
+    start: unrolled.Vector,
     iterations: int,
-) -> tuple[dense.Vector, Array, StepInfo]:
+) -> tuple[unrolled.Vector, Array, StepInfo]:
     """The root Θ by `newton.chords`, as entries and as an array, and the report on it.
 
     Converged if the residual, in the units of `size`, is round-off; if the root is on the branch from Δt = 0, past the
@@ -66,97 +66,97 @@ def solved(
     """
     group, tau, m, state, half, a = equation
 
-    def factored(theta: dense.Vector, F: dense.Vector) -> dense.Factored:
-        return dense.factored(matrix(theta, F))
+    def factored(theta: unrolled.Vector, F: unrolled.Vector) -> unrolled.Factored:
+        return unrolled.factored(matrix(theta, F))
 
     theta, (F, determinant) = newton.chords(residual, factored, size, start, iterations)
     good = (determinant > 0) & digits_left(group, m, state, a, half)
-    Theta = dense.as_array(theta, state.p)
+    Theta = unrolled.as_array(theta, state.p)
     error = size(F)
     good = good & tau.holds(group, Theta) if tau.holds else good
     return theta, Theta, StepInfo(error, (error <= 32 * jnp.finfo(error.dtype).eps) & good)
 
 
-def unpacked(group: Any, metric: Array) -> dense.Matrix:
+def unpacked(group: Any, metric: Array) -> unrolled.Matrix:
     """The metric as a matrix: a list of rows for small groups, an array for large ones."""
     d = metric.shape[0]
     if not getattr(group, "unrolled", True):
         return jnp.diag(metric) if metric.ndim == 1 else metric
     if metric.ndim == 2:
-        return dense.as_list(metric)
+        return unrolled.as_list(metric)
     return [[metric[i] if i == j else 0.0 for j in range(d)] for i in range(d)]
 
 
-def as_vector(m: dense.Matrix, x: Array) -> dense.Vector:
+def as_vector(m: unrolled.Matrix, x: Array) -> unrolled.Vector:
     """x as a list if m is one."""
-    return dense.as_list(x) if isinstance(m, list) else x
+    return unrolled.as_list(x) if isinstance(m, list) else x
 
 
-def ad_star(group: Any, xi: dense.Vector, mu: dense.Vector) -> dense.Vector:
+def ad_star(group: Any, xi: unrolled.Vector, mu: unrolled.Vector) -> unrolled.Vector:
     """ad*_ξ μ."""
-    return dense.matvec(ad_star_matrix(group, mu), xi)
+    return unrolled.matvec(ad_star_matrix(group, mu), xi)
 
 
-def ad_star_matrix(group: Any, mu: dense.Vector) -> dense.Matrix:
+def ad_star_matrix(group: Any, mu: unrolled.Vector) -> unrolled.Matrix:
     """ad*(μ), (d, d)."""
     if hasattr(group, "ad_star_matrix"):
         return group.ad_star_matrix(mu)
-    mu = dense.as_array(mu, mu[0])
-    return dense.as_list(jax.vmap(group.ad_star, (1, None), 1)(jnp.eye(group.dim, dtype=mu.dtype), mu))
+    mu = unrolled.as_array(mu, mu[0])
+    return unrolled.as_list(jax.vmap(group.ad_star, (1, None), 1)(jnp.eye(group.dim, dtype=mu.dtype), mu))
 
 
-def coadjoint(tau: Tau, group: Any, theta: dense.Vector, mu: dense.Vector) -> dense.Vector:
+def coadjoint(tau: Tau, group: Any, theta: unrolled.Vector, mu: unrolled.Vector) -> unrolled.Vector:
     """Ad*_τ(Θ) μ."""
     if tau.coadjoint is not None:
         return tau.coadjoint(group, theta, mu)
-    turned = group.Ad_star(tau(group, dense.as_array(theta, theta[0])), dense.as_array(mu, mu[0]))
-    return dense.as_list(turned) if isinstance(theta, list) else turned
+    turned = group.Ad_star(tau(group, unrolled.as_array(theta, theta[0])), unrolled.as_array(mu, mu[0]))
+    return unrolled.as_list(turned) if isinstance(theta, list) else turned
 
 
-def slope(tau: Tau, group: Any, theta: dense.Vector) -> dense.Matrix:
+def slope(tau: Tau, group: Any, theta: unrolled.Vector) -> unrolled.Matrix:
     """H(Θ), (d, d)."""
     if tau.slope is not None:
         return tau.slope(group, theta)
-    H = derivative(tau, group, dense.as_array(theta, theta[0]))
-    return dense.as_list(H) if isinstance(theta, list) else H
+    H = derivative(tau, group, unrolled.as_array(theta, theta[0]))
+    return unrolled.as_list(H) if isinstance(theta, list) else H
 
 
-def guess(group: Group, m: dense.Matrix, a: dense.Vector) -> dense.Vector:
+def guess(group: Group, m: unrolled.Matrix, a: unrolled.Vector) -> unrolled.Vector:
     """Θ ≈ ΔtΩ + ½Δt² m⁻¹ ad*_Ω Π, from a = ½Δt Π: second order."""
-    sharp = dense.factored(m).solve
-    half_turn = dense.settled(sharp(a))
-    bent = sharp(dense.settled(ad_star(group, half_turn, a)))
-    return dense.settled(dense.plus((2.0, half_turn), (2.0, bent)))
+    sharp = unrolled.factored(m).solve
+    half_turn = unrolled.settled(sharp(a))
+    bent = sharp(unrolled.settled(ad_star(group, half_turn, a)))
+    return unrolled.settled(unrolled.plus((2.0, half_turn), (2.0, bent)))
 
 
-def newton_matrix(equation: Equation, theta: dense.Vector, F: dense.Vector) -> dense.Matrix:
+def newton_matrix(equation: Equation, theta: unrolled.Vector, F: unrolled.Vector) -> unrolled.Matrix:
     """m − ½Δt ad*(Π_{n+1}) H at Θ, with ½Δt Π_{n+1} = mΘ − ½Δt Π_n − F. Nothing is differentiated through it."""
     group, tau = equation.group, equation.tau
     theta, F, a, m = lax.stop_gradient((theta, F, equation.a, equation.m))
-    after = dense.settled(dense.plus(dense.matvec(m, theta), (-1.0, a), (-1.0, F)))
-    turned = dense.matmul(ad_star_matrix(group, after), dense.settled(slope(tau, group, theta)))
-    return dense.settled(dense.combination((1.0, m), (-1.0, turned)))
+    after = unrolled.settled(unrolled.plus(unrolled.matvec(m, theta), (-1.0, a), (-1.0, F)))
+    turned = unrolled.matmul(ad_star_matrix(group, after), unrolled.settled(slope(tau, group, theta)))
+    return unrolled.settled(unrolled.combination((1.0, m), (-1.0, turned)))
 
 
-def size_unit(m: dense.Matrix, a: dense.Vector) -> Callable[[dense.Vector], Array]:
+def size_unit(m: unrolled.Matrix, a: unrolled.Vector) -> Callable[[unrolled.Vector], Array]:
     """F ↦ the largest |Fᵢ|/√mᵢᵢ over √(2H)Δt: whatever the units of the basis, round-off is round-off."""
     a, m = lax.stop_gradient((a, m))
-    scale = 2 * jnp.sqrt(jnp.maximum(dense.dot(a, dense.solve(m, a)), 0))
+    scale = 2 * jnp.sqrt(jnp.maximum(unrolled.dot(a, unrolled.solve(m, a)), 0))
     units = [jnp.sqrt(m[i][i]) * jnp.where(scale == 0, 1, scale) for i in range(len(m))]
 
-    def size(F: dense.Vector) -> Array:
+    def size(F: unrolled.Vector) -> Array:
         return functools.reduce(jnp.maximum, (jnp.abs(lax.stop_gradient(F[i])) / units[i] for i in range(len(units))))
 
     return size
 
 
-def digits_left(group: Any, m: dense.Matrix, state: State, a: dense.Vector, half: Array) -> Array:
+def digits_left(group: Any, m: unrolled.Matrix, state: State, a: unrolled.Vector, half: Array) -> Array:
     """Whether Ad*_q π keeps six digits in float64: ε (what it sums up / what is left)² ≤ ε^{3/8}; q too."""
     if not hasattr(group, "rounding"):
         return jnp.ones((), bool)
     state, a, half = lax.stop_gradient((state, a, half))
     unit = jnp.sqrt(jnp.stack([m[i][i] for i in range(len(m))]))
     summed = jnp.max(jnp.abs(half) * group.rounding(state.q, state.p) / unit)
-    left = jnp.max(jnp.abs(dense.as_array(a, state.p)) / unit)
+    left = jnp.max(jnp.abs(unrolled.as_array(a, state.p)) / unit)
     eps = float(jnp.finfo(left.dtype).eps)
     return (eps * summed**2 <= eps**0.375 * left**2) & (group.drift(state.q) <= eps**0.375)

@@ -30,10 +30,12 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import checks, dense, newton, small
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import newton, three, unrolled
+from lieint_jax._numerics.three import Matrix, Symmetric
 from lieint_jax.phase_spaces import CotangentMatrices
-from lieint_jax.small import Matrix, Symmetric
-from lieint_jax.types import State, Step, StepInfo, System, concrete, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
 Rule = Literal["symplectic", "energy", "energy_momentum", "average"]
 _SHRINK = 0.1  # det of the watched F may fall to this part of itself in one Newton correction
@@ -79,7 +81,7 @@ class Additive(Step):
         return f"additive[{self.rule}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        return _compiled(self, state, checks.step_size(dt))
+        return _compiled(self, state, _checks.step_size(dt))
 
     def _step(self, state: State, dt: Array) -> tuple[State, StepInfo]:
         equation = _Equation.of(self, state, dt)
@@ -89,13 +91,13 @@ class Additive(Step):
         U = _matrix(x)
         D = equation.change(U)
         S = rule.stress(W, equation.C, D, *x[9:])
-        middle, end = small.combine(F, U, alpha), small.combine(F, U)
-        after = small.combine(equation.P, small.product(middle, small.rows(S)), -dt)
+        middle, end = three.combine(F, U, alpha), three.combine(F, U)
+        after = three.combine(equation.P, three.product(middle, three.rows(S)), -dt)
 
         stiff = _largest(S) + equation.stiffness
         scale = equation.size * (_largest(E) + equation.c * stiff) + jnp.abs(dt) * jnp.max(jnp.abs(state.p))
         residual, tolerance = jnp.max(jnp.abs(R[:9])) / scale, 32 * jnp.finfo(R.dtype).eps
-        converged = (residual <= tolerance) & (small.det(middle) > 0) & (small.det(end) > 0)
+        converged = (residual <= tolerance) & (three.det(middle) > 0) & (three.det(end) > 0)
         if rule.gammas:
             converged &= jnp.abs(_missed(W, equation.C, D, S)) <= tolerance * stiff * _largest(D)
         return State(_array(end), _array(after)), lax.stop_gradient(StepInfo(residual, converged))
@@ -156,14 +158,14 @@ def additive(system: ElasticBody, rule: Rule = "average", alpha: ArrayLike = 0.5
         raise ValueError(f"additive moves pseudo-rigid bodies (systems.pseudo_rigid_body), got {type(system).__name__}")
     if rule not in get_args(Rule):
         raise ValueError(f"rule must be one of {', '.join(get_args(Rule))}, got {rule!r}")
-    alpha = checks.real_array("alpha", alpha, ())
+    alpha = _checks.real_array("alpha", alpha, ())
     middle = not concrete(alpha) or float(alpha) == 0.5
     if concrete(alpha) and not 0 <= float(alpha) <= 1:
         raise ValueError(f"alpha must be in [0, 1], got {alpha}")
     if not middle and rule != "symplectic":
         raise ValueError(f"the rule {rule!r} conserves energy for alpha = 1/2 only, got {alpha}")
     order = 2 if middle else 1
-    return Additive(system, alpha, rule, checks.count("iterations", iterations, 1), order, middle)
+    return Additive(system, alpha, rule, _checks.count("iterations", iterations, 1), order, middle)
 
 
 def examples(system: Any) -> dict[str, Step]:
@@ -185,7 +187,7 @@ def _is_elastic(system: Any) -> bool:
 
 
 def _symplectic(W: Material, C: Symmetric, D: Symmetric) -> Symmetric:
-    return W.stress(small.along(C, D, 1))
+    return W.stress(three.along(C, D, 1))
 
 
 def _average(W: Material, C: Symmetric, D: Symmetric) -> Symmetric:
@@ -193,11 +195,11 @@ def _average(W: Material, C: Symmetric, D: Symmetric) -> Symmetric:
 
 
 def _energy(W: Material, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
-    return W.stress(small.along(C, D, gamma))
+    return W.stress(three.along(C, D, gamma))
 
 
 def _energy_momentum(W: Material, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
-    ends = (W.stress(small.along(C, D, s)) for s in (gamma, 1 - gamma))
+    ends = (W.stress(three.along(C, D, s)) for s in (gamma, 1 - gamma))
     return tuple((x + y) / 2 for x, y in zip(*ends, strict=True))
 
 
@@ -220,13 +222,13 @@ _RULES: dict[str, _Rule] = {
 
 def _missed(W: Material, C: Symmetric, D: Symmetric, S: Symmetric) -> Array:
     """S:D − 2ΔW."""
-    return small.inner(small.along(S, W.mean_stress(C, D), -1), D)
+    return three.inner(three.along(S, W.mean_stress(C, D), -1), D)
 
 
 def _regular(D: Symmetric, C: Symmetric, stiffness: Array, off: Array) -> Array:
     """Far below the rounding of `_missed`; it holds γ at its limit where any γ serves: D = 0, or W quadratic."""
     eps = jnp.finfo(off.dtype).eps
-    return eps * stiffness * off * (small.inner(D, D) + eps * eps * small.inner(C, C))
+    return eps * stiffness * off * (three.inner(D, D) + eps * eps * three.inner(C, C))
 
 
 def _stiffness(W: Material, C: Symmetric) -> Array:
@@ -273,15 +275,15 @@ class _Equation(NamedTuple):
         """Of a step from a state."""
         rule, W = _RULES[step.rule], step.system.stored_energy
         alpha = step.alpha.astype(state.p.dtype)
-        E = small.full(small.symmetric(step.system.inertia))
+        E = three.full(three.symmetric(step.system.inertia))
         F, P = _matrix(state.q.ravel()), _matrix(state.p.ravel())
-        C, c, a = small.gram(F), (1 - alpha) * dt * dt, alpha if step.rule == "symplectic" else 1
+        C, c, a = three.gram(F), (1 - alpha) * dt * dt, alpha if step.rule == "symplectic" else 1
         return cls(rule, W, alpha, E, F, P, C, dt, c, a, _stiffness(W, C), jnp.max(jnp.abs(state.q)))
 
     def change(self, U: Matrix) -> Symmetric:
         """D = FᵀV + VᵀF + VᵀV with V = aU."""
-        V = small.scale_matrix(self.a, U)
-        return small.along(small.plus_transpose(small.transposed_product(self.F, V)), small.gram(V), 1)
+        V = three.scale_matrix(self.a, U)
+        return three.along(three.plus_transpose(three.transposed_product(self.F, V)), three.gram(V), 1)
 
     def law(self, D: Symmetric, gamma: tuple[Array, ...]) -> tuple[Symmetric, tuple[Array, ...]]:
         """S, and by how much ½S:D misses ΔW if γ is to mend it."""
@@ -293,22 +295,22 @@ class _Equation(NamedTuple):
         """U E + c F_{n+α} S − Δt P_n, and what ½S:D misses."""
         U = _matrix(x)
         S, missed = self.law(self.change(U), tuple(x[9:]))
-        force = small.product(small.combine(self.F, U, self.alpha), small.rows(S))
-        motion = small.combine(small.product(U, small.rows(self.E)), force, self.c)
-        return jnp.stack([*_entries(small.combine(motion, self.P, -self.dt)), *missed])
+        force = three.product(three.combine(self.F, U, self.alpha), three.rows(S))
+        motion = three.combine(three.product(U, three.rows(self.E)), force, self.c)
+        return jnp.stack([*_entries(three.combine(motion, self.P, -self.dt)), *missed])
 
     def correction(self, x: Array, R: Array) -> Array:
         """Newton's step, shortened where it would lead out of GL⁺(3), γ kept in its interval."""
         rule, c, a = self.rule, self.c, self.a
         U, gamma = _matrix(x), tuple(x[9:])
         (S, _), tangent = jax.linearize(self.law, self.change(U), gamma)
-        N = small.along(self.E, S, self.alpha * c)
-        watched, middle = small.combine(self.F, U, a), small.combine(self.F, U, self.alpha)
+        N = three.along(self.E, S, self.alpha * c)
+        watched, middle = three.combine(self.F, U, a), three.combine(self.F, U, self.alpha)
         columns = [tangent(*direction) for direction in _directions(len(gamma), x[0])]
-        force, limits = small.scale_matrix(c, middle), [(g - rule.end, g) for g in gamma]
+        force, limits = three.scale_matrix(c, middle), [(g - rule.end, g) for g in gamma]
         dU, d_gamma = _newton_step(N, watched, force, a, columns, R, limits)
-        t = _fraction(watched, small.scale_matrix(-a, dU))
-        return jnp.stack([*_entries(small.scale_matrix(t, dU)), *d_gamma])
+        t = _fraction(watched, three.scale_matrix(-a, dU))
+        return jnp.stack([*_entries(three.scale_matrix(t, dU)), *d_gamma])
 
     def done(self, x: Array, step: Array) -> Array:
         """Whether the next correction, quadratically smaller, would be round-off."""
@@ -331,15 +333,15 @@ def _newton_step(
     With dU = (R − cF_{n+α}dS)N⁻¹ put into dD, six equations for dD are left:
     dD + a sym(Gᵀ cF_{n+α} dS N⁻¹) = a sym(Gᵀ R N⁻¹), sym A = A + Aᵀ. The equation for γ, if any, is eliminated last.
     """
-    adjugate = small.adjugate(N)
-    r = 1 / small.determinant(N, adjugate)
-    N_inverse = small.rows(tuple(r * x for x in adjugate))
-    A = small.scale_matrix(a, small.transposed_product(watched, force))
-    free = small.product(_matrix(R), N_inverse)
-    right = small.plus_transpose(small.scale_matrix(a, small.transposed_product(watched, free)))
-    images = [small.plus_transpose(small.product(small.product(A, small.rows(S)), N_inverse)) for S, _ in columns]
+    adjugate = three.adjugate(N)
+    r = 1 / three.determinant(N, adjugate)
+    N_inverse = three.rows(tuple(r * x for x in adjugate))
+    A = three.scale_matrix(a, three.transposed_product(watched, force))
+    free = three.product(_matrix(R), N_inverse)
+    right = three.plus_transpose(three.scale_matrix(a, three.transposed_product(watched, free)))
+    images = [three.plus_transpose(three.product(three.product(A, three.rows(S)), N_inverse)) for S, _ in columns]
     K = [[images[p][q] + (1 if p == q else 0) for p in range(6)] for q in range(6)]
-    dD, *by_gamma = dense.eliminate(K, right, *images[6:])
+    dD, *by_gamma = unrolled.eliminate(K, right, *images[6:])
     step, d_gamma = dD, []
     for k, (per_gamma, (least, most)) in enumerate(zip(by_gamma, limits, strict=True)):
         row = [missed[k] for _, missed in columns]
@@ -348,7 +350,7 @@ def _newton_step(
         d_gamma.append(jnp.clip(left / slope, least, most))
         step = [x - y * d_gamma[k] for x, y in zip(dD, per_gamma, strict=True)]
     dS: Any = [sum(d * S[q] for d, (S, _) in zip([*step, *d_gamma], columns, strict=True)) for q in range(6)]
-    return small.combine(free, small.product(small.product(force, small.rows(dS)), N_inverse), -1), d_gamma
+    return three.combine(free, three.product(three.product(force, three.rows(dS)), N_inverse), -1), d_gamma
 
 
 def _directions(gammas: int, like: Array) -> list[tuple[Symmetric, tuple[Array, ...]]]:
@@ -361,10 +363,10 @@ def _directions(gammas: int, like: Array) -> list[tuple[Symmetric, tuple[Array, 
 
 def _fraction(G: Matrix, dG: Matrix) -> Array:
     """The largest tried t with det(G + t dG) > det(G)/10: a cubic in t. The least one, if none has it."""
-    cof, cof_d = ((small.cross(A[1], A[2]), small.cross(A[2], A[0]), small.cross(A[0], A[1])) for A in (G, dG))
-    d0, d3 = small.dot(G[0], cof[0]), small.dot(dG[0], cof_d[0])
-    d1 = sum(small.dot(cof[i], dG[i]) for i in range(3))
-    d2 = sum(small.dot(cof_d[i], G[i]) for i in range(3))
+    cof, cof_d = ((three.cross(A[1], A[2]), three.cross(A[2], A[0]), three.cross(A[0], A[1])) for A in (G, dG))
+    d0, d3 = three.dot(G[0], cof[0]), three.dot(dG[0], cof_d[0])
+    d1 = sum(three.dot(cof[i], dG[i]) for i in range(3))
+    d2 = sum(three.dot(cof_d[i], G[i]) for i in range(3))
     fraction = jnp.full_like(d0, _FRACTIONS[0])
     for t in _FRACTIONS[1:]:
         fraction = jnp.where(d0 + t * (d1 + t * (d2 + t * d3)) > _SHRINK * d0, t, fraction)
@@ -384,4 +386,4 @@ def _entries(A: Matrix) -> list[Array]:
 
 
 def _largest(S: Symmetric) -> Array:
-    return jnp.maximum(small.max_abs(S[:3]), small.max_abs(S[3:]))
+    return jnp.maximum(three.max_abs(S[:3]), three.max_abs(S[3:]))

@@ -5,7 +5,7 @@ The discrete free body runs along the exact one with its clock wrong (see `prepr
     1/J̃_j = s/J_j + d
 
 two constants set the clock right, altogether: one for the motion of Π along its polhode, one for the turn about π. They
-depend on the step size and on energy and |π|, so `prepare` finds them once, in closed form (`free_body.clock`), and
+depend on the step size and on energy and |π|, so `prepare` finds them once, in closed form (`_free_body.clock`), and
 every step after costs what one of order 2 costs.
 """
 
@@ -19,11 +19,11 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import checks, free_body
+from lieint_jax import _checks, _free_body
+from lieint_jax._numerics.three import dot
 from lieint_jax.groups import so3
 from lieint_jax.schemes.preprocessed import retimed
 from lieint_jax.schemes.so3_midpoint import FreeBody, check_free_body, is_free_body
-from lieint_jax.small import dot
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 
 
@@ -63,7 +63,7 @@ class Calibrated(Step):
         return "calibrated"
 
     def prepare(self, state: State, dt: ArrayLike) -> Self:
-        found = free_body.clock(self.system.inertia, so3.Ad_star(state.q, state.p), dt)
+        found = _free_body.clock(self.system.inertia, so3.Ad_star(state.q, state.p), dt)
         clock = Clock(*found, jnp.asarray(dt, state.p.dtype), *self._invariants(state))
         return dataclasses.replace(self, clock=clock)
 
@@ -125,7 +125,7 @@ def calibrated(system: FreeBody, iterations: int | None = None) -> Calibrated:
     """
     check_free_body(system, "calibrated")
     if iterations is not None:
-        iterations = checks.count("iterations", iterations, 1)
+        iterations = _checks.count("iterations", iterations, 1)
     return Calibrated(system, None, iterations)
 
 

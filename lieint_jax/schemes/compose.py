@@ -69,7 +69,7 @@ class Composition(Step):
         def stage(carry: tuple[State, StepInfo, Array], following: Array) -> tuple[tuple[State, StepInfo, Array], None]:
             state, worst, h = carry
             state, info = self.step(state, h)
-            return (state, worst.worse(info), following), None
+            return (state, worst.merge(info), following), None
 
         # h is carried: XLA fuses a slice of the sub-steps into every loop over a batch, which triples their time
         sub_steps = jnp.asarray(self.gammas, state.p.dtype) * dt

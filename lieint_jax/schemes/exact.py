@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from lieint_jax import free_body
+from lieint_jax import _free_body
 from lieint_jax.schemes.so3_midpoint import FreeBody, check_free_body, is_free_body
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 
@@ -34,7 +34,7 @@ class Exact(Step):
         return "exact"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        q, error = free_body.attitude(self.system.inertia, state.q, state.p, dt)
+        q, error = _free_body.attitude(self.system.inertia, state.q, state.p, dt)
         return State(q, state.p), StepInfo(error, error <= 1024 * jnp.finfo(q.dtype).eps)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
@@ -55,7 +55,7 @@ def exact(system: FreeBody) -> Exact:
 
     Args:
         system: `systems.rigid_body(...)`. For a full tensor each step finds the principal axes, which is slower, and
-            energy drifts by half an eps per step. Derivatives: see `free_body.attitude`.
+            energy drifts by half an eps per step. Derivatives: see `_free_body.attitude`.
 
     Raises:
         ValueError: not a free rigid body.

@@ -23,7 +23,8 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import checks, dense
+from lieint_jax import _checks
+from lieint_jax._numerics import unrolled
 from lieint_jax.maps import Tau, as_tau, exponential
 from lieint_jax.schemes._on_groups import Equation, as_vector, coadjoint, guess, newton_matrix, size_unit, solved
 from lieint_jax.types import Group, State, Step, StepInfo, System, pytree, static
@@ -65,34 +66,34 @@ class GroupEnergyMomentum(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         group, tau, q = self.system.group, self.tau, state.q
-        dt = jnp.asarray(checks.step_size(dt), state.p.dtype)
+        dt = jnp.asarray(_checks.step_size(dt), state.p.dtype)
         equation, s = Equation.of(self.system, tau, state, 0.5 * dt), 0.5 * dt * dt
         m, a = equation.m, equation.a
-        pull = dense.settled(as_vector(m, s * self.system.body_force(q)))  # what the kick is, nearly
+        pull = unrolled.settled(as_vector(m, s * self.system.body_force(q)))  # what the kick is, nearly
 
-        def force(theta: dense.Vector) -> Array:
+        def force(theta: unrolled.Vector) -> Array:
             """𝓕(q_n, Θ)."""
-            Theta = dense.as_array(theta, state.p)
+            Theta = unrolled.as_array(theta, state.p)
             nodes = jnp.asarray(_NODES, Theta.dtype)
             at = jax.vmap(lambda s: self.system.force(group.multiply(q, tau(group, s * Theta))))(nodes)
             return jnp.tensordot(jnp.asarray(_WEIGHTS, Theta.dtype), at, 1)
 
-        def residual(theta: dense.Vector) -> dense.Vector:
-            kicked = dense.plus(a, as_vector(m, s * group.Ad_star(q, force(theta))))
-            return equation.residual(theta, coadjoint(tau, group, theta, dense.settled(kicked)))
+        def residual(theta: unrolled.Vector) -> unrolled.Vector:
+            kicked = unrolled.plus(a, as_vector(m, s * group.Ad_star(q, force(theta))))
+            return equation.residual(theta, coadjoint(tau, group, theta, unrolled.settled(kicked)))
 
-        def matrix(theta: dense.Vector, F: dense.Vector) -> dense.Matrix:
-            half_turn = dense.as_array(theta, state.p) / 2
+        def matrix(theta: unrolled.Vector, F: unrolled.Vector) -> unrolled.Matrix:
+            half_turn = unrolled.as_array(theta, state.p) / 2
             middle = lax.stop_gradient(group.multiply(q, tau(group, half_turn)))
             bend = jax.jacfwd(lambda x: self.system.body_force(middle + group.tangent(middle, x)))(
                 jnp.zeros_like(half_turn)
             )
             bend = lax.stop_gradient(s / 2 * bend)
             K = newton_matrix(equation, theta, F)
-            return dense.combination((1.0, K), (-1.0, dense.as_list(bend) if isinstance(K, list) else bend))
+            return unrolled.combination((1.0, K), (-1.0, unrolled.as_list(bend) if isinstance(K, list) else bend))
 
-        size = size_unit(m, dense.each(jnp.maximum, dense.each(jnp.abs, a), dense.each(jnp.abs, pull)))
-        start = guess(group, m, dense.plus(a, (0.5, pull)))
+        size = size_unit(m, unrolled.each(jnp.maximum, unrolled.each(jnp.abs, a), unrolled.each(jnp.abs, pull)))
+        start = guess(group, m, unrolled.plus(a, (0.5, pull)))
         theta, Theta, info = solved(equation, residual, matrix, size, start, self.iterations)
         return State(group.multiply(q, tau(group, Theta)), state.p + dt * force(theta)), info
 
@@ -128,7 +129,7 @@ def group_energy_momentum(system: Mechanical, iterations: int = 6) -> GroupEnerg
             "potential take group_midpoint"
         )
     tau = as_tau(exponential, system.group)
-    return GroupEnergyMomentum(system, tau, checks.count("iterations", iterations, 1))
+    return GroupEnergyMomentum(system, tau, _checks.count("iterations", iterations, 1))
 
 
 def examples(system: Any) -> dict[str, Step]:

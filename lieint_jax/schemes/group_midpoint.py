@@ -21,7 +21,8 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax import checks, dense
+from lieint_jax import _checks
+from lieint_jax._numerics import unrolled
 from lieint_jax.maps import Map, Tau, as_tau, cayley, exponential
 from lieint_jax.schemes._on_groups import Equation, coadjoint, guess, newton_matrix, size_unit, solved
 from lieint_jax.types import Group, State, Step, StepInfo, System, pytree, static
@@ -58,12 +59,12 @@ class GroupMidpoint(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         group, tau = self.system.group, self.tau
-        equation = Equation.of(self.system, tau, state, 0.5 * checks.step_size(dt))
+        equation = Equation.of(self.system, tau, state, 0.5 * _checks.step_size(dt))
 
-        def residual(theta: dense.Vector) -> dense.Vector:
+        def residual(theta: unrolled.Vector) -> unrolled.Vector:
             return equation.residual(theta, coadjoint(tau, group, theta, equation.a))
 
-        def matrix(theta: dense.Vector, F: dense.Vector) -> dense.Matrix:
+        def matrix(theta: unrolled.Vector, F: unrolled.Vector) -> unrolled.Matrix:
             return newton_matrix(equation, theta, F)
 
         m, a = equation.m, equation.a
@@ -114,7 +115,7 @@ def group_midpoint(system: Geodesic, tau: Tau | Map = exponential, iterations: i
         )
     tau = as_tau(tau, system.group)
     order = 2 if tau.symmetric else 1
-    return GroupMidpoint(system, tau, checks.count("iterations", iterations, 1), order, tau.symmetric)
+    return GroupMidpoint(system, tau, _checks.count("iterations", iterations, 1), order, tau.symmetric)
 
 
 def examples(system: Any) -> dict[str, Step]:

@@ -21,7 +21,8 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax import checks, small
+from lieint_jax import _checks
+from lieint_jax._numerics import three
 from lieint_jax.maps import kappa_symplectic
 from lieint_jax.schemes.so3_midpoint import FreeBody, SO3Midpoint, check_free_body, is_free_body, so3_midpoint
 from lieint_jax.types import State, Step, StepInfo, pytree, static
@@ -56,12 +57,12 @@ class Preprocessed(Step):
 
     def _clock(self, state: State, dt: ArrayLike) -> tuple[Array, Array]:
         """s and d, the latter over the trace of J: computed for J of trace 1, so that no power overflows."""
-        J, r = small.unit_trace(self.system.inertia)
-        adj = small.adjugate(J)
-        D = small.determinant(J, adj)
-        X1, S2 = small.trace(adj) / D, small.trace(J) ** 2 - 2 * small.trace(adj)
+        J, r = three.unit_trace(self.system.inertia)
+        adj = three.adjugate(J)
+        D = three.determinant(J, adj)
+        X1, S2 = three.trace(adj) / D, three.trace(J) ** 2 - 2 * three.trace(adj)
         X2, Y = X1**2 - 2 / D, X1 - 3  # S₁ = 1; Σ 1/(J_iJ_j) = S₁/D
-        C = small.dot(state.p, state.p) * (r * dt) ** 2 / 2
+        C = three.dot(state.p, state.p) * (r * dt) ** 2 / 2
         H = self.system.energy(state) * r * dt**2
         s, d = 1 + C / (6 * D) - X1 * H / 3, -C / (3 * D) + H / (6 * D)
         if self.order == 6:
@@ -76,8 +77,8 @@ def retimed(system: FreeBody, s: Array, d: Array, iterations: int | None) -> SO3
     if J.ndim == 1:
         modified = J / (s + d * J)
     else:
-        M = small.symmetric(s * jnp.eye(3, dtype=J.dtype) + d * J)
-        modified = jnp.stack([jnp.stack(small.solve_symmetric(M, J[:, k])) for k in range(3)], axis=1)
+        M = three.symmetric(s * jnp.eye(3, dtype=J.dtype) + d * J)
+        modified = jnp.stack([jnp.stack(three.solve_symmetric(M, J[:, k])) for k in range(3)], axis=1)
     body = dataclasses.replace(system, inertia=modified)  # pyright: ignore[reportArgumentType, reportCallIssue]
     return so3_midpoint(body, kappa_symplectic, iterations)
 
@@ -107,7 +108,7 @@ def preprocessed(system: FreeBody, order: int, iterations: int | None = None) ->
     if order not in (4, 6):
         raise ValueError(f"order must be 4 or 6, got {order!r}; compose(so3_midpoint(...), order) goes to 10")
     if iterations is not None:
-        iterations = checks.count("iterations", iterations, 1)
+        iterations = _checks.count("iterations", iterations, 1)
     return Preprocessed(system, order, iterations)
 
 

@@ -19,7 +19,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import small
+from lieint_jax._numerics import three
+from lieint_jax._numerics.three import dot
 from lieint_jax.groups import so3
 from lieint_jax.schemes.so3_midpoint import (
     FreeBody,
@@ -31,7 +32,6 @@ from lieint_jax.schemes.so3_midpoint import (
     scaled,
     so3_midpoint,
 )
-from lieint_jax.small import dot
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 
 _ITERATIONS = 4  # corrections of m, which is solved for once
@@ -65,19 +65,19 @@ class SO3Explicit(Step):
 
     def prepare(self, state: State, dt: ArrayLike) -> Self:
         J, a = scaled(self.system, state, dt)
-        C = small.adjugate(J)
-        Ca = small.apply(C, a)
+        C = three.adjugate(J)
+        Ca = three.apply(C, a)
         lever = lax.stop_gradient(4 * dot(a, a) * dot(Ca, Ca))  # |a × adj(J)a|² is at most a quarter of it
         there = lever > jnp.finfo(a.dtype).tiny
-        gain = jnp.where(there, _FEEDBACK * small.determinant(J, C) / jnp.where(there, lever, 1), 0)
+        gain = jnp.where(there, _FEEDBACK * three.determinant(J, C) / jnp.where(there, lever, 1), 0)
         return dataclasses.replace(self, m=scalar_root(J, a, _ITERATIONS), gain=lax.stop_gradient(gain))
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         """One step; of the trajectory and step size that it was prepared for, or else it prepares itself."""
         J, a = scaled(self.system, state, dt)
         h = half_cayley(J, a, scalar_root(J, a, _ITERATIONS) if self.m is None else self.m, self.gain)
-        residual = lax.stop_gradient(small.max_abs(scalar_residual(J, a, h)))
-        converged = (residual <= _DRIFT * jnp.finfo(a.dtype).eps * small.max_abs(a)) & (dot(h, h) <= 1)
+        residual = lax.stop_gradient(three.max_abs(scalar_residual(J, a, h)))
+        converged = (residual <= _DRIFT * jnp.finfo(a.dtype).eps * three.max_abs(a)) & (dot(h, h) <= 1)
         return State(so3.cayley_increment(state.q, h), state.p), StepInfo(residual, converged)
 
     def advice(self, state: State, dt: ArrayLike) -> str:

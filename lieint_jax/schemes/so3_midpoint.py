@@ -27,10 +27,11 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import checks, newton, small
+from lieint_jax import _checks
+from lieint_jax._numerics import newton, three
+from lieint_jax._numerics.three import Symmetric, Vector, add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
-from lieint_jax.small import Symmetric, Vector, add, apply, cross, dot, scale, subtract
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
 
@@ -72,7 +73,7 @@ class SO3Midpoint(Step):
         else:
             h, residual, good = _solve_vector(self.kappa, J, a, self.iterations)
         residual = lax.stop_gradient(jnp.sqrt(dot(residual, residual)))
-        converged = (residual <= 32 * jnp.finfo(a.dtype).eps * small.max_abs(a)) & good
+        converged = (residual <= 32 * jnp.finfo(a.dtype).eps * three.max_abs(a)) & good
         return State(so3.cayley_increment(state.q, h), state.p), StepInfo(residual, converged)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
@@ -123,7 +124,7 @@ def so3_midpoint(
     kappa = as_kappa(kappa)
     if iterations is None:
         iterations = 3 if kappa.solve_by == "scalar" else 4
-    return SO3Midpoint(system, kappa, checks.count("iterations", iterations, 1))
+    return SO3Midpoint(system, kappa, _checks.count("iterations", iterations, 1))
 
 
 def examples(system: Any) -> dict[str, Step]:
@@ -147,8 +148,8 @@ def check_free_body(system: Any, scheme: str) -> None:
 
 def scaled(system: FreeBody, state: State, dt: ArrayLike) -> tuple[Symmetric, Array]:
     """J and a = ½Δt Π_n, both over tr J: then |a| is an angle, and no power of a large inertia overflows."""
-    J, r = small.unit_trace(system.inertia)
-    return J, (0.5 * r * checks.step_size(dt)) * so3.Ad_star(state.q, state.p)
+    J, r = three.unit_trace(system.inertia)
+    return J, (0.5 * r * _checks.step_size(dt)) * so3.Ad_star(state.q, state.p)
 
 
 def _solve_scalar(J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vector, Array]:
@@ -163,8 +164,8 @@ def _solve_scalar(J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vect
 
 def scalar_root(J: Symmetric, a: Array, iterations: int) -> Array:
     """m = a·(J − m − â)⁻¹a, constant along a trajectory, for tr J = 1."""
-    C = small.adjugate(J)
-    J3, J2 = small.determinant(J, C), small.trace(C)
+    C = three.adjugate(J)
+    J3, J2 = three.determinant(J, C), three.trace(C)
     s, Ca = dot(a, a), apply(C, a)
     c0, c1, c2 = -(dot(a, Ca) + s * s), J3 + s, -(J2 + 2 * s)  # m det(J − m − â) − a·adj(J − m − â)a = c0 + c1 m + …
 
@@ -191,8 +192,8 @@ def half_cayley(J: Symmetric, a: Array, m: Array, gain: Array | None = None) -> 
     solved for elsewhere on a trajectory, the quartic says by how much energy is off here; with a `gain`, a turn about
     a × J⁻¹a takes so much of it back.
     """
-    C = small.adjugate(J)
-    J3, J2 = small.determinant(J, C), small.trace(C)
+    C = three.adjugate(J)
+    J3, J2 = three.determinant(J, C), three.trace(C)
     Ja, Ca, s = apply(J, a), apply(C, a), dot(a, a)
     k = s - m * (1 - m)
     w = J3 - m * (J2 + k)
@@ -218,10 +219,10 @@ def _solve_vector(kappa: Kappa, J: Symmetric, a: Array, iterations: int) -> tupl
         return subtract(gyration(kappa, J, y), a)
 
     def correction(y: Vector, f: Vector) -> Vector:
-        return small.solve(gyration_matrix(kappa, J, y), f)
+        return three.solve(gyration_matrix(kappa, J, y), f)
 
-    u = small.solve_symmetric(J, a)
-    guess = add(u, small.solve_symmetric(J, cross(a, u)))  # ½(ΔtΩ + ½Δt²J⁻¹(Π × Ω))
+    u = three.solve_symmetric(J, a)
+    guess = add(u, three.solve_symmetric(J, cross(a, u)))  # ½(ΔtΩ + ½Δt²J⁻¹(Π × Ω))
     y, f = newton.root(residual, correction, guess, iterations)
     k = kappa(4 * dot(y, y))
     return (k * y[0], k * y[1], k * y[2]), f, on_branch(kappa, y, gyration_matrix(kappa, J, lax.stop_gradient(y)))
@@ -232,19 +233,19 @@ def gyration(kappa: Kappa, J: Symmetric, y: Vector) -> Vector:
     return add(apply(J, y), scale(kappa(4 * dot(y, y)), _cross_apply(y, J)))
 
 
-def gyration_matrix(kappa: Kappa, J: Symmetric, y: Vector) -> small.Matrix:
+def gyration_matrix(kappa: Kappa, J: Symmetric, y: Vector) -> three.Matrix:
     """Its derivative, K = J + κ(ŷJ − (Jy)^) + 8κ′(y × Jy)⊗y, as rows."""
     e, G = _dense(J), _gyroscopic(J, y)
     if kappa.constant:
-        return small.combine(e, G)
+        return three.combine(e, G)
     k, slope = jax.jvp(kappa, (4 * dot(y, y),), (jnp.full_like(y[0], 8),))
     g = scale(slope, _cross_apply(y, J))
     return [[e[i][j] + k * G[i][j] + g[i] * y[j] for j in range(3)] for i in range(3)]
 
 
-def on_branch(kappa: Kappa, y: Vector, K: small.Matrix) -> Array:
+def on_branch(kappa: Kappa, y: Vector, K: three.Matrix) -> Array:
     """Whether y = ½Θ̄ lies where κ is real, and before the fold of the branch, where det K changes its sign."""
-    return (4 * dot(y, y) <= kappa.limit**2) & (small.det(K) > 0)
+    return (4 * dot(y, y) <= kappa.limit**2) & (three.det(K) > 0)
 
 
 def _cross_apply(y: Vector, J: Symmetric) -> Vector:
@@ -254,7 +255,7 @@ def _cross_apply(y: Vector, J: Symmetric) -> Vector:
     return cross(y, apply(J, y))
 
 
-def _gyroscopic(J: Symmetric, y: Vector) -> small.Matrix:
+def _gyroscopic(J: Symmetric, y: Vector) -> three.Matrix:
     """The derivative of y × Jy: ŷJ − (Jy)^."""
     if len(J) == 3:
         d = (J[2] - J[1], J[0] - J[2], J[1] - J[0])
@@ -264,15 +265,15 @@ def _gyroscopic(J: Symmetric, y: Vector) -> small.Matrix:
             (d[1] * y[2], zero, d[1] * y[0]),
             (d[2] * y[1], d[2] * y[0], zero),
         )
-    yJ = [cross(y, row) for row in small.rows(J)]  # columns of ŷJ, J being symmetric
+    yJ = [cross(y, row) for row in three.rows(J)]  # columns of ŷJ, J being symmetric
     x, y_, z = apply(J, y)
     zero = jnp.zeros_like(x)
     Jy = ((zero, -z, y_), (z, zero, -x), (-y_, x, zero))
     return [[yJ[j][i] - Jy[i][j] for j in range(3)] for i in range(3)]
 
 
-def _dense(J: Symmetric) -> small.Matrix:
+def _dense(J: Symmetric) -> three.Matrix:
     if len(J) == 6:
-        return small.rows(J)
+        return three.rows(J)
     zero = jnp.zeros_like(J[0])
     return ((J[0], zero, zero), (zero, J[1], zero), (zero, zero, J[2]))

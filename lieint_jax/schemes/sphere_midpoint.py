@@ -16,7 +16,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import checks, newton, small
+from lieint_jax import _checks
+from lieint_jax._numerics import newton, three
 from lieint_jax.phase_spaces import CotangentSphere
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
@@ -50,25 +51,25 @@ class SphereMidpoint(Step):
         return f"sphere_midpoint[{'normalised' if self.normalised else 'plain'}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        dt = jnp.asarray(checks.step_size(dt), state.p.dtype)
+        dt = jnp.asarray(_checks.step_size(dt), state.p.dtype)
         (q, p), h = state, dt / self.system.mass
 
         def torque(u: Array) -> tuple[Array, Array]:
             """r, and −Δt r × ∇V(r)."""
             r = q + u / 2
-            r = r / jnp.sqrt(small.dot(r, r)) if self.normalised else r
-            return r, -dt * jnp.stack(small.cross(r, jax.grad(self.system.potential)(r)))
+            r = r / jnp.sqrt(three.dot(r, r)) if self.normalised else r
+            return r, -dt * jnp.stack(three.cross(r, jax.grad(self.system.potential)(r)))
 
         def equation(u: Array) -> Array:
             r, change = torque(u)
-            return u - h * jnp.stack(small.cross(p + change / 2, r))
+            return u - h * jnp.stack(three.cross(p + change / 2, r))
 
         def correction(u: Array, f: Array) -> Array:
-            return jnp.stack(small.solve(jax.jacfwd(equation)(u), f))
+            return jnp.stack(three.solve(jax.jacfwd(equation)(u), f))
 
-        u, f = newton.root(equation, correction, h * jnp.stack(small.cross(p, q)), self.iterations)
-        residual = lax.stop_gradient(small.max_abs(f))
-        converged = (residual <= 32 * jnp.finfo(u.dtype).eps) & (small.dot(u, u) < 4)
+        u, f = newton.root(equation, correction, h * jnp.stack(three.cross(p, q)), self.iterations)
+        residual = lax.stop_gradient(three.max_abs(f))
+        converged = (residual <= 32 * jnp.finfo(u.dtype).eps) & (three.dot(u, u) < 4)
         return State(q + u, p + torque(u)[1]), StepInfo(residual, converged)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
@@ -101,7 +102,7 @@ def sphere_midpoint(system: OnSphere, normalised: bool = False, iterations: int 
     """
     if not _on_sphere(system):
         raise ValueError(f"sphere_midpoint moves pendulums (systems.pendulum), got {type(system).__name__}")
-    return SphereMidpoint(system, bool(normalised), checks.count("iterations", iterations, 1))
+    return SphereMidpoint(system, bool(normalised), _checks.count("iterations", iterations, 1))
 
 
 def examples(system: Any) -> dict[str, Step]:

@@ -16,10 +16,11 @@ import jax
 from jax import Array
 from jax.typing import ArrayLike
 
+from lieint_jax._checks import concrete
 from lieint_jax.maps import arcsine, is_symplectic
 from lieint_jax.schemes.group_midpoint import group_midpoint, is_geodesic
 from lieint_jax.schemes.so3_midpoint import is_free_body, so3_midpoint
-from lieint_jax.types import State, Step, StepInfo, System, concrete, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
 
 class Forced(System, Protocol):

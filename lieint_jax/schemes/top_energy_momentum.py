@@ -21,11 +21,12 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import checks, newton, small
+from lieint_jax import _checks
+from lieint_jax._numerics import newton, three
+from lieint_jax._numerics.three import Vector, add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes.so3_midpoint import gyration, gyration_matrix, on_branch
-from lieint_jax.small import Vector, add, apply, cross, dot, scale, subtract
 from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -64,7 +65,7 @@ class TopEnergyMomentum(Step):
         return f"top_energy_momentum[{self.kappa.name}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        dt, q = checks.step_size(dt), state.q
+        dt, q = _checks.step_size(dt), state.q
         y, D, info = self._solve(state, dt)
         k = self.kappa(4 * dot(y, y))
         h = scale(k, y)
@@ -76,10 +77,10 @@ class TopEnergyMomentum(Step):
     def _solve(self, state: State, dt: ArrayLike) -> tuple[Vector, Vector, StepInfo]:
         """y, the discrete gradient, and the report. J, a and s are divided by tr J: then |a| is an angle."""
         kappa, potential = self.kappa, self.system.potential
-        J, r = small.unit_trace(self.system.inertia)
+        J, r = three.unit_trace(self.system.inertia)
         s = 0.25 * r * dt * dt
         a = scale(0.5 * r * dt, so3.Ad_star(state.q, state.p))
-        Gamma = small.components(so3.Ad_star(state.q, self.system.axis))
+        Gamma = three.components(so3.Ad_star(state.q, self.system.axis))
 
         def turn(y: Vector) -> tuple[Array, Vector]:
             """κ and h."""
@@ -95,7 +96,7 @@ class TopEnergyMomentum(Step):
             balance = subtract(subtract(gyration(kappa, J, y), a), w)
             return add(scale(1 + dot(h, h), balance), scale(dot(h, w), h))
 
-        def matrix(y: Vector) -> small.Matrix:
+        def matrix(y: Vector) -> three.Matrix:
             """∂/∂y over 1 + |h|², but for κ′ in the moment and O(Δt⁴): the last two terms are those of (h·w) h."""
             (k, h), K = turn(y), gyration_matrix(kappa, J, y)
             F = scale(k * k, scale(s, gradient(h)))  # sκ²D̄
@@ -103,22 +104,22 @@ class TopEnergyMomentum(Step):
             d = dot(Gamma, F) - dot(h, w)
             if not _is_linear(potential):  # S = 2∂D̄/∂Γ_{n+1}, up to O(ΔΓ²)
                 at = jnp.stack(add(Gamma, scale(2, _turned(h, Gamma)))) / 3
-                S = small.symmetric(jax.hessian(potential)(at))
-                K = small.combine(K, [cross(Gamma, apply(S, cross(Gamma, e))) for e in np.eye(3)], -s * k * k)
+                S = three.symmetric(jax.hessian(potential)(at))
+                K = three.combine(K, [cross(Gamma, apply(S, cross(Gamma, e))) for e in np.eye(3)], -s * k * k)
             return [
                 [K[i][j] - (d if i == j else 0) + Gamma[i] * F[j] + h[i] * w[j] for j in range(3)] for i in range(3)
             ]
 
         def correction(y: Vector, f: Vector) -> Vector:
             _, h = turn(y)
-            return small.solve(matrix(y), f, 1 + dot(h, h))
+            return three.solve(matrix(y), f, 1 + dot(h, h))
 
-        u = small.solve_symmetric(J, a)
+        u = three.solve_symmetric(J, a)
         at_rest = scale(s, cross(Gamma, gradient(jnp.zeros_like(state.p))))
-        guess = add(u, small.solve_symmetric(J, add(cross(a, u), at_rest)))
+        guess = add(u, three.solve_symmetric(J, add(cross(a, u), at_rest)))
         y, f = newton.root(residual, correction, guess, self.iterations, unroll=_is_linear(potential))
         D, at = gradient(turn(y)[1]), lax.stop_gradient(y)
-        size = lax.stop_gradient(small.max_abs(a) + s * _size(potential, Gamma, D, y))
+        size = lax.stop_gradient(three.max_abs(a) + s * _size(potential, Gamma, D, y))
         f = lax.stop_gradient(jnp.sqrt(dot(f, f)))
         converged = (f <= 32 * jnp.finfo(f.dtype).eps * size) & on_branch(kappa, at, matrix(at))
         return y, D, StepInfo(f, converged)
@@ -166,7 +167,7 @@ def top_energy_momentum(
     kappa = as_kappa(kappa)
     if iterations is None:
         iterations = (3 if kappa.constant else 5) if _is_linear(system.potential) else 6
-    return TopEnergyMomentum(system, kappa, checks.count("iterations", iterations, 1))
+    return TopEnergyMomentum(system, kappa, _checks.count("iterations", iterations, 1))
 
 
 def discrete_gradient(potential: Callable[[Array], Array], a: Array, b: Array) -> Array:
@@ -193,7 +194,7 @@ def _size(potential: Callable[[Array], Array], Gamma: Vector, D: Vector, y: Vect
     square = dot(step, step)
     corrected = (square > _APART / 4) & (not hasattr(potential, "discrete_gradient"))
     noise = jnp.abs(potential(jnp.stack(Gamma))) / jnp.sqrt(jnp.where(corrected, square, 1))
-    return small.max_abs(Gamma) * (small.max_abs(D) + jnp.where(corrected, noise, 0))
+    return three.max_abs(Gamma) * (three.max_abs(D) + jnp.where(corrected, noise, 0))
 
 
 def _turned(h: Vector, Gamma: Vector) -> Vector:

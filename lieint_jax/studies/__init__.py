@@ -25,10 +25,21 @@ The studies: `toutatis`, `gyro`, `kappa`, `material`, `sensitivity`, each a modu
 `lieint study NAME`.
 """
 
-from lieint_jax.studies._bounds import Bound, free, inertia, inertia_ratios, interval, positive, principal_inertia, spd
-from lieint_jax.studies._fit import Fit, covariance, fit
-from lieint_jax.studies._members import over_members
-from lieint_jax.studies._reversible import observe, reversible, round_trip_error
+from lieint_jax.adjoints import observe, reversible, round_trip_error
+from lieint_jax.ensemble import over_members
+from lieint_jax.fitting import (
+    Bound,
+    Fit,
+    covariance,
+    fit,
+    free,
+    inertia,
+    inertia_ratios,
+    interval,
+    positive,
+    principal_inertia,
+    spd,
+)
 
 __all__ = [
     "Bound",

@@ -18,10 +18,10 @@ from jax.flatten_util import ravel_pytree
 from matplotlib.figure import Figure
 
 from lieint_jax import diagnostics, plots, schemes, systems
+from lieint_jax.adjoints._reversible import reversible
+from lieint_jax.fitting._bounds import positive
+from lieint_jax.fitting._fit import Fit, fit
 from lieint_jax.integrate import integrate
-from lieint_jax.studies._bounds import positive
-from lieint_jax.studies._fit import Fit, fit
-from lieint_jax.studies._reversible import reversible
 from lieint_jax.systems import PseudoRigidBody
 from lieint_jax.types import State
 

@@ -18,11 +18,11 @@ from jax.flatten_util import ravel_pytree
 from matplotlib.figure import Figure
 
 from lieint_jax import ensemble, plots, scenarios, schemes
+from lieint_jax.fitting._bounds import free, inertia_ratios
+from lieint_jax.fitting._fit import Fit, fit
 from lieint_jax.groups import so3
 from lieint_jax.integrate import integrate
 from lieint_jax.scenarios.rigid_body import mean_periods
-from lieint_jax.studies._bounds import free, inertia_ratios
-from lieint_jax.studies._fit import Fit, fit
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State
 

@@ -7,7 +7,8 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import checks, small
+from lieint_jax import _checks
+from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.types import State
@@ -45,15 +46,15 @@ class Body:
             ValueError: not exactly one of the three, a wrong shape, a NaN, or an attitude that is no rotation.
         """
         q = _attitude(attitude)
-        name, given = checks.one_of(
+        name, given = _checks.one_of(
             angular_velocity=angular_velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum
         )
-        value = checks.real_array(name, given, (3,))
+        value = _checks.real_array(name, given, (3,))
         if name == "angular_velocity":
-            value = jnp.stack(small.apply(small.symmetric(self.inertia), value))
+            value = jnp.stack(three.apply(three.symmetric(self.inertia), value))
         p = value if name == "spatial_momentum" else so3.Ad(q, value)
         dtype = jnp.result_type(q, p)
-        return State(q.astype(dtype), checks.real_array("the spatial momentum", p.astype(dtype)))
+        return State(q.astype(dtype), _checks.real_array("the spatial momentum", p.astype(dtype)))
 
     def rotation_matrix(self, state: State) -> Array:
         """Λ, body to space, shape (3, 3)."""
@@ -65,24 +66,24 @@ class Body:
 
     def angular_velocity(self, state: State) -> Array:
         """The body angular velocity Ω = J⁻¹Π, shape (3,)."""
-        return jnp.stack(small.solve_symmetric(small.symmetric(self.inertia), self.body_momentum(state)))
+        return jnp.stack(three.solve_symmetric(three.symmetric(self.inertia), self.body_momentum(state)))
 
     def kinetic_energy(self, state: State) -> Array:
         """½ Π·J⁻¹Π."""
-        return small.dot(self.body_momentum(state), self.angular_velocity(state)) / 2
+        return three.dot(self.body_momentum(state), self.angular_velocity(state)) / 2
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""
-        checks.unit_quaternion("state.q", state.q)
-        checks.real_array("state.p", state.p, (3,))
+        _checks.unit_quaternion("state.q", state.q)
+        _checks.real_array("state.p", state.p, (3,))
 
 
 def _attitude(attitude: ArrayLike) -> Array:
     if np.shape(attitude) == (3, 3):
-        return so3.from_matrix(checks.rotation_matrix("attitude", attitude))
+        return so3.from_matrix(_checks.rotation_matrix("attitude", attitude))
     if np.shape(attitude) != (4,):
         raise ValueError(
             f"attitude must be a quaternion (4,) or a rotation matrix (3, 3), got shape {np.shape(attitude)}; "
             "use jax.vmap for batches"
         )
-    return so3.normalise(checks.unit_quaternion("attitude", attitude))
+    return so3.normalise(_checks.unit_quaternion("attitude", attitude))

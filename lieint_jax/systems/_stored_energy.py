@@ -20,9 +20,11 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax import checks, small
-from lieint_jax.small import Symmetric
-from lieint_jax.types import callable_pytree, concrete, pytree, static
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import power_series, three
+from lieint_jax._numerics.three import Symmetric
+from lieint_jax.types import callable_pytree, pytree, static
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
@@ -59,20 +61,20 @@ class _VolumeAndTrace(StoredEnergy):
         """(w(I₃ + ΔI₃) − w(I₃))/ΔI₃, and w′(I₃) for ΔI₃ = 0."""
 
     def __call__(self, C: Array) -> Array:
-        S = small.symmetric(C)
-        I3 = small.determinant(S, small.adjugate(S))
-        return self.mu / 2 * (small.trace(S) - 3) + self.volume_energy(I3)
+        S = three.symmetric(C)
+        I3 = three.determinant(S, three.adjugate(S))
+        return self.mu / 2 * (three.trace(S) - 3) + self.volume_energy(I3)
 
     def stress(self, C: Symmetric) -> Symmetric:
-        cofactor = small.adjugate(C)
-        I3 = small.determinant(C, cofactor)
+        cofactor = three.adjugate(C)
+        I3 = three.determinant(C, cofactor)
         return self._with(2 * self.slope(I3, jnp.zeros_like(I3)), cofactor)
 
     def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
-        middle = small.adjugate(tuple(c + d / 2 for c, d in zip(C, D, strict=True)))
-        cofactor = small.adjugate(D)
-        change = small.inner(middle, D) + small.determinant(D, cofactor) / 4
-        slope = self.slope(small.determinant(C, small.adjugate(C)), change)
+        middle = three.adjugate(tuple(c + d / 2 for c, d in zip(C, D, strict=True)))
+        cofactor = three.adjugate(D)
+        change = three.inner(middle, D) + three.determinant(D, cofactor) / 4
+        slope = self.slope(three.determinant(C, three.adjugate(C)), change)
         return self._with(2 * slope, tuple(m + c / 12 for m, c in zip(middle, cofactor, strict=True)))
 
     def _with(self, pressure: Array, cofactor: Symmetric) -> Symmetric:
@@ -90,7 +92,7 @@ class MooneyRivlin(_VolumeAndTrace):
         return self.lam / 2 * (I3 - 1) - (self.lam + self.mu) / 2 * jnp.log(I3)
 
     def slope(self, I3: Array, change: Array) -> Array:
-        return self.lam / 2 - (self.lam + self.mu) / 2 * small.log1p_ratio(change / I3) / I3
+        return self.lam / 2 - (self.lam + self.mu) / 2 * power_series.log1p_ratio(change / I3) / I3
 
 
 @pytree
@@ -106,7 +108,7 @@ class NeoHookean(_VolumeAndTrace):
 
     def slope(self, I3: Array, change: Array) -> Array:
         logs = jnp.log(I3) + jnp.log(I3 + change)
-        return (self.lam / 8 * logs - self.mu / 2) * small.log1p_ratio(change / I3) / I3
+        return (self.lam / 8 * logs - self.mu / 2) * power_series.log1p_ratio(change / I3) / I3
 
 
 @pytree
@@ -117,12 +119,12 @@ class SaintVenantKirchhoff(StoredEnergy):
     mu: Array
 
     def __call__(self, C: Array) -> Array:
-        G = _plus(-1, small.symmetric(C))
-        return self.lam / 8 * small.trace(G) ** 2 + self.mu / 4 * small.inner(G, G)
+        G = _plus(-1, three.symmetric(C))
+        return self.lam / 8 * three.trace(G) ** 2 + self.mu / 4 * three.inner(G, G)
 
     def stress(self, C: Symmetric) -> Symmetric:
         G = _plus(-1, C)
-        return _plus(self.lam / 2 * small.trace(G), tuple(self.mu * g for g in G))
+        return _plus(self.lam / 2 * three.trace(G), tuple(self.mu * g for g in G))
 
     def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
         return self.stress(tuple(c + d / 2 for c, d in zip(C, D, strict=True)))
@@ -139,13 +141,13 @@ class General(StoredEnergy):
         return self.function((C + C.T) / 2)
 
     def stress(self, C: Symmetric) -> Symmetric:
-        return small.symmetric(self._stress(jnp.array(small.rows(C))))
+        return three.symmetric(self._stress(jnp.array(three.rows(C))))
 
     def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
-        start, change = jnp.array(small.rows(C)), jnp.array(small.rows(D))
+        start, change = jnp.array(three.rows(C)), jnp.array(three.rows(D))
         nodes = jnp.asarray((_NODES + 1) / 2, start.dtype)
         stresses = jax.vmap(lambda s: self._stress(start + s * change))(nodes)
-        return small.symmetric(jnp.tensordot(jnp.asarray(_WEIGHTS / 2, start.dtype), stresses, 1))
+        return three.symmetric(jnp.tensordot(jnp.asarray(_WEIGHTS / 2, start.dtype), stresses, 1))
 
     def _stress(self, C: Array) -> Array:
         return 2 * jax.grad(self)(C)
@@ -203,7 +205,7 @@ def as_stored_energy(energy: Any) -> StoredEnergy:
 
 
 def _moduli(lam: ArrayLike, mu: ArrayLike) -> tuple[Array, Array]:
-    moduli = checks.real_array("lam", lam, ()), checks.real_array("mu", mu, ())
+    moduli = _checks.real_array("lam", lam, ()), _checks.real_array("mu", mu, ())
     for name, value in zip(("lam", "mu"), moduli, strict=True):
         if concrete(value) and not value > 0:
             raise ValueError(f"{name} must be positive, got {value}")

@@ -10,9 +10,11 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import checks, dense
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import unrolled
 from lieint_jax.phase_spaces import CotangentGroup
-from lieint_jax.types import Group, State, concrete, pytree, static
+from lieint_jax.types import Group, State, pytree, static
 
 
 @pytree
@@ -63,7 +65,7 @@ class Euler:
 
     def energy(self, state: State) -> Array:
         """½⟨Π, m⁻¹Π⟩ (5.18)."""
-        return dense.dot(*(dense.as_list(x) for x in (self.body_momentum(state), self.velocity(state)))) / 2
+        return unrolled.dot(*(unrolled.as_list(x) for x in (self.body_momentum(state), self.velocity(state)))) / 2
 
     def momentum(self, state: State) -> Array:
         """The momentum map of the left action (5.21): π itself, shape (d,)."""
@@ -100,7 +102,7 @@ def euler(group: Group, metric: ArrayLike) -> Euler:
         >>> float(plane.energy(plane.state(velocity=[1.0, 2.0, 0.0])))
         3.0
     """
-    return Euler(checks.positive_definite("metric", metric, group.dim), group)
+    return Euler(_checks.positive_definite("metric", metric, group.dim), group)
 
 
 def kirchhoff(semi_axes: tuple[float, float, float] = (3.0, 2.0, 1.0), center_of_mass: ArrayLike = (0, 0, 0)) -> Euler:
@@ -127,7 +129,7 @@ def kirchhoff(semi_axes: tuple[float, float, float] = (3.0, 2.0, 1.0), center_of
     axes = np.asarray(semi_axes, float)
     if axes.shape != (3,) or not np.all(np.isfinite(axes)) or axes.min() <= 0:
         raise ValueError(f"semi_axes must be three positive lengths, got {semi_axes}")
-    r = np.asarray(checks.real_array("center_of_mass", center_of_mass, (3,)), float)
+    r = np.asarray(_checks.real_array("center_of_mass", center_of_mass, (3,)), float)
     A = _depolarisation(axes)
     added_mass = A / (2 - A)
     added_inertia, inertia = np.zeros(3), np.zeros(3)
@@ -148,7 +150,7 @@ def manakov(a: ArrayLike = (1.0, 2.0, 3.5, 5.0)) -> Euler:
     """
     from lieint_jax.groups import special_orthogonal
 
-    array = checks.real_array("a", a)
+    array = _checks.real_array("a", a)
     if array.ndim != 1 or len(array) < 4 or (concrete(array) and np.asarray(array).min() <= 0):
         raise ValueError(f"a must be at least four positive numbers, got {a}; for n = 3 see rigid_body")
     i, j = np.triu_indices(len(array), 1)
@@ -196,16 +198,16 @@ def state_of(
     spatial_momentum: ArrayLike | None,
 ) -> State:
     """See `Euler.state`."""
-    element = jnp.asarray(group.identity, metric.dtype) if q is None else checks.real_array("q", q)
+    element = jnp.asarray(group.identity, metric.dtype) if q is None else _checks.real_array("q", q)
     check_element("q", group, element)
-    name, given = checks.one_of(velocity=velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum)
-    value = checks.real_array(name, given, (group.dim,))
+    name, given = _checks.one_of(velocity=velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum)
+    value = _checks.real_array(name, given, (group.dim,))
     if name == "velocity":
         value = flat(metric, value)
     if name != "spatial_momentum":
         value = group.Ad_star(group.inverse(element), value)
     dtype = jnp.result_type(element, value)
-    return State(element.astype(dtype), checks.real_array("the spatial momentum", value.astype(dtype)))
+    return State(element.astype(dtype), _checks.real_array("the spatial momentum", value.astype(dtype)))
 
 
 def check_element(name: str, group: Group, q: Array) -> None:
@@ -216,9 +218,9 @@ def check_element(name: str, group: Group, q: Array) -> None:
     if concrete(q):
         with jax.ensure_compile_time_eval():
             defect = abs(float(group.defect(jnp.asarray(q))))
-        if not defect <= 2 * checks.UNIT_TOLERANCE:
+        if not defect <= 2 * _checks.UNIT_TOLERANCE:
             raise ValueError(
-                f"{name} is off the group by {defect:.3g}, allowed is {2 * checks.UNIT_TOLERANCE:g}; make it by "
+                f"{name} is off the group by {defect:.3g}, allowed is {2 * _checks.UNIT_TOLERANCE:g}; make it by "
                 "group.exp and group.multiply"
             )
 
@@ -226,13 +228,15 @@ def check_element(name: str, group: Group, q: Array) -> None:
 def check_state(group: Group, state: State) -> None:
     """Raise ValueError if a concrete `state` is not on T*G."""
     check_element("state.q", group, state.q)
-    checks.real_array("state.p", state.p, (group.dim,))
+    _checks.real_array("state.p", state.p, (group.dim,))
 
 
 def flat(metric: Array, xi: Array) -> Array:
     """ξ♭ = m ξ."""
     return (
-        metric * xi if metric.ndim == 1 else dense.as_array(dense.matvec(dense.as_list(metric), dense.as_list(xi)), xi)
+        metric * xi
+        if metric.ndim == 1
+        else unrolled.as_array(unrolled.matvec(unrolled.as_list(metric), unrolled.as_list(xi)), xi)
     )
 
 
@@ -240,7 +244,7 @@ def sharp(metric: Array, mu: Array) -> Array:
     """μ♯ = m⁻¹ μ."""
     if metric.ndim == 1:
         return mu / metric
-    return dense.as_array(dense.solve(dense.as_list(metric), dense.as_list(mu)), mu)
+    return unrolled.as_array(unrolled.solve(unrolled.as_list(metric), unrolled.as_list(mu)), mu)
 
 
 def _depolarisation(axes: np.ndarray) -> np.ndarray:

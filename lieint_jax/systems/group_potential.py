@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import checks
+from lieint_jax import _checks
 from lieint_jax.systems.euler import Euler, kirchhoff
 from lieint_jax.types import Group, State, callable_pytree, pytree, static
 
@@ -81,10 +81,10 @@ def group_potential(
         >>> weight.force(weight.state(velocity=[0.0, 0.0, 0.0]).q).tolist()
         [-0.0, -0.0, -19.62]
     """
-    metric = checks.positive_definite("metric", metric, group.dim)
+    metric = _checks.positive_definite("metric", metric, group.dim)
     if not callable(potential):
         raise ValueError(f"potential must be a function of q, got {potential!r}")
-    directions = checks.real_array("symmetry", jnp.zeros((0, group.dim)) if symmetry is None else symmetry)
+    directions = _checks.real_array("symmetry", jnp.zeros((0, group.dim)) if symmetry is None else symmetry)
     if directions.ndim != 2 or directions.shape[1] != group.dim:
         raise ValueError(f"symmetry must have shape (k, {group.dim}), got {directions.shape}")
     value = jax.eval_shape(potential, jnp.asarray(group.identity, metric.dtype))

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import checks, elliptic, small
+from lieint_jax import _checks
+from lieint_jax._numerics import elliptic, three
 from lieint_jax.groups import so3
 from lieint_jax.systems.potential_top import PotentialTop, potential_top
 from lieint_jax.types import State, pytree, static
@@ -22,7 +23,7 @@ class Linear:
     linear: bool = static(default=True)
 
     def __call__(self, Gamma: Array) -> Array:
-        return small.dot(self.weight, Gamma)
+        return three.dot(self.weight, Gamma)
 
     def discrete_gradient(self, a: Array, b: Array) -> Array:
         """E, whatever a and b."""
@@ -46,7 +47,7 @@ def heavy_top(inertia: ArrayLike, weight: ArrayLike, axis: ArrayLike = (0.0, 0.0
         >>> float(top.energy(top.state(angular_velocity=[0.0, 0.0, 50.0])))
         1270.0
     """
-    return potential_top(inertia, Linear(checks.real_array("weight", weight, (3,))), axis)
+    return potential_top(inertia, Linear(_checks.real_array("weight", weight, (3,))), axis)
 
 
 def lagrange() -> tuple[PotentialTop, State]:
@@ -79,13 +80,13 @@ def lagrange_motion(top: PotentialTop, state: State) -> LagrangeMotion:
     Source: Whittaker, Analytical Dynamics, §71–72.
     """
     assert isinstance(top.potential, Linear)
-    J, size = small.symmetric(top.inertia), jnp.sqrt(small.dot(top._axis, top._axis))
+    J, size = three.symmetric(top.inertia), jnp.sqrt(three.dot(top._axis, top._axis))
     E = top.potential.weight[2]
     Pi = top.body_momentum(state)
     spin = jnp.sign(E) * Pi[2]
     alpha = 2 * jnp.abs(E) * size / J[0]
     a = (2 * top.energy(state) - Pi[2] ** 2 / J[2]) / J[0]
-    b, c = small.dot(top._axis, state.p) / (size * J[0]), spin / J[0]
+    b, c = three.dot(top._axis, state.p) / (size * J[0]), spin / J[0]
     u1, u2, u3 = _real_roots(-(a + c * c) / alpha, 2 * b * c / alpha - 1, (a - b * b) / alpha)
     m1, swing = (u3 - u2) / (u3 - u1), u2 - u1
     K, slow = elliptic.quarter_period(m1), 4 / jnp.sqrt(alpha * (u3 - u1))
@@ -117,7 +118,7 @@ def kovalevskaya_integral(top: PotentialTop, state: State) -> Array:
     """|(Ω₁ + iΩ₂)² − E₁(Γ₁ + iΓ₂)/J₃|², constant for J₁ = J₂ = 2J₃ and E = (E₁, 0, 0)."""
     Omega, Gamma = top.angular_velocity(state), top.Gamma(state)
     assert isinstance(top.potential, Linear)
-    c = top.potential.weight[0] / small.symmetric(top.inertia)[2]
+    c = top.potential.weight[0] / three.symmetric(top.inertia)[2]
     real = Omega[0] ** 2 - Omega[1] ** 2 - c * Gamma[0]
     imaginary = 2 * Omega[0] * Omega[1] - c * Gamma[1]
     return real**2 + imaginary**2

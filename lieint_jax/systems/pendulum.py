@@ -10,9 +10,11 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import checks, small
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import three
 from lieint_jax.phase_spaces import CotangentSphere
-from lieint_jax.types import State, callable_pytree, concrete, pytree
+from lieint_jax.types import State, callable_pytree, pytree
 
 _PHASE_SPACE = CotangentSphere()
 
@@ -59,11 +61,11 @@ class Pendulum:
             ValueError: not exactly one of the two, a wrong shape, a NaN, |q| ≠ 1, or a part along q above 1e-6 of the
                 whole.
         """
-        name, given = checks.one_of(velocity=velocity, momentum=momentum)
+        name, given = _checks.one_of(velocity=velocity, momentum=momentum)
         q = _unit("direction", direction)
-        vector = checks.real_array(name, given, (3,))
-        along = small.dot(q, vector)
-        if concrete(along) and abs(float(along)) > checks.UNIT_TOLERANCE * float(jnp.linalg.norm(vector)):
+        vector = _checks.real_array(name, given, (3,))
+        along = three.dot(q, vector)
+        if concrete(along) and abs(float(along)) > _checks.UNIT_TOLERANCE * float(jnp.linalg.norm(vector)):
             raise ValueError(f"{name} must be orthogonal to q: its part along q is {float(along):.3g}; subtract it")
         vector = vector - along * q
         p = vector if name == "momentum" else self.mass * jnp.cross(q, vector)
@@ -76,15 +78,15 @@ class Pendulum:
 
     def potential(self, q: Array) -> Array:
         """V(q) = −g(γ·q), defined off the sphere too."""
-        return -self.field(small.dot(self.axis, q))
+        return -self.field(three.dot(self.axis, q))
 
     def energy(self, state: State) -> Array:
         """|π|²/(2m) − g(γ·q) (1.3)."""
-        return small.dot(state.p, state.p) / (2 * self.mass) + self.potential(state.q)
+        return three.dot(state.p, state.p) / (2 * self.mass) + self.potential(state.q)
 
     def momentum(self, state: State) -> Array:
         """γ·π (1.5), shape (1,)."""
-        return small.dot(self.axis, state.p)[None]
+        return three.dot(self.axis, state.p)[None]
 
     def vector_field(self, state: State) -> State:
         """(q̇, π̇) = (π × q/m, −q × ∇V(q))."""
@@ -92,8 +94,8 @@ class Pendulum:
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""
-        q, p = checks.real_array("state.q", state.q, (3,)), checks.real_array("state.p", state.p, (3,))
-        if concrete(q, p) and float(self.phase_space.defect(state)) > 2 * checks.UNIT_TOLERANCE:
+        q, p = _checks.real_array("state.q", state.q, (3,)), _checks.real_array("state.p", state.p, (3,))
+        if concrete(q, p) and float(self.phase_space.defect(state)) > 2 * _checks.UNIT_TOLERANCE:
             raise ValueError("state must have |q| = 1 and q·π = 0 to 1e-6; make it with pendulum.state(...)")
 
 
@@ -119,17 +121,17 @@ def pendulum(
         >>> float(swing.energy(state))
         0.5
     """
-    m = checks.real_array("mass", mass, ())
+    m = _checks.real_array("mass", mass, ())
     if concrete(m) and not m > 0:
         raise ValueError(f"mass must be positive, got {m}")
     if not callable(gravity):
-        gravity = Uniform(m * checks.real_array("gravity", gravity, ()))
+        gravity = Uniform(m * _checks.real_array("gravity", gravity, ()))
     return Pendulum(m, callable_pytree(gravity), _unit("axis", axis))
 
 
 def _unit(name: str, value: ArrayLike) -> Array:
-    v = checks.real_array(name, value, (3,))
-    if concrete(v) and abs(float(np.linalg.norm(np.asarray(v, float))) - 1) > checks.UNIT_TOLERANCE:
+    v = _checks.real_array(name, value, (3,))
+    if concrete(v) and abs(float(np.linalg.norm(np.asarray(v, float))) - 1) > _checks.UNIT_TOLERANCE:
         raise ValueError(f"{name} must be a unit vector, got {np.asarray(v)}; divide it by its norm")
     return v / jnp.linalg.norm(v)
 

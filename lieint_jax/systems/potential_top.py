@@ -11,11 +11,13 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import checks, small
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.systems._body import Body
 from lieint_jax.systems.rigid_body import RigidBody
-from lieint_jax.types import State, callable_pytree, concrete, pytree
+from lieint_jax.types import State, callable_pytree, pytree
 
 
 @pytree
@@ -25,11 +27,11 @@ class Quadratic:
     matrix: Array
 
     def __call__(self, Gamma: Array) -> Array:
-        return small.dot(Gamma, small.apply(small.symmetric(self.matrix), Gamma)) / 2
+        return three.dot(Gamma, three.apply(three.symmetric(self.matrix), Gamma)) / 2
 
     def discrete_gradient(self, a: Array, b: Array) -> Array:
         """S·½(a + b)."""
-        return jnp.stack(small.apply(small.symmetric(self.matrix), (a + b) / 2))
+        return jnp.stack(three.apply(three.symmetric(self.matrix), (a + b) / 2))
 
 
 @pytree
@@ -68,7 +70,7 @@ class PotentialTop(Body):
                 jnp.zeros_like(q[:3])
             )
         gradient = jax.grad(self.potential)(so3.Ad_star(q, self.axis))
-        return jnp.stack(small.cross(self.axis, so3.Ad(q, gradient)))
+        return jnp.stack(three.cross(self.axis, so3.Ad(q, gradient)))
 
     @property
     def _axis(self) -> Array:
@@ -82,7 +84,7 @@ class PotentialTop(Body):
 
     def momentum(self, state: State) -> Array:
         """γ·π, shape (1,): rotations about γ are a symmetry. Shape (0,) without an axis."""
-        return state.p[:0] if self.axis is None else small.dot(self.axis, state.p)[None]
+        return state.p[:0] if self.axis is None else three.dot(self.axis, state.p)[None]
 
     def vector_field(self, state: State) -> State:
         """(q̇, π̇) = (½ q Ω, torque) (4.2)."""
@@ -109,9 +111,9 @@ def potential_top(
         >>> top = potential_top([1.0, 2.0, 3.0], lambda Gamma: Gamma[0] ** 4)
         >>> state = top.state(angular_velocity=[0.1, 0.2, 1.0])
     """
-    inertia = checks.inertia(inertia)
+    inertia = _checks.inertia(inertia)
     if axis is not None:
-        given, axis = axis, checks.real_array("axis", axis, (3,))
+        given, axis = axis, _checks.real_array("axis", axis, (3,))
         axis = axis if hasattr(given, "dtype") else axis.astype(inertia.dtype)  # a tuple does not decide the precision
         if concrete(given) and not np.any(np.asarray(given)):
             raise ValueError("axis must not be zero; without a symmetry axis give axis=None and a potential of Λ")
@@ -139,9 +141,9 @@ def brun() -> tuple[PotentialTop, State]:
 
 def clebsch_integral(top: PotentialTop, state: State, strength: float) -> Array:
     """|Π|² − ε det J Γ·J⁻¹Γ, constant for V = (ε/2)Γ·JΓ (Clebsch 1871)."""
-    J, Pi, Gamma = small.symmetric(top.inertia), top.body_momentum(state), top.Gamma(state)
-    det = small.determinant(J, small.adjugate(J))
-    return small.dot(Pi, Pi) - strength * det * small.dot(Gamma, small.solve_symmetric(J, Gamma))
+    J, Pi, Gamma = three.symmetric(top.inertia), top.body_momentum(state), top.Gamma(state)
+    det = three.determinant(J, three.adjugate(J))
+    return three.dot(Pi, Pi) - strength * det * three.dot(Gamma, three.solve_symmetric(J, Gamma))
 
 
 def examples() -> dict[str, Any]:

@@ -9,7 +9,9 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax import checks, small
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMatrices
 from lieint_jax.systems._stored_energy import (
@@ -19,7 +21,7 @@ from lieint_jax.systems._stored_energy import (
     neo_hookean,
     saint_venant_kirchhoff,
 )
-from lieint_jax.types import State, concrete, pytree
+from lieint_jax.types import State, pytree
 
 _PHASE_SPACE = CotangentMatrices()
 
@@ -60,10 +62,10 @@ class PseudoRigidBody:
         Raises:
             ValueError: not exactly one of the three, a wrong shape, a NaN, or det F ≤ 0.
         """
-        F = jnp.eye(3) if deformation is None else checks.real_array("deformation", deformation, (3, 3))
+        F = jnp.eye(3) if deformation is None else _checks.real_array("deformation", deformation, (3, 3))
         _orientation("deformation", F)
-        name, given = checks.one_of(momentum=momentum, velocity=velocity, angular_velocity=angular_velocity)
-        P = checks.real_array(name, given, (3,) if name == "angular_velocity" else (3, 3))
+        name, given = _checks.one_of(momentum=momentum, velocity=velocity, angular_velocity=angular_velocity)
+        P = _checks.real_array(name, given, (3,) if name == "angular_velocity" else (3, 3))
         if name == "angular_velocity":
             P = so3.hat(P) @ F
         if name != "momentum":
@@ -73,12 +75,12 @@ class PseudoRigidBody:
 
     def velocity(self, state: State) -> Array:
         """V = Ḟ = PE⁻¹, shape (3, 3)."""
-        E = small.symmetric(self.inertia)
-        return jnp.stack([jnp.stack(small.solve_symmetric(E, row)) for row in state.p])
+        E = three.symmetric(self.inertia)
+        return jnp.stack([jnp.stack(three.solve_symmetric(E, row)) for row in state.p])
 
     def strain(self, state: State) -> Array:
         """C = FᵀF, shape (3, 3)."""
-        return jnp.array(small.rows(small.gram(state.q)))
+        return jnp.array(three.rows(three.gram(state.q)))
 
     def energy(self, state: State) -> Array:
         """½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2)."""
@@ -86,7 +88,7 @@ class PseudoRigidBody:
 
     def momentum(self, state: State) -> Array:
         """Φ = rot[PFᵀ] (6.4), shape (3,), the paper's momentum map of rotations in space: ξ·Φ = ½⟨P, ξ̂F⟩."""
-        M = small.product(state.p, small.transpose(state.q))
+        M = three.product(state.p, three.transpose(state.q))
         return jnp.stack([M[2][1] - M[1][2], M[0][2] - M[2][0], M[1][0] - M[0][1]]) / 2
 
     def angular_momentum(self, state: State) -> Array:
@@ -95,14 +97,14 @@ class PseudoRigidBody:
 
     def vector_field(self, state: State) -> State:
         """(Ḟ, Ṗ) = (PE⁻¹, −F S), S = 2∇W(FᵀF) (6.3)."""
-        S = small.rows(self.stored_energy.stress(small.gram(state.q)))
-        force = small.product(state.q, S)
+        S = three.rows(self.stored_energy.stress(three.gram(state.q)))
+        force = three.product(state.q, S)
         return State(self.velocity(state), -jnp.array(force))
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""
-        _orientation("state.q", checks.real_array("state.q", state.q, (3, 3)))
-        checks.real_array("state.p", state.p, (3, 3))
+        _orientation("state.q", _checks.real_array("state.q", state.q, (3, 3)))
+        _checks.real_array("state.p", state.p, (3, 3))
 
     def _inertia_matrix(self) -> Array:
         return jnp.diag(self.inertia) if self.inertia.ndim == 1 else self.inertia
@@ -128,7 +130,7 @@ def pseudo_rigid_body(inertia: ArrayLike, stored_energy: StoredEnergy | Callable
         >>> float(body.energy(state))
         18.0
     """
-    return PseudoRigidBody(checks.positive_definite("inertia", inertia), as_stored_energy(stored_energy))
+    return PseudoRigidBody(_checks.positive_definite("inertia", inertia), as_stored_energy(stored_energy))
 
 
 def _orientation(name: str, F: Array) -> None:

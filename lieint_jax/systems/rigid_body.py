@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import checks, free_body
+from lieint_jax import _checks, _free_body
 from lieint_jax.groups import so3
 from lieint_jax.systems._body import Body
 from lieint_jax.types import State, pytree
@@ -41,7 +41,7 @@ class RigidBody(Body):
 
         In Jacobi's elliptic functions, see `free_body`. For many times, `jax.vmap(body.solution, (None, 0))`.
         """
-        return State(free_body.attitude(self.inertia, state.q, state.p, t)[0], state.p)
+        return State(_free_body.attitude(self.inertia, state.q, state.p, t)[0], state.p)
 
 
 def rigid_body(inertia: ArrayLike) -> RigidBody:
@@ -61,7 +61,7 @@ def rigid_body(inertia: ArrayLike) -> RigidBody:
         >>> float(body.energy(state))
         1.52
     """
-    return RigidBody(checks.inertia(inertia))
+    return RigidBody(_checks.inertia(inertia))
 
 
 def examples() -> dict[str, tuple[RigidBody, State, float]]:

@@ -1,0 +1,86 @@
+"""Kirchhoff's ellipsoid on SE(3): the contestants, their rates, what they keep.
+
+Importing this imports jax: pin the process to a core first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from lib import measure, peers
+from lib.contest import Contestant
+from lib.measure import BATCH, DT, END, WATCHED, WIDE
+
+import lieint_jax as li
+from lieint_jax.systems.euler import Euler, kirchhoff
+
+_DRIFT_STEPS = 1000  # the bodies go far, and at a distance x from the origin Π = Ad*_q π loses digits like ε|x|
+_LEVELS = (4, 8)  # steps a unit of time, of the two references
+_MAPS = {"exponential": li.maps.exponential, "Cayley": li.maps.cayley}
+
+
+def body() -> Euler:
+    return kirchhoff((3.0, 2.0, 1.0), center_of_mass=(0.0, 0.0, -0.2))
+
+
+def bodies(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Random motions, and the spatial momenta of random body velocities in the unit ball."""
+    place, velocity, radius = (np.random.default_rng(seed) for seed in (1, 2, 3))
+    xi, Omega = place.normal(size=(count, 6)), velocity.normal(size=(count, 6))
+    Omega *= radius.random((count, 1)) ** (1 / 6) / np.linalg.norm(Omega, axis=1, keepdims=True)
+    system = body()
+    q = jax.jit(jax.vmap(system.group.exp))(jnp.asarray(xi))
+    states = jax.jit(jax.vmap(lambda q, v: system.state(q, velocity=v)))(q, jnp.asarray(Omega))
+    return np.asarray(states.q), np.asarray(states.p)
+
+
+def contestants(missing: list[str]) -> list[Contestant]:
+    """Everybody at dt = DT; a note on each one whose package is not here goes to `missing`."""
+    makers: list[tuple[str, Callable[[], Contestant]]] = []
+    for wide in (False, True):
+        for name, tau in _MAPS.items():
+            step = li.schemes.group_midpoint(body(), tau)
+            makers.append(("ours", partial(measure.ours, f"ours, {name} map{WIDE * wide}", step, DT, wide, 4e6)))
+        makers.append(("diffrax", partial(peers.tsit5_of, body(), DT, wide)))
+    return list(measure.those_here(makers, missing))
+
+
+def reference(end: float) -> tuple[np.ndarray, float]:
+    """The watched bodies' q at t = end by `diagnostics.flow`, and how far it is with half as many steps."""
+    states = li.State(*map(jnp.asarray, bodies(WATCHED)))
+    flow = jax.jit(jax.vmap(li.diagnostics.flow, (None, 0, None, None)), static_argnums=3)
+    coarse, fine = (np.asarray(flow(body(), states, end, round(level * end)).q) for level in _LEVELS)
+    return fine, apart(coarse, fine)
+
+
+def apart(q: np.ndarray, exact: np.ndarray) -> float:
+    """The largest difference of an entry: radians and lengths."""
+    return float(np.abs(q - exact).max())
+
+
+def energy_drift(system: Euler, q: np.ndarray, p: np.ndarray) -> float:
+    """The largest |H − H₀|/H₀ of states (times, bodies, …)."""
+    H = np.asarray(jax.jit(jax.vmap(jax.vmap(system.energy)))(li.State(jnp.asarray(q), jnp.asarray(p))))
+    return float(np.max(np.abs(H - H[0]) / H[0]))
+
+
+def everything(sizes: measure.Sizes) -> dict[str, Any]:
+    """All results, as what JSON knows. To be run on one core."""
+    notes: list[str] = []
+    sizes = sizes._replace(drift_steps=_DRIFT_STEPS)
+    entries = contestants(notes)
+    exact, doubt = reference(END)
+    return {
+        "machine": measure.machine(),
+        "rates": measure.rates(entries, BATCH, sizes, bodies),
+        "quality": [
+            measure.quality(c, exact, sizes, body(), bodies, apart, energy_drift) for c in entries if WIDE not in c.name
+        ],
+        "reference_doubt": doubt,
+        "notes": notes,
+    }

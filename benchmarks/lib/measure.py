@@ -1,0 +1,299 @@
+"""What is measured of the contestants: rates, errors against a reference, drifts of the invariants.
+
+Importing this imports jax: pin the process to a core first.
+"""
+
+from __future__ import annotations
+
+import platform
+import re
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from lib import cpp, peers
+from lib.contest import Contestant, Timing, race, steps_lasting
+
+import lieint_jax as li
+from lieint_jax.ensemble import compiler_options
+from lieint_jax.groups import so3
+from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symplectic
+from lieint_jax.systems import RigidBody
+
+jax.config.update("jax_enable_x64", True)
+
+INERTIA, DT, END, WATCHED, BATCH = (1.0, 2.0, 3.0), 0.05, 10.0, 16, 1000
+KAPPAS = (kappa_symplectic, kappa_cayley, kappa_exponential)
+DTYPES = ("float64", "float32")
+WIDE = ", wide vectors"
+
+
+States = tuple[np.ndarray, np.ndarray]  # configurations and momenta
+
+
+class Problem(NamedTuple):
+    """What is integrated, from the states of `bodies`, and what the results are held against.
+
+    Attributes:
+        system: for energy and momentum.
+        reference: at a time, the attitudes of the watched bodies, and how far a second reference is from them.
+    """
+
+    system: Any
+    reference: Callable[[float], tuple[np.ndarray, float]]
+
+
+class Sizes(NamedTuple):
+    """How much to measure.
+
+    Attributes:
+        batches: numbers of bodies of the scaling table.
+        seconds: about how long one timed call takes.
+        rounds: timed calls of each contestant.
+        drift_steps: steps of the drift run.
+        drift_seconds: about how long it may take; slow peers take fewer steps.
+    """
+
+    batches: tuple[int, ...] = (1, 1000, 100_000)
+    seconds: float = 0.15
+    rounds: int = 5
+    drift_steps: int = 100_000
+    drift_seconds: float = 10.0
+
+
+QUICK = Sizes((1, 1000), 0.02, 3, 2_000, 1.0)
+
+
+def bodies(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Random unit quaternions, and the spatial momenta of random body velocities in the unit ball."""
+    attitude, velocity, radius = (np.random.default_rng(seed) for seed in (1, 2, 3))
+    q, Omega = attitude.normal(size=(count, 4)), velocity.normal(size=(count, 3))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    Omega *= np.cbrt(radius.random((count, 1))) / np.linalg.norm(Omega, axis=1, keepdims=True)
+    return q, np.asarray(jax.vmap(so3.Ad)(jnp.asarray(q), jnp.asarray(INERTIA * Omega)))
+
+
+def body(dtype: str = "float64") -> RigidBody:
+    return li.systems.rigid_body(np.asarray(INERTIA, dtype))
+
+
+def midpoint(kappa: Kappa, dtype: str = "float64", wide: bool = False) -> Contestant:
+    """The paper's scheme at dt = DT."""
+    step = li.schemes.so3_midpoint(body(dtype), kappa)
+    pace = {"symplectic": 9e7, "cayley": 4e7}.get(kappa.name, 2e7)
+    return ours(f"ours, {kappa.name} κ" + (WIDE if wide else ""), step, DT, wide, pace)
+
+
+def ours(name: str, step: li.Step, dt: float, wide: bool, pace: float = 1e7) -> Contestant:
+    """A step through `integrate`, vmapped and jitted, the batch split over the devices that there are."""
+    dtype = str(jax.tree.leaves(step.system)[0].dtype)
+    split = NamedSharding(Mesh(np.array(jax.devices()), ("bodies",)), PartitionSpec("bodies"))
+
+    @partial(jax.jit, static_argnums=1, compiler_options=compiler_options() if wide else {})
+    def run(states: li.State, n: int) -> tuple[li.State, li.StepInfo]:
+        trajectory = jax.vmap(lambda z: li.integrate(step, z, dt, n, n))(states)
+        return jax.tree.map(lambda leaf: leaf[:, -1], (trajectory.state, trajectory.info))
+
+    def load(q: np.ndarray, p: np.ndarray) -> tuple[li.State, li.StepInfo]:
+        info = li.StepInfo(jnp.zeros(len(q), dtype), jnp.ones(len(q), bool))
+        return jax.device_put((_state(q, p, dtype), info), split)
+
+    def advance(states: tuple[li.State, li.StepInfo], num_steps: int) -> tuple[li.State, li.StepInfo]:
+        return jax.block_until_ready(run(states[0], num_steps))
+
+    def read(states: tuple[li.State, li.StepInfo]) -> tuple[np.ndarray, np.ndarray]:
+        return np.asarray(states[0].q), np.asarray(states[0].p)
+
+    def info(states: tuple[li.State, li.StepInfo]) -> tuple[float, bool]:
+        return float(states[1].residual.max()), bool(states[1].converged.all())
+
+    return Contestant(name, dtype, pace, load, advance, read, info)
+
+
+def contestants(missing: list[str]) -> list[Contestant]:
+    """Everybody at dt = DT; a note on each one whose package is not here goes to `missing`."""
+    makers: list[tuple[str, Callable[[], Contestant]]] = []
+    for dtype in DTYPES:
+        for form in ("newton", "scalar"):
+            makers.append(("C++", partial(cpp.symplectic, form, INERTIA, DT, dtype)))
+        for kappa in KAPPAS:
+            for wide in (False, True):
+                makers.append(("ours", partial(midpoint, kappa, dtype, wide)))
+        for peer in (peers.tsit5, peers.dopri8):
+            makers.append(("diffrax", partial(peer, INERTIA, DT, dtype)))
+    makers.append(("MuJoCo", partial(peers.mujoco_rk4, INERTIA, DT)))
+    makers.append(("scipy", partial(peers.dop853, INERTIA, DT)))
+    return list(those_here(makers, missing))
+
+
+def those_here(makers: Sequence[tuple[str, Callable[[], Contestant]]], missing: list[str]) -> Iterator[Contestant]:
+    """What can be made; a note on each one whose package is not here goes to `missing`."""
+    for name, make in makers:
+        try:
+            yield make()
+        except ImportError as error:
+            note = f"{name} left out: {error}"
+            if note not in missing:
+                missing.append(note)
+
+
+def everything(sizes: Sizes) -> dict[str, Any]:
+    """All results, as what JSON knows. To be run on one core."""
+    notes: list[str] = []
+    entries = contestants(notes)
+    notes += cpp.notes("free_rigid_body")
+    same_scheme = [c for c in entries if "symplectic" in c.name]
+    exact, doubt = reference(END)
+    free = Problem(body(), reference)
+    return {
+        "machine": machine(),
+        "rates": [r for b in sizes.batches for r in rates(entries if b == BATCH else same_scheme, b, sizes)],
+        "quality": [quality(c, exact, sizes, free.system) for c in entries if WIDE not in c.name],
+        "agreement": agreement(same_scheme),
+        "reference_doubt": doubt,
+        "notes": notes,
+    }
+
+
+def machine() -> dict[str, Any]:
+    cpu = re.search("model name.*: (.*)", Path("/proc/cpuinfo").read_text())
+    return {
+        "cpu": cpu.group(1) if cpu else platform.processor(),
+        "python": platform.python_version(),
+        "packages": {name: _version(name) for name in ("jax", "numpy", "diffrax", "mujoco", "scipy")},
+    }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def our_rates(sizes: Sizes) -> list[dict[str, Any]]:
+    """Rates of our symplectic step alone, of batches that divide evenly among the devices."""
+    entries = [midpoint(kappa_symplectic, dtype, wide) for dtype in DTYPES for wide in (False, True)]
+    devices = len(jax.devices())
+    return [r for b in sizes.batches if b >= devices for r in rates(entries, b - b % devices, sizes)]
+
+
+def rates(
+    entries: Sequence[Contestant], count: int, sizes: Sizes, start: Callable[[int], States] = bodies
+) -> list[dict[str, Any]]:
+    """Body-steps a second with so many bodies; scipy, which takes one after the other, gets `WATCHED` of them."""
+    q, p = start(count)
+    found = []
+    for single in (False, True):
+        group = [c for c in entries if c.name.startswith("scipy") == single]
+        watched = min(count, WATCHED) if single else count
+        steps = [steps_lasting(sizes.seconds, c, watched) for c in group]
+        timings = race(group, q[:watched], p[:watched], steps, sizes.rounds)
+        found += [_record(c, t, count) for c, t in zip(group, timings, strict=True)]
+    return found
+
+
+def _record(contestant: Contestant, timing: Timing, count: int) -> dict[str, Any]:
+    return {
+        "name": contestant.name,
+        "dtype": contestant.dtype,
+        "bodies": count,
+        "rate": timing.rate,
+        "median_rate": timing.median_rate,
+        "compile_seconds": timing.compile_seconds,
+    }
+
+
+def reference(end: float) -> tuple[np.ndarray, float]:
+    """Attitudes of the watched bodies at t = end by `RigidBody.solution`, and how far `diagnostics.flow` is from them.
+
+    The two share nothing; what keeps them apart is the rounding of many steps of the latter.
+    """
+    states = _state(*bodies(WATCHED))
+    exact = np.asarray(jax.jit(jax.vmap(body().solution, (0, None)))(states, end).q)
+    steps = round(4 * end)
+    flowed = jax.jit(jax.vmap(lambda z: li.diagnostics.flow(body(), z, end, steps)))(states).q
+    return exact, attitude_error(np.asarray(flowed), exact)
+
+
+def attitude_error(q: np.ndarray, exact: np.ndarray) -> float:
+    """The largest angle between two sets of attitudes, in radians."""
+    return float(jax.vmap(so3.angle)(jnp.asarray(_unit(q)), jnp.asarray(exact)).max())
+
+
+def energy_drift(system: Any, q: np.ndarray, p: np.ndarray) -> float:
+    """The largest |H − H₀|/H₀ of states (times, bodies, …) at attitudes q/|q|; of tops, in units of T₀ + |E|."""
+    states = _state(_unit(q), p)
+    H = np.asarray(jax.vmap(jax.vmap(system.energy))(states))
+    weight = getattr(getattr(system, "potential", None), "weight", np.zeros(3))
+    size = np.asarray(jax.vmap(system.kinetic_energy)(jax.tree.map(lambda x: x[0], states))) + np.linalg.norm(weight)
+    return float(np.max(np.abs(H - H[0]) / size))
+
+
+def quality(
+    contestant: Contestant,
+    exact: np.ndarray,
+    sizes: Sizes,
+    system: Any,
+    bodies: Callable[[int], States] = bodies,
+    apart: Callable[[np.ndarray, np.ndarray], float] = attitude_error,
+    energy_drift: Callable[[Any, np.ndarray, np.ndarray], float] = energy_drift,
+) -> dict[str, Any]:
+    """How accurate and how conserving it is at dt = DT, the worst of the watched bodies.
+
+    The attitude error at t = END; then, at ten times of a long run, the largest |H − H₀|/H₀, |Φ − Φ₀|/|π₀| of its
+    momentum map Φ (0 means bit for bit) and residual, and whether all steps converged (None where none is solved).
+    """
+    start = contestant.load(*bodies(WATCHED))
+    error = apart(contestant.read(contestant.advance(start, round(END / DT)))[0], exact)
+    chunk = max(min(sizes.drift_steps, int(sizes.drift_seconds * contestant.pace / WATCHED)) // 10, 1)
+    states = [start]
+    for _ in range(10):
+        states.append(contestant.advance(states[-1], chunk))
+    q, p = (np.stack(x) for x in zip(*map(contestant.read, states), strict=True))
+    solved = [contestant.info(z) for z in states[1:]] if contestant.info else None
+    return {
+        "name": contestant.name,
+        "dtype": contestant.dtype,
+        "error": error,
+        "steps": 10 * chunk,
+        "energy_drift": energy_drift(system, q, p),
+        "momentum_drift": _momentum_drift(system, q, p),
+        "residual": max(residual for residual, _ in solved) if solved else None,
+        "converged": all(converged for _, converged in solved) if solved else None,
+    }
+
+
+def _momentum_drift(system: Any, q: np.ndarray, p: np.ndarray) -> float:
+    Phi = np.asarray(jax.vmap(jax.vmap(system.momentum))(_state(q, p)))
+    return float(np.max(np.abs(Phi - Phi[0]) / np.linalg.norm(p[0], axis=1, keepdims=True)))
+
+
+def _state(q: np.ndarray, p: np.ndarray, dtype: str = "float64") -> li.State:
+    return li.State(jnp.asarray(q, dtype), jnp.asarray(p, dtype))
+
+
+def _unit(q: np.ndarray) -> np.ndarray:
+    q = q.astype(np.float64)
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+
+
+def agreement(same_scheme: Sequence[Contestant], dtypes: Sequence[str] = DTYPES) -> list[dict[str, Any]]:
+    """How far the states of a batch at t = END are from those of the first: same scheme, same start.
+
+    Not later: on bodies that start near the middle axis the motion itself makes rounding grow exponentially.
+    """
+    found, num_steps = [], round(END / DT)
+    for dtype in dtypes:
+        first, *others = [c for c in same_scheme if c.dtype == dtype]
+        ends = [np.concatenate(c.read(c.advance(c.load(*bodies(BATCH)), num_steps)), axis=1) for c in (first, *others)]
+        for c, end in zip(others, ends[1:], strict=True):
+            apart = float(np.max(np.abs(end - ends[0])))
+            found.append({"a": first.name, "b": c.name, "dtype": dtype, "steps": num_steps, "apart": apart})
+    return found

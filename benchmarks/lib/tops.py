@@ -1,0 +1,111 @@
+"""Heavy tops: the contestants, their rates, what they keep, and what their accuracy costs.
+
+Importing this imports jax: pin the process to a core first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from lib import cpp, kovalevskaya, measure, peers, precision
+from lib.contest import Contestant
+from lib.measure import BATCH, DT, END, INERTIA, KAPPAS, WATCHED, WIDE, Problem
+from lib.precision import Curve, growing
+
+import lieint_jax as li
+
+WEIGHT = (0.9, 0.8, 0.0)
+_LEVELS = (4, 8)  # steps a unit of time, of the two references
+
+
+def top() -> Any:
+    return li.systems.heavy_top(np.asarray(INERTIA), np.asarray(WEIGHT))
+
+
+def schemes() -> dict[str, tuple[li.Step, float]]:
+    """Ours by name, and a guess of their rates."""
+    make, body = li.schemes, top()
+    found: dict[str, tuple[li.Step, float]] = {"splitting": (make.splitting(body), 6e7)}
+    for kappa in KAPPAS[1:] + KAPPAS[:1]:
+        found[f"energy-momentum, {kappa.name} κ"] = make.top_energy_momentum(body, kappa), 1.5e7
+    found["splitting, order 4"] = make.compose(make.splitting(body), 4), 1.5e7
+    found["energy-momentum, cayley κ, order 4"] = make.compose(make.top_energy_momentum(body), 4), 3e6
+    return found
+
+
+def contestants(missing: list[str]) -> list[Contestant]:
+    """Everybody at dt = DT; a note on each one whose package is not here goes to `missing`."""
+    makers: list[tuple[str, Callable[[], Contestant]]] = [
+        ("C++", partial(cpp.top, scheme, INERTIA, WEIGHT, DT)) for scheme in ("splitting", "energy_momentum")
+    ]
+    for name, (step, pace) in schemes().items():
+        for wide in (False, True):
+            makers.append(("ours", partial(measure.ours, f"ours, {name}{WIDE * wide}", step, DT, wide, pace)))
+    for peer in (peers.tsit5, peers.dopri8):
+        makers.append(("diffrax", partial(peer, INERTIA, DT, weight=WEIGHT)))
+    makers.append(("MuJoCo", partial(peers.mujoco_rk4, INERTIA, DT, WEIGHT)))
+    return list(measure.those_here(makers, missing))
+
+
+def reference(end: float) -> tuple[np.ndarray, float]:
+    """Attitudes of the watched bodies at t = end by `diagnostics.flow`, and how far it is with half as many steps."""
+    states = li.State(*map(jnp.asarray, measure.bodies(WATCHED)))
+    flow = jax.jit(jax.vmap(li.diagnostics.flow, (None, 0, None, None)), static_argnums=3)
+    coarse, fine = (np.asarray(flow(top(), states, end, round(level * end)).q) for level in _LEVELS)
+    return fine, measure.attitude_error(coarse, fine)
+
+
+def everything(sizes: measure.Sizes, points: precision.Sizes) -> dict[str, Any]:
+    """All results, as what JSON knows. To be run on one core."""
+    notes: list[str] = []
+    entries = contestants(notes)
+    notes += cpp.notes("heavy_top")
+    problem = Problem(top(), reference)
+    exact, doubt = reference(END)
+    pairs = [
+        [c for c in entries if c.name in names]
+        for names in (
+            ("C++ splitting", "ours, splitting", "ours, splitting" + WIDE),
+            ("C++ energy-momentum", "ours, energy-momentum, cayley κ", "ours, energy-momentum, cayley κ" + WIDE),
+        )
+    ]
+    rates = measure.rates(entries, BATCH, sizes)
+    return {
+        **precision.everything(points, problem, curves()),
+        "rates": rates,
+        "equal_cost": kovalevskaya.at_equal_cost(rates, sizes.drift_steps / 10),
+        "quality": [measure.quality(c, exact, sizes, problem.system) for c in entries if WIDE not in c.name],
+        "agreement": [r for same in pairs for r in measure.agreement(same, ("float64",))],
+        "reference_doubt": doubt,
+        "notes": notes,
+    }
+
+
+def curves() -> list[Curve]:
+    """Ours at orders 2, 4 and 6, then the peers."""
+    make = li.schemes
+    bases = {"splitting": make.splitting(top()), "energy-momentum": make.top_energy_momentum(top())}
+    steps: list[tuple[str, str, li.Step, tuple[int, ...]]] = [
+        (name, "order 2", step, growing(25, 6, 2)) for name, step in bases.items()
+    ]
+    for order, count in ((4, 12), (6, 10)):
+        for name, step in bases.items():
+            steps.append((f"{name}, order {order}", "composition", make.compose(step, order), growing(16, count)))
+    ours = [Curve(name, kind, partial(measure.ours, name, step, wide=True), n) for name, kind, step, n in steps]
+    fives, eights = (partial(peer, INERTIA, wide=True, weight=WEIGHT) for peer in (peers.tsit5, peers.dopri8))
+    few = [10.0**-k for k in range(4, 14)]
+    return [
+        *ours,
+        Curve("diffrax Tsit5", "peer", fives, growing(20, 12)),
+        Curve("diffrax Tsit5, adaptive", "peer", fives, tolerances=few),
+        Curve("diffrax Dopri8", "peer", eights, growing(5, 10)),
+        Curve("diffrax Dopri8, adaptive", "peer", eights, tolerances=few),
+        Curve(
+            "MuJoCo RK4", "peer", partial(peers.mujoco_rk4, INERTIA, weight=WEIGHT), growing(25, 6, 2), bodies=WATCHED
+        ),
+    ]

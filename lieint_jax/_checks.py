@@ -1,0 +1,126 @@
+"""Checks of concrete arguments: errors that say what was given, what is allowed and what to do. Tracers pass."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.core import Tracer
+
+UNIT_TOLERANCE = 1e-6
+
+
+def concrete(*trees: Any) -> bool:
+    """Whether every leaf is a value that can be looked at, not a tracer."""
+    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
+
+
+def real_array(name: str, value: Any, *shapes: Sequence[int], finite: bool = True) -> Array:
+    """`value` as a floating-point array of one of `shapes` (of any, if none is given), finite where it is concrete."""
+    try:
+        array = jnp.asarray(value)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{name} must be an array of real numbers, got {value!r}") from error
+    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
+        raise ValueError(f"{name} must hold real numbers, got dtype {array.dtype}")
+    if shapes and array.shape not in [tuple(shape) for shape in shapes]:
+        allowed = " or ".join(str(tuple(shape)) for shape in shapes)
+        raise ValueError(f"{name} must have shape {allowed}, got {array.shape}; use jax.vmap for batches")
+    if finite and concrete(array) and not np.all(np.isfinite(array)):
+        raise ValueError(f"{name} must be finite, got {np.asarray(array)}")
+    return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(jnp.result_type(float))
+
+
+def step_size(dt: Any) -> Any:
+    """A real scalar: the same time for every component of a state."""
+    kind = jnp.result_type(dt) if isinstance(dt, int | float | np.generic | np.ndarray | Array) else None
+    if kind is None or not (jnp.issubdtype(kind, jnp.floating) or jnp.issubdtype(kind, jnp.integer)):
+        raise ValueError(f"dt must be a real number, got {dt!r}")
+    if jnp.ndim(dt):
+        raise ValueError(f"dt must be a scalar, got shape {jnp.shape(dt)}; use jax.vmap for a batch of step sizes")
+    return dt
+
+
+def count(name: str, value: Any, least: int) -> int:
+    """An integer ≥ `least`, as a Python int."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ValueError(f"{name} must be an integer ≥ {least}, got {value!r}")
+    return int(value)
+
+
+def one_of(**given: Any) -> tuple[str, Any]:
+    """The only argument that is not None, by name."""
+    named = {name: value for name, value in given.items() if value is not None}
+    if len(named) != 1:
+        raise ValueError(f"give exactly one of {', '.join(given)}; got {' and '.join(named) or 'none'}")
+    return named.popitem()
+
+
+def inertia(value: Any) -> Array:
+    """A positive definite inertia: principal moments (3,) or a symmetric tensor (3, 3).
+
+    Moments that break the triangle inequality (Jᵢ ≤ Jⱼ + Jₖ) belong to no distribution of mass; they draw a warning,
+    not an error, since such pseudo-inertias are used.
+    """
+    array = positive_definite("inertia", value)
+    if not concrete(array):
+        return array
+    moments = _moments(array)
+    if moments[2] > (1 + UNIT_TOLERANCE) * (moments[0] + moments[1]):
+        warnings.warn(
+            f"principal moments {moments} break the triangle inequality: no rigid body has them", stacklevel=3
+        )
+    return array
+
+
+def positive_definite(name: str, value: Any, d: int = 3) -> Array:
+    """A positive definite tensor: principal values (d,) or a symmetric tensor (d, d)."""
+    array = real_array(name, value, (d,), (d, d))
+    if not concrete(array):
+        return array
+    J = np.asarray(array, float)
+    if J.ndim == 2 and not np.allclose(J, J.T, rtol=1e-6, atol=1e-6 * np.abs(J).max()):
+        raise ValueError(f"{name} must be symmetric, got\n{J}\nTake (A + A.T) / 2 if the difference is noise")
+    moments = _moments(array)
+    if moments[0] <= 0:
+        raise ValueError(f"{name} must be positive definite, got principal values {moments}")
+    return array
+
+
+def _moments(array: Array) -> np.ndarray:
+    J = np.asarray(array, float)
+    return np.sort(J if J.ndim == 1 else np.linalg.eigvalsh(J))
+
+
+def unit_quaternion(name: str, value: Any) -> Array:
+    """A quaternion (w, x, y, z) of unit length to 1e-6. It is returned as given: to normalise is the caller's part."""
+    q = real_array(name, value, (4,))
+    if concrete(q):
+        norm = float(np.linalg.norm(np.asarray(q, float)))
+        if abs(norm - 1) > UNIT_TOLERANCE:
+            raise ValueError(
+                f"{name} must be a unit quaternion (w, x, y, z): its norm is {norm:.9g}, allowed is 1 ± "
+                f"{UNIT_TOLERANCE:g}; divide it by its norm if it is meant as a direction"
+            )
+    return q
+
+
+def rotation_matrix(name: str, value: Any) -> Array:
+    """A proper rotation matrix, orthogonal to 1e-6."""
+    R = real_array(name, value, (3, 3))
+    if concrete(R):
+        M = np.asarray(R, float)
+        defect = float(np.abs(M.T @ M - np.eye(3)).max())
+        if defect > UNIT_TOLERANCE:
+            raise ValueError(
+                f"{name} must be orthogonal: max|RᵀR − 1| is {defect:.3g}, allowed is {UNIT_TOLERANCE:g}; "
+                "project it with a polar or QR decomposition first"
+            )
+        if np.linalg.det(M) < 0:
+            raise ValueError(f"{name} must be a rotation, got a reflection (determinant −1)")
+    return R

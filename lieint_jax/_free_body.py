@@ -1,0 +1,308 @@
+"""The motion of the free rigid body in closed form, for any inertia, momentum and time.
+
+Units |Π| = 1 and tr J = 1: e = Π/|Π|, τ = |Π|t/tr J, b_i = tr J/J_i. The axes are r, m, o, right-handed: m that of
+middle inertia and, of the other two, r the one that π keeps away from: e_r² ≤ ½ at all times. Euler's equations are
+
+    ė_r = (b_o − b_m) e_m e_o,    ė_m = (b_r − b_o) e_o e_r,    ė_o = (b_m − b_r) e_r e_m
+
+**Body momentum.** Let
+
+    f_r = (b_r − b_m)[(b_r − b_o)e_r² + (b_m − b_o)e_m²],    f_o = (b_o − b_m)[(b_o − b_r)e_o² + (b_m − b_r)e_m²]
+
+be constants, f the greater and f′ the less; e circulates about the axis of the greater. With S = sn(√f τ)/√f, cn and dn
+of parameter f′/f, the addition theorems of sn, cn, dn move e without any initial phase:
+
+    e_m(τ) = [e_m cn dn + S ė_m]/D,    e_r(τ) = [e_r q_r + S q_o ė_r]/D,    e_o(τ) = [e_o q_o + S q_r ė_o]/D
+
+where q = dn for the axis c of circulation and cn for the other, and D = cn² + S²(b_r − b_o)(b_c − b_m) e_c² up to the
+sign that makes it a sum. S, cn, dn are smooth in f and f′ ≥ 0, so symmetric and spherical bodies (f′ = 0, f = 0) and
+the separatrix (f = f′) are no special cases.
+
+**Attitude.** Axis r turns about π by the angle
+
+    φ = b_o τ − (b_o − b_r) ν X + θ,    X = ∫₀^τ S²/(1 + νS²) dτ,    ν = (b_m − b_o)[(b_r − b_o)e_r² + (b_m − b_o)e_m²]
+    θ = arctan2((b_m − b_o) S e_m e_m(τ),  1 − e_r(τ)² − (b_m − b_o) S e_m e_r(τ) e_o(τ))
+
+X being S³ R_J(cn², dn², 1, 1 + νS²)/3 up to a quarter period, and θ the addition theorem of Legendre's integral of the
+third kind. With ψ the azimuth of e about r, and "e → r" the shortest rotation from e to r,
+
+    Λ(τ) = Λ (r → e)(turn about r by φ + ψ − ψ(τ))(e(τ) → r)
+
+Every arctangent has an argument of size ½ at least. The sign of the quaternion is continuous in time.
+
+**Clock.** The symplectic step of 1/J̃ = s/J + d, 2y = τ(s b + d)·½(e + e(τ)), h = (1 + |h|²) y, is this very motion for
+the right s and d. The same all along the trajectory, they are found where the step is symmetric: from −τ/2 to τ/2 about
+a passage of e_m through 0. With S, q, χ = b_o τ/2 − (b_o − b_r) ν X all at τ/2, and ν = (b_m − b_o) R,
+
+    ℓ = cos χ − R S (q_r/q_o) sin χ,    s = ℓ² S q_o/(½τ q_r (1 + νS²)),    s b_o + d = ℓ sin χ/(½τ)
+
+where q_o ℓ/√(1 + νS²) is the cosine of half the angle of the step, and nothing is divided by what may vanish.
+
+Sources: Jacobi 1850; for the addition theorems DLMF 22.8 and 19.11; the form without phases and cases: this package.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from lieint_jax._numerics import elliptic, three
+from lieint_jax._numerics.three import Vector, dot
+from lieint_jax.groups import so3
+
+_NEAR = 1e-5  # f τ² below which S, cn, dn are series, to 1e-17
+
+
+def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, Array]:
+    """The attitude after time t of a free body of attitude q and spatial momentum π, which is constant.
+
+    Args:
+        inertia: principal moments (3,) or a symmetric tensor (3, 3).
+        q: unit quaternion, shape (4,).
+        p: π, shape (3,).
+        t: time, of any size and sign.
+
+    Returns:
+        The unit quaternion at t, shape (4,), and | |e(τ)|² − 1 |, the error of the momentum's length in the body.
+
+    Derivatives are right to round-off for principal (3,) moments, equal or not, and for a full tensor of distinct
+    ones. For a full tensor with moments equal to √eps they are finite, but leave out the change of the inertia's
+    off-diagonal elements between the equal axes.
+    """
+    J, Pi = three.symmetric(inertia), so3.Ad_star(q, p)
+    scale, G, e, rest = _units(inertia, Pi)
+    increment, error = _increment(scale * inertia, e, G * t)
+    Omega = jnp.stack(three.solve_symmetric(J, Pi))
+    increment = jnp.where(rest, so3.exp(jnp.where(rest, Omega, 0) * t), increment)  # 1, with its derivative in π
+    return so3.normalise(so3.multiply(q, increment)), jnp.where(rest, 0, error)
+
+
+def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]:
+    """s and d of the inertia J̃ = J(s + dJ)⁻¹ whose symplectic step of size t is the exact motion.
+
+    Args:
+        inertia: as of `attitude`.
+        Pi: body momentum, shape (3,).
+        t: the size of the step.
+
+    Returns:
+        s, d in the unit of 1/inertia, and whether there is such a step: one that turns the body by at most 90°. The
+        same for every Π of a trajectory; 1, 0 and True at rest and for t = 0.
+    """
+    scale, G, e, rest = _units(inertia, Pi)
+    still = rest | (jnp.asarray(t) == 0)
+    if inertia.ndim == 1:
+        order = jnp.argsort(lax.stop_gradient(inertia))
+        moments, e = (scale * inertia)[order], e[order]
+    else:
+        moments, V = _eigh(scale * inertia)
+        e = jnp.stack([dot(V[:, k], e) for k in range(3)])
+    s, d, on_branch = _sorted_clock(moments, e, jnp.where(still, 1e-3, G * t))
+    return jnp.where(still, 1, s), jnp.where(still, 0, scale * d), still | on_branch
+
+
+def _units(inertia: Array, Pi: Array) -> tuple[Array, Array, Array, Array]:
+    """1/tr J, |Π|/tr J, e, and whether the body is at rest; then |Π|/tr J is 1 and e some unit vector."""
+    scale = 1 / three.trace(three.symmetric(inertia))
+    scaled = scale * Pi
+    square = dot(scaled, scaled)
+    rest = square == 0
+    G = jnp.sqrt(jnp.where(rest, 1, square))
+    return scale, G, jnp.where(rest, math.sqrt(1 / 3), scaled / G), rest
+
+
+def _increment(inertia: Array, e: Array, tau: Array) -> tuple[Array, Array]:
+    """Λ⁻¹Λ(τ) in body axes: principal axes are sorted, right-handed, by a permutation or by eigenvectors."""
+    if inertia.ndim == 1:
+        order = jnp.argsort(lax.stop_gradient(inertia))
+        hand = jnp.where((order[1] - order[0]) % 3 == 1, 1, -1).astype(e.dtype)
+        sorted_e = e[order]
+        w, v, error = _sorted(inertia[order], (sorted_e[0], hand * sorted_e[1], sorted_e[2]), tau)
+        return jnp.concatenate([w[None], jnp.stack([v[0], hand * v[1], v[2]])[jnp.argsort(order)]]), error
+    moments, V = _eigh(inertia)
+    a, b = (three.components(V[:, k]) for k in (0, 1))  # then right-handed, and orthonormal to the last bit
+    a = _unit(a)
+    overlap = dot(a, b)
+    b = _unit(tuple(y - overlap * x for x, y in zip(a, b, strict=True)))
+    c = three.cross(a, b)
+    w, v, error = _sorted(moments, (dot(a, e), dot(b, e), dot(c, e)), tau)
+    return jnp.stack([w, *(v[0] * a[i] + v[1] * b[i] + v[2] * c[i] for i in range(3))]), error
+
+
+def _unit(v: Vector) -> Vector:
+    r = 1 / jnp.sqrt(dot(v, v))
+    return tuple(r * x for x in v)
+
+
+@jax.custom_jvp
+def _eigh(J: Array) -> tuple[Array, Array]:
+    """Moments in ascending order, and eigenvectors as columns."""
+    return tuple(jnp.linalg.eigh(J))
+
+
+@_eigh.defjvp
+def _eigh_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    w, V = _eigh(*primals)
+    M = V.T @ tangents[0] @ V
+    M = (M + M.T) / 2
+    gap = w[None, :] - w[:, None]
+    equal = jnp.abs(gap) <= jnp.sqrt(jnp.finfo(w.dtype).eps) * w[2]
+    turn = jnp.where(equal, 0, M / jnp.where(equal, 1, gap))
+    return (w, V), (jnp.stack([M[0, 0], M[1, 1], M[2, 2]]), V @ turn)
+
+
+class _Labels(NamedTuple):
+    """b_o, and the differences b_r − b_m, b_m − b_o, b_r − b_o: all of one sign."""
+
+    b_o: Array
+    rm: Array
+    mo: Array
+    ro: Array
+
+
+def _labels(J: Array, e: Vector) -> tuple[Array, _Labels]:
+    """Whether axis 0 of ascending moments J is r, else axis 2, and the labels; m is turned to suit."""
+    d01, d12, d02 = ((J[j] - J[i]) / (J[i] * J[j]) for i, j in ((0, 1), (1, 2), (0, 2)))  # b_i − b_j
+    x, y, z = (c * c for c in e)
+    far0, far2 = d02 * x + d12 * y, d02 * z + d01 * y
+    first = (far0 < far2) | ((far0 == far2) & (x <= z))
+    return first, _Labels(
+        b_o=jnp.where(first, 1 / J[2], 1 / J[0]),
+        rm=jnp.where(first, d01, -d12),
+        mo=jnp.where(first, d12, -d01),
+        ro=jnp.where(first, d02, -d02),
+    )
+
+
+def _relabelled(first: Array, v: Vector) -> Vector:
+    """From the axes 0, 1, 2 to r, m, o, or back."""
+    return jnp.where(first, v[0], v[2]), jnp.where(first, v[1], -v[1]), jnp.where(first, v[2], v[0])
+
+
+def _sorted(J: Array, e: Vector, tau: Array) -> tuple[Array, Vector, Array]:
+    """Λ⁻¹Λ(τ) as scalar and vector part, and the error, for ascending moments J."""
+    first, b = _labels(J, e)
+    w, v, f = _labelled(b, _relabelled(first, e), tau)
+    return w, _relabelled(first, v), lax.stop_gradient(jnp.abs(dot(f, f) - 1))
+
+
+def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Vector]:
+    """Λ⁻¹Λ(τ) as scalar and vector part, times a positive number, and e(τ), in the axes r, m, o."""
+    er, em, eo = e
+    m = _motion(b, e, tau)
+    rate = (-b.mo * em * eo, b.ro * eo * er, -b.rm * er * em)
+    r = 1 / (m.cn * m.cn + m.S * m.S * b.ro * jnp.where(m.about_r, b.rm * er * er, b.mo * eo * eo))
+    fr, fm, fo = _on_polhode(
+        b,
+        m.R,
+        (
+            r * (er * m.q_r + m.S * m.q_o * rate[0]),
+            r * (em * m.cn * m.dn + m.S * rate[1]),
+            r * (eo * m.q_o + m.S * m.q_r * rate[2]),
+        ),
+    )
+    theta = jnp.arctan2(b.mo * m.S * em * fm, 1 - fr * fr - b.mo * m.S * em * fr * fo)
+    odd = 1 - 2 * jnp.abs(m.halves % 2)  # sn and cn change sign every half period
+    fr, fm, fo = jnp.where(m.about_r, 1, odd) * fr, odd * fm, jnp.where(m.about_r, odd, 1) * fo
+    sign = jnp.where(m.about_r, odd, 1)
+    azimuth = jnp.arctan2(sign * (em * fo - eo * fm), sign * (em * fm + eo * fo))
+    azimuth = azimuth - jnp.where(m.about_r, jnp.pi * m.halves * jnp.sign(er * b.rm), 0)
+    twist = (m.turn + theta - azimuth) / 2
+    w, v = _between(e, (fr, fm, fo), jnp.cos(twist), jnp.sin(twist))
+    return w, v, (fr, fm, fo)
+
+
+def _on_polhode(b: _Labels, R: Array, f: Vector) -> Vector:
+    """f less its errors of round-off in |f|² = 1 and R: those of S, cn, dn are the same at every step, and add up.
+
+    Where the gradient of R along the sphere vanishes, so does what an error of f does to R, and nothing is done.
+    """
+    x, y, z = lax.stop_gradient(f)
+    b, R = lax.stop_gradient((b, R))
+    long = (x * x + y * y + z * z - 1) / 2
+    x, y, z = x - long * x, y - long * y, z - long * z
+    gx, gy, gz = 2 * (b.ro - R) * x, 2 * (b.mo - R) * y, -2 * R * z
+    floor = jnp.where(b.ro == 0, 1, b.ro * b.ro / 4)
+    off = (b.ro * x * x + b.mo * y * y - R) / jnp.maximum(gx * gx + gy * gy + gz * gz, floor)
+    return (f[0] - long * x - off * gx, f[1] - long * y - off * gy, f[2] - long * z - off * gz)
+
+
+def _sorted_clock(J: Array, e: Vector, tau: Array) -> tuple[Array, Array, Array]:
+    """`clock` for ascending moments J of trace 1 and τ ≠ 0."""
+    first, b = _labels(J, e)
+    half = tau / 2
+    m = _motion(b, _relabelled(first, e), half)
+    c, s = jnp.cos(m.turn), jnp.sin(m.turn)
+    lag = c - m.R * m.S * (m.q_r / m.q_o) * s
+    size = 1 + m.nu * m.S * m.S
+    scale = m.S * m.q_o * lag * lag / (half * m.q_r * size)
+    small_turn = (m.q_o * lag >= jnp.sqrt(size / 2)) & (jnp.abs(tau) <= 2 * math.pi * J[0])  # nor one by 720°
+    return scale, s * lag / half - scale * b.b_o, small_turn
+
+
+class _Motion(NamedTuple):
+    """What moves e by τ less a number of half periods, that number, and the angle (b_o τ − (b_o − b_r) ν X)."""
+
+    about_r: Array
+    R: Array
+    nu: Array
+    S: Array
+    cn: Array
+    dn: Array
+    halves: Array
+    turn: Array
+
+    @property
+    def q_r(self) -> Array:
+        return jnp.where(self.about_r, self.dn, self.cn)
+
+    @property
+    def q_o(self) -> Array:
+        return jnp.where(self.about_r, self.cn, self.dn)
+
+
+def _motion(b: _Labels, e: Vector, tau: Array) -> _Motion:
+    x, y, z = (c * c for c in e)
+    R, excess = b.ro * x + b.mo * y, b.ro * (b.rm * x - b.mo * z)  # excess = f_r − f_o
+    f_r, f_o, nu = b.rm * R, b.mo * (b.ro * z + b.rm * y), b.mo * R
+    about_r = excess > 0
+    f, g = jnp.where(about_r, f_r, f_o), jnp.where(about_r, f_o, f_r)
+    near = f * tau * tau < _NEAR
+    f_far = jnp.where(near, 1, f)
+    m1 = jnp.where(near, 1, jnp.where(about_r, excess, -excess) / f_far)  # abs() has no derivative at 0
+    frequency = jnp.sqrt(f_far)
+    K = elliptic.quarter_period(m1)
+    u = jnp.where(near, 0, frequency * tau)
+    halves = lax.stop_gradient(jnp.round(u / (2 * K)))
+    sn, cn, dn = elliptic.jacobi(u - 2 * K * halves, m1)
+    x, y, time = *(jnp.where(near, k * tau * tau, 0) for k in (f, g)), jnp.where(near, tau, 0)
+    S = jnp.where(near, time * (1 - (x + y) / 6 + (x * x + 14 * x * y + y * y) / 120), sn / frequency)
+    cn = jnp.where(near, 1 - x / 2 + x * (x + 4 * y) / 24, cn)
+    dn = jnp.where(near, 1 - y / 2 + y * (y + 4 * x) / 24, dn)
+    part, quarter = _third(cn, dn, nu * S * S, m1, nu / f_far)
+    X = S**3 * part + jnp.where(near, 0, 2 * halves * quarter / (f_far * frequency))
+    return _Motion(about_r, R, nu, S, cn, dn, halves, b.b_o * tau + b.ro * nu * X)
+
+
+def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array) -> tuple[Array, Array]:
+    """R_J/3 of (cn², dn², 1, 1 + n), and that of a quarter period, (0, m1, 1, 1 + n_quarter): one loop for both."""
+    root = jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny))
+    x, y, p = (jnp.stack(pair) for pair in ((cn, jnp.zeros_like(cn)), (dn, root), (1 + n, 1 + n_quarter)))
+    part, quarter = three.components(elliptic.carlson_rj(x, y, jnp.ones_like(x), p) / 3)
+    return part, quarter
+
+
+def _between(e: Vector, f: Vector, c: Array, s: Array) -> tuple[Array, Vector]:
+    """(r → e)(turn about r by 2 arctan2(s, c))(f → r), times a positive number, as scalar and vector part."""
+    a, b = 1 + e[0], 1 + f[0]
+    t = (c * b, s * b, c * f[2] + s * f[1], s * f[2] - c * f[1])
+    return a * t[0] + e[2] * t[2] - e[1] * t[3], (
+        a * t[1] - e[2] * t[3] - e[1] * t[2],
+        a * t[2] - e[2] * t[0] + e[1] * t[1],
+        a * t[3] + e[1] * t[0] + e[2] * t[1],
+    )

@@ -1,0 +1,57 @@
+"""Scalar functions that are smooth at 0 where their closed form is 0/0: power series near it, closed forms beyond."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import jax.numpy as jnp
+from jax import Array
+
+
+def horner(coefficients: Sequence[float], x: Array) -> Array:
+    """Σ cₖ xᵏ."""
+    value = jnp.full_like(x, coefficients[-1])
+    for c in coefficients[-2::-1]:
+        value = c + x * value
+    return value
+
+
+def _entire(series: Sequence[float], closed: Callable[[Array], Array], radius: float) -> Callable[[Array], Array]:
+    """A function of x ≥ 0 that is smooth at 0: its Taylor series for x < radius, its closed form beyond.
+
+    Each branch is given a harmless argument where the other is taken, so that no derivative meets 0/0.
+    """
+
+    def function(x: Array) -> Array:
+        near = x < radius
+        small = jnp.where(near, x, 0)
+        return jnp.where(near, horner(series, small), closed(jnp.where(near, radius, x)))
+
+    return function
+
+
+def _reciprocal_factorials(first: int, terms: int) -> list[float]:
+    """1/first!, −1/(first+2)!, 1/(first+4)!, …"""
+    values, value = [], 1.0
+    for k in range(terms):
+        values.append((-1) ** k * value)
+        value /= (first + 2 * k + 1) * (first + 2 * k + 2)
+    return values
+
+
+def log1p_ratio(y: Array) -> Array:
+    """log(1 + y)/y for y > −1, smooth at 0: below |y| = .1 by the series of 2 artanh z, z = y/(2 + y)."""
+    near = jnp.abs(y) < 0.1
+    small_y = jnp.where(near, y, 0)
+    z = small_y / (2 + small_y)
+    series = 2 / (2 + small_y) * horner([1 / (2 * k + 1) for k in range(7)], z * z)
+    far = jnp.where(near, 1, y)
+    return jnp.where(near, series, jnp.log1p(far) / far)
+
+
+# cos √x, sin √x / √x and arctan √x / √x: analytic in x = |θ|², so is everything built of them.
+cos_sqrt = _entire(_reciprocal_factorials(0, 11), lambda x: jnp.cos(jnp.sqrt(x)), 1.0)
+sinc_sqrt = _entire(_reciprocal_factorials(1, 11), lambda x: jnp.sin(jnp.sqrt(x)) / jnp.sqrt(x), 1.0)
+arctan_sqrt = _entire(
+    [(-1) ** k / (2 * k + 1) for k in range(18)], lambda x: jnp.arctan(jnp.sqrt(x)) / jnp.sqrt(x), 0.1
+)

@@ -1,0 +1,176 @@
+"""Arithmetic of tiny vectors and matrices, component by component.
+
+XLA fuses scalar arithmetic over a batch into vector loops; `@`, `einsum` and `jnp.linalg` on 3×3 data become calls that
+it cannot fuse. So a vector here is anything with three components (an array (3,) or a tuple of scalars), results are
+tuples, and a symmetric matrix is the tuple of its distinct entries: 3 of them if it is diagonal, 6 if it is full.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+Vector = Any  # three components: Array (3,) or a tuple of scalars
+Symmetric = tuple[Array, ...]  # (xx, yy, zz) or (xx, yy, zz, yz, xz, xy)
+Matrix = Any  # three rows: Array (3, 3) or a tuple of vectors
+PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # which entries a full Symmetric holds
+
+
+def components(v: Array) -> tuple[Array, ...]:
+    return tuple(v[i] for i in range(v.shape[0]))
+
+
+def add(a: Vector, b: Vector) -> tuple[Array, Array, Array]:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def subtract(a: Vector, b: Vector) -> tuple[Array, Array, Array]:
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+def scale(s: Any, v: Vector) -> tuple[Array, Array, Array]:
+    return (s * v[0], s * v[1], s * v[2])
+
+
+def dot(a: Vector, b: Vector) -> Array:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Vector, b: Vector) -> tuple[Array, Array, Array]:
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def max_abs(v: Vector) -> Array:
+    return jnp.maximum(jnp.maximum(jnp.abs(v[0]), jnp.abs(v[1])), jnp.abs(v[2]))
+
+
+def solve(K: Matrix, b: Vector, n: Array | float = 1, divide: bool = False) -> tuple[Array, Array, Array]:
+    """(nK)⁻¹b for a 3×3 matrix of rows, by the adjugate.
+
+    With `divide`, by three divisions instead of one. XLA never computes a quotient twice, so what follows, if it is
+    much, does not repeat the solve for each of its results: so it is where derivatives are pulled back.
+    """
+    c0, c1, c2 = cross(K[1], K[2]), cross(K[2], K[0]), cross(K[0], K[1])
+    d = n * dot(K[0], c0)
+    x, y, z = (c0[i] * b[0] + c1[i] * b[1] + c2[i] * b[2] for i in range(3))
+    if divide:
+        return x / d, y / d, z / d
+    r = 1 / d
+    return x * r, y * r, z * r
+
+
+def transpose(A: Matrix) -> Matrix:
+    return tuple(zip(*A, strict=True))
+
+
+def product(A: Matrix, B: Matrix) -> Matrix:
+    """A B."""
+    columns = transpose(B)
+    return tuple(tuple(dot(row, column) for column in columns) for row in A)
+
+
+def transposed_product(A: Matrix, B: Matrix) -> Matrix:
+    """Aᵀ B."""
+    return product(transpose(A), B)
+
+
+def scale_matrix(s: Any, A: Matrix) -> Matrix:
+    """s A."""
+    return tuple(tuple(s * x for x in row) for row in A)
+
+
+def combine(A: Matrix, B: Matrix, b: Any = 1) -> Matrix:
+    """A + b B."""
+    return tuple(tuple(x + b * y for x, y in zip(r, s, strict=True)) for r, s in zip(A, B, strict=True))
+
+
+def det(A: Matrix) -> Array:
+    return dot(A[0], cross(A[1], A[2]))
+
+
+def symmetric(J: Array) -> Symmetric:
+    """The distinct entries of a symmetric matrix given by its diagonal, shape (3,), or in full, shape (3, 3)."""
+    if J.ndim == 1:
+        return components(J)
+    off = [(J[i, j] + J[j, i]) / 2 for i, j in ((1, 2), (0, 2), (0, 1))]
+    return (J[0, 0], J[1, 1], J[2, 2], *off)
+
+
+def trace(S: Symmetric) -> Array:
+    return S[0] + S[1] + S[2]
+
+
+def unit_trace(J: Array) -> tuple[Symmetric, Array]:
+    """J / tr J and 1 / tr J, of a symmetric matrix as of `symmetric`."""
+    S = symmetric(J)
+    r = 1 / trace(S)
+    return tuple(r * x for x in S), r
+
+
+def along(S: Symmetric, R: Symmetric, s: Any) -> Symmetric:
+    """S + s R."""
+    return tuple(x + s * y for x, y in zip(S, R, strict=True))
+
+
+def full(S: Symmetric) -> Symmetric:
+    """All six entries, of a diagonal one too."""
+    return S if len(S) == 6 else (*S, *[jnp.zeros_like(S[0])] * 3)
+
+
+def rows(S: Symmetric) -> Matrix:
+    x, y, z, yz, xz, xy = S
+    return ((x, xy, xz), (xy, y, yz), (xz, yz, z))
+
+
+def apply(S: Symmetric, v: Vector) -> tuple[Array, Array, Array]:
+    """S v."""
+    if len(S) == 3:
+        return (S[0] * v[0], S[1] * v[1], S[2] * v[2])
+    r = rows(S)
+    return (dot(r[0], v), dot(r[1], v), dot(r[2], v))
+
+
+def adjugate(S: Symmetric) -> Symmetric:
+    """adj S, so that S⁻¹ = adj S / det S."""
+    x, y, z = S[:3]
+    if len(S) == 3:
+        return (y * z, z * x, x * y)
+    yz, xz, xy = S[3:]
+    return (y * z - yz * yz, x * z - xz * xz, x * y - xy * xy, xz * xy - x * yz, xy * yz - y * xz, xz * yz - z * xy)
+
+
+def determinant(S: Symmetric, adj: Symmetric) -> Array:
+    """det S from S and its adjugate, along the first row."""
+    if len(S) == 3:
+        return S[0] * adj[0]
+    return S[0] * adj[0] + S[4] * adj[4] + S[5] * adj[5]
+
+
+def inner(S: Symmetric, R: Symmetric) -> Array:
+    """S:R = tr(SR), of two full ones."""
+    return S[0] * R[0] + S[1] * R[1] + S[2] * R[2] + 2 * (S[3] * R[3] + S[4] * R[4] + S[5] * R[5])
+
+
+def plus_transpose(A: Matrix) -> Symmetric:
+    """A + Aᵀ, full."""
+    return tuple(A[i][j] + A[j][i] for i, j in PAIRS)
+
+
+def gram(F: Matrix) -> Symmetric:
+    """FᵀF, full."""
+    columns = transpose(F)
+    return tuple(dot(columns[i], columns[j]) for i, j in PAIRS)
+
+
+def solve_symmetric(S: Symmetric, v: Vector) -> tuple[Array, Array, Array]:
+    """S⁻¹ v."""
+    if len(S) == 3:
+        return (v[0] / S[0], v[1] / S[1], v[2] / S[2])
+    r = 1 / trace(S)  # scaled by the trace: the cube of a large inertia leaves the range of float32
+    S = tuple(s * r for s in S)
+    adj = adjugate(S)
+    x, y, z = apply(adj, v)
+    r = r / determinant(S, adj)
+    return (x * r, y * r, z * r)

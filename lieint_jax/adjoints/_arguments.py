@@ -1,0 +1,31 @@
+"""The arguments that the functions of this package share, checked."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax.integrate import promoted
+from lieint_jax.types import State, Step
+
+Derivative = Literal["reversible", "checkpoint"]
+
+
+def checked(step: Step, state: State, dt: ArrayLike, derivative: str) -> tuple[Step, State, Array]:
+    """The arguments checked, and dt as an array of the state's dtype."""
+    if derivative not in get_args(Derivative):
+        raise ValueError(f"derivative must be one of {', '.join(get_args(Derivative))}, got {derivative!r}")
+    if not isinstance(step, Step):
+        raise ValueError(f"step must be a Step, such as schemes.so3_midpoint(...) makes, got {type(step).__name__}")
+    if derivative == "reversible" and not step.symmetric:
+        raise ValueError(
+            f'{step.name} is not symmetric, so its steps cannot be undone by −dt: give derivative="checkpoint", or '
+            "take a symmetric scheme"
+        )
+    state, dtype = promoted(step, state)
+    step.check(state, dt)
+    return step, state, jnp.asarray(_checks.step_size(dt), dtype)

@@ -1,0 +1,50 @@
+"""Runs whose reverse-mode derivative keeps the states at nested checkpoints and repeats the steps in between."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from lieint_jax.types import State, Step, StepInfo
+
+_LEVELS = 3  # of nested checkpoints: some 3 N^(1/3) states of N are kept
+
+
+def checkpointed(step: Step, state: State, dt: Array, counts: list[int]) -> tuple[State, StepInfo]:
+    """The states after counts[0], counts[0] + counts[1], … steps, and the reports in between.
+
+    One loop is compiled, as long as the longest interval and a little more; the result of a step too many is dropped.
+    """
+
+    def interval(state: State, count: Array) -> tuple[State, tuple[State, StepInfo]]:
+        def one(carry: tuple[Array, State, StepInfo], _: None) -> tuple[tuple[Array, State, StepInfo], None]:
+            k, state, so_far = carry
+            after, info = step(state, dt)
+            taken = jax.tree.map(
+                lambda new, old: jnp.where(k < count, new, old), (after, so_far.merge(info)), carry[1:]
+            )
+            return (k + 1, *taken), None
+
+        start = (jnp.zeros((), jnp.int32), state, StepInfo.fresh(state.p))
+        _, state, info = _nested(one, start, max(counts, default=0), _LEVELS)
+        return state, (state, info)
+
+    return lax.scan(jax.checkpoint(interval), state, jnp.asarray(counts, jnp.int32))[1]
+
+
+def _nested(one: Callable[..., Any], carry: Any, length: int, levels: int) -> Any:
+    """At least `length` times `one`, in about length^(1/levels) blocks of blocks …, each a checkpoint."""
+    if levels == 1:
+        return lax.scan(jax.checkpoint(one), carry, None, length=length)[0]
+    blocks = math.ceil(length ** (1 / levels))
+    block = math.ceil(length / blocks) if blocks else 0
+
+    def inner(carry: Any, _: None) -> tuple[Any, None]:
+        return _nested(one, carry, block, levels - 1), None
+
+    return lax.scan(jax.checkpoint(inner), carry, None, length=blocks)[0]

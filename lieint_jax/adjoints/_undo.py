@@ -1,0 +1,155 @@
+"""Runs whose reverse-mode derivative costs no memory: a symmetric step is undone, not remembered.
+
+Backwards from the end, step(·, −Δt) rebuilds the state that step(·, Δt) came from, and the cotangents of one step are
+pulled back there:
+
+    z_n = Ψ₋(z_{n+1}),    (λ_n, θ̄, Δ̄) = (∂Ψ(z_n)/∂(z, θ, Δt))ᵀ λ_{n+1}
+
+A composition is undone sub-step by sub-step. Only the saved states are kept, which the caller holds anyway. At each of
+them the rebuilt state is compared with the saved one and put aside, so the errors of rounding do not add up from one
+interval to the next.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import warnings
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from lieint_jax.adjoints._components import repeat
+from lieint_jax.diagnostics.order import distance
+from lieint_jax.integrate import steps
+from lieint_jax.schemes.compose import Composition
+from lieint_jax.types import State, Step, StepInfo, pytree, static
+
+
+def undoable(step: Step, state: State, dt: Array, counts: Any, tolerance: float | None) -> tuple[State, StepInfo]:
+    """`_marched`, differentiated by undoing its steps; in what the functions of the step close over, too."""
+    tolerance = math.sqrt(jnp.finfo(state.p.dtype).eps) if tolerance is None else float(tolerance)
+    return _march(_opened(step, state, dt), state, dt, counts, tolerance)
+
+
+def _marched(step: Any, state: State, dt: Array, counts: Any, tolerance: float) -> tuple[State, StepInfo]:
+    """The states after counts[0], counts[0] + counts[1], … steps, and the reports in between."""
+
+    def interval(state: State, count: Array) -> tuple[State, tuple[State, StepInfo]]:
+        state, info = steps(step, state, dt, count)
+        return state, (state, info)
+
+    return lax.scan(interval, state, jnp.asarray(counts))[1]
+
+
+_march: Any = jax.custom_vjp(_marched, nondiff_argnums=(4,))
+
+
+def _march_forward(step: Any, state: State, dt: Array, counts: Any, tolerance: float) -> Any:
+    later, info = _marched(step, state, dt, counts, tolerance)
+    return (later, info), (step, state, dt, counts, later)
+
+
+def _march_back(tolerance: float, kept: Any, cotangents: tuple[State, Any]) -> tuple[Any, ...]:
+    step, state, dt, counts, later = kept
+    smooth = _smooth(step)
+
+    def go(leaves: Any, z: State, dt: Array) -> State:
+        return _stage(_filled(step, leaves))(z, dt)[0]
+
+    def undo(carry: Any, gamma: Any) -> Any:
+        z, lam, (leaves, h) = carry
+        z = go(smooth, z, -gamma * dt)
+        more, lam, slope = jax.vjp(go, smooth, z, gamma * dt)[1](lam)
+        return z, lam, (jax.tree.map(jnp.add, leaves, more), h + gamma * slope)
+
+    def interval(carry: Any, saved: tuple[State, State, State, Array]) -> tuple[Any, Array]:
+        lam, sums = carry
+        start, end, seen, count = saved
+        rebuilt, lam, sums = repeat(count, undo, (end, jax.tree.map(jnp.add, lam, seen), sums), _gammas(step)[::-1])
+        return (lam, sums), distance(rebuilt, start)
+
+    starts = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest])[:-1], state, later)
+    zero = jax.tree.map(jnp.zeros_like, (state, (smooth, dt)))
+    found, errors = lax.scan(interval, zero, (starts, later, cotangents[0], jnp.asarray(counts)), reverse=True)
+    none = _watched(jnp.max(errors, initial=0), tolerance)  # part of each result, for whichever is used
+    lam, (leaves, h) = jax.tree.map(lambda x: x + none.astype(x.dtype), found)
+    return _cotangent(step, leaves), lam, h, np.zeros(np.shape(counts), jax.dtypes.float0)
+
+
+_march.defvjp(_march_forward, _march_back)
+
+
+def _stage(step: Any) -> Any:
+    """The step that a composition repeats; any other itself."""
+    return step.step if isinstance(step, Composition) else step
+
+
+def _gammas(step: Any) -> tuple[float, ...]:
+    """The sub-steps of a step of 1."""
+    return step.gammas if isinstance(step, Composition) else (1.0,)
+
+
+def _smooth(tree: Any) -> Any:
+    """The leaves of a tree that are real numbers, None in place of the others."""
+    return jax.tree.map(lambda x: jnp.asarray(x) if jnp.issubdtype(jnp.result_type(x), jnp.floating) else None, tree)
+
+
+def _filled(tree: Any, smooth: Any) -> Any:
+    """A tree with other real leaves."""
+    return jax.tree.map(lambda x, new: x if new is None else new, tree, smooth)
+
+
+def _cotangent(tree: Any, smooth: Any) -> Any:
+    """Cotangents of a tree from those of its real leaves; whole numbers and truth values have none."""
+    return jax.tree.map(lambda x, c: np.zeros(np.shape(x), jax.dtypes.float0) if c is None else c, tree, smooth)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _watched(error: Array, tolerance: float) -> Array:
+    """Zero, and a warning on the host if `error` is above `tolerance`: one call, however many bodies."""
+
+    def warn(error: np.ndarray) -> np.ndarray:
+        error = np.asarray(error)
+        bad = ~(error <= tolerance)
+        if bad.any():
+            warnings.warn(
+                f"reversal lost digits: a rebuilt state is {np.max(error):.2g} from the saved one (tolerance "
+                f"{tolerance:.2g}; {bad.sum()} of {bad.size}): the gradient is good to some such part only. Save more "
+                'often (save_every), take a shorter run, or derivative="checkpoint"',
+                RuntimeWarning,
+                stacklevel=2,
+            )
+        return np.zeros_like(error)
+
+    return jax.pure_callback(warn, jax.ShapeDtypeStruct((), error.dtype), error, vmap_method="expand_dims")
+
+
+@_watched.defjvp
+def _(tolerance: float, primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    none = _watched(primals[0], tolerance)
+    return none, jnp.zeros_like(none)
+
+
+@pytree
+class _Opened:
+    """A step whose functions close over nothing: what they closed over is `closed`."""
+
+    step: Step
+    closed: tuple[Array, ...]
+    function: Callable[..., tuple[State, StepInfo]] = static()
+
+    def __call__(self, state: State, dt: Array) -> tuple[State, StepInfo]:
+        return self.function(self.step, state, dt, *self.closed)
+
+
+def _opened(step: Step, state: State, dt: Array) -> Any:
+    if isinstance(step, Composition):
+        return dataclasses.replace(step, step=_opened(step.step, state, dt))
+    function, closed = jax.closure_convert(lambda step, z, dt: step(z, dt), step, state, dt)
+    return _Opened(step, tuple(closed), function)

@@ -1,0 +1,177 @@
+"""The command `lieint`: parses and calls, nothing else."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import warnings
+from pathlib import Path
+
+_EPILOG = """examples:
+  lieint run toutatis                      800 days of a tumbling asteroid, 1000 members
+  lieint run heavy_top                     nutation and precession of 200 tops beside the closed form
+  lieint run pseudo_rigid                  a spinning elastic ball, with the delay plots of the paper's Figure 3c
+  lieint run pendulum                      a spherical pendulum beside the closed form
+  lieint run kirchhoff                     a spinning spheroid in water, on SE(3)
+  lieint run my.toml --members 100         your own scenario (copy lieint_jax/data/toutatis.toml)
+  lieint run toutatis --out runs.zarr --members 100000   to disk while it runs; with --resume it goes on
+  lieint info runs.zarr                    what is in it
+  lieint check                             what every scheme conserves, measured
+  lieint check rigid_body --scheme cayley  one of them
+  lieint check "SE(3)"                     what is kept on a matrix group, by which map
+  lieint check groups                      energy and symplectic form, group by group and map by map
+  lieint figure 1 2 3 --out figures        the paper's figures
+  lieint study toutatis                    fit a spin state and inertia ratios to two radar fixes
+"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; 0 if all went well, 2 with one line on stderr if the user can mend it."""
+    options = _parser().parse_args(arguments)
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    warnings.showwarning = lambda message, *_, **__: print(f"lieint: warning: {message}", file=sys.stderr)
+    try:
+        options.command(options)
+    except BrokenPipeError:  # `lieint … | head`: whoever read has read enough
+        sys.stderr.close()
+        return 1
+    except (ValueError, OSError) as error:
+        print(f"lieint: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt as stop:
+        print(f"lieint: {stop if str(stop) else 'interrupted'}", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="lieint",
+        description="Conserving integrators for Hamiltonian systems on Lie groups. Everything runs in float64.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    run = commands.add_parser("run", help="integrate a scenario and report", description="Integrate a scenario.")
+    run.add_argument("scenario", metavar="SCENARIO", help="a shipped scenario (toutatis, heavy_top, …) or a .toml file")
+    run.add_argument(
+        "--out",
+        type=Path,
+        metavar="PATH",
+        help="where to write results: NAME.npz at the end, with pictures beside it, or NAME.zarr while the run goes on",
+    )
+    run.add_argument("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
+    run.add_argument("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
+    run.add_argument("--resume", action="store_true", help="go on with the run in PATH.zarr; start it if there is none")
+    run.add_argument("--devices", type=_positive, metavar="N", help="devices to use; on a CPU, if not told, one a core")
+    run.add_argument("--distributed", action="store_true", help="one of many processes, as srun or mpirun start them")
+    run.add_argument("--coordinator", metavar="HOST:PORT", help="with --distributed and no srun: the first process")
+    run.add_argument("--processes", type=_positive, metavar="N", help="… how many there are")
+    run.add_argument("--process", type=int, metavar="K", help="… which this one is, from 0")
+    run.set_defaults(command=_run)
+    info = commands.add_parser("info", help="what a file of results holds", description="Look into results.")
+    info.add_argument("path", type=Path, metavar="PATH")
+    info.set_defaults(command=_info)
+    plot = commands.add_parser("plot", help="report on results and draw them", description="Pictures of results.")
+    plot.add_argument("path", type=Path, metavar="PATH")
+    plot.set_defaults(command=_plot)
+    check = commands.add_parser(
+        "check", help="print certificates", description="Measure what each scheme conserves, system by system."
+    )
+    check.add_argument(
+        "system",
+        nargs="?",
+        default="",
+        metavar="SYSTEM",
+        help="a system module, example, or group (default: all systems)",
+    )
+    check.add_argument("--scheme", default="", metavar="NAME", help="only schemes whose name contains NAME")
+    check.add_argument(
+        "--steps", type=_positive, metavar="N", help="length of a run (default 1000; 100 where Ad_q grows)"
+    )
+    check.set_defaults(command=_check)
+    figure = commands.add_parser("figure", help="recompute figures of the paper", description="Write figures as PNG.")
+    figure.add_argument("numbers", nargs="+", type=int, metavar="N", help="numbers in the paper: 1 to 5")
+    figure.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
+    figure.set_defaults(command=_figure)
+    study = commands.add_parser("study", help="fit parameters, learn κ, measure chaos", description="Run a study.")
+    study.add_argument("name", metavar="NAME", help="toutatis, gyro, kappa, material or sensitivity")
+    study.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder for its picture (default: here)")
+    study.add_argument("--quick", action="store_true", help="a small one")
+    study.set_defaults(command=_study)
+    return parser
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value} is not a positive number")
+    return value
+
+
+def _run(options: argparse.Namespace) -> None:
+    from lieint_jax import ensemble
+    from lieint_jax.command import report
+    from lieint_jax.ensemble import processes
+
+    apart = (options.coordinator, options.processes, options.process)
+    if not options.distributed and any(x is not None for x in apart):
+        raise ValueError("--coordinator, --processes and --process go with --distributed")
+    if options.devices or not options.distributed:
+        ensemble.want_devices(options.devices)
+    if options.distributed:
+        processes.initialize(*apart)
+    try:
+        report.run(options.scenario, options.out, options.members, options.steps, options.devices, options.resume)
+    except processes.LostProcess as error:
+        processes.leave(f"lieint: {error}")
+
+
+def _info(options: argparse.Namespace) -> None:
+    from lieint_jax.command import report
+
+    report.info(options.path)
+
+
+def _plot(options: argparse.Namespace) -> None:
+    from lieint_jax.command import report
+
+    report.plot(options.path)
+
+
+def _check(options: argparse.Namespace) -> None:
+    from lieint_jax.command import report
+
+    report.check(options.system, options.scheme, options.steps)
+
+
+def _figure(options: argparse.Namespace) -> None:
+    from lieint_jax.command.figures import FIGURES
+
+    unknown = [n for n in options.numbers if n not in FIGURES]
+    if unknown:
+        raise ValueError(f"figure {unknown[0]} is not one of {', '.join(map(str, FIGURES))}")
+    options.out.mkdir(parents=True, exist_ok=True)
+    for n in options.numbers:
+        print(FIGURES[n](options.out), f"  written to {options.out / f'figure-{n}.png'}", sep="\n")
+
+
+def _study(options: argparse.Namespace) -> None:
+    from lieint_jax import _discover, ensemble, studies
+
+    ensemble.want_devices(None)
+    found = _discover.modules(studies)
+    if options.name not in found:
+        raise ValueError(f"study {options.name!r} is not one of {', '.join(found)}")
+    options.out.mkdir(parents=True, exist_ok=True)
+    study, picture = found[options.name], options.out / f"study-{options.name}.png"
+    result = study.run(quick=options.quick)
+    print(study.text(result))
+    study.draw(result).savefig(picture, dpi=150)
+    print(f"  written to {picture}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,88 @@
+"""Files of results: NAME.npz holds a finished run, the folder NAME.zarr is a store that grows (`ensemble`)."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lieint_jax.ensemble import _store
+from lieint_jax.types import State, StepInfo, Trajectory
+
+SUFFIXES = (".npz", ".zarr")
+
+
+def free(path: Path, kinds: Iterable[str] = (), resume: bool = False) -> Path:
+    """`path`, which must end in .npz or .zarr; neither it nor its pictures may exist, and its folder must be writable.
+
+    With `resume`, a .zarr may exist.
+    """
+    if path.suffix not in SUFFIXES:
+        raise ValueError(f"results are written as .npz or .zarr, got {path}")
+    if resume and path.suffix != ".zarr":
+        raise ValueError(f"only a run written as .zarr can be resumed, got {path}")
+    found = [] if resume else [path]
+    for file in (*found, *(pictures(path, kinds) if path.suffix == ".npz" else [])):
+        if file.exists():
+            more = "; resume continues it" if file.suffix == ".zarr" else ""
+            raise ValueError(f"{file} exists and is not overwritten; move it away or choose another --out{more}")
+    if not path.parent.is_dir():
+        raise ValueError(f"the folder {path.parent} does not exist; make it first")
+    if not os.access(path.parent, os.W_OK):
+        raise ValueError(f"the folder {path.parent} cannot be written to; choose another --out")
+    return path
+
+
+def pictures(path: Path, kinds: Iterable[str]) -> list[Path]:
+    """Where the pictures beside results at `path` go, such as NAME-path.png of the kind "path"."""
+    return [path.with_name(f"{path.stem}-{kind}.png") for kind in kinds]
+
+
+def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:
+    """Write a trajectory as .npz: arrays t, q, p, residual, converged, and `metadata` as JSON text."""
+    with path.open("xb") as file:
+        np.savez(
+            file,
+            t=trajectory.t,
+            q=trajectory.state.q,
+            p=trajectory.state.p,
+            residual=trajectory.info.residual,
+            converged=trajectory.info.converged,
+            metadata=np.array(json.dumps(metadata)),
+        )
+
+
+def load(path: Path) -> tuple[Any, dict[str, Any]]:
+    """A run and its metadata: the run that `save` wrote, or the complete part of a store.
+
+    See `ensemble._store.load` for what a store gives.
+    """
+    if path.suffix == ".zarr":
+        return _store.load(path)
+    with np.load(path) as f:
+        state, info = State(f["q"], f["p"]), StepInfo(f["residual"], f["converged"])
+        return Trajectory(f["t"], state, info), json.loads(str(f["metadata"]))
+
+
+def size(path: Path) -> int:
+    """The number of bytes of a file, or of all files of a folder."""
+    files = [path] if path.is_file() else [f for f in path.rglob("*") if f.is_file()]
+    return sum(f.stat().st_size for f in files)
+
+
+def megabytes(path: Path) -> str:
+    """The size of results, to print."""
+    return f"{size(path) / 1e6:.3g} MB"
+
+
+def unused(path: Path, kinds: Iterable[str]) -> Path:
+    """`path`, or the first of path-2, path-3, … such that neither it nor its pictures exist."""
+    candidate, k = path, 1
+    while any(file.exists() for file in (candidate, *pictures(candidate, kinds))):
+        k += 1
+        candidate = path.with_stem(f"{path.stem}-{k}")
+    return candidate

@@ -1,0 +1,150 @@
+"""What an ensemble is to do, and what it keeps of each save interval: shared by runs in memory and on disk."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import numpy as np
+
+from lieint_jax.ensemble import _layout
+from lieint_jax.ensemble._layout import Layout
+from lieint_jax.ensemble._loop import Carry, Range, Reduction
+from lieint_jax.types import State, Step, StepInfo
+
+_CHUNK_BYTES, _MEMORY = 2**22, 2**28  # of an array on disk; of the saves of all members that are held at once
+_CHUNK_WORK = 2e8  # body-steps whose saves are held at once, if they are saved that often
+
+
+class Summary(NamedTuple):
+    """What `reduce` keeps. Time is the axis of all but the last two; entry 0 is the start.
+
+    Attributes:
+        t: times, shape (n+1,).
+        least, greatest, mean: of the change of the reduced quantity since the start, over all members and over the
+            steps since the entry before.
+        residual: the largest, over the same.
+        unconverged: the number of members with a step that did not converge, over the same.
+        state: the states at the end, (members, …).
+        failed: the first step that did not converge of each member, or −1.
+    """
+
+    t: np.ndarray
+    least: np.ndarray
+    greatest: np.ndarray
+    mean: np.ndarray
+    residual: np.ndarray
+    unconverged: np.ndarray
+    state: State
+    failed: np.ndarray
+
+
+class Job(NamedTuple):
+    """An integration to be done. `dt_given` is dt as the caller has it, `dt` an array of the states' dtype."""
+
+    step: Step
+    states: State
+    dt_given: float
+    dt: Any
+    save_every: int
+    num_saves: int
+    step_axis: int | None
+    reduction: Reduction | None
+
+    @property
+    def num_steps(self) -> int:
+        """The number of steps in all."""
+        return self.save_every * self.num_saves
+
+    @property
+    def times(self) -> np.ndarray:
+        """The times of all entries."""
+        return self.dt_given * self.save_every * np.arange(self.num_saves + 1, dtype=self.dt.dtype)
+
+    @property
+    def members(self) -> int:
+        """The number of members."""
+        return self.states.p.shape[0]
+
+    def buffer_rows(self, across: int) -> int:
+        """The number of saves that are held at once, for chunks of `across` members."""
+        row = max(sum(leaf[0].nbytes for leaf in self.states) + 9, 24)
+        enough = min(_CHUNK_BYTES // (across * row), _MEMORY // (self.members * row))
+        return int(max(1, min(enough, _CHUNK_WORK // (self.members * self.save_every), self.num_saves + 1)))
+
+
+class Output(Protocol):
+    """Where a run puts its saved rows: in memory (`_run`) or on disk (`_recording`)."""
+
+    @property
+    def defers_interrupts(self) -> bool:
+        """Whether an interrupt waits until the run `can_stop`."""
+        ...
+
+    @property
+    def buffer_rows(self) -> int:
+        """The largest number of saves of one call of the compiled loop: the length of its buffer."""
+        ...
+
+    @property
+    def free_rows(self) -> int:
+        """The largest number of saves that the next call may bring."""
+        ...
+
+    def restored(self) -> tuple[list[Carry], int] | None:
+        """The carry and the number of steps of the run that this output holds already, or None."""
+
+    def begin(self, carry: list[Carry]) -> None:
+        """Take the entry of the start; not called for a run that was restored."""
+
+    def append(self, saved: Any, number: int) -> None:
+        """Take `number` saved rows."""
+
+    def checkpoint(self, carry: list[Carry], done: int, seconds: float, stop: bool) -> None:
+        """Called after each call of the loop with a carry from which the run can be resumed; may write a checkpoint.
+
+        Args:
+            carry: the carry.
+            done: the number of steps taken.
+            seconds: how long the call took.
+            stop: whether the run is to stop.
+        """
+
+    def can_stop(self) -> bool:
+        """Whether everything that a resume needs has been kept."""
+        ...
+
+    def interrupt_message(self, done: int, num_steps: int) -> str:
+        """What to tell somebody who interrupted the run."""
+        ...
+
+    def result(self, carry: list[Carry]) -> Any:
+        """The result, when all steps are taken."""
+
+
+def local_rows(saved: list[Any], number: int) -> list[Any]:
+    """The first `number` saved rows of each piece, copied to the host."""
+    return jax.tree.map(lambda x: np.array(np.asarray(x)[:number]), saved)
+
+
+def gathered_rows(layout: Layout, saved: list[Any], number: int) -> Any:
+    """The first `number` saved rows of all members, on every process."""
+    return _layout.gather(layout, local_rows(saved, number), 1)
+
+
+def first_entry(job: Job) -> dict[str, np.ndarray]:
+    """The entry of the start in the series of reductions."""
+    zero = np.zeros(1, job.dt.dtype)
+    return dict.fromkeys(("least", "greatest", "mean", "residual"), zero) | {"unconverged": np.zeros(1, np.int64)}
+
+
+def reduced(rows: tuple[StepInfo, Range], job: Job) -> dict[str, np.ndarray]:
+    """Rows (saves, members) to series (saves,). Sums go in the order of the members, on whatever device they lie."""
+    info, change = rows
+    return {
+        "least": change.least.min(axis=1),
+        "greatest": change.greatest.max(axis=1),
+        "mean": np.array([np.sum(row) for row in np.asarray(change.total)]) / (job.members * job.save_every),
+        "residual": info.residual.max(axis=1),
+        "unconverged": (~np.asarray(info.converged)).sum(axis=1),
+    }  # pyright: ignore[reportReturnType]

@@ -1,0 +1,245 @@
+"""Members over devices: how a batch is cut, padded and placed.
+
+The mesh axis "members" runs over devices and processes. A device's members lie on it in blocks, and the bits of a
+result depend neither on how many devices there are nor on where a member lies:
+
+* every block is advanced by the same program (`_loop`), compiled for one device. (One program for all, by `shard_map`,
+  would round differently for each number of devices: XLA fuses it differently.)
+* blocks are multiples of 16, whole vectors of any width, and behind each are 32 copies of a member whose results are
+  dropped: a CPU takes the last vector of a loop over components in memory by scalar code, which rounds differently.
+
+On a CPU a block stays in its cache.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from math import lcm
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax import Array
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+AXIS = "members"
+LANES = 16  # members of a whole vector: 16 float32 of 512 bits
+_TAIL = 32  # members behind a block, in which its last vectors lie
+_BLOCK = 1024  # members that a CPU works on at once: their states and temporaries fit its cache
+
+
+class Piece(NamedTuple):
+    """A block of members on a device of this process: those from `start` on."""
+
+    device: Any
+    start: int
+
+
+class Layout(NamedTuple):
+    """How `members` members lie on the devices of a mesh: `blocks` blocks of `block` members on each, in order.
+
+    Places beyond the last member are padding: copies of that member. A block of padding alone is left out.
+    """
+
+    mesh: Mesh
+    members: int
+    block: int
+    blocks: int
+
+    @property
+    def lanes(self) -> int:
+        """Members of a block and the copies behind it. A single member, always in one block, needs no copies."""
+        return 1 if self.members == 1 else self.block + _TAIL
+
+    @property
+    def per_device(self) -> int:
+        """Members per device, padding included."""
+        return self.block * self.blocks
+
+    @property
+    def here(self) -> list[int]:
+        """Which of the mesh's devices are of this process."""
+        return [k for k, device in enumerate(self.mesh.devices.flat) if device.process_index == jax.process_index()]
+
+    @property
+    def members_here(self) -> range:
+        """The members of this process, without padding."""
+        first, last = min(self.here) * self.per_device, (max(self.here) + 1) * self.per_device
+        return range(min(first, self.members), min(last, self.members))
+
+    @property
+    def pieces(self) -> list[Piece]:
+        """The blocks of this process, in the order of their members; one of padding, if it has no members."""
+        devices, starts = self.mesh.devices.flat, range(0, self.per_device, self.block)
+        found = [Piece(devices[k], k * self.per_device + start) for k in self.here for start in starts]
+        return [piece for piece in found if piece.start < self.members] or found[:1]
+
+
+def checked_mesh(mesh: Mesh | None) -> Mesh:
+    """`mesh` if it has the one axis "members" and as many devices on each process; None means all devices."""
+    if mesh is None:
+        return first_devices(None)
+    if not isinstance(mesh, Mesh) or tuple(mesh.axis_names) != (AXIS,):
+        given = tuple(mesh.axis_names) if isinstance(mesh, Mesh) else type(mesh).__name__
+        raise ValueError(f'mesh must be a jax.sharding.Mesh of one axis, "{AXIS}", got {given}')
+    processes = [device.process_index for device in mesh.devices.flat]
+    if processes != sorted(processes) or len({processes.count(p) for p in processes}) > 1:
+        raise ValueError(f"mesh must list as many devices of each process, process by process, got {processes}")
+    if jax.process_index() not in processes:
+        raise ValueError(f"mesh has no device of this process, {jax.process_index()}")
+    return mesh
+
+
+def want_devices(count: int | None) -> None:
+    """Split the CPU into `count` devices; by default one per core, which is fastest.
+
+    Without effect on accelerators, once JAX has started, or where XLA_FLAGS says how many.
+    """
+    if count is None:
+        affinity = getattr(os, "sched_getaffinity", None)  # not on every system
+        count = len(affinity(0)) if affinity else os.cpu_count() or 1
+    if "host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
+        with contextlib.suppress(RuntimeError):
+            jax.config.update("jax_num_cpu_devices", count)
+
+
+def first_devices(count: int | None) -> Mesh:
+    """A mesh of the first `count` devices of each process; None takes all."""
+    devices = np.array(jax.devices())
+    if count is not None:
+        here = jax.local_device_count()
+        if count > here:
+            raise ValueError(f"{count} devices were asked for and {here} are there")
+        devices = devices.reshape(-1, here)[:, :count].ravel()
+    return Mesh(devices, (AXIS,))
+
+
+def layout_of(mesh: Mesh, members: int, chunk: int | None = None) -> Layout:
+    """How `members` members lie on a mesh; with a `chunk`, each process holds a whole number of chunks of members."""
+    if members == 1:
+        return Layout(mesh, 1, 1, 1)
+    processes = count_processes(mesh)
+    on_cpu = mesh.devices.flat[0].platform == "cpu"
+    if chunk is None or processes == 1:
+        each = -(-members // mesh.size)
+        blocks = -(-each // _BLOCK) if on_cpu else 1
+        return Layout(mesh, members, LANES * -(-each // (LANES * blocks)), blocks)
+    devices = mesh.size // processes
+    unit = lcm(chunk, LANES * devices)
+    each = unit * -(-members // (processes * unit)) // devices
+    block = max(b for b in range(LANES, _BLOCK + 1, LANES) if each % b == 0) if on_cpu else each
+    return Layout(mesh, members, block, each // block)
+
+
+def chunk_of(layout: Layout, most: int) -> int:
+    """How many members a chunk of a store holds, at most `most` or one block of each device of a process."""
+    row = len(layout.here) * layout.block
+    return row * min(layout.blocks, max(1, most // row))
+
+
+def scatter(layout: Layout, tree: Any, first: int = 0) -> list[Any]:
+    """Host arrays that begin at member `first`, cut into the pieces of this process, padded, each on its device."""
+    tree = jax.tree.map(np.asarray, tree)
+
+    def one(piece: Piece) -> Any:
+        rows = np.arange(piece.start, piece.start + layout.lanes) - first
+        return jax.device_put(jax.tree.map(lambda x: x[np.clip(rows, 0, len(x) - 1)], tree), piece.device)
+
+    return [one(piece) for piece in layout.pieces]
+
+
+def replicate(layout: Layout, tree: Any) -> list[Any]:
+    """A copy of `tree` on the device of each piece."""
+    copies = {piece.device: jax.device_put(tree, piece.device) for piece in layout.pieces}
+    return [copies[piece.device] for piece in layout.pieces]
+
+
+def on_each(layout: Layout, function: Callable[..., Any], *pieces: list[Any]) -> list[Any]:
+    """Apply `function` to every piece, all devices working at once; return when all are done."""
+    work: dict[Any, list[int]] = {}
+    for k, piece in enumerate(layout.pieces):
+        work.setdefault(piece.device, []).append(k)
+
+    def on_device(which: list[int]) -> list[tuple[int, Any]]:
+        return jax.block_until_ready([(k, function(*(x[k] for x in pieces))) for k in which])
+
+    if len(work) == 1:
+        return [result for which in work.values() for _, result in on_device(which)]
+    with ThreadPoolExecutor(len(work)) as pool:
+        return [result for done in pool.map(on_device, work.values()) for _, result in done]
+
+
+def local_part(layout: Layout, pieces: Sequence[Array], axis: int = 0) -> np.ndarray:
+    """The members of this process, of an array given by its pieces, without padding; `axis` is the member axis."""
+    before = (slice(None),) * axis
+    parts = [np.asarray(x)[*before, : layout.block] for x in pieces]
+    return (np.concatenate(parts, axis) if len(parts) > 1 else parts[0])[*before, : len(layout.members_here)]
+
+
+def gather(layout: Layout, trees: Sequence[Any], axis: int = 0) -> Any:
+    """The arrays of all members on every process, without padding, from a tree per piece; `axis` is the member axis."""
+    return jax.tree.map(lambda *pieces: _gather_leaf(layout, pieces, axis), *trees)
+
+
+def _gather_leaf(layout: Layout, pieces: Sequence[Array], axis: int) -> np.ndarray:
+    mine = local_part(layout, pieces, axis)
+    if count_processes(layout.mesh) == 1:
+        return mine
+    mine, devices = np.moveaxis(mine, axis, 0), len(layout.here)
+    mine = np.concatenate([mine, np.zeros((devices * layout.per_device - len(mine), *mine.shape[1:]), mine.dtype)])
+    whole = _all_gather_rows(layout.mesh, mine.reshape(devices, layout.per_device, *mine.shape[1:]))
+    return np.moveaxis(whole.reshape(-1, *mine.shape[1:])[: layout.members], 0, axis)
+
+
+def _all_gather_rows(mesh: Mesh, mine: np.ndarray) -> np.ndarray:
+    """The rows of all processes, one per device, on every process."""
+    spread = NamedSharding(mesh, PartitionSpec(AXIS))
+    first = mesh.devices.size // count_processes(mesh) * jax.process_index()
+
+    def part(index: Any) -> np.ndarray:
+        return mine[index[0].start - first : index[0].stop - first]
+
+    array = jax.make_array_from_callback((mesh.size, *mine.shape[1:]), spread, part)
+    return np.asarray(_replicated(mesh)(array).addressable_data(0))
+
+
+@cache
+def _replicated(mesh: Mesh) -> Any:
+    return jax.jit(lambda x: x, out_shardings=NamedSharding(mesh, PartitionSpec()))
+
+
+def count_processes(mesh: Mesh) -> int:
+    """How many processes the devices of a mesh belong to."""
+    return len({device.process_index for device in mesh.devices.flat})
+
+
+def all_gather(mesh: Mesh, *values: float) -> np.ndarray:
+    """The values of each process, (processes, values), on every process."""
+    count = count_processes(mesh)
+    if count == 1:
+        return np.array([values], float)
+    devices = mesh.size // count
+    return _all_gather_rows(mesh, np.tile(np.array(values, float), (devices, 1)))[::devices]
+
+
+def all_reduce_max(mesh: Mesh, *values: float) -> tuple[float, ...]:
+    """The maximum of each value over all processes (all-reduce), so that they take the same decision."""
+    return tuple(all_gather(mesh, *values).max(axis=0).tolist())
+
+
+def barrier(mesh: Mesh) -> None:
+    """Wait until every process has come here."""
+    all_gather(mesh, 0.0)
+
+
+def worst_energy_error(layout: Layout, H0: list[Array], H: list[Array], failed: list[Array]) -> tuple[float, int]:
+    """The largest |H − H₀| over the largest |H₀|, and how many members have failed."""
+    H0_, H_, failed_ = (local_part(layout, x) for x in (H0, H, failed))
+    change, size = (np.max(np.abs(x), initial=0.0) for x in (H_ - H0_, H0_))
+    found = all_gather(layout.mesh, float(change), float(size), float(np.sum(failed_ >= 0)))
+    change, size = found[:, :2].max(axis=0)
+    return float(change / size if size else change), int(found[:, 2].sum())

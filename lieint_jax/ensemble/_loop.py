@@ -1,0 +1,167 @@
+"""The one compiled loop that advances a batch, and what it carries from one step to the next."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from lieint_jax.types import State, Step, StepInfo
+
+Reduction = Callable[[Step, State], Array]
+
+
+class Range(NamedTuple):
+    """The least, the greatest and the sum of a quantity over the steps since the last save, one of each per member."""
+
+    least: Array
+    greatest: Array
+    total: Array
+
+    @classmethod
+    def fresh(cls, like: Array) -> Range:
+        """The range of no steps yet."""
+        return cls(jnp.full_like(like, jnp.inf), jnp.full_like(like, -jnp.inf), jnp.zeros_like(like))
+
+    def including(self, x: Array) -> Range:
+        """This range with one more value per member; a NaN shows in all three."""
+        return Range(jnp.minimum(self.least, x), jnp.maximum(self.greatest, x), self.total + x)
+
+
+class Carry(NamedTuple):
+    """All that a run carries from one step to the next, every leaf with the member axis first.
+
+    Attributes:
+        state: the states.
+        info: the report since the last save.
+        failed: the first step that did not converge, or −1.
+        change: of a reduced quantity, since the last save; None if nothing is reduced.
+    """
+
+    state: State
+    info: StepInfo
+    failed: Array
+    change: Range | None
+
+
+class Portion(NamedTuple):
+    """What one call of the compiled loop is to do: `saves` times `every` steps of size `dt`.
+
+    Attributes:
+        dt: the step size, an array of the states' dtype.
+        done: the number of steps taken before.
+        saves: the number of save intervals.
+        every: the number of steps in each.
+        fresh: whether the first interval begins here; if not, it goes on with the report that the carry brings.
+    """
+
+    dt: Any
+    done: Any
+    saves: Any
+    every: Any
+    fresh: Any
+
+
+def compiler_options() -> dict[str, Any]:
+    """What the compiled loops are built with: full-width vectors, 1.4 to 1.7 times faster on AVX-512 machines."""
+    on_x86 = jax.default_backend() == "cpu" and platform.machine().lower() in ("x86_64", "amd64")
+    return {"xla_cpu_prefer_vector_width": 512} if on_x86 else {}
+
+
+def step_dtype() -> Any:
+    """What numbers of steps are kept in: int64, or int32 without x64."""
+    return jax.dtypes.canonicalize_dtype(np.int64)
+
+
+@cache
+def start(step_axis: int | None, reduction: Reduction | None) -> Callable[..., tuple[Carry, Any]]:
+    """(step, states) ↦ the carry of a run and the reduced quantity at its start (None if nothing is reduced)."""
+
+    def begin(step: Step, states: State) -> tuple[Carry, Any]:
+        members = states.p.shape[0]
+        info = StepInfo(jnp.zeros(members, states.p.dtype), jnp.ones(members, bool))
+        origin = None if reduction is None else jax.vmap(reduction, in_axes=(step_axis, 0))(step, states)
+        change = None if origin is None else Range.fresh(origin)
+        failed = jnp.full(members, -1, step_dtype())
+        return Carry(states, info, failed, change), origin
+
+    return jax.jit(begin, compiler_options=compiler_options())
+
+
+@cache
+def prepare(step_axis: int | None) -> Callable[..., Any]:
+    """(step, states, dt) ↦ the prepared steps, with the member axis on every leaf."""
+
+    def prepared(step: Step, states: State, dt: Array) -> Step:
+        size = states.p.shape[0]
+        return jax.vmap(lambda s, z: s.prepare(z, dt), in_axes=(step_axis, 0), axis_size=size)(step, states)
+
+    return jax.jit(prepared, compiler_options=compiler_options())
+
+
+@cache
+def advance(step_axis: int | None, reduction: Reduction | None, buffer_rows: int) -> Callable[..., tuple[Carry, Any]]:
+    """The compiled loop (step, carry, origin, portion) ↦ (carry, saved), for at most `buffer_rows` saves a call.
+
+    `saved` holds, of each save, the report, and the state or the change of the reduced quantity since `origin`.
+    """
+
+    def of_all(function: Callable[..., Any], step: Step, states: State) -> Any:
+        return jax.vmap(function, in_axes=(step_axis, 0))(step, states)
+
+    def loop(step: Step, carry: Carry, origin: Any, portion: Portion) -> tuple[Carry, Any]:
+        dt, done, saves, every, fresh = portion
+        unsaved = _unsaved(carry)
+
+        def one(n: Array, carry: Carry) -> Carry:
+            state, info = of_all(lambda s, z: s(z, dt), step, carry.state)
+            failed = jnp.where((carry.failed < 0) & ~info.converged, n, carry.failed)
+            change = carry.change
+            if reduction is not None and change is not None:
+                change = change.including(of_all(reduction, step, state) - origin)
+            return Carry(state, carry.info.merge(info), failed, change)
+
+        def interval(k: Array, loop: tuple[Carry, Any]) -> tuple[Carry, Any]:
+            carry, saved = loop
+            begins = (k > 0) | fresh
+            info, change = jax.tree.map(
+                lambda new, old: jnp.where(begins, new, old), unsaved, (carry.info, carry.change)
+            )
+            carry = carry._replace(info=info, change=change)
+            carry = lax.fori_loop(0, every, lambda i, c: one(k * every + i, c), carry)
+            return carry, jax.tree.map(lambda to, x: to.at[k].set(x), saved, _saved(carry))
+
+        buffer = jax.tree.map(lambda x: jnp.zeros((buffer_rows, *x.shape), x.dtype), _saved(carry))
+        begin = carry._replace(failed=jnp.full(carry.failed.shape, -1, jnp.int32))  # counted from this call's start
+        end, saved = lax.fori_loop(0, saves, interval, (begin, buffer))
+        first = jnp.where(end.failed < 0, -1, done + end.failed)
+        return end._replace(failed=jnp.where(carry.failed < 0, first, carry.failed).astype(carry.failed.dtype)), saved
+
+    return jax.jit(loop, compiler_options=compiler_options())
+
+
+def _unsaved(carry: Carry) -> tuple[StepInfo, Range | None]:
+    """The report and the range of no steps yet, of the shapes that they have in `carry`."""
+    info = StepInfo(jnp.zeros_like(carry.info.residual), jnp.ones_like(carry.info.converged))
+    return info, None if carry.change is None else Range.fresh(carry.change.total)
+
+
+def _saved(carry: Carry) -> Any:
+    return (carry.info, carry.state if carry.change is None else carry.change)
+
+
+@cache
+def energies(step_axis: int | None) -> Callable[..., Array]:
+    """(step, states) ↦ the energy of each member."""
+    return jax.jit(jax.vmap(energy, in_axes=(step_axis, 0)), compiler_options=compiler_options())
+
+
+def energy(step: Step, state: State) -> Array:
+    """The energy of a step's system."""
+    return step.system.energy(state)

@@ -1,0 +1,85 @@
+"""Many members at once: a function vmapped over them, their batch split over devices and processes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from lieint_jax.ensemble import processes
+from lieint_jax.ensemble._layout import AXIS, checked_mesh, count_processes
+
+
+def over_members(function: Callable[..., Any], in_axes: Any = 0, mesh: Mesh | None = None) -> Callable[..., Any]:
+    """`function` for one member as a jitted function of many, each device taking a share of them.
+
+    Gradients, fits and whole studies go through it alike: `over_members(jax.grad(loss))(params, states)`. It may be
+    jitted and differentiated again. With `jax.distributed`, every process calls it with the same arguments and gets
+    the same results. As one program serves all devices, the last bits may depend on how many there are; those of
+    `ensemble.run` do not.
+
+    LAPACK (`svd`, `qr`, `solve`, …) inside `function` wants `jax.custom_batching.sequential_vmap`: where a CPU's cores
+    are a device each, XLA does a batch of them on the very threads that wait for it.
+
+    Args:
+        function: of arrays or trees of arrays; of one member.
+        in_axes: 0 for what carries the member axis, None for what all share; one for all arguments or a tuple, one
+            for each.
+        mesh: devices, as of `ensemble.run`; None takes all. A number of members that the devices do not divide is
+            filled up with copies of the last.
+
+    Returns:
+        The function of members; its results carry a leading member axis.
+
+    Raises:
+        ValueError: no argument with a member axis, arguments of different numbers of members, another mesh.
+        processes.LostProcess: another process of this run is gone.
+    """
+    mesh = checked_mesh(mesh)
+    split, whole = PartitionSpec(AXIS), PartitionSpec()
+    several = count_processes(mesh) > 1
+
+    def many(*arguments: Any) -> Any:
+        axes = in_axes if isinstance(in_axes, tuple) else (in_axes,) * len(arguments)
+        members = _count(axes, arguments)
+        missing = -members % mesh.size
+
+        def filled(leaf: Any) -> Any:
+            return jnp.concatenate([leaf, jnp.repeat(leaf[-1:], missing, axis=0)]) if missing else jnp.asarray(leaf)
+
+        def cut(leaf: Any) -> Any:
+            return (
+                lax.with_sharding_constraint(leaf[:members], NamedSharding(mesh, whole)) if several else leaf[:members]
+            )
+
+        full = [x if axis is None else jax.tree.map(filled, x) for axis, x in zip(axes, arguments, strict=True)]
+        specs = tuple(whole if axis is None else split for axis in axes)
+        shared = jax.shard_map(jax.vmap(function, axes), mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)
+        return jax.tree.map(cut, shared(*full))
+
+    compiled = jax.jit(many)
+    if not several:
+        return compiled
+
+    def on_all(*arguments: Any) -> Any:
+        with processes.watched(mesh):
+            return jax.block_until_ready(compiled(*jax.tree.map(np.asarray, arguments)))
+
+    return on_all
+
+
+def _count(axes: tuple[Any, ...], arguments: tuple[Any, ...]) -> int:
+    """How many members the arguments have."""
+    if len(axes) != len(arguments) or any(axis not in (0, None) for axis in axes) or 0 not in axes:
+        raise ValueError(f"in_axes must be 0 or None for each of {len(arguments)} arguments, not all None: {axes}")
+    batched = [leaf for axis, x in zip(axes, arguments, strict=True) if axis == 0 for leaf in jax.tree.leaves(x)]
+    counts = {np.shape(leaf)[0] if np.ndim(leaf) else 0 for leaf in batched}
+    if len(counts) != 1 or not min(counts):
+        raise ValueError(f"arguments must carry one number of members, got {sorted(counts)}")
+    [members] = counts
+    return members

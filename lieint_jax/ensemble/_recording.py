@@ -1,0 +1,377 @@
+"""A run into a store: its arrays, how they are filled while the run goes on, and which run may resume it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import re
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax.sharding import Mesh
+
+from lieint_jax._version import __version__
+from lieint_jax.ensemble import _layout, _store
+from lieint_jax.ensemble._job import Job, Summary, first_entry, gathered_rows, local_rows, reduced
+from lieint_jax.ensemble._layout import Layout
+from lieint_jax.ensemble._loop import Carry, Range, compiler_options, step_dtype
+from lieint_jax.types import State, StepInfo, Trajectory
+
+_RESIDUAL = "largest residual of a step since the entry before"
+_CHUNK_MEMBERS = 8192  # at most, of an array on disk
+_CHECKPOINT_EVERY = 30.0  # seconds, within a save interval that takes longer
+
+
+class StoreOptions(NamedTuple):
+    """Where a run is stored, and what is written there beside the results.
+
+    Attributes:
+        path: a folder, whose name ends in .zarr.
+        attributes: such as a scenario; as JSON knows them. A resume with other attributes is refused.
+        time_unit: of dt.
+    """
+
+    path: str | Path
+    attributes: Mapping[str, Any] = {}
+    time_unit: str = "1"
+
+
+def into_store(
+    job: Job, mesh: Mesh, options: StoreOptions, resume: bool, integrate: Callable[[Layout, StoreOutput], Any]
+) -> Any:
+    """Let `integrate` fill a store from its start, or from where its run ended; return what the store holds then."""
+    path = Path(options.path)
+    if path.suffix != ".zarr":
+        raise ValueError(f"a store is a folder that ends in .zarr, got {path}")
+    leader = jax.process_index() == 0
+    layout = _layout.layout_of(mesh, job.members)
+    exists = bool(_layout.all_reduce_max(mesh, path.exists())[0])
+    described = _description(job, options)
+    if exists and not resume:
+        raise ValueError(f"{path} exists and is not overwritten; resume continues it, or choose another store")
+    if not exists and leader:
+        chunk = _layout.chunk_of(layout, _CHUNK_MEMBERS)
+        arrays = _columns(job, chunk, options), _checkpoint_columns(job, chunk)
+        _store.create(path, *arrays, _attributes(job, options, described, chunk))
+    _layout.barrier(mesh)  # the store exists for all
+    with _store.opened(path, leader) as writer:
+        _check_same(path, writer.attributes["run"], described)
+        if leader:
+            _store.clean(path)
+        layout = _layout.layout_of(mesh, job.members, writer.attributes["member_chunk"])
+        _layout.barrier(mesh)
+        if not writer.progress["complete"]:
+            integrate(layout, StoreOutput(job, layout, writer))
+    return _opened(path)
+
+
+def _opened(path: Path) -> Any:
+    found, _ = _store.load(path)
+    if isinstance(found, Trajectory):
+        return found
+    state = State(found["q"], found["p"])
+    series = {name: found[name] for name in ("least", "greatest", "mean", "residual", "unconverged")}
+    return Summary(found["time"], **series, state=state, failed=found["first_failure"])
+
+
+class StoreOutput:
+    """Results in a store, chunk by chunk, with a checkpoint after each from which the run can be resumed."""
+
+    defers_interrupts = True
+
+    def __init__(self, job: Job, layout: Layout, writer: _store.Writer) -> None:
+        self._job, self._layout, self._writer = job, layout, writer
+        self._entries = writer.progress["entries"]  # of commits
+        self._pending: list[tuple[Any, int]] = []
+        self._since = 0.0
+        self._next: dict[str, Any] | None = None  # the progress of the commit that is being written
+        self.buffer_rows = int(writer.attributes["time_chunk"])
+
+    @property
+    def _held(self) -> int:
+        return sum(number for _, number in self._pending)
+
+    @property
+    def free_rows(self) -> int:
+        """The number of saves until the chunk is whole."""
+        return self.buffer_rows - (self._entries + self._held) % self.buffer_rows
+
+    def restored(self) -> tuple[list[Carry], int] | None:
+        """The carry and the number of steps of the run that the store holds, or None."""
+        done = self._writer.progress
+        if not done["commits"]:
+            return None
+        mine = self._layout.members_here
+        part = range(max(min(mine.start, self._layout.members - 1), 0), max(mine.stop, mine.start + 1))
+
+        def read(name: str) -> Any:
+            return self._writer.read(f"checkpoint/{name}", (done["commits"] % 2, slice(part.start, part.stop)))
+
+        change = Range(*map(read, Range._fields)) if self._job.reduction is not None else None
+        info = StepInfo(read("residual"), read("converged"))  # pyright: ignore[reportArgumentType]
+        carry = Carry(State(read("q"), read("p")), info, read("failed"), change)  # pyright: ignore[reportArgumentType]
+        return _layout.scatter(self._layout, carry, part.start), done["steps"]
+
+    def begin(self, carry: list[Carry]) -> None:
+        """Take the entry of the start."""
+        if self._job.reduction is None:
+            self._pending.append(([jax.tree.map(lambda x: np.array(x)[None], (c.info, c.state)) for c in carry], 1))
+        else:
+            self._pending.append((first_entry(self._job), 1))
+
+    def append(self, saved: Any, number: int) -> None:
+        """Take `number` saved rows."""
+        if self._job.reduction is not None:
+            saved = reduced(gathered_rows(self._layout, saved, number), self._job)
+        else:
+            saved = local_rows(saved, number)
+        self._pending.append((saved, number))
+
+    def checkpoint(self, carry: list[Carry], done: int, seconds: float, stop: bool) -> None:
+        """Commit if a chunk is whole; or if no rows are pending and the last commit is old or the run is to stop."""
+        self._settle(wait=False)
+        self._since += seconds
+        last = done == self._job.num_steps
+        whole = self._held and (self._entries + self._held) % self.buffer_rows == 0
+        if last or whole or (not self._held and (stop or self._since > _CHECKPOINT_EVERY)):
+            self._commit(carry, done, last)
+
+    def _commit(self, carry: list[Carry], done: int, last: bool) -> None:
+        self._settle(wait=True)
+        pieces, first, number = self._pending, self._entries, self._held
+        slot = (self._writer.progress["commits"] + 1) % 2
+        self._pending, self._entries, self._since = [], first + number, 0.0
+        self._writer.write(partial(self._parts, carry, pieces, first, slot, last))
+        self._next = {
+            "commits": 0 if last else self._writer.progress["commits"] + 1,  # a history that no longer matters
+            "entries": self._entries,
+            "steps": done,
+            "complete": last,
+        }
+
+    def _settle(self, wait: bool) -> None:
+        """Publish the commit that is being written, if all processes have; with `wait`, once they have."""
+        while self._next is not None:
+            missing = _layout.all_reduce_max(self._layout.mesh, not self._writer.written)[0]
+            if not missing:
+                self._writer.publish(**self._next)
+                self._next = None
+            elif not wait:
+                return
+            else:
+                time.sleep(0.002)
+
+    def _parts(self, carry: list[Carry], pieces: list[tuple[Any, int]], first: int, slot: int, last: bool) -> Any:
+        """The parts of a commit, made when they are written."""
+        layout, part = self._layout, _store.Part
+        mine = layout.members_here.start
+        series = self._job.reduction is not None
+        if len(layout.members_here):
+            host = {name: _layout.local_part(layout, x) for name, x in _named(carry).items()}
+            for name, x in host.items():
+                yield part(f"checkpoint/{name}", (slot, mine), x[None])
+            if last:
+                kept = {"first_failure": host["failed"]} | (
+                    {name: host[name] for name in State._fields} if series else {}
+                )
+                for name, x in kept.items():
+                    yield part(name, (mine,), x)
+        if not pieces:
+            return
+        if series:
+            rows: dict[str, np.ndarray] = {
+                name: np.concatenate([values[name] for values, _ in pieces]) for name in pieces[0][0]
+            }
+        else:
+            rows = self._rows(pieces)
+        if jax.process_index() == 0:
+            end = first + len(next(iter(rows.values())))
+            yield part("time", (first,), self._job.times[first:end])
+        if jax.process_index() == 0 or not series:
+            for name, x in rows.items():
+                yield part(name, (first,) if series else (first, mine), x)
+
+    def _rows(self, pieces: list[tuple[Any, int]]) -> dict[str, np.ndarray]:
+        joined: dict[str, list[np.ndarray]] = {}
+        for saved, _ in pieces:
+            for name in (*State._fields, *StepInfo._fields):
+                parts = [getattr(state if name in State._fields else info, name) for info, state in saved]
+                joined.setdefault(name, []).append(_layout.local_part(self._layout, parts, 1))
+        return {name: np.concatenate(parts) for name, parts in joined.items()}
+
+    def can_stop(self) -> bool:
+        """Whether everything so far is committed."""
+        if self._pending:
+            return False
+        self._settle(wait=True)
+        return True
+
+    def interrupt_message(self, done: int, num_steps: int) -> str:
+        """What to tell somebody who interrupted the run."""
+        return f"stopped after {done} of {num_steps} steps, all of them in {self._writer.path}; resume to go on"
+
+    def result(self, carry: list[Carry]) -> None:
+        """Wait until everything is written."""
+        self._settle(wait=True)
+        _layout.barrier(self._layout.mesh)
+
+
+def _named(carry: list[Carry]) -> dict[str, list[Any]]:
+    """The pieces of each array of a carry."""
+    found: dict[str, list[Any]] = {}
+    for c in carry:
+        change = c.change._asdict() if c.change is not None else {}
+        for name, x in {**c.state._asdict(), "failed": c.failed, **c.info._asdict(), **change}.items():
+            found.setdefault(name, []).append(x)
+    return found
+
+
+class _Axes:
+    """The axes that arrays of a run share, and columns along them."""
+
+    def __init__(self, job: Job, chunk: int) -> None:
+        self.times = {"time": (job.num_saves + 1, job.buffer_rows(chunk))}  # name: (length, chunk)
+        self.members = {"member": (job.members, chunk)}
+        self.slots = {"slot": (2, 1)}
+        self._number = np.dtype(job.dt.dtype)
+
+    def column(self, axes: Mapping[str, tuple[int, int]], dtype: Any = None, **attributes: str) -> _store.Column:
+        """An array of numbers along some axes."""
+        (shape, chunks), kind = zip(*axes.values(), strict=True), np.dtype(self._number if dtype is None else dtype)
+        return _store.Column(shape, kind, chunks, tuple(axes), attributes)
+
+    def state(self, axes: Mapping[str, tuple[int, int]], name: str, leaf: Any, **attributes: str) -> _store.Column:
+        """An array of a leaf of the states: vectors or matrices along some axes."""
+        kinds = ("component",) if leaf.ndim == 2 else ("row", "column")
+        own = {f"{name}_{kind}": (n, n) for kind, n in zip(kinds, leaf.shape[1:], strict=True)}
+        return self.column({**axes, **own}, **attributes)
+
+
+def _columns(job: Job, chunk: int, options: StoreOptions) -> dict[str, _store.Column]:
+    """The arrays that readers see."""
+    axes = _Axes(job, chunk)
+    times, members = axes.times, axes.members
+    series = job.reduction is not None
+    texts = {"q": "configuration", "p": "momentum"}
+    columns = {"time": axes.column(times, units=options.time_unit, long_name="time")}
+    for name, leaf in zip(State._fields, job.states, strict=True):
+        along = members if series else {**times, **members}
+        columns[name] = axes.state(along, name, leaf, long_name=texts[name], units=_unit(name, job, options))
+    columns["first_failure"] = axes.column(
+        members, np.int64, long_name="first step that did not converge, or -1", units="1"
+    )
+    return columns | (_series_columns(job, axes) if series else _report_columns(axes))
+
+
+def _report_columns(axes: _Axes) -> dict[str, _store.Column]:
+    both = {**axes.times, **axes.members}
+    return {
+        "residual": axes.column(both, long_name=_RESIDUAL, units="1"),
+        "converged": axes.column(both, bool, long_name="whether all steps since the entry before did"),
+    }
+
+
+def _series_columns(job: Job, axes: _Axes) -> dict[str, _store.Column]:
+    what = getattr(job.reduction, "__name__", "reduced quantity")
+    text = "{} change of {} since the start, over members and steps"
+    return {
+        **{name: axes.column(axes.times, long_name=text.format(name, what)) for name in ("least", "greatest", "mean")},
+        "residual": axes.column(axes.times, long_name=_RESIDUAL, units="1"),
+        "unconverged": axes.column(axes.times, np.int64, long_name="members with a step that did not", units="1"),
+    }
+
+
+def _checkpoint_columns(job: Job, chunk: int) -> dict[str, _store.Column]:
+    """The arrays of a carry, in two slots that are written in turn."""
+    axes = _Axes(job, chunk)
+    along = {**axes.slots, **axes.members}
+    state = zip(State._fields, job.states, strict=True)
+    return {
+        **{name: axes.state(along, name, leaf) for name, leaf in state},
+        "failed": axes.column(along, step_dtype()),
+        "residual": axes.column(along),
+        "converged": axes.column(along, bool),
+        **({name: axes.column(along) for name in Range._fields} if job.reduction is not None else {}),
+    }
+
+
+def _unit(name: str, job: Job, options: StoreOptions) -> str:
+    rigid = name == "p" and hasattr(job.step.system, "inertia") and job.states.q.shape[1:] == (4,)
+    return f"unit of inertia / {options.time_unit}" if rigid else "1"
+
+
+def _attributes(job: Job, options: StoreOptions, described: dict[str, Any], chunk: int) -> dict[str, Any]:
+    return {
+        "title": str(options.attributes.get("title", job.step.name)),
+        "scheme": job.step.name,
+        "system": type(job.step.system).__name__,
+        "dt": job.dt_given,
+        "save_every": job.save_every,
+        "num_steps": job.num_steps,
+        "members": job.members,
+        "reduce": described["reduce"],
+        "time_chunk": job.buffer_rows(chunk),
+        "member_chunk": chunk,
+        "run": described,
+        **options.attributes,
+    }
+
+
+def _description(job: Job, options: StoreOptions) -> dict[str, Any]:
+    """All that the bits of a run depend on. A run is resumed only where nothing of it differs."""
+    leaves, structure = jax.tree.flatten(job.step)
+    flags = [f for f in os.environ.get("XLA_FLAGS", "").split() if "force_host_platform_device_count" not in f]
+    return {
+        "scheme": job.step.name,
+        "system": type(job.step.system).__name__,
+        "options of the step": _digest(_store.without_addresses(str(structure)).encode()),
+        "numbers of the step": _digest(*leaves),
+        "initial states": _digest(*job.states),
+        "members": job.members,
+        "dt": job.dt_given,
+        "num_steps": job.num_steps,
+        "save_every": job.save_every,
+        "step_axis": job.step_axis,
+        "reduce": getattr(job.reduction, "__name__", "a function") if job.reduction is not None else None,
+        "dtype": str(job.dt.dtype),
+        "versions": {"lieint_jax": __version__, "jax": jax.__version__, "jaxlib": version("jaxlib")},
+        "compiler_options": compiler_options(),
+        "XLA_FLAGS": " ".join(flags),
+        "device": _device(),
+        **{key: options.attributes[key] for key in ("scenario",) if key in options.attributes},
+    }
+
+
+def _digest(*leaves: Any) -> str:
+    digest = hashlib.sha256()
+    for leaf in leaves:
+        array = np.frombuffer(leaf, np.uint8) if isinstance(leaf, bytes) else np.asarray(leaf)
+        digest.update(f"{array.dtype}{array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def _device() -> str:
+    """The kind of device; of a CPU, the widest vectors that it has, for its code depends on them."""
+    device = jax.devices()[0]
+    if device.platform != "cpu":
+        return device.device_kind
+    try:
+        flags = re.search(r"(?m)^flags\s*:(.*)$", Path("/proc/cpuinfo").read_text())
+    except OSError:
+        flags = None
+    found = [isa for isa in ("avx512f", "avx2", "avx") if flags and isa in flags.group(1).split()]
+    return " ".join([platform.machine(), *found[:1]])
+
+
+def _check_same(path: Path, stored: dict[str, Any], now: dict[str, Any]) -> None:
+    different = _store.differences(stored, now)
+    if different:
+        raise ValueError(f"{path} holds another run and cannot be resumed with this one: {'; '.join(different)}")

@@ -1,0 +1,282 @@
+"""A run in a folder NAME.zarr, in the Zarr 3 format. Nothing that is already there is ever overwritten.
+
+The store grows while the run goes on, and the run can be continued after an end of any kind: see `Writer`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lieint_jax.types import State, StepInfo, Trajectory
+
+_ROOT = "zarr.json"  # the metadata of a Zarr 3 group; replacing it is what makes new data count
+_CHECKPOINT = "checkpoint"  # the group of what a run is continued from
+
+
+def load(path: Path) -> tuple[Any, dict[str, Any]]:
+    """The complete part of a run in a store, and the store's attributes.
+
+    The leaves of the trajectory are arrays on disk, read where they are indexed; a run that kept reductions only gives
+    a dict of numpy arrays.
+    """
+    import zarr
+
+    metadata = dict(_attributes(path))
+    group: Any = zarr.open_group(str(path), mode="r", use_consolidated=True)
+    if metadata["reduce"] is not None:
+        return {name: array[...] for name, array in group.arrays()}, metadata
+    state, info = State(group["q"], group["p"]), StepInfo(group["residual"], group["converged"])
+    return Trajectory(group["time"][...], state, info), metadata
+
+
+def _attributes(path: Path) -> dict[str, Any]:
+    try:
+        attributes = json.loads((path / _ROOT).read_text())["attributes"]
+    except FileNotFoundError:
+        raise ValueError(f"{path} is not there, or is no store of a run") from None
+    if "progress" not in attributes:
+        raise ValueError(f"{path} is a Zarr group, but not one that lieint wrote")
+    return attributes
+
+
+class Column(NamedTuple):
+    """One array of a store.
+
+    Attributes:
+        shape, dtype, chunks: whole, as planned.
+        dims: names of its axes.
+        attributes: units and the like.
+    """
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    chunks: tuple[int, ...]
+    dims: tuple[str, ...]
+    attributes: Mapping[str, Any]
+
+
+class Part(NamedTuple):
+    """What goes into an array: `values` at `at`, the start along each axis; the other axes are whole."""
+
+    name: str
+    at: tuple[int, ...]
+    values: np.ndarray
+
+
+class Writer:
+    """A run's store, open for writing, and how it grows.
+
+    A commit is a set of parts that belong together: whole chunks of the arrays, and the checkpoint from which a run
+    goes on. A background thread writes them, each file under another name first, and waits until they are on the disk.
+    Then `publish` replaces one file, the metadata at the root, by rename: it holds the lengths of all arrays, so that
+    readers (and a run that is resumed) see either all of a commit or nothing of it. The checkpoint has two slots, used
+    in turn, so that the one that counts is never written to; it is removed when the run is complete.
+
+    Every process of a run writes the chunks of its own members; the first one publishes.
+    """
+
+    def __init__(self, path: Path, leader: bool) -> None:
+        self.path = path
+        self.attributes: dict[str, Any] = _attributes(path)
+        self._leader = leader
+        self._writing: Future[None] | None = None
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix="lieint-store")
+        self._lock = _lock(path) if leader else None
+        self._arrays: dict[str, Any] = {}
+
+    @property
+    def progress(self) -> dict[str, Any]:
+        """What counts: commits, entries along time, steps, whether the run is complete."""
+        return self.attributes["progress"]
+
+    def read(self, name: str, index: Any) -> np.ndarray:
+        """What an array of the store holds."""
+        return np.asarray(self._array(name)[index])
+
+    def write(self, parts: Callable[[], Iterable[Part]]) -> None:
+        """Begin to write a commit in the background; the one before must be published."""
+        self._writing = self._writer.submit(self._write, parts)
+
+    @property
+    def written(self) -> bool:
+        """Whether this process' part of the last commit is on the disk; raises what kept it from getting there."""
+        if self._writing is None or not self._writing.done():
+            return self._writing is None
+        try:
+            self._writing.result()
+        except OSError as error:
+            raise self._unwritten(error) from error
+        return True
+
+    def publish(self, **progress: Any) -> None:
+        """Make the last commit count, once every process has written it."""
+        self.attributes = self.attributes | {"progress": self.progress | progress}
+        if self._leader:
+            root = json.loads((self.path / _ROOT).read_text())
+            try:
+                _write_root(self.path, root | {"attributes": self.attributes})
+            except OSError as error:
+                raise self._unwritten(error) from error
+            if self.progress["complete"]:
+                shutil.rmtree(self.path / _CHECKPOINT)
+
+    def _unwritten(self, error: OSError) -> OSError:
+        steps = json.loads((self.path / _ROOT).read_text())["attributes"]["progress"]["steps"]
+        reason = f"{error.strerror}: {self.path} holds everything up to step {steps}; mend this and resume"
+        return OSError(error.errno, reason)
+
+    def close(self) -> None:
+        """Wait for the writer, and let others write here."""
+        self._writer.shutdown()
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def _array(self, name: str) -> Any:
+        if name not in self._arrays:
+            import zarr
+
+            self._arrays[name] = zarr.open_array(str(self.path / name), mode="r+")
+        return self._arrays[name]
+
+    def _write(self, parts: Callable[[], Iterable[Part]]) -> None:
+        folders: set[Path] = set()
+        for name, at, values in parts():
+            array = self._array(name)
+            index = tuple(slice(a, a + n) for a, n in zip(at, values.shape, strict=False))
+            array[index] = values
+            spans = [range(s.start // c, -(-s.stop // c)) for s, c in zip(index, array.chunks, strict=False)]
+            for key in itertools.product(*spans):
+                file = self.path / name / "c" / "/".join(map(str, key))
+                rest = array.ndim - len(key)
+                file = file.joinpath(*["0"] * rest)
+                if file.exists():  # a chunk of nothing but the fill value is no file
+                    _sync(file)
+                    folders.update(list(file.parents)[: array.ndim + 1])
+        for folder in folders:
+            _sync(folder)
+
+
+def create(
+    path: Path, columns: Mapping[str, Column], checkpoint: Mapping[str, Column], attributes: Mapping[str, Any]
+) -> None:
+    """Make an empty store. It is made under another name and renamed: a store is there whole or not at all."""
+    import zarr
+
+    unfinished = path.with_name(f".{path.name}.partial")
+    if unfinished.exists():
+        shutil.rmtree(unfinished)
+    start = {"commits": 0, "entries": 0, "steps": 0, "complete": False}
+    group = zarr.create_group(str(unfinished), attributes=dict(attributes) | {"progress": start})
+    slots = {f"{_CHECKPOINT}/{name}": column for name, column in checkpoint.items()}
+    for name, (shape, dtype, chunks, dims, extra) in {**columns, **slots}.items():
+        missing = np.nan if np.issubdtype(dtype, np.floating) else -1 if np.issubdtype(dtype, np.integer) else False
+        group.create_array(
+            name,
+            shape=shape,
+            dtype=dtype,
+            chunks=chunks,
+            dimension_names=dims,
+            attributes=dict(extra),
+            fill_value=missing,
+        )
+    _write_root(unfinished, json.loads((unfinished / _ROOT).read_text()))
+    for file in unfinished.rglob("*"):
+        _sync(file)
+    unfinished.rename(path)
+    _sync(path.parent)
+
+
+def clean(path: Path) -> None:
+    """Remove what a killed writer left: files under their first name, the checkpoint of a run that is complete."""
+    for file in path.rglob("*.partial"):
+        file.unlink()
+    if _attributes(path)["progress"]["complete"]:
+        shutil.rmtree(path / _CHECKPOINT, ignore_errors=True)
+
+
+def _write_root(path: Path, root: dict[str, Any]) -> None:
+    """Replace the root's metadata: its attributes, and the arrays that readers are to see, as long as they are so far.
+
+    That list is Zarr's consolidated metadata, which readers (xarray among them) take for the truth.
+    """
+    progress, shown = root["attributes"]["progress"], {}
+    for file in sorted(path.glob(f"*/{_ROOT}")):
+        meta = json.loads(file.read_text())
+        if meta["node_type"] != "array":
+            continue
+        if meta["dimension_names"][0] == "time":
+            meta["shape"][0] = progress["entries"]
+        elif not progress["complete"]:  # written at the end
+            continue
+        shown[file.parent.name] = meta
+    root = root | {"consolidated_metadata": {"kind": "inline", "must_understand": False, "metadata": shown}}
+    file = path / f"{_ROOT}.partial"
+    with file.open("w") as f:
+        f.write(json.dumps(root, indent=1))
+        f.flush()
+        os.fsync(f.fileno())
+    file.rename(path / _ROOT)
+    _sync(path)
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file, or the list of what is in a folder, is on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _lock(path: Path) -> int | None:
+    """Keep a second run from writing here; released when the process ends, however it does."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise ValueError(f"another run is writing to {path}") from None
+    except (ImportError, OSError):  # a system, or a file system, without locks
+        pass
+    return descriptor
+
+
+def differences(stored: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> list[str]:
+    """In what two descriptions of a run differ, one line each, by the names of the keys."""
+    lines = []
+    for key in sorted(stored.keys() | now.keys()):
+        a, b = stored.get(key), now.get(key)
+        if isinstance(a, Mapping) and isinstance(b, Mapping):
+            lines += differences(a, b, f"{prefix}{key}.")
+        elif a != b:
+            lines.append(f"{prefix}{key} is {a!r} there and {b!r} here")
+    return lines
+
+
+def without_addresses(text: str) -> str:
+    """`text` without addresses in memory, which differ from process to process."""
+    return re.sub(r" at 0x[0-9a-f]+", "", text)
+
+
+@contextlib.contextmanager
+def opened(path: Path, leader: bool) -> Any:
+    """A `Writer` of the store at `path`, closed at the end."""
+    writer = Writer(path, leader)
+    try:
+        yield writer
+    finally:
+        writer.close()

@@ -1,0 +1,128 @@
+"""Descent along gradients: any transformation of optax, and its L-BFGS with a line search."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from lieint_jax.fitting._search import FLAT, RUNNING, SHORTENINGS, STILL, STUCK, Carry, Method, where
+
+Scalar = Callable[[Array], tuple[Array, Array]]
+_QUIET = {"lbfgs": 3, "other": 10}  # iterations in a row without a fall to speak of, before the end
+_LEVEL = 1e-5  # of the loss: what a step as long as x may change where no step led down
+_SEARCHES = 3  # line searches in a row that may fail
+
+
+class _Memory(NamedTuple):
+    """The gradient, the largest component of one so far, optax's own state, the unit (the share of a step that is
+    taken, or that of the loss), quiet iterations in a row."""
+
+    gradient: Array
+    largest: Array
+    state: Any
+    unit: Array
+    quiet: Array
+
+
+def _looked(scalar: Scalar) -> Callable[[Array], tuple[Array, Array, Array]]:
+    """x ↦ loss, gradient and whether both are to be trusted."""
+
+    def look(x: Array) -> tuple[Array, Array, Array]:
+        (value, ok), gradient = jax.value_and_grad(scalar, has_aux=True)(x)
+        return value, gradient, ok & jnp.isfinite(value) & jnp.all(jnp.isfinite(gradient))
+
+    return look
+
+
+def _start(look: Callable[[Array], tuple[Array, Array, Array]], optimizer: Any) -> Callable[[Array], Any]:
+    def first(x: Array) -> tuple[Array, _Memory, Array]:
+        value, gradient, ok = look(x)
+        largest, one, none = jnp.max(jnp.abs(gradient)), jnp.ones((), x.dtype), jnp.zeros((), jnp.int32)
+        return value, _Memory(gradient, largest, optimizer.init(x), one, none), ok
+
+    return first
+
+
+def _judged(x: Array, loss: Array, memory: _Memory, ended: Array, tolerance: float) -> Array:
+    """Whether to go on, and why not. The gradient is measured by the largest so far; where a search has `ended`, it
+    is enough that a step as long as x itself would not change the loss much."""
+    small = jnp.maximum(tolerance, 8 * jnp.finfo(x.dtype).eps)
+    level = jnp.max(jnp.abs(memory.gradient) * jnp.maximum(jnp.abs(x), 1)) <= _LEVEL * jnp.abs(loss)
+    code = jnp.where(ended, jnp.where(level, STILL, STUCK), RUNNING)
+    flat = jnp.max(jnp.abs(memory.gradient)) <= small * memory.largest
+    return jnp.where(flat, FLAT, code).astype(jnp.int32)
+
+
+def descent(scalar: Scalar, optimizer: Any, tolerance: float) -> Method:
+    """Any optax transformation. A failed trial is taken back, and the next steps are a quarter as long."""
+    import optax
+
+    look = _looked(scalar)
+
+    def advance(carry: Carry) -> Carry:
+        gradient, largest, state, share, quiet = carry.memory
+        update, after = optimizer.update(gradient, state, carry.x)
+        x: Any = optax.apply_updates(carry.x, share * update)
+        value, slope, ok = look(x)
+        quiet = jnp.where(jnp.abs(carry.loss - value) <= tolerance * jnp.abs(carry.loss), quiet + 1, 0)
+        bad = jnp.where(ok, 0, carry.bad + 1)
+        largest = jnp.maximum(largest, jnp.max(jnp.abs(slope)))
+        memory = where(ok, _Memory(slope, largest, after, share, quiet), carry.memory)
+        memory = memory._replace(unit=jnp.where(ok, jnp.minimum(1, 1.1 * share), share / 4))
+        x, value = where(ok, (x, value), (carry.x, carry.loss))
+        ended = (memory.quiet >= _QUIET["other"]) | (bad > SHORTENINGS)
+        return Carry(x, value, memory, _judged(x, value, memory, ended, tolerance), bad, carry.failures + ~ok)
+
+    return Method(_start(look, optimizer), advance)
+
+
+def lbfgs(scalar: Scalar, tolerance: float) -> Method:
+    """optax's L-BFGS with its zoom line search, which sees a high wall where a trial fails.
+
+    It works on the loss in units of the first gradient: the line search knows no other scale.
+    """
+    import optax
+
+    look = _looked(scalar)
+    search = optax.scale_by_zoom_linesearch(max_linesearch_steps=20, initial_guess_strategy="one")
+    optimizer = optax.lbfgs(linesearch=search)
+
+    def first(x: Array) -> tuple[Array, _Memory, Array]:
+        value, memory, ok = _start(look, optimizer)(x)
+        return value, memory._replace(unit=jnp.where(memory.largest > 0, memory.largest, 1)), ok
+
+    def advance(carry: Carry) -> Carry:
+        gradient, largest, state, unit, quiet = carry.memory
+        now = carry.loss / unit
+        wall = now + 1e3 * (1 + jnp.abs(now))
+
+        @jax.custom_jvp
+        def walled(x: Array) -> Array:
+            value, _, ok = look(x)
+            return jnp.where(ok, value / unit, wall)
+
+        @walled.defjvp
+        def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+            value, slope, ok = look(primals[0])
+            return jnp.where(ok, value / unit, wall), jnp.vdot(jnp.where(ok, slope / unit, 0), tangents[0])
+
+        scaled = gradient / unit
+        update, after = optimizer.update(scaled, state, carry.x, value=now, grad=scaled, value_fn=walled)
+        x = optax.apply_updates(carry.x, update)
+        value, slope = (unit * optax.tree.get(after, name) for name in ("value", "grad"))  # of x, as the search saw it
+        ok = value < unit * wall
+        better = ok & (value <= carry.loss)
+        quiet = jnp.where(better & (carry.loss - value <= tolerance * jnp.abs(carry.loss)), quiet + 1, 0)
+        bad = jnp.where(better, 0, carry.bad + 1)
+        largest = jnp.maximum(largest, jnp.max(jnp.abs(slope)))
+        again = carry.memory._replace(state=optimizer.init(carry.x))  # along the gradient, after a failed search
+        memory = where(better, _Memory(slope, largest, after, unit, quiet), again)
+        x, value = where(better, (x, value), (carry.x, carry.loss))
+        ended = (quiet >= _QUIET["lbfgs"]) | (bad >= _SEARCHES)
+        return Carry(x, value, memory, _judged(x, value, memory, ended, tolerance), bad, carry.failures + ~ok)
+
+    return Method(first, advance)

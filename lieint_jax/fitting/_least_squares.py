@@ -1,0 +1,144 @@
+"""Least squares: Gauss–Newton, and Levenberg–Marquardt by a trust region; the covariance of what they find."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.custom_batching import sequential_vmap
+from jax.flatten_util import ravel_pytree
+
+from lieint_jax.fitting._search import FLAT, NOWHERE, RUNNING, SHORTENINGS, STILL, STUCK, Carry, Method, where
+
+_SECULAR = 20  # Newton corrections of the damping; it takes 2 to 6
+
+
+class _Memory(NamedTuple):
+    """Residuals, their Jacobian, and the scales D of the parameters; the radius that a step's |Dδ| is to stay within,
+    or for Gauss–Newton the share of its step that is taken."""
+
+    r: Array
+    J: Array
+    D: Array
+    radius: Array
+
+
+def least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: bool, tolerance: float) -> Method:
+    """Minimise |r(x)|²/2.
+
+    A step δ minimises |r + Jδ|² + λ|Dδ|², where λ keeps |Dδ| within the radius and D holds the largest columns of J so
+    far. Undamped, it is the step of Gauss–Newton, halved as long as it does not lead down.
+
+    Source: Moré 1978, Lecture Notes in Mathematics 630; here by singular values.
+    """
+
+    def look(x: Array) -> tuple[Array, Array, Array]:
+        def twice(x: Array) -> tuple[Array, tuple[Array, Array]]:
+            r, ok = residuals(x)
+            return r, (r, ok)
+
+        J, (r, ok) = jax.jacfwd(twice, has_aux=True)(x)
+        return r, J, ok & jnp.all(jnp.isfinite(r)) & jnp.all(jnp.isfinite(J))
+
+    def first(x: Array) -> tuple[Array, _Memory, Array]:
+        """Nothing yet: the first iteration goes nowhere and looks, so that the simulation is compiled once."""
+        r, J, _ = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, x))
+        one = jnp.ones((), r.dtype)
+        return jnp.inf * one, _Memory(r, J, jnp.zeros_like(J[0]), one), jnp.ones((), bool)
+
+    def advance(carry: Carry) -> Carry:
+        r, J, D, radius = carry.memory
+        begun = jnp.isfinite(carry.loss)
+        scale = jnp.where(D > 0, D, 1)
+        newton, damped, damping = _steps(J / scale, r, radius)
+        step, damping = (radius * newton, 0.0) if undamped else (damped, damping)
+        x = carry.x + step / scale
+        trial, J_trial, ok = look(x)
+        loss = jnp.vdot(trial, trial) / 2
+        fall = carry.loss - loss
+        along = J @ (step / scale)
+        foreseen = jnp.vdot(along, along) / 2 + damping * jnp.vdot(step, step)
+        better = ok & ((fall >= 1e-4 * foreseen) | ~begun)
+        grown = jnp.maximum(D, jnp.linalg.norm(J_trial, axis=0))
+        length, size = jnp.linalg.norm(step), jnp.linalg.norm(scale * carry.x)
+        if undamped:
+            radius = jnp.where(better, jnp.minimum(1, 2 * radius), radius / 2)
+        else:
+            well = (fall >= 0.75 * foreseen) | (damping == 0)
+            follows = jnp.where(fall < 0.25 * foreseen, length / 2, jnp.where(well, 2 * length, radius))
+            radius = jnp.where(better, follows, length / 4)
+            radius = jnp.where(begun, radius, jnp.linalg.norm(grown * jnp.maximum(jnp.abs(x), 1)))
+        memory = where(better, _Memory(trial, J_trial, grown, radius), carry.memory)._replace(radius=radius)
+        x, loss = where(better, (x, loss), (carry.x, carry.loss))
+        small = jnp.maximum(tolerance, 8 * jnp.finfo(x.dtype).eps)
+        cosine = _cosine(memory.J, memory.r)
+        settled = (cosine <= jnp.sqrt(small)) & (jnp.abs(fall) <= small * carry.loss) & (foreseen <= small * carry.loss)
+        there = jnp.linalg.norm(newton) <= small * size  # even the whole step goes nowhere
+        bad = jnp.where(better, 0, carry.bad + 1)
+        stuck = (bad > SHORTENINGS) | (begun & (length <= jnp.finfo(x.dtype).eps * size))
+        code = jnp.where(begun & ok & (settled | there), STILL, jnp.where(stuck, STUCK, RUNNING))
+        code = jnp.where(jnp.isfinite(loss), jnp.where(cosine <= small, FLAT, code), NOWHERE)
+        return Carry(x, loss, memory, code.astype(jnp.int32), bad, carry.failures + ~ok)
+
+    return Method(first, advance)
+
+
+def _steps(A: Array, r: Array, radius: Array) -> tuple[Array, Array, Array]:
+    """The shortest δ of the least |r + Aδ|; the δ of the least one with |δ| ≤ radius, and its λ: (AᵀA + λ)δ = −Aᵀr."""
+    U, s, Vt = _svd(A)
+    known = _known(s, A)
+    g, s = jnp.where(known, U.T @ r, 0), jnp.where(known, s, 1)
+
+    def correction(_: int, damping: Array) -> Array:
+        p = s * g / (s * s + damping)
+        length = jnp.linalg.norm(p)
+        slope = jnp.sum(p * p / (s * s + damping))
+        return damping + jnp.where(length > radius, length**2 * (length - radius) / (radius * slope), 0)
+
+    damping = lax.fori_loop(0, _SECULAR, correction, jnp.zeros_like(s[0]))
+    return -(Vt.T @ (g / s)), -(Vt.T @ (s * g / (s * s + damping))), damping
+
+
+def _known(s: Array, A: Array) -> Array:
+    """Which singular values of A are more than round-off."""
+    return s > jnp.finfo(s.dtype).eps * max(A.shape) * s[0]
+
+
+def _cosine(J: Array, r: Array) -> Array:
+    """The largest cosine between the residuals and a column of their Jacobian; 0 where either vanishes."""
+    size = jnp.linalg.norm(J, axis=0) * jnp.linalg.norm(r)
+    return jnp.max(jnp.abs(J.T @ r) / jnp.where(size > 0, size, 1))
+
+
+@sequential_vmap
+def _svd(A: Array) -> tuple[Array, Array, Array]:
+    """One matrix at a time. XLA takes those of a batch on the threads that run a CPU's devices: none is left to do the
+    work where each core is a device, and they wait for ever."""
+    missing = max(0, A.shape[1] - A.shape[0])
+    U, s, Vt = jnp.linalg.svd(jnp.concatenate([A, jnp.zeros((missing, A.shape[1]), A.dtype)]), full_matrices=False)
+    return U[: A.shape[0]], s, Vt
+
+
+def slopes(inside: Callable[[Array], Any], x: Array) -> Array:
+    """The derivative of the parameters, in one vector, in the free x."""
+    return jax.jacfwd(lambda x: ravel_pytree(inside(x))[0])(x)
+
+
+def spread(J: Array, inside: Callable[[Array], Any], x: Array) -> Array:
+    """B (JᵀJ)⁻¹ Bᵀ, J in the free parameters x and B the derivative of the parameters in them.
+
+    A parameter that the residuals do not determine has an infinite variance, and its covariances are nan.
+    """
+    size = jnp.linalg.norm(J, axis=0)
+    size = jnp.where(size > 0, size, 1)
+    _, s, Vt = _svd(J / size)
+    known = _known(s, J)
+    B = slopes(inside, x)
+    W = B @ (Vt / size).T  # a column for each singular value
+    half = W * jnp.where(known, 1 / jnp.where(known, s, 1), 0)
+    lost = jnp.sum(jnp.where(known, 0, W * W), axis=1) > jnp.finfo(s.dtype).eps * jnp.sum(W * W, axis=1)
+    unknown = jnp.where(jnp.eye(lost.size, dtype=bool), jnp.inf, jnp.nan)
+    return jnp.where(lost[:, None] | lost, unknown, half @ half.T)

@@ -1,0 +1,79 @@
+"""Tiny linear algebra against numpy; every series branch against mpmath on both sides of its threshold."""
+
+import jax
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+
+from lieint_jax._numerics import power_series, three
+
+EPS = np.finfo(float).eps
+RNG = np.random.default_rng(11)
+
+
+def spd(full):
+    A = RNG.normal(size=(3, 3))
+    S = A @ A.T + np.eye(3)
+    return S if full else np.diag(S)
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_symmetric_matrices(full):
+    J = jnp.array(spd(full))
+    M = np.array(J) if full else np.diag(J)
+    S, v = three.symmetric(J), RNG.normal(size=3)
+    adj = three.adjugate(S)
+    scale = 64 * EPS * np.linalg.norm(M) ** 3
+    np.testing.assert_allclose(three.apply(S, v), M @ v, atol=scale)
+    np.testing.assert_allclose(three.apply(adj, v), np.linalg.det(M) * np.linalg.inv(M) @ v, atol=scale)
+    np.testing.assert_allclose(three.determinant(S, adj), np.linalg.det(M), atol=scale)
+    np.testing.assert_allclose(three.trace(S), np.trace(M), atol=scale)
+    np.testing.assert_allclose(three.solve_symmetric(S, v), np.linalg.solve(M, v), atol=64 * EPS)
+
+
+def test_inverse_inertia_in_float32_at_the_size_of_an_asteroid():
+    J = jnp.array(spd(True) * 1e20, jnp.float32)
+    x = three.solve_symmetric(three.symmetric(J), jnp.array([1e20, 2e20, -1e20], jnp.float32))
+    np.testing.assert_allclose(x, np.linalg.solve(np.array(J, float), [1e20, 2e20, -1e20]), rtol=1e-5)
+
+
+def test_solve():
+    K, b = RNG.normal(size=(3, 3)) + 3 * np.eye(3), RNG.normal(size=3)
+    np.testing.assert_allclose(three.solve(K, b), np.linalg.solve(K, b), atol=32 * EPS)
+
+
+def test_vectors():
+    a, b = RNG.normal(size=(2, 3))
+    np.testing.assert_allclose(three.cross(a, b), np.cross(a, b), atol=4 * EPS)
+    np.testing.assert_allclose(three.dot(a, b), a @ b, atol=4 * EPS)
+    assert three.max_abs(jnp.array(a)) == np.abs(a).max()
+
+
+FUNCTIONS = {
+    "cos_sqrt": (power_series.cos_sqrt, lambda x: mpmath.cos(mpmath.sqrt(x)), 1.0),
+    "sinc_sqrt": (power_series.sinc_sqrt, lambda x: mpmath.sinc(mpmath.sqrt(x)), 1.0),
+    "arctan_sqrt": (power_series.arctan_sqrt, lambda x: mpmath.atan(mpmath.sqrt(x)) / mpmath.sqrt(x), 0.1),
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_series_branches_values_and_two_derivatives(name):
+    ours, exact, threshold = FUNCTIONS[name]
+    first, second = jax.grad(ours), jax.grad(jax.grad(ours))
+    with mpmath.workdps(40):
+        for x in (threshold * (1 - 1e-15), threshold, threshold * (1 + 1e-15), threshold / 7, 3 * threshold, 9.0):
+            point = mpmath.mpf(x)
+            for k, (f, bound) in enumerate(((ours, 4), (first, 16), (second, 200))):
+                value, true = float(f(jnp.array(x))), float(mpmath.diff(exact, point, k))
+                assert abs(value - true) <= bound * EPS, (k, x)  # closed forms lose a digit a derivative, no more
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_series_branches_at_zero(name):
+    ours, exact, _ = FUNCTIONS[name]
+    with mpmath.workdps(40):
+        taylor = [float(c) for c in mpmath.taylor(exact, mpmath.mpf("1e-30"), 2)]
+    zero = jnp.array(0.0)
+    values = [float(f(zero)) for f in (ours, jax.grad(ours), jax.grad(jax.grad(ours)))]
+    np.testing.assert_allclose(values, [taylor[0], taylor[1], 2 * taylor[2]], atol=1e-15)

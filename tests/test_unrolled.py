@@ -1,0 +1,49 @@
+"""Arithmetic of small matrices with structural zeros, against numpy."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from lieint_jax._numerics import unrolled
+
+
+def rows(M):
+    return unrolled.as_list(jnp.array(M))
+
+
+@pytest.mark.parametrize("d", [1, 2, 3, 4, 6, 7])
+def test_elimination_and_determinant(d):
+    """Of a metric less something nearly skew, as Newton's matrices are; whole ones go to the library."""
+    rng = np.random.default_rng(d)
+    A, B = rng.normal(size=(2, d, d))
+    K, b = A @ A.T / d + np.eye(d) + 0.3 * (B - B.T), rng.normal(size=d)
+    for made, right in ((rows(K), unrolled.as_list(jnp.array(b))), (jnp.array(K), jnp.array(b))):
+        found = unrolled.factored(made)
+        np.testing.assert_allclose(np.stack(found.solve(right)), np.linalg.solve(K, b), rtol=1e-13)
+        assert float(found.determinant) == pytest.approx(np.linalg.det(K), rel=1e-13)
+        if d <= 4:
+            assert float(unrolled.determinant(made)) == pytest.approx(np.linalg.det(K), rel=1e-13)
+
+
+def test_settled_changes_nothing_but_when_it_is_worked_out():
+    x = [jnp.array(3.0), 0.0, jnp.array(-0.1), 1.0]
+    held = unrolled.settled(x)
+    assert [float(a) for a in held] == [float(a) for a in x]
+    assert held[1] == 0.0  # what is known stays known
+    assert isinstance(held[1], float)
+    slopes = jax.jacrev(lambda v: jnp.stack(unrolled.settled(unrolled.settled([v[0] * v[1], v[1]]))))(
+        jnp.array([2.0, 5.0])
+    )
+    np.testing.assert_array_equal(slopes, [[5.0, 2.0], [0.0, 1.0]])
+    assert unrolled.settled([0.0, 1.0]) == [0.0, 1.0]
+    whole = jnp.ones(3)
+    assert unrolled.settled(whole) is whole
+
+
+def test_sums_of_vectors():
+    x, y = [jnp.array(1.0), 0.0], [jnp.array(2.0), jnp.array(3.0)]
+    assert [float(a) for a in unrolled.plus(x, (-2.0, y))] == [-3.0, -6.0]
+    np.testing.assert_array_equal(unrolled.plus((2.0, jnp.ones(2)), jnp.ones(2)), [3, 3])
+    assert [float(a) for a in unrolled.scaled(2.0, y)] == [4.0, 6.0]
+    assert [float(a) for a in unrolled.each(jnp.maximum, x, y)] == [2.0, 3.0]
