@@ -15,59 +15,116 @@ from lieint_jax.types import Step
 
 ROOT = Path(li.__file__).parent
 FLOORS = [  # from the roof down; a module imports only from floors below its own, or its own package
-    ("cli",),
-    ("report",),
+    ("command",),
     ("studies",),
-    ("scenarios", "figures"),
-    ("plots",),
+    ("fitting",),
+    ("adjoints",),
+    ("scenarios",),
     ("ensemble",),
-    ("progress", "archive"),
-    ("runs",),
-    ("processes", "members", "loop"),
-    ("store",),
     ("diagnostics",),
-    ("integrate",),
     ("schemes",),
     ("systems",),
+    ("integrate",),
+    ("_free_body",),
     ("phase_spaces",),
-    ("free_body",),
     ("maps",),
     ("groups",),
-    ("checks",),
-    ("newton",),
-    ("elliptic",),
-    ("small", "dense"),
-    ("types", "discover", "data"),
+    ("plots",),
+    ("_numerics",),
+    ("types",),
+    ("_checks", "_discover", "_version"),
 ]
 LEVEL = {name: level for level, floor in enumerate(FLOORS) for name in floor}
-CORE = {"jax", "numpy"}
+CORE = {"jax", "numpy"}  # and the standard library: all that the numerical core needs, everything below `ensemble`
 FILES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
+ROOMS = sorted(
+    path.name.removesuffix(".py") for path in ROOT.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()
+)
+
+
+def room_of(path):
+    return path.relative_to(ROOT).parts[0].removesuffix(".py")
 
 
 def imports(path):
+    """The modules that a file imports, wherever in it: `from lieint_jax.ensemble import _store` is one of a module."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
-            if node.module == "lieint_jax":
-                yield from (f"lieint_jax.{alias.name}" for alias in node.names)
-            else:
+            submodules = {f"{node.module}.{alias.name}" for alias in node.names}
+            found = {name for name in submodules if file_of(name)}
+            yield from found
+            if found != submodules:
                 yield node.module
+
+
+def file_of(name):
+    """The file of a module of the package, or None."""
+    path = ROOT.joinpath(*name.split(".")[1:])
+    return next((p for p in (path.with_suffix(".py"), path / "__init__.py") if p.is_file()), None)
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_imports_point_down(path):
-    room = path.relative_to(ROOT).parts[0].removesuffix(".py")
+    room = room_of(path)
     assert room in LEVEL, f"{room} has no floor: add it to FLOORS"
     for name in imports(path):
         if name.startswith("lieint_jax."):
             other = name.split(".")[1]
-            if other in LEVEL:
-                assert LEVEL[other] > LEVEL[room] or other == room, f"{path} imports {name}"
-        elif LEVEL[room] > LEVEL["store"] or room in ("runs", "processes", "members", "loop"):
+            assert LEVEL[other] > LEVEL[room] or other == room, f"{path} imports {name}"
+        elif name == "lieint_jax":
+            pytest.fail(f"{path} imports the face of the package")
+        elif LEVEL[room] > LEVEL["ensemble"] and room != "plots":
             top = name.split(".")[0]
             assert top in CORE or top in sys.stdlib_module_names, f"{path} is core and imports {name}"
+
+
+def test_no_import_goes_in_a_circle():
+    """Within the rooms too: modules can be put in an order in which each imports only those before it."""
+    import graphlib
+
+    graph = {path: {file_of(name) for name in imports(path) if name.startswith("lieint_jax.")} for path in FILES}
+    faces = {path for path in FILES if path.name == "__init__.py"}  # importing a module runs its package's face first,
+    inner = {path: found - {None} - faces for path, found in graph.items() if path not in faces}  # which is not meant
+    assert len(list(graphlib.TopologicalSorter(inner).static_order())) >= len(inner)
+    for path in inner:  # and no module imports the face of a package that it stands in
+        assert path.parent / "__init__.py" not in graph[path], path
+
+
+def test_the_house_has_few_rooms_and_every_one_a_floor():
+    assert ROOMS - {"__init__"} == set(LEVEL)
+    assert len(ROOMS) <= 24
+
+
+def test_dir_lists_the_public_names_only():
+    assert dir(li) == sorted(li.__all__)
+    assert not [name for name in dir(li) if name.startswith("_") and name != "__version__"]
+    assert all(hasattr(li, name) for name in dir(li))
+    for room in (li.studies, li.ensemble, li.adjoints, li.fitting, li.schemes, li.systems, li.groups, li.diagnostics):
+        assert all(hasattr(room, name) for name in room.__all__)
+
+
+CONTRACT = """
+State Step StepInfo Trajectory pytree static integrate systems.rigid_body systems.heavy_top systems.potential_top
+systems.euler systems.group_potential systems.kirchhoff systems.manakov systems.pendulum systems.pseudo_rigid_body
+groups.so3 groups.matrix groups.special_orthogonal groups.special_euclidean groups.special_linear groups.symplectic
+groups.special_unitary groups.affine groups.heisenberg groups.product maps.exponential maps.cayley maps.arcsine
+maps.kappa_cayley maps.kappa_exponential maps.kappa_symplectic schemes.so3_midpoint schemes.so3_explicit
+schemes.compose schemes.exact schemes.calibrated schemes.preprocessed schemes.top_energy_momentum schemes.splitting
+schemes.group_midpoint schemes.group_energy_momentum schemes.additive schemes.sphere_midpoint ensemble.run
+ensemble.compiler_options studies.reversible studies.observe studies.fit studies.over_members
+diagnostics.linearization diagnostics.symplectic_defect diagnostics.poisson_error diagnostics.energy_error
+diagnostics.momentum_error diagnostics.delay diagnostics.order diagnostics.reversibility diagnostics.certify
+"""
+
+
+@pytest.mark.parametrize("name", CONTRACT.split())
+def test_every_name_of_the_contract_is_there(name):
+    found = li
+    for part in name.split("."):
+        found = getattr(found, part)
 
 
 def test_schemes_import_no_system_and_systems_no_scheme():
