@@ -1,6 +1,17 @@
-"""float64 for every test but those that say otherwise, and a sample of the slow ones."""
+"""float64 for every test but those that say otherwise; which tests run; and how their programs are compiled.
+
+| command | tests | compiled |
+|---|---|---|
+| `pytest` | all but those marked `long`, and of each function marked `slow` the first case | quickly |
+| `pytest --shard K/N` | the K-th of N parts of all tests | as a user's programs |
+| `pytest --all-shards` | all | as a user's programs |
+
+Most of a test's time is XLA's. Its older CPU emitters compile in a third of the time of its present ones, and the
+programs of one run serve the next from a cache on disk. The shards see to it that every test also passes without them.
+"""
 
 import os
+from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
@@ -12,19 +23,57 @@ jax.config.update("jax_enable_x64", True)
 hypothesis.settings.register_profile("house", deadline=None, max_examples=25, derandomize=True, print_blob=True)
 hypothesis.settings.load_profile("house")
 
+QUICK = "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+CACHE = {
+    "jax_compilation_cache_dir": str(Path(__file__).parents[1] / ".jax_cache"),
+    "jax_persistent_cache_min_compile_time_secs": 0,
+    "jax_persistent_cache_min_entry_size_bytes": -1,
+}
+
 
 def pytest_addoption(parser):
-    parser.addoption("--slow", action="store_true", help="run every slow test, not the first of each function")
-    parser.addoption("--long", action="store_true", help="run the long tests too")
+    parser.addoption("--shard", metavar="K/N", help="run the K-th of N parts of all tests, K from 1 to N")
+    parser.addoption("--all-shards", action="store_true", help="run all tests, the long and the slow ones too")
+
+
+def pytest_configure(config):
+    """Before any test module is imported, so before XLA starts; processes that tests start inherit it."""
+    if not (config.getoption("--shard") or config.getoption("--all-shards")):
+        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICK}".strip()
+    for name, value in CACHE.items():
+        jax.config.update(name, value)
+        os.environ[name.upper()] = str(value)
 
 
 def pytest_collection_modifyitems(config, items):
-    seen = set()
+    if config.getoption("--all-shards"):
+        return
+    if config.getoption("--shard"):
+        items[:], others = _shard(items, *_parts(config.getoption("--shard")))
+    else:
+        items[:], others = _sample(items)
+    config.hook.pytest_deselected(items=others)
+
+
+def _parts(text):
+    """K and N of "K/N"."""
+    k, _, n = text.partition("/")
+    if not (k.isdecimal() and n.isdecimal() and 1 <= int(k) <= int(n)):
+        raise pytest.UsageError(f"--shard takes K/N with 1 ≤ K ≤ N, such as 2/8; got {text!r}")
+    return int(k), int(n)
+
+
+def _shard(items, k, n):
+    """Every n-th item: the cases of a function, which take about as long as one another, go to different shards."""
+    return items[k - 1 :: n], [item for i, item in enumerate(items) if i % n != k - 1]
+
+
+def _sample(items):
+    """All items but those marked `long`, and of each function marked `slow` the first case."""
+    seen, kept, others = set(), [], []
     for item in items:
-        if item.get_closest_marker("long") and not config.getoption("--long"):
-            item.add_marker(pytest.mark.skip(reason="long: runs with --long"))
-        elif item.get_closest_marker("slow") and not config.getoption("--slow"):
-            function = (item.path, item.originalname)
-            if function in seen:
-                item.add_marker(pytest.mark.skip(reason="slow: the first of its function runs, all with --slow"))
-            seen.add(function)
+        function = (item.path, item.originalname)
+        later = item.get_closest_marker("slow") and function in seen
+        seen.add(function)
+        (others if item.get_closest_marker("long") or later else kept).append(item)
+    return kept, others
