@@ -38,6 +38,8 @@ def pytest_addoption(parser):
 
 def pytest_configure(config):
     """Before any test module is imported, so before XLA starts; processes that tests start inherit it."""
+    if config.getoption("--shard"):
+        _parts(config.getoption("--shard"))
     if not (config.getoption("--shard") or config.getoption("--all-shards")):
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICK}".strip()
     for name, value in CACHE.items():
@@ -74,6 +76,9 @@ def _sample(items):
     for item in items:
         function = (item.path, item.originalname)
         later = item.get_closest_marker("slow") and function in seen
-        seen.add(function)
-        (others if item.get_closest_marker("long") or later else kept).append(item)
+        if item.get_closest_marker("long") or later:
+            others.append(item)
+        else:
+            seen.add(function)
+            kept.append(item)
     return kept, others
