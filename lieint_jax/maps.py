@@ -25,7 +25,7 @@ from jax import Array
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import power_series, three, unrolled
 from lieint_jax.groups._closed_form import squared_eigenvalue
-from lieint_jax.types import Group, callable_pytree, pytree, static
+from lieint_jax.types import AnalyticGroup, Group, callable_pytree, pytree, static
 
 # Scalings κ of SO(3) --------------------------------------------------------------------------------------------------
 
@@ -260,11 +260,12 @@ _BY_CAYLEY = Tau(callable_pytree(cayley), "cayley", slope=_Ask("cayley_slope"), 
 _BY_ARCSINE = Tau(
     callable_pytree(_arcsine_near), "arcsine", slope=_arcsine_slope, holds=_arcsine_holds, coadjoint=_arcsine_coadjoint
 )
-_ON_MATRIX_GROUPS = (  # a map, what a step takes in its place, and what a group must offer for that
-    (exponential, _BY_EXPONENTIAL, "exp_near"),
-    (cayley, _BY_CAYLEY, "cayley_slope"),
-    (arcsine, _BY_ARCSINE, "exp_near"),
-)
+_ON_ANALYTIC_GROUPS = ((exponential, _BY_EXPONENTIAL), (cayley, _BY_CAYLEY), (arcsine, _BY_ARCSINE))  # map, its form
+
+
+def cayley_lands(group: Group) -> bool:
+    """Whether the Cayley map lands in a group; a plain `Group` is taken at its word."""
+    return not isinstance(group, AnalyticGroup) or group.cayley_lands
 
 
 def as_tau(tau: Tau | Map, group: Group) -> Tau:
@@ -284,10 +285,10 @@ def as_tau(tau: Tau | Map, group: Group) -> Tau:
     if tau is arcsine:
         with jax.ensure_compile_time_eval():
             arcsine_form(group)
-    if tau is cayley and not getattr(group, "cayley_lands", True):
+    if tau is cayley and not cayley_lands(group):
         raise ValueError(f"the Cayley map does not land in {group}: take maps.exponential")
-    for known, its, needed in _ON_MATRIX_GROUPS:
-        if tau is known and hasattr(group, needed):
+    for known, its in _ON_ANALYTIC_GROUPS:
+        if tau is known and isinstance(group, AnalyticGroup):
             return its
     made = Tau(callable_pytree(tau), name)
     if tau is exponential or tau is arcsine or not concrete(made):

@@ -37,9 +37,7 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
 LEVEL = {name: level for level, floor in enumerate(FLOORS) for name in floor}
 CORE = {"jax", "numpy"}  # and the standard library: all that the numerical core needs, everything below `ensemble`
 FILES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
-ROOMS = sorted(
-    path.name.removesuffix(".py") for path in ROOT.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()
-)
+ROOMS = {path.stem for path in ROOT.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()}
 
 
 def room_of(path):

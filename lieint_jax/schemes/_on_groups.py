@@ -17,7 +17,7 @@ from jax import Array, lax
 
 from lieint_jax._numerics import newton, unrolled
 from lieint_jax.maps import Tau, derivative
-from lieint_jax.types import Group, State, StepInfo
+from lieint_jax.types import AnalyticGroup, Group, State, StepInfo
 
 
 class Equation(NamedTuple):
@@ -80,11 +80,18 @@ def solved(
 def unpacked(group: Any, metric: Array) -> unrolled.Matrix:
     """The metric as a matrix: a list of rows for small groups, an array for large ones."""
     d = metric.shape[0]
-    if not getattr(group, "unrolled", True):
+    if isinstance(group, AnalyticGroup) and not group.unrolled:
         return jnp.diag(metric) if metric.ndim == 1 else metric
     if metric.ndim == 2:
         return unrolled.as_list(metric)
     return [[metric[i] if i == j else 0.0 for j in range(d)] for i in range(d)]
+
+
+def body_velocity_field(system: Any, state: State) -> Array:
+    """q̇ = qΩ̂ with mΩ = Ad*_q π, of a system with a group and a metric."""
+    group, m = system.group, unpacked(system.group, system.metric)
+    Omega = unrolled.solve(m, as_vector(m, group.Ad_star(state.q, state.p)))
+    return group.tangent(state.q, unrolled.as_array(Omega, state.p))
 
 
 def as_vector(m: unrolled.Matrix, x: Array) -> unrolled.Vector:
@@ -99,7 +106,7 @@ def ad_star(group: Any, xi: unrolled.Vector, mu: unrolled.Vector) -> unrolled.Ve
 
 def ad_star_matrix(group: Any, mu: unrolled.Vector) -> unrolled.Matrix:
     """ad*(μ), (d, d)."""
-    if hasattr(group, "ad_star_matrix"):
+    if isinstance(group, AnalyticGroup):
         return group.ad_star_matrix(mu)
     mu = unrolled.as_array(mu, mu[0])
     return unrolled.as_list(jax.vmap(group.ad_star, (1, None), 1)(jnp.eye(group.dim, dtype=mu.dtype), mu))
@@ -152,7 +159,7 @@ def size_unit(m: unrolled.Matrix, a: unrolled.Vector) -> Callable[[unrolled.Vect
 
 def digits_left(group: Any, m: unrolled.Matrix, state: State, a: unrolled.Vector, half: Array) -> Array:
     """Whether Ad*_q π keeps six digits in float64: ε (what it sums up / what is left)² ≤ ε^{3/8}; q too."""
-    if not hasattr(group, "rounding"):
+    if not isinstance(group, AnalyticGroup):
         return jnp.ones((), bool)
     state, a, half = lax.stop_gradient((state, a, half))
     unit = jnp.sqrt(jnp.stack([m[i][i] for i in range(len(m))]))

@@ -23,7 +23,7 @@ through dD alone. No difference of nearby things is taken: D comes of U, and ΔW
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple, Protocol, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -34,28 +34,22 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton, three, unrolled
 from lieint_jax._numerics.three import Matrix, Symmetric
-from lieint_jax.phase_spaces import CotangentMatrices
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.schemes._capability import Integrand
+from lieint_jax.types import ElasticBody, State, Step, StepInfo, StoredEnergy, pytree, static
 
 Rule = Literal["symplectic", "energy", "energy_momentum", "average"]
 _SHRINK = 0.1  # det of the watched F may fall to this part of itself in one Newton correction
 _FRACTIONS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)  # of a Newton correction that are tried
 
 
-class Material(Protocol):
-    """What the rules ask of a stored energy, see `systems.pseudo_rigid_body`."""
+def _motion(body: ElasticBody, state: State) -> State:
+    """(Ḟ, Ṗ) = (PE⁻¹, −2F∇W(FᵀF)) (6.3)."""
+    E = three.symmetric(body.inertia)
+    V = [three.solve_symmetric(E, row) for row in state.p]
+    return State(_array(V), -_array(three.product(state.q, three.rows(body.stored_energy.stress(three.gram(state.q))))))
 
-    def stress(self, C: Symmetric, /) -> Symmetric: ...
-    def mean_stress(self, C: Symmetric, D: Symmetric, /) -> Symmetric: ...
 
-
-class ElasticBody(System, Protocol):
-    """A system on T*GL⁺(3) with an inertia E and a stored energy W(FᵀF)."""
-
-    @property
-    def inertia(self) -> Array: ...
-    @property
-    def stored_energy(self) -> Material: ...
+ELASTIC_BODIES = Integrand(ElasticBody, "pseudo-rigid bodies (systems.pseudo_rigid_body)", _motion)
 
 
 @pytree
@@ -81,9 +75,7 @@ class Additive(Step):
         return f"additive[{self.rule}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        return _compiled(self, state, _checks.step_size(dt))
-
-    def _step(self, state: State, dt: Array) -> tuple[State, StepInfo]:
+        dt = jnp.asarray(_checks.step_size(dt), state.p.dtype)
         equation = _Equation.of(self, state, dt)
         rule, W, E, alpha, F = equation.rule, equation.W, equation.E, equation.alpha, equation.F
         guess = jnp.concatenate([jnp.zeros(9, state.q.dtype), jnp.full(rule.gammas, rule.guess, state.q.dtype)])
@@ -102,22 +94,11 @@ class Additive(Step):
             converged &= jnp.abs(_missed(W, equation.C, D, S)) <= tolerance * stiff * _largest(D)
         return State(_array(end), _array(after)), lax.stop_gradient(StepInfo(residual, converged))
 
-    def check(self, state: State, dt: ArrayLike) -> None:
-        """As `Step.check`, by the compiled step: inside an outer jit the first step is not tried."""
-        if concrete(self, state, dt):
-            self.system.check(state)
-            converged = self(state, dt)[1].converged
-            if concrete(converged) and not converged:
-                raise ValueError(self.advice(state, dt))
-
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
             f"{self.name} does not converge within {self.iterations} iterations at dt = {dt}: take a smaller dt, more "
             "iterations, or the rule 'average', which has no second equation to solve"
         )
-
-
-_compiled = jax.jit(Additive._step)  # called eagerly, the Newton loop would be traced and compiled anew each time
 
 
 def additive(system: ElasticBody, rule: Rule = "average", alpha: ArrayLike = 0.5, iterations: int = 25) -> Additive:
@@ -154,8 +135,7 @@ def additive(system: ElasticBody, rule: Rule = "average", alpha: ArrayLike = 0.5
     Source: Lewis & Simo 1994, Results 15 and 16; "average": this package, after Gonzalez 2000, Comput. Methods Appl.
     Mech. Engrg. 190, and McLachlan, Quispel & Robidoux 1999.
     """
-    if not _is_elastic(system):
-        raise ValueError(f"additive moves pseudo-rigid bodies (systems.pseudo_rigid_body), got {type(system).__name__}")
+    ELASTIC_BODIES.check("additive", system)
     if rule not in get_args(Rule):
         raise ValueError(f"rule must be one of {', '.join(get_args(Rule))}, got {rule!r}")
     alpha = _checks.real_array("alpha", alpha, ())
@@ -174,31 +154,27 @@ def examples(system: Any) -> dict[str, Step]:
     The other two compile too long to be among the examples, which every test of a scheme and `lieint check` go through;
     `diagnostics.certify(additive(body, "energy"), …)` certifies them.
     """
-    if not _is_elastic(system):
+    if not ELASTIC_BODIES.declared(system):
         return {}
     return {step.name: step for step in (additive(system, "average"), additive(system, "symplectic"))}
-
-
-def _is_elastic(system: Any) -> bool:
-    return isinstance(getattr(system, "phase_space", None), CotangentMatrices) and hasattr(system, "stored_energy")
 
 
 # The rules: S(C, D) or S(C, D, γ) -------------------------------------------------------------------------------------
 
 
-def _symplectic(W: Material, C: Symmetric, D: Symmetric) -> Symmetric:
+def _symplectic(W: StoredEnergy, C: Symmetric, D: Symmetric) -> Symmetric:
     return W.stress(three.along(C, D, 1))
 
 
-def _average(W: Material, C: Symmetric, D: Symmetric) -> Symmetric:
+def _average(W: StoredEnergy, C: Symmetric, D: Symmetric) -> Symmetric:
     return W.mean_stress(C, D)
 
 
-def _energy(W: Material, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
+def _energy(W: StoredEnergy, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
     return W.stress(three.along(C, D, gamma))
 
 
-def _energy_momentum(W: Material, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
+def _energy_momentum(W: StoredEnergy, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
     ends = (W.stress(three.along(C, D, s)) for s in (gamma, 1 - gamma))
     return tuple((x + y) / 2 for x, y in zip(*ends, strict=True))
 
@@ -220,7 +196,7 @@ _RULES: dict[str, _Rule] = {
 }
 
 
-def _missed(W: Material, C: Symmetric, D: Symmetric, S: Symmetric) -> Array:
+def _missed(W: StoredEnergy, C: Symmetric, D: Symmetric, S: Symmetric) -> Array:
     """S:D − 2ΔW."""
     return three.inner(three.along(S, W.mean_stress(C, D), -1), D)
 
@@ -231,7 +207,7 @@ def _regular(D: Symmetric, C: Symmetric, stiffness: Array, off: Array) -> Array:
     return eps * stiffness * off * (three.inner(D, D) + eps * eps * three.inner(C, C))
 
 
-def _stiffness(W: Material, C: Symmetric) -> Array:
+def _stiffness(W: StoredEnergy, C: Symmetric) -> Array:
     """The size of ∂S/∂C·C: the rounding of C moves S by eps times this."""
     return lax.stop_gradient(_largest(jax.jvp(W.stress, (C,), (C,))[1]))
 
@@ -258,7 +234,7 @@ class _Equation(NamedTuple):
     """
 
     rule: _Rule
-    W: Material
+    W: StoredEnergy
     alpha: Array
     E: Symmetric
     F: Matrix

@@ -23,8 +23,8 @@ from lieint_jax import _checks, _free_body
 from lieint_jax._numerics.three import dot
 from lieint_jax.groups import so3
 from lieint_jax.schemes.preprocessed import retimed
-from lieint_jax.schemes.so3_midpoint import FreeBody, check_free_body, is_free_body
-from lieint_jax.types import State, Step, StepInfo, pytree, static
+from lieint_jax.schemes.so3_midpoint import FREE_BODIES
+from lieint_jax.types import FreeBody, State, Step, StepInfo, pytree, static
 
 
 class Clock(NamedTuple):
@@ -123,7 +123,7 @@ def calibrated(system: FreeBody, iterations: int | None = None) -> Calibrated:
 
     Source: McLachlan & Zanna 2005, Found. Comput. Math. 5 (that s and d exist); the closed form: this package.
     """
-    check_free_body(system, "calibrated")
+    FREE_BODIES.check("calibrated", system)
     if iterations is not None:
         iterations = _checks.count("iterations", iterations, 1)
     return Calibrated(system, None, iterations)
@@ -131,4 +131,4 @@ def calibrated(system: FreeBody, iterations: int | None = None) -> Calibrated:
 
 def examples(system: Any) -> dict[str, Step]:
     """The scheme, for free rigid bodies."""
-    return {"calibrated": calibrated(system)} if is_free_body(system) else {}
+    return {"calibrated": calibrated(system)} if FREE_BODIES.declared(system) else {}

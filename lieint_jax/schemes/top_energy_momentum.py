@@ -13,7 +13,7 @@ multiplied by 1 + ĥ, what is to be solved for y is the free body's equation wit
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -26,22 +26,22 @@ from lieint_jax._numerics import newton, three
 from lieint_jax._numerics.three import Vector, add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
-from lieint_jax.schemes.so3_midpoint import gyration, gyration_matrix, on_branch
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.schemes._capability import Integrand
+from lieint_jax.schemes.so3_midpoint import FREE_BODIES, gyration, gyration_matrix, on_branch
+from lieint_jax.types import State, Step, StepInfo, Top, pytree, static
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _APART = 1e-4  # |ΔΓ|² from where on the quadrature of D̄ is corrected to give the difference of Ṽ
 
 
-class Top(System, Protocol):
-    """A rigid body in a potential Ṽ(Λᵀγ)."""
+def _motion(top: Top, state: State) -> State:
+    """(q̇, π̇) = (½ q Ω, γ × Λ∇Ṽ(Γ)) (4.2)."""
+    gradient = jax.grad(top.potential)(so3.Ad_star(state.q, top.axis))
+    turning = FREE_BODIES.vector_field(top, state)
+    return State(turning.q, jnp.stack(cross(top.axis, so3.Ad(state.q, gradient))))
 
-    @property
-    def inertia(self) -> Array: ...
-    @property
-    def potential(self) -> Callable[[Array], Array]: ...
-    @property
-    def axis(self) -> Array: ...
+
+TOPS = Integrand(Top, "rigid bodies in a potential with an axis (systems.heavy_top, systems.potential_top)", _motion)
 
 
 @pytree
@@ -158,12 +158,11 @@ def top_energy_momentum(
     Source: Lewis & Simo 1994, Results 6–8, with the factor κ that (4.6) lacks; the discrete gradient: Gonzalez 1996,
     J. Nonlinear Sci. 6.
     """
-    if not _is_top(system):
+    if TOPS.declared(system) and system.axis is None:
         raise ValueError(
-            "top_energy_momentum integrates rigid bodies in a potential with an axis (systems.heavy_top, "
-            f"systems.potential_top), got {type(system).__name__}"
-            + (" without an axis; take splitting" if _is_top(system, axis=False) else "")
+            f"top_energy_momentum integrates {TOPS.noun}, got {type(system).__name__} without an axis; take splitting"
         )
+    TOPS.check("top_energy_momentum", system)
     kappa = as_kappa(kappa)
     if iterations is None:
         iterations = (3 if kappa.constant else 5) if _is_linear(system.potential) else 6
@@ -215,12 +214,6 @@ def _moment(h: Vector, Gamma: Vector, D: Vector) -> Vector:
 
 def examples(system: Any) -> dict[str, Step]:
     """The paper's three κ's, for rigid bodies in a potential with an axis."""
-    if not _is_top(system):
+    if not TOPS.declared(system) or system.axis is None:
         return {}
     return {step.name: step for step in (top_energy_momentum(system, kappa) for kappa in KAPPAS)}
-
-
-def _is_top(system: Any, axis: bool = True) -> bool:
-    """Whether it is a rigid body in a potential, with an axis; or, if not `axis`, whether it has all but that."""
-    needed = ("inertia", "potential", "kinetic_energy", *(("axis",) if axis else ()))
-    return all(getattr(system, name, None) is not None for name in needed)

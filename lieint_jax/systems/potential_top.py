@@ -17,7 +17,7 @@ from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.systems._body import Body
 from lieint_jax.systems.rigid_body import RigidBody
-from lieint_jax.types import State, callable_pytree, pytree
+from lieint_jax.types import State, Top, callable_pytree, pytree
 
 
 @pytree
@@ -35,7 +35,7 @@ class Quadratic:
 
 
 @pytree
-class PotentialTop(Body):
+class PotentialTop(Body, Top):
     """H = ½ Π·J⁻¹Π + V: Λ̇ = ΛΩ̂, π̇ = γ × ΛDṼ(Γ) with Γ = Λᵀγ (4.2). Made by `potential_top`, `heavy_top`.
 
     Attributes:
