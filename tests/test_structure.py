@@ -193,15 +193,3 @@ def test_import_is_light_and_leaves_float32_alone():
     assert rest.startswith("False")
     assert not any(name in rest for name in before)
     assert rest.strip().endswith("False")
-
-
-def test_the_docstring_example_of_rigid_body():
-    import doctest
-
-    from lieint_jax.systems.rigid_body import rigid_body
-
-    results = doctest.DocTestRunner().run(
-        doctest.DocTestFinder().find(rigid_body, globs={"rigid_body": rigid_body}, name="x")[0]
-    )
-    assert results.attempted >= 3
-    assert results.failed == 0
