@@ -4,8 +4,8 @@ Systems and steps are frozen dataclasses registered as JAX pytrees (`pytree`). T
 derivatives and batches over an inertia tensor go through them; fields marked `static` (functions, options) are part of
 the tree's structure, so a step that is built again hits the same jit cache.
 
-What a scheme may integrate is a capability: an abstract class below, such as `FreeBody`, that a system inherits and
-whose equations of motion it has. A scheme takes no system that has not declared the capability.
+A capability is an abstract class below, such as `FreeBody`, that stands for certain equations of motion. A system
+declares it by inheritance, and a scheme takes only the systems that declare the capability it integrates.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class State(NamedTuple):
 
 
 class StepInfo(NamedTuple):
-    """What a step says of its own solve.
+    """The report of a step on the equation that it solved.
 
     Attributes:
         residual: norm of the implicit equation's residual, in the scheme's own dimensionless form.
@@ -228,7 +228,7 @@ class Forced(System):
     @property
     @abc.abstractmethod
     def free(self) -> System:
-        """The same system without its force."""
+        """This system without its force."""
 
     @abc.abstractmethod
     def force(self, q: Array, /) -> Array:
@@ -326,7 +326,7 @@ class Step(abc.ABC):
     @property
     @abc.abstractmethod
     def name(self) -> str:
-        """What reports call this step."""
+        """The name of this step in reports."""
 
     @abc.abstractmethod
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]: ...
@@ -341,7 +341,7 @@ class Step(abc.ABC):
         return self
 
     def advice(self, state: State, dt: ArrayLike) -> str:
-        """What to tell somebody whose step failed from `state`: what was given, what is allowed, what to do."""
+        """The message for a step that failed from `state`: what was given, what is allowed, what to do."""
         return f"the step did not converge at dt = {dt}: take a smaller dt"
 
     def check(self, state: State, dt: ArrayLike) -> None:

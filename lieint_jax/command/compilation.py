@@ -21,7 +21,7 @@ def keep_programs() -> None:
     (JAX_COMPILATION_CACHE_DIR) stays. Programs of different kinds of processor lie in different folders.
     """
     folder = os.environ.get("LIEINT_CACHE", "")
-    if folder == "0" or jax.config.jax_compilation_cache_dir:
+    if folder == "0" or jax.config.jax_compilation_cache_dir:  # pyright: ignore[reportAttributeAccessIssue]
         return
     root = Path(folder) if folder else user_cache_path("lieint", appauthor=False)
     jax.config.update("jax_compilation_cache_dir", str(root / _processor()))

@@ -1,4 +1,4 @@
-"""What a scheme may integrate: a capability that the system declares, and the equations of motion that go with it.
+"""The systems that a scheme integrates: those that declare a capability and have its equations of motion.
 
 A subclass may declare a capability by inheritance and change the motion, by a force added or a rotor inside. So the
 making of a step compares the system's own vector field with the one that the scheme integrates.
@@ -66,7 +66,7 @@ def check_motion(
 def _difference(
     vector_field: Callable[[Any, State], State], data: Any, system: System, phase: ArrayLike
 ) -> tuple[Array, Array]:
-    """The relative difference of two vector fields at a state, the larger one of q̇ and π̇, and what is round-off."""
+    """The relative difference of two vector fields at a state, in q̇ or in π̇, and the tolerance for it."""
     space = system.phase_space
     numbers = [x for x in jax.tree.leaves((data, system)) if jnp.issubdtype(jnp.result_type(x), jnp.floating)]
     dtype = jnp.result_type(*numbers, *([] if numbers else [float]))

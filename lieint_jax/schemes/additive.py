@@ -180,7 +180,7 @@ def _energy_momentum(W: StoredEnergy, C: Symmetric, D: Symmetric, gamma: Array) 
 
 
 class _Rule(NamedTuple):
-    """How S is chosen; for those with a γ: how many (one), its limit for D → 0, and the interval [0, end] it is in."""
+    """A choice of S. If it has a γ, `gammas` is 1, `guess` the limit of γ for D → 0, and γ lies in [0, end]."""
 
     stress: Callable[..., Symmetric]
     gammas: int = 0
@@ -202,7 +202,7 @@ def _missed(W: StoredEnergy, C: Symmetric, D: Symmetric, S: Symmetric) -> Array:
 
 
 def _regular(D: Symmetric, C: Symmetric, stiffness: Array, off: Array) -> Array:
-    """Far below the rounding of `_missed`; it holds γ at its limit where any γ serves: D = 0, or W quadratic."""
+    """A term far below the rounding of `_missed` that holds γ at its limit where any γ serves: D = 0, or W quadratic."""
     eps = jnp.finfo(off.dtype).eps
     return eps * stiffness * off * (three.inner(D, D) + eps * eps * three.inner(C, C))
 
@@ -248,7 +248,7 @@ class _Equation(NamedTuple):
 
     @classmethod
     def of(cls, step: Additive, state: State, dt: Array) -> _Equation:
-        """Of a step from a state."""
+        """The equation of a step from a state."""
         rule, W = _RULES[step.rule], step.system.stored_energy
         alpha = step.alpha.astype(state.p.dtype)
         E = three.full(three.symmetric(step.system.inertia))
@@ -262,13 +262,13 @@ class _Equation(NamedTuple):
         return three.along(three.plus_transpose(three.transposed_product(self.F, V)), three.gram(V), 1)
 
     def law(self, D: Symmetric, gamma: tuple[Array, ...]) -> tuple[Symmetric, tuple[Array, ...]]:
-        """S, and by how much ½S:D misses ΔW if γ is to mend it."""
+        """S, and the difference S:D − 2ΔW if the rule has a γ, whose equation is that it vanishes."""
         rule, W, C = self.rule, self.W, self.C
         S = rule.stress(W, C, D, *gamma)
         return S, tuple(_missed(W, C, D, S) + _regular(D, C, self.stiffness, g - rule.guess) for g in gamma)
 
     def residual(self, x: Array) -> Array:
-        """U E + c F_{n+α} S − Δt P_n, and what ½S:D misses."""
+        """U E + c F_{n+α} S − Δt P_n, and the equation for γ if there is one."""
         U = _matrix(x)
         S, missed = self.law(self.change(U), tuple(x[9:]))
         force = three.product(three.combine(self.F, U, self.alpha), three.rows(S))
@@ -338,7 +338,7 @@ def _directions(gammas: int, like: Array) -> list[tuple[Symmetric, tuple[Array, 
 
 
 def _fraction(G: Matrix, dG: Matrix) -> Array:
-    """The largest tried t with det(G + t dG) > det(G)/10: a cubic in t. The least one, if none has it."""
+    """The largest of the fractions t with det(G + t dG) > det(G)/10, a cubic in t; the least fraction if none has it."""
     cof, cof_d = ((three.cross(A[1], A[2]), three.cross(A[2], A[0]), three.cross(A[0], A[1])) for A in (G, dG))
     d0, d3 = three.dot(G[0], cof[0]), three.dot(dG[0], cof_d[0])
     d1 = sum(three.dot(cof[i], dG[i]) for i in range(3))

@@ -1,4 +1,4 @@
-"""The exact flow of the free rigid body as a step, in Jacobi's elliptic functions (see `free_body`)."""
+"""The exact flow of the free rigid body as a step, in Jacobi's elliptic functions (see `_free_body`)."""
 
 from __future__ import annotations
 

@@ -137,7 +137,7 @@ def group_energy_momentum(system: MechanicalSystem, iterations: int = 6) -> Grou
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """The scheme, for systems with a potential on a group."""
+    """The energy-momentum step, for systems with a potential on a group."""
     if not MECHANICAL.declared(system):
         return {}
     step = group_energy_momentum(system)

@@ -71,7 +71,7 @@ class SO3Explicit(Step):
         return dataclasses.replace(self, m=scalar_root(J, a, _ITERATIONS), gain=lax.stop_gradient(gain))
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        """One step; of the trajectory and step size that it was prepared for, or else it prepares itself."""
+        """One step. If it has been prepared, the state and dt must be of that trajectory; if not, it prepares itself."""
         J, a = scaled(self.system, state, dt)
         h = half_cayley(J, a, scalar_root(J, a, _ITERATIONS) if self.m is None else self.m, self.gain)
         residual = lax.stop_gradient(three.max_abs(scalar_residual(J, a, h)))
@@ -107,5 +107,5 @@ def so3_explicit(system: FreeBody) -> SO3Explicit:
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """The scheme, for free rigid bodies."""
+    """The explicit step, for free rigid bodies."""
     return {"so3_explicit": so3_explicit(system)} if FREE_BODIES.declared(system) else {}

@@ -226,7 +226,7 @@ def gyration(kappa: Kappa, J: Symmetric, y: Vector) -> Vector:
 
 
 def gyration_matrix(kappa: Kappa, J: Symmetric, y: Vector) -> three.Matrix:
-    """Its derivative, K = J + κ(ŷJ − (Jy)^) + 8κ′(y × Jy)⊗y, as rows."""
+    """The derivative of `gyration`, K = J + κ(ŷJ − (Jy)^) + 8κ′(y × Jy)⊗y, as rows."""
     e, G = _dense(J), _gyroscopic(J, y)
     if kappa.constant:
         return three.combine(e, G)

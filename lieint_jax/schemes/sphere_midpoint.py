@@ -106,7 +106,7 @@ def sphere_midpoint(system: OnSphere, normalised: bool = False, iterations: int 
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """Both, for pendulums."""
+    """The plain and the normalised rule, for pendulums."""
     if not PENDULUMS.declared(system):
         return {}
     return {step.name: step for step in (sphere_midpoint(system), sphere_midpoint(system, normalised=True))}

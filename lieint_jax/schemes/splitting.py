@@ -109,7 +109,7 @@ def _drift(free: Any) -> Step:
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """With the symplectic `so3_midpoint`, for systems with a potential."""
+    """The splitting with the symplectic `so3_midpoint`, for rigid bodies in a potential."""
     if not isinstance(system, Forced) or not FREE_BODIES.declared(system.free):
         return {}
     step = splitting(system)

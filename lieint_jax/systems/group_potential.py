@@ -33,11 +33,11 @@ class GroupPotential(OnGroup, MechanicalSystem):
 
     @property
     def free(self) -> Euler:
-        """The same metric without the potential."""
+        """The geodesic flow of the metric, without the potential."""
         return Euler(self.metric, self.group)
 
     def force(self, q: Array) -> Array:
-        """−T*R dV, shape (d,): what the potential adds to π̇. Its i-th component is −d/dε V(exp(εeᵢ)q)."""
+        """−T*R dV, shape (d,): the force of the potential in π̇. Its i-th component is −d/dε V(exp(εeᵢ)q)."""
         zero = jnp.zeros(self.group.dim, q.dtype)
         _, pull = jax.vjp(lambda theta: self.group.spatial_tangent(q, theta), zero)
         return -pull(jax.grad(self.potential)(q))[0]

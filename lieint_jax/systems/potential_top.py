@@ -50,7 +50,7 @@ class PotentialTop(Body, Top):
 
     @property
     def free(self) -> RigidBody:
-        """The same body without its potential."""
+        """The free body of this inertia, without the potential."""
         return RigidBody(self.inertia)
 
     def Gamma(self, state: State) -> Array:
@@ -64,7 +64,7 @@ class PotentialTop(Body, Top):
         return self.potential(so3.Ad_star(q, self.axis))
 
     def force(self, q: Array) -> Array:
-        """The torque in space, shape (3,): what the potential adds to π̇. With an axis, γ × ΛDṼ(Γ) (4.1)."""
+        """The torque of the potential in space, shape (3,). With an axis, γ × ΛDṼ(Γ) (4.1)."""
         if self.axis is None:
             return -jax.grad(lambda theta: self.potential_energy(so3.multiply(so3.exp(theta), q)))(
                 jnp.zeros_like(q[:3])

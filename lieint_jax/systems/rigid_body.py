@@ -39,7 +39,7 @@ class RigidBody(Body, FreeBody):
     def solution(self, state: State, t: Array | float) -> State:
         """The exact state after time t, of any size and sign, without stepping; π bit for bit.
 
-        In Jacobi's elliptic functions, see `free_body`. For many times, `jax.vmap(body.solution, (None, 0))`.
+        In Jacobi's elliptic functions, see `_free_body`. For many times, `jax.vmap(body.solution, (None, 0))`.
         """
         return State(_free_body.attitude(self.inertia, state.q, state.p, t)[0], state.p)
 
