@@ -158,7 +158,7 @@ def size_unit(m: unrolled.Matrix, a: unrolled.Vector) -> Callable[[unrolled.Vect
 
 
 def digits_left(group: Any, m: unrolled.Matrix, state: State, a: unrolled.Vector, half: Array) -> Array:
-    """Whether Ad*_q π keeps six digits in float64: ε (size of its summands / size of its sum)² ≤ ε^{3/8}; q likewise."""
+    """Whether Ad*_q π keeps six digits in float64: ε (size of the summands / of the sum)² ≤ ε^{3/8}; q likewise."""
     if not isinstance(group, AnalyticGroup):
         return jnp.ones((), bool)
     state, a, half = lax.stop_gradient((state, a, half))

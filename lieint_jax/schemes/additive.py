@@ -202,7 +202,7 @@ def _missed(W: StoredEnergy, C: Symmetric, D: Symmetric, S: Symmetric) -> Array:
 
 
 def _regular(D: Symmetric, C: Symmetric, stiffness: Array, off: Array) -> Array:
-    """A term far below the rounding of `_missed` that holds γ at its limit where any γ serves: D = 0, or W quadratic."""
+    """A term below the rounding of `_missed` that holds γ at its limit where any γ serves: D = 0, or W quadratic."""
     eps = jnp.finfo(off.dtype).eps
     return eps * stiffness * off * (three.inner(D, D) + eps * eps * three.inner(C, C))
 
@@ -338,7 +338,7 @@ def _directions(gammas: int, like: Array) -> list[tuple[Symmetric, tuple[Array, 
 
 
 def _fraction(G: Matrix, dG: Matrix) -> Array:
-    """The largest of the fractions t with det(G + t dG) > det(G)/10, a cubic in t; the least fraction if none has it."""
+    """The largest of the fractions t with det(G + t dG) > det(G)/10, a cubic in t; the least if none has it."""
     cof, cof_d = ((three.cross(A[1], A[2]), three.cross(A[2], A[0]), three.cross(A[0], A[1])) for A in (G, dG))
     d0, d3 = three.dot(G[0], cof[0]), three.dot(dG[0], cof_d[0])
     d1 = sum(three.dot(cof[i], dG[i]) for i in range(3))

@@ -68,7 +68,7 @@ class Calibrated(Step):
         return dataclasses.replace(self, clock=clock)
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        """One step. If it has been prepared, the state and dt must be of that trajectory; if not, it prepares itself."""
+        """One step. If it was prepared, the state and dt must be of that trajectory; if not, it prepares itself."""
         if self.clock is None:
             return self.prepare(state, dt)(state, dt)
         after, info = retimed(self.system, self.clock.s, self.clock.d, self.iterations)(state, dt)
@@ -87,7 +87,7 @@ class Calibrated(Step):
         return self.system.energy(state), dot(state.p, state.p)
 
     def _fits(self, state: State, dt: ArrayLike) -> Array:
-        """Whether the clock belongs to dt and to the trajectory of `state`, whose energy may have drifted by round-off."""
+        """Whether the clock is that of dt and of the trajectory of `state`, whose energy may have drifted by round-off."""
         assert self.clock is not None
         energy, square = lax.stop_gradient(self._invariants(state))
         near = 2**16 * jnp.finfo(square.dtype).eps
@@ -110,7 +110,8 @@ def calibrated(system: FreeBody, iterations: int | None = None) -> Calibrated:
 
     `integrate` and `ensemble.run` call `prepare` once, and a step then costs as much as one of `so3_midpoint`. Called
     by hand without `prepare`, it finds its constants at every step. Prepared for one trajectory or step size and used
-    with another, it says `converged=False`. Where `exact` takes one large step, `calibrated` takes many small ones, with the same result.
+    with another, it says `converged=False`. Where `exact` takes one large step, `calibrated` takes many small ones, with
+    the same result.
 
     Args:
         system: `systems.rigid_body(...)`.

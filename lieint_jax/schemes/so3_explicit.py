@@ -71,7 +71,7 @@ class SO3Explicit(Step):
         return dataclasses.replace(self, m=scalar_root(J, a, _ITERATIONS), gain=lax.stop_gradient(gain))
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        """One step. If it has been prepared, the state and dt must be of that trajectory; if not, it prepares itself."""
+        """One step. If it was prepared, the state and dt must be of that trajectory; if not, it prepares itself."""
         J, a = scaled(self.system, state, dt)
         h = half_cayley(J, a, scalar_root(J, a, _ITERATIONS) if self.m is None else self.m, self.gain)
         residual = lax.stop_gradient(three.max_abs(scalar_residual(J, a, h)))

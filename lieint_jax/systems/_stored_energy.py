@@ -144,7 +144,7 @@ def _plus(pressure: Array | float, S: Symmetric) -> Symmetric:
 
 
 def mooney_rivlin(lam: ArrayLike, mu: ArrayLike) -> MooneyRivlin:
-    """W = (λ/2)(I₃ − 1 − ln I₃) + (μ/2)(I₁ − 3 − ln I₃), I₁ = tr C, I₃ = det C: the material of the paper's Figures 3–5.
+    """W = (λ/2)(I₃ − 1 − ln I₃) + (μ/2)(I₁ − 3 − ln I₃), I₁ = tr C, I₃ = det C: that of the paper's Figures 3–5.
 
     Args:
         lam: λ > 0, resistance to a change of volume; an energy.
