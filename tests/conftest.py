@@ -10,10 +10,12 @@ Most of a test's time is XLA's. Its older CPU emitters compile in a third of the
 programs of one run serve the next from a cache on disk. The shards see to it that every test also passes without them.
 """
 
+import gc
 import os
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+gc.set_threshold(100_000, 50, 100)  # JAX's tracing makes much garbage: a fifth of its time goes into collecting it
 
 import hypothesis
 import jax
@@ -24,10 +26,11 @@ hypothesis.settings.register_profile("house", deadline=None, max_examples=25, de
 hypothesis.settings.load_profile("house")
 
 QUICK = "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
-CACHE = {
+OPTIONS = {
     "jax_compilation_cache_dir": str(Path(__file__).parents[1] / ".jax_cache"),
     "jax_persistent_cache_min_compile_time_secs": 0,
     "jax_persistent_cache_min_entry_size_bytes": -1,
+    "jax_traceback_in_locations_limit": 0,  # fewer words in each program
 }
 
 
@@ -42,7 +45,7 @@ def pytest_configure(config):
         _parts(config.getoption("--shard"))
     if not (config.getoption("--shard") or config.getoption("--all-shards")):
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICK}".strip()
-    for name, value in CACHE.items():
+    for name, value in OPTIONS.items():
         jax.config.update(name, value)
         os.environ[name.upper()] = str(value)
 

@@ -87,7 +87,7 @@ class Calibrated(Step):
         return self.system.energy(state), dot(state.p, state.p)
 
     def _fits(self, state: State, dt: ArrayLike) -> Array:
-        """Whether the clock is that of dt and of the trajectory of `state`, whose energy may have drifted by round-off."""
+        """Whether the clock is that of dt and of the trajectory of `state`. Energy may have drifted by round-off."""
         assert self.clock is not None
         energy, square = lax.stop_gradient(self._invariants(state))
         near = 2**16 * jnp.finfo(square.dtype).eps
@@ -110,8 +110,7 @@ def calibrated(system: FreeBody, iterations: int | None = None) -> Calibrated:
 
     `integrate` and `ensemble.run` call `prepare` once, and a step then costs as much as one of `so3_midpoint`. Called
     by hand without `prepare`, it finds its constants at every step. Prepared for one trajectory or step size and used
-    with another, it says `converged=False`. Where `exact` takes one large step, `calibrated` takes many small ones, with
-    the same result.
+    with another, it says `converged=False`. Where `exact` takes one large step, `calibrated` takes many small ones.
 
     Args:
         system: `systems.rigid_body(...)`.
