@@ -15,12 +15,12 @@ import os
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
-gc.set_threshold(100_000, 50, 100)  # JAX's tracing makes much garbage: a fifth of its time goes into collecting it
 
 import hypothesis
 import jax
 import pytest
 
+gc.set_threshold(100_000, 50, 100)  # collecting the garbage of tracing took a fifth of its time
 jax.config.update("jax_enable_x64", True)
 hypothesis.settings.register_profile("house", deadline=None, max_examples=25, derandomize=True, print_blob=True)
 hypothesis.settings.load_profile("house")
