@@ -169,7 +169,7 @@ def solve(K: Matrix, b: Vector) -> Vector:
 def factored(K: Matrix) -> Factored:
     """Elimination without pivoting: for K with a positive definite symmetric part, or near such a matrix.
 
-    The matrices here are a metric less a nearly skew matrix, where no pivot can vanish and none is three. Lists are
+    The matrices here are a metric less a nearly skew matrix, where no pivot can vanish and none is small. Lists are
     halved, so that there are two divisions for up to six unknowns: XLA stops fusing at a division.
     """
     if _whole(K):

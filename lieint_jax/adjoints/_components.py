@@ -90,7 +90,7 @@ def _is_jaxpr(x: Any) -> bool:
 
 
 def _apart(x: Any) -> Any:
-    """An array as a numpy array of its entries, if it is three."""
+    """An array as a numpy array of its entries, if it is small."""
     if isinstance(x, np.ndarray) and x.dtype == object:
         return x
     if np.size(x) > _MOST or jnp.issubdtype(jnp.result_type(x), jax.dtypes.prng_key):
