@@ -170,7 +170,7 @@ def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunk
             run(path, resume=True, **options)
     with pytest.raises(ValueError, match=r"scenario\.seed is 1 there and 2 here"):
         run(ensemble.StoreOptions(path, {"scenario": {"seed": 2}}), resume=True)
-    monkeypatch.setattr(li, "__version__", "9.9")
+    monkeypatch.setattr(_recording, "__version__", "9.9")
     with pytest.raises(ValueError, match=r"versions\.lieint_jax is .* there and '9\.9' here"):
         run(path, resume=True)
     monkeypatch.undo()
