@@ -241,7 +241,7 @@ def _sorted_clock(J: Array, e: Vector, tau: Array) -> tuple[Array, Array, Array]
     lag = c - m.R * m.S * (m.q_r / m.q_o) * s
     size = 1 + m.nu * m.S * m.S
     scale = m.S * m.q_o * lag * lag / (half * m.q_r * size)
-    small_turn = (m.q_o * lag >= jnp.sqrt(size / 2)) & (jnp.abs(tau) <= 2 * math.pi * J[0])  # not by 720° + a little
+    small_turn = (m.q_o * lag >= jnp.sqrt(size / 2)) & (jnp.abs(tau) <= 2 * math.pi * J[0])  # and not about 720°
     return scale, s * lag / half - scale * b.b_o, small_turn
 
 

@@ -1,4 +1,4 @@
-"""The command `lieint`: parses and calls, nothing else."""
+"""The command `lieint`: parses its arguments and calls the package."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _EPILOG = """examples:
   lieint run pseudo_rigid                  a spinning elastic ball, with the delay plots of the paper's Figure 3c
   lieint run pendulum                      a spherical pendulum beside the closed form
   lieint run kirchhoff                     a spinning spheroid in water, on SE(3)
-  lieint run my.toml --members 100         your own scenario (copy lieint_jax/data/toutatis.toml)
+  lieint run my.toml --members 100         your own scenario (copy lieint_jax/scenarios/toutatis.toml)
   lieint run toutatis --out runs.zarr --members 100000   to disk while it runs; with --resume it goes on
-  lieint info runs.zarr                    what is in it
+  lieint info runs.zarr                    describe that store
   lieint check                             what every scheme conserves, measured
   lieint check rigid_body --scheme cayley  one of them
-  lieint check "SE(3)"                     what is kept on a matrix group, by which map
+  lieint check "SE(3)"                     what is conserved on a matrix group, by which map
   lieint check groups                      energy and symplectic form, group by group and map by map
   lieint figure 1 2 3 --out figures        the paper's figures
   lieint study toutatis                    fit a spin state and inertia ratios to two radar fixes
@@ -26,7 +26,7 @@ _EPILOG = """examples:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command; 0 if all went well, 2 with one line on stderr if the user can mend it."""
+    """Run the command; return 0 on success, 2 with one line on stderr for an error that the user can correct."""
     options = _parser().parse_args(arguments)
     import jax
 
@@ -34,7 +34,7 @@ def main(arguments: list[str] | None = None) -> int:
     warnings.showwarning = lambda message, *_, **__: print(f"lieint: warning: {message}", file=sys.stderr)
     try:
         options.command(options)
-    except BrokenPipeError:  # `lieint … | head`: whoever read has read enough
+    except BrokenPipeError:  # the reader of our output has stopped, as in `lieint … | head`
         sys.stderr.close()
         return 1
     except (ValueError, OSError) as error:

@@ -351,7 +351,7 @@ class MatrixGroup:
 
     @cached_property
     def _constraints(self) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray], bool]:
-        """The complement of the span of all q − 1, invariant forms on vectors and on covectors, and whether det q = 1."""
+        """The complement of the span of all q − 1, invariant forms on vectors and on covectors, whether det q = 1."""
         span = _basis.algebra(self.basis)
         complement = _basis.null(span.reshape(len(span), -1)).reshape(-1, *self.basis.shape[1:])
         forms = _basis.invariant_forms(self.basis), _basis.invariant_forms(self.basis.transpose(0, 2, 1))
