@@ -6,6 +6,7 @@ import argparse
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 _EPILOG = """examples:
   lieint run toutatis                      800 days of a tumbling asteroid, 1000 members
@@ -54,6 +55,14 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_run(commands)
+    _add_results(commands)
+    _add_check(commands)
+    _add_paper(commands)
+    return parser
+
+
+def _add_run(commands: Any) -> None:
     run = commands.add_parser("run", help="integrate a scenario and report", description="Integrate a scenario.")
     run.add_argument("scenario", metavar="SCENARIO", help="a shipped scenario (toutatis, heavy_top, …) or a .toml file")
     run.add_argument(
@@ -71,12 +80,18 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--processes", type=_positive, metavar="N", help="… how many there are")
     run.add_argument("--process", type=int, metavar="K", help="… which this one is, from 0")
     run.set_defaults(command=_run)
+
+
+def _add_results(commands: Any) -> None:
     info = commands.add_parser("info", help="what a file of results holds", description="Look into results.")
     info.add_argument("path", type=Path, metavar="PATH")
     info.set_defaults(command=_info)
     plot = commands.add_parser("plot", help="report on results and draw them", description="Pictures of results.")
     plot.add_argument("path", type=Path, metavar="PATH")
     plot.set_defaults(command=_plot)
+
+
+def _add_check(commands: Any) -> None:
     check = commands.add_parser(
         "check", help="print certificates", description="Measure what each scheme conserves, system by system."
     )
@@ -92,6 +107,9 @@ def _parser() -> argparse.ArgumentParser:
         "--steps", type=_positive, metavar="N", help="length of a run (default 1000; 100 where Ad_q grows)"
     )
     check.set_defaults(command=_check)
+
+
+def _add_paper(commands: Any) -> None:
     figure = commands.add_parser("figure", help="recompute figures of the paper", description="Write figures as PNG.")
     figure.add_argument("numbers", nargs="+", type=int, metavar="N", help="numbers in the paper: 1 to 5")
     figure.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
@@ -101,7 +119,6 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder for its picture (default: here)")
     study.add_argument("--quick", action="store_true", help="a small one")
     study.set_defaults(command=_study)
-    return parser
 
 
 def _positive(text: str) -> int:
