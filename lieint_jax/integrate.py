@@ -10,7 +10,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.types import State, Step, StepInfo, Trajectory
+from lieint_jax.types import State, Step, StepInfo, Trajectory, checked_step
 
 
 def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_every: int = 1) -> Trajectory:
@@ -56,6 +56,7 @@ def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_ever
 
 def promoted(step: Step, state: State) -> tuple[State, jnp.dtype]:
     """The state in the common floating-point type of its leaves and the numbers of `step`, and that type."""
+    checked_step(step)
     if not isinstance(state, State):
         raise ValueError(f"state must be a State(q, p), such as system.state(...) makes, got {type(state).__name__}")
     named = zip(State._fields, state, strict=True)

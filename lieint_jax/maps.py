@@ -25,7 +25,7 @@ from jax import Array
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import power_series, three, unrolled
 from lieint_jax.groups._closed_form import squared_eigenvalue
-from lieint_jax.types import Group, callable_pytree, pytree, static
+from lieint_jax.types import AnalyticGroup, Group, callable_pytree, pytree, static
 
 # Scalings κ of SO(3) --------------------------------------------------------------------------------------------------
 
@@ -261,11 +261,12 @@ _BY_CAYLEY = Tau(callable_pytree(cayley), "cayley", slope=_GroupMethod("cayley_s
 _BY_ARCSINE = Tau(
     callable_pytree(_arcsine_near), "arcsine", slope=_arcsine_slope, holds=_arcsine_holds, coadjoint=_arcsine_coadjoint
 )
-_ON_MATRIX_GROUPS = (  # a map, the `Tau` that replaces it, and the method of the group that this needs
-    (exponential, _BY_EXPONENTIAL, "exp_near"),
-    (cayley, _BY_CAYLEY, "cayley_slope"),
-    (arcsine, _BY_ARCSINE, "exp_near"),
-)
+_ON_ANALYTIC_GROUPS = ((exponential, _BY_EXPONENTIAL), (cayley, _BY_CAYLEY), (arcsine, _BY_ARCSINE))  # map and `Tau`
+
+
+def cayley_lands(group: Group) -> bool:
+    """True if the Cayley map lands in a group; for a plain `Group` it is taken for granted."""
+    return not isinstance(group, AnalyticGroup) or group.cayley_lands
 
 
 def as_tau(tau: Tau | Map, group: Group) -> Tau:
@@ -285,11 +286,11 @@ def as_tau(tau: Tau | Map, group: Group) -> Tau:
     if tau is arcsine:
         with jax.ensure_compile_time_eval():
             arcsine_form(group)
-    if tau is cayley and not getattr(group, "cayley_lands", True):
+    if tau is cayley and not cayley_lands(group):
         raise ValueError(f"the Cayley map does not land in {group}: take maps.exponential")
-    for known, replacement, needed in _ON_MATRIX_GROUPS:
-        if tau is known and hasattr(group, needed):
-            return replacement
+    for known, form in _ON_ANALYTIC_GROUPS:
+        if tau is known and isinstance(group, AnalyticGroup):
+            return form
     made = Tau(callable_pytree(tau), name)
     if tau is exponential or tau is arcsine or not concrete(made):
         return made

@@ -25,6 +25,11 @@ class CotangentGroup:
         """Dimension of the phase space, 2 dim G."""
         return 2 * self.group.dim
 
+    @property
+    def origin(self) -> State:
+        """The identity, at rest."""
+        return State(jnp.asarray(self.group.identity, float), jnp.zeros(self.group.dim))
+
     def perturb(self, state: State, delta: Array) -> State:
         """The state moved by δ = (δθ, δπ), shape (2d,): (exp(δθ) q, π + δπ)."""
         d = self.group.dim
@@ -54,6 +59,11 @@ class CotangentMatrices:
     def dim(self) -> int:
         """Dimension of the phase space, 18."""
         return 18
+
+    @property
+    def origin(self) -> State:
+        """F = 1, at rest."""
+        return State(jnp.eye(3), jnp.zeros((3, 3)))
 
     def perturb(self, state: State, delta: Array) -> State:
         """(F + δF, P + δP) for δ = (δF, δP), shape (18,)."""
@@ -85,6 +95,11 @@ class CotangentSphere:
     def dim(self) -> int:
         """Dimension of the phase space, 4."""
         return 4
+
+    @property
+    def origin(self) -> State:
+        """q = e₃, at rest."""
+        return State(jnp.array([0.0, 0.0, 1.0]), jnp.zeros(3))
 
     def perturb(self, state: State, delta: Array) -> State:
         """The state moved by δ = (a, b), shape (4,): q and π + δπ turned by exp(θ̂), θ = q × δq; it stays on T*S²."""

@@ -1,8 +1,11 @@
-"""The core types: states, steps, trajectories, groups, phase spaces.
+"""The core types: states, steps, trajectories, groups, phase spaces, systems and their capabilities.
 
 Systems and steps are frozen dataclasses registered as JAX pytrees (`pytree`). Their array fields are leaves, so
 derivatives and batches over an inertia tensor go through them; fields marked `static` (functions, options) are part of
 the tree's structure, so a step that is built again hits the same jit cache.
+
+A capability is an abstract class below, such as `FreeBody`, that stands for certain equations of motion. A system
+declares it by inheritance, and a scheme takes only the systems that declare the capability it integrates.
 """
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, Self, TypeVar, dataclass_transform
+from typing import Any, NamedTuple, Protocol, Self, TypeVar, dataclass_transform, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -53,7 +56,7 @@ class State(NamedTuple):
 
 
 class StepInfo(NamedTuple):
-    """What a step says of its own solve.
+    """The report of a step on the equation that it solved.
 
     Attributes:
         residual: norm of the implicit equation's residual, in the scheme's own dimensionless form.
@@ -95,17 +98,8 @@ class Group(Protocol):
     Algebra elements are coordinate vectors of shape (dim,), their duals likewise; `Ad_star(q, ·)` and `ad_star(ξ, ·)`
     are the transposes of `Ad(q, ·)` and `ad(ξ, ·)`.
 
-    A group may also have these, which schemes and systems use where they are there (see `groups.matrix.MatrixGroup`):
-
-    | | |
-    |---|---|
-    | `exp_near`, `near`, `exp_slope`, `exp_coadjoint` | exp of a step, where it is exact, its H (5.28), its Ad* |
-    | `cayley_slope`, `cayley_both`, `coadjoint` | H of cay; cay(±ξ), and Ad* of an element and its inverse |
-    | `cayley_lands` | whether the Cayley map lands in the group; without it, it does |
-    | `ad_star_matrix` | the matrix of ξ ↦ ad*_ξ μ |
-    | `unrolled` | whether vectors are lists of entries in a step, see `dense`; without it, they are |
-    | `rounding`, `drift` | what rounding costs `Ad_star`, and how far q has left the group |
-    | `casimirs` | functions of μ that no Ad* changes |
+    `casimirs(μ)` are functions of μ that no Ad* changes, shape (k,); (0,) if none is known. A group may also be an
+    `AnalyticGroup`.
     """
 
     @property
@@ -125,29 +119,196 @@ class Group(Protocol):
     def body_velocity(self, q: Array, q_dot: Array, /) -> Array: ...
     def tangent(self, q: Array, Omega: Array, /) -> Array: ...
     def spatial_tangent(self, q: Array, theta: Array, /) -> Array: ...
+    def casimirs(self, mu: Array, /) -> Array: ...
     def defect(self, q: Array, /) -> Array: ...
 
 
+@runtime_checkable
+class AnalyticGroup(Group, Protocol):
+    """A group that knows the derivatives and the rounding errors of its maps, see `groups.matrix.MatrixGroup`.
+
+    Steps on it are faster than on a plain `Group`, whose maps are differentiated by autodiff, and say when Ad_q has
+    grown so large that no digits of Π = Ad*_q π are left. Vectors and matrices are those of `_numerics.unrolled`: lists
+    of scalars if `unrolled`, else arrays. A group has all of these members or counts as a plain one.
+
+    | member | |
+    |---|---|
+    | `unrolled` | whether vectors are lists of scalars in a step |
+    | `exp_near(ξ)`, `near(ξ)` | exp ξ where it is exact, for steps; whether it is exact at ξ |
+    | `exp_slope(ξ, terms)`, `exp_coadjoint(ξ, μ)` | H of exp (5.28), by so many terms of its series; Ad*_exp(ξ) μ |
+    | `cayley_lands` | whether the Cayley map lands in the group |
+    | `cayley_both(ξ)`, `cayley_slope(ξ)` | cay ξ and cay(−ξ); H of cay |
+    | `coadjoint(q, q⁻¹, μ)` | Ad*_q μ, the inverse being known |
+    | `ad_star_matrix(μ)` | the matrix of ξ ↦ ad*_ξ μ |
+    | `rounding(q, μ)`, `drift(q)` | a bound of the rounding error of Ad*_q μ over eps; how far q has left the group |
+    """
+
+    @property
+    def unrolled(self) -> bool: ...
+    def exp_near(self, xi: Array, /) -> Array: ...
+    def near(self, xi: Array, /) -> Array: ...
+    def exp_slope(self, xi: Any, terms: int = ..., /) -> Any: ...
+    def exp_coadjoint(self, xi: Any, mu: Any, /) -> Any: ...
+    @property
+    def cayley_lands(self) -> bool: ...
+    def cayley_both(self, xi: Any, /) -> Any: ...
+    def cayley_slope(self, xi: Any, /) -> Any: ...
+    def coadjoint(self, q: Any, inverse: Any, mu: Any, /) -> Any: ...
+    def ad_star_matrix(self, mu: Any, /) -> Any: ...
+    def rounding(self, q: Array, mu: Array, /) -> Array: ...
+    def drift(self, q: Array, /) -> Array: ...
+
+
 class PhaseSpace(Protocol):
-    """A manifold with a symplectic form, in coordinates of its tangent spaces that the diagnostics work in."""
+    """A manifold with a symplectic form, in coordinates of its tangent spaces that the diagnostics work in.
+
+    `origin` is some state of it, at rest, from which `perturb` leads to others.
+    """
 
     @property
     def dim(self) -> int: ...
+    @property
+    def origin(self) -> State: ...
     def perturb(self, state: State, delta: Array, /) -> State: ...
     def trivialise(self, state: State, tangent: State, /) -> Array: ...
     def omega(self, state: State, /) -> Array: ...
     def defect(self, state: State, /) -> Array: ...
 
 
-class System(Protocol):
+class System(abc.ABC):
     """A Hamiltonian system: what every scheme and every diagnostic may ask of it."""
 
     @property
-    def phase_space(self) -> PhaseSpace: ...
-    def energy(self, state: State, /) -> Array: ...
-    def momentum(self, state: State, /) -> Array: ...
-    def vector_field(self, state: State, /) -> State: ...
-    def check(self, state: State, /) -> None: ...
+    @abc.abstractmethod
+    def phase_space(self) -> PhaseSpace:
+        """Its phase space, which has the symplectic form."""
+
+    @abc.abstractmethod
+    def energy(self, state: State, /) -> Array:
+        """H, a scalar."""
+
+    @abc.abstractmethod
+    def momentum(self, state: State, /) -> Array:
+        """The momentum map of the symmetries that are known, (k,); (0,) if there are none."""
+
+    @abc.abstractmethod
+    def vector_field(self, state: State, /) -> State:
+        """The time derivative of a state."""
+
+    @abc.abstractmethod
+    def check(self, state: State, /) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system."""
+
+
+class FreeBody(System):
+    """A rigid body on T*SO(3) that no torque moves: q̇ = ½ q Ω, π̇ = 0 with JΩ = Π = Λᵀπ (2.12).
+
+    Attributes:
+        inertia: J, principal moments (3,) or a symmetric tensor (3, 3).
+    """
+
+    inertia: Array
+
+
+class GeodesicFlow(System):
+    """The motion on T*G by a left-invariant metric alone: q̇ = qΩ̂, π̇ = 0 with mΩ = Π = Ad*_q π (5.14).
+
+    Attributes:
+        group: the group G.
+        metric: m, principal (d,) or full (d, d).
+    """
+
+    group: Group
+    metric: Array
+
+
+class Forced(System):
+    """A system with a kinetic energy and a force that depends on the configuration: the kick of a splitting."""
+
+    @property
+    @abc.abstractmethod
+    def free(self) -> System:
+        """This system without its force."""
+
+    @abc.abstractmethod
+    def force(self, q: Array, /) -> Array:
+        """By how much π̇ at the configuration q differs from π̇ of the free system; of the shape of π."""
+
+
+class Top(Forced):
+    """A rigid body in a potential Ṽ(Γ) of an axis, Γ = Λᵀγ: q̇ = ½ q Ω, π̇ = γ × Λ∇Ṽ(Γ) (4.2).
+
+    Attributes:
+        inertia: J, as of `FreeBody`.
+        potential: Ṽ; a function of Λ, (3, 3), if there is no axis.
+        axis: γ in space, (3,), or None.
+    """
+
+    inertia: Array
+    potential: Callable[[Array], Array]
+    axis: Array | None
+
+
+class MechanicalSystem(Forced):
+    """A left-invariant metric and a potential V(q) on T*G: q̇ = qΩ̂, π̇ = −T*R dV(q) with mΩ = Ad*_q π (5.41).
+
+    Attributes:
+        group: the group G.
+        metric: m, as of `GeodesicFlow`.
+        potential: V.
+    """
+
+    group: Group
+    metric: Array
+    potential: Callable[[Array], Array]
+
+    @abc.abstractmethod
+    def body_force(self, q: Array, /) -> Array:
+        """Ad*_q of `force`: its i-th component is −d/dε V(q exp(εeᵢ))."""
+
+
+class StoredEnergy(abc.ABC):
+    """W(C), an energy, of the right Cauchy–Green tensor C = FᵀF, shape (3, 3).
+
+    Symmetric tensors are tuples of six entries (xx, yy, zz, yz, xz, xy), see `_numerics.three`.
+    """
+
+    @abc.abstractmethod
+    def __call__(self, C: Array) -> Array: ...
+
+    @abc.abstractmethod
+    def stress(self, C: tuple[Array, ...]) -> tuple[Array, ...]:
+        """S = 2∇W(C)."""
+
+    @abc.abstractmethod
+    def mean_stress(self, C: tuple[Array, ...], D: tuple[Array, ...]) -> tuple[Array, ...]:
+        """S̄ with ½ S̄:D = W(C + D) − W(C)."""
+
+
+class ElasticBody(System):
+    """A body that deforms homogeneously, on T*GL⁺(3): Ḟ = PE⁻¹, Ṗ = −2F∇W(FᵀF) (6.3).
+
+    Attributes:
+        inertia: E, the second moments of mass, (3,) or (3, 3).
+        stored_energy: W.
+    """
+
+    inertia: Array
+    stored_energy: StoredEnergy
+
+
+class OnSphere(System):
+    """A particle on the unit sphere, on T*S²: q̇ = π × q/m, π̇ = −q × ∇V(q) (1.4).
+
+    Attributes:
+        mass: m.
+    """
+
+    mass: Array
+
+    @abc.abstractmethod
+    def potential(self, q: Array, /) -> Array:
+        """V(q), smooth around the sphere too."""
 
 
 class Step(abc.ABC):
@@ -165,7 +326,7 @@ class Step(abc.ABC):
     @property
     @abc.abstractmethod
     def name(self) -> str:
-        """What reports call this step."""
+        """The name of this step in reports."""
 
     @abc.abstractmethod
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]: ...
@@ -180,7 +341,7 @@ class Step(abc.ABC):
         return self
 
     def advice(self, state: State, dt: ArrayLike) -> str:
-        """What to tell somebody whose step failed from `state`: what was given, what is allowed, what to do."""
+        """The message for a step that failed from `state`: what was given, what is allowed, what to do."""
         return f"the step did not converge at dt = {dt}: take a smaller dt"
 
     def check(self, state: State, dt: ArrayLike) -> None:
@@ -189,6 +350,23 @@ class Step(abc.ABC):
             return
         with jax.ensure_compile_time_eval():  # constants are concrete inside jit too
             self.system.check(state)
-            converged = self(state, dt)[1].converged
-            if concrete(converged) and not converged:  # older JAX traces custom_root even here
+            converged = _trial(self, state, dt)
+            if concrete(converged) and not converged:  # a function of the step may close over a tracer
                 raise ValueError(self.advice(state, dt))
+
+
+def checked_step(step: Any) -> Step:
+    """`step`; ValueError if it is none, which says how to make one."""
+    if isinstance(step, Step):
+        return step
+    raise ValueError(
+        f"step must be a Step, such as schemes.so3_midpoint(system) makes, got {step!r}. To make one of your own: a "
+        "class that inherits li.Step, decorated with @li.pytree, with the fields system, order and symmetric "
+        "(li.static() for what is no array), a property name, and __call__(state, dt) -> (State, StepInfo)"
+    )
+
+
+@jax.jit
+def _trial(step: Step, state: State, dt: ArrayLike) -> Array:
+    """Whether a step converges. Compiled, so that a step of the same structure is checked without tracing it again."""
+    return step(state, dt)[1].converged

@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.integrate import promoted
-from lieint_jax.types import State, Step
+from lieint_jax.types import State, Step, checked_step
 
 Derivative = Literal["reversible", "checkpoint"]
 
@@ -19,8 +19,7 @@ def checked(step: Step, state: State, dt: ArrayLike, derivative: str) -> tuple[S
     """Check the arguments; return step, state and dt in their common dtype."""
     if derivative not in get_args(Derivative):
         raise ValueError(f"derivative must be one of {', '.join(get_args(Derivative))}, got {derivative!r}")
-    if not isinstance(step, Step):
-        raise ValueError(f"step must be a Step, such as schemes.so3_midpoint(...) makes, got {type(step).__name__}")
+    checked_step(step)
     if derivative == "reversible" and not step.symmetric:
         raise ValueError(
             f'{step.name} is not symmetric, so its steps cannot be undone by −dt: give derivative="checkpoint", or '

@@ -31,7 +31,10 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     import jax
 
+    from lieint_jax.command.compilation import keep_programs
+
     jax.config.update("jax_enable_x64", True)
+    keep_programs()
     warnings.showwarning = lambda message, *_, **__: print(f"lieint: warning: {message}", file=sys.stderr)
     try:
         options.command(options)

@@ -13,7 +13,7 @@ from lieint_jax.diagnostics.order import order, reversibility, size
 from lieint_jax.diagnostics.series import constraint_error, energy_error, momentum_error
 from lieint_jax.diagnostics.symplectic import defect_matrix
 from lieint_jax.integrate import integrate
-from lieint_jax.types import State, Step
+from lieint_jax.types import State, Step, checked_step
 
 
 class Certificate(NamedTuple):
@@ -83,7 +83,7 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
     Raises:
         ValueError: as `integrate`.
     """
-    step.check(state, dt)
+    checked_step(step).check(state, dt)
     run = _integrate(step, state, dt, num_steps)
     system = step.system
     momentum = np.abs(np.asarray(momentum_error(system, run)))

@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax.diagnostics.symplectic import linearization
 from lieint_jax.phase_spaces import CotangentGroup
-from lieint_jax.types import State, Step
+from lieint_jax.types import Forced, State, Step
 
 _Method = Literal["recursion", "product"]
 
@@ -40,7 +40,7 @@ def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, metho
         raise ValueError(f"method must be one of {', '.join(get_args(_Method))}, got {method!r}")
     step.check(state, dt)
     space = step.system.phase_space
-    if not isinstance(space, CotangentGroup) or hasattr(step.system, "force"):
+    if not isinstance(space, CotangentGroup) or isinstance(step.system, Forced):
         if method == "recursion":
             raise ValueError(
                 f"the recursion (5.36) is for systems on T*G without potential, got {type(step.system).__name__}; "

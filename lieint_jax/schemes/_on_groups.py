@@ -1,8 +1,8 @@
-"""What the steps on any group share: the equation for Θ, its guess and Newton's matrix, and the report on its root.
+"""The equation for Θ that the steps on any group solve: its guess, Newton's matrix, and the report on its root.
 
     m Θ − ½Δt (Π_n + Π_{n+1}) = 0                                                            (5.27)
 
-Vectors are lists of entries for small groups and arrays for large ones, see `dense`.
+Vectors are lists of scalars for small groups and arrays for large ones, see `_numerics.unrolled`.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from jax import Array, lax
 
 from lieint_jax._numerics import newton, unrolled
 from lieint_jax.maps import Tau, derivative
-from lieint_jax.types import Group, State, StepInfo
+from lieint_jax.types import AnalyticGroup, Group, State, StepInfo
 
 
 class Equation(NamedTuple):
-    """What the equation for Θ of a step is made of.
+    """The data of the equation for Θ of one step.
 
     Attributes:
         group: the group G.
@@ -41,7 +41,7 @@ class Equation(NamedTuple):
 
     @classmethod
     def of(cls, system: Any, tau: Tau, state: State, half: Array) -> Equation:
-        """Of a step by τ of a system with a group and a metric."""
+        """The equation of a step by τ, for a system with a group and a metric."""
         m = unpacked(system.group, system.metric)
         a = unrolled.settled(as_vector(m, half * system.group.Ad_star(state.q, state.p)))
         return cls(system.group, tau, m, state, half, a)
@@ -59,7 +59,7 @@ def solved(
     start: unrolled.Vector,
     iterations: int,
 ) -> tuple[unrolled.Vector, Array, StepInfo]:
-    """The root Θ by `newton.chords`, as entries and as an array, and the report on it.
+    """The root Θ by `newton.chords`, as a vector of the equation and as an array, and the report on it.
 
     Converged if the residual, in the units of `size`, is round-off; if the root is on the branch from Δt = 0, past the
     fold of which the determinant is negative; if digits are left, and τ(Θ) is exact.
@@ -80,15 +80,22 @@ def solved(
 def unpacked(group: Any, metric: Array) -> unrolled.Matrix:
     """The metric as a matrix: a list of rows for small groups, an array for large ones."""
     d = metric.shape[0]
-    if not getattr(group, "unrolled", True):
+    if isinstance(group, AnalyticGroup) and not group.unrolled:
         return jnp.diag(metric) if metric.ndim == 1 else metric
     if metric.ndim == 2:
         return unrolled.as_list(metric)
     return [[metric[i] if i == j else 0.0 for j in range(d)] for i in range(d)]
 
 
+def body_velocity_field(system: Any, state: State) -> Array:
+    """q̇ = qΩ̂ with mΩ = Ad*_q π, of a system with a group and a metric."""
+    group, m = system.group, unpacked(system.group, system.metric)
+    Omega = unrolled.solve(m, as_vector(m, group.Ad_star(state.q, state.p)))
+    return group.tangent(state.q, unrolled.as_array(Omega, state.p))
+
+
 def as_vector(m: unrolled.Matrix, x: Array) -> unrolled.Vector:
-    """x as a list if m is one."""
+    """x as a list of scalars if m is a list of rows, else as it is."""
     return unrolled.as_list(x) if isinstance(m, list) else x
 
 
@@ -99,7 +106,7 @@ def ad_star(group: Any, xi: unrolled.Vector, mu: unrolled.Vector) -> unrolled.Ve
 
 def ad_star_matrix(group: Any, mu: unrolled.Vector) -> unrolled.Matrix:
     """ad*(μ), (d, d)."""
-    if hasattr(group, "ad_star_matrix"):
+    if isinstance(group, AnalyticGroup):
         return group.ad_star_matrix(mu)
     mu = unrolled.as_array(mu, mu[0])
     return unrolled.as_list(jax.vmap(group.ad_star, (1, None), 1)(jnp.eye(group.dim, dtype=mu.dtype), mu))
@@ -151,8 +158,8 @@ def size_unit(m: unrolled.Matrix, a: unrolled.Vector) -> Callable[[unrolled.Vect
 
 
 def digits_left(group: Any, m: unrolled.Matrix, state: State, a: unrolled.Vector, half: Array) -> Array:
-    """Whether Ad*_q π keeps six digits in float64: ε (what it sums up / what is left)² ≤ ε^{3/8}; q too."""
-    if not hasattr(group, "rounding"):
+    """Whether Ad*_q π keeps six digits in float64: ε (size of its summands / size of its sum)² ≤ ε^{3/8}; q likewise."""
+    if not isinstance(group, AnalyticGroup):
         return jnp.ones((), bool)
     state, a, half = lax.stop_gradient((state, a, half))
     unit = jnp.sqrt(jnp.stack([m[i][i] for i in range(len(m))]))

@@ -23,7 +23,7 @@ through dD alone. No difference of nearby things is taken: D comes of U, and ΔW
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple, Protocol, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -34,28 +34,22 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton, three, unrolled
 from lieint_jax._numerics.three import Matrix, Symmetric
-from lieint_jax.phase_spaces import CotangentMatrices
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.schemes._capability import Integrand
+from lieint_jax.types import ElasticBody, State, Step, StepInfo, StoredEnergy, pytree, static
 
 Rule = Literal["symplectic", "energy", "energy_momentum", "average"]
 _SHRINK = 0.1  # det of the watched F may fall to this part of itself in one Newton correction
 _FRACTIONS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)  # of a Newton correction that are tried
 
 
-class Material(Protocol):
-    """What the rules ask of a stored energy, see `systems.pseudo_rigid_body`."""
+def _motion(body: ElasticBody, state: State) -> State:
+    """(Ḟ, Ṗ) = (PE⁻¹, −2F∇W(FᵀF)) (6.3)."""
+    E = three.symmetric(body.inertia)
+    V = [three.solve_symmetric(E, row) for row in state.p]
+    return State(_array(V), -_array(three.product(state.q, three.rows(body.stored_energy.stress(three.gram(state.q))))))
 
-    def stress(self, C: Symmetric, /) -> Symmetric: ...
-    def mean_stress(self, C: Symmetric, D: Symmetric, /) -> Symmetric: ...
 
-
-class ElasticBody(System, Protocol):
-    """A system on T*GL⁺(3) with an inertia E and a stored energy W(FᵀF)."""
-
-    @property
-    def inertia(self) -> Array: ...
-    @property
-    def stored_energy(self) -> Material: ...
+ELASTIC_BODIES = Integrand(ElasticBody, "pseudo-rigid bodies (systems.pseudo_rigid_body)", _motion)
 
 
 @pytree
@@ -81,9 +75,7 @@ class Additive(Step):
         return f"additive[{self.rule}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        return _compiled(self, state, _checks.step_size(dt))
-
-    def _step(self, state: State, dt: Array) -> tuple[State, StepInfo]:
+        dt = jnp.asarray(_checks.step_size(dt), state.p.dtype)
         equation = _Equation.of(self, state, dt)
         rule, W, E, alpha, F = equation.rule, equation.W, equation.E, equation.alpha, equation.F
         guess = jnp.concatenate([jnp.zeros(9, state.q.dtype), jnp.full(rule.gammas, rule.guess, state.q.dtype)])
@@ -102,22 +94,11 @@ class Additive(Step):
             converged &= jnp.abs(_missed(W, equation.C, D, S)) <= tolerance * stiff * _largest(D)
         return State(_array(end), _array(after)), lax.stop_gradient(StepInfo(residual, converged))
 
-    def check(self, state: State, dt: ArrayLike) -> None:
-        """As `Step.check`, by the compiled step: inside an outer jit the first step is not tried."""
-        if concrete(self, state, dt):
-            self.system.check(state)
-            converged = self(state, dt)[1].converged
-            if concrete(converged) and not converged:
-                raise ValueError(self.advice(state, dt))
-
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
             f"{self.name} does not converge within {self.iterations} iterations at dt = {dt}: take a smaller dt, more "
             "iterations, or the rule 'average', which has no second equation to solve"
         )
-
-
-_compiled = jax.jit(Additive._step)  # called eagerly, the Newton loop would be traced and compiled anew each time
 
 
 def additive(system: ElasticBody, rule: Rule = "average", alpha: ArrayLike = 0.5, iterations: int = 25) -> Additive:
@@ -154,8 +135,7 @@ def additive(system: ElasticBody, rule: Rule = "average", alpha: ArrayLike = 0.5
     Source: Lewis & Simo 1994, Results 15 and 16; "average": this package, after Gonzalez 2000, Comput. Methods Appl.
     Mech. Engrg. 190, and McLachlan, Quispel & Robidoux 1999.
     """
-    if not _is_elastic(system):
-        raise ValueError(f"additive moves pseudo-rigid bodies (systems.pseudo_rigid_body), got {type(system).__name__}")
+    ELASTIC_BODIES.check("additive", system)
     if rule not in get_args(Rule):
         raise ValueError(f"rule must be one of {', '.join(get_args(Rule))}, got {rule!r}")
     alpha = _checks.real_array("alpha", alpha, ())
@@ -174,37 +154,33 @@ def examples(system: Any) -> dict[str, Step]:
     The other two compile too long to be among the examples, which every test of a scheme and `lieint check` go through;
     `diagnostics.certify(additive(body, "energy"), …)` certifies them.
     """
-    if not _is_elastic(system):
+    if not ELASTIC_BODIES.declared(system):
         return {}
     return {step.name: step for step in (additive(system, "average"), additive(system, "symplectic"))}
-
-
-def _is_elastic(system: Any) -> bool:
-    return isinstance(getattr(system, "phase_space", None), CotangentMatrices) and hasattr(system, "stored_energy")
 
 
 # The rules: S(C, D) or S(C, D, γ) -------------------------------------------------------------------------------------
 
 
-def _symplectic(W: Material, C: Symmetric, D: Symmetric) -> Symmetric:
+def _symplectic(W: StoredEnergy, C: Symmetric, D: Symmetric) -> Symmetric:
     return W.stress(three.along(C, D, 1))
 
 
-def _average(W: Material, C: Symmetric, D: Symmetric) -> Symmetric:
+def _average(W: StoredEnergy, C: Symmetric, D: Symmetric) -> Symmetric:
     return W.mean_stress(C, D)
 
 
-def _energy(W: Material, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
+def _energy(W: StoredEnergy, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
     return W.stress(three.along(C, D, gamma))
 
 
-def _energy_momentum(W: Material, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
+def _energy_momentum(W: StoredEnergy, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
     ends = (W.stress(three.along(C, D, s)) for s in (gamma, 1 - gamma))
     return tuple((x + y) / 2 for x, y in zip(*ends, strict=True))
 
 
 class _Rule(NamedTuple):
-    """How S is chosen; for those with a γ: how many (one), its limit for D → 0, and the interval [0, end] it is in."""
+    """A choice of S. If it has a γ, `gammas` is 1, `guess` the limit of γ for D → 0, and γ lies in [0, end]."""
 
     stress: Callable[..., Symmetric]
     gammas: int = 0
@@ -220,18 +196,18 @@ _RULES: dict[str, _Rule] = {
 }
 
 
-def _missed(W: Material, C: Symmetric, D: Symmetric, S: Symmetric) -> Array:
+def _missed(W: StoredEnergy, C: Symmetric, D: Symmetric, S: Symmetric) -> Array:
     """S:D − 2ΔW."""
     return three.inner(three.along(S, W.mean_stress(C, D), -1), D)
 
 
 def _regular(D: Symmetric, C: Symmetric, stiffness: Array, off: Array) -> Array:
-    """Far below the rounding of `_missed`; it holds γ at its limit where any γ serves: D = 0, or W quadratic."""
+    """A term far below the rounding of `_missed` that holds γ at its limit where any γ serves: D = 0, or W quadratic."""
     eps = jnp.finfo(off.dtype).eps
     return eps * stiffness * off * (three.inner(D, D) + eps * eps * three.inner(C, C))
 
 
-def _stiffness(W: Material, C: Symmetric) -> Array:
+def _stiffness(W: StoredEnergy, C: Symmetric) -> Array:
     """The size of ∂S/∂C·C: the rounding of C moves S by eps times this."""
     return lax.stop_gradient(_largest(jax.jvp(W.stress, (C,), (C,))[1]))
 
@@ -258,7 +234,7 @@ class _Equation(NamedTuple):
     """
 
     rule: _Rule
-    W: Material
+    W: StoredEnergy
     alpha: Array
     E: Symmetric
     F: Matrix
@@ -272,7 +248,7 @@ class _Equation(NamedTuple):
 
     @classmethod
     def of(cls, step: Additive, state: State, dt: Array) -> _Equation:
-        """Of a step from a state."""
+        """The equation of a step from a state."""
         rule, W = _RULES[step.rule], step.system.stored_energy
         alpha = step.alpha.astype(state.p.dtype)
         E = three.full(three.symmetric(step.system.inertia))
@@ -286,13 +262,13 @@ class _Equation(NamedTuple):
         return three.along(three.plus_transpose(three.transposed_product(self.F, V)), three.gram(V), 1)
 
     def law(self, D: Symmetric, gamma: tuple[Array, ...]) -> tuple[Symmetric, tuple[Array, ...]]:
-        """S, and by how much ½S:D misses ΔW if γ is to mend it."""
+        """S, and the difference S:D − 2ΔW if the rule has a γ, whose equation is that it vanishes."""
         rule, W, C = self.rule, self.W, self.C
         S = rule.stress(W, C, D, *gamma)
         return S, tuple(_missed(W, C, D, S) + _regular(D, C, self.stiffness, g - rule.guess) for g in gamma)
 
     def residual(self, x: Array) -> Array:
-        """U E + c F_{n+α} S − Δt P_n, and what ½S:D misses."""
+        """U E + c F_{n+α} S − Δt P_n, and the equation for γ if there is one."""
         U = _matrix(x)
         S, missed = self.law(self.change(U), tuple(x[9:]))
         force = three.product(three.combine(self.F, U, self.alpha), three.rows(S))
@@ -362,7 +338,7 @@ def _directions(gammas: int, like: Array) -> list[tuple[Symmetric, tuple[Array, 
 
 
 def _fraction(G: Matrix, dG: Matrix) -> Array:
-    """The largest tried t with det(G + t dG) > det(G)/10: a cubic in t. The least one, if none has it."""
+    """The largest of the fractions t with det(G + t dG) > det(G)/10, a cubic in t; the least fraction if none has it."""
     cof, cof_d = ((three.cross(A[1], A[2]), three.cross(A[2], A[0]), three.cross(A[0], A[1])) for A in (G, dG))
     d0, d3 = three.dot(G[0], cof[0]), three.dot(dG[0], cof_d[0])
     d1 = sum(three.dot(cof[i], dG[i]) for i in range(3))

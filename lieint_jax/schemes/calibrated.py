@@ -23,8 +23,8 @@ from lieint_jax import _checks, _free_body
 from lieint_jax._numerics.three import dot
 from lieint_jax.groups import so3
 from lieint_jax.schemes.preprocessed import retimed
-from lieint_jax.schemes.so3_midpoint import FreeBody, check_free_body, is_free_body
-from lieint_jax.types import State, Step, StepInfo, pytree, static
+from lieint_jax.schemes.so3_midpoint import FREE_BODIES
+from lieint_jax.types import FreeBody, State, Step, StepInfo, pytree, static
 
 
 class Clock(NamedTuple):
@@ -68,7 +68,7 @@ class Calibrated(Step):
         return dataclasses.replace(self, clock=clock)
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        """One step; of the trajectory and step size that it was prepared for, or else it prepares itself."""
+        """One step. If it has been prepared, the state and dt must be of that trajectory; if not, it prepares itself."""
         if self.clock is None:
             return self.prepare(state, dt)(state, dt)
         after, info = retimed(self.system, self.clock.s, self.clock.d, self.iterations)(state, dt)
@@ -87,7 +87,7 @@ class Calibrated(Step):
         return self.system.energy(state), dot(state.p, state.p)
 
     def _fits(self, state: State, dt: ArrayLike) -> Array:
-        """Whether dt and the state's trajectory are those of the clock; energy may drift by many round-offs."""
+        """Whether the clock belongs to dt and to the trajectory of `state`, whose energy may have drifted by round-off."""
         assert self.clock is not None
         energy, square = lax.stop_gradient(self._invariants(state))
         near = 2**16 * jnp.finfo(square.dtype).eps
@@ -110,7 +110,7 @@ def calibrated(system: FreeBody, iterations: int | None = None) -> Calibrated:
 
     `integrate` and `ensemble.run` call `prepare` once, and a step then costs as much as one of `so3_midpoint`. Called
     by hand without `prepare`, it finds its constants at every step. Prepared for one trajectory or step size and used
-    with another, it says `converged=False`. What `exact` is good for in one leap, this is in many small steps.
+    with another, it says `converged=False`. Where `exact` takes one large step, `calibrated` takes many small ones, with the same result.
 
     Args:
         system: `systems.rigid_body(...)`.
@@ -123,12 +123,12 @@ def calibrated(system: FreeBody, iterations: int | None = None) -> Calibrated:
 
     Source: McLachlan & Zanna 2005, Found. Comput. Math. 5 (that s and d exist); the closed form: this package.
     """
-    check_free_body(system, "calibrated")
+    FREE_BODIES.check("calibrated", system)
     if iterations is not None:
         iterations = _checks.count("iterations", iterations, 1)
     return Calibrated(system, None, iterations)
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """The scheme, for free rigid bodies."""
-    return {"calibrated": calibrated(system)} if is_free_body(system) else {}
+    """The calibrated step, for free rigid bodies."""
+    return {"calibrated": calibrated(system)} if FREE_BODIES.declared(system) else {}

@@ -114,6 +114,6 @@ def compose(step: Step, order: int, method: str | None = None) -> Composition:
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """Of the base steps of `so3_midpoint`: order 8 of the symplectic one, order 4 of the others."""
+    """Compositions of the steps of `so3_midpoint`: order 8 of the symplectic one, order 4 of the others."""
     made = [compose(step, 8 if step.commuting else 4) for step in base_examples(system).values()]
     return {step.name: step for step in made}

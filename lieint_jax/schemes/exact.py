@@ -1,4 +1,4 @@
-"""The exact flow of the free rigid body as a step, in Jacobi's elliptic functions (see `free_body`)."""
+"""The exact flow of the free rigid body as a step, in Jacobi's elliptic functions (see `_free_body`)."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from lieint_jax import _free_body
-from lieint_jax.schemes.so3_midpoint import FreeBody, check_free_body, is_free_body
-from lieint_jax.types import State, Step, StepInfo, pytree, static
+from lieint_jax.schemes.so3_midpoint import FREE_BODIES
+from lieint_jax.types import FreeBody, State, Step, StepInfo, pytree, static
 
 
 @pytree
@@ -62,10 +62,10 @@ def exact(system: FreeBody) -> Exact:
 
     Source: this package; another form is that of Celledoni, Fassò, Säfström & Zanna 2008, SIAM J. Sci. Comput. 30.
     """
-    check_free_body(system, "exact")
+    FREE_BODIES.check("exact", system)
     return Exact(system)
 
 
 def examples(system: Any) -> dict[str, Step]:
     """The exact flow, for free rigid bodies."""
-    return {"exact": exact(system)} if is_free_body(system) else {}
+    return {"exact": exact(system)} if FREE_BODIES.declared(system) else {}

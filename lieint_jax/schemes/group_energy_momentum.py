@@ -15,7 +15,7 @@ and Newton's matrix is that of `group_midpoint` with the second derivative of V 
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -26,22 +26,30 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import unrolled
 from lieint_jax.maps import Tau, as_tau, exponential
-from lieint_jax.schemes._on_groups import Equation, as_vector, coadjoint, guess, newton_matrix, size_unit, solved
-from lieint_jax.types import Group, State, Step, StepInfo, System, pytree, static
+from lieint_jax.schemes._capability import Integrand
+from lieint_jax.schemes._on_groups import (
+    Equation,
+    as_vector,
+    body_velocity_field,
+    coadjoint,
+    guess,
+    newton_matrix,
+    size_unit,
+    solved,
+)
+from lieint_jax.types import MechanicalSystem, State, Step, StepInfo, pytree, static
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _NODES, _WEIGHTS = (_NODES + 1) / 2, _WEIGHTS / 2
 
 
-class Mechanical(System, Protocol):
-    """A system on T*G with a left-invariant metric and a potential."""
+def _motion(system: MechanicalSystem, state: State) -> State:
+    """(q̇, π̇) = (qΩ̂, −T*R dV(q)) (5.41)."""
+    _, pull = jax.vjp(lambda theta: system.group.spatial_tangent(state.q, theta), jnp.zeros_like(state.p))
+    return State(body_velocity_field(system, state), -pull(jax.grad(system.potential)(state.q))[0])
 
-    @property
-    def group(self) -> Group: ...
-    @property
-    def metric(self) -> Array: ...
-    def force(self, q: Array, /) -> Array: ...
-    def body_force(self, q: Array, /) -> Array: ...
+
+MECHANICAL = Integrand(MechanicalSystem, "a metric and a potential on a group (systems.group_potential)", _motion)
 
 
 @pytree
@@ -49,12 +57,12 @@ class GroupEnergyMomentum(Step):
     """The step made by `group_energy_momentum`.
 
     Attributes:
-        system: anything with a `group`, a `metric`, a `force` and a `body_force`.
+        system: a mechanical system on a group.
         tau: the exponential map.
         iterations: Newton matrices per step, at most.
     """
 
-    system: Mechanical
+    system: MechanicalSystem
     tau: Tau
     iterations: int = static()
     order: float = static(default=2)
@@ -104,7 +112,7 @@ class GroupEnergyMomentum(Step):
         )
 
 
-def group_energy_momentum(system: Mechanical, iterations: int = 6) -> GroupEnergyMomentum:
+def group_energy_momentum(system: MechanicalSystem, iterations: int = 6) -> GroupEnergyMomentum:
     """Energy and momentum for any potential on any group.
 
     | conserved | to |
@@ -121,25 +129,16 @@ def group_energy_momentum(system: Mechanical, iterations: int = 6) -> GroupEnerg
             `converged=False`.
 
     Raises:
-        ValueError: the system has no group, metric or potential; bad iterations.
+        ValueError: not a metric and a potential on a group; bad iterations.
     """
-    if not _is_mechanical(system):
-        raise ValueError(
-            f"group_energy_momentum integrates systems.group_potential(...), got {type(system).__name__}; without a "
-            "potential take group_midpoint"
-        )
+    MECHANICAL.check("group_energy_momentum", system, "; without a potential take group_midpoint")
     tau = as_tau(exponential, system.group)
     return GroupEnergyMomentum(system, tau, _checks.count("iterations", iterations, 1))
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """The scheme, for systems with a potential on a group."""
-    if not _is_mechanical(system):
+    """The energy-momentum step, for systems with a potential on a group."""
+    if not MECHANICAL.declared(system):
         return {}
     step = group_energy_momentum(system)
     return {step.name: step}
-
-
-def _is_mechanical(system: Any) -> bool:
-    """Whether `system` has a group, a metric and a potential with its force in the body."""
-    return all(hasattr(system, name) for name in ("group", "metric", "potential", "body_force"))

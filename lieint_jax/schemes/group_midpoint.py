@@ -15,26 +15,34 @@ Steps of SE(3) and its like take their Ad*_τ and τ in closed form (`groups._cl
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import unrolled
-from lieint_jax.maps import Map, Tau, as_tau, cayley, exponential
-from lieint_jax.schemes._on_groups import Equation, coadjoint, guess, newton_matrix, size_unit, solved
-from lieint_jax.types import Group, State, Step, StepInfo, System, pytree, static
+from lieint_jax.maps import Map, Tau, as_tau, cayley, cayley_lands, exponential
+from lieint_jax.schemes._capability import Integrand
+from lieint_jax.schemes._on_groups import (
+    Equation,
+    body_velocity_field,
+    coadjoint,
+    guess,
+    newton_matrix,
+    size_unit,
+    solved,
+)
+from lieint_jax.types import GeodesicFlow, State, Step, StepInfo, pytree, static
 
 
-class Geodesic(System, Protocol):
-    """A system on T*G that is all kinetic energy of a left-invariant metric."""
+def _motion(system: GeodesicFlow, state: State) -> State:
+    """(q̇, π̇) = (qΩ̂, 0) (5.14)."""
+    return State(body_velocity_field(system, state), jnp.zeros_like(state.p))
 
-    @property
-    def group(self) -> Group: ...
-    @property
-    def metric(self) -> Array: ...
+
+GEODESICS = Integrand(GeodesicFlow, "geodesics on groups (systems.euler)", _motion)
 
 
 @pytree
@@ -42,12 +50,12 @@ class GroupMidpoint(Step):
     """The step made by `group_midpoint`.
 
     Attributes:
-        system: anything with a `group` and a `metric` and no potential.
+        system: a geodesic flow.
         tau: the map τ.
         iterations: Newton matrices per step, at most.
     """
 
-    system: Geodesic
+    system: GeodesicFlow
     tau: Tau
     iterations: int = static()
     order: float = static(default=2)
@@ -82,7 +90,7 @@ class GroupMidpoint(Step):
         )
 
 
-def group_midpoint(system: Geodesic, tau: Tau | Map = exponential, iterations: int = 8) -> GroupMidpoint:
+def group_midpoint(system: GeodesicFlow, tau: Tau | Map = exponential, iterations: int = 8) -> GroupMidpoint:
     """The generalised midpoint rule (5.23) with (5.27), for a geodesic system on any group and any map τ.
 
     Spatial momentum is exact, bit for bit (Result 9); energy is exact (Result 10). "Exact" is to round-off at a
@@ -104,15 +112,11 @@ def group_midpoint(system: Geodesic, tau: Tau | Map = exponential, iterations: i
             use for |Δt Ω| > 1, or if the metric is far from round.
 
     Raises:
-        ValueError: the system has no group and metric or has a potential; a τ that does not fit; bad iterations.
+        ValueError: not a geodesic flow; a τ that does not fit; bad iterations.
 
     Source: Lewis & Simo 1994, Results 9–11.
     """
-    if not is_geodesic(system):
-        raise ValueError(
-            f"group_midpoint integrates geodesics on groups (systems.euler), got {type(system).__name__}; with a "
-            "potential take group_energy_momentum"
-        )
+    GEODESICS.check("group_midpoint", system, "; with a potential take group_energy_momentum")
     tau = as_tau(tau, system.group)
     order = 2 if tau.symmetric else 1
     return GroupMidpoint(system, tau, _checks.count("iterations", iterations, 1), order, tau.symmetric)
@@ -120,12 +124,7 @@ def group_midpoint(system: Geodesic, tau: Tau | Map = exponential, iterations: i
 
 def examples(system: Any) -> dict[str, Step]:
     """The exponential map, and the Cayley map where it lands in the group."""
-    if not is_geodesic(system):
+    if not GEODESICS.declared(system):
         return {}
-    maps = [exponential] + [cayley] * getattr(system.group, "cayley_lands", True)
+    maps = [exponential] + [cayley] * cayley_lands(system.group)
     return {step.name: step for step in (group_midpoint(system, tau) for tau in maps)}
-
-
-def is_geodesic(system: Any) -> bool:
-    """Whether `system` has a group and a metric and no potential."""
-    return hasattr(system, "metric") and hasattr(system, "group") and getattr(system, "potential", None) is None

@@ -24,8 +24,8 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import three
 from lieint_jax.maps import kappa_symplectic
-from lieint_jax.schemes.so3_midpoint import FreeBody, SO3Midpoint, check_free_body, is_free_body, so3_midpoint
-from lieint_jax.types import State, Step, StepInfo, pytree, static
+from lieint_jax.schemes.so3_midpoint import FREE_BODIES, ITERATIONS, SO3Midpoint
+from lieint_jax.types import FreeBody, State, Step, StepInfo, pytree, static
 
 
 @pytree
@@ -80,7 +80,7 @@ def retimed(system: FreeBody, s: Array, d: Array, iterations: int | None) -> SO3
         M = three.symmetric(s * jnp.eye(3, dtype=J.dtype) + d * J)
         modified = jnp.stack([jnp.stack(three.solve_symmetric(M, J[:, k])) for k in range(3)], axis=1)
     body = dataclasses.replace(system, inertia=modified)  # pyright: ignore[reportArgumentType, reportCallIssue]
-    return so3_midpoint(body, kappa_symplectic, iterations)
+    return SO3Midpoint(body, kappa_symplectic, iterations or ITERATIONS["scalar"])
 
 
 def preprocessed(system: FreeBody, order: int, iterations: int | None = None) -> Preprocessed:
@@ -104,7 +104,7 @@ def preprocessed(system: FreeBody, order: int, iterations: int | None = None) ->
 
     Source: McLachlan & Zanna 2005, Found. Comput. Math. 5; Hairer & Vilmart 2006, J. Phys. A 39.
     """
-    check_free_body(system, "preprocessed")
+    FREE_BODIES.check("preprocessed", system)
     if order not in (4, 6):
         raise ValueError(f"order must be 4 or 6, got {order!r}; compose(so3_midpoint(...), order) goes to 10")
     if iterations is not None:
@@ -114,6 +114,6 @@ def preprocessed(system: FreeBody, order: int, iterations: int | None = None) ->
 
 def examples(system: Any) -> dict[str, Step]:
     """Orders 4 and 6, for free rigid bodies."""
-    if not is_free_body(system):
+    if not FREE_BODIES.declared(system):
         return {}
     return {step.name: step for step in (preprocessed(system, order) for order in (4, 6))}

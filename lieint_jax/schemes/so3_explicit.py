@@ -23,16 +23,14 @@ from lieint_jax._numerics import three
 from lieint_jax._numerics.three import dot
 from lieint_jax.groups import so3
 from lieint_jax.schemes.so3_midpoint import (
-    FreeBody,
-    check_free_body,
+    FREE_BODIES,
     half_cayley,
-    is_free_body,
     scalar_residual,
     scalar_root,
     scaled,
     so3_midpoint,
 )
-from lieint_jax.types import State, Step, StepInfo, pytree, static
+from lieint_jax.types import FreeBody, State, Step, StepInfo, pytree, static
 
 _ITERATIONS = 4  # corrections of m, which is solved for once
 _FEEDBACK = 1 / 32  # of an energy error taken back per step, where the lever is longest
@@ -73,7 +71,7 @@ class SO3Explicit(Step):
         return dataclasses.replace(self, m=scalar_root(J, a, _ITERATIONS), gain=lax.stop_gradient(gain))
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        """One step; of the trajectory and step size that it was prepared for, or else it prepares itself."""
+        """One step. If it has been prepared, the state and dt must be of that trajectory; if not, it prepares itself."""
         J, a = scaled(self.system, state, dt)
         h = half_cayley(J, a, scalar_root(J, a, _ITERATIONS) if self.m is None else self.m, self.gain)
         residual = lax.stop_gradient(three.max_abs(scalar_residual(J, a, h)))
@@ -104,10 +102,10 @@ def so3_explicit(system: FreeBody) -> SO3Explicit:
     Source: this package; that the multiplier of the discrete Moser–Veselov step is constant is due to Hairer & Vilmart
     2006, J. Phys. A 39.
     """
-    check_free_body(system, "so3_explicit")
+    FREE_BODIES.check("so3_explicit", system)
     return SO3Explicit(system)
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """The scheme, for free rigid bodies."""
-    return {"so3_explicit": so3_explicit(system)} if is_free_body(system) else {}
+    """The explicit step, for free rigid bodies."""
+    return {"so3_explicit": so3_explicit(system)} if FREE_BODIES.declared(system) else {}

@@ -19,7 +19,7 @@ a quartic for m, the same for every step of a trajectory.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -32,14 +32,18 @@ from lieint_jax._numerics import newton, three
 from lieint_jax._numerics.three import Symmetric, Vector, add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.schemes._capability import Integrand
+from lieint_jax.types import FreeBody, State, Step, StepInfo, pytree, static
 
 
-class FreeBody(System, Protocol):
-    """A system on T*SO(3) that is all kinetic energy."""
+def _motion(body: FreeBody, state: State) -> State:
+    """(q̇, π̇) = (½ q Ω, 0) with JΩ = Π (2.12)."""
+    Omega = three.solve_symmetric(three.symmetric(body.inertia), so3.Ad_star(state.q, state.p))
+    return State(so3.tangent(state.q, jnp.stack(Omega)), jnp.zeros_like(state.p))
 
-    @property
-    def inertia(self) -> Array: ...
+
+ITERATIONS = {"scalar": 3, "vector": 4}  # Newton corrections per step, by the form of the equation
+FREE_BODIES = Integrand(FreeBody, "free rigid bodies (systems.rigid_body)", _motion)
 
 
 @pytree
@@ -47,7 +51,7 @@ class SO3Midpoint(Step):
     """The step made by `so3_midpoint`.
 
     Attributes:
-        system: a free rigid body: anything with an `inertia` on T*SO(3).
+        system: a free rigid body.
         kappa: the scaling κ.
         iterations: Newton corrections per step.
     """
@@ -116,34 +120,22 @@ def so3_midpoint(
     branch ends at |Δt Ω| = 1, off axis a little later (1.18 for J = (1, 2, 3)).
 
     Raises:
-        ValueError: the system has no inertia or has a potential, κ is not callable, iterations is not a positive int.
+        ValueError: not a free rigid body, κ is not callable, iterations is not a positive int.
 
     Source: Lewis & Simo 1994, Results 1–5; scalar form and quaternion increments: this package.
     """
-    check_free_body(system, "so3_midpoint")
+    FREE_BODIES.check("so3_midpoint", system)
     kappa = as_kappa(kappa)
     if iterations is None:
-        iterations = 3 if kappa.solve_by == "scalar" else 4
+        iterations = ITERATIONS[kappa.solve_by]
     return SO3Midpoint(system, kappa, _checks.count("iterations", iterations, 1))
 
 
 def examples(system: Any) -> dict[str, Step]:
     """The paper's three κ's, for free rigid bodies."""
-    if not is_free_body(system):
+    if not FREE_BODIES.declared(system):
         return {}
     return {step.name: step for step in (so3_midpoint(system, kappa) for kappa in KAPPAS)}
-
-
-def is_free_body(system: Any) -> bool:
-    """Whether `system` is on T*SO(3), with an inertia and no potential."""
-    on_so3 = getattr(getattr(system, "phase_space", None), "group", None) is so3
-    return on_so3 and hasattr(system, "inertia") and getattr(system, "potential", None) is None
-
-
-def check_free_body(system: Any, scheme: str) -> None:
-    """Raise ValueError if `system` is not a free rigid body."""
-    if not is_free_body(system):
-        raise ValueError(f"{scheme} integrates free rigid bodies (systems.rigid_body), got {type(system).__name__}")
 
 
 def scaled(system: FreeBody, state: State, dt: ArrayLike) -> tuple[Symmetric, Array]:
@@ -234,7 +226,7 @@ def gyration(kappa: Kappa, J: Symmetric, y: Vector) -> Vector:
 
 
 def gyration_matrix(kappa: Kappa, J: Symmetric, y: Vector) -> three.Matrix:
-    """Its derivative, K = J + κ(ŷJ − (Jy)^) + 8κ′(y × Jy)⊗y, as rows."""
+    """The derivative of `gyration`, K = J + κ(ŷJ − (Jy)^) + 8κ′(y × Jy)⊗y, as rows."""
     e, G = _dense(J), _gyroscopic(J, y)
     if kappa.constant:
         return three.combine(e, G)

@@ -9,7 +9,7 @@ With q_m = ½(q_n + q_{n+1}) and π_m = ½(π_n + π_{n+1}),
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,16 +18,17 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import newton, three
-from lieint_jax.phase_spaces import CotangentSphere
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.schemes._capability import Integrand
+from lieint_jax.types import OnSphere, State, Step, StepInfo, pytree, static
 
 
-class OnSphere(System, Protocol):
-    """A system on T*S² with a mass and a potential V(q) that is defined around the sphere too."""
+def _motion(system: OnSphere, state: State) -> State:
+    """(q̇, π̇) = (π × q/m, −q × ∇V(q)) (1.4)."""
+    q, p = state
+    return State(jnp.cross(p, q) / system.mass, -jnp.cross(q, jax.grad(system.potential)(q)))
 
-    @property
-    def mass(self) -> Array: ...
-    def potential(self, q: Array, /) -> Array: ...
+
+PENDULUMS = Integrand(OnSphere, "pendulums (systems.pendulum)", _motion)
 
 
 @pytree
@@ -96,21 +97,16 @@ def sphere_midpoint(system: OnSphere, normalised: bool = False, iterations: int 
         iterations: Newton corrections per step; 6 reach round-off where a step turns q by less than about a radian.
 
     Raises:
-        ValueError: not a system on T*S² with a mass and a potential, a bad count.
+        ValueError: not a pendulum, a bad count.
 
     Source: Lewis & Simo 1994, Section 1.1 and its closing remark.
     """
-    if not _on_sphere(system):
-        raise ValueError(f"sphere_midpoint moves pendulums (systems.pendulum), got {type(system).__name__}")
+    PENDULUMS.check("sphere_midpoint", system)
     return SphereMidpoint(system, bool(normalised), _checks.count("iterations", iterations, 1))
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """Both, for pendulums."""
-    if not _on_sphere(system):
+    """The plain and the normalised rule, for pendulums."""
+    if not PENDULUMS.declared(system):
         return {}
     return {step.name: step for step in (sphere_midpoint(system), sphere_midpoint(system, normalised=True))}
-
-
-def _on_sphere(system: Any) -> bool:
-    return isinstance(getattr(system, "phase_space", None), CotangentSphere) and hasattr(system, "potential")

@@ -10,25 +10,24 @@ error is bounded and does not drift.
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Any, Protocol
+from typing import Any
 
 import jax
-from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import concrete
 from lieint_jax.maps import arcsine, is_symplectic
-from lieint_jax.schemes.group_midpoint import group_midpoint, is_geodesic
-from lieint_jax.schemes.so3_midpoint import is_free_body, so3_midpoint
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.schemes._capability import check_motion
+from lieint_jax.schemes.group_midpoint import GEODESICS, group_midpoint
+from lieint_jax.schemes.so3_midpoint import FREE_BODIES, so3_midpoint
+from lieint_jax.types import Forced, State, Step, StepInfo, System, pytree, static
 
 
-class Forced(System, Protocol):
-    """A system that a potential moves."""
-
-    @property
-    def free(self) -> System: ...
-    def force(self, q: Array, /) -> Array: ...
+def _motion(parts: tuple[Forced, System], state: State) -> State:
+    """The vector field of the drift's system, and the force of the kicks."""
+    system, drifting = parts
+    free = drifting.vector_field(state)
+    return State(free.q, free.p + system.force(state.q))
 
 
 @pytree
@@ -82,22 +81,24 @@ def splitting(system: Forced, drift: Step | None = None) -> Splitting:
 
     Source: Strang 1968, SIAM J. Numer. Anal. 5; for rigid bodies Touma & Wisdom 1994, Astron. J. 107.
     """
-    if not hasattr(system, "force") or not hasattr(system, "free"):
+    if not isinstance(system, Forced):
         raise ValueError(
-            f"splitting moves systems with a potential, which have `force` and `free` (systems.potential_top), "
-            f"got {type(system).__name__}"
+            "splitting integrates systems with a potential (systems.heavy_top, systems.potential_top, "
+            f"systems.group_potential), got {type(system).__name__}"
         )
     if drift is None:
         drift = _drift(system.free)
     if not isinstance(drift, Step) or not drift.symmetric:
         raise ValueError(f"drift must be a symmetric step of system.free, got {getattr(drift, 'name', drift)!r}")
+    scheme = f"splitting with {drift.name} of a {type(drift.system).__name__}"
+    check_motion(scheme, "that motion with kicks", _motion, (system, drift.system), system)
     return Splitting(system, drift)
 
 
 def _drift(free: Any) -> Step:
-    if is_free_body(free):
+    if FREE_BODIES.declared(free):
         return so3_midpoint(free)
-    if is_geodesic(free) and concrete(free.metric):
+    if GEODESICS.declared(free) and concrete(free.metric):
         with suppress(ValueError), jax.ensure_compile_time_eval():  # groups where the arcsine map is not defined
             if is_symplectic(arcsine, free.group, free.metric):
                 return group_midpoint(free, arcsine)
@@ -108,8 +109,8 @@ def _drift(free: Any) -> Step:
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """With the symplectic `so3_midpoint`, for systems with a potential."""
-    if not hasattr(system, "force") or not is_free_body(getattr(system, "free", None)):
+    """The splitting with the symplectic `so3_midpoint`, for rigid bodies in a potential."""
+    if not isinstance(system, Forced) or not FREE_BODIES.declared(system.free):
         return {}
     step = splitting(system)
     return {step.name: step}

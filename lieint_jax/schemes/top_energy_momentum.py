@@ -13,7 +13,7 @@ multiplied by 1 + ĥ, what is to be solved for y is the free body's equation wit
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,25 +23,25 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import newton, three
-from lieint_jax._numerics.three import Vector, add, apply, cross, dot, scale, subtract
+from lieint_jax._numerics.three import Symmetric, Vector, add, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
-from lieint_jax.schemes.so3_midpoint import gyration, gyration_matrix, on_branch
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.schemes._capability import Integrand
+from lieint_jax.schemes.so3_midpoint import FREE_BODIES, gyration, gyration_matrix, on_branch
+from lieint_jax.types import State, Step, StepInfo, Top, pytree, static
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _APART = 1e-4  # |ΔΓ|² from where on the quadrature of D̄ is corrected to give the difference of Ṽ
 
 
-class Top(System, Protocol):
-    """A rigid body in a potential Ṽ(Λᵀγ)."""
+def _motion(top: Top, state: State) -> State:
+    """(q̇, π̇) = (½ q Ω, γ × Λ∇Ṽ(Γ)) (4.2)."""
+    gradient = jax.grad(top.potential)(so3.Ad_star(state.q, top.axis))
+    turning = FREE_BODIES.vector_field(top, state)
+    return State(turning.q, jnp.stack(cross(top.axis, so3.Ad(state.q, gradient))))
 
-    @property
-    def inertia(self) -> Array: ...
-    @property
-    def potential(self) -> Callable[[Array], Array]: ...
-    @property
-    def axis(self) -> Array: ...
+
+TOPS = Integrand(Top, "rigid bodies in a potential with an axis (systems.heavy_top, systems.potential_top)", _motion)
 
 
 @pytree
@@ -75,54 +75,13 @@ class TopEnergyMomentum(Step):
         return State(jnp.stack(q), jnp.stack(p)), info  # stacked last: many kernels read them, number by number
 
     def _solve(self, state: State, dt: ArrayLike) -> tuple[Vector, Vector, StepInfo]:
-        """y, the discrete gradient, and the report. J, a and s are divided by tr J: then |a| is an angle."""
-        kappa, potential = self.kappa, self.system.potential
-        J, r = three.unit_trace(self.system.inertia)
-        s = 0.25 * r * dt * dt
-        a = scale(0.5 * r * dt, so3.Ad_star(state.q, state.p))
-        Gamma = three.components(so3.Ad_star(state.q, self.system.axis))
-
-        def turn(y: Vector) -> tuple[Array, Vector]:
-            """κ and h."""
-            k = kappa(4 * dot(y, y))
-            return k, scale(k, y)
-
-        def gradient(h: Vector) -> Array:
-            return discrete_gradient(potential, jnp.stack(Gamma), jnp.stack(_turned(h, Gamma)))
-
-        def residual(y: Vector) -> Vector:
-            k, h = turn(y)
-            w = _moment(h, Gamma, scale(k, scale(s, gradient(h))))
-            balance = subtract(subtract(gyration(kappa, J, y), a), w)
-            return add(scale(1 + dot(h, h), balance), scale(dot(h, w), h))
-
-        def matrix(y: Vector) -> three.Matrix:
-            """∂/∂y over 1 + |h|², but for κ′ in the moment and O(Δt⁴): the last two terms are those of (h·w) h."""
-            (k, h), K = turn(y), gyration_matrix(kappa, J, y)
-            F = scale(k * k, scale(s, gradient(h)))  # sκ²D̄
-            w = _moment(h, Gamma, F)
-            d = dot(Gamma, F) - dot(h, w)
-            if not _is_linear(potential):  # S = 2∂D̄/∂Γ_{n+1}, up to O(ΔΓ²)
-                at = jnp.stack(add(Gamma, scale(2, _turned(h, Gamma)))) / 3
-                S = three.symmetric(jax.hessian(potential)(at))
-                K = three.combine(K, [cross(Gamma, apply(S, cross(Gamma, e))) for e in np.eye(3)], -s * k * k)
-            return [
-                [K[i][j] - (d if i == j else 0) + Gamma[i] * F[j] + h[i] * w[j] for j in range(3)] for i in range(3)
-            ]
-
-        def correction(y: Vector, f: Vector) -> Vector:
-            _, h = turn(y)
-            return three.solve(matrix(y), f, 1 + dot(h, h))
-
-        u = three.solve_symmetric(J, a)
-        at_rest = scale(s, cross(Gamma, gradient(jnp.zeros_like(state.p))))
-        guess = add(u, three.solve_symmetric(J, add(cross(a, u), at_rest)))
-        y, f = newton.root(residual, correction, guess, self.iterations, unroll=_is_linear(potential))
-        D, at = gradient(turn(y)[1]), lax.stop_gradient(y)
-        size = lax.stop_gradient(three.max_abs(a) + s * _size(potential, Gamma, D, y))
+        """y, the discrete gradient, and the report."""
+        equation, linear = _Equation.of(self, state, dt), _is_linear(self.system.potential)
+        y, f = newton.root(equation.residual, equation.correction, equation.guess(), self.iterations, unroll=linear)
+        D, at = equation.gradient(equation.turn(y)[1]), lax.stop_gradient(y)
         f = lax.stop_gradient(jnp.sqrt(dot(f, f)))
-        converged = (f <= 32 * jnp.finfo(f.dtype).eps * size) & on_branch(kappa, at, matrix(at))
-        return y, D, StepInfo(f, converged)
+        small_enough = f <= 32 * jnp.finfo(f.dtype).eps * lax.stop_gradient(equation.size(D, y))
+        return y, D, StepInfo(f, small_enough & on_branch(self.kappa, at, equation.matrix(at)))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
@@ -158,16 +117,95 @@ def top_energy_momentum(
     Source: Lewis & Simo 1994, Results 6–8, with the factor κ that (4.6) lacks; the discrete gradient: Gonzalez 1996,
     J. Nonlinear Sci. 6.
     """
-    if not _is_top(system):
+    if TOPS.declared(system) and system.axis is None:
         raise ValueError(
-            "top_energy_momentum integrates rigid bodies in a potential with an axis (systems.heavy_top, "
-            f"systems.potential_top), got {type(system).__name__}"
-            + (" without an axis; take splitting" if _is_top(system, axis=False) else "")
+            f"top_energy_momentum integrates {TOPS.noun}, got {type(system).__name__} without an axis; take splitting"
         )
+    TOPS.check("top_energy_momentum", system)
     kappa = as_kappa(kappa)
     if iterations is None:
         iterations = (3 if kappa.constant else 5) if _is_linear(system.potential) else 6
     return TopEnergyMomentum(system, kappa, _checks.count("iterations", iterations, 1))
+
+
+class _Equation(NamedTuple):
+    """The equation for y of one step from a state; J, a and s are divided by tr J, so that |a| is an angle.
+
+    Attributes:
+        kappa: κ.
+        potential: Ṽ.
+        J: the inertia.
+        a: ½ΔtΠ_n.
+        s: ¼Δt².
+        Gamma: Γ_n.
+    """
+
+    kappa: Kappa
+    potential: Callable[[Array], Array]
+    J: Symmetric
+    a: Vector
+    s: Array
+    Gamma: Vector
+
+    @classmethod
+    def of(cls, step: TopEnergyMomentum, state: State, dt: ArrayLike) -> _Equation:
+        """The equation of a step from a state."""
+        J, r = three.unit_trace(step.system.inertia)
+        a = scale(0.5 * r * dt, so3.Ad_star(state.q, state.p))
+        Gamma = three.components(so3.Ad_star(state.q, step.system.axis))
+        return cls(step.kappa, step.system.potential, J, a, 0.25 * r * dt * dt, Gamma)
+
+    def turn(self, y: Vector) -> tuple[Array, Vector]:
+        """κ and h."""
+        k = self.kappa(4 * dot(y, y))
+        return k, scale(k, y)
+
+    def gradient(self, h: Vector) -> Array:
+        """D̄ between Γ_n and Γ_{n+1}."""
+        return discrete_gradient(self.potential, jnp.stack(self.Gamma), jnp.stack(_turned(h, self.Gamma)))
+
+    def residual(self, y: Vector) -> Vector:
+        """(1 + |h|²)(Jy + h × Jy − a − w) + (h·w) h."""
+        k, h = self.turn(y)
+        w = _moment(h, self.Gamma, scale(k, scale(self.s, self.gradient(h))))
+        balance = subtract(subtract(gyration(self.kappa, self.J, y), self.a), w)
+        return add(scale(1 + dot(h, h), balance), scale(dot(h, w), h))
+
+    def matrix(self, y: Vector) -> three.Matrix:
+        """∂/∂y over 1 + |h|², but for κ′ in the moment and O(Δt⁴): the last two terms are those of (h·w) h."""
+        (k, h), K, Gamma = self.turn(y), gyration_matrix(self.kappa, self.J, y), self.Gamma
+        F = scale(k * k, scale(self.s, self.gradient(h)))  # sκ²D̄
+        w = _moment(h, Gamma, F)
+        d = dot(Gamma, F) - dot(h, w)
+        if not _is_linear(self.potential):  # S = 2∂D̄/∂Γ_{n+1}, up to O(ΔΓ²)
+            at = jnp.stack(add(Gamma, scale(2, _turned(h, Gamma)))) / 3
+            S = three.symmetric(jax.hessian(self.potential)(at))
+            bend = [cross(Gamma, three.apply(S, cross(Gamma, e))) for e in np.eye(3)]
+            K = three.combine(K, bend, -self.s * k * k)
+        return [[K[i][j] - (d if i == j else 0) + Gamma[i] * F[j] + h[i] * w[j] for j in range(3)] for i in range(3)]
+
+    def correction(self, y: Vector, f: Vector) -> Vector:
+        """Newton's step."""
+        _, h = self.turn(y)
+        return three.solve(self.matrix(y), f, 1 + dot(h, h))
+
+    def guess(self) -> Vector:
+        """½(ΔtΩ + ½Δt²Ω̇): second order."""
+        u = three.solve_symmetric(self.J, self.a)
+        torque = scale(self.s, cross(self.Gamma, self.gradient(jnp.zeros_like(jnp.stack(self.a)))))
+        return add(u, three.solve_symmetric(self.J, add(cross(self.a, u), torque)))
+
+    def size(self, D: Vector, y: Vector) -> Array:
+        """The size of the terms of the equation, by which its rounding errors are measured.
+
+        The force's is |D̄|, and |Ṽ|/|ΔΓ| where D̄ is corrected.
+        """
+        step = scale(2, cross(self.Gamma, y))
+        square = dot(step, step)
+        corrected = (square > _APART / 4) & (not hasattr(self.potential, "discrete_gradient"))
+        noise = jnp.abs(self.potential(jnp.stack(self.Gamma))) / jnp.sqrt(jnp.where(corrected, square, 1))
+        force = three.max_abs(self.Gamma) * (three.max_abs(D) + jnp.where(corrected, noise, 0))
+        return three.max_abs(self.a) + self.s * force
 
 
 def discrete_gradient(potential: Callable[[Array], Array], a: Array, b: Array) -> Array:
@@ -188,15 +226,6 @@ def _is_linear(potential: Callable[[Array], Array]) -> bool:
     return getattr(potential, "linear", False)
 
 
-def _size(potential: Callable[[Array], Array], Gamma: Vector, D: Vector, y: Vector) -> Array:
-    """What the force's rounding errors are measured by: |D̄|, and |Ṽ|/|ΔΓ| where D̄ is corrected."""
-    step = scale(2, cross(Gamma, y))
-    square = dot(step, step)
-    corrected = (square > _APART / 4) & (not hasattr(potential, "discrete_gradient"))
-    noise = jnp.abs(potential(jnp.stack(Gamma))) / jnp.sqrt(jnp.where(corrected, square, 1))
-    return three.max_abs(Gamma) * (three.max_abs(D) + jnp.where(corrected, noise, 0))
-
-
 def _turned(h: Vector, Gamma: Vector) -> Vector:
     """Γ_{n+1} = cay(2h)ᵀΓ = Γ + 2(h × (h × Γ) − h × Γ)/(1 + |h|²)."""
     x = cross(h, Gamma)
@@ -215,12 +244,6 @@ def _moment(h: Vector, Gamma: Vector, D: Vector) -> Vector:
 
 def examples(system: Any) -> dict[str, Step]:
     """The paper's three κ's, for rigid bodies in a potential with an axis."""
-    if not _is_top(system):
+    if not TOPS.declared(system) or system.axis is None:
         return {}
     return {step.name: step for step in (top_energy_momentum(system, kappa) for kappa in KAPPAS)}
-
-
-def _is_top(system: Any, axis: bool = True) -> bool:
-    """Whether it is a rigid body in a potential, with an axis; or, if not `axis`, whether it has all but that."""
-    needed = ("inertia", "potential", "kinetic_energy", *(("axis",) if axis else ()))
-    return all(getattr(system, name, None) is not None for name in needed)

@@ -1,4 +1,4 @@
-"""What every rigid body can do: make states and read them. No system of its own."""
+"""States of a rigid body: how they are made and read. No system of its own."""
 
 from __future__ import annotations
 

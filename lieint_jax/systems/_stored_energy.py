@@ -24,24 +24,9 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import power_series, three
 from lieint_jax._numerics.three import Symmetric
-from lieint_jax.types import callable_pytree, pytree, static
+from lieint_jax.types import StoredEnergy, callable_pytree, pytree, static
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
-
-
-class StoredEnergy(abc.ABC):
-    """W(C), an energy, of the right Cauchy–Green tensor C = FᵀF, shape (3, 3)."""
-
-    @abc.abstractmethod
-    def __call__(self, C: Array) -> Array: ...
-
-    @abc.abstractmethod
-    def stress(self, C: Symmetric) -> Symmetric:
-        """S = 2∇W(C)."""
-
-    @abc.abstractmethod
-    def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
-        """S̄ with ½ S̄:D = W(C + D) − W(C)."""
 
 
 class _VolumeAndTrace(StoredEnergy):
@@ -159,7 +144,7 @@ def _plus(pressure: Array | float, S: Symmetric) -> Symmetric:
 
 
 def mooney_rivlin(lam: ArrayLike, mu: ArrayLike) -> MooneyRivlin:
-    """W = (λ/2)(I₃ − 1 − ln I₃) + (μ/2)(I₁ − 3 − ln I₃), I₁ = tr C, I₃ = det C: what the paper's Figures 3–5 integrate.
+    """W = (λ/2)(I₃ − 1 − ln I₃) + (μ/2)(I₁ − 3 − ln I₃), I₁ = tr C, I₃ = det C: the material of the paper's Figures 3–5.
 
     Args:
         lam: λ > 0, resistance to a change of volume; an energy.

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -12,13 +9,12 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import unrolled
-from lieint_jax.phase_spaces import CotangentGroup
-from lieint_jax.types import Group, State, pytree, static
+from lieint_jax.systems._on_group import OnGroup
+from lieint_jax.types import GeodesicFlow, Group, State, pytree, static
 
 
 @pytree
-class Euler:
+class Euler(OnGroup, GeodesicFlow):
     """H = ½⟨Π, m⁻¹Π⟩ with Π = Ad*_q π (5.18); q̇ = qΩ̂, π̇ = 0, Ω = m⁻¹Π (5.14). Made by `euler`.
 
     Attributes:
@@ -29,61 +25,17 @@ class Euler:
     metric: Array
     group: Group = static()
 
-    @property
-    def phase_space(self) -> CotangentGroup:
-        return CotangentGroup(self.group)
-
-    def state(
-        self,
-        q: ArrayLike | None = None,
-        *,
-        velocity: ArrayLike | None = None,
-        body_momentum: ArrayLike | None = None,
-        spatial_momentum: ArrayLike | None = None,
-    ) -> State:
-        """The state at a configuration, with one of three ways to give the motion.
-
-        Args:
-            q: a group element, shape (n, n), within 1e-6 of the group; a unit quaternion for `groups.so3`. By default
-                the identity.
-            velocity: body velocity Ω, shape (d,).
-            body_momentum: Π = mΩ, shape (d,).
-            spatial_momentum: π, with Π = Ad*_q π, shape (d,).
-
-        Raises:
-            ValueError: not exactly one of the three, a wrong shape, a NaN, or a q off the group.
-        """
-        return state_of(self.group, self.metric, q, velocity, body_momentum, spatial_momentum)
-
-    def body_momentum(self, state: State) -> Array:
-        """Π = Ad*_q π, shape (d,)."""
-        return self.group.Ad_star(state.q, state.p)
-
-    def velocity(self, state: State) -> Array:
-        """The body velocity Ω = m⁻¹Π, shape (d,)."""
-        return sharp(self.metric, self.body_momentum(state))
-
     def energy(self, state: State) -> Array:
         """½⟨Π, m⁻¹Π⟩ (5.18)."""
-        return unrolled.dot(*(unrolled.as_list(x) for x in (self.body_momentum(state), self.velocity(state)))) / 2
+        return self.kinetic_energy(state)
 
     def momentum(self, state: State) -> Array:
         """The momentum map of the left action (5.21): π itself, shape (d,)."""
         return state.p
 
-    def casimirs(self, state: State) -> Array:
-        """The Casimirs of body momentum that are known (`group.casimirs`), (k,): constant along every motion."""
-        Pi = self.body_momentum(state)
-        known: Any = getattr(self.group, "casimirs", None)
-        return known(Pi) if known else jnp.zeros(0, Pi.dtype)
-
     def vector_field(self, state: State) -> State:
         """(q̇, π̇) = (qΩ̂, 0) (5.14)."""
         return State(self.group.tangent(state.q, self.velocity(state)), jnp.zeros_like(state.p))
-
-    def check(self, state: State) -> None:
-        """Raise ValueError if a concrete `state` is not one of this system."""
-        check_state(self.group, state)
 
 
 def euler(group: Group, metric: ArrayLike) -> Euler:
@@ -184,67 +136,6 @@ def examples() -> dict[str, tuple[Euler, State, float]]:
         "kirchhoff": (ellipsoid, ellipsoid.state(velocity=[0.3, -0.4, 0.5, 0.6, 0.2, -0.3]), 0.1),
         "manakov": (body, body.state(velocity=[0.5, -0.3, 0.4, 0.2, 0.6, -0.4]), 0.1),
     }
-
-
-# Shared with `group_potential` ---------------------------------------------------------------------------------------
-
-
-def state_of(
-    group: Group,
-    metric: Array,
-    q: ArrayLike | None,
-    velocity: ArrayLike | None,
-    body_momentum: ArrayLike | None,
-    spatial_momentum: ArrayLike | None,
-) -> State:
-    """See `Euler.state`."""
-    element = jnp.asarray(group.identity, metric.dtype) if q is None else _checks.real_array("q", q)
-    check_element("q", group, element)
-    name, given = _checks.one_of(velocity=velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum)
-    value = _checks.real_array(name, given, (group.dim,))
-    if name == "velocity":
-        value = flat(metric, value)
-    if name != "spatial_momentum":
-        value = group.Ad_star(group.inverse(element), value)
-    dtype = jnp.result_type(element, value)
-    return State(element.astype(dtype), _checks.real_array("the spatial momentum", value.astype(dtype)))
-
-
-def check_element(name: str, group: Group, q: Array) -> None:
-    """Raise ValueError if a concrete q is off the group."""
-    shape = np.shape(group.identity)
-    if np.shape(q) != shape:
-        raise ValueError(f"{name} must have shape {shape}, got {np.shape(q)}; use jax.vmap for batches")
-    if concrete(q):
-        with jax.ensure_compile_time_eval():
-            defect = abs(float(group.defect(jnp.asarray(q))))
-        if not defect <= 2 * _checks.UNIT_TOLERANCE:
-            raise ValueError(
-                f"{name} is off the group by {defect:.3g}, allowed is {2 * _checks.UNIT_TOLERANCE:g}; make it by "
-                "group.exp and group.multiply"
-            )
-
-
-def check_state(group: Group, state: State) -> None:
-    """Raise ValueError if a concrete `state` is not on T*G."""
-    check_element("state.q", group, state.q)
-    _checks.real_array("state.p", state.p, (group.dim,))
-
-
-def flat(metric: Array, xi: Array) -> Array:
-    """ξ♭ = m ξ."""
-    return (
-        metric * xi
-        if metric.ndim == 1
-        else unrolled.as_array(unrolled.matvec(unrolled.as_list(metric), unrolled.as_list(xi)), xi)
-    )
-
-
-def sharp(metric: Array, mu: Array) -> Array:
-    """μ♯ = m⁻¹ μ."""
-    if metric.ndim == 1:
-        return mu / metric
-    return unrolled.as_array(unrolled.solve(unrolled.as_list(metric), unrolled.as_list(mu)), mu)
 
 
 def _depolarisation(axes: np.ndarray) -> np.ndarray:

@@ -10,12 +10,13 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax.systems._on_group import OnGroup
 from lieint_jax.systems.euler import Euler, kirchhoff
-from lieint_jax.types import Group, State, callable_pytree, pytree, static
+from lieint_jax.types import Group, MechanicalSystem, State, callable_pytree, pytree, static
 
 
 @pytree
-class GroupPotential(Euler):
+class GroupPotential(OnGroup, MechanicalSystem):
     """H = ½⟨Π, m⁻¹Π⟩ + V(q), Π = Ad*_q π (5.42); q̇ = qΩ̂, π̇ = −T*R dV(q) (5.41). Made by `group_potential`.
 
     Attributes:
@@ -32,11 +33,11 @@ class GroupPotential(Euler):
 
     @property
     def free(self) -> Euler:
-        """The same metric without the potential."""
+        """The geodesic flow of the metric, without the potential."""
         return Euler(self.metric, self.group)
 
     def force(self, q: Array) -> Array:
-        """−T*R dV, shape (d,): what the potential adds to π̇. Its i-th component is −d/dε V(exp(εeᵢ)q)."""
+        """−T*R dV, shape (d,): the force of the potential in π̇. Its i-th component is −d/dε V(exp(εeᵢ)q)."""
         zero = jnp.zeros(self.group.dim, q.dtype)
         _, pull = jax.vjp(lambda theta: self.group.spatial_tangent(q, theta), zero)
         return -pull(jax.grad(self.potential)(q))[0]
@@ -49,7 +50,7 @@ class GroupPotential(Euler):
 
     def energy(self, state: State) -> Array:
         """½⟨Π, m⁻¹Π⟩ + V(q)."""
-        return super().energy(state) + self.potential(state.q)
+        return self.kinetic_energy(state) + self.potential(state.q)
 
     def momentum(self, state: State) -> Array:
         """The momentum of the symmetry, ⟨π, η⟩ for each η, shape (k,)."""

@@ -26,7 +26,7 @@ class Linear:
         return three.dot(self.weight, Gamma)
 
     def discrete_gradient(self, a: Array, b: Array) -> Array:
-        """E, whatever a and b."""
+        """E, for any a and b."""
         del a, b
         return self.weight
 
@@ -57,7 +57,7 @@ def lagrange() -> tuple[PotentialTop, State]:
 
 
 class LagrangeMotion(NamedTuple):
-    """What the axis of a symmetric top does.
+    """The motion of the axis of a symmetric top.
 
     Attributes:
         nutation_period: time from one lowest inclination to the next; if there is no nutation, that of a small one.

@@ -14,7 +14,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import three
 from lieint_jax.phase_spaces import CotangentSphere
-from lieint_jax.types import State, callable_pytree, pytree
+from lieint_jax.types import OnSphere, State, callable_pytree, pytree
 
 _PHASE_SPACE = CotangentSphere()
 
@@ -30,7 +30,7 @@ class Uniform:
 
 
 @pytree
-class Pendulum:
+class Pendulum(OnSphere):
     """H = |π|²/(2m) − g(γ·q) (1.3); q̇ = π × q/m, π̇ = −q × ∇V(q) with V(q) = −g(γ·q) (1.1), (1.4). Made by `pendulum`.
 
     Attributes:

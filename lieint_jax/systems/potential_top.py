@@ -17,7 +17,7 @@ from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.systems._body import Body
 from lieint_jax.systems.rigid_body import RigidBody
-from lieint_jax.types import State, callable_pytree, pytree
+from lieint_jax.types import State, Top, callable_pytree, pytree
 
 
 @pytree
@@ -35,7 +35,7 @@ class Quadratic:
 
 
 @pytree
-class PotentialTop(Body):
+class PotentialTop(Body, Top):
     """H = ½ Π·J⁻¹Π + V: Λ̇ = ΛΩ̂, π̇ = γ × ΛDṼ(Γ) with Γ = Λᵀγ (4.2). Made by `potential_top`, `heavy_top`.
 
     Attributes:
@@ -50,7 +50,7 @@ class PotentialTop(Body):
 
     @property
     def free(self) -> RigidBody:
-        """The same body without its potential."""
+        """The free body of this inertia, without the potential."""
         return RigidBody(self.inertia)
 
     def Gamma(self, state: State) -> Array:
@@ -64,7 +64,7 @@ class PotentialTop(Body):
         return self.potential(so3.Ad_star(q, self.axis))
 
     def force(self, q: Array) -> Array:
-        """The torque in space, shape (3,): what the potential adds to π̇. With an axis, γ × ΛDṼ(Γ) (4.1)."""
+        """The torque of the potential in space, shape (3,). With an axis, γ × ΛDṼ(Γ) (4.1)."""
         if self.axis is None:
             return -jax.grad(lambda theta: self.potential_energy(so3.multiply(so3.exp(theta), q)))(
                 jnp.zeros_like(q[:3])

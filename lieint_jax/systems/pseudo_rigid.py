@@ -15,19 +15,18 @@ from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMatrices
 from lieint_jax.systems._stored_energy import (
-    StoredEnergy,
     as_stored_energy,
     mooney_rivlin,
     neo_hookean,
     saint_venant_kirchhoff,
 )
-from lieint_jax.types import State, pytree
+from lieint_jax.types import ElasticBody, State, StoredEnergy, pytree
 
 _PHASE_SPACE = CotangentMatrices()
 
 
 @pytree
-class PseudoRigidBody:
+class PseudoRigidBody(ElasticBody):
     """H = ½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2); Ḟ = PE⁻¹, Ṗ = −2F∇W(FᵀF) (6.3). Made by `pseudo_rigid_body`.
 
     Attributes:

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks, _free_body
 from lieint_jax.groups import so3
 from lieint_jax.systems._body import Body
-from lieint_jax.types import State, pytree
+from lieint_jax.types import FreeBody, State, pytree
 
 
 @pytree
-class RigidBody(Body):
+class RigidBody(Body, FreeBody):
     """H = ½ Π·J⁻¹Π with Π = Λᵀπ (2.11); Λ̇ = ΛΩ̂, π̇ = 0 (2.12). Made by `rigid_body`.
 
     Attributes:
@@ -39,7 +39,7 @@ class RigidBody(Body):
     def solution(self, state: State, t: Array | float) -> State:
         """The exact state after time t, of any size and sign, without stepping; π bit for bit.
 
-        In Jacobi's elliptic functions, see `free_body`. For many times, `jax.vmap(body.solution, (None, 0))`.
+        In Jacobi's elliptic functions, see `_free_body`. For many times, `jax.vmap(body.solution, (None, 0))`.
         """
         return State(_free_body.attitude(self.inertia, state.q, state.p, t)[0], state.p)
 

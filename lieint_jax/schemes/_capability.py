@@ -1,0 +1,82 @@
+"""The systems that a scheme integrates: those that declare a capability and have its equations of motion.
+
+A subclass may declare a capability by inheritance and change the motion, by a force added or a rotor inside. So the
+making of a step compares the system's own vector field with the one that the scheme integrates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax._checks import concrete
+from lieint_jax.types import State, System
+
+
+class Integrand(NamedTuple):
+    """The systems that a scheme integrates.
+
+    Attributes:
+        capability: the class in `types` that such a system inherits.
+        noun: what error messages call them.
+        vector_field: (system, state) ↦ the time derivative of the state, from the capability's attributes alone.
+    """
+
+    capability: type[System]
+    noun: str
+    vector_field: Callable[[Any, State], State]
+
+    def declared(self, system: Any) -> bool:
+        """Whether a system declares the capability."""
+        return isinstance(system, self.capability)
+
+    def check(self, scheme: str, system: Any, more: str = "") -> None:
+        """Raise ValueError if a system does not declare the capability, or moves otherwise; `more` ends the message."""
+        if not self.declared(system):
+            raise ValueError(f"{scheme} integrates {self.noun}, got {type(system).__name__}{more}")
+        check_motion(scheme, self.noun, self.vector_field, system, system)
+
+
+def check_motion(
+    scheme: str, noun: str, vector_field: Callable[[Any, State], State], data: Any, system: System
+) -> None:
+    """Raise ValueError if the vector field of a system differs from `vector_field(data, ·)`, looked at in two states.
+
+    Tracers pass, and so does a vector field that is not finite there: it cannot be compared.
+    """
+    if not concrete(data, system):
+        return
+    with jax.ensure_compile_time_eval():
+        found = [_difference(vector_field, data, system, phase) for phase in (0.3, 2.0)]
+    difference, tolerance = (max(map(float, x)) for x in zip(*found, strict=True))
+    if difference > tolerance:
+        raise ValueError(
+            f"{scheme} integrates {noun}, and the vector field of {type(system).__name__} is another: it differs by "
+            f"{difference:.2g} of itself. Take a scheme for its own equations of motion, or mend its vector_field"
+        )
+
+
+@partial(jax.jit, static_argnums=0)
+def _difference(
+    vector_field: Callable[[Any, State], State], data: Any, system: System, phase: ArrayLike
+) -> tuple[Array, Array]:
+    """The relative difference of two vector fields at a state, in q̇ or in π̇, and the tolerance for it."""
+    space = system.phase_space
+    numbers = [x for x in jax.tree.leaves((data, system)) if jnp.issubdtype(jnp.result_type(x), jnp.floating)]
+    dtype = jnp.result_type(*numbers, *([] if numbers else [float]))
+    delta = 0.3 * jnp.sin(phase + 1.7 * jnp.arange(space.dim, dtype=dtype))
+    state = space.perturb(jax.tree.map(lambda x: x.astype(dtype), space.origin), delta)
+    pairs = zip(system.vector_field(state), vector_field(data, state), strict=True)
+    return jnp.max(jnp.stack([_relative(a, b) for a, b in pairs])), jnp.sqrt(jnp.finfo(dtype).eps)
+
+
+def _relative(a: Array, b: Array) -> Array:
+    size, apart = jnp.maximum(jnp.max(jnp.abs(a)), jnp.max(jnp.abs(b))), jnp.max(jnp.abs(a - b))
+    known = jnp.isfinite(size) & (apart > 0)
+    return jnp.where(known, apart / jnp.where(known, size, 1), 0)

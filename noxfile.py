@@ -1,0 +1,62 @@
+"""Checks on several Pythons and on the lowest versions promised: `nox`, or one session, such as `nox -s tests-3.13`.
+
+The interpreters must be there; a missing one is skipped. Environments are made by uv, which comes with the `dev` extra.
+"""
+
+import nox
+
+nox.options.default_venv_backend = "uv"
+nox.options.error_on_missing_interpreters = False
+nox.options.sessions = ["tests", "lowest", "lint", "build"]
+PYTHONS = ["3.11", "3.12", "3.13", "3.14"]
+
+
+@nox.session(python=PYTHONS)
+def tests(session):
+    """README's tests, with the newest versions of everything."""
+    session.install("-e", ".[test]")
+    session.run("pytest", *session.posargs)
+
+
+@nox.session(python="3.11")
+def lowest(session):
+    """README's tests, with the lowest versions that pyproject.toml promises."""
+    session.install("-e", ".[test]", "--resolution", "lowest-direct")
+    session.run("pytest", *session.posargs)
+
+
+@nox.session(python="3.11")
+def lint(session):
+    """Lint, format and types."""
+    session.install("-e", ".[dev]")
+    session.run("ruff", "check", ".")
+    session.run("ruff", "format", "--check", ".")
+    session.run("pyright", "--pythonpath", f"{session.virtualenv.bin}/python")
+
+
+@nox.session(python="3.11")
+def coverage(session):
+    """Which lines README's tests run."""
+    session.install("-e", ".[dev]")
+    session.run("pytest", "--cov=lieint_jax", "--cov-report=term-missing:skip-covered", *session.posargs)
+
+
+@nox.session(python="3.11")
+def build(session):
+    """The sdist and the wheel, each installed in an environment of its own and tried there, away from the sources."""
+    folder = session.create_tmp()
+    session.run("uv", "build", "--out-dir", folder, external=True)
+    python = f"{session.virtualenv.bin}/python"
+    with session.chdir(folder):
+        for kind in ("*.tar.gz", "*.whl"):
+            [archive] = sorted(session_files(kind))
+            session.run("uv", "pip", "install", "--python", python, "--reinstall-package", "lieint_jax", archive)
+            session.run("lieint", "check", "rigid_body", "--scheme", "exact", "--steps", "100")
+            session.run("lieint", "run", "toutatis", "--members", "3", "--steps", "500", "--out", f"{archive}.npz")
+
+
+def session_files(pattern):
+    """The files of the current folder that match."""
+    from pathlib import Path
+
+    return [str(path) for path in Path().glob(pattern)]
