@@ -1,15 +1,15 @@
 """How do ensembles scale: with the number of bodies, over devices, against C++ on as many threads, against the machine?
 
 Free rigid bodies of inertia (1, 2, 3) at dt = 0.05, and an example of each other system, float64, through the loop that
-`ensemble.run` compiles. Everything is timed in turn, round after round, so that a slow spell hits all alike; a rate is
-that of the best call.
+`ensemble.run` compiles. Contestants are timed in turn, round after round, so that a slow spell of the machine affects
+all alike; a rate is that of the best call.
 
     python benchmarks/ensemble.py [--quick] [--out DIR] [--only PART …]
 
 Parts: `sizes` (bodies from 1 to a million), `systems` (a thousand of each), `peers`, `threads` (C++ and ours on one
 core and on all; strong scaling is the same bodies on more devices, weak scaling as many bodies on each), `roofline`
-(operations that XLA counts in a step, against what the core can do). Each part runs in a process of its own, pinned to
-a core before JAX starts, and `threads` in a second one without the pin.
+(the operations that XLA counts in a step, against the core's peak). Each part runs in a process of its own, pinned to a
+core before JAX starts; `threads` also runs in a second one without the pin.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PARTS = ("sizes", "systems", "peers", "threads", "roofline")
 def main() -> None:
     parser = command.parser(__doc__)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART")
-    parser.add_argument("--part", choices=PARTS, help=argparse.SUPPRESS)  # how the processes are called
+    parser.add_argument("--part", choices=PARTS, help=argparse.SUPPRESS)  # set in the processes of the parts
     parser.add_argument("--all-cores", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     cores = sorted(os.sched_getaffinity(0))
@@ -60,7 +60,7 @@ def _result(arguments: list[str]) -> Any:
 
 
 def best(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
-    """Seconds of the best of so many calls of each, in turn, after a first one that compiles."""
+    """Seconds of the best of `rounds` calls of each, timed in turn, after a first one that compiles."""
     import time
 
     seconds = dict.fromkeys(calls, float("inf"))
@@ -74,7 +74,7 @@ def best(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
 
 
 def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) -> Callable[[], Any]:
-    """A call of the ensemble's loop on some devices."""
+    """A function that calls the ensemble's compiled loop once, on the first `devices` devices."""
     import jax
     import numpy as np
 
@@ -95,7 +95,7 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
 
 
 def bodies(count: int) -> Any:
-    """Free bodies, as in `measure`, a thousand of them over and over."""
+    """The free bodies of `measure`, the first thousand of them repeated."""
     import jax.numpy as jnp
     import numpy as np
     from lib import measure
@@ -116,7 +116,7 @@ def free_steps() -> dict[str, Any]:
 
 
 def sizes(quick: bool, _: int) -> Any:
-    """Rates of the free body by number of bodies."""
+    """Rates of free bodies by their number."""
     counts = (1, 10, 100, 1000, 10_000) if quick else (1, 10, 100, 1000, 10_000, 100_000, 1_000_000)
     work, rounds = (1e6, 2) if quick else (1.5e7, 4)
     rates: dict[str, dict[int, float]] = {name: {} for name in free_steps()}
@@ -133,7 +133,7 @@ def sizes(quick: bool, _: int) -> Any:
 
 
 def systems(quick: bool, _: int) -> Any:
-    """Rates of a thousand bodies of an example of each system, by each of a few schemes."""
+    """Rates of a thousand bodies of one example of each system, for a few schemes each."""
     import jax
     import jax.numpy as jnp
     import numpy as np
@@ -181,7 +181,7 @@ def _schemes(module: str, system: Any) -> Any:
 
 
 def against(quick: bool, _: int) -> Any:
-    """Rates of the free body beside those of what one would use instead, by number of bodies."""
+    """Rates of free bodies by their number, beside those of other packages."""
     from functools import partial
 
     from lib import measure, peers
@@ -201,7 +201,7 @@ def against(quick: bool, _: int) -> Any:
 
 
 def threads(quick: bool, cores: int) -> Any:
-    """Rates on the cores that this process has, of ours and of C++ (blocks over threads: it releases Python's lock)."""
+    """Rates of ours and of C++ on all cores of this process; C++ runs blocks on threads, without Python's lock."""
     from concurrent.futures import ThreadPoolExecutor
 
     import jax
@@ -236,7 +236,7 @@ def threads(quick: bool, cores: int) -> Any:
 
 
 def roofline(quick: bool, _: int) -> Any:
-    """Operations a body-step as XLA counts them, and the rate that the core reaches in a product of matrices."""
+    """XLA's count of operations per body-step, and the core's peak rate, measured by a product of matrices."""
     import jax
     import numpy as np
 
@@ -348,8 +348,8 @@ def roofline_table(found: Any) -> list[str]:
             ]
         )
     title = (
-        "Operations and bytes a body-step as XLA counts them in the compiled step, and what of the peak the loop "
-        f"reaches; peak: {found['peak'] / 1e9:.3g} billion operations a second, those of a product of matrices by BLAS"
+        "Operations and bytes per body-step as XLA counts them in the compiled step, and the share of the peak that "
+        f"the loop reaches; peak: {found['peak'] / 1e9:.3g} billion operations a second, by a BLAS product of matrices"
     )
     return [title, report.table(["", "operations", "bytes", "billion operations/s", "of the peak"], rows)]
 

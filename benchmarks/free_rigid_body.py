@@ -1,13 +1,13 @@
 """How many body-steps a second, how accurate, how conserving, against C++ of the same scheme and what one would use?
 
 Free rigid bodies of inertia (1, 2, 3), random attitudes, body velocities random in the unit ball, dt = 0.05. Everything
-runs in one process pinned to one core (as Linux can); "all cores" is a second process without the pin, the batch split
-over one XLA host device a core. Contestants are called in turn; a rate is that of the best call, the median beside it.
-"Wide vectors" are `ensemble.compiler_options()`: g++ uses the full vector width by itself, XLA only when told.
+runs in one process pinned to one core (as Linux can); "all cores" is a second process without the pin, with the batch
+split over one XLA host device per core. Contestants are called in turn; a rate is that of the best call, the median
+beside it. "Wide vectors" are `ensemble.compiler_options()`: g++ uses the full vector width by default, XLA does not.
 
     python benchmarks/free_rigid_body.py [--quick] [--out DIR]
 
-Of a printout (the whole one is results/free_rigid_body.md), millions of body-steps a second:
+From a printout (the whole is results/free_rigid_body.md), millions of body-steps a second:
 
 |                                   |   dtype |  best | median | ÷ C++ newton | ÷ C++ scalar | ours ÷ it | compile s |
 | --------------------------------- | ------: | ----: | -----: | -----------: | -----------: | --------: | --------: |
@@ -33,7 +33,7 @@ from lib import command
 
 def main() -> None:
     parser = command.parser(__doc__)
-    parser.add_argument("--all-cores", metavar="CORES", help=argparse.SUPPRESS)  # how the second process is called
+    parser.add_argument("--all-cores", metavar="CORES", help=argparse.SUPPRESS)  # set in the second process
     options = parser.parse_args()
     if options.all_cores:
         print(json.dumps(on_all_cores([int(core) for core in options.all_cores.split(",")], options.quick)))
@@ -42,7 +42,7 @@ def main() -> None:
 
 
 def on_one_core(quick: bool, out: Path) -> None:
-    """Measure everything, print it, write the tables as .md and .json."""
+    """Run all measurements, print the tables, and write them as .md and .json."""
     cores = sorted(os.sched_getaffinity(0))
     command.pin()  # before jax makes its threads
     from lib import measure, report
@@ -53,7 +53,7 @@ def on_one_core(quick: bool, out: Path) -> None:
 
 
 def on_all_cores(cores: list[int], quick: bool) -> list[dict[str, object]]:
-    """Our rates with one XLA host device a core."""
+    """The rates of our scheme with one XLA host device per core."""
     os.sched_setaffinity(0, cores)
     os.environ["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={len(cores)}"
     from lib import measure

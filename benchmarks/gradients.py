@@ -2,9 +2,9 @@
 
 Free rigid bodies as in `free_rigid_body.py`, dt = 0.01, the mean of one component of the final attitudes. Ours: reverse
 mode by undoing steps, by nested checkpoints, and through the scan; forward mode. diffrax: Tsit5 with the same number of
-constant steps, by RecursiveCheckpointAdjoint and BacksolveAdjoint. Contestants are called in turn; memory is what XLA
-sets aside for temporaries (`memory_analysis`). "÷ forward" is the gradient's time over that of the same integrator's
-run forward.
+constant steps, by RecursiveCheckpointAdjoint and BacksolveAdjoint. Contestants are called in turn; memory is that of
+XLA's temporaries (`memory_analysis`). "÷ forward" is the gradient's time over that of the same integrator's forward
+run.
 
     python benchmarks/gradients.py [--quick] [--out DIR]
 """
@@ -19,7 +19,7 @@ from typing import Any
 from lib import command
 
 DT = 0.01
-SLOWEST, LARGEST = 8.0, 2.0  # bars: times the forward run; MiB of temporaries
+SLOWEST, LARGEST = 8.0, 2.0  # bars: time over that of the forward run; MiB of temporaries
 OURS, FORWARD = "reversible", "forward run"
 
 
@@ -35,7 +35,7 @@ def main() -> None:
 
 
 def measure(bodies: int, steps: int, rounds: int) -> list[dict[str, Any]]:
-    """Each contestant's best time, temporaries in MiB, and gradient."""
+    """The best time, the temporaries in MiB, and the gradient of each contestant."""
     import jax
     from lib import measure as common
 
@@ -99,7 +99,7 @@ def ours(steps: int) -> dict[str, Callable[..., Any]]:
 
 
 def diffrax_losses(steps: int) -> dict[str, Callable[..., Any]]:
-    """Forward run and gradients of diffrax's Tsit5, constant steps; nothing if it is not here."""
+    """Forward run and gradients of diffrax's Tsit5, constant steps; none if it is not installed."""
     try:
         import diffrax
     except ImportError:

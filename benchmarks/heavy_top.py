@@ -1,9 +1,9 @@
-"""Heavy tops: how many body-steps a second, what is kept, and how much time does an accuracy cost?
+"""Heavy tops: how many body-steps a second, what is conserved, and how much time does an accuracy cost?
 
-Heavy plates of inertia (1, 2, 3), fixed at a point of theirs, weight (.9, .8, 0): three moments, not integrable. Random
-attitudes, body velocities random in the unit ball, dt = 0.05. Ours (the energy-momentum scheme with three κ's, the
-splitting, both composed) against C++ of the same schemes, diffrax and MuJoCo, called in turn in one process pinned to
-one core (as Linux can).
+Heavy plates of inertia (1, 2, 3), each fixed at one of its points, weight (.9, .8, 0): three moments, not integrable.
+Random attitudes, body velocities random in the unit ball, dt = 0.05. Ours (the energy-momentum scheme with three κ's,
+the splitting, both composed) against C++ of the same schemes, diffrax and MuJoCo, called in turn in one process pinned
+to one core (as Linux can).
 The reference is `diagnostics.flow`, Gauss collocation of order 16. Tsit5 is as vmapped and jitted by default; "wide
 vectors" are `ensemble.compiler_options()`.
 

@@ -5,9 +5,9 @@ one per cent, integrated to t = 1. One core, float64, everything in one process,
 
     python benchmarks/pseudo_rigid.py [--quick] [--out DIR]
 
-diffrax's implicit solver is Kvaerno5 with its adaptive step: with constant steps its Newton iteration gives up on this
-problem. A "step" of an adaptive solver is a time Δt; what it takes inside it is its own affair, and its tolerance is in
-the table. Compilations are shared by tolerances: the second of these rows shows none.
+diffrax's implicit solver is Kvaerno5 with its adaptive step: with constant steps its Newton iteration fails on this
+problem. A "step" of an adaptive solver is a time Δt, however many steps it takes inside; its tolerance is in the table.
+One compilation serves all tolerances: the second of these rows shows none.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-shared", "-fPIC")
 
 
 class Solver(NamedTuple):
-    """Something that advances many bodies by a time.
+    """A solver that advances many bodies by a time.
 
     Attributes:
         name: for the tables.
@@ -44,7 +44,7 @@ class Solver(NamedTuple):
 
 
 def bodies(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """F = 1 + a hundredth of noise, P = π̂F with |π| = 6 within a tenth; the first is that of Figure 3c."""
+    """F = 1 + noise of .01 and P = π̂F, π = (0, 0, 6) + noise of .1; the first body is that of Figure 3c."""
     rng = np.random.default_rng(0)
     spread = (np.arange(count) > 0)[:, None, None]
     F = np.eye(3) + 0.01 * spread * rng.normal(size=(count, 3, 3))
@@ -70,7 +70,7 @@ def main() -> None:
 
 
 def measure(batch: int, rounds: int, points: int) -> dict[str, Any]:
-    """Rates and errors of every solver, then work and precision with so many step sizes or tolerances a curve."""
+    """Rates and errors of every solver, then work-precision curves of `points` step sizes or tolerances each."""
     import lieint_jax as li
 
     body = li.systems.pseudo_rigid_body(np.full(3, INERTIA), li.systems.mooney_rivlin(LAM, MU))
@@ -102,7 +102,7 @@ def measure(batch: int, rounds: int, points: int) -> dict[str, Any]:
 
 
 def race(solvers: list[Solver], states: tuple[np.ndarray, np.ndarray], t: float, rounds: int) -> list[dict[str, Any]]:
-    """Body-steps a second, the best call; in turn, round after round."""
+    """Body-steps a second of each solver, from its best call; they are called in turn, round after round."""
     from lib.contest import Contestant
     from lib.contest import race as timed
 
@@ -150,12 +150,12 @@ def quality(body: Any, solver: Solver, exact: np.ndarray) -> dict[str, float]:
 
 
 def curve(name: str, solvers: list[Solver], exact: np.ndarray) -> dict[str, Any]:
-    """Milliseconds for the watched bodies to t = END, and the errors there."""
+    """Milliseconds for the watched bodies until t = END, and the errors then."""
     from time import perf_counter
 
     states, cost, errors = bodies(WATCHED), [], []
     for solver in solvers:
-        errors.append(float(np.abs(solver.advance(*states, END)[0] - exact).max()))  # and compiled
+        errors.append(float(np.abs(solver.advance(*states, END)[0] - exact).max()))  # compiles, too
         start = perf_counter()
         solver.advance(*states, END)
         cost.append(1e3 * (perf_counter() - start))
@@ -163,7 +163,7 @@ def curve(name: str, solvers: list[Solver], exact: np.ndarray) -> dict[str, Any]
 
 
 def ours(body: Any, rule: Any, wide: bool = False, dt: float = DT, order: int = 2) -> Solver:
-    """Our step, composed beyond order 2, vmapped, in a compiled loop as `ensemble.run` has it."""
+    """Our step, composed beyond order 2, vmapped, in a compiled loop like that of `ensemble.run`."""
     import jax
 
     import lieint_jax as li
@@ -181,7 +181,7 @@ def ours(body: Any, rule: Any, wide: bool = False, dt: float = DT, order: int = 
 
 @cache
 def _our_loop(wide: bool) -> Any:
-    """(step, states, dt, n) ↦ the states after n steps, and whether all converged: compiled once a batch size."""
+    """(step, states, dt, n) ↦ the states after n steps, and whether all converged: compiled once per batch size."""
     import jax
 
     from lieint_jax.ensemble import compiler_options
@@ -213,7 +213,7 @@ def diffrax_solver(body: Any, name: str, tolerance: float | None, dt: float) -> 
 
 @cache
 def _diffrax_loop(name: str, adaptive: bool) -> Any:
-    """(body, states, t, dt, tolerance) ↦ the states at t, and which were successful: compiled once a batch size."""
+    """(body, states, t, dt, tolerance) ↦ the states at t, and which were successful: compiled once per batch size."""
     import diffrax
     import jax
 

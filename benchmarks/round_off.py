@@ -1,8 +1,8 @@
 """How far does rounding move the energy of a free body, and what does it cost to do better?
 
 16 bodies of inertia (1, 2, 3), random attitudes, body velocities random in the unit ball, dt = 0.05, the symplectic κ.
-Every variant is the same scheme and differs in how the state is carried and updated. |H − H₀|/H₀ of the worst body is
-watched at every step; the slope is that of a line through its mean over the bodies at ten times.
+All variants are the same scheme; they differ in how the state is stored and updated. |H − H₀|/H₀ of the worst body is
+measured at every step; the slope is that of a line through the mean signed error of the bodies at ten times.
 
     python benchmarks/round_off.py [--steps N] [--only NAME …] [--out DIR]
 
@@ -46,7 +46,7 @@ def main() -> None:
 
 
 def variants() -> dict[str, Callable[[Any, Any], Any]]:
-    """By name: (carry, constants) ↦ the carry after a step. A carry is (q, low bits of q, π)."""
+    """The functions (carry, constants) ↦ the carry after a step, by name. A carry is (q, low bits of q, π)."""
     import jax.numpy as jnp
     from lib import measure
 
@@ -82,7 +82,7 @@ def variants() -> dict[str, Callable[[Any, Any], Any]]:
         return new, d - (new - q), p
 
     def delta(q: Any, h: Any) -> Any:
-        """What `cayley_increment` adds to q."""
+        """`cayley_increment` less q."""
         w, v = q[0], (q[1], q[2], q[3])
         y = three.dot(h, h)
         s = jnp.sqrt(1 + y)
@@ -95,7 +95,7 @@ def variants() -> dict[str, Callable[[Any, Any], Any]]:
         return jnp.stack([w * k - three.dot(v, ch), *(w * ch[i] + k * v[i] + x[i] for i in range(3))])
 
     def held(carry: Any, m: Any) -> Any:
-        """As `so3_explicit` does it: see `half_cayley`."""
+        """The step of `so3_explicit`, see `half_cayley`."""
         q, low, p = carry
         return so3.cayley_increment(q, half_cayley(*scaled(body, State(q, p), dt), *m)), low, p
 
@@ -109,7 +109,7 @@ def variants() -> dict[str, Callable[[Any, Any], Any]]:
 
 
 def _loop(name: str, watch: bool) -> Callable[..., Any]:
-    """(carry, m, H₀, steps) ↦ carry and the largest |H − H₀|/H₀, of one batch."""
+    """The compiled function (carry, m, H₀, steps) ↦ the carry and the largest |H − H₀|/H₀ of each body so far."""
     import jax
     import jax.numpy as jnp
     from jax import lax
@@ -155,7 +155,7 @@ def _begin(count: int) -> tuple[Any, Any, Any]:
 
 
 def drift(name: str, steps: int, bodies: int = 16) -> tuple[float, float]:
-    """The worst error at any step, and the slope a step of the mean signed error."""
+    """The worst error at any step, and the slope of the mean signed error per step."""
     import jax
     import numpy as np
     from lib import measure
@@ -174,7 +174,7 @@ def drift(name: str, steps: int, bodies: int = 16) -> tuple[float, float]:
 
 
 def rates(names: list[str], bodies: int = 1024, rounds: int = 7) -> dict[str, float]:
-    """Body-steps a second, the best of calls in turn."""
+    """Body-steps a second, from the best of `rounds` calls, timed in turn."""
     import jax
 
     carry, m, H0 = _begin(bodies)

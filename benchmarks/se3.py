@@ -1,4 +1,4 @@
-"""Bodies in a fluid, on SE(3): is the midpoint scheme twice as fast as Runge–Kutta, steps for steps, and what is kept?
+"""Bodies in a fluid, SE(3): is the midpoint scheme twice as fast as Runge–Kutta, step for step, and what does it keep?
 
 Kirchhoff's ellipsoid of semi-axes 3, 2, 1 with its centre of mass off its centre, so that rotation and translation are
 coupled. Random motions q, body velocities random in the unit ball of ℝ⁶, dt = 0.05. Ours (`schemes.group_midpoint` with

@@ -1,4 +1,4 @@
-"""Checks of concrete arguments: errors that say what was given, what is allowed and what to do. Tracers pass."""
+"""Checks of concrete arguments: errors say what was given, what is allowed and what to do. Tracers are not checked."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ UNIT_TOLERANCE = 1e-6
 
 
 def concrete(*trees: Any) -> bool:
-    """Whether every leaf is a value that can be looked at, not a tracer."""
+    """True if every leaf is a concrete value, not a tracer."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
@@ -37,7 +37,7 @@ def real_array(name: str, value: Any, *shapes: Sequence[int], finite: bool = Tru
 
 
 def step_size(dt: Any) -> Any:
-    """A real scalar: the same time for every component of a state."""
+    """`dt`, checked to be a real scalar."""
     kind = jnp.result_type(dt) if isinstance(dt, int | float | np.generic | np.ndarray | Array) else None
     if kind is None or not (jnp.issubdtype(kind, jnp.floating) or jnp.issubdtype(kind, jnp.integer)):
         raise ValueError(f"dt must be a real number, got {dt!r}")
@@ -54,7 +54,7 @@ def count(name: str, value: Any, least: int) -> int:
 
 
 def one_of(**given: Any) -> tuple[str, Any]:
-    """The only argument that is not None, by name."""
+    """The name and value of the one argument that is not None; ValueError unless there is exactly one."""
     named = {name: value for name, value in given.items() if value is not None}
     if len(named) != 1:
         raise ValueError(f"give exactly one of {', '.join(given)}; got {' and '.join(named) or 'none'}")
@@ -64,8 +64,8 @@ def one_of(**given: Any) -> tuple[str, Any]:
 def inertia(value: Any) -> Array:
     """A positive definite inertia: principal moments (3,) or a symmetric tensor (3, 3).
 
-    Moments that break the triangle inequality (Jᵢ ≤ Jⱼ + Jₖ) belong to no distribution of mass; they draw a warning,
-    not an error, since such pseudo-inertias are used.
+    Moments that violate the triangle inequality (Jᵢ ≤ Jⱼ + Jₖ) belong to no distribution of mass; they draw a warning,
+    not an error, since such pseudo-inertias are in use.
     """
     array = positive_definite("inertia", value)
     if not concrete(array):
@@ -98,7 +98,7 @@ def _moments(array: Array) -> np.ndarray:
 
 
 def unit_quaternion(name: str, value: Any) -> Array:
-    """A quaternion (w, x, y, z) of unit length to 1e-6. It is returned as given: to normalise is the caller's part."""
+    """A quaternion (w, x, y, z) of unit length to 1e-6. It is not normalised."""
     q = real_array(name, value, (4,))
     if concrete(q):
         norm = float(np.linalg.norm(np.asarray(q, float)))

@@ -1,4 +1,4 @@
-"""Every module of a package, by looking: a new group, system or scheme is one file, and no list to edit."""
+"""Discovery of the modules of a package: a new group, system or scheme is one file, without a list to edit."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The motion of the free rigid body in closed form, for any inertia, momentum and time.
 
-Units |Π| = 1 and tr J = 1: e = Π/|Π|, τ = |Π|t/tr J, b_i = tr J/J_i. The axes are r, m, o, right-handed: m that of
-middle inertia and, of the other two, r the one that π keeps away from: e_r² ≤ ½ at all times. Euler's equations are
+Units |Π| = 1 and tr J = 1: e = Π/|Π|, τ = |Π|t/tr J, b_i = tr J/J_i. The axes r, m, o are right-handed: m is that of
+middle inertia; of the other two, r is the one from which π stays away, e_r² ≤ ½ at all times. Euler's equations are
 
     ė_r = (b_o − b_m) e_m e_o,    ė_m = (b_r − b_o) e_o e_r,    ė_o = (b_m − b_r) e_r e_m
 
@@ -9,8 +9,8 @@ middle inertia and, of the other two, r the one that π keeps away from: e_r² �
 
     f_r = (b_r − b_m)[(b_r − b_o)e_r² + (b_m − b_o)e_m²],    f_o = (b_o − b_m)[(b_o − b_r)e_o² + (b_m − b_r)e_m²]
 
-be constants, f the greater and f′ the less; e circulates about the axis of the greater. With S = sn(√f τ)/√f, cn and dn
-of parameter f′/f, the addition theorems of sn, cn, dn move e without any initial phase:
+be constants, f the greater and f′ the smaller one; e circulates about the axis of the greater. With S = sn(√f τ)/√f, cn
+and dn of parameter f′/f, the addition theorems of sn, cn, dn move e without any initial phase:
 
     e_m(τ) = [e_m cn dn + S ė_m]/D,    e_r(τ) = [e_r q_r + S q_o ė_r]/D,    e_o(τ) = [e_o q_o + S q_r ė_o]/D
 
@@ -23,20 +23,20 @@ the separatrix (f = f′) are no special cases.
     φ = b_o τ − (b_o − b_r) ν X + θ,    X = ∫₀^τ S²/(1 + νS²) dτ,    ν = (b_m − b_o)[(b_r − b_o)e_r² + (b_m − b_o)e_m²]
     θ = arctan2((b_m − b_o) S e_m e_m(τ),  1 − e_r(τ)² − (b_m − b_o) S e_m e_r(τ) e_o(τ))
 
-X being S³ R_J(cn², dn², 1, 1 + νS²)/3 up to a quarter period, and θ the addition theorem of Legendre's integral of the
-third kind. With ψ the azimuth of e about r, and "e → r" the shortest rotation from e to r,
+where X is S³ R_J(cn², dn², 1, 1 + νS²)/3 up to a quarter period, and θ comes from the addition theorem of Legendre's
+integral of the third kind. With ψ the azimuth of e about r, and "e → r" the shortest rotation from e to r,
 
     Λ(τ) = Λ (r → e)(turn about r by φ + ψ − ψ(τ))(e(τ) → r)
 
-Every arctangent has an argument of size ½ at least. The sign of the quaternion is continuous in time.
+The vector whose angle an arctangent computes has at least length ½. The quaternion's sign is continuous in time.
 
-**Clock.** The symplectic step of 1/J̃ = s/J + d, 2y = τ(s b + d)·½(e + e(τ)), h = (1 + |h|²) y, is this very motion for
-the right s and d. The same all along the trajectory, they are found where the step is symmetric: from −τ/2 to τ/2 about
-a passage of e_m through 0. With S, q, χ = b_o τ/2 − (b_o − b_r) ν X all at τ/2, and ν = (b_m − b_o) R,
+**Clock.** The symplectic step of 1/J̃ = s/J + d, 2y = τ(s b + d)·½(e + e(τ)), h = (1 + |h|²) y, is exactly this motion
+for the right s and d. They are constant along the trajectory, and computed where the step is symmetric: from −τ/2 to
+τ/2 about a passage of e_m through 0. With S, q, χ = b_o τ/2 − (b_o − b_r) ν X all at τ/2, and ν = (b_m − b_o) R,
 
     ℓ = cos χ − R S (q_r/q_o) sin χ,    s = ℓ² S q_o/(½τ q_r (1 + νS²)),    s b_o + d = ℓ sin χ/(½τ)
 
-where q_o ℓ/√(1 + νS²) is the cosine of half the angle of the step, and nothing is divided by what may vanish.
+where q_o ℓ/√(1 + νS²) is the cosine of half the angle of the step, and no divisor can vanish.
 
 Sources: Jacobi 1850; for the addition theorems DLMF 22.8 and 19.11; the form without phases and cases: this package.
 """
@@ -55,11 +55,11 @@ from lieint_jax._numerics import elliptic, three
 from lieint_jax._numerics.three import Vector, dot
 from lieint_jax.groups import so3
 
-_NEAR = 1e-5  # f τ² below which S, cn, dn are series, to 1e-17
+_NEAR = 1e-5  # the f τ² below which S, cn, dn are computed by series, with an error of 1e-17
 
 
 def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, Array]:
-    """The attitude after time t of a free body of attitude q and spatial momentum π, which is constant.
+    """The attitude after time t of a free body with initial attitude q and constant spatial momentum π.
 
     Args:
         inertia: principal moments (3,) or a symmetric tensor (3, 3).
@@ -71,7 +71,7 @@ def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, A
         The unit quaternion at t, shape (4,), and | |e(τ)|² − 1 |, the error of the momentum's length in the body.
 
     Derivatives are right to round-off for principal (3,) moments, equal or not, and for a full tensor of distinct
-    ones. For a full tensor with moments equal to √eps they are finite, but leave out the change of the inertia's
+    ones. For a full tensor with moments equal to within √eps they are finite, but omit the change of the inertia's
     off-diagonal elements between the equal axes.
     """
     J, Pi = three.symmetric(inertia), so3.Ad_star(q, p)
@@ -86,13 +86,13 @@ def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]
     """s and d of the inertia J̃ = J(s + dJ)⁻¹ whose symplectic step of size t is the exact motion.
 
     Args:
-        inertia: as of `attitude`.
+        inertia: as in `attitude`.
         Pi: body momentum, shape (3,).
         t: the size of the step.
 
     Returns:
-        s, d in the unit of 1/inertia, and whether there is such a step: one that turns the body by at most 90°. The
-        same for every Π of a trajectory; 1, 0 and True at rest and for t = 0.
+        s, d in the unit of 1/inertia, and whether there is such a step: one that turns the body by at most 90°. All
+        three are the same for every Π of a trajectory, and 1, 0 and True at rest and for t = 0.
     """
     scale, G, e, rest = _units(inertia, Pi)
     still = rest | (jnp.asarray(t) == 0)
@@ -107,7 +107,7 @@ def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]
 
 
 def _units(inertia: Array, Pi: Array) -> tuple[Array, Array, Array, Array]:
-    """1/tr J, |Π|/tr J, e, and whether the body is at rest; then |Π|/tr J is 1 and e some unit vector."""
+    """1/tr J, |Π|/tr J, e, and whether the body is at rest; at rest |Π|/tr J is set to 1 and e to a unit vector."""
     scale = 1 / three.trace(three.symmetric(inertia))
     scaled = scale * Pi
     square = dot(scaled, scaled)
@@ -117,7 +117,7 @@ def _units(inertia: Array, Pi: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _increment(inertia: Array, e: Array, tau: Array) -> tuple[Array, Array]:
-    """Λ⁻¹Λ(τ) in body axes: principal axes are sorted, right-handed, by a permutation or by eigenvectors."""
+    """Λ⁻¹Λ(τ) in body axes, as a quaternion, and the error; sorts the principal axes, right-handed."""
     if inertia.ndim == 1:
         order = jnp.argsort(lax.stop_gradient(inertia))
         hand = jnp.where((order[1] - order[0]) % 3 == 1, 1, -1).astype(e.dtype)
@@ -125,7 +125,7 @@ def _increment(inertia: Array, e: Array, tau: Array) -> tuple[Array, Array]:
         w, v, error = _sorted(inertia[order], (sorted_e[0], hand * sorted_e[1], sorted_e[2]), tau)
         return jnp.concatenate([w[None], jnp.stack([v[0], hand * v[1], v[2]])[jnp.argsort(order)]]), error
     moments, V = _eigh(inertia)
-    a, b = (three.components(V[:, k]) for k in (0, 1))  # then right-handed, and orthonormal to the last bit
+    a, b = (three.components(V[:, k]) for k in (0, 1))  # made right-handed, and orthonormal to the last bit
     a = _unit(a)
     overlap = dot(a, b)
     b = _unit(tuple(y - overlap * x for x, y in zip(a, b, strict=True)))
@@ -166,7 +166,7 @@ class _Labels(NamedTuple):
 
 
 def _labels(J: Array, e: Vector) -> tuple[Array, _Labels]:
-    """Whether axis 0 of ascending moments J is r, else axis 2, and the labels; m is turned to suit."""
+    """True if axis 0 of the ascending moments J is r, False if axis 2 is (then m is reversed); and the labels."""
     d01, d12, d02 = ((J[j] - J[i]) / (J[i] * J[j]) for i, j in ((0, 1), (1, 2), (0, 2)))  # b_i − b_j
     x, y, z = (c * c for c in e)
     far0, far2 = d02 * x + d12 * y, d02 * z + d01 * y
@@ -180,7 +180,7 @@ def _labels(J: Array, e: Vector) -> tuple[Array, _Labels]:
 
 
 def _relabelled(first: Array, v: Vector) -> Vector:
-    """From the axes 0, 1, 2 to r, m, o, or back."""
+    """The components of v on the axes r, m, o from those on the axes 0, 1, 2, or back."""
     return jnp.where(first, v[0], v[2]), jnp.where(first, v[1], -v[1]), jnp.where(first, v[2], v[0])
 
 
@@ -218,9 +218,9 @@ def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Vector]
 
 
 def _on_polhode(b: _Labels, R: Array, f: Vector) -> Vector:
-    """f less its errors of round-off in |f|² = 1 and R: those of S, cn, dn are the same at every step, and add up.
+    """f without its rounding errors in |f|² = 1 and R: those of S, cn, dn are the same at every step, and add up.
 
-    Where the gradient of R along the sphere vanishes, so does what an error of f does to R, and nothing is done.
+    Where the gradient of R along the sphere vanishes, an error of f does not change R, and R is not corrected.
     """
     x, y, z = lax.stop_gradient(f)
     b, R = lax.stop_gradient((b, R))
@@ -241,12 +241,12 @@ def _sorted_clock(J: Array, e: Vector, tau: Array) -> tuple[Array, Array, Array]
     lag = c - m.R * m.S * (m.q_r / m.q_o) * s
     size = 1 + m.nu * m.S * m.S
     scale = m.S * m.q_o * lag * lag / (half * m.q_r * size)
-    small_turn = (m.q_o * lag >= jnp.sqrt(size / 2)) & (jnp.abs(tau) <= 2 * math.pi * J[0])  # nor one by 720°
+    small_turn = (m.q_o * lag >= jnp.sqrt(size / 2)) & (jnp.abs(tau) <= 2 * math.pi * J[0])  # and not about 720°
     return scale, s * lag / half - scale * b.b_o, small_turn
 
 
 class _Motion(NamedTuple):
-    """What moves e by τ less a number of half periods, that number, and the angle (b_o τ − (b_o − b_r) ν X)."""
+    """The functions of τ that move e, `halves` half periods taken off, and turn = b_o τ − (b_o − b_r) ν X."""
 
     about_r: Array
     R: Array

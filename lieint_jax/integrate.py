@@ -1,4 +1,4 @@
-"""Take many steps in one `lax.scan`."""
+"""Integration over many steps in one `lax.scan`."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_ever
 
     Raises:
         ValueError: a bad count, a concrete state that is not one of the system, or a concrete dt past the scheme's
-            limit at the first step. Later failures, and all of them inside jit, show in `info.converged`.
+            limit at the first step. Later failures, and all failures inside jit, show in `info.converged`.
     """
     num_steps, save_every = _checks.count("num_steps", num_steps, 0), _checks.count("save_every", save_every, 1)
     num_saves = saves(num_steps, save_every)
@@ -55,7 +55,7 @@ def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_ever
 
 
 def promoted(step: Step, state: State) -> tuple[State, jnp.dtype]:
-    """The state in the floating-point type that it and the numbers of `step` have in common, and that type."""
+    """The state in the common floating-point type of its leaves and the numbers of `step`, and that type."""
     checked_step(step)
     if not isinstance(state, State):
         raise ValueError(f"state must be a State(q, p), such as system.state(...) makes, got {type(state).__name__}")
@@ -67,7 +67,7 @@ def promoted(step: Step, state: State) -> tuple[State, jnp.dtype]:
 
 
 def from_start(state: State, later: tuple[State, StepInfo], interval: Array) -> Trajectory:
-    """The initial state, and the states and reports saved after it, `interval` in time from one to the next."""
+    """The trajectory of an initial state and the states and reports saved after it, `interval` apart in time."""
     first = (state, StepInfo.fresh(state.p))
     joined = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
     entries = joined[1].residual.shape[0]
@@ -77,7 +77,7 @@ def from_start(state: State, later: tuple[State, StepInfo], interval: Array) -> 
 def steps(
     step: Callable[..., tuple[State, StepInfo]], state: State, dt: ArrayLike, count: ArrayLike
 ) -> tuple[State, StepInfo]:
-    """The state after `count` steps, any number of them by one program, and the worst of their reports."""
+    """The state after `count` steps, which may be traced, and the merged report of the steps."""
 
     def one(_: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:
         state, so_far = carry
@@ -88,14 +88,14 @@ def steps(
 
 
 def intervals(num_steps: int, save_every: int | None) -> tuple[int, int]:
-    """Steps between saved states, all of them if none is given, and how many states are kept after the initial one."""
+    """The number of steps between saved states (None: all steps) and of saved states after the initial one."""
     num_steps = _checks.count("num_steps", num_steps, 0)
     save_every = max(num_steps, 1) if save_every is None else _checks.count("save_every", save_every, 1)
     return save_every, saves(num_steps, save_every)
 
 
 def saves(num_steps: int, save_every: int) -> int:
-    """How many states a run of `num_steps` keeps after the initial one; ValueError if it is no whole number."""
+    """The number of saved states after the initial one; ValueError if `save_every` does not divide `num_steps`."""
     if num_steps % save_every:
         below = num_steps - num_steps % save_every
         raise ValueError(

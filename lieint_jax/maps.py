@@ -1,4 +1,4 @@
-"""Maps τ from the algebra to the group, and the scalings κ that tell them apart on SO(3) (Sections 2.1.2, 2.2, 3.2).
+"""Maps τ from the algebra to the group, and the scalings κ that define them on SO(3) (Sections 2.1.2, 2.2, 3.2).
 
 On SO(3) every map of the paper is a scaled Cayley map, cay[κ(|Θ̄|²) Θ̄]:
 
@@ -6,7 +6,7 @@ On SO(3) every map of the paper is a scaled Cayley map, cay[κ(|Θ̄|²) Θ̄]:
     κ = tan(½√x)/(½√x)           exponential (2.29): Simo & Wong 1991
     κ = 2/(1 + √(1 − x))         symplectic (3.16): Lewis & Simo 1994; also the Moser–Veselov (RATTLE) step
 
-A τ here is called `tau(group, theta)`, so that one map serves every group.
+A map τ is called as `tau(group, theta)`, so that one map serves every group.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from lieint_jax.types import AnalyticGroup, Group, callable_pytree, pytree, stat
 
 @pytree
 class Kappa:
-    """A scaling κ(x), x = |Θ̄|², smooth at 0 with κ(0) = 1: momentum and energy are exact for any (Result 3).
+    """A scaling κ(x), x = |Θ̄|², smooth at 0 with κ(0) = 1: any κ conserves momentum and energy (Result 3).
 
     Attributes:
         function: x ↦ κ(x), a callable pytree. Its array leaves, if any, can be differentiated and batched.
         name: for reports.
         limit: the largest |Θ̄| where κ is real and finite.
-        solve_by: "vector", Newton for the three components of Θ̄; or "scalar", Newton for the one unknown that is
-            left when κ is the symplectic one (see `schemes.so3_midpoint`).
+        solve_by: "vector", Newton for the three components of Θ̄; or "scalar", Newton for one unknown, possible for the
+            symplectic κ (see `schemes.so3_midpoint`).
         symplectic: whether it satisfies (3.15).
-        constant: whether κ = 1 everywhere, which saves its derivative.
+        constant: whether κ = 1 everywhere, so that its derivative is not computed.
     """
 
     function: Callable[[Array], Array]
@@ -56,12 +56,12 @@ class Kappa:
 
     @property
     def branch(self) -> str:
-        """Where the branch of solutions that starts at Δt = 0 ends, for messages."""
+        """The end of the branch of solutions that starts at Δt = 0, for messages."""
         return "ends at |Δt Ω| ≈ 1" if self.limit == 1 else "folds at |Δt Ω| of 2 to 4"
 
 
 def as_kappa(kappa: Kappa | Callable[[Array], Array]) -> Kappa:
-    """Any callable x ↦ κ(x) as a `Kappa`. Parameters of its own travel in a `jax.tree_util.Partial`."""
+    """Any callable x ↦ κ(x) as a `Kappa`; one with parameters is given as a `jax.tree_util.Partial`."""
     if isinstance(kappa, Kappa):
         return kappa
     if not callable(kappa):
@@ -141,8 +141,8 @@ def arcsine(group: Group, theta: Array) -> Array:
     """exp(s(x)Θ), s(x) = arcsin(√x)/√x, x = −λ² for the eigenvalues 0 and ±λ of ad_Θ (arsinh for x < 0).
 
     On SO(3) it is the scaled Cayley map of the symplectic κ. Elsewhere it is symplectic for every metric on SL(2),
-    SE(2), E(1,1), the Heisenberg groups, Aff(1) and Bianchi's type V, and not on SE(3), for one: numerical evidence, no
-    proof; `symplectic_residual` measures it.
+    SE(2), E(1,1), the Heisenberg groups, Aff(1) and Bianchi's type V, and not on SE(3), for example: numerical
+    evidence, no proof; `symplectic_residual` measures it.
 
     Raises:
         ValueError: ad_Θ has nonzero eigenvalues of several sizes (SO(4), SL(3), …): the map is not defined there.
@@ -190,9 +190,10 @@ class Tau:
         name: for reports.
         slope: (group, Θ) ↦ H(Θ) of (5.28), (d, d), for Newton's matrix: it may be approximate. None for autodiff.
         holds: (group, Θ) ↦ whether τ(Θ) is exact to round-off. None if it always is.
-        coadjoint: (group, Θ, μ) ↦ Ad*_τ(Θ) μ, on `dense` vectors. None where a step is to find it by τ(Θ).
+        coadjoint: (group, Θ, μ) ↦ Ad*_τ(Θ) μ, on the vectors of `_numerics.unrolled`. None: a step computes it from
+            τ(Θ).
         symmetric: whether τ(−Θ) = τ(Θ)⁻¹, which makes a step of τ time-symmetric and of second order. `as_tau` measures
-            it; who makes a `Tau` by hand says it.
+            it; in a `Tau` made by hand it is declared.
     """
 
     function: Map
@@ -206,12 +207,12 @@ class Tau:
         return self.function(group, theta)
 
 
-_SLOPE_TERMS = 3  # of H in Newton's matrix: what is cut is |Θ|³/24
+_SLOPE_TERMS = 3  # terms of H in Newton's matrix: the truncation error is |Θ|³/24
 
 
 @dataclasses.dataclass(frozen=True)
-class _Ask:
-    """(group, …) ↦ group.method(…, *more): a function that is equal to one of the same fields, and can be pickled."""
+class _GroupMethod:
+    """The function (group, …) ↦ group.method(…, *more): comparable by its fields, and can be pickled."""
 
     method: str
     more: tuple[Any, ...] = ()
@@ -250,31 +251,31 @@ def _arcsine_coadjoint(group: Any, theta: unrolled.Vector, mu: unrolled.Vector) 
 
 
 _BY_EXPONENTIAL = Tau(
-    callable_pytree(_Ask("exp_near")),
+    callable_pytree(_GroupMethod("exp_near")),
     "exponential",
-    slope=_Ask("exp_slope", (_SLOPE_TERMS,)),
-    holds=_Ask("near"),
-    coadjoint=_Ask("exp_coadjoint"),
+    slope=_GroupMethod("exp_slope", (_SLOPE_TERMS,)),
+    holds=_GroupMethod("near"),
+    coadjoint=_GroupMethod("exp_coadjoint"),
 )
-_BY_CAYLEY = Tau(callable_pytree(cayley), "cayley", slope=_Ask("cayley_slope"), coadjoint=_cayley_coadjoint)
+_BY_CAYLEY = Tau(callable_pytree(cayley), "cayley", slope=_GroupMethod("cayley_slope"), coadjoint=_cayley_coadjoint)
 _BY_ARCSINE = Tau(
     callable_pytree(_arcsine_near), "arcsine", slope=_arcsine_slope, holds=_arcsine_holds, coadjoint=_arcsine_coadjoint
 )
-_ON_ANALYTIC_GROUPS = ((exponential, _BY_EXPONENTIAL), (cayley, _BY_CAYLEY), (arcsine, _BY_ARCSINE))  # map, its form
+_ON_ANALYTIC_GROUPS = ((exponential, _BY_EXPONENTIAL), (cayley, _BY_CAYLEY), (arcsine, _BY_ARCSINE))  # map and `Tau`
 
 
 def cayley_lands(group: Group) -> bool:
-    """Whether the Cayley map lands in a group; a plain `Group` is taken at its word."""
+    """True if the Cayley map lands in a group; for a plain `Group` it is taken for granted."""
     return not isinstance(group, AnalyticGroup) or group.cayley_lands
 
 
 def as_tau(tau: Tau | Map, group: Group) -> Tau:
-    """Any map τ(group, Θ) as a `Tau`, checked on `group`; whether it is symmetric is measured.
+    """Any map τ(group, Θ) as a `Tau`, checked on `group`; its symmetry is measured.
 
-    A map with traced parameters of its own is neither checked nor measured, and taken for symmetric.
+    A map with traced parameters is neither checked nor measured, and is taken to be symmetric.
 
     Raises:
-        ValueError: not callable; not τ(0) = 1 with H(0) = 1, so not consistent; it leaves the group; or not
+        ValueError: τ is not callable; it is not consistent, τ(0) = 1 and H(0) = 1; it leaves the group; or it violates
             Ad_τ(Θ) Θ = Θ, without which energy is not conserved (Result 10).
     """
     if isinstance(tau, Tau):
@@ -287,9 +288,9 @@ def as_tau(tau: Tau | Map, group: Group) -> Tau:
             arcsine_form(group)
     if tau is cayley and not cayley_lands(group):
         raise ValueError(f"the Cayley map does not land in {group}: take maps.exponential")
-    for known, its in _ON_ANALYTIC_GROUPS:
+    for known, form in _ON_ANALYTIC_GROUPS:
         if tau is known and isinstance(group, AnalyticGroup):
-            return its
+            return form
     made = Tau(callable_pytree(tau), name)
     if tau is exponential or tau is arcsine or not concrete(made):
         return made
@@ -298,7 +299,7 @@ def as_tau(tau: Tau | Map, group: Group) -> Tau:
 
 
 def _check_map(tau: Tau, group: Group) -> bool:
-    """Whether τ(−Θ) = τ(Θ)⁻¹; ValueError for a τ that no step can take."""
+    """True if τ(−Θ) = τ(Θ)⁻¹. Raises ValueError for a τ that no step can use."""
     rng = np.random.default_rng(0)
     one, eps = jnp.asarray(group.identity, float), float(jnp.finfo(float).eps)
     zero = jnp.zeros(group.dim)
@@ -332,7 +333,7 @@ def axis_residual(tau: Map, group: Group, theta: Array) -> Array:
 def symplectic_residual(tau: Map, group: Group, metric: Array, theta: Array) -> Array:
     """The residual of the symplectic condition (5.31), relative to the metric.
 
-    With (5.33) put in, Δt drops out: skew[m H⁻¹ (1 + Ad_τ⁻¹)] = ad*([(1 + Ad*_τ⁻¹)⁻¹ − ½] m Θ). The step of
+    With (5.33) inserted, Δt drops out: skew[m H⁻¹ (1 + Ad_τ⁻¹)] = ad*([(1 + Ad*_τ⁻¹)⁻¹ − ½] m Θ). The step of
     `schemes.group_midpoint` from a state with Δt Ω_{n+½} = Θ is symplectic if and only if it is zero.
 
     Args:
@@ -351,7 +352,7 @@ def symplectic_residual(tau: Map, group: Group, metric: Array, theta: Array) -> 
 
 
 def is_symplectic(tau: Map, group: Group, metric: Array, size: float = 0.3, samples: int = 8) -> bool:
-    """Whether τ keeps the symplectic form for this group and metric, measured at random Θ with |Θᵢ| ≤ `size`."""
+    """True if τ conserves the symplectic form for this group and metric, measured at random Θ with |Θᵢ| ≤ `size`."""
     theta = np.random.default_rng(0).uniform(-size, size, (samples, group.dim))
     theta = jnp.asarray(theta, jnp.result_type(metric, float))
     found = jax.jit(jax.vmap(lambda x: symplectic_residual(tau, group, metric, x)))(theta)

@@ -1,4 +1,4 @@
-"""Phase spaces: how to perturb a state, how to read a tangent vector, and the symplectic form."""
+"""Phase spaces: perturbed states, coordinates of tangent vectors, and the symplectic form."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class CotangentGroup:
         return jnp.block([[alpha, one], [-one, zero]])
 
     def defect(self, state: State) -> Array:
-        """By how much q leaves the group: |q|² − 1 for unit quaternions."""
+        """The distance of q from the group: |q|² − 1 for unit quaternions."""
         return self.group.defect(state.q)
 
 
@@ -79,7 +79,7 @@ class CotangentMatrices:
         return jnp.block([[0 * one, one], [-one, 0 * one]])
 
     def defect(self, state: State) -> Array:
-        """0 where det F > 0, 1 where F has left GL⁺(3) (an open set: there is no distance to measure)."""
+        """0 where det F > 0, 1 where F has left GL⁺(3) (an open set, from which no distance is defined)."""
         return jnp.where(three.det(state.q) > 0, 0, 1).astype(state.q.dtype)
 
 
@@ -87,8 +87,8 @@ class CotangentMatrices:
 class CotangentSphere:
     """T*S²: a state is (q, π) with |q| = 1 and q·π = 0 (1.3), π = m q × q̇; a tangent vector has four coordinates.
 
-    They belong to a frame e₁, e₂, q, orthonormal and right-handed: δq = a₁e₁ + a₂e₂, and δπ = b₁e₁ + b₂e₂ − (π·δq) q,
-    as q·δπ + π·δq = 0 wants it.
+    The coordinates refer to an orthonormal, right-handed frame e₁, e₂, q: δq = a₁e₁ + a₂e₂ and
+    δπ = b₁e₁ + b₂e₂ − (π·δq) q, so that q·δπ + π·δq = 0.
     """
 
     @property
@@ -102,7 +102,7 @@ class CotangentSphere:
         return State(jnp.array([0.0, 0.0, 1.0]), jnp.zeros(3))
 
     def perturb(self, state: State, delta: Array) -> State:
-        """The state moved by δ = (a, b), shape (4,): q and π + δπ turned by exp(θ̂), θ = q × δq; never off T*S²."""
+        """The state moved by δ = (a, b), shape (4,): q and π + δπ turned by exp(θ̂), θ = q × δq; it stays on T*S²."""
         e1, e2 = frame(state.q)
         turn = so3.exp(delta[0] * e2 - delta[1] * e1)
         return State(so3.Ad(turn, state.q), so3.Ad(turn, state.p + delta[2] * e1 + delta[3] * e2))

@@ -1,4 +1,4 @@
-"""Arrays in, axes out. Every function draws on the axes it is given and returns them."""
+"""Plots of arrays. Every function draws on the axes that it is given and returns them."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ STYLES: tuple[dict[str, Any], ...] = (
 
 
 def figure(columns: int = 1, rows: int = 1, **axes: Any) -> tuple[Figure, Any]:
-    """A figure, made without pyplot, so that no window system is needed, and its array of axes."""
+    """A figure and its array of axes, made without pyplot, so that no window system is needed."""
     fig = Figure(figsize=(4.6 * columns, 3.6 * rows), layout="constrained")
     return fig, fig.subplots(rows, columns, squeeze=False, **axes)
 
 
 def series(ax: Axes, t: np.ndarray, curves: Mapping[str, np.ndarray], ylabel: str, time_unit: str = "") -> Axes:
-    """Curves against time in the paper's line styles, solid, dashed, dotted, and three more."""
+    """Curves against time, in the paper's line styles: solid, dashed, dotted, and three more."""
     for (label, y), style in zip(curves.items(), itertools.cycle(STYLES), strict=False):
         ax.plot(t, y, label=label, **style)
     ax.set(xlabel=f"t ({time_unit})" if time_unit else "t", ylabel=ylabel)
@@ -52,9 +52,9 @@ def sphere_path(
     eye: np.ndarray | None = None,
     pole_label: str = "angular momentum",
 ) -> Any:
-    """A path of unit vectors (n, 3) on the sphere, its far side paler, and the axis `pole` that it turns about.
+    """A path of unit vectors (n, 3) on the sphere, paler on the far side, and the axis `pole` about which it turns.
 
-    It is seen from the direction `eye`, by default obliquely onto its middle.
+    The view is from the direction `eye`; by default from the mean of the path, turned by 25° in both angles.
     """
     u, v = np.mgrid[0 : 2 * np.pi : 37j, 0 : np.pi : 19j]
     ax.plot_wireframe(np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v), color=GREY, lw=0.3, alpha=0.6)
@@ -67,27 +67,27 @@ def sphere_path(
     if pole is not None:
         end = 1.3 * np.asarray(pole)
         ax.plot(*np.stack([0 * end, end]).T, color=RED, lw=1.5, label=pole_label)
-    ax.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1))  # a cube, or the sphere is an egg
+    ax.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1))  # equal ranges, or the sphere is drawn as an ellipsoid
     ax.set_box_aspect((1, 1, 1), zoom=1.5)
     ax.set_axis_off()
     return ax
 
 
 def sphere_points(ax: Any, points: np.ndarray, label: str, **style: Any) -> Any:
-    """Unit vectors (n, 3) as dots on the sphere of `sphere_path`, those on the far side left out."""
+    """Unit vectors (n, 3) as dots on the sphere of `sphere_path`; those on the far side are left out."""
     seen = points[points @ _sight(ax) >= 0]
     ax.scatter(*(1.01 * seen.T), label=label, depthshade=False, **style)
     return ax
 
 
 def _sight(ax: Any) -> np.ndarray:
-    """The unit vector towards the eye."""
+    """The unit vector from the sphere towards the viewer."""
     a, e = np.deg2rad(ax.azim), np.deg2rad(ax.elev)
     return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
 
 
 def delay_plot(ax: Any, points: np.ndarray) -> Any:
-    """The points (x_n, x_{n+N}, x_{n+2N}) of a series, shape (n, 3), less their mean, as small dots."""
+    """The points (x_n, x_{n+N}, x_{n+2N}) of a series, shape (n, 3), less the middle of their range, as small dots."""
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
     ax.scatter(*(points - middle).T, s=1.5, color=BLUE, alpha=0.7, depthshade=False, linewidths=0)
     ax.set_box_aspect((1, 1, 1))
@@ -103,7 +103,7 @@ def loglog_lines(
     ylabel: str,
     styles: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Axes:
-    """Marked lines on two logarithmic axes, such as error against cost; `styles` of some of them, by label."""
+    """Lines with markers on two logarithmic axes, such as error against cost; `styles`, by label, override some."""
     for (label, (x, y)), marker in zip(curves.items(), itertools.cycle("os^Dv<>Pp*hX"), strict=False):
         ax.loglog(
             x, y, **({"marker": marker, "ms": 4, "lw": 1.0, "label": label} | dict((styles or {}).get(label, {})))

@@ -95,7 +95,7 @@ def test_reductions_are_those_of_the_trajectory(tmp_path, small_chunks):
 def test_xarray_reads_it(tmp_path, small_chunks):
     xarray = pytest.importorskip("xarray")
     memory = run()
-    run(ensemble.Place(tmp_path / "run.zarr", {"seed": 3, "scenario": {"title": "x"}}, "d"))
+    run(ensemble.StoreOptions(tmp_path / "run.zarr", {"seed": 3, "scenario": {"title": "x"}}, "d"))
     with xarray.open_zarr(tmp_path / "run.zarr") as data:
         assert data.sizes == {"time": 13, "member": 40, "q_component": 4, "p_component": 3}
         np.testing.assert_array_equal(data.q.sel(time=2.0, method="nearest"), memory.state.q[4])
@@ -150,7 +150,7 @@ def test_an_end_at_any_write_leaves_a_store_that_resumes_to_the_same_bits(tmp_pa
 
 def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunks, monkeypatch):
     path = tmp_path / "run.zarr"
-    run(ensemble.Place(path, {"scenario": {"seed": 1}}))
+    run(ensemble.StoreOptions(path, {"scenario": {"seed": 1}}))
     before = {f: f.read_bytes() for f in path.rglob("*") if f.is_file()}
     with pytest.raises(ValueError, match=r"exists and is not overwritten; resume continues it"):
         run(path)
@@ -169,8 +169,8 @@ def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunk
         with pytest.raises(ValueError, match=message):
             run(path, resume=True, **options)
     with pytest.raises(ValueError, match=r"scenario\.seed is 1 there and 2 here"):
-        run(ensemble.Place(path, {"scenario": {"seed": 2}}), resume=True)
-    monkeypatch.setattr(li, "__version__", "9.9")
+        run(ensemble.StoreOptions(path, {"scenario": {"seed": 2}}), resume=True)
+    monkeypatch.setattr(_recording, "__version__", "9.9")
     with pytest.raises(ValueError, match=r"versions\.lieint_jax is .* there and '9\.9' here"):
         run(path, resume=True)
     monkeypatch.undo()

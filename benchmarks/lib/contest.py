@@ -1,7 +1,7 @@
-"""What a contestant is, and how contestants are timed.
+"""Contestants, and their timing.
 
-They are timed in turn, round after round, so that a slow spell of the machine hits all alike. The first call, which
-traces and compiles, is reported apart.
+Contestants are timed in turn, round after round, so that a slow spell of the machine affects all alike. The first call,
+which traces and compiles, is reported separately.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import numpy as np
 
 
 class Contestant(NamedTuple):
-    """Something that advances many free rigid bodies by many steps.
+    """An integrator that advances many rigid bodies by many steps.
 
     Attributes:
         name: for the tables.
-        dtype: of its states, "float64" or "float32".
-        pace: a rough guess of its body-steps a second, to choose how long to run it.
-        load: quaternions (B, 4) and spatial momenta (B, 3) to states of its own.
-        advance: states after so many steps; returns when the work is done and leaves its argument alone.
-        read: its states back to quaternions and spatial momenta.
-        info: the largest residual so far and whether all converged, for those that solve an equation.
+        dtype: the dtype of its states, "float64" or "float32".
+        pace: a rough guess of its body-steps a second, which sets the length of its runs.
+        load: quaternions (B, 4) and spatial momenta (B, 3) ↦ states in its own form.
+        advance: (states, number of steps) ↦ states; returns when the work is done, and does not change its argument.
+        read: states ↦ quaternions and spatial momenta.
+        info: states ↦ the largest residual so far and whether all converged; None if it solves no equation.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Contestant(NamedTuple):
 
 
 class Timing(NamedTuple):
-    """Seconds of the first call and of each later one, all of `body_steps` body-steps."""
+    """Seconds of the first call and of each later one; every call takes `body_steps` body-steps."""
 
     first: float
     later: tuple[float, ...]
@@ -45,17 +45,17 @@ class Timing(NamedTuple):
 
     @property
     def rate(self) -> float:
-        """Body-steps a second, the best call."""
+        """Body-steps a second of the best call."""
         return self.body_steps / min(self.later)
 
     @property
     def median_rate(self) -> float:
-        """Body-steps a second, the median call."""
+        """Body-steps a second of the median call."""
         return self.body_steps / median(self.later)
 
     @property
     def compile_seconds(self) -> float:
-        """What the first call took longer than the best one: tracing and compiling."""
+        """Seconds of tracing and compiling: the time of the first call less that of the best one."""
         return max(self.first - min(self.later), 0.0)
 
 
@@ -74,5 +74,5 @@ def race(
 
 
 def steps_lasting(seconds: float, contestant: Contestant, bodies: int) -> int:
-    """How many steps of so many bodies take about so long, at most a million."""
+    """The number of steps of `bodies` bodies that take about `seconds`, at most a million."""
     return int(np.clip(seconds * contestant.pace / bodies, 10, 1_000_000))

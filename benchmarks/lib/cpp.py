@@ -20,7 +20,7 @@ _PACE = 1.5e8
 
 
 class Bodies(NamedTuple):
-    """Structure of arrays: q (4, B), p (3, B), and of each body the largest residual and whether all converged."""
+    """States as a structure of arrays: q (4, B), p (3, B), and per body the largest residual and a converged flag."""
 
     q: np.ndarray
     p: np.ndarray
@@ -41,7 +41,7 @@ def library(name: str) -> tuple[ctypes.CDLL, float]:
 
 
 def notes(name: str) -> list[str]:
-    """How baseline/NAME.cpp was built, for the report."""
+    """A line for the report on the build of baseline/NAME.cpp."""
     if shutil.which("g++") is None:
         return []
     version = subprocess.run(["g++", "--version"], check=True, capture_output=True, text=True).stdout.splitlines()[0]
@@ -69,7 +69,7 @@ def top(
 def _contestant(
     name: str, function: Any, constants: Sequence[float], dt: float, dtype: str, narrow: bool
 ) -> Contestant:
-    """`narrow`: flags of one byte, as in the sources: fastest for each."""
+    """A contestant of a C++ function. Its flags have one byte if `narrow`, else the size of a number."""
     function.restype = None
     flag = np.dtype("u1" if narrow else f"i{np.dtype(dtype).itemsize}")
     numbers = np.asarray(constants, np.float64)

@@ -1,4 +1,4 @@
-"""Kirchhoff's ellipsoid on SE(3): the contestants, their rates, what they keep.
+"""Kirchhoff's ellipsoid on SE(3): the contestants, their rates, their drifts.
 
 Importing this imports jax: pin the process to a core first.
 """
@@ -19,8 +19,8 @@ from lib.measure import BATCH, DT, END, WATCHED, WIDE
 import lieint_jax as li
 from lieint_jax.systems.euler import Euler, kirchhoff
 
-_DRIFT_STEPS = 1000  # the bodies go far, and at a distance x from the origin Π = Ad*_q π loses digits like ε|x|
-_LEVELS = (4, 8)  # steps a unit of time, of the two references
+_DRIFT_STEPS = 1000  # few: at a distance x from the origin, Π = Ad*_q π loses digits like ε|x|
+_LEVELS = (4, 8)  # steps per unit of time of the two references
 _MAPS = {"exponential": li.maps.exponential, "Cayley": li.maps.cayley}
 
 
@@ -40,7 +40,7 @@ def bodies(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def contestants(missing: list[str]) -> list[Contestant]:
-    """Everybody at dt = DT; a note on each one whose package is not here goes to `missing`."""
+    """All contestants at dt = DT; a note on each one whose package is not installed is appended to `missing`."""
     makers: list[tuple[str, Callable[[], Contestant]]] = []
     for wide in (False, True):
         for name, tau in _MAPS.items():
@@ -51,7 +51,7 @@ def contestants(missing: list[str]) -> list[Contestant]:
 
 
 def reference(end: float) -> tuple[np.ndarray, float]:
-    """The watched bodies' q at t = end by `diagnostics.flow`, and how far it is with half as many steps."""
+    """The watched bodies' q at t = end by `diagnostics.flow`, and its distance from that with half as many steps."""
     states = li.State(*map(jnp.asarray, bodies(WATCHED)))
     flow = jax.jit(jax.vmap(li.diagnostics.flow, (None, 0, None, None)), static_argnums=3)
     coarse, fine = (np.asarray(flow(body(), states, end, round(level * end)).q) for level in _LEVELS)
@@ -59,7 +59,7 @@ def reference(end: float) -> tuple[np.ndarray, float]:
 
 
 def apart(q: np.ndarray, exact: np.ndarray) -> float:
-    """The largest difference of an entry: radians and lengths."""
+    """The largest difference of an entry, in radians or lengths."""
     return float(np.abs(q - exact).max())
 
 
@@ -70,7 +70,7 @@ def energy_drift(system: Euler, q: np.ndarray, p: np.ndarray) -> float:
 
 
 def everything(sizes: measure.Sizes) -> dict[str, Any]:
-    """All results, as what JSON knows. To be run on one core."""
+    """All results, as values that JSON can hold. Run it on one core."""
     notes: list[str] = []
     sizes = sizes._replace(drift_steps=_DRIFT_STEPS)
     entries = contestants(notes)

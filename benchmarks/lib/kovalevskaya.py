@@ -1,4 +1,4 @@
-"""Kovalevskaya's fourth integral, which no method knows: how it and energy drift when every method costs the same.
+"""Kovalevskaya's fourth integral, which no method conserves by design: its drift and energy's at equal cost.
 
 Importing this imports jax: pin the process to a core first.
 """
@@ -19,12 +19,12 @@ from lib.measure import WATCHED, WIDE
 import lieint_jax as li
 from lieint_jax.systems.heavy_top import kovalevskaya, kovalevskaya_integral
 
-_DT, _SAVES = 0.01, 200  # step of the energy-momentum scheme; saved states of a run
+_DT, _SAVES = 0.01, 200  # step size of the energy-momentum scheme; saved states of a run
 _ENERGY_MOMENTUM = "ours, energy-momentum, cayley κ" + WIDE
 
 
 def at_equal_cost(rates: list[dict[str, Any]], end: float) -> list[dict[str, Any]]:
-    """For each method with a rate among `rates`, what drifts until t = end at the step that makes it cost as much."""
+    """The drifts until t = end of each method in `rates`, at the step size of equal cost."""
     rate = {r["name"]: r["rate"] for r in rates}
     missing: list[str] = []
     found = []
@@ -39,7 +39,7 @@ def at_equal_cost(rates: list[dict[str, Any]], end: float) -> list[dict[str, Any
 
 
 def _methods() -> dict[str, Callable[[float], Contestant]]:
-    """Step size ↦ contestant, by the name of its rate."""
+    """The functions step size ↦ contestant, by the contestant's name in the table of rates."""
     top: Any = kovalevskaya()[0]
     make = li.schemes
     steps = {
@@ -59,7 +59,7 @@ def _ours(name: str, step: li.Step, dt: float) -> Contestant:
 
 
 def _drifts(contestant: Contestant, dt: float, end: float) -> dict[str, Any]:
-    """The largest relative errors of energy and K in either half of the run, over tops started at several speeds."""
+    """The largest relative errors of energy and K in each half of the run, over tops with several initial speeds."""
     top, first = kovalevskaya()
     speeds = jnp.linspace(0.6, 1.4, WATCHED)[:, None]
     start = np.broadcast_to(first.q, (WATCHED, 4)), np.asarray(speeds * first.p)

@@ -1,4 +1,4 @@
-"""What is measured of the contestants: rates, errors against a reference, drifts of the invariants.
+"""Measurements of contestants: rates, errors against a reference, drifts of the invariants.
 
 Importing this imports jax: pin the process to a core first.
 """
@@ -38,11 +38,11 @@ States = tuple[np.ndarray, np.ndarray]  # configurations and momenta
 
 
 class Problem(NamedTuple):
-    """What is integrated, from the states of `bodies`, and what the results are held against.
+    """A system, integrated from the states of `bodies`, and its reference solution.
 
     Attributes:
-        system: for energy and momentum.
-        reference: at a time, the attitudes of the watched bodies, and how far a second reference is from them.
+        system: the system, for energy and momentum.
+        reference: time ↦ attitudes of the watched bodies, and the distance of a second reference from them.
     """
 
     system: Any
@@ -50,14 +50,14 @@ class Problem(NamedTuple):
 
 
 class Sizes(NamedTuple):
-    """How much to measure.
+    """The extent of the measurements.
 
     Attributes:
-        batches: numbers of bodies of the scaling table.
-        seconds: about how long one timed call takes.
+        batches: numbers of bodies in the scaling table.
+        seconds: approximate duration of one timed call.
         rounds: timed calls of each contestant.
         drift_steps: steps of the drift run.
-        drift_seconds: about how long it may take; slow peers take fewer steps.
+        drift_seconds: approximate longest duration of the drift run; slow peers take fewer steps.
     """
 
     batches: tuple[int, ...] = (1, 1000, 100_000)
@@ -91,7 +91,7 @@ def midpoint(kappa: Kappa, dtype: str = "float64", wide: bool = False) -> Contes
 
 
 def ours(name: str, step: li.Step, dt: float, wide: bool, pace: float = 1e7) -> Contestant:
-    """A step through `integrate`, vmapped and jitted, the batch split over the devices that there are."""
+    """A step as a contestant: `integrate`, vmapped and jitted, with the batch split over all devices."""
     dtype = str(jax.tree.leaves(step.system)[0].dtype)
     split = NamedSharding(Mesh(np.array(jax.devices()), ("bodies",)), PartitionSpec("bodies"))
 
@@ -117,7 +117,7 @@ def ours(name: str, step: li.Step, dt: float, wide: bool, pace: float = 1e7) -> 
 
 
 def contestants(missing: list[str]) -> list[Contestant]:
-    """Everybody at dt = DT; a note on each one whose package is not here goes to `missing`."""
+    """All contestants at dt = DT; a note on each one whose package is not installed is appended to `missing`."""
     makers: list[tuple[str, Callable[[], Contestant]]] = []
     for dtype in DTYPES:
         for form in ("newton", "scalar"):
@@ -133,7 +133,7 @@ def contestants(missing: list[str]) -> list[Contestant]:
 
 
 def those_here(makers: Sequence[tuple[str, Callable[[], Contestant]]], missing: list[str]) -> Iterator[Contestant]:
-    """What can be made; a note on each one whose package is not here goes to `missing`."""
+    """The contestants that can be made; a note on each other one is appended to `missing`."""
     for name, make in makers:
         try:
             yield make()
@@ -144,7 +144,7 @@ def those_here(makers: Sequence[tuple[str, Callable[[], Contestant]]], missing: 
 
 
 def everything(sizes: Sizes) -> dict[str, Any]:
-    """All results, as what JSON knows. To be run on one core."""
+    """All results, as values that JSON can hold. Run it on one core."""
     notes: list[str] = []
     entries = contestants(notes)
     notes += cpp.notes("free_rigid_body")
@@ -178,7 +178,7 @@ def _version(package: str) -> str | None:
 
 
 def our_rates(sizes: Sizes) -> list[dict[str, Any]]:
-    """Rates of our symplectic step alone, of batches that divide evenly among the devices."""
+    """Rates of our symplectic step alone, for batches that divide evenly among the devices."""
     entries = [midpoint(kappa_symplectic, dtype, wide) for dtype in DTYPES for wide in (False, True)]
     devices = len(jax.devices())
     return [r for b in sizes.batches if b >= devices for r in rates(entries, b - b % devices, sizes)]
@@ -187,7 +187,7 @@ def our_rates(sizes: Sizes) -> list[dict[str, Any]]:
 def rates(
     entries: Sequence[Contestant], count: int, sizes: Sizes, start: Callable[[int], States] = bodies
 ) -> list[dict[str, Any]]:
-    """Body-steps a second with so many bodies; scipy, which takes one after the other, gets `WATCHED` of them."""
+    """Body-steps a second with `count` bodies; scipy, which takes one after the other, gets `WATCHED` of them."""
     q, p = start(count)
     found = []
     for single in (False, True):
@@ -211,9 +211,9 @@ def _record(contestant: Contestant, timing: Timing, count: int) -> dict[str, Any
 
 
 def reference(end: float) -> tuple[np.ndarray, float]:
-    """Attitudes of the watched bodies at t = end by `RigidBody.solution`, and how far `diagnostics.flow` is from them.
+    """Attitudes of the watched bodies at t = end by `RigidBody.solution`, and their distance from `diagnostics.flow`.
 
-    The two share nothing; what keeps them apart is the rounding of many steps of the latter.
+    The two methods share nothing; their distance is due to the rounding errors of the many steps of the latter.
     """
     states = _state(*bodies(WATCHED))
     exact = np.asarray(jax.jit(jax.vmap(body().solution, (0, None)))(states, end).q)
@@ -228,7 +228,7 @@ def attitude_error(q: np.ndarray, exact: np.ndarray) -> float:
 
 
 def energy_drift(system: Any, q: np.ndarray, p: np.ndarray) -> float:
-    """The largest |H − H₀|/H₀ of states (times, bodies, …) at attitudes q/|q|; of tops, in units of T₀ + |E|."""
+    """The largest |H − H₀|/H₀ of states (times, bodies, …) at attitudes q/|q|; for tops |H − H₀|/(T₀ + |E|)."""
     states = _state(_unit(q), p)
     H = np.asarray(jax.vmap(jax.vmap(system.energy))(states))
     weight = getattr(getattr(system, "potential", None), "weight", np.zeros(3))
@@ -245,10 +245,10 @@ def quality(
     apart: Callable[[np.ndarray, np.ndarray], float] = attitude_error,
     energy_drift: Callable[[Any, np.ndarray, np.ndarray], float] = energy_drift,
 ) -> dict[str, Any]:
-    """How accurate and how conserving it is at dt = DT, the worst of the watched bodies.
+    """Accuracy and conservation of a contestant at dt = DT, the worst of the watched bodies.
 
-    The attitude error at t = END; then, at ten times of a long run, the largest |H − H₀|/H₀, |Φ − Φ₀|/|π₀| of its
-    momentum map Φ (0 means bit for bit) and residual, and whether all steps converged (None where none is solved).
+    The attitude error at t = END; then, over ten times of a long run, the largest |H − H₀|/H₀, |Φ − Φ₀|/|π₀| for the
+    momentum map Φ (0 means bit for bit) and residual, and whether all steps converged (None for explicit methods).
     """
     start = contestant.load(*bodies(WATCHED))
     error = apart(contestant.read(contestant.advance(start, round(END / DT)))[0], exact)
@@ -285,9 +285,9 @@ def _unit(q: np.ndarray) -> np.ndarray:
 
 
 def agreement(same_scheme: Sequence[Contestant], dtypes: Sequence[str] = DTYPES) -> list[dict[str, Any]]:
-    """How far the states of a batch at t = END are from those of the first: same scheme, same start.
+    """The distance of each contestant's states at t = END from those of the first: same scheme, same initial states.
 
-    Not later: on bodies that start near the middle axis the motion itself makes rounding grow exponentially.
+    At a later time, rounding errors would have grown exponentially on bodies that start near the middle axis.
     """
     found, num_steps = [], round(END / DT)
     for dtype in dtypes:

@@ -1,6 +1,6 @@
-"""What one would use instead: diffrax, MuJoCo, scipy. Each function imports its package and makes a contestant.
+"""Other packages as contestants: diffrax, MuJoCo, scipy. Each function imports its package and makes a contestant.
 
-Each is called as its documentation does, in the way that serves it best. diffrax integrates our vector field
+Each package is used as its documentation recommends, in its fastest way. diffrax integrates our vector field
 (quaternion and spatial momentum, so momentum is exact there too; 25 % faster than the same with jnp.cross), vmapped,
 with dt0 = dt and constant steps; with time counted in steps, so that dt0 = 1, it runs 10 % faster. Adaptive, it takes
 its PIDController with rtol = atol and finds its first step; a batch then takes as many steps as its worst body. MuJoCo
@@ -23,7 +23,7 @@ import lieint_jax as li
 from lieint_jax.ensemble import compiler_options
 from lieint_jax.groups import so3
 
-_ROLLOUT = 100  # steps a call of MuJoCo's rollout, which keeps every state
+_ROLLOUT = 100  # steps per call of MuJoCo's rollout, which keeps every state
 
 _MODEL = """
 <mujoco>
@@ -47,7 +47,7 @@ def tsit5(
 ) -> Contestant:
     """diffrax's Tsit5, order 5, vmapped, steps of dt; with rtol = atol given, adaptive, and its "step" is a time dt.
 
-    With a `weight` it integrates heavy tops, as all of these do.
+    With a `weight` it integrates heavy tops; so do the other contestants that take one.
     """
     return _diffrax("Tsit5", inertia, weight, dt, dtype, rtol, wide, pace=6e6)
 
@@ -60,7 +60,7 @@ def dopri8(
     wide: bool = False,
     weight: Sequence[float] | None = None,
 ) -> Contestant:
-    """diffrax's Dopri8, order 8; the rest as `tsit5`."""
+    """diffrax's Dopri8, order 8; its arguments are those of `tsit5`."""
     return _diffrax("Dopri8", inertia, weight, dt, dtype, rtol, wide, pace=1.5e6)
 
 
@@ -143,7 +143,7 @@ def mujoco_rk4(inertia: Sequence[float], dt: float, weight: Sequence[float] | No
 
     g = 10.0 if weight else 0.0
     c = np.asarray(weight or [0.0, 0.0, 0.0]) / 10
-    about = np.diag(inertia) - (c @ c) * np.eye(3) + np.outer(c, c)  # its centre of mass (Steiner)
+    about = np.diag(inertia) - (c @ c) * np.eye(3) + np.outer(c, c)  # about the centre of mass (Steiner)
     six = about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     numbers = {"inertia": " ".join(map(repr, six.tolist())), "centre": " ".join(map(repr, c.tolist()))}
     xml = _MODEL.format(dt=dt, down=-g, **numbers)

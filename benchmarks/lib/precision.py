@@ -1,4 +1,4 @@
-"""Work and precision: what every scheme and its peers cost for the error they make, at several step sizes.
+"""Work and precision: cost against error of every scheme and peer, at several step sizes.
 
 Importing this imports jax: pin the process to a core first.
 """
@@ -17,17 +17,17 @@ from lib.measure import BATCH, INERTIA, WATCHED, Problem
 import lieint_jax as li
 from lieint_jax.maps import kappa_cayley, kappa_exponential, kappa_symplectic
 
-_LOOSEST = 1e-3  # tolerance × time: Runge–Kutta lets |q| grow, and at 1e-1 the motion blew up and never came to its end
+_LOOSEST = 1e-3  # the largest tolerance × time: Runge–Kutta lets |q| grow, and at 1e-1 the motion blows up
 
 
 class Sizes(NamedTuple):
-    """How much to measure.
+    """The extent of the measurements.
 
     Attributes:
-        ends: times of comparison, a multiple of 10 each.
-        rounds: timed calls at each.
-        stride: every so many points of a curve, at each.
-        longest: seconds that a call may take, by what it took to the end before.
+        ends: times of comparison, multiples of 10.
+        rounds: timed calls, for each end.
+        stride: every `stride`-th point of a curve is measured, for each end.
+        longest: the longest expected duration of a call, s; judged by its duration to the previous end.
     """
 
     ends: tuple[float, ...] = (10.0, 1000.0)
@@ -40,15 +40,15 @@ QUICK = Sizes((10.0, 100.0), (1, 1), (5, 10), 0.3)
 
 
 class Curve(NamedTuple):
-    """A scheme or a peer, and how finely it is to be taken.
+    """A scheme or a peer, and its step sizes or tolerances.
 
     Attributes:
         name: for the tables.
         kind: "order 2", "composition", "preprocessed", "exact" or "peer".
-        make: a contestant of a step size; of adaptive ones, of a time and a tolerance.
-        counts: numbers of steps in a time of 10; for "exact", in the whole time, which are leaps.
-        tolerances: of adaptive ones, which have no counts.
-        bodies: how many it is timed with.
+        make: step size ↦ contestant; for adaptive peers, (time, tolerance) ↦ contestant.
+        counts: numbers of steps in a time of 10; for "exact", in the whole time.
+        tolerances: those of adaptive peers, which have no counts.
+        bodies: the number of bodies for timing.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Curve(NamedTuple):
 
 
 class Point(NamedTuple):
-    """A contestant of a curve and the number of its steps; `setting` is its step size or tolerance."""
+    """A point of a curve: its contestant, number of steps, and step size or tolerance, `setting`."""
 
     curve: Curve
     contestant: Contestant
@@ -69,7 +69,7 @@ class Point(NamedTuple):
 
 
 def curves() -> list[Curve]:
-    """All of ours for the free body, then the peers."""
+    """The curves of all our schemes for the free body, then of the peers."""
     body, make = measure.body(), li.schemes
     steps: list[tuple[str, str, li.Step, Sequence[int]]] = [
         (f"κ {kappa.name}", "order 2", make.so3_midpoint(body, kappa), growing(25, 6, 2))
@@ -113,7 +113,7 @@ def growing(first: int, points: int, factor: float = 2**0.5) -> tuple[int, ...]:
 
 
 def everything(sizes: Sizes, problem: Problem | None = None, contest: Sequence[Curve] | None = None) -> dict[str, Any]:
-    """All results, as what JSON knows; without a problem, the free body's. To be run on one core."""
+    """All results, as values that JSON can hold; by default for the free body. Run it on one core."""
     notes: list[str] = []
     problem = problem or Problem(measure.body(), measure.reference)
     contest = contest or curves()
@@ -128,8 +128,8 @@ def everything(sizes: Sizes, problem: Problem | None = None, contest: Sequence[C
 def at(end: float, points: Sequence[Point], rounds: int, problem: Problem) -> dict[str, Any]:
     """Milliseconds per 1000 bodies, attitude error and energy drift of every point at t = end.
 
-    They are called in turn, and the best call counts. The error is that of the worst of `WATCHED` bodies, the drift
-    that of the worst body timed. An error smaller than the distance of the two references is given as that distance.
+    The points are called in turn, and the best call counts. The error is that of the worst of `WATCHED` bodies, the
+    drift that of the worst timed body. An error smaller than the distance of the two references is set to it.
     """
     exact, doubt = problem.reference(end)
     records: list[dict[str, Any]] = []
@@ -146,7 +146,7 @@ def at(end: float, points: Sequence[Point], rounds: int, problem: Problem) -> di
 
 
 def _points(curve: Curve, end: float, stride: int, notes: list[str]) -> list[Point]:
-    """The points of a curve at t = end; none, and a note, without its package."""
+    """The points of a curve at t = end; if its package is not installed, none, and a note is appended to `notes`."""
     times = 1 if curve.name == "exact" else round(end / 10)
     try:
         if curve.tolerances:

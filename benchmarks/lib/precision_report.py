@@ -1,4 +1,4 @@
-"""What `work_precision.py` found, as tables, bars held or missed, and a plot."""
+"""The report of `work_precision.py`: tables, bars held or missed, and a plot."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lib import report
 from lieint_jax import plots
 
 Record = dict[str, Any]
-BARS = ((2.5e-9, 1 / 5), (1e-12, 1 / 20))  # an attitude error at t = 10, and a share of Tsit5's time
+BARS = ((2.5e-9, 1 / 5), (1e-12, 1 / 20))  # attitude error at t = 10, and the largest time over Tsit5's
 DRIFT = 1e-13
 ALLOWED: dict[str, Callable[[Record], bool]] = {
     "all of ours": lambda r: r["kind"] != "peer",
@@ -22,7 +22,7 @@ ALLOWED: dict[str, Callable[[Record], bool]] = {
 
 
 def write(result: Record, out: Path) -> None:
-    """Print the tables; write them as .md, the numbers as .json, the plot as .png."""
+    """Print the tables; write them as .md, the numbers as .json and the plot as .png."""
     report.publish("work_precision", _sections(result), result, out)
     draw(result["ends"], out / "work_precision.png")
 
@@ -63,7 +63,7 @@ def _bars(result: Record) -> str:
 
 
 def milliseconds(records: Sequence[Record], curve: str, error: float) -> float:
-    """What a curve takes for an error, by a line in log and log between the points about it; inf beyond the finest."""
+    """The time of a curve for an error, interpolated linearly in log-log between its points; inf beyond the finest."""
     mine = [(r["error"], r["milliseconds"]) for r in records if r["curve"] == curve and r["converged"] is not False]
     fine, coarse = [x for x in mine if x[0] <= error], [x for x in mine if x[0] > error]
     if not fine:
@@ -96,7 +96,7 @@ _COLORS = {"order 2": "Blues", "composition": "Greens", "preprocessed": "Oranges
 
 
 def draw(ends: Sequence[Record], path: Path) -> None:
-    """Error against time, a picture for each end."""
+    """Plot error against time, one picture for each end."""
     names = {kind: list(dict.fromkeys(r["curve"] for r in ends[0]["points"] if r["kind"] == kind)) for kind in _COLORS}
     styles = {
         name: {"color": color, "marker": marker, "ls": "--" if kind == "peer" else "-", "ms": 4.5}

@@ -1,4 +1,4 @@
-"""What `free_rigid_body.py` found, as tables and a list of bars held or missed; and what every report is made of."""
+"""The report of `free_rigid_body.py`: tables, and bars held or missed; and the functions that all reports share."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def publish(name: str, sections: Sequence[str], result: dict[str, Any], out: Pat
 
 
 def machine(result: dict[str, Any]) -> str:
-    """What it ran on."""
+    """The machine and the packages, in one line."""
     found = result["machine"]
     packages = ", ".join(f"{name} {version}" for name, version in found["packages"].items() if version)
     return f"{found['cpu']}; Python {found['python']}, {packages}"
@@ -54,7 +54,7 @@ def _sections(result: dict[str, Any]) -> list[str]:
 
 
 def rates(records: Sequence[dict[str, Any]], baselines: Mapping[str, str], ours: str) -> str:
-    """Rates of a batch, over those of baselines (by column, their names), and that of `ours` over each."""
+    """A table of rates of a batch, over those of `baselines` (column ↦ contestant), and of that of `ours` over each."""
     records = [r for r in records if r["bodies"] == BATCH]
     head = ["", "dtype", "best", "median", *(f"÷ {column}" for column in baselines), "ours ÷ it", "compile s"]
     rows = []
@@ -78,7 +78,7 @@ def _sizes(one: Sequence[dict[str, Any]], every: Sequence[dict[str, Any]]) -> st
 
 
 def quality(records: Sequence[dict[str, Any]]) -> str:
-    """Errors, drifts and residuals."""
+    """A table of errors, drifts and residuals."""
     head = ["", "dtype", "error", "energy", "momentum", "steps", "residual", "converged"]
     keys = ("error", "energy_drift", "momentum_drift")
     rows = []
@@ -124,13 +124,13 @@ def verdict(measured: float, held: bool) -> str:
 
 
 def rate(records: Sequence[dict[str, Any]], name: str, dtype: str = "float64", bodies: int = BATCH) -> float:
-    """Of a contestant; nan if it is not there."""
+    """The rate of a contestant; nan if it has none."""
     found = [r["rate"] for r in records if (r["name"], r["dtype"], r["bodies"]) == (name, dtype, bodies)]
     return found[0] if found else np.nan
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table that can be read as it stands; columns after the first are flush right, nan is a blank."""
+    """A Markdown table, aligned to be read as text; columns after the first are flush right, nan is left blank."""
     cells = [["" if cell == "nan" else cell for cell in row] for row in (head, *rows)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     rule = ["-" * widths[0], *("-" * (w - 1) + ":" for w in widths[1:])]

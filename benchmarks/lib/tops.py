@@ -1,4 +1,4 @@
-"""Heavy tops: the contestants, their rates, what they keep, and what their accuracy costs.
+"""Heavy tops: the contestants, their rates, drifts, and cost against error.
 
 Importing this imports jax: pin the process to a core first.
 """
@@ -20,7 +20,7 @@ from lib.precision import Curve, growing
 import lieint_jax as li
 
 WEIGHT = (0.9, 0.8, 0.0)
-_LEVELS = (4, 8)  # steps a unit of time, of the two references
+_LEVELS = (4, 8)  # steps per unit of time of the two references
 
 
 def top() -> Any:
@@ -28,7 +28,7 @@ def top() -> Any:
 
 
 def schemes() -> dict[str, tuple[li.Step, float]]:
-    """Ours by name, and a guess of their rates."""
+    """Our steps by name, each with a guess of its rate."""
     make, body = li.schemes, top()
     found: dict[str, tuple[li.Step, float]] = {"splitting": (make.splitting(body), 6e7)}
     for kappa in KAPPAS[1:] + KAPPAS[:1]:
@@ -39,7 +39,7 @@ def schemes() -> dict[str, tuple[li.Step, float]]:
 
 
 def contestants(missing: list[str]) -> list[Contestant]:
-    """Everybody at dt = DT; a note on each one whose package is not here goes to `missing`."""
+    """All contestants at dt = DT; a note on each one whose package is not installed is appended to `missing`."""
     makers: list[tuple[str, Callable[[], Contestant]]] = [
         ("C++", partial(cpp.top, scheme, INERTIA, WEIGHT, DT)) for scheme in ("splitting", "energy_momentum")
     ]
@@ -53,7 +53,7 @@ def contestants(missing: list[str]) -> list[Contestant]:
 
 
 def reference(end: float) -> tuple[np.ndarray, float]:
-    """Attitudes of the watched bodies at t = end by `diagnostics.flow`, and how far it is with half as many steps."""
+    """Attitudes of the watched bodies at t = end by `diagnostics.flow`, and their distance from half as many steps."""
     states = li.State(*map(jnp.asarray, measure.bodies(WATCHED)))
     flow = jax.jit(jax.vmap(li.diagnostics.flow, (None, 0, None, None)), static_argnums=3)
     coarse, fine = (np.asarray(flow(top(), states, end, round(level * end)).q) for level in _LEVELS)
@@ -61,7 +61,7 @@ def reference(end: float) -> tuple[np.ndarray, float]:
 
 
 def everything(sizes: measure.Sizes, points: precision.Sizes) -> dict[str, Any]:
-    """All results, as what JSON knows. To be run on one core."""
+    """All results, as values that JSON can hold. Run it on one core."""
     notes: list[str] = []
     entries = contestants(notes)
     notes += cpp.notes("heavy_top")
@@ -87,7 +87,7 @@ def everything(sizes: measure.Sizes, points: precision.Sizes) -> dict[str, Any]:
 
 
 def curves() -> list[Curve]:
-    """Ours at orders 2, 4 and 6, then the peers."""
+    """The curves of our schemes at orders 2, 4 and 6, then of the peers."""
     make = li.schemes
     bases = {"splitting": make.splitting(top()), "energy-momentum": make.top_energy_momentum(top())}
     steps: list[tuple[str, str, li.Step, tuple[int, ...]]] = [

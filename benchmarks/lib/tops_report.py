@@ -1,4 +1,4 @@
-"""What `heavy_top.py` found, as tables, bars held or missed, and a plot."""
+"""The report of `heavy_top.py`: tables, bars held or missed, and a plot."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from lib.report import BATCH, TSIT5, rate
 _CPP = {"C++ splitting": "C++ splitting", "C++ energy-momentum": "C++ energy-momentum"}
 SPLITTING, ENERGY_MOMENTUM = "ours, splitting", "ours, energy-momentum, cayley κ"
 WIDE = ", wide vectors"
-FASTER = 10.0  # than Tsit5, in steps
+FASTER = 10.0  # the bar: rate of steps over that of Tsit5
 
 
 def write(result: dict[str, Any], out: Path) -> None:
-    """Print the tables; write them as .md, the numbers as .json, the plot as .png."""
+    """Print the tables; write them as .md, the numbers as .json and the plot as .png."""
     report.publish("heavy_top", _sections(result), result, out)
     precision_report.draw(result["ends"], out / "heavy_top.png")
 

@@ -1,1 +1,1 @@
-"""Arithmetic that the package is made of: small vectors and matrices, Newton's method, special functions."""
+"""Numerical building blocks: arithmetic of small vectors and matrices, Newton's method, special functions."""

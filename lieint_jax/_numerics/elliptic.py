@@ -18,7 +18,7 @@ _MEANS, _LANDEN, _DUPLICATIONS = 13, 5, 13
 def quarter_period(m1: Array) -> Array:
     """K = π / (2 agm(1, √m1)), for 0 ≤ m1 ≤ 1. Relative error 3 eps.
 
-    Infinite at m1 = 0; here it stays finite: that of m1 = √tiny, 179 in float64 and 23 in float32.
+    K is infinite at m1 = 0; here its value there is that at m1 = √tiny, 179 in float64 and 23 in float32.
     """
     start = jnp.ones_like(m1), jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny))
     a, _ = lax.fori_loop(0, _MEANS, lambda _, ab: ((ab[0] + ab[1]) / 2, jnp.sqrt(ab[0] * ab[1])), start)
@@ -28,9 +28,9 @@ def quarter_period(m1: Array) -> Array:
 def jacobi(u: Array, m1: Array) -> tuple[Array, Array, Array]:
     """sn u, cn u and dn u of parameter m = 1 − m1, for 0 ≤ m1 ≤ 1 and |u| up to a quarter period or two.
 
-    For m1 ≥ ½ Landen's descending transformation, which ends at sin and cos, else the ascending one, which ends at tanh
-    and sech: neither has a singular derivative at its end. Error: a few eps relative to each function, but for the
-    eps·|u| of the argument. Source: DLMF 22.7.
+    By Landen's descending transformation for m1 ≥ ½, which ends at sin and cos, else by the ascending one, which ends
+    at tanh and sech: neither has a singular derivative at its end. Error: a few eps relative to each function, and
+    eps·|u| from the argument. Source: DLMF 22.7.
     """
     circular = m1 >= 0.5
     descending = _descending(u, jnp.where(circular, m1, 1))
@@ -40,11 +40,13 @@ def jacobi(u: Array, m1: Array) -> tuple[Array, Array, Array]:
 
 
 def _descending(u: Array, m1: Array) -> tuple[Array, Array, Array]:
-    """With the means (a_n, b_n) of (1, √m1), s = sin(a_N u)/a_N the same at each stage, and x_N = cos(a_N u),
+    """Jacobi's functions by the descending transformation.
+
+    With the means (a_n, b_n) of (1, √m1), s = sin(a_N u)/a_N the same at each stage, and x_N = cos(a_N u),
 
         x_{n−1} = x_n √((x_n² + b_n²s²) / (x_n² + a_n²s²)),    cs u = x₀/s
 
-    without a difference anywhere.
+    No difference is taken, so nothing cancels.
     """
     means = [(jnp.ones_like(m1), jnp.sqrt(m1))]
     for _ in range(_LANDEN):
@@ -59,7 +61,9 @@ def _descending(u: Array, m1: Array) -> tuple[Array, Array, Array]:
 
 
 def _ascending(u: Array, m1: Array) -> tuple[Array, Array, Array]:
-    """With k′ = k′_n = (1 − k_{n−1})/(1 + k_{n−1}), and functions of u_n = u_{n−1}/(1 + k′_n) on the right,
+    """Jacobi's functions by the ascending transformation.
+
+    With k′ = k′_n = (1 − k_{n−1})/(1 + k_{n−1}), and functions of u_n = u_{n−1}/(1 + k′_n) on the right,
 
     sn = (1 + k′) sn cn / dn,    cn = (dn² − k′) / ((1 − k′) dn),    dn = (dn² + k′) / ((1 + k′) dn)
     """
@@ -77,11 +81,11 @@ def _ascending(u: Array, m1: Array) -> tuple[Array, Array, Array]:
 
 
 def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
-    """R_J(x, y, z, p) = (3/2) ∫₀^∞ dt / ((t + p) √((t + x)(t + y)(t + z))) of the square roots of x, y and z.
+    """R_J(x, y, z, p) = (3/2) ∫₀^∞ dt / ((t + p) √((t + x)(t + y)(t + z))), given the square roots of x, y and z.
 
-    For p ≥ x, y, z ≥ 0, at most one of which is 0. Roots are the arguments so that derivatives are finite there, and
-    one of them may be a little negative: the integral continued beyond a quarter period. Duplication, then a series of
-    degree 7. Relative error 1e-15 for x, y ≥ 1e-60 z. Source: DLMF 19.26(iii), 19.36(i).
+    For p ≥ x, y, z ≥ 0, at most one of which is 0. The arguments are square roots so that derivatives are finite at 0;
+    one root may be slightly negative, which continues the integral beyond a quarter period. By duplication, then a
+    series of degree 7. Relative error 1e-15 for x, y ≥ 1e-60 z. Source: DLMF 19.26(iii), 19.36(i).
     """
     x, y, z = root_x * root_x, root_y * root_y, root_z * root_z
     A0, delta = (x + y + z + 2 * p) / 5, (p - x) * (p - y) * (p - z)
@@ -100,14 +104,14 @@ def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
         return duplicate(n, (jnp.sqrt(x), jnp.sqrt(y), jnp.sqrt(z), jnp.sqrt(p)), *carry)
 
     first = duplicate(0, (root_x, root_y, root_z, jnp.sqrt(p)), (x, y, z, p), A0, jnp.zeros_like(A0))
-    _, A, total = lax.fori_loop(1, _DUPLICATIONS, body, first)  # a loop: unrolled, derivatives compile for minutes
+    _, A, total = lax.fori_loop(1, _DUPLICATIONS, body, first)  # unrolled, its derivatives would compile for minutes
     scale = 0.25**_DUPLICATIONS
     X, Y, Z = (scale * (A0 - v) / A for v in (x, y, z))
     return scale / (A * jnp.sqrt(A)) * _rj_series(X, Y, Z) + 6 * total
 
 
 def _rj_series(X: Array, Y: Array, Z: Array) -> Array:
-    """DLMF 19.36.2."""
+    """The series of R_J of degree 7, DLMF 19.36.2."""
     P = -(X + Y + Z) / 2
     XYZ = X * Y * Z
     E2 = X * Y + X * Z + Y * Z - 3 * P * P

@@ -1,10 +1,11 @@
 """Newton's method inside `lax.custom_root`: a fixed number of iterations, exact derivatives by the implicit function.
 
-A fixed count (no `while_loop`) lets XLA fuse the iterations of a whole batch. First derivatives never pass through
-them: `custom_root` differentiates the equation at its root, forward or reverse. Nor do higher ones, but forward over
-reverse through a `scan` does: there JAX keeps the solver and loses its rule. So iterations and guesses must carry
-derivatives too: a `stop_gradient` around either would make `jax.hessian` of a run wrong, silently. `root(done=…)` and
-`chords` loop until they are done instead, for large steps that would compile long and not fuse.
+A fixed count (no `while_loop`) lets XLA fuse the iterations of a whole batch. Derivatives of any order do not pass
+through the iterations: `custom_root` differentiates the equation at its root, forward or reverse. The exception is
+forward over reverse through a `scan`: there JAX differentiates the solver itself and ignores its rule. So iterations
+and guesses must carry derivatives too: a `stop_gradient` around either would make `jax.hessian` of a run wrong,
+silently. `root(done=…)` and `chords` loop until they are done instead, for large steps that would compile slowly and
+not fuse.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from jax import Array, lax
 
 from lieint_jax._numerics import three, unrolled
 
-_USES = 3  # of each matrix of `chords`; 2 or more
+_USES = 3  # corrections with each matrix of `chords`; 2 or more
 _Unknown = TypeVar("_Unknown")  # an array, or a tuple or list of its components
 
 
@@ -33,19 +34,19 @@ def root(
     """The root of `residual` near `guess`.
 
     Args:
-        residual: F(x), as x a scalar (), a vector (d,) or its components in a tuple or a list, which XLA fuses best. It
-            may close over traced values.
-        correction: (x, F(x)) ↦ the step to subtract; Newton's is F'(x)⁻¹F(x), with a matrix the caller knows.
-        guess: where to start.
-        iterations: how many corrections, a Python integer.
-        unroll: whether to write the corrections out one after the other, which lets XLA fuse them, or to loop, which
-            compiles once what is long.
-        done: (x, correction) ↦ whether no further one is needed. Then `iterations` is a budget, and the loop is a
-            `while_loop`, whose length the slowest member of a batch decides: for large steps, whose unrolled iterations
-            would take long to compile and gain nothing.
+        residual: x ↦ F(x), of the same form as x: a scalar (), a vector (d,), or its components in a tuple or a list,
+            which XLA fuses best. It may close over traced values.
+        correction: (x, F(x)) ↦ the step to subtract; for Newton F'(x)⁻¹F(x), by the caller's own matrix.
+        guess: the first iterate.
+        iterations: the number of corrections, a Python integer.
+        unroll: True writes the corrections out one after the other, which lets XLA fuse them; False makes a loop, which
+            compiles a long correction once.
+        done: (x, correction) ↦ True if no further correction is needed. Then `iterations` is the largest number, and
+            the loop is a `while_loop`, as long as the slowest member of a batch needs: for large steps, whose unrolled
+            iterations would compile slowly and gain nothing.
 
     Returns:
-        The last iterate x and F(x) there, for the caller to judge. Derivatives of x are exact at a root; F(x) carries
+        The last iterate x, and F(x), by which the caller judges it. Derivatives of x are exact at a root; F(x) carries
         none.
     """
 
@@ -73,18 +74,18 @@ def chords(
     guess: _Unknown,
     iterations: int,
 ) -> tuple[_Unknown, tuple[_Unknown, Array]]:
-    """The root of `residual` near `guess`, each matrix of Newton's method being used several times (Shamanskii 1967).
+    """The root of `residual` near `guess` by Newton's method with each matrix used three times (Shamanskii 1967).
 
-    Three times, so the order is 4. It ends as soon as one more use would leave a residual below round-off, going by how
-    the last two shrank, so a matrix that is not quite F' does no harm. A `while_loop`, whose length the slowest member
-    of a batch decides; a member that is done does not move any more.
+    The order is 4. The loop ends as soon as one more correction would leave a residual below round-off, as the rate of
+    the last two predicts, so an approximate F' does no harm. It is a `while_loop`, as long as the slowest member of a
+    batch needs; a member that is done does not move any more.
 
     Args:
-        residual: F(x), as of `root`.
+        residual: x ↦ F(x), as in `root`.
         factored: (x, F(x)) ↦ F'(x), factored.
-        size: F ↦ its size, in units in which a root is exact to 1.
-        guess: where to start.
-        iterations: how many matrices at most.
+        size: F ↦ its size, relative to the terms that F sums up: round-off is eps.
+        guess: the first iterate.
+        iterations: the largest number of matrices.
 
     Returns:
         The last iterate x; F(x) there; the determinant of the last matrix K, which has the sign of det F'(x), since the

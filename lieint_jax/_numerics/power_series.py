@@ -49,7 +49,7 @@ def log1p_ratio(y: Array) -> Array:
     return jnp.where(near, series, jnp.log1p(far) / far)
 
 
-# cos √x, sin √x / √x and arctan √x / √x: analytic in x = |θ|², so is everything built of them.
+# cos √x, sin √x / √x and arctan √x / √x are analytic in x = |θ|², and so is everything built from them.
 cos_sqrt = _entire(_reciprocal_factorials(0, 11), lambda x: jnp.cos(jnp.sqrt(x)), 1.0)
 sinc_sqrt = _entire(_reciprocal_factorials(1, 11), lambda x: jnp.sin(jnp.sqrt(x)) / jnp.sqrt(x), 1.0)
 arctan_sqrt = _entire(

@@ -1,4 +1,4 @@
-"""Arithmetic of tiny vectors and matrices, component by component.
+"""Arithmetic of 3-vectors and 3×3 matrices, component by component.
 
 XLA fuses scalar arithmetic over a batch into vector loops; `@`, `einsum` and `jnp.linalg` on 3×3 data become calls that
 it cannot fuse. So a vector here is anything with three components (an array (3,) or a tuple of scalars), results are
@@ -49,8 +49,8 @@ def max_abs(v: Vector) -> Array:
 def solve(K: Matrix, b: Vector, n: Array | float = 1, divide: bool = False) -> tuple[Array, Array, Array]:
     """(nK)⁻¹b for a 3×3 matrix of rows, by the adjugate.
 
-    With `divide`, by three divisions instead of one. XLA never computes a quotient twice, so what follows, if it is
-    much, does not repeat the solve for each of its results: so it is where derivatives are pulled back.
+    With `divide`, by three divisions instead of one. XLA never computes a quotient twice, so a long computation that
+    follows, such as a pull-back, does not recompute the solve for each of its results.
     """
     c0, c1, c2 = cross(K[1], K[2]), cross(K[2], K[0]), cross(K[0], K[1])
     d = n * dot(K[0], c0)
@@ -103,7 +103,7 @@ def trace(S: Symmetric) -> Array:
 
 
 def unit_trace(J: Array) -> tuple[Symmetric, Array]:
-    """J / tr J and 1 / tr J, of a symmetric matrix as of `symmetric`."""
+    """J / tr J and 1 / tr J, for J as in `symmetric`."""
     S = symmetric(J)
     r = 1 / trace(S)
     return tuple(r * x for x in S), r
@@ -115,7 +115,7 @@ def along(S: Symmetric, R: Symmetric, s: Any) -> Symmetric:
 
 
 def full(S: Symmetric) -> Symmetric:
-    """All six entries, of a diagonal one too."""
+    """The six entries of S, also where S is diagonal."""
     return S if len(S) == 6 else (*S, *[jnp.zeros_like(S[0])] * 3)
 
 
@@ -149,17 +149,17 @@ def determinant(S: Symmetric, adj: Symmetric) -> Array:
 
 
 def inner(S: Symmetric, R: Symmetric) -> Array:
-    """S:R = tr(SR), of two full ones."""
+    """S:R = tr(SR) of two full symmetric matrices."""
     return S[0] * R[0] + S[1] * R[1] + S[2] * R[2] + 2 * (S[3] * R[3] + S[4] * R[4] + S[5] * R[5])
 
 
 def plus_transpose(A: Matrix) -> Symmetric:
-    """A + Aᵀ, full."""
+    """A + Aᵀ, as a full symmetric matrix."""
     return tuple(A[i][j] + A[j][i] for i, j in PAIRS)
 
 
 def gram(F: Matrix) -> Symmetric:
-    """FᵀF, full."""
+    """FᵀF, as a full symmetric matrix."""
     columns = transpose(F)
     return tuple(dot(columns[i], columns[j]) for i, j in PAIRS)
 

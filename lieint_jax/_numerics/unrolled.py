@@ -1,8 +1,9 @@
-"""Arithmetic of small matrices of any size: entry by entry with structural zeros, or whole.
+"""Arithmetic of small matrices: unrolled into scalars, with structural zeros, or on whole arrays.
 
-A matrix is either a list of rows of entries, each an array scalar or a Python number that is known when the program is
-traced, or an array (n, n); a vector likewise. Lists are worked out entry by entry: XLA fuses that over a batch, and
-what is multiplied by a known 0 or 1 costs nothing. Arrays go to the library, which compiles faster where n is large.
+A matrix is either unrolled, a list of rows of entries, each an array scalar or a Python number that is known when the
+program is traced, or whole, an array (n, n); a vector likewise. Arithmetic on lists is written out entry by entry: XLA
+fuses it over a batch, and a product with a known 0 or 1 costs nothing. Arrays go to `jax.numpy`, which compiles faster
+where n is large.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ def scaled(c: Scalar, x: Vector) -> Vector:
 
 
 def each(function: Callable[..., Scalar], *vectors: Vector) -> Vector:
-    """The function of the entries, one by one."""
+    """The function applied to the entries, one by one."""
     if any(_whole(x) for x in vectors):
         return function(*vectors)
     return [function(*entries) for entries in zip(*vectors, strict=True)]
@@ -112,7 +113,7 @@ def flatten(A: Matrix) -> Vector:
 
 
 def inverse(A: Matrix) -> Matrix:
-    """A⁻¹, of any invertible matrix: by cofactors entry by entry, by the library if whole."""
+    """A⁻¹ of any invertible matrix: by cofactors if unrolled, by `jax.numpy` if whole."""
     if _whole(A):
         return jnp.linalg.inv(A)
     adjugate, det = _adjugate(A)
@@ -121,7 +122,7 @@ def inverse(A: Matrix) -> Matrix:
 
 
 def determinant(A: Matrix) -> Scalar:
-    """det A, by cofactors or by the library."""
+    """det A: by cofactors if unrolled, by `jax.numpy` if whole."""
     return jnp.linalg.det(A) if _whole(A) else _adjugate(A)[1]
 
 
@@ -150,7 +151,7 @@ def _adjugate(A: Matrix) -> tuple[Matrix, Scalar]:
 
 
 class Factored(NamedTuple):
-    """What elimination finds of a matrix K.
+    """A factored matrix K.
 
     Attributes:
         solve: b ↦ K⁻¹b.
@@ -169,8 +170,8 @@ def solve(K: Matrix, b: Vector) -> Vector:
 def factored(K: Matrix) -> Factored:
     """Elimination without pivoting: for K with a positive definite symmetric part, or near such a matrix.
 
-    The matrices here are a metric less a nearly skew matrix, where no pivot can vanish and none is three. Lists are
-    halved, so that there are two divisions for up to six unknowns: XLA stops fusing at a division.
+    The matrices of schemes are a metric less a nearly skew matrix, so that no pivot vanishes or is small. Unrolled
+    matrices are cut into 2×2 blocks, so that up to six unknowns take two divisions: XLA stops fusing at a division.
     """
     if _whole(K):
         inverted = jnp.linalg.inv(K)
@@ -195,10 +196,10 @@ def factored(K: Matrix) -> Factored:
 
 
 def eliminate(A: Sequence[Sequence[Scalar]], *right: Sequence[Scalar]) -> list[list[Scalar]]:
-    """A⁻¹b for several right-hand sides b at once, on lists, by Gaussian elimination without pivots, written out.
+    """A⁻¹b for several right-hand sides b at once, unrolled, by Gaussian elimination without pivoting.
 
     Over a batch it is 4 times faster than `jnp.linalg.solve` at 9×9, and inside `schemes.additive` 1.17 times faster
-    than `factored`. Meant for Newton steps: a small pivot costs digits of a step, which the next one mends.
+    than `factored`. Meant for Newton's method: a small pivot costs digits of a correction, which the next one restores.
     """
     n = len(A)
     M = [[*row, *(b[i] for b in right)] for i, row in enumerate(A)]
@@ -218,11 +219,11 @@ def eliminate(A: Sequence[Sequence[Scalar]], *right: Sequence[Scalar]) -> list[l
 
 
 def settled(A: Vector | Matrix) -> Vector | Matrix:
-    """The same, each entry worked out once and held in memory.
+    """A with each entry computed once and held in memory.
 
-    XLA on CPUs else works out what is shared once for every entry that needs it, over and over. It has no barrier that
-    would last until it fuses, but it works out once what is expensive, such as a quotient: so each entry is divided by
-    a 1 that is not known when the program is compiled.
+    XLA's CPU fusion recomputes a shared subexpression in each consumer. It has no optimisation barrier that lasts until
+    fusion, but it does not duplicate expensive operations such as division: so each entry is divided by a 1 that is not
+    known at compile time.
     """
     if _whole(A):
         return A
@@ -236,12 +237,12 @@ def settled(A: Vector | Matrix) -> Vector | Matrix:
 
 
 def as_list(x: Array) -> Any:
-    """The entries of an array (n,) or (n, m), as lists."""
+    """An array (n,) or (n, m) as a list of its entries."""
     return [x[i] if x.ndim == 1 else [x[i, j] for j in range(x.shape[1])] for i in range(x.shape[0])]
 
 
 def as_array(x: Vector | Matrix, like: Array) -> Array:
-    """The array of a vector or matrix, in the dtype of `like`."""
+    """A vector or matrix as an array, in the dtype of `like`."""
     if _whole(x):
         return x
     if isinstance(x[0], Sequence):

@@ -1,4 +1,4 @@
-"""The arguments that the functions of this package share, checked."""
+"""Checks of the arguments that `reversible` and `observe` share."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Derivative = Literal["reversible", "checkpoint"]
 
 
 def checked(step: Step, state: State, dt: ArrayLike, derivative: str) -> tuple[Step, State, Array]:
-    """The arguments checked, and dt as an array of the state's dtype."""
+    """Check the arguments; return step, state and dt in their common dtype."""
     if derivative not in get_args(Derivative):
         raise ValueError(f"derivative must be one of {', '.join(get_args(Derivative))}, got {derivative!r}")
     checked_step(step)

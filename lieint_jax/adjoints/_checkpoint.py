@@ -1,4 +1,4 @@
-"""Runs whose reverse-mode derivative keeps the states at nested checkpoints and repeats the steps in between."""
+"""Runs whose reverse-mode derivative keeps the states at nested checkpoints and recomputes the steps between them."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from jax import Array, lax
 
 from lieint_jax.types import State, Step, StepInfo
 
-_LEVELS = 3  # of nested checkpoints: some 3 N^(1/3) states of N are kept
+_LEVELS = 3  # levels of nested checkpoints: about 3 N^(1/3) of N states are kept
 
 
 def checkpointed(step: Step, state: State, dt: Array, counts: list[int]) -> tuple[State, StepInfo]:
     """The states after counts[0], counts[0] + counts[1], … steps, and the reports in between.
 
-    One loop is compiled, as long as the longest interval and a little more; the result of a step too many is dropped.
+    One loop is compiled for all intervals, a little longer than the longest; results of surplus steps are dropped.
     """
 
     def interval(state: State, count: Array) -> tuple[State, tuple[State, StepInfo]]:
@@ -38,7 +38,7 @@ def checkpointed(step: Step, state: State, dt: Array, counts: list[int]) -> tupl
 
 
 def _nested(one: Callable[..., Any], carry: Any, length: int, levels: int) -> Any:
-    """At least `length` times `one`, in about length^(1/levels) blocks of blocks …, each a checkpoint."""
+    """Apply `one` at least `length` times, in about length^(1/levels) nested blocks, each a checkpoint."""
     if levels == 1:
         return lax.scan(jax.checkpoint(one), carry, None, length=length)[0]
     blocks = math.ceil(length ** (1 / levels))

@@ -1,9 +1,9 @@
 """A loop over a function of small arrays, evaluated component by component.
 
-The transpose of v[i] is a `pad`, and a pulled back step is full of them; XLA does not fuse pads, and works on all
-components where one is not zero. Here every array of a jaxpr is a numpy array of scalars, so indexing, stacking and
-padding cost nothing, and zeros are dropped. Over a batch the pull-back of a free body's step is 3 times faster. What
-is not known here is done on whole arrays, as it stands.
+The transpose of v[i] is a `pad`, and the pull-back of a step is full of them; XLA does not fuse pads, and works on all
+components even where only one is not zero. Here every small array of a jaxpr is a numpy array of scalars, so indexing,
+stacking and padding cost nothing, and zeros are dropped. Over a batch, the pull-back of a free body's step is 3 times
+faster. Primitives that are not listed here are applied to whole arrays.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import numpy as np
 from jax import Array, lax
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
-_LONGEST = 10_000  # scalar operations
-_MOST = 64  # entries of an array that is taken to pieces
+_LONGEST = 10_000  # the most scalar operations of a function that is evaluated by components
+_MOST = 64  # the most entries of an array that is split into scalars
 _NAMES = """
 add sub mul div neg sign abs max min sqrt rsqrt cbrt square exp exp2 log log1p expm1 pow integer_pow sin cos tan asin
 acos atan atan2 sinh cosh tanh asinh acosh atanh logistic floor ceil round is_finite and or xor not eq ne lt le gt ge
@@ -29,10 +29,10 @@ _ELEMENTWISE = frozenset(_NAMES.split())
 
 
 def repeat(count: Any, function: Callable[[Any, Any], Any], carry: Any, over: tuple[float, ...]) -> Any:
-    """carry ↦ function(carry, x) for x in `over`, and that `count` times, by loops that carry scalars.
+    """Apply carry ← function(carry, x) for each x in `over`, and all that `count` times, by loops that carry scalars.
 
-    Not to be differentiated. A function that would be thousands of scalar operations is left whole: it would take long
-    to compile.
+    Not to be differentiated. A function of more than ten thousand scalar operations, which would compile slowly, is
+    applied to whole arrays.
     """
     leaves, structure = jax.tree.flatten(carry)
     ends = np.cumsum([leaf.size for leaf in leaves])
@@ -65,7 +65,7 @@ def _looped(count: Any, function: Callable[[Any, Any], Any], carry: Any, over: t
     if len(over) == 1:
         return lax.fori_loop(0, count, lambda _, c: function(c, np.asarray(over[0], dtype)), carry)
 
-    # x is carried: XLA fuses a slice of `over` into every loop over a batch
+    # x is carried, since XLA would fuse a slice of `over` into every loop over a batch
     def one(carry: tuple[Any, Array], following: Array) -> tuple[tuple[Any, Array], None]:
         return (function(*carry), following), None
 
@@ -74,7 +74,7 @@ def _looped(count: Any, function: Callable[[Any, Any], Any], carry: Any, over: t
 
 
 def _length(jaxpr: Jaxpr) -> int:
-    """About how many scalar operations it is."""
+    """About the number of scalar operations of a jaxpr."""
     return sum(_operations(eqn) for eqn in jaxpr.eqns)
 
 
@@ -90,7 +90,7 @@ def _is_jaxpr(x: Any) -> bool:
 
 
 def _apart(x: Any) -> Any:
-    """An array as a numpy array of its entries, if it is three."""
+    """An array as a numpy array of its entries, if it has at most `_MOST`; else the array itself."""
     if isinstance(x, np.ndarray) and x.dtype == object:
         return x
     if np.size(x) > _MOST or jnp.issubdtype(jnp.result_type(x), jax.dtypes.prng_key):

@@ -26,38 +26,38 @@ def observe(
     derivative: Derivative = "reversible",
     tolerance: float | None = None,
 ) -> tuple[State, StepInfo]:
-    """The states at observation times, whatever they are: the nearest whole number of steps, then one shorter step.
+    """The states at any observation times: the nearest whole number of steps, then one shorter step.
 
-    The steps of size dt are one trajectory, the shorter ones (at most dt/2, forwards or back) leave it and do not
-    return. Derivatives as of `reversible`, with respect to the times too.
+    The steps of size dt are one trajectory; each observation adds one shorter step (at most dt/2, forwards or back),
+    from which the trajectory does not continue. Derivatives are those of `reversible`, and with respect to the times.
 
     Args:
-        step: a symmetric step, as a scheme makes it; with `derivative="checkpoint"` any.
+        step: a symmetric step, as a scheme makes it; with `derivative="checkpoint"`, any step.
         state: the state at time 0.
         dt: step size, of the sign of the times.
         times: shape (m,), in any order.
-        derivative: as of `reversible`; for "checkpoint" times and dt must be concrete.
-        tolerance: as of `reversible`.
+        derivative: as in `reversible`; for "checkpoint", times and dt must be concrete.
+        tolerance: as in `reversible`.
 
     Returns:
-        The states, with a leading axis (m,), and of each the report of all steps since the observation before it. What
-        is traced cannot raise: times on the other side of 0, and all with dt = 0, have `converged=False`.
+        The states, with a leading axis (m,), and for each the report of all steps since the previous observation.
+        Traced times cannot raise: those on the wrong side of 0, and all of them if dt = 0, have `converged=False`.
 
     Raises:
-        ValueError: times on the other side of 0 than dt leads to, or not finite; dt = 0; the rest as `reversible`.
+        ValueError: times not finite, or on the side of 0 that dt does not lead to; dt = 0; the rest as `reversible`.
     """
     step, state, h = checked(step, state, dt, derivative)
     t = _checks.real_array("times", times).astype(h.dtype)
     if t.ndim != 1:
         raise ValueError(f"times must have shape (m,), got {t.shape}; use jax.vmap for batches")
-    known = concrete(times, dt)  # then nothing is traced, inside jit or not
+    known = concrete(times, dt)  # then no tracer is involved, inside jit or not
     xp: Any = np if known else jnp
     if known and not np.all(np.asarray(times, float) * float(np.asarray(dt)) >= 0):
         raise ValueError(f"times must lie on the side of 0 that dt = {dt} leads to, got {np.asarray(times)}")
     if known and not float(np.asarray(dt)):
         raise ValueError("dt must not be 0: no number of steps leads to other times")
     ratio = np.asarray(times, float) / np.asarray(dt, float) if known else lax.stop_gradient(t / h)
-    reached = xp.isfinite(ratio) & (ratio >= -1e-9)  # traced times on the wrong side of 0 are not
+    reached = xp.isfinite(ratio) & (ratio >= -1e-9)  # False for traced times on the wrong side of 0
     whole = xp.round(xp.where(reached, ratio, 0)).astype(np.int32)
     order = xp.argsort(whole)
     counts = xp.diff(whole[order], prepend=0)
@@ -70,6 +70,6 @@ def observe(
         later, info = undoable(prepared, state, h, counts, tolerance)
     back = xp.argsort(order)
     later, info = jax.tree.map(lambda leaf: leaf[back], (later, info))
-    seen, last = jax.vmap(step)(later, t - h * whole)  # `step` as it was given: prepared for no step size
+    seen, last = jax.vmap(step)(later, t - h * whole)  # `step` as given, not prepared for dt
     info = info.merge(last)
     return seen, info._replace(converged=info.converged & reached)

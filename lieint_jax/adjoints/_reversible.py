@@ -1,4 +1,4 @@
-"""Trajectories with a derivative in reverse mode, and how much undoing their steps loses."""
+"""Trajectories with a derivative in reverse mode, and the error of undoing their steps."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ def reversible(
     derivative: Derivative = "reversible",
     tolerance: float | None = None,
 ) -> Trajectory:
-    """As `integrate`, with a reverse-mode derivative that keeps the saved states and nothing else.
+    """Integrate like `integrate`, with a reverse-mode derivative that stores the saved states and nothing else.
 
-    The leaves of `step`, the initial state and dt get gradients, and so does what its functions close over. Products
-    with a Hessian, forward over reverse, keep no more: `jax.jvp(jax.grad(loss), …)`. Forward mode alone is not offered
-    here: use `integrate`.
+    Gradients flow to the leaves of `step`, the initial state, dt, and the arrays that the step's functions close over.
+    Hessian-vector products, forward over reverse, need no more memory: `jax.jvp(jax.grad(loss), …)`. For forward mode
+    alone use `integrate`.
 
     Args:
-        step: a symmetric step; with `derivative="checkpoint"` any.
+        step: a symmetric step; with `derivative="checkpoint"`, any step.
         state: the initial state of one body; vmap for many.
         dt: step size, either sign.
         num_steps: a multiple of `save_every`.
         save_every: steps between saved states; None keeps the first and the last only.
-        derivative: "reversible" rebuilds states by steps of −dt. "checkpoint" keeps some 3 N^(1/3) states and takes
+        derivative: "reversible" rebuilds states by steps of −dt. "checkpoint" keeps about 3 N^(1/3) states and costs
             about three more runs forward.
-        tolerance: how far a rebuilt state may be from the saved one, in q and in p over max|p|, before the gradient
-            draws a warning; by default √eps. See `round_trip_error`.
+        tolerance: the distance of a rebuilt state from the saved one, in q and in p over max|p|, above which the
+            gradient draws a warning; by default √eps. See `round_trip_error`.
 
     Returns:
-        A `Trajectory`, the same as that of `integrate` but for the last bits.
+        A `Trajectory`, equal to that of `integrate` up to round-off.
 
     Raises:
         ValueError: a step that is not symmetric, or as `integrate`.
@@ -63,11 +63,12 @@ def reversible(
 
 
 def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:
-    """How far `num_steps` steps of −dt end from where `num_steps` steps of dt began: what `reversible` loses.
+    """The distance between the initial state and its image after `num_steps` steps of dt and as many of −dt.
 
-    In q, and in p over max|p|. It is some round-offs per step where motions stay together, and grows like their
-    distance where they do not: over a time t on a chaotic motion of Lyapunov exponent λ, like e^(λt). The gradient's
-    relative error is of that size times what the motion bends over such a distance.
+    In q, and in p over max|p|: the error of the states that `reversible` rebuilds. It is a few round-offs per step on a
+    regular motion, and grows like the distance of neighbouring trajectories on others: over a time t on a chaotic
+    motion of Lyapunov exponent λ, like e^(λt). The gradient's relative error is about this error times the second
+    derivative of the flow.
     """
     step, state, h = checked(step, state, dt, "reversible")
     prepared = step.prepare(state, h)

@@ -1,12 +1,12 @@
-"""Runs whose reverse-mode derivative costs no memory: a symmetric step is undone, not remembered.
+"""Runs whose reverse-mode derivative stores no intermediate states: a symmetric step is undone instead.
 
-Backwards from the end, step(·, −Δt) rebuilds the state that step(·, Δt) came from, and the cotangents of one step are
-pulled back there:
+Backwards from the end, step(·, −Δt) rebuilds the state from which step(·, Δt) started, and the cotangents of one step
+are pulled back there:
 
     z_n = Ψ₋(z_{n+1}),    (λ_n, θ̄, Δ̄) = (∂Ψ(z_n)/∂(z, θ, Δt))ᵀ λ_{n+1}
 
-A composition is undone sub-step by sub-step. Only the saved states are kept, which the caller holds anyway. At each of
-them the rebuilt state is compared with the saved one and put aside, so the errors of rounding do not add up from one
+A composition is undone sub-step by sub-step. Only the saved states are stored, which the caller holds anyway. At each
+of them the rebuilt state is compared with the saved one and replaced by it, so rounding errors do not add up from one
 interval to the next.
 """
 
@@ -32,13 +32,13 @@ from lieint_jax.types import State, Step, StepInfo, pytree, static
 
 
 def undoable(step: Step, state: State, dt: Array, counts: Any, tolerance: float | None) -> tuple[State, StepInfo]:
-    """`_marched`, differentiated by undoing its steps; in what the functions of the step close over, too."""
+    """`_marched`, differentiated by undoing its steps, with respect to arrays that the step closes over, too."""
     tolerance = math.sqrt(jnp.finfo(state.p.dtype).eps) if tolerance is None else float(tolerance)
     return _march(_opened(step, state, dt), state, dt, counts, tolerance)
 
 
 def _marched(step: Any, state: State, dt: Array, counts: Any, tolerance: float) -> tuple[State, StepInfo]:
-    """The states after counts[0], counts[0] + counts[1], … steps, and the reports in between."""
+    """The states after counts[0], counts[0] + counts[1], … steps, and the reports of the steps between them."""
 
     def interval(state: State, count: Array) -> tuple[State, tuple[State, StepInfo]]:
         state, info = steps(step, state, dt, count)
@@ -77,7 +77,7 @@ def _march_back(tolerance: float, kept: Any, cotangents: tuple[State, Any]) -> t
     starts = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest])[:-1], state, later)
     zero = jax.tree.map(jnp.zeros_like, (state, (smooth, dt)))
     found, errors = lax.scan(interval, zero, (starts, later, cotangents[0], jnp.asarray(counts)), reverse=True)
-    none = _watched(jnp.max(errors, initial=0), tolerance)  # part of each result, for whichever is used
+    none = _watched(jnp.max(errors, initial=0), tolerance)  # added to every result, or XLA may remove the warning
     lam, (leaves, h) = jax.tree.map(lambda x: x + none.astype(x.dtype), found)
     return _cotangent(step, leaves), lam, h, np.zeros(np.shape(counts), jax.dtypes.float0)
 
@@ -86,12 +86,12 @@ _march.defvjp(_march_forward, _march_back)
 
 
 def _stage(step: Any) -> Any:
-    """The step that a composition repeats; any other itself."""
+    """The sub-step of a composition; any other step itself."""
     return step.step if isinstance(step, Composition) else step
 
 
 def _gammas(step: Any) -> tuple[float, ...]:
-    """The sub-steps of a step of 1."""
+    """The sizes of the sub-steps, over dt."""
     return step.gammas if isinstance(step, Composition) else (1.0,)
 
 
@@ -101,18 +101,18 @@ def _smooth(tree: Any) -> Any:
 
 
 def _filled(tree: Any, smooth: Any) -> Any:
-    """A tree with other real leaves."""
+    """`tree` with its real leaves replaced by those of `smooth`."""
     return jax.tree.map(lambda x, new: x if new is None else new, tree, smooth)
 
 
 def _cotangent(tree: Any, smooth: Any) -> Any:
-    """Cotangents of a tree from those of its real leaves; whole numbers and truth values have none."""
+    """The cotangents of `tree` from those of its real leaves; integers and booleans have none."""
     return jax.tree.map(lambda x, c: np.zeros(np.shape(x), jax.dtypes.float0) if c is None else c, tree, smooth)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
 def _watched(error: Array, tolerance: float) -> Array:
-    """Zero, and a warning on the host if `error` is above `tolerance`: one call, however many bodies."""
+    """Zero, with a warning on the host if `error` is above `tolerance`; a batch makes one call."""
 
     def warn(error: np.ndarray) -> np.ndarray:
         error = np.asarray(error)
@@ -120,8 +120,8 @@ def _watched(error: Array, tolerance: float) -> Array:
         if bad.any():
             warnings.warn(
                 f"reversal lost digits: a rebuilt state is {np.max(error):.2g} from the saved one (tolerance "
-                f"{tolerance:.2g}; {bad.sum()} of {bad.size}): the gradient is good to some such part only. Save more "
-                'often (save_every), take a shorter run, or derivative="checkpoint"',
+                f"{tolerance:.2g}; {bad.sum()} of {bad.size}): the gradient has a relative error of about that size. "
+                'Save more often (save_every), take a shorter run, or derivative="checkpoint"',
                 RuntimeWarning,
                 stacklevel=2,
             )
@@ -138,7 +138,7 @@ def _(tolerance: float, primals: tuple[Array], tangents: tuple[Array]) -> tuple[
 
 @pytree
 class _Opened:
-    """A step whose functions close over nothing: what they closed over is `closed`."""
+    """A step as a pure function: the arrays that its functions closed over are the leaves `closed`."""
 
     step: Step
     closed: tuple[Array, ...]

@@ -1,9 +1,9 @@
-"""What the midpoint scheme keeps on each matrix group, measured: `lieint check GROUP`, `lieint check groups`.
+"""Measured conservation by the midpoint scheme on each matrix group: `lieint check GROUP`, `lieint check groups`.
 
-Energy and spatial momentum are kept on every group by every map (Results 9 and 10); the symplectic form only where
-(5.31) holds (Result 11). Over four random metrics each: the largest relative energy error (1000 steps of .1 where Ad_q
-is bounded; else 100 of .05, over max(1, ‖Ad_q‖²)), and the largest defect of the form in one step of |Δt Ω| = .05, in
-the basis of the group. `lieint check groups` prints it, in some minutes:
+Every map conserves energy and spatial momentum on every group (Results 9 and 10); the symplectic form is conserved only
+where (5.31) holds (Result 11). The table gives, over four random metrics each, the largest relative energy error (1000
+steps of .1 where Ad_q is bounded; else 100 of .05, over max(1, ‖Ad_q‖²)), and the largest defect of the form in one
+step of |Δt Ω| = .05, in the basis of the group. `lieint check groups` prints it, in some minutes:
 
 | group | energy | form, exponential | cayley | arcsine |
 |---|---|---|---|---|
@@ -50,7 +50,7 @@ from lieint_jax.systems import Euler
 from lieint_jax.types import State
 
 MAPS: dict[str, Map] = {"exponential": maps.exponential, "cayley": maps.cayley, "arcsine": maps.arcsine}
-_QUICK = {"xla_llvm_disable_expensive_passes": True}  # compiled to be run once
+_QUICK = {"xla_llvm_disable_expensive_passes": True}  # for programs that run once
 
 
 def catalogue() -> dict[str, MatrixGroup]:
@@ -59,7 +59,7 @@ def catalogue() -> dict[str, MatrixGroup]:
 
 
 def named(name: str) -> MatrixGroup | None:
-    """A group of the catalogue by its name, however it is written: "SE(3)", "se3", "Heis 5"; None if there is none."""
+    """The group of the catalogue with a name, in any spelling ("SE(3)", "se3", "Heis 5"); None if there is none."""
     found = {_plain(key): group for key, group in catalogue().items()}
     return found.get(_plain(name))
 
@@ -69,12 +69,12 @@ def _plain(name: str) -> str:
 
 
 def light(group: MatrixGroup) -> MatrixGroup:
-    """The same group, worked out whole: to be compiled quickly and run a few times."""
+    """The group with arithmetic on whole arrays (not unrolled), which compiles quickly, for a few runs."""
     return MatrixGroup(group.basis, group.name, unrolled=False)
 
 
 def bounded(group: MatrixGroup) -> bool:
-    """Whether Ad_q stays small along every motion: on compact groups, abelian ones, and nilpotent ones.
+    """True if Ad_q stays small along every motion: on compact, abelian and nilpotent groups.
 
     Elsewhere Ad_q may grow, and Π = Ad*_q π loses digits like ε‖Ad_q‖².
     """
@@ -86,7 +86,7 @@ def bounded(group: MatrixGroup) -> bool:
 
 
 def takes(group: MatrixGroup) -> dict[str, Map]:
-    """The maps that there are on a group."""
+    """The maps τ that are defined on a group, by name."""
     found = {"exponential": MAPS["exponential"]}
     if group.cayley_lands:
         found["cayley"] = MAPS["cayley"]
@@ -107,8 +107,8 @@ def example(group: MatrixGroup, seed: int = 0) -> tuple[Euler, State]:
     return system, system.state(q, velocity=v / np.linalg.norm(v))
 
 
-class Kept(NamedTuple):
-    """What was measured on one group with one map, over several random metrics.
+class Conservation(NamedTuple):
+    """Measurements on one group with one map, the worst of several random metrics.
 
     Attributes:
         energy: largest |H − H₀|/H₀: over 1000 steps of .1 where Ad_q is bounded; else over 100 steps of .05, divided by
@@ -124,8 +124,8 @@ class Kept(NamedTuple):
     converged: bool
 
 
-def measure(group: MatrixGroup, tau: Map, metrics: int = 4) -> Kept:
-    """What the step of `group_midpoint` keeps on a group, over `metrics` random metrics."""
+def measure(group: MatrixGroup, tau: Map, metrics: int = 4) -> Conservation:
+    """Measure conservation by `group_midpoint` on a group with the map τ, over `metrics` random metrics."""
     group = light(group)
     dt, steps = (0.1, 1000) if bounded(group) else (0.05, 100)
     systems, states = zip(*(example(group, seed) for seed in range(metrics)), strict=True)
@@ -133,7 +133,7 @@ def measure(group: MatrixGroup, tau: Map, metrics: int = 4) -> Kept:
     energy, growth, momentum, form, converged = jax.vmap(partial(_kept, tau, dt, steps))(*stacked)
     scale = 1.0 if bounded(group) else np.maximum(1, np.asarray(growth) ** 2)
     energy, momentum, form = (float(np.max(x)) for x in (energy / scale, momentum, form))
-    return Kept(energy, momentum, form, bool(np.all(converged)))
+    return Conservation(energy, momentum, form, bool(np.all(converged)))
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=_QUICK)
@@ -152,7 +152,7 @@ def _kept(tau: Map, dt: float, steps: int, system: Euler, state: State) -> tuple
 
 
 def table(metrics: int = 4) -> Iterator[str]:
-    """The lines of the table in the docstring of this module, and a column with the energy error of the worst map."""
+    """The lines of the table in this module's docstring; the energy error is that of the worst map."""
     yield "| group | energy | form, exponential | cayley | arcsine |"
     yield "|---|---|---|---|---|"
     for name, group in catalogue().items():
@@ -164,7 +164,7 @@ def table(metrics: int = 4) -> Iterator[str]:
 
 
 def certificates(group: MatrixGroup, scheme: str = "", num_steps: int | None = None) -> str:
-    """The certificates of a random metric on a group by each map, as text."""
+    """The certificates of a random metric on a group, one for each map, as text."""
     system, state = example(light(group))
     steps = num_steps or (1000 if bounded(group) else 100)
     wanted = [tau for name, tau in takes(group).items() if scheme in f"group_midpoint[{name}]"]

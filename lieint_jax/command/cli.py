@@ -1,4 +1,4 @@
-"""The command `lieint`: parses and calls, nothing else."""
+"""The command `lieint`: parses its arguments and calls the package."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 _EPILOG = """examples:
   lieint run toutatis                      800 days of a tumbling asteroid, 1000 members
@@ -13,12 +14,12 @@ _EPILOG = """examples:
   lieint run pseudo_rigid                  a spinning elastic ball, with the delay plots of the paper's Figure 3c
   lieint run pendulum                      a spherical pendulum beside the closed form
   lieint run kirchhoff                     a spinning spheroid in water, on SE(3)
-  lieint run my.toml --members 100         your own scenario (copy lieint_jax/data/toutatis.toml)
+  lieint run my.toml --members 100         your own scenario (copy lieint_jax/scenarios/toutatis.toml)
   lieint run toutatis --out runs.zarr --members 100000   to disk while it runs; with --resume it goes on
-  lieint info runs.zarr                    what is in it
+  lieint info runs.zarr                    describe that store
   lieint check                             what every scheme conserves, measured
   lieint check rigid_body --scheme cayley  one of them
-  lieint check "SE(3)"                     what is kept on a matrix group, by which map
+  lieint check "SE(3)"                     what is conserved on a matrix group, by which map
   lieint check groups                      energy and symplectic form, group by group and map by map
   lieint figure 1 2 3 --out figures        the paper's figures
   lieint study toutatis                    fit a spin state and inertia ratios to two radar fixes
@@ -26,7 +27,7 @@ _EPILOG = """examples:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command; 0 if all went well, 2 with one line on stderr if the user can mend it."""
+    """Run the command; return 0 on success, 2 with one line on stderr for an error that the user can correct."""
     options = _parser().parse_args(arguments)
     import jax
 
@@ -37,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
     warnings.showwarning = lambda message, *_, **__: print(f"lieint: warning: {message}", file=sys.stderr)
     try:
         options.command(options)
-    except BrokenPipeError:  # `lieint … | head`: whoever read has read enough
+    except BrokenPipeError:  # the reader of our output has stopped, as in `lieint … | head`
         sys.stderr.close()
         return 1
     except (ValueError, OSError) as error:
@@ -57,6 +58,14 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_run(commands)
+    _add_results(commands)
+    _add_check(commands)
+    _add_paper(commands)
+    return parser
+
+
+def _add_run(commands: Any) -> None:
     run = commands.add_parser("run", help="integrate a scenario and report", description="Integrate a scenario.")
     run.add_argument("scenario", metavar="SCENARIO", help="a shipped scenario (toutatis, heavy_top, …) or a .toml file")
     run.add_argument(
@@ -74,12 +83,18 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--processes", type=_positive, metavar="N", help="… how many there are")
     run.add_argument("--process", type=int, metavar="K", help="… which this one is, from 0")
     run.set_defaults(command=_run)
+
+
+def _add_results(commands: Any) -> None:
     info = commands.add_parser("info", help="what a file of results holds", description="Look into results.")
     info.add_argument("path", type=Path, metavar="PATH")
     info.set_defaults(command=_info)
     plot = commands.add_parser("plot", help="report on results and draw them", description="Pictures of results.")
     plot.add_argument("path", type=Path, metavar="PATH")
     plot.set_defaults(command=_plot)
+
+
+def _add_check(commands: Any) -> None:
     check = commands.add_parser(
         "check", help="print certificates", description="Measure what each scheme conserves, system by system."
     )
@@ -95,6 +110,9 @@ def _parser() -> argparse.ArgumentParser:
         "--steps", type=_positive, metavar="N", help="length of a run (default 1000; 100 where Ad_q grows)"
     )
     check.set_defaults(command=_check)
+
+
+def _add_paper(commands: Any) -> None:
     figure = commands.add_parser("figure", help="recompute figures of the paper", description="Write figures as PNG.")
     figure.add_argument("numbers", nargs="+", type=int, metavar="N", help="numbers in the paper: 1 to 5")
     figure.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
@@ -104,7 +122,6 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder for its picture (default: here)")
     study.add_argument("--quick", action="store_true", help="a small one")
     study.set_defaults(command=_study)
-    return parser
 
 
 def _positive(text: str) -> int:

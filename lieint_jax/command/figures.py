@@ -1,4 +1,4 @@
-"""The paper's figures, recomputed: each writes a PNG and returns the table that goes with it."""
+"""The paper's figures, recomputed: each function writes a PNG and returns the table that goes with it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ STEPS = 4000  # of Figures 3 to 5
 
 
 class Run(NamedTuple):
-    """One integration of Figures 1 and 2: ‖σ_n‖ and H_n − H₀ at every step."""
+    """One integration for Figures 1 and 2: ‖σ_n‖ and H_n − H₀ at every step."""
 
     body: str
     kappa: str
@@ -36,7 +36,7 @@ class Run(NamedTuple):
 
 
 def free_body_run(body: str, kappa_index: int, dt: float) -> Run:
-    """Integrate Ω₀ = (.2, 0, 1) for t = 50 and follow the Poisson error and the energy."""
+    """Integrate from Ω₀ = (.2, 0, 1) to t = 50, and measure the Poisson error and the energy."""
     system = rigid_body(BODIES[body])
     step = so3_midpoint(system, KAPPAS[kappa_index])
     state = system.state(angular_velocity=OMEGA)
@@ -99,11 +99,11 @@ class Panel(NamedTuple):
         dt: time step.
         lag: N of the delay plot.
         Phi: P₀ = π̂F₀ with π = (0, 0, Phi).
-        printed: the variation in the caption, max − min.
-        displacement: whether it is the displacement that is plotted.
+        printed: the variation, max − min, printed in the caption.
+        displacement: whether the displacement is plotted, not the energy.
         F33: None for F₀ = 1; else F₀ = ((1.01, .01, 0), (.01, 1.01, 0), (0, 0, F33)).
-        steps: how many, at most STEPS.
-        note: what there is to say beside the two numbers.
+        steps: the number of steps, at most STEPS.
+        note: a remark for the table.
     """
 
     name: str
@@ -151,7 +151,8 @@ class DelayRun(NamedTuple):
 def delay_run(panel: Panel) -> DelayRun:
     """Integrate a panel of Figures 3 to 5.
 
-    E = 2·1; λ = 2000, μ = 6; the implicit midpoint rule (6.17) but for 5c, whose (6.13) gives γ = ½ for that material.
+    E = 2·1; λ = 2000, μ = 6; by the implicit midpoint rule (6.17), except for 5c: by (6.13), which gives γ = ½ for its
+    material.
     """
     saint_venant = panel.name == "5c"
     body = pseudo_rigid_body(np.full(3, 2.0), (saint_venant_kirchhoff if saint_venant else mooney_rivlin)(2000.0, 6.0))

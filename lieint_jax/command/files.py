@@ -17,7 +17,7 @@ SUFFIXES = (".npz", ".zarr")
 
 
 def free(path: Path, kinds: Iterable[str] = (), resume: bool = False) -> Path:
-    """`path`, which must end in .npz or .zarr; neither it nor its pictures may exist, and its folder must be writable.
+    """`path`, checked: it ends in .npz or .zarr, neither it nor its pictures exist, and its folder is writable.
 
     With `resume`, a .zarr may exist.
     """
@@ -38,7 +38,7 @@ def free(path: Path, kinds: Iterable[str] = (), resume: bool = False) -> Path:
 
 
 def pictures(path: Path, kinds: Iterable[str]) -> list[Path]:
-    """Where the pictures beside results at `path` go, such as NAME-path.png of the kind "path"."""
+    """The paths of the pictures beside results at `path`, such as NAME-path.png for the kind "path"."""
     return [path.with_name(f"{path.stem}-{kind}.png") for kind in kinds]
 
 
@@ -59,7 +59,7 @@ def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:
 def load(path: Path) -> tuple[Any, dict[str, Any]]:
     """A run and its metadata: the run that `save` wrote, or the complete part of a store.
 
-    See `ensemble._store.load` for what a store gives.
+    For the form of a store's results see `ensemble._store.load`.
     """
     if path.suffix == ".zarr":
         return _store.load(path)

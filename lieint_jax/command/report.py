@@ -1,4 +1,4 @@
-"""What the commands print and write: a scenario's results, certificates."""
+"""The commands `run`, `info`, `plot` and `check`: they print reports and certificates and write results."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from lieint_jax.diagnostics import certify
 from lieint_jax.scenarios._common import Common, nominal
 from lieint_jax.types import State, Step, Trajectory
 
-_SHOWN = 2**28  # bytes of a store that are read to draw it
-_TIMES, _BLOCK = 17, 8192  # saved times and members that energies are looked at together
+_SHOWN = 2**28  # the most bytes of a store that are read to draw it
+_TIMES, _BLOCK = 17, 8192  # saved times at which energies are measured, and members at once
 
 
 def run(
@@ -29,7 +29,7 @@ def run(
     devices: int | None = None,
     resume: bool = False,
 ) -> None:
-    """Integrate a scenario; write results and, of a run kept in memory (.npz), print the report and draw pictures."""
+    """Integrate a scenario and write the results; for an .npz, also print the report and draw pictures."""
     scenario = scenarios.load(name, members=members, steps=steps)
     kind = scenarios.kind(scenario)
     if out is None:
@@ -69,12 +69,12 @@ def run(
 
 
 def info(path: Path) -> None:
-    """Print what a file of results holds."""
+    """Describe a file of results."""
     print(_contents(path))
 
 
 def plot(path: Path) -> None:
-    """Report on a file of results and draw the pictures of its scenario beside it, from its first members."""
+    """Report on a file of results, and draw the pictures of its scenario beside it, from its first members."""
     run, metadata = files.load(path)
     if "scenario" not in metadata or not isinstance(run, Trajectory):
         raise ValueError(f"{path} holds no trajectories of a scenario: there is no picture for it")
@@ -106,7 +106,7 @@ def _draw(kind: Any, path: Path, scenario: Common, step: Step, run: Trajectory) 
 
 
 def _contents(path: Path) -> str:
-    """What a file of results holds, in lines."""
+    """A description of a file of results, in lines."""
     run, metadata = files.load(path)
     scenario = scenarios.parse(metadata["scenario"], str(path)) if "scenario" in metadata else None
     series = not isinstance(run, Trajectory)
@@ -144,7 +144,7 @@ def _contents(path: Path) -> str:
 
 
 def _kept(step: Step, run: Trajectory) -> str:
-    """The largest change of energy at some of the saved times, and how many members converged, block by block."""
+    """Two lines: the largest change of energy at `_TIMES` saved times, and how many members converged."""
     count, energies = run.state.p.shape[1], jax.jit(jax.vmap(jax.vmap(step.system.energy)))
     times = np.unique(np.linspace(0, len(run.t) - 1, _TIMES).astype(int))
     worst = size = failed = 0.0

@@ -1,4 +1,4 @@
-"""What a scheme conserves, measured: by autodiff and by running it, never by a formula for the scheme at hand."""
+"""Measurements of what a scheme conserves, by autodiff and by running it, never by a formula of the scheme."""
 
 from lieint_jax.diagnostics.certify import Certificate, certify
 from lieint_jax.diagnostics.order import flow, order, reversibility

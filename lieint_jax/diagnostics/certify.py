@@ -1,4 +1,4 @@
-"""One report of what a step conserves."""
+"""A certificate: one report of all conservation properties of a step."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from lieint_jax.types import State, Step, checked_step
 
 
 class Certificate(NamedTuple):
-    """What was measured of one step from one state; `print` it.
+    """Conservation properties of a step, measured from one state; `print` it.
 
     Attributes:
         scheme: name of the step.
         system: name of the system.
         precision: "float64" or "float32".
         dt: step size.
-        num_steps: length of the run behind energy, momentum, constraint, residual and converged.
+        num_steps: length of the run that gives energy, momentum, constraint, residual and converged.
         energy: max|H_n − H₀| / |H₀|.
         momentum: max|Φ_n − Φ₀| / max|Φ₀| over the components of the momentum map; nan if there is none.
         constraint: largest defect of the configuration, such as ||q|² − 1|.
@@ -78,7 +78,7 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
         step: a scheme's step.
         state: the initial state of one body.
         dt: step size.
-        num_steps: how many steps the invariants are watched for.
+        num_steps: length of the run along which the invariants are measured.
 
     Raises:
         ValueError: as `integrate`.
@@ -115,7 +115,7 @@ _defect_matrix = jax.jit(defect_matrix)
 
 
 def _form_defect(step: Step, state: State, dt: float) -> float:
-    """The symplectic defect with δπ measured in |π|, so that no unit of the state matters."""
+    """The symplectic defect with δπ measured in max|π|, so that it does not depend on units."""
     defect = np.asarray(_defect_matrix(step, state, dt))
     p, d = float(size(state.p)), defect.shape[0] // 2
     unit = np.repeat([p**-0.5, p**0.5], d)

@@ -1,4 +1,4 @@
-"""Measured order and reversibility. The reference is the system's own vector field, not another run of the scheme."""
+"""Measured order and reversibility. The reference is the flow of the system's vector field, not the scheme itself."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _STAGES, _ITERATIONS = 8, 24
 def flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
     """The state after time t, by Gauss–Legendre collocation of order 16 for `system.vector_field` as it stands.
 
-    A reference that shares nothing with the schemes: ambient coordinates, stages by fixed-point iteration. Good to a
-    few times round-off for |t Ω| / num_steps ≤ 1/2. Source: Hairer, Lubich & Wanner, Geometric Numerical Integration,
+    A reference that shares nothing with the schemes: ambient coordinates, stages by fixed-point iteration. Its error is
+    a few round-offs for |t Ω| / num_steps ≤ 1/2. Source: Hairer, Lubich & Wanner, Geometric Numerical Integration,
     II.1.3.
     """
     z0, unravel = ravel_pytree(state)
@@ -47,19 +47,19 @@ def _gauss(stages: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
-    """The order of accuracy, fitted to the errors at time T = num_steps·dt of runs of different step sizes.
+    """The order of accuracy, fitted to the errors at time T = num_steps·dt of runs with different step sizes.
 
-    The sizes are dt, dt/2, dt/4; where they are too fine to see an error above round-off, 2dt, 4dt, … up to T as well.
+    The sizes are dt, dt/2, dt/4; if fewer than two of these have errors above round-off, also 2dt, 4dt, … up to T.
 
     Args:
         step: a scheme's step.
-        state: the initial state; one whose motion is not an equilibrium.
+        state: the initial state, not an equilibrium.
         dt: a step size within the scheme's limit.
-        num_steps: steps of that size.
+        num_steps: the number of steps of that size.
 
     Returns:
         The slope of log error against log step size, over the converged runs with errors above the floor of round-off;
-        inf if fewer than two are above it: the scheme is exact as far as can be seen.
+        inf if there are fewer than two such runs: the scheme is exact as far as can be measured.
     """
     T = num_steps * dt
     end = flow(step.system, state, T, 2 * num_steps)
@@ -90,17 +90,17 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
 
 @jax.jit
 def _after(step: Step, state: State, dt: ArrayLike, num_steps: ArrayLike) -> tuple[State, StepInfo]:
-    """The state after `num_steps` steps, any number of them by one program, and whether all converged."""
+    """The state after `num_steps` steps, compiled once for any number of them, and their report."""
     return steps(step.prepare(state, dt), state, dt, num_steps)
 
 
 def distance(a: State, b: State) -> Array:
-    """The largest difference of two states, in q and in p over the largest component of p: no units."""
+    """The largest difference of two states, in q, and in p over the largest component of p: dimensionless."""
     return jnp.maximum(jnp.max(jnp.abs(a.q - b.q)), jnp.max(jnp.abs(a.p - b.p)) / size(b.p))
 
 
 def size(p: Array) -> Array:
-    """The largest component of a momentum, 1 for zero: what errors of momenta are measured by."""
+    """The largest component of a momentum, 1 for zero: the unit of errors of momenta."""
     largest = jnp.max(jnp.abs(p))
     return jnp.where(largest > 0, largest, 1)
 

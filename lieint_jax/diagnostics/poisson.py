@@ -1,4 +1,4 @@
-"""The Poisson error of a trajectory: how far it has carried the Poisson matrix from ω⁻¹ (Sections 3.3 and 5.3)."""
+"""The Poisson error of a trajectory: the transported Poisson matrix less ω⁻¹ (Sections 3.3 and 5.3)."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ _Method = Literal["recursion", "product"]
 
 
 def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, method: _Method | None = None) -> Array:
-    """How far a run has carried the Poisson matrix from ω⁻¹: zero for ever if and only if the steps are symplectic.
+    """The Poisson error of a run: zero for ever if and only if its steps are symplectic.
 
-    For systems on T*G without potential, whose Poisson matrix stays of the form [[σ_n, −1], [1, α]] (5.35): σ_n, shape
-    (num_steps+1, d, d), skew. For all others, the whole P_n − ω⁻¹(z_n), shape (num_steps+1, 2d, 2d), by the product.
+    The linearised steps transport the Poisson matrix, P_{n+1} = L_n P_n L_nᵀ (5.34) from P₀ = ω⁻¹(z₀). For systems on
+    T*G without potential, P_n stays of the form [[σ_n, −1], [1, α]] (5.35), and the error is σ_n, shape
+    (num_steps+1, d, d), skew. For all others it is P_n − ω⁻¹(z_n), shape (num_steps+1, 2d, 2d).
 
     Args:
         step: a scheme's step.
         state: the initial state.
         dt: step size.
-        num_steps: how many steps.
-        method: "recursion" adds up (5.36) from the block C_n of the linearised step (5.29) and holds a symplectic
-            scheme at round-off; "product" multiplies P_{n+1} = L_n P_n L_nᵀ (5.34) and takes the block from it. Both
-            say the same of systems without potential, for which "recursion" is the default; the others have "product"
-            only.
+        num_steps: the number of steps.
+        method: "recursion" sums (5.36) from the block C_n of the linearised step (5.29), and stays at round-off for a
+            symplectic scheme; "product" multiplies by (5.34) and takes the block σ_n. For systems without potential
+            both give the same, and "recursion" is the default; the others have "product" only.
 
     Raises:
         ValueError: a bad count, another method, or "recursion" for a system with a potential or not on a T*G.

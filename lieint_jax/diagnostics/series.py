@@ -23,7 +23,7 @@ def momentum_error(system: System, trajectory: Trajectory) -> Array:
 
 
 def constraint_error(system: System, trajectory: Trajectory) -> Array:
-    """By how much q leaves the configuration space: |q|² − 1, shape (n+1,), for unit quaternions."""
+    """The distance of q from the configuration space, shape (n+1,): |q|² − 1 for unit quaternions."""
     return jax.vmap(system.phase_space.defect)(trajectory.state)
 
 

@@ -1,4 +1,4 @@
-"""The linearised step and what it does to the symplectic form (3.1)."""
+"""The linearised step, and the defect of the symplectic form under it (3.1)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def linearization(step: Step, state: State, dt: ArrayLike) -> Array:
 
 
 def pushed(space: PhaseSpace, function: Callable[[State], tuple[State, Any]], state: State) -> tuple[State, Any, Array]:
-    """function(state) = (end, aux), and the derivative of end, (2d, 2d), in the coordinates of the phase space."""
+    """end, aux = function(state), and the derivative of end, (2d, 2d), in the coordinates of the phase space."""
 
     def push(delta: Array) -> tuple[State, tuple[State, Any]]:
         end, aux = function(space.perturb(state, delta))

@@ -1,4 +1,4 @@
-"""Batches of bodies: over devices and processes, with results in memory or on disk, and a report of what failed."""
+"""Batches of bodies: over devices and processes, with results in memory or on disk, and a report of failures."""
 
 from lieint_jax.ensemble import processes
 from lieint_jax.ensemble._job import Summary

@@ -1,4 +1,4 @@
-"""What an ensemble is to do, and what it keeps of each save interval: shared by runs in memory and on disk."""
+"""The description of an integration, and the interface of its outputs, in memory and on disk."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from lieint_jax.ensemble._layout import Layout
 from lieint_jax.ensemble._loop import Carry, Range, Reduction
 from lieint_jax.types import State, Step, StepInfo
 
-_CHUNK_BYTES, _MEMORY = 2**22, 2**28  # of an array on disk; of the saves of all members that are held at once
-_CHUNK_WORK = 2e8  # body-steps whose saves are held at once, if they are saved that often
+_CHUNK_BYTES, _MEMORY = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
+_CHUNK_WORK = 2e8  # the most body-steps between two writes, unless a single save interval has more
 
 
 class Summary(NamedTuple):
-    """What `reduce` keeps. Time is the axis of all but the last two; entry 0 is the start.
+    """The result of a run with `reduce`. Time is the axis of all fields but the last two; entry 0 is the start.
 
     Attributes:
         t: times, shape (n+1,).
-        least, greatest, mean: of the change of the reduced quantity since the start, over all members and over the
-            steps since the entry before.
-        residual: the largest, over the same.
-        unconverged: the number of members with a step that did not converge, over the same.
+        least, greatest, mean: of the change of the reduced quantity since the start, over all members and all steps
+            since the previous entry.
+        residual: the largest residual over the same members and steps.
+        unconverged: the number of members with a step that did not converge since the previous entry.
         state: the states at the end, (members, …).
-        failed: the first step that did not converge of each member, or −1.
+        failed: the first step of each member that did not converge, or −1.
     """
 
     t: np.ndarray
@@ -40,7 +40,7 @@ class Summary(NamedTuple):
 
 
 class Job(NamedTuple):
-    """An integration to be done. `dt_given` is dt as the caller has it, `dt` an array of the states' dtype."""
+    """An integration to be done. `dt_given` is dt as the caller gave it, `dt` the same in the states' dtype."""
 
     step: Step
     states: State
@@ -67,18 +67,18 @@ class Job(NamedTuple):
         return self.states.p.shape[0]
 
     def buffer_rows(self, across: int) -> int:
-        """The number of saves that are held at once, for chunks of `across` members."""
+        """The number of saves per call of the loop and per chunk of a store, where a chunk holds `across` members."""
         row = max(sum(leaf[0].nbytes for leaf in self.states) + 9, 24)
         enough = min(_CHUNK_BYTES // (across * row), _MEMORY // (self.members * row))
         return int(max(1, min(enough, _CHUNK_WORK // (self.members * self.save_every), self.num_saves + 1)))
 
 
 class Output(Protocol):
-    """Where a run puts its saved rows: in memory (`_run`) or on disk (`_recording`)."""
+    """The destination of a run's saved rows: memory (`_run`) or disk (`_recording`)."""
 
     @property
     def defers_interrupts(self) -> bool:
-        """Whether an interrupt waits until the run `can_stop`."""
+        """True if an interrupt waits until the run `can_stop`."""
         ...
 
     @property
@@ -95,10 +95,10 @@ class Output(Protocol):
         """The carry and the number of steps of the run that this output holds already, or None."""
 
     def begin(self, carry: list[Carry]) -> None:
-        """Take the entry of the start; not called for a run that was restored."""
+        """Receive the entry of the start; not called for a run that was restored."""
 
     def append(self, saved: Any, number: int) -> None:
-        """Take `number` saved rows."""
+        """Receive `number` saved rows."""
 
     def checkpoint(self, carry: list[Carry], done: int, seconds: float, stop: bool) -> None:
         """Called after each call of the loop with a carry from which the run can be resumed; may write a checkpoint.
@@ -106,16 +106,16 @@ class Output(Protocol):
         Args:
             carry: the carry.
             done: the number of steps taken.
-            seconds: how long the call took.
-            stop: whether the run is to stop.
+            seconds: the duration of the call.
+            stop: True if the run was asked to stop.
         """
 
     def can_stop(self) -> bool:
-        """Whether everything that a resume needs has been kept."""
+        """True if everything that a resume needs has been kept."""
         ...
 
     def interrupt_message(self, done: int, num_steps: int) -> str:
-        """What to tell somebody who interrupted the run."""
+        """The message for a user who interrupted the run."""
         ...
 
     def result(self, carry: list[Carry]) -> Any:
@@ -123,7 +123,7 @@ class Output(Protocol):
 
 
 def local_rows(saved: list[Any], number: int) -> list[Any]:
-    """The first `number` saved rows of each piece, copied to the host."""
+    """The first `number` saved rows of each block, copied to the host."""
     return jax.tree.map(lambda x: np.array(np.asarray(x)[:number]), saved)
 
 
@@ -139,7 +139,7 @@ def first_entry(job: Job) -> dict[str, np.ndarray]:
 
 
 def reduced(rows: tuple[StepInfo, Range], job: Job) -> dict[str, np.ndarray]:
-    """Rows (saves, members) to series (saves,). Sums go in the order of the members, on whatever device they lie."""
+    """Reduce rows (saves, members) to series (saves,). Sums run in the order of the members, whatever their devices."""
     info, change = rows
     return {
         "least": change.least.min(axis=1),

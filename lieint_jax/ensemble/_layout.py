@@ -1,14 +1,14 @@
-"""Members over devices: how a batch is cut, padded and placed.
+"""Members over devices: a batch is cut into blocks, padded, and placed.
 
 The mesh axis "members" runs over devices and processes. A device's members lie on it in blocks, and the bits of a
 result depend neither on how many devices there are nor on where a member lies:
 
-* every block is advanced by the same program (`_loop`), compiled for one device. (One program for all, by `shard_map`,
-  would round differently for each number of devices: XLA fuses it differently.)
-* blocks are multiples of 16, whole vectors of any width, and behind each are 32 copies of a member whose results are
-  dropped: a CPU takes the last vector of a loop over components in memory by scalar code, which rounds differently.
+* Every block is advanced by the same program (`_loop`), compiled for one device. (One program for all devices, by
+  `shard_map`, is fused differently by XLA for each number of devices, and then rounds differently.)
+* The size of a block is a multiple of 16, so that it fills whole vector registers, and 32 copies of a member follow it,
+  whose results are dropped: on a CPU the remainder of a vectorised loop runs as scalar code, which rounds differently.
 
-On a CPU a block stays in its cache.
+On a CPU a block fits the cache.
 """
 
 from __future__ import annotations
@@ -27,60 +27,62 @@ from jax import Array
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 AXIS = "members"
-LANES = 16  # members of a whole vector: 16 float32 of 512 bits
-_TAIL = 32  # members behind a block, in which its last vectors lie
-_BLOCK = 1024  # members that a CPU works on at once: their states and temporaries fit its cache
+LANES = 16  # members in a vector register: 16 float32 in 512 bits
+_TAIL = 32  # padding after a block, which takes the remainder of vectorised loops
+_BLOCK = 1024  # the most members in a block on a CPU: their states and temporaries fit the cache
 
 
-class Piece(NamedTuple):
-    """A block of members on a device of this process: those from `start` on."""
+class Block(NamedTuple):
+    """A block of members on a device of this process; `start` is its first member."""
 
     device: Any
     start: int
 
 
 class Layout(NamedTuple):
-    """How `members` members lie on the devices of a mesh: `blocks` blocks of `block` members on each, in order.
+    """The placement of members on the devices of a mesh.
 
-    Places beyond the last member are padding: copies of that member. A block of padding alone is left out.
+    Each device holds `blocks_per_device` blocks of `block_size` members, in order. Places beyond the last member are
+    padding: copies of that member. A block of padding alone is left out.
     """
 
     mesh: Mesh
     members: int
-    block: int
-    blocks: int
+    block_size: int
+    blocks_per_device: int
 
     @property
-    def lanes(self) -> int:
-        """Members of a block and the copies behind it. A single member, always in one block, needs no copies."""
-        return 1 if self.members == 1 else self.block + _TAIL
+    def padded_block_size(self) -> int:
+        """The members of a block and the copies after it. A single member, always one block, needs no copies."""
+        return 1 if self.members == 1 else self.block_size + _TAIL
 
     @property
     def per_device(self) -> int:
-        """Members per device, padding included."""
-        return self.block * self.blocks
+        """The number of members on a device, padding included."""
+        return self.block_size * self.blocks_per_device
 
     @property
-    def here(self) -> list[int]:
-        """Which of the mesh's devices are of this process."""
+    def local_devices(self) -> list[int]:
+        """The positions in the mesh of the devices of this process."""
         return [k for k, device in enumerate(self.mesh.devices.flat) if device.process_index == jax.process_index()]
 
     @property
-    def members_here(self) -> range:
-        """The members of this process, without padding."""
-        first, last = min(self.here) * self.per_device, (max(self.here) + 1) * self.per_device
+    def local_members(self) -> range:
+        """The members on the devices of this process, without padding."""
+        devices = self.local_devices
+        first, last = min(devices) * self.per_device, (max(devices) + 1) * self.per_device
         return range(min(first, self.members), min(last, self.members))
 
     @property
-    def pieces(self) -> list[Piece]:
+    def local_blocks(self) -> list[Block]:
         """The blocks of this process, in the order of their members; one of padding, if it has no members."""
-        devices, starts = self.mesh.devices.flat, range(0, self.per_device, self.block)
-        found = [Piece(devices[k], k * self.per_device + start) for k in self.here for start in starts]
-        return [piece for piece in found if piece.start < self.members] or found[:1]
+        devices, starts = self.mesh.devices.flat, range(0, self.per_device, self.block_size)
+        found = [Block(devices[k], k * self.per_device + start) for k in self.local_devices for start in starts]
+        return [block for block in found if block.start < self.members] or found[:1]
 
 
 def checked_mesh(mesh: Mesh | None) -> Mesh:
-    """`mesh` if it has the one axis "members" and as many devices on each process; None means all devices."""
+    """`mesh`, if its one axis is "members" and each process has equally many devices in it; None means all devices."""
     if mesh is None:
         return first_devices(None)
     if not isinstance(mesh, Mesh) or tuple(mesh.axis_names) != (AXIS,):
@@ -97,7 +99,7 @@ def checked_mesh(mesh: Mesh | None) -> Mesh:
 def want_devices(count: int | None) -> None:
     """Split the CPU into `count` devices; by default one per core, which is fastest.
 
-    Without effect on accelerators, once JAX has started, or where XLA_FLAGS says how many.
+    It has no effect on accelerators, once JAX has started, or where XLA_FLAGS sets the number.
     """
     if count is None:
         affinity = getattr(os, "sched_getaffinity", None)  # not on every system
@@ -111,15 +113,15 @@ def first_devices(count: int | None) -> Mesh:
     """A mesh of the first `count` devices of each process; None takes all."""
     devices = np.array(jax.devices())
     if count is not None:
-        here = jax.local_device_count()
-        if count > here:
-            raise ValueError(f"{count} devices were asked for and {here} are there")
-        devices = devices.reshape(-1, here)[:, :count].ravel()
+        available = jax.local_device_count()
+        if count > available:
+            raise ValueError(f"{count} devices were asked for and {available} are there")
+        devices = devices.reshape(-1, available)[:, :count].ravel()
     return Mesh(devices, (AXIS,))
 
 
 def layout_of(mesh: Mesh, members: int, chunk: int | None = None) -> Layout:
-    """How `members` members lie on a mesh; with a `chunk`, each process holds a whole number of chunks of members."""
+    """The layout of `members` members on a mesh; with `chunk`, each process holds whole chunks of members."""
     if members == 1:
         return Layout(mesh, 1, 1, 1)
     processes = count_processes(mesh)
@@ -136,36 +138,36 @@ def layout_of(mesh: Mesh, members: int, chunk: int | None = None) -> Layout:
 
 
 def chunk_of(layout: Layout, most: int) -> int:
-    """How many members a chunk of a store holds, at most `most` or one block of each device of a process."""
-    row = len(layout.here) * layout.block
-    return row * min(layout.blocks, max(1, most // row))
+    """The number of members in a chunk of a store: at most `most`, but at least one block of each local device."""
+    row = len(layout.local_devices) * layout.block_size
+    return row * min(layout.blocks_per_device, max(1, most // row))
 
 
 def scatter(layout: Layout, tree: Any, first: int = 0) -> list[Any]:
-    """Host arrays that begin at member `first`, cut into the pieces of this process, padded, each on its device."""
+    """Cut host arrays that begin at member `first` into this process' blocks, pad them, and put each on its device."""
     tree = jax.tree.map(np.asarray, tree)
 
-    def one(piece: Piece) -> Any:
-        rows = np.arange(piece.start, piece.start + layout.lanes) - first
-        return jax.device_put(jax.tree.map(lambda x: x[np.clip(rows, 0, len(x) - 1)], tree), piece.device)
+    def one(block: Block) -> Any:
+        rows = np.arange(block.start, block.start + layout.padded_block_size) - first
+        return jax.device_put(jax.tree.map(lambda x: x[np.clip(rows, 0, len(x) - 1)], tree), block.device)
 
-    return [one(piece) for piece in layout.pieces]
+    return [one(block) for block in layout.local_blocks]
 
 
 def replicate(layout: Layout, tree: Any) -> list[Any]:
-    """A copy of `tree` on the device of each piece."""
-    copies = {piece.device: jax.device_put(tree, piece.device) for piece in layout.pieces}
-    return [copies[piece.device] for piece in layout.pieces]
+    """A copy of `tree` for each block of this process, on the block's device."""
+    copies = {block.device: jax.device_put(tree, block.device) for block in layout.local_blocks}
+    return [copies[block.device] for block in layout.local_blocks]
 
 
-def on_each(layout: Layout, function: Callable[..., Any], *pieces: list[Any]) -> list[Any]:
-    """Apply `function` to every piece, all devices working at once; return when all are done."""
+def map_blocks(layout: Layout, function: Callable[..., Any], *arguments: list[Any]) -> list[Any]:
+    """Apply `function` to the arguments of each block, on all devices at once; return when all are done."""
     work: dict[Any, list[int]] = {}
-    for k, piece in enumerate(layout.pieces):
-        work.setdefault(piece.device, []).append(k)
+    for k, block in enumerate(layout.local_blocks):
+        work.setdefault(block.device, []).append(k)
 
     def on_device(which: list[int]) -> list[tuple[int, Any]]:
-        return jax.block_until_ready([(k, function(*(x[k] for x in pieces))) for k in which])
+        return jax.block_until_ready([(k, function(*(x[k] for x in arguments))) for k in which])
 
     if len(work) == 1:
         return [result for which in work.values() for _, result in on_device(which)]
@@ -173,23 +175,23 @@ def on_each(layout: Layout, function: Callable[..., Any], *pieces: list[Any]) ->
         return [result for done in pool.map(on_device, work.values()) for _, result in done]
 
 
-def local_part(layout: Layout, pieces: Sequence[Array], axis: int = 0) -> np.ndarray:
-    """The members of this process, of an array given by its pieces, without padding; `axis` is the member axis."""
+def local_part(layout: Layout, blocks: Sequence[Array], axis: int = 0) -> np.ndarray:
+    """The members of this process as one host array, without padding, from their blocks; `axis` is the member axis."""
     before = (slice(None),) * axis
-    parts = [np.asarray(x)[*before, : layout.block] for x in pieces]
-    return (np.concatenate(parts, axis) if len(parts) > 1 else parts[0])[*before, : len(layout.members_here)]
+    parts = [np.asarray(x)[*before, : layout.block_size] for x in blocks]
+    return (np.concatenate(parts, axis) if len(parts) > 1 else parts[0])[*before, : len(layout.local_members)]
 
 
 def gather(layout: Layout, trees: Sequence[Any], axis: int = 0) -> Any:
-    """The arrays of all members on every process, without padding, from a tree per piece; `axis` is the member axis."""
-    return jax.tree.map(lambda *pieces: _gather_leaf(layout, pieces, axis), *trees)
+    """The arrays of all members on every process, without padding, from a tree per block; `axis` is the member axis."""
+    return jax.tree.map(lambda *blocks: _gather_leaf(layout, blocks, axis), *trees)
 
 
-def _gather_leaf(layout: Layout, pieces: Sequence[Array], axis: int) -> np.ndarray:
-    mine = local_part(layout, pieces, axis)
+def _gather_leaf(layout: Layout, blocks: Sequence[Array], axis: int) -> np.ndarray:
+    mine = local_part(layout, blocks, axis)
     if count_processes(layout.mesh) == 1:
         return mine
-    mine, devices = np.moveaxis(mine, axis, 0), len(layout.here)
+    mine, devices = np.moveaxis(mine, axis, 0), len(layout.local_devices)
     mine = np.concatenate([mine, np.zeros((devices * layout.per_device - len(mine), *mine.shape[1:]), mine.dtype)])
     whole = _all_gather_rows(layout.mesh, mine.reshape(devices, layout.per_device, *mine.shape[1:]))
     return np.moveaxis(whole.reshape(-1, *mine.shape[1:])[: layout.members], 0, axis)
@@ -213,7 +215,7 @@ def _replicated(mesh: Mesh) -> Any:
 
 
 def count_processes(mesh: Mesh) -> int:
-    """How many processes the devices of a mesh belong to."""
+    """The number of processes that the devices of a mesh belong to."""
     return len({device.process_index for device in mesh.devices.flat})
 
 
@@ -237,7 +239,7 @@ def barrier(mesh: Mesh) -> None:
 
 
 def worst_energy_error(layout: Layout, H0: list[Array], H: list[Array], failed: list[Array]) -> tuple[float, int]:
-    """The largest |H − H₀| over the largest |H₀|, and how many members have failed."""
+    """max|H − H₀| / max|H₀| over all members, and the number of members that have failed."""
     H0_, H_, failed_ = (local_part(layout, x) for x in (H0, H, failed))
     change, size = (np.max(np.abs(x), initial=0.0) for x in (H_ - H0_, H0_))
     found = all_gather(layout.mesh, float(change), float(size), float(np.sum(failed_ >= 0)))

@@ -1,4 +1,4 @@
-"""The one compiled loop that advances a batch, and what it carries from one step to the next."""
+"""The compiled loop that advances a batch, and its carry."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ class Range(NamedTuple):
 
 
 class Carry(NamedTuple):
-    """All that a run carries from one step to the next, every leaf with the member axis first.
+    """The carry of a run from one step to the next, every leaf with the member axis first.
 
     Attributes:
         state: the states.
-        info: the report since the last save.
+        info: the merged `StepInfo` since the last save.
         failed: the first step that did not converge, or −1.
-        change: of a reduced quantity, since the last save; None if nothing is reduced.
+        change: the range of the reduced quantity's change since the last save; None if nothing is reduced.
     """
 
     state: State
@@ -51,14 +51,14 @@ class Carry(NamedTuple):
 
 
 class Portion(NamedTuple):
-    """What one call of the compiled loop is to do: `saves` times `every` steps of size `dt`.
+    """The part of a run that one call of the compiled loop does: `saves` times `every` steps of size `dt`.
 
     Attributes:
         dt: the step size, an array of the states' dtype.
         done: the number of steps taken before.
         saves: the number of save intervals.
         every: the number of steps in each.
-        fresh: whether the first interval begins here; if not, it goes on with the report that the carry brings.
+        fresh: True if a save interval begins here; False if the call continues one, whose report is in the carry.
     """
 
     dt: Any
@@ -69,13 +69,13 @@ class Portion(NamedTuple):
 
 
 def compiler_options() -> dict[str, Any]:
-    """What the compiled loops are built with: full-width vectors, 1.4 to 1.7 times faster on AVX-512 machines."""
+    """XLA's options for the compiled loops: 512-bit vectors on x86, 1.4 to 1.7 times faster on AVX-512 machines."""
     on_x86 = jax.default_backend() == "cpu" and platform.machine().lower() in ("x86_64", "amd64")
     return {"xla_cpu_prefer_vector_width": 512} if on_x86 else {}
 
 
 def step_dtype() -> Any:
-    """What numbers of steps are kept in: int64, or int32 without x64."""
+    """The dtype of step counts: int64, or int32 without x64."""
     return jax.dtypes.canonicalize_dtype(np.int64)
 
 
@@ -109,10 +109,10 @@ def prepare(step_axis: int | None) -> Callable[..., Any]:
 def advance(step_axis: int | None, reduction: Reduction | None, buffer_rows: int) -> Callable[..., tuple[Carry, Any]]:
     """The compiled loop (step, carry, origin, portion) ↦ (carry, saved), for at most `buffer_rows` saves a call.
 
-    `saved` holds, of each save, the report, and the state or the change of the reduced quantity since `origin`.
+    Each row of `saved` holds the report, and the state or the change of the reduced quantity since `origin`.
     """
 
-    def of_all(function: Callable[..., Any], step: Step, states: State) -> Any:
+    def over_members(function: Callable[..., Any], step: Step, states: State) -> Any:
         return jax.vmap(function, in_axes=(step_axis, 0))(step, states)
 
     def loop(step: Step, carry: Carry, origin: Any, portion: Portion) -> tuple[Carry, Any]:
@@ -120,11 +120,11 @@ def advance(step_axis: int | None, reduction: Reduction | None, buffer_rows: int
         unsaved = _unsaved(carry)
 
         def one(n: Array, carry: Carry) -> Carry:
-            state, info = of_all(lambda s, z: s(z, dt), step, carry.state)
+            state, info = over_members(lambda s, z: s(z, dt), step, carry.state)
             failed = jnp.where((carry.failed < 0) & ~info.converged, n, carry.failed)
             change = carry.change
             if reduction is not None and change is not None:
-                change = change.including(of_all(reduction, step, state) - origin)
+                change = change.including(over_members(reduction, step, state) - origin)
             return Carry(state, carry.info.merge(info), failed, change)
 
         def interval(k: Array, loop: tuple[Carry, Any]) -> tuple[Carry, Any]:
@@ -138,7 +138,7 @@ def advance(step_axis: int | None, reduction: Reduction | None, buffer_rows: int
             return carry, jax.tree.map(lambda to, x: to.at[k].set(x), saved, _saved(carry))
 
         buffer = jax.tree.map(lambda x: jnp.zeros((buffer_rows, *x.shape), x.dtype), _saved(carry))
-        begin = carry._replace(failed=jnp.full(carry.failed.shape, -1, jnp.int32))  # counted from this call's start
+        begin = carry._replace(failed=jnp.full(carry.failed.shape, -1, jnp.int32))  # counts from this call's start
         end, saved = lax.fori_loop(0, saves, interval, (begin, buffer))
         first = jnp.where(end.failed < 0, -1, done + end.failed)
         return end._replace(failed=jnp.where(carry.failed < 0, first, carry.failed).astype(carry.failed.dtype)), saved

@@ -16,28 +16,28 @@ from lieint_jax.ensemble._layout import AXIS, checked_mesh, count_processes
 
 
 def over_members(function: Callable[..., Any], in_axes: Any = 0, mesh: Mesh | None = None) -> Callable[..., Any]:
-    """`function` for one member as a jitted function of many, each device taking a share of them.
+    """`function` of one member as a jitted function of many, split over the devices.
 
-    Gradients, fits and whole studies go through it alike: `over_members(jax.grad(loss))(params, states)`. It may be
-    jitted and differentiated again. With `jax.distributed`, every process calls it with the same arguments and gets
-    the same results. As one program serves all devices, the last bits may depend on how many there are; those of
+    `function` may be a gradient, a fit or a whole study: `over_members(jax.grad(loss))(params, states)`. The result may
+    be jitted and differentiated again. With `jax.distributed`, every process calls it with the same arguments and gets
+    the same results. One program serves all devices, so the last bits may depend on the number of devices; those of
     `ensemble.run` do not.
 
-    LAPACK (`svd`, `qr`, `solve`, …) inside `function` wants `jax.custom_batching.sequential_vmap`: where a CPU's cores
-    are a device each, XLA does a batch of them on the very threads that wait for it.
+    LAPACK calls (`svd`, `qr`, `solve`, …) inside `function` need `jax.custom_batching.sequential_vmap`: where each core
+    of a CPU is a device, XLA runs a batch of them on the threads that already wait for it, and hangs.
 
     Args:
-        function: of arrays or trees of arrays; of one member.
-        in_axes: 0 for what carries the member axis, None for what all share; one for all arguments or a tuple, one
-            for each.
-        mesh: devices, as of `ensemble.run`; None takes all. A number of members that the devices do not divide is
-            filled up with copies of the last.
+        function: a function of one member, of arrays or trees of arrays.
+        in_axes: 0 for an argument with a member axis, None for one that all members share; one value for all arguments,
+            or a tuple.
+        mesh: devices, as in `ensemble.run`; None takes all. If their number does not divide the number of members, the
+            batch is padded with copies of the last member.
 
     Returns:
         The function of members; its results carry a leading member axis.
 
     Raises:
-        ValueError: no argument with a member axis, arguments of different numbers of members, another mesh.
+        ValueError: no argument with a member axis, different numbers of members, or a mesh with other axes.
         processes.LostProcess: another process of this run is gone.
     """
     mesh = checked_mesh(mesh)
@@ -74,7 +74,7 @@ def over_members(function: Callable[..., Any], in_axes: Any = 0, mesh: Mesh | No
 
 
 def _count(axes: tuple[Any, ...], arguments: tuple[Any, ...]) -> int:
-    """How many members the arguments have."""
+    """The number of members of the arguments."""
     if len(axes) != len(arguments) or any(axis not in (0, None) for axis in axes) or 0 not in axes:
         raise ValueError(f"in_axes must be 0 or None for each of {len(arguments)} arguments, not all None: {axes}")
     batched = [leaf for axis, x in zip(axes, arguments, strict=True) if axis == 0 for leaf in jax.tree.leaves(x)]

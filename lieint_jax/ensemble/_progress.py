@@ -1,4 +1,4 @@
-"""How a long run is watched and stopped: a bar, a pace, an interrupt that waits for a good moment."""
+"""The progress bar of a long run, the length of its calls, and interrupts that wait until a run can be resumed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import jax
 from lieint_jax.ensemble import _layout
 from lieint_jax.ensemble._layout import Layout
 
-_CALL = 0.5  # seconds that one call of the compiled loop is to take
+_CALL = 0.5  # target duration of a call of the compiled loop, s
 
 
 class Bar:
@@ -34,15 +34,15 @@ class Bar:
 
     @staticmethod
     def visible() -> bool:
-        """Whether this process is the first, and has a terminal to draw on."""
+        """True if this is the first process and its stderr is a terminal."""
         return jax.process_index() == 0 and sys.stderr.isatty()
 
     def update(self, steps: int) -> None:
-        """All members have taken `steps` more steps."""
+        """Advance the bar: all members have taken `steps` more steps."""
         self._bar.update(steps * self._count)
 
-    def tell(self, energy: float, unconverged: int) -> None:
-        """The energy error now, and how many members have failed so far."""
+    def show(self, energy: float, unconverged: int) -> None:
+        """Show the worst energy error so far, `energy` being the latest, and the number of members that failed."""
         self._worst = energy if energy != energy else max(self._worst, energy)
         self._bar.set_postfix_str(f"energy {self._worst:.1e}, unconverged {unconverged}")
 
@@ -54,15 +54,15 @@ class Bar:
 
 
 class Pace:
-    """How many steps a call of the compiled loop takes, so that it lasts about half a second on every process."""
+    """The number of steps per call of the compiled loop, adapted so that a call takes about half a second."""
 
     def __init__(self, layout: Layout) -> None:
         self._mesh = layout.mesh
-        self._call = _CALL + 1e-3 * layout.blocks  # every block is a call, which costs time too
+        self._call = _CALL + 1e-3 * layout.blocks_per_device  # each block is dispatched separately
         self.steps, self.seconds = max(1, 100_000 // layout.members), 0.0
 
     def measure(self, steps: int, seconds: float, interrupted: bool) -> bool:
-        """Learn from a call; whether to stop, because a process was interrupted."""
+        """Adapt the number of steps to the duration of a call; return True if a process was interrupted."""
         self.seconds, stop = _layout.all_reduce_max(self._mesh, seconds, interrupted)
         if steps == self.steps or self.seconds > self._call:
             grown = self.steps * min(4.0, self._call / max(self.seconds, 1e-6))
@@ -71,20 +71,20 @@ class Pace:
 
 
 class Interrupts:
-    """Between `with` and its end, Ctrl-C and SIGTERM only ask; a second one interrupts at once.
+    """Inside `with`, a first Ctrl-C or SIGTERM only sets `requested`; a second one interrupts at once.
 
-    If not `deferred`, or outside the main thread, they do what they always do.
+    If not `deferred`, or outside the main thread, the signals keep their usual handlers.
     """
 
     def __init__(self, deferred: bool) -> None:
-        self.asked = False
+        self.requested = False
         self._deferred = deferred and threading.current_thread() is threading.main_thread()
         self._before: dict[int, Any] = {}
 
     def _ask(self, number: int, _: object) -> None:
-        if self.asked:
+        if self.requested:
             raise KeyboardInterrupt
-        self.asked = True
+        self.requested = True
         print("\nlieint: finishing the chunk; interrupt again to stop at once", file=sys.stderr)
 
     def __enter__(self) -> Self:

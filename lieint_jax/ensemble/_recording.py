@@ -1,4 +1,4 @@
-"""A run into a store: its arrays, how they are filled while the run goes on, and which run may resume it."""
+"""A run into a store: its arrays, its checkpoints, and the check that a run may be resumed."""
 
 from __future__ import annotations
 
@@ -25,17 +25,18 @@ from lieint_jax.ensemble._loop import Carry, Range, compiler_options, step_dtype
 from lieint_jax.types import State, StepInfo, Trajectory
 
 _RESIDUAL = "largest residual of a step since the entry before"
-_CHUNK_MEMBERS = 8192  # at most, of an array on disk
-_CHECKPOINT_EVERY = 30.0  # seconds, within a save interval that takes longer
+_CHUNK_MEMBERS = 8192  # the most members in a chunk on disk
+_CHECKPOINT_EVERY = 30.0  # seconds between checkpoints within a long save interval
 
 
 class StoreOptions(NamedTuple):
-    """Where a run is stored, and what is written there beside the results.
+    """The place of a store, and attributes to write beside the results.
 
     Attributes:
         path: a folder, whose name ends in .zarr.
-        attributes: such as a scenario; as JSON knows them. A resume with other attributes is refused.
-        time_unit: of dt.
+        attributes: values that JSON can hold, such as a title. The key "scenario" describes the run: a resume with
+            another scenario is refused.
+        time_unit: the unit of dt.
     """
 
     path: str | Path
@@ -46,7 +47,7 @@ class StoreOptions(NamedTuple):
 def into_store(
     job: Job, mesh: Mesh, options: StoreOptions, resume: bool, integrate: Callable[[Layout, StoreOutput], Any]
 ) -> Any:
-    """Let `integrate` fill a store from its start, or from where its run ended; return what the store holds then."""
+    """Let `integrate` fill a store, from the start or from its last checkpoint, and return the stored results."""
     path = Path(options.path)
     if path.suffix != ".zarr":
         raise ValueError(f"a store is a folder that ends in .zarr, got {path}")
@@ -60,7 +61,7 @@ def into_store(
         chunk = _layout.chunk_of(layout, _CHUNK_MEMBERS)
         arrays = _columns(job, chunk, options), _checkpoint_columns(job, chunk)
         _store.create(path, *arrays, _attributes(job, options, described, chunk))
-    _layout.barrier(mesh)  # the store exists for all
+    _layout.barrier(mesh)  # now the store exists for every process
     with _store.opened(path, leader) as writer:
         _check_same(path, writer.attributes["run"], described)
         if leader:
@@ -82,13 +83,13 @@ def _opened(path: Path) -> Any:
 
 
 class StoreOutput:
-    """Results in a store, chunk by chunk, with a checkpoint after each from which the run can be resumed."""
+    """Results in a store, written chunk by chunk, with a checkpoint after each chunk."""
 
     defers_interrupts = True
 
     def __init__(self, job: Job, layout: Layout, writer: _store.Writer) -> None:
         self._job, self._layout, self._writer = job, layout, writer
-        self._entries = writer.progress["entries"]  # of commits
+        self._entries = writer.progress["entries"]  # committed so far
         self._pending: list[tuple[Any, int]] = []
         self._since = 0.0
         self._next: dict[str, Any] | None = None  # the progress of the commit that is being written
@@ -100,7 +101,7 @@ class StoreOutput:
 
     @property
     def free_rows(self) -> int:
-        """The number of saves until the chunk is whole."""
+        """The number of saves until the current chunk is full."""
         return self.buffer_rows - (self._entries + self._held) % self.buffer_rows
 
     def restored(self) -> tuple[list[Carry], int] | None:
@@ -108,7 +109,7 @@ class StoreOutput:
         done = self._writer.progress
         if not done["commits"]:
             return None
-        mine = self._layout.members_here
+        mine = self._layout.local_members
         part = range(max(min(mine.start, self._layout.members - 1), 0), max(mine.stop, mine.start + 1))
 
         def read(name: str) -> Any:
@@ -120,14 +121,14 @@ class StoreOutput:
         return _layout.scatter(self._layout, carry, part.start), done["steps"]
 
     def begin(self, carry: list[Carry]) -> None:
-        """Take the entry of the start."""
+        """Receive the entry of the start."""
         if self._job.reduction is None:
             self._pending.append(([jax.tree.map(lambda x: np.array(x)[None], (c.info, c.state)) for c in carry], 1))
         else:
             self._pending.append((first_entry(self._job), 1))
 
     def append(self, saved: Any, number: int) -> None:
-        """Take `number` saved rows."""
+        """Receive `number` saved rows."""
         if self._job.reduction is not None:
             saved = reduced(gathered_rows(self._layout, saved, number), self._job)
         else:
@@ -135,7 +136,7 @@ class StoreOutput:
         self._pending.append((saved, number))
 
     def checkpoint(self, carry: list[Carry], done: int, seconds: float, stop: bool) -> None:
-        """Commit if a chunk is whole; or if no rows are pending and the last commit is old or the run is to stop."""
+        """Commit if a chunk is full; or if no rows are pending and the last commit is old or the run is to stop."""
         self._settle(wait=False)
         self._since += seconds
         last = done == self._job.num_steps
@@ -145,19 +146,19 @@ class StoreOutput:
 
     def _commit(self, carry: list[Carry], done: int, last: bool) -> None:
         self._settle(wait=True)
-        pieces, first, number = self._pending, self._entries, self._held
+        pending, first, number = self._pending, self._entries, self._held
         slot = (self._writer.progress["commits"] + 1) % 2
         self._pending, self._entries, self._since = [], first + number, 0.0
-        self._writer.write(partial(self._parts, carry, pieces, first, slot, last))
+        self._writer.write(partial(self._parts, carry, pending, first, slot, last))
         self._next = {
-            "commits": 0 if last else self._writer.progress["commits"] + 1,  # a history that no longer matters
+            "commits": 0 if last else self._writer.progress["commits"] + 1,  # reset: it depends on interruptions
             "entries": self._entries,
             "steps": done,
             "complete": last,
         }
 
     def _settle(self, wait: bool) -> None:
-        """Publish the commit that is being written, if all processes have; with `wait`, once they have."""
+        """Publish the commit in progress if all processes have written it; with `wait`, wait until they have."""
         while self._next is not None:
             missing = _layout.all_reduce_max(self._layout.mesh, not self._writer.written)[0]
             if not missing:
@@ -168,12 +169,12 @@ class StoreOutput:
             else:
                 time.sleep(0.002)
 
-    def _parts(self, carry: list[Carry], pieces: list[tuple[Any, int]], first: int, slot: int, last: bool) -> Any:
-        """The parts of a commit, made when they are written."""
+    def _parts(self, carry: list[Carry], pending: list[tuple[Any, int]], first: int, slot: int, last: bool) -> Any:
+        """The parts of a commit, one by one, computed by the background thread."""
         layout, part = self._layout, _store.Part
-        mine = layout.members_here.start
+        mine = layout.local_members.start
         series = self._job.reduction is not None
-        if len(layout.members_here):
+        if len(layout.local_members):
             host = {name: _layout.local_part(layout, x) for name, x in _named(carry).items()}
             for name, x in host.items():
                 yield part(f"checkpoint/{name}", (slot, mine), x[None])
@@ -183,14 +184,14 @@ class StoreOutput:
                 )
                 for name, x in kept.items():
                     yield part(name, (mine,), x)
-        if not pieces:
+        if not pending:
             return
         if series:
             rows: dict[str, np.ndarray] = {
-                name: np.concatenate([values[name] for values, _ in pieces]) for name in pieces[0][0]
+                name: np.concatenate([values[name] for values, _ in pending]) for name in pending[0][0]
             }
         else:
-            rows = self._rows(pieces)
+            rows = self._rows(pending)
         if jax.process_index() == 0:
             end = first + len(next(iter(rows.values())))
             yield part("time", (first,), self._job.times[first:end])
@@ -198,23 +199,23 @@ class StoreOutput:
             for name, x in rows.items():
                 yield part(name, (first,) if series else (first, mine), x)
 
-    def _rows(self, pieces: list[tuple[Any, int]]) -> dict[str, np.ndarray]:
+    def _rows(self, pending: list[tuple[Any, int]]) -> dict[str, np.ndarray]:
         joined: dict[str, list[np.ndarray]] = {}
-        for saved, _ in pieces:
+        for saved, _ in pending:
             for name in (*State._fields, *StepInfo._fields):
                 parts = [getattr(state if name in State._fields else info, name) for info, state in saved]
                 joined.setdefault(name, []).append(_layout.local_part(self._layout, parts, 1))
         return {name: np.concatenate(parts) for name, parts in joined.items()}
 
     def can_stop(self) -> bool:
-        """Whether everything so far is committed."""
+        """True if everything so far is committed."""
         if self._pending:
             return False
         self._settle(wait=True)
         return True
 
     def interrupt_message(self, done: int, num_steps: int) -> str:
-        """What to tell somebody who interrupted the run."""
+        """The message for a user who interrupted the run."""
         return f"stopped after {done} of {num_steps} steps, all of them in {self._writer.path}; resume to go on"
 
     def result(self, carry: list[Carry]) -> None:
@@ -224,7 +225,7 @@ class StoreOutput:
 
 
 def _named(carry: list[Carry]) -> dict[str, list[Any]]:
-    """The pieces of each array of a carry."""
+    """The arrays of a carry by name, each as a list of its blocks."""
     found: dict[str, list[Any]] = {}
     for c in carry:
         change = c.change._asdict() if c.change is not None else {}
@@ -234,7 +235,7 @@ def _named(carry: list[Carry]) -> dict[str, list[Any]]:
 
 
 class _Axes:
-    """The axes that arrays of a run share, and columns along them."""
+    """The axes that the arrays of a store share, each a name with its length and chunk length."""
 
     def __init__(self, job: Job, chunk: int) -> None:
         self.times = {"time": (job.num_saves + 1, job.buffer_rows(chunk))}  # name: (length, chunk)
@@ -243,12 +244,12 @@ class _Axes:
         self._number = np.dtype(job.dt.dtype)
 
     def column(self, axes: Mapping[str, tuple[int, int]], dtype: Any = None, **attributes: str) -> _store.Column:
-        """An array of numbers along some axes."""
+        """The description of an array of scalars along `axes`."""
         (shape, chunks), kind = zip(*axes.values(), strict=True), np.dtype(self._number if dtype is None else dtype)
         return _store.Column(shape, kind, chunks, tuple(axes), attributes)
 
     def state(self, axes: Mapping[str, tuple[int, int]], name: str, leaf: Any, **attributes: str) -> _store.Column:
-        """An array of a leaf of the states: vectors or matrices along some axes."""
+        """The description of an array of one leaf of the states, vectors or matrices, along `axes`."""
         kinds = ("component",) if leaf.ndim == 2 else ("row", "column")
         own = {f"{name}_{kind}": (n, n) for kind, n in zip(kinds, leaf.shape[1:], strict=True)}
         return self.column({**axes, **own}, **attributes)
@@ -289,7 +290,7 @@ def _series_columns(job: Job, axes: _Axes) -> dict[str, _store.Column]:
 
 
 def _checkpoint_columns(job: Job, chunk: int) -> dict[str, _store.Column]:
-    """The arrays of a carry, in two slots that are written in turn."""
+    """The arrays of the checkpoint: those of a carry, in two slots that are written in turn."""
     axes = _Axes(job, chunk)
     along = {**axes.slots, **axes.members}
     state = zip(State._fields, job.states, strict=True)
@@ -325,7 +326,7 @@ def _attributes(job: Job, options: StoreOptions, described: dict[str, Any], chun
 
 
 def _description(job: Job, options: StoreOptions) -> dict[str, Any]:
-    """All that the bits of a run depend on. A run is resumed only where nothing of it differs."""
+    """Everything that the bits of a run depend on. A run is resumed only if all of it is equal."""
     leaves, structure = jax.tree.flatten(job.step)
     flags = [f for f in os.environ.get("XLA_FLAGS", "").split() if "force_host_platform_device_count" not in f]
     return {
@@ -359,7 +360,7 @@ def _digest(*leaves: Any) -> str:
 
 
 def _device() -> str:
-    """The kind of device; of a CPU, the widest vectors that it has, for its code depends on them."""
+    """The kind of device; for a CPU with its widest vector instructions, on which the compiled code depends."""
     device = jax.devices()[0]
     if device.platform != "cpu":
         return device.device_kind

@@ -1,4 +1,4 @@
-"""The run of an ensemble: its loop on the host, its results in memory, and its report of members that failed."""
+"""`ensemble.run`: the loop on the host, results in memory, and the report of members that failed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from lieint_jax.ensemble._recording import StoreOptions, into_store
 from lieint_jax.integrate import intervals, promoted
 from lieint_jax.types import State, Step, Trajectory
 
-_NAMED = 5  # how many failed members a report names
+_NAMED = 5  # the most failed members that a report names
 
 
 def run(
@@ -50,26 +50,26 @@ def run(
         num_steps: a multiple of `save_every`.
         save_every: steps between saved states; None keeps the last only.
         step_axis: None or 0.
-        reduce: keep no states on the way but, of each save interval, the least, greatest and mean change of a quantity
-            over all its steps and members: "energy" or a function (step, state) ↦ scalar.
+        reduce: a quantity, "energy" or a function (step, state) ↦ scalar. No states are kept on the way; instead, for
+            each save interval, the least, greatest and mean change of the quantity over all steps and members.
         mesh: devices, a `jax.sharding.Mesh` of the one axis "members"; None takes all.
-        store: write results there as they come, a folder NAME.zarr or `StoreOptions`; memory then holds no more than a
-            chunk of them.
+        store: a folder NAME.zarr, or `StoreOptions`, to which results are written during the run; memory then holds no
+            more than a chunk of them.
         progress: show a progress bar on stderr, if that is a terminal.
-        resume: go on with the run that is in `store`, from the last chunk that is whole; start it if none is there.
+        resume: continue the run in `store` from its last checkpoint; start it if there is no store.
 
     Returns:
         A `Trajectory` of numpy arrays, axes (time, member, …), the initial states first; with `store`, of Zarr arrays,
-        which are read where they are indexed. With `reduce`, a `Summary`.
+        read from disk when they are indexed. With `reduce`, a `Summary`.
 
     Raises:
-        ValueError: bad counts, states off the group or not finite, members whose very first step fails, a store that
-            exists, or one to resume that another run wrote.
+        ValueError: bad counts, states off the group or not finite, members whose first step fails, a store that
+            exists, or a store to resume that another run wrote.
         KeyboardInterrupt: interrupted; with `store`, after the chunk has been written.
         processes.LostProcess: another process of this run is gone.
 
     Warns:
-        RuntimeWarning: members that stopped converging later, with the step where each first did.
+        RuntimeWarning: members that fail to converge later, with the first step where each does.
     """
     interval, num_saves = intervals(num_steps, save_every)
     if step_axis not in (None, 0):
@@ -93,7 +93,7 @@ def run(
 
 
 def _integrate(job: Job, layout: Layout, output: Output, progress: bool) -> Any:
-    """Run a job to its end. Its saved rows go to `output`, whose result is returned."""
+    """Run a job to its end, append its saved rows to `output`, and return the output's result."""
     loop = CompiledLoop(job, layout, output.buffer_rows, progress)
     carry, done = output.restored() or (None, 0)
     if carry is None:
@@ -111,7 +111,7 @@ def _integrate(job: Job, layout: Layout, output: Output, progress: bool) -> Any:
                 output.append(saved, saves)
             bar.update(saves * every)
             loop.watch(carry, bar)
-            stop = pace.measure(saves * every, time.perf_counter() - clock, interrupts.asked)
+            stop = pace.measure(saves * every, time.perf_counter() - clock, interrupts.requested)
             output.checkpoint(carry, done, pace.seconds, stop)
             if stop and output.can_stop():
                 raise KeyboardInterrupt(output.interrupt_message(done, job.num_steps))
@@ -123,7 +123,7 @@ def _integrate(job: Job, layout: Layout, output: Output, progress: bool) -> Any:
 
 
 def _next_portion(job: Job, done: int, most: int, free_rows: int) -> tuple[int, int]:
-    """How many save intervals, of how many steps each, the next call takes: about `most` steps in all."""
+    """The save intervals of the next call, and the steps in each: about `most` steps in all."""
     into = done % job.save_every
     if into or most < job.save_every:  # a part of one interval
         return 1, min(most, job.save_every - into)
@@ -132,31 +132,31 @@ def _next_portion(job: Job, done: int, most: int, free_rows: int) -> tuple[int, 
 
 
 class CompiledLoop:
-    """The compiled loop of a job, with the job's steps and starts on the devices of a layout, block by block."""
+    """The compiled loop of a job; its steps and initial carries are on the devices of a layout, block by block."""
 
     def __init__(self, job: Job, layout: Layout, buffer_rows: int, progress: bool) -> None:
         self._job, self._layout = job, layout
         axis = job.step_axis
         step = (_layout.replicate if axis is None else _layout.scatter)(layout, job.step)
         states = _layout.scatter(layout, job.states)
-        begun = self._on_each(_loop.start(axis, job.reduction), step, states)
+        begun = self._map(_loop.start(axis, job.reduction), step, states)
         self.start, self._origin = [carry for carry, _ in begun], [origin for _, origin in begun]
-        if type(job.step).prepare is not Step.prepare:  # constants of its own for every member
-            step, axis = self._on_each(lambda s, z: _loop.prepare(job.step_axis)(s, z, job.dt), step, states), 0
+        if type(job.step).prepare is not Step.prepare:  # every member has its own constants
+            step, axis = self._map(lambda s, z: _loop.prepare(job.step_axis)(s, z, job.dt), step, states), 0
         self._step = step
         self._advance = _loop.advance(axis, job.reduction, buffer_rows)
         self._energies = None
         if _layout.all_reduce_max(layout.mesh, progress and Bar.visible())[0]:
             self._energies = _loop.energies(axis)
-            self._H0 = self._on_each(self._energies, step, states)
+            self._H0 = self._map(self._energies, step, states)
 
-    def _on_each(self, function: Callable[..., Any], *pieces: list[Any]) -> list[Any]:
-        return _layout.on_each(self._layout, function, *pieces)
+    def _map(self, function: Callable[..., Any], *arguments: list[Any]) -> list[Any]:
+        return _layout.map_blocks(self._layout, function, *arguments)
 
     def advance(self, carry: list[Carry], done: int, saves: int, every: int) -> tuple[list[Carry], list[Any]]:
-        """The carries after `saves` times `every` more steps, and the saved rows, piece by piece."""
+        """The carries after `saves` times `every` more steps, and the saved rows, a list item per block."""
         portion = _loop.Portion(self._job.dt, done, saves, every, not done % self._job.save_every)
-        results = self._on_each(lambda s, c, o: self._advance(s, c, o, portion), self._step, carry, self._origin)
+        results = self._map(lambda s, c, o: self._advance(s, c, o, portion), self._step, carry, self._origin)
         return [c for c, _ in results], [rows for _, rows in results]
 
     def check_first_step(self) -> None:
@@ -168,12 +168,12 @@ class CompiledLoop:
     def watch(self, carry: list[Carry], bar: Bar) -> None:
         """Show the energy error and the failures so far on the progress bar, if it is visible."""
         if self._energies is not None:
-            H = self._on_each(self._energies, self._step, [c.state for c in carry])
-            bar.tell(*_layout.worst_energy_error(self._layout, self._H0, H, [c.failed for c in carry]))
+            H = self._map(self._energies, self._step, [c.state for c in carry])
+            bar.show(*_layout.worst_energy_error(self._layout, self._H0, H, [c.failed for c in carry]))
 
 
 class _InMemory:
-    """Results in arrays of numpy."""
+    """Results as numpy arrays."""
 
     defers_interrupts = False
 
@@ -247,8 +247,8 @@ def _check_first(failed: np.ndarray, job: Job) -> None:
     bad = np.flatnonzero(failed >= 0)
     if bad.size:
         one = jax.tree.map(lambda leaf: leaf[bad[0]], job.states)
-        its = job.step if job.step_axis is None else jax.tree.map(lambda leaf: leaf[bad[0]], job.step)
-        raise ValueError(f"the first step fails for {_some(bad)}. Member {bad[0]}: {its.advice(one, job.dt_given)}")
+        step = job.step if job.step_axis is None else jax.tree.map(lambda leaf: leaf[bad[0]], job.step)
+        raise ValueError(f"the first step fails for {_some(bad)}. Member {bad[0]}: {step.advice(one, job.dt_given)}")
 
 
 def _report(failed: np.ndarray) -> None:

@@ -20,15 +20,15 @@ import numpy as np
 
 from lieint_jax.types import State, StepInfo, Trajectory
 
-_ROOT = "zarr.json"  # the metadata of a Zarr 3 group; replacing it is what makes new data count
-_CHECKPOINT = "checkpoint"  # the group of what a run is continued from
+_ROOT = "zarr.json"  # the metadata of a Zarr 3 group; new data become visible when it is replaced
+_CHECKPOINT = "checkpoint"  # the group that a run is resumed from
 
 
 def load(path: Path) -> tuple[Any, dict[str, Any]]:
     """The complete part of a run in a store, and the store's attributes.
 
-    The leaves of the trajectory are arrays on disk, read where they are indexed; a run that kept reductions only gives
-    a dict of numpy arrays.
+    The leaves of the trajectory are arrays on disk, read when they are indexed. A run with `reduce` gives a dict of
+    numpy arrays instead.
     """
     import zarr
 
@@ -54,9 +54,9 @@ class Column(NamedTuple):
     """One array of a store.
 
     Attributes:
-        shape, dtype, chunks: whole, as planned.
+        shape, dtype, chunks: of the complete run.
         dims: names of its axes.
-        attributes: units and the like.
+        attributes: units, a long name.
     """
 
     shape: tuple[int, ...]
@@ -67,7 +67,7 @@ class Column(NamedTuple):
 
 
 class Part(NamedTuple):
-    """What goes into an array: `values` at `at`, the start along each axis; the other axes are whole."""
+    """A slab to write into the array `name`: `values`, beginning at index `at`; axes beyond those of `at` are whole."""
 
     name: str
     at: tuple[int, ...]
@@ -75,13 +75,13 @@ class Part(NamedTuple):
 
 
 class Writer:
-    """A run's store, open for writing, and how it grows.
+    """A run's store, open for writing.
 
     A commit is a set of parts that belong together: whole chunks of the arrays, and the checkpoint from which a run
-    goes on. A background thread writes them, each file under another name first, and waits until they are on the disk.
-    Then `publish` replaces one file, the metadata at the root, by rename: it holds the lengths of all arrays, so that
+    is resumed. A background thread writes them, each file under a temporary name first, and syncs them to disk. Then
+    `publish` replaces one file, the metadata at the root, by rename: it holds the lengths of all arrays, so that
     readers (and a run that is resumed) see either all of a commit or nothing of it. The checkpoint has two slots, used
-    in turn, so that the one that counts is never written to; it is removed when the run is complete.
+    in turn, so that the valid one is never written to; it is removed when the run is complete.
 
     Every process of a run writes the chunks of its own members; the first one publishes.
     """
@@ -97,20 +97,20 @@ class Writer:
 
     @property
     def progress(self) -> dict[str, Any]:
-        """What counts: commits, entries along time, steps, whether the run is complete."""
+        """The state of the published run: commits, entries along time, steps, whether it is complete."""
         return self.attributes["progress"]
 
     def read(self, name: str, index: Any) -> np.ndarray:
-        """What an array of the store holds."""
+        """The values of an array of the store at `index`."""
         return np.asarray(self._array(name)[index])
 
     def write(self, parts: Callable[[], Iterable[Part]]) -> None:
-        """Begin to write a commit in the background; the one before must be published."""
+        """Begin to write a commit in the background; the previous one must have been published."""
         self._writing = self._writer.submit(self._write, parts)
 
     @property
     def written(self) -> bool:
-        """Whether this process' part of the last commit is on the disk; raises what kept it from getting there."""
+        """True if this process' part of the last commit is on disk; raises OSError if writing it failed."""
         if self._writing is None or not self._writing.done():
             return self._writing is None
         try:
@@ -120,7 +120,7 @@ class Writer:
         return True
 
     def publish(self, **progress: Any) -> None:
-        """Make the last commit count, once every process has written it."""
+        """Make the last commit visible, after every process has written it."""
         self.attributes = self.attributes | {"progress": self.progress | progress}
         if self._leader:
             root = json.loads((self.path / _ROOT).read_text())
@@ -137,7 +137,7 @@ class Writer:
         return OSError(error.errno, reason)
 
     def close(self) -> None:
-        """Wait for the writer, and let others write here."""
+        """Wait for the background thread, and release the lock."""
         self._writer.shutdown()
         if self._lock is not None:
             os.close(self._lock)
@@ -161,7 +161,7 @@ class Writer:
                 file = self.path / name / "c" / "/".join(map(str, key))
                 rest = array.ndim - len(key)
                 file = file.joinpath(*["0"] * rest)
-                if file.exists():  # a chunk of nothing but the fill value is no file
+                if file.exists():  # Zarr writes no file for a chunk of fill values only
                     _sync(file)
                     folders.update(list(file.parents)[: array.ndim + 1])
         for folder in folders:
@@ -171,7 +171,7 @@ class Writer:
 def create(
     path: Path, columns: Mapping[str, Column], checkpoint: Mapping[str, Column], attributes: Mapping[str, Any]
 ) -> None:
-    """Make an empty store. It is made under another name and renamed: a store is there whole or not at all."""
+    """Make an empty store, under a temporary name, and rename it: a store exists whole or not at all."""
     import zarr
 
     unfinished = path.with_name(f".{path.name}.partial")
@@ -199,7 +199,7 @@ def create(
 
 
 def clean(path: Path) -> None:
-    """Remove what a killed writer left: files under their first name, the checkpoint of a run that is complete."""
+    """Remove what a killed writer left: temporary files, and the checkpoint of a run that is complete."""
     for file in path.rglob("*.partial"):
         file.unlink()
     if _attributes(path)["progress"]["complete"]:
@@ -207,9 +207,9 @@ def clean(path: Path) -> None:
 
 
 def _write_root(path: Path, root: dict[str, Any]) -> None:
-    """Replace the root's metadata: its attributes, and the arrays that readers are to see, as long as they are so far.
+    """Replace the root's metadata: its attributes, and the list of the arrays that readers see, with current lengths.
 
-    That list is Zarr's consolidated metadata, which readers (xarray among them) take for the truth.
+    That list is Zarr's consolidated metadata, on which readers (xarray among them) rely.
     """
     progress, shown = root["attributes"]["progress"], {}
     for file in sorted(path.glob(f"*/{_ROOT}")):
@@ -218,7 +218,7 @@ def _write_root(path: Path, root: dict[str, Any]) -> None:
             continue
         if meta["dimension_names"][0] == "time":
             meta["shape"][0] = progress["entries"]
-        elif not progress["complete"]:  # written at the end
+        elif not progress["complete"]:  # its values are written at the end
             continue
         shown[file.parent.name] = meta
     root = root | {"consolidated_metadata": {"kind": "inline", "must_understand": False, "metadata": shown}}
@@ -232,7 +232,7 @@ def _write_root(path: Path, root: dict[str, Any]) -> None:
 
 
 def _sync(path: Path) -> None:
-    """Wait until a file, or the list of what is in a folder, is on the disk."""
+    """Wait until a file, or a folder's list of entries, is on disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -241,7 +241,7 @@ def _sync(path: Path) -> None:
 
 
 def _lock(path: Path) -> int | None:
-    """Keep a second run from writing here; released when the process ends, however it does."""
+    """Lock the store against a second run; the lock is released when the process ends, however it ends."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         import fcntl
@@ -256,7 +256,7 @@ def _lock(path: Path) -> int | None:
 
 
 def differences(stored: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """In what two descriptions of a run differ, one line each, by the names of the keys."""
+    """The differences of two descriptions of a run, one line for each key."""
     lines = []
     for key in sorted(stored.keys() | now.keys()):
         a, b = stored.get(key), now.get(key)
@@ -268,7 +268,7 @@ def differences(stored: Mapping[str, Any], now: Mapping[str, Any], prefix: str =
 
 
 def without_addresses(text: str) -> str:
-    """`text` without addresses in memory, which differ from process to process."""
+    """`text` without memory addresses, which differ from process to process."""
     return re.sub(r" at 0x[0-9a-f]+", "", text)
 
 

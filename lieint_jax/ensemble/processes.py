@@ -1,4 +1,4 @@
-"""Many processes of one run, by `jax.distributed`: how they meet, and what the others say when one is lost."""
+"""Runs of many processes, by `jax.distributed`: joining them, and an error that names a process that was lost."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ class LostProcess(RuntimeError):  # noqa: N818
 
 
 def initialize(coordinator: str | None = None, count: int | None = None, index: int | None = None) -> None:
-    """Join the other processes of this run: those that SLURM or Open MPI started, or as told.
+    """Connect the processes of this run: those that SLURM or Open MPI started, or those described by the arguments.
 
     Args:
         coordinator: HOST:PORT of the first process.
-        count: how many processes there are.
-        index: which this one is, from 0.
+        count: the number of processes.
+        index: the number of this process, from 0.
 
     Raises:
-        ValueError: neither told nor found.
+        ValueError: arguments are missing and no launcher is found, or the processes do not connect.
     """
     given = [x is not None for x in (coordinator, count, index)]
     if any(given) and not all(given):
@@ -45,7 +45,7 @@ def initialize(coordinator: str | None = None, count: int | None = None, index: 
 
 
 def leave(message: str) -> NoReturn:
-    """Say why and end this process at once: an ordinary exit would wait for those that are gone."""
+    """Print `message` and end this process at once: an ordinary exit would wait for the processes that are gone."""
     print(message, file=sys.stderr)
     sys.stdout.flush()
     sys.stderr.flush()
@@ -54,7 +54,7 @@ def leave(message: str) -> NoReturn:
 
 @contextlib.contextmanager
 def watched(mesh: Mesh) -> Iterator[None]:
-    """Turn the failure of a collective operation into `LostProcess`, which says who is gone."""
+    """Turn the failure of a collective operation into `LostProcess`, which names the processes that are gone."""
     try:
         yield
     except (ValueError, RuntimeError) as error:
@@ -65,13 +65,13 @@ def watched(mesh: Mesh) -> Iterator[None]:
 
 
 def _missing() -> str:
-    """Which processes do not answer; that takes as long as a heartbeat may be late."""
+    """The processes that do not answer, for a message. It may take a heartbeat's timeout."""
     from jax._src.distributed import global_state  # no public way to ask
 
     everyone = range(jax.process_count())
     try:
         live = set(global_state.client.get_live_nodes(list(everyone)))  # pyright: ignore[reportOptionalMemberAccess]
-    except Exception:  # whatever it is, it must not hide the first error
+    except Exception:  # no failure here may hide the first error
         return "another process"
     gone = [str(k) for k in everyone if k not in live]
     return f"process {', '.join(gone)} of {len(everyone)}" if gone else "the connection to another process"

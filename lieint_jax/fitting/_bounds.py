@@ -1,5 +1,6 @@
-"""Bounds by smooth reparametrisation: an optimiser moves freely in x, the parameters never leave their domain. (They
-may reach its edge, to round-off, where the minimum is not inside: `Fit.at_bound` says so.)
+"""Bounds by smooth reparametrisation: an optimiser moves freely in x, and the parameters never leave their domain.
+
+(They may reach its edge, to round-off, where the minimum is not inside: `Fit.at_bound` says so.)
 
 A `Bound` is a pair of inverse maps, x ↦ parameter and back. Give `fit` one for all parameters, or a tree of them that
 matches the parameters as far as it goes.
@@ -24,9 +25,9 @@ class Bound:
     """A domain and the smooth map of all real x onto it.
 
     Attributes:
-        name: for errors.
-        inside: x ↦ a parameter, an array.
-        free: a parameter ↦ x.
+        name: for error messages.
+        inside: the map x ↦ parameter, of arrays.
+        free: the inverse map, parameter ↦ x.
     """
 
     name: str
@@ -47,7 +48,7 @@ def interval(low: float, high: float) -> Bound:
 
 
 def _from_second_moments(x: Array) -> Array:
-    """Principal moments J_i = a_j + a_k of second moments a = e^x: the triangle inequality holds, and strictly."""
+    """Principal moments J_i = a_j + a_k of second moments a = e^x: they satisfy the triangle inequality strictly."""
     a = jnp.exp(x)
     return jnp.sum(a) - a
 
@@ -68,7 +69,7 @@ def _from_ratios(ratios: Array) -> Array:
 
 
 def _cholesky(x: Array) -> Array:
-    """LLᵀ of a lower triangular L whose six entries are x, the diagonal's by their logarithms."""
+    """LLᵀ of a lower triangular L: x holds the logarithms of its diagonal, then the entries below it."""
     L = jnp.diag(jnp.exp(x[:3])) + jnp.zeros((3, 3), x.dtype).at[(1, 2, 2), (0, 0, 1)].set(x[3:])
     return L @ L.T
 
@@ -79,7 +80,7 @@ def _from_cholesky(S: Array) -> Array:
 
 
 def _tensor(x: Array) -> Array:
-    """J = tr(E)1 − E of a positive definite E: an inertia that some distribution of mass has."""
+    """J = tr(E)1 − E of a positive definite E: the inertia of some distribution of mass."""
     E = _cholesky(x)
     return jnp.trace(E) * jnp.eye(3, dtype=E.dtype) - E
 
@@ -97,7 +98,7 @@ inertia = Bound("inertia", _tensor, _from_tensor)  # full (3, 3), positive defin
 
 
 def release(bounds: Any, params: Any) -> Any:
-    """x of `params`.
+    """The free x of `params`.
 
     Raises:
         ValueError: concrete parameters that are not inside their bounds, or bounds that do not match the parameters.
@@ -120,5 +121,5 @@ def release(bounds: Any, params: Any) -> Any:
 
 
 def confine(bounds: Any, x: Any) -> Any:
-    """The parameters of x."""
+    """The parameters of the free x."""
     return jax.tree.map(lambda bound, part: jax.tree.map(bound.inside, part), bounds, x)

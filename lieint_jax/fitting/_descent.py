@@ -12,14 +12,21 @@ from jax import Array
 from lieint_jax.fitting._search import FLAT, RUNNING, SHORTENINGS, STILL, STUCK, Carry, Method, where
 
 Scalar = Callable[[Array], tuple[Array, Array]]
-_QUIET = {"lbfgs": 3, "other": 10}  # iterations in a row without a fall to speak of, before the end
-_LEVEL = 1e-5  # of the loss: what a step as long as x may change where no step led down
-_SEARCHES = 3  # line searches in a row that may fail
+_QUIET = {"lbfgs": 3, "other": 10}  # iterations in a row without a notable fall of the loss that end a search
+_LEVEL = 1e-5  # |gradient · x| over the loss, below which such an end is a success
+_SEARCHES = 3  # failed line searches in a row that end a search
 
 
 class _Memory(NamedTuple):
-    """The gradient, the largest component of one so far, optax's own state, the unit (the share of a step that is
-    taken, or that of the loss), quiet iterations in a row."""
+    """The state of a descent.
+
+    Attributes:
+        gradient: at the current point.
+        largest: the largest |component| of a gradient so far.
+        state: optax's own state.
+        unit: `descent`: the fraction of a step that is taken; `lbfgs`: the unit of the loss.
+        quiet: the number of iterations in a row without a notable fall of the loss.
+    """
 
     gradient: Array
     largest: Array
@@ -28,8 +35,8 @@ class _Memory(NamedTuple):
     quiet: Array
 
 
-def _looked(scalar: Scalar) -> Callable[[Array], tuple[Array, Array, Array]]:
-    """x ↦ loss, gradient and whether both are to be trusted."""
+def _evaluation(scalar: Scalar) -> Callable[[Array], tuple[Array, Array, Array]]:
+    """x ↦ loss, gradient, and whether both are finite and the solves behind them converged."""
 
     def look(x: Array) -> tuple[Array, Array, Array]:
         (value, ok), gradient = jax.value_and_grad(scalar, has_aux=True)(x)
@@ -39,6 +46,8 @@ def _looked(scalar: Scalar) -> Callable[[Array], tuple[Array, Array, Array]]:
 
 
 def _start(look: Callable[[Array], tuple[Array, Array, Array]], optimizer: Any) -> Callable[[Array], Any]:
+    """x ↦ loss, memory and whether the first guess succeeded."""
+
     def first(x: Array) -> tuple[Array, _Memory, Array]:
         value, gradient, ok = look(x)
         largest, one, none = jnp.max(jnp.abs(gradient)), jnp.ones((), x.dtype), jnp.zeros((), jnp.int32)
@@ -48,8 +57,11 @@ def _start(look: Callable[[Array], tuple[Array, Array, Array]], optimizer: Any) 
 
 
 def _judged(x: Array, loss: Array, memory: _Memory, ended: Array, tolerance: float) -> Array:
-    """Whether to go on, and why not. The gradient is measured by the largest so far; where a search has `ended`, it
-    is enough that a step as long as x itself would not change the loss much."""
+    """RUNNING, or the code of why the search stops.
+
+    The gradient has vanished when it is small against the largest one so far. Where a search has `ended` without that,
+    it is a success if a step as long as x itself would hardly change the loss.
+    """
     small = jnp.maximum(tolerance, 8 * jnp.finfo(x.dtype).eps)
     level = jnp.max(jnp.abs(memory.gradient) * jnp.maximum(jnp.abs(x), 1)) <= _LEVEL * jnp.abs(loss)
     code = jnp.where(ended, jnp.where(level, STILL, STUCK), RUNNING)
@@ -61,7 +73,7 @@ def descent(scalar: Scalar, optimizer: Any, tolerance: float) -> Method:
     """Any optax transformation. A failed trial is taken back, and the next steps are a quarter as long."""
     import optax
 
-    look = _looked(scalar)
+    look = _evaluation(scalar)
 
     def advance(carry: Carry) -> Carry:
         gradient, largest, state, share, quiet = carry.memory
@@ -80,14 +92,31 @@ def descent(scalar: Scalar, optimizer: Any, tolerance: float) -> Method:
     return Method(_start(look, optimizer), advance)
 
 
-def lbfgs(scalar: Scalar, tolerance: float) -> Method:
-    """optax's L-BFGS with its zoom line search, which sees a high wall where a trial fails.
+def _walled(look: Callable[[Array], tuple[Array, Array, Array]], unit: Array, wall: Array) -> Callable[[Array], Array]:
+    """x ↦ loss/unit, or `wall` where the trial fails; value and derivative by one call of `look`."""
 
-    It works on the loss in units of the first gradient: the line search knows no other scale.
+    @jax.custom_jvp
+    def walled(x: Array) -> Array:
+        value, _, ok = look(x)
+        return jnp.where(ok, value / unit, wall)
+
+    @walled.defjvp
+    def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+        value, slope, ok = look(primals[0])
+        return jnp.where(ok, value / unit, wall), jnp.vdot(jnp.where(ok, slope / unit, 0), tangents[0])
+
+    return walled
+
+
+def lbfgs(scalar: Scalar, tolerance: float) -> Method:
+    """optax's L-BFGS with its zoom line search, which sees a high constant loss, a wall, where a trial fails.
+
+    The loss is measured in units of the largest component of the first gradient, since the line search has absolute
+    tolerances.
     """
     import optax
 
-    look = _looked(scalar)
+    look = _evaluation(scalar)
     search = optax.scale_by_zoom_linesearch(max_linesearch_steps=20, initial_guess_strategy="one")
     optimizer = optax.lbfgs(linesearch=search)
 
@@ -99,27 +128,16 @@ def lbfgs(scalar: Scalar, tolerance: float) -> Method:
         gradient, largest, state, unit, quiet = carry.memory
         now = carry.loss / unit
         wall = now + 1e3 * (1 + jnp.abs(now))
-
-        @jax.custom_jvp
-        def walled(x: Array) -> Array:
-            value, _, ok = look(x)
-            return jnp.where(ok, value / unit, wall)
-
-        @walled.defjvp
-        def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-            value, slope, ok = look(primals[0])
-            return jnp.where(ok, value / unit, wall), jnp.vdot(jnp.where(ok, slope / unit, 0), tangents[0])
-
-        scaled = gradient / unit
+        scaled, walled = gradient / unit, _walled(look, unit, wall)
         update, after = optimizer.update(scaled, state, carry.x, value=now, grad=scaled, value_fn=walled)
         x = optax.apply_updates(carry.x, update)
-        value, slope = (unit * optax.tree.get(after, name) for name in ("value", "grad"))  # of x, as the search saw it
+        value, slope = (unit * optax.tree.get(after, name) for name in ("value", "grad"))  # at x, by the line search
         ok = value < unit * wall
         better = ok & (value <= carry.loss)
         quiet = jnp.where(better & (carry.loss - value <= tolerance * jnp.abs(carry.loss)), quiet + 1, 0)
         bad = jnp.where(better, 0, carry.bad + 1)
         largest = jnp.maximum(largest, jnp.max(jnp.abs(slope)))
-        again = carry.memory._replace(state=optimizer.init(carry.x))  # along the gradient, after a failed search
+        again = carry.memory._replace(state=optimizer.init(carry.x))  # restart, after a failed line search
         memory = where(better, _Memory(slope, largest, after, unit, quiet), again)
         x, value = where(better, (x, value), (carry.x, carry.loss))
         ended = (quiet >= _QUIET["lbfgs"]) | (bad >= _SEARCHES)

@@ -1,11 +1,12 @@
 """Fits: an optimiser around a loss that is a simulation, and may fail.
 
-A trial whose loss or gradient is not finite, or which says `converged=False`, is a failed one: it is counted, the step
-that led there is taken back and shortened, and nothing of it enters the state of the optimiser.
+A trial has failed if its loss or gradient is not finite or its `converged` is False. Failed trials are counted; the
+step that led to one is taken back and shortened, and the optimiser's state is not updated by it.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -36,18 +37,18 @@ from lieint_jax.fitting._search import (
 )
 
 LEAST_SQUARES = ("levenberg_marquardt", "gauss_newton")
-_EDGE = 1e-6  # of the speed that a parameter had at first: where it counts as being at its bound
+_EDGE = 1e-6  # |∂p/∂x| over its first value, below which a parameter p counts as at its bound
 
 
 class Starts(NamedTuple):
-    """What many starts found, each leaf with a leading axis.
+    """The results of all starts, each leaf with a leading axis of starts.
 
     Attributes:
         params: the estimates.
-        loss: there.
-        success: whether each stopped for a good reason.
-        at_bound: as of `Fit`, of each.
-        covariance: as of `Fit`, (starts, p, p), or None.
+        loss: the losses there.
+        success: whether each stopped for a good reason, as in `Fit`.
+        at_bound: whether each has a parameter at the edge of its bound, as in `Fit`.
+        covariance: covariances as in `Fit`, (starts, p, p), or None.
     """
 
     params: Any
@@ -58,21 +59,21 @@ class Starts(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """What `fit` found. With many starts, the best of them; `starts` holds all.
+    """The result of `fit`. With many starts, the best of them; `starts` holds all.
 
     Attributes:
-        params: the estimate, of the structure of the first guess.
-        loss: there; of a least-squares fit half the sum of squares of the residuals.
-        stopped: why it stopped, in words.
+        params: the estimate, a tree like the first guess.
+        loss: the loss at the estimate; for least squares, half the sum of squares of the residuals.
+        stopped: why the search stopped, in words.
         success: whether it stopped for a good reason: a vanishing gradient; a loss that no longer falls and a gradient
             that is small; the target.
-        at_bound: whether a parameter has run to the edge of its bound, where no gradient and no covariance tells more.
-        iterations: how many were made.
-        failures: how many trials failed (no finite loss and gradient, or not converged).
+        at_bound: whether a parameter has run to the edge of its bound, where gradient and covariance mean nothing.
+        iterations: the number of iterations.
+        failures: the number of trials that failed (loss or gradient not finite, or not converged).
         history: the loss after each iteration, shape (iterations + 1,), the first guess first.
         covariance: of the estimate, (p, p) in the order of `ravel_pytree(params)`: the inverse of the Gauss–Newton
-            matrix. For residuals in units of their standard deviation. None if it is no least-squares fit.
-        starts: with many starts, what was found from each, with a leading axis; else None.
+            matrix, for residuals in units of their standard deviation. None if the fit is not by least squares.
+        starts: with many starts, the result of each, with a leading axis; else None.
     """
 
     params: Any
@@ -90,7 +91,7 @@ class Fit(NamedTuple):
     def standard_errors(self) -> Any:
         """Square roots of the variances, in the structure of the parameters."""
         if self.covariance is None:
-            raise ValueError("there is a covariance of least-squares fits only: levenberg_marquardt, gauss_newton")
+            raise ValueError("only least-squares fits have a covariance: levenberg_marquardt, gauss_newton")
         return ravel_pytree(self.params)[1](jnp.sqrt(jnp.diagonal(jnp.asarray(self.covariance))))
 
     def __str__(self) -> str:
@@ -117,72 +118,56 @@ def fit(
 
     Args:
         loss: parameters ↦ a scalar; for "levenberg_marquardt" and "gauss_newton" ↦ residuals, an array of any shape
-            or a tree of them, whose sum of squares is minimised. Either may come as a pair (value, converged), with
-            the truth values of the solves behind it, or their `StepInfo`: a trial that did not converge has failed.
-            Derivatives are taken forward (jacfwd) of residuals, in reverse of scalars.
+            or a tree of them, whose sum of squares is minimised. Either may be returned as a pair (value, converged),
+            where `converged` holds the flags or the `StepInfo` of the solves; a trial that did not converge has failed.
+            Residuals are differentiated in forward mode (jacfwd), scalars in reverse mode.
         params: the first guess, a tree of arrays. With `starts`, each leaf has a leading axis of starts.
         optimizer: "levenberg_marquardt", "gauss_newton", "lbfgs" (optax, zoom line search), "adam", or any
             `optax.GradientTransformation`.
-        bounds: a `Bound`, or a tree of them that matches the parameters as far as it goes.
-        iterations: the most iterations.
-        tolerance: stop when the gradient vanishes to this: the largest cosine between the residuals and a column of
-            their Jacobian, or a scalar's gradient against its largest so far. Or when the loss falls by less than this,
-            relative, and the gradient is small: once in least squares, where that cosine is below √tolerance; three
+        bounds: a `Bound`, or a tree of them that is a prefix of the tree of parameters.
+        iterations: the largest number of iterations.
+        tolerance: stop when the gradient is below this: in least squares the largest cosine between the residuals and
+            a column of their Jacobian, else the gradient over its largest so far. Or when the relative fall of the loss
+            is below this and the gradient is small: once in least squares, where that cosine is below √tolerance; three
             times in a row ("lbfgs") or ten times (others), where the gradient times x is below 1e-5 of the loss. Or
-            when the step of Gauss–Newton is below this, relative to x.
+            when the step of Gauss–Newton, relative to x, is below this.
         target: stop when the loss is at most this.
-        starts: whether many starts are fitted at once, vmapped, each device taking a share of them.
-        data: what else the loss takes: loss(params, data). With `starts`, each start has its own: a leading axis.
-        mesh: devices for many starts, as of `ensemble.run`; None takes all.
+        starts: whether many starts are fitted at once, vmapped and split over the devices.
+        data: a second argument of the loss: loss(params, data). With `starts`, every leaf has a leading axis of starts.
+        mesh: devices for many starts, as in `ensemble.run`; None takes all.
         progress: show a progress bar on stderr, if that is a terminal.
 
     Returns:
-        A `Fit`. A failed trial never enters it: if even the first guess fails it says so, with the guess as it was.
+        A `Fit`. Failed trials do not enter it; if the first guess itself fails, `stopped` says so and `params` is it.
 
     Raises:
         ValueError: an unknown optimiser, a guess outside its bounds, a loss that is no scalar where one is needed.
     """
     iterations = _checks.count("iterations", iterations, 0)
-    if starts:
-        _check_starts(params, data)
-    x0 = jax.vmap(lambda p: release(bounds, p))(params) if starts else release(bounds, params)
-    if starts and not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(x0)):
-        raise ValueError("some of the starts are not inside their bounds")
-    flat, unravel = ravel_pytree(jax.tree.map(lambda leaf: leaf[0], x0) if starts else x0)
-    takes = (lambda p, data: loss(p)) if data is None else loss
-
-    def inside(x: Array) -> Any:
-        return confine(bounds, unravel(x))
-
-    def method(data: Any) -> Method:
-        return _method(optimizer, lambda x: takes(inside(x), data), tolerance)
-
-    def begin(x: Array, data: Any) -> _Fitted:
-        value, memory, ok = method(data).first(x)
-        none = jnp.zeros((), jnp.int32)
-        return _Fitted(Carry(x, value, memory, jnp.where(ok, none, NOWHERE), none, none), x, value, none)
-
-    def advance(old: _Fitted, data: Any) -> _Fitted:
-        after = method(data).advance(old.carry)
-        if target is not None:
-            reached = (after.code == RUNNING) & (after.loss <= target)
-            after = after._replace(code=jnp.where(reached, TARGET, after.code))
-        best, least = where(after.loss < old.least, (after.x, after.loss), (old.best, old.least))
-        return where(old.carry.code == RUNNING, _Fitted(after, best, least, old.made + 1), old)
-
+    x, unravel = _free_vector(bounds, params, data, starts)
+    problem = _Problem(loss, bounds, unravel, optimizer, tolerance, target)
     compiled = partial(over_members, mesh=mesh) if starts else jax.jit
-    x = jax.vmap(lambda tree: ravel_pytree(tree)[0])(x0) if starts else flat
-    go = compiled(advance)
-    fitted = compiled(begin)(x, data)
-    if optimizer in LEAST_SQUARES:  # looks for the first time
-        fitted = go(fitted, data)
-        fitted = fitted._replace(made=0 * fitted.made)
-    fitted, history = _iterate(lambda f: go(f, data), fitted, iterations, progress)
-    matrix = None
-    if optimizer in LEAST_SQUARES:
-        matrix = np.asarray(compiled(lambda f: spread(f.carry.memory.J, inside, f.carry.x))(fitted))
-    edge = np.asarray((jax.vmap if starts else lambda f: f)(partial(_at_edge, inside))(fitted.best, x))
-    return _result(fitted, history, inside, edge, matrix, starts)
+    advance = compiled(problem.advance)
+    search = compiled(problem.begin)(x, data)
+    if optimizer in LEAST_SQUARES:  # whose first iteration only evaluates x
+        search = advance(search, data)
+        search = search._replace(made=0 * search.made)
+    search, history = _iterate(lambda s: advance(s, data), search, iterations, progress)
+    matrix = np.asarray(compiled(problem.covariance)(search)) if optimizer in LEAST_SQUARES else None
+    at_edge = jax.vmap(problem.at_edge) if starts else problem.at_edge
+    return _result(search, history, problem.params, np.asarray(at_edge(search.best, x)), matrix, starts)
+
+
+def _free_vector(bounds: Any, params: Any, data: Any, starts: bool) -> tuple[Array, Callable[[Array], Any]]:
+    """The first guess as a vector of free parameters, (p,) or (starts, p), and the map back to a tree of them."""
+    if not starts:
+        return ravel_pytree(release(bounds, params))
+    _check_starts(params, data)
+    x = jax.vmap(lambda p: release(bounds, p))(params)
+    if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(x)):
+        raise ValueError("some of the starts are not inside their bounds")
+    _, unravel = ravel_pytree(jax.tree.map(lambda leaf: leaf[0], x))
+    return jax.vmap(lambda tree: ravel_pytree(tree)[0])(x), unravel
 
 
 def _check_starts(params: Any, data: Any) -> None:
@@ -194,8 +179,8 @@ def _check_starts(params: Any, data: Any) -> None:
         )
 
 
-class _Fitted(NamedTuple):
-    """A search, the best place that it has seen, the loss there, and the iterations made."""
+class _Search(NamedTuple):
+    """A search: its carry, its best point, the loss there, and the number of iterations."""
 
     carry: Carry
     best: Array
@@ -203,53 +188,100 @@ class _Fitted(NamedTuple):
     made: Array
 
 
-def _iterate(go: Any, fitted: _Fitted, iterations: int, progress: bool) -> tuple[_Fitted, np.ndarray]:
-    """Iterations until all searches have ended, and the losses after each, the first guess first."""
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Problem:
+    """A loss as a function of free parameters x, a vector, and the optimiser that minimises it from one start."""
+
+    loss: Callable[..., Any]
+    bounds: Any
+    unravel: Callable[[Array], Any]
+    optimizer: Any
+    tolerance: float
+    target: float | None
+
+    def params(self, x: Array) -> Any:
+        """The parameters, within their bounds, of the free x."""
+        return confine(self.bounds, self.unravel(x))
+
+    def method(self, data: Any) -> Method:
+        """The optimiser for this loss of x."""
+        more = () if data is None else (data,)
+        return _method(self.optimizer, lambda x: self.loss(self.params(x), *more), self.tolerance)
+
+    def begin(self, x: Array, data: Any) -> _Search:
+        """The search at its first guess."""
+        value, memory, ok = self.method(data).first(x)
+        none = jnp.zeros((), jnp.int32)
+        return _Search(Carry(x, value, memory, jnp.where(ok, none, NOWHERE), none, none), x, value, none)
+
+    def advance(self, old: _Search, data: Any) -> _Search:
+        """The search after one more iteration; a search that has stopped stays as it is."""
+        after = self.method(data).advance(old.carry)
+        if self.target is not None:
+            reached = (after.code == RUNNING) & (after.loss <= self.target)
+            after = after._replace(code=jnp.where(reached, TARGET, after.code))
+        best, least = where(after.loss < old.least, (after.x, after.loss), (old.best, old.least))
+        return where(old.carry.code == RUNNING, _Search(after, best, least, old.made + 1), old)
+
+    def covariance(self, search: _Search) -> Array:
+        """The covariance of the parameters where a least-squares search has stopped."""
+        return spread(search.carry.memory.J, self.params, search.carry.x)
+
+    def at_edge(self, x: Array, start: Array) -> Array:
+        """True if a parameter hardly depends on x any more, compared with the start: it is at its bound."""
+
+        def speed(x: Array) -> Array:
+            return jnp.linalg.norm(slopes(self.params, x), axis=0)
+
+        return jnp.any(speed(x) <= _EDGE * speed(start))
+
+
+def _iterate(
+    advance: Callable[[_Search], _Search], search: _Search, iterations: int, progress: bool
+) -> tuple[_Search, np.ndarray]:
+    """Iterate until all searches have stopped; also the losses after each iteration, the first guess first."""
     from tqdm import tqdm  # where it is used: the package imports in a moment
 
-    history = [np.asarray(fitted.carry.loss)]
+    history = [np.asarray(search.carry.loss)]
     with tqdm(total=iterations, unit="iteration", disable=None if progress else True, leave=False) as bar:
         for _ in range(iterations):
-            if not np.any(np.asarray(fitted.carry.code) == RUNNING):
+            if not np.any(np.asarray(search.carry.code) == RUNNING):
                 break
-            fitted = go(fitted)
-            history.append(np.asarray(fitted.carry.loss))
+            search = advance(search)
+            history.append(np.asarray(search.carry.loss))
             bar.update()
             bar.set_postfix_str(f"loss {np.nanmin(history[-1]):.4g}")
-    return fitted, np.stack(history)
-
-
-def _at_edge(inside: Callable[[Array], Any], x: Array, start: Array) -> Array:
-    """Whether a parameter hardly moves with x any more."""
-
-    def speed(x: Array) -> Array:
-        return jnp.linalg.norm(slopes(inside, x), axis=0)
-
-    return jnp.any(speed(x) <= _EDGE * speed(start))
+    return search, np.stack(history)
 
 
 def _result(
-    fitted: _Fitted, history: np.ndarray, inside: Any, edge: np.ndarray, matrix: np.ndarray | None, starts: bool
+    search: _Search,
+    history: np.ndarray,
+    to_params: Callable[[Array], Any],
+    edge: np.ndarray,
+    matrix: np.ndarray | None,
+    starts: bool,
 ) -> Fit:
-    found = None
+    """The `Fit` of a search; with `starts`, that of the search with the least loss."""
+    every = None
     if starts:
-        losses, codes = np.asarray(fitted.least), np.asarray(fitted.carry.code)
+        losses, codes = np.asarray(search.least), np.asarray(search.carry.code)
         best = int(np.argmin(np.where(np.isfinite(losses), losses, np.inf)))
-        found = Starts(jax.vmap(inside)(fitted.best), losses, np.isin(codes, GOOD), edge, matrix)
-        fitted, history = jax.tree.map(lambda leaf: leaf[best], fitted), history[:, best]
+        every = Starts(jax.vmap(to_params)(search.best), losses, np.isin(codes, GOOD), edge, matrix)
+        search, history = jax.tree.map(lambda leaf: leaf[best], search), history[:, best]
         edge, matrix = edge[best], None if matrix is None else matrix[best]
-    code, made = int(fitted.carry.code), int(fitted.made)
+    code, made = int(search.carry.code), int(search.made)
     return Fit(
-        inside(fitted.best),
-        float(fitted.least),
+        to_params(search.best),
+        float(search.least),
         REASONS[code],
         code in GOOD,
         bool(edge),
         made,
-        int(fitted.carry.failures),
+        int(search.carry.failures),
         history[: made + 1],
         None if code == NOWHERE else matrix,
-        found,
+        every,
     )
 
 
@@ -260,7 +292,7 @@ def covariance(residuals: Callable[..., Any], params: Any) -> Array:
 
 
 def _method(optimizer: Any, loss: Callable[[Array], Any], tolerance: float) -> Method:
-    """The optimiser for a loss of free parameters."""
+    """The optimiser called `optimizer` for a loss of free parameters."""
     if optimizer in LEAST_SQUARES:
         return least_squares(lambda x: residuals_of(loss, x), optimizer == "gauss_newton", tolerance)
 

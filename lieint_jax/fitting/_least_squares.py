@@ -1,4 +1,4 @@
-"""Least squares: Gauss–Newton, and Levenberg–Marquardt by a trust region; the covariance of what they find."""
+"""Least squares: Gauss–Newton, and Levenberg–Marquardt with a trust region; the covariance of the estimate."""
 
 from __future__ import annotations
 
@@ -17,8 +17,14 @@ _SECULAR = 20  # Newton corrections of the damping; it takes 2 to 6
 
 
 class _Memory(NamedTuple):
-    """Residuals, their Jacobian, and the scales D of the parameters; the radius that a step's |Dδ| is to stay within,
-    or for Gauss–Newton the share of its step that is taken."""
+    """The state of a least-squares search.
+
+    Attributes:
+        r: residuals.
+        J: their Jacobian.
+        D: the scales of the parameters.
+        radius: the trust radius, a bound of |Dδ|; for Gauss–Newton, the fraction of its step that is taken.
+    """
 
     r: Array
     J: Array
@@ -29,8 +35,8 @@ class _Memory(NamedTuple):
 def least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: bool, tolerance: float) -> Method:
     """Minimise |r(x)|²/2.
 
-    A step δ minimises |r + Jδ|² + λ|Dδ|², where λ keeps |Dδ| within the radius and D holds the largest columns of J so
-    far. Undamped, it is the step of Gauss–Newton, halved as long as it does not lead down.
+    A step δ minimises |r + Jδ|² + λ|Dδ|², where λ keeps |Dδ| within the radius and D holds the largest norms of the
+    columns of J so far. `undamped`, it is the step of Gauss–Newton, halved until the loss falls.
 
     Source: Moré 1978, Lecture Notes in Mathematics 630; here by singular values.
     """
@@ -44,7 +50,7 @@ def least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: b
         return r, J, ok & jnp.all(jnp.isfinite(r)) & jnp.all(jnp.isfinite(J))
 
     def first(x: Array) -> tuple[Array, _Memory, Array]:
-        """Nothing yet: the first iteration goes nowhere and looks, so that the simulation is compiled once."""
+        """Zeros: the first iteration takes a step of 0 and evaluates x, so that the simulation is compiled once."""
         r, J, _ = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, x))
         one = jnp.ones((), r.dtype)
         return jnp.inf * one, _Memory(r, J, jnp.zeros_like(J[0]), one), jnp.ones((), bool)
@@ -60,23 +66,22 @@ def least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: b
         loss = jnp.vdot(trial, trial) / 2
         fall = carry.loss - loss
         along = J @ (step / scale)
-        foreseen = jnp.vdot(along, along) / 2 + damping * jnp.vdot(step, step)
-        better = ok & ((fall >= 1e-4 * foreseen) | ~begun)
+        predicted = jnp.vdot(along, along) / 2 + damping * jnp.vdot(step, step)
+        better = ok & ((fall >= 1e-4 * predicted) | ~begun)
         grown = jnp.maximum(D, jnp.linalg.norm(J_trial, axis=0))
         length, size = jnp.linalg.norm(step), jnp.linalg.norm(scale * carry.x)
         if undamped:
             radius = jnp.where(better, jnp.minimum(1, 2 * radius), radius / 2)
         else:
-            well = (fall >= 0.75 * foreseen) | (damping == 0)
-            follows = jnp.where(fall < 0.25 * foreseen, length / 2, jnp.where(well, 2 * length, radius))
-            radius = jnp.where(better, follows, length / 4)
+            radius = jnp.where(better, _adapted(radius, length, fall, predicted, damping), length / 4)
             radius = jnp.where(begun, radius, jnp.linalg.norm(grown * jnp.maximum(jnp.abs(x), 1)))
         memory = where(better, _Memory(trial, J_trial, grown, radius), carry.memory)._replace(radius=radius)
         x, loss = where(better, (x, loss), (carry.x, carry.loss))
         small = jnp.maximum(tolerance, 8 * jnp.finfo(x.dtype).eps)
         cosine = _cosine(memory.J, memory.r)
-        settled = (cosine <= jnp.sqrt(small)) & (jnp.abs(fall) <= small * carry.loss) & (foreseen <= small * carry.loss)
-        there = jnp.linalg.norm(newton) <= small * size  # even the whole step goes nowhere
+        still = (jnp.abs(fall) <= small * carry.loss) & (predicted <= small * carry.loss)
+        settled = (cosine <= jnp.sqrt(small)) & still
+        there = jnp.linalg.norm(newton) <= small * size  # even the undamped step is negligible
         bad = jnp.where(better, 0, carry.bad + 1)
         stuck = (bad > SHORTENINGS) | (begun & (length <= jnp.finfo(x.dtype).eps * size))
         code = jnp.where(begun & ok & (settled | there), STILL, jnp.where(stuck, STUCK, RUNNING))
@@ -86,8 +91,14 @@ def least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: b
     return Method(first, advance)
 
 
+def _adapted(radius: Array, length: Array, fall: Array, predicted: Array, damping: Array | float) -> Array:
+    """The trust radius after an accepted step: by how much of the predicted fall of the loss came true."""
+    well = (fall >= 0.75 * predicted) | (damping == 0)
+    return jnp.where(fall < 0.25 * predicted, length / 2, jnp.where(well, 2 * length, radius))
+
+
 def _steps(A: Array, r: Array, radius: Array) -> tuple[Array, Array, Array]:
-    """The shortest δ of the least |r + Aδ|; the δ of the least one with |δ| ≤ radius, and its λ: (AᵀA + λ)δ = −Aᵀr."""
+    """The shortest minimiser δ of |r + Aδ|; the minimiser within |δ| ≤ radius, and its λ in (AᵀA + λ)δ = −Aᵀr."""
     U, s, Vt = _svd(A)
     known = _known(s, A)
     g, s = jnp.where(known, U.T @ r, 0), jnp.where(known, s, 1)
@@ -103,7 +114,7 @@ def _steps(A: Array, r: Array, radius: Array) -> tuple[Array, Array, Array]:
 
 
 def _known(s: Array, A: Array) -> Array:
-    """Which singular values of A are more than round-off."""
+    """True for the singular values of A above round-off."""
     return s > jnp.finfo(s.dtype).eps * max(A.shape) * s[0]
 
 
@@ -115,20 +126,23 @@ def _cosine(J: Array, r: Array) -> Array:
 
 @sequential_vmap
 def _svd(A: Array) -> tuple[Array, Array, Array]:
-    """One matrix at a time. XLA takes those of a batch on the threads that run a CPU's devices: none is left to do the
-    work where each core is a device, and they wait for ever."""
+    """The singular value decomposition, one matrix of a batch at a time.
+
+    XLA runs the SVDs of a batch on the threads that run a CPU's devices: where each core is a device, all of them wait
+    and none is left to do the work.
+    """
     missing = max(0, A.shape[1] - A.shape[0])
     U, s, Vt = jnp.linalg.svd(jnp.concatenate([A, jnp.zeros((missing, A.shape[1]), A.dtype)]), full_matrices=False)
     return U[: A.shape[0]], s, Vt
 
 
 def slopes(inside: Callable[[Array], Any], x: Array) -> Array:
-    """The derivative of the parameters, in one vector, in the free x."""
+    """The derivative of the parameters, as one vector, with respect to the free x, (p, p)."""
     return jax.jacfwd(lambda x: ravel_pytree(inside(x))[0])(x)
 
 
 def spread(J: Array, inside: Callable[[Array], Any], x: Array) -> Array:
-    """B (JᵀJ)⁻¹ Bᵀ, J in the free parameters x and B the derivative of the parameters in them.
+    """The covariance B (JᵀJ)⁻¹ Bᵀ, with J the Jacobian with respect to the free x, B that of the parameters.
 
     A parameter that the residuals do not determine has an infinite variance, and its covariances are nan.
     """

@@ -1,4 +1,4 @@
-"""What a search for a minimum carries from one iteration to the next, and how a trial is looked at."""
+"""The state of a search for a minimum, why a search stops, and the values of trial points."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ REASONS = (
     "the first guess failed",
 )
 GOOD = (FLAT, STILL, TARGET)
-SHORTENINGS = 40  # in a row, before a search gives up
+SHORTENINGS = 40  # the most in a row before a search gives up
 
 
 class Carry(NamedTuple):
-    """One start's search.
+    """The state of the search from one start.
 
     Attributes:
-        x: where it is.
-        loss: there.
-        memory: what the method remembers.
-        code: whether it goes on, or why not.
-        bad: trials in a row that failed or went up.
-        failures: trials that failed.
+        x: the current point.
+        loss: the loss at x.
+        memory: the optimiser's own state.
+        code: RUNNING, or why the search stopped: an index of REASONS.
+        bad: the number of trials in a row that failed or raised the loss.
+        failures: the number of trials that failed.
     """
 
     x: Array
@@ -47,14 +47,14 @@ class Carry(NamedTuple):
 
 
 class Method(NamedTuple):
-    """An optimiser: its memory at a first guess, and one iteration."""
+    """An optimiser: `first` evaluates the first guess, `advance` makes one iteration."""
 
     first: Callable[[Array], tuple[Array, Any, Array]]  # x ↦ loss, memory, ok
     advance: Callable[[Carry], Carry]
 
 
 def valued(outcome: Any) -> tuple[Any, Array]:
-    """A value and whether it converged: a pair with truth values or a `StepInfo`, or a bare value, which has."""
+    """A value and whether it converged, from a pair (value, flags or `StepInfo`) or a bare value, which has."""
     if isinstance(outcome, tuple) and len(outcome) == 2:
         value, flag = outcome
         flag = flag.converged if isinstance(flag, StepInfo) else flag
@@ -74,5 +74,5 @@ def residuals_of(function: Callable[[Any], Any], params: Any) -> tuple[Array, Ar
 
 
 def where(good: Array, new: Any, old: Any) -> Any:
-    """A tree of `new` where `good`, else of `old`."""
+    """The tree `new` where `good`, else `old`, leaf by leaf."""
     return jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)

@@ -1,4 +1,4 @@
-"""Lie groups: each answers the questions of `types.Group` in the same order."""
+"""Lie groups: each has the functions of `types.Group`, in the same order."""
 
 from lieint_jax.groups import catalogue, so3
 from lieint_jax.groups.catalogue import (

@@ -1,4 +1,4 @@
-"""What follows from the basis of an algebra alone, by numpy: its dual, structure constants, invariant forms."""
+"""The dual basis, the structure constants and the invariant forms of a basis of an algebra, by numpy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ TOLERANCE = 1e-10
 
 
 def dual_and_structure(E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The dual basis, with tr(DᵢᵀEⱼ) = δᵢⱼ, and the structure constants; ValueError if there are none."""
+    """The dual basis, with tr(DᵢᵀEⱼ) = δᵢⱼ, and the structure constants; ValueError if E is no basis."""
     d = len(E)
     flat = E.reshape(d, -1)
     size = np.linalg.norm(flat, axis=1)
@@ -34,7 +34,7 @@ def dual_and_structure(E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def invariant_forms(E: np.ndarray) -> list[np.ndarray]:
-    """A basis of the S with EᵀS + SE = 0 for every E."""
+    """A basis of the matrices S with EᵀS + SE = 0 for every E."""
     n = E.shape[1]
     one = np.eye(n)
     equations = np.concatenate([np.kron(e.T, one) + np.kron(one, e.T) for e in E])
@@ -55,13 +55,13 @@ def algebra(E: np.ndarray) -> np.ndarray:
 
 
 def null(M: np.ndarray, tolerance: float = TOLERANCE) -> np.ndarray:
-    """An orthonormal basis of the x with Mx = 0, as rows."""
+    """An orthonormal basis of the null space of M, as rows."""
     _, values, rows = np.linalg.svd(M)
     return rows[int(np.sum(values > tolerance * max(1.0, values.max(initial=0)))) :]
 
 
 def rounded(x: np.ndarray, tolerance: float | None = None) -> np.ndarray:
-    """x with what is near a multiple of 1/12 set to it, by default within round-off: zeros and ones are then exact."""
+    """x with entries near a multiple of 1/12, by default within round-off, set to it: zeros and ones become exact."""
     near = np.round(12 * x) / 12
     least = 1e-14 * max(1.0, np.abs(x).max()) if tolerance is None else tolerance
     return np.where(np.abs(x - near) < least, near, x)

@@ -10,12 +10,12 @@ _TOLERANCE = 1e-9
 
 
 def linear(structure: np.ndarray) -> np.ndarray:
-    """The λ with ⟨ad*_ξ μ, λ⟩ = 0, rows (k, d): the centre of the algebra."""
+    """A basis of the λ with ⟨ad*_ξ μ, λ⟩ = 0 for all ξ and μ, rows (k, d): the centre of the algebra."""
     return _echelon(null(structure.transpose(0, 2, 1).reshape(-1, len(structure)), _TOLERANCE))
 
 
 def quadratic(structure: np.ndarray) -> np.ndarray:
-    """A basis of the symmetric Q with ⟨ad*_ξ μ, Qμ⟩ = 0, (k, d, d), less the products of linear ones."""
+    """A basis of the symmetric Q with ⟨ad*_ξ μ, Qμ⟩ = 0, (k, d, d), without products of linear Casimirs."""
     d = len(structure)
     pairs = [(i, j) for i in range(d) for j in range(i, d)]
     symmetric = np.zeros((len(pairs), d, d))
@@ -40,7 +40,7 @@ def _coordinates(Q: np.ndarray, pairs: list[tuple[int, int]]) -> np.ndarray:
 
 
 def _echelon(rows: np.ndarray) -> np.ndarray:
-    """The reduced echelon form of independent rows, so that what can be 0 or 1 is."""
+    """The reduced echelon form of independent rows, which makes as many entries as possible 0 or 1."""
     rows = rows.copy()
     for k, _ in enumerate(rows):
         size = np.abs(rows[k:]) > _TOLERANCE

@@ -5,7 +5,7 @@ satisfies Xʲ(X² − x)ᵏ = 0. So every power of X is a combination of the fir
 
     Σ wₙ Xⁿ = Σ_{m<K} c_m(x) Xᵐ
 
-with power series c_m that are known: Rodrigues' formula, for any such group.
+with power series c_m in closed form: Rodrigues' formula, for any such group.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _TOLERANCE = 1e-9
 
 
 class ClosedForm(NamedTuple):
-    """How the matrices X = ξ̂ of an algebra are annihilated: Xʲ(X² − x)ᵏ = 0, x = ξ·form ξ.
+    """The equation Xʲ(X² − x)ᵏ = 0, x = ξ·form ξ, that all matrices X = ξ̂ of an algebra satisfy.
 
     Attributes:
-        form: of x = λ², (d, d), symmetric; zero if all are nilpotent.
+        form: the matrix of the quadratic form x = λ², (d, d), symmetric; zero if all X are nilpotent.
         nilpotent: j.
         pairs: k.
     """
@@ -48,7 +48,7 @@ class ClosedForm(NamedTuple):
         annihilator = np.array([1.0])
         for _ in range(self.pairs):
             annihilator = np.convolve(annihilator, [1, -1])
-        row = np.eye(self.powers)[0]  # of Xⁿ: a_{nm}, the power of x being (n − m)/2
+        row = np.eye(self.powers)[0]  # the coefficients a_{nm} of Xⁿ = Σ a_{nm} x^{(n−m)/2} Xᵐ
         for n, weight in enumerate(weights):
             for m in np.flatnonzero(row):
                 found[m] += [0.0] * ((n - m) // 2 + 1 - len(found[m]))
@@ -60,12 +60,12 @@ class ClosedForm(NamedTuple):
 
 
 def evaluated(series: Sequence[float], x: unrolled.Scalar) -> unrolled.Scalar:
-    """A power series at x: a number if it is constant."""
+    """A power series at x; a Python number if the series is constant."""
     return series[0] if len(series) == 1 else power_series.horner(series, x)
 
 
 def find(E: np.ndarray, most: int) -> ClosedForm | None:
-    """The closed form of the span of matrices E, (d, n, n), with at most `most` powers, if there is one."""
+    """The closed form of the span of matrices E, (d, n, n), with at most `most` powers; None if there is none."""
     form = squared_eigenvalue(E)
     if form is None:
         return None
@@ -85,9 +85,9 @@ def find(E: np.ndarray, most: int) -> ClosedForm | None:
 
 
 def squared_eigenvalue(E: np.ndarray) -> np.ndarray | None:
-    """The form x = λ², (d, d), if the nonzero eigenvalues of every ξ̂ are one pair ±λ, or λ alone; zero if none is.
+    """The matrix (d, d) of x = λ², where the nonzero eigenvalues of every ξ̂ are one pair ±λ, or λ alone; else None.
 
-    With r of them, tr X² = rλ², tr X⁴ = rλ⁴, tr X⁶ = rλ⁶.
+    It is zero if every ξ̂ is nilpotent. With r nonzero eigenvalues, tr X² = rλ², tr X⁴ = rλ⁴, tr X⁶ = rλ⁶.
     """
     d = len(E)
     traces = np.einsum("iab,jba->ij", E, E)

@@ -104,7 +104,7 @@ def product(g: MatrixGroup, h: MatrixGroup) -> MatrixGroup:
 
 
 def examples() -> dict[str, MatrixGroup]:
-    """One or more of each."""
+    """One or more groups of each kind."""
     groups = [
         special_orthogonal(3),
         special_orthogonal(4),

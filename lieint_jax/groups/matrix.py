@@ -21,12 +21,12 @@ from numpy.typing import ArrayLike
 from lieint_jax._numerics import unrolled
 from lieint_jax.groups import _basis, _casimirs, _closed_form
 
-_UNROLLED_DIM, _UNROLLED_SIZE = 6, 5  # groups up to this size are worked out entry by entry, see `dense`
-_POWERS = 5  # in a closed form
+_UNROLLED_DIM, _UNROLLED_SIZE = 6, 5  # the largest groups that are unrolled by default, see `_numerics.unrolled`
+_POWERS = 5  # the most powers of X in a closed form
 _DEGREE = 24  # exp by a Taylor polynomial of degree 23, at round-off for norms up to 2
 _EXPONENTIAL = [1 / math.factorial(n) for n in range(_DEGREE + 4)]
-_SQUARINGS = 6  # and by scaling up to 2·2⁶
-_CORRECTIONS = 4  # of log
+_SQUARINGS = 6  # with scaling, for norms up to 2·2⁶
+_CORRECTIONS = 4  # iterations of log
 
 
 class MatrixGroup:
@@ -39,8 +39,8 @@ class MatrixGroup:
         structure: c of [Eᵢ, Eⱼ] = Σ c_ijk E_k, shape (d, d, d).
         name: for reports.
         identity: the unit matrix, shape (n, n).
-        unrolled: whether products and solutions are worked out entry by entry, which runs faster over batches and
-            compiles slower: by default up to dimension 6 and size 5.
+        unrolled: whether products and solves are unrolled into scalars, which runs faster over batches and compiles
+            more slowly: by default up to dimension 6 and size 5.
     """
 
     def __init__(self, basis: np.ndarray, name: str, unrolled: bool | None = None) -> None:
@@ -80,7 +80,7 @@ class MatrixGroup:
         return unrolled.as_array(self._hat(self._vector(xi)), xi)
 
     def vee(self, M: Array) -> Array:
-        """The inverse of `hat`. Of any M it takes the part in the algebra, orthogonal in the sum of squares."""
+        """The inverse of `hat`; of any M, the orthogonal projection to the algebra (in the Frobenius product)."""
         return unrolled.as_array(self._vee(self._matrix(M)), M)
 
     # The group
@@ -110,8 +110,10 @@ class MatrixGroup:
         return unrolled.as_array(unrolled.settled(self.exp_both(self._vector(xi))[0]), xi)
 
     def near(self, xi: Array) -> Array:
-        """Whether ξ̂ is small enough for `exp_near`: its eigenvalue within ±2, or, where there are several,
-        ‖ξ̂¹⁶‖ ≤ 2¹⁶ max(1, ‖ξ̂‖). Translations may be large."""
+        """True if ξ̂ is small enough for `exp_near`; translations may be large.
+
+        With a closed form, the eigenvalue of ξ̂ must lie within ±2; else ‖ξ̂¹⁶‖ ≤ 2¹⁶ max(1, ‖ξ̂‖).
+        """
         if self._closed is not None:
             return jnp.abs(self._closed.square(self._vector(xi))) <= 4
         X = power = self._hat(self._vector(xi))
@@ -131,21 +133,21 @@ class MatrixGroup:
         return jax.lax.fori_loop(0, _CORRECTIONS, improve, 2 * self.vee(_artanh(q)))
 
     def cayley(self, xi: Array) -> Array:
-        """(1 − ½ξ̂)⁻¹(1 + ½ξ̂). In the group only if the algebra holds its cubes: see `cayley_lands`."""
+        """(1 − ½ξ̂)⁻¹(1 + ½ξ̂), which is in the group only if the algebra contains its cubes: see `cayley_lands`."""
         return unrolled.as_array(unrolled.settled(self.cayley_both(self._vector(xi))[0]), xi)
 
     @cached_property
     def cayley_lands(self) -> bool:
-        """Whether the Cayley map lands in this group: whether X³ is in the algebra for every X of it."""
+        """True if the Cayley map lands in this group, that is, if X³ is in the algebra for every X of the algebra."""
         rng = np.random.default_rng(0)
         X = np.tensordot(rng.normal(size=(2 * self.dim**2 + 8, self.dim)), self.basis, 1)
         return bool(self._outside(X @ X @ X) <= _basis.TOLERANCE * np.abs(X).max() ** 3)
 
     def defect(self, q: Array) -> Array:
-        """By how much q leaves the group: the largest violation of what its elements are known to satisfy.
+        """The distance of q from the group: its largest violation of the equations that the group is known to satisfy.
 
-        Those are: to lie in the linear span of the group; to keep the bilinear forms on vectors and on covectors that
-        the group keeps; determinant 1, if the basis is traceless.
+        The equations are: q lies in the linear span of the group; it preserves the bilinear forms on vectors and on
+        covectors that the group preserves; its determinant is 1, if the basis is traceless.
         """
         outside, forms, coforms, traceless = self._constraints
         found = [jnp.tensordot(jnp.asarray(outside, q.dtype), q - self.identity, 2)]
@@ -185,20 +187,23 @@ class MatrixGroup:
     def casimirs(self, mu: Array) -> Array:
         """Functions of μ that no Ad*_q changes, (k,): the linear ones (the centre), then the quadratic ones.
 
-        All of degree up to two, products of linear ones left out: Π·P and |P|² on SE(3), |Π|² on SO(3), the Pfaffian
-        and |Π|² on SO(4). SL(3), Sp(4) and others have more, of higher degree; Aff(1) has none.
+        They are all those of degree up to two, without products of linear ones: Π·P and |P|² on SE(3), |Π|² on SO(3),
+        the Pfaffian and |Π|² on SO(4). SL(3), Sp(4) and others have more, of higher degree; Aff(1) has none.
         """
         central, forms = (jnp.asarray(x, mu.dtype) for x in self._casimirs)
         return jnp.concatenate([central @ mu, forms @ mu @ mu])
 
     def rounding(self, q: Array, mu: Array) -> Array:
-        """What `Ad_star(q, mu)` sums up in size, (d,): times eps, a bound of its rounding error."""
+        """The sum of the sizes of the terms of `Ad_star(q, mu)`, (d,): times eps, it bounds the rounding error."""
         a, b, c = (_absolute(x) for x in (self._element(q), self._inverse(self._element(q)), self._vector(mu)))
         return unrolled.as_array(self.coadjoint(a, b, c, np.abs), jnp.asarray(mu))
 
     def drift(self, q: Array) -> Array:
-        """How far q has left the group, where that is cheap to see: |q⁻¹q − 1| by the form that it should keep, or
-        |det q − 1|; else 0. For all that is known, see `defect`."""
+        """A cheap distance of q from the group, for every step; `defect` is complete.
+
+        It is |q⁻¹q − 1|, with q⁻¹ by the bilinear form that the group preserves; or |det q − 1|, if the basis is
+        traceless; else 0.
+        """
         q_ = self._element(q)
         one = unrolled.identity(q_)
         if self._form is not None:
@@ -229,10 +234,10 @@ class MatrixGroup:
         product = unrolled.matmul(self._hat(self._vector(theta)), self._element(q))
         return unrolled.as_array(product, jnp.asarray(q))
 
-    # For the steps of schemes, on lists of entries for small groups: maps with their inverses, and what they do
+    # For the steps of schemes, on unrolled vectors for small groups: maps with their inverses, and coadjoint actions
 
     def exp_both(self, xi: unrolled.Vector) -> tuple[unrolled.Matrix, unrolled.Matrix]:
-        """exp ξ̂ and exp(−ξ̂), as `exp_near`: by the closed form if there is one."""
+        """exp ξ̂ and exp(−ξ̂), where `near` holds: by the closed form if there is one."""
         X = self._hat(xi)
         if self._closed is None:
             return _sum_and_difference(*_taylor(X))
@@ -302,7 +307,7 @@ class MatrixGroup:
         columns = [self._vee(unrolled.matmul(unrolled.matmul(plus, e), minus)) for e in E]
         return jnp.stack(columns, axis=1) if isinstance(plus, Array) else unrolled.transpose(columns)
 
-    # What these are made of: the same, on lists of entries for small groups and on arrays for large ones
+    # Building blocks of these, on unrolled vectors for small groups and on arrays for large ones
 
     @cached_property
     def _closed(self) -> _closed_form.ClosedForm | None:
@@ -326,7 +331,7 @@ class MatrixGroup:
 
     @cached_property
     def _free(self) -> np.ndarray:
-        """Entries of q that can differ from those of 1: where some product of basis matrices does not vanish."""
+        """The entries of q that can differ from those of 1: where some product of basis matrices is not zero."""
         pattern = reach = np.any(self.basis != 0, axis=0)
         for _ in range(self.size):
             reach = reach | (reach.astype(int) @ pattern.astype(int) > 0)
@@ -334,7 +339,7 @@ class MatrixGroup:
 
     @cached_property
     def _form(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """S and S⁻¹ of a bilinear form with EᵀS + SE = 0 for every E, if there is an invertible one that is known."""
+        """S and S⁻¹ of an invertible bilinear form with EᵀS + SE = 0 for every E, or None if none is known."""
         forms = _basis.invariant_forms(self.basis)
         candidates = [self.identity, *(forms if len(forms) == 1 else [])]
         for S in candidates:
@@ -346,7 +351,7 @@ class MatrixGroup:
 
     @cached_property
     def _constraints(self) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray], bool]:
-        """The complement of span(G) − 1, invariant forms of vectors and of covectors, whether det = 1."""
+        """The complement of the span of all q − 1, invariant forms on vectors and on covectors, whether det q = 1."""
         span = _basis.algebra(self.basis)
         complement = _basis.null(span.reshape(len(span), -1)).reshape(-1, *self.basis.shape[1:])
         forms = _basis.invariant_forms(self.basis), _basis.invariant_forms(self.basis.transpose(0, 2, 1))
@@ -357,7 +362,7 @@ class MatrixGroup:
         return bool(np.abs(np.trace(self.basis, axis1=1, axis2=2)).max() < _basis.TOLERANCE)
 
     def _outside(self, M: np.ndarray) -> float:
-        """How far matrices are from the algebra."""
+        """The largest distance of the matrices M from the algebra."""
         inside = np.tensordot(np.tensordot(M, self._dual, ((-2, -1), (1, 2))), self.basis, 1)
         return float(np.abs(M - inside).max())
 
@@ -371,7 +376,7 @@ class MatrixGroup:
         return unrolled.as_list(jnp.asarray(M)) if self.unrolled else jnp.asarray(M)
 
     def _element(self, q: Any) -> unrolled.Matrix:
-        """The entries of a group element, with those that are 0 or 1 on the whole group known."""
+        """A group element, unrolled for small groups; entries that are 0 or 1 on the whole group are Python numbers."""
         if not self.unrolled:
             return jnp.asarray(q)
         return [
@@ -403,8 +408,8 @@ def matrix(basis: ArrayLike, name: str = "matrix group", unrolled: bool | None =
         basis: d matrices, shape (d, n, n), linearly independent, their brackets in their span. Complex matrices are
             taken in their real form [[Re, −Im], [Im, Re]] of twice the size.
         name: for reports.
-        unrolled: work small matrices out entry by entry, several times faster over a batch and slower to compile. By
-            default for dimensions up to 6 and sizes up to 5.
+        unrolled: whether arithmetic is unrolled into scalars, several times faster over a batch and slower to compile.
+            By default for dimensions up to 6 and sizes up to 5.
 
     Raises:
         ValueError: a wrong shape, NaN or inf, dependent matrices, or a bracket that leaves the span (says which).
@@ -447,7 +452,7 @@ def _taylor(X: unrolled.Matrix) -> tuple[unrolled.Matrix, unrolled.Matrix]:
 def _in_blocks(
     weights: Sequence[float], powers: Sequence[unrolled.Matrix], next_power: unrolled.Matrix
 ) -> unrolled.Matrix:
-    """Σ wₖYᵏ, with powers 1, Y, …, and the one after these."""
+    """Σ wₖYᵏ in blocks (Paterson & Stockmeyer): `powers` are 1, Y, …, `next_power` is the one after them."""
     blocks = [weights[k : k + len(powers)] for k in range(0, len(weights), len(powers))]
     value = unrolled.combination(*zip(blocks[-1], powers, strict=True))
     for block in blocks[-2::-1]:

@@ -41,7 +41,7 @@ def normalise(q: Array) -> Array:
 
 
 def defect(q: Array) -> Array:
-    """|q|² − 1: by how much q leaves the group."""
+    """|q|² − 1, the distance of q from the group."""
     return _norm_squared(q) - 1
 
 
@@ -91,7 +91,7 @@ def ad_star(xi: Array, mu: Array) -> Array:
 
 
 def casimirs(mu: Array) -> Array:
-    """|μ|², (1,): what no Ad*_q changes."""
+    """|μ|², (1,), which no Ad*_q changes."""
     return jnp.stack([dot(mu, mu)])
 
 
@@ -130,14 +130,14 @@ def spatial_tangent(q: Array, theta: Array) -> Array:
 def cayley_increment(q: Array, h: Array) -> Array:
     """q cay(2h), as q + q(c − 1, ch) with c = 1/√(1+|h|²).
 
-    The product q·dq would round at |q| each step; the increment rounds at the size of the step. The defect of |q| is
-    folded into the increment, so |q| = 1 to round-off for ever. Energy then drifts 1e-13 in 10⁶ steps, not 1e-12.
+    The product q·dq has rounding errors of size |q| in each step, the increment errors of the size of the step. The
+    increment also corrects |q|, so |q| = 1 to round-off for ever. Energy then drifts by 1e-13 in 10⁶ steps, not 1e-12.
     """
     return q + jnp.stack(cayley_difference(q, h))
 
 
 def cayley_difference(q: three.Vector, h: three.Vector) -> tuple[Array, Array, Array, Array]:
-    """The increment alone, in components."""
+    """`cayley_increment` less q, in components."""
     w, v = q[0], (q[1], q[2], q[3])
     y = dot(h, h)
     s = jnp.sqrt(1 + y)
@@ -205,7 +205,7 @@ def to_euler_313(q: Array) -> Array:
 
 
 def angle(a: Array, b: Array) -> Array:
-    """The angle of the rotation between two attitudes, in [0, π]; like any length, with derivative 0 where it is 0."""
+    """The angle of the rotation between two attitudes, in [0, π]; where it is 0, its derivative is set to 0."""
     w, x, y, z = _product(inverse(a), b)
     return 2 * jnp.arctan2(_length(x, y, z), jnp.abs(w))
 
@@ -244,5 +244,5 @@ def _arctan2(y: Array, x: Array) -> Array:
 
 
 def _wrap(angle: Array) -> Array:
-    """The same angle in (−π, π]."""
+    """An angle, reduced to (−π, π]."""
     return angle - 2 * jnp.pi * jnp.ceil(angle / (2 * jnp.pi) - 0.5)

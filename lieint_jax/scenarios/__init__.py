@@ -1,15 +1,15 @@
-"""Scenario files (*.toml), shipped or the user's own, and their meaning: from a file to a batch of states and a report.
+"""Scenario files (*.toml), shipped or the user's own: from a file to a step, a batch of states and a report.
 
 A scenario is a system, a scheme, a time step and an ensemble of initial states; it may hold published values and
-observations to set beside the results. `scenario_names` lists the shipped ones. What all have in common is in
-`_common.py`; each kind of system is one module, named as the file's `system` key, which holds
+observations to compare with the results. `scenario_names` lists the shipped ones. The keys of all scenarios are in
+`_common.py`; each kind of system is one module, named like the file's `system` key, which has
 
 | name | |
 |---|---|
 | `Scenario` | a pydantic model of its keys, a subclass of `_common.Common` |
 | `build(scenario)` | the step and the batch of initial states; member 0 is the nominal state |
-| `report(scenario, step, run)` | the text to print of a run |
-| `PICTURES` | by the end of their file names, functions (scenario, step, run) ↦ figure |
+| `report(scenario, step, run)` | the text that reports a run |
+| `PICTURES` | functions (scenario, step, run) ↦ figure, by the suffix of their file names |
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from lieint_jax.types import State, Step
 
 
 def scenario_names() -> list[str]:
-    """The scenarios in the package."""
+    """The names of the shipped scenarios."""
     files = resources.files(__name__).iterdir()
     return sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml"))
 
 
 def kinds() -> dict[str, ModuleType]:
-    """The modules of this package, by the `system` key of the scenarios that they are for."""
+    """The modules of this package, by the `system` key of their scenarios."""
     return _discover.modules(sys.modules[__name__])
 
 
 def kind(scenario: Common) -> ModuleType:
-    """The module of a scenario."""
+    """The module for a scenario's kind of system."""
     return kinds()[scenario.system]
 
 
@@ -62,7 +62,7 @@ def load(name: str, **changes: Any) -> Any:
 
 
 def parse(table: dict[str, Any], name: str) -> Any:
-    """The scenario of a table of keys; `name` is what errors call it."""
+    """The scenario of a table of keys; error messages begin with `name`."""
     if "system" not in table:
         raise ValueError(f"{name}: system: key missing")
     if table["system"] not in kinds():
@@ -93,7 +93,7 @@ def _table(name: str) -> dict[str, Any]:
 
 
 def _explain(error: ValidationError) -> str:
-    """The first problem in one line that names the key."""
+    """The first problem of a validation, in one line that names the key."""
     problem, *others = error.errors()
     key = "".join(f"{part}." for part in problem["loc"] if part != "[key]").removesuffix(".")
     silent = problem["type"] in ("missing", "extra_forbidden") or not problem["loc"]

@@ -1,4 +1,4 @@
-"""What the scenarios of rigid bodies share: inertia, an initial attitude and angular velocity, a spread about them."""
+"""The keys that scenarios of rigid bodies share: inertia, initial attitude and angular velocity, and their spread."""
 
 from __future__ import annotations
 
@@ -53,6 +53,8 @@ class Spread(Table):
 
 
 class BodyScenario(Common):
+    """The keys of every scenario of a rigid body."""
+
     inertia: list[Any]
     state: InitialState
     spread: Spread = Spread()
@@ -85,5 +87,5 @@ def ensemble(scenario: BodyScenario, body: Any) -> State:
 
 
 def in_space(q: Any, axis: Any) -> np.ndarray:
-    """An axis of the body as it points in space, (n, 3), for attitudes (n, 4)."""
+    """The direction in space of an axis of the body, (n, 3), at attitudes (n, 4)."""
     return np.asarray(jax.vmap(so3.Ad, in_axes=(0, None))(jnp.asarray(q), jnp.asarray(axis)))

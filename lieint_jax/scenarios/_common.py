@@ -1,4 +1,4 @@
-"""What every scenario has, whatever its system."""
+"""The keys and functions that scenarios of every system share."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from lieint_jax.integrate import integrate
 from lieint_jax.types import State, Step, Trajectory
 
-LONGEST, POINTS = 200_000, 4_000  # steps of the nominal member that are drawn, and points of a curve
+LONGEST, POINTS = 200_000, 4_000  # the most steps of the nominal member that are drawn, and points of a curve
 
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 Quadruple = Annotated[list[float], Field(min_length=4, max_length=4)]
 NonNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[int, Field(gt=0, le=10**12)]
-Text = Annotated[str, Field(pattern=r"^[^$]*$")]  # no mathematics: it goes into pictures
+Text = Annotated[str, Field(pattern=r"^[^$]*$")]  # without $, which matplotlib reads as mathematics
 
 
 class Table(BaseModel):
-    """Keys as they are: none unknown, no text for a number, no nan."""
+    """A table of keys, strictly validated: no unknown keys, no text for a number, no nan."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class Published(Table):
-    """A number from elsewhere, to set beside ours."""
+    """A published number, with its error and source."""
 
     value: float
     error: float | None = None
@@ -37,7 +37,7 @@ class Published(Table):
 
 
 class Common(Table):
-    """The keys of every scenario. A kind adds `system: Literal["its name"]`, its schemes and its numbers."""
+    """The keys of every scenario. A kind of system adds `system: Literal["its name"]`, schemes and parameters."""
 
     title: Text
     time_unit: Text = "time unit"
@@ -58,7 +58,7 @@ class Common(Table):
         return self
 
     def assumption(self) -> str:
-        """What the ensemble assumes, a line for the report; empty if nothing."""
+        """A line for the report that states the ensemble's assumption; empty if there is none."""
         return ""
 
     def source(self, key: str) -> str:
@@ -67,34 +67,34 @@ class Common(Table):
 
 
 def member(run: Trajectory, m: int, time: int = 0) -> State:
-    """One member of a run, at a saved time."""
+    """The state of one member of a run at the saved time of index `time`."""
     return State(*(jnp.asarray(x[time, m]) for x in run.state))
 
 
 def nominal(run: Trajectory, time: int = 0) -> State:
-    """Member 0 of a run, at a saved time."""
+    """The state of member 0 of a run at the saved time of index `time`."""
     return member(run, 0, time)
 
 
 def series(function: Callable[[State], Any], run: Trajectory) -> np.ndarray:
-    """A function of the state at all saved times, of all members: (times, members, …)."""
+    """The values of a function of the state, at all saved times of all members: (times, members, …)."""
     return np.asarray(jax.jit(jax.vmap(jax.vmap(function)))(State(*(jnp.asarray(x) for x in run.state))))
 
 
 def deviation(x: np.ndarray) -> np.ndarray:
-    """The standard deviation of the members, which are the first axis; 0 of one alone."""
+    """The standard deviation over the members, the first axis; 0 for a single member."""
     return np.std(x, axis=0, ddof=1) if len(x) > 1 else np.zeros(x.shape[1:])
 
 
 def thinned(num_steps: int, longest: int = LONGEST) -> tuple[int, int]:
-    """(steps, stride) of a drawn curve: at most `longest` steps, at most `POINTS` points."""
+    """The steps of a drawn curve, at most `longest`, and its stride, for at most `POINTS` points."""
     num_steps = min(num_steps, longest)
     every = -(-num_steps // POINTS) or 1
     return max(num_steps // every, 1) * every, every
 
 
 def follow(step: Step, state: State, dt: float, num_steps: int, longest: int = LONGEST) -> Trajectory:
-    """One member's trajectory, at most `longest` steps, saved at the points that are drawn."""
+    """The trajectory from one state, of at most `longest` steps, saved at the points to draw."""
     num_steps, every = thinned(num_steps, longest)
     return _follow(step, state, dt, num_steps, every)
 

@@ -1,4 +1,4 @@
-"""The classical Runge–Kutta method, to draw beside the schemes: what one would take without a thought of structure."""
+"""The classical Runge–Kutta method, which conserves nothing, to draw beside the schemes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _BODIES, _STEPS, _ROUNDS = 256, 50, 5
 
 @pytree
 class RungeKutta(Step):
-    """Order 4, four evaluations of the vector field of a body; a quaternion is normalised after each step."""
+    """The step of order 4: four evaluations of the vector field; a quaternion is normalised after each step."""
 
     system: System
     order: float = static(default=4)
@@ -44,7 +44,7 @@ class RungeKutta(Step):
 
 
 def cost(step: Step, state: State, dt: float) -> float:
-    """Seconds of a step in a batch of bodies, measured here and now."""
+    """Seconds per step of a batch of `_BODIES` bodies, measured now."""
 
     @partial(jax.jit, compiler_options=compiler_options())
     def run(states: State) -> Any:

@@ -1,4 +1,4 @@
-"""A heavy top: what it conserves, its nutation and precession beside the closed form, its axis on the sphere."""
+"""A heavy top: its conserved quantities, nutation and precession beside the closed form, its axis on the sphere."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from lieint_jax.scenarios._runge_kutta import RungeKutta, cost
 from lieint_jax.systems import PotentialTop, kovalevskaya_integral, lagrange_motion
 from lieint_jax.types import State, Step, Trajectory
 
-_LONG = 10  # times the run: how long the energies are drawn
-_SAMPLES = 6  # saved states per nutation, at least, to measure it by
+_LONG = 10  # length of the energies' picture, over that of the run
+_SAMPLES = 6  # the fewest saved states per nutation from which it is measured
 
 
 class Scenario(BodyScenario):
@@ -63,8 +63,8 @@ def _schemes(scenario: Scenario, top: Any) -> dict[str, Step]:
     return two if scenario.order == 2 else {k: schemes.compose(step, scenario.order) for k, step in two.items()}
 
 
-class Row(NamedTuple):
-    """One quantity of the report: of the nominal member, its spread over the members, the nominal one's closed form."""
+class Comparison(NamedTuple):
+    """A measured quantity beside its closed form: nominal value, standard deviation over the members, closed form."""
 
     name: str
     nominal: float
@@ -73,7 +73,7 @@ class Row(NamedTuple):
 
 
 def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
-    """What is conserved, worst of all members; nutation and precession beside the closed form."""
+    """The changes of conserved quantities, worst of all members; nutation and precession beside the closed form."""
     lines = ["\n  largest change, all members and saved times"]
     lines += [f"  {name:<34}{change:>10.1e}" for name, change in changes(step.system, run).items()]
     unit, known = scenario.time_unit, is_lagrange(step.system)
@@ -94,7 +94,7 @@ def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
 
 
 def is_lagrange(top: PotentialTop) -> bool:
-    """Whether the top is symmetric about the axis to its centre of mass, and that axis is the third."""
+    """True if the top is symmetric about the axis to its centre of mass, and that axis is the third."""
     J, E = _inertia(top), _weight(top)
     size = 1e-12 * J.max()
     symmetric = abs(J[0, 0] - J[1, 1]) <= size and abs(J - np.diag(np.diag(J))).max() <= size
@@ -102,7 +102,7 @@ def is_lagrange(top: PotentialTop) -> bool:
 
 
 def changes(top: PotentialTop, run: Trajectory) -> dict[str, float]:
-    """Largest changes of the integrals: relative, energies to ½Π·J⁻¹Π + |E||γ|, momenta to |π|, of the first time."""
+    """Largest relative changes of the integrals: energy over the initial ½Π·J⁻¹Π + |E||γ|, momenta over |π|."""
     size = np.linalg.norm(_weight(top)) * np.linalg.norm(np.asarray(top.axis))
     kinetic = series(top.kinetic_energy, run)[0]
     momentum = np.linalg.norm(np.asarray(run.state.p[0]), axis=-1) * np.linalg.norm(np.asarray(top.axis))
@@ -136,8 +136,8 @@ def _unit(x: np.ndarray) -> np.ndarray:
     return x / np.linalg.norm(x)
 
 
-def quantities(top: PotentialTop, run: Trajectory, unit: str) -> list[Row]:
-    """Nutation and precession of the axis to the centre of mass: measured, member by member, and in closed form."""
+def quantities(top: PotentialTop, run: Trajectory, unit: str) -> list[Comparison]:
+    """Nutation and precession of the axis to the centre of mass, measured for every member, and in closed form."""
     motions = np.array([motion(top, run, m) for m in range(run.state.p.shape[1])])
     closed = np.full(4, np.nan)
     if is_lagrange(top):
@@ -149,14 +149,15 @@ def quantities(top: PotentialTop, run: Trajectory, unit: str) -> list[Row]:
         "least inclination (°)",
         "greatest inclination (°)",
     )
-    return [Row(name, *map(float, x)) for name, *x in zip(names, motions[0], deviation(motions), closed, strict=True)]
+    columns = zip(names, motions[0], deviation(motions), closed, strict=True)
+    return [Comparison(name, *map(float, x)) for name, *x in columns]
 
 
 def motion(top: PotentialTop, run: Trajectory, member: int = 0) -> np.ndarray:
     """Nutation period, mean precession rate, least and greatest inclination (°) of a member, over whole nutations.
 
-    They are found by interpolation at the times when the axis is lowest; nan where there are not two of these, or where
-    states are saved too far apart.
+    They are interpolated at the times when the axis is lowest; nan if there are fewer than two such times, or if states
+    are saved too far apart.
     """
     q, p = (jnp.asarray(x[:, member]) for x in run.state)
     t, axis = np.asarray(run.t), _unit(np.asarray(top.axis))
@@ -179,7 +180,7 @@ def motion(top: PotentialTop, run: Trajectory, member: int = 0) -> np.ndarray:
 
 @jax.jit
 def _axis_and_velocity(top: PotentialTop, states: State, axis: Any) -> tuple[Any, Any]:
-    """An axis of the body and its velocity, in space, (n, 3) each."""
+    """The direction in space of an axis of the body, and its velocity, (n, 3) each."""
 
     def one(state: State) -> tuple[Any, Any]:
         moved = jnp.stack(three.cross(top.angular_velocity(state), axis))
@@ -189,7 +190,7 @@ def _axis_and_velocity(top: PotentialTop, states: State, axis: Any) -> tuple[Any
 
 
 def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
-    """The axis to the centre of mass: on the sphere, one turn about γ or the whole run; its inclination with time."""
+    """Plot the axis to the centre of mass on the sphere, for one turn about γ or the whole run, and its inclination."""
     top, unit = step.system, scenario.time_unit
     rate = motion(top, run)[1]
     steps = scenario.steps
@@ -218,7 +219,7 @@ def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
 
 
 def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
-    """The largest energy error so far of each scheme and of Runge–Kutta at the cost of the more expensive one."""
+    """Plot the largest energy error so far of each scheme, and of Runge–Kutta at the cost of the slower scheme."""
     top, start, dt = step.system, nominal(run), scenario.dt
     both, peer = _schemes(scenario, top), RungeKutta(top)
     ratio = cost(peer, start, dt) / max(cost(scheme, start, dt) for scheme in both.values())
@@ -234,7 +235,7 @@ def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     fig.set_size_inches(6.4, 4.2)
     plots.log_error(axes[0, 0], t, curves, "largest relative energy error so far", scenario.time_unit)
     axes[0, 0].set_xscale("log" if dt > 0 else "linear")
-    axes[0, 0].set_title("Runge–Kutta takes steps that cost the same a unit of time", fontsize="small")
+    axes[0, 0].set_title("Runge–Kutta takes steps of equal cost per unit of time", fontsize="small")
     return fig
 
 

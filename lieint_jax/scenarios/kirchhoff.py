@@ -1,4 +1,4 @@
-"""A neutrally buoyant ellipsoid in a fluid: what is kept, how far its axis strays, whether its spin is enough."""
+"""A neutrally buoyant ellipsoid in a fluid: its conserved quantities, its tilt, and whether its spin is stable."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PositiveTriple = Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length
 
 
 class InitialState(Table):
-    """The nominal state: at the origin, its axes along those of space, with these velocities in the body."""
+    """The nominal state: at the origin, axes along those of space, with these velocities in the body."""
 
     angular_velocity: Triple
     velocity: Triple
@@ -66,7 +66,7 @@ def build(scenario: Scenario) -> tuple[Step, State]:
 
 
 def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
-    """The body in the fluid; what is conserved, worst of all members; how it moves."""
+    """The body in the fluid; the changes of conserved quantities, worst of all members; its motion."""
     a, b, c = scenario.semi_axes
     m, axes = np.diag(np.asarray(kirchhoff((a, b, c)).metric)), np.array([a, b, c])
     solid = (np.sum(axes**2) - axes**2) / 5
@@ -89,7 +89,7 @@ def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
 
 
 def changes(body: Euler, run: Trajectory) -> dict[str, tuple[float, str]]:
-    """Largest changes, relative, and what the scheme promises of them."""
+    """Largest relative change of each conserved quantity, and the scheme's promise for it."""
     H, (Pi_P, P_P) = series(body.energy, run), np.moveaxis(series(body.casimirs, run), -1, 0)
     p = np.asarray(run.state.p)
     sizes = [np.linalg.norm(x[0], axis=-1) for x in (p[..., :3], p[..., 3:])]
@@ -103,7 +103,7 @@ def changes(body: Euler, run: Trajectory) -> dict[str, tuple[float, str]]:
 
 
 def spin_needed(body: Euler) -> float | None:
-    """The least |Π₃/P₃| with which a body of revolution goes stably along its axis, 0 if it does without spin.
+    """The least |Π₃/P₃| with which a body of revolution moves stably along its axis, 0 if it needs no spin.
 
     It is 2√(I₁(1/m₃ − 1/m₁)). None if the body is not one of revolution about the third axis, with its mass central.
     """
@@ -114,16 +114,16 @@ def spin_needed(body: Euler) -> float | None:
     return float(2 * np.sqrt(max(I1 * (1 / m3 - 1 / m1), 0.0)))
 
 
-class Row(NamedTuple):
-    """A quantity of the motion: of the nominal member, and its spread over the members."""
+class EnsembleQuantity(NamedTuple):
+    """A quantity of the motion: its value for the nominal member, and its standard deviation over the members."""
 
     name: str
     nominal: float
     spread: float
 
 
-def quantities(scenario: Scenario, run: Trajectory) -> list[Row]:
-    """The mean speed along the impulse P, and how far the third axis strays from where it first pointed."""
+def quantities(scenario: Scenario, run: Trajectory) -> list[EnsembleQuantity]:
+    """The mean speed along the impulse P, and the largest angle of the third axis from its initial direction."""
     q, p, t = np.asarray(run.state.q), np.asarray(run.state.p), np.asarray(run.t)
     P = p[0, :, 3:]
     way = np.einsum("mi,mi->m", q[-1, :, :3, 3] - q[0, :, :3, 3], P)
@@ -131,20 +131,20 @@ def quantities(scenario: Scenario, run: Trajectory) -> list[Row]:
     tilt = tilts(q).max(axis=0)
     unit = scenario.time_unit
     return [
-        Row(name, float(x[0]), float(deviation(x)))
+        EnsembleQuantity(name, float(x[0]), float(deviation(x)))
         for name, x in ((f"mean speed along the impulse (/{unit})", speed), ("third axis strays by (°)", tilt))
     ]
 
 
 def tilts(q: Any) -> np.ndarray:
-    """The angle in degrees between the third axis now and at first, for motions (times, …, 4, 4)."""
+    """The angle in degrees of the third axis from its initial direction, for motions (times, …, 4, 4)."""
     axis = np.asarray(q)[..., :3, 2]
     across, along = np.cross(axis, axis[0]), np.sum(axis * axis[0], axis=-1)
     return np.rad2deg(np.arctan2(np.linalg.norm(across, axis=-1), along))
 
 
 def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
-    """The way of the centre, and where the third axis points on the sphere: of the nominal member and of the last."""
+    """Plot the path of the centre of the nominal and the last member, and the last one's third axis on the sphere."""
     fig, axes = plots.figure(2)
     for ax in axes[0]:
         ax.remove()
@@ -166,7 +166,7 @@ def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
 
 
 def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
-    """Energy errors of the last member by this scheme and by Runge–Kutta; the tilt of all members' axes with time."""
+    """Plot energy errors of the last member by this scheme and by Runge–Kutta, and the tilts of all members' axes."""
     body, curves, t = step.system, {}, np.zeros(0)
     start = member(run, -1)
     for scheme in (step, RungeKutta(body)):

@@ -1,4 +1,4 @@
-"""A spherical pendulum: what the midpoint rule keeps, its swing and precession beside the closed form, its path."""
+"""A spherical pendulum: its conserved quantities, swing and precession beside the closed form, and its path."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.scenarios import heavy_top
 from lieint_jax.scenarios._common import Common, NonNegative, Table, Triple, follow, nominal, series
-from lieint_jax.scenarios.heavy_top import Row
+from lieint_jax.scenarios.heavy_top import Comparison
 from lieint_jax.systems import Pendulum, PotentialTop
 from lieint_jax.types import State, Step, Trajectory
 
 
 class InitialState(Table):
-    """The nominal state: a unit vector, and a velocity whose part along it is taken away."""
+    """The nominal state: a unit vector, and a velocity, whose component along the vector is removed."""
 
     direction: Triple
     velocity: Triple
@@ -90,7 +90,7 @@ def build(scenario: Scenario) -> tuple[Step, State]:
 
 
 def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
-    """What is conserved, worst of all members; the swing beside the closed form."""
+    """The changes of conserved quantities, worst of all members; the swing beside the closed form."""
     lines = [f"\n  {'largest change, all members':<34}{'found':>10}   the scheme promises"]
     lines += [f"  {name:<34}{x:>10.1e}   conserved to round-off" for name, x in changes(step.system, run).items()]
     lines += [f"\n  {'':<34}{'nominal':>10}{'± ensemble':>12}{'closed form':>14}"]
@@ -106,7 +106,7 @@ def changes(bob: Pendulum, run: Trajectory) -> dict[str, float]:
     """Largest changes: energy relative to ½|π|²/m + |mG|, γ·π relative to √(2m(H + |mG|)); |q|² − 1 and q·π."""
     H, gamma_pi, defect = (series(f, run) for f in (bob.energy, lambda z: bob.momentum(z)[0], bob.phase_space.defect))
     depth = abs(float(bob.potential(bob.axis)))
-    kinetic = H[0] + depth  # at the lowest point, the largest there is
+    kinetic = H[0] + depth  # its largest value, at the lowest point
     return {
         "energy, relative": float(np.max(abs(H - H[0]) / (kinetic + depth))),
         "γ·π, relative": float(np.max(abs(gamma_pi - gamma_pi[0]) / np.sqrt(2 * float(bob.mass) * kinetic))),
@@ -115,7 +115,7 @@ def changes(bob: Pendulum, run: Trajectory) -> dict[str, float]:
 
 
 def as_top(bob: Pendulum, run: Trajectory) -> tuple[PotentialTop, Trajectory]:
-    """A spherical pendulum in a uniform field is Lagrange's top without spin: Λe₃ = q, Π₃ = q·π = 0; its axis is −γ."""
+    """The pendulum in a uniform field as Lagrange's top without spin: Λe₃ = q, Π₃ = q·π = 0; the top's axis is −γ."""
     depth = -bob.potential(bob.axis)
     top = systems.heavy_top(jnp.full(3, bob.mass), jnp.array([0.0, 0.0, 1.0]) * depth, -bob.axis)
 
@@ -126,20 +126,20 @@ def as_top(bob: Pendulum, run: Trajectory) -> tuple[PotentialTop, Trajectory]:
     return top, run._replace(state=State(q, run.state.p))
 
 
-def quantities(bob: Pendulum, run: Trajectory, unit: str) -> list[Row]:
-    """Period and precession of the swing, and its bounds: measured, member by member, and in closed form."""
+def quantities(bob: Pendulum, run: Trajectory, unit: str) -> list[Comparison]:
+    """Period, precession and bounds of the swing, measured for every member, and in closed form."""
     top, turned = as_top(bob, run)
     period, rate, least, greatest = heavy_top.quantities(top, turned, unit)
     return [
-        Row(f"lowest point to lowest point ({unit})", *period[1:]),
-        Row(f"mean rate about γ (rad/{unit})", -rate.nominal, rate.spread, -rate.closed_form),
-        Row("least angle from γ (°)", 180 - greatest.nominal, greatest.spread, 180 - greatest.closed_form),
-        Row("greatest angle from γ (°)", 180 - least.nominal, least.spread, 180 - least.closed_form),
+        Comparison(f"lowest point to lowest point ({unit})", *period[1:]),
+        Comparison(f"mean rate about γ (rad/{unit})", -rate.nominal, rate.spread, -rate.closed_form),
+        Comparison("least angle from γ (°)", 180 - greatest.nominal, greatest.spread, 180 - greatest.closed_form),
+        Comparison("greatest angle from γ (°)", 180 - least.nominal, least.spread, 180 - least.closed_form),
     ]
 
 
 def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
-    """The bob on the sphere, a dozen swings of it, seen from below and aside; its angle from γ with time."""
+    """Plot a dozen swings of the bob on the sphere, seen from below and aside, and its angle from γ against time."""
     bob, unit = step.system, scenario.time_unit
     rows = quantities(bob, run, unit)
     steps = scenario.steps
@@ -167,7 +167,7 @@ def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
 
 
 def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
-    """Energy and constraint errors of the nominal member by both forms of the midpoint rule."""
+    """Plot energy and constraint errors of the nominal member by both forms of the midpoint rule."""
     bob, energy, constraint, t = step.system, {}, {}, None
     for normalised in (False, True):
         scheme = schemes.sphere_midpoint(bob, normalised)

@@ -1,4 +1,4 @@
-"""A pseudo-rigid body: what the rule promises beside what it kept, the paper's delay plots, energy by two rules."""
+"""A pseudo-rigid body: measured conservation beside the rule's promise, delay plots, energy by two rules."""
 
 from __future__ import annotations
 
@@ -25,20 +25,22 @@ from lieint_jax.scenarios._common import (
 from lieint_jax.systems import PseudoRigidBody
 from lieint_jax.types import State, Step, Trajectory
 
-_LONGEST = 4_000  # steps of the nominal member that are drawn, every one of them: a delay plot needs neighbours
+_LONGEST = 4_000  # the most steps of the nominal member that are drawn; all are, since a delay plot needs each
 
 Matrix = Annotated[list[Triple], Field(min_length=3, max_length=3)]
 Above = Annotated[float, Field(gt=0)]
 
 
 class Material(Table):
+    """A law of stored energy and its Lamé constants."""
+
     law: Literal["mooney_rivlin", "neo_hookean", "saint_venant_kirchhoff"] = "mooney_rivlin"
     lam: Above
     mu: Above
 
 
 class InitialState(Table):
-    """The nominal state: F, and one of three ways to give the motion."""
+    """The nominal state: F, and one of angular velocity, velocity and momentum."""
 
     deformation: Matrix = np.eye(3).tolist()
     angular_velocity: Triple | None = None
@@ -64,7 +66,7 @@ class InitialState(Table):
 
 
 class Spread(Table):
-    """Standard deviations of the members about the nominal state: of each entry of F, of an angular velocity added."""
+    """Standard deviations of the members about the nominal state: of each entry of F, of an added angular velocity."""
 
     deformation: NonNegative = 0.0
     angular_velocity: NonNegative = 0.0
@@ -121,32 +123,34 @@ def build(scenario: Scenario) -> tuple[Step, State]:
         return turned._replace(p=turned.p + body.state(F, velocity=V @ jnp.linalg.inv(start.q) @ F).p)
 
     states = jax.vmap(member)(dF, spin)
-    exact = jax.tree.map(lambda x, x0: x.at[0].set(x0), states, start)  # F⁻¹F rounds
+    exact = jax.tree.map(lambda x, x0: x.at[0].set(x0), states, start)  # the nominal state exactly, since F⁻¹F rounds
     return schemes.additive(body, scenario.rule, scenario.alpha), exact
 
 
-class Row(NamedTuple):
-    """A quantity of the report: its name, its value over all members and saved times, what the rule promises."""
+class ConservationCheck(NamedTuple):
+    """A measured change: its name, its largest value over all members and saved times, and the rule's promise."""
 
     name: str
     found: float
     promised: str
 
 
-def quantities(scenario: Scenario, body: PseudoRigidBody, run: Trajectory) -> list[Row]:
-    """Largest changes, relative to the largest |H| and |Φ| of the member's start; the least det F."""
+def quantities(scenario: Scenario, body: PseudoRigidBody, run: Trajectory) -> list[ConservationCheck]:
+    """Largest changes of energy and momentum, relative to the member's initial |H| and |Φ|; the least det F."""
     H, Phi = series(body.energy, run), series(body.momentum, run)
     size = np.maximum(np.linalg.norm(Phi[0], axis=-1, keepdims=True), np.finfo(float).tiny)
-    energy = {"symplectic": "bounded, not conserved"}.get(scenario.rule, "conserved to round-off")
+    energy = float(np.max(abs(H - H[0]) / np.maximum(abs(H[0]), np.finfo(float).tiny)))
+    momentum = float(np.max(abs(Phi - Phi[0]) / size))
+    promised = {"symplectic": "bounded, not conserved"}.get(scenario.rule, "conserved to round-off")
     return [
-        Row("energy, relative", float(np.max(abs(H - H[0]) / np.maximum(abs(H[0]), np.finfo(float).tiny))), energy),
-        Row("momentum rot[PFᵀ], relative", float(np.max(abs(Phi - Phi[0]) / size)), "conserved to round-off"),
-        Row("least det F", float(np.linalg.det(run.state.q).min()), "above 0, or flagged"),
+        ConservationCheck("energy, relative", energy, promised),
+        ConservationCheck("momentum rot[PFᵀ], relative", momentum, "conserved to round-off"),
+        ConservationCheck("least det F", float(np.linalg.det(run.state.q).min()), "above 0, or flagged"),
     ]
 
 
 def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
-    """What is conserved beside what is promised; the energy of the midpoint rule beside the published variation."""
+    """Measured changes beside the rule's promise; the energy of the midpoint rule beside the published variation."""
     lines = [f"\n  {'all members and saved times':<34}{'found':>12}   the rule {scenario.rule!r} promises"]
     lines += [f"  {row.name:<34}{row.found:>12.3g}   {row.promised}" for row in quantities(scenario, step.system, run)]
     found = energies(scenario, step, run)
@@ -160,7 +164,7 @@ def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
 
 
 class Energies(NamedTuple):
-    """Of the nominal member at every step: H by the scenario's rule and the midpoint rule, ‖F − 1‖² by the former."""
+    """The nominal member at every step: H by the scenario's rule and the midpoint rule, ‖F − 1‖² by the former."""
 
     t: np.ndarray
     energy: dict[str, np.ndarray]
@@ -172,7 +176,7 @@ MIDPOINT = "implicit midpoint rule"
 
 
 def energies(scenario: Scenario, step: Any, run: Trajectory) -> Energies:
-    """Both rules from the nominal state, at most `_LONGEST` steps, every one saved."""
+    """Integrate by both rules from the nominal state, at most `_LONGEST` steps, all saved."""
     body, start, energy = step.system, nominal(run), {}
     steps = min(scenario.steps, _LONGEST)
     own = long = follow(step, start, scenario.dt, steps)
@@ -187,7 +191,7 @@ def energies(scenario: Scenario, step: Any, run: Trajectory) -> Energies:
 
 
 def draw_torus(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
-    """Delay plots, as in the paper's Figures 3 to 5: of the midpoint rule's energy, and of the displacement."""
+    """Draw delay plots as in the paper's Figures 3 to 5: of the midpoint rule's energy, and of the displacement."""
     found = energies(scenario, step, run)
     fig, axes = plots.figure(2, subplot_kw={"projection": "3d"})
     panels = {f"H, {MIDPOINT}": found.energy[MIDPOINT], f"‖F − 1‖², rule {scenario.rule!r}": found.displacement}
@@ -199,7 +203,7 @@ def draw_torus(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
 
 
 def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
-    """Energy errors of the nominal member by the scenario's rule and by the midpoint rule; its displacement."""
+    """Plot energy errors of the nominal member by the scenario's rule and by the midpoint rule; its displacement."""
     found = energies(scenario, step, run)
     fig, axes = plots.figure(2)
     errors = {name: H - H[0] for name, H in found.energy.items()}

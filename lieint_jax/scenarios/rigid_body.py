@@ -1,4 +1,4 @@
-"""A tumbling free rigid body: its mean periods and the direction of its momentum, beside published ones."""
+"""A tumbling free rigid body: its mean periods and the direction of its momentum, beside published values."""
 
 from __future__ import annotations
 
@@ -24,6 +24,8 @@ Z = (0.0, 0.0, 1.0)  # the body axis that is drawn
 
 
 class Observation(InitialState):
+    """An observed attitude and angular velocity at time t, with its source."""
+
     label: Text
     t: float
     source: str
@@ -56,13 +58,13 @@ def build(scenario: Scenario) -> tuple[Step, State]:
 
 
 def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
-    """Periods and directions beside the published ones; predictions beside observations."""
+    """Periods and directions beside the published values; predictions beside observations."""
     table = _table(scenario, quantities(scenario, step.system, run))
     return "\n".join([table, *(_sighting(scenario, seen) for seen in sightings(scenario, step.system, run))])
 
 
-class Row(NamedTuple):
-    """One quantity of the report: the nominal value, the ensemble's standard deviation, the published value."""
+class PublishedComparison(NamedTuple):
+    """A quantity beside its published value: nominal value, standard deviation over the members, published value."""
 
     name: str
     nominal: float
@@ -70,14 +72,15 @@ class Row(NamedTuple):
     published: Published | None
 
 
-def quantities(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Row]:
-    """Mean periods of the tumbling and the direction of angular momentum, member by member."""
+def quantities(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[PublishedComparison]:
+    """Mean periods of the tumbling and the direction of the angular momentum, beside their published values."""
     p = np.asarray(run.state.p)[0]
     unit = p / np.linalg.norm(p, axis=1, keepdims=True)
     longitude = np.rad2deg(np.arctan2(unit[:, 1], unit[:, 0])) % 360
     latitude = np.rad2deg(np.arcsin(unit[:, 2]))
     precession, rotation = mean_periods(body, run)
     unit = scenario.time_unit
+    published: dict[str, Published] = {**scenario.published}
     table = {
         "precession_period": (f"precession period ({unit})", precession),
         "rotation_period": (f"rotation period ({unit})", rotation),
@@ -85,22 +88,23 @@ def quantities(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Row
         "momentum_latitude_deg": ("angular momentum latitude (°)", latitude),
     }
     return [
-        Row(name, float(x[0]), _spread(x, key.endswith("_deg")), scenario.published.get(key))  # pyright: ignore[reportArgumentType]
+        PublishedComparison(name, float(x[0]), _spread(x, key.endswith("_deg")), published.get(key))
         for key, (name, x) in table.items()
     ]
 
 
 def _spread(x: np.ndarray, angle: bool) -> float:
-    """The standard deviation of the members; of angles in degrees, about the nominal one and round the circle."""
+    """The standard deviation of the members; for an `angle` in degrees, of the differences from the nominal one."""
     x = (x - x[0] + 180) % 360 - 180 if angle else x
     return float(deviation(x))
 
 
 def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Mean periods, one per member, of the tumbling of a free body about the principal axis that it tumbles about.
+    """Mean precession and rotation periods of a tumbling free body, one of each per member.
 
-    That axis is the one of least inertia if |Π|² < 2H J₂, else the one of greatest (Poinsot). The first period is that
-    of the axis' precession about the angular momentum, the second that of Π about the axis in the body.
+    The body tumbles about its axis of least inertia if |Π|² < 2H J₂, else about that of greatest inertia (Poinsot). The
+    first period is that of the axis' precession about the angular momentum, the second that of Π about the axis in the
+    body.
 
     Returns:
         Arrays (members,); nan where states are saved too far apart to follow the angles (more than 2.5 rad at |Π|/J₁).
@@ -128,12 +132,12 @@ def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarr
 
 
 def save_index(scenario: Scenario, seen: Observation) -> int:
-    """Which saved state an observation falls on."""
+    """The index of the saved state at the time of an observation."""
     return round(seen.t / (scenario.dt * scenario.save_every))
 
 
 class Sighting(NamedTuple):
-    """An observation beside the prediction for it; angles in degrees."""
+    """An observation beside its prediction; angles in degrees."""
 
     observation: Observation
     euler_313_deg: np.ndarray
@@ -144,10 +148,10 @@ class Sighting(NamedTuple):
 
 
 def sightings(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Sighting]:
-    """What the nominal member predicts for each observation within the run.
+    """The prediction of the nominal member for each observation within the run.
 
     `spread_deg` is the root mean square angle of the members about the nominal one; `integrator_error_deg` the angle
-    between the nominal one and the solution of the equations of motion to round-off.
+    between the nominal one and a solution of the equations of motion by `diagnostics.flow`, accurate to round-off.
     """
     found = []
     for seen in scenario.observation:
@@ -171,7 +175,7 @@ def sightings(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Sigh
     return found
 
 
-def _table(scenario: Scenario, rows: list[Row]) -> str:
+def _table(scenario: Scenario, rows: list[PublishedComparison]) -> str:
     lines = [f"\n  {'':<34}{'nominal':>10}{'± ensemble':>12}   published"]
     for row in rows:
         published = ""
@@ -209,7 +213,7 @@ def _sighting(scenario: Scenario, sighting: Sighting) -> str:
 
 
 def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
-    """The long view: the body's z axis in space, where the members have it at an observation; the polhode."""
+    """Plot the path of the body's z axis in space, with all members at the first observation, and the polhode."""
     seen = [s for s in scenario.observation if 0 <= save_index(scenario, s) < len(run.t)][:1]
     last = save_index(scenario, seen[0]) if seen else len(run.t) - 1
     long = follow(step, nominal(run), scenario.dt, last * scenario.save_every)
@@ -233,7 +237,7 @@ def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
 
 
 def draw_invariants(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
-    """Energy and Poisson error of the nominal member against time."""
+    """Plot the energy and Poisson errors of the nominal member against time."""
     n, every = thinned(scenario.steps)
 
     @jax.jit

@@ -1,9 +1,9 @@
-"""Inertia ratios and biases of a tumbling body out of a noisy rate gyro, a hundred times over.
+"""Inertia ratios and biases of a tumbling body, estimated from a noisy rate gyro in a hundred trials.
 
-The gyro sees body rates alone, Ω(t) + bias + noise. Only ratios of the inertia move them, so there are eight unknowns:
-two ratios, the rate at the start, three biases. The data are synthetic, from the exact motion in elliptic functions;
-the model is the scheme of order 6. If the covariance that a fit reports is right, each parameter lies within 2σ of the
-truth in 95 of 100 trials, and the truth in the joint 95 % ellipsoid in 95.
+The gyro measures body rates alone, Ω(t) + bias + noise. They depend on ratios of the inertia only, so there are eight
+unknowns: two ratios, three initial rates, three biases. The data are synthetic, from the exact motion in elliptic
+functions; the model is the scheme of order 6. If the covariance that a fit reports is right, each parameter lies within
+2σ of the truth in 95 of 100 trials, and the truth in the joint 95 % ellipsoid in 95.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ TRUTH = {
     "rate": jnp.array([0.5, 0.3, 0.4]),  # rad/s
 }
 NOISE = 0.002  # rad/s, of each reading
-_EVERY, _READINGS = 0.5, 80  # seconds between readings, and how many
+_EVERY, _READINGS = 0.5, 80  # seconds between readings, and their number
 _NAMES = ("bias x", "bias y", "bias z", "Jx/Jz", "Jy/Jz", "Ωx(0)", "Ωy(0)", "Ωz(0)")
 _BEYOND = 15.507  # the 95 % point of χ² with 8 degrees of freedom
 
 
-class Found(NamedTuple):
-    """What the study found.
+class GyroTrials(NamedTuple):
+    """The results of the study.
 
     Attributes:
-        fit: of all trials; `fit.starts` holds each.
-        estimates: (trials, 8), in the order of `_NAMES`.
-        truth: (8,).
+        fit: the fit of all trials; `fit.starts` holds each.
+        estimates: estimated parameters, (trials, 8), in the order of `_NAMES`.
+        truth: true parameters, (8,).
         sigmas: reported standard errors, (trials, 8).
-        within: share of trials with each parameter within 2 of its own σ, (8,).
-        inside: share of trials with the truth in the joint 95 % ellipsoid.
-        readings: of the first trial: times, readings, and the fitted rates with bias.
+        within: the share of trials with each parameter within 2σ of the truth, (8,).
+        inside: the share of trials with the truth in the joint 95 % ellipsoid.
+        readings: times, readings, and fitted rates with bias, of the first trial.
     """
 
     fit: Fit
@@ -58,7 +58,7 @@ class Found(NamedTuple):
 
 
 def rates(params: dict[str, Array]) -> tuple[Array, Array]:
-    """What a gyro without noise reads, (readings, 3), and whether the steps converged."""
+    """The readings of a gyro without noise, (readings, 3), by the scheme, and whether all steps converged."""
     body = _body(params)
     start = body.state(angular_velocity=params["rate"])
     path = integrate(schemes.preprocessed(body, 6), start, _EVERY, _READINGS)
@@ -67,7 +67,7 @@ def rates(params: dict[str, Array]) -> tuple[Array, Array]:
 
 
 def exact_rates(params: dict[str, Array]) -> Array:
-    """The same by the closed form of the motion."""
+    """The readings of a gyro without noise, (readings, 3), by the closed form of the motion."""
     body = _body(params)
     start = body.state(angular_velocity=params["rate"])
     t = _EVERY * jnp.arange(1, _READINGS + 1)
@@ -76,13 +76,13 @@ def exact_rates(params: dict[str, Array]) -> Array:
 
 
 def residuals(params: dict[str, Array], data: Array) -> tuple[Array, Array]:
-    """Readings less what the parameters give, in units of the noise."""
+    """Readings of the model less the data, in units of the noise, and whether all steps converged."""
     seen, converged = rates(params)
     return (seen - data) / NOISE, converged
 
 
-def run(quick: bool = False, trials: int = 100, seed: int = 4, progress: bool = True) -> Found:
-    """All trials at once, each from a guess that is off by a tenth or so; `quick` is for a dozen."""
+def run(quick: bool = False, trials: int = 100, seed: int = 4, progress: bool = True) -> GyroTrials:
+    """Fit all trials at once, each from a guess that is off by about a tenth; `quick` runs 12 trials."""
     trials = 12 if quick else trials
     noise = np.random.default_rng(seed).normal(size=(trials, _READINGS, 3))
     data = exact_rates(TRUTH) + NOISE * jnp.asarray(noise)
@@ -90,22 +90,22 @@ def run(quick: bool = False, trials: int = 100, seed: int = 4, progress: bool = 
     guesses = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (trials, *leaf.shape)), guess)
     guesses["rate"] = data[:, 0]
     bounds = {"bias": free, "inertia": inertia_ratios, "rate": free}
-    found = fit(residuals, guesses, bounds=bounds, starts=True, data=data, progress=progress)
-    assert found.starts is not None
-    assert found.starts.covariance is not None
-    estimates = np.asarray(jax.vmap(lambda p: ravel_pytree(p)[0])(found.starts.params))
+    best = fit(residuals, guesses, bounds=bounds, starts=True, data=data, progress=progress)
+    assert best.starts is not None
+    assert best.starts.covariance is not None
+    estimates = np.asarray(jax.vmap(lambda p: ravel_pytree(p)[0])(best.starts.params))
     truth = np.asarray(ravel_pytree(TRUTH)[0])
-    away = estimates - truth
-    sigmas = np.sqrt(np.diagonal(found.starts.covariance, axis1=1, axis2=2))
-    square = np.einsum("ti,ti->t", away, np.linalg.solve(found.starts.covariance, away[..., None])[..., 0])
+    error = estimates - truth
+    sigmas = np.sqrt(np.diagonal(best.starts.covariance, axis1=1, axis2=2))
+    square = np.einsum("ti,ti->t", error, np.linalg.solve(best.starts.covariance, error[..., None])[..., 0])
     t = _EVERY * np.arange(1, _READINGS + 1)
-    fitted = rates(jax.tree.map(lambda leaf: leaf[0], found.starts.params))[0]
-    return Found(
-        found,
+    fitted = rates(jax.tree.map(lambda leaf: leaf[0], best.starts.params))[0]
+    return GyroTrials(
+        best,
         estimates,
         truth,
         sigmas,
-        (np.abs(away) <= 2 * sigmas).mean(axis=0),
+        (np.abs(error) <= 2 * sigmas).mean(axis=0),
         float((square <= _BEYOND).mean()),
         (t, np.asarray(data[0]), np.asarray(fitted)),
     )
@@ -115,8 +115,8 @@ def _body(params: dict[str, Array]) -> RigidBody:
     return RigidBody(jnp.append(params["inertia"], 1.0))
 
 
-def text(found: Found) -> str:
-    """The report."""
+def text(found: GyroTrials) -> str:
+    """The study's report, to print."""
     trials = len(found.estimates)
     starts = found.fit.starts
     assert starts is not None
@@ -133,8 +133,8 @@ def text(found: Found) -> str:
     return "\n".join([*lines, f"\n  truth inside the joint 95 % ellipsoid: {100 * found.inside:.0f} % of the trials"])
 
 
-def draw(found: Found) -> Figure:
-    """One trial's readings, and all estimates of the ratios beside the truth."""
+def draw(found: GyroTrials) -> Figure:
+    """Plot the readings of one trial, and all estimates of the ratios beside the truth."""
     fig, axes = plots.figure(2)
     t, data, fitted = found.readings
     left, right = axes[0]

@@ -1,9 +1,9 @@
-"""The most nearly symplectic member of an energy-momentum family, as the paper proposes (Section 2).
+"""The most nearly symplectic κ of an energy-momentum family, learnt as the paper proposes (Section 2).
 
 For a heavy top the schemes of `top_energy_momentum` keep energy and γ·π for every κ, and the symplectic form for none
-(Result 8). So κ(x) = 1 + c₁x + c₂x² is learnt: the sum of squares of the entries of the defect Lᵀω(z₁)L − ω(z₀), over
-an ensemble of states, is least. Inertia and weight are of size 1, so the entries can be added up. Then what was learnt
-is tried on states that it has not seen, at other step sizes, and over long runs.
+(Result 8). So κ(x) = 1 + c₁x + c₂x² is learnt: it minimises the sum of squares of the entries of the defect
+Lᵀω(z₁)L − ω(z₀) over an ensemble of states. Inertia and weight are of size 1, so the entries can be added up. Then the
+learnt κ is tested on unseen states, at other step sizes, and over long runs.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from lieint_jax.types import State
 
 DT = 0.1
 FORMS = {"c₁x + c₂x²": 2, "c₁x + … + c₄x⁴": 4}
-FAST, FASTER = 3.0, 4.5  # largest body rates of the states that are learnt on, and of others
+FAST, FASTER = 3.0, 4.5  # largest body rates of the training states, and of the unseen ones
 _TERMS = max(FORMS.values())
 _GIVEN = {
     "cayley": np.zeros(2 + _TERMS),
@@ -44,24 +44,32 @@ def polynomial(c: Array, x: Array) -> Array:
 
 
 def family(weights: Array, x: Array) -> Array:
-    """κ(x) = 1 + w₁(κ_exp − 1) + w₂(κ_symplectic − 1) + w₃x + w₄x² + …: given and learnt κ's, compiled once."""
+    """κ(x) = 1 + w₁(κ_exp − 1) + w₂(κ_symplectic − 1) + w₃x + w₄x² + …: one program for given and learnt κ's."""
     exponential, symplectic = (k(x) - 1 for k in (maps.kappa_exponential, maps.kappa_symplectic))
     return polynomial(weights[2:], x) + weights[0] * exponential + weights[1] * symplectic
 
 
 def member(weights: Array) -> maps.Kappa:
-    """That κ, for |Θ̄| < 1."""
+    """The κ of `family` with these weights, for |Θ̄| < 1."""
     return maps.Kappa(jax.tree_util.Partial(family, weights), name="family", limit=1.0)
 
 
 def _learnt(c: Array) -> Array:
-    """The weights of 1 + c₁x + c₂x² + …"""
+    """The weights of `family` that give 1 + c₁x + c₂x² + …"""
     return jnp.concatenate([jnp.zeros(2), c, jnp.zeros(_TERMS - c.shape[0])])
 
 
-class Row(NamedTuple):
-    """One κ: the root mean square defect of a step on the states it was learnt on, on others, at other step sizes, the
-    Poisson error at the end of long runs (geometric mean), the energy error there, and how many runs converged."""
+class KappaErrors(NamedTuple):
+    """The errors of one κ.
+
+    Attributes:
+        learnt: root mean square defect of a step on the training states, at step size DT.
+        unseen: the same on unseen states.
+        sizes: the same on the training states, by step size.
+        poisson: geometric mean over the long runs of the Poisson error at their end.
+        energy: largest energy error of the long runs.
+        converged: the number of long runs that converged.
+    """
 
     learnt: float
     unseen: float
@@ -71,20 +79,20 @@ class Row(NamedTuple):
     converged: int
 
 
-class Found(NamedTuple):
-    """What the study found.
+class LearntKappas(NamedTuple):
+    """The results of the study.
 
     Attributes:
-        coefficients: of each form learnt.
-        fit: of both forms at once.
-        rows: by the name of κ.
-        steps: of the long runs.
+        coefficients: those learnt, by the form of κ.
+        fit: the fit of both forms at once.
+        rows: the errors of each κ, by its name.
+        steps: the number of steps of the long runs.
         series: times, and Poisson errors by the name of κ (geometric mean of the runs).
     """
 
     coefficients: dict[str, np.ndarray]
     fit: Fit
-    rows: dict[str, Row]
+    rows: dict[str, KappaErrors]
     steps: int
     series: tuple[np.ndarray, dict[str, np.ndarray]]
 
@@ -103,11 +111,11 @@ def states(count: int, seed: int, size: float = FAST) -> State:
     return jax.vmap(lambda q, w: top().state(q, angular_velocity=w))(jnp.asarray(q), jnp.asarray(Omega))
 
 
-def run(quick: bool = False, progress: bool = True) -> Found:
-    """Learn on 200 states, try on 500 others; `quick` takes a tenth."""
+def run(quick: bool = False, progress: bool = True) -> LearntKappas:
+    """Learn on 200 states, test on 500 others; `quick` takes a tenth of each."""
     few = 10 if quick else 1
     seen, unseen, long = states(200 // few, 1), states(500 // few, 2, FASTER), states(16 // (4 if quick else 1), 3)
-    steps = 200  # 20 units of time: on a chaotic motion the Poisson error of longer runs says how neighbours part
+    steps = 200  # 20 time units: on longer runs of a chaotic motion the Poisson error measures the chaos instead
 
     def residuals(c: Array, used: Array) -> tuple[Array, Array]:
         matrices, converged = defects(jax.tree_util.Partial(polynomial, used * c), seen, DT)
@@ -124,9 +132,9 @@ def run(quick: bool = False, progress: bool = True) -> Found:
         sizes = {h: _rms(kappa, seen, h) for h in (DT / 2, DT, 2 * DT)}
         growth, energy, converged = _long(kappa, long, steps)
         series[name] = growth
-        rows[name] = Row(sizes[DT], _rms(kappa, unseen, DT), sizes, float(growth[-1]), energy, converged)
+        rows[name] = KappaErrors(sizes[DT], _rms(kappa, unseen, DT), sizes, float(growth[-1]), energy, converged)
     t = DT * np.linspace(0, steps, len(next(iter(series.values()))))
-    return Found(coefficients, both, rows, steps, (t, series))
+    return LearntKappas(coefficients, both, rows, steps, (t, series))
 
 
 def defects(kappa: Callable[[Array], Array], states: State, dt: ArrayLike) -> tuple[Array, Array]:
@@ -153,7 +161,7 @@ def _rms(weights: Array, states: State, dt: float) -> float:
 
 
 def _long(weights: Array, states: State, steps: int) -> tuple[np.ndarray, float, int]:
-    """max|P_n − ω⁻¹| along runs, its geometric mean over them, 50 points; worst energy error; how many converged."""
+    """max|P_n − ω⁻¹| at 50 times, geometric mean over the runs; the worst energy error; how many runs converged."""
     errors, energy, converged = _run(weights, states, steps)
     growth = np.exp(np.log(np.asarray(errors)[:, steps // 50 :: steps // 50]).mean(axis=0))
     return np.concatenate([[0.0], growth]), float(jnp.max(energy)), int(jnp.sum(converged))
@@ -170,8 +178,8 @@ def _run_one(weights: Array, state: State, steps: int) -> tuple[Array, Array, Ar
 _run: Any = jax.jit(jax.vmap(_run_one, (None, 0, None)), static_argnums=2)
 
 
-def text(found: Found) -> str:
-    """The report."""
+def text(found: LearntKappas) -> str:
+    """The study's report, to print."""
 
     def number(x: float) -> str:
         return f"{x:>11.3e}" if np.isfinite(x) else f"{'fails':>11}"
@@ -197,8 +205,8 @@ def text(found: Found) -> str:
     )
 
 
-def draw(found: Found) -> Figure:
-    """Every κ where it was learnt (shaded) and tried, and the Poisson error along the long runs."""
+def draw(found: LearntKappas) -> Figure:
+    """Plot every κ on its training range (shaded) and test range, and the Poisson error along the long runs."""
     fig, axes = plots.figure(2)
     x = np.linspace(0, (FASTER * DT) ** 2, 200)
     everyone = _GIVEN | {name: _learnt(jnp.asarray(c)) for name, c in found.coefficients.items()}

@@ -1,9 +1,9 @@
-"""λ and μ of an elastic body out of its vibration.
+"""The material constants λ and μ of an elastic body, estimated from its vibration.
 
-A pseudo-rigid ball, stretched and let go, turns and vibrates. What is seen is its strain C = FᵀF, with noise; what is
-sought are the constants of its material. The data come from the equations of motion by collocation of order 16, the
-model is the energy-momentum scheme of order 2. The fit takes the forward derivative, and the one by undoing steps must
-vanish where it ends.
+A pseudo-rigid ball, stretched and released, turns and vibrates. Its strain C = FᵀF is observed with noise, and the
+constants of its material are fitted. The data come from the equations of motion by collocation of order 16; the model
+is the energy-momentum scheme of order 2. The fit takes forward derivatives; at the estimate, the gradient in reverse
+mode, by undoing steps, must vanish.
 """
 
 from __future__ import annotations
@@ -26,37 +26,37 @@ from lieint_jax.systems import PseudoRigidBody
 from lieint_jax.types import State
 
 TRUTH = {"lam": jnp.array(20.0), "mu": jnp.array(6.0)}
-NOISE = 0.005  # of each component of C
+NOISE = 0.005  # standard deviation, of each component of C
 DT, _EVERY, _SEEN = 0.02, 5, 40
 
 
-class Found(NamedTuple):
-    """What the study found.
+class MaterialFit(NamedTuple):
+    """The results of the study.
 
     Attributes:
-        fit: by least squares, with a covariance.
-        left: the gradient of the loss at the estimate over that at the guess, in reverse mode by `reversible`.
-        times: of the observations.
-        data: C observed, (n, 6): xx, yy, zz, yz, xz, xy.
-        fitted: C of the fit.
+        fit: the least-squares fit, with a covariance.
+        gradient_ratio: |gradient of the loss| at the estimate over that at the guess, in reverse mode by `reversible`.
+        times: times of the observations, (n,).
+        data: observed C, (n, 6): xx, yy, zz, yz, xz, xy.
+        fitted: fitted C, (n, 6).
     """
 
     fit: Fit
-    left: float
+    gradient_ratio: float
     times: np.ndarray
     data: np.ndarray
     fitted: np.ndarray
 
 
 def start(params: dict[str, Array]) -> tuple[PseudoRigidBody, State]:
-    """The ball of these constants, stretched by a fifth and turning."""
+    """The ball with these constants, and its initial state: stretched by a fifth and turning."""
     body = PseudoRigidBody(jnp.full(3, 2.0), systems.mooney_rivlin(params["lam"], params["mu"]))
     F = jnp.array([[1.2, 0.05, 0.0], [0.0, 0.95, 0.1], [0.0, 0.0, 0.9]])
     return body, body.state(F, angular_velocity=jnp.array([0.3, 0.2, 1.0]))
 
 
 def strains(params: dict[str, Array], saves: int, derivative: str) -> tuple[Array, Array]:
-    """C at every `_EVERY`-th step, (saves, 6), and whether the steps converged."""
+    """C at every `_EVERY`-th step, (saves, 6), and whether all steps converged."""
     body, state = start(params)
     follow = integrate if derivative == "forward" else reversible
     path = follow(schemes.additive(body), state, DT, saves * _EVERY, _EVERY)
@@ -64,7 +64,7 @@ def strains(params: dict[str, Array], saves: int, derivative: str) -> tuple[Arra
 
 
 def exact_strains(times: np.ndarray) -> Array:
-    """C by collocation of order 16, from one time to the next."""
+    """C at `times`, (n, 6), by collocation of order 16."""
     body, state = start(TRUTH)
     move = jax.jit(lambda state, t: diagnostics.flow(body, state, t, 4))
     seen, now = [], 0.0
@@ -74,8 +74,8 @@ def exact_strains(times: np.ndarray) -> Array:
     return _six(jnp.stack(seen))
 
 
-def run(quick: bool = False, progress: bool = True) -> Found:
-    """Fit from a guess that is a quarter off; `quick` observes half the time."""
+def run(quick: bool = False, progress: bool = True) -> MaterialFit:
+    """Fit from a guess that is off by a quarter; `quick` observes for half the time."""
     rng = np.random.default_rng(6)
     saves = _SEEN // (2 if quick else 1)
     times = DT * _EVERY * np.arange(1, saves + 1)
@@ -95,7 +95,7 @@ def run(quick: bool = False, progress: bool = True) -> Found:
     reverse = jax.jit(jax.grad(lambda p: half_square(p)[0]))
     first, last = (float(jnp.linalg.norm(ravel_pytree(reverse(p))[0])) for p in (guess, found.params))
     fitted = jax.jit(lambda p: strains(p, saves, "forward")[0])(found.params)
-    return Found(found, last / first, times, np.asarray(data), np.asarray(fitted))
+    return MaterialFit(found, last / first, times, np.asarray(data), np.asarray(fitted))
 
 
 def _six(C: Array) -> Array:
@@ -103,13 +103,13 @@ def _six(C: Array) -> Array:
     return C[..., i, j]
 
 
-def text(found: Found) -> str:
-    """The report."""
+def text(found: MaterialFit) -> str:
+    """The study's report, to print."""
     errors = found.fit.standard_errors
     lines = [
         f"λ and μ of an elastic ball from {len(found.times)} observations of its strain, noise {NOISE} a component",
         f"  {found.fit}",
-        f"  the gradient in reverse mode, by undoing steps, is {found.left:.1e} there of what it was at the guess\n",
+        f"  the gradient in reverse mode, by undoing steps, is {found.gradient_ratio:.1e} of that at the guess\n",
         f"  {'':<4}{'truth':>9}{'estimate':>12}{'± 1 sigma':>11}",
     ]
     lines += [
@@ -119,8 +119,8 @@ def text(found: Found) -> str:
     return "\n".join(lines)
 
 
-def draw(found: Found) -> Figure:
-    """Strains observed and fitted."""
+def draw(found: MaterialFit) -> Figure:
+    """Plot observed and fitted strains."""
     fig, axes = plots.figure(1)
     plots.series(axes[0, 0], found.times, dict(zip(("Cxx", "Cyy", "Czz"), found.fitted.T, strict=False)), "strain C")
     axes[0, 0].plot(found.times, found.data[:, :3], ".", ms=3, color=plots.GREY)

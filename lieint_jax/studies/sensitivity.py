@@ -1,13 +1,13 @@
 """Finite-time Lyapunov exponents of a chaotic heavy top, from the linearisation of the step itself.
 
-The tangent flow carries a frame along, W ← L_n W with L_n the derivative of the step in (δθ, δπ), and a QR
-decomposition after each step keeps it a frame; the logarithms of R's diagonal add up to the exponents. Their sum is
-zero to round-off for a symplectic step, and in the limit they come in pairs ±λ. The chaotic motion has one pair that is
-not zero in the limit: the flow itself with energy, and the turn about the vertical with its momentum, take the others
-to zero like log(t)/t.
+The tangent flow maps a frame, W ← L_n W with L_n the derivative of the step in (δθ, δπ), and a QR decomposition after
+each step makes it orthonormal again; the logarithms of R's diagonal add up to the exponents times t. Their sum is zero
+to round-off for a symplectic step, and in the limit they come in pairs ±λ. On a chaotic motion one pair is not zero in
+the limit; the others tend to zero like log(t)/t, one pair for the flow's direction and energy, one for rotation about
+the vertical and its momentum.
 
-The independent value: the variational equations of the vector field in its own coordinates, by another integrator
-(`reference`), or two neighbours that are let part and are brought together again (`shadow`).
+Two independent values: the variational equations of the vector field, by another integrator (`reference`), and two
+neighbouring trajectories that separate and are rescaled (`shadow`).
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from lieint_jax.types import State, Step, System
 _BLOCKS = 10
 
 
-class Found(NamedTuple):
-    """What the study found.
+class LyapunovSpectrum(NamedTuple):
+    """The results of the study.
 
     Attributes:
         t: times, (n,).
@@ -39,9 +39,9 @@ class Found(NamedTuple):
         total: sum of the exponents at the end.
         pairs: largest |λ_i + λ_{7−i}| at the end, of exponents in descending order.
         short: exponents at the end of a short run by `exponents`, (6,).
-        independent: the same by `reference`.
-        apart: exponent by two neighbours over the whole run.
-        limit: the largest exponent over the second half of the run, and its standard error by `_BLOCKS` blocks of it.
+        independent: exponents at the same time by `reference`, (6,).
+        apart: the largest exponent over the whole run by `shadow`.
+        limit: the largest exponent over the second half of the run, and its standard error from `_BLOCKS` blocks.
     """
 
     t: np.ndarray
@@ -58,15 +58,15 @@ def exponents(step: Step, state: State, dt: float, num_steps: int, save_every: i
     """Finite-time Lyapunov exponents along a run.
 
     Args:
-        step: a step; the linearisation is that of this very step.
+        step: a step, which is linearised itself.
         state: the initial state.
         dt: step size.
-        num_steps: how many steps, a multiple of `save_every`.
+        num_steps: a multiple of `save_every`.
         save_every: steps between saved values.
 
     Returns:
-        Times (n,), and exponents (n, 2d) in units of 1/time in the order of the frame, which grow less from one to the
-        next in the limit; in the phase space's own coordinates, momenta in the units of the state.
+        Times (n,), and exponents (n, 2d) in units of 1/time, in the order of the frame, descending in the limit; the
+        tangent vectors are in the phase space's own coordinates, momenta in the units of the state.
 
     Raises:
         ValueError: `num_steps` is no multiple of `save_every`; the first step fails.
@@ -92,12 +92,13 @@ def exponents(step: Step, state: State, dt: float, num_steps: int, save_every: i
 
 
 def _orthonormal(W: Array) -> tuple[Array, Array]:
+    """The orthonormal factor Q of W = QR, and the logarithms of R's diagonal."""
     Q, R = jnp.linalg.qr(W)
     return Q, jnp.log(jnp.abs(jnp.diagonal(R)))
 
 
 def reference(system: System, state: State, t: float, pieces: int) -> Array:
-    """The exponents at time t by the vector field alone, (2d,): collocation of order 16, its derivative by autodiff."""
+    """The exponents at time t, (2d,), by the vector field alone: collocation of order 16 under autodiff."""
     space = system.phase_space
 
     def one(carry: tuple[State, Array, Array], _: None) -> tuple[tuple[State, Array, Array], None]:
@@ -111,7 +112,7 @@ def reference(system: System, state: State, t: float, pieces: int) -> Array:
 
 
 def shadow(step: Step, state: State, dt: float, num_steps: int, every: int = 20, distance: float = 1e-8) -> Array:
-    """The largest exponent by two neighbours that are brought together again after every `every` steps.
+    """The largest exponent by two neighbouring trajectories, rescaled to `distance` after every `every` steps.
 
     Source: Benettin, Galgani & Strelcyn 1976, Phys. Rev. A 14.
     """
@@ -132,8 +133,8 @@ def shadow(step: Step, state: State, dt: float, num_steps: int, every: int = 20,
     return total / (dt * every * (num_steps // every))
 
 
-def run(quick: bool = False, progress: bool = True) -> Found:
-    """The asymmetric top of `systems.heavy_top`, by the splitting scheme; `quick` follows it a fifth of the time."""
+def run(quick: bool = False, progress: bool = True) -> LyapunovSpectrum:
+    """Measure the asymmetric top of `systems.heavy_top` with the splitting; `quick` takes a fifth of the time."""
     del progress
     top, state = asymmetric()
     dt, steps = 0.05, 4000 if quick else 20_000
@@ -147,7 +148,7 @@ def run(quick: bool = False, progress: bool = True) -> Found:
     last = np.sort(np.asarray(values[-1]))[::-1]
     growth = (values[:, 0] * t)[len(t) // 2 - 1 :: len(t) // (2 * _BLOCKS)]
     rates = np.asarray(jnp.diff(growth) / jnp.diff(t[len(t) // 2 - 1 :: len(t) // (2 * _BLOCKS)]))
-    return Found(
+    return LyapunovSpectrum(
         np.asarray(t),
         np.asarray(values),
         float(last.sum()),
@@ -159,8 +160,8 @@ def run(quick: bool = False, progress: bool = True) -> Found:
     )
 
 
-def text(found: Found) -> str:
-    """The report."""
+def text(found: LyapunovSpectrum) -> str:
+    """The study's report, to print."""
 
     def listed(values: np.ndarray) -> str:
         return "(" + ", ".join(f"{x:9.5f}" for x in values) + ")"
@@ -179,8 +180,8 @@ def text(found: Found) -> str:
     )
 
 
-def draw(found: Found) -> Figure:
-    """The exponents against time."""
+def draw(found: LyapunovSpectrum) -> Figure:
+    """Plot the exponents against time."""
     fig, axes = plots.figure(1)
     curves = {f"λ{k + 1}": found.exponents[:, k] for k in range(found.exponents.shape[1])}
     plots.series(axes[0, 0], found.t, curves, "finite-time exponent").axhline(0, lw=0.5, color=plots.GREY)

@@ -1,9 +1,9 @@
-"""The spin state of 4179 Toutatis out of two radar fixes: attitude, rate and the ratios of its inertia, fitted.
+"""The spin state of 4179 Toutatis, fitted to two radar fixes: attitude, rate and inertia ratios.
 
-Eight parameters (three of attitude, three of rate, two ratios of inertia) to twelve numbers: the attitudes and body
-rates published for 1992-11-09 and 1992-12-02. What is published has no errors beside it. So every angle, in degrees,
-and every rate, in degrees a day, counts the same, and their common error is that of the residuals left: an assumption.
-The two periods are not fitted. They are what the fit predicts.
+Eight parameters (three of attitude, three of rate, two ratios of inertia) are fitted to twelve numbers: the attitudes
+and body rates published for 1992-11-09 and 1992-12-02, without errors. So every angle, in degrees, and every rate, in
+degrees a day, has the same weight, and their common standard error is estimated from the residuals: an assumption. The
+two periods are not fitted: the fit predicts them.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from lieint_jax.scenarios.rigid_body import mean_periods
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State
 
-_DAYS, _SAVES = 800.0, 2000  # of the run that the mean periods are read from
-_STEPS = 464  # from one fix to the other
+_DAYS, _SAVES = 800.0, 2000  # length and saved states of the run that gives the mean periods
+_STEPS = 464  # from the first fix to the second
 _NAMES = (
     *(f"attitude, about space {axis} (°)" for axis in "xyz"),
     "inertia ratio Jx/Jz",
@@ -36,19 +36,19 @@ _NAMES = (
 )
 
 
-class Found(NamedTuple):
-    """What the study found.
+class SpinFit(NamedTuple):
+    """The results of the study.
 
     Attributes:
-        fit: params attitude (rotation in space away from the published attitude, °), rate (°/d), inertia (ratios).
-        published: the same as published.
-        residuals: fitted less published, °, °/d: of attitude and rate at the first fix, then at the second, (2, 2, 3).
-        before: the same of the published first state and inertia.
-        sigma: the root mean square of the residuals over the degrees of freedom, ° or °/d.
-        errors: standard errors in the order of `ravel_pytree`, with that sigma.
+        fit: its params are attitude (rotation in space from the published attitude, °), rate (°/d), inertia (ratios).
+        published: the published values of these parameters.
+        residuals: fitted less observed attitude (°) and rate (°/d), at the first and second fix, (2, 2, 3).
+        before: the residuals of the published state and inertia, (2, 2, 3).
+        sigma: √(sum of squares of the residuals / degrees of freedom), ° or °/d.
+        errors: standard errors with that sigma, in the order of `ravel_pytree`.
         periods: mean precession and rotation period in days, and their standard errors, (2, 2).
-        track: times and the angle between z in space and its fitted direction at the second fix, for the picture.
-        scenario: where the published values come from.
+        track: times; angle in ° from the attitude seen at the second fix, of the fitted and of the published motion.
+        scenario: the scenario that holds the published values.
     """
 
     fit: Fit
@@ -62,8 +62,8 @@ class Found(NamedTuple):
     scenario: Any
 
 
-def run(quick: bool = False, progress: bool = True) -> Found:
-    """Fit, and predict. `quick` takes few samples for the errors of the periods."""
+def run(quick: bool = False, progress: bool = True) -> SpinFit:
+    """Fit the parameters and predict the periods. `quick` takes few samples for the periods' errors."""
     scenario = scenarios.load("toutatis")
     [seen] = scenario.observation
     first, second = ((s.attitude(), jnp.rad2deg(s.rate())) for s in (scenario.state, seen))
@@ -88,7 +88,7 @@ def run(quick: bool = False, progress: bool = True) -> Found:
     assert found.covariance is not None
     matrix = sigma**2 * found.covariance
     periods = _periods(found.params, matrix, first[0], 16 if quick else 200)
-    return Found(
+    return SpinFit(
         found,
         published,
         left,
@@ -102,20 +102,20 @@ def run(quick: bool = False, progress: bool = True) -> Found:
 
 
 def model(params: dict[str, Array], attitude: Array) -> tuple[RigidBody, State]:
-    """The body and its state at the first fix, near a published attitude."""
+    """The body, and its state at the first fix, where `attitude` was published."""
     body = RigidBody(jnp.append(params["inertia"], 1.0))
     q = so3.multiply(so3.exp(jnp.deg2rad(params["attitude"])), attitude)
     return body, body.state(q, angular_velocity=jnp.deg2rad(params["rate"]))
 
 
 def misfit(body: RigidBody, state: State, attitude: Array, rate: Array) -> Array:
-    """The rotation vector in space from an observed attitude (°), and body rate less an observed one (°/d), (2, 3)."""
+    """Rotation vector in space from the observed attitude (°), and body rate less the observed one (°/d), (2, 3)."""
     turn = so3.log(so3.multiply(state.q, so3.inverse(attitude)))
     return jnp.rad2deg(jnp.stack([turn, body.angular_velocity(state) - jnp.deg2rad(rate)]))
 
 
 def _periods(params: Any, matrix: np.ndarray, attitude: Array, samples: int) -> np.ndarray:
-    """Mean periods of the estimate, and the standard deviations of those of samples of the estimate's distribution."""
+    """Mean periods at the estimate, and their standard deviations over samples of its distribution, (2, 2)."""
     at, unravel = ravel_pytree(params)
     drawn = np.random.default_rng(1992).multivariate_normal(np.asarray(at), matrix, samples)
     members = jax.vmap(unravel)(jnp.asarray(np.vstack([at, drawn])))
@@ -128,19 +128,20 @@ def _periods(params: Any, matrix: np.ndarray, attitude: Array, samples: int) -> 
         alone = path._replace(state=jax.tree.map(lambda leaf: leaf[:, m : m + 1], path.state))
         return mean_periods(jax.tree.map(lambda leaf: leaf[m], bodies), alone)
 
-    of_one = [one(m) for m in range(samples + 1) if _exists(members["inertia"][m])]
-    values = np.array(of_one)[:, :, 0]
+    of_each = [one(m) for m in range(samples + 1) if _physical(members["inertia"][m])]
+    values = np.array(of_each)[:, :, 0]
     return np.stack([values[0], values[1:].std(axis=0, ddof=1)], axis=1)
 
 
-def _exists(ratios: Array) -> bool:
+def _physical(ratios: Array) -> bool:
+    """True if some distribution of mass has these ratios of inertia."""
     return bool(jnp.all(jnp.isfinite(inertia_ratios.free(ratios))))
 
 
 def _track(
     params: Any, published: Any, attitude: Array, end: float, seen: Array
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times, and the angle from the attitude seen at the end, °, of the fitted and of the published motion."""
+    """Times, and the angle (°) from the attitude seen at the end, of the fitted and of the published motion."""
 
     def angle(p: Any) -> Array:
         body, start = model(p, attitude)
@@ -152,8 +153,8 @@ def _track(
     return t, np.asarray(both[0]), np.asarray(both[1])
 
 
-def text(found: Found) -> str:
-    """The report."""
+def text(found: SpinFit) -> str:
+    """The study's report, to print."""
     scenario, [seen] = found.scenario, found.scenario.observation
     fitted, _ = ravel_pytree(found.fit.params)
     given, _ = ravel_pytree(found.published)
@@ -174,8 +175,8 @@ def text(found: Found) -> str:
     was, now = (float(np.linalg.norm(r[1, 0])) for r in (found.before, found.residuals))
     lines += [
         f"  attitude at the second fix: {was:.2f}° off with the published state, {now:.2f}° fitted",
-        f"  the errors above assume one sigma for all angles (°) and rates (°/d), {found.sigma:.2f}: that of what is",
-        f"  left, with {found.residuals.size - len(_NAMES)} degrees of freedom. No errors are published with them.",
+        f"  the errors above assume one sigma for all angles (°) and rates (°/d), {found.sigma:.2f}: that of the",
+        f"  residuals, with {found.residuals.size - len(_NAMES)} degrees of freedom. No errors are published.",
         "\n  prediction, nothing of it fitted:",
     ]
     for (value, error), key, name in zip(
@@ -192,8 +193,8 @@ def text(found: Found) -> str:
     return "\n".join(lines)
 
 
-def draw(found: Found) -> Figure:
-    """The angle between the attitude observed at the second fix and the motions that lead there."""
+def draw(found: SpinFit) -> Figure:
+    """Plot the angle from the attitude observed at the second fix, for the fitted and the published motion."""
     fig, axes = plots.figure(2)
     t, fitted, published = found.track
     plots.series(axes[0, 0], t, {"fitted": fitted, "published state": published}, "° from the second fix", "d")
