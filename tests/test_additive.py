@@ -299,7 +299,7 @@ def test_6_13_gamma_is_not_below_one_half():
     for _ in range(40):
         F, F1 = (np.eye(3) + 0.1 * rng.normal(size=(3, 3)) for _ in range(2))
         found = root(lambda g, F=F, F1=F1: condition_6_13(F, F1, g[0]), [0.5], options={"xtol": 1e-12})
-        assert found.success
+        assert abs(condition_6_13(F, F1, found.x[0])) < 1e-12  # floor 7e-15; scipy may call round-off no success
         gammas.append(found.x[0])
     assert 10 < np.sum(np.array(gammas) > 0.5) < 30
 
