@@ -25,7 +25,9 @@ jax.config.update("jax_enable_x64", True)
 hypothesis.settings.register_profile("house", deadline=None, max_examples=25, derandomize=True, print_blob=True)
 hypothesis.settings.load_profile("house")
 
-QUICK = "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1 --xla_backend_optimization_level=0"
+QUICK = (
+    "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1 --xla_backend_optimization_level=0"
+)
 OPTIONS = {
     "jax_compilation_cache_dir": str(Path(__file__).parents[1] / ".jax_cache"),
     "jax_persistent_cache_min_compile_time_secs": 0,
