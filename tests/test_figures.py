@@ -48,6 +48,18 @@ VARIATIONS = {  # ours, and the digits that the caption prints of it (3d: 1.551e
     "5d": (32.13, "3.2e+01"),
 }
 PANELS = {panel.name: panel for panels in figures.PANELS.values() for panel in panels}
+CAPTIONS = {  # time-step, delay, angular momentum, as printed under Figures 3 to 5
+    "3": [(0.005, 3, Phi) for Phi in (0.4, 2.0, 6.0, 10.0)],
+    "4": [(0.05, 3, 6.0), (0.05, 5, 6.0), (0.05, 3, 10.0), (0.05, 5, 10.0)],
+    "5": [(0.005, 3, 0.0), (0.05, 5, 0.0), (0.001, 3, 0.0), (0.05, 5, 10.0)],
+}
+
+
+@pytest.mark.parametrize("figure", CAPTIONS)
+def test_panels_are_those_of_the_captions(figure):
+    for letter, printed in zip("abcd", CAPTIONS[figure], strict=True):
+        panel = PANELS[figure + letter]
+        assert (panel.dt, panel.lag, panel.Phi) == printed
 
 
 @pytest.mark.parametrize("name", VARIATIONS)
