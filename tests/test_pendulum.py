@@ -1,5 +1,7 @@
 """The claims of the introduction on the spherical pendulum (Section 1.1), each with its refutation, and row 1.6."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 from scipy.optimize import root
 
 import lieint_jax as li
-from lieint_jax.diagnostics import constraint_error, energy_error, flow, linearization, momentum_error
+from lieint_jax.diagnostics import constraint_error, energy_error, flow, momentum_error, symplectic_defect
 from lieint_jax.systems.pendulum import Uniform
 from lieint_jax.types import State
 
@@ -27,21 +29,28 @@ BOBS = {  # their coefficients are leaves, so all of them share compilations
 }
 
 
-def start(bob):
-    return bob.state(Q, velocity=V)
+@functools.cache
+def start():
+    """Of every bob, which differ in their fields only."""
+    return jax.device_get(jax.jit(lambda: BOBS["linear"].state(Q, velocity=V))())
 
 
 @jax.jit
-def _run(step, state):
-    run = li.integrate(step, state, 0.1, 1000)
-    errors = [f(step.system, run) for f in (energy_error, momentum_error, constraint_error)]
-    return [jnp.abs(e).max() for e in errors], run.info.converged.all()
+def _run(step, state, dt):
+    trajectory = li.integrate(step, state, dt, 1000)
+    return trajectory, [f(step.system, trajectory) for f in (energy_error, momentum_error, constraint_error)]
 
 
-@jax.jit
-def _defect(step, state, dt):
-    space, L = step.system.phase_space, linearization(step, state, dt)
-    return jnp.abs(L.T @ space.omega(step(state, dt)[0]) @ L - space.omega(state)).max()
+def run(step, state, dt=0.1):
+    """1000 steps, and the series of their errors: one program for all bobs, states and step sizes."""
+    return jax.device_get(_run(step, State(*map(np.asarray, state)), dt))
+
+
+def at(trajectory, n):
+    return State(*(x[n] for x in trajectory.state))
+
+
+_defect = jax.jit(symplectic_defect)
 
 
 @pytest.mark.parametrize("normalised", [False, True])
@@ -49,8 +58,9 @@ def _defect(step, state, dt):
 def test_claims_1_and_2_constraints_momentum_and_energy(field, normalised):
     """Energy for at most quadratic g; the normalised rule keeps it for linear g only."""
     step = li.schemes.sphere_midpoint(BOBS[field], normalised)
-    (energy, momentum, constraint), converged = _run(step, start(BOBS[field]))
-    assert converged
+    trajectory, errors = run(step, start())
+    energy, momentum, constraint = (np.abs(e).max() for e in errors)
+    assert trajectory.info.converged.all()
     assert constraint < 2e-12  # floor 3e-13: rounding adds up over 1000 steps
     assert momentum < 4e-14  # floor 7e-15
     if field == "linear" or (field == "quadratic" and not normalised):
@@ -62,9 +72,9 @@ def test_claims_1_and_2_constraints_momentum_and_energy(field, normalised):
 @pytest.mark.parametrize("field", ["linear", "cubic"])
 def test_claim_3_the_plain_rule_is_not_symplectic_the_normalised_one_is(field):
     bob = BOBS[field]
-    plain, normalised = (li.schemes.sphere_midpoint(bob, normalised) for normalised in (False, True))
-    assert _defect(normalised, start(bob), 0.1) < 2e-15  # floor 3e-16
-    coarse, fine = (float(_defect(plain, start(bob), dt)) for dt in (0.1, 0.05))
+    plain, normalised = (li.schemes.sphere_midpoint(bob, normalised, iterations=4) for normalised in (False, True))
+    assert _defect(normalised, start(), 0.1) < 2e-15  # floor 3e-16
+    coarse, fine = (float(_defect(plain, start(), dt)) for dt in (0.1, 0.05))
     assert coarse > 1e-5
     assert np.log2(coarse / fine) == pytest.approx(3, abs=0.1)
 
@@ -82,104 +92,136 @@ def test_1_6_as_printed_does_not_keep_energy():
         x = root(residual, np.concatenate([q, pi]), tol=1e-14).x
         return x[:3], x[3:]
 
-    state = start(BOBS["linear"])
+    ours, _ = run(li.schemes.sphere_midpoint(BOBS["linear"]), start(), dt)
+    energy = jax.jit(BOBS["linear"].energy)
     for printed in (False, True):
-        q, pi = np.array(state.q), np.array(state.p)
+        q, pi = start()
         for _ in range(20):
             q, pi = one(q, pi, printed)
-        lost = abs(BOBS["linear"].energy(State(q, pi)) - BOBS["linear"].energy(state))
+        lost = abs(float(energy(State(q, pi))) - float(energy(start())))
         assert (lost < 1e-12) != printed
         if not printed:
-            ours = li.integrate(li.schemes.sphere_midpoint(BOBS["linear"]), state, dt, 20, 20).state
-            np.testing.assert_allclose([ours.q[-1], ours.p[-1]], [q, pi], atol=1e-12)
+            np.testing.assert_allclose(at(ours, 20), [q, pi], atol=1e-12)
 
 
 # Claims 4 and 5: the midpoint rule in spherical coordinates about γ, a local Darboux chart ----------------------------
 
 
-def spherical_hamiltonian(z):
-    """z = (θ, φ, p_θ, p_φ) with γ·q = cos θ, m = 1.5 and g(s) = 2s."""
-    return (z[2] ** 2 + z[3] ** 2 / jnp.sin(z[0]) ** 2) / 3 - 2 * jnp.cos(z[0])
+ACROSS = np.linalg.svd(AXIS[None])[2][1:]  # with γ, an orthonormal frame
+ACROSS[1] *= np.sign(np.linalg.det([*ACROSS, AXIS]))
+
+
+def chart(z):
+    """The state of z = (θ, φ, p_θ, p_φ): γ·q = cos θ, φ about γ, p the momenta of L = ½m(θ̇² + sin²θ φ̇²) + g."""
+    theta, phi, p_theta, p_phi = z
+    out, along = jnp.array([jnp.cos(phi), jnp.sin(phi)]) @ ACROSS, jnp.array([-jnp.sin(phi), jnp.cos(phi)]) @ ACROSS
+    q, down = jnp.cos(theta) * AXIS + jnp.sin(theta) * out, jnp.cos(theta) * out - jnp.sin(theta) * AXIS
+    return State(q, jnp.cross(q, p_theta * down + p_phi / jnp.sin(theta) * along))
+
+
+def hamiltonian(z):
+    return BOBS["linear"].energy(chart(z))
 
 
 J = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.eye(2), np.zeros((2, 2))]])
+Z = np.array([1.0, 0.3, 0.4, 0.8])
 
 
-@jax.jit
-def spherical_midpoint(z, dt):
-    def residual(w):
-        return w - z - dt * J @ jax.grad(spherical_hamiltonian)((z + w) / 2)
-
-    w = z
-    for _ in range(12):
-        w = w - jnp.linalg.solve(jax.jacfwd(residual)(w), residual(w))
-    return w, jnp.abs(residual(w)).max()
+def to_sphere(z):
+    """The derivative of the chart, (4, 4), into the coordinates of T*S²."""
+    tangents = jax.jacfwd(chart)(z)
+    return jax.vmap(lambda t: BOBS["linear"].phase_space.trivialise(chart(z), t), in_axes=-1, out_axes=-1)(tangents)
 
 
-Z = jnp.array([1.0, 0.3, 0.4, 0.8])
+@functools.cache
+def in_the_chart():
+    """200 steps of the midpoint rule: energies and momenta on T*S², the chart's derivative before and after the first
+    step, and the derivative of that step, by the implicit function: (1 − ½Δt J H″)⁻¹(1 + ½Δt J H″)."""
+    dt = 0.1
+
+    def step(z, _):
+        def newton(_, w):
+            residual = lambda w: w - z - dt * J @ jax.grad(hamiltonian)((z + w) / 2)  # noqa: E731
+            return w - jnp.linalg.solve(jax.jacfwd(residual)(w), residual(w))
+
+        w = jax.lax.fori_loop(0, 12, newton, z)
+        return w, w
+
+    @jax.jit
+    def steps():
+        zs = jnp.concatenate([Z[None], jax.lax.scan(step, jnp.array(Z), None, length=200)[1]])
+        A = dt / 2 * J @ jax.hessian(hamiltonian)((zs[0] + zs[1]) / 2)
+        L = jnp.linalg.solve(jnp.eye(4) - A, jnp.eye(4) + A)
+        states = jax.vmap(chart)(zs)
+        bob = BOBS["linear"]
+        return jax.vmap(bob.energy)(states), jax.vmap(bob.momentum)(states), to_sphere(zs[0]), to_sphere(zs[1]), L
+
+    return jax.device_get(steps())
 
 
 def test_claim_4_in_spherical_coordinates_the_midpoint_rule_is_symplectic_and_keeps_momentum():
-    dt, step = 0.1, lambda z: spherical_midpoint(z, 0.1)[0]
-    # the converged step's own linearisation, by the implicit function: (1 − ½Δt J H″)⁻¹(1 + ½Δt J H″)
-    A = dt / 2 * J @ jax.hessian(spherical_hamiltonian)((Z + step(Z)) / 2)
-    L = np.linalg.solve(np.eye(4) - A, np.eye(4) + A)
-    assert np.abs(L.T @ J @ L - J).max() < 2e-15
-    z = Z
-    for _ in range(200):
-        z = step(z)
-    assert abs(z[3] - Z[3]) < 1e-13
+    """The chart is one of Darboux for the form on T*S², γ·π is its p_φ, and the rule keeps both."""
+    _, momentum, before, after, L = in_the_chart()
+    omega = np.asarray(BOBS["linear"].phase_space.omega(start()))
+    assert np.abs(before.T @ omega @ before - J).max() < 2e-15
+    on_sphere = after @ L @ np.linalg.inv(before)
+    assert np.abs(on_sphere.T @ omega @ on_sphere - omega).max() < 4e-15
+    assert np.abs(momentum - Z[3]).max() < 1e-13
 
 
 def test_claim_5_in_spherical_coordinates_energy_is_not_kept_even_for_linear_g():
-    z, lost = Z, []
-    for _ in range(200):
-        z, _ = spherical_midpoint(z, 0.1)
-        lost.append(abs(spherical_hamiltonian(z) - spherical_hamiltonian(Z)))
-    assert 1e-5 < max(lost) < 1e-1
+    energy, *_ = in_the_chart()
+    assert 1e-5 < np.abs(energy - energy[0]).max() < 1e-1
 
 
 def test_claim_5_the_chart_is_singular_at_the_pole_and_the_sphere_is_not():
     """A swing through the axis: in the chart the momentum's term blows up, on T*S² nothing happens."""
-    near = jnp.array([1e-3, 0.0, 1.0, 1e-3])
-    assert jnp.linalg.norm(jax.hessian(spherical_hamiltonian)(near)) > 1e5
-    through = BOBS["linear"].state(AXIS, velocity=np.array([0.0, 1.0, 0.0]))
-    (energy, momentum, constraint), converged = _run(li.schemes.sphere_midpoint(BOBS["linear"]), through)
-    assert converged
+    near = np.array([1e-3, 0.0, 1.0, 1e-3])
+    assert np.linalg.norm(jax.jit(jax.hessian(hamiltonian))(near)) > 1e5
+    through = State(AXIS, 1.5 * np.cross(AXIS, [0.0, 1.0, 0.0]))
+    trajectory, errors = run(li.schemes.sphere_midpoint(BOBS["linear"]), through)
+    energy, momentum, constraint = (np.abs(e).max() for e in errors)
+    assert trajectory.info.converged.all()
     assert max(energy, momentum) < 1e-14
     assert constraint < 2e-12
 
 
 def test_second_order_against_the_flow_and_reversible():
     bob = BOBS["cubic"]
-    exact = jax.jit(lambda z: flow(bob, z, 0.8, 16))(start(bob))
+    exact = jax.device_get(jax.jit(lambda z: flow(bob, z, 0.8, 16))(start()))
     for normalised in (False, True):
-        step = jax.jit(li.schemes.sphere_midpoint(bob, normalised).__call__)
-        errors = []
-        for n in (16, 32):
-            state = start(bob)
-            for _ in range(n):
-                state, _ = step(state, 0.8 / n)
-            errors.append(np.abs(state.q - exact.q).max())
+        step = li.schemes.sphere_midpoint(bob, normalised)
+        errors = [np.abs(at(run(step, start(), 0.8 / n)[0], n).q - exact.q).max() for n in (16, 32)]
         assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.03)
-        back, _ = step(step(start(bob), 0.1)[0], -0.1)
-        np.testing.assert_allclose([back.q, back.p], [*start(bob)], atol=4e-15)
+        there = at(run(step, start(), 0.1)[0], 1)
+        np.testing.assert_allclose(at(run(step, there, -0.1)[0], 1), start(), atol=4e-15)
 
 
 def test_the_flow_is_symplectic_for_the_form_of_1_4():
     """The exact flow preserves the frame form, so the form is the right one; with its blocks exchanged it would not."""
     bob = BOBS["cubic"]
-    state, space = start(bob), bob.phase_space
+    space = bob.phase_space
 
-    def push(delta):
-        return flow(bob, space.perturb(state, delta), 1.0, 5)
+    @jax.jit
+    def linearized():
+        push = lambda delta: flow(bob, space.perturb(State(*start()), delta), 1.0, 5)  # noqa: E731
+        end, tangents = push(jnp.zeros(4)), jax.jacfwd(push)(jnp.zeros(4))
+        return jax.vmap(lambda t: space.trivialise(end, t), in_axes=-1, out_axes=-1)(tangents)
 
-    end, tangents = push(jnp.zeros(4)), jax.jacfwd(push)(jnp.zeros(4))
-    L = jax.vmap(lambda t: space.trivialise(end, t), in_axes=-1, out_axes=-1)(tangents)
-    omega = np.array(space.omega(state))
+    L, omega = np.asarray(linearized()), np.asarray(space.omega(start()))
     assert np.abs(L.T @ omega @ L - omega).max() < 1e-13
     wrong = omega[[2, 3, 0, 1]]
     assert np.abs(L.T @ wrong @ L - wrong).max() > 0.1
+
+
+@jax.jit
+def _in_the_frame(state):
+    """At a state: a basis of tangent vectors, ω, the vector field, and dH."""
+    bob, zero = BOBS["linear"], jnp.zeros(4)
+    space = bob.phase_space
+    tangents = jax.jacfwd(lambda d: space.perturb(state, d))(zero)
+    slope = jax.grad(lambda d: bob.energy(space.perturb(state, d)))(zero)
+    return tangents, space.omega(state), space.trivialise(state, bob.vector_field(state)), slope
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -188,16 +230,12 @@ def test_the_frame_form_is_q_dot_the_cross_products(seed):
     rng = np.random.default_rng(seed)
     q = rng.normal(size=3)
     q /= np.linalg.norm(q)
-    bob = BOBS["linear"]
-    state = bob.state(q, velocity=np.cross(q, rng.normal(size=3)))
-    space = bob.phase_space
-    T = jax.jacfwd(lambda d: space.perturb(state, d))(jnp.zeros(4))
-    dq, dp = np.array(T.q).T, np.array(T.p).T
+    p = 1.5 * np.cross(q, np.cross(q, rng.normal(size=3)))
+    tangents, omega, field, slope = jax.device_get(_in_the_frame(State(q, p)))
+    dq, dp = tangents.q.T, tangents.p.T
     form = [[q @ (np.cross(dq[i], dp[j]) + np.cross(dp[i], dq[j])) for j in range(4)] for i in range(4)]
-    np.testing.assert_allclose(form, space.omega(state), atol=2e-15)
-    field = space.trivialise(state, bob.vector_field(state))
-    slope = jax.grad(lambda d: bob.energy(space.perturb(state, d)))(jnp.zeros(4))
-    np.testing.assert_allclose(space.omega(state).T @ field, slope, atol=1e-14)  # ω(X_H, ·) = dH
+    np.testing.assert_allclose(form, omega, atol=2e-15)
+    np.testing.assert_allclose(omega.T @ field, slope, atol=1e-14)  # ω(X_H, ·) = dH
 
 
 @pytest.mark.parametrize("normalised", [False, True])
@@ -206,13 +244,14 @@ def test_gradients_through_a_step(normalised):
 
     def end(x):
         bob = li.systems.Pendulum(x[0], Uniform(x[1]), x[2:5])
-        return li.schemes.sphere_midpoint(bob, normalised)(start(BOBS["linear"]), x[5])[0]
+        return li.schemes.sphere_midpoint(bob, normalised, iterations=4)(State(*start()), x[5])[0]
 
-    x, direction = jnp.array([1.5, 2.0, *AXIS, 0.1]), jnp.array([0.3, -0.5, 0.2, 0.7, 0.1, 0.2])
-    h, end = 1e-4, jax.jit(end)
-    _, slope = jax.jit(lambda: jax.jvp(end, (x,), (direction,)))()
-    for ours, ahead, behind in zip(slope, end(x + h * direction), end(x - h * direction), strict=True):
-        np.testing.assert_allclose(ours, (ahead - behind) / (2 * h), atol=1e-7)
+    x, direction, h = np.array([1.5, 2.0, *AXIS, 0.1]), np.array([0.3, -0.5, 0.2, 0.7, 0.1, 0.2]), 1e-4
+    both = jax.jit(lambda x: jax.jvp(end, (x,), (direction,)))
+    _, slope = both(x)
+    (ahead, _), (behind, _) = jax.device_get([both(x + h * direction), both(x - h * direction)])
+    for ours, a, b in zip(slope, ahead, behind, strict=True):
+        np.testing.assert_allclose(ours, (a - b) / (2 * h), atol=1e-7)
         assert np.abs(ours).max() > 1e-2
 
 
@@ -220,12 +259,10 @@ def test_float32_is_kept():
     with jax.enable_x64(False):
         bob = li.systems.pendulum(1.5, 2.0)
         state = bob.state([0.6, 0.0, -0.8], velocity=[0.0, 0.7, 0.0])
-        step, energy = jax.jit(li.schemes.sphere_midpoint(bob, True).__call__), bob.energy(state)
-        for _ in range(50):
-            state, info = step(state, 0.1)
-            assert info.converged
-        assert state.q.dtype == state.p.dtype == info.residual.dtype == jnp.float32
-        assert abs(bob.energy(state) - energy) < 2e-5
+        trajectory, (energy, *_) = run(li.schemes.sphere_midpoint(bob, True), state)
+        assert trajectory.state.q.dtype == trajectory.state.p.dtype == trajectory.info.residual.dtype == jnp.float32
+        assert trajectory.info.converged[:51].all()
+        assert np.abs(energy[:51]).max() < 2e-5
 
 
 def test_errors():
@@ -243,7 +280,7 @@ def test_errors():
         (lambda: bob.state([1.0, 0, 0]), "exactly one of velocity, momentum; got none"),
         (lambda: bob.check(State(jnp.array([1.0, 0, 0]), jnp.array([1.0, 0, 0]))), "made|make it"),
         (lambda: li.schemes.sphere_midpoint(li.systems.rigid_body([1.0, 2, 3])), "pendulums"),
-        (lambda: li.schemes.sphere_midpoint(bob).check(start(bob), 50.0), "does not converge"),
+        (lambda: li.schemes.sphere_midpoint(bob).check(State(*map(jnp.asarray, start())), 50.0), "does not converge"),
     ):
         with pytest.raises(ValueError, match=message):
             make()
