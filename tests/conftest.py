@@ -6,9 +6,9 @@
 | `pytest --shard K/N` | the K-th of N parts of all tests | as a user's programs |
 | `pytest --all-shards` | all | as a user's programs |
 
-Most of a test's time is XLA's. Its older CPU emitters compile in a third of the time of its present ones, without LLVM's
-optimisations in two thirds of that, and the programs of one run serve the next from a cache on disk. The shards see to
-it that every test also passes without these.
+Most of a test's time is XLA's. Its older CPU emitters compile in a third of the time of its present ones, and without
+LLVM's optimisations in two thirds of that; the programs of one run serve the next from a cache on disk. The shards see
+to it that every test also passes without these.
 """
 
 import gc
@@ -27,8 +27,6 @@ hypothesis.settings.register_profile("house", deadline=None, max_examples=25, de
 hypothesis.settings.load_profile("house")
 
 QUICK = (
-    "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1 --xla_backend_optimization_level=0"
-)
     "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1 --xla_backend_optimization_level=0"
 )
 OPTIONS = {

@@ -160,7 +160,7 @@ def test_half_a_turn_of_the_intermediate_axis_takes_two_quarter_periods():
 
 @jax.jit
 def walk(body, state, sizes, again):
-    """Steps of these sizes one after the other, from `state` and wherever `again` says so: energies, units and flags."""
+    """Steps of these sizes one after the other, from `state` and wherever `again` says so: energies, units, flags."""
     step = exact(body)
 
     def one(now, case):
