@@ -6,7 +6,6 @@ Floors observed are in the comments; bounds are a few times that.
 import itertools
 
 import jax
-import jax.numpy as jnp
 import mpmath
 import numpy as np
 import paper
@@ -14,7 +13,8 @@ import pytest
 from paper import KAPPAS, ONE, H, cay, hat, omega, omega_inverse, rot, skew
 
 import lieint_jax as li
-from lieint_jax.diagnostics import linearization, poisson_error
+from lieint_jax.diagnostics import poisson_error
+from lieint_jax.diagnostics.symplectic import pushed
 from lieint_jax.groups import so3
 
 J = np.diag([1.0, 2.0, 3.0])
@@ -26,27 +26,55 @@ def close(a, b):
     return np.max(np.abs(np.asarray(a) - np.asarray(b)))
 
 
+@jax.jit
+def _state(J, q, Omega):
+    return li.systems.RigidBody(J).state(q, angular_velocity=Omega)
+
+
+@jax.jit
+def _linearized(step, state):
+    """A step of DT, its report and linearisation, and both attitudes as matrices."""
+    after, info, L = pushed(step.system.phase_space, lambda z: step(z, DT), state)
+    return after, info, L, [so3.to_matrix(z.q) for z in (state, after)]
+
+
+@jax.jit
+def _run(step, state, dt):
+    """300 steps and the σ of their Poisson matrices; the attitudes are matrices."""
+    run = li.integrate(step, state, dt, 300)
+    sigma = jax.vmap(so3.vee)(poisson_error(step, state, dt, 300))
+    return jax.vmap(so3.to_matrix)(run.state.q), sigma
+
+
+def of_the_paper(name):
+    """Attitudes and σ of 300 steps of the body of Figure 1, J, π and Δt."""
+    pi = J @ [0.2, 0.0, 1.0]
+    kappa = getattr(li.maps, f"kappa_{name}")
+    step = li.schemes.so3_midpoint(li.systems.rigid_body(np.diag(J)), kappa, iterations=2)  # to round-off at this Δt
+    Q, sigma = jax.device_get(_run(step, li.State(np.array([1.0, 0.0, 0.0, 0.0]), pi), 0.05))
+    return Q, sigma, J, pi, 0.05
+
+
 class OneStep:
     """A step of each κ from a state in general position, in the paper's letters. J is full, so nothing hides."""
 
     def __init__(self, name):
         rng = np.random.default_rng(7)
-        turn = np.array(so3.to_matrix(so3.exp(jnp.array([0.4, -0.2, 0.7]))))
+        turn = paper.exp(np.array([0.4, -0.2, 0.7]))
         self.J = turn @ J @ turn.T
         body = li.systems.rigid_body(self.J)
-        self.step = li.schemes.so3_midpoint(body, getattr(li.maps, f"kappa_{name}"), iterations=8)
-        self.state = body.state(so3.normalise(jnp.array(rng.normal(size=4))), angular_velocity=rng.normal(size=3) * 0.8)
-        after, info = self.step(self.state, DT)
+        self.step = li.schemes.so3_midpoint(body, getattr(li.maps, f"kappa_{name}"), iterations=5)
+        q = rng.normal(size=4)
+        self.state = _state(self.J, q / np.linalg.norm(q), rng.normal(size=3) * 0.8)
+        _, info, self.L, (self.Q0, self.Q1) = jax.device_get(_linearized(self.step, self.state))
         assert info.converged
         self.name, self.pi = name, np.array(self.state.p)
-        self.Q0, self.Q1 = (np.array(so3.to_matrix(z.q)) for z in (self.state, after))
         self.Pi0, self.Pi1 = self.Q0.T @ self.pi, self.Q1.T @ self.pi
         self.bar = DT * np.linalg.inv(self.J) @ (self.Pi0 + self.Pi1) / 2  # Θ̄ (2.28)
         self.kappa, self.slope = (f(self.bar @ self.bar) for f in KAPPAS[name])
         self.Theta = self.kappa * self.bar
         self.T = cay(self.Theta)
         self.H = H(name, self.bar)
-        self.L = np.array(linearization(self.step, self.state, DT))
 
 
 @pytest.fixture(scope="module", params=NAMES)
@@ -65,8 +93,9 @@ def test_2_3_2_4_2_5_2_7_exponential_and_cayley():
     t = hat(pseudo)
     assert close(paper.exp(THETA), ONE + 2 / (1 + pseudo @ pseudo) * (t + t @ t)) < 1e-15  # (2.4), floor 2e-16
     assert close(paper.exp(THETA), cay(np.tan(half) / half * THETA)) < 1e-15  # (2.7), floor 2e-16
-    assert close(paper.exp(THETA), so3.to_matrix(so3.exp(jnp.array(THETA)))) < 1e-15  # ours is the paper's
-    assert close(cay(THETA), so3.to_matrix(so3.cayley(jnp.array(THETA)))) < 1e-15
+    exp, cayley = jax.jit(lambda v: [so3.to_matrix(f(v)) for f in (so3.exp, so3.cayley)])(THETA)
+    assert close(paper.exp(THETA), exp) < 1e-15  # ours is the paper's
+    assert close(cay(THETA), cayley) < 1e-15
 
 
 def test_2_6_brackets():
@@ -78,15 +107,9 @@ def test_2_6_brackets():
 def test_2_9_is_preserved_by_the_exact_flow():
     """The flow of the equations of motion, which knows nothing of ω, preserves the form (2.9)."""
     body = li.systems.rigid_body(J)
-    state = body.state(so3.normalise(jnp.array([1.0, 2, -1, 0.5])), angular_velocity=[0.3, -0.5, 0.8])
-    space = body.phase_space
-
-    def push(delta):
-        return li.diagnostics.flow(body, space.perturb(state, delta), 2.0, 5)
-
-    zero = jnp.zeros(6)
-    end, tangents = push(zero), jax.jacfwd(push)(zero)
-    L = jax.vmap(lambda t: space.trivialise(end, t), in_axes=-1, out_axes=-1)(tangents)
+    state = _state(np.diag(J), np.array([1.0, 2, -1, 0.5]) / 2.5, np.array([0.3, -0.5, 0.8]))
+    flow = jax.jit(lambda z: pushed(body.phase_space, lambda z: (li.diagnostics.flow(body, z, 2.0, 5), None), z))
+    end, _, L = jax.device_get(flow(state))
     assert close(L.T @ omega(end.p) @ L, omega(state.p)) < 1e-14
     canonical = np.block([[0 * ONE, ONE], [-ONE, 0 * ONE]])
     assert close(L.T @ canonical @ L, canonical) > 0.1  # the canonical matrix is not the form here
@@ -99,7 +122,8 @@ def test_2_9_5_7_5_9_body_form_is_the_pull_back_of_the_spatial_one():
     body_form = np.block([[-hat(Pi), ONE], [-ONE, 0 * ONE]])  # (5.7) with (5.8)
     assert close(S.T @ omega(Q @ Pi) @ S, body_form) < 2e-15
     assert close(omega(Pi) @ omega_inverse(Pi), np.eye(6)) < 1e-15
-    assert close(li.phase_spaces.CotangentGroup(so3).omega(li.State(jnp.zeros(4), jnp.array(Pi))), omega(Pi)) == 0
+    ours = jax.jit(li.phase_spaces.CotangentGroup(so3).omega)(li.State(np.zeros(4), Pi))
+    assert close(ours, omega(Pi)) == 0
 
 
 @pytest.mark.parametrize("alpha", [0.0, 0.3, 0.5, 0.8, 1.0])
@@ -122,7 +146,8 @@ def test_2_21_and_2_22(alpha):
 def test_3_3_3_4_the_step_solves_the_paper_s_equations(s):
     assert close(s.Q1, s.Q0 @ s.T) < 2e-15  # (3.3), floor 4e-16
     assert close(s.J @ s.bar, DT / 2 * (s.Pi0 + s.T.T @ s.Pi0)) < 2e-15  # (3.4)
-    assert close(s.H, li.maps.derivative(li.maps.scaled_cayley(s.step.kappa), so3, jnp.array(s.bar))) < 2e-15
+    H = jax.jit(lambda kappa, bar: li.maps.derivative(li.maps.scaled_cayley(kappa), so3, bar))(s.step.kappa, s.bar)
+    assert close(s.H, H) < 2e-15
 
 
 def test_3_5_holds_for_the_symplectic_kappa_only(s):
@@ -175,9 +200,12 @@ def test_3_13_3_14_regroupings(s):
 # Section 3.2 ---------------------------------------------------------------------------------------------------------
 
 
+_symplectic = jax.jit(jax.value_and_grad(li.maps.kappa_symplectic))
+
+
 @pytest.mark.parametrize("x", [0.0, 1e-8, 0.01, 0.3, 0.9])
 def test_3_15_3_16_ode_and_closed_form(x):
-    kappa, slope = (float(y) for y in jax.value_and_grad(li.maps.kappa_symplectic)(jnp.array(x)))
+    kappa, slope = map(float, _symplectic(x))
     assert slope == pytest.approx(kappa**3 / (4 - x * kappa**2), rel=1e-14)
     assert kappa == pytest.approx(float(1 + mpmath.tan(mpmath.asin(mpmath.sqrt(x)) / 2) ** 2), rel=1e-15)
 
@@ -197,10 +225,15 @@ def test_3_18(s):
     assert close(s.Pi0 - s.Pi1, s.kappa / DT * np.cross(s.bar, s.J @ s.bar)) < 2e-15
 
 
+@jax.jit
+def _H_cay(Theta):
+    """The left-trivialised derivative of cay by autodiff."""
+    h, tangents = so3.cayley(Theta), jax.jacfwd(so3.cayley)(Theta)
+    return jax.vmap(lambda t: so3.body_velocity(h, t), in_axes=-1, out_axes=-1)(tangents)
+
+
 def test_3_19_3_20(s):
-    h = so3.cayley(jnp.array(s.Theta))
-    tangents = jax.jacfwd(so3.cayley)(jnp.array(s.Theta))
-    by_autodiff = jax.vmap(lambda t: so3.body_velocity(h, t), in_axes=-1, out_axes=-1)(tangents)
+    by_autodiff = _H_cay(s.Theta)
     assert close(by_autodiff, paper.H_cay(s.Theta)) < 1e-15
     assert close(s.H, by_autodiff @ paper.P(s.name, s.bar)) < 1e-15
 
@@ -257,9 +290,8 @@ def test_3_29_is_twice_the_inverse_transpose_of_C(s):
     assert close(printed, 2 * np.linalg.inv(C).T) > 0.05
 
 
-def sigma_of_3_28(name, trajectory, J, pi, dt):
+def sigma_of_3_28(name, Q, J, pi, dt):
     sigma, series = np.zeros(3), []
-    Q = np.array(jax.vmap(so3.to_matrix)(trajectory.state.q))
     for Q0, Q1 in itertools.pairwise(Q):
         bar = dt * np.linalg.inv(J) @ (Q0.T @ pi + Q1.T @ pi) / 2
         N = N_matrix(J, name, bar, Q1, pi, dt)
@@ -270,12 +302,8 @@ def sigma_of_3_28(name, trajectory, J, pi, dt):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_3_28_analytic_recursion_against_autodiff(name):
-    body = li.systems.rigid_body(jnp.diag(jnp.array(J)))
-    step = li.schemes.so3_midpoint(body, getattr(li.maps, f"kappa_{name}"))
-    state = body.state(angular_velocity=[0.2, 0.0, 1.0])
-    run = li.integrate(step, state, 0.05, 300)
-    ours = np.array(jax.vmap(so3.vee)(poisson_error(step, state, 0.05, 300)))[1:]
-    assert close(sigma_of_3_28(name, run, J, np.array(state.p), 0.05), ours) < 2e-15  # floor 2e-16
+    Q, ours, *rest = of_the_paper(name)
+    assert close(sigma_of_3_28(name, Q, *rest), ours[1:]) < 2e-15  # floor 2e-16
 
 
 def test_appendix_a_mu_is_one_minus_four_mu():
@@ -292,11 +320,8 @@ def test_appendix_a_mu_is_one_minus_four_mu():
 
 def test_appendix_a_the_first_pair_is_a_guess_and_must_be_dropped():
     """FoldList over all pairs counts the initial guess of Θ̄ as a step: the symplectic σ then reads far off zero."""
-    body = li.systems.rigid_body(jnp.diag(jnp.array(J)))
-    step = li.schemes.so3_midpoint(body)
-    state = body.state(angular_velocity=[0.2, 0.0, 1.0])
-    run, pi, dt = li.integrate(step, state, 0.05, 200), np.array(state.p), 0.05
-    right = sigma_of_3_28("symplectic", run, J, pi, dt)
+    Q, _, J, pi, dt = of_the_paper("symplectic")
+    right = sigma_of_3_28("symplectic", Q[:201], J, pi, dt)
     guess = dt * np.linalg.inv(J) @ pi  # the pair {Λ₀, Δt J⁻¹Λ₀ᵀπ} that the code starts its list with
     N = N_matrix(J, "symplectic", guess, ONE, pi, dt)
     first = 4 / np.linalg.det(N) * N @ rot(N - hat(pi))

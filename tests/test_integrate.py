@@ -7,38 +7,38 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import State
-from lieint_jax.groups import so3
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
-STATE = BODY.state(so3.normalise(jnp.array([1.0, 2, -1, 0.5])), angular_velocity=[0.3, -0.5, 0.8])
+STATE = jax.jit(BODY.state)(np.array([1.0, 2, -1, 0.5]) / 2.5, angular_velocity=[0.3, -0.5, 0.8])
 STEP = li.schemes.so3_midpoint(BODY)
+integrate = jax.jit(li.integrate, static_argnums=(3, 4))
 
 
 def test_saves_every_kth_state_and_the_worst_of_the_steps_between():
-    every, some = li.integrate(STEP, STATE, 0.1, 12), li.integrate(STEP, STATE, 0.1, 12, 4)
+    every, some = jax.device_get([integrate(STEP, STATE, 0.1, 12), integrate(STEP, STATE, 0.1, 12, 4)])
     np.testing.assert_allclose(every.t, 0.1 * np.arange(13), atol=1e-15)
     np.testing.assert_array_equal(some.t, every.t[::4])
     jax.tree.map(lambda a, b: np.testing.assert_array_equal(a, b[::4]), some.state, every.state)
-    worst = np.asarray(every.info.residual[1:]).reshape(3, 4).max(axis=1)
+    worst = every.info.residual[1:].reshape(3, 4).max(axis=1)
     np.testing.assert_array_equal(some.info.residual, np.concatenate([[0], worst]))
     assert some.info.converged.shape == (4,)
-    state = STATE
+    state, step = STATE, jax.jit(STEP.__call__)
     for k in range(3):
         np.testing.assert_allclose(every.state.q[k], state.q, atol=4e-16)
-        state, _ = STEP(state, 0.1)
+        state, _ = step(state, 0.1)
 
 
 def test_there_and_back_over_many_steps():
-    there = li.integrate(STEP, STATE, 0.1, 500, 500)
-    back = li.integrate(STEP, State(*(x[-1] for x in there.state)), -0.1, 500, 500)
+    there = jax.device_get(integrate(STEP, STATE, 0.1, 500, 500))
+    back = jax.device_get(integrate(STEP, State(*(x[-1] for x in there.state)), -0.1, 500, 500))
     np.testing.assert_allclose(back.state.q[-1], STATE.q, atol=2e-13)  # floor 3e-14
     assert back.t[-1] == -50
 
 
 def test_zero_steps():
-    run = li.integrate(STEP, STATE, 0.1, 0)
+    run = integrate(STEP, STATE, 0.1, 0)
     assert run.t.shape == (1,)
-    np.testing.assert_array_equal(run.state.q[0], STATE.q)
+    np.testing.assert_array_equal(run.state.q, [STATE.q])
 
 
 def test_jit_vmap_grad_of_a_whole_run():
@@ -46,14 +46,18 @@ def test_jit_vmap_grad_of_a_whole_run():
         step = li.schemes.so3_midpoint(li.systems.RigidBody(J))
         return li.integrate(step, STATE, dt, 50, 10).state.q[-1, 0]
 
-    gradient = jax.jit(jax.grad(end, argnums=(0, 1)))(BODY.inertia, 0.05)
-    h = 1e-5
-    for k, e in enumerate(np.eye(3)):
-        numeric = (end(BODY.inertia + h * e, 0.05) - end(BODY.inertia - h * e, 0.05)) / (2 * h)
-        assert gradient[0][k] == pytest.approx(float(numeric), rel=1e-6)
-    numeric = (end(BODY.inertia, 0.05 + h) - end(BODY.inertia, 0.05 - h)) / (2 * h)
-    assert gradient[1] == pytest.approx(float(numeric), rel=1e-6)
-    assert jax.vmap(end, in_axes=(None, 0))(BODY.inertia, jnp.array([0.1, -0.1])).shape == (2,)
+    both = jax.jit(jax.value_and_grad(end, argnums=(0, 1)))
+    J, dt, h = np.asarray(BODY.inertia), 0.05, 1e-5
+
+    def difference(e, f):
+        return (float(both(J + h * e, dt + h * f)[0]) - float(both(J - h * e, dt - h * f)[0])) / (2 * h)
+
+    by_J, by_dt = map(np.asarray, both(J, dt)[1])
+    for slope, e in zip(by_J, np.eye(3), strict=True):
+        assert slope == pytest.approx(difference(e, 0), rel=1e-6)
+    assert by_dt == pytest.approx(difference(0, 1), rel=1e-6)
+    many = jax.jit(jax.vmap(end, in_axes=(None, 0)))(J, np.array([0.1, -0.1]))
+    np.testing.assert_allclose(many, [both(J, 0.1)[0], both(J, -0.1)[0]], atol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +79,7 @@ def test_bad_states_and_steps_are_refused_before_anything_runs():
     for state, message in (
         (State(STATE.q * 1.001, STATE.p), r"state\.q must be a unit quaternion.*norm is 1\.001"),
         (State(STATE.q, STATE.p[:2]), r"state\.p must have shape \(3,\)"),
-        (State(STATE.q, STATE.p.at[0].set(jnp.nan)), r"state\.p must be finite"),
+        (State(STATE.q, np.array([np.nan, 0, 0])), r"state\.p must be finite"),
     ):
         with pytest.raises(ValueError, match=message):
             li.integrate(STEP, state, 0.1, 10)
@@ -84,8 +88,8 @@ def test_bad_states_and_steps_are_refused_before_anything_runs():
 
 
 def test_mixed_precisions_and_integers_are_promoted():
-    single = State(*(x.astype(jnp.float32) for x in STATE))
-    assert li.integrate(STEP, single, 0.1, 2).state.q.dtype == jnp.float64
+    single = State(*(np.asarray(x, "float32") for x in STATE))
+    assert integrate(STEP, single, 0.1, 2, 1).state.q.dtype == jnp.float64
     whole = State(jnp.array([1, 0, 0, 0]), jnp.array([0, 1, 1]))
     assert li.integrate(STEP, whole, 0.1, np.int64(4), np.int64(2)).state.q.shape == (3, 4)
 
@@ -98,9 +102,9 @@ def test_a_state_is_a_State(state):
 
 def test_a_run_that_leaves_the_branch_later_says_so():
     """Ω grows in the flip of the intermediate axis: the first steps are within the branch, a later one is not."""
-    state = BODY.state(angular_velocity=[0.0, 1.0, 1e-4])
+    state = State(np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.0, 2.0, 3e-4]))  # Ω = (0, 1, 1e-4)
     step = li.schemes.so3_midpoint(BODY, iterations=8)
-    within, beyond = (li.integrate(step, state, dt, 40).info.converged for dt in (0.95, 0.99))
+    within, beyond = (np.asarray(integrate(step, state, dt, 40).info.converged) for dt in (0.95, 0.99))
     assert within.all()
     assert beyond[:5].all()
     assert not beyond.all()
