@@ -6,7 +6,7 @@
 | `pytest --shard K/N` | the K-th of N parts of all tests | as a user's programs |
 | `pytest --all-shards` | all | as a user's programs |
 
-Most of a test's time is XLA's. Its older CPU emitters compile in a third of the time of its present ones, without LLVM's
+Most of a test's time is XLA's. Its older CPU emitters compile in a third of the time of its present ones, without
 optimisations in two thirds of that, and the programs of one run serve the next from a cache on disk. The shards see to
 it that every test also passes without these.
 """

@@ -74,6 +74,25 @@ def test_the_printed_initial_configuration_of_5a_gives_another_variation():
     assert not any(np.ptp(run.series) == pytest.approx(printed, rel=0.1) for printed in (1.6, 2.0e-2))
 
 
+LAGS = {"3a": 3, "3b": 3, "3c": 3, "3d": 3, "4a": 3, "4b": 5, "4c": 3, "4d": 5, "5a": 3, "5b": 5, "5c": 3, "5d": 5}
+
+
+def test_figures_3_4_5_have_the_captions_delays():
+    """Fig. 3: 3. Figs. 4 and 5: (a, c) 3, (b, d) 5."""
+    assert {name: panel.lag for name, panel in PANELS.items()} == LAGS
+
+
+def test_a_delay_figure_plots_every_panel_with_its_delay(tmp_path, monkeypatch):
+    """The points (x_n, x_{n+N}, x_{n+2N}) for the delay N of its panel."""
+    series, drawn = np.arange(50.0) ** 2, []
+    monkeypatch.setattr(figures, "delay_run", lambda panel: figures.DelayRun(series, True))
+    monkeypatch.setattr(figures.plots, "delay_plot", lambda ax, points: drawn.append(points))
+    figures.FIGURES[4](tmp_path)
+    for points, N in zip(drawn, (3, 5, 3, 5), strict=True):
+        expected = np.stack([series[: 50 - 2 * N], series[N : 50 - N], series[2 * N :]], axis=1)
+        np.testing.assert_array_equal(points, expected)
+
+
 def test_a_delay_figure_is_written_with_its_table(tmp_path):
     table = figures.FIGURES[3](tmp_path)
     assert "2.31e-03" in table or "0.00231" in table
