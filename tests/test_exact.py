@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
-from paper import exp, omega
+from free_bodies import Q, moving, rows, turned, with_momentum
+from paper import omega
 
 from lieint_jax import diagnostics
 from lieint_jax._numerics import elliptic
@@ -18,8 +19,6 @@ from lieint_jax.schemes.exact import Exact
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State
 
-Q = np.array([1.0, 2, -1, 0.5]) / 2.5
-TURN = exp(np.array([0.3, -0.5, 0.4]))
 solve = jax.jit(lambda J, state, t: RigidBody(J).solution(state, t))
 derivative = jax.jit(jax.jacfwd(lambda J, state, t: RigidBody(J).solution(state, t).q, argnums=(0, 1, 2)))
 
@@ -33,8 +32,7 @@ flow_and_derivative = jax.jit(jax.jacfwd(_flow, argnums=(0, 1, 2), has_aux=True)
 
 
 def setting(moments, Omega):
-    J, rotation = np.array(moments, float), np.array(rows(*Q))  # Λᵀ
-    return J, State(Q, rotation.T @ (J * np.array(Omega, float)))
+    return np.array(moments, float), moving(moments, Omega)
 
 
 def difference(a, b):
@@ -78,15 +76,6 @@ def reference(J, state, t, order=48):
                 series.append((value * h >> BITS) // (n + 1))
         Omega, q = [sum(w) for w in W], [sum(c) for c in Z]
     return np.array([x / 2**BITS for x in q])
-
-
-def rows(w, x, y, z):
-    """Λᵀ: what takes π to Π."""
-    return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
-        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
-        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
-    )
 
 
 @pytest.mark.parametrize(
@@ -151,7 +140,7 @@ def test_half_a_turn_of_the_intermediate_axis_takes_two_quarter_periods():
     low, high = 1 - 1 / 2, 1 / 2 - 1 / 3
     K = jax.jit(elliptic.quarter_period)((high * Pi[2] ** 2 - low * Pi[0] ** 2) / (high * Pi[2] ** 2))
     quarter = float(K) / np.sqrt((low + high) * high) / Pi[2]
-    state = State(Q, np.array(rows(*Q)).T @ Pi)
+    state = with_momentum(Pi)
     middle, flipped = (np.array(rows(*solve(J, state, t).q)) @ state.p for t in (quarter, 2 * quarter))
     assert difference(flipped, Pi * np.array([-1, 1, 1])) < 5e-15
     assert abs(float(middle[0])) < 5e-15
@@ -160,7 +149,7 @@ def test_half_a_turn_of_the_intermediate_axis_takes_two_quarter_periods():
 
 @jax.jit
 def walk(body, state, sizes, again):
-    """Steps of these sizes one after the other, from `state` and wherever `again` says so: energies, units, flags."""
+    """Steps of these sizes, from `state` and again from it where `again` says so: energies, units and flags."""
     step = exact(body)
 
     def one(now, case):
@@ -174,12 +163,10 @@ def walk(body, state, sizes, again):
 
 @pytest.mark.parametrize("full", [False, True])
 def test_invariants_group_law_and_form(full):
-    moments = np.array([1.0, 2.0, 3.0])
-    J = TURN @ np.diag(moments) @ TURN.T if full else moments
-    Pi = J @ [0.3, 0.6, 0.8] if full else J * [0.3, 0.6, 0.8]
-    state = State(Q, np.array(rows(*Q)).T @ Pi)
+    J = turned([1.0, 2.0, 3.0]) if full else jnp.array([1.0, 2.0, 3.0])
+    state = moving(J)
     sizes, again = np.array([3.0] * 300 + [20.0, -20.0]), np.arange(302) == 300
-    after, energy, unit, converged = walk(RigidBody(jnp.array(J)), state, sizes, again)
+    after, energy, unit, converged = walk(RigidBody(J), state, sizes, again)
     assert converged.all()
     assert np.abs(energy[:300]).max() < 1e-13  # floor 4e-15; full 3e-14, half an eps per step
     assert np.abs(after.p - state.p).max() == 0
@@ -188,7 +175,7 @@ def test_invariants_group_law_and_form(full):
     if not full:
         L = linearised(J, state, 3.0)
         assert np.abs(L.T @ omega(state.p) @ L - omega(state.p)).max() < 5e-14
-    assert difference(after.q[0], flow_of_body(RigidBody(jnp.array(J)), state, 3.0)) < 1e-14
+    assert difference(after.q[0], flow_of_body(RigidBody(J), state, 3.0)) < 1e-14
     assert abs(float(unit[299])) < 1e-15
 
 
@@ -236,7 +223,7 @@ NOT_FUSED = {  # it compiles in half the time what is differentiated in reverse
 
 
 def test_gradient_of_a_full_tensor_and_reverse_mode():
-    J, state = TURN @ np.diag([1.0, 2.0, 3.0]) @ TURN.T, setting([1, 2, 3], [0.3, 0.6, 0.8])[1]
+    J, state = turned([1.0, 2.0, 3.0]), setting([1, 2, 3], [0.3, 0.6, 0.8])[1]
     slopes = jax.grad(lambda J, t: RigidBody(J).solution(state, t).q[1], argnums=(0, 1))
     by_J, by_t = jax.jit(slopes, compiler_options=NOT_FUSED)(J, 4.0)
     end = lambda J, t: float(solve(J, state, t).q[1])  # noqa: E731
