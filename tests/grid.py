@@ -1,18 +1,25 @@
 """The grid of systems and schemes, found by looking into the packages: no list to edit."""
 
+import functools
+
 import lieint_jax as li
 from lieint_jax import _discover
 
 
+@functools.cache
 def systems():
+    """(id, (system, state, dt)) of every example of a system."""
+    found = []
     for module_name, module in _discover.modules(li.systems).items():
-        for name, example in module.examples().items():
-            yield f"{module_name}.{name}", example
+        found += [(f"{module_name}.{name}", example) for name, example in module.examples().items()]
+    return found
 
 
+@functools.cache
 def steps():
     """(id, step, state, dt) of every system with every scheme that takes it."""
+    found = []
     for name, (system, state, dt) in systems():
         for module in _discover.modules(li.schemes).values():
-            for step_name, step in module.examples(system).items():
-                yield f"{name}-{step_name}", step, state, dt
+            found += [(f"{name}-{step_name}", step, state, dt) for step_name, step in module.examples(system).items()]
+    return found

@@ -15,19 +15,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from free_bodies import rows
 
 import lieint_jax as li
 from lieint_jax import ensemble
 from lieint_jax.command import cli
 from lieint_jax.ensemble import _job, _recording, _store
 
-BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+J123 = np.array([1.0, 2.0, 3.0])
+BODY = li.systems.rigid_body(J123)
 STEP = li.schemes.so3_midpoint(BODY)
 RNG = np.random.default_rng(7)
 Q = RNG.normal(size=(40, 4))
-STATES = jax.vmap(lambda q, w: BODY.state(q, angular_velocity=w))(
-    jnp.array(Q / np.linalg.norm(Q, axis=1, keepdims=True)), jnp.array(0.4 * RNG.normal(size=(40, 3)))
-)
+Q /= np.linalg.norm(Q, axis=1, keepdims=True)
+OMEGA = 0.4 * RNG.normal(size=(40, 3))
+MOMENTA = [np.array(rows(*q)).T @ (J123 * w) for q, w in zip(Q, OMEGA, strict=True)]
+STATES = li.State(jnp.array(Q), jnp.array(np.array(MOMENTA)))
 SCENARIO = """
 title = "a book"
 system = "rigid_body"
