@@ -174,11 +174,11 @@ _ARCSINE = [math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(20)]
 
 def _arcsine_of_square(x: Array) -> Array:
     """arcsin(√x)/√x: analytic for x < 1, arsinh(√−x)/√−x for negative x."""
-    near, positive = jnp.abs(x) < 0.1, x > 0
-    root = jnp.sqrt(jnp.where(near, 0.25, jnp.abs(x)))
+    size, positive = jnp.abs(x), x > 0
+    root = jnp.sqrt(jnp.where(size < 0.05, 0.25, size))  # both branches are right near the threshold of .1
     up = jnp.where(positive, root, 0.5)
     closed = jnp.where(positive, jnp.arcsin(up), jnp.arcsinh(root)) / root
-    return jnp.where(near, power_series.horner(_ARCSINE, jnp.where(near, x, 0)), closed)
+    return jnp.where(size < 0.1, power_series.horner(_ARCSINE, jnp.where(size < 0.2, x, 0)), closed)
 
 
 @pytree

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._checks import concrete
+from lieint_jax._checks import concrete, step_size
 
 _T = TypeVar("_T")
 
@@ -350,7 +350,7 @@ class Step(abc.ABC):
             return
         with jax.ensure_compile_time_eval():  # constants are concrete inside jit too
             self.system.check(state)
-            converged = _trial(self, state, dt)
+            converged = _trial(self, state, step_size(dt))
             if concrete(converged) and not converged:  # a function of the step may close over a tracer
                 raise ValueError(self.advice(state, dt))
 

@@ -19,13 +19,13 @@ def horner(coefficients: Sequence[float], x: Array) -> Array:
 def _entire(series: Sequence[float], closed: Callable[[Array], Array], radius: float) -> Callable[[Array], Array]:
     """A function of x ≥ 0 that is smooth at 0: its Taylor series for x < radius, its closed form beyond.
 
-    Each branch is given a harmless argument where the other is taken, so that no derivative meets 0/0.
+    Far from its own side each branch gets a harmless argument, so that no derivative meets 0/0. Near the radius both
+    get x: XLA may work x out twice, rounded differently, and a branch must be right on both sides of the threshold.
     """
 
     def function(x: Array) -> Array:
-        near = x < radius
-        small = jnp.where(near, x, 0)
-        return jnp.where(near, horner(series, small), closed(jnp.where(near, radius, x)))
+        inside, outside = jnp.where(x < 2 * radius, x, 0), jnp.where(x < radius / 2, radius, x)
+        return jnp.where(x < radius, horner(series, inside), closed(outside))
 
     return function
 
@@ -41,12 +41,12 @@ def _reciprocal_factorials(first: int, terms: int) -> list[float]:
 
 def log1p_ratio(y: Array) -> Array:
     """log(1 + y)/y for y > −1, smooth at 0: below |y| = .1 by the series of 2 artanh z, z = y/(2 + y)."""
-    near = jnp.abs(y) < 0.1
-    small_y = jnp.where(near, y, 0)
+    size = jnp.abs(y)
+    small_y = jnp.where(size < 0.2, y, 0)  # both branches are right near the threshold, see `_entire`
     z = small_y / (2 + small_y)
     series = 2 / (2 + small_y) * horner([1 / (2 * k + 1) for k in range(7)], z * z)
-    far = jnp.where(near, 1, y)
-    return jnp.where(near, series, jnp.log1p(far) / far)
+    far = jnp.where(size < 0.05, 1, y)
+    return jnp.where(size < 0.1, series, jnp.log1p(far) / far)
 
 
 # cos √x, sin √x / √x and arctan √x / √x are analytic in x = |θ|², and so is everything built from them.

@@ -56,12 +56,12 @@ def log(q: Array) -> Array:
     q = jnp.where(q[0] < 0, -q, q)
     w, v = q[0], q[1:]
     s = dot(v, v)
-    near = s < 0.01
-    w_near = jnp.where(near, w, 1)  # away from w = 0, where the rotation is by π
-    s_far = jnp.where(near, 1, s)  # away from s = 0, where the square root has no derivative
-    series = power_series.arctan_sqrt(jnp.where(near, s, 0) / (w_near * w_near)) / w_near
+    small = s < 0.02  # both branches are right near the threshold of .01, see `power_series`
+    w_near = jnp.where(small, w, 1)  # away from w = 0, where the rotation is by π
+    s_far = jnp.where(s < 0.005, 1, s)  # away from s = 0, where the square root has no derivative
+    series = power_series.arctan_sqrt(jnp.where(small, s, 0) / (w_near * w_near)) / w_near
     closed = jnp.arctan2(jnp.sqrt(s_far), w) / jnp.sqrt(s_far)
-    return 2 * jnp.where(near, series, closed) * v
+    return 2 * jnp.where(s < 0.01, series, closed) * v
 
 
 def cayley(xi: Array) -> Array:
