@@ -52,7 +52,7 @@ def build(session):
             [archive] = sorted(session_files(kind))
             session.run("uv", "pip", "install", "--python", python, "--reinstall-package", "lieint_jax", archive)
             session.run("lieint", "check", "rigid_body", "--scheme", "exact", "--steps", "100")
-            session.run("lieint", "run", "toutatis", "--members", "3", "--steps", "500", "--out", f"{archive}.npz")
+            session.run("lieint", "run", "toutatis", "--members", "3", "--steps", "1600", "--out", f"{archive}.npz")
 
 
 def session_files(pattern):
