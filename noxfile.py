@@ -3,6 +3,8 @@
 The interpreters must be there; a missing one is skipped. Environments are made by uv, which comes with the `dev` extra.
 """
 
+from pathlib import Path
+
 import nox
 
 nox.options.default_venv_backend = "uv"
@@ -49,14 +51,7 @@ def build(session):
     python = f"{session.virtualenv.bin}/python"
     with session.chdir(folder):
         for kind in ("*.tar.gz", "*.whl"):
-            [archive] = sorted(session_files(kind))
+            [archive] = map(str, Path().glob(kind))
             session.run("uv", "pip", "install", "--python", python, "--reinstall-package", "lieint_jax", archive)
             session.run("lieint", "check", "rigid_body", "--scheme", "exact", "--steps", "100")
             session.run("lieint", "run", "toutatis", "--members", "3", "--steps", "1600", "--out", f"{archive}.npz")
-
-
-def session_files(pattern):
-    """The files of the current folder that match."""
-    from pathlib import Path
-
-    return [str(path) for path in Path().glob(pattern)]
