@@ -28,6 +28,8 @@ def real_array(name: str, value: Any, *shapes: Sequence[int], finite: bool = Tru
         raise ValueError(f"{name} must be an array of real numbers, got {value!r}") from error
     if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
         raise ValueError(f"{name} must hold real numbers, got dtype {array.dtype}")
+    if jnp.issubdtype(array.dtype, jnp.floating) and jnp.finfo(array.dtype).bits < 32:
+        raise ValueError(f"{name} must be float32 or float64, got {array.dtype}, which has too few digits for a step")
     if shapes and array.shape not in [tuple(shape) for shape in shapes]:
         allowed = " or ".join(str(tuple(shape)) for shape in shapes)
         raise ValueError(f"{name} must have shape {allowed}, got {array.shape}; use jax.vmap for batches")
@@ -37,7 +39,12 @@ def real_array(name: str, value: Any, *shapes: Sequence[int], finite: bool = Tru
 
 
 def step_size(dt: Any) -> Any:
-    """`dt`, checked to be a real scalar."""
+    """`dt`, checked to be a real scalar; a Python integer as a float."""
+    if isinstance(dt, int) and not isinstance(dt, bool):
+        try:
+            dt = float(dt)
+        except OverflowError:
+            raise ValueError("dt must be below 1.8e308, got a larger integer") from None
     kind = jnp.result_type(dt) if isinstance(dt, int | float | np.generic | np.ndarray | Array) else None
     if kind is None or not (jnp.issubdtype(kind, jnp.floating) or jnp.issubdtype(kind, jnp.integer)):
         raise ValueError(f"dt must be a real number, got {dt!r}")

@@ -58,7 +58,19 @@ from lieint_jax.groups import so3
 _NEAR = 1e-5  # the f τ² below which S, cn, dn are computed by series, with an error of 1e-17
 
 
-def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, Array]:
+class Accuracy(NamedTuple):
+    """The rounding errors of a motion.
+
+    Attributes:
+        length: | |e(τ)|² − 1 |, the error of the momentum's length in the body.
+        condition: by how many times eps the attitude moves if the state and t move by eps, relative, about.
+    """
+
+    length: Array
+    condition: Array
+
+
+def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, Accuracy]:
     """The attitude after time t of a free body with initial attitude q and constant spatial momentum π.
 
     Args:
@@ -68,7 +80,7 @@ def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, A
         t: time, of any size and sign.
 
     Returns:
-        The unit quaternion at t, shape (4,), and | |e(τ)|² − 1 |, the error of the momentum's length in the body.
+        The unit quaternion at t, shape (4,), and its rounding errors.
 
     Derivatives are right to round-off for principal (3,) moments, equal or not, and for a full tensor of distinct
     ones. For a full tensor with moments equal to within √eps they are finite, but omit the change of the inertia's
@@ -76,10 +88,12 @@ def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, A
     """
     J, Pi = three.symmetric(inertia), so3.Ad_star(q, p)
     scale, G, e, rest = _units(inertia, Pi)
-    increment, error = _increment(scale * inertia, e, G * t)
+    increment, accuracy = _increment(scale * inertia, e, G * t)
     Omega = jnp.stack(three.solve_symmetric(J, Pi))
     increment = jnp.where(rest, so3.exp(jnp.where(rest, Omega, 0) * t), increment)  # 1, with its derivative in π
-    return so3.normalise(so3.multiply(q, increment)), jnp.where(rest, 0, error)
+    turned = lax.stop_gradient(three.max_abs(Omega) * jnp.abs(t))
+    length, condition = (jnp.where(rest, 0, x) for x in accuracy)
+    return so3.normalise(so3.multiply(q, increment)), Accuracy(length, turned + condition)
 
 
 def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]:
@@ -116,22 +130,22 @@ def _units(inertia: Array, Pi: Array) -> tuple[Array, Array, Array, Array]:
     return scale, G, jnp.where(rest, math.sqrt(1 / 3), scaled / G), rest
 
 
-def _increment(inertia: Array, e: Array, tau: Array) -> tuple[Array, Array]:
-    """Λ⁻¹Λ(τ) in body axes, as a quaternion, and the error; sorts the principal axes, right-handed."""
+def _increment(inertia: Array, e: Array, tau: Array) -> tuple[Array, Accuracy]:
+    """Λ⁻¹Λ(τ) in body axes, as a quaternion, and its rounding errors; sorts the principal axes, right-handed."""
     if inertia.ndim == 1:
         order = jnp.argsort(lax.stop_gradient(inertia))
         hand = jnp.where((order[1] - order[0]) % 3 == 1, 1, -1).astype(e.dtype)
         sorted_e = e[order]
-        w, v, error = _sorted(inertia[order], (sorted_e[0], hand * sorted_e[1], sorted_e[2]), tau)
-        return jnp.concatenate([w[None], jnp.stack([v[0], hand * v[1], v[2]])[jnp.argsort(order)]]), error
+        w, v, accuracy = _sorted(inertia[order], (sorted_e[0], hand * sorted_e[1], sorted_e[2]), tau)
+        return jnp.concatenate([w[None], jnp.stack([v[0], hand * v[1], v[2]])[jnp.argsort(order)]]), accuracy
     moments, V = _eigh(inertia)
     a, b = (three.components(V[:, k]) for k in (0, 1))  # made right-handed, and orthonormal to the last bit
     a = _unit(a)
     overlap = dot(a, b)
     b = _unit(tuple(y - overlap * x for x, y in zip(a, b, strict=True)))
     c = three.cross(a, b)
-    w, v, error = _sorted(moments, (dot(a, e), dot(b, e), dot(c, e)), tau)
-    return jnp.stack([w, *(v[0] * a[i] + v[1] * b[i] + v[2] * c[i] for i in range(3))]), error
+    w, v, accuracy = _sorted(moments, (dot(a, e), dot(b, e), dot(c, e)), tau)
+    return jnp.stack([w, *(v[0] * a[i] + v[1] * b[i] + v[2] * c[i] for i in range(3))]), accuracy
 
 
 def _unit(v: Vector) -> Vector:
@@ -184,15 +198,15 @@ def _relabelled(first: Array, v: Vector) -> Vector:
     return jnp.where(first, v[0], v[2]), jnp.where(first, v[1], -v[1]), jnp.where(first, v[2], v[0])
 
 
-def _sorted(J: Array, e: Vector, tau: Array) -> tuple[Array, Vector, Array]:
-    """Λ⁻¹Λ(τ) as scalar and vector part, and the error, for ascending moments J."""
+def _sorted(J: Array, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
+    """Λ⁻¹Λ(τ) as scalar and vector part, and its rounding errors, for ascending moments J."""
     first, b = _labels(J, e)
-    w, v, f = _labelled(b, _relabelled(first, e), tau)
-    return w, _relabelled(first, v), lax.stop_gradient(jnp.abs(dot(f, f) - 1))
+    w, v, accuracy = _labelled(b, _relabelled(first, e), tau)
+    return w, _relabelled(first, v), accuracy
 
 
-def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Vector]:
-    """Λ⁻¹Λ(τ) as scalar and vector part, times a positive number, and e(τ), in the axes r, m, o."""
+def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
+    """Λ⁻¹Λ(τ) as scalar and vector part, times a positive number, and its rounding errors, in the axes r, m, o."""
     er, em, eo = e
     m = _motion(b, e, tau)
     rate = (-b.mo * em * eo, b.ro * eo * er, -b.rm * er * em)
@@ -214,7 +228,8 @@ def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Vector]
     azimuth = azimuth - jnp.where(m.about_r, jnp.pi * m.halves * jnp.sign(er * b.rm), 0)
     twist = (m.turn + theta - azimuth) / 2
     w, v = _between(e, (fr, fm, fo), jnp.cos(twist), jnp.sin(twist))
-    return w, v, (fr, fm, fo)
+    length = jnp.abs(fr * fr + fm * fm + fo * fo - 1)
+    return w, v, Accuracy(*lax.stop_gradient((length, m.condition)))
 
 
 def _on_polhode(b: _Labels, R: Array, f: Vector) -> Vector:
@@ -246,7 +261,11 @@ def _sorted_clock(J: Array, e: Vector, tau: Array) -> tuple[Array, Array, Array]
 
 
 class _Motion(NamedTuple):
-    """The functions of τ that move e, `halves` half periods taken off, and turn = b_o τ − (b_o − b_r) ν X."""
+    """The functions of τ that move e, `halves` half periods taken off, and turn = b_o τ − (b_o − b_r) ν X.
+
+    `condition` is that of the phase along the polhode: a half period is ½ log of f_r − f_o near the separatrix, where
+    the two are equal, so a change of e alters it by that of f_r − f_o, relative.
+    """
 
     about_r: Array
     R: Array
@@ -256,6 +275,7 @@ class _Motion(NamedTuple):
     dn: Array
     halves: Array
     turn: Array
+    condition: Array
 
     @property
     def q_r(self) -> Array:
@@ -286,7 +306,9 @@ def _motion(b: _Labels, e: Vector, tau: Array) -> _Motion:
     dn = jnp.where(near, 1 - y / 2 + y * (y + 4 * x) / 24, dn)
     part, quarter = _third(cn, dn, nu * S * S, m1, nu / f_far)
     X = S**3 * part + jnp.where(near, 0, 2 * halves * quarter / (f_far * frequency))
-    return _Motion(about_r, R, nu, S, cn, dn, halves, b.b_o * tau + b.ro * nu * X)
+    lever = jnp.abs(b.ro) * (jnp.abs(b.rm * e[0]) + jnp.abs(b.mo * e[2]))
+    condition = jnp.abs(halves) * jnp.where(halves == 0, 0, lever / jnp.where(halves == 0, 1, jnp.abs(excess)))
+    return _Motion(about_r, R, nu, S, cn, dn, halves, b.b_o * tau + b.ro * nu * X, condition)
 
 
 def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array) -> tuple[Array, Array]:

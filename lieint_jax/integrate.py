@@ -10,7 +10,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.types import State, Step, StepInfo, Trajectory, checked_step
+from lieint_jax.types import State, Step, StepInfo, Trajectory, checked_step, promoted
 
 
 def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_every: int = 1) -> Trajectory:
@@ -35,7 +35,7 @@ def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_ever
     """
     num_steps, save_every = _checks.count("num_steps", num_steps, 0), _checks.count("save_every", save_every, 1)
     num_saves = saves(num_steps, save_every)
-    state, dtype = promoted(step, state)
+    step, state, dtype = promoted(checked_step(step), state)
     step.check(state, dt)
     step = step.prepare(state, dt)
     dt = jnp.asarray(_checks.step_size(dt), dtype)
@@ -52,18 +52,6 @@ def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_ever
 
     _, later = lax.scan(interval, state, None, length=num_saves)
     return from_start(state, later, dt * save_every)
-
-
-def promoted(step: Step, state: State) -> tuple[State, jnp.dtype]:
-    """The state in the common floating-point type of its leaves and the numbers of `step`, and that type."""
-    checked_step(step)
-    if not isinstance(state, State):
-        raise ValueError(f"state must be a State(q, p), such as system.state(...) makes, got {type(state).__name__}")
-    named = zip(State._fields, state, strict=True)
-    leaves = [_checks.real_array(f"state.{name}", leaf, finite=False) for name, leaf in named]
-    numbers = [leaf for leaf in jax.tree.leaves(step) if jnp.issubdtype(jnp.result_type(leaf), jnp.floating)]
-    dtype = jnp.result_type(*leaves, *numbers)
-    return State(*(leaf.astype(dtype) for leaf in leaves)), dtype
 
 
 def from_start(state: State, later: tuple[State, StepInfo], interval: Array) -> Trajectory:

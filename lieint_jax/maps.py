@@ -24,6 +24,7 @@ from jax import Array
 
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import power_series, three, unrolled
+from lieint_jax.groups import so3
 from lieint_jax.groups._closed_form import squared_eigenvalue
 from lieint_jax.types import AnalyticGroup, Group, callable_pytree, pytree, static
 
@@ -225,6 +226,11 @@ def _cayley_coadjoint(group: Any, theta: unrolled.Vector, mu: unrolled.Vector) -
     return group.coadjoint(*group.cayley_both(theta), mu)
 
 
+def _half_turn(_: Group, theta: Array) -> Array:
+    """Whether Θ turns by less than 180°: beyond, several Θ's lead to the same rotation."""
+    return three.dot(theta, theta) < math.pi**2
+
+
 def _arcsine_near(group: Any, theta: Array) -> Array:
     return group.exp_near(_arcsine_scale(group, theta) * theta)
 
@@ -261,6 +267,7 @@ _BY_CAYLEY = Tau(callable_pytree(cayley), "cayley", slope=_GroupMethod("cayley_s
 _BY_ARCSINE = Tau(
     callable_pytree(_arcsine_near), "arcsine", slope=_arcsine_slope, holds=_arcsine_holds, coadjoint=_arcsine_coadjoint
 )
+_BY_ROTATION = Tau(callable_pytree(exponential), "exponential", holds=_half_turn)
 _ON_ANALYTIC_GROUPS = ((exponential, _BY_EXPONENTIAL), (cayley, _BY_CAYLEY), (arcsine, _BY_ARCSINE))  # map and `Tau`
 
 
@@ -291,6 +298,8 @@ def as_tau(tau: Tau | Map, group: Group) -> Tau:
     for known, form in _ON_ANALYTIC_GROUPS:
         if tau is known and isinstance(group, AnalyticGroup):
             return form
+    if tau is exponential and group is so3:
+        return _BY_ROTATION
     made = Tau(callable_pytree(tau), name)
     if tau is exponential or tau is arcsine or not concrete(made):
         return made

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, Self, TypeVar, dataclass_transform, runtime_checkable
 
@@ -20,7 +21,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._checks import concrete, step_size
+from lieint_jax._checks import concrete, real_array, step_size
 
 _T = TypeVar("_T")
 
@@ -314,6 +315,9 @@ class OnSphere(System):
 class Step(abc.ABC):
     """One step of a scheme for a system: `step(state, dt) -> (state, info)`, a pure function and a pytree.
 
+    `__call__` and `prepare` of any subclass see the state, dt and the step's own numbers in one floating-point type,
+    the widest among state and step.
+
     Attributes:
         order: order of accuracy; infinite for the exact flow.
         symmetric: whether step(·, −dt) undoes step(·, dt).
@@ -322,6 +326,11 @@ class Step(abc.ABC):
     system: Any
     order: float
     symmetric: bool
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for name in {"__call__", "prepare"} & vars(cls).keys():
+            setattr(cls, name, _in_one_type(vars(cls)[name]))
 
     @property
     @abc.abstractmethod
@@ -348,9 +357,10 @@ class Step(abc.ABC):
         """Raise ValueError if a concrete `state` or `dt` is out of range at this step; tracers pass."""
         if not concrete(self, state, dt):
             return
+        dt = step_size(dt)
         with jax.ensure_compile_time_eval():  # constants are concrete inside jit too
             self.system.check(state)
-            converged = _trial(self, state, step_size(dt))
+            converged = _trial(self, state, dt)
             if concrete(converged) and not converged:  # a function of the step may close over a tracer
                 raise ValueError(self.advice(state, dt))
 
@@ -364,6 +374,38 @@ def checked_step(step: Any) -> Step:
         "class that inherits li.Step, decorated with @li.pytree, with the fields system, order and symmetric "
         "(li.static() for what is no array), a property name, and __call__(state, dt) -> (State, StepInfo)"
     )
+
+
+def promoted(step: _T, state: State) -> tuple[_T, State, Any]:
+    """`step` and `state` with all their real numbers in one floating-point type, the widest among them, and that type.
+
+    Raises:
+        ValueError: `state` is no State of real arrays, or a type is narrower than float32.
+    """
+    if not isinstance(state, State):
+        raise ValueError(f"state must be a State(q, p), such as system.state(...) makes, got {type(state).__name__}")
+    named = zip(State._fields, state, strict=True)
+    leaves = [real_array(f"state.{name}", leaf, finite=False) for name, leaf in named]
+    numbers = [real_array("a number of the step", x, finite=False) for x in jax.tree.leaves(step) if _is_real(x)]
+    dtype = jnp.result_type(*leaves, *numbers)
+    if any(x.dtype != dtype for x in numbers):
+        step = jax.tree.map(lambda x: jnp.asarray(x, dtype) if _is_real(x) else x, step)
+    return step, State(*(leaf.astype(dtype) for leaf in leaves)), dtype
+
+
+def _is_real(leaf: Any) -> bool:
+    return jnp.issubdtype(jnp.result_type(leaf), jnp.floating)
+
+
+def _in_one_type(method: Callable[..., Any]) -> Callable[..., Any]:
+    """A method (step, state, dt) whose arguments arrive in one floating-point type."""
+
+    @functools.wraps(method)
+    def converted(step: Any, state: State, dt: ArrayLike) -> Any:
+        step, state, dtype = promoted(step, state)
+        return method(step, state, jnp.asarray(step_size(dt), dtype))
+
+    return converted
 
 
 @jax.jit

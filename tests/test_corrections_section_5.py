@@ -41,7 +41,7 @@ class General(Step):
         def correction(theta, F):
             return jnp.linalg.solve(jax.jacfwd(residual)(theta), F)
 
-        return newton.root(residual, correction, 2 * self.Psi[0] @ g.Ad_star(state.q, state.p), 12, unroll=False)
+        return newton.root(residual, correction, 2 * self.Psi[0] @ g.Ad_star(state.q, state.p), 12, unroll=False)[:2]
 
     def report(self, state, dt):
         """The state after a step, its report, and Θ."""

@@ -28,7 +28,7 @@ def still(states):
 def test_run_pseudo_rigid(tmp_path, monkeypatch, capsys):
     """The first quarter of Figure 3c's midpoint run already has the variation of its caption."""
     monkeypatch.chdir(tmp_path)
-    text = scenarios.resources.files("lieint_jax.data").joinpath("pseudo_rigid.toml").read_text(encoding="utf-8")
+    text = scenarios.resources.files("lieint_jax.scenarios").joinpath("pseudo_rigid.toml").read_text(encoding="utf-8")
     Path("ball.toml").write_text(text.replace('rule = "average"', 'rule = "symplectic"'), encoding="utf-8")
     assert cli.main(["run", "ball.toml", "--members", "3", "--steps", "1000"]) == 0
     out = capsys.readouterr().out

@@ -6,12 +6,22 @@ forward over reverse through a `scan`: there JAX differentiates the solver itsel
 and guesses must carry derivatives too: a `stop_gradient` around either would make `jax.hessian` of a run wrong,
 silently. `root(done=…)` and `chords` loop until they are done instead, for large steps that would compile slowly and
 not fuse.
+
+**Which root.** An equation may have several, and iterations that wander can end at any of them. A solve is steady if
+its first correction was no longer than the guess and each other one at most half as long as the one before (a quarter,
+for `chords`), but for lengths below √eps, unknowns being of the size of 1: Newton's convergence theorem grants this
+near a root, and an iteration that jumps over a fold breaks it (Deuflhard, Newton Methods for Nonlinear Problems, 2.1).
+Of 180,000 random steps of the free body with 40 corrections, 167 found a root that is not on the branch from Δt = 0;
+none of these solves was steady. A fixed number of up to four corrections is too few to wander and come to round-off:
+of 180,000 steps none did, so nothing is recorded there, which doubles the speed of the Cayley step.
 """
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +30,8 @@ from jax import Array, lax
 from lieint_jax._numerics import three, unrolled
 
 _USES = 3  # corrections with each matrix of `chords`; 2 or more
+_FEW = 4  # corrections of which every solve that comes to round-off is steady
+_CHORD = 0.25  # the ratio of the lengths of two such corrections that the theorem for them grants
 _Unknown = TypeVar("_Unknown")  # an array, or a tuple or list of its components
 
 
@@ -30,7 +42,9 @@ def root(
     iterations: int,
     unroll: bool = True,
     done: Callable[[_Unknown, _Unknown], Array] | None = None,
-) -> tuple[_Unknown, _Unknown]:
+    length: Callable[[_Unknown], Array] | None = None,
+    first: Array | None = None,
+) -> tuple[_Unknown, _Unknown, Array]:
     """The root of `residual` near `guess`.
 
     Args:
@@ -44,36 +58,71 @@ def root(
         done: (x, correction) ↦ True if no further correction is needed. Then `iterations` is the largest number, and
             the loop is a `while_loop`, as long as the slowest member of a batch needs: for large steps, whose unrolled
             iterations would compile slowly and gain nothing.
+        length: x ↦ the length of a correction; by default its largest component.
+        first: the length that a steady solve may give its first correction; by default that of the guess.
 
     Returns:
-        The last iterate x, and F(x), by which the caller judges it. Derivatives of x are exact at a root; F(x) carries
-        none.
+        The last iterate x, F(x), by which the caller judges it, and whether the solve was steady. Derivatives of x are
+        exact at a root; the others carry none.
     """
 
-    def solve(function: Callable[[_Unknown], _Unknown], x: _Unknown) -> tuple[_Unknown, _Unknown]:
-        def improved(x: _Unknown) -> tuple[_Unknown, _Unknown]:
-            step = correction(x, function(x))
-            return jax.tree.map(jnp.subtract, x, step), step
+    size = length or _largest
+    watched = done is not None or iterations > _FEW
 
+    def solve(function: Callable[[_Unknown], _Unknown], x: _Unknown) -> tuple[_Unknown, tuple[_Unknown, Array]]:
+        def improved(x: _Unknown, pace: Pace) -> tuple[_Unknown, Pace, _Unknown]:
+            step = correction(x, function(x))
+            return jax.tree.map(jnp.subtract, x, step), pace.after(size(step)) if watched else pace, step
+
+        pace = Pace.before(size(x) if first is None else first)
         if done is not None:
-            x = _until(done, improved, x, iterations)
+            x, pace = _until(done, improved, x, pace, iterations)
         elif unroll:
             for _ in range(iterations):
-                x, _ = improved(x)
+                x, pace, _ = improved(x, pace)
         else:
-            x = lax.fori_loop(0, iterations, lambda _, x: improved(x)[0], x)
-        return x, function(x)
+            x, pace = lax.fori_loop(0, iterations, lambda _, carry: improved(*carry)[:2], (x, pace))
+        return x, (function(x), pace.growth)
 
-    return lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)
+    x, (F, growth) = lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)
+    return x, F, _steady(growth)
+
+
+class Pace(NamedTuple):
+    """The largest length that the next correction is granted, and the most by which one was longer."""
+
+    granted: Array
+    growth: Array
+
+    @classmethod
+    def before(cls, length: Array) -> Pace:
+        """The pace before the first correction of a guess of that length."""
+        return cls(length, jnp.zeros_like(length))
+
+    def after(self, length: Array, ratio: float = 0.5) -> Pace:
+        """The pace after a correction of that length, which grants `ratio` of it to the next."""
+        return Pace(ratio * length, jnp.maximum(self.growth, length - self.granted))
+
+
+def _largest(x: Any) -> Array:
+    """The largest component."""
+    parts = [jnp.max(jnp.abs(lax.stop_gradient(leaf))) for leaf in jax.tree.leaves(x)]
+    return functools.reduce(jnp.maximum, parts)
+
+
+def _steady(growth: Array) -> Array:
+    """Whether no correction was longer than granted, by a `Pace.growth`."""
+    return lax.stop_gradient(growth) <= math.sqrt(jnp.finfo(growth.dtype).eps)
 
 
 def chords(
     residual: Callable[[_Unknown], _Unknown],
     factored: Callable[[_Unknown, _Unknown], unrolled.Factored],
     size: Callable[[_Unknown], Array],
+    length: Callable[[_Unknown], Array],
     guess: _Unknown,
     iterations: int,
-) -> tuple[_Unknown, tuple[_Unknown, Array]]:
+) -> tuple[_Unknown, _Unknown, Array]:
     """The root of `residual` near `guess` by Newton's method with each matrix used three times (Shamanskii 1967).
 
     The order is 4. The loop ends as soon as one more correction would leave a residual below round-off, as the rate of
@@ -84,50 +133,54 @@ def chords(
         residual: x ↦ F(x), as in `root`.
         factored: (x, F(x)) ↦ F'(x), factored.
         size: F ↦ its size, relative to the terms that F sums up: round-off is eps.
+        length: of a correction of x, relative to x.
         guess: the first iterate.
         iterations: the largest number of matrices.
 
     Returns:
-        The last iterate x; F(x) there; the determinant of the last matrix K, which has the sign of det F'(x), since the
-        corrections shrink: |1 − K⁻¹F'| < 1. Derivatives of x are exact at a root; the others carry none.
+        The last iterate x; F(x) there; and whether the solve was steady and all matrices had positive pivots, as F'
+        has where Δt = 0. Derivatives of x are exact at a root.
     """
 
     def solve(function: Callable[[_Unknown], _Unknown], x: _Unknown) -> tuple[_Unknown, tuple[_Unknown, Array]]:
-        zero = 0 * jax.tree.leaves(x)[0].ravel()[0]
-        eps = float(jnp.finfo(zero.dtype).eps)
+        eps = float(jnp.finfo(jax.tree.leaves(x)[0].dtype).eps)
 
-        def one(carry: tuple[_Unknown, Array, Array, Array]) -> tuple[_Unknown, Array, Array, Array]:
-            x, k, *_ = carry
+        def one(carry: tuple[_Unknown, Pace, Array, Array]) -> tuple[_Unknown, Pace, Array, Array]:
+            x, pace, k, _ = carry
             F = function(x)
             K = factored(x, F)
             sizes = []
             for use in range(_USES):
                 F = function(x) if use else F
                 sizes.append(size(F))
-                x = jax.tree.map(jnp.subtract, x, K.solve(F))
+                step = K.solve(F)
+                x, pace = jax.tree.map(jnp.subtract, x, step), pace.after(lax.stop_gradient(length(step)), _CHORD)
             before, last = sizes[-2:]
-            return x, k + 1, (last <= eps) | (last * last <= eps / 8 * before), K.determinant
+            pace = pace._replace(growth=jnp.where(K.positive, pace.growth, jnp.inf))
+            return x, pace, k + 1, (last <= eps) | (last * last <= eps / 8 * before)
 
-        start = (x, jnp.zeros((), jnp.int32), jnp.zeros((), bool), zero)
-        x, _, _, determinant = lax.while_loop(lambda carry: (carry[1] < iterations) & ~carry[2], one, start)
-        return x, (function(x), determinant)
+        start = (x, Pace.before(lax.stop_gradient(length(x))), jnp.zeros((), jnp.int32), jnp.zeros((), bool))
+        x, pace, *_ = lax.while_loop(lambda carry: (carry[2] < iterations) & ~carry[3], one, start)
+        return x, (function(x), pace.growth)
 
-    return lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)
+    x, (F, growth) = lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)
+    return x, F, _steady(growth)
 
 
 def _until(
     done: Callable[[_Unknown, _Unknown], Array],
-    improved: Callable[[_Unknown], tuple[_Unknown, _Unknown]],
+    improved: Callable[[_Unknown, Pace], tuple[_Unknown, Pace, _Unknown]],
     x: _Unknown,
+    pace: Pace,
     most: int,
-) -> _Unknown:
-    def one(carry: tuple[_Unknown, Array, Array]) -> tuple[_Unknown, Array, Array]:
-        x, k, _ = carry
-        x, step = improved(x)
-        return x, k + 1, done(x, step)
+) -> tuple[_Unknown, Pace]:
+    def one(carry: tuple[_Unknown, Pace, Array, Array]) -> tuple[_Unknown, Pace, Array, Array]:
+        x, pace, k, _ = carry
+        x, pace, step = improved(x, pace)
+        return x, pace, k + 1, done(x, step)
 
-    start = (x, jnp.zeros((), jnp.int32), jnp.zeros((), bool))
-    return lax.while_loop(lambda carry: (carry[1] < most) & ~carry[2], one, start)[0]
+    start = (x, pace, jnp.zeros((), jnp.int32), jnp.zeros((), bool))
+    return lax.while_loop(lambda carry: (carry[2] < most) & ~carry[3], one, start)[:2]
 
 
 def _tangent_solve(linear: Callable[[Any], Any], y: Any) -> Any:

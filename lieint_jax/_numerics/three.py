@@ -90,6 +90,18 @@ def det(A: Matrix) -> Array:
     return dot(A[0], cross(A[1], A[2]))
 
 
+def no_negative_eigenvalue(A: Matrix) -> Array:
+    """False if A has a real eigenvalue ≤ 0: whether its characteristic polynomial's signs alternate (Descartes)."""
+    minors = [A[i][i] * A[j][j] - A[i][j] * A[j][i] for i, j in PAIRS[3:]]
+    return (A[0][0] + A[1][1] + A[2][2] > 0) & (minors[0] + minors[1] + minors[2] > 0) & (det(A) > 0)
+
+
+def positive_definite(S: Symmetric) -> Array:
+    """Whether a full symmetric matrix is positive definite: whether its leading minors are positive."""
+    adj = adjugate(S)
+    return (S[0] > 0) & (adj[2] > 0) & (determinant(S, adj) > 0)
+
+
 def symmetric(J: Array) -> Symmetric:
     """The distinct entries of a symmetric matrix given by its diagonal, shape (3,), or in full, shape (3, 3)."""
     if J.ndim == 1:
@@ -168,6 +180,7 @@ def solve_symmetric(S: Symmetric, v: Vector) -> tuple[Array, Array, Array]:
     """S⁻¹ v."""
     if len(S) == 3:
         return (v[0] / S[0], v[1] / S[1], v[2] / S[2])
+    S = tuple(s.astype(jnp.result_type(s, v[0])) for s in S)  # the digits of v, if it has more
     r = 1 / trace(S)  # scaled by the trace: the cube of a large inertia leaves the range of float32
     S = tuple(s * r for s in S)
     adj = adjugate(S)

@@ -8,6 +8,7 @@ where n is large.
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
@@ -155,11 +156,12 @@ class Factored(NamedTuple):
 
     Attributes:
         solve: b ↦ K⁻¹b.
-        determinant: det K.
+        positive: whether elimination without pivoting meets positive pivots only: det K > 0, and no two eigenvalues
+            have become negative together. For an array, whether its symmetric part is positive definite.
     """
 
     solve: Callable[[Vector], Vector]
-    determinant: Scalar
+    positive: Array
 
 
 def solve(K: Matrix, b: Vector) -> Vector:
@@ -175,12 +177,15 @@ def factored(K: Matrix) -> Factored:
     """
     if _whole(K):
         inverted = jnp.linalg.inv(K)
-        return Factored(lambda b: inverted @ as_array(b, K), jnp.linalg.det(K))
+        pivots = jnp.diagonal(jnp.linalg.cholesky(lax.stop_gradient(K + K.T)))  # NaN if there is no such factor
+        return Factored(lambda b: inverted @ as_array(b, K), jnp.all(pivots > 0))
     if len(K) <= 3:
         adjugate, det = _adjugate(K)
         r = 1 / det
         inverted = settled([[times(r, entry) for entry in row] for row in adjugate])
-        return Factored(lambda b: matvec(inverted, b), det)
+        minors = [K[0][0], det] if len(K) < 3 else [K[0][0], K[0][0] * K[1][1] - K[0][1] * K[1][0], det]
+        positive = functools.reduce(jnp.logical_and, [jnp.asarray(minor) > 0 for minor in minors])
+        return Factored(lambda b: matvec(inverted, b), positive)
     k = (len(K) + 1) // 2
     B, C, D = [row[k:] for row in K[:k]], [row[:k] for row in K[k:]], [row[k:] for row in K[k:]]
     first = factored([row[:k] for row in K[:k]])
@@ -192,7 +197,7 @@ def factored(K: Matrix) -> Factored:
         z = settled(second.solve(settled([u - v for u, v in zip(b[k:], matvec(C, y), strict=True)])))
         return [u - v for u, v in zip(y, matvec(W, z), strict=True)] + z
 
-    return Factored(solved, times(first.determinant, second.determinant))
+    return Factored(solved, first.positive & second.positive)
 
 
 def eliminate(A: Sequence[Sequence[Scalar]], *right: Sequence[Scalar]) -> list[list[Scalar]]:

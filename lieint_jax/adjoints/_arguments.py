@@ -9,8 +9,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.integrate import promoted
-from lieint_jax.types import State, Step, checked_step
+from lieint_jax.types import State, Step, checked_step, promoted
 
 Derivative = Literal["reversible", "checkpoint"]
 
@@ -25,6 +24,6 @@ def checked(step: Step, state: State, dt: ArrayLike, derivative: str) -> tuple[S
             f'{step.name} is not symmetric, so its steps cannot be undone by −dt: give derivative="checkpoint", or '
             "take a symmetric scheme"
         )
-    state, dtype = promoted(step, state)
+    step, state, dtype = promoted(step, state)
     step.check(state, dt)
     return step, state, jnp.asarray(_checks.step_size(dt), dtype)

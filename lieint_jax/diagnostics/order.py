@@ -9,8 +9,9 @@ from jax import Array, lax
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
-from lieint_jax.integrate import promoted, steps
-from lieint_jax.types import State, Step, StepInfo, System
+from lieint_jax import _checks
+from lieint_jax.integrate import steps
+from lieint_jax.types import State, Step, StepInfo, System, promoted
 
 _STAGES, _ITERATIONS = 8, 24
 
@@ -67,7 +68,7 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
     seen: dict[float, float] = {}
 
     step.check(state, dt)
-    state, _ = promoted(step, state)
+    step, state, _ = promoted(step, state)
 
     def look(n: int) -> None:
         last, info = _after(step, state, T / n, n)
@@ -108,8 +109,8 @@ def size(p: Array) -> Array:
 def reversibility(step: Step, state: State, dt: ArrayLike) -> Array:
     """`distance` of z and step(step(z, dt), −dt): zero to round-off if and only if the step is time-symmetric here."""
     step.check(state, dt)
-    state, dtype = promoted(step, state)
-    return distance(_there_and_back(step, state, jnp.asarray(dt, dtype)), state)
+    step, state, dtype = promoted(step, state)
+    return distance(_there_and_back(step, state, jnp.asarray(_checks.step_size(dt), dtype)), state)
 
 
 @jax.jit

@@ -19,8 +19,8 @@ from lieint_jax.ensemble._layout import Layout
 from lieint_jax.ensemble._loop import Carry, Reduction, energy
 from lieint_jax.ensemble._progress import Bar, Interrupts, Pace
 from lieint_jax.ensemble._recording import StoreOptions, into_store
-from lieint_jax.integrate import intervals, promoted
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.integrate import intervals
+from lieint_jax.types import State, Step, Trajectory, checked_step, promoted
 
 _NAMED = 5  # the most failed members that a report names
 
@@ -79,7 +79,7 @@ def run(
     if resume and store is None:
         raise ValueError("resume goes on with a run in a store; give store=PATH.zarr")
     mesh = _layout.checked_mesh(mesh)
-    states, dtype = promoted(step, states)
+    step, states, dtype = promoted(checked_step(step), states)
     count = _check(step, states)
     reduction = energy if reduce == "energy" else reduce
     h = np.asarray(_checks.step_size(dt), dtype)

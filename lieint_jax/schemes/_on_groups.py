@@ -61,16 +61,19 @@ def solved(
 ) -> tuple[unrolled.Vector, Array, StepInfo]:
     """The root Θ by `newton.chords`, as a vector of the equation and as an array, and the report on it.
 
-    Converged if the residual, in the units of `size`, is round-off; if the root is on the branch from Δt = 0, past the
-    fold of which the determinant is negative; if digits are left, and τ(Θ) is exact.
+    Converged if the residual, in the units of `size`, is round-off; if the root is on the branch from Δt = 0, as a
+    steady solve to a root before the fold shows; if digits are left, and τ(Θ) is exact.
     """
     group, tau, m, state, half, a = equation
 
     def factored(theta: unrolled.Vector, F: unrolled.Vector) -> unrolled.Factored:
         return unrolled.factored(matrix(theta, F))
 
-    theta, (F, determinant) = newton.chords(residual, factored, size, start, iterations)
-    good = (determinant > 0) & digits_left(group, m, state, a, half)
+    def length(step: unrolled.Vector) -> Array:
+        return size(unrolled.matvec(m, step))
+
+    theta, F, on_branch = newton.chords(residual, factored, size, length, start, iterations)
+    good = on_branch & digits_left(group, m, state, a, half)
     Theta = unrolled.as_array(theta, state.p)
     error = size(F)
     good = good & tau.holds(group, Theta) if tau.holds else good

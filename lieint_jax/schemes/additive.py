@@ -23,6 +23,7 @@ through dD alone. No difference of nearby things is taken: D comes of U, and ΔW
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Literal, NamedTuple, get_args
 
 import jax
@@ -75,11 +76,11 @@ class Additive(Step):
         return f"additive[{self.rule}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        dt = jnp.asarray(_checks.step_size(dt), state.p.dtype)
         equation = _Equation.of(self, state, dt)
         rule, W, E, alpha, F = equation.rule, equation.W, equation.E, equation.alpha, equation.F
         guess = jnp.concatenate([jnp.zeros(9, state.q.dtype), jnp.full(rule.gammas, rule.guess, state.q.dtype)])
-        x, R = newton.root(equation.residual, equation.correction, guess, self.iterations, done=equation.done)
+        solve = partial(newton.root, equation.residual, equation.correction, guess, self.iterations)
+        x, R, steady = solve(done=equation.done, length=_displacement, first=equation.size)
         U = _matrix(x)
         D = equation.change(U)
         S = rule.stress(W, equation.C, D, *x[9:])
@@ -89,7 +90,7 @@ class Additive(Step):
         stiff = _largest(S) + equation.stiffness
         scale = equation.size * (_largest(E) + equation.c * stiff) + jnp.abs(dt) * jnp.max(jnp.abs(state.p))
         residual, tolerance = jnp.max(jnp.abs(R[:9])) / scale, 32 * jnp.finfo(R.dtype).eps
-        converged = (residual <= tolerance) & (three.det(middle) > 0) & (three.det(end) > 0)
+        converged = (residual <= tolerance) & steady & (three.det(middle) > 0) & (three.det(end) > 0)
         if rule.gammas:
             converged &= jnp.abs(_missed(W, equation.C, D, S)) <= tolerance * stiff * _largest(D)
         return State(_array(end), _array(after)), lax.stop_gradient(StepInfo(residual, converged))
@@ -293,6 +294,11 @@ class _Equation(NamedTuple):
         small_step = jnp.sqrt(jnp.finfo(step.dtype).eps) / 10
         ends = jnp.max(jnp.abs(step[:9])) <= small_step * self.size
         return ends & jnp.all(jnp.abs(step[9:]) <= 100 * small_step)
+
+
+def _displacement(x: Array) -> Array:
+    """The size of U in x = (U, γ)."""
+    return jnp.max(jnp.abs(lax.stop_gradient(x[:9])))
 
 
 def _newton_step(

@@ -63,7 +63,7 @@ class Preprocessed(Step):
         X1, S2 = three.trace(adj) / D, three.trace(J) ** 2 - 2 * three.trace(adj)
         X2, Y = X1**2 - 2 / D, X1 - 3  # S₁ = 1; Σ 1/(J_iJ_j) = S₁/D
         C = three.dot(state.p, state.p) * (r * dt) ** 2 / 2
-        H = self.system.energy(state) * r * dt**2
+        H = self.system.energy(state) * r * dt * dt
         s, d = 1 + C / (6 * D) - X1 * H / 3, -C / (3 * D) + H / (6 * D)
         if self.order == 6:
             s = s + ((S2 / D - X1) * C * C + (1 - Y) * C * H) / (30 * D) + (3 / D + 2 * X2) / 60 * H * H

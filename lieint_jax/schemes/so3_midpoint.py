@@ -84,7 +84,7 @@ class SO3Midpoint(Step):
         J = np.asarray(self.system.inertia)
         Pi = np.asarray(so3.Ad_star(state.q, state.p))
         turn = float(np.abs(dt) * np.linalg.norm(Pi / J if J.ndim == 1 else np.linalg.solve(J, Pi)))
-        more = f", or more iterations than {self.iterations}" if turn < self.kappa.limit else ""
+        more = f", or more iterations than {self.iterations}" if turn < 1 else ""  # beyond, Newton may wander
         rod = self.kappa.solve_by == "scalar" and turn < 0.9 * self.kappa.limit
         more += ", or for a slender body the vector form (see so3_midpoint)" if rod else ""
         return (
@@ -111,7 +111,8 @@ def so3_midpoint(
         kappa: κ as a callable of x = |Θ̄|² with κ(0) = 1. A κ with parameters of its own is a `jax.tree_util.Partial`.
         iterations: Newton corrections per step; by default 3 for the scalar form (the symplectic κ), 4 for the vector
             form. The scalar form reaches round-off with 2 for |Δt Ω| ≤ .7, with 3 for ≤ .95; the vector form with 2 for
-            ≤ .2, 3 for ≤ .5, 4 for ≤ .8. A step that fell short says `converged=False`.
+            ≤ .2, 3 for ≤ .5, 4 for ≤ .8. A step that fell short says `converged=False`, and so does one whose
+            iterations wandered, which they may for |Δt Ω| > 1.4: it could be at a root of another branch.
 
     The scalar form loses digits on rods (J₁ ≪ J₂) at large |Δt Ω|, and says so by `converged`; there, take the slower
     vector form, `dataclasses.replace(maps.kappa_symplectic, solve_by="vector")`.
@@ -141,7 +142,7 @@ def examples(system: Any) -> dict[str, Step]:
 def scaled(system: FreeBody, state: State, dt: ArrayLike) -> tuple[Symmetric, Array]:
     """J and a = ½Δt Π_n, both over tr J: then |a| is an angle, and no power of a large inertia overflows."""
     J, r = three.unit_trace(system.inertia)
-    return J, (0.5 * r * _checks.step_size(dt)) * so3.Ad_star(state.q, state.p)
+    return J, (0.5 * r * dt) * so3.Ad_star(state.q, state.p)
 
 
 def _solve_scalar(J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vector, Array]:
@@ -150,7 +151,7 @@ def _solve_scalar(J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vect
     The scalar form gives the value; derivatives are those of the equation for h, which has far fewer terms.
     """
     h = half_cayley(J, a, scalar_root(J, a, iterations))
-    h, residual = newton.root(lambda h: jnp.stack(scalar_residual(J, a, h)), lambda _, f: f, h, iterations=0)
+    h, residual, _ = newton.root(lambda h: jnp.stack(scalar_residual(J, a, h)), lambda _, f: f, h, iterations=0)
     return h, residual, dot(h, h) <= 1
 
 
@@ -215,9 +216,10 @@ def _solve_vector(kappa: Kappa, J: Symmetric, a: Array, iterations: int) -> tupl
 
     u = three.solve_symmetric(J, a)
     guess = add(u, three.solve_symmetric(J, cross(a, u)))  # ½(ΔtΩ + ½Δt²J⁻¹(Π × Ω))
-    y, f = newton.root(residual, correction, guess, iterations)
+    y, f, steady = newton.root(residual, correction, guess, iterations)
     k = kappa(4 * dot(y, y))
-    return (k * y[0], k * y[1], k * y[2]), f, on_branch(kappa, y, gyration_matrix(kappa, J, lax.stop_gradient(y)))
+    good = steady & on_branch(kappa, y, gyration_matrix(kappa, J, lax.stop_gradient(y)))
+    return (k * y[0], k * y[1], k * y[2]), f, good
 
 
 def gyration(kappa: Kappa, J: Symmetric, y: Vector) -> Vector:
@@ -236,8 +238,8 @@ def gyration_matrix(kappa: Kappa, J: Symmetric, y: Vector) -> three.Matrix:
 
 
 def on_branch(kappa: Kappa, y: Vector, K: three.Matrix) -> Array:
-    """Whether y = ½Θ̄ lies where κ is real, and before the fold of the branch, where det K changes its sign."""
-    return (4 * dot(y, y) <= kappa.limit**2) & (three.det(K) > 0)
+    """Whether y = ½Θ̄ lies where κ is real, and before a fold of the branch, where an eigenvalue of K changes its sign."""
+    return (4 * dot(y, y) <= kappa.limit**2) & three.no_negative_eigenvalue(K)
 
 
 def _cross_apply(y: Vector, J: Symmetric) -> Vector:

@@ -13,6 +13,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
@@ -29,6 +30,9 @@ def _motion(system: OnSphere, state: State) -> State:
 
 
 PENDULUMS = Integrand(OnSphere, "pendulums (systems.pendulum)", _motion)
+
+
+_TURN = 3.0  # radians: no step of a midpoint rule turns by 180° or more
 
 
 @pytree
@@ -52,7 +56,6 @@ class SphereMidpoint(Step):
         return f"sphere_midpoint[{'normalised' if self.normalised else 'plain'}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        dt = jnp.asarray(_checks.step_size(dt), state.p.dtype)
         (q, p), h = state, dt / self.system.mass
 
         def torque(u: Array) -> tuple[Array, Array]:
@@ -68,14 +71,23 @@ class SphereMidpoint(Step):
         def correction(u: Array, f: Array) -> Array:
             return jnp.stack(three.solve(jax.jacfwd(equation)(u), f))
 
-        u, f = newton.root(equation, correction, h * jnp.stack(three.cross(p, q)), self.iterations)
+        kicked = p + torque(jnp.zeros_like(q))[1] / 2
+        first = h * jnp.stack(three.cross(kicked, q))
+        guess = first + h / 2 * jnp.stack(three.cross(kicked, first))
+        u, f, steady = newton.root(equation, correction, guess, self.iterations)
         residual = lax.stop_gradient(three.max_abs(f))
-        converged = (residual <= 32 * jnp.finfo(u.dtype).eps) & (three.dot(u, u) < 4)
+        # with a positive K the equation is monotone, so it has one root; without normalisation that is a proof
+        K = three.plus_transpose(lax.stop_gradient(jax.jacfwd(equation)(u)))
+        unique = three.positive_definite(K) & (jnp.abs(h) * jnp.sqrt(three.dot(p, p)) < _TURN)
+        converged = (residual <= 32 * jnp.finfo(u.dtype).eps) & (three.dot(u, u) < 4) & steady & unique
         return State(q + u, p + torque(u)[1]), StepInfo(residual, converged)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
+        turn = float(np.abs(dt / self.system.mass) * np.linalg.norm(state.p))
+        more = f", or more iterations than {self.iterations}" if turn < 1 else ""
         return (
-            f"{self.name} does not converge at dt = {dt}: take a smaller dt, or more iterations than {self.iterations}"
+            f"{self.name} does not converge at dt = {dt}, where |Δt q̇| = {turn:.3g}: its branch of solutions ends at "
+            f"3, and at |Δt| of some 2/ω in a field that makes small oscillations of ω. Take a smaller dt{more}"
         )
 
 

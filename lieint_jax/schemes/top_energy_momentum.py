@@ -65,7 +65,7 @@ class TopEnergyMomentum(Step):
         return f"top_energy_momentum[{self.kappa.name}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        dt, q = _checks.step_size(dt), state.q
+        q = state.q
         y, D, info = self._solve(state, dt)
         k = self.kappa(4 * dot(y, y))
         h = scale(k, y)
@@ -77,16 +77,17 @@ class TopEnergyMomentum(Step):
     def _solve(self, state: State, dt: ArrayLike) -> tuple[Vector, Vector, StepInfo]:
         """y, the discrete gradient, and the report."""
         equation, linear = _Equation.of(self, state, dt), _is_linear(self.system.potential)
-        y, f = newton.root(equation.residual, equation.correction, equation.guess(), self.iterations, unroll=linear)
+        guess, count = equation.guess(), self.iterations
+        y, f, steady = newton.root(equation.residual, equation.correction, guess, count, unroll=linear)
         D, at = equation.gradient(equation.turn(y)[1]), lax.stop_gradient(y)
         f = lax.stop_gradient(jnp.sqrt(dot(f, f)))
         small_enough = f <= 32 * jnp.finfo(f.dtype).eps * lax.stop_gradient(equation.size(D, y))
-        return y, D, StepInfo(f, small_enough & on_branch(self.kappa, at, equation.matrix(at)))
+        return y, D, StepInfo(f, small_enough & steady & on_branch(self.kappa, at, equation.matrix(at)))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
             f"{self.name} does not converge at dt = {dt}: the branch of this κ {self.kappa.branch}, or the potential "
-            f"is too stiff for {self.iterations} iterations. Take a smaller dt, or more iterations"
+            f"is too stiff. Take a smaller dt, or more than {self.iterations} iterations if |Δt Ω| < 1"
         )
 
 

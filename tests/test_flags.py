@@ -1,0 +1,165 @@
+"""What cannot be trusted is flagged or refused: inputs that once gave wrong numbers, or NaN, with `converged=True`."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax import State, maps, schemes
+from lieint_jax._numerics import newton, three
+from lieint_jax.schemes.so3_midpoint import gyration, gyration_matrix
+
+BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+STATE = BODY.state(angular_velocity=[0.2, 0.1, 1.0])
+
+
+# Types of numbers -----------------------------------------------------------------------------------------------------
+
+
+FREE = {
+    "cayley": lambda body: schemes.so3_midpoint(body, maps.kappa_cayley),
+    "symplectic": schemes.so3_midpoint,
+    "so3_explicit": schemes.so3_explicit,
+    "exact": schemes.exact,
+    "calibrated": schemes.calibrated,
+    "preprocessed": lambda body: schemes.preprocessed(body, 6),
+}
+
+
+@pytest.mark.parametrize("scheme", FREE)
+def test_a_narrower_inertia_is_widened_to_the_state(scheme):
+    """float32 moments are the numbers that they are: same bits as from their float64 values."""
+    moments = jnp.array([1.1, 2.3, 3.3], jnp.float32)
+    state = State(jnp.array([1.0, 0, 0, 0]), jnp.array([0.3, 0.7, -1.1]))
+    narrow, wide = (FREE[scheme](li.systems.rigid_body(J)) for J in (moments, moments.astype(float)))
+    step = jax.jit(lambda step, state: step.prepare(state, 0.1)(state, 0.1))
+    (a, info), (b, _) = step(narrow, state), step(wide, state)
+    assert info.converged
+    np.testing.assert_array_equal(a.q, b.q)
+    run = jax.jit(li.integrate, static_argnames=("num_steps", "save_every"))(narrow, state, 0.1, 500, 500)
+    assert run.info.converged.all()
+    H = [float(narrow.system.energy(jax.tree.map(lambda leaf, i=i: leaf[i], run.state))) for i in (0, -1)]
+    assert H[1] == pytest.approx(H[0], rel=1e-14)  # floor 3e-15
+
+
+def test_energy_of_a_narrower_full_tensor_has_the_digits_of_the_state():
+    J = jnp.array([[1.1, 0.1, 0.2], [0.1, 2.3, 0.0], [0.2, 0.0, 3.3]], jnp.float32)
+    narrow, wide = (li.systems.rigid_body(J).energy(STATE) for J in (J, J.astype(float)))
+    assert float(narrow) == pytest.approx(float(wide), rel=1e-15)
+
+
+@pytest.mark.parametrize("dtype", [jnp.bfloat16, jnp.float16])
+def test_types_narrower_than_float32_are_refused(dtype):
+    with pytest.raises(ValueError, match="inertia must be float32 or float64"):
+        li.systems.rigid_body(jnp.array([1, 2, 3], dtype))
+    state = jax.tree.map(lambda leaf: leaf.astype(dtype), STATE)
+    for use in (lambda: schemes.exact(BODY)(state, 0.1), lambda: li.integrate(schemes.exact(BODY), state, 0.1, 3)):
+        with pytest.raises(ValueError, match=r"state\.q must be float32 or float64"):
+            use()
+
+
+STEPS = {
+    **{name: make(BODY) for name, make in FREE.items()},
+    "compose": schemes.compose(schemes.so3_midpoint(BODY), 4),
+    "splitting": schemes.splitting(li.systems.heavy_top([1.0, 2.0, 3.0], [0.0, 0.0, 1.0])),
+}
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_step_sizes_that_are_no_number_of_the_type(name):
+    step = STEPS[name]
+    with pytest.raises(ValueError, match="dt must be a real number"):
+        step(STATE, [0.05])
+    with pytest.raises(ValueError, match="dt must be below"):
+        step(STATE, 10**400)
+    for dt in (2**70, 1e308, float("nan")):
+        assert not step(STATE, dt)[1].converged
+        with pytest.raises(ValueError, match="dt"):
+            li.integrate(step, STATE, dt, 2)
+
+
+# The exact flow -------------------------------------------------------------------------------------------------------
+
+
+def test_exact_says_when_no_digits_are_left():
+    """The error of q is some eps |Ω| dt: 7e-15, 7e-10, 9e-5, 1e-2, .4 for these."""
+    body = li.systems.rigid_body([1.0, 1.0, 2.0])
+    state = body.state(angular_velocity=[0.2, 0.1, 1.0])
+    sizes = jnp.array([1e2, 1e8, 1e12, 1e15, 1e17, -1e17])
+    converged = jax.vmap(lambda dt: schemes.exact(body)(state, dt)[1].converged)(sizes)
+    assert converged.tolist() == [True, True, False, False, False, False]
+    q = jnp.array([0.11147991333969803, -0.911808763296381, 0.015036712434796751, -0.3949061982000927])
+    p = jnp.array([0.2970454372468422, -0.04988043605843836, 0.30964415274753095])
+    assert not schemes.exact(body)(State(q, p), 1e300)[1].converged  # NaN
+
+
+def test_exact_says_when_it_passed_the_separatrix_too_closely():
+    """1e-10 from the separatrix, each passage of the middle axis loses digits: rounding the state decides the rest."""
+    step, later = schemes.exact(BODY), jnp.linspace(0, 300, 60)
+    state = BODY.state(body_momentum=[1.0, 1.0, 3**0.5 * (1 + 1e-10)])
+    nearby = state._replace(p=state.p * (1 + 4e-16 * jnp.array([1.0, -1.0, 1.0])))
+    both = jax.jit(jax.vmap(lambda dt: (step(state, dt), step(nearby, dt)[0].q)))
+    ((early, at_first), others), ((late, at_last), shifted) = both(later / 30), both(1e5 + later)
+    assert at_first.converged.all()
+    assert not at_last.converged.any()
+    assert jnp.abs(early.q - others).max() < 1e-13
+    assert jnp.abs(late.q - shifted).max() > 1e-5
+
+
+# Roots of another branch ----------------------------------------------------------------------------------------------
+
+
+def test_a_jump_over_a_fold_is_flagged():
+    """Two roots past the end of the branch from dt = 0, both with det F′ > 0."""
+    step = schemes.sphere_midpoint(li.systems.pendulum(1.0, 1.0), normalised=True)
+    q = jnp.array([0.17885378429657858, -0.030030534896956382, 0.9834173722516636568])
+    q = q.at[2].set(0.9834172516366568)
+    p = jnp.array([-0.03945539383141044, -0.03153286465004606, 0.006223812392326269])
+    assert not step(State(q, p), 2.4257573623134023)[1].converged
+    assert step(State(q, p), 1.2)[1].converged
+    body = li.systems.rigid_body([0.1292207167132653, 0.37077928328673465, 0.5])
+    state = State(jnp.array([1.0, 0, 0, 0]), jnp.array([-0.06057743431492972, -0.3154155694002977, 0.11892673725310745]))
+    for iterations in (8, 40):
+        step = schemes.so3_midpoint(body, maps.kappa_cayley, iterations)
+        assert not step(state, 5.82877592143546)[1].converged
+        with pytest.raises(ValueError, match=r"\|Δt Ω\| = 5.83(?!.*more iterations)"):
+            step.check(state, 5.82877592143546)
+
+
+KAPPAS = {"cayley": maps.kappa_cayley, "exponential": maps.kappa_exponential, "user": maps.as_kappa(lambda x: 1 + x / 2)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", KAPPAS)
+def test_every_converged_root_is_that_of_the_branch_from_zero(name):
+    """Against a homotopy in dt of 600 steps, with |dt Ω| up to 7: most solves are flagged there, and none is wrong."""
+    kappa, B, rng = KAPPAS[name], 4000, np.random.default_rng(0)
+    moments = rng.uniform(0.01, 1, (B, 3))
+    J = (moments.sum(1, keepdims=True) - moments) / (2 * moments.sum(1, keepdims=True))
+    turn = rng.normal(size=(B, 3))
+    turn *= np.exp(rng.uniform(np.log(0.3), np.log(7), (B, 1))) / np.linalg.norm(turn, axis=1, keepdims=True)
+
+    def step(J, turn):
+        made = schemes.SO3Midpoint(li.systems.RigidBody(J), kappa, 40)
+        after, info = made(State(jnp.array([1.0, 0, 0, 0]), J * turn), 1.0)
+        return after.q, info.converged
+
+    def branch(J, turn):
+        rows, a = three.components(J), J * turn / 2
+
+        def follow(y, s):
+            residual = lambda y: three.subtract(gyration(kappa, rows, y), s * a)  # noqa: E731
+            correction = lambda y, f: three.solve(gyration_matrix(kappa, rows, y), f)  # noqa: E731
+            y, _, _ = newton.root(residual, correction, y, 3)
+            return y, None
+
+        y, _ = jax.lax.scan(follow, (jnp.zeros(()),) * 3, jnp.linspace(0, 1, 601)[1:])
+        h = kappa(4 * three.dot(y, y)) * jnp.stack(y)
+        return li.groups.so3.cayley_increment(jnp.array([1.0, 0, 0, 0]), h)
+
+    q, converged = map(np.asarray, jax.jit(jax.vmap(step))(J, turn))
+    wrong = converged & ~(np.abs(q - jax.jit(jax.vmap(branch))(J, turn)).max(1) < 1e-8)
+    assert not wrong.any()
+    assert converged.sum() > B / 2
+    assert converged[np.linalg.norm(turn, axis=1) < 1.2].all()
