@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from lieint_jax import _free_body
-from lieint_jax.schemes.so3_midpoint import FREE_BODIES
+from lieint_jax._numerics import three
+from lieint_jax.schemes.so3_midpoint import FREE_BODIES, SLENDER
 from lieint_jax.types import FreeBody, State, Step, StepInfo, pytree, static
 
 
@@ -40,9 +41,12 @@ class Exact(Step):
         q, (length, condition) = _free_body.attitude(self.system.inertia, state.q, state.p, dt)
         eps = float(jnp.finfo(q.dtype).eps)
         good = (length <= 1024 * eps) & (eps * condition <= max(_LOST, math.sqrt(eps)))
-        return State(q, state.p), StepInfo(length, good & jnp.all(jnp.isfinite(q)))
+        good &= jnp.all(jnp.isfinite(q)) & three.well_conditioned(three.symmetric(self.system.inertia))
+        return State(q, state.p), StepInfo(length, good)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
+        if not three.well_conditioned(three.symmetric(self.system.inertia)):
+            return f"{self.name}: {SLENDER}"
         return (
             f"{self.name} lost its digits at dt = {dt}: rounding the state alone moves the attitude by more, as |Δt Ω| "
             "is too large, or the body passes the intermediate axis too closely and too often; or there is a NaN or an "

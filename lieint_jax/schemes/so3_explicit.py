@@ -76,6 +76,7 @@ class SO3Explicit(Step):
         h = half_cayley(J, a, scalar_root(J, a, _ITERATIONS) if self.m is None else self.m, self.gain)
         residual = lax.stop_gradient(three.max_abs(scalar_residual(J, a, h)))
         converged = (residual <= _DRIFT * jnp.finfo(a.dtype).eps * three.max_abs(a)) & (dot(h, h) <= 1)
+        converged &= three.well_conditioned(J)
         return State(so3.cayley_increment(state.q, h), state.p), StepInfo(residual, converged)
 
     def advice(self, state: State, dt: ArrayLike) -> str:

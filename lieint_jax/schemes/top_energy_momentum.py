@@ -79,10 +79,12 @@ class TopEnergyMomentum(Step):
         equation, linear = _Equation.of(self, state, dt), _is_linear(self.system.potential)
         guess, count = equation.guess(), self.iterations
         y, f, steady = newton.root(equation.residual, equation.correction, guess, count, unroll=linear)
+        good = three.well_conditioned(equation.J) & steady
         D, at = equation.gradient(equation.turn(y)[1]), lax.stop_gradient(y)
         f = lax.stop_gradient(jnp.sqrt(dot(f, f)))
+        good &= on_branch(self.kappa, at, equation.matrix(at))
         small_enough = f <= 32 * jnp.finfo(f.dtype).eps * lax.stop_gradient(equation.size(D, y))
-        return y, D, StepInfo(f, small_enough & steady & on_branch(self.kappa, at, equation.matrix(at)))
+        return y, D, StepInfo(f, small_enough & good)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
