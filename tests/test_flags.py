@@ -148,7 +148,9 @@ def test_a_jump_over_a_fold_is_flagged():
     assert not step(State(q, p), 2.4257573623134023)[1].converged
     assert step(State(q, p), 1.2)[1].converged
     body = li.systems.rigid_body([0.1292207167132653, 0.37077928328673465, 0.5])
-    state = State(jnp.array([1.0, 0, 0, 0]), jnp.array([-0.06057743431492972, -0.3154155694002977, 0.11892673725310745]))
+    state = State(
+        jnp.array([1.0, 0, 0, 0]), jnp.array([-0.06057743431492972, -0.3154155694002977, 0.11892673725310745])
+    )
     for iterations in (8, 40):
         step = schemes.so3_midpoint(body, maps.kappa_cayley, iterations)
         assert not step(state, 5.82877592143546)[1].converged
@@ -156,7 +158,11 @@ def test_a_jump_over_a_fold_is_flagged():
             step.check(state, 5.82877592143546)
 
 
-KAPPAS = {"cayley": maps.kappa_cayley, "exponential": maps.kappa_exponential, "user": maps.as_kappa(lambda x: 1 + x / 2)}
+KAPPAS = {
+    "cayley": maps.kappa_cayley,
+    "exponential": maps.kappa_exponential,
+    "user": maps.as_kappa(lambda x: 1 + x / 2),
+}
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 import contextlib
 import filecmp
 import os
+import re
 import resource
 import shutil
 import signal
@@ -19,7 +20,7 @@ from free_bodies import rows
 
 import lieint_jax as li
 from lieint_jax import ensemble
-from lieint_jax.command import cli
+from lieint_jax.command import cli, report
 from lieint_jax.ensemble import _job, _recording, _store
 
 J123 = np.array([1.0, 2.0, 3.0])
@@ -109,6 +110,57 @@ def test_xarray_reads_it(tmp_path, small_chunks):
 
 class Crash(BaseException):
     """As if the process ended here."""
+
+
+FAULTS = {
+    "deleted": lambda file: file.unlink(),
+    "truncated": lambda file: file.write_bytes(file.read_bytes()[:-5]),
+    "one byte altered": lambda file: file.write_bytes(flipped(file.read_bytes())),
+}
+
+
+def flipped(data):
+    """With one bit of a byte in the middle, that is no space, turned."""
+    k = next(k for k in range(len(data) // 2, len(data)) if data[k : k + 1].strip())
+    return data[:k] + bytes([data[k] ^ 1]) + data[k + 1 :]
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_damaged_file_of_any_kind_is_named_and_not_used(tmp_path, small_chunks, monkeypatch, fault):
+    """One file of each array, of its metadata, of the checkpoint, and the root, of a run that is half done."""
+    half, path, sync, left = tmp_path / "half.zarr", tmp_path / "run.zarr", os.fsync, [330]
+
+    def fails(descriptor):
+        left[0] -= 1
+        if not left[0]:
+            raise Crash
+        sync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fails)
+    with contextlib.suppress(Crash):
+        run(half, num_steps=120)
+    monkeypatch.setattr(os, "fsync", sync)
+    progress = _store.load(half)[1]["progress"]
+    assert 8 <= progress["entries"] < 25
+    slot = progress["commits"] % 2
+    files = {half / "zarr.json": None}
+    for array in (*half.glob("*/"), *half.glob("checkpoint/*/")):
+        chunks = sorted(array.glob("c/**/*")) if array.parent == half else sorted(array.glob(f"c/{slot}/**/*"))
+        files |= dict.fromkeys([array / "zarr.json", *[f for f in chunks if f.is_file()][:1]])
+    files = [f.relative_to(half) for f in files if (half / f).exists() and f.parent.name != "checkpoint"]
+    files = [f for f in files if f.parts[0] != "first_failure"]  # written at the end
+    assert len(files) >= 19
+    for file in files:
+        shutil.copytree(half, path)
+        FAULTS[fault](path / file)
+        for use in (lambda: run(path, num_steps=120, resume=True), lambda: report.info(path)):
+            with pytest.raises(ValueError, match=rf"{re.escape(file.name)}.* (is|damaged|missing)|is not there"):
+                use()
+        shutil.rmtree(path)
+    shutil.copytree(half, path)
+    run(path, num_steps=120, resume=True)
+    run(tmp_path / "whole.zarr", num_steps=120)
+    assert same_folders(path, tmp_path / "whole.zarr")
 
 
 @pytest.mark.parametrize("reduce", [None, "energy"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import zipfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -60,12 +61,19 @@ def load(path: Path) -> tuple[Any, dict[str, Any]]:
     """A run and its metadata: the run that `save` wrote, or the complete part of a store.
 
     For the form of a store's results see `ensemble._store.load`.
+
+    Raises:
+        ValueError: a damaged store, and then which file, and what can still be read; or no file of results.
     """
     if path.suffix == ".zarr":
+        _store.check(path)
         return _store.load(path)
-    with np.load(path) as f:
-        state, info = State(f["q"], f["p"]), StepInfo(f["residual"], f["converged"])
-        return Trajectory(f["t"], state, info), json.loads(str(f["metadata"]))
+    try:
+        with np.load(path, allow_pickle=False) as f:
+            state, info = State(f["q"], f["p"]), StepInfo(f["residual"], f["converged"])
+            return Trajectory(f["t"], state, info), json.loads(str(f["metadata"]))
+    except (ValueError, KeyError, TypeError, zipfile.BadZipFile, EOFError) as error:
+        raise ValueError(f"{path} is no file of results that lieint wrote, or is damaged: {error}") from error
 
 
 def size(path: Path) -> int:

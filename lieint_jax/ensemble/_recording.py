@@ -68,6 +68,7 @@ def into_store(
             _store.clean(path)
         layout = _layout.layout_of(mesh, job.members, writer.attributes["member_chunk"])
         _layout.barrier(mesh)
+        _store.check(path)
         if not writer.progress["complete"]:
             integrate(layout, StoreOutput(job, layout, writer))
     return _opened(path)
@@ -310,6 +311,8 @@ def _unit(name: str, job: Job, options: StoreOptions) -> str:
 
 def _attributes(job: Job, options: StoreOptions, described: dict[str, Any], chunk: int) -> dict[str, Any]:
     return {
+        "format": _store.FORMAT,
+        "leaves": list(State._fields),
         "title": str(options.attributes.get("title", job.step.name)),
         "scheme": job.step.name,
         "system": type(job.step.system).__name__,

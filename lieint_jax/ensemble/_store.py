@@ -18,8 +18,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lieint_jax.ensemble import _integrity
 from lieint_jax.types import State, StepInfo, Trajectory
 
+FORMAT = 2  # of the stores written here; those of version 0.1 have no number
 _ROOT = "zarr.json"  # the metadata of a Zarr 3 group; new data become visible when it is replaced
 _CHECKPOINT = "checkpoint"  # the group that a run is resumed from
 
@@ -32,7 +34,7 @@ def load(path: Path) -> tuple[Any, dict[str, Any]]:
     """
     import zarr
 
-    metadata = dict(_attributes(path))
+    metadata = dict(_root(path)["attributes"])
     group: Any = zarr.open_group(str(path), mode="r", use_consolidated=True)
     if metadata["reduce"] is not None:
         return {name: array[...] for name, array in group.arrays()}, metadata
@@ -40,14 +42,31 @@ def load(path: Path) -> tuple[Any, dict[str, Any]]:
     return Trajectory(group["time"][...], state, info), metadata
 
 
-def _attributes(path: Path) -> dict[str, Any]:
+def check(path: Path) -> None:
+    """ValueError if a file of the store is missing or damaged: says which, and what can still be read."""
+    _integrity.check(path, _root(path))
+
+
+def _root(path: Path) -> dict[str, Any]:
+    """The store's root metadata."""
     try:
-        attributes = json.loads((path / _ROOT).read_text())["attributes"]
-    except FileNotFoundError:
+        root = json.loads((path / _ROOT).read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
         raise ValueError(f"{path} is not there, or is no store of a run") from None
+    except ValueError as error:
+        raise ValueError(
+            f"{path / _ROOT} is damaged: {error}. The arrays beside it can still be read one by one"
+        ) from None
+    attributes = root.get("attributes", {})
     if "progress" not in attributes:
         raise ValueError(f"{path} is a Zarr group, but not one that lieint wrote")
-    return attributes
+    if attributes.get("format", 1) > FORMAT:
+        raise ValueError(
+            f"{path} has format {attributes['format']}; this lieint_jax reads up to {FORMAT}: take a newer one"
+        )
+    if "checksum" in attributes and attributes["checksum"] != _integrity.checksum(root):
+        raise ValueError(f"{path / _ROOT} is damaged: its checksum is wrong. The arrays beside it can still be read")
+    return root
 
 
 class Column(NamedTuple):
@@ -88,7 +107,7 @@ class Writer:
 
     def __init__(self, path: Path, leader: bool) -> None:
         self.path = path
-        self.attributes: dict[str, Any] = _attributes(path)
+        self.attributes: dict[str, Any] = _root(path)["attributes"]
         self._leader = leader
         self._writing: Future[None] | None = None
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="lieint-store")
@@ -123,7 +142,7 @@ class Writer:
         """Make the last commit visible, after every process has written it."""
         self.attributes = self.attributes | {"progress": self.progress | progress}
         if self._leader:
-            root = json.loads((self.path / _ROOT).read_text())
+            root = _root(self.path)
             try:
                 _write_root(self.path, root | {"attributes": self.attributes})
             except OSError as error:
@@ -132,7 +151,7 @@ class Writer:
                 shutil.rmtree(self.path / _CHECKPOINT)
 
     def _unwritten(self, error: OSError) -> OSError:
-        steps = json.loads((self.path / _ROOT).read_text())["attributes"]["progress"]["steps"]
+        steps = _root(self.path)["attributes"]["progress"]["steps"]
         reason = f"{error.strerror}: {self.path} holds everything up to step {steps}; mend this and resume"
         return OSError(error.errno, reason)
 
@@ -147,7 +166,10 @@ class Writer:
         if name not in self._arrays:
             import zarr
 
-            self._arrays[name] = zarr.open_array(str(self.path / name), mode="r+")
+            with zarr.config.set(
+                {"array.write_empty_chunks": True}
+            ):  # so a file that is missing is a file that was lost
+                self._arrays[name] = zarr.open_array(str(self.path / name), mode="r+")
         return self._arrays[name]
 
     def _write(self, parts: Callable[[], Iterable[Part]]) -> None:
@@ -161,9 +183,8 @@ class Writer:
                 file = self.path / name / "c" / "/".join(map(str, key))
                 rest = array.ndim - len(key)
                 file = file.joinpath(*["0"] * rest)
-                if file.exists():  # Zarr writes no file for a chunk of fill values only
-                    _sync(file)
-                    folders.update(list(file.parents)[: array.ndim + 1])
+                _sync(file)
+                folders.update(list(file.parents)[: array.ndim + 1])
         for folder in folders:
             _sync(folder)
 
@@ -173,6 +194,7 @@ def create(
 ) -> None:
     """Make an empty store, under a temporary name, and rename it: a store exists whole or not at all."""
     import zarr
+    import zarr.codecs
 
     unfinished = path.with_name(f".{path.name}.partial")
     if unfinished.exists():
@@ -190,6 +212,7 @@ def create(
             dimension_names=dims,
             attributes=dict(extra),
             fill_value=missing,
+            compressors=[zarr.codecs.ZstdCodec(), zarr.codecs.Crc32cCodec()],
         )
     _write_root(unfinished, json.loads((unfinished / _ROOT).read_text()))
     for file in unfinished.rglob("*"):
@@ -202,7 +225,7 @@ def clean(path: Path) -> None:
     """Remove what a killed writer left: temporary files, and the checkpoint of a run that is complete."""
     for file in path.rglob("*.partial"):
         file.unlink()
-    if _attributes(path)["progress"]["complete"]:
+    if _root(path)["attributes"]["progress"]["complete"]:
         shutil.rmtree(path / _CHECKPOINT, ignore_errors=True)
 
 
@@ -222,6 +245,7 @@ def _write_root(path: Path, root: dict[str, Any]) -> None:
             continue
         shown[file.parent.name] = meta
     root = root | {"consolidated_metadata": {"kind": "inline", "must_understand": False, "metadata": shown}}
+    root["attributes"] = root["attributes"] | {"checksum": _integrity.checksum(root)}
     file = path / f"{_ROOT}.partial"
     with file.open("w") as f:
         f.write(json.dumps(root, indent=1))

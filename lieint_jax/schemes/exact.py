@@ -13,7 +13,6 @@ from lieint_jax._numerics import three
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES, SLENDER
 from lieint_jax.types import FreeBody, State, Step, StepInfo, pytree, static
 
-
 _LOST = 1e-6  # the error of the attitude, by rounding of the state, above which a step is not to be trusted
 
 

@@ -74,6 +74,7 @@ class GroupEnergyMomentum(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         group, tau, q = self.system.group, self.tau, state.q
+        dt = jnp.asarray(dt)
         equation, s = Equation.of(self.system, tau, state, 0.5 * dt), 0.5 * dt * dt
         m, a = equation.m, equation.a
         pull = unrolled.settled(as_vector(m, s * self.system.body_force(q)))  # what the kick is, nearly

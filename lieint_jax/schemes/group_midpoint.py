@@ -67,7 +67,7 @@ class GroupMidpoint(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         group, tau = self.system.group, self.tau
-        equation = Equation.of(self.system, tau, state, 0.5 * dt)
+        equation = Equation.of(self.system, tau, state, 0.5 * jnp.asarray(dt))
 
         def residual(theta: unrolled.Vector) -> unrolled.Vector:
             return equation.residual(theta, coadjoint(tau, group, theta, equation.a))

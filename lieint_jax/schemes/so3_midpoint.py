@@ -248,7 +248,7 @@ def gyration_matrix(kappa: Kappa, J: Symmetric, y: Vector) -> three.Matrix:
 
 
 def on_branch(kappa: Kappa, y: Vector, K: three.Matrix) -> Array:
-    """Whether y = ½Θ̄ lies where κ is real, and before a fold of the branch, where an eigenvalue of K changes its sign."""
+    """Whether y = ½Θ̄ lies where κ is real, and before the branch folds, where an eigenvalue of K vanishes."""
     return (4 * dot(y, y) <= kappa.limit**2) & three.no_negative_eigenvalue(K)
 
 

@@ -56,7 +56,8 @@ class SphereMidpoint(Step):
         return f"sphere_midpoint[{'normalised' if self.normalised else 'plain'}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        (q, p), h = state, dt / self.system.mass
+        (q, p), dt = state, jnp.asarray(dt)
+        h = dt / self.system.mass
 
         def torque(u: Array) -> tuple[Array, Array]:
             """r, and −Δt r × ∇V(r)."""
