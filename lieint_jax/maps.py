@@ -69,9 +69,10 @@ def as_kappa(kappa: Kappa | Callable[[Array], Array]) -> Kappa:
         raise ValueError(f"kappa must be a callable of x = |Θ̄|², such as maps.kappa_symplectic, got {kappa!r}")
     name = getattr(kappa, "__name__", type(kappa).__name__)
     made = Kappa(callable_pytree(kappa), name=name)
-    with jax.ensure_compile_time_eval():
+    with jax.ensure_compile_time_eval():  # concrete inside jit too, unless κ closes over a tracer
         at_zero = made(jnp.zeros(())) if concrete(made) else 1.0
-    if jnp.shape(at_zero) or (concrete(at_zero) and abs(at_zero - 1) > 1e-6):
+        wrong = bool(abs(at_zero - 1) > 1e-6) if concrete(at_zero) and not jnp.shape(at_zero) else False
+    if jnp.shape(at_zero) or wrong:
         raise ValueError(f"κ(0) must be the number 1 for the scheme to be consistent, got κ(0) = {at_zero} of {name}")
     return made
 

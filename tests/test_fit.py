@@ -6,8 +6,10 @@ import numpy as np
 import optax
 import pytest
 
+import lieint_jax as li
 from lieint_jax import studies
 
+pytestmark = pytest.mark.filterwarnings("ignore:the fit did not converge")
 T = np.linspace(0, 3, 40)
 
 
@@ -274,3 +276,35 @@ def test_errors():
         studies.fit(residuals, TRUTH, "lbfgs")
     with pytest.raises(ValueError, match="made of Bound"):
         studies.fit(residuals, TRUTH, bounds="positive")
+
+
+def test_observations_at_irregular_times_are_fitted_as_first_written():
+    """`observe` has its own reverse mode and no forward mode: fit takes it; so does `covariance`."""
+    body = li.systems.rigid_body([1.0, 2.0, 3.0])
+    step, t = li.schemes.so3_midpoint(body), jnp.array([0.7, 1.9, 3.3, 6.1])
+
+    def seen(w):
+        return studies.observe(step, body.state(angular_velocity=w), 0.05, t)[0].q
+
+    truth = jnp.array([0.2, 0.1, 1.0])
+    data = seen(truth)
+    found = studies.fit(lambda w: (seen(w) - data).ravel(), jnp.array([0.25, 0.05, 1.05]), progress=False)
+    assert found.success
+    np.testing.assert_allclose(found.params, truth, atol=1e-9)
+    np.testing.assert_allclose(studies.covariance(lambda w: (seen(w) - data).ravel(), found.params), found.covariance)
+
+
+def test_a_fit_that_did_not_converge_has_no_standard_errors():
+    def loss(p):
+        return jnp.stack([10 * (p["y"][0] - p["x"] ** 2), 1 - p["x"]])
+
+    start = {"x": jnp.array(-1.2), "y": jnp.array([1.0])}
+    with pytest.warns(RuntimeWarning, match="did not converge .*iterations were used up.* no standard errors"):
+        short = studies.fit(loss, start, iterations=2, progress=False)
+    assert np.isnan(short.covariance).all()
+    assert "x = " in str(short)
+    assert "± nan" in str(short)
+    full = studies.fit(loss, start, progress=False)
+    lines = str(full).splitlines()
+    assert "the gradient vanished" in lines[0] or "no longer fell" in lines[0]
+    assert lines[1:] == ["  x = 1 ± 1", "  y[0] = 1 ± 2"]

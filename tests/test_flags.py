@@ -198,3 +198,34 @@ def test_every_converged_root_is_that_of_the_branch_from_zero(name):
     assert not wrong.any()
     assert converged.sum() > B / 2
     assert converged[np.linalg.norm(turn, axis=1) < 1.2].all()
+
+
+# Inside jit: the same as outside, or a sentence -----------------------------------------------------------------------
+
+
+def test_steps_made_inside_jit():
+    """κ by a closure; the drift of a potential on SE(2), whose metric is then a tracer."""
+    made = jax.jit(lambda J: schemes.so3_midpoint(li.systems.rigid_body(J), lambda x: 1 + 0.3 * x)(STATE, 0.05)[0].q)
+    body = li.systems.rigid_body([1.0, 2.0, 3.0])
+    eager = schemes.so3_midpoint(body, lambda x: 1 + 0.3 * x)(STATE, 0.05)[0].q
+    np.testing.assert_allclose(made(body.inertia), eager, atol=2e-16)
+    with pytest.raises(ValueError, match=r"κ\(0\) must be the number 1"):
+        jax.jit(lambda J: schemes.so3_midpoint(li.systems.rigid_body(J), lambda x: 1.1 + x)(STATE, 0.05))(body.inertia)
+
+    group = li.groups.special_euclidean(2)
+    metric = jnp.array([1.0, 2.0, 3.0])
+    state = State(jnp.eye(3), jnp.array([0.3, 0.2, 0.1]))
+
+    def drifted(metric):
+        system = li.systems.group_potential(group, metric, lambda q: 0.1 * q[0, 2])
+        return schemes.splitting(system)(state, 0.1)[0].q
+
+    np.testing.assert_allclose(jax.jit(drifted)(metric), drifted(metric), atol=1e-15)
+    assert jnp.isfinite(jax.grad(lambda m: drifted(m)[0, 2])(metric)).all()
+
+
+def test_kirchhoff_inside_jit():
+    metric = jax.jit(lambda: li.systems.kirchhoff().metric)()
+    np.testing.assert_array_equal(metric, li.systems.kirchhoff().metric)
+    with pytest.raises(ValueError, match="call kirchhoff outside jit"):
+        jax.jit(lambda axes: li.systems.kirchhoff(axes).metric)(jnp.array([3.0, 2.0, 1.0]))

@@ -7,6 +7,7 @@ step that led to one is taken back and shortened, and the optimiser's state is n
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -22,7 +23,7 @@ from lieint_jax import _checks
 from lieint_jax.ensemble._over_members import over_members
 from lieint_jax.fitting._bounds import confine, free, release
 from lieint_jax.fitting._descent import descent, lbfgs
-from lieint_jax.fitting._least_squares import least_squares, slopes, spread
+from lieint_jax.fitting._least_squares import jacobian, least_squares, slopes, spread
 from lieint_jax.fitting._search import (
     GOOD,
     NOWHERE,
@@ -72,7 +73,8 @@ class Fit(NamedTuple):
         failures: the number of trials that failed (loss or gradient not finite, or not converged).
         history: the loss after each iteration, shape (iterations + 1,), the first guess first.
         covariance: of the estimate, (p, p) in the order of `ravel_pytree(params)`: the inverse of the Gauss–Newton
-            matrix, for residuals in units of their standard deviation. None if the fit is not by least squares.
+            matrix, for residuals in units of their standard deviation. NaN if the search stopped for no good reason;
+            None if the fit is not by least squares.
         starts: with many starts, the result of each, with a leading axis; else None.
     """
 
@@ -94,10 +96,16 @@ class Fit(NamedTuple):
             raise ValueError("only least-squares fits have a covariance: levenberg_marquardt, gauss_newton")
         return ravel_pytree(self.params)[1](jnp.sqrt(jnp.diagonal(jnp.asarray(self.covariance))))
 
-    def __str__(self) -> str:
+    @property
+    def outcome(self) -> str:
+        """Loss, number of iterations and why the search stopped, in a line."""
         edge = ", at a bound" if self.at_bound else ""
         failed = f", {self.failures} trials failed" if self.failures else ""
         return f"loss {self.loss:.6g} after {self.iterations} iterations: {self.stopped}{edge}{failed}"
+
+    def __str__(self) -> str:
+        errors = self.standard_errors if self.covariance is not None else None
+        return "\n".join([self.outcome, *_lines(self.params, errors)])
 
 
 def fit(
@@ -120,7 +128,8 @@ def fit(
         loss: parameters ↦ a scalar; for "levenberg_marquardt" and "gauss_newton" ↦ residuals, an array of any shape
             or a tree of them, whose sum of squares is minimised. Either may be returned as a pair (value, converged),
             where `converged` holds the flags or the `StepInfo` of the solves; a trial that did not converge has failed.
-            Residuals are differentiated in forward mode (jacfwd), scalars in reverse mode.
+            Residuals are differentiated in forward mode (in reverse mode through `studies.observe` and `reversible`),
+            scalars in reverse mode.
         params: the first guess, a tree of arrays. With `starts`, each leaf has a leading axis of starts.
         optimizer: "levenberg_marquardt", "gauss_newton", "lbfgs" (optax, zoom line search), "adam", or any
             `optax.GradientTransformation`.
@@ -236,6 +245,20 @@ class _Problem:
         return jnp.any(speed(x) <= _EDGE * speed(start))
 
 
+def _lines(params: Any, errors: Any) -> list[str]:
+    """A line for each parameter: its name in the tree, its value, and its standard error if there is one."""
+    named = jax.tree_util.tree_leaves_with_path(params)
+    spreads = jax.tree.leaves(errors) if errors is not None else [None] * len(named)
+    lines = []
+    for (path, leaf), error in zip(named, spreads, strict=True):
+        for index in np.ndindex(np.shape(leaf)):
+            place = f"[{', '.join(map(str, index))}]" if index else ""
+            spread = "" if error is None else f" ± {float(np.asarray(error)[index]):.2g}"
+            name = f"{jax.tree_util.keystr(path, simple=True, separator='.')}{place}" or "parameter"
+            lines.append(f"  {name} = {float(np.asarray(leaf)[index]):.8g}{spread}")
+    return lines
+
+
 def _iterate(
     advance: Callable[[_Search], _Search], search: _Search, iterations: int, progress: bool
 ) -> tuple[_Search, np.ndarray]:
@@ -267,10 +290,18 @@ def _result(
     if starts:
         losses, codes = np.asarray(search.least), np.asarray(search.carry.code)
         best = int(np.argmin(np.where(np.isfinite(losses), losses, np.inf)))
-        every = Starts(jax.vmap(to_params)(search.best), losses, np.isin(codes, GOOD), edge, matrix)
+        good = np.isin(codes, GOOD)
+        if matrix is not None:
+            matrix = np.where(good[:, None, None], matrix, np.nan)
+        every = Starts(jax.vmap(to_params)(search.best), losses, good, edge, matrix)
         search, history = jax.tree.map(lambda leaf: leaf[best], search), history[:, best]
         edge, matrix = edge[best], None if matrix is None else matrix[best]
     code, made = int(search.carry.code), int(search.made)
+    if code not in GOOD and matrix is not None:
+        matrix = np.full_like(matrix, np.nan)
+        warnings.warn(
+            f"the fit did not converge ({REASONS[code]}): it has no standard errors", RuntimeWarning, stacklevel=3
+        )
     return Fit(
         to_params(search.best),
         float(search.least),
@@ -288,7 +319,7 @@ def _result(
 def covariance(residuals: Callable[..., Any], params: Any) -> Array:
     """(JᵀJ)⁻¹ of residuals in units of their standard deviation, (p, p) in the order of `ravel_pytree(params)`."""
     x, unravel = ravel_pytree(params)
-    return spread(jax.jacfwd(lambda x: residuals_of(residuals, unravel(x))[0])(x), unravel, x)
+    return spread(jacobian(lambda x: (residuals_of(residuals, unravel(x))[0], None), x)[0], unravel, x)
 
 
 def _method(optimizer: Any, loss: Callable[[Array], Any], tolerance: float) -> Method:

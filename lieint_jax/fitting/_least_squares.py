@@ -46,7 +46,7 @@ def least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: b
             r, ok = residuals(x)
             return r, (r, ok)
 
-        J, (r, ok) = jax.jacfwd(twice, has_aux=True)(x)
+        J, (r, ok) = jacobian(twice, x)
         return r, J, ok & jnp.all(jnp.isfinite(r)) & jnp.all(jnp.isfinite(J))
 
     def first(x: Array) -> tuple[Array, _Memory, Array]:
@@ -134,6 +134,19 @@ def _svd(A: Array) -> tuple[Array, Array, Array]:
     missing = max(0, A.shape[1] - A.shape[0])
     U, s, Vt = jnp.linalg.svd(jnp.concatenate([A, jnp.zeros((missing, A.shape[1]), A.dtype)]), full_matrices=False)
     return U[: A.shape[0]], s, Vt
+
+
+def jacobian(residuals: Callable[[Array], tuple[Array, Any]], x: Array) -> tuple[Array, Any]:
+    """The Jacobian of the first result, and the second: in forward mode, which is cheaper for few parameters.
+
+    Through `studies.observe` and `reversible`, which have a reverse mode of their own and no other, in reverse mode.
+    """
+    try:
+        return jax.jacfwd(residuals, has_aux=True)(x)
+    except TypeError as error:
+        if "custom_vjp" not in str(error):
+            raise
+    return jax.jacrev(residuals, has_aux=True)(x)
 
 
 def slopes(inside: Callable[[Array], Any], x: Array) -> Array:

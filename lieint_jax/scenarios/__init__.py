@@ -65,7 +65,7 @@ def parse(table: dict[str, Any], name: str) -> Any:
     """The scenario of a table of keys; error messages begin with `name`."""
     if "system" not in table:
         raise ValueError(f"{name}: system: key missing")
-    if table["system"] not in kinds():
+    if not isinstance(table["system"], str) or table["system"] not in kinds():
         allowed = " or ".join(map(repr, kinds()))
         raise ValueError(f"{name}: system: must be {allowed} (got {table['system']!r})")
     model = kinds()[table["system"]].Scenario

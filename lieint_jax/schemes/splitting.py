@@ -13,6 +13,9 @@ from contextlib import suppress
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import concrete
@@ -98,14 +101,22 @@ def splitting(system: Forced, drift: Step | None = None) -> Splitting:
 def _drift(free: Any) -> Step:
     if FREE_BODIES.declared(free):
         return so3_midpoint(free)
-    if GEODESICS.declared(free) and concrete(free.metric):
+    if GEODESICS.declared(free):
         with suppress(ValueError), jax.ensure_compile_time_eval():  # groups where the arcsine map is not defined
-            if is_symplectic(arcsine, free.group, free.metric):
+            if all(is_symplectic(arcsine, free.group, metric) for metric in _metrics(free)):
                 return group_midpoint(free, arcsine)
     raise ValueError(
         f"no symplectic drift is known for {getattr(free, 'group', type(free).__name__)} with this metric: give a "
         "symmetric step of system.free, such as group_midpoint(system.free), which keeps the form up to O(Δt³) per step"
     )
+
+
+def _metrics(free: Any) -> list[Array]:
+    """The system's metric; if it is a tracer, two others at random: what is symplectic for them is so for any."""
+    if concrete(free.metric):
+        return [free.metric]
+    roots = np.random.default_rng(0).normal(size=(2, free.group.dim, free.group.dim))
+    return [jnp.asarray(root @ root.T + np.eye(free.group.dim)) for root in roots]
 
 
 def examples(system: Any) -> dict[str, Step]:

@@ -108,7 +108,7 @@ def text(found: MaterialFit) -> str:
     errors = found.fit.standard_errors
     lines = [
         f"λ and μ of an elastic ball from {len(found.times)} observations of its strain, noise {NOISE} a component",
-        f"  {found.fit}",
+        f"  {found.fit.outcome}",
         f"  the gradient in reverse mode, by undoing steps, is {found.gradient_ratio:.1e} of that at the guess\n",
         f"  {'':<4}{'truth':>9}{'estimate':>12}{'± 1 sigma':>11}",
     ]

@@ -1,13 +1,14 @@
-"""The spin state of 4179 Toutatis, fitted to two radar fixes: attitude, rate and inertia ratios.
+"""The spin state of 4179 Toutatis, fitted to two fixes: attitude, rate and inertia ratios.
 
 Eight parameters (three of attitude, three of rate, two ratios of inertia) are fitted to twelve numbers: the attitudes
-and body rates published for 1992-11-09 and 1992-12-02, without errors. So every angle, in degrees, and every rate, in
-degrees a day, has the same weight, and their common standard error is estimated from the residuals: an assumption. The
-two periods are not fitted: the fit predicts them.
+and body rates published for 1992-11-09 (a solution) and 1992-12-02 (a radar fix), without errors. So every angle, in
+degrees, and every rate, in degrees a day, has the same weight, and their common standard error is estimated from the
+residuals: an assumption. The two periods are not fitted: the fit predicts them.
 """
 
 from __future__ import annotations
 
+from importlib import resources
 from typing import Any, NamedTuple
 
 import jax
@@ -60,6 +61,32 @@ class SpinFit(NamedTuple):
     periods: np.ndarray
     track: tuple[np.ndarray, np.ndarray, np.ndarray]
     scenario: Any
+
+
+class RadarEpochs(NamedTuple):
+    """All published radar fixes of Toutatis, 17 of 1992, one of 2004 and one of 2008.
+
+    Attributes:
+        t: days since 1992-11-09 17:49:47 UTC, the epoch of the published states, (19,).
+        q: attitudes as unit quaternions, (19, 4).
+        euler_313_deg: the same as published, (19, 3).
+        angular_velocity_deg: body rates in ° a day, (19, 3).
+    """
+
+    t: np.ndarray
+    q: np.ndarray
+    euler_313_deg: np.ndarray
+    angular_velocity_deg: np.ndarray
+
+
+def radar_epochs() -> RadarEpochs:
+    """The radar fixes. Source: Takahashi, Busch & Scheeres 2013, AJ 146:95. No errors are published."""
+    text = resources.files(scenarios).joinpath("toutatis_radar.csv").read_text(encoding="utf-8")
+    rows = [line.split(",") for line in text.splitlines() if line[0].isdigit()]
+    days = [np.datetime64(row[0]) - np.datetime64("1992-11-09T17:49:47") for row in rows]
+    numbers = np.array([row[1:] for row in rows], float)
+    q = jax.vmap(so3.from_euler_313)(jnp.deg2rad(numbers[:, :3]))
+    return RadarEpochs(np.array(days) / np.timedelta64(1, "D"), np.asarray(q), numbers[:, :3], numbers[:, 3:])
 
 
 def run(quick: bool = False, progress: bool = True) -> SpinFit:
@@ -159,8 +186,9 @@ def text(found: SpinFit) -> str:
     fitted, _ = ravel_pytree(found.fit.params)
     given, _ = ravel_pytree(found.published)
     lines = [
-        f"{scenario.title}: spin state and inertia ratios from two fixes   [{scenario.source(seen.source)}]",
-        f"  {found.fit}",
+        f"{scenario.title}: spin state and inertia ratios from two fixes",
+        f"  first fix: {scenario.source('zhao')}; second: {scenario.source(seen.source)}",
+        f"  {found.fit.outcome}",
         f"\n  {'':<32}{'published':>10}{'fitted':>12}{'± 1 sigma':>11}",
     ]
     lines += [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -78,10 +79,15 @@ def kirchhoff(semi_axes: tuple[float, float, float] = (3.0, 2.0, 1.0), center_of
     """
     from lieint_jax.groups import special_euclidean
 
+    if not _checks.concrete(semi_axes, center_of_mass):
+        raise ValueError(
+            "semi_axes and center_of_mass must be known numbers: call kirchhoff outside jit, vmap and grad"
+        )
     axes = np.asarray(semi_axes, float)
     if axes.shape != (3,) or not np.all(np.isfinite(axes)) or axes.min() <= 0:
         raise ValueError(f"semi_axes must be three positive lengths, got {semi_axes}")
-    r = np.asarray(_checks.real_array("center_of_mass", center_of_mass, (3,)), float)
+    with jax.ensure_compile_time_eval():
+        r = np.asarray(_checks.real_array("center_of_mass", center_of_mass, (3,)), float)
     A = _depolarisation(axes)
     added_mass = A / (2 - A)
     added_inertia, inertia = np.zeros(3), np.zeros(3)
