@@ -20,10 +20,13 @@ def concrete(*trees: Any) -> bool:
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
-def real_array(name: str, value: Any, *shapes: Sequence[int], finite: bool = True) -> Array:
-    """`value` as a floating-point array of one of `shapes` (of any, if none is given), finite where it is concrete."""
+def real_array(name: str, value: Any, *shapes: Sequence[int], finite: bool = True, like: Array | None = None) -> Array:
+    """`value` as a floating-point array of one of `shapes` (of any, if none is given), finite where it is concrete.
+
+    Python numbers, which have no type of their own, take that of `like`.
+    """
     try:
-        array = jnp.asarray(value)
+        array = jnp.asarray(value, None if like is None or hasattr(value, "dtype") else like.dtype)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name} must be an array of real numbers, got {value!r}") from error
     if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):

@@ -91,7 +91,7 @@ def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, A
     increment, accuracy = _increment(scale * inertia, e, G * t)
     Omega = jnp.stack(three.solve_symmetric(J, Pi))
     increment = jnp.where(rest, so3.exp(jnp.where(rest, Omega, 0) * t), increment)  # 1, with its derivative in π
-    turned = lax.stop_gradient(three.max_abs(Omega) * jnp.abs(t))
+    turned = lax.stop_gradient(three.max_abs(Pi) * three.inverse_trace(J) * jnp.abs(t))
     length, condition = (jnp.where(rest, 0, x) for x in accuracy)
     return so3.normalise(so3.multiply(q, increment)), Accuracy(length, turned + condition)
 

@@ -160,6 +160,16 @@ def determinant(S: Symmetric, adj: Symmetric) -> Array:
     return S[0] * adj[0] + S[4] * adj[4] + S[5] * adj[5]
 
 
+def inverse_trace(S: Symmetric) -> Array:
+    """tr S⁻¹: for a positive definite S, 1 to 3 times the largest |S⁻¹v|/|v|."""
+    if len(S) == 3:
+        return 1 / S[0] + 1 / S[1] + 1 / S[2]
+    r = 1 / trace(S)
+    S = tuple(s * r for s in S)
+    adj = adjugate(S)
+    return r * trace(adj) / determinant(S, adj)
+
+
 def well_conditioned(S: Symmetric) -> Array:
     """Whether v·S⁻¹v keeps ten digits in float64, four in float32; diagonal matrices always do.
 

@@ -56,7 +56,7 @@ class ClosedForm(NamedTuple):
             top, row = row[-1], np.concatenate([[0.0], row[:-1]])
             for i, factor in enumerate(annihilator[1:], 1):
                 row[self.powers - 2 * i] -= top * factor
-        return found
+        return [[float(c) for c in coefficients] for coefficients in found]  # numpy's would widen float32
 
 
 def evaluated(series: Sequence[float], x: unrolled.Scalar) -> unrolled.Scalar:

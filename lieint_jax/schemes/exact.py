@@ -10,10 +10,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _free_body
 from lieint_jax._numerics import three
-from lieint_jax.schemes.so3_midpoint import FREE_BODIES, SLENDER
+from lieint_jax.schemes.so3_midpoint import FREE_BODIES, SLENDER, lost
 from lieint_jax.types import FreeBody, State, Step, StepInfo, pytree, static
-
-_LOST = 1e-6  # the error of the attitude, by rounding of the state, above which a step is not to be trusted
 
 
 @pytree
@@ -39,7 +37,7 @@ class Exact(Step):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         q, (length, condition) = _free_body.attitude(self.system.inertia, state.q, state.p, dt)
         eps = float(jnp.finfo(q.dtype).eps)
-        good = (length <= 1024 * eps) & (eps * condition <= max(_LOST, math.sqrt(eps)))
+        good = (length <= 1024 * eps) & (eps * condition <= lost(q.dtype))
         good &= jnp.all(jnp.isfinite(q)) & three.well_conditioned(three.symmetric(self.system.inertia))
         return State(q, state.p), StepInfo(length, good)
 
@@ -63,8 +61,8 @@ def exact(system: FreeBody) -> Exact:
     | the symplectic form | round-off |
 
     The attitude is good to 2e-14 at |Ω|Δt = 100, or to the change that the last bits of the state make where that is
-    more: near the separatrix. Where that change can pass 1e-6 (in float32 3e-4), so at |Ω|Δt > 4.5e9 (2900), the step
-    says `converged=False`. No equation is solved; `residual` is the error of |Π|², relative. `order` is infinite.
+    more: near the separatrix. Where that change can pass 1e-6 (in float32 3e-4), so where the sum of |Π|Δt/Jᵢ is above 4.5e9 (2900),
+    the step says `converged=False`. No equation is solved; `residual` is the error of |Π|², relative. `order` is infinite.
 
     Args:
         system: `systems.rigid_body(...)`. For a full tensor each step finds the principal axes, which is slower, and

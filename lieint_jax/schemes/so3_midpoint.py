@@ -18,6 +18,7 @@ a quartic for m, the same for every step of a trajectory.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -50,6 +51,11 @@ SLENDER = (
 FREE_BODIES = Integrand(FreeBody, "free rigid bodies (systems.rigid_body)", _motion)
 
 
+def lost(dtype: Any) -> float:
+    """The error of an attitude, by rounding of the state alone, above which a step is not to be trusted."""
+    return max(1e-6, math.sqrt(jnp.finfo(dtype).eps))
+
+
 @pytree
 class SO3Midpoint(Step):
     """The step made by `so3_midpoint`.
@@ -80,6 +86,7 @@ class SO3Midpoint(Step):
             h, residual, good = _solve_scalar(J, a, self.iterations)
         else:
             h, residual, good = _solve_vector(self.kappa, J, a, self.iterations)
+            good &= jnp.finfo(a.dtype).eps * three.max_abs(a) * three.inverse_trace(J) <= lost(a.dtype)
         residual = lax.stop_gradient(jnp.sqrt(dot(residual, residual)))
         small = residual <= 32 * jnp.finfo(a.dtype).eps * three.max_abs(a)
         converged = small & good & three.well_conditioned(J)

@@ -85,7 +85,8 @@ def group_potential(
     metric = _checks.positive_definite("metric", metric, group.dim)
     if not callable(potential):
         raise ValueError(f"potential must be a function of q, got {potential!r}")
-    directions = _checks.real_array("symmetry", jnp.zeros((0, group.dim)) if symmetry is None else symmetry)
+    none = jnp.zeros((0, group.dim), metric.dtype)
+    directions = _checks.real_array("symmetry", none if symmetry is None else symmetry, like=metric)
     if directions.ndim != 2 or directions.shape[1] != group.dim:
         raise ValueError(f"symmetry must have shape (k, {group.dim}), got {directions.shape}")
     value = jax.eval_shape(potential, jnp.asarray(group.identity, metric.dtype))

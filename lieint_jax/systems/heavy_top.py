@@ -47,7 +47,8 @@ def heavy_top(inertia: ArrayLike, weight: ArrayLike, axis: ArrayLike = (0.0, 0.0
         >>> float(top.energy(top.state(angular_velocity=[0.0, 0.0, 50.0])))
         1270.0
     """
-    return potential_top(inertia, Linear(_checks.real_array("weight", weight, (3,))), axis)
+    inertia = _checks.inertia(inertia)
+    return potential_top(inertia, Linear(_checks.real_array("weight", weight, (3,), like=inertia)), axis)
 
 
 def lagrange() -> tuple[PotentialTop, State]:

@@ -125,12 +125,12 @@ def pendulum(
     if concrete(m) and not m > 0:
         raise ValueError(f"mass must be positive, got {m}")
     if not callable(gravity):
-        gravity = Uniform(m * _checks.real_array("gravity", gravity, ()))
-    return Pendulum(m, callable_pytree(gravity), _unit("axis", axis))
+        gravity = Uniform(m * _checks.real_array("gravity", gravity, (), like=m))
+    return Pendulum(m, callable_pytree(gravity), _unit("axis", axis, like=m))
 
 
-def _unit(name: str, value: ArrayLike) -> Array:
-    v = _checks.real_array(name, value, (3,))
+def _unit(name: str, value: ArrayLike, like: Array | None = None) -> Array:
+    v = _checks.real_array(name, value, (3,), like=like)
     if concrete(v) and abs(float(np.linalg.norm(np.asarray(v, float))) - 1) > _checks.UNIT_TOLERANCE:
         raise ValueError(f"{name} must be a unit vector, got {np.asarray(v)}; divide it by its norm")
     return v / jnp.linalg.norm(v)

@@ -113,8 +113,7 @@ def potential_top(
     """
     inertia = _checks.inertia(inertia)
     if axis is not None:
-        given, axis = axis, _checks.real_array("axis", axis, (3,))
-        axis = axis if hasattr(given, "dtype") else axis.astype(inertia.dtype)  # a tuple does not decide the precision
+        given, axis = axis, _checks.real_array("axis", axis, (3,), like=inertia)
         if concrete(given) and not np.any(np.asarray(given)):
             raise ValueError("axis must not be zero; without a symmetry axis give axis=None and a potential of Λ")
     if not callable(potential):
