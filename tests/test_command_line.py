@@ -1,5 +1,6 @@
 """The command: the main job on a small ensemble, certificates, and one clear line for whatever is wrong."""
 
+import json
 import re
 
 import jax
@@ -155,8 +156,14 @@ BAD = [
     (dict(steps="steps = 55"), "steps = 55 must be a multiple of save_every = 10"),
     (dict(members="members = 0"), "members: .*greater than 0.*got 0"),
     (dict(members="members = 1.5"), "members: .*integer"),
-    (dict(seed="sed = 1"), "sed: unknown key"),
+    (dict(seed="sed = 1"), r"sed: unknown key; did you mean seed\?; allowed: title, time_unit, system, dt"),
     (dict(system='system = "heavy"'), "system: .*'rigid_body'.*got 'heavy'"),
+    (dict(system='system = ["rigid_body"]'), r"system: .*'rigid_body'.*got \['rigid_body'\]"),
+    (dict(seed='published.precession_period = {value = 1.0, error = 0, source = "x"}'), "error: .*greater than 0"),
+    (
+        dict(seed='published.precession_period = {value = 1.0, source = "x"}\nsources = {y = "a book"}'),
+        r"source 'x' is not one of the keys of \[sources\]: y",
+    ),
     (dict(scheme='scheme = "rk4"'), "scheme: .*so3_midpoint"),
     (dict(inertia="inertia = [1.0, 2.0]"), "inertia: inertia must have shape"),
     (dict(inertia="inertia = [1.0, 2.0, -3.0]"), "inertia: inertia must be positive definite"),
@@ -185,6 +192,24 @@ def test_a_bad_file_gets_one_line_that_names_the_key(changes, message, capsys):
     assert err.count("\n") == 1
     assert re.search(message, err)
     assert not list(scenarios.Path().glob("*.npz"))
+
+
+def test_the_schema_of_scenario_files(capsys):
+    assert cli.main(["schema"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    assert len(schema["oneOf"]) == len(scenarios.kinds())
+    systems = [
+        schema["$defs"][kind["$ref"].split("/")[-1]]["properties"]["system"]["const"] for kind in schema["oneOf"]
+    ]
+    assert set(systems) == set(scenarios.kinds())
+
+
+def test_a_file_that_is_no_result_is_one_line(capsys):
+    scenarios.Path("x.npz").write_bytes(b"no archive")
+    np.savez("y.npz", a=np.zeros(3))
+    for name in ("x.npz", "y.npz"):
+        assert cli.main(["info", name]) == 2
+        assert f"{name} is no file of results that lieint wrote" in capsys.readouterr().err
 
 
 def test_bad_commands(capsys):

@@ -92,6 +92,8 @@ def _add_results(commands: Any) -> None:
     plot = commands.add_parser("plot", help="report on results and draw them", description="Pictures of results.")
     plot.add_argument("path", type=Path, metavar="PATH")
     plot.set_defaults(command=_plot)
+    schema = commands.add_parser("schema", help="the keys of scenario files, as a JSON schema", description="Keys.")
+    schema.set_defaults(command=_schema)
 
 
 def _add_check(commands: Any) -> None:
@@ -103,7 +105,7 @@ def _add_check(commands: Any) -> None:
         nargs="?",
         default="",
         metavar="SYSTEM",
-        help="a system module, example, or group (default: all systems)",
+        help="a system module (rigid_body for one), example, or group; default: all systems, which takes many minutes",
     )
     check.add_argument("--scheme", default="", metavar="NAME", help="only schemes whose name contains NAME")
     check.add_argument(
@@ -159,6 +161,14 @@ def _plot(options: argparse.Namespace) -> None:
     from lieint_jax.command import report
 
     report.plot(options.path)
+
+
+def _schema(_: argparse.Namespace) -> None:
+    import json
+
+    from lieint_jax import scenarios
+
+    print(json.dumps(scenarios.schema(), indent=1, ensure_ascii=False))
 
 
 def _check(options: argparse.Namespace) -> None:

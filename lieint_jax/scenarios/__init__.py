@@ -14,14 +14,15 @@ observations to compare with the results. `scenario_names` lists the shipped one
 
 from __future__ import annotations
 
+import difflib
 import sys
 import tomllib
 from importlib import resources
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, get_args
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from lieint_jax import _discover
 from lieint_jax.scenarios._common import Common
@@ -72,7 +73,15 @@ def parse(table: dict[str, Any], name: str) -> Any:
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        raise ValueError(f"{name}: {_explain(error)}") from error
+        raise ValueError(f"{name}: {_explain(error, model)}") from error
+
+
+def schema() -> dict[str, Any]:
+    """The JSON schema of a scenario file: one of the kinds of system, told apart by the key `system`."""
+    from pydantic.json_schema import models_json_schema
+
+    found, definitions = models_json_schema([(module.Scenario, "validation") for module in kinds().values()])
+    return {"oneOf": list(found.values()), **definitions}
 
 
 def _table(name: str) -> dict[str, Any]:
@@ -92,12 +101,27 @@ def _table(name: str) -> dict[str, Any]:
         raise ValueError(f"{name} is not valid TOML: {error}") from error
 
 
-def _explain(error: ValidationError) -> str:
-    """The first problem of a validation, in one line that names the key."""
+def _keys(model: Any, path: list[str]) -> list[str]:
+    """The keys of the table at `path` in a model; none if there are several kinds of such tables."""
+    for part in path:
+        annotation = model.model_fields[part].annotation if part in getattr(model, "model_fields", {}) else None
+        inner = [x for x in (annotation, *get_args(annotation)) if isinstance(x, type) and issubclass(x, BaseModel)]
+        if len(inner) != 1:
+            return []
+        model = inner[0]
+    return list(model.model_fields)
+
+
+def _explain(error: ValidationError, model: Any) -> str:
+    """The first problem of a validation, in one line that names the key; an unknown one with those that are known."""
     problem, *others = error.errors()
     key = "".join(f"{part}." for part in problem["loc"] if part != "[key]").removesuffix(".")
     silent = problem["type"] in ("missing", "extra_forbidden") or not problem["loc"]
     given = "" if silent else f" (got {problem['input']!r})"
     message = {"extra_forbidden": "unknown key", "missing": "key missing"}.get(problem["type"], problem["msg"])
+    if problem["type"] == "extra_forbidden":
+        allowed = _keys(model, [part for part in problem["loc"][:-1] if isinstance(part, str)])
+        near = difflib.get_close_matches(str(problem["loc"][-1]), allowed, 1)
+        message += f"{f'; did you mean {near[0]}?' if near else ''}; allowed: {', '.join(allowed)}" if allowed else ""
     more = f"; and {len(others)} more" if others else ""
     return f"{key}{': ' if key else ''}{message.removeprefix('Value error, ')}{given}{more}"

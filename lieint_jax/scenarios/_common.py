@@ -32,7 +32,7 @@ class Published(Table):
     """A published number, with its error and source."""
 
     value: float
-    error: float | None = None
+    error: Annotated[float, Field(gt=0)] | None = None
     source: str
 
 
@@ -57,6 +57,13 @@ class Common(Table):
             raise ValueError(f"steps = {self.steps} must be a multiple of save_every = {self.save_every}")
         return self
 
+    @model_validator(mode="after")
+    def _sources_are_defined(self) -> Self:
+        for key in _sources(self.model_dump()):
+            if self.sources and key not in self.sources:
+                raise ValueError(f"source {key!r} is not one of the keys of [sources]: {', '.join(self.sources)}")
+        return self
+
     def assumption(self) -> str:
         """A line for the report that states the ensemble's assumption; empty if there is none."""
         return ""
@@ -64,6 +71,14 @@ class Common(Table):
     def source(self, key: str) -> str:
         """The source under `key`, or `key` itself."""
         return self.sources.get(key, key)
+
+
+def _sources(tree: Any) -> list[str]:
+    """The values of all keys `source` of a tree of tables."""
+    if isinstance(tree, dict):
+        own = [value for key, value in tree.items() if key == "source"]
+        return own + [name for value in tree.values() for name in _sources(value)]
+    return [name for value in tree for name in _sources(value)] if isinstance(tree, list) else []
 
 
 def member(run: Trajectory, m: int, time: int = 0) -> State:

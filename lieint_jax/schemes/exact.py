@@ -61,8 +61,9 @@ def exact(system: FreeBody) -> Exact:
     | the symplectic form | round-off |
 
     The attitude is good to 2e-14 at |Ω|Δt = 100, or to the change that the last bits of the state make where that is
-    more: near the separatrix. Where that change can pass 1e-6 (in float32 3e-4), so where the sum of |Π|Δt/Jᵢ is above 4.5e9 (2900),
-    the step says `converged=False`. No equation is solved; `residual` is the error of |Π|², relative. `order` is infinite.
+    more: near the separatrix. Where that change can pass 1e-6 (in float32 3e-4), so where the sum of |Π|Δt/Jᵢ is above
+    4.5e9 (2900), the step says `converged=False`. No equation is solved; `residual` is the error of |Π|², relative.
+    `order` is infinite.
 
     Args:
         system: `systems.rigid_body(...)`. For a full tensor each step finds the principal axes, which is slower, and

@@ -94,9 +94,10 @@ def group_midpoint(system: GeodesicFlow, tau: Tau | Map = exponential, iteration
     """The generalised midpoint rule (5.23) with (5.27), for a geodesic system on any group and any map τ.
 
     Spatial momentum is exact, bit for bit (Result 9); energy is exact (Result 10). "Exact" is to round-off at a
-    converged step. Second order and time-symmetric if τ(−Θ) = τ(Θ)⁻¹, which is measured; else `symmetric` is False and
-    `order` 1. The symplectic form is kept if and only if (5.31) holds (Result 11), which `maps.symplectic_residual`
-    measures; otherwise its defect is O(Δt³) per step.
+    converged step; rounding errors add up, to 1.3e-10 of the energy in 10⁵ steps of `systems.kirchhoff()`, Δt = .1.
+    Second order and time-symmetric if τ(−Θ) = τ(Θ)⁻¹, which is measured; else `symmetric` is False and `order` 1. The
+    symplectic form is kept if and only if (5.31) holds (Result 11), which `maps.symplectic_residual` measures;
+    otherwise its defect is O(Δt³) per step.
 
     On groups that are not compact Ad_q can grow exponentially, and Π = Ad*_q π then loses digits with any scheme: at
     worst like ε‖Ad_q‖², and on SL(2) energy was seen to lose them like ε‖Ad_q‖. The step says `converged=False` where
