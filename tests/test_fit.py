@@ -278,6 +278,7 @@ def test_errors():
         studies.fit(residuals, TRUTH, bounds="positive")
 
 
+@pytest.mark.long
 def test_observations_at_irregular_times_are_fitted_as_first_written():
     """`observe` has its own reverse mode and no forward mode: fit takes it; so does `covariance`."""
     body = li.systems.rigid_body([1.0, 2.0, 3.0])

@@ -203,6 +203,7 @@ def test_every_converged_root_is_that_of_the_branch_from_zero(name):
 # Inside jit: the same as outside, or a sentence -----------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_steps_made_inside_jit():
     """κ by a closure; the drift of a potential on SE(2), whose metric is then a tracer."""
     made = jax.jit(lambda J: schemes.so3_midpoint(li.systems.rigid_body(J), lambda x: 1 + 0.3 * x)(STATE, 0.05)[0].q)

@@ -85,6 +85,7 @@ def test_exponents_of_a_regular_motion_go_to_zero():
     assert jnp.abs(values[-1]).max() < jnp.abs(values[0]).max()
 
 
+@pytest.mark.long
 def test_radar_epochs_against_both_published_states():
     """Torque-free, at the 17 epochs of 1992: rms 9.96° and 7.70°; in 2004 and 2008 both are lost."""
     epochs = toutatis.radar_epochs()

@@ -32,7 +32,7 @@ def _motion(system: OnSphere, state: State) -> State:
 PENDULUMS = Integrand(OnSphere, "pendulums (systems.pendulum)", _motion)
 
 
-_TURN = 3.0  # radians: no step of a midpoint rule turns by 180° or more
+_TURN = 2.5  # radians; no step of a midpoint rule turns by 180°, and near that other branches come close
 
 
 @pytree
@@ -87,8 +87,8 @@ class SphereMidpoint(Step):
         turn = float(np.abs(dt / self.system.mass) * np.linalg.norm(state.p))
         more = f", or more iterations than {self.iterations}" if turn < 1 else ""
         return (
-            f"{self.name} does not converge at dt = {dt}, where |Δt q̇| = {turn:.3g}: its branch of solutions ends at "
-            f"3, and at |Δt| of some 2/ω in a field that makes small oscillations of ω. Take a smaller dt{more}"
+            f"{self.name} does not converge at dt = {dt}, where |Δt q̇| = {turn:.3g}: it may be 2.5, and the "
+            f"branch of solutions ends at |Δt| of some 2/ω in a field that makes small oscillations of ω. Take a smaller dt{more}"
         )
 
 
