@@ -218,3 +218,11 @@ def test_a_step_of_one_s_own_by_the_public_names():
     run = li.integrate(Forward(BODY), BODY.state(angular_velocity=[0.2, 0.0, 1.0]), 0.01, 10)
     assert run.state.q.shape == (11, 4)
     assert run.info.converged.all()
+
+
+def test_two_classes_with_the_same_fields_have_different_structures():
+    """Else jit may run the program of one for the other: a doubled force was, now and then, not seen."""
+    changed = li.pytree(type("Changed", (Doubled, type(TOP)), {}))
+    other = changed(**{field.name: getattr(TOP, field.name) for field in dataclasses.fields(TOP)})
+    assert jax.tree.structure(other) != jax.tree.structure(TOP)
+    assert jax.tree.structure(other) == jax.tree.structure(dataclasses.replace(other, inertia=2 * TOP.inertia))
