@@ -227,8 +227,9 @@ def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Accurac
     azimuth = jnp.arctan2(sign * (em * fo - eo * fm), sign * (em * fm + eo * fo))
     azimuth = azimuth - jnp.where(m.about_r, jnp.pi * m.halves * jnp.sign(er * b.rm), 0)
     twist = (m.turn + theta - azimuth) / 2
-    w, v = _between(e, (fr, fm, fo), jnp.cos(twist), jnp.sin(twist))
-    length = jnp.abs(fr * fr + fm * fm + fo * fo - 1)
+    f = (fr, fm, fo)
+    w, v = _between(e, f, jnp.cos(twist), jnp.sin(twist))
+    length = jnp.abs(dot(f, f) - 1)
     return w, v, Accuracy(*lax.stop_gradient((length, m.condition)))
 
 

@@ -23,7 +23,6 @@ through dD alone. No difference of nearby things is taken: D comes of U, and ΔW
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, Literal, NamedTuple, get_args
 
 import jax
@@ -80,8 +79,15 @@ class Additive(Step):
         equation = _Equation.of(self, state, dt)
         rule, W, E, alpha, F = equation.rule, equation.W, equation.E, equation.alpha, equation.F
         guess = jnp.concatenate([jnp.zeros(9, state.q.dtype), jnp.full(rule.gammas, rule.guess, state.q.dtype)])
-        solve = partial(newton.root, equation.residual, equation.correction, guess, self.iterations)
-        x, R, steady = solve(done=equation.done, length=_displacement, first=equation.size)
+        x, R, steady = newton.root(
+            equation.residual,
+            equation.correction,
+            guess,
+            self.iterations,
+            done=equation.done,
+            length=_displacement,
+            first=equation.size,
+        )
         U = _matrix(x)
         D = equation.change(U)
         S = rule.stress(W, equation.C, D, *x[9:])
