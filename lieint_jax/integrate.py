@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -16,8 +17,8 @@ from lieint_jax.types import State, Step, StepInfo, Trajectory, checked_step, pr
 def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_every: int = 1) -> Trajectory:
     """Take `num_steps` steps of size `dt` and keep every `save_every`-th state.
 
-    A plain `lax.scan`: vmap it over states, differentiate it forward or reverse. It is not jitted: in a loop of your
-    own, call `jax.jit(li.integrate, static_argnames=("num_steps", "save_every"))`, which compiles once.
+    A `lax.scan`: vmap it over states, differentiate it forward or reverse, jit what calls it. It is compiled once for
+    all steps of one structure and each pair of counts: a step made again with other numbers runs at once.
 
     Args:
         step: a scheme's step.
@@ -37,8 +38,12 @@ def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_ever
     num_saves = saves(num_steps, save_every)
     step, state, dtype = promoted(checked_step(step), state)
     step.check(state, dt)
+    return _trajectory(step, state, jnp.asarray(_checks.step_size(dt), dtype), num_saves, save_every)
+
+
+@partial(jax.jit, static_argnums=(3, 4))
+def _trajectory(step: Step, state: State, dt: Array, num_saves: int, save_every: int) -> Trajectory:
     step = step.prepare(state, dt)
-    dt = jnp.asarray(_checks.step_size(dt), dtype)
     started = StepInfo.fresh(state.p)
 
     def one(carry: tuple[State, StepInfo], _: None) -> tuple[tuple[State, StepInfo], None]:

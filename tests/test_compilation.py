@@ -1,7 +1,12 @@
-"""The command line keeps compiled programs, where the user wants it and in a folder of this kind of processor."""
+"""A step made again compiles nothing, and the command line keeps compiled programs, in a folder of this processor."""
+
+import re
+from pathlib import Path
 
 import jax
 import pytest
+
+import lieint_jax as li
 
 from lieint_jax.command.compilation import keep_programs
 
@@ -10,6 +15,50 @@ NAMES = (
     "jax_persistent_cache_min_compile_time_secs",
     "jax_persistent_cache_min_entry_size_bytes",
 )
+
+
+def programs(caplog, function):
+    """The names of the programs that jax compiles, or loads, for a call."""
+    caplog.clear()
+    with jax.log_compiles():
+        jax.block_until_ready(function())
+    texts = [record.getMessage() for record in caplog.records]
+    return [re.split(r"[ )]", text.removeprefix("Compiling jit("))[0] for text in texts if text.startswith("Compiling")]
+
+
+def a_step(dt=0.05):
+    body = li.systems.rigid_body([1.0, 2.0, 3.0])
+    return li.schemes.so3_midpoint(body), body.state(angular_velocity=[0.2, dt, 1.0]), dt
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda s, z, dt: li.integrate(s, z, dt, 6, 3),
+        lambda s, z, dt: li.studies.observe(s, z, dt, [0.3, 0.7]),
+        lambda s, z, dt: jax.grad(lambda h: li.studies.observe(s, z, h, [0.3, 0.7])[0].q[-1, 0])(dt),
+        pytest.param(
+            lambda s, z, dt: li.studies.observe(s, z, dt, [0.3, 0.7], derivative="checkpoint"), marks=pytest.mark.long
+        ),
+        pytest.param(lambda s, z, dt: li.studies.reversible(s, z, dt, 6, 3), marks=pytest.mark.long),
+        pytest.param(lambda s, z, dt: li.studies.round_trip_error(s, z, dt, 6), marks=pytest.mark.long),
+        pytest.param(lambda s, z, dt: li.diagnostics.poisson_error(s, z, dt, 6), marks=pytest.mark.long),
+        pytest.param(lambda s, z, dt: li.diagnostics.order(s, z, dt), marks=pytest.mark.long),
+        pytest.param(lambda s, z, dt: s.system.solution(z, dt), marks=pytest.mark.long),
+    ],
+)
+def test_a_step_made_again_with_other_numbers_compiles_nothing(caplog, call):
+    assert programs(caplog, lambda: call(*a_step()))
+    assert not programs(caplog, lambda: call(*a_step(0.04)))
+
+
+def test_the_first_example_of_the_readme_compiles_its_run_once(caplog):
+    readme = Path(__file__).parents[1] / "README.md"
+    example = re.findall(r"```python\n(.*?)```", readme.read_text(encoding="utf-8"), re.S)[0]
+    jax.clear_caches()
+    first = programs(caplog, lambda: exec(example, {}))
+    assert first.count("_trajectory") == 1
+    assert not programs(caplog, lambda: exec(example, {}))
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -15,11 +16,14 @@ from lieint_jax.types import State, Step, StepInfo
 _LEVELS = 3  # levels of nested checkpoints: about 3 N^(1/3) of N states are kept
 
 
-def checkpointed(step: Step, state: State, dt: Array, counts: list[int]) -> tuple[State, StepInfo]:
+@partial(jax.jit, static_argnums=3)
+def checkpointed(step: Step, state: State, dt: Array, counts: tuple[int, ...]) -> tuple[State, StepInfo]:
     """The states after counts[0], counts[0] + counts[1], … steps, and the reports in between.
 
     One loop is compiled for all intervals, a little longer than the longest; results of surplus steps are dropped.
     """
+
+    step = step.prepare(state, dt)
 
     def interval(state: State, count: Array) -> tuple[State, tuple[State, StepInfo]]:
         def one(carry: tuple[Array, State, StepInfo], _: None) -> tuple[tuple[Array, State, StepInfo], None]:

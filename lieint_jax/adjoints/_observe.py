@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
+from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
@@ -60,16 +61,21 @@ def observe(
     reached = xp.isfinite(ratio) & (ratio >= -1e-9)  # False for traced times on the wrong side of 0
     whole = xp.round(xp.where(reached, ratio, 0)).astype(np.int32)
     order = xp.argsort(whole)
-    counts = xp.diff(whole[order], prepend=0)
-    prepared = step.prepare(state, h)
     if derivative == "checkpoint":
         if not known:
             raise ValueError('derivative="checkpoint" needs concrete times and dt: the number of steps is compiled in')
-        later, info = checkpointed(prepared, state, h, counts.tolist())
+        later = checkpointed(step, state, h, tuple(np.diff(whole[order], prepend=0).tolist()))
     else:
-        later, info = undoable(prepared, state, h, counts, tolerance)
-    back = xp.argsort(order)
-    later, info = jax.tree.map(lambda leaf: leaf[back], (later, info))
-    seen, last = jax.vmap(step)(later, t - h * whole)  # `step` as given, not prepared for dt
+        later = undoable(step, state, h, xp.diff(whole[order], prepend=0), tolerance)
+    return _seen(step, later, xp.argsort(order), t - h * whole, reached)
+
+
+@partial(jax.jit)
+def _seen(
+    step: Step, later: tuple[State, StepInfo], back: Array, rest: Array, reached: Array
+) -> tuple[State, StepInfo]:
+    """The states a step of `rest` after those of `later` in the order `back`, by the step as given, not prepared."""
+    found, info = jax.tree.map(lambda leaf: leaf[back], later)
+    seen, last = jax.vmap(step)(found, rest)
     info = info.merge(last)
     return seen, info._replace(converged=info.converged & reached)

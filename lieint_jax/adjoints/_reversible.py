@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
@@ -54,11 +55,10 @@ def reversible(
     """
     interval, num_saves = intervals(num_steps, save_every)
     step, state, h = checked(step, state, dt, derivative)
-    prepared = step.prepare(state, h)
     if derivative == "checkpoint":
-        later = checkpointed(prepared, state, h, [interval] * num_saves)
+        later = checkpointed(step, state, h, (interval,) * num_saves)
     else:
-        later = undoable(prepared, state, h, np.full(num_saves, interval, np.int32), tolerance)
+        later = undoable(step, state, h, np.full(num_saves, interval, np.int32), tolerance)
     return from_start(state, later, h * interval)
 
 
@@ -71,7 +71,11 @@ def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) ->
     derivative of the flow.
     """
     step, state, h = checked(step, state, dt, "reversible")
+    return _there_and_back(step, state, h, _checks.count("num_steps", num_steps, 0))
+
+
+@jax.jit
+def _there_and_back(step: Step, state: State, h: Array, num_steps: ArrayLike) -> Array:
     prepared = step.prepare(state, h)
-    num_steps = _checks.count("num_steps", num_steps, 0)
     end = steps(prepared, state, h, num_steps)[0]
     return distance(steps(prepared, end, -h, num_steps)[0], state)

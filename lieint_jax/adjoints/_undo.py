@@ -31,10 +31,11 @@ from lieint_jax.schemes.compose import Composition
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 
 
+@partial(jax.jit, static_argnums=4)
 def undoable(step: Step, state: State, dt: Array, counts: Any, tolerance: float | None) -> tuple[State, StepInfo]:
     """`_marched`, differentiated by undoing its steps, with respect to arrays that the step closes over, too."""
     tolerance = math.sqrt(jnp.finfo(state.p.dtype).eps) if tolerance is None else float(tolerance)
-    return _march(_opened(step, state, dt), state, dt, counts, tolerance)
+    return _march(_opened(step.prepare(state, dt), state, dt), state, dt, counts, tolerance)
 
 
 def _marched(step: Any, state: State, dt: Array, counts: Any, tolerance: float) -> tuple[State, StepInfo]:

@@ -84,7 +84,7 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
         ValueError: as `integrate`.
     """
     checked_step(step).check(state, dt)
-    run = _integrate(step, state, dt, num_steps)
+    run = integrate(step, state, dt, num_steps)
     system = step.system
     momentum = np.abs(np.asarray(momentum_error(system, run)))
     energy = float(jnp.max(jnp.abs(energy_error(system, run))))
@@ -110,7 +110,6 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
     )
 
 
-_integrate = jax.jit(integrate, static_argnums=3)
 _defect_matrix = jax.jit(defect_matrix)
 
 

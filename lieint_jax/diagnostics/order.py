@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +25,11 @@ def flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
     a few round-offs for |t Ω| / num_steps ≤ 1/2. Source: Hairer, Lubich & Wanner, Geometric Numerical Integration,
     II.1.3.
     """
+    return _flow(system, state, t, num_steps)
+
+
+@partial(jax.jit, static_argnums=3)
+def _flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
     z0, unravel = ravel_pytree(state)
     A, b = (jnp.asarray(x, z0.dtype) for x in _gauss(_STAGES))
     h = jnp.asarray(t, z0.dtype) / num_steps

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Literal, get_args
 
+import jax
 import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
@@ -53,6 +55,7 @@ def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, metho
     return _recursion(step, state, dt, num_steps)
 
 
+@partial(jax.jit, static_argnums=3)
 def _recursion(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:
     """σ_n by (5.36), shape (num_steps+1, d, d)."""
     space = step.system.phase_space
@@ -70,6 +73,7 @@ def _recursion(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array
     return jnp.concatenate([0 * one[None], sigma])
 
 
+@partial(jax.jit, static_argnums=3)
 def _whole(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:
     """P_n − ω⁻¹(z_n), shape (num_steps+1, 2d, 2d)."""
     space = step.system.phase_space

@@ -5,6 +5,7 @@ from lieint_jax.ensemble._job import Summary
 from lieint_jax.ensemble._layout import first_devices, want_devices
 from lieint_jax.ensemble._loop import compiler_options, energy
 from lieint_jax.ensemble._over_members import over_members
+from lieint_jax.ensemble._reading import open_run as open  # noqa: A004
 from lieint_jax.ensemble._recording import StoreOptions
 from lieint_jax.ensemble._run import run
 
@@ -14,6 +15,7 @@ __all__ = [
     "compiler_options",
     "energy",
     "first_devices",
+    "open",
     "over_members",
     "processes",
     "run",

@@ -43,7 +43,7 @@ def _damage(path: Path, root: Mapping[str, Any]) -> Iterator[str]:
         own = _json(path / name / "zarr.json")
         if own is None or {**own, "shape": own["shape"][1:]} != {**meta, "shape": meta["shape"][1:]}:
             yield f"{name}/zarr.json is missing or altered"
-        yield from _chunks(path, name, meta, range(meta["shape"][0]))
+        yield from _chunks(path, name, meta, range(*meta["shape"][:1] or [1]))
     if progress["commits"] and not progress["complete"]:
         slot = progress["commits"] % 2
         for folder in sorted((path / "checkpoint").glob("*/")):
@@ -66,7 +66,7 @@ def _chunks(path: Path, name: str, meta: Mapping[str, Any], rows: range) -> Iter
     sizes, summed = meta["chunk_grid"]["configuration"]["chunk_shape"], meta["codecs"][-1]["name"] == "crc32c"
     if not summed and meta["data_type"] not in ("float32", "float64"):
         return  # stores of version 0.1 have no file for a chunk of fill values, and only NaN is no value of a run
-    spans = [range(rows.start // sizes[0], -(-rows.stop // sizes[0])) if rows else range(0)]
+    spans = [range(rows.start // size, -(-rows.stop // size)) if rows else range(0) for size in sizes[:1]]
     spans += [range(math.ceil(n / size)) for n, size in zip(meta["shape"][1:], sizes[1:], strict=True)]
     for key in itertools.product(*spans):
         file = path.joinpath(name, "c", *map(str, key))

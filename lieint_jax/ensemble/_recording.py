@@ -19,10 +19,12 @@ from jax.sharding import Mesh
 
 from lieint_jax._version import __version__
 from lieint_jax.ensemble import _layout, _store
-from lieint_jax.ensemble._job import Job, Summary, first_entry, gathered_rows, local_rows, reduced
+from lieint_jax.ensemble._description import describe
+from lieint_jax.ensemble._job import Job, first_entry, gathered_rows, local_rows, reduced
 from lieint_jax.ensemble._layout import Layout
 from lieint_jax.ensemble._loop import Carry, Range, compiler_options, step_dtype
-from lieint_jax.types import State, StepInfo, Trajectory
+from lieint_jax.ensemble._reading import opened
+from lieint_jax.types import State, StepInfo
 
 _RESIDUAL = "largest residual of a step since the entry before"
 _CHUNK_MEMBERS = 8192  # the most members in a chunk on disk
@@ -58,12 +60,10 @@ def into_store(
     if exists and not resume:
         raise ValueError(f"{path} exists and is not overwritten; resume continues it, or choose another store")
     if not exists and leader:
-        chunk = _layout.chunk_of(layout, _CHUNK_MEMBERS)
-        arrays = _columns(job, chunk, options), _checkpoint_columns(job, chunk)
-        _store.create(path, *arrays, _attributes(job, options, described, chunk))
+        _create(path, job, options, described, _layout.chunk_of(layout, _CHUNK_MEMBERS))
     _layout.barrier(mesh)  # now the store exists for every process
     with _store.opened(path, leader) as writer:
-        _check_same(path, writer.attributes["run"], described)
+        _check_same(path, writer.attributes, described)
         if leader:
             _store.clean(path)
         layout = _layout.layout_of(mesh, job.members, writer.attributes["member_chunk"])
@@ -71,16 +71,16 @@ def into_store(
         _store.check(path)
         if not writer.progress["complete"]:
             integrate(layout, StoreOutput(job, layout, writer))
-    return _opened(path)
+    return opened(path)
 
 
-def _opened(path: Path) -> Any:
-    found, _ = _store.load(path)
-    if isinstance(found, Trajectory):
-        return found
-    state = State(found["q"], found["p"])
-    series = {name: found[name] for name in ("least", "greatest", "mean", "residual", "unconverged")}
-    return Summary(found["time"], **series, state=state, failed=found["first_failure"])
+def _create(path: Path, job: Job, options: StoreOptions, described: dict[str, Any], chunk: int) -> None:
+    """Make the store of a run."""
+    description, numbers = describe(job.step)
+    attributes = _attributes(job, options, described, chunk)
+    attributes |= {"constants": sorted(numbers), "description": description}
+    constants = {name: _constant(name, x, job) for name, x in numbers.items()}
+    _store.create(path, _columns(job, chunk, options), _checkpoint_columns(job, chunk), attributes, constants)
 
 
 class StoreOutput:
@@ -290,6 +290,13 @@ def _series_columns(job: Job, axes: _Axes) -> dict[str, _store.Column]:
     }
 
 
+def _constant(name: str, values: np.ndarray, job: Job) -> tuple[_store.Column, np.ndarray]:
+    """The description and the values of an array of numbers of the step, with the member axis first if it has one."""
+    along = ("member",) if job.step_axis is not None else ()
+    dims = (*along, *(f"{name}_axis{k}" for k in range(values.ndim - len(along))))
+    return _store.Column(values.shape, values.dtype, values.shape, dims, {"long_name": f"{name} of the run"}), values
+
+
 def _checkpoint_columns(job: Job, chunk: int) -> dict[str, _store.Column]:
     """The arrays of the checkpoint: those of a carry, in two slots that are written in turn."""
     axes = _Axes(job, chunk)
@@ -376,6 +383,11 @@ def _device() -> str:
 
 
 def _check_same(path: Path, stored: dict[str, Any], now: dict[str, Any]) -> None:
-    different = _store.differences(stored, now)
+    if stored.get("format", 1) < _store.FORMAT:
+        raise ValueError(
+            f"{path} was written by an older version of lieint_jax, whose runs this one does not continue bit for bit: "
+            "`lieint info` and `lieint plot` read what is there; run again into another store"
+        )
+    different = _store.differences(stored["run"], now)
     if different:
         raise ValueError(f"{path} holds another run and cannot be resumed with this one: {'; '.join(different)}")

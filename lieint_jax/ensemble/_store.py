@@ -42,6 +42,13 @@ def load(path: Path) -> tuple[Any, dict[str, Any]]:
     return Trajectory(group["time"][...], state, info), metadata
 
 
+def constants(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
+    """The arrays of these names that the run does not change."""
+    import zarr
+
+    return {name: np.asarray(zarr.open_array(str(path / name), mode="r")[...]) for name in names}
+
+
 def check(path: Path) -> None:
     """ValueError if a file of the store is missing or damaged: says which, and what can still be read."""
     _integrity.check(path, _root(path))
@@ -166,9 +173,7 @@ class Writer:
         if name not in self._arrays:
             import zarr
 
-            with zarr.config.set(
-                {"array.write_empty_chunks": True}
-            ):  # so a file that is missing is a file that was lost
+            with _every_chunk():
                 self._arrays[name] = zarr.open_array(str(self.path / name), mode="r+")
         return self._arrays[name]
 
@@ -190,9 +195,16 @@ class Writer:
 
 
 def create(
-    path: Path, columns: Mapping[str, Column], checkpoint: Mapping[str, Column], attributes: Mapping[str, Any]
+    path: Path,
+    columns: Mapping[str, Column],
+    checkpoint: Mapping[str, Column],
+    attributes: Mapping[str, Any],
+    constants: Mapping[str, tuple[Column, np.ndarray]],
 ) -> None:
-    """Make an empty store, under a temporary name, and rename it: a store exists whole or not at all."""
+    """Make a store, under a temporary name, and rename it: a store exists whole or not at all.
+
+    It is empty but for the `constants`, arrays that the run does not change.
+    """
     import zarr
     import zarr.codecs
 
@@ -202,7 +214,8 @@ def create(
     start = {"commits": 0, "entries": 0, "steps": 0, "complete": False}
     group = zarr.create_group(str(unfinished), attributes=dict(attributes) | {"progress": start})
     slots = {f"{_CHECKPOINT}/{name}": column for name, column in checkpoint.items()}
-    for name, (shape, dtype, chunks, dims, extra) in {**columns, **slots}.items():
+    fixed = {name: column for name, (column, _) in constants.items()}
+    for name, (shape, dtype, chunks, dims, extra) in {**columns, **slots, **fixed}.items():
         missing = np.nan if np.issubdtype(dtype, np.floating) else -1 if np.issubdtype(dtype, np.integer) else False
         group.create_array(
             name,
@@ -214,11 +227,21 @@ def create(
             fill_value=missing,
             compressors=[zarr.codecs.ZstdCodec(), zarr.codecs.Crc32cCodec()],
         )
+    with _every_chunk():
+        for name, (_, values) in constants.items():
+            zarr.open_array(str(unfinished / name), mode="r+")[...] = values
     _write_root(unfinished, json.loads((unfinished / _ROOT).read_text()))
     for file in unfinished.rglob("*"):
         _sync(file)
     unfinished.rename(path)
     _sync(path.parent)
+
+
+def _every_chunk() -> Any:
+    """A context in which arrays opened write chunks of fill values too: a file that is missing is one that was lost."""
+    import zarr
+
+    return zarr.config.set({"array.write_empty_chunks": True})
 
 
 def clean(path: Path) -> None:
@@ -239,10 +262,10 @@ def _write_root(path: Path, root: dict[str, Any]) -> None:
         meta = json.loads(file.read_text())
         if meta["node_type"] != "array":
             continue
-        if meta["dimension_names"][0] == "time":
+        if meta["dimension_names"][:1] == ["time"]:
             meta["shape"][0] = progress["entries"]
-        elif not progress["complete"]:  # its values are written at the end
-            continue
+        elif not progress["complete"] and file.parent.name not in root["attributes"]["constants"]:
+            continue  # its values are written at the end
         shown[file.parent.name] = meta
     root = root | {"consolidated_metadata": {"kind": "inline", "must_understand": False, "metadata": shown}}
     root["attributes"] = root["attributes"] | {"checksum": _integrity.checksum(root)}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
@@ -41,7 +42,10 @@ class RigidBody(Body, FreeBody):
 
         In Jacobi's elliptic functions, see `_free_body`. For many times, `jax.vmap(body.solution, (None, 0))`.
         """
-        return State(_free_body.attitude(self.inertia, state.q, state.p, t)[0], state.p)
+        return State(_attitude(self.inertia, state.q, state.p, t)[0], state.p)
+
+
+_attitude = jax.jit(_free_body.attitude)
 
 
 def rigid_body(inertia: ArrayLike) -> RigidBody:

@@ -1,0 +1,112 @@
+"""A step or a system as data: its numbers as named arrays, and everything else as JSON, from which it is made again.
+
+Classes, functions and modules are written down as names. Only names of this package are imported when a step is made
+again: a file must not choose what code is run.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import math
+from collections.abc import Callable, Mapping
+from types import ModuleType
+from typing import Any
+
+import jax
+import numpy as np
+
+from lieint_jax.groups.matrix import MatrixGroup
+from lieint_jax.types import Step
+
+_PACKAGE = __name__.partition(".")[0]
+
+
+def describe(step: Step) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The description of a step and of its system, which JSON can hold, and their arrays by name."""
+    arrays: dict[str, np.ndarray] = {}
+    system = _describe(step.system, "system", arrays, None)
+    return {"system": system, "step": _describe(step, "step", arrays, step.system)}, arrays
+
+
+def make(description: Any, arrays: Mapping[str, Any], own: Mapping[str, Any]) -> Any:
+    """What a description describes.
+
+    Args:
+        description: a part of what `describe` gives, such as its "system".
+        arrays: by name.
+        own: classes and functions that are not of this package, by the names that they are described by.
+    """
+    if not isinstance(description, Mapping):
+        return description
+    [(kind, value)] = list(description.items())[:1]
+    inner = {name: make(part, arrays, own) for name, part in description.get("fields", {}).items()}
+    makers: dict[str, Callable[[], Any]] = {
+        "array": lambda: np.asarray(arrays[value]),
+        "float": lambda: float(value),
+        "tuple": lambda: tuple(make(part, arrays, own) for part in value),
+        "name": lambda: _named(value, own),
+        "group": lambda: MatrixGroup(np.array(inner["basis"]), inner["name"], inner["unrolled"]),
+        "partial": lambda: jax.tree_util.Partial(make(value, arrays, own), *inner["args"], **dict(inner["keywords"])),
+        "class": lambda: _instance(_named(value, own), inner),
+    }
+    return makers[kind]()
+
+
+def _describe(x: Any, path: str, arrays: dict[str, np.ndarray], system: Any) -> Any:
+    def fields(**values: Any) -> dict[str, Any]:
+        return {name: _describe(value, f"{path}.{name}", arrays, system) for name, value in values.items()}
+
+    if x is system and x is not None:
+        return {"same": "system"}
+    if x is None or isinstance(x, bool | int | str):
+        return x
+    if isinstance(x, float):
+        return x if math.isfinite(x) else {"float": str(x)}
+    if isinstance(x, jax.Array | np.ndarray | np.generic):
+        arrays[path] = np.asarray(x)
+        return {"array": path}
+    if isinstance(x, tuple | list):
+        return {"tuple": [_describe(part, f"{path}.{i}", arrays, system) for i, part in enumerate(x)]}
+    if isinstance(x, MatrixGroup):
+        return {"group": x.name, "fields": {"basis": _lists(x.basis), "name": x.name, "unrolled": x.unrolled}}
+    if isinstance(x, jax.tree_util.Partial):
+        inside = fields(args=x.args, keywords=tuple(x.keywords.items()))
+        return {"partial": _describe(x.func, path, arrays, system), "fields": inside}
+    if isinstance(x, ModuleType) or hasattr(x, "__qualname__"):
+        return {"name": _name(x)}
+    if dataclasses.is_dataclass(x):
+        values = {field.name: getattr(x, field.name) for field in dataclasses.fields(x)}
+        return {"class": _name(type(x)), "fields": fields(**values)}
+    return {"name": f"{_name(type(x))} object"}
+
+
+def _lists(x: np.ndarray) -> Any:
+    return {"tuple": [_lists(part) for part in x]} if x.ndim else float(x)
+
+
+def _name(x: Any) -> str:
+    return x.__name__ if isinstance(x, ModuleType) else f"{x.__module__}.{x.__qualname__}"
+
+
+def _named(name: str, own: Mapping[str, Any]) -> Any:
+    """The object of a name: one of `own`, or one of this package."""
+    if name in own:
+        return own[name]
+    module, _, attribute = name.rpartition(".")
+    if module.partition(".")[0] == _PACKAGE and "<" not in attribute:
+        try:
+            return importlib.import_module(name)
+        except ModuleNotFoundError:
+            found = getattr(importlib.import_module(module), attribute, None)
+            if found is not None:
+                return found
+    raise ValueError(f"{name!r} is not of this package: give it by own={{{name!r}: …}}")
+
+
+def _instance(cls: type, fields: Mapping[str, Any]) -> Any:
+    """An instance of a dataclass with these fields, made without its checks, which its maker has done."""
+    x = object.__new__(cls)
+    for name, value in fields.items():
+        object.__setattr__(x, name, value)
+    return x

@@ -1,0 +1,61 @@
+"""Runs read from their stores."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from lieint_jax.ensemble import _store
+from lieint_jax.ensemble._description import make
+from lieint_jax.ensemble._job import Summary
+from lieint_jax.types import State, System, Trajectory
+
+
+def open_run(path: str | Path, own: Mapping[str, Any] | None = None) -> tuple[Any, System]:
+    """The run in a store, and its system, with which everything can be computed from it.
+
+    Args:
+        path: a folder NAME.zarr that `ensemble.run` or `lieint run` has written or is writing.
+        own: classes and functions of the system that are not of this package, such as a potential of your own, by their
+            names in the store. A name that is missing here is named by the error.
+
+    Returns:
+        What `ensemble.run` gives, as far as the run has come: a `Trajectory` of arrays on disk that are read when they
+        are indexed, or a `Summary`; and the system, whose numbers are those of the store. With `step_axis=0` they carry
+        the member axis.
+
+    Raises:
+        ValueError: no store, a damaged one (the message names the files), one of version 0.1, which has no numbers of
+            the system, or a name that `own` should give.
+
+    Example: the energies of all members at the end.
+
+        run, system = li.ensemble.open("run.zarr")
+        energies = jax.vmap(system.energy)(li.State(run.state.q[-1], run.state.p[-1]))
+    """
+    path = Path(path)
+    _store.check(path)
+    found, attributes = _store.load(path)
+    if "description" not in attributes:
+        raise ValueError(
+            f"{path} was written by version 0.1, which did not keep the numbers of the system; `lieint info`, "
+            "`lieint plot` and xarray.open_zarr read it"
+        )
+    if attributes["reduce"] is not None and not attributes["progress"]["complete"]:
+        raise ValueError(f"{path} is a run with `reduce` that is not complete: resume it; xarray.open_zarr reads it")
+    system = make(attributes["description"]["system"], _store.constants(path, attributes["constants"]), own or {})
+    return _result(found), system
+
+
+def opened(path: Path) -> Any:
+    """The run in a complete store: a `Trajectory` of arrays on disk, or a `Summary`."""
+    return _result(_store.load(path)[0])
+
+
+def _result(found: Any) -> Any:
+    if isinstance(found, Trajectory):
+        return found
+    state = State(found["q"], found["p"])
+    series = {name: found[name] for name in ("least", "greatest", "mean", "residual", "unconverged")}
+    return Summary(found["time"], **series, state=state, failed=found["first_failure"])
