@@ -28,7 +28,8 @@ save_every = 10
 members = 4
 seed = 1
 [state]
-angular_velocity = [0.01, 1.0, 0.0]
+quaternion = [1.0, 0.0, 0.0, 0.0]
+angular_velocity_rad = [0.01, 1.0, 0.0]
 [spread]
 angular_velocity_deg = 1.0
 """
@@ -167,7 +168,15 @@ BAD = [
     (dict(scheme='scheme = "rk4"'), "scheme: .*so3_midpoint"),
     (dict(inertia="inertia = [1.0, 2.0]"), "inertia: inertia must have shape"),
     (dict(inertia="inertia = [1.0, 2.0, -3.0]"), "inertia: inertia must be positive definite"),
-    (dict(angular_velocity=""), "state: give exactly one of angular_velocity"),
+    (dict(angular_velocity_rad=""), "state: give exactly one of angular_velocity_rad and angular_velocity_deg"),
+    (dict(quaternion=""), "state: give the attitude, by exactly one of quaternion and euler_313_deg"),
+    (
+        dict(angular_velocity_rad="angular_velocity = [0.01, 1.0, 0.0]"),
+        r"state.angular_velocity: unknown key; did you mean angular_velocity_rad or angular_velocity_deg\?",
+    ),
+    (dict(scheme='scheme = "exact"\nkappa = "cayley"'), "kappa is a key of so3_midpoint; exact has none"),
+    (dict(scheme='scheme = "exact"\norder = 4'), "order of exact is none, since it is exact, got 4"),
+    (dict(scheme='scheme = "preprocessed"\norder = 8'), "order of preprocessed is 4 or 6, got 8"),
     (
         dict(angular_velocity_deg="angular_velocity_deg = -1.0"),
         "spread.angular_velocity_deg: .*greater than or equal to 0",
@@ -175,7 +184,7 @@ BAD = [
     (dict(dt="dt = 3.0"), "first step fails for 4 member"),
     (dict(title="title = "), "not valid TOML"),
     (
-        dict(angular_velocity="angular_velocity = [1.0, 0.0, 0.0]\nquaternion = [2.0, 0, 0, 0]"),
+        dict(quaternion="quaternion = [2.0, 0.0, 0.0, 0.0]"),
         "state: .*unit quaternion",
     ),
     (dict(dt='dt = "0.1"'), "dt: .*'0.1'"),

@@ -7,7 +7,6 @@ import jax
 import pytest
 
 import lieint_jax as li
-
 from lieint_jax.command.compilation import keep_programs
 
 NAMES = (

@@ -96,8 +96,8 @@ BALL = [
     (dict(alpha=0.3), "alpha: the rule 'average' conserves energy for 0.5 only"),
     (dict(rule="symplectic", alpha=1.5), "alpha: .*less than or equal to 1"),
     (dict(steps=4), "steps = 4 must be more than 2·lag = 6"),
-    (dict(state={}), "state: give exactly one of angular_velocity, velocity, momentum"),
-    (dict(state={"deformation": (-np.eye(3)).tolist(), "angular_velocity": [0.0] * 3}), "positive determinant"),
+    (dict(state={}), "state: give exactly one of angular_velocity_rad, angular_velocity_deg, velocity, momentum"),
+    (dict(state={"deformation": (-np.eye(3)).tolist(), "angular_velocity_rad": [0.0] * 3}), "positive determinant"),
     (dict(state={"momentum": [[1.0, 0.0]]}), "state.momentum"),
 ]
 

@@ -135,7 +135,8 @@ scheme = "splitting"
 dt = 0.01
 steps = 100
 [state]
-angular_velocity = [0.0, 1.0, 5.0]
+quaternion = [1.0, 0.0, 0.0, 0.0]
+angular_velocity_rad = [0.0, 1.0, 5.0]
 """
 
 

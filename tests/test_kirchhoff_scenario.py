@@ -64,7 +64,10 @@ BAD = [
     (dict(semi_axes=[1.0, 2.0]), "semi_axes: "),
     (dict(semi_axes=[1.0, 2.0, 0.0]), "semi_axes.2: .*greater than 0"),
     (dict(map="arcsine"), "map: .*'exponential' or 'cayley'"),
-    (dict(state={"velocity": [0.0, 0.0, 1.0]}), "state.angular_velocity: key missing"),
+    (
+        dict(state={"velocity": [0.0, 0.0, 1.0]}),
+        "state: give exactly one of angular_velocity_rad and angular_velocity_deg",
+    ),
     (dict(spread={"velocity": -1.0}), "spread.velocity: .*greater than or equal to 0"),
 ]
 

@@ -20,7 +20,7 @@ from free_bodies import rows
 
 import lieint_jax as li
 from lieint_jax import ensemble
-from lieint_jax.command import cli, report
+from lieint_jax.command import cli, results
 from lieint_jax.ensemble import _job, _recording, _store
 
 J123 = np.array([1.0, 2.0, 3.0])
@@ -43,7 +43,8 @@ save_every = 100
 members = 100
 seed = 1
 [state]
-angular_velocity = [0.01, 1.0, 0.0]
+quaternion = [1.0, 0.0, 0.0, 0.0]
+angular_velocity_rad = [0.01, 1.0, 0.0]
 [spread]
 angular_velocity_deg = 5.0
 """
@@ -101,7 +102,7 @@ def test_xarray_reads_it(tmp_path, small_chunks):
     memory = run()
     run(ensemble.StoreOptions(tmp_path / "run.zarr", {"seed": 3, "scenario": {"title": "x"}}, "d"))
     with xarray.open_zarr(tmp_path / "run.zarr") as data:
-        assert data.sizes == {"time": 13, "member": 40, "q_component": 4, "p_component": 3}
+        assert data.sizes == {"time": 13, "member": 40, "q_component": 4, "p_component": 3, "system.inertia_axis0": 3}
         np.testing.assert_array_equal(data.q.sel(time=2.0, method="nearest"), memory.state.q[4])
         np.testing.assert_array_equal(data.time, memory.t)
         assert (data.attrs["dt"], data.attrs["seed"], data.time.attrs["units"]) == (0.1, 3, "d")
@@ -153,7 +154,7 @@ def test_a_damaged_file_of_any_kind_is_named_and_not_used(tmp_path, small_chunks
     for file in files:
         shutil.copytree(half, path)
         FAULTS[fault](path / file)
-        for use in (lambda: run(path, num_steps=120, resume=True), lambda: report.info(path)):
+        for use in (lambda: run(path, num_steps=120, resume=True), lambda: results.info(path)):
             with pytest.raises(ValueError, match=rf"{re.escape(file.as_posix())} is|is not there"):
                 use()
         shutil.rmtree(path)

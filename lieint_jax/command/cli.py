@@ -91,6 +91,8 @@ def _add_results(commands: Any) -> None:
     info.set_defaults(command=_info)
     plot = commands.add_parser("plot", help="report on results and draw them", description="Pictures of results.")
     plot.add_argument("path", type=Path, metavar="PATH")
+    plot.add_argument("--out", type=Path, metavar="DIR", help="folder of the pictures (default: that of PATH)")
+    plot.add_argument("--force", action="store_true", help="replace pictures that exist")
     plot.set_defaults(command=_plot)
     schema = commands.add_parser("schema", help="the keys of scenario files, as a JSON schema", description="Keys.")
     schema.set_defaults(command=_schema)
@@ -152,15 +154,15 @@ def _run(options: argparse.Namespace) -> None:
 
 
 def _info(options: argparse.Namespace) -> None:
-    from lieint_jax.command import report
+    from lieint_jax.command import results
 
-    report.info(options.path)
+    results.info(options.path)
 
 
 def _plot(options: argparse.Namespace) -> None:
-    from lieint_jax.command import report
+    from lieint_jax.command import results
 
-    report.plot(options.path)
+    results.plot(options.path, options.out, options.force)
 
 
 def _schema(_: argparse.Namespace) -> None:

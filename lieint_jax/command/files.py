@@ -43,6 +43,13 @@ def pictures(path: Path, kinds: Iterable[str]) -> list[Path]:
     return [path.with_name(f"{path.stem}-{kind}.png") for kind in kinds]
 
 
+def free_pictures(path: Path, kinds: Iterable[str], force: bool) -> None:
+    """ValueError if a picture beside `path` exists, unless it may be replaced."""
+    found = [picture for picture in pictures(path, kinds) if picture.exists()]
+    if found and not force:
+        raise ValueError(f"{found[0]} exists and is not overwritten; --force replaces it, --out takes another folder")
+
+
 def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:
     """Write a trajectory as .npz: arrays t, q, p, residual, converged, and `metadata` as JSON text."""
     with path.open("xb") as file:

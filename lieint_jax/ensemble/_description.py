@@ -86,7 +86,7 @@ def _lists(x: np.ndarray) -> Any:
 
 
 def _name(x: Any) -> str:
-    return x.__name__ if isinstance(x, ModuleType) else f"{x.__module__}.{x.__qualname__}"
+    return x.__name__ if isinstance(x, ModuleType) else f"{x.__module__}.{getattr(x, '__qualname__', '')}"
 
 
 def _named(name: str, own: Mapping[str, Any]) -> Any:
@@ -94,14 +94,20 @@ def _named(name: str, own: Mapping[str, Any]) -> Any:
     if name in own:
         return own[name]
     module, _, attribute = name.rpartition(".")
-    if module.partition(".")[0] == _PACKAGE and "<" not in attribute:
-        try:
-            return importlib.import_module(name)
-        except ModuleNotFoundError:
-            found = getattr(importlib.import_module(module), attribute, None)
-            if found is not None:
-                return found
+    found = _imported(name) or getattr(_imported(module), attribute, None)
+    if found is not None and _name(found) == name:
+        return found
     raise ValueError(f"{name!r} is not of this package: give it by own={{{name!r}: …}}")
+
+
+def _imported(name: str) -> ModuleType | None:
+    """The module of this package with this name, or None."""
+    if name.partition(".")[0] != _PACKAGE:
+        return None
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError:
+        return None
 
 
 def _instance(cls: type, fields: Mapping[str, Any]) -> Any:

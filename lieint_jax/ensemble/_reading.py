@@ -37,15 +37,20 @@ def open_run(path: str | Path, own: Mapping[str, Any] | None = None) -> tuple[An
     path = Path(path)
     _store.check(path)
     found, attributes = _store.load(path)
-    if "description" not in attributes:
-        raise ValueError(
-            f"{path} was written by version 0.1, which did not keep the numbers of the system; `lieint info`, "
-            "`lieint plot` and xarray.open_zarr read it"
-        )
+    system = system_of(path, attributes, own)
     if attributes["reduce"] is not None and not attributes["progress"]["complete"]:
         raise ValueError(f"{path} is a run with `reduce` that is not complete: resume it; xarray.open_zarr reads it")
-    system = make(attributes["description"]["system"], _store.constants(path, attributes["constants"]), own or {})
     return _result(found), system
+
+
+def system_of(path: Path, attributes: Mapping[str, Any], own: Mapping[str, Any] | None = None) -> System:
+    """The system of the run in a store of these attributes."""
+    if "description" not in attributes:
+        raise ValueError(
+            f"{path} was written by version 0.1, which did not keep the numbers of the system: only the states can be "
+            "read, by xarray.open_zarr"
+        )
+    return make(attributes["description"]["system"], _store.constants(path, attributes["constants"]), own or {})
 
 
 def opened(path: Path) -> Any:

@@ -320,6 +320,7 @@ def _attributes(job: Job, options: StoreOptions, described: dict[str, Any], chun
     return {
         "format": _store.FORMAT,
         "leaves": list(State._fields),
+        "time_unit": options.time_unit,
         "title": str(options.attributes.get("title", job.step.name)),
         "scheme": job.step.name,
         "system": type(job.step.system).__name__,

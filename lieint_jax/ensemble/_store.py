@@ -262,7 +262,7 @@ def _write_root(path: Path, root: dict[str, Any]) -> None:
         meta = json.loads(file.read_text())
         if meta["node_type"] != "array":
             continue
-        if meta["dimension_names"][:1] == ["time"]:
+        if (meta.get("dimension_names") or [""])[0] == "time":
             meta["shape"][0] = progress["entries"]
         elif not progress["complete"] and file.parent.name not in root["attributes"]["constants"]:
             continue  # its values are written at the end

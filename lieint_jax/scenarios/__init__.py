@@ -28,6 +28,8 @@ from lieint_jax import _discover
 from lieint_jax.scenarios._common import Common
 from lieint_jax.types import State, Step
 
+_OLD_KEYS = {"angular_velocity": "angular_velocity_rad"}
+
 
 def scenario_names() -> list[str]:
     """The names of the shipped scenarios."""
@@ -76,6 +78,19 @@ def parse(table: dict[str, Any], name: str) -> Any:
         raise ValueError(f"{name}: {_explain(error, model)}") from error
 
 
+def stored(table: dict[str, Any], name: str) -> Any:
+    """The scenario that results hold; those of version 0.1 have keys of then, without units."""
+
+    def renamed(tree: Any) -> Any:
+        if isinstance(tree, list):
+            return [renamed(value) for value in tree]
+        if isinstance(tree, dict):
+            return {_OLD_KEYS.get(key, key): renamed(value) for key, value in tree.items()}
+        return tree
+
+    return parse(renamed(table), name)
+
+
 def schema() -> dict[str, Any]:
     """The JSON schema of a scenario file: one of the kinds of system, told apart by the key `system`."""
     from pydantic.json_schema import models_json_schema
@@ -112,6 +127,13 @@ def _keys(model: Any, path: list[str]) -> list[str]:
     return list(model.model_fields)
 
 
+def _nearest(key: str, allowed: list[str]) -> list[str]:
+    """The allowed key that is most like `key`, or two that are equally like it; none if none is like it."""
+    near = difflib.get_close_matches(key, allowed, 2)
+    likeness = [difflib.SequenceMatcher(None, key, candidate).ratio() for candidate in near]
+    return [candidate for candidate, x in zip(near, likeness, strict=True) if x == likeness[0]]
+
+
 def _explain(error: ValidationError, model: Any) -> str:
     """The first problem of a validation, in one line that names the key; an unknown one with those that are known."""
     problem, *others = error.errors()
@@ -121,7 +143,8 @@ def _explain(error: ValidationError, model: Any) -> str:
     message = {"extra_forbidden": "unknown key", "missing": "key missing"}.get(problem["type"], problem["msg"])
     if problem["type"] == "extra_forbidden":
         allowed = _keys(model, [part for part in problem["loc"][:-1] if isinstance(part, str)])
-        near = difflib.get_close_matches(str(problem["loc"][-1]), allowed, 1)
-        message += f"{f'; did you mean {near[0]}?' if near else ''}; allowed: {', '.join(allowed)}" if allowed else ""
+        near = " or ".join(_nearest(str(problem["loc"][-1]), allowed))
+        message += f"; did you mean {near}?" if near else ""
+        message += f"; allowed: {', '.join(allowed)}" if allowed else ""
     more = f"; and {len(others)} more" if others else ""
     return f"{key}{': ' if key else ''}{message.removeprefix('Value error, ')}{given}{more}"

@@ -12,24 +12,24 @@ from pydantic import field_validator, model_validator
 
 from lieint_jax import _checks
 from lieint_jax.groups import so3
-from lieint_jax.scenarios._common import Common, NonNegative, Quadruple, Table, Triple
+from lieint_jax.scenarios._common import Common, NonNegative, Quadruple, Rate, RateSpread, Triple
 from lieint_jax.types import State
 
 
-class InitialState(Table):
-    """The nominal state: an attitude (quaternion or Euler 3-1-3 angles) and a body angular velocity."""
+class InitialState(Rate):
+    """The nominal state: an attitude, by one of two keys, and an angular velocity in the body."""
 
     quaternion: Quadruple | None = None
+    """Attitude (w, x, y, z), body to space, of unit length."""
     euler_313_deg: Triple | None = None
-    angular_velocity: Triple | None = None
-    angular_velocity_deg: Triple | None = None
+    """Attitude R_z(α) R_x(β) R_z(γ), body to space, in degrees."""
 
     @model_validator(mode="after")
     def _one_of_each(self) -> Self:
-        if self.quaternion is not None and self.euler_313_deg is not None:
-            raise ValueError("give quaternion or euler_313_deg, not both")
-        if (self.angular_velocity is None) == (self.angular_velocity_deg is None):
-            raise ValueError("give exactly one of angular_velocity (radians) and angular_velocity_deg")
+        if (self.quaternion is None) == (self.euler_313_deg is None):
+            raise ValueError("give the attitude, by exactly one of quaternion and euler_313_deg")
+        if self.rate() is None:
+            raise ValueError("give exactly one of angular_velocity_rad and angular_velocity_deg")
         if self.quaternion is not None:
             _checks.unit_quaternion("quaternion", self.quaternion)
         return self
@@ -37,25 +37,21 @@ class InitialState(Table):
     def attitude(self) -> Any:
         if self.euler_313_deg is not None:
             return so3.from_euler_313(jnp.deg2rad(jnp.asarray(self.euler_313_deg)))
-        return jnp.asarray(self.quaternion or [1.0, 0.0, 0.0, 0.0])
-
-    def rate(self) -> Any:
-        if self.angular_velocity_deg is not None:
-            return jnp.deg2rad(jnp.asarray(self.angular_velocity_deg))
-        return jnp.asarray(self.angular_velocity)
+        return jnp.asarray(self.quaternion)
 
 
-class Spread(Table):
-    """Standard deviations, per component, of the members about the nominal state."""
+class Spread(RateSpread):
+    """Standard deviations of the members about the nominal state."""
 
     attitude_deg: NonNegative = 0.0
-    angular_velocity_deg: NonNegative = 0.0
+    """Of a turn about each axis of space, in degrees."""
 
 
 class BodyScenario(Common):
     """The keys of every scenario of a rigid body."""
 
     inertia: list[Any]
+    """Principal moments (3) or a tensor in body axes (3 × 3)."""
     state: InitialState
     spread: Spread = Spread()
 
@@ -68,7 +64,7 @@ class BodyScenario(Common):
     def assumption(self) -> str:
         return (
             f"spread about the nominal state, an assumption: {self.spread.attitude_deg:g}° of attitude and "
-            f"{self.spread.angular_velocity_deg:g}°/{self.time_unit} of angular velocity (1 sigma, each component)"
+            f"{np.rad2deg(self.spread.rate()):g}°/{self.time_unit} of angular velocity (1 sigma, each component)"
         )
 
 
@@ -77,8 +73,8 @@ def ensemble(scenario: BodyScenario, body: Any) -> State:
     kick, jolt = jax.random.normal(jax.random.key(scenario.seed), (2, scenario.members, 3))
     kick, jolt = (x.at[0].set(0.0) for x in (kick, jolt))
     kick = jnp.deg2rad(scenario.spread.attitude_deg) * kick
-    jolt = jnp.deg2rad(scenario.spread.angular_velocity_deg) * jolt
-    q, Omega = scenario.state.attitude(), scenario.state.rate()
+    jolt = scenario.spread.rate() * jolt
+    q, Omega = scenario.state.attitude(), jnp.asarray(scenario.state.rate())
 
     def member(kick: Array, jolt: Array) -> State:
         return body.state(so3.multiply(so3.exp(kick), q), angular_velocity=Omega + jolt)

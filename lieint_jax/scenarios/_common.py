@@ -23,31 +23,46 @@ Text = Annotated[str, Field(pattern=r"^[^$]*$")]  # without $, which matplotlib 
 
 
 class Table(BaseModel):
-    """A table of keys, strictly validated: no unknown keys, no text for a number, no nan."""
+    """A table of keys, strictly validated: no unknown keys, no text for a number, no nan.
 
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    The text below a key is its description in the JSON schema, with its unit. Angles have theirs in the key.
+    """
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True)
 
 
 class Published(Table):
     """A published number, with its error and source."""
 
     value: float
+    """Periods in time_unit; what ends in _deg, in degrees."""
     error: Annotated[float, Field(gt=0)] | None = None
+    """Standard deviation, in the unit of the value."""
     source: str
+    """A key of the table sources, or the source itself if there is no such table."""
 
 
 class Common(Table):
     """The keys of every scenario. A kind of system adds `system: Literal["its name"]`, schemes and parameters."""
 
     title: Text
+    """Shown in reports and pictures."""
     time_unit: Text = "time unit"
+    """The name of the unit of time. Units of length and mass are yours; all numbers must agree with them."""
     system: str
+    """The kind of system."""
     dt: float
+    """Step size, in time_unit, of either sign."""
     steps: Positive
+    """The number of steps, a multiple of save_every."""
     save_every: Positive = 1
+    """Steps between saved states."""
     members: Annotated[int, Field(gt=0, le=10**9)] = 1
+    """The number of members of the ensemble; the first is the nominal state."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Of the random deviations of the members."""
     sources: dict[str, str] = {}
+    """Full references, by the short names that `source` keys give."""
 
     @model_validator(mode="after")
     def _steps_and_saves(self) -> Self:
@@ -71,6 +86,42 @@ class Common(Table):
     def source(self, key: str) -> str:
         """The source under `key`, or `key` itself."""
         return self.sources.get(key, key)
+
+
+class Rate(Table):
+    """An angular velocity, by one of two keys; its frame is said where it is used."""
+
+    angular_velocity_rad: Triple | None = None
+    """In radians per time_unit."""
+    angular_velocity_deg: Triple | None = None
+    """In degrees per time_unit."""
+
+    def rate(self) -> list[float] | None:
+        """Radians per time_unit; None if neither key is given, ValueError if both are."""
+        if self.angular_velocity_deg is None:
+            return self.angular_velocity_rad
+        if self.angular_velocity_rad is not None:
+            raise ValueError("give angular_velocity_rad or angular_velocity_deg, not both")
+        return np.deg2rad(self.angular_velocity_deg).tolist()
+
+
+class RateSpread(Table):
+    """A standard deviation of angular velocity, by one of two keys."""
+
+    angular_velocity_rad: NonNegative = 0.0
+    """In radians per time_unit, each component."""
+    angular_velocity_deg: NonNegative = 0.0
+    """In degrees per time_unit, each component."""
+
+    @model_validator(mode="after")
+    def _one_key(self) -> Self:
+        if self.angular_velocity_rad and self.angular_velocity_deg:
+            raise ValueError("give angular_velocity_rad or angular_velocity_deg, not both")
+        return self
+
+    def rate(self) -> float:
+        """Radians per time_unit."""
+        return self.angular_velocity_rad + float(np.deg2rad(self.angular_velocity_deg))
 
 
 def _sources(tree: Any) -> list[str]:

@@ -29,10 +29,14 @@ class Scenario(BodyScenario):
 
     system: Literal["heavy_top"]  # pyright: ignore[reportIncompatibleVariableOverride]
     weight: Triple
+    """The weight times the vector to the centre of mass, in body axes: an energy."""
     axis: Triple = [0.0, 0.0, 1.0]
+    """The direction in space along which the potential energy grows: upwards."""
     scheme: Literal["top_energy_momentum", "splitting"] = "top_energy_momentum"
     kappa: Literal["cayley", "exponential", "symplectic"] | None = None
+    """The κ of top_energy_momentum; by default cayley."""
     order: Literal[2, 4, 6, 8] = 2
+    """Of accuracy; above 2 by composition."""
 
     @field_validator("weight", "axis")
     @classmethod

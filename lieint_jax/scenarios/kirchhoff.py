@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from lieint_jax import diagnostics, maps, plots, schemes
-from lieint_jax.scenarios._common import Common, NonNegative, Table, Triple, deviation, follow, member, nominal, series
+from lieint_jax.scenarios._common import (
+    Common,
+    NonNegative,
+    Rate,
+    RateSpread,
+    Triple,
+    deviation,
+    follow,
+    member,
+    nominal,
+    series,
+)
 from lieint_jax.scenarios._runge_kutta import RungeKutta
 from lieint_jax.systems import Euler, kirchhoff
 from lieint_jax.types import State, Step, Trajectory
@@ -19,18 +30,24 @@ from lieint_jax.types import State, Step, Trajectory
 PositiveTriple = Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=3, max_length=3)]
 
 
-class InitialState(Table):
+class InitialState(Rate):
     """The nominal state: at the origin, axes along those of space, with these velocities in the body."""
 
-    angular_velocity: Triple
     velocity: Triple
+    """In body axes, in the unit of semi_axes per time_unit."""
+
+    @model_validator(mode="after")
+    def _one_rate(self) -> Self:
+        if self.rate() is None:
+            raise ValueError("give exactly one of angular_velocity_rad and angular_velocity_deg")
+        return self
 
 
-class Spread(Table):
-    """Standard deviations, per component, of the members about the nominal state."""
+class Spread(RateSpread):
+    """Standard deviations of the members about the nominal state."""
 
-    angular_velocity: NonNegative = 0.0
     velocity: NonNegative = 0.0
+    """Of each component, in the unit of semi_axes per time_unit."""
 
 
 class Scenario(Common):
@@ -38,16 +55,19 @@ class Scenario(Common):
 
     system: Literal["kirchhoff"]  # pyright: ignore[reportIncompatibleVariableOverride]
     semi_axes: PositiveTriple
+    """Of the ellipsoid, in a unit of length."""
     center_of_mass: Triple = [0.0, 0.0, 0.0]
+    """In body axes from the centre of the ellipsoid, in the same unit."""
     scheme: Literal["group_midpoint"] = "group_midpoint"
     map: Literal["exponential", "cayley"] = "exponential"
     order: Literal[2, 4, 6, 8] = 2
+    """Of accuracy; above 2 by composition."""
     state: InitialState
     spread: Spread = Spread()
 
     def assumption(self) -> str:
         return (
-            f"spread about the nominal state, an assumption: {self.spread.angular_velocity:g} rad/{self.time_unit} of "
+            f"spread about the nominal state, an assumption: {self.spread.rate():g} rad/{self.time_unit} of "
             f"angular velocity and {self.spread.velocity:g} of velocity (1 sigma, each component)"
         )
 
@@ -60,8 +80,8 @@ def build(scenario: Scenario) -> tuple[Step, State]:
     if scenario.order > 2:
         step = schemes.compose(step, scenario.order)
     jolt = jax.random.normal(jax.random.key(scenario.seed), (scenario.members, 6)).at[0].set(0.0)
-    unit = jnp.repeat(jnp.array([scenario.spread.angular_velocity, scenario.spread.velocity]), 3)
-    velocities = jnp.array(scenario.state.angular_velocity + scenario.state.velocity) + unit * jolt
+    unit = jnp.repeat(jnp.array([scenario.spread.rate(), scenario.spread.velocity]), 3)
+    velocities = jnp.array([*(scenario.state.rate() or []), *scenario.state.velocity]) + unit * jolt
     return step, jax.vmap(lambda v: body.state(velocity=v))(velocities)
 
 

@@ -24,7 +24,9 @@ class InitialState(Table):
     """The nominal state: a unit vector, and a velocity, whose component along the vector is removed."""
 
     direction: Triple
+    """A unit vector in space, from the pivot to the bob."""
     velocity: Triple
+    """Of the direction, per time_unit: for a pendulum of length 1 the bob's velocity."""
 
     @field_validator("direction")
     @classmethod
@@ -36,7 +38,9 @@ class Spread(Table):
     """Standard deviations, per component, of the members about the nominal state."""
 
     direction_deg: NonNegative = 0.0
+    """In degrees."""
     velocity: NonNegative = 0.0
+    """Of the direction, per time_unit."""
 
 
 class Scenario(Common):
@@ -44,10 +48,14 @@ class Scenario(Common):
 
     system: Literal["pendulum"]  # pyright: ignore[reportIncompatibleVariableOverride]
     mass: Annotated[float, Field(gt=0)]
+    """In a unit of mass."""
     gravity: float
+    """The acceleration of gravity over the pendulum's length, per time_unit squared."""
     axis: Triple = [0.0, 0.0, -1.0]
+    """The direction of gravity in space, a unit vector: downwards."""
     scheme: Literal["sphere_midpoint"] = "sphere_midpoint"
     normalised: bool = False
+    """Whether the midpoint is put back on the sphere, which makes the scheme symplectic."""
     state: InitialState
     spread: Spread = Spread()
 

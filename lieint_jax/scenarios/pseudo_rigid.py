@@ -16,6 +16,8 @@ from lieint_jax.scenarios._common import (
     NonNegative,
     Positive,
     Published,
+    Rate,
+    RateSpread,
     Table,
     Triple,
     follow,
@@ -36,16 +38,20 @@ class Material(Table):
 
     law: Literal["mooney_rivlin", "neo_hookean", "saint_venant_kirchhoff"] = "mooney_rivlin"
     lam: Above
+    """Lamé's λ times the body's volume: an energy."""
     mu: Above
+    """Lamé's μ times the body's volume: an energy."""
 
 
-class InitialState(Table):
-    """The nominal state: F, and one of angular velocity, velocity and momentum."""
+class InitialState(Rate):
+    """The nominal state: F, and one of angular velocity in space, velocity and momentum."""
 
     deformation: Matrix = np.eye(3).tolist()
-    angular_velocity: Triple | None = None
+    """F, 3 × 3, without unit; by default undeformed, axes along those of space."""
     velocity: Matrix | None = None
+    """The time derivative of F, per time_unit."""
     momentum: Matrix | None = None
+    """P, of F: velocity times the second moments of mass."""
 
     @field_validator("deformation")
     @classmethod
@@ -57,19 +63,19 @@ class InitialState(Table):
     @model_validator(mode="after")
     def _one_motion(self) -> Self:
         if len(self.motion()) != 1:
-            raise ValueError("give exactly one of angular_velocity, velocity, momentum")
+            raise ValueError("give exactly one of angular_velocity_rad, angular_velocity_deg, velocity, momentum")
         return self
 
     def motion(self) -> dict[str, Any]:
-        given = {key: getattr(self, key) for key in ("angular_velocity", "velocity", "momentum")}
+        given = {"angular_velocity": self.rate(), "velocity": self.velocity, "momentum": self.momentum}
         return {key: value for key, value in given.items() if value is not None}
 
 
-class Spread(Table):
-    """Standard deviations of the members about the nominal state: of each entry of F, of an added angular velocity."""
+class Spread(RateSpread):
+    """Standard deviations of the members about the nominal state; the angular velocity is added to it."""
 
     deformation: NonNegative = 0.0
-    angular_velocity: NonNegative = 0.0
+    """Of each entry of F, without unit."""
 
 
 class Scenario(Common):
@@ -77,11 +83,14 @@ class Scenario(Common):
 
     system: Literal["pseudo_rigid"]  # pyright: ignore[reportIncompatibleVariableOverride]
     inertia: list[Any]
+    """E, the second moments of mass, principal (3) or a tensor in body axes (3 × 3)."""
     material: Material
     scheme: Literal["additive"] = "additive"
     rule: Literal["average", "symplectic", "energy", "energy_momentum"] = "average"
     alpha: Annotated[float, Field(ge=0, le=1)] = 0.5
+    """α of the symplectic rule."""
     lag: Positive = 3
+    """Of the delay plots, in steps."""
     state: InitialState
     spread: Spread = Spread()
     published: dict[Literal["midpoint_energy_variation"], Published] = {}
@@ -103,7 +112,7 @@ class Scenario(Common):
     def assumption(self) -> str:
         return (
             f"spread about the nominal state, an assumption: {self.spread.deformation:g} of each entry of F and "
-            f"{self.spread.angular_velocity:g} of angular velocity (1 sigma, each component)"
+            f"{self.spread.rate():g} rad of angular velocity (1 sigma, each component)"
         )
 
 
@@ -114,7 +123,7 @@ def build(scenario: Scenario) -> tuple[Step, State]:
     start = body.state(np.asarray(scenario.state.deformation), **scenario.state.motion())
     for_F, for_spin = jax.random.split(jax.random.key(scenario.seed))
     dF = scenario.spread.deformation * jax.random.normal(for_F, (scenario.members, 3, 3)).at[0].set(0.0)
-    spin = scenario.spread.angular_velocity * jax.random.normal(for_spin, (scenario.members, 3)).at[0].set(0.0)
+    spin = scenario.spread.rate() * jax.random.normal(for_spin, (scenario.members, 3)).at[0].set(0.0)
     V = body.velocity(start)
 
     def member(dF: Any, spin: Any) -> State:

@@ -28,19 +28,35 @@ class Observation(InitialState):
 
     label: Text
     t: float
+    """In time_unit, a multiple of dt times save_every."""
     source: str
+    """A key of the table sources, or the source itself if there is no such table."""
 
 
 class Scenario(BodyScenario):
     """The keys of a scenario of this kind."""
 
     system: Literal["rigid_body"]  # pyright: ignore[reportIncompatibleVariableOverride]
-    scheme: Literal["so3_midpoint"] = "so3_midpoint"
-    kappa: Literal["symplectic", "cayley", "exponential"] = "symplectic"
+    scheme: Literal["so3_midpoint", "so3_explicit", "preprocessed", "calibrated", "exact"] = "so3_midpoint"
+    kappa: Literal["symplectic", "cayley", "exponential"] | None = None
+    """The κ of so3_midpoint; by default the symplectic one."""
+    order: Literal[2, 4, 6, 8, 10] | None = None
+    """Of so3_midpoint and so3_explicit, by default 2, above 2 by composition; of preprocessed, 4 or 6."""
     published: dict[
         Literal["precession_period", "rotation_period", "momentum_longitude_deg", "momentum_latitude_deg"], Published
     ] = {}
     observation: list[Observation] = []
+
+    @model_validator(mode="after")
+    def _keys_of_the_scheme(self) -> Self:
+        orders = {"so3_midpoint": (2, 4, 6, 8, 10), "so3_explicit": (2, 4, 6, 8, 10), "preprocessed": (4, 6)}
+        if self.kappa is not None and self.scheme != "so3_midpoint":
+            raise ValueError(f"kappa is a key of so3_midpoint; {self.scheme} has none")
+        allowed = orders.get(self.scheme, ())
+        if self.order is not None and self.order not in allowed:
+            known = f"{' or '.join(map(str, allowed))}" if allowed else "none, since it is exact"
+            raise ValueError(f"order of {self.scheme} is {known}, got {self.order}")
+        return self
 
     @model_validator(mode="after")
     def _observations_are_saved(self) -> Self:
@@ -54,7 +70,22 @@ class Scenario(BodyScenario):
 def build(scenario: Scenario) -> tuple[Step, State]:
     """The step and the batch of initial states."""
     body = systems.rigid_body(scenario.inertia)
-    return schemes.so3_midpoint(body, getattr(maps, f"kappa_{scenario.kappa}")), ensemble(scenario, body)
+    return _step(scenario, body), ensemble(scenario, body)
+
+
+def _step(scenario: Scenario, body: RigidBody) -> Step:
+    match scenario.scheme:
+        case "exact":
+            return schemes.exact(body)
+        case "calibrated":
+            return schemes.calibrated(body)
+        case "preprocessed":
+            return schemes.preprocessed(body, scenario.order or 4)
+        case "so3_explicit":
+            step: Step = schemes.so3_explicit(body)
+        case _:
+            step = schemes.so3_midpoint(body, getattr(maps, f"kappa_{scenario.kappa or 'symplectic'}"))
+    return step if scenario.order in (None, 2) else schemes.compose(step, scenario.order)
 
 
 def report(scenario: Scenario, step: Any, run: Trajectory) -> str:

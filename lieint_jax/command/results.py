@@ -1,0 +1,181 @@
+"""The commands `info` and `plot`: what a file of results holds, in words and in pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from lieint_jax import scenarios
+from lieint_jax.command import files, pictures
+from lieint_jax.command.pictures import StoredRun
+from lieint_jax.ensemble._reading import system_of
+from lieint_jax.scenarios._common import POINTS, Common
+from lieint_jax.types import Step, Trajectory
+
+_SHOWN = 2**28  # the most bytes of a store that are read to draw it
+_TIMES, _BLOCK = 17, 8192  # saved times at which energies are measured, and members at once
+
+
+def info(path: Path) -> None:
+    """Describe a file of results."""
+    print(contents(path))
+
+
+def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
+    """Report on a file of results and draw it: the pictures of its scenario, or those of a run of any system.
+
+    Args:
+        path: the file.
+        out: the folder of the pictures; by default that of the file.
+        force: replace pictures that exist.
+    """
+    run, metadata = files.load(path)
+    if len(_times(run)) < 2:
+        raise ValueError(f"{path} holds the initial states only: there is nothing to draw yet")
+    if out and not out.is_dir():
+        raise ValueError(f"the folder {out} does not exist; make it first")
+    plain = out / path.name if out else path
+    scenario = _scenario(path, metadata)
+    if scenario and isinstance(run, Trajectory):
+        drawn = _plot_scenario(scenario, run, plain, force)
+    else:
+        drawn = _plot_any(_stored(path, run, metadata), contents(path, run, metadata), plain, force)
+    print(f"\nwritten: {', '.join(map(str, drawn))}")
+
+
+def _plot_scenario(scenario: Common, run: Trajectory, plain: Path, force: bool) -> list[Path]:
+    kind, members = scenarios.kind(scenario), scenario.members
+    files.free_pictures(plain, kind.PICTURES, force)
+    step, _ = kind.build(scenario.model_copy(update={"members": 1}))
+    shown = slice(_shown(run))
+    run = Trajectory(run.t, *jax.tree.map(lambda x: x[:, shown], (run.state, run.info)))
+    changes = {"steps": (len(run.t) - 1) * scenario.save_every, "members": run.state.p.shape[1]}
+    scenario = scenario.model_copy(update=changes)
+    print(headline(scenario, step))
+    if scenario.members < members:
+        print(f"  the first {scenario.members} of {members} members")
+    drawn = draw(plain, kind.PICTURES, scenario, step, run)
+    print(kind.report(scenario, step, run))
+    return drawn
+
+
+def _plot_any(stored: StoredRun, text: str, plain: Path, force: bool) -> list[Path]:
+    kinds = pictures.of(stored)
+    files.free_pictures(plain, kinds, force)
+    print(text)
+    if isinstance(stored.run, Trajectory):
+        times = np.unique(np.linspace(0, len(stored.run.t) - 1, min(len(stored.run.t), POINTS)).astype(int))
+        stored = stored.part(times, slice(_shown(stored.run)))
+    return draw(plain, kinds, stored)
+
+
+def draw(path: Path, kinds: Mapping[str, Callable[..., Any]], *arguments: Any) -> list[Path]:
+    """Write the pictures that the functions `kinds` draw, named after `path`; their paths."""
+    drawn = files.pictures(path, kinds)
+    for file, picture in zip(drawn, kinds.values(), strict=True):
+        picture(*arguments).savefig(file, dpi=160)
+    return drawn
+
+
+def _shown(run: Trajectory) -> int:
+    """The number of the first members that are drawn."""
+    return max(1, min(_SHOWN // sum(x[:, 0].nbytes for x in run.state), run.state.p.shape[1]))
+
+
+def _times(run: Any) -> Any:
+    return run.t if isinstance(run, Trajectory) else run["time"]
+
+
+def _scenario(path: Path, metadata: dict[str, Any]) -> Any:
+    """The scenario of results, or None if they have none of `lieint run`."""
+    table = metadata.get("scenario", {})
+    return scenarios.stored(table, str(path)) if "system" in table else None
+
+
+def _stored(path: Path, run: Any, metadata: dict[str, Any]) -> StoredRun:
+    """A run with its system, which a store has, or else its scenario; ValueError if the system is not known."""
+    scenario = None if "description" in metadata else _scenario(path, metadata)
+    if scenario:
+        step, _ = scenarios.kind(scenario).build(scenario.model_copy(update={"members": 1}))
+        return StoredRun(scenario.title, scenario.time_unit, step.system, run, False)
+    own_system = metadata["run"]["step_axis"] == 0
+    return StoredRun(metadata["title"], metadata["time_unit"], system_of(path, metadata), run, own_system)
+
+
+def contents(path: Path, run: Any = None, metadata: Any = None) -> str:
+    """A description of a file of results, in lines."""
+    if run is None:
+        run, metadata = files.load(path)
+    lines = [str(metadata.get("title") or metadata["scenario"]["title"]), *_origin(run, metadata)]
+    t = _times(run)
+    if not len(t):
+        return "\n".join(lines)
+    lines.append(f"  t = {t[0]:.6g} … {t[-1]:.6g}")
+    if not isinstance(run, Trajectory):
+        return "\n".join([*lines, *_changes(run)])
+    if len(t) > 1:
+        try:
+            lines += _kept(_stored(path, run, metadata))
+        except ValueError as unknown:
+            lines.append(f"  energies are not computed: {unknown}")
+    return "\n".join(lines)
+
+
+def _origin(run: Any, metadata: dict[str, Any]) -> list[str]:
+    """What was run, how far it has come, and by which versions."""
+    progress = metadata.get("progress")
+    if not progress:
+        return [f"  {run.state.p.shape[1]} member(s), {len(run.t)} entries; lieint_jax {metadata['lieint_jax']}"]
+    planned = metadata["num_steps"]
+    state = "complete" if progress["complete"] else f"{progress['steps']} of {planned} steps; --resume goes on"
+    versions = ", ".join(f"{name} {version}" for name, version in metadata["run"]["versions"].items())
+    return [
+        f"  {metadata['scheme']} · {metadata['system']}, {metadata['members']} member(s), {planned} steps of "
+        f"{metadata['dt']:.6g}",
+        f"  {state}: {len(_times(run))} of {planned // metadata['save_every'] + 1} entries",
+        f"  written by {versions} on {metadata['run']['device']}, {metadata['run']['compiler_options']}",
+    ]
+
+
+def _changes(series: dict[str, np.ndarray]) -> list[str]:
+    """The range of a reduced quantity's change."""
+    least, greatest, mean = np.nanmin(series["least"]), np.nanmax(series["greatest"]), np.nanmean(series["mean"])
+    return [
+        f"  change: least {least:.3g}, greatest {greatest:.3g}, mean {mean:.3g}",
+        f"  largest residual {series['residual'].max():.2g}; unconverged members {series['unconverged'].max()}",
+    ]
+
+
+def _kept(stored: StoredRun) -> list[str]:
+    """Two lines: the largest change of energy at `_TIMES` saved times, and how many members converged."""
+    run = stored.run
+    count = run.state.p.shape[1]
+    times = np.unique(np.linspace(0, len(run.t) - 1, _TIMES).astype(int))
+    worst = size = failed = 0.0
+    for first in range(0, count, _BLOCK):
+        part = slice(first, first + _BLOCK)
+        H = stored.part(times, part).series(lambda system, z: system.energy(z))
+        worst, size = max(worst, float(abs(H - H[0]).max())), max(size, float(abs(H[0]).max()))
+        failed += int((~np.asarray(run.info.converged[:, part])).any(axis=0).sum())
+    relative = f" ({worst / size:.2g} of the largest energy)" if size else ""
+    return [
+        f"  largest change of energy, all members, {len(times)} times: {worst:.2g}{relative}",
+        f"  {int(count - failed)} of {count} members converged at every step",
+    ]
+
+
+def headline(scenario: Common, step: Step) -> str:
+    """The lines that a report of a scenario begins with."""
+    unit, span = scenario.time_unit, scenario.dt * scenario.steps
+    lines = [
+        scenario.title,
+        f"  {scenario.members} member(s), {scenario.steps} steps of {scenario.dt:.6g} {unit} = {span:.6g} {unit}, "
+        f"{step.name}",
+    ]
+    if scenario.members > 1 and scenario.assumption():
+        lines.append(f"  {scenario.assumption()}")
+    return "\n".join(lines)

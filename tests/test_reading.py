@@ -1,0 +1,170 @@
+"""Runs read back: a store gives its system too, old stores and files still open, and any run of a system is drawn."""
+
+import json
+import shutil
+import zipfile
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray
+
+import lieint_jax as li
+from lieint_jax import _discover, schemes, systems
+from lieint_jax.command import cli, files
+from lieint_jax.ensemble._description import describe, make
+
+DATA = Path(__file__).parent / "data"
+BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+STATES = jax.jit(jax.vmap(lambda w: BODY.state(angular_velocity=w)))(
+    np.array([[0.2, 0.0, 1.0], [0.3, -0.5, 0.8], [-1.0, 0.1, 0.0]])
+)
+EXAMPLES = [
+    (f"{module}.{name}", body)
+    for module, found in _discover.modules(systems).items()
+    for name, (body, *_) in found.examples().items()
+]
+
+
+def stored(tmp_path, **options):
+    """A short run of three bodies in a store."""
+    path, step = tmp_path / "run.zarr", li.schemes.so3_midpoint(BODY)
+    run = li.ensemble.run(step, STATES, 0.05, 20, 10, store=path, progress=False, **options)
+    return path, run
+
+
+@pytest.mark.parametrize(("name", "body"), EXAMPLES, ids=[name for name, _ in EXAMPLES])
+def test_every_system_of_the_package_is_made_again_from_its_description(name, body):
+    """The same leaves, bit for bit, and the same structure: jit takes the same program."""
+    [step, *_] = [step for m in _discover.modules(schemes).values() for step in m.examples(body).values()]
+    description, arrays = describe(step)
+    assert sorted(arrays)
+    again = make(json.loads(json.dumps(description))["system"], arrays, {})
+    assert jax.tree.structure(again) == jax.tree.structure(body)
+    jax.tree.map(np.testing.assert_array_equal, again, body)
+
+
+def test_a_store_gives_the_trajectory_and_the_system_back(tmp_path):
+    path, run = stored(tmp_path)
+    again, body = li.ensemble.open(path)
+    np.testing.assert_array_equal(again.state.q[:], run.state.q[:])
+    assert jax.tree.structure(body) == jax.tree.structure(BODY)
+    last = li.State(*(jnp.asarray(x[-1]) for x in again.state))
+    np.testing.assert_array_equal(jax.vmap(body.energy)(last), jax.vmap(BODY.energy)(last))
+    shown = xarray.open_zarr(path)
+    np.testing.assert_array_equal(shown["system.inertia"], [1, 2, 3])
+    assert (shown.attrs["format"], shown.attrs["leaves"]) == (2, ["q", "p"])
+
+
+def test_members_with_systems_of_their_own(tmp_path):
+    J = np.array([[1.0, 2.0, 3.0], [2.0, 2.0, 3.0], [2.0, 4.0, 5.0]])
+    steps = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.RigidBody(J)))(J)
+    li.ensemble.run(steps, STATES, 0.05, 4, store=tmp_path / "own.zarr", step_axis=0, progress=False)
+    run, bodies = li.ensemble.open(tmp_path / "own.zarr")
+    np.testing.assert_array_equal(bodies.inertia, J)
+    assert xarray.open_zarr(tmp_path / "own.zarr")["system.inertia"].dims[0] == "member"
+    last = li.State(*(jnp.asarray(x[-1]) for x in run.state))
+    energies = jax.vmap(lambda body, z: body.energy(z))
+    np.testing.assert_allclose(energies(bodies, last), energies(bodies, STATES), rtol=2e-15)  # seen: 4e-16
+
+
+def test_a_summary_and_its_system(tmp_path):
+    path, run = stored(tmp_path, reduce="energy")
+    again, body = li.ensemble.open(path)
+    np.testing.assert_array_equal(again.greatest, run.greatest)
+    np.testing.assert_array_equal(body.inertia, [1, 2, 3])
+
+
+def my_wells(R):
+    return jnp.sum(R**4)
+
+
+def test_a_function_of_one_s_own_is_asked_for_by_its_name():
+    top = li.systems.potential_top([1.0, 2.0, 3.0], my_wells, axis=None)
+    description, arrays = describe(li.schemes.splitting(top))
+    name = f"{my_wells.__module__}.my_wells"
+    with pytest.raises(ValueError, match=f"'{name}' is not of this package: give it by own="):
+        make(description["system"], arrays, {})
+    again = make(description["system"], arrays, {name: my_wells})
+    assert jax.tree.structure(again) == jax.tree.structure(top)
+
+
+@pytest.mark.parametrize(
+    "name", ["os.system", "lieint_jax.nothing", "lieint_jax.command.cli.os.system", "lieint_jax.ensemble._store.shutil"]
+)
+def test_a_description_cannot_name_code_outside_the_package(name):
+    with pytest.raises(ValueError, match="is not of this package"):
+        make({"name": name}, {}, {})
+
+
+def test_a_constant_array_is_guarded_too(tmp_path):
+    path, _ = stored(tmp_path)
+    [chunk] = (path / "system.inertia" / "c").rglob("0")
+    chunk.write_bytes(chunk.read_bytes()[:-1] + b"\0")
+    with pytest.raises(ValueError, match=r"system.inertia/c/0 is altered"):
+        li.ensemble.open(path)
+
+
+def old(tmp_path, name):
+    """Results that version 0.1 wrote."""
+    if name.endswith(".npz"):
+        return shutil.copy(DATA / name, tmp_path / name)
+    with zipfile.ZipFile(DATA / f"{name}.zip") as archive:
+        archive.extractall(tmp_path)
+    return tmp_path / name.replace("-0.1", "")
+
+
+@pytest.mark.parametrize("name", ["toutatis-0.1.npz", "toutatis-0.1.zarr"])
+def test_results_of_version_0_1_still_open(tmp_path, name, capsys):
+    path = old(tmp_path, name)
+    run, _ = files.load(Path(path))
+    assert run.state.q.shape == (11, 2, 4)
+    assert cli.main(["info", str(path)]) == 0
+    assert "2 of 2 members converged at every step" in capsys.readouterr().out
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["toutatis-0.1.npz", "toutatis-0.1.zarr"])
+def test_results_of_version_0_1_are_drawn(tmp_path, name, capsys):
+    assert cli.main(["plot", str(old(tmp_path, name))]) == 0
+    assert "precession period" in capsys.readouterr().out
+
+
+def test_a_store_of_version_0_1_is_not_resumed_and_says_so(tmp_path):
+    path = old(tmp_path, "stopped-0.1.zarr")
+    with pytest.raises(ValueError, match=r"was written by an older version.*run again into another store"):
+        li.ensemble.run(li.schemes.so3_midpoint(BODY), STATES, 0.05, 20, store=path, resume=True, progress=False)
+    with pytest.raises(ValueError, match=r"did not keep the numbers of the system"):
+        li.ensemble.open(path)
+
+
+def test_any_run_of_a_known_system_is_drawn_and_drawn_again(tmp_path, capsys):
+    path, _ = stored(tmp_path)
+    (tmp_path / "pictures").mkdir()
+    assert cli.main(["plot", str(path), "--out", str(tmp_path / "pictures")]) == 0
+    assert "3 of 3 members converged at every step" in capsys.readouterr().out
+    picture = tmp_path / "pictures" / "run-invariants.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "pictures" / "run-motion.png").exists()
+    picture.write_text("precious")
+    assert cli.main(["plot", str(path), "--out", str(tmp_path / "pictures")]) == 2
+    assert "run-invariants.png exists and is not overwritten; --force" in capsys.readouterr().err
+    assert picture.read_text() == "precious"
+    assert cli.main(["plot", str(path), "--out", str(tmp_path / "pictures"), "--force"]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert cli.main(["plot", str(path), "--out", str(tmp_path / "nowhere")]) == 2
+    assert "nowhere does not exist" in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_summaries_and_matrices_are_drawn(tmp_path):
+    path, _ = stored(tmp_path, reduce="energy")
+    assert cli.main(["plot", str(path)]) == 0
+    assert (tmp_path / "run-change.png").exists()
+    body, state, dt = li.systems.pseudo_rigid.examples()["ball"]
+    states = jax.tree.map(lambda x: jnp.stack([x, x]), state)
+    li.ensemble.run(li.schemes.additive(body), states, dt, 20, 2, store=tmp_path / "ball.zarr", progress=False)
+    assert cli.main(["plot", str(tmp_path / "ball.zarr")]) == 0
+    assert (tmp_path / "ball-motion.png").exists()
