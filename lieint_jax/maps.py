@@ -25,6 +25,7 @@ from jax import Array
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import power_series, three, unrolled
 from lieint_jax.groups import so3
+from lieint_jax.groups._basis import ideals
 from lieint_jax.groups._closed_form import squared_eigenvalue
 from lieint_jax.types import AnalyticGroup, Group, callable_pytree, pytree, static
 
@@ -142,33 +143,55 @@ def derivative(tau: Map, group: Group, theta: Array) -> Array:
 def arcsine(group: Group, theta: Array) -> Array:
     """exp(s(x)Θ), s(x) = arcsin(√x)/√x, x = −λ² for the eigenvalues 0 and ±λ of ad_Θ (arsinh for x < 0).
 
-    On SO(3) it is the scaled Cayley map of the symplectic κ. Elsewhere it is symplectic for every metric on SL(2),
-    SE(2), E(1,1), the Heisenberg groups, Aff(1) and Bianchi's type V, and not on SE(3), for example: numerical
+    On a direct product, each factor has its own x. On SO(3) it is the scaled Cayley map of the symplectic κ. Elsewhere
+    it is symplectic for every metric on SL(2), SE(2), E(1,1), the Heisenberg groups, Aff(1) and Bianchi's type V, for
+    every metric that does not couple the factors on products of these, and not on SE(3), for example: numerical
     evidence, no proof; `symplectic_residual` measures it.
 
     Raises:
         ValueError: ad_Θ has nonzero eigenvalues of several sizes (SO(4), SL(3), …): the map is not defined there.
     """
-    return group.exp(_arcsine_scale(group, theta) * theta)
+    return group.exp(jnp.stack(_arcsine_scales(group, theta)) * theta)
 
 
 @cache
-def arcsine_form(group: Group) -> np.ndarray:
-    """The matrix of the quadratic form x = −λ² of `arcsine`, (d, d): the Killing form over −(number of λ's)."""
+def arcsine_forms(group: Group) -> list[tuple[list[int], np.ndarray]]:
+    """The factors of a group, each by the indices of its basis, and the matrix (d, d) of their x = −λ² of `arcsine`.
+
+    That is the Killing form over −(number of λ's).
+    """
     d = group.dim
     with jax.ensure_compile_time_eval():
         ad = np.array([[group.ad(x, y) for y in jnp.eye(d)] for x in jnp.eye(d)]).transpose(0, 2, 1)  # ad[i] is ad_eᵢ
-    form = squared_eigenvalue(ad)
-    if form is None:
-        raise ValueError(
-            f"the arcsine map is defined where ad_Θ has one pair of nonzero eigenvalues ±λ only; {group} is not such a "
-            "group: take maps.exponential"
-        )
-    return -form
+    forms = []
+    for factor in ideals(ad):
+        form = squared_eigenvalue(ad[factor])
+        if form is None:
+            raise ValueError(
+                "the arcsine map is defined where ad_Θ has one pair of nonzero eigenvalues ±λ only (on each factor of "
+                f"a product); {group} is not such a group: take maps.exponential"
+            )
+        forms.append((factor, np.zeros((d, d))))
+        forms[-1][1][np.ix_(factor, factor)] = -form
+    return forms
 
 
-def _arcsine_scale(group: Group, theta: unrolled.Vector) -> Array:
-    return _arcsine_of_square(unrolled.quadratic(arcsine_form(group), theta))
+def _arcsine_scales(group: Group, theta: unrolled.Vector) -> list[Array]:
+    """The s of each component of Θ."""
+    scales: list[Any] = [None] * group.dim
+    for factor, form in arcsine_forms(group):
+        s = _arcsine_of_square(unrolled.quadratic(form, theta))
+        for i in factor:
+            scales[i] = s
+    return scales
+
+
+def _arcsine_scaled(group: Group, theta: unrolled.Vector) -> unrolled.Vector:
+    """sΘ."""
+    scales = _arcsine_scales(group, theta)
+    if not isinstance(theta, list):
+        return jnp.stack(scales) * theta
+    return [unrolled.times(s, x) for s, x in zip(scales, theta, strict=True)]
 
 
 _ARCSINE = [math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(20)]
@@ -233,28 +256,29 @@ def _half_turn(_: Group, theta: Array) -> Array:
 
 
 def _arcsine_near(group: Any, theta: Array) -> Array:
-    return group.exp_near(_arcsine_scale(group, theta) * theta)
+    return group.exp_near(_arcsine_scaled(group, theta))
 
 
 def _arcsine_holds(group: Any, theta: Array) -> Array:
-    return group.near(_arcsine_scale(group, theta) * theta)
+    return group.near(_arcsine_scaled(group, theta))
 
 
 def _arcsine_slope(group: Any, theta: Any) -> unrolled.Matrix:
-    """H_exp(sΘ)(s + Θ⊗∇s)."""
+    """H_exp(sΘ)(s + Θ⊗∇s), factor by factor."""
     vector = jnp.stack(theta) if isinstance(theta, list) else theta
-    s, gradient = jax.value_and_grad(lambda x: _arcsine_scale(group, x))(vector)
-    H = group.exp_slope(unrolled.scaled(s, theta), _SLOPE_TERMS)
-    along = unrolled.matvec(H, theta)
-    if not isinstance(theta, list):
-        return s * H + along[:, None] * gradient
-    return [
-        [unrolled.times(s, h) + a * gradient[j] for j, h in enumerate(row)] for row, a in zip(H, along, strict=True)
-    ]
+    H = group.exp_slope(_arcsine_scaled(group, theta), _SLOPE_TERMS)
+    columns: list[Any] = [None] * group.dim
+    for factor, form in arcsine_forms(group):
+        s, gradient = jax.value_and_grad(lambda x, form=form: _arcsine_of_square(unrolled.quadratic(form, x)))(vector)
+        along = [unrolled.dot([row[j] for j in factor], [theta[j] for j in factor]) for row in H]
+        for j in factor:
+            columns[j] = [unrolled.times(s, row[j]) + a * gradient[j] for row, a in zip(H, along, strict=True)]
+    rows = unrolled.transpose(columns)
+    return rows if isinstance(theta, list) else jnp.stack([jnp.stack(row) for row in rows])
 
 
 def _arcsine_coadjoint(group: Any, theta: unrolled.Vector, mu: unrolled.Vector) -> unrolled.Vector:
-    return group.exp_coadjoint(unrolled.scaled(_arcsine_scale(group, theta), theta), mu)
+    return group.exp_coadjoint(_arcsine_scaled(group, theta), mu)
 
 
 _BY_EXPONENTIAL = Tau(
@@ -293,7 +317,7 @@ def as_tau(tau: Tau | Map, group: Group) -> Tau:
     name = getattr(tau, "__name__", type(tau).__name__)
     if tau is arcsine:
         with jax.ensure_compile_time_eval():
-            arcsine_form(group)
+            arcsine_forms(group)
     if tau is cayley and not cayley_lands(group):
         raise ValueError(f"the Cayley map does not land in {group}: take maps.exponential")
     for known, form in _ON_ANALYTIC_GROUPS:

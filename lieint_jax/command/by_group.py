@@ -91,7 +91,7 @@ def takes(group: MatrixGroup) -> dict[str, Map]:
     if group.cayley_lands:
         found["cayley"] = MAPS["cayley"]
     try:
-        maps.arcsine_form(group)
+        maps.arcsine_forms(group)
     except ValueError:
         return found
     return found | {"arcsine": MAPS["arcsine"]}

@@ -33,6 +33,22 @@ def dual_and_structure(E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return rounded(dual).reshape(E.shape), rounded(c)
 
 
+def ideals(c: np.ndarray) -> list[list[int]]:
+    """The factors of an algebra that is a direct sum along its basis: the indices of each, the abelian ones together.
+
+    Args:
+        c: the structure constants, or the matrices ad_eᵢ; shape (d, d, d).
+    """
+    linked = np.eye(len(c), dtype=bool)
+    for i, j, k in zip(*np.nonzero(np.abs(c) > TOLERANCE * np.abs(c).max(initial=1e-300)), strict=True):
+        linked[np.ix_([i, j, k], [i, j, k])] = True
+    for _ in range(len(c)):
+        linked = linked @ linked
+    alone = linked.sum(axis=1) == 1
+    parts = {tuple(np.flatnonzero(row).tolist()) for row in linked[~alone]}
+    return [list(part) for part in sorted(parts)] + [np.flatnonzero(alone).tolist()] * bool(alone.any())
+
+
 def invariant_forms(E: np.ndarray) -> list[np.ndarray]:
     """A basis of the matrices S with EᵀS + SE = 0 for every E."""
     n = E.shape[1]

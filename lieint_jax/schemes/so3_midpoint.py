@@ -81,16 +81,8 @@ class SO3Midpoint(Step):
         return f"so3_midpoint[{self.kappa.name}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        J, a = scaled(self.system, state, dt)
-        if self.kappa.solve_by == "scalar":
-            h, residual, good = _solve_scalar(J, a, self.iterations)
-        else:
-            h, residual, good = _solve_vector(self.kappa, J, a, self.iterations)
-            good &= jnp.finfo(a.dtype).eps * three.max_abs(a) * three.inverse_trace(J) <= lost(a.dtype)
-        residual = lax.stop_gradient(jnp.sqrt(dot(residual, residual)))
-        small = residual <= 32 * jnp.finfo(a.dtype).eps * three.max_abs(a)
-        converged = small & good & three.well_conditioned(J)
-        return State(so3.cayley_increment(state.q, h), state.p), StepInfo(residual, converged)
+        h, info = half_turn(*scaled(self.system, state, dt), self.kappa, self.iterations)
+        return State(so3.cayley_increment(state.q, h), state.p), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         J = np.asarray(self.system.inertia)
@@ -155,6 +147,18 @@ def examples(system: Any) -> dict[str, Step]:
     if not FREE_BODIES.declared(system):
         return {}
     return {step.name: step for step in (so3_midpoint(system, kappa) for kappa in KAPPAS)}
+
+
+def half_turn(J: Symmetric, a: Array, kappa: Kappa, iterations: int) -> tuple[Array, StepInfo]:
+    """h = ½Θ of a step, shape (3,), from J and a as of `scaled`, and its report."""
+    if kappa.solve_by == "scalar":
+        h, residual, good = _solve_scalar(J, a, iterations)
+    else:
+        h, residual, good = _solve_vector(kappa, J, a, iterations)
+        good &= jnp.finfo(a.dtype).eps * three.max_abs(a) * three.inverse_trace(J) <= lost(a.dtype)
+    residual = lax.stop_gradient(jnp.sqrt(dot(residual, residual)))
+    small = residual <= 32 * jnp.finfo(a.dtype).eps * three.max_abs(a)
+    return h, StepInfo(residual, small & good & three.well_conditioned(J))
 
 
 def scaled(system: FreeBody, state: State, dt: ArrayLike) -> tuple[Symmetric, Array]:

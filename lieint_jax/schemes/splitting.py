@@ -21,6 +21,7 @@ from jax.typing import ArrayLike
 from lieint_jax._checks import concrete
 from lieint_jax.maps import arcsine, is_symplectic
 from lieint_jax.schemes._capability import check_motion
+from lieint_jax.schemes._free_motion import FreeMotion, is_free_motion
 from lieint_jax.schemes.group_midpoint import GEODESICS, group_midpoint
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES, so3_midpoint
 from lieint_jax.types import Forced, State, Step, StepInfo, System, pytree, static
@@ -75,8 +76,9 @@ def splitting(system: Forced, drift: Step | None = None) -> Splitting:
 
     Args:
         system: `systems.heavy_top(...)`, `systems.potential_top(...)`, `systems.group_potential(...)`.
-        drift: a symmetric step of `system.free`; by default the symplectic `so3_midpoint`, on other groups
-            `group_midpoint` with `maps.arcsine` where that is symplectic. `exact(system.free)` has smaller errors where
+        drift: a symmetric step of `system.free`; by default the symplectic `so3_midpoint`; on other groups and products
+            of them `group_midpoint` with `maps.arcsine` where that is symplectic; on SE(3) with an isotropic mass the
+            same step of the attitude and the exact one of the centre. `exact(system.free)` has smaller errors where
             the body turns fast in a weak potential, and no limit on |Δt Ω|.
 
     Raises:
@@ -105,6 +107,8 @@ def _drift(free: Any) -> Step:
         with suppress(ValueError), jax.ensure_compile_time_eval():  # groups where the arcsine map is not defined
             if all(is_symplectic(arcsine, free.group, metric) for metric in _metrics(free)):
                 return group_midpoint(free, arcsine)
+        if concrete(free.metric) and is_free_motion(free):
+            return FreeMotion(free)
     raise ValueError(
         f"no symplectic drift is known for {getattr(free, 'group', type(free).__name__)} with this metric: give a "
         "symmetric step of system.free, such as group_midpoint(system.free), which keeps the form up to O(Δt³) per step"

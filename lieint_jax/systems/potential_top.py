@@ -22,7 +22,11 @@ from lieint_jax.types import State, Top, callable_pytree, pytree
 
 @pytree
 class Quadratic:
-    """Ṽ(Γ) = ½ Γ·SΓ: a field that grows linearly, such as gravity's gradient (S = 3n²J) and Brun's problem (S = εJ)."""
+    """Ṽ(Γ) = ½ Γ·SΓ: a field that grows linearly along γ, which is fixed in space, as in Brun's problem (S = εJ).
+
+    Gravity's gradient has this form too (S = 3n²J), but its γ points to the centre of attraction and turns with the
+    orbit: this potential is that of a body held at one place, not of a satellite.
+    """
 
     matrix: Array
 
