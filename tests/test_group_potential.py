@@ -124,6 +124,7 @@ def a_body_in_space():
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("made", [a_product, a_body_in_space])
 def test_splitting_finds_the_drift_of_products(made):
     """The form and the way back to round-off (seen: 7e-16, 4e-16); the error of a step beside the flow is O(Δt³)."""
@@ -146,6 +147,7 @@ def test_splitting_finds_the_drift_of_products(made):
 def test_a_metric_that_couples_the_factors_has_no_known_drift(axis):
     """SO(3) × R with a coupling, and SE(3) with a mass that is not isotropic."""
     system, _ = (a_product if axis == 3 else a_body_in_space)()
+    assert li.schemes.splitting(system).order == 2
     m = np.array(system.metric)
     if axis == 3:
         m[0, 3] = m[3, 0] = 0.1
