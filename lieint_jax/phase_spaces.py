@@ -52,6 +52,46 @@ class CotangentGroup:
 
 
 @pytree
+class EmbeddedRotations:
+    """L(3) × ℝ³ around T*SO(3): a state is (Λ, π), Λ of shape (3, 3); a tangent vector is (δθ, δπ) as on T*SO(3).
+
+    L(3) × ℝ³ has no symplectic form. So tangent vectors are projected on those of T*SO(3), and the form is (2.9): what
+    the diagnostics say of it holds at states with Λ on SO(3). `defect` measures how far Λ has left SO(3).
+    """
+
+    @property
+    def dim(self) -> int:
+        """Dimension of T*SO(3), 6."""
+        return 6
+
+    @property
+    def origin(self) -> State:
+        """Λ = 1, at rest."""
+        return State(jnp.eye(3), jnp.zeros(3))
+
+    def perturb(self, state: State, delta: Array) -> State:
+        """The state moved by δ = (δθ, δπ), shape (6,): (exp(δθ̂) Λ, π + δπ)."""
+        turn = so3.exp(delta[:3])
+        turned = jax.vmap(lambda column: so3.Ad(turn, column), 1, 1)(state.q)
+        return State(turned, state.p + delta[3:])
+
+    def trivialise(self, state: State, tangent: State) -> Array:
+        """(δθ, δπ), shape (6,), of a tangent vector (δΛ, δπ): δθ = rot[δΛ Λ⁻¹], the rest of δΛ is left out."""
+        velocity = [three.solve(three.transpose(state.q), row) for row in tangent.q]  # δΛ Λ⁻¹
+        theta = [(velocity[i][j] - velocity[j][i]) / 2 for i, j in ((2, 1), (0, 2), (1, 0))]
+        return jnp.concatenate([jnp.stack(theta), tangent.p])
+
+    def omega(self, state: State) -> Array:
+        """[[π̂, 1], [−1, 0]], shape (6, 6) (2.9)."""
+        return CotangentGroup(so3).omega(state)
+
+    def defect(self, state: State) -> Array:
+        """max|ΛᵀΛ − 1|."""
+        C = three.gram(state.q)
+        return jnp.max(jnp.abs(jnp.stack(C) - jnp.array([1, 1, 1, 0, 0, 0], state.q.dtype)))
+
+
+@pytree
 class CotangentMatrices:
     """T*GL⁺(3) = GL⁺(3) × L(3), canonical: a state is (F, P), a tangent vector (δF, δP), row by row (6.1)."""
 

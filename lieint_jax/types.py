@@ -70,8 +70,8 @@ class State(NamedTuple):
     """A point of phase space.
 
     Attributes:
-        q: configuration. SO(3): unit quaternion (w, x, y, z), (4,). Matrix groups: (n, n). GL⁺(3): F, (3, 3). S²: unit
-            vector, (3,).
+        q: configuration. SO(3): unit quaternion (w, x, y, z), (4,); embedded in L(3): Λ, (3, 3). Matrix groups: (n, n).
+            GL⁺(3): F, (3, 3). S²: unit vector, (3,).
         p: momentum. SO(3): spatial angular momentum π, (3,). Matrix groups: π in the dual basis, (d,). GL⁺(3): P,
             (3, 3). S²: π = m q × q̇, (3,).
     """
@@ -230,6 +230,16 @@ class FreeBody(System):
 
     Attributes:
         inertia: J, principal moments (3,) or a symmetric tensor (3, 3).
+    """
+
+    inertia: Array
+
+
+class EmbeddedBody(System):
+    """A free rigid body whose attitude Λ may leave SO(3), on L(3) × ℝ³: Λ̇ = ΛΩ̂, π̇ = 0 with JΩ = Π = Λ⁻¹π (2.12).
+
+    Attributes:
+        inertia: J, as of `FreeBody`.
     """
 
     inertia: Array

@@ -7,6 +7,7 @@ from lieint_jax.schemes.exact import Exact, exact
 from lieint_jax.schemes.group_energy_momentum import GroupEnergyMomentum, group_energy_momentum
 from lieint_jax.schemes.group_midpoint import GroupMidpoint, group_midpoint
 from lieint_jax.schemes.preprocessed import Preprocessed, preprocessed
+from lieint_jax.schemes.so3_alpha import SO3Alpha, so3_alpha
 from lieint_jax.schemes.so3_explicit import SO3Explicit, so3_explicit
 from lieint_jax.schemes.so3_midpoint import SO3Midpoint, so3_midpoint
 from lieint_jax.schemes.sphere_midpoint import SphereMidpoint, sphere_midpoint
@@ -21,6 +22,7 @@ __all__ = [
     "GroupEnergyMomentum",
     "GroupMidpoint",
     "Preprocessed",
+    "SO3Alpha",
     "SO3Explicit",
     "SO3Midpoint",
     "SphereMidpoint",
@@ -33,6 +35,7 @@ __all__ = [
     "group_energy_momentum",
     "group_midpoint",
     "preprocessed",
+    "so3_alpha",
     "so3_explicit",
     "so3_midpoint",
     "sphere_midpoint",

@@ -146,10 +146,8 @@ def additive(system: ElasticBody, rule: Rule = "average", alpha: ArrayLike = 0.5
     ELASTIC_BODIES.check("additive", system)
     if rule not in get_args(Rule):
         raise ValueError(f"rule must be one of {', '.join(get_args(Rule))}, got {rule!r}")
-    alpha = _checks.real_array("alpha", alpha, ())
+    alpha = _checks.fraction("alpha", alpha)
     middle = not concrete(alpha) or float(alpha) == 0.5
-    if concrete(alpha) and not 0 <= float(alpha) <= 1:
-        raise ValueError(f"alpha must be in [0, 1], got {alpha}")
     if not middle and rule != "symplectic":
         raise ValueError(f"the rule {rule!r} conserves energy for alpha = 1/2 only, got {alpha}")
     order = 2 if middle else 1

@@ -1,5 +1,6 @@
 """Hamiltonian systems. Each module has `examples()`: systems with a state worth integrating and a time step."""
 
+from lieint_jax.systems.embedded_body import EmbeddedBody, embedded_body
 from lieint_jax.systems.euler import Euler, euler, kirchhoff, manakov, manakov_integrals
 from lieint_jax.systems.group_potential import GroupPotential, group_potential
 from lieint_jax.systems.heavy_top import LagrangeMotion, heavy_top, kovalevskaya_integral, lagrange_motion
@@ -16,6 +17,7 @@ from lieint_jax.systems.pseudo_rigid import (
 from lieint_jax.systems.rigid_body import RigidBody, rigid_body
 
 __all__ = [
+    "EmbeddedBody",
     "Euler",
     "GroupPotential",
     "LagrangeMotion",
@@ -26,6 +28,7 @@ __all__ = [
     "RigidBody",
     "StoredEnergy",
     "clebsch_integral",
+    "embedded_body",
     "euler",
     "group_potential",
     "heavy_top",
