@@ -257,6 +257,20 @@ class GeodesicFlow(System):
     metric: Array
 
 
+class RightGeodesicFlow(System):
+    """The motion on T*G by a right-invariant metric alone: q̇ = ω̂q, π̇ = −ad*_ω π with mω = π (end of Section 5.1.7).
+
+    The inverse of q moves by the left-invariant metric m, with body momentum −π and spatial momentum −Π.
+
+    Attributes:
+        group: the group G.
+        metric: m, as of `GeodesicFlow`.
+    """
+
+    group: Group
+    metric: Array
+
+
 class Forced(System):
     """A system with a kinetic energy and a force that depends on the configuration: the kick of a splitting."""
 

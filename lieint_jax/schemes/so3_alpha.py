@@ -82,7 +82,7 @@ class SO3Alpha(Step):
         if not three.well_conditioned(three.symmetric(self.system.inertia)):
             return f"{self.name}: {SLENDER}"
         return (
-            f"{self.name} does not converge at dt = {dt}: take a smaller dt, or more than {self.iterations} iterations. "
+            f"{self.name} does not converge at dt = {dt}: take a smaller dt or more than {self.iterations} iterations. "
             "If Λ is far from SO(3), as after many steps with α ≠ 1/2, no digits of Π = Λ⁻¹π are left"
         )
 

@@ -1,7 +1,7 @@
 """Hamiltonian systems. Each module has `examples()`: systems with a state worth integrating and a time step."""
 
 from lieint_jax.systems.embedded_body import EmbeddedBody, embedded_body
-from lieint_jax.systems.euler import Euler, euler, kirchhoff, manakov, manakov_integrals
+from lieint_jax.systems.euler import Euler, RightEuler, euler, kirchhoff, manakov, manakov_integrals
 from lieint_jax.systems.group_potential import GroupPotential, group_potential
 from lieint_jax.systems.heavy_top import LagrangeMotion, heavy_top, kovalevskaya_integral, lagrange_motion
 from lieint_jax.systems.pendulum import Pendulum, pendulum
@@ -25,6 +25,7 @@ __all__ = [
     "PotentialTop",
     "PseudoRigidBody",
     "Quadratic",
+    "RightEuler",
     "RigidBody",
     "StoredEnergy",
     "clebsch_integral",
