@@ -389,6 +389,11 @@ class Step(abc.ABC):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]: ...
 
     @property
+    def velocity_weight(self) -> ArrayLike:
+        """α of the momentum at n+α whose velocity the step takes for Θ, for `diagnostics.conditions`; ½ of most."""
+        return 0.5
+
+    @property
     def commuting(self) -> bool:
         """Whether steps of different sizes commute: then compositions need fewer stages (`schemes.compose`)."""
         return False

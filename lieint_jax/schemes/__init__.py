@@ -4,6 +4,7 @@ from lieint_jax.schemes.additive import Additive, additive
 from lieint_jax.schemes.calibrated import Calibrated, calibrated
 from lieint_jax.schemes.compose import Composition, compose
 from lieint_jax.schemes.exact import Exact, exact
+from lieint_jax.schemes.group_alpha import GroupAlpha, group_alpha
 from lieint_jax.schemes.group_energy_momentum import GroupEnergyMomentum, group_energy_momentum
 from lieint_jax.schemes.group_midpoint import GroupMidpoint, group_midpoint
 from lieint_jax.schemes.preprocessed import Preprocessed, preprocessed
@@ -19,6 +20,7 @@ __all__ = [
     "Calibrated",
     "Composition",
     "Exact",
+    "GroupAlpha",
     "GroupEnergyMomentum",
     "GroupMidpoint",
     "Preprocessed",
@@ -32,6 +34,7 @@ __all__ = [
     "calibrated",
     "compose",
     "exact",
+    "group_alpha",
     "group_energy_momentum",
     "group_midpoint",
     "preprocessed",

@@ -74,6 +74,11 @@ class Additive(Step):
     def name(self) -> str:
         return f"additive[{self.rule}]"
 
+    @property
+    def velocity_weight(self) -> Array:
+        """β = 1 − α (6.9)."""
+        return 1 - self.alpha
+
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         dt = jnp.asarray(dt)
         equation = _Equation.of(self, state, dt)
