@@ -11,6 +11,7 @@ from lieint_jax.schemes.preprocessed import Preprocessed, preprocessed
 from lieint_jax.schemes.so3_alpha import SO3Alpha, so3_alpha
 from lieint_jax.schemes.so3_explicit import SO3Explicit, so3_explicit
 from lieint_jax.schemes.so3_midpoint import SO3Midpoint, so3_midpoint
+from lieint_jax.schemes.sphere_chart import SphereChart, sphere_chart
 from lieint_jax.schemes.sphere_midpoint import SphereMidpoint, sphere_midpoint
 from lieint_jax.schemes.splitting import Splitting, splitting
 from lieint_jax.schemes.top_energy_momentum import TopEnergyMomentum, top_energy_momentum
@@ -27,6 +28,7 @@ __all__ = [
     "SO3Alpha",
     "SO3Explicit",
     "SO3Midpoint",
+    "SphereChart",
     "SphereMidpoint",
     "Splitting",
     "TopEnergyMomentum",
@@ -41,6 +43,7 @@ __all__ = [
     "so3_alpha",
     "so3_explicit",
     "so3_midpoint",
+    "sphere_chart",
     "sphere_midpoint",
     "splitting",
     "top_energy_momentum",
