@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -121,6 +123,65 @@ class CotangentMatrices:
     def defect(self, state: State) -> Array:
         """0 where det F > 0, 1 where F has left GL⁺(3) (an open set, from which no distance is defined)."""
         return jnp.where(three.det(state.q) > 0, 0, 1).astype(state.q.dtype)
+
+
+@pytree
+class CotangentUnimodular:
+    """T*SL(3) as pairs (F, P) with det F = 1 and tr(PE⁻¹F⁻¹) = 0, the velocities PE⁻¹ being those of constant volume.
+
+    Its coordinates are those of `CotangentGroup(SL(3))`: δF = δθ̂F, and δπ of π_i = ⟨P, e_i F⟩ for a basis e_i of sl(3).
+
+    Attributes:
+        inertia: E, (3,) or (3, 3).
+        group: SL(3), of dimension 8, as a `groups.matrix.MatrixGroup`.
+    """
+
+    inertia: Array
+    group: Any = static()
+
+    @property
+    def dim(self) -> int:
+        """Dimension of the phase space, 16."""
+        return 16
+
+    @property
+    def origin(self) -> State:
+        """F = 1, at rest."""
+        return State(jnp.eye(3), jnp.zeros((3, 3)))
+
+    def spatial_momentum(self, state: State) -> Array:
+        """π_i = ⟨P, e_i F⟩, shape (8,)."""
+        return jnp.tensordot(self._basis(state), state.p @ state.q.T, 2)
+
+    def tangential(self, q: Array, pi: Array) -> Array:
+        """The P = ωFE, (3, 3), with ω in sl(3) and spatial momentum π at F."""
+        E = jnp.diag(self.inertia) if self.inertia.ndim == 1 else self.inertia
+        e = jnp.asarray(self.group.basis, q.dtype)
+        carried = jnp.einsum("iab,bc->iac", e, q @ E @ q.T)
+        M = jnp.einsum("iab,jab->ij", carried, e)
+        return jnp.tensordot(jnp.linalg.solve(M, pi), e, 1) @ q @ E
+
+    def perturb(self, state: State, delta: Array) -> State:
+        """The state moved by δ = (δθ, δπ), shape (16,): (exp(δθ̂)F, P), the part of P that is no velocity's as it is."""
+        pi, q = self.spatial_momentum(state), self.group.multiply(self.group.exp(delta[:8]), state.q)
+        rest = state.p - self.tangential(state.q, pi)
+        return State(q, self.tangential(q, pi + delta[8:]) + rest)
+
+    def trivialise(self, state: State, tangent: State) -> Array:
+        """(δθ, δπ), shape (16,), of a tangent vector (δF, δP)."""
+        change = jnp.tensordot(self._basis(state), tangent.p @ state.q.T + state.p @ tangent.q.T, 2)
+        return jnp.concatenate([self.group.spatial_velocity(state.q, tangent.q), change])
+
+    def omega(self, state: State) -> Array:
+        """The symplectic form of T*SL(3) as a matrix, shape (16, 16) (5.9)."""
+        return CotangentGroup(self.group).omega(State(state.q, self.spatial_momentum(state)))
+
+    def defect(self, state: State) -> Array:
+        """det F − 1."""
+        return three.det(state.q) - 1
+
+    def _basis(self, state: State) -> Array:
+        return jnp.asarray(self.group.basis, state.q.dtype)
 
 
 @pytree

@@ -346,6 +346,20 @@ class ElasticBody(System):
     stored_energy: StoredEnergy
 
 
+class IncompressibleBody(System):
+    """A body that deforms homogeneously at constant volume, on T*SL(3): Ḟ = PE⁻¹, Ṗ = −2F∇W(FᵀF) + p F⁻ᵀ, det F = 1.
+
+    The pressure p is such that tr(ḞF⁻¹) = 0. A state is (F, P) as of `ElasticBody`, with tr(PE⁻¹F⁻¹) = 0.
+
+    Attributes:
+        inertia: E, as of `ElasticBody`.
+        stored_energy: W.
+    """
+
+    inertia: Array
+    stored_energy: StoredEnergy
+
+
 class OnSphere(System):
     """A particle on the unit sphere, on T*S²: q̇ = π × q/m, π̇ = −q × ∇V(q) (1.4).
 

@@ -9,7 +9,7 @@ import pytest
 import lieint_jax
 
 ROOT, TESTS = Path(lieint_jax.__file__).parent, Path(__file__).parent
-SECTIONS = "1.1|2.1|2.2|3|3.1|3.2|3.3|4|4.1|4.2|5.2|5.3|5.4|6.2|6.3|App. A|App. B".split("|")
+SECTIONS = ["1.1", "2.1", "2.2", "3", "3.1", "3.2", "3.3", "4", "4.1", "4.2", "5.2", "5.3", "5.4", "6.2", "6.3"]
 
 
 def rows():
@@ -42,7 +42,7 @@ def test_a_row_names_a_file_and_a_test_that_exist(row):
 
 def test_every_section_equation_and_result_has_a_row():
     where = [row[0] for row in rows()]
-    for section in SECTIONS:
+    for section in (*SECTIONS, "App. A", "App. B"):
         assert any(re.match(rf"{re.escape(section)}\b(?!\.)", place) for place in where), section
     equations = set().union(*map(covered, where))
     for section, last in ((1, 6), (2, 29), (3, 29), (4, 22), (5, 53), (6, 46)):

@@ -4,6 +4,7 @@ from lieint_jax.systems.embedded_body import EmbeddedBody, embedded_body
 from lieint_jax.systems.euler import Euler, RightEuler, euler, kirchhoff, manakov, manakov_integrals
 from lieint_jax.systems.group_potential import GroupPotential, group_potential
 from lieint_jax.systems.heavy_top import LagrangeMotion, heavy_top, kovalevskaya_integral, lagrange_motion
+from lieint_jax.systems.incompressible_body import IncompressibleBody, incompressible_body
 from lieint_jax.systems.pendulum import Pendulum, pendulum
 from lieint_jax.systems.potential_top import PotentialTop, Quadratic, clebsch_integral, potential_top
 from lieint_jax.systems.pseudo_rigid import (
@@ -20,6 +21,7 @@ __all__ = [
     "EmbeddedBody",
     "Euler",
     "GroupPotential",
+    "IncompressibleBody",
     "LagrangeMotion",
     "Pendulum",
     "PotentialTop",
@@ -33,6 +35,7 @@ __all__ = [
     "euler",
     "group_potential",
     "heavy_top",
+    "incompressible_body",
     "kirchhoff",
     "kovalevskaya_integral",
     "lagrange_motion",
