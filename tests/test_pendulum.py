@@ -177,8 +177,10 @@ def test_claim_4_second_order_and_reversible_about_any_axis():
 
 
 def test_claim_5_at_the_pole_the_step_in_the_chart_is_flagged():
+    """Elsewhere it is not, be it at rest; a NaN never comes without the flag."""
     bob = BOBS["linear"]
     step = jax.jit(li.schemes.sphere_chart(bob, AXIS))
+    assert step(State(jnp.array(Q), jnp.zeros(3)), 0.1)[1].converged
     for z in ([1e-7, 0.3, 0.1, 0.0], [np.pi - 1e-7, 0.3, 0.1, 0.0], [0.02, 0.0, -1.0, 0.0], [1e-3, 0.0, 1.0, 1e-3]):
         after, info = step(CHART.state(jnp.array(z)), 0.1)
         assert not info.converged

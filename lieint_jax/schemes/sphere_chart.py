@@ -68,10 +68,10 @@ class SphereChart(Step):
         def correction(u: Array, f: Array) -> Array:
             return jnp.stack(unrolled.eliminate(matrix(u), unrolled.as_list(f))[0])
 
-        unit = jnp.stack([jnp.ones_like(dt)] * 2 + [_largest(z[2:])] * 2)
-        u, f, steady = newton.root(
-            residual, correction, dt * rate(z), self.iterations, length=lambda x: _largest(x / unit)
-        )
+        first = dt * rate(z)
+        momentum = jnp.maximum(_largest(z[2:]), _largest(first[2:]))
+        unit = jnp.stack([jnp.ones_like(dt)] * 2 + [jnp.where(momentum > 0, momentum, 1)] * 2)
+        u, f, steady = newton.root(residual, correction, first, self.iterations, length=lambda x: _largest(x / unit))
         after = z + u
         error = _largest(f / unit)
         inside = jnp.minimum(jnp.sin(after[0]), jnp.sin(z[0] + u[0] / 2)) > _pole(z.dtype)
