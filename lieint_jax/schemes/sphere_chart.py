@@ -69,7 +69,7 @@ class SphereChart(Step):
             return jnp.stack(unrolled.eliminate(matrix(u), unrolled.as_list(f))[0])
 
         first = dt * rate(z)
-        momentum = jnp.maximum(_largest(z[2:]), _largest(first[2:]))
+        momentum = jnp.where(_largest(z[2:]) > 0, _largest(z[2:]), _largest(first[2:]))  # the latter from rest
         unit = jnp.stack([jnp.ones_like(dt)] * 2 + [jnp.where(momentum > 0, momentum, 1)] * 2)
         u, f, steady = newton.root(residual, correction, first, self.iterations, length=lambda x: _largest(x / unit))
         after = z + u
