@@ -63,6 +63,14 @@ def count(name: str, value: Any, least: int) -> int:
     return int(value)
 
 
+def fraction(name: str, value: Any) -> Array:
+    """A number in [0, 1], as an array scalar."""
+    array = real_array(name, value, ())
+    if concrete(array) and not 0 <= float(array) <= 1:
+        raise ValueError(f"{name} must be in [0, 1], got {float(array):g}")
+    return array
+
+
 def one_of(**given: Any) -> tuple[str, Any]:
     """The name and value of the one argument that is not None; ValueError unless there is exactly one."""
     named = {name: value for name, value in given.items() if value is not None}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -52,6 +54,46 @@ class CotangentGroup:
 
 
 @pytree
+class EmbeddedRotations:
+    """L(3) × ℝ³ around T*SO(3): a state is (Λ, π), Λ of shape (3, 3); a tangent vector is (δθ, δπ) as on T*SO(3).
+
+    L(3) × ℝ³ has no symplectic form. So tangent vectors are projected on those of T*SO(3), and the form is (2.9): what
+    the diagnostics say of it holds at states with Λ on SO(3). `defect` measures how far Λ has left SO(3).
+    """
+
+    @property
+    def dim(self) -> int:
+        """Dimension of T*SO(3), 6."""
+        return 6
+
+    @property
+    def origin(self) -> State:
+        """Λ = 1, at rest."""
+        return State(jnp.eye(3), jnp.zeros(3))
+
+    def perturb(self, state: State, delta: Array) -> State:
+        """The state moved by δ = (δθ, δπ), shape (6,): (exp(δθ̂) Λ, π + δπ)."""
+        turn = so3.exp(delta[:3])
+        turned = jax.vmap(lambda column: so3.Ad(turn, column), 1, 1)(state.q)
+        return State(turned, state.p + delta[3:])
+
+    def trivialise(self, state: State, tangent: State) -> Array:
+        """(δθ, δπ), shape (6,), of a tangent vector (δΛ, δπ): δθ = rot[δΛ Λ⁻¹], the rest of δΛ is left out."""
+        velocity = [three.solve(three.transpose(state.q), row) for row in tangent.q]  # δΛ Λ⁻¹
+        theta = [(velocity[i][j] - velocity[j][i]) / 2 for i, j in ((2, 1), (0, 2), (1, 0))]
+        return jnp.concatenate([jnp.stack(theta), tangent.p])
+
+    def omega(self, state: State) -> Array:
+        """[[π̂, 1], [−1, 0]], shape (6, 6) (2.9)."""
+        return CotangentGroup(so3).omega(state)
+
+    def defect(self, state: State) -> Array:
+        """max|ΛᵀΛ − 1|."""
+        C = three.gram(state.q)
+        return jnp.max(jnp.abs(jnp.stack(C) - jnp.array([1, 1, 1, 0, 0, 0], state.q.dtype)))
+
+
+@pytree
 class CotangentMatrices:
     """T*GL⁺(3) = GL⁺(3) × L(3), canonical: a state is (F, P), a tangent vector (δF, δP), row by row (6.1)."""
 
@@ -81,6 +123,65 @@ class CotangentMatrices:
     def defect(self, state: State) -> Array:
         """0 where det F > 0, 1 where F has left GL⁺(3) (an open set, from which no distance is defined)."""
         return jnp.where(three.det(state.q) > 0, 0, 1).astype(state.q.dtype)
+
+
+@pytree
+class CotangentUnimodular:
+    """T*SL(3) as pairs (F, P) with det F = 1 and tr(PE⁻¹F⁻¹) = 0, the velocities PE⁻¹ being those of constant volume.
+
+    Its coordinates are those of `CotangentGroup(SL(3))`: δF = δθ̂F, and δπ of π_i = ⟨P, e_i F⟩ for a basis e_i of sl(3).
+
+    Attributes:
+        inertia: E, (3,) or (3, 3).
+        group: SL(3), of dimension 8, as a `groups.matrix.MatrixGroup`.
+    """
+
+    inertia: Array
+    group: Any = static()
+
+    @property
+    def dim(self) -> int:
+        """Dimension of the phase space, 16."""
+        return 16
+
+    @property
+    def origin(self) -> State:
+        """F = 1, at rest."""
+        return State(jnp.eye(3), jnp.zeros((3, 3)))
+
+    def spatial_momentum(self, state: State) -> Array:
+        """π_i = ⟨P, e_i F⟩, shape (8,)."""
+        return jnp.tensordot(self._basis(state), state.p @ state.q.T, 2)
+
+    def tangential(self, q: Array, pi: Array) -> Array:
+        """The P = ωFE, (3, 3), with ω in sl(3) and spatial momentum π at F."""
+        E = jnp.diag(self.inertia) if self.inertia.ndim == 1 else self.inertia
+        e = jnp.asarray(self.group.basis, q.dtype)
+        carried = jnp.einsum("iab,bc->iac", e, q @ E @ q.T)
+        M = jnp.einsum("iab,jab->ij", carried, e)
+        return jnp.tensordot(jnp.linalg.solve(M, pi), e, 1) @ q @ E
+
+    def perturb(self, state: State, delta: Array) -> State:
+        """The state moved by δ = (δθ, δπ), shape (16,): (exp(δθ̂)F, P), the part of P that is no velocity's as it is."""
+        pi, q = self.spatial_momentum(state), self.group.multiply(self.group.exp(delta[:8]), state.q)
+        rest = state.p - self.tangential(state.q, pi)
+        return State(q, self.tangential(q, pi + delta[8:]) + rest)
+
+    def trivialise(self, state: State, tangent: State) -> Array:
+        """(δθ, δπ), shape (16,), of a tangent vector (δF, δP)."""
+        change = jnp.tensordot(self._basis(state), tangent.p @ state.q.T + state.p @ tangent.q.T, 2)
+        return jnp.concatenate([self.group.spatial_velocity(state.q, tangent.q), change])
+
+    def omega(self, state: State) -> Array:
+        """The symplectic form of T*SL(3) as a matrix, shape (16, 16) (5.9)."""
+        return CotangentGroup(self.group).omega(State(state.q, self.spatial_momentum(state)))
+
+    def defect(self, state: State) -> Array:
+        """det F − 1."""
+        return three.det(state.q) - 1
+
+    def _basis(self, state: State) -> Array:
+        return jnp.asarray(self.group.basis, state.q.dtype)
 
 
 @pytree
@@ -122,6 +223,44 @@ class CotangentSphere:
         size = three.max_abs(state.p)
         tilt = jnp.abs(three.dot(state.q, state.p)) / jnp.where(size > 0, size, 1)
         return jnp.maximum(jnp.abs(three.dot(state.q, state.q) - 1), tilt)
+
+
+@pytree
+class SphericalChart:
+    """Spherical coordinates z = (θ, φ, p_θ, p_φ) of T*S² about an axis γ: a Darboux chart, singular on the axis.
+
+    With e₁, e₂, γ orthonormal, q = cos θ γ + sin θ (cos φ e₁ + sin φ e₂) and π = p_θ q × ∂q/∂θ + p_φ q × ∂q/∂φ / sin²θ,
+    so that p_φ = γ·π. The form of T*S² is dθ∧dp_θ + dφ∧dp_φ: on (δθ, δφ, δp_θ, δp_φ) the constant matrix of (1.2).
+
+    Attributes:
+        axis: γ, a unit vector, shape (3,).
+    """
+
+    axis: Array
+
+    def state(self, z: Array) -> State:
+        """The state of coordinates z, shape (4,)."""
+        theta, phi, p_theta, p_phi = z
+        q, down, along = self._frame(theta, phi)
+        return State(q, p_theta * along - p_phi / jnp.sin(theta) * down)
+
+    def coordinates(self, state: State) -> Array:
+        """The coordinates of a state, shape (4,): θ in [0, π], φ in (−π, π]. On the axis φ is 0."""
+        e1, e2 = frame(self.axis)
+        x, y, h = (three.dot(e, state.q) for e in (e1, e2, self.axis))
+        polar = x * x + y * y == 0
+        x = jnp.where(polar, 1, x)  # harmless before the square root and the angle
+        theta = jnp.arctan2(jnp.where(polar, 0, jnp.sqrt(x * x + y * y)), h)
+        phi = jnp.arctan2(y, x)
+        along = self._frame(theta, phi)[2]
+        return jnp.stack([theta, phi, three.dot(state.p, along), three.dot(state.p, self.axis)])
+
+    def _frame(self, theta: Array, phi: Array) -> tuple[Array, Array, Array]:
+        """q, ∂q/∂θ, and the unit vector q × ∂q/∂θ along ∂q/∂φ."""
+        e1, e2 = frame(self.axis)
+        out, along = jnp.cos(phi) * e1 + jnp.sin(phi) * e2, jnp.cos(phi) * e2 - jnp.sin(phi) * e1
+        c, s = jnp.cos(theta), jnp.sin(theta)
+        return c * self.axis + s * out, c * out - s * self.axis, along
 
 
 def frame(q: Array) -> tuple[Array, Array]:

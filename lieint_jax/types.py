@@ -70,8 +70,8 @@ class State(NamedTuple):
     """A point of phase space.
 
     Attributes:
-        q: configuration. SO(3): unit quaternion (w, x, y, z), (4,). Matrix groups: (n, n). GL⁺(3): F, (3, 3). S²: unit
-            vector, (3,).
+        q: configuration. SO(3): unit quaternion (w, x, y, z), (4,); embedded in L(3): Λ, (3, 3). Matrix groups: (n, n).
+            GL⁺(3): F, (3, 3). S²: unit vector, (3,).
         p: momentum. SO(3): spatial angular momentum π, (3,). Matrix groups: π in the dual basis, (d,). GL⁺(3): P,
             (3, 3). S²: π = m q × q̇, (3,).
     """
@@ -235,12 +235,36 @@ class FreeBody(System):
     inertia: Array
 
 
+class EmbeddedBody(System):
+    """A free rigid body whose attitude Λ may leave SO(3), on L(3) × ℝ³: Λ̇ = ΛΩ̂, π̇ = 0 with JΩ = Π = Λ⁻¹π (2.12).
+
+    Attributes:
+        inertia: J, as of `FreeBody`.
+    """
+
+    inertia: Array
+
+
 class GeodesicFlow(System):
     """The motion on T*G by a left-invariant metric alone: q̇ = qΩ̂, π̇ = 0 with mΩ = Π = Ad*_q π (5.14).
 
     Attributes:
         group: the group G.
         metric: m, principal (d,) or full (d, d).
+    """
+
+    group: Group
+    metric: Array
+
+
+class RightGeodesicFlow(System):
+    """The motion on T*G by a right-invariant metric alone: q̇ = ω̂q, π̇ = −ad*_ω π with mω = π (end of Section 5.1.7).
+
+    The inverse of q moves by the left-invariant metric m, with body momentum −π and spatial momentum −Π.
+
+    Attributes:
+        group: the group G.
+        metric: m, as of `GeodesicFlow`.
     """
 
     group: Group
@@ -322,6 +346,20 @@ class ElasticBody(System):
     stored_energy: StoredEnergy
 
 
+class IncompressibleBody(System):
+    """A body that deforms homogeneously at constant volume, on T*SL(3): Ḟ = PE⁻¹, Ṗ = −2F∇W(FᵀF) + p F⁻ᵀ, det F = 1.
+
+    The pressure p is such that tr(ḞF⁻¹) = 0. A state is (F, P) as of `ElasticBody`, with tr(PE⁻¹F⁻¹) = 0.
+
+    Attributes:
+        inertia: E, as of `ElasticBody`.
+        stored_energy: W.
+    """
+
+    inertia: Array
+    stored_energy: StoredEnergy
+
+
 class OnSphere(System):
     """A particle on the unit sphere, on T*S²: q̇ = π × q/m, π̇ = −q × ∇V(q) (1.4).
 
@@ -363,6 +401,11 @@ class Step(abc.ABC):
 
     @abc.abstractmethod
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]: ...
+
+    @property
+    def velocity_weight(self) -> ArrayLike:
+        """α of the momentum at n+α whose velocity the step takes for Θ, for `diagnostics.conditions`; ½ of most."""
+        return 0.5
 
     @property
     def commuting(self) -> bool:

@@ -160,7 +160,8 @@ def test_extreme_bodies_are_taken():
 
 def test_every_system_declares_what_it_is():
     """The examples of all systems: each is of one capability at least, and none of two that exclude each other."""
-    kinds = (types.FreeBody, types.GeodesicFlow, types.Forced, types.ElasticBody, types.OnSphere)
+    flows = (types.FreeBody, types.EmbeddedBody, types.GeodesicFlow, types.RightGeodesicFlow)
+    kinds = (*flows, types.Forced, types.ElasticBody, types.IncompressibleBody, types.OnSphere)
     for name, (system, _, _) in systems():
         assert isinstance(system, types.System), name
         assert sum(isinstance(system, kind) for kind in kinds) == 1, name

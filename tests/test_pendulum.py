@@ -10,6 +10,7 @@ from scipy.optimize import root
 
 import lieint_jax as li
 from lieint_jax.diagnostics import constraint_error, energy_error, flow, momentum_error, symplectic_defect
+from lieint_jax.phase_spaces import SphericalChart
 from lieint_jax.systems.pendulum import Uniform
 from lieint_jax.types import State
 
@@ -107,77 +108,95 @@ def test_1_6_as_printed_does_not_keep_energy():
 # Claims 4 and 5: the midpoint rule in spherical coordinates about γ, a local Darboux chart ----------------------------
 
 
-ACROSS = np.linalg.svd(AXIS[None])[2][1:]  # with γ, an orthonormal frame
-ACROSS[1] *= np.sign(np.linalg.det([*ACROSS, AXIS]))
-
-
-def chart(z):
-    """The state of z = (θ, φ, p_θ, p_φ): γ·q = cos θ, φ about γ, p the momenta of L = ½m(θ̇² + sin²θ φ̇²) + g."""
-    theta, phi, p_theta, p_phi = z
-    out, along = jnp.array([jnp.cos(phi), jnp.sin(phi)]) @ ACROSS, jnp.array([-jnp.sin(phi), jnp.cos(phi)]) @ ACROSS
-    q, down = jnp.cos(theta) * AXIS + jnp.sin(theta) * out, jnp.cos(theta) * out - jnp.sin(theta) * AXIS
-    return State(q, jnp.cross(q, p_theta * down + p_phi / jnp.sin(theta) * along))
-
-
-def hamiltonian(z):
-    return BOBS["linear"].energy(chart(z))
-
-
+CHART = SphericalChart(jnp.array(AXIS))
 J = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.eye(2), np.zeros((2, 2))]])
 Z = np.array([1.0, 0.3, 0.4, 0.8])
 
 
-def to_sphere(z):
-    """The derivative of the chart, (4, 4), into the coordinates of T*S²."""
-    tangents = jax.jacfwd(chart)(z)
-    return jax.vmap(lambda t: BOBS["linear"].phase_space.trivialise(chart(z), t), in_axes=-1, out_axes=-1)(tangents)
-
-
 @functools.cache
 def in_the_chart():
-    """200 steps of the midpoint rule: energies and momenta on T*S², the chart's derivative before and after the first
-    step, and the derivative of that step, by the implicit function: (1 − ½Δt J H″)⁻¹(1 + ½Δt J H″)."""
-    dt = 0.1
-
-    def step(z, _):
-        def newton(_, w):
-            residual = lambda w: w - z - dt * J @ jax.grad(hamiltonian)((z + w) / 2)  # noqa: E731
-            return w - jnp.linalg.solve(jax.jacfwd(residual)(w), residual(w))
-
-        w = jax.lax.fori_loop(0, 12, newton, z)
-        return w, w
+    """200 steps: the run, the errors of energy and momentum, the defect of the form, and the chart's derivative."""
+    bob = BOBS["linear"]
+    step = li.schemes.sphere_chart(bob, AXIS)
 
     @jax.jit
-    def steps():
-        zs = jnp.concatenate([Z[None], jax.lax.scan(step, jnp.array(Z), None, length=200)[1]])
-        A = dt / 2 * J @ jax.hessian(hamiltonian)((zs[0] + zs[1]) / 2)
-        L = jnp.linalg.solve(jnp.eye(4) - A, jnp.eye(4) + A)
-        states = jax.vmap(chart)(zs)
-        bob = BOBS["linear"]
-        return jax.vmap(bob.energy)(states), jax.vmap(bob.momentum)(states), to_sphere(zs[0]), to_sphere(zs[1]), L
+    def steps(z):
+        state = CHART.state(z)
+        tangents = jax.jacfwd(CHART.state)(z)
+        slope = jax.vmap(lambda t: bob.phase_space.trivialise(state, t), in_axes=-1, out_axes=-1)(tangents)
+        run = li.integrate(step, state, 0.1, 200)
+        defect = li.diagnostics.symplectic_defect(step, state, 0.1)
+        return run, energy_error(bob, run), momentum_error(bob, run), defect, slope, CHART.coordinates(state)
 
-    return jax.device_get(steps())
+    return jax.device_get(steps(jnp.array(Z)))
+
+
+def test_the_spherical_chart_is_one_of_darboux():
+    """The form of T*S² is the constant (1.2) in it; p_φ is γ·π; the coordinates of a state lead back to it."""
+    *_, slope, back = in_the_chart()
+    omega = np.asarray(BOBS["linear"].phase_space.omega(start()))
+    assert np.abs(slope.T @ omega @ slope - J).max() < 2e-15
+    np.testing.assert_allclose(back, Z, atol=4e-15)
+    assert CHART.state(jnp.array(Z)).p @ AXIS == pytest.approx(Z[3], abs=1e-15)
 
 
 def test_claim_4_in_spherical_coordinates_the_midpoint_rule_is_symplectic_and_keeps_momentum():
-    """The chart is one of Darboux for the form on T*S², γ·π is its p_φ, and the rule keeps both."""
-    _, momentum, before, after, L = in_the_chart()
-    omega = np.asarray(BOBS["linear"].phase_space.omega(start()))
-    assert np.abs(before.T @ omega @ before - J).max() < 2e-15
-    on_sphere = after @ L @ np.linalg.inv(before)
-    assert np.abs(on_sphere.T @ omega @ on_sphere - omega).max() < 4e-15
-    assert np.abs(momentum - Z[3]).max() < 1e-13
+    """The form of T*S² itself, by autodiff of the step on the sphere; γ·π; and the constraints."""
+    trajectory, _, momentum, defect, *_ = in_the_chart()
+    assert trajectory.info.converged.all()
+    assert defect < 4e-15
+    assert np.abs(momentum).max() < 1e-13
+    assert np.abs(jax.vmap(BOBS["linear"].phase_space.defect)(trajectory.state)).max() < 2e-15
+
+
+def test_claim_4_the_step_is_the_midpoint_rule_in_the_coordinates():
+    """z₁ − z₀ = Δt J∇H(½(z₀ + z₁)), H taken through the chart by autodiff."""
+    trajectory = in_the_chart()[0]
+    hamiltonian = lambda z: BOBS["linear"].energy(CHART.state(z))  # noqa: E731
+    zs = [CHART.coordinates(jax.tree.map(lambda x, k=k: jnp.asarray(x[k]), trajectory.state)) for k in (0, 1)]
+    change = 0.1 * J @ jax.jit(jax.grad(hamiltonian))((zs[0] + zs[1]) / 2)
+    np.testing.assert_allclose(zs[1] - zs[0], change, atol=4e-15)
 
 
 def test_claim_5_in_spherical_coordinates_energy_is_not_kept_even_for_linear_g():
-    energy, *_ = in_the_chart()
-    assert 1e-5 < np.abs(energy - energy[0]).max() < 1e-1
+    energy = in_the_chart()[1]
+    assert 1e-5 < np.abs(energy).max() < 1e-1
+
+
+@pytest.mark.long
+def test_claim_4_second_order_and_reversible_about_any_axis():
+    """Also about another axis than γ, where p_φ is not conserved: still symplectic."""
+    bob, state = BOBS["linear"], CHART.state(jnp.array(Z))
+    other = np.array([0.6, 0.0, 0.8])
+    found = li.diagnostics.certify(li.schemes.sphere_chart(bob, other), state, 0.05, 20)
+    assert found.order == pytest.approx(2, abs=0.05)
+    assert found.symplectic_defect < 8e-15
+    assert found.reversibility < 4e-15
+    assert found.momentum > 1e-6
+    assert found.converged
+
+
+def test_claim_5_at_the_pole_the_step_in_the_chart_is_flagged():
+    """Elsewhere it is not, be it at rest; a NaN never comes without the flag."""
+    bob = BOBS["linear"]
+    step = jax.jit(li.schemes.sphere_chart(bob, AXIS))
+    assert step(State(jnp.array(Q), jnp.zeros(3)), 0.1)[1].converged
+    for z in ([1e-7, 0.3, 0.1, 0.0], [np.pi - 1e-7, 0.3, 0.1, 0.0], [0.02, 0.0, -1.0, 0.0], [1e-3, 0.0, 1.0, 1e-3]):
+        after, info = step(CHART.state(jnp.array(z)), 0.1)
+        assert not info.converged
+    after, info = step(State(jnp.array(AXIS), jnp.zeros(3)), 0.1)
+    assert not info.converged
+    assert np.isfinite(after.q).all()
+    with pytest.raises(ValueError, match=r"the chart is singular.*or sphere_midpoint"):
+        li.schemes.sphere_chart(bob, AXIS).check(State(jnp.array(AXIS), jnp.zeros(3)), 0.1)
+    with pytest.raises(ValueError, match="axis must be a unit vector"):
+        li.schemes.sphere_chart(bob, [0.0, 0.0, 2.0])
 
 
 def test_claim_5_the_chart_is_singular_at_the_pole_and_the_sphere_is_not():
     """A swing through the axis: in the chart the momentum's term blows up, on T*S² nothing happens."""
     near = np.array([1e-3, 0.0, 1.0, 1e-3])
-    assert np.linalg.norm(jax.jit(jax.hessian(hamiltonian))(near)) > 1e5
+    assert np.linalg.norm(jax.jit(jax.hessian(lambda z: BOBS["linear"].energy(CHART.state(z))))(near)) > 1e5
     through = State(AXIS, 1.5 * np.cross(AXIS, [0.0, 1.0, 0.0]))
     trajectory, errors = run(li.schemes.sphere_midpoint(BOBS["linear"]), through)
     energy, momentum, constraint = (np.abs(e).max() for e in errors)

@@ -1,6 +1,7 @@
 """Measurements of what a scheme conserves, by autodiff and by running it, never by a formula of the scheme."""
 
 from lieint_jax.diagnostics.certify import Certificate, certify
+from lieint_jax.diagnostics.conditions import Conditions, conditions
 from lieint_jax.diagnostics.order import flow, order, reversibility
 from lieint_jax.diagnostics.poisson import poisson_error
 from lieint_jax.diagnostics.series import constraint_error, delay, energy_error, momentum_error
@@ -8,7 +9,9 @@ from lieint_jax.diagnostics.symplectic import linearization, symplectic_defect
 
 __all__ = [
     "Certificate",
+    "Conditions",
     "certify",
+    "conditions",
     "constraint_error",
     "delay",
     "energy_error",

@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax.diagnostics.symplectic import linearization
 from lieint_jax.phase_spaces import CotangentGroup
-from lieint_jax.types import Forced, State, Step
+from lieint_jax.types import Forced, RightGeodesicFlow, State, Step
 
 _Method = Literal["recursion", "product"]
 
@@ -21,9 +21,9 @@ _Method = Literal["recursion", "product"]
 def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, method: _Method | None = None) -> Array:
     """The Poisson error of a run: zero for ever if and only if its steps are symplectic.
 
-    The linearised steps transport the Poisson matrix, P_{n+1} = L_n P_n L_nᵀ (5.34) from P₀ = ω⁻¹(z₀). For systems on
-    T*G without potential, P_n stays of the form [[σ_n, −1], [1, α]] (5.35), and the error is σ_n, shape
-    (num_steps+1, d, d), skew. For all others it is P_n − ω⁻¹(z_n), shape (num_steps+1, 2d, 2d).
+    The linearised steps transport the Poisson matrix, P_{n+1} = L_n P_n L_nᵀ (5.34) from P₀ = ω⁻¹(z₀). For
+    left-invariant systems on T*G without potential, P_n stays of the form [[σ_n, −1], [1, α]] (5.35), and the error is
+    σ_n, shape (num_steps+1, d, d), skew. For all others it is P_n − ω⁻¹(z_n), shape (num_steps+1, 2d, 2d).
 
     Args:
         step: a scheme's step.
@@ -35,18 +35,19 @@ def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, metho
             both give the same, and "recursion" is the default; the others have "product" only.
 
     Raises:
-        ValueError: a bad count, another method, or "recursion" for a system with a potential or not on a T*G.
+        ValueError: a bad count, another method, or "recursion" for a system with a potential, with a right-invariant
+            metric, or not on a T*G.
     """
     num_steps = _checks.count("num_steps", num_steps, 0)
     if method not in (None, *get_args(_Method)):
         raise ValueError(f"method must be one of {', '.join(get_args(_Method))}, got {method!r}")
     step.check(state, dt)
     space = step.system.phase_space
-    if not isinstance(space, CotangentGroup) or isinstance(step.system, Forced):
+    if not isinstance(space, CotangentGroup) or isinstance(step.system, Forced | RightGeodesicFlow):
         if method == "recursion":
             raise ValueError(
-                f"the recursion (5.36) is for systems on T*G without potential, got {type(step.system).__name__}; "
-                "take method='product'"
+                f"the recursion (5.36) is for left-invariant systems on T*G without potential, got "
+                f"{type(step.system).__name__}; take method='product'"
             )
         return _whole(step, state, dt, num_steps)
     if method == "product":

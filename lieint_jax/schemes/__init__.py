@@ -4,11 +4,14 @@ from lieint_jax.schemes.additive import Additive, additive
 from lieint_jax.schemes.calibrated import Calibrated, calibrated
 from lieint_jax.schemes.compose import Composition, compose
 from lieint_jax.schemes.exact import Exact, exact
+from lieint_jax.schemes.group_alpha import GroupAlpha, group_alpha
 from lieint_jax.schemes.group_energy_momentum import GroupEnergyMomentum, group_energy_momentum
 from lieint_jax.schemes.group_midpoint import GroupMidpoint, group_midpoint
 from lieint_jax.schemes.preprocessed import Preprocessed, preprocessed
+from lieint_jax.schemes.so3_alpha import SO3Alpha, so3_alpha
 from lieint_jax.schemes.so3_explicit import SO3Explicit, so3_explicit
 from lieint_jax.schemes.so3_midpoint import SO3Midpoint, so3_midpoint
+from lieint_jax.schemes.sphere_chart import SphereChart, sphere_chart
 from lieint_jax.schemes.sphere_midpoint import SphereMidpoint, sphere_midpoint
 from lieint_jax.schemes.splitting import Splitting, splitting
 from lieint_jax.schemes.top_energy_momentum import TopEnergyMomentum, top_energy_momentum
@@ -18,11 +21,14 @@ __all__ = [
     "Calibrated",
     "Composition",
     "Exact",
+    "GroupAlpha",
     "GroupEnergyMomentum",
     "GroupMidpoint",
     "Preprocessed",
+    "SO3Alpha",
     "SO3Explicit",
     "SO3Midpoint",
+    "SphereChart",
     "SphereMidpoint",
     "Splitting",
     "TopEnergyMomentum",
@@ -30,11 +36,14 @@ __all__ = [
     "calibrated",
     "compose",
     "exact",
+    "group_alpha",
     "group_energy_momentum",
     "group_midpoint",
     "preprocessed",
+    "so3_alpha",
     "so3_explicit",
     "so3_midpoint",
+    "sphere_chart",
     "sphere_midpoint",
     "splitting",
     "top_energy_momentum",

@@ -17,7 +17,7 @@ from jax import Array, lax
 
 from lieint_jax._numerics import newton, unrolled
 from lieint_jax.maps import Tau, derivative
-from lieint_jax.types import AnalyticGroup, Group, State, StepInfo
+from lieint_jax.types import AnalyticGroup, Group, RightGeodesicFlow, State, StepInfo
 
 
 class Equation(NamedTuple):
@@ -29,7 +29,9 @@ class Equation(NamedTuple):
         m: the metric as a matrix.
         state: where the step starts.
         half: ½Δt.
-        a: ½Δt Π_n.
+        a: ½Δt Π_n; −½Δt π_n for a right-invariant metric, whose equation is that of the inverse of q.
+        known: the part of the equation that is known beforehand, a but for `group_alpha`.
+        carried: ½Δt Ad*_q π, which on groups that are not compact can lose its digits.
     """
 
     group: Any
@@ -38,17 +40,21 @@ class Equation(NamedTuple):
     state: State
     half: Array
     a: unrolled.Vector
+    known: unrolled.Vector
+    carried: unrolled.Vector
 
     @classmethod
     def of(cls, system: Any, tau: Tau, state: State, half: Array) -> Equation:
         """The equation of a step by τ, for a system with a group and a metric."""
         m = unpacked(system.group, system.metric)
-        a = unrolled.settled(as_vector(m, half * system.group.Ad_star(state.q, state.p)))
-        return cls(system.group, tau, m, state, half, a)
+        carried = a = unrolled.settled(as_vector(m, half * system.group.Ad_star(state.q, state.p)))
+        if isinstance(system, RightGeodesicFlow):
+            a = as_vector(m, -half * state.p)
+        return cls(system.group, tau, m, state, half, a, a, carried)
 
     def residual(self, theta: unrolled.Vector, after: unrolled.Vector) -> unrolled.Vector:
         """m Θ − ½Δt Π_n − ½Δt Π_{n+1}, the last given as `after`."""
-        return unrolled.settled(unrolled.plus(unrolled.matvec(self.m, theta), (-1.0, self.a), (-1.0, after)))
+        return unrolled.settled(unrolled.plus(unrolled.matvec(self.m, theta), (-1.0, self.known), (-1.0, after)))
 
 
 def solved(
@@ -64,7 +70,7 @@ def solved(
     Converged if the residual, in the units of `size`, is round-off; if the root is on the branch from Δt = 0, as a
     steady solve to a root before the fold shows; if digits are left, and τ(Θ) is exact.
     """
-    group, tau, m, state, half, a = equation
+    group, tau, m, state = equation.group, equation.tau, equation.m, equation.state
 
     def factored(theta: unrolled.Vector, F: unrolled.Vector) -> unrolled.Factored:
         return unrolled.factored(matrix(theta, F))
@@ -73,7 +79,7 @@ def solved(
         return size(unrolled.matvec(m, step))
 
     theta, F, on_branch = newton.chords(residual, factored, size, length, start, iterations)
-    good = on_branch & digits_left(group, m, state, a, half)
+    good = on_branch & digits_left(equation)
     Theta = unrolled.as_array(theta, state.p)
     error = size(F)
     good = good & tau.holds(group, Theta) if tau.holds else good
@@ -142,8 +148,8 @@ def guess(group: Group, m: unrolled.Matrix, a: unrolled.Vector) -> unrolled.Vect
 def newton_matrix(equation: Equation, theta: unrolled.Vector, F: unrolled.Vector) -> unrolled.Matrix:
     """m − ½Δt ad*(Π_{n+1}) H at Θ, with ½Δt Π_{n+1} = mΘ − ½Δt Π_n − F. Nothing is differentiated through it."""
     group, tau = equation.group, equation.tau
-    theta, F, a, m = lax.stop_gradient((theta, F, equation.a, equation.m))
-    after = unrolled.settled(unrolled.plus(unrolled.matvec(m, theta), (-1.0, a), (-1.0, F)))
+    theta, F, known, m = lax.stop_gradient((theta, F, equation.known, equation.m))
+    after = unrolled.settled(unrolled.plus(unrolled.matvec(m, theta), (-1.0, known), (-1.0, F)))
     turned = unrolled.matmul(ad_star_matrix(group, after), unrolled.settled(slope(tau, group, theta)))
     return unrolled.settled(unrolled.combination((1.0, m), (-1.0, turned)))
 
@@ -160,13 +166,14 @@ def size_unit(m: unrolled.Matrix, a: unrolled.Vector) -> Callable[[unrolled.Vect
     return size
 
 
-def digits_left(group: Any, m: unrolled.Matrix, state: State, a: unrolled.Vector, half: Array) -> Array:
+def digits_left(equation: Equation) -> Array:
     """Whether Ad*_q π keeps six digits in float64: ε (size of the summands / of the sum)² ≤ ε^{3/8}; q likewise."""
+    group, m = equation.group, equation.m
     if not isinstance(group, AnalyticGroup):
         return jnp.ones((), bool)
-    state, a, half = lax.stop_gradient((state, a, half))
+    state, carried, half = lax.stop_gradient((equation.state, equation.carried, equation.half))
     unit = jnp.sqrt(jnp.stack([m[i][i] for i in range(len(m))]))
     summed = jnp.max(jnp.abs(half) * group.rounding(state.q, state.p) / unit)
-    left = jnp.max(jnp.abs(unrolled.as_array(a, state.p)) / unit)
+    left = jnp.max(jnp.abs(unrolled.as_array(carried, state.p)) / unit)
     eps = float(jnp.finfo(left.dtype).eps)
     return (eps * summed**2 <= eps**0.375 * left**2) & (group.drift(state.q) <= eps**0.375)

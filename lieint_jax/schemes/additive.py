@@ -11,6 +11,8 @@ with a symmetric S: then rot[PFᵀ] is conserved (Result 15). S is a function of
     average           S = S̄(C_n, D) with ½S̄:D = W(C_n + D) − W(C_n),  D = C_{n+1} − C_n, α = ½
     energy            S = 2∇W(C_n + γD), γ from ½S:D = ΔW                           (6.11), (6.13)
     energy_momentum   S = ∇W(C_n + γD) + ∇W(C_n + (1−γ)D), γ from ½S:D = ΔW         (6.14), its γ corrected
+    incompressible    S = S̄(C_n, D) − p S̄₃(C_n, D), p from det C_{n+1} = 1; S̄₃ is S̄ of W = ½ det C, so that
+                      S̄₃:D = Δdet C = 0 and the pressure p does no work
 
 P_{n+1} eliminated, nine equations for U are left, and one for γ where there is one; with c = βΔt²,
 
@@ -22,6 +24,7 @@ through dD alone. No difference of nearby things is taken: D comes of U, and ΔW
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -35,9 +38,9 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton, three, unrolled
 from lieint_jax._numerics.three import Matrix, Symmetric
 from lieint_jax.schemes._capability import Integrand
-from lieint_jax.types import ElasticBody, State, Step, StepInfo, StoredEnergy, pytree, static
+from lieint_jax.types import ElasticBody, IncompressibleBody, State, Step, StepInfo, StoredEnergy, pytree, static
 
-Rule = Literal["symplectic", "energy", "energy_momentum", "average"]
+Rule = Literal["symplectic", "energy", "energy_momentum", "average", "incompressible"]
 _SHRINK = 0.1  # det of the watched F may fall to this part of itself in one Newton correction
 _FRACTIONS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)  # of a Newton correction that are tried
 
@@ -49,7 +52,24 @@ def _motion(body: ElasticBody, state: State) -> State:
     return State(_array(V), -_array(three.product(state.q, three.rows(body.stored_energy.stress(three.gram(state.q))))))
 
 
+def _constrained_motion(body: IncompressibleBody, state: State) -> State:
+    """(Ḟ, Ṗ) = (PE⁻¹, −FS + pF⁻ᵀ), S = 2∇W, and p from d²/dt² det F = 0."""
+    E = three.full(three.symmetric(body.inertia))
+    F, V = _rows(state.q), [three.solve_symmetric(E, row) for row in state.p]
+    S = body.stored_energy.stress(three.gram(F))
+    inverse = three.scale_matrix(1 / three.det(F), three.transpose([three.cross(F[i - 2], F[i - 1]) for i in range(3)]))
+    L, weight = three.product(inverse, V), [three.solve_symmetric(E, row) for row in inverse]  # F⁻¹E⁻¹
+    stiff = three.transpose([three.solve_symmetric(E, row) for row in three.rows(S)])
+    bend = sum(three.dot(L[i], [row[i] for row in L]) + stiff[i][i] for i in range(3))
+    p = bend / sum(three.dot(inverse[i], weight[i]) for i in range(3))
+    force = three.combine(three.product(F, three.rows(S)), three.transpose(inverse), -p)
+    return State(_array(V), -_array(force))
+
+
 ELASTIC_BODIES = Integrand(ElasticBody, "pseudo-rigid bodies (systems.pseudo_rigid_body)", _motion)
+INCOMPRESSIBLE = Integrand(
+    IncompressibleBody, "incompressible bodies (systems.incompressible_body)", _constrained_motion
+)
 
 
 @pytree
@@ -57,13 +77,13 @@ class Additive(Step):
     """The step made by `additive`.
 
     Attributes:
-        system: a pseudo-rigid body.
+        system: a pseudo-rigid body, or an incompressible one.
         alpha: where between F_n and F_{n+1} the force acts.
         rule: how S is chosen.
         iterations: the most Newton corrections per step.
     """
 
-    system: ElasticBody
+    system: ElasticBody | IncompressibleBody
     alpha: Array
     rule: Rule = static()
     iterations: int = static()
@@ -73,6 +93,11 @@ class Additive(Step):
     @property
     def name(self) -> str:
         return f"additive[{self.rule}]"
+
+    @property
+    def velocity_weight(self) -> Array:
+        """β = 1 − α (6.9)."""
+        return 1 - self.alpha
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         dt = jnp.asarray(dt)
@@ -98,7 +123,10 @@ class Additive(Step):
         scale = equation.size * (_largest(E) + equation.c * stiff) + jnp.abs(dt) * jnp.max(jnp.abs(state.p))
         residual, tolerance = jnp.max(jnp.abs(R[:9])) / scale, 32 * jnp.finfo(R.dtype).eps
         converged = (residual <= tolerance) & steady & (three.det(middle) > 0) & (three.det(end) > 0)
-        if rule.gammas:
+        if rule.constrained:
+            size = _largest(three.along(equation.C, D, 1))
+            converged &= jnp.abs(R[9]) <= tolerance * jnp.maximum(size * size * size, 1)
+        elif rule.gammas:
             converged &= jnp.abs(_missed(W, equation.C, D, S)) <= tolerance * stiff * _largest(D)
         return State(_array(end), _array(after)), lax.stop_gradient(StepInfo(residual, converged))
 
@@ -109,7 +137,9 @@ class Additive(Step):
         )
 
 
-def additive(system: ElasticBody, rule: Rule = "average", alpha: ArrayLike = 0.5, iterations: int = 25) -> Additive:
+def additive(
+    system: ElasticBody | IncompressibleBody, rule: Rule = "average", alpha: ArrayLike = 0.5, iterations: int = 25
+) -> Additive:
     """The schemes of Section 6.2 for a pseudo-rigid body, by how they choose the stress S.
 
     | rule | energy | momentum rot[PFᵀ] | symplectic form | order |
@@ -118,6 +148,7 @@ def additive(system: ElasticBody, rule: Rule = "average", alpha: ArrayLike = 0.5
     | `"symplectic"` (6.17) | bounded | exact | exact, for every α | 2 for α = ½, else 1 |
     | `"energy"` (6.11), (6.13) | exact | exact | O(Δt³) per step | 2 |
     | `"energy_momentum"` (6.14), γ corrected | exact | exact | O(Δt³) per step | 2 |
+    | `"incompressible"` (ours), det F = 1 exact too | exact | exact | O(Δt³) per step | 2 |
 
     "Exact" is to round-off at a converged step. With α = ½ all are time-symmetric.
 
@@ -125,8 +156,11 @@ def additive(system: ElasticBody, rule: Rule = "average", alpha: ArrayLike = 0.5
     nodes of ∇W along C. The two rules of the paper ask for a γ as well, whose equation may have several roots; they are
     slower, and can fail where the others do not.
 
+    "incompressible" is "average" with a pressure, a multiplier for det F_{n+1} = 1, after Gonzalez 1999. The velocities
+    V = PE⁻¹ are those of constant volume at the middle of a step; at its ends tr(VF⁻¹) is O(Δt²), of alternating sign.
+
     Args:
-        system: `systems.pseudo_rigid_body(...)`.
+        system: `systems.pseudo_rigid_body(...)`; `systems.incompressible_body(...)` for the rule "incompressible".
         rule: as above.
         alpha: α in [0, 1], where the force acts; ½ but for "symplectic". There ½ is the implicit midpoint rule; 0 and 1
             are the two explicit symplectic Euler schemes.
@@ -143,13 +177,15 @@ def additive(system: ElasticBody, rule: Rule = "average", alpha: ArrayLike = 0.5
     Source: Lewis & Simo 1994, Results 15 and 16; "average": this package, after Gonzalez 2000, Comput. Methods Appl.
     Mech. Engrg. 190, and McLachlan, Quispel & Robidoux 1999.
     """
-    ELASTIC_BODIES.check("additive", system)
+    volume = INCOMPRESSIBLE.declared(system)
+    (INCOMPRESSIBLE if volume else ELASTIC_BODIES).check("additive", system)
     if rule not in get_args(Rule):
         raise ValueError(f"rule must be one of {', '.join(get_args(Rule))}, got {rule!r}")
-    alpha = _checks.real_array("alpha", alpha, ())
+    if volume != (rule == "incompressible"):
+        kept = "incompressible_body with the rule 'incompressible', pseudo_rigid_body with the others"
+        raise ValueError(f"additive takes {kept}, got {type(system).__name__} with {rule!r}")
+    alpha = _checks.fraction("alpha", alpha)
     middle = not concrete(alpha) or float(alpha) == 0.5
-    if concrete(alpha) and not 0 <= float(alpha) <= 1:
-        raise ValueError(f"alpha must be in [0, 1], got {alpha}")
     if not middle and rule != "symplectic":
         raise ValueError(f"the rule {rule!r} conserves energy for alpha = 1/2 only, got {alpha}")
     order = 2 if middle else 1
@@ -157,11 +193,14 @@ def additive(system: ElasticBody, rule: Rule = "average", alpha: ArrayLike = 0.5
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """The two rules that solve no equation for γ, for pseudo-rigid bodies.
+    """The two rules that solve no equation for γ, for pseudo-rigid bodies; the one for incompressible bodies.
 
     The other two compile too long to be among the examples, which every test of a scheme and `lieint check` go through;
     `diagnostics.certify(additive(body, "energy"), …)` certifies them.
     """
+    if INCOMPRESSIBLE.declared(system):
+        step = additive(system, "incompressible")
+        return {step.name: step}
     if not ELASTIC_BODIES.declared(system):
         return {}
     return {step.name: step for step in (additive(system, "average"), additive(system, "symplectic"))}
@@ -187,13 +226,26 @@ def _energy_momentum(W: StoredEnergy, C: Symmetric, D: Symmetric, gamma: Array) 
     return tuple((x + y) / 2 for x, y in zip(*ends, strict=True))
 
 
+def _incompressible(W: StoredEnergy, C: Symmetric, D: Symmetric, pressure: Array) -> Symmetric:
+    return three.along(W.mean_stress(C, D), _mean_cofactor(C, D), -pressure)
+
+
+def _mean_cofactor(C: Symmetric, D: Symmetric) -> Symmetric:
+    """S̄₃ = cof(C + ½D) + cof(D)/12: a symmetric matrix with S̄₃:D = det(C + D) − det C."""
+    return three.along(three.adjugate(three.along(C, D, 0.5)), three.adjugate(D), 1 / 12)
+
+
 class _Rule(NamedTuple):
-    """A choice of S. If it has a γ, `gammas` is 1, `guess` the limit of γ for D → 0, and γ lies in [0, end]."""
+    """A choice of S. If it has a γ, `gammas` is 1, `guess` the limit of γ for D → 0, and γ lies in [0, end].
+
+    If it is `constrained`, γ is any number, a pressure, whose equation is det(C + D) = 1.
+    """
 
     stress: Callable[..., Symmetric]
     gammas: int = 0
     guess: float = 0.0
     end: float = 0.0
+    constrained: bool = False
 
 
 _RULES: dict[str, _Rule] = {
@@ -201,6 +253,7 @@ _RULES: dict[str, _Rule] = {
     "average": _Rule(_average),
     "energy": _Rule(_energy, 1, 0.5, 1.0),
     "energy_momentum": _Rule(_energy_momentum, 1, 0.5 - 12**-0.5, 0.5),
+    "incompressible": _Rule(_incompressible, 1, end=math.inf, constrained=True),
 }
 
 
@@ -270,9 +323,12 @@ class _Equation(NamedTuple):
         return three.along(three.plus_transpose(three.transposed_product(self.F, V)), three.gram(V), 1)
 
     def law(self, D: Symmetric, gamma: tuple[Array, ...]) -> tuple[Symmetric, tuple[Array, ...]]:
-        """S, and the difference S:D − 2ΔW if the rule has a γ, whose equation is that it vanishes."""
+        """S, and if the rule has a γ, what must vanish: the difference S:D − 2ΔW, or det(C + D) − 1."""
         rule, W, C = self.rule, self.W, self.C
         S = rule.stress(W, C, D, *gamma)
+        if rule.constrained:
+            volume = three.determinant(C, three.adjugate(C)) - 1
+            return S, (volume + three.inner(_mean_cofactor(C, D), D),)
         return S, tuple(_missed(W, C, D, S) + _regular(D, C, self.stiffness, g - rule.guess) for g in gamma)
 
     def residual(self, x: Array) -> Array:
@@ -291,7 +347,10 @@ class _Equation(NamedTuple):
         N = three.along(self.E, S, self.alpha * c)
         watched, middle = three.combine(self.F, U, a), three.combine(self.F, U, self.alpha)
         columns = [tangent(*direction) for direction in _directions(len(gamma), x[0])]
-        force, limits = three.scale_matrix(c, middle), [(g - rule.end, g) for g in gamma]
+        force, limits = (
+            three.scale_matrix(c, middle),
+            [(-jnp.inf, jnp.inf) if rule.constrained else (g - rule.end, g) for g in gamma],
+        )
         dU, d_gamma = _newton_step(N, watched, force, a, columns, R, limits)
         t = _fraction(watched, three.scale_matrix(-a, dU))
         return jnp.stack([*_entries(three.scale_matrix(t, dU)), *d_gamma])
@@ -300,6 +359,8 @@ class _Equation(NamedTuple):
         """Whether the next correction, quadratically smaller, would be round-off."""
         small_step = jnp.sqrt(jnp.finfo(step.dtype).eps) / 10
         ends = jnp.max(jnp.abs(step[:9])) <= small_step * self.size
+        if self.rule.constrained:  # linear in the pressure, which is as good as U
+            return ends
         return ends & jnp.all(jnp.abs(step[9:]) <= 100 * small_step)
 
 
@@ -315,7 +376,7 @@ def _newton_step(
     a: Any,
     columns: Sequence[tuple[Symmetric, tuple[Array, ...]]],
     R: Array,
-    limits: Sequence[tuple[Array, Array]],
+    limits: Sequence[tuple[Any, Any]],
 ) -> tuple[Matrix, list[Array]]:
     """dU and dγ of dU N + (cF_{n+α}) dS = R, dS = 𝕋dD + S′dγ, dD = a(GᵀdU + dUᵀG), G = F_n + aU the watched F.
 
@@ -336,7 +397,7 @@ def _newton_step(
         row = [missed[k] for _, missed in columns]
         slope = row[6 + k] - sum(m * x for m, x in zip(row, per_gamma, strict=False))
         left = R[9 + k] - sum(m * x for m, x in zip(row, dD, strict=False))
-        d_gamma.append(jnp.clip(left / slope, least, most))
+        d_gamma.append(jnp.clip(left / jnp.where(slope == 0, 1, slope), least, most))  # no pressure acts for Δt = 0
         step = [x - y * d_gamma[k] for x, y in zip(dD, per_gamma, strict=True)]
     dS: Any = [sum(d * S[q] for d, (S, _) in zip([*step, *d_gamma], columns, strict=True)) for q in range(6)]
     return three.combine(free, three.product(three.product(force, three.rows(dS)), N_inverse), -1), d_gamma
@@ -360,6 +421,10 @@ def _fraction(G: Matrix, dG: Matrix) -> Array:
     for t in _FRACTIONS[1:]:
         fraction = jnp.where(d0 + t * (d1 + t * (d2 + t * d3)) > _SHRINK * d0, t, fraction)
     return fraction
+
+
+def _rows(A: Array) -> Matrix:
+    return _matrix(A.ravel())
 
 
 def _matrix(u: Array) -> Matrix:

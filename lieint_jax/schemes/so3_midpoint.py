@@ -246,16 +246,16 @@ def _solve_vector(kappa: Kappa, J: Symmetric, a: Array, iterations: int) -> tupl
 
 def gyration(kappa: Kappa, J: Symmetric, y: Vector) -> Vector:
     """Jy + κ y × Jy: the left side of the vector form."""
-    return add(apply(J, y), scale(kappa(4 * dot(y, y)), _cross_apply(y, J)))
+    return add(apply(J, y), scale(kappa(4 * dot(y, y)), cross_apply(y, J)))
 
 
 def gyration_matrix(kappa: Kappa, J: Symmetric, y: Vector) -> three.Matrix:
     """The derivative of `gyration`, K = J + κ(ŷJ − (Jy)^) + 8κ′(y × Jy)⊗y, as rows."""
-    e, G = _dense(J), _gyroscopic(J, y)
+    e, G = dense(J), gyroscopic(J, y)
     if kappa.constant:
         return three.combine(e, G)
     k, slope = jax.jvp(kappa, (4 * dot(y, y),), (jnp.full_like(y[0], 8),))
-    g = scale(slope, _cross_apply(y, J))
+    g = scale(slope, cross_apply(y, J))
     return [[e[i][j] + k * G[i][j] + g[i] * y[j] for j in range(3)] for i in range(3)]
 
 
@@ -264,14 +264,14 @@ def on_branch(kappa: Kappa, y: Vector, K: three.Matrix) -> Array:
     return (4 * dot(y, y) <= kappa.limit**2) & three.no_negative_eigenvalue(K)
 
 
-def _cross_apply(y: Vector, J: Symmetric) -> Vector:
+def cross_apply(y: Vector, J: Symmetric) -> Vector:
     """y × Jy."""
     if len(J) == 3:
         return ((J[2] - J[1]) * (y[1] * y[2]), (J[0] - J[2]) * (y[2] * y[0]), (J[1] - J[0]) * (y[0] * y[1]))
     return cross(y, apply(J, y))
 
 
-def _gyroscopic(J: Symmetric, y: Vector) -> three.Matrix:
+def gyroscopic(J: Symmetric, y: Vector) -> three.Matrix:
     """The derivative of y × Jy: ŷJ − (Jy)^."""
     if len(J) == 3:
         d = (J[2] - J[1], J[0] - J[2], J[1] - J[0])
@@ -288,7 +288,8 @@ def _gyroscopic(J: Symmetric, y: Vector) -> three.Matrix:
     return [[yJ[j][i] - Jy[i][j] for j in range(3)] for i in range(3)]
 
 
-def _dense(J: Symmetric) -> three.Matrix:
+def dense(J: Symmetric) -> three.Matrix:
+    """J as rows."""
     if len(J) == 6:
         return three.rows(J)
     zero = jnp.zeros_like(J[0])

@@ -13,7 +13,7 @@ Which derivative to take, for N steps, p parameters and a loss or m residuals:
 
 * Few parameters, or residuals to be squared: forward. `fit` does so for "levenberg_marquardt".
 * Many parameters and a scalar: `reversible`. The step must be symmetric, which all of the package are but
-  `additive(…, "symplectic", alpha)` for α ≠ ½ and steps of your own.
+  `additive(…, "symplectic", alpha)`, `so3_alpha` and `group_alpha` for α ≠ ½, and steps of your own.
 * A step that is not symmetric, or a motion whose neighbouring trajectories separate so fast that steps cannot be undone
   (see `round_trip_error`; a warning says so): checkpoints. Where e^(λt) exceeds 1/eps, no derivative is meaningful.
 * Short runs: the scan itself, the simplest; the only one for reverse over reverse.

@@ -1,8 +1,10 @@
 """Hamiltonian systems. Each module has `examples()`: systems with a state worth integrating and a time step."""
 
-from lieint_jax.systems.euler import Euler, euler, kirchhoff, manakov, manakov_integrals
+from lieint_jax.systems.embedded_body import EmbeddedBody, embedded_body
+from lieint_jax.systems.euler import Euler, RightEuler, euler, kirchhoff, manakov, manakov_integrals
 from lieint_jax.systems.group_potential import GroupPotential, group_potential
 from lieint_jax.systems.heavy_top import LagrangeMotion, heavy_top, kovalevskaya_integral, lagrange_motion
+from lieint_jax.systems.incompressible_body import IncompressibleBody, incompressible_body
 from lieint_jax.systems.pendulum import Pendulum, pendulum
 from lieint_jax.systems.potential_top import PotentialTop, Quadratic, clebsch_integral, potential_top
 from lieint_jax.systems.pseudo_rigid import (
@@ -16,19 +18,24 @@ from lieint_jax.systems.pseudo_rigid import (
 from lieint_jax.systems.rigid_body import RigidBody, rigid_body
 
 __all__ = [
+    "EmbeddedBody",
     "Euler",
     "GroupPotential",
+    "IncompressibleBody",
     "LagrangeMotion",
     "Pendulum",
     "PotentialTop",
     "PseudoRigidBody",
     "Quadratic",
+    "RightEuler",
     "RigidBody",
     "StoredEnergy",
     "clebsch_integral",
+    "embedded_body",
     "euler",
     "group_potential",
     "heavy_top",
+    "incompressible_body",
     "kirchhoff",
     "kovalevskaya_integral",
     "lagrange_motion",

@@ -11,7 +11,7 @@ from lieint_jax import _checks
 from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
-from lieint_jax.types import State
+from lieint_jax.types import PhaseSpace, State
 
 _PHASE_SPACE = CotangentGroup(so3)
 
@@ -22,7 +22,7 @@ class Body:
     inertia: Array
 
     @property
-    def phase_space(self) -> CotangentGroup:
+    def phase_space(self) -> PhaseSpace:
         return _PHASE_SPACE
 
     def state(

@@ -50,7 +50,7 @@ class OnGroup:
         name, given = _checks.one_of(velocity=velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum)
         value = _checks.real_array(name, given, (self.group.dim,))
         if name == "velocity":
-            value = _flat(self.metric, value)
+            value = flat(self.metric, value)
         if name != "spatial_momentum":
             value = self.group.Ad_star(self.group.inverse(element), value)
         dtype = jnp.result_type(element, value)
@@ -62,7 +62,7 @@ class OnGroup:
 
     def velocity(self, state: State) -> Array:
         """The body velocity Ω = m⁻¹Π, shape (d,)."""
-        return _sharp(self.metric, self.body_momentum(state))
+        return sharp(self.metric, self.body_momentum(state))
 
     def kinetic_energy(self, state: State) -> Array:
         """½⟨Π, m⁻¹Π⟩ (5.18)."""
@@ -93,7 +93,7 @@ def _check_element(name: str, group: Group, q: Array) -> None:
             )
 
 
-def _flat(metric: Array, xi: Array) -> Array:
+def flat(metric: Array, xi: Array) -> Array:
     """ξ♭ = m ξ."""
     return (
         metric * xi
@@ -102,7 +102,7 @@ def _flat(metric: Array, xi: Array) -> Array:
     )
 
 
-def _sharp(metric: Array, mu: Array) -> Array:
+def sharp(metric: Array, mu: Array) -> Array:
     """μ♯ = m⁻¹ μ."""
     if metric.ndim == 1:
         return mu / metric

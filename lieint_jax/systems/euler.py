@@ -1,6 +1,8 @@
-"""Generalised Euler equations: geodesics of a left-invariant metric on any group (Section 5.1.6)."""
+"""Generalised Euler equations: geodesics of a left- or right-invariant metric on any group (Section 5.1.6)."""
 
 from __future__ import annotations
+
+from typing import Literal, get_args, overload
 
 import jax
 import jax.numpy as jnp
@@ -10,8 +12,9 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax.systems._on_group import OnGroup
-from lieint_jax.types import GeodesicFlow, Group, State, pytree, static
+from lieint_jax._numerics import unrolled
+from lieint_jax.systems._on_group import OnGroup, flat, sharp
+from lieint_jax.types import GeodesicFlow, Group, RightGeodesicFlow, State, pytree, static
 
 
 @pytree
@@ -39,15 +42,85 @@ class Euler(OnGroup, GeodesicFlow):
         return State(self.group.tangent(state.q, self.velocity(state)), jnp.zeros_like(state.p))
 
 
-def euler(group: Group, metric: ArrayLike) -> Euler:
+@pytree
+class RightEuler(OnGroup, RightGeodesicFlow):
+    """H = ½⟨π, m⁻¹π⟩ (end of Section 5.1.7); q̇ = ω̂q, π̇ = −ad*_ω π, ω = m⁻¹π. Made by `euler`.
+
+    Attributes:
+        metric: m in the basis of the algebra, principal (d,) or full (d, d).
+        group: the group G.
+    """
+
+    metric: Array
+    group: Group = static()
+
+    def state(
+        self,
+        q: ArrayLike | None = None,
+        *,
+        velocity: ArrayLike | None = None,
+        body_momentum: ArrayLike | None = None,
+        spatial_momentum: ArrayLike | None = None,
+    ) -> State:
+        """The state at a configuration, as of a left-invariant metric, but that `velocity` is the spatial one, ω.
+
+        Args:
+            q: a group element, shape (n, n), within 1e-6 of the group; a unit quaternion for `groups.so3`. By default
+                the identity.
+            velocity: spatial velocity ω, with π = mω, shape (d,).
+            body_momentum: Π = Ad*_q π, shape (d,).
+            spatial_momentum: π, shape (d,).
+
+        Raises:
+            ValueError: not exactly one of the three, a wrong shape, a NaN, or a q off the group.
+        """
+        name, given = _checks.one_of(velocity=velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum)
+        if name == "velocity":
+            name, given = "spatial_momentum", flat(self.metric, _checks.real_array(name, given, (self.group.dim,)))
+        return super().state(q, **{name: given})
+
+    def velocity(self, state: State) -> Array:
+        """The spatial velocity ω = m⁻¹π, shape (d,)."""
+        return sharp(self.metric, state.p)
+
+    def energy(self, state: State) -> Array:
+        """½⟨π, m⁻¹π⟩."""
+        return unrolled.dot(*(unrolled.as_list(x) for x in (state.p, self.velocity(state)))) / 2
+
+    def momentum(self, state: State) -> Array:
+        """The momentum map of the right action (5.21): Π = Ad*_q π, shape (d,)."""
+        return self.body_momentum(state)
+
+    def vector_field(self, state: State) -> State:
+        """(q̇, π̇) = (ω̂q, −ad*_ω π), so that Π̇ = 0."""
+        omega = self.velocity(state)
+        return State(self.group.spatial_tangent(state.q, omega), -self.group.ad_star(omega, state.p))
+
+
+Invariance = Literal["left", "right"]
+
+
+@overload
+def euler(group: Group, metric: ArrayLike, invariance: Literal["left"] = "left") -> Euler: ...
+@overload
+def euler(group: Group, metric: ArrayLike, invariance: Literal["right"]) -> RightEuler: ...
+def euler(group: Group, metric: ArrayLike, invariance: Invariance = "left") -> Euler | RightEuler:
     """Geodesic motion on a group: the free rigid body for SO(3), a body in a perfect fluid for SE(3), …
+
+    | invariance | energy | conserved momentum | an example |
+    |---|---|---|---|
+    | "left" | ½⟨Π, m⁻¹Π⟩ of the body momentum Π = Ad*_q π | π (5.14) | rigid bodies |
+    | "right" | ½⟨π, m⁻¹π⟩ of the spatial momentum π | Π | perfect fluids in a fixed vessel, q a diffeomorphism |
 
     Args:
         group: `groups.so3`, a group of the catalogue, or `groups.matrix(basis)`.
         metric: m in the basis of the group, positive definite: its diagonal, shape (d,), or in full, (d, d).
+        invariance: under which translations of the group the energy is invariant, "left" or "right".
 
     Raises:
-        ValueError: a wrong shape, NaN or inf, not symmetric or not positive definite.
+        ValueError: a wrong shape, NaN or inf, not symmetric or not positive definite; another invariance.
+
+    Source: Lewis & Simo 1994, Section 5.1; Arnold, Ann. Inst. Fourier 16 (1966) 319.
 
     Example:
         >>> from lieint_jax import groups
@@ -55,7 +128,10 @@ def euler(group: Group, metric: ArrayLike) -> Euler:
         >>> float(plane.energy(plane.state(velocity=[1.0, 2.0, 0.0])))
         3.0
     """
-    return Euler(_checks.positive_definite("metric", metric, group.dim), group)
+    if invariance not in get_args(Invariance):
+        raise ValueError(f"invariance must be 'left' or 'right', got {invariance!r}")
+    metric = _checks.positive_definite("metric", metric, group.dim)
+    return Euler(metric, group) if invariance == "left" else RightEuler(metric, group)
 
 
 def kirchhoff(semi_axes: tuple[float, float, float] = (3.0, 2.0, 1.0), center_of_mass: ArrayLike = (0, 0, 0)) -> Euler:
@@ -135,12 +211,16 @@ def manakov_integrals(a: ArrayLike, Pi: Array) -> Array:
     return jnp.stack(found)
 
 
-def examples() -> dict[str, tuple[Euler, State, float]]:
-    """Kirchhoff's ellipsoid, its centre of mass below its centre, and a four-dimensional rigid body."""
+def examples() -> dict[str, tuple[Euler | RightEuler, State, float]]:
+    """Kirchhoff's ellipsoid, its centre of mass below its centre; a four-dimensional body; a right-invariant flow."""
+    from lieint_jax.groups import special_linear
+
+    right = euler(special_linear(2), [1.0, 2.0, 3.0], "right")
     ellipsoid, body = kirchhoff(center_of_mass=(0.0, 0.0, -0.2)), manakov()
     return {
         "kirchhoff": (ellipsoid, ellipsoid.state(velocity=[0.3, -0.4, 0.5, 0.6, 0.2, -0.3]), 0.1),
         "manakov": (body, body.state(velocity=[0.5, -0.3, 0.4, 0.2, 0.6, -0.4]), 0.1),
+        "right": (right, right.state(velocity=[0.3, -0.2, 0.4]), 0.1),
     }
 
 

@@ -100,8 +100,20 @@ def bottom_heavy(weight: Array, q: Array) -> Array:
     return -weight * q[2, 2]
 
 
+def henon_heiles(q: Array) -> Array:
+    """V = ½(x² + y²) + x²y − y³/3, on the translations of the plane: Hénon & Heiles, Astron. J. 69 (1964) 73."""
+    x, y = q[0, 2], q[1, 2]
+    return (x * x + y * y) / 2 + x * x * y - y**3 / 3
+
+
 def examples() -> dict[str, tuple[GroupPotential, State, float]]:
-    """A bottom-heavy ellipsoid in a fluid: symmetric under translations and turns about the vertical."""
+    """A bottom-heavy ellipsoid in a fluid, symmetric under translations and turns about the vertical; a star."""
+    from lieint_jax.groups import translations
+
     body = kirchhoff(center_of_mass=(0.0, 0.0, -0.2))
     system = group_potential(body.group, body.metric, jax.tree_util.Partial(bottom_heavy, 0.4), jnp.eye(6)[2:])
-    return {"bottom_heavy": (system, system.state(velocity=[0.3, -0.4, 0.5, 0.6, 0.2, -0.3]), 0.05)}
+    star = group_potential(translations(2), [1.0, 1.0], henon_heiles)
+    return {
+        "bottom_heavy": (system, system.state(velocity=[0.3, -0.4, 0.5, 0.6, 0.2, -0.3]), 0.05),
+        "henon_heiles": (star, star.state(velocity=[0.3, 0.35]), 0.05),
+    }
