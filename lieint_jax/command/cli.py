@@ -17,8 +17,9 @@ _EPILOG = """examples:
   lieint run my.toml --members 100         your own scenario (copy lieint_jax/scenarios/toutatis.toml)
   lieint run toutatis --out runs.zarr --members 100000   to disk while it runs; with --resume it goes on
   lieint info runs.zarr                    describe that store
-  lieint check                             what every scheme conserves, measured
+  lieint check rigid_body                  what every scheme conserves of a free body, measured
   lieint check rigid_body --scheme cayley  one of them
+  lieint check                             of every system: some minutes the first time
   lieint check "SE(3)"                     what is conserved on a matrix group, by which map
   lieint check groups                      energy and symplectic form, group by group and map by map
   lieint figure 1 2 3 --out figures        the paper's figures
@@ -107,7 +108,7 @@ def _add_check(commands: Any) -> None:
         nargs="?",
         default="",
         metavar="SYSTEM",
-        help="a system module (rigid_body for one), example, or group; default: all systems, which takes many minutes",
+        help="a system module (rigid_body for one), example, or group; default: all, some minutes the first time",
     )
     check.add_argument("--scheme", default="", metavar="NAME", help="only schemes whose name contains NAME")
     check.add_argument(
@@ -174,9 +175,9 @@ def _schema(_: argparse.Namespace) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
-    from lieint_jax.command import report
+    from lieint_jax.command import certificates
 
-    report.check(options.system, options.scheme, options.steps)
+    certificates.check(options.system, options.scheme, options.steps)
 
 
 def _figure(options: argparse.Namespace) -> None:

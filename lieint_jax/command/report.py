@@ -1,4 +1,4 @@
-"""The commands `run` and `check`: they print reports and certificates and write results."""
+"""The command `run`: it integrates a scenario, reports and writes results."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from lieint_jax import _discover, ensemble, scenarios, schemes, systems
+from lieint_jax import ensemble, scenarios
 from lieint_jax._version import __version__
-from lieint_jax.command import by_group, files, results
+from lieint_jax.command import files, results
 from lieint_jax.diagnostics import certify
 from lieint_jax.scenarios._common import nominal
 
@@ -62,32 +62,3 @@ def run(
     print(f"  {well} of {scenario.members} members converged at every step")
     written = [f"{out} (t, q, p, residual, converged, metadata; {files.megabytes(out)})", *map(str, drawn)]
     print(f"\nwritten: {', '.join(written)}")
-
-
-def check(system: str, scheme: str, num_steps: int | None) -> None:
-    """Print the certificate of every example of every system with every scheme that takes it, or those of a group."""
-    if system == "groups":
-        for line in by_group.table():
-            print(line, flush=True)
-        return
-    group = by_group.named(system)
-    if group is not None:
-        print(by_group.certificates(group, scheme, num_steps))
-        return
-    found = False
-    num_steps = num_steps or 1000
-    for module_name, module in _discover.modules(systems).items():
-        for name, (body, state, dt) in module.examples().items():
-            if system not in ("", module_name, name, f"{module_name}.{name}"):
-                continue
-            for scheme_module in _discover.modules(schemes).values():
-                for step_name, step in scheme_module.examples(body).items():
-                    if scheme in step_name:
-                        found = True
-                        print(f"{module_name}.{name}\n{certify(step, state, dt, num_steps)}\n")
-    if not found:
-        known = [f"{n} ({', '.join(m.examples())})" for n, m in _discover.modules(systems).items()]
-        raise ValueError(
-            f"nothing to check for system {system!r} and scheme {scheme!r}; systems: {'; '.join(known)}; groups: "
-            f"{', '.join(by_group.catalogue())}"
-        )
