@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import threading
+import time
 from collections.abc import Iterator
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import jax
 from jax.sharding import Mesh
@@ -33,6 +35,7 @@ def initialize(coordinator: str | None = None, count: int | None = None, index: 
     given = [x is not None for x in (coordinator, count, index)]
     if any(given) and not all(given):
         raise ValueError("give all of coordinator, number of processes and index of this process, or none of them")
+    jax.config.update("jax_enable_recoverability", True)  # else the loss of a process aborts the others: see `_Watch`
     try:
         jax.distributed.initialize(
             coordinator, count, index, heartbeat_timeout_seconds=HEARTBEAT, shutdown_timeout_seconds=HEARTBEAT
@@ -42,6 +45,7 @@ def initialize(coordinator: str | None = None, count: int | None = None, index: 
             f"the processes did not meet: {error}. Start them with srun or mpirun, or tell each HOST:PORT of the "
             "first, how many there are, and which it is"
         ) from error
+    _watch.begin()
 
 
 def leave(message: str) -> NoReturn:
@@ -55,23 +59,82 @@ def leave(message: str) -> NoReturn:
 @contextlib.contextmanager
 def watched(mesh: Mesh) -> Iterator[None]:
     """Turn the failure of a collective operation into `LostProcess`, which names the processes that are gone."""
+    _watch.begin()
     try:
         yield
+        _watch.end()
     except (ValueError, RuntimeError) as error:
         several = len({device.process_index for device in mesh.devices.flat}) > 1
         if several and any(sign in str(error).lower() for sign in _SIGNS):
-            raise LostProcess(f"{_missing()} is lost; what is in the store can be resumed") from error
+            raise LostProcess(f"{_watch.missing()} is lost; {_RESUMED}") from error
+        _watch.end()
         raise
 
 
-def _missing() -> str:
-    """The processes that do not answer, for a message. It may take a heartbeat's timeout."""
-    from jax._src.distributed import global_state  # no public way to ask
+_RESUMED = "what is in the store can be resumed"
 
-    everyone = range(jax.process_count())
-    try:
-        live = set(global_state.client.get_live_nodes(list(everyone)))  # pyright: ignore[reportOptionalMemberAccess]
-    except Exception:  # no failure here may hide the first error
-        return "another process"
-    gone = [str(k) for k in everyone if k not in live]
-    return f"process {', '.join(gone)} of {len(everyone)}" if gone else "the connection to another process"
+
+class _Watch:
+    """A thread that asks which processes are alive, and ends this one with a sentence if it waits for one that is not.
+
+    Where the other processes wait, in a collective operation or for one another's devices, depends on the moment of the
+    loss; some of these waits end in an error, which names nobody, and some never. JAX itself would abort this process,
+    with a C++ stack.
+    """
+
+    def __init__(self) -> None:
+        self._gone, self._found, self._active = "another process", threading.Event(), threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def begin(self) -> None:
+        """Watch from now on, if this is one of several processes that `initialize` connected."""
+        self._active.set()
+        if self._thread is None and _client() is not None:
+            self._thread = threading.Thread(target=self._run, daemon=True, name="lieint-watch")
+            self._thread.start()
+
+    def end(self) -> None:
+        """Watch no more: the processes may end, one by one."""
+        self._active.clear()
+
+    def missing(self) -> str:
+        """The processes that are gone, for a message. It may take some heartbeats to know."""
+        self._found.wait(3 * HEARTBEAT if self._thread else 0)
+        return self._gone
+
+    def _run(self) -> None:
+        while not self._gone_now():
+            time.sleep(1)
+            self._active.wait()
+        self._found.set()
+        time.sleep(HEARTBEAT)  # an error that the main thread meets says the same, and sooner
+        if self._active.is_set():
+            leave(f"lieint: {self._gone} is lost; {_RESUMED}")
+
+    def _gone_now(self) -> bool:
+        count = _number()
+        try:
+            live = set(_client().get_live_nodes(list(range(count))))
+        except Exception:  # the coordinator is the one that is gone
+            self._gone = f"process 0 of {count}"
+            return True
+        gone = [str(k) for k in range(count) if k not in live]
+        self._gone = f"process {', '.join(gone)} of {count}"
+        return bool(gone)
+
+
+_watch = _Watch()
+
+
+def _client() -> Any:
+    """The client of the coordination service, which JAX has no public name for; None without `initialize`."""
+    from jax._src.distributed import global_state
+
+    return global_state.client
+
+
+def _number() -> int:
+    """The number of processes: `jax.process_count()` would wait for all devices."""
+    from jax._src.distributed import global_state
+
+    return global_state.num_processes
