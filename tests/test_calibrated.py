@@ -12,6 +12,7 @@ from linearised import there_and_back
 
 import lieint_jax as li
 from lieint_jax import _free_body, diagnostics, ensemble
+from lieint_jax.diagnostics.order import distance
 from lieint_jax.groups import so3
 from lieint_jax.schemes import calibrated, preprocessed
 from lieint_jax.schemes.calibrated import Calibrated
@@ -121,7 +122,7 @@ def test_symplectic_with_constants_held_fixed_or_found_anew():
                 return dataclasses.replace(anew, clock=clock)(z, dt)
 
         _, _, form, back = there_and_back(Either(), state, dt)
-        return form, jnp.abs(back.q - state.q).max()
+        return form, distance(back, state)
 
     for fixed in (True, False):
         form, back = measured(fixed)

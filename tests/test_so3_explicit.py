@@ -11,6 +11,7 @@ from linearised import there_and_back
 
 import lieint_jax as li
 from lieint_jax import diagnostics, ensemble
+from lieint_jax.diagnostics.order import distance
 from lieint_jax.schemes import so3_explicit, so3_midpoint
 from lieint_jax.schemes.so3_explicit import SO3Explicit
 from lieint_jax.systems import RigidBody
@@ -33,7 +34,7 @@ def measured(body, state):
         }
 
     _, _, form, back = there_and_back(explicit, state, 0.4)
-    return jax.lax.map(both, jnp.array([0.1, -0.7])), form, jnp.abs(back.q - state.q).max()
+    return jax.lax.map(both, jnp.array([0.1, -0.7])), form, distance(back, state)
 
 
 @pytest.mark.parametrize("name", INERTIAS)
