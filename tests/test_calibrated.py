@@ -168,8 +168,8 @@ def test_what_it_was_not_prepared_for_is_told():
     step = prepared(calibrated(body), state, 0.5)
     assert once(step, jax.jit(body.solution)(state, 77.0), -0.5)[1].converged
     assert not once(step, state, 0.4)[1].converged
-    other = State(state.q, state.p * (1 + 1e-9))
-    assert not once(step, other, 0.5)[1].converged
+    for Pi in ([0.3, 0.4, 0.5 + 1e-9], [0.4, 0.3, 0.5], [0.0, 0.0, 0.76**0.5]):  # the same |π|, the same energy
+        assert not once(step, with_momentum(Pi), 0.5)[1].converged
     assert "prepared for another trajectory or for dt = 0.5" in step.advice(state, 0.4)
     with pytest.raises(ValueError, match="turns by more than 90° at dt = 9"):
         li.integrate(calibrated(body), state, 9.0, 1)
