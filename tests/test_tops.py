@@ -196,12 +196,14 @@ def test_splitting_has_no_drift_of_energy_where_the_top_is_chaotic():
     """The mean slope of 16 runs of 10⁵ steps, fitted to means over blocks, is within 3 of its standard errors of 0.
 
     The error is that of the 16 slopes. That of one fit is too small by half: blocks of 1000 steps are correlated, 0.6
-    from one to the next, and only those of 10⁴ are not.
+    from one to the next, and only those of 10⁴ are not. The first 20 blocks are left out: the runs start close together
+    and the mean of their errors takes so long to settle, from -6.3e-4 to -6.7e-4; of 192 runs of 4·10⁵ steps it then
+    stays there.
     """
-    means = energy_errors()[:16, 1:].reshape(16, 100, -1).mean(axis=2)
-    x = np.arange(100) - 49.5
+    means = energy_errors()[:16, 1:].reshape(16, 100, -1).mean(axis=2)[:, 20:]
+    x = np.arange(80) - 39.5
     slopes = means @ x / (x @ x)
-    assert abs(slopes.mean()) < 3 * slopes.std(ddof=1) / 4  # -1.0 of them
+    assert abs(slopes.mean()) < 3 * slopes.std(ddof=1) / 4  # 0.6 of them; 1.8 with jaxlib 0.12
 
 
 @pytest.mark.long
