@@ -32,7 +32,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART")
     parser.add_argument("--part", choices=PARTS, help=argparse.SUPPRESS)  # set in the processes of the parts
     parser.add_argument("--all-cores", action="store_true", help=argparse.SUPPRESS)
-    options = parser.parse_args()
+    options = command.parsed(parser)
     cores = sorted(os.sched_getaffinity(0))
     if options.part:
         if not options.all_cores:

@@ -34,7 +34,7 @@ from lib import command
 def main() -> None:
     parser = command.parser(__doc__)
     parser.add_argument("--all-cores", metavar="CORES", help=argparse.SUPPRESS)  # set in the second process
-    options = parser.parse_args()
+    options = command.parsed(parser)
     if options.all_cores:
         print(json.dumps(on_all_cores([int(core) for core in options.all_cores.split(",")], options.quick)))
     else:

@@ -11,12 +11,11 @@ run.
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from typing import Any
 
-from lib import command
+from lib import command, report
 
 DT = 0.01
 SLOWEST, LARGEST = 8.0, 2.0  # bars: time over that of the forward run; MiB of temporaries
@@ -27,11 +26,7 @@ def main() -> None:
     options = command.on_one_core(__doc__)
     bodies, steps, rounds = (100, 500, 2) if options.quick else (1000, 10_000, 3)
     rows = measure(bodies, steps, rounds)
-    table = render(rows, bodies, steps)
-    print(table)
-    options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "gradients.md").write_text(table + "\n", encoding="utf-8")
-    (options.out / "gradients.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    report.publish("gradients", [render(rows, bodies, steps)], rows, options.out)
 
 
 def measure(bodies: int, steps: int, rounds: int) -> list[dict[str, Any]]:

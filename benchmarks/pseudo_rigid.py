@@ -13,7 +13,6 @@ One compilation serves all tolerances: the second of these rows shows none.
 from __future__ import annotations
 
 import ctypes
-import json
 import os
 import shutil
 import subprocess
@@ -23,7 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from lib import command
+from lib import command, report
 
 HERE = Path(__file__).parent
 DT, LAM, MU, INERTIA, PHI, END = 0.005, 2000.0, 6.0, 2.0, 6.0, 1.0
@@ -60,13 +59,9 @@ def main() -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    report = measure(100, 1, 1) if options.quick else measure(1000, 2, 3)
-    options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "pseudo_rigid.json").write_text(json.dumps(report, indent=1))
-    text = tables(report)
-    (options.out / "pseudo_rigid.md").write_text(text)
-    draw(report, options.out / "pseudo_rigid.png")
-    print(text)
+    found = measure(100, 1, 1) if options.quick else measure(1000, 2, 3)
+    report.publish("pseudo_rigid", [tables(found)], found, options.out)
+    draw(found, options.out / "pseudo_rigid.png")
 
 
 def measure(batch: int, rounds: int, points: int) -> dict[str, Any]:
@@ -273,7 +268,7 @@ def tables(report: dict[str, Any]) -> str:
     held = ratio >= 3 and all(r["converged"] for r in report["records"] if r["name"].startswith("ours"))
     lines += ["", f"midpoint ÷ diffrax's implicit solver: {ratio:.3g} (bar: ≥ 3, every member converged): "]
     lines[-1] += "held" if held else "MISSED"
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
 def draw(report: dict[str, Any], path: Path) -> None:

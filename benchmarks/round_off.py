@@ -4,35 +4,33 @@
 All variants are the same scheme; they differ in how the state is stored and updated. |H − H₀|/H₀ of the worst body is
 measured at every step; the slope is that of a line through the mean signed error of the bodies at ten times.
 
-    python benchmarks/round_off.py [--steps N] [--only NAME …] [--out DIR]
+    python benchmarks/round_off.py [--quick] [--steps N] [--only NAME …] [--out DIR]
 
 Rates are of 1024 bodies, timed in turn in one process on one core.
 """
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from lib import command
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
-    parser.add_argument("--steps", type=int, default=10_000_000, metavar="N")
+    parser = command.parser(__doc__)
+    parser.add_argument("--steps", type=int, metavar="N", help="10 million; if quick, 100 thousand")
     parser.add_argument("--only", nargs="*", metavar="NAME")
     parser.add_argument("--name", default="round_off", help="of the files written")
-    parser.add_argument("--out", type=Path, default=command.RESULTS, metavar="DIR")
-    options = parser.parse_args()
+    options = command.parsed(parser)
+    steps = options.steps or (100_000 if options.quick else 10_000_000)
     command.pin()  # before jax makes its threads
     from lib import measure, report
 
     names = options.only or list(variants())
-    drifts = {name: drift(name, options.steps) for name in names}
+    drifts = {name: drift(name, steps) for name in names}
     speeds = rates(names)
     first = speeds[names[0]]
     rows = [
@@ -40,8 +38,8 @@ def main() -> None:
         for name, (worst, slope) in drifts.items()
     ]
     head = ["", "worst of 16", "slope, a step", "million body-steps/s", "÷ the first"]
-    result = {"machine": measure.machine(), "steps": options.steps, "drifts": drifts, "rates": speeds}
-    title = f"Largest |H − H₀|/H₀ over {options.steps:.0e} steps, dt = {measure.DT}"
+    result = {"machine": measure.machine(), "steps": steps, "drifts": drifts, "rates": speeds}
+    title = f"Largest |H − H₀|/H₀ over {steps:.0e} steps, dt = {measure.DT}"
     report.publish(options.name, [report.machine(result), title, report.table(head, rows)], result, options.out)
 
 

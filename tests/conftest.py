@@ -6,13 +6,15 @@
 | `pytest --shard K/N` | the K-th of N parts of all tests | as a user's programs |
 | `pytest --all-shards` | all | as a user's programs |
 
-Most of a test's time is XLA's. Its older CPU emitters compile in a third of the time of its present ones, and without
-LLVM's optimisations in two thirds of that; the programs of one run serve the next from a cache on disk. The shards see
-to it that every test also passes without these.
+Most of a test's time is XLA's. Its older CPU emitters, which jaxlib has up to 0.10, compile in a third of the time of
+its present ones, and without LLVM's optimisations in two thirds of that; the programs of one run serve the next from a
+cache on disk. The shards see to it that every test also passes without these.
 """
 
 import gc
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -27,7 +29,9 @@ hypothesis.settings.register_profile("house", deadline=None, max_examples=25, de
 hypothesis.settings.load_profile("house")
 
 QUICK = (
-    "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1 --xla_backend_optimization_level=0"
+    "--xla_cpu_use_fusion_emitters=false",
+    "--xla_cpu_parallel_codegen_split_count=1",
+    "--xla_backend_optimization_level=0",
 )
 OPTIONS = {
     "jax_compilation_cache_dir": str(Path(__file__).parents[1] / ".jax_cache"),
@@ -46,8 +50,9 @@ def pytest_configure(config):
     """Before any test module is imported, so before XLA starts; processes that tests start inherit it."""
     if config.getoption("--shard"):
         _parts(config.getoption("--shard"))
-    if not (config.getoption("--shard") or config.getoption("--all-shards")):
-        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICK}".strip()
+    worker = hasattr(config, "workerinput")  # of pytest-xdist: it has the environment of the process that started it
+    if not (worker or config.getoption("--shard") or config.getoption("--all-shards")):
+        os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *_known(QUICK)]).strip()
     for name, value in OPTIONS.items():
         jax.config.update(name, value)
         os.environ[name.upper()] = str(value)
@@ -61,6 +66,17 @@ def pytest_collection_modifyitems(config, items):
     else:
         items[:], others = _sample(items)
     config.hook.pytest_deselected(items=others)
+
+
+def _known(flags):
+    """Those of the flags that this XLA has. It ends a process that sets any other, so other processes try them."""
+    return flags if _starts(flags) else [flag for flag in flags if _starts([flag])]
+
+
+def _starts(flags):
+    environment = os.environ | {"XLA_FLAGS": " ".join(flags)}
+    command = [sys.executable, "-c", "import jax; jax.devices()"]
+    return subprocess.run(command, env=environment, capture_output=True).returncode == 0
 
 
 def _parts(text):

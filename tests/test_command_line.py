@@ -10,6 +10,7 @@ import pytest
 from lieint_jax import scenarios
 from lieint_jax.command import by_group, cli, files
 from lieint_jax.scenarios import rigid_body
+from lieint_jax.types import State, StepInfo, Trajectory
 
 
 @pytest.fixture(autouse=True)
@@ -219,6 +220,26 @@ def test_a_file_that_is_no_result_is_one_line(capsys):
     for name in ("x.npz", "y.npz"):
         assert cli.main(["info", name]) == 2
         assert f"{name} is no file of results that lieint wrote" in capsys.readouterr().err
+
+
+def test_info_of_a_file_without_a_scenario(capsys):
+    info = StepInfo(np.zeros((2, 3)), np.ones((2, 3), bool))
+    states = State(np.ones((2, 3, 4)), np.ones((2, 3, 3)))
+    files.save(scenarios.Path("mine.npz"), Trajectory(np.array([0.0, 0.5]), states, info), {"lieint_jax": "0.1"})
+    assert cli.main(["info", "mine.npz"]) == 0
+    out = capsys.readouterr().out
+    for text in ("mine.npz", "3 member(s), 2 entries; lieint_jax 0.1", "t = 0 … 0.5"):
+        assert text in out
+
+
+@pytest.mark.long
+def test_check_groups_prints_a_table(capsys, monkeypatch):
+    group = by_group.catalogue()["Aff(1)"]
+    monkeypatch.setattr(by_group, "catalogue", lambda: {group.name: group})
+    assert cli.main(["check", "groups"]) == 0
+    head, _, row = capsys.readouterr().out.strip().splitlines()
+    assert head == "| group | energy | form, exponential | cayley | arcsine |"
+    assert re.fullmatch(r"\| Aff\(1\) \| \S+ \| \S+ \| (—|\S+) \| \S+ \|", row)
 
 
 def test_bad_commands(capsys):

@@ -12,7 +12,7 @@ from lieint_jax import diagnostics
 from lieint_jax.groups import so3
 from lieint_jax.integrate import steps
 from lieint_jax.maps import kappa_cayley, kappa_symplectic
-from lieint_jax.schemes import compose, so3_midpoint
+from lieint_jax.schemes import calibrated, compose, so3_explicit, so3_midpoint
 from lieint_jax.schemes._compositions import METHODS
 from lieint_jax.types import Step
 
@@ -100,6 +100,10 @@ def test_steps_of_the_symplectic_scheme_commute_and_others_do_not():
         ends = [np.asarray(after(step, after(step, STATE, a, 1)[0], b, 1)[0].q) for a, b in ((0.5, 0.2), (0.2, 0.5))]
         assert bound[0] <= np.abs(ends[0] - ends[1]).max() < bound[1]
         assert step.commuting == (bound[0] == 0)
+    for make in (so3_explicit, calibrated, li.schemes.exact):  # the same scheme, and the flow itself
+        assert make(BODY).commuting
+    assert compose(SYMPLECTIC, 4).commuting
+    assert not compose(CAYLEY, 4).commuting
 
 
 @jax.jit

@@ -5,6 +5,7 @@ import functools
 import numpy as np
 import pytest
 
+from lieint_jax import plots
 from lieint_jax.command import figures
 
 # largest |σ| read off an independent integration with the corrected formulas; 100 times smaller at a tenth of the step
@@ -38,6 +39,31 @@ def test_figures_are_written_with_their_tables(tmp_path, monkeypatch):
     assert "0.00588" in table
     assert "0.00417" in table
     assert (tmp_path / "figure-1.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.long
+def test_figure_2_is_written_with_its_table(tmp_path, monkeypatch):
+    monkeypatch.setattr(figures, "free_body_run", free_body_run)
+    rows = figures.FIGURES[2](tmp_path).splitlines()[2:]
+    assert len(rows) == 12
+    for row in rows:
+        dt, body, kappa, largest, energy = row.split()
+        k = ["cayley", "exponential", "symplectic"].index(kappa)
+        printed = LARGEST.get((body, k), 0) * (float(dt) / 0.05) ** 2
+        assert float(largest) == pytest.approx(printed, rel=0.003, abs=1e-13)
+        assert float(energy) < 8e-15
+    assert (tmp_path / "figure-2.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_lines_of_error_against_cost_take_styles():
+    _, axes = plots.figure()
+    curves = {"ours": (np.array([1.0, 2.0]), np.array([1e-2, 1e-4])), "theirs": (np.array([1.0, 3.0]), np.ones(2))}
+    ax = plots.loglog_lines(axes[0, 0], curves, "cost", "error", {"theirs": {"ls": ":"}})
+    ours, theirs = ax.get_lines()
+    np.testing.assert_array_equal(ours.get_xydata(), [[1, 1e-2], [2, 1e-4]])
+    assert ours.get_marker() != theirs.get_marker()
+    assert (ours.get_linestyle(), theirs.get_linestyle()) == ("-", ":")
+    assert (ax.get_xscale(), ax.get_ylabel()) == ("log", "error")
 
 
 VARIATIONS = {  # ours, and the digits that the caption prints of it (3d: 1.551e-1, printed 1.6e-1)

@@ -198,3 +198,5 @@ def test_arguments():
         li.schemes.group_energy_momentum(li.systems.euler(g, [1.0, 1, 1]))
     with pytest.raises(ValueError, match="take group_energy_momentum"):
         li.schemes.group_midpoint(li.systems.group_potential(g, [1.0, 1, 1], jnp.sum))
+    step = li.schemes.group_energy_momentum(li.systems.group_potential(g, [1.0, 1, 1], jnp.sum))
+    assert "does not converge at dt = 9.0: take a smaller dt, or more iterations than 6" in step.advice(None, 9.0)

@@ -163,17 +163,19 @@ def test_euler_angles_at_the_lock_give_the_attitude_back(beta):
 
 @jax.jit
 def _velocities(q, v):
-    """q̇ of q exp(tv); its velocity in the body and in space; and what they should be."""
+    """q̇ of q exp(tv); its velocity in the body and in space; what they should be; q̇ by the one and by the other."""
     q_dot = jax.jvp(lambda t: so3.multiply(q, so3.exp(t * v)), (0.0,), (1.0,))[1]
-    return q_dot, so3.body_velocity(q, q_dot), so3.spatial_velocity(q, q_dot), so3.Ad(q, v), so3.tangent(q, v)
+    body, space, carried = so3.body_velocity(q, q_dot), so3.spatial_velocity(q, q_dot), so3.Ad(q, v)
+    return q_dot, body, space, carried, so3.tangent(q, v), so3.spatial_tangent(q, carried)
 
 
 @hypothesis.given(units, vectors)
 def test_velocities(q, v):
-    q_dot, body, space, carried, tangent = map(np.asarray, _velocities(q, v))
+    q_dot, body, space, carried, tangent, spatial_tangent = map(np.asarray, _velocities(q, v))
     same(body, v, 32 * EPS)
     same(space, carried, 64 * EPS)
     same(tangent, q_dot, 8 * EPS)
+    same(spatial_tangent, q_dot, 32 * EPS)
 
 
 @jax.jit

@@ -93,6 +93,10 @@ def test_reductions_are_those_of_the_trajectory(tmp_path, small_chunks):
     assert max(np.abs(x).max() for x in energy[1:4]) < 2e-14  # floor 3e-15
     assert energy.least[1:].max() < 0 < energy.greatest[1:].min()
     jax.tree.map(np.testing.assert_array_equal, run(tmp_path / "a.zarr", reduce="energy"), energy)
+    described = report._contents(tmp_path / "a.zarr")
+    for name, value in (("least", energy.least.min()), ("greatest", energy.greatest.max())):
+        assert f"{name} change: {value:.3g}" in described
+    assert "unconverged members 0" in described
     with pytest.raises(ValueError, match=r'reduce must be None, "energy" or a function'):
         run(reduce="momentum")
 
@@ -358,6 +362,36 @@ def test_two_processes_are_one(book):
 def same_arrays(a, b):
     (x, _), (y, _) = _store.load(a), _store.load(b)
     return all((p[...] == q[...]).all() for p, q in zip(jax.tree.leaves(x), jax.tree.leaves(y), strict=True))
+
+
+ALONE = """
+import os, sys, jax
+from lieint_jax.command import cli
+from lieint_jax.ensemble import processes
+connect = processes.initialize
+def connect_and_vanish(*arguments):
+    connect(*arguments)
+    if arguments[2] == 1:
+        os._exit(9)
+processes.initialize = connect_and_vanish
+sys.exit(cli.main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.long
+def test_a_process_that_is_lost_before_the_store_exists_is_named(book):
+    """Its sentence is the last line, and no stack of JAX's abort."""
+    port, text = free_port(), dict(stderr=subprocess.PIPE, text=True, cwd=book)
+    options = ["run", "book.toml", "--out", "never.zarr", "--distributed", "--coordinator", f"localhost:{port}"]
+    both = [
+        subprocess.Popen([sys.executable, "-c", ALONE, *options, "--processes", "2", "--process", str(k)], **text)
+        for k in range(2)
+    ]
+    errors = [process.communicate(timeout=120)[1] for process in both]
+    assert [process.returncode for process in both] == [1, 9]
+    assert errors[0].splitlines()[-1].startswith("lieint: process 1 of 2 is lost")
+    assert "Fatal" not in errors[0]
+    assert not (book / "never.zarr").exists()
 
 
 @pytest.mark.long

@@ -1,6 +1,7 @@
 """Bodies in a potential: Results 6 to 8 as theorems with their refutations; the energy-momentum and split schemes."""
 
 import functools
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -92,12 +93,29 @@ def at(trajectory, n):
     return jax.tree.map(lambda x: x[n], trajectory.state)
 
 
+def own_and_shared(name, *others):
+    """Cases of a top: the κ's as they are, and as leaves of one program, which stand in for them in quick runs."""
+    own = [pytest.param(top, KAPPAS, id=f"{top}-own", marks=pytest.mark.long) for top in others]
+    return [pytest.param(name, KAPPAS, id=name), *(pytest.param(top, SHARED, id=top) for top in others), *own]
+
+
+def test_a_kappa_shared_by_a_leaf_is_each_of_the_three():
+    """Its value and slope are theirs, and it is they that decide where a top goes."""
+    both = jax.jit(lambda kappa, x: jax.vmap(jax.value_and_grad(kappa))(x))
+    x = np.array([0.0, 0.1, 0.6])
+    for name, kappa in KAPPAS.items():
+        np.testing.assert_allclose(both(SHARED[name], x), both(kappa, x), rtol=4e-16)
+    top = TOPS["quartic"]
+    ends = [run(top_energy_momentum(top, kappa), start(top), 0.1)[0].state.q[50] for kappa in SHARED.values()]
+    assert min(np.abs(a - b).max() for a, b in itertools.combinations(ends, 2)) > 1e-5
+
+
 @pytest.mark.parametrize("kappa", KAPPAS)
-@pytest.mark.parametrize("name", TOPS)
-def test_results_06_and_07_momentum_about_gamma_and_energy_for_any_kappa(name, kappa):
+@pytest.mark.parametrize(("name", "kappas"), own_and_shared("linear", *POTENTIALS))
+def test_results_06_and_07_momentum_about_gamma_and_energy_for_any_kappa(name, kappas, kappa):
     top = TOPS[name]
     state = start(top)
-    step = top_energy_momentum(top, (KAPPAS if name == "linear" else SHARED)[kappa])
+    step = top_energy_momentum(top, kappas[kappa])
     trajectory, H, (energy, momentum, constraint) = run(step, state, 0.1)
     assert trajectory.info.converged.all()
     assert np.abs(energy / H).max() < 5e-14  # floor 3e-15 to 2e-14
@@ -113,12 +131,11 @@ def test_result_07_any_kappa_of_ones_own():
     assert np.abs(energy).max() < 5e-14
 
 
-@pytest.mark.parametrize("name", ["linear", "transcendental"])
-def test_second_order_and_reversible(name):
+@pytest.mark.parametrize(("name", "kappas"), own_and_shared("linear", "transcendental"))
+def test_second_order_and_reversible(name, kappas):
     top = TOPS[name]
     state = start(top)
     end = flow(top, state, 3.2, 32)
-    kappas = KAPPAS if name == "linear" else SHARED
     for step in (top_energy_momentum(top, kappas["cayley"]), splitting(top)):
         errors = [float(distance(at(run(step, state, 3.2 / n)[0], n), end)) for n in (64, 128)]
         assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.05)
@@ -127,10 +144,11 @@ def test_second_order_and_reversible(name):
 
 
 @pytest.mark.parametrize("kappa", KAPPAS)
-def test_result_08_energy_momentum_is_not_symplectic(kappa):
+@pytest.mark.parametrize("kappas", [SHARED, pytest.param(KAPPAS, marks=pytest.mark.long)], ids=["shared", "own"])
+def test_result_08_energy_momentum_is_not_symplectic(kappas, kappa):
     """The defect of a step is of the order of 1e-3 at Δt = .2 and falls as Δt³, whatever κ."""
     top = TOPS["linear"]
-    step = top_energy_momentum(top, SHARED[kappa])
+    step = top_energy_momentum(top, kappas[kappa])
     coarse, fine = (float(defect(step, start(top), dt)) for dt in (0.2, 0.1))
     assert coarse > 1e-4
     assert np.log2(coarse / fine) == pytest.approx(3, abs=0.15)
@@ -178,12 +196,14 @@ def test_splitting_has_no_drift_of_energy_where_the_top_is_chaotic():
     """The mean slope of 16 runs of 10⁵ steps, fitted to means over blocks, is within 3 of its standard errors of 0.
 
     The error is that of the 16 slopes. That of one fit is too small by half: blocks of 1000 steps are correlated, 0.6
-    from one to the next, and only those of 10⁴ are not.
+    from one to the next, and only those of 10⁴ are not. The first 20 blocks are left out: the runs start close together
+    and the mean of their errors takes so long to settle, from -6.3e-4 to -6.7e-4; of 192 runs of 4·10⁵ steps it then
+    stays there.
     """
-    means = energy_errors()[:16, 1:].reshape(16, 100, -1).mean(axis=2)
-    x = np.arange(100) - 49.5
+    means = energy_errors()[:16, 1:].reshape(16, 100, -1).mean(axis=2)[:, 20:]
+    x = np.arange(80) - 39.5
     slopes = means @ x / (x @ x)
-    assert abs(slopes.mean()) < 3 * slopes.std(ddof=1) / 4  # -1.0 of them
+    assert abs(slopes.mean()) < 3 * slopes.std(ddof=1) / 4  # 0.6 of them; 1.8 with jaxlib 0.12
 
 
 @pytest.mark.long

@@ -20,7 +20,6 @@ import lieint_jax as li
 from lieint_jax.systems.euler import Euler, kirchhoff
 
 _DRIFT_STEPS = 1000  # few: at a distance x from the origin, Π = Ad*_q π loses digits like ε|x|
-_LEVELS = (4, 8)  # steps per unit of time of the two references
 _MAPS = {"exponential": li.maps.exponential, "Cayley": li.maps.cayley}
 
 
@@ -51,11 +50,8 @@ def contestants(missing: list[str]) -> list[Contestant]:
 
 
 def reference(end: float) -> tuple[np.ndarray, float]:
-    """The watched bodies' q at t = end by `diagnostics.flow`, and its distance from that with half as many steps."""
-    states = li.State(*map(jnp.asarray, bodies(WATCHED)))
-    flow = jax.jit(jax.vmap(li.diagnostics.flow, (None, 0, None, None)), static_argnums=3)
-    coarse, fine = (np.asarray(flow(body(), states, end, round(level * end)).q) for level in _LEVELS)
-    return fine, apart(coarse, fine)
+    """The watched bodies' q at t = end, and the distance of a second reference, see `measure.by_flow`."""
+    return measure.by_flow(body(), bodies(WATCHED), end, apart)
 
 
 def apart(q: np.ndarray, exact: np.ndarray) -> float:

@@ -32,6 +32,7 @@ INERTIA, DT, END, WATCHED, BATCH = (1.0, 2.0, 3.0), 0.05, 10.0, 16, 1000
 KAPPAS = (kappa_symplectic, kappa_cayley, kappa_exponential)
 DTYPES = ("float64", "float32")
 WIDE = ", wide vectors"
+_LEVELS = (4, 8)  # steps per unit of time of the two references by `by_flow`
 
 
 States = tuple[np.ndarray, np.ndarray]  # configurations and momenta
@@ -220,6 +221,16 @@ def reference(end: float) -> tuple[np.ndarray, float]:
     steps = round(4 * end)
     flowed = jax.jit(jax.vmap(lambda z: li.diagnostics.flow(body(), z, end, steps)))(states).q
     return exact, attitude_error(np.asarray(flowed), exact)
+
+
+def by_flow(
+    system: Any, start: States, end: float, apart: Callable[[np.ndarray, np.ndarray], float] | None = None
+) -> tuple[np.ndarray, float]:
+    """q at t = end by `diagnostics.flow`, and its distance from that with half as many steps, in radians or `apart`."""
+    states = li.State(*map(jnp.asarray, start))
+    flow = jax.jit(jax.vmap(li.diagnostics.flow, (None, 0, None, None)), static_argnums=3)
+    coarse, fine = (np.asarray(flow(system, states, end, round(level * end)).q) for level in _LEVELS)
+    return fine, (apart or attitude_error)(coarse, fine)
 
 
 def attitude_error(q: np.ndarray, exact: np.ndarray) -> float:

@@ -23,6 +23,7 @@ import lieint_jax as li
 from lieint_jax.ensemble import compiler_options
 from lieint_jax.groups import so3
 
+_PACES = {"Tsit5": 6e6, "Dopri8": 1.5e6}  # body-steps a second, about
 _ROLLOUT = 100  # steps per call of MuJoCo's rollout, which keeps every state
 
 _MODEL = """
@@ -37,45 +38,25 @@ _MODEL = """
 """
 
 
-def tsit5(
-    inertia: Sequence[float],
-    dt: float,
-    dtype: str = "float64",
-    rtol: float | None = None,
-    wide: bool = False,
-    weight: Sequence[float] | None = None,
-) -> Contestant:
-    """diffrax's Tsit5, order 5, vmapped, steps of dt; with rtol = atol given, adaptive, and its "step" is a time dt.
-
-    With a `weight` it integrates heavy tops; so do the other contestants that take one.
-    """
-    return _diffrax("Tsit5", inertia, weight, dt, dtype, rtol, wide, pace=6e6)
-
-
-def dopri8(
-    inertia: Sequence[float],
-    dt: float,
-    dtype: str = "float64",
-    rtol: float | None = None,
-    wide: bool = False,
-    weight: Sequence[float] | None = None,
-) -> Contestant:
-    """diffrax's Dopri8, order 8; its arguments are those of `tsit5`."""
-    return _diffrax("Dopri8", inertia, weight, dt, dtype, rtol, wide, pace=1.5e6)
-
-
 def _diffrax(
     name: str,
     inertia: Sequence[float],
-    weight: Sequence[float] | None,
     dt: float,
-    dtype: str,
-    rtol: float | None,
-    wide: bool,
-    pace: float,
+    dtype: str = "float64",
+    rtol: float | None = None,
+    wide: bool = False,
+    weight: Sequence[float] | None = None,
 ) -> Contestant:
+    """A solver of diffrax, vmapped, steps of dt; with rtol = atol given, adaptive, and its "step" is a time dt.
+
+    With a `weight` it integrates heavy tops; so do the other contestants that take one.
+    """
     solve = _solver(name, tuple(inertia), weight and tuple(weight), dtype, rtol is not None, wide)
-    return _contestant(name, solve, dt, dtype, rtol, pace)
+    return _contestant(name, solve, dt, dtype, rtol, _PACES[name])
+
+
+tsit5 = partial(_diffrax, "Tsit5")  # of order 5
+dopri8 = partial(_diffrax, "Dopri8")  # of order 8
 
 
 def tsit5_of(system: Any, dt: float, wide: bool = False) -> Contestant:

@@ -17,6 +17,7 @@ from lib.measure import BATCH, INERTIA, WATCHED, Problem
 import lieint_jax as li
 from lieint_jax.maps import kappa_cayley, kappa_exponential, kappa_symplectic
 
+_TOLERANCES = tuple(10.0**-k for k in range(4, 14))  # of adaptive peers
 _LOOSEST = 1e-3  # the largest tolerance × time: Runge–Kutta lets |q| grow, and at 1e-1 the motion blows up
 
 
@@ -92,19 +93,27 @@ def curves() -> list[Curve]:
         ("calibrated", "exact", make.calibrated(body), (10, 20, 40)),
         ("exact", "exact", make.exact(body), (1, 10, 100)),
     ]
-    ours = [
+    scipy = Curve("scipy DOP853", "peer", partial(peers.dop853, INERTIA), tolerances=_TOLERANCES, bodies=WATCHED)
+    return [*of_ours(steps), *of_peers(13, 11, 7), scipy]
+
+
+def of_ours(steps: Sequence[tuple[str, str, li.Step, Sequence[int]]]) -> list[Curve]:
+    """The curves of our steps, each given by its curve's name and kind, the step, and numbers of steps."""
+    return [
         Curve(name, kind, partial(measure.ours, name, step, wide=True), counts) for name, kind, step, counts in steps
     ]
-    fives, eights = (partial(peer, INERTIA, wide=True) for peer in (peers.tsit5, peers.dopri8))
-    few = [10.0**-k for k in range(4, 14)]
+
+
+def of_peers(tsit5: int, dopri8: int, mujoco: int, weight: Sequence[float] | None = None) -> list[Curve]:
+    """The curves of diffrax and MuJoCo, with so many step sizes each; for tops of this weight, if one is given."""
+    fives, eights = (partial(peer, INERTIA, wide=True, weight=weight) for peer in (peers.tsit5, peers.dopri8))
+    rollout = partial(peers.mujoco_rk4, INERTIA, weight=weight)
     return [
-        *ours,
-        Curve("diffrax Tsit5", "peer", fives, growing(20, 13)),
-        Curve("diffrax Tsit5, adaptive", "peer", fives, tolerances=few),
-        Curve("diffrax Dopri8", "peer", eights, growing(5, 11)),
-        Curve("diffrax Dopri8, adaptive", "peer", eights, tolerances=few),
-        Curve("MuJoCo RK4", "peer", partial(peers.mujoco_rk4, INERTIA), growing(25, 7, 2), bodies=WATCHED),
-        Curve("scipy DOP853", "peer", partial(peers.dop853, INERTIA), tolerances=few, bodies=WATCHED),
+        Curve("diffrax Tsit5", "peer", fives, growing(20, tsit5)),
+        Curve("diffrax Tsit5, adaptive", "peer", fives, tolerances=_TOLERANCES),
+        Curve("diffrax Dopri8", "peer", eights, growing(5, dopri8)),
+        Curve("diffrax Dopri8, adaptive", "peer", eights, tolerances=_TOLERANCES),
+        Curve("MuJoCo RK4", "peer", rollout, growing(25, mujoco, 2), bodies=WATCHED),
     ]
 
 

@@ -20,13 +20,13 @@ def write(result: dict[str, Any], out: Path) -> None:
     publish("free_rigid_body", _sections(result), result, out)
 
 
-def publish(name: str, sections: Sequence[str], result: dict[str, Any], out: Path) -> None:
+def publish(name: str, sections: Sequence[str], result: Any, out: Path) -> None:
     """Print the sections; write them as name.md and the result as name.json."""
     out.mkdir(parents=True, exist_ok=True)
     text = "\n\n".join(sections) + "\n"
     print(text)
-    (out / f"{name}.md").write_text(text)
-    (out / f"{name}.json").write_text(json.dumps(result, indent=1))
+    (out / f"{name}.md").write_text(text, encoding="utf-8")
+    (out / f"{name}.json").write_text(json.dumps(result, indent=1), encoding="utf-8")
     print(f"written: {out}/{name}.md, .json")
 
 

@@ -5,12 +5,10 @@ Importing this imports jax: pin the process to a core first.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from lib import cpp, kovalevskaya, measure, peers, precision
 from lib.contest import Contestant
@@ -20,7 +18,6 @@ from lib.precision import Curve, growing
 import lieint_jax as li
 
 WEIGHT = (0.9, 0.8, 0.0)
-_LEVELS = (4, 8)  # steps per unit of time of the two references
 
 
 def top() -> Any:
@@ -53,11 +50,8 @@ def contestants(missing: list[str]) -> list[Contestant]:
 
 
 def reference(end: float) -> tuple[np.ndarray, float]:
-    """Attitudes of the watched bodies at t = end by `diagnostics.flow`, and their distance from half as many steps."""
-    states = li.State(*map(jnp.asarray, measure.bodies(WATCHED)))
-    flow = jax.jit(jax.vmap(li.diagnostics.flow, (None, 0, None, None)), static_argnums=3)
-    coarse, fine = (np.asarray(flow(top(), states, end, round(level * end)).q) for level in _LEVELS)
-    return fine, measure.attitude_error(coarse, fine)
+    """Attitudes of the watched bodies at t = end, and the distance of a second reference, see `measure.by_flow`."""
+    return measure.by_flow(top(), measure.bodies(WATCHED), end)
 
 
 def everything(sizes: measure.Sizes, points: precision.Sizes) -> dict[str, Any]:
@@ -90,22 +84,10 @@ def curves() -> list[Curve]:
     """The curves of our schemes at orders 2, 4 and 6, then of the peers."""
     make = li.schemes
     bases = {"splitting": make.splitting(top()), "energy-momentum": make.top_energy_momentum(top())}
-    steps: list[tuple[str, str, li.Step, tuple[int, ...]]] = [
+    steps: list[tuple[str, str, li.Step, Sequence[int]]] = [
         (name, "order 2", step, growing(25, 6, 2)) for name, step in bases.items()
     ]
     for order, count in ((4, 12), (6, 10)):
         for name, step in bases.items():
             steps.append((f"{name}, order {order}", "composition", make.compose(step, order), growing(16, count)))
-    ours = [Curve(name, kind, partial(measure.ours, name, step, wide=True), n) for name, kind, step, n in steps]
-    fives, eights = (partial(peer, INERTIA, wide=True, weight=WEIGHT) for peer in (peers.tsit5, peers.dopri8))
-    few = [10.0**-k for k in range(4, 14)]
-    return [
-        *ours,
-        Curve("diffrax Tsit5", "peer", fives, growing(20, 12)),
-        Curve("diffrax Tsit5, adaptive", "peer", fives, tolerances=few),
-        Curve("diffrax Dopri8", "peer", eights, growing(5, 10)),
-        Curve("diffrax Dopri8, adaptive", "peer", eights, tolerances=few),
-        Curve(
-            "MuJoCo RK4", "peer", partial(peers.mujoco_rk4, INERTIA, weight=WEIGHT), growing(25, 6, 2), bodies=WATCHED
-        ),
-    ]
+    return [*precision.of_ours(steps), *precision.of_peers(12, 10, 6, WEIGHT)]

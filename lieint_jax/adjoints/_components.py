@@ -91,8 +91,6 @@ def _is_jaxpr(x: Any) -> bool:
 
 def _apart(x: Any) -> Any:
     """An array as a numpy array of its entries, if it has at most `_MOST`; else the array itself."""
-    if isinstance(x, np.ndarray) and x.dtype == object:
-        return x
     if np.size(x) > _MOST or jnp.issubdtype(jnp.result_type(x), jax.dtypes.prng_key):
         return x
     entries = np.empty(np.shape(x), object)

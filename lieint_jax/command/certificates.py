@@ -17,10 +17,10 @@ from lieint_jax.command.compilation import keep_programs
 from lieint_jax.diagnostics import certify
 
 # Each program runs once, so what counts is how soon it is compiled: XLA's older emitters take a third of the time
-_QUICK: dict[str, bool | int] = {
+_QUICK: dict[str, str | bool] = {
     "xla_cpu_use_fusion_emitters": False,
-    "xla_cpu_parallel_codegen_split_count": 1,
-    "xla_backend_optimization_level": 0,
+    "xla_cpu_parallel_codegen_split_count": "1",
+    "xla_backend_optimization_level": "0",
 }
 
 
@@ -116,7 +116,7 @@ def _flags() -> Iterator[None]:
             os.environ["XLA_FLAGS"] = before
 
 
-def _known(name: str, value: bool | int) -> bool:
+def _known(name: str, value: str | bool) -> bool:
     """Whether XLA has a flag; as an option of one program, an unknown one is an error and does not end the process."""
     try:
         jax.jit(lambda x: x).lower(0.0).compile(compiler_options={name: value})

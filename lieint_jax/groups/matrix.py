@@ -266,9 +266,7 @@ class MatrixGroup:
         while len(powers) < len(c):
             powers.append(unrolled.settled(unrolled.matmul(powers[-1], X)))
         pairs = list(zip(c, powers, strict=False))
-        return _sum_and_difference(
-            unrolled.combination(*pairs[::2]), unrolled.combination(*pairs[1::2]) if c[1:] else None
-        )
+        return _sum_and_difference(unrolled.combination(*pairs[::2]), unrolled.combination(*pairs[1::2]))
 
     def exp_coadjoint(self, xi: unrolled.Vector, mu: unrolled.Vector) -> unrolled.Vector:
         """Ad*_exp(ξ) μ = exp(ad*_ξ) μ, where `near` holds: by the closed form of ad, if there is one."""
@@ -461,9 +459,7 @@ def _in_blocks(
     return unrolled.settled(value)
 
 
-def _sum_and_difference(even: unrolled.Matrix, odd: unrolled.Matrix | None) -> tuple[unrolled.Matrix, unrolled.Matrix]:
-    if odd is None:
-        return even, even
+def _sum_and_difference(even: unrolled.Matrix, odd: unrolled.Matrix) -> tuple[unrolled.Matrix, unrolled.Matrix]:
     return unrolled.combination((1.0, even), (1.0, odd)), unrolled.combination((1.0, even), (-1.0, odd))
 
 

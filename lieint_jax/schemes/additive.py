@@ -340,17 +340,18 @@ class _Equation(NamedTuple):
         return jnp.stack([*_entries(three.combine(motion, self.P, -self.dt)), *missed])
 
     def correction(self, x: Array, R: Array) -> Array:
-        """Newton's step, shortened where it would lead out of GL⁺(3), γ kept in its interval."""
+        """Newton's step, shortened where it would lead out of GL⁺(3); γ stays in its interval, fixed if D = 0."""
         rule, c, a = self.rule, self.c, self.a
         U, gamma = _matrix(x), tuple(x[9:])
-        (S, _), tangent = jax.linearize(self.law, self.change(U), gamma)
+        D = self.change(U)
+        (S, _), tangent = jax.linearize(self.law, D, gamma)
         N = three.along(self.E, S, self.alpha * c)
         watched, middle = three.combine(self.F, U, a), three.combine(self.F, U, self.alpha)
         columns = [tangent(*direction) for direction in _directions(len(gamma), x[0])]
-        force, limits = (
-            three.scale_matrix(c, middle),
-            [(-jnp.inf, jnp.inf) if rule.constrained else (g - rule.end, g) for g in gamma],
-        )
+        determined = three.inner(D, D) > 0  # at the guess, D = 0, any γ serves, and rounding must not choose one
+        free = (-jnp.inf, jnp.inf)
+        limits = [free if rule.constrained else (determined * (g - rule.end), determined * g) for g in gamma]
+        force = three.scale_matrix(c, middle)
         dU, d_gamma = _newton_step(N, watched, force, a, columns, R, limits)
         t = _fraction(watched, three.scale_matrix(-a, dU))
         return jnp.stack([*_entries(three.scale_matrix(t, dU)), *d_gamma])

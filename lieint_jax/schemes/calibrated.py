@@ -15,6 +15,7 @@ import dataclasses
 import math
 from typing import Any, NamedTuple, Self
 
+import jax
 import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
@@ -75,7 +76,7 @@ class Calibrated(Step):
         return after, info._replace(converged=info.converged & self._fits(state, dt))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
-        step = self if self.clock is not None else self.prepare(state, dt)
+        step = self if self.clock is not None else _prepared(self, state, dt)
         assert step.clock is not None
         if not step.clock.on_branch:
             return f"{self.name} turns by more than 90° at dt = {dt}: take a smaller dt, or `exact`, which takes any"
@@ -97,6 +98,12 @@ class Calibrated(Step):
             & (jnp.abs(energy - self.clock.energy) <= near * self.clock.energy)
             & (jnp.abs(square - self.clock.square) <= near * self.clock.square)
         )
+
+
+@jax.jit
+def _prepared(step: Calibrated, state: State, dt: ArrayLike) -> Calibrated:
+    """`Calibrated.prepare`, compiled: operation by operation it takes seconds, and a message should not."""
+    return step.prepare(state, dt)
 
 
 def calibrated(system: FreeBody, iterations: int | None = None) -> Calibrated:

@@ -1,0 +1,40 @@
+"""Functions evaluated component by component: the same numbers as on whole arrays, whatever the function is made of."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from lieint_jax.adjoints import _components
+
+MATRIX = np.array([[2.0, 0.3], [-0.4, 3.0]])
+
+
+def solved(b):
+    """MATRIX⁻¹ b, by an equation whose derivative is known."""
+    det = MATRIX[0, 0] * MATRIX[1, 1] - MATRIX[0, 1] * MATRIX[1, 0]
+    inverse = np.array([[MATRIX[1, 1], -MATRIX[0, 1]], [-MATRIX[1, 0], MATRIX[0, 0]]]) / det
+    return lax.custom_linear_solve(lambda v: jnp.asarray(MATRIX) @ v, b, lambda _, b: jnp.asarray(inverse) @ b)
+
+
+FUNCTIONS = {
+    "zeros and ones": lambda v, x: jnp.stack([v[1] - 0.0 * v[0] + x, 1.0 * v[0] + -(0.0 * v[1])]),
+    "rows and columns": lambda v, x: jnp.sum(jnp.ones((3, 1)) * v[None, :] * x, axis=0) / 4,
+    "a large array": lambda v, x: v + x * jnp.sum(jnp.full((9, 9), 0.01) * v[0]),
+    "an equation": lambda v, x: solved(v * x) + x,
+    "a derivative": lambda v, x: jax.grad(lambda w: jnp.sum(w[::-1] ** 2 * jnp.sin(w)) + x * w[1])(v) / 8,
+}
+
+
+@pytest.mark.parametrize("longest", [_components._LONGEST, 0], ids=["by components", "too long for that"])
+@pytest.mark.parametrize("over", [(0.5,), (0.5, -0.25, 0.75)], ids=["one", "three"])
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_repeated_by_components_is_repeated(monkeypatch, name, over, longest):
+    monkeypatch.setattr(_components, "_LONGEST", longest)
+    function, start = FUNCTIONS[name], np.array([0.3, -0.7])
+    found = jax.jit(lambda v: _components.repeat(4, function, v, over))(start)
+    expected, once = start, jax.jit(function)
+    for x in over * 4:
+        expected = once(expected, x)
+    np.testing.assert_allclose(found, expected, rtol=1e-14)
