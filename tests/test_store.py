@@ -93,9 +93,9 @@ def test_reductions_are_those_of_the_trajectory(tmp_path, small_chunks):
     assert max(np.abs(x).max() for x in energy[1:4]) < 2e-14  # floor 3e-15
     assert energy.least[1:].max() < 0 < energy.greatest[1:].min()
     jax.tree.map(np.testing.assert_array_equal, run(tmp_path / "a.zarr", reduce="energy"), energy)
-    described = report._contents(tmp_path / "a.zarr")
+    described = results.contents(tmp_path / "a.zarr")
     for name, value in (("least", energy.least.min()), ("greatest", energy.greatest.max())):
-        assert f"{name} change: {value:.3g}" in described
+        assert f"{name} {value:.3g}" in described
     assert "unconverged members 0" in described
     with pytest.raises(ValueError, match=r'reduce must be None, "energy" or a function'):
         run(reduce="momentum")
