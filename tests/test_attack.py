@@ -2,14 +2,19 @@
 
 A case is a system, a state and a step size, each of them over many orders of magnitude, some components exactly 0 or
 equal. A step that converged is wrong unless it is finite and on the configuration space, keeps the invariants that the
-scheme claims, and a step back, if that converges too, returns; all to the rounding errors of such data. `python
-tests/test_attack.py` prints the counts, which `benchmarks/RESULTS.md` shows.
+scheme claims, and a step back, if that converges too, returns; all to the rounding errors of such data. What is no
+inertia, state or step size at all must be refused. `python tests/test_attack.py` prints the counts, which
+`benchmarks/RESULTS.md` shows.
 """
+
+import functools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import lieint_jax as li
 from lieint_jax import State, maps, schemes, systems
@@ -67,7 +72,7 @@ def _elastic(rng, B):
 
 
 def rigid(make):
-    return lambda J: make(systems.RigidBody(J))
+    return lambda J: make(systems.rigid_body(J))
 
 
 def top(make):
@@ -151,14 +156,97 @@ def test_what_is_wrong_is_flagged(name, dtype):
     assert tried / 8 < converged < tried
 
 
+def nan(x, rng):
+    return _with_entry(x, rng, np.nan)
+
+
+def infinite(x, rng):
+    return _with_entry(x, rng, -np.inf)
+
+
+def not_positive(x, rng):
+    return _with_entry(x, rng, rng.choice([0.0, -1.0]))
+
+
+def too_narrow(x, rng):
+    return np.asarray(x, np.float16)
+
+
+def complex_(x, rng):
+    return np.asarray(x) + 1j
+
+
+def too_long(x, rng):
+    return np.concatenate([np.atleast_1d(x), np.atleast_1d(x)])
+
+
+def off_the_space(x, rng):
+    return 1.1 * np.asarray(x)
+
+
+def inside_out(x, rng):
+    return -np.asarray(x)
+
+
+def _with_entry(x, rng, value):
+    x = np.array(x, float)
+    x[tuple(rng.integers(0, n) for n in x.shape)] = value
+    return x
+
+
+NEVER = (nan, infinite, too_narrow, complex_, too_long)  # of what can be no number of a system, a state or a step size
+OFF = {_free: off_the_space, _top: off_the_space, _pendulum: off_the_space, _se3: off_the_space, _elastic: inside_out}
+POSITIVE = {_free: (0,), _top: (0,), _pendulum: (0,), _se3: (0,), _elastic: (0, 1)}  # which numbers of a system are
+SPOILT = 300  # cases a scheme in the table
+
+
+def spoilt(cases, rng, k):
+    """Case k with one of its arrays spoilt, by the name of what was done."""
+    numbers, q, p, dt = (jax.tree.map(lambda x: np.asarray(x)[k], part) for part in _cases(cases))
+    parts = [*numbers, q, p, dt]
+    ways = [(i, how) for i in range(len(parts)) for how in NEVER]
+    ways.remove((len(parts) - 1, too_narrow))  # dt is a number of the state's type, however it is given
+    ways += [(i, not_positive) for i in POSITIVE[cases]] + [(len(numbers), OFF[cases])]
+    i, how = ways[rng.integers(len(ways))]
+    parts[i] = how(parts[i], rng)
+    return f"{how.__name__} in array {i}", (parts[: len(numbers)], *parts[len(numbers) :])
+
+
+@functools.cache
+def _cases(cases):
+    return jax.device_get(cases(np.random.default_rng(1), SPOILT))
+
+
+def accepted(name, seed, k):
+    """What was done to case k, if neither its system, its step nor its run was refused by a ValueError; else None."""
+    cases, make, _ = ATTACKS[name]
+    done, (numbers, q, p, dt) = spoilt(cases, np.random.default_rng([seed, k]), k)
+    try:
+        li.integrate(make(*numbers), State(q, p), dt, 1)
+    except ValueError:
+        return None
+    return done
+
+
+@pytest.mark.parametrize("name", ATTACKS)
+@settings(max_examples=40)
+@given(seed=st.integers(0, 2**31), k=st.integers(0, SPOILT - 1))
+def test_what_is_no_body_no_state_and_no_step_size_is_refused(name, seed, k):
+    assert accepted(name, seed, k) is None
+
+
 def table():
     """The counts of all attacks, as Markdown."""
-    lines = ["| scheme | cases, float64 + float32 | flagged | wrong, not flagged |", "|---|---|---|---|"]
+    lines = [
+        "| scheme | cases, float64 + float32 | flagged | wrong, not flagged | spoilt | refused |",
+        "|---|---|---|---|---|---|",
+    ]
     for name in ATTACKS:
         results = [attacked(name, dtype) for dtype in (jnp.float64, jnp.float32)]
         tried, good = (sum(r[k] for r in results) for k in (0, 1))
         wrong = sum(len(np.unique(np.concatenate(list(r[2].values())))) for r in results)
-        lines.append(f"| `{name}` | {tried} | {tried - good} | {wrong} |")
+        refused = sum(accepted(name, 0, k) is None for k in range(SPOILT))
+        lines.append(f"| `{name}` | {tried} | {tried - good} | {wrong} | {SPOILT} | {refused} |")
     return "\n".join(lines)
 
 

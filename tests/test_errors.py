@@ -14,7 +14,7 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import scenarios, studies
-from lieint_jax.command import cli, compilation, files, report
+from lieint_jax.command import cli, compilation, files, report, results
 from lieint_jax.ensemble import _layout, _recording, _run, _store
 from lieint_jax.fitting import _bounds
 from lieint_jax.types import State, StepInfo, Trajectory
@@ -61,21 +61,32 @@ SENTENCES = [
     (lambda: spread_of_toutatis(angular_velocity_degr=1.0), "spread.angular_velocity_degr: .*angular_velocity_deg"),
     (
         lambda: scenarios.load(
-            "toutatis", state=dict(quaternion=ONE.tolist(), euler_313_deg=[0.0] * 3, angular_velocity=[0.0] * 3)
+            "toutatis", state=dict(quaternion=ONE.tolist(), euler_313_deg=[0.0] * 3, angular_velocity_rad=[0.0] * 3)
         ),
-        "give quaternion or euler_313_deg, not both",
+        "give the attitude, by exactly one of quaternion and euler_313_deg",
+    ),
+    (
+        lambda: scenarios.load(
+            "toutatis",
+            state=dict(quaternion=ONE.tolist(), angular_velocity_deg=[0.0] * 3, angular_velocity_rad=[0.0] * 3),
+        ),
+        "give angular_velocity_rad or angular_velocity_deg, not both",
+    ),
+    (
+        lambda: spread_of_toutatis(angular_velocity_rad=0.1, angular_velocity_deg=1.0),
+        "give angular_velocity_rad or angular_velocity_deg, not both",
     ),
     (lambda: scenarios.load("toutatis", save_every=320), r"observation\.t = 23.* must be a multiple of dt·save_every"),
     (lambda: _store.check(Path("group.zarr")), "a Zarr group, but not one that lieint wrote"),
     (lambda: _store.check(Path("newer.zarr")), "has format 99; .*take a newer one"),
     (lambda: _store.check(Path("damaged.zarr")), "is damaged: its checksum is wrong"),
-    (lambda: report.plot(Path("bare.npz")), "holds no trajectories of a scenario"),
-    (lambda: report.plot(Path("start.npz")), "holds the initial states only"),
+    (lambda: results.plot(Path("bare.npz")), "holds neither a scenario nor the numbers of its system"),
+    (lambda: results.plot(Path("start.npz")), "holds the initial states only"),
 ]
 
 
 @pytest.fixture
-def results(tmp_path, monkeypatch):
+def unusable(tmp_path, monkeypatch):
     """A folder of results that cannot be used."""
     monkeypatch.chdir(tmp_path)
     attributes = {"group": {}, "newer": {"progress": 1, "format": 99}, "damaged": {"progress": 1, "checksum": "0"}}
@@ -88,7 +99,7 @@ def results(tmp_path, monkeypatch):
     files.save(Path("start.npz"), start, {"scenario": {}})
 
 
-@pytest.mark.usefixtures("results")
+@pytest.mark.usefixtures("unusable")
 @pytest.mark.parametrize(("call", "sentence"), SENTENCES, ids=[sentence[:30] for _, sentence in SENTENCES])
 def test_what_is_wrong_is_said(call, sentence):
     with pytest.raises(ValueError, match=sentence):

@@ -337,6 +337,25 @@ def test_killed_at_random_moments_and_resumed(book):
     assert same_folders(book / "killed.zarr", book / "whole.zarr")
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("signals", [[signal.SIGINT, signal.SIGINT], [signal.SIGTERM]], ids=["SIGINT twice", "SIGTERM"])
+def test_a_run_that_a_signal_ended_at_once_is_resumed(book, signals):
+    """The second SIGINT does not wait for the chunk; SIGTERM is what a scheduler sends."""
+    path = book / f"{len(signals)}.zarr"
+    process = command(book, "--out", path.name, stderr=subprocess.DEVNULL)
+    limit = time.monotonic() + 60
+    while not (path.exists() and _store.load(path)[1]["progress"]["entries"]):
+        assert time.monotonic() < limit
+        time.sleep(0.05)
+    for number in signals:
+        process.send_signal(number)
+        time.sleep(0.1)
+    assert process.wait(timeout=30) != 0
+    assert not _store.load(path)[1]["progress"]["complete"]
+    assert command(book, "--out", path.name, "--resume").wait() == 0
+    assert same_folders(path, book / "whole.zarr")
+
+
 def meet(folder, port, *options):
     distributed = ["--distributed", "--coordinator", f"localhost:{port}", "--processes", "2", "--process"]
     text = dict(stderr=subprocess.PIPE, text=True)

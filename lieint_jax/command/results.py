@@ -102,15 +102,17 @@ def _stored(path: Path, run: Any, metadata: dict[str, Any]) -> StoredRun:
     if scenario:
         step, _ = scenarios.kind(scenario).build(scenario.model_copy(update={"members": 1}))
         return StoredRun(scenario.title, scenario.time_unit, step.system, run, False)
+    if "run" not in metadata:
+        raise ValueError(f"{path} holds neither a scenario nor the numbers of its system")
     own_system = metadata["run"]["step_axis"] == 0
-    return StoredRun(metadata["title"], metadata["time_unit"], system_of(path, metadata), run, own_system)
+    return StoredRun(metadata["title"], metadata.get("time_unit", ""), system_of(path, metadata), run, own_system)
 
 
 def contents(path: Path, run: Any = None, metadata: Any = None) -> str:
     """A description of a file of results, in lines."""
     if run is None:
         run, metadata = files.load(path)
-    lines = [str(metadata.get("title") or metadata["scenario"]["title"]), *_origin(run, metadata)]
+    lines = [str(metadata.get("title") or metadata.get("scenario", {}).get("title", path)), *_origin(run, metadata)]
     t = _times(run)
     if not len(t):
         return "\n".join(lines)

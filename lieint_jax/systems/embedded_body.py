@@ -99,4 +99,4 @@ def embedded_body(inertia: ArrayLike) -> EmbeddedBody:
 def examples() -> dict[str, tuple[EmbeddedBody, State, float]]:
     """The body of the paper's Figure 1."""
     body = embedded_body([1.0, 2.0, 3.0])
-    return {"asymmetric": (body, body.state(angular_velocity=[0.2, 0.0, 1.0]), 0.05)}
+    return {"embedded": (body, body.state(angular_velocity=[0.2, 0.0, 1.0]), 0.05)}
