@@ -141,8 +141,11 @@ def attacked(name, dtype):
     run = jax.jit(jax.vmap(lambda case: outcome(make, *case)))
     found = {key: np.asarray(value) for key, value in run(given).items()}
     lever, converged = found["lever"], found["converged"]
-    energy = 4096 if name == "so3_explicit" else 256  # which tolerates that drift of its constant
-    bound = {"defect": 64.0, "H": energy * lever if "H" in claims else np.inf, "P": 64.0, "back": 2e4 * lever}
+    # a few times the largest seen: defect 3, 55 on the sphere; H 34, 84 of elastic bodies, 660 of so3_explicit, which
+    # tolerates that drift of its constant; P 13; back 55
+    energy = {"so3_explicit": 2048, "additive[average]": 256}.get(name, 100)
+    defect = 200 if name.startswith("sphere") else 12
+    bound = {"defect": defect, "H": energy * lever if "H" in claims else np.inf, "P": 40, "back": 200 * lever}
     wrong = {key: np.flatnonzero(converged & ~(found[key] <= most)) for key, most in bound.items()}
     return CASES, int(converged.sum()), wrong | {"finite": np.flatnonzero(converged & ~found["finite"])}
 
@@ -169,7 +172,8 @@ def not_positive(x, rng):
 
 
 def too_narrow(x, rng):
-    return np.asarray(x, np.float16)
+    with np.errstate(over="ignore"):
+        return np.asarray(x, np.float16)
 
 
 def complex_(x, rng):
