@@ -40,7 +40,18 @@ CASES = {  # step, state, dt, and what is kept of energy and form
     "elastic, α = .3": (schemes.additive(BALL, "symplectic", 0.3), SPUN, 0.02, False, True),
     "elastic, energy": (schemes.additive(BALL, "average"), SPUN, 0.02, True, False),
 }
-LONG = ("composed", "exact", "top", "top, symplectic κ", "elastic", "elastic, α = .3", "elastic, energy", "arcsine")
+LONG = (
+    "composed",
+    "exact",
+    "top",
+    "top, symplectic κ",
+    "elastic",
+    "elastic, α = .3",
+    "elastic, energy",
+    "arcsine",
+    "exponential",
+    "group_alpha",
+)
 
 
 @jax.jit

@@ -95,7 +95,7 @@ def test_the_equations_5_43_and_5_45_hold_as_they_stand(alpha):
     assert alpha == 0.5 or exchanged > 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("alpha", [0.5, 0.3])
 def test_with_a_potential_the_momentum_of_its_symmetry_is_kept_and_the_form_is_not(alpha):
     """(5.44) for every α; Result 8: on SO(3) no member is symplectic, the best loses the form as Δt³."""

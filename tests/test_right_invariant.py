@@ -15,7 +15,7 @@ CATALOGUE = {
     "SE(2)": (groups.special_euclidean(2), np.diag([1.0, 2, 3]) + 0.3, [0.6, -0.4, 0.5]),
     "Aff(1)": (groups.affine(1), [1.0, 2.0], [0.4, 0.7]),
 }
-NAMES = [pytest.param(name, marks=pytest.mark.slow) for name in CATALOGUE]
+NAMES = [pytest.param(name, marks=[pytest.mark.long] * (name != "SE(2)")) for name in CATALOGUE]
 _once = jax.jit(lambda step, state, dt: step(state, dt))
 
 
@@ -77,6 +77,7 @@ def test_the_inverse_map_carries_it_to_the_left_invariant_flow(name):
         np.testing.assert_allclose(a, b, atol=8e-15)
 
 
+@pytest.mark.long
 def test_symplectic_with_the_arcsine_map_and_not_with_the_exponential():
     """Inversion is a symplectic map of T*G: the form is kept exactly where the left-invariant step keeps it."""
     system, state = made("SL(2)")
@@ -88,6 +89,7 @@ def test_symplectic_with_the_arcsine_map_and_not_with_the_exponential():
     assert lost.symplectic_order == pytest.approx(3, abs=0.1)
 
 
+@pytest.mark.long
 def test_the_poisson_error_is_that_of_the_whole_form():
     """(5.36) is of steps with π constant: here the product alone, and the recursion refused."""
     system, state = made("SL(2)")

@@ -78,7 +78,8 @@ def test_one_half_is_so3_midpoint(kappa):
     np.testing.assert_allclose(here.q, so3.to_matrix(there.q), atol=8e-15)  # floor 2e-15
 
 
-@pytest.mark.parametrize("alpha", [0.0, 0.3, 0.5, 0.9])
+@pytest.mark.slow
+@pytest.mark.parametrize("alpha", [0.3, 0.5, 0.0, 0.9])
 def test_what_the_family_keeps_and_what_it_loses(alpha):
     """Order, the group and the length of Π tell α = ½ from the others; energy and momentum do not."""
     step = li.schemes.so3_alpha(BODY, alpha)
@@ -103,6 +104,7 @@ def test_alpha_is_undone_by_one_less_alpha():
     assert np.abs(_once(forth, _once(forth, STATE, 0.3)[0], -0.3)[0].q - STATE.q).max() > 1e-2
 
 
+@pytest.mark.long
 def test_one_half_is_symplectic_with_the_symplectic_kappa_and_not_with_another():
     defect = [jax.jit(symplectic_defect)(li.schemes.so3_alpha(BODY, 0.5, k), STATE, 0.3) for k in KAPPAS]
     assert defect[2] < 4e-15  # floor 9e-16
@@ -140,6 +142,7 @@ def _slopes(alpha, kappa, state, dt):
     return jnp.moveaxis(jax.jacfwd(end)(x), -1, 0), jnp.stack(differences), jax.grad(lambda x: end(x)[0, 1])(x)
 
 
+@pytest.mark.long
 def test_derivatives_by_alpha_and_dt():
     forward, differences, reverse = _slopes(0.3, kappa_exponential, STATE, 0.2)
     np.testing.assert_allclose(forward, differences, atol=1e-9)
