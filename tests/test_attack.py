@@ -256,5 +256,8 @@ def table():
 
 
 if __name__ == "__main__":
+    import warnings
+
     jax.config.update("jax_enable_x64", True)
+    warnings.simplefilter("ignore")  # of moments that are no rigid body's
     print(table())
