@@ -21,7 +21,7 @@ step of |Δt Ω| = .05, in the basis of the group. `lieint check groups` prints 
 | E(1,1) | 1.5e-16 | 6.6e-05 | 9.9e-05 | 8.9e-16 |
 | T(3) | 1.5e-16 | 6.1e-05 | 7.3e-05 | — |
 | R^3 | 0.0e+00 | 0.0e+00 | 0.0e+00 | 0.0e+00 |
-| SO(3) x Aff(1) | 9.3e-17 | 9.4e-06 | 1.4e-05 | — |
+| SO(3) x Aff(1) | 9.3e-17 | 9.4e-06 | 1.4e-05 | 1.7e-05 |
 | Bianchi V | 7.8e-16 | 3.0e-04 | 4.5e-04 | 8.9e-16 |
 | Bianchi IV | 3.8e-15 | 2.1e-03 | — | 1.9e-03 |
 """
