@@ -293,20 +293,21 @@ def _motion(b: _Labels, e: Vector, tau: Array) -> _Motion:
     f_r, f_o, nu = b.rm * R, b.mo * (b.ro * z + b.rm * y), b.mo * R
     about_r = excess > 0
     f, g = jnp.where(about_r, f_r, f_o), jnp.where(about_r, f_o, f_r)
-    near = f * tau * tau < _NEAR
-    f_far = jnp.where(near, 1, f)
-    m1 = jnp.where(near, 1, jnp.where(about_r, excess, -excess) / f_far)  # abs() has no derivative at 0
+    # XLA may work out f τ² more than once, rounded differently: both branches are right on both sides of `near`
+    near, nearer, about = (f * tau * tau < c * _NEAR for c in (1, 0.5, 2))
+    f_far = jnp.where(nearer, 1, f)
+    m1 = jnp.where(nearer, 1, jnp.where(about_r, excess, -excess) / f_far)  # abs() has no derivative at 0
     frequency = jnp.sqrt(f_far)
     K = elliptic.quarter_period(m1)
-    u = jnp.where(near, 0, frequency * tau)
+    u = jnp.where(nearer, 0, frequency * tau)
     halves = lax.stop_gradient(jnp.round(u / (2 * K)))
     sn, cn, dn = elliptic.jacobi(u - 2 * K * halves, m1)
-    x, y, time = *(jnp.where(near, k * tau * tau, 0) for k in (f, g)), jnp.where(near, tau, 0)
+    x, y, time = *(jnp.where(about, k * tau * tau, 0) for k in (f, g)), jnp.where(about, tau, 0)
     S = jnp.where(near, time * (1 - (x + y) / 6 + (x * x + 14 * x * y + y * y) / 120), sn / frequency)
     cn = jnp.where(near, 1 - x / 2 + x * (x + 4 * y) / 24, cn)
     dn = jnp.where(near, 1 - y / 2 + y * (y + 4 * x) / 24, dn)
     part, quarter = _third(cn, dn, nu * S * S, m1, nu / f_far)
-    X = S**3 * part + jnp.where(near, 0, 2 * halves * quarter / (f_far * frequency))
+    X = S**3 * part + jnp.where(nearer, 0, 2 * halves * quarter / (f_far * frequency))
     lever = jnp.abs(b.ro) * (jnp.abs(b.rm * e[0]) + jnp.abs(b.mo * e[2]))
     condition = jnp.abs(halves) * jnp.where(halves == 0, 0, lever / jnp.where(halves == 0, 1, jnp.abs(excess)))
     return _Motion(about_r, R, nu, S, cn, dn, halves, b.b_o * tau + b.ro * nu * X, condition)

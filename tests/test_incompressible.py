@@ -75,6 +75,7 @@ def test_the_step_is_the_one_that_its_equations_have():
     np.testing.assert_allclose(left, -p * direction, atol=1e-10)
 
 
+@pytest.mark.long
 def test_second_order_reversible_and_the_hidden_constraint():
     """Against the flow in T*SL(3), of order 16; tr(ḞF⁻¹) at the ends of steps is O(Δt²)."""
 
@@ -140,6 +141,7 @@ def test_what_it_keeps_by_the_certificate():
     assert found.reversibility < 2e-14
 
 
+@pytest.mark.long
 def test_float32_and_a_step_of_no_time():
     single = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (STEP, STATE))
     after, info = _once(*single, np.float32(DT))

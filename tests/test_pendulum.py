@@ -131,6 +131,7 @@ def in_the_chart():
     return jax.device_get(steps(jnp.array(Z)))
 
 
+@pytest.mark.long
 def test_the_spherical_chart_is_one_of_darboux():
     """The form of T*S² is the constant (1.2) in it; p_φ is γ·π; the coordinates of a state lead back to it."""
     *_, slope, back = in_the_chart()
