@@ -33,7 +33,8 @@ BOBS = {  # their coefficients are leaves, so all of them share compilations
 @functools.cache
 def start():
     """Of every bob, which differ in their fields only."""
-    return jax.device_get(jax.jit(lambda: BOBS["linear"].state(Q, velocity=V))())
+    with jax.ensure_compile_time_eval():  # it may be asked for first inside jit
+        return jax.device_get(jax.jit(lambda: BOBS["linear"].state(Q, velocity=V))())
 
 
 @jax.jit
