@@ -24,6 +24,7 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("diagnostics",),
     ("schemes",),
     ("systems",),
+    ("orbits",),
     ("integrate",),
     ("_free_body",),
     ("phase_spaces",),
@@ -116,7 +117,7 @@ schemes.group_midpoint schemes.group_energy_momentum schemes.additive schemes.sp
 ensemble.compiler_options studies.reversible studies.observe studies.fit studies.over_members
 diagnostics.linearization diagnostics.symplectic_defect diagnostics.poisson_error diagnostics.energy_error
 diagnostics.momentum_error diagnostics.delay diagnostics.order diagnostics.reversibility diagnostics.certify
-diagnostics.conditions
+diagnostics.conditions orbits.kepler
 """
 
 
