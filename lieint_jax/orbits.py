@@ -126,9 +126,7 @@ def kepler(
 
 def _check_shape(a: float, e: float) -> None:
     if e == 1:
-        raise ValueError(
-            "eccentricity must not be 1: a parabola has no semi-major axis; take e a little below or above"
-        )
+        raise ValueError("eccentricity must not be 1: a parabola has no semi-major axis; take e a little off 1")
     if not (a > 0 and 0 <= e < 1) and not (a < 0 and e > 1):
         raise ValueError(
             f"an ellipse has semi_major_axis > 0 and 0 ≤ eccentricity < 1, a hyperbola semi_major_axis < 0 and "
