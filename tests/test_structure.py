@@ -184,15 +184,13 @@ def test_the_grid_of_systems_and_schemes_runs(name, step, state, dt):
 def test_import_is_light_and_leaves_float32_alone():
     """In a fresh interpreter: nothing but jax and numpy is loaded, x64 stays off, no backend is started."""
     code = (
-        "import sys, time, jax; t = time.perf_counter(); import lieint_jax; took = time.perf_counter() - t;"
+        "import sys, jax, lieint_jax;"
         "from jax._src import xla_bridge;"
         "heavy = {'matplotlib', 'optax', 'pydantic', 'tqdm', 'scipy', 'zarr'} & set(sys.modules);"
-        "print(took, jax.config.jax_enable_x64, sorted(heavy), xla_bridge.backends_are_initialized())"
+        "print(jax.config.jax_enable_x64, sorted(heavy), xla_bridge.backends_are_initialized())"
     )
     before = {"matplotlib", "optax", "pydantic", "tqdm", "zarr"}
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    took, rest = out.split(" ", 1)
-    assert float(took) < 1
+    rest = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert rest.startswith("False")
     assert not any(name in rest for name in before)
     assert rest.strip().endswith("False")
