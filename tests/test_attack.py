@@ -234,7 +234,7 @@ def accepted(name, seed, k):
 
 @pytest.mark.filterwarnings("ignore:principal moments")
 @pytest.mark.parametrize("name", ATTACKS)
-@settings(max_examples=10)
+@settings(max_examples=6)
 @given(seed=st.integers(0, 2**31), k=st.integers(0, SPOILT - 1))
 def test_what_is_no_body_no_state_and_no_step_size_is_refused(name, seed, k):
     assert accepted(name, seed, k) is None

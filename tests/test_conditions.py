@@ -136,6 +136,7 @@ def test_float32_and_batches():
     assert not lost.any()
 
 
+@pytest.mark.long
 def test_what_has_no_conditions_is_refused():
     pendulum = li.systems.pendulum(1.0, 9.81)
     state = pendulum.phase_space.origin

@@ -200,6 +200,7 @@ def test_poinsot():
     assert np.abs(norm - np.linalg.norm(state.p)).max() < 5e-15
 
 
+@pytest.mark.long
 def test_gradient_of_a_full_tensor_and_reverse_mode():
     J, state = turned([1.0, 2.0, 3.0]), setting([1, 2, 3], [0.3, 0.6, 0.8])[1]
     slopes = jax.grad(lambda J, t: RigidBody(J).solution(state, t).q[1], argnums=(0, 1))

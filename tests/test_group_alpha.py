@@ -60,6 +60,7 @@ def test_without_a_potential_momentum_is_kept_for_every_alpha_and_the_rest_is_no
     assert order(step, SPIN, 0.05) == pytest.approx(1, abs=0.05)
 
 
+@pytest.mark.long
 def test_without_a_potential_one_half_is_group_midpoint():
     step = li.schemes.group_alpha(FREE, 0.5, SYMPLECTIC)
     other = measured(li.schemes.group_midpoint(FREE, SYMPLECTIC), SPIN, 0.3)

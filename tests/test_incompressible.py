@@ -57,6 +57,7 @@ def test_without_the_pressure_the_volume_changes():
     assert abs(np.linalg.det(after.q) - 1) > 1e-4
 
 
+@pytest.mark.long
 def test_the_step_is_the_one_that_its_equations_have():
     """U E = Δt P_{n+½} and P₁ − P₀ = −Δt F_{n+½}(S̄ − pS̄₃): what S̄ leaves of the second is along S̄₃, by numpy."""
     after, info = _once(STEP, STATE, DT)

@@ -178,6 +178,7 @@ def test_claim_4_second_order_and_reversible_about_any_axis():
     assert found.converged
 
 
+@pytest.mark.long
 def test_claim_5_at_the_pole_the_step_in_the_chart_is_flagged():
     """Elsewhere it is not, be it at rest; a NaN never comes without the flag."""
     bob = BOBS["linear"]
