@@ -213,9 +213,9 @@ def manakov_integrals(a: ArrayLike, Pi: Array) -> Array:
 
 def examples() -> dict[str, tuple[Euler | RightEuler, State, float]]:
     """Kirchhoff's ellipsoid, its centre of mass below its centre; a four-dimensional body; a right-invariant flow."""
-    from lieint_jax.groups import special_linear
+    from lieint_jax.groups import special_orthogonal
 
-    right = euler(special_linear(2), [1.0, 2.0, 3.0], "right")
+    right = euler(special_orthogonal(3), [1.0, 2.0, 3.0], "right")
     ellipsoid, body = kirchhoff(center_of_mass=(0.0, 0.0, -0.2)), manakov()
     return {
         "kirchhoff": (ellipsoid, ellipsoid.state(velocity=[0.3, -0.4, 0.5, 0.6, 0.2, -0.3]), 0.1),
