@@ -1,6 +1,7 @@
 """The command: the main job on a small ensemble, certificates, and one clear line for whatever is wrong."""
 
 import json
+import os
 import re
 
 import jax
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from lieint_jax import scenarios
-from lieint_jax.command import by_group, cli, files
+from lieint_jax.command import by_group, certificates, cli, files
 from lieint_jax.scenarios import rigid_body
 from lieint_jax.types import State, StepInfo, Trajectory
 
@@ -339,3 +340,20 @@ def test_the_command_turns_float64_on():
         assert jax.config.jax_enable_x64
     finally:
         jax.config.update("jax_enable_x64", True)
+
+
+@pytest.mark.long
+def test_check_in_several_processes_prints_in_order(capfd):
+    """Every scheme of both pendulums, each once; XLA's flags are those of before."""
+    before = os.environ.get("XLA_FLAGS")
+    assert cli.main(["check", "pendulum", "--steps", "20"]) == 0
+    out = capfd.readouterr().out
+    heads = re.findall(r"^(pendulum\.\w+)\n(\S+) ", out, re.M)
+    names = ("sphere_chart", "sphere_midpoint[plain]", "sphere_midpoint[normalised]")
+    assert heads == [(f"pendulum.{bob}", name) for name in names for bob in ("uniform", "quadratic")]
+    assert os.environ.get("XLA_FLAGS") == before
+
+
+def test_a_flag_that_xla_does_not_know_is_not_set():
+    assert certificates._known("xla_backend_optimization_level", "0")
+    assert not certificates._known("xla_no_such_flag", "0")
