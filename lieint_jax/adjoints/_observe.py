@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import jax
@@ -86,7 +85,7 @@ def _(primals: tuple[Array, Array, Array], tangents: tuple[Array, Array, Any]) -
     return _rest(t, h, whole), tangents[0] - whole * tangents[1]
 
 
-@partial(jax.jit)
+@jax.jit
 def _seen(
     step: Step, later: tuple[State, StepInfo], back: Array, rest: Array, reached: Array
 ) -> tuple[State, StepInfo]:

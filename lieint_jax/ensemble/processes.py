@@ -45,7 +45,7 @@ def initialize(coordinator: str | None = None, count: int | None = None, index: 
             f"the processes did not meet: {error}. Start them with srun or mpirun, or tell each HOST:PORT of the "
             "first, how many there are, and which it is"
         ) from error
-    _watch.begin()
+    _watch.start()
 
 
 def leave(message: str) -> NoReturn:
@@ -62,13 +62,13 @@ def watched(mesh: Mesh) -> Iterator[None]:
     _watch.begin()
     try:
         yield
-        _watch.end()
     except (ValueError, RuntimeError) as error:
         several = len({device.process_index for device in mesh.devices.flat}) > 1
         if several and any(sign in str(error).lower() for sign in _SIGNS):
             raise LostProcess(f"{_watch.missing()} is lost; {_RESUMED}") from error
-        _watch.end()
         raise
+    finally:
+        _watch.end()  # who catches `LostProcess` may go on
 
 
 _RESUMED = "what is in the store can be resumed"
@@ -86,12 +86,16 @@ class _Watch:
         self._gone, self._found, self._active = "another process", threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
 
-    def begin(self) -> None:
-        """Watch from now on, if this is one of several processes that `initialize` connected."""
-        self._active.set()
-        if self._thread is None and _client() is not None:
+    def start(self) -> None:
+        """Watch the processes that `initialize` has connected, from now on."""
+        self.begin()
+        if self._thread is None:
             self._thread = threading.Thread(target=self._run, daemon=True, name="lieint-watch")
             self._thread.start()
+
+    def begin(self) -> None:
+        """Watch again, if `start` was called."""
+        self._active.set()
 
     def end(self) -> None:
         """Watch no more: the processes may end, one by one."""
@@ -99,7 +103,10 @@ class _Watch:
 
     def missing(self) -> str:
         """The processes that are gone, for a message. It may take some heartbeats to know."""
-        self._found.wait(3 * HEARTBEAT if self._thread else 0)
+        if self._thread is None:
+            self._gone_now()
+        else:
+            self._found.wait(3 * HEARTBEAT)
         return self._gone
 
     def _run(self) -> None:
@@ -119,7 +126,8 @@ class _Watch:
             self._gone = f"process 0 of {count}"
             return True
         gone = [str(k) for k in range(count) if k not in live]
-        self._gone = f"process {', '.join(gone)} of {count}"
+        if gone:
+            self._gone = f"process {', '.join(gone)} of {count}"
         return bool(gone)
 
 
