@@ -12,6 +12,7 @@ are those of the equation for E, not of the iterations that solve it.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +24,7 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics.power_series import horner
 from lieint_jax.types import pytree
 
+_Function = Callable[[Array], Array]
 _CORRECTIONS = 3  # of Halley on an ellipse: 2 suffice for all E
 _HYPERBOLIC_CORRECTIONS = 5  # of Halley on a hyperbola
 _CUBIC = [1 / math.factorial(2 * k + 3) for k in range(9)]  # (sinh E − E)/E³ = Σ E^{2k}/(2k+3)!
@@ -134,20 +136,35 @@ def _check_shape(a: float, e: float) -> None:
         )
 
 
-def _on_ellipse(M: Array, e: Array) -> tuple[Array, Array, Array, Array]:
+def _on_ellipse(M: Array, e: Array) -> tuple[Array, ...]:
     """x, y over a and their time derivatives over √(μ/a)."""
     E = _elliptic_anomaly(M - 2 * jnp.pi * lax.stop_gradient(jnp.round(M / (2 * jnp.pi))), e)
-    sine, versine = jnp.sin(E), 2 * jnp.sin(E / 2) ** 2
-    r, b = (1 - e) + e * versine, jnp.sqrt((1 - e) * (1 + e))
-    return (1 - e) - versine, b * sine, -sine / r, b * jnp.cos(E) / r
+    return _in_plane(E, e, 1 - e, jnp.sin, jnp.cos)
 
 
-def _on_hyperbola(M: Array, e: Array) -> tuple[Array, Array, Array, Array]:
+def _on_hyperbola(M: Array, e: Array) -> tuple[Array, ...]:
     """x, y over |a| and their time derivatives over √(μ/|a|)."""
-    E = _hyperbolic_anomaly(M, e)
-    sine, versine = jnp.sinh(E), 2 * jnp.sinh(E / 2) ** 2
-    r, b = (e - 1) + e * versine, jnp.sqrt((e - 1) * (e + 1))
-    return (e - 1) - versine, b * sine, -sine / r, b * jnp.cosh(E) / r
+    return _in_plane(_hyperbolic_anomaly(M, e), e, e - 1, jnp.sinh, jnp.cosh)
+
+
+def _in_plane(E: Array, e: Array, rest: Array, sine: _Function, cosine: _Function) -> tuple[Array, ...]:
+    """Both, with rest = |1 − e| and the circular or the hyperbolic functions."""
+    r, b = _slope(E, e, rest, sine), jnp.sqrt(rest * (1 + e))
+    return rest - 2 * sine(E / 2) ** 2, b * sine(E), -sine(E) / r, b * cosine(E) / r
+
+
+def _slope(E: Array, e: Array, rest: Array, sine: _Function) -> Array:
+    """dM/dE = 1 − e cos E or e cosh E − 1, which is also r/|a|."""
+    return rest + 2 * e * sine(E / 2) ** 2
+
+
+def _halley(E: Array, m: Array, e: Array, rest: Array, sine: _Function, less: _Function, corrections: int) -> Array:
+    """Corrections of E as a root of rest·E + e·less(E) = m, with less(E) = E − sin E or sinh E − E."""
+    for _ in range(corrections):
+        f = rest * E + e * less(E) - m
+        slope, bend = _slope(E, e, rest, sine), e * sine(E)
+        E = E - 2 * f * slope / (2 * slope * slope - f * bend)
+    return E
 
 
 @jax.custom_jvp
@@ -160,10 +177,7 @@ def _elliptic_anomaly(M: Array, e: Array) -> Array:
     r = 3 * alpha * d * (d - rest) * m + m**3
     w = jnp.cbrt(r + jnp.sqrt(jnp.maximum(q**3 + r * r, 0))) ** 2
     E = (2 * r * w / (w * w + w * q + q * q) + m) / d
-    for _ in range(_CORRECTIONS):
-        f = rest * E + e * _less_sine(E) - m
-        slope, bend = rest + 2 * e * jnp.sin(E / 2) ** 2, e * jnp.sin(E)
-        E = E - 2 * f * slope / (2 * slope * slope - f * bend)
+    E = _halley(E, m, e, rest, jnp.sin, _less_sine, _CORRECTIONS)
     return jnp.where(M < 0, -E, E)
 
 
@@ -171,7 +185,7 @@ def _elliptic_anomaly(M: Array, e: Array) -> Array:
 def _(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
     M, e = primals
     E = _elliptic_anomaly(M, e)
-    return E, (tangents[0] + jnp.sin(E) * tangents[1]) / ((1 - e) + 2 * e * jnp.sin(E / 2) ** 2)
+    return E, (tangents[0] + jnp.sin(E) * tangents[1]) / _slope(E, e, 1 - e, jnp.sin)
 
 
 @jax.custom_jvp
@@ -187,10 +201,7 @@ def _hyperbolic_anomaly(M: Array, e: Array) -> Array:
     w = jnp.cbrt(s + jnp.sqrt(s * s + p**3))
     cubic = 2 * s / (w * w + p + (p / w) ** 2)
     E = jnp.minimum(cubic, jnp.arcsinh((m + cubic) / e))
-    for _ in range(_HYPERBOLIC_CORRECTIONS):
-        f = rest * E + e * _sinh_less(E) - m
-        slope, bend = rest + 2 * e * jnp.sinh(E / 2) ** 2, e * jnp.sinh(E)
-        E = E - 2 * f * slope / (2 * slope * slope - f * bend)
+    E = _halley(E, m, e, rest, jnp.sinh, _sinh_less, _HYPERBOLIC_CORRECTIONS)
     return jnp.where(M < 0, -E, E)
 
 
@@ -198,7 +209,7 @@ def _hyperbolic_anomaly(M: Array, e: Array) -> Array:
 def _(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
     M, e = primals
     E = _hyperbolic_anomaly(M, e)
-    return E, (tangents[0] - jnp.sinh(E) * tangents[1]) / ((e - 1) + 2 * e * jnp.sinh(E / 2) ** 2)
+    return E, (tangents[0] - jnp.sinh(E) * tangents[1]) / _slope(E, e, e - 1, jnp.sinh)
 
 
 def _less_sine(E: Array) -> Array:
