@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jax.typing import ArrayLike
 
 from lieint_jax._numerics import newton, unrolled
 from lieint_jax.maps import Tau, derivative
@@ -152,6 +153,15 @@ def newton_matrix(equation: Equation, theta: unrolled.Vector, F: unrolled.Vector
     after = unrolled.settled(unrolled.plus(unrolled.matvec(m, theta), (-1.0, known), (-1.0, F)))
     turned = unrolled.matmul(ad_star_matrix(group, after), unrolled.settled(slope(tau, group, theta)))
     return unrolled.settled(unrolled.combination((1.0, m), (-1.0, turned)))
+
+
+def bent(K: unrolled.Matrix, system: Any, where: Array, factor: ArrayLike) -> unrolled.Matrix:
+    """K − factor D², with D² the derivative of the body force along the group at `where`, held fixed."""
+    group, where = system.group, lax.stop_gradient(where)
+    zero = jnp.zeros(group.dim, where.dtype)
+    bend = jax.jacfwd(lambda x: system.body_force(where + group.tangent(where, x)))(zero)
+    bend = lax.stop_gradient(factor * bend)
+    return unrolled.combination((1.0, K), (-1.0, unrolled.as_list(bend) if isinstance(K, list) else bend))
 
 
 def size_unit(m: unrolled.Matrix, a: unrolled.Vector) -> Callable[[unrolled.Vector], Array]:

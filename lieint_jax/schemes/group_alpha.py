@@ -17,9 +17,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
-from jax import Array, lax
+from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
@@ -29,6 +28,7 @@ from lieint_jax.maps import Map, Tau, as_tau, exponential
 from lieint_jax.schemes._on_groups import (
     Equation,
     as_vector,
+    bent,
     coadjoint,
     guess,
     newton_matrix,
@@ -92,10 +92,7 @@ class GroupAlpha(Step):
             K = newton_matrix(equation, theta, F)
             if not isinstance(self.system, MechanicalSystem):
                 return K
-            body_force, where = self.system.body_force, lax.stop_gradient(at(theta))
-            bend = jax.jacfwd(lambda x: body_force(where + group.tangent(where, x)))(jnp.zeros_like(state.p))
-            bend = lax.stop_gradient(2 * alpha * (1 - alpha) * s * bend)
-            return unrolled.combination((1.0, K), (-1.0, unrolled.as_list(bend) if isinstance(K, list) else bend))
+            return bent(K, self.system, at(theta), 2 * alpha * (1 - alpha) * s)
 
         size, start = size_unit(m, a), guess(group, m, a)
         if isinstance(self.system, MechanicalSystem):

@@ -20,7 +20,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
@@ -30,6 +30,7 @@ from lieint_jax.schemes._capability import Integrand
 from lieint_jax.schemes._on_groups import (
     Equation,
     as_vector,
+    bent,
     body_velocity_field,
     coadjoint,
     guess,
@@ -91,14 +92,8 @@ class GroupEnergyMomentum(Step):
             return equation.residual(theta, coadjoint(tau, group, theta, unrolled.settled(kicked)))
 
         def matrix(theta: unrolled.Vector, F: unrolled.Vector) -> unrolled.Matrix:
-            half_turn = unrolled.as_array(theta, state.p) / 2
-            middle = lax.stop_gradient(group.multiply(q, tau(group, half_turn)))
-            bend = jax.jacfwd(lambda x: self.system.body_force(middle + group.tangent(middle, x)))(
-                jnp.zeros_like(half_turn)
-            )
-            bend = lax.stop_gradient(s / 2 * bend)
-            K = newton_matrix(equation, theta, F)
-            return unrolled.combination((1.0, K), (-1.0, unrolled.as_list(bend) if isinstance(K, list) else bend))
+            middle = group.multiply(q, tau(group, unrolled.as_array(theta, state.p) / 2))
+            return bent(newton_matrix(equation, theta, F), self.system, middle, s / 2)
 
         size = size_unit(m, unrolled.each(jnp.maximum, unrolled.each(jnp.abs, a), unrolled.each(jnp.abs, pull)))
         start = guess(group, m, unrolled.plus(a, (0.5, pull)))
