@@ -123,7 +123,8 @@ def reference(body: Any) -> np.ndarray:
 
     import lieint_jax as li
 
-    states = li.State(*map(jax.numpy.asarray, bodies(WATCHED)))
+    F, P = map(jax.numpy.asarray, bodies(WATCHED))
+    states = li.State(F, P)
     return np.asarray(jax.jit(jax.vmap(lambda z: li.diagnostics.flow(body, z, END, 200)))(states).q)
 
 
@@ -135,7 +136,7 @@ def quality(body: Any, solver: Solver, exact: np.ndarray) -> dict[str, float]:
 
     start = bodies(WATCHED)
     F, P, _ = solver.advance(*start, END)
-    states = [li.State(*map(jax.numpy.asarray, z)) for z in (start, (F, P))]
+    states = [li.State(*map(jax.numpy.asarray, z)) for z in (start, (F, P))]  # pyright: ignore[reportArgumentType]
     H, Phi = ([np.asarray(jax.vmap(f)(z)) for z in states] for f in (body.energy, body.momentum))
     return {
         "error": float(np.abs(F - exact).max()),

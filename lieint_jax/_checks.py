@@ -56,6 +56,21 @@ def step_size(dt: Any) -> Any:
     return dt
 
 
+def time_resolution(t: Any, dt: Any, num_steps: int) -> None:
+    """Warn if the floating-point numbers at a concrete time t of a run are more than 1e-6·dt apart."""
+    if t is None or not concrete(t, dt):
+        return
+    t = np.asarray(t)
+    latest = np.max(np.maximum(np.abs(t), np.abs(t + t.dtype.type(num_steps) * t.dtype.type(dt))))
+    if np.spacing(latest) > 1e-6 * abs(float(dt)) > 0:
+        warnings.warn(
+            f"the time {latest:.6g} of a state is held to {np.spacing(latest):.2g} in {t.dtype}, and the step is "
+            f"dt = {float(dt):.6g}: count time from a nearer epoch" + ("" if t.itemsize > 4 else ", or take float64"),
+            RuntimeWarning,
+            stacklevel=3,
+        )
+
+
 def count(name: str, value: Any, least: int) -> int:
     """An integer ≥ `least`, as a Python int."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:

@@ -11,7 +11,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.types import State, Step, StepInfo, Trajectory, checked_step, promoted
+from lieint_jax.types import State, Step, StepInfo, Trajectory, checked_step, on_clock, promoted
 
 
 def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_every: int = 1) -> Trajectory:
@@ -28,16 +28,21 @@ def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_ever
         save_every: steps between saved states.
 
     Returns:
-        A `Trajectory` of num_steps/save_every + 1 entries, the initial state first.
+        A `Trajectory` of num_steps/save_every + 1 entries, the initial state first. Its times, and the state's where
+        it has one, are t₀ + nΔt, where t₀ is the initial state's time, else 0.
 
     Raises:
         ValueError: a bad count, a concrete state that is not one of the system, or a concrete dt past the scheme's
             limit at the first step. Later failures, and all failures inside jit, show in `info.converged`.
+
+    Warns:
+        RuntimeWarning: a state's time is so large that the floating-point numbers there are more than dt/10⁶ apart.
     """
     num_steps, save_every = _checks.count("num_steps", num_steps, 0), _checks.count("save_every", save_every, 1)
     num_saves = saves(num_steps, save_every)
     step, state, dtype = promoted(checked_step(step), state)
     step.check(state, dt)
+    _checks.time_resolution(state.t, dt, num_steps)
     return _trajectory(step, state, jnp.asarray(_checks.step_size(dt), dtype), num_saves, save_every)
 
 
@@ -46,36 +51,49 @@ def _trajectory(step: Step, state: State, dt: Array, num_saves: int, save_every:
     step = step.prepare(state, dt)
     started = StepInfo.fresh(state.p)
 
-    def one(carry: tuple[State, StepInfo], _: None) -> tuple[tuple[State, StepInfo], None]:
-        state, so_far = carry
+    t0 = state.t
+
+    def one(carry: tuple[State, StepInfo, Array], _: None) -> tuple[tuple[State, StepInfo, Array], None]:
+        state, so_far, n = carry
         state, info = step(state, dt)
-        return (state, so_far.merge(info)), None
+        return (on_clock(state, t0, n + 1, dt), so_far.merge(info), n + 1), None
 
-    def interval(state: State, _: None) -> tuple[State, tuple[State, StepInfo]]:
-        (state, info), _ = lax.scan(one, (state, started), None, length=save_every)
-        return state, (state, info)
+    def interval(carry: tuple[State, Array], _: None) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
+        state, n = carry
+        (state, info, n), _ = lax.scan(one, (state, started, n), None, length=save_every)
+        return (state, n), (state, info)
 
-    _, later = lax.scan(interval, state, None, length=num_saves)
-    return from_start(state, later, dt * save_every)
+    _, later = lax.scan(interval, (state, jnp.zeros((), int)), None, length=num_saves)
+    return from_start(state, later, dt, save_every)
 
 
-def from_start(state: State, later: tuple[State, StepInfo], interval: Array) -> Trajectory:
-    """The trajectory of an initial state and the states and reports saved after it, `interval` apart in time."""
+def from_start(state: State, later: tuple[State, StepInfo], dt: Array, save_every: int) -> Trajectory:
+    """The trajectory of an initial state and the states and reports saved after it, `save_every` steps apart."""
     first = (state, StepInfo.fresh(state.p))
     joined = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
     entries = joined[1].residual.shape[0]
-    return Trajectory(interval * jnp.arange(entries, dtype=interval.dtype), *joined)
+    t = joined[0].t
+    return Trajectory(dt * save_every * jnp.arange(entries, dtype=dt.dtype) if t is None else t, *joined)
 
 
 def steps(
-    step: Callable[..., tuple[State, StepInfo]], state: State, dt: ArrayLike, count: ArrayLike
+    step: Callable[..., tuple[State, StepInfo]],
+    state: State,
+    dt: ArrayLike,
+    count: ArrayLike,
+    t0: Array | None = None,
+    done: ArrayLike = 0,
 ) -> tuple[State, StepInfo]:
-    """The state after `count` steps, which may be traced, and the merged report of the steps."""
+    """The state after `count` steps, which may be traced, and the merged report of the steps.
 
-    def one(_: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:
+    `state` is that after `done` steps from the time t₀; by default, it is the first.
+    """
+    t0 = state.t if t0 is None else t0
+
+    def one(n: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:
         state, so_far = carry
         state, info = step(state, dt)
-        return state, so_far.merge(info)
+        return on_clock(state, t0, done + n + 1, dt), so_far.merge(info)
 
     return lax.fori_loop(0, count, one, (state, StepInfo.fresh(state.p)))
 

@@ -35,7 +35,7 @@ class CotangentGroup:
     def perturb(self, state: State, delta: Array) -> State:
         """The state moved by δ = (δθ, δπ), shape (2d,): (exp(δθ) q, π + δπ)."""
         d = self.group.dim
-        return State(self.group.multiply(self.group.exp(delta[:d]), state.q), state.p + delta[d:])
+        return state._replace(q=self.group.multiply(self.group.exp(delta[:d]), state.q), p=state.p + delta[d:])
 
     def trivialise(self, state: State, tangent: State) -> Array:
         """(δθ, δπ), shape (2d,), of a tangent vector given in the coordinates of `State`."""
@@ -75,7 +75,7 @@ class EmbeddedRotations:
         """The state moved by δ = (δθ, δπ), shape (6,): (exp(δθ̂) Λ, π + δπ)."""
         turn = so3.exp(delta[:3])
         turned = jax.vmap(lambda column: so3.Ad(turn, column), 1, 1)(state.q)
-        return State(turned, state.p + delta[3:])
+        return state._replace(q=turned, p=state.p + delta[3:])
 
     def trivialise(self, state: State, tangent: State) -> Array:
         """(δθ, δπ), shape (6,), of a tangent vector (δΛ, δπ): δθ = rot[δΛ Λ⁻¹], the rest of δΛ is left out."""
@@ -109,7 +109,7 @@ class CotangentMatrices:
 
     def perturb(self, state: State, delta: Array) -> State:
         """(F + δF, P + δP) for δ = (δF, δP), shape (18,)."""
-        return State(state.q + delta[:9].reshape(3, 3), state.p + delta[9:].reshape(3, 3))
+        return state._replace(q=state.q + delta[:9].reshape(3, 3), p=state.p + delta[9:].reshape(3, 3))
 
     def trivialise(self, state: State, tangent: State) -> Array:
         """(δF, δP), shape (18,)."""
@@ -165,7 +165,7 @@ class CotangentUnimodular:
         """The state moved by δ = (δθ, δπ), shape (16,): (exp(δθ̂)F, P), the part of P that is no velocity's as it is."""
         pi, q = self.spatial_momentum(state), self.group.multiply(self.group.exp(delta[:8]), state.q)
         rest = state.p - self.tangential(state.q, pi)
-        return State(q, self.tangential(q, pi + delta[8:]) + rest)
+        return state._replace(q=q, p=self.tangential(q, pi + delta[8:]) + rest)
 
     def trivialise(self, state: State, tangent: State) -> Array:
         """(δθ, δπ), shape (16,), of a tangent vector (δF, δP)."""
@@ -206,12 +206,12 @@ class CotangentSphere:
         """The state moved by δ = (a, b), shape (4,): q and π + δπ turned by exp(θ̂), θ = q × δq; it stays on T*S²."""
         e1, e2 = frame(state.q)
         turn = so3.exp(delta[0] * e2 - delta[1] * e1)
-        return State(so3.Ad(turn, state.q), so3.Ad(turn, state.p + delta[2] * e1 + delta[3] * e2))
+        return state._replace(q=so3.Ad(turn, state.q), p=so3.Ad(turn, state.p + delta[2] * e1 + delta[3] * e2))
 
     def trivialise(self, state: State, tangent: State) -> Array:
         """(a, b), shape (4,), of a tangent vector given in the coordinates of `State`."""
         e1, e2 = frame(state.q)
-        return jnp.stack([three.dot(e, v) for v in tangent for e in (e1, e2)])
+        return jnp.stack([three.dot(e, v) for v in (tangent.q, tangent.p) for e in (e1, e2)])
 
     def omega(self, state: State) -> Array:
         """ω(δ₁, δ₂) = q·(δq₁ × δπ₂ + δπ₁ × δq₂), shape (4, 4): the inverse of 𝒥 (1.4), the same in every frame."""

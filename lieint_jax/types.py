@@ -74,10 +74,19 @@ class State(NamedTuple):
             GL⁺(3): F, (3, 3). S²: unit vector, (3,).
         p: momentum. SO(3): spatial angular momentum π, (3,). Matrix groups: π in the dual basis, (d,). GL⁺(3): P,
             (3, 3). S²: π = m q × q̇, (3,).
+        t: time, a scalar, of a system that is driven; else it may be None.
+        work: what moving potentials and torques have done since the start, a scalar, or None if nobody counts it. The
+            energy less the work is conserved.
+        extra: arrays by name that a system or a scheme carries along, such as the momentum of a rotor, or None.
+
+    What is None is no leaf of the pytree. Diagnostics that perturb a state leave t, work and extra as they are.
     """
 
     q: Array
     p: Array
+    t: Array | None = None
+    work: Array | None = None
+    extra: dict[str, Array] | None = None
 
 
 class StepInfo(NamedTuple):
@@ -360,6 +369,44 @@ class IncompressibleBody(System):
     stored_energy: StoredEnergy
 
 
+class Driven(System):
+    """A kinetic energy and a potential V(q, t) that is a given function of time.
+
+    Energy less work is conserved, where the work is ∫∂V/∂t dt.
+    """
+
+    @property
+    @abc.abstractmethod
+    def free(self) -> System:
+        """This system without its potential."""
+
+    @abc.abstractmethod
+    def force(self, q: Array, t: Array, /) -> Array:
+        """By how much π̇ at the configuration q and the time t differs from π̇ of the free system."""
+
+    @abc.abstractmethod
+    def power(self, q: Array, t: Array, /) -> Array:
+        """∂V/∂t, a scalar."""
+
+
+class DrivenTop(Driven):
+    """A rigid body in a potential Ṽ(Γ, t) of an axis that may move: (4.2) with Γ = Λᵀγ(t).
+
+    Attributes:
+        inertia: J, as of `FreeBody`.
+        potential: Ṽ; a function of Λ, (3, 3), and t, if there is no axis.
+        axis: γ, a function of time with values (3,) in space, a constant (3,), or None.
+    """
+
+    inertia: Array
+    potential: Callable[[Array, Array], Array]
+    axis: Any
+
+    @abc.abstractmethod
+    def axis_at(self, t: Array, /) -> Array:
+        """γ(t), shape (3,)."""
+
+
 class OnSphere(System):
     """A particle on the unit sphere, on T*S²: q̇ = π × q/m, π̇ = −q × ∇V(q) (1.4).
 
@@ -378,7 +425,8 @@ class Step(abc.ABC):
     """One step of a scheme for a system: `step(state, dt) -> (state, info)`, a pure function and a pytree.
 
     `__call__` and `prepare` of any subclass see the state, dt and the step's own numbers in one floating-point type,
-    the widest among state and step.
+    the widest among state and step. The time of the new state, where there is one, is set here, to t + dt. A scheme
+    returns `state._replace(q=…, p=…)`, which keeps whatever else the state carries.
 
     Attributes:
         order: order of accuracy; infinite for the exact flow.
@@ -391,8 +439,10 @@ class Step(abc.ABC):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        for name in {"__call__", "prepare"} & vars(cls).keys():
-            setattr(cls, name, _in_one_type(vars(cls)[name]))
+        if "__call__" in vars(cls):
+            cls.__call__ = _in_one_type(_on_time(cls.__call__))
+        if "prepare" in vars(cls):
+            cls.prepare = _in_one_type(cls.prepare)
 
     @property
     @abc.abstractmethod
@@ -451,13 +501,35 @@ def promoted(step: _T, state: State) -> tuple[_T, State, Any]:
     """
     if not isinstance(state, State):
         raise ValueError(f"state must be a State(q, p), such as system.state(...) makes, got {type(state).__name__}")
-    named = zip(State._fields, state, strict=True)
-    leaves = [real_array(f"state.{name}", leaf, finite=False) for name, leaf in named]
+    if state.work is not None and state.t is None:
+        raise ValueError("a state with work needs the time that the work began at: state._replace(t=0.0)")
+    if state.extra is not None and not isinstance(state.extra, dict):
+        raise ValueError(f"state.extra must be a dict of arrays or None, got {type(state.extra).__name__}")
+    given = {name: x for name, x in state._asdict().items() if name != "extra" and x is not None}
+    found: dict[str, Any] = {name: real_array(f"state.{name}", x, finite=False) for name, x in given.items()}
+    if state.extra is not None:
+        named = state.extra.items()
+        found["extra"] = {name: real_array(f'state.extra["{name}"]', x, finite=False) for name, x in named}
     numbers = [real_array("a number of the step", x, finite=False) for x in jax.tree.leaves(step) if _is_real(x)]
-    dtype = jnp.result_type(*leaves, *numbers)
+    dtype = jnp.result_type(*jax.tree.leaves(found), *numbers)
     if any(x.dtype != dtype for x in numbers):
         step = jax.tree.map(lambda x: jnp.asarray(x, dtype) if _is_real(x) else x, step)
-    return step, State(*(leaf.astype(dtype) for leaf in leaves)), dtype
+    return step, State(**jax.tree.map(lambda leaf: leaf.astype(dtype), found)), dtype
+
+
+def on_clock(state: State, t0: Array | None, n: ArrayLike, dt: ArrayLike) -> State:
+    """`state` at the time t₀ + nΔt: the rounding errors of a sum of n steps would add up."""
+    return state if t0 is None else state._replace(t=t0 + n * dt)
+
+
+def clock(state: State) -> Array:
+    """The time of a state; ValueError if it has none."""
+    if state.t is None:
+        raise ValueError(
+            "the system is driven, so its state needs the time: make it with system.state(..., t=0.0), or give it one "
+            "with state._replace(t=0.0)"
+        )
+    return state.t
 
 
 def _is_real(leaf: Any) -> bool:
@@ -473,6 +545,20 @@ def _in_one_type(method: Callable[..., Any]) -> Callable[..., Any]:
         return method(step, state, jnp.asarray(step_size(dt), dtype))
 
     return converted
+
+
+def _on_time(method: Callable[..., tuple[State, StepInfo]]) -> Callable[..., tuple[State, StepInfo]]:
+    """A method (step, state, dt) whose new state is at t + dt, and keeps the other parts of the state."""
+
+    @functools.wraps(method)
+    def timed(step: Any, state: State, dt: Array) -> tuple[State, StepInfo]:
+        end, info = method(step, state, dt)
+        for name in ("work", "extra"):
+            if getattr(state, name) is not None and getattr(end, name) is None:
+                raise ValueError(f"{type(step).__name__} drops state.{name}: return state._replace(q=…, p=…) from it")
+        return end._replace(t=None if state.t is None else state.t + dt), info
+
+    return timed
 
 
 @jax.jit

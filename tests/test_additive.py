@@ -41,7 +41,7 @@ def run(step, state, dt, num_steps):
         state, info = once(step, state, dt)
         states.append(state)
         flags.append(info.converged)
-    stacked = State(*(np.stack(leaf) for leaf in zip(*states, strict=True)))  # 4000 arguments take jnp.stack a minute
+    stacked = jax.tree.map(lambda *x: np.stack(x), *states)  # 4000 arguments take jnp.stack a minute
     H, Phi = (np.array(jax.jit(jax.vmap(f))(stacked)) for f in (step.system.energy, step.system.momentum))
     return H, Phi, np.array(flags), state
 

@@ -112,7 +112,7 @@ class Doubled:
     """Twice the force."""
 
     def vector_field(self, state):
-        q, p = super().vector_field(state)
+        q, p, *_ = super().vector_field(state)
         return State(q, 2 * p)
 
 

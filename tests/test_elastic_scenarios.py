@@ -17,7 +17,7 @@ from lieint_jax.types import State, StepInfo, Trajectory
 def still(states):
     """A run that has only its initial states."""
     members = len(states.q)
-    start = State(*(np.asarray(x)[None] for x in states))
+    start = jax.tree.map(lambda x: np.asarray(x)[None], states)
     return Trajectory(np.zeros(1), start, StepInfo(np.zeros((1, members)), np.ones((1, members), bool)))
 
 
@@ -156,7 +156,7 @@ def test_the_pendulum_as_a_top_has_its_energy_and_momentum():
     step, states = scenarios.build(scenario)
     bob = step.system
     top, turned = pendulum.as_top(bob, still(states))
-    as_top = State(*(np.asarray(x[0]) for x in turned.state))
+    as_top = jax.tree.map(lambda x: np.asarray(x[0]), turned.state)
 
     def measured(system, states):
         return jax.vmap(system.energy)(states), jax.vmap(system.momentum)(states)

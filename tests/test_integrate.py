@@ -30,7 +30,7 @@ def test_saves_every_kth_state_and_the_worst_of_the_steps_between():
 
 def test_there_and_back_over_many_steps():
     there = jax.device_get(integrate(STEP, STATE, 0.1, 500, 500))
-    back = jax.device_get(integrate(STEP, State(*(x[-1] for x in there.state)), -0.1, 500, 500))
+    back = jax.device_get(integrate(STEP, jax.tree.map(lambda x: x[-1], there.state), -0.1, 500, 500))
     np.testing.assert_allclose(back.state.q[-1], STATE.q, atol=2e-13)  # floor 3e-14
     assert back.t[-1] == -50
 
@@ -88,7 +88,7 @@ def test_bad_states_and_steps_are_refused_before_anything_runs():
 
 
 def test_mixed_precisions_and_integers_are_promoted():
-    single = State(*(np.asarray(x, "float32") for x in STATE))
+    single = jax.tree.map(lambda x: np.asarray(x, "float32"), STATE)
     assert integrate(STEP, single, 0.1, 2, 1).state.q.dtype == jnp.float64
     whole = State(jnp.array([1, 0, 0, 0]), jnp.array([0, 1, 1]))
     assert li.integrate(STEP, whole, 0.1, np.int64(4), np.int64(2)).state.q.shape == (3, 4)

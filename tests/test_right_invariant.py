@@ -70,10 +70,10 @@ def test_the_inverse_map_carries_it_to_the_left_invariant_flow(name):
     there = jax.jit(image)(state)
     assert system.energy(state) == pytest.approx(float(mirror.energy(there)), rel=1e-14)
     moved, reflected = jax.jit(flow, static_argnums=(0, 3))(system, state, 0.7, 4), flow(mirror, there, 0.7, 4)
-    for a, b in zip(jax.jit(image)(moved), reflected, strict=True):
+    for a, b in zip(jax.jit(image)(moved)[:2], reflected[:2], strict=True):
         np.testing.assert_allclose(a, b, atol=2e-14)
     step, other = li.schemes.group_midpoint(system), li.schemes.group_midpoint(mirror)
-    for a, b in zip(jax.jit(image)(_once(step, state, 0.3)[0]), _once(other, there, 0.3)[0], strict=True):
+    for a, b in zip(jax.jit(image)(_once(step, state, 0.3)[0])[:2], _once(other, there, 0.3)[0][:2], strict=True):
         np.testing.assert_allclose(a, b, atol=8e-15)
 
 

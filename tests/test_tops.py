@@ -335,7 +335,7 @@ def test_poisson_error_of_a_system_with_a_potential_is_the_whole_matrix():
 
 def test_single_precision():
     top = li.systems.heavy_top(np.array([1, 2, 3], "float32"), np.array([0.5, 0.4, 1], "float32"))
-    state = State(*(np.asarray(x, "float32") for x in start(top)))
+    state = jax.tree.map(lambda x: np.asarray(x, "float32"), start(top))
     for step in (top_energy_momentum(top), splitting(top)):
         trajectory, _, (energy, *_) = run(step, state, 0.1, 200)
         assert trajectory.state.q.dtype == jnp.float32

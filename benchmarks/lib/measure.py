@@ -227,7 +227,7 @@ def by_flow(
     system: Any, start: States, end: float, apart: Callable[[np.ndarray, np.ndarray], float] | None = None
 ) -> tuple[np.ndarray, float]:
     """q at t = end by `diagnostics.flow`, and its distance from that with half as many steps, in radians or `apart`."""
-    states = li.State(*map(jnp.asarray, start))
+    states = li.State(jnp.asarray(start[0]), jnp.asarray(start[1]))
     flow = jax.jit(jax.vmap(li.diagnostics.flow, (None, 0, None, None)), static_argnums=3)
     coarse, fine = (np.asarray(flow(system, states, end, round(level * end)).q) for level in _LEVELS)
     return fine, (apart or attitude_error)(coarse, fine)

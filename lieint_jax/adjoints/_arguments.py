@@ -26,4 +26,5 @@ def checked(step: Step, state: State, dt: ArrayLike, derivative: str) -> tuple[S
         )
     step, state, dtype = promoted(step, state)
     step.check(state, dt)
+    _checks.time_resolution(state.t, dt, 0)
     return step, state, jnp.asarray(_checks.step_size(dt), dtype)

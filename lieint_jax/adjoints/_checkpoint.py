@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from lieint_jax.types import State, Step, StepInfo
+from lieint_jax.types import State, Step, StepInfo, on_clock
 
 _LEVELS = 3  # levels of nested checkpoints: about 3 N^(1/3) of N states are kept
 
@@ -23,12 +23,15 @@ def checkpointed(step: Step, state: State, dt: Array, counts: tuple[int, ...]) -
     One loop is compiled for all intervals, a little longer than the longest; results of surplus steps are dropped.
     """
 
-    step = step.prepare(state, dt)
+    step, t0 = step.prepare(state, dt), state.t
 
-    def interval(state: State, count: Array) -> tuple[State, tuple[State, StepInfo]]:
+    def interval(carry: tuple[State, Array], count: Array) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
+        state, done = carry
+
         def one(carry: tuple[Array, State, StepInfo], _: None) -> tuple[tuple[Array, State, StepInfo], None]:
             k, state, so_far = carry
             after, info = step(state, dt)
+            after = on_clock(after, t0, done + k + 1, dt)
             taken = jax.tree.map(
                 lambda new, old: jnp.where(k < count, new, old), (after, so_far.merge(info)), carry[1:]
             )
@@ -36,9 +39,10 @@ def checkpointed(step: Step, state: State, dt: Array, counts: tuple[int, ...]) -
 
         start = (jnp.zeros((), jnp.int32), state, StepInfo.fresh(state.p))
         _, state, info = _nested(one, start, max(counts, default=0), _LEVELS)
-        return state, (state, info)
+        return (state, done + count), (state, info)
 
-    return lax.scan(jax.checkpoint(interval), state, jnp.asarray(counts, jnp.int32))[1]
+    start = (state, jnp.zeros((), jnp.int32))
+    return lax.scan(jax.checkpoint(interval), start, jnp.asarray(counts, jnp.int32))[1]
 
 
 def _nested(one: Callable[..., Any], carry: Any, length: int, levels: int) -> Any:

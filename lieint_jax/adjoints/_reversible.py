@@ -59,7 +59,7 @@ def reversible(
         later = checkpointed(step, state, h, (interval,) * num_saves)
     else:
         later = undoable(step, state, h, np.full(num_saves, interval, np.int32), tolerance)
-    return from_start(state, later, h * interval)
+    return from_start(state, later, h, interval)
 
 
 def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:

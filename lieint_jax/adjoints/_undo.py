@@ -41,11 +41,15 @@ def undoable(step: Step, state: State, dt: Array, counts: Any, tolerance: float 
 def _marched(step: Any, state: State, dt: Array, counts: Any, tolerance: float) -> tuple[State, StepInfo]:
     """The states after counts[0], counts[0] + counts[1], … steps, and the reports of the steps between them."""
 
-    def interval(state: State, count: Array) -> tuple[State, tuple[State, StepInfo]]:
-        state, info = steps(step, state, dt, count)
-        return state, (state, info)
+    t0 = state.t
 
-    return lax.scan(interval, state, jnp.asarray(counts))[1]
+    def interval(carry: tuple[State, Array], count: Array) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
+        state, done = carry
+        state, info = steps(step, state, dt, count, t0, done)
+        return (state, done + count), (state, info)
+
+    counts = jnp.asarray(counts)
+    return lax.scan(interval, (state, jnp.zeros((), counts.dtype)), counts)[1]
 
 
 _march: Any = jax.custom_vjp(_marched, nondiff_argnums=(4,))

@@ -83,7 +83,7 @@ def draw(path: Path, kinds: Mapping[str, Callable[..., Any]], *arguments: Any) -
 
 def _shown(run: Trajectory) -> int:
     """The number of the first members that are drawn."""
-    return max(1, min(_SHOWN // sum(x[:, 0].nbytes for x in run.state), run.state.p.shape[1]))
+    return max(1, min(_SHOWN // sum(x[:, 0].nbytes for x in jax.tree.leaves(run.state)), run.state.p.shape[1]))
 
 
 def _times(run: Any) -> Any:

@@ -11,9 +11,10 @@ from lieint_jax.types import System, Trajectory
 
 
 def energy_error(system: System, trajectory: Trajectory) -> Array:
-    """H(z_n) − H(z₀), shape (n+1,), in units of energy."""
-    energy = jax.vmap(system.energy)(trajectory.state)
-    return energy - energy[0]
+    """H(z_n) − W_n − H(z₀) + W₀, shape (n+1,), in units of energy; W is `state.work`, 0 if it is not counted."""
+    energy, work = jax.vmap(system.energy)(trajectory.state), trajectory.state.work
+    kept = energy if work is None else energy - work
+    return kept - kept[0]
 
 
 def momentum_error(system: System, trajectory: Trajectory) -> Array:

@@ -68,7 +68,7 @@ class Job(NamedTuple):
 
     def buffer_rows(self, across: int) -> int:
         """The number of saves per call of the loop and per chunk of a store, where a chunk holds `across` members."""
-        row = max(sum(leaf[0].nbytes for leaf in self.states) + 9, 24)
+        row = max(sum(leaf[0].nbytes for leaf in jax.tree.leaves(self.states)) + 9, 24)
         enough = min(_CHUNK_BYTES // (across * row), _MEMORY // (self.members * row))
         return int(max(1, min(enough, _CHUNK_WORK // (self.members * self.save_every), self.num_saves + 1)))
 

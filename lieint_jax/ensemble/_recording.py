@@ -180,9 +180,7 @@ class StoreOutput:
             for name, x in host.items():
                 yield part(f"checkpoint/{name}", (slot, mine), x[None])
             if last:
-                kept = {"first_failure": host["failed"]} | (
-                    {name: host[name] for name in State._fields} if series else {}
-                )
+                kept = {"first_failure": host["failed"]} | ({name: host[name] for name in ("q", "p")} if series else {})
                 for name, x in kept.items():
                     yield part(name, (mine,), x)
         if not pending:
@@ -203,8 +201,8 @@ class StoreOutput:
     def _rows(self, pending: list[tuple[Any, int]]) -> dict[str, np.ndarray]:
         joined: dict[str, list[np.ndarray]] = {}
         for saved, _ in pending:
-            for name in (*State._fields, *StepInfo._fields):
-                parts = [getattr(state if name in State._fields else info, name) for info, state in saved]
+            for name in ("q", "p", *StepInfo._fields):
+                parts = [getattr(state if name in ("q", "p") else info, name) for info, state in saved]
                 joined.setdefault(name, []).append(_layout.local_part(self._layout, parts, 1))
         return {name: np.concatenate(parts) for name, parts in joined.items()}
 
@@ -263,7 +261,7 @@ def _columns(job: Job, chunk: int, options: StoreOptions) -> dict[str, _store.Co
     series = job.reduction is not None
     texts = {"q": "configuration", "p": "momentum"}
     columns = {"time": axes.column(times, units=options.time_unit, long_name="time")}
-    for name, leaf in zip(State._fields, job.states, strict=True):
+    for name, leaf in (("q", job.states.q), ("p", job.states.p)):
         along = members if series else {**times, **members}
         columns[name] = axes.state(along, name, leaf, long_name=texts[name], units=_unit(name, job, options))
     columns["first_failure"] = axes.column(
@@ -301,7 +299,7 @@ def _checkpoint_columns(job: Job, chunk: int) -> dict[str, _store.Column]:
     """The arrays of the checkpoint: those of a carry, in two slots that are written in turn."""
     axes = _Axes(job, chunk)
     along = {**axes.slots, **axes.members}
-    state = zip(State._fields, job.states, strict=True)
+    state = (("q", job.states.q), ("p", job.states.p))
     return {
         **{name: axes.state(along, name, leaf) for name, leaf in state},
         "failed": axes.column(along, step_dtype()),
@@ -319,7 +317,7 @@ def _unit(name: str, job: Job, options: StoreOptions) -> str:
 def _attributes(job: Job, options: StoreOptions, described: dict[str, Any], chunk: int) -> dict[str, Any]:
     return {
         "format": _store.FORMAT,
-        "leaves": list(State._fields),
+        "leaves": ["q", "p"],
         "time_unit": options.time_unit,
         "title": str(options.attributes.get("title", job.step.name)),
         "scheme": job.step.name,

@@ -226,10 +226,10 @@ class _InMemory:
 
 
 def _check(step: Step, states: State) -> int:
-    shapes = [np.shape(leaf) for leaf in states]
+    shapes = [np.shape(leaf) for leaf in jax.tree.leaves(states)]
     if any(len(shape) < 2 for shape in shapes) or len({shape[0] for shape in shapes}) != 1 or not shapes[0][0]:
         raise ValueError(f"states need a leading member axis on every leaf, got shapes {shapes}")
-    for leaf, name in zip(states, State._fields, strict=True):
+    for name, leaf in (("q", states.q), ("p", states.p)):
         bad = np.flatnonzero(~np.isfinite(np.asarray(leaf)).reshape(shapes[0][0], -1).all(axis=1))
         if bad.size:
             raise ValueError(f"states.{name} must be finite; {_some(bad)} not")

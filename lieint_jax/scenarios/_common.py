@@ -134,7 +134,7 @@ def _sources(tree: Any) -> list[str]:
 
 def member(run: Trajectory, m: int, time: int = 0) -> State:
     """The state of one member of a run at the saved time of index `time`."""
-    return State(*(jnp.asarray(x[time, m]) for x in run.state))
+    return jax.tree.map(lambda x: jnp.asarray(x[time, m]), run.state)
 
 
 def nominal(run: Trajectory, time: int = 0) -> State:
@@ -144,7 +144,7 @@ def nominal(run: Trajectory, time: int = 0) -> State:
 
 def series(function: Callable[[State], Any], run: Trajectory) -> np.ndarray:
     """The values of a function of the state, at all saved times of all members: (times, members, …)."""
-    return np.asarray(jax.jit(jax.vmap(jax.vmap(function)))(State(*(jnp.asarray(x) for x in run.state))))
+    return np.asarray(jax.jit(jax.vmap(jax.vmap(function)))(jax.tree.map(jnp.asarray, run.state)))
 
 
 def deviation(x: np.ndarray) -> np.ndarray:

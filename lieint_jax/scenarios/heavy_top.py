@@ -163,7 +163,7 @@ def motion(top: PotentialTop, run: Trajectory, member: int = 0) -> np.ndarray:
     They are interpolated at the times when the axis is lowest; nan if there are fewer than two such times, or if states
     are saved too far apart.
     """
-    q, p = (jnp.asarray(x[:, member]) for x in run.state)
+    q, p = (jnp.asarray(x[:, member]) for x in (run.state.q, run.state.p))
     t, axis = np.asarray(run.t), _unit(np.asarray(top.axis))
     e, velocity = (np.asarray(x) for x in _axis_and_velocity(top, State(q, p), _unit(_weight(top))))
     u, slope = e @ axis, velocity @ axis

@@ -47,7 +47,7 @@ class FreeMotion(Step):
         R = three.product(R, turn)
         moved = x + dt / mass * P
         rows = [jnp.stack([*R[i], moved[i]]) for i in range(3)]
-        return State(jnp.stack([*rows, state.q[3]]), state.p), info
+        return state._replace(q=jnp.stack([*rows, state.q[3]])), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return f"{self.name} does not converge at dt = {dt}, where |Δt Ω| must stay below 1: take a smaller dt"

@@ -128,7 +128,7 @@ class Additive(Step):
             converged &= jnp.abs(R[9]) <= tolerance * jnp.maximum(size * size * size, 1)
         elif rule.gammas:
             converged &= jnp.abs(_missed(W, equation.C, D, S)) <= tolerance * stiff * _largest(D)
-        return State(_array(end), _array(after)), lax.stop_gradient(StepInfo(residual, converged))
+        return state._replace(q=_array(end), p=_array(after)), lax.stop_gradient(StepInfo(residual, converged))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (

@@ -39,7 +39,7 @@ class Exact(Step):
         eps = float(jnp.finfo(q.dtype).eps)
         good = (length <= 1024 * eps) & (eps * condition <= lost(q.dtype))
         good &= jnp.all(jnp.isfinite(q)) & three.well_conditioned(three.symmetric(self.system.inertia))
-        return State(q, state.p), StepInfo(length, good)
+        return state._replace(q=q), StepInfo(length, good)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         if not three.well_conditioned(three.symmetric(self.system.inertia)):

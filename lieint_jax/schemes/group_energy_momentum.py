@@ -98,7 +98,7 @@ class GroupEnergyMomentum(Step):
         size = size_unit(m, unrolled.each(jnp.maximum, unrolled.each(jnp.abs, a), unrolled.each(jnp.abs, pull)))
         start = guess(group, m, unrolled.plus(a, (0.5, pull)))
         theta, Theta, info = solved(equation, residual, matrix, size, start, self.iterations)
-        return State(group.multiply(q, tau(group, Theta)), state.p + dt * force(theta)), info
+        return state._replace(q=group.multiply(q, tau(group, Theta)), p=state.p + dt * force(theta)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (

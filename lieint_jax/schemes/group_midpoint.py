@@ -93,9 +93,9 @@ class GroupMidpoint(Step):
         theta, Theta, info = solved(equation, residual, matrix, size_unit(m, a), guess(group, m, a), self.iterations)
         turn = tau(group, Theta)
         if isinstance(self.system, GeodesicFlow):
-            return State(group.multiply(state.q, turn), state.p), info
+            return state._replace(q=group.multiply(state.q, turn)), info
         after = unrolled.as_array(coadjoint(tau, group, theta, as_vector(m, state.p)), state.p)
-        return State(group.multiply(group.inverse(turn), state.q), after), info
+        return state._replace(q=group.multiply(group.inverse(turn), state.q), p=after), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         m, left = self.system.metric, isinstance(self.system, GeodesicFlow)

@@ -76,7 +76,7 @@ class SO3Alpha(Step):
         residual = lax.stop_gradient(jnp.sqrt(dot(residual, residual)))
         small = residual <= 32 * jnp.finfo(residual.dtype).eps * three.max_abs(a)
         converged = small & good & three.well_conditioned(J) & _digits_left(state)
-        return State(_turned(state.q, self.alpha, Theta), state.p), StepInfo(residual, converged)
+        return state._replace(q=_turned(state.q, self.alpha, Theta)), StepInfo(residual, converged)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         if not three.well_conditioned(three.symmetric(self.system.inertia)):

@@ -77,7 +77,7 @@ class SO3Explicit(Step):
         residual = lax.stop_gradient(three.max_abs(scalar_residual(J, a, h)))
         converged = (residual <= _DRIFT * jnp.finfo(a.dtype).eps * three.max_abs(a)) & (dot(h, h) <= 1)
         converged &= three.well_conditioned(J)
-        return State(so3.cayley_increment(state.q, h), state.p), StepInfo(residual, converged)
+        return state._replace(q=so3.cayley_increment(state.q, h)), StepInfo(residual, converged)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         if self.m is not None and dataclasses.replace(self, m=None, gain=None)(state, dt)[1].converged:

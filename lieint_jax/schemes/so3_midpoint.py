@@ -82,7 +82,7 @@ class SO3Midpoint(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         h, info = half_turn(*scaled(self.system, state, dt), self.kappa, self.iterations)
-        return State(so3.cayley_increment(state.q, h), state.p), info
+        return state._replace(q=so3.cayley_increment(state.q, h)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         J = np.asarray(self.system.inertia)

@@ -78,7 +78,8 @@ class SphereChart(Step):
         inside &= (after[0] > 0) & (after[0] < np.pi) & ~near
         unfolded = unrolled.determinant(unrolled.as_list(lax.stop_gradient(jax.jacfwd(residual)(u)))) > 0
         small = error <= 32 * jnp.finfo(error.dtype).eps * (1 + _largest(u / unit))
-        return self.chart.state(after), StepInfo(error, small & steady & inside & unfolded)
+        end = self.chart.state(after)
+        return state._replace(q=end.q, p=end.p), StepInfo(error, small & steady & inside & unfolded)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         theta = float(np.degrees(self.chart.coordinates(state)[0]))

@@ -25,7 +25,7 @@ from lieint_jax.types import OnSphere, State, Step, StepInfo, pytree, static
 
 def _motion(system: OnSphere, state: State) -> State:
     """(q̇, π̇) = (π × q/m, −q × ∇V(q)) (1.4)."""
-    q, p = state
+    q, p = state.q, state.p
     return State(jnp.cross(p, q) / system.mass, -jnp.cross(q, jax.grad(system.potential)(q)))
 
 
@@ -56,7 +56,7 @@ class SphereMidpoint(Step):
         return f"sphere_midpoint[{'normalised' if self.normalised else 'plain'}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        (q, p), dt = state, jnp.asarray(dt)
+        q, p, dt = state.q, state.p, jnp.asarray(dt)
         h = dt / self.system.mass
 
         def torque(u: Array) -> tuple[Array, Array]:
@@ -81,7 +81,7 @@ class SphereMidpoint(Step):
         K = three.plus_transpose(lax.stop_gradient(jax.jacfwd(equation)(u)))
         unique = three.positive_definite(K) & (jnp.abs(h) * jnp.sqrt(three.dot(p, p)) < _TURN)
         converged = (residual <= 32 * jnp.finfo(u.dtype).eps) & (three.dot(u, u) < 4) & steady & unique
-        return State(q + u, p + torque(u)[1]), StepInfo(residual, converged)
+        return state._replace(q=q + u, p=p + torque(u)[1]), StepInfo(residual, converged)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         turn = float(np.abs(dt / self.system.mass) * np.linalg.norm(state.p))

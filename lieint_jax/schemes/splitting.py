@@ -60,7 +60,7 @@ class Splitting(Step):
         return f"{self.name}: {self.drift.advice(self._kick(state, dt), dt)}"
 
     def _kick(self, state: State, dt: ArrayLike) -> State:
-        return State(state.q, state.p + 0.5 * dt * self.system.force(state.q))
+        return state._replace(p=state.p + 0.5 * dt * self.system.force(state.q))
 
 
 def splitting(system: Forced, drift: Step | None = None) -> Splitting:

@@ -72,7 +72,8 @@ class TopEnergyMomentum(Step):
         e = so3.Ad(q, scale(k, _half_turn(h, D)))
         p = add(state.p, scale(dt, cross(self.system.axis, e)))
         q = [x + d for x, d in zip(q, so3.cayley_difference(q, h), strict=True)]
-        return State(jnp.stack(q), jnp.stack(p)), info  # stacked last: many kernels read them, number by number
+        # stacked last: many kernels read them, number by number
+        return state._replace(q=jnp.stack(q), p=jnp.stack(p)), info
 
     def _solve(self, state: State, dt: ArrayLike) -> tuple[Vector, Vector, StepInfo]:
         """y, the discrete gradient, and the report."""
