@@ -394,12 +394,12 @@ class DrivenTop(Driven):
 
     Attributes:
         inertia: J, as of `FreeBody`.
-        potential: Ṽ; a function of Λ, (3, 3), and t, if there is no axis.
+        potential: Ṽ, a function of Γ and t; of Λ, (3, 3), and t, if there is no axis.
         axis: γ, a function of time with values (3,) in space, a constant (3,), or None.
     """
 
     inertia: Array
-    potential: Callable[[Array, Array], Array]
+    potential: Any
     axis: Any
 
     @abc.abstractmethod

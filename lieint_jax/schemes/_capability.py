@@ -16,7 +16,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import concrete
-from lieint_jax.types import State, System
+from lieint_jax.types import Driven, State, System
 
 
 class Integrand(NamedTuple):
@@ -72,6 +72,8 @@ def _difference(
     dtype = jnp.result_type(*numbers, *([] if numbers else [float]))
     delta = 0.3 * jnp.sin(phase + 1.7 * jnp.arange(space.dim, dtype=dtype))
     state = space.perturb(jax.tree.map(lambda x: x.astype(dtype), space.origin), delta)
+    if isinstance(system, Driven):
+        state = state._replace(t=jnp.asarray(phase, dtype))
     own, scheme = system.vector_field(state), vector_field(data, state)
     return jnp.maximum(_relative(own.q, scheme.q), _relative(own.p, scheme.p)), jnp.sqrt(jnp.finfo(dtype).eps)
 

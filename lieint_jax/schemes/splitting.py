@@ -1,6 +1,7 @@
 """Kick, drift, kick: the symplectic scheme for a system with a potential, which Section 4's own class lacks (Result 8).
 
-    π ← π + ½Δt F(q),    (q, π) ← a step of the same system without its potential,    π ← π + ½Δt F(q)
+    π ← π + ½Δt F(q, t),    (q, π, t) ← a step of the same system without its potential,    π ← π + ½Δt F(q, t)
+    W ← W + ½Δt ∂V/∂t                                                                       W ← W + ½Δt ∂V/∂t
 
 Each kick is the exact flow of the potential alone, and the drift, a symplectic step of the kinetic energy alone, keeps
 the form too. Both keep every momentum map that the potential leaves. Energy is that of a nearby Hamiltonian, so its
@@ -24,14 +25,19 @@ from lieint_jax.schemes._capability import check_motion
 from lieint_jax.schemes._free_motion import FreeMotion, is_free_motion
 from lieint_jax.schemes.group_midpoint import GEODESICS, group_midpoint
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES, so3_midpoint
-from lieint_jax.types import Forced, State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import Driven, Forced, State, Step, StepInfo, System, clock, pytree, static
 
 
-def _motion(parts: tuple[Forced, System], state: State) -> State:
+def _motion(parts: tuple[Forced | Driven, System], state: State) -> State:
     """The vector field of the drift's system, and the force of the kicks."""
     system, drifting = parts
     free = drifting.vector_field(state)
-    return State(free.q, free.p + system.force(state.q))
+    return State(free.q, free.p + _force(system, state))
+
+
+def _force(system: Forced | Driven, state: State) -> Array:
+    """The force at a state, which for a driven system is that at its time."""
+    return system.force(state.q, clock(state)) if isinstance(system, Driven) else system.force(state.q)
 
 
 @pytree
@@ -43,7 +49,7 @@ class Splitting(Step):
         drift: a step of the system without it.
     """
 
-    system: Forced
+    system: Forced | Driven
     drift: Step
     order: float = static(default=2)
     symmetric: bool = static(default=True)
@@ -60,22 +66,27 @@ class Splitting(Step):
         return f"{self.name}: {self.drift.advice(self._kick(state, dt), dt)}"
 
     def _kick(self, state: State, dt: ArrayLike) -> State:
-        return state._replace(p=state.p + 0.5 * dt * self.system.force(state.q))
+        half, kicked = 0.5 * dt, state
+        if isinstance(self.system, Driven) and state.work is not None:
+            kicked = state._replace(work=state.work + half * self.system.power(state.q, clock(state)))
+        return kicked._replace(p=state.p + half * _force(self.system, state))
 
 
-def splitting(system: Forced, drift: Step | None = None) -> Splitting:
+def splitting(system: Forced | Driven, drift: Step | None = None) -> Splitting:
     """The scheme kick – free step – kick for a system with any potential.
 
     | conserved | to |
     |---|---|
     | the symplectic form | round-off, with a symplectic drift |
     | γ·π, if the potential has an axis γ | round-off |
-    | energy | O(Δt²), bounded, no drift |
+    | energy; of a driven system, energy less work | O(Δt²), bounded, no drift |
 
     Second order, time-symmetric; `compose` raises the order.
 
     Args:
-        system: `systems.heavy_top(...)`, `systems.potential_top(...)`, `systems.group_potential(...)`.
+        system: `systems.heavy_top(...)`, `systems.potential_top(...)`, `systems.group_potential(...)`; or a driven
+            one, `systems.driven_top(...)`, `systems.gravity_gradient(...)`, whose two kicks are those at t and t + Δt.
+            Then the form is kept at a given t and Δt, and on the space extended by time and −work, too.
         drift: a symmetric step of `system.free`; by default the symplectic `so3_midpoint`; on other groups and products
             of them `group_midpoint` with `maps.arcsine` where that is symplectic; on SE(3) with an isotropic mass the
             same step of the attitude and the exact one of the centre. `exact(system.free)` has smaller errors where
@@ -86,10 +97,10 @@ def splitting(system: Forced, drift: Step | None = None) -> Splitting:
 
     Source: Strang 1968, SIAM J. Numer. Anal. 5; for rigid bodies Touma & Wisdom 1994, Astron. J. 107.
     """
-    if not isinstance(system, Forced):
+    if not isinstance(system, Forced | Driven):
         raise ValueError(
             "splitting integrates systems with a potential (systems.heavy_top, systems.potential_top, "
-            f"systems.group_potential), got {type(system).__name__}"
+            f"systems.driven_top, systems.gravity_gradient, systems.group_potential), got {type(system).__name__}"
         )
     if drift is None:
         drift = _drift(system.free)
@@ -125,7 +136,7 @@ def _metrics(free: Any) -> list[Array]:
 
 def examples(system: Any) -> dict[str, Step]:
     """The splitting with the symplectic `so3_midpoint`, for rigid bodies in a potential."""
-    if not isinstance(system, Forced) or not FREE_BODIES.declared(system.free):
+    if not isinstance(system, Forced | Driven) or not FREE_BODIES.declared(system.free):
         return {}
     step = splitting(system)
     return {step.name: step}

@@ -1,7 +1,9 @@
 """Hamiltonian systems. Each module has `examples()`: systems with a state worth integrating and a time step."""
 
+from lieint_jax.systems.driven_top import DrivenTop, driven_top
 from lieint_jax.systems.embedded_body import EmbeddedBody, embedded_body
 from lieint_jax.systems.euler import Euler, RightEuler, euler, kirchhoff, manakov, manakov_integrals
+from lieint_jax.systems.gravity_gradient import GravityGradient, gravity_gradient
 from lieint_jax.systems.group_potential import GroupPotential, group_potential
 from lieint_jax.systems.heavy_top import LagrangeMotion, heavy_top, kovalevskaya_integral, lagrange_motion
 from lieint_jax.systems.incompressible_body import IncompressibleBody, incompressible_body
@@ -18,8 +20,10 @@ from lieint_jax.systems.pseudo_rigid import (
 from lieint_jax.systems.rigid_body import RigidBody, rigid_body
 
 __all__ = [
+    "DrivenTop",
     "EmbeddedBody",
     "Euler",
+    "GravityGradient",
     "GroupPotential",
     "IncompressibleBody",
     "LagrangeMotion",
@@ -31,8 +35,10 @@ __all__ = [
     "RigidBody",
     "StoredEnergy",
     "clebsch_integral",
+    "driven_top",
     "embedded_body",
     "euler",
+    "gravity_gradient",
     "group_potential",
     "heavy_top",
     "incompressible_body",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -11,7 +14,7 @@ from lieint_jax import _checks
 from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
-from lieint_jax.types import PhaseSpace, State
+from lieint_jax.types import PhaseSpace, State, clock
 
 _PHASE_SPACE = CotangentGroup(so3)
 
@@ -76,6 +79,51 @@ class Body:
         """Raise ValueError if a concrete `state` is not one of this system."""
         _checks.unit_quaternion("state.q", state.q)
         _checks.real_array("state.p", state.p, (3,))
+
+
+class TimedBody(Body):
+    """A body whose state has a time, and may count work."""
+
+    def state(
+        self,
+        attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        *,
+        angular_velocity: ArrayLike | None = None,
+        body_momentum: ArrayLike | None = None,
+        spatial_momentum: ArrayLike | None = None,
+        t: ArrayLike = 0.0,
+        work: ArrayLike | None = None,
+    ) -> State:
+        """The state of an attitude, one of three ways to give the motion, and a time.
+
+        Args:
+            attitude, angular_velocity, body_momentum, spatial_momentum: as of `rigid_body(...).state`.
+            t: the time, a scalar.
+            work: 0.0 to count from here the work that is done on the body; None not to count it.
+
+        Raises:
+            ValueError: not exactly one of the three, a wrong shape, a NaN, or an attitude that is no rotation.
+        """
+        start = super().state(
+            attitude,
+            angular_velocity=angular_velocity,
+            body_momentum=body_momentum,
+            spatial_momentum=spatial_momentum,
+        )
+        work = None if work is None else _checks.real_array("work", work, (), like=start.p).astype(start.p.dtype)
+        return start._replace(t=_checks.real_array("t", t, (), like=start.p).astype(start.p.dtype), work=work)
+
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system."""
+        super().check(state)
+        _checks.real_array("state.t", clock(state), ())
+        if state.work is not None:
+            _checks.real_array("state.work", state.work, ())
+
+
+def spatial_torque(potential: Callable[[Array], Array], q: Array) -> Array:
+    """The torque in space of a potential V(q), shape (3,): its i-th component is −d/dε V(exp(εeᵢ)q)."""
+    return -jax.grad(lambda theta: potential(so3.multiply(so3.exp(theta), q)))(jnp.zeros_like(q[:3]))
 
 
 def _attitude(attitude: ArrayLike) -> Array:

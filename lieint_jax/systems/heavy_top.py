@@ -22,12 +22,13 @@ class Linear:
     weight: Array
     linear: bool = static(default=True)
 
-    def __call__(self, Gamma: Array) -> Array:
+    def __call__(self, Gamma: Array, t: Array | None = None) -> Array:
+        del t  # there for driven tops
         return three.dot(self.weight, Gamma)
 
-    def discrete_gradient(self, a: Array, b: Array) -> Array:
+    def discrete_gradient(self, a: Array, b: Array, t: Array | None = None) -> Array:
         """E, for any a and b."""
-        del a, b
+        del a, b, t
         return self.weight
 
 

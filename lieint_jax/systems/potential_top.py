@@ -15,7 +15,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import three
 from lieint_jax.groups import so3
-from lieint_jax.systems._body import Body
+from lieint_jax.systems._body import Body, spatial_torque
 from lieint_jax.systems.rigid_body import RigidBody
 from lieint_jax.types import State, Top, callable_pytree, pytree
 
@@ -30,11 +30,13 @@ class Quadratic:
 
     matrix: Array
 
-    def __call__(self, Gamma: Array) -> Array:
+    def __call__(self, Gamma: Array, t: Array | None = None) -> Array:
+        del t  # there for driven tops
         return three.dot(Gamma, three.apply(three.symmetric(self.matrix), Gamma)) / 2
 
-    def discrete_gradient(self, a: Array, b: Array) -> Array:
+    def discrete_gradient(self, a: Array, b: Array, t: Array | None = None) -> Array:
         """S·½(a + b)."""
+        del t
         return jnp.stack(three.apply(three.symmetric(self.matrix), (a + b) / 2))
 
 
@@ -70,9 +72,7 @@ class PotentialTop(Body, Top):
     def force(self, q: Array) -> Array:
         """The torque of the potential in space, shape (3,). With an axis, γ × ΛDṼ(Γ) (4.1)."""
         if self.axis is None:
-            return -jax.grad(lambda theta: self.potential_energy(so3.multiply(so3.exp(theta), q)))(
-                jnp.zeros_like(q[:3])
-            )
+            return spatial_torque(self.potential_energy, q)
         gradient = jax.grad(self.potential)(so3.Ad_star(q, self.axis))
         return jnp.stack(three.cross(self.axis, so3.Ad(q, gradient)))
 
