@@ -25,7 +25,7 @@ class Certificate(NamedTuple):
         precision: "float64" or "float32".
         dt: step size.
         num_steps: length of the run that gives energy, momentum, constraint, residual and converged.
-        energy: max|H_n − H₀| / |H₀|.
+        energy: max|H_n − H₀| / |H₀|; of H less work where the state counts work.
         momentum: max|Φ_n − Φ₀| / max|Φ₀| over the components of the momentum map; nan if there is none.
         constraint: largest defect of the configuration, such as ||q|² − 1|.
         symplectic_defect: max|Lᵀω(z₁)L − ω(z₀)| of the first step, momenta measured in max|π|.
@@ -34,6 +34,7 @@ class Certificate(NamedTuple):
         reversibility: max|z − step(step(z, dt), −dt)|, momenta measured in max|π|.
         residual: largest residual of the run.
         converged: whether every step converged.
+        work: whether the state counts work.
     """
 
     scheme: str
@@ -50,6 +51,7 @@ class Certificate(NamedTuple):
     reversibility: float
     residual: float
     converged: bool
+    work: bool = False
 
     def __str__(self) -> str:
         eps = float(jnp.finfo(self.precision).eps)
@@ -58,7 +60,7 @@ class Certificate(NamedTuple):
             "exact to round-off" if math.isinf(self.symplectic_order) else f"broken as dt^{self.symplectic_order:.2f}"
         )
         rows = [
-            ("energy", self.energy, _kept(self.energy, exact, eps)),
+            ("energy less work" if self.work else "energy", self.energy, _kept(self.energy, exact, eps)),
             ("momentum", self.momentum, _kept(self.momentum, exact, eps)),
             ("constraint", self.constraint, _kept(self.constraint, exact, eps)),
             ("symplectic form", self.symplectic_defect, f"{form} a step"),
@@ -107,6 +109,7 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
         reversibility=float(reversibility(step, state, dt)),
         residual=float(jnp.max(run.info.residual)),
         converged=bool(jnp.all(run.info.converged)),
+        work=state.work is not None,
     )
 
 

@@ -1,4 +1,4 @@
-"""The energy-momentum schemes for a rigid body in an axisymmetric potential (Section 4.1).
+"""The energy-momentum schemes for a rigid body in an axisymmetric potential (Section 4.1), which time may move.
 
     Λ_{n+1} = Λ_n cay Θ,    π_{n+1} = π_n + Δt γ × e                                     (4.3)
     Θ = κ(|Θ̄|²) Θ̄,         Θ̄ = Δt J⁻¹ ½(Π_n + Π_{n+1})                                (4.4)
@@ -8,11 +8,17 @@ with Γ = Λᵀγ and D̄ any symmetric discrete gradient of Ṽ. With y = ½Θ�
 multiplied by 1 + ĥ, what is to be solved for y is the free body's equation with a moment w, here times 1 + |h|²:
 
     (1 + |h|²)(Jy + h × Jy − a − w) + (h·w) h = 0,    w = sκ (Γ_n − h × Γ_n) × D̄
+
+A driven top feels half of its field as it is at t_n and half as it is at t_{n+1}, each frozen: half the sum of the two
+moments stands for γ × e and for w. Result 7 at each frozen time gives, exactly and for any κ,
+
+    H_{n+1} − H_n = ½[V(Λ_n, t_{n+1}) − V(Λ_n, t_n)] + ½[V(Λ_{n+1}, t_{n+1}) − V(Λ_{n+1}, t_n)] =: ΔW
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -28,7 +34,7 @@ from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._capability import Integrand
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES, gyration, gyration_matrix, on_branch
-from lieint_jax.types import State, Step, StepInfo, Top, pytree, static
+from lieint_jax.types import DrivenTop, State, Step, StepInfo, Top, clock, pytree, static
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _APART = 1e-4  # |ΔΓ|² from where on the quadrature of D̄ is corrected to give the difference of Ṽ
@@ -41,6 +47,18 @@ def _motion(top: Top, state: State) -> State:
     return State(turning.q, jnp.stack(cross(top.axis, so3.Ad(state.q, gradient))))
 
 
+def _driven_motion(top: DrivenTop, state: State) -> State:
+    """(4.2) with the axis and the potential at the time of the state."""
+    t = clock(state)
+    axis = top.axis_at(t)
+    gradient = jax.grad(top.potential)(so3.Ad_star(state.q, axis), t)
+    turning = FREE_BODIES.vector_field(top, state)
+    return State(turning.q, jnp.stack(cross(axis, so3.Ad(state.q, gradient))))
+
+
+DRIVEN_TOPS = Integrand(
+    DrivenTop, "driven tops with an axis (systems.driven_top, systems.gravity_gradient)", _driven_motion
+)
 TOPS = Integrand(Top, "rigid bodies in a potential with an axis (systems.heavy_top, systems.potential_top)", _motion)
 
 
@@ -54,7 +72,7 @@ class TopEnergyMomentum(Step):
         iterations: Newton corrections per step.
     """
 
-    system: Top
+    system: Top | DrivenTop
     kappa: Kappa
     iterations: int = static()
     order: float = static(default=2)
@@ -66,26 +84,38 @@ class TopEnergyMomentum(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         q = state.q
-        y, D, info = self._solve(state, dt)
+        fields = _fields(self.system, state, dt)
+        y, gradients, info = self._solve(fields, state, dt)
         k = self.kappa(4 * dot(y, y))
         h = scale(k, y)
-        e = so3.Ad(q, scale(k, _half_turn(h, D)))
-        p = add(state.p, scale(dt, cross(self.system.axis, e)))
+        p = state.p
+        for field, D in zip(fields, gradients, strict=True):
+            e = so3.Ad(q, scale(k, _half_turn(h, D)))
+            p = add(p, scale(field.share * dt, cross(field.axis, e)))
         q = [x + d for x, d in zip(q, so3.cayley_difference(q, h), strict=True)]
         # stacked last: many kernels read them, number by number
-        return state._replace(q=jnp.stack(q), p=jnp.stack(p)), info
+        after = state._replace(q=jnp.stack(q), p=jnp.stack(p))
+        return after if state.work is None else after._replace(work=state.work + self._work(fields, h)), info
 
-    def _solve(self, state: State, dt: ArrayLike) -> tuple[Vector, Vector, StepInfo]:
-        """y, the discrete gradient, and the report."""
-        equation, linear = _Equation.of(self, state, dt), _is_linear(self.system.potential)
+    def _work(self, fields: tuple[_Field, ...], h: Vector) -> Array | float:
+        """½[V(Λ_n, t_{n+1}) − V(Λ_n, t_n)] + ½[V(Λ_{n+1}, t_{n+1}) − V(Λ_{n+1}, t_n)]; 0 of a field at rest."""
+        if len(fields) == 1:
+            return 0.0
+        ends = [(field.value(field.Gamma), field.value(_turned(h, field.Gamma))) for field in fields]
+        (at_start, turned), (at_end, both) = ends
+        return (at_end - at_start) / 2 + (both - turned) / 2
+
+    def _solve(self, fields: tuple[_Field, ...], state: State, dt: ArrayLike) -> tuple[Vector, list[Array], StepInfo]:
+        """y, the discrete gradient of each field, and the report."""
+        equation, linear = _Equation.of(self, fields, state, dt), _is_linear(self.system.potential)
         guess, count = equation.guess(), self.iterations
         y, f, steady = newton.root(equation.residual, equation.correction, guess, count, unroll=linear)
         good = three.well_conditioned(equation.J) & steady
-        D, at = equation.gradient(equation.turn(y)[1]), lax.stop_gradient(y)
+        gradients, at = equation.gradients(equation.turn(y)[1]), lax.stop_gradient(y)
         f = lax.stop_gradient(jnp.sqrt(dot(f, f)))
         good &= on_branch(self.kappa, at, equation.matrix(at))
-        small_enough = f <= 32 * jnp.finfo(f.dtype).eps * lax.stop_gradient(equation.size(D, y))
-        return y, D, StepInfo(f, small_enough & good)
+        small_enough = f <= 32 * jnp.finfo(f.dtype).eps * lax.stop_gradient(equation.size(gradients, y))
+        return y, gradients, StepInfo(f, small_enough & good)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
@@ -95,21 +125,23 @@ class TopEnergyMomentum(Step):
 
 
 def top_energy_momentum(
-    system: Top, kappa: Kappa | Callable[[Array], Array] = kappa_cayley, iterations: int | None = None
+    system: Top | DrivenTop, kappa: Kappa | Callable[[Array], Array] = kappa_cayley, iterations: int | None = None
 ) -> TopEnergyMomentum:
     """The energy-momentum scheme (4.3), (4.4) with (4.6) corrected, for a rigid body in a potential with an axis.
 
     | conserved | to |
     |---|---|
-    | energy | round-off, for any κ and any Ṽ (Result 7) |
-    | γ·π | round-off (Result 6) |
+    | energy; of a driven top, energy less work | round-off, for any κ and any Ṽ (Result 7) |
+    | γ·π | round-off (Result 6), where γ does not move |
     | the symplectic form | no: defect O(Δt³) per step, for any κ (Result 8); `splitting` keeps it |
 
     Second order, time-symmetric. D̄ is the potential's own `discrete_gradient` if it has one, else the average of the
     gradient between Γ_n and Γ_{n+1} by 4 Gauss nodes, corrected along ΔΓ where |ΔΓ| > .01.
 
     Args:
-        system: `systems.heavy_top(...)` or `systems.potential_top(...)` with an axis.
+        system: `systems.heavy_top(...)` or `systems.potential_top(...)` with an axis; or a driven one with an axis,
+            `systems.driven_top(...)`, `systems.gravity_gradient(...)`. Its work is that of the potential alone, from
+            differences of V: neither ∂V/∂t nor a quadrature is needed. It is symmetric, and not symplectic either.
         kappa: κ as of `so3_midpoint`.
         iterations: Newton corrections per step; by default 3 for a linear Ṽ and κ = 1, 5 for a linear Ṽ and any other
             κ, 6 for any other Ṽ. With κ = 1, J = (1, 2, 2.5) and Δt²|E| = .008, 3 reach round-off for |Δt Ω| ≤ .3, 4
@@ -121,15 +153,61 @@ def top_energy_momentum(
     Source: Lewis & Simo 1994, Results 6–8, with the factor κ that (4.6) lacks; the discrete gradient: Gonzalez 1996,
     J. Nonlinear Sci. 6.
     """
-    if TOPS.declared(system) and system.axis is None:
+    tops = DRIVEN_TOPS if DRIVEN_TOPS.declared(system) else TOPS
+    if tops.declared(system) and system.axis is None:
         raise ValueError(
-            f"top_energy_momentum integrates {TOPS.noun}, got {type(system).__name__} without an axis; take splitting"
+            f"top_energy_momentum integrates {tops.noun}, got {type(system).__name__} without an axis; take splitting"
         )
-    TOPS.check("top_energy_momentum", system)
+    tops.check("top_energy_momentum", system)
     kappa = as_kappa(kappa)
     if iterations is None:
         iterations = (3 if kappa.constant else 5) if _is_linear(system.potential) else 6
     return TopEnergyMomentum(system, kappa, _checks.count("iterations", iterations, 1))
+
+
+class _Field(NamedTuple):
+    """The field of a top at one time: the whole of one at rest, or half of a driven one.
+
+    Attributes:
+        potential: Ṽ.
+        axis: γ in space.
+        Gamma: γ in the body at the start of the step, Γ_n.
+        at: the time, for a driven top, or nothing.
+        share: 1, or ½.
+    """
+
+    potential: Callable[..., Array]
+    axis: Array
+    Gamma: Vector
+    at: tuple[Array, ...]
+    share: float
+
+    def value(self, Gamma: Vector) -> Array:
+        """Ṽ(Γ) at this time."""
+        return self.potential(jnp.stack(Gamma), *self.at)
+
+    def gradient(self, h: Vector) -> Array:
+        """D̄ between Γ_n and Γ_{n+1} at this time."""
+        return discrete_gradient(self.potential, jnp.stack(self.Gamma), jnp.stack(_turned(h, self.Gamma)), *self.at)
+
+    def bend(self, h: Vector) -> three.Matrix:
+        """The columns Γ × S(Γ × eᵢ), with S = 2∂D̄/∂Γ_{n+1} up to O(ΔΓ²)."""
+        at = jnp.stack(add(self.Gamma, scale(2, _turned(h, self.Gamma)))) / 3
+        S = three.symmetric(jax.hessian(self.potential)(at, *self.at))
+        return [cross(self.Gamma, three.apply(S, cross(self.Gamma, e))) for e in np.eye(3)]
+
+
+def _fields(system: Top | DrivenTop, state: State, dt: ArrayLike) -> tuple[_Field, ...]:
+    """What a step from a state feels: one field, or half of each of two times."""
+
+    def field(axis: Array, at: tuple[Array, ...], share: float) -> _Field:
+        return _Field(system.potential, axis, three.components(so3.Ad_star(state.q, axis)), at, share)
+
+    if isinstance(system, DrivenTop):
+        t = clock(state)
+        return tuple(field(system.axis_at(at), (at,), 0.5) for at in (t, t + dt))
+    assert system.axis is not None
+    return (field(system.axis, (), 1),)
 
 
 class _Equation(NamedTuple):
@@ -137,56 +215,50 @@ class _Equation(NamedTuple):
 
     Attributes:
         kappa: κ.
-        potential: Ṽ.
         J: the inertia.
         a: ½ΔtΠ_n.
-        s: ¼Δt².
-        Gamma: Γ_n.
+        fields: the fields, each with its share of s = ¼Δt².
     """
 
     kappa: Kappa
-    potential: Callable[[Array], Array]
     J: Symmetric
     a: Vector
-    s: Array
-    Gamma: Vector
+    fields: tuple[tuple[_Field, Array], ...]
 
     @classmethod
-    def of(cls, step: TopEnergyMomentum, state: State, dt: ArrayLike) -> _Equation:
+    def of(cls, step: TopEnergyMomentum, fields: tuple[_Field, ...], state: State, dt: ArrayLike) -> _Equation:
         """The equation of a step from a state."""
         J, r = three.unit_trace(step.system.inertia)
         a = scale(0.5 * r * dt, so3.Ad_star(state.q, state.p))
-        Gamma = three.components(so3.Ad_star(state.q, step.system.axis))
-        return cls(step.kappa, step.system.potential, J, a, 0.25 * r * dt * dt, Gamma)
+        return cls(step.kappa, J, a, tuple((field, field.share * 0.25 * r * dt * dt) for field in fields))
 
     def turn(self, y: Vector) -> tuple[Array, Vector]:
         """κ and h."""
         k = self.kappa(4 * dot(y, y))
         return k, scale(k, y)
 
-    def gradient(self, h: Vector) -> Array:
-        """D̄ between Γ_n and Γ_{n+1}."""
-        return discrete_gradient(self.potential, jnp.stack(self.Gamma), jnp.stack(_turned(h, self.Gamma)))
+    def gradients(self, h: Vector) -> list[Array]:
+        """D̄ of each field."""
+        return [field.gradient(h) for field, _ in self.fields]
 
     def residual(self, y: Vector) -> Vector:
         """(1 + |h|²)(Jy + h × Jy − a − w) + (h·w) h."""
         k, h = self.turn(y)
-        w = _moment(h, self.Gamma, scale(k, scale(self.s, self.gradient(h))))
+        w = _sum(_moment(h, field.Gamma, scale(k, scale(s, field.gradient(h)))) for field, s in self.fields)
         balance = subtract(subtract(gyration(self.kappa, self.J, y), self.a), w)
         return add(scale(1 + dot(h, h), balance), scale(dot(h, w), h))
 
     def matrix(self, y: Vector) -> three.Matrix:
         """∂/∂y over 1 + |h|², but for κ′ in the moment and O(Δt⁴): the last two terms are those of (h·w) h."""
-        (k, h), K, Gamma = self.turn(y), gyration_matrix(self.kappa, self.J, y), self.Gamma
-        F = scale(k * k, scale(self.s, self.gradient(h)))  # sκ²D̄
-        w = _moment(h, Gamma, F)
-        d = dot(Gamma, F) - dot(h, w)
-        if not _is_linear(self.potential):  # S = 2∂D̄/∂Γ_{n+1}, up to O(ΔΓ²)
-            at = jnp.stack(add(Gamma, scale(2, _turned(h, Gamma)))) / 3
-            S = three.symmetric(jax.hessian(self.potential)(at))
-            bend = [cross(Gamma, three.apply(S, cross(Gamma, e))) for e in np.eye(3)]
-            K = three.combine(K, bend, -self.s * k * k)
-        return [[K[i][j] - (d if i == j else 0) + Gamma[i] * F[j] + h[i] * w[j] for j in range(3)] for i in range(3)]
+        (k, h), K = self.turn(y), gyration_matrix(self.kappa, self.J, y)
+        for field, s in self.fields:
+            Gamma, F = field.Gamma, scale(k * k, scale(s, field.gradient(h)))  # sκ²D̄
+            w = _moment(h, Gamma, F)
+            d = dot(Gamma, F) - dot(h, w)
+            if not _is_linear(field.potential):
+                K = three.combine(K, field.bend(h), -s * k * k)
+            K = [[K[i][j] - (d if i == j else 0) + Gamma[i] * F[j] + h[i] * w[j] for j in range(3)] for i in range(3)]
+        return K
 
     def correction(self, y: Vector, f: Vector) -> Vector:
         """Newton's step."""
@@ -196,37 +268,48 @@ class _Equation(NamedTuple):
     def guess(self) -> Vector:
         """½(ΔtΩ + ½Δt²Ω̇): second order."""
         u = three.solve_symmetric(self.J, self.a)
-        torque = scale(self.s, cross(self.Gamma, self.gradient(jnp.zeros_like(jnp.stack(self.a)))))
+        still = jnp.zeros_like(jnp.stack(self.a))
+        torque = _sum(scale(s, cross(field.Gamma, field.gradient(still))) for field, s in self.fields)
         return add(u, three.solve_symmetric(self.J, add(cross(self.a, u), torque)))
 
-    def size(self, D: Vector, y: Vector) -> Array:
+    def size(self, gradients: list[Array], y: Vector) -> Array:
         """The size of the terms of the equation, by which its rounding errors are measured.
 
         The force's is |D̄|, and |Ṽ|/|ΔΓ| where D̄ is corrected.
         """
-        step = scale(2, cross(self.Gamma, y))
-        square = dot(step, step)
-        corrected = (square > _APART / 4) & (not hasattr(self.potential, "discrete_gradient"))
-        noise = jnp.abs(self.potential(jnp.stack(self.Gamma))) / jnp.sqrt(jnp.where(corrected, square, 1))
-        force = three.max_abs(self.Gamma) * (three.max_abs(D) + jnp.where(corrected, noise, 0))
-        return three.max_abs(self.a) + self.s * force
+        total = three.max_abs(self.a)
+        for (field, s), D in zip(self.fields, gradients, strict=True):
+            step = scale(2, cross(field.Gamma, y))
+            square = dot(step, step)
+            corrected = (square > _APART / 4) & (not hasattr(field.potential, "discrete_gradient"))
+            noise = jnp.abs(field.value(field.Gamma)) / jnp.sqrt(jnp.where(corrected, square, 1))
+            total = total + s * three.max_abs(field.Gamma) * (three.max_abs(D) + jnp.where(corrected, noise, 0))
+        return total
 
 
-def discrete_gradient(potential: Callable[[Array], Array], a: Array, b: Array) -> Array:
-    """D̄ with D̄·(b − a) = Ṽ(b) − Ṽ(a) and D̄(a, b) = D̄(b, a), shape (3,); the gradient where a = b."""
+def discrete_gradient(potential: Callable[..., Array], a: Array, b: Array, *t: Array) -> Array:
+    """D̄ with D̄·(b − a) = Ṽ(b) − Ṽ(a) and D̄(a, b) = D̄(b, a), shape (3,), at a time if the potential has one.
+
+    The gradient where a = b.
+    """
     own = getattr(potential, "discrete_gradient", None)
     if own is not None:
-        return own(a, b)
+        return own(a, b, *t)
     step = b - a
     at = (a + b) / 2 + jnp.asarray(_NODES, a.dtype)[:, None] * (step / 2)
-    mean = jnp.tensordot(jnp.asarray(_WEIGHTS / 2, a.dtype), jax.vmap(jax.grad(potential))(at), 1)
+    gradients = jax.vmap(lambda Gamma: jax.grad(potential)(Gamma, *t))(at)
+    mean = jnp.tensordot(jnp.asarray(_WEIGHTS / 2, a.dtype), gradients, 1)
     square = dot(step, step)
     apart = square > _APART
-    missing = potential(b) - potential(a) - dot(mean, step)
+    missing = potential(b, *t) - potential(a, *t) - dot(mean, step)
     return mean + jnp.where(apart, missing / jnp.where(apart, square, 1), 0) * step
 
 
-def _is_linear(potential: Callable[[Array], Array]) -> bool:
+def _sum(vectors: Iterable[Vector]) -> Vector:
+    return functools.reduce(add, vectors)
+
+
+def _is_linear(potential: Callable[..., Array]) -> bool:
     return getattr(potential, "linear", False)
 
 
@@ -248,6 +331,6 @@ def _moment(h: Vector, Gamma: Vector, D: Vector) -> Vector:
 
 def examples(system: Any) -> dict[str, Step]:
     """The paper's three κ's, for rigid bodies in a potential with an axis."""
-    if not TOPS.declared(system) or system.axis is None:
+    if not (TOPS.declared(system) or DRIVEN_TOPS.declared(system)) or system.axis is None:
         return {}
     return {step.name: step for step in (top_energy_momentum(system, kappa) for kappa in KAPPAS)}

@@ -4,7 +4,7 @@ from lieint_jax.systems.driven_top import DrivenTop, driven_top
 from lieint_jax.systems.embedded_body import EmbeddedBody, embedded_body
 from lieint_jax.systems.euler import Euler, RightEuler, euler, kirchhoff, manakov, manakov_integrals
 from lieint_jax.systems.gravity_gradient import GravityGradient, gravity_gradient
-from lieint_jax.systems.group_potential import GroupPotential, group_potential
+from lieint_jax.systems.group_potential import DrivenGroupPotential, GroupPotential, group_potential
 from lieint_jax.systems.heavy_top import LagrangeMotion, heavy_top, kovalevskaya_integral, lagrange_motion
 from lieint_jax.systems.incompressible_body import IncompressibleBody, incompressible_body
 from lieint_jax.systems.pendulum import Pendulum, pendulum
@@ -20,6 +20,7 @@ from lieint_jax.systems.pseudo_rigid import (
 from lieint_jax.systems.rigid_body import RigidBody, rigid_body
 
 __all__ = [
+    "DrivenGroupPotential",
     "DrivenTop",
     "EmbeddedBody",
     "Euler",

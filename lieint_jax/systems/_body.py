@@ -14,7 +14,8 @@ from lieint_jax import _checks
 from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
-from lieint_jax.types import PhaseSpace, State, clock
+from lieint_jax.systems._timed import check_timed, timed
+from lieint_jax.types import PhaseSpace, State
 
 _PHASE_SPACE = CotangentGroup(so3)
 
@@ -110,15 +111,12 @@ class TimedBody(Body):
             body_momentum=body_momentum,
             spatial_momentum=spatial_momentum,
         )
-        work = None if work is None else _checks.real_array("work", work, (), like=start.p).astype(start.p.dtype)
-        return start._replace(t=_checks.real_array("t", t, (), like=start.p).astype(start.p.dtype), work=work)
+        return timed(start, t, work)
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""
         super().check(state)
-        _checks.real_array("state.t", clock(state), ())
-        if state.work is not None:
-            _checks.real_array("state.work", state.work, ())
+        check_timed(state)
 
 
 def spatial_torque(potential: Callable[[Array], Array], q: Array) -> Array:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,8 +13,9 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.systems._on_group import OnGroup
+from lieint_jax.systems._timed import check_timed, timed
 from lieint_jax.systems.euler import Euler, kirchhoff
-from lieint_jax.types import Group, MechanicalSystem, State, callable_pytree, pytree, static
+from lieint_jax.types import Driven, Group, MechanicalSystem, State, callable_pytree, clock, pytree, static
 
 
 @pytree
@@ -38,9 +41,7 @@ class GroupPotential(OnGroup, MechanicalSystem):
 
     def force(self, q: Array) -> Array:
         """−T*R dV, shape (d,): the force of the potential in π̇. Its i-th component is −d/dε V(exp(εeᵢ)q)."""
-        zero = jnp.zeros(self.group.dim, q.dtype)
-        _, pull = jax.vjp(lambda theta: self.group.spatial_tangent(q, theta), zero)
-        return -pull(jax.grad(self.potential)(q))[0]
+        return _force(self.group, self.potential, q)
 
     def body_force(self, q: Array) -> Array:
         """−T*L dV = Ad*_q of `force`, shape (d,): its i-th component is −d/dε V(q exp(εeᵢ))."""
@@ -61,15 +62,86 @@ class GroupPotential(OnGroup, MechanicalSystem):
         return State(self.group.tangent(state.q, self.velocity(state)), self.force(state.q))
 
 
+@pytree
+class DrivenGroupPotential(OnGroup, Driven):
+    """H = ½⟨Π, m⁻¹Π⟩ + V(q, t): (5.41) with a potential that is a given function of time. Made by `group_potential`.
+
+    Energy less work is conserved, with work = ∫∂V/∂t dt.
+
+    Attributes:
+        metric, group, symmetry: as of `GroupPotential`.
+        potential: V, a callable pytree (q, t) ↦ scalar.
+    """
+
+    metric: Array
+    potential: Callable[[Array, Array], Array]
+    symmetry: Array
+    group: Group = static()
+
+    @property
+    def free(self) -> Euler:
+        """The geodesic flow of the metric, without the potential."""
+        return Euler(self.metric, self.group)
+
+    def state(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, q: ArrayLike | None = None, *, t: ArrayLike = 0.0, work: ArrayLike | None = None, **motion: ArrayLike
+    ) -> State:
+        """The state at a configuration and a time.
+
+        Args:
+            q: as of `GroupPotential.state`.
+            t: the time, a scalar.
+            work: 0.0 to count from here the work that is done on the system; None not to count it.
+            motion: one of velocity, body_momentum and spatial_momentum, as of `GroupPotential.state`.
+
+        Raises:
+            ValueError: as `GroupPotential.state`, or a time or work that is no finite scalar.
+        """
+        return timed(super().state(q, **motion), t, work)
+
+    def force(self, q: Array, t: Array) -> Array:
+        """−T*R dV, shape (d,), at a time."""
+        return _force(self.group, lambda q: self.potential(q, t), q)
+
+    def power(self, q: Array, t: Array) -> Array:
+        """∂V/∂t, a scalar."""
+        return jax.jvp(lambda t: self.potential(q, t), (t,), (jnp.ones_like(t),))[1]
+
+    def energy(self, state: State) -> Array:
+        """½⟨Π, m⁻¹Π⟩ + V(q, t)."""
+        return self.kinetic_energy(state) + self.potential(state.q, clock(state))
+
+    def momentum(self, state: State) -> Array:
+        """The momentum of the symmetry, ⟨π, η⟩ for each η, shape (k,)."""
+        return self.symmetry @ state.p
+
+    def vector_field(self, state: State) -> State:
+        """(qΩ̂, −T*R dV) (5.41), and the power ∂V/∂t as the derivative of work."""
+        q, t = state.q, clock(state)
+        return State(self.group.tangent(q, self.velocity(state)), self.force(q, t), work=self.power(q, t))
+
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system."""
+        super().check(state)
+        check_timed(state)
+
+
+def _force(group: Group, potential: Callable[[Array], Array], q: Array) -> Array:
+    """−T*R dV, shape (d,)."""
+    _, pull = jax.vjp(lambda theta: group.spatial_tangent(q, theta), jnp.zeros(group.dim, q.dtype))
+    return -pull(jax.grad(potential)(q))[0]
+
+
 def group_potential(
-    group: Group, metric: ArrayLike, potential: Callable[[Array], Array], symmetry: ArrayLike | None = None
-) -> GroupPotential:
+    group: Group, metric: ArrayLike, potential: Callable[..., Array], symmetry: ArrayLike | None = None
+) -> GroupPotential | DrivenGroupPotential:
     """A system of kinetic and potential energy on a group.
 
     Args:
         group: `groups.so3`, a group of the catalogue, or `groups.matrix(basis)`.
         metric: m in the basis of the group, positive definite: (d,) or (d, d).
-        potential: V(q), smooth, q as in `State`. With parameters of its own, a `jax.tree_util.Partial`.
+        potential: V(q), smooth, q as in `State`; or V(q, t), a given function of time too, whose states have a time.
+            With parameters of its own, a `jax.tree_util.Partial`. What can be called with q alone is a V(q).
         symmetry: directions η of the algebra, shape (k, d), under whose left action V is invariant: their momenta
             ⟨π, η⟩ are conserved. None for none. Not checked.
 
@@ -89,10 +161,24 @@ def group_potential(
     directions = _checks.real_array("symmetry", none if symmetry is None else symmetry, like=metric)
     if directions.ndim != 2 or directions.shape[1] != group.dim:
         raise ValueError(f"symmetry must have shape (k, {group.dim}), got {directions.shape}")
-    value = jax.eval_shape(potential, jnp.asarray(group.identity, metric.dtype))
+    driven = _takes_time(potential)
+    at = (jnp.asarray(group.identity, metric.dtype), *[jnp.zeros((), metric.dtype)] * driven)
+    value = jax.eval_shape(potential, *at)
     if getattr(value, "shape", None) != ():
-        raise ValueError(f"potential must give a scalar V(q), got {value}")
-    return GroupPotential(metric=metric, group=group, potential=callable_pytree(potential), symmetry=directions)
+        raise ValueError(f"potential must give a scalar {'V(q, t)' if driven else 'V(q)'}, got {value}")
+    made = DrivenGroupPotential if driven else GroupPotential
+    return made(metric=metric, group=group, potential=callable_pytree(potential), symmetry=directions)
+
+
+def _takes_time(potential: Callable[..., Any]) -> bool:
+    """Whether a function needs a time beside q."""
+    try:
+        inspect.signature(potential).bind(None)
+    except TypeError:
+        return True
+    except ValueError:  # a function that does not tell
+        return False
+    return False
 
 
 def bottom_heavy(weight: Array, q: Array) -> Array:
@@ -106,14 +192,21 @@ def henon_heiles(q: Array) -> Array:
     return (x * x + y * y) / 2 + x * x * y - y**3 / 3
 
 
-def examples() -> dict[str, tuple[GroupPotential, State, float]]:
-    """A bottom-heavy ellipsoid in a fluid, symmetric under translations and turns about the vertical; a star."""
+def driven_henon_heiles(q: Array, t: Array) -> Array:
+    """`henon_heiles` in a galaxy whose mass pulsates."""
+    return (1 + 0.2 * jnp.cos(0.7 * t)) * henon_heiles(q)
+
+
+def examples() -> dict[str, tuple[Any, State, float]]:
+    """A bottom-heavy ellipsoid in a fluid, symmetric under translations and turns about the vertical; two stars."""
     from lieint_jax.groups import translations
 
     body = kirchhoff(center_of_mass=(0.0, 0.0, -0.2))
     system = group_potential(body.group, body.metric, jax.tree_util.Partial(bottom_heavy, 0.4), jnp.eye(6)[2:])
     star = group_potential(translations(2), [1.0, 1.0], henon_heiles)
+    pulsating = group_potential(translations(2), [1.0, 1.0], driven_henon_heiles)
     return {
+        "pulsating": (pulsating, pulsating.state(velocity=[0.3, 0.35], t=0.4, work=0.0), 0.05),  # pyright: ignore[reportCallIssue]
         "bottom_heavy": (system, system.state(velocity=[0.3, -0.4, 0.5, 0.6, 0.2, -0.3]), 0.05),
         "henon_heiles": (star, star.state(velocity=[0.3, 0.35]), 0.05),
     }

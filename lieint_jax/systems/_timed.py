@@ -1,0 +1,22 @@
+"""States with a time and a count of work: how they are made and checked. No system of its own."""
+
+from __future__ import annotations
+
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax.types import State, clock
+
+
+def timed(state: State, t: ArrayLike, work: ArrayLike | None) -> State:
+    """A state at the time t, with the work done so far; ValueError if one is no finite scalar."""
+    given = {"t": t} if work is None else {"t": t, "work": work}
+    found = {name: _checks.real_array(name, x, (), like=state.p).astype(state.p.dtype) for name, x in given.items()}
+    return state._replace(**found)
+
+
+def check_timed(state: State) -> None:
+    """ValueError if a state has no time, or a concrete time or work is no finite scalar."""
+    _checks.real_array("state.t", clock(state), ())
+    if state.work is not None:
+        _checks.real_array("state.work", state.work, ())
