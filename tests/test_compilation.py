@@ -37,7 +37,8 @@ def a_step(dt=0.05):
         lambda s, z, dt: li.studies.observe(s, z, dt, [0.3, 0.7]),
         lambda s, z, dt: jax.grad(lambda h: li.studies.observe(s, z, h, [0.3, 0.7])[0].q[-1, 0])(dt),
         pytest.param(
-            lambda s, z, dt: li.studies.observe(s, z, dt, [0.3, 0.7], derivative="checkpoint"), marks=pytest.mark.long
+            lambda s, z, dt: li.studies.observe(s, z, dt, [6 * dt, 14.2 * dt], derivative="checkpoint"),
+            marks=pytest.mark.long,  # the numbers of steps are compiled in
         ),
         pytest.param(lambda s, z, dt: li.studies.reversible(s, z, dt, 6, 3), marks=pytest.mark.long),
         pytest.param(lambda s, z, dt: li.studies.round_trip_error(s, z, dt, 6), marks=pytest.mark.long),

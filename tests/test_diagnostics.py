@@ -16,7 +16,7 @@ from lieint_jax.types import State, Step, StepInfo, pytree
 
 BODIES = jax.jit(_discover.modules(li.systems)["rigid_body"].examples)()
 GRID = {  # every scheme that takes a rigid body
-    f"rigid_body.{name}-{step_name}": (step, State(*map(np.asarray, state)), float(dt))
+    f"rigid_body.{name}-{step_name}": (step, jax.tree.map(np.asarray, state), float(dt))
     for name, (body, state, dt) in BODIES.items()
     if name in ("asymmetric", "full_tensor")
     for module in _discover.modules(li.schemes).values()

@@ -45,7 +45,7 @@ def _run(step, state, dt):
 
 def run(step, state, dt=0.1):
     """1000 steps, and the series of their errors: one program for all bobs, states and step sizes."""
-    return jax.device_get(_run(step, State(*map(np.asarray, state)), dt))
+    return jax.device_get(_run(step, jax.tree.map(np.asarray, state), dt))
 
 
 def at(trajectory, n):
@@ -103,7 +103,7 @@ def test_1_6_as_printed_does_not_keep_energy():
         lost = abs(float(energy(State(q, pi))) - float(energy(start())))
         assert (lost < 1e-12) != printed
         if not printed:
-            np.testing.assert_allclose(at(ours, 20), [q, pi], atol=1e-12)
+            np.testing.assert_allclose(at(ours, 20)[:2], [q, pi], atol=1e-12)
 
 
 # Claims 4 and 5: the midpoint rule in spherical coordinates about γ, a local Darboux chart ----------------------------
@@ -216,7 +216,7 @@ def test_second_order_against_the_flow_and_reversible():
         errors = [np.abs(at(run(step, start(), 0.8 / n)[0], n).q - exact.q).max() for n in (16, 32)]
         assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.03)
         there = at(run(step, start(), 0.1)[0], 1)
-        np.testing.assert_allclose(at(run(step, there, -0.1)[0], 1), start(), atol=4e-15)
+        np.testing.assert_allclose(at(run(step, there, -0.1)[0], 1)[:2], start()[:2], atol=4e-15)
 
 
 def test_the_flow_is_symplectic_for_the_form_of_1_4():
@@ -226,7 +226,7 @@ def test_the_flow_is_symplectic_for_the_form_of_1_4():
 
     @jax.jit
     def linearized():
-        push = lambda delta: flow(bob, space.perturb(State(*start()), delta), 1.0, 5)  # noqa: E731
+        push = lambda delta: flow(bob, space.perturb(start(), delta), 1.0, 5)  # noqa: E731
         end, tangents = push(jnp.zeros(4)), jax.jacfwd(push)(jnp.zeros(4))
         return jax.vmap(lambda t: space.trivialise(end, t), in_axes=-1, out_axes=-1)(tangents)
 
@@ -266,7 +266,7 @@ def test_gradients_through_a_step(normalised):
 
     def end(x):
         bob = li.systems.Pendulum(x[0], Uniform(x[1]), x[2:5])
-        return li.schemes.sphere_midpoint(bob, normalised, iterations=4)(State(*start()), x[5])[0]
+        return li.schemes.sphere_midpoint(bob, normalised, iterations=4)(start(), x[5])[0][:2]
 
     x, direction, h = np.array([1.5, 2.0, *AXIS, 0.1]), np.array([0.3, -0.5, 0.2, 0.7, 0.1, 0.2]), 1e-4
     both = jax.jit(lambda x: jax.jvp(end, (x,), (direction,)))
@@ -302,7 +302,7 @@ def test_errors():
         (lambda: bob.state([1.0, 0, 0]), "exactly one of velocity, momentum; got none"),
         (lambda: bob.check(State(jnp.array([1.0, 0, 0]), jnp.array([1.0, 0, 0]))), "made|make it"),
         (lambda: li.schemes.sphere_midpoint(li.systems.rigid_body([1.0, 2, 3])), "pendulums"),
-        (lambda: li.schemes.sphere_midpoint(bob).check(State(*map(jnp.asarray, start())), 50.0), "does not converge"),
+        (lambda: li.schemes.sphere_midpoint(bob).check(jax.tree.map(jnp.asarray, start()), 50.0), "does not converge"),
     ):
         with pytest.raises(ValueError, match=message):
             make()

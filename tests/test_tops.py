@@ -176,7 +176,7 @@ def energy_errors():
 
     @jax.jit
     def all_of_them():
-        top, (q, p) = asymmetric()
+        top, (q, p, *_) = asymmetric()
         motions = [(top, State(q, (1 + e) * p), 0.05) for e in 0.01 * np.linspace(-1, 1, 16)]
         motions += [(*kovalevskaya(), 0.05), (*lagrange(), 0.01)]
         return jax.vmap(errors)(*jax.tree.map(lambda *x: jnp.stack(x), *motions))
@@ -267,7 +267,7 @@ def test_value_and_derivatives_are_finite_where_gamma_does_not_move(name):
         return jax.jacfwd(lambda state, dt: step(state, dt)[0], argnums=(0, 1))(state, dt), top.vector_field(state)
 
     for state, dt in zip(states, (0.1, 0.1, 0.0), strict=True):
-        (q, p), field = jax.device_get(slopes(state, dt))  # each by (state, dt)
+        (q, p, *_), field = jax.device_get(slopes(state, dt))  # each by (state, dt)
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((q, p)))
         if dt == 0:
             assert np.abs(p[0].p - np.eye(3)).max() < 1e-15
@@ -351,7 +351,7 @@ def test_batches_over_weights_and_gradients():
 
     def height(weight):
         top = li.systems.heavy_top([1.0, 2.0, 3.0], weight)
-        return top.Gamma(State(*(x[-1] for x in li.integrate(top_energy_momentum(top), state, 0.1, 20).state)))[2]
+        return top.Gamma(jax.tree.map(lambda x: x[-1], li.integrate(top_energy_momentum(top), state, 0.1, 20).state))[2]
 
     weights = jnp.array([[0.0, 0.0, 1.0], [0.5, 0.4, 1.0]])
     values, slopes = jax.jit(jax.vmap(jax.value_and_grad(height)))(weights)
