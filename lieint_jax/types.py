@@ -522,6 +522,12 @@ def on_clock(state: State, t0: Array | None, n: ArrayLike, dt: ArrayLike) -> Sta
     return state if t0 is None else state._replace(t=t0 + n * dt)
 
 
+def energy_less_work(system: System, state: State) -> Array:
+    """H − W, a scalar, which is conserved: W is `state.work`, 0 if it is not counted."""
+    energy = system.energy(state)
+    return energy if state.work is None else energy - state.work
+
+
 def clock(state: State) -> Array:
     """The time of a state; ValueError if it has none."""
     if state.t is None:

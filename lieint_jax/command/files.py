@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from lieint_jax.ensemble import _store
-from lieint_jax.types import State, StepInfo, Trajectory
+from lieint_jax.ensemble._leaves import named, state_of
+from lieint_jax.types import StepInfo, Trajectory
 
 SUFFIXES = (".npz", ".zarr")
+_TIME = "state.t"  # in an .npz, where t is the time of the trajectory
 
 
 def free(path: Path, kinds: Iterable[str] = (), resume: bool = False) -> Path:
@@ -51,13 +53,19 @@ def free_pictures(path: Path, kinds: Iterable[str], force: bool) -> None:
 
 
 def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:
-    """Write a trajectory as .npz: arrays t, q, p, residual, converged, and `metadata` as JSON text."""
+    """Write a trajectory as .npz: arrays t, q, p, residual, converged, and `metadata` as JSON text.
+
+    Where states have them: work, extra.NAME, and state.t, (entries, members), or (entries, 1) if members share it.
+    """
+    arrays = named(trajectory.state)
+    if "t" in arrays:
+        t = np.asarray(arrays.pop("t"))
+        arrays[_TIME] = t[:, :1] if (t == t[:, :1]).all() else t
     with path.open("xb") as file:
         np.savez(
             file,
             t=trajectory.t,
-            q=trajectory.state.q,
-            p=trajectory.state.p,
+            **arrays,
             residual=trajectory.info.residual,
             converged=trajectory.info.converged,
             metadata=np.array(json.dumps(metadata)),
@@ -77,8 +85,11 @@ def load(path: Path) -> tuple[Any, dict[str, Any]]:
         return _store.load(path)
     try:
         with np.load(path, allow_pickle=False) as f:
-            state, info = State(f["q"], f["p"]), StepInfo(f["residual"], f["converged"])
-            return Trajectory(f["t"], state, info), json.loads(str(f["metadata"]))
+            arrays = {name: f[name] for name in f.files if name in ("q", "p", "work") or name.startswith("extra.")}
+            if _TIME in f:
+                arrays["t"] = np.broadcast_to(f[_TIME], arrays["p"].shape[:2])
+            info = StepInfo(f["residual"], f["converged"])
+            return Trajectory(f["t"], state_of(arrays), info), json.loads(str(f["metadata"]))
     except (ValueError, KeyError, TypeError, zipfile.BadZipFile, EOFError) as error:
         raise ValueError(f"{path} is no file of results that lieint wrote, or is damaged: {error}") from error
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from lieint_jax import plots
 from lieint_jax.groups import so3
-from lieint_jax.types import State, Trajectory
+from lieint_jax.types import State, Trajectory, energy_less_work
 
 
 class StoredRun(NamedTuple):
@@ -53,10 +53,11 @@ def of(stored: StoredRun) -> dict[str, Callable[[StoredRun], Figure]]:
 
 
 def draw_invariants(stored: StoredRun) -> Figure:
-    """Plot the errors of energy and momentum against time: the worst member and the median."""
-    H = stored.series(lambda system, z: system.energy(z))
+    """Plot the errors of energy (less work, if counted) and momentum against time: the worst member and the median."""
+    H = stored.series(energy_less_work)
     Phi = stored.series(lambda system, z: system.momentum(z))
-    errors = {"energy error, relative": abs(H - H[0]) / _size(abs(H[0]))}
+    what = "energy error" if stored.run.state.work is None else "error of energy less work"
+    errors = {f"{what}, relative": abs(H - H[0]) / _size(abs(H[0]))}
     if Phi.shape[-1]:
         norm = np.linalg.norm(Phi[0], axis=-1)
         errors["momentum error, relative"] = np.linalg.norm(Phi - Phi[0], axis=-1) / _size(norm)

@@ -14,7 +14,7 @@ from lieint_jax.command import files, pictures
 from lieint_jax.command.pictures import StoredRun
 from lieint_jax.ensemble._reading import system_of
 from lieint_jax.scenarios._common import POINTS, Common
-from lieint_jax.types import Step, Trajectory
+from lieint_jax.types import Step, Trajectory, energy_less_work
 
 _SHOWN = 2**28  # the most bytes of a store that are read to draw it
 _TIMES, _BLOCK = 17, 8192  # saved times at which energies are measured, and members at once
@@ -153,19 +153,20 @@ def _changes(series: dict[str, np.ndarray]) -> list[str]:
 
 
 def _kept(stored: StoredRun) -> list[str]:
-    """Two lines: the largest change of energy at `_TIMES` saved times, and how many members converged."""
+    """Two lines: the largest change of energy (less work, if counted) at `_TIMES` saves, and the members converged."""
     run = stored.run
     count = run.state.p.shape[1]
     times = np.unique(np.linspace(0, len(run.t) - 1, _TIMES).astype(int))
     worst = size = failed = 0.0
     for first in range(0, count, _BLOCK):
         part = slice(first, first + _BLOCK)
-        H = stored.part(times, part).series(lambda system, z: system.energy(z))
+        H = stored.part(times, part).series(energy_less_work)
         worst, size = max(worst, float(abs(H - H[0]).max())), max(size, float(abs(H[0]).max()))
         failed += int((~np.asarray(run.info.converged[:, part])).any(axis=0).sum())
+    what = "energy" if run.state.work is None else "energy less work"
     relative = f" ({worst / size:.2g} of the largest energy)" if size else ""
     return [
-        f"  largest change of energy, all members, {len(times)} times: {worst:.2g}{relative}",
+        f"  largest change of {what}, all members, {len(times)} times: {worst:.2g}{relative}",
         f"  {int(count - failed)} of {count} members converged at every step",
     ]
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax import _checks
-from lieint_jax.types import System, Trajectory
+from lieint_jax.types import System, Trajectory, energy_less_work
 
 
 def energy_error(system: System, trajectory: Trajectory) -> Array:
     """H(z_n) − W_n − H(z₀) + W₀, shape (n+1,), in units of energy; W is `state.work`, 0 if it is not counted."""
-    energy, work = jax.vmap(system.energy)(trajectory.state), trajectory.state.work
-    kept = energy if work is None else energy - work
+    kept = jax.vmap(partial(energy_less_work, system))(trajectory.state)
     return kept - kept[0]
 
 

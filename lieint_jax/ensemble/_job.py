@@ -9,6 +9,7 @@ import numpy as np
 
 from lieint_jax.ensemble import _layout
 from lieint_jax.ensemble._layout import Layout
+from lieint_jax.ensemble._leaves import shared_time
 from lieint_jax.ensemble._loop import Carry, Range, Reduction
 from lieint_jax.types import State, Step, StepInfo
 
@@ -40,7 +41,19 @@ class Summary(NamedTuple):
 
 
 class Job(NamedTuple):
-    """An integration to be done. `dt_given` is dt as the caller gave it, `dt` the same in the states' dtype."""
+    """An integration to be done.
+
+    Attributes:
+        step: the step; with the member axis on its leaves if `step_axis` is 0.
+        states: the initial states without their time, with the member axis on every leaf.
+        dt_given: dt as the caller gave it.
+        dt: the same in the states' dtype.
+        save_every: steps between saves.
+        num_saves: the number of saves after the start.
+        step_axis: None or 0.
+        reduction: the quantity to reduce, or None.
+        t0: the time of the initial states: () if the members share it, else (members,); None if they have none.
+    """
 
     step: Step
     states: State
@@ -50,6 +63,7 @@ class Job(NamedTuple):
     num_saves: int
     step_axis: int | None
     reduction: Reduction | None
+    t0: Any = None
 
     @property
     def num_steps(self) -> int:
@@ -58,8 +72,38 @@ class Job(NamedTuple):
 
     @property
     def times(self) -> np.ndarray:
-        """The times of all entries."""
+        """The times of all entries: those of the states if the members share them, else since the start."""
+        if self.shares_time:
+            return np.asarray(self.t0) + self._steps * self.dt
         return self.dt_given * self.save_every * np.arange(self.num_saves + 1, dtype=self.dt.dtype)
+
+    @property
+    def _steps(self) -> np.ndarray:
+        """The number of steps before each entry."""
+        return (self.save_every * np.arange(self.num_saves + 1)).astype(self.dt.dtype)
+
+    @property
+    def shares_time(self) -> bool:
+        """True if the states have a time, the same for all members."""
+        return self.t0 is not None and not np.ndim(self.t0)
+
+    def state_times(self, entries: slice = slice(None)) -> Any:
+        """The time of each member at these entries, (entries, members); None if the states have none."""
+        if self.t0 is None:
+            return None
+        if self.shares_time:
+            return shared_time(self.times[entries], self.members)
+        return np.asarray(self.t0) + (self._steps * self.dt)[entries, None]
+
+    def with_last_time(self, state: State) -> State:
+        """The states at the end of the run with their time."""
+        return state if self.t0 is None else state._replace(t=self.state_times(slice(-1, None))[0])
+
+    def member(self, m: int) -> tuple[Step, State]:
+        """The step and the initial state of one member."""
+        state = jax.tree.map(lambda leaf: leaf[m], self.states)
+        step = self.step if self.step_axis is None else jax.tree.map(lambda leaf: leaf[m], self.step)
+        return step, state._replace(t=self.t0 if self.t0 is None or self.shares_time else self.t0[m])
 
     @property
     def members(self) -> int:

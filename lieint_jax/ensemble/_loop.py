@@ -11,8 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.typing import ArrayLike
 
-from lieint_jax.types import State, Step, StepInfo
+from lieint_jax.types import State, Step, StepInfo, energy_less_work, on_clock
 
 Reduction = Callable[[Step, State], Array]
 
@@ -38,7 +39,7 @@ class Carry(NamedTuple):
     """The carry of a run from one step to the next, every leaf with the member axis first.
 
     Attributes:
-        state: the states.
+        state: the states, without their time, which follows from the number of steps.
         info: the merged `StepInfo` since the last save.
         failed: the first step that did not converge, or −1.
         change: the range of the reduced quantity's change since the last save; None if nothing is reduced.
@@ -48,6 +49,18 @@ class Carry(NamedTuple):
     info: StepInfo
     failed: Array
     change: Range | None
+
+
+class Origin(NamedTuple):
+    """What a run begins with, and its loop refers to at every step.
+
+    Attributes:
+        t0: the time of the initial states: a scalar if the members share it, else one for each; None if they have none.
+        quantity: the reduced quantity of the initial states; None if nothing is reduced.
+    """
+
+    t0: Array | None
+    quantity: Array | None
 
 
 class Portion(NamedTuple):
@@ -80,27 +93,26 @@ def step_dtype() -> Any:
 
 
 @cache
-def start(step_axis: int | None, reduction: Reduction | None) -> Callable[..., tuple[Carry, Any]]:
-    """(step, states) ↦ the carry of a run and the reduced quantity at its start (None if nothing is reduced)."""
+def start(step_axis: int | None, reduction: Reduction | None) -> Callable[..., tuple[Carry, Origin]]:
+    """(step, states without their time, t0) ↦ the carry of a run and its origin."""
 
-    def begin(step: Step, states: State) -> tuple[Carry, Any]:
+    def begin(step: Step, states: State, t0: Array | None) -> tuple[Carry, Origin]:
         members = states.p.shape[0]
         info = StepInfo(jnp.zeros(members, states.p.dtype), jnp.ones(members, bool))
-        origin = None if reduction is None else jax.vmap(reduction, in_axes=(step_axis, 0))(step, states)
-        change = None if origin is None else Range.fresh(origin)
+        quantity = None if reduction is None else _over_members(reduction, step_axis, step, states._replace(t=t0))
+        change = None if quantity is None else Range.fresh(quantity)
         failed = jnp.full(members, -1, step_dtype())
-        return Carry(states, info, failed, change), origin
+        return Carry(states, info, failed, change), Origin(t0, quantity)
 
     return jax.jit(begin, compiler_options=compiler_options())
 
 
 @cache
 def prepare(step_axis: int | None) -> Callable[..., Any]:
-    """(step, states, dt) ↦ the prepared steps, with the member axis on every leaf."""
+    """(step, states without their time, t0, dt) ↦ the prepared steps, with the member axis on every leaf."""
 
-    def prepared(step: Step, states: State, dt: Array) -> Step:
-        size = states.p.shape[0]
-        return jax.vmap(lambda s, z: s.prepare(z, dt), in_axes=(step_axis, 0), axis_size=size)(step, states)
+    def prepared(step: Step, states: State, t0: Array | None, dt: Array) -> Step:
+        return _over_members(lambda s, z: s.prepare(z, dt), step_axis, step, states._replace(t=t0))
 
     return jax.jit(prepared, compiler_options=compiler_options())
 
@@ -112,19 +124,19 @@ def advance(step_axis: int | None, reduction: Reduction | None, buffer_rows: int
     Each row of `saved` holds the report, and the state or the change of the reduced quantity since `origin`.
     """
 
-    def over_members(function: Callable[..., Any], step: Step, states: State) -> Any:
-        return jax.vmap(function, in_axes=(step_axis, 0))(step, states)
-
-    def loop(step: Step, carry: Carry, origin: Any, portion: Portion) -> tuple[Carry, Any]:
+    def loop(step: Step, carry: Carry, origin: Origin, portion: Portion) -> tuple[Carry, Any]:
         dt, done, saves, every, fresh = portion
         unsaved = _unsaved(carry)
 
+        def at(n: ArrayLike, state: State) -> State:
+            return state if origin.t0 is None else on_clock(state, origin.t0, done + n, dt)
+
         def one(n: Array, carry: Carry) -> Carry:
-            state, info = over_members(lambda s, z: s(z, dt), step, carry.state)
+            state, info = _over_members(lambda s, z: _without_time(*s(z, dt)), step_axis, step, at(n, carry.state))
             failed = jnp.where((carry.failed < 0) & ~info.converged, n, carry.failed)
             change = carry.change
-            if reduction is not None and change is not None:
-                change = change.including(over_members(reduction, step, state) - origin)
+            if reduction is not None and change is not None and origin.quantity is not None:
+                change = change.including(_over_members(reduction, step_axis, step, at(n + 1, state)) - origin.quantity)
             return Carry(state, carry.info.merge(info), failed, change)
 
         def interval(k: Array, loop: tuple[Carry, Any]) -> tuple[Carry, Any]:
@@ -158,10 +170,24 @@ def _saved(carry: Carry) -> Any:
 
 @cache
 def energies(step_axis: int | None) -> Callable[..., Array]:
-    """(step, states) ↦ the energy of each member."""
-    return jax.jit(jax.vmap(energy, in_axes=(step_axis, 0)), compiler_options=compiler_options())
+    """(step, states without their time, t0, done, dt) ↦ the energy less work of each member after `done` steps."""
+
+    def energies_of(step: Step, states: State, t0: Array | None, done: ArrayLike, dt: Array) -> Array:
+        return _over_members(energy, step_axis, step, on_clock(states, t0, done, dt))
+
+    return jax.jit(energies_of, compiler_options=compiler_options())
 
 
 def energy(step: Step, state: State) -> Array:
-    """The energy of a step's system."""
-    return step.system.energy(state)
+    """The energy of a step's system, less the work where the state counts it: H − W."""
+    return energy_less_work(step.system, state)
+
+
+def _over_members(function: Callable[..., Any], step_axis: int | None, step: Step, states: State) -> Any:
+    """`function` of step and state, vmapped. What depends on a shared time alone is computed once for all members."""
+    time_axis = None if states.t is None or not states.t.ndim else 0
+    return jax.vmap(function, in_axes=(step_axis, State(0, 0, time_axis, 0, 0)))(step, states)  # pyright: ignore[reportArgumentType]
+
+
+def _without_time(state: State, info: StepInfo) -> tuple[State, StepInfo]:
+    return state._replace(t=None), info

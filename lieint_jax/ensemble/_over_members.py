@@ -29,7 +29,8 @@ def over_members(function: Callable[..., Any], in_axes: Any = 0, mesh: Mesh | No
     Args:
         function: a function of one member, of arrays or trees of arrays.
         in_axes: 0 for an argument with a member axis, None for one that all members share; one value for all arguments,
-            or a tuple.
+            or a tuple. For parts of an argument, a tree of 0 and None as of `jax.vmap`: State(0, 0, None, 0) for states
+            that share their time.
         mesh: devices, as in `ensemble.run`; None takes all. If their number does not divide the number of members, the
             batch is padded with copies of the last member.
 
@@ -45,7 +46,8 @@ def over_members(function: Callable[..., Any], in_axes: Any = 0, mesh: Mesh | No
     several = count_processes(mesh) > 1
 
     def many(*arguments: Any) -> Any:
-        axes = in_axes if isinstance(in_axes, tuple) else (in_axes,) * len(arguments)
+        given = in_axes if type(in_axes) is tuple else (in_axes,) * len(arguments)
+        axes = _leaf_axes(given, arguments)
         members = _count(axes, arguments)
         missing = -members % mesh.size
 
@@ -57,9 +59,11 @@ def over_members(function: Callable[..., Any], in_axes: Any = 0, mesh: Mesh | No
                 lax.with_sharding_constraint(leaf[:members], NamedSharding(mesh, whole)) if several else leaf[:members]
             )
 
-        full = [x if axis is None else jax.tree.map(filled, x) for axis, x in zip(axes, arguments, strict=True)]
-        specs = tuple(whole if axis is None else split for axis in axes)
-        shared = jax.shard_map(jax.vmap(function, axes), mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)
+        leaves, structure = jax.tree.flatten(arguments)
+        full = structure.unflatten(x if axis is None else filled(x) for axis, x in zip(axes, leaves, strict=True))
+        specs = structure.unflatten(whole if axis is None else split for axis in axes)
+        mapped = jax.vmap(function, structure.unflatten(axes))
+        shared = jax.shard_map(mapped, mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)
         return jax.tree.map(cut, shared(*full))
 
     compiled = jax.jit(many)
@@ -73,11 +77,24 @@ def over_members(function: Callable[..., Any], in_axes: Any = 0, mesh: Mesh | No
     return on_all
 
 
-def _count(axes: tuple[Any, ...], arguments: tuple[Any, ...]) -> int:
-    """The number of members of the arguments."""
-    if len(axes) != len(arguments) or any(axis not in (0, None) for axis in axes) or 0 not in axes:
+def _leaf_axes(axes: tuple[Any, ...], arguments: tuple[Any, ...]) -> list[Any]:
+    """The axis, 0 or None, of each leaf of the arguments."""
+
+    def is_none(x: Any) -> bool:
+        return x is None
+
+    values = jax.tree.leaves(axes, is_leaf=is_none)
+    if len(axes) != len(arguments) or any(axis not in (0, None) for axis in values) or 0 not in values:
         raise ValueError(f"in_axes must be 0 or None for each of {len(arguments)} arguments, not all None: {axes}")
-    batched = [leaf for axis, x in zip(axes, arguments, strict=True) if axis == 0 for leaf in jax.tree.leaves(x)]
+    found: list[Any] = []
+    for axis, x in zip(axes, arguments, strict=True):
+        jax.tree.map(lambda a, part: found.extend([a] * len(jax.tree.leaves(part))), axis, x, is_leaf=is_none)
+    return found
+
+
+def _count(axes: list[Any], arguments: tuple[Any, ...]) -> int:
+    """The number of members of the arguments."""
+    batched = [leaf for axis, leaf in zip(axes, jax.tree.leaves(arguments), strict=True) if axis == 0]
     counts = {np.shape(leaf)[0] if np.ndim(leaf) else 0 for leaf in batched}
     if len(counts) != 1 or not min(counts):
         raise ValueError(f"arguments must carry one number of members, got {sorted(counts)}")

@@ -9,7 +9,7 @@ from typing import Any
 from lieint_jax.ensemble import _store
 from lieint_jax.ensemble._description import make
 from lieint_jax.ensemble._job import Summary
-from lieint_jax.types import State, System, Trajectory
+from lieint_jax.types import System, Trajectory
 
 
 def open_run(path: str | Path, own: Mapping[str, Any] | None = None) -> tuple[Any, System]:
@@ -32,7 +32,7 @@ def open_run(path: str | Path, own: Mapping[str, Any] | None = None) -> tuple[An
     Example: the energies of all members at the end.
 
         run, system = li.ensemble.open("run.zarr")
-        energies = jax.vmap(system.energy)(li.State(run.state.q[-1], run.state.p[-1]))
+        energies = jax.vmap(system.energy)(jax.tree.map(lambda x: x[-1], run.state))
     """
     path = Path(path)
     _store.check(path)
@@ -40,7 +40,7 @@ def open_run(path: str | Path, own: Mapping[str, Any] | None = None) -> tuple[An
     system = system_of(path, attributes, own)
     if attributes["reduce"] is not None and not attributes["progress"]["complete"]:
         raise ValueError(f"{path} is a run with `reduce` that is not complete: resume it; xarray.open_zarr reads it")
-    return _result(found), system
+    return _result(found, attributes), system
 
 
 def system_of(path: Path, attributes: Mapping[str, Any], own: Mapping[str, Any] | None = None) -> System:
@@ -55,12 +55,12 @@ def system_of(path: Path, attributes: Mapping[str, Any], own: Mapping[str, Any] 
 
 def opened(path: Path) -> Any:
     """The run in a complete store: a `Trajectory` of arrays on disk, or a `Summary`."""
-    return _result(_store.load(path)[0])
+    return _result(*_store.load(path))
 
 
-def _result(found: Any) -> Any:
+def _result(found: Any, attributes: Mapping[str, Any]) -> Any:
     if isinstance(found, Trajectory):
         return found
-    state = State(found["q"], found["p"])
+    state = _store.states(found, found["time"][-1], attributes)
     series = {name: found[name] for name in ("least", "greatest", "mean", "residual", "unconverged")}
     return Summary(found["time"], **series, state=state, failed=found["first_failure"])

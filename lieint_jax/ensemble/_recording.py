@@ -22,6 +22,7 @@ from lieint_jax.ensemble import _layout, _store
 from lieint_jax.ensemble._description import describe
 from lieint_jax.ensemble._job import Job, first_entry, gathered_rows, local_rows, reduced
 from lieint_jax.ensemble._layout import Layout
+from lieint_jax.ensemble._leaves import named, state_of
 from lieint_jax.ensemble._loop import Carry, Range, compiler_options, step_dtype
 from lieint_jax.ensemble._reading import opened
 from lieint_jax.types import State, StepInfo
@@ -118,7 +119,8 @@ class StoreOutput:
 
         change = Range(*map(read, Range._fields)) if self._job.reduction is not None else None
         info = StepInfo(read("residual"), read("converged"))  # pyright: ignore[reportArgumentType]
-        carry = Carry(State(read("q"), read("p")), info, read("failed"), change)  # pyright: ignore[reportArgumentType]
+        state = state_of({name: read(name) for name in named(self._job.states)})
+        carry = Carry(state, info, read("failed"), change)  # pyright: ignore[reportArgumentType]
         return _layout.scatter(self._layout, carry, part.start), done["steps"]
 
     def begin(self, carry: list[Carry]) -> None:
@@ -180,7 +182,9 @@ class StoreOutput:
             for name, x in host.items():
                 yield part(f"checkpoint/{name}", (slot, mine), x[None])
             if last:
-                kept = {"first_failure": host["failed"]} | ({name: host[name] for name in ("q", "p")} if series else {})
+                kept = {"first_failure": host["failed"]}
+                if series:
+                    kept |= {name: host[name] for name in named(self._job.states)} | self._own_times(slice(-1, None), 0)
                 for name, x in kept.items():
                     yield part(name, (mine,), x)
         if not pending:
@@ -190,7 +194,7 @@ class StoreOutput:
                 name: np.concatenate([values[name] for values, _ in pending]) for name in pending[0][0]
             }
         else:
-            rows = self._rows(pending)
+            rows = self._rows(pending) | self._own_times(slice(first, first + sum(number for _, number in pending)))
         if jax.process_index() == 0:
             end = first + len(next(iter(rows.values())))
             yield part("time", (first,), self._job.times[first:end])
@@ -201,10 +205,18 @@ class StoreOutput:
     def _rows(self, pending: list[tuple[Any, int]]) -> dict[str, np.ndarray]:
         joined: dict[str, list[np.ndarray]] = {}
         for saved, _ in pending:
-            for name in ("q", "p", *StepInfo._fields):
-                parts = [getattr(state if name in ("q", "p") else info, name) for info, state in saved]
+            blocks = [named(state) | info._asdict() for info, state in saved]
+            for name in blocks[0]:
+                parts = [block[name] for block in blocks]
                 joined.setdefault(name, []).append(_layout.local_part(self._layout, parts, 1))
         return {name: np.concatenate(parts) for name, parts in joined.items()}
+
+    def _own_times(self, entries: slice, *index: int) -> dict[str, np.ndarray]:
+        """The array "t" of this process' members, if each member has times of its own."""
+        if self._job.t0 is None or self._job.shares_time:
+            return {}
+        mine = self._layout.local_members
+        return {"t": self._job.state_times(entries)[:, mine.start : mine.stop][*index]}
 
     def can_stop(self) -> bool:
         """True if everything so far is committed."""
@@ -228,7 +240,7 @@ def _named(carry: list[Carry]) -> dict[str, list[Any]]:
     found: dict[str, list[Any]] = {}
     for c in carry:
         change = c.change._asdict() if c.change is not None else {}
-        for name, x in {**c.state._asdict(), "failed": c.failed, **c.info._asdict(), **change}.items():
+        for name, x in {**named(c.state), "failed": c.failed, **c.info._asdict(), **change}.items():
             found.setdefault(name, []).append(x)
     return found
 
@@ -248,9 +260,10 @@ class _Axes:
         return _store.Column(shape, kind, chunks, tuple(axes), attributes)
 
     def state(self, axes: Mapping[str, tuple[int, int]], name: str, leaf: Any, **attributes: str) -> _store.Column:
-        """The description of an array of one leaf of the states, vectors or matrices, along `axes`."""
-        kinds = ("component",) if leaf.ndim == 2 else ("row", "column")
-        own = {f"{name}_{kind}": (n, n) for kind, n in zip(kinds, leaf.shape[1:], strict=True)}
+        """The description of an array of one leaf of the states along `axes`."""
+        lengths = leaf.shape[1:]
+        kinds = {1: ("component",), 2: ("row", "column")}.get(len(lengths), [f"axis{k}" for k in range(len(lengths))])
+        own = {f"{name}_{kind}": (n, n) for kind, n in zip(kinds, lengths, strict=True)}
         return self.column({**axes, **own}, **attributes)
 
 
@@ -259,11 +272,13 @@ def _columns(job: Job, chunk: int, options: StoreOptions) -> dict[str, _store.Co
     axes = _Axes(job, chunk)
     times, members = axes.times, axes.members
     series = job.reduction is not None
-    texts = {"q": "configuration", "p": "momentum"}
-    columns = {"time": axes.column(times, units=options.time_unit, long_name="time")}
-    for name, leaf in (("q", job.states.q), ("p", job.states.p)):
-        along = members if series else {**times, **members}
-        columns[name] = axes.state(along, name, leaf, long_name=texts[name], units=_unit(name, job, options))
+    texts = {"q": "configuration", "p": "momentum", "work": "work done on the body", "t": "time of each member"}
+    own_times = job.t0 is not None and not job.shares_time
+    text = "time since the start" if own_times else "time"
+    columns = {"time": axes.column(times, units=options.time_unit, long_name=text)}
+    for name, leaf in named(job.states._replace(t=job.t0 if own_times else None)).items():
+        along, text = members if series else {**times, **members}, texts.get(name, name.removeprefix("extra."))
+        columns[name] = axes.state(along, name, leaf, long_name=text, units=_unit(name, job, options))
     columns["first_failure"] = axes.column(
         members, np.int64, long_name="first step that did not converge, or -1", units="1"
     )
@@ -299,9 +314,8 @@ def _checkpoint_columns(job: Job, chunk: int) -> dict[str, _store.Column]:
     """The arrays of the checkpoint: those of a carry, in two slots that are written in turn."""
     axes = _Axes(job, chunk)
     along = {**axes.slots, **axes.members}
-    state = (("q", job.states.q), ("p", job.states.p))
     return {
-        **{name: axes.state(along, name, leaf) for name, leaf in state},
+        **{name: axes.state(along, name, leaf) for name, leaf in named(job.states).items()},
         "failed": axes.column(along, step_dtype()),
         "residual": axes.column(along),
         "converged": axes.column(along, bool),
@@ -310,14 +324,17 @@ def _checkpoint_columns(job: Job, chunk: int) -> dict[str, _store.Column]:
 
 
 def _unit(name: str, job: Job, options: StoreOptions) -> str:
-    rigid = name == "p" and hasattr(job.step.system, "inertia") and job.states.q.shape[1:] == (4,)
-    return f"unit of inertia / {options.time_unit}" if rigid else "1"
+    if name == "t":
+        return options.time_unit
+    rigid = hasattr(job.step.system, "inertia") and job.states.q.shape[1:] == (4,)
+    power = {"p": "", "work": "^2"}.get(name)
+    return f"unit of inertia / {options.time_unit}{power}" if rigid and power is not None else "1"
 
 
 def _attributes(job: Job, options: StoreOptions, described: dict[str, Any], chunk: int) -> dict[str, Any]:
     return {
         "format": _store.FORMAT,
-        "leaves": ["q", "p"],
+        "leaves": list(named(job.states._replace(t=job.t0))),
         "time_unit": options.time_unit,
         "title": str(options.attributes.get("title", job.step.name)),
         "scheme": job.step.name,
@@ -343,7 +360,7 @@ def _description(job: Job, options: StoreOptions) -> dict[str, Any]:
         "system": type(job.step.system).__name__,
         "options of the step": _digest(_store.without_addresses(str(structure)).encode()),
         "numbers of the step": _digest(*leaves),
-        "initial states": _digest(*job.states),
+        "initial states": _digest(*_with_names(job.states._replace(t=job.t0))),
         "members": job.members,
         "dt": job.dt_given,
         "num_steps": job.num_steps,
@@ -357,6 +374,12 @@ def _description(job: Job, options: StoreOptions) -> dict[str, Any]:
         "device": _device(),
         **{key: options.attributes[key] for key in ("scenario",) if key in options.attributes},
     }
+
+
+def _with_names(states: State) -> list[Any]:
+    """The arrays of states, q and p first; each of the others, which states need not have, after its name."""
+    q, p, *rest = named(states).items()
+    return [q[1], p[1], *(part for name, x in rest for part in (name.encode(), x))]
 
 
 def _digest(*leaves: Any) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 
@@ -16,6 +17,7 @@ from lieint_jax import _checks
 from lieint_jax.ensemble import _layout, _loop, processes
 from lieint_jax.ensemble._job import Job, Output, Summary, first_entry, gathered_rows, reduced
 from lieint_jax.ensemble._layout import Layout
+from lieint_jax.ensemble._leaves import named
 from lieint_jax.ensemble._loop import Carry, Reduction, energy
 from lieint_jax.ensemble._progress import Bar, Interrupts, Pace
 from lieint_jax.ensemble._recording import StoreOptions, into_store
@@ -23,6 +25,7 @@ from lieint_jax.integrate import intervals
 from lieint_jax.types import State, Step, Trajectory, checked_step, promoted
 
 _NAMED = 5  # the most failed members that a report names
+_SCALARS = ("t", "work")  # the parts of states that are scalars for each member, and may be one for all
 
 
 def run(
@@ -45,13 +48,16 @@ def run(
 
     Args:
         step: a scheme's step; with `step_axis=0` its leaves carry the member axis too (one inertia per member).
-        states: initial states with a leading member axis.
+        states: initial states with a leading member axis. A time t of shape () is shared by all members, and so is one
+            of shape (members,) whose values are equal: then what depends on it alone, such as the position on an orbit,
+            is computed once a step. `work` of shape () is that of every member.
         dt: step size, the same for all.
         num_steps: a multiple of `save_every`.
         save_every: steps between saved states; None keeps the last only.
         step_axis: None or 0.
-        reduce: a quantity, "energy" or a function (step, state) ↦ scalar. No states are kept on the way; instead, for
-            each save interval, the least, greatest and mean change of the quantity over all steps and members.
+        reduce: a quantity, "energy" (less the work, where states count it) or a function (step, state) ↦ scalar. No
+            states are kept on the way; instead, for each save interval, the least, greatest and mean change of the
+            quantity over all steps and members.
         mesh: devices, a `jax.sharding.Mesh` of the one axis "members"; None takes all.
         store: a folder NAME.zarr, or `StoreOptions`, to which results are written during the run; memory then holds no
             more than a chunk of them.
@@ -60,16 +66,18 @@ def run(
 
     Returns:
         A `Trajectory` of numpy arrays, axes (time, member, …), the initial states first; with `store`, of Zarr arrays,
-        read from disk when they are indexed. With `reduce`, a `Summary`.
+        read from disk when they are indexed. With `reduce`, a `Summary`. Its t is t₀ + nΔt, where t₀ is the time that
+        the members share; if they have none, or start at different times, t is the time since the start.
 
     Raises:
-        ValueError: bad counts, states off the group or not finite, members whose first step fails, a store that
-            exists, or a store to resume that another run wrote.
+        ValueError: bad counts; states off the group, not finite, or without the time that a driven system needs;
+            members whose first step fails; a store that exists, or a store to resume that another run wrote.
         KeyboardInterrupt: interrupted; with `store`, after the chunk has been written.
         processes.LostProcess: another process of this run is gone.
 
     Warns:
-        RuntimeWarning: members that fail to converge later, with the first step where each does.
+        RuntimeWarning: members that fail to converge later, with the first step where each does; a time of the states
+            so large that the floating-point numbers there are more than dt/10⁶ apart.
     """
     interval, num_saves = intervals(num_steps, save_every)
     if step_axis not in (None, 0):
@@ -80,10 +88,13 @@ def run(
         raise ValueError("resume goes on with a run in a store; give store=PATH.zarr")
     mesh = _layout.checked_mesh(mesh)
     step, states, dtype = promoted(checked_step(step), states)
-    count = _check(step, states)
+    states, t0 = _checked(states)
+    count = states.p.shape[0]
     reduction = energy if reduce == "energy" else reduce
     h = np.asarray(_checks.step_size(dt), dtype)
-    job = Job(step, states, float(dt), h, interval, num_saves, step_axis, reduction)
+    job = Job(step, states, float(dt), h, interval, num_saves, step_axis, reduction, t0)
+    _check(job)
+    _checks.time_resolution(t0, dt, num_steps)
     with processes.watched(mesh):
         if store is None:
             layout = _layout.layout_of(mesh, count)
@@ -110,7 +121,7 @@ def _integrate(job: Job, layout: Layout, output: Output, progress: bool) -> Any:
             if done % job.save_every == 0:
                 output.append(saved, saves)
             bar.update(saves * every)
-            loop.watch(carry, bar)
+            loop.watch(carry, done, bar)
             stop = pace.measure(saves * every, time.perf_counter() - clock, interrupts.requested)
             output.checkpoint(carry, done, pace.seconds, stop)
             if stop and output.can_stop():
@@ -139,16 +150,18 @@ class CompiledLoop:
         axis = job.step_axis
         step = (_layout.replicate if axis is None else _layout.scatter)(layout, job.step)
         states = _layout.scatter(layout, job.states)
-        begun = self._map(_loop.start(axis, job.reduction), step, states)
+        t0 = (_layout.replicate if job.shares_time else _layout.scatter)(layout, job.t0)
+        begun = self._map(_loop.start(axis, job.reduction), step, states, t0)
         self.start, self._origin = [carry for carry, _ in begun], [origin for _, origin in begun]
         if type(job.step).prepare is not Step.prepare:  # every member has its own constants
-            step, axis = self._map(lambda s, z: _loop.prepare(job.step_axis)(s, z, job.dt), step, states), 0
+            step = self._map(lambda s, z, t: _loop.prepare(job.step_axis)(s, z, t, job.dt), step, states, t0)
+            axis = 0
         self._step = step
         self._advance = _loop.advance(axis, job.reduction, buffer_rows)
         self._energies = None
         if _layout.all_reduce_max(layout.mesh, progress and Bar.visible())[0]:
             self._energies = _loop.energies(axis)
-            self._H0 = self._map(self._energies, step, states)
+            self._H0 = self._energies_of(self.start, 0)
 
     def _map(self, function: Callable[..., Any], *arguments: list[Any]) -> list[Any]:
         return _layout.map_blocks(self._layout, function, *arguments)
@@ -165,10 +178,16 @@ class CompiledLoop:
             after, _ = self.advance(self.start, 0, 1, 1)
             _check_first(_layout.gather(self._layout, [c.failed for c in after]), self._job)
 
-    def watch(self, carry: list[Carry], bar: Bar) -> None:
+    def _energies_of(self, carry: list[Carry], done: int) -> list[Any]:
+        """The energies less work after `done` steps."""
+        energies, dt = self._energies, self._job.dt
+        assert energies is not None
+        return self._map(lambda s, c, o: energies(s, c.state, o.t0, done, dt), self._step, carry, self._origin)
+
+    def watch(self, carry: list[Carry], done: int, bar: Bar) -> None:
         """Show the energy error and the failures so far on the progress bar, if it is visible."""
         if self._energies is not None:
-            H = self._map(self._energies, self._step, [c.state for c in carry])
+            H = self._energies_of(carry, done)
             bar.show(*_layout.worst_energy_error(self._layout, self._H0, H, [c.failed for c in carry]))
 
 
@@ -219,35 +238,52 @@ class _InMemory:
     def result(self, carry: list[Carry]) -> Any:
         if self._job.reduction is None:
             info, state = self._out
-            return Trajectory(self._job.times, state, info)  # pyright: ignore[reportArgumentType]
+            return Trajectory(self._job.times, state._replace(t=self._job.state_times()), info)  # pyright: ignore[reportArgumentType]
         series = {name: np.concatenate([part[name] for part in self._series]) for name in self._series[0]}
         state, failed = _layout.gather(self._layout, [(c.state, c.failed) for c in carry])
-        return Summary(self._job.times, **series, state=state, failed=failed)
+        return Summary(self._job.times, **series, state=self._job.with_last_time(state), failed=failed)
 
 
-def _check(step: Step, states: State) -> int:
-    shapes = [np.shape(leaf) for leaf in jax.tree.leaves(states)]
-    if any(len(shape) < 2 for shape in shapes) or len({shape[0] for shape in shapes}) != 1 or not shapes[0][0]:
-        raise ValueError(f"states need a leading member axis on every leaf, got shapes {shapes}")
-    for name, leaf in (("q", states.q), ("p", states.p)):
-        bad = np.flatnonzero(~np.isfinite(np.asarray(leaf)).reshape(shapes[0][0], -1).all(axis=1))
+def _checked(states: State) -> tuple[State, Any]:
+    """The states without their time, with the member axis on every leaf, and their time: a scalar if it is shared."""
+    shapes = {name: np.shape(x) for name, x in named(states).items()}
+    for key in states.extra or {}:
+        if not str(key).isidentifier():
+            raise ValueError(f'a key of states.extra must be a name, such as "rotor", got {key!r}')
+    counts = {shape[:1] for name, shape in shapes.items() if shape or name not in _SCALARS}
+    short = [name for name in ("q", "p") if len(shapes[name]) < 2]
+    if len(counts) != 1 or (0,) in counts or short or any(len(shapes.get(name, ())) > 1 for name in _SCALARS):
+        told = ", ".join(f"{_spoken(name)} {shape}" for name, shape in shapes.items())
+        raise ValueError(f"states need a leading member axis on every leaf, but t and work may be scalars; got {told}")
+    [(members,)] = counts
+    for name, x in named(states).items():
+        bad = np.flatnonzero(~np.isfinite(np.asarray(x)).reshape(len(x) if x.ndim else 1, -1).all(axis=1))
         if bad.size:
-            raise ValueError(f"states.{name} must be finite; {_some(bad)} not")
-    defect = np.abs(np.asarray(jax.vmap(step.system.phase_space.defect)(states)))
+            raise ValueError(f"states.{_spoken(name)} must be finite; {_some(bad) if x.ndim else 'it is'} not")
+    t, work = states.t, states.work
+    if t is not None and t.ndim and np.all(np.asarray(t) == np.asarray(t[0])):
+        t = t[0]
+    if work is not None:
+        work = jnp.broadcast_to(work, (members,))
+    return states._replace(t=None, work=work), t
+
+
+def _check(job: Job) -> None:
+    defect = np.abs(np.asarray(jax.vmap(job.step.system.phase_space.defect)(job.states)))
     bad = np.flatnonzero(defect > 2 * _checks.UNIT_TOLERANCE)  # |q|² − 1 is twice the error of |q|
     if bad.size:
         raise ValueError(
             f"states.q is off the configuration space by more than {_checks.UNIT_TOLERANCE:g}: {_some(bad)} "
             f"(worst defect {defect.max():.3g}); make states with system.state(...)"
         )
-    return shapes[0][0]
+    step, state = job.member(0)
+    step.system.check(state)  # the shapes, and the time of a driven system, which are alike for all members
 
 
 def _check_first(failed: np.ndarray, job: Job) -> None:
     bad = np.flatnonzero(failed >= 0)
     if bad.size:
-        one = jax.tree.map(lambda leaf: leaf[bad[0]], job.states)
-        step = job.step if job.step_axis is None else jax.tree.map(lambda leaf: leaf[bad[0]], job.step)
+        step, one = job.member(bad[0])
         raise ValueError(f"the first step fails for {_some(bad)}. Member {bad[0]}: {step.advice(one, job.dt_given)}")
 
 
@@ -263,6 +299,11 @@ def _report(failed: np.ndarray) -> None:
             RuntimeWarning,
             stacklevel=4,
         )
+
+
+def _spoken(name: str) -> str:
+    """The name of an array of the states as one writes it in Python."""
+    return f'extra["{name.removeprefix("extra.")}"]' if name.startswith("extra.") else name
 
 
 def _some(which: np.ndarray) -> str:

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lieint_jax.ensemble import _integrity
+from lieint_jax.ensemble._leaves import shared_time, state_of
 from lieint_jax.types import State, StepInfo, Trajectory
 
 FORMAT = 2  # of the stores written here; those of version 0.1 have no number
@@ -38,8 +39,17 @@ def load(path: Path) -> tuple[Any, dict[str, Any]]:
     group: Any = zarr.open_group(str(path), mode="r", use_consolidated=True)
     if metadata["reduce"] is not None:
         return {name: array[...] for name, array in group.arrays()}, metadata
-    state, info = State(group["q"], group["p"]), StepInfo(group["residual"], group["converged"])
-    return Trajectory(group["time"][...], state, info), metadata
+    times, info = group["time"][...], StepInfo(group["residual"], group["converged"])
+    return Trajectory(times, states(group, times, metadata), info), metadata
+
+
+def states(arrays: Any, times: np.ndarray, metadata: Mapping[str, Any]) -> State:
+    """The states among the arrays of a store, whose attributes list them; a time that members share has none."""
+    leaves = metadata.get("leaves", ["q", "p"])
+    found = {name: arrays[name] for name in leaves if name in arrays}
+    if "t" in leaves and "t" not in found:
+        found["t"] = shared_time(times, metadata["members"])
+    return state_of(found)
 
 
 def constants(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
