@@ -1,8 +1,10 @@
 """Hamiltonian systems. Each module has `examples()`: systems with a state worth integrating and a time step."""
 
+from lieint_jax.systems.driven_gyrostat import DrivenGyrostat, SpinUp, driven_gyrostat
 from lieint_jax.systems.embedded_body import EmbeddedBody, embedded_body
 from lieint_jax.systems.euler import Euler, RightEuler, euler, kirchhoff, manakov, manakov_integrals
 from lieint_jax.systems.group_potential import GroupPotential, group_potential
+from lieint_jax.systems.gyrostat import Gyrostat, gyrostat
 from lieint_jax.systems.heavy_top import LagrangeMotion, heavy_top, kovalevskaya_integral, lagrange_motion
 from lieint_jax.systems.incompressible_body import IncompressibleBody, incompressible_body
 from lieint_jax.systems.pendulum import Pendulum, pendulum
@@ -18,9 +20,11 @@ from lieint_jax.systems.pseudo_rigid import (
 from lieint_jax.systems.rigid_body import RigidBody, rigid_body
 
 __all__ = [
+    "DrivenGyrostat",
     "EmbeddedBody",
     "Euler",
     "GroupPotential",
+    "Gyrostat",
     "IncompressibleBody",
     "LagrangeMotion",
     "Pendulum",
@@ -29,11 +33,14 @@ __all__ = [
     "Quadratic",
     "RightEuler",
     "RigidBody",
+    "SpinUp",
     "StoredEnergy",
     "clebsch_integral",
+    "driven_gyrostat",
     "embedded_body",
     "euler",
     "group_potential",
+    "gyrostat",
     "heavy_top",
     "incompressible_body",
     "kirchhoff",
