@@ -108,7 +108,7 @@ def test_dir_lists_the_public_names_only():
 CONTRACT = """
 State Step StepInfo Trajectory pytree static integrate systems.rigid_body systems.heavy_top systems.potential_top
 systems.euler systems.group_potential systems.kirchhoff systems.manakov systems.pendulum systems.pseudo_rigid_body
-systems.embedded_body systems.incompressible_body schemes.so3_alpha schemes.group_alpha schemes.sphere_chart
+systems.embedded_body systems.incompressible_body systems.gyrostat systems.driven_gyrostat schemes.so3_alpha schemes.group_alpha schemes.sphere_chart
 groups.so3 groups.matrix groups.special_orthogonal groups.special_euclidean groups.special_linear groups.symplectic
 groups.special_unitary groups.affine groups.heisenberg groups.product maps.exponential maps.cayley maps.arcsine
 maps.kappa_cayley maps.kappa_exponential maps.kappa_symplectic schemes.so3_midpoint schemes.so3_explicit

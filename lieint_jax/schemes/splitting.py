@@ -80,8 +80,8 @@ def splitting(system: Forced | Gyrostat, drift: Step | None = None) -> Splitting
     | energy | O(Δt²), bounded, no drift |
 
     In a gyrostat the turns are Λ ← Λ exp(−½Δt ĉ) with c = J⁻¹h_r: the exact flow of the rotor's part of H. A fast rotor
-    costs accuracy, |Δt c| should be below 1: at h_r = 10 in a body of J = (1, 2, 3), |Ω| ≈ 1 and Δt = .05 energy errs
-    by ENERGY. `so3_midpoint` keeps the energy of a gyrostat, not the form.
+    costs accuracy: with J = (1, 2, 3), |Ω| = 1 and Δt = .05 energy errs by 4e-5 of itself at |h_r| = .8, by 3e-3 at 10.
+    `so3_midpoint` keeps the energy of a gyrostat, and not the form.
 
     Second order, time-symmetric; `compose` raises the order.
 
