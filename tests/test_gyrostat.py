@@ -210,6 +210,7 @@ def test_a_driven_gyrostat_against_another_package_and_the_reference_flow():
 # A motor --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_a_motor_moves_momentum_and_what_it_works_is_what_energy_gains(kappa):
     step = schemes.so3_midpoint(DRIVEN, kappa)
@@ -416,7 +417,7 @@ def of_driven(_, run):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scheme", ["driven", "midpoint", "splitting"])
+@pytest.mark.parametrize("scheme", ["midpoint", "driven", "splitting"])
 def test_derivatives_forward_reverse_by_reversal_and_by_differences(scheme):
     """In the inertia, the rotor or the motor, the state and the rotor's initial momentum."""
     driven = scheme == "driven"
@@ -443,6 +444,7 @@ def single(tree):
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), tree)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STEPS)
 def test_single_precision(name):
     step, state = (single(x) for x in STEPS[name])
