@@ -233,6 +233,11 @@ class System(abc.ABC):
     def check(self, state: State, /) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""
 
+    @property
+    def carried(self) -> dict[str, Array] | None:
+        """What the states of this system carry in `extra`, at rest; None if nothing."""
+        return None
+
 
 class FreeBody(System):
     """A rigid body on T*SO(3) that no torque moves: q̇ = ½ q Ω, π̇ = 0 with JΩ = Π = Λᵀπ (2.12).
@@ -242,6 +247,47 @@ class FreeBody(System):
     """
 
     inertia: Array
+
+
+class Gyrostat(System):
+    """A rigid body with a rotor whose momentum in the body is constant: q̇ = ½ q Ω, π̇ = 0 with JΩ = Π − h_r, Π = Λᵀπ.
+
+    Attributes:
+        inertia: J, as of `FreeBody`.
+        rotor: h_r in the body, (3,).
+    """
+
+    inertia: Array
+    rotor: Array
+
+    @property
+    @abc.abstractmethod
+    def free(self) -> FreeBody:
+        """The body of this inertia without a rotor."""
+
+
+class DrivenGyrostat(System):
+    """A gyrostat whose rotor a motor drives, in a given way: as `Gyrostat`, with ḣ_r = τ(t).
+
+    h_r is `State.extra["rotor"]`. Energy less work is conserved, where the work is −∫Ω·τ dt.
+
+    Attributes:
+        inertia: J, as of `FreeBody`.
+    """
+
+    inertia: Array
+
+    @abc.abstractmethod
+    def rotor(self, state: State, /) -> Array:
+        """h_r in the body, (3,)."""
+
+    @abc.abstractmethod
+    def torque(self, t: Array, /) -> Array:
+        """τ, by which the motor turns the rotor at time t, in the body, (3,)."""
+
+    @abc.abstractmethod
+    def holding(self, rotor: Array, /) -> Gyrostat:
+        """The gyrostat whose rotor keeps the momentum `rotor`."""
 
 
 class EmbeddedBody(System):

@@ -108,16 +108,16 @@ def test_dir_lists_the_public_names_only():
 CONTRACT = """
 State Step StepInfo Trajectory pytree static integrate systems.rigid_body systems.heavy_top systems.potential_top
 systems.euler systems.group_potential systems.kirchhoff systems.manakov systems.pendulum systems.pseudo_rigid_body
-systems.embedded_body systems.incompressible_body schemes.so3_alpha schemes.group_alpha schemes.sphere_chart
-groups.so3 groups.matrix groups.special_orthogonal groups.special_euclidean groups.special_linear groups.symplectic
-groups.special_unitary groups.affine groups.heisenberg groups.product maps.exponential maps.cayley maps.arcsine
-maps.kappa_cayley maps.kappa_exponential maps.kappa_symplectic schemes.so3_midpoint schemes.so3_explicit
-schemes.compose schemes.exact schemes.calibrated schemes.preprocessed schemes.top_energy_momentum schemes.splitting
-schemes.group_midpoint schemes.group_energy_momentum schemes.additive schemes.sphere_midpoint ensemble.run
-ensemble.compiler_options studies.reversible studies.observe studies.fit studies.over_members
-diagnostics.linearization diagnostics.symplectic_defect diagnostics.poisson_error diagnostics.energy_error
-diagnostics.momentum_error diagnostics.delay diagnostics.order diagnostics.reversibility diagnostics.certify
-diagnostics.conditions orbits.kepler
+systems.embedded_body systems.incompressible_body systems.gyrostat systems.driven_gyrostat schemes.so3_alpha
+schemes.group_alpha schemes.sphere_chart groups.so3 groups.matrix groups.special_orthogonal groups.special_euclidean
+groups.special_linear groups.symplectic groups.special_unitary groups.affine groups.heisenberg groups.product
+maps.exponential maps.cayley maps.arcsine maps.kappa_cayley maps.kappa_exponential maps.kappa_symplectic
+schemes.so3_midpoint schemes.so3_explicit schemes.compose schemes.exact schemes.calibrated schemes.preprocessed
+schemes.top_energy_momentum schemes.splitting schemes.group_midpoint schemes.group_energy_momentum schemes.additive
+schemes.sphere_midpoint ensemble.run ensemble.compiler_options studies.reversible studies.observe studies.fit
+studies.over_members diagnostics.linearization diagnostics.symplectic_defect diagnostics.poisson_error
+diagnostics.energy_error diagnostics.momentum_error diagnostics.delay diagnostics.order diagnostics.reversibility
+diagnostics.certify diagnostics.conditions orbits.kepler
 """
 
 

@@ -42,6 +42,13 @@ def cross(a: Vector, b: Vector) -> tuple[Array, Array, Array]:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
+def hat(v: Vector) -> Matrix:
+    """v̂, with v̂ w = v × w."""
+    x, y, z = v
+    zero = jnp.zeros_like(x)
+    return ((zero, -z, y), (z, zero, -x), (-y, x, zero))
+
+
 def max_abs(v: Vector) -> Array:
     return jnp.maximum(jnp.maximum(jnp.abs(v[0]), jnp.abs(v[1])), jnp.abs(v[2]))
 

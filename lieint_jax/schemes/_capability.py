@@ -16,7 +16,12 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import concrete
-from lieint_jax.types import Driven, State, System
+from lieint_jax.types import Driven, DrivenGyrostat, Gyrostat, State, System
+
+_ELSEWHERE = {  # what takes the systems that few schemes take
+    Gyrostat: ("so3_midpoint", "splitting"),
+    DrivenGyrostat: ("so3_midpoint",),
+}
 
 
 class Integrand(NamedTuple):
@@ -39,8 +44,16 @@ class Integrand(NamedTuple):
     def check(self, scheme: str, system: Any, more: str = "") -> None:
         """Raise ValueError if a system does not declare the capability, or moves otherwise; `more` ends the message."""
         if not self.declared(system):
-            raise ValueError(f"{scheme} integrates {self.noun}, got {type(system).__name__}{more}")
+            raise ValueError(
+                f"{scheme} integrates {self.noun}, got {type(system).__name__}{hint(scheme, system) or more}"
+            )
         check_motion(scheme, self.noun, self.vector_field, system, system)
+
+
+def hint(scheme: str, system: Any) -> str:
+    """The end of a message that `scheme` refuses a system: the schemes that take it, if they are few; else nothing."""
+    fitting = next((names for kind, names in _ELSEWHERE.items() if isinstance(system, kind)), ())
+    return f"; take {' or '.join(fitting)}" if fitting and scheme not in fitting else ""
 
 
 def check_motion(
@@ -71,8 +84,10 @@ def _difference(
     numbers = [x for x in jax.tree.leaves((data, system)) if jnp.issubdtype(jnp.result_type(x), jnp.floating)]
     dtype = jnp.result_type(*numbers, *([] if numbers else [float]))
     delta = 0.3 * jnp.sin(phase + 1.7 * jnp.arange(space.dim, dtype=dtype))
-    state = space.perturb(jax.tree.map(lambda x: x.astype(dtype), space.origin), delta)
-    if isinstance(system, Driven):
+    carried = jax.tree.map(lambda x: x + jnp.asarray(0.4, x.dtype), system.carried)
+    origin = space.origin._replace(extra=carried)
+    state = space.perturb(jax.tree.map(lambda x: x.astype(dtype), origin), delta)
+    if isinstance(system, Driven | DrivenGyrostat):
         state = state._replace(t=jnp.asarray(phase, dtype))
     own, scheme = system.vector_field(state), vector_field(data, state)
     return jnp.maximum(_relative(own.q, scheme.q), _relative(own.p, scheme.p)), jnp.sqrt(jnp.finfo(dtype).eps)

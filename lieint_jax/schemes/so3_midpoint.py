@@ -1,4 +1,4 @@
-"""The energy-momentum schemes of the free rigid body, the symplectic one among them (Sections 2.2 and 3).
+"""The energy-momentum schemes of the free rigid body (Sections 2.2 and 3), the symplectic one among them; gyrostats.
 
 With Θ̄ = Δt J⁻¹ ½(Π_n + Π_{n+1}) and Θ = κ(|Θ̄|²) Θ̄, one step is
 
@@ -14,10 +14,18 @@ but for one scalar, m = a·h:
     J h = a + a × h + m h,    so  h = (J − m − â)⁻¹ a  and  m = a·(J − m − â)⁻¹ a     (scalar form)
 
 a quartic for m, the same for every step of a trajectory.
+
+In a gyrostat Θ̄ = Δt J⁻¹(½(Π_n + Π_{n+1}) − h̄_r), where h̄_r is the rotor's momentum, or the mean of it at the ends of
+the step if a motor drives the rotor. With b = ½Δt h̄_r,
+
+    J y + b + κ y × (J y + b) = a                                                    (vector form)
+
+and from Π_{n+1} = cay(Θ)ᵀΠ_n, with cay(Θ)Θ̄ = Θ̄, follows H_{n+1} − H_n = −Ω̄·(h_{r,n+1} − h_{r,n}) with Ω̄ = Θ̄/Δt.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any
@@ -34,13 +42,22 @@ from lieint_jax._numerics.three import Symmetric, Vector, add, apply, cross, dot
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
 from lieint_jax.schemes._capability import Integrand
-from lieint_jax.types import FreeBody, State, Step, StepInfo, pytree, static
+from lieint_jax.types import DrivenGyrostat, FreeBody, Gyrostat, State, Step, StepInfo, clock, pytree, static
 
 
-def _motion(body: FreeBody, state: State) -> State:
-    """(q̇, π̇) = (½ q Ω, 0) with JΩ = Π (2.12)."""
-    Omega = three.solve_symmetric(three.symmetric(body.inertia), so3.Ad_star(state.q, state.p))
+def _motion(body: FreeBody | Gyrostat, state: State) -> State:
+    """(q̇, π̇) = (½ q Ω, 0) with JΩ = Π (2.12), or Π − h_r."""
+    own = so3.Ad_star(state.q, state.p)
+    if isinstance(body, Gyrostat):
+        own = own - body.rotor
+    Omega = three.solve_symmetric(three.symmetric(body.inertia), own)
     return State(so3.tangent(state.q, jnp.stack(Omega)), jnp.zeros_like(state.p))
+
+
+def _driven_motion(system: DrivenGyrostat, state: State) -> State:
+    """That of the gyrostat whose rotor keeps the momentum that it has now, and ḣ_r = τ(t)."""
+    turning = _motion(system.holding(system.rotor(state)), state)
+    return turning._replace(extra={"rotor": system.torque(clock(state))})
 
 
 ITERATIONS = {"scalar": 3, "vector": 4}  # Newton corrections per step, by the form of the equation
@@ -49,6 +66,8 @@ SLENDER = (
     "1 : 1400 in float32): give principal moments (3,), and turn the attitude to the principal axes"
 )
 FREE_BODIES = Integrand(FreeBody, "free rigid bodies (systems.rigid_body)", _motion)
+GYROSTATS = Integrand(Gyrostat, "gyrostats (systems.gyrostat)", _motion)
+DRIVEN_GYROSTATS = Integrand(DrivenGyrostat, "driven gyrostats (systems.driven_gyrostat)", _driven_motion)
 
 
 def lost(dtype: Any) -> float:
@@ -61,12 +80,12 @@ class SO3Midpoint(Step):
     """The step made by `so3_midpoint`.
 
     Attributes:
-        system: a free rigid body.
+        system: a free rigid body or a gyrostat.
         kappa: the scaling κ.
         iterations: Newton corrections per step.
     """
 
-    system: FreeBody
+    system: FreeBody | Gyrostat | DrivenGyrostat
     kappa: Kappa
     iterations: int = static()
     order: float = static(default=2)
@@ -74,20 +93,35 @@ class SO3Midpoint(Step):
 
     @property
     def commuting(self) -> bool:
-        return self.kappa.symplectic
+        return self.kappa.symplectic and isinstance(self.system, FreeBody)
 
     @property
     def name(self) -> str:
         return f"so3_midpoint[{self.kappa.name}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        h, info = half_turn(*scaled(self.system, state, dt), self.kappa, self.iterations)
+        if isinstance(self.system, DrivenGyrostat):
+            return self._driven(self.system, state, jnp.asarray(dt))
+        J, a = scaled(self.system, state, dt)
+        h, info = half_turn(J, a, self.kappa, self.iterations, _bias(self.system, dt))
         return state._replace(q=so3.cayley_increment(state.q, h)), info
+
+    def _driven(self, system: DrivenGyrostat, state: State, dt: Array) -> tuple[State, StepInfo]:
+        """The step of the gyrostat whose rotor keeps the mean momentum h̄_r, the rotor's change, and the work of it."""
+        rotor, change = system.rotor(state), dt * system.torque(clock(state) + 0.5 * dt)
+        mean = rotor + 0.5 * change
+        end, info = dataclasses.replace(self, system=system.holding(mean))(state, dt)
+        end = end._replace(extra=(state.extra or {}) | {"rotor": rotor + change})
+        if state.work is None:
+            return end, info
+        own = 0.5 * (so3.Ad_star(state.q, state.p) + so3.Ad_star(end.q, end.p)) - mean  # JΩ̄
+        Omega = three.solve_symmetric(three.symmetric(system.inertia), own)
+        return end._replace(work=state.work - dot(Omega, change)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         J = np.asarray(self.system.inertia)
-        Pi = np.asarray(so3.Ad_star(state.q, state.p))
-        turn = float(np.abs(dt) * np.linalg.norm(Pi / J if J.ndim == 1 else np.linalg.solve(J, Pi)))
+        own = np.asarray(so3.Ad_star(state.q, state.p) - _rotor(self.system, state))
+        turn = float(np.abs(dt) * np.linalg.norm(own / J if J.ndim == 1 else np.linalg.solve(J, own)))
         more = f", or more iterations than {self.iterations}" if turn < 1 else ""  # beyond, Newton may wander
         rod = self.kappa.solve_by == "scalar" and turn < 0.9 * self.kappa.limit
         more += ", or for a slender body the vector form (see so3_midpoint)" if rod else ""
@@ -100,26 +134,33 @@ class SO3Midpoint(Step):
 
 
 def so3_midpoint(
-    system: FreeBody, kappa: Kappa | Callable[[Array], Array] = kappa_symplectic, iterations: int | None = None
+    system: FreeBody | Gyrostat | DrivenGyrostat,
+    kappa: Kappa | Callable[[Array], Array] = kappa_symplectic,
+    iterations: int | None = None,
 ) -> SO3Midpoint:
-    """The scheme (2.24), (2.28) = (3.3) for a free rigid body, for any scaling κ.
+    """The scheme (2.24), (2.28) = (3.3) for a free rigid body or a gyrostat, for any scaling κ.
 
     | κ | energy | spatial momentum | symplectic form |
     |---|---|---|---|
-    | `maps.kappa_symplectic` | exact | exact, bit for bit | exact (Result 5) |
-    | any other | exact (Result 3) | exact, bit for bit | defect O(Δt³) per step |
+    | `maps.kappa_symplectic`, free body | exact | exact, bit for bit | exact (Result 5) |
+    | any other, free body | exact (Result 3) | exact, bit for bit | defect O(Δt³) per step |
+    | any, gyrostat | exact | exact, bit for bit | defect O(Δt³) per step: `splitting` is symplectic |
+    | any, driven gyrostat | energy less work exact | exact, bit for bit | defect O(Δt³) per step |
+
+    In a driven gyrostat each step changes the rotor's momentum by Δh_r = Δt τ(t_n + ½Δt), and the work, if it is
+    counted, by −Ω̄·Δh_r.
 
     Second order, time-symmetric, |q| = 1 to round-off. Momentum is a Noether invariant of rotations in space; energy is
     ½ Π·J⁻¹Π. "Exact" is to round-off at a converged step; rounding errors add up, to 6e-12 of the energy in 10⁷ steps
     of J = (1, 2, 2.7) with Δt = .1 (`so3_explicit` takes them back).
 
     Args:
-        system: `systems.rigid_body(...)`.
+        system: `systems.rigid_body(...)`, `systems.gyrostat(...)`, `systems.driven_gyrostat(...)`.
         kappa: κ as a callable of x = |Θ̄|² with κ(0) = 1. A κ with parameters of its own is a `jax.tree_util.Partial`.
-        iterations: Newton corrections per step; by default 3 for the scalar form (the symplectic κ), 4 for the vector
-            form. The scalar form reaches round-off with 2 for |Δt Ω| ≤ .7, with 3 for ≤ .95; the vector form with 2 for
-            ≤ .2, 3 for ≤ .5, 4 for ≤ .8. A step that fell short says `converged=False`, and so does one whose
-            iterations wandered, which they may for |Δt Ω| > 1.4: it could be at a root of another branch.
+        iterations: Newton corrections per step; by default 3 for the scalar form (the symplectic κ of a free body), 4
+            for the vector form. The scalar form reaches round-off with 2 for |Δt Ω| ≤ .7, with 3 for ≤ .95; the vector
+            form with 2 for ≤ .2, 3 for ≤ .5, 4 for ≤ .8. A step that fell short says `converged=False`, and so does one
+            whose iterations wandered, which they may for |Δt Ω| > 1.4: it could be at a root of another branch.
 
     A full tensor whose moments differ by more than 1 : 3.5e4 does not hold the smallest to enough digits; then every
     step says `converged=False`. Principal moments have no such limit.
@@ -131,40 +172,58 @@ def so3_midpoint(
     branch ends at |Δt Ω| = 1, off axis a little later (1.18 for J = (1, 2, 3)).
 
     Raises:
-        ValueError: not a free rigid body, κ is not callable, iterations is not a positive int.
+        ValueError: not a free rigid body or gyrostat, κ is not callable, iterations is not a positive int.
 
     Source: Lewis & Simo 1994, Results 1–5; scalar form and quaternion increments: this package.
     """
-    FREE_BODIES.check("so3_midpoint", system)
+    integrand = next((x for x in (GYROSTATS, DRIVEN_GYROSTATS) if x.declared(system)), FREE_BODIES)
+    integrand.check("so3_midpoint", system)
     kappa = as_kappa(kappa)
     if iterations is None:
-        iterations = ITERATIONS[kappa.solve_by]
+        iterations = ITERATIONS[kappa.solve_by if integrand is FREE_BODIES else "vector"]
     return SO3Midpoint(system, kappa, _checks.count("iterations", iterations, 1))
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """The paper's three κ's, for free rigid bodies."""
-    if not FREE_BODIES.declared(system):
+    """The paper's three κ's, for free rigid bodies and gyrostats."""
+    if not any(x.declared(system) for x in (FREE_BODIES, GYROSTATS, DRIVEN_GYROSTATS)):
         return {}
     return {step.name: step for step in (so3_midpoint(system, kappa) for kappa in KAPPAS)}
 
 
-def half_turn(J: Symmetric, a: Array, kappa: Kappa, iterations: int) -> tuple[Array, StepInfo]:
-    """h = ½Θ of a step, shape (3,), from J and a as of `scaled`, and its report."""
-    if kappa.solve_by == "scalar":
+def half_turn(J: Symmetric, a: Array, kappa: Kappa, iterations: int, b: Array | None = None) -> tuple[Array, StepInfo]:
+    """h = ½Θ of a step, shape (3,), from J and a as of `scaled` and b as of `_bias`, and its report."""
+    if kappa.solve_by == "scalar" and b is None:
         h, residual, good = _solve_scalar(J, a, iterations)
     else:
-        h, residual, good = _solve_vector(kappa, J, a, iterations)
-        good &= jnp.finfo(a.dtype).eps * three.max_abs(a) * three.inverse_trace(J) <= lost(a.dtype)
+        h, residual, good = _solve_vector(kappa, J, a, iterations, b)
+        good &= jnp.finfo(a.dtype).eps * _size(a, b) * three.inverse_trace(J) <= lost(a.dtype)
     residual = lax.stop_gradient(jnp.sqrt(dot(residual, residual)))
-    small = residual <= 32 * jnp.finfo(a.dtype).eps * three.max_abs(a)
+    small = residual <= 32 * jnp.finfo(a.dtype).eps * _size(a, b)
     return h, StepInfo(residual, small & good & three.well_conditioned(J))
 
 
-def scaled(system: FreeBody, state: State, dt: ArrayLike) -> tuple[Symmetric, Array]:
+def scaled(system: FreeBody | Gyrostat, state: State, dt: ArrayLike) -> tuple[Symmetric, Array]:
     """J and a = ½Δt Π_n, both over tr J: then |a| is an angle, and no power of a large inertia overflows."""
     J, r = three.unit_trace(system.inertia)
     return J, (0.5 * r * dt) * so3.Ad_star(state.q, state.p)
+
+
+def _bias(system: FreeBody | Gyrostat, dt: ArrayLike) -> Array | None:
+    """b = ½Δt h_r over tr J, None in a free body."""
+    return (0.5 * three.unit_trace(system.inertia)[1] * dt) * system.rotor if isinstance(system, Gyrostat) else None
+
+
+def _size(a: Array, b: Array | None) -> Array:
+    """The size of the terms of the vector form."""
+    return three.max_abs(a) if b is None else jnp.maximum(three.max_abs(a), three.max_abs(b))
+
+
+def _rotor(system: FreeBody | Gyrostat | DrivenGyrostat, state: State) -> Array | float:
+    """h_r, 0 in a free body."""
+    if isinstance(system, DrivenGyrostat):
+        return system.rotor(state)
+    return system.rotor if isinstance(system, Gyrostat) else 0.0
 
 
 def _solve_scalar(J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vector, Array]:
@@ -227,35 +286,38 @@ def scalar_residual(J: Symmetric, a: Array, h: Array) -> Vector:
     return tuple(Jh[i] - m * h[i] - a[i] - x[i] for i in range(3))
 
 
-def _solve_vector(kappa: Kappa, J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vector, Array]:
+def _solve_vector(
+    kappa: Kappa, J: Symmetric, a: Array, iterations: int, b: Array | None = None
+) -> tuple[Vector, Vector, Array]:
     """h = ½Θ for any κ by the vector form, its residual, and whether it is on the branch that starts at Δt = 0."""
 
     def residual(y: Vector) -> Vector:
-        return subtract(gyration(kappa, J, y), a)
+        return subtract(gyration(kappa, J, y, b), a)
 
     def correction(y: Vector, f: Vector) -> Vector:
-        return three.solve(gyration_matrix(kappa, J, y), f)
+        return three.solve(gyration_matrix(kappa, J, y, b), f)
 
-    u = three.solve_symmetric(J, a)
+    u = three.solve_symmetric(J, a if b is None else a - b)
     guess = add(u, three.solve_symmetric(J, cross(a, u)))  # ½(ΔtΩ + ½Δt²J⁻¹(Π × Ω))
     y, f, steady = newton.root(residual, correction, guess, iterations)
     k = kappa(4 * dot(y, y))
-    good = steady & on_branch(kappa, y, gyration_matrix(kappa, J, lax.stop_gradient(y)))
+    good = steady & on_branch(kappa, y, gyration_matrix(kappa, J, lax.stop_gradient(y), b))
     return (k * y[0], k * y[1], k * y[2]), f, good
 
 
-def gyration(kappa: Kappa, J: Symmetric, y: Vector) -> Vector:
-    """Jy + κ y × Jy: the left side of the vector form."""
-    return add(apply(J, y), scale(kappa(4 * dot(y, y)), cross_apply(y, J)))
+def gyration(kappa: Kappa, J: Symmetric, y: Vector, b: Vector | None = None) -> Vector:
+    """Jy + b + κ y × (Jy + b), the left side of the vector form; b = 0 if it is None."""
+    still = apply(J, y) if b is None else add(apply(J, y), b)
+    return add(still, scale(kappa(4 * dot(y, y)), cross_apply(y, J, b)))
 
 
-def gyration_matrix(kappa: Kappa, J: Symmetric, y: Vector) -> three.Matrix:
-    """The derivative of `gyration`, K = J + κ(ŷJ − (Jy)^) + 8κ′(y × Jy)⊗y, as rows."""
-    e, G = dense(J), gyroscopic(J, y)
+def gyration_matrix(kappa: Kappa, J: Symmetric, y: Vector, b: Vector | None = None) -> three.Matrix:
+    """The derivative of `gyration`, K = J + κ(ŷJ − (Jy + b)^) + 8κ′(y × (Jy + b))⊗y, as rows."""
+    e, G = dense(J), gyroscopic(J, y, b)
     if kappa.constant:
         return three.combine(e, G)
     k, slope = jax.jvp(kappa, (4 * dot(y, y),), (jnp.full_like(y[0], 8),))
-    g = scale(slope, cross_apply(y, J))
+    g = scale(slope, cross_apply(y, J, b))
     return [[e[i][j] + k * G[i][j] + g[i] * y[j] for j in range(3)] for i in range(3)]
 
 
@@ -264,15 +326,19 @@ def on_branch(kappa: Kappa, y: Vector, K: three.Matrix) -> Array:
     return (4 * dot(y, y) <= kappa.limit**2) & three.no_negative_eigenvalue(K)
 
 
-def cross_apply(y: Vector, J: Symmetric) -> Vector:
-    """y × Jy."""
+def cross_apply(y: Vector, J: Symmetric, b: Vector | None = None) -> Vector:
+    """y × (Jy + b); b = 0 if it is None."""
+    if b is not None:
+        return add(cross_apply(y, J), cross(y, b))
     if len(J) == 3:
         return ((J[2] - J[1]) * (y[1] * y[2]), (J[0] - J[2]) * (y[2] * y[0]), (J[1] - J[0]) * (y[0] * y[1]))
     return cross(y, apply(J, y))
 
 
-def gyroscopic(J: Symmetric, y: Vector) -> three.Matrix:
-    """The derivative of y × Jy: ŷJ − (Jy)^."""
+def gyroscopic(J: Symmetric, y: Vector, b: Vector | None = None) -> three.Matrix:
+    """The derivative of y × (Jy + b): ŷJ − (Jy + b)^."""
+    if b is not None:
+        return three.combine(gyroscopic(J, y), three.hat(b), -1)
     if len(J) == 3:
         d = (J[2] - J[1], J[0] - J[2], J[1] - J[0])
         zero = jnp.zeros_like(d[0])
@@ -282,9 +348,7 @@ def gyroscopic(J: Symmetric, y: Vector) -> three.Matrix:
             (d[2] * y[1], d[2] * y[0], zero),
         )
     yJ = [cross(y, row) for row in three.rows(J)]  # columns of ŷJ, J being symmetric
-    x, y_, z = apply(J, y)
-    zero = jnp.zeros_like(x)
-    Jy = ((zero, -z, y_), (z, zero, -x), (-y_, x, zero))
+    Jy = three.hat(apply(J, y))
     return [[yJ[j][i] - Jy[i][j] for j in range(3)] for i in range(3)]
 
 

@@ -5,13 +5,13 @@
 
 Each kick is the exact flow of the potential alone, and the drift, a symplectic step of the kinetic energy alone, keeps
 the form too. Both keep every momentum map that the potential leaves. Energy is that of a nearby Hamiltonian, so its
-error is bounded and does not drift.
+error is bounded and does not drift. In a gyrostat turns take the place of the kicks, see `_turning`.
 """
 
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Any
+from typing import Any, overload
 
 import jax
 import jax.numpy as jnp
@@ -21,11 +21,13 @@ from jax.typing import ArrayLike
 
 from lieint_jax._checks import concrete
 from lieint_jax.maps import arcsine, is_symplectic
-from lieint_jax.schemes._capability import check_motion
+from lieint_jax.schemes._capability import check_motion, hint
 from lieint_jax.schemes._free_motion import FreeMotion, is_free_motion
+from lieint_jax.schemes._turning import Turning, turning
+from lieint_jax.schemes.exact import exact
 from lieint_jax.schemes.group_midpoint import GEODESICS, group_midpoint
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES, so3_midpoint
-from lieint_jax.types import Driven, Forced, State, Step, StepInfo, System, clock, pytree, static
+from lieint_jax.types import Driven, Forced, Gyrostat, State, Step, StepInfo, System, clock, pytree, static
 
 
 def _motion(parts: tuple[Forced | Driven, System], state: State) -> State:
@@ -72,40 +74,54 @@ class Splitting(Step):
         return kicked._replace(p=state.p + half * _force(self.system, state))
 
 
-def splitting(system: Forced | Driven, drift: Step | None = None) -> Splitting:
-    """The scheme kick – free step – kick for a system with any potential.
+@overload
+def splitting(system: Gyrostat, drift: Step | None = None) -> Turning: ...
+@overload
+def splitting(system: Forced | Driven, drift: Step | None = None) -> Splitting: ...
+def splitting(system: Forced | Driven | Gyrostat, drift: Step | None = None) -> Splitting | Turning:
+    """The scheme kick – free step – kick for a system with any potential, and turn – free step – turn for a gyrostat.
 
     | conserved | to |
     |---|---|
     | the symplectic form | round-off, with a symplectic drift |
     | γ·π, if the potential has an axis γ | round-off |
+    | π, in a gyrostat | bit for bit |
     | energy; of a driven system, energy less work | O(Δt²), bounded, no drift |
+
+    In a gyrostat the turns are Λ ← Λ exp(−½Δt ĉ) with c = J⁻¹h_r: the exact flow of the rotor's part of H. A fast rotor
+    costs accuracy: with J = (1, 2, 3), |Ω| = 1 and Δt = .05 energy errs by 4e-5 of itself at |h_r| = .8, by 3e-3 at 10.
+    `so3_midpoint` keeps the energy of a gyrostat, and not the form.
 
     Second order, time-symmetric; `compose` raises the order.
 
     Args:
-        system: `systems.heavy_top(...)`, `systems.potential_top(...)`, `systems.group_potential(...)`; or a driven
-            one, `systems.driven_top(...)`, `systems.gravity_gradient(...)`, whose two kicks are those at t and t + Δt.
-            Then the form is kept at a given t and Δt, and on the space extended by time and −work, too.
+        system: `systems.heavy_top(...)`, `systems.potential_top(...)`, `systems.group_potential(...)`; a driven one,
+            `systems.driven_top(...)`, `systems.gravity_gradient(...)`, whose two kicks are those at t and t + Δt: then
+            the form is kept at a given t and Δt, and on the space extended by time and −work, too; or
+            `systems.gyrostat(...)`.
         drift: a symmetric step of `system.free`; by default the symplectic `so3_midpoint`; on other groups and products
             of them `group_midpoint` with `maps.arcsine` where that is symplectic; on SE(3) with an isotropic mass the
             same step of the attitude and the exact one of the centre. `exact(system.free)` has smaller errors where
-            the body turns fast in a weak potential, and no limit on |Δt Ω|.
+            the body turns fast in a weak potential, and no limit on |Δt Ω|; it is the default of a gyrostat.
 
     Raises:
-        ValueError: a system without potential, a drift that is not symmetric, or none given where none is known.
+        ValueError: a system without potential or rotor, a drift that is not symmetric, or none given where none is
+            known.
 
     Source: Strang 1968, SIAM J. Numer. Anal. 5; for rigid bodies Touma & Wisdom 1994, Astron. J. 107.
     """
-    if not isinstance(system, Forced | Driven):
+    if not isinstance(system, Forced | Driven | Gyrostat):
         raise ValueError(
             "splitting integrates systems with a potential (systems.heavy_top, systems.potential_top, "
-            f"systems.driven_top, systems.gravity_gradient, systems.group_potential), got {type(system).__name__}"
+            "systems.driven_top, systems.gravity_gradient, systems.group_potential) and gyrostats, got "
+            f"{type(system).__name__}{hint('splitting', system)}"
         )
     if drift is None:
-        drift = _drift(system.free)
+        drift = exact(system.free) if isinstance(system, Gyrostat) else _drift(system.free)
     if not isinstance(drift, Step) or not drift.symmetric:
         raise ValueError(f"drift must be a symmetric step of system.free, got {getattr(drift, 'name', drift)!r}")
+    if isinstance(system, Gyrostat):
+        return turning(system, drift)
     scheme = f"splitting with {drift.name} of a {type(drift.system).__name__}"
     check_motion(scheme, "that motion with kicks", _motion, (system, drift.system), system)
     return Splitting(system, drift)
@@ -135,8 +151,8 @@ def _metrics(free: Any) -> list[Array]:
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """The splitting with the symplectic `so3_midpoint`, for rigid bodies in a potential."""
-    if not isinstance(system, Forced | Driven) or not FREE_BODIES.declared(system.free):
+    """The splitting of rigid bodies in a potential and of gyrostats, with its default drift."""
+    if not (isinstance(system, Forced | Driven | Gyrostat) and FREE_BODIES.declared(system.free)):
         return {}
     step = splitting(system)
     return {step.name: step}

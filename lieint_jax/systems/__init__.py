@@ -1,10 +1,12 @@
 """Hamiltonian systems. Each module has `examples()`: systems with a state worth integrating and a time step."""
 
+from lieint_jax.systems.driven_gyrostat import DrivenGyrostat, SpinUp, driven_gyrostat
 from lieint_jax.systems.driven_top import DrivenTop, driven_top
 from lieint_jax.systems.embedded_body import EmbeddedBody, embedded_body
 from lieint_jax.systems.euler import Euler, RightEuler, euler, kirchhoff, manakov, manakov_integrals
 from lieint_jax.systems.gravity_gradient import GravityGradient, gravity_gradient
 from lieint_jax.systems.group_potential import DrivenGroupPotential, GroupPotential, group_potential
+from lieint_jax.systems.gyrostat import Gyrostat, gyrostat
 from lieint_jax.systems.heavy_top import LagrangeMotion, heavy_top, kovalevskaya_integral, lagrange_motion
 from lieint_jax.systems.incompressible_body import IncompressibleBody, incompressible_body
 from lieint_jax.systems.pendulum import Pendulum, pendulum
@@ -21,11 +23,13 @@ from lieint_jax.systems.rigid_body import RigidBody, rigid_body
 
 __all__ = [
     "DrivenGroupPotential",
+    "DrivenGyrostat",
     "DrivenTop",
     "EmbeddedBody",
     "Euler",
     "GravityGradient",
     "GroupPotential",
+    "Gyrostat",
     "IncompressibleBody",
     "LagrangeMotion",
     "Pendulum",
@@ -34,13 +38,16 @@ __all__ = [
     "Quadratic",
     "RightEuler",
     "RigidBody",
+    "SpinUp",
     "StoredEnergy",
     "clebsch_integral",
+    "driven_gyrostat",
     "driven_top",
     "embedded_body",
     "euler",
     "gravity_gradient",
     "group_potential",
+    "gyrostat",
     "heavy_top",
     "incompressible_body",
     "kirchhoff",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Callable
 
 import jax
@@ -20,10 +21,14 @@ from lieint_jax.types import PhaseSpace, State
 _PHASE_SPACE = CotangentGroup(so3)
 
 
-class Body:
-    """A body of inertia J on T*SO(3), its state an attitude q and a spatial momentum π."""
+class Rotating(abc.ABC):
+    """A body on T*SO(3), its state an attitude q and a spatial momentum π."""
 
     inertia: Array
+
+    @abc.abstractmethod
+    def momentum_at(self, angular_velocity: Array) -> Array:
+        """Π where the body turns with Ω, shape (3,)."""
 
     @property
     def phase_space(self) -> PhaseSpace:
@@ -43,7 +48,7 @@ class Body:
             attitude: unit quaternion (w, x, y, z) or rotation matrix (3, 3), body to space. A quaternion within 1e-6
                 of unit length is normalised.
             angular_velocity: body angular velocity Ω, radians per unit time, shape (3,).
-            body_momentum: Π = JΩ, shape (3,).
+            body_momentum: Π, in the body, shape (3,).
             spatial_momentum: π = ΛΠ, shape (3,).
 
         Raises:
@@ -55,7 +60,7 @@ class Body:
         )
         value = _checks.real_array(name, given, (3,))
         if name == "angular_velocity":
-            value = jnp.stack(three.apply(three.symmetric(self.inertia), value))
+            value = self.momentum_at(value)
         p = value if name == "spatial_momentum" else so3.Ad(q, value)
         dtype = jnp.result_type(q, p)
         return State(q.astype(dtype), _checks.real_array("the spatial momentum", p.astype(dtype)))
@@ -68,6 +73,19 @@ class Body:
         """Π = Λᵀπ, shape (3,)."""
         return so3.Ad_star(state.q, state.p)
 
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system."""
+        _checks.unit_quaternion("state.q", state.q)
+        _checks.real_array("state.p", state.p, (3,))
+
+
+class Body(Rotating):
+    """A body that has no momentum but that of its own turning: Π = JΩ."""
+
+    def momentum_at(self, angular_velocity: Array) -> Array:
+        """Π = JΩ, shape (3,)."""
+        return jnp.stack(three.apply(three.symmetric(self.inertia), angular_velocity))
+
     def angular_velocity(self, state: State) -> Array:
         """The body angular velocity Ω = J⁻¹Π, shape (3,)."""
         return jnp.stack(three.solve_symmetric(three.symmetric(self.inertia), self.body_momentum(state)))
@@ -75,11 +93,6 @@ class Body:
     def kinetic_energy(self, state: State) -> Array:
         """½ Π·J⁻¹Π."""
         return three.dot(self.body_momentum(state), self.angular_velocity(state)) / 2
-
-    def check(self, state: State) -> None:
-        """Raise ValueError if a concrete `state` is not one of this system."""
-        _checks.unit_quaternion("state.q", state.q)
-        _checks.real_array("state.p", state.p, (3,))
 
 
 class TimedBody(Body):
