@@ -24,7 +24,7 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("diagnostics",),
     ("schemes",),
     ("systems",),
-    ("orbits",),
+    ("orbits", "torques"),
     ("integrate",),
     ("_free_body",),
     ("phase_spaces",),
@@ -117,7 +117,9 @@ schemes.group_midpoint schemes.group_energy_momentum schemes.additive schemes.sp
 ensemble.compiler_options studies.reversible studies.observe studies.fit studies.over_members
 diagnostics.linearization diagnostics.symplectic_defect diagnostics.poisson_error diagnostics.energy_error
 diagnostics.momentum_error diagnostics.delay diagnostics.order diagnostics.reversibility diagnostics.certify
-diagnostics.conditions orbits.kepler
+diagnostics.conditions orbits.kepler systems.torqued_body systems.damped_body schemes.torqued_midpoint
+torques.viscous torques.pd_trace torques.pd_quaternion torques.bdot torques.kane_damper torques.thruster
+torques.solar_plate torques.internal_friction
 """
 
 

@@ -1,5 +1,6 @@
 """Hamiltonian systems. Each module has `examples()`: systems with a state worth integrating and a time step."""
 
+from lieint_jax.systems.damped_body import DampedBody, damped_body
 from lieint_jax.systems.embedded_body import EmbeddedBody, embedded_body
 from lieint_jax.systems.euler import Euler, RightEuler, euler, kirchhoff, manakov, manakov_integrals
 from lieint_jax.systems.group_potential import GroupPotential, group_potential
@@ -16,8 +17,10 @@ from lieint_jax.systems.pseudo_rigid import (
     saint_venant_kirchhoff,
 )
 from lieint_jax.systems.rigid_body import RigidBody, rigid_body
+from lieint_jax.systems.torqued_body import TorquedBody, torqued_body
 
 __all__ = [
+    "DampedBody",
     "EmbeddedBody",
     "Euler",
     "GroupPotential",
@@ -30,7 +33,9 @@ __all__ = [
     "RightEuler",
     "RigidBody",
     "StoredEnergy",
+    "TorquedBody",
     "clebsch_integral",
+    "damped_body",
     "embedded_body",
     "euler",
     "group_potential",
@@ -48,4 +53,5 @@ __all__ = [
     "pseudo_rigid_body",
     "rigid_body",
     "saint_venant_kirchhoff",
+    "torqued_body",
 ]

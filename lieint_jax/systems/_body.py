@@ -78,6 +78,46 @@ class Body:
         _checks.real_array("state.p", state.p, (3,))
 
 
+class TimedBody(Body):
+    """A body whose states have a time."""
+
+    def state(
+        self,
+        attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        *,
+        angular_velocity: ArrayLike | None = None,
+        body_momentum: ArrayLike | None = None,
+        spatial_momentum: ArrayLike | None = None,
+        t: ArrayLike = 0.0,
+        work: ArrayLike | None = None,
+    ) -> State:
+        """The state of an attitude, a motion, a time, and the work done so far.
+
+        Args:
+            attitude, angular_velocity, body_momentum, spatial_momentum: as of `systems.rigid_body`.
+            t: time, a scalar.
+            work: a number, such as 0.0, to have the work of torques and friction counted; None not to.
+
+        Raises:
+            ValueError: as `systems.rigid_body`'s, or a time or work that is no finite number.
+        """
+        state = super().state(
+            attitude,
+            angular_velocity=angular_velocity,
+            body_momentum=body_momentum,
+            spatial_momentum=spatial_momentum,
+        )
+        time = _checks.real_array("t", t, (), like=state.p)
+        done = None if work is None else _checks.real_array("work", work, (), like=state.p)
+        return state._replace(t=time, work=done)
+
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system, or its time is not finite."""
+        super().check(state)
+        if state.t is not None:
+            _checks.real_array("state.t", state.t, ())
+
+
 def _attitude(attitude: ArrayLike) -> Array:
     if np.shape(attitude) == (3, 3):
         return so3.from_matrix(_checks.rotation_matrix("attitude", attitude))
