@@ -299,44 +299,40 @@ class _Equation(NamedTuple):
         """Jy + κ y × Jy − a − sT̄."""
         return subtract(subtract(gyration(self.kappa, self.J, y), self.a), self.side(y))
 
-    def matrix(self, y: Vector) -> three.Matrix:
-        """∂/∂y of the residual."""
-        return three.combine(gyration_matrix(self.kappa, self.J, y), _jacobian(self.side, y), -1)
-
     def correction(self, y: Vector, f: Vector) -> Vector:
         """Newton's step."""
-        return three.solve(self.matrix(y), f)
+        K = three.combine(gyration_matrix(self.kappa, self.J, y), _jacobian(self.side, y), -1)
+        return three.solve(K, f)
 
     def solve(self, iterations: int) -> tuple[Vector, StepInfo]:
         """y, and the report."""
         at = lax.stop_gradient
-        u = three.solve_symmetric(self.J, self.a)
-        first = self.correction(u, self.residual(u))
-        granted = at(jnp.maximum(three.max_abs(u), three.max_abs(first)))
-        y, f, steady = newton.root(
-            self.residual, self.correction, subtract(u, first), iterations, unroll=False, first=granted
-        )
-        still = tuple(at(x) for x in y)
-        good = steady & three.well_conditioned(self.J) & on_branch(self.kappa, still, self.matrix(still))
-        good &= jnp.isfinite(at(self.t))
+        u = three.solve_symmetric(self.J, self.a)  # ½ΔtΩ_n
+        push = three.solve_symmetric(self.J, self.side(u))
+        granted = at(three.max_abs(u) + three.max_abs(push))
+        y, f, steady = newton.root(self.residual, self.correction, u, iterations, unroll=False, first=granted)
+        branch, size = self.judge(tuple(at(x) for x in y))
+        good = steady & branch & three.well_conditioned(self.J) & jnp.isfinite(at(self.t))
         f = at(jnp.sqrt(dot(f, f)))
-        return y, StepInfo(f, (f <= 32 * jnp.finfo(f.dtype).eps * at(self.size(still))) & good)
+        return y, StepInfo(f, (f <= 32 * jnp.finfo(f.dtype).eps * at(size)) & good)
 
-    def size(self, y: Vector) -> Array:
-        """The size of the terms of the equation, by which its rounding errors are measured.
+    def judge(self, y: Vector) -> tuple[Array, Array]:
+        """Whether y is on the branch from Δt = 0, and the size of the terms, which measures their rounding errors.
 
         q is known to round-off only, so the torque's part is its own size and that of its derivative by the attitude.
         """
 
-        def turned(angle: Vector) -> Vector:
+        def side(y: Vector, angle: Vector) -> Vector:
+            """sT̄ from an attitude turned in space."""
             q = [a + b for a, b in zip(self.q, so3.spatial_tangent(self.q, jnp.stack(angle)), strict=True)]
-            return self.torque(y, jnp.stack(q))[2]
+            return scale(self.s, self.torque(y, jnp.stack(q))[2])
 
-        bend = _jacobian(turned, (jnp.zeros_like(y[0]),) * 3)
-        force = three.max_abs(self.torque(y)[2])
-        for row in bend:
-            force = jnp.maximum(force, three.max_abs(row))
-        return three.max_abs(self.a) + self.s * force
+        none = (jnp.zeros_like(y[0]),) * 3
+        here, slope = jax.linearize(side, y, none)
+        rows = jax.vmap(lambda e: slope(three.components(e[:3]), three.components(e[3:])))(jnp.eye(6, dtype=y[0].dtype))
+        K = three.combine(gyration_matrix(self.kappa, self.J, y), [three.components(row[:3]) for row in rows], -1)
+        force = jnp.maximum(three.max_abs(here), jnp.max(jnp.abs(jnp.stack(rows)[:, 3:])))
+        return on_branch(self.kappa, y, K), three.max_abs(self.a) + force
 
     def work(self, q_next: Array, omega: Array, torque: Array) -> Array:
         """The work of the torque, but for that of its potential."""
@@ -349,7 +345,9 @@ class _Equation(NamedTuple):
 
 
 def _jacobian(function: Callable[[Vector], Vector], x: Vector) -> three.Matrix:
-    """The derivative of a function of three components, as rows: along three axes, whose values XLA shares."""
-    one, zero = jnp.ones_like(x[0]), jnp.zeros_like(x[0])
-    along = [tuple(one if i == j else zero for i in range(3)) for j in range(3)]
-    return three.transpose([jax.jvp(function, (tuple(x),), (axis,))[1] for axis in along])
+    """The derivative of a function of three components, as rows."""
+
+    def along(axis: Array) -> Vector:
+        return jax.jvp(function, (tuple(x),), (three.components(axis),))[1]
+
+    return [three.components(row) for row in jax.vmap(along)(jnp.eye(3, dtype=x[0].dtype))]
