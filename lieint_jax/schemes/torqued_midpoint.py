@@ -94,7 +94,7 @@ class TorquedMidpoint(Step):
         q = state.q + jnp.stack(so3.cayley_difference(state.q, h))
         omega, torque, _ = equation.torque(y)
         mean = torque if equation.space else (so3.Ad(state.q, torque) + so3.Ad(q, torque)) / 2
-        impulse = dt * mean
+        impulse = jnp.asarray(dt) * mean
         work = None if state.work is None else state.work + equation.work(q, omega, torque)
         end = state._replace(q=q, p=state.p + impulse, work=work, extra=_taken(self.system, state.extra, impulse))
         return end, info
@@ -214,7 +214,7 @@ def torqued_midpoint(
     """
     kappa = as_kappa(kappa)
     count = _checks.count("iterations", 5 if iterations is None else iterations, 1)
-    if DAMPED_BODIES.declared(system):
+    if isinstance(system, DampedBody):
         DAMPED_BODIES.check("torqued_midpoint", system)
         return DampedMidpoint(system, kappa, count)
     TORQUED_BODIES.check("torqued_midpoint", system, "; for internal friction take systems.damped_body")

@@ -117,9 +117,7 @@ class TorquedBody(TimedBody, Capability):
         return so3.Ad(state.q, Omega) if self.frame == "space" else Omega
 
 
-def torqued_body(
-    inertia: ArrayLike, torque: Callable[..., Array], frame: Literal["body", "space"] | None = None
-) -> TorquedBody:
+def torqued_body(inertia: ArrayLike, torque: Any, frame: Literal["body", "space"] | None = None) -> TorquedBody:
     """A rigid body with a torque; `schemes.torqued_midpoint` integrates it with an exact balance of power.
 
     Args:
