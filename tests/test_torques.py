@@ -96,7 +96,6 @@ def expected(name, a, b, dt):
         slip = omega - (a.extra["damper"] + b.extra["damper"]) / 2 / 0.4
         return -0.3 * slip, -0.3 * slip @ slip
     if name == "thruster":
-        part = jnp.clip((jnp.minimum(t + dt / 2, 1.77) - jnp.maximum(t - dt / 2, 0.33)) * jnp.sign(dt), -9, 9)
         low, high = jnp.minimum(a.t, b.t), jnp.maximum(a.t, b.t)
         part = jnp.maximum(jnp.minimum(high, 1.77) - jnp.maximum(low, 0.33), 0) / jnp.abs(dt)
         torque = part * jnp.array([0.3, -0.5, 0.2])
@@ -114,49 +113,61 @@ def expected(name, a, b, dt):
     return jnp.zeros(3), -0.3 * kappa * slip @ slip
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1))
-def balance(name, num_steps, row, q, Omega, dt):
-    """Errors of the balances of each step of a run."""
+@functools.partial(jax.jit, static_argnums=0)
+@functools.partial(jax.vmap, in_axes=(None, 0, 0, 0, 0))
+def balance(name, row, q, Omega, dt):
+    """Errors of the balances of each step, of 24 steps there and 24 back."""
     body = BODIES[name]
     step = torqued_midpoint(body, Kappa(jax.tree_util.Partial(one_of, row), "shared"))
-    state = body.state(q, angular_velocity=Omega, t=0.2, work=0.0)
+    start = body.state(q, angular_velocity=Omega, t=0.2, work=0.0)
     if name == "kane_damper":
-        state = state._replace(extra={"damper": jnp.array([0.1, -0.3, 0.2])})
-    trajectory = li.integrate(step, state, dt, num_steps)
-    z = trajectory.state
-    before, after = (jax.tree.map(lambda x: x[part], z) for part in (slice(-1), slice(1, None)))
-    torque, power = jax.vmap(functools.partial(expected, name), (0, 0, None))(before, after, dt)
-    H = jax.vmap(body.energy)(z)
-    size = jnp.max(jnp.abs(z.p))
-    there = step(state, dt)[0]
+        start = start._replace(extra={"damper": jnp.array([0.1, -0.3, 0.2])})
+    sizes = jnp.where(jnp.arange(48) < 24, dt, -dt)
+    end, (before, after, info) = jax.lax.scan(lambda z, h: ((n := step(z, h))[0], (z, *n)), start, sizes)
+    torque, power = jax.vmap(functools.partial(expected, name))(before, after, sizes)
+    (H, H_), (P, P_) = ([jax.vmap(f)(z) for z in (before, after)] for f in (body.energy, body.momentum))
+    H_scale, size = jnp.abs(H).max(), jnp.abs(before.p).max()
     return {
-        "converged": trajectory.info.converged.all(),
-        "energy": jnp.abs(jnp.diff(H) - dt * power).max() / jnp.abs(H).max(),
-        "work": jnp.abs(jnp.diff(z.work) - dt * power).max() / jnp.abs(H).max(),
-        "sum": jnp.abs(diagnostics.energy_error(body, trajectory)).max() / jnp.abs(H).max(),
-        "impulse": jnp.abs(jnp.diff(z.p, axis=0) - dt * torque).max() / size,
-        "momentum": jnp.abs(diagnostics.momentum_error(body, trajectory)).max(initial=0) / size,
-        "norm": jnp.abs(diagnostics.constraint_error(body, trajectory)).max(),
-        "back": distance(step(there, -dt)[0], state),
-        "changed": jnp.abs(H[-1] - H[0]) / H[0],
+        "converged": info.converged.all(),
+        "energy": jnp.abs(H_ - H - sizes * power).max() / H_scale,
+        "work": jnp.abs(after.work - before.work - sizes * power).max() / H_scale,
+        "sum": jnp.abs(H_ - after.work - H[0]).max() / H_scale,
+        "impulse": jnp.abs(after.p - before.p - sizes[:, None] * torque).max() / size,
+        "momentum": jnp.abs(P_ - P[0]).max(initial=0) / size,
+        "norm": jnp.abs(jax.vmap(so3.defect)(after.q)).max(),
+        "back": distance(end, start),
+        "changed": jnp.abs(H - H[0]).max() / H[0],
     }
 
 
 def random_cases(B):
     rng = np.random.default_rng(0)
-    q = rng.normal(size=(B, 4))
-    Omega = rng.normal(size=(B, 3)) * 0.6
-    dt = rng.choice([-1, 1], B) * rng.uniform(0.02, 0.2, B)
-    return np.repeat(np.eye(3), B // 3, axis=0), q / np.linalg.norm(q, axis=1, keepdims=True), Omega, dt
+    q, dt = rng.normal(size=(B, 4)), rng.choice([-1, 1], B) * rng.uniform(0.02, 0.1, B)
+    return (
+        np.repeat(np.eye(3), B // 3, axis=0),
+        q / np.linalg.norm(q, axis=1, keepdims=True),
+        rng.normal(size=(B, 3)),
+        dt,
+    )
 
 
-BOUNDS = {"energy": 5e-15, "work": 5e-15, "sum": 1e-13, "impulse": 5e-15, "momentum": 1e-14, "norm": 2e-15, "back": 5e-15}
+BOUNDS = {  # a few times what was seen
+    "energy": 5e-15,  # 2e-15
+    "work": 1e-15,  # 2e-16
+    "sum": 1e-14,  # 3e-15
+    "impulse": 1e-15,  # 2e-16
+    "momentum": 5e-15,
+    "norm": 2e-15,  # 4e-16
+    "back": 5e-15,
+}
 
 
 @pytest.mark.parametrize("name", BODIES)
 def test_energy_changes_by_the_work_and_momentum_by_the_impulse(name):
-    found = jax.device_get(jax.vmap(functools.partial(balance, name, 40))(*random_cases(48)))
-    print(name, {k: float(np.max(v)) for k, v in found.items()}, found["converged"].sum(), np.min(found["changed"]))
+    """Each κ, 16 bodies each, Δt of both signs; by the formulas of each law in matrices."""
+    found = jax.device_get(balance(name, *random_cases(48)))
+    print(name, {k: float(np.max(v)) for k, v in found.items()}, found["converged"].sum(), np.median(found["changed"]))
     assert found["converged"].all()
+    assert np.median(found["changed"]) > 1e-3
     for key, bound in BOUNDS.items():
         assert found[key].max() < bound, key
