@@ -24,6 +24,7 @@ from lieint_jax import (
     schemes,
     studies,
     systems,
+    torques,
     types,
 )
 from lieint_jax._version import __version__
@@ -50,6 +51,7 @@ __all__ = [
     "static",
     "studies",
     "systems",
+    "torques",
     "types",
 ]
 

@@ -453,6 +453,52 @@ class DrivenTop(Driven):
         """γ(t), shape (3,)."""
 
 
+class TorquedBody(System):
+    """A rigid body on T*SO(3) with a torque: q̇ = ½ q Ω, π̇ = τ if it is given in space, π̇ = Λτ if in the body.
+
+    A torque is a function (t, q, ω) ↦ τ, (3,), of time, the unit quaternion of the attitude, and the angular velocity
+    in the axes of the torque. A pytree may offer more:
+
+    | member | |
+    |---|---|
+    | `frame` | the axes of the torque, "body" or "space" |
+    | `potential(q)` | U, counted in the energy; then τ contains the torque −∂U |
+    | `power(t, q, omega)` | the power of all but −∂U, such as −c\\|ω\\|² |
+    | `mean(t, q_n, q_next, h, kappa, omega)` | the torque of a step, if not τ at its half; h = ½Θ, κ, ω̄ of the step |
+    | `during(dt, extra)` | the torque as it acts in a step of size dt (0: at one time) on a state with this `extra` |
+    | `key`, `inner(omega)`, `inner_energy(momentum)` | a momentum in space, `extra[key]`, that the torque comes from |
+
+    With `key`, d/dt extra[key] = −τ in space. `inner(ω)` is its value where all turns with ω; its `inner_energy` is
+    counted in the energy. Such a law needs no `__call__`: `during(0, extra)` is the torque at one time.
+
+    Attributes:
+        inertia: J, as of `FreeBody`.
+        torque: τ.
+        frame: the axes of τ and ω.
+    """
+
+    inertia: Array
+    torque: Callable[..., Array]
+    frame: str
+
+    def law(self, dt: ArrayLike, extra: dict[str, Array] | None) -> Callable[..., Array]:
+        """The torque as it acts in a step of size dt."""
+        during = getattr(self.torque, "during", None)
+        return self.torque if during is None else during(dt, extra)
+
+
+class DampedBody(System):
+    """A rigid body on T*SO(3) with internal friction: q̇ = ½ q (Ω + α Π × Ω), π̇ = 0 with JΩ = Π = Λᵀπ.
+
+    Attributes:
+        inertia: J, as of `FreeBody`.
+        friction: α, an inverse angular momentum.
+    """
+
+    inertia: Array
+    friction: Array
+
+
 class OnSphere(System):
     """A particle on the unit sphere, on T*S²: q̇ = π × q/m, π̇ = −q × ∇V(q) (1.4).
 

@@ -24,7 +24,7 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("diagnostics",),
     ("schemes",),
     ("systems",),
-    ("orbits",),
+    ("orbits", "torques"),
     ("integrate",),
     ("_free_body",),
     ("phase_spaces",),
@@ -108,7 +108,8 @@ def test_dir_lists_the_public_names_only():
 CONTRACT = """
 State Step StepInfo Trajectory pytree static integrate systems.rigid_body systems.heavy_top systems.potential_top
 systems.euler systems.group_potential systems.kirchhoff systems.manakov systems.pendulum systems.pseudo_rigid_body
-systems.embedded_body systems.incompressible_body systems.gyrostat systems.driven_gyrostat schemes.so3_alpha
+systems.embedded_body systems.incompressible_body systems.gyrostat systems.driven_gyrostat systems.torqued_body
+systems.damped_body systems.driven_top systems.gravity_gradient schemes.torqued_midpoint schemes.so3_alpha
 schemes.group_alpha schemes.sphere_chart groups.so3 groups.matrix groups.special_orthogonal groups.special_euclidean
 groups.special_linear groups.symplectic groups.special_unitary groups.affine groups.heisenberg groups.product
 maps.exponential maps.cayley maps.arcsine maps.kappa_cayley maps.kappa_exponential maps.kappa_symplectic
@@ -117,7 +118,8 @@ schemes.top_energy_momentum schemes.splitting schemes.group_midpoint schemes.gro
 schemes.sphere_midpoint ensemble.run ensemble.compiler_options studies.reversible studies.observe studies.fit
 studies.over_members diagnostics.linearization diagnostics.symplectic_defect diagnostics.poisson_error
 diagnostics.energy_error diagnostics.momentum_error diagnostics.delay diagnostics.order diagnostics.reversibility
-diagnostics.certify diagnostics.conditions orbits.kepler
+diagnostics.certify diagnostics.conditions orbits.kepler torques.viscous torques.pd_trace torques.pd_quaternion
+torques.bdot torques.kane_damper torques.thruster torques.solar_plate torques.internal_friction
 """
 
 

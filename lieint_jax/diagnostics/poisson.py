@@ -13,9 +13,10 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax.diagnostics.symplectic import linearization
 from lieint_jax.phase_spaces import CotangentGroup
-from lieint_jax.types import Forced, RightGeodesicFlow, State, Step
+from lieint_jax.types import DampedBody, Forced, RightGeodesicFlow, State, Step, TorquedBody
 
 _Method = Literal["recursion", "product"]
+_OTHERS = (Forced, RightGeodesicFlow, TorquedBody, DampedBody)  # than left-invariant systems without potential
 
 
 def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, method: _Method | None = None) -> Array:
@@ -43,7 +44,7 @@ def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, metho
         raise ValueError(f"method must be one of {', '.join(get_args(_Method))}, got {method!r}")
     step.check(state, dt)
     space = step.system.phase_space
-    if not isinstance(space, CotangentGroup) or isinstance(step.system, Forced | RightGeodesicFlow):
+    if not isinstance(space, CotangentGroup) or isinstance(step.system, _OTHERS):
         if method == "recursion":
             raise ValueError(
                 f"the recursion (5.36) is for left-invariant systems on T*G without potential, got "

@@ -15,11 +15,13 @@ from lieint_jax.schemes.sphere_chart import SphereChart, sphere_chart
 from lieint_jax.schemes.sphere_midpoint import SphereMidpoint, sphere_midpoint
 from lieint_jax.schemes.splitting import Splitting, splitting
 from lieint_jax.schemes.top_energy_momentum import TopEnergyMomentum, top_energy_momentum
+from lieint_jax.schemes.torqued_midpoint import DampedMidpoint, TorquedMidpoint, torqued_midpoint
 
 __all__ = [
     "Additive",
     "Calibrated",
     "Composition",
+    "DampedMidpoint",
     "Exact",
     "GroupAlpha",
     "GroupEnergyMomentum",
@@ -32,6 +34,7 @@ __all__ = [
     "SphereMidpoint",
     "Splitting",
     "TopEnergyMomentum",
+    "TorquedMidpoint",
     "additive",
     "calibrated",
     "compose",
@@ -47,4 +50,5 @@ __all__ = [
     "sphere_midpoint",
     "splitting",
     "top_energy_momentum",
+    "torqued_midpoint",
 ]

@@ -16,11 +16,13 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import concrete
-from lieint_jax.types import Driven, DrivenGyrostat, Gyrostat, State, System
+from lieint_jax.types import DampedBody, DrivenGyrostat, Gyrostat, State, System, TorquedBody
 
 _ELSEWHERE = {  # what takes the systems that few schemes take
     Gyrostat: ("so3_midpoint", "splitting"),
     DrivenGyrostat: ("so3_midpoint",),
+    TorquedBody: ("torqued_midpoint",),
+    DampedBody: ("torqued_midpoint",),
 }
 
 
@@ -79,18 +81,17 @@ def check_motion(
 def _difference(
     vector_field: Callable[[Any, State], State], data: Any, system: System, phase: ArrayLike
 ) -> tuple[Array, Array]:
-    """The relative difference of two vector fields at a state, in q̇ or in π̇, and the tolerance for it."""
+    """The relative difference of two vector fields at a state and a time, and the tolerance for it."""
     space = system.phase_space
     numbers = [x for x in jax.tree.leaves((data, system)) if jnp.issubdtype(jnp.result_type(x), jnp.floating)]
     dtype = jnp.result_type(*numbers, *([] if numbers else [float]))
     delta = 0.3 * jnp.sin(phase + 1.7 * jnp.arange(space.dim, dtype=dtype))
-    carried = jax.tree.map(lambda x: x + jnp.asarray(0.4, x.dtype), system.carried)
-    origin = space.origin._replace(extra=carried)
-    state = space.perturb(jax.tree.map(lambda x: x.astype(dtype), origin), delta)
-    if isinstance(system, Driven | DrivenGyrostat):
-        state = state._replace(t=jnp.asarray(phase, dtype))
+    state = space.perturb(jax.tree.map(lambda x: x.astype(dtype), space.origin), delta)
+    carried = jax.tree.map(lambda x: x + jnp.cos(phase + 1.3 * jnp.arange(x.size, dtype=dtype)), system.carried)
+    state = state._replace(t=jnp.asarray(phase, dtype), extra=carried)
     own, scheme = system.vector_field(state), vector_field(data, state)
-    return jnp.maximum(_relative(own.q, scheme.q), _relative(own.p, scheme.p)), jnp.sqrt(jnp.finfo(dtype).eps)
+    pairs = zip(*(jax.tree.leaves((rate.q, rate.p, rate.extra)) for rate in (own, scheme)), strict=True)
+    return jnp.max(jnp.stack([_relative(*pair) for pair in pairs])), jnp.sqrt(jnp.finfo(dtype).eps)
 
 
 def _relative(a: Array, b: Array) -> Array:

@@ -1,5 +1,6 @@
 """Hamiltonian systems. Each module has `examples()`: systems with a state worth integrating and a time step."""
 
+from lieint_jax.systems.damped_body import DampedBody, damped_body
 from lieint_jax.systems.driven_gyrostat import DrivenGyrostat, SpinUp, driven_gyrostat
 from lieint_jax.systems.driven_top import DrivenTop, driven_top
 from lieint_jax.systems.embedded_body import EmbeddedBody, embedded_body
@@ -20,8 +21,10 @@ from lieint_jax.systems.pseudo_rigid import (
     saint_venant_kirchhoff,
 )
 from lieint_jax.systems.rigid_body import RigidBody, rigid_body
+from lieint_jax.systems.torqued_body import TorquedBody, torqued_body
 
 __all__ = [
+    "DampedBody",
     "DrivenGroupPotential",
     "DrivenGyrostat",
     "DrivenTop",
@@ -40,7 +43,9 @@ __all__ = [
     "RigidBody",
     "SpinUp",
     "StoredEnergy",
+    "TorquedBody",
     "clebsch_integral",
+    "damped_body",
     "driven_gyrostat",
     "driven_top",
     "embedded_body",
@@ -62,4 +67,5 @@ __all__ = [
     "pseudo_rigid_body",
     "rigid_body",
     "saint_venant_kirchhoff",
+    "torqued_body",
 ]

@@ -129,7 +129,8 @@ class TimedBody(Body):
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""
         super().check(state)
-        check_timed(state)
+        if state.t is not None:
+            check_timed(state)
 
 
 def spatial_torque(potential: Callable[[Array], Array], q: Array) -> Array:

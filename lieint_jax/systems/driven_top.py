@@ -75,6 +75,11 @@ class MovedBody(TimedBody, types.DrivenTop):
         turning = so3.tangent(q, self.angular_velocity(state))
         return State(turning, self.force(q, t), work=self.power(q, t))
 
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system, or has no time."""
+        super().check(state)
+        clock(state)
+
 
 @pytree
 class DrivenTop(MovedBody):
