@@ -513,12 +513,37 @@ class OnSphere(System):
         """V(q), smooth around the sphere too."""
 
 
+def _in_one_type(method: Callable[..., Any]) -> Callable[..., Any]:
+    """A method (step, state, dt, …) whose arguments arrive in one floating-point type."""
+
+    @functools.wraps(method)
+    def converted(step: Any, state: State, dt: ArrayLike, *more: ArrayLike) -> Any:
+        step, state, dtype = promoted(step, state)
+        return method(step, state, jnp.asarray(step_size(dt), dtype), *(jnp.asarray(x, dtype) for x in more))
+
+    return converted
+
+
+def _on_time(method: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any, ...]]:
+    """A method (step, state, dt, …) whose new state is at t + dt, and keeps the other parts of the state."""
+
+    @functools.wraps(method)
+    def timed(step: Any, state: State, dt: Array, *more: Array) -> tuple[Any, ...]:
+        end, *report = method(step, state, dt, *more)
+        for name in ("work", "extra"):
+            if getattr(state, name) is not None and getattr(end, name) is None:
+                raise ValueError(f"{type(step).__name__} drops state.{name}: return state._replace(q=…, p=…) from it")
+        return end._replace(t=None if state.t is None else state.t + dt), *report
+
+    return timed
+
+
 class Step(abc.ABC):
     """One step of a scheme for a system: `step(state, dt) -> (state, info)`, a pure function and a pytree.
 
-    `__call__` and `prepare` of any subclass see the state, dt and the step's own numbers in one floating-point type,
-    the widest among state and step. The time of the new state, where there is one, is set here, to t + dt. A scheme
-    returns `state._replace(q=…, p=…)`, which keeps whatever else the state carries.
+    `__call__`, `prepare` and `tangent` of any subclass see the state, dt and the step's own numbers in one
+    floating-point type, the widest among state and step. The time of the new state, where there is one, is set here, to
+    t + dt. A scheme returns `state._replace(q=…, p=…)`, which keeps whatever else the state carries.
 
     Attributes:
         order: order of accuracy; infinite for the exact flow.
@@ -535,6 +560,8 @@ class Step(abc.ABC):
             cls.__call__ = _in_one_type(_on_time(cls.__call__))
         if "prepare" in vars(cls):
             cls.prepare = _in_one_type(cls.prepare)
+        if "tangent" in vars(cls):
+            cls.tangent = _in_one_type(_on_time(cls.tangent))
 
     @property
     @abc.abstractmethod
@@ -557,6 +584,26 @@ class Step(abc.ABC):
     def prepare(self, state: State, dt: ArrayLike) -> Self:
         """Solve once what is constant along the trajectory of `state`; here nothing."""
         return self
+
+    @_in_one_type
+    def tangent(self, state: State, dt: ArrayLike, T: ArrayLike) -> tuple[State, StepInfo, Array]:
+        """The step, and the tangent vectors that its derivative L carries along: (new state, report, LT).
+
+        Time, work and extra are held fixed. By forward derivatives, unless the scheme has a closed form.
+
+        Args:
+            state, dt: as of a call of the step.
+            T: tangent vectors at the state, columns of an array (2d, k), in the phase space's coordinates: (δθ, δπ)
+                on T*G, with δq = δθ q.
+        """
+        space = self.system.phase_space
+
+        def moved(delta: Array) -> tuple[State, tuple[State, StepInfo]]:
+            end, info = self(space.perturb(state, delta), dt)
+            return end, (end, info)
+
+        _, push, (end, info) = jax.linearize(moved, jnp.zeros(space.dim, state.p.dtype), has_aux=True)
+        return end, info, jax.vmap(lambda delta: space.trivialise(end, push(delta)), -1, -1)(jnp.asarray(T))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         """The message for a step that failed from `state`: what was given, what is allowed, what to do."""
@@ -632,31 +679,6 @@ def clock(state: State) -> Array:
 
 def _is_real(leaf: Any) -> bool:
     return jnp.issubdtype(jnp.result_type(leaf), jnp.floating)
-
-
-def _in_one_type(method: Callable[..., Any]) -> Callable[..., Any]:
-    """A method (step, state, dt) whose arguments arrive in one floating-point type."""
-
-    @functools.wraps(method)
-    def converted(step: Any, state: State, dt: ArrayLike) -> Any:
-        step, state, dtype = promoted(step, state)
-        return method(step, state, jnp.asarray(step_size(dt), dtype))
-
-    return converted
-
-
-def _on_time(method: Callable[..., tuple[State, StepInfo]]) -> Callable[..., tuple[State, StepInfo]]:
-    """A method (step, state, dt) whose new state is at t + dt, and keeps the other parts of the state."""
-
-    @functools.wraps(method)
-    def timed(step: Any, state: State, dt: Array) -> tuple[State, StepInfo]:
-        end, info = method(step, state, dt)
-        for name in ("work", "extra"):
-            if getattr(state, name) is not None and getattr(end, name) is None:
-                raise ValueError(f"{type(step).__name__} drops state.{name}: return state._replace(q=…, p=…) from it")
-        return end._replace(t=None if state.t is None else state.t + dt), info
-
-    return timed
 
 
 @jax.jit

@@ -40,8 +40,15 @@ class Turning(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         state, info = self.drift(self._turn(state, dt), dt)
+        return self._turn(state, dt), self._judged(info, state, dt)
+
+    def tangent(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
+        state, info, T = self.drift.tangent(self._turn(state, dt), dt, T)  # turns about body axes leave (δθ, δπ)
+        return self._turn(state, dt), self._judged(info, state, dt), T
+
+    def _judged(self, info: StepInfo, state: State, dt: ArrayLike) -> StepInfo:
         known = jnp.finfo(state.q.dtype).eps * self._angle(dt) <= lost(state.q.dtype)
-        return self._turn(state, dt), info._replace(converged=info.converged & known)
+        return info._replace(converged=info.converged & known)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         turned = self._turn(state, dt)

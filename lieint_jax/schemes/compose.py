@@ -20,8 +20,10 @@ and what is best uses one value often, and p/2 − 1 others to cancel its power 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
@@ -65,16 +67,29 @@ class Composition(Step):
         return METHODS[self.method].gammas
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        return self._through(state, dt, lambda state, h: self.step(state, h))
 
-        def stage(carry: tuple[State, StepInfo, Array], following: Array) -> tuple[tuple[State, StepInfo, Array], None]:
-            state, worst, h = carry
-            state, info = self.step(state, h)
-            return (state, worst.merge(info), following), None
+    def tangent(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
+        def carried(pair: tuple[State, Array], h: Array) -> tuple[tuple[State, Array], StepInfo]:
+            end, info, T = self.step.tangent(pair[0], h, pair[1])
+            return (end, T), info
+
+        (end, T), info = self._through((state, T), dt, carried)
+        return end, info, T
+
+    def _through(self, start: Any, dt: ArrayLike, stage: Callable[[Any, Array], tuple[Any, StepInfo]]) -> Any:
+        """`start` through `stage` with each of the sub-steps, and the merged report."""
+
+        def one(carry: tuple[Any, StepInfo, Array], following: Array) -> tuple[tuple[Any, StepInfo, Array], None]:
+            z, worst, h = carry
+            z, info = stage(z, h)
+            return (z, worst.merge(info), following), None
 
         # h is carried: XLA fuses a slice of the sub-steps into every loop over a batch, which triples their time
-        sub_steps = jnp.asarray(self.gammas, state.p.dtype) * dt
-        start = (state, StepInfo.fresh(state.p), sub_steps[0])
-        return lax.scan(stage, start, jnp.roll(sub_steps, -1))[0][:2]
+        dtype = jax.tree.leaves(start)[0].dtype
+        sub_steps = jnp.asarray(self.gammas, dtype) * dt
+        begin = (start, StepInfo.fresh(sub_steps), sub_steps[0])
+        return lax.scan(one, begin, jnp.roll(sub_steps, -1))[0][:2]
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         largest = max(self.gammas, key=abs)

@@ -106,6 +106,15 @@ class SO3Midpoint(Step):
         h, info = half_turn(J, a, self.kappa, self.iterations, _bias(self.system, dt))
         return state._replace(q=so3.cayley_increment(state.q, h)), info
 
+    def tangent(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
+        if self.kappa.solve_by != "scalar" or not isinstance(self.system, FreeBody):
+            return super().tangent(state, dt, T)
+        J, a = scaled(self.system, state, dt)
+        h, info = half_turn(J, a, self.kappa, self.iterations)
+        da = scaled(self.system, state._replace(p=T[3:] - jnp.stack(cross(T[:3], state.p))), dt)[1]
+        theta = T[:3] + so3.Ad(state.q, turned(J, a, h, da))
+        return state._replace(q=so3.cayley_increment(state.q, h)), info, jnp.concatenate([theta, T[3:]])
+
     def _driven(self, system: DrivenGyrostat, state: State, dt: Array) -> tuple[State, StepInfo]:
         """The step of the gyrostat whose rotor keeps the mean momentum h̄_r, the rotor's change, and the work of it."""
         rotor, change = system.rotor(state), dt * system.torque(clock(state) + 0.5 * dt)
@@ -284,6 +293,19 @@ def scalar_residual(J: Symmetric, a: Array, h: Array) -> Vector:
     """Jh − a − a × h − (a·h)h: the scalar form itself, with m = a·h."""
     m, x, Jh = dot(a, h), cross(a, h), apply(J, h)
     return tuple(Jh[i] - m * h[i] - a[i] - x[i] for i in range(3))
+
+
+def turned(J: Symmetric, a: Array, h: Array, da: Array) -> Array:
+    """The turn of the body at the end of a step, in the axes of its beginning, that a change δa of a brings; (3, k).
+
+    (J − m − â − h⊗a) δh = δa + δa × h + (δa·h)h, m = a·h, the derivative of the scalar form; and cay 2h turns by
+    2/(1 + |h|²) (δh + h × δh).
+    """
+    m, A, K = dot(a, h), three.hat(a), dense(J)
+    K = [[K[i][j] - A[i][j] - h[i] * a[j] - (m if i == j else 0) for j in range(3)] for i in range(3)]
+    right = add(da, add(cross(da, h), scale(dot(da, h), h)))
+    dh = three.solve(K, right)
+    return 2 / (1 + dot(h, h)) * jnp.stack(add(dh, cross(h, dh)))
 
 
 def _solve_vector(

@@ -67,6 +67,22 @@ class Splitting(Step):
     def advice(self, state: State, dt: ArrayLike) -> str:
         return f"{self.name}: {self.drift.advice(self._kick(state, dt), dt)}"
 
+    def tangent(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
+        kicked = self._kick(state, dt), self._kick_tangent(state, dt, T)
+        end, info, T = self.drift.tangent(kicked[0], dt, kicked[1])
+        return self._kick(end, dt), info, self._kick_tangent(end, dt, T)
+
+    def _kick_tangent(self, state: State, dt: ArrayLike, T: Array) -> Array:
+        """The derivative of a kick: δπ gains ½Δt times the derivative of the force."""
+        space = self.system.phase_space
+        zero = jnp.zeros(space.dim, state.p.dtype)
+
+        def gain(delta: Array) -> Array:
+            return jax.jvp(lambda x: _force(self.system, space.perturb(state, x)), (zero,), (delta,))[1]
+
+        theta, pi = jnp.split(T, 2)
+        return jnp.concatenate([theta, pi + 0.5 * dt * jax.vmap(gain, -1, -1)(T)])
+
     def _kick(self, state: State, dt: ArrayLike) -> State:
         half, kicked = 0.5 * dt, state
         if isinstance(self.system, Driven) and state.work is not None:
