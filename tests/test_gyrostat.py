@@ -367,8 +367,8 @@ def nutation_with_a_damper(moments, h, spin, seconds=400.0):
 
 
 def test_with_a_damper_the_rule_is_that_of_the_major_axis():
-    """λ/Ω must be above both J₁ and J₂: less stable than without. A prolate body, stable without a wheel and without
-    a damper, is stable with a wheel that makes λ/Ω the largest."""
+    """λ/Ω must be above both J₁ and J₂, or negative: less stable than without. A prolate body, stable without a wheel
+    and without a damper, is stable with a wheel that makes λ/Ω the largest."""
     moments, spin = [2.5, 2.4, 2.0], 1.0
     for h in (0.0, 0.2, 0.8, 2.0, -0.3):
         stable = moments[2] * spin + h > 2.5 * spin

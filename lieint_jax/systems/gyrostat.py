@@ -65,7 +65,8 @@ def gyrostat(inertia: ArrayLike, rotor: ArrayLike) -> Gyrostat:
     | turning freely on its bearings | J₀ − I a⊗a | I(s + a·Ω) a, constant |
 
     A spin at Ω about the principal axis 3 with h_r along it is stable if (λ − J₁Ω)(λ − J₂Ω) > 0, where λ = J₃Ω + h_r;
-    if the body dissipates energy, only if λ/Ω is above both J₁ and J₂. So a rotor can steady a spin about any axis.
+    if the body dissipates energy, only if Ω/λ < 1/J₁ and 1/J₂: λ/Ω is above both J₁ and J₂, or negative. So a rotor can
+    steady a spin about any axis.
 
     Args:
         inertia: principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3).
