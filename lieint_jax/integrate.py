@@ -185,7 +185,10 @@ def _trajectory(step: Step, state: State, clock: Uniform | Given, num_saves: int
 def _seen(step: Step, state: State, clock: Uniform | Given, save_at: Array, num_steps: int) -> Trajectory:
     """The trajectory at output times: whole steps, and before each a shorter one from its node to every output."""
     count = save_at.size
-    nodes = clock.node(save_at, num_steps)
+    span = clock.time(num_steps) - clock.time(0)
+    inside = jnp.abs(save_at - clock.time(0) - span / 2) <= jnp.abs(span) / 2 * (1 + 1e-12)  # False for NaN
+    own = clock.node(jnp.where(inside, save_at, clock.time(0)), num_steps)
+    nodes = lax.cummax(own)
     rests = save_at - clock.time(nodes)
     whole, fresh = _prepared(step, state, clock), StepInfo.fresh(state.p)
     outputs = jnp.zeros(num_steps + count, bool).at[nodes + jnp.arange(count)].set(True)
@@ -205,9 +208,7 @@ def _seen(step: Step, state: State, clock: Uniform | Given, save_at: Array, num_
     if count:
         buffer = lax.scan(one, ((state, fresh), zero, zero, buffer), outputs)[0][-1]
     later, info = buffer
-    span = clock.time(num_steps) - clock.time(0)
-    inside = jnp.abs(save_at - clock.time(0) - span / 2) <= jnp.abs(span) / 2 * (1 + 1e-12)  # False for NaN
-    info = info._replace(converged=info.converged & inside)
+    info = info._replace(converged=info.converged & inside & (own == nodes))  # else a traced time is out of order
     return _joined(state, (at_time(later, save_at), info), jnp.concatenate([clock.time(0)[None], save_at]))
 
 
