@@ -4,21 +4,37 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._checks import concrete
 from lieint_jax.types import State, Step, StepInfo, Trajectory, checked_step, on_clock, promoted
 
 
-def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_every: int = 1) -> Trajectory:
-    """Take `num_steps` steps of size `dt` and keep every `save_every`-th state.
+def integrate(
+    step: Step,
+    state: State,
+    dt: ArrayLike | None = None,
+    num_steps: int | None = None,
+    save_every: int = 1,
+    *,
+    times: ArrayLike | None = None,
+    save_at: ArrayLike | None = None,
+) -> Trajectory:
+    """Take `num_steps` steps of size `dt`, or steps from one of the `times` to the next, and keep states on the way.
 
     A `lax.scan`: vmap it over states, differentiate it forward or reverse, jit what calls it. It is compiled once for
     all steps of one structure and each pair of counts: a step made again with other numbers runs at once.
+
+    The state at an output time between two steps is that of a shorter step from the last one before: it has every
+    invariant of the step, and an error of one order above the scheme's beside that of the trajectory. The trajectory
+    does not continue from it.
 
     Args:
         step: a scheme's step.
@@ -26,37 +42,135 @@ def integrate(step: Step, state: State, dt: ArrayLike, num_steps: int, save_ever
         dt: step size, either sign.
         num_steps: a multiple of `save_every`.
         save_every: steps between saved states.
+        times: in place of dt and num_steps, the times (N+1,) between which steps lead, increasing or decreasing; the
+            first is that of the state. Steps that do not depend on the state keep the symplectic form.
+        save_at: in place of save_every, output times (m,) in the order of the run, inside it; they may repeat.
 
     Returns:
-        A `Trajectory` of num_steps/save_every + 1 entries, the initial state first. Its times, and the state's where
-        it has one, are t₀ + nΔt, where t₀ is the initial state's time, else 0.
+        A `Trajectory`, the initial state first, then those after every `save_every` steps or at the times `save_at`.
+        Its times, and the state's where it has one, are t₀ + nΔt, where t₀ is the initial state's time, else 0; or as
+        given.
 
     Raises:
-        ValueError: a bad count, a concrete state that is not one of the system, or a concrete dt past the scheme's
-            limit at the first step. Later failures, and all failures inside jit, show in `info.converged`.
+        ValueError: a bad count, times that are not finite, not in order or outside the run, a concrete state that is
+            not one of the system, or a concrete dt past the scheme's limit at the first step. Later failures, and all
+            failures inside jit, show in `info.converged`.
 
     Warns:
         RuntimeWarning: a state's time is so large that the floating-point numbers there are more than dt/10⁶ apart.
     """
-    num_steps, save_every = _checks.count("num_steps", num_steps, 0), _checks.count("save_every", save_every, 1)
-    num_saves = saves(num_steps, save_every)
     step, state, dtype = promoted(checked_step(step), state)
-    step.check(state, dt)
-    _checks.time_resolution(state.t, dt, num_steps)
-    return _trajectory(step, state, jnp.asarray(_checks.step_size(dt), dtype), num_saves, save_every)
+    clock, num_steps = _clock(state, dtype, dt, num_steps, times)
+    first = clock.size(0) if num_steps else jnp.zeros((), dtype)
+    step.check(state, first if dt is None else dt)
+    _checks.time_resolution(state.t, first if dt is None else dt, num_steps)
+    if save_at is None:
+        save_every = _checks.count("save_every", save_every, 1)
+        return _trajectory(step, state, clock, saves(num_steps, save_every), save_every)
+    if save_every != 1:
+        raise ValueError("give save_every or save_at, not both")
+    return _seen(step, state, clock, _outputs(save_at, clock, num_steps, dtype), num_steps)
+
+
+class Uniform(NamedTuple):
+    """Steps of one size.
+
+    Attributes:
+        t0: the time of the first.
+        dt: their size.
+    """
+
+    t0: Array
+    dt: Array
+
+    def size(self, n: ArrayLike) -> Array:
+        """The size of the step from node n."""
+        return self.dt
+
+    def time(self, n: ArrayLike) -> Array:
+        """The time of node n; a sum of n sizes would have the rounding errors of all."""
+        return self.t0 + n * self.dt
+
+    def node(self, t: Array, num_steps: int) -> Array:
+        """The last node that is not after the time t."""
+        n = lax.stop_gradient((t - self.t0) / self.dt)
+        near = jnp.round(n)
+        at_node = jnp.abs(t - self.time(near)) <= 4 * jnp.finfo(t.dtype).eps * jnp.abs(t)
+        return jnp.clip(jnp.where(at_node, near, jnp.floor(n)), 0, num_steps).astype(int)
+
+
+class Given(NamedTuple):
+    """Steps from one given time to the next.
+
+    Attributes:
+        times: the times of all nodes, (N+1,).
+    """
+
+    times: Array
+
+    def size(self, n: ArrayLike) -> Array:
+        """The size of the step from node n."""
+        return self.times[n + 1] - self.times[n]
+
+    def time(self, n: ArrayLike) -> Array:
+        """The time of node n."""
+        return self.times[n]
+
+    def node(self, t: Array, num_steps: int) -> Array:
+        """The last node that is not after the time t."""
+        sign = jnp.where(self.times[-1] < self.times[0], -1, 1)
+        after = jnp.searchsorted(sign * self.times, sign * t, side="right")
+        return jnp.clip(after - 1, 0, num_steps)
+
+
+def _clock(
+    state: State, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
+) -> tuple[Uniform | Given, int]:
+    """When the steps of a run are, and how many."""
+    if times is None:
+        if dt is None or num_steps is None:
+            raise ValueError("give dt and num_steps, or times")
+        t0 = jnp.zeros((), dtype) if state.t is None else state.t
+        return Uniform(t0, jnp.asarray(_checks.step_size(dt), dtype)), _checks.count("num_steps", num_steps, 0)
+    if dt is not None or num_steps is not None:
+        raise ValueError("give dt and num_steps, or times, not both")
+    nodes = _checks.real_array("times", times).astype(dtype)
+    if nodes.ndim != 1 or not nodes.size:
+        raise ValueError(f"times must have shape (N+1,), N steps, got {nodes.shape}")
+    if concrete(nodes):
+        sizes = np.diff(np.asarray(nodes))
+        if not (np.all(sizes > 0) or np.all(sizes < 0)):
+            n = int(np.argmax(sizes * np.sign(sizes[0]) <= 0))
+            raise ValueError(f"times must increase, or decrease, from one to the next, got {nodes[n : n + 2]} at {n}")
+    if state.t is not None and concrete(nodes, state.t) and float(nodes[0]) != float(state.t):
+        raise ValueError(f"times must begin at the time of the state, {float(state.t)}, got {float(nodes[0])}")
+    return Given(nodes), nodes.size - 1
+
+
+def _outputs(save_at: ArrayLike, clock: Uniform | Given, num_steps: int, dtype: Any) -> Array:
+    """The output times; ValueError if concrete ones are out of order or outside the run."""
+    wanted = _checks.real_array("save_at", save_at).astype(dtype)
+    if wanted.ndim != 1:
+        raise ValueError(f"save_at must have shape (m,), got {wanted.shape}")
+    if concrete(wanted, clock):
+        first, last = float(clock.time(0)), float(clock.time(num_steps))
+        ahead = (np.asarray(wanted, float) - first) * (1 if last >= first else -1)
+        if np.any(np.diff(ahead) < 0):
+            raise ValueError(f"save_at must be in the order of the run, from {first} to {last}, got {wanted}")
+        if wanted.size and (ahead[0] < 0 or ahead[-1] > abs(last - first) * (1 + 1e-12)):
+            raise ValueError(f"save_at must lie in the run, from {first} to {last}, got {wanted}")
+    return wanted
 
 
 @partial(jax.jit, static_argnums=(3, 4))
-def _trajectory(step: Step, state: State, dt: Array, num_saves: int, save_every: int) -> Trajectory:
-    step = step.prepare(state, dt)
+def _trajectory(step: Step, state: State, clock: Uniform | Given, num_saves: int, save_every: int) -> Trajectory:
+    step = _prepared(step, state, clock)
     started = StepInfo.fresh(state.p)
-
-    t0 = state.t
 
     def one(carry: tuple[State, StepInfo, Array], _: None) -> tuple[tuple[State, StepInfo, Array], None]:
         state, so_far, n = carry
-        state, info = step(state, dt)
-        return (on_clock(state, t0, n + 1, dt), so_far.merge(info), n + 1), None
+        state, info = step(state, clock.size(n))
+        return (at_time(state, clock.time(n + 1)), so_far.merge(info), n + 1), None
 
     def interval(carry: tuple[State, Array], _: None) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
         state, n = carry
@@ -64,16 +178,62 @@ def _trajectory(step: Step, state: State, dt: Array, num_saves: int, save_every:
         return (state, n), (state, info)
 
     _, later = lax.scan(interval, (state, jnp.zeros((), int)), None, length=num_saves)
-    return from_start(state, later, dt, save_every)
+    return _joined(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
+
+
+@partial(jax.jit, static_argnums=4)
+def _seen(step: Step, state: State, clock: Uniform | Given, save_at: Array, num_steps: int) -> Trajectory:
+    """The trajectory at output times: whole steps, and before each a shorter one from its node to every output."""
+    count = save_at.size
+    span = clock.time(num_steps) - clock.time(0)
+    inside = jnp.abs(save_at - clock.time(0) - span / 2) <= jnp.abs(span) / 2 * (1 + 1e-12)  # False for NaN
+    own = clock.node(jnp.where(inside, save_at, clock.time(0)), num_steps)
+    nodes = lax.cummax(own)
+    rests = save_at - clock.time(nodes)
+    whole, fresh = _prepared(step, state, clock), StepInfo.fresh(state.p)
+    outputs = jnp.zeros(num_steps + count, bool).at[nodes + jnp.arange(count)].set(True)
+    buffer = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype), (state, fresh))
+
+    def one(carry: Any, is_output: Array) -> tuple[Any, None]:
+        (state, so_far), n, k, buffer = carry
+        rest = rests[jnp.minimum(k, count - 1)]
+        end, info = lax.cond(is_output, lambda: step(state, rest), lambda: whole(state, clock.size(n)))
+        reached = at_time(end, clock.time(n + 1)), so_far.merge(info)
+        slot = jnp.where(is_output, k, count)
+        buffer = jax.tree.map(lambda to, x: to.at[slot].set(x, mode="drop"), buffer, (end, so_far.merge(info)))
+        following = jax.tree.map(lambda a, b: jnp.where(is_output, a, b), (state, fresh), reached)
+        return (following, n + ~is_output, k + is_output, buffer), None
+
+    zero = jnp.zeros((), int)
+    if count:
+        buffer = lax.scan(one, ((state, fresh), zero, zero, buffer), outputs)[0][-1]
+    later, info = buffer
+    info = info._replace(converged=info.converged & inside & (own == nodes))  # else a traced time is out of order
+    return _joined(state, (at_time(later, save_at), info), jnp.concatenate([clock.time(0)[None], save_at]))
+
+
+def _prepared(step: Step, state: State, clock: Uniform | Given) -> Step:
+    """The step with its constants, which hold for one step size."""
+    return step.prepare(state, clock.dt) if isinstance(clock, Uniform) else step
+
+
+def _joined(state: State, later: tuple[State, StepInfo], t: Array) -> Trajectory:
+    """The trajectory of an initial state, the states and reports after it, and the times of all."""
+    first = (state, StepInfo.fresh(state.p))
+    joined = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
+    return Trajectory(t, *joined)
 
 
 def from_start(state: State, later: tuple[State, StepInfo], dt: Array, save_every: int) -> Trajectory:
     """The trajectory of an initial state and the states and reports saved after it, `save_every` steps apart."""
-    first = (state, StepInfo.fresh(state.p))
-    joined = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
-    entries = joined[1].residual.shape[0]
-    t = joined[0].t
-    return Trajectory(dt * save_every * jnp.arange(entries, dtype=dt.dtype) if t is None else t, *joined)
+    entries = 1 + later[1].residual.shape[0]
+    t0 = jnp.zeros((), dt.dtype) if state.t is None else state.t
+    return _joined(state, later, Uniform(t0, dt).time(save_every * jnp.arange(entries)))
+
+
+def at_time(state: State, t: Array) -> State:
+    """`state` at the time t, if it has a time."""
+    return state if state.t is None else state._replace(t=t)
 
 
 def steps(

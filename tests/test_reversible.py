@@ -220,7 +220,7 @@ def test_observations_at_any_times():
         assert info.converged.all()
     back = studies.observe(exact, STATE, -0.05, -times)[0]
     np.testing.assert_allclose(back.q[0], BODY.solution(STATE, -0.33).q, atol=1e-14)
-    with pytest.raises(ValueError, match="side of 0"):
+    with pytest.raises(ValueError, match="side of the start"):
         studies.observe(exact, STATE, -0.05, times)
     with pytest.raises(ValueError, match="dt must not be 0"):
         studies.observe(exact, STATE, 0.0, times)
@@ -237,7 +237,7 @@ def test_traced_times_that_are_not_reached_are_flagged_and_harm_no_other():
 
 @pytest.mark.long
 def test_derivatives_of_observations_in_everything():
-    times = jnp.array([0.33, 1.0, 0.071])
+    times = jnp.array([0.33, 1.02, 0.071])  # at a step's end the derivative by dt is that of one side
 
     def loss(derivative, J, state, dt, times):
         step = li.schemes.so3_explicit(li.systems.RigidBody(J))  # its `prepare` depends on everything

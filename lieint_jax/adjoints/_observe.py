@@ -26,47 +26,58 @@ def observe(
     derivative: Derivative = "reversible",
     tolerance: float | None = None,
 ) -> tuple[State, StepInfo]:
-    """The states at any observation times: the nearest whole number of steps, then one shorter step.
+    """The states of `integrate(…, save_at=times)` at any observation times, with the derivatives of `reversible`.
 
-    The steps of size dt are one trajectory; each observation adds one shorter step (at most dt/2, forwards or back),
-    from which the trajectory does not continue. Derivatives are those of `reversible`, and with respect to the times.
+    The steps of size dt are one trajectory; each observation adds one shorter step from the last state before it, from
+    which the trajectory does not continue. There are derivatives with respect to the times, too.
 
     Args:
         step: a symmetric step, as a scheme makes it; with `derivative="checkpoint"`, any step.
-        state: the state at time 0.
-        dt: step size, of the sign of the times.
-        times: shape (m,), in any order.
-        derivative: as in `reversible`; for "checkpoint", times and dt must be concrete.
+        state: the initial state.
+        dt: step size, of the sign that leads to the times.
+        times: shape (m,), in any order, on the clock of `state.t`; since the start if the state has no time.
+        derivative: as in `reversible`; for "checkpoint", times, dt and the time of the state must be concrete.
         tolerance: as in `reversible`.
 
     Returns:
         The states, with a leading axis (m,), and for each the report of all steps since the previous observation.
-        Traced times cannot raise: those on the wrong side of 0, and all of them if dt = 0, have `converged=False`.
+        Traced times cannot raise: those on the wrong side of the start, and all of them if dt = 0, have
+        `converged=False`.
 
     Raises:
-        ValueError: times not finite, or on the side of 0 that dt does not lead to; dt = 0; the rest as `reversible`.
+        ValueError: times not finite, or on the side of the start that dt does not lead to; dt = 0; the rest as
+            `reversible`.
     """
     step, state, h = checked(step, state, dt, derivative)
     t = _checks.real_array("times", times).astype(h.dtype)
     if t.ndim != 1:
         raise ValueError(f"times must have shape (m,), got {t.shape}; use jax.vmap for batches")
-    known = concrete(times, dt)  # then no tracer is involved, inside jit or not
+    t0: Any = np.zeros((), h.dtype) if state.t is None else state.t
+    known = concrete(times, dt, t0)  # then no tracer is involved, inside jit or not
     xp: Any = np if known else jnp
-    if known and not np.all(np.asarray(times, float) * float(np.asarray(dt)) >= 0):
-        raise ValueError(f"times must lie on the side of 0 that dt = {dt} leads to, got {np.asarray(times)}")
+    since = np.asarray(times, float) - np.asarray(t0, float) if known else t - t0
+    if known and not np.all(since * float(np.asarray(dt)) >= 0):
+        raise ValueError(
+            f"times must lie on the side of the start, t = {t0}, that dt = {dt} leads to, got {np.asarray(times)}"
+        )
     if known and not float(np.asarray(dt)):
         raise ValueError("dt must not be 0: no number of steps leads to other times")
-    ratio = np.asarray(times, float) / np.asarray(dt, float) if known else lax.stop_gradient(t / h)
-    reached = xp.isfinite(ratio) & (ratio >= -1e-9)  # False for traced times on the wrong side of 0
-    whole = xp.round(xp.where(reached, ratio, 0)).astype(np.int32)
+    ratio = since / np.asarray(dt, float) if known else lax.stop_gradient(since / h)
+    reached = xp.isfinite(ratio) & (ratio >= -1e-9)  # False for traced times on the wrong side of the start
+    ratio, rounding = xp.where(reached, ratio, 0), 4 * float(jnp.finfo(h.dtype).eps)
+    nearest = xp.round(ratio)
+    at_node = xp.abs(ratio - nearest) <= rounding * (1 + xp.abs(ratio))
+    whole = xp.where(at_node, nearest, xp.floor(ratio)).astype(np.int32)
     order = xp.argsort(whole)
     if derivative == "checkpoint":
         if not known:
-            raise ValueError('derivative="checkpoint" needs concrete times and dt: the number of steps is compiled in')
+            raise ValueError(
+                'derivative="checkpoint" needs concrete times, dt and state.t: the number of steps is compiled in'
+            )
         later = checkpointed(step, state, h, tuple(np.diff(whole[order], prepend=0).tolist()))
     else:
         later = undoable(step, state, h, xp.diff(whole[order], prepend=0), tolerance)
-    return _seen(step, later, xp.argsort(order), _rest(t, h, whole), reached)
+    return _seen(step, later, xp.argsort(order), _rest(t - t0, h, whole), reached)
 
 
 @jax.custom_jvp
