@@ -29,7 +29,8 @@ class Certificate(NamedTuple):
         momentum: max|Φ_n − Φ₀| / max|Φ₀| over the components of the momentum map; nan if there is none.
         constraint: largest defect of the configuration, such as ||q|² − 1|.
         symplectic_defect: max|Lᵀω(z₁)L − ω(z₀)| of the first step, momenta measured in max|π|.
-        symplectic_order: r of a defect O(Δtʳ) per step, from dt and dt/2; inf if the defect is round-off.
+        symplectic_order: r of a defect O(Δtʳ) per step, from dt and dt/2; inf if the defect is round-off. Below
+            order + 1 it is that of the motion, which dissipates or has torques without a potential.
         order: measured order of accuracy; inf if exact to round-off.
         reversibility: max|z − step(step(z, dt), −dt)|, momenta measured in max|π|.
         residual: largest residual of the run.
@@ -56,14 +57,11 @@ class Certificate(NamedTuple):
     def __str__(self) -> str:
         eps = float(jnp.finfo(self.precision).eps)
         exact = 16 * eps * math.sqrt(max(self.num_steps, 1))
-        form = (
-            "exact to round-off" if math.isinf(self.symplectic_order) else f"broken as dt^{self.symplectic_order:.2f}"
-        )
         rows = [
             ("energy less work" if self.work else "energy", self.energy, _kept(self.energy, exact, eps)),
             ("momentum", self.momentum, _kept(self.momentum, exact, eps)),
             ("constraint", self.constraint, _kept(self.constraint, exact, eps)),
-            ("symplectic form", self.symplectic_defect, f"{form} a step"),
+            ("symplectic form", self.symplectic_defect, self._form()),
             ("reversibility", self.reversibility, _kept(self.reversibility, exact, eps, "reversible")),
             ("residual", self.residual, "every step converged" if self.converged else "NOT every step converged"),
             ("order", self.order, "exact flow" if math.isinf(self.order) else f"measured {self.order:.2f}"),
@@ -71,6 +69,15 @@ class Certificate(NamedTuple):
         head = f"{self.scheme} · {self.system} · dt = {self.dt:g}, {self.num_steps} steps, {self.precision}"
         lines = [f"  {name:<16} {value:>9.2g}   {verdict}" for name, value, verdict in rows]
         return "\n".join([head, *lines])
+
+    def _form(self) -> str:
+        """The verdict on the form. A step of order r errs as dt^(r+1): a larger defect is that of the motion itself."""
+        if math.isinf(self.symplectic_order):
+            return "exact to round-off a step"
+        law = f"as dt^{self.symplectic_order:.2f} a step"
+        if self.symplectic_order < self.order + 0.5:
+            return f"not kept by the motion itself: it changes {law}"
+        return f"broken {law}"
 
 
 def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
