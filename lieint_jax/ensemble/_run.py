@@ -259,7 +259,8 @@ def _checked(states: State) -> tuple[State, Any]:
     for name, x in named(states).items():
         bad = np.flatnonzero(~np.isfinite(np.asarray(x)).reshape(len(x) if x.ndim else 1, -1).all(axis=1))
         if bad.size:
-            raise ValueError(f"states.{_spoken(name)} must be finite; {_some(bad) if x.ndim else 'it is'} not")
+            where = f", and is not for {_some(bad)}" if x.ndim else f", got {x}"
+            raise ValueError(f"states.{_spoken(name)} must be finite{where}")
     t, work = states.t, states.work
     if t is not None and t.ndim and np.all(np.asarray(t) == np.asarray(t[0])):
         t = t[0]
