@@ -109,7 +109,7 @@ def _compiled(name: str, system: Any, adaptive: bool, wide: bool, whole: bool = 
     """(states, number of steps, dt, rtol) ↦ states, compiled once for all numbers."""
     import diffrax
 
-    def rate(t: jax.Array, z: li.State) -> li.State:
+    def rate(t: Any, z: li.State) -> li.State:
         if not isinstance(system, Driven):
             return system.vector_field(z)
         return system.vector_field(z._replace(t=t))._replace(work=None)
