@@ -60,8 +60,12 @@ class Kepler:
             in_plane = _on_hyperbola(M, e) if float(e) > 1 else _on_ellipse(M, e)
         else:
             closed = e < 1
-            ellipse, hyperbola = _on_ellipse(M, jnp.where(closed, e, 0.5)), _on_hyperbola(M, jnp.where(closed, 2, e))
-            in_plane = tuple(jnp.where(closed, *pair) for pair in zip(ellipse, hyperbola, strict=True))
+            # In a loop over bodies that share e and t, only one branch runs, and XLA does not fuse it into each of them
+            in_plane = lax.cond(
+                closed,
+                lambda: _on_ellipse(M, jnp.where(closed, e, 0.5)),
+                lambda: _on_hyperbola(M, jnp.where(closed, 2, e)),
+            )
         x, y, vx, vy = in_plane
         speed = jnp.sqrt(self.mu / a)
         P, Q = self._axes()

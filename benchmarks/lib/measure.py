@@ -32,6 +32,7 @@ INERTIA, DT, END, WATCHED, BATCH = (1.0, 2.0, 3.0), 0.05, 10.0, 16, 1000
 KAPPAS = (kappa_symplectic, kappa_cayley, kappa_exponential)
 DTYPES = ("float64", "float32")
 WIDE = ", wide vectors"
+_PACKAGES = ("jax", "numpy", "diffrax", "mujoco", "scipy", "heyoka", "astrojax")
 _LEVELS = (4, 8)  # steps per unit of time of the two references by `by_flow`
 
 
@@ -91,14 +92,18 @@ def midpoint(kappa: Kappa, dtype: str = "float64", wide: bool = False) -> Contes
     return ours(f"ours, {kappa.name} κ" + (WIDE if wide else ""), step, DT, wide, pace)
 
 
-def ours(name: str, step: li.Step, dt: float, wide: bool, pace: float = 1e7) -> Contestant:
-    """A step as a contestant: `integrate`, vmapped and jitted, with the batch split over all devices."""
+def ours(name: str, step: li.Step, dt: float, wide: bool, pace: float = 1e7, t: float | None = None) -> Contestant:
+    """A step as a contestant: `integrate`, vmapped and jitted, with the batch split over all devices.
+
+    With `t` given, runs start at that time, which all bodies share.
+    """
     dtype = str(jax.tree.leaves(step.system)[0].dtype)
     split = NamedSharding(Mesh(np.array(jax.devices()), ("bodies",)), PartitionSpec("bodies"))
 
     @partial(jax.jit, static_argnums=1, compiler_options=compiler_options() if wide else {})
     def run(states: li.State, n: int) -> tuple[li.State, li.StepInfo]:
-        trajectory = jax.vmap(lambda z: li.integrate(step, z, dt, n, n))(states)
+        start = None if t is None else jnp.asarray(t, dtype)
+        trajectory = jax.vmap(lambda z: li.integrate(step, z._replace(t=start), dt, n, n))(states)
         return jax.tree.map(lambda leaf: leaf[:, -1], (trajectory.state, trajectory.info))
 
     def load(q: np.ndarray, p: np.ndarray) -> tuple[li.State, li.StepInfo]:
@@ -167,7 +172,7 @@ def machine() -> dict[str, Any]:
     return {
         "cpu": cpu.group(1) if cpu else platform.processor(),
         "python": platform.python_version(),
-        "packages": {name: _version(name) for name in ("jax", "numpy", "diffrax", "mujoco", "scipy")},
+        "packages": {name: _version(name) for name in _PACKAGES},
     }
 
 

@@ -1,11 +1,16 @@
-"""Other packages as contestants: diffrax, MuJoCo, scipy. Each function imports its package and makes a contestant.
+"""Other packages as contestants: diffrax, MuJoCo, scipy, heyoka, astrojax. Each function imports its package.
 
 Each package is used as its documentation recommends, in its fastest way. diffrax integrates our vector field
 (quaternion and spatial momentum, so momentum is exact there too; 25 % faster than the same with jnp.cross), vmapped,
 with dt0 = dt and constant steps; with time counted in steps, so that dt0 = 1, it runs 10 % faster. Adaptive, it takes
 its PIDController with rtol = atol and finds its first step; a batch then takes as many steps as its worst body. MuJoCo
 has contacts and constraints switched off, one thread, many states a call; its rollout keeps every state. scipy takes
-one body at a time, with Euler's equations in plain floats, which is faster there than numpy.
+one body at a time, with Euler's equations in plain floats, which is faster there than numpy. heyoka compiles Taylor
+series of eight bodies at once (eight lanes were faster than four and sixteen, and its compact mode took 1.7 to 2.5
+times as long); the orbit's motion is integrated along, which is faster there than Kepler's equation. astrojax steps
+with a time that the bodies share, so that its position function is called once for all. Its own composition of the
+torque and the motion of the quaternion is not used: in 0.8 the torque reads a quaternion as the inverse of the rotation
+that the motion does, so that the two together are no satellite. Here the torque gets the conjugate.
 """
 
 from __future__ import annotations
@@ -22,8 +27,10 @@ from lib.contest import Contestant
 import lieint_jax as li
 from lieint_jax.ensemble import compiler_options
 from lieint_jax.groups import so3
+from lieint_jax.types import Driven
 
 _PACES = {"Tsit5": 6e6, "Dopri8": 1.5e6}  # body-steps a second, about
+_LANES = 8  # bodies that heyoka integrates at once
 _ROLLOUT = 100  # steps per call of MuJoCo's rollout, which keeps every state
 
 _MODEL = """
@@ -59,11 +66,16 @@ tsit5 = partial(_diffrax, "Tsit5")  # of order 5
 dopri8 = partial(_diffrax, "Dopri8")  # of order 8
 
 
-def tsit5_of(system: Any, dt: float, wide: bool = False) -> Contestant:
-    """diffrax's Tsit5 on the right-hand side of any system, vmapped, steps of dt, float64."""
-    name = "Tsit5"
-    found = _contestant(name, _compiled(name, system, False, wide), dt, "float64", None, pace=1.5e6)
-    return found._replace(name=found.name + ", wide vectors" * wide)
+def tsit5_of(
+    system: Any, dt: float, wide: bool = False, rtol: float | None = None, whole: bool = False, name: str = "Tsit5"
+) -> Contestant:
+    """A solver of diffrax on the right-hand side of any system, vmapped or of the `whole` batch, steps of dt, float64.
+
+    A driven system starts at t = 0. The members of a whole batch share their time.
+    """
+    found = _contestant(name, _compiled(name, system, rtol is not None, wide, whole), dt, "float64", rtol, pace=1.5e6)
+    title = found.name.replace("vmapped", "one solve of the batch") if whole else found.name
+    return found._replace(name=title + ", wide vectors" * wide)
 
 
 def _contestant(
@@ -93,12 +105,18 @@ def _solver(
     return _compiled(name, body, adaptive, wide)
 
 
-def _compiled(name: str, system: Any, adaptive: bool, wide: bool) -> Callable[..., li.State]:
+def _compiled(name: str, system: Any, adaptive: bool, wide: bool, whole: bool = False) -> Callable[..., li.State]:
     """(states, number of steps, dt, rtol) ↦ states, compiled once for all numbers."""
     import diffrax
 
+    def rate(t: Any, z: li.State) -> li.State:
+        if not isinstance(system, Driven):
+            return system.vector_field(z)
+        return system.vector_field(z._replace(t=t))._replace(work=None)
+
     solver: Any = getattr(diffrax, name)()
-    term = diffrax.ODETerm(lambda t, z, args: system.vector_field(z))
+    field = jax.vmap(rate, (None, 0)) if whole else rate
+    term = diffrax.ODETerm(lambda t, z, args: field(t, z))
     zero = np.zeros((), jax.tree.leaves(system)[0].dtype)
 
     @partial(jax.jit, compiler_options=compiler_options() if wide else {})
@@ -112,6 +130,8 @@ def _compiled(name: str, system: Any, adaptive: bool, wide: bool) -> Callable[..
                 term, solver, zero, end, first, z, stepsize_controller=controller, max_steps=None
             ).ys
 
+        if whole:
+            return jax.tree.map(lambda leaf: leaf[-1], one_body(states))
         return jax.tree.map(lambda leaf: leaf[:, -1], jax.vmap(one_body)(states))
 
     return solve
@@ -179,6 +199,117 @@ def _euler(J1: float, J2: float, J3: float) -> Callable[[float, np.ndarray], lis
         return [*q_dot, (w * t + x * v - y * u) / 2, b * t - c * v, c * u - a * t, a * v - b * u]
 
     return field
+
+
+def heyoka_taylor(inertia: Sequence[float], eccentricity: float, dt: float, rtol: float) -> Contestant:
+    """heyoka's adaptive Taylor series for satellites on an orbit with μ = a = 1; its "step" is a time dt, from t = 0.
+
+    Body momenta and quaternions, and the orbit from its periapsis on; the tolerance is `rtol`.
+    """
+    import heyoka
+
+    J, e = np.asarray(inertia), eccentricity
+    periapsis = np.array([1 - e, 0.0, 0.0, np.sqrt((1 + e) / (1 - e))])
+    equations = _gravity_gradient(heyoka, *map(float, J))
+    batch: Any = heyoka.taylor_adaptive_batch(equations, np.zeros((len(equations), _LANES)), tol=rtol)
+
+    def load(q: np.ndarray, p: np.ndarray) -> np.ndarray:
+        return np.concatenate([q, _to_body(q, p), np.tile(periapsis, (len(q), 1))], axis=1)
+
+    def advance(states: np.ndarray, num_steps: int) -> np.ndarray:
+        ends = np.empty_like(states)
+        for first in range(0, len(states), _LANES):
+            some = states[first : first + _LANES]
+            batch.state[:] = np.resize(some, (_LANES, states.shape[1])).T
+            batch.set_time(0.0)
+            batch.propagate_until(num_steps * dt)
+            ends[first : first + _LANES] = batch.state.T[: len(some)]
+        return ends
+
+    def read(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        q = states[:, :4] / np.linalg.norm(states[:, :4], axis=1, keepdims=True)
+        return q, _to_space(q, states[:, 4:7])
+
+    return Contestant(f"heyoka, Taylor, tolerance {rtol:g}", "float64", 1e4, load, advance, read)
+
+
+def _gravity_gradient(heyoka: Any, J1: float, J2: float, J3: float) -> list[Any]:
+    """q̇ = ½ q Ω, Π̇ = Π × Ω + (3/r⁵) Γ × JΓ with Γ the position (X, Y, 0) in the body, and Kepler's motion of it."""
+    w, x, y, z, a, b, c = heyoka.make_vars("w", "x", "y", "z", "a", "b", "c")
+    X, Y, U, V = heyoka.make_vars("X", "Y", "U", "V")
+    square = X * X + Y * Y
+    k = 3.0 * square**-2.5
+    u, v, s = a / J1, b / J2, c / J3
+    G1 = (1 - 2 * (y * y + z * z)) * X + 2 * (x * y + w * z) * Y
+    G2 = 2 * (x * y - w * z) * X + (1 - 2 * (x * x + z * z)) * Y
+    G3 = 2 * (x * z + w * y) * X + 2 * (y * z - w * x) * Y
+    return [
+        (w, -0.5 * (x * u + y * v + z * s)),
+        (x, 0.5 * (w * u + y * s - z * v)),
+        (y, 0.5 * (w * v + z * u - x * s)),
+        (z, 0.5 * (w * s + x * v - y * u)),
+        (a, b * s - c * v + (J3 - J2) * k * G2 * G3),
+        (b, c * u - a * s + (J1 - J3) * k * G3 * G1),
+        (c, a * v - b * u + (J2 - J1) * k * G1 * G2),
+        (X, U),
+        (Y, V),
+        (U, -X * square**-1.5),
+        (V, -Y * square**-1.5),
+    ]
+
+
+def astrojax_of(inertia: Sequence[float], orbit: Any, dt: float, rtol: float | None = None) -> Contestant:
+    """astrojax's gravity gradient on an orbit with μ = 1: RK4 with steps of dt, or DP54 with rtol = atol, from t = 0.
+
+    RK4 at a time that all share; adaptive, a body has a time of its own, and a "step" is a time dt.
+    """
+    from astrojax import set_dtype
+    from astrojax.attitude_dynamics.euler_dynamics import euler_equation, quaternion_derivative
+    from astrojax.attitude_dynamics.gravity_gradient import torque_gravity_gradient
+    from astrojax.integrators import AdaptiveConfig, dp54_step, rk4_step
+
+    set_dtype(jnp.float64)  # pyright: ignore[reportArgumentType]
+    diagonal = np.asarray(inertia)
+    J, conjugate = np.diag(diagonal), np.array([1.0, -1.0, -1.0, -1.0])
+
+    def field(t: Any, x: Any) -> jax.Array:
+        torque = torque_gravity_gradient(conjugate * x[:4], orbit(t)[0], J, 1.0)
+        return jnp.concatenate([quaternion_derivative(x[:4], x[4:]), euler_equation(x[4:], J, torque)])
+
+    @partial(jax.jit, compiler_options=compiler_options())
+    def constant(states: jax.Array, num_steps: jax.Array) -> jax.Array:
+        def one(n: jax.Array, x: jax.Array) -> jax.Array:
+            return jax.vmap(lambda x: rk4_step(field, n * dt, x, dt).state)(x)
+
+        return jax.lax.fori_loop(0, num_steps, one, states)
+
+    @partial(jax.jit, compiler_options=compiler_options())
+    def adaptive(states: jax.Array, num_steps: jax.Array) -> jax.Array:
+        end, tolerances = num_steps * dt, AdaptiveConfig(abs_tol=rtol, rel_tol=rtol)  # pyright: ignore[reportArgumentType]
+
+        def one(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+            t, h, x = carry
+            made = dp54_step(field, t, x, jnp.minimum(h, end - t), tolerances)
+            return t + made.dt_used, made.dt_next, made.state
+
+        def body(x: jax.Array) -> jax.Array:
+            return jax.lax.while_loop(lambda carry: carry[0] < end, one, (0.0 * end, 0.0 * end + 0.01, x))[2]
+
+        return jax.vmap(body)(states)
+
+    def load(q: np.ndarray, p: np.ndarray) -> jax.Array:
+        return jnp.concatenate([jnp.asarray(q), jnp.asarray(_to_body(q, p) / diagonal)], axis=1)
+
+    def advance(states: jax.Array, num_steps: int) -> jax.Array:
+        return jax.block_until_ready((constant if rtol is None else adaptive)(states, num_steps))
+
+    def read(states: jax.Array) -> tuple[np.ndarray, np.ndarray]:
+        x = np.asarray(states)
+        q = x[:, :4] / np.linalg.norm(x[:, :4], axis=1, keepdims=True)
+        return q, _to_space(q, diagonal * x[:, 4:])
+
+    title = "astrojax RK4, vmapped" if rtol is None else "astrojax DP54, vmapped, adaptive"
+    return Contestant(title, "float64", 1e6, load, advance, read)
 
 
 def _to_body(q: np.ndarray, p: np.ndarray) -> np.ndarray:

@@ -82,10 +82,10 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
     seen: dict[float, float] = {}
 
     step.check(state, dt)
-    step, state, _ = promoted(step, state)
+    step, state, dtype = promoted(step, state)
 
     def look(n: int) -> None:
-        last, info = _after(step, state, T / n, n)
+        last, info = _after(step, state, jnp.asarray(T / n, dtype), n)
         error = float(distance(last, end))
         if error > floor and bool(info.converged):
             seen[T / n] = error
@@ -95,7 +95,7 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
     n = num_steps
     while len(seen) < 2 and n > 1:
         n //= 2
-        if not _after(step, state, T / n, 1)[1].converged:
+        if not _after(step, state, jnp.asarray(T / n, dtype), 1)[1].converged:
             break
         look(n)
     if len(seen) < 2:
@@ -124,9 +124,6 @@ def reversibility(step: Step, state: State, dt: ArrayLike) -> Array:
     """`distance` of z and step(step(z, dt), −dt): zero to round-off if and only if the step is time-symmetric here."""
     step.check(state, dt)
     step, state, dtype = promoted(step, state)
-    return distance(_there_and_back(step, state, jnp.asarray(_checks.step_size(dt), dtype)), state)
-
-
-@jax.jit
-def _there_and_back(step: Step, state: State, dt: Array) -> State:
-    return lax.fori_loop(0, 2, lambda k, z: step(z, jnp.where(k == 0, dt, -dt))[0], state)
+    h = jnp.asarray(_checks.step_size(dt), dtype)
+    there, _ = _after(step, state, h, 1)  # `order` has the same program
+    return distance(_after(step, there, -h, 1)[0], state)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import jax
 import jax.numpy as jnp
@@ -10,10 +10,10 @@ import numpy as np
 from jax import Array
 from pydantic import field_validator, model_validator
 
-from lieint_jax import _checks
+from lieint_jax import _checks, maps, schemes
 from lieint_jax.groups import so3
 from lieint_jax.scenarios._common import Common, NonNegative, Quadruple, Rate, RateSpread, Triple
-from lieint_jax.types import State
+from lieint_jax.types import State, Step
 
 
 class InitialState(Rate):
@@ -68,16 +68,46 @@ class BodyScenario(Common):
         )
 
 
+class TopScenario(BodyScenario):
+    """The keys of every scenario of a rigid body in a potential with an axis."""
+
+    scheme: Literal["top_energy_momentum", "splitting"] = "top_energy_momentum"
+    kappa: Literal["cayley", "exponential", "symplectic"] | None = None
+    """The κ of top_energy_momentum; by default cayley."""
+    order: Literal[2, 4, 6, 8] = 2
+    """Of accuracy; above 2 by composition."""
+
+    @model_validator(mode="after")
+    def _kappa_of_the_scheme(self) -> Self:
+        if self.kappa is not None and self.scheme == "splitting":
+            raise ValueError("kappa is a key of top_energy_momentum; splitting takes the symplectic one")
+        return self
+
+
+def top_schemes(scenario: TopScenario, top: Any) -> dict[str, Step]:
+    """The two schemes for tops, at the order of the scenario."""
+    two: dict[str, Step] = {
+        "top_energy_momentum": schemes.top_energy_momentum(top, getattr(maps, f"kappa_{scenario.kappa or 'cayley'}")),
+        "splitting": schemes.splitting(top),
+    }
+    return two if scenario.order == 2 else {k: schemes.compose(step, scenario.order) for k, step in two.items()}
+
+
 def ensemble(scenario: BodyScenario, body: Any) -> State:
     """The members' states, the nominal one first."""
+    q, Omega = scenario.state.attitude(), jnp.asarray(scenario.state.rate())
+    return about(scenario, body, q, Omega)
+
+
+def about(scenario: BodyScenario, body: Any, q: Array, Omega: Array, **options: Any) -> State:
+    """The members' states about an attitude and a body angular velocity; `options` go to `body.state`."""
     kick, jolt = jax.random.normal(jax.random.key(scenario.seed), (2, scenario.members, 3))
     kick, jolt = (x.at[0].set(0.0) for x in (kick, jolt))
     kick = jnp.deg2rad(scenario.spread.attitude_deg) * kick
     jolt = scenario.spread.rate() * jolt
-    q, Omega = scenario.state.attitude(), jnp.asarray(scenario.state.rate())
 
     def member(kick: Array, jolt: Array) -> State:
-        return body.state(so3.multiply(so3.exp(kick), q), angular_velocity=Omega + jolt)
+        return body.state(so3.multiply(so3.exp(kick), q), angular_velocity=Omega + jolt, **options)
 
     return jax.vmap(member)(kick, jolt)
 
@@ -85,3 +115,9 @@ def ensemble(scenario: BodyScenario, body: Any) -> State:
 def in_space(q: Any, axis: Any) -> np.ndarray:
     """The direction in space of an axis of the body, (n, 3), at attitudes (n, 4)."""
     return np.asarray(jax.vmap(so3.Ad, in_axes=(0, None))(jnp.asarray(q), jnp.asarray(axis)))
+
+
+def inertia_matrix(body: Any) -> np.ndarray:
+    """The inertia of a body as a matrix (3, 3), also where it is given by principal moments."""
+    J = np.asarray(body.inertia)
+    return np.diag(J) if J.ndim == 1 else J

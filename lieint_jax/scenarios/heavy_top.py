@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
-from pydantic import field_validator, model_validator
+from pydantic import field_validator
 
-from lieint_jax import diagnostics, maps, plots, schemes, systems
+from lieint_jax import diagnostics, plots, systems
 from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
-from lieint_jax.scenarios._body import BodyScenario, ensemble, in_space
+from lieint_jax.scenarios._body import TopScenario, ensemble, in_space, inertia_matrix, top_schemes
 from lieint_jax.scenarios._common import LONGEST, POINTS, Triple, deviation, follow, nominal, series
 from lieint_jax.scenarios._runge_kutta import RungeKutta, cost
 from lieint_jax.systems import PotentialTop, kovalevskaya_integral, lagrange_motion
@@ -24,7 +24,7 @@ _LONG = 10  # length of the energies' picture, over that of the run
 _SAMPLES = 6  # the fewest saved states per nutation from which it is measured
 
 
-class Scenario(BodyScenario):
+class Scenario(TopScenario):
     """The keys of a scenario of this kind."""
 
     system: Literal["heavy_top"]  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -32,11 +32,6 @@ class Scenario(BodyScenario):
     """The weight times the vector to the centre of mass, in body axes: an energy."""
     axis: Triple = [0.0, 0.0, 1.0]
     """The direction in space along which the potential energy grows: upwards."""
-    scheme: Literal["top_energy_momentum", "splitting"] = "top_energy_momentum"
-    kappa: Literal["cayley", "exponential", "symplectic"] | None = None
-    """The κ of top_energy_momentum; by default cayley."""
-    order: Literal[2, 4, 6, 8] = 2
-    """Of accuracy; above 2 by composition."""
 
     @field_validator("weight", "axis")
     @classmethod
@@ -45,26 +40,11 @@ class Scenario(BodyScenario):
             raise ValueError("must not be zero; a body without weight is a rigid_body")
         return value
 
-    @model_validator(mode="after")
-    def _kappa_of_the_scheme(self) -> Self:
-        if self.kappa is not None and self.scheme == "splitting":
-            raise ValueError("kappa is a key of top_energy_momentum; splitting takes the symplectic one")
-        return self
-
 
 def build(scenario: Scenario) -> tuple[Step, State]:
     """The step and the batch of initial states."""
     top = systems.heavy_top(scenario.inertia, scenario.weight, scenario.axis)
-    return _schemes(scenario, top)[scenario.scheme], ensemble(scenario, top)
-
-
-def _schemes(scenario: Scenario, top: Any) -> dict[str, Step]:
-    """The two schemes for tops, at the order of the scenario."""
-    two: dict[str, Step] = {
-        "top_energy_momentum": schemes.top_energy_momentum(top, getattr(maps, f"kappa_{scenario.kappa or 'cayley'}")),
-        "splitting": schemes.splitting(top),
-    }
-    return two if scenario.order == 2 else {k: schemes.compose(step, scenario.order) for k, step in two.items()}
+    return top_schemes(scenario, top)[scenario.scheme], ensemble(scenario, top)
 
 
 class Comparison(NamedTuple):
@@ -99,7 +79,7 @@ def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
 
 def is_lagrange(top: PotentialTop) -> bool:
     """True if the top is symmetric about the axis to its centre of mass, and that axis is the third."""
-    J, E = _inertia(top), _weight(top)
+    J, E = inertia_matrix(top), _weight(top)
     size = 1e-12 * J.max()
     symmetric = abs(J[0, 0] - J[1, 1]) <= size and abs(J - np.diag(np.diag(J))).max() <= size
     return bool(symmetric and abs(E[:2]).max() <= 1e-12 * abs(E[2]))
@@ -114,7 +94,7 @@ def changes(top: PotentialTop, run: Trajectory) -> dict[str, float]:
         "energy, relative": _change(series(top.energy, run), kinetic + size),
         "γ·π, relative to |π|": _change(series(lambda z: top.momentum(z)[0], run), momentum),
     }
-    J, E = _inertia(top), _weight(top)
+    J, E = inertia_matrix(top), _weight(top)
     if is_lagrange(top):
         found["Π₃, relative to |π|"] = _change(series(lambda z: top.body_momentum(z)[2], run), momentum)
     if np.allclose(J, np.diag([2.0, 2.0, 1.0]) * J[2, 2], atol=1e-12) and not E[1:].any():
@@ -125,11 +105,6 @@ def changes(top: PotentialTop, run: Trajectory) -> dict[str, float]:
 
 def _change(x: np.ndarray, size: np.ndarray) -> float:
     return float((abs(x - x[0]) / size).max())
-
-
-def _inertia(top: PotentialTop) -> np.ndarray:
-    J = np.asarray(top.inertia)
-    return np.diag(J) if J.ndim == 1 else J
 
 
 def _weight(top: PotentialTop) -> np.ndarray:
@@ -225,7 +200,7 @@ def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
 def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot the largest energy error so far of each scheme, and of Runge–Kutta at the cost of the slower scheme."""
     top, start, dt = step.system, nominal(run), scenario.dt
-    both, peer = _schemes(scenario, top), RungeKutta(top)
+    both, peer = top_schemes(scenario, top), RungeKutta(top)
     ratio = cost(peer, start, dt) / max(cost(scheme, start, dt) for scheme in both.values())
     end = dt * min(_LONG * scenario.steps, LONGEST)
     t, curves = np.linspace(0, end, POINTS + 1)[1:], {}

@@ -15,7 +15,7 @@ from lieint_jax import diagnostics, maps, plots, schemes, systems
 from lieint_jax.groups import so3
 from lieint_jax.integrate import integrate
 from lieint_jax.phase_spaces import frame
-from lieint_jax.scenarios._body import BodyScenario, InitialState, ensemble, in_space
+from lieint_jax.scenarios._body import BodyScenario, InitialState, ensemble, in_space, inertia_matrix
 from lieint_jax.scenarios._common import Published, Text, deviation, follow, nominal, thinned
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, Trajectory
@@ -140,8 +140,7 @@ def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarr
     Returns:
         Arrays (members,); nan where states are saved too far apart to follow the angles (more than 2.5 rad at |Π|/J₁).
     """
-    J = np.asarray(body.inertia)
-    moments, axes = np.linalg.eigh(np.diag(J) if J.ndim == 1 else J)  # ascending; columns are axes in the body
+    moments, axes = np.linalg.eigh(inertia_matrix(body))  # ascending; columns are axes in the body
     axes[:, 2] *= np.linalg.det(axes)  # right-handed
     matrix = jax.jit(jax.vmap(so3.to_matrix))
     precession, rotation = [], []

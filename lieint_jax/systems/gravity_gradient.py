@@ -63,6 +63,12 @@ class GravityGradient(MovedBody):
         """γ(t) = √(3μ/r³) r̂."""
         return TidalAxis(self.orbit, self.mu)
 
+    def force(self, q: Array, t: Array) -> Array:
+        """γ × ΛJΛᵀγ, the torque in space, shape (3,): what autodiff finds, in fewer operations."""
+        axis = self.axis_at(t)
+        Gamma = so3.Ad_star(q, axis)
+        return jnp.stack(three.cross(axis, so3.Ad(q, three.apply(three.symmetric(self.inertia), Gamma))))
+
 
 def gravity_gradient(
     inertia: ArrayLike, orbit: Callable[[Array], tuple[Array, Array]], mu: ArrayLike | None = None
