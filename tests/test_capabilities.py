@@ -162,7 +162,7 @@ def test_every_system_declares_what_it_is():
     """The examples of all systems: each is of one capability at least, and none of two that exclude each other."""
     flows = (types.FreeBody, types.EmbeddedBody, types.GeodesicFlow, types.RightGeodesicFlow)
     kinds = (*flows, types.Forced, types.ElasticBody, types.IncompressibleBody, types.OnSphere)
-    kinds += (types.TorquedBody, types.DampedBody)
+    kinds += (types.Gyrostat, types.DrivenGyrostat, types.Driven, types.TorquedBody, types.DampedBody)
     for name, (system, _, _) in systems():
         assert isinstance(system, types.System), name
         assert sum(isinstance(system, kind) for kind in kinds) == 1, name
