@@ -406,8 +406,12 @@ def accepted(name, seed, k):
     return done
 
 
+LONGER = (_gyrostat, _motor, _driven, _satellite, _viscous, _controlled, _kane)  # whose steps compile for a second
+NAMES = [pytest.param(name, marks=[pytest.mark.long] * (ATTACKS[name][0] in LONGER)) for name in ATTACKS]
+
+
 @pytest.mark.filterwarnings("ignore:principal moments")
-@pytest.mark.parametrize("name", ATTACKS)
+@pytest.mark.parametrize("name", NAMES)
 @settings(max_examples=6)
 @given(seed=st.integers(0, 2**31), k=st.integers(0, SPOILT - 1))
 def test_what_is_no_body_no_state_and_no_step_size_is_refused(name, seed, k):
