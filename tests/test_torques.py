@@ -677,6 +677,7 @@ def test_a_torque_that_becomes_nan_is_flagged_and_at_the_start_refused():
     assert not after(steps_to[-0.1], start, jnp.array(0.1), 1)[1].converged  # inside jit nothing raises
 
 
+@pytest.mark.long
 def test_advice_where_a_step_is_too_large():
     start = moving(J, [0.5, 3.0, 0.2])._replace(t=jnp.array(0.0))
     with pytest.raises(ValueError, match=r"does not converge at dt = 9\.0.* the torque is too stiff.* smaller dt"):
