@@ -367,7 +367,7 @@ def negative(x, rng):
 
 
 NEVER = (nan, infinite, too_narrow, complex_, too_long)  # of what can be no number of a system, a state or a step size
-OFF = {_elastic: inside_out, _embedded: inside_out, _incompressible: off_the_space}  # what takes q off its space, if not off_the_space
+OFF = {_elastic: inside_out, _embedded: inside_out}  # what takes q off its space, by default off_the_space
 POSITIVE = {_elastic: (0, 1), _incompressible: (0, 1), _kane: (0, 1), _satellite: (0, 1)}  # numbers, by default the 1st
 NOT_NEGATIVE = {_viscous: (1,), _controlled: (1, 2), _kane: (2,), _friction: (1,)}
 OF_FUNCTIONS = {_driven: (1, 2), _motor: (1, 2)}  # numbers of a user's function, which may be anything
