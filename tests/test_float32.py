@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from grid import steps
 
 import lieint_jax as li
 from lieint_jax.groups import so3
@@ -88,3 +89,17 @@ def test_an_asteroid_in_si_units_does_not_overflow():
     after, info = step(np.array([1e-6, 2e-6, -2e-5], SINGLE))
     assert info.converged
     assert np.isfinite(after.q).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "step", "state", "dt"), steps(), ids=[x[0] for x in steps()])
+def test_a_step_of_singles_makes_no_doubles_where_doubles_are_on(name, step, state, dt):
+    """By its trace alone, so for loops too, whose carries must keep their types."""
+    with jax.enable_x64(True):
+        numbers = (step, state, jnp.asarray(dt))
+        single = jax.tree.map(
+            lambda x: jax.ShapeDtypeStruct(jnp.shape(x), np.float32 if jnp.result_type(x) == np.float64 else x.dtype),
+            numbers,
+        )
+        end, info = jax.eval_shape(lambda step, state, dt: step(state, dt), *single)
+    assert {x.dtype for x in jax.tree.leaves((end, info.residual))} == {np.dtype(np.float32)}

@@ -327,8 +327,8 @@ class _Equation(NamedTuple):
         rule, W, C = self.rule, self.W, self.C
         S = rule.stress(W, C, D, *gamma)
         if rule.constrained:
-            volume = three.determinant(C, three.adjugate(C)) - 1
-            return S, (volume + three.inner(_mean_cofactor(C, D), D),)
+            det = three.det(self.F)  # of C it has |F|³ times the rounding error
+            return S, ((det - 1) * (det + 1) + three.inner(_mean_cofactor(C, D), D),)
         return S, tuple(_missed(W, C, D, S) + _regular(D, C, self.stiffness, g - rule.guess) for g in gamma)
 
     def residual(self, x: Array) -> Array:

@@ -194,7 +194,9 @@ class _Field(NamedTuple):
         """The columns Γ × S(Γ × eᵢ), with S = 2∂D̄/∂Γ_{n+1} up to O(ΔΓ²)."""
         at = jnp.stack(add(self.Gamma, scale(2, _turned(h, self.Gamma)))) / 3
         S = three.symmetric(jax.hessian(self.potential)(at, *self.at))
-        return [cross(self.Gamma, three.apply(S, cross(self.Gamma, e))) for e in np.eye(3)]
+        return [
+            cross(self.Gamma, three.apply(S, cross(self.Gamma, e))) for e in np.eye(3).tolist()
+        ]  # Python's numbers have no type of their own
 
 
 def _fields(system: Top | DrivenTop, state: State, dt: ArrayLike) -> tuple[_Field, ...]:
