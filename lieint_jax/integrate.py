@@ -128,7 +128,7 @@ def _clock(
 ) -> tuple[Uniform | Given, int]:
     """When the steps of a run are, and how many."""
     if times is None:
-        if dt is None or num_steps is None:
+        if num_steps is None:
             raise ValueError("give dt and num_steps, or times")
         t0 = jnp.zeros((), dtype) if state.t is None else state.t
         return Uniform(t0, jnp.asarray(_checks.step_size(dt), dtype)), _checks.count("num_steps", num_steps, 0)

@@ -56,7 +56,7 @@ SENTENCES = [
         lambda: studies.fit(jnp.sum, np.array([0.5, 2.0]), bounds=_bounds.interval(0.0, 1.0), starts=True),
         "inside their bounds",
     ),
-    (observed_at_traced_times, 'derivative="checkpoint" needs concrete times and dt'),
+    (observed_at_traced_times, 'derivative="checkpoint" needs concrete times, dt and state'),
     (lambda: scenarios.parse({}, "mine.toml"), r"mine\.toml: system: key missing"),
     (lambda: spread_of_toutatis(angular_velocity_degr=1.0), "spread.angular_velocity_degr: .*angular_velocity_deg"),
     (

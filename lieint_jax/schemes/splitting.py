@@ -167,8 +167,9 @@ def _metrics(free: Any) -> list[Array]:
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """The splitting of rigid bodies in a potential and of gyrostats, with its default drift."""
-    if not (isinstance(system, Forced | Driven | Gyrostat) and FREE_BODIES.declared(system.free)):
+    """The splitting of gyrostats, of rigid bodies in a potential and of any driven system, with its default drift."""
+    rigid = isinstance(system, Forced | Gyrostat) and FREE_BODIES.declared(system.free)
+    if not rigid and not isinstance(system, Driven):
         return {}
     step = splitting(system)
     return {step.name: step}
