@@ -104,6 +104,7 @@ def test_constants_are_those_of_the_trajectory_and_the_preprocessed_ones_approac
     np.testing.assert_allclose(np.log2(ratio), 6, atol=0.1)
 
 
+@pytest.mark.long
 def test_symplectic_with_constants_held_fixed_or_found_anew():
     state, dt = moving(FULL), 0.7
 
@@ -129,6 +130,7 @@ def test_symplectic_with_constants_held_fixed_or_found_anew():
         assert back < 3e-15
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("J", [[1, 2, 3], [1, 1, 2], [2, 1, 1], [1, 1, 1], [1, 1, 1 + 1e-9]])
 def test_derivatives_are_those_of_the_exact_flow(J):
     """In J, Π and dt, where moments are equal too, and about every axis."""
@@ -162,6 +164,7 @@ prepared = jax.jit(lambda step, state, dt: step.prepare(state, dt))
 once = jax.jit(lambda step, state, dt: step(state, dt))
 
 
+@pytest.mark.long
 def test_what_it_was_not_prepared_for_is_told():
     body = RigidBody(J123)
     state = with_momentum([0.3, 0.4, 0.5])

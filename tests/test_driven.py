@@ -235,7 +235,7 @@ def test_the_reference_flow_agrees_with_another_package():
 @pytest.mark.parametrize(
     ("name", "kind", "order"),
     [
-        ("satellite", "splitting", 2),
+        pytest.param("satellite", "splitting", 2, marks=pytest.mark.long),
         pytest.param("satellite", "top_energy_momentum", 2, marks=pytest.mark.long),
         *(
             pytest.param(name, kind, order, marks=pytest.mark.long)

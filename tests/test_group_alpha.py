@@ -71,7 +71,8 @@ def test_without_a_potential_one_half_is_group_midpoint():
     assert measured(li.schemes.group_alpha(FREE), SPIN, 0.3)[2] > 1e-4  # exp is not symplectic here
 
 
-@pytest.mark.parametrize("alpha", [0.3, *(pytest.param(a, marks=pytest.mark.long) for a in (0.0, 0.5, 1.0))])
+@pytest.mark.long
+@pytest.mark.parametrize("alpha", [0.3, 0.0, 0.5, 1.0])
 def test_on_an_abelian_group_the_form_is_kept_for_every_alpha(alpha):
     """1″ to 3″ of Result 14 hold; energy is not kept; order 2 for ½ alone."""
     step = li.schemes.group_alpha(PLANE, alpha)

@@ -387,6 +387,7 @@ def lopsided(group, theta):
     return group.exp((1 + theta[0]) * theta)
 
 
+@pytest.mark.long
 def test_a_map_that_is_not_symmetric_makes_a_step_that_is_not():
     rotations, state = system_and_state("SO(3)")
     step = group_midpoint(rotations, lopsided)

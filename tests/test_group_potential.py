@@ -143,7 +143,8 @@ def test_splitting_finds_the_drift_of_products(made):
     np.testing.assert_allclose(np.log2(coarse[2:] / fine[2:]), 3, atol=0.15)
 
 
-@pytest.mark.parametrize("axis", [3, pytest.param(0, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("axis", [3, 0])
 def test_a_metric_that_couples_the_factors_has_no_known_drift(axis):
     """SO(3) × R with a coupling, and SE(3) with a mass that is not isotropic."""
     system, _ = (a_product if axis == 3 else a_body_in_space)()

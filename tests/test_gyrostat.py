@@ -416,7 +416,7 @@ def of_driven(_, run):
     return loss
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", ["midpoint", "driven", "splitting"])
 def test_derivatives_forward_reverse_by_reversal_and_by_differences(scheme):
     """In the inertia, the rotor or the motor, the state and the rotor's initial momentum."""

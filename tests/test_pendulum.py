@@ -142,6 +142,7 @@ def test_the_spherical_chart_is_one_of_darboux():
     assert CHART.state(jnp.array(Z)).p @ AXIS == pytest.approx(Z[3], abs=1e-15)
 
 
+@pytest.mark.long
 def test_claim_4_in_spherical_coordinates_the_midpoint_rule_is_symplectic_and_keeps_momentum():
     """The form of T*S² itself, by autodiff of the step on the sphere; γ·π; and the constraints."""
     trajectory, _, momentum, defect, *_ = in_the_chart()

@@ -35,17 +35,16 @@ def check(step, state, dt):
     return own
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("step", "state"),
     [
         pytest.param(schemes.so3_midpoint(BODY), STATE, id="symplectic"),
-        pytest.param(schemes.splitting(SATELLITE), START, id="satellite", marks=pytest.mark.long),
-        pytest.param(schemes.compose(schemes.splitting(SATELLITE), 4), START, id="composed", marks=pytest.mark.long),
-        pytest.param(schemes.compose(schemes.so3_midpoint(BODY), 8), STATE, id="commuting", marks=pytest.mark.long),
-        pytest.param(schemes.so3_midpoint(BODY, maps.kappa_cayley), STATE, id="cayley", marks=pytest.mark.long),
-        pytest.param(
-            schemes.splitting(WHEEL), WHEEL.state(angular_velocity=[0.2, 0.5, -0.3]), id="wheel", marks=pytest.mark.long
-        ),
+        pytest.param(schemes.splitting(SATELLITE), START, id="satellite"),
+        pytest.param(schemes.compose(schemes.splitting(SATELLITE), 4), START, id="composed"),
+        pytest.param(schemes.compose(schemes.so3_midpoint(BODY), 8), STATE, id="commuting"),
+        pytest.param(schemes.so3_midpoint(BODY, maps.kappa_cayley), STATE, id="cayley"),
+        pytest.param(schemes.splitting(WHEEL), WHEEL.state(angular_velocity=[0.2, 0.5, -0.3]), id="wheel"),
     ],
 )
 def test_the_closed_form_is_the_derivative(step, state):
