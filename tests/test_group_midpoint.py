@@ -374,7 +374,9 @@ def test_result_10_refutation_energy_needs_the_axis():
     system, state = system_and_state("SO(3)")
     with pytest.raises(ValueError, match=r"Ad_τ\(Θ\) Θ = Θ must hold"):
         group_midpoint(system, twisted)
-    step = group_midpoint(system, maps.Tau(twisted))
+    with pytest.raises(ValueError, match=r"give jax\.tree_util\.Partial\(twisted\)"):
+        group_midpoint(system, maps.Tau(twisted))(state, 0.4)
+    step = group_midpoint(system, maps.Tau(jax.tree_util.Partial(twisted)))
     after, info = step(state, 0.4)
     assert info.converged
     assert np.abs(after.p - state.p).max() == 0  # Result 9 all the same
