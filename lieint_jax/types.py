@@ -650,10 +650,8 @@ def promoted(step: _T, state: State) -> tuple[_T, State, Any]:
         named = state.extra.items()
         found["extra"] = {name: real_array(f'state.extra["{name}"]', x, finite=False) for name, x in named}
     leaves = jax.tree.leaves(step)
-    if functions := [x for x in leaves if callable(x)]:
-        raise ValueError(
-            f"a step must hold a function as a pytree: give jax.tree_util.Partial({functions[0].__name__})"
-        )
+    if functions := [getattr(x, "__name__", "function") for x in leaves if callable(x)]:
+        raise ValueError(f"a step must hold a function as a pytree: give jax.tree_util.Partial({functions[0]})")
     numbers = [real_array("a number of the step", x, finite=False) for x in leaves if _is_real(x)]
     dtype = jnp.result_type(*jax.tree.leaves(found), *numbers)
     if any(x.dtype != dtype for x in numbers):
