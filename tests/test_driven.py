@@ -95,7 +95,7 @@ def test_a_composition_and_the_adjoints_keep_the_clock():
         np.testing.assert_allclose(path.state.t, exact, rtol=2 * EPS)
     direct = li.integrate(step, state, 0.1, 12, 4)
     assert max(error(*(jax.tree.map(lambda x: x[-1], z.state) for z in (path, direct))), 0) < 4e-15
-    seen, _ = studies.observe(step, state, 0.1, [0.25, 1.13])
+    seen, _ = studies.observe(step, state, 0.1, state.t + np.array([0.25, 1.13]))
     np.testing.assert_allclose(seen.t, state.t + np.array([0.25, 1.13]), rtol=2 * EPS)
 
 

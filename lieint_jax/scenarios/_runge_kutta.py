@@ -38,9 +38,9 @@ class RungeKutta(Step):
         k2 = rate(dt / 2, k1)
         k3 = rate(dt / 2, k2)
         k4 = rate(dt, k3)
-        q, p = jax.tree.map(lambda x, a, b, c, d: x + dt / 6 * (a + 2 * b + 2 * c + d), state, k1, k2, k3, k4)
-        q = so3.normalise(q) if q.ndim == 1 else q
-        return State(q, p), StepInfo(jnp.zeros_like(p[0]), jnp.isfinite(p).all())
+        end = jax.tree.map(lambda x, a, b, c, d: x + dt / 6 * (a + 2 * b + 2 * c + d), state, k1, k2, k3, k4)
+        q = so3.normalise(end.q) if end.q.ndim == 1 else end.q
+        return end._replace(q=q), StepInfo(jnp.zeros_like(dt), jnp.isfinite(end.p).all())
 
 
 def cost(step: Step, state: State, dt: float) -> float:
