@@ -28,10 +28,11 @@ from lieint_jax import (
     types,
 )
 from lieint_jax._version import __version__
-from lieint_jax.integrate import integrate
+from lieint_jax.integrate import Event, event, integrate
 from lieint_jax.types import State, Step, StepInfo, Trajectory, pytree, static
 
 __all__ = [
+    "Event",
     "State",
     "Step",
     "StepInfo",
@@ -40,6 +41,7 @@ __all__ = [
     "adjoints",
     "diagnostics",
     "ensemble",
+    "event",
     "fitting",
     "groups",
     "integrate",

@@ -125,3 +125,31 @@ def test_float32():
 def test_what_is_no_orbit_is_refused(elements, message):
     with pytest.raises(ValueError, match=message):
         li.orbits.kepler(*elements)
+
+
+FLYBY = orbits.kepler(398600.4418, -28400.0, 2.35)
+
+
+@pytest.mark.parametrize(("t0", "t1"), [(-345600.0, 345600.0), (50000.0, -345600.0)])
+def test_graded_times_are_shorter_near_the_centre(t0, t1):
+    """Each step times r₀/r + c is the same: to .07 % with 128 steps, by the middle of each step."""
+    times = orbits.graded_times(FLYBY, t0, t1, 128)
+    assert times.shape == (129,)
+    assert (times[0], times[-1]) == (t0, t1)
+    sizes, middle = np.diff(times), (times[1:] + times[:-1]) / 2
+    assert (np.sign(sizes) == np.sign(t1 - t0)).all()
+    r = np.array([np.linalg.norm(FLYBY(t)[0]) for t in middle])
+    s = sizes * (38340.0 / r + 0.15)
+    assert s.std() / abs(s.mean()) < 2e-3
+    assert abs(sizes).max() / abs(sizes).min() > 5
+
+
+def test_bad_gradings_are_refused():
+    for arguments, message in [
+        ((0.0, 0.0, 8), "t0 and t1 must be finite and differ"),
+        ((0.0, np.nan, 8), "t0 and t1 must be finite and differ"),
+        ((0.0, 1.0, 0), "n must be an integer ≥ 1"),
+        ((0.0, 1.0, 8, 0.0), "c must be positive and finite"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            orbits.graded_times(FLYBY, *arguments)

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax.integrate._clock import Given, Uniform, at_time, clock_of, outputs
 from lieint_jax.types import State, Step, StepInfo, Trajectory, checked_step, on_clock, promoted
 
 
@@ -60,7 +59,7 @@ def integrate(
         RuntimeWarning: a state's time is so large that the floating-point numbers there are more than dt/10⁶ apart.
     """
     step, state, dtype = promoted(checked_step(step), state)
-    clock, num_steps = _clock(state, dtype, dt, num_steps, times)
+    clock, num_steps = clock_of(state, dtype, dt, num_steps, times)
     first = clock.size(0) if num_steps else jnp.zeros((), dtype)
     step.check(state, first if dt is None else dt)
     _checks.time_resolution(state.t, first if dt is None else dt, num_steps)
@@ -69,102 +68,12 @@ def integrate(
         return _trajectory(step, state, clock, saves(num_steps, save_every), save_every)
     if save_every != 1:
         raise ValueError("give save_every or save_at, not both")
-    return _seen(step, state, clock, _outputs(save_at, clock, num_steps, dtype), num_steps)
-
-
-class Uniform(NamedTuple):
-    """Steps of one size.
-
-    Attributes:
-        t0: the time of the first.
-        dt: their size.
-    """
-
-    t0: Array
-    dt: Array
-
-    def size(self, n: ArrayLike) -> Array:
-        """The size of the step from node n."""
-        return self.dt
-
-    def time(self, n: ArrayLike) -> Array:
-        """The time of node n; a sum of n sizes would have the rounding errors of all."""
-        return self.t0 + n * self.dt
-
-    def node(self, t: Array, num_steps: int) -> Array:
-        """The last node that is not after the time t."""
-        n = lax.stop_gradient((t - self.t0) / self.dt)
-        near = jnp.round(n)
-        at_node = jnp.abs(t - self.time(near)) <= 4 * jnp.finfo(t.dtype).eps * jnp.abs(t)
-        return jnp.clip(jnp.where(at_node, near, jnp.floor(n)), 0, num_steps).astype(int)
-
-
-class Given(NamedTuple):
-    """Steps from one given time to the next.
-
-    Attributes:
-        times: the times of all nodes, (N+1,).
-    """
-
-    times: Array
-
-    def size(self, n: ArrayLike) -> Array:
-        """The size of the step from node n."""
-        return self.times[n + 1] - self.times[n]
-
-    def time(self, n: ArrayLike) -> Array:
-        """The time of node n."""
-        return self.times[n]
-
-    def node(self, t: Array, num_steps: int) -> Array:
-        """The last node that is not after the time t."""
-        sign = jnp.where(self.times[-1] < self.times[0], -1, 1)
-        after = jnp.searchsorted(sign * self.times, sign * t, side="right")
-        return jnp.clip(after - 1, 0, num_steps)
-
-
-def _clock(
-    state: State, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
-) -> tuple[Uniform | Given, int]:
-    """When the steps of a run are, and how many."""
-    if times is None:
-        if num_steps is None:
-            raise ValueError("give dt and num_steps, or times")
-        t0 = jnp.zeros((), dtype) if state.t is None else state.t
-        return Uniform(t0, jnp.asarray(_checks.step_size(dt), dtype)), _checks.count("num_steps", num_steps, 0)
-    if dt is not None or num_steps is not None:
-        raise ValueError("give dt and num_steps, or times, not both")
-    nodes = _checks.real_array("times", times).astype(dtype)
-    if nodes.ndim != 1 or not nodes.size:
-        raise ValueError(f"times must have shape (N+1,), N steps, got {nodes.shape}")
-    if concrete(nodes):
-        sizes = np.diff(np.asarray(nodes))
-        if not (np.all(sizes > 0) or np.all(sizes < 0)):
-            n = int(np.argmax(sizes * np.sign(sizes[0]) <= 0))
-            raise ValueError(f"times must increase, or decrease, from one to the next, got {nodes[n : n + 2]} at {n}")
-    if state.t is not None and concrete(nodes, state.t) and float(nodes[0]) != float(state.t):
-        raise ValueError(f"times must begin at the time of the state, {float(state.t)}, got {float(nodes[0])}")
-    return Given(nodes), nodes.size - 1
-
-
-def _outputs(save_at: ArrayLike, clock: Uniform | Given, num_steps: int, dtype: Any) -> Array:
-    """The output times; ValueError if concrete ones are out of order or outside the run."""
-    wanted = _checks.real_array("save_at", save_at).astype(dtype)
-    if wanted.ndim != 1:
-        raise ValueError(f"save_at must have shape (m,), got {wanted.shape}")
-    if concrete(wanted, clock):
-        first, last = float(clock.time(0)), float(clock.time(num_steps))
-        ahead = (np.asarray(wanted, float) - first) * (1 if last >= first else -1)
-        if np.any(np.diff(ahead) < 0):
-            raise ValueError(f"save_at must be in the order of the run, from {first} to {last}, got {wanted}")
-        if wanted.size and (ahead[0] < 0 or ahead[-1] > abs(last - first) * (1 + 1e-12)):
-            raise ValueError(f"save_at must lie in the run, from {first} to {last}, got {wanted}")
-    return wanted
+    return _seen(step, state, clock, outputs(save_at, clock, num_steps, dtype), num_steps)
 
 
 @partial(jax.jit, static_argnums=(3, 4))
 def _trajectory(step: Step, state: State, clock: Uniform | Given, num_saves: int, save_every: int) -> Trajectory:
-    step = _prepared(step, state, clock)
+    step = prepared(step, state, clock)
     started = StepInfo.fresh(state.p)
 
     def one(carry: tuple[State, StepInfo, Array], _: None) -> tuple[tuple[State, StepInfo, Array], None]:
@@ -190,7 +99,7 @@ def _seen(step: Step, state: State, clock: Uniform | Given, save_at: Array, num_
     own = clock.node(jnp.where(inside, save_at, clock.time(0)), num_steps)
     nodes = lax.cummax(own)
     rests = save_at - clock.time(nodes)
-    whole, fresh = _prepared(step, state, clock), StepInfo.fresh(state.p)
+    whole, fresh = prepared(step, state, clock), StepInfo.fresh(state.p)
     outputs = jnp.zeros(num_steps + count, bool).at[nodes + jnp.arange(count)].set(True)
     buffer = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype), (state, fresh))
 
@@ -212,7 +121,7 @@ def _seen(step: Step, state: State, clock: Uniform | Given, save_at: Array, num_
     return _joined(state, (at_time(later, save_at), info), jnp.concatenate([clock.time(0)[None], save_at]))
 
 
-def _prepared(step: Step, state: State, clock: Uniform | Given) -> Step:
+def prepared(step: Step, state: State, clock: Uniform | Given) -> Step:
     """The step with its constants, which hold for one step size."""
     return step.prepare(state, clock.dt) if isinstance(clock, Uniform) else step
 
@@ -229,11 +138,6 @@ def from_start(state: State, later: tuple[State, StepInfo], dt: Array, save_ever
     entries = 1 + later[1].residual.shape[0]
     t0 = jnp.zeros((), dt.dtype) if state.t is None else state.t
     return _joined(state, later, Uniform(t0, dt).time(save_every * jnp.arange(entries)))
-
-
-def at_time(state: State, t: Array) -> State:
-    """`state` at the time t, if it has a time."""
-    return state if state.t is None else state._replace(t=t)
 
 
 def steps(

@@ -1,0 +1,195 @@
+"""Events: the times at which a function of the state changes its sign.
+
+A run keeps the state y_k before each change of sign. With y(τ) a step of size τ from y_k, the event is the root of
+g(y(τ)) = 0 between 0 and Δt, found by regula falsi (Illinois), and its derivatives are those of this equation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax.integrate._clock import Uniform, at_time
+from lieint_jax.integrate._run import prepared
+from lieint_jax.types import State, Step, StepInfo, callable_pytree, checked_step, promoted
+
+_ITERATIONS = 12  # of the root search: 10 reach round-off for smooth conditions
+
+
+class Event(NamedTuple):
+    """When a condition changes its sign.
+
+    Attributes:
+        t: the time, on the clock of `state.t`; since the start if the state has no time.
+        state: the state then: a shorter step from the last one before.
+        found: whether there was such an event, and all steps before it converged. Else t and state are the last ones.
+    """
+
+    t: Array
+    state: State
+    found: Array
+
+
+def event(
+    step: Step,
+    state: State,
+    dt: ArrayLike,
+    condition: Callable[[State], ArrayLike],
+    max_steps: int,
+    direction: Literal[-1, 0, 1] = 0,
+    count: int = 1,
+) -> Event:
+    """The first time after the start, or the `count`-th, at which `condition(state)` changes its sign.
+
+    Where the condition is 0 at the start, the start is no event, and the sign just after it counts. Two changes inside
+    one step are not seen. The error of t is of the order of the trajectory's. Differentiable in everything, forward and
+    reverse, and by `jax.vmap` over states.
+
+    Args:
+        step, state, dt: as of `integrate`.
+        condition: a smooth function of the state with a scalar value.
+        max_steps: the most steps to look through, > 0.
+        direction: 1 for changes from − to +, −1 for those from + to −, 0 for both.
+        count: which of these changes, 1 for the first.
+
+    Raises:
+        ValueError: a condition that is no scalar or not finite at the start, counts < 1, another direction, and what
+            `integrate` raises.
+    """
+    found = events(step, state, dt, condition, max_steps, count, direction)
+    return jax.tree.map(lambda x: x[count - 1], found)
+
+
+def events(
+    step: Step,
+    state: State,
+    dt: ArrayLike,
+    condition: Callable[[State], ArrayLike],
+    max_steps: int,
+    count: int,
+    direction: Literal[-1, 0, 1] = 0,
+) -> Event:
+    """The first `count` events as of `event`, every leaf with a leading axis (count,)."""
+    max_steps, count = _checks.count("max_steps", max_steps, 1), _checks.count("count", count, 1)
+    if direction not in (-1, 0, 1):
+        raise ValueError(f"direction must be −1 (falling), 1 (rising) or 0 (both), got {direction!r}")
+    if not callable(condition):
+        raise ValueError(f"condition must be a function of the state with a scalar value, got {condition!r}")
+    step, state, dtype = promoted(checked_step(step), state)
+    step.check(state, dt)
+    first = jnp.asarray(condition(state))
+    if first.shape != () or not jnp.issubdtype(first.dtype, jnp.floating):
+        raise ValueError(f"condition must have a real scalar value, got shape {first.shape} and dtype {first.dtype}")
+    if concrete(first) and not bool(jnp.isfinite(first)):
+        raise ValueError(f"condition must be finite at the start, got {float(first)}")
+    _checks.time_resolution(state.t, dt, max_steps)
+    t0 = jnp.zeros((), dtype) if state.t is None else state.t
+    clock = Uniform(t0, jnp.asarray(_checks.step_size(dt), dtype))
+    return _events(step, state, clock, callable_pytree(condition), max_steps, count, direction)
+
+
+class _Bracket(NamedTuple):
+    """A step with a change of sign.
+
+    Attributes:
+        state: the state before it.
+        n: the number of steps before it.
+        values: the condition before and after it, (2,).
+        found: whether there is one.
+    """
+
+    state: State
+    n: Array
+    values: Array
+    found: Array
+
+
+@partial(jax.jit, static_argnums=(4, 5, 6))
+def _events(
+    step: Step,
+    state: State,
+    clock: Uniform,
+    condition: Callable[[State], Array],
+    max_steps: int,
+    count: int,
+    direction: int,
+) -> Event:
+    brackets = _brackets(step, state, clock, condition, max_steps, count, direction)
+
+    def refined(bracket: _Bracket) -> Event:
+        tau = jnp.where(bracket.found, _root(step, bracket, clock.dt, condition), 0)
+        end = step(bracket.state, tau)[0]
+        t = clock.time(bracket.n) + tau
+        return Event(t, at_time(end, t), bracket.found)
+
+    return jax.vmap(refined)(brackets)
+
+
+def _brackets(
+    step: Step,
+    state: State,
+    clock: Uniform,
+    condition: Callable[[State], Array],
+    max_steps: int,
+    count: int,
+    direction: int,
+) -> _Bracket:
+    """The first `count` changes of sign; in place of those that there are not, the last state."""
+    whole = prepared(step, state, clock)
+    start = condition(state)
+    none = _Bracket(state, jnp.zeros((), int), jnp.stack([start, start]), jnp.zeros((), bool))
+    buffer = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype), none)
+
+    def one(carry: Any, _: None) -> tuple[Any, None]:
+        state, value, n, sign, info, number, buffer = carry
+        end, last = whole(state, clock.dt)
+        end, info = at_time(end, clock.time(n + 1)), info.merge(last)
+        after = condition(end)
+        side = jnp.sign(after)
+        changes = (sign * side < 0) & ((direction == 0) | (side == direction))
+        slot = jnp.where(changes, number, count)
+        here = _Bracket(state, n, jnp.stack([value, after]), info.converged)
+        buffer = jax.tree.map(lambda to, x: to.at[slot].set(x, mode="drop"), buffer, here)
+        sign = jnp.where(side * side > 0, side, sign)  # a zero or NaN changes nothing
+        return (end, after, n + 1, sign, info, number + changes, buffer), None
+
+    begin = (state, start, none.n, jnp.sign(start), StepInfo.fresh(state.p), none.n, buffer)
+    (end, _, n, _, _, number, buffer), _ = lax.scan(one, begin, None, length=max_steps)
+    there = jnp.arange(count) < number
+    last = none._replace(state=end, n=n)
+    return jax.tree.map(lambda x, y: jnp.where(there.reshape(-1, *[1] * y.ndim), x, y), buffer, last)
+
+
+def _root(step: Step, bracket: _Bracket, dt: Array, condition: Callable[[State], Array]) -> Array:
+    """The τ between 0 and Δt at which the condition is 0."""
+
+    def g(tau: Array) -> Array:
+        return condition(step(bracket.state, tau)[0])
+
+    before, after = lax.stop_gradient((bracket.values[0], bracket.values[1]))
+    whole = lax.stop_gradient(dt)
+
+    def solve(g: Callable[[Array], Array], _: Array) -> Array:
+        def halve(_: int, points: tuple[Array, ...]) -> tuple[Array, ...]:
+            a, b, ga, gb = points
+            rise = jnp.where(gb == ga, 1, gb - ga)
+            c = b - jnp.where(gb == ga, 0, gb * (b - a) / rise)
+            gc = g(c)
+            other = gc * gb < 0
+            return jnp.where(other, b, a), c, jnp.where(other, gb, ga / 2), gc
+
+        return lax.fori_loop(0, _ITERATIONS, halve, (jnp.zeros_like(whole), whole, before, after))[1]
+
+    def tangent_solve(slope: Callable[[Array], Array], y: Array) -> Array:
+        rate = slope(jnp.ones_like(y))
+        return y / jnp.where(rate == 0, 1, rate)
+
+    return lax.custom_root(g, whole, solve, tangent_solve)
