@@ -93,7 +93,7 @@ def run(quick: bool = False, progress: bool = True) -> SpinFit:
     """Fit the parameters and predict the periods. `quick` takes few samples for the periods' errors."""
     scenario = scenarios.load("toutatis")
     [seen] = scenario.observation
-    first, second = ((s.attitude(), jnp.rad2deg(s.rate())) for s in (scenario.state, seen))
+    first, second = ((s.attitude(), jnp.rad2deg(jnp.asarray(s.rate()))) for s in (scenario.state, seen))
     published = {
         "attitude": jnp.zeros(3),
         "inertia": jnp.asarray(scenario.inertia[:2]) / scenario.inertia[2],
