@@ -17,7 +17,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax.integrate._clock import Uniform, at_time
+from lieint_jax.integrate._clock import Given, Uniform, at_time, clock_of
 from lieint_jax.integrate._run import prepared
 from lieint_jax.types import State, Step, StepInfo, callable_pytree, checked_step, promoted
 
@@ -30,7 +30,7 @@ class Event(NamedTuple):
     Attributes:
         t: the time, on the clock of `state.t`; since the start if the state has no time.
         state: the state then: a shorter step from the last one before.
-        found: whether there was such an event, and all steps before it converged. Else t and state are the last ones.
+        found: whether there was such an event, and all steps to it converged. Else t and state are the last ones.
     """
 
     t: Array
@@ -91,8 +91,7 @@ def events(
     if concrete(first) and not bool(jnp.isfinite(first)):
         raise ValueError(f"condition must be finite at the start, got {float(first)}")
     _checks.time_resolution(state.t, dt, max_steps)
-    t0 = jnp.zeros((), dtype) if state.t is None else state.t
-    clock = Uniform(t0, jnp.asarray(_checks.step_size(dt), dtype))
+    clock, _ = clock_of(state, dtype, dt, max_steps, None)
     return _events(step, state, clock, callable_pytree(condition), max_steps, count, direction)
 
 
@@ -116,7 +115,7 @@ class _Bracket(NamedTuple):
 def _events(
     step: Step,
     state: State,
-    clock: Uniform,
+    clock: Uniform | Given,
     condition: Callable[[State], Array],
     max_steps: int,
     count: int,
@@ -125,10 +124,10 @@ def _events(
     brackets = _brackets(step, state, clock, condition, max_steps, count, direction)
 
     def refined(bracket: _Bracket) -> Event:
-        tau = jnp.where(bracket.found, _root(step, bracket, clock.dt, condition), 0)
-        end = step(bracket.state, tau)[0]
+        tau = jnp.where(bracket.found, _root(step, bracket, clock.size(bracket.n), condition), 0)
+        end, info = step(bracket.state, tau)
         t = clock.time(bracket.n) + tau
-        return Event(t, at_time(end, t), bracket.found)
+        return Event(t, at_time(end, t), bracket.found & info.converged)
 
     return jax.vmap(refined)(brackets)
 
@@ -136,7 +135,7 @@ def _events(
 def _brackets(
     step: Step,
     state: State,
-    clock: Uniform,
+    clock: Uniform | Given,
     condition: Callable[[State], Array],
     max_steps: int,
     count: int,
@@ -150,7 +149,7 @@ def _brackets(
 
     def one(carry: Any, _: None) -> tuple[Any, None]:
         state, value, n, sign, info, number, buffer = carry
-        end, last = whole(state, clock.dt)
+        end, last = whole(state, clock.size(n))
         end, info = at_time(end, clock.time(n + 1)), info.merge(last)
         after = condition(end)
         side = jnp.sign(after)
