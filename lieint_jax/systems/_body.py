@@ -21,18 +21,30 @@ from lieint_jax.types import PhaseSpace, State
 _PHASE_SPACE = CotangentGroup(so3)
 
 
-class Rotating(abc.ABC):
-    """A body on T*SO(3), its state an attitude q and a spatial momentum π."""
+class OnRotations:
+    """A system on T*SO(3), its state an attitude q and a spatial momentum π."""
+
+    @property
+    def phase_space(self) -> PhaseSpace:
+        return _PHASE_SPACE
+
+    def rotation_matrix(self, state: State) -> Array:
+        """Λ, body to space, shape (3, 3)."""
+        return so3.to_matrix(state.q)
+
+    def body_momentum(self, state: State) -> Array:
+        """Π = Λᵀπ, shape (3,)."""
+        return so3.Ad_star(state.q, state.p)
+
+
+class Rotating(OnRotations, abc.ABC):
+    """A body whose states are made from an attitude and a motion."""
 
     inertia: Array
 
     @abc.abstractmethod
     def momentum_at(self, angular_velocity: Array) -> Array:
         """Π where the body turns with Ω, shape (3,)."""
-
-    @property
-    def phase_space(self) -> PhaseSpace:
-        return _PHASE_SPACE
 
     def state(
         self,
@@ -64,14 +76,6 @@ class Rotating(abc.ABC):
         p = value if name == "spatial_momentum" else so3.Ad(q, value)
         dtype = jnp.result_type(q, p)
         return State(q.astype(dtype), _checks.real_array("the spatial momentum", p.astype(dtype)))
-
-    def rotation_matrix(self, state: State) -> Array:
-        """Λ, body to space, shape (3, 3)."""
-        return so3.to_matrix(state.q)
-
-    def body_momentum(self, state: State) -> Array:
-        """Π = Λᵀπ, shape (3,)."""
-        return so3.Ad_star(state.q, state.p)
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""

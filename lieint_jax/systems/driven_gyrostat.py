@@ -12,15 +12,14 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, types
 from lieint_jax._numerics import three
-from lieint_jax.groups import so3
-from lieint_jax.phase_spaces import CotangentGroup
+from lieint_jax.systems._body import OnRotations
 from lieint_jax.systems._timed import check_timed, timed
 from lieint_jax.systems.gyrostat import Gyrostat
-from lieint_jax.types import PhaseSpace, State, callable_pytree, clock, pytree
+from lieint_jax.types import State, callable_pytree, clock, pytree
 
 
 @pytree
-class DrivenGyrostat(types.DrivenGyrostat):
+class DrivenGyrostat(OnRotations, types.DrivenGyrostat):
     """H = ½(Π − h_r)·J⁻¹(Π − h_r) as of `Gyrostat`, with ḣ_r = τ(t) and Ḣ = −Ω·τ. Made by `driven_gyrostat`.
 
     Attributes:
@@ -30,11 +29,6 @@ class DrivenGyrostat(types.DrivenGyrostat):
 
     inertia: Array
     motor: Callable[[Array], Array]
-
-    @property
-    def phase_space(self) -> PhaseSpace:
-        """T*SO(3): the rotor's momentum is a given function of time."""
-        return CotangentGroup(so3)
 
     @property
     def carried(self) -> dict[str, Array]:
@@ -87,14 +81,6 @@ class DrivenGyrostat(types.DrivenGyrostat):
     def holding(self, rotor: Array) -> Gyrostat:
         """The gyrostat whose rotor keeps the momentum `rotor`: this one, at one time."""
         return Gyrostat(self.inertia, rotor)
-
-    def rotation_matrix(self, state: State) -> Array:
-        """Λ, body to space, shape (3, 3)."""
-        return so3.to_matrix(state.q)
-
-    def body_momentum(self, state: State) -> Array:
-        """Π = Λᵀπ of body and rotor together, shape (3,)."""
-        return so3.Ad_star(state.q, state.p)
 
     def angular_velocity(self, state: State) -> Array:
         """The body angular velocity Ω = J⁻¹(Π − h_r), shape (3,)."""
