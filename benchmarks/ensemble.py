@@ -76,19 +76,23 @@ def best(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
 def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) -> Callable[[], Any]:
     """A function that calls the ensemble's compiled loop once, on the first `devices` devices."""
     import jax
+    import jax.numpy as jnp
     import numpy as np
 
     from lieint_jax import ensemble
     from lieint_jax.ensemble import _layout
     from lieint_jax.ensemble._job import Job
     from lieint_jax.ensemble._run import CompiledLoop
+    from lieint_jax.integrate import Uniform
 
     layout = _layout.layout_of(ensemble.first_devices(devices), len(states.p))
-    job = Job(step, states, dt, np.asarray(dt), num_steps, 1, None, None)
+    nodes = np.array([0, num_steps])
+    clock = Uniform(jnp.zeros(()), jnp.asarray(dt))
+    job = Job(step, states, None, dt, clock, num_steps, nodes * dt, nodes, None, num_steps, None, None)
     loop = CompiledLoop(job, layout, buffer_rows=1, progress=False)
 
     def call() -> Any:
-        return loop.advance(loop.start, 0, 1, num_steps)[0]
+        return loop.advance(loop.start, 0, 0, nodes[1:])[0]
 
     jax.block_until_ready(call())
     return call

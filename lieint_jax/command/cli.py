@@ -78,6 +78,7 @@ def _add_run(commands: Any) -> None:
     )
     run.add_argument("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
     run.add_argument("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
+    run.add_argument("--save-at", type=Path, metavar="FILE", help="save states at the times in FILE, one a line")
     run.add_argument("--resume", action="store_true", help="go on with the run in PATH.zarr; start it if there is none")
     run.add_argument("--devices", type=_positive, metavar="N", help="devices to use; on a CPU, if not told, one a core")
     run.add_argument("--distributed", action="store_true", help="one of many processes, as srun or mpirun start them")
@@ -150,7 +151,15 @@ def _run(options: argparse.Namespace) -> None:
     if options.distributed:
         processes.initialize(*apart)
     try:
-        report.run(options.scenario, options.out, options.members, options.steps, options.devices, options.resume)
+        report.run(
+            options.scenario,
+            options.out,
+            options.members,
+            options.steps,
+            options.devices,
+            options.resume,
+            options.save_at,
+        )
     except processes.LostProcess as error:
         processes.leave(f"lieint: {error}")
 

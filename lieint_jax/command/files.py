@@ -94,6 +94,14 @@ def load(path: Path) -> tuple[Any, dict[str, Any]]:
         raise ValueError(f"{path} is no file of results that lieint wrote, or is damaged: {error}") from error
 
 
+def numbers(path: Path) -> list[float]:
+    """The numbers of a text file, one a line; # begins a comment."""
+    try:
+        return np.loadtxt(path, ndmin=1).ravel().tolist()
+    except ValueError as error:
+        raise ValueError(f"{path} must hold one number a line: {error}") from error
+
+
 def size(path: Path) -> int:
     """The number of bytes of a file, or of all files of a folder."""
     files = [path] if path.is_file() else [f for f in path.rglob("*") if f.is_file()]

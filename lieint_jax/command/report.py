@@ -22,9 +22,10 @@ def run(
     steps: int | None = None,
     devices: int | None = None,
     resume: bool = False,
+    save_at: Path | None = None,
 ) -> None:
     """Integrate a scenario and write the results; for an .npz, also print the report and draw pictures."""
-    scenario = scenarios.load(name, members=members, steps=steps)
+    scenario = scenarios.load(name, members=members, steps=steps, save_at=save_at and files.numbers(save_at))
     kind = scenarios.kind(scenario)
     if out is None:
         file = Path(Path(name).stem).with_suffix(".zarr" if resume else ".npz")
@@ -35,9 +36,8 @@ def run(
     step, states = kind.build(scenario)
     if leader:
         print(results.headline(scenario, step), flush=True)
-    integrate = partial(
-        ensemble.run, step, states, scenario.dt, scenario.steps, scenario.save_every, mesh=mesh, resume=resume
-    )
+    kept = {"save_every": scenario.save_every} if scenario.save_at is None else {"save_at": scenario.save_at}
+    integrate = partial(ensemble.run, step, states, scenario.dt, scenario.steps, mesh=mesh, resume=resume, **kept)
     if out.suffix == ".zarr":
         description = {"title": scenario.title, "seed": scenario.seed, "scenario": scenario.model_dump()}
         try:
@@ -52,6 +52,9 @@ def run(
     if not leader:
         return
     files.save(out, run, {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__})
+    if scenario.save_at is not None:
+        results.plot(out)
+        return
     print(f"  results in {out}; drawing and certifying …", flush=True)
     drawn = results.draw(out, kind.PICTURES, scenario, step, run)
     print(kind.report(scenario, step, run))

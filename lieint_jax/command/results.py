@@ -28,6 +28,8 @@ def info(path: Path) -> None:
 def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
     """Report on a file of results and draw it: the pictures of its scenario, or those of a run of any system.
 
+    A scenario's own are of states that are saved every so many steps, so a run with `save_at` has the others.
+
     Args:
         path: the file.
         out: the folder of the pictures; by default that of the file.
@@ -40,7 +42,7 @@ def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
         raise ValueError(f"the folder {out} does not exist; make it first")
     plain = out / path.name if out else path
     scenario = _scenario(path, metadata)
-    if scenario and isinstance(run, Trajectory):
+    if scenario and scenario.save_at is None and isinstance(run, Trajectory):
         drawn = _plot_scenario(scenario, run, plain, force)
     else:
         drawn = _plot_any(_stored(path, run, metadata), contents(path, run, metadata), plain, force)
@@ -132,13 +134,14 @@ def _origin(run: Any, metadata: dict[str, Any]) -> list[str]:
     progress = metadata.get("progress")
     if not progress:
         return [f"  {run.state.p.shape[1]} member(s), {len(run.t)} entries; lieint_jax {metadata['lieint_jax']}"]
-    planned = metadata["num_steps"]
+    planned, dt = metadata["num_steps"], metadata["dt"]
+    sizes = "between given times" if dt is None else f"of {dt:.6g}"
+    entries = metadata.get("num_entries") or planned // metadata["save_every"] + 1
     state = "complete" if progress["complete"] else f"{progress['steps']} of {planned} steps; --resume goes on"
     versions = ", ".join(f"{name} {version}" for name, version in metadata["run"]["versions"].items())
     return [
-        f"  {metadata['scheme']} · {metadata['system']}, {metadata['members']} member(s), {planned} steps of "
-        f"{metadata['dt']:.6g}",
-        f"  {state}: {len(_times(run))} of {planned // metadata['save_every'] + 1} entries",
+        f"  {metadata['scheme']} · {metadata['system']}, {metadata['members']} member(s), {planned} steps {sizes}",
+        f"  {state}: {len(_times(run))} of {entries} entries",
         f"  written by {versions} on {metadata['run']['device']}, {metadata['run']['compiler_options']}",
     ]
 

@@ -11,6 +11,7 @@ from lieint_jax.ensemble import _layout
 from lieint_jax.ensemble._layout import Layout
 from lieint_jax.ensemble._leaves import shared_time
 from lieint_jax.ensemble._loop import Carry, Range, Reduction
+from lieint_jax.integrate import Given, Uniform
 from lieint_jax.types import State, Step, StepInfo
 
 _CHUNK_BYTES, _MEMORY = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
@@ -46,41 +47,50 @@ class Job(NamedTuple):
     Attributes:
         step: the step; with the member axis on its leaves if `step_axis` is 0.
         states: the initial states without their time, with the member axis on every leaf.
-        dt_given: dt as the caller gave it.
-        dt: the same in the states' dtype.
-        save_every: steps between saves.
-        num_saves: the number of saves after the start.
+        t0: the time of the initial states: () if the members share it, else (members,); None if they have none.
+        dt: the step size as the caller gave it; None if he gave times.
+        clock: when the steps are; since the start, if the states have no time or their own.
+        planned: the number of steps that the caller asked for; the run ends at its last entry.
+        times: the times of all entries on this clock, the start's first.
+        nodes: the number of whole steps before each entry.
+        rests: the size of the shorter step from its node to each entry, 0 for the start; None if all are at nodes.
+        save_every: steps between saves; None with `rests`.
         step_axis: None or 0.
         reduction: the quantity to reduce, or None.
-        t0: the time of the initial states: () if the members share it, else (members,); None if they have none.
     """
 
     step: Step
     states: State
-    dt_given: float
-    dt: Any
-    save_every: int
-    num_saves: int
+    t0: Any
+    dt: float | None
+    clock: Uniform | Given
+    planned: int
+    times: np.ndarray
+    nodes: np.ndarray
+    rests: np.ndarray | None
+    save_every: int | None
     step_axis: int | None
     reduction: Reduction | None
-    t0: Any = None
 
     @property
     def num_steps(self) -> int:
         """The number of steps in all."""
-        return self.save_every * self.num_saves
+        return int(self.nodes[-1])
 
     @property
-    def times(self) -> np.ndarray:
-        """The times of all entries: those of the states if the members share them, else since the start."""
-        if self.shares_time:
-            return np.asarray(self.t0) + self._steps * self.dt
-        return self.dt_given * self.save_every * np.arange(self.num_saves + 1, dtype=self.dt.dtype)
+    def num_saves(self) -> int:
+        """The number of entries after the start."""
+        return len(self.nodes) - 1
 
     @property
-    def _steps(self) -> np.ndarray:
-        """The number of steps before each entry."""
-        return (self.save_every * np.arange(self.num_saves + 1)).astype(self.dt.dtype)
+    def dtype(self) -> np.dtype:
+        """That of the states."""
+        return np.dtype(self.states.p.dtype)
+
+    @property
+    def first_dt(self) -> float:
+        """The size of the first step."""
+        return self.dt or (float(self.clock.size(0)) if self.planned else 0.0)
 
     @property
     def shares_time(self) -> bool:
@@ -93,7 +103,7 @@ class Job(NamedTuple):
             return None
         if self.shares_time:
             return shared_time(self.times[entries], self.members)
-        return np.asarray(self.t0) + (self._steps * self.dt)[entries, None]
+        return np.asarray(self.t0) + self.times[entries, None]
 
     def with_last_time(self, state: State) -> State:
         """The states at the end of the run with their time."""
@@ -114,7 +124,8 @@ class Job(NamedTuple):
         """The number of saves per call of the loop and per chunk of a store, where a chunk holds `across` members."""
         row = max(sum(leaf[0].nbytes for leaf in jax.tree.leaves(self.states)) + 9, 24)
         enough = min(_CHUNK_BYTES // (across * row), _MEMORY // (self.members * row))
-        return int(max(1, min(enough, _CHUNK_WORK // (self.members * self.save_every), self.num_saves + 1)))
+        interval = max(self.num_steps // max(self.num_saves, 1), 1)
+        return int(max(1, min(enough, _CHUNK_WORK // (self.members * interval), self.num_saves + 1)))
 
 
 class Output(Protocol):
@@ -135,8 +146,8 @@ class Output(Protocol):
         """The largest number of saves that the next call may bring."""
         ...
 
-    def restored(self) -> tuple[list[Carry], int] | None:
-        """The carry and the number of steps of the run that this output holds already, or None."""
+    def restored(self) -> tuple[list[Carry], int, int] | None:
+        """The carry, and the numbers of steps and of saves, of the run that this output holds already, or None."""
 
     def begin(self, carry: list[Carry]) -> None:
         """Receive the entry of the start; not called for a run that was restored."""
@@ -178,17 +189,18 @@ def gathered_rows(layout: Layout, saved: list[Any], number: int) -> Any:
 
 def first_entry(job: Job) -> dict[str, np.ndarray]:
     """The entry of the start in the series of reductions."""
-    zero = np.zeros(1, job.dt.dtype)
+    zero = np.zeros(1, job.dtype)
     return dict.fromkeys(("least", "greatest", "mean", "residual"), zero) | {"unconverged": np.zeros(1, np.int64)}
 
 
 def reduced(rows: tuple[StepInfo, Range], job: Job) -> dict[str, np.ndarray]:
     """Reduce rows (saves, members) to series (saves,). Sums run in the order of the members, whatever their devices."""
     info, change = rows
+    values = job.members * (job.save_every or 1)
     return {
         "least": change.least.min(axis=1),
         "greatest": change.greatest.max(axis=1),
-        "mean": np.array([np.sum(row) for row in np.asarray(change.total)]) / (job.members * job.save_every),
+        "mean": np.array([np.sum(row) for row in np.asarray(change.total)]) / values,
         "residual": info.residual.max(axis=1),
         "unconverged": (~np.asarray(info.converged)).sum(axis=1),
     }  # pyright: ignore[reportReturnType]

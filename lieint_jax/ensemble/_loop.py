@@ -13,7 +13,8 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax.types import State, Step, StepInfo, energy_less_work, on_clock
+from lieint_jax.integrate import Given, Uniform, prepared
+from lieint_jax.types import State, Step, StepInfo, energy_less_work
 
 Reduction = Callable[[Step, State], Array]
 
@@ -56,28 +57,34 @@ class Origin(NamedTuple):
 
     Attributes:
         t0: the time of the initial states: a scalar if the members share it, else one for each; None if they have none.
+        clock: when the steps are, on the clock of t0.
         quantity: the reduced quantity of the initial states; None if nothing is reduced.
     """
 
     t0: Array | None
+    clock: Uniform | Given
     quantity: Array | None
+
+    def at(self, n: ArrayLike, states: State) -> State:
+        """The states with their time, that of node n, if they have one."""
+        return states if self.t0 is None else states._replace(t=self.clock.time(n))
 
 
 class Portion(NamedTuple):
-    """The part of a run that one call of the compiled loop does: `saves` times `every` steps of size `dt`.
+    """The part of a run that one call of the compiled loop does.
 
     Attributes:
-        dt: the step size, an array of the states' dtype.
         done: the number of steps taken before.
         saves: the number of save intervals.
-        every: the number of steps in each.
+        ends: the number of steps from the start of this call to the end of each interval, (rows,).
+        rests: the size of the shorter step to each output, (rows,); None if outputs are at the ends.
         fresh: True if a save interval begins here; False if the call continues one, whose report is in the carry.
     """
 
-    dt: Any
     done: Any
     saves: Any
-    every: Any
+    ends: Any
+    rests: Any
     fresh: Any
 
 
@@ -94,50 +101,54 @@ def step_dtype() -> Any:
 
 @cache
 def start(step_axis: int | None, reduction: Reduction | None) -> Callable[..., tuple[Carry, Origin]]:
-    """(step, states without their time, t0) ↦ the carry of a run and its origin."""
+    """(step, states without their time, t0, clock) ↦ the carry of a run and its origin."""
 
-    def begin(step: Step, states: State, t0: Array | None) -> tuple[Carry, Origin]:
+    def begin(step: Step, states: State, t0: Array | None, clock: Uniform | Given) -> tuple[Carry, Origin]:
         members = states.p.shape[0]
         info = StepInfo(jnp.zeros(members, states.p.dtype), jnp.ones(members, bool))
         quantity = None if reduction is None else _over_members(reduction, step_axis, step, states._replace(t=t0))
         change = None if quantity is None else Range.fresh(quantity)
         failed = jnp.full(members, -1, step_dtype())
-        return Carry(states, info, failed, change), Origin(t0, quantity)
+        if isinstance(clock, Uniform) and t0 is not None:
+            clock = clock._replace(t0=t0)
+        return Carry(states, info, failed, change), Origin(t0, clock, quantity)
 
     return jax.jit(begin, compiler_options=compiler_options())
 
 
 @cache
 def prepare(step_axis: int | None) -> Callable[..., Any]:
-    """(step, states without their time, t0, dt) ↦ the prepared steps, with the member axis on every leaf."""
+    """(step, states without their time, origin) ↦ the steps for whole steps, with the member axis on every leaf."""
 
-    def prepared(step: Step, states: State, t0: Array | None, dt: Array) -> Step:
-        return _over_members(lambda s, z: s.prepare(z, dt), step_axis, step, states._replace(t=t0))
+    def prepared_steps(step: Step, states: State, origin: Origin) -> Step:
+        return _over_members(lambda s, z: prepared(s, z, origin.clock), step_axis, step, origin.at(0, states))
 
-    return jax.jit(prepared, compiler_options=compiler_options())
+    return jax.jit(prepared_steps, compiler_options=compiler_options())
 
 
 @cache
-def advance(step_axis: int | None, reduction: Reduction | None, buffer_rows: int) -> Callable[..., tuple[Carry, Any]]:
-    """The compiled loop (step, carry, origin, portion) ↦ (carry, saved), for at most `buffer_rows` saves a call.
+def advance(axes: tuple[int | None, int | None], reduction: Reduction | None) -> Callable[..., tuple[Carry, Any]]:
+    """The compiled loop (steps, carry, origin, portion) ↦ (carry, saved).
 
-    Each row of `saved` holds the report, and the state or the change of the reduced quantity since `origin`.
+    `steps` are the step of whole steps and that of the shorter ones to outputs between nodes, and `axes` their member
+    axes. Each row of `saved` holds the report, and the state or the change of the reduced quantity since `origin`.
     """
 
-    def loop(step: Step, carry: Carry, origin: Origin, portion: Portion) -> tuple[Carry, Any]:
-        dt, done, saves, every, fresh = portion
+    def loop(steps: tuple[Step, Step], carry: Carry, origin: Origin, portion: Portion) -> tuple[Carry, Any]:
+        done, saves, ends, rests, fresh = portion
         unsaved = _unsaved(carry)
 
-        def at(n: ArrayLike, state: State) -> State:
-            return state if origin.t0 is None else on_clock(state, origin.t0, done + n, dt)
+        def stepped(which: int, n: Array, state: State, dt: Array) -> tuple[State, StepInfo]:
+            state = origin.at(done + n, state)
+            return _over_members(lambda s, z: _without_time(*s(z, dt)), axes[which], steps[which], state)
 
         def one(n: Array, carry: Carry) -> Carry:
-            state, info = _over_members(lambda s, z: _without_time(*s(z, dt)), step_axis, step, at(n, carry.state))
-            failed = jnp.where((carry.failed < 0) & ~info.converged, n, carry.failed)
+            state, info = stepped(0, n, carry.state, origin.clock.size(done + n))
             change = carry.change
             if reduction is not None and change is not None and origin.quantity is not None:
-                change = change.including(_over_members(reduction, step_axis, step, at(n + 1, state)) - origin.quantity)
-            return Carry(state, carry.info.merge(info), failed, change)
+                after = _over_members(reduction, axes[0], steps[0], origin.at(done + n + 1, state))
+                change = change.including(after - origin.quantity)
+            return Carry(state, carry.info.merge(info), _first(carry.failed, info, n), change)
 
         def interval(k: Array, loop: tuple[Carry, Any]) -> tuple[Carry, Any]:
             carry, saved = loop
@@ -145,17 +156,26 @@ def advance(step_axis: int | None, reduction: Reduction | None, buffer_rows: int
             info, change = jax.tree.map(
                 lambda new, old: jnp.where(begins, new, old), unsaved, (carry.info, carry.change)
             )
-            carry = carry._replace(info=info, change=change)
-            carry = lax.fori_loop(0, every, lambda i, c: one(k * every + i, c), carry)
-            return carry, jax.tree.map(lambda to, x: to.at[k].set(x), saved, _saved(carry))
+            carry, begun = carry._replace(info=info, change=change), jnp.where(k > 0, ends[k - 1], 0)
+            carry = seen = lax.fori_loop(0, ends[k] - begun, lambda i, c: one(begun + i, c), carry)
+            if rests is not None:
+                state, info = stepped(1, ends[k], carry.state, rests[k])
+                carry = carry._replace(failed=_first(carry.failed, info, ends[k]))
+                seen = carry._replace(state=state, info=carry.info.merge(info))
+            return carry, jax.tree.map(lambda to, x: to.at[k].set(x), saved, _saved(seen))
 
-        buffer = jax.tree.map(lambda x: jnp.zeros((buffer_rows, *x.shape), x.dtype), _saved(carry))
+        buffer = jax.tree.map(lambda x: jnp.zeros((len(ends), *x.shape), x.dtype), _saved(carry))
         begin = carry._replace(failed=jnp.full(carry.failed.shape, -1, jnp.int32))  # counts from this call's start
         end, saved = lax.fori_loop(0, saves, interval, (begin, buffer))
         first = jnp.where(end.failed < 0, -1, done + end.failed)
         return end._replace(failed=jnp.where(carry.failed < 0, first, carry.failed).astype(carry.failed.dtype)), saved
 
     return jax.jit(loop, compiler_options=compiler_options())
+
+
+def _first(failed: Array, info: StepInfo, n: Array) -> Array:
+    """The first step that did not converge, when step n has this report."""
+    return jnp.where((failed < 0) & ~info.converged, n, failed)
 
 
 def _unsaved(carry: Carry) -> tuple[StepInfo, Range | None]:
@@ -170,10 +190,10 @@ def _saved(carry: Carry) -> Any:
 
 @cache
 def energies(step_axis: int | None) -> Callable[..., Array]:
-    """(step, states without their time, t0, done, dt) ↦ the energy less work of each member after `done` steps."""
+    """(step, states without their time, origin, done) ↦ the energy less work of each member after `done` steps."""
 
-    def energies_of(step: Step, states: State, t0: Array | None, done: ArrayLike, dt: Array) -> Array:
-        return _over_members(energy, step_axis, step, on_clock(states, t0, done, dt))
+    def energies_of(step: Step, states: State, origin: Origin, done: ArrayLike) -> Array:
+        return _over_members(energy, step_axis, step, origin.at(done, states))
 
     return jax.jit(energies_of, compiler_options=compiler_options())
 

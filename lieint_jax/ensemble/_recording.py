@@ -25,6 +25,7 @@ from lieint_jax.ensemble._layout import Layout
 from lieint_jax.ensemble._leaves import named, state_of
 from lieint_jax.ensemble._loop import Carry, Range, compiler_options, step_dtype
 from lieint_jax.ensemble._reading import opened
+from lieint_jax.integrate import Given
 from lieint_jax.types import State, StepInfo
 
 _RESIDUAL = "largest residual of a step since the entry before"
@@ -106,8 +107,8 @@ class StoreOutput:
         """The number of saves until the current chunk is full."""
         return self.buffer_rows - (self._entries + self._held) % self.buffer_rows
 
-    def restored(self) -> tuple[list[Carry], int] | None:
-        """The carry and the number of steps of the run that the store holds, or None."""
+    def restored(self) -> tuple[list[Carry], int, int] | None:
+        """The carry, and the numbers of steps and of saves, of the run that the store holds, or None."""
         done = self._writer.progress
         if not done["commits"]:
             return None
@@ -121,7 +122,7 @@ class StoreOutput:
         info = StepInfo(read("residual"), read("converged"))  # pyright: ignore[reportArgumentType]
         state = state_of({name: read(name) for name in named(self._job.states)})
         carry = Carry(state, info, read("failed"), change)  # pyright: ignore[reportArgumentType]
-        return _layout.scatter(self._layout, carry, part.start), done["steps"]
+        return _layout.scatter(self._layout, carry, part.start), done["steps"], done["entries"] - 1
 
     def begin(self, carry: list[Carry]) -> None:
         """Receive the entry of the start."""
@@ -142,7 +143,7 @@ class StoreOutput:
         """Commit if a chunk is full; or if no rows are pending and the last commit is old or the run is to stop."""
         self._settle(wait=False)
         self._since += seconds
-        last = done == self._job.num_steps
+        last = self._entries + self._held > self._job.num_saves
         whole = self._held and (self._entries + self._held) % self.buffer_rows == 0
         if last or whole or (not self._held and (stop or self._since > _CHECKPOINT_EVERY)):
             self._commit(carry, done, last)
@@ -252,7 +253,7 @@ class _Axes:
         self.times = {"time": (job.num_saves + 1, job.buffer_rows(chunk))}  # name: (length, chunk)
         self.members = {"member": (job.members, chunk)}
         self.slots = {"slot": (2, 1)}
-        self._number = np.dtype(job.dt.dtype)
+        self._number = job.dtype
 
     def column(self, axes: Mapping[str, tuple[int, int]], dtype: Any = None, **attributes: str) -> _store.Column:
         """The description of an array of scalars along `axes`."""
@@ -339,9 +340,10 @@ def _attributes(job: Job, options: StoreOptions, described: dict[str, Any], chun
         "title": str(options.attributes.get("title", job.step.name)),
         "scheme": job.step.name,
         "system": type(job.step.system).__name__,
-        "dt": job.dt_given,
+        "dt": job.dt,
         "save_every": job.save_every,
         "num_steps": job.num_steps,
+        "num_entries": job.num_saves + 1,
         "members": job.members,
         "reduce": described["reduce"],
         "time_chunk": job.buffer_rows(chunk),
@@ -362,12 +364,14 @@ def _description(job: Job, options: StoreOptions) -> dict[str, Any]:
         "numbers of the step": _digest(*leaves),
         "initial states": _digest(*_with_names(job.states._replace(t=job.t0))),
         "members": job.members,
-        "dt": job.dt_given,
-        "num_steps": job.num_steps,
+        "dt": job.dt,
+        "num_steps": job.planned,
         "save_every": job.save_every,
+        "times": _digest(job.clock.times) if isinstance(job.clock, Given) else None,
+        "save_at": None if job.rests is None else _digest(job.times),
         "step_axis": job.step_axis,
         "reduce": getattr(job.reduction, "__name__", "a function") if job.reduction is not None else None,
-        "dtype": str(job.dt.dtype),
+        "dtype": str(job.dtype),
         "versions": {"lieint_jax": __version__, "jax": jax.__version__, "jaxlib": version("jaxlib")},
         "compiler_options": compiler_options(),
         "XLA_FLAGS": " ".join(flags),

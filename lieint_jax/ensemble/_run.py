@@ -12,16 +12,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
+from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.ensemble import _layout, _loop, processes
 from lieint_jax.ensemble._job import Job, Output, Summary, first_entry, gathered_rows, reduced
 from lieint_jax.ensemble._layout import Layout
 from lieint_jax.ensemble._leaves import named
-from lieint_jax.ensemble._loop import Carry, Reduction, energy
+from lieint_jax.ensemble._loop import Carry, Reduction, energy, step_dtype
 from lieint_jax.ensemble._progress import Bar, Interrupts, Pace
 from lieint_jax.ensemble._recording import StoreOptions, into_store
-from lieint_jax.integrate import intervals
+from lieint_jax.integrate import Given, Uniform, clock_of, intervals, outputs
 from lieint_jax.types import State, Step, Trajectory, checked_step, promoted
 
 _NAMED = 5  # the most failed members that a report names
@@ -31,8 +32,8 @@ _SCALARS = ("t", "work")  # the parts of states that are scalars for each member
 def run(
     step: Step,
     states: State,
-    dt: float,
-    num_steps: int,
+    dt: float | None = None,
+    num_steps: int | None = None,
     save_every: int | None = None,
     step_axis: int | None = None,
     reduce: Reduction | Literal["energy"] | None = None,
@@ -40,6 +41,8 @@ def run(
     store: str | Path | StoreOptions | None = None,
     progress: bool = True,
     resume: bool = False,
+    times: ArrayLike | None = None,
+    save_at: ArrayLike | None = None,
 ) -> Any:
     """Integrate a batch of initial states with one compiled loop.
 
@@ -63,6 +66,10 @@ def run(
             more than a chunk of them.
         progress: show a progress bar on stderr, if that is a terminal.
         resume: continue the run in `store` from its last checkpoint; start it if there is no store.
+        times: in place of dt and num_steps, the times (N+1,) between which the steps of all members lead, as of
+            `integrate`.
+        save_at: in place of save_every, output times (m,) as of `integrate`, since the start if the members start at
+            different times. The run ends with the last of them.
 
     Returns:
         A `Trajectory` of numpy arrays, axes (time, member, …), the initial states first; with `store`, of Zarr arrays,
@@ -70,8 +77,8 @@ def run(
         the members share; if they have none, or start at different times, t is the time since the start.
 
     Raises:
-        ValueError: bad counts; states off the group, not finite, or without the time that a driven system needs;
-            members whose first step fails; a store that exists, or a store to resume that another run wrote.
+        ValueError: bad counts or times; states off the group, not finite, or without the time that a driven system
+            needs; members whose first step fails; a store that exists, or one to resume that another run wrote.
         KeyboardInterrupt: interrupted; with `store`, after the chunk has been written.
         processes.LostProcess: another process of this run is gone.
 
@@ -79,7 +86,6 @@ def run(
         RuntimeWarning: members that fail to converge later, with the first step where each does; a time of the states
             so large that the floating-point numbers there are more than dt/10⁶ apart.
     """
-    interval, num_saves = intervals(num_steps, save_every)
     if step_axis not in (None, 0):
         raise ValueError(f"step_axis must be None (one step for all) or 0 (one per member), got {step_axis!r}")
     if reduce is not None and reduce != "energy" and not callable(reduce):
@@ -91,10 +97,19 @@ def run(
     states, t0 = _checked(states)
     count = states.p.shape[0]
     reduction = energy if reduce == "energy" else reduce
-    h = np.asarray(_checks.step_size(dt), dtype)
-    job = Job(step, states, float(dt), h, interval, num_saves, step_axis, reduction, t0)
+    clock, planned = _clock(t0, dtype, dt, num_steps, times)
+    if save_at is None:
+        interval, num_saves = intervals(planned, save_every)
+        nodes, rests = interval * np.arange(num_saves + 1), None
+        when = clock.time(nodes.astype(dtype) if isinstance(clock, Uniform) else nodes)
+    else:
+        if save_every is not None or reduce is not None:
+            raise ValueError(f"give save_at or {'save_every' if reduce is None else 'reduce'}, not both")
+        interval, (when, nodes, rests) = None, _outputs(save_at, clock, planned, dtype)
+    given = None if dt is None else float(dt)
+    job = Job(step, states, t0, given, clock, planned, np.asarray(when), nodes, rests, interval, step_axis, reduction)
     _check(job)
-    _checks.time_resolution(t0, dt, num_steps)
+    _checks.time_resolution(t0, job.first_dt, planned)
     with processes.watched(mesh):
         if store is None:
             layout = _layout.layout_of(mesh, count)
@@ -106,40 +121,60 @@ def run(
 def _integrate(job: Job, layout: Layout, output: Output, progress: bool) -> Any:
     """Run a job to its end, append its saved rows to `output`, and return the output's result."""
     loop = CompiledLoop(job, layout, output.buffer_rows, progress)
-    carry, done = output.restored() or (None, 0)
+    carry, done, saved = output.restored() or (None, 0, 0)
     if carry is None:
         carry = loop.start
         loop.check_first_step()
         output.begin(carry)
     pace = Pace(layout)
     with Interrupts(output.defers_interrupts) as interrupts, Bar(progress, job.num_steps, job.members, done) as bar:
-        while done < job.num_steps:
-            saves, every = _next_portion(job, done, pace.steps, output.free_rows)
-            clock = time.perf_counter()
-            carry, saved = loop.advance(carry, done, saves, every)
-            done += saves * every
-            if done % job.save_every == 0:
-                output.append(saved, saves)
-            bar.update(saves * every)
+        while saved < job.num_saves:
+            ends, saves = _next_portion(job, done, saved, pace.steps, output.free_rows)
+            clock, steps = time.perf_counter(), int(ends[-1]) - done
+            carry, rows = loop.advance(carry, done, saved, ends)
+            done, saved = done + steps, saved + saves
+            if saves:
+                output.append(rows, saves)
+            bar.update(steps)
             loop.watch(carry, done, bar)
-            stop = pace.measure(saves * every, time.perf_counter() - clock, interrupts.requested)
+            stop = pace.measure(steps, time.perf_counter() - clock, interrupts.requested)
             output.checkpoint(carry, done, pace.seconds, stop)
             if stop and output.can_stop():
                 raise KeyboardInterrupt(output.interrupt_message(done, job.num_steps))
-        if not job.num_steps:
+        if not job.num_saves:
             output.checkpoint(carry, 0, 0.0, stop=False)
         result = output.result(carry)
     _report(_layout.gather(layout, [c.failed for c in carry]))
     return result
 
 
-def _next_portion(job: Job, done: int, most: int, free_rows: int) -> tuple[int, int]:
-    """The save intervals of the next call, and the steps in each: about `most` steps in all."""
-    into = done % job.save_every
-    if into or most < job.save_every:  # a part of one interval
-        return 1, min(most, job.save_every - into)
-    left = (job.num_steps - done) // job.save_every
-    return min(most // job.save_every, free_rows, left), job.save_every
+def _next_portion(job: Job, done: int, saved: int, most: int, free_rows: int) -> tuple[np.ndarray, int]:
+    """The nodes at which the intervals of the next call end, about `most` steps in all, and how many are saved."""
+    ahead = job.nodes[saved + 1 : saved + 1 + free_rows]
+    saves = int(np.searchsorted(ahead, done + most, side="right"))
+    return (ahead[:saves], saves) if saves else (np.array([done + most]), 0)
+
+
+def _clock(
+    t0: Any, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
+) -> tuple[Uniform | Given, int]:
+    """When the steps are, as host arrays, and how many are asked for; since the start if members start apart."""
+    if t0 is not None and t0.ndim:
+        if times is not None:
+            raise ValueError("times are those of all members: give all the same states.t, or none")
+        t0 = None
+    clock, planned = clock_of(t0, dtype, dt, num_steps, times)
+    return jax.tree.map(np.asarray, clock), planned
+
+
+def _outputs(
+    save_at: ArrayLike, clock: Uniform | Given, planned: int, dtype: Any
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The time of each entry, the start's first, the whole steps before it, and the size of the shorter step to it."""
+    wanted = outputs(save_at, clock, planned, dtype)
+    times = np.concatenate([[clock.time(0)], wanted])
+    nodes = np.asarray(jax.vmap(lambda t: clock.node(t, planned))(times))
+    return times, nodes, times - np.asarray(clock.time(nodes)).astype(dtype)
 
 
 class CompiledLoop:
@@ -151,13 +186,15 @@ class CompiledLoop:
         step = (_layout.replicate if axis is None else _layout.scatter)(layout, job.step)
         states = _layout.scatter(layout, job.states)
         t0 = (_layout.replicate if job.shares_time else _layout.scatter)(layout, job.t0)
-        begun = self._map(_loop.start(axis, job.reduction), step, states, t0)
+        clock = _layout.replicate(layout, job.clock)
+        begun = self._map(_loop.start(axis, job.reduction), step, states, t0, clock)
         self.start, self._origin = [carry for carry, _ in begun], [origin for _, origin in begun]
-        if type(job.step).prepare is not Step.prepare:  # every member has its own constants
-            step = self._map(lambda s, z, t: _loop.prepare(job.step_axis)(s, z, t, job.dt), step, states, t0)
-            axis = 0
-        self._step = step
-        self._advance = _loop.advance(axis, job.reduction, buffer_rows)
+        plain = step
+        if type(job.step).prepare is not Step.prepare and isinstance(job.clock, Uniform):
+            step = self._map(_loop.prepare(job.step_axis), step, states, self._origin)
+            axis = 0  # every member has its own constants
+        self._steps, self._rows = list(zip(step, plain, strict=True)), buffer_rows
+        self._advance = _loop.advance((axis, job.step_axis), job.reduction)
         self._energies = None
         if _layout.all_reduce_max(layout.mesh, progress and Bar.visible())[0]:
             self._energies = _loop.energies(axis)
@@ -166,23 +203,31 @@ class CompiledLoop:
     def _map(self, function: Callable[..., Any], *arguments: list[Any]) -> list[Any]:
         return _layout.map_blocks(self._layout, function, *arguments)
 
-    def advance(self, carry: list[Carry], done: int, saves: int, every: int) -> tuple[list[Carry], list[Any]]:
-        """The carries after `saves` times `every` more steps, and the saved rows, a list item per block."""
-        portion = _loop.Portion(self._job.dt, done, saves, every, not done % self._job.save_every)
-        results = self._map(lambda s, c, o: self._advance(s, c, o, portion), self._step, carry, self._origin)
+    def advance(self, carry: list[Carry], done: int, saved: int, ends: np.ndarray) -> tuple[list[Carry], list[Any]]:
+        """The carries and the saved rows, a list item per block, of the save intervals that end at the nodes `ends`.
+
+        `done` steps were taken before, and `saved` entries after the start.
+        """
+        nodes, rests = self._job.nodes, self._job.rests
+        saves, fill = len(ends), (0, self._rows - len(ends))
+        if rests is not None:
+            rests = np.resize(rests[saved + 1 :], self._rows)
+        ends = np.pad(ends - done, fill).astype(np.int32)
+        portion = _loop.Portion(np.asarray(done, step_dtype()), saves, ends, rests, done == nodes[saved])
+        results = self._map(lambda s, c, o: self._advance(s, c, o, portion), self._steps, carry, self._origin)
         return [c for c, _ in results], [rows for _, rows in results]
 
     def check_first_step(self) -> None:
         """Raise ValueError if the first step of a member fails."""
         if self._job.num_steps:
-            after, _ = self.advance(self.start, 0, 1, 1)
+            after, _ = self.advance(self.start, 0, 0, np.ones(1, int))
             _check_first(_layout.gather(self._layout, [c.failed for c in after]), self._job)
 
     def _energies_of(self, carry: list[Carry], done: int) -> list[Any]:
         """The energies less work after `done` steps."""
-        energies, dt = self._energies, self._job.dt
+        energies = self._energies
         assert energies is not None
-        return self._map(lambda s, c, o: energies(s, c.state, o.t0, done, dt), self._step, carry, self._origin)
+        return self._map(lambda s, c, o: energies(s[0], c.state, o, done), self._steps, carry, self._origin)
 
     def watch(self, carry: list[Carry], done: int, bar: Bar) -> None:
         """Show the energy error and the failures so far on the progress bar, if it is visible."""
@@ -285,7 +330,7 @@ def _check_first(failed: np.ndarray, job: Job) -> None:
     bad = np.flatnonzero(failed >= 0)
     if bad.size:
         step, one = job.member(bad[0])
-        raise ValueError(f"the first step fails for {_some(bad)}. Member {bad[0]}: {step.advice(one, job.dt_given)}")
+        raise ValueError(f"the first step fails for {_some(bad)}. Member {bad[0]}: {step.advice(one, job.first_dt)}")
 
 
 def _report(failed: np.ndarray) -> None:

@@ -1,6 +1,6 @@
 """Runs of one body: many steps, output at given times, events."""
 
-from lieint_jax.integrate._clock import Given, Uniform, at_time
+from lieint_jax.integrate._clock import Given, Uniform, at_time, clock_of, outputs
 from lieint_jax.integrate._event import Event, event, events
 from lieint_jax.integrate._run import from_start, integrate, intervals, prepared, saves, steps
 
@@ -9,11 +9,13 @@ __all__ = [
     "Given",
     "Uniform",
     "at_time",
+    "clock_of",
     "event",
     "events",
     "from_start",
     "integrate",
     "intervals",
+    "outputs",
     "prepared",
     "saves",
     "steps",

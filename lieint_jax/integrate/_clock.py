@@ -66,13 +66,13 @@ class Given(NamedTuple):
 
 
 def clock_of(
-    state: State, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
+    t: Array | None, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
 ) -> tuple[Uniform | Given, int]:
-    """When the steps of a run are, and how many."""
+    """When the steps of a run are, and how many; t is the time of its first state."""
     if times is None:
         if num_steps is None:
             raise ValueError("give dt and num_steps, or times")
-        t0 = jnp.zeros((), dtype) if state.t is None else state.t
+        t0 = jnp.zeros((), dtype) if t is None else t
         return Uniform(t0, jnp.asarray(_checks.step_size(dt), dtype)), _checks.count("num_steps", num_steps, 0)
     if dt is not None or num_steps is not None:
         raise ValueError("give dt and num_steps, or times, not both")
@@ -84,8 +84,8 @@ def clock_of(
         if not (np.all(sizes > 0) or np.all(sizes < 0)):
             n = int(np.argmax(sizes * np.sign(sizes[0]) <= 0))
             raise ValueError(f"times must increase, or decrease, from one to the next, got {nodes[n : n + 2]} at {n}")
-    if state.t is not None and concrete(nodes, state.t) and float(nodes[0]) != float(state.t):
-        raise ValueError(f"times must begin at the time of the state, {float(state.t)}, got {float(nodes[0])}")
+    if t is not None and concrete(nodes, t) and float(nodes[0]) != float(t):
+        raise ValueError(f"times must begin at the time of the state, {float(t)}, got {float(nodes[0])}")
     return Given(nodes), nodes.size - 1
 
 

@@ -91,7 +91,7 @@ def events(
     if concrete(first) and not bool(jnp.isfinite(first)):
         raise ValueError(f"condition must be finite at the start, got {float(first)}")
     _checks.time_resolution(state.t, dt, max_steps)
-    clock, _ = clock_of(state, dtype, dt, max_steps, None)
+    clock, _ = clock_of(state.t, dtype, dt, max_steps, None)
     return _events(step, state, clock, callable_pytree(condition), max_steps, count, direction)
 
 

@@ -59,7 +59,7 @@ def integrate(
         RuntimeWarning: a state's time is so large that the floating-point numbers there are more than dt/10⁶ apart.
     """
     step, state, dtype = promoted(checked_step(step), state)
-    clock, num_steps = clock_of(state, dtype, dt, num_steps, times)
+    clock, num_steps = clock_of(state.t, dtype, dt, num_steps, times)
     first = clock.size(0) if num_steps else jnp.zeros((), dtype)
     step.check(state, first if dt is None else dt)
     _checks.time_resolution(state.t, first if dt is None else dt, num_steps)

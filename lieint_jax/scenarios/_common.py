@@ -57,6 +57,8 @@ class Common(Table):
     """The number of steps, a multiple of save_every."""
     save_every: Positive = 1
     """Steps between saved states."""
+    save_at: list[float] | None = None
+    """Times of saved states, in the order of the run, in place of save_every; a shorter step leads to each."""
     members: Annotated[int, Field(gt=0, le=10**9)] = 1
     """The number of members of the ensemble; the first is the nominal state."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
