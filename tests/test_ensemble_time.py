@@ -1,4 +1,4 @@
-"""Time, work and extra arrays in `ensemble.run`: what members share is computed once; stores and resume keep all."""
+"""Time, work and extra arrays in `ensemble.run`, given times and output times; stores and resume keep all."""
 
 import contextlib
 import filecmp
@@ -14,7 +14,11 @@ from lieint_jax import ensemble, schemes, systems
 from lieint_jax.command import files
 from lieint_jax.ensemble import _job
 
-MEMBERS, DT, STEPS = 12, 0.05, 60
+MEMBERS = 12
+UNIFORM = {"dt": 0.05, "num_steps": 60, "save_every": 5}
+GRADED = 0.7 + 3 * np.linspace(0, 1, 61) ** 1.5
+OUTPUTS = np.sort(np.concatenate([[0.7, 3.7], GRADED[7:9], np.linspace(1, 2, 9), [1.1] * 6, [3.4, 3.41]]))
+BETWEEN = {"times": GRADED, "save_at": OUTPUTS}
 J = np.array([1.0, 2.0, 2.5])
 BATCHED = []  # whether the axis was traced with a time for each member
 
@@ -47,15 +51,15 @@ def started(t=0.7):
     return li.State(jnp.array(q), jnp.array(rng.normal(size=(MEMBERS, 3))), jnp.asarray(t), jnp.asarray(0.0))
 
 
-def run(path=None, step=SPLITTING, states=None, **options):
+def run(path=None, step=SPLITTING, states=None, uniform=UNIFORM, **options):
     states = started() if states is None else states
-    return ensemble.run(step, states, DT, STEPS, 5, store=path, progress=False, **options)
+    return ensemble.run(step, states, store=path, progress=False, **uniform, **options)
 
 
-def alone(step, states, m):
+def alone(step, states, m, **uniform):
     """The same run of one member by `integrate`."""
     one = jax.tree.map(lambda x: x[m] if x.ndim else x, states)
-    return jax.device_get(li.integrate(step, one, DT, STEPS, 5))
+    return jax.device_get(li.integrate(step, one, **(uniform or UNIFORM)))
 
 
 def agree(found, m, expected):
@@ -75,7 +79,7 @@ def test_a_time_that_members_share_is_one_number_in_the_loop(t):
     jax.clear_caches()
     found = run(states=started(t))
     assert not any(BATCHED)
-    times = 0.7 + DT * 5 * np.arange(13)
+    times = 0.7 + 0.05 * (5 * np.arange(13))
     assert found.state.t.shape == (13, MEMBERS)
     np.testing.assert_allclose(found.state.t, np.tile(times[:, None], MEMBERS), rtol=4e-16)
     np.testing.assert_allclose(found.t, times, rtol=4e-16)
@@ -91,7 +95,47 @@ def test_members_may_start_at_times_of_their_own():
     assert any(BATCHED)
     for m in (0, 5):
         agree(found, m, alone(SPLITTING, states, m))
-    np.testing.assert_array_equal(found.t, DT * 5 * np.arange(13))  # since the start of each
+    np.testing.assert_array_equal(found.t, 0.05 * (5 * np.arange(13)))  # since the start of each
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("keys", [["times", "save_at"], ["times"], ["save_at"]], ids=" and ".join)
+def test_steps_between_given_times_and_outputs_at_others(keys, small_chunks):
+    """Seven outputs are at one time: more than a call of the loop may save."""
+    options = {key: BETWEEN[key] for key in keys} | ({} if "times" in keys else {"dt": 0.05, "num_steps": 60})
+    found = run(uniform=options)
+    expected = alone(SPLITTING, started(), 5, **options) if "save_at" in keys else None
+    expected = expected or alone(SPLITTING, started(), 5, save_every=60, **options)
+    assert found.info.converged.all()
+    np.testing.assert_array_equal(found.t, expected.t)
+    np.testing.assert_array_equal(found.state.t, np.tile(expected.t[:, None], MEMBERS))
+    agree(found, 5, expected)
+
+
+@pytest.mark.long
+def test_outputs_of_members_that_start_at_different_times_count_from_the_start():
+    starts = 0.7 + 0.1 * np.arange(MEMBERS)
+    found = run(states=started(starts), uniform={"dt": 0.05, "num_steps": 60, "save_at": OUTPUTS - 0.7})
+    np.testing.assert_allclose(found.state.t, starts + found.t[:, None], rtol=1e-15)
+    path = alone(SPLITTING, started(starts), 5, dt=0.05, num_steps=60, save_at=OUTPUTS - 0.7 + starts[5])
+    agree(found, 5, path)
+
+
+def test_times_that_make_no_run_are_refused():
+    for uniform, message in [
+        ({"times": GRADED, "dt": 0.1}, "give dt and num_steps, or times, not both"),
+        ({"dt": 0.1}, "give dt and num_steps, or times"),
+        ({"times": GRADED - 0.1}, "times must begin at the time of the state"),
+        ({"times": GRADED[::2][::-1]}, "times must begin at the time of the state"),
+        ({"times": GRADED, "save_at": [1, 0.9]}, "save_at must be in the order of the run"),
+        ({"times": GRADED, "save_at": [4.0]}, "save_at must lie in the run"),
+        ({"times": GRADED, "save_at": [1.0], "save_every": 5}, "give save_at or save_every, not both"),
+        ({"times": GRADED, "save_at": [1.0], "reduce": "energy"}, "give save_at or reduce, not both"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            run(uniform=uniform)
+    with pytest.raises(ValueError, match=r"times are those of all members: give all the same states\.t, or none"):
+        run(states=started(np.arange(MEMBERS)), uniform={"times": GRADED})
 
 
 @pytest.mark.long
@@ -116,7 +160,7 @@ def test_the_reduced_energy_is_energy_less_work():
     found = run(step=MIDPOINT, reduce="energy")
     assert max(np.abs(found.least).max(), np.abs(found.greatest).max()) < 1e-14
     assert np.abs(found.state.work).max() > 0.1
-    np.testing.assert_allclose(found.state.t, 0.7 + DT * STEPS, rtol=4e-16)
+    np.testing.assert_allclose(found.state.t, 3.7, rtol=4e-16)
 
 
 def test_a_store_and_a_file_hold_what_memory_would(tmp_path, small_chunks):
@@ -138,11 +182,14 @@ class CrashError(Exception):
     pass
 
 
+RUNS = [{}, {"reduce": "energy"}, {"uniform": BETWEEN}]
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("reduce", [None, "energy"], ids=["trajectory", "summary"])
-def test_a_run_that_ended_resumes_to_the_same_bits(tmp_path, small_chunks, monkeypatch, reduce):
+@pytest.mark.parametrize("options", RUNS, ids=["trajectory", "summary", "given times and outputs"])
+def test_a_run_that_ended_resumes_to_the_same_bits(tmp_path, small_chunks, monkeypatch, options):
     path, whole, sync = tmp_path / "run.zarr", tmp_path / "whole.zarr", os.fsync
-    run(whole, reduce=reduce)
+    run(whole, **options)
     left, ends = [0], 0
 
     def fails(descriptor):
@@ -154,11 +201,11 @@ def test_a_run_that_ended_resumes_to_the_same_bits(tmp_path, small_chunks, monke
     monkeypatch.setattr(os, "fsync", fails)
     for left[0] in (30, 40, 45, 1000):
         with contextlib.suppress(CrashError):
-            run(path, reduce=reduce, resume=True)
+            run(path, resume=True, **options)
         ends += left[0] < 0
     assert ends >= 2
     names = sorted(str(f.relative_to(whole)) for f in whole.rglob("*") if f.is_file())
-    assert sum(name.startswith("work/c/") for name in names) > 1 or reduce
+    assert sum(name.startswith("work/c/") for name in names) > 1 or "reduce" in options
     assert filecmp.cmpfiles(path, whole, names, shallow=False)[1:] == ([], [])
 
 
