@@ -28,7 +28,7 @@ from lieint_jax import (
     types,
 )
 from lieint_jax._version import __version__
-from lieint_jax.integrate import Event, event, integrate
+from lieint_jax.integrate import Event, event, integrate, interpolate
 from lieint_jax.types import State, Step, StepInfo, Trajectory, pytree, static
 
 __all__ = [
@@ -45,6 +45,7 @@ __all__ = [
     "fitting",
     "groups",
     "integrate",
+    "interpolate",
     "maps",
     "orbits",
     "phase_spaces",

@@ -37,6 +37,15 @@ class CotangentGroup:
         d = self.group.dim
         return state._replace(q=self.group.multiply(self.group.exp(delta[:d]), state.q), p=state.p + delta[d:])
 
+    def displacement(self, start: State, end: State) -> Array:
+        """The δ, shape (2d,), with perturb(start, δ) = end, of the least δθ."""
+        turn = self.group.log(self.group.multiply(end.q, self.group.inverse(start.q)))
+        return jnp.concatenate([turn, end.p - start.p])
+
+    def displaced(self, start: State, displacement: Array) -> State:
+        """The end of a displacement."""
+        return self.perturb(start, displacement)
+
     def trivialise(self, state: State, tangent: State) -> Array:
         """(δθ, δπ), shape (2d,), of a tangent vector given in the coordinates of `State`."""
         return jnp.concatenate([self.group.spatial_velocity(state.q, tangent.q), tangent.p])
@@ -77,6 +86,14 @@ class EmbeddedRotations:
         turned = jax.vmap(lambda column: so3.Ad(turn, column), 1, 1)(state.q)
         return state._replace(q=turned, p=state.p + delta[3:])
 
+    def displacement(self, start: State, end: State) -> Array:
+        """The differences of all entries, shape (n,)."""
+        return _entries(end) - _entries(start)
+
+    def displaced(self, start: State, displacement: Array) -> State:
+        """The end of a displacement."""
+        return _added(start, displacement)
+
     def trivialise(self, state: State, tangent: State) -> Array:
         """(δθ, δπ), shape (6,), of a tangent vector (δΛ, δπ): δθ = rot[δΛ Λ⁻¹], the rest of δΛ is left out."""
         velocity = [three.solve(three.transpose(state.q), row) for row in tangent.q]  # δΛ Λ⁻¹
@@ -110,6 +127,14 @@ class CotangentMatrices:
     def perturb(self, state: State, delta: Array) -> State:
         """(F + δF, P + δP) for δ = (δF, δP), shape (18,)."""
         return state._replace(q=state.q + delta[:9].reshape(3, 3), p=state.p + delta[9:].reshape(3, 3))
+
+    def displacement(self, start: State, end: State) -> Array:
+        """The differences of all entries, shape (n,)."""
+        return _entries(end) - _entries(start)
+
+    def displaced(self, start: State, displacement: Array) -> State:
+        """The end of a displacement."""
+        return _added(start, displacement)
 
     def trivialise(self, state: State, tangent: State) -> Array:
         """(δF, δP), shape (18,)."""
@@ -167,6 +192,15 @@ class CotangentUnimodular:
         rest = state.p - self.tangential(state.q, pi)
         return state._replace(q=q, p=self.tangential(q, pi + delta[8:]) + rest)
 
+    def displacement(self, start: State, end: State) -> Array:
+        """The δ, shape (16,), with perturb(start, δ) = end, of the least δθ."""
+        turn = self.group.log(self.group.multiply(end.q, self.group.inverse(start.q)))
+        return jnp.concatenate([turn, self.spatial_momentum(end) - self.spatial_momentum(start)])
+
+    def displaced(self, start: State, displacement: Array) -> State:
+        """The end of a displacement."""
+        return self.perturb(start, displacement)
+
     def trivialise(self, state: State, tangent: State) -> Array:
         """(δθ, δπ), shape (16,), of a tangent vector (δF, δP)."""
         change = jnp.tensordot(self._basis(state), tangent.p @ state.q.T + state.p @ tangent.q.T, 2)
@@ -207,6 +241,16 @@ class CotangentSphere:
         e1, e2 = frame(state.q)
         turn = so3.exp(delta[0] * e2 - delta[1] * e1)
         return state._replace(q=so3.Ad(turn, state.q), p=so3.Ad(turn, state.p + delta[2] * e1 + delta[3] * e2))
+
+    def displacement(self, start: State, end: State) -> Array:
+        """The differences of all components, shape (6,)."""
+        return _entries(end) - _entries(start)
+
+    def displaced(self, start: State, displacement: Array) -> State:
+        """The end of a displacement, projected on T*S²."""
+        end = _added(start, displacement)
+        q = end.q / jnp.sqrt(three.dot(end.q, end.q))
+        return end._replace(q=q, p=end.p - three.dot(q, end.p) * q)
 
     def trivialise(self, state: State, tangent: State) -> Array:
         """(a, b), shape (4,), of a tangent vector given in the coordinates of `State`."""
@@ -261,6 +305,17 @@ class SphericalChart:
         out, along = jnp.cos(phi) * e1 + jnp.sin(phi) * e2, jnp.cos(phi) * e2 - jnp.sin(phi) * e1
         c, s = jnp.cos(theta), jnp.sin(theta)
         return c * self.axis + s * out, c * out - s * self.axis, along
+
+
+def _entries(state: State) -> Array:
+    return jnp.concatenate([state.q.ravel(), state.p.ravel()])
+
+
+def _added(state: State, entries: Array) -> State:
+    n = state.q.size
+    return state._replace(
+        q=state.q + entries[:n].reshape(state.q.shape), p=state.p + entries[n:].reshape(state.p.shape)
+    )
 
 
 def frame(q: Array) -> tuple[Array, Array]:

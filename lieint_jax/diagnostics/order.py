@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.integrate import steps
+from lieint_jax.integrate import rate, steps
 from lieint_jax.types import State, Step, StepInfo, System, promoted
 
 _STAGES, _ITERATIONS = 8, 24
@@ -33,20 +33,13 @@ def _flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
     z0, unravel = ravel_pytree(state)
     A, b = (jnp.asarray(x, z0.dtype) for x in _gauss(_STAGES))
     h = jnp.asarray(t, z0.dtype) / num_steps
-    f = jax.vmap(lambda z: ravel_pytree(_rate(system, unravel(z)))[0])
+    f = jax.vmap(lambda z: ravel_pytree(rate(system, unravel(z)))[0])
 
     def one(z: Array, _: None) -> tuple[Array, None]:
         k = lax.fori_loop(0, _ITERATIONS, lambda _, k: f(z + h * (A @ k)), jnp.zeros((_STAGES, z.size), z.dtype))
         return z + h * (b @ k), None
 
     return unravel(lax.scan(one, z0, None, length=num_steps)[0])
-
-
-def _rate(system: System, state: State) -> State:
-    """The time derivative of all that a state holds: t is time itself, and what the system does not move rests."""
-    rate, rest = system.vector_field(state), jax.tree.map(jnp.zeros_like, state)
-    moved = {name: x for name, x in rate._asdict().items() if x is not None and getattr(state, name) is not None}
-    return rest._replace(**moved | ({} if state.t is None else {"t": jnp.ones_like(state.t)}))
 
 
 def _gauss(stages: int) -> tuple[np.ndarray, np.ndarray]:

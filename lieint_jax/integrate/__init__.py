@@ -2,6 +2,7 @@
 
 from lieint_jax.integrate._clock import Given, Uniform, at_time, clock_of, outputs
 from lieint_jax.integrate._event import Event, event, events
+from lieint_jax.integrate._interpolate import interpolate, rate
 from lieint_jax.integrate._run import from_start, integrate, intervals, prepared, saves, steps
 
 __all__ = [
@@ -14,9 +15,11 @@ __all__ = [
     "events",
     "from_start",
     "integrate",
+    "interpolate",
     "intervals",
     "outputs",
     "prepared",
+    "rate",
     "saves",
     "steps",
 ]

@@ -1,0 +1,118 @@
+"""States between those of a trajectory, by Hermite interpolation on the phase space."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.flatten_util import ravel_pytree
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax.types import State, System, Trajectory
+
+
+def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> State:
+    """The states of a trajectory at any times inside it, for pictures.
+
+    Between two saved states, the quintic Hermite polynomial of their values and first and second derivatives, in
+    coordinates of the phase space about the first: those of exp on groups. It stays on the phase space; its error is
+    O(h⁶) for saved states h apart, beside that of the trajectory. It keeps no invariant: `integrate(…, save_at=…)`
+    does, at the price of a step for each time.
+
+    Args:
+        system: that of the trajectory.
+        trajectory: of one body (vmap over others), saved so often that it turns by less than half a turn in between.
+        times: any times (m,) from the first of `trajectory.t` to the last, in any order.
+
+    Returns:
+        The states, every leaf with a leading axis (m,). Traced times outside the trajectory give NaN.
+
+    Raises:
+        ValueError: concrete times outside the trajectory; one entry only; saved states too far apart.
+    """
+    if not isinstance(system, System):
+        raise ValueError(f"system must be that of the trajectory, got a {type(system).__name__}")
+    system.check(jax.tree.map(lambda x: x[0], trajectory.state))
+    t = jnp.asarray(trajectory.t)
+    wanted = _checks.real_array("times", times).astype(t.dtype)
+    if wanted.ndim != 1:
+        raise ValueError(f"times must have shape (m,), got {wanted.shape}")
+    if t.ndim != 1 or len(t) < 2:
+        raise ValueError(f"a trajectory of two entries or more is needed, got times of shape {t.shape}")
+    if concrete(wanted, t):
+        first, last = min(float(t[0]), float(t[-1])), max(float(t[0]), float(t[-1]))
+        if wanted.size and not first <= float(wanted.min()) <= float(wanted.max()) <= last:
+            raise ValueError(f"times must lie in the trajectory, from {first} to {last}, got {wanted}")
+    found, gaps = _interpolated(system, trajectory._replace(t=t), wanted)
+    if concrete(gaps) and wanted.size and not float(jnp.max(gaps)) < 1:
+        k = int(np.argmax(gaps))
+        raise ValueError(
+            f"the saved states about t = {float(wanted[k]):.6g} are too far apart to interpolate: their rates do not "
+            "lead from one to the next; save more often"
+        )
+    return found
+
+
+def rate(system: System, state: State) -> State:
+    """The time derivative of all that a state holds: t is time itself, and what the system does not move rests."""
+    rate, rest = system.vector_field(state), jax.tree.map(jnp.zeros_like, state)
+    moved = {name: x for name, x in rate._asdict().items() if x is not None and getattr(state, name) is not None}
+    return rest._replace(**moved | ({} if state.t is None else {"t": jnp.ones_like(state.t)}))
+
+
+@jax.jit
+def _interpolated(system: System, trajectory: Trajectory, times: Array) -> tuple[State, Array]:
+    """The states, and by how much the trapezoidal rule of the rates misses the next saved one: 1 and more is lost."""
+    t, space = trajectory.t, system.phase_space
+    sign = jnp.where(t[-1] < t[0], -1, 1)
+    left = jnp.clip(jnp.searchsorted(sign * t, sign * times, side="right") - 1, 0, len(t) - 2)
+    inside = (sign * t[0] <= sign * times) & (sign * times <= sign * t[-1])
+
+    def one(k: Array, time: Array, inside: Array) -> tuple[State, Array]:
+        a, b = (jax.tree.map(lambda x: x[n], trajectory.state) for n in (k, k + 1))  # noqa: B023
+        h = t[k + 1] - t[k]
+        rest, unravel = ravel_pytree(_rest(a))
+
+        def coordinates(z: State) -> Array:
+            return jnp.concatenate([space.displacement(a, z), ravel_pytree(_rest(z))[0] - rest])
+
+        (_, v0, w0), (end, v1, w1) = (_jet(system, coordinates, z) for z in (a, b))
+        d = _quintic((time - t[k]) / h, end, h * v0, h * v1, h * h * w0, h * h * w1)
+        n = d.size - rest.size
+        found = space.displaced(a, d[:n])._replace(**unravel(rest + d[n:]))
+        found = found if a.t is None else found._replace(t=time)
+        found = jax.tree.map(lambda x: jnp.where(inside, x, jnp.nan), found)
+        gap = jnp.abs(h * (v0 + v1) / 2 - end) / (1 + jnp.abs(end))
+        return found, jnp.where(inside, jnp.max(gap[: space.dim // 2]), 0)
+
+    return jax.vmap(one)(left, times, inside)
+
+
+def _rest(state: State) -> dict[str, Any]:
+    return {"work": state.work, "extra": state.extra}
+
+
+def _jet(system: System, function: Callable[[State], Array], state: State) -> tuple[Array, Array, Array]:
+    """A function of the state, and its first and second time derivatives along the flow."""
+    flow = partial(rate, system)
+
+    def along(z: State) -> tuple[Array, Array]:
+        return jax.jvp(function, (z,), (flow(z),))
+
+    (value, first), (_, second) = jax.jvp(along, (state,), (flow(state),))
+    return value, first, second
+
+
+def _quintic(s: Array, end: Array, v0: Array, v1: Array, w0: Array, w1: Array) -> Array:
+    """The quintic from 0 at s = 0 to `end` at s = 1 with first derivatives v and second derivatives w."""
+    u = 1 - s
+    rises = s**3 * (10 - 15 * s + 6 * s * s)
+    first = s * u**3 * (1 + 3 * s) * v0 - u * s**3 * (4 - 3 * s) * v1
+    return rises * end + first + s * s * u * u / 2 * (u * w0 + s * w1)
