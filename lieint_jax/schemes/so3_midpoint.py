@@ -107,13 +107,21 @@ class SO3Midpoint(Step):
         return state._replace(q=so3.cayley_increment(state.q, h)), info
 
     def tangent(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
-        if self.kappa.solve_by != "scalar" or not isinstance(self.system, FreeBody):
+        body = self.system
+        if self.kappa.solve_by != "scalar" or not isinstance(body, FreeBody):
             return super().tangent(state, dt, T)
-        J, a = scaled(self.system, state, dt)
-        h, info = half_turn(J, a, self.kappa, self.iterations)
-        da = scaled(self.system, state._replace(p=T[3:] - jnp.stack(cross(T[:3], state.p))), dt)[1]
-        theta = T[:3] + so3.Ad(state.q, turned(J, a, h, da))
-        return state._replace(q=so3.cayley_increment(state.q, h)), info, jnp.concatenate([theta, T[3:]])
+        J, a = scaled(body, state, dt)
+        a = three.once(a)
+        h, info = half_turn(J, jnp.stack(a), self.kappa, self.iterations)
+        h = three.once(h)
+
+        def carried(tangent: Array) -> Array:
+            theta, p = tangent[:3], subtract(tangent[3:], cross(tangent[:3], state.p))
+            da = three.once(scaled(body, state._replace(p=jnp.stack(p)), dt)[1])
+            turn = three.once(so3.Ad(state.q, three.once(turned(J, a, h, da))))
+            return jnp.stack([*add(theta, turn), *tangent[3:]])
+
+        return state._replace(q=so3.cayley_increment(state.q, h)), info, jax.vmap(carried, -1, -1)(jnp.asarray(T))
 
     def _driven(self, system: DrivenGyrostat, state: State, dt: Array) -> tuple[State, StepInfo]:
         """The step of the gyrostat whose rotor keeps the mean momentum h̄_r, the rotor's change, and the work of it."""
@@ -295,8 +303,8 @@ def scalar_residual(J: Symmetric, a: Array, h: Array) -> Vector:
     return tuple(Jh[i] - m * h[i] - a[i] - x[i] for i in range(3))
 
 
-def turned(J: Symmetric, a: Array, h: Array, da: Array) -> Array:
-    """The turn of the body at the end of a step, in the axes of its beginning, that a change δa of a brings; (3, k).
+def turned(J: Symmetric, a: Vector, h: Vector, da: Vector) -> Vector:
+    """The turn of the body at the end of a step, in the axes of its beginning, that a change δa of a brings.
 
     (J − m − â − h⊗a) δh = δa + δa × h + (δa·h)h, m = a·h, the derivative of the scalar form; and cay 2h turns by
     2/(1 + |h|²) (δh + h × δh).
@@ -305,7 +313,7 @@ def turned(J: Symmetric, a: Array, h: Array, da: Array) -> Array:
     K = [[K[i][j] - A[i][j] - h[i] * a[j] - (m if i == j else 0) for j in range(3)] for i in range(3)]
     right = add(da, add(cross(da, h), scale(dot(da, h), h)))
     dh = three.solve(K, right)
-    return 2 / (1 + dot(h, h)) * jnp.stack(add(dh, cross(h, dh)))
+    return scale(2 / (1 + dot(h, h)), add(dh, cross(h, dh)))
 
 
 def _solve_vector(

@@ -20,14 +20,16 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import concrete
+from lieint_jax._numerics import three
 from lieint_jax.maps import arcsine, is_symplectic
+from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.schemes._capability import check_motion, hint
 from lieint_jax.schemes._free_motion import FreeMotion, is_free_motion
 from lieint_jax.schemes._turning import Turning, turning
 from lieint_jax.schemes.exact import exact
 from lieint_jax.schemes.group_midpoint import GEODESICS, group_midpoint
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES, so3_midpoint
-from lieint_jax.types import Driven, Forced, Gyrostat, State, Step, StepInfo, System, clock, pytree, static
+from lieint_jax.types import Driven, Forced, Group, Gyrostat, State, Step, StepInfo, System, clock, pytree, static
 
 
 def _motion(parts: tuple[Forced | Driven, System], state: State) -> State:
@@ -68,20 +70,25 @@ class Splitting(Step):
         return f"{self.name}: {self.drift.advice(self._kick(state, dt), dt)}"
 
     def tangent(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
-        kicked = self._kick(state, dt), self._kick_tangent(state, dt, T)
-        end, info, T = self.drift.tangent(kicked[0], dt, kicked[1])
-        return self._kick(end, dt), info, self._kick_tangent(end, dt, T)
-
-    def _kick_tangent(self, state: State, dt: ArrayLike, T: Array) -> Array:
-        """The derivative of a kick: δπ gains ½Δt times the derivative of the force."""
         space = self.system.phase_space
-        zero = jnp.zeros(space.dim, state.p.dtype)
+        if not isinstance(space, CotangentGroup):
+            return super().tangent(state, dt, T)
+        state, T = self._kicked(space.group, state, dt, T)
+        end, info, T = self.drift.tangent(state, dt, T)
+        end, T = self._kicked(space.group, end, dt, T)
+        return end, info, T
 
-        def gain(delta: Array) -> Array:
-            return jax.jvp(lambda x: _force(self.system, space.perturb(state, x)), (zero,), (delta,))[1]
+    def _kicked(self, group: Group, state: State, dt: ArrayLike, T: Array) -> tuple[State, Array]:
+        """The state and its tangent vectors after a kick: δπ gains ½Δt times the derivative of the force."""
 
-        theta, pi = jnp.split(T, 2)
-        return jnp.concatenate([theta, pi + 0.5 * dt * jax.vmap(gain, -1, -1)(T)])
+        def carried(tangent: Array) -> Array:
+            theta, pi = jnp.split(tangent, 2)
+            moved = group.spatial_tangent(state.q, theta)
+            slope = jax.jvp(lambda q: _force(self.system, state._replace(q=q)), (state.q,), (moved,))[1]
+            return jnp.stack([*theta, *three.once(pi + 0.5 * dt * slope)])
+
+        end = self._kick(state, dt)
+        return end._replace(p=jnp.stack(three.once(end.p))), jax.vmap(carried, -1, -1)(jnp.asarray(T))
 
     def _kick(self, state: State, dt: ArrayLike) -> State:
         half, kicked = 0.5 * dt, state
