@@ -219,6 +219,70 @@ class CotangentUnimodular:
 
 
 @pytree
+class CotangentMotions:
+    """(T*ℝ³ × T*SO(3))ᴺ, the phase space of N rigid bodies: q (N, 7), position and quaternion, and p (N, 6).
+
+    Tangent vectors are (δx, δθ) of every body, then (δp, δπ) of every body, with δq = δθ q as on T*SO(3).
+
+    Attributes:
+        count: N.
+    """
+
+    count: int = static()
+
+    @property
+    def dim(self) -> int:
+        """Dimension of the phase space, 12 N."""
+        return 12 * self.count
+
+    @property
+    def origin(self) -> State:
+        """At rest, unturned, the bodies one behind the other on a screw line, 1 and more apart."""
+        n = jnp.arange(float(self.count))
+        places = jnp.stack([1.3 * n, jnp.sin(n), jnp.cos(n)], axis=1)
+        turns = jnp.tile(jnp.array([1.0, 0, 0, 0]), (self.count, 1))
+        return State(jnp.concatenate([places, turns], axis=1), jnp.zeros((self.count, 6)))
+
+    def perturb(self, state: State, delta: Array) -> State:
+        """The state moved by δ, shape (12N,): x + δx, exp(δθ) q, p + δp, π + δπ."""
+        along_q, along_p = delta.reshape(2, self.count, 6)
+        turned = jax.vmap(so3.multiply)(jax.vmap(so3.exp)(along_q[:, 3:]), state.q[:, 3:])
+        return state._replace(q=_joined(state.q[:, :3] + along_q[:, :3], turned), p=state.p + along_p)
+
+    def displacement(self, start: State, end: State) -> Array:
+        """The δ, shape (12N,), with perturb(start, δ) = end, of the least δθ."""
+        turn = jax.vmap(lambda a, b: so3.log(so3.multiply(b, so3.inverse(a))))(start.q[:, 3:], end.q[:, 3:])
+        along_q = _joined(end.q[:, :3] - start.q[:, :3], turn)
+        return jnp.concatenate([along_q.ravel(), (end.p - start.p).ravel()])
+
+    def displaced(self, start: State, displacement: Array) -> State:
+        """The end of a displacement."""
+        return self.perturb(start, displacement)
+
+    def trivialise(self, state: State, tangent: State) -> Array:
+        """(δx, δθ, …, δp, δπ, …), shape (12N,), of a tangent vector given in the coordinates of `State`."""
+        turning = jax.vmap(so3.spatial_velocity)(state.q[:, 3:], tangent.q[:, 3:])
+        return jnp.concatenate([_joined(tangent.q[:, :3], turning).ravel(), tangent.p.ravel()])
+
+    def omega(self, state: State) -> Array:
+        """[[α, 1], [−1, 0]], shape (12N, 12N), α being π̂ of each body on its δθ (2.9)."""
+        one = jnp.eye(6 * self.count, dtype=state.p.dtype)
+        spins = jnp.zeros((self.count, 6, 6), state.p.dtype).at[:, 3:, 3:].set(jax.vmap(so3.hat)(state.p[:, 3:]))
+        alpha = jnp.zeros((self.count, 6, self.count, 6), state.p.dtype)
+        n = jnp.arange(self.count)
+        alpha = alpha.at[n, :, n, :].set(spins).reshape(one.shape)
+        return jnp.block([[alpha, one], [-one, 0 * one]])
+
+    def defect(self, state: State) -> Array:
+        """The largest ||q|² − 1| of the quaternions."""
+        return jnp.max(jnp.abs(jax.vmap(so3.defect)(state.q[:, 3:])))
+
+
+def _joined(linear: Array, angular: Array) -> Array:
+    return jnp.concatenate([linear, angular], axis=1)
+
+
+@pytree
 class CotangentSphere:
     """T*S²: a state is (q, π) with |q| = 1 and q·π = 0 (1.3), π = m q × q̇; a tangent vector has four coordinates.
 

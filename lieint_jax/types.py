@@ -342,6 +342,33 @@ class Forced(System):
         """By how much π̇ at the configuration q differs from π̇ of the free system; of the shape of π."""
 
 
+class FreeBodies(System):
+    """N rigid bodies on which nothing acts: ẋ = p/m, q̇ = ½ q Ω, ṗ = 0, π̇ = 0.
+
+    A state is q (N, 7), position and quaternion of each, and p (N, 6), linear and spatial angular momentum.
+
+    Attributes:
+        masses: (N,).
+        inertias: J, principal moments (N, 3) or tensors (N, 3, 3).
+    """
+
+    masses: Array
+    inertias: Array
+
+
+class Bodies(Forced):
+    """N rigid bodies in a potential: as `FreeBodies`, with forces and torques.
+
+    Attributes:
+        masses, inertias: as of `FreeBodies`.
+        potential: (positions (N, 3), rotations (N, 3, 3)) ↦ V.
+    """
+
+    masses: Array
+    inertias: Array
+    potential: Callable[[Array, Array], Array]
+
+
 class Top(Forced):
     """A rigid body in a potential Ṽ(Γ) of an axis, Γ = Λᵀγ: q̇ = ½ q Ω, π̇ = γ × Λ∇Ṽ(Γ) (4.2).
 

@@ -24,7 +24,7 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("diagnostics",),
     ("schemes",),
     ("systems",),
-    ("orbits", "torques"),
+    ("orbits", "potentials", "torques"),
     ("integrate",),
     ("_free_body",),
     ("phase_spaces",),
@@ -110,7 +110,7 @@ State Step StepInfo Trajectory Event pytree static integrate interpolate event s
 systems.potential_top orbits.graded_times
 systems.euler systems.group_potential systems.kirchhoff systems.manakov systems.pendulum systems.pseudo_rigid_body
 systems.embedded_body systems.incompressible_body systems.gyrostat systems.driven_gyrostat systems.torqued_body
-systems.damped_body systems.driven_top systems.gravity_gradient schemes.torqued_midpoint schemes.so3_alpha
+systems.damped_body systems.rigid_bodies potentials.maccullagh systems.driven_top systems.gravity_gradient schemes.torqued_midpoint schemes.so3_alpha
 schemes.group_alpha schemes.sphere_chart groups.so3 groups.matrix groups.special_orthogonal groups.special_euclidean
 groups.special_linear groups.symplectic groups.special_unitary groups.affine groups.heisenberg groups.product
 maps.exponential maps.cayley maps.arcsine maps.kappa_cayley maps.kappa_exponential maps.kappa_symplectic

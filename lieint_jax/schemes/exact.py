@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import jax.numpy as jnp
+from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _free_body
@@ -35,11 +36,9 @@ class Exact(Step):
         return "exact"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        q, (length, condition) = _free_body.attitude(self.system.inertia, state.q, state.p, dt)
-        eps = float(jnp.finfo(q.dtype).eps)
-        good = (length <= 1024 * eps) & (eps * condition <= lost(q.dtype))
-        good &= jnp.all(jnp.isfinite(q)) & three.well_conditioned(three.symmetric(self.system.inertia))
-        return state._replace(q=q), StepInfo(length, good)
+        J = self.system.inertia
+        q, report = _free_body.attitude(J, state.q, state.p, dt)
+        return state._replace(q=q), judged(J, q, *report)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         if not three.well_conditioned(three.symmetric(self.system.inertia)):
@@ -49,6 +48,13 @@ class Exact(Step):
             "is too large, or the body passes the intermediate axis too closely and too often; or there is a NaN or an "
             "infinity in the state or the inertia. Take a smaller dt, or float64"
         )
+
+
+def judged(J: Array, q: Array, length: Array, condition: Array) -> StepInfo:
+    """The report of an exact flow to q, by what `_free_body.attitude` says of it."""
+    eps = float(jnp.finfo(q.dtype).eps)
+    good = (length <= 1024 * eps) & (eps * condition <= lost(q.dtype))
+    return StepInfo(length, good & jnp.all(jnp.isfinite(q)) & three.well_conditioned(three.symmetric(J)))
 
 
 def exact(system: FreeBody) -> Exact:

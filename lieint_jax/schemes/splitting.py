@@ -24,12 +24,27 @@ from lieint_jax._numerics import three
 from lieint_jax.maps import arcsine, is_symplectic
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.schemes._capability import check_motion, hint
+from lieint_jax.schemes._free_flight import MANY_FREE_BODIES, FreeFlight
 from lieint_jax.schemes._free_motion import FreeMotion, is_free_motion
 from lieint_jax.schemes._turning import Turning, turning
 from lieint_jax.schemes.exact import exact
 from lieint_jax.schemes.group_midpoint import GEODESICS, group_midpoint
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES, so3_midpoint
-from lieint_jax.types import Driven, Forced, Group, Gyrostat, State, Step, StepInfo, System, clock, pytree, static
+from lieint_jax.types import (
+    Driven,
+    Forced,
+    FreeBodies,
+    FreeBody,
+    Group,
+    Gyrostat,
+    State,
+    Step,
+    StepInfo,
+    System,
+    clock,
+    pytree,
+    static,
+)
 
 
 def _motion(parts: tuple[Forced | Driven, System], state: State) -> State:
@@ -153,6 +168,9 @@ def splitting(system: Forced | Driven | Gyrostat, drift: Step | None = None) -> 
 def _drift(free: Any) -> Step:
     if FREE_BODIES.declared(free):
         return so3_midpoint(free)
+    if MANY_FREE_BODIES.declared(free):
+        MANY_FREE_BODIES.check("splitting", free)
+        return FreeFlight(free)
     if GEODESICS.declared(free):
         with suppress(ValueError), jax.ensure_compile_time_eval():  # groups where the arcsine map is not defined
             if all(is_symplectic(arcsine, free.group, metric) for metric in _metrics(free)):
@@ -174,8 +192,8 @@ def _metrics(free: Any) -> list[Array]:
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """The splitting of gyrostats, of rigid bodies in a potential and of any driven system, with its default drift."""
-    rigid = isinstance(system, Forced | Gyrostat) and FREE_BODIES.declared(system.free)
+    """The splitting of gyrostats, of rigid bodies in a potential and of any driven system, with the default drift."""
+    rigid = isinstance(system, Forced | Gyrostat) and isinstance(system.free, FreeBody | FreeBodies)
     if not rigid and not isinstance(system, Driven):
         return {}
     step = splitting(system)

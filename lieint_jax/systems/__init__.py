@@ -20,6 +20,7 @@ from lieint_jax.systems.pseudo_rigid import (
     pseudo_rigid_body,
     saint_venant_kirchhoff,
 )
+from lieint_jax.systems.rigid_bodies import ManyFreeBodies, RigidBodies, rigid_bodies
 from lieint_jax.systems.rigid_body import RigidBody, rigid_body
 from lieint_jax.systems.torqued_body import TorquedBody, torqued_body
 
@@ -35,11 +36,13 @@ __all__ = [
     "Gyrostat",
     "IncompressibleBody",
     "LagrangeMotion",
+    "ManyFreeBodies",
     "Pendulum",
     "PotentialTop",
     "PseudoRigidBody",
     "Quadratic",
     "RightEuler",
+    "RigidBodies",
     "RigidBody",
     "SpinUp",
     "StoredEnergy",
@@ -65,6 +68,7 @@ __all__ = [
     "pendulum",
     "potential_top",
     "pseudo_rigid_body",
+    "rigid_bodies",
     "rigid_body",
     "saint_venant_kirchhoff",
     "torqued_body",
