@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -9,6 +11,38 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.types import pytree
+
+
+def torques(R: Array, along_R: Array) -> Array:
+    """−∂V(exp(δ̂)R)/∂δ at δ = 0 of each body, (N, 3), where ∂V/∂R is `along_R`, both (N, 3, 3)."""
+    turned = [[jnp.sum(along_R[:, i] * R[:, j], axis=1) for j in range(3)] for i in range(3)]
+    return jnp.stack([turned[j][i] - turned[i][j] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
+
+
+def invariant_form(
+    potential: Callable[[Array, Array], Array],
+) -> tuple[Callable[[Array, Array], Array], Callable[[Array], Array], Callable[[Array, Array], Array] | None]:
+    """A potential as a function of quadratic invariants: (x, R) ↦ I, (k,); I ↦ V; and its discrete gradient, or None.
+
+    Those of the potential itself if it has them; else the positions and attitudes relative to the first body.
+    """
+    own = getattr(potential, "invariants", None)
+    if own is not None:
+        return own, potential.value, getattr(potential, "discrete_gradient", None)  # pyright: ignore
+
+    def relative(x: Array, R: Array) -> Array:
+        first = R[0]
+        xi = jnp.sum(first * (x[1:] - x[0])[:, :, None], axis=1)
+        C = jnp.sum(first[:, :, None] * R[1:, :, None, :], axis=1)
+        return jnp.concatenate([xi.ravel(), C.ravel()])
+
+    def value(relative: Array) -> Array:
+        n = relative.size // 12
+        xi, C = relative[: 3 * n].reshape(n, 3), relative[3 * n :].reshape(n, 3, 3)
+        one = jnp.eye(3, dtype=relative.dtype)[None]
+        return potential(jnp.concatenate([jnp.zeros_like(xi[:1]), xi]), jnp.concatenate([one, C]))
+
+    return relative, value, None
 
 
 @pytree
@@ -27,15 +61,51 @@ class MacCullagh:
 
     def __call__(self, x: Array, R: Array) -> Array:
         """V."""
-        i, j = np.triu_indices(len(self.masses), 1)
-        m, J = self.masses, self.inertias
-        trace = jnp.sum(J, axis=1) if J.ndim == 2 else jnp.trace(J, axis1=1, axis2=2)
+        return self.value(self.invariants(x, R))
+
+    def invariants(self, x: Array, R: Array) -> Array:
+        """Of each of k pairs r², Γ_i and Γ_j, (7k,)."""
+        i, j = self._pairs
         d = x[j] - x[i]
-        r2 = jnp.sum(d * d, axis=1)
-        r = jnp.sqrt(r2)
-        along = m[j] * _form(J[i], R[i], d) + m[i] * _form(J[j], R[j], d)
-        second = 1.5 * along / r2 - 0.5 * (m[j] * trace[i] + m[i] * trace[j])
-        return self.G * jnp.sum((second / r2 - m[i] * m[j]) / r)
+        Gamma = [jnp.sum(R[n] * d[:, :, None], axis=1) for n in (i, j)]
+        return jnp.concatenate([jnp.sum(d * d, axis=1), Gamma[0].ravel(), Gamma[1].ravel()])
+
+    def value(self, invariants: Array) -> Array:
+        """V of the invariants."""
+        (i, j), (u, *Gammas) = self._pairs, self._split(invariants)
+        m, trace = self.masses, self._traces
+        along = sum(m[b] * _form(self.inertias[a], Gamma) for a, b, Gamma in zip((i, j), (j, i), Gammas, strict=True))
+        second = 1.5 * along / u - 0.5 * (m[j] * trace[i] + m[i] * trace[j])
+        return self.G * jnp.sum((second / u - m[i] * m[j]) / jnp.sqrt(u))
+
+    def discrete_gradient(self, start: Array, end: Array) -> Array:
+        """D with D·(end − start) = V(end) − V(start), in closed form, without cancellation."""
+        (i, j), (u0, *Gammas0), (u1, *Gammas1) = self._pairs, self._split(start), self._split(end)
+        m, trace = self.masses, self._traces
+        a, b = 1 / jnp.sqrt(u0), 1 / jnp.sqrt(u1)
+        d1 = -a * a * b * b / (a + b)  # of u^−½: (b − a)/(u₁ − u₀)
+        d3, d5 = d1 * (a * a + a * b + b * b), d1 * (a**4 + a**3 * b + a * a * b * b + a * b**3 + b**4)
+        along_u = -m[i] * m[j] * d1 - 0.5 * (m[j] * trace[i] + m[i] * trace[j]) * d3
+        along_Gamma = []
+        for k, other, G0, G1 in zip((i, j), (j, i), Gammas0, Gammas1, strict=True):
+            J, weight = self.inertias[k], 1.5 * m[other]
+            along_u = along_u + weight * (_form(J, G0) + _form(J, G1)) / 2 * d5
+            along_Gamma.append(((a**5 + b**5) / 2 * weight)[:, None] * _times(J, G0 + G1))
+        return self.G * jnp.concatenate([along_u, along_Gamma[0].ravel(), along_Gamma[1].ravel()])
+
+    @property
+    def _pairs(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.triu_indices(self.masses.shape[0], 1)  # pyright: ignore[reportReturnType]
+
+    @property
+    def _traces(self) -> Array:
+        J = self.inertias
+        return jnp.sum(J, axis=1) if J.ndim == 2 else jnp.trace(J, axis1=1, axis2=2)
+
+    def _split(self, invariants: Array) -> tuple[Array, Array, Array]:
+        """r² (k,), Γ_i (k, 3) and Γ_j (k, 3)."""
+        k = invariants.size // 7
+        return invariants[:k], invariants[k : 4 * k].reshape(k, 3), invariants[4 * k :].reshape(k, 3)
 
 
 def maccullagh(G: ArrayLike, masses: ArrayLike, inertias: ArrayLike) -> MacCullagh:
@@ -56,9 +126,11 @@ def maccullagh(G: ArrayLike, masses: ArrayLike, inertias: ArrayLike) -> MacCulla
     return MacCullagh(_checks.real_array("G", G, ()), m, J)
 
 
-def _form(J: Array, R: Array, d: Array) -> Array:
-    """Γ·JΓ with Γ = Rᵀd, for each of k pairs, (k,)."""
-    Gamma = jnp.sum(R * d[:, :, None], axis=1)
-    if J.ndim == 2:
-        return jnp.sum(J * Gamma * Gamma, axis=1)
-    return jnp.sum(Gamma * jnp.sum(J * Gamma[:, None, :], axis=2), axis=1)
+def _times(J: Array, Gamma: Array) -> Array:
+    """JΓ of each of k bodies, (k, 3)."""
+    return J * Gamma if J.ndim == 2 else jnp.sum(J * Gamma[:, None, :], axis=2)
+
+
+def _form(J: Array, Gamma: Array) -> Array:
+    """Γ·JΓ of each of k bodies, (k,)."""
+    return jnp.sum(Gamma * _times(J, Gamma), axis=1)

@@ -1,6 +1,7 @@
 """Schemes: each makes a `types.Step` for a system. Each module has `examples(system)`, its steps for that system."""
 
 from lieint_jax.schemes.additive import Additive, additive
+from lieint_jax.schemes.bodies_energy_momentum import BodiesEnergyMomentum, bodies_energy_momentum
 from lieint_jax.schemes.calibrated import Calibrated, calibrated
 from lieint_jax.schemes.compose import Composition, compose
 from lieint_jax.schemes.exact import Exact, exact
@@ -19,6 +20,7 @@ from lieint_jax.schemes.torqued_midpoint import DampedMidpoint, TorquedMidpoint,
 
 __all__ = [
     "Additive",
+    "BodiesEnergyMomentum",
     "Calibrated",
     "Composition",
     "DampedMidpoint",
@@ -36,6 +38,7 @@ __all__ = [
     "TopEnergyMomentum",
     "TorquedMidpoint",
     "additive",
+    "bodies_energy_momentum",
     "calibrated",
     "compose",
     "exact",

@@ -6,6 +6,7 @@ import math
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _free_body
@@ -13,17 +14,22 @@ from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.schemes._capability import Integrand
 from lieint_jax.schemes.exact import judged
-from lieint_jax.types import FreeBodies, State, Step, StepInfo, pytree, static
+from lieint_jax.types import Bodies, FreeBodies, State, Step, StepInfo, pytree, static
+
+
+def free_motion(bodies: FreeBodies | Bodies, state: State) -> Array:
+    """q̇ of bodies, (N, 7): ẋ = p/m and Λ̇ = ΛΩ̂."""
+
+    def turning(J: Array, q: Array, spin: Array) -> Array:
+        return so3.tangent(q, jnp.stack(three.solve_symmetric(three.symmetric(J), so3.Ad_star(q, spin))))
+
+    turned = jax.vmap(turning)(bodies.inertias, state.q[:, 3:], state.p[:, 3:])
+    return jnp.concatenate([state.p[:, :3] / bodies.masses[:, None], turned], axis=1)
 
 
 def _motion(bodies: FreeBodies, state: State) -> State:
     """The vector field of free bodies."""
-
-    def turning(J: jax.Array, q: jax.Array, spin: jax.Array) -> jax.Array:
-        return so3.tangent(q, jnp.stack(three.solve_symmetric(three.symmetric(J), so3.Ad_star(q, spin))))
-
-    q_dot = jax.vmap(turning)(bodies.inertias, state.q[:, 3:], state.p[:, 3:])
-    return State(jnp.concatenate([state.p[:, :3] / bodies.masses[:, None], q_dot], axis=1), jnp.zeros_like(state.p))
+    return State(free_motion(bodies, state), jnp.zeros_like(state.p))
 
 
 MANY_FREE_BODIES = Integrand(FreeBodies, "free rigid bodies (systems.rigid_bodies(...).free)", _motion)

@@ -29,6 +29,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import newton, three
+from lieint_jax._numerics.discrete_gradient import discrete_gradient as by_quadrature
 from lieint_jax._numerics.three import Symmetric, Vector, add, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
@@ -36,7 +37,6 @@ from lieint_jax.schemes._capability import Integrand
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES, gyration, gyration_matrix, on_branch
 from lieint_jax.types import DrivenTop, State, Step, StepInfo, Top, clock, pytree, static
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _APART = 1e-4  # |ΔΓ|² from where on the quadrature of D̄ is corrected to give the difference of Ṽ
 
 
@@ -297,14 +297,7 @@ def discrete_gradient(potential: Callable[..., Array], a: Array, b: Array, *t: A
     own = getattr(potential, "discrete_gradient", None)
     if own is not None:
         return own(a, b, *t)
-    step = b - a
-    at = (a + b) / 2 + jnp.asarray(_NODES, a.dtype)[:, None] * (step / 2)
-    gradients = jax.vmap(lambda Gamma: jax.grad(potential)(Gamma, *t))(at)
-    mean = jnp.tensordot(jnp.asarray(_WEIGHTS / 2, a.dtype), gradients, 1)
-    square = dot(step, step)
-    apart = square > _APART
-    missing = potential(b, *t) - potential(a, *t) - dot(mean, step)
-    return mean + jnp.where(apart, missing / jnp.where(apart, square, 1), 0) * step
+    return by_quadrature(potential, a, b, _APART, *t)
 
 
 def _sum(vectors: Iterable[Vector]) -> Vector:

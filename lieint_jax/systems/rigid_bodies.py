@@ -159,9 +159,7 @@ class RigidBodies(_Many, Bodies):
         """The forces −∂V/∂x and the torques −∂V(exp(δ̂)Λ)/∂δ in space, (N, 6)."""
         R = rotations(q)
         along_x, along_R = jax.grad(self.potential, (0, 1))(q[:, :3], R)
-        turned = jnp.einsum("nij,nkj->nik", R, along_R)
-        torque = jnp.stack([turned[:, i, j] - turned[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
-        return jnp.concatenate([-along_x, torque], axis=1)
+        return jnp.concatenate([-along_x, potentials.torques(R, along_R)], axis=1)
 
     def vector_field(self, state: State) -> State:
         """ẋ = p/m, Λ̇ = ΛΩ̂, ṗ and π̇ the forces and torques."""

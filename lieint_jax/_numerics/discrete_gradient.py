@@ -1,0 +1,28 @@
+"""The discrete gradient of any function: the mean of its gradient, corrected along the step (Gonzalez 1996)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
+
+
+def discrete_gradient(function: Callable[..., Array], a: Array, b: Array, apart: Array | float, *more: Array) -> Array:
+    """D with D·(b − a) = V(b) − V(a) and D(a, b) = D(b, a), of vectors of any length, for V = function(·, *more).
+
+    The mean of the gradient by four Gauss nodes. Where |b − a|² > apart, a multiple of b − a corrects it: below, the
+    quadrature is exact to round-off and the correction would be rounding alone.
+    """
+    step = b - a
+    at = (a + b) / 2 + jnp.asarray(_NODES, a.dtype)[:, None] * (step / 2)
+    gradients = jax.vmap(lambda x: jax.grad(function)(x, *more))(at)
+    mean = jnp.tensordot(jnp.asarray(_WEIGHTS / 2, a.dtype), gradients, 1)
+    square = jnp.sum(step * step)
+    corrected = square > apart
+    missing = function(b, *more) - function(a, *more) - jnp.sum(mean * step)
+    return mean + jnp.where(corrected, missing / jnp.where(corrected, square, 1), 0) * step
