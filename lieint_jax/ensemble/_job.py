@@ -45,14 +45,15 @@ class Job(NamedTuple):
 
     Attributes:
         step: the step; with the member axis on its leaves if `step_axis` is 0.
-        states: the initial states without their time, with the member axis on every leaf.
+        states: the initial states without their t0, with the member axis on every leaf.
         dt_given: dt as the caller gave it.
         dt: the same in the states' dtype.
         save_every: steps between saves.
         num_saves: the number of saves after the start.
         step_axis: None or 0.
         reduction: the quantity to reduce, or None.
-        t0: the time of the initial states: () if the members share it, else (members,); None if they have none.
+        t0: the time of the initial states: () if the members share it, else (members,); None if they have none, or the
+            step has its own, which then is part of the states.
     """
 
     step: Step
@@ -66,13 +67,18 @@ class Job(NamedTuple):
     t0: Any = None
 
     @property
+    def initial(self) -> State:
+        """The initial states with their time."""
+        return self.states if self.t0 is None else self.states._replace(t=self.t0)
+
+    @property
     def num_steps(self) -> int:
         """The number of steps in all."""
         return self.save_every * self.num_saves
 
     @property
     def times(self) -> np.ndarray:
-        """The times of all entries: those of the states if the members share them, else since the start."""
+        """The times of all entries: those of the states if the members share them, else since the start, n·dt."""
         if self.shares_time:
             return np.asarray(self.t0) + self._steps * self.dt
         return self.dt_given * self.save_every * np.arange(self.num_saves + 1, dtype=self.dt.dtype)
@@ -88,12 +94,16 @@ class Job(NamedTuple):
         return self.t0 is not None and not np.ndim(self.t0)
 
     def state_times(self, entries: slice = slice(None)) -> Any:
-        """The time of each member at these entries, (entries, members); None if the states have none."""
+        """The time of each member at these entries, (entries, members); None if there is no t0."""
         if self.t0 is None:
             return None
         if self.shares_time:
             return shared_time(self.times[entries], self.members)
         return np.asarray(self.t0) + (self._steps * self.dt)[entries, None]
+
+    def with_times(self, states: State) -> State:
+        """The states of all entries with their time."""
+        return states if self.t0 is None else states._replace(t=self.state_times())
 
     def with_last_time(self, state: State) -> State:
         """The states at the end of the run with their time."""
@@ -103,7 +113,9 @@ class Job(NamedTuple):
         """The step and the initial state of one member."""
         state = jax.tree.map(lambda leaf: leaf[m], self.states)
         step = self.step if self.step_axis is None else jax.tree.map(lambda leaf: leaf[m], self.step)
-        return step, state._replace(t=self.t0 if self.t0 is None or self.shares_time else self.t0[m])
+        if self.t0 is not None:
+            state = state._replace(t=self.t0 if self.shares_time else self.t0[m])
+        return step, state
 
     @property
     def members(self) -> int:

@@ -39,7 +39,7 @@ class Carry(NamedTuple):
     """The carry of a run from one step to the next, every leaf with the member axis first.
 
     Attributes:
-        state: the states, without their time, which follows from the number of steps.
+        state: the states, without their time, which follows from the number of steps unless the step has its own.
         info: the merged `StepInfo` since the last save.
         failed: the first step that did not converge, or −1.
         change: the range of the reduced quantity's change since the last save; None if nothing is reduced.
@@ -55,7 +55,8 @@ class Origin(NamedTuple):
     """What a run begins with, and its loop refers to at every step.
 
     Attributes:
-        t0: the time of the initial states: a scalar if the members share it, else one for each; None if they have none.
+        t0: the time of the initial states: a scalar if the members share it, else one for each; None if they have none,
+            or the step has its own, which then is part of the state.
         quantity: the reduced quantity of the initial states; None if nothing is reduced.
     """
 
@@ -99,7 +100,7 @@ def start(step_axis: int | None, reduction: Reduction | None) -> Callable[..., t
     def begin(step: Step, states: State, t0: Array | None) -> tuple[Carry, Origin]:
         members = states.p.shape[0]
         info = StepInfo(jnp.zeros(members, states.p.dtype), jnp.ones(members, bool))
-        quantity = None if reduction is None else _over_members(reduction, step_axis, step, states._replace(t=t0))
+        quantity = None if reduction is None else _over_members(reduction, step_axis, step, _timed(states, t0))
         change = None if quantity is None else Range.fresh(quantity)
         failed = jnp.full(members, -1, step_dtype())
         return Carry(states, info, failed, change), Origin(t0, quantity)
@@ -112,7 +113,7 @@ def prepare(step_axis: int | None) -> Callable[..., Any]:
     """(step, states without their time, t0, dt) ↦ the prepared steps, with the member axis on every leaf."""
 
     def prepared(step: Step, states: State, t0: Array | None, dt: Array) -> Step:
-        return _over_members(lambda s, z: s.prepare(z, dt), step_axis, step, states._replace(t=t0))
+        return _over_members(lambda s, z: s.prepare(z, dt), step_axis, step, _timed(states, t0))
 
     return jax.jit(prepared, compiler_options=compiler_options())
 
@@ -129,10 +130,14 @@ def advance(step_axis: int | None, reduction: Reduction | None, buffer_rows: int
         unsaved = _unsaved(carry)
 
         def at(n: ArrayLike, state: State) -> State:
-            return state if origin.t0 is None else on_clock(state, origin.t0, done + n, dt)
+            return on_clock(state, origin.t0, done + n, dt)
+
+        def one_step(step: Step, state: State) -> tuple[State, StepInfo]:
+            state, info = step(state, dt)
+            return state if origin.t0 is None else state._replace(t=None), info
 
         def one(n: Array, carry: Carry) -> Carry:
-            state, info = _over_members(lambda s, z: _without_time(*s(z, dt)), step_axis, step, at(n, carry.state))
+            state, info = _over_members(one_step, step_axis, step, at(n, carry.state))
             failed = jnp.where((carry.failed < 0) & ~info.converged, n, carry.failed)
             change = carry.change
             if reduction is not None and change is not None and origin.quantity is not None:
@@ -189,5 +194,5 @@ def _over_members(function: Callable[..., Any], step_axis: int | None, step: Ste
     return jax.vmap(function, in_axes=(step_axis, State(0, 0, time_axis, 0, 0)))(step, states)  # pyright: ignore[reportArgumentType]
 
 
-def _without_time(state: State, info: StepInfo) -> tuple[State, StepInfo]:
-    return state._replace(t=None), info
+def _timed(states: State, t0: Array | None) -> State:
+    return states if t0 is None else states._replace(t=t0)

@@ -67,7 +67,8 @@ def run(
     Returns:
         A `Trajectory` of numpy arrays, axes (time, member, …), the initial states first; with `store`, of Zarr arrays,
         read from disk when they are indexed. With `reduce`, a `Summary`. Its t is t₀ + nΔt, where t₀ is the time that
-        the members share; if they have none, or start at different times, t is the time since the start.
+        the members share; if they have none, or start at different times, t is the time since the start; if the step
+        has its `own_time`, t is nΔt, and state.t the time of each member.
 
     Raises:
         ValueError: bad counts; states off the group, not finite, or without the time that a driven system needs;
@@ -88,7 +89,7 @@ def run(
         raise ValueError("resume goes on with a run in a store; give store=PATH.zarr")
     mesh = _layout.checked_mesh(mesh)
     step, states, dtype = promoted(checked_step(step), states)
-    states, t0 = _checked(states)
+    states, t0 = _checked(step, states)
     count = states.p.shape[0]
     reduction = energy if reduce == "energy" else reduce
     h = np.asarray(_checks.step_size(dt), dtype)
@@ -238,14 +239,17 @@ class _InMemory:
     def result(self, carry: list[Carry]) -> Any:
         if self._job.reduction is None:
             info, state = self._out
-            return Trajectory(self._job.times, state._replace(t=self._job.state_times()), info)  # pyright: ignore[reportArgumentType]
+            return Trajectory(self._job.times, self._job.with_times(state), info)  # pyright: ignore[reportArgumentType]
         series = {name: np.concatenate([part[name] for part in self._series]) for name in self._series[0]}
         state, failed = _layout.gather(self._layout, [(c.state, c.failed) for c in carry])
         return Summary(self._job.times, **series, state=self._job.with_last_time(state), failed=failed)
 
 
-def _checked(states: State) -> tuple[State, Any]:
-    """The states without their time, with the member axis on every leaf, and their time: a scalar if it is shared."""
+def _checked(step: Step, states: State) -> tuple[State, Any]:
+    """The states without their time, with the member axis on every leaf, and their time: a scalar if it is shared.
+
+    The time that a step has for its own stays among the states, one for each member.
+    """
     shapes = {name: np.shape(x) for name, x in named(states).items()}
     for key in states.extra or {}:
         if not str(key).isidentifier():
@@ -262,10 +266,12 @@ def _checked(states: State) -> tuple[State, Any]:
             where = f", and is not for {_some(bad)}" if x.ndim else f", got {x}"
             raise ValueError(f"states.{_spoken(name)} must be finite{where}")
     t, work = states.t, states.work
-    if t is not None and t.ndim and np.all(np.asarray(t) == np.asarray(t[0])):
-        t = t[0]
     if work is not None:
         work = jnp.broadcast_to(work, (members,))
+    if step.own_time and t is not None:
+        return states._replace(t=jnp.broadcast_to(t, (members,)), work=work), None
+    if t is not None and t.ndim and np.all(np.asarray(t) == np.asarray(t[0])):
+        t = t[0]
     return states._replace(t=None, work=work), t
 
 
