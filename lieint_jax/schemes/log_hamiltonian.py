@@ -56,7 +56,10 @@ class LogHamiltonian(Step):
         return f"log_hamiltonian[{self.drift.name}]"
 
     def start(self, state: State) -> State:
-        """`state`, at t = 0 if it has no time, with its energy if the step has none; ValueError if E is not its energy."""
+        """`state`, at t = 0 if it has no time, and with its energy if the step has none.
+
+        ValueError if E is not its energy.
+        """
         step, state, dtype = promoted(self, state)
         step.system.check(state)
         if state.t is None:

@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax._checks import concrete
 from lieint_jax.schemes.splitting import examples as base_examples
-from lieint_jax.types import State, Step, StepInfo, callable_pytree, promoted, pytree, static, time_derivative
+from lieint_jax.types import Forced, State, Step, StepInfo, callable_pytree, promoted, pytree, static, time_derivative
 
 _KEY = "rho"
 
@@ -78,7 +78,7 @@ class ReversibleControl(Step):
                 f"{self.name} needs sigma > 0 and a density rho > 0: got sigma = {sigma:g}, and rho = {rho:g} half a "
                 f"step later. If sigma is positive, dt = {dt} is too large"
             )
-        return f"{self.name} takes a step of {float(dt) / rho:.3g}; {self.step.advice(state, dt / rho)}"
+        return f"{self.name} takes a step of {dt / rho:.3g}; {self.step.advice(state, dt / rho)}"
 
     def _kicked(self, state: State, dt: ArrayLike) -> tuple[State, Array]:
         """The state with ρ + ½εG(y), and whether σ and the new ρ are positive."""
@@ -140,8 +140,8 @@ def reversible_control(step: Step, sigma: Callable[[State], ArrayLike]) -> Rever
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """Splittings with steps that are short where the momentum is large."""
-    made = [reversible_control(step, _calm) for step in base_examples(system).values()]
+    """Splittings of systems with a potential, with steps that are short where the momentum is large."""
+    made = [reversible_control(step, _calm) for step in base_examples(system).values() if isinstance(system, Forced)]
     return {step.name: step for step in made}
 
 

@@ -157,7 +157,7 @@ def examples() -> dict[str, Any]:
 
 
 def _attracted() -> tuple[PotentialTop, State]:
-    """A body with a charge on its third axis, at distance 1 from the fixed point, and an opposite one in space at 1.2."""
+    """A body with a charge on its third axis at distance 1 from the fixed point; an opposite one is in space at 1.2."""
     top = potential_top([1.0, 2.0, 2.5], _coulomb, [0.0, 0.0, 1.2])
     return top, top.state(so3.exp(jnp.array([1.6, 0.4, 0.0])), angular_velocity=[0.2, 0.3, 0.4])
 
