@@ -110,14 +110,33 @@ def test_a_hundred_steps_back_return(step, dt):
 
 
 @pytest.mark.long
-@both
-def test_energy_does_not_drift(step, dt):
-    """Over 20 000 steps, a few hundred passages: OBSERVED"""
-    run = li.integrate(step, step.start(START), dt, 20_000)
-    errors = np.abs(diagnostics.energy_error(TOP, run))
+def test_energy_does_not_drift():
+    """Over 400 passages of a symmetric top: at most .011 and .034 in every tenth of the run, some 1e4 with equal steps."""
+    top = systems.potential_top([1.0, 1.0, 0.5], coulomb, [0.0, 0.0, NEAR])
+    state = top.state(so3.exp(jnp.array([2.5, 0.0, 0.0])), angular_velocity=[0.1, 0.3, 0.5])
+    splitting = schemes.splitting(top)
+
+    def largest(run):
+        assert run.info.converged.all()
+        np.testing.assert_allclose(diagnostics.momentum_error(top, run), 0, atol=2e-12)
+        return np.abs(diagnostics.energy_error(top, run))[1:].reshape(10, 2000).max(1)
+
+    for step, most in (
+        (schemes.log_hamiltonian(top), 0.012),
+        (schemes.reversible_control(splitting, jax.tree_util.Partial(near, 1.0)), 0.035),
+    ):
+        errors = largest(li.integrate(step, step.start(state), 0.04, 20_000))
+        assert errors.max() < most
+        assert errors.max() < 1.01 * errors.min()
+    assert largest(li.integrate(splitting, state, 924 / 20_000, 20_000)).max() > 100
+
+
+@pytest.mark.long
+def test_in_chaotic_motion_the_symplectic_one_holds_energy():
+    """Observed 5e-2 near the charge, at V down to −20, where the energy of equal steps is lost after a few passages."""
+    run = li.integrate(LOG, LOG.start(START), 0.04, 20_000)
     assert run.info.converged.all()
-    assert errors[-2000:].max() < 1.3 * errors[:2000].max() < 3e-3
-    np.testing.assert_allclose(diagnostics.momentum_error(TOP, run), 0, atol=2e-13)
+    assert np.abs(diagnostics.energy_error(TOP, run)).max() < 0.1
 
 
 @pytest.mark.long
@@ -177,8 +196,8 @@ def test_derivatives_forward_reverse_by_reversal_and_by_differences(name):
         found = jax.jit(jax.grad(functools.partial(loss, by=by)))(x)
         np.testing.assert_allclose(found, forward, rtol=1e-9, atol=1e-10)
     value = jax.jit(jax.vmap(functools.partial(loss, by="loop")))
-    h = 1e-3
-    f = [value(x + k * h * jnp.eye(5)) for k in (-2, -1, 1, 2)]
+    h = jnp.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-4])
+    f = [value(x + k * jnp.diag(h)) for k in (-2, -1, 1, 2)]
     np.testing.assert_allclose((f[0] - 8 * f[1] + 8 * f[2] - f[3]) / (12 * h), forward, rtol=1e-6, atol=1e-7)
 
 
@@ -306,14 +325,12 @@ def test_a_state_of_another_energy_or_where_v_is_positive_does_not_start():
 
 @pytest.mark.long
 def test_what_leaves_the_domain_is_flagged_in_a_compiled_loop():
-    """Never a NaN without a flag."""
+    """And without a NaN."""
 
-    def falling(z):
-        return 1.0 - z.t
-
-    def end(run):
-        finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(run.state)]))
-        return run.info.converged, finite
+    @jax.jit
+    def ended(step, state, dt):
+        run = li.integrate(step, state, dt, 40)
+        return run.info.converged, jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(run.state)]))
 
     heavy = systems.heavy_top(J, [0.0, 0.0, 1.0])
     up = heavy.state(so3.exp(jnp.array([3.0, 0.0, 0.0])), angular_velocity=[2.0, 0.1, 0.0])  # V from −.99 to 1
@@ -323,14 +340,11 @@ def test_what_leaves_the_domain_is_flagged_in_a_compiled_loop():
         (schemes.log_hamiltonian(TOP, H + 0.1), START._replace(t=0.0)),
         (schemes.log_hamiltonian(TOP, -H), START._replace(t=0.0)),
     ]
-    for step, state in cases:
-        converged, finite = jax.jit(lambda step, state: end(li.integrate(step, state, 0.1, 40)))(step, state)
+    step = schemes.reversible_control(SPLITTING, lambda z: -1 - z.p[0] ** 2)
+    cases += [(step, START._replace(t=0.0, extra={"rho": -1.0}))]
+    step = schemes.reversible_control(SPLITTING, jax.tree_util.Partial(near, 1.5))
+    cases += [(step, step.start(START))]
+    for (step, state), dt in zip(cases, (0.1, 0.1, 0.1, 0.1, 4.0), strict=True):
+        converged, finite = ended(step, state, dt)
         assert not converged.all()
-        assert finite or not converged[-1]
-    step = schemes.reversible_control(SPLITTING, falling)
-    run = jax.jit(lambda z: li.integrate(step, z, 0.1, 60))(step.start(START))
-    first = int(np.argmin(run.info.converged))
-    assert 1 < first < 60
-    assert run.t[first - 1] < 1
-    with pytest.raises(ValueError, match="positive"):
-        li.integrate(step, step.start(START)._replace(t=2.0), 0.1, 3)
+        assert finite
