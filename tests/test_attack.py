@@ -307,7 +307,7 @@ def outcome(make, numbers, parts, dt):
     return {
         "converged": info.converged,
         "finite": jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(after)])),
-        "lever": jnp.sqrt(jnp.max(J) / jnp.min(J)) / jnp.minimum(*(from_axis(step, x) for x in (state, after))),
+        "lever": jnp.sqrt(jnp.max(J) / jnp.min(J)) * jnp.maximum(*(enlarged(step, x) for x in (state, after))),
         "defect": jnp.abs(system.phase_space.defect(after)) / eps / bulk,
         "H": jnp.abs(again - H) / eps / jnp.where(scale > 0, scale, 1),
         "P": jnp.max(jnp.abs(kept - P), initial=0) / eps / jnp.maximum(jnp.maximum(*levers), jnp.finfo(p.dtype).tiny),
@@ -320,10 +320,13 @@ def largest(tree):
     return jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in jax.tree.leaves(tree)]))
 
 
-def from_axis(step, state):
-    """The sine of the angle from the axis of a chart, by which it enlarges errors; 1 of schemes without one."""
+def enlarged(step, state):
+    """By how much a step enlarges rounding: near the axis of a chart, and where K + B is a small difference."""
+    if isinstance(step, schemes.LogHamiltonian):
+        K = step.system.free.energy(state)
+        return 1 + K / jnp.abs(K - step.energy)
     chart = getattr(step, "chart", None)
-    return 1.0 if chart is None else jnp.linalg.norm(jnp.cross(chart.axis, state.q))
+    return 1.0 if chart is None else 1 / jnp.linalg.norm(jnp.cross(chart.axis, state.q))
 
 
 def terms(system, state):

@@ -111,13 +111,12 @@ def test_a_hundred_steps_back_return(step, dt):
 
 @pytest.mark.long
 def test_energy_does_not_drift():
-    """Over 400 passages of a symmetric top: at most .011 and .034 in every tenth of the run, some 1e4 with equal steps."""
+    """Over 400 passages of a symmetric top: .011 and .034 at most in every tenth of the run, 1e4 with equal steps."""
     top = systems.potential_top([1.0, 1.0, 0.5], coulomb, [0.0, 0.0, NEAR])
     state = top.state(so3.exp(jnp.array([2.5, 0.0, 0.0])), angular_velocity=[0.1, 0.3, 0.5])
     splitting = schemes.splitting(top)
 
     def largest(run):
-        assert run.info.converged.all()
         np.testing.assert_allclose(diagnostics.momentum_error(top, run), 0, atol=2e-12)
         return np.abs(diagnostics.energy_error(top, run))[1:].reshape(10, 2000).max(1)
 
@@ -125,7 +124,9 @@ def test_energy_does_not_drift():
         (schemes.log_hamiltonian(top), 0.012),
         (schemes.reversible_control(splitting, jax.tree_util.Partial(near, 1.0)), 0.035),
     ):
-        errors = largest(li.integrate(step, step.start(state), 0.04, 20_000))
+        run = li.integrate(step, step.start(state), 0.04, 20_000)
+        errors = largest(run)
+        assert run.info.converged.all()
         assert errors.max() < most
         assert errors.max() < 1.01 * errors.min()
     assert largest(li.integrate(splitting, state, 924 / 20_000, 20_000)).max() > 100

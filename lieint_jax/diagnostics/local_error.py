@@ -8,7 +8,7 @@ import jax
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax.types import State, Step, promoted, time_derivative
+from lieint_jax.types import State, Step, clock, promoted, time_derivative
 
 
 def local_error(step: Step, state: State, dt: ArrayLike) -> Array:
@@ -36,7 +36,7 @@ def local_error(step: Step, state: State, dt: ArrayLike) -> Array:
     step, state, _ = promoted(step, state)
     step.check(state, dt)
     end, _ = step(state, dt)
-    h = end.t - state.t if step.own_time else dt
+    h = clock(end) - clock(state) if step.own_time else dt
 
     def velocity(z: State) -> Array:
         return group.body_velocity(z.q, time_derivative(step.system, z).q)

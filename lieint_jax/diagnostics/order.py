@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.integrate import steps
-from lieint_jax.types import State, Step, StepInfo, System, promoted, start_time, time_derivative
+from lieint_jax.types import State, Step, StepInfo, System, clock, promoted, start_time, time_derivative
 
 _STAGES, _ITERATIONS = 8, 24
 
@@ -83,7 +83,7 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
 
     def look(n: int) -> None:
         last, info = _after(step, state, jnp.asarray(T / n, dtype), n)
-        error = float(distance(last, exact(last.t - state.t) if end is None else end))
+        error = float(distance(last, exact(clock(last) - clock(state)) if end is None else end))
         if error > floor and bool(info.converged):
             seen[T / n] = error
 

@@ -20,6 +20,7 @@ from lieint_jax._checks import concrete
 from lieint_jax.integrate._clock import Clock, at_time, clock_of
 from lieint_jax.integrate._run import prepared
 from lieint_jax.types import State, Step, StepInfo, callable_pytree, checked_step, promoted, start_time
+from lieint_jax.types import clock as time_of
 
 _ITERATIONS = 12  # of the root search: 10 reach round-off for smooth conditions
 
@@ -127,7 +128,7 @@ def _events(
         tau = jnp.where(bracket.found, _root(step, bracket, clock.size(bracket.n), condition), 0)
         end, info = step(bracket.state, tau)
         node = clock.time(bracket.n)
-        t = end.t if node is None else node + tau
+        t = time_of(end) if node is None else node + tau
         return Event(t, at_time(end, t), bracket.found & info.converged)
 
     return jax.vmap(refined)(brackets)

@@ -12,7 +12,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.integrate._clock import Clock, Given, Uniform, at_time, clock_of, outputs, refuse_times
+from lieint_jax.integrate._clock import Clock, Given, Own, Uniform, at_time, clock_of, outputs, refuse_times
 from lieint_jax.types import State, Step, StepInfo, Trajectory, checked_step, on_clock, promoted, start_time
 
 
@@ -69,6 +69,7 @@ def integrate(
     if save_every != 1:
         raise ValueError("give save_every or save_at, not both")
     refuse_times(step, "save_at")
+    assert not isinstance(clock, Own)
     return _seen(step, state, clock, outputs(save_at, clock, num_steps, dtype), num_steps)
 
 
