@@ -116,11 +116,12 @@ groups.special_linear groups.symplectic groups.special_unitary groups.affine gro
 maps.exponential maps.cayley maps.arcsine maps.kappa_cayley maps.kappa_exponential maps.kappa_symplectic
 schemes.so3_midpoint schemes.so3_explicit schemes.compose schemes.exact schemes.calibrated schemes.preprocessed
 schemes.top_energy_momentum schemes.splitting schemes.group_midpoint schemes.group_energy_momentum schemes.additive
-schemes.sphere_midpoint schemes.log_hamiltonian schemes.reversible_control diagnostics.local_error ensemble.run ensemble.compiler_options studies.reversible studies.observe studies.fit
+schemes.sphere_midpoint ensemble.run ensemble.compiler_options studies.reversible studies.observe studies.fit
 studies.over_members diagnostics.linearization diagnostics.symplectic_defect diagnostics.poisson_error
 diagnostics.energy_error diagnostics.momentum_error diagnostics.delay diagnostics.order diagnostics.reversibility
 diagnostics.certify diagnostics.conditions orbits.kepler torques.viscous torques.pd_trace torques.pd_quaternion
 torques.bdot torques.kane_damper torques.thruster torques.solar_plate torques.internal_friction
+schemes.log_hamiltonian schemes.reversible_control diagnostics.local_error
 """
 
 
