@@ -36,6 +36,7 @@ def tilted(Gamma, t):
 
 TOP = systems.driven_top(J, tilted, turning)
 SPLITTING, MIDPOINT = schemes.splitting(TOP), schemes.top_energy_momentum(TOP)
+CONTROLLED = schemes.reversible_control(SPLITTING, lambda state: 1 / (1 + state.p @ state.p))
 WHEEL = systems.driven_gyrostat(J, lambda t: jnp.stack([0.1 * jnp.sin(t), 0.05 + 0 * t, 0.1 * t]))
 
 
@@ -139,10 +140,15 @@ class CrashError(Exception):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("own_time", [False, True], ids=["shared time", "own time"])
 @pytest.mark.parametrize("reduce", [None, "energy"], ids=["trajectory", "summary"])
-def test_a_run_that_ended_resumes_to_the_same_bits(tmp_path, small_chunks, monkeypatch, reduce):
+def test_a_run_that_ended_resumes_to_the_same_bits(tmp_path, small_chunks, monkeypatch, reduce, own_time):
+    """Also where each member advances its own time, as under reversible control."""
+    step, states = CONTROLLED if own_time else SPLITTING, started()
+    if own_time:
+        states = jax.vmap(step.start)(states._replace(t=jnp.full(MEMBERS, 0.7), work=jnp.zeros(MEMBERS)))
     path, whole, sync = tmp_path / "run.zarr", tmp_path / "whole.zarr", os.fsync
-    run(whole, reduce=reduce)
+    run(whole, step, states, reduce=reduce)
     left, ends = [0], 0
 
     def fails(descriptor):
@@ -154,7 +160,7 @@ def test_a_run_that_ended_resumes_to_the_same_bits(tmp_path, small_chunks, monke
     monkeypatch.setattr(os, "fsync", fails)
     for left[0] in (30, 40, 45, 1000):
         with contextlib.suppress(CrashError):
-            run(path, reduce=reduce, resume=True)
+            run(path, step, states, reduce=reduce, resume=True)
         ends += left[0] < 0
     assert ends >= 2
     names = sorted(str(f.relative_to(whole)) for f in whole.rglob("*") if f.is_file())

@@ -162,6 +162,14 @@ def test_the_times_of_a_run_are_those_of_its_states():
 
 
 @pytest.mark.long
+def test_a_certificate_says_that_varying_steps_break_the_form():
+    found = diagnostics.certify(CONTROLLED, CONTROLLED.start(START), 0.04, 100)
+    assert found.order == pytest.approx(2, abs=0.1)
+    assert found.reversibility < 1e-15
+    assert "broken as dt^2.0" in str(found)
+
+
+@pytest.mark.long
 def test_the_energy_momentum_scheme_keeps_its_invariants_at_any_steps():
     step = schemes.reversible_control(schemes.top_energy_momentum(TOP), jax.tree_util.Partial(near, 1.0))
     run = li.integrate(step, step.start(START), 0.1, 100)
