@@ -453,7 +453,17 @@ def accepted(name, seed, k):
     return done
 
 
-LONGER = (_gyrostat, _motor, _driven, _satellite, _viscous, _controlled, _kane)  # whose steps compile for a second
+LONGER = (
+    _gyrostat,
+    _motor,
+    _driven,
+    _satellite,
+    _viscous,
+    _controlled,
+    _kane,
+    _well,
+    _paced,
+)  # whose steps compile for a second
 NAMES = [pytest.param(name, marks=[pytest.mark.long] * (ATTACKS[name][0] in LONGER)) for name in ATTACKS]
 
 

@@ -283,6 +283,8 @@ def test_what_has_no_meaning_is_refused():
     for wrong in (dict(times=[0.0, 0.1, 0.2]), dict(dt=0.1, num_steps=2, save_at=[0.1])):
         with pytest.raises(ValueError, match=r"cannot be given to .*li\.event"):
             li.integrate(CONTROLLED, state, **wrong)
+    with pytest.raises(ValueError, match="give its base step"):
+        diagnostics.conditions(CONTROLLED, state, 0.1)
     with pytest.raises(ValueError, match=r"times cannot be given"):
         studies.observe(CONTROLLED, state, 0.1, [0.2])
     with pytest.raises(ValueError, match=r"which this state lacks: take step\.start"):
