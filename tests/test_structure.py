@@ -121,6 +121,7 @@ studies.over_members diagnostics.linearization diagnostics.symplectic_defect dia
 diagnostics.energy_error diagnostics.momentum_error diagnostics.delay diagnostics.order diagnostics.reversibility
 diagnostics.certify diagnostics.conditions orbits.kepler torques.viscous torques.pd_trace torques.pd_quaternion
 torques.bdot torques.kane_damper torques.thruster torques.solar_plate torques.internal_friction
+schemes.log_hamiltonian schemes.reversible_control diagnostics.local_error
 """
 
 

@@ -2,6 +2,7 @@
 
 from lieint_jax.diagnostics.certify import Certificate, certify
 from lieint_jax.diagnostics.conditions import Conditions, conditions
+from lieint_jax.diagnostics.local_error import local_error
 from lieint_jax.diagnostics.order import flow, order, reversibility
 from lieint_jax.diagnostics.poisson import poisson_error
 from lieint_jax.diagnostics.series import constraint_error, delay, energy_error, momentum_error
@@ -17,6 +18,7 @@ __all__ = [
     "energy_error",
     "flow",
     "linearization",
+    "local_error",
     "momentum_error",
     "order",
     "poisson_error",
