@@ -73,6 +73,19 @@ class Observed(Table):
     source: str
     """A key of the table sources."""
 
+    @field_validator("inertia")
+    @classmethod
+    def _a_body(cls, value: list[float]) -> list[float]:
+        _checks.inertia(value)
+        return value
+
+    @field_validator("spin_axis")
+    @classmethod
+    def _a_direction(cls, value: list[float]) -> list[float]:
+        if not any(value):
+            raise ValueError("must not be zero")
+        return value
+
 
 class Ensemble(Table):
     """Members about each observed state, an assumption on its errors."""
