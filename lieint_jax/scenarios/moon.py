@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.sharding import Mesh
 from matplotlib.figure import Figure
 from pydantic import Field, field_validator, model_validator
 
@@ -28,10 +29,6 @@ from lieint_jax.types import State, Step, Trajectory
 
 _TURN = 2 * np.pi
 _BOUND = 3.0  # a motion counts as chaotic if its exponent is above this many times ln(t)/t, which regular ones reach
-_MOST = 0.95  # the share of members from which a state counts as chaotic, or less than the rest of it as regular
-_COLOURS = ("#2a6f97", "#c8553d", "#5a8f3c", "#8a5aa8", "#c79a1e", "#1b9aaa", "#d1495b", "#3b5998")
-_ROUND = 1e-9  # an angle within this of π is one of 0
-_INDENT: Any = {"initial_indent": "  ", "subsequent_indent": "  "}
 _MOST = 0.95  # the share of members from which a state counts as chaotic, or less than the rest of it as regular
 _COLOURS = ("#2a6f97", "#c8553d", "#5a8f3c", "#8a5aa8", "#c79a1e", "#1b9aaa", "#d1495b", "#3b5998")
 _ROUND = 1e-9  # an angle within this of π is one of 0
@@ -284,7 +281,8 @@ def _program(num_steps: int, every: int) -> Any:
         return lyapunov(step, state, dt, num_steps, every=every, vectors=vectors)
 
     axes: Any = (None, State(0, 0, None), None, None)  # pyright: ignore[reportArgumentType]
-    return ensemble.over_members(one, axes)
+    own = Mesh(np.array(jax.local_devices()), ("members",))  # of many processes, only the first one reports
+    return ensemble.over_members(one, axes, own)
 
 
 def limit(orbits: int) -> float:
