@@ -175,6 +175,18 @@ def test_in_float32_and_by_vmap_with_a_flag_for_the_member_that_fails():
     assert float(found.mean[0]) == pytest.approx(2, abs=0.4)  # 1.7 in float64
 
 
+@pytest.mark.long
+def test_ten_million_steps_take_no_more_memory_than_a_thousand():
+    step, state = REGULAR["free"]
+
+    def memory(measure, count):
+        compiled = jax.jit(lambda z: measure(step, z, 0.05, count)).lower(state).compile()
+        return compiled.memory_analysis().temp_size_in_bytes
+
+    for measure in (diagnostics.lyapunov, diagnostics.megno):
+        assert 0 < memory(measure, 10**7) <= memory(measure, 1000) + 256
+
+
 BAD = [
     (dict(num_steps=0), "num_steps must be an integer ≥ 1"),
     (dict(every=3), "not a multiple"),

@@ -130,16 +130,17 @@ def _lyapunov(step: Step, state: State, dt: Array, frame: Array, rounds: int, ev
         state, last, T = step.tangent(state, dt, T)
         return (on_clock(state, t0, n + 1, dt), T, info.merge(last), n + 1), None
 
-    def orthonormalised(carry: Any, m: Array) -> tuple[Any, None]:
+    def orthonormalised(carry: Any, _: None) -> tuple[Any, None]:
         (state, frame, info, n), growth = carry
+        batch = jnp.maximum(n // every - rest, 0) // length
         (state, T, info, n), _ = lax.scan(one, (state, unit * frame, info, n), None, length=every)
         frame, gain = orthonormal(T / unit)
-        growth = growth.at[jnp.maximum(m - rest, 0) // length].add(gain)
+        growth = growth.at[batch].add(gain)
         return ((state, frame, info, n), growth), None
 
     begin = (state, orthonormal(frame / unit)[0], StepInfo.fresh(state.p), zero)
     growth = jnp.zeros((batches, frame.shape[1]), frame.dtype)
-    ((_, _, info, _), growth), _ = lax.scan(orthonormalised, (begin, growth), jnp.arange(rounds))
+    ((_, _, info, _), growth), _ = lax.scan(orthonormalised, (begin, growth), None, length=rounds)
     lengths = jnp.abs(dt) * every * (length + rest * (jnp.arange(batches) == 0))
     rates = growth / lengths[:, None]
     spread = jnp.sqrt(((rates - rates.mean(axis=0)) ** 2).sum(axis=0) / (batches - 1)) if batches > 1 else jnp.nan
@@ -189,17 +190,18 @@ def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, vector: Array
 def _megno(step: Step, state: State, dt: Array, vector: Array, num_steps: int) -> Megno:
     unit, t0 = units(state, vector.size), state.t
 
-    def one(carry: Any, n: Array) -> tuple[Any, None]:
-        state, W, Y, mean, info = carry
-        n = n.astype(Y.dtype)
+    def one(carry: Any, _: None) -> tuple[Any, None]:
+        state, W, Y, mean, info, n = carry
         state, last, T = step.tangent(state, dt, unit * W)
         W, gain = orthonormal(T / unit)
-        Y = Y * ((n - 1) / n) + 2 * gain[0]
-        return (on_clock(state, t0, n, dt), W, Y, mean + (Y - mean) / n, info.merge(last)), None
+        k = (n + 1).astype(Y.dtype)
+        Y = Y * (n / k) + 2 * gain[0]
+        return (on_clock(state, t0, n + 1, dt), W, Y, mean + (Y - mean) / k, info.merge(last), n + 1), None
 
     zero = jnp.zeros((), vector.dtype)
-    begin = (state, orthonormal(vector[:, None] / unit)[0], zero, zero, StepInfo.fresh(state.p))
-    (_, _, Y, mean, info), _ = lax.scan(one, begin, jnp.arange(1, num_steps + 1))
+    first = orthonormal(vector[:, None] / unit)[0]
+    begin = (state, first, zero, zero, StepInfo.fresh(state.p), jnp.zeros((), int))
+    (_, _, Y, mean, info, _), _ = lax.scan(one, begin, None, length=num_steps)
     return Megno(Y, mean, info)
 
 

@@ -91,6 +91,8 @@ class Ensemble(Table):
     """The number of members of each; the first is the state itself."""
     orbits: Positive
     """The length of a run."""
+    steps_per_orbit: Positive
+    """The period over the step size: fast spin takes more than planar motions."""
     attitude_deg: NonNegative = 0.0
     """Standard deviation of a turn about each axis of space, in degrees."""
     spin_axis_deg: NonNegative = 0.0
@@ -223,16 +225,17 @@ def _chaos(scenario: Scenario, step: Step, run: Trajectory) -> Chaos:
     starts = State(jnp.asarray(run.state.q[0]), jnp.asarray(run.state.p[0]), jnp.asarray(run.t[0]))
     planes = np.zeros((6, 2))
     planes[_IN_PLANE, 0] = planes[_OUT_OF_PLANE, 1] = 1
-    found = [section := _exponents(scenario, step, starts, scenario.orbits, planes)]
+    per_orbit = scenario.steps_per_orbit
+    found = [section := _exponents(step, starts, scenario.orbits, per_orbit, planes)]
     zone = large_zone(scenario, np.asarray(section.exponents[:, 0]))
     planar = spatial = np.zeros((0, 6))
     if zone.size:
         drawn = _some(starts, zone, scenario.planar.starts)
-        found.append(one := _exponents(scenario, step, drawn, scenario.planar.orbits, planes))
+        found.append(one := _exponents(step, drawn, scenario.planar.orbits, per_orbit, planes))
         tilt = so3.exp(jnp.deg2rad(scenario.tilt_deg) * jnp.array([1.0, 0.0, 0.0]))
         drawn = _some(starts, zone, scenario.spatial.starts)
         drawn = drawn._replace(q=jax.vmap(lambda q: so3.multiply(tilt, q))(drawn.q))
-        found.append(two := _exponents(scenario, step, drawn, scenario.spatial.orbits, np.eye(6)))
+        found.append(two := _exponents(step, drawn, scenario.spatial.orbits, per_orbit, np.eye(6)))
         planar, spatial = np.asarray(one.exponents), np.sort(np.asarray(two.exponents), axis=1)[:, ::-1]
     seen = [_about(scenario, k) for k in range(len(scenario.observed))]
     failed = sum(int((~np.asarray(x.info.converged)).sum()) for x in (*found, *seen))
@@ -266,13 +269,13 @@ def _about(scenario: Scenario, k: int) -> Lyapunov:
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     Omega = (given.spin_rate + spread.spin_rate * change) * axes
     states = _states(step.system, q, jnp.asarray(Omega), np.deg2rad(given.mean_anomaly_deg))
-    return _exponents(scenario, step, states, spread.orbits, np.ones((6, 1)))
+    return _exponents(step, states, spread.orbits, spread.steps_per_orbit, np.ones((6, 1)))
 
 
-def _exponents(scenario: Scenario, step: Step, states: State, orbits: int, vectors: np.ndarray) -> Lyapunov:
+def _exponents(step: Step, states: State, orbits: int, per_orbit: int, vectors: np.ndarray) -> Lyapunov:
     """The exponents of many members, on all devices, of initial tangent vectors (6, k)."""
-    program = _program(orbits * scenario.steps_per_orbit, math.gcd(scenario.steps_per_orbit, 20))
-    return program(step, states, _TURN / scenario.steps_per_orbit, jnp.asarray(vectors))
+    program = _program(orbits * per_orbit, math.gcd(per_orbit, 20))
+    return program(step, states, _TURN / per_orbit, jnp.asarray(vectors))
 
 
 @functools.cache
