@@ -1,6 +1,7 @@
 """Measurements of what a scheme conserves, by autodiff and by running it, never by a formula of the scheme."""
 
 from lieint_jax.diagnostics.certify import Certificate, certify
+from lieint_jax.diagnostics.chaos import Lyapunov, Megno, lyapunov, megno, section
 from lieint_jax.diagnostics.conditions import Conditions, conditions
 from lieint_jax.diagnostics.local_error import local_error
 from lieint_jax.diagnostics.order import flow, order, reversibility
@@ -11,6 +12,8 @@ from lieint_jax.diagnostics.symplectic import linearization, symplectic_defect
 __all__ = [
     "Certificate",
     "Conditions",
+    "Lyapunov",
+    "Megno",
     "certify",
     "conditions",
     "constraint_error",
@@ -19,9 +22,12 @@ __all__ = [
     "flow",
     "linearization",
     "local_error",
+    "lyapunov",
+    "megno",
     "momentum_error",
     "order",
     "poisson_error",
     "reversibility",
+    "section",
     "symplectic_defect",
 ]
