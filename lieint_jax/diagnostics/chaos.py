@@ -91,11 +91,11 @@ def lyapunov(
             standard errors: each is to be longer than the motion's memory.
 
     Raises:
-        ValueError: a bad count, vectors of another shape, a first step that fails.
+        ValueError: a bad count, vectors of another shape, a step with its own time, a first step that fails.
 
     Source: Benettin, Galgani, Giorgilli & Strelcyn 1980, Meccanica 15; errors by batch means.
     """
-    step, state, dtype = promoted(checked_step(step), state)
+    step, state, dtype = promoted(_in_time(checked_step(step)), state)
     dim = step.system.phase_space.dim
     if vectors is None:
         count = dim if exponents is None else _checks.count("exponents", exponents, 1)
@@ -117,6 +117,13 @@ def lyapunov(
     step.check(state, dt)
     h = jnp.asarray(_checks.step_size(dt), dtype)
     return _lyapunov(step, state, h, jnp.asarray(frame, dtype), rounds, every, min(batches, rounds))
+
+
+def _in_time(step: Step) -> Step:
+    """The step, if its dt is one of time."""
+    if step.own_time:
+        raise ValueError(f"exponents count time, and the dt of {step.name} is of a fictitious one: take its base step")
+    return step
 
 
 @partial(jax.jit, static_argnums=(4, 5, 6))
@@ -174,11 +181,11 @@ def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, vector: Array
         vector: the initial tangent vector (2d,) in the phase space's coordinates; by default of no special direction.
 
     Raises:
-        ValueError: a bad count, a vector of another shape, a first step that fails.
+        ValueError: a bad count, a vector of another shape, a step with its own time, a first step that fails.
 
     Source: Cincotta & Simó 2000, Astron. Astrophys. Suppl. 147; Cincotta, Giordano & Simó 2003, Physica D 182.
     """
-    step, state, dtype = promoted(checked_step(step), state)
+    step, state, dtype = promoted(_in_time(checked_step(step)), state)
     dim = step.system.phase_space.dim
     given = _generic(dim)[:, 0] if vector is None else _checks.real_array("vector", vector, (dim,))
     num_steps = _checks.count("num_steps", num_steps, 1)
