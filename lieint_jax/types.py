@@ -559,11 +559,14 @@ def _on_time(method: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any,
 
     @functools.wraps(method)
     def timed(step: Any, state: State, dt: Array, *more: Array) -> tuple[Any, ...]:
+        if step.own_time and state.t is None:
+            raise ValueError(f"{step.name} advances the time, which this state lacks: take step.start(state)")
         end, *report = method(step, state, dt, *more)
         for name in ("work", "extra"):
             if getattr(state, name) is not None and getattr(end, name) is None:
                 raise ValueError(f"{type(step).__name__} drops state.{name}: return state._replace(q=…, p=…) from it")
-        return end._replace(t=None if state.t is None else state.t + dt), *report
+        t = end.t if step.own_time or state.t is None else state.t + dt
+        return end._replace(t=t), *report
 
     return timed
 
@@ -573,7 +576,8 @@ class Step(abc.ABC):
 
     `__call__`, `prepare` and `tangent` of any subclass see the state, dt and the step's own numbers in one
     floating-point type, the widest among state and step. The time of the new state, where there is one, is set here, to
-    t + dt. A scheme returns `state._replace(q=…, p=…)`, which keeps whatever else the state carries.
+    t + dt, unless the step has its `own_time`. A scheme returns `state._replace(q=…, p=…)`, which keeps whatever else
+    the state carries.
 
     Attributes:
         order: order of accuracy; infinite for the exact flow.
@@ -610,6 +614,15 @@ class Step(abc.ABC):
     def commuting(self) -> bool:
         """Whether steps of different sizes commute: then compositions need fewer stages (`schemes.compose`)."""
         return False
+
+    @property
+    def own_time(self) -> bool:
+        """Whether the step itself advances `state.t`, which must be there; then dt is a step of a fictitious time."""
+        return False
+
+    def start(self, state: State) -> State:
+        """`state` with what else the states of this step carry, as it is at the start of a run; here nothing."""
+        return state
 
     def prepare(self, state: State, dt: ArrayLike) -> Self:
         """Solve once what is constant along the trajectory of `state`; here nothing."""
@@ -689,9 +702,21 @@ def promoted(step: _T, state: State) -> tuple[_T, State, Any]:
     return step, State(**jax.tree.map(lambda leaf: leaf.astype(dtype), found)), dtype
 
 
+def start_time(step: Step, state: State) -> Array | None:
+    """The t₀ from which the times t₀ + nΔt of a run follow; None where there is none, or the step has its own time."""
+    return None if step.own_time else state.t
+
+
 def on_clock(state: State, t0: Array | None, n: ArrayLike, dt: ArrayLike) -> State:
-    """`state` at the time t₀ + nΔt: the rounding errors of a sum of n steps would add up."""
+    """`state` at the time t₀ + nΔt, if there is a t₀: the rounding errors of a sum of n steps would add up."""
     return state if t0 is None else state._replace(t=t0 + n * dt)
+
+
+def time_derivative(system: System, state: State) -> State:
+    """The time derivative of all that a state holds: t is time itself, and what the system does not move rests."""
+    moving, rest = system.vector_field(state), jax.tree.map(jnp.zeros_like, state)
+    moved = {name: x for name, x in moving._asdict().items() if x is not None and getattr(state, name) is not None}
+    return rest._replace(**moved | ({} if state.t is None else {"t": jnp.ones_like(state.t)}))
 
 
 def energy_less_work(system: System, state: State) -> Array:

@@ -17,9 +17,10 @@ def systems():
 
 @functools.cache
 def steps():
-    """(id, step, state, dt) of every system with every scheme that takes it."""
+    """(id, step, state, dt) of every system with every scheme that takes it, the state as the scheme starts it."""
     found = []
     for name, (system, state, dt) in systems():
         for module in _discover.modules(li.schemes).values():
-            found += [(f"{name}-{step_name}", step, state, dt) for step_name, step in module.examples(system).items()]
+            for step_name, step in module.examples(system).items():
+                found.append((f"{name}-{step_name}", step, step.start(state), dt))
     return found

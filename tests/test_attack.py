@@ -73,6 +73,22 @@ def _top(rng, B):
     return (J, weight), (q, _turned(q, J * Omega)), dt
 
 
+def _well(rng, B):
+    """A top with V < 0, its energy, and a fictitious step: that of time by −V."""
+    (J, weight), (q, p), dt = _top(rng, B)
+    lift = np.linalg.norm(weight, axis=1) * (1 + 10 ** rng.uniform(-3, 3, B))
+    Pi, Gamma = (jax.vmap(li.groups.so3.Ad_star)(q, x) for x in (p, np.broadcast_to([0.0, 0, 1], (B, 3))))
+    V = np.sum(weight * Gamma, 1) - lift
+    return (J, weight, lift, np.sum(Pi**2 / J, 1) / 2 + V), (q, p), -V * dt
+
+
+def _paced(rng, B):
+    """A top, and the scale of a step size that its attitude changes by a factor up to 3."""
+    (J, weight), state, dt = _top(rng, B)
+    scale = 10 ** rng.uniform(-3, 3, B)
+    return (J, weight, scale), state, dt / scale
+
+
 def _driven(rng, B):
     """A top of a changing strength, of up to a few radians in a step, at a random time."""
     (J, weight), state, dt = _top(rng, B)
@@ -162,6 +178,24 @@ def top(make):
     return lambda J, weight: make(systems.heavy_top(J, weight))
 
 
+def lifted(weight, lift, Gamma):
+    return jnp.dot(weight, Gamma) - lift
+
+
+def well(J, weight, lift, energy):
+    return schemes.log_hamiltonian(systems.potential_top(J, jax.tree_util.Partial(lifted, weight, lift)), energy)
+
+
+def pace(scale, state):
+    return scale * (1 + state.q[0] * state.q[1])
+
+
+def paced(make):
+    return lambda J, weight, scale: schemes.reversible_control(
+        make(systems.heavy_top(J, weight)), jax.tree_util.Partial(pace, scale)
+    )
+
+
 def pendulum(make):
     return lambda mass, gravity: make(systems.pendulum(mass, gravity))
 
@@ -214,6 +248,9 @@ ATTACKS = {  # how cases are made, and the step of one; which invariants: the en
     "compose": (_free, rigid(lambda b: schemes.compose(schemes.so3_midpoint(b), 4)), "HP"),
     "top_energy_momentum": (_top, top(schemes.top_energy_momentum), "HP"),
     "splitting": (_top, top(schemes.splitting), "P"),
+    "log_hamiltonian": (_well, well, "P"),
+    "reversible_control[top_energy_momentum]": (_paced, paced(schemes.top_energy_momentum), "HP"),
+    "reversible_control[splitting]": (_paced, paced(schemes.splitting), "P"),
     "sphere_midpoint": (_pendulum, pendulum(schemes.sphere_midpoint), "HP"),
     "sphere_midpoint[normalised]": (_pendulum, pendulum(lambda s: schemes.sphere_midpoint(s, normalised=True)), "HP"),
     "group_midpoint": (_se3, lambda m: schemes.group_midpoint(systems.euler(SE3, m)), "HP"),
@@ -240,24 +277,25 @@ ATTACKS = {  # how cases are made, and the step of one; which invariants: the en
 }
 
 
-def stated(system, q, p, t=None, work=None, carried=None):
-    """The state of these parts; what it carries has the name that the system gives it."""
-    return State(q, p, t, work, None if carried is None else dict.fromkeys(system.carried, carried))
+def started(step, q, p, t=None, work=None, carried=None):
+    """The state of these parts, as the step starts it; what it carries has the name that the system gives it."""
+    return step.start(State(q, p, t, work, None if carried is None else dict.fromkeys(step.system.carried, carried)))
 
 
 def outcome(make, numbers, parts, dt):
     """Whether a step converged; its errors over eps; and its `lever`, by which rounding of such data is enlarged."""
     step = make(*numbers)
-    state, (q, p) = stated(step.system, *parts), parts[:2]
+    state, (q, p) = started(step, *parts), parts[:2]
     system, eps = step.system, jnp.finfo(p.dtype).eps
     after, info = step(state, dt)
     back, returned = step(after, -dt)
+    dt = after.t - state.t if step.own_time else dt
     H, again = (energy_less_work(system, x) for x in (state, after))
     P, kept = system.momentum(state), system.momentum(after)
     scale = jnp.maximum(jnp.abs(H), jnp.abs(again)) + sum(terms(system, x) for x in (state, after))
     if hasattr(system, "stored_energy"):
         scale += jnp.max(numbers[0])  # W near its minimum is a small sum of terms of the size of λ and μ
-    levers = [largest(x.q) * largest((x.p, x.extra)) for x in (state, after)]
+    levers = [largest(x.q) * largest((x.p, x.extra if system.carried else None)) for x in (state, after)]
     bulk = jnp.maximum(1, largest(p))
     if isinstance(system, IncompressibleBody):
         bulk = largest(after.q) ** 3  # the terms of det F
@@ -269,7 +307,7 @@ def outcome(make, numbers, parts, dt):
     return {
         "converged": info.converged,
         "finite": jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(after)])),
-        "lever": jnp.sqrt(jnp.max(J) / jnp.min(J)) / jnp.minimum(*(from_axis(step, x) for x in (state, after))),
+        "lever": jnp.sqrt(jnp.max(J) / jnp.min(J)) * jnp.maximum(*(enlarged(step, x) for x in (state, after))),
         "defect": jnp.abs(system.phase_space.defect(after)) / eps / bulk,
         "H": jnp.abs(again - H) / eps / jnp.where(scale > 0, scale, 1),
         "P": jnp.max(jnp.abs(kept - P), initial=0) / eps / jnp.maximum(jnp.maximum(*levers), jnp.finfo(p.dtype).tiny),
@@ -282,10 +320,13 @@ def largest(tree):
     return jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in jax.tree.leaves(tree)]))
 
 
-def from_axis(step, state):
-    """The sine of the angle from the axis of a chart, by which it enlarges errors; 1 of schemes without one."""
+def enlarged(step, state):
+    """By how much a step enlarges rounding: near the axis of a chart, and where K + B is a small difference."""
+    if isinstance(step, schemes.LogHamiltonian):
+        K = step.system.free.energy(state)
+        return 1 + K / jnp.abs(K - step.energy)
     chart = getattr(step, "chart", None)
-    return 1.0 if chart is None else jnp.linalg.norm(jnp.cross(chart.axis, state.q))
+    return 1.0 if chart is None else 1 / jnp.linalg.norm(jnp.cross(chart.axis, state.q))
 
 
 def terms(system, state):
@@ -368,9 +409,15 @@ def negative(x, rng):
 
 NEVER = (nan, infinite, too_narrow, complex_, too_long)  # of what can be no number of a system, a state or a step size
 OFF = {_elastic: inside_out, _embedded: inside_out}  # what takes q off its space, by default off_the_space
-POSITIVE = {_elastic: (0, 1), _incompressible: (0, 1), _kane: (0, 1), _satellite: (0, 1)}  # numbers, by default the 1st
+POSITIVE = {
+    _elastic: (0, 1),
+    _incompressible: (0, 1),
+    _kane: (0, 1),
+    _satellite: (0, 1),
+    _paced: (0, 2),
+}  # numbers, by default the 1st
 NOT_NEGATIVE = {_viscous: (1,), _controlled: (1, 2), _kane: (2,), _friction: (1,)}
-OF_FUNCTIONS = {_driven: (1, 2), _motor: (1, 2)}  # numbers of a user's function, which may be anything
+OF_FUNCTIONS = {_driven: (1, 2), _motor: (1, 2), _well: (1, 2)}  # numbers of a user's function, which may be anything
 SPOILT = 300  # cases a scheme in the table
 
 
@@ -400,13 +447,23 @@ def accepted(name, seed, k):
     done, (numbers, state, dt) = spoilt(cases, np.random.default_rng([seed, k]), k)
     try:
         step = make(*numbers)
-        li.integrate(step, stated(step.system, *state), dt, 1)
+        li.integrate(step, started(step, *state), dt, 1)
     except ValueError:
         return None
     return done
 
 
-LONGER = (_gyrostat, _motor, _driven, _satellite, _viscous, _controlled, _kane)  # whose steps compile for a second
+LONGER = (
+    _gyrostat,
+    _motor,
+    _driven,
+    _satellite,
+    _viscous,
+    _controlled,
+    _kane,
+    _well,
+    _paced,
+)  # whose steps compile for a second
 NAMES = [pytest.param(name, marks=[pytest.mark.long] * (ATTACKS[name][0] in LONGER)) for name in ATTACKS]
 
 

@@ -40,6 +40,7 @@ def tilted(Gamma, t):
 
 TOP = systems.driven_top(J, tilted, turning)
 SPLITTING, MIDPOINT = schemes.splitting(TOP), schemes.top_energy_momentum(TOP)
+CONTROLLED = schemes.reversible_control(SPLITTING, lambda state: 1 / (1 + state.p @ state.p))
 WHEEL = systems.driven_gyrostat(J, lambda t: jnp.stack([0.1 * jnp.sin(t), 0.05 + 0 * t, 0.1 * t]))
 
 
@@ -182,13 +183,19 @@ class CrashError(Exception):
     pass
 
 
-RUNS = [{}, {"reduce": "energy"}, {"uniform": BETWEEN}]
+def controlled():
+    """A run in which each member advances its own time."""
+    states = started()._replace(t=jnp.full(MEMBERS, 0.7), work=jnp.zeros(MEMBERS))
+    return {"step": CONTROLLED, "states": jax.vmap(CONTROLLED.start)(states)}
+
+
+RUNS = [dict, lambda: {"reduce": "energy"}, lambda: {"uniform": BETWEEN}, controlled]
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("options", RUNS, ids=["trajectory", "summary", "given times and outputs"])
-def test_a_run_that_ended_resumes_to_the_same_bits(tmp_path, small_chunks, monkeypatch, options):
-    path, whole, sync = tmp_path / "run.zarr", tmp_path / "whole.zarr", os.fsync
+@pytest.mark.parametrize("make", RUNS, ids=["trajectory", "summary", "given times and outputs", "own time"])
+def test_a_run_that_ended_resumes_to_the_same_bits(tmp_path, small_chunks, monkeypatch, make):
+    path, whole, sync, options = tmp_path / "run.zarr", tmp_path / "whole.zarr", os.fsync, make()
     run(whole, **options)
     left, ends = [0], 0
 

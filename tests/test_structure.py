@@ -119,8 +119,10 @@ schemes.top_energy_momentum schemes.splitting schemes.group_midpoint schemes.gro
 schemes.sphere_midpoint ensemble.run ensemble.compiler_options studies.reversible studies.observe studies.fit
 studies.over_members diagnostics.linearization diagnostics.symplectic_defect diagnostics.poisson_error
 diagnostics.energy_error diagnostics.momentum_error diagnostics.delay diagnostics.order diagnostics.reversibility
-diagnostics.certify diagnostics.conditions orbits.kepler torques.viscous torques.pd_trace torques.pd_quaternion
+diagnostics.certify diagnostics.conditions diagnostics.lyapunov diagnostics.megno diagnostics.section
+orbits.kepler torques.viscous torques.pd_trace torques.pd_quaternion
 torques.bdot torques.kane_damper torques.thruster torques.solar_plate torques.internal_friction
+schemes.log_hamiltonian schemes.reversible_control diagnostics.local_error
 """
 
 

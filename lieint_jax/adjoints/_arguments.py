@@ -9,7 +9,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.types import State, Step, checked_step, promoted
+from lieint_jax.types import State, Step, checked_step, promoted, start_time
 
 Derivative = Literal["reversible", "checkpoint"]
 
@@ -26,5 +26,5 @@ def checked(step: Step, state: State, dt: ArrayLike, derivative: str) -> tuple[S
         )
     step, state, dtype = promoted(step, state)
     step.check(state, dt)
-    _checks.time_resolution(state.t, dt, 0)
+    _checks.time_resolution(start_time(step, state), dt, 0)
     return step, state, jnp.asarray(_checks.step_size(dt), dtype)

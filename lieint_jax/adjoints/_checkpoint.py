@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from lieint_jax.types import State, Step, StepInfo, on_clock
+from lieint_jax.types import State, Step, StepInfo, on_clock, start_time
 
 _LEVELS = 3  # levels of nested checkpoints: about 3 N^(1/3) of N states are kept
 
@@ -23,7 +23,7 @@ def checkpointed(step: Step, state: State, dt: Array, counts: tuple[int, ...]) -
     One loop is compiled for all intervals, a little longer than the longest; results of surplus steps are dropped.
     """
 
-    step, t0 = step.prepare(state, dt), state.t
+    step, t0 = step.prepare(state, dt), start_time(step, state)
 
     def interval(carry: tuple[State, Array], count: Array) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
         state, done = carry

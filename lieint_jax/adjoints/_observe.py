@@ -15,6 +15,7 @@ from lieint_jax._checks import concrete
 from lieint_jax.adjoints._arguments import Derivative, checked
 from lieint_jax.adjoints._checkpoint import checkpointed
 from lieint_jax.adjoints._undo import undoable
+from lieint_jax.integrate import refuse_times
 from lieint_jax.types import State, Step, StepInfo
 
 
@@ -49,6 +50,7 @@ def observe(
             `reversible`.
     """
     step, state, h = checked(step, state, dt, derivative)
+    refuse_times(step, "times")
     t = _checks.real_array("times", times).astype(h.dtype)
     if t.ndim != 1:
         raise ValueError(f"times must have shape (m,), got {t.shape}; use jax.vmap for batches")

@@ -13,7 +13,7 @@ from lieint_jax.adjoints._checkpoint import checkpointed
 from lieint_jax.adjoints._undo import undoable
 from lieint_jax.diagnostics.order import distance
 from lieint_jax.integrate import from_start, intervals, steps
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.types import State, Step, Trajectory, start_time
 
 
 def reversible(
@@ -59,7 +59,7 @@ def reversible(
         later = checkpointed(step, state, h, (interval,) * num_saves)
     else:
         later = undoable(step, state, h, np.full(num_saves, interval, np.int32), tolerance)
-    return from_start(state, later, h, interval)
+    return from_start(step, state, later, h, interval)
 
 
 def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:
@@ -77,5 +77,5 @@ def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) ->
 @jax.jit
 def _there_and_back(step: Step, state: State, h: Array, num_steps: ArrayLike) -> Array:
     prepared = step.prepare(state, h)
-    end = steps(prepared, state, h, num_steps)[0]
-    return distance(steps(prepared, end, -h, num_steps)[0], state)
+    end = steps(prepared, state, h, num_steps, start_time(step, state))[0]
+    return distance(steps(prepared, end, -h, num_steps, start_time(step, end))[0], state)

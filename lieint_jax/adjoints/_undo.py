@@ -28,7 +28,7 @@ from lieint_jax.adjoints._components import repeat
 from lieint_jax.diagnostics.order import distance
 from lieint_jax.integrate import steps
 from lieint_jax.schemes.compose import Composition
-from lieint_jax.types import State, Step, StepInfo, pytree, static
+from lieint_jax.types import State, Step, StepInfo, pytree, start_time, static
 
 
 @partial(jax.jit, static_argnums=4)
@@ -41,7 +41,7 @@ def undoable(step: Step, state: State, dt: Array, counts: Any, tolerance: float 
 def _marched(step: Any, state: State, dt: Array, counts: Any, tolerance: float) -> tuple[State, StepInfo]:
     """The states after counts[0], counts[0] + counts[1], … steps, and the reports of the steps between them."""
 
-    t0 = state.t
+    t0 = start_time(step, state)
 
     def interval(carry: tuple[State, Array], count: Array) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
         state, done = carry
@@ -148,6 +148,10 @@ class _Opened:
     step: Step
     closed: tuple[Array, ...]
     function: Callable[..., tuple[State, StepInfo]] = static()
+
+    @property
+    def own_time(self) -> bool:
+        return self.step.own_time
 
     def __call__(self, state: State, dt: Array) -> tuple[State, StepInfo]:
         return self.function(self.step, state, dt, *self.closed)

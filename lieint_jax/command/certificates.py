@@ -90,7 +90,7 @@ def _certificates(task: _Task) -> str:
     for name, (body, state, dt) in module.examples().items():
         if name in task.examples:
             step = scheme.examples(body)[task.step]
-            lines.append(f"{task.system}.{name}\n{certify(step, state, dt, task.num_steps)}\n")
+            lines.append(f"{task.system}.{name}\n{certify(step, step.start(state), dt, task.num_steps)}\n")
     jax.clear_caches()  # or memory grows with every scheme
     return "\n".join(lines)
 

@@ -14,6 +14,7 @@ _EPILOG = """examples:
   lieint run pseudo_rigid                  a spinning elastic ball, with the delay plots of the paper's Figure 3c
   lieint run pendulum                      a spherical pendulum beside the closed form
   lieint run driven                        a satellite under gravity's gradient in an eccentric orbit
+  lieint run hyperion                      where a moon tumbles chaotically, and whether its observed states do
   lieint run kirchhoff                     a spinning spheroid in water, on SE(3)
   lieint run my.toml --members 100         your own scenario (copy lieint_jax/scenarios/toutatis.toml)
   lieint run toutatis --out runs.zarr --members 100000   to disk while it runs; with --resume it goes on

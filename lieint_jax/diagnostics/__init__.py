@@ -1,7 +1,9 @@
 """Measurements of what a scheme conserves, by autodiff and by running it, never by a formula of the scheme."""
 
 from lieint_jax.diagnostics.certify import Certificate, certify
+from lieint_jax.diagnostics.chaos import Lyapunov, Megno, lyapunov, megno, section
 from lieint_jax.diagnostics.conditions import Conditions, conditions
+from lieint_jax.diagnostics.local_error import local_error
 from lieint_jax.diagnostics.order import flow, order, reversibility
 from lieint_jax.diagnostics.poisson import poisson_error
 from lieint_jax.diagnostics.series import constraint_error, delay, energy_error, momentum_error
@@ -10,6 +12,8 @@ from lieint_jax.diagnostics.symplectic import linearization, symplectic_defect
 __all__ = [
     "Certificate",
     "Conditions",
+    "Lyapunov",
+    "Megno",
     "certify",
     "conditions",
     "constraint_error",
@@ -17,9 +21,13 @@ __all__ = [
     "energy_error",
     "flow",
     "linearization",
+    "local_error",
+    "lyapunov",
+    "megno",
     "momentum_error",
     "order",
     "poisson_error",
     "reversibility",
+    "section",
     "symplectic_defect",
 ]

@@ -30,13 +30,15 @@ class Certificate(NamedTuple):
         constraint: largest defect of the configuration, such as ||q|² − 1|.
         symplectic_defect: max|Lᵀω(z₁)L − ω(z₀)| of the first step, momenta measured in max|π|.
         symplectic_order: r of a defect O(Δtʳ) per step, from dt and dt/2; inf if the defect is round-off. Below
-            order + 1 it is that of the motion, which dissipates or has torques without a potential.
+            order + 1 it is that of the motion, which dissipates or has torques without a potential, or of steps that
+            vary with the state.
         order: measured order of accuracy; inf if exact to round-off.
         reversibility: max|z − step(step(z, dt), −dt)|, momenta measured in max|π|.
         residual: largest residual of the run.
         converged: whether every step converged.
         work: whether the state counts work.
         clock: what rounding of the time does to the energy less work, relative: √n·ulp(t)·max|power| / |H₀|.
+        own_time: whether the steps vary with the state.
     """
 
     scheme: str
@@ -55,6 +57,7 @@ class Certificate(NamedTuple):
     converged: bool
     work: bool = False
     clock: float = 0.0
+    own_time: bool = False
 
     def __str__(self) -> str:
         eps = float(jnp.finfo(self.precision).eps)
@@ -77,7 +80,7 @@ class Certificate(NamedTuple):
         if math.isinf(self.symplectic_order):
             return "exact to round-off a step"
         law = f"as dt^{self.symplectic_order:.2f} a step"
-        if self.symplectic_order < self.order + 0.5:
+        if self.symplectic_order < self.order + 0.5 and not self.own_time:
             return f"not kept by the motion itself: it changes {law}"
         return f"broken {law}"
 
@@ -120,6 +123,7 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
         converged=bool(jnp.all(run.info.converged)),
         work=state.work is not None,
         clock=_relative(_clock_error(run.state, dt), start),
+        own_time=step.own_time,
     )
 
 

@@ -138,10 +138,15 @@ def conditions(step: Step, state: State, dt: ArrayLike) -> Conditions:
         dt: Δt.
 
     Raises:
-        ValueError: a system for which the paper states no such condition, and as `Step.check`.
+        ValueError: a system for which the paper states no such condition, a step with its own time, and as
+            `Step.check`.
 
     Source: Lewis & Simo 1994, Results 3 to 16.
     """
+    if step.own_time:
+        raise ValueError(
+            f"conditions are those of a step of given Δt, and {step.name} finds its own: give its base step"
+        )
     step.check(state, dt)
     system = step.system
     end, _, L = pushed(system.phase_space, lambda z: step(z, dt), state)

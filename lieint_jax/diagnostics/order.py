@@ -12,8 +12,8 @@ from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.integrate import rate, steps
-from lieint_jax.types import State, Step, StepInfo, System, promoted
+from lieint_jax.integrate import steps
+from lieint_jax.types import State, Step, StepInfo, System, clock, promoted, start_time, time_derivative
 
 _STAGES, _ITERATIONS = 8, 24
 
@@ -33,7 +33,7 @@ def _flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
     z0, unravel = ravel_pytree(state)
     A, b = (jnp.asarray(x, z0.dtype) for x in _gauss(_STAGES))
     h = jnp.asarray(t, z0.dtype) / num_steps
-    f = jax.vmap(lambda z: ravel_pytree(rate(system, unravel(z)))[0])
+    f = jax.vmap(lambda z: ravel_pytree(time_derivative(system, unravel(z)))[0])
 
     def one(z: Array, _: None) -> tuple[Array, None]:
         k = lax.fori_loop(0, _ITERATIONS, lambda _, k: f(z + h * (A @ k)), jnp.zeros((_STAGES, z.size), z.dtype))
@@ -57,7 +57,8 @@ def _gauss(stages: int) -> tuple[np.ndarray, np.ndarray]:
 def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
     """The order of accuracy, fitted to the errors at time T = num_steps·dt of runs with different step sizes.
 
-    The sizes are dt, dt/2, dt/4; if fewer than two of these have errors above round-off, also 2dt, 4dt, … up to T.
+    The sizes are dt, dt/2, dt/4; if fewer than two of these have errors above round-off, also 2dt, 4dt, … up to T. A
+    run whose step has its own time is compared with the flow at the time at which the run ends.
 
     Args:
         step: a scheme's step.
@@ -70,16 +71,19 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
         inf if there are fewer than two such runs: the scheme is exact as far as can be measured.
     """
     T = num_steps * dt
-    end = flow(step.system, state, T, 2 * num_steps)
-    floor = 100 * np.sqrt(num_steps) * float(jnp.finfo(end.p.dtype).eps)
-    seen: dict[float, float] = {}
-
     step.check(state, dt)
     step, state, dtype = promoted(step, state)
+    floor = 100 * np.sqrt(num_steps) * float(jnp.finfo(dtype).eps)
+    seen: dict[float, float] = {}
+
+    def exact(t: ArrayLike) -> State:
+        return flow(step.system, state, t, 2 * num_steps)
+
+    end = None if step.own_time else exact(T)
 
     def look(n: int) -> None:
         last, info = _after(step, state, jnp.asarray(T / n, dtype), n)
-        error = float(distance(last, end))
+        error = float(distance(last, exact(clock(last) - clock(state)) if end is None else end))
         if error > floor and bool(info.converged):
             seen[T / n] = error
 
@@ -99,7 +103,7 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
 @jax.jit
 def _after(step: Step, state: State, dt: ArrayLike, num_steps: ArrayLike) -> tuple[State, StepInfo]:
     """The state after `num_steps` steps, compiled once for any number of them, and their report."""
-    return steps(step.prepare(state, dt), state, dt, num_steps)
+    return steps(step.prepare(state, dt), state, dt, num_steps, start_time(step, state))
 
 
 def distance(a: State, b: State) -> Array:

@@ -47,7 +47,8 @@ class Job(NamedTuple):
     Attributes:
         step: the step; with the member axis on its leaves if `step_axis` is 0.
         states: the initial states without their time, with the member axis on every leaf.
-        t0: the time of the initial states: () if the members share it, else (members,); None if they have none.
+        t0: the time of the initial states: () if the members share it, else (members,); None if they have none, or the
+            step has its own, which then is part of the states.
         dt: the step size as the caller gave it; None if he gave times.
         clock: when the steps are; since the start, if the states have no time or their own.
         planned: the number of steps that the caller asked for; the run ends at its last entry.
@@ -71,6 +72,11 @@ class Job(NamedTuple):
     save_every: int | None
     step_axis: int | None
     reduction: Reduction | None
+
+    @property
+    def initial(self) -> State:
+        """The initial states with their time."""
+        return self.states if self.t0 is None else self.states._replace(t=self.t0)
 
     @property
     def num_steps(self) -> int:
@@ -98,12 +104,16 @@ class Job(NamedTuple):
         return self.t0 is not None and not np.ndim(self.t0)
 
     def state_times(self, entries: slice = slice(None)) -> Any:
-        """The time of each member at these entries, (entries, members); None if the states have none."""
+        """The time of each member at these entries, (entries, members); None if there is no t0."""
         if self.t0 is None:
             return None
         if self.shares_time:
             return shared_time(self.times[entries], self.members)
         return np.asarray(self.t0) + self.times[entries, None]
+
+    def with_times(self, states: State) -> State:
+        """The states of all entries with their time."""
+        return states if self.t0 is None else states._replace(t=self.state_times())
 
     def with_last_time(self, state: State) -> State:
         """The states at the end of the run with their time."""
@@ -113,7 +123,9 @@ class Job(NamedTuple):
         """The step and the initial state of one member."""
         state = jax.tree.map(lambda leaf: leaf[m], self.states)
         step = self.step if self.step_axis is None else jax.tree.map(lambda leaf: leaf[m], self.step)
-        return step, state._replace(t=self.t0 if self.t0 is None or self.shares_time else self.t0[m])
+        if self.t0 is not None:
+            state = state._replace(t=self.t0 if self.shares_time else self.t0[m])
+        return step, state
 
     @property
     def members(self) -> int:

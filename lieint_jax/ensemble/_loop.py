@@ -40,7 +40,7 @@ class Carry(NamedTuple):
     """The carry of a run from one step to the next, every leaf with the member axis first.
 
     Attributes:
-        state: the states, without their time, which follows from the number of steps.
+        state: the states, without their time, which follows from the number of steps unless the step has its own.
         info: the merged `StepInfo` since the last save.
         failed: the first step that did not converge, or −1.
         change: the range of the reduced quantity's change since the last save; None if nothing is reduced.
@@ -56,7 +56,8 @@ class Origin(NamedTuple):
     """What a run begins with, and its loop refers to at every step.
 
     Attributes:
-        t0: the time of the initial states: a scalar if the members share it, else one for each; None if they have none.
+        t0: the time of the initial states: a scalar if the members share it, else one for each; None if they have none,
+            or the step has its own, which then is part of the state.
         clock: when the steps are, on the clock of t0.
         quantity: the reduced quantity of the initial states; None if nothing is reduced.
     """
@@ -106,7 +107,7 @@ def start(step_axis: int | None, reduction: Reduction | None) -> Callable[..., t
     def begin(step: Step, states: State, t0: Array | None, clock: Uniform | Given) -> tuple[Carry, Origin]:
         members = states.p.shape[0]
         info = StepInfo(jnp.zeros(members, states.p.dtype), jnp.ones(members, bool))
-        quantity = None if reduction is None else _over_members(reduction, step_axis, step, states._replace(t=t0))
+        quantity = None if reduction is None else _over_members(reduction, step_axis, step, _timed(states, t0))
         change = None if quantity is None else Range.fresh(quantity)
         failed = jnp.full(members, -1, step_dtype())
         if isinstance(clock, Uniform) and t0 is not None:
@@ -139,8 +140,11 @@ def advance(axes: tuple[int | None, int | None], reduction: Reduction | None) ->
         unsaved = _unsaved(carry)
 
         def stepped(which: int, n: Array, state: State, dt: Array) -> tuple[State, StepInfo]:
-            state = origin.at(done + n, state)
-            return _over_members(lambda s, z: _without_time(*s(z, dt)), axes[which], steps[which], state)
+            def one_step(step: Step, state: State) -> tuple[State, StepInfo]:
+                state, info = step(state, dt)
+                return state if origin.t0 is None else state._replace(t=None), info
+
+            return _over_members(one_step, axes[which], steps[which], origin.at(done + n, state))
 
         def one(n: Array, carry: Carry) -> Carry:
             state, info = stepped(0, n, carry.state, origin.clock.size(done + n))
@@ -209,5 +213,5 @@ def _over_members(function: Callable[..., Any], step_axis: int | None, step: Ste
     return jax.vmap(function, in_axes=(step_axis, State(0, 0, time_axis, 0, 0)))(step, states)  # pyright: ignore[reportArgumentType]
 
 
-def _without_time(state: State, info: StepInfo) -> tuple[State, StepInfo]:
-    return state._replace(t=None), info
+def _timed(states: State, t0: Array | None) -> State:
+    return states if t0 is None else states._replace(t=t0)

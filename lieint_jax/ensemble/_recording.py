@@ -274,10 +274,11 @@ def _columns(job: Job, chunk: int, options: StoreOptions) -> dict[str, _store.Co
     times, members = axes.times, axes.members
     series = job.reduction is not None
     texts = {"q": "configuration", "p": "momentum", "work": "work done on the body", "t": "time of each member"}
-    own_times = job.t0 is not None and not job.shares_time
-    text = "time since the start" if own_times else "time"
+    text = "time" if job.t0 is None or job.shares_time else "time since the start"
+    if job.step.own_time:
+        text = "fictitious time since the start"
     columns = {"time": axes.column(times, units=options.time_unit, long_name=text)}
-    for name, leaf in named(job.states._replace(t=job.t0 if own_times else None)).items():
+    for name, leaf in named(job.states if job.shares_time else job.initial).items():
         along, text = members if series else {**times, **members}, texts.get(name, name.removeprefix("extra."))
         columns[name] = axes.state(along, name, leaf, long_name=text, units=_unit(name, job, options))
     columns["first_failure"] = axes.column(
@@ -335,7 +336,7 @@ def _unit(name: str, job: Job, options: StoreOptions) -> str:
 def _attributes(job: Job, options: StoreOptions, described: dict[str, Any], chunk: int) -> dict[str, Any]:
     return {
         "format": _store.FORMAT,
-        "leaves": list(named(job.states._replace(t=job.t0))),
+        "leaves": list(named(job.initial)),
         "time_unit": options.time_unit,
         "title": str(options.attributes.get("title", job.step.name)),
         "scheme": job.step.name,
@@ -362,7 +363,7 @@ def _description(job: Job, options: StoreOptions) -> dict[str, Any]:
         "system": type(job.step.system).__name__,
         "options of the step": _digest(_store.without_addresses(str(structure)).encode()),
         "numbers of the step": _digest(*leaves),
-        "initial states": _digest(*_with_names(job.states._replace(t=job.t0))),
+        "initial states": _digest(*_with_names(job.initial)),
         "members": job.members,
         "dt": job.dt,
         "num_steps": job.planned,

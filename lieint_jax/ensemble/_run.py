@@ -22,7 +22,7 @@ from lieint_jax.ensemble._leaves import named
 from lieint_jax.ensemble._loop import Carry, Reduction, energy, step_dtype
 from lieint_jax.ensemble._progress import Bar, Interrupts, Pace
 from lieint_jax.ensemble._recording import StoreOptions, into_store
-from lieint_jax.integrate import Given, Uniform, clock_of, intervals, outputs
+from lieint_jax.integrate import Given, Own, Uniform, clock_of, intervals, outputs, refuse_times
 from lieint_jax.types import State, Step, Trajectory, checked_step, promoted
 
 _NAMED = 5  # the most failed members that a report names
@@ -74,7 +74,8 @@ def run(
     Returns:
         A `Trajectory` of numpy arrays, axes (time, member, …), the initial states first; with `store`, of Zarr arrays,
         read from disk when they are indexed. With `reduce`, a `Summary`. Its t is t₀ + nΔt, where t₀ is the time that
-        the members share; if they have none, or start at different times, t is the time since the start.
+        the members share; if they have none, or start at different times, t is the time since the start; if the step
+        has its `own_time`, t is nΔt, and state.t the time of each member.
 
     Raises:
         ValueError: bad counts or times; states off the group, not finite, or without the time that a driven system
@@ -94,15 +95,16 @@ def run(
         raise ValueError("resume goes on with a run in a store; give store=PATH.zarr")
     mesh = _layout.checked_mesh(mesh)
     step, states, dtype = promoted(checked_step(step), states)
-    states, t0 = _checked(states)
+    states, t0 = _checked(step, states)
     count = states.p.shape[0]
     reduction = energy if reduce == "energy" else reduce
-    clock, planned = _clock(t0, dtype, dt, num_steps, times)
+    clock, planned = _clock(step, t0, dtype, dt, num_steps, times)
     if save_at is None:
         interval, num_saves = intervals(planned, save_every)
         nodes, rests = interval * np.arange(num_saves + 1), None
         when = clock.time(nodes.astype(dtype) if isinstance(clock, Uniform) else nodes)
     else:
+        refuse_times(step, "save_at")
         if save_every is not None or reduce is not None:
             raise ValueError(f"give save_at or {'save_every' if reduce is None else 'reduce'}, not both")
         interval, (when, nodes, rests) = None, _outputs(save_at, clock, planned, dtype)
@@ -156,14 +158,16 @@ def _next_portion(job: Job, done: int, saved: int, most: int, free_rows: int) ->
 
 
 def _clock(
-    t0: Any, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
+    step: Step, t0: Any, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
 ) -> tuple[Uniform | Given, int]:
     """When the steps are, as host arrays, and how many are asked for; since the start if members start apart."""
     if t0 is not None and t0.ndim:
         if times is not None:
             raise ValueError("times are those of all members: give all the same states.t, or none")
         t0 = None
-    clock, planned = clock_of(t0, dtype, dt, num_steps, times)
+    clock, planned = clock_of(step, t0, dtype, dt, num_steps, times)
+    if isinstance(clock, Own):
+        clock = Uniform(jnp.zeros((), dtype), clock.dt)
     return jax.tree.map(np.asarray, clock), planned
 
 
@@ -283,14 +287,17 @@ class _InMemory:
     def result(self, carry: list[Carry]) -> Any:
         if self._job.reduction is None:
             info, state = self._out
-            return Trajectory(self._job.times, state._replace(t=self._job.state_times()), info)  # pyright: ignore[reportArgumentType]
+            return Trajectory(self._job.times, self._job.with_times(state), info)  # pyright: ignore[reportArgumentType]
         series = {name: np.concatenate([part[name] for part in self._series]) for name in self._series[0]}
         state, failed = _layout.gather(self._layout, [(c.state, c.failed) for c in carry])
         return Summary(self._job.times, **series, state=self._job.with_last_time(state), failed=failed)
 
 
-def _checked(states: State) -> tuple[State, Any]:
-    """The states without their time, with the member axis on every leaf, and their time: a scalar if it is shared."""
+def _checked(step: Step, states: State) -> tuple[State, Any]:
+    """The states without their time, with the member axis on every leaf, and their time: a scalar if it is shared.
+
+    The time that a step has for its own stays among the states, one for each member.
+    """
     shapes = {name: np.shape(x) for name, x in named(states).items()}
     for key in states.extra or {}:
         if not str(key).isidentifier():
@@ -307,10 +314,12 @@ def _checked(states: State) -> tuple[State, Any]:
             where = f", and is not for {_some(bad)}" if x.ndim else f", got {x}"
             raise ValueError(f"states.{_spoken(name)} must be finite{where}")
     t, work = states.t, states.work
-    if t is not None and t.ndim and np.all(np.asarray(t) == np.asarray(t[0])):
-        t = t[0]
     if work is not None:
         work = jnp.broadcast_to(work, (members,))
+    if step.own_time and t is not None:
+        return states._replace(t=jnp.broadcast_to(t, (members,)), work=work), None
+    if t is not None and t.ndim and np.all(np.asarray(t) == np.asarray(t[0])):
+        t = t[0]
     return states._replace(t=None, work=work), t
 
 

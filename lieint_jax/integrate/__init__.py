@@ -1,13 +1,14 @@
 """Runs of one body: many steps, output at given times, events."""
 
-from lieint_jax.integrate._clock import Given, Uniform, at_time, clock_of, outputs
+from lieint_jax.integrate._clock import Given, Own, Uniform, at_time, clock_of, outputs, refuse_times
 from lieint_jax.integrate._event import Event, event, events
-from lieint_jax.integrate._interpolate import interpolate, rate
+from lieint_jax.integrate._interpolate import interpolate
 from lieint_jax.integrate._run import from_start, integrate, intervals, prepared, saves, steps
 
 __all__ = [
     "Event",
     "Given",
+    "Own",
     "Uniform",
     "at_time",
     "clock_of",
@@ -19,7 +20,7 @@ __all__ = [
     "intervals",
     "outputs",
     "prepared",
-    "rate",
+    "refuse_times",
     "saves",
     "steps",
 ]

@@ -1,4 +1,4 @@
-"""When the steps of a run are: all of one size, or between given times."""
+"""When the steps of a run are: all of one size, between given times, or when the step itself says."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax.types import State
+from lieint_jax.types import State, Step
 
 
 class Uniform(NamedTuple):
@@ -65,15 +65,38 @@ class Given(NamedTuple):
         return jnp.clip(after - 1, 0, num_steps)
 
 
+class Own(NamedTuple):
+    """Steps of one size in a fictitious time, which advance the time of the state themselves.
+
+    Attributes:
+        dt: their size.
+    """
+
+    dt: Array
+
+    def size(self, n: ArrayLike) -> Array:
+        """The size of the step from node n."""
+        return self.dt
+
+    def time(self, n: ArrayLike) -> None:
+        """Unknown before the run: the state of node n has it."""
+        return
+
+
+Clock = Uniform | Given | Own
+
+
 def clock_of(
-    t: Array | None, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
-) -> tuple[Uniform | Given, int]:
+    step: Step, t: Array | None, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
+) -> tuple[Clock, int]:
     """When the steps of a run are, and how many; t is the time of its first state."""
     if times is None:
         if num_steps is None:
             raise ValueError("give dt and num_steps, or times")
+        size = jnp.asarray(_checks.step_size(dt), dtype)
         t0 = jnp.zeros((), dtype) if t is None else t
-        return Uniform(t0, jnp.asarray(_checks.step_size(dt), dtype)), _checks.count("num_steps", num_steps, 0)
+        return Own(size) if step.own_time else Uniform(t0, size), _checks.count("num_steps", num_steps, 0)
+    refuse_times(step, "times")
     if dt is not None or num_steps is not None:
         raise ValueError("give dt and num_steps, or times, not both")
     nodes = _checks.real_array("times", times).astype(dtype)
@@ -104,6 +127,15 @@ def outputs(save_at: ArrayLike, clock: Uniform | Given, num_steps: int, dtype: A
     return wanted
 
 
-def at_time(state: State, t: Array) -> State:
-    """`state` at the time t, if it has a time."""
-    return state if state.t is None else state._replace(t=t)
+def refuse_times(step: Step, given: str) -> None:
+    """ValueError if a step has its own time, so that no time can be given to it."""
+    if step.own_time:
+        raise ValueError(
+            f"{given} cannot be given to {step.name}, which finds its times itself: take the state at a time T by "
+            "li.event(step, state, dt, lambda z: z.t - T, max_steps)"
+        )
+
+
+def at_time(state: State, t: Array | None) -> State:
+    """`state` at the time t, if it has a time and t is one."""
+    return state if state.t is None or t is None else state._replace(t=t)

@@ -17,9 +17,10 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax.integrate._clock import Given, Uniform, at_time, clock_of
+from lieint_jax.integrate._clock import Clock, at_time, clock_of
 from lieint_jax.integrate._run import prepared
-from lieint_jax.types import State, Step, StepInfo, callable_pytree, checked_step, promoted
+from lieint_jax.types import State, Step, StepInfo, callable_pytree, checked_step, promoted, start_time
+from lieint_jax.types import clock as time_of
 
 _ITERATIONS = 12  # of the root search: 10 reach round-off for smooth conditions
 
@@ -90,8 +91,8 @@ def events(
         raise ValueError(f"condition must have a real scalar value, got shape {first.shape} and dtype {first.dtype}")
     if concrete(first) and not bool(jnp.isfinite(first)):
         raise ValueError(f"condition must be finite at the start, got {float(first)}")
-    _checks.time_resolution(state.t, dt, max_steps)
-    clock, _ = clock_of(state.t, dtype, dt, max_steps, None)
+    _checks.time_resolution(start_time(step, state), dt, max_steps)
+    clock, _ = clock_of(step, state.t, dtype, dt, max_steps, None)
     return _events(step, state, clock, callable_pytree(condition), max_steps, count, direction)
 
 
@@ -115,7 +116,7 @@ class _Bracket(NamedTuple):
 def _events(
     step: Step,
     state: State,
-    clock: Uniform | Given,
+    clock: Clock,
     condition: Callable[[State], Array],
     max_steps: int,
     count: int,
@@ -126,7 +127,8 @@ def _events(
     def refined(bracket: _Bracket) -> Event:
         tau = jnp.where(bracket.found, _root(step, bracket, clock.size(bracket.n), condition), 0)
         end, info = step(bracket.state, tau)
-        t = clock.time(bracket.n) + tau
+        node = clock.time(bracket.n)
+        t = time_of(end) if node is None else node + tau
         return Event(t, at_time(end, t), bracket.found & info.converged)
 
     return jax.vmap(refined)(brackets)
@@ -135,7 +137,7 @@ def _events(
 def _brackets(
     step: Step,
     state: State,
-    clock: Uniform | Given,
+    clock: Clock,
     condition: Callable[[State], Array],
     max_steps: int,
     count: int,

@@ -15,7 +15,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax.types import State, System, Trajectory
+from lieint_jax.types import State, System, Trajectory, time_derivative
 
 
 def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> State:
@@ -60,13 +60,6 @@ def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> Sta
     return found
 
 
-def rate(system: System, state: State) -> State:
-    """The time derivative of all that a state holds: t is time itself, and what the system does not move rests."""
-    rate, rest = system.vector_field(state), jax.tree.map(jnp.zeros_like, state)
-    moved = {name: x for name, x in rate._asdict().items() if x is not None and getattr(state, name) is not None}
-    return rest._replace(**moved | ({} if state.t is None else {"t": jnp.ones_like(state.t)}))
-
-
 @jax.jit
 def _interpolated(system: System, trajectory: Trajectory, times: Array) -> tuple[State, Array]:
     """The states, and by how much the trapezoidal rule of the rates misses the next saved one: 1 and more is lost."""
@@ -101,7 +94,7 @@ def _rest(state: State) -> dict[str, Any]:
 
 def _jet(system: System, function: Callable[[State], Array], state: State) -> tuple[Array, Array, Array]:
     """A function of the state, and its first and second time derivatives along the flow."""
-    flow = partial(rate, system)
+    flow = partial(time_derivative, system)
 
     def along(z: State) -> tuple[Array, Array]:
         return jax.jvp(function, (z,), (flow(z),))

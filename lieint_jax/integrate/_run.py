@@ -12,8 +12,8 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.integrate._clock import Given, Uniform, at_time, clock_of, outputs
-from lieint_jax.types import State, Step, StepInfo, Trajectory, checked_step, on_clock, promoted
+from lieint_jax.integrate._clock import Clock, Given, Own, Uniform, at_time, clock_of, outputs, refuse_times
+from lieint_jax.types import State, Step, StepInfo, Trajectory, checked_step, on_clock, promoted, start_time
 
 
 def integrate(
@@ -48,7 +48,7 @@ def integrate(
     Returns:
         A `Trajectory`, the initial state first, then those after every `save_every` steps or at the times `save_at`.
         Its times, and the state's where it has one, are t₀ + nΔt, where t₀ is the initial state's time, else 0; or as
-        given.
+        given; or those of the states, if the step has its `own_time`.
 
     Raises:
         ValueError: a bad count, times that are not finite, not in order or outside the run, a concrete state that is
@@ -59,20 +59,22 @@ def integrate(
         RuntimeWarning: a state's time is so large that the floating-point numbers there are more than dt/10⁶ apart.
     """
     step, state, dtype = promoted(checked_step(step), state)
-    clock, num_steps = clock_of(state.t, dtype, dt, num_steps, times)
+    clock, num_steps = clock_of(step, state.t, dtype, dt, num_steps, times)
     first = clock.size(0) if num_steps else jnp.zeros((), dtype)
     step.check(state, first if dt is None else dt)
-    _checks.time_resolution(state.t, first if dt is None else dt, num_steps)
+    _checks.time_resolution(start_time(step, state), first if dt is None else dt, num_steps)
     if save_at is None:
         save_every = _checks.count("save_every", save_every, 1)
         return _trajectory(step, state, clock, saves(num_steps, save_every), save_every)
     if save_every != 1:
         raise ValueError("give save_every or save_at, not both")
+    refuse_times(step, "save_at")
+    assert not isinstance(clock, Own)
     return _seen(step, state, clock, outputs(save_at, clock, num_steps, dtype), num_steps)
 
 
 @partial(jax.jit, static_argnums=(3, 4))
-def _trajectory(step: Step, state: State, clock: Uniform | Given, num_saves: int, save_every: int) -> Trajectory:
+def _trajectory(step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Trajectory:
     step = prepared(step, state, clock)
     started = StepInfo.fresh(state.p)
 
@@ -121,23 +123,23 @@ def _seen(step: Step, state: State, clock: Uniform | Given, save_at: Array, num_
     return _joined(state, (at_time(later, save_at), info), jnp.concatenate([clock.time(0)[None], save_at]))
 
 
-def prepared(step: Step, state: State, clock: Uniform | Given) -> Step:
+def prepared(step: Step, state: State, clock: Clock) -> Step:
     """The step with its constants, which hold for one step size."""
-    return step.prepare(state, clock.dt) if isinstance(clock, Uniform) else step
+    return step if isinstance(clock, Given) else step.prepare(state, clock.dt)
 
 
-def _joined(state: State, later: tuple[State, StepInfo], t: Array) -> Trajectory:
-    """The trajectory of an initial state, the states and reports after it, and the times of all."""
+def _joined(state: State, later: tuple[State, StepInfo], t: Array | None) -> Trajectory:
+    """The trajectory of an initial state, the states and reports after it, and the times of all; None: the states'."""
     first = (state, StepInfo.fresh(state.p))
-    joined = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
-    return Trajectory(t, *joined)
+    states, info = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
+    return Trajectory(states.t if t is None else t, states, info)
 
 
-def from_start(state: State, later: tuple[State, StepInfo], dt: Array, save_every: int) -> Trajectory:
+def from_start(step: Step, state: State, later: tuple[State, StepInfo], dt: Array, save_every: int) -> Trajectory:
     """The trajectory of an initial state and the states and reports saved after it, `save_every` steps apart."""
     entries = 1 + later[1].residual.shape[0]
-    t0 = jnp.zeros((), dt.dtype) if state.t is None else state.t
-    return _joined(state, later, Uniform(t0, dt).time(save_every * jnp.arange(entries)))
+    clock, _ = clock_of(step, state.t, dt.dtype, dt, entries - 1, None)
+    return _joined(state, later, clock.time(save_every * jnp.arange(entries)))
 
 
 def steps(
@@ -150,9 +152,8 @@ def steps(
 ) -> tuple[State, StepInfo]:
     """The state after `count` steps, which may be traced, and the merged report of the steps.
 
-    `state` is that after `done` steps from the time t₀; by default, it is the first.
+    `state` is that after `done` steps from the time t₀, None if the state has no time or the step advances it.
     """
-    t0 = state.t if t0 is None else t0
 
     def one(n: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:
         state, so_far = carry

@@ -8,7 +8,9 @@ from lieint_jax.schemes.exact import Exact, exact
 from lieint_jax.schemes.group_alpha import GroupAlpha, group_alpha
 from lieint_jax.schemes.group_energy_momentum import GroupEnergyMomentum, group_energy_momentum
 from lieint_jax.schemes.group_midpoint import GroupMidpoint, group_midpoint
+from lieint_jax.schemes.log_hamiltonian import LogHamiltonian, log_hamiltonian
 from lieint_jax.schemes.preprocessed import Preprocessed, preprocessed
+from lieint_jax.schemes.reversible_control import ReversibleControl, reversible_control
 from lieint_jax.schemes.so3_alpha import SO3Alpha, so3_alpha
 from lieint_jax.schemes.so3_explicit import SO3Explicit, so3_explicit
 from lieint_jax.schemes.so3_midpoint import SO3Midpoint, so3_midpoint
@@ -28,7 +30,9 @@ __all__ = [
     "GroupAlpha",
     "GroupEnergyMomentum",
     "GroupMidpoint",
+    "LogHamiltonian",
     "Preprocessed",
+    "ReversibleControl",
     "SO3Alpha",
     "SO3Explicit",
     "SO3Midpoint",
@@ -45,7 +49,9 @@ __all__ = [
     "group_alpha",
     "group_energy_momentum",
     "group_midpoint",
+    "log_hamiltonian",
     "preprocessed",
+    "reversible_control",
     "so3_alpha",
     "so3_explicit",
     "so3_midpoint",

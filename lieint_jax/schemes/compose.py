@@ -58,6 +58,13 @@ class Composition(Step):
         return self.step.commuting
 
     @property
+    def own_time(self) -> bool:
+        return self.step.own_time
+
+    def start(self, state: State) -> State:
+        return self.step.start(state)
+
+    @property
     def name(self) -> str:
         return f"compose[{self.method}]({self.step.name})"
 
@@ -70,6 +77,9 @@ class Composition(Step):
         return self._through(state, dt, lambda state, h: self.step(state, h))
 
     def tangent(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
+        if state.extra is not None:  # it may depend on q and p, from one sub-step to the next
+            return super().tangent(state, dt, T)
+
         def carried(pair: tuple[State, Array], h: Array) -> tuple[tuple[State, Array], StepInfo]:
             end, info, T = self.step.tangent(pair[0], h, pair[1])
             return (end, T), info

@@ -47,7 +47,7 @@ from lieint_jax.types import (
 )
 
 
-def _motion(parts: tuple[Forced | Driven, System], state: State) -> State:
+def kicked_motion(parts: tuple[Forced | Driven, System], state: State) -> State:
     """The vector field of the drift's system, and the force of the kicks."""
     system, drifting = parts
     free = drifting.vector_field(state)
@@ -156,12 +156,12 @@ def splitting(system: Forced | Driven | Gyrostat, drift: Step | None = None) -> 
         )
     if drift is None:
         drift = exact(system.free) if isinstance(system, Gyrostat) else _drift(system.free)
-    if not isinstance(drift, Step) or not drift.symmetric:
+    if not isinstance(drift, Step) or not drift.symmetric or drift.own_time:
         raise ValueError(f"drift must be a symmetric step of system.free, got {getattr(drift, 'name', drift)!r}")
     if isinstance(system, Gyrostat):
         return turning(system, drift)
     scheme = f"splitting with {drift.name} of a {type(drift.system).__name__}"
-    check_motion(scheme, "that motion with kicks", _motion, (system, drift.system), system)
+    check_motion(scheme, "that motion with kicks", kicked_motion, (system, drift.system), system)
     return Splitting(system, drift)
 
 

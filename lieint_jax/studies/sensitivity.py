@@ -20,7 +20,8 @@ import numpy as np
 from jax import Array, lax
 from matplotlib.figure import Figure
 
-from lieint_jax import plots, schemes
+from lieint_jax import diagnostics, plots, schemes
+from lieint_jax.diagnostics.chaos import orthonormal, units
 from lieint_jax.diagnostics.order import flow
 from lieint_jax.diagnostics.symplectic import pushed
 from lieint_jax.integrate import saves
@@ -55,7 +56,7 @@ class LyapunovSpectrum(NamedTuple):
 
 
 def exponents(step: Step, state: State, dt: float, num_steps: int, save_every: int = 1) -> tuple[Array, Array]:
-    """Finite-time Lyapunov exponents along a run.
+    """Finite-time Lyapunov exponents at times on the way, by `diagnostics.lyapunov` with a QR decomposition each step.
 
     Args:
         step: a step, which is linearised itself.
@@ -65,46 +66,26 @@ def exponents(step: Step, state: State, dt: float, num_steps: int, save_every: i
         save_every: steps between saved values.
 
     Returns:
-        Times (n,), and exponents (n, 2d) in units of 1/time, in the order of the frame, descending in the limit; the
-        tangent vectors are in the phase space's own coordinates, momenta in the units of the state.
+        Times (n,), and exponents (n, 2d) in units of 1/time, in the order of the frame, descending in the limit.
 
     Raises:
         ValueError: `num_steps` is no multiple of `save_every`; the first step fails.
     """
-    num_saves = saves(num_steps, save_every)
-    step.check(state, dt)
-    space = step.system.phase_space
-    frame = jnp.eye(space.dim, dtype=state.p.dtype)
-
-    def one(carry: tuple[State, Array, Array], _: None) -> tuple[tuple[State, Array, Array], None]:
-        state, frame, sums = carry
-        state, _, L = pushed(space, lambda z: step(z, dt), state)
-        frame, growth = _orthonormal(L @ frame)
-        return (state, frame, sums + growth), None
-
-    def interval(carry: tuple[State, Array, Array], _: None) -> tuple[tuple[State, Array, Array], Array]:
-        carry, _ = lax.scan(one, carry, None, length=save_every)
-        return carry, carry[2]
-
-    _, sums = lax.scan(interval, (state, frame, jnp.zeros_like(frame[0])), None, length=num_saves)
+    num_saves, dim = saves(num_steps, save_every), step.system.phase_space.dim
+    found = diagnostics.lyapunov(step, state, dt, num_steps, vectors=np.eye(dim), batches=num_saves)
     t = dt * save_every * jnp.arange(1, num_saves + 1)
-    return t, sums / t[:, None]
-
-
-def _orthonormal(W: Array) -> tuple[Array, Array]:
-    """The orthonormal factor Q of W = QR, and the logarithms of R's diagonal."""
-    Q, R = jnp.linalg.qr(W)
-    return Q, jnp.log(jnp.abs(jnp.diagonal(R)))
+    return t, jnp.cumsum(found.growth, axis=0) / t[:, None]
 
 
 def reference(system: System, state: State, t: float, pieces: int) -> Array:
     """The exponents at time t, (2d,), by the vector field alone: collocation of order 16 under autodiff."""
     space = system.phase_space
+    unit = units(state, space.dim)
 
     def one(carry: tuple[State, Array, Array], _: None) -> tuple[tuple[State, Array, Array], None]:
         state, frame, sums = carry
         end, _, L = pushed(space, lambda z: (flow(system, z, t / pieces, 2), None), state)
-        frame, growth = _orthonormal(L @ frame)
+        frame, growth = orthonormal(L @ (unit * frame) / unit)
         return (end, frame, sums + growth), None
 
     start = (state, jnp.eye(space.dim), jnp.zeros(space.dim))
@@ -117,16 +98,17 @@ def shadow(step: Step, state: State, dt: float, num_steps: int, every: int = 20,
     Source: Benettin, Galgani & Strelcyn 1976, Phys. Rev. A 14.
     """
     space = step.system.phase_space
+    unit = units(state, space.dim)[:, 0]
 
     def apart(a: State, b: State) -> Array:
-        return space.trivialise(a, jax.tree.map(jnp.subtract, b, a))
+        return space.trivialise(a, jax.tree.map(jnp.subtract, b, a)) / unit
 
     def one(carry: tuple[State, State, Array], _: None) -> tuple[tuple[State, State, Array], None]:
         a, b, total = carry
         a, b = lax.fori_loop(0, every, lambda _, z: (step(z[0], dt)[0], step(z[1], dt)[0]), (a, b))
         delta = apart(a, b)
         size = jnp.linalg.norm(delta)
-        return (a, space.perturb(a, delta * (distance / size)), total + jnp.log(size / distance)), None
+        return (a, space.perturb(a, unit * delta * (distance / size)), total + jnp.log(size / distance)), None
 
     first = jnp.zeros(space.dim).at[0].set(distance)
     total = lax.scan(one, (state, space.perturb(state, first), jnp.zeros(())), None, length=num_steps // every)[0][2]

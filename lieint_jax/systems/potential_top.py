@@ -150,10 +150,20 @@ def clebsch_integral(top: PotentialTop, state: State, strength: float) -> Array:
 
 
 def examples() -> dict[str, Any]:
-    """Brun's problem, and a potential that has no axis."""
+    """Brun's problem, a potential that has no axis, and one with a deep well."""
     tilted = potential_top([1.0, 2.0, 2.5], _three_wells, None)
     state = tilted.state(so3.exp(jnp.array([0.3, 0.1, 0.7])), angular_velocity=[0.2, 0.5, -0.4])
-    return {"brun": (*brun(), 0.05), "three_wells": (tilted, state, 0.05)}
+    return {"brun": (*brun(), 0.05), "three_wells": (tilted, state, 0.05), "attracted": (*_attracted(), 0.02)}
+
+
+def _attracted() -> tuple[PotentialTop, State]:
+    """A body with a charge on its third axis at distance 1 from the fixed point; an opposite one is in space at 1.2."""
+    top = potential_top([1.0, 2.0, 2.5], _coulomb, [0.0, 0.0, 1.2])
+    return top, top.state(so3.exp(jnp.array([1.6, 0.4, 0.0])), angular_velocity=[0.2, 0.3, 0.4])
+
+
+def _coulomb(Gamma: Array) -> Array:
+    return -1 / jnp.sqrt(1 + three.dot(Gamma, Gamma) - 2 * Gamma[2])
 
 
 def _three_wells(R: Array) -> Array:
