@@ -232,6 +232,7 @@ def test_6_15_and_6_16_with_beta_of_6_9():
 # Result 16, corrected -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", ["average", "energy", "energy_momentum"])
 def test_result_16_energy_and_momentum_second_order_reversible_not_symplectic(rule):
     step = additive(SOFT, rule)
@@ -352,6 +353,7 @@ def test_every_material_keeps_energy(W):
 # Flags, derivatives, errors -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_step_that_turns_the_body_inside_out_is_flagged():
     """The midpoint may stay in GL⁺(3) and F_{n+1} not; W(C) cannot see it."""
     step = dataclasses.replace(LABELLED, alpha=jnp.array(0.5))
@@ -385,6 +387,7 @@ def test_gradients_through_a_step():
     assert np.abs(slopes).max(axis=0).min() > 1e-3  # every parameter matters
 
 
+@pytest.mark.long
 def test_float32_is_kept():
     with jax.enable_x64(False):
         body = li.systems.pseudo_rigid_body([2.0, 2.0, 2.0], li.systems.mooney_rivlin(2000.0, 6.0))

@@ -60,6 +60,7 @@ def both_derivatives(J, Pi, dt):
     return jax.lax.map(lambda case: one(*case), (Pi, dt))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "J", [*itertools.permutations([1.0, 2.0, 3.0], 3), [1, 1, 2], [2, 1, 1], [1, 1, 1], [1, 2, 9], FULL]
 )

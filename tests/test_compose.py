@@ -222,6 +222,7 @@ def test_a_sub_step_past_the_branch_says_so():
         li.integrate(step, STATE, 4.0, 1)
 
 
+@pytest.mark.long
 def test_derivatives_go_through():
     def end(J):
         return compose(so3_midpoint(li.systems.RigidBody(J)), 6)(STATE, 0.5)[0].q[1]

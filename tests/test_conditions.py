@@ -126,6 +126,7 @@ def test_the_report_reads():
     assert "2.18   momentum   0.0e+00  holds  π_{n+1} = π_n" in text
 
 
+@pytest.mark.long
 def test_float32_and_batches():
     body = li.systems.rigid_body(np.array([1, 2, 3], np.float32))
     states = jax.tree.map(lambda x: jnp.stack([x, x]).astype(np.float32), SPIN)

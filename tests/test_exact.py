@@ -91,6 +91,7 @@ def test_long_times_against_50_digits(moments, Omega, t):
     assert difference(solve(J, state, t).q, reference(J, state, t)) < 1e-13  # floor 2e-14
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off", [0.0, 1e-15, 1e-12, 1e-9, 1e-6, 1e-3, -1e-9, -1e-3])
 def test_near_the_separatrix(off):
     """On it (1/J₁ − 1/J₂)Π₁² = (1/J₂ − 1/J₃)Π₃². The last bits of the state allow an error of eps·exp(λt)."""
@@ -101,6 +102,7 @@ def test_near_the_separatrix(off):
         assert difference(solve(J, state, t).q, reference(J, state, t)) < 2e-15 * sensitivity
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "moments", [*itertools.permutations([1.0, 2.0, 3.0]), [1, 1, 2], [2, 1, 1], [1, 2, 1], [1, 1, 1]]
 )
@@ -159,6 +161,7 @@ def walk(body, state, sizes, again):
     return jax.lax.scan(one, state, (sizes, again))[1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("full", [False, True])
 def test_invariants_group_law_and_form(full):
     J = turned([1.0, 2.0, 3.0]) if full else jnp.array([1.0, 2.0, 3.0])

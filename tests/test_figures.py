@@ -93,6 +93,7 @@ def test_panels_are_those_of_the_captions(figure):
         assert (panel.dt, panel.lag, panel.Phi) == printed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", VARIATIONS)
 def test_figures_3_4_5_have_the_captions_variations(name):
     ours, printed = VARIATIONS[name]

@@ -305,6 +305,7 @@ sizes = st.floats(0.2, 5)
 components = st.lists(st.floats(-1, 1), min_size=3, max_size=3).map(np.array)
 
 
+@pytest.mark.long
 @given(
     J=st.lists(sizes, min_size=3, max_size=3).map(np.array), rotor=components, Omega=components, dt=st.floats(-0.6, 0.6)
 )

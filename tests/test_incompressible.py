@@ -49,6 +49,7 @@ def test_energy_momentum_and_volume_are_kept(A, V, E, dt):
     assert np.abs(volume).max() < 4e-15  # floor 1e-15
 
 
+@pytest.mark.long
 def test_without_the_pressure_the_volume_changes():
     free = BODY.compressible
     after, info = _once(li.schemes.additive(free), STATE, DT)

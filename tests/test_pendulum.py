@@ -152,6 +152,7 @@ def test_claim_4_in_spherical_coordinates_the_midpoint_rule_is_symplectic_and_ke
     assert np.abs(jax.vmap(BOBS["linear"].phase_space.defect)(trajectory.state)).max() < 2e-15
 
 
+@pytest.mark.long
 def test_claim_4_the_step_is_the_midpoint_rule_in_the_coordinates():
     """z₁ − z₀ = Δt J∇H(½(z₀ + z₁)), H taken through the chart by autodiff."""
     trajectory = in_the_chart()[0]

@@ -57,6 +57,7 @@ def of(name, order):
     return measured(preprocessed(body, order), moving(body.inertia))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [4, 6])
 @pytest.mark.parametrize("name", BODIES)
 def test_order_against_the_exact_flow(name, order):

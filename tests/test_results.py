@@ -128,6 +128,7 @@ def linearized(name, J, Omega, dt, q=(1.0, 0.0, 0.0, 0.0)):
     return jax.device_get(_linearized(np.array(J), np.array(q), np.array(Omega), dt, KAPPAS[name]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KAPPAS)
 @pytest.mark.parametrize(
     ("J", "Omega"), [([1.0, 2, 3], [0.2, 0, 1]), ([1.0, 1, 2], [0.4, 0.1, 0.6]), ([1.0, 1, 1], [0.4, 0.1, 0.6])]

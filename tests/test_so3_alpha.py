@@ -45,6 +45,7 @@ def test_result_01_and_2_27_momentum_and_energy_for_every_alpha(alpha, axis, Ome
     assert np.abs(energy).max() < 2e-14  # floor 5e-15: Λ is worn by its stretch
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("alpha", [0.0, 0.3, 0.5, 1.0])
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_the_equations_2_17_hold_as_they_stand(alpha, kappa):

@@ -110,6 +110,7 @@ def test_a_kappa_shared_by_a_leaf_is_each_of_the_three():
     assert min(np.abs(a - b).max() for a, b in itertools.combinations(ends, 2)) > 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS)
 @pytest.mark.parametrize(("name", "kappas"), own_and_shared("linear", *POTENTIALS))
 def test_results_06_and_07_momentum_about_gamma_and_energy_for_any_kappa(name, kappas, kappa):
@@ -254,6 +255,7 @@ def test_clebsch_and_kovalevskaya():
             assert 3 < worst[0] / worst[1] < 5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["linear", "transcendental"])
 def test_value_and_derivatives_are_finite_where_gamma_does_not_move(name):
     """Spin about γ, Δt = 0, zero momentum: ΔΓ = 0 in the discrete gradient."""
@@ -317,6 +319,7 @@ def test_the_potential_s_own_discrete_gradients():
         assert np.abs(D - by_quadrature).max() < 1e-14
 
 
+@pytest.mark.long
 def test_poisson_error_of_a_system_with_a_potential_is_the_whole_matrix():
     """P_n − ω⁻¹: zero to round-off for splitting, O(1) growth at once for the energy-momentum scheme."""
     top = TOPS["linear"]
