@@ -110,7 +110,7 @@ State Step StepInfo Trajectory Event pytree static integrate interpolate event s
 systems.potential_top orbits.graded_times
 systems.euler systems.group_potential systems.kirchhoff systems.manakov systems.pendulum systems.pseudo_rigid_body
 systems.embedded_body systems.incompressible_body systems.gyrostat systems.driven_gyrostat systems.torqued_body
-systems.damped_body systems.rigid_bodies potentials.maccullagh systems.driven_top systems.gravity_gradient schemes.torqued_midpoint schemes.so3_alpha
+systems.damped_body systems.driven_top systems.gravity_gradient schemes.torqued_midpoint schemes.so3_alpha
 schemes.group_alpha schemes.sphere_chart groups.so3 groups.matrix groups.special_orthogonal groups.special_euclidean
 groups.special_linear groups.symplectic groups.special_unitary groups.affine groups.heisenberg groups.product
 maps.exponential maps.cayley maps.arcsine maps.kappa_cayley maps.kappa_exponential maps.kappa_symplectic
@@ -123,6 +123,7 @@ diagnostics.certify diagnostics.conditions diagnostics.lyapunov diagnostics.megn
 orbits.kepler torques.viscous torques.pd_trace torques.pd_quaternion
 torques.bdot torques.kane_damper torques.thruster torques.solar_plate torques.internal_friction
 schemes.log_hamiltonian schemes.reversible_control diagnostics.local_error
+systems.rigid_bodies potentials.maccullagh schemes.bodies_energy_momentum
 """
 
 

@@ -251,16 +251,17 @@ def rigid_bodies(masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Ar
 
 def examples() -> dict[str, tuple[RigidBodies, State, float]]:
     """A binary asteroid, and three bodies with a term that is no sum of pairs."""
-    masses, inertias = jnp.array([1.0, 0.1]), jnp.array([[0.10, 0.11, 0.12], [0.0030, 0.0034, 0.0040]])
+    masses, inertias = jnp.array([1.0, 0.5]), jnp.array([[0.10, 0.11, 0.12], [0.030, 0.034, 0.040]])
     binary = rigid_bodies(masses, inertias, potentials.maccullagh(1.0, masses, inertias))
-    at = jnp.array([[-0.3, 0.0, 0.0], [3.0, 0.0, 0.0]])
-    moving = jnp.array([[0.0, -0.055, 0.0], [0.0, 0.55, 0.02]])
-    spins = jnp.array([[0.1, 0.0, 1.2], [0.0, 0.02, 0.18]])
+    at = jnp.array([[-1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    moving = jnp.array([[0.0, -0.24, -0.01], [0.0, 0.48, 0.02]])
+    spins = jnp.array([[0.1, 0.0, 1.2], [0.0, 0.02, 0.24]])
     triple = rigid_bodies([1.0, 0.5, 0.2], jnp.array([[0.1, 0.2, 0.25]] * 3), _spread)
     corners = jnp.array([[1.0, 0, 0], [-1.0, 0.5, 0], [0, -1.2, 0.3]])
+    past = jnp.array([[-0.19, -0.1, 0.14], [0.3, 0.2, -0.4], [0.2, 0, 0.3]])
     return {
         "binary": (binary, binary.state(at, velocities=moving, angular_velocities=spins), 0.05),
-        "triple": (triple, triple.state(corners, angular_velocities=0.3 * corners), 0.05),
+        "triple": (triple, triple.state(corners, velocities=past, angular_velocities=0.3 * corners), 0.05),
     }
 
 
