@@ -48,7 +48,9 @@ def a_step(dt=0.05):
     ],
 )
 def test_a_step_made_again_with_other_numbers_compiles_nothing(caplog, call):
-    assert programs(caplog, lambda: call(*a_step()))
+    if not programs(caplog, lambda: call(*a_step())):  # another test of this process had it compiled
+        jax.clear_caches()
+        assert programs(caplog, lambda: call(*a_step()))
     assert not programs(caplog, lambda: call(*a_step(0.04)))
 
 

@@ -95,6 +95,7 @@ def test_the_exact_flow_is_of_the_class_and_violates_the_sufficient_condition():
     assert found["5.26"] > 1e-5
 
 
+@pytest.mark.long
 def test_a_splitting_is_not_of_the_class():
     """It is symplectic, and the conditions do not see it: its Θ depends on q_n."""
     step = schemes.splitting(STAR)

@@ -14,6 +14,7 @@ LARGEST = {("A", 0): 5.88e-3, ("A", 1): 3.92e-3, ("S", 0): 6.24e-3, ("S", 1): 4.
 
 
 @pytest.mark.parametrize(("body", "kappa"), LARGEST)
+@pytest.mark.slow
 def test_figure_1_largest_poisson_errors(body, kappa):
     run = free_body_run(body, kappa, 0.05)
     assert len(run.poisson) == 1001

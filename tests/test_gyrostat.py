@@ -539,6 +539,7 @@ def test_a_gyrostat_that_moves_otherwise_is_refused():
             schemes.so3_midpoint(changed(**vars(system)))
 
 
+@pytest.mark.long
 def test_advice_says_how_fast_the_body_turns():
     fast = moving(J, H_R, np.array([3.0, 0, 0]))
     with pytest.raises(ValueError, match=r"\|Δt Ω\| = 3 at dt = 1\.0"):

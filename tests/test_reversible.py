@@ -44,7 +44,7 @@ def setting(name):
         seen = run(jax.tree.unflatten(structure, leaves), state_, dt).state
         return sum(jnp.sum(w * x) for w, x in zip(jax.tree.leaves(weights), jax.tree.leaves(seen), strict=True))
 
-    direction = [rng.normal(size=np.shape(x)) * np.abs(x).max() for x in leaves]
+    direction = [rng.normal(size=np.shape(x)) * np.abs(x).max(initial=0) for x in leaves]
     direction = [(d + d.T) / 2 if d.shape == d.T.shape and d.ndim == 2 else d for d in direction]  # inertias stay so
     delta = rng.normal(size=space.dim) * np.repeat([1.0, float(jnp.abs(state.p).max())], space.dim // 2)
     at = ([jnp.asarray(x) for x in leaves], jnp.zeros(space.dim), jnp.asarray(dt))

@@ -123,7 +123,7 @@ diagnostics.certify diagnostics.conditions diagnostics.lyapunov diagnostics.megn
 orbits.kepler torques.viscous torques.pd_trace torques.pd_quaternion
 torques.bdot torques.kane_damper torques.thruster torques.solar_plate torques.internal_friction
 schemes.log_hamiltonian schemes.reversible_control diagnostics.local_error
-systems.rigid_bodies potentials.maccullagh schemes.bodies_energy_momentum
+systems.rigid_bodies potentials.maccullagh schemes.bodies_energy_momentum schemes.nystrom schemes.kepler_splitting
 """
 
 
@@ -169,8 +169,10 @@ def test_what_a_factory_s_name_hides_is_exported():
 once = jax.jit(lambda step, state, dt: step(state, dt))
 
 
-LARGE = ("euler.manakov", "group_potential.bottom_heavy")  # groups whose steps compile for ten seconds and more
-FIRST = {(type(step.system), type(step)): name for name, step, _, _ in reversed(steps())}  # the others in the shards
+LARGE = ("euler.manakov", "group_potential.bottom_heavy", "rigid_bodies")  # steps that compile for long
+FIRST = {  # the others in the shards
+    (type(step), None if step.own_time else type(step.system)): name for name, step, _, _ in reversed(steps())
+}
 GRID = [
     pytest.param(*s, id=s[0], marks=[pytest.mark.long] * (s[0].startswith(LARGE) or s[0] not in FIRST.values()))
     for s in steps()

@@ -55,3 +55,17 @@ sinc_sqrt = _entire(_reciprocal_factorials(1, 11), lambda x: jnp.sin(jnp.sqrt(x)
 arctan_sqrt = _entire(
     [(-1) ** k / (2 * k + 1) for k in range(18)], lambda x: jnp.arctan(jnp.sqrt(x)) / jnp.sqrt(x), 0.1
 )
+
+
+def stumpff(x: Array) -> tuple[Array, Array, Array, Array]:
+    """c₀ … c₃ with c_k(x) = Σ (−x)ⁿ/(k + 2n)! for x of any sign: c₀ = cos √x, c₁ = sin √x/√x, and the next two."""
+    near = jnp.where(jnp.abs(x) < 2, x, 0)  # the branches overlap, see `_entire`
+    bound, free = (jnp.sqrt(jnp.where(sign * x > 0.5, sign * x, 1)) for sign in (1, -1))
+    half = jnp.sin(bound / 2) / (bound / 2), jnp.sinh(free / 2) / (free / 2)
+    far = x > 0
+    c2 = jnp.where(far, half[0] * half[0], half[1] * half[1]) / 2
+    c3 = jnp.where(far, (1 - jnp.sin(bound) / bound) / bound**2, (jnp.sinh(free) / free - 1) / free**2)
+    small = jnp.abs(x) < 1
+    c2 = jnp.where(small, horner(_reciprocal_factorials(2, 11), near) / 2, c2)
+    c3 = jnp.where(small, horner(_reciprocal_factorials(3, 11), near) / 6, c3)
+    return 1 - x * c2, 1 - x * c3, c2, c3

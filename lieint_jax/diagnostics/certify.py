@@ -103,7 +103,9 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
     momentum = np.abs(np.asarray(momentum_error(system, run)))
     energy, start = float(jnp.max(jnp.abs(energy_error(system, run)))), float(jnp.abs(system.energy(state)))
     coarse, fine = (_form_defect(step, state, h) for h in (dt, dt / 2))
-    floor = 32 * float(jnp.finfo(state.p.dtype).eps)
+    floor = 32 * float(jnp.finfo(state.p.dtype).eps) * max(1, system.phase_space.dim / 6)
+    power = math.log2(coarse / fine) if coarse > floor and fine > 0 else math.inf
+    rounding = power < 1 and coarse < 10 * floor  # which does not fall with dt
     return Certificate(
         scheme=step.name,
         system=type(system).__name__,
@@ -116,7 +118,7 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
         else math.nan,
         constraint=float(jnp.max(jnp.abs(constraint_error(system, run)))),
         symplectic_defect=coarse,
-        symplectic_order=math.log2(coarse / fine) if coarse > floor and fine > 0 else math.inf,
+        symplectic_order=math.inf if rounding else power,
         order=order(step, state, dt),
         reversibility=float(reversibility(step, state, dt)),
         residual=float(jnp.max(run.info.residual)),

@@ -8,7 +8,9 @@ from lieint_jax.schemes.exact import Exact, exact
 from lieint_jax.schemes.group_alpha import GroupAlpha, group_alpha
 from lieint_jax.schemes.group_energy_momentum import GroupEnergyMomentum, group_energy_momentum
 from lieint_jax.schemes.group_midpoint import GroupMidpoint, group_midpoint
+from lieint_jax.schemes.kepler_splitting import KeplerSplitting, kepler_splitting
 from lieint_jax.schemes.log_hamiltonian import LogHamiltonian, log_hamiltonian
+from lieint_jax.schemes.nystrom import Nystrom, nystrom
 from lieint_jax.schemes.preprocessed import Preprocessed, preprocessed
 from lieint_jax.schemes.reversible_control import ReversibleControl, reversible_control
 from lieint_jax.schemes.so3_alpha import SO3Alpha, so3_alpha
@@ -30,7 +32,9 @@ __all__ = [
     "GroupAlpha",
     "GroupEnergyMomentum",
     "GroupMidpoint",
+    "KeplerSplitting",
     "LogHamiltonian",
+    "Nystrom",
     "Preprocessed",
     "ReversibleControl",
     "SO3Alpha",
@@ -49,7 +53,9 @@ __all__ = [
     "group_alpha",
     "group_energy_momentum",
     "group_midpoint",
+    "kepler_splitting",
     "log_hamiltonian",
+    "nystrom",
     "preprocessed",
     "reversible_control",
     "so3_alpha",
