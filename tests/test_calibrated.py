@@ -71,6 +71,7 @@ def test_exact_where_it_converges_and_it_converges_up_to_70_degrees(J):
     assert error[converged].max() < 1e-13  # floor 2e-14, at 90°; 3e-15 up to 80°
 
 
+@pytest.mark.long
 def test_long_runs_with_constants_found_once():
     @jax.jit
     def measured(step, state):

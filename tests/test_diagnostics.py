@@ -77,6 +77,7 @@ def _poisson_errors(step, state, dt):
 
 
 @pytest.mark.parametrize("name", [name for name in PAPER if "asymmetric-" in name or "full" in name])
+@pytest.mark.slow
 def test_poisson_error_by_recursion_and_by_product_of_jacobians(name):
     """(5.36) against (5.34) over 1000 steps, to round-off; and skew."""
     step, state, dt = GRID[name]

@@ -57,6 +57,7 @@ def test_the_form_in_single_precision():
     assert defects[1] > 1e-3
 
 
+@pytest.mark.long
 def test_certificate_says_single_precision():
     state = jax.tree.map(jnp.asarray, START)
     certificate = li.diagnostics.certify(li.schemes.so3_midpoint(_body()), state, 0.2, 200)

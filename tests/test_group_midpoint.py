@@ -215,6 +215,7 @@ def test_5_25_5_26_energy_condition(name, tau):
 
 
 @formulas
+@pytest.mark.slow
 def test_5_29_5_30_6_27_the_linearised_step(name, tau):
     m, dt, d, o = one_step(name, tau)
     C = o["Ad1"] @ np.linalg.inv(2 / dt * m @ np.linalg.inv(o["H"]) - o["A1"]) @ (o["Ad0"].T + o["Ad1"].T)

@@ -115,6 +115,7 @@ def test_batches_of_states_and_of_parameters():
     np.testing.assert_allclose(both, jnp.stack(alone), rtol=1e-12)
 
 
+@pytest.mark.long
 def test_functions_of_a_step_may_close_over_what_is_differentiated():
     def bent(c, run):
         step = li.schemes.so3_midpoint(BODY, lambda x: 1 + c * x)

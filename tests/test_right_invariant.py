@@ -27,6 +27,7 @@ def made(name, turn=0.4):
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.slow
 def test_energy_and_body_momentum_are_kept_and_the_order_is_two(name):
     system, state = made(name)
     step = li.schemes.group_midpoint(system)

@@ -48,6 +48,7 @@ def test_equal_to_the_implicit_step_and_as_conserving(name):
     assert back < 2e-15
 
 
+@pytest.mark.long
 def test_gradients_go_through_what_is_solved_once():
     J = INERTIAS["principal"]
     state = moving(J)

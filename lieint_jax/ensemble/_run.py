@@ -100,16 +100,13 @@ def run(
     reduction = energy if reduce == "energy" else reduce
     clock, planned = _clock(step, t0, dtype, dt, num_steps, times)
     if save_at is None:
-        interval, num_saves = intervals(planned, save_every)
-        nodes, rests = interval * np.arange(num_saves + 1), None
-        when = clock.time(nodes.astype(dtype) if isinstance(clock, Uniform) else nodes)
+        entries = _regular(clock, planned, save_every, dtype)
     else:
         refuse_times(step, "save_at")
         if save_every is not None or reduce is not None:
             raise ValueError(f"give save_at or {'save_every' if reduce is None else 'reduce'}, not both")
-        interval, (when, nodes, rests) = None, _outputs(save_at, clock, planned, dtype)
-    given = None if dt is None else float(dt)
-    job = Job(step, states, t0, given, clock, planned, np.asarray(when), nodes, rests, interval, step_axis, reduction)
+        entries = _outputs(save_at, clock, planned, dtype)
+    job = Job(step, states, t0, None if dt is None else float(dt), clock, planned, *entries, step_axis, reduction)
     _check(job)
     _checks.time_resolution(t0, job.first_dt, planned)
     with processes.watched(mesh):
@@ -171,14 +168,23 @@ def _clock(
     return jax.tree.map(np.asarray, clock), planned
 
 
-def _outputs(
-    save_at: ArrayLike, clock: Uniform | Given, planned: int, dtype: Any
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The time of each entry, the start's first, the whole steps before it, and the size of the shorter step to it."""
+_Entries = tuple[np.ndarray, np.ndarray, np.ndarray | None, int | None]  # times, nodes, rests, save_every of a `Job`
+
+
+def _regular(clock: Uniform | Given, planned: int, save_every: int | None, dtype: Any) -> _Entries:
+    """The entries after every so many steps."""
+    interval, num_saves = intervals(planned, save_every)
+    nodes = interval * np.arange(num_saves + 1)
+    times = clock.time(nodes.astype(dtype) if isinstance(clock, Uniform) else nodes)
+    return np.asarray(times), nodes, None, interval
+
+
+def _outputs(save_at: ArrayLike, clock: Uniform | Given, planned: int, dtype: Any) -> _Entries:
+    """The entries at given times, the start's first."""
     wanted = outputs(save_at, clock, planned, dtype)
     times = np.concatenate([[clock.time(0)], wanted])
     nodes = np.asarray(jax.vmap(lambda t: clock.node(t, planned))(times))
-    return times, nodes, times - np.asarray(clock.time(nodes)).astype(dtype)
+    return times, nodes, times - np.asarray(clock.time(nodes)).astype(dtype), None
 
 
 class CompiledLoop:
