@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 import lieint_jax as li
 from lieint_jax import State, maps, schemes, systems
-from lieint_jax.types import DrivenGyrostat, Gyrostat, IncompressibleBody, energy_less_work
+from lieint_jax.types import Bodies, DrivenGyrostat, Gyrostat, IncompressibleBody, energy_less_work
 
 CASES = 10_000
 SE3 = li.groups.special_euclidean(3)
@@ -170,6 +170,40 @@ def _incompressible(rng, B):
     return (size, E), (q, p), dt
 
 
+def _bodies(rng, B, nearest):
+    """Two bodies, up to a thousandfold in mass and `nearest` to 1000 sizes apart; up to a turn and more in a step."""
+    m, dt = 10 ** rng.uniform(-1.5, 1.5, (B, 2)), rng.choice([-1, 1], B) * 10 ** rng.uniform(-2, 2, B)
+    size, apart = 10 ** rng.uniform(-3, 0, (B, 2)), 10 ** rng.uniform(-2, 2, B)
+    size = size * (apart / nearest)[:, None]
+    J = (m * size**2)[..., None] * rng.uniform(0.5, 1, (B, 2, 3))
+    way, q, turn = rng.normal(size=(B, 3)), rng.normal(size=(B, 2, 4)), rng.normal(size=(B, 2, 3))
+    q /= np.linalg.norm(q, axis=2, keepdims=True)
+    way *= (apart / np.linalg.norm(way, axis=1))[:, None]
+    share = m[:, ::-1, None] / m.sum(1)[:, None, None] * np.array([-1, 1])[None, :, None]
+    spin = J * turn * 10.0 ** rng.choice([-9, -3, -1, -1, 0, 0, 0.5, 12], (B, 2, 1)) / dt[:, None, None]
+    rate = 10 ** rng.uniform(-5, 0, B) / np.abs(dt)
+    v = rng.normal(size=(B, 3)) * (rate * apart)[:, None]
+    p = np.concatenate([m[..., None] * share * v[:, None], _turned_all(q, spin)], axis=2)
+    return m, J, rate**2 * apart**3 / m.sum(1), np.concatenate([share * way[:, None], q], axis=2), p, dt
+
+
+def _turned_all(q, v):
+    return np.asarray(jax.vmap(jax.vmap(li.groups.so3.Ad))(q, v))
+
+
+def _binary(rng, B):
+    m, J, G, q, p, dt = _bodies(rng, B, 3)
+    return (m, J, G), (q, p), dt
+
+
+def _molecules(rng, B):
+    """Two charged bodies with a Lennard-Jones core at their centres, up to as close as 0.7 of its size."""
+    m, J, G, q, p, dt = _bodies(rng, B, 3)
+    apart = np.linalg.norm(q[:, 1, :3] - q[:, 0, :3], axis=1)
+    sigma = apart * 10 ** rng.uniform(-1, 0.15, B)
+    return (m, J, G * m.prod(1), G * m.prod(1) / apart, sigma), (q, p), dt
+
+
 def rigid(make):
     return lambda J: make(systems.rigid_body(J))
 
@@ -232,6 +266,22 @@ def torqued(law, kappa=maps.kappa_cayley):
     return lambda J, *numbers: schemes.torqued_midpoint(systems.torqued_body(J, law(*numbers)), kappa)
 
 
+def binary(make):
+    return lambda m, J, G: make(systems.rigid_bodies(m, J, li.potentials.maccullagh(G, m, J)))
+
+
+def molecules(make):
+    """Charges off the centres, by a tenth of the distance at which the cores touch."""
+
+    def made(m, J, constant, well, sigma):
+        at = 0.1 * sigma * jnp.array([[[1.0, 0, 0], [0, 1, 0]], [[0, 0, 1], [1, 0, 0]]], m.dtype)
+        charged = li.potentials.point_charges(constant, jnp.array([[1.0, -1], [0.5, -1]], m.dtype), at)
+        cores = li.potentials.lennard_jones(jnp.stack([well, well]), jnp.stack([sigma, sigma]))
+        return make(systems.rigid_bodies(m, J, charged + cores))
+
+    return made
+
+
 def friction(J, alpha):
     return schemes.torqued_midpoint(systems.damped_body(J, alpha))
 
@@ -274,6 +324,12 @@ ATTACKS = {  # how cases are made, and the step of one; which invariants: the en
     "torqued_midpoint, pd_quaternion": (_controlled, torqued(li.torques.pd_quaternion), "H"),
     "torqued_midpoint, kane_damper": (_kane, torqued(li.torques.kane_damper), "HP"),
     "torqued_midpoint, friction": (_friction, friction, "HP"),
+    "splitting, binary": (_binary, binary(schemes.splitting), "P"),
+    "nystrom, binary": (_binary, binary(lambda b: schemes.nystrom(b, 6)), "P"),
+    "kepler_splitting, binary": (_binary, binary(schemes.kepler_splitting), "P"),
+    "bodies_energy_momentum, binary": (_binary, binary(schemes.bodies_energy_momentum), "HP"),
+    "splitting, molecules": (_molecules, molecules(schemes.splitting), "P"),
+    "bodies_energy_momentum, molecules": (_molecules, molecules(schemes.bodies_energy_momentum), "HP"),
 }
 
 
@@ -301,19 +357,31 @@ def outcome(make, numbers, parts, dt):
         bulk = largest(after.q) ** 3  # the terms of det F
         # the rounding of det F is taken back in the next step, which may need a velocity of its size over Δt
         scale += eps * jnp.max(system.inertia) * (bulk / dt) ** 2
-    rigid = not hasattr(system, "stored_energy") and hasattr(system, "inertia")
-    J = system.inertia if rigid else jnp.ones(3)
-    turn = largest((p, after.p)) * jnp.abs(dt) / jnp.min(J) if rigid else 0
+    stretch, turn = spun(system, state, after, dt)
     return {
         "converged": info.converged,
         "finite": jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(after)])),
-        "lever": jnp.sqrt(jnp.max(J) / jnp.min(J)) * jnp.maximum(*(enlarged(step, x) for x in (state, after))),
+        "lever": stretch * jnp.maximum(*(enlarged(step, x) for x in (state, after))),
         "defect": jnp.abs(system.phase_space.defect(after)) / eps / bulk,
         "H": jnp.abs(again - H) / eps / jnp.where(scale > 0, scale, 1),
         "P": jnp.max(jnp.abs(kept - P), initial=0) / eps / jnp.maximum(jnp.maximum(*levers), jnp.finfo(p.dtype).tiny),
         # a motion near an unstable axis enlarges errors by more than the step size tells: long steps are left out
         "back": jnp.where(returned.converged & (turn < 3), largest(back.q - q) / largest(q) / eps, 0),
     }
+
+
+def spun(system, state, after, dt):
+    """√ of the largest ratio of moments of inertia; the largest angle or relative distance a body goes in a step."""
+    if isinstance(system, Bodies):
+        going, spins = (jnp.maximum(jnp.abs(state.p[:, k]), jnp.abs(after.p[:, k])) for k in (slice(3), slice(3, 6)))
+        apart = jnp.linalg.norm(state.q[1, :3] - state.q[0, :3])
+        gone = jnp.max(going / system.masses[:, None]) / apart
+        stretch = jnp.sqrt(jnp.max(jnp.max(system.inertias, 1) / jnp.min(system.inertias, 1)))
+        return stretch, jnp.abs(dt) * jnp.maximum(gone, jnp.max(spins / jnp.min(system.inertias, 1)[:, None]))
+    if hasattr(system, "stored_energy") or not hasattr(system, "inertia"):
+        return 1, 0
+    stretch = jnp.sqrt(jnp.max(system.inertia) / jnp.min(system.inertia))
+    return stretch, largest((state.p, after.p)) * jnp.abs(dt) / jnp.min(system.inertia)
 
 
 def largest(tree):
@@ -415,6 +483,8 @@ POSITIVE = {
     _kane: (0, 1),
     _satellite: (0, 1),
     _paced: (0, 2),
+    _binary: (0, 1),
+    _molecules: (0, 1, 4),
 }  # numbers, by default the 1st
 NOT_NEGATIVE = {_viscous: (1,), _controlled: (1, 2), _kane: (2,), _friction: (1,)}
 OF_FUNCTIONS = {_driven: (1, 2), _motor: (1, 2), _well: (1, 2)}  # numbers of a user's function, which may be anything
@@ -463,6 +533,8 @@ LONGER = (
     _kane,
     _well,
     _paced,
+    _binary,
+    _molecules,
 )  # whose steps compile for a second
 NAMES = [pytest.param(name, marks=[pytest.mark.long] * (ATTACKS[name][0] in LONGER)) for name in ATTACKS]
 

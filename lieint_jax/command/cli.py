@@ -16,6 +16,7 @@ _EPILOG = """examples:
   lieint run driven                        a satellite under gravity's gradient in an eccentric orbit
   lieint run hyperion                      where a moon tumbles chaotically, and whether its observed states do
   lieint run kirchhoff                     a spinning spheroid in water, on SE(3)
+  lieint run water                         a droplet of 64 molecules: energy and both momenta by two schemes
   lieint run my.toml --members 100         your own scenario (copy lieint_jax/scenarios/toutatis.toml)
   lieint run toutatis --out runs.zarr --members 100000   to disk while it runs; with --resume it goes on
   lieint info runs.zarr                    describe that store
