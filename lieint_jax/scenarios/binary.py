@@ -40,6 +40,8 @@ from lieint_jax.types import State, Step, Trajectory
 STEP_AXIS = 0  # members have systems of their own, see `lieint_jax.scenarios`
 
 _HOUR, _DAY = 3600.0, 86400.0
+_BRIEF = 4  # orbits of the picture of energies
+_UPRIGHT = 30  # degrees of obliquity, above which a secondary counts as tumbling
 _LONG = 8  # length of the spectrum's run, over that of the scenario
 
 Above = Annotated[float, Field(gt=0)]
@@ -155,15 +157,16 @@ class Scenario(Common):
         return self
 
     def assumption(self) -> str:
-        return (
-            "spread about the nominal state, an assumption (1 sigma, each component): relative velocity "
-            f"{self.spread.velocity_mm_s:g} mm/s"
-            + "".join(
-                f"; {name}: attitude {s.attitude_deg:g}°, angular velocity {np.rad2deg(s.rate()):.2g}°/s, mass "
-                f"{s.mass_percent:g} %, axes {s.axes_percent:g} %"
-                for name, s in (("primary", self.primary.spread), ("secondary", self.secondary.spread))
-            )
-        )
+        found = {"relative velocity": (self.spread.velocity_mm_s, "mm/s")}
+        for name, body in (("primary", self.primary), ("secondary", self.secondary)):
+            found |= {
+                f"{name}'s attitude": (body.spread.attitude_deg, "°"),
+                f"{name}'s angular velocity": (np.rad2deg(body.spread.rate()), "°/s"),
+                f"{name}'s mass": (body.spread.mass_percent, "%"),
+                f"{name}'s semi-axes": (body.spread.axes_percent, "%"),
+            }
+        given = [f"{name} {size:.2g} {unit}" for name, (size, unit) in found.items() if size]
+        return f"spread about the nominal state, an assumption (1 sigma, each component): {', '.join(given) or 'none'}"
 
 
 _ORDERS: dict[str, list[Any]] = {
@@ -267,6 +270,10 @@ def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
     lines.append(f"  periods and rates: mean rates of longitudes about L over {days:.4g} d, by least squares")
     lines.append(
         f"  {int(stay.sum())} of {len(stay)} members: one end of the secondary's x axis stays towards the primary"
+    )
+    upright = np.rad2deg(found.obliquity_2).max(axis=0) < _UPRIGHT
+    lines.append(
+        f"  {int(upright.sum())} of {len(stay)} members: its z axis stays within {_UPRIGHT}° of the orbit's normal"
     )
     lines += [*_exchange(step.system, run), *_conserved(step.system, run)]
     if {"orbital_period_h", "orbital_period_before_h"} <= set(scenario.published):
@@ -405,8 +412,7 @@ class Impact(NamedTuple):
         change: of the speed, from the period published before to that after, both by the whole model.
         slope: the derivative of the period by the speed, h/(mm/s), half-way.
         kepler: the change of the speed for two points.
-        kepler_slope: 3aT²v/(2πGM)… of two points, ΔT/T = 3 a v Δv/(GM), at the start.
-    """
+    X"""
 
     period_unchanged: float
     change: float
@@ -424,19 +430,18 @@ def impact(scenario: Scenario, step: Any, run: Trajectory) -> Impact:
         return _binary_motion.period(first, start, *duration, change)
 
     before, after = (scenario.published[key].value * _HOUR for key in ("orbital_period_before_h", "orbital_period_h"))  # pyright: ignore[reportArgumentType]
-    given = scenario.orbit.speed_change_mm_s / 1000
     ends = [_binary_motion.change_to(period, measure) for period in (before, after)]
     d, v = (float(jnp.linalg.norm(x)) for x in _binary_motion.relative(first.system, start))
     mu = scenario.G * float(jnp.sum(first.system.masses))
-    unchanged = float(measure(jnp.asarray(-given))[0])
-    speed = v - given
-    a = 1 / (2 / d - speed**2 / mu)
+    unchanged = float(measure(jnp.asarray(-scenario.orbit.speed_change_mm_s / 1000))[0])
+    middle = (before + after) / 2
+    a, speed = (mu * (middle / (2 * np.pi)) ** 2) ** (1 / 3), _binary_motion.kepler_speed(mu, d, middle)
     return Impact(
         unchanged / _HOUR,
         1000 * (ends[1] - ends[0]),
         float(measure(jnp.asarray(sum(ends) / 2))[1]) / _HOUR / 1000,
         1000 * (_binary_motion.kepler_speed(mu, d, after) - _binary_motion.kepler_speed(mu, d, before)),
-        3 * a * speed / mu * unchanged / _HOUR / 1000,
+        3 * a * speed / mu * middle / _HOUR / 1000,
     )
 
 
@@ -455,7 +460,7 @@ def _impact(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
     ]
     seen = published.get("speed_change_mm_s")
     if seen is not None:
-        lines.append(f"  {'published':<54}{_cited(scenario, Row('', 0, 0, seen)):>11}")
+        lines.append(f"  {'published change of speed (mm/s)':<54}     {_cited(scenario, Row('', 0, 0, seen))}")
     return lines
 
 
@@ -475,7 +480,8 @@ def draw_orbit(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
             )
         ax.plot(days, x[:, 0], color=plots.BLUE, lw=0.8, label="nominal")
         ax.set(xlabel="t (d)", ylabel=label)
-    axes[0, 0].legend(frameon=False, fontsize="x-small", loc="upper right")
+        ax.margins(x=0.01, y=0.1)
+    axes[0, 0].legend(frameon=False, fontsize="x-small", loc="upper right", ncols=2)
     fig.suptitle(scenario.title, fontsize="medium")
     return fig
 
@@ -494,7 +500,8 @@ def draw_spectrum(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     fig, axes = plots.figure()
     fig.set_size_inches(7.2, 4.2)
     ax = axes[0, 0]
-    ax.semilogy(f / orbital, np.maximum(amplitude, 1e-9), color=plots.INK, lw=0.7)
+    shown = (f > 0) & (f < 3 * orbital)
+    ax.semilogy(f[shown] / orbital, amplitude[shown], color=plots.INK, lw=0.7)
     marks = {"once an orbit, from apsis to apsis": anomalistic / orbital}
     if B > A:
         marks["free libration of a small swing, √(3(B−A)/C)"] = np.sqrt(3 * (B - A) / C)
@@ -509,20 +516,29 @@ def draw_spectrum(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
 
 def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot the exchange of energy between orbit, spins and shapes, and how well two schemes conserve H and L."""
-    system, parts = step.system, over_members(energies, step.system, run)
-    days, size = np.asarray(run.t) / _DAY, abs(parts.orbit[0, 0])
+    first, start, period = (
+        nominal_of(step),
+        nominal(run),
+        2 * np.pi / rate(run.t, motion(step.system, run).longitude)[0],
+    )
+    brief = follow(first, start, scenario.dt, min(scenario.steps, round(_BRIEF * abs(period / scenario.dt))))
+    parts = jax.tree.map(np.asarray, jax.jit(jax.vmap(lambda z: energies(first.system, z)))(brief.state))
+    size = abs(parts.orbit[0])
     fig, axes = plots.figure(2)
     fig.set_size_inches(11, 3.8)
     names = {"orbit": "orbit", "spin_1": "primary's spin", "spin_2": "secondary's spin", "shape": "shapes, V + Gm₁m₂/r"}
-    curves = {name: (getattr(parts, key)[:, 0] - getattr(parts, key)[0, 0]) / size for key, name in names.items()}
-    plots.series(axes[0, 0], days, curves, "change over |energy of the orbit|", "d")
-    axes[0, 0].set_title("exchange of energy, nominal member", fontsize="small")
+    curves = {name: (getattr(parts, key) - getattr(parts, key)[0]) / size for key, name in names.items()}
+    plots.series(axes[0, 0], np.asarray(brief.t) / _DAY, curves, "change over |energy of the orbit|", "d")
+    axes[0, 0].margins(y=0.25)
+    axes[0, 0].legend(frameon=False, fontsize="x-small", loc="upper center", ncols=4)
+    axes[0, 0].set_title(f"exchange of energy, nominal member, {_BRIEF} orbits", fontsize="small")
+    days = np.zeros(0)
     errors: dict[str, np.ndarray] = {}
-    made = _steps(scenario, nominal_of(system))
+    made = _steps(scenario, first.system)
     for name in dict.fromkeys((scenario.scheme, "kepler_splitting", "bodies_energy_momentum")):
-        long = follow(made[name], nominal(run), scenario.dt, scenario.steps)
+        long = follow(made[name], start, scenario.dt, scenario.steps)
         alone = Trajectory(long.t, *jax.tree.map(lambda x: x[:, None], (long.state, long.info)))
-        error = changes(jax.tree.map(lambda x: x[:1], system), alone)
+        error = changes(jax.tree.map(lambda x: x[None], first.system), alone)
         days = np.asarray(long.t) / _DAY
         errors[f"H, {made[name].name}"] = error["energy, over |energy|"][:, 0]
         errors[f"L, {made[name].name}"] = error["angular momentum, relative"][:, 0]
