@@ -7,7 +7,7 @@ rad, at equal numbers of force evaluations.
 import kw4
 import pytest
 
-EXPECTED = {  # a work-precision table computed before this package, from a state that was not kept; by force evaluations
+EXPECTED = {  # a table of prototypes, from a state that was not kept; by force evaluations
     "splitting": {600: (2e-3, 2e-3), 2400: (1e-4, 1e-4), 9600: (7e-6, 9e-6)},
     "suzuki": {600: (2e-5, 2e-5), 2400: (6e-8, 8e-8), 9600: (2e-10, 3e-10)},
     "nystrom 4": {600: (3e-7, 4e-7), 2400: (1e-9, 1e-9), 9600: (5e-12, 5e-12)},

@@ -431,7 +431,7 @@ def impact(scenario: Scenario, step: Any, run: Trajectory) -> Impact:
 
     before, after = (scenario.published[key].value * _HOUR for key in ("orbital_period_before_h", "orbital_period_h"))  # pyright: ignore[reportArgumentType]
     ends = [_binary_motion.change_to(period, measure) for period in (before, after)]
-    d, v = (float(jnp.linalg.norm(x)) for x in _binary_motion.relative(first.system, start))
+    d = float(jnp.linalg.norm(_binary_motion.relative(first.system, start)[0]))
     mu = scenario.G * float(jnp.sum(first.system.masses))
     unchanged = float(measure(jnp.asarray(-scenario.orbit.speed_change_mm_s / 1000))[0])
     middle = (before + after) / 2
