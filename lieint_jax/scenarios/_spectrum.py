@@ -17,19 +17,17 @@ def spectrum(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.fft.rfftfreq(len(t), t[1] - t[0]), 2 * abs(transform) / window.sum()
 
 
-def line(t: np.ndarray, x: np.ndarray, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+def line(t: np.ndarray, x: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The frequency and the amplitude of the strongest line between two frequencies, for every column of x (n, m).
 
-    It is the highest of the transform's values between `low` and `high`, refined between the frequencies beside it. nan
-    if no frequency of the transform lies between them.
+    It is the highest of the transform's values between `low` and `high`, (m,), refined between the frequencies beside
+    it. nan for columns that have no frequency of the transform between them.
     """
     window = np.hanning(len(t))
     windowed = window[:, None] * (x - x.mean(axis=0))
     frequencies = np.fft.rfftfreq(len(t), t[1] - t[0])
-    inside = np.flatnonzero((frequencies > low) & (frequencies < high))
-    if not len(inside):
-        return np.full(x.shape[1], np.nan), np.full(x.shape[1], np.nan)
-    peak = inside[np.argmax(abs(np.fft.rfft(windowed, axis=0)[inside]), axis=0)]
+    inside = (frequencies[:, None] > low) & (frequencies[:, None] < high)
+    peak = np.argmax(np.where(inside, abs(np.fft.rfft(windowed, axis=0)), -1.0), axis=0)
     found, reach = frequencies[peak], frequencies[1] / 2
 
     def size(f: np.ndarray) -> np.ndarray:
@@ -40,4 +38,5 @@ def line(t: np.ndarray, x: np.ndarray, low: float, high: float) -> tuple[np.ndar
         curvature = left - 2 * middle + right
         slope = np.where(curvature < 0, (left - right) / np.where(curvature < 0, 2 * curvature, 1), 0)
         found, reach = found + reach * np.clip(slope, -1, 1), reach / 4
-    return found, 2 * size(found) / window.sum()
+    there = inside.any(axis=0)
+    return np.where(there, found, np.nan), np.where(there, 2 * size(found) / window.sum(), np.nan)

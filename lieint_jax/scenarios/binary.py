@@ -40,7 +40,7 @@ from lieint_jax.types import State, Step, Trajectory
 STEP_AXIS = 0  # members have systems of their own, see `lieint_jax.scenarios`
 
 _HOUR, _DAY = 3600.0, 86400.0
-_BRIEF = 4  # orbits of the picture of energies
+_BRIEF, _FINE = 4, 4  # orbits of the picture of energies, and its steps in one of the scenario
 _UPRIGHT = 30  # degrees of obliquity, above which a secondary counts as tumbling
 _LONG = 8  # length of the spectrum's run, over that of the scenario
 
@@ -362,11 +362,11 @@ class Lines(NamedTuple):
 
 def frequencies(t: np.ndarray, found: Motion) -> Lines:
     """The lines of a run; nan where it is too short to tell them apart."""
-    f = float(np.median(rate(t, found.longitude))) / (2 * np.pi)
+    f = abs(rate(t, found.longitude)) / (2 * np.pi)
     resolved = 2 / abs(t[-1] - t[0])  # half the width of a line under the window
-    anomalistic, size = line(t, found.distance, 0.75 * f, 1.25 * f)
-    forced = line(t, found.libration, f - resolved, f + resolved)[1]
-    free_frequency, free = line(t, found.libration, 0.4 * f, float(np.nanmin(anomalistic)) - resolved)
+    anomalistic, size = line(t, found.distance, 0.9 * f, 1.1 * f)
+    forced = line(t, found.libration, anomalistic - resolved / 2, anomalistic + resolved / 2)[1]
+    free_frequency, free = line(t, found.libration, 0.4 * f, anomalistic - resolved)
     return Lines(anomalistic, size / found.distance.mean(axis=0), forced, free_frequency, free)
 
 
@@ -516,12 +516,10 @@ def draw_spectrum(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
 
 def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot the exchange of energy between orbit, spins and shapes, and how well two schemes conserve H and L."""
-    first, start, period = (
-        nominal_of(step),
-        nominal(run),
-        2 * np.pi / rate(run.t, motion(step.system, run).longitude)[0],
-    )
-    brief = follow(first, start, scenario.dt, min(scenario.steps, round(_BRIEF * abs(period / scenario.dt))))
+    first, start = nominal_of(step), nominal(run)
+    turn = 2 * np.pi / abs(rate(run.t, motion(step.system, run).longitude)[0])
+    dt = scenario.dt / _FINE  # the primary's spin takes few steps a turn
+    brief = follow(first, start, dt, min(_FINE * scenario.steps, round(_BRIEF * turn / abs(dt))))
     parts = jax.tree.map(np.asarray, jax.jit(jax.vmap(lambda z: energies(first.system, z)))(brief.state))
     size = abs(parts.orbit[0])
     fig, axes = plots.figure(2)
