@@ -15,6 +15,8 @@ _EPILOG = """examples:
   lieint run pendulum                      a spherical pendulum beside the closed form
   lieint run driven                        a satellite under gravity's gradient in an eccentric orbit
   lieint run hyperion                      where a moon tumbles chaotically, and whether its observed states do
+  lieint run didymos                       a binary asteroid after an impact: period, libration, change of speed
+  lieint run kw4                           a binary asteroid whose moon librates and whose poles precess
   lieint run kirchhoff                     a spinning spheroid in water, on SE(3)
   lieint run water                         a droplet of 64 molecules: energy and both momenta by two schemes
   lieint run my.toml --members 100         your own scenario (copy lieint_jax/scenarios/toutatis.toml)

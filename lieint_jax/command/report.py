@@ -37,6 +37,7 @@ def run(
     if leader:
         print(results.headline(scenario, step), flush=True)
     kept = {"save_every": scenario.save_every} if scenario.save_at is None else {"save_at": scenario.save_at}
+    kept["step_axis"] = scenarios.step_axis(scenario)
     integrate = partial(ensemble.run, step, states, scenario.dt, scenario.steps, mesh=mesh, resume=resume, **kept)
     if out.suffix == ".zarr":
         description = {"title": scenario.title, "seed": scenario.seed, "scenario": scenario.model_dump()}
@@ -60,7 +61,8 @@ def run(
     print(kind.report(scenario, step, run))
     watched = min(scenario.steps, 10_000)
     print(f"\nCertificate of the nominal member, first {watched} of {scenario.steps} steps:")
-    print(certify(step, nominal(run), scenario.dt, watched))
+    first = step if kept["step_axis"] is None else jax.tree.map(lambda leaf: leaf[0], step)
+    print(certify(first, nominal(run), scenario.dt, watched))
     well = int(np.asarray(run.info.converged).all(axis=0).sum())
     print(f"  {well} of {scenario.members} members converged at every step")
     written = [f"{out} (t, q, p, residual, converged, metadata; {files.megabytes(out)})", *map(str, drawn)]

@@ -52,10 +52,10 @@ def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
 def _plot_scenario(scenario: Common, run: Trajectory, plain: Path, force: bool) -> list[Path]:
     kind, members = scenarios.kind(scenario), scenario.members
     files.free_pictures(plain, kind.PICTURES, force)
-    step, _ = kind.build(scenario.model_copy(update={"members": 1}))
     shown = slice(_shown(run))
     run = Trajectory(run.t, *jax.tree.map(lambda x: x[:, shown], (run.state, run.info)))
     changes = {"steps": (len(run.t) - 1) * scenario.save_every, "members": run.state.p.shape[1]}
+    step = scenarios.build_first(scenario, changes["members"])
     scenario = scenario.model_copy(update=changes)
     print(headline(scenario, step))
     if scenario.members < members:
@@ -102,8 +102,8 @@ def _stored(path: Path, run: Any, metadata: dict[str, Any]) -> StoredRun:
     """A run with its system, which a store has, or else its scenario; ValueError if the system is not known."""
     scenario = None if "description" in metadata else _scenario(path, metadata)
     if scenario:
-        step, _ = scenarios.kind(scenario).build(scenario.model_copy(update={"members": 1}))
-        return StoredRun(scenario.title, scenario.time_unit, step.system, run, False)
+        step, own_system = scenarios.build_first(scenario, run.state.p.shape[1]), scenarios.step_axis(scenario) == 0
+        return StoredRun(scenario.title, scenario.time_unit, step.system, run, own_system)
     if "run" not in metadata:
         raise ValueError(f"{path} holds neither a scenario nor the numbers of its system")
     own_system = metadata["run"]["step_axis"] == 0

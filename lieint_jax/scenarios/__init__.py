@@ -10,6 +10,7 @@ observations to compare with the results. `scenario_names` lists the shipped one
 | `build(scenario)` | the step and the batch of initial states; member 0 is the nominal state |
 | `report(scenario, step, run)` | the text that reports a run |
 | `PICTURES` | functions (scenario, step, run) ↦ figure, by the suffix of their file names |
+| `STEP_AXIS` | 0 where every member has a system of its own: the leaves of the step then have the member axis |
 """
 
 from __future__ import annotations
@@ -50,6 +51,16 @@ def kind(scenario: Common) -> ModuleType:
 def build(scenario: Common) -> tuple[Step, State]:
     """The step and the batch of initial states; member 0 is the nominal state."""
     return kind(scenario).build(scenario)
+
+
+def step_axis(scenario: Common) -> int | None:
+    """0 if the leaves of the step of `build` have the member axis, as `ensemble.run` has it; else None."""
+    return getattr(kind(scenario), "STEP_AXIS", None)
+
+
+def build_first(scenario: Common, members: int) -> Step:
+    """The step of the first `members` members, for those of a run that are shown; one for all if they share it."""
+    return build(scenario.model_copy(update={"members": 1 if step_axis(scenario) is None else members}))[0]
 
 
 def load(name: str, **changes: Any) -> Any:

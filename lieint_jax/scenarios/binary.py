@@ -1,0 +1,550 @@
+"""Two bodies about one another, a binary asteroid: periods, librations, energies, and what a change of speed did.
+
+Units: m, kg and s; reports are in hours and days. At the start the line from the primary to the secondary is the x axis
+of space, the secondary moves along y, z is the normal of the orbit, and the barycentre is at rest at the origin. Every
+member has masses and moments of its own: the leaves of the step that `build` makes have the member axis.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Annotated, Any, Literal, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from matplotlib.figure import Figure
+from pydantic import Field, model_validator
+
+from lieint_jax import _checks, plots, potentials, schemes, systems
+from lieint_jax.groups import so3
+from lieint_jax.scenarios import _binary_motion
+from lieint_jax.scenarios._binary_motion import Motion, energies, motion, nominal_of, over_members, rate
+from lieint_jax.scenarios._common import (
+    Common,
+    NonNegative,
+    Published,
+    Rate,
+    RateSpread,
+    Table,
+    Triple,
+    deviation,
+    follow,
+    nominal,
+)
+from lieint_jax.scenarios._spectrum import line, spectrum
+from lieint_jax.systems import RigidBodies
+from lieint_jax.types import State, Step, Trajectory
+
+STEP_AXIS = 0  # members have systems of their own, see `lieint_jax.scenarios`
+
+_HOUR, _DAY = 3600.0, 86400.0
+_BRIEF, _FINE = 4, 4  # orbits of the picture of energies, and its steps in one of the scenario
+_UPRIGHT = 30  # degrees of obliquity, above which a secondary counts as tumbling
+_LONG = 8  # length of the spectrum's run, over that of the scenario
+
+Above = Annotated[float, Field(gt=0)]
+
+
+class BodySpread(RateSpread):
+    """Standard deviations of the members' bodies about the nominal one."""
+
+    attitude_deg: NonNegative = 0.0
+    """Of a turn about each axis of space, in degrees."""
+    mass_percent: NonNegative = 0.0
+    """Of the mass, of unchanged size and shape."""
+    axes_percent: NonNegative = 0.0
+    """Of each semi-axis of the homogeneous ellipsoid with the body's moments, of unchanged mass."""
+
+
+class Body(Rate):
+    """One body: mass and moments, or those of a homogeneous ellipsoid; attitude and angular velocity in its axes."""
+
+    mass_kg: Above | None = None
+    """In kg."""
+    moments_kg_m2: Triple | None = None
+    """Principal moments about the centre of mass, in kg m²."""
+    semi_axes_m: Triple | None = None
+    """Semi-axes of an ellipsoid along the principal axes, in m."""
+    density_kg_m3: Above | None = None
+    """Of the ellipsoid, in kg/m³."""
+    euler_313_deg: Triple = [0.0, 0.0, 0.0]
+    """Attitude R_z(α) R_x(β) R_z(γ), body to space, in degrees."""
+    relative_to: Literal["space", "orbit"] = "space"
+    """What the angular velocity is relative to: the orbit's axes turn by speed/separation about their z axis."""
+    spread: BodySpread = BodySpread()
+
+    @model_validator(mode="after")
+    def _a_body(self) -> Self:
+        given = [x is not None for x in (self.mass_kg, self.moments_kg_m2, self.semi_axes_m, self.density_kg_m3)]
+        if given not in ([True, True, False, False], [False, False, True, True]):
+            raise ValueError("give mass_kg and moments_kg_m2, or semi_axes_m and density_kg_m3")
+        if min(self.semi_axes_m or [1.0]) <= 0:
+            raise ValueError("semi_axes_m must be positive")
+        if self.moments_kg_m2 is not None:
+            _checks.inertia(self.moments_kg_m2)
+        if self.rate() is None:
+            raise ValueError("give exactly one of angular_velocity_rad and angular_velocity_deg")
+        return self
+
+    def mass(self) -> float:
+        """In kg."""
+        if self.mass_kg is not None:
+            return self.mass_kg
+        assert self.semi_axes_m is not None
+        assert self.density_kg_m3 is not None
+        return self.density_kg_m3 * 4 / 3 * np.pi * float(np.prod(self.semi_axes_m))
+
+    def squares(self) -> np.ndarray:
+        """The squared semi-axes, over 5, of the homogeneous ellipsoid with the body's moments per mass."""
+        if self.semi_axes_m is not None:
+            return np.square(self.semi_axes_m) / 5
+        J = np.asarray(self.moments_kg_m2) / self.mass()
+        return J.sum() / 2 - J
+
+
+class Orbit(Table):
+    """The relative motion at the start."""
+
+    separation_m: Above
+    """The distance of the centres of mass, in m."""
+    speed_m_s: Above | None = None
+    """Relative, across the line of centres, in m/s; by default that of a circle under the force of both shapes."""
+    speed_change_mm_s: float = 0.0
+    """Added to the speed, as by an impact, in mm/s."""
+
+
+class Spread(Table):
+    """Standard deviations of the members' relative motion about the nominal one."""
+
+    velocity_mm_s: NonNegative = 0.0
+    """Each component of the relative velocity, in mm/s."""
+
+
+Name = Literal[
+    "orbital_period_h",
+    "orbital_period_before_h",
+    "primary_spin_period_h",
+    "apsidal_precession_deg_d",
+    "speed_change_mm_s",
+]
+
+
+class Scenario(Common):
+    """The keys of a scenario of this kind."""
+
+    system: Literal["binary"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    time_unit: Literal["s"] = "s"  # pyright: ignore[reportIncompatibleVariableOverride]
+    """Seconds; other units are in the names of the keys."""
+    G: Above = 6.67430e-11
+    """The constant of gravity, in m³ kg⁻¹ s⁻²."""
+    scheme: Literal["kepler_splitting", "nystrom", "splitting", "bodies_energy_momentum"] = "kepler_splitting"
+    order: int | list[int] | None = None
+    """Of kepler_splitting 2, [8, 4] or [8, 6, 4]; of nystrom 4 or 6; of the others 2, 4, 6 or 8."""
+    primary: Body
+    secondary: Body
+    orbit: Orbit
+    spread: Spread = Spread()
+    published: dict[Name, Published] = {}
+    """Periods in hours, rates in degrees a day, changes of speed in mm/s, as the names say."""
+
+    @model_validator(mode="after")
+    def _order_of_the_scheme(self) -> Self:
+        allowed = _ORDERS[self.scheme]
+        if self.order is not None and self.order not in allowed:
+            raise ValueError(f"order of {self.scheme} is {' or '.join(map(str, allowed))}, got {self.order}")
+        return self
+
+    def assumption(self) -> str:
+        found = {"relative velocity": (self.spread.velocity_mm_s, "mm/s")}
+        for name, body in (("primary", self.primary), ("secondary", self.secondary)):
+            found |= {
+                f"{name}'s attitude": (body.spread.attitude_deg, "°"),
+                f"{name}'s angular velocity": (np.rad2deg(body.spread.rate()), "°/s"),
+                f"{name}'s mass": (body.spread.mass_percent, "%"),
+                f"{name}'s semi-axes": (body.spread.axes_percent, "%"),
+            }
+        given = [f"{name} {size:.2g} {unit}" for name, (size, unit) in found.items() if size]
+        return f"spread about the nominal state, an assumption (1 sigma, each component): {', '.join(given) or 'none'}"
+
+
+_ORDERS: dict[str, list[Any]] = {
+    "kepler_splitting": [[8, 6, 4], [8, 4], 2],
+    "nystrom": [6, 4],
+    "splitting": [2, 4, 6, 8],
+    "bodies_energy_momentum": [2, 4, 6, 8],
+}
+
+
+def build(scenario: Scenario) -> tuple[Step, State]:
+    """The step, whose leaves have the member axis, and the batch of initial states.
+
+    A member is the same in ensembles of every size.
+    """
+    return jax.jit(jax.vmap(partial(_member, scenario)))(jnp.arange(scenario.members))
+
+
+def _member(scenario: Scenario, k: Array) -> tuple[Step, State]:
+    """The step and the state of the k-th member; the first has no deviations."""
+    noise = jax.random.normal(jax.random.fold_in(jax.random.key(scenario.seed), k), (1 + 2 * 4, 3))
+    noise = jnp.where(k == 0, 0.0, noise)
+    pair, given = (scenario.primary, scenario.secondary), (noise[1:5], noise[5:])
+    made = [_mass_and_moments(body, *x[:2]) for body, x in zip(pair, given, strict=True)]
+    m, J = (jnp.stack(x) for x in zip(*made, strict=True))
+    bodies = systems.rigid_bodies(m, J, potentials.maccullagh(scenario.G, m, J))
+    attitudes = [_attitude(body, x[2]) for body, x in zip(pair, given, strict=True)]
+    d = jnp.array([scenario.orbit.separation_m, 0.0, 0.0])
+    speed = _speed(scenario.orbit, bodies, d, attitudes)
+    across = speed + scenario.orbit.speed_change_mm_s / 1000
+    v = jnp.stack([0 * across, across, 0 * across]) + scenario.spread.velocity_mm_s / 1000 * noise[0]
+    turning = jnp.stack([0 * speed, 0 * speed, speed / d[0]])
+    rates = [_rate(body, q, turning, x[3]) for body, q, x in zip(pair, attitudes, given, strict=True)]
+    shares = jnp.stack([-m[1], m[0]]) / (m[0] + m[1])
+    state = bodies.state(
+        shares[:, None] * d,
+        jnp.stack(attitudes),
+        velocities=shares[:, None] * v,
+        angular_velocities=jnp.stack(rates),
+    )
+    return _steps(scenario, bodies)[scenario.scheme], state
+
+
+def _steps(scenario: Scenario, bodies: RigidBodies) -> dict[str, Step]:
+    """Every scheme; the scenario's at its order, the others at their highest or, where it is of composition, at 2."""
+    orders = {name: allowed[0] for name, allowed in _ORDERS.items()}
+    orders[scenario.scheme] = scenario.order or orders[scenario.scheme]
+    made = {
+        "kepler_splitting": schemes.kepler_splitting(bodies, orders["kepler_splitting"]),
+        "nystrom": schemes.nystrom(bodies, orders["nystrom"]),
+    }
+    for name in ("splitting", "bodies_energy_momentum"):
+        step = getattr(schemes, name)(bodies)
+        made[name] = step if orders[name] == 2 else schemes.compose(step, orders[name])
+    return made
+
+
+def _mass_and_moments(body: Body, heavier: Array, longer: Array) -> tuple[Array, Array]:
+    """The mass and the principal moments of a member's body, by its deviations."""
+    mass = body.mass() * (1 + body.spread.mass_percent / 100 * heavier[0])
+    squares = body.squares() * (1 + body.spread.axes_percent / 100 * longer) ** 2
+    return mass, mass * (jnp.sum(squares) - squares)
+
+
+def _attitude(body: Body, turned: Array) -> Array:
+    q = so3.from_euler_313(jnp.deg2rad(jnp.asarray(body.euler_313_deg)))
+    return so3.multiply(so3.exp(jnp.deg2rad(body.spread.attitude_deg) * turned), q)
+
+
+def _rate(body: Body, q: Array, turning: Array, jolt: Array) -> Array:
+    """The angular velocity of a member's body in its axes; `turning` is that of the orbit's axes in space."""
+    Omega = jnp.asarray(body.rate()) + body.spread.rate() * jolt
+    return Omega + so3.Ad_star(q, turning) if body.relative_to == "orbit" else Omega
+
+
+def _speed(orbit: Orbit, bodies: RigidBodies, d: Array, attitudes: list[Array]) -> Array:
+    """The relative speed before its change: that given, or that of a circle under the force along the line."""
+    if orbit.speed_m_s is not None:
+        return jnp.asarray(orbit.speed_m_s)
+    m, none = bodies.masses, jnp.zeros(3)
+    pull = bodies.force(jnp.stack([jnp.concatenate([x, q]) for x, q in zip((none, d), attitudes, strict=True)]))[1, 0]
+    return jnp.sqrt(-pull * (m[0] + m[1]) / (m[0] * m[1]) * d[0])
+
+
+class Row(NamedTuple):
+    """A quantity: of the nominal member, its standard deviation over the members, its published value."""
+
+    name: str
+    nominal: float
+    spread: float
+    published: Published | None = None
+
+
+def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
+    """Periods beside published ones, librations, energies, what is conserved, and what a change of period says."""
+    found = motion(step.system, run)
+    lines = [f"\n  {'':<54}{'nominal':>11}{'± ensemble':>12}   published"]
+    for row in quantities(scenario, run, found):
+        lines.append(f"  {row.name:<54}{_digits(row.nominal):>11}{_digits(row.spread):>12}   {_cited(scenario, row)}")
+    days, stay = abs(run.t[-1] - run.t[0]) / _DAY, facing(found)
+    lines.append(f"  periods and rates: mean rates of longitudes about L over {days:.4g} d, by least squares")
+    lines.append(
+        f"  {int(stay.sum())} of {len(stay)} members: one end of the secondary's x axis stays towards the primary"
+    )
+    upright = np.rad2deg(found.obliquity_2).max(axis=0) < _UPRIGHT
+    lines.append(
+        f"  {int(upright.sum())} of {len(stay)} members: its z axis stays within {_UPRIGHT}° of the orbit's normal"
+    )
+    lines += [*_exchange(step.system, run), *_conserved(step.system, run)]
+    if {"orbital_period_h", "orbital_period_before_h"} <= set(scenario.published):
+        lines += _impact(scenario, step, run)
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _digits(x: float) -> str:
+    return f"{x:.4f}" if np.isfinite(x) else "—"
+
+
+def _cited(scenario: Scenario, row: Row) -> str:
+    if row.published is None:
+        return ""
+    error = f" ± {row.published.error:g}" if row.published.error is not None else ""
+    return f"{row.published.value:g}{error}  ({scenario.source(row.published.source)})"
+
+
+def quantities(scenario: Scenario, run: Trajectory, found: Motion) -> list[Row]:
+    """Periods, precessions and librations, of the nominal member and their spread, beside published values."""
+    t = np.asarray(run.t)
+    orbital = rate(t, found.longitude)
+    lines = frequencies(t, found)
+    swing = np.rad2deg(abs(found.libration - _middle(found)).max(axis=0))
+    table: list[tuple[str, np.ndarray, Name | None]] = [
+        ("orbital period (h)", _hours(orbital), "orbital_period_h"),
+        ("primary's spin period (h)", _hours(rate(t, found.spin_1)), "primary_spin_period_h"),
+        ("secondary's spin period (h)", _hours(rate(t, found.spin_2)), None),
+        ("eccentricity: amplitude of the distance over its mean", lines.eccentricity, None),
+        (
+            "precession of the line of apsides (°/d)",
+            np.rad2deg(orbital - 2 * np.pi * lines.anomalistic) * _DAY,
+            "apsidal_precession_deg_d",
+        ),
+        ("precession of the orbit's normal about L (°/d)", _precession(t, found), None),
+        ("libration of the secondary, largest (°)", swing, None),
+        ("  its line at the orbit's anomalistic frequency (°)", np.rad2deg(lines.forced), None),
+        ("  its strongest line below that (°)", np.rad2deg(lines.free), None),
+        ("  the frequency of that line, over the orbit's", 2 * np.pi * lines.free_frequency / orbital, None),
+        ("line of centres from its equator, largest (°)", np.rad2deg(abs(found.out_of_plane).max(axis=0)), None),
+        ("its obliquity, largest (°)", np.rad2deg(found.obliquity_2.max(axis=0)), None),
+    ]
+    return [
+        Row(name, float(x[0]), float(deviation(x)), scenario.published.get(key) if key else None)
+        for name, x, key in table
+    ]
+
+
+def _hours(rate: np.ndarray) -> np.ndarray:
+    return 2 * np.pi / rate / _HOUR
+
+
+def _precession(t: np.ndarray, found: Motion) -> np.ndarray:
+    """°/d; nan where the orbit's plane is L's: the inclination is round-off."""
+    inclined = found.inclination.max(axis=0) > 1e-9
+    return np.where(inclined, np.rad2deg(rate(t, found.node)) * _DAY, np.nan)
+
+
+def _middle(found: Motion) -> np.ndarray:
+    """The multiple of half a turn from which each member's libration starts."""
+    return np.pi * np.round(found.libration[0] / np.pi)
+
+
+def facing(found: Motion) -> np.ndarray:
+    """Whether each member's secondary keeps one end of its x axis towards the primary."""
+    return abs(found.libration - _middle(found)).max(axis=0) < np.pi / 2
+
+
+class Lines(NamedTuple):
+    """Lines of the distance and of the libration of every member; frequencies in Hz, amplitudes in rad.
+
+    Attributes:
+        anomalistic: the frequency of the distance.
+        eccentricity: the amplitude of the distance at it, over the mean distance.
+        forced: the amplitude of the libration at it.
+        free_frequency: of the strongest line of the libration below it.
+        free: the amplitude there.
+    """
+
+    anomalistic: np.ndarray
+    eccentricity: np.ndarray
+    forced: np.ndarray
+    free_frequency: np.ndarray
+    free: np.ndarray
+
+
+def frequencies(t: np.ndarray, found: Motion) -> Lines:
+    """The lines of a run; nan where it is too short to tell them apart."""
+    f = abs(rate(t, found.longitude)) / (2 * np.pi)
+    resolved = 2 / abs(t[-1] - t[0])  # half the width of a line under the window
+    anomalistic, size = line(t, found.distance, 0.9 * f, 1.1 * f)
+    forced = line(t, found.libration, anomalistic - resolved / 2, anomalistic + resolved / 2)[1]
+    free_frequency, free = line(t, found.libration, 0.4 * f, anomalistic - resolved)
+    return Lines(anomalistic, size / found.distance.mean(axis=0), forced, free_frequency, free)
+
+
+def _exchange(system: RigidBodies, run: Trajectory) -> list[str]:
+    """How much the parts of the energy change, greatest less least."""
+    parts = over_members(energies, system, run)
+    size = abs(parts.orbit[0, 0])
+    lines = [
+        f"\n  {'energy exchanged, greatest − least (J)':<54}{'nominal':>11}{'± ensemble':>12}   over |orbit's energy|"
+    ]
+    names = {"orbit": "orbit of two points", "spin_1": "primary's spin", "spin_2": "secondary's spin"}
+    for key, name in (names | {"shape": "potential of their shapes, V + G m₁m₂/r"}).items():
+        swing = np.ptp(getattr(parts, key), axis=0)
+        lines.append(f"  {name:<54}{swing[0]:>11.3g}{float(deviation(swing)):>12.2g}   {swing[0] / size:.3g}")
+    return lines
+
+
+def _conserved(system: RigidBodies, run: Trajectory) -> list[str]:
+    """The largest changes of H, P and L."""
+    lines = ["\n  largest change, all members and saved times"]
+    return lines + [f"  {name:<54}{float(x.max()):>11.1e}" for name, x in changes(system, run).items()]
+
+
+def changes(system: RigidBodies, run: Trajectory) -> dict[str, np.ndarray]:
+    """Relative changes of what is conserved, (times, members)."""
+    parts, Phi = over_members(lambda s, z: (energies(s, z), s.momentum(z)), system, run)
+    H, orbit, moved = parts.total, abs(parts.orbit[0]), np.linalg.norm(Phi[..., :3] - Phi[0, :, :3], axis=-1)
+    pushed = np.linalg.norm(np.asarray(run.state.p)[0, :, 1, :3], axis=-1)
+    L = np.linalg.norm(Phi[..., 3:], axis=-1)
+    return {
+        "energy, over |energy of the orbit|": abs(H - H[0]) / orbit,
+        "energy, over |energy|": abs(H - H[0]) / abs(H[0]),
+        "linear momentum, over that of the secondary": moved / pushed,
+        "angular momentum, relative": np.linalg.norm(Phi[..., 3:] - Phi[0, :, 3:], axis=-1) / L[0],
+    }
+
+
+class Impact(NamedTuple):
+    """What the published change of the period says of the speed; periods in h, speeds in mm/s.
+
+    Attributes:
+        period_unchanged: of the nominal state without the scenario's change of speed.
+        change: of the speed, from the period published before to that after, both by the whole model.
+        slope: the derivative of the period by the speed, h/(mm/s), half-way.
+        kepler: the change of the speed for two points.
+    X"""
+
+    period_unchanged: float
+    change: float
+    slope: float
+    kepler: float
+    kepler_slope: float
+
+
+def impact(scenario: Scenario, step: Any, run: Trajectory) -> Impact:
+    """The change of the speed at the start that takes the period from the published one before to that after."""
+    first, start = nominal_of(step), nominal(run)
+    duration = scenario.dt, scenario.steps, scenario.save_every
+
+    def measure(change: Array) -> tuple[Array, Array]:
+        return _binary_motion.period(first, start, *duration, change)
+
+    before, after = (scenario.published[key].value * _HOUR for key in ("orbital_period_before_h", "orbital_period_h"))  # pyright: ignore[reportArgumentType]
+    ends = [_binary_motion.change_to(period, measure) for period in (before, after)]
+    d = float(jnp.linalg.norm(_binary_motion.relative(first.system, start)[0]))
+    mu = scenario.G * float(jnp.sum(first.system.masses))
+    unchanged = float(measure(jnp.asarray(-scenario.orbit.speed_change_mm_s / 1000))[0])
+    middle = (before + after) / 2
+    a, speed = (mu * (middle / (2 * np.pi)) ** 2) ** (1 / 3), _binary_motion.kepler_speed(mu, d, middle)
+    return Impact(
+        unchanged / _HOUR,
+        1000 * (ends[1] - ends[0]),
+        float(measure(jnp.asarray(sum(ends) / 2))[1]) / _HOUR / 1000,
+        1000 * (_binary_motion.kepler_speed(mu, d, after) - _binary_motion.kepler_speed(mu, d, before)),
+        3 * a * speed / mu * middle / _HOUR / 1000,
+    )
+
+
+def _impact(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+    """What the published change of the period says of the change of the secondary's speed."""
+    found, published = impact(scenario, step, run), scenario.published
+    before, after = published["orbital_period_before_h"], published["orbital_period_h"]
+    lines = [
+        f"\n  published: orbital period {before.value:g} h before the impact ({scenario.source(before.source)}), "
+        f"{after.value:g} h after",
+        f"  {'period without the change of speed of this scenario':<54}{found.period_unchanged:>11.4f} h",
+        f"  {'change of speed between the two published periods':<54}{found.change:>11.3f} mm/s",
+        f"  {'  for two points':<54}{found.kepler:>11.3f} mm/s",
+        f"  {'derivative of the period by the speed, half-way':<54}{found.slope:>11.4f} h/(mm/s)",
+        f"  {'  for two points, ΔT/T = 3 a v Δv/GM':<54}{found.kepler_slope:>11.4f} h/(mm/s)",
+    ]
+    seen = published.get("speed_change_mm_s")
+    if seen is not None:
+        lines.append(f"  {'published change of speed (mm/s)':<54}     {_cited(scenario, Row('', 0, 0, seen))}")
+    return lines
+
+
+def draw_orbit(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Plot the distance and the secondary's libration against time: the nominal member, and 90 % of the members."""
+    found = motion(step.system, run)
+    days = np.asarray(run.t) / _DAY
+    fig, axes = plots.figure(2)
+    fig.set_size_inches(11, 3.8)
+    swing = np.rad2deg(found.libration - _middle(found))
+    for ax, x, label in zip(
+        axes[0], (found.distance, swing), ("distance (m)", "libration of the secondary (°)"), strict=True
+    ):
+        if x.shape[1] > 1:
+            ax.fill_between(
+                days, *np.percentile(x, [5, 95], axis=1), color=plots.GREY, alpha=0.5, lw=0, label="90 % of members"
+            )
+        ax.plot(days, x[:, 0], color=plots.BLUE, lw=0.8, label="nominal")
+        ax.set(xlabel="t (d)", ylabel=label)
+        ax.margins(x=0.01, y=0.1)
+    axes[0, 0].legend(frameon=False, fontsize="x-small", loc="upper right", ncols=2)
+    fig.suptitle(scenario.title, fontsize="medium")
+    return fig
+
+
+def draw_spectrum(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Plot the spectrum of the nominal secondary's libration over a longer run, and the frequencies expected in it."""
+    first = nominal_of(step)
+    long = follow(first, nominal(run), scenario.dt, _LONG * scenario.steps)
+    long = Trajectory(*jax.tree.map(lambda x: np.asarray(x)[:, None] if np.ndim(x) else x, long))
+    t = np.asarray(long.t)[:, 0]
+    found = motion(jax.tree.map(lambda x: x[None], first.system), long._replace(t=t))
+    f, amplitude = spectrum(t, np.rad2deg(found.libration[:, 0]))
+    orbital = float(rate(t, found.longitude)[0]) / (2 * np.pi)
+    A, B, C = (float(x) for x in first.system.inertias[1])
+    anomalistic = float(frequencies(t, found).anomalistic[0])
+    fig, axes = plots.figure()
+    fig.set_size_inches(7.2, 4.2)
+    ax = axes[0, 0]
+    shown = (f > 0) & (f < 3 * orbital)
+    ax.semilogy(f[shown] / orbital, amplitude[shown], color=plots.INK, lw=0.7)
+    marks = {"once an orbit, from apsis to apsis": anomalistic / orbital}
+    if B > A:
+        marks["free libration of a small swing, √(3(B−A)/C)"] = np.sqrt(3 * (B - A) / C)
+    for (label, x), style in zip(marks.items(), plots.STYLES[1:], strict=False):
+        ax.axvline(x, color=style["color"], ls="--", lw=0.9, label=label)
+    ax.set(xlim=(0, 3), xlabel="frequency over that of the orbit", ylabel="amplitude of the libration (°)")
+    ax.legend(frameon=False, fontsize="x-small", loc="upper right")
+    ax.set_title(f"nominal member, {abs(t[-1] - t[0]) / _DAY:.4g} d", fontsize="small")
+    fig.suptitle(scenario.title, fontsize="medium")
+    return fig
+
+
+def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Plot the exchange of energy between orbit, spins and shapes, and how well two schemes conserve H and L."""
+    first, start = nominal_of(step), nominal(run)
+    turn = 2 * np.pi / abs(rate(run.t, motion(step.system, run).longitude)[0])
+    dt = scenario.dt / _FINE  # the primary's spin takes few steps a turn
+    brief = follow(first, start, dt, min(_FINE * scenario.steps, round(_BRIEF * turn / abs(dt))))
+    parts = jax.tree.map(np.asarray, jax.jit(jax.vmap(lambda z: energies(first.system, z)))(brief.state))
+    size = abs(parts.orbit[0])
+    fig, axes = plots.figure(2)
+    fig.set_size_inches(11, 3.8)
+    names = {"orbit": "orbit", "spin_1": "primary's spin", "spin_2": "secondary's spin", "shape": "shapes, V + Gm₁m₂/r"}
+    curves = {name: (getattr(parts, key) - getattr(parts, key)[0]) / size for key, name in names.items()}
+    plots.series(axes[0, 0], np.asarray(brief.t) / _DAY, curves, "change over |energy of the orbit|", "d")
+    axes[0, 0].margins(y=0.25)
+    axes[0, 0].legend(frameon=False, fontsize="x-small", loc="upper center", ncols=4)
+    axes[0, 0].set_title(f"exchange of energy, nominal member, {_BRIEF} orbits", fontsize="small")
+    days = np.zeros(0)
+    errors: dict[str, np.ndarray] = {}
+    made = _steps(scenario, first.system)
+    for name in dict.fromkeys((scenario.scheme, "kepler_splitting", "bodies_energy_momentum")):
+        long = follow(made[name], start, scenario.dt, scenario.steps)
+        alone = Trajectory(long.t, *jax.tree.map(lambda x: x[:, None], (long.state, long.info)))
+        error = changes(jax.tree.map(lambda x: x[None], first.system), alone)
+        days = np.asarray(long.t) / _DAY
+        errors[f"H, {made[name].name}"] = error["energy, over |energy|"][:, 0]
+        errors[f"L, {made[name].name}"] = error["angular momentum, relative"][:, 0]
+    plots.log_error(axes[0, 1], days, errors, "relative change", "d")
+    axes[0, 1].legend(frameon=False, fontsize="x-small")
+    axes[0, 1].set_title("energy H and angular momentum L", fontsize="small")
+    fig.suptitle(scenario.title, fontsize="medium")
+    return fig
+
+
+PICTURES = {"orbit": draw_orbit, "spectrum": draw_spectrum, "energy": draw_energy}
