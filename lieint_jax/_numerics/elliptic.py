@@ -11,7 +11,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
-from jax.typing import ArrayLike
 
 from lieint_jax._numerics.power_series import arctan_sqrt
 
@@ -92,8 +91,8 @@ def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     one root may be slightly negative, which continues the integral beyond a quarter period. By duplication, then a
     series of degree 7. Relative error 1e-15 for x, y ≥ 1e-60 z. Source: DLMF 19.26(iii), 19.36(i).
 
-    It duplicates until the arguments are so close that the series has that error: up to 13 times, twice where they are
-    within a third of each other. Derivatives are those of all 13, a fixed number, which reverse mode needs.
+    It duplicates until the arguments are so close that the series has that error: 13 times at most, three or four times
+    for arguments of one size. Derivatives are those of all 13, a fixed number, which reverse mode needs.
     """
     start = _Duplicated.of(root_x, root_y, root_z, p)
     return _rj_value(lax.while_loop(lambda state: jnp.any(state.far), lambda state: state.next, start))
@@ -103,7 +102,8 @@ def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
 def _carlson_rj_jvp(primals: _Four, tangents: _Four) -> tuple[Array, Array]:
     def fixed(*roots_and_p: Array) -> Array:
         start = _Duplicated.of(*roots_and_p)
-        return _rj_value(lax.fori_loop(1, _DUPLICATIONS, lambda _, state: state.next, start))  # unrolled, it compiles for minutes
+        # a loop: unrolled, its derivatives would compile for minutes
+        return _rj_value(lax.fori_loop(1, _DUPLICATIONS, lambda _, state: state.next, start))
 
     return carlson_rj(*primals), jax.jvp(fixed, primals, tangents)[1]
 
