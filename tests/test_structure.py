@@ -101,7 +101,8 @@ def test_dir_lists_the_public_names_only():
     assert dir(li) == sorted(li.__all__)
     assert not [name for name in dir(li) if name.startswith("_") and name != "__version__"]
     assert all(hasattr(li, name) for name in dir(li))
-    for room in (li.studies, li.ensemble, li.adjoints, li.fitting, li.schemes, li.systems, li.groups, li.diagnostics):
+    rooms = (li.studies, li.ensemble, li.adjoints, li.fitting, li.schemes, li.systems, li.groups, li.diagnostics)
+    for room in (*rooms, li.potentials):
         assert all(hasattr(room, name) for name in room.__all__)
 
 
@@ -123,7 +124,9 @@ diagnostics.certify diagnostics.conditions diagnostics.lyapunov diagnostics.megn
 orbits.kepler torques.viscous torques.pd_trace torques.pd_quaternion
 torques.bdot torques.kane_damper torques.thruster torques.solar_plate torques.internal_friction
 schemes.log_hamiltonian schemes.reversible_control diagnostics.local_error
-systems.rigid_bodies potentials.maccullagh schemes.bodies_energy_momentum schemes.nystrom schemes.kepler_splitting
+systems.rigid_bodies potentials.maccullagh potentials.point_masses potentials.point_charges potentials.lennard_jones
+potentials.sites potentials.springs potentials.uniform_field potentials.outer_field potentials.ellipsoid_sphere
+potentials.water schemes.bodies_energy_momentum schemes.nystrom schemes.kepler_splitting
 """
 
 

@@ -1,4 +1,4 @@
-"""Jacobi's elliptic functions and Carlson's R_J, by a fixed number of iterations, in the dtype of their arguments.
+"""Elliptic functions and Carlson's integrals, by a fixed number of iterations, in the dtype of their arguments.
 
 m = k² is the parameter; the argument is always its complement m1 = 1 − m, so that nothing cancels near m = 1.
 """
@@ -15,7 +15,7 @@ from jax import Array, lax
 from lieint_jax._numerics.power_series import arctan_sqrt
 
 _Four = tuple[Array, Array, Array, Array]
-_MEANS, _LANDEN, _DUPLICATIONS = 13, 5, 13
+_MEANS, _LANDEN, _DUPLICATIONS, _HALVINGS = 13, 5, 13, 8
 
 
 def quarter_period(m1: Array) -> Array:
@@ -163,6 +163,34 @@ class _Duplicated(NamedTuple):
 def _rj_value(state: _Duplicated) -> Array:
     X, Y, Z = (state.scale * v / state.mean for v in state.apart)
     return state.scale / (state.mean * jnp.sqrt(state.mean)) * _rj_series(X, Y, Z) + 6 * state.total
+
+
+def carlson_rf_rd(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array, Array]:
+    """R_F(x, y, z), and R_D(y, z, x), R_D(z, x, y), R_D(x, y, z), for positive x, y, z.
+
+    R_F = ½ ∫₀^∞ dt/√((t + x)(t + y)(t + z)), and R_D has a factor 3/(t + its last argument) in the integrand. By
+    duplication, then series of degree 7. Source: DLMF 19.26(iii), 19.36(i).
+    """
+
+    def duplicate(n: ArrayLike, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        at, totals, scale = carry
+        roots = jnp.sqrt(at)
+        a, b, c = roots
+        shift = a * b + b * c + c * a
+        return (at + shift) / 4, totals + scale / (roots * (at + shift)), scale / 4
+
+    begin = jnp.stack([x, y, z])
+    at, totals, scale = lax.fori_loop(0, _HALVINGS, duplicate, (begin, jnp.zeros_like(begin), jnp.ones_like(x)))
+    A = jnp.sum(at) / 3
+    X, Y = 1 - at[0] / A, 1 - at[1] / A
+    E2, E3 = -X * X - X * Y - Y * Y, -X * Y * (X + Y)
+    series = 1 - E2 / 10 + E3 / 14 + E2 * E2 / 24 - 3 * E2 * E3 / 44 - 5 * E2**3 / 208 + 3 * E3 * E3 / 104
+    found = [(series + E2 * E2 * E3 / 16) / jnp.sqrt(A)]
+    for k in range(3):
+        A = (jnp.sum(at) + 2 * at[k]) / 5
+        X, Y = 1 - at[k - 2] / A, 1 - at[k - 1] / A
+        found.append(scale / (A * jnp.sqrt(A)) * _rj_series(X, Y, -(X + Y) / 3) + 3 * totals[k])
+    return found[0], found[1], found[2], found[3]
 
 
 def _rj_series(X: Array, Y: Array, Z: Array) -> Array:

@@ -24,23 +24,27 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import three
-from lieint_jax._numerics.discrete_gradient import discrete_gradient
 from lieint_jax._numerics.three import add, apply, cross, subtract
 from lieint_jax.groups import so3
 from lieint_jax.potentials import invariant_form, torques
-from lieint_jax.schemes._capability import Integrand
+from lieint_jax.schemes._capability import Integrand, check_motion
 from lieint_jax.schemes._free_flight import free_motion
 from lieint_jax.types import Bodies, State, Step, StepInfo, pytree, static
 
 _STALLED = 2**16  # eps: a change below it that no longer falls is rounding
 _CONVERGED = 32  # eps: the largest last change of a step that converged
 
-_APART = 1e-6  # |ΔI|²/|I|² from where on the quadrature of D is corrected to give the difference of Ṽ
-
 
 def _motion(bodies: Bodies, state: State) -> State:
     """The vector field of bodies in a potential."""
     return State(free_motion(bodies, state), bodies.force(state.q))
+
+
+def _motion_by_invariants(bodies: Bodies, state: State) -> State:
+    """The same, with the forces of the potential as a function of its invariants."""
+    form, (x, R) = invariant_form(bodies.potential), _parts(state.q)
+    along_x, along_R = jax.grad(lambda *z: form.value(form.invariants(*z)), (0, 1))(x, R)
+    return State(free_motion(bodies, state), jnp.concatenate([-along_x, torques(R, along_R)], axis=1))
 
 
 BODIES = Integrand(Bodies, "bodies that act on one another (systems.rigid_bodies)", _motion)
@@ -111,6 +115,8 @@ def bodies_energy_momentum(system: Bodies, iterations: int = 50) -> BodiesEnergy
     Source: this package; the discrete gradient's place in it, Gonzalez 1996, J. Nonlinear Sci. 6.
     """
     BODIES.check("bodies_energy_momentum", system)
+    noun = "bodies in a potential of relative positions and attitudes, or one with invariants of its own"
+    check_motion("bodies_energy_momentum", noun, _motion_by_invariants, system, system)
     return BodiesEnergyMomentum(system, _checks.count("iterations", iterations, 1))
 
 
@@ -128,11 +134,9 @@ class _Equation(NamedTuple):
 
     def force(self, ends: _Ends) -> Array:
         """f̄ and τ̄ of each body, (N, 6)."""
-        invariants, value, gradient = invariant_form(self.system.potential)
+        invariants, _, gradient = invariant_form(self.system.potential)
         (x0, R0), (x1, R1) = _parts(self.state.q), _parts(self.configuration(ends))
-        I0, I1 = invariants(x0, R0), invariants(x1, R1)
-        D = gradient(I0, I1) if gradient else discrete_gradient(value, I0, I1, _APART * jnp.sum(I0 * I0))
-        R = (R0 + R1) / 2
+        D, R = gradient(invariants(x0, R0), invariants(x1, R1)), (R0 + R1) / 2
         along_x, along_R = jax.vjp(invariants, x0 + ends.move / 2, R)[1](D)
         return jnp.concatenate([-along_x, torques(R, along_R)], axis=1)
 

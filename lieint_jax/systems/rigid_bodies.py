@@ -151,6 +151,11 @@ class RigidBodies(_Many, Bodies):
         """V(x, Λ)."""
         return self.potential(q[:, :3], rotations(q))
 
+    def momentum(self, state: State) -> Array:
+        """(6,): P = Σp, and L = Σ(x × p + π) about the origin; of these what an outer field leaves conserved."""
+        both, kept = super().momentum(state), potentials.symmetry(self.potential)
+        return both if kept is None else jnp.sum(kept * both, axis=1)
+
     def energy(self, state: State) -> Array:
         """The kinetic energy and V."""
         return self.kinetic_energy(state) + self.potential_energy(state.q)
@@ -219,8 +224,9 @@ def rigid_bodies(masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Ar
     """N rigid bodies in a potential V(x, Λ) of their positions and attitudes, N from 1 on.
 
     A potential that depends on relative positions and attitudes alone conserves the linear momentum P and the angular
-    momentum L, which `momentum` gives: (P, L), with L about the origin. Positions are best barycentric: far from the
-    origin differences of positions lose digits.
+    momentum L, which `momentum` gives: (P, L), with L about the origin. Of a potential with an outer field `momentum`
+    gives what is left conserved, and 0 for the rest. Positions are best barycentric: far from the origin differences of
+    positions lose digits.
 
     Args:
         masses: (N,), > 0.
@@ -231,7 +237,8 @@ def rigid_bodies(masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Ar
 
     Raises:
         ValueError: a mass that is not positive, an inertia that is not positive definite, shapes that disagree, a
-            potential that is not callable.
+            potential that is not callable,
+            or of another number of bodies.
     """
     m = _checks.real_array("masses", masses)
     if m.ndim != 1 or not m.size:
@@ -248,6 +255,9 @@ def rigid_bodies(masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Ar
             _checks.inertia(J[i])
     if not callable(potential):
         raise ValueError(f"potential must be a function of positions (N, 3) and rotations (N, 3, 3), got {potential!r}")
+    n = potentials.count(potential)
+    if n not in (None, m.size):
+        raise ValueError(f"the potential is one of {n} bodies, but there are {m.size} masses")
     return RigidBodies(m, J, callable_pytree(potential))
 
 

@@ -1,8 +1,6 @@
-"""Potentials of several rigid bodies, (positions (N, 3), rotations body to space (N, 3, 3)) ↦ V."""
+"""Gravity of several bodies to second order of their size over their distance, by their moments of inertia."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,45 +9,14 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import three
+from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree
 
 _FEW = 6  # pairs that are written out one by one, which XLA fuses better
 
 
-def torques(R: Array, along_R: Array) -> Array:
-    """−∂V(exp(δ̂)R)/∂δ at δ = 0 of each body, (N, 3), where ∂V/∂R is `along_R`, both (N, 3, 3)."""
-    turned = [[jnp.sum(along_R[:, i] * R[:, j], axis=1) for j in range(3)] for i in range(3)]
-    return jnp.stack([turned[j][i] - turned[i][j] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
-
-
-def invariant_form(
-    potential: Callable[[Array, Array], Array],
-) -> tuple[Callable[[Array, Array], Array], Callable[[Array], Array], Callable[[Array, Array], Array] | None]:
-    """A potential as a function of quadratic invariants: (x, R) ↦ I, (k,); I ↦ V; and its discrete gradient, or None.
-
-    Those of the potential itself if it has them; else the positions and attitudes relative to the first body.
-    """
-    own = getattr(potential, "invariants", None)
-    if own is not None:
-        return own, potential.value, getattr(potential, "discrete_gradient", None)  # pyright: ignore
-
-    def relative(x: Array, R: Array) -> Array:
-        first = R[0]
-        xi = jnp.sum(first * (x[1:] - x[0])[:, :, None], axis=1)
-        C = jnp.sum(first[:, :, None] * R[1:, :, None, :], axis=1)
-        return jnp.concatenate([xi.ravel(), C.ravel()])
-
-    def value(relative: Array) -> Array:
-        n = relative.size // 12
-        xi, C = relative[: 3 * n].reshape(n, 3), relative[3 * n :].reshape(n, 3, 3)
-        one = jnp.eye(3, dtype=relative.dtype)[None]
-        return potential(jnp.concatenate([jnp.zeros_like(xi[:1]), xi]), jnp.concatenate([one, C]))
-
-    return relative, value, None
-
-
 @pytree
-class MacCullagh:
+class MacCullagh(Potential):
     """Gravity of bodies to second order of size over distance. Made by `maccullagh`.
 
     Attributes:
@@ -62,8 +29,11 @@ class MacCullagh:
     masses: Array
     inertias: Array
 
+    @property
+    def count(self) -> int:
+        return self.masses.shape[0]
+
     def __call__(self, x: Array, R: Array) -> Array:
-        """V."""
         return self.value(self.invariants(x, R))
 
     def force(self, x: Array, R: Array) -> Array:

@@ -1,0 +1,43 @@
+"""Potentials of several rigid bodies, (positions (N, 3), rotations body to space (N, 3, 3)) ↦ V; they can be added."""
+
+from lieint_jax.potentials._potential import Potential, Sum, count, invariant_form, symmetry, torques
+from lieint_jax.potentials.ellipsoid_sphere import EllipsoidSphere, ellipsoid_sphere
+from lieint_jax.potentials.maccullagh import MacCullagh, maccullagh
+from lieint_jax.potentials.outer_field import OuterField, UniformField, outer_field, uniform_field
+from lieint_jax.potentials.site_pairs import (
+    InverseDistance,
+    LennardJones,
+    lennard_jones,
+    point_charges,
+    point_masses,
+    sites,
+)
+from lieint_jax.potentials.springs import Springs, springs
+from lieint_jax.potentials.water import Molecule, water
+
+__all__ = [
+    "EllipsoidSphere",
+    "InverseDistance",
+    "LennardJones",
+    "MacCullagh",
+    "Molecule",
+    "OuterField",
+    "Potential",
+    "Springs",
+    "Sum",
+    "UniformField",
+    "count",
+    "ellipsoid_sphere",
+    "invariant_form",
+    "lennard_jones",
+    "maccullagh",
+    "outer_field",
+    "point_charges",
+    "point_masses",
+    "sites",
+    "springs",
+    "symmetry",
+    "torques",
+    "uniform_field",
+    "water",
+]

@@ -1,0 +1,158 @@
+"""What the potentials of several rigid bodies share: sums of them, their symmetry, forces, and quadratic invariants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import reduce
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from lieint_jax._numerics.discrete_gradient import discrete_gradient
+from lieint_jax.types import callable_pytree, pytree
+
+_APART = 1e-6  # |ΔI|²/|I|² from where on the quadrature of D is corrected to give the difference of V
+
+
+class Potential:
+    """A potential V(x, Λ) of N rigid bodies, called with positions (N, 3) and rotations, body to space, (N, 3, 3).
+
+    A subclass may have `invariants(x, R)`, functions quadratic in (x, R), (k,), or a tuple of such arrays, with V as
+    their function `value`, and `discrete_gradient(I0, I1)`. By these the energy–momentum scheme keeps energy, and P
+    and L as far as they leave the invariants unchanged.
+    """
+
+    def __call__(self, x: Array, R: Array) -> Array:
+        raise NotImplementedError
+
+    @property
+    def count(self) -> int | None:
+        """N, or None if the potential takes any number of bodies."""
+        return None
+
+    @property
+    def symmetry(self) -> Array | None:
+        """The orthogonal projector (6, 6) on the part of (P, L) that is conserved; None if P and L are."""
+        return None
+
+    def __add__(self, other: Callable[[Array, Array], Array]) -> Sum:
+        return Sum((*_terms(self), *_terms(other)))
+
+    def __radd__(self, other: Callable[[Array, Array], Array]) -> Sum:
+        return Sum((*_terms(other), *_terms(self)))
+
+
+@pytree
+class Sum(Potential):
+    """A sum of potentials, made by `+`.
+
+    Attributes:
+        terms: potentials, or functions of positions and rotations.
+    """
+
+    terms: tuple[Callable[[Array, Array], Array], ...]
+
+    def __call__(self, x: Array, R: Array) -> Array:
+        return reduce(jnp.add, (term(x, R) for term in self.terms))
+
+    @property
+    def count(self) -> int | None:
+        counts = {n for n in (count(term) for term in self.terms) if n is not None}
+        if len(counts) > 1:
+            raise ValueError(f"the terms of a sum must be of as many bodies each, got {sorted(counts)}")
+        return counts.pop() if counts else None
+
+    @property
+    def symmetry(self) -> Array | None:
+        broken = [S for S in (symmetry(term) for term in self.terms) if S is not None]
+        if len(broken) < 2:
+            return broken[0] if broken else None
+        lost, axes = jnp.linalg.eigh(sum(jnp.eye(6) - S for S in broken))
+        kept = axes * (lost < 1e-9)
+        return kept @ kept.T
+
+    def invariants(self, x: Array, R: Array) -> tuple[Any, ...]:
+        """Those of every term."""
+        return tuple(invariant_form(term).invariants(x, R) for term in self.terms)
+
+    def value(self, invariants: tuple[Any, ...]) -> Array:
+        """V of the invariants."""
+        pairs = zip(self.terms, invariants, strict=True)
+        return reduce(jnp.add, (invariant_form(term).value(own) for term, own in pairs))
+
+    def discrete_gradient(self, start: tuple[Any, ...], end: tuple[Any, ...]) -> tuple[Any, ...]:
+        """That of every term."""
+        pairs = zip(self.terms, start, end, strict=True)
+        return tuple(invariant_form(term).discrete_gradient(I0, I1) for term, I0, I1 in pairs)
+
+
+def count(potential: Callable[[Array, Array], Array]) -> int | None:
+    """The number of bodies of a potential or a plain function, None if it takes any number."""
+    return getattr(potential, "count", None)
+
+
+def symmetry(potential: Callable[[Array, Array], Array]) -> Array | None:
+    """The projector on what a potential or a plain function conserves of (P, L), None if all."""
+    return getattr(potential, "symmetry", None)
+
+
+def torques(R: Array, along_R: Array) -> Array:
+    """−∂V(exp(δ̂)R)/∂δ at δ = 0 of each body, (N, 3), where ∂V/∂R is `along_R`, both (N, 3, 3)."""
+    turned = [[jnp.sum(along_R[:, i] * R[:, j], axis=1) for j in range(3)] for i in range(3)]
+    return jnp.stack([turned[j][i] - turned[i][j] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
+
+
+class InvariantForm(NamedTuple):
+    """A potential as a function of functions that are quadratic in positions and rotations.
+
+    Attributes:
+        invariants: (x, R) ↦ I, (k,) or a pytree of such arrays.
+        value: I ↦ V.
+        discrete_gradient: (I₀, I₁) ↦ D with D·(I₁ − I₀) = V(I₁) − V(I₀), symmetric.
+    """
+
+    invariants: Callable[[Array, Array], Any]
+    value: Callable[[Any], Array]
+    discrete_gradient: Callable[[Any, Any], Any]
+
+
+def invariant_form(potential: Callable[[Array, Array], Array]) -> InvariantForm:
+    """A potential as a function of its own invariants; else of positions and attitudes relative to the first body."""
+    own: Any = potential
+    invariants, value = (
+        (own.invariants, own.value) if hasattr(own, "invariants") else (relative, _of_relative(potential))
+    )
+    return InvariantForm(invariants, value, getattr(own, "discrete_gradient", None) or _quadrature(value))
+
+
+def _quadrature(value: Callable[[Array], Array]) -> Callable[[Array, Array], Array]:
+    return lambda start, end: discrete_gradient(value, start, end, _APART * jnp.sum(start * start))
+
+
+def relative(x: Array, R: Array) -> Array:
+    """Positions and attitudes relative to the first body, in its axes, (12 (N − 1),)."""
+    first = R[0]
+    xi = jnp.sum(first * (x[1:] - x[0])[:, :, None], axis=1)
+    C = jnp.sum(first[:, :, None] * R[1:, :, None, :], axis=1)
+    return jnp.concatenate([xi.ravel(), C.ravel()])
+
+
+def _of_relative(potential: Callable[[Array, Array], Array]) -> Callable[[Array], Array]:
+    """The potential of relative positions and attitudes."""
+
+    def value(relative: Array) -> Array:
+        n = relative.size // 12
+        xi, C = relative[: 3 * n].reshape(n, 3), relative[3 * n :].reshape(n, 3, 3)
+        one = jnp.eye(3, dtype=relative.dtype)[None]
+        return potential(jnp.concatenate([jnp.zeros_like(xi[:1]), xi]), jnp.concatenate([one, C]))
+
+    return value
+
+
+def _terms(potential: Callable[[Array, Array], Array]) -> tuple[Callable[[Array, Array], Array], ...]:
+    if not callable(potential):
+        raise TypeError(
+            f"a potential is added to potentials and functions of positions and rotations, got {potential!r}"
+        )
+    return potential.terms if isinstance(potential, Sum) else (callable_pytree(potential),)

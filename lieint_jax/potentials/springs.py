@@ -1,0 +1,92 @@
+"""Springs between sites of bodies."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax.potentials._potential import Potential
+from lieint_jax.types import pytree, static
+
+
+@pytree
+class Springs(Potential):
+    """V = Σ ½ k (r − ℓ)². Made by `springs`.
+
+    Attributes:
+        points: the ends of each spring, in the axes of their bodies, (k, 2, 3).
+        stiffness: (k,).
+        lengths: ℓ, (k,).
+        bodies: the two bodies of each spring.
+    """
+
+    points: Array
+    stiffness: Array
+    lengths: Array
+    bodies: tuple[tuple[int, int], ...] = static()
+
+    def __call__(self, x: Array, R: Array) -> Array:
+        return self.value(self.invariants(x, R))
+
+    def invariants(self, x: Array, R: Array) -> Array:
+        """The squared length of each spring, (k,)."""
+        if max(map(max, self.bodies)) >= x.shape[0]:
+            raise ValueError(f"springs join the bodies {self.bodies}, but there are {x.shape[0]}, counted from 0")
+        a, b = (self._end(k, x, R) for k in (0, 1))
+        return jnp.sum((a - b) ** 2, axis=1)
+
+    def value(self, invariants: Array) -> Array:
+        """V of the squared lengths."""
+        return jnp.sum(self.stiffness * (invariants - 2 * self.lengths * _root(invariants) + self.lengths**2)) / 2
+
+    def discrete_gradient(self, start: Array, end: Array) -> Array:
+        """D with D·(end − start) = V(end) − V(start), in closed form, without cancellation."""
+        together = _root(start) + _root(end)
+        inverse = jnp.where(together > 0, 1 / jnp.where(together > 0, together, 1), 0)
+        return self.stiffness * (0.5 - self.lengths * inverse)
+
+    def _end(self, k: int, x: Array, R: Array) -> Array:
+        body = np.array(self.bodies)[:, k]
+        return x[body] + jnp.sum(R[body] * self.points[:, k, None, :], axis=2)
+
+
+def _root(u: Array) -> Array:
+    """√u, with derivative 0 at 0."""
+    return jnp.where(u > 0, jnp.sqrt(jnp.where(u > 0, u, 1)), 0)
+
+
+def springs(bodies: Any, points: ArrayLike, stiffness: ArrayLike, lengths: ArrayLike = 0.0) -> Springs:
+    """Springs without mass, each between a point of one body and a point of another: V = Σ ½ k (r − ℓ)².
+
+    Invariant: P and L are conserved. There is no force on a spring's ends where they meet.
+
+    Args:
+        bodies: the two bodies of each of k springs, counted from 0, (k, 2).
+        points: the springs' ends, in the axes of these bodies, (k, 2, 3).
+        stiffness: ≥ 0, (k,), or one for all.
+        lengths: ℓ ≥ 0, at which the springs are slack, (k,), or one for all.
+
+    Raises:
+        ValueError: shapes that disagree, a spring from a body to itself, a negative stiffness or length.
+    """
+    pairs = np.asarray(bodies)
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu" or (pairs < 0).any():
+        raise ValueError(f"bodies must be pairs of indices ≥ 0, (k, 2), got {bodies!r}")
+    if (pairs[:, 0] == pairs[:, 1]).any():
+        raise ValueError(f"a spring must join two bodies, got {pairs.tolist()}")
+    k = len(pairs)
+    at = _checks.real_array("points", points, (k, 2, 3))
+    each, slack = (
+        jnp.broadcast_to(_checks.real_array(name, given, (), (k,)), (k,))
+        for name, given in (("stiffness", stiffness), ("lengths", lengths))
+    )
+    for name, x in (("stiffness", each), ("lengths", slack)):
+        if concrete(x) and not bool(jnp.all(x >= 0)):
+            raise ValueError(f"{name} must be ≥ 0, got {np.asarray(x)}")
+    return Springs(at, each, slack, tuple((int(i), int(j)) for i, j in pairs))
