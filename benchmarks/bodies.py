@@ -29,7 +29,7 @@ def main() -> None:
         notes: list[str] = []
         return {
             "machine": measure.machine(),
-            "accuracy": binaries.accuracy(1 if quick else 3, 4 if quick else 1, notes),
+            "accuracy": binaries.accuracy(1 if quick else 2, 4 if quick else 1, notes),
             "waters": waters.everything(20 if quick else 1000, 1 if quick else 3, notes),
             "bodies": binaries.growth_with_bodies(many_bodies, 0.02 if quick else 0.3),
             "systems": binaries.growth_with_systems(many_systems, 0.02 if quick else 0.3),

@@ -37,7 +37,7 @@ def _sections(result: dict[str, Any]) -> list[str]:
         f"And one binary? Milliseconds {end}",
         _times(accuracy["one"]),
         "heyoka compiles its batch of eight binaries in "
-        + ("(not installed)" if compiled is None else f"{compiled:.1f} s, once for each tolerance"),
+        + ("(not installed)" if compiled is None else f"{compiled:.1f} s at most, once for each tolerance"),
         "64 waters: how many steps a second, and how large is the energy's error over one stretch of time, relative to "
         "the kinetic energy, at 1 fs and at the step that makes the run cost as much as that of the slower at 1 fs?",
         _waters(result["waters"]),
