@@ -325,18 +325,23 @@ def _motion(b: _Labels, e: Vector, tau: Array) -> _Motion:
     cn = jnp.where(near, 1 - x / 2 + x * (x + 4 * y) / 24, cn)
     dn = jnp.where(near, 1 - y / 2 + y * (y + 4 * x) / 24, dn)
     S, cn, dn = three.once((S, cn, dn))
-    X = S**3 * elliptic.carlson_rj(cn, dn, jnp.ones_like(cn), 1 + nu * S * S) / 3
-    X = X + jnp.where(nearer, 0, 2 * halves * _quarter(m1, nu / f_far, halves != 0) / (f_far * frequency))
+    part, quarter = _third(cn, dn, nu * S * S, m1, nu / f_far, halves != 0)
+    X = S**3 * part + jnp.where(nearer, 0, 2 * halves * quarter / (f_far * frequency))
     lever = jnp.abs(b.ro) * (jnp.abs(b.rm * e[0]) + jnp.abs(b.mo * e[2]))
     condition = jnp.abs(halves) * jnp.where(halves == 0, 0, lever / jnp.where(halves == 0, 1, jnp.abs(excess)))
     return _Motion(about_r, R, nu, S, cn, dn, halves, b.b_o * tau + b.ro * nu * X, condition)
 
 
-def _quarter(m1: Array, n: Array, needed: Array) -> Array:
-    """R_J/3 of (0, m1, 1, 1 + n), for the integral over a quarter period; where it is not needed, of arguments of 1."""
-    root = jnp.where(needed, jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny)), 1)
-    zero, p = jnp.where(needed, 0, jnp.ones_like(m1)), jnp.where(needed, 1 + n, 1)
-    return elliptic.carlson_rj(zero, root, jnp.ones_like(m1), p) / 3
+def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array, needed: Array) -> tuple[Array, Array]:
+    """R_J/3 of (cn², dn², 1, 1 + n), and that of a quarter period, (0, m1, 1, 1 + n_quarter): one loop for both.
+
+    Where the quarter period is not needed, it is of arguments of 1, which take no duplication.
+    """
+    one, root = jnp.ones_like(cn), jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny))
+    zero, root, p = (jnp.where(needed, x, 1) for x in (0 * one, root, 1 + n_quarter))
+    x, y, p = (jnp.stack(pair) for pair in ((cn, zero), (dn, root), (1 + n, p)))
+    part, quarter = three.once(three.components(elliptic.carlson_rj(x, y, jnp.ones_like(x), p) / 3))
+    return part, quarter
 
 
 def _between(e: Vector, f: Vector, c: Array, s: Array) -> tuple[Array, Vector]:
