@@ -55,6 +55,7 @@ from lieint_jax._numerics import elliptic, three
 from lieint_jax._numerics.three import Vector, dot
 from lieint_jax.groups import so3
 
+_Turns = list[tuple[int, Array]]
 _NEAR = 1e-5  # the f τ² below which S, cn, dn are computed by series, with an error of 1e-17
 
 
@@ -88,12 +89,13 @@ def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, A
     """
     J, Pi = three.symmetric(inertia), so3.Ad_star(q, p)
     scale, G, e, rest = _units(inertia, Pi)
-    increment, accuracy = _increment(scale * inertia, e, G * t)
-    Omega = jnp.stack(three.solve_symmetric(J, Pi))
-    increment = jnp.where(rest, so3.exp(jnp.where(rest, Omega, 0) * t), increment)  # 1, with its derivative in π
+    (w, *v), accuracy = _increment(scale * inertia, e, G * t)
+    Omega = three.solve_symmetric(J, Pi)
+    v = (jnp.where(rest, x * t / 2, y) for x, y in zip(Omega, v, strict=True))  # 0, with its derivative in π
+    increment = three.once((jnp.where(rest, 1, w), *v))
     turned = lax.stop_gradient(three.max_abs(Pi) * three.inverse_trace(J) * jnp.abs(t))
     length, condition = (jnp.where(rest, 0, x) for x in accuracy)
-    return so3.normalise(so3.multiply(q, increment)), Accuracy(length, turned + condition)
+    return so3.normalise(jnp.stack(three.once(so3.multiply(q, increment)))), Accuracy(length, turned + condition)
 
 
 def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]:
@@ -111,33 +113,31 @@ def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]
     scale, G, e, rest = _units(inertia, Pi)
     still = rest | (jnp.asarray(t) == 0)
     if inertia.ndim == 1:
-        order = jnp.argsort(lax.stop_gradient(inertia))
-        moments, e = (scale * inertia)[order], e[order]
+        moments, turns = _ascending(scale * inertia)
+        e = _turned(e, turns, 1)
     else:
         moments, V = _eigh(scale * inertia)
-        e = jnp.stack([dot(V[:, k], e) for k in range(3)])
+        e = tuple(dot(V[:, k], e) for k in range(3))
     s, d, on_branch = _sorted_clock(moments, e, jnp.where(still, 1e-3, G * t))
     return jnp.where(still, 1, s), jnp.where(still, 0, scale * d), still | on_branch
 
 
-def _units(inertia: Array, Pi: Array) -> tuple[Array, Array, Array, Array]:
+def _units(inertia: Array, Pi: Array) -> tuple[Array, Array, Vector, Array]:
     """1/tr J, |Π|/tr J, e, and whether the body is at rest; at rest |Π|/tr J is set to 1 and e to a unit vector."""
     scale = 1 / three.trace(three.symmetric(inertia))
-    scaled = scale * Pi
+    scaled = three.scale(scale, Pi)
     square = dot(scaled, scaled)
     rest = square == 0
     G = jnp.sqrt(jnp.where(rest, 1, square))
-    return scale, G, jnp.where(rest, math.sqrt(1 / 3), scaled / G), rest
+    return scale, G, three.once(tuple(jnp.where(rest, math.sqrt(1 / 3), x / G) for x in scaled)), rest
 
 
-def _increment(inertia: Array, e: Array, tau: Array) -> tuple[Array, Accuracy]:
-    """Λ⁻¹Λ(τ) in body axes, as a quaternion, and its rounding errors; sorts the principal axes, right-handed."""
+def _increment(inertia: Array, e: Vector, tau: Array) -> tuple[Vector, Accuracy]:
+    """Λ⁻¹Λ(τ) in body axes, as a quaternion times a positive number, and its rounding errors."""
     if inertia.ndim == 1:
-        order = jnp.argsort(lax.stop_gradient(inertia))
-        hand = jnp.where((order[1] - order[0]) % 3 == 1, 1, -1).astype(e.dtype)
-        sorted_e = e[order]
-        w, v, accuracy = _sorted(inertia[order], (sorted_e[0], hand * sorted_e[1], sorted_e[2]), tau)
-        return jnp.concatenate([w[None], jnp.stack([v[0], hand * v[1], v[2]])[jnp.argsort(order)]]), accuracy
+        moments, turns = _ascending(inertia)
+        w, v, accuracy = _sorted(moments, _turned(e, turns, 1), tau)
+        return (w, *_turned(v, turns, -1)), accuracy
     moments, V = _eigh(inertia)
     a, b = (three.components(V[:, k]) for k in (0, 1))  # made right-handed, and orthonormal to the last bit
     a = _unit(a)
@@ -145,7 +145,29 @@ def _increment(inertia: Array, e: Array, tau: Array) -> tuple[Array, Accuracy]:
     b = _unit(tuple(y - overlap * x for x, y in zip(a, b, strict=True)))
     c = three.cross(a, b)
     w, v, accuracy = _sorted(moments, (dot(a, e), dot(b, e), dot(c, e)), tau)
-    return jnp.stack([w, *(v[0] * a[i] + v[1] * b[i] + v[2] * c[i] for i in range(3))]), accuracy
+    return (w, *(v[0] * a[i] + v[1] * b[i] + v[2] * c[i] for i in range(3))), accuracy
+
+
+def _ascending(J: Array) -> tuple[Vector, _Turns]:
+    """The moments J in ascending order, and the quarter turns that take the axes there.
+
+    Component by component: a gather by `argsort` would end XLA's loop over a batch before and after it.
+    """
+    moments, turns = list(three.components(J)), []
+    for i in (0, 1, 0):
+        a, b = moments[i : i + 2]
+        turns.append((i, a > b))
+        moments[i : i + 2] = jnp.where(a > b, b, a), jnp.where(a > b, a, b)
+    return tuple(moments), turns
+
+
+def _turned(v: Vector, turns: _Turns, sign: int) -> Vector:
+    """v after quarter turns that exchange the components i and i + 1, forwards (sign 1) or backwards (sign −1)."""
+    x = list(v)
+    for i, turn in turns[::sign]:
+        a, b = x[i : i + 2]
+        x[i : i + 2] = jnp.where(turn, sign * b, a), jnp.where(turn, -sign * a, b)
+    return tuple(x)
 
 
 def _unit(v: Vector) -> Vector:
@@ -185,12 +207,8 @@ def _labels(J: Array, e: Vector) -> tuple[Array, _Labels]:
     x, y, z = (c * c for c in e)
     far0, far2 = d02 * x + d12 * y, d02 * z + d01 * y
     first = (far0 < far2) | ((far0 == far2) & (x <= z))
-    return first, _Labels(
-        b_o=jnp.where(first, 1 / J[2], 1 / J[0]),
-        rm=jnp.where(first, d01, -d12),
-        mo=jnp.where(first, d12, -d01),
-        ro=jnp.where(first, d02, -d02),
-    )
+    b_o, rm = jnp.where(first, 1 / J[2], 1 / J[0]), jnp.where(first, d01, -d12)
+    return first, _Labels(*three.once((b_o, rm, jnp.where(first, d12, -d01), jnp.where(first, d02, -d02))))
 
 
 def _relabelled(first: Array, v: Vector) -> Vector:
@@ -201,7 +219,7 @@ def _relabelled(first: Array, v: Vector) -> Vector:
 def _sorted(J: Array, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
     """Λ⁻¹Λ(τ) as scalar and vector part, and its rounding errors, for ascending moments J."""
     first, b = _labels(J, e)
-    w, v, accuracy = _labelled(b, _relabelled(first, e), tau)
+    w, v, accuracy = _labelled(b, three.once(_relabelled(first, e)), tau)
     return w, _relabelled(first, v), accuracy
 
 
@@ -211,15 +229,14 @@ def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Accurac
     m = _motion(b, e, tau)
     rate = (-b.mo * em * eo, b.ro * eo * er, -b.rm * er * em)
     r = 1 / (m.cn * m.cn + m.S * m.S * b.ro * jnp.where(m.about_r, b.rm * er * er, b.mo * eo * eo))
-    fr, fm, fo = _on_polhode(
-        b,
-        m.R,
+    moved = three.once(
         (
             r * (er * m.q_r + m.S * m.q_o * rate[0]),
             r * (em * m.cn * m.dn + m.S * rate[1]),
             r * (eo * m.q_o + m.S * m.q_r * rate[2]),
-        ),
+        )
     )
+    fr, fm, fo = three.once(_on_polhode(b, m.R, moved))
     theta = jnp.arctan2(b.mo * m.S * em * fm, 1 - fr * fr - b.mo * m.S * em * fr * fo)
     odd = 1 - 2 * jnp.abs(m.halves % 2)  # sn and cn change sign every half period
     fr, fm, fo = jnp.where(m.about_r, 1, odd) * fr, odd * fm, jnp.where(m.about_r, odd, 1) * fo
@@ -228,7 +245,7 @@ def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Accurac
     azimuth = azimuth - jnp.where(m.about_r, jnp.pi * m.halves * jnp.sign(er * b.rm), 0)
     twist = (m.turn + theta - azimuth) / 2
     f = (fr, fm, fo)
-    w, v = _between(e, f, jnp.cos(twist), jnp.sin(twist))
+    w, v = _between(e, f, *three.once((jnp.cos(twist), jnp.sin(twist))))
     length = jnp.abs(dot(f, f) - 1)
     return w, v, Accuracy(*lax.stop_gradient((length, m.condition)))
 
@@ -289,13 +306,13 @@ class _Motion(NamedTuple):
 
 def _motion(b: _Labels, e: Vector, tau: Array) -> _Motion:
     x, y, z = (c * c for c in e)
-    R, excess = b.ro * x + b.mo * y, b.ro * (b.rm * x - b.mo * z)  # excess = f_r − f_o
-    f_r, f_o, nu = b.rm * R, b.mo * (b.ro * z + b.rm * y), b.mo * R
+    R, excess = three.once((b.ro * x + b.mo * y, b.ro * (b.rm * x - b.mo * z)))  # excess = f_r − f_o
+    f_r, f_o, nu = three.once((b.rm * R, b.mo * (b.ro * z + b.rm * y), b.mo * R))
     about_r = excess > 0
     f, g = jnp.where(about_r, f_r, f_o), jnp.where(about_r, f_o, f_r)
     # XLA may work out f τ² more than once, rounded differently: both branches are right on both sides of `near`
     near, nearer, about = (f * tau * tau < c * _NEAR for c in (1, 0.5, 2))
-    f_far = jnp.where(nearer, 1, f)
+    [f_far] = three.once((jnp.where(nearer, 1, f),))
     m1 = jnp.where(nearer, 1, jnp.where(about_r, excess, -excess) / f_far)  # abs() has no derivative at 0
     frequency = jnp.sqrt(f_far)
     K = elliptic.quarter_period(m1)
@@ -303,21 +320,27 @@ def _motion(b: _Labels, e: Vector, tau: Array) -> _Motion:
     halves = lax.stop_gradient(jnp.round(u / (2 * K)))
     sn, cn, dn = elliptic.jacobi(u - 2 * K * halves, m1)
     x, y, time = *(jnp.where(about, k * tau * tau, 0) for k in (f, g)), jnp.where(about, tau, 0)
+    x, y, time = three.once((x, y, time))
     S = jnp.where(near, time * (1 - (x + y) / 6 + (x * x + 14 * x * y + y * y) / 120), sn / frequency)
     cn = jnp.where(near, 1 - x / 2 + x * (x + 4 * y) / 24, cn)
     dn = jnp.where(near, 1 - y / 2 + y * (y + 4 * x) / 24, dn)
-    part, quarter = _third(cn, dn, nu * S * S, m1, nu / f_far)
+    S, cn, dn = three.once((S, cn, dn))
+    part, quarter = _third(cn, dn, nu * S * S, m1, nu / f_far, halves != 0)
     X = S**3 * part + jnp.where(nearer, 0, 2 * halves * quarter / (f_far * frequency))
     lever = jnp.abs(b.ro) * (jnp.abs(b.rm * e[0]) + jnp.abs(b.mo * e[2]))
     condition = jnp.abs(halves) * jnp.where(halves == 0, 0, lever / jnp.where(halves == 0, 1, jnp.abs(excess)))
     return _Motion(about_r, R, nu, S, cn, dn, halves, b.b_o * tau + b.ro * nu * X, condition)
 
 
-def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array) -> tuple[Array, Array]:
-    """R_J/3 of (cn², dn², 1, 1 + n), and that of a quarter period, (0, m1, 1, 1 + n_quarter): one loop for both."""
-    root = jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny))
-    x, y, p = (jnp.stack(pair) for pair in ((cn, jnp.zeros_like(cn)), (dn, root), (1 + n, 1 + n_quarter)))
-    part, quarter = three.components(elliptic.carlson_rj(x, y, jnp.ones_like(x), p) / 3)
+def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array, needed: Array) -> tuple[Array, Array]:
+    """R_J/3 of (cn², dn², 1, 1 + n), and that of a quarter period, (0, m1, 1, 1 + n_quarter): one loop for both.
+
+    Where the quarter period is not needed, it is of arguments of 1, which take no duplication.
+    """
+    one, root = jnp.ones_like(cn), jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny))
+    zero, root, p = (jnp.where(needed, x, 1) for x in (0 * one, root, 1 + n_quarter))
+    x, y, p = (jnp.stack(pair) for pair in ((cn, zero), (dn, root), (1 + n, p)))
+    part, quarter = three.once(three.components(elliptic.carlson_rj(x, y, jnp.ones_like(x), p) / 3))
     return part, quarter
 
 

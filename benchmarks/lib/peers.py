@@ -59,7 +59,7 @@ def _diffrax(
     With a `weight` it integrates heavy tops; so do the other contestants that take one.
     """
     solve = _solver(name, tuple(inertia), weight and tuple(weight), dtype, rtol is not None, wide)
-    return _contestant(name, solve, dt, dtype, rtol, _PACES[name])
+    return by_diffrax(name, solve, dt, dtype, rtol, _PACES[name])
 
 
 tsit5 = partial(_diffrax, "Tsit5")  # of order 5
@@ -73,12 +73,12 @@ def tsit5_of(
 
     A driven system starts at t = 0. The members of a whole batch share their time.
     """
-    found = _contestant(name, _compiled(name, system, rtol is not None, wide, whole), dt, "float64", rtol, pace=1.5e6)
+    found = by_diffrax(name, compiled(name, system, rtol is not None, wide, whole), dt, "float64", rtol, pace=1.5e6)
     title = found.name.replace("vmapped", "one solve of the batch") if whole else found.name
     return found._replace(name=title + ", wide vectors" * wide)
 
 
-def _contestant(
+def by_diffrax(
     name: str, solve: Callable[..., li.State], dt: float, dtype: str, rtol: float | None, pace: float
 ) -> Contestant:
     h, tolerance = (np.asarray(x, dtype) for x in (dt, rtol or 0.0))
@@ -102,10 +102,10 @@ def _solver(
 ) -> Callable[..., li.State]:
     J = np.asarray(inertia, dtype)
     body = li.systems.heavy_top(J, np.asarray(weight, dtype)) if weight else li.systems.rigid_body(J)
-    return _compiled(name, body, adaptive, wide)
+    return compiled(name, body, adaptive, wide)
 
 
-def _compiled(name: str, system: Any, adaptive: bool, wide: bool, whole: bool = False) -> Callable[..., li.State]:
+def compiled(name: str, system: Any, adaptive: bool, wide: bool, whole: bool = False) -> Callable[..., li.State]:
     """(states, number of steps, dt, rtol) ↦ states, compiled once for all numbers."""
     import diffrax
 

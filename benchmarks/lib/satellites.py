@@ -115,7 +115,7 @@ def everything(sizes: measure.Sizes, stride: int) -> dict[str, Any]:
     """All results, as values that JSON can hold; every `stride`-th point of a curve. Run it on one core."""
     notes: list[str] = []
     rates = measure.rates(contestants(notes), BATCH, sizes)
-    points = [x for curve in curves() for x in _points(curve, stride, notes)]
+    points = [x for curve in curves() for x in points_of(curve, END, stride, notes)]
     exact, doubt = reference()
     return {
         "machine": measure.machine(),
@@ -127,27 +127,33 @@ def everything(sizes: measure.Sizes, stride: int) -> dict[str, Any]:
     }
 
 
-def _points(curve: Curve, stride: int, notes: list[str]) -> list[Point]:
+def points_of(curve: Curve, end: float, stride: int, notes: list[str]) -> list[Point]:
+    """Every `stride`-th point of a curve to t = end; if its package is not installed, none, and a note is appended."""
     try:
         if curve.tolerances:
-            return [Point(curve, curve.make(dt=END, rtol=rtol), 1, rtol) for rtol in curve.tolerances[::stride]]
-        return [Point(curve, curve.make(dt=END / n), n, END / n) for n in curve.counts[::stride]]
+            return [Point(curve, curve.make(dt=end, rtol=rtol), 1, rtol) for rtol in curve.tolerances[::stride]]
+        return [Point(curve, curve.make(dt=end / n), n, end / n) for n in curve.counts[::stride]]
     except ImportError as error:
         notes.append(f"{curve.name} left out: {error}")
         return []
 
 
-def at_the_end(points: Sequence[Point], rounds: int, exact: np.ndarray, doubt: float) -> list[dict[str, Any]]:
-    """Milliseconds per 1000 bodies, the best call of each point in turn, and the attitude errors of those watched."""
-    q, p = measure.bodies(BATCH)
+def at_the_end(
+    points: Sequence[Point],
+    rounds: int,
+    exact: np.ndarray,
+    doubt: float,
+    start: measure.States | None = None,
+    apart: Callable[[np.ndarray, np.ndarray], float] = measure.attitude_error,
+) -> list[dict[str, Any]]:
+    """Milliseconds of the whole batch, the best call of each point in turn, and the errors of those watched."""
+    q, p = start or measure.bodies(BATCH)
     timings = race([x.contestant for x in points], q, p, [x.steps for x in points], rounds)
     records = []
     for point, timing in zip(points, timings, strict=True):
         contestant = point.contestant
         end = contestant.advance(contestant.load(q, p), point.steps)
-        errors = [
-            measure.attitude_error(a[None], b[None]) for a, b in zip(contestant.read(end)[0], exact, strict=False)
-        ]
+        errors = [apart(a[None], b[None]) for a, b in zip(contestant.read(end)[0], exact, strict=False)]
         records.append(
             {
                 "curve": point.curve.name,

@@ -64,7 +64,8 @@ def stumpff(x: Array) -> tuple[Array, Array, Array, Array]:
     half = jnp.sin(bound / 2) / (bound / 2), jnp.sinh(free / 2) / (free / 2)
     far = x > 0
     c2 = jnp.where(far, half[0] * half[0], half[1] * half[1]) / 2
-    c3 = jnp.where(far, (1 - jnp.sin(bound) / bound) / bound**2, (jnp.sinh(free) / free - 1) / free**2)
+    sinhc = half[1] * jnp.sqrt(1 + (free * half[1]) ** 2 / 4)  # sinh x = 2 sinh ½x cosh ½x
+    c3 = jnp.where(far, (1 - jnp.sin(bound) / bound) / bound**2, (sinhc - 1) / free**2)
     small = jnp.abs(x) < 1
     c2 = jnp.where(small, horner(_reciprocal_factorials(2, 11), near) / 2, c2)
     c3 = jnp.where(small, horner(_reciprocal_factorials(3, 11), near) / 6, c3)

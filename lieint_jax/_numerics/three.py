@@ -48,7 +48,7 @@ def once(v: Vector) -> Vector:
     XLA fuses a computation into everything that uses it, and so does it again for each, but never a quotient. A long
     computation whose few results have many uses is ten times slower without this.
     """
-    return tuple(x / (1 + 0 * x) for x in v)
+    return tuple(x / (1 + 0 * lax.stop_gradient(x)) for x in v)
 
 
 def hat(v: Vector) -> Matrix:

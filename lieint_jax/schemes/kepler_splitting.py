@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
@@ -19,14 +18,12 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton, three
 from lieint_jax._numerics.power_series import stumpff
-from lieint_jax.groups import so3
-from lieint_jax.potentials import torques
 from lieint_jax.schemes._free_flight import FreeFlight
 from lieint_jax.schemes.bodies_energy_momentum import BODIES
 from lieint_jax.schemes.nystrom import Stages, mirrored
 from lieint_jax.types import Bodies, State, Step, StepInfo, pytree, static
 
-_ITERATIONS = 8  # Newton corrections of Kepler's equation
+_ITERATIONS = 4  # corrections of Kepler's equation, each of order 4
 METHODS: dict[Any, Stages] = {
     2: Stages((0.5, 0.5), (1.0,)),
     (8, 4): Stages(
@@ -78,16 +75,12 @@ class KeplerSplitting(Step):
         return state, info
 
     def _force(self, q: Array) -> Array:
-        """The forces and torques of V₂, (2, 6)."""
-
-        def rest(x: Array, R: Array) -> Array:
-            d = x[1] - x[0]
-            m = self.system.masses
-            return self.system.potential(x, R) + self.G * m[0] * m[1] / jnp.sqrt(three.dot(d, d))
-
-        R = jax.vmap(so3.to_matrix)(q[:, 3:])
-        along_x, along_R = jax.grad(rest, (0, 1))(q[:, :3], R)
-        return jnp.concatenate([-along_x, torques(R, along_R)], axis=1)
+        """The forces and torques of V₂, (2, 6): those of V without Kepler's attraction."""
+        m, d = self.system.masses, three.subtract(q[1], q[0])
+        r2 = three.dot(d, d)
+        kepler = three.scale(self.G * m[0] * m[1] / (r2 * jnp.sqrt(r2)), d)
+        on_first = jnp.stack([*kepler, *[jnp.zeros_like(r2)] * 3])
+        return self.system.force(q) - jnp.stack([on_first, -on_first])
 
     def _drifted(self, state: State, dt: Array) -> tuple[State, StepInfo]:
         """The flow of the Kepler problem and of the free turns; positions and momenta change by increments alone."""
@@ -152,6 +145,7 @@ def kepler_flow(d: Array, v: Array, mu: Array, dt: Array) -> tuple[Array, Array,
     """
     r0, eta = jnp.sqrt(three.dot(d, d)), three.dot(d, v)
     beta = 2 * mu / r0 - three.dot(v, v)
+    bend = mu - beta * r0
 
     def powers(s: Array) -> tuple[Array, Array, Array, Array]:
         c0, c1, c2, c3 = stumpff(beta * s * s)
@@ -162,10 +156,15 @@ def kepler_flow(d: Array, v: Array, mu: Array, dt: Array) -> tuple[Array, Array,
         return r0 * G1 + eta * G2 + mu * G3 - dt
 
     def correction(s: Array, F: Array) -> Array:
+        """Of order 4 (Danby 1987): F and its derivatives r, dr/ds and d²r/ds² at s."""
         G0, G1, G2, _ = powers(s)
-        return F / (r0 * G0 + eta * G1 + mu * G2)
+        r, r1, r2 = r0 * G0 + eta * G1 + mu * G2, eta * G0 + bend * G1, bend * G0 - beta * eta * G1
+        step = F / r
+        step = F / (r - step * r1 / 2)
+        return F / (r - step * (r1 / 2 - step * r2 / 6))
 
-    guess = dt / r0 * (1 - 0.5 * eta * dt / (r0 * r0))
+    tau, lift = dt / r0, eta / (2 * r0)
+    guess = tau * (1 - tau * (lift - tau * (2 * lift * lift - bend / (6 * r0))))
     s, F, steady = newton.root(excess, correction, guess, _ITERATIONS, length=jnp.abs)
     G0, G1, G2, G3 = powers(s)
     r = r0 * G0 + eta * G1 + mu * G2

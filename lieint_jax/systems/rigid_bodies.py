@@ -163,6 +163,8 @@ class RigidBodies(_Many, Bodies):
     def force(self, q: Array) -> Array:
         """The forces −∂V/∂x and the torques −∂V(exp(δ̂)Λ)/∂δ in space, (N, 6)."""
         R = rotations(q)
+        if hasattr(self.potential, "force"):
+            return self.potential.force(q[:, :3], R)  # pyright: ignore
         along_x, along_R = jax.grad(self.potential, (0, 1))(q[:, :3], R)
         return jnp.concatenate([-along_x, potentials.torques(R, along_R)], axis=1)
 
