@@ -259,6 +259,16 @@ class CotangentMotions:
         """The end of a displacement."""
         return self.perturb(start, displacement)
 
+    def units(self, state: State) -> tuple[Array, Array]:
+        """The sizes of a state, in which differences are measured: of δx and δθ, and of δp and δπ, (6N,) each."""
+        x, p, spin = state.q[:, :3], state.p[:, :3], state.p[:, 3:]
+        length, momentum = (_or_one(jnp.max(jnp.abs(y))) for y in (x - jnp.mean(x, axis=0), p))
+        spins = jnp.max(jnp.abs(spin), axis=1, keepdims=True)
+        spins = jnp.where(spins > 0, spins, _or_one(jnp.max(spins)))
+        lengths, along = (jnp.broadcast_to(y, x.shape) for y in (length, momentum))
+        turns = jnp.broadcast_to(spins, x.shape)
+        return _joined(lengths, jnp.ones_like(x)).ravel(), _joined(along, turns).ravel()
+
     def trivialise(self, state: State, tangent: State) -> Array:
         """(δx, δθ, …, δp, δπ, …), shape (12N,), of a tangent vector given in the coordinates of `State`."""
         turning = jax.vmap(so3.spatial_velocity)(state.q[:, 3:], tangent.q[:, 3:])
@@ -280,6 +290,10 @@ class CotangentMotions:
 
 def _joined(linear: Array, angular: Array) -> Array:
     return jnp.concatenate([linear, angular], axis=1)
+
+
+def _or_one(x: Array) -> Array:
+    return jnp.where(x > 0, x, 1)
 
 
 @pytree

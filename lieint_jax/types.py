@@ -197,7 +197,8 @@ class PhaseSpace(Protocol):
     """A manifold with a symplectic form, in coordinates of its tangent spaces that the diagnostics work in.
 
     `origin` is some state of it, at rest, from which `perturb` leads to others. `displacement(a, b)` is smooth
-    coordinates of b, in which a is 0, and `displaced(a, ·)` is its inverse.
+    coordinates of b, in which a is 0, and `displaced(a, ·)` is its inverse. A space of coordinates with different units
+    has `units(state)`, the sizes (dim/2,) of those of δq and of those of δp; by default 1 and the largest of p.
     """
 
     @property

@@ -1,6 +1,7 @@
 """Several rigid bodies: the system, gravity to second order, splitting, and the energy–momentum scheme."""
 
 import functools
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -182,6 +183,24 @@ def test_a_near_collision_is_flagged():
     assert not info.converged
     with pytest.raises(ValueError, match=r"does not converge at dt = 0\.3.* pass one another, too fast"):
         schemes.bodies_energy_momentum(bodies).check(state, 0.3)
+
+
+@pytest.mark.long
+def test_certificates_do_not_depend_on_units():
+    """The binary in units of length, mass and time of its own: the same form, order and way back."""
+    unit = SimpleNamespace(m=3e11, x=900.0, t=4e3)
+    J = BINARY.inertias * unit.m * unit.x**2
+    V = potentials.maccullagh(unit.x**3 / unit.m / unit.t**2, BINARY.masses * unit.m, J)
+    bodies = systems.rigid_bodies(BINARY.masses * unit.m, J, V)
+    momenta = jnp.array([1.0] * 3 + [unit.x] * 3) * unit.m * unit.x / unit.t
+    state = START._replace(q=START.q * jnp.array([unit.x] * 3 + [1.0] * 4), p=START.p * momenta)
+    one = diagnostics.certify(SPLITTING, START, DT, 20)
+    other = diagnostics.certify(schemes.splitting(bodies), state, DT * unit.t, 20)
+    assert other.symplectic_defect < 1e-13  # observed 1e-14
+    assert one.symplectic_order == other.symplectic_order == np.inf
+    assert other.order == pytest.approx(one.order, abs=1e-6)
+    assert other.reversibility < 2e-15
+    assert other.energy == pytest.approx(one.energy, rel=1e-6)
 
 
 @pytest.mark.long

@@ -78,4 +78,4 @@ def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) ->
 def _there_and_back(step: Step, state: State, h: Array, num_steps: ArrayLike) -> Array:
     prepared = step.prepare(state, h)
     end = steps(prepared, state, h, num_steps, start_time(step, state))[0]
-    return distance(steps(prepared, end, -h, num_steps, start_time(step, end))[0], state)
+    return distance(steps(prepared, end, -h, num_steps, start_time(step, end))[0], state, step.system.phase_space)

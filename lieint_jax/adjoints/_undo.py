@@ -77,7 +77,7 @@ def _march_back(tolerance: float, kept: Any, cotangents: tuple[State, Any]) -> t
         lam, sums = carry
         start, end, seen, count = saved
         rebuilt, lam, sums = repeat(count, undo, (end, jax.tree.map(jnp.add, lam, seen), sums), _gammas(step)[::-1])
-        return (lam, sums), distance(rebuilt, start)
+        return (lam, sums), distance(rebuilt, start, step.system.phase_space)
 
     starts = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest])[:-1], state, later)
     zero = jax.tree.map(jnp.zeros_like, (state, (smooth, dt)))

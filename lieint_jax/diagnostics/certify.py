@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax.diagnostics.order import order, reversibility, size
+from lieint_jax.diagnostics.order import order, reversibility, units
 from lieint_jax.diagnostics.series import constraint_error, energy_error, momentum_error
 from lieint_jax.diagnostics.symplectic import defect_matrix
 from lieint_jax.integrate import integrate
@@ -141,10 +141,10 @@ _defect_matrix = jax.jit(defect_matrix)
 
 
 def _form_defect(step: Step, state: State, dt: float) -> float:
-    """The symplectic defect with δπ measured in max|π|, so that it does not depend on units."""
+    """The symplectic defect with δq and δp in units of the state, such as max|π|: it does not depend on ours."""
     defect = np.asarray(_defect_matrix(step, state, dt))
-    p, d = float(size(state.p)), defect.shape[0] // 2
-    unit = np.repeat([p**-0.5, p**0.5], d)
+    of_q, of_p = (np.asarray(x) for x in units(step.system.phase_space, state))
+    unit = np.sqrt(np.concatenate([of_q / of_p, of_p / of_q]))
     return float(np.abs(unit[:, None] * defect * unit).max())
 
 

@@ -22,7 +22,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax.diagnostics.order import size
+from lieint_jax.diagnostics.order import units
 from lieint_jax.integrate import Event, events, saves
 from lieint_jax.types import State, Step, StepInfo, checked_step, on_clock, promoted
 
@@ -129,7 +129,7 @@ def _in_time(step: Step) -> Step:
 @partial(jax.jit, static_argnums=(4, 5, 6))
 def _lyapunov(step: Step, state: State, dt: Array, frame: Array, rounds: int, every: int, batches: int) -> Lyapunov:
     length, rest = divmod(rounds, batches)
-    unit = units(state, frame.shape[0])
+    unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
     zero, t0 = jnp.zeros((), int), state.t
 
     def one(carry: Any, _: None) -> tuple[Any, None]:
@@ -153,11 +153,6 @@ def _lyapunov(step: Step, state: State, dt: Array, frame: Array, rounds: int, ev
     spread = jnp.sqrt(((rates - rates.mean(axis=0)) ** 2).sum(axis=0) / (batches - 1)) if batches > 1 else jnp.nan
     errors = jnp.broadcast_to(spread / batches**0.5, rates.shape[1:])
     return Lyapunov(growth.sum(axis=0) / (jnp.abs(dt) * every * rounds), errors, growth, info)
-
-
-def units(state: State, dim: int) -> Array:
-    """The units of tangent vectors, a column (2d, 1): 1 for δq, the largest component of the momentum for δp."""
-    return jnp.repeat(jnp.stack([jnp.ones((), state.p.dtype), size(state.p)]), dim // 2)[:, None]
 
 
 def orthonormal(W: Array) -> tuple[Array, Array]:
@@ -195,7 +190,7 @@ def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, vector: Array
 
 @partial(jax.jit, static_argnums=4)
 def _megno(step: Step, state: State, dt: Array, vector: Array, num_steps: int) -> Megno:
-    unit, t0 = units(state, vector.size), state.t
+    unit, t0 = jnp.concatenate(units(step.system.phase_space, state))[:, None], state.t
 
     def one(carry: Any, _: None) -> tuple[Any, None]:
         state, W, Y, mean, info, n = carry

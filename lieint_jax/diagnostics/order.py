@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.integrate import steps
-from lieint_jax.types import State, Step, StepInfo, System, clock, promoted, start_time, time_derivative
+from lieint_jax.types import PhaseSpace, State, Step, StepInfo, System, clock, promoted, start_time, time_derivative
 
 _STAGES, _ITERATIONS = 8, 24
 
@@ -75,6 +75,7 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
     step, state, dtype = promoted(step, state)
     floor = 100 * np.sqrt(num_steps) * float(jnp.finfo(dtype).eps)
     seen: dict[float, float] = {}
+    space = step.system.phase_space
 
     def exact(t: ArrayLike) -> State:
         return flow(step.system, state, t, 2 * num_steps)
@@ -83,7 +84,7 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
 
     def look(n: int) -> None:
         last, info = _after(step, state, jnp.asarray(T / n, dtype), n)
-        error = float(distance(last, exact(clock(last) - clock(state)) if end is None else end))
+        error = float(distance(last, exact(clock(last) - clock(state)) if end is None else end, space))
         if error > floor and bool(info.converged):
             seen[T / n] = error
 
@@ -106,8 +107,13 @@ def _after(step: Step, state: State, dt: ArrayLike, num_steps: ArrayLike) -> tup
     return steps(step.prepare(state, dt), state, dt, num_steps, start_time(step, state))
 
 
-def distance(a: State, b: State) -> Array:
-    """The largest difference of two states, in q, and in p over the largest component of p: dimensionless."""
+def distance(a: State, b: State, space: PhaseSpace | None = None) -> Array:
+    """The largest difference of two states, in q, and in p over the largest component of p: dimensionless.
+
+    In the units of the phase space, if it is given and has its own.
+    """
+    if space is not None and getattr(space, "units", None):
+        return jnp.max(jnp.abs(space.displacement(b, a) / jnp.concatenate(units(space, b))))
     return jnp.maximum(jnp.max(jnp.abs(a.q - b.q)), jnp.max(jnp.abs(a.p - b.p)) / size(b.p))
 
 
@@ -117,10 +123,19 @@ def size(p: Array) -> Array:
     return jnp.where(largest > 0, largest, 1)
 
 
+def units(space: PhaseSpace, state: State) -> tuple[Array, Array]:
+    """The units of δq and of δp, (d,) each, in which tangent vectors are dimensionless: 1 and `size`, or its own."""
+    own = getattr(space, "units", None)
+    if own is not None:
+        return own(state)
+    one = jnp.ones(space.dim // 2, state.p.dtype)
+    return one, one * size(state.p)
+
+
 def reversibility(step: Step, state: State, dt: ArrayLike) -> Array:
     """`distance` of z and step(step(z, dt), −dt): zero to round-off if and only if the step is time-symmetric here."""
     step.check(state, dt)
     step, state, dtype = promoted(step, state)
     h = jnp.asarray(_checks.step_size(dt), dtype)
     there, _ = _after(step, state, h, 1)  # `order` has the same program
-    return distance(_after(step, there, -h, 1)[0], state)
+    return distance(_after(step, there, -h, 1)[0], state, step.system.phase_space)

@@ -21,8 +21,8 @@ from jax import Array, lax
 from matplotlib.figure import Figure
 
 from lieint_jax import diagnostics, plots, schemes
-from lieint_jax.diagnostics.chaos import orthonormal, units
-from lieint_jax.diagnostics.order import flow
+from lieint_jax.diagnostics.chaos import orthonormal
+from lieint_jax.diagnostics.order import flow, units
 from lieint_jax.diagnostics.symplectic import pushed
 from lieint_jax.integrate import saves
 from lieint_jax.systems.heavy_top import asymmetric
@@ -80,7 +80,7 @@ def exponents(step: Step, state: State, dt: float, num_steps: int, save_every: i
 def reference(system: System, state: State, t: float, pieces: int) -> Array:
     """The exponents at time t, (2d,), by the vector field alone: collocation of order 16 under autodiff."""
     space = system.phase_space
-    unit = units(state, space.dim)
+    unit = jnp.concatenate(units(space, state))[:, None]
 
     def one(carry: tuple[State, Array, Array], _: None) -> tuple[tuple[State, Array, Array], None]:
         state, frame, sums = carry
@@ -98,7 +98,7 @@ def shadow(step: Step, state: State, dt: float, num_steps: int, every: int = 20,
     Source: Benettin, Galgani & Strelcyn 1976, Phys. Rev. A 14.
     """
     space = step.system.phase_space
-    unit = units(state, space.dim)[:, 0]
+    unit = jnp.concatenate(units(space, state))
 
     def apart(a: State, b: State) -> Array:
         return space.trivialise(a, jax.tree.map(jnp.subtract, b, a)) / unit
