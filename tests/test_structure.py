@@ -173,12 +173,18 @@ once = jax.jit(lambda step, state, dt: step(state, dt))
 
 
 LARGE = ("euler.manakov", "group_potential.bottom_heavy", "rigid_bodies")  # steps that compile for long
+LONG = ("gauss", "extrapolate")  # schemes that do
+
+
+def dear(name):
+    return name.startswith(LARGE) or name.partition("-")[2].startswith(LONG)
+
+
 FIRST = {  # the others in the shards
     (type(step), None if step.own_time else type(step.system)): name for name, step, _, _ in reversed(steps())
 }
 GRID = [
-    pytest.param(*s, id=s[0], marks=[pytest.mark.long] * (s[0].startswith(LARGE) or s[0] not in FIRST.values()))
-    for s in steps()
+    pytest.param(*s, id=s[0], marks=[pytest.mark.long] * (dear(s[0]) or s[0] not in FIRST.values())) for s in steps()
 ]
 
 

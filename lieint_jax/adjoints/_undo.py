@@ -28,7 +28,7 @@ from lieint_jax.adjoints._components import repeat
 from lieint_jax.diagnostics.order import distance
 from lieint_jax.integrate import steps
 from lieint_jax.schemes.compose import Composition
-from lieint_jax.types import State, Step, StepInfo, pytree, start_time, static
+from lieint_jax.types import State, Step, StepInfo, System, pytree, start_time, static
 
 
 @partial(jax.jit, static_argnums=4)
@@ -148,6 +148,10 @@ class _Opened:
     step: Step
     closed: tuple[Array, ...]
     function: Callable[..., tuple[State, StepInfo]] = static()
+
+    @property
+    def system(self) -> System:
+        return self.step.system
 
     @property
     def own_time(self) -> bool:

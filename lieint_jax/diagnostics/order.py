@@ -12,6 +12,7 @@ from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics import collocation
 from lieint_jax.integrate import steps
 from lieint_jax.types import PhaseSpace, State, Step, StepInfo, System, clock, promoted, start_time, time_derivative
 
@@ -31,7 +32,7 @@ def flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
 @partial(jax.jit, static_argnums=3)
 def _flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
     z0, unravel = ravel_pytree(state)
-    A, b = (jnp.asarray(x, z0.dtype) for x in _gauss(_STAGES))
+    _, A, b = (jnp.asarray(x, z0.dtype) for x in collocation.gauss(_STAGES))
     h = jnp.asarray(t, z0.dtype) / num_steps
     f = jax.vmap(lambda z: ravel_pytree(time_derivative(system, unravel(z)))[0])
 
@@ -40,18 +41,6 @@ def _flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
         return z + h * (b @ k), None
 
     return unravel(lax.scan(one, z0, None, length=num_steps)[0])
-
-
-def _gauss(stages: int) -> tuple[np.ndarray, np.ndarray]:
-    """The collocation matrix A and weights b on [0, 1]: A_ij integrates the j-th Lagrange polynomial up to node i.
-
-    By the discrete orthogonality of the Legendre polynomials, without a linear solve.
-    """
-    x, w = np.polynomial.legendre.leggauss(stages)
-    P = np.polynomial.legendre.legvander(x, stages)
-    k = np.arange(1, stages)
-    integrals = np.column_stack([(x + 1) / 2, (P[:, 2:] - P[:, :-2]) / (2 * (2 * k + 1))])
-    return integrals @ ((2 * np.arange(stages) + 1)[:, None] / 2 * w * P[:, :-1].T), w / 2
 
 
 def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:

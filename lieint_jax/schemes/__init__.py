@@ -5,6 +5,8 @@ from lieint_jax.schemes.bodies_energy_momentum import BodiesEnergyMomentum, bodi
 from lieint_jax.schemes.calibrated import Calibrated, calibrated
 from lieint_jax.schemes.compose import Composition, compose
 from lieint_jax.schemes.exact import Exact, exact
+from lieint_jax.schemes.extrapolate import Extrapolated, extrapolate
+from lieint_jax.schemes.gauss import Gauss, gauss
 from lieint_jax.schemes.group_alpha import GroupAlpha, group_alpha
 from lieint_jax.schemes.group_energy_momentum import GroupEnergyMomentum, group_energy_momentum
 from lieint_jax.schemes.group_midpoint import GroupMidpoint, group_midpoint
@@ -29,6 +31,8 @@ __all__ = [
     "Composition",
     "DampedMidpoint",
     "Exact",
+    "Extrapolated",
+    "Gauss",
     "GroupAlpha",
     "GroupEnergyMomentum",
     "GroupMidpoint",
@@ -50,6 +54,8 @@ __all__ = [
     "calibrated",
     "compose",
     "exact",
+    "extrapolate",
+    "gauss",
     "group_alpha",
     "group_energy_momentum",
     "group_midpoint",
