@@ -124,6 +124,7 @@ diagnostics.certify diagnostics.conditions diagnostics.lyapunov diagnostics.megn
 orbits.kepler torques.viscous torques.pd_trace torques.pd_quaternion
 torques.bdot torques.kane_damper torques.thruster torques.solar_plate torques.internal_friction
 schemes.log_hamiltonian schemes.reversible_control diagnostics.local_error
+schemes.gauss schemes.extrapolate
 systems.rigid_bodies potentials.maccullagh potentials.point_masses potentials.point_charges potentials.lennard_jones
 potentials.sites potentials.springs potentials.uniform_field potentials.outer_field potentials.ellipsoid_sphere
 potentials.water schemes.bodies_energy_momentum schemes.nystrom schemes.kepler_splitting

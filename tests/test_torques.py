@@ -687,7 +687,7 @@ def test_advice_where_a_step_is_too_large():
         torqued_midpoint(BODIES["internal friction"]).check(start, 2.0)
 
 
-OTHERS = {"compose", "reversible_control", "torqued_midpoint"}  # the first two take steps
+OTHERS = {"compose", "extrapolate", "reversible_control", "torqued_midpoint"}  # two take steps, one any system
 SCHEMES = sorted(set(_discover.modules(schemes)) - OTHERS)
 
 

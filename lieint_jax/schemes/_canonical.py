@@ -41,22 +41,28 @@ def from_canonical(space: PhaseSpace, z: State) -> State:
     return z._replace(p=_spin(z.q, z.p))
 
 
-def canonical_rate(system: System, z: State) -> State:
-    """The time derivative in canonical coordinates."""
-    space = system.phase_space
-    state = from_canonical(space, z)
+def unit_configuration(space: PhaseSpace, q: Array) -> Array:
+    """q with its quaternions normalised."""
     if isinstance(space, CotangentMotions):
-        unit = jax.vmap(so3.normalise)(z.q[:, 3:])
-        rate = time_derivative(system, state._replace(q=jnp.concatenate([z.q[:, :3], unit], axis=1)))
-        turning = jax.vmap(_spinor_rate)(z.q[:, 3:], z.p[:, 3:], unit, rate.q[:, 3:], rate.p[:, 3:])
-        return rate._replace(
-            q=jnp.concatenate([rate.q[:, :3], turning[0]], axis=1),
-            p=jnp.concatenate([rate.p[:, :3], turning[1]], axis=1),
-        )
-    unit = so3.normalise(z.q)
-    rate = time_derivative(system, state._replace(q=unit))
-    q_dot, p_dot = _spinor_rate(z.q, z.p, unit, rate.q, rate.p)
-    return rate._replace(q=q_dot, p=p_dot)
+        return jnp.concatenate([q[:, :3], jax.vmap(so3.normalise)(q[:, 3:])], axis=1)
+    return so3.normalise(q)
+
+
+def rate(system: System, z: State) -> State:
+    """The time derivative of the state at canonical coordinates z, at unit quaternions."""
+    space = system.phase_space
+    return time_derivative(system, from_canonical(space, z)._replace(q=unit_configuration(space, z.q)))
+
+
+def canonical_rate(system: System, z: State) -> State:
+    """The time derivative of canonical coordinates."""
+    space, moving = system.phase_space, rate(system, z)
+    if not isinstance(space, CotangentMotions):
+        q_dot, p_dot = _spinor_rate(z.q, z.p, moving.q, moving.p)
+        return moving._replace(q=q_dot, p=p_dot)
+    turning = jax.vmap(_spinor_rate)(z.q[:, 3:], z.p[:, 3:], moving.q[:, 3:], moving.p[:, 3:])
+    q_dot, p_dot = (jnp.concatenate([x[:, :3], y], axis=1) for x, y in zip(moving[:2], turning, strict=True))
+    return moving._replace(q=q_dot, p=p_dot)
 
 
 def _spinor(q: Array, spin: Array) -> Array:
@@ -69,8 +75,8 @@ def _spin(q: Array, p: Array) -> Array:
     return so3.spatial_velocity(q, p) / 4
 
 
-def _spinor_rate(q: Array, p: Array, unit: Array, turning: Array, torque: Array) -> tuple[Array, Array]:
+def _spinor_rate(q: Array, p: Array, turning: Array, torque: Array) -> tuple[Array, Array]:
     """q̇ and ṗ, of the q̇ = `turning` at the unit quaternion q/|q|, and of the torque there."""
-    square = jnp.sum(q * q)
-    half_rate = so3.multiply(so3.inverse(unit), turning)
-    return jnp.sqrt(square) * turning, so3.multiply(p, half_rate) + 4 / square * so3.spatial_tangent(q, torque)
+    length = jnp.sqrt(jnp.sum(q * q))
+    half_rate = so3.multiply(so3.inverse(q), turning) / length
+    return length * turning, so3.multiply(p, half_rate) + 4 / length**2 * so3.spatial_tangent(q, torque)

@@ -19,7 +19,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import collocation
-from lieint_jax.schemes._canonical import canonical, canonical_rate, from_canonical, known
+from lieint_jax.schemes._canonical import canonical, canonical_rate, known, rate, unit_configuration
+from lieint_jax.schemes._capability import hint
 from lieint_jax.types import (
     Bodies,
     Driven,
@@ -63,10 +64,10 @@ class Gauss(Step):
         return f"gauss[{self.stages}]" if self.sweeps is None else f"gauss[{self.stages}, {self.sweeps} sweeps]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        space = self.system.phase_space
-        equation = _Equation(self.system, canonical(space, state), jnp.asarray(dt, state.p.dtype), self.stages)
+        start = canonical(self.system.phase_space, state)
+        equation = _Equation(self.system, start, jnp.asarray(dt, state.p.dtype), self.stages)
         k, change = _solved(equation, self.sweeps)
-        end = from_canonical(space, equation.end(k))
+        end = equation.end(state, k)
         finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(end)]))
         return end, StepInfo(change, finite & (change <= _CONVERGED * float(jnp.finfo(change.dtype).eps)))
 
@@ -101,8 +102,8 @@ def gauss(system: System, stages: int = 8, sweeps: int | None = None) -> Gauss:
     """
     if not (isinstance(system, _KINDS) and known(system.phase_space)):
         raise ValueError(
-            f"gauss integrates free bodies, gyrostats, tops and several bodies, got {type(system).__name__}; on other "
-            "groups take group_midpoint, on the sphere sphere_midpoint, for pseudo-rigid bodies additive"
+            "gauss integrates free bodies, gyrostats, tops and several bodies, got "
+            f"{type(system).__name__}{hint('gauss', system)}"
         )
     s = _checks.count("stages", stages, 1)
     return Gauss(system, s, None if sweeps is None else _checks.count("sweeps", sweeps, 1), 2.0 * s)
@@ -116,29 +117,35 @@ class _Equation(NamedTuple):
     dt: Array
     stages: int
 
-    def rates(self, k: State) -> State:
-        """f(Z_i) of the stages Z_i = z_n + Δt Σ a_ij k_j."""
+    def at_stages(self, k: State) -> State:
+        """Z_i = z_n + Δt Σ a_ij k_j."""
         _, A, _ = collocation.gauss(self.stages)
 
-        def at_stages(z: Array, slope: Array) -> Array:
+        def moved(z: Array, slope: Array) -> Array:
             return z + self.dt * jnp.tensordot(jnp.asarray(A, z.dtype), slope, 1)
 
-        Z = jax.tree.map(at_stages, self.start, k)
-        return jax.vmap(lambda z: canonical_rate(self.system, z))(Z)
+        return jax.tree.map(moved, self.start, k)
 
     def residual(self, k: State) -> State:
         """k − f(Z)."""
-        return jax.tree.map(jnp.subtract, k, self.rates(k))
+        rates = jax.vmap(lambda z: canonical_rate(self.system, z))(self.at_stages(k))
+        return jax.tree.map(jnp.subtract, k, rates)
 
     def guess(self) -> State:
         """The derivative at the start, at all stages."""
         rate = canonical_rate(self.system, self.start)
         return jax.tree.map(lambda x: jnp.broadcast_to(x, (self.stages, *x.shape)), rate)
 
-    def end(self, k: State) -> State:
-        """z_{n+1}."""
+    def end(self, state: State, k: State) -> State:
+        """The state at n + 1. π moves by Δt Σ b_i τ_i, as any quadratic function of z does, without rounding p q̄."""
         _, _, b = collocation.gauss(self.stages)
-        return jax.tree.map(lambda z, x: z + self.dt * jnp.tensordot(jnp.asarray(b, z.dtype), x, 1), self.start, k)
+
+        def moved(z: Array, slope: Array) -> Array:
+            return z + self.dt * jnp.tensordot(jnp.asarray(b, z.dtype), slope, 1)
+
+        torques = jax.vmap(lambda z: rate(self.system, z).p)(self.at_stages(k))
+        end = jax.tree.map(moved, state, k._replace(p=torques))
+        return end._replace(q=unit_configuration(self.system.phase_space, end.q))
 
     def change(self, a: State, b: State) -> Array:
         """The largest difference of Δt k, in units of q, which are 1 at least, and of the largest of p."""

@@ -1,0 +1,166 @@
+"""Gauss collocation in canonical coordinates, and extrapolated midpoint steps."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax import diagnostics, schemes, systems
+from lieint_jax.diagnostics.order import distance, flow
+from lieint_jax.schemes._canonical import canonical, canonical_rate, from_canonical
+from lieint_jax.schemes.extrapolate import weights
+from lieint_jax.systems.heavy_top import asymmetric
+from lieint_jax.systems.rigid_bodies import examples as bodies
+
+TOP, STATE = asymmetric()
+STEP = schemes.gauss(TOP)
+
+
+@functools.cache
+def example(name):
+    """A system, a state and a moderate step: |Δt Ω| up to .6."""
+    if name == "top":
+        return TOP, STATE, 0.25
+    if name == "binary":
+        system, state, _ = bodies()["binary"]
+        return system, state, 0.4
+    body = {
+        "free": systems.rigid_body([1.0, 2.0, 2.6]),
+        "gyrostat": systems.gyrostat([1.0, 2.0, 2.6], [0.2, -0.1, 0.4]),
+        "driven": systems.driven_top([1.0, 2.0, 2.6], lambda Gamma, t: (1 + 0.3 * jnp.sin(2 * t)) * Gamma[2]),
+    }[name]
+    more = {"t": 0.3, "work": 0.0} if name == "driven" else {}
+    return body, body.state([1.0, 0, 0, 0], angular_velocity=[0.4, 0.5, 0.9], **more), 0.5
+
+
+NAMES = ["top", "free", "gyrostat", "driven", "binary"]
+OTHERS = [NAMES[0], *(pytest.param(name, marks=pytest.mark.long) for name in NAMES[1:])]
+
+
+@pytest.mark.parametrize("name", ["top", pytest.param("binary", marks=pytest.mark.long)])
+def test_canonical_coordinates_are_those_of_the_system(name):
+    """There and back; their rate pushed forward is the vector field; the pair (q, p) has the lengths that it should."""
+    system, state, _ = example(name)
+    space = system.phase_space
+    z = canonical(space, state)
+    assert distance(from_canonical(space, z), state) < 1e-15
+    rate = canonical_rate(system, z)
+    _, pushed = jax.jvp(lambda z: from_canonical(space, z), (z,), (rate,))
+    for a, b in zip(pushed[:2], system.vector_field(state)[:2], strict=True):
+        np.testing.assert_allclose(a, b, atol=2e-15 * float(jnp.abs(b).max()))
+    q, p = (z.q, z.p) if name == "top" else (z.q[0, 3:], z.p[0, 3:])
+    assert abs(float(q @ p)) < 1e-15
+    assert float(p @ p) == pytest.approx(
+        4 * float(jnp.sum(state.p.reshape(-1, state.p.shape[-1])[0, -3:] ** 2)), rel=1e-14
+    )
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_form_momentum_length_and_way_back(name):
+    """One step at |Δt Ω| of .25 to .6; observed at most: form 1e-15, momentum and way back 1e-16, energy 2e-16."""
+    system, state, dt = example(name)
+    step = schemes.gauss(system)
+    end, info = jax.jit(step)(state, dt)
+    assert info.converged
+    assert diagnostics.symplectic_defect(step, state, dt) < 2e-14
+    assert jnp.max(jnp.abs(system.momentum(end) - system.momentum(state)), initial=0) < 1e-15
+    assert abs(float(system.phase_space.defect(end))) < 2e-15
+    assert diagnostics.reversibility(step, state, dt) < 3e-15
+    if name != "driven":
+        assert abs(float(system.energy(end) - system.energy(state))) < 1e-12
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("stages", range(2, 9))
+def test_the_order_is_twice_the_number_of_stages(stages):
+    """Against the flow by the vector field, with steps of up to 1.2; observed within .6."""
+    T, least = 4.8, {2: 48, 3: 24, 4: 12, 5: 8, 6: 6, 7: 5, 8: 4}[stages]
+    exact = flow(TOP, STATE, T, 200)
+    counts = [least, round(1.5 * least)]
+    errors = []
+    for n in counts:
+        path = li.integrate(schemes.gauss(TOP, stages), STATE, T / n, n, n)
+        assert path.info.converged.all()
+        errors.append(float(distance(jax.tree.map(lambda x: x[-1], path.state), exact)))
+    order = np.log(errors[0] / errors[1]) / np.log(counts[1] / counts[0])
+    assert order == pytest.approx(2 * stages, abs=0.8)
+    assert errors[1] > 1e-13
+
+
+@pytest.mark.long
+def test_energy_and_momentum_over_a_long_run():
+    """2000 steps of .1; observed 5e-15 and 0."""
+    path = li.integrate(STEP, STATE, 0.1, 2000, 20)
+    assert path.info.converged.all()
+    assert float(jnp.abs(diagnostics.energy_error(TOP, path)).max()) < 3e-14
+    assert float(jnp.abs(diagnostics.momentum_error(TOP, path)).max()) < 1e-15
+
+
+@pytest.mark.long
+def test_derivatives_forward_reverse_reversible_and_differences():
+    def end(weight, run):
+        top = systems.heavy_top(TOP.inertia, weight)
+        path = run(schemes.gauss(top, 4), STATE._replace(p=STATE.p * weight[2]), 0.1, 10, 10)
+        return jnp.sum(jnp.sin(path.state.q[-1])) + jnp.sum(path.state.p[-1] ** 2)
+
+    weight = jnp.array([0.2, 0.3, 1.0])
+    forward = jax.jit(jax.jacfwd(lambda w: end(w, li.integrate)))(weight)
+    reverse = jax.jit(jax.grad(lambda w: end(w, li.integrate)))(weight)
+    undone = jax.jit(jax.grad(lambda w: end(w, li.studies.reversible)))(weight)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-12)
+    np.testing.assert_allclose(undone, forward, rtol=1e-11)
+    f, h = jax.jit(lambda w: end(w, li.integrate)), 1e-3
+    for k, e in enumerate(jnp.eye(3)):
+        slope = (8 * (f(weight + h * e) - f(weight - h * e)) - f(weight + 2 * h * e) + f(weight - 2 * h * e)) / (12 * h)
+        assert float(forward[k]) == pytest.approx(float(slope), rel=1e-8)
+
+
+def test_too_few_sweeps_and_too_long_steps_are_flagged():
+    few, info = jax.jit(schemes.gauss(TOP, sweeps=4))(STATE, 0.25)
+    assert not info.converged
+    assert 1e-12 < info.residual < 1e-2
+    assert distance(few, STEP(STATE, 0.25)[0]) < 1e-3
+    assert not jax.jit(STEP)(STATE, 30.0)[1].converged
+    with pytest.raises(ValueError, match=r"its sweeps diverge.* Take a smaller dt"):
+        li.integrate(STEP, STATE, 30.0, 1)
+
+
+def test_what_gauss_and_extrapolate_refuse():
+    for make, message in [
+        (
+            lambda: schemes.gauss(systems.pendulum(1.0, 1.0)),
+            "gauss integrates free bodies, gyrostats, tops and several bodies",
+        ),
+        (lambda: schemes.gauss(TOP, 0), "stages"),
+        (lambda: schemes.gauss(TOP, sweeps=0), "sweeps"),
+        (lambda: schemes.extrapolate(TOP, 5), "order must be an even number from 4 to 20"),
+        (lambda: schemes.extrapolate(1.0), "extrapolate integrates systems"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            make()
+
+
+def test_the_weights_cancel_even_powers():
+    numbers = [2, 4, 6, 8, 10, 12]
+    w = np.array(weights(numbers))
+    sums = [np.sum(w * np.array(numbers, float) ** (-2 * k)) for k in range(6)]
+    np.testing.assert_allclose(sums, [1, 0, 0, 0, 0, 0], atol=1e-14)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("order", [4, 8, 12])
+def test_extrapolated_steps_have_their_order(order):
+    """On the binary, which no chart or group knows of."""
+    system, state, _ = bodies()["binary"]
+    T, least = 8.0, {4: 64, 8: 16, 12: 8}[order]
+    exact = flow(system, state, T, 200)
+    errors = []
+    for n in (least, 2 * least):
+        path = li.integrate(schemes.extrapolate(system, order), state, T / n, n, n)
+        assert path.info.converged.all()
+        errors.append(float(distance(jax.tree.map(lambda x: x[-1], path.state), exact, system.phase_space)))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.8)
+    assert errors[1] > 1e-14
