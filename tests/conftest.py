@@ -11,6 +11,7 @@ its present ones, and without LLVM's optimisations in two thirds of that; the pr
 cache on disk. The shards see to it that every test also passes without these.
 """
 
+import ctypes
 import gc
 import os
 import subprocess
@@ -33,6 +34,7 @@ QUICK = (
     "--xla_cpu_parallel_codegen_split_count=1",
     "--xla_backend_optimization_level=0",
 )
+_LARGE = 3 * 2**30  # bytes
 OPTIONS = {
     "jax_compilation_cache_dir": str(Path(__file__).parents[1] / ".jax_cache"),
     "jax_persistent_cache_min_compile_time_secs": 0,
@@ -56,6 +58,20 @@ def pytest_configure(config):
     for name, value in OPTIONS.items():
         jax.config.update(name, value)
         os.environ[name.upper()] = str(value)
+
+
+def pytest_runtest_teardown():
+    """A worker that holds much forgets its compiled programs: four of them filled 24 GiB in a shard."""
+    if _resident() > _LARGE:
+        jax.clear_caches()
+        gc.collect()
+        ctypes.CDLL(None).malloc_trim(0)  # else glibc keeps what was freed
+
+
+def _resident():
+    """The memory of this process in bytes, on Linux with glibc; 0 elsewhere."""
+    known = sys.platform == "linux" and hasattr(ctypes.CDLL(None), "malloc_trim")
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if known else 0
 
 
 def pytest_collection_modifyitems(config, items):

@@ -22,6 +22,7 @@ EXPECTED = {  # a table of prototypes, from a state that was not kept; by force 
 FLOOR = 2e-12, 3e-12  # of the reference: DOP853 at 3e-14 and at 1e-13 differ by 1.3e-12 and 2.9e-12
 
 
+@pytest.mark.long
 def test_the_best_kepler_splitting_at_600_forces():
     """Observed 4e-10 and 4e-9."""
     position, attitude = kw4.errors("kepler (8, 6, 4)", 600)

@@ -115,6 +115,7 @@ def test_carlson_s_integrals():
         np.testing.assert_allclose(evaluate(*map(jnp.asarray, (x, y, z))), known, rtol=3e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [[3.0, 0.4, 0.5], [2.01, 0, 0], [0, 0, 0.71], [0.1, 0.1, 0.1], [100.0, 30, 20]])
 def test_an_ellipsoid_attracts_as_dirichlet_s_integral_says(place):
     """By quadrature to its 1e-10; Laplace's and Poisson's equation to round-off."""
@@ -171,7 +172,7 @@ HANGING = {
     ("field", "scheme"),
     [
         pytest.param("uniform", "splitting", marks=pytest.mark.long),
-        ("uniform", "bodies_energy_momentum"),
+        pytest.param("uniform", "bodies_energy_momentum", marks=pytest.mark.long),
         pytest.param("central", "splitting", marks=pytest.mark.long),
     ],
 )
