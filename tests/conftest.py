@@ -60,7 +60,7 @@ def pytest_configure(config):
         os.environ[name.upper()] = str(value)
 
 
-def pytest_runtest_teardown():
+def pytest_runtest_logfinish():
     """A worker that holds much forgets its compiled programs: four of them filled 24 GiB in a shard."""
     if _resident() > _LARGE:
         jax.clear_caches()
