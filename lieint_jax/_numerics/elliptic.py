@@ -1,4 +1,6 @@
-"""Elliptic functions and Carlson's integrals, by a fixed number of iterations, in the dtype of their arguments.
+"""Elliptic functions and Carlson's integrals, in the dtype of their arguments.
+
+All but R_J take a fixed number of iterations; R_J as many as it needs, its derivatives a fixed number.
 
 m = k² is the parameter; the argument is always its complement m1 = 1 − m, so that nothing cancels near m = 1.
 """

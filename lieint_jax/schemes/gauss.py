@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
@@ -22,7 +23,6 @@ from lieint_jax._numerics import collocation
 from lieint_jax.schemes._canonical import canonical, canonical_rate, known, rate, unit_configuration
 from lieint_jax.schemes._capability import hint
 from lieint_jax.types import (
-    Bodies,
     Driven,
     Forced,
     FreeBodies,
@@ -40,7 +40,7 @@ _LEAST, _MOST = 6, 100  # sweeps
 _STALLED = 2**16  # eps: a change below it that no longer falls is rounding
 _CONVERGED = 32  # eps: the largest last change of a step that converged
 _REFINEMENTS = 60  # sweeps of the linear equations for derivatives
-_KINDS = (FreeBody, Forced, Driven, Gyrostat, FreeBodies, Bodies)
+_KINDS = (FreeBody, Forced, Driven, Gyrostat, FreeBodies)
 
 
 @pytree
@@ -119,12 +119,11 @@ class _Equation(NamedTuple):
 
     def at_stages(self, k: State) -> State:
         """Z_i = z_n + Δt Σ a_ij k_j."""
-        _, A, _ = collocation.gauss(self.stages)
+        return self.moved(self.start, k, collocation.gauss(self.stages)[1])
 
-        def moved(z: Array, slope: Array) -> Array:
-            return z + self.dt * jnp.tensordot(jnp.asarray(A, z.dtype), slope, 1)
-
-        return jax.tree.map(moved, self.start, k)
+    def moved(self, z: State, k: State, weights: np.ndarray) -> State:
+        """z + Δt Σ w_j k_j, of every row of weights."""
+        return jax.tree.map(lambda z, x: z + self.dt * jnp.tensordot(jnp.asarray(weights, z.dtype), x, 1), z, k)
 
     def residual(self, k: State) -> State:
         """k − f(Z)."""
@@ -138,13 +137,8 @@ class _Equation(NamedTuple):
 
     def end(self, state: State, k: State) -> State:
         """The state at n + 1. π moves by Δt Σ b_i τ_i, as any quadratic function of z does, without rounding p q̄."""
-        _, _, b = collocation.gauss(self.stages)
-
-        def moved(z: Array, slope: Array) -> Array:
-            return z + self.dt * jnp.tensordot(jnp.asarray(b, z.dtype), slope, 1)
-
         torques = jax.vmap(lambda z: rate(self.system, z).p)(self.at_stages(k))
-        end = jax.tree.map(moved, state, k._replace(p=torques))
+        end = self.moved(state, k._replace(p=torques), collocation.gauss(self.stages)[2])
         return end._replace(q=unit_configuration(self.system.phase_space, end.q))
 
     def change(self, a: State, b: State) -> Array:
