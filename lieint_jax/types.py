@@ -720,6 +720,11 @@ def time_derivative(system: System, state: State) -> State:
     return rest._replace(**moved | ({} if state.t is None else {"t": jnp.ones_like(state.t)}))
 
 
+def all_finite(tree: Any) -> Array:
+    """Whether all arrays of a tree are finite, a scalar."""
+    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(tree)]))
+
+
 def energy_less_work(system: System, state: State) -> Array:
     """H − W, a scalar, which is conserved: W is `state.work`, 0 if it is not counted."""
     energy = system.energy(state)

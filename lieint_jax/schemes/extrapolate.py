@@ -18,7 +18,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES
-from lieint_jax.types import Bodies, State, Step, StepInfo, System, Top, pytree, static, time_derivative
+from lieint_jax.types import Bodies, State, Step, StepInfo, System, Top, all_finite, pytree, static, time_derivative
 
 _ROUGH = 1e-3  # the largest relative difference between the last two orders of a step that converged
 
@@ -47,8 +47,7 @@ class Extrapolated(Step):
         best, second = (_combined(found[:m], weights(numbers[:m])) for m in (len(numbers), len(numbers) - 1))
         end = jax.tree.map(jnp.add, state, best)
         off = jnp.maximum(*(_relative(a - b, z) for a, b, z in ((best.q, second.q, end.q), (best.p, second.p, end.p))))
-        finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(end)]))
-        return end, StepInfo(lax.stop_gradient(off), finite & (off <= _ROUGH))
+        return end, StepInfo(lax.stop_gradient(off), all_finite(end) & (off <= _ROUGH))
 
     def _midpoint(self, start: State, slope: State, dt: Array, n: int) -> State:
         """S_n."""

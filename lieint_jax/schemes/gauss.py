@@ -32,6 +32,7 @@ from lieint_jax.types import (
     Step,
     StepInfo,
     System,
+    all_finite,
     pytree,
     static,
 )
@@ -68,8 +69,7 @@ class Gauss(Step):
         equation = _Equation(self.system, start, jnp.asarray(dt, state.p.dtype), self.stages)
         k, change = _solved(equation, self.sweeps)
         end = equation.end(state, k)
-        finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(end)]))
-        return end, StepInfo(change, finite & (change <= _CONVERGED * float(jnp.finfo(change.dtype).eps)))
+        return end, StepInfo(change, all_finite(end) & (change <= _CONVERGED * float(jnp.finfo(change.dtype).eps)))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         limit = "its sweeps diverge" if self.sweeps is None else f"{self.sweeps} sweeps are too few"
