@@ -85,10 +85,10 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
     from lieint_jax.ensemble._run import CompiledLoop
     from lieint_jax.integrate import Uniform
 
-    layout = _layout.layout_of(ensemble.first_devices(devices), len(states.p))
     nodes = np.array([0, num_steps])
     clock = Uniform(jnp.zeros(()), jnp.asarray(dt))
     job = Job(step, states, None, dt, clock, num_steps, nodes * dt, nodes, None, num_steps, None, None)
+    layout = _layout.layout_of(ensemble.first_devices(devices), len(states.p), whole=job.whole)
     loop = CompiledLoop(job, layout, buffer_rows=1, progress=False)
 
     def call() -> Any:

@@ -621,6 +621,11 @@ class Step(abc.ABC):
         """Whether the step itself advances `state.t`, which must be there; then dt is a step of a fictitious time."""
         return False
 
+    @property
+    def one_kernel(self) -> bool:
+        """Whether an ensemble on a CPU compiles its loop over this step as one kernel: worth it for short steps."""
+        return False
+
     def start(self, state: State) -> State:
         """`state` with what else the states of this step carry, as it is at the start of a run; here nothing."""
         return state

@@ -264,6 +264,7 @@ def test_the_midpoint_rule_loses_energy_and_none_of_the_form():
     assert _defect_by_differences(step, SOFT_STATE, 0.1) < 1e-8  # of differences
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("rule", "force", "condition", "gamma"),
     [
@@ -337,6 +338,7 @@ def test_the_rules_with_gamma_say_where_they_fail():
 # Materials ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("W", ["user", "saint_venant_kirchhoff", "neo_hookean"])
 def test_every_material_keeps_energy(W):

@@ -173,6 +173,7 @@ def test_no_other_kappa_keeps_angular_momentum():
     assert jnp.abs(change[3:]).max() > 1e-7  # 9e-7; what is kept is kept to 1e-15
 
 
+@pytest.mark.long
 def test_a_near_collision_is_flagged():
     """Two heavy points that meet head on in one step."""
     bodies = systems.rigid_bodies(

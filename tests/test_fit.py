@@ -189,6 +189,7 @@ def test_a_first_guess_that_fails_is_reported():
     assert found.params[0] == -1
 
 
+@pytest.mark.long
 def test_many_starts_at_once_and_the_best_is_taken():
     def loss(x):
         return jnp.array([jnp.sin(3 * x) + 0.2 * x**2 + 0.1 * x + 2])  # minima of different depths
@@ -258,6 +259,7 @@ def test_a_bounded_fit_stays_inside_and_a_guess_outside_is_refused():
         studies.fit(loss, {"a": -1.0, "b": 0.0}, bounds=bounds)
 
 
+@pytest.mark.long
 def test_covariance_does_not_depend_on_the_bound():
     plain = studies.fit(residuals, TRUTH)
     bounded = studies.fit(residuals, TRUTH, bounds=studies.positive)

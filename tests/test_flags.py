@@ -27,6 +27,7 @@ FREE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", FREE)
 def test_a_narrower_inertia_is_widened_to_the_state(scheme):
     """float32 moments are the numbers that they are: same bits as from their float64 values."""

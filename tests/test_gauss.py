@@ -118,6 +118,7 @@ def test_derivatives_forward_reverse_reversible_and_differences():
         assert float(forward[k]) == pytest.approx(float(slope), rel=1e-8)
 
 
+@pytest.mark.long
 def test_too_few_sweeps_and_too_long_steps_are_flagged():
     few, info = jax.jit(schemes.gauss(TOP, sweeps=4))(STATE, 0.25)
     assert not info.converged

@@ -46,6 +46,7 @@ def measured(step, state, dt):
     return after, info.converged, defect, *change
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("alpha", [0.3, 0.0, 1.0])
 def test_without_a_potential_momentum_is_kept_for_every_alpha_and_the_rest_is_not(alpha):

@@ -123,6 +123,7 @@ def test_refuted_no_kappa_is_symplectic_for_a_gyrostat(kappa):
         np.testing.assert_allclose(found[:, 2] / found[:, 1], 2, rtol=0.03)
 
 
+@pytest.mark.long
 def test_turn_exact_turn_is_symplectic():
     found = np.asarray(defects(schemes.splitting(GYROSTAT), STATE, DTS, ROTORS * 3))
     assert found.max() < 8e-15  # floor 3e-15
@@ -261,6 +262,7 @@ def test_a_slow_wheel_turns_the_satellite_about_its_momentum():
     np.testing.assert_allclose(to_body(end.q, end.p), [1.2, 0, 0.9], atol=2e-3)  # 6e-4, and falls as 1/duration³
 
 
+@pytest.mark.long
 def test_work_that_nobody_counts_is_not_counted():
     end, _ = after(schemes.so3_midpoint(DRIVEN), START._replace(work=None), 0.1, 3)
     assert end.work is None
@@ -334,6 +336,7 @@ def growth(J, spin, wheel):
     return li.groups.so3.to_matrix(end.q).T @ L[:3, :3]
 
 
+@pytest.mark.long
 def test_a_spin_is_stable_by_the_rule_of_the_gyrostat_and_of_no_other():
     """Without dissipation: (λ − J₁Ω)(λ − J₂Ω) > 0 with λ = J₃Ω + h_r; and the rate is the root of it over J₁J₂."""
     Omega, dt = 0.5, 0.05
@@ -367,6 +370,7 @@ def nutation_with_a_damper(moments, h, spin, seconds=400.0):
     return across[1] / across[0]
 
 
+@pytest.mark.long
 def test_with_a_damper_the_rule_is_that_of_the_major_axis():
     """λ/Ω must be above both J₁ and J₂, or negative: less stable than without. A prolate body, stable without a wheel
     and without a damper, is stable with a wheel that makes λ/Ω the largest."""

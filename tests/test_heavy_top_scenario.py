@@ -84,6 +84,7 @@ def of_order_4():
     return step.system, path
 
 
+@pytest.mark.long
 def test_the_measured_motion_tends_to_the_closed_form():
     """At order 4 with dt = .01: the period to 1e-4 of the closed form, the precession and the inclinations to 1e-5."""
     bounds = {"nutation": 1e-4, "mean": 1e-5, "least": 1e-11, "greatest": 1e-5}  # 8e-5, 3e-6, 1e-12, 7e-6

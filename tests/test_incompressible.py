@@ -37,6 +37,7 @@ def _steps(E, F, V, dt):
     return energy_error(body, run) / body.energy(state), momentum_error(body, run) / size, volume, run.info.converged
 
 
+@pytest.mark.long
 @hypothesis.settings(max_examples=12)
 @hypothesis.given(matrices, matrices, st.tuples(*[st.floats(0.5, 2)] * 3).map(np.array), st.sampled_from([-0.02, 0.02]))
 def test_energy_momentum_and_volume_are_kept(A, V, E, dt):

@@ -162,6 +162,7 @@ def test_claim_4_the_step_is_the_midpoint_rule_in_the_coordinates():
     np.testing.assert_allclose(zs[1] - zs[0], change, atol=4e-15)
 
 
+@pytest.mark.long
 def test_claim_5_in_spherical_coordinates_energy_is_not_kept_even_for_linear_g():
     energy = in_the_chart()[1]
     assert 1e-5 < np.abs(energy).max() < 1e-1

@@ -254,6 +254,7 @@ def test_gradients_in_the_numbers_of_a_potential():
         assert float(forward[k]) == pytest.approx(float(slope), rel=1e-9, abs=1e-11)
 
 
+@pytest.mark.long
 def test_single_precision_stays_single():
     def f32(tree):
         return jax.tree.map(lambda a: a.astype(jnp.float32), tree)

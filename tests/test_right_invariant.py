@@ -26,6 +26,7 @@ def made(name, turn=0.4):
     return system, system.state(q, velocity=velocity)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.slow
 def test_energy_and_body_momentum_are_kept_and_the_order_is_two(name):

@@ -130,6 +130,7 @@ def flipped(data):
     return data[:k] + bytes([data[k] ^ 1]) + data[k + 1 :]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_damaged_file_of_any_kind_is_named_and_not_used(tmp_path, small_chunks, monkeypatch, fault):
     """One file of each array, of its metadata, of the checkpoint, and the root, of a run that is half done."""
@@ -168,6 +169,7 @@ def test_a_damaged_file_of_any_kind_is_named_and_not_used(tmp_path, small_chunks
     assert same_folders(path, tmp_path / "whole.zarr")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reduce", [None, "energy"])
 def test_an_end_at_any_write_leaves_a_store_that_resumes_to_the_same_bits(tmp_path, small_chunks, monkeypatch, reduce):
     """A crash at one wait for the disk after another, between which lie all writes and renames."""

@@ -155,6 +155,7 @@ def test_result_08_energy_momentum_is_not_symplectic(kappas, kappa):
     assert np.log2(coarse / fine) == pytest.approx(3, abs=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*TOPS, "three_wells"])
 def test_splitting_is_symplectic_and_keeps_gamma_dot_pi(name):
     top, state = three_wells() if name == "three_wells" else (TOPS[name], start(TOPS[name]))

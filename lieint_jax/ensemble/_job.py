@@ -5,8 +5,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple, Protocol
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
+from lieint_jax._numerics import kernel
 from lieint_jax.ensemble import _layout
 from lieint_jax.ensemble._layout import Layout
 from lieint_jax.ensemble._leaves import shared_time
@@ -15,7 +18,25 @@ from lieint_jax.integrate import Given, Uniform
 from lieint_jax.types import State, Step, StepInfo
 
 _CHUNK_BYTES, _MEMORY = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
+_COMPONENTS = 40  # the most of a state in a loop that is one kernel
 _CHUNK_WORK = 2e8  # the most body-steps between two writes, unless a single save interval has more
+
+
+def _suits(step: Step, state: State, dt: float, reduction: Reduction | None) -> bool:
+    """Whether a step, and the reduced quantity, may be part of a kernel."""
+
+    def both(step: Step, state: State, dt: Array) -> Any:
+        end, info = step(state, dt)
+        return end, info, None if reduction is None else reduction(step, end)
+
+    leaves, structure = jax.tree.flatten((step, state, jnp.asarray(dt, state.p.dtype)))
+    key = structure, reduction, tuple((x.shape, x.dtype) for x in map(jnp.asarray, leaves))
+    if key not in _suited:
+        _suited[key] = kernel.suits(both, *structure.unflatten(leaves))
+    return _suited[key]
+
+
+_suited: dict[Any, bool] = {}
 
 
 class Summary(NamedTuple):
@@ -77,6 +98,15 @@ class Job(NamedTuple):
     def initial(self) -> State:
         """The initial states with their time."""
         return self.states if self.t0 is None else self.states._replace(t=self.t0)
+
+    @property
+    def whole(self) -> bool:
+        """Whether the loop is compiled as one kernel."""
+        if not (self.step.one_kernel and kernel.wanted()):
+            return False
+        step, state = self.member(0)
+        components = sum(x.size for x in jax.tree.leaves(state))
+        return components <= _COMPONENTS and _suits(step, state, self.first_dt, self.reduction)
 
     @property
     def num_steps(self) -> int:

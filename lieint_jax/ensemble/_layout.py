@@ -7,6 +7,7 @@ result depend neither on how many devices there are nor on where a member lies:
   `shard_map`, is fused differently by XLA for each number of devices, and then rounds differently.)
 * The size of a block is a multiple of 16, so that it fills whole vector registers, and 32 copies of a member follow it,
   whose results are dropped: on a CPU the remainder of a vectorised loop runs as scalar code, which rounds differently.
+* Where the loop is one kernel, a block is of whole parts of 64 or 128, which leave no remainder.
 
 On a CPU a block fits the cache.
 """
@@ -29,6 +30,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 AXIS = "members"
 LANES = 16  # members in a vector register: 16 float32 in 512 bits
 _TAIL = 32  # padding after a block, which takes the remainder of vectorised loops
+_PARTS = (64, 128)  # members that a loop in one kernel takes at a time: multiples of the registers that LLVM unrolls
 _BLOCK = 1024  # the most members in a block on a CPU: their states and temporaries fit the cache
 
 
@@ -50,11 +52,12 @@ class Layout(NamedTuple):
     members: int
     block_size: int
     blocks_per_device: int
+    tail: int = 0
 
     @property
     def padded_block_size(self) -> int:
         """The members of a block and the copies after it. A single member, always one block, needs no copies."""
-        return 1 if self.members == 1 else self.block_size + _TAIL
+        return self.block_size + self.tail
 
     @property
     def per_device(self) -> int:
@@ -120,21 +123,30 @@ def first_devices(count: int | None) -> Mesh:
     return Mesh(devices, (AXIS,))
 
 
-def layout_of(mesh: Mesh, members: int, chunk: int | None = None) -> Layout:
-    """The layout of `members` members on a mesh; with `chunk`, each process holds whole chunks of members."""
+def layout_of(mesh: Mesh, members: int, chunk: int | None = None, whole: bool = False) -> Layout:
+    """The layout of `members` members on a mesh; with `chunk`, each process holds whole chunks of members.
+
+    With `whole`, blocks are of whole parts, for a loop in one kernel.
+    """
     if members == 1:
         return Layout(mesh, 1, 1, 1)
     processes = count_processes(mesh)
     on_cpu = mesh.devices.flat[0].platform == "cpu"
+    unit, tail = (_PARTS[members > mesh.size * _PARTS[0]], 0) if whole else (LANES, _TAIL)
     if chunk is None or processes == 1:
         each = -(-members // mesh.size)
         blocks = -(-each // _BLOCK) if on_cpu else 1
-        return Layout(mesh, members, LANES * -(-each // (LANES * blocks)), blocks)
+        return Layout(mesh, members, unit * -(-each // (unit * blocks)), blocks, tail)
     devices = mesh.size // processes
-    unit = lcm(chunk, LANES * devices)
-    each = unit * -(-members // (processes * unit)) // devices
-    block = max(b for b in range(LANES, _BLOCK + 1, LANES) if each % b == 0) if on_cpu else each
-    return Layout(mesh, members, block, each // block)
+    row = lcm(chunk, unit * devices)
+    each = row * -(-members // (processes * row)) // devices
+    block = max(b for b in range(unit, _BLOCK + 1, unit) if each % b == 0) if on_cpu else each
+    return Layout(mesh, members, block, each // block, tail)
+
+
+def part_of(members: int) -> int:
+    """How many members of a block a loop in one kernel takes at a time."""
+    return max(size for size in (1, *_PARTS) if members % size == 0)
 
 
 def chunk_of(layout: Layout, most: int) -> int:

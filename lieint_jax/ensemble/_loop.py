@@ -13,8 +13,10 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
+from lieint_jax._numerics import kernel
+from lieint_jax.ensemble._layout import part_of
 from lieint_jax.integrate import Given, Uniform, prepared
-from lieint_jax.types import State, Step, StepInfo, energy_less_work
+from lieint_jax.types import State, Step, StepInfo, energy_less_work, pytree, static
 
 Reduction = Callable[[Step, State], Array]
 
@@ -128,31 +130,34 @@ def prepare(step_axis: int | None) -> Callable[..., Any]:
 
 
 @cache
-def advance(axes: tuple[int | None, int | None], reduction: Reduction | None) -> Callable[..., tuple[Carry, Any]]:
+def advance(
+    axes: tuple[int | None, int | None], reduction: Reduction | None, whole: bool
+) -> Callable[..., tuple[Carry, Any]]:
     """The compiled loop (steps, carry, origin, portion) ↦ (carry, saved).
 
     `steps` are the step of whole steps and that of the shorter ones to outputs between nodes, and `axes` their member
-    axes. Each row of `saved` holds the report, and the state or the change of the reduced quantity since `origin`.
+    axes. Each row of `saved` holds the report, and the state or the change of the reduced quantity since `origin`. With
+    `whole`, one kernel does it all for a part of the members, and then for the next.
     """
 
     def loop(steps: tuple[Step, Step], carry: Carry, origin: Origin, portion: Portion) -> tuple[Carry, Any]:
         done, saves, ends, rests, fresh = portion
         unsaved = _unsaved(carry)
 
-        def stepped(which: int, n: Array, state: State, dt: Array) -> tuple[State, StepInfo]:
+        def stepped(which: int, n: Array, seen: _Seen, dt: Array) -> _Seen:
             def one_step(step: Step, state: State) -> tuple[State, StepInfo]:
                 state, info = step(state, dt)
                 return state if origin.t0 is None else state._replace(t=None), info
 
-            return _over_members(one_step, axes[which], steps[which], origin.at(done + n, state))
+            states = origin.at(done + n, _joined(seen.state))
+            return seen.after(n, *_over_members(one_step, axes[which], steps[which], states))
 
-        def one(n: Array, carry: Carry) -> Carry:
-            state, info = stepped(0, n, carry.state, origin.clock.size(done + n))
-            change = carry.change
-            if reduction is not None and change is not None and origin.quantity is not None:
-                after = _over_members(reduction, axes[0], steps[0], origin.at(done + n + 1, state))
-                change = change.including(after - origin.quantity)
-            return Carry(state, carry.info.merge(info), _first(carry.failed, info, n), change)
+        def one(n: Array, seen: _Seen) -> _Seen:
+            seen = stepped(0, n, seen, origin.clock.size(done + n))
+            if reduction is None or seen.change is None or origin.quantity is None:
+                return seen
+            after = _over_members(reduction, axes[0], steps[0], origin.at(done + n + 1, _joined(seen.state)))
+            return seen._replace(change=seen.change.including(after - origin.quantity))
 
         def interval(k: Array, loop: tuple[Carry, Any]) -> tuple[Carry, Any]:
             carry, saved = loop
@@ -161,12 +166,13 @@ def advance(axes: tuple[int | None, int | None], reduction: Reduction | None) ->
                 lambda new, old: jnp.where(begins, new, old), unsaved, (carry.info, carry.change)
             )
             carry, begun = carry._replace(info=info, change=change), jnp.where(k > 0, ends[k - 1], 0)
-            carry = seen = lax.fori_loop(0, ends[k] - begun, lambda i, c: one(begun + i, c), carry)
+            seen = lax.fori_loop(0, ends[k] - begun, lambda i, s: one(begun + i, s), _Seen.of(carry))
+            carry = shown = seen.told(carry)
             if rests is not None:
-                state, info = stepped(1, ends[k], carry.state, rests[k])
-                carry = carry._replace(failed=_first(carry.failed, info, ends[k]))
-                seen = carry._replace(state=state, info=carry.info.merge(info))
-            return carry, jax.tree.map(lambda to, x: to.at[k].set(x), saved, _saved(seen))
+                rest = stepped(1, ends[k], _Seen.of(carry), rests[k])
+                shown = rest.told(carry)
+                carry = carry._replace(failed=shown.failed)
+            return carry, jax.tree.map(lambda to, x: to.at[k].set(x), saved, _saved(shown))
 
         buffer = jax.tree.map(lambda x: jnp.zeros((len(ends), *x.shape), x.dtype), _saved(carry))
         begin = carry._replace(failed=jnp.full(carry.failed.shape, -1, jnp.int32))  # counts from this call's start
@@ -174,12 +180,99 @@ def advance(axes: tuple[int | None, int | None], reduction: Reduction | None) ->
         first = jnp.where(end.failed < 0, -1, done + end.failed)
         return end._replace(failed=jnp.where(carry.failed < 0, first, carry.failed).astype(carry.failed.dtype)), saved
 
-    return jax.jit(loop, compiler_options=compiler_options())
+    return jax.jit(_in_parts(loop, axes) if whole else loop, compiler_options=compiler_options())
 
 
-def _first(failed: Array, info: StepInfo, n: Array) -> Array:
-    """The first step that did not converge, when step n has this report."""
-    return jnp.where((failed < 0) & ~info.converged, n, failed)
+def _in_parts(loop: Callable[..., tuple[Carry, Any]], axes: tuple[int | None, int | None]) -> Callable[..., Any]:
+    """The loop over parts of the members, one after the other, each in one kernel, its member axis the last."""
+    in_one_kernel = kernel.one_kernel(loop)
+
+    def parts(steps: tuple[Step, Step], carry: Carry, origin: Origin, portion: Portion) -> tuple[Carry, Any]:
+        members = carry.failed.shape[0]
+
+        def cut(x: Array) -> Array:
+            return jnp.moveaxis(x.reshape(-1, part_of(members), *x.shape[1:]), 1, -1)
+
+        def part(own: Any) -> tuple[Carry, Any]:
+            mine, carry, t0, quantity = own
+            both = tuple(step if its is None else its for its, step in zip(mine, steps, strict=True))
+            begun = origin._replace(t0=origin.t0 if t0 is None else t0, quantity=quantity)
+            return in_one_kernel(both, carry, begun, portion)
+
+        def whole(x: Array) -> Array:
+            x = jnp.moveaxis(x, -1, 1)
+            return x.reshape(members, *x.shape[2:])
+
+        mine = tuple(step if axis == 0 else None for step, axis in zip(steps, axes, strict=True))
+        t0 = origin.t0 if origin.t0 is not None and origin.t0.ndim else None
+        end, saved = lax.map(part, jax.tree.map(cut, (mine, carry, t0, origin.quantity)))
+        rows = jax.tree.map(lambda x: jax.vmap(whole, 1)(x), saved)
+        return jax.tree.map(whole, end), rows
+
+    return parts
+
+
+class _Seen(NamedTuple):
+    """What the innermost loop carries, in numbers of one width, which is what vectorises.
+
+    Attributes:
+        state: the states; in one kernel each component by itself.
+        residual: the largest since the last save.
+        first: the first step since the last save that did not converge, or the largest integer.
+        change: as of a `Carry`.
+    """
+
+    state: State
+    residual: Array
+    first: Array
+    change: Range | None
+
+    @classmethod
+    def of(cls, carry: Carry) -> _Seen:
+        """What a loop begins with that continues from `carry`."""
+        like = carry.info.residual
+        kind = jnp.int64 if like.dtype == jnp.float64 else jnp.int32
+        return cls(_split(carry.state), like, jnp.full(like.shape, jnp.iinfo(kind).max, kind), carry.change)
+
+    def after(self, n: Array, state: State, info: StepInfo) -> _Seen:
+        """After step n, which led to `state`."""
+        state, info = kernel.stored((_split(state), info))
+        kind = self.first.dtype
+        failed = jnp.where(info.converged, jnp.iinfo(kind).max, n.astype(kind))
+        residual, first = jnp.maximum(self.residual, info.residual), jnp.minimum(self.first, failed)
+        return _Seen(state, residual, first, self.change)
+
+    def told(self, carry: Carry) -> Carry:
+        """`carry`, with what was seen since."""
+        good = self.first == jnp.iinfo(self.first.dtype).max
+        failed = jnp.where((carry.failed < 0) & ~good, self.first.astype(carry.failed.dtype), carry.failed)
+        return Carry(_joined(self.state), StepInfo(self.residual, carry.info.converged & good), failed, self.change)
+
+
+@pytree
+class _Split:
+    """The components of an array (…, members), each (members,)."""
+
+    components: tuple[Array, ...]
+    shape: tuple[int, ...] = static()
+
+
+def _split(tree: Any) -> Any:
+    if not kernel.inside():
+        return tree
+
+    def one(x: Array) -> _Split:
+        flat = x.reshape(-1, x.shape[-1])
+        return _Split(tuple(flat[k] for k in range(len(flat))), x.shape)
+
+    return jax.tree.map(one, tree)
+
+
+def _joined(tree: Any) -> Any:
+    def one(x: Any) -> Array:
+        return jnp.stack(x.components).reshape(x.shape) if isinstance(x, _Split) else x
+
+    return jax.tree.map(one, tree, is_leaf=lambda x: isinstance(x, _Split))
 
 
 def _unsaved(carry: Carry) -> tuple[StepInfo, Range | None]:
@@ -209,8 +302,10 @@ def energy(step: Step, state: State) -> Array:
 
 def _over_members(function: Callable[..., Any], step_axis: int | None, step: Step, states: State) -> Any:
     """`function` of step and state, vmapped. What depends on a shared time alone is computed once for all members."""
+    axis = -1 if kernel.inside() else 0
     time_axis = None if states.t is None or not states.t.ndim else 0
-    return jax.vmap(function, in_axes=(step_axis, State(0, 0, time_axis, 0, 0)))(step, states)  # pyright: ignore[reportArgumentType]
+    in_axes: Any = (None if step_axis is None else axis, State(axis, axis, time_axis, axis, axis))  # pyright: ignore[reportArgumentType]
+    return jax.vmap(function, in_axes, axis)(step, states)
 
 
 def _timed(states: State, t0: Array | None) -> State:

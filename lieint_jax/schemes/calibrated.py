@@ -60,6 +60,10 @@ class Calibrated(Step):
         return True
 
     @property
+    def one_kernel(self) -> bool:
+        return True
+
+    @property
     def name(self) -> str:
         return "calibrated"
 

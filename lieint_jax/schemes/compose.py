@@ -65,6 +65,10 @@ class Composition(Step):
         return self.step.start(state)
 
     @property
+    def one_kernel(self) -> bool:
+        return self.step.one_kernel
+
+    @property
     def name(self) -> str:
         return f"compose[{self.method}]({self.step.name})"
 

@@ -32,6 +32,10 @@ class Exact(Step):
         return True
 
     @property
+    def one_kernel(self) -> bool:
+        return True
+
+    @property
     def name(self) -> str:
         return "exact"
 

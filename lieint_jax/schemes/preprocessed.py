@@ -43,6 +43,10 @@ class Preprocessed(Step):
     symmetric: bool = static(default=True)
 
     @property
+    def one_kernel(self) -> bool:
+        return True
+
+    @property
     def name(self) -> str:
         return f"preprocessed[{self.order}]"
 

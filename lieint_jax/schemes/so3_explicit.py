@@ -58,6 +58,10 @@ class SO3Explicit(Step):
         return True
 
     @property
+    def one_kernel(self) -> bool:
+        return True
+
+    @property
     def name(self) -> str:
         return "so3_explicit"
 

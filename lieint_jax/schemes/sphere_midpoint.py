@@ -52,6 +52,10 @@ class SphereMidpoint(Step):
     symmetric: bool = static(default=True)
 
     @property
+    def one_kernel(self) -> bool:
+        return True
+
+    @property
     def name(self) -> str:
         return f"sphere_midpoint[{'normalised' if self.normalised else 'plain'}]"
 

@@ -74,6 +74,10 @@ class Splitting(Step):
     symmetric: bool = static(default=True)
 
     @property
+    def one_kernel(self) -> bool:
+        return True
+
+    @property
     def name(self) -> str:
         return f"splitting[{self.drift.name}]"
 

@@ -1,0 +1,91 @@
+"""One kernel for a whole loop: XLA obeys the attributes, results are the same, and what calls libraries is left out."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax._numerics import kernel
+from lieint_jax.ensemble import _job
+
+BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+STATES = jax.vmap(lambda w: BODY.state(angular_velocity=w))(jnp.asarray(np.random.default_rng(0).normal(size=(70, 3))))
+
+
+def squares(n, x):
+    return jax.lax.fori_loop(0, n, lambda _, x: kernel.stored(jnp.sin(x) + x * x), x)
+
+
+def test_xla_keeps_the_call_whole():
+    x = jnp.linspace(0.1, 0.5, 64)
+    whole = jax.jit(kernel.one_kernel(squares)).lower(3, x).compile()
+    assert 'xla_cpu_small_call="true"' in whole.as_text()
+    entry = whole.as_text().split("ENTRY")[1]
+    assert " call(" in entry
+    assert " while(" not in entry  # the loop is within the call
+    assert " while(" in jax.jit(squares).lower(3, x).compile().as_text().split("ENTRY")[1]
+    np.testing.assert_allclose(whole(3, x), jax.jit(squares)(3, x), rtol=1e-15)
+
+
+def test_it_can_be_turned_off(monkeypatch):
+    x = jnp.linspace(0.1, 0.5, 64)
+    monkeypatch.setenv(kernel.SWITCH, "0")
+    assert "xla_cpu_small_call" not in jax.jit(kernel.one_kernel(squares)).lower(3, x).as_text()
+
+
+@pytest.mark.parametrize("scheme", [li.schemes.so3_midpoint, li.schemes.so3_explicit])
+def test_an_ensemble_is_what_it_is_without(scheme, monkeypatch):
+    step = scheme(BODY)
+    whole = li.ensemble.run(step, STATES, 0.05, 30, save_every=10, progress=False)
+    monkeypatch.setenv(kernel.SWITCH, "0")
+    plain = li.ensemble.run(step, STATES, 0.05, 30, save_every=10, progress=False)
+    for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(plain), strict=True):
+        np.testing.assert_allclose(one, other, atol=2e-15)  # observed: 4e-16
+
+
+def test_the_first_failure_is_found():
+    """Bodies that hang from a heavy point fall faster than the scheme can turn, each after its own number of steps."""
+    top = li.systems.heavy_top([1.0, 2.0, 2.5], [0.0, 0.0, 12.0])
+    step, dt = li.schemes.splitting(top), 0.2
+    slow = 0.1 * jnp.asarray(np.random.default_rng(1).normal(size=(70, 3)))
+    states = jax.vmap(lambda w: top.state(angular_velocity=w))(slow)
+    with pytest.warns(RuntimeWarning, match="did not converge at every step"):
+        run = li.ensemble.run(step, states, dt, 40, save_every=4, reduce="energy", progress=False)
+    each = jax.vmap(lambda z: li.integrate(step, z, dt, 40, 1).info.converged)(states)[:, 1:]
+    first = np.where(np.all(each, axis=1), -1, np.argmin(each, axis=1))
+    assert len(set(first.tolist())) > 2
+    np.testing.assert_array_equal(run.failed, first)
+    failing = np.sum(~np.asarray(each).reshape(70, 10, 4).all(axis=2), axis=0)
+    np.testing.assert_array_equal(run.unconverged[1:4], failing[:3])  # later, what has failed is chaos
+
+
+@li.pytree
+class Products:
+    """Ṽ(Γ) = ½ Γ·AΓ, by a matrix product, which is a call of a library."""
+
+    A: jax.Array
+
+    def __call__(self, Gamma):
+        return 0.5 * Gamma @ self.A @ Gamma
+
+
+def test_what_calls_a_library_is_not_in_a_kernel():
+    top = li.systems.potential_top([1.0, 2.0, 2.5], Products(jnp.diag(jnp.array([0.1, 0.2, 0.4]))), [0.0, 0.0, 1.0])
+    step = li.schemes.splitting(top)
+    assert step.one_kernel
+    assert not kernel.suits(step, top.state(angular_velocity=[0.1, 0.2, 0.3]), 0.05)
+    assert kernel.suits(li.schemes.so3_midpoint(BODY), BODY.state(angular_velocity=[0.1, 0.2, 0.3]), 0.05)
+    states = jax.vmap(lambda w: top.state(angular_velocity=w))(jnp.eye(3))
+    ends = li.ensemble.run(step, states, 0.05, 20, progress=False)
+    alone = jax.vmap(lambda z: li.integrate(step, z, 0.05, 20, 20))(states)
+    np.testing.assert_allclose(ends.state.q[-1], alone.state.q[:, -1], atol=1e-14)
+
+
+def test_the_question_is_asked_once(monkeypatch):
+    step, asked = li.schemes.so3_midpoint(li.systems.rigid_body([1.0, 2.0, 2.9])), []
+    monkeypatch.setattr(_job, "_suited", {})
+    monkeypatch.setattr(kernel, "suits", lambda *arguments: asked.append(arguments) or True)
+    for _ in range(2):
+        li.ensemble.run(step, STATES, 0.05, 2, progress=False)
+    assert len(asked) == 1
