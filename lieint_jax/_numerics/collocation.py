@@ -1,4 +1,4 @@
-"""The tableau of Gauss–Legendre collocation."""
+"""The tableaux of Gauss–Legendre collocation."""
 
 from __future__ import annotations
 
@@ -6,13 +6,23 @@ import numpy as np
 
 
 def gauss(stages: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The nodes c, (s,), matrix A, (s, s), and weights b, (s,), on [0, 1]: A_ij integrates ℓ_j up to the node c_i.
+    """The nodes c, (s,), matrix A, (s, s), and weights b, (s,), on [0, 1]: A_ij integrates ℓ_j up to the node c_i."""
+    c = nodes(stages)
+    return c, integrals(stages, c), np.polynomial.legendre.leggauss(stages)[1] / 2
+
+
+def nodes(stages: int) -> np.ndarray:
+    """The nodes on [0, 1], (s,)."""
+    return (np.polynomial.legendre.leggauss(stages)[0] + 1) / 2
+
+
+def integrals(stages: int, points: np.ndarray) -> np.ndarray:
+    """∫ℓ_j from 0 to each point, (points, s), with ℓ the Lagrange polynomials of the nodes on [0, 1].
 
     By the discrete orthogonality of the Legendre polynomials, without a linear solve.
     """
     x, w = np.polynomial.legendre.leggauss(stages)
-    P = np.polynomial.legendre.legvander(x, stages)
-    k = np.arange(1, stages)
-    integrals = np.column_stack([(x + 1) / 2, (P[:, 2:] - P[:, :-2]) / (2 * (2 * k + 1))])
-    A = integrals @ ((2 * np.arange(stages) + 1)[:, None] / 2 * w * P[:, :-1].T)
-    return (x + 1) / 2, A, w / 2
+    P, y = np.polynomial.legendre.legvander(x, stages - 1), 2 * np.asarray(points) - 1
+    k, at = np.arange(1, stages), np.polynomial.legendre.legvander(y, stages)
+    whole = np.column_stack([(y + 1) / 2, (at[:, 2:] - at[:, :-2]) / (2 * (2 * k + 1))])
+    return whole @ ((2 * np.arange(stages) + 1)[:, None] / 2 * w * P.T)

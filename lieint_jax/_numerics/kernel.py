@@ -68,6 +68,12 @@ def stored(tree: Any) -> Any:
     return _whole(_same, tree) if inside() else tree
 
 
+def stage(function: Callable[..., Any]) -> Callable[..., Any]:
+    """`function`; in one kernel its results are computed once and kept, as by `stored`, but without a copy."""
+    compiled = jax.jit(function)
+    return lambda *arguments: _whole(compiled, *arguments) if inside() else function(*arguments)
+
+
 def combination(*terms: tuple[Array, list[Array] | Array]) -> Array:
     """Σ s v over pairs of a factor and a vector (n,), as an array; in one kernel its components are `stored`."""
     if not inside():

@@ -214,6 +214,16 @@ def gram(F: Matrix) -> Symmetric:
     return tuple(dot(columns[i], columns[j]) for i, j in PAIRS)
 
 
+def inverse(J: Array) -> Symmetric:
+    """J⁻¹, for J as in `symmetric`."""
+    S, r = unit_trace(J)  # scaled, as in `solve_symmetric`
+    if len(S) == 3:
+        return tuple(r / x for x in S)
+    adj = adjugate(S)
+    s = r / determinant(S, adj)
+    return tuple(s * x for x in adj)
+
+
 def solve_symmetric(S: Symmetric, v: Vector) -> tuple[Array, Array, Array]:
     """S⁻¹ v."""
     if len(S) == 3:

@@ -7,17 +7,47 @@ T*SO(3) is the quotient of T*S³ by ±1, and T*S³ ⊂ T*ℝ⁴: a unit quaterni
 
 is the Hamiltonian system of H(q/|q|, ½ Im(p q̄)) on T*ℝ⁴. It keeps |q|² and q·p, and π = ½ Im(p q̄) as far as the
 torque does: all quadratic.
+
+Coordinates are a tuple of components: those of q, then those of p; of several bodies positions, quaternions, linear
+momenta, and p. Each has the axis of the stages of a method first, (s,), then that of several bodies, (s, N).
 """
 
 from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._numerics import kernel, three
+from lieint_jax._numerics.three import add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, CotangentMotions
-from lieint_jax.types import PhaseSpace, State, System, time_derivative
+from lieint_jax.types import (
+    Bodies,
+    Driven,
+    DrivenTop,
+    Forced,
+    FreeBodies,
+    Gyrostat,
+    MechanicalSystem,
+    PhaseSpace,
+    State,
+    Top,
+)
+
+Components = tuple[Array, ...]
+_Quaternion = tuple[Array, Array, Array, Array]
+
+
+class Parts(NamedTuple):
+    """Coordinates by their meaning; x and P are empty for one body."""
+
+    x: Components
+    q: Components
+    P: Components
+    p: Components
 
 
 def known(space: PhaseSpace) -> bool:
@@ -25,58 +55,114 @@ def known(space: PhaseSpace) -> bool:
     return isinstance(space, CotangentMotions) or (isinstance(space, CotangentGroup) and space.group is so3)
 
 
-def canonical(space: PhaseSpace, state: State) -> State:
-    """The state in canonical coordinates; t, work and extra as they are."""
-    if isinstance(space, CotangentMotions):
-        spinors = jax.vmap(_spinor)(state.q[:, 3:], state.p[:, 3:])
-        return state._replace(p=jnp.concatenate([state.p[:, :3], spinors], axis=1))
-    return state._replace(p=_spinor(state.q, state.p))
+def canonical(state: State) -> Components:
+    """The coordinates of a state, as of one stage."""
+    q, p = (_components(x[None]) for x in (state.q, state.p))
+    if len(q) == 4:
+        return (*q, *_from_left(scale(2, p), q))
+    return (*q, *p[:3], *_from_left(scale(2, p[3:]), q[3:]))
 
 
-def from_canonical(space: PhaseSpace, z: State) -> State:
-    """The state of canonical coordinates; quaternions as they are, of unit length or not."""
-    if isinstance(space, CotangentMotions):
-        spins = jax.vmap(_spin)(z.q[:, 3:], z.p[:, 3:])
-        return z._replace(p=jnp.concatenate([z.p[:, :3], spins], axis=1))
-    return z._replace(p=_spin(z.q, z.p))
+def parts(z: Components) -> Parts:
+    if len(z) == 8:
+        return Parts((), z[:4], (), z[4:])
+    return Parts(z[:3], z[3:7], z[7:10], z[10:])
 
 
-def unit_configuration(space: PhaseSpace, q: Array) -> Array:
-    """q with its quaternions normalised."""
-    if isinstance(space, CotangentMotions):
-        return jnp.concatenate([q[:, :3], jax.vmap(so3.normalise)(q[:, 3:])], axis=1)
-    return so3.normalise(q)
+def momentum(z: Components) -> Components:
+    """π = ½ Im(p q̄) of coordinates; after the linear momenta, if there are any."""
+    _, (w, *v), P, (p0, *p) = parts(z)
+    return (*P, *scale(0.5, add(subtract(scale(w, p), scale(p0, v)), cross(v, p))))
 
 
-def rate(system: System, z: State) -> State:
-    """The time derivative of the state at canonical coordinates z, at unit quaternions."""
-    space = system.phase_space
-    return time_derivative(system, from_canonical(space, z)._replace(q=unit_configuration(space, z.q)))
+def configurations(z: Components) -> Array:
+    """The configurations at the stages, with quaternions of unit length: (s, 4), or (s, N, 7)."""
+    x, q, *_ = parts(z)
+    r = jnp.sqrt(_inverse_square(q))
+    return jnp.stack([*x, *(r * y for y in q)], axis=-1)
 
 
-def canonical_rate(system: System, z: State) -> State:
-    """The time derivative of canonical coordinates."""
-    space, moving = system.phase_space, rate(system, z)
-    if not isinstance(space, CotangentMotions):
-        q_dot, p_dot = _spinor_rate(z.q, z.p, moving.q, moving.p)
-        return moving._replace(q=q_dot, p=p_dot)
-    turning = jax.vmap(_spinor_rate)(z.q[:, 3:], z.p[:, 3:], moving.q[:, 3:], moving.p[:, 3:])
-    q_dot, p_dot = (jnp.concatenate([x[:, :3], y], axis=1) for x, y in zip(moving[:2], turning, strict=True))
-    return moving._replace(q=q_dot, p=p_dot)
+def field(system: Any, z: Components, t: Array | None) -> Components:
+    """The time derivative of the coordinates at the stages, whose times are t."""
+    _, q, P, p = parts(z)
+    half = _half_rate(system, q, p)
+    q_dot, p_dot = _by(q, half), _by(p, half)
+    velocity = tuple(y / system.masses for y in P)
+    if not isinstance(system, Forced | Driven):
+        return (*velocity, *q_dot, *(jnp.zeros_like(y) for y in P), *p_dot)
+    F, kick = _kick(system, z, t)
+    return (*velocity, *q_dot, *F, *(a + b for a, b in zip(p_dot, kick, strict=True)))
 
 
-def _spinor(q: Array, spin: Array) -> Array:
-    """p = 2πq."""
-    return 4 * so3.spatial_tangent(q, spin)
+def force(system: Any, z: Components, t: Array | None) -> Components:
+    """The components of π̇, or of (ṗ, π̇) of several bodies, at the stages."""
+    if not isinstance(system, Forced | Driven):
+        *_, P, _ = parts(z)
+        return (jnp.zeros_like(z[0]),) * (3 + len(P))
+    q = configurations(z)
+    return _components(jax.vmap(system.force)(*((q,) if t is None or isinstance(system, Forced) else (q, t))))
 
 
-def _spin(q: Array, p: Array) -> Array:
-    """π = ½ Im(p q̄)."""
-    return so3.spatial_velocity(q, p) / 4
+def power(system: Driven, z: Components, t: Array) -> Array:
+    """The power of a driven system at the stages."""
+    return jax.vmap(system.power)(configurations(z), t)
 
 
-def _spinor_rate(q: Array, p: Array, turning: Array, torque: Array) -> tuple[Array, Array]:
-    """q̇ and ṗ, of the q̇ = `turning` at the unit quaternion q/|q|, and of the torque there."""
-    length = jnp.sqrt(jnp.sum(q * q))
-    half_rate = so3.multiply(so3.inverse(q), turning) / length
-    return length * turning, so3.multiply(p, half_rate) + 4 / length**2 * so3.spatial_tangent(q, torque)
+def _kick(system: Any, z: Components, t: Array | None) -> tuple[Components, _Quaternion]:
+    """Ṗ, if there is such a part, and what the potential adds to ṗ: 2τq/|q|²."""
+    _, q, *_ = parts(z)
+    if isinstance(system, Top | DrivenTop) and system.axis is not None:
+        return (), _by(q, _body_torque(system, q, t))
+    forces = force(system, z, t)
+    return forces[:-3], _from_left(scale(2 * _inverse_square(q), forces[-3:]), q)
+
+
+@kernel.stage
+def _half_rate(system: Any, q: Components, p: Components) -> Components:
+    """½Ω, of the momentum Π = ½ Im(q̄p)."""
+    (w, *v), (first, *rest) = q, p
+    Pi = scale(0.5, subtract(subtract(scale(w, rest), scale(first, v)), cross(v, rest)))
+    if isinstance(system, Gyrostat):
+        Pi = subtract(Pi, system.rotor)
+    many = isinstance(system, FreeBodies | Bodies)
+    inverse = jax.vmap(three.inverse)(system.inertias) if many else three.inverse(_inertia(system))
+    return scale(0.5, apply(inverse, Pi))
+
+
+def _inertia(system: Any) -> Array:
+    return system.metric if isinstance(system, MechanicalSystem) else system.inertia
+
+
+@kernel.stage
+def _body_torque(system: Any, q: Components, t: Any) -> Components:
+    """2 Γ × ∇Ṽ(Γ)/|q|², twice the torque in the body of a potential that has an axis, over |q|²."""
+    (w, *v), r = q, _inverse_square(q)
+    moves = isinstance(system, DrivenTop)
+    axis = _components(jax.vmap(system.axis_at)(t)) if moves else system.axis
+    Gamma = add(scale(w * w - dot(v, v), axis), add(scale(2 * dot(v, axis), v), scale(2 * w, cross(axis, v))))
+    Gamma = scale(r, Gamma)
+    at = (jnp.stack(Gamma, axis=-1), t) if moves else (jnp.stack(Gamma, axis=-1),)
+    return scale(2 * r, cross(Gamma, _components(jax.vmap(jax.grad(system.potential))(*at))))
+
+
+def _components(x: Array) -> Components:
+    """The components along the last axis."""
+    return tuple(x[..., i] for i in range(x.shape[-1]))
+
+
+def _inverse_square(q: Components) -> Array:
+    """1/|q|²."""
+    w, *v = q
+    return 1 / (w * w + dot(v, v))
+
+
+def _by(q: Components, u: Components) -> _Quaternion:
+    """q(0, u)."""
+    w, *v = q
+    return (-dot(v, u), *add(scale(w, u), cross(v, u)))
+
+
+def _from_left(u: Components, q: Components) -> _Quaternion:
+    """(0, u)q."""
+    w, *v = q
+    return (-dot(u, v), *add(scale(w, u), cross(u, v)))

@@ -10,6 +10,8 @@ has an error in even powers of h, which the combination Σ w_n S_n over n = 2, 4
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -17,6 +19,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
+from lieint_jax._numerics import kernel
+from lieint_jax.schemes import _body_axes
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES
 from lieint_jax.types import Bodies, State, Step, StepInfo, System, Top, all_finite, pytree, static, time_derivative
 
@@ -40,37 +44,75 @@ class Extrapolated(Step):
     def name(self) -> str:
         return f"extrapolate[{self.order:g}]"
 
+    @property
+    def one_kernel(self) -> bool:
+        return True
+
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        numbers = [2 * (j + 1) for j in range(int(self.order) // 2)]
-        slope = time_derivative(self.system, state)
-        found = [self._midpoint(state, slope, jnp.asarray(dt, state.p.dtype), n) for n in numbers]
-        best, second = (_combined(found[:m], weights(numbers[:m])) for m in (len(numbers), len(numbers) - 1))
-        end = jax.tree.map(jnp.add, state, best)
-        off = jnp.maximum(*(_relative(a - b, z) for a, b, z in ((best.q, second.q, end.q), (best.p, second.p, end.p))))
-        return end, StepInfo(lax.stop_gradient(off), all_finite(end) & (off <= _ROUGH))
+        start, rate = self._unknowns(state)
+        slope, step_size = kernel.stored(rate(start)), jnp.asarray(dt, state.p.dtype)
+        best, second = _extrapolated(lambda n: _midpoint(rate, start, slope, step_size, n), start, int(self.order))
+        end, other = (self._state(jax.tree.map(jnp.add, start, x), state) for x in (best, second))
+        off = lax.stop_gradient(jnp.maximum(_relative(end.q, other.q), _relative(end.p, other.p)))
+        return end, StepInfo(off, all_finite(end) & (off <= _ROUGH))
 
-    def _midpoint(self, start: State, slope: State, dt: Array, n: int) -> State:
-        """S_n."""
-        h = dt / n
+    def _unknowns(self, state: State) -> tuple[Any, Callable[[Any], Any]]:
+        """What is integrated, and its time derivative."""
+        if _body_axes.known(self.system):
+            return _body_axes.turning(state), partial(_body_axes.rate, self.system)
+        return state, partial(time_derivative, self.system)
 
-        def after(delta: State, factor: Array) -> State:
-            moved = jax.tree.map(jnp.add, start, delta)
-            return jax.tree.map(lambda x: factor * x, time_derivative(self.system, moved))
-
-        def one(_: int, last: tuple[State, State]) -> tuple[State, State]:
-            before, delta = last
-            return delta, jax.tree.map(jnp.add, before, after(delta, 2 * h))
-
-        zero = jax.tree.map(jnp.zeros_like, start)
-        first = jax.tree.map(lambda x: h * x, slope)
-        before, delta = lax.fori_loop(1, n, one, (zero, first))
-        return jax.tree.map(lambda a, b, c: (a + b + c) / 2, before, delta, after(delta, h))
+    def _state(self, z: Any, start: State) -> State:
+        return _body_axes.state_of(z, start) if _body_axes.known(self.system) else z
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
             f"{self.name} is rough at dt = {dt}: its last two orders differ by more than {_ROUGH:g} of the state. Take "
             "a smaller dt"
         )
+
+
+def _extrapolated(midpoint: Callable[[Any], Any], start: Any, order: int) -> tuple[Any, Any]:
+    """Σ w_n S_n of this order, and of two less."""
+    numbers = [2 * (j + 1) for j in range(order // 2)]
+    table = [numbers, weights(numbers), [*weights(numbers[:-1]), 0.0]]
+
+    def added(sums: tuple[Any, Any], n: Any, w: Any, v: Any) -> tuple[Any, Any]:
+        S = midpoint(n)
+        return tuple(jax.tree.map(lambda s, x, w=w: s + w * x, sum_, S) for sum_, w in zip(sums, (w, v), strict=True))
+
+    sums = (jax.tree.map(jnp.zeros_like, start),) * 2
+    if not kernel.inside():  # with numbers that the loops know, which are reversed by derivatives
+        for row in zip(*table, strict=True):
+            sums = added(sums, *row)
+        return sums
+    n, (w, v) = jnp.asarray(numbers), jnp.asarray(table[1:], jax.tree.leaves(start)[0].dtype)
+    return lax.fori_loop(0, len(numbers), lambda j, sums: added(sums, n[j], w[j], v[j]), sums)
+
+
+def _midpoint(rate: Callable[[Any], Any], start: Any, slope: Any, dt: Array, n: Any) -> Any:
+    """S_n."""
+    h = dt / n
+
+    def at(delta: Any) -> Any:
+        return rate(jax.tree.map(jnp.add, start, delta))
+
+    @kernel.stage
+    def after(before: Any, delta: Any) -> Any:
+        return jax.tree.map(lambda x, f: x + 2 * h * f, before, at(delta))
+
+    @kernel.stage
+    def closing(before: Any, delta: Any) -> Any:
+        return jax.tree.map(lambda x, y, f: (x + y + h * f) / 2, before, delta, at(delta))
+
+    def two(_: int, last: tuple[Any, Any]) -> tuple[Any, Any]:
+        before, delta = last
+        middle = after(before, delta)
+        return middle, after(delta, middle)
+
+    first = jax.tree.map(lambda x: h * x, slope)
+    before, delta = lax.fori_loop(0, n // 2 - 1, two, (jax.tree.map(jnp.zeros_like, start), first))
+    return closing(delta, after(before, delta))
 
 
 def extrapolate(system: System, order: int = 12) -> Extrapolated:
@@ -101,13 +143,9 @@ def weights(numbers: list[int]) -> list[float]:
     return [math.prod(n * n / (n * n - k * k) for k in numbers if k != n) for n in numbers]
 
 
-def _combined(found: list[State], factors: list[float]) -> State:
-    return jax.tree.map(lambda *x: sum(w * y for w, y in zip(factors, x, strict=True)), *found)
-
-
-def _relative(difference: Array, like: Array) -> Array:
-    size = jnp.max(jnp.abs(like))
-    return jnp.max(jnp.abs(difference)) / jnp.where(size > 0, size, 1)
+def _relative(x: Array, y: Array) -> Array:
+    size = jnp.max(jnp.abs(x))
+    return jnp.max(jnp.abs(x - y)) / jnp.where(size > 0, size, 1)
 
 
 def examples(system: Any) -> dict[str, Step]:

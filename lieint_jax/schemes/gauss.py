@@ -9,6 +9,7 @@ equations are solved by fixed-point iteration on the k_i, all at once: a sweep.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -16,11 +17,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import collocation
-from lieint_jax.schemes._canonical import canonical, canonical_rate, known, rate, unit_configuration
+from lieint_jax._numerics import collocation, kernel
+from lieint_jax.schemes._canonical import Components, canonical, configurations, field, force, known, power
 from lieint_jax.schemes._capability import hint
 from lieint_jax.types import (
     Driven,
@@ -61,14 +63,17 @@ class Gauss(Step):
     symmetric: bool = static(default=True)
 
     @property
+    def one_kernel(self) -> bool:
+        return True
+
+    @property
     def name(self) -> str:
         return f"gauss[{self.stages}]" if self.sweeps is None else f"gauss[{self.stages}, {self.sweeps} sweeps]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        start = canonical(self.system.phase_space, state)
-        equation = _Equation(self.system, start, jnp.asarray(dt, state.p.dtype), self.stages)
+        equation = _Equation(self.system, state, canonical(state), jnp.asarray(dt, state.p.dtype), self.stages)
         k, change = _solved(equation, self.sweeps)
-        end = equation.end(state, k)
+        end = equation.end(k)
         return end, StepInfo(change, all_finite(end) & (change <= _CONVERGED * float(jnp.finfo(change.dtype).eps)))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
@@ -110,57 +115,89 @@ def gauss(system: System, stages: int = 8, sweeps: int | None = None) -> Gauss:
 
 
 class _Equation(NamedTuple):
-    """The equations of one step, for the derivatives k at the stages: a State whose leaves have a stage axis."""
+    """The equations of one step, for the derivatives k of the coordinates at the stages: of each (s, …)."""
 
     system: System
-    start: State
+    state: State
+    start: Components
     dt: Array
     stages: int
 
-    def at_stages(self, k: State) -> State:
-        """Z_i = z_n + Δt Σ a_ij k_j."""
-        return self.moved(self.start, k, collocation.gauss(self.stages)[1])
+    def field(self, Z: Components, nodes: np.ndarray) -> Components:
+        return field(self.system, Z, self.times(nodes))
 
-    def moved(self, z: State, k: State, weights: np.ndarray) -> State:
+    def times(self, nodes: np.ndarray) -> Array | None:
+        return None if self.state.t is None else self.state.t + self.dt * jnp.asarray(nodes, self.dt.dtype)
+
+    def moved(self, k: Components, weights: np.ndarray) -> Components:
         """z + Δt Σ w_j k_j, of every row of weights."""
-        return jax.tree.map(lambda z, x: z + self.dt * jnp.tensordot(jnp.asarray(weights, z.dtype), x, 1), z, k)
+        return _summed(self.start, k, self.dt, weights)
 
-    def residual(self, k: State) -> State:
-        """k − f(Z)."""
-        rates = jax.vmap(lambda z: canonical_rate(self.system, z))(self.at_stages(k))
-        return jax.tree.map(jnp.subtract, k, rates)
+    def swept(self, k: Components) -> Components:
+        """f(Z) at Z_i = z_n + Δt Σ a_ij k_j."""
+        c, A, _ = collocation.gauss(self.stages)
+        return self.field(self.moved(k, A), c)
 
-    def guess(self) -> State:
-        """The derivative at the start, at all stages."""
-        rate = canonical_rate(self.system, self.start)
-        return jax.tree.map(lambda x: jnp.broadcast_to(x, (self.stages, *x.shape)), rate)
+    def residual(self, k: Components) -> Components:
+        return jax.tree.map(jnp.subtract, k, self.swept(k))
 
-    def end(self, state: State, k: State) -> State:
+    def guess(self, fewest: int) -> Components:
+        """Derivatives at the stages: those at the start, swept up at ever more nodes."""
+        k, weights = self.field(self.start, np.zeros(1)), collocation.nodes(fewest)[:, None]
+        for s in range(fewest, self.stages):
+            k = self.field(self.moved(k, weights), collocation.nodes(s))
+            weights = collocation.integrals(s, collocation.nodes(s + 1))
+        return self.field(self.moved(k, weights), collocation.nodes(self.stages))
+
+    def end(self, k: Components) -> State:
         """The state at n + 1. π moves by Δt Σ b_i τ_i, as any quadratic function of z does, without rounding p q̄."""
-        torques = jax.vmap(lambda z: rate(self.system, z).p)(self.at_stages(k))
-        end = self.moved(state, k._replace(p=torques), collocation.gauss(self.stages)[2])
-        return end._replace(q=unit_configuration(self.system.phase_space, end.q))
+        c, A, b = collocation.gauss(self.stages)
+        state, weights, t = self.state, b[None], self.times(c)
+        Z = self.moved(k, A)
+        q = configurations(self.moved(k, weights))[0]
+        forces = force(self.system, Z, t)
+        p = state.p + jnp.stack(_summed((0.0,) * len(forces), forces, self.dt, weights), axis=-1)[0]
+        if isinstance(self.system, Driven) and state.work is not None and t is not None:
+            [work] = _summed((state.work[None],), (power(self.system, Z, t),), self.dt, weights)
+            return state._replace(q=q, p=p, work=work[0])
+        return state._replace(q=q, p=p)
 
-    def change(self, a: State, b: State) -> Array:
+    def change(self, a: Components, b: Components) -> Array:
         """The largest difference of Δt k, in units of q, which are 1 at least, and of the largest of p."""
-        q, p = jnp.maximum(1, jnp.max(jnp.abs(self.start.q))), jnp.max(jnp.abs(self.start.p))
-        sizes = (q, jnp.where(p > 0, p, 1))
-        moved = (jnp.max(jnp.abs(self.dt * (x - y))) for x, y in ((a.q, b.q), (a.p, b.p)))
-        return jnp.max(jnp.stack([x / size for x, size in zip(moved, sizes, strict=True)]))
+        half = len(a) // 2
+        q, p = (jnp.max(jnp.abs(jnp.stack(self.start[part]))) for part in (slice(half), slice(half, None)))
+        sizes = [jnp.maximum(1, q)] * half + [jnp.where(p > 0, p, 1)] * half
+        moved = [jnp.max(jnp.abs(x - y)) / size for x, y, size in zip(a, b, sizes, strict=True)]
+        return jnp.abs(self.dt) * functools.reduce(jnp.maximum, moved)
 
 
-def _solved(equation: _Equation, sweeps: int | None) -> tuple[State, Array]:
+def _summed(z: Any, k: Components, dt: Array, weights: np.ndarray) -> Components:
+    """z + Δt Σ w_j k_j."""
+
+    @kernel.stage
+    def sums(z: Any, k: Components, dt: Array) -> Components:
+        columns = [w.reshape(-1, *[1] * (k[0].ndim - 1)) for w in weights.astype(dt.dtype).T]
+        return tuple(
+            x + dt * functools.reduce(jnp.add, [w * y[j : j + 1] for j, w in enumerate(columns)])
+            for x, y in zip(z, k, strict=True)
+        )
+
+    return sums(z, k, dt)
+
+
+def _solved(equation: _Equation, sweeps: int | None) -> tuple[Components, Array]:
     """The derivatives at the stages, and the last relative change of a sweep."""
-    guess = equation.guess()
+    fewest = 1 if sweeps is None else max(1, equation.stages + 1 - sweeps)
+    guess = equation.guess(fewest)
     eps = float(jnp.finfo(equation.dt.dtype).eps)
 
-    def solve(residual: Callable[[State], State], start: State) -> tuple[State, Array]:
-        def improved(carry: tuple[State, Array, Array, Array]) -> tuple[State, Array, Array, Array]:
+    def solve(residual: Callable[[Components], Components], start: Components) -> tuple[Components, Array]:
+        def improved(carry: tuple[Components, Array, Array, Array]) -> tuple[Components, Array, Array, Array]:
             k, change, _, n = carry
-            new = jax.tree.map(jnp.subtract, k, residual(k))
+            new = equation.swept(k)
             return new, equation.change(new, k), change, n + 1
 
-        def goes_on(carry: tuple[State, Array, Array, Array]) -> Array:
+        def goes_on(carry: tuple[Components, Array, Array, Array]) -> Array:
             _, change, before, n = carry
             falls = (n < _LEAST) | (change > _STALLED * eps) | (change < before)
             return (n < _MOST) & (change > 2 * eps) & falls
@@ -169,16 +206,17 @@ def _solved(equation: _Equation, sweeps: int | None) -> tuple[State, Array]:
         begin = (start, far / 2, far, jnp.zeros((), int))
         if sweeps is None:
             return lax.while_loop(goes_on, improved, begin)[:2]
-        return lax.fori_loop(0, sweeps, lambda _, carry: improved(carry), begin)[:2]
+        more = max(1, sweeps - equation.stages)
+        return lax.fori_loop(0, more, lambda _, carry: improved(carry), begin)[:2]
 
-    def tangent_solve(linear: Callable[[State], State], b: State) -> State:
-        def refined(matvec: Callable[[State], State], b: State) -> State:
-            def one(_: int, v: State) -> State:
-                return jax.tree.map(lambda v, b, w: v + b - w, v, b, matvec(v))
+    def tangent_solve(linear: Callable[[Components], Components], b: Components) -> Components:
+        flat, components = ravel_pytree(b)  # one array: parts of b may depend on nothing that is differentiated
 
-            return lax.fori_loop(0, _REFINEMENTS, one, b)
+        def refined(matvec: Callable[[Array], Array], b: Array) -> Array:
+            return lax.fori_loop(0, _REFINEMENTS, lambda _, v: v + b - matvec(v), b)
 
-        return lax.custom_linear_solve(linear, b, refined, refined)
+        x = lax.custom_linear_solve(lambda v: ravel_pytree(linear(components(v)))[0], flat, refined, refined)
+        return components(x)
 
     k, change = lax.custom_root(equation.residual, guess, solve, tangent_solve, has_aux=True)
     return k, lax.stop_gradient(change)
