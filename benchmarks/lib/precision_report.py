@@ -32,14 +32,11 @@ class Bar(NamedTuple):
 
 
 AIM = "aim ≤"
+_TWO_BODIES = "Didymos and Dimorphos"
 BARS = (
     Bar("heavy top", "heyoka", 1e-6, 0.6, 1.0),
     Bar("heavy top", "heyoka", 1e-9, 1.0, 1.1),
-    *(
-        Bar(name, "heyoka", error, 1.0, 1.0, AIM)
-        for name in ("gravity gradient", "Didymos and Dimorphos")
-        for error in ERRORS
-    ),
+    *(Bar(name, "heyoka", error, 1.0, 1.0, AIM) for name in ("gravity gradient", _TWO_BODIES) for error in ERRORS),
     Bar("flyby", _SHARED_STEP, 1e-6, 1.0, 1.0, AIM),
 )
 FREE_BARS = ((2.5e-9, 1 / 5), (1e-12, 1 / 20))  # largest attitude error at t = 10, and the largest time over Tsit5's

@@ -48,30 +48,39 @@ def ours(name: str, kind: str, step: li.Step, counts: Sequence[int], **how: Any)
     return Curve(name, kind, partial(measure.by_ensemble, name, step, **how), counts, rough=kind == ROUGH)
 
 
-def high_order(system: Any, of: Ours, unit: float) -> Iterator[Curve]:
-    """Gauss and extrapolation. With `unit` steps Gauss of 8 stages is at the edge of use."""
+# stages, or order, or (stages, sweeps), and the number of steps to begin with, in units
+_CONVERGED = ((8, 1.0), (6, 1.4), (4, 4.0))
+_ROUGH = ((8, 12, 1.4), (8, 10, 1.4), (8, 16, 1.2), (6, 10, 2.0))
+_EXTRAPOLATED = ((12, 1.6), (16, 1.2), (8, 3.0))
+_COMPOSED = ((8, 2.5), (10, 1.8), (6, 4.0))
+
+
+def high_order(system: Any, of: Ours, unit: float, points: int = 6, most: int = 2) -> Iterator[Curve]:
+    """Gauss and extrapolation, the `most` likely of each; Gauss of 8 stages needs some `unit` steps."""
     make = li.schemes
-    for stages, first in ((4, 4.0), (6, 1.4), (8, 1.0)):
-        yield of(f"gauss {stages}", CONVERGED, make.gauss(system, stages), growing(first * unit, 6, 1.25))
-    for stages, sweeps, first in ((6, 10, 2.0), (8, 10, 1.4), (8, 12, 1.4), (8, 16, 1.2)):
-        name = f"gauss {stages}, {sweeps} sweeps"
-        yield of(name, ROUGH, make.gauss(system, stages, sweeps), growing(first * unit, 6, 1.2))
-    for order, first in ((8, 3.0), (12, 1.6), (16, 1.2)):
-        yield of(f"extrapolate {order}", EXTRAPOLATED, make.extrapolate(system, order), growing(first * unit, 7, 1.25))
+    for stages, first in _CONVERGED[:most]:
+        counts = growing(first * unit, points, 1.25)
+        yield of(f"gauss {stages}", CONVERGED, make.gauss(system, stages), counts)
+    for stages, sweeps, first in _ROUGH[:most]:
+        name, counts = f"gauss {stages}, {sweeps} sweeps", growing(first * unit, points, 1.2)
+        yield of(name, ROUGH, make.gauss(system, stages, sweeps), counts)
+    for order, first in _EXTRAPOLATED[:most]:
+        counts = growing(first * unit, points, 1.3)
+        yield of(f"extrapolate {order}", EXTRAPOLATED, make.extrapolate(system, order), counts)
 
 
-def composed(base: li.Step, of: Ours, unit: float, orders: Sequence[int] = (6, 8, 10)) -> Iterator[Curve]:
-    for order, first in zip(orders, (4.0, 2.5, 1.8), strict=True):
-        yield of(f"compose {order}", COMPOSED, li.schemes.compose(base, order), growing(first * unit, 7, 1.5))
+def composed(base: li.Step, of: Ours, unit: float, points: int = 6, most: int = 2) -> Iterator[Curve]:
+    for order, first in _COMPOSED[:most]:
+        counts = growing(first * unit, points, 1.5)
+        yield of(f"compose {order}", COMPOSED, li.schemes.compose(base, order), counts)
 
 
 def by_diffrax(system: Any, unit: float, **how: Any) -> Iterator[Curve]:
     """Tsit5 and Dopri8, vmapped, and Dopri8 with steps that all members share."""
     tsit5, dopri8 = (peers.diffrax_of(name, system, **how) for name in ("Tsit5", "Dopri8"))
     shared = peers.diffrax_of("Dopri8", system, whole=True, **how)
-    yield Curve("diffrax Tsit5", "diffrax", tsit5, growing(6 * unit, 9, 1.6))
-    yield Curve("diffrax Dopri8", "diffrax", dopri8, growing(2 * unit, 9))
-    yield Curve("diffrax Dopri8, adaptive", "diffrax", dopri8, (), _LOOSE)
+    yield Curve("diffrax Tsit5", "diffrax", tsit5, growing(6 * unit, 6, 2))
+    yield Curve("diffrax Dopri8", "diffrax", dopri8, growing(2 * unit, 6, 1.6))
     yield Curve("diffrax Dopri8, one solve, adaptive", "diffrax", shared, (), _LOOSE)
 
 
@@ -137,9 +146,8 @@ def heavy_top() -> Problem:
     """Chaotic tops, nearly upright: attitudes exp ξ, ξ normal of .3 rad, and velocities of one size, to t = 100."""
     top = li.systems.heavy_top(_TOP, _WEIGHT)
     heyoka = Curve("heyoka", "heyoka", taylor.of_bodies(_TOP, _WEIGHT), (), TOLERANCES)
-    rollout = Curve("MuJoCo RK4", "MuJoCo", partial(peers.mujoco_rk4, _TOP, weight=_WEIGHT), (4000, 16000), (), WATCHED)
-    mine = [*composed(li.schemes.splitting(top), ours, 160), *high_order(top, ours, 130)]
-    curves = [*mine, *by_diffrax(top, 160), rollout, heyoka]
+    mine = [*composed(li.schemes.splitting(top), ours, 160, 7, 3), *high_order(top, ours, 130, 7, 4)]
+    curves = [*mine, *by_diffrax(top, 160), heyoka]
 
     def start(count: int) -> States:
         tilts = _TILT * np.random.default_rng(1).normal(size=(count, 3))
@@ -202,7 +210,8 @@ def flyby() -> Problem:
 
     of = partial(ours, start=begin, times=times)
     heyoka = Curve("heyoka", "heyoka", taylor.of_satellites(_ASTEROID, orbit, -_FLYBY), (), TOLERANCES)
-    mine = [*composed(li.schemes.splitting(system), of, 40), *high_order(system, of, 36)]
+    # few points: each number of given times is a program of its own
+    mine = [*composed(li.schemes.splitting(system), of, 40, 4), *high_order(system, of, 36, 4)]
     curves = [*mine, *by_diffrax(system, 60, t0=-_FLYBY), heyoka]
 
     def start(count: int) -> States:
