@@ -12,6 +12,7 @@ Each scheme at several numbers of steps, each adaptive peer at several tolerance
 compiled as `ensemble.run` does, for full-width vectors. Ours are whole calls of `ensemble.run`, but for t = 10. heyoka
 is in all problems. Errors are the median and the largest over all members (MuJoCo and scipy: 16). The reference is the
 closed form of the free body and `diagnostics.flow` of the others; its distance from heyoka at its tightest is stated.
+A quick run takes one contestant of each family.
 
     python benchmarks/work_precision.py [--quick] [--only PROBLEM …] [--out DIR]
 """

@@ -35,6 +35,7 @@ class Sizes(NamedTuple):
         bodies: the number of bodies of a batch.
         rounds: timed calls of each point.
         stride: every `stride`-th point of a curve is measured.
+        curves: the most curves of a kind; a program that compiles for seconds belongs to each of ours.
         longest: the longest expected duration of a call, s, judged by the point before on the curve.
         seconds: a point that was timed for so long is not called again.
     """
@@ -42,11 +43,12 @@ class Sizes(NamedTuple):
     bodies: int = BATCH
     rounds: int = 5
     stride: int = 1
+    curves: int = 100
     longest: float = 3.0
     seconds: float = 1.0
 
 
-QUICK = Sizes(bodies=64, rounds=1, stride=4, longest=0.5)
+QUICK = Sizes(bodies=64, rounds=1, stride=4, curves=1, longest=0.5)
 
 
 class Curve(NamedTuple):
@@ -145,7 +147,10 @@ def measured(problem: Problem, sizes: Sizes, notes: list[str]) -> dict[str, Any]
     """Times and errors of every curve of a problem, as values that JSON can hold. Run it on one core."""
     start = problem.start(sizes.bodies)
     exact, doubts = problem.reference(start)
-    points = [x for curve in problem.curves for x in points_of(curve, problem.end, sizes.stride, notes)]
+    points: list[Point] = []
+    for kind in dict.fromkeys(curve.kind for curve in problem.curves):
+        for curve in [x for x in problem.curves if x.kind == kind][: sizes.curves]:
+            points += points_of(curve, problem.end, sizes.stride, notes)
     return {
         "problem": problem.name,
         "error": problem.error,
