@@ -90,7 +90,8 @@ class Problem(NamedTuple):
         error: what the error is of, with its unit.
         end: the duration.
         start: number of members ↦ their initial states.
-        reference: initial states ↦ configurations at the end, and the distance of those of a second reference, (B,).
+        reference: initial states ↦ configurations at the end, the distance of those of a second reference, (B,), and what
+            the two are.
         curves: the contestants.
         apart: (configurations, exact ones) ↦ errors, (B,).
         energy: (configurations, momenta), axes (times, members, …) ↦ the largest energy drift; None where energy is not
@@ -101,7 +102,7 @@ class Problem(NamedTuple):
     error: str
     end: float
     start: Callable[[int], States]
-    reference: Callable[[States], tuple[np.ndarray, np.ndarray]]
+    reference: Callable[[States], tuple[np.ndarray, np.ndarray, str]]
     curves: Sequence[Curve]
     apart: Callable[[np.ndarray, np.ndarray], np.ndarray] = measure.attitude_errors
     energy: Callable[[np.ndarray, np.ndarray], float] | None = None
@@ -137,16 +138,19 @@ def flowed(system: Any, states: States, end: float, num_steps: int, t0: float | 
     return np.asarray(jax.jit(flow, static_argnums=3)(system, start, end, num_steps).q)
 
 
-def checked(problem: Problem, exact: np.ndarray, states: States) -> tuple[np.ndarray, np.ndarray]:
+def checked(
+    problem: Problem, exact: np.ndarray, states: States, by: str = "`diagnostics.flow`"
+) -> tuple[np.ndarray, np.ndarray, str]:
     """A reference, and its distance from heyoka at its tightest, which shares nothing with it."""
     [tight] = (curve.make(dt=problem.end, rtol=TIGHT) for curve in problem.curves if curve.kind == "heyoka")
-    return exact, problem.apart(tight.read(tight.advance(tight.load(*states), 1))[0], exact)
+    doubts = problem.apart(tight.read(tight.advance(tight.load(*states), 1))[0], exact)
+    return exact, doubts, f"{by} and heyoka with a tolerance of {TIGHT:g}"
 
 
 def measured(problem: Problem, sizes: Sizes, notes: list[str]) -> dict[str, Any]:
     """Times and errors of every curve of a problem, as values that JSON can hold. Run it on one core."""
     start = problem.start(sizes.bodies)
-    exact, doubts = problem.reference(start)
+    exact, doubts, references = problem.reference(start)
     points: list[Point] = []
     for kind in dict.fromkeys(curve.kind for curve in problem.curves):
         for curve in [x for x in problem.curves if x.kind == kind][: sizes.curves]:
@@ -156,6 +160,7 @@ def measured(problem: Problem, sizes: Sizes, notes: list[str]) -> dict[str, Any]
         "error": problem.error,
         "end": problem.end,
         "bodies": sizes.bodies,
+        "references": references,
         "reference_doubt": float(doubts.max()),
         "median_doubt": float(np.median(doubts)),
         "points": records(points, start, exact, doubts, sizes, notes, problem.apart, problem.energy, problem.name),

@@ -218,7 +218,7 @@ def at(found: Record) -> list[str]:
         rows.append([r["curve"] + failed, setting(r), steps, f"{r['milliseconds']:.3g}", *errors, drift])
     return [
         f"{found['problem']}, {found['bodies']} members: milliseconds per 1000, errors ({found['error']}), largest "
-        f"relative energy drift. The two references are apart by {found['median_doubt']:.1e} (median) and "
+        f"relative energy drift. References: {found['references']}, apart by {found['median_doubt']:.1e} (median) and "
         f"{found['reference_doubt']:.1e} (largest)",
         report.table(["", "Δt or rtol", "steps", "ms", "median error", "largest error", "energy"], rows),
     ]

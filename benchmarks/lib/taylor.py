@@ -77,6 +77,30 @@ def one(equations: Equations, load: Load, read: Read, dt: float, rtol: float) ->
     return Contestant("heyoka", "float64", 1e4, load, advance, read)
 
 
+def attitudes(
+    inertia: Sequence[float], weight: Sequence[float], q: np.ndarray, p: np.ndarray, end: float, rtol: float
+) -> np.ndarray:
+    """Attitudes of tops at the end in 80-bit arithmetic, one after the other: a reference for chaotic ones.
+
+    A rounding of the initial body momenta to 64 bits would already show: they are made from (q, p) in 80 bits.
+    """
+    import heyoka
+
+    wide = np.longdouble
+    q = q.astype(wide)
+    q /= np.sqrt((q * q).sum(axis=1, keepdims=True))
+    Pi = np.stack(turned(q[:, 0], -q[:, 1:].T, p.astype(wide).T), axis=1)
+    pairs = _top(inertia, weight, heyoka)
+    integrator: Any = heyoka.taylor_adaptive(pairs, np.zeros(len(pairs), wide), tol=wide(rtol), fp_type=wide)
+    ends = np.empty((len(q), 4))
+    for row, at_end in zip(np.concatenate([q, Pi], axis=1), ends, strict=True):
+        integrator.state[:] = row
+        integrator.time = wide(0)
+        integrator.propagate_until(wide(end))
+        at_end[:] = integrator.state[:4] / np.sqrt((integrator.state[:4] ** 2).sum())
+    return ends
+
+
 def of_bodies(inertia: Sequence[float], weight: Sequence[float] = (0.0, 0.0, 0.0)) -> Callable[..., Contestant]:
     """(dt, rtol) ↦ heavy tops of this weight; free bodies without one."""
     return partial(many, partial(_top, tuple(inertia), tuple(weight)), _load, _read)

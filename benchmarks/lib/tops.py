@@ -89,7 +89,10 @@ def accuracy() -> Problem:
         "attitude, rad",
         END,
         measure.bodies,
-        lambda states: measure.by_flow(top(), states, END, measure.attitude_errors),
+        lambda states: (
+            *measure.by_flow(top(), states, END, measure.attitude_errors),
+            "two runs of `diagnostics.flow`",
+        ),
         [*mine, *precision.of_peers(INERTIA, WEIGHT, END)],
         energy=partial(measure.energy_drift, top()),
     )
