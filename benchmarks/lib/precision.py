@@ -37,7 +37,7 @@ class Sizes(NamedTuple):
         stride: every `stride`-th point of a curve is measured.
         curves: the most curves of a kind; a program that compiles for seconds belongs to each of ours.
         longest: the longest expected duration of a call, s, judged by the point before on the curve.
-        seconds: a point that was timed for so long is not called again.
+        seconds: a point that was timed for so long, and twice, is not called again.
     """
 
     bodies: int = BATCH
@@ -90,8 +90,8 @@ class Problem(NamedTuple):
         error: what the error is of, with its unit.
         end: the duration.
         start: number of members ↦ their initial states.
-        reference: initial states ↦ configurations at the end, the distance of those of a second reference, (B,), and what
-            the two are.
+        reference: initial states ↦ configurations at the end, the distance of those of a second reference, (B,), and
+            what the two are.
         curves: the contestants.
         apart: (configurations, exact ones) ↦ errors, (B,).
         energy: (configurations, momenta), axes (times, members, …) ↦ the largest energy drift; None where energy is not
@@ -193,6 +193,10 @@ class _Race(NamedTuple):
         self.point.contestant.advance(self.loaded, self.point.steps)
         self.seconds.append(time.perf_counter() - began)
 
+    def expected(self, steps: int) -> float:
+        """Seconds of so many steps of the same curve."""
+        return min(self.seconds) * steps / self.point.steps
+
 
 def records(
     points: Sequence[Point],
@@ -217,9 +221,9 @@ def records(
         for point in points:
             race = _entered(point, start, races, sizes, f"{where}{': ' if where else ''}{point.curve.name}", notes)
             races += [race] if race else []
-        for _ in range(sizes.rounds - 1):
+        for done in range(1, sizes.rounds):
             for race in races:
-                if sum(race.seconds) < sizes.seconds:
+                if len(race.seconds) <= done and (done == 1 or sum(race.seconds) < sizes.seconds):
                     race.call()
     return [_record(race, start, exact, doubts, apart, energy) for race in races]
 
@@ -229,18 +233,29 @@ def _entered(
 ) -> _Race | None:
     """The point's race after two calls, the second of them timed; None, with a note, if it takes no part."""
     same = [race for race in before if race.point.curve.name == point.curve.name]
-    if same and min(same[-1].seconds) * point.steps / same[-1].point.steps > sizes.longest:
-        notes.append(f"{name}, {point.steps} steps left out: longer than {sizes.longest:g} s")
-        return None
+    if same and same[-1].expected(point.steps) > sizes.longest:
+        if len(same[-1].seconds) == 1:
+            same[-1].call()  # that may have been a slow spell of the machine
+        if same[-1].expected(point.steps) > sizes.longest:
+            _note(notes, f"{name}, left out as longer than {sizes.longest:g} s, steps:", point.steps)
+            return None
     contestant = point.contestant
     loaded = contestant.load(*(x[: point.curve.bodies] for x in start))
     try:
         race = _Race(point, loaded, contestant.advance(loaded, point.steps), [])
     except ValueError as refusal:
-        notes.append(f"{name}, {point.steps} steps refused: {str(refusal).split('. ')[0]}")
+        _note(notes, f"{name}, refused ({str(refusal).split(' for ')[0]}), steps:", point.steps)
         return None
     race.call()
     return race
+
+
+def _note(notes: list[str], beginning: str, steps: int) -> None:
+    """Say it, or add the number to what was said last if that was the same."""
+    if notes and notes[-1].startswith(beginning):
+        notes[-1] += f", {steps}"
+    else:
+        notes.append(f"{beginning} {steps}")
 
 
 def _record(

@@ -78,6 +78,8 @@ def _bars(problems: Sequence[Record]) -> str:
     rows = []
     for bar in BARS:
         points = _points(problems, bar.problem)
+        if not points:
+            continue
         rival, _ = fastest(points, lambda r, bar=bar: bar.rival in (r["kind"], r["curve"]), bar.error)
         contenders: list[tuple[str, Allowed, float | None]] = [
             ("best of ours", lambda r: r["ours"], bar.best),
@@ -86,12 +88,12 @@ def _bars(problems: Sequence[Record]) -> str:
         ]
         for who, allowed, most in contenders:
             ms, by = fastest(points, allowed, bar.error)
-            ratio = ms / rival if np.isfinite([ms, rival]).all() else np.nan
+            ratio = ms / rival if np.isfinite(rival) else np.nan
             limit = ["", ""] if most is None else [f"{bar.sign} {most:g}", report.verdict(ratio, ratio <= most)]
             label = f"{bar.problem}, {bar.error:g}: {who} ÷ {bar.rival}"
             rows.append([label, _named(by), *_cells(ms, rival, ratio), *limit])
         (best, _), (whole, by) = (fastest(points, allowed, bar.error) for _, allowed, _ in contenders[1:])
-        price = whole / best if np.isfinite([whole, best]).all() else np.nan
+        price = whole / best if np.isfinite(best) else np.nan
         rows.append([f"{bar.problem}, {bar.error:g}: price of convergence", _named(by), *_cells(whole, best, price)])
     return report.table(["", "by", "ms", "÷ ms", "ratio", "bar", ""], [row + [""] * (7 - len(row)) for row in rows])
 
@@ -107,7 +109,7 @@ def _named(record: Record | None) -> str:
 
 
 def _cells(ms: float, rival: float, ratio: float) -> list[str]:
-    return [_number(ms), _number(rival), "–" if np.isnan(ratio) else f"{ratio:.3g}"]
+    return [_number(ms), _number(rival), _number(ratio)]
 
 
 def _number(x: float) -> str:
@@ -123,7 +125,7 @@ def _bars_of_free_bodies(problems: Sequence[Record]) -> list[str]:
         tsit5, _ = fastest(soon, lambda r: r["curve"].startswith("diffrax Tsit5"), error, LARGEST)
         for which, allowed in ALLOWED.items():
             ms, by = fastest(soon, allowed, error, LARGEST)
-            ratio = ms / tsit5 if np.isfinite([ms, tsit5]).all() else np.nan
+            ratio = ms / tsit5 if np.isfinite(tsit5) else np.nan
             bar = [f"≤ {share:g}", report.verdict(ratio, ratio <= share)]
             rows.append([f"{error:g} rad, {which} ÷ Tsit5", _named(by), *_cells(ms, tsit5, ratio), *bar])
     worst = max((r for r in points if r["kind"] in _OF_THE_PAPER), key=lambda r: r["energy_drift"])
@@ -153,8 +155,8 @@ def _summary(found: Record) -> str:
         row = [name]
         for error, rival in zip(ERRORS, rivals, strict=True):
             ms, by = fastest(points, allowed, error)
-            ratio = ms / rival if np.isfinite([ms, rival]).all() else np.nan
-            row += [_named(by), _number(ms), "–" if np.isnan(ratio) else f"{ratio:.2f}"]
+            ratio = ms / rival if np.isfinite(rival) else np.nan
+            row += [_named(by), _number(ms), _number(ratio)]
         rows.append(row)
     return report.table(["", *(cell for e in ERRORS for cell in (f"{e:g}, by", "ms", "÷ heyoka"))], rows)
 

@@ -89,7 +89,7 @@ def attitudes(
     wide = np.longdouble
     q = q.astype(wide)
     q /= np.sqrt((q * q).sum(axis=1, keepdims=True))
-    Pi = np.stack(turned(q[:, 0], -q[:, 1:].T, p.astype(wide).T), axis=1)
+    Pi = np.stack(turned(q[:, 0], [*-q[:, 1:].T], [*p.astype(wide).T]), axis=1)
     pairs = _top(inertia, weight, heyoka)
     integrator: Any = heyoka.taylor_adaptive(pairs, np.zeros(len(pairs), wide), tol=wide(rtol), fp_type=wide)
     ends = np.empty((len(q), 4))
