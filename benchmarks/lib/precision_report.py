@@ -64,7 +64,7 @@ def _sections(result: Record) -> list[str]:
         "its step or tolerance were chosen for that error",
         _bars(problems),
         *_bars_of_free_bodies(problems),
-        *(section for x in problems for section in (_summary_title(x), _summary(x))),
+        *(section for x in problems for section in summary(x)),
         *(section for x in problems for section in at(x)),
         "\n".join(["Notes", "", *(f"- {note}" for note in result["notes"])]),
     ]
@@ -137,28 +137,25 @@ def _bars_of_free_bodies(problems: Sequence[Record]) -> list[str]:
     return [title, report.table(["", "by", "ms", "÷ ms", "ratio", "bar", ""], rows)]
 
 
-def _summary_title(found: Record) -> str:
-    return (
-        f"{found['problem']}: milliseconds per 1000 members for a median error ({found['error']}), and over heyoka's; "
-        "each family by its best curve, – where none reaches the error"
-    )
-
-
-def _summary(found: Record) -> str:
+def summary(found: Record) -> list[str]:
+    """The table of the times of each family for some errors, with its title."""
     points = found["points"]
     rivals = [fastest(points, lambda r: r["kind"] == "heyoka", error)[0] for error in ERRORS]
-    rows = []
     families: dict[str, Allowed] = {"best of ours": lambda r: r["ours"]}
     for kind in dict.fromkeys(r["kind"] for r in points):
         families[kind] = lambda r, kind=kind: r["kind"] == kind
+    rows = []
     for name, allowed in families.items():
         row = [name]
         for error, rival in zip(ERRORS, rivals, strict=True):
             ms, by = fastest(points, allowed, error)
-            ratio = ms / rival if np.isfinite(rival) else np.nan
-            row += [_named(by), _number(ms), _number(ratio)]
+            row += [_named(by), _number(ms), _number(ms / rival if np.isfinite(rival) else np.nan)]
         rows.append(row)
-    return report.table(["", *(cell for e in ERRORS for cell in (f"{e:g}, by", "ms", "÷ heyoka"))], rows)
+    title = (
+        f"{found['problem']}: milliseconds per 1000 members for a median error ({found['error']}), and over heyoka's; "
+        "each family by its best curve, – where none reaches the error"
+    )
+    return [title, report.table(["", *(cell for e in ERRORS for cell in (f"{e:g}, by", "ms", "÷ heyoka"))], rows)]
 
 
 def fastest(
