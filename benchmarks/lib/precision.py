@@ -122,7 +122,7 @@ def of_peers(
     fives, eights = (partial(peer, inertia, wide=True, weight=weight) for peer in (peers.tsit5, peers.dopri8))
     rollout = partial(peers.mujoco_rk4, inertia, weight=weight)
     return [
-        Curve("diffrax Tsit5", "diffrax", fives, growing(2 * unit, 12)),
+        Curve("diffrax Tsit5", "diffrax", fives, growing(2 * unit, 14)),
         Curve("diffrax Tsit5, adaptive", "diffrax", fives, (), tolerances),
         Curve("diffrax Dopri8", "diffrax", eights, growing(unit / 2, 11)),
         Curve("diffrax Dopri8, adaptive", "diffrax", eights, (), tolerances),
