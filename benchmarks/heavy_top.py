@@ -2,8 +2,8 @@
 
 Heavy plates of inertia (1, 2, 3), each fixed at one of its points, weight (.9, .8, 0): three moments, not integrable.
 Random attitudes, body velocities random in the unit ball, dt = 0.05. Ours (the energy-momentum scheme with three κ's,
-the splitting, both composed) against C++ of the same schemes, diffrax and MuJoCo, called in turn in one process pinned
-to one core (as Linux can).
+the splitting, both composed) against C++ of the same schemes, diffrax, MuJoCo and (for accuracy) heyoka, called in turn
+in one process pinned to one core (as Linux can).
 The reference is `diagnostics.flow`, Gauss collocation of order 16. Tsit5 is as vmapped and jitted by default; "wide
 vectors" are `ensemble.compiler_options()`.
 
@@ -19,7 +19,7 @@ def main() -> None:
     options = command.on_one_core(__doc__)
     from lib import measure, precision, tops, tops_report
 
-    points = precision.Sizes((10.0,), (3,), (1,)) if not options.quick else precision.Sizes((10.0,), (1,), (5,), 0.3)
+    points = precision.QUICK if options.quick else precision.Sizes(rounds=3)
     result = command.under_load(lambda: tops.everything(measure.QUICK if options.quick else measure.Sizes(), points))
     tops_report.write(result, options.out)
 

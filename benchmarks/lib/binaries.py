@@ -15,11 +15,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from lib import peers
+from lib import peers, taylor
 from lib.contest import Contestant, race
-from lib.measure import BATCH, WATCHED, States
-from lib.precision import Curve, Point, growing
-from lib.satellites import at_the_end, by_ensemble, points_of
+from lib.measure import BATCH, WATCHED, States, by_ensemble
+from lib.precision import Curve, Sizes, flowed, growing, points_of, records
+from lib.taylor import cross, dot, turned
 from scipy.integrate import solve_ivp
 
 import lieint_jax as li
@@ -29,7 +29,6 @@ from lieint_jax.systems import RigidBodies
 ORBITS = 2
 END = 2 * np.pi * ORBITS
 _TOLERANCES = tuple(10.0**-k for k in range(5, 15))
-_LANES = 8  # of heyoka's batch: 512-bit vectors
 
 # Didymos and Dimorphos, SI units: the example of the public two-body code of Davis & Scheeres
 _G, _DISTANCE, _SPEED = 6.67408e-11, 1180.0, 0.17277588
@@ -94,38 +93,24 @@ def _loop(step: li.Step, states: li.State, info: li.StepInfo, dt: Any, num_steps
 def rates_of_relative_motion(m: Sequence[float], J: Any, y: Sequence[Any]) -> list[Any]:
     """The time derivatives of d, ḋ, and q, Π of either body, for numbers and for expressions alike; G = 1."""
     d, v = y[:3], y[3:6]
-    square = _dot(d, d)
+    square = dot(d, d)
     fifth = square**-2.5
     along, arms, turning = 0.0, [0.0] * 3, []
     for i in range(2):
         q, Pi, other = y[6 + 7 * i : 10 + 7 * i], y[10 + 7 * i : 13 + 7 * i], m[1 - i]
         w = [a / b for a, b in zip(Pi, J[i], strict=True)]
-        Gamma = _turned(-1.0 * q[0], q[1:], d)
+        Gamma = turned(-1.0 * q[0], q[1:], d)
         JGamma = [a * b for a, b in zip(J[i], Gamma, strict=True)]
-        along = along + other * _dot(Gamma, JGamma)
-        arms = [a + other * b for a, b in zip(arms, _turned(q[0], q[1:], JGamma), strict=True)]
-        turning += [-0.5 * _dot(q[1:], w)]
-        turning += [0.5 * (q[0] * a + b) for a, b in zip(w, _cross(q[1:], w), strict=True)]
-        torque = _cross(Gamma, JGamma)
-        turning += [a + 3.0 * other * fifth * b for a, b in zip(_cross(Pi, w), torque, strict=True)]
+        along = along + other * dot(Gamma, JGamma)
+        arms = [a + other * b for a, b in zip(arms, turned(q[0], q[1:], JGamma), strict=True)]
+        turning += [-0.5 * dot(q[1:], w)]
+        turning += [0.5 * (q[0] * a + b) for a, b in zip(w, cross(q[1:], w), strict=True)]
+        torque = cross(Gamma, JGamma)
+        turning += [a + 3.0 * other * fifth * b for a, b in zip(cross(Pi, w), torque, strict=True)]
     second = 1.5 * (m[1] * sum(J[0]) + m[0] * sum(J[1]))
     size = fifth * (m[0] * m[1] * square + second - 7.5 * along / square)
     whole = -(1 / m[0] + 1 / m[1])
     return [*v, *(whole * (size * a + 3.0 * fifth * b) for a, b in zip(d, arms, strict=True)), *turning]
-
-
-def _dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _cross(a: Sequence[Any], b: Sequence[Any]) -> list[Any]:
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-
-
-def _turned(w: Any, v: Sequence[Any], u: Sequence[Any]) -> list[Any]:
-    """u turned by the quaternion (w, v)."""
-    t = [2.0 * x for x in _cross(v, u)]
-    return [a + w * b + c for a, b, c in zip(u, t, _cross(v, t), strict=True)]
 
 
 def _numbers() -> tuple[list[float], list[list[float]]]:
@@ -142,60 +127,20 @@ def to_relative(q: np.ndarray, p: np.ndarray) -> np.ndarray:
     return np.concatenate([q[:, 1, :3] - q[:, 0, :3], v, turning.reshape(len(q), 14)], axis=1)
 
 
-def from_relative(y: np.ndarray) -> np.ndarray:
-    """Configurations (B, 2, 7) of states (B, 20), the barycentre at the origin."""
+def from_relative(y: np.ndarray) -> States:
+    """Configurations (B, 2, 7) and momenta (B, 2, 6) of states (B, 20), the barycentre at rest at the origin."""
     m, _ = _numbers()
-    x = np.array([-m[1], m[0]])[:, None] * y[:, None, :3]
-    return np.concatenate([x, np.stack([y[:, 6:10], y[:, 13:17]], axis=1)], axis=2)
+    share = np.array([-m[1], m[0]])[:, None]
+    q, Pi = np.stack([y[:, 6:10], y[:, 13:17]], axis=1), np.stack([y[:, 10:13], y[:, 17:20]], axis=1)
+    spins = jax.vmap(jax.vmap(li.groups.so3.Ad))(jnp.asarray(q), jnp.asarray(Pi))
+    x, v = (share * y[:, None, first : first + 3] for first in (0, 3))
+    return np.concatenate([x, q], axis=2), np.concatenate([np.array(m)[:, None] * v, np.asarray(spins)], axis=2)
 
 
-def heyoka_taylor(dt: float, rtol: float) -> Contestant:
-    """heyoka's adaptive Taylor series of the relative motion, eight systems at once; its "step" is a time dt."""
-    integrator, _ = _heyoka(rtol)
-
-    def advance(states: np.ndarray, num_steps: int) -> np.ndarray:
-        ends = np.empty_like(states)
-        for first in range(0, len(states), _LANES):
-            some = states[first : first + _LANES]
-            integrator.state[:] = np.resize(some, (_LANES, 20)).T
-            integrator.set_time(0.0)
-            integrator.propagate_until(num_steps * dt)
-            ends[first : first + _LANES] = integrator.state.T[: len(some)]
-        return ends
-
-    def read(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return from_relative(states), states
-
-    return Contestant("heyoka", "float64", 1e4, to_relative, advance, read)
-
-
-@cache
-def _heyoka(rtol: float) -> tuple[Any, float]:
-    """The integrator of a batch, and the seconds that it took to compile."""
-    import heyoka
-
-    began = time.perf_counter()
+def relative_motion(heyoka: Any) -> list[Any]:
+    """The equations of the relative motion, for `taylor`."""
     variables = heyoka.make_vars(*(f"y{k}" for k in range(20)))
-    equations = list(zip(variables, rates_of_relative_motion(*_numbers(), variables), strict=True))
-    made: Any = heyoka.taylor_adaptive_batch(equations, np.zeros((20, _LANES)), tol=rtol)
-    return made, time.perf_counter() - began
-
-
-def heyoka_alone(dt: float, rtol: float) -> Contestant:
-    """heyoka's adaptive Taylor series of one system."""
-    import heyoka
-
-    variables = heyoka.make_vars(*(f"y{k}" for k in range(20)))
-    equations = list(zip(variables, rates_of_relative_motion(*_numbers(), variables), strict=True))
-    integrator: Any = heyoka.taylor_adaptive(equations, np.zeros(20), tol=rtol)
-
-    def advance(states: np.ndarray, num_steps: int) -> np.ndarray:
-        integrator.state[:] = states[0]
-        integrator.time = 0.0
-        integrator.propagate_until(num_steps * dt)
-        return integrator.state[None].copy()
-
-    return Contestant("heyoka", "float64", 1e4, to_relative, advance, lambda states: (from_relative(states), states))
+    return list(zip(variables, rates_of_relative_motion(*_numbers(), variables), strict=True))
 
 
 def dop853(dt: float, rtol: float) -> Contestant:
@@ -209,74 +154,77 @@ def dop853(dt: float, rtol: float) -> Contestant:
         span = (0.0, num_steps * dt)
         return np.stack([solve_ivp(field, span, y, method="DOP853", rtol=rtol, atol=rtol).y[:, -1] for y in states])
 
-    return Contestant(
-        "scipy DOP853", "float64", 1e2, to_relative, advance, lambda states: (from_relative(states), states)
-    )
+    return Contestant("scipy DOP853", "float64", 1e2, to_relative, advance, from_relative)
 
 
-@cache
-def _solver(name: str, adaptive: bool) -> Any:
-    return peers.compiled(name, binary(), adaptive, wide=True)
-
-
-def diffrax_of(name: str, dt: float, rtol: float | None = None) -> Contestant:
-    """A solver of diffrax on our right-hand side, vmapped."""
-    return peers.by_diffrax(name, _solver(name, rtol is not None), dt, "float64", rtol, pace=1e4)
-
-
-def curves(alone: bool) -> list[Curve]:
-    """The curves of our schemes, then of the peers; of one system `alone`, or of many. Counts are of both orbits."""
+def of_ours(alone: bool) -> list[Curve]:
+    """The curves of our schemes; of one system `alone`, or of many. Counts are of both orbits."""
     make, system = li.schemes, binary()
 
     def of(name: str, step: li.Step, first: int, points: int, factor: float = 2**0.5) -> Curve:
-        made = partial(looped, name, step) if alone else partial(_in_ensemble, name, step)
+        made = partial(looped, name, step) if alone else partial(by_ensemble, name, step)
         return Curve(name, "ours", made, growing(first, points, factor))
 
-    ours = [
+    return [
         of("splitting", make.splitting(system), 200, 3, 4),
         of("nystrom, order 4", make.nystrom(system, 4), 64, 8),
         of("nystrom, order 6", make.nystrom(system, 6), 24, 8),
         of("kepler_splitting (8, 4)", make.kepler_splitting(system, (8, 4)), 12, 9),
         of("kepler_splitting (8, 6, 4)", make.kepler_splitting(system, (8, 6, 4)), 8, 9),
     ]
+
+
+def by_heyoka(alone: bool) -> Curve:
+    make = partial(taylor.one if alone else taylor.many, relative_motion, to_relative, from_relative)
+    return Curve("heyoka", "heyoka", make, (), _TOLERANCES)
+
+
+def curves(alone: bool) -> list[Curve]:
+    """The curves of our schemes, then of the peers; of one system `alone`, or of many."""
     diffrax = [
-        Curve(f"diffrax {name}{how}", "peer", partial(diffrax_of, name), counts, tolerances)
+        Curve(f"diffrax {name}{how}", "diffrax", _diffrax(name), counts, tolerances)
         for name, steps in (("Tsit5", growing(128, 9)), ("Dopri8", growing(24, 9)))
         for how, counts, tolerances in (("", steps, ()), (", adaptive", (), _TOLERANCES))
     ]
-    heyoka = Curve("heyoka", "peer", heyoka_alone if alone else heyoka_taylor, (), _TOLERANCES)
-    scipy = [Curve("scipy DOP853", "peer", dop853, (), _TOLERANCES[::2])] if alone else []
-    return [*ours, *diffrax, heyoka, *scipy]
+    scipy = [Curve("scipy DOP853", "scipy", dop853, (), _TOLERANCES[::2])] if alone else []
+    return [*of_ours(alone), *diffrax, by_heyoka(alone), *scipy]
 
 
-def _in_ensemble(name: str, step: li.Step, dt: float) -> Contestant:
-    return by_ensemble(name, step, dt, lambda z: z, 1e5)
+@cache
+def _diffrax(name: str) -> Any:
+    return peers.diffrax_of(name, binary())
 
 
-def apart(q: np.ndarray, exact: np.ndarray) -> float:
-    """The largest |d − d*|/|d*| of configurations (B, 2, 7), d = x₂ − x₁."""
+def apart(q: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """The errors |d − d*|/|d*| of configurations (B, 2, 7), d = x₂ − x₁."""
     d, right = (x[:, 1, :3] - x[:, 0, :3] for x in (q, exact))
-    return float(np.max(np.linalg.norm(d - right, axis=1) / np.linalg.norm(right, axis=1)))
+    return np.linalg.norm(d - right, axis=1) / np.linalg.norm(right, axis=1)
 
 
-def reference() -> tuple[np.ndarray, float]:
+def energy_drift(q: np.ndarray, p: np.ndarray) -> float:
+    """The largest |H − H₀|/|H₀| of states (times, systems, …)."""
+    H = np.asarray(jax.jit(jax.vmap(jax.vmap(binary().energy)))(li.State(jnp.asarray(q), jnp.asarray(p))))
+    return float(np.max(np.abs(H - H[0]) / np.abs(H[0])))
+
+
+def reference() -> tuple[np.ndarray, np.ndarray]:
     """Configurations of the watched systems at the end by `diagnostics.flow`, and the distance of those of DOP853."""
-    q, p = start(WATCHED)
-    flow = jax.jit(jax.vmap(li.diagnostics.flow, (None, 0, None, None)), static_argnums=3)
-    exact = np.asarray(flow(binary(), li.State(jnp.asarray(q), jnp.asarray(p)), END, round(16 * END)).q)
+    states = start(WATCHED)
+    exact = flowed(binary(), states, END, round(16 * END))
     scipy = dop853(END, 1e-13)
-    return exact, apart(scipy.read(scipy.advance(scipy.load(q, p), 1))[0], exact)
+    return exact, apart(scipy.read(scipy.advance(scipy.load(*states), 1))[0], exact)
 
 
 def accuracy(rounds: int, stride: int, notes: list[str]) -> dict[str, Any]:
     """Times and errors of all points, with 1000 systems and with one; the errors are those of the watched ones."""
-    exact, doubt = reference()
-    found: dict[str, Any] = {"end": END, "reference_doubt": doubt}
+    exact, doubts = reference()
+    found: dict[str, Any] = {"end": END, "reference_doubt": float(doubts.max())}
+    extent = Sizes(rounds=rounds, longest=np.inf, seconds=np.inf)
     for key, count in (("many", BATCH), ("one", 1)):
-        points: list[Point] = []
-        for curve in curves(count == 1):
-            points += points_of(curve, END, stride, notes)
-        found[key] = at_the_end(points, rounds, exact[:count], doubt, start(count), apart)
+        points = [x for curve in curves(count == 1) for x in points_of(curve, END, stride, notes)]
+        found[key] = records(points, start(count), exact, doubts, extent, notes, apart)
+        for record in found[key]:
+            record["milliseconds"] *= count / 1000  # of all systems
     found["heyoka_compile_seconds"] = _compile_seconds(stride)
     return found
 
@@ -284,7 +232,7 @@ def accuracy(rounds: int, stride: int, notes: list[str]) -> dict[str, Any]:
 def _compile_seconds(stride: int) -> float | None:
     """The most seconds that heyoka took to compile its batch for one of the tolerances."""
     try:
-        return max(_heyoka(rtol)[1] for rtol in _TOLERANCES[::stride])
+        return max(taylor.compiled(relative_motion, rtol)[1] for rtol in _TOLERANCES[::stride])
     except ImportError:
         return None
 
@@ -318,7 +266,7 @@ def growth_with_systems(counts: Sequence[int], seconds: float) -> list[dict[str,
         states = li.State(jnp.asarray(q), jnp.asarray(p))
         info = li.StepInfo(jnp.zeros(count), jnp.ones(count, bool))
         record = _cost((step, states, info, 0.01), seconds)
-        contestant = _in_ensemble("", step, 0.01)
+        contestant = by_ensemble("", step, 0.01)
         steps = max(4, round(seconds / record["seconds"]))
         [timing] = race([contestant], q, p, [steps], 3)
         found.append({"systems": count, **record, "ensemble_seconds": min(timing.later) / steps})

@@ -51,8 +51,7 @@ def _sections(result: dict[str, Any]) -> list[str]:
 
 
 def _best(points: Sequence[dict[str, Any]], error: float, ours: bool, named: str = "") -> tuple[float, str]:
-    kinds = {r["curve"]: r["kind"] for r in points if named in r["curve"]}
-    names = [name for name, kind in kinds.items() if (kind == "ours") == ours]
+    names = dict.fromkeys(r["curve"] for r in points if named in r["curve"] and r["ours"] == ours)
     return min(((milliseconds(points, name, error), name) for name in names), default=(np.inf, ""))
 
 

@@ -45,7 +45,7 @@ def contestants(missing: list[str]) -> list[Contestant]:
         for name, tau in _MAPS.items():
             step = li.schemes.group_midpoint(body(), tau)
             makers.append(("ours", partial(measure.ours, f"ours, {name} map{WIDE * wide}", step, DT, wide, 4e6)))
-        makers.append(("diffrax", partial(peers.tsit5_of, body(), DT, wide)))
+        makers.append(("diffrax", partial(peers.diffrax_of("Tsit5", body(), wide), DT)))
     return list(measure.those_here(makers, missing))
 
 

@@ -21,6 +21,7 @@ from lib import cpp, peers
 from lib.contest import Contestant, Timing, race, steps_lasting
 
 import lieint_jax as li
+from lieint_jax import ensemble
 from lieint_jax.ensemble import compiler_options
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symplectic
@@ -37,18 +38,6 @@ _LEVELS = (4, 8)  # steps per unit of time of the two references by `by_flow`
 
 
 States = tuple[np.ndarray, np.ndarray]  # configurations and momenta
-
-
-class Problem(NamedTuple):
-    """A system, integrated from the states of `bodies`, and its reference solution.
-
-    Attributes:
-        system: the system, for energy and momentum.
-        reference: time ↦ attitudes of the watched bodies, and the distance of a second reference from them.
-    """
-
-    system: Any
-    reference: Callable[[float], tuple[np.ndarray, float]]
 
 
 class Sizes(NamedTuple):
@@ -122,6 +111,36 @@ def ours(name: str, step: li.Step, dt: float, wide: bool, pace: float = 1e7, t: 
     return Contestant(name, dtype, pace, load, advance, read, info)
 
 
+def by_ensemble(
+    name: str,
+    step: li.Step,
+    dt: float,
+    start: Callable[[li.State], li.State] = lambda z: z,
+    pace: float = 1e6,
+    times: Callable[[int], np.ndarray] | None = None,
+) -> Contestant:
+    """A step through `ensemble.run`, the whole call; `start` adds to states (q, p) what else the initial ones hold.
+
+    With `times`, number of steps ↦ step boundaries, those are taken in place of steps of dt.
+    """
+
+    def load(q: np.ndarray, p: np.ndarray) -> tuple[li.State, Any]:
+        return start(li.State(jnp.asarray(q), jnp.asarray(p))), None
+
+    def advance(states: tuple[li.State, Any], num_steps: int) -> tuple[li.State, Any]:
+        given: dict[str, Any] = {"dt": dt, "num_steps": num_steps} if times is None else {"times": times(num_steps)}
+        run = ensemble.run(step, states[0], **given, progress=False)
+        return jax.tree.map(lambda x: x[-1], (run.state, run.info))
+
+    def read(states: tuple[li.State, Any]) -> tuple[np.ndarray, np.ndarray]:
+        return np.asarray(states[0].q), np.asarray(states[0].p)
+
+    def info(states: tuple[li.State, Any]) -> tuple[float, bool]:
+        return float(np.max(states[1].residual)), bool(np.all(states[1].converged))
+
+    return Contestant(name, "float64", pace, load, advance, read, info)
+
+
 def contestants(missing: list[str]) -> list[Contestant]:
     """All contestants at dt = DT; a note on each one whose package is not installed is appended to `missing`."""
     makers: list[tuple[str, Callable[[], Contestant]]] = []
@@ -156,11 +175,10 @@ def everything(sizes: Sizes) -> dict[str, Any]:
     notes += cpp.notes("free_rigid_body")
     same_scheme = [c for c in entries if "symplectic" in c.name]
     exact, doubt = reference(END)
-    free = Problem(body(), reference)
     return {
         "machine": machine(),
         "rates": [r for b in sizes.batches for r in rates(entries if b == BATCH else same_scheme, b, sizes)],
-        "quality": [quality(c, exact, sizes, free.system) for c in entries if WIDE not in c.name],
+        "quality": [quality(c, exact, sizes, body()) for c in entries if WIDE not in c.name],
         "agreement": agreement(same_scheme),
         "reference_doubt": doubt,
         "notes": notes,
@@ -229,8 +247,8 @@ def reference(end: float) -> tuple[np.ndarray, float]:
 
 
 def by_flow(
-    system: Any, start: States, end: float, apart: Callable[[np.ndarray, np.ndarray], float] | None = None
-) -> tuple[np.ndarray, float]:
+    system: Any, start: States, end: float, apart: Callable[[np.ndarray, np.ndarray], Any] | None = None
+) -> tuple[np.ndarray, Any]:
     """q at t = end by `diagnostics.flow`, and its distance from that with half as many steps, in radians or `apart`."""
     states = li.State(jnp.asarray(start[0]), jnp.asarray(start[1]))
     flow = jax.jit(jax.vmap(li.diagnostics.flow, (None, 0, None, None)), static_argnums=3)
@@ -240,7 +258,12 @@ def by_flow(
 
 def attitude_error(q: np.ndarray, exact: np.ndarray) -> float:
     """The largest angle between two sets of attitudes, in radians."""
-    return float(jax.vmap(so3.angle)(jnp.asarray(_unit(q)), jnp.asarray(exact)).max())
+    return float(attitude_errors(q, exact).max())
+
+
+def attitude_errors(q: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """The angles between attitudes, in radians."""
+    return np.asarray(jax.vmap(so3.angle)(jnp.asarray(_unit(q)), jnp.asarray(exact)))
 
 
 def energy_drift(system: Any, q: np.ndarray, p: np.ndarray) -> float:

@@ -1,16 +1,14 @@
-"""Other packages as contestants: diffrax, MuJoCo, scipy, heyoka, astrojax. Each function imports its package.
+"""Other packages as contestants: diffrax, MuJoCo, scipy, astrojax (heyoka: taylor.py). Each function imports its own.
 
 Each package is used as its documentation recommends, in its fastest way. diffrax integrates our vector field
 (quaternion and spatial momentum, so momentum is exact there too; 25 % faster than the same with jnp.cross), vmapped,
 with dt0 = dt and constant steps; with time counted in steps, so that dt0 = 1, it runs 10 % faster. Adaptive, it takes
 its PIDController with rtol = atol and finds its first step; a batch then takes as many steps as its worst body. MuJoCo
 has contacts and constraints switched off, one thread, many states a call; its rollout keeps every state. scipy takes
-one body at a time, with Euler's equations in plain floats, which is faster there than numpy. heyoka compiles Taylor
-series of eight bodies at once (eight lanes were faster than four and sixteen, and its compact mode took 1.7 to 2.5
-times as long); the orbit's motion is integrated along, which is faster there than Kepler's equation. astrojax steps
-with a time that the bodies share, so that its position function is called once for all. Its own composition of the
-torque and the motion of the quaternion is not used: in 0.8 the torque reads a quaternion as the inverse of the rotation
-that the motion does, so that the two together are no satellite. Here the torque gets the conjugate.
+one body at a time, with Euler's equations in plain floats, which is faster there than numpy. astrojax steps with a
+time that the bodies share, so that its position function is called once for all. Its own composition of the torque and
+the motion of the quaternion is not used: in 0.8 the torque reads a quaternion as the inverse of the rotation that the
+motion does, so that the two together are no satellite. Here the torque gets the conjugate.
 """
 
 from __future__ import annotations
@@ -30,7 +28,6 @@ from lieint_jax.groups import so3
 from lieint_jax.types import Driven
 
 _PACES = {"Tsit5": 6e6, "Dopri8": 1.5e6}  # body-steps a second, about
-_LANES = 8  # bodies that heyoka integrates at once
 _ROLLOUT = 100  # steps per call of MuJoCo's rollout, which keeps every state
 
 _MODEL = """
@@ -66,16 +63,22 @@ tsit5 = partial(_diffrax, "Tsit5")  # of order 5
 dopri8 = partial(_diffrax, "Dopri8")  # of order 8
 
 
-def tsit5_of(
-    system: Any, dt: float, wide: bool = False, rtol: float | None = None, whole: bool = False, name: str = "Tsit5"
-) -> Contestant:
-    """A solver of diffrax on the right-hand side of any system, vmapped or of the `whole` batch, steps of dt, float64.
+def diffrax_of(
+    name: str, system: Any, wide: bool = True, whole: bool = False, t0: float = 0.0
+) -> Callable[..., Contestant]:
+    """(dt, rtol=None) ↦ a solver of diffrax on the right-hand side of any system, vmapped or of the `whole` batch.
 
-    A driven system starts at t = 0. The members of a whole batch share their time.
+    Steps of dt; adaptive with an rtol. Compiled once for all of them. A driven system starts at t0; the members of a
+    whole batch share their time and, adaptive, their steps.
     """
-    found = by_diffrax(name, compiled(name, system, rtol is not None, wide, whole), dt, "float64", rtol, pace=1.5e6)
-    title = found.name.replace("vmapped", "one solve of the batch") if whole else found.name
-    return found._replace(name=title + ", wide vectors" * wide)
+    solver = cache(lambda adaptive: compiled(name, system, adaptive, wide, whole, t0))
+
+    def make(dt: float, rtol: float | None = None) -> Contestant:
+        found = by_diffrax(name, solver(rtol is not None), dt, "float64", rtol, pace=1.5e6)
+        title = found.name.replace("vmapped", "one solve of the batch") if whole else found.name
+        return found._replace(name=title + ", wide vectors" * wide)
+
+    return make
 
 
 def by_diffrax(
@@ -105,14 +108,16 @@ def _solver(
     return compiled(name, body, adaptive, wide)
 
 
-def compiled(name: str, system: Any, adaptive: bool, wide: bool, whole: bool = False) -> Callable[..., li.State]:
+def compiled(
+    name: str, system: Any, adaptive: bool, wide: bool, whole: bool = False, t0: float = 0.0
+) -> Callable[..., li.State]:
     """(states, number of steps, dt, rtol) ↦ states, compiled once for all numbers."""
     import diffrax
 
     def rate(t: Any, z: li.State) -> li.State:
         if not isinstance(system, Driven):
             return system.vector_field(z)
-        return system.vector_field(z._replace(t=t))._replace(work=None)
+        return system.vector_field(z._replace(t=t0 + t))._replace(work=None)
 
     solver: Any = getattr(diffrax, name)()
     field = jax.vmap(rate, (None, 0)) if whole else rate
@@ -153,7 +158,7 @@ def mujoco_rk4(inertia: Sequence[float], dt: float, weight: Sequence[float] | No
     J = np.asarray(inertia)
 
     def load(q: np.ndarray, p: np.ndarray) -> np.ndarray:
-        return np.concatenate([np.zeros((len(q), 1)), q, _to_body(q, p) / J], axis=1)  # time, qpos, qvel
+        return np.concatenate([np.zeros((len(q), 1)), q, to_body(q, p) / J], axis=1)  # time, qpos, qvel
 
     def advance(states: np.ndarray, num_steps: int) -> np.ndarray:
         for done in range(0, num_steps, _ROLLOUT):
@@ -163,7 +168,7 @@ def mujoco_rk4(inertia: Sequence[float], dt: float, weight: Sequence[float] | No
         return states
 
     def read(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return states[:, 1:5], _to_space(states[:, 1:5], J * states[:, 5:])
+        return states[:, 1:5], to_space(states[:, 1:5], J * states[:, 5:])
 
     return Contestant("MuJoCo RK4, rollout", "float64", 2.5e5, load, advance, read)
 
@@ -175,7 +180,7 @@ def dop853(inertia: Sequence[float], dt: float, rtol: float = 1e-10) -> Contesta
     field = _euler(*inertia)
 
     def load(q: np.ndarray, p: np.ndarray) -> np.ndarray:
-        return np.concatenate([q, _to_body(q, p)], axis=1)
+        return np.concatenate([q, to_body(q, p)], axis=1)
 
     def advance(states: np.ndarray, num_steps: int) -> np.ndarray:
         span = (0.0, num_steps * dt)
@@ -184,7 +189,7 @@ def dop853(inertia: Sequence[float], dt: float, rtol: float = 1e-10) -> Contesta
 
     def read(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         q = states[:, :4] / np.linalg.norm(states[:, :4], axis=1, keepdims=True)
-        return q, _to_space(q, states[:, 4:])
+        return q, to_space(q, states[:, 4:])
 
     return Contestant(f"scipy DOP853, rtol {rtol:g}", "float64", 1.5e5, load, advance, read)
 
@@ -199,63 +204,6 @@ def _euler(J1: float, J2: float, J3: float) -> Callable[[float, np.ndarray], lis
         return [*q_dot, (w * t + x * v - y * u) / 2, b * t - c * v, c * u - a * t, a * v - b * u]
 
     return field
-
-
-def heyoka_taylor(inertia: Sequence[float], eccentricity: float, dt: float, rtol: float) -> Contestant:
-    """heyoka's adaptive Taylor series for satellites on an orbit with μ = a = 1; its "step" is a time dt, from t = 0.
-
-    Body momenta and quaternions, and the orbit from its periapsis on; the tolerance is `rtol`.
-    """
-    import heyoka
-
-    J, e = np.asarray(inertia), eccentricity
-    periapsis = np.array([1 - e, 0.0, 0.0, np.sqrt((1 + e) / (1 - e))])
-    equations = _gravity_gradient(heyoka, *map(float, J))
-    batch: Any = heyoka.taylor_adaptive_batch(equations, np.zeros((len(equations), _LANES)), tol=rtol)
-
-    def load(q: np.ndarray, p: np.ndarray) -> np.ndarray:
-        return np.concatenate([q, _to_body(q, p), np.tile(periapsis, (len(q), 1))], axis=1)
-
-    def advance(states: np.ndarray, num_steps: int) -> np.ndarray:
-        ends = np.empty_like(states)
-        for first in range(0, len(states), _LANES):
-            some = states[first : first + _LANES]
-            batch.state[:] = np.resize(some, (_LANES, states.shape[1])).T
-            batch.set_time(0.0)
-            batch.propagate_until(num_steps * dt)
-            ends[first : first + _LANES] = batch.state.T[: len(some)]
-        return ends
-
-    def read(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        q = states[:, :4] / np.linalg.norm(states[:, :4], axis=1, keepdims=True)
-        return q, _to_space(q, states[:, 4:7])
-
-    return Contestant(f"heyoka, Taylor, tolerance {rtol:g}", "float64", 1e4, load, advance, read)
-
-
-def _gravity_gradient(heyoka: Any, J1: float, J2: float, J3: float) -> list[Any]:
-    """q̇ = ½ q Ω, Π̇ = Π × Ω + (3/r⁵) Γ × JΓ with Γ the position (X, Y, 0) in the body, and Kepler's motion of it."""
-    w, x, y, z, a, b, c = heyoka.make_vars("w", "x", "y", "z", "a", "b", "c")
-    X, Y, U, V = heyoka.make_vars("X", "Y", "U", "V")
-    square = X * X + Y * Y
-    k = 3.0 * square**-2.5
-    u, v, s = a / J1, b / J2, c / J3
-    G1 = (1 - 2 * (y * y + z * z)) * X + 2 * (x * y + w * z) * Y
-    G2 = 2 * (x * y - w * z) * X + (1 - 2 * (x * x + z * z)) * Y
-    G3 = 2 * (x * z + w * y) * X + 2 * (y * z - w * x) * Y
-    return [
-        (w, -0.5 * (x * u + y * v + z * s)),
-        (x, 0.5 * (w * u + y * s - z * v)),
-        (y, 0.5 * (w * v + z * u - x * s)),
-        (z, 0.5 * (w * s + x * v - y * u)),
-        (a, b * s - c * v + (J3 - J2) * k * G2 * G3),
-        (b, c * u - a * s + (J1 - J3) * k * G3 * G1),
-        (c, a * v - b * u + (J2 - J1) * k * G1 * G2),
-        (X, U),
-        (Y, V),
-        (U, -X * square**-1.5),
-        (V, -Y * square**-1.5),
-    ]
 
 
 def astrojax_of(inertia: Sequence[float], orbit: Any, dt: float, rtol: float | None = None) -> Contestant:
@@ -298,7 +246,7 @@ def astrojax_of(inertia: Sequence[float], orbit: Any, dt: float, rtol: float | N
         return jax.vmap(body)(states)
 
     def load(q: np.ndarray, p: np.ndarray) -> jax.Array:
-        return jnp.concatenate([jnp.asarray(q), jnp.asarray(_to_body(q, p) / diagonal)], axis=1)
+        return jnp.concatenate([jnp.asarray(q), jnp.asarray(to_body(q, p) / diagonal)], axis=1)
 
     def advance(states: jax.Array, num_steps: int) -> jax.Array:
         return jax.block_until_ready((constant if rtol is None else adaptive)(states, num_steps))
@@ -306,15 +254,15 @@ def astrojax_of(inertia: Sequence[float], orbit: Any, dt: float, rtol: float | N
     def read(states: jax.Array) -> tuple[np.ndarray, np.ndarray]:
         x = np.asarray(states)
         q = x[:, :4] / np.linalg.norm(x[:, :4], axis=1, keepdims=True)
-        return q, _to_space(q, diagonal * x[:, 4:])
+        return q, to_space(q, diagonal * x[:, 4:])
 
     title = "astrojax RK4, vmapped" if rtol is None else "astrojax DP54, vmapped, adaptive"
     return Contestant(title, "float64", 1e6, load, advance, read)
 
 
-def _to_body(q: np.ndarray, p: np.ndarray) -> np.ndarray:
+def to_body(q: np.ndarray, p: np.ndarray) -> np.ndarray:
     return np.asarray(jax.vmap(so3.Ad_star)(jnp.asarray(q), jnp.asarray(p)))
 
 
-def _to_space(q: np.ndarray, Pi: np.ndarray) -> np.ndarray:
+def to_space(q: np.ndarray, Pi: np.ndarray) -> np.ndarray:
     return np.asarray(jax.vmap(so3.Ad)(jnp.asarray(q), jnp.asarray(Pi)))

@@ -1,43 +1,54 @@
-"""Work and precision: cost against error of every scheme and peer, at several step sizes.
+"""Work and precision: cost against error of schemes and peers, each at several step sizes or tolerances.
 
 Importing this imports jax: pin the process to a core first.
 """
 
 from __future__ import annotations
 
+import time
+import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from lib import measure, peers
-from lib.contest import Contestant, race
-from lib.measure import BATCH, INERTIA, WATCHED, Problem
+from lib import measure, peers, taylor
+from lib.contest import Contestant
+from lib.measure import BATCH, WATCHED, States
 
 import lieint_jax as li
-from lieint_jax.maps import kappa_cayley, kappa_exponential, kappa_symplectic
 
-_TOLERANCES = tuple(10.0**-k for k in range(4, 14))  # of adaptive peers
-_LOOSEST = 1e-3  # the largest tolerance × time: Runge–Kutta lets |q| grow, and at 1e-1 the motion blows up
+ORDER_2, COMPOSED, PREPROCESSED, EXACT = "order 2", "compositions", "preprocessed", "closed form"  # kinds of curves
+TWO_BODY, EXTRAPOLATED = "splittings of bodies", "extrapolation"
+GAUSS = CONVERGED, ROUGH = ("gauss, converged", "gauss, fixed sweeps")
+PEERS = ("heyoka", "diffrax", "astrojax", "MuJoCo", "scipy")  # kinds of curves that are not ours
+TOLERANCES = tuple(10.0**-k for k in range(4, 16))  # of heyoka
+TIGHT = 1e-16  # heyoka's tolerance as a reference
 
 
 class Sizes(NamedTuple):
     """The extent of the measurements.
 
     Attributes:
-        ends: times of comparison, multiples of 10.
-        rounds: timed calls, for each end.
-        stride: every `stride`-th point of a curve is measured, for each end.
-        longest: the longest expected duration of a call, s; judged by its duration to the previous end.
+        bodies: the number of bodies of a batch.
+        rounds: timed calls of each point.
+        stride: every `stride`-th point of a curve is measured.
+        curves: the most curves of a kind; a program that compiles for seconds belongs to each of ours.
+        longest: the longest expected duration of a call, s, judged by the point before on the curve.
+        seconds: a point that was timed for so long, and twice, is not called again.
     """
 
-    ends: tuple[float, ...] = (10.0, 1000.0)
-    rounds: tuple[int, ...] = (5, 1)
-    stride: tuple[int, ...] = (1, 2)
-    longest: float = 2.0
+    bodies: int = BATCH
+    rounds: int = 5
+    stride: int = 1
+    curves: int = 100
+    longest: float = 3.0
+    seconds: float = 1.0
 
 
-QUICK = Sizes((10.0, 100.0), (1, 1), (5, 10), 0.3)
+QUICK = Sizes(bodies=64, rounds=1, stride=4, curves=1, longest=0.5)
 
 
 class Curve(NamedTuple):
@@ -45,11 +56,12 @@ class Curve(NamedTuple):
 
     Attributes:
         name: for the tables.
-        kind: "order 2", "composition", "preprocessed", "exact" or "peer".
+        kind: the family that it belongs to; one of `PEERS` if it is not ours.
         make: step size ↦ contestant; for adaptive peers, (time, tolerance) ↦ contestant.
-        counts: numbers of steps in a time of 10; for "exact", in the whole time.
+        counts: numbers of steps to the end, growing.
         tolerances: those of adaptive peers, which have no counts.
-        bodies: the number of bodies for timing.
+        bodies: the most bodies for timing.
+        rough: its steps solve no equation to round-off, and need not say that they converged.
     """
 
     name: str
@@ -58,6 +70,7 @@ class Curve(NamedTuple):
     counts: Sequence[int] = ()
     tolerances: Sequence[float] = ()
     bodies: int = BATCH
+    rough: bool = False
 
 
 class Point(NamedTuple):
@@ -69,100 +82,97 @@ class Point(NamedTuple):
     setting: float
 
 
-def curves() -> list[Curve]:
-    """The curves of all our schemes for the free body, then of the peers."""
-    body, make = measure.body(), li.schemes
-    steps: list[tuple[str, str, li.Step, Sequence[int]]] = [
-        (f"κ {kappa.name}", "order 2", make.so3_midpoint(body, kappa), growing(25, 6, 2))
-        for kappa in (kappa_symplectic, kappa_cayley, kappa_exponential)
-    ]
-    base = make.so3_midpoint(body)
-    for order, points in ((4, 9), (6, 8), (8, 7), (10, 7)):
-        name = f"compose {order}, commuting"
-        steps.append((name, "composition", make.compose(base, order), growing(5, points)))
-    steps += [
-        ("compose 8, Kahan & Li", "composition", make.compose(base, 8, "kahan_li_8"), growing(7, 7)),
-        (
-            "compose 4 of κ Cayley, Suzuki",
-            "composition",
-            make.compose(make.so3_midpoint(body, kappa_cayley), 4),
-            growing(7, 8),
-        ),
-        ("preprocessed 4", "preprocessed", make.preprocessed(body, 4), growing(12, 11)),
-        ("preprocessed 6", "preprocessed", make.preprocessed(body, 6), growing(12, 12)),
-        ("calibrated", "exact", make.calibrated(body), (10, 20, 40)),
-        ("exact", "exact", make.exact(body), (1, 10, 100)),
-    ]
-    scipy = Curve("scipy DOP853", "peer", partial(peers.dop853, INERTIA), tolerances=_TOLERANCES, bodies=WATCHED)
-    return [*of_ours(steps), *of_peers(13, 11, 7), scipy]
+class Problem(NamedTuple):
+    """What is integrated, by whom, and how errors are measured.
+
+    Attributes:
+        name: for the tables.
+        error: what the error is of, with its unit.
+        end: the duration.
+        start: number of members ↦ their initial states.
+        reference: initial states ↦ configurations at the end, the distance of those of a second reference, (B,), and
+            what the two are.
+        curves: the contestants.
+        apart: (configurations, exact ones) ↦ errors, (B,).
+        energy: (configurations, momenta), axes (times, members, …) ↦ the largest energy drift; None where energy is not
+            conserved.
+    """
+
+    name: str
+    error: str
+    end: float
+    start: Callable[[int], States]
+    reference: Callable[[States], tuple[np.ndarray, np.ndarray, str]]
+    curves: Sequence[Curve]
+    apart: Callable[[np.ndarray, np.ndarray], np.ndarray] = measure.attitude_errors
+    energy: Callable[[np.ndarray, np.ndarray], float] | None = None
 
 
-def of_ours(steps: Sequence[tuple[str, str, li.Step, Sequence[int]]]) -> list[Curve]:
-    """The curves of our steps, each given by its curve's name and kind, the step, and numbers of steps."""
-    return [
-        Curve(name, kind, partial(measure.ours, name, step, wide=True), counts) for name, kind, step, counts in steps
-    ]
-
-
-def of_peers(tsit5: int, dopri8: int, mujoco: int, weight: Sequence[float] | None = None) -> list[Curve]:
-    """The curves of diffrax and MuJoCo, with so many step sizes each; for tops of this weight, if one is given."""
-    fives, eights = (partial(peer, INERTIA, wide=True, weight=weight) for peer in (peers.tsit5, peers.dopri8))
-    rollout = partial(peers.mujoco_rk4, INERTIA, weight=weight)
-    return [
-        Curve("diffrax Tsit5", "peer", fives, growing(20, tsit5)),
-        Curve("diffrax Tsit5, adaptive", "peer", fives, tolerances=_TOLERANCES),
-        Curve("diffrax Dopri8", "peer", eights, growing(5, dopri8)),
-        Curve("diffrax Dopri8, adaptive", "peer", eights, tolerances=_TOLERANCES),
-        Curve("MuJoCo RK4", "peer", rollout, growing(25, mujoco, 2), bodies=WATCHED),
-    ]
-
-
-def growing(first: int, points: int, factor: float = 2**0.5) -> tuple[int, ...]:
+def growing(first: float, points: int, factor: float = 2**0.5) -> tuple[int, ...]:
     return tuple(round(first * factor**k) for k in range(points))
 
 
-def everything(sizes: Sizes, problem: Problem | None = None, contest: Sequence[Curve] | None = None) -> dict[str, Any]:
-    """All results, as values that JSON can hold; by default for the free body. Run it on one core."""
-    notes: list[str] = []
-    problem = problem or Problem(measure.body(), measure.reference)
-    contest = contest or curves()
-    found: list[dict[str, Any]] = []
-    for end, rounds, stride in zip(sizes.ends, sizes.rounds, sizes.stride, strict=True):
-        long = {key for before in found for key in _too_long(before, end, sizes.longest)}
-        points = [x for curve in contest for x in _points(curve, end, stride, notes) if _key(x) not in long]
-        found.append(at(end, points, rounds, problem))
-    return {"machine": measure.machine(), "ends": found, "notes": notes}
+def of_peers(
+    inertia: Sequence[float],
+    weight: Sequence[float] | None,
+    unit: float,
+    tolerances: Sequence[float] = tuple(10.0**-k for k in range(4, 14)),
+) -> list[Curve]:
+    """The curves of diffrax, MuJoCo and heyoka for free bodies, or tops; steps in proportion to `unit`."""
+    fives, eights = (partial(peer, inertia, wide=True, weight=weight) for peer in (peers.tsit5, peers.dopri8))
+    rollout = partial(peers.mujoco_rk4, inertia, weight=weight)
+    return [
+        Curve("diffrax Tsit5", "diffrax", fives, growing(2 * unit, 14)),
+        Curve("diffrax Tsit5, adaptive", "diffrax", fives, (), tolerances),
+        Curve("diffrax Dopri8", "diffrax", eights, growing(unit / 2, 11)),
+        Curve("diffrax Dopri8, adaptive", "diffrax", eights, (), tolerances),
+        Curve("MuJoCo RK4", "MuJoCo", rollout, growing(2.5 * unit, 6, 2), bodies=WATCHED),
+        Curve("heyoka", "heyoka", taylor.of_bodies(inertia, weight or (0.0, 0.0, 0.0)), (), TOLERANCES),
+    ]
 
 
-def at(end: float, points: Sequence[Point], rounds: int, problem: Problem) -> dict[str, Any]:
-    """Milliseconds per 1000 bodies, attitude error and energy drift of every point at t = end.
-
-    The points are called in turn, and the best call counts. The error is that of the worst of `WATCHED` bodies, the
-    drift that of the worst timed body. An error smaller than the distance of the two references is set to it.
-    """
-    exact, doubt = problem.reference(end)
-    records: list[dict[str, Any]] = []
-    for count in (BATCH, WATCHED):
-        group = [x for x in points if x.curve.bodies == count]
-        q, p = measure.bodies(count)
-        timings = race([x.contestant for x in group], q, p, [x.steps for x in group], rounds)
-        for point, timing in zip(group, timings, strict=True):
-            best = min(timing.first, *timing.later)
-            records.append(
-                _record(point, q, p, exact, doubt, problem.system) | {"milliseconds": 1e3 * best * 1000 / count}
-            )
-    return {"end": end, "reference_doubt": doubt, "points": records}
+def flowed(system: Any, states: States, end: float, num_steps: int, t0: float | None = None) -> np.ndarray:
+    """Configurations at the end by `diagnostics.flow`; those of a driven system start at t0, which all share."""
+    start = li.State(jnp.asarray(states[0]), jnp.asarray(states[1]), None if t0 is None else jnp.asarray(t0))
+    flow = jax.vmap(li.diagnostics.flow, (None, li.State(0, 0, None), None, None))  # pyright: ignore[reportArgumentType]
+    return np.asarray(jax.jit(flow, static_argnums=3)(system, start, end, num_steps).q)
 
 
-def _points(curve: Curve, end: float, stride: int, notes: list[str]) -> list[Point]:
-    """The points of a curve at t = end; if its package is not installed, none, and a note is appended to `notes`."""
-    times = 1 if curve.name == "exact" else round(end / 10)
+def checked(
+    problem: Problem, exact: np.ndarray, states: States, by: str = "`diagnostics.flow`"
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """A reference, and its distance from heyoka at its tightest, which shares nothing with it."""
+    [tight] = (curve.make(dt=problem.end, rtol=TIGHT) for curve in problem.curves if curve.kind == "heyoka")
+    doubts = problem.apart(tight.read(tight.advance(tight.load(*states), 1))[0], exact)
+    return exact, doubts, f"{by} and heyoka with a tolerance of {TIGHT:g}"
+
+
+def measured(problem: Problem, sizes: Sizes, notes: list[str]) -> dict[str, Any]:
+    """Times and errors of every curve of a problem, as values that JSON can hold. Run it on one core."""
+    start = problem.start(sizes.bodies)
+    exact, doubts, references = problem.reference(start)
+    points: list[Point] = []
+    for kind in dict.fromkeys(curve.kind for curve in problem.curves):
+        for curve in [x for x in problem.curves if x.kind == kind][: sizes.curves]:
+            points += points_of(curve, problem.end, sizes.stride, notes)
+    return {
+        "problem": problem.name,
+        "error": problem.error,
+        "end": problem.end,
+        "bodies": sizes.bodies,
+        "references": references,
+        "reference_doubt": float(doubts.max()),
+        "median_doubt": float(np.median(doubts)),
+        "points": records(points, start, exact, doubts, sizes, notes, problem.apart, problem.energy, problem.name),
+    }
+
+
+def points_of(curve: Curve, end: float, stride: int, notes: list[str]) -> list[Point]:
+    """Every `stride`-th point of a curve to t = end; if its package is not installed, none, and a note is appended."""
     try:
         if curve.tolerances:
-            tight = [rtol for rtol in curve.tolerances if rtol * end < 2 * _LOOSEST]
-            return [Point(curve, curve.make(dt=end, rtol=rtol), 1, rtol) for rtol in tight[::stride]]
-        counts = [times * n for n in curve.counts[::stride]]
-        return [Point(curve, curve.make(dt=end / n), n, end / n) for n in counts]
+            return [Point(curve, curve.make(dt=end, rtol=rtol), 1, rtol) for rtol in curve.tolerances[::stride]]
+        return [Point(curve, curve.make(dt=end / n), n, end / n) for n in curve.counts[::stride]]
     except ImportError as error:
         note = f"{curve.name} left out: {error}"
         if note not in notes:
@@ -170,32 +180,109 @@ def _points(curve: Curve, end: float, stride: int, notes: list[str]) -> list[Poi
         return []
 
 
-def _key(point: Point) -> tuple[str, str]:
-    return point.curve.name, f"{point.setting:.6g}"
+class _Race(NamedTuple):
+    """A point, its initial states in its own form, those at the end, and the seconds of each timed call."""
+
+    point: Point
+    loaded: Any
+    end: Any
+    seconds: list[float]
+
+    def call(self) -> None:
+        began = time.perf_counter()
+        self.point.contestant.advance(self.loaded, self.point.steps)
+        self.seconds.append(time.perf_counter() - began)
+
+    def expected(self, steps: int) -> float:
+        """Seconds of so many steps of the same curve."""
+        return min(self.seconds) * steps / self.point.steps
 
 
-def _too_long(before: dict[str, Any], end: float, longest: float) -> list[tuple[str, str]]:
-    """The points that will take longer than `longest` to t = end."""
-    factor = end / before["end"] / 1e6
-    return [
-        (r["curve"], f"{r['setting']:.6g}")
-        for r in before["points"]
-        if r["milliseconds"] * r["bodies"] * factor > longest
-    ]
+def records(
+    points: Sequence[Point],
+    start: States,
+    exact: np.ndarray,
+    doubts: np.ndarray,
+    sizes: Sizes,
+    notes: list[str],
+    apart: Callable[[np.ndarray, np.ndarray], np.ndarray] = measure.attitude_errors,
+    energy: Callable[[np.ndarray, np.ndarray], float] | None = None,
+    where: str = "",
+) -> list[dict[str, Any]]:
+    """Milliseconds per 1000 members, the best call of each point, and errors of those members that `exact` knows.
+
+    The first call of a point compiles and is not timed. Points are then called in turn, round after round. An error
+    smaller than that of the reference, `doubts`, is set to it. Points that take too long, or are refused, are left out
+    with a note.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of members that did not converge: it is in the record
+        races: list[_Race] = []
+        for point in points:
+            race = _entered(point, start, races, sizes, f"{where}{': ' if where else ''}{point.curve.name}", notes)
+            races += [race] if race else []
+        for done in range(1, sizes.rounds):
+            for race in races:
+                if len(race.seconds) <= done and (done == 1 or sum(race.seconds) < sizes.seconds):
+                    race.call()
+    return [_record(race, start, exact, doubts, apart, energy) for race in races]
 
 
-def _record(point: Point, q: np.ndarray, p: np.ndarray, exact: np.ndarray, doubt: float, system: Any) -> dict[str, Any]:
+def _entered(
+    point: Point, start: States, before: Sequence[_Race], sizes: Sizes, name: str, notes: list[str]
+) -> _Race | None:
+    """The point's race after two calls, the second of them timed; None, with a note, if it takes no part."""
+    same = [race for race in before if race.point.curve.name == point.curve.name]
+    if same and same[-1].expected(point.steps) > sizes.longest:
+        if len(same[-1].seconds) == 1:
+            same[-1].call()  # that may have been a slow spell of the machine
+        if same[-1].expected(point.steps) > sizes.longest:
+            _note(notes, f"{name}, left out as longer than {sizes.longest:g} s, steps:", point.steps)
+            return None
     contestant = point.contestant
-    end = contestant.advance(contestant.load(q, p), point.steps)
-    after = contestant.read(end)
+    loaded = contestant.load(*(x[: point.curve.bodies] for x in start))
+    try:
+        race = _Race(point, loaded, contestant.advance(loaded, point.steps), [])
+    except ValueError as refusal:
+        _note(notes, f"{name}, refused ({str(refusal).split(' for ')[0]}), steps:", point.steps)
+        return None
+    race.call()
+    return race
+
+
+def _note(notes: list[str], beginning: str, steps: int) -> None:
+    """Say it, or add the number to what was said last if that was the same."""
+    if notes and notes[-1].startswith(beginning):
+        notes[-1] += f", {steps}"
+    else:
+        notes.append(f"{beginning} {steps}")
+
+
+def _record(
+    race: _Race,
+    start: States,
+    exact: np.ndarray,
+    doubts: np.ndarray,
+    apart: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    energy: Callable[[np.ndarray, np.ndarray], float] | None,
+) -> dict[str, Any]:
+    curve, contestant = race.point.curve, race.point.contestant
+    q, p = contestant.read(race.end)
+    count = min(len(q), len(exact))
+    errors = apart(q[:count], exact[:count])
+    pairs = (np.stack(pair) for pair in zip((x[: len(q)] for x in start), (q, p), strict=True))
     return {
-        "curve": point.curve.name,
-        "kind": point.curve.kind,
-        "bodies": point.curve.bodies,
-        "adaptive": bool(point.curve.tolerances),
-        "setting": point.setting,
-        "steps": point.steps,
-        "error": max(measure.attitude_error(after[0][:WATCHED], exact), doubt),
-        "energy_drift": measure.energy_drift(system, *(np.stack(pair) for pair in zip((q, p), after, strict=True))),
-        "converged": contestant.info(end)[1] if contestant.info else None,
+        "curve": curve.name,
+        "kind": curve.kind,
+        "ours": curve.kind not in PEERS,
+        "bodies": len(q),
+        "adaptive": bool(curve.tolerances),
+        "setting": race.point.setting,
+        "steps": race.point.steps,
+        "milliseconds": 1e3 * min(race.seconds) * 1000 / len(q),
+        "error": max(float(errors.max()), float(doubts.max())),
+        "median_error": max(float(np.median(errors)), float(np.median(doubts))),
+        "energy_drift": None if energy is None else energy(*pairs),
+        "converged": contestant.info(race.end)[1] if contestant.info else None,
+        "rough": curve.rough,
     }

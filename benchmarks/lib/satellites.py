@@ -5,27 +5,25 @@ Importing this imports jax: pin the process to a core first.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache, partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from lib import measure, peers, tops
-from lib.contest import Contestant, race
-from lib.measure import BATCH, DT, INERTIA, WATCHED
-from lib.precision import Curve, Point, growing
+from lib import measure, peers, precision, taylor, tops
+from lib.contest import Contestant
+from lib.measure import BATCH, DT, INERTIA, WATCHED, by_ensemble
+from lib.precision import TOLERANCES, Curve, flowed, growing, points_of
 from scipy.integrate import solve_ivp
 
 import lieint_jax as li
-from lieint_jax import ensemble
 
 ECCENTRICITY, ORBITS = 0.1, 3
 END = 2 * np.pi * ORBITS
 TOP, SHARED = "ours, heavy top", "ours, satellite, shared t"
 COUNTED, APART = "ours, satellite, shared t, work counted", "ours, satellite, t per member"
-_TOLERANCES = tuple(10.0**-k for k in range(4, 15))
 
 
 @cache
@@ -36,25 +34,6 @@ def orbit() -> Any:
 @cache
 def satellite() -> Any:
     return li.systems.gravity_gradient(np.asarray(INERTIA), orbit())
-
-
-def by_ensemble(name: str, step: li.Step, dt: float, start: Callable[[li.State], li.State], pace: float) -> Contestant:
-    """A step through `ensemble.run`; `start` adds to states (q, p) what else the initial ones hold."""
-
-    def load(q: np.ndarray, p: np.ndarray) -> tuple[li.State, Any]:
-        return start(li.State(jnp.asarray(q), jnp.asarray(p))), None
-
-    def advance(states: tuple[li.State, Any], num_steps: int) -> tuple[li.State, Any]:
-        run = ensemble.run(step, states[0], dt, num_steps, progress=False)
-        return jax.tree.map(lambda x: x[-1], (run.state, run.info))
-
-    def read(states: tuple[li.State, Any]) -> tuple[np.ndarray, np.ndarray]:
-        return np.asarray(states[0].q), np.asarray(states[0].p)
-
-    def info(states: tuple[li.State, Any]) -> tuple[float, bool]:
-        return float(np.max(states[1].residual)), bool(np.all(states[1].converged))
-
-    return Contestant(name, "float64", pace, load, advance, read, info)
 
 
 def shared(z: li.State) -> li.State:
@@ -82,7 +61,7 @@ def contestants(missing: list[str]) -> list[Contestant]:
             (APART, body, apart, 4e6),
         )
     ]
-    makers += [("diffrax", partial(peers.tsit5_of, satellite(), DT, True, whole=whole)) for whole in (False, True)]
+    makers += [("diffrax", partial(peers.diffrax_of("Tsit5", satellite(), whole=whole), DT)) for whole in (False, True)]
     makers.append(("astrojax", partial(peers.astrojax_of, INERTIA, orbit(), DT)))
     return list(measure.those_here(makers, missing))
 
@@ -97,18 +76,28 @@ def curves() -> list[Curve]:
     ours = [
         Curve(name, "ours", partial(measure.ours, name, step, wide=True, t=0.0), counts) for name, step, counts in steps
     ]
-    whole = partial(peers.tsit5_of, body, wide=True, whole=True)
+    tsit5, dopri8 = (peers.diffrax_of(name, body, whole=True) for name in ("Tsit5", "Dopri8"))
     return [
         *ours,
-        Curve("diffrax Tsit5, one solve", "peer", whole, growing(90, 11)),
-        Curve("diffrax Dopri8, one solve", "peer", partial(whole, name="Dopri8"), growing(36, 11)),
-        Curve(
-            "diffrax Dopri8, adaptive", "peer", partial(peers.tsit5_of, body, wide=True, name="Dopri8"), (), _TOLERANCES
-        ),
-        Curve("astrojax RK4", "peer", partial(peers.astrojax_of, INERTIA, orbit()), growing(180, 6, 2)),
-        Curve("astrojax DP54, adaptive", "peer", partial(peers.astrojax_of, INERTIA, orbit()), (), _TOLERANCES[:7:2]),
-        Curve("heyoka", "peer", partial(peers.heyoka_taylor, INERTIA, ECCENTRICITY), (), _TOLERANCES),
+        Curve("diffrax Tsit5, one solve", "diffrax", tsit5, growing(90, 11)),
+        Curve("diffrax Dopri8, one solve", "diffrax", dopri8, growing(36, 11)),
+        Curve("diffrax Dopri8, adaptive", "diffrax", peers.diffrax_of("Dopri8", body), (), TOLERANCES[:-1]),
+        *by_astrojax(6, 4),
+        by_heyoka(),
     ]
+
+
+def by_astrojax(constant: int, adaptive: int) -> list[Curve]:
+    """The curves of astrojax, with so many points each."""
+    make = partial(peers.astrojax_of, INERTIA, orbit())
+    return [
+        Curve("astrojax RK4", "astrojax", make, growing(180, constant, 2)),
+        Curve("astrojax DP54, adaptive", "astrojax", make, (), TOLERANCES[: 2 * adaptive : 2]),
+    ]
+
+
+def by_heyoka() -> Curve:
+    return Curve("heyoka", "heyoka", taylor.of_satellites(INERTIA, orbit(), 0.0), (), TOLERANCES)
 
 
 def everything(sizes: measure.Sizes, stride: int) -> dict[str, Any]:
@@ -116,65 +105,22 @@ def everything(sizes: measure.Sizes, stride: int) -> dict[str, Any]:
     notes: list[str] = []
     rates = measure.rates(contestants(notes), BATCH, sizes)
     points = [x for curve in curves() for x in points_of(curve, END, stride, notes)]
-    exact, doubt = reference()
+    exact, doubts = reference()
+    extent = precision.Sizes(rounds=max(sizes.rounds // 2, 1), longest=np.inf, seconds=np.inf)
     return {
         "machine": measure.machine(),
         "rates": rates,
         "end": END,
-        "reference_doubt": doubt,
-        "points": at_the_end(points, max(sizes.rounds // 2, 1), exact, doubt),
+        "reference_doubt": float(doubts.max()),
+        "points": precision.records(points, measure.bodies(BATCH), exact, doubts, extent, notes),
         "notes": notes,
     }
 
 
-def points_of(curve: Curve, end: float, stride: int, notes: list[str]) -> list[Point]:
-    """Every `stride`-th point of a curve to t = end; if its package is not installed, none, and a note is appended."""
-    try:
-        if curve.tolerances:
-            return [Point(curve, curve.make(dt=end, rtol=rtol), 1, rtol) for rtol in curve.tolerances[::stride]]
-        return [Point(curve, curve.make(dt=end / n), n, end / n) for n in curve.counts[::stride]]
-    except ImportError as error:
-        notes.append(f"{curve.name} left out: {error}")
-        return []
-
-
-def at_the_end(
-    points: Sequence[Point],
-    rounds: int,
-    exact: np.ndarray,
-    doubt: float,
-    start: measure.States | None = None,
-    apart: Callable[[np.ndarray, np.ndarray], float] = measure.attitude_error,
-) -> list[dict[str, Any]]:
-    """Milliseconds of the whole batch, the best call of each point in turn, and the errors of those watched."""
-    q, p = start or measure.bodies(BATCH)
-    timings = race([x.contestant for x in points], q, p, [x.steps for x in points], rounds)
-    records = []
-    for point, timing in zip(points, timings, strict=True):
-        contestant = point.contestant
-        end = contestant.advance(contestant.load(q, p), point.steps)
-        errors = [apart(a[None], b[None]) for a, b in zip(contestant.read(end)[0], exact, strict=False)]
-        records.append(
-            {
-                "curve": point.curve.name,
-                "kind": point.curve.kind,
-                "adaptive": bool(point.curve.tolerances),
-                "setting": point.setting,
-                "milliseconds": 1e3 * min(timing.later),
-                "error": max(*errors, doubt),
-                "median_error": max(float(np.median(errors)), doubt),
-                "converged": contestant.info(end)[1] if contestant.info else None,
-            }
-        )
-    return records
-
-
-def reference() -> tuple[np.ndarray, float]:
+def reference() -> tuple[np.ndarray, np.ndarray]:
     """Attitudes of the watched bodies at the end by `diagnostics.flow`, and their distance from those of DOP853."""
     q, p = measure.bodies(WATCHED)
-    states = shared(li.State(jnp.asarray(q), jnp.asarray(p)))
-    flow = jax.jit(jax.vmap(li.diagnostics.flow, (None, li.State(0, 0, None), None, None)), static_argnums=3)  # pyright: ignore[reportArgumentType]
-    exact = np.asarray(flow(satellite(), states, END, round(8 * END)).q)
+    exact = flowed(satellite(), (q, p), END, round(8 * END), 0.0)
 
     @jax.jit
     def field(t: Any, y: Any) -> Any:
@@ -185,4 +131,4 @@ def reference() -> tuple[np.ndarray, float]:
         solve_ivp(field, (0, END), np.concatenate(z), method="DOP853", rtol=1e-13, atol=1e-13).y[:4, -1]
         for z in zip(q, p, strict=True)
     ]
-    return exact, measure.attitude_error(np.stack(second), exact)
+    return exact, measure.attitude_errors(np.stack(second), exact)

@@ -56,13 +56,10 @@ def _bars(records: list[dict[str, Any]]) -> str:
 
 
 def _times(points: list[dict[str, Any]]) -> str:
-    kinds = {r["curve"]: r["kind"] for r in points}
-    best = {
-        error: min(milliseconds(points, name, error) for name, kind in kinds.items() if kind == "ours")
-        for error in _ERRORS
-    }
+    mine = {r["curve"]: r["ours"] for r in points}
+    best = {error: min(milliseconds(points, name, error) for name, ours in mine.items() if ours) for error in _ERRORS}
     rows = []
-    for name in kinds:
+    for name in mine:
         found = {error: milliseconds(points, name, error) for error in _ERRORS}
         rows.append(
             [name, *(f"{ms:.3g} ({ms / best[error]:.2g})" if ms < float("inf") else "" for error, ms in found.items())]

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from lib import cpp, kovalevskaya, measure, peers, precision
 from lib.contest import Contestant
-from lib.measure import BATCH, DT, END, INERTIA, KAPPAS, WATCHED, WIDE, Problem
-from lib.precision import Curve, growing
+from lib.measure import BATCH, DT, END, INERTIA, KAPPAS, WATCHED, WIDE
+from lib.precision import Curve, Problem, growing
 
 import lieint_jax as li
 
@@ -49,18 +49,12 @@ def contestants(missing: list[str]) -> list[Contestant]:
     return list(measure.those_here(makers, missing))
 
 
-def reference(end: float) -> tuple[np.ndarray, float]:
-    """Attitudes of the watched bodies at t = end, and the distance of a second reference, see `measure.by_flow`."""
-    return measure.by_flow(top(), measure.bodies(WATCHED), end)
-
-
 def everything(sizes: measure.Sizes, points: precision.Sizes) -> dict[str, Any]:
     """All results, as values that JSON can hold. Run it on one core."""
     notes: list[str] = []
     entries = contestants(notes)
     notes += cpp.notes("heavy_top")
-    problem = Problem(top(), reference)
-    exact, doubt = reference(END)
+    exact, doubt = measure.by_flow(top(), measure.bodies(WATCHED), END)
     pairs = [
         [c for c in entries if c.name in names]
         for names in (
@@ -70,24 +64,39 @@ def everything(sizes: measure.Sizes, points: precision.Sizes) -> dict[str, Any]:
     ]
     rates = measure.rates(entries, BATCH, sizes)
     return {
-        **precision.everything(points, problem, curves()),
+        "machine": measure.machine(),
+        "accuracy": precision.measured(accuracy(), points, notes),
         "rates": rates,
         "equal_cost": kovalevskaya.at_equal_cost(rates, sizes.drift_steps / 10),
-        "quality": [measure.quality(c, exact, sizes, problem.system) for c in entries if WIDE not in c.name],
+        "quality": [measure.quality(c, exact, sizes, top()) for c in entries if WIDE not in c.name],
         "agreement": [r for same in pairs for r in measure.agreement(same, ("float64",))],
         "reference_doubt": doubt,
         "notes": notes,
     }
 
 
-def curves() -> list[Curve]:
-    """The curves of our schemes at orders 2, 4 and 6, then of the peers."""
+def accuracy() -> Problem:
+    """The curves of our schemes at orders 2, 4 and 6, then of the peers; the references are two runs of the flow."""
     make = li.schemes
-    bases = {"splitting": make.splitting(top()), "energy-momentum": make.top_energy_momentum(top())}
-    steps: list[tuple[str, str, li.Step, Sequence[int]]] = [
-        (name, "order 2", step, growing(25, 6, 2)) for name, step in bases.items()
-    ]
-    for order, count in ((4, 12), (6, 10)):
-        for name, step in bases.items():
-            steps.append((f"{name}, order {order}", "composition", make.compose(step, order), growing(16, count)))
-    return [*precision.of_ours(steps), *precision.of_peers(12, 10, 6, WEIGHT)]
+    mine: list[Curve] = []
+    for name, step in (("splitting", make.splitting(top())), ("energy-momentum", make.top_energy_momentum(top()))):
+        mine.append(_ours(name, name, step, growing(25, 6, 2)))
+        for order, count in ((4, 12), (6, 10)):
+            composed = make.compose(step, order)
+            mine.append(_ours(f"{name}, order {order}", f"{name}, composed", composed, growing(16, count)))
+    return Problem(
+        f"heavy top, t = {END:g}",
+        "attitude, rad",
+        END,
+        measure.bodies,
+        lambda states: (
+            *measure.by_flow(top(), states, END, measure.attitude_errors),
+            "two runs of `diagnostics.flow`",
+        ),
+        [*mine, *precision.of_peers(INERTIA, WEIGHT, END)],
+        energy=partial(measure.energy_drift, top()),
+    )
+
+
+def _ours(name: str, kind: str, step: li.Step, counts: Sequence[int]) -> Curve:
+    return Curve(name, kind, partial(measure.ours, name, step, wide=True), counts)

@@ -17,7 +17,7 @@ FASTER = 10.0  # the bar: rate of steps over that of Tsit5
 def write(result: dict[str, Any], out: Path) -> None:
     """Print the tables; write them as .md, the numbers as .json and the plot as .png."""
     report.publish("heavy_top", _sections(result), result, out)
-    precision_report.draw(result["ends"], out / "heavy_top.png")
+    precision_report.draw([result["accuracy"]], out / "heavy_top.png")
 
 
 def _sections(result: dict[str, Any]) -> list[str]:
@@ -39,7 +39,8 @@ def _sections(result: dict[str, Any]) -> list[str]:
         _equal_cost(result["equal_cost"]),
         "End states apart by at most\n\n" + "\n".join(apart),
         f"`diagnostics.flow` with all and with half of its steps, at t = 10: {result['reference_doubt']:.1e} rad",
-        *(section for x in result["ends"] for section in precision_report.at(x)),
+        *precision_report.summary(result["accuracy"]),
+        *precision_report.at(result["accuracy"]),
     ]
 
 
