@@ -57,7 +57,7 @@ def test_the_motion_has_these_periods(Pi):
 
     def rate(_, state):
         M, (x, y, z) = state[9:], state[9:] / J
-        across = np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])  # a row times this is row × Ω
+        across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])  # a row times this is row × Ω
         return np.concatenate([(state[:9].reshape(3, 3) @ across).ravel(), M @ across])
 
     end = 5 * float(expected.rotation)

@@ -85,6 +85,15 @@ class Common(Table):
         """A line for the report that states the ensemble's assumption; empty if there is none."""
         return ""
 
+    def clock(self) -> dict[str, Any]:
+        """When the steps are: those arguments of `ensemble.run`."""
+        return {"dt": self.dt, "num_steps": self.steps}
+
+    def pace(self) -> str:
+        """The steps in words."""
+        span = self.dt * self.steps
+        return f"{self.steps} steps of {self.dt:.6g} {self.time_unit} = {span:.6g} {self.time_unit}"
+
     def source(self, key: str) -> str:
         """The source under `key`, or `key` itself."""
         return self.sources.get(key, key)
