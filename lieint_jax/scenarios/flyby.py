@@ -18,7 +18,7 @@ from lieint_jax.scenarios import _flyby_motion as motion
 from lieint_jax.scenarios._flyby_keys import HOUR, Scenario
 from lieint_jax.scenarios._flyby_motion import GivenOrbit, Outcome
 from lieint_jax.scenarios._flyby_pictures import draw_after, draw_map, draw_sensitivity
-from lieint_jax.scenarios._flyby_study import WATCHED, Study, change, members, study, thinned, pole_angles, unknowns
+from lieint_jax.scenarios._flyby_study import WATCHED, Study, change, members, pole_angles, study, thinned, unknowns
 from lieint_jax.types import State, Step, Trajectory
 
 __all__ = ["PICTURES", "STEP_AXIS", "Scenario", "build", "report"]
