@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable
 from typing import Annotated, Any, Self
 
@@ -161,6 +162,12 @@ def series(function: Callable[[State], Any], run: Trajectory) -> np.ndarray:
 def deviation(x: np.ndarray) -> np.ndarray:
     """The standard deviation over the members, the first axis; 0 for a single member."""
     return np.std(x, axis=0, ddof=1) if len(x) > 1 else np.zeros(x.shape[1:])
+
+
+def paragraphs(notes: list[str]) -> list[str]:
+    """Notes as lines of a report, an empty line before each."""
+    wrapped = (textwrap.wrap(note, 118, initial_indent="  ", subsequent_indent="  ") for note in notes)
+    return [line for lines in wrapped for line in ("", *lines)]
 
 
 def thinned(num_steps: int, longest: int = LONGEST) -> tuple[int, int]:

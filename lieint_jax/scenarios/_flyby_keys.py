@@ -156,8 +156,8 @@ class Variant(Changes):
 class Phases(Table):
     """The grid of the map: φ over 360°, ψ over 180°."""
 
-    precession_phases: Positive
-    """The number of values of φ."""
+    precession_phases: Annotated[int, Field(gt=0, multiple_of=2)]
+    """The number of values of φ, even."""
     rotation_phases: Positive
     """The number of values of ψ."""
 
@@ -215,6 +215,8 @@ class Scenario(Common):
     variant: list[Variant] = []
     published: list[Known] = []
     expected: list[Expected] = []
+    notes: list[Text] = []
+    """Paragraphs at the end of the report: what was assumed, what was checked, what is not in the model."""
 
     @model_validator(mode="after")
     def _mean_step(self) -> Self:

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax.scenarios import _flyby_motion as motion
+from lieint_jax.scenarios._common import paragraphs
 from lieint_jax.scenarios._flyby_keys import HOUR, Scenario
 from lieint_jax.scenarios._flyby_motion import GivenOrbit, Outcome
 from lieint_jax.scenarios._flyby_pictures import draw_after, draw_map, draw_sensitivity
@@ -47,6 +48,7 @@ def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
         *_sensitivity(scenario, found),
         *_errors(scenario, found),
         *_variants(scenario, found),
+        *paragraphs(scenario.notes),
         f"\n  {found.failed} of these passages had a step that did not converge",
     ]
     return "\n".join(line.rstrip() for line in lines)
