@@ -13,6 +13,8 @@ from lieint_jax.scenarios._flyby_motion import Outcome
 from lieint_jax.scenarios._flyby_study import change, lonlat, study, unknowns
 from lieint_jax.types import Step, Trajectory
 
+_LONGEST = 500.0  # h of P_ψ, which is infinite between the modes: the last colour is of all above
+
 
 def draw_map(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
     """Plot, over both phases at the perigee, periods, effective spin rate and turn of the pole after the passage."""
@@ -32,8 +34,8 @@ def draw_map(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
             False,
         ),
         (
-            f"rotation period $P_\\psi$ (h), 500 and more alike; before {before.rotation[0]:.0f}",
-            np.clip(after.rotation, None, 500),
+            f"rotation period $P_\\psi$ (h); before {before.rotation[0]:.0f}",
+            np.clip(after.rotation, None, _LONGEST),
             "cividis",
             (),
             False,
@@ -71,7 +73,7 @@ def _draw_phases(fig: Figure, ax: Any, values: Any, long_axis: Any, colours: str
         most = max(abs(np.log(values)).max(), np.log(1.2))
         options["norm"] = LogNorm(np.exp(-most), np.exp(most))
     image = ax.pcolormesh(phi, psi, whole(values), **options)
-    bar = fig.colorbar(image, ax=ax)
+    bar = fig.colorbar(image, ax=ax, extend="max" if values.max() == _LONGEST else "neither")
     shown = [level for level in levels if values.min() < level < values.max()]
     if middle:
         bar.set_ticks(shown, labels=[f"{level:g}" for level in shown])
@@ -125,7 +127,8 @@ def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
         longitude, latitude = lonlat(outcome.pole)
         ax.scatter(np.deg2rad(longitude), 90 - side * latitude, s=1.0, lw=0, color=colour, alpha=0.35, rasterized=True)
         ax.plot([], [], "o", ms=4, color=colour, label=label)
-    ax.set_rlim(0, None)
+    far = np.concatenate([90 - side * lonlat(x.pole)[1] for x in (before, after)])
+    ax.set_rlim(0, 10 * np.ceil(np.quantile(far, 0.999) / 10))
     ax.set_rlabel_position(22.5)
     ax.tick_params(labelsize="x-small")
     ax.set_title(

@@ -125,7 +125,7 @@ def _after(scenario: Scenario, found: Study) -> list[str]:
 
 def _expectations(scenario: Scenario, found: Study) -> list[str]:
     x = change(found.before, found.after)
-    share = lambda condition: f"{100 * np.mean(condition):.1f} %"  # noqa: E731
+    share = lambda condition: f"{100 * np.mean(condition):.3g} %"  # noqa: E731
     low, high = np.quantile(x.rate, (0.05, 0.95))
     ours = {
         "rate": f"× {low:.2f} to × {high:.2f} (5 to 95 %), × {x.rate.min():.2f} to × {x.rate.max():.2f} in all; "
