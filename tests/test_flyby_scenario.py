@@ -281,7 +281,7 @@ def test_run_info_plot_and_a_store_of_the_shipped_file(capsys):
     changes = re.search(r"largest change of energy less work.*\((\S+) of the largest", capsys.readouterr().out)
     assert float(changes[1]) < 1e-8
     assert cli.main(["plot", "x.npz", "--force"]) == 0
-    assert f"here: kept in {kept:.1f} %" in capsys.readouterr().out
+    assert f"here: kept in {kept:g} %" in capsys.readouterr().out
     assert cli.main(["run", "x.toml", "--members", "4", "--out", "y.zarr"]) == 0
     assert cli.main(["info", "y.zarr"]) == 0
     assert "complete" in capsys.readouterr().out
