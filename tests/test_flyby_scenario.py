@@ -84,7 +84,7 @@ def test_the_elements_are_ecliptic():
     def apart(v):
         return np.rad2deg(np.arccos(v @ expected / np.linalg.norm(v) / np.linalg.norm(expected)))
 
-    assert apart(incoming("ecliptic")) < 0.3
+    assert apart(incoming("ecliptic")) < 0.2
     assert np.linalg.norm(incoming("ecliptic")) == pytest.approx(np.linalg.norm(expected), abs=0.02)
     assert apart(incoming("equator")) > 15
 
@@ -159,7 +159,7 @@ def _rate(t, y, J, mu):
 
 
 def test_a_passage_against_another_integrator():
-    """DOP853 moves the centre along, without Kepler. Observed: 3e-10 rad of attitude, 1e-12 of |π|."""
+    """DOP853 moves the centre along, without Kepler. Observed: 2.9e-11 rad of attitude, 1e-12 of Π."""
     scenario = changed(members=2)
     steps, states = flyby.build(scenario)
     pick = lambda x: x[1] if x.ndim else x  # noqa: E731
@@ -173,9 +173,9 @@ def test_a_passage_against_another_integrator():
     end = solve_ivp(_rate, (-96.0, 96.0), np.concatenate(start), "DOP853", **options).y[:12, -1]
     q = np.asarray(path.state.q[-1])
     apart = Rotation.from_quat(q[[1, 2, 3, 0]]).inv() * Rotation.from_matrix(end[:9].reshape(3, 3))
-    assert apart.magnitude() < 3e-9
+    assert apart.magnitude() < 1.5e-10
     ours = np.asarray(body.body_momentum(jax.tree.map(lambda x: x[-1], path.state)))
-    np.testing.assert_allclose(ours, J * end[9:], atol=1e-10)
+    np.testing.assert_allclose(ours, J * end[9:], atol=5e-12)
     assert path.info.converged.all()
     before, after = (np.linalg.norm(x) for x in (state.p, ours))
     assert abs(after / before - 1) > 0.05  # it is no free motion
@@ -213,17 +213,17 @@ def small_study():
 
 @pytest.mark.long
 def test_both_phases_half_a_turn_on_are_the_same_passage():
-    """The body turned by 180° about its short axis has the same moments. Observed 2e-12."""
+    """The body turned by 180° about its short axis has the same moments. Observed 2e-14, and 4e-14 on other phases."""
     scenario, _, _, found = small_study()
     other = found.grid._replace(phi=found.grid.phi + np.pi, psi=found.grid.psi + np.pi)
     again = motion.passages(scenario.orbit.elements(), 8, False, other, scenario.times())
-    np.testing.assert_allclose(again.after.precession, found.mapped.after.precession, rtol=2e-11)
-    np.testing.assert_allclose(again.after.pole, found.mapped.after.pole, atol=2e-11)
+    np.testing.assert_allclose(again.after.precession, found.mapped.after.precession, rtol=2e-13)
+    np.testing.assert_allclose(again.after.pole, found.mapped.after.pole, atol=2e-13)
 
 
 @pytest.mark.long
 def test_derivatives_are_those_of_the_passage():
-    """Central differences of passages by order 8 against tangents by order 4: to 1e-3 of the largest."""
+    """Central differences of passages by order 8 against tangents by order 4. Observed 3e-5 of the largest."""
     scenario, _, _, found = small_study()
     elements, times = scenario.orbit.elements(), scenario.times()
     assert [x.shape for x in found.slopes] == [(8, 4)] * 9
@@ -238,10 +238,10 @@ def test_derivatives_are_those_of_the_passage():
     for name, h in (("phi", 1e-4), ("psi", 1e-4), ("least", 1e-6), ("middle", 1e-7), ("latitude", 1e-4)):
         up, down = (measured(found.grid._replace(**{name: getattr(found.grid, name) + s * h})) for s in (1, -1))
         x, y = (up - down) / (2 * h), getattr(found.slopes, name)
-        assert (abs(y - x).max(axis=0) < 1e-3 * abs(x).max(axis=0)).all(), name
+        assert (abs(y - x).max(axis=0) < 1.5e-4 * abs(x).max(axis=0)).all(), name
     mu, a, e, *others = elements
     up, down = (measured(found.grid, (mu, a, e - s / a, *others)) for s in (1.0, -1.0))
-    np.testing.assert_allclose(found.slopes.perigee[:, 0], (up - down)[:, 0] / 2, rtol=2e-3, atol=1e-7)
+    np.testing.assert_allclose(found.slopes.perigee[:, 0], (up - down)[:, 0] / 2, rtol=1e-4)
 
 
 @pytest.mark.long
