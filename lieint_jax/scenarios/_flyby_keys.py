@@ -177,7 +177,7 @@ class Known(Table):
     value: float
     """In the unit that the name has."""
     error: Annotated[float, Field(gt=0)] | None = None
-    """Of so many `sigmas`."""
+    """As published."""
     source: str
     """A key of the table sources."""
 

@@ -86,8 +86,8 @@ def _known(scenario: Scenario, found: Study) -> list[str]:
     lines = [
         f"\n  from {date(-hours):%Y-%m-%d %H:%M} to {date(hours):%Y-%m-%d %H:%M} UTC; "
         f"perigee {date(0):%Y-%m-%d %H:%M:%S} UTC",
-        f"  {100 * redrawn:.1f} % of the moments were drawn again: no {scenario.spin.mode} mode has such periods",
-        f"\n  {'before':<52}{'nominal':>11}{'± members':>12}   published ({scenario.sigmas:g} sigma)",
+        f"  {100 * redrawn:.3g} % of the moments were drawn again: no {scenario.spin.mode} mode has such periods",
+        f"\n  {'before':<52}{'nominal':>11}{'± members':>12}   published",
     ]
     for key, (name, x) in facts(scenario, found.before).items():
         spread = f"{np.std(x, ddof=1):.4f}" if len(x) > 1 else ""
