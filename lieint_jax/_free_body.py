@@ -38,6 +38,15 @@ for the right s and d. They are constant along the trajectory, and computed wher
 
 where q_o ℓ/√(1 + νS²) is the cosine of half the angle of the step, and no divisor can vanish.
 
+**Mean periods**, for moments A ≤ B ≤ C about the axes x (long), y, z (short), L = |Π|. With
+
+    f = (B − A)(2HC − L²)/(ABC),    g = (C − B)(L² − 2HA)/(ABC),    m = min(f, g)/max(f, g)
+
+Π goes round the long axis in the body if f > g (long-axis mode), else round the short one, in 4K(m)/√max(f, g). The
+long axis goes round π at the mean rate of φ̇ = L (2H − Π_x²/A)/(L² − Π_x²), with K − Π(−ν, m) = ν R_J(0, 1−m, 1, 1+ν)/3:
+
+    L [1/C + (1/A − 1/C)(1 − Π(−ν, m)/K)],    ν = A(C − B)/(C(B − A)) if f > g, else A(2HC − L²)/(C(L² − 2HA))
+
 Sources: Jacobi 1850; for the addition theorems DLMF 22.8 and 19.11; the form without phases and cases: this package.
 """
 
@@ -120,6 +129,51 @@ def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]
         e = tuple(dot(V[:, k], e) for k in range(3))
     s, d, on_branch = _sorted_clock(moments, e, jnp.where(still, 1e-3, G * t))
     return jnp.where(still, 1, s), jnp.where(still, 0, scale * d), still | on_branch
+
+
+class Periods(NamedTuple):
+    """The two mean periods of a tumbling free body, in the convention of the long axis, whatever the mode.
+
+    Attributes:
+        precession: P_φ, of the axis of least moment about the angular momentum.
+        rotation: P_ψ, of Π in the body: a turn of the body about its long axis in a long-axis mode, an oscillation
+            about that axis in a short-axis mode. Infinite for a body at rest and for a sphere; on the separatrix, which
+            takes for ever, some number that rounding decides.
+        long_axis: whether Π goes round the axis of least moment (a long-axis mode), not that of greatest moment.
+    """
+
+    precession: Array
+    rotation: Array
+    long_axis: Array
+
+
+def periods(inertia: Array, Pi: Array) -> Periods:
+    """The mean periods of a free body of body momentum Π, (3,); `inertia` as in `attitude`."""
+    if inertia.ndim == 1:
+        moments, turns = _ascending(inertia)
+        x, y, z = _turned(three.components(Pi), turns, 1)
+    else:
+        moments, V = _eigh(inertia)
+        x, y, z = (dot(V[:, k], Pi) for k in range(3))
+    A, B, C = moments
+    above = x * x * (C / A - 1) + y * y * (C / B - 1)  # 2HC − L²
+    below = y * y * (1 - A / B) + z * z * (1 - A / C)  # L² − 2HA
+    f, g = (B - A) * above / (A * B * C), (C - B) * below / (A * B * C)
+    long_axis = f > g
+    fast = jnp.where(long_axis, f, g)
+    still = fast == 0
+    fast = jnp.where(still, 1, fast)
+    m1 = jnp.where(still, 1, jnp.abs(f - g) / fast)
+    K = elliptic.quarter_period(m1)
+    over = jnp.where(long_axis, A * (C - B), A * above)
+    under = jnp.where(long_axis, C * (B - A), C * below)
+    nu = over / jnp.where(under == 0, 1, under)
+    square = x * x + y * y + z * z
+    rest = square == 0
+    part = elliptic.carlson_rj(jnp.zeros_like(m1), jnp.sqrt(m1), jnp.ones_like(m1), 1 + nu) * nu / (3 * K)
+    rate = jnp.sqrt(jnp.where(rest, 1, square)) * (1 / C + (1 / A - 1 / C) * part)
+    rotation = jnp.where(still, jnp.inf, 4 * K / jnp.sqrt(fast))
+    return Periods(jnp.where(rest, jnp.inf, 2 * jnp.pi / rate), rotation, long_axis)
 
 
 def _units(inertia: Array, Pi: Array) -> tuple[Array, Array, Vector, Array]:

@@ -6,5 +6,5 @@ from lieint_jax import ensemble, scenarios
 def run(scenario):
     """The step and the trajectories of a scenario."""
     step, states = scenarios.build(scenario)
-    own = scenarios.step_axis(scenario)
-    return step, ensemble.run(step, states, scenario.dt, scenario.steps, scenario.save_every, own, progress=False)
+    kept = {"save_every": scenario.save_every, "step_axis": scenarios.step_axis(scenario)}
+    return step, ensemble.run(step, states, **scenario.clock(), **kept, progress=False)

@@ -247,7 +247,7 @@ def test_bad_commands(capsys):
     for arguments, message in (
         (
             ["run", "nowhere"],
-            "no scenario 'nowhere': give a .toml file or one of didymos, driven, heavy_top, hyperion, kirchhoff, kw4, ",
+            "no scenario 'nowhere': give a .toml file or one of apophis, didymos, driven, heavy_top, hyperion, ",
         ),
         (["run", "toutatis", "--members", "0"], "members: .*greater than 0"),
         (["run", "toutatis", "--out", "results.csv"], r"\.npz or \.zarr, got results\.csv"),

@@ -17,6 +17,7 @@ _EPILOG = """examples:
   lieint run hyperion                      where a moon tumbles chaotically, and whether its observed states do
   lieint run didymos                       a binary asteroid after an impact: period, libration, change of speed
   lieint run kw4                           a binary asteroid whose moon librates and whose poles precess
+  lieint run apophis                       a tumbling asteroid passes the Earth in 2029: spin after it, phase by phase
   lieint run kirchhoff                     a spinning spheroid in water, on SE(3)
   lieint run water                         a droplet of 64 molecules: energy and both momenta by two schemes
   lieint run my.toml --members 100         your own scenario (copy lieint_jax/scenarios/toutatis.toml)

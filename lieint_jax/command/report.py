@@ -38,7 +38,7 @@ def run(
         print(results.headline(scenario, step), flush=True)
     kept = {"save_every": scenario.save_every} if scenario.save_at is None else {"save_at": scenario.save_at}
     kept["step_axis"] = scenarios.step_axis(scenario)
-    integrate = partial(ensemble.run, step, states, scenario.dt, scenario.steps, mesh=mesh, resume=resume, **kept)
+    integrate = partial(ensemble.run, step, states, **scenario.clock(), mesh=mesh, resume=resume, **kept)
     if out.suffix == ".zarr":
         description = {"title": scenario.title, "seed": scenario.seed, "scenario": scenario.model_dump()}
         try:

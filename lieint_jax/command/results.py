@@ -176,12 +176,7 @@ def _kept(stored: StoredRun) -> list[str]:
 
 def headline(scenario: Common, step: Step) -> str:
     """The lines that a report of a scenario begins with."""
-    unit, span = scenario.time_unit, scenario.dt * scenario.steps
-    lines = [
-        scenario.title,
-        f"  {scenario.members} member(s), {scenario.steps} steps of {scenario.dt:.6g} {unit} = {span:.6g} {unit}, "
-        f"{step.name}",
-    ]
+    lines = [scenario.title, f"  {scenario.members} member(s), {scenario.pace()}, {step.name}"]
     if scenario.members > 1 and scenario.assumption():
         lines.append(f"  {scenario.assumption()}")
     return "\n".join(lines)

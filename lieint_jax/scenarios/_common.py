@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable
 from typing import Annotated, Any, Self
 
@@ -85,6 +86,15 @@ class Common(Table):
         """A line for the report that states the ensemble's assumption; empty if there is none."""
         return ""
 
+    def clock(self) -> dict[str, Any]:
+        """When the steps are: those arguments of `ensemble.run`."""
+        return {"dt": self.dt, "num_steps": self.steps}
+
+    def pace(self) -> str:
+        """The steps in words."""
+        span = self.dt * self.steps
+        return f"{self.steps} steps of {self.dt:.6g} {self.time_unit} = {span:.6g} {self.time_unit}"
+
     def source(self, key: str) -> str:
         """The source under `key`, or `key` itself."""
         return self.sources.get(key, key)
@@ -152,6 +162,12 @@ def series(function: Callable[[State], Any], run: Trajectory) -> np.ndarray:
 def deviation(x: np.ndarray) -> np.ndarray:
     """The standard deviation over the members, the first axis; 0 for a single member."""
     return np.std(x, axis=0, ddof=1) if len(x) > 1 else np.zeros(x.shape[1:])
+
+
+def paragraphs(notes: list[str]) -> list[str]:
+    """Notes as lines of a report, an empty line before each."""
+    wrapped = (textwrap.wrap(note, 118, initial_indent="  ", subsequent_indent="  ") for note in notes)
+    return [line for lines in wrapped for line in ("", *lines)]
 
 
 def thinned(num_steps: int, longest: int = LONGEST) -> tuple[int, int]:

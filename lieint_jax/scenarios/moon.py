@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 import math
-import textwrap
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import jax
@@ -23,7 +22,7 @@ from pydantic import Field, field_validator, model_validator
 from lieint_jax import _checks, ensemble, orbits, plots, schemes, systems
 from lieint_jax.diagnostics import Lyapunov, lyapunov
 from lieint_jax.groups import so3
-from lieint_jax.scenarios._common import Common, NonNegative, Positive, Table, Text, Triple, deviation
+from lieint_jax.scenarios._common import Common, NonNegative, Positive, Table, Text, Triple, deviation, paragraphs
 from lieint_jax.systems import GravityGradient
 from lieint_jax.types import State, Step, Trajectory
 
@@ -32,7 +31,6 @@ _BOUND = 3.0  # a motion counts as chaotic if its exponent is above this many ti
 _MOST = 0.95  # the share of members from which a state counts as chaotic, or less than the rest of it as regular
 _COLOURS = ("#2a6f97", "#c8553d", "#5a8f3c", "#8a5aa8", "#c79a1e", "#1b9aaa", "#d1495b", "#3b5998")
 _ROUND = 1e-9  # an angle within this of π is one of 0
-_INDENT: Any = {"initial_indent": "  ", "subsequent_indent": "  "}
 _IN_PLANE, _OUT_OF_PLANE = (2, 5), (0, 1, 3, 4)  # coordinates (δθ, δπ), which do not mix along a planar motion
 
 Eccentricity = Annotated[float, Field(ge=0, lt=1)]
@@ -302,7 +300,7 @@ def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
             f"\n  exponents in mean motions n = 2π / {scenario.period:g} {unit}; chaotic: above {_BOUND:g} ln(t)/t",
             *_planar_lines(scenario, found),
             *_observed_lines(scenario, found),
-            *(line for note in scenario.notes for line in ["", *textwrap.wrap(note, 118, **_INDENT)]),
+            *paragraphs(scenario.notes),
             f"\n  {found.failed} of these runs had a step that did not converge",
         ]
     )

@@ -10,6 +10,7 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, _free_body
+from lieint_jax._free_body import Periods
 from lieint_jax.groups import so3
 from lieint_jax.systems._body import Body
 from lieint_jax.types import FreeBody, State, pytree
@@ -43,6 +44,13 @@ class RigidBody(Body, FreeBody):
         In Jacobi's elliptic functions, see `_free_body`. For many times, `jax.vmap(body.solution, (None, 0))`.
         """
         return State(_attitude(self.inertia, state.q, state.p, t)[0], state.p)
+
+    def periods(self, state: State) -> Periods:
+        """The mean periods of the tumbling, precession and rotation, in closed form, and its mode.
+
+        With derivatives in the inertia and the state, but on the separatrix, where the rotation never ends.
+        """
+        return _free_body.periods(self.inertia, self.body_momentum(state))
 
 
 _attitude = jax.jit(_free_body.attitude)
