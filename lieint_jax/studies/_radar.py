@@ -1,0 +1,88 @@
+"""The radar fixes of 4179 Toutatis, and the errors of a torque-free spin state against them."""
+
+from __future__ import annotations
+
+from importlib import resources
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from lieint_jax import scenarios
+from lieint_jax.fitting._member_by_member import member_by_member
+from lieint_jax.groups import so3
+from lieint_jax.systems import RigidBody
+from lieint_jax.types import State
+
+
+class RadarEpochs(NamedTuple):
+    """All published radar fixes of Toutatis, 17 of 1992, one of 2004 and one of 2008.
+
+    Attributes:
+        t: days since 1992-11-09 17:49:47 UTC, the epoch of the published states, (19,).
+        q: attitudes as unit quaternions, (19, 4).
+        euler_313_deg: the same as published, (19, 3).
+        angular_velocity_deg: body rates in ° a day, (19, 3).
+    """
+
+    t: np.ndarray
+    q: np.ndarray
+    euler_313_deg: np.ndarray
+    angular_velocity_deg: np.ndarray
+
+
+def radar_epochs() -> RadarEpochs:
+    """The radar fixes. Source: Takahashi, Busch & Scheeres 2013, AJ 146:95. No errors are published."""
+    rows = _rows()
+    days = [np.datetime64(row[0]) - np.datetime64("1992-11-09T17:49:47") for row in rows]
+    numbers = np.array([row[1:] for row in rows], float)
+    q = jax.vmap(so3.from_euler_313)(jnp.deg2rad(numbers[:, :3]))
+    return RadarEpochs(np.array(days) / np.timedelta64(1, "D"), np.asarray(q), numbers[:, :3], numbers[:, 3:])
+
+
+def dates() -> list[str]:
+    """The dates of the fixes, UTC, to the minute."""
+    return [row[0].replace("T", " ") for row in _rows()]
+
+
+def _rows() -> list[list[str]]:
+    text = resources.files(scenarios).joinpath("toutatis_radar.csv").read_text(encoding="utf-8")
+    return [line.split(",") for line in text.splitlines() if line[0].isdigit()]
+
+
+def model(params: dict[str, Array], attitude: Array) -> tuple[RigidBody, State]:
+    """The body, and its state at the epoch of the published states.
+
+    Args:
+        params: `attitude`, a rotation vector in space (°) that turns the given attitude; `inertia`, moments about body
+            x and y over that about z, (2,); `rate`, body rate (°/d).
+        attitude: the attitude to begin with, a unit quaternion.
+    """
+    body = RigidBody(jnp.append(params["inertia"], 1.0))
+    q = so3.multiply(so3.exp(jnp.deg2rad(params["attitude"])), attitude)
+    return body, body.state(q, angular_velocity=jnp.deg2rad(params["rate"]))
+
+
+def fixes(body: RigidBody, state: State, t: Array) -> tuple[Array, Array]:
+    """What errorless fixes would be after times t (n,): attitudes (n, 4), and body rates in °/d (n, 3)."""
+
+    def one(t: Array) -> tuple[Array, Array]:
+        later = body.solution(state, t)
+        return later.q, jnp.rad2deg(body.angular_velocity(later))
+
+    return jax.lax.map(one, t)
+
+
+@member_by_member
+def errors(params: dict[str, Array], data: dict[str, Any]) -> Array:
+    """Calculated less observed: rotation vectors in space (°) and body rates (°/d), (2, n, 3).
+
+    Args:
+        params: see `model`.
+        data: `begin`, the attitude to begin with; the fixes, `t` (n,), `q` (n, 4) and `rate` (n, 3).
+    """
+    q, rate = fixes(*model(params, data["begin"]), data["t"])
+    turn = jax.vmap(lambda q, seen: so3.log(so3.multiply(q, so3.inverse(seen))))(q, data["q"])
+    return jnp.stack([jnp.rad2deg(turn), rate - data["rate"]])
