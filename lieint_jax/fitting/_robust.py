@@ -22,9 +22,7 @@ FREEDOM = 4.0
 _SMALL = 1e-8  # |e|²/(νσ²) below which log(1 + u)/u is 1 − u/2 to round-off
 
 
-def student_t(
-    errors: Array, noise: ArrayLike, least: ArrayLike, freedom: ArrayLike = FREEDOM
-) -> tuple[Array, Array]:
+def student_t(errors: Array, noise: ArrayLike, least: ArrayLike, freedom: ArrayLike = FREEDOM) -> tuple[Array, Array]:
     """Residuals whose half sum of squares is the negative log-likelihood, less a constant that `least` sets.
 
     Args:
@@ -52,11 +50,19 @@ def student_t_weights(errors: Array, noise: ArrayLike, freedom: ArrayLike = FREE
     return (freedom + errors.shape[-1]) / (freedom + jnp.sum(errors * errors, axis=-1) / jnp.square(noise))
 
 
-def student_t_information(d: int, freedom: float = FREEDOM) -> tuple[float, float]:
-    """The Fisher information of one vector of d components: of its mean, and of the logarithm of its scale.
+def student_t_curvature(errors: Array, noise: ArrayLike, freedom: ArrayLike = FREEDOM) -> Array:
+    """The second derivative of the negative log-likelihood by each vector of errors e, (..., d, d).
 
-    Returns:
-        (ν + d)/(ν + d + 2), in units of 1/σ², and 2dν/(ν + d + 2). For ν → ∞ they are 1 and 2d.
-        The two estimates are independent to this order.
+    w/σ² (1 − 2eeᵀ/(νσ² + |e|²)) with the weight w. With J the derivative of e by parameters, Σ Jᵀ(…)J is their
+    observed information, whose inverse is a better covariance than that of the expected one (Efron & Hinkley 1978,
+    Biometrika 65, 457).
     """
-    return (freedom + d) / (freedom + d + 2), 2 * d * freedom / (freedom + d + 2)
+    square = freedom * jnp.square(noise) + jnp.sum(errors * errors, axis=-1)
+    outer = errors[..., :, None] * errors[..., None, :] / square[..., None, None]
+    factor = student_t_weights(errors, noise, freedom) / jnp.square(noise)
+    return factor[..., None, None] * (jnp.eye(errors.shape[-1]) - 2 * outer)
+
+
+def student_t_noise_error(vectors: int, d: int, freedom: float = FREEDOM) -> float:
+    """The standard error of log σ from so many vectors of d components, by the expected information 2dν/(ν + d + 2)."""
+    return (2 * d * freedom / (freedom + d + 2) * vectors) ** -0.5

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib import resources
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -53,7 +53,7 @@ def _rows() -> list[list[str]]:
 
 
 def model(params: dict[str, Array], attitude: Array) -> tuple[RigidBody, State]:
-    """The body, and its state at the epoch of the published states.
+    """The body and its state.
 
     Args:
         params: `attitude`, a rotation vector in space (°) that turns the given attitude; `inertia`, moments about body
@@ -65,24 +65,25 @@ def model(params: dict[str, Array], attitude: Array) -> tuple[RigidBody, State]:
     return body, body.state(q, angular_velocity=jnp.deg2rad(params["rate"]))
 
 
-def fixes(body: RigidBody, state: State, t: Array) -> tuple[Array, Array]:
-    """What errorless fixes would be after times t (n,): attitudes (n, 4), and body rates in °/d (n, 3)."""
-
-    def one(t: Array) -> tuple[Array, Array]:
-        later = body.solution(state, t)
-        return later.q, jnp.rad2deg(body.angular_velocity(later))
-
-    return jax.lax.map(one, t)
-
-
 @member_by_member
-def errors(params: dict[str, Array], data: dict[str, Any]) -> Array:
-    """Calculated less observed: rotation vectors in space (°) and body rates (°/d), (2, n, 3).
+def path(params: dict[str, Array], data: dict[str, Array]) -> Array:
+    """Attitudes and body rates in °/d, (n, 7), at the times data["t"] (n,), with data["begin"] as in `model`."""
+    body, state = model(params, data["begin"])
 
-    Args:
-        params: see `model`.
-        data: `begin`, the attitude to begin with; the fixes, `t` (n,), `q` (n, 4) and `rate` (n, 3).
+    def one(t: Array) -> Array:
+        later = body.solution(state, t)
+        return jnp.concatenate([later.q, jnp.rad2deg(body.angular_velocity(later))])
+
+    return jax.lax.map(one, data["t"])
+
+
+def errors(found: Array, data: dict[str, Array]) -> Array:
+    """Attitudes and rates (n, 7) less the observed ones: rotation vectors in space (°), body rates (°/d), (2, n, 3).
+
+    data["q"], (n, 4), and data["rate"], (n, 3), are observed.
     """
-    q, rate = fixes(*model(params, data["begin"]), data["t"])
-    turn = jax.vmap(lambda q, seen: so3.log(so3.multiply(q, so3.inverse(seen))))(q, data["q"])
-    return jnp.stack([jnp.rad2deg(turn), rate - data["rate"]])
+
+    def turn(q: Array, seen: Array) -> Array:
+        return jnp.rad2deg(so3.log(so3.multiply(q, so3.inverse(seen))))
+
+    return jnp.stack([jax.vmap(turn)(found[:, :4], data["q"]), found[:, 4:] - data["rate"]])

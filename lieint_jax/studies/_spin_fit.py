@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.custom_batching import sequential_vmap
 from jax.flatten_util import ravel_pytree
 
 from lieint_jax.fitting._bounds import free, inertia_ratios, interval
 from lieint_jax.fitting._fit import Fit, fit
-from lieint_jax.fitting._robust import FREEDOM, student_t, student_t_information
+from lieint_jax.fitting._robust import FREEDOM, student_t, student_t_curvature, student_t_noise_error
 from lieint_jax.groups import so3
-from lieint_jax.studies._radar import errors, fixes, model
+from lieint_jax.studies._radar import errors, model, path
 from lieint_jax.studies._tumbling import direction, mean_periods
 
 LEAST, MOST = 0.01, 100.0  # bounds of the noise levels, ° and °/d
@@ -27,10 +27,10 @@ class Estimate(NamedTuple):
 
     Attributes:
         x: the parameters attitude (°), inertia (ratios), rate (°/d) as a vector, (8,).
-        covariance: of x, the inverse of the Fisher information, (8, 8).
+        covariance: of x, (8, 8).
         noise: the noise levels of attitudes (°) and rates (°/d), for as many degrees of freedom as are left, (2,).
-        derived: see `derived`, (7,).
-        derived_covariance: of `derived`, to first order, (7, 7).
+        derived: see `derived`, (12,).
+        derived_covariance: of `derived`, to first order, (12, 12).
     """
 
     x: Array
@@ -42,8 +42,14 @@ class Estimate(NamedTuple):
 
 def residuals(params: dict[str, Array], data: dict[str, Any]) -> Any:
     """For least squares: the errors as Student's t has them, with data["freedom"] degrees of freedom, and the noise."""
-    e = errors({name: params[name] for name in ("attitude", "inertia", "rate")}, data)
-    return [student_t(e[k], params["noise"][k], LEAST, data["freedom"]) for k in range(2)]
+    spin, noise = split(params)
+    e = errors(path(spin, data), data)
+    return [student_t(e[k], noise[k], LEAST, data["freedom"]) for k in range(2)]
+
+
+def split(params: dict[str, Array]) -> tuple[dict[str, Array], Array]:
+    """The parameters of the motion, and the noise levels."""
+    return {name: leaf for name, leaf in params.items() if name != "noise"}, params["noise"]
 
 
 def fitted(guesses: dict[str, Array], data: dict[str, Any], progress: bool = True) -> Fit:
@@ -56,11 +62,15 @@ def repeated(tree: Any, times: int) -> Any:
     return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (times, *jnp.shape(leaf))), tree)
 
 
-def derived(params: dict[str, Array], begin: Array) -> Array:
-    """Mean periods of precession and rotation (d), longitude and latitude of π (°), Euler 3-1-3 angles (°), (7,)."""
+def derived(params: dict[str, Array], begin: Array, at_epoch: Array) -> Array:
+    """Quantities beside which there are published ones, (12,).
+
+    Mean periods of precession and rotation (d); longitude and latitude of the angular momentum (°); the two ratios of
+    inertia; and of attitude and body rate at the published epoch (7,) Euler 3-1-3 angles (°) and the rate (°/d).
+    """
     body, state = model(params, begin)
-    euler = jnp.rad2deg(so3.to_euler_313(state.q)) % 360
-    return jnp.concatenate([mean_periods(body, state), direction(state.p), euler])
+    euler = jnp.rad2deg(so3.to_euler_313(at_epoch[:4])) % 360
+    return jnp.concatenate([mean_periods(body, state), direction(state.p), params["inertia"], euler, at_epoch[4:]])
 
 
 @jax.jit
@@ -70,36 +80,44 @@ def estimates(params: dict[str, Array], data: dict[str, Any]) -> Estimate:
 
 
 def _estimate(params: dict[str, Array], data: dict[str, Any]) -> Estimate:
-    """The covariance (Σ_k c JₖᵀJₖ/σₖ²)⁻¹, k the attitudes and the rates, with c the Fisher information.
+    """The covariance is the inverse of the observed information, for noise levels corrected for the fit.
 
     σ of the fit is that of maximum likelihood, too small, since the errors have been fitted: σₖ² is enlarged by the
-    number of all components of kind k over those that are left, less hₖ, the trace of kind k's part of the projection.
+    number of all components of kind k, attitudes or rates, over those that are left, less the trace of kind k's part
+    of the projection.
     """
-    params = dict(params)
-    noise = params.pop("noise")
-    x, unravel = ravel_pytree(params)
-    J = jax.jacfwd(lambda x: errors(unravel(x), data))(x)
-    count = J.shape[1] * J.shape[2]
-    own = student_t_information(3)[0] * jnp.einsum("knci,kncj->kij", J, J)
-    share = own / jnp.square(noise)[:, None, None]
-    used = jnp.trace(jnp.linalg.inv(share[0] + share[1]) @ share, axis1=1, axis2=2)
+    spin, noise = split(params)
+    x, unravel = ravel_pytree(spin)
+    times = {"begin": data["begin"], "t": jnp.append(data["t"], data["epoch"])}
+
+    def both(x: Array) -> tuple[Array, Array]:
+        found = path(unravel(x), times)
+        return errors(found[:-1], data), derived(unravel(x), data["begin"], found[-1])
+
+    (e, of_x), (J, D) = both(x), jax.jacfwd(both)(x)
+
+    def information(noise: Array) -> Array:
+        curvature = jnp.stack([student_t_curvature(e[k], noise[k]) for k in range(2)])
+        return jnp.einsum("knci,kncd,kndj->kij", J, curvature, J)
+
+    share, count = information(noise), e.shape[1] * e.shape[2]
+    used = jnp.trace(_inverse(share[0] + share[1]) @ share, axis1=1, axis2=2)
     noise = noise * jnp.sqrt(count / (count - used))
-    share = own / jnp.square(noise)[:, None, None]
-    covariance = jnp.linalg.inv(share[0] + share[1])
-    of_x = partial(_flat_derived, unravel=unravel, begin=data["begin"])
-    D = jax.jacfwd(of_x)(x)
-    return Estimate(x, covariance, noise, of_x(x), D @ covariance @ D.T)
+    share = information(noise)
+    covariance = _inverse(share[0] + share[1])
+    return Estimate(x, covariance, noise, of_x, D @ covariance @ D.T)
 
 
-def _flat_derived(x: Array, unravel: Any, begin: Array) -> Array:
-    return derived(unravel(x), begin)
+@sequential_vmap
+def _inverse(matrix: Array) -> Array:
+    return jnp.linalg.inv(matrix)
 
 
 class Coverage(NamedTuple):
     """How often the reported uncertainty holds the truth, over synthetic data sets.
 
     Attributes:
-        pulls: (estimate − truth)/reported σ of the 8 parameters, the 2 logarithms of noise, the 7 derived, (sets, 17).
+        pulls: (estimate − truth)/reported σ of the 8 parameters, the 2 logarithms of noise, the 12 derived, (sets, 22).
         distance: the squared distance of the estimate from the truth by its covariance, (sets,): χ² of 8.
         success: whether each fit succeeded.
     """
@@ -109,24 +127,19 @@ class Coverage(NamedTuple):
     success: np.ndarray
 
 
-def noise_error(count: int) -> float:
-    """The standard error of log σ from so many vectors of three components."""
-    return (student_t_information(3)[1] * count) ** -0.5
-
-
 def synthetic(truth: Estimate, unravel: Any, data: dict[str, Any], sets: int, seed: int) -> dict[str, Any]:
     """Data sets of the fitted model: its fixes, with errors from Student's t of the fitted noise levels."""
     rng = np.random.default_rng(seed)
-    q, rate = fixes(*model(unravel(truth.x), data["begin"]), data["t"])
-    shape = (2, sets, len(q), 3)
+    found = path(unravel(truth.x), data)
+    shape = (2, sets, len(found), 3)
     drawn = rng.normal(size=shape) / np.sqrt(rng.chisquare(FREEDOM, (*shape[:3], 1)) / FREEDOM)
     turns, change = jnp.asarray(drawn) * truth.noise[:, None, None, None]
 
     def turned(turn: Array, q: Array) -> Array:
         return so3.multiply(so3.exp(jnp.deg2rad(turn)), q)
 
-    seen = jax.vmap(jax.vmap(turned), (0, None))(turns, q)
-    return repeated(data, sets) | {"q": seen, "rate": rate + change}
+    seen = jax.vmap(jax.vmap(turned), (0, None))(turns, found[:, :4])
+    return repeated(data, sets) | {"q": seen, "rate": found[:, 4:] + change}
 
 
 def coverage(
@@ -139,7 +152,7 @@ def coverage(
     assert found.starts is not None
     each = estimates(found.starts.params, many)
     error = each.x - truth.x
-    level = jnp.log(each.noise / truth.noise) / noise_error(len(data["t"]))
+    level = jnp.log(each.noise / truth.noise) / student_t_noise_error(len(data["t"]), 3)
     of_derived = (each.derived - truth.derived + 180) % 360 - 180  # angles; periods are far below 180
     sigma, of_sigma = (jnp.sqrt(jnp.diagonal(C, axis1=1, axis2=2)) for C in (each.covariance, each.derived_covariance))
     distance = jnp.einsum("si,si->s", error, jnp.linalg.solve(each.covariance, error[..., None])[..., 0])
