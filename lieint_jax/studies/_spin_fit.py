@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
-from jax.custom_batching import sequential_vmap
+from jax import Array
 from jax.flatten_util import ravel_pytree
 
 from lieint_jax.fitting._bounds import free, inertia_ratios, interval
@@ -73,14 +72,17 @@ def derived(params: dict[str, Array], begin: Array, at_epoch: Array) -> Array:
     return jnp.concatenate([mean_periods(body, state), direction(state.p), params["inertia"], euler, at_epoch[4:]])
 
 
-@jax.jit
 def estimates(params: dict[str, Array], data: dict[str, Any]) -> Estimate:
     """The estimates of many fits, with their covariances; each leaf has a leading axis."""
-    return lax.map(lambda x: _estimate(*x), (params, data))
+    several = jax.tree.map(np.asarray, (params, data))  # slices of NumPy arrays take no dispatch
+    count = len(several[0]["noise"])
+    each = [estimate(*jax.tree.map(lambda leaf: leaf[k], several)) for k in range(count)]  # noqa: B023
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
 
 
-def _estimate(params: dict[str, Array], data: dict[str, Any]) -> Estimate:
-    """The covariance is the inverse of the observed information, for noise levels corrected for the fit.
+@jax.jit
+def estimate(params: dict[str, Array], data: dict[str, Any]) -> Estimate:
+    """The estimate of one fit, with its covariance: the inverse of the observed information.
 
     σ of the fit is that of maximum likelihood, too small, since the errors have been fitted: σₖ² is enlarged by the
     number of all components of kind k, attitudes or rates, over those that are left, less the trace of kind k's part
@@ -101,16 +103,11 @@ def _estimate(params: dict[str, Array], data: dict[str, Any]) -> Estimate:
         return jnp.einsum("knci,kncd,kndj->kij", J, curvature, J)
 
     share, count = information(noise), e.shape[1] * e.shape[2]
-    used = jnp.trace(_inverse(share[0] + share[1]) @ share, axis1=1, axis2=2)
+    used = jnp.trace(jnp.linalg.inv(share[0] + share[1]) @ share, axis1=1, axis2=2)
     noise = noise * jnp.sqrt(count / (count - used))
     share = information(noise)
-    covariance = _inverse(share[0] + share[1])
+    covariance = jnp.linalg.inv(share[0] + share[1])
     return Estimate(x, covariance, noise, of_x, D @ covariance @ D.T)
-
-
-@sequential_vmap
-def _inverse(matrix: Array) -> Array:
-    return jnp.linalg.inv(matrix)
 
 
 class Coverage(NamedTuple):
