@@ -16,6 +16,9 @@ from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State
 
+FITTED, MIDDLE = 17, 8  # the number of fixes of 1992, and the one in their middle, where the parameters are
+STATES = {"Zhao et al. 2015": "toutatis", "Takahashi et al. 2013": "toutatis_takahashi"}  # published, as scenarios
+
 
 class RadarEpochs(NamedTuple):
     """All published radar fixes of Toutatis, 17 of 1992, one of 2004 and one of 2008.

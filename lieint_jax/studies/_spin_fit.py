@@ -123,6 +123,26 @@ class Coverage(NamedTuple):
     distance: np.ndarray
     success: np.ndarray
 
+    @property
+    def scatter(self) -> np.ndarray:
+        """Root mean square of the pulls of the parameters, and of the noise levels, (2,); 1 if all were right."""
+        return np.sqrt([(self.pulls[:, :8] ** 2).mean(), (self.pulls[:, 8:10] ** 2).mean()])
+
+    def part(self, sets: slice) -> Coverage:
+        """That of some of the sets."""
+        return Coverage(*(leaf[sets] for leaf in self))
+
+    def rescaled(self, factors: np.ndarray) -> Coverage:
+        """What it would be with errors of the parameters and of the noise levels larger by these factors."""
+        each = np.where(np.isin(np.arange(self.pulls.shape[1]), (8, 9)), factors[1], factors[0])
+        return Coverage(self.pulls / each, self.distance / factors[0] ** 2, self.success)
+
+
+def enlarged(estimate: Estimate, factor: float) -> Estimate:
+    """The estimate with errors larger by this factor."""
+    of_x, of_derived = (factor**2 * C for C in (estimate.covariance, estimate.derived_covariance))
+    return estimate._replace(covariance=of_x, derived_covariance=of_derived)
+
 
 def synthetic(truth: Estimate, unravel: Any, data: dict[str, Any], sets: int, seed: int) -> dict[str, Any]:
     """Data sets of the fitted model: its fixes, with errors from Student's t of the fitted noise levels."""

@@ -10,10 +10,19 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from lieint_jax import plots
-from lieint_jax.studies._radar import radar_epochs
+from lieint_jax.studies._radar import FITTED, MIDDLE, radar_epochs
+from lieint_jax.studies._toutatis_report import HUDSON_OSTRO
 
 _MARKS = {"fitted": ("o", plots.INK), "Zhao et al. 2015": ("^", plots.RED), "Takahashi et al. 2013": ("s", plots.BLUE)}
-_HUDSON_OSTRO = (7.35, 5.41)
+_DECEMBER = 20.2571  # days from the published epoch, 1992-11-09 17:49:47, to 1992-11-30 00:00
+_TITLES = (
+    "17 radar fixes of 1992: attitudes",
+    "the same: body rates",
+    "torque-free to the fixes of 2004 and 2008",
+    "mean periods",
+    "direction of the angular momentum",
+    "reported errors in synthetic data",
+)
 
 
 def draw(found: Any) -> Figure:
@@ -22,21 +31,21 @@ def draw(found: Any) -> Figure:
     for kind, (ax, unit) in enumerate(zip(axes[0, :2], ("attitude error (°)", "body rate error (°/d)"), strict=True)):
         _residuals(ax, found, kind, unit)
     _prediction(axes[0, 2], found)
-    _pair(axes[1, 0], found, (0, 1), "mean precession period (d)", "mean rotation period (d)")
-    axes[1, 0].plot(*_HUDSON_OSTRO, "D", color=plots.GREY, mec=plots.INK, ms=6, label="Hudson & Ostro 1995")
-    _pair(axes[1, 1], found, (2, 3), "longitude of momentum (°)", "latitude of momentum (°)")
+    _pair(axes[1, 0], found, (0, 1), "precession of the long axis (d)", "rotation about the long axis (d)")
+    axes[1, 0].plot(*HUDSON_OSTRO, "D", color=plots.GREY, mec=plots.INK, ms=6, label="Hudson & Ostro 1995")
+    _pair(axes[1, 1], found, (2, 3), "ecliptic longitude (°)", "ecliptic latitude (°)")
     for ax in axes[1, :2]:
         ax.legend(frameon=False, fontsize="x-small", loc="best")
     _coverage(axes[1, 2], found)
-    for ax, letter in zip(axes.flat, "abcdef", strict=True):
-        ax.set_title(letter, loc="left", fontweight="bold", fontsize="medium")
+    for ax, letter, title in zip(axes.flat, "abcdef", _TITLES, strict=True):
+        ax.set_title(f"({letter}) {title}", loc="left", fontsize="small")
     fig.suptitle(found.scenario.title, fontsize="medium")
     return fig
 
 
 def _residuals(ax: Axes, found: Any, kind: int, label: str) -> None:
     """The size of each residual by date, outliers ringed, and the fitted noise level."""
-    day = 2 + radar_epochs().t[:17] - radar_epochs().t[0] + 21.67 / 24
+    day = radar_epochs().t[:FITTED] - _DECEMBER
     for name, (mark, color) in _MARKS.items():
         size = np.linalg.norm(found.residuals[name][kind], axis=-1)
         filled = {"mfc": color} if name == "fitted" else {"mfc": "none"}
@@ -54,18 +63,20 @@ def _residuals(ax: Axes, found: Any, kind: int, label: str) -> None:
 def _prediction(ax: Axes, found: Any) -> None:
     """The spread of the members against time, and the angles from the fixes of 2004 and 2008."""
     p = found.prediction
-    ax.fill_between(p.t, p.spread[0], p.spread[2], color=plots.GREY, alpha=0.5, lw=0, label="members, 5 to 95 %")
-    ax.plot(p.t, p.rms, color=plots.INK, lw=1.2, label="members, rms")
-    later = radar_epochs().t[17:] - radar_epochs().t[8]
-    for shift, (name, (mark, color)) in zip((1, 0.88, 1.13), _MARKS.items(), strict=True):
-        ax.plot(later * shift, p.off[name], mark, color=color, ms=5, mfc=color if name == "fitted" else "none")
-    for t, year in zip(later, ("2004", "2008"), strict=True):
-        ax.annotate(year, (t, 3), ha="right" if year == "2004" else "left", va="bottom", fontsize="x-small")
-        ax.axvline(t, color=plots.GREY, lw=0.6, zorder=0)
-    ax.set(xscale="log", xlim=(5, 12000), ylim=(0, 240), yticks=range(0, 181, 30))
-    ax.set(xlabel="days after 1992-12-10", ylabel="angle from the estimate, or from the fix (°)")
-    ax.legend(frameon=False, fontsize="x-small", loc="upper left", title="marks as in a: predictions of 2004, 2008")
-    ax.get_legend().get_title().set_fontsize("x-small")
+    ax.fill_between(
+        p.t, p.spread[0], p.spread[2], color=plots.GREY, alpha=0.5, lw=0, label="members from estimate, 5–95 %"
+    )
+    ax.plot(p.t, p.rms, color=plots.INK, lw=1.2, label="the same, rms")
+    later = radar_epochs().t[FITTED:] - radar_epochs().t[MIDDLE]
+    for name, (mark, color) in _MARKS.items():
+        fill = color if name == "fitted" else "none"
+        ax.plot(later, p.off[name], mark, color=color, ms=5, mfc=fill, label=f"{name}, from the fix")
+    for t, year, side in zip(later, ("2004 ", " 2008"), ("right", "left"), strict=True):
+        ax.annotate(year, (t, 3), ha=side, va="bottom", fontsize="x-small")
+        ax.axvline(t, ymax=0.75, color=plots.GREY, lw=0.6, zorder=0)
+    ax.set(xscale="log", xlim=(5, 12000), ylim=(0, 250), yticks=range(0, 181, 30))
+    ax.set(xlabel="days after 1992-12-10", ylabel="angle (°)")
+    ax.legend(frameon=False, fontsize="x-small", loc="upper left", ncols=2)
 
 
 def _pair(ax: Axes, found: Any, which: tuple[int, int], xlabel: str, ylabel: str) -> None:
