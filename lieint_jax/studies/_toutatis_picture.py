@@ -48,8 +48,8 @@ def _residuals(ax: Axes, found: Any, kind: int, label: str) -> None:
     day = radar_epochs().t[:FITTED] - _DECEMBER
     for name, (mark, color) in _MARKS.items():
         size = np.linalg.norm(found.residuals[name][kind], axis=-1)
-        filled = {"mfc": color} if name == "fitted" else {"mfc": "none"}
-        ax.plot(day, size, mark, color=color, ms=5, lw=0, label=name, **filled)
+        fill = color if name == "fitted" else "none"
+        ax.plot(day, size, mark, color=color, ms=5, mfc=fill, label=name)
     size = np.linalg.norm(found.residuals["fitted"][kind], axis=-1)
     far = found.outlier[kind]
     ax.plot(day[far], size[far], "o", ms=13, mfc="none", mec=plots.INK, mew=1.0, label="outlier of the fit")
@@ -63,20 +63,27 @@ def _residuals(ax: Axes, found: Any, kind: int, label: str) -> None:
 def _prediction(ax: Axes, found: Any) -> None:
     """The spread of the members against time, and the angles from the fixes of 2004 and 2008."""
     p = found.prediction
-    ax.fill_between(
-        p.t, p.spread[0], p.spread[2], color=plots.GREY, alpha=0.5, lw=0, label="members from estimate, 5–95 %"
-    )
+    label = "members from estimate, 5–95 %"
+    ax.fill_between(p.t, p.spread[0], p.spread[2], color=plots.GREY, alpha=0.5, lw=0, label=label)
     ax.plot(p.t, p.rms, color=plots.INK, lw=1.2, label="the same, rms")
     later = radar_epochs().t[FITTED:] - radar_epochs().t[MIDDLE]
     for name, (mark, color) in _MARKS.items():
         fill = color if name == "fitted" else "none"
-        ax.plot(later, p.off[name], mark, color=color, ms=5, mfc=fill, label=f"{name}, from the fix")
+        ax.plot(
+            later,
+            p.off[name],
+            mark,
+            color=color,
+            ms=5,
+            mfc=fill,
+            label="predictions from the fix, marks as in (a)" if name == "fitted" else None,
+        )
     for t, year, side in zip(later, ("2004 ", " 2008"), ("right", "left"), strict=True):
         ax.annotate(year, (t, 3), ha=side, va="bottom", fontsize="x-small")
         ax.axvline(t, ymax=0.75, color=plots.GREY, lw=0.6, zorder=0)
     ax.set(xscale="log", xlim=(5, 12000), ylim=(0, 250), yticks=range(0, 181, 30))
     ax.set(xlabel="days after 1992-12-10", ylabel="angle (°)")
-    ax.legend(frameon=False, fontsize="x-small", loc="upper left", ncols=2)
+    ax.legend(frameon=False, fontsize="x-small", loc="upper left")
 
 
 def _pair(ax: Axes, found: Any, which: tuple[int, int], xlabel: str, ylabel: str) -> None:
@@ -98,13 +105,14 @@ def _pair(ax: Axes, found: Any, which: tuple[int, int], xlabel: str, ylabel: str
     ax.errorbar(x.value, y.value, y.error, x.error, "x", color=plots.RED, ms=5, lw=1, label="Zhao et al., as published")
     reach = 2.4 * np.sqrt(np.diagonal(matrix))
     ax.set(xlabel=xlabel, ylabel=ylabel)
+    ax.locator_params(nbins=6)
     ax.set(xlim=(center[0] - reach[0], center[0] + reach[0]), ylim=(center[1] - reach[1], center[1] + 2 * reach[1]))
 
 
 def _coverage(ax: Axes, found: Any) -> None:
     """The distribution of (estimate − truth)/σ of the parameters over the synthetic sets, beside the normal one."""
     pulls = found.coverage.pulls[:, :8].ravel()
-    edges = np.linspace(-4, 4, 33)
+    edges = np.linspace(-4, 4, 33).tolist()
     ax.hist(np.clip(pulls, -3.99, 3.99), edges, density=True, color=plots.BLUE, alpha=0.6, label="8 parameters")
     x = np.linspace(-4, 4, 201)
     ax.plot(x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color=plots.INK, lw=1.2, label="normal")

@@ -93,10 +93,10 @@ def _comparison(found: Any) -> list[str]:
         f"{d:.0f} ({(worst > d).sum()} of {len(worst)} synthetic sets are farther off)" for d in apart
     )
     lines += [
-        "  (angles and rates of 1992-11-09 17:49:47 UTC; right, what the two published states imply, with the inertia of",
+        "  (angles and rates of 1992-11-09 17:49:47 UTC; right, what the published states imply, with the inertia of",
         f"  {found.scenario.source('takahashi')}, and their distance from ours)",
-        "  all eight parameters at once, at the middle fix: squared distances in units of the covariance, 8 expected, of",
-        f"  Zhao et al. and Takahashi et al.: {beyond}",
+        "  all eight parameters at once, at the middle fix: squared distances by the covariance, 8 expected, of Zhao",
+        f"  and Takahashi: {beyond}",
         "\n  published as such:",
     ]
     for k, p in enumerate(found.scenario.published.values()):
@@ -124,14 +124,16 @@ def _prediction(found: Any) -> list[str]:
     lines += [f"    {name:<24}{off[0]:>14.1f}{off[1]:>14.1f}" for name, off in p.off.items()]
     ranges = (f"{a:.0f} to {b:.0f}" for a, b in np.percentile(p.members_off, (5, 95), axis=0).T)
     pole = p.pole[:FITTED][~found.outlier[1]]
+    single = np.sqrt((pole**2).mean())
     first, second = (np.interp(angle, p.rms, p.t) for angle in (30, 90))
     return [
         *lines,
         f"    {'members, 5 to 95 %':<24}" + "".join(f"{x:>14}" for x in ranges),
         "  All miss by 100° and more. But the fit's own uncertainty is enough for that: the members spread by 30° rms",
-        f"  after {first:.0f} days, 90° after {second:.0f}, {p.rms[-1]:.0f}° in the end (random attitudes: 132°). The miss is not",
-        "  outside that spread. The direction of the momentum needs no phase: from the fitted one, single fixes of 1992",
-        f"  are {np.sqrt((pole**2).mean()):.1f}° rms, those of 2004 and 2008 {p.pole[-2]:.1f}° and {p.pole[-1]:.1f}°: no change is seen.",
+        f"  after {first:.0f} days, 90° after {second:.0f}, {p.rms[-1]:.0f}° in the end (random attitudes: 132°). "
+        "The miss is not outside",
+        f"  it. The momentum's direction needs no phase: single fixes of 1992 give it {single:.1f}° rms from the fitted",
+        f"  one, those of 2004 and 2008 {p.pole[-2]:.1f}° and {p.pole[-1]:.1f}°: no change is seen.",
     ]
 
 
@@ -144,16 +146,17 @@ def rate_errors(found: Any) -> np.ndarray:
 def _torque(found: Any) -> list[str]:
     f, own = found.flyby, rate_errors(found)
     rms, most = np.sqrt((f.rates**2).mean(axis=0)), np.abs(f.rates).max()
+    change = 100 * np.sqrt((f.momentum**2).mean())
     return [
         "\n  the Earth's torque in the flyby of 2004-09-29, an order of magnitude, for any phase and direction:",
         f"    a hyperbola of least distance {f.distance / _flyby.AU:.5f} au, {f.speed:.2f} km/s at infinity",
         "    (from elements of JPL's Small-Body Database, with the Earth on a circle)",
-        f"    momentum: changes by {100 * np.sqrt((f.momentum**2).mean()):.2f} % rms, turns by {f.pole.max():.2f}° at most",
+        f"    momentum: changes by {change:.2f} % rms, turns by {f.pole.max():.2f}° at most",
         f"    precession rate: {rms[0]:.3f} °/d rms, {most:.2f} at most; rotation rate: {rms[1]:.4f} rms",
         f"    published: {_CHANGE} °/d at most   (Busch et al. 2012, AGU Fall Meeting, P31A-1873)",
-        f"  By the fix of 2008 that is {_TO_2008 * rms[0]:.0f}° rms, {_TO_2008 * most:.0f}° at most: however well it were known, "
-        "no torque-free",
-        f"  motion would hold. But the fit of 1992 knows both rates to ± {own[0]:.2f} and ± {own[1]:.2f} °/d only.",
+        f"  By the fix of 2008 that is {_TO_2008 * rms[0]:.0f}° rms, {_TO_2008 * most:.0f}° at most: no torque-free motion, "
+        "however well known,",
+        f"  holds through it. But the fit of 1992 knows both rates to ± {own[0]:.2f} and ± {own[1]:.2f} °/d only.",
     ]
 
 
