@@ -16,13 +16,14 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 
 FREEDOM = 4.0
 _SMALL = 1e-8  # |e|²/(νσ²) below which log(1 + u)/u is 1 − u/2 to round-off
 
 
-def student_t(errors: Array, noise: ArrayLike, least: ArrayLike, freedom: ArrayLike = FREEDOM) -> tuple[Array, Array]:
+def student_t(
+    errors: Array, noise: Array | float, least: Array | float, freedom: Array | float = FREEDOM
+) -> tuple[Array, Array]:
     """Residuals whose half sum of squares is the negative log-likelihood, less a constant that `least` sets.
 
     Args:
@@ -42,7 +43,7 @@ def student_t(errors: Array, noise: ArrayLike, least: ArrayLike, freedom: ArrayL
     return errors / noise * shortening[..., None], jnp.broadcast_to(level, u.shape)
 
 
-def student_t_weights(errors: Array, noise: ArrayLike, freedom: ArrayLike = FREEDOM) -> Array:
+def student_t_weights(errors: Array, noise: Array | float, freedom: Array | float = FREEDOM) -> Array:
     """The weights (ν + d)/(ν + |e|²/σ²) of the vectors e in the equivalent weighted least squares, (...).
 
     1 + d/ν at most, about 1 where |e|² is dσ², and small for an outlier.
@@ -50,7 +51,7 @@ def student_t_weights(errors: Array, noise: ArrayLike, freedom: ArrayLike = FREE
     return (freedom + errors.shape[-1]) / (freedom + jnp.sum(errors * errors, axis=-1) / jnp.square(noise))
 
 
-def student_t_curvature(errors: Array, noise: ArrayLike, freedom: ArrayLike = FREEDOM) -> Array:
+def student_t_curvature(errors: Array, noise: Array | float, freedom: Array | float = FREEDOM) -> Array:
     """The second derivative of the negative log-likelihood by each vector of errors e, (..., d, d).
 
     w/σ² (1 − 2eeᵀ/(νσ² + |e|²)) with the weight w. With J the derivative of e by parameters, Σ Jᵀ(…)J is their

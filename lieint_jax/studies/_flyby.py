@@ -70,18 +70,25 @@ def passage(body: RigidBody, state: State, distance: float, speed: float, member
     times = jnp.asarray(rng.uniform(0, 1000, members))
     turns = rng.normal(size=(members, 4))
     turns = jnp.asarray(turns / np.linalg.norm(turns, axis=1, keepdims=True))
-    satellite = systems.gravity_gradient(body.inertia, hyperbola(distance, speed))
-    step = schemes.splitting(satellite)
+    orbit = hyperbola(distance, speed)
 
     def one(t: Array, turn: Array) -> tuple[Array, Array, Array]:
-        free = State(so3.multiply(turn, body.solution(state, t).q), so3.Ad(turn, state.p))
-        begin = State(free.q, free.p, jnp.asarray(-_HALF), jnp.zeros(()))
-        end = jax.tree.map(lambda leaf: leaf[-1], integrate(step, begin, 2 * _HALF / _STEPS, _STEPS, _STEPS).state)
-        change = 360 / mean_periods(body, end) - 360 / mean_periods(body, free)
-        return jnp.linalg.norm(end.p - free.p) / jnp.linalg.norm(free.p), _angle(free.p, end.p), change
+        before = State(so3.multiply(turn, body.solution(state, t).q), so3.Ad(turn, state.p))
+        after = through(body, before, orbit)
+        change = 360 / mean_periods(body, after) - 360 / mean_periods(body, before)
+        size = jnp.linalg.norm(after.p - before.p) / jnp.linalg.norm(before.p)
+        return size, _angle(before.p, after.p), change
 
     results = jax.jit(partial(jax.lax.map, lambda x: one(*x), batch_size=min(members, 64)))((times, turns))
     return Flyby(distance, speed, *(np.asarray(x) for x in results))
+
+
+def through(body: RigidBody, before: State, orbit: orbits.Kepler) -> State:
+    """The state 12 days after the least distance, from that 12 days before it."""
+    step = schemes.splitting(systems.gravity_gradient(body.inertia, orbit))
+    begin = State(before.q, before.p, jnp.asarray(-_HALF), jnp.zeros(()))
+    run = integrate(step, begin, 2 * _HALF / _STEPS, _STEPS, _STEPS)
+    return State(run.state.q[-1], run.state.p[-1])
 
 
 def _angle(a: Array, b: Array) -> Array:

@@ -132,8 +132,8 @@ def _prediction(found: Any) -> list[str]:
         "  All miss by 100° and more. But the fit's own uncertainty is enough for that: the members spread by 30° rms",
         f"  after {first:.0f} days, 90° after {second:.0f}, {p.rms[-1]:.0f}° in the end (random attitudes: 132°). "
         "The miss is not outside",
-        f"  it. The momentum's direction needs no phase: single fixes of 1992 give it {single:.1f}° rms from the fitted",
-        f"  one, those of 2004 and 2008 {p.pole[-2]:.1f}° and {p.pole[-1]:.1f}°: no change is seen.",
+        f"  that. The momentum's direction needs no phase: single fixes of 1992 give it {single:.1f}° rms from the one",
+        f"  fitted, those of 2004 and 2008 {p.pole[-2]:.1f}° and {p.pole[-1]:.1f}°: no change is seen.",
     ]
 
 
@@ -146,6 +146,7 @@ def rate_errors(found: Any) -> np.ndarray:
 def _torque(found: Any) -> list[str]:
     f, own = found.flyby, rate_errors(found)
     rms, most = np.sqrt((f.rates**2).mean(axis=0)), np.abs(f.rates).max()
+    usual, worst = _TO_2008 * rms[0], _TO_2008 * most
     change = 100 * np.sqrt((f.momentum**2).mean())
     return [
         "\n  the Earth's torque in the flyby of 2004-09-29, an order of magnitude, for any phase and direction:",
@@ -154,9 +155,8 @@ def _torque(found: Any) -> list[str]:
         f"    momentum: changes by {change:.2f} % rms, turns by {f.pole.max():.2f}° at most",
         f"    precession rate: {rms[0]:.3f} °/d rms, {most:.2f} at most; rotation rate: {rms[1]:.4f} rms",
         f"    published: {_CHANGE} °/d at most   (Busch et al. 2012, AGU Fall Meeting, P31A-1873)",
-        f"  By the fix of 2008 that is {_TO_2008 * rms[0]:.0f}° rms, {_TO_2008 * most:.0f}° at most: no torque-free motion, "
-        "however well known,",
-        f"  holds through it. But the fit of 1992 knows both rates to ± {own[0]:.2f} and ± {own[1]:.2f} °/d only.",
+        f"  By the fix of 2008 it is {usual:.0f}° rms, {worst:.0f}° at most: no torque-free motion, however well",
+        f"  known, holds. The fit of 1992 knows both rates to ± {own[0]:.2f} and ± {own[1]:.2f} °/d only.",
     ]
 
 

@@ -138,7 +138,7 @@ def run(quick: bool = False, progress: bool = True) -> SpinFit:
         estimate,
         normal,
         residuals,
-        np.asarray(student_t_weights(jnp.asarray(e), noise)),
+        np.asarray(student_t_weights(jnp.asarray(e), jnp.asarray(noise))),
         (e**2).sum(axis=-1) > _FAR * noise**2,
         {name: _derived(p, data) for name, p in given.items()},
         {name: float(d @ np.linalg.solve(estimate.covariance, d)) for name, d in difference.items()},
