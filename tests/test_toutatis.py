@@ -153,21 +153,27 @@ def test_a_flyby_against_scipy():
     located = jax.jit(lambda t: orbit(t)[0])
 
     def position(t):
-        return np.asarray(located(t))
+        return np.array(located(t))  # a copy: scipy wants to be able to write
 
     y = np.concatenate([begin.as_quat(), np.deg2rad(rate)])
     end = solve_ivp(field, (-12, 12), y, "DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
     p = Rotation.from_quat(end[:4]).apply(J * end[4:])
     change, size = p - np.asarray(state.p), float(jnp.linalg.norm(state.p))
     assert 1e-4 * size < np.linalg.norm(change) < 3e-3 * size
-    np.testing.assert_allclose(ours.p - state.p, change, atol=2e-3 * float(np.linalg.norm(change)))
+    off = np.linalg.norm(np.asarray(ours.p - state.p) - change) / np.linalg.norm(change)
+    assert off < 4e-3  # 1.8e-3, of the splitting; a quarter with half the step
+
+
+@pytest.fixture(scope="module")
+def found():
+    """The study at its default size."""
+    return toutatis.run(progress=False)
 
 
 @pytest.mark.long
-def test_the_estimate_is_scipys():
+def test_the_estimate_is_scipys(found):
     """The same likelihood through DOP853 and BFGS by differences."""
     data = toutatis.radar_data()
-    found = toutatis.run(quick=True, progress=False)
     assert found.fit.starts is not None
     params = jax.tree.map(lambda leaf: leaf[1], found.fit.starts.params)
     noise = np.asarray(params.pop("noise"))
@@ -190,9 +196,7 @@ def test_the_estimate_is_scipys():
 
 
 @pytest.mark.long
-def test_the_study():
-    """What the study settles, at its default size."""
-    found = toutatis.run(progress=False)
+def test_what_the_study_settles(found):
     assert found.fit.success
     assert found.same == 1  # all random starts end in the minimum
     noise = np.asarray(found.estimate.noise)
@@ -204,7 +208,6 @@ def test_the_study():
     assert abs(precession - 7.40) < np.hypot(first, 0.03)  # published (Zhao et al. 2015), and not fitted
     assert abs(rotation - 5.38) < np.hypot(second, 0.03)
     assert max(first, second) < 0.05
-    assert 0.15 < first / 0.036 < 1.3
     lon, lat = np.asarray(found.estimate.derived)[2:4]
     sigma = np.sqrt(np.diagonal(found.estimate.derived_covariance))
     assert abs(lon - 180.2) < sigma[2]

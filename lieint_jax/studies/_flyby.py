@@ -24,7 +24,7 @@ from lieint_jax.types import State
 MU = 398600.4418 * 86400.0**2  # the Earth's GM in km³/d² (IERS)
 AU = 149597870.7  # km
 _EARTH_SPEED = 29.7847  # km/s, of a circular orbit of 1 au
-_HALF, _STEPS = 12.0, 400  # days before and after the least distance; steps over both
+_HALF, _STEPS = 12.0, 800  # days before and after the least distance; steps over both
 
 
 class Flyby(NamedTuple):
