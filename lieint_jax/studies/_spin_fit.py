@@ -14,7 +14,7 @@ from lieint_jax.fitting._bounds import free, inertia_ratios, interval
 from lieint_jax.fitting._fit import Fit, fit
 from lieint_jax.fitting._robust import FREEDOM, student_t, student_t_curvature, student_t_noise_error
 from lieint_jax.groups import so3
-from lieint_jax.studies._radar import errors, model, path
+from lieint_jax.studies._radar import errors, model, path, path_of_fits
 from lieint_jax.studies._tumbling import direction, mean_periods
 
 LEAST, MOST = 0.01, 100.0  # bounds of the noise levels, ° and °/d
@@ -42,7 +42,7 @@ class Estimate(NamedTuple):
 def residuals(params: dict[str, Array], data: dict[str, Any]) -> Any:
     """For least squares: the errors as Student's t has them, with data["freedom"] degrees of freedom, and the noise."""
     spin, noise = split(params)
-    e = errors(path(spin, data), data)
+    e = errors(path_of_fits(spin, data), data)
     return [student_t(e[k], noise[k], LEAST, data["freedom"]) for k in range(2)]
 
 
@@ -93,7 +93,7 @@ def estimate(params: dict[str, Array], data: dict[str, Any]) -> Estimate:
     times = {"begin": data["begin"], "t": jnp.append(data["t"], data["epoch"])}
 
     def both(x: Array) -> tuple[Array, Array]:
-        found = path(unravel(x), times)
+        found = path_of_fits(unravel(x), times)
         return errors(found[:-1], data), derived(unravel(x), data["begin"], found[-1])
 
     (e, of_x), (J, D) = both(x), jax.jacfwd(both)(x)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from lieint_jax import plots
-from lieint_jax.studies._radar import FITTED, MIDDLE, radar_epochs
+from lieint_jax.studies._radar import FITTED, MIDDLE, later_fixes, radar_epochs
 from lieint_jax.studies._toutatis_report import HUDSON_OSTRO
 
 _MARKS = {"fitted": ("o", plots.INK), "Zhao et al. 2015": ("^", plots.RED), "Takahashi et al. 2013": ("s", plots.BLUE)}
@@ -18,7 +18,7 @@ _DECEMBER = 20.2571  # days from the published epoch, 1992-11-09 17:49:47, to 19
 _TITLES = (
     "17 radar fixes of 1992: attitudes",
     "the same: body rates",
-    "torque-free to the fixes of 2004 and 2008",
+    "torque-free to the fixes of 2004, 2008 and 2012",
     "mean periods",
     "direction of the angular momentum",
     "reported errors in synthetic data",
@@ -66,7 +66,8 @@ def _prediction(ax: Axes, found: Any) -> None:
     label = "members from estimate, 5–95 %"
     ax.fill_between(p.t, p.spread[0], p.spread[2], color=plots.GREY, alpha=0.5, lw=0, label=label)
     ax.plot(p.t, p.rms, color=plots.INK, lw=1.2, label="the same, rms")
-    later = radar_epochs().t[FITTED:] - radar_epochs().t[MIDDLE]
+    fixes = later_fixes()
+    later = fixes.t - radar_epochs().t[MIDDLE]
     for name, (mark, color) in _MARKS.items():
         fill = color if name == "fitted" else "none"
         ax.plot(
@@ -78,10 +79,10 @@ def _prediction(ax: Axes, found: Any) -> None:
             mfc=fill,
             label="predictions from the fix, marks as in (a)" if name == "fitted" else None,
         )
-    for t, year, side in zip(later, ("2004 ", " 2008"), ("right", "left"), strict=True):
-        ax.annotate(year, (t, 3), ha=side, va="bottom", fontsize="x-small")
-        ax.axvline(t, ymax=0.75, color=plots.GREY, lw=0.6, zorder=0)
-    ax.set(xscale="log", xlim=(5, 12000), ylim=(0, 250), yticks=range(0, 181, 30))
+    for t, date, height in zip(later, fixes.date, (190, 202, 190), strict=True):
+        ax.annotate(date[:4], (t, height), ha="center", va="bottom", fontsize="x-small")
+        ax.plot([t, t], [0, height], color=plots.GREY, lw=0.6, zorder=0)
+    ax.set(xscale="log", xlim=(5, 14000), ylim=(0, 270), yticks=range(0, 181, 30))
     ax.set(xlabel="days after 1992-12-10", ylabel="angle (°)")
     ax.legend(frameon=False, fontsize="x-small", loc="upper left")
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from lieint_jax.fitting._robust import FREEDOM, student_t_noise_error
 from lieint_jax.studies import _flyby
-from lieint_jax.studies._radar import FITTED, STATES, dates
+from lieint_jax.studies._radar import FITTED, STATES, dates, later_fixes
 
 NAMES = (
     "precession period (d)",
@@ -119,21 +119,25 @@ def _difference(a: float, b: float, k: int) -> float:
 
 def _prediction(found: Any) -> list[str]:
     p = found.prediction
-    lines = ["\n  torque-free to 2004 and 2008: angle of the prediction from the radar fix (°)"]
-    lines += [f"  {'':<26}{'2004-10-10':>14}{'2008-11-23':>14}"]
-    lines += [f"    {name:<24}{off[0]:>14.1f}{off[1]:>14.1f}" for name, off in p.off.items()]
+    lines = [
+        "\n  torque-free to later fixes, by radar and, in 2012, by Chang'e-2: angle of the prediction from the fix (°)"
+    ]
+    lines += [f"  {'':<26}" + "".join(f"{date:>14}" for date in later_fixes().date)]
+    lines += [f"    {name:<24}" + "".join(f"{angle:>14.1f}" for angle in off) for name, off in p.off.items()]
     ranges = (f"{a:.0f} to {b:.0f}" for a, b in np.percentile(p.members_off, (5, 95), axis=0).T)
     pole = p.pole[:FITTED][~found.outlier[1]]
-    single = np.sqrt((pole**2).mean())
+    single, early = np.sqrt((pole**2).mean()), p.energy[1 : 1 + FITTED][~found.outlier[0]]
     first, second = (np.interp(angle, p.rms, p.t) for angle in (30, 90))
     return [
         *lines,
         f"    {'members, 5 to 95 %':<24}" + "".join(f"{x:>14}" for x in ranges),
-        "  All miss by 100° and more. But the fit's own uncertainty is enough for that: the members spread by 30° rms",
+        "  All are lost. But the fit's own uncertainty is enough for that: the members spread by 30° rms",
         f"  after {first:.0f} days, 90° after {second:.0f}, {p.rms[-1]:.0f}° in the end (random attitudes: 132°). "
-        "The miss is not outside",
-        f"  that. The momentum's direction needs no phase: single fixes of 1992 give it {single:.1f}° rms from the one",
-        f"  fitted, those of 2004 and 2008 {p.pole[-2]:.1f}° and {p.pole[-1]:.1f}°: no change is seen.",
+        "No miss is outside",
+        "  that. What needs no phase has not visibly changed: the momentum by single fixes of 1992 is",
+        f"  {single:.1f}° rms from the fitted one, by those of 2004 and 2008 {p.pole[-2]:.1f}° and {p.pole[-1]:.1f}°;",
+        f"  2H Jz/|π|² is {p.energy[0]:.3f} fitted, {early.mean():.3f} ± {early.std():.3f} by the attitudes of 1992, and",
+        f"  {', '.join(f'{x:.3f}' for x in p.energy[-3:])} by the later ones.",
     ]
 
 

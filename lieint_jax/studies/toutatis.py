@@ -1,4 +1,4 @@
-"""The spin state of 4179 Toutatis from its radar fixes of 1992, and what torque-free motion predicts for 2004 and 2008.
+"""The spin state of 4179 Toutatis from its radar fixes of 1992, and what torque-free motion predicts for later fixes.
 
 Eight parameters (attitude, body rate, two ratios of inertia) and two noise levels are fitted to the 17 attitudes and
 body rates of 1992. No errors are published with them, so each attitude has the same weight and each rate too, by the
@@ -25,7 +25,17 @@ from lieint_jax.fitting._robust import FREEDOM, student_t_weights
 from lieint_jax.groups import so3
 from lieint_jax.studies import _flyby, _toutatis_picture, _toutatis_report
 from lieint_jax.studies._flyby import Flyby
-from lieint_jax.studies._radar import FITTED, MIDDLE, STATES, RadarEpochs, errors, model, path, radar_epochs
+from lieint_jax.studies._radar import (
+    FITTED,
+    MIDDLE,
+    STATES,
+    RadarEpochs,
+    errors,
+    later_fixes,
+    model,
+    path,
+    radar_epochs,
+)
 from lieint_jax.studies._spin_fit import (
     Coverage,
     Estimate,
@@ -56,9 +66,10 @@ class Prediction(NamedTuple):
         t: days from the middle fix, (times,).
         spread: 5, 50 and 95 % of the members' angles from the estimate (°), (3, times).
         rms: their root mean square (°), (times,).
-        off: angles (°) of the estimate and the published states from the fixes of 2004 and 2008, by name, (2,) each.
-        members_off: those of the members, (members, 2).
-        pole: angle (°) of the momentum that a single fix gives from the fitted one, (19,).
+        off: angles (°) of the estimate and the published states from the later fixes, by name, (3,) each.
+        members_off: those of the members, (members, 3).
+        pole: angle (°) of the momentum that a single radar fix gives from the fitted one, (19,).
+        energy: 2H/|π|² in units of 1/Jz: the estimate's, and that of each attitude with the fitted direction of π, (21,).
     """
 
     t: np.ndarray
@@ -67,6 +78,7 @@ class Prediction(NamedTuple):
     off: dict[str, np.ndarray]
     members_off: np.ndarray
     pole: np.ndarray
+    energy: np.ndarray
 
 
 class SpinFit(NamedTuple):
@@ -82,7 +94,7 @@ class SpinFit(NamedTuple):
         outlier: whether each is an outlier, (2, 17).
         published: the derived quantities of the published states, by name, (12,) each.
         apart: squared distance of each published state from the estimate by its covariance: χ² of 8.
-        prediction: for 2004 and 2008.
+        prediction: for 2004, 2008 and 2012.
         flyby: the Earth's torque on 2004-09-29.
         factors: by which the errors of the parameters, and those of the noise levels, have been enlarged: the scatter
             over the reported error in the first half of the synthetic sets.
@@ -125,7 +137,7 @@ def run(quick: bool = False, progress: bool = True) -> SpinFit:
     estimate, normal = (jax.tree.map(lambda leaf, k=k: leaf[k], states) for k in (0, 2))
     unravel = ravel_pytree(next(iter(given.values())))[1]
     tried = coverage(estimate, unravel, data, 2 * sets, progress=progress)
-    factors = tried.part(slice(None, sets)).scatter
+    factors = np.maximum(tried.part(slice(None, sets)).scatter, 1)  # errors are not made smaller
     estimate = enlarged(estimate, factors[0])
     paths = {"fitted": path(unravel(estimate.x), data)} | {name: path(p, data) for name, p in given.items()}
     residuals = {name: np.asarray(errors(along, data)) for name, along in paths.items()}
@@ -198,8 +210,8 @@ def _predict(
     estimate: Estimate, unravel: Any, given: dict[str, dict[str, Array]], begin: Array, members: int
 ) -> Prediction:
     """The motion of the estimate, of both published states and of members drawn by the covariance."""
-    fixes = radar_epochs()
-    t = np.append(np.geomspace(1, 6000, 60), fixes.t[FITTED:] - fixes.t[MIDDLE])
+    fixes, later = radar_epochs(), later_fixes()
+    t = np.append(np.geomspace(1, 8000, 60), later.t - fixes.t[MIDDLE])
     drawn = np.random.default_rng(2004).multivariate_normal(estimate.x, estimate.covariance, members)
     x = np.stack([estimate.x, *(ravel_pytree(p)[0] for p in given.values())])
 
@@ -210,18 +222,21 @@ def _predict(
 
     q = jax.lax.map(attitudes, jnp.asarray(np.concatenate([x, drawn])))
     apart = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (None, 0))(q[0], q[len(x) :]))
-    off = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (0, None))(q[:, -2:], jnp.asarray(fixes.q[FITTED:])))
+    off = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (0, None))(q[:, -3:], jnp.asarray(later.q)))
     body, state = model(unravel(estimate.x), begin)
     rate = jnp.asarray(np.deg2rad(fixes.angular_velocity_deg))
     p = np.asarray(jax.vmap(so3.Ad)(jnp.asarray(fixes.q), body.inertia * rate))
     cosine = p @ np.asarray(state.p) / np.linalg.norm(p, axis=1) / np.linalg.norm(state.p)
+    every = jnp.concatenate([state.q[None], jnp.asarray(fixes.q), jnp.asarray(later.q[-1:])])
+    Pi = np.asarray(jax.vmap(so3.Ad_star, (0, None))(every, state.p / jnp.linalg.norm(state.p)))
     return Prediction(
-        t[:-2],
-        np.percentile(apart[:, :-2], (5, 50, 95), axis=0),
-        np.sqrt((apart[:, :-2] ** 2).mean(axis=0)),
+        t[:-3],
+        np.percentile(apart[:, :-3], (5, 50, 95), axis=0),
+        np.sqrt((apart[:, :-3] ** 2).mean(axis=0)),
         dict(zip(("fitted", *given), off, strict=False)),
         off[len(x) :],
         np.rad2deg(np.arccos(cosine)),
+        (Pi**2 / np.asarray(body.inertia)).sum(axis=1),
     )
 
 
