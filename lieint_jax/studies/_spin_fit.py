@@ -92,11 +92,12 @@ def estimate(params: dict[str, Array], data: dict[str, Any]) -> Estimate:
     x, unravel = ravel_pytree(spin)
     times = {"begin": data["begin"], "t": jnp.append(data["t"], data["epoch"])}
 
-    def both(x: Array) -> tuple[Array, Array]:
+    def twice(x: Array) -> Any:
         found = path_of_fits(unravel(x), times)
-        return errors(found[:-1], data), derived(unravel(x), data["begin"], found[-1])
+        values = errors(found[:-1], data), derived(unravel(x), data["begin"], found[-1])
+        return values, values
 
-    (e, of_x), (J, D) = both(x), jax.jacfwd(both)(x)
+    (J, D), (e, of_x) = jax.jacfwd(twice, has_aux=True)(x)
 
     def information(noise: Array) -> Array:
         curvature = jnp.stack([student_t_curvature(e[k], noise[k]) for k in range(2)])

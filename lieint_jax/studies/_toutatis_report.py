@@ -126,6 +126,7 @@ def _prediction(found: Any) -> list[str]:
     lines += [f"    {name:<24}" + "".join(f"{angle:>14.1f}" for angle in off) for name, off in p.off.items()]
     ranges = (f"{a:.0f} to {b:.0f}" for a, b in np.percentile(p.members_off, (5, 95), axis=0).T)
     pole = p.pole[:FITTED][~found.outlier[1]]
+    late = ", ".join(f"{x:.3f}" for x in p.energy[-3:])
     single, early = np.sqrt((pole**2).mean()), p.energy[1 : 1 + FITTED][~found.outlier[0]]
     first, second = (np.interp(angle, p.rms, p.t) for angle in (30, 90))
     return [
@@ -136,8 +137,8 @@ def _prediction(found: Any) -> list[str]:
         "No miss is outside",
         "  that. What needs no phase has not visibly changed: the momentum by single fixes of 1992 is",
         f"  {single:.1f}° rms from the fitted one, by those of 2004 and 2008 {p.pole[-2]:.1f}° and {p.pole[-1]:.1f}°;",
-        f"  2H Jz/|π|² is {p.energy[0]:.3f} fitted, {early.mean():.3f} ± {early.std():.3f} by the attitudes of 1992, and",
-        f"  {', '.join(f'{x:.3f}' for x in p.energy[-3:])} by the later ones.",
+        f"  2H Jz/|π|² is {p.energy[0]:.3f} fitted, {early.mean():.3f} ± {early.std():.3f} by attitudes of 1992,",
+        f"  {late} by the later ones.",
     ]
 
 

@@ -69,7 +69,7 @@ class Prediction(NamedTuple):
         off: angles (°) of the estimate and the published states from the later fixes, by name, (3,) each.
         members_off: those of the members, (members, 3).
         pole: angle (°) of the momentum that a single radar fix gives from the fitted one, (19,).
-        energy: 2H/|π|² in units of 1/Jz: the estimate's, and that of each attitude with the fitted direction of π, (21,).
+        energy: 2H Jz/|π|², the estimate's, and that of each attitude with the fitted direction of π, (1 + 20,).
     """
 
     t: np.ndarray
