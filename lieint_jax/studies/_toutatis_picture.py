@@ -79,7 +79,7 @@ def _prediction(ax: Axes, found: Any) -> None:
             mfc=fill,
             label="predictions from the fix, marks as in (a)" if name == "fitted" else None,
         )
-    for t, date, height in zip(later, fixes.date, (190, 202, 190), strict=True):
+    for t, date, height in zip(later, fixes.date, (190, 204, 218), strict=True):
         ax.annotate(date[:4], (t, height), ha="center", va="bottom", fontsize="x-small")
         ax.plot([t, t], [0, height], color=plots.GREY, lw=0.6, zorder=0)
     ax.set(xscale="log", xlim=(5, 14000), ylim=(0, 270), yticks=range(0, 181, 30))
