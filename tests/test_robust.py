@@ -50,7 +50,7 @@ def test_the_curvature_is_the_second_derivative_of_the_likelihood():
     f = np.array(pairs).reshape(2, 3, 2, 3, -1)
     hessian = -(f[0, :, 0] - f[0, :, 1] - f[1, :, 0] + f[1, :, 1]) / 4e-6
     ours = studies.student_t_curvature(jnp.asarray(ERRORS), 1.3)
-    np.testing.assert_allclose(ours, np.moveaxis(hessian, -1, 0), atol=1e-5)  # 1e-6, of 1
+    np.testing.assert_allclose(ours, np.moveaxis(hessian, -1, 0), atol=1e-6)  # 3e-7
 
 
 def test_the_noise_error_is_the_spread_of_the_score():
