@@ -217,6 +217,7 @@ def test_what_the_study_settles(found):
     assert min(off[:2].min() for off in found.prediction.off.values()) > 100  # lost, but so are the members:
     assert (np.percentile(found.prediction.members_off, 5, axis=0) < 60).all()
     assert found.prediction.rms[-1] > 100
+    assert (found.prediction.farther > 0.05).all()  # inside their spread
     assert found.prediction.pole[17:].max() < 3
     np.testing.assert_allclose(found.prediction.energy[-3:], found.prediction.energy[0], rtol=0.06)
     assert 0.02 < np.abs(found.flyby.rates).max() < 0.2  # published: .08 °/d

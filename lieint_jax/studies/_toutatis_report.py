@@ -128,17 +128,17 @@ def _prediction(found: Any) -> list[str]:
     pole = p.pole[:FITTED][~found.outlier[1]]
     late = ", ".join(f"{x:.3f}" for x in p.energy[-3:])
     single, early = np.sqrt((pole**2).mean()), p.energy[1 : 1 + FITTED][~found.outlier[0]]
+    verdict = "No miss is outside the spread" if p.farther.min() > 0.05 else "Some misses are outside the spread"
     first, second = (np.interp(angle, p.rms, p.t) for angle in (30, 90))
     return [
         *lines,
         f"    {'members, 5 to 95 %':<24}" + "".join(f"{x:>14}" for x in ranges),
-        "  All are lost. But the fit's own uncertainty is enough for that: the members spread by 30° rms",
-        f"  after {first:.0f} days, 90° after {second:.0f}, {p.rms[-1]:.0f}° in the end (random attitudes: 132°). "
-        "No miss is outside",
-        "  that. What needs no phase has not visibly changed: the momentum by single fixes of 1992 is",
-        f"  {single:.1f}° rms from the fitted one, by those of 2004 and 2008 {p.pole[-2]:.1f}° and {p.pole[-1]:.1f}°;",
-        f"  2H Jz/|π|² is {p.energy[0]:.3f} fitted, {early.mean():.3f} ± {early.std():.3f} by attitudes of 1992,",
-        f"  {late} by the later ones.",
+        f"    {'members farther off':<24}" + "".join(f"{100 * share:>12.0f} %" for share in p.farther),
+        f"  {verdict} of the fit's own uncertainty: the members spread by 30° rms after {first:.0f} days,",
+        f"  by 90° after {second:.0f}, by {p.rms[-1]:.0f}° in the end (random attitudes: 132°).",
+        f"  Without the phase: by single fixes of 1992 the momentum is {single:.1f}° rms from the fitted one, by those",
+        f"  of 2004 and 2008 {p.pole[-2]:.1f}° and {p.pole[-1]:.1f}°; 2H Jz/|π|² is {p.energy[0]:.3f} fitted,",
+        f"  {early.mean():.3f} ± {early.std():.3f} by single attitudes of 1992, {late} by the later ones.",
     ]
 
 
@@ -160,8 +160,8 @@ def _torque(found: Any) -> list[str]:
         f"    momentum: changes by {change:.2f} % rms, turns by {f.pole.max():.2f}° at most",
         f"    precession rate: {rms[0]:.3f} °/d rms, {most:.2f} at most; rotation rate: {rms[1]:.4f} rms",
         f"    published: {_CHANGE} °/d at most   (Busch et al. 2012, AGU Fall Meeting, P31A-1873)",
-        f"  By the fix of 2008 it is {usual:.0f}° rms, {worst:.0f}° at most: no torque-free motion, however well",
-        f"  known, holds. The fit of 1992 knows both rates to ± {own[0]:.2f} and ± {own[1]:.2f} °/d only.",
+        f"  By the fix of 2008 that is {usual:.0f}° rms, {worst:.0f}° at most, however well it is known.",
+        f"  The fit of 1992 knows the two rates to ± {own[0]:.2f} and ± {own[1]:.2f} °/d.",
     ]
 
 

@@ -53,8 +53,8 @@ __all__ = ["RadarEpochs", "SpinFit", "draw", "model", "radar_epochs", "run", "te
 _NORMAL = 1e8  # degrees of freedom of Student's t for a normal distribution
 _FAR = 18.8  # |e|²/σ² that one of 34 normal vectors of three components exceeds with a probability of .01
 
-# Least distance: Busch et al. 2012, AGU Fall Meeting, P31A-1873. Elements of the orbit about the
-# Sun at JD 2454797.5: JPL Small-Body Database, in the public domain.
+# Least distance: Busch et al. 2012, AGU Fall Meeting, P31A-1873. Elements of the orbit about the Sun at JD 2454797.5:
+# JPL Small-Body Database, in the public domain.
 _FLYBY_DISTANCE = 0.01036 * _flyby.AU
 _ELEMENTS = {"semi_major_axis": 2.5321, "eccentricity": 0.6288, "inclination_deg": 0.446}
 
@@ -68,6 +68,8 @@ class Prediction(NamedTuple):
         rms: their root mean square (°), (times,).
         off: angles (°) of the estimate and the published states from the later fixes, by name, (3,) each.
         members_off: those of the members, (members, 3).
+        farther: the share of the members that are farther from the estimate than the later fix is, (3,): small where
+            the fix is outside the spread.
         pole: angle (°) of the momentum that a single radar fix gives from the fitted one, (19,).
         energy: 2H Jz/|π|², the estimate's, and that of each attitude with the fitted direction of π, (1 + 20,).
     """
@@ -77,6 +79,7 @@ class Prediction(NamedTuple):
     rms: np.ndarray
     off: dict[str, np.ndarray]
     members_off: np.ndarray
+    farther: np.ndarray
     pole: np.ndarray
     energy: np.ndarray
 
@@ -235,6 +238,7 @@ def _predict(
         np.sqrt((apart[:, :-3] ** 2).mean(axis=0)),
         dict(zip(("fitted", *given), off, strict=False)),
         off[len(x) :],
+        (apart[:, -3:] >= off[0]).mean(axis=0),
         np.rad2deg(np.arccos(cosine)),
         (Pi**2 / np.asarray(body.inertia)).sum(axis=1),
     )
