@@ -29,7 +29,7 @@ _EPILOG = """examples:
   lieint check "SE(3)"                     what is conserved on a matrix group, by which map
   lieint check groups                      energy and symplectic form, group by group and map by map
   lieint figure 1 2 3 --out figures        the paper's figures
-  lieint study toutatis                    fit a spin state and inertia ratios to two radar fixes
+  lieint study toutatis                    fit a spin state to the radar fixes of 1992, predict 2004 and 2008
 """
 
 

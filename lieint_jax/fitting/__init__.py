@@ -1,7 +1,9 @@
-"""Fits of parameters through simulations, within bounds, from one start or many."""
+"""Fits of parameters through simulations, within bounds, from one start or many, robust where wanted."""
 
 from lieint_jax.fitting._bounds import Bound, free, inertia, inertia_ratios, interval, positive, principal_inertia, spd
 from lieint_jax.fitting._fit import Fit, covariance, fit
+from lieint_jax.fitting._member_by_member import member_by_member
+from lieint_jax.fitting._robust import student_t, student_t_curvature, student_t_noise_error, student_t_weights
 
 __all__ = [
     "Bound",
@@ -12,7 +14,12 @@ __all__ = [
     "inertia",
     "inertia_ratios",
     "interval",
+    "member_by_member",
     "positive",
     "principal_inertia",
     "spd",
+    "student_t",
+    "student_t_curvature",
+    "student_t_noise_error",
+    "student_t_weights",
 ]

@@ -21,6 +21,8 @@ Which derivative to take, for N steps, p parameters and a loss or m residuals:
 All agree to round-off, for they are derivatives of the same discrete flow. On a chaotic motion they agree as long as
 the trajectory itself is accurate.
 
+Data with outliers, or of unknown noise: `student_t` makes residuals for `fit` out of errors with heavy tails.
+
 The studies: `toutatis`, `gyro`, `kappa`, `material`, `sensitivity`, each a module with `run`, `text` and `draw`, and
 `lieint study NAME`.
 """
@@ -36,9 +38,14 @@ from lieint_jax.fitting import (
     inertia,
     inertia_ratios,
     interval,
+    member_by_member,
     positive,
     principal_inertia,
     spd,
+    student_t,
+    student_t_curvature,
+    student_t_noise_error,
+    student_t_weights,
 )
 
 __all__ = [
@@ -50,6 +57,7 @@ __all__ = [
     "inertia",
     "inertia_ratios",
     "interval",
+    "member_by_member",
     "observe",
     "over_members",
     "positive",
@@ -57,4 +65,8 @@ __all__ = [
     "reversible",
     "round_trip_error",
     "spd",
+    "student_t",
+    "student_t_curvature",
+    "student_t_noise_error",
+    "student_t_weights",
 ]

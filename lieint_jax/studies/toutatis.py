@@ -1,14 +1,15 @@
-"""The spin state of 4179 Toutatis, fitted to two fixes: attitude, rate and inertia ratios.
+"""The spin state of 4179 Toutatis from its radar fixes of 1992, and what torque-free motion predicts for later fixes.
 
-Eight parameters (three of attitude, three of rate, two ratios of inertia) are fitted to twelve numbers: the attitudes
-and body rates published for 1992-11-09 (a solution) and 1992-12-02 (a radar fix), without errors. So every angle, in
-degrees, and every rate, in degrees a day, has the same weight, and their common standard error is estimated from the
-residuals: an assumption. The two periods are not fitted: the fit predicts them.
+Eight parameters (attitude, body rate, two ratios of inertia) and two noise levels are fitted to the 17 attitudes and
+body rates of 1992. No errors are published with them, so each attitude has the same weight and each rate too, by the
+two noise levels. Some fixes are far off any solution: the errors are taken for Student's t with 4 degrees of freedom,
+whose tails let the fit find its outliers by itself. The motion between fixes is the closed form of the free body.
+
+The covariance is put to the test by synthetic data sets of the fitted model; the prediction is that of an ensemble.
 """
 
 from __future__ import annotations
 
-from importlib import resources
 from typing import Any, NamedTuple
 
 import jax
@@ -18,215 +19,236 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 from matplotlib.figure import Figure
 
-from lieint_jax import ensemble, plots, scenarios, schemes
-from lieint_jax.fitting._bounds import free, inertia_ratios
-from lieint_jax.fitting._fit import Fit, fit
+from lieint_jax import scenarios
+from lieint_jax.fitting._fit import Fit
+from lieint_jax.fitting._robust import FREEDOM, student_t_weights
 from lieint_jax.groups import so3
-from lieint_jax.integrate import integrate
-from lieint_jax.scenarios.rigid_body import mean_periods
-from lieint_jax.systems import RigidBody
-from lieint_jax.types import State
-
-_DAYS, _SAVES = 800.0, 2000  # length and saved states of the run that gives the mean periods
-_STEPS = 464  # from the first fix to the second
-_NAMES = (
-    *(f"attitude, about space {axis} (°)" for axis in "xyz"),
-    "inertia ratio Jx/Jz",
-    "inertia ratio Jy/Jz",
-    *(f"body rate {axis} (°/d)" for axis in "xyz"),
+from lieint_jax.studies import _flyby, _toutatis_picture, _toutatis_report
+from lieint_jax.studies._flyby import Flyby
+from lieint_jax.studies._radar import (
+    FITTED,
+    MIDDLE,
+    STATES,
+    RadarEpochs,
+    errors,
+    later_fixes,
+    model,
+    path,
+    radar_epochs,
 )
+from lieint_jax.studies._spin_fit import (
+    Coverage,
+    Estimate,
+    coverage,
+    derived,
+    enlarged,
+    estimates,
+    fitted,
+    repeated,
+)
+from lieint_jax.systems import RigidBody
+
+__all__ = ["RadarEpochs", "SpinFit", "draw", "model", "radar_epochs", "run", "text"]
+
+_NORMAL = 1e8  # degrees of freedom of Student's t for a normal distribution
+_FAR = 18.8  # |e|²/σ² that one of 34 normal vectors of three components exceeds with a probability of .01
+
+# Least distance: Busch et al. 2012, AGU Fall Meeting, P31A-1873. Elements of the orbit about the Sun at JD 2454797.5:
+# JPL Small-Body Database, in the public domain.
+_FLYBY_DISTANCE = 0.01036 * _flyby.AU
+_ELEMENTS = {"semi_major_axis": 2.5321, "eccentricity": 0.6288, "inclination_deg": 0.446}
+
+
+class Prediction(NamedTuple):
+    """Torque-free motion after the fixes of 1992.
+
+    Attributes:
+        t: days from the middle fix, (times,).
+        spread: 5, 50 and 95 % of the members' angles from the estimate (°), (3, times).
+        rms: their root mean square (°), (times,).
+        off: angles (°) of the estimate and the published states from the later fixes, by name, (3,) each.
+        members_off: those of the members, (members, 3).
+        farther: the share of the members that are farther from the estimate than the later fix is, (3,): small where
+            the fix is outside the spread.
+        pole: angle (°) of the momentum that a single radar fix gives from the fitted one, (19,).
+        energy: 2H Jz/|π|², the estimate's, and that of each attitude with the fitted direction of π, (1 + 20,).
+    """
+
+    t: np.ndarray
+    spread: np.ndarray
+    rms: np.ndarray
+    off: dict[str, np.ndarray]
+    members_off: np.ndarray
+    farther: np.ndarray
+    pole: np.ndarray
+    energy: np.ndarray
 
 
 class SpinFit(NamedTuple):
     """The results of the study.
 
     Attributes:
-        fit: its params are attitude (rotation in space from the published attitude, °), rate (°/d), inertia (ratios).
-        published: the published values of these parameters.
-        residuals: fitted less observed attitude (°) and rate (°/d), at the first and second fix, (2, 2, 3).
-        before: the residuals of the published state and inertia, (2, 2, 3).
-        sigma: √(sum of squares of the residuals / degrees of freedom), ° or °/d.
-        errors: standard errors with that sigma, in the order of `ravel_pytree`.
-        periods: mean precession and rotation period in days, and their standard errors, (2, 2).
-        track: times; angle in ° from the attitude seen at the second fix, of the fitted and of the published motion.
+        fit: from the two published states, one of them once more with normal errors, and random starts.
+        same: the share of the random starts that end in the same minimum.
+        estimate: the spin state with its uncertainty.
+        normal: the estimate with normal errors, that is by least squares without robustness.
+        residuals: calculated less observed attitudes (°) and rates (°/d) by name of the state, (2, 17, 3) each.
+        weights: of attitudes and rates in the fit, (2, 17).
+        outlier: whether each is an outlier, (2, 17).
+        published: the derived quantities of the published states, by name, (12,) each.
+        apart: squared distance of each published state from the estimate by its covariance: χ² of 8.
+        prediction: for 2004, 2008 and 2012.
+        flyby: the Earth's torque on 2004-09-29.
+        factors: by which the errors of the parameters, and those of the noise levels, have been enlarged: the scatter
+            over the reported error in the first half of the synthetic sets.
+        coverage: how often the errors thus enlarged hold the truth in the second half.
         scenario: the scenario that holds the published values.
     """
 
     fit: Fit
-    published: dict[str, Array]
-    residuals: np.ndarray
-    before: np.ndarray
-    sigma: float
-    errors: np.ndarray
-    periods: np.ndarray
-    track: tuple[np.ndarray, np.ndarray, np.ndarray]
+    same: float
+    estimate: Estimate
+    normal: Estimate
+    residuals: dict[str, np.ndarray]
+    weights: np.ndarray
+    outlier: np.ndarray
+    published: dict[str, np.ndarray]
+    apart: dict[str, float]
+    prediction: Prediction
+    flyby: Flyby
+    factors: np.ndarray
+    coverage: Coverage
     scenario: Any
 
-
-class RadarEpochs(NamedTuple):
-    """All published radar fixes of Toutatis, 17 of 1992, one of 2004 and one of 2008.
-
-    Attributes:
-        t: days since 1992-11-09 17:49:47 UTC, the epoch of the published states, (19,).
-        q: attitudes as unit quaternions, (19, 4).
-        euler_313_deg: the same as published, (19, 3).
-        angular_velocity_deg: body rates in ° a day, (19, 3).
-    """
-
-    t: np.ndarray
-    q: np.ndarray
-    euler_313_deg: np.ndarray
-    angular_velocity_deg: np.ndarray
-
-
-def radar_epochs() -> RadarEpochs:
-    """The radar fixes. Source: Takahashi, Busch & Scheeres 2013, AJ 146:95. No errors are published."""
-    text = resources.files(scenarios).joinpath("toutatis_radar.csv").read_text(encoding="utf-8")
-    rows = [line.split(",") for line in text.splitlines() if line[0].isdigit()]
-    days = [np.datetime64(row[0]) - np.datetime64("1992-11-09T17:49:47") for row in rows]
-    numbers = np.array([row[1:] for row in rows], float)
-    q = jax.vmap(so3.from_euler_313)(jnp.deg2rad(numbers[:, :3]))
-    return RadarEpochs(np.array(days) / np.timedelta64(1, "D"), np.asarray(q), numbers[:, :3], numbers[:, 3:])
+    @property
+    def periods(self) -> np.ndarray:
+        """Mean precession and rotation period in days, and their standard errors, (2, 2)."""
+        sigma = np.sqrt(np.diagonal(self.estimate.derived_covariance))
+        return np.stack([np.asarray(self.estimate.derived)[:2], sigma[:2]], axis=1)
 
 
 def run(quick: bool = False, progress: bool = True) -> SpinFit:
-    """Fit the parameters and predict the periods. `quick` takes few samples for the periods' errors."""
-    scenario = scenarios.load("toutatis")
-    [seen] = scenario.observation
-    first, second = ((s.attitude(), jnp.rad2deg(jnp.asarray(s.rate()))) for s in (scenario.state, seen))
-    published = {
-        "attitude": jnp.zeros(3),
-        "inertia": jnp.asarray(scenario.inertia[:2]) / scenario.inertia[2],
-        "rate": first[1],
-    }
-
-    def residuals(params: dict[str, Array]) -> tuple[Array, Array]:
-        body, start = model(params, first[0])
-        path = integrate(schemes.preprocessed(body, 6), start, seen.t / _STEPS, _STEPS, _STEPS)
-        end = State(path.state.q[-1], path.state.p[-1])
-        away = [misfit(body, state, *fix) for state, fix in ((start, first), (end, second))]
-        return jnp.stack(away), jnp.all(path.info.converged)
-
-    found = fit(
-        residuals, published, bounds={"attitude": free, "inertia": inertia_ratios, "rate": free}, progress=progress
-    )
-    left, before = (np.asarray(residuals(p)[0]) for p in (found.params, published))
-    sigma = float(np.sqrt((left**2).sum() / (left.size - len(_NAMES))))
-    assert found.covariance is not None
-    matrix = sigma**2 * found.covariance
-    periods = _periods(found.params, matrix, first[0], 16 if quick else 200)
+    """Fit, compare, predict, and test the uncertainty; `quick` takes a fifth of the synthetic sets and members."""
+    sets, members = (20, 200) if quick else (100, 1000)
+    data = radar_data()
+    given = {name: published_params(scenario, data["begin"], -data["epoch"]) for name, scenario in STATES.items()}
+    found, many = _from_many_starts(list(given.values()), data, 2 * sets, progress)
+    starts = found.starts
+    assert starts is not None
+    three = jax.tree.map(lambda leaf: leaf[:3], (starts.params, many))
+    states = estimates(*three)
+    estimate, normal = (jax.tree.map(lambda leaf, k=k: leaf[k], states) for k in (0, 2))
+    unravel = ravel_pytree(next(iter(given.values())))[1]
+    tried = coverage(estimate, unravel, data, 2 * sets, progress=progress)
+    factors = np.maximum(tried.part(slice(None, sets)).scatter, 1)  # errors are not made smaller
+    estimate = enlarged(estimate, factors[0])
+    paths = {"fitted": path(unravel(estimate.x), data)} | {name: path(p, data) for name, p in given.items()}
+    residuals = {name: np.asarray(errors(along, data)) for name, along in paths.items()}
+    e, noise = residuals["fitted"], np.asarray(estimate.noise)[:, None]
+    difference = {name: np.asarray(ravel_pytree(p)[0] - estimate.x) for name, p in given.items()}
+    body, state = model(unravel(estimate.x), data["begin"])
     return SpinFit(
         found,
-        published,
-        left,
-        before,
-        sigma,
-        np.sqrt(np.diagonal(matrix)),
-        periods,
-        _track(found.params, published, first[0], seen.t, second[0]),
-        scenario,
+        float((np.abs(starts.loss[3:] - starts.loss[0]) < 1e-4).mean()),
+        estimate,
+        normal,
+        residuals,
+        np.asarray(student_t_weights(jnp.asarray(e), jnp.asarray(noise))),
+        (e**2).sum(axis=-1) > _FAR * noise**2,
+        {name: _derived(p, data) for name, p in given.items()},
+        {name: float(d @ np.linalg.solve(estimate.covariance, d)) for name, d in difference.items()},
+        _predict(estimate, unravel, given, data["begin"], members),
+        _flyby.passage(body, state, _FLYBY_DISTANCE, _flyby.speed_at_infinity(**_ELEMENTS), members),
+        factors,
+        tried.part(slice(sets, None)).rescaled(factors),
+        scenarios.load("toutatis"),
     )
 
 
-def model(params: dict[str, Array], attitude: Array) -> tuple[RigidBody, State]:
-    """The body, and its state at the first fix, where `attitude` was published."""
-    body = RigidBody(jnp.append(params["inertia"], 1.0))
-    q = so3.multiply(so3.exp(jnp.deg2rad(params["attitude"])), attitude)
-    return body, body.state(q, angular_velocity=jnp.deg2rad(params["rate"]))
+def radar_data() -> dict[str, Array]:
+    """The fixes of 1992 for the fit: their times in days from the middle one, and the epoch of the published states."""
+    fixes = radar_epochs()
+    middle = fixes.t[MIDDLE]
+    return {
+        "begin": jnp.asarray(fixes.q[MIDDLE]),
+        "epoch": jnp.asarray(-middle),
+        "freedom": jnp.asarray(FREEDOM),
+        "q": jnp.asarray(fixes.q[:FITTED]),
+        "rate": jnp.asarray(fixes.angular_velocity_deg[:FITTED]),
+        "t": jnp.asarray(fixes.t[:FITTED] - middle),
+    }
 
 
-def misfit(body: RigidBody, state: State, attitude: Array, rate: Array) -> Array:
-    """Rotation vector in space from the observed attitude (°), and body rate less the observed one (°/d), (2, 3)."""
-    turn = so3.log(so3.multiply(state.q, so3.inverse(attitude)))
-    return jnp.rad2deg(jnp.stack([turn, body.angular_velocity(state) - jnp.deg2rad(rate)]))
+def published_params(name: str, begin: Array, t: Array) -> dict[str, Array]:
+    """The published state of a scenario after time t, as parameters of `model`."""
+    scenario = scenarios.load(name)
+    body = RigidBody(jnp.asarray(scenario.inertia) / scenario.inertia[2])
+    later = body.solution(body.state(scenario.state.attitude(), angular_velocity=scenario.state.rate()), t)
+    turn = so3.log(so3.multiply(later.q, so3.inverse(begin)))
+    rate = body.angular_velocity(later)
+    return {"attitude": jnp.rad2deg(turn), "inertia": body.inertia[:2], "rate": jnp.rad2deg(rate)}
 
 
-def _periods(params: Any, matrix: np.ndarray, attitude: Array, samples: int) -> np.ndarray:
-    """Mean periods at the estimate, and their standard deviations over samples of its distribution, (2, 2)."""
-    at, unravel = ravel_pytree(params)
-    drawn = np.random.default_rng(1992).multivariate_normal(np.asarray(at), matrix, samples)
-    members = jax.vmap(unravel)(jnp.asarray(np.vstack([at, drawn])))
-    bodies, states = jax.vmap(model, (0, None))(members, attitude)
-    step = jax.vmap(lambda body: schemes.preprocessed(body, 6))(bodies)
-    steps = _SAVES * 8
-    path = ensemble.run(step, states, _DAYS / steps, steps, steps // _SAVES, step_axis=0, progress=False)
+def _from_many_starts(
+    given: list[dict[str, Array]], data: dict[str, Array], starts: int, progress: bool
+) -> tuple[Fit, dict[str, Array]]:
+    """The fit from both published states, with normal errors from the first, and from random states about the second.
 
-    def one(m: int) -> tuple[np.ndarray, np.ndarray]:
-        alone = path._replace(state=jax.tree.map(lambda leaf: leaf[:, m : m + 1], path.state))
-        return mean_periods(jax.tree.map(lambda leaf: leaf[m], bodies), alone)
-
-    of_each = [one(m) for m in range(samples + 1) if _physical(members["inertia"][m])]
-    values = np.array(of_each)[:, :, 0]
-    return np.stack([values[0], values[1:].std(axis=0, ddof=1)], axis=1)
+    There are as many starts as synthetic sets, so that one compiled program fits both.
+    """
+    rng = np.random.default_rng(17)
+    scatter = {"attitude": 10.0, "inertia": 0.15, "rate": 5.0}
+    moved = {name: p + scatter[name] * rng.normal(size=(starts - 3, p.size)) for name, p in given[1].items()}
+    chosen = jax.tree.map(lambda a, b, more: jnp.concatenate([jnp.stack([a, b, a]), more]), given[0], given[1], moved)
+    many = repeated(data, starts) | {"freedom": jnp.full(starts, FREEDOM).at[2].set(_NORMAL)}
+    return fitted(chosen | {"noise": jnp.full((starts, 2), 8.0)}, many, progress), many
 
 
-def _physical(ratios: Array) -> bool:
-    """True if some distribution of mass has these ratios of inertia."""
-    return bool(jnp.all(jnp.isfinite(inertia_ratios.free(ratios))))
+def _derived(params: dict[str, Array], data: dict[str, Array]) -> np.ndarray:
+    at_epoch = path(params, {"begin": data["begin"], "t": data["epoch"][None]})[0]
+    return np.asarray(derived(params, data["begin"], at_epoch))
 
 
-def _track(
-    params: Any, published: Any, attitude: Array, end: float, seen: Array
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times, and the angle (°) from the attitude seen at the end, of the fitted and of the published motion."""
+def _predict(
+    estimate: Estimate, unravel: Any, given: dict[str, dict[str, Array]], begin: Array, members: int
+) -> Prediction:
+    """The motion of the estimate, of both published states and of members drawn by the covariance."""
+    fixes, later = radar_epochs(), later_fixes()
+    t = np.append(np.geomspace(1, 8000, 60), later.t - fixes.t[MIDDLE])
+    drawn = np.random.default_rng(2004).multivariate_normal(estimate.x, estimate.covariance, members)
+    x = np.stack([estimate.x, *(ravel_pytree(p)[0] for p in given.values())])
 
-    def angle(p: Any) -> Array:
-        body, start = model(p, attitude)
-        path = integrate(schemes.preprocessed(body, 6), start, end / _STEPS, _STEPS)
-        return jnp.rad2deg(jax.vmap(so3.angle, (0, None))(path.state.q, seen))
+    @jax.jit
+    def attitudes(x: Array) -> Array:
+        body, state = model(unravel(x), begin)
+        return jax.vmap(lambda t: body.solution(state, t).q)(jnp.asarray(t))
 
-    t = np.linspace(0, end, _STEPS + 1)
-    both = jax.jit(jax.vmap(angle))(jax.tree.map(lambda *x: jnp.stack(x), params, published))
-    return t, np.asarray(both[0]), np.asarray(both[1])
+    q = jax.lax.map(attitudes, jnp.asarray(np.concatenate([x, drawn])))
+    apart = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (None, 0))(q[0], q[len(x) :]))
+    off = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (0, None))(q[:, -3:], jnp.asarray(later.q)))
+    body, state = model(unravel(estimate.x), begin)
+    rate = jnp.asarray(np.deg2rad(fixes.angular_velocity_deg))
+    p = np.asarray(jax.vmap(so3.Ad)(jnp.asarray(fixes.q), body.inertia * rate))
+    cosine = p @ np.asarray(state.p) / np.linalg.norm(p, axis=1) / np.linalg.norm(state.p)
+    every = jnp.concatenate([state.q[None], jnp.asarray(fixes.q), jnp.asarray(later.q[-1:])])
+    Pi = np.asarray(jax.vmap(so3.Ad_star, (0, None))(every, state.p / jnp.linalg.norm(state.p)))
+    return Prediction(
+        t[:-3],
+        np.percentile(apart[:, :-3], (5, 50, 95), axis=0),
+        np.sqrt((apart[:, :-3] ** 2).mean(axis=0)),
+        dict(zip(("fitted", *given), off, strict=False)),
+        off[len(x) :],
+        (apart[:, -3:] >= off[0]).mean(axis=0),
+        np.rad2deg(np.arccos(cosine)),
+        (Pi**2 / np.asarray(body.inertia)).sum(axis=1),
+    )
 
 
 def text(found: SpinFit) -> str:
     """The study's report, to print."""
-    scenario, [seen] = found.scenario, found.scenario.observation
-    fitted, _ = ravel_pytree(found.fit.params)
-    given, _ = ravel_pytree(found.published)
-    lines = [
-        f"{scenario.title}: spin state and inertia ratios from two fixes",
-        f"  first fix: {scenario.source('zhao')}; second: {scenario.source(seen.source)}",
-        f"  {found.fit.outcome}",
-        f"\n  {'':<32}{'published':>10}{'fitted':>12}{'± 1 sigma':>11}",
-    ]
-    lines += [
-        f"  {name:<32}{g:>10.4f}{f:>12.4f}{e:>11.4f}"
-        for name, g, f, e in zip(_NAMES, given, fitted, found.errors, strict=True)
-    ]
-    lines += [f"\n  {'residuals, calculated − observed':<44}{'published state':>24}{'fitted':>26}"]
-    for k, epoch in enumerate(("1992-11-09 17:49:47", "1992-12-02 21:40:00")):
-        for j, what in enumerate(("attitude, about space axes (°)", "body rate (°/d)")):
-            was, now = ("(" + ", ".join(f"{x:6.2f}" for x in r[k, j]) + ")" for r in (found.before, found.residuals))
-            lines.append(f"  {epoch} {what:<31}{was}  {now}")
-    was, now = (float(np.linalg.norm(r[1, 0])) for r in (found.before, found.residuals))
-    lines += [
-        f"  attitude at the second fix: {was:.2f}° off with the published state, {now:.2f}° fitted",
-        f"  the errors above assume one sigma for all angles (°) and rates (°/d), {found.sigma:.2f}: that of the",
-        f"  residuals, with {found.residuals.size - len(_NAMES)} degrees of freedom. No errors are published.",
-        "\n  prediction, nothing of it fitted:",
-    ]
-    for (value, error), key, name in zip(
-        found.periods,
-        ("precession_period", "rotation_period"),
-        ("precession of the long axis", "rotation about it"),
-        strict=True,
-    ):
-        published = scenario.published[key]
-        lines.append(
-            f"    {name:<28} {value:.3f} ± {error:.3f} d   published {published.value:g} ± {published.error:g}"
-            f"  ({scenario.source(published.source)})"
-        )
-    return "\n".join(lines)
+    return _toutatis_report.text(found)
 
 
 def draw(found: SpinFit) -> Figure:
-    """Plot the angle from the attitude observed at the second fix, for the fitted and the published motion."""
-    fig, axes = plots.figure(2)
-    t, fitted, published = found.track
-    plots.series(axes[0, 0], t, {"fitted": fitted, "published state": published}, "° from the second fix", "d")
-    last = t > t[-1] - 1.5
-    plots.series(axes[0, 1], t[last], {"fitted": fitted[last], "published state": published[last]}, "", "d")
-    fig.suptitle(found.scenario.title, fontsize="medium")
-    return fig
+    """Plot residuals by epoch, the prediction and its failure, ours beside published values, and the coverage."""
+    return _toutatis_picture.draw(found)

@@ -1,0 +1,45 @@
+"""A model whose values and derivatives are computed together, and one member of a batch after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+from jax import Array
+from jax.custom_batching import sequential_vmap
+from jax.flatten_util import ravel_pytree
+
+
+def member_by_member(function: Callable[[Any, Any], Array]) -> Callable[[Any, Any], Array]:
+    """The same function of (params, data), which `vmap` turns into a loop and whose Jacobian is computed in one piece.
+
+    For a long computation of few numbers, such as the closed form of a free body's motion: XLA fuses a batch of its
+    derivatives so that each element is computed again for each of its uses, in seconds instead of milliseconds.
+
+    Args:
+        function: params, data ↦ an array. Its derivative is taken with respect to the parameters, in forward mode; the
+            data count as constants.
+    """
+
+    @sequential_vmap
+    def linearised(params: Any, data: Any) -> tuple[Array, Array]:
+        x, unravel = ravel_pytree(params)
+
+        def twice(x: Array) -> tuple[Array, Array]:
+            value = function(unravel(x), data)
+            return value, value
+
+        J, value = jax.jacfwd(twice, has_aux=True)(x)
+        return value, J
+
+    @jax.custom_jvp
+    def called(params: Any, data: Any) -> Array:
+        return linearised(params, data)[0]
+
+    @called.defjvp
+    def _(primals: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[Array, Array]:
+        value, J = linearised(*primals)
+        return value, J @ ravel_pytree(tangents[0])[0]
+
+    return called
