@@ -156,7 +156,7 @@ def _torque(found: Any) -> list[str]:
     return [
         "\n  the Earth's torque in the flyby of 2004-09-29, an order of magnitude, for any phase and direction:",
         f"    a hyperbola of least distance {f.distance / _flyby.AU:.5f} au, {f.speed:.2f} km/s at infinity",
-        "    (from elements of JPL's Small-Body Database, with the Earth on a circle)",
+        "    (elements quoted from JPL's Small-Body Database, not checked there; the Earth on a circle)",
         f"    momentum: changes by {change:.2f} % rms, turns by {f.pole.max():.2f}° at most",
         f"    precession rate: {rms[0]:.3f} °/d rms, {most:.2f} at most; rotation rate: {rms[1]:.4f} rms",
         f"    published: {_CHANGE} °/d at most   (Busch et al. 2012, AGU Fall Meeting, P31A-1873)",

@@ -53,8 +53,8 @@ __all__ = ["RadarEpochs", "SpinFit", "draw", "model", "radar_epochs", "run", "te
 _NORMAL = 1e8  # degrees of freedom of Student's t for a normal distribution
 _FAR = 18.8  # |e|²/σ² that one of 34 normal vectors of three components exceeds with a probability of .01
 
-# Least distance: Busch et al. 2012, AGU Fall Meeting, P31A-1873. Elements of the orbit about the Sun at JD 2454797.5:
-# JPL Small-Body Database, in the public domain.
+# Least distance: Busch et al. 2012, AGU Fall Meeting, P31A-1873. Elements of the orbit about the Sun at JD 2454797.5 as
+# encyclopaedias quote them from JPL's Small-Body Database: enough for an order of magnitude, not checked there.
 _FLYBY_DISTANCE = 0.01036 * _flyby.AU
 _ELEMENTS = {"semi_major_axis": 2.5321, "eccentricity": 0.6288, "inclination_deg": 0.446}
 

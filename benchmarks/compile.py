@@ -1,0 +1,145 @@
+"""How long does one wait for the first call: of a run, and of its gradient, by every scheme on every kind of system?
+
+For the first example of each system and every scheme that takes it, float64, one core, no program kept from before:
+seconds of the first call of `jax.jit` of `integrate` (tracing and compiling, then 16 steps) and of the second one, and
+the lines of the program that XLA compiles; the same for the gradient of a sum over the end with respect to the state,
+through the scan. Last, calls that people wait for elsewhere.
+
+    python benchmarks/compile.py [--quick] [--out DIR] [--only NAME …]
+
+`--only so3_midpoint gauss` measures these schemes.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from lib import command, report
+
+STEPS, FORWARD, REVERSE, COMMON = 16, 5.0, 15.0, 0.5  # steps of a run; bars in seconds
+_EVERYDAY = ("so3_midpoint", "so3_explicit", "splitting", "preprocessed")  # of free bodies and tops: the common ones
+_FIRST = ("rigid_body", "heavy_top")
+
+
+def main() -> None:
+    parser = command.parser(__doc__)
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="the schemes to measure")
+    options = command.parsed(parser)
+    command.pin()
+    data = command.under_load(lambda: {"rows": list(rows(options.quick, options.only)), "others": others()})
+    report.publish("compile", render(data), data, options.out)
+
+
+def rows(quick: bool, only: list[str] | None) -> Iterator[dict[str, Any]]:
+    """A row for each system and scheme; `quick` takes free bodies and tops."""
+    import jax
+    import jax.numpy as jnp
+
+    import lieint_jax as li
+    from lieint_jax import _discover
+
+    jax.config.update("jax_enable_x64", True)
+    for name, module in _discover.modules(li.systems).items():
+        if quick and name not in _FIRST:
+            continue
+        system, state, dt = next(iter(module.examples().values()))
+        for scheme, schemes in _discover.modules(li.schemes).items():
+            if only and scheme not in only:
+                continue
+            for step in list(schemes.examples(system).values())[:1]:
+                start = step.start(state)
+
+                def run(z: Any, step: Any = step, dt: float = dt) -> Any:
+                    return li.integrate(step, z, dt, STEPS, STEPS).state
+
+                def loss(p: Any, z: Any = start, run: Any = run) -> Any:
+                    return sum(jnp.sum(x**2) for x in run(z._replace(p=p))[:2])
+
+                forward, reverse = waited(run, start), waited(jax.grad(loss), start.p)
+                yield {"system": name, "scheme": scheme, "step": step.name, "forward": forward, "reverse": reverse}
+
+
+def waited(function: Callable[[Any], Any], argument: Any) -> dict[str, float]:
+    """Seconds of the first and of the second call of the jitted function, and the lines of its program."""
+    import jax
+
+    jax.clear_caches()
+    compiled = jax.jit(function)
+    seconds = []
+    for _ in range(2):
+        begin = time.perf_counter()
+        jax.block_until_ready(compiled(argument))
+        seconds.append(time.perf_counter() - begin)
+    lines = compiled.lower(argument).as_text().count("\n")
+    return {"first": seconds[0], "second": seconds[1], "lines": lines}
+
+
+def others() -> list[dict[str, Any]]:
+    """Other calls: the closed form of many bodies, an unjitted run, an ensemble."""
+    import jax
+    import jax.numpy as jnp
+
+    import lieint_jax as li
+
+    body = li.systems.rigid_body([1.0, 2.0, 3.0])
+    states = jax.vmap(lambda w: body.state(angular_velocity=w))(jnp.eye(3) + 0.1)
+    one = jax.tree.map(lambda x: x[0], states)
+    step = li.schemes.so3_midpoint(body)
+
+    def timed(call: Callable[[], Any]) -> dict[str, float]:
+        jax.clear_caches()
+        seconds = []
+        for _ in range(2):
+            begin = time.perf_counter()
+            jax.block_until_ready(jax.tree.leaves(call()))
+            seconds.append(time.perf_counter() - begin)
+        return {"first": seconds[0], "second": seconds[1]}
+
+    calls = {
+        "integrate, not jitted": lambda: li.integrate(step, one, 0.05, STEPS),
+        "ensemble.run": lambda: li.ensemble.run(step, states, 0.05, STEPS, progress=False),
+        "body.solution, vmapped": lambda: jax.jit(jax.vmap(body.solution, (0, None)))(states, 1.0),
+    }
+    return [{"call": name, **timed(call)} for name, call in calls.items()]
+
+
+def render(data: dict[str, Any]) -> list[str]:
+    """The tables and the bars."""
+    before, after = data["load"]
+    head = ["system", "step", "forward: first", "second", "lines", "reverse: first", "second", "lines"]
+    cells = [
+        [r["system"], r["step"], *(x for way in ("forward", "reverse") for x in _cells(r[way]))] for r in data["rows"]
+    ]
+    everyday = [r for r in data["rows"] if r["system"] in _FIRST and r["scheme"] in _EVERYDAY]
+    bars = [
+        _bar("forward", data["rows"], "forward", FORWARD),
+        _bar("reverse", data["rows"], "reverse", REVERSE),
+        _bar("forward, the common schemes of free bodies and tops", everyday, "forward", COMMON),
+    ]
+    others = [[r["call"], f"{r['first']:.2f}", f"{1e3 * r['second']:.1f} ms"] for r in data["others"]]
+    return [
+        f"Seconds of the first and second call of {STEPS} steps, one core, load {before:.1f} to {after:.1f}",
+        report.table(head, cells),
+        report.table(["", "longest, s", "of", "bar", ""], [bar for bar in bars if bar]),
+        "Other calls, seconds of the first and of the second",
+        report.table(["", "first", "second"], others),
+    ]
+
+
+def _cells(waited: dict[str, float]) -> list[str]:
+    return [f"{waited['first']:.2f}", f"{waited['second']:.4f}", f"{waited['lines']:.0f}"]
+
+
+def _bar(name: str, rows: list[dict[str, Any]], way: str, bar: float) -> list[str]:
+    if not rows:
+        return []
+    worst = max(rows, key=lambda r: r[way]["first"])
+    seconds = worst[way]["first"]
+    verdict = report.verdict(seconds, seconds <= bar)
+    return [name, f"{seconds:.2f}", f"{worst['system']}, {worst['step']}", f"≤ {bar:g}", verdict]
+
+
+if __name__ == "__main__":
+    main()
