@@ -325,6 +325,7 @@ def test_average_keeps_energy_and_momentum_where_the_figures_are(dt, Phi):
     assert np.linalg.det(end.q) > 0
 
 
+@pytest.mark.long
 def test_the_rules_with_gamma_say_where_they_fail():
     """At Figure 4's step (6.13) has no root near some steps' own: a flag, not a wrong number."""
     step = additive(BALL, "energy_momentum")

@@ -243,6 +243,16 @@ def test_check_groups_prints_a_table(capsys, monkeypatch):
     assert re.fullmatch(r"\| Aff\(1\) \| \S+ \| \S+ \| (—|\S+) \| \S+ \|", row)
 
 
+@pytest.mark.long
+def test_nothing_to_check_is_said(capsys):
+    for arguments, message in (
+        (["check", "rocket"], "nothing to check for system 'rocket'.*rigid_body"),
+        (["check", "--scheme", "rk4"], "scheme 'rk4'"),
+    ):
+        assert cli.main(arguments) == 2
+        assert re.search(message, capsys.readouterr().err)
+
+
 def test_bad_commands(capsys):
     for arguments, message in (
         (
@@ -253,8 +263,6 @@ def test_bad_commands(capsys):
         (["run", "toutatis", "--out", "results.csv"], r"\.npz or \.zarr, got results\.csv"),
         (["run", "toutatis", "--out", "no/where.npz"], "folder no does not exist"),
         (["figure", "9"], "figure 9 is not one of 1, 2, 3, 4, 5"),
-        (["check", "rocket"], "nothing to check for system 'rocket'.*rigid_body"),
-        (["check", "--scheme", "rk4"], "scheme 'rk4'"),
     ):
         assert cli.main(arguments) == 2
         assert re.search(message, capsys.readouterr().err)

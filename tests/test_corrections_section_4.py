@@ -99,6 +99,7 @@ def test_4_3_and_4_4_are_the_step(s):
     assert GAMMA @ (s.pi1 - s.pi0) == pytest.approx(0, abs=3e-16)  # Result 6
 
 
+@pytest.mark.long
 def test_4_5_and_4_10_have_no_kappa(s):
     work = GAMMA @ np.cross(s.Q0 @ s.bar, s.e)
     assert work == pytest.approx(s.dV, abs=2e-15)

@@ -158,6 +158,7 @@ def _rate(t, y, J, mu):
     return np.concatenate([turning.ravel(), (np.cross(J * Omega, Omega) + torque) / J, v, -mu * r / size**3])
 
 
+@pytest.mark.long
 def test_a_passage_against_another_integrator():
     """DOP853 moves the centre along, without Kepler. Observed: 2.9e-11 rad of attitude, 1e-12 of Π."""
     scenario = changed(members=2)

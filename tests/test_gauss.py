@@ -38,7 +38,6 @@ def example(name):
 
 NAMES = ["top", "free", "gyrostat", "driven", "binary"]
 LONG = pytest.mark.long
-OTHERS = [NAMES[0], *(pytest.param(name, marks=LONG) for name in NAMES[1:])]
 
 
 @pytest.mark.parametrize(
@@ -67,7 +66,8 @@ def test_canonical_coordinates_are_those_of_the_system(name):
     assert float(p @ p) == pytest.approx(4 * float(spin @ spin), rel=1e-14)
 
 
-@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.long
+@pytest.mark.parametrize("name", NAMES)
 def test_form_momentum_length_and_way_back(name):
     """One step at |Δt Ω| of .25 to .6; observed at most: form 1e-15, momentum and way back 1e-16, energy 2e-16."""
     system, state, dt = example(name)

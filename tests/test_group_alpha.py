@@ -84,6 +84,7 @@ def test_on_an_abelian_group_the_form_is_kept_for_every_alpha(alpha):
     assert order(step, MOVING, 0.1) == pytest.approx(1 + (alpha == 0.5), abs=0.06)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("alpha", [0.3, 0.5])
 def test_the_equations_5_43_and_5_45_hold_as_they_stand(alpha):

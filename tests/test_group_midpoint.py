@@ -214,6 +214,7 @@ def test_5_25_5_26_energy_condition(name, tau):
     assert abs(m @ Omega @ (2 * np.linalg.inv(np.eye(d) + o["Adt"]) - np.eye(d)) @ Omega) < 2e-14
 
 
+@pytest.mark.long
 @formulas
 @pytest.mark.slow
 def test_5_29_5_30_6_27_the_linearised_step(name, tau):

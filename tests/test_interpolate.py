@@ -43,6 +43,7 @@ def test_the_error_is_of_order_6_and_the_states_stay_on_the_phase_space(name):
         assert jnp.max(jax.vmap(system.phase_space.defect)(found)) < 3e-15
 
 
+@pytest.mark.long
 def test_saved_states_too_far_apart_or_too_few_are_refused():
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     step, state = li.schemes.exact(body), body.state(angular_velocity=[0.0, 0.0, 1.0])

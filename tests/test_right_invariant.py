@@ -62,6 +62,7 @@ def test_the_vector_field_is_hamiltonian(name):
     assert np.abs(slope).max() > 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_the_inverse_map_carries_it_to_the_left_invariant_flow(name):
     """q ↦ q⁻¹ makes a right-invariant motion a left-invariant one, with spatial momentum −Π; steps too."""

@@ -79,6 +79,7 @@ def test_one_half_is_so3_midpoint(kappa):
     np.testing.assert_allclose(here.q, so3.to_matrix(there.q), atol=8e-15)  # floor 2e-15
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("alpha", [0.3, 0.5, 0.0, 0.9])
 def test_what_the_family_keeps_and_what_it_loses(alpha):

@@ -152,6 +152,7 @@ def test_derivatives_forward_reverse_and_finite_differences(kappa, full):
     assert (ends[0] - ends[1]) / (2 * h) == pytest.approx(float(slope), rel=1e-8)
 
 
+@pytest.mark.long
 def test_derivatives_nest():
     """Forward over reverse and reverse over forward agree: the Hessian in the inertia, which is symmetric."""
 

@@ -99,6 +99,7 @@ def own_and_shared(name, *others):
     return [pytest.param(name, KAPPAS, id=name), *(pytest.param(top, SHARED, id=top) for top in others), *own]
 
 
+@pytest.mark.long
 def test_a_kappa_shared_by_a_leaf_is_each_of_the_three():
     """Its value and slope are theirs, and it is they that decide where a top goes."""
     both = jax.jit(lambda kappa, x: jax.vmap(jax.value_and_grad(kappa))(x))

@@ -16,6 +16,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
@@ -50,8 +51,7 @@ class Extrapolated(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         start, rate = self._unknowns(state)
-        slope, step_size = kernel.stored(rate(start)), jnp.asarray(dt, state.p.dtype)
-        best, second = _extrapolated(lambda n: _midpoint(rate, start, slope, step_size, n), start, int(self.order))
+        best, second = _extrapolated(rate, start, jnp.asarray(dt, state.p.dtype), int(self.order))
         end, other = (self._state(jax.tree.map(jnp.add, start, x), state) for x in (best, second))
         off = lax.stop_gradient(jnp.maximum(_relative(end.q, other.q), _relative(end.p, other.p)))
         return end, StepInfo(off, all_finite(end) & (off <= _ROUGH))
@@ -72,47 +72,50 @@ class Extrapolated(Step):
         )
 
 
-def _extrapolated(midpoint: Callable[[Any], Any], start: Any, order: int) -> tuple[Any, Any]:
-    """Σ w_n S_n of this order, and of two less."""
-    numbers = [2 * (j + 1) for j in range(order // 2)]
-    table = [numbers, weights(numbers), [*weights(numbers[:-1]), 0.0]]
-
-    def added(sums: tuple[Any, Any], n: Any, w: Any, v: Any) -> tuple[Any, Any]:
-        S = midpoint(n)
-        return tuple(jax.tree.map(lambda s, x, w=w: s + w * x, sum_, S) for sum_, w in zip(sums, (w, v), strict=True))
-
-    sums = (jax.tree.map(jnp.zeros_like, start),) * 2
-    if not kernel.inside():  # with numbers that the loops know, which are reversed by derivatives
-        for row in zip(*table, strict=True):
-            sums = added(sums, *row)
-        return sums
-    n, (w, v) = jnp.asarray(numbers), jnp.asarray(table[1:], jax.tree.leaves(start)[0].dtype)
-    return lax.fori_loop(0, len(numbers), lambda j, sums: added(sums, n[j], w[j], v[j]), sums)
-
-
-def _midpoint(rate: Callable[[Any], Any], start: Any, slope: Any, dt: Array, n: Any) -> Any:
-    """S_n."""
-    h = dt / n
+def _extrapolated(rate: Callable[[Any], Any], start: Any, dt: Array, order: int) -> tuple[Any, Any]:
+    """Σ w_n S_n of this order, and of two less: one loop over pairs of sub-steps, that is compiled soon."""
+    slope = kernel.stored(rate(start))
 
     def at(delta: Any) -> Any:
         return rate(jax.tree.map(jnp.add, start, delta))
 
     @kernel.stage
-    def after(before: Any, delta: Any) -> Any:
+    def after(h: Array, before: Any, delta: Any) -> Any:
         return jax.tree.map(lambda x, f: x + 2 * h * f, before, at(delta))
 
     @kernel.stage
-    def closing(before: Any, delta: Any) -> Any:
+    def midpoint(h: Array, before: Any, delta: Any) -> Any:
         return jax.tree.map(lambda x, y, f: (x + y + h * f) / 2, before, delta, at(delta))
 
-    def two(_: int, last: tuple[Any, Any]) -> tuple[Any, Any]:
-        before, delta = last
-        middle = after(before, delta)
-        return middle, after(delta, middle)
+    def first(h: Array) -> Any:
+        return jax.tree.map(lambda x: h * x, slope)
 
-    first = jax.tree.map(lambda x: h * x, slope)
-    before, delta = lax.fori_loop(0, n // 2 - 1, two, (jax.tree.map(jnp.zeros_like, start), first))
-    return closing(delta, after(before, delta))
+    def two(carry: Any, row: tuple[Array, ...]) -> tuple[Any, None]:
+        before, delta, best, second = carry
+        h, last, w, v, following = row
+        middle = after(h, before, delta)
+
+        def closed() -> Any:
+            S = midpoint(h, delta, middle)
+            sums = (jax.tree.map(lambda s, x, w=w: s + w * x, sum_, S) for sum_, w in ((best, w), (second, v)))
+            return zero, first(following), *sums
+
+        return lax.cond(last, closed, lambda: (middle, after(h, delta, middle), best, second)), None
+
+    zero = jax.tree.map(jnp.zeros_like, start)
+    share, last, w, v, following = _rows(order)
+    numbers = (jnp.asarray(x, dt.dtype) for x in (w, v))
+    rows: Any = (dt * share, last, *numbers, dt * following)
+    return lax.scan(two, (zero, first(dt * share[0]), zero, zero), rows)[0][2:]
+
+
+def _rows(order: int) -> tuple[np.ndarray, ...]:
+    """For each pair of sub-steps: their size over Δt, whether it ends a sequence, w_n of this order and of two less,
+    and the size in the next sequence."""
+    numbers = [2 * (j + 1) for j in range(order // 2)]
+    of = np.repeat(np.arange(len(numbers)), [n // 2 for n in numbers])
+    size, w, v = (np.array(x)[of] for x in (1 / np.array(numbers), weights(numbers), [*weights(numbers[:-1]), 0.0]))
+    return size, np.append(np.diff(of) > 0, True), w, v, np.append(size[1:], 0.0)
 
 
 def extrapolate(system: System, order: int = 12) -> Extrapolated:
