@@ -49,6 +49,10 @@ def run(
     The bits of the results depend neither on the number of devices and processes nor on whether the run was resumed.
     With `jax.distributed`, every process calls this with the same arguments and gets the same results.
 
+    On a CPU the loop over a short step is compiled as one kernel, 1.2 to 3.6 times as fast (`Step.one_kernel`), unless
+    the step or the reduced quantity calls a library, as a product of matrices does. The environment variable
+    LIEINT_ONE_KERNEL=0 turns this off.
+
     Args:
         step: a scheme's step; with `step_axis=0` its leaves carry the member axis too (one inertia per member).
         states: initial states with a leading member axis. A time t of shape () is shared by all members, and so is one

@@ -39,7 +39,7 @@ from lieint_jax.types import (
     static,
 )
 
-_LEAST, _MOST = 6, 100  # sweeps
+_MOST = 100  # sweeps
 _STALLED = 2**16  # eps: a change below it that no longer falls is rounding
 _CONVERGED = 32  # eps: the largest last change of a step that converged
 _REFINEMENTS = 60  # sweeps of the linear equations for derivatives
@@ -191,7 +191,7 @@ def _solved(equation: _Equation, sweeps: int | None) -> tuple[Components, Array]
     guess = equation.guess(fewest)
     eps = float(jnp.finfo(equation.dt.dtype).eps)
 
-    def solve(residual: Callable[[Components], Components], start: Components) -> tuple[Components, Array]:
+    def solve(_: Callable[[Components], Components], start: Components) -> tuple[Components, Array]:
         def improved(carry: tuple[Components, Array, Array, Array]) -> tuple[Components, Array, Array, Array]:
             k, change, _, n = carry
             new = equation.swept(k)
@@ -199,7 +199,7 @@ def _solved(equation: _Equation, sweeps: int | None) -> tuple[Components, Array]
 
         def goes_on(carry: tuple[Components, Array, Array, Array]) -> Array:
             _, change, before, n = carry
-            falls = (n < _LEAST) | (change > _STALLED * eps) | (change < before)
+            falls = (change > _STALLED * eps) | (change < before)
             return (n < _MOST) & (change > 2 * eps) & falls
 
         far = jnp.full_like(equation.dt, jnp.finfo(equation.dt.dtype).max)
