@@ -246,7 +246,7 @@ def threads(quick: bool, cores: int) -> Any:
 
     def by_cpp(form: Any, total: int) -> Callable[[], Any]:
         contestant = cpp.symplectic(form, measure.INERTIA, 0.05)
-        q, p = (np.array_split(np.asarray(x), total // 1000) for x in bodies(total))
+        q, p = (np.array_split(np.asarray(x), total // 1000) for x in bodies(total)[:2])
         blocks = [contestant.load(a, b) for a, b in zip(q, p, strict=True)]
         pool = ThreadPoolExecutor(here)
         return lambda: list(pool.map(lambda block: contestant.advance(block, n), blocks))
