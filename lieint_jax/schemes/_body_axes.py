@@ -39,10 +39,20 @@ def turning(state: State) -> Turning:
     return Turning(three.components(state.q), three.components(Pi), state.t, state.work)
 
 
-def state_of(z: Turning, start: State) -> State:
-    """The state of the unknowns, which else is as `start`."""
-    q = so3.normalise(jnp.stack(z.q))
-    return start._replace(q=q, p=so3.Ad(q, jnp.stack(z.Pi)), t=z.t, work=z.work)
+def moved(state: State, z: Turning, delta: Turning) -> State:
+    """The state whose unknowns are z, after their increments. π moves by an increment as well, for the last digits."""
+    q, dq = z.q, delta.q
+    excess = so3.defect(state.q) + sum(d * (2 * x + d) for x, d in zip(q, dq, strict=True))  # |q|² − 1 of the end
+    s = jnp.sqrt(1 + excess)
+    r = -excess / (s * (1 + s))  # 1/s − 1
+    dw, *du = (d + r * (x + d) for x, d in zip(q, dq, strict=True))
+    (w, *u), Pi = q, add(z.Pi, delta.Pi)
+    end = add(u, du)
+    across = add(scale(dw, cross(end, Pi)), scale(w, cross(du, Pi)))
+    turned = scale(2, add(across, add(cross(du, cross(end, Pi)), cross(u, cross(du, Pi)))))  # by q + dq less by q
+    p = state.p + jnp.stack(add(so3.Ad(state.q, jnp.stack(delta.Pi)), turned))
+    work = None if state.work is None or delta.work is None else state.work + delta.work
+    return state._replace(q=state.q + jnp.stack([dw, *du]), p=p, work=work)
 
 
 def rate(system: Any, z: Any) -> Turning:

@@ -52,7 +52,7 @@ class Extrapolated(Step):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         start, rate = self._unknowns(state)
         best, second = _extrapolated(rate, start, jnp.asarray(dt, state.p.dtype), int(self.order))
-        end, other = (self._state(jax.tree.map(jnp.add, start, x), state) for x in (best, second))
+        end, other = (self._moved(state, start, x) for x in (best, second))
         off = lax.stop_gradient(jnp.maximum(_relative(end.q, other.q), _relative(end.p, other.p)))
         return end, StepInfo(off, all_finite(end) & (off <= _ROUGH))
 
@@ -62,8 +62,10 @@ class Extrapolated(Step):
             return _body_axes.turning(state), partial(_body_axes.rate, self.system)
         return state, partial(time_derivative, self.system)
 
-    def _state(self, z: Any, start: State) -> State:
-        return _body_axes.state_of(z, start) if _body_axes.known(self.system) else z
+    def _moved(self, state: State, start: Any, delta: Any) -> State:
+        if _body_axes.known(self.system):
+            return _body_axes.moved(state, start, delta)
+        return jax.tree.map(jnp.add, start, delta)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
