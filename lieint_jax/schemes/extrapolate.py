@@ -105,19 +105,18 @@ def _extrapolated(rate: Callable[[Any], Any], start: Any, dt: Array, order: int)
         return lax.cond(last, closed, lambda: (middle, after(h, delta, middle), best, second)), None
 
     zero = jax.tree.map(jnp.zeros_like, start)
-    share, last, w, v, following = _rows(order)
-    numbers = (jnp.asarray(x, dt.dtype) for x in (w, v))
-    rows: Any = (dt * share, last, *numbers, dt * following)
+    last, *numbers = _rows(order)
+    share, w, v, following = (jnp.asarray(x, dt.dtype) for x in numbers)
+    rows: Any = (dt * share, last, w, v, dt * following)
     return lax.scan(two, (zero, first(dt * share[0]), zero, zero), rows)[0][2:]
 
 
 def _rows(order: int) -> tuple[np.ndarray, ...]:
-    """For each pair of sub-steps: their size over Δt, whether it ends a sequence, w_n of this order and of two less,
-    and the size in the next sequence."""
+    """Of each pair of sub-steps: whether it ends a sequence, its size over Δt, both weights w_n, the size after it."""
     numbers = [2 * (j + 1) for j in range(order // 2)]
     of = np.repeat(np.arange(len(numbers)), [n // 2 for n in numbers])
     size, w, v = (np.array(x)[of] for x in (1 / np.array(numbers), weights(numbers), [*weights(numbers[:-1]), 0.0]))
-    return size, np.append(np.diff(of) > 0, True), w, v, np.append(size[1:], 0.0)
+    return np.append(np.diff(of) > 0, True), size, w, v, np.append(size[1:], 0.0)
 
 
 def extrapolate(system: System, order: int = 12) -> Extrapolated:
