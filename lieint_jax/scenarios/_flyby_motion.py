@@ -214,8 +214,7 @@ class Passage(NamedTuple):
 
 def passages(elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin, times: Any) -> Passage:
     """The passages of many members, between steps at the times (N+1,), on all devices."""
-    given = jnp.asarray(elements), jnp.asarray(times)
-    return jax.tree.map(np.asarray, _passages(order, long_axis)(spins, *given))
+    return _passages(order, long_axis)(spins, elements, times)
 
 
 @cache
@@ -224,8 +223,10 @@ def _passages(order: int, long_axis: bool) -> Callable[..., Passage]:
 
 
 def _many(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function (spin, elements, times) of one member as one of many, on all devices, from and to host arrays."""
     own = Mesh(np.array(jax.local_devices()), ("members",))  # of many processes, only the first one reports
-    return ensemble.over_members(function, (0, None, None), own)
+    mapped = ensemble.over_members(function, (0, None, None), own)
+    return lambda spins, *given: jax.tree.map(np.asarray, mapped(spins, *map(jnp.asarray, given)))
 
 
 def _passage(spin: Spin, orbit: Any, times: Array, order: int, long_axis: bool) -> Passage:
@@ -258,8 +259,7 @@ class Slopes(NamedTuple):
 
 def slopes(elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin, times: Any) -> Slopes:
     """The derivatives of many passages, forward through all steps."""
-    given = jnp.asarray(elements), jnp.asarray(times)
-    return jax.tree.map(np.asarray, _slopes(order, long_axis)(spins, *given))
+    return _slopes(order, long_axis)(spins, elements, times)
 
 
 @cache
