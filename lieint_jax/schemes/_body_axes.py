@@ -57,17 +57,15 @@ def moved(state: State, z: Turning, delta: Turning) -> State:
 
 def rate(system: Any, z: Any) -> Turning:
     """The time derivative of the unknowns, for |q| = 1 but for the error of a step."""
-    (w, *v), Pi = z.q, z.Pi
+    q, Pi = z.q, z.Pi
     own = subtract(Pi, system.rotor) if isinstance(system, Gyrostat) else Pi
     half = scale(0.5, apply(three.inverse(system.inertia), own))
-    x, y, u = cross(v, half)
-    q = (-dot(v, half), w * half[0] + x, w * half[1] + y, w * half[2] + u)
     torque = cross(Pi, scale(2, half))
     if isinstance(system, Top | DrivenTop):
         torque = add(torque, _torque(system, z))
     t = None if z.t is None else jnp.ones_like(z.t)
     work = None if z.work is None else _power(system, z)
-    return Turning(q, torque, t, work)
+    return Turning(by(q, half), torque, t, work)
 
 
 def _power(system: Any, z: Any) -> Array:
@@ -78,11 +76,20 @@ def _torque(system: Any, z: Any) -> tuple[Array, ...]:
     """Γ × ∇Ṽ(Γ), with Γ = Λᵀγ."""
     driven = isinstance(system, DrivenTop)
     axis, more = (system.axis_at(z.t), (z.t,)) if driven else (system.axis, ())
-
-    @kernel.stage
-    def seen(q: tuple[Array, ...], axis: Array) -> tuple[Array, ...]:
-        w, *v = q
-        return add(scale(w * w - dot(v, v), axis), add(scale(2 * dot(v, axis), v), scale(2 * w, cross(axis, v))))
-
-    Gamma = seen(z.q, axis)
+    Gamma = _stored_seen(z.q, axis)
     return cross(Gamma, jax.grad(system.potential)(jnp.stack(Gamma), *more))
+
+
+def seen(q: tuple[Array, ...], axis: three.Vector) -> tuple[Array, Array, Array]:
+    """|q|² Λᵀγ, the axis γ as the body sees it: Im(q̄γq)."""
+    w, *v = q
+    return add(scale(w * w - dot(v, v), axis), add(scale(2 * dot(v, axis), v), scale(2 * w, cross(axis, v))))
+
+
+_stored_seen = kernel.stage(seen)
+
+
+def by(q: tuple[Array, ...], u: three.Vector) -> tuple[Array, Array, Array, Array]:
+    """q(0, u)."""
+    w, *v = q
+    return (-dot(v, u), *add(scale(w, u), cross(v, u)))

@@ -24,6 +24,7 @@ from lieint_jax._numerics import kernel, three
 from lieint_jax._numerics.three import add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, CotangentMotions
+from lieint_jax.schemes._body_axes import by, seen
 from lieint_jax.types import (
     Bodies,
     Driven,
@@ -86,7 +87,7 @@ def field(system: Any, z: Components, t: Array | None) -> Components:
     """The time derivative of the coordinates at the stages, whose times are t."""
     _, q, P, p = parts(z)
     half = _half_rate(system, q, p)
-    q_dot, p_dot = _by(q, half), _by(p, half)
+    q_dot, p_dot = by(q, half), by(p, half)
     velocity = tuple(y / system.masses for y in P)
     if not isinstance(system, Forced | Driven):
         return (*velocity, *q_dot, *(jnp.zeros_like(y) for y in P), *p_dot)
@@ -112,7 +113,7 @@ def _kick(system: Any, z: Components, t: Array | None) -> tuple[Components, _Qua
     """Ṗ, if there is such a part, and what the potential adds to ṗ: 2τq/|q|²."""
     _, q, *_ = parts(z)
     if isinstance(system, Top | DrivenTop) and system.axis is not None:
-        return (), _by(q, _body_torque(system, q, t))
+        return (), by(q, _body_torque(system, q, t))
     forces = force(system, z, t)
     return forces[:-3], _from_left(scale(2 * _inverse_square(q), forces[-3:]), q)
 
@@ -136,11 +137,10 @@ def _inertia(system: Any) -> Array:
 @kernel.stage
 def _body_torque(system: Any, q: Components, t: Any) -> Components:
     """2 Γ × ∇Ṽ(Γ)/|q|², twice the torque in the body of a potential that has an axis, over |q|²."""
-    (w, *v), r = q, _inverse_square(q)
+    r = _inverse_square(q)
     moves = isinstance(system, DrivenTop)
     axis = _components(jax.vmap(system.axis_at)(t)) if moves else system.axis
-    Gamma = add(scale(w * w - dot(v, v), axis), add(scale(2 * dot(v, axis), v), scale(2 * w, cross(axis, v))))
-    Gamma = scale(r, Gamma)
+    Gamma = scale(r, seen(q, axis))
     at = (jnp.stack(Gamma, axis=-1), t) if moves else (jnp.stack(Gamma, axis=-1),)
     return scale(2 * r, cross(Gamma, _components(jax.vmap(jax.grad(system.potential))(*at))))
 
@@ -154,12 +154,6 @@ def _inverse_square(q: Components) -> Array:
     """1/|q|²."""
     w, *v = q
     return 1 / (w * w + dot(v, v))
-
-
-def _by(q: Components, u: Components) -> _Quaternion:
-    """q(0, u)."""
-    w, *v = q
-    return (-dot(v, u), *add(scale(w, u), cross(v, u)))
 
 
 def _from_left(u: Components, q: Components) -> _Quaternion:
