@@ -131,7 +131,7 @@ def _add_paper(commands: Any) -> None:
     figure.set_defaults(command=_figure)
     study = commands.add_parser("study", help="fit parameters, learn κ, measure chaos", description="Run a study.")
     study.add_argument("name", metavar="NAME", help="toutatis, gyro, kappa, material or sensitivity")
-    study.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder for its picture (default: here)")
+    study.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder for results and picture (default: here)")
     study.add_argument("--quick", action="store_true", help="a small one")
     study.set_defaults(command=_study)
 
@@ -170,15 +170,15 @@ def _run(options: argparse.Namespace) -> None:
 
 
 def _info(options: argparse.Namespace) -> None:
-    from lieint_jax.command import results
+    from lieint_jax.command import results, study
 
-    results.info(options.path)
+    print((study.info if study.wrote(options.path) else results.contents)(options.path))
 
 
 def _plot(options: argparse.Namespace) -> None:
-    from lieint_jax.command import results
+    from lieint_jax.command import results, study
 
-    results.plot(options.path, options.out, options.force)
+    (study.plot if study.wrote(options.path) else results.plot)(options.path, options.out, options.force)
 
 
 def _schema(_: argparse.Namespace) -> None:
@@ -207,18 +207,11 @@ def _figure(options: argparse.Namespace) -> None:
 
 
 def _study(options: argparse.Namespace) -> None:
-    from lieint_jax import _discover, ensemble, studies
+    from lieint_jax import ensemble
+    from lieint_jax.command import study
 
     ensemble.want_devices(None)
-    found = _discover.modules(studies)
-    if options.name not in found:
-        raise ValueError(f"study {options.name!r} is not one of {', '.join(found)}")
-    options.out.mkdir(parents=True, exist_ok=True)
-    study, picture = found[options.name], options.out / f"study-{options.name}.png"
-    result = study.run(quick=options.quick)
-    print(study.text(result))
-    study.draw(result).savefig(picture, dpi=150)
-    print(f"  written to {picture}")
+    study.run(options.name, options.out, options.quick)
 
 
 if __name__ == "__main__":
