@@ -131,7 +131,7 @@ def _add_paper(commands: Any) -> None:
     figure.set_defaults(command=_figure)
     study = commands.add_parser("study", help="fit parameters, learn κ, measure chaos", description="Run a study.")
     study.add_argument("name", metavar="NAME", help="toutatis, gyro, kappa, material or sensitivity")
-    study.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder for results and picture (default: here)")
+    study.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
     study.add_argument("--quick", action="store_true", help="a small one")
     study.set_defaults(command=_study)
 
