@@ -6,7 +6,7 @@ from functools import cache
 from importlib import resources
 from typing import Any, NamedTuple
 
-from lieint_jax import command, scenarios
+from lieint_jax import scenarios
 from lieint_jax.command import study
 
 _LONG = 10.0  # seconds from which a command says beforehand how long it will take
@@ -31,7 +31,7 @@ class Cost(NamedTuple):
 @cache
 def costs() -> dict[str, Cost]:
     """The measured cost of each command, such as "run toutatis"."""
-    text = resources.files(command).joinpath("costs.csv").read_text(encoding="utf-8")
+    text = resources.files(__package__ or "").joinpath("costs.csv").read_text(encoding="utf-8")
     rows = [line.split(",") for line in text.splitlines()[1:]]
     return {name: Cost(*map(float, numbers)) for name, *numbers in rows}
 
