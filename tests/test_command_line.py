@@ -246,8 +246,8 @@ def test_check_groups_prints_a_table(capsys, monkeypatch):
 @pytest.mark.long
 def test_nothing_to_check_is_said(capsys):
     for arguments, message in (
-        (["check", "rocket"], "nothing to check for system 'rocket'.*rigid_body"),
-        (["check", "--scheme", "rk4"], "scheme 'rk4'"),
+        (["check", "rocket"], "no system 'rocket'.*lieint check rigid_body"),
+        (["check", "rigid_body", "--scheme", "rk4"], "no scheme with 'rk4'.*exact, extrapolate"),
     ):
         assert cli.main(arguments) == 2
         assert re.search(message, capsys.readouterr().err)
@@ -255,17 +255,23 @@ def test_nothing_to_check_is_said(capsys):
 
 def test_bad_commands(capsys):
     for arguments, message in (
-        (
-            ["run", "nowhere"],
-            "no scenario 'nowhere': give a .toml file or one of apophis, didymos, driven, heavy_top, hyperion, ",
-        ),
+        (["run", "nowhere"], "no scenario 'nowhere': give a .toml file or apophis or didymos or .*; lieint list"),
+        (["run", "toutatos"], "no scenario 'toutatos': give a .toml file or toutatis; lieint list"),
+        (["info", "no.npz"], r"there is no file no\.npz"),
         (["run", "toutatis", "--members", "0"], "members: .*greater than 0"),
         (["run", "toutatis", "--out", "results.csv"], r"\.npz or \.zarr, got results\.csv"),
         (["run", "toutatis", "--out", "no/where.npz"], "folder no does not exist"),
-        (["figure", "9"], "figure 9 is not one of 1, 2, 3, 4, 5"),
+        (["figure", "9"], "figure 9 is not one of those recomputed; lieint figure 1 2 3 4 5"),
     ):
         assert cli.main(arguments) == 2
         assert re.search(message, capsys.readouterr().err)
+
+
+def test_a_mistyped_command_says_what_to_type(capsys):
+    for arguments, message in (([], "; lieint --help says more"), (["run", "--steps", "x"], "; lieint run --help")):
+        with pytest.raises(SystemExit, match=r"^2$"):
+            cli.main(arguments)
+        assert message in capsys.readouterr().err
 
 
 def test_an_existing_file_is_not_overwritten(capsys):

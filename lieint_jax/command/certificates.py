@@ -46,13 +46,22 @@ def check(system: str, scheme: str, num_steps: int | None) -> None:
         return
     tasks = _tasks(system, scheme, num_steps or 1000)
     if not tasks:
-        known = [f"{n} ({', '.join(m.examples())})" for n, m in _discover.modules(systems).items()]
-        raise ValueError(
-            f"nothing to check for system {system!r} and scheme {scheme!r}; systems: {'; '.join(known)}; groups: "
-            f"{', '.join(by_group.catalogue())}"
-        )
+        raise ValueError(_nothing(system, scheme))
     for text in _measured(tasks):
         print(text, flush=True)
+
+
+def _nothing(system: str, scheme: str) -> str:
+    """The message where there is nothing to check."""
+    steps = dict.fromkeys(task.step for task in _tasks(system, "", 1))
+    if steps:
+        whole = f"lieint check {system}".strip()
+        return f"no scheme with {scheme!r} in its name takes this system; {whole} checks all: {', '.join(steps)}"
+    known = [f"{name} ({', '.join(module.examples())})" for name, module in _discover.modules(systems).items()]
+    return (
+        f"no system {system!r}; there are {'; '.join(known)}; and the groups {', '.join(by_group.catalogue())}. Type, "
+        "for example, lieint check rigid_body"
+    )
 
 
 def _tasks(system: str, scheme: str, num_steps: int) -> list[_Task]:

@@ -6,7 +6,7 @@ import argparse
 import sys
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 _EPILOG = """examples:
   lieint list                              all scenarios and studies, and how long each takes
@@ -49,8 +49,15 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors end with what to type; the parsers of the commands are of its class too."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"lieint: {message}; {self.prog} --help says more\n")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="lieint",
         description="Conserving integrators for Hamiltonian systems on Lie groups. Everything runs in float64.",
         epilog=_EPILOG,
@@ -209,7 +216,8 @@ def _figure(options: argparse.Namespace) -> None:
 
     unknown = [n for n in options.numbers if n not in FIGURES]
     if unknown:
-        raise ValueError(f"figure {unknown[0]} is not one of {', '.join(map(str, FIGURES))}")
+        every = " ".join(map(str, FIGURES))
+        raise ValueError(f"figure {unknown[0]} is not one of those recomputed; lieint figure {every} makes them all")
     options.out.mkdir(parents=True, exist_ok=True)
     for n in options.numbers:
         catalogue.announce(f"figure {n}")

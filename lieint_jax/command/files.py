@@ -91,6 +91,8 @@ def load(path: Path) -> tuple[Any, dict[str, Any]]:
     if path.suffix == ".zarr":
         _store.check(path)
         return _store.load(path)
+    if not path.exists():
+        raise ValueError(f"there is no file {path}; lieint run NAME --out {path} writes one")
     try:
         with np.load(path, allow_pickle=False) as f:
             arrays = {name: f[name] for name in f.files if name in ("q", "p", "work") or name.startswith("extra.")}

@@ -120,7 +120,9 @@ def _table(name: str) -> dict[str, Any]:
         except UnicodeDecodeError as error:
             raise ValueError(f"{name} is not UTF-8 text: {error}") from error
     else:
-        raise ValueError(f"no scenario {name!r}: give a .toml file or one of {', '.join(scenario_names())}")
+        names = scenario_names()
+        near = difflib.get_close_matches(name, names, 1) or names
+        raise ValueError(f"no scenario {name!r}: give a .toml file or {' or '.join(near)}; lieint list describes all")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

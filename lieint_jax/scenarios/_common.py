@@ -74,7 +74,10 @@ class Common(Table):
         if self.dt == 0:
             raise ValueError("dt must not be 0")
         if self.steps % self.save_every:
-            raise ValueError(f"steps = {self.steps} must be a multiple of save_every = {self.save_every}")
+            near = max(1, round(self.steps / self.save_every)) * self.save_every
+            raise ValueError(
+                f"steps = {self.steps} must be a multiple of save_every = {self.save_every}, such as {near}"
+            )
         return self
 
     @model_validator(mode="after")
