@@ -41,7 +41,7 @@ class Scenario(BodyScenario):
     kappa: Literal["symplectic", "cayley", "exponential"] | None = None
     """The κ of so3_midpoint; by default the symplectic one."""
     order: Literal[2, 4, 6, 8, 10] | None = None
-    """Of so3_midpoint and so3_explicit, by default 2, above 2 by composition; of preprocessed, 4 or 6."""
+    """Of so3_midpoint and so3_explicit, by default 2, above 2 by composition; of preprocessed, 4 to 10."""
     published: dict[
         Literal["precession_period", "rotation_period", "momentum_longitude_deg", "momentum_latitude_deg"], Published
     ] = {}
@@ -49,7 +49,7 @@ class Scenario(BodyScenario):
 
     @model_validator(mode="after")
     def _keys_of_the_scheme(self) -> Self:
-        orders = {"so3_midpoint": (2, 4, 6, 8, 10), "so3_explicit": (2, 4, 6, 8, 10), "preprocessed": (4, 6)}
+        orders = {"so3_midpoint": (2, 4, 6, 8, 10), "so3_explicit": (2, 4, 6, 8, 10), "preprocessed": (4, 6, 8, 10)}
         if self.kappa is not None and self.scheme != "so3_midpoint":
             raise ValueError(f"kappa is a key of so3_midpoint; {self.scheme} has none")
         allowed = orders.get(self.scheme, ())

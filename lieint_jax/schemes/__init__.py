@@ -3,7 +3,7 @@
 | scheme | for | conserves | order |
 |---|---|---|---|
 | `exact`, `calibrated` | free rigid bodies | energy, momentum, form | the exact motion |
-| `preprocessed` | free rigid bodies | energy, momentum | 4, 6, at the price of order 2 |
+| `preprocessed` | free rigid bodies | energy, momentum | 4, 6, 8, 10, at the price of order 2 |
 | `so3_midpoint` | free bodies, gyrostats | energy, momentum; free: the form too, with the symplectic κ | 2 |
 | `so3_explicit` | free rigid bodies | energy, momentum, form; solved once for a whole run: the fastest | 2 |
 | `torqued_midpoint` | bodies with torques or friction | energy less work | 2 |
@@ -14,7 +14,7 @@
 | `log_hamiltonian` | tops | form, with steps that vary | 2 |
 | `reversible_control` | any step | what that conserves but for the form, with steps that vary | 2 |
 | `bodies_energy_momentum` | several bodies | energy, both momenta | 2 |
-| `nystrom` | several bodies, tops | form, momenta | 4, 6 |
+| `nystrom` | tops, satellites, several bodies | form, momenta | 4, 6 |
 | `kepler_splitting` | two bodies | form, both momenta; the orbit solved exactly | 2, (8, 4), (8, 6, 4) |
 | `additive` | elastic bodies | momentum, and energy or the form; of incompressible ones volume too | 2 |
 | `sphere_midpoint` | the spherical pendulum | γ·π, and energy or the form | 2 |

@@ -1,15 +1,14 @@
-"""Order 4 or 6 at the price of order 2, for the free body: the symplectic step of another inertia.
+"""Orders 4 to 10 at the price of order 2, for the free body: the symplectic step of another inertia.
 
     1/J̃_j = s/J_j + d                                    (s and d from energy and momentum, both constant)
 
 The discrete body of inertia J runs along the exact one with its clock a little wrong. The inertia J̃ sets the clock
 right to higher order, and as s/J_j + d has the same polhodes as 1/J_j, nothing that was exact is lost: with
-C = ½Δt²|Π|², H = Δt²·energy, S_n = ΣJⁿ, X_n = ΣJ⁻ⁿ, D = det J and Y = S₁X₁ − 3,
+C = ½Δt²|Π|², H = Δt²·energy, S₁ = ΣJ, X₁ = ΣJ⁻¹ and D = det J, to order 4
 
-    s = 1 + S₁C/(6D) − X₁H/3  + [(S₂/D − X₁)/(30D)]C² + [(1 − Y)/(30D)]CH + [(3S₁/D + 2X₂)/60]H²
-    d = −C/(3D) + S₁H/(6D)    − S₁C²/(60D²) + [X₁/(10D) − S₂/(60D²)]CH − [(9 + Y)/(60D)]H²
+    s = 1 + S₁C/(6D) − X₁H/3,    d = −C/(3D) + S₁H/(6D)
 
-to order 4 the terms before the gap, to order 6 all.
+and with the further terms of `_clock_series` to orders 6, 8 and 10.
 """
 
 from __future__ import annotations
@@ -24,8 +23,11 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import three
 from lieint_jax.maps import kappa_symplectic
+from lieint_jax.schemes._clock_series import constants
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES, ITERATIONS, SO3Midpoint
 from lieint_jax.types import FreeBody, State, Step, StepInfo, pytree, static
+
+ORDERS = (4, 6, 8, 10)
 
 
 @pytree
@@ -63,15 +65,9 @@ class Preprocessed(Step):
         """s and d, the latter over the trace of J: computed for J of trace 1, so that no power overflows."""
         J, r = three.unit_trace(self.system.inertia)
         adj = three.adjugate(J)
-        D = three.determinant(J, adj)
-        X1, S2 = three.trace(adj) / D, three.trace(J) ** 2 - 2 * three.trace(adj)
-        X2, Y = X1**2 - 2 / D, X1 - 3  # S₁ = 1; Σ 1/(J_iJ_j) = S₁/D
         C = three.dot(state.p, state.p) * (r * dt) ** 2 / 2
         H = self.system.energy(state) * r * dt * dt
-        s, d = 1 + C / (6 * D) - X1 * H / 3, -C / (3 * D) + H / (6 * D)
-        if self.order == 6:
-            s = s + ((S2 / D - X1) * C * C + (1 - Y) * C * H) / (30 * D) + (3 / D + 2 * X2) / 60 * H * H
-            d = d - C * C / (60 * D * D) + (X1 / (10 * D) - S2 / (60 * D * D)) * C * H - (9 + Y) / (60 * D) * H * H
+        s, d = constants(three.trace(adj), three.determinant(J, adj), C, H, int(self.order) // 2 - 1)
         return s, d * r
 
 
@@ -88,7 +84,7 @@ def retimed(system: FreeBody, s: Array, d: Array, iterations: int | None) -> SO3
 
 
 def preprocessed(system: FreeBody, order: int, iterations: int | None = None) -> Preprocessed:
-    """The symplectic step of a free rigid body with a preprocessed inertia: order 4 or 6, one stage.
+    """The symplectic step of a free rigid body with a preprocessed inertia: order 4, 6, 8 or 10, one stage.
 
     | conserved | to |
     |---|---|
@@ -100,24 +96,25 @@ def preprocessed(system: FreeBody, order: int, iterations: int | None = None) ->
 
     Args:
         system: `systems.rigid_body(...)`.
-        order: 4 or 6.
+        order: 4, 6, 8 or 10.
         iterations: as of `so3_midpoint`.
 
     Raises:
         ValueError: not a free rigid body, another order, or bad iterations.
 
-    Source: McLachlan & Zanna 2005, Found. Comput. Math. 5; Hairer & Vilmart 2006, J. Phys. A 39.
+    Source: McLachlan & Zanna 2005, Found. Comput. Math. 5; Hairer & Vilmart 2006, J. Phys. A 39; orders 8 and 10: this
+    package.
     """
     FREE_BODIES.check("preprocessed", system)
-    if order not in (4, 6):
-        raise ValueError(f"order must be 4 or 6, got {order!r}; compose(so3_midpoint(...), order) goes to 10")
+    if isinstance(order, bool) or order not in ORDERS:
+        raise ValueError(f"order must be 4, 6, 8 or 10, got {order!r}; calibrated(system) is exact")
     if iterations is not None:
         iterations = _checks.count("iterations", iterations, 1)
     return Preprocessed(system, order, iterations)
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """Orders 4 and 6, for free rigid bodies."""
+    """All orders, for free rigid bodies."""
     if not FREE_BODIES.declared(system):
         return {}
-    return {step.name: step for step in (preprocessed(system, order) for order in (4, 6))}
+    return {step.name: step for step in (preprocessed(system, order) for order in ORDERS)}

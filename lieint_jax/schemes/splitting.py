@@ -59,6 +59,13 @@ def _force(system: Forced | Driven, state: State) -> Array:
     return system.force(state.q, clock(state)) if isinstance(system, Driven) else system.force(state.q)
 
 
+def kicked(system: Forced | Driven, state: State, dt: ArrayLike) -> State:
+    """The exact flow of the potential alone, at the time of the state."""
+    if isinstance(system, Driven) and state.work is not None:
+        state = state._replace(work=state.work + dt * system.power(state.q, clock(state)))
+    return state._replace(p=state.p + dt * _force(system, state))
+
+
 @pytree
 class Splitting(Step):
     """The step made by `splitting`.
@@ -110,10 +117,7 @@ class Splitting(Step):
         return end._replace(p=jnp.stack(three.once(end.p))), jax.vmap(carried, -1, -1)(jnp.asarray(T))
 
     def _kick(self, state: State, dt: ArrayLike) -> State:
-        half, kicked = 0.5 * dt, state
-        if isinstance(self.system, Driven) and state.work is not None:
-            kicked = state._replace(work=state.work + half * self.system.power(state.q, clock(state)))
-        return kicked._replace(p=state.p + half * _force(self.system, state))
+        return kicked(self.system, state, 0.5 * dt)
 
 
 @overload
