@@ -130,7 +130,9 @@ def _add_check(commands: Any) -> None:
 
 
 def _add_paper(commands: Any) -> None:
-    figure = commands.add_parser("figure", help="recompute figures of the paper", description="Write figures as PNG.")
+    figure = commands.add_parser(
+        "figure", help="recompute figures of the paper", description="Write figures as PNG and PDF."
+    )
     figure.add_argument("numbers", nargs="+", type=int, metavar="N", help="numbers in the paper: 1 to 5")
     figure.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
     figure.set_defaults(command=_figure)
@@ -211,6 +213,7 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _figure(options: argparse.Namespace) -> None:
+    from lieint_jax import plots
     from lieint_jax.command import catalogue
     from lieint_jax.command.figures import FIGURES
 
@@ -221,7 +224,8 @@ def _figure(options: argparse.Namespace) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     for n in options.numbers:
         catalogue.announce(f"figure {n}")
-        print(FIGURES[n](options.out), f"  written to {options.out / f'figure-{n}.png'}", sep="\n")
+        written = ", ".join(map(str, plots.files(options.out / f"figure-{n}.png")))
+        print(FIGURES[n](options.out), f"  written to {written}", sep="\n")
 
 
 def _study(options: argparse.Namespace) -> None:

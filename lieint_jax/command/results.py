@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from lieint_jax import scenarios
+from lieint_jax import plots, scenarios
 from lieint_jax.command import files, pictures
 from lieint_jax.command.pictures import StoredRun
 from lieint_jax.ensemble._reading import system_of
@@ -69,10 +69,10 @@ def _plot_any(stored: StoredRun, text: str, plain: Path, force: bool) -> list[Pa
 
 
 def draw(path: Path, kinds: Mapping[str, Callable[..., Any]], *arguments: Any) -> list[Path]:
-    """Write the pictures that the functions `kinds` draw, named after `path`; their paths."""
-    drawn = files.pictures(path, kinds)
-    for file, picture in zip(drawn, kinds.values(), strict=True):
-        picture(*arguments).savefig(file, dpi=160)
+    """Write the pictures that the functions `kinds` draw, named after `path`, as PNG and PDF; the paths."""
+    drawn = []
+    for suffix, picture in kinds.items():
+        drawn += plots.save(picture(*arguments), files.picture(path, suffix))
     return drawn
 
 

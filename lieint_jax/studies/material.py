@@ -119,6 +119,7 @@ def text(found: MaterialFit) -> str:
     return "\n".join(lines)
 
 
+@plots.style()
 def draw(found: MaterialFit) -> Figure:
     """Plot observed and fitted strains."""
     fig, axes = plots.figure(1)
