@@ -90,8 +90,8 @@ def series(ax: Axes, t: np.ndarray, curves: Mapping[str, np.ndarray], ylabel: st
     """At most eight curves against time; each has a colour, dashes and a mark of its own."""
     _few(curves)
     for k, ((label, y), look) in enumerate(zip(curves.items(), STYLES, strict=False)):
-        marks = {"markevery": _places(ax, t, (k + 0.5) / len(curves))} if len(curves) > 1 else {"marker": ""}
-        ax.plot(t, y, label=label, **(look | marks))
+        places = _places(ax, t, (k + 0.5) / len(curves)) if len(curves) > 1 else []
+        ax.plot(t, y, label=label, markevery=places, **look)
     ax.set(xlabel=f"t ({time_unit})" if time_unit else "t", ylabel=ylabel)
     if len(curves) > 1:
         ax.legend()
@@ -242,10 +242,19 @@ def _sight(ax: Any) -> np.ndarray:
 def delay_plot(ax: Any, points: np.ndarray) -> Any:
     """The points (x_n, x_{n+N}, x_{n+2N}) of a series, shape (n, 3), less the middle of their range, as small dots."""
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
-    ax.scatter(*(points - middle).T, s=1.5, color=BLUE, alpha=0.7, depthshade=False, linewidths=0, rasterized=True)
-    ax.set_box_aspect((1, 1, 1))
+    power = int(np.floor(np.log10(np.ptp(points) or 1.0)))
+    x, y, z = ((points - middle) / 10.0**power).T
+    ax.scatter(x, y, z, s=1.5, color=BLUE, alpha=0.7, depthshade=False, linewidths=0, rasterized=True)
+    unit = f" / $10^{{{power}}}$" if power else ""
+    ax.set(xlabel=f"$x_n${unit}", ylabel=f"$x_{{n+N}}${unit}", zlabel=f"$x_{{n+2N}}${unit}")
+    return cube(ax)
+
+
+def cube(ax: Any) -> Any:
+    """Equal sides and few small ticks on axes in three dimensions."""
+    ax.set_box_aspect((1, 1, 1), zoom=0.85)  # room for the labels
     ax.tick_params(labelsize="xx-small", pad=-2)
-    ax.ticklabel_format(style="sci", scilimits=(-2, 2), useMathText=True)
+    ax.locator_params(nbins=4)
     return ax
 
 

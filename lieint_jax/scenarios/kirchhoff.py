@@ -176,7 +176,7 @@ def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     for (name, q), color in zip(paths.items(), (plots.INK, plots.BLUE), strict=False):
         left.plot(*q[:, :3, 3].T, color=color, lw=0.8, label=name)
     left.legend()
-    left.set_title("the centre of the ellipsoid")
+    plots.cube(left).set(xlabel="x", ylabel="y", zlabel="z", title="the centre of the ellipsoid")
     q = paths["the last member" if scenario.members > 1 else "nominal"]
     P = np.asarray(last.p[3:])
     pole = P / np.linalg.norm(P) if P.any() else None

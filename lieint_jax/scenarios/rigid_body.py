@@ -15,7 +15,7 @@ from lieint_jax import diagnostics, maps, plots, schemes, systems
 from lieint_jax.groups import so3
 from lieint_jax.integrate import integrate
 from lieint_jax.phase_spaces import frame
-from lieint_jax.scenarios._body import BodyScenario, InitialState, ensemble, in_space, inertia_matrix
+from lieint_jax.scenarios._body import BodyScenario, InitialState, about_least, ensemble, in_space, inertia_matrix
 from lieint_jax.scenarios._common import Published, Text, deviation, follow, nominal, thinned
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, Trajectory
@@ -150,7 +150,7 @@ def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarr
         R, pi = np.asarray(matrix(run.state.q[:, m])), np.asarray(run.state.p[0, m])
         Pi = R.transpose(0, 2, 1) @ pi @ axes
         square = (Pi[0] ** 2).sum()
-        long = square < (Pi[0] ** 2 / moments).sum() * moments[1]
+        long = about_least(moments, Pi[0])
         e = R @ axes[:, 0 if long else 2]
         Pi = Pi[:, [1, 2, 0]] if long else Pi
         across = np.stack(frame(jnp.asarray(pi / np.maximum(np.linalg.norm(pi), np.finfo(float).tiny))))
@@ -310,7 +310,7 @@ def _draw_polhode(ax: Any, body: RigidBody, run: Trajectory) -> None:
     moments, axes = np.linalg.eigh(inertia_matrix(body))
     Pi = np.asarray(jax.jit(jax.vmap(body.body_momentum))(jax.tree.map(lambda x: jnp.asarray(x[:, 0]), run.state)))
     Pi = Pi @ axes / np.linalg.norm(Pi[0])
-    about = 0 if (Pi[0] ** 2 / moments).sum() * moments[1] > (Pi[0] ** 2).sum() else 2
+    about = 0 if about_least(moments, Pi[0]) else 2
     x, y = (k for k in range(3) if k != about)
     angle = np.linspace(0, 2 * np.pi, 145)
     ax.plot(np.cos(angle), np.sin(angle), color=plots.GREY, lw=0.8)
