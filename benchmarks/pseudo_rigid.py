@@ -278,7 +278,7 @@ def draw(report: dict[str, Any], path: Path) -> None:
     curves = {c["name"]: (np.array(c["milliseconds"]), np.array(c["errors"])) for c in report["curves"]}
     with plots.style():
         fig, axes = plots.figure(size=(5.6, 4.4))
-        plots.loglog_lines(axes[0, 0], curves, f"ms for {WATCHED} bodies to t = 1", "largest error of F at t = 1")
+        plots.loglog_lines(axes[0, 0], curves, f"ms for {WATCHED} bodies to t = 1", "error of F at t = 1")
         plots.save(fig, path)
 
 

@@ -36,15 +36,17 @@ STYLES: tuple[dict[str, Any], ...] = tuple(
     {"color": color, "ls": dashes, "marker": mark} for color, dashes, mark in zip(COLOURS, _DASHES, MARKS, strict=True)
 )
 _MARKED = 8  # marks on each curve of `series`
+_NEAR = 1e6  # errors below so many round-offs are shown beside the line of one
 
 
 @contextmanager
 def style() -> Iterator[None]:
     """Within it, or in a function decorated with it, figures have the look of this package: `lieint.mplstyle`.
 
-    Matplotlib's settings are what they were afterwards.
+    Matplotlib's settings are what they were afterwards. Where ffmpeg is stays the user's setting.
     """
-    with matplotlib.style.context(_STYLE, after_reset=True):
+    ffmpeg = {"animation.ffmpeg_path": matplotlib.rcParams["animation.ffmpeg_path"]}
+    with matplotlib.style.context([_STYLE, ffmpeg], after_reset=True):
         yield
 
 
@@ -57,8 +59,8 @@ def figure(columns: int = 1, rows: int = 1, size: tuple[float, float] | None = N
         size: of a panel, in inches; by default that of the style.
         axes: as `Figure.subplots` takes them.
     """
-    width, height = size or matplotlib.rcParams["figure.figsize"]
-    fig = Figure(figsize=(width * columns, height * rows))
+    width, height = size or _LOOK["figure.figsize"]
+    fig = Figure(figsize=(width * columns, height * rows), layout="constrained")
     return fig, fig.subplots(rows, columns, squeeze=False, **axes)
 
 
@@ -119,7 +121,9 @@ def log_error(
     size: float = 1.0,
     of: str = "",
 ) -> Axes:
-    """Absolute errors on a logarithmic axis, with the line of round-off; exact zeros are drawn at a tenth of it.
+    """Absolute errors on a logarithmic axis; exact zeros are drawn at a tenth of round-off.
+
+    The line of round-off is drawn if a curve stays near it.
 
     Args:
         ax: the axes.
@@ -133,8 +137,8 @@ def log_error(
     epsilon = size * float(np.finfo(np.result_type(*curves.values(), np.float32)).eps)
     series(ax, t, {label: np.maximum(np.abs(y), epsilon / 10) for label, y in curves.items()}, ylabel, time_unit)
     ax.set_yscale("log")
-    round_off(ax, epsilon, of)
-    return ax
+    near = min(np.abs(y).max() for y in curves.values()) < _NEAR * epsilon
+    return round_off(ax, epsilon, of) if near else ax
 
 
 def round_off(ax: Axes, epsilon: float = float(np.finfo(float).eps), of: str = "") -> Axes:

@@ -32,6 +32,7 @@ class Bar(NamedTuple):
 
 
 AIM = "aim ≤"
+_DOUBT = "doubt of the references"
 _TWO_BODIES = "Didymos and Dimorphos"
 BARS = (
     Bar("heavy top", "heyoka", 1e-6, 0.6, 1.0),
@@ -255,7 +256,7 @@ def draw(problems: Sequence[Record], path: Path) -> None:
     handles = {}
     for ax in axes.flat[: len(problems)]:
         handles |= dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
-    ordered = [name for name in _LOOKS if name in handles]
+    ordered = [name for name in (*_LOOKS, _DOUBT) if name in handles]
     fig.legend(
         [handles[name] for name in ordered],
         ordered,
@@ -277,5 +278,5 @@ def _panel(ax: Any, found: Record) -> None:
     ax.set_title(found["problem"])
     doubt = max(found["median_doubt"], 1e-16)
     ax.set_ylim(doubt / 10, 5)
-    ax.axhspan(doubt / 10, doubt, color=plots.GREY, alpha=0.3, lw=0)
+    ax.axhspan(doubt / 10, doubt, color=plots.GREY, alpha=0.3, lw=0, label=_DOUBT)
     ax.get_legend().remove()

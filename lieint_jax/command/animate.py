@@ -38,6 +38,8 @@ def animate(
     """
     out = path.with_suffix(".gif") if out is None else out
     _check(out, force)
+    if not 0 < seconds < float("inf"):
+        raise ValueError(f"--seconds must be positive, got {seconds:g}")
     run, metadata = files.load(path)
     if not isinstance(run, Trajectory):
         raise ValueError(f"{path} is of a run with `reduce`, which keeps no states: there is nothing to animate")

@@ -85,6 +85,7 @@ def draw_motion(stored: StoredRun) -> Figure:
     return fig
 
 
+@plots.style()
 def _draw_direction(path: np.ndarray, name: str) -> Figure:
     fig, axes = plots.figure(subplot_kw={"projection": "3d"})
     plots.sphere_path(axes[0, 0], path)
@@ -92,6 +93,7 @@ def _draw_direction(path: np.ndarray, name: str) -> Figure:
     return fig
 
 
+@plots.style()
 def _draw_centres(x: np.ndarray) -> Figure:
     """The paths (times, bodies, 3) of the centres of the first bodies, in two projections."""
     fig, axes = plots.figure(2)
@@ -105,6 +107,7 @@ def _draw_centres(x: np.ndarray) -> Figure:
     return fig
 
 
+@plots.style()
 def _draw_components(stored: StoredRun, q: np.ndarray) -> Figure:
     """Every component of q against time, a panel for each row of a matrix."""
     rows = q.reshape(len(q), -1, q.shape[-1])

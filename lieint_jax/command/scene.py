@@ -18,6 +18,7 @@ from lieint_jax.types import Bodies, FreeBodies, Trajectory
 
 _MOST = np.deg2rad(15)  # the most that a body turns from frame to frame, if states can be interpolated
 _TILT = np.deg2rad(2)  # the same of the axis of a top, whose spin may be much faster
+_APART = 2.6  # rad, the most between saved states: those found between them are off by .3° (tumbling bodies)
 _FINE = 4  # points of the path of an axis between two frames
 _SMALLEST = 0.06  # the size of the largest of several bodies, over that of the scene; smaller ones are drawn larger
 _TIP, _ARROW = 1.2, 1.5  # where axes and momentum vectors end, over the size of their body
@@ -127,8 +128,10 @@ def _member(run: Trajectory, member: int) -> Trajectory:
 def _shown(system: Any, run: Trajectory, frames: int, time_unit: str) -> tuple[Trajectory, int, tuple[str, ...]]:
     """The beginning of a trajectory that `frames` frames can show, at the points of paths; points a frame; notes."""
     t = np.asarray(run.t)
-    turned = np.concatenate([[0.0], np.cumsum(_turns(system, run))])
-    most = (frames - 1) * (_MOST if _pointed(system) is None else _TILT)
+    turns, tilts = _turns(system, run)
+    turned, most = np.concatenate([[0.0], np.cumsum(turns)]), (frames - 1) * _MOST
+    if _pointed(system) is not None:
+        turned, most = np.concatenate([[0.0], np.cumsum(tilts)]), (frames - 1) * _TILT
     end = t[-1] if turned[-1] <= most else np.interp(most, turned, t)
     kept = min(int(np.searchsorted(turned, most)) + 1, len(t))
     part = jax.tree.map(lambda x: x[:kept], run)
@@ -136,26 +139,29 @@ def _shown(system: Any, run: Trajectory, frames: int, time_unit: str) -> tuple[T
     notes: tuple[str, ...] = ()
     if turned[-1] > most:
         notes = (f"the first {abs(end - t[0]):.4g} of {abs(t[-1] - t[0]):.4g} {time_unit}",)
-    try:
+    apart = turns[: kept - 1].max()
+    if apart <= _APART:
         return Trajectory(jnp.asarray(times), interpolate(system, part, times), part.info), _FINE, notes
-    except ValueError:
-        first = jax.tree.map(lambda x: x[:frames], run)
-        apart = np.rad2deg(np.diff(turned).max())
-        note = (
-            f"states are saved too far apart to be interpolated, up to {apart:.0f}° of turning: the frames are the "
-            f"first {len(first.t)} saved states"
-        )
-        return first, 1, (note,)
+    first = jax.tree.map(lambda x: x[:frames], run)
+    note = (
+        f"states are saved too far apart to be interpolated, up to {np.rad2deg(apart):.0f}° of turning: the frames are "
+        f"the first {len(first.t)} saved states"
+    )
+    return first, 1, (note,)
 
 
-def _turns(system: Any, run: Trajectory) -> np.ndarray:
-    """About how far the fastest body, or the axis of a top, turns between saved states, (saves − 1,), in radians."""
+def _turns(system: Any, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """About how far the fastest body and the axis of a top turn between saved states, (saves − 1,), in radians."""
     rates = system.angular_velocities if hasattr(system, "angular_velocities") else system.angular_velocity
     Omega = np.asarray(jax.jit(jax.vmap(rates))(jax.tree.map(jnp.asarray, run.state)))
-    axis = _pointed(system)
-    Omega = Omega.reshape(len(Omega), -1, 3) if axis is None else np.cross(Omega, axis)[:, None]
-    speed = np.linalg.norm(Omega, axis=-1).max(axis=1)
-    return np.maximum(speed[1:], speed[:-1]) * abs(np.diff(run.t))
+    Omega, axis = Omega.reshape(len(Omega), -1, 3), _pointed(system)
+    across = Omega if axis is None else np.cross(Omega, axis)
+
+    def turns(rates: np.ndarray) -> np.ndarray:
+        speed = np.linalg.norm(rates, axis=-1).max(axis=1)
+        return np.maximum(speed[1:], speed[:-1]) * abs(np.diff(run.t))
+
+    return turns(Omega), turns(across)
 
 
 def _bodies(
