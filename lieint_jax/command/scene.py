@@ -83,7 +83,7 @@ def of(stored: StoredRun, member: int, frames: int) -> Scene:
     shape = stored.run.state.q.shape
     if not (several or (shape[2:] == (4,) and hasattr(system, "inertia"))):
         raise ValueError(
-            f"a {type(system).__name__} is not made of rigid bodies: rigid bodies, gyrostats, tops, satellites and "
+            f"{type(system).__name__} is not made of rigid bodies: rigid bodies, gyrostats, tops, satellites and "
             "several bodies can be animated; `lieint plot` draws this run"
         )
     if not 0 <= member < shape[1]:
@@ -145,7 +145,7 @@ def _shown(system: Any, run: Trajectory, frames: int, time_unit: str) -> tuple[T
     first = jax.tree.map(lambda x: x[:frames], run)
     note = (
         f"states are saved too far apart to be interpolated, up to {np.rad2deg(apart):.0f}° of turning: the frames are "
-        f"the first {len(first.t)} saved states"
+        f"the first {len(first.t)} saved states; save more often to see what is between"
     )
     return first, 1, (note,)
 
