@@ -157,7 +157,7 @@ def test_what_is_not_installed_is_named(store, tmp_path, monkeypatch, capsys):
 def test_a_system_without_rigid_bodies_says_what_is_possible():
     bob = li.systems.pendulum(1.0, 9.81, [0.0, 0.0, 1.0])
     run = stored(bob, np.tile([0.0, 0.0, 1.0], (3, 1)), np.zeros((3, 3)), np.arange(3.0))
-    with pytest.raises(ValueError, match="^Pendulum is not made of rigid bodies: rigid bodies, gyrostats, tops"):
+    with pytest.raises(ValueError, match=r"^Pendulum is not made of rigid bodies: rigid bodies, gyrostats, tops"):
         scene.of(run, 0, 5)
 
 
