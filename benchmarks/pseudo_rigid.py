@@ -275,10 +275,11 @@ def tables(report: dict[str, Any]) -> str:
 def draw(report: dict[str, Any], path: Path) -> None:
     from lieint_jax import plots
 
-    fig, axes = plots.figure()
     curves = {c["name"]: (np.array(c["milliseconds"]), np.array(c["errors"])) for c in report["curves"]}
-    plots.loglog_lines(axes[0, 0], curves, f"ms for {WATCHED} bodies to t = 1", "error of F at t = 1")
-    fig.savefig(path, dpi=150)
+    with plots.style():
+        fig, axes = plots.figure(size=(5.6, 4.4))
+        plots.loglog_lines(axes[0, 0], curves, f"ms for {WATCHED} bodies to t = 1", "error of F at t = 1")
+        plots.save(fig, path)
 
 
 if __name__ == "__main__":

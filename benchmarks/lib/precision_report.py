@@ -32,6 +32,7 @@ class Bar(NamedTuple):
 
 
 AIM = "aim ≤"
+_DOUBT = "doubt of the references"
 _TWO_BODIES = "Didymos and Dimorphos"
 BARS = (
     Bar("heavy top", "heyoka", 1e-6, 0.6, 1.0),
@@ -223,31 +224,31 @@ def at(found: Record) -> list[str]:
     ]
 
 
-# Okabe & Ito's colours, a mark each; families that are not here are in the tables only
+# A colour and a mark each; families that are not here are in the tables only
 _LOOKS = {
-    EXACT: ("#F0E442", "*"),
-    PREPROCESSED: ("#CC79A7", "<"),
-    TWO_BODY: ("#CC79A7", "p"),
-    COMPOSED: ("#009E73", "^"),
-    CONVERGED: ("#E69F00", "v"),
-    ROUGH: ("#D55E00", "P"),
-    EXTRAPOLATED: ("#0072B2", "X"),
-    "splitting": ("#D55E00", "v"),
-    "splitting, composed": ("#009E73", "^"),
-    "energy-momentum": ("#E69F00", "P"),
-    "energy-momentum, composed": ("#0072B2", "X"),
-    "diffrax": ("#56B4E9", "s"),
-    "astrojax": ("#F0E442", "D"),
-    "heyoka": ("#000000", "o"),
+    EXACT: (plots.WINE, "*"),
+    PREPROCESSED: (plots.PURPLE, "<"),
+    TWO_BODY: (plots.PURPLE, "p"),
+    COMPOSED: (plots.GREEN, "^"),
+    CONVERGED: (plots.ORANGE, "v"),
+    ROUGH: (plots.RED, "P"),
+    EXTRAPOLATED: (plots.BLUE, "X"),
+    "splitting": (plots.RED, "v"),
+    "splitting, composed": (plots.GREEN, "^"),
+    "energy-momentum": (plots.ORANGE, "P"),
+    "energy-momentum, composed": (plots.BLUE, "X"),
+    "diffrax": (plots.SKY, "s"),
+    "astrojax": (plots.WINE, "D"),
+    "heyoka": (plots.INK, "o"),
 }
 
 
+@plots.style()
 def draw(problems: Sequence[Record], path: Path) -> None:
     """Plot median error against time, a panel for each problem, a curve for each family: the best of its points."""
     columns = min(len(problems), 3)
     rows = -(-len(problems) // columns)
-    fig, axes = plots.figure(columns, rows)
-    fig.set_size_inches(4.7 * columns, 4.1 * rows + 0.9)
+    fig, axes = plots.figure(columns, rows, size=(4.7, 4.1 + 0.9 / rows))
     for ax, found in zip(axes.flat, problems, strict=False):
         _panel(ax, found)
     for ax in axes.flat[len(problems) :]:
@@ -255,16 +256,14 @@ def draw(problems: Sequence[Record], path: Path) -> None:
     handles = {}
     for ax in axes.flat[: len(problems)]:
         handles |= dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
-    ordered = [name for name in _LOOKS if name in handles]
+    ordered = [name for name in (*_LOOKS, _DOUBT) if name in handles]
     fig.legend(
         [handles[name] for name in ordered],
         ordered,
         loc="outside lower center",
         ncols=min(len(ordered), 2 * columns),
-        frameon=False,
-        fontsize="small",
     )
-    fig.savefig(path, dpi=130)
+    plots.save(fig, path)
 
 
 def _panel(ax: Any, found: Record) -> None:
@@ -276,8 +275,8 @@ def _panel(ax: Any, found: Record) -> None:
             line = "--" if kind in PEERS else "-"
             styles[kind] = {"color": color, "marker": marker, "ls": line, "ms": 5.5, "mec": plots.INK, "mew": 0.4}
     plots.loglog_lines(ax, curves, "milliseconds per 1000, one core", f"median error ({found['error']})", styles)
-    ax.set_title(found["problem"], fontsize="medium")
+    ax.set_title(found["problem"])
     doubt = max(found["median_doubt"], 1e-16)
     ax.set_ylim(doubt / 10, 5)
-    ax.axhspan(doubt / 10, doubt, color=plots.GREY, alpha=0.3, lw=0)
+    ax.axhspan(doubt / 10, doubt, color=plots.GREY, alpha=0.3, lw=0, label=_DOUBT)
     ax.get_legend().remove()

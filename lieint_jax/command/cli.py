@@ -15,6 +15,7 @@ _EPILOG = """examples:
   lieint run toutatis --out runs.zarr --members 100000   to disk while it runs; with --resume it goes on
   lieint info runs.zarr                    describe that store
   lieint plot runs.zarr                    report on it and draw it
+  lieint animate runs.zarr --out turn.html a turning body, its axis and its momentum; also .gif and .mp4
   lieint study toutatis                    fit a spin state to the radar fixes of 1992, predict 2004 and 2008
   lieint check rigid_body                  what every scheme conserves of a free body, measured
   lieint check rigid_body --scheme cayley  one of them
@@ -107,6 +108,14 @@ def _add_results(commands: Any) -> None:
     plot.add_argument("--out", type=Path, metavar="DIR", help="folder of the pictures (default: that of PATH)")
     plot.add_argument("--force", action="store_true", help="replace pictures that exist")
     plot.set_defaults(command=_plot)
+    animate = commands.add_parser("animate", help="turning bodies as GIF, MP4 or HTML", description="A moving picture.")
+    animate.add_argument("path", type=Path, metavar="PATH")
+    animate.add_argument("--member", type=int, default=0, metavar="K", help="which member, from 0 (default 0)")
+    animate.add_argument("--out", type=Path, metavar="FILE", help="NAME.gif (default, beside PATH), .mp4 or .html")
+    animate.add_argument("--seconds", type=float, default=6.0, metavar="S", help="how long it lasts (default 6)")
+    animate.add_argument("--fps", type=_positive, default=20, metavar="F", help="frames a second (default 20)")
+    animate.add_argument("--force", action="store_true", help="replace a file that exists")
+    animate.set_defaults(command=_animate)
     schema = commands.add_parser("schema", help="the keys of scenario files, as a JSON schema", description="Keys.")
     schema.set_defaults(command=_schema)
 
@@ -130,7 +139,9 @@ def _add_check(commands: Any) -> None:
 
 
 def _add_paper(commands: Any) -> None:
-    figure = commands.add_parser("figure", help="recompute figures of the paper", description="Write figures as PNG.")
+    figure = commands.add_parser(
+        "figure", help="recompute figures of the paper", description="Write figures as PNG and PDF."
+    )
     figure.add_argument("numbers", nargs="+", type=int, metavar="N", help="numbers in the paper: 1 to 5")
     figure.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
     figure.set_defaults(command=_figure)
@@ -194,6 +205,12 @@ def _plot(options: argparse.Namespace) -> None:
     (study.plot if study.wrote(options.path) else results.plot)(options.path, options.out, options.force)
 
 
+def _animate(options: argparse.Namespace) -> None:
+    from lieint_jax.command.animate import animate
+
+    animate(options.path, options.out, options.member, options.seconds, options.fps, options.force)
+
+
 def _schema(_: argparse.Namespace) -> None:
     import json
 
@@ -211,6 +228,7 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _figure(options: argparse.Namespace) -> None:
+    from lieint_jax import plots
     from lieint_jax.command import catalogue
     from lieint_jax.command.figures import FIGURES
 
@@ -221,7 +239,8 @@ def _figure(options: argparse.Namespace) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     for n in options.numbers:
         catalogue.announce(f"figure {n}")
-        print(FIGURES[n](options.out), f"  written to {options.out / f'figure-{n}.png'}", sep="\n")
+        written = ", ".join(map(str, plots.files(options.out / f"figure-{n}.png")))
+        print(FIGURES[n](options.out), f"  written to {written}", sep="\n")
 
 
 def _study(options: argparse.Namespace) -> None:

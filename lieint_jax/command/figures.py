@@ -1,4 +1,4 @@
-"""The paper's figures, recomputed: each function writes a PNG and returns the table that goes with it."""
+"""The paper's figures, recomputed: each function writes a PNG and a PDF and returns the table that goes with it."""
 
 from __future__ import annotations
 
@@ -50,6 +50,7 @@ def free_body_run(body: str, kappa_index: int, dt: float) -> Run:
     return Run(body, step.kappa.name, dt, np.asarray(poisson), np.asarray(energy))
 
 
+@plots.style()
 def figure_1(out: Path) -> str:
     """Poisson errors of Cayley and exponential at Δt = .05, both bodies, as in the paper's Figure 1."""
     fig, axes = plots.figure(2)
@@ -60,10 +61,11 @@ def figure_1(out: Path) -> str:
         plots.series(ax, t, {run.kappa: run.poisson for run in runs}, "Poisson error |σ|")
         ax.set_title(f"J = diag{tuple(int(x) for x in BODIES[body])}")
         lines += [f"  J = {BODIES[body]}  {run.kappa:<12} max|σ| = {run.poisson.max():.3g}" for run in runs]
-    fig.savefig(out / "figure-1.png", dpi=150)
+    plots.save(fig, out / "figure-1.png")
     return "\n".join(["Figure 1: Poisson errors over t = 50 at Δt = 0.05", *lines])
 
 
+@plots.style()
 def figure_2(out: Path) -> str:
     """Largest Poisson errors and energy changes at Δt = .05 and .005, as in the paper's Figure 2."""
     runs = [free_body_run(body, k, dt) for dt in (0.05, 0.005) for body in BODIES for k in range(3)]
@@ -79,10 +81,10 @@ def figure_2(out: Path) -> str:
             ax.bar(np.arange(4) + 0.27 * (k - 1), values[k::3], 0.25, color=colour, label=kappa.name)
         ax.set_xticks(range(4), [f"{body}\nΔt={dt}" for body, dt in groups])
         ax.set_yscale("log")
-        ax.set_ylim(1e-17, 100 * max(values))
+        ax.set_ylim(1e-17, 1000 * max(values))
         ax.set_ylabel(label)
-        ax.legend(frameon=False, fontsize="small", ncols=3, loc="upper center")
-    fig.savefig(out / "figure-2.png", dpi=150)
+        plots.round_off(ax).legend(ncols=2, loc="upper center")
+    plots.save(fig, out / "figure-2.png")
     rows = [
         f"  {run.dt:<6} {run.body}  {run.kappa:<12} {run.poisson.max():>10.3g} {np.ptp(run.energy):>12.2g}"
         for run in runs
@@ -170,6 +172,7 @@ def _series(step: Step, state: State, dt: float) -> tuple[jax.Array, jax.Array, 
     return jax.vmap(step.system.energy)(run.state), displacement, run.info.converged
 
 
+@plots.style()
 def _delay_figure(number: int, out: Path) -> str:
     fig, axes = plots.figure(2, 2, subplot_kw={"projection": "3d"})
     lines = [f"Figure {number}: variation max − min", f"  {'':<4} {'ours':>9} {'printed':>9}   all converged"]
@@ -178,10 +181,10 @@ def _delay_figure(number: int, out: Path) -> str:
         plots.delay_plot(ax, np.asarray(delay(jnp.asarray(run.series), panel.lag)))
         variation = np.ptp(run.series)
         kind = "‖F−1‖²" if panel.displacement else "H"
-        ax.set_title(f"({panel.name[1]}) {kind}: {variation:.3g}, printed {panel.printed:.3g}", fontsize="small")
+        ax.set_title(f"({panel.name[1]}) {kind}: {variation:.3g}, printed {panel.printed:.3g}")
         verdict = "yes" if run.converged else "NO"
         lines.append(f"  {panel.name:<4} {variation:>9.3g} {panel.printed:>9.3g}   {verdict:<4} {panel.note}".rstrip())
-    fig.savefig(out / f"figure-{number}.png", dpi=150)
+    plots.save(fig, out / f"figure-{number}.png")
     return "\n".join(lines)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from lieint_jax import plots
 from lieint_jax.ensemble import _store
 from lieint_jax.ensemble._leaves import named, state_of
 from lieint_jax.types import StepInfo, Trajectory
@@ -41,9 +42,14 @@ def free(path: Path, kinds: Iterable[str] = (), resume: bool = False) -> Path:
     return path
 
 
+def picture(path: Path, kind: str) -> Path:
+    """The path of a picture beside results at `path`, such as NAME-path.png for the kind "path"."""
+    return path.with_name(f"{path.stem}-{kind}.png")
+
+
 def pictures(path: Path, kinds: Iterable[str]) -> list[Path]:
-    """The paths of the pictures beside results at `path`, such as NAME-path.png for the kind "path"."""
-    return [path.with_name(f"{path.stem}-{kind}.png") for kind in kinds]
+    """The files of the pictures beside results at `path`: each is written as PNG and as PDF."""
+    return [file for kind in kinds for file in plots.files(picture(path, kind))]
 
 
 def in_folder(path: Path, folder: Path | None) -> Path:
@@ -55,7 +61,7 @@ def in_folder(path: Path, folder: Path | None) -> Path:
 
 def free_pictures(path: Path, kinds: Iterable[str], force: bool) -> None:
     """ValueError if a picture beside `path` exists, unless it may be replaced."""
-    found = [picture for picture in pictures(path, kinds) if picture.exists()]
+    found = [file for file in pictures(path, kinds) if file.exists()]
     if found and not force:
         raise ValueError(EXISTS.format(found[0]))
 

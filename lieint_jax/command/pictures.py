@@ -6,13 +6,12 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from matplotlib.figure import Figure
 
 from lieint_jax import plots
-from lieint_jax.groups import so3
+from lieint_jax.scenarios._body import in_space
 from lieint_jax.types import State, Trajectory, energy_less_work
 
 
@@ -52,6 +51,7 @@ def of(stored: StoredRun) -> dict[str, Callable[[StoredRun], Figure]]:
     return {"invariants": draw_invariants, "motion": draw_motion}
 
 
+@plots.style()
 def draw_invariants(stored: StoredRun) -> Figure:
     """Plot the errors of energy (less work, if counted) and momentum against time: the worst member and the median."""
     H = stored.series(energy_less_work)
@@ -65,39 +65,67 @@ def draw_invariants(stored: StoredRun) -> Figure:
     for ax, (label, error) in zip(axes[0], errors.items(), strict=True):
         curves = {"worst member": error.max(axis=1), "median": np.median(error, axis=1)}
         plots.log_error(ax, stored.run.t, curves, label, stored.time_unit)
-    fig.suptitle(stored.title, fontsize="medium")
+    fig.suptitle(stored.title)
     return fig
 
 
+@plots.style()
 def draw_motion(stored: StoredRun) -> Figure:
-    """Plot the motion of the first member: a direction on the sphere, or every component of q against time."""
+    """Plot the motion of the first member: a direction on the sphere, the centres of bodies, or the components of q."""
     q = np.asarray(stored.run.state.q[:, 0])
     if q.shape[1:] == (4,):
-        path, title = np.asarray(jax.vmap(so3.Ad, (0, None))(jnp.asarray(q), jnp.array([0.0, 0.0, 1.0]))), "body axis z"
+        fig = _draw_direction(in_space(q, np.eye(3)[2]), "body axis z")
     elif q.shape[1:] == (3,):
-        path, title = q, "q"
+        fig = _draw_direction(q, "q")
+    elif q.shape[2:] == (7,):
+        fig = _draw_centres(q[..., :3])
     else:
-        fig, axes = plots.figure()
-        names = [f"q{''.join(str(i + 1) for i in index)}" for index in np.ndindex(q.shape[1:])]
-        plots.series(
-            axes[0, 0], stored.run.t, dict(zip(names, q.reshape(len(q), -1).T, strict=True)), "q", stored.time_unit
-        )
-        axes[0, 0].legend(frameon=False, fontsize="xx-small", ncols=q.shape[-1])
-        fig.suptitle(stored.title, fontsize="medium")
-        return fig
-    fig, axes = plots.figure(subplot_kw={"projection": "3d"})
-    plots.sphere_path(axes[0, 0], path)
-    axes[0, 0].set_title(f"{title} of the first member, in space", fontsize="small")
-    fig.suptitle(stored.title, fontsize="medium")
+        fig = _draw_components(stored, q)
+    fig.suptitle(stored.title)
     return fig
 
 
+@plots.style()
+def _draw_direction(path: np.ndarray, name: str) -> Figure:
+    fig, axes = plots.figure(subplot_kw={"projection": "3d"})
+    plots.sphere_path(axes[0, 0], path)
+    axes[0, 0].set_title(f"{name} of the first member, in space")
+    return fig
+
+
+@plots.style()
+def _draw_centres(x: np.ndarray) -> Figure:
+    """The paths (times, bodies, 3) of the centres of the first bodies, in two projections."""
+    fig, axes = plots.figure(2)
+    for ax, (i, j) in zip(axes[0], ((0, 1), (0, 2)), strict=True):
+        for k, look in zip(range(x.shape[1]), plots.STYLES, strict=False):
+            ax.plot(x[:, k, i], x[:, k, j], label=f"body {k + 1}", **look, markevery=[len(x) - 1])
+        ax.set(xlabel="xyz"[i], ylabel="xyz"[j], aspect="equal")
+    axes[0, 0].legend()
+    more = f", the first {len(plots.STYLES)} of {x.shape[1]} bodies" if x.shape[1] > len(plots.STYLES) else ""
+    axes[0, 0].set_title(f"centres of the first member{more}; a mark at the end")
+    return fig
+
+
+@plots.style()
+def _draw_components(stored: StoredRun, q: np.ndarray) -> Figure:
+    """Every component of q against time, a panel for each row of a matrix."""
+    rows = q.reshape(len(q), -1, q.shape[-1])
+    fig, axes = plots.figure(rows.shape[1])
+    for i, ax in enumerate(axes[0]):
+        names = [f"q{i + 1}{j + 1}" if q.ndim > 2 else f"q{j + 1}" for j in range(q.shape[-1])]
+        curves = dict(zip(names, rows[:, i].T, strict=True))
+        plots.series(ax, stored.run.t, curves, "q of the first member", stored.time_unit)
+    return fig
+
+
+@plots.style()
 def draw_change(stored: StoredRun) -> Figure:
     """Plot the least, mean and greatest change of the reduced quantity against time."""
     fig, axes = plots.figure()
     curves = {name: stored.run[name] for name in ("least", "mean", "greatest")}
     plots.series(axes[0, 0], stored.run["time"], curves, "change since the start, all members", stored.time_unit)
-    fig.suptitle(stored.title, fontsize="medium")
+    fig.suptitle(stored.title)
     return fig
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from lieint_jax import scenarios
+from lieint_jax import plots, scenarios
 from lieint_jax.command import files, pictures
 from lieint_jax.command.pictures import StoredRun
 from lieint_jax.ensemble._reading import system_of
@@ -38,7 +38,7 @@ def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
     if scenario and scenario.save_at is None and isinstance(run, Trajectory):
         drawn = _plot_scenario(scenario, run, plain, force)
     else:
-        drawn = _plot_any(_stored(path, run, metadata), contents(path, run, metadata), plain, force)
+        drawn = _plot_any(stored_run(path, run, metadata), contents(path, run, metadata), plain, force)
     print(f"\nwritten: {', '.join(map(str, drawn))}")
 
 
@@ -69,10 +69,10 @@ def _plot_any(stored: StoredRun, text: str, plain: Path, force: bool) -> list[Pa
 
 
 def draw(path: Path, kinds: Mapping[str, Callable[..., Any]], *arguments: Any) -> list[Path]:
-    """Write the pictures that the functions `kinds` draw, named after `path`; their paths."""
-    drawn = files.pictures(path, kinds)
-    for file, picture in zip(drawn, kinds.values(), strict=True):
-        picture(*arguments).savefig(file, dpi=160)
+    """Write the pictures that the functions `kinds` draw, named after `path`, as PNG and PDF; the paths."""
+    drawn = []
+    for suffix, picture in kinds.items():
+        drawn += plots.save(picture(*arguments), files.picture(path, suffix))
     return drawn
 
 
@@ -91,7 +91,7 @@ def _scenario(path: Path, metadata: dict[str, Any]) -> Any:
     return scenarios.stored(table, str(path)) if "system" in table else None
 
 
-def _stored(path: Path, run: Any, metadata: dict[str, Any]) -> StoredRun:
+def stored_run(path: Path, run: Any, metadata: dict[str, Any]) -> StoredRun:
     """A run with its system, which a store has, or else its scenario; ValueError if the system is not known."""
     scenario = None if "description" in metadata else _scenario(path, metadata)
     if scenario:
@@ -116,7 +116,7 @@ def contents(path: Path, run: Any = None, metadata: Any = None) -> str:
         return "\n".join([*lines, *_changes(run)])
     if len(t) > 1:
         try:
-            lines += _kept(_stored(path, run, metadata))
+            lines += _kept(stored_run(path, run, metadata))
         except ValueError as unknown:
             lines.append(f"  energies are not computed: {unknown}")
     return "\n".join(lines)

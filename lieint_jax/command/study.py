@@ -7,7 +7,7 @@ from types import ModuleType
 
 import jax
 
-from lieint_jax import _discover, studies
+from lieint_jax import _discover, plots, studies
 from lieint_jax._version import __version__
 from lieint_jax.command import files, trees
 
@@ -18,20 +18,21 @@ def found() -> dict[str, ModuleType]:
 
 
 def run(name: str, out: Path, quick: bool) -> None:
-    """Run a study; write study-NAME.npz and study-NAME.png to the folder `out`, numbered if there are some already."""
+    """Run a study; write study-NAME.npz, .png and .pdf to the folder `out`, numbered if there are some already."""
     if name not in found():
         raise ValueError(f"study {name!r} is not one of {', '.join(found())}; lieint list describes them")
     out.mkdir(parents=True, exist_ok=True)
     path = out / f"study-{name}.npz"
     number = 1
-    while path.exists() or _picture(path).exists():
+    while any(file.exists() for file in (path, *_pictures(path))):
         number += 1
         path = out / f"study-{name}-{number}.npz"
     result = found()[name].run(quick=quick)
     trees.save(path, result, {"study": name, "quick": quick, "lieint_jax": __version__, "jax": jax.__version__})
     print(found()[name].text(result))
-    _draw(path, name, result)
-    print(f"\nwritten: {path} ({files.megabytes(path)}; lieint plot {path} draws it again), {_picture(path)}")
+    drawn = plots.save(found()[name].draw(result), path.with_suffix(".png"))
+    again = f"{files.megabytes(path)}; lieint plot {path} draws it again"
+    print(f"\nwritten: {path} ({again}), {', '.join(map(str, drawn))}")
 
 
 def wrote(path: Path) -> bool:
@@ -53,17 +54,14 @@ def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
     metadata = trees.metadata(path)
     assert metadata is not None
     plain = files.in_folder(path, out)
-    if _picture(plain).exists() and not force:
-        raise ValueError(files.EXISTS.format(_picture(plain)))
+    there = [file for file in _pictures(plain) if file.exists()]
+    if there and not force:
+        raise ValueError(files.EXISTS.format(there[0]))
     result = trees.load(path)
     print(found()[metadata["study"]].text(result))
-    _draw(plain, metadata["study"], result)
-    print(f"\nwritten: {_picture(plain)}")
+    drawn = plots.save(found()[metadata["study"]].draw(result), plain.with_suffix(".png"))
+    print(f"\nwritten: {', '.join(map(str, drawn))}")
 
 
-def _draw(path: Path, name: str, result: object) -> None:
-    found()[name].draw(result).savefig(_picture(path), dpi=150)
-
-
-def _picture(path: Path) -> Path:
-    return path.with_suffix(".png")
+def _pictures(path: Path) -> list[Path]:
+    return plots.files(path.with_suffix(".png"))

@@ -121,3 +121,20 @@ def inertia_matrix(body: Any) -> np.ndarray:
     """The inertia of a body as a matrix (3, 3), also where it is given by principal moments."""
     J = np.asarray(body.inertia)
     return np.diag(J) if J.ndim == 1 else J
+
+
+def about_least(moments: np.ndarray, Pi: np.ndarray) -> bool:
+    """Whether a free body tumbles about its axis of least inertia: |Π|² < 2H J₂; else about the greatest (Poinsot).
+
+    Args:
+        moments: principal moments (3,), ascending.
+        Pi: Π in the principal axes, (3,).
+    """
+    return bool((Pi**2).sum() < (Pi**2 / moments).sum() * moments[1])
+
+
+def spin_axis(inertia: np.ndarray, Pi: np.ndarray) -> np.ndarray:
+    """The principal axis (3,) about which a body of an inertia, (3,) or (3, 3), tumbles with the body momentum Π."""
+    moments, axes = np.linalg.eigh(np.diag(inertia) if np.ndim(inertia) == 1 else inertia)
+    axis = axes[:, 0 if about_least(moments, Pi @ axes) else 2]
+    return axis if axis @ Pi >= 0 else -axis

@@ -16,12 +16,12 @@ from lieint_jax.types import Step, Trajectory
 _LONGEST = 500.0  # h of P_ψ, which is infinite between the modes: the last colour is of all above
 
 
+@plots.style()
 def draw_map(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
     """Plot, over both phases at the perigee, periods, effective spin rate and turn of the pole after the passage."""
     found = study(scenario, step, run)
     x, after = change(found.mapped.before, found.mapped.after), found.mapped.after
     fig, axes = plots.figure(2, 2)
-    fig.set_size_inches(9.2, 7.4)
     shape = (scenario.map.precession_phases, scenario.map.rotation_phases)
     before = found.mapped.before
     panels = (
@@ -44,14 +44,12 @@ def draw_map(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
     )
     for ax, (title, values, colours, levels, middle) in zip(axes.flat, panels, strict=True):
         _draw_phases(fig, ax, values.reshape(shape), after.long_axis.reshape(shape), colours, levels, middle)
-        ax.set_title(title, fontsize="medium")
+        ax.set_title(title)
     for ax in axes[1]:
         ax.set_xlabel("precession phase $\\phi$ at the perigee (°)")
     for ax in axes[:, 0]:
         ax.set_ylabel("rotation phase $\\psi$ at the perigee (°)")
-    fig.suptitle(
-        f"{scenario.title}: nominal body, every phase; hatched: it ends in a long-axis mode", fontsize="medium"
-    )
+    fig.suptitle(f"{scenario.title}: nominal body, every phase; hatched: it ends in a long-axis mode")
     return fig
 
 
@@ -92,12 +90,12 @@ def _draw_phases(fig: Figure, ax: Any, values: Any, long_axis: Any, colours: str
     ax.set_yticks(range(0, 361, 90))
 
 
+@plots.style()
 def draw_after(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
     """Plot the distributions of the members after the passage: periods, spin rate, turn of the pole, and the poles."""
     found = study(scenario, step, run)
     x, after, before = change(found.before, found.after), found.after, found.before
     fig, axes = plots.figure(3, 2)
-    fig.set_size_inches(12, 7)
     panels = (
         ("precession period $P_\\phi$ (h)", after.precession, before.precession[0]),
         ("rotation period $P_\\psi$ (h)", after.rotation, before.rotation[0]),
@@ -113,10 +111,10 @@ def draw_after(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
         if was is not None:
             ax.axvline(was, color=plots.INK, ls="--", lw=1.0, label="before (nominal)")
         ax.set(xlabel=label, ylabel="members")
-    axes[0, 0].legend(frameon=False, fontsize="x-small")
+    axes[0, 0].legend()
     axes[1, 2].remove()
     _draw_poles(fig.add_subplot(2, 3, 6, projection="polar"), before, after)
-    fig.suptitle(f"{scenario.title}: {len(after.rate)} members, phases uniform", fontsize="medium")
+    fig.suptitle(f"{scenario.title}: {len(after.rate)} members, phases uniform")
     return fig
 
 
@@ -133,16 +131,15 @@ def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
     ax.tick_params(labelsize="x-small")
     ax.set_title(
         f"direction of $L$: longitude, and ° from\nthe {'north' if side > 0 else 'south'} pole of the ecliptic",
-        fontsize="small",
     )
-    ax.legend(frameon=False, fontsize="x-small", loc="lower left", bbox_to_anchor=(-0.3, -0.12))
+    ax.legend(loc="lower left", bbox_to_anchor=(-0.3, -0.12))
 
 
+@plots.style()
 def draw_sensitivity(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
     """Plot what one standard deviation of each unknown does to the periods, to first order, over the phases."""
     found = study(scenario, step, run)
     fig, axes = plots.figure(2)
-    fig.set_size_inches(9.2, 3.8)
     names = {
         "phi": "φ, uniform",
         "psi": "ψ, uniform",
@@ -169,7 +166,6 @@ def draw_sensitivity(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
         ax.invert_yaxis()
         ax.set_xscale("log")
         ax.set_xlabel(f"{label}, 1 sigma of the unknown")
-        ax.grid(True, axis="x", lw=0.3, color=plots.GREY)
     axes[0, 1].set_yticklabels([])
-    fig.suptitle("To first order, over all phases: 5 %, quartiles and 95 %", fontsize="medium")
+    fig.suptitle("To first order, over all phases: 5 %, quartiles and 95 %")
     return fig

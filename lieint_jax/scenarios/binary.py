@@ -464,12 +464,12 @@ def _impact(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
     return lines
 
 
+@plots.style()
 def draw_orbit(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot the distance and the secondary's libration against time: the nominal member, and 90 % of the members."""
     found = motion(step.system, run)
     days = np.asarray(run.t) / _DAY
-    fig, axes = plots.figure(2)
-    fig.set_size_inches(11, 3.8)
+    fig, axes = plots.figure(2, size=(5.5, 3.8))
     swing = np.rad2deg(found.libration - _middle(found))
     for ax, x, label in zip(
         axes[0], (found.distance, swing), ("distance (m)", "libration of the secondary (°)"), strict=True
@@ -481,11 +481,12 @@ def draw_orbit(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
         ax.plot(days, x[:, 0], color=plots.BLUE, lw=0.8, label="nominal")
         ax.set(xlabel="t (d)", ylabel=label)
         ax.margins(x=0.01, y=0.1)
-    axes[0, 0].legend(frameon=False, fontsize="x-small", loc="upper right", ncols=2)
-    fig.suptitle(scenario.title, fontsize="medium")
+    axes[0, 0].legend(loc="upper right", ncols=2)
+    fig.suptitle(scenario.title)
     return fig
 
 
+@plots.style()
 def draw_spectrum(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot the spectrum of the nominal secondary's libration over a longer run, and the frequencies expected in it."""
     first = nominal_of(step)
@@ -497,8 +498,7 @@ def draw_spectrum(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     orbital = float(rate(t, found.longitude)[0]) / (2 * np.pi)
     A, B, C = (float(x) for x in first.system.inertias[1])
     anomalistic = float(frequencies(t, found).anomalistic[0])
-    fig, axes = plots.figure()
-    fig.set_size_inches(7.2, 4.2)
+    fig, axes = plots.figure(size=(7.2, 4.2))
     ax = axes[0, 0]
     shown = (f > 0) & (f < 3 * orbital)
     ax.semilogy(f[shown] / orbital, amplitude[shown], color=plots.INK, lw=0.7)
@@ -508,12 +508,13 @@ def draw_spectrum(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     for (label, x), style in zip(marks.items(), plots.STYLES[1:], strict=False):
         ax.axvline(x, color=style["color"], ls="--", lw=0.9, label=label)
     ax.set(xlim=(0, 3), xlabel="frequency over that of the orbit", ylabel="amplitude of the libration (°)")
-    ax.legend(frameon=False, fontsize="x-small", loc="upper right")
-    ax.set_title(f"nominal member, {abs(t[-1] - t[0]) / _DAY:.4g} d", fontsize="small")
-    fig.suptitle(scenario.title, fontsize="medium")
+    ax.legend(loc="upper right")
+    ax.set_title(f"nominal member, {abs(t[-1] - t[0]) / _DAY:.4g} d")
+    fig.suptitle(scenario.title)
     return fig
 
 
+@plots.style()
 def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot the exchange of energy between orbit, spins and shapes, and how well two schemes conserve H and L."""
     first, start = nominal_of(step), nominal(run)
@@ -522,14 +523,13 @@ def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     brief = follow(first, start, dt, min(_FINE * scenario.steps, round(_BRIEF * turn / abs(dt))))
     parts = jax.tree.map(np.asarray, jax.jit(jax.vmap(lambda z: energies(first.system, z)))(brief.state))
     size = abs(parts.orbit[0])
-    fig, axes = plots.figure(2)
-    fig.set_size_inches(11, 3.8)
+    fig, axes = plots.figure(2, size=(5.5, 3.8))
     names = {"orbit": "orbit", "spin_1": "primary's spin", "spin_2": "secondary's spin", "shape": "shapes, V + Gm₁m₂/r"}
     curves = {name: (getattr(parts, key) - getattr(parts, key)[0]) / size for key, name in names.items()}
     plots.series(axes[0, 0], np.asarray(brief.t) / _DAY, curves, "change over |energy of the orbit|", "d")
     axes[0, 0].margins(y=0.25)
-    axes[0, 0].legend(frameon=False, fontsize="x-small", loc="upper center", ncols=4)
-    axes[0, 0].set_title(f"exchange of energy, nominal member, {_BRIEF} orbits", fontsize="small")
+    axes[0, 0].legend(loc="upper center", ncols=2)
+    axes[0, 0].set_title(f"exchange of energy, nominal member, {_BRIEF} orbits")
     days = np.zeros(0)
     errors: dict[str, np.ndarray] = {}
     made = _steps(scenario, first.system)
@@ -541,9 +541,9 @@ def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
         errors[f"H, {made[name].name}"] = error["energy, over |energy|"][:, 0]
         errors[f"L, {made[name].name}"] = error["angular momentum, relative"][:, 0]
     plots.log_error(axes[0, 1], days, errors, "relative change", "d")
-    axes[0, 1].legend(frameon=False, fontsize="x-small")
-    axes[0, 1].set_title("energy H and angular momentum L", fontsize="small")
-    fig.suptitle(scenario.title, fontsize="medium")
+    axes[0, 1].legend()
+    axes[0, 1].set_title("energy H and angular momentum L")
+    fig.suptitle(scenario.title)
     return fig
 
 

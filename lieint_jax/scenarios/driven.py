@@ -180,6 +180,7 @@ def _principal(body: GravityGradient) -> dict[str, tuple[np.ndarray, str, int]]:
     return found | ({"greatest": (axes[:, 2], "orbit's normal", 2)} if greatest else {})
 
 
+@plots.style()
 def draw_pointing(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot an axis of inertia in the orbit's axes, as a path on the sphere, and its angle from where it is stable."""
     body = step.system
@@ -196,15 +197,16 @@ def draw_pointing(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     if scenario.members > 1:
         ends = in_space(run.state.q[-1], axis) @ np.asarray(end)
         plots.sphere_points(left, ends, f"members at t = {run.t[-1]:.4g}", color=plots.INK, s=2, alpha=0.5)
-    left.legend(frameon=False, fontsize="x-small", loc="lower left")
-    left.set_title("a body axis in the orbit's axes", fontsize="small")
+    left.legend(loc="lower left")
+    left.set_title("a body axis in the orbit's axes")
     angle = np.rad2deg(np.arccos(np.clip(path @ pole, -1, 1)))
     t, unit = _clock(scenario, long)
     plots.series(right, t, {"": angle}, f"angle from the {stable} (°)", unit)
-    fig.suptitle(scenario.title, fontsize="medium")
+    fig.suptitle(scenario.title)
     return fig
 
 
+@plots.style()
 def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot the error of energy less work of the nominal member by both schemes, and how much the energy changes."""
     body, curves, t, unit = step.system, {}, np.zeros(0), ""
@@ -214,10 +216,9 @@ def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
         curves[f"H − W, {name}"] = np.asarray(diagnostics.energy_error(body, long)) / abs(H).max()
         curves["H"] = (H - H[0]) / abs(H).max()
         t, unit = _clock(scenario, long)
-    fig, axes = plots.figure()
-    fig.set_size_inches(6.4, 4.2)
+    fig, axes = plots.figure(size=(6.4, 4.2))
     plots.log_error(axes[0, 0], t, curves, "change over the largest |energy|", unit)
-    axes[0, 0].set_title("energy H, on which the orbit works, and energy less work", fontsize="small")
+    axes[0, 0].set_title("energy H, on which the orbit works, and energy less work")
     return fig
 
 

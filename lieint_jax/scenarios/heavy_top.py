@@ -168,6 +168,7 @@ def _axis_and_velocity(top: PotentialTop, states: State, axis: Any) -> tuple[Any
     return jax.vmap(one)(states)
 
 
+@plots.style()
 def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot the axis to the centre of mass on the sphere, for one turn about γ or the whole run, and its inclination."""
     top, unit = step.system, scenario.time_unit
@@ -184,19 +185,20 @@ def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     plots.sphere_path(left, path, axis, eye=axis + 0.8 * path[0], pole_label="γ")
     if scenario.members > 1:
         plots.sphere_points(left, ends, f"members at t = {run.t[-1]:.4g}", color=plots.INK, s=2, alpha=0.5)
-    left.legend(frameon=False, fontsize="x-small", loc="lower left")
-    left.set_title(f"the axis in space to t = {long.t[-1]:.4g} {unit}", fontsize="small")
+    left.legend(loc="lower left")
+    left.set_title(f"the axis in space to t = {long.t[-1]:.4g} {unit}")
     plots.series(
         right, np.asarray(long.t), {"": np.rad2deg(np.arccos(np.clip(path @ axis, -1, 1)))}, "inclination (°)", unit
     )
     if is_lagrange(top):
         for bound in np.rad2deg(lagrange_motion(top, nominal(run)).inclination):
             right.axhline(bound, color=plots.RED, lw=0.7, ls="--")
-        right.set_title("nutation; dashed, its bounds in closed form", fontsize="small")
-    fig.suptitle(scenario.title, fontsize="medium")
+        right.set_title("nutation; dashed, its bounds in closed form")
+    fig.suptitle(scenario.title)
     return fig
 
 
+@plots.style()
 def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot the largest energy error so far of each scheme, and of Runge–Kutta at the cost of the slower scheme."""
     top, start, dt = step.system, nominal(run), scenario.dt
@@ -210,11 +212,10 @@ def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
         curves[f"{scheme.name.split('[so3')[0]}, Δt = {h:.2g}"] = np.interp(
             abs(t), np.abs(long.t), np.maximum.accumulate(error)
         )
-    fig, axes = plots.figure()
-    fig.set_size_inches(6.4, 4.2)
-    plots.log_error(axes[0, 0], t, curves, "largest relative energy error so far", scenario.time_unit)
+    fig, axes = plots.figure(size=(6.4, 4.2))
     axes[0, 0].set_xscale("log" if dt > 0 else "linear")
-    axes[0, 0].set_title("Runge–Kutta takes steps of equal cost per unit of time", fontsize="small")
+    plots.log_error(axes[0, 0], t, curves, "largest relative energy error so far", scenario.time_unit)
+    axes[0, 0].set_title("Runge–Kutta takes steps of equal cost per unit of time")
     return fig
 
 

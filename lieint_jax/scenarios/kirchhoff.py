@@ -163,6 +163,7 @@ def tilts(q: Any) -> np.ndarray:
     return np.rad2deg(np.arctan2(np.linalg.norm(across, axis=-1), along))
 
 
+@plots.style()
 def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot the path of the centre of the nominal and the last member, and the last one's third axis on the sphere."""
     fig, axes = plots.figure(2)
@@ -174,17 +175,18 @@ def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     paths = {name: np.asarray(follow(step, z, scenario.dt, scenario.steps).state.q) for name, z in members.items()}
     for (name, q), color in zip(paths.items(), (plots.INK, plots.BLUE), strict=False):
         left.plot(*q[:, :3, 3].T, color=color, lw=0.8, label=name)
-    left.legend(frameon=False, fontsize="x-small")
-    left.set_title("the centre of the ellipsoid", fontsize="small")
+    left.legend()
+    plots.cube(left).set(xlabel="x", ylabel="y", zlabel="z", title="the centre of the ellipsoid")
     q = paths["the last member" if scenario.members > 1 else "nominal"]
     P = np.asarray(last.p[3:])
     pole = P / np.linalg.norm(P) if P.any() else None
     plots.sphere_path(right, q[:, :3, 2], pole, eye=q[0, :3, 2] + 0.5 * q[0, :3, 0], pole_label="impulse")
-    right.set_title("its third axis", fontsize="small")
-    fig.suptitle(scenario.title, fontsize="medium")
+    right.set_title("its third axis")
+    fig.suptitle(scenario.title)
     return fig
 
 
+@plots.style()
 def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot energy errors of the last member by this scheme and by Runge–Kutta, and the tilts of all members' axes."""
     body, curves, t = step.system, {}, np.zeros(0)
@@ -196,9 +198,14 @@ def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     fig, axes = plots.figure(2)
     plots.log_error(axes[0, 0], t, curves, "energy error, relative", scenario.time_unit)
     right = axes[0, 1]
-    right.plot(np.asarray(run.t), tilts(run.state.q)[:, 1:], color=plots.BLUE, lw=0.4, alpha=0.4)
-    right.plot(np.asarray(run.t), tilts(run.state.q)[:, 0], color=plots.INK, lw=1.2)
+    tilt = tilts(run.state.q)
+    if scenario.members > 1:
+        right.plot(run.t, tilt[:, 1], color=plots.BLUE, lw=0.4, alpha=0.6, label="the other members")
+        right.plot(run.t, tilt[:, 2:], color=plots.BLUE, lw=0.4, alpha=0.4)
+    right.plot(run.t, tilt[:, 0], color=plots.INK, lw=1.2, label="nominal member")
     right.set(xlabel=f"t ({scenario.time_unit})", ylabel="third axis strays by (°)")
+    right.legend()
+    fig.suptitle(scenario.title)
     return fig
 
 

@@ -29,7 +29,7 @@ from lieint_jax.types import State, Step, Trajectory
 _TURN = 2 * np.pi
 _BOUND = 3.0  # a motion counts as chaotic if its exponent is above this many times ln(t)/t, which regular ones reach
 _MOST = 0.95  # the share of members from which a state counts as chaotic, or less than the rest of it as regular
-_COLOURS = ("#2a6f97", "#c8553d", "#5a8f3c", "#8a5aa8", "#c79a1e", "#1b9aaa", "#d1495b", "#3b5998")
+_COLOURS = plots.COLOURS[1:]  # of the regular motions
 _ROUND = 1e-9  # an angle within this of π is one of 0
 _IN_PLANE, _OUT_OF_PLANE = (2, 5), (0, 1, 3, 4)  # coordinates (δθ, δπ), which do not mix along a planar motion
 
@@ -367,32 +367,32 @@ def _percent(x: np.ndarray) -> str:
     return f"{100 * np.mean(x):.0f} %" if x.size else "—"
 
 
+@plots.style()
 def draw_section(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
     """Plot the surface of section at pericentre, and maps of the exponents in the plane and out of it."""
     found = chaos(scenario, step, run)
     chaotic = found.section[:, 0] > limit(scenario.orbits)
     theta, rate = section(scenario, run.state)
-    fig, axes = plots.figure(3)
-    fig.set_size_inches(14, 6)
+    fig, axes = plots.figure(3, size=(4.6, 5.2))
     left, *maps = axes[0]
     left.scatter(theta[:, chaotic], rate[:, chaotic], s=0.15, color=plots.GREY, lw=0, rasterized=True)
     for m in np.flatnonzero(~chaotic):
         left.scatter(theta[:, m], rate[:, m], s=0.4, lw=0, rasterized=True, color=_COLOURS[m % len(_COLOURS)])
     left.set_ylabel("spin rate θ̇ / n")
-    left.set_title("surface of section at pericentre:\na dot at every pericentre", fontsize="medium")
-    left.legend(handles=_legend(), frameon=True, fontsize="x-small", loc="upper right")
+    left.set_title("surface of section at pericentre:\na dot at every pericentre")
+    left.legend(handles=_legend(), frameon=True, loc="upper right")
     names = ("in the plane", "out of the plane: the spin axis leaves its normal")
     for ax, name, values in zip(maps, names, found.section.T, strict=True):
         x, y, value = (_rows(scenario, grid) for grid in (theta[0], rate[0], values))
         x[:, -1] += np.pi
         image = ax.pcolormesh(x, y, value, shading="nearest", vmin=0, cmap="magma")
         fig.colorbar(image, ax=ax)
-        ax.set_title(f"Lyapunov exponent / n,\n{name}", fontsize="medium")
+        ax.set_title(f"Lyapunov exponent / n,\n{name}")
     for ax in axes[0]:
         ax.set(xlabel="θ, long axis from the line of apsides", xlim=(0, np.pi), ylim=(0, scenario.greatest_rate))
         ax.set_xticks(np.pi * np.arange(5) / 4, ["0", "π/4", "π/2", "3π/4", "π"])
     title = f"{scenario.title}: {scenario.members} planar motions, {scenario.orbits} orbits each"
-    fig.suptitle(title, fontsize="medium")
+    fig.suptitle(title)
     return fig
 
 
@@ -420,11 +420,11 @@ def _legend() -> list[Any]:
     ]
 
 
+@plots.style()
 def draw_observed(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
     """Plot the largest exponents of the members about each observed state."""
     found, bound = chaos(scenario, step, run), limit(scenario.around.orbits)
-    fig, axes = plots.figure()
-    fig.set_size_inches(8, 1.2 + 0.42 * max(len(scenario.observed), 3))
+    fig, axes = plots.figure(size=(8, 1.2 + 0.42 * max(len(scenario.observed), 3)))
     ax, scatter = axes[0, 0], np.random.default_rng(0)
     ax.axvspan(0, bound, color=plots.GREY, alpha=0.35, lw=0, label="not told from a regular motion")
     for k, (x, error) in enumerate(zip(found.observed, found.errors, strict=True)):
@@ -438,7 +438,7 @@ def draw_observed(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
     ax.set_yticks(range(len(names)), names, fontsize="x-small")
     ax.invert_yaxis()
     ax.set(xlabel="largest Lyapunov exponent / n", xlim=(0, None), title=f"{scenario.title}: the observed states")
-    ax.legend(fontsize="x-small", loc="lower right")
+    ax.legend(loc="lower right")
     return fig
 
 

@@ -146,6 +146,7 @@ def quantities(bob: Pendulum, run: Trajectory, unit: str) -> list[Comparison]:
     ]
 
 
+@plots.style()
 def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot a dozen swings of the bob on the sphere, seen from below and aside, and its angle from γ against time."""
     bob, unit = step.system, scenario.time_unit
@@ -162,21 +163,23 @@ def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     if scenario.members > 1:
         ends = np.asarray(run.state.q[-1])
         plots.sphere_points(left, ends, f"members at t = {run.t[-1]:.4g}", color=plots.INK, s=2, alpha=0.5)
-    left.legend(frameon=False, fontsize="x-small", loc="lower left")
-    left.set_title(f"the bob to t = {long.t[-1]:.4g} {unit}", fontsize="small")
+    left.legend(loc="lower left")
+    left.set_title(f"the bob to t = {long.t[-1]:.4g} {unit}")
     angle = np.rad2deg(np.arccos(np.clip(path @ axis, -1, 1)))
     plots.series(right, np.asarray(long.t), {"": angle}, "angle from γ (°)", unit)
     for row in rows[2:]:
         if np.isfinite(row.closed_form):
             right.axhline(row.closed_form, color=plots.RED, lw=0.7, ls="--")
-    right.set_title("dashed: its bounds in closed form", fontsize="small")
-    fig.suptitle(scenario.title, fontsize="medium")
+    right.set_title("dashed: its bounds in closed form")
+    fig.suptitle(scenario.title)
     return fig
 
 
+@plots.style()
 def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot energy and constraint errors of the nominal member by both forms of the midpoint rule."""
-    bob, energy, constraint, t = step.system, {}, {}, None
+    unit = scenario.time_unit
+    bob, energy, constraint, t = step.system, {}, {}, np.zeros(0)
     for normalised in (False, True):
         scheme = schemes.sphere_midpoint(bob, normalised)
         long = follow(scheme, nominal(run), scenario.dt, scenario.steps)
@@ -184,8 +187,10 @@ def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
         constraint[scheme.name] = np.asarray(diagnostics.constraint_error(bob, long))
         t = np.asarray(long.t)
     fig, axes = plots.figure(2)
-    for ax, curves, label in zip(axes[0], (energy, constraint), ("energy error", "constraint error"), strict=True):
-        plots.log_error(ax, t, curves, label, scenario.time_unit)
+    H = abs(float(bob.energy(nominal(run)))) or 1.0
+    plots.log_error(axes[0, 0], t, {k: error / H for k, error in energy.items()}, "energy error, over |H₀|", unit)
+    plots.log_error(axes[0, 1], t, constraint, "constraint error |q|² − 1", unit)
+    fig.suptitle(scenario.title)
     return fig
 
 

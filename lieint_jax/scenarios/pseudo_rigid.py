@@ -199,6 +199,7 @@ def energies(scenario: Scenario, step: Any, run: Trajectory) -> Energies:
     return Energies(np.asarray(own.t), energy, displacement, converged)
 
 
+@plots.style()
 def draw_torus(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Draw delay plots as in the paper's Figures 3 to 5: of the midpoint rule's energy, and of the displacement."""
     found = energies(scenario, step, run)
@@ -206,18 +207,21 @@ def draw_torus(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     panels = {f"H, {MIDPOINT}": found.energy[MIDPOINT], f"‖F − 1‖², rule {scenario.rule!r}": found.displacement}
     for ax, (title, x) in zip(axes[0], panels.items(), strict=True):
         plots.delay_plot(ax, np.asarray(diagnostics.delay(jnp.asarray(x), scenario.lag)))
-        ax.set_title(f"{title}, lag {scenario.lag}", fontsize="small")
-    fig.suptitle(scenario.title, fontsize="medium")
+        ax.set_title(f"{title}, lag {scenario.lag}")
+    fig.suptitle(scenario.title)
     return fig
 
 
+@plots.style()
 def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot energy errors of the nominal member by the scenario's rule and by the midpoint rule; its displacement."""
     found = energies(scenario, step, run)
     fig, axes = plots.figure(2)
+    size = max(float(abs(H[0])) for H in found.energy.values())
     errors = {name: H - H[0] for name, H in found.energy.items()}
-    plots.log_error(axes[0, 0], found.t, errors, "energy error", scenario.time_unit)
-    plots.series(axes[0, 1], found.t, {"": found.displacement}, "‖F − 1‖²", scenario.time_unit)
+    plots.log_error(axes[0, 0], found.t, errors, "energy error", scenario.time_unit, size, "|H₀|")
+    plots.series(axes[0, 1], found.t, {"": found.displacement}, "displacement ‖F − 1‖²", scenario.time_unit)
+    fig.suptitle(scenario.title)
     return fig
 
 

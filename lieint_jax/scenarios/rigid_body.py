@@ -15,12 +15,14 @@ from lieint_jax import diagnostics, maps, plots, schemes, systems
 from lieint_jax.groups import so3
 from lieint_jax.integrate import integrate
 from lieint_jax.phase_spaces import frame
-from lieint_jax.scenarios._body import BodyScenario, InitialState, ensemble, in_space, inertia_matrix
+from lieint_jax.scenarios._body import BodyScenario, InitialState, about_least, ensemble, in_space, inertia_matrix
 from lieint_jax.scenarios._common import Published, Text, deviation, follow, nominal, thinned
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, Trajectory
 
 Z = (0.0, 0.0, 1.0)  # the body axis that is drawn
+
+_SUBSCRIPTS = "₁₂₃"
 
 
 class Observation(InitialState):
@@ -148,7 +150,7 @@ def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarr
         R, pi = np.asarray(matrix(run.state.q[:, m])), np.asarray(run.state.p[0, m])
         Pi = R.transpose(0, 2, 1) @ pi @ axes
         square = (Pi[0] ** 2).sum()
-        long = square < (Pi[0] ** 2 / moments).sum() * moments[1]
+        long = about_least(moments, Pi[0])
         e = R @ axes[:, 0 if long else 2]
         Pi = Pi[:, [1, 2, 0]] if long else Pi
         across = np.stack(frame(jnp.asarray(pi / np.maximum(np.linalg.norm(pi), np.finfo(float).tiny))))
@@ -242,30 +244,47 @@ def _sighting(scenario: Scenario, sighting: Sighting) -> str:
     return "\n".join(lines)
 
 
+@plots.style()
 def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
-    """Plot the path of the body's z axis in space, with all members at the first observation, and the polhode."""
+    """Map where the body's z axis points in space, with all members at the first observation, and what was observed."""
     seen = [s for s in scenario.observation if 0 <= save_index(scenario, s) < len(run.t)][:1]
     last = save_index(scenario, seen[0]) if seen else len(run.t) - 1
     long = follow(step, nominal(run), scenario.dt, last * scenario.save_every)
-    size = np.linalg.norm(run.state.p[0, 0])
-    fig, axes = plots.figure(2, subplot_kw={"projection": "3d"})
-    left, right = axes[0]
-    axis, members = in_space(long.state.q, Z), in_space(run.state.q[last], Z)
-    pole = np.asarray(run.state.p[0, 0]) / size
-    plots.sphere_path(left, axis, pole, eye=axis.mean(axis=0) + members.mean(axis=0))
-    plots.sphere_points(left, members, "members", color=plots.INK, s=2, alpha=0.5)
+    path, members = in_space(long.state.q, Z), in_space(run.state.q[last], Z)
+    pole = np.asarray(run.state.p[0, :1]) / np.linalg.norm(run.state.p[0, 0])
+    centre = float(30 * np.round(np.rad2deg(np.arctan2(pole[0, 1], pole[0, 0])) / 30))
+    fig, axes = plots.figure(size=(7.4, 4.6), subplot_kw={"projection": "mollweide"})
+    ax, span = plots.sky(axes[0, 0], centre), f"to t = {long.t[-1]:.4g} {scenario.time_unit}"
+    plots.sky_path(ax, path, f"body axis z, nominal member, {span}", centre, color=plots.BLUE, lw=0.8)
+    label = f"{scenario.members} members then" if scenario.members > 1 else "axis z then"
+    plots.sky_points(ax, members, label, centre, color=plots.INK, s=3, alpha=0.5, lw=0, zorder=3)
+    plots.sky_points(ax, pole, "angular momentum", centre, color=plots.GREEN, marker="P", s=45, zorder=3)
     if seen:
-        plots.sphere_points(
-            left, in_space(seen[0].attitude()[None], Z), seen[0].label, color=plots.RED, marker="x", s=60
-        )
-    left.legend(frameon=False, fontsize="x-small", loc="lower left")
-    left.set_title(f"body axis z in space to t = {long.t[-1]:.4g} {scenario.time_unit}", fontsize="small")
-    plots.sphere_path(right, np.asarray(jax.vmap(step.system.body_momentum)(long.state)) / size)
-    right.set_title("angular momentum in the body", fontsize="small")
-    fig.suptitle(scenario.title, fontsize="medium")
+        observed = in_space(seen[0].attitude()[None], Z)
+        plots.sky_points(ax, observed, "observed then", centre, color=plots.RED, marker="x", s=60, lw=1.6, zorder=4)
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=4)
+    ax.set(xlabel="longitude in the axes of space", ylabel="latitude")
+    fig.suptitle(scenario.title)
+    if seen:
+        plots.caption(fig, _observation_in_words(scenario, seen[0], path[-1], members))
     return fig
 
 
+def _observation_in_words(scenario: Scenario, seen: Observation, nominal_axis: np.ndarray, members: np.ndarray) -> str:
+    """What the cross of `draw_path` is, and how far from the predicted axes it lies."""
+    [observed] = in_space(seen.attitude()[None], Z)
+
+    def degrees(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), a @ b))
+
+    spread = np.sqrt(np.mean(degrees(members, nominal_axis) ** 2))
+    return (
+        f"Cross: axis z of the attitude observed by {seen.label} ({scenario.source(seen.source)}), "
+        f"{degrees(observed, nominal_axis):.1f}° from the nominal prediction; members scatter by {spread:.1f}° rms"
+    )
+
+
+@plots.style()
 def draw_invariants(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot the energy and Poisson errors of the nominal member against time."""
     n, every = thinned(scenario.steps)
@@ -278,10 +297,30 @@ def draw_invariants(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
         return series.t, energy, jnp.linalg.norm(sigma, axis=1)
 
     t, energy, sigma = (np.asarray(x) for x in errors(nominal(run)))
-    fig, axes = plots.figure(2)
-    plots.series(axes[0, 0], t, {"": energy}, "relative energy error", scenario.time_unit)
-    plots.log_error(axes[0, 1], t, {"": sigma}, "Poisson error |σ|", scenario.time_unit)
+    fig, axes = plots.figure(3)
+    plots.log_error(axes[0, 0], t, {"nominal member": energy}, "relative energy error", scenario.time_unit)
+    plots.log_error(axes[0, 1], t, {"nominal member": sigma}, "Poisson error |σ|", scenario.time_unit)
+    _draw_polhode(axes[0, 2], step.system, run)
+    fig.suptitle(scenario.title)
     return fig
+
+
+def _draw_polhode(ax: Any, body: RigidBody, run: Trajectory) -> None:
+    """The body momentum of the nominal member, looked at along the principal axis that it goes about."""
+    moments, axes = np.linalg.eigh(inertia_matrix(body))
+    Pi = np.asarray(jax.jit(jax.vmap(body.body_momentum))(jax.tree.map(lambda x: jnp.asarray(x[:, 0]), run.state)))
+    Pi = Pi @ axes / np.linalg.norm(Pi[0])
+    about = 0 if about_least(moments, Pi[0]) else 2
+    x, y = (k for k in range(3) if k != about)
+    angle = np.linspace(0, 2 * np.pi, 145)
+    ax.plot(np.cos(angle), np.sin(angle), color=plots.GREY, lw=0.8)
+    ax.plot(Pi[:, x], Pi[:, y], ".", ms=2, color=plots.BLUE)
+    ax.set(
+        aspect="equal",
+        xlabel=f"Π{_SUBSCRIPTS[x]} / |Π|",
+        ylabel=f"Π{_SUBSCRIPTS[y]} / |Π|",
+        title=f"polhode, seen along principal axis {about + 1}",
+    )
 
 
 PICTURES = {"path": draw_path, "invariants": draw_invariants}

@@ -191,6 +191,7 @@ def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
     return "\n".join(lines)
 
 
+@plots.style()
 def draw_errors(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot the errors of H, P and L of the nominal droplet by the splitting and by the energy–momentum scheme."""
     fig, axes = plots.figure(2)
@@ -209,12 +210,13 @@ def draw_errors(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
             "P, over the largest |p|": np.linalg.norm(moved[:, :3], axis=1) / abs(p).max(),
             "L, over the largest |x × p|": np.linalg.norm(moved[:, 3:], axis=1) / abs(np.cross(x, p)).max(),
         }
-        plots.log_error(ax, np.asarray(long.t), curves, "change", "ps")
+        plots.log_error(ax, np.asarray(long.t), curves, "relative change", "ps")
         ax.set(title=title, ylim=(1e-17, 1))
-    fig.suptitle(scenario.title, fontsize="medium")
+    fig.suptitle(scenario.title)
     return fig
 
 
+@plots.style()
 def draw_droplet(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     """Plot the nominal droplet at the end, the temperature of the members, and the histogram of O–O distances."""
     fig, axes = plots.figure(3)
@@ -240,7 +242,8 @@ def draw_droplet(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
         known = scenario.published.first_peak_nm
         axes[0, 2].axvline(known.value, color=plots.RED, ls="--", lw=1, label=f"liquid, published: {known.value:g} nm")
     axes[0, 2].set(xlabel="O–O distance r (nm)", ylabel="pairs per volume, over the first peak")
-    axes[0, 2].legend(frameon=False, fontsize="small")
+    axes[0, 2].legend()
+    fig.suptitle(scenario.title)
     return fig
 
 

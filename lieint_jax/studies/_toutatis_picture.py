@@ -25,6 +25,7 @@ _TITLES = (
 )
 
 
+@plots.style()
 def draw(found: Any) -> Figure:
     """Residuals of attitude and rate by epoch; momentum and periods beside published ones; prediction; coverage."""
     fig, axes = plots.figure(3, 2)
@@ -35,11 +36,11 @@ def draw(found: Any) -> Figure:
     axes[1, 0].plot(*HUDSON_OSTRO, "D", color=plots.GREY, mec=plots.INK, ms=6, label="Hudson & Ostro 1995")
     _pair(axes[1, 1], found, (2, 3), "ecliptic longitude (°)", "ecliptic latitude (°)")
     for ax in axes[1, :2]:
-        ax.legend(frameon=False, fontsize="x-small", loc="best")
+        ax.legend(loc="best")
     _coverage(axes[1, 2], found)
     for ax, letter, title in zip(axes.flat, "abcdef", _TITLES, strict=True):
-        ax.set_title(f"({letter}) {title}", loc="left", fontsize="small")
-    fig.suptitle(found.scenario.title, fontsize="medium")
+        ax.set_title(f"({letter}) {title}", loc="left")
+    fig.suptitle(found.scenario.title)
     return fig
 
 
@@ -57,7 +58,7 @@ def _residuals(ax: Axes, found: Any, kind: int, label: str) -> None:
     ax.axhline(level, color=plots.INK, lw=0.8, ls="--", label="√3 × fitted noise")
     top = max(np.linalg.norm(e[kind], axis=-1).max() for e in found.residuals.values())
     ax.set(xlabel="December 1992 (UTC)", ylabel=label, ylim=(0, 1.55 * top), xticks=range(3, 19, 3))
-    ax.legend(frameon=False, fontsize="x-small", ncols=2, loc="upper center")
+    ax.legend(ncols=2, loc="upper center")
 
 
 def _prediction(ax: Axes, found: Any) -> None:
@@ -84,7 +85,7 @@ def _prediction(ax: Axes, found: Any) -> None:
         ax.plot([t, t], [0, height], color=plots.GREY, lw=0.6, zorder=0)
     ax.set(xscale="log", xlim=(5, 14000), ylim=(0, 270), yticks=range(0, 181, 30))
     ax.set(xlabel="days after 1992-12-10", ylabel="angle (°)")
-    ax.legend(frameon=False, fontsize="x-small", loc="upper left")
+    ax.legend(loc="upper left")
 
 
 def _pair(ax: Axes, found: Any, which: tuple[int, int], xlabel: str, ylabel: str) -> None:
@@ -123,4 +124,4 @@ def _coverage(ax: Axes, found: Any) -> None:
     ax.text(0.03, 0.96, note, transform=ax.transAxes, va="top", fontsize="x-small")
     sets = len(found.coverage.pulls)
     ax.set(xlabel=f"(estimate − truth)/σ, {sets} synthetic sets", ylabel="density", ylim=(0, 0.52))
-    ax.legend(frameon=False, fontsize="x-small", loc="upper right")
+    ax.legend(loc="upper right")

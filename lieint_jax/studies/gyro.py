@@ -133,17 +133,22 @@ def text(found: GyroTrials) -> str:
     return "\n".join([*lines, f"\n  truth inside the joint 95 % ellipsoid: {100 * found.inside:.0f} % of the trials"])
 
 
+@plots.style()
 def draw(found: GyroTrials) -> Figure:
     """Plot the readings of one trial, and all estimates of the ratios beside the truth."""
     fig, axes = plots.figure(2)
     t, data, fitted = found.readings
     left, right = axes[0]
     plots.series(left, t, dict(zip("xyz", fitted.T, strict=True)), "body rate (rad/s)", "s")
-    left.plot(t, data, ".", ms=2, color=plots.GREY)
+    left.plot(t, data, ".", ms=3, color=plots.INK, alpha=0.35, label="readings")
+    handles, labels = left.get_legend_handles_labels()
+    left.legend(handles[:4], labels[:4])
+    left.set_title("readings of the first trial and the fitted motion")
     x, y = found.estimates[:, 3:5].T
     sx, sy = found.sigmas[:, 3:5].T
-    right.errorbar(x, y, 2 * sy, 2 * sx, ".", ms=3, lw=0.4, color=plots.BLUE, label="estimates, ±2σ")
-    right.plot(*found.truth[3:5], "+", ms=12, color=plots.RED, label="truth")
-    right.set(xlabel="Jx/Jz", ylabel="Jy/Jz")
-    right.legend(frameon=False, fontsize="small")
+    right.errorbar(x, y, 2 * sy, 2 * sx, ".", ms=3, lw=0.4, color=plots.BLUE, label="estimates, ±2σ reported")
+    right.plot(*found.truth[3:5], "x", ms=9, mew=2, color=plots.RED, label="truth")
+    right.set(xlabel="Jx/Jz", ylabel="Jy/Jz", title=f"inertia ratios, {len(x)} trials")
+    right.locator_params(axis="x", nbins=5)
+    right.legend()
     return fig

@@ -205,6 +205,7 @@ def text(found: LearntKappas) -> str:
     )
 
 
+@plots.style()
 def draw(found: LearntKappas) -> Figure:
     """Plot every κ on its training range (shaded) and test range, and the Poisson error along the long runs."""
     fig, axes = plots.figure(2)

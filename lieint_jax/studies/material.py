@@ -119,9 +119,13 @@ def text(found: MaterialFit) -> str:
     return "\n".join(lines)
 
 
+@plots.style()
 def draw(found: MaterialFit) -> Figure:
     """Plot observed and fitted strains."""
     fig, axes = plots.figure(1)
     plots.series(axes[0, 0], found.times, dict(zip(("Cxx", "Cyy", "Czz"), found.fitted.T, strict=False)), "strain C")
-    axes[0, 0].plot(found.times, found.data[:, :3], ".", ms=3, color=plots.GREY)
+    axes[0, 0].plot(found.times, found.data[:, 0], ".", ms=4, color=plots.PURPLE, label="observed")
+    axes[0, 0].plot(found.times, found.data[:, 1:3], ".", ms=4, color=plots.PURPLE)
+    axes[0, 0].set_title("strain observed, and by the fitted constants")
+    axes[0, 0].legend()
     return fig

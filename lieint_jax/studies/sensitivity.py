@@ -162,6 +162,7 @@ def text(found: LyapunovSpectrum) -> str:
     )
 
 
+@plots.style()
 def draw(found: LyapunovSpectrum) -> Figure:
     """Plot the exponents against time."""
     fig, axes = plots.figure(1)
