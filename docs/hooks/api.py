@@ -1,0 +1,35 @@
+"""API pages list a room's functions before its classes: `::: functions of NAME` and `::: classes of NAME` on a page.
+
+Both stand for the public names: those of `__all__`, else what the module defines.
+"""
+
+import importlib
+import inspect
+import re
+
+DIRECTIVE = re.compile(r"^::: (functions|classes) of (\S+)$", re.M)
+
+
+def on_page_markdown(markdown, **_):
+    """Write each of these lines as mkdocstrings wants it."""
+    return DIRECTIVE.sub(_members, markdown)
+
+
+def _members(found):
+    kind, name = found.groups()
+    room = importlib.import_module(name)
+    chosen = [x for x in _public(room) if inspect.isclass(getattr(room, x)) == (kind == "classes")]
+    introduction = [f"::: {name}\n    options: {{members: [], show_root_heading: false}}"] if kind == "functions" else []
+    return "\n\n".join([*introduction, *(_member(x, getattr(room, x)) for x in chosen)])
+
+
+def _member(name, value):
+    """One of them, where it is defined: a module may have the name of its function. Pages link to its short name."""
+    return f'<a id="{name}"></a>\n\n::: {value.__module__}.{value.__name__}'
+
+
+def _public(room):
+    """The public functions and classes of a module."""
+    own = [x for x, value in vars(room).items() if getattr(value, "__module__", None) == room.__name__]
+    names = [x for x in getattr(room, "__all__", own) if not x.startswith("_") and x != "examples"]
+    return [x for x in names if inspect.isclass(getattr(room, x)) or inspect.isfunction(getattr(room, x))]
