@@ -19,7 +19,7 @@ def _members(found):
     kind, name = found.groups()
     room = importlib.import_module(name)
     chosen = [x for x in _public(room) if inspect.isclass(getattr(room, x)) == (kind == "classes")]
-    introduction = [f"::: {name}\n    options: {{members: [], show_root_heading: false}}"] if kind == "functions" else []
+    introduction = [f"::: {name}\n    options: {{members: [], show_root_heading: false, show_root_toc_entry: false}}"] if kind == "functions" else []
     return "\n\n".join([*introduction, *(_member(x, getattr(room, x)) for x in chosen)])
 
 
