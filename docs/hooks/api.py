@@ -8,6 +8,13 @@ import inspect
 import re
 
 DIRECTIVE = re.compile(r"^::: (functions|classes) of (\S+)$", re.M)
+INTRODUCTION = """::: {}
+    options:
+      members: []
+      show_root_heading: false
+      show_root_toc_entry: false
+
+"""
 
 
 def on_page_markdown(markdown, **_):
@@ -19,8 +26,8 @@ def _members(found):
     kind, name = found.groups()
     room = importlib.import_module(name)
     chosen = [x for x in _public(room) if inspect.isclass(getattr(room, x)) == (kind == "classes")]
-    introduction = [f"::: {name}\n    options: {{members: [], show_root_heading: false, show_root_toc_entry: false}}"] if kind == "functions" else []
-    return "\n\n".join([*introduction, *(_member(x, getattr(room, x)) for x in chosen)])
+    members = "\n\n".join(_member(x, getattr(room, x)) for x in chosen)
+    return INTRODUCTION.format(name) + members if kind == "functions" else members
 
 
 def _member(name, value):

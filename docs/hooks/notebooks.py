@@ -50,4 +50,3 @@ def _output(output, stem, pictures):
 
 def _fenced(language, text):
     return f"```{language}\n{text.rstrip()}\n```"
-

@@ -10,13 +10,14 @@ from lieint_jax.scenarios._common import Common
 
 INTRODUCTION = """# Every scenario key
 
-A scenario is a TOML file: a system, a scheme, a step size and an ensemble of initial states. `lieint run NAME` runs a
-shipped one, `lieint run my.toml` one of your own; copy a shipped file and change it. An unknown key, a number out of range
-or a text in place of a number is refused by an error that names the key. This page is made from the JSON schema that
-`lieint schema` prints; an editor that knows JSON schemas can use it to complete and check your file.
+A scenario is a TOML file: a system, a scheme, a step size and an ensemble of initial states. `lieint run NAME` runs
+a shipped one, `lieint run my.toml` one of your own; copy a shipped file and change it. An unknown key, a number out of
+range or a text in place of a number is refused by an error that names the key. This page is made from the JSON schema
+that `lieint schema` prints; an editor that knows JSON schemas can use it to complete and check your file.
 
-Keys in **bold** must be given. A value such as `[…] × 3` is a list of three numbers. Units stand in the names of the keys
-where they are fixed (`_deg`, `_km`, …); all other numbers must agree with one another, see [Units](../howto/units.md).
+Keys in **bold** must be given. A value such as `[…] × 3` is a list of three numbers. Units stand in the names of the
+keys where they are fixed (`_deg`, `_km`, …); all other numbers must agree with one another, see
+[Units](../howto/units.md).
 """
 
 
@@ -31,7 +32,7 @@ def _page():
     common = Common.model_json_schema()
     parts = [INTRODUCTION, "## Keys of every scenario", _keys(common, common["properties"], {})]
     published = schema["$defs"]["Published"]
-    parts += ["### `[published.NAME]`", "A number to compare with, where a kind of system below has a table `published`."]
+    parts += ["### `[published.NAME]`", "A number to compare with, in the table `published` of some kinds of system."]
     parts += [_keys(published, published["properties"], {})]
     models = {name: _resolved(schema, ref) for name, ref in zip(scenarios.kinds(), schema["oneOf"], strict=True)}
     for name, model in models.items():
@@ -126,10 +127,10 @@ def _list(value, definitions):
 
 def _range(value):
     signs = (("exclusiveMinimum", ">"), ("minimum", "≥"), ("exclusiveMaximum", "<"), ("maximum", "≤"))
-    found = [f"{sign} {_number(value[name])}" for name, sign in signs if name in value and abs(value[name]) < 1e9]
+    found = [f"{sign}\u00a0{_number(value[name])}" for name, sign in signs if name in value and abs(value[name]) < 1e9]
     if "multipleOf" in value:
         found.append(f"a multiple of {value['multipleOf']}")
-    return f" {', '.join(found)}" if found else ""
+    return f"\u00a0{', '.join(found)}" if found else ""
 
 
 def _number(x):
