@@ -21,7 +21,8 @@ PYTHON = {name: blocks(text, "python", "text") for name, text in TEXTS.items() i
 LONG = {  # dear pages, which run in shards
     "faq.md",
     "why.md",
-    *(f"howto/{x}.md" for x in "bodies chaos fits group output potential scheme system torque".split()),
+    *(f"howto/{x}.md" for x in ("bodies", "chaos", "fits", "group", "output", "potential")),
+    *(f"howto/{x}.md" for x in ("scheme", "system", "torque")),
 }
 ROUND_OFF = 1e-11  # numbers below this are rounding errors, whose digits differ from machine to machine
 

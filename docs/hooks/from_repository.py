@@ -8,6 +8,7 @@ from mkdocs.structure.files import File
 ROOT = Path(__file__).parents[2]
 CORRECTIONS = ROOT / "lieint_jax" / "corrections.md"
 WHERE = "## Where in the paper, where here"
+WIDE = "---\nhide: [toc]\n---\n\n"  # for tables that need the room
 TITLES = {
     "free_rigid_body": "Free rigid bodies",
     "work_precision": "Work and precision",
@@ -67,7 +68,7 @@ def _parts():
 def _corrections():
     before, _, after = _parts()
     pointer = "The table from the paper's sections to files and tests is [a page of its own](paper.md).\n"
-    return f"{before}{after}".replace("\n## ", f"\n{pointer}\n## ", 1)
+    return WIDE + f"{before}{after}".replace("\n## ", f"\n{pointer}\n## ", 1)
 
 
 def _paper():
@@ -78,4 +79,4 @@ def _paper():
         "from a section to the file that has its formulas and to a test of them; the tests look up every row. "
         "Printed formulas that do not hold are in [Corrections](corrections.md).\n\n"
     )
-    return introduction + _parts()[1] + "\n"
+    return WIDE + introduction + _parts()[1] + "\n"

@@ -28,12 +28,24 @@ def _page(path):
             parts.append(source)
             continue
         parts.append(_fenced("python", source))
-        for output in cell["outputs"]:
+        for output in _merged(cell["outputs"]):
             parts.append(_output(output, path.stem, pictures))
     title, *rest = parts
     run = f"*This page is the notebook `notebooks/{path.name}`; download it from the repository to run it.*"
     heading, _, body = title.partition("\n")
     return "\n\n".join([heading, run, body.strip(), *rest]), pictures
+
+
+def _merged(outputs):
+    """The outputs of a cell, where what one after the other is printed is one text."""
+    merged = []
+    for output in outputs:
+        printed = output["output_type"] == "stream" and merged and merged[-1].get("name") == output["name"]
+        if printed:
+            merged[-1] = merged[-1] | {"text": [*merged[-1]["text"], *output["text"]]}
+        else:
+            merged.append(output)
+    return merged
 
 
 def _output(output, stem, pictures):
