@@ -3,7 +3,7 @@
 Both stand for the public names: those of `__all__`, else what the module defines.
 """
 
-import importlib
+import importlib.util
 import inspect
 import re
 
@@ -26,13 +26,16 @@ def _members(found):
     kind, name = found.groups()
     room = importlib.import_module(name)
     chosen = [x for x in _public(room) if inspect.isclass(getattr(room, x)) == (kind == "classes")]
-    members = "\n\n".join(_member(x, getattr(room, x)) for x in chosen)
+    members = "\n\n".join(_member(room, x) for x in chosen)
     return INTRODUCTION.format(name) + members if kind == "functions" else members
 
 
-def _member(name, value):
-    """One of them, where it is defined: a module may have the name of its function. Pages link to its short name."""
-    return f'<a id="{name}"></a>\n\n::: {value.__module__}.{value.__name__}'
+def _member(room, name):
+    """One of them; where a module has the name of its function, by the path to its definition."""
+    value = getattr(room, name)
+    hidden = hasattr(room, "__path__") and importlib.util.find_spec(f"{room.__name__}.{name}")
+    path = f"{value.__module__}.{value.__name__}" if hidden else f"{room.__name__}.{name}"
+    return f'<a id="{name}"></a>\n\n::: {path}'
 
 
 def _public(room):

@@ -1,6 +1,7 @@
 """A Griffe extension: docstrings as its parser wants them.
 
-`Example:` becomes the section `Examples:`, and `a, b: text` of arguments or attributes becomes a line for each name.
+`Example:` becomes the section `Examples:`, `a, b: text` of arguments or attributes becomes a line for each name, and a
+description that begins with > is no quotation.
 """
 
 import re
@@ -10,6 +11,8 @@ from griffe import Extension
 EXAMPLE = re.compile(r"^Example:(?: (.+(?:\n(?! |$).+)*))?\n(?=(?:\n| {4}).*>>>)", re.M)
 SEVERAL = re.compile(r"^    (\w+(?:, \w+)+)(: .*(?:\n {8}.*)*)$", re.M)
 
+GREATER = re.compile(r"^(    \w+: )(?=>)", re.M)
+
 
 class Docstrings(Extension):
     """Rewrite every docstring."""
@@ -18,7 +21,7 @@ class Docstrings(Extension):
         """Called for each module, class, function and attribute."""
         if obj.docstring:
             text = EXAMPLE.sub(_examples, obj.docstring.value)
-            obj.docstring.value = SEVERAL.sub(_each, text)
+            obj.docstring.value = GREATER.sub(r"\1\\", SEVERAL.sub(_each, text))
 
 
 def _examples(found):
