@@ -55,7 +55,8 @@ def _table(path):
     picture = f"\n![What accuracy costs]({path.stem}.png)\n" if path.with_suffix(".png").is_file() else ""
     script = "round_off" if path.stem.startswith("round_off") else path.stem
     origin = f"Written by `python benchmarks/{script}.py`, read in [Results](../index.md).\n"
-    return f"# {TITLES[path.stem]}\n\n{origin}{picture}\n{path.read_text(encoding='utf-8')}"
+    text = path.read_text(encoding="utf-8").replace("](", "]\\(")  # compose[suzuki](…) is no link
+    return f"{WIDE}# {TITLES[path.stem]}\n\n{origin}{picture}\n{text}"
 
 
 def _parts():
