@@ -9,7 +9,7 @@ import nox
 
 nox.options.default_venv_backend = "uv"
 nox.options.error_on_missing_interpreters = False
-nox.options.sessions = ["tests", "lowest", "lint", "build"]
+nox.options.sessions = ["tests", "lowest", "lint", "docs", "build"]
 PYTHONS = ["3.11", "3.12", "3.13", "3.14"]
 
 
@@ -34,6 +34,13 @@ def lint(session):
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")
     session.run("pyright", "--pythonpath", f"{session.virtualenv.bin}/python")
+
+
+@nox.session(python="3.11")
+def docs(session):
+    """The documentation site, strictly: every internal link leads somewhere. It is left in docs/build."""
+    session.install("-e", ".[docs]")
+    session.run("mkdocs", "build", "--strict", "-f", "docs/mkdocs.yml")
 
 
 @nox.session(python="3.11")

@@ -5,13 +5,14 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from documents import blocks
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_python_of_the_readme_runs(capsys):
-    first, second = re.findall(r"```python\n(.*?)```", README, re.S)
+    (_, first), (_, second) = blocks(README, "python")
     names = {}
     exec(first, names)
     assert "exact to round-off" in capsys.readouterr().out

@@ -1,0 +1,45 @@
+"""API pages list a room's functions before its classes: `::: functions of NAME` and `::: classes of NAME` on a page.
+
+Both stand for the public names: those of `__all__`, else what the module defines.
+"""
+
+import importlib.util
+import inspect
+import re
+
+DIRECTIVE = re.compile(r"^::: (functions|classes) of (\S+)$", re.M)
+INTRODUCTION = """::: {}
+    options:
+      members: []
+      show_root_heading: false
+      show_root_toc_entry: false
+
+"""
+
+
+def on_page_markdown(markdown, **_):
+    """Write each of these lines as mkdocstrings wants it."""
+    return DIRECTIVE.sub(_members, markdown)
+
+
+def _members(found):
+    kind, name = found.groups()
+    room = importlib.import_module(name)
+    chosen = [x for x in _public(room) if inspect.isclass(getattr(room, x)) == (kind == "classes")]
+    members = "\n\n".join(_member(room, x) for x in chosen)
+    return INTRODUCTION.format(name) + members if kind == "functions" else members
+
+
+def _member(room, name):
+    """One of them; where a module has the name of its function, by the path to its definition."""
+    value = getattr(room, name)
+    hidden = hasattr(room, "__path__") and importlib.util.find_spec(f"{room.__name__}.{name}")
+    path = f"{value.__module__}.{value.__name__}" if hidden else f"{room.__name__}.{name}"
+    return f'<a id="{name}"></a>\n\n::: {path}'
+
+
+def _public(room):
+    """The public functions and classes of a module."""
+    own = [x for x, value in vars(room).items() if getattr(value, "__module__", None) == room.__name__]
+    names = [x for x in getattr(room, "__all__", own) if not x.startswith("_") and x != "examples"]
+    return [x for x in names if inspect.isclass(getattr(room, x)) or inspect.isfunction(getattr(room, x))]

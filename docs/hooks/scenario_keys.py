@@ -1,0 +1,146 @@
+"""The page of all scenario keys, from the JSON schema that `lieint schema` prints."""
+
+import json
+from importlib import resources
+
+from mkdocs.structure.files import File
+
+from lieint_jax import scenarios
+from lieint_jax.scenarios._common import Common
+
+INTRODUCTION = """# Every scenario key
+
+A scenario is a TOML file: a system, a scheme, a step size and an ensemble of initial states. `lieint run NAME` runs
+a shipped one, `lieint run my.toml` one of your own; copy a shipped file and change it. An unknown key, a number out of
+range or a text in place of a number is refused by an error that names the key. This page is made from the JSON schema
+that `lieint schema` prints; an editor that knows JSON schemas can use it to complete and check your file.
+
+Keys in **bold** must be given. A value such as `[…] × 3` is a list of three numbers. Units stand in the names of the
+keys where they are fixed (`_deg`, `_km`, …); all other numbers must agree with one another, see
+[Units](../howto/units.md).
+"""
+
+
+def on_files(files, config):
+    """Add the page."""
+    files.append(File.generated(config, "reference/scenario_keys.md", content=_page()))
+    return files
+
+
+def _page():
+    schema = scenarios.schema()
+    common = Common.model_json_schema()
+    parts = [INTRODUCTION, "## Keys of every scenario", _keys(common, common["properties"], {})]
+    published = schema["$defs"]["Published"]
+    parts += ["### `[published.NAME]`", "A number to compare with, in the table `published` of some kinds of system."]
+    parts += [_keys(published, published["properties"], {})]
+    models = {name: _resolved(schema, ref) for name, ref in zip(scenarios.kinds(), schema["oneOf"], strict=True)}
+    for name, model in models.items():
+        own = {key: value for key, value in model["properties"].items() if value != common["properties"].get(key)}
+        del own["system"]
+        shipped = [x for x in scenarios.scenario_names() if scenarios.load(x).system == name]
+        parts += [f'## `system = "{name}"`', _summary(scenarios.kinds()[name])]
+        parts += [_keys(model, own, schema["$defs"])]
+        parts += [_example(x) for x in shipped]
+        parts += _tables(schema, own, [])
+    return "\n\n".join(parts) + "\n"
+
+
+def _summary(module):
+    """The first two paragraphs of its docstring: what it reports, and its units."""
+    return "\n\n".join((module.__doc__ or "").strip().split("\n\n")[:2])
+
+
+def _example(name):
+    text = resources.files("lieint_jax.scenarios").joinpath(f"{name}.toml").read_text(encoding="utf-8")
+    indented = "\n".join(f"    {line}".rstrip() for line in f"```toml\n{text.strip()}\n```".splitlines())
+    return f'??? example "The shipped scenario {name}"\n\n{indented}'
+
+
+def _tables(schema, properties, path):
+    """The tables inside a table, each with its heading and keys, and those inside them."""
+    parts = []
+    for key, value in properties.items():
+        inner = _inner(schema, value)
+        if inner is None or inner["title"] == "Published":
+            continue
+        name = ".".join([*path, key])
+        many = value.get("type") == "array"
+        heading = f"### `[[{name}]]`" if many else f"### `[{name}]`"
+        parts += [heading, " ".join(inner.get("description", "").split())]
+        parts += [_keys(inner, inner["properties"], schema["$defs"])]
+        parts += _tables(schema, inner["properties"], [*path, key])
+    return parts
+
+
+def _inner(schema, value):
+    """The model of a key that is a table, or a list of them; None of any other key."""
+    for option in (value, value.get("items", {}), value.get("additionalProperties", {}), *value.get("anyOf", [])):
+        if isinstance(option, dict) and "$ref" in option:
+            return _resolved(schema, option)
+    return None
+
+
+def _resolved(schema, ref):
+    return schema["$defs"][ref["$ref"].rpartition("/")[2]]
+
+
+def _keys(model, properties, definitions):
+    rows = ["| key | value | default | |", "|---|---|---|---|"]
+    for key, value in properties.items():
+        name = f"**`{key}`**" if key in model.get("required", ()) else f"`{key}`"
+        cells = (name, _kind(value, definitions), _default(value), _cell(value.get("description", "")))
+        rows.append("| " + " | ".join(cells) + " |")
+    return "\n".join(rows)
+
+
+def _kind(value, definitions):
+    """The values that a key takes, in short."""
+    if "$ref" in value:
+        return "table"
+    if "anyOf" in value:
+        return " or ".join(dict.fromkeys(_kind(x, definitions) for x in value["anyOf"] if x.get("type") != "null"))
+    if "enum" in value or "const" in value:
+        return ", ".join(f"`{json.dumps(x)}`" for x in value.get("enum", [value.get("const")]))
+    if value.get("type") == "array":
+        return _list(value, definitions)
+    if value.get("type") == "object":
+        names = value.get("propertyNames", {})
+        known = names.get("enum") or ([names["const"]] if "const" in names else [])
+        return "table" + (f" of {', '.join(f'`{x}`' for x in known)}" if known else "")
+    return {"string": "text", "number": "number", "integer": "integer", "boolean": "`true`, `false`"}[
+        value["type"]
+    ] + _range(value)
+
+
+def _list(value, definitions):
+    if not value["items"]:
+        return "`[…] × 3` or `[[…] × 3] × 3`"
+    if "$ref" in value["items"]:
+        return "list of tables"
+    size = f" × {value['minItems']}" if "minItems" in value and value["minItems"] == value.get("maxItems") else ""
+    if value["items"].get("type") == "array":
+        return f"`[{_list(value['items'], definitions).strip('`')}]{size}`"
+    numbers = value["items"].get("type") in ("number", "integer")
+    return f"`[…]{size}`" if numbers else f"list of {_kind(value['items'], definitions)}"
+
+
+def _range(value):
+    signs = (("exclusiveMinimum", ">"), ("minimum", "≥"), ("exclusiveMaximum", "<"), ("maximum", "≤"))
+    found = [f"{sign}\u00a0{_number(value[name])}" for name, sign in signs if name in value and abs(value[name]) < 1e9]
+    if "multipleOf" in value:
+        found.append(f"a multiple of {value['multipleOf']}")
+    return f"\u00a0{', '.join(found)}" if found else ""
+
+
+def _number(x):
+    return str(int(x)) if x == int(x) else str(x)
+
+
+def _default(value):
+    default = value.get("default")
+    return "" if default is None or default in ({}, []) or isinstance(default, dict) else f"`{json.dumps(default)}`"
+
+
+def _cell(text):
+    return " ".join(text.split()).replace("|", "\\|")
