@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax.groups import so3
-from lieint_jax.studies._facets import Facets, axis_rotations, is_symmetry
+from lieint_jax.studies._facets import Facets, axis_rotations, is_symmetry, magnitude
 
 SPACE = ("as it is", "mirror", "exchange", "mirror and exchange")
 _NEAR = (20.0, 0.2, 0.2)  # an attitude (°), a rate and logarithms of moments within which two solutions are one
@@ -84,15 +84,16 @@ class Change(NamedTuple):
         """In words, without the turn."""
         return SPACE[self.space] if self.axes == "xyz" else f"{SPACE[self.space]}, axes {self.axes}"
 
+    def attitudes(self, q: np.ndarray) -> np.ndarray:
+        """The changed attitudes, (n, 4)."""
+        gamma = so3.inverse(so3.from_matrix(jnp.asarray(self.g)))
+        return np.asarray(
+            jax.vmap(lambda q: so3.multiply(jnp.asarray(self.sigma), so3.multiply(q, gamma)))(jnp.asarray(q))
+        )
+
     def __call__(self, found: Solutions) -> Solutions:
         """The changed solutions."""
-        gamma = np.asarray(so3.from_matrix(jnp.asarray(self.g)))
-
-        def attitude(q: jax.Array) -> jax.Array:
-            return so3.multiply(jnp.asarray(self.sigma), so3.multiply(q, so3.inverse(jnp.asarray(gamma))))
-
-        q = jax.vmap(attitude)(jnp.asarray(found.q))
-        return Solutions(np.asarray(q), found.rate @ self.g.T, found.inertia @ (self.g**2).T)
+        return Solutions(self.attitudes(found.q), found.rate @ self.g.T, found.inertia @ (self.g**2).T)
 
 
 def changes(facets: Facets, sun: np.ndarray, observer: np.ndarray) -> list[Change]:
@@ -135,3 +136,18 @@ def sorted_out(found: Solutions, best: Solutions, every: list[Change]) -> np.nda
     """Which change of the solution `best` each of `found` is, (n,); −1 for none."""
     off = np.stack([distance(found, change(best)) for change in every])
     return np.where(off.min(axis=0) < 1, off.argmin(axis=0), -1)
+
+
+def differences(facets: Facets, q: np.ndarray, sun: np.ndarray, observer: np.ndarray) -> np.ndarray:
+    """By how much each kind of change in space alters the light, whatever symmetry of the facets goes with it, (4,).
+
+    The root mean square of the differences in magnitude, less their mean, along attitudes q, (n, 4), under the
+    directions to Sun and observer, (n, 3); of the symmetries of the facets the one with the greatest difference.
+    """
+    light = jax.vmap(magnitude, (None, 0, 0, 0))
+    found = np.zeros(len(SPACE))
+    for change in changes(facets, sun, observer):
+        if change.name == SPACE[change.space]:
+            off = light(facets, change.attitudes(q), sun, observer) - light(facets, q, sun, observer)
+            found[change.space] = max(found[change.space], float(jnp.std(off)))
+    return found

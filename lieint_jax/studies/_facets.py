@@ -5,9 +5,9 @@ A facet of area A and normal n in body axes, with s and o the directions to Sun 
     A/π · r(n·s) r(n·o) [diffuse + specular · r(n·h)^exponent],    h = (s + o)/|s + o|,    r(x) = (x + √(x² + ε²))/2
 
 The lobe is Blinn's (1977, Proc. SIGGRAPH, 192). Sun and observer may be exchanged: the light is the same. In place of
-max(0, x), whose derivative jumps where a facet turns its edge, there is the ramp r with ε the angular radius of the Sun,
-which smears that edge about as much; so the light has all derivatives. A facet turned away keeps ε²/4|x| of its cosine,
-some 1e-5. Facets do not shade each other: **self-shadowing is left out**.
+max(0, x), whose derivative jumps where a facet turns its edge, there is the ramp r with ε the angular radius of the
+Sun, which smears that edge about as much; so the light has all derivatives. A facet turned away keeps ε²/4|x| of its
+cosine, some 1e-5. Facets do not shade each other: **self-shadowing is left out**.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def _check(row: dict[str, Any], which: str) -> None:
 
 
 def brightness(body: Facets, q: Array, sun: Array, observer: Array) -> Array:
-    """The light that a body sends to the observer, in m² of a white Lambert facet seen and lit along its normal, over π.
+    """The light that a body sends to the observer, over that of a white Lambert facet of π m² lit and seen face on.
 
     Args:
         body: its facets.

@@ -18,6 +18,7 @@ from jax import Array
 BAND = (0.01, 0.16)  # 1/min, in which the two frequencies and their like are looked for
 SPECTRUM = (0.005, 0.35)  # 1/min, of the spectrum
 ORDER, APART = 2, 0.004  # of the series in two frequencies; pairs nearer than this, in 1/min, are one peak
+HARMONICS = 6  # the greatest numbers by which a sine is named
 _FINE, _COARSE = 6, 4  # steps of the spectrum and of the pairs in one over the duration
 _SHOWN, _NUMBERS = 10, 2  # peaks and pairs that are kept; the greatest numbers in another basis
 _RIDGE = 1e-6  # relative, on the diagonal: some combinations of two frequencies may coincide
@@ -119,11 +120,14 @@ def peaks(t: np.ndarray, y: np.ndarray, frequencies: np.ndarray, count: int) -> 
     return found
 
 
-def named(frequency: float, pair: np.ndarray, order: int) -> tuple[int, int, float]:
-    """The (j, k) whose j f₁ + k f₂ is nearest to a frequency, and the difference; the simplest of equally near ones."""
+def named(frequency: float, pair: np.ndarray, order: int, width: float) -> tuple[int, int, float]:
+    """The (j, k) with |j|, |k| ≤ order whose j f₁ + k f₂ is a frequency, and the difference.
+
+    Of those nearer than the width, the simplest; if there is none, the nearest.
+    """
     jk = combinations(order)
-    off = np.abs(jk @ pair - frequency)
-    best = int(np.argmin(off + 1e-9 * np.abs(jk).sum(axis=1)))
+    off, size = np.abs(jk @ pair - frequency), np.abs(jk).sum(axis=1)
+    best = int(np.lexsort((off, np.where(off < width, size, size.max() + off / width)))[0])
     return int(jk[best, 0]), int(jk[best, 1]), float(frequency - jk[best] @ pair)
 
 

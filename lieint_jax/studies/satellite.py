@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from lieint_jax._version import __version__
 from lieint_jax.fitting._fit import Fit
 from lieint_jax.studies import _satellite_picture, _satellite_report
-from lieint_jax.studies._equivalents import Change, Solutions, changes, parameters, solutions, sorted_out
+from lieint_jax.studies._equivalents import Change, Solutions, changes, differences, parameters, solutions, sorted_out
 from lieint_jax.studies._facets import Facets, brightness, facets, magnitude
 from lieint_jax.studies._minima import Minima, judged, minima
 from lieint_jax.studies._period_search import Search, search
@@ -42,7 +42,7 @@ class Ends(NamedTuple):
 
     Attributes:
         loss: half the sum of squares of the errors in units of the noise, (n,).
-        change: which change of the best one each is, an index of `SatelliteFit.changes`; −1 for none, (n,).
+        change: which change of the night's best one each is, an index of `SatelliteFit.changes`; −1 for none, (n,).
         success: whether each stopped for a good reason, (n,).
     """
 
@@ -71,7 +71,10 @@ class SatelliteFit(NamedTuple):
         named: the indices of these changes.
         fit: of the whole night.
         estimate: the best solution beside the truth.
+        light_changes: by how much the changes in space alter the light of the truth (mag, rms), (3, 4): under the
+            directions of the middle of the first session, those of the session, and those of the night.
         seconds: the time of the guesses, of the fits to the first session, and of those to the night, (3,).
+        devices: over which they were split.
     """
 
     scene: Scene
@@ -89,12 +92,14 @@ class SatelliteFit(NamedTuple):
     named: np.ndarray
     fit: Fit
     estimate: Estimate
+    light_changes: np.ndarray
     seconds: np.ndarray
+    devices: int
 
 
 def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     """The whole study; `quick` takes a fifth of the starts and synthetic sets."""
-    guesses, starts, kept, sets = (10_000, 200, 40, 20) if quick else (50_000, 1000, 100, 100)
+    guesses, starts, kept, sets = (20_000, 200, 40, 20) if quick else (100_000, 1000, 100, 100)
     made = scene()
     session = made.exposures["sessions_min"][0][1]
     curve, seen = observe(made, sets)
@@ -127,15 +132,24 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
         found,
         guesses,
         every,
-        _ends(one, ends, best, every),
+        _ends(one, ends, after.take(chosen), every),
         candidate,
         Ends(*(leaf[:kept] for leaf in judged_ends)),
         Ends(*(leaf[kept:several] for leaf in judged_ends)),
         named,
         night,
         estimate(made, curve, night, begin, chosen, several, every),
+        _light_changes(made, first, curve),
         np.diff(clock),
+        len(jax.devices()),
     )
+
+
+def _light_changes(made: Scene, first: Lightcurve, night: Lightcurve) -> np.ndarray:
+    middle = len(first.t) // 2
+    held = first._replace(sun=first.sun[[middle] * len(first.t)], observer=first.observer[[middle] * len(first.t)])
+    q = np.asarray(jax.vmap(lambda t: made.body.solution(made.state, t).q)(night.t))
+    return np.stack([differences(made.facets, q[: len(c.t)], c.sun, c.observer) for c in (held, first, night)])
 
 
 def _minima(made: Scene, until: float) -> Any:
@@ -224,6 +238,7 @@ def arrays(found: SatelliteFit) -> dict[str, np.ndarray]:
         "estimate": e.value,
         "truth": e.truth,
         "sigma": e.sigma,
+        "light_changes": found.light_changes,
         "synthetic_errors": e.errors,
         "seconds": found.seconds,
     }
