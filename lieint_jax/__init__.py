@@ -2,14 +2,29 @@
 
 A system and a scheme make a step; a step makes everything else.
 
-    import lieint_jax as li
+    import jax, lieint_jax as li
+
+    jax.config.update("jax_enable_x64", True)  # float64 is your choice
 
     body = li.systems.rigid_body(inertia=[1.0, 2.0, 3.0])
     step = li.schemes.so3_midpoint(body, kappa=li.maps.kappa_symplectic)
     state = body.state(attitude=[1, 0, 0, 0], angular_velocity=[0.2, 0.0, 1.0])
-    state, info = step(state, 0.05)
+    run = li.integrate(step, state, dt=0.05, num_steps=1000)
+    print(li.diagnostics.certify(step, state, dt=0.05, num_steps=1000))  # what is conserved, to how many digits
 
-float64 is the user's choice: `jax.config.update("jax_enable_x64", True)`.
+| | |
+|---|---|
+| `systems` | rigid bodies, tops, satellites, several bodies, elastic bodies, any matrix group |
+| `schemes` | the integrators: `help(li.schemes)` says which one for which system |
+| `integrate`, `event`, `interpolate` | runs of one body: states at any times, and when a condition changes its sign |
+| `ensemble` | many bodies, over cores, devices and processes; results in memory or on disk |
+| `diagnostics` | what a step conserves, its order, its linearisation; chaos |
+| `studies`, `fitting`, `adjoints` | derivatives of whole runs, fits, ready studies |
+| `potentials`, `torques`, `orbits` | what acts on bodies |
+| `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
+
+Attitudes are unit quaternions (w, x, y, z), body to space. Momenta are in space. Units are yours; all numbers must
+agree. On the command line: `lieint list`.
 """
 
 from lieint_jax import (

@@ -159,7 +159,7 @@ def test_a_damaged_file_of_any_kind_is_named_and_not_used(tmp_path, small_chunks
     for file in files:
         shutil.copytree(half, path)
         FAULTS[fault](path / file)
-        for use in (lambda: run(path, num_steps=120, resume=True), lambda: results.info(path)):
+        for use in (lambda: run(path, num_steps=120, resume=True), lambda: results.contents(path)):
             with pytest.raises(ValueError, match=rf"{re.escape(file.as_posix())} is|is not there"):
                 use()
         shutil.rmtree(path)

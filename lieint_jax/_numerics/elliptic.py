@@ -121,6 +121,9 @@ class _Duplicated(NamedTuple):
         total: of the terms that the duplications have split off.
         apart: the distances of the first x, y, z from the first mean.
         delta: (p − x)(p − y)(p − z) of the first.
+        far: whether the series would have too large an error, of the eighth power of the relative distances. It is kept
+            because a batched `while_loop` asks twice whether a member goes on, whether to loop and whether to accept
+            the turn: computed anew, with other rounding, the two may differ, and then the loop never ends.
     """
 
     x: Array
@@ -132,6 +135,7 @@ class _Duplicated(NamedTuple):
     total: Array
     apart: tuple[Array, Array, Array]
     delta: Array
+    far: Array
 
     @classmethod
     def of(cls, root_x: Array, root_y: Array, root_z: Array, p: Array) -> _Duplicated:
@@ -140,7 +144,7 @@ class _Duplicated(NamedTuple):
         mean = (x + y + z + 2 * p) / 5
         apart = (mean - x, mean - y, mean - z)
         one, zero = jnp.ones_like(mean), jnp.zeros_like(mean)
-        given = cls(x, y, z, p, mean, one, zero, apart, (p - x) * (p - y) * (p - z))
+        given = cls(x, y, z, p, mean, one, zero, apart, (p - x) * (p - y) * (p - z), one > 0)
         return given._duplicated(root_x, root_y, root_z)
 
     @property
@@ -153,14 +157,10 @@ class _Duplicated(NamedTuple):
         term = self.scale / d * arctan_sqrt(jnp.maximum(self.scale**3 * self.delta / (d * d), 0))
         shift = a * b + b * c + c * a
         x, y, z, p, mean = ((v + shift) / 4 for v in self[:5])
-        return _Duplicated(x, y, z, p, mean, self.scale / 4, self.total + term, self.apart, self.delta)
-
-    @property
-    def far(self) -> Array:
-        """Whether the series would have too large an error, of the eighth power of the relative distances."""
-        most = functools.reduce(jnp.maximum, map(jnp.abs, self.apart))
-        eps = jnp.finfo(most.dtype).eps
-        return (self.scale * most > (eps / 8) ** 0.125 * self.mean) & (self.scale > 0.25**_DUPLICATIONS)
+        scale, most = self.scale / 4, functools.reduce(jnp.maximum, map(jnp.abs, self.apart))
+        small = (jnp.finfo(most.dtype).eps / 8) ** 0.125 * mean
+        far = (scale * most > small) & (scale > 0.25**_DUPLICATIONS)
+        return _Duplicated(x, y, z, p, mean, scale, self.total + term, self.apart, self.delta, far)
 
 
 def _rj_value(state: _Duplicated) -> Array:

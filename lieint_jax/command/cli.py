@@ -9,27 +9,19 @@ from pathlib import Path
 from typing import Any
 
 _EPILOG = """examples:
+  lieint list                              all scenarios and studies, and how long each takes
   lieint run toutatis                      800 days of a tumbling asteroid, 1000 members
-  lieint run heavy_top                     nutation and precession of 200 tops beside the closed form
-  lieint run pseudo_rigid                  a spinning elastic ball, with the delay plots of the paper's Figure 3c
-  lieint run pendulum                      a spherical pendulum beside the closed form
-  lieint run driven                        a satellite under gravity's gradient in an eccentric orbit
-  lieint run hyperion                      where a moon tumbles chaotically, and whether its observed states do
-  lieint run didymos                       a binary asteroid after an impact: period, libration, change of speed
-  lieint run kw4                           a binary asteroid whose moon librates and whose poles precess
-  lieint run apophis                       a tumbling asteroid passes the Earth in 2029: spin after it, phase by phase
-  lieint run kirchhoff                     a spinning spheroid in water, on SE(3)
-  lieint run water                         a droplet of 64 molecules: energy and both momenta by two schemes
   lieint run my.toml --members 100         your own scenario (copy lieint_jax/scenarios/toutatis.toml)
   lieint run toutatis --out runs.zarr --members 100000   to disk while it runs; with --resume it goes on
   lieint info runs.zarr                    describe that store
+  lieint plot runs.zarr                    report on it and draw it
+  lieint study toutatis                    fit a spin state to the radar fixes of 1992, predict 2004 and 2008
   lieint check rigid_body                  what every scheme conserves of a free body, measured
   lieint check rigid_body --scheme cayley  one of them
   lieint check                             of every system: some minutes the first time
   lieint check "SE(3)"                     what is conserved on a matrix group, by which map
   lieint check groups                      energy and symplectic form, group by group and map by map
   lieint figure 1 2 3 --out figures        the paper's figures
-  lieint study toutatis                    fit a spin state to the radar fixes of 1992, predict 2004 and 2008
 """
 
 
@@ -66,6 +58,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_run(commands)
+    _add_list(commands)
     _add_results(commands)
     _add_check(commands)
     _add_paper(commands)
@@ -74,7 +67,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_run(commands: Any) -> None:
     run = commands.add_parser("run", help="integrate a scenario and report", description="Integrate a scenario.")
-    run.add_argument("scenario", metavar="SCENARIO", help="a shipped scenario (toutatis, heavy_top, …) or a .toml file")
+    run.add_argument("scenario", metavar="SCENARIO", help="a shipped scenario (lieint list shows them) or a .toml file")
     run.add_argument(
         "--out",
         type=Path,
@@ -91,6 +84,11 @@ def _add_run(commands: Any) -> None:
     run.add_argument("--processes", type=_positive, metavar="N", help="… how many there are")
     run.add_argument("--process", type=int, metavar="K", help="… which this one is, from 0")
     run.set_defaults(command=_run)
+
+
+def _add_list(commands: Any) -> None:
+    shown = commands.add_parser("list", help="scenarios and studies, and how long each takes", description="A list.")
+    shown.set_defaults(command=_list)
 
 
 def _add_results(commands: Any) -> None:
@@ -130,8 +128,8 @@ def _add_paper(commands: Any) -> None:
     figure.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
     figure.set_defaults(command=_figure)
     study = commands.add_parser("study", help="fit parameters, learn κ, measure chaos", description="Run a study.")
-    study.add_argument("name", metavar="NAME", help="toutatis, gyro, kappa, material or sensitivity")
-    study.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder for its picture (default: here)")
+    study.add_argument("name", metavar="NAME", help="one of those that lieint list shows")
+    study.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
     study.add_argument("--quick", action="store_true", help="a small one")
     study.set_defaults(command=_study)
 
@@ -145,12 +143,14 @@ def _positive(text: str) -> int:
 
 def _run(options: argparse.Namespace) -> None:
     from lieint_jax import ensemble
-    from lieint_jax.command import report
+    from lieint_jax.command import catalogue, report
     from lieint_jax.ensemble import processes
 
     apart = (options.coordinator, options.processes, options.process)
     if not options.distributed and any(x is not None for x in apart):
         raise ValueError("--coordinator, --processes and --process go with --distributed")
+    if options.members is None and options.steps is None and not options.distributed:
+        catalogue.announce(f"run {options.scenario}")
     if options.devices or not options.distributed:
         ensemble.want_devices(options.devices)
     if options.distributed:
@@ -169,16 +169,22 @@ def _run(options: argparse.Namespace) -> None:
         processes.leave(f"lieint: {error}")
 
 
-def _info(options: argparse.Namespace) -> None:
-    from lieint_jax.command import results
+def _list(_: argparse.Namespace) -> None:
+    from lieint_jax.command import catalogue
 
-    results.info(options.path)
+    print(catalogue.text())
+
+
+def _info(options: argparse.Namespace) -> None:
+    from lieint_jax.command import results, study
+
+    print((study.info if study.wrote(options.path) else results.contents)(options.path))
 
 
 def _plot(options: argparse.Namespace) -> None:
-    from lieint_jax.command import results
+    from lieint_jax.command import results, study
 
-    results.plot(options.path, options.out, options.force)
+    (study.plot if study.wrote(options.path) else results.plot)(options.path, options.out, options.force)
 
 
 def _schema(_: argparse.Namespace) -> None:
@@ -190,12 +196,15 @@ def _schema(_: argparse.Namespace) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
-    from lieint_jax.command import certificates
+    from lieint_jax.command import catalogue, certificates
 
+    if not options.scheme and options.steps is None:
+        catalogue.announce(f"check {options.system}".strip())
     certificates.check(options.system, options.scheme, options.steps)
 
 
 def _figure(options: argparse.Namespace) -> None:
+    from lieint_jax.command import catalogue
     from lieint_jax.command.figures import FIGURES
 
     unknown = [n for n in options.numbers if n not in FIGURES]
@@ -203,22 +212,18 @@ def _figure(options: argparse.Namespace) -> None:
         raise ValueError(f"figure {unknown[0]} is not one of {', '.join(map(str, FIGURES))}")
     options.out.mkdir(parents=True, exist_ok=True)
     for n in options.numbers:
+        catalogue.announce(f"figure {n}")
         print(FIGURES[n](options.out), f"  written to {options.out / f'figure-{n}.png'}", sep="\n")
 
 
 def _study(options: argparse.Namespace) -> None:
-    from lieint_jax import _discover, ensemble, studies
+    from lieint_jax import ensemble
+    from lieint_jax.command import catalogue, study
 
     ensemble.want_devices(None)
-    found = _discover.modules(studies)
-    if options.name not in found:
-        raise ValueError(f"study {options.name!r} is not one of {', '.join(found)}")
-    options.out.mkdir(parents=True, exist_ok=True)
-    study, picture = found[options.name], options.out / f"study-{options.name}.png"
-    result = study.run(quick=options.quick)
-    print(study.text(result))
-    study.draw(result).savefig(picture, dpi=150)
-    print(f"  written to {picture}")
+    if not options.quick:
+        catalogue.announce(f"study {options.name}")
+    study.run(options.name, options.out, options.quick)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from lieint_jax.ensemble._leaves import named, state_of
 from lieint_jax.types import StepInfo, Trajectory
 
 SUFFIXES = (".npz", ".zarr")
+EXISTS = "{} exists and is not overwritten; --force replaces it, --out takes another folder"
 _TIME = "state.t"  # in an .npz, where t is the time of the trajectory
 
 
@@ -45,11 +46,18 @@ def pictures(path: Path, kinds: Iterable[str]) -> list[Path]:
     return [path.with_name(f"{path.stem}-{kind}.png") for kind in kinds]
 
 
+def in_folder(path: Path, folder: Path | None) -> Path:
+    """`path`, moved to `folder` if there is one, which must exist: what the pictures of results are named after."""
+    if folder and not folder.is_dir():
+        raise ValueError(f"the folder {folder} does not exist; make it first")
+    return folder / path.name if folder else path
+
+
 def free_pictures(path: Path, kinds: Iterable[str], force: bool) -> None:
     """ValueError if a picture beside `path` exists, unless it may be replaced."""
     found = [picture for picture in pictures(path, kinds) if picture.exists()]
     if found and not force:
-        raise ValueError(f"{found[0]} exists and is not overwritten; --force replaces it, --out takes another folder")
+        raise ValueError(EXISTS.format(found[0]))
 
 
 def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""The commands `info` and `plot`: what a file of results holds, in words and in pictures."""
+"""The commands `info` and `plot` for the results of a run: what they hold, in words and in pictures."""
 
 from __future__ import annotations
 
@@ -20,11 +20,6 @@ _SHOWN = 2**28  # the most bytes of a store that are read to draw it
 _TIMES, _BLOCK = 17, 8192  # saved times at which energies are measured, and members at once
 
 
-def info(path: Path) -> None:
-    """Describe a file of results."""
-    print(contents(path))
-
-
 def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
     """Report on a file of results and draw it: the pictures of its scenario, or those of a run of any system.
 
@@ -38,9 +33,7 @@ def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
     run, metadata = files.load(path)
     if len(_times(run)) < 2:
         raise ValueError(f"{path} holds the initial states only: there is nothing to draw yet")
-    if out and not out.is_dir():
-        raise ValueError(f"the folder {out} does not exist; make it first")
-    plain = out / path.name if out else path
+    plain = files.in_folder(path, out)
     scenario = _scenario(path, metadata)
     if scenario and scenario.save_at is None and isinstance(run, Trajectory):
         drawn = _plot_scenario(scenario, run, plain, force)

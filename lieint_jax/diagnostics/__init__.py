@@ -1,4 +1,15 @@
-"""Measurements of what a scheme conserves, by autodiff and by running it, never by a formula of the scheme."""
+"""Measurements of what a scheme conserves, by autodiff and by running it, never by a formula of the scheme.
+
+| | |
+|---|---|
+| `certify` | all of it from one state, with verdicts: energy, momentum, form, order, reversibility |
+| `energy_error`, `momentum_error`, `constraint_error` | along a trajectory |
+| `linearization`, `symplectic_defect`, `poisson_error` | Lₙ of a step by `jacfwd`, and the symplectic form by it |
+| `order`, `local_error`, `reversibility` | accuracy by runs with several step sizes, in one step, and the way back |
+| `flow` | the motion by collocation of order 16, to compare with |
+| `lyapunov`, `megno`, `section`, `delay` | chaos: exponents, MEGNO, Poincaré sections, delay plots |
+| `conditions` | the residuals of the paper's own conditions, by equation number |
+"""
 
 from lieint_jax.diagnostics.certify import Certificate, certify
 from lieint_jax.diagnostics.chaos import Lyapunov, Megno, lyapunov, megno, section

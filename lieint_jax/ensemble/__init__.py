@@ -1,4 +1,9 @@
-"""Batches of bodies: over devices and processes, with results in memory or on disk, and a report of failures."""
+"""Batches of bodies: over devices and processes, with results in memory or on disk, and a report of failures.
+
+`run(step, states, dt, num_steps)` integrates a batch in one compiled loop; with `store=` it writes while it runs and
+can be resumed, with `reduce=` it keeps a summary in place of states. `open(path)` gives a stored run and its system
+back. `over_members` applies any function of one member to all, over the devices.
+"""
 
 from lieint_jax.ensemble import processes
 from lieint_jax.ensemble._job import Summary

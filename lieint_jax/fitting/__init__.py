@@ -1,4 +1,10 @@
-"""Fits of parameters through simulations, within bounds, from one start or many, robust where wanted."""
+"""Fits of parameters through simulations, within bounds, from one start or many, robust where wanted.
+
+`fit(residuals, guess, bounds=…)` gives the estimate, its covariance and why it stopped. The bounds `positive`,
+`interval(low, high)`, `spd`, `inertia`, `principal_inertia` and `inertia_ratios` cannot be left; `free` is none.
+`student_t` makes residuals of errors with outliers, `member_by_member` speeds up a long computation of few numbers.
+All of it is in `li.studies` too.
+"""
 
 from lieint_jax.fitting._bounds import Bound, free, inertia, inertia_ratios, interval, positive, principal_inertia, spd
 from lieint_jax.fitting._fit import Fit, covariance, fit

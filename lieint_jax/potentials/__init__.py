@@ -1,4 +1,14 @@
-"""Potentials of several rigid bodies, (positions (N, 3), rotations body to space (N, 3, 3)) ↦ V; they can be added."""
+"""Potentials of several rigid bodies, (positions (N, 3), rotations body to space (N, 3, 3)) ↦ V; they can be added.
+
+| | |
+|---|---|
+| `maccullagh`, `ellipsoid_sphere`, `point_masses` | gravity: to second order, ellipsoid and sphere, mascons |
+| `point_charges`, `lennard_jones`, `sites`, `water` | molecules: charges, dispersion, both, and TIP4P water |
+| `springs`, `uniform_field`, `outer_field` | springs between bodies; fields from outside, uniform or any |
+
+Any function of positions and rotations is a potential too; forces and torques are then by autodiff. `symmetry` says
+which momenta a potential conserves.
+"""
 
 from lieint_jax.potentials._potential import Potential, Sum, count, invariant_form, symmetry, torques
 from lieint_jax.potentials.ellipsoid_sphere import EllipsoidSphere, ellipsoid_sphere

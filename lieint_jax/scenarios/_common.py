@@ -48,6 +48,8 @@ class Common(Table):
 
     title: Text
     """Shown in reports and pictures."""
+    about: Text = ""
+    """The question that the scenario answers, in a line for `lieint list`."""
     time_unit: Text = "time unit"
     """The name of the unit of time. Units of length and mass are yours; all numbers must agree with them."""
     system: str

@@ -1,4 +1,32 @@
-"""Schemes: each makes a `types.Step` for a system. Each module has `examples(system)`, its steps for that system."""
+"""Schemes: each makes a `types.Step` for a system. Conserved means to round-off, for as long as one runs.
+
+| scheme | for | conserves | order |
+|---|---|---|---|
+| `exact`, `calibrated` | free rigid bodies | energy, momentum, form | the exact motion |
+| `preprocessed` | free rigid bodies | energy, momentum | 4, 6, at the price of order 2 |
+| `so3_midpoint` | free bodies, gyrostats | energy, momentum; free: the form too, with the symplectic κ | 2 |
+| `so3_explicit` | free rigid bodies | energy, momentum, form; solved once for a whole run: the fastest | 2 |
+| `torqued_midpoint` | bodies with torques or friction | energy less work | 2 |
+| `top_energy_momentum` | tops, satellites: any potential | energy (less work), γ·π | 2 |
+| `splitting` | tops, satellites, gyrostats, groups with a potential, several bodies | form, momenta | 2 |
+| `gauss` | free bodies, gyrostats, tops, satellites, several bodies | form, momenta | 2s with s stages; 16 |
+| `extrapolate` | any system | nothing beyond its accuracy: for short, accurate runs | 4 to 20 |
+| `log_hamiltonian` | tops | form, with steps that vary | 2 |
+| `reversible_control` | any step | what that conserves but for the form, with steps that vary | 2 |
+| `bodies_energy_momentum` | several bodies | energy, both momenta | 2 |
+| `nystrom` | several bodies, tops | form, momenta | 4, 6 |
+| `kepler_splitting` | two bodies | form, both momenta; the orbit solved exactly | 2, (8, 4), (8, 6, 4) |
+| `additive` | elastic bodies | momentum, and energy or the form; of incompressible ones volume too | 2 |
+| `sphere_midpoint` | the spherical pendulum | γ·π, and energy or the form | 2 |
+| `sphere_chart` | the spherical pendulum | form, γ·π; singular on the axis | 2 |
+| `group_midpoint` | geodesics of any matrix group | energy, momentum; the form where the map is symplectic | 2 |
+| `group_energy_momentum` | any matrix group with a potential | energy, momentum | 2 |
+| `so3_alpha`, `group_alpha` | the paper's families, for study | momentum; energy: see there | 2 for α = ½, else 1 |
+| `compose` | any symmetric step | what that conserves | 4 to 10 |
+
+A scheme refuses a system whose equations it does not integrate, and says why. `lieint check SYSTEM` measures what each
+conserves. Each module has `examples(system)`, its steps for that system.
+"""
 
 from lieint_jax.schemes.additive import Additive, additive
 from lieint_jax.schemes.bodies_energy_momentum import BodiesEnergyMomentum, bodies_energy_momentum

@@ -1,4 +1,23 @@
-"""Hamiltonian systems. Each module has `examples()`: systems with a state worth integrating and a time step."""
+"""Hamiltonian systems. Each has `state(…)`, which makes a state from attitude and angular velocity.
+
+| system | |
+|---|---|
+| `rigid_body` | a free rigid body; `body.solution(state, t)` is its motion in closed form |
+| `gyrostat`, `driven_gyrostat` | with a wheel of constant momentum, or one that a motor drives |
+| `damped_body`, `torqued_body` | with internal friction, or with any torque (`li.torques`) |
+| `gravity_gradient` | a satellite or a moon on a given orbit (`li.orbits`) |
+| `heavy_top`, `potential_top`, `driven_top` | a body with a fixed point, in any potential, of time too |
+| `rigid_bodies` | any number of bodies in any potential of positions and attitudes (`li.potentials`) |
+| `pendulum` | a point on the unit sphere |
+| `pseudo_rigid_body`, `incompressible_body` | an elastic body that deforms homogeneously; its stored energies are |
+| | `mooney_rivlin`, `neo_hookean`, `saint_venant_kirchhoff`, or yours |
+| `euler`, `kirchhoff`, `manakov` | geodesics of any matrix group: bodies in a fluid, in n dimensions |
+| `group_potential` | the same with a potential |
+| `embedded_body` | a free body whose attitude is a 3×3 matrix, for the paper's refutations |
+
+Integrals and closed forms to test with: `lagrange_motion`, `kovalevskaya_integral`, `clebsch_integral`,
+`manakov_integrals`. Each module has `examples()`: systems with a state worth integrating and a time step.
+"""
 
 from lieint_jax.systems.damped_body import DampedBody, damped_body
 from lieint_jax.systems.driven_gyrostat import DrivenGyrostat, SpinUp, driven_gyrostat

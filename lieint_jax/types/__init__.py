@@ -13,7 +13,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol, Self, TypeVar, dataclass_transform, runtime_checkable
 
 import jax
@@ -22,6 +22,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import concrete, real_array, step_size
+from lieint_jax.types import _labelled
 
 _T = TypeVar("_T")
 
@@ -88,6 +89,9 @@ class State(NamedTuple):
     work: Array | None = None
     extra: dict[str, Array] | None = None
 
+    def __repr__(self) -> str:
+        return _labelled.fields(self)
+
 
 class StepInfo(NamedTuple):
     """The report of a step on the equation that it solved.
@@ -101,6 +105,9 @@ class StepInfo(NamedTuple):
 
     residual: Array
     converged: Array
+
+    def __repr__(self) -> str:
+        return _labelled.fields(self)
 
     def merge(self, other: StepInfo) -> StepInfo:
         """The report of both: the larger residual, and whether both converged."""
@@ -124,6 +131,39 @@ class Trajectory(NamedTuple):
     t: Array
     state: State
     info: StepInfo
+
+    def __repr__(self) -> str:
+        return _labelled.trajectory(self)
+
+    def to_xarray(self, system: Any = None, units: Mapping[str, str] | None = None) -> Any:
+        """The trajectory as an `xarray.Dataset`, with the dimensions `time`, and `member` for a batch.
+
+        Its variables are q, p, the other leaves that the states have (those of `extra` as extra_NAME), residual and
+        converged. Quaternions have the dimension `quaternion` with labels w, x, y, z, vectors `axis` with x, y, z;
+        several bodies have `body`, and `pose` (x, y, z, qw, qx, qy, qz) or `momenta` (px, py, pz, pix, piy, piz).
+
+        Args:
+            system: that of all members; adds energy and momentum_map, and angular_velocity (in body axes) where the
+                system has one.
+            units: by name of a variable or of the coordinate time, such as {"time": "d"}: the package knows none.
+
+        Raises:
+            ValueError: units of what is not there.
+            ImportError: xarray is not installed.
+        """
+        return _labelled.dataset(self, system, units or {})
+
+    def rotations(self) -> Any:
+        """The attitudes, body to space, as `scipy.spatial.transform.Rotation` of shape (n+1, …).
+
+        `.as_euler("ZXZ", degrees=True)` gives Euler angles of any sequence: capitals turn about the axes of the body,
+        one after the other, small letters about those of space. Of a batch, scipy before 1.17 takes one member:
+        `jax.tree.map(lambda x: x[:, k], (run.state, run.info))`.
+
+        Raises:
+            ValueError: q holds no quaternions.
+        """
+        return _labelled.rotations(self)
 
 
 class Group(Protocol):

@@ -1,0 +1,98 @@
+"""Trees of named tuples, such as the result of a study, as one .npz: arrays by their path, the rest as JSON text."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from lieint_jax import scenarios
+from lieint_jax.scenarios._common import Common
+
+_PACKAGE = __name__.partition(".")[0]
+
+
+def save(path: Path, tree: Any, metadata: dict[str, Any]) -> None:
+    """Write a tree of named tuples of this package, tuples, lists, dicts, scenarios, arrays, numbers and text.
+
+    An array is named by its path in the tree, such as `estimate.covariance`. An existing file is not replaced.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    written = metadata | {"tree": _encoded(tree, "", arrays)}
+    with path.open("xb") as file:
+        np.savez(file, allow_pickle=False, **arrays, metadata=np.array(json.dumps(written)))
+
+
+def metadata(path: Path) -> dict[str, Any] | None:
+    """The metadata of a tree that `save` wrote; None for any other file or folder."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            found = json.loads(str(file["metadata"]))
+    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, EOFError):
+        return None
+    return found if isinstance(found, dict) and "tree" in found else None
+
+
+def load(path: Path) -> Any:
+    """The tree that `save` wrote.
+
+    Raises:
+        ValueError: no such file, damaged, or of a form that this version of the package does not have.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return _decoded(json.loads(str(file["metadata"]))["tree"], dict(file))
+    except (ValueError, KeyError, TypeError, AttributeError, ImportError, zipfile.BadZipFile, EOFError) as error:
+        raise ValueError(f"{path} holds no tree that this version of lieint_jax can read: {error}") from error
+
+
+def _encoded(value: Any, at: str, arrays: dict[str, np.ndarray]) -> Any:
+    def below(name: Any, inner: Any) -> Any:
+        return _encoded(inner, f"{at}.{name}" if at else str(name), arrays)
+
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray | jax.Array):
+        arrays[at] = np.asarray(value)
+        return {"array": at}
+    if isinstance(value, Common):
+        return {"scenario": value.model_dump()}
+    if isinstance(value, dict):
+        return {"dict": [[key, below(key, inner)] for key, inner in value.items()]}
+    if hasattr(value, "_fields"):
+        kind = f"{type(value).__module__}:{type(value).__qualname__}"
+        return {"type": kind, "fields": {name: below(name, getattr(value, name)) for name in value._fields}}
+    if isinstance(value, tuple | list):
+        return {type(value).__name__: [below(k, inner) for k, inner in enumerate(value)]}
+    raise TypeError(f"{at} is of type {type(value).__name__}, which is not written")
+
+
+def _decoded(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+    if not isinstance(value, dict):
+        return value
+    if "type" in value:
+        return _type(value["type"])(**{name: _decoded(inner, arrays) for name, inner in value["fields"].items()})
+    [(kind, inner)] = value.items()
+    if kind == "array":
+        return arrays[inner]
+    if kind == "scenario":
+        return scenarios.stored(inner, "the scenario")
+    if kind == "dict":
+        return {key: _decoded(part, arrays) for key, part in inner}
+    return {"tuple": tuple, "list": list}[kind](_decoded(part, arrays) for part in inner)
+
+
+def _type(name: str) -> Any:
+    """The named tuple called MODULE:NAME, of this package only: a file must not choose what else is imported."""
+    module, _, kind = name.partition(":")
+    found = getattr(importlib.import_module(module), kind) if module.split(".")[0] == _PACKAGE else None
+    if not (isinstance(found, type) and issubclass(found, tuple) and hasattr(found, "_fields")):
+        raise ValueError(f"{name} is no named tuple of {_PACKAGE}")
+    return found

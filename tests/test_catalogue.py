@@ -1,0 +1,31 @@
+"""`lieint list`: every scenario and study is on it, with what it takes; long commands say so beforehand."""
+
+from lieint_jax import scenarios
+from lieint_jax.command import catalogue, cli, study
+from lieint_jax.command.catalogue import Cost
+
+
+def test_the_list_is_whole(capsys):
+    assert cli.main(["list"]) == 0
+    shown = capsys.readouterr().out
+    for name in scenarios.scenario_names():
+        scenario = scenarios.load(name)
+        assert scenario.about, f"{name}.toml lacks the line `about`"
+        assert f"  {name:<20}{scenario.title}: {scenario.about}\n" in shown
+    assert all(f"\n  {name} " in shown for name in study.found())
+    assert max(map(len, shown.splitlines())) <= 140
+
+
+def test_every_command_of_the_list_has_been_timed():
+    """`python benchmarks/commands.py --only "run NAME"` times a new one."""
+    every = {f"run {name}" for name in scenarios.scenario_names()} | {f"study {name}" for name in study.found()}
+    assert every <= set(catalogue.costs())
+    assert all(0 < cost.again <= 2 * cost.first for cost in catalogue.costs().values())
+
+
+def test_only_long_commands_say_how_long_they_take(monkeypatch, capsys):
+    costs = {"run slow": Cost(150.0, 20.0, 1.0, 1.0), "run quick": Cost(5.0, 1.0, 1.0, 1.0)}
+    monkeypatch.setattr(catalogue, "costs", lambda: costs)
+    for name in ("run slow", "run quick", "run my.toml"):
+        catalogue.announce(name)
+    assert capsys.readouterr().out == "this takes about 2.5 min on two cores, 20 s from the second time on\n"

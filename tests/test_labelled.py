@@ -1,0 +1,91 @@
+"""Trajectories in other packages' forms, and states that print in a line."""
+
+import importlib
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax.types import State, StepInfo, Trajectory
+
+BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+T = np.linspace(0, 3, 5)
+RATES = np.array([[0.2, 0.0, 1.0], [0.1, 1.0, 0.3]])
+
+
+def run(*members):
+    """The closed form of the motion, without a step: entries, and members if asked."""
+    state = jax.vmap(lambda w: BODY.state([0.5, 0.5, 0.5, 0.5], angular_velocity=w))(jnp.asarray(RATES))
+    path = jax.vmap(jax.vmap(BODY.solution, (0, None)), (None, 0))(state, jnp.asarray(T))
+    shape = path.p.shape[:2]
+    both = Trajectory(jnp.asarray(T), path, StepInfo(jnp.zeros(shape), jnp.ones(shape, bool)))
+    return both if members else both._replace(**jax.tree.map(lambda x: x[:, 0], both._asdict() | {"t": T[:, None]}))
+
+
+def test_a_run_as_a_dataset():
+    found = run().to_xarray(BODY, units={"time": "d", "energy": "J"})
+    assert found.q.dims == ("time", "quaternion")
+    np.testing.assert_array_equal(found.q.sel(quaternion="w"), run().state.q[:, 0])
+    assert (found.time.attrs["units"], found.energy.attrs["units"]) == ("d", "J")
+    np.testing.assert_allclose(found.energy, 0.5 * (RATES[0] ** 2) @ [1, 2, 3], rtol=1e-14)
+    np.testing.assert_allclose(found.angular_velocity[0], RATES[0], atol=1e-15)
+    np.testing.assert_allclose(found.momentum_map, found.p, rtol=0)
+    assert found.converged.all()
+    with pytest.raises(ValueError, match=r"units of spin are given, but the variables are .*q"):
+        run().to_xarray(units={"spin": "rad"})
+
+
+def test_a_batch_as_a_dataset_has_members():
+    found = run("members").to_xarray(BODY)
+    assert dict(found.sizes) == {"time": 5, "member": 2, "quaternion": 4, "axis": 3, "momentum_map_component": 3}
+    assert found.energy.dims == found.residual.dims == ("time", "member")
+
+
+def test_several_bodies_and_matrices_have_axes_of_their_own():
+    flags = StepInfo(jnp.zeros(5), jnp.ones(5, bool))
+    two = Trajectory(T, State(jnp.ones((5, 2, 7)), jnp.zeros((5, 2, 6)), jnp.asarray(T)), flags).to_xarray()
+    assert (two.q.dims, two.p.dims) == (("time", "body", "pose"), ("time", "body", "momenta"))
+    assert two.t.dims == ("time",)
+    carried = State(jnp.ones((5, 3, 3)), jnp.zeros((5, 3, 3)), extra={"rotor": jnp.zeros((5, 3))})
+    elastic = Trajectory(T, carried, flags).to_xarray()
+    assert elastic.q.dims == ("time", "row", "column")
+    assert elastic.extra_rotor.dims == ("time", "extra_rotor_component")
+
+
+def test_attitudes_as_rotations_and_euler_angles():
+    path = run()
+    turns = path.rotations()
+    np.testing.assert_allclose(turns.as_matrix(), jax.vmap(BODY.rotation_matrix)(path.state), atol=1e-15)
+    angles = np.deg2rad(turns.as_euler("ZXZ", degrees=True))
+    ours = jax.vmap(li.groups.so3.to_euler_313)(path.state.q)
+    np.testing.assert_allclose(np.cos(angles - ours), 1, atol=1e-13)
+    flags = StepInfo(jnp.zeros(5), jnp.ones(5, bool))
+    two = Trajectory(T, State(jnp.ones((5, 2, 7)), jnp.zeros((5, 2, 6))), flags)
+    assert two.rotations().as_matrix().shape == (5, 2, 3, 3)
+    for shape, words in (((5, 3, 3), "need not be rotations"), ((5, 3), "attitudes are quaternions")):
+        with pytest.raises(ValueError, match=words):
+            Trajectory(T, State(jnp.ones(shape), jnp.zeros((5, 3))), flags).rotations()
+
+
+def test_states_print_in_a_line(capsys):
+    state = State(np.array([1.0, 0, 0, 0]), np.array([0.2, 0, 3]), extra={"rho": np.float64(0.5)})
+    assert str(state) == "State(q=[1., 0., 0., 0.], p=[0.2, 0. , 3. ], extra={rho: 0.5})"
+    assert str(State(0, None)) == "State(q=0)"
+    jax.jit(lambda z: print(z))(state._replace(extra=None))
+    assert capsys.readouterr().out == "State(q=float64[4], p=float64[3])\n"
+    assert repr(StepInfo(np.float64(0), np.bool_(False))) == "StepInfo(residual=0., converged=False)"
+    assert str(run("members")) == (
+        "Trajectory(5 entries of 2 members, t = 0 … 3, all converged, State(q=float64[5, 2, 4], p=float64[5, 2, 3]))"
+    )
+    assert "1 not converged" in str(run()._replace(info=StepInfo(np.zeros(5), np.arange(5) > 0)))
+
+
+def test_a_missing_package_is_a_sentence(monkeypatch):
+    def missing(name):
+        raise ModuleNotFoundError(name)
+
+    monkeypatch.setattr(importlib, "import_module", missing)
+    with pytest.raises(ImportError, match="xarray is not installed: pip install xarray"):
+        run().to_xarray()
