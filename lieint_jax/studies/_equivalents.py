@@ -144,10 +144,13 @@ def differences(facets: Facets, q: np.ndarray, sun: np.ndarray, observer: np.nda
     The root mean square of the differences in magnitude, less their mean, along attitudes q, (n, 4), under the
     directions to Sun and observer, (n, 3); of the symmetries of the facets the one with the greatest difference.
     """
-    light = jax.vmap(magnitude, (None, 0, 0, 0))
+
+    def light(q: np.ndarray) -> jax.Array:
+        return jax.vmap(magnitude, (None, 0, 0, 0))(facets, *map(jnp.asarray, (q, sun, observer)))
+
     found = np.zeros(len(SPACE))
     for change in changes(facets, sun, observer):
         if change.name == SPACE[change.space]:
-            off = light(facets, change.attitudes(q), sun, observer) - light(facets, q, sun, observer)
+            off = light(change.attitudes(q)) - light(q)
             found[change.space] = max(found[change.space], float(jnp.std(off)))
     return found

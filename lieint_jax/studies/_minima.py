@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from lieint_jax import schemes
 from lieint_jax.groups import so3
@@ -37,15 +38,16 @@ class Minima(NamedTuple):
     rise: np.ndarray
 
 
-def light(facets: Facets, sky: dict[str, float], q: Array, t: Array) -> Array:
+def light(facets: Facets, sky: dict[str, float], q: Array, t: ArrayLike) -> Array:
     """The magnitude at an attitude and a time."""
-    return magnitude(facets, q, *directions(sky, t))
+    return magnitude(facets, q, *directions(sky, jnp.asarray(t)))
 
 
 def slope(body: RigidBody, facets: Facets, sky: dict[str, float], state: State) -> Array:
     """The time derivative of the magnitude along the motion."""
-    moving = so3.tangent(state.q, body.angular_velocity(state)), jnp.ones_like(state.t)
-    return jax.jvp(lambda q, t: light(facets, sky, q, t), (state.q, state.t), moving)[1]
+    t = jnp.asarray(state.t)
+    moving = so3.tangent(state.q, body.angular_velocity(state)), jnp.ones_like(t)
+    return jax.jvp(lambda q, t: light(facets, sky, q, t), (state.q, t), moving)[1]
 
 
 def minima(body: RigidBody, state: State, facets: Facets, sky: dict[str, float], until: float, count: int) -> Event:
@@ -63,14 +65,17 @@ def minima(body: RigidBody, state: State, facets: Facets, sky: dict[str, float],
 
 def judged(body: RigidBody, facets: Facets, sky: dict[str, float], found: Event) -> Minima:
     """The minima that the events found, with what shows that they are minima."""
-    step = schemes.preprocessed(body, 6)
+    step, moments = schemes.preprocessed(body, 6), (-_BESIDE, _BESIDE)
 
     @jax.jit
     @jax.vmap
-    def look(state: State) -> tuple[Array, Array, Array, Array]:
+    def look(state: State) -> tuple[Array, ...]:
+        assert state.t is not None
         here = light(facets, sky, state.q, state.t)
-        before, after = (step(state, dt)[0] for dt in (-_BESIDE, _BESIDE))
-        beside = jnp.maximum(*(light(facets, sky, s.q, s.t) for s in (before, after)))
+        before, after = (step(state, dt)[0] for dt in moments)
+        beside = jnp.maximum(
+            *(light(facets, sky, s.q, state.t + dt) for s, dt in zip((before, after), moments, strict=True))
+        )
         return state.t, here, slope(body, facets, sky, state), here - beside
 
     there = np.asarray(found.found)

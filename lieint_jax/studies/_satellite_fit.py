@@ -40,7 +40,7 @@ def magnitudes(params: dict[str, Array], begin: Array, facets: Facets, curve: Li
     steps = int(np.ceil(curve.t[-1] / STEP))
     path = integrate(schemes.preprocessed(body, 6), state, STEP, steps, save_at=jnp.asarray(curve.t))
     q = path.state.q[1:]
-    light = jax.vmap(magnitude, (None, 0, 0, 0))(facets, q, curve.sun, curve.observer)
+    light = jax.vmap(magnitude, (None, 0, 0, 0))(facets, q, jnp.asarray(curve.sun), jnp.asarray(curve.observer))
     return light, jnp.all(path.info.converged)
 
 
@@ -70,7 +70,9 @@ def fitted(
     )
 
 
-def random_guesses(frequencies: np.ndarray, count: int, key: Array) -> tuple[dict[str, Array], Array, np.ndarray]:
+def random_guesses(
+    frequencies: np.ndarray, count: int, key: Array
+) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
     """Guesses whose mean precession and rotation frequencies are near given ones, else at random.
 
     The inertia is that of random second moments, the body momentum's direction and the attitude are uniform. Of a pool
@@ -104,10 +106,10 @@ def random_guesses(frequencies: np.ndarray, count: int, key: Array) -> tuple[dic
     speed = (frequencies[which] / of_pool[chosen]).mean(axis=1)
     rate = np.rad2deg(speed[:, None] * Pi[chosen] / J[chosen])
     begin = jax.vmap(so3.normalise)(jax.random.normal(keys[3], (count, 4)))
-    return {"attitude": np.zeros((count, 3)), "inertia": J[chosen, :2], "rate": rate}, begin, which
+    return {"attitude": np.zeros((count, 3)), "inertia": J[chosen, :2], "rate": rate}, np.asarray(begin), which
 
 
-def losses(guesses: dict[str, Array], begin: Array, facets: Facets, curve: Lightcurve) -> Array:
+def losses(guesses: dict[str, np.ndarray], begin: np.ndarray, facets: Facets, curve: Lightcurve) -> Array:
     """Half the sum of squares of each guess's errors in units of the noise, (guesses,)."""
 
     def one(params: dict[str, Array], begin: Array) -> Array:

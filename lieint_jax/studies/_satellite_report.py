@@ -29,9 +29,8 @@ def _head(found: Any) -> list[str]:
     phase = np.rad2deg(np.arccos((c.sun * c.observer).sum(axis=1)))
     first = (c.t < found.session).sum()
     return [
-        f"{found.scene.title}: all of it simulated",
-        f"  {len(found.scene.facets.area)} facets (a box, two two-sided panels), diffuse and with a lobe; they do not "
-        "shade each other",
+        f"{found.title}: all of it simulated",
+        f"  {found.facets} facets (a box, two two-sided panels), diffuse and with a lobe; they do not shade each other",
         f"  {len(c.t)} exposures in {c.t[-1]:.0f} min, {first} before the Earth's shadow and {len(c.t) - first} after "
         f"it; noise {c.noise} mag; phase angle {phase[0]:.0f}° to {phase.min():.0f}° to {phase[-1]:.0f}°",
         f"  mean periods, true: precession {found.periods[0]:.4f} min, rotation {found.periods[1]:.4f} min",
@@ -51,7 +50,8 @@ def _minima(found: Any) -> list[str]:
 def _periods(found: Any) -> list[str]:
     s, true, width = found.search, 1 / found.periods, _width(found)
     lines = [
-        f"\n  sines in the light, the strongest first, each as the simplest j f_precession + k f_rotation within {width:.4f}",
+        f"\n  sines in the light, the strongest first, each the simplest j f_precession + k f_rotation within "
+        f"{width:.4f} per min",
         f"    {'1/min':>9}{'period (min)':>14}{'variance':>10}{'j':>5}{'k':>4}{'off (1/min)':>13}",
     ]
     for p in s.peaks:
@@ -97,7 +97,7 @@ def _ends(found: Any) -> list[str]:
         *_table(found, rows),
         f"  {same:.1f} % of the starts found the true motion or one of the same light, {some:.1f} % a named one; "
         f"{100 * first.success.mean():.0f} % stopped for a good reason",
-        f"  {lost} of the {len(rows)} named solutions are no minima on the whole night: from them the fit goes elsewhere",
+        f"  {lost} of the {len(rows)} named solutions are no minima on the whole night: the fit leaves them",
     ]
 
 
@@ -143,7 +143,7 @@ def _row(found: Any, k: int) -> tuple[str, np.ndarray, float, bool, float]:
 
 def _symmetries(found: Any) -> list[str]:
     lines = [
-        "\n  by how much changes in space alter the light of the true motion, with any half turn of the body (mag, rms)",
+        "\n  by how much changes in space alter the true motion's light, with any half turn of the body (mag, rms)",
         f"    {'directions to Sun and observer':<40}{'none':>10}{'mirror':>10}{'exchange':>10}{'both':>10}",
     ]
     labels = ("held as in the middle of the session", "as they moved before the shadow", "as they moved in the night")
@@ -193,7 +193,6 @@ def _published(found: Any) -> list[str]:
     best, mirror = rows[SPACE[0]], rows[SPACE[1]]
     before = f"{2 * (mirror[2] - best[2]):.1f} higher" if np.isfinite(mirror[2] - best[2]) else "not met"
     after = f"{2 * (mirror[4] - best[4]):.1f} higher" if mirror[3] else "no minimum"
-    rate = np.linalg.norm(np.rad2deg(found.scene.body.angular_velocity(found.scene.state))) / 60
     return [
         "\n  published, and here:",
         "    'At least two different observation geometries … are needed for a unique full solution' of a precessing",
@@ -204,5 +203,6 @@ def _published(found: Any) -> list[str]:
         f"one; {even} of these have even k, as the",
         "      symmetry of the facets asks.",
         "    Retired geostationary satellites tumble 'well below … one degree per second' (Binz, Davis, Kelm & Moore,",
-        f"      Optical survey of the tumble rates of retired GEO satellites, AMOS). Here it is {rate:.2f}°/s, by choice.",
+        "      Optical survey of the tumble rates of retired GEO satellites, AMOS). Here it is "
+        f"{found.rate:.2f}°/s, by choice.",
     ]

@@ -59,7 +59,8 @@ class Lightcurve(NamedTuple):
     def until(self, end: float) -> Lightcurve:
         """The exposures before the time `end`."""
         kept = self.t < end
-        return Lightcurve(*(leaf[kept] for leaf in self[:4]), self.noise)
+        t, seen, sun, observer = (leaf[kept] for leaf in self[:4])
+        return Lightcurve(t, seen, sun, observer, self.noise)
 
 
 def scene() -> Scene:
@@ -91,7 +92,7 @@ def directions(sky: dict[str, float], t: Array) -> tuple[Array, Array]:
 def exposure_times(plan: dict[str, Any]) -> np.ndarray:
     """Irregular times (min), increasing: each of a cadence moved at random, with runs of them lost to clouds."""
     key = jax.random.key(plan["seed"])
-    t = np.concatenate([np.arange(*session, plan["cadence_min"]) for session in plan["sessions_min"]])
+    t = np.concatenate([np.arange(begin, end, plan["cadence_min"]) for begin, end in plan["sessions_min"]])
     moved, clouds = (np.asarray(jax.random.uniform(k, (len(t),))) for k in jax.random.split(key))
     t = t + plan["jitter_min"] * (2 * moved - 1)
     thickness = np.convolve(clouds, np.ones(7) / 7, "same")  # so that losses come in runs

@@ -13,7 +13,6 @@ from the ground before and after it crosses the Earth's shadow (`satellite.toml`
 
 from __future__ import annotations
 
-import json
 import time
 from typing import Any, NamedTuple
 
@@ -21,7 +20,6 @@ import jax
 import numpy as np
 from matplotlib.figure import Figure
 
-from lieint_jax._version import __version__
 from lieint_jax.fitting._fit import Fit
 from lieint_jax.studies import _satellite_picture, _satellite_report
 from lieint_jax.studies._equivalents import Change, Solutions, changes, differences, parameters, solutions, sorted_out
@@ -32,7 +30,7 @@ from lieint_jax.studies._satellite_fit import Estimate, estimate, fitted, losses
 from lieint_jax.studies._satellite_sky import Lightcurve, Scene, observe, scene
 from lieint_jax.studies._tumbling import mean_periods
 
-__all__ = ["Facets", "SatelliteFit", "arrays", "brightness", "draw", "facets", "magnitude", "run", "scene", "text"]
+__all__ = ["Facets", "SatelliteFit", "brightness", "draw", "facets", "magnitude", "run", "scene", "text"]
 
 _MOST_MINIMA = 60  # more than there are in the first session
 
@@ -55,7 +53,9 @@ class SatelliteFit(NamedTuple):
     """The results of the study.
 
     Attributes:
-        scene: the simulated satellite and its sky.
+        title: of the scene.
+        facets: the number of facets of the satellite.
+        rate: its true angular velocity at the start (°/s).
         curve: the light curve.
         session: the end of the first session (min).
         periods: true mean precession and rotation period (min), (2,).
@@ -77,7 +77,9 @@ class SatelliteFit(NamedTuple):
         devices: over which they were split.
     """
 
-    scene: Scene
+    title: str
+    facets: int
+    rate: float
     curve: Lightcurve
     session: float
     periods: np.ndarray
@@ -124,7 +126,9 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     chosen = int(np.argmin(night.starts.loss[:several]))
     judged_ends = _ends(night, after, after.take(chosen), every)
     return SatelliteFit(
-        made,
+        made.title,
+        len(made.facets.area),
+        float(np.linalg.norm(np.rad2deg(made.body.angular_velocity(made.state))) / 60),
         curve,
         session,
         np.asarray(mean_periods(made.body, made.state)),
@@ -193,52 +197,4 @@ def text(found: SatelliteFit) -> str:
 
 def draw(found: SatelliteFit) -> Figure:
     """Plot the light curve, both searches for periods, where all starts ended, and truth less estimate."""
-    return _satellite_picture.draw(arrays(found))
-
-
-def arrays(found: SatelliteFit) -> dict[str, np.ndarray]:
-    """Everything that the picture shows, as arrays for a file, with `metadata` as JSON text.
-
-    `draw` makes the picture of these alone: `_satellite_picture.draw(numpy.load(file))` makes it again.
-    """
-    best, e = found.search, found.estimate
-    metadata = {
-        "study": "satellite",
-        "title": found.scene.title,
-        "lieint_jax": __version__,
-        "units": {"time": "min", "frequency": "1/min", "light": "mag"},
-        "changes": [change.name for change in found.changes],
-        "turns": [change.turn for change in found.changes],
-        "guesses": found.guesses,
-    }
-    return {
-        "metadata": np.array(json.dumps(metadata, ensure_ascii=False)),
-        "t": found.curve.t,
-        "magnitude": found.curve.magnitude,
-        "model": e.light,
-        "fine_t": e.fine_t,
-        "fine_model": e.fine_light,
-        "noise": np.array(found.curve.noise),
-        "session": np.array(found.session),
-        "minima_t": found.minima.t,
-        "minima_magnitude": found.minima.magnitude,
-        "true_periods": found.periods,
-        "spectrum_frequency": best.frequencies,
-        "spectrum_power": best.power,
-        "peak_frequency": np.array([peak.frequency for peak in best.peaks]),
-        "pair_frequencies": best.pairs.pairs,
-        "pair_left": best.pairs.left,
-        "first_loss": found.first.loss,
-        "first_change": found.first.change,
-        "night_loss": found.night.loss,
-        "night_change": found.night.change,
-        "image_loss": found.images.loss,
-        "image_change": found.images.change,
-        "image_named": found.named,
-        "estimate": e.value,
-        "truth": e.truth,
-        "sigma": e.sigma,
-        "light_changes": found.light_changes,
-        "synthetic_errors": e.errors,
-        "seconds": found.seconds,
-    }
+    return _satellite_picture.draw(found)
