@@ -22,6 +22,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from lieint_jax.groups import so3
 from lieint_jax.studies._facets import Facets, axis_rotations, is_symmetry, magnitude
@@ -50,10 +51,15 @@ class Solutions(NamedTuple):
 
 def solutions(params: dict[str, np.ndarray], begin: np.ndarray) -> Solutions:
     """Those of parameters as of the fit, with leading axes."""
-    turn = jax.vmap(so3.exp)(jnp.deg2rad(jnp.asarray(params["attitude"])))
-    q = jax.vmap(so3.multiply)(turn, jnp.asarray(begin))
+    q = _attitudes(params["attitude"], begin)
     J = np.concatenate([np.asarray(params["inertia"]), np.ones((len(q), 1))], axis=1)
     return Solutions(np.asarray(q), np.asarray(params["rate"]), J / np.cbrt(J.prod(axis=1, keepdims=True)))
+
+
+@jax.jit
+@jax.vmap
+def _attitudes(turn: Array, begin: Array) -> Array:
+    return so3.multiply(so3.exp(jnp.deg2rad(turn)), begin)
 
 
 def parameters(found: Solutions) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -86,14 +92,17 @@ class Change(NamedTuple):
 
     def attitudes(self, q: np.ndarray) -> np.ndarray:
         """The changed attitudes, (n, 4)."""
-        gamma = so3.inverse(so3.from_matrix(jnp.asarray(self.g)))
-        return np.asarray(
-            jax.vmap(lambda q: so3.multiply(jnp.asarray(self.sigma), so3.multiply(q, gamma)))(jnp.asarray(q))
-        )
+        return np.asarray(_turned(self.sigma, q, self.g))
 
     def __call__(self, found: Solutions) -> Solutions:
         """The changed solutions."""
         return Solutions(self.attitudes(found.q), found.rate @ self.g.T, found.inertia @ (self.g**2).T)
+
+
+@jax.jit
+def _turned(sigma: Array, q: Array, g: Array) -> Array:
+    gamma = so3.inverse(so3.from_matrix(g))
+    return jax.vmap(lambda q: so3.multiply(sigma, so3.multiply(q, gamma)))(q)
 
 
 def changes(facets: Facets, sun: np.ndarray, observer: np.ndarray) -> list[Change]:
@@ -145,12 +154,12 @@ def differences(facets: Facets, q: np.ndarray, sun: np.ndarray, observer: np.nda
     directions to Sun and observer, (n, 3); of the symmetries of the facets the one with the greatest difference.
     """
 
-    def light(q: np.ndarray) -> jax.Array:
-        return jax.vmap(magnitude, (None, 0, 0, 0))(facets, *map(jnp.asarray, (q, sun, observer)))
-
     found = np.zeros(len(SPACE))
     for change in changes(facets, sun, observer):
         if change.name == SPACE[change.space]:
-            off = light(change.attitudes(q)) - light(q)
-            found[change.space] = max(found[change.space], float(jnp.std(off)))
+            off = _light(facets, change.attitudes(q), sun, observer) - _light(facets, q, sun, observer)
+            found[change.space] = max(found[change.space], float(np.std(off)))
     return found
+
+
+_light = jax.jit(jax.vmap(magnitude, (None, 0, 0, 0)))

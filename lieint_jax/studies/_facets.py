@@ -62,8 +62,8 @@ def facets(rows: list[dict[str, Any]]) -> Facets:
 
 
 def _check(row: dict[str, Any], which: str) -> None:
-    wrong = set(row) ^ {"normal", *_KEYS} - {"name"}
-    if wrong - {"name"}:
+    wrong = (set(row) - {"name"}) ^ {"normal", *_KEYS}
+    if wrong:
         raise ValueError(f"{which}: the keys of a facet are normal, {', '.join(_KEYS)}; see {', '.join(sorted(wrong))}")
     try:
         normal, numbers = np.array(row["normal"], float), np.array([row[key] for key in _KEYS], float)
@@ -72,9 +72,8 @@ def _check(row: dict[str, Any], which: str) -> None:
     if normal.shape != (3,) or not np.isfinite(normal).all() or not normal.any():
         raise ValueError(f"{which}: normal must be three numbers, not all 0, got {row['normal']}")
     if not (np.isfinite(numbers).all() and (numbers >= 0).all() and row["exponent"] >= 1):
-        raise ValueError(
-            f"{which}: {', '.join(_KEYS)} must not be negative, nor the exponent less than 1, got {numbers}"
-        )
+        given = dict(zip(_KEYS, numbers.tolist(), strict=True))
+        raise ValueError(f"{which}: no number may be negative or infinite, nor the exponent less than 1, got {given}")
 
 
 def brightness(body: Facets, q: Array, sun: Array, observer: Array) -> Array:

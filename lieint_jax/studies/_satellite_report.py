@@ -157,7 +157,8 @@ def _estimate(found: Any) -> list[str]:
     size, truth = np.abs(e.errors), "itself" if np.allclose(e.turned, np.eye(3)) else "after a half turn of the body"
     lines = [
         f"\n  the best solution, χ² {2 * found.night.loss.min():.1f} for {len(found.curve.t) - 9} degrees of freedom, "
-        f"beside the truth {truth}, and {len(e.errors)} synthetic sets",
+        f"beside the truth {truth},",
+        f"  and how far the fits of {len(e.errors)} synthetic sets are from theirs",
         f"    {'':<24}{'fitted':>11}{'± 1σ':>10}{'truth':>11}{'off':>9}{'within 1σ':>12}{'2σ':>6}{'scatter/σ':>11}",
     ]
     for k, name in enumerate(NAMES):
@@ -175,8 +176,8 @@ def _estimate(found: Any) -> list[str]:
         *lines,
         f"{mean}   expected 68 %, 95 %, 1",
         *(_beside(*row) for row in periods),
-        f"  the fit's motion, in steps of {STEP:g} min by the scheme of order 6, moves no magnitude by more than "
-        f"{e.integration:.2g} of its noise from the closed form",
+        f"  the scheme of order 6, in steps of {STEP:g} min, puts no magnitude farther from the closed form's than "
+        f"{e.integration:.2g} of its noise",
     ]
 
 
@@ -196,7 +197,7 @@ def _published(found: Any) -> list[str]:
     return [
         "\n  published, and here:",
         "    'At least two different observation geometries … are needed for a unique full solution' of a precessing",
-        "      body (Kaasalainen 2001, A&A 376:302). Here the χ² of the mirror solution is "
+        "      body (Kaasalainen 2001, A&A 376:302). Here the mirror solution's χ² is "
         f"{before} before the shadow, {after} in the night.",
         "    A tumbler's light has the harmonics of two frequencies and their linear combinations (Pravec et al. 2005,",
         f"      Icarus 173:108). Here {len(good)} of the {len(names)} strongest sines are within the resolution of "
