@@ -11,7 +11,7 @@ from lieint_jax.studies import gyro, sensitivity
 
 def test_every_study_has_the_three_parts():
     found = _discover.modules(studies)
-    assert set(found) == {"toutatis", "gyro", "kappa", "material", "sensitivity"}
+    assert set(found) == {"toutatis", "gyro", "kappa", "material", "satellite", "sensitivity"}
     assert all(callable(getattr(m, part)) for m in found.values() for part in ("run", "text", "draw"))
 
 

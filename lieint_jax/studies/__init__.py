@@ -23,8 +23,8 @@ the trajectory itself is accurate.
 
 Data with outliers, or of unknown noise: `student_t` makes residuals for `fit` out of errors with heavy tails.
 
-The studies: `toutatis`, `gyro`, `kappa`, `material`, `sensitivity`, each a module with `run`, `text` and `draw`, and
-`lieint study NAME`.
+The studies: `toutatis`, `satellite`, `gyro`, `kappa`, `material`, `sensitivity`, each a module with `run`, `text` and
+`draw`, and `lieint study NAME`.
 """
 
 from lieint_jax.adjoints import observe, reversible, round_trip_error

@@ -1,0 +1,183 @@
+"""Periods of unevenly sampled data: the least-squares spectrum, and the Fourier series in two frequencies.
+
+A torque-free tumbler has two frequencies, of precession and of rotation; its light has all j f₁ + k f₂, and nothing in
+it says which of the many pairs that generate the same combinations are the two. Source: Pravec et al. 2005, Icarus 173,
+108; the spectrum: Lomb 1976, Astrophys. Space Sci. 39, 447, with a floating mean.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+BAND = (0.01, 0.16)  # 1/min, in which the two frequencies and their like are looked for
+SPECTRUM = (0.005, 0.35)  # 1/min, of the spectrum
+ORDER, APART = 2, 0.004  # of the series in two frequencies; pairs nearer than this, in 1/min, are one peak
+HARMONICS = 6  # the greatest numbers by which a sine is named
+_FINE, _COARSE = 6, 4  # steps of the spectrum and of the pairs in one over the duration
+_SHOWN, _NUMBERS = 10, 2  # peaks and pairs that are kept; the greatest numbers in another basis
+_RIDGE = 1e-6  # relative, on the diagonal: some combinations of two frequencies may coincide
+_AT_ONCE = 2000  # pairs of frequencies whose series are fitted together
+
+
+def explained(t: Array, y: Array, frequency: Array) -> Array:
+    """The share of the variance of y, (n,), at times t, (n,), that a mean and a sine explain; with derivatives."""
+    phase = 2 * jnp.pi * frequency * t
+    c, s, y = (x - jnp.mean(x) for x in (jnp.cos(phase), jnp.sin(phase), y))
+    cc, ss, cs, yc, ys = (jnp.vdot(a, b) for a, b in ((c, c), (s, s), (c, s), (y, c), (y, s)))
+    return (yc * yc * ss - 2 * yc * ys * cs + ys * ys * cc) / ((cc * ss - cs * cs) * jnp.vdot(y, y))
+
+
+spectrum = jax.jit(jax.vmap(explained, (None, None, 0)))  # of many frequencies, (k,)
+
+
+def combinations(order: int) -> np.ndarray:
+    """All (j, k) with |j|, |k| ≤ order, ((2 order + 1)², 2)."""
+    return np.array(list(itertools.product(range(-order, order + 1), repeat=2)))
+
+
+class TwoPeriods(NamedTuple):
+    """Fourier series in two frequencies, fitted to data.
+
+    Attributes:
+        pairs: the pairs of frequencies f₁ < f₂, (pairs, 2).
+        left: the share of the variance that the series leaves, (pairs,).
+    """
+
+    pairs: np.ndarray
+    left: np.ndarray
+
+    def best(self, count: int, apart: float) -> TwoPeriods:
+        """The best pairs, none within the distance `apart` of a better one in both frequencies."""
+        kept: list[int] = []
+        for k in np.argsort(self.left):
+            if all(np.abs(self.pairs[k] - self.pairs[other]).max() > apart for other in kept):
+                kept.append(int(k))
+            if len(kept) == count:
+                break
+        return TwoPeriods(self.pairs[kept], self.left[kept])
+
+
+def two_periods(t: np.ndarray, y: np.ndarray, step: float, numbers: np.ndarray, order: int) -> TwoPeriods:
+    """Fit Fourier series of `order` in pairs of frequencies, Σ c_jk exp 2πi(j f₁ + k f₂)t with |j|, |k| ≤ order.
+
+    Args:
+        t, y: times and data, (n,).
+        step: the frequencies are whole multiples of it, so that all their combinations are, and a table serves all.
+        numbers: of which multiples, (pairs, 2).
+        order: of the series.
+    """
+    jk = combinations(order)
+    reach = int(2 * order * np.abs(numbers).sum(axis=1).max())
+    wave = np.exp(2j * np.pi * step * t)
+    powers = np.cumprod(np.broadcast_to(wave, (reach, len(t))), axis=0)
+    y = y - y.mean()
+    window, data = (np.concatenate([[w.sum()], powers @ w]) for w in (np.ones(len(t)), y))
+    between = jk[None, :, :] - jk[:, None, :]  # of e*_a e_b
+
+    def at(table: np.ndarray, k: np.ndarray) -> np.ndarray:
+        return np.where(k < 0, table[np.abs(k)].conj(), table[np.abs(k)])
+
+    def left(pair: np.ndarray) -> np.ndarray:
+        gram = at(window, np.einsum("abc,pc->pab", between, pair))
+        gram = gram + _RIDGE * len(t) * np.eye(len(jk))
+        b = at(data, -pair @ jk.T)
+        return 1 - np.einsum("pa,pa->p", b.conj(), np.linalg.solve(gram, b[..., None])[..., 0]).real / (y @ y)
+
+    parts = np.array_split(numbers, -(-len(numbers) // _AT_ONCE))
+    return TwoPeriods(step * numbers, np.concatenate([left(part) for part in parts]))
+
+
+class Peak(NamedTuple):
+    """A sine in the data, found after those before it had been taken out.
+
+    Attributes:
+        frequency: its frequency.
+        share: what it adds to the explained share of the variance.
+    """
+
+    frequency: float
+    share: float
+
+
+def peaks(t: np.ndarray, y: np.ndarray, frequencies: np.ndarray, count: int) -> list[Peak]:
+    """The strongest sines one after the other: each is fitted with all before it, and taken out (prewhitening)."""
+    found: list[Peak] = []
+    rest, left = y, 1.0
+    for _ in range(count):
+        f = float(frequencies[int(np.argmax(spectrum(t, rest, frequencies)))])
+        phase = 2 * np.pi * t[:, None] * np.array([*(p.frequency for p in found), f])
+        A = np.concatenate([np.ones((len(t), 1)), np.cos(phase), np.sin(phase)], axis=1)
+        rest = y - A @ np.linalg.lstsq(A, y, rcond=None)[0]
+        now = float(rest.var() / y.var())
+        found.append(Peak(f, left - now))
+        left = now
+    return found
+
+
+def named(frequency: float, pair: np.ndarray, order: int, width: float) -> tuple[int, int, float]:
+    """The (j, k) with |j|, |k| ≤ order whose j f₁ + k f₂ is a frequency, and the difference.
+
+    Of those nearer than the width, the simplest; if there is none, the nearest.
+    """
+    jk = combinations(order)
+    off, size = np.abs(jk @ pair - frequency), np.abs(jk).sum(axis=1)
+    best = int(np.lexsort((off, np.where(off < width, size, size.max() + off / width)))[0])
+    return int(jk[best, 0]), int(jk[best, 1]), float(frequency - jk[best] @ pair)
+
+
+def bases(pair: np.ndarray, most: int, band: tuple[float, float]) -> np.ndarray:
+    """All pairs of frequencies inside the band that generate the same combinations as a pair, (bases, 2).
+
+    They are |a f₁ + b f₂|, |c f₁ + d f₂| with |ad − bc| = 1, and numbers of at most `most`.
+    """
+    found = []
+    for a, b, c, d in itertools.product(range(-most, most + 1), repeat=4):
+        f, g = a * pair[0] + b * pair[1], c * pair[0] + d * pair[1]
+        if abs(a * d - b * c) == 1 and band[0] < f < band[1] and band[0] < g < band[1]:
+            found.append((f, g))
+    return np.unique(np.round(found, 12), axis=0)
+
+
+class Search(NamedTuple):
+    """The search for the periods of a light curve.
+
+    Attributes:
+        frequencies: of the spectrum, 1/min, (k,).
+        power: the share of the variance that each explains alone, (k,).
+        peaks: the strongest sines, one after the other.
+        pairs: the best pairs of frequencies, best first.
+        lines: pairs of frequencies that give the combinations of the best pair, (c, 2).
+    """
+
+    frequencies: np.ndarray
+    power: np.ndarray
+    peaks: list[Peak]
+    pairs: TwoPeriods
+    lines: np.ndarray
+
+    @property
+    def candidates(self) -> np.ndarray:
+        """(Precession, rotation) in 1/min, (c, 2).
+
+        A body whose facets are the same after half a turn about each axis shows its rotation twice as fast.
+        """
+        return self.lines / np.array([1.0, 2.0])
+
+
+def search(t: np.ndarray, y: np.ndarray) -> Search:
+    """The spectrum of magnitudes y at times t (min), its peaks, and pairs of frequencies."""
+    duration = float(t[-1] - t[0])
+    frequencies = np.arange(*SPECTRUM, 1 / (_FINE * duration))
+    step = 1 / (_COARSE * duration)
+    numbers = np.arange(int(BAND[0] / step) + 1, int(BAND[1] / step))
+    f, g = np.meshgrid(numbers, numbers, indexing="ij")
+    apart = g - f > APART / step
+    best = two_periods(t, y, step, np.stack([f[apart], g[apart]], axis=1), ORDER).best(_SHOWN, APART)
+    power = np.asarray(spectrum(t, y, frequencies))
+    return Search(frequencies, power, peaks(t, y, frequencies, _SHOWN), best, bases(best.pairs[0], _NUMBERS, BAND))

@@ -1,0 +1,200 @@
+"""The spin state and inertia ratios of a tumbling satellite from its light alone, with all symmetric solutions.
+
+The object is simulated: a box with two panels in a graveyard orbit above the geostationary ring, near an equinox, seen
+from the ground before and after it crosses the Earth's shadow (`satellite.toml`). The study
+
+* finds the minima of its light as events of the motion;
+* searches the light curve for two periods, and lists the pairs that would give the same combinations;
+* evaluates many random bodies of these periods on the first session, and fits the best of them to it;
+* goes on with the best ends on the whole night, beside the images of the best one under every change of space or of
+  body axes that may leave the light as it is, and beside synthetic data sets, fitted from the truth;
+* names and counts the ends.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from matplotlib.figure import Figure
+
+from lieint_jax.fitting._fit import Fit
+from lieint_jax.studies import _satellite_picture, _satellite_report
+from lieint_jax.studies._equivalents import Change, Solutions, changes, differences, parameters, solutions, sorted_out
+from lieint_jax.studies._facets import Facets, brightness, facets, magnitude
+from lieint_jax.studies._minima import Minima, judged, minima
+from lieint_jax.studies._period_search import Search, search
+from lieint_jax.studies._satellite_fit import Estimate, estimate, fitted, losses, random_guesses, true_solution
+from lieint_jax.studies._satellite_sky import Lightcurve, Scene, observe, scene
+from lieint_jax.studies._tumbling import mean_periods
+
+__all__ = ["Facets", "SatelliteFit", "brightness", "draw", "facets", "magnitude", "run", "scene", "text"]
+
+_MOST_MINIMA = 60  # more than there are in the first session
+
+
+class Ends(NamedTuple):
+    """Where fits have ended.
+
+    Attributes:
+        loss: half the sum of squares of the errors in units of the noise, (n,).
+        change: which change of the night's best one each is, an index of `SatelliteFit.changes`; −1 for none, (n,).
+        success: whether each stopped for a good reason, (n,).
+    """
+
+    loss: np.ndarray
+    change: np.ndarray
+    success: np.ndarray
+
+
+class SatelliteFit(NamedTuple):
+    """The results of the study.
+
+    Attributes:
+        title: of the scene.
+        facets: the number of facets of the satellite.
+        rate: its true angular velocity at the start (°/s).
+        curve: the light curve.
+        session: the end of the first session (min).
+        periods: true mean precession and rotation period (min), (2,).
+        minima: of the true light in the first session.
+        search: the search for periods.
+        guesses: the number of random bodies that were tried on the first session.
+        changes: every change of a solution that may leave the light as it is.
+        first: the ends of all starts on the first session.
+        candidate: which candidate pair of periods each start had, (starts,).
+        night: the ends of the best of them on the whole night.
+        images: the ends on the whole night from the images of the best end of the first session, one for each change
+            that is no symmetry of the facets; `named` says which.
+        named: the indices of these changes.
+        fit: of the whole night.
+        estimate: the best solution beside the truth.
+        light_changes: by how much the changes in space alter the light of the truth (mag, rms), (3, 4): under the
+            directions of the middle of the first session, those of the session, and those of the night.
+        seconds: the time of the guesses, of the fits to the first session, and of those to the night, (3,).
+        devices: over which they were split.
+    """
+
+    title: str
+    facets: int
+    rate: float
+    curve: Lightcurve
+    session: float
+    periods: np.ndarray
+    minima: Minima
+    search: Search
+    guesses: int
+    changes: list[Change]
+    first: Ends
+    candidate: np.ndarray
+    night: Ends
+    images: Ends
+    named: np.ndarray
+    fit: Fit
+    estimate: Estimate
+    light_changes: np.ndarray
+    seconds: np.ndarray
+    devices: int
+
+
+def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
+    """The whole study; `quick` takes a fifth of the starts and synthetic sets."""
+    guesses, starts, kept, sets = (20_000, 200, 40, 20) if quick else (100_000, 1000, 100, 100)
+    made = scene()
+    session = made.exposures["sessions_min"][0][1]
+    curve, seen = observe(made, sets)
+    found = search(curve.t, curve.magnitude)
+    first = curve.until(session)
+    clock = [time.perf_counter()]
+    guess, begin, candidate = _chosen(found.candidates, made, first, guesses, starts)
+    clock.append(time.perf_counter())
+    one = fitted(guess, begin, _repeated(first, starts), made.facets, first, progress)
+    clock.append(time.perf_counter())
+    assert one.starts is not None
+    every = changes(made.facets, first.sun, first.observer)
+    named = np.array([k for k, change in enumerate(every) if change.turn == 0])
+    ends = solutions(one.starts.params, begin)
+    best = ends.take(int(np.argmin(one.starts.loss)))
+    images = [every[k](best) for k in named]
+    again = Solutions(*map(np.concatenate, zip(ends.take(np.argsort(one.starts.loss)[:kept]), *images, strict=True)))
+    night, begin = _whole_night(again, made, curve, seen, progress)
+    clock.append(time.perf_counter())
+    assert night.starts is not None
+    after, several = solutions(night.starts.params, begin), kept + len(named)
+    chosen = int(np.argmin(night.starts.loss[:several]))
+    judged_ends = _ends(night, after, after.take(chosen), every)
+    return SatelliteFit(
+        made.title,
+        len(made.facets.area),
+        float(np.linalg.norm(np.rad2deg(made.body.angular_velocity(made.state))) / 60),
+        curve,
+        session,
+        np.asarray(mean_periods(made.body, made.state)),
+        judged(made.body, made.facets, made.sky, _minima(made, session)),
+        found,
+        guesses,
+        every,
+        _ends(one, ends, after.take(chosen), every),
+        candidate,
+        Ends(*(leaf[:kept] for leaf in judged_ends)),
+        Ends(*(leaf[kept:several] for leaf in judged_ends)),
+        named,
+        night,
+        estimate(made, curve, night, begin, chosen, several, every),
+        _light_changes(made, first, curve),
+        np.diff(clock),
+        len(jax.devices()),
+    )
+
+
+def _light_changes(made: Scene, first: Lightcurve, night: Lightcurve) -> np.ndarray:
+    middle = len(first.t) // 2
+    held = first._replace(sun=first.sun[[middle] * len(first.t)], observer=first.observer[[middle] * len(first.t)])
+    q = np.asarray(jax.vmap(lambda t: made.body.solution(made.state, t).q)(night.t))
+    return np.stack([differences(made.facets, q[: len(c.t)], c.sun, c.observer) for c in (held, first, night)])
+
+
+def _minima(made: Scene, until: float) -> Any:
+    return jax.jit(lambda body, state: minima(body, state, made.facets, made.sky, until, _MOST_MINIMA))(
+        made.body, made.state
+    )
+
+
+def _chosen(
+    candidates: np.ndarray, made: Scene, curve: Lightcurve, guesses: int, starts: int
+) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+    """The best of random guesses, their attitudes, and the candidate of each."""
+    guess, begin, candidate = random_guesses(candidates, guesses, jax.random.key(made.exposures["seed"]))
+    order = np.argsort(np.asarray(losses(guess, begin, made.facets, curve)))[:starts]
+    return jax.tree.map(lambda leaf: leaf[order], guess), begin[order], candidate[order]
+
+
+def _repeated(curve: Lightcurve, times: int) -> np.ndarray:
+    return np.tile(curve.magnitude, (times, 1))
+
+
+def _whole_night(
+    several: Solutions, made: Scene, curve: Lightcurve, seen: np.ndarray, progress: bool
+) -> tuple[Fit, np.ndarray]:
+    """Fits of the light curve from several solutions, and of other noise from the truth: one compiled program."""
+    truth = jax.tree.map(lambda leaf: np.repeat(leaf, len(seen), axis=0), true_solution(made))
+    guess, begin = parameters(Solutions(*map(np.concatenate, zip(several, truth, strict=True))))
+    data = np.concatenate([_repeated(curve, len(several.q)), seen])
+    return fitted(guess, begin, data, made.facets, curve, progress), begin
+
+
+def _ends(fit: Fit, ends: Solutions, best: Solutions, every: list[Change]) -> Ends:
+    assert fit.starts is not None
+    return Ends(fit.starts.loss, sorted_out(ends, best, every), fit.starts.success)
+
+
+def text(found: SatelliteFit) -> str:
+    """The study's report, to print."""
+    return _satellite_report.text(found)
+
+
+def draw(found: SatelliteFit) -> Figure:
+    """Plot the light curve, both searches for periods, where all starts ended, and truth less estimate."""
+    return _satellite_picture.draw(found)
