@@ -119,8 +119,8 @@ def nystrom(system: Forced | Driven, order: int, drift: Step | None = None) -> N
         order: 4 or 6.
         drift: of one body, a symmetric step of `system.free` of at least this order; by default
             `preprocessed(system.free, 10)`, with which order 6 keeps the form to 1e-14 at |ΔtΩ| = .6 and to 1e-10 at
-            1.2, order 4, whose drifts are longer, to 1e-11 at .5. `exact(system.free)` keeps it to round-off at any step
-            and takes five times as long.
+            1.2, order 4, whose drifts are longer, to 1e-11 at .5. `exact(system.free)` keeps it to round-off at any
+            step and takes five times as long.
 
     Raises:
         ValueError: another system or order; a drift that does not suit.
