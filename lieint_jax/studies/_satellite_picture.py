@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from lieint_jax import plots
 from lieint_jax.studies._period_search import HARMONICS, named
 
-_COLORS = {"as it is": plots.INK, "mirror": plots.RED, "exchange": "#5a8f3c", "mirror and exchange": "#c79a1e"}
+_COLORS = {"as it is": plots.INK, "mirror": plots.RED, "exchange": plots.GREEN, "mirror and exchange": plots.ORANGE}
 _TITLES = (
     "light before the shadow",
     "spectrum of all the light",
@@ -22,6 +22,7 @@ _TITLES = (
 )
 
 
+@plots.style()
 def draw(found: Any) -> Figure:
     """The light with its minima; both searches for periods; the ends of all starts; the images; errors."""
     fig, axes = plots.figure(3, 2)

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax import studies
 from lieint_jax.studies._facets import Facets, facets, magnitude
 from lieint_jax.systems import RigidBody, rigid_body
 from lieint_jax.types import State
@@ -65,7 +64,7 @@ class Lightcurve(NamedTuple):
 
 def scene() -> Scene:
     """The scene that the package ships."""
-    text = resources.files(studies).joinpath("satellite.toml").read_text(encoding="utf-8")
+    text = resources.files(__package__ or "").joinpath("satellite.toml").read_text(encoding="utf-8")
     table = tomllib.loads(text)
     inertia = np.array(table["body"]["inertia_kg_m2"])
     body = rigid_body(inertia / inertia[2])
