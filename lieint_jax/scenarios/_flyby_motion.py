@@ -274,7 +274,7 @@ def _slopes(order: int, long_axis: bool) -> Callable[..., Slopes]:
         state = jax.tree.map(lambda x: x[-1], integrate(free, near, times[0] / _FREE, _FREE, _FREE).state)
         state = state._replace(t=times[0], work=jnp.zeros_like(times[0]))
         found = _passed(J, step_of(J, orbit, order), state, times)
-        turn = angle(found.before.pole, found.after.pole)
+        turn = three.angle(found.before.pole, found.after.pole)
         return jnp.stack([found.after.precession, found.after.rotation, found.after.rate, turn])
 
     def one(spin: Spin, elements: Array, times: Array) -> Slopes:
@@ -282,9 +282,3 @@ def _slopes(order: int, long_axis: bool) -> Callable[..., Slopes]:
         return jax.jacfwd(measured)(Slopes(*spin, perigee), elements, times)
 
     return _many(one)
-
-
-def angle(a: Array, b: Array) -> Array:
-    """The angle between unit vectors, accurate for small ones."""
-    c = jnp.stack(three.cross(a, b))
-    return jnp.arctan2(jnp.sqrt(three.dot(c, c)), three.dot(a, b))

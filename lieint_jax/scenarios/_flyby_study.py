@@ -13,9 +13,10 @@ from jax import Array
 from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.scenarios import _flyby_motion as motion
+from lieint_jax.scenarios._common import for_last_run
 from lieint_jax.scenarios._flyby_keys import Changes, Scenario, Variant
 from lieint_jax.scenarios._flyby_motion import Outcome, Passage, Slopes, Spin
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.types import State, Trajectory
 
 _TRIES = 16  # draws of a member's moments, of which the first that has such periods is taken
 _SLOPE_ORDER = 4  # of the steps that are differentiated: derivatives are right to 5e-4 of the largest
@@ -88,17 +89,9 @@ class Study(NamedTuple):
     failed: int
 
 
-_last: list[tuple[Trajectory, Study]] = []
-
-
-def study(scenario: Scenario, step: Step, run: Trajectory) -> Study:
-    """The study of a run; that of the last run is kept, for its pictures and its report."""
-    if not (_last and _last[0][0] is run):
-        _last[:] = [(run, _study(scenario, step, run))]
-    return _last[0][1]
-
-
-def _study(scenario: Scenario, step: Any, run: Trajectory) -> Study:
+@for_last_run
+def study(scenario: Scenario, step: Any, run: Trajectory) -> Study:
+    """The study of a run: its members before and after the passage, and the passages that are shown beside them."""
     from tqdm import tqdm
 
     measured, J = jax.jit(jax.vmap(motion.outcome)), step.system.inertia
@@ -189,7 +182,7 @@ def change(before: Outcome, after: Outcome) -> Change:
     )
 
 
-pole_angles = jax.jit(jax.vmap(motion.angle))
+pole_angles = jax.jit(jax.vmap(three.angle))
 
 
 def lonlat(pole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
