@@ -23,6 +23,7 @@ from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, pytree, static
 
 _FREE = 128  # steps of the motion without torque, where it is differentiated
+_NEAR = 1e-12  # the part of a mode's energies next to its ends that is left out
 _BISECTIONS = 50  # of the excitation, then one step of Newton's method, which has the derivative
 
 
@@ -110,8 +111,14 @@ def _ratio(J: Array, s: Array, long_axis: bool) -> Array:
 
 
 def possible(J: Array, ratio: Array, long_axis: bool) -> Array:
-    """Whether a mode of this body has the ratio P_ψ/P_φ: the least is that of a small wobble."""
-    return ratio > _ratio(J, jnp.where(long_axis, 1 - 1e-12, 1e-12), long_axis)
+    """Whether a mode of this body has the ratio P_ψ/P_φ.
+
+    The least ratio is that of a small wobble; the greatest is taken next to the separatrix, where the ratio grows
+    without bound, but rounding leaves it no digits.
+    """
+    ends = jnp.asarray([1 - _NEAR, _NEAR] if long_axis else [_NEAR, 1 - _NEAR])
+    least, most = jax.vmap(lambda s: _ratio(J, s, long_axis))(ends)
+    return (least < ratio) & (ratio < most)
 
 
 def excited(J: Array, ratio: Array, long_axis: bool) -> Array:

@@ -32,14 +32,20 @@ def members(scenario: Scenario) -> tuple[Spin, np.ndarray]:
     known = np.array([[x.value, *x.sides()] for x in (getattr(spin, name) for name in Changes.model_fields)])
     known[:, 1:] /= scenario.sigmas
     phases = np.deg2rad([spin.precession_phase_deg, spin.rotation_phase_deg])
-    spins, first = _drawn(seed, jnp.arange(scenario.members), known, phases, spin.long_axis)
-    return spins, np.asarray(first)
+    spins, good = _drawn(seed, jnp.arange(scenario.members), known, phases, spin.long_axis)
+    good = np.asarray(good)
+    if none := int((~good.any(axis=1)).sum()):
+        raise ValueError(f"{none} members: none of {_TRIES} draws within the errors is a {spin.mode} mode")
+    return spins, good[:, 0]
 
 
 @partial(jax.jit, static_argnums=4)
 @partial(jax.vmap, in_axes=(None, 0, None, None, None))
 def _drawn(seed: Array, k: Array, known: Array, phases: Array, long_axis: bool) -> tuple[Spin, Array]:
-    """The k-th member; `known` has a row for each key of `Changes`: value, standard deviations below and above."""
+    """The k-th member, and whether each of its draws has such a mode, (_TRIES,).
+
+    `known` has a row for each key of `Changes`: value, standard deviations below and above.
+    """
     key = jax.random.fold_in(seed, k)
     noise = jnp.where(k == 0, 0.0, jax.random.normal(key, (_TRIES, 6)))
     drawn = known[:, 0] + jnp.where(noise < 0, known[:, 1], known[:, 2]) * noise
@@ -49,10 +55,10 @@ def _drawn(seed: Array, k: Array, known: Array, phases: Array, long_axis: bool) 
     has = jax.vmap(lambda J, ratio: motion.possible(J, ratio, long_axis))(J, rotation / precession)
     good = sound & has
     one = jnp.argmax(good)
-    longitude, latitude = _moved(*jnp.deg2rad(known[4:, 0]), *jnp.deg2rad(known[4:, 2] * noise[0, 4:]))
+    longitude, latitude = _moved(*jnp.deg2rad(known[4:, 0]), *jnp.deg2rad(drawn[0, 4:] - known[4:, 0]))
     anywhere = jax.random.uniform(jax.random.fold_in(key, 1), (2,)) * 2 * jnp.pi
     phi, psi = jnp.where(k == 0, phases, anywhere)
-    return Spin(least[one], middle[one], precession[one], rotation[one], longitude, latitude, phi, psi), good[0]
+    return Spin(least[one], middle[one], precession[one], rotation[one], longitude, latitude, phi, psi), good
 
 
 def _moved(longitude: Array, latitude: Array, east: Array, north: Array) -> tuple[Array, Array]:
@@ -144,8 +150,7 @@ def _first(scenario: Scenario, count: int) -> Spin:
 
 def _varied(scenario: Scenario, variant: Variant, count: int) -> Passage:
     """The passages of members under other assumptions."""
-    given = {name: getattr(variant, name) for name in Changes.model_fields}
-    spin = scenario.spin.model_copy(update={name: x for name, x in given.items() if x is not None})
+    spin = scenario.spin.changed(variant)
     orbit = scenario.orbit.model_copy(update={"frame": variant.frame or scenario.orbit.frame})
     spins = _first(scenario.model_copy(update={"spin": spin}), count)
     return motion.passages(orbit.elements(), scenario.order, spin.long_axis, spins, scenario.times())
