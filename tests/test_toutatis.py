@@ -196,6 +196,25 @@ def test_the_estimate_is_scipys(found):
 
 
 @pytest.mark.long
+def test_normal_errors_have_the_noise_and_the_covariance_of_least_squares(found):
+    """σ² (ΣJᵀJ)⁻¹, with degrees of freedom taken off by kind; by derivatives of the closed form, in numpy."""
+    data = toutatis.radar_data()
+    params = toutatis.published_params("toutatis", data["begin"], -data["epoch"])
+    unravel = ravel_pytree(params)[1]
+    both = jax.jit(jax.jacfwd(lambda x: (e := _radar.errors(_radar.path(unravel(x), data), data), e), has_aux=True))
+    J, e = (np.asarray(x) for x in both(found.normal.x))
+    noise = np.sqrt((e**2).mean(axis=(1, 2)))  # of maximum likelihood
+    share = np.einsum("knci,kncj->kij", J, J) / noise[:, None, None] ** 2
+    used = np.trace(np.linalg.solve(share.sum(axis=0), share), axis1=1, axis2=2)
+    noise = noise * np.sqrt(51 / (51 - used))
+    np.testing.assert_allclose(found.normal.noise, noise, rtol=1e-5)
+    information = (np.einsum("knci,kncj->kij", J, J) / noise[:, None, None] ** 2).sum(axis=0)
+    scale = np.sqrt(np.diagonal(information))
+    product = np.asarray(found.normal.covariance) * np.outer(scale, scale) @ (information / np.outer(scale, scale))
+    np.testing.assert_allclose(product, np.eye(8), atol=1e-3)
+
+
+@pytest.mark.long
 def test_what_the_study_settles(found):
     assert found.fit.success
     assert found.same == 1  # all random starts end in the minimum

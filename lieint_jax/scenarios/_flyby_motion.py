@@ -1,4 +1,4 @@
-"""A tumbling body that passes a planet: its state from periods and phases, and what the passage made of it.
+"""A tumbling body that passes a planet: its state from periods and phases, its passage, and the derivatives of it.
 
 Units: km for the orbit, h for times, rad for angles; the greatest moment of inertia is 1, only ratios count.
 """
@@ -23,7 +23,7 @@ from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, pytree, static
 
 _FREE = 128  # steps of the motion without torque, where it is differentiated
-_NEAR = 1e-12  # the part of a mode's energies next to its ends that is left out
+_NEAR = 1e-12  # the fraction of a mode's range of energies that is left out at either end
 _BISECTIONS = 50  # of the excitation, then one step of Newton's method, which has the derivative
 
 
@@ -35,8 +35,8 @@ class Spin(NamedTuple):
         precession: P_φ, the mean period of the long axis x about the angular momentum, in h.
         rotation: P_ψ, the period of the angular momentum in the body, in h.
         longitude, latitude: of the angular momentum.
-        phi: at the perigee, the angle about the angular momentum from the Earth's direction of the body to x.
-        psi: at the perigee, 2π times the part of P_ψ since Π was in the x-z plane at its least angle to x.
+        phi: at the perigee, the angle about the angular momentum from the line Earth–body to the long axis x.
+        psi: at the perigee, 2π times the part of P_ψ that has passed since Π lay between x and z, nearest to x.
 
     Both phases are those that the motion without torque has.
     """
@@ -93,7 +93,7 @@ def moments(spin: Spin) -> Array:
 
 
 def _momentum(J: Array, s: Array, long_axis: bool) -> Array:
-    """The unit Π in the x-z plane at the part s of the energies of a mode.
+    """The unit Π in the x-z plane whose energy is at the fraction s of the range of a mode.
 
     The excitation goes from 1 (s = 0) to the separatrix in short-axis modes, from there to J₃/J₁ in long-axis modes.
     """

@@ -1,4 +1,4 @@
-"""The members of a flyby, what became of them, and the runs that are shown beside them."""
+"""The members of a flyby, their changes, and the passages beside them: a map of phases, arcs, other assumptions."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _moved(longitude: Array, latitude: Array, east: Array, north: Array) -> tupl
 
 
 class Study(NamedTuple):
-    """What the report and the pictures show beside the members of the run.
+    """The contents of the report and the pictures.
 
     Attributes:
         before, after: of the members.
@@ -143,7 +143,7 @@ def thinned(scenario: Scenario, grid: Any) -> Any:
 
 
 def _first(scenario: Scenario, count: int) -> Spin:
-    """So many members: of as many draws as the run has, if these are enough, as there is a program for them."""
+    """The first `count` members. They are drawn with all those of the run, whose program is compiled already."""
     enough = scenario.model_copy(update={"members": max(count, scenario.members)})
     return jax.tree.map(lambda x: x[:count], members(enough)[0])
 
@@ -174,7 +174,7 @@ class Change(NamedTuple):
 
 
 def change(before: Outcome, after: Outcome) -> Change:
-    """What became of the members."""
+    """The changes of the members."""
     longitudes, latitudes = zip(*(lonlat(x.pole) for x in (before, after)), strict=True)
     turn = np.rad2deg(pole_angles(before.pole, after.pole))
     return Change(

@@ -55,7 +55,7 @@ def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
 
 
 def facts(scenario: Scenario, before: Outcome) -> dict[str, tuple[str, np.ndarray]]:
-    """What is known before the passage: a name and the values of the members."""
+    """Quantities of the orbit and of the state before the passage: a name, and one value or those of the members."""
     orbit = GivenOrbit(scenario.orbit.elements())
     position, velocity = (np.asarray(x) for x in orbit(jnp.zeros(())))
     date = scenario.orbit.date(0)
