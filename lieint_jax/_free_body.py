@@ -65,6 +65,7 @@ from lieint_jax._numerics.three import Vector, dot
 from lieint_jax.groups import so3
 
 _Turns = list[tuple[int, Array]]
+_FAR = 1e7  # the ν from which Legendre's third integral is computed by its first term for large ν
 _NEAR = 1e-5  # the f τ² below which S, cn, dn are computed by series, with an error of 1e-17
 
 
@@ -167,13 +168,23 @@ def periods(inertia: Array, Pi: Array) -> Periods:
     K = elliptic.quarter_period(m1)
     over = jnp.where(long_axis, A * (C - B), A * above)
     under = jnp.where(long_axis, C * (B - A), C * below)
-    nu = over / jnp.where(under == 0, 1, under)
+    on_edge = under == 0  # a symmetric body, π across its axis: ν is infinite, Π(−ν, m) vanishes
+    nu = over / jnp.where(on_edge, 1, under)
     square = x * x + y * y + z * z
     rest = square == 0
-    part = elliptic.carlson_rj(jnp.zeros_like(m1), jnp.sqrt(m1), jnp.ones_like(m1), 1 + nu) * nu / (3 * K)
+    part = jnp.where(on_edge, 1, _less_third(m1, nu, K))
     rate = jnp.sqrt(jnp.where(rest, 1, square)) * (1 / C + (1 / A - 1 / C) * part)
     rotation = jnp.where(still, jnp.inf, 4 * K / jnp.sqrt(fast))
     return Periods(jnp.where(rest, jnp.inf, 2 * jnp.pi / rate), rotation, long_axis)
+
+
+def _less_third(m1: Array, nu: Array, K: Array) -> Array:
+    """1 − Π(−ν, m)/K; above ν = 1e7, where R_J loses its digits, by its first term for large ν, to 1/ν."""
+    root = jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny))  # as in K, or their ratio is wrong on the separatrix
+    far = nu > _FAR
+    near = jnp.where(far, 1, nu)
+    part = elliptic.carlson_rj(jnp.zeros_like(m1), root, jnp.ones_like(m1), 1 + near) * near / (3 * K)
+    return jnp.where(far, 1 - jnp.pi / (2 * K * jnp.sqrt(1 + nu)), part)
 
 
 def _units(inertia: Array, Pi: Array) -> tuple[Array, Array, Vector, Array]:

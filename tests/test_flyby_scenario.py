@@ -127,6 +127,55 @@ def test_a_spin_has_its_periods_and_phases_in_both_modes(long_axis):
     assert abs(y) < 1e-15
 
 
+@pytest.mark.parametrize(("long_axis", "turn"), [(False, 180), (True, 0)])
+def test_half_a_turn_about_the_axis_that_the_momentum_goes_round_is_half_a_turn_of_psi(long_axis, turn):
+    """So the map of half the phases has them all: φ changes with the short axis' turn, and not with the long axis'."""
+    spin = motion.Spin(*map(jnp.asarray, (0.55, 0.8, 20.0, 60.0, 1.0, -0.4, 2.0, 1.2)))
+    at, towards = jax.jit(motion.at_perigee, static_argnums=2), jnp.asarray([0.3, -0.9, 0.2])
+    one = at(spin, towards, long_axis)
+    other = at(spin._replace(phi=spin.phi + np.deg2rad(turn), psi=spin.psi + np.pi), towards, long_axis)
+    half = np.diag([1.0, -1, -1]) if long_axis else np.diag([-1.0, -1, 1])
+    np.testing.assert_allclose(so3.to_matrix(other.q), so3.to_matrix(one.q) @ half, atol=1e-13)
+    np.testing.assert_allclose(other.p, one.p, rtol=1e-13)
+    given = apophis().spin.model_copy(update={"mode": "long_axis" if long_axis else "short_axis"})
+    assert given.same_passage_deg == turn
+
+
+def test_a_ratio_of_periods_is_refused_where_no_mode_has_it():
+    """Least is that of small wobbles; next to the separatrix rounding leaves no digits of an immense one."""
+    possible = jax.jit(motion.possible, static_argnums=2)
+    J = jnp.asarray([0.61, 0.965, 1.0])
+    wobble = 1 / np.sqrt((1 - 0.61) * (1 - 0.965) / (0.61 * 0.965))
+    assert [bool(possible(J, jnp.asarray(x), False)) for x in (0.999 * wobble, 1.001 * wobble, 50.0, 150.0)] == [
+        False,
+        True,
+        True,
+        False,
+    ]
+
+
+def test_errors_to_one_side_are_drawn_to_that_side():
+    """Also those of the pole."""
+    below = dict(value=-75.0, below=14.0, above=0.0, source="pravec")
+    one_side = dict(momentum_longitude_deg=dict(value=250.0, source="pravec"), momentum_latitude_deg=below)
+    spins, _ = _flyby_study.members(changed(members=2000, spin=one_side))
+    latitude = np.rad2deg(np.asarray(spins.latitude))
+    assert latitude.max() < -75 + 1e-9
+    assert latitude.min() < -80
+
+
+def test_members_without_a_mode_are_an_error():
+    """Periods at the ratio of a small wobble, and moments and periods that err away from it only."""
+    edge = dict(
+        least_moment=dict(value=0.61, below=0.0, above=0.1, source="pravec"),
+        middle_moment=dict(value=0.965, below=0.0, above=0.01, source="pravec"),
+        precession_period_h=dict(value=27.38, below=0.0, above=0.5, source="pravec"),
+        rotation_period_h=dict(value=179.9, below=5.0, above=0.0, source="pravec"),
+    )
+    with pytest.raises(ValueError, match=r"\d+ members: none of 16 draws within the errors is a short_axis mode"):
+        _flyby_study.members(changed(members=2000, spin=edge, variant=[]))
+
+
 def test_members_are_drawn_from_the_published_errors():
     """The same member in ensembles of every size; means and deviations within 4 standard errors of 2000 members."""
     scenario = changed(members=2000)
@@ -192,6 +241,10 @@ BAD = [
     (dict(spin=dict(middle_moment=dict(value=0.999, source="lee"))), "spin: no short_axis mode of these moments"),
     (dict(spin=dict(rotation_period_h=dict(value=263.0, below=1.0, source="lee"))), "give error, or both below and"),
     (dict(spin=dict(rotation_period_h=dict(value=263.0, source="nobody"))), "source 'nobody' is not one of the keys"),
+    (
+        dict(variant=[dict(label="round", middle_moment=dict(value=0.999, source="lee"))]),
+        "variant 'round': no short_axis mode of these moments",
+    ),
     (dict(map=dict(phases=3)), "map.phases: unknown key"),
 ]
 

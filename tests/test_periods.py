@@ -106,6 +106,16 @@ def test_limits():
     assert periods(jnp.asarray(APOPHIS), jnp.asarray([0.0, 1.0, 0.0])).rotation > 400  # 33 is that of small wobbles
 
 
+def test_precession_next_to_the_separatrix_and_of_a_disc_on_edge():
+    """There the long axis stays across π and goes round at |π|/B; a disc on edge spins at |π|/A."""
+    middle = periods(jnp.asarray([1.0, 2.0, 3.0]), jnp.asarray([0.0, 1.0, 0.0]))
+    assert float(middle.precession) == pytest.approx(4 * np.pi, rel=1e-2)  # 1.7e-3: of a motion 1e-154 off
+    for z in (0.0, 1e-9, 1e-7, 1e-5):
+        found = periods(jnp.asarray([1.0, 1.0, 2.0]), jnp.asarray([0.3, 0.4, z]))
+        spin = np.hypot(0.5, z) - z / 2  # of the body: precession of the short axis, less the turn about it
+        assert float(found.precession) == pytest.approx(2 * np.pi / spin, rel=1e-10)
+
+
 @pytest.mark.long
 def test_derivatives_in_inertia_and_state():
     """Forward and reverse against central differences of a step of 1e-5: observed 4e-9."""

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import lieint_jax as li
 from lieint_jax import scenarios
 from lieint_jax.scenarios import rigid_body
-from lieint_jax.studies import _flyby, _radar, _tumbling, toutatis
+from lieint_jax.studies import _flyby, _radar, _spin_fit, _tumbling, toutatis
 
 PUBLISHED = (("toutatis", 9.96, 3.9, 18.8), ("toutatis_takahashi", 7.70, 1.3, 15.9))
 
@@ -193,6 +193,26 @@ def test_the_estimate_is_scipys(found):
     assert loss(best) <= theirs.fun + 1e-6
     sigma = np.append(np.sqrt(np.diagonal(found.estimate.covariance)), [0.15, 0.15])
     np.testing.assert_array_less(np.abs(theirs.x - best) / sigma, 5e-3)
+
+
+@pytest.mark.long
+def test_normal_errors_have_the_noise_and_the_covariance_of_least_squares():
+    """(ΣJᵀJ/σ²)⁻¹, with degrees of freedom taken off by kind, in numpy."""
+    data = toutatis.radar_data() | {"freedom": jnp.asarray(1e8)}
+    params = toutatis.published_params("toutatis", data["begin"], -data["epoch"])
+    x, unravel = ravel_pytree(params)
+    both = jax.jit(jax.jacfwd(lambda x: (e := _radar.errors(_radar.path(unravel(x), data), data), e), has_aux=True))
+    J, e = (np.asarray(x) for x in both(x))
+    noise = np.sqrt((e**2).mean(axis=(1, 2)))  # of maximum likelihood
+    normal = _spin_fit.estimate(params | {"noise": jnp.asarray(noise)}, data)
+    share = np.einsum("knci,kncj->kij", J, J) / noise[:, None, None] ** 2
+    used = np.trace(np.linalg.solve(share.sum(axis=0), share), axis1=1, axis2=2)
+    noise = noise * np.sqrt(51 / (51 - used))
+    np.testing.assert_allclose(normal.noise, noise, rtol=1e-6)
+    information = (np.einsum("knci,kncj->kij", J, J) / noise[:, None, None] ** 2).sum(axis=0)
+    scale = np.sqrt(np.diagonal(information))
+    product = np.asarray(normal.covariance) * np.outer(scale, scale) @ (information / np.outer(scale, scale))
+    np.testing.assert_allclose(product, np.eye(8), atol=1e-5)
 
 
 @pytest.mark.long

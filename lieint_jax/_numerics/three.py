@@ -42,6 +42,12 @@ def cross(a: Vector, b: Vector) -> tuple[Array, Array, Array]:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
+def angle(a: Vector, b: Vector) -> Array:
+    """The angle between two vectors of any lengths, in radians, accurate where it is small."""
+    c = cross(a, b)
+    return jnp.arctan2(jnp.sqrt(dot(c, c)), dot(a, b))
+
+
 def once(v: Vector) -> Vector:
     """The same numbers, each computed once.
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable
-from typing import Annotated, Any, Self
+from functools import wraps
+from typing import Annotated, Any, Self, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,9 @@ Quadruple = Annotated[list[float], Field(min_length=4, max_length=4)]
 NonNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[int, Field(gt=0, le=10**12)]
 Text = Annotated[str, Field(pattern=r"^[^$]*$")]  # without $, which matplotlib reads as mathematics
+
+S = TypeVar("S")
+R = TypeVar("R")
 
 
 class Table(BaseModel):
@@ -167,6 +171,19 @@ def series(function: Callable[[State], Any], run: Trajectory) -> np.ndarray:
 def deviation(x: np.ndarray) -> np.ndarray:
     """The standard deviation over the members, the first axis; 0 for a single member."""
     return np.std(x, axis=0, ddof=1) if len(x) > 1 else np.zeros(x.shape[1:])
+
+
+def for_last_run(function: Callable[[S, Step, Trajectory], R]) -> Callable[[S, Step, Trajectory], R]:
+    """The same function of (scenario, step, run), which keeps its value for the last run, for report and pictures."""
+    last: list[tuple[Trajectory, R]] = []
+
+    @wraps(function)
+    def kept(scenario: S, step: Step, run: Trajectory) -> R:
+        if not (last and last[0][0] is run):
+            last[:] = [(run, function(scenario, step, run))]
+        return last[0][1]
+
+    return kept
 
 
 def paragraphs(notes: list[str]) -> list[str]:

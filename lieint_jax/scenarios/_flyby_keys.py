@@ -97,7 +97,7 @@ class Orbit(Table):
 
 
 class Changes(Table):
-    """What is known of the tumbling, or of a part of it."""
+    """Values of the tumbling, of which a variant may replace any."""
 
     least_moment: Measured | None = None
     """The least principal moment, about x, over the greatest, about z."""
@@ -131,17 +131,35 @@ class Tumbling(Changes):
 
     @model_validator(mode="after")
     def _a_mode_with_these_periods(self) -> Self:
+        self.check()
+        return self
+
+    def check(self) -> None:
+        """Raise ValueError unless the body has a mode with these periods."""
         least, middle = self.least_moment.value, self.middle_moment.value
         if not 0 < least < middle < 1:
             raise ValueError("must be 0 < least_moment < middle_moment < 1, over the greatest")
         ratio = self.rotation_period_h.value / self.precession_period_h.value
         if not motion.possible(jnp.asarray([least, middle, 1.0]), jnp.asarray(ratio), self.long_axis):
             raise ValueError(f"no {self.mode} mode of these moments has periods of the ratio {ratio:g}")
-        return self
+
+    def changed(self, changes: Changes) -> Tumbling:
+        """The tumbling with the values that are given there."""
+        given = {name: getattr(changes, name) for name in Changes.model_fields}
+        return self.model_copy(update={name: x for name, x in given.items() if x is not None})
 
     @property
     def long_axis(self) -> bool:
         return self.mode == "long_axis"
+
+    @property
+    def same_passage_deg(self) -> int:
+        """The change of φ, in degrees, that gives the same passage if ψ changes by 180°.
+
+        Such a body has turned by half a turn about the axis that Π goes round: its short axis, which reverses the long
+        one, or the long axis itself.
+        """
+        return 0 if self.long_axis else 180
 
 
 class Variant(Changes):
@@ -173,7 +191,7 @@ class Known(Table):
         "lightcurve_period_h",
         "energy_ratio",
     ]
-    """What it is of."""
+    """Which quantity it is."""
     value: float
     """In the unit that the name has."""
     error: Annotated[float, Field(gt=0)] | None = None
@@ -217,6 +235,15 @@ class Scenario(Common):
     expected: list[Expected] = []
     notes: list[Text] = []
     """Paragraphs at the end of the report: what was assumed, what was checked, what is not in the model."""
+
+    @model_validator(mode="after")
+    def _variants_have_such_a_mode(self) -> Self:
+        for variant in self.variant:
+            try:
+                self.spin.changed(variant).check()
+            except ValueError as error:
+                raise ValueError(f"variant {variant.label!r}: {error}") from None
+        return self
 
     @model_validator(mode="after")
     def _mean_step(self) -> Self:

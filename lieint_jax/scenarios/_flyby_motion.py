@@ -1,4 +1,4 @@
-"""A tumbling body that passes a planet: its state from periods and phases, and what the passage made of it.
+"""A tumbling body that passes a planet: its state from periods and phases, its passage, and the derivatives of it.
 
 Units: km for the orbit, h for times, rad for angles; the greatest moment of inertia is 1, only ratios count.
 """
@@ -23,6 +23,7 @@ from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, pytree, static
 
 _FREE = 128  # steps of the motion without torque, where it is differentiated
+_NEAR = 1e-12  # the fraction of a mode's range of energies that is left out at either end
 _BISECTIONS = 50  # of the excitation, then one step of Newton's method, which has the derivative
 
 
@@ -34,8 +35,8 @@ class Spin(NamedTuple):
         precession: P_φ, the mean period of the long axis x about the angular momentum, in h.
         rotation: P_ψ, the period of the angular momentum in the body, in h.
         longitude, latitude: of the angular momentum.
-        phi: at the perigee, the angle about the angular momentum from the Earth's direction of the body to x.
-        psi: at the perigee, 2π times the part of P_ψ since Π was in the x-z plane at its least angle to x.
+        phi: at the perigee, the angle about the angular momentum from the line Earth–body to the long axis x.
+        psi: at the perigee, 2π times the part of P_ψ that has passed since Π lay between x and z, nearest to x.
 
     Both phases are those that the motion without torque has.
     """
@@ -92,7 +93,7 @@ def moments(spin: Spin) -> Array:
 
 
 def _momentum(J: Array, s: Array, long_axis: bool) -> Array:
-    """The unit Π in the x-z plane at the part s of the energies of a mode.
+    """The unit Π in the x-z plane whose energy is at the fraction s of the range of a mode.
 
     The excitation goes from 1 (s = 0) to the separatrix in short-axis modes, from there to J₃/J₁ in long-axis modes.
     """
@@ -110,8 +111,14 @@ def _ratio(J: Array, s: Array, long_axis: bool) -> Array:
 
 
 def possible(J: Array, ratio: Array, long_axis: bool) -> Array:
-    """Whether a mode of this body has the ratio P_ψ/P_φ: the least is that of a small wobble."""
-    return ratio > _ratio(J, jnp.where(long_axis, 1 - 1e-12, 1e-12), long_axis)
+    """Whether a mode of this body has the ratio P_ψ/P_φ.
+
+    The least ratio is that of a small wobble; the greatest is taken next to the separatrix, where the ratio grows
+    without bound, but rounding leaves it no digits.
+    """
+    ends = jnp.asarray([1 - _NEAR, _NEAR] if long_axis else [_NEAR, 1 - _NEAR])
+    least, most = jax.vmap(lambda s: _ratio(J, s, long_axis))(ends)
+    return (least < ratio) & (ratio < most)
 
 
 def excited(J: Array, ratio: Array, long_axis: bool) -> Array:
@@ -274,7 +281,7 @@ def _slopes(order: int, long_axis: bool) -> Callable[..., Slopes]:
         state = jax.tree.map(lambda x: x[-1], integrate(free, near, times[0] / _FREE, _FREE, _FREE).state)
         state = state._replace(t=times[0], work=jnp.zeros_like(times[0]))
         found = _passed(J, step_of(J, orbit, order), state, times)
-        turn = angle(found.before.pole, found.after.pole)
+        turn = three.angle(found.before.pole, found.after.pole)
         return jnp.stack([found.after.precession, found.after.rotation, found.after.rate, turn])
 
     def one(spin: Spin, elements: Array, times: Array) -> Slopes:
@@ -282,9 +289,3 @@ def _slopes(order: int, long_axis: bool) -> Callable[..., Slopes]:
         return jax.jacfwd(measured)(Slopes(*spin, perigee), elements, times)
 
     return _many(one)
-
-
-def angle(a: Array, b: Array) -> Array:
-    """The angle between unit vectors, accurate for small ones."""
-    c = jnp.stack(three.cross(a, b))
-    return jnp.arctan2(jnp.sqrt(three.dot(c, c)), three.dot(a, b))

@@ -43,7 +43,8 @@ def draw_map(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
         ("pole turned by (°)", x.turn, "magma", (5, 10, 15, 20, 25, 30), False),
     )
     for ax, (title, values, colours, levels, middle) in zip(axes.flat, panels, strict=True):
-        _draw_phases(fig, ax, values.reshape(shape), after.long_axis.reshape(shape), colours, levels, middle)
+        maps = values.reshape(shape), after.long_axis.reshape(shape)
+        _draw_phases(fig, ax, *maps, scenario.spin.same_passage_deg, colours, levels, middle)
         ax.set_title(title)
     for ax in axes[1]:
         ax.set_xlabel("precession phase $\\phi$ at the perigee (°)")
@@ -53,14 +54,16 @@ def draw_map(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
     return fig
 
 
-def _draw_phases(fig: Figure, ax: Any, values: Any, long_axis: Any, colours: str, levels: Any, middle: bool) -> None:
-    """A map over φ and ψ, both to 360°: the second half is the first with both phases 180° on."""
+def _draw_phases(
+    fig: Figure, ax: Any, values: Any, long_axis: Any, same_deg: int, colours: str, levels: Any, middle: bool
+) -> None:
+    """A map over φ and ψ, both to 360°: the second half is the first with ψ 180° on, and φ by `same_deg`."""
     from matplotlib.patheffects import withStroke
 
     n, m = values.shape
 
     def whole(x: np.ndarray) -> np.ndarray:
-        full = np.concatenate([x, np.roll(x, n // 2, axis=0)], axis=1)
+        full = np.concatenate([x, np.roll(x, n * same_deg // 360, axis=0)], axis=1)
         return np.pad(full, ((0, 1), (0, 1)), mode="wrap").T
 
     phi, psi = np.linspace(0, 360, n + 1), np.linspace(0, 360, 2 * m + 1)

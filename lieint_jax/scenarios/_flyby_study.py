@@ -1,4 +1,4 @@
-"""The members of a flyby, what became of them, and the runs that are shown beside them."""
+"""The members of a flyby, their changes, and the passages beside them: a map of phases, arcs, other assumptions."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from jax import Array
 from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.scenarios import _flyby_motion as motion
+from lieint_jax.scenarios._common import for_last_run
 from lieint_jax.scenarios._flyby_keys import Changes, Scenario, Variant
 from lieint_jax.scenarios._flyby_motion import Outcome, Passage, Slopes, Spin
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax.types import State, Trajectory
 
 _TRIES = 16  # draws of a member's moments, of which the first that has such periods is taken
 _SLOPE_ORDER = 4  # of the steps that are differentiated: derivatives are right to 5e-4 of the largest
@@ -31,14 +32,20 @@ def members(scenario: Scenario) -> tuple[Spin, np.ndarray]:
     known = np.array([[x.value, *x.sides()] for x in (getattr(spin, name) for name in Changes.model_fields)])
     known[:, 1:] /= scenario.sigmas
     phases = np.deg2rad([spin.precession_phase_deg, spin.rotation_phase_deg])
-    spins, first = _drawn(seed, jnp.arange(scenario.members), known, phases, spin.long_axis)
-    return spins, np.asarray(first)
+    spins, good = _drawn(seed, jnp.arange(scenario.members), known, phases, spin.long_axis)
+    good = np.asarray(good)
+    if none := int((~good.any(axis=1)).sum()):
+        raise ValueError(f"{none} members: none of {_TRIES} draws within the errors is a {spin.mode} mode")
+    return spins, good[:, 0]
 
 
 @partial(jax.jit, static_argnums=4)
 @partial(jax.vmap, in_axes=(None, 0, None, None, None))
 def _drawn(seed: Array, k: Array, known: Array, phases: Array, long_axis: bool) -> tuple[Spin, Array]:
-    """The k-th member; `known` has a row for each key of `Changes`: value, standard deviations below and above."""
+    """The k-th member, and whether each of its draws has such a mode, (_TRIES,).
+
+    `known` has a row for each key of `Changes`: value, standard deviations below and above.
+    """
     key = jax.random.fold_in(seed, k)
     noise = jnp.where(k == 0, 0.0, jax.random.normal(key, (_TRIES, 6)))
     drawn = known[:, 0] + jnp.where(noise < 0, known[:, 1], known[:, 2]) * noise
@@ -48,10 +55,10 @@ def _drawn(seed: Array, k: Array, known: Array, phases: Array, long_axis: bool) 
     has = jax.vmap(lambda J, ratio: motion.possible(J, ratio, long_axis))(J, rotation / precession)
     good = sound & has
     one = jnp.argmax(good)
-    longitude, latitude = _moved(*jnp.deg2rad(known[4:, 0]), *jnp.deg2rad(known[4:, 2] * noise[0, 4:]))
+    longitude, latitude = _moved(*jnp.deg2rad(known[4:, 0]), *jnp.deg2rad(drawn[0, 4:] - known[4:, 0]))
     anywhere = jax.random.uniform(jax.random.fold_in(key, 1), (2,)) * 2 * jnp.pi
     phi, psi = jnp.where(k == 0, phases, anywhere)
-    return Spin(least[one], middle[one], precession[one], rotation[one], longitude, latitude, phi, psi), good[0]
+    return Spin(least[one], middle[one], precession[one], rotation[one], longitude, latitude, phi, psi), good
 
 
 def _moved(longitude: Array, latitude: Array, east: Array, north: Array) -> tuple[Array, Array]:
@@ -65,7 +72,7 @@ def _moved(longitude: Array, latitude: Array, east: Array, north: Array) -> tupl
 
 
 class Study(NamedTuple):
-    """What the report and the pictures show beside the members of the run.
+    """The contents of the report and the pictures.
 
     Attributes:
         before, after: of the members.
@@ -88,17 +95,9 @@ class Study(NamedTuple):
     failed: int
 
 
-_last: list[tuple[Trajectory, Study]] = []
-
-
-def study(scenario: Scenario, step: Step, run: Trajectory) -> Study:
-    """The study of a run; that of the last run is kept, for its pictures and its report."""
-    if not (_last and _last[0][0] is run):
-        _last[:] = [(run, _study(scenario, step, run))]
-    return _last[0][1]
-
-
-def _study(scenario: Scenario, step: Any, run: Trajectory) -> Study:
+@for_last_run
+def study(scenario: Scenario, step: Any, run: Trajectory) -> Study:
+    """The study of a run: its members before and after the passage, and the passages that are shown beside them."""
     from tqdm import tqdm
 
     measured, J = jax.jit(jax.vmap(motion.outcome)), step.system.inertia
@@ -144,15 +143,14 @@ def thinned(scenario: Scenario, grid: Any) -> Any:
 
 
 def _first(scenario: Scenario, count: int) -> Spin:
-    """So many members: of as many draws as the run has, if these are enough, as there is a program for them."""
+    """The first `count` members. They are drawn with all those of the run, whose program is compiled already."""
     enough = scenario.model_copy(update={"members": max(count, scenario.members)})
     return jax.tree.map(lambda x: x[:count], members(enough)[0])
 
 
 def _varied(scenario: Scenario, variant: Variant, count: int) -> Passage:
     """The passages of members under other assumptions."""
-    given = {name: getattr(variant, name) for name in Changes.model_fields}
-    spin = scenario.spin.model_copy(update={name: x for name, x in given.items() if x is not None})
+    spin = scenario.spin.changed(variant)
     orbit = scenario.orbit.model_copy(update={"frame": variant.frame or scenario.orbit.frame})
     spins = _first(scenario.model_copy(update={"spin": spin}), count)
     return motion.passages(orbit.elements(), scenario.order, spin.long_axis, spins, scenario.times())
@@ -176,7 +174,7 @@ class Change(NamedTuple):
 
 
 def change(before: Outcome, after: Outcome) -> Change:
-    """What became of the members."""
+    """The changes of the members."""
     longitudes, latitudes = zip(*(lonlat(x.pole) for x in (before, after)), strict=True)
     turn = np.rad2deg(pole_angles(before.pole, after.pole))
     return Change(
@@ -189,7 +187,7 @@ def change(before: Outcome, after: Outcome) -> Change:
     )
 
 
-pole_angles = jax.jit(jax.vmap(motion.angle))
+pole_angles = jax.jit(jax.vmap(three.angle))
 
 
 def lonlat(pole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -55,7 +55,7 @@ def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
 
 
 def facts(scenario: Scenario, before: Outcome) -> dict[str, tuple[str, np.ndarray]]:
-    """What is known before the passage: a name and the values of the members."""
+    """Quantities of the orbit and of the state before the passage: a name, and one value or those of the members."""
     orbit = GivenOrbit(scenario.orbit.elements())
     position, velocity = (np.asarray(x) for x in orbit(jnp.zeros(())))
     date = scenario.orbit.date(0)
@@ -145,9 +145,9 @@ def _expectations(scenario: Scenario, found: Study) -> list[str]:
 def _by_phase(scenario: Scenario, found: Study) -> list[str]:
     x, after = change(found.mapped.before, found.mapped.after), found.mapped.after
     phi, psi = (np.rad2deg(np.asarray(x)) for x in (found.grid.phi, found.grid.psi))
-    lines = [
-        f"\n  {f'nominal body, {len(phi)} pairs of phases':<52}{'value':>9}   at φ, ψ and at φ + 180°, ψ + 180° (°)"
-    ]
+    turn = scenario.spin.same_passage_deg
+    same = "φ + 180°, ψ + 180°" if turn else "φ, ψ + 180°"
+    lines = [f"\n  {f'nominal body, {len(phi)} pairs of phases':<52}{'value':>9}   at φ, ψ and at {same} (°)"]
     for name, values in (
         ("P_φ after (h)", after.precession),
         ("effective spin rate over that before", x.rate),
@@ -162,18 +162,19 @@ def _by_phase(scenario: Scenario, found: Study) -> list[str]:
         ("spin rate doubled or more", x.rate >= 2),
         ("long-axis mode after", after.long_axis),
     ):
-        where = f"φ mod 180° within {_interval(phi[held])}" if held.any() else "at no phase"
+        modulo = 180 if turn else 360
+        where = f"φ mod {modulo}° within {_interval(phi[held], modulo)}" if held.any() else "at no phase"
         lines.append(f"  {name:<52}{100 * held.mean():>7.1f} %   {where}")
     return lines
 
 
-def _interval(phi: np.ndarray) -> str:
-    """The shortest interval modulo 180° that holds angles in degrees."""
-    x = np.unique(np.round(phi % 180, 9))
-    gaps = np.diff(np.append(x, x[0] + 180))
+def _interval(phi: np.ndarray, modulo: int) -> str:
+    """The shortest interval, of angles in degrees modulo 180° or 360°, that holds all of these."""
+    x = np.unique(np.round(phi % modulo, 9))
+    gaps = np.diff(np.append(x, x[0] + modulo))
     k = int(gaps.argmax())
     first, last = x[(k + 1) % len(x)], x[k]
-    return f"{first if last >= first else first - 180:.0f}° to {last:.0f}°"
+    return f"{first if last >= first else first - modulo:.0f}° to {last:.0f}°"
 
 
 def _sensitivity(scenario: Scenario, found: Study) -> list[str]:

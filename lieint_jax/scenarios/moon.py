@@ -22,7 +22,17 @@ from pydantic import Field, field_validator, model_validator
 from lieint_jax import _checks, ensemble, orbits, plots, schemes, systems
 from lieint_jax.diagnostics import Lyapunov, lyapunov
 from lieint_jax.groups import so3
-from lieint_jax.scenarios._common import Common, NonNegative, Positive, Table, Text, Triple, deviation, paragraphs
+from lieint_jax.scenarios._common import (
+    Common,
+    NonNegative,
+    Positive,
+    Table,
+    Text,
+    Triple,
+    deviation,
+    for_last_run,
+    paragraphs,
+)
 from lieint_jax.systems import GravityGradient
 from lieint_jax.types import State, Step, Trajectory
 
@@ -209,17 +219,9 @@ class Chaos(NamedTuple):
     failed: int
 
 
-_last: list[tuple[Trajectory, Chaos]] = []
-
-
+@for_last_run
 def chaos(scenario: Scenario, step: Step, run: Trajectory) -> Chaos:
-    """The exponents of a scenario; those of the last run are kept, for its pictures and its report."""
-    if not (_last and _last[0][0] is run):
-        _last[:] = [(run, _chaos(scenario, step, run))]
-    return _last[0][1]
-
-
-def _chaos(scenario: Scenario, step: Step, run: Trajectory) -> Chaos:
+    """The exponents of a scenario."""
     starts = State(jnp.asarray(run.state.q[0]), jnp.asarray(run.state.p[0]), jnp.asarray(run.t[0]))
     planes = np.zeros((6, 2))
     planes[_IN_PLANE, 0] = planes[_OUT_OF_PLANE, 1] = 1

@@ -15,6 +15,7 @@ import numpy as np
 from jax import Array
 
 from lieint_jax import orbits, schemes, systems
+from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.integrate import integrate
 from lieint_jax.studies._tumbling import mean_periods
@@ -77,7 +78,7 @@ def passage(body: RigidBody, state: State, distance: float, speed: float, member
         after = through(body, before, orbit)
         change = 360 / mean_periods(body, after) - 360 / mean_periods(body, before)
         size = jnp.linalg.norm(after.p - before.p) / jnp.linalg.norm(before.p)
-        return size, _angle(before.p, after.p), change
+        return size, jnp.rad2deg(three.angle(before.p, after.p)), change
 
     results = jax.jit(partial(jax.lax.map, lambda x: one(*x), batch_size=min(members, 64)))((times, turns))
     return Flyby(distance, speed, *(np.asarray(x) for x in results))
@@ -89,8 +90,3 @@ def through(body: RigidBody, before: State, orbit: orbits.Kepler) -> State:
     begin = State(before.q, before.p, jnp.asarray(-_HALF), jnp.zeros(()))
     run = integrate(step, begin, 2 * _HALF / _STEPS, _STEPS, _STEPS)
     return State(run.state.q[-1], run.state.p[-1])
-
-
-def _angle(a: Array, b: Array) -> Array:
-    """The angle between two vectors, in degrees."""
-    return jnp.rad2deg(jnp.arctan2(jnp.linalg.norm(jnp.cross(a, b)), jnp.dot(a, b)))

@@ -40,7 +40,8 @@ def _head(found: Any) -> list[str]:
     noise, error = np.asarray(found.estimate.noise), student_t_noise_error(FITTED, 3) * found.factors[1]
     plain = np.asarray(found.normal.noise)
     sigma = np.sqrt(np.diagonal(found.estimate.derived_covariance))
-    moved = np.abs(np.asarray(found.normal.derived) - np.asarray(found.estimate.derived)) / sigma
+    values = zip(np.asarray(found.normal.derived), np.asarray(found.estimate.derived), sigma, strict=True)
+    moved = max(abs(_difference(a, b, k)) / s for k, (a, b, s) in enumerate(values))
     random = len(found.fit.starts.loss) - 3
     return [
         f"{found.scenario.title}: spin state, inertia ratios and noise from the {FITTED} radar fixes of 1992",
@@ -49,7 +50,7 @@ def _head(found: Any) -> list[str]:
         f"  noise, fitted: attitudes {noise[0]:.2f} ± {noise[0] * error:.2f}°, rates {noise[1]:.2f} ± "
         f"{noise[1] * error:.2f} °/d (scales of Student's t, {FREEDOM:g} degrees of freedom)",
         f"  with normal errors instead: {plain[0]:.2f}°, {plain[1]:.2f} °/d, and what is below moves by up to "
-        f"{moved.max():.1f} σ",
+        f"{moved:.1f} σ",
     ]
 
 
@@ -94,7 +95,7 @@ def _comparison(found: Any) -> list[str]:
     )
     lines += [
         "  (angles and rates of 1992-11-09 17:49:47 UTC; right, what the published states imply, with the inertia of",
-        f"  {found.scenario.source('takahashi')}, and their distance from ours)",
+        f"  {found.scenario.source('takahashi')}, and their difference from ours)",
         "  all eight parameters at once, at the middle fix: squared distances by the covariance, 8 expected, of Zhao",
         f"  and Takahashi: {beyond}",
         "\n  published as such:",
@@ -107,9 +108,9 @@ def _comparison(found: Any) -> list[str]:
 
 
 def _beside(k: int, ours: float, sigma: float, value: float, error: float, source: str) -> str:
-    """A published value, its distance from ours in units of both errors, and its source."""
+    """A published value, its difference from ours in units of both errors, and its source."""
     given = f"{value:g}" + (f" ± {error:g}" if error else "")
-    return f"    {NAMES[k]:<26}{given:<16}{(ours - value) / np.hypot(sigma, error):>+5.1f} σ   {source}"
+    return f"    {NAMES[k]:<26}{given:<16}{_difference(value, ours, k) / np.hypot(sigma, error):>+5.1f} σ   {source}"
 
 
 def _difference(a: float, b: float, k: int) -> float:
@@ -150,7 +151,7 @@ def rate_errors(found: Any) -> np.ndarray:
 
 def _torque(found: Any) -> list[str]:
     f, own = found.flyby, rate_errors(found)
-    rms, most = np.sqrt((f.rates**2).mean(axis=0)), np.abs(f.rates).max()
+    rms, most = np.sqrt((f.rates**2).mean(axis=0)), np.abs(f.rates[:, 0]).max()
     usual, worst = _TO_2008 * rms[0], _TO_2008 * most
     change = 100 * np.sqrt((f.momentum**2).mean())
     return [
@@ -160,14 +161,15 @@ def _torque(found: Any) -> list[str]:
         f"    momentum: changes by {change:.2f} % rms, turns by {f.pole.max():.2f}° at most",
         f"    precession rate: {rms[0]:.3f} °/d rms, {most:.2f} at most; rotation rate: {rms[1]:.4f} rms",
         f"    published: {_CHANGE} °/d at most   (Busch et al. 2012, AGU Fall Meeting, P31A-1873)",
-        f"  By the fix of 2008 that is {usual:.0f}° rms, {worst:.0f}° at most, however well it is known.",
+        f"  By the fix of 2008 this change of rate adds up to {usual:.0f}° rms, {worst:.0f}° at most, even from",
+        "  a state known exactly.",
         f"  The fit of 1992 knows the two rates to ± {own[0]:.2f} and ± {own[1]:.2f} °/d.",
     ]
 
 
 def _coverage(found: Any) -> list[str]:
     c = found.coverage
-    size = np.abs(c.pulls)
+    size, rms = np.abs(c.pulls), np.sqrt((c.pulls**2).mean(axis=0))
     one, two = 100 * (size <= 1).mean(axis=0), 100 * (size <= 2).mean(axis=0)
     labels = (*(f"attitude {a}" for a in "xyz"), "Jx/Jz", "Jy/Jz", *(f"rate {a}" for a in "xyz"))
     labels = (*labels, "log noise, attitudes", "log noise, rates", *NAMES[:4])
@@ -177,14 +179,12 @@ def _coverage(found: Any) -> list[str]:
         f"{found.factors[1]:.3f}), which is",
         f"  the scatter over them in {sets} synthetic sets of the fitted model; how they do in {sets} others "
         f"({int(c.success.sum())} fits succeeded):",
-        f"  {'':<26}{'within 1σ':>10}{'within 2σ':>10}{'scatter/σ':>11}",
+        f"  {'':<26}{'within 1σ':>10}{'within 2σ':>10}{'rms/σ':>11}",
     ]
-    lines += [
-        f"  {label:<26}{one[k]:>9.0f}%{two[k]:>9.0f}%{c.pulls[:, k].std():>11.2f}" for k, label in enumerate(labels)
-    ]
+    lines += [f"  {label:<26}{one[k]:>9.0f}%{two[k]:>9.0f}%{rms[k]:>11.2f}" for k, label in enumerate(labels)]
     return [
         *lines,
-        f"  {'mean of the parameters':<26}{one[:8].mean():>9.1f}%{two[:8].mean():>9.1f}%{c.pulls[:, :8].std():>11.2f}",
+        f"  {'mean of the parameters':<26}{one[:8].mean():>9.1f}%{two[:8].mean():>9.1f}%{c.scatter[0]:>11.2f}",
         f"  {'expected of each':<26}{68.3:>9}%{95.4:>9}%{1:>11}   ± {margin[0]:.1f} %, {margin[1]:.1f} % by chance",
         f"  truth inside the joint 95 % ellipsoid: {100 * (c.distance <= _ELLIPSOID).mean():.0f} % of the sets",
     ]

@@ -20,6 +20,7 @@ from jax.flatten_util import ravel_pytree
 from matplotlib.figure import Figure
 
 from lieint_jax import scenarios
+from lieint_jax._numerics import three
 from lieint_jax.fitting._fit import Fit
 from lieint_jax.fitting._robust import FREEDOM, student_t_weights
 from lieint_jax.groups import so3
@@ -228,8 +229,7 @@ def _predict(
     off = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (0, None))(q[:, -3:], jnp.asarray(later.q)))
     body, state = model(unravel(estimate.x), begin)
     rate = jnp.asarray(np.deg2rad(fixes.angular_velocity_deg))
-    p = np.asarray(jax.vmap(so3.Ad)(jnp.asarray(fixes.q), body.inertia * rate))
-    cosine = p @ np.asarray(state.p) / np.linalg.norm(p, axis=1) / np.linalg.norm(state.p)
+    p = jax.vmap(so3.Ad)(jnp.asarray(fixes.q), body.inertia * rate)
     every = jnp.concatenate([state.q[None], jnp.asarray(fixes.q), jnp.asarray(later.q[-1:])])
     Pi = np.asarray(jax.vmap(so3.Ad_star, (0, None))(every, state.p / jnp.linalg.norm(state.p)))
     return Prediction(
@@ -239,7 +239,7 @@ def _predict(
         dict(zip(("fitted", *given), off, strict=False)),
         off[len(x) :],
         (apart[:, -3:] >= off[0]).mean(axis=0),
-        np.rad2deg(np.arccos(cosine)),
+        np.rad2deg(jax.vmap(three.angle, (None, 0))(state.p, p)),
         (Pi**2 / np.asarray(body.inertia)).sum(axis=1),
     )
 
