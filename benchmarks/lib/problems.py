@@ -75,6 +75,8 @@ def composed(base: li.Step, of: Ours, unit: float, points: int = 6, most: int = 
     for order, first in _COMPOSED[:most]:
         counts = growing(first * unit, points, 1.5)
         yield of(f"compose {order}", COMPOSED, li.schemes.compose(base, order), counts)
+    if isinstance(base.system, li.types.Forced | li.types.Driven):
+        yield of("nystrom 6", COMPOSED, li.schemes.nystrom(base.system, 6), growing(0.8 * unit, points, 1.4))
 
 
 def by_diffrax(system: Any, unit: float, **how: Any) -> Iterator[Curve]:

@@ -1,4 +1,4 @@
-"""The page of all scenario keys, from the JSON schema that `lieint schema` prints."""
+"""The page of all scenario keys, from the JSON schema that `lieint schema` prints; and the table of `lieint list`."""
 
 import json
 from importlib import resources
@@ -6,6 +6,7 @@ from importlib import resources
 from mkdocs.structure.files import File
 
 from lieint_jax import scenarios
+from lieint_jax.command import catalogue, study
 from lieint_jax.scenarios._common import Common
 
 INTRODUCTION = """# Every scenario key
@@ -25,6 +26,18 @@ def on_files(files, config):
     """Add the page."""
     files.append(File.generated(config, "reference/scenario_keys.md", content=_page()))
     return files
+
+
+def on_page_markdown(markdown, **_):
+    """Put the scenarios and studies where a page has the mark."""
+    return markdown.replace("<!-- lieint list -->", _listed())
+
+
+def _listed():
+    rows = [(f"run {name}", *catalogue.described(scenarios.load(name))) for name in scenarios.scenario_names()]
+    rows += [(f"study {name}", (module.__doc__ or "").splitlines()[0], "") for name, module in study.found().items()]
+    lines = [f"| `lieint {name}` | {what} | {size} | {catalogue.takes(name)} |" for name, what, size in rows]
+    return "\n".join(["| command | | members × steps | takes |", "|---|---|---|---|", *lines])
 
 
 def _page():

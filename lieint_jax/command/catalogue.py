@@ -46,30 +46,29 @@ def announce(name: str) -> None:
 
 def text() -> str:
     """The list, to print."""
-    shipped = [(f"run {name}", *_scenario(scenarios.load(name))) for name in scenarios.scenario_names()]
-    studies = [(f"study {name}", (module.__doc__ or "").splitlines()[0], "") for name, module in study.found().items()]
-    return "\n".join(
-        [
-            *_table("scenarios: lieint run NAME, or your own file", shipped),
-            *_table("\nstudies: lieint study NAME", studies),
-            "\ntime on two cores at this size, the first time and again, and memory (benchmarks/commands.py)",
-        ]
-    )
+    lines = ["scenarios: lieint run NAME, or your own file"]
+    for name in scenarios.scenario_names():
+        what, size = described(scenarios.load(name))
+        lines += _entry(name, what, f"{size}; {takes(f'run {name}')}")
+    lines.append("\nstudies: lieint study NAME")
+    for name, module in study.found().items():
+        lines += _entry(name, (module.__doc__ or "").splitlines()[0], takes(f"study {name}"))
+    return "\n".join([*lines, "\ntime on two cores, the first time and again, and memory"])
 
 
-def _scenario(scenario: Any) -> tuple[str, str]:
-    size = f"{scenario.members} × {scenario.steps} steps"
-    return f"{scenario.title}: {scenario.about}", size
+def described(scenario: Any) -> tuple[str, str]:
+    """What a scenario is about, and its size."""
+    return f"{scenario.title}: {scenario.about}", f"{scenario.members} × {scenario.steps}"
 
 
-def _table(head: str, rows: list[tuple[str, str, str]]) -> list[str]:
-    lines = [head]
-    for command_line, what, size in rows:
-        cost = costs().get(command_line)
-        takes = f"{_time(cost.first)}, {_time(cost.again)}; {cost.memory:.1f} GB" if cost else "not measured"
-        name = command_line.split()[1]
-        lines += [f"  {name:<20}{what}", f"  {'':<20}{size}{'; ' if size else ''}{takes}"]
-    return lines
+def takes(name: str) -> str:
+    """The time and the memory of a command of default size."""
+    cost = costs().get(name)
+    return f"{_time(cost.first)}, {_time(cost.again)}; {cost.memory:.1f} GB" if cost else "not measured"
+
+
+def _entry(name: str, what: str, size: str) -> list[str]:
+    return [f"  {name:<20}{what}", f"  {'':<20}{size}"]
 
 
 def _time(seconds: float) -> str:
