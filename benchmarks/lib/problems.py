@@ -111,6 +111,7 @@ def free_body_soon() -> Problem:
         of("κ symplectic", ORDER_2, base, growing(50, 3, 4)),
         *(of(f"compose {n}", COMPOSED, make.compose(base, n), growing(9, 5, 1.7)) for n in (6, 8, 10)),
         of("preprocessed 6", PREPROCESSED, make.preprocessed(body, 6), growing(24, 6, 1.9)),
+        of("preprocessed 10", PREPROCESSED, make.preprocessed(body, 10), growing(14, 7, 1.4)),
         of("exact", EXACT, make.exact(body), (1, 10)),
         of("calibrated", EXACT, make.calibrated(body), (10, 40)),
     ]
@@ -124,6 +125,7 @@ def free_body() -> Problem:
     mine = [
         *composed(make.so3_midpoint(body), ours, 400),
         ours("preprocessed 6", PREPROCESSED, make.preprocessed(body, 6), growing(2000, 5, 2)),
+        ours("preprocessed 10", PREPROCESSED, make.preprocessed(body, 10), growing(1400, 5, 1.4)),
         ours("exact", EXACT, make.exact(body), (1, 10)),
         ours("calibrated", EXACT, make.calibrated(body), (1000, 4000)),
         *high_order(body, ours, 800),

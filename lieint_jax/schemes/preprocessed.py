@@ -114,7 +114,7 @@ def preprocessed(system: FreeBody, order: int, iterations: int | None = None) ->
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """All orders, for free rigid bodies."""
+    """Orders 4, 6 and 10, for free rigid bodies."""
     if not FREE_BODIES.declared(system):
         return {}
-    return {step.name: step for step in (preprocessed(system, order) for order in ORDERS)}
+    return {step.name: step for step in (preprocessed(system, order) for order in (4, 6, 10))}
