@@ -110,8 +110,8 @@ def nystrom(system: Forced | Driven, order: int, drift: Step | None = None) -> N
     | P and L, or γ·π, as far as the potential leaves them | round-off |
     | energy; of a driven system, energy less work | O(Δtᵒʳᵈᵉʳ), bounded, no drift |
 
-    Seven kicks a step for order 4, fourteen for order 6. For tops order 6 takes a third to a half of the time of
-    compositions at equal error.
+    Seven kicks a step for order 4, fourteen for order 6. On tops order 6 takes less than half of the time of
+    compositions at equal error (`benchmarks/work_precision.py`).
 
     Args:
         system: `systems.rigid_bodies(...)`, or a rigid body in a potential: `systems.heavy_top(...)`,
