@@ -159,7 +159,7 @@ BAD = [
     (dict(steps="steps = 55"), "steps = 55 must be a multiple of save_every = 10"),
     (dict(members="members = 0"), "members: .*greater than 0.*got 0"),
     (dict(members="members = 1.5"), "members: .*integer"),
-    (dict(seed="sed = 1"), r"sed: unknown key; did you mean seed\?; allowed: title, time_unit, system, dt"),
+    (dict(seed="sed = 1"), r"sed: unknown key; did you mean seed\?; allowed: title, about, time_unit, system, dt"),
     (dict(system='system = "heavy"'), "system: .*'rigid_body'.*got 'heavy'"),
     (dict(system='system = ["rigid_body"]'), r"system: .*'rigid_body'.*got \['rigid_body'\]"),
     (dict(seed='published.precession_period = {value = 1.0, error = 0, source = "x"}'), "error: .*greater than 0"),
