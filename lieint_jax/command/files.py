@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,6 @@ from lieint_jax.ensemble._leaves import named, state_of
 from lieint_jax.types import StepInfo, Trajectory
 
 SUFFIXES = (".npz", ".zarr")
-EXISTS = "{} exists and is not overwritten; --force replaces it, --out takes another folder"
 _TIME = "state.t"  # in an .npz, where t is the time of the trajectory
 
 
@@ -59,11 +58,11 @@ def in_folder(path: Path, folder: Path | None) -> Path:
     return folder / path.name if folder else path
 
 
-def free_pictures(path: Path, kinds: Iterable[str], force: bool) -> None:
-    """ValueError if a picture beside `path` exists, unless it may be replaced."""
-    found = [file for file in pictures(path, kinds) if file.exists()]
-    if found and not force:
-        raise ValueError(EXISTS.format(found[0]))
+def free_pictures(found: Iterable[Path], force: bool) -> None:
+    """ValueError if one of these files exists, unless it may be replaced."""
+    for file in found:
+        if file.exists() and not force:
+            raise ValueError(f"{file} exists and is not overwritten; --force replaces it, --out takes another folder")
 
 
 def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:
@@ -129,10 +128,10 @@ def megabytes(path: Path) -> str:
     return f"{size(path) / 1e6:.3g} MB"
 
 
-def unused(path: Path, kinds: Iterable[str]) -> Path:
-    """`path`, or the first of path-2, path-3, … such that neither it nor its pictures exist."""
+def unused(path: Path, beside: Callable[[Path], Iterable[Path]]) -> Path:
+    """`path`, or the first of path-2, path-3, … such that neither it nor the files `beside` it exist."""
     candidate, k = path, 1
-    while any(file.exists() for file in (candidate, *pictures(candidate, kinds))):
+    while any(file.exists() for file in (candidate, *beside(candidate))):
         k += 1
         candidate = path.with_stem(f"{path.stem}-{k}")
     return candidate

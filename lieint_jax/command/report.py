@@ -29,7 +29,7 @@ def run(
     kind = scenarios.kind(scenario)
     if out is None:
         file = Path(Path(name).stem).with_suffix(".zarr" if resume else ".npz")
-        out = file if resume else files.unused(file, kind.PICTURES)
+        out = file if resume else files.unused(file, lambda path: files.pictures(path, kind.PICTURES))
     out = files.free(out, kind.PICTURES, resume)
     leader = jax.process_index() == 0
     mesh = ensemble.first_devices(devices)

@@ -44,7 +44,7 @@ def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
 
 def _plot_scenario(scenario: Common, run: Trajectory, plain: Path, force: bool) -> list[Path]:
     kind, members = scenarios.kind(scenario), scenario.members
-    files.free_pictures(plain, kind.PICTURES, force)
+    files.free_pictures(files.pictures(plain, kind.PICTURES), force)
     shown = slice(_shown(run))
     run = Trajectory(run.t, *jax.tree.map(lambda x: x[:, shown], (run.state, run.info)))
     changes = {"steps": (len(run.t) - 1) * scenario.save_every, "members": run.state.p.shape[1]}
@@ -60,7 +60,7 @@ def _plot_scenario(scenario: Common, run: Trajectory, plain: Path, force: bool) 
 
 def _plot_any(stored: StoredRun, text: str, plain: Path, force: bool) -> list[Path]:
     kinds = pictures.of(stored)
-    files.free_pictures(plain, kinds, force)
+    files.free_pictures(files.pictures(plain, kinds), force)
     print(text)
     if isinstance(stored.run, Trajectory):
         times = np.unique(np.linspace(0, len(stored.run.t) - 1, min(len(stored.run.t), POINTS)).astype(int))

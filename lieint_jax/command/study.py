@@ -22,11 +22,7 @@ def run(name: str, out: Path, quick: bool) -> None:
     if name not in found():
         raise ValueError(f"study {name!r} is not one of {', '.join(found())}; lieint list describes them")
     out.mkdir(parents=True, exist_ok=True)
-    path = out / f"study-{name}.npz"
-    number = 1
-    while any(file.exists() for file in (path, *_pictures(path))):
-        number += 1
-        path = out / f"study-{name}-{number}.npz"
+    path = files.unused(out / f"study-{name}.npz", _pictures)
     result = found()[name].run(quick=quick)
     trees.save(path, result, {"study": name, "quick": quick, "lieint_jax": __version__, "jax": jax.__version__})
     print(found()[name].text(result))
@@ -54,9 +50,7 @@ def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
     metadata = trees.metadata(path)
     assert metadata is not None
     plain = files.in_folder(path, out)
-    there = [file for file in _pictures(plain) if file.exists()]
-    if there and not force:
-        raise ValueError(files.EXISTS.format(there[0]))
+    files.free_pictures(_pictures(plain), force)
     result = trees.load(path)
     print(found()[metadata["study"]].text(result))
     drawn = plots.save(found()[metadata["study"]].draw(result), plain.with_suffix(".png"))

@@ -8,8 +8,8 @@ where s_ab and d_ab are polynomials of e₂ and e₃. `tests/clock_series.py` de
 discrete and the exact turn of a step are expanded in Δt, and of three equations for each pair of constants one is left
 over as a check. To Δt⁴ they are those of the literature, in closed form they are `_free_body.clock`.
 
-Source: McLachlan & Zanna 2005, Found. Comput. Math. 5, and Hairer & Vilmart 2006, J. Phys. A 39, that there are such
-series; their coefficients: this package.
+Source: McLachlan & Zanna 2005, Found. Comput. Math. 5; Hairer & Vilmart 2006, J. Phys. A 39, for any order. The
+coefficients here were derived anew.
 """
 
 from __future__ import annotations

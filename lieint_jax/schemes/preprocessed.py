@@ -102,8 +102,7 @@ def preprocessed(system: FreeBody, order: int, iterations: int | None = None) ->
     Raises:
         ValueError: not a free rigid body, another order, or bad iterations.
 
-    Source: McLachlan & Zanna 2005, Found. Comput. Math. 5; Hairer & Vilmart 2006, J. Phys. A 39; orders 8 and 10: this
-    package.
+    Source: McLachlan & Zanna 2005, Found. Comput. Math. 5; Hairer & Vilmart 2006, J. Phys. A 39.
     """
     FREE_BODIES.check("preprocessed", system)
     if isinstance(order, bool) or order not in ORDERS:
