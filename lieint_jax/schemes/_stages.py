@@ -47,7 +47,7 @@ def moved(z: Components, k: Components, dt: Array, weights: np.ndarray) -> Compo
 
     @kernel.stage
     def sums(z: Components, k: Components, dt: Array) -> Components:
-        w = [row.reshape(-1, *[1] * z[0].ndim) for row in weights.astype(dt.dtype).T]
+        w = [row.reshape(-1, *[1] * (k[0].ndim - 1)) for row in weights.astype(dt.dtype).T]
         return tuple(
             x + dt * functools.reduce(jnp.add, [a * y[j : j + 1] for j, a in enumerate(w)])
             for x, y in zip(z, k, strict=True)

@@ -176,12 +176,12 @@ class _Equation(NamedTuple):
         """The state at n + 1. π moves by Δt Σ b_i τ_i, as any quadratic function of z does, without rounding p q̄."""
         c, A, b = collocation.gauss(self.stages)
         Z, state, m = self.moved(k, A), self.state, self.members
-        impulse = work = None
+        impulse, work, zero = None, None, jnp.zeros((), self.dt.dtype)
         if not isinstance(self.system, ElasticBody):
             forces = self.each(force, Z, c)
-            impulse = summed((jnp.zeros(()),) * len(forces), forces, self.dt, b)
+            impulse = summed((zero,) * len(forces), forces, self.dt, b)
         if isinstance(self.system, Driven) and state.work is not None and state.t is not None:
-            [work] = summed((jnp.zeros(()),), self.each(power, Z, c), self.dt, b)
+            [work] = summed((zero,), self.each(power, Z, c), self.dt, b)
         return m.each(ended, (m.state, -1, -1, -1), 0)(state, summed(self.start, k, self.dt, b), impulse, work)
 
     def change(self, a: Components, b: Components) -> Array:
