@@ -312,6 +312,7 @@ def test_6_13_gamma_is_not_below_one_half():
 # The bars of Figures 3c and 4c ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("dt", "Phi"), [(0.005, 6.0), (0.05, 10.0)], ids=["3c", "4c"])
 def test_average_keeps_energy_and_momentum_where_the_figures_are(dt, Phi):
     """λ = 2000 makes rounding visible. Of 4c it is a random walk of 5e-14 per step once the motion has lost its

@@ -86,6 +86,7 @@ def test_states_too_far_apart_are_shown_as_they_are():
     assert "up to 160° of turning: the frames are the first 4 saved states; save more often" in found.notes[-1]
 
 
+@pytest.mark.long
 def test_a_gif_has_its_frames_and_they_move(store, tmp_path, capsys):
     out = tmp_path / "turn.gif"
     assert moved(store, ["--out", out, "--seconds", 0.5, "--fps", 10, "--member", 1]) == 0

@@ -30,6 +30,7 @@ def a_step(dt=0.05):
     return li.schemes.so3_midpoint(body), body.state(angular_velocity=[0.2, dt, 1.0]), dt
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "call",
     [

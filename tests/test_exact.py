@@ -76,6 +76,7 @@ def reference(J, state, t, order=48):
     return np.array([x / 2**BITS for x in q])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("moments", "Omega", "t"),
     [

@@ -130,6 +130,7 @@ def test_a_delay_figure_plots_every_panel_with_its_delay(tmp_path, monkeypatch):
         np.testing.assert_array_equal(points, expected)
 
 
+@pytest.mark.long
 def test_a_delay_figure_is_written_with_its_table(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "delay_run", delay_run)
     table = figures.FIGURES[3](tmp_path)

@@ -58,6 +58,7 @@ def history(step, state, dt):
 # What so3_midpoint keeps ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_every_kappa_keeps_energy_to_round_off_and_momentum_bit_for_bit(kappa):
     for rotor in (H_R, np.array([0.0, 0.0, 10.0])):
@@ -110,6 +111,7 @@ DTS = np.array([0.05, 0.025, 0.0125, -0.1])
 ROTORS = H_R * np.array([0, 0.01, 0.02, 1])[:, None]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_refuted_no_kappa_is_symplectic_for_a_gyrostat(kappa):
     """The defect of a step is O(Δt³), and of the first order in the rotor's momentum. Without it, the symplectic κ
@@ -175,6 +177,7 @@ def dop853(J, z, t, motor=None, rtol=1e-13):
     return scipy.integrate.solve_ivp(f, (0, t), start, "DOP853", rtol=rtol, atol=1e-13).y[:, -1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["cayley", "symplectic", "splitting"])
 def test_second_order_against_another_package(scheme):
     step = {
@@ -226,6 +229,7 @@ def test_a_motor_moves_momentum_and_what_it_works_is_what_energy_gains(kappa):
     assert float(end.t) == pytest.approx(4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_each_step_balances_the_power(kappa):
     """ΔH = −Ω̄·Δh_r with Ω̄ = J⁻¹(mean of Π − h_r), by numpy, in one step of random motion."""
@@ -282,6 +286,7 @@ STEPS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STEPS)
 def test_time_symmetric(name):
     step, state = STEPS[name]

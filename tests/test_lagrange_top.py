@@ -87,6 +87,7 @@ def test_steady_precession_at_both_rates(fast):
         assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.1)
 
 
+@pytest.mark.long
 def test_the_sleeping_top_wakes_below_the_threshold():
     """Upright it is stable if and only if (CΩ₃)² > 4 A Mgl; below, the tilt grows as exp(√(Mgl/A − (CΩ₃/2A)²) t)."""
     top = top_of()

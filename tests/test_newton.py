@@ -81,6 +81,7 @@ def by_chords(c, iterations=8, wrong=0.0):
     return newton.chords(residual, factored, largest, largest, [x / 2 for x in c], iterations)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", [0.0, 0.05])
 def test_chords_end_at_round_off_whatever_the_matrix(wrong):
     """Root, derivatives and batches as of `root`; a matrix off by 5 % costs turns, not digits."""

@@ -50,6 +50,7 @@ DIMER, NEAR = molecules(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_sum_over_sites_is_the_sum_over_all_pairs_of_different_bodies(kind):
     potential, pair = KINDS[kind]
@@ -81,6 +82,7 @@ def test_a_spring_pulls_as_hooke_says():
     assert float(jnp.abs(jax.grad(slack)(jnp.zeros((2, 3)), TURNS[:2])).max()) == 0  # finite where its ends meet
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*KINDS, "springs", "field", "MacCullagh", "sum"])
 def test_discrete_gradients_give_the_difference_without_cancellation(name):
     """D·(I₁ − I₀) = V₁ − V₀ far apart; between states 1e-9 apart D is the mean gradient to round-off."""
@@ -189,6 +191,7 @@ def test_two_bodies_and_a_spring_in_an_outer_field(field, scheme):
     assert float(H) < (1e-3 if scheme == "splitting" else 1e-14)
 
 
+@pytest.mark.long
 def test_the_energy_momentum_scheme_refuses_a_potential_that_it_would_change():
     """A function of absolute positions is none of relative ones; so is a field without invariants."""
     m, J = [1.0, 2.0], np.ones((2, 3))

@@ -36,6 +36,7 @@ def measured(body, state):
     return jax.lax.map(both, jnp.array([0.1, -0.7])), form, distance(back, state)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", INERTIAS)
 def test_equal_to_the_implicit_step_and_as_conserving(name):
     runs, form, back = measured(RigidBody(INERTIAS[name]), moving(INERTIAS[name]))

@@ -338,6 +338,7 @@ def test_poisson_error_of_a_system_with_a_potential_is_the_whole_matrix():
         poisson_error(splitting(top), state, 0.1, 1, "recursion")
 
 
+@pytest.mark.long
 def test_single_precision():
     top = li.systems.heavy_top(np.array([1, 2, 3], "float32"), np.array([0.5, 0.4, 1], "float32"))
     state = jax.tree.map(lambda x: np.asarray(x, "float32"), start(top))
