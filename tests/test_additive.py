@@ -232,7 +232,7 @@ def test_6_15_and_6_16_with_beta_of_6_9():
 # Result 16, corrected -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("rule", ["average", "energy", "energy_momentum"])
 def test_result_16_energy_and_momentum_second_order_reversible_not_symplectic(rule):
     step = additive(SOFT, rule)
@@ -341,7 +341,6 @@ def test_the_rules_with_gamma_say_where_they_fail():
 
 
 @pytest.mark.long
-@pytest.mark.slow
 @pytest.mark.parametrize("W", ["user", "saint_venant_kirchhoff", "neo_hookean"])
 def test_every_material_keeps_energy(W):
     """A user's W(C) by 8 Gauss nodes; St Venant–Kirchhoff by its midpoint; neo-Hookean by its invariants."""

@@ -40,6 +40,7 @@ def moved(path, arguments=()):
     return cli.main(["animate", str(path), *map(str, arguments)])
 
 
+@pytest.mark.long
 def test_frames_between_saved_states_show_the_states_that_were_not_saved(store):
     """Saved every .1, interpolated every .05: the steps in between are met to 2e-7."""
     run, system = li.ensemble.open(store)

@@ -133,6 +133,7 @@ def errors_at(t, step, counts):
     return [float(np.abs(after(step, STATE, t / n, n)[0].q - exact(t)).max()) for n in counts]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("order", "method"),
     [(4, "triple_jump"), (4, "suzuki"), (6, "yoshida_6"), (6, "kahan_li_6"), (8, "suzuki_umeno_8"), (8, "kahan_li_8")],
@@ -153,6 +154,7 @@ def test_suzuki_is_far_better_than_the_triple_jump():
     assert jump / suzuki == pytest.approx(71, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [4, 6, 8, 10])
 def test_every_invariant_of_the_base_step_is_kept(order):
     run, (energy, momentum, constraint), (form, back) = _measured(compose(SYMPLECTIC, order), 0.4)

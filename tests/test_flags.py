@@ -114,6 +114,7 @@ def test_a_full_tensor_of_a_needle_is_flagged(scheme):
 # The exact flow -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_exact_says_when_no_digits_are_left():
     """The error of q is some eps |Ω| dt: 7e-15, 7e-10, 9e-5, 1e-2, .4 for these."""
     body = li.systems.rigid_body([1.0, 1.0, 2.0])

@@ -30,6 +30,7 @@ def _at_the_root(c):
     return *cubic_root(c)[:2], jax.jacfwd(root)(c), jax.jacrev(root)(c), batch[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("c", [0.7, [0.3, -0.5], [0.3, -0.5, 0.4], [0.1, 0.2, 0.3, -0.4, 0.5]])
 def test_root_residual_and_derivatives_in_dimensions_0_to_5(c):
     c = np.array(c)

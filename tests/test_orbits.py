@@ -63,6 +63,7 @@ def test_positions_and_velocities(e, a):
             assert np.linalg.norm(error[part]) < 1e-13 * np.linalg.norm(ours[part])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("e", "a"), [(0.5, 1.3), (0.99, 1.3), (1.01, -1.3), (4.2, -1.3)])
 def test_derivatives_in_every_element_and_in_time(e, a):
     """Forward and reverse, against differences in 60 digits; two times, near periapsis and far from it."""

@@ -65,6 +65,7 @@ def test_gradients_go_through_what_is_solved_once():
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
 
 
+@pytest.mark.long
 def test_an_ensemble_prepares_every_member_and_every_inertia():
     J = np.array([[1.0, 2.0, 3.0], [1.0, 1.0, 2.0]])
     states = [moving(*pair) for pair in zip(J, ([0.3, 0.6, 0.8], [1, 0, 0.2]), strict=True)]

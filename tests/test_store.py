@@ -263,6 +263,7 @@ def tmpfs(path, size):
         subprocess.run(["umount", "-l", path], check=True)
 
 
+@pytest.mark.long
 def test_a_full_disk_ends_a_run_that_resumes_to_the_same_bits(tmp_path, small_chunks):
     run(tmp_path / "whole.zarr", num_steps=600)
     with tmpfs(tmp_path / "disk", "240k"):

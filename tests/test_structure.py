@@ -174,7 +174,7 @@ once = jax.jit(lambda step, state, dt: step(state, dt))
 
 
 LARGE = ("euler.manakov", "group_potential.bottom_heavy", "rigid_bodies")  # steps that compile for long
-LONG = ("gauss", "extrapolate")  # schemes that do
+LONG = ("additive", "calibrated", "extrapolate", "gauss", "group_midpoint", "sphere_chart")  # schemes whose steps do
 
 
 def dear(name):

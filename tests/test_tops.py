@@ -127,12 +127,14 @@ def test_results_06_and_07_momentum_about_gamma_and_energy_for_any_kappa(name, k
     assert np.abs(constraint).max() < 2e-15
 
 
+@pytest.mark.long
 def test_result_07_any_kappa_of_ones_own():
     top = TOPS["linear"]
     _, _, (energy, *_) = run(top_energy_momentum(top, lambda x: 1 + x / 3), start(top), 0.1)
     assert np.abs(energy).max() < 5e-14
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kappas"), own_and_shared("linear", "transcendental"))
 def test_second_order_and_reversible(name, kappas):
     top = TOPS[name]
