@@ -31,7 +31,7 @@ def stored(tmp_path, **options):
     return path, run
 
 
-@pytest.mark.parametrize(("name", "body"), [(name, system) for name, (system, *_) in grid.systems()])
+@pytest.mark.parametrize(("name", "body"), [pytest.param(name, x[0], id=name) for name, x in grid.systems()])
 def test_every_system_of_the_package_is_made_again_from_its_description(name, body):
     """The same leaves, bit for bit, and the same structure: jit takes the same program."""
     description, arrays = describe(EXAMPLES[name])

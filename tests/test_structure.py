@@ -200,7 +200,7 @@ def test_the_grid_of_systems_and_schemes_runs(name, step, state, dt):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "system"), [(name, system) for name, (system, *_) in systems()])
+@pytest.mark.parametrize(("name", "system"), [pytest.param(name, x[0], id=name) for name, x in systems()])
 def test_every_scheme_that_takes_a_system_has_its_motion(name, system):
     """The steps of the grid are made without that comparison, which raises where a vector field is another."""
     ids = [i for i, step, *_ in steps() if step.system is system]
