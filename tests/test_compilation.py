@@ -55,6 +55,7 @@ def test_a_step_made_again_with_other_numbers_compiles_nothing(caplog, call):
     assert not programs(caplog, lambda: call(*a_step(0.04)))
 
 
+@pytest.mark.long
 def test_the_first_example_of_the_readme_compiles_its_run_once(caplog):
     readme = Path(__file__).parents[1] / "README.md"
     example = re.findall(r"```python\n(.*?)```", readme.read_text(encoding="utf-8"), re.S)[0]

@@ -174,6 +174,7 @@ def test_the_defect_of_a_base_step_that_is_not_symplectic_stays():
     assert np.log2(coarse / fine) == pytest.approx(5, abs=0.3)
 
 
+@pytest.mark.long
 def test_a_thousand_bodies_to_the_accuracy_that_is_claimed():
     """Order 8, Δt = .25, t = 10: 2.5e-9 by Kahan & Li's 17 stages; the 19 commuting ones do better."""
     rng = np.random.default_rng(0)

@@ -22,6 +22,7 @@ def test_figure_1_largest_poisson_errors(body, kappa):
     assert np.ptp(run.energy) < 8e-15  # floor 1.8e-15, of energies of size 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", ["A", "S"])
 def test_figure_1_the_symplectic_kappa_is_at_round_off(body):
     assert free_body_run(body, 2, 0.05).poisson.max() < 1e-14  # floor 2.4e-15

@@ -70,6 +70,7 @@ def test_every_kappa_keeps_energy_to_round_off_and_momentum_bit_for_bit(kappa):
         assert length < 4 * EPS
 
 
+@pytest.mark.long
 def test_a_full_tensor_is_the_same_gyrostat_in_other_axes():
     moments, axes = np.linalg.eigh(FULL.inertia)
     axes[:, 2] *= np.linalg.det(axes)
@@ -81,6 +82,7 @@ def test_a_full_tensor_is_the_same_gyrostat_in_other_axes():
     assert angle(other, ends[1].q) < 1e-13  # floor 4e-15
 
 
+@pytest.mark.long
 def test_a_gyrostat_without_rotor_momentum_is_the_free_body():
     body, still = systems.rigid_body(J), systems.gyrostat(J, np.zeros(3))
     state = body.state(Q, angular_velocity=OMEGA)
@@ -467,6 +469,7 @@ def test_single_precision(name):
     assert length < 1e-6
 
 
+@pytest.mark.long
 def test_a_motor_of_doubles_drives_a_satellite_of_singles():
     driven = systems.driven_gyrostat(np.float32(J), lambda t: [0.0, np.float64(0.1), 0.2 * t])
     end, _ = after(schemes.so3_midpoint(driven), single(START), jnp.float32(0.1), 2)

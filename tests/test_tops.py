@@ -189,6 +189,7 @@ def energy_errors():
     return np.asarray(all_of_them())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("top", [lagrange, kovalevskaya], ids=lambda make: make.__name__)
 def test_splitting_has_no_drift_of_energy_where_the_top_is_integrable(top):
     """The largest error of the second half of 10⁵ steps is that of the first, to 5 %."""
