@@ -70,6 +70,20 @@ def test_derivatives_of_the_light_are_those_of_differences():
             assert float(found) == pytest.approx(float(more - less) / (2 * h), abs=2e-8)  # seen: 1e-9
 
 
+def test_derivatives_of_the_fit_by_the_gradient_are_those_of_the_light():
+    """By the attitude, by the rest, by both, and twice."""
+    q, sun, observer = (jnp.asarray(x[0]) for x in directions(8))
+    scene = SCENE.facets, sun, observer
+    for arguments in (0, 1, (0, 1)):
+        ours, plain = (
+            jax.jit(jax.jacfwd(f, arguments))(q, scene) for f in (_satellite_fit._light, _satellite_fit._magnitude)
+        )
+        for a, b in zip(jax.tree.leaves(ours), jax.tree.leaves(plain), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-14)  # seen: 1e-15
+    twice, plain = (jax.jit(jax.hessian(f))(q, scene) for f in (_satellite_fit._light, _satellite_fit._magnitude))
+    np.testing.assert_allclose(twice, plain, atol=1e-13)  # seen: 2e-15
+
+
 def test_the_symmetries_of_the_facets_are_found():
     half_turns = [g for g in _facets.axis_rotations() if _facets.is_symmetry(SCENE.facets, g)]
     np.testing.assert_array_equal(half_turns, [np.diag(d) for d in ([1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1])])
@@ -188,9 +202,7 @@ def test_minima_are_minima_and_their_times_have_derivatives():
         body, state = model(params, SCENE.state.q)
         return _minima.minima(body, state, SCENE.facets, SCENE.sky, 40.0, 20)
 
-    event = jax.jit(found)(params)
-    body, _ = model(params, SCENE.state.q)
-    m = _minima.judged(body, SCENE.facets, SCENE.sky, event)
+    m = _minima.minima_of(SCENE, 40.0, 20)
     t = np.linspace(0, 40, 40001)
     light = np.asarray(_satellite_sky.true_magnitudes(SCENE, jnp.asarray(t)))
     inside = light[1:-1]

@@ -24,10 +24,10 @@ from lieint_jax.fitting._fit import Fit
 from lieint_jax.studies import _satellite_picture, _satellite_report
 from lieint_jax.studies._equivalents import Change, Solutions, changes, differences, parameters, solutions, sorted_out
 from lieint_jax.studies._facets import Facets, brightness, facets, magnitude
-from lieint_jax.studies._minima import Minima, judged, minima
+from lieint_jax.studies._minima import Minima, minima_of
 from lieint_jax.studies._period_search import Search, search
 from lieint_jax.studies._satellite_fit import Estimate, estimate, fitted, losses, random_guesses, true_solution
-from lieint_jax.studies._satellite_sky import Lightcurve, Scene, observe, scene
+from lieint_jax.studies._satellite_sky import Lightcurve, Scene, closed_form, observe, scene
 from lieint_jax.studies._tumbling import mean_periods
 
 __all__ = ["Facets", "SatelliteFit", "brightness", "draw", "facets", "magnitude", "run", "scene", "text"]
@@ -131,8 +131,8 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
         float(np.linalg.norm(np.rad2deg(made.body.angular_velocity(made.state))) / 60),
         curve,
         session,
-        np.asarray(mean_periods(made.body, made.state)),
-        judged(made.body, made.facets, made.sky, _minima(made, session)),
+        np.asarray(jax.jit(mean_periods)(made.body, made.state)),
+        minima_of(made, session, _MOST_MINIMA),
         found,
         guesses,
         every,
@@ -152,14 +152,8 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
 def _light_changes(made: Scene, first: Lightcurve, night: Lightcurve) -> np.ndarray:
     middle = len(first.t) // 2
     held = first._replace(sun=first.sun[[middle] * len(first.t)], observer=first.observer[[middle] * len(first.t)])
-    q = np.asarray(jax.vmap(lambda t: made.body.solution(made.state, t).q)(night.t))
+    q = np.asarray(closed_form(made, night.t)[0])
     return np.stack([differences(made.facets, q[: len(c.t)], c.sun, c.observer) for c in (held, first, night)])
-
-
-def _minima(made: Scene, until: float) -> Any:
-    return jax.jit(lambda body, state: minima(body, state, made.facets, made.sky, until, _MOST_MINIMA))(
-        made.body, made.state
-    )
 
 
 def _chosen(
