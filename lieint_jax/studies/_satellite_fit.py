@@ -34,6 +34,7 @@ from lieint_jax.types import State
 BOUNDS = {"attitude": free, "inertia": inertia_ratios, "rate": free}
 STEP = 0.75  # min
 _ITERATIONS, _TOLERANCE, _FINE = 50, 1e-6, 4000
+_AT_ONCE = 10_000  # guesses that are tried together
 _POOL, _NEAR, _SCATTER = 50_000, 500, 0.8  # random bodies, those kept for a candidate, scatter of log second moments
 
 
@@ -141,14 +142,24 @@ def _pool(keys: Array) -> tuple[Array, Array, Array]:
     return J, Pi, jax.vmap(frequencies)(J, Pi)
 
 
-def losses(guesses: dict[str, np.ndarray], begin: np.ndarray, facets: Facets, curve: Lightcurve) -> Array:
+def losses(
+    guesses: dict[str, np.ndarray], begin: np.ndarray, facets: Facets, curve: Lightcurve, progress: bool = True
+) -> np.ndarray:
     """Half the sum of squares of each guess's errors in units of the noise, (guesses,)."""
+    from tqdm import tqdm  # where it is used: the package imports in a moment
 
     def one(params: dict[str, Array], begin: Array) -> Array:
         light, _ = magnitudes(params, begin, facets, curve)
         return len(curve.t) * jnp.var(light - curve.magnitude) / (2 * curve.noise**2)
 
-    return over_members(one)(guesses, begin)
+    of_piece, pieces = over_members(one), np.array_split(np.arange(len(begin)), -(-len(begin) // _AT_ONCE))
+    found = []
+    with tqdm(total=len(begin), unit=" guesses", disable=None if progress else True, leave=False) as bar:
+        for piece in pieces:
+            some = {name: leaf[piece] for name, leaf in guesses.items()}
+            found.append(np.asarray(of_piece(some, begin[piece])))
+            bar.update(len(piece))
+    return np.concatenate(found)
 
 
 class Estimate(NamedTuple):

@@ -66,9 +66,9 @@ class SatelliteFit(NamedTuple):
         first: the ends of all starts on the first session.
         candidate: which candidate pair of periods each start had, (starts,).
         night: the ends of the best of them on the whole night.
-        images: the ends on the whole night from the images of the best end of the first session, one for each change
-            that is no symmetry of the facets; `named` says which.
-        named: the indices of these changes.
+        images: the ends on the whole night from the images of the best end of the first session, one for each kind of
+            change; `named` says which.
+        named: which change of the night's best end each image is where it starts, an index of `changes`; −1 for none.
         fit: of the whole night.
         estimate: the best solution beside the truth.
         light_changes: by how much the changes in space alter the light of the truth (mag, rms), (3, 4): under the
@@ -108,21 +108,21 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     found = search(curve.t, curve.magnitude)
     first = curve.until(session)
     clock = [time.perf_counter()]
-    guess, begin, candidate = _chosen(found.candidates, made, first, guesses, starts)
+    guess, begin, candidate = _chosen(found.candidates, made, first, guesses, starts, progress)
     clock.append(time.perf_counter())
     one = fitted(guess, begin, _repeated(first, starts), made.facets, first, progress)
     clock.append(time.perf_counter())
     assert one.starts is not None
     every = changes(made.facets, first.sun, first.observer)
-    named = np.array([k for k, change in enumerate(every) if change.turn == 0])
+    kinds = [change for change in every if change.turn == 0]
     ends = solutions(one.starts.params, begin)
     best = ends.take(int(np.argmin(one.starts.loss)))
-    images = [every[k](best) for k in named]
+    images = [change(best) for change in kinds]
     again = Solutions(*map(np.concatenate, zip(ends.take(np.argsort(one.starts.loss)[:kept]), *images, strict=True)))
     night, begin = _whole_night(again, made, curve, seen, progress)
     clock.append(time.perf_counter())
     assert night.starts is not None
-    after, several = solutions(night.starts.params, begin), kept + len(named)
+    after, several = solutions(night.starts.params, begin), kept + len(images)
     chosen = int(np.argmin(night.starts.loss[:several]))
     judged_ends = _ends(night, after, after.take(chosen), every)
     return SatelliteFit(
@@ -140,7 +140,7 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
         candidate,
         Ends(*(leaf[:kept] for leaf in judged_ends)),
         Ends(*(leaf[kept:several] for leaf in judged_ends)),
-        named,
+        sorted_out(Solutions(*map(np.concatenate, zip(*images, strict=True))), after.take(chosen), every),
         night,
         estimate(made, curve, night, begin, chosen, several, every),
         _light_changes(made, first, curve),
@@ -157,11 +157,11 @@ def _light_changes(made: Scene, first: Lightcurve, night: Lightcurve) -> np.ndar
 
 
 def _chosen(
-    candidates: np.ndarray, made: Scene, curve: Lightcurve, guesses: int, starts: int
+    candidates: np.ndarray, made: Scene, curve: Lightcurve, guesses: int, starts: int, progress: bool
 ) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
     """The best of random guesses, their attitudes, and the candidate of each."""
     guess, begin, candidate = random_guesses(candidates, guesses, jax.random.key(made.exposures["seed"]))
-    order = np.argsort(np.asarray(losses(guess, begin, made.facets, curve)))[:starts]
+    order = np.argsort(losses(guess, begin, made.facets, curve, progress))[:starts]
     return jax.tree.map(lambda leaf: leaf[order], guess), begin[order], candidate[order]
 
 
