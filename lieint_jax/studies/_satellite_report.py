@@ -54,8 +54,7 @@ def _periods(found: Any) -> list[str]:
     lines = [
         f"\n  sines in the light, the strongest first, each the simplest j f_precession + k f_rotation within "
         f"{width:.4f} per min,",
-        f"  |j|, |k| ≤ {HARMONICS}; so near to one are {chance[0]:.0f} % of all frequencies, {chance[1]:.0f} % to one with "
-        "even k",
+        f"  |j|, |k| ≤ {HARMONICS}; as near to one are {chance[0]:.0f} % of all, {chance[1]:.0f} % to one with even k",
         f"    {'1/min':>9}{'period (min)':>14}{'variance':>10}{'j':>5}{'k':>4}{'off (1/min)':>13}",
     ]
     for p in s.peaks:
