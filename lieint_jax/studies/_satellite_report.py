@@ -52,9 +52,10 @@ def _periods(found: Any) -> list[str]:
     jk = combinations(HARMONICS)
     chance = [100 * coincidence(some @ true, SPECTRUM, width) for some in (jk, jk[jk[:, 1] % 2 == 0])]
     lines = [
-        f"\n  sines in the light, the strongest first, each the simplest j f_precession + k f_rotation within "
-        f"{width:.4f} per min,",
-        f"  |j|, |k| ≤ {HARMONICS}; as near to one are {chance[0]:.0f} % of all, {chance[1]:.0f} % to one with even k",
+        "\n  sines in the light, the strongest first, each the simplest j f_precession + k f_rotation with |j|, |k| ≤ "
+        f"{HARMONICS}",
+        f"  within {width:.4f} per min (by chance {chance[0]:.0f} % of all frequencies are as near to one, "
+        f"{chance[1]:.0f} % to one with even k)",
         f"    {'1/min':>9}{'period (min)':>14}{'variance':>10}{'j':>5}{'k':>4}{'off (1/min)':>13}",
     ]
     for p in s.peaks:
