@@ -162,6 +162,19 @@ def test_ends_are_told_apart():
     assert _equivalents.sorted_out(off, best, every)[0] == -1
 
 
+def test_images_are_named_from_the_night_whichever_solution_was_best_before_the_shadow():
+    """There the mirror solution's χ² may be the lower one: its image in the mirror is the true motion."""
+    _, sun, observer = directions(5, 1)
+    every = _equivalents.changes(SCENE.facets, sun, observer)
+    truth = _satellite_fit.true_solution(SCENE)
+    mirror = next(change for change in every if change.name == "mirror")
+    names = [every[k].name for k in _equivalents.sorted_out(satellite._images(mirror(truth), every), truth, every)]
+    own = [change.name for change in every if change.turn == 0]
+    assert sorted(names) == sorted(own)
+    assert names[own.index("as it is")] == "mirror"
+    assert names[own.index("mirror")] == "as it is"
+
+
 def test_periods_of_a_double_series_are_found_from_irregular_data():
     rng = np.random.default_rng(6)
     t, true = np.sort(rng.uniform(0, 400, 150)), np.array([0.0613, 0.0771])

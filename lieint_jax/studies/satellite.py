@@ -114,39 +114,46 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     clock.append(time.perf_counter())
     assert one.starts is not None
     every = changes(made.facets, first.sun, first.observer)
-    kinds = [change for change in every if change.turn == 0]
-    ends = solutions(one.starts.params, begin)
-    best = ends.take(int(np.argmin(one.starts.loss)))
-    images = [change(best) for change in kinds]
-    again = Solutions(*map(np.concatenate, zip(ends.take(np.argsort(one.starts.loss)[:kept]), *images, strict=True)))
-    night, begin = _whole_night(again, made, curve, seen, progress)
+    ends, order = solutions(one.starts.params, begin), np.argsort(one.starts.loss)
+    images = _images(ends.take(order[0]), every)
+    night, begin = _whole_night(_joined(ends.take(order[:kept]), images), made, curve, seen, progress)
     clock.append(time.perf_counter())
     assert night.starts is not None
-    after, several = solutions(night.starts.params, begin), kept + len(images)
+    after, several = solutions(night.starts.params, begin), kept + len(images.q)
     chosen = int(np.argmin(night.starts.loss[:several]))
-    judged_ends = _ends(night, after, after.take(chosen), every)
+    best = after.take(chosen)
+    of_night = _ends(night, after, best, every)
     return SatelliteFit(
-        made.title,
-        len(made.facets.area),
-        float(np.linalg.norm(np.rad2deg(made.body.angular_velocity(made.state))) / 60),
-        curve,
-        session,
-        np.asarray(jax.jit(mean_periods)(made.body, made.state)),
-        minima_of(made, session, _MOST_MINIMA),
-        found,
-        guesses,
-        every,
-        _ends(one, ends, after.take(chosen), every),
-        candidate,
-        Ends(*(leaf[:kept] for leaf in judged_ends)),
-        Ends(*(leaf[kept:several] for leaf in judged_ends)),
-        sorted_out(Solutions(*map(np.concatenate, zip(*images, strict=True))), after.take(chosen), every),
-        night,
-        estimate(made, curve, night, begin, chosen, several, every),
-        _light_changes(made, first, curve),
-        np.diff(clock),
-        len(jax.devices()),
+        title=made.title,
+        facets=len(made.facets.area),
+        rate=float(np.linalg.norm(np.rad2deg(made.body.angular_velocity(made.state))) / 60),
+        curve=curve,
+        session=session,
+        periods=np.asarray(jax.jit(mean_periods)(made.body, made.state)),
+        minima=minima_of(made, session, _MOST_MINIMA),
+        search=found,
+        guesses=guesses,
+        changes=every,
+        first=_ends(one, ends, best, every),
+        candidate=candidate,
+        night=Ends(*(leaf[:kept] for leaf in of_night)),
+        images=Ends(*(leaf[kept:several] for leaf in of_night)),
+        named=sorted_out(images, best, every),
+        fit=night,
+        estimate=estimate(made, curve, night, begin, chosen, several, every),
+        light_changes=_light_changes(made, first, curve),
+        seconds=np.diff(clock),
+        devices=len(jax.devices()),
     )
+
+
+def _images(best: Solutions, every: list[Change]) -> Solutions:
+    """A solution's image of each kind, the solution itself among them."""
+    return _joined(*(change(best) for change in every if change.turn == 0))
+
+
+def _joined(*parts: Solutions) -> Solutions:
+    return Solutions(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _light_changes(made: Scene, first: Lightcurve, night: Lightcurve) -> np.ndarray:
@@ -174,7 +181,7 @@ def _whole_night(
 ) -> tuple[Fit, np.ndarray]:
     """Fits of the light curve from several solutions, and of other noise from the truth: one compiled program."""
     truth = jax.tree.map(lambda leaf: np.repeat(leaf, len(seen), axis=0), true_solution(made))
-    guess, begin = parameters(Solutions(*map(np.concatenate, zip(several, truth, strict=True))))
+    guess, begin = parameters(_joined(several, truth))
     data = np.concatenate([_repeated(curve, len(several.q)), seen])
     return fitted(guess, begin, data, made.facets, curve, progress), begin
 
