@@ -1,4 +1,4 @@
-"""The report of the study of a satellite, in six parts."""
+"""The report of the study of a satellite, in seven parts."""
 
 from __future__ import annotations
 
