@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -13,6 +14,7 @@ from matplotlib.figure import Figure
 from lieint_jax import plots
 from lieint_jax.scenarios._body import in_space
 from lieint_jax.types import State, Trajectory, energy_less_work
+from lieint_jax.types._members import along
 
 
 class StoredRun(NamedTuple):
@@ -40,8 +42,8 @@ class StoredRun(NamedTuple):
 
     def series(self, function: Callable[[Any, State], Array]) -> np.ndarray:
         """The values of a function of system and state, (times, members, …)."""
-        over_members = jax.vmap(function, in_axes=(0 if self.own_system else None, 0))
-        return np.asarray(jax.jit(jax.vmap(over_members, in_axes=(None, 0)))(self.system, self.run.state))
+        measure = partial(along, function, system_axis=0 if self.own_system else None)
+        return np.asarray(jax.jit(measure)(self.system, self.run))
 
 
 def of(stored: StoredRun) -> dict[str, Callable[[StoredRun], Figure]]:

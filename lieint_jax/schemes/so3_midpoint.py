@@ -149,7 +149,7 @@ class SO3Midpoint(Step):
         if not three.well_conditioned(three.symmetric(self.system.inertia)):
             return f"{self.name}: {SLENDER}"
         return (
-            f"{self.name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}; the branch of this κ "
+            f"{self.name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}, the turn in a step, rad; the branch of this κ "
             f"{self.kappa.branch}. Take a smaller dt{more}"
         )
 
