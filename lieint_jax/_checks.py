@@ -118,8 +118,8 @@ def of_one_system(name: str, value: Any, d: int = 3) -> None:
     if skewed or shape not in ((d,), (d, d)):
         raise ValueError(
             f"{name} of one system is ({d},) or symmetric, ({d}, {d}), got shape {shape}"
-            f"{', not symmetric' if skewed else ''}. For members with systems of their own, give ensemble.run step_axis=0, or use jax.vmap; for one of "
-            "them, jax.tree.map(lambda x: x[k], system)"
+            f"{', not symmetric' if skewed else ''}. For members with systems of their own, give ensemble.run "
+            "step_axis=0, or use jax.vmap; for one of them, jax.tree.map(lambda x: x[k], system)"
         )
 
 

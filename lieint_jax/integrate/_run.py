@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.integrate._clock import Clock, Given, Own, Uniform, at_time, clock_of, more_times, outputs, refuse_times
-from lieint_jax.types import FailedStep, State, Step, StepInfo, Trajectory, checked_step, on_clock, promoted, start_time
+from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, on_clock, promoted, start_time
 
 
 def integrate(
@@ -77,8 +77,8 @@ def _check_first(step: Step, state: State, size: ArrayLike, given: bool) -> None
     """`Step.check` of the first step, whose size comes from `times` if `given`."""
     try:
         step.check(state, size)
-    except FailedStep as failed:
-        raise FailedStep(f"{failed}{more_times(step, state, size) if given else ''}") from None
+    except StepError as failed:
+        raise StepError(f"{failed}{more_times(step, state, size) if given else ''}") from None
 
 
 @partial(jax.jit, static_argnums=(3, 4))

@@ -136,9 +136,7 @@ class Trajectory(NamedTuple):
     def __repr__(self) -> str:
         return _labelled.trajectory(self)
 
-    def to_xarray(
-        self, system: Any = None, units: Mapping[str, str] | None = None, system_axis: Axis = "auto"
-    ) -> Any:
+    def to_xarray(self, system: Any = None, units: Mapping[str, str] | None = None, system_axis: Axis = "auto") -> Any:
         """The trajectory as an `xarray.Dataset`, with the dimensions `time`, and `member` for a batch.
 
         Its variables are q, p, the other leaves that the states have (those of `extra` as extra_NAME), residual and
@@ -618,7 +616,7 @@ def _on_time(method: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any,
     return timed
 
 
-class FailedStep(ValueError):
+class StepError(ValueError):
     """A step does not converge from a concrete state; the message is the step's advice."""
 
 
@@ -717,7 +715,7 @@ class Step(abc.ABC):
             self.system.check(state)
             converged = converges(self, state, dt)
             if concrete(converged) and not converged:  # a function of the step may close over a tracer
-                raise FailedStep(self.advice(state, dt))
+                raise StepError(self.advice(state, dt))
 
 
 def checked_step(step: Any) -> Step:

@@ -110,9 +110,7 @@ def _measured(run: Any, system: Any, system_axis: Axis) -> dict[str, Any]:
     """Energy, momentum map, and the angular velocity in the body where the system has one."""
     functions = {"energy": "energy", "momentum_map": "momentum", "angular_velocity": "angular_velocity"}
     measured = {
-        name: _series(run, system, method, system_axis)
-        for name, method in functions.items()
-        if hasattr(system, method)
+        name: _series(run, system, method, system_axis) for name, method in functions.items() if hasattr(system, method)
     }
     return {name: x for name, x in measured.items() if x.size}
 
