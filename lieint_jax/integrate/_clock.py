@@ -118,8 +118,8 @@ def more_times(step: Step, state: State, size: ArrayLike) -> str:
     for k in range(1, _HALVINGS + 1):
         if bool(converges(step, state, jnp.asarray(size) / 2**k)):
             return (
-                f". Here dt is what `times` are apart, {abs(float(size)):.3g}, and a step of 1/{2**k} of it converges: "
-                f"give about {2**k} times as many times"
+                f". Here dt is what `times` are apart, {float(jnp.abs(size)):.3g}, and a step of 1/{2**k} of it "
+                f"converges: give about {2**k} times as many times"
             )
     return ""
 
