@@ -94,7 +94,7 @@ def uniform(t, rate=1.0):
     return stored(BODY, q, np.tile([0.0, 0.0, 3.0 * rate], (len(t), 1)), t)
 
 
-@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("sign", [1, pytest.param(-1, marks=pytest.mark.long)])
 def test_a_span_begins_and_ends_where_it_was_asked_for_between_saved_states(sign):
     run = uniform(sign * np.linspace(0, 8, 9))
     found = scene.of(run, 0, 41, (sign * 2.3, sign * 4.7))

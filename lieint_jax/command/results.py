@@ -171,7 +171,7 @@ def _kept(stored: StoredRun) -> list[str]:
     what = "energy" if run.state.work is None else "energy less work"
     relative = f" ({worst / size:.2g} of the largest energy)" if size else ""
     return [
-        f"  largest change of {what}, all members, {len(times)} times: {worst:.2g}{relative}",
+        f"  largest change of {what}, all members, at {len(times)} saved times: {worst:.2g}{relative}",
         f"  {int(count - failed)} of {count} members converged at every step",
     ]
 

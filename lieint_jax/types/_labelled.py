@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
 from collections.abc import Mapping
 from typing import Any
@@ -73,7 +74,10 @@ def dataset(run: Any, system: Any, units: Mapping[str, str], system_axis: Axis) 
     found = _package("xarray").Dataset(variables, labels)
     unknown = sorted(set(units) - set(found.variables))
     if unknown:
-        raise ValueError(f"units of {', '.join(unknown)} are given, but the variables are {', '.join(found.variables)}")
+        names = [str(name) for name in found.variables]
+        near = difflib.get_close_matches(unknown[0], names, 1) or [x for x in names if x.startswith(unknown[0])]
+        meant = f"; did you mean {near[0]}?" if near else ""
+        raise ValueError(f"units of {', '.join(unknown)} are given, but the variables are {', '.join(names)}{meant}")
     for name, unit in units.items():
         found[name].attrs["units"] = unit
     return found
