@@ -112,10 +112,12 @@ def _axes(name: str, shape: tuple[int, ...]) -> tuple[tuple[str, ...], dict[str,
 
 def _measured(run: Any, system: Any, system_axis: Axis) -> dict[str, Any]:
     """Energy, momentum map, and the angular velocity in the body where the system has one."""
-    functions = {"energy": "energy", "momentum_map": "momentum", "angular_velocity": "angular_velocity"}
-    measured = {
-        name: _series(run, system, method, system_axis) for name, method in functions.items() if hasattr(system, method)
-    }
+    if not hasattr(system, "energy"):
+        raise ValueError(f"system must be that of the run, such as step.system, got a {type(system).__name__}")
+    methods = {"energy": "energy", "momentum_map": "momentum"}
+    if hasattr(system, "angular_velocity"):
+        methods["angular_velocity"] = "angular_velocity"
+    measured = {name: _series(run, system, method, system_axis) for name, method in methods.items()}
     return {name: x for name, x in measured.items() if x.size}
 
 
