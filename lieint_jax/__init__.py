@@ -23,6 +23,7 @@ A system and a scheme make a step; a step makes everything else.
 | `potentials`, `torques`, `orbits` | what acts on bodies |
 | `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
 
+`integrate` saves every step unless `save_every` says otherwise, `ensemble.run` the last one only.
 Attitudes are unit quaternions (w, x, y, z), body to space. Momenta are in space. Units are yours; all numbers must
 agree. On the command line: `lieint list`.
 """

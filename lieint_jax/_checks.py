@@ -111,18 +111,34 @@ def inertia(value: Any) -> Array:
     return array
 
 
+def of_one_system(name: str, value: Any, d: int = 3) -> None:
+    """ValueError if a tensor, principal (d,) or symmetric (d, d), is rather a stack of those of many systems."""
+    shape = np.shape(value)
+    skewed = shape == (d, d) and concrete(value) and not _symmetric(np.asarray(value))
+    if skewed or shape not in ((d,), (d, d)):
+        raise ValueError(
+            f"{name} of one system is ({d},) or symmetric, ({d}, {d}), got shape {shape}"
+            f"{', not symmetric' if skewed else ''}. For members with systems of their own, give ensemble.run "
+            "step_axis=0, or use jax.vmap; for one of them, jax.tree.map(lambda x: x[k], system)"
+        )
+
+
 def positive_definite(name: str, value: Any, d: int = 3) -> Array:
     """A positive definite tensor: principal values (d,) or a symmetric tensor (d, d)."""
     array = real_array(name, value, (d,), (d, d))
     if not concrete(array):
         return array
     J = np.asarray(array, float)
-    if J.ndim == 2 and not np.allclose(J, J.T, rtol=1e-6, atol=1e-6 * np.abs(J).max()):
+    if J.ndim == 2 and not _symmetric(J):
         raise ValueError(f"{name} must be symmetric, got\n{J}\nTake (A + A.T) / 2 if the difference is noise")
     moments = _moments(array)
     if moments[0] <= 0:
         raise ValueError(f"{name} must be positive definite, got principal values {moments}")
     return array
+
+
+def _symmetric(J: np.ndarray) -> bool:
+    return np.allclose(J, J.T, rtol=1e-6, atol=1e-6 * np.abs(J).max())
 
 
 def _moments(array: Array) -> np.ndarray:

@@ -154,8 +154,11 @@ def sphere_path(
     pole: np.ndarray | None = None,
     eye: np.ndarray | None = None,
     pole_label: str = "angular momentum",
+    joined: bool = True,
 ) -> Any:
     """A path of unit vectors (n, 3) on the sphere, paler on the far side, and the axis `pole` about which it turns.
+
+    The vectors are joined by a curve, or drawn as dots.
 
     The view is from the direction `eye`; by default from the mean of the path, turned by 25° in both angles. Meridians
     and parallels, 30° apart, are drawn on the near side only.
@@ -168,7 +171,8 @@ def sphere_path(
     ax.plot(*_outline(_sight(ax)).T, color=GREY, lw=0.8)
     hidden = path @ _sight(ax) < 0
     for side, alpha in ((hidden, 0.25), (~hidden, 0.9)):
-        ax.plot(*np.where(side[:, None], path, np.nan).T, color=BLUE, lw=0.8, alpha=alpha)
+        look: dict[str, Any] = {"lw": 0.8} if joined else {"ls": "", "marker": "o", "ms": 1.5}
+        ax.plot(*np.where(side[:, None], path, np.nan).T, color=BLUE, alpha=alpha, **look)
     if pole is not None:
         end = 1.3 * np.asarray(pole)
         ax.plot(*np.stack([0 * end, end]).T, color=RED, lw=1.5, label=pole_label)
@@ -234,6 +238,22 @@ def sphere_points(ax: Any, points: np.ndarray, label: str, **style: Any) -> Any:
     """Unit vectors (n, 3) as dots on the sphere of `sphere_path`; those on the far side are left out."""
     seen = points[points @ _sight(ax) >= 0]
     ax.scatter(*(1.01 * seen.T), label=label, depthshade=False, **style)
+    return ax
+
+
+def sphere_ends(ax: Any, path: np.ndarray) -> Any:
+    """Marks at the start and the end of a path of unit vectors (n, 3) on the sphere, paler on the far side."""
+    for point, mark, label, color in ((path[0], "o", "start", GREEN), (path[-1], "s", "end", RED)):
+        alpha = 1.0 if point @ _sight(ax) >= 0 else 0.4
+        ax.plot(*(1.01 * point[:, None]), ls="", marker=mark, color=color, alpha=alpha, label=label)
+    return ax
+
+
+def sphere_axes(ax: Any) -> Any:
+    """The names x, y, z of the axes of space at their ends on the near side of the sphere, −x for the end of −x."""
+    for k, name in enumerate("xyz"):
+        sign = 1 if _sight(ax)[k] >= 0 else -1
+        ax.text(*(1.08 * sign * np.eye(3)[k]), name if sign > 0 else f"−{name}", color=INK, ha="center", va="center")
     return ax
 
 

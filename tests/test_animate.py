@@ -2,6 +2,7 @@
 
 import html.parser
 import itertools
+import re
 import sys
 
 import jax
@@ -11,7 +12,8 @@ import pytest
 from PIL import Image
 
 import lieint_jax as li
-from lieint_jax.command import cli, scene, solids
+from lieint_jax import plots
+from lieint_jax.command import cli, pictures, scene, solids
 from lieint_jax.command.pictures import StoredRun
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
@@ -87,11 +89,63 @@ def test_states_too_far_apart_are_shown_as_they_are():
     assert "up to 160° of turning: the frames are the first 4 saved states; save more often" in found.notes[-1]
 
 
+def uniform(t, rate=1.0):
+    """A run of one member that turns about its z axis."""
+    q = np.stack([np.cos(rate * t / 2), 0 * t, 0 * t, np.sin(rate * t / 2)], axis=1)
+    return stored(BODY, q, np.tile([0.0, 0.0, 3.0 * rate], (len(t), 1)), t)
+
+
+@pytest.mark.parametrize("sign", [1, pytest.param(-1, marks=pytest.mark.long)])
+def test_a_span_begins_and_ends_where_it_was_asked_for_between_saved_states(sign):
+    run = uniform(sign * np.linspace(0, 8, 9))
+    found = scene.of(run, 0, 41, (sign * 2.3, sign * 4.7))
+    np.testing.assert_allclose(found.t, sign * np.linspace(2.3, 4.7, 41), atol=1e-14)
+    np.testing.assert_allclose(found.turns[:, 0, 0, 0], np.cos(found.t), atol=1e-12)
+    assert not any("first" in note for note in found.notes)
+    assert found.needed < 41
+    short = scene.of(run, 0, 5, (sign * 2.0, None))  # 6 rad at 15° a frame
+    np.testing.assert_allclose(short.t[[0, -1]], [sign * 2, sign * (2 + np.pi / 3)], atol=1e-12)
+    assert short.needed == 24
+    assert "the first 1.047 of 6 s that were asked for" in short.notes
+    for span in ((-1.0, None), (3.0, 3.0), (3.0, 9.0), (4.0, 3.0)):
+        with pytest.raises(ValueError, match=r"--from and --to must lie in the run, from -?0 to -?8 s"):
+            scene.of(run, 0, 5, tuple(x if x is None else sign * x for x in span))
+
+
+def test_a_span_of_states_too_far_apart():
+    found = scene.of(uniform(2.8 * np.arange(6.0)), 0, 9, (2.0, 9.0))
+    np.testing.assert_array_equal(found.t, 2.8 * np.arange(1.0, 4.0))
+    with pytest.raises(ValueError, match="fewer than two states are saved from t = 3 to 4"):
+        scene.of(uniform(2.8 * np.arange(6.0)), 0, 9, (3.0, 4.0))
+
+
+def test_a_path_is_drawn_between_saved_states_and_ends_are_marked():
+    """Chords of a spin of 1 rad a saved state would leave the curve by 12 %; farther apart it is dots."""
+    tilted = np.array([np.cos(0.4), np.sin(0.4), 0, 0])
+    for gap, joined in ((1.0, True), (2.8, False)):
+        t = gap * np.arange(9.0)
+        run = uniform(t)
+        q = np.asarray(jax.vmap(li.groups.so3.multiply, (0, None))(run.run.state.q[:, 0], jnp.asarray(tilted)))
+        fig = pictures.draw_motion(
+            stored(li.systems.rigid_body([1.0, 1.0, 1.0]), q, np.tile([0.0, 0.0, 1.0], (9, 1)), t)
+        )
+        [ax] = fig.axes
+        assert [text.get_text() for text in ax.get_legend().get_texts()] == ["start", "end"]
+        [seen] = [line for line in ax.lines if line.get_color() == plots.BLUE and line.get_alpha() == 0.9]
+        assert (seen.get_linestyle() == "-") is joined
+        count = sum(np.isfinite(line.get_data_3d()[0]).sum() for line in ax.lines if line.get_color() == plots.BLUE)
+        assert count > 100 if joined else count == 9
+        assert ("dots" in ax.get_title()) is not joined
+
+
 @pytest.mark.long
 def test_a_gif_has_its_frames_and_they_move(store, tmp_path, capsys):
     out = tmp_path / "turn.gif"
     assert moved(store, ["--out", out, "--seconds", 0.5, "--fps", 10, "--member", 1]) == 0
-    assert "5 frames" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert f"Rigid body, {store.name}, member 1: t = 0 … t = " in told  # neither the scheme's name nor a unit "1"
+    assert "5 frames" in told
+    assert re.search(r"the rest does not fit at this speed: --seconds \d+ shows all, --from and --to another", told)
     with Image.open(out) as film:
         assert film.n_frames == 5
         assert film.info["duration"] == 100
@@ -136,6 +190,10 @@ def test_a_page_holds_all_that_it_needs(store, tmp_path):
         (["--out", "nowhere/turn.gif"], "the folder nowhere does not exist"),
         (["--out", "turn.gif", "--member", "2"], "the run has members 0 to 1, got --member 2"),
         (["--out", "turn.gif", "--seconds", "-1"], "--seconds must be positive, got -1"),
+        (
+            ["--out", "turn.gif", "--from", "3", "--to", "9"],
+            "must lie in the run, from 0 to 4, in its order; got 3 to 9",
+        ),
     ],
 )
 def test_refusals_are_one_sentence(store, tmp_path, monkeypatch, capsys, arguments, message):

@@ -170,7 +170,8 @@ BAD = [
         r"source 'x' is not one of the keys of \[sources\]: y",
     ),
     (dict(scheme='scheme = "rk4"'), "scheme: .*so3_midpoint"),
-    (dict(inertia="inertia = [1.0, 2.0]"), "inertia: inertia must have shape"),
+    (dict(inertia="inertia = [1.0, 2.0]"), r"inertia: inertia must have shape \(3,\) or \(3, 3\), got \(2,\) \(got"),
+    (dict(scheme="scheme = exact # closed form"), r'not valid TOML: .*; text stands in quotes: scheme = "exact"$'),
     (dict(inertia="inertia = [1.0, 2.0, -3.0]"), "inertia: inertia must be positive definite"),
     (dict(angular_velocity_rad=""), "state: give exactly one of angular_velocity_rad and angular_velocity_deg"),
     (dict(quaternion=""), "state: give the attitude, by exactly one of quaternion and euler_313_deg"),
@@ -245,10 +246,18 @@ def test_check_groups_prints_a_table(capsys, monkeypatch):
     assert re.fullmatch(r"\| Aff\(1\) \| \S+ \| \S+ \| (—|\S+) \| \S+ \|", row)
 
 
+def test_an_observation_on_the_other_side_of_the_start_says_which_sign_dt_has():
+    with pytest.raises(
+        ValueError, match=r"observation\.t = 23\.159873 .*other side of t = 0.*dt = -0\.005: give dt > 0"
+    ):
+        scenarios.load("toutatis", dt=-0.005)
+
+
 @pytest.mark.long
 def test_nothing_to_check_is_said(capsys):
     for arguments, message in (
         (["check", "rocket"], "no system 'rocket'.*lieint check rigid_body"),
+        (["check", "rigid"], r"no system 'rigid', did you mean rigid_body\?"),
         (["check", "rigid_body", "--scheme", "rk4"], "no scheme with 'rk4'.*exact, extrapolate"),
     ):
         assert cli.main(arguments) == 2
@@ -257,9 +266,16 @@ def test_nothing_to_check_is_said(capsys):
 
 def test_bad_commands(capsys):
     for arguments, message in (
-        (["run", "nowhere"], "no scenario 'nowhere': give a .toml file or apophis or didymos or .*; lieint list"),
-        (["run", "toutatos"], "no scenario 'toutatos': give a .toml file or toutatis; lieint list"),
-        (["info", "no.npz"], r"there is no file no\.npz"),
+        (["run", "nowhere"], "there is no scenario 'nowhere': `lieint list` shows all; or give a .toml file"),
+        (["run", "toutatos"], r"there is no scenario 'toutatos': did you mean toutatis\? `lieint list`"),
+        (["run", "nofile.toml"], "there is no file nofile.toml; `lieint list` shows the scenarios"),
+        (
+            ["run", "toutatis", "--save-at", "no.txt"],
+            "there is no file no.txt: give a text file with one number a line",
+        ),
+        (["info", "no.npz"], r"there is no file no\.npz; lieint run NAME --out no\.npz writes one"),
+        (["plot", "no.zarr"], r"there is no file no\.zarr; lieint run NAME --out no\.zarr writes one"),
+        (["info", "."], r"\. is a folder without results; give a file NAME\.npz or a store NAME\.zarr"),
         (["run", "toutatis", "--members", "0"], "members: .*greater than 0"),
         (["run", "toutatis", "--out", "results.csv"], r"\.npz or \.zarr, got results\.csv"),
         (["run", "toutatis", "--out", "no/where.npz"], "folder no does not exist"),

@@ -35,6 +35,10 @@ def test_a_run_as_a_dataset():
     assert found.converged.all()
     with pytest.raises(ValueError, match=r"units of spin are given, but the variables are .*q"):
         run().to_xarray(units={"spin": "rad"})
+    with pytest.raises(ValueError, match=r"system must be that of the run, such as step\.system, got a SO3Midpoint"):
+        run().to_xarray(li.schemes.so3_midpoint(BODY))
+    with pytest.raises(ValueError, match=r"units of t are given.*; did you mean time\?"):
+        run().to_xarray(units={"t": "s"})
 
 
 def test_a_batch_as_a_dataset_has_members():

@@ -126,6 +126,11 @@ def positive_definite(S: Symmetric) -> Array:
 
 def symmetric(J: Array) -> Symmetric:
     """The distinct entries of a symmetric matrix given by its diagonal, shape (3,), or in full, shape (3, 3)."""
+    if J.shape not in ((3,), (3, 3)):
+        raise ValueError(
+            f"a tensor of one body has shape (3,) or (3, 3), got {J.shape}: where each member has a system of its own, "
+            "give step_axis=0 or system_axis=0, or use jax.vmap"
+        )
     if J.ndim == 1:
         return components(J)
     off = [(J[i, j] + J[j, i]) / 2 for i, j in ((1, 2), (0, 2), (0, 1))]

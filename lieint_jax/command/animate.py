@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from lieint_jax import plots
 from lieint_jax.command import files, results, scene
-from lieint_jax.command.scene import Scene
+from lieint_jax.command.scene import Scene, Span
 from lieint_jax.types import Trajectory
 
 SUFFIXES = (".gif", ".mp4", ".html")
@@ -21,7 +21,13 @@ _INCHES = 4.8
 
 
 def animate(
-    path: Path, out: Path | None = None, member: int = 0, seconds: float = 6.0, fps: int = 20, force: bool = False
+    path: Path,
+    out: Path | None = None,
+    member: int = 0,
+    seconds: float = 6.0,
+    fps: int = 20,
+    force: bool = False,
+    span: Span = (None, None),
 ) -> None:
     """Write a moving picture of one member of a file of results, with the paths of axes and the momentum vectors.
 
@@ -32,6 +38,7 @@ def animate(
         seconds: how long it lasts, unless the run has fewer states to show.
         fps: frames a second.
         force: replace a file that exists.
+        span: the times to show, from the first to the second; None is that of the run.
 
     Raises:
         ValueError: a name that cannot be written, a run that has no rigid bodies or no states, something not installed.
@@ -45,10 +52,14 @@ def animate(
         raise ValueError(f"{path} is of a run with `reduce`, which keeps no states: there is nothing to animate")
     if len(run.t) < 2:
         raise ValueError(f"{path} holds the initial states only: there is nothing to animate yet")
-    found = scene.of(results.stored_run(path, run, metadata), member, max(2, round(seconds * fps)))
-    (_write_html if out.suffix == ".html" else _write_film)(found, out, fps)
+    found = scene.of(results.stored_run(path, run, metadata), member, max(2, round(seconds * fps)), span)
     print(f"{found.title}, member {member}: {found.clock(0)} … {found.clock(-1)}, {len(found.t)} frames")
     print("\n".join(f"  {note}" for note in found.notes))
+    if found.needed > len(found.t):
+        longer = f"--seconds {np.ceil(found.needed / fps):.0f} shows all, --from and --to another part"
+        print(f"  the rest does not fit at this speed: {longer}")
+    print("  drawing; 100 frames take some ten seconds …", flush=True)
+    (_write_html if out.suffix == ".html" else _write_film)(found, out, fps)
     print(f"\nwritten: {out} ({files.megabytes(out)})")
 
 

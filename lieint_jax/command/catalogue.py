@@ -53,7 +53,7 @@ def text() -> str:
     lines.append("\nstudies: lieint study NAME")
     for name, module in study.found().items():
         lines += _entry(name, (module.__doc__ or "").splitlines()[0], takes(f"study {name}"))
-    return "\n".join([*lines, "\ntime on two cores, the first time and again, and memory"])
+    return "\n".join([*lines, "\nscenarios: members × steps; time on two cores, the first time and again; memory"])
 
 
 def described(scenario: Any) -> tuple[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import multiprocessing
 import os
 import signal
@@ -58,9 +59,12 @@ def _nothing(system: str, scheme: str) -> str:
         whole = f"lieint check {system}".strip()
         return f"no scheme with {scheme!r} in its name takes this system; {whole} checks all: {', '.join(steps)}"
     known = [f"{name} ({', '.join(module.examples())})" for name, module in _discover.modules(systems).items()]
+    names = [x for name, module in _discover.modules(systems).items() for x in (name, *module.examples())]
+    near = difflib.get_close_matches(system, [*names, *by_group.catalogue()], 1, 0.5)
+    meant = f", did you mean {near[0]}?" if near else ";"
     return (
-        f"no system {system!r}; there are {'; '.join(known)}; and the groups {', '.join(by_group.catalogue())}. Type, "
-        "for example, lieint check rigid_body"
+        f"no system {system!r}{meant} there are {'; '.join(known)}; and the groups {', '.join(by_group.catalogue())}. "
+        "Type, for example, lieint check rigid_body"
     )
 
 

@@ -112,6 +112,8 @@ def _add_results(commands: Any) -> None:
     animate.add_argument("path", type=Path, metavar="PATH")
     animate.add_argument("--member", type=int, default=0, metavar="K", help="which member, from 0 (default 0)")
     animate.add_argument("--out", type=Path, metavar="FILE", help="NAME.gif (default, beside PATH), .mp4 or .html")
+    animate.add_argument("--from", type=float, dest="first", metavar="T", help="time of the first frame (default: all)")
+    animate.add_argument("--to", type=float, dest="last", metavar="T", help="time of the last frame, if it fits")
     animate.add_argument("--seconds", type=float, default=6.0, metavar="S", help="how long it lasts (default 6)")
     animate.add_argument("--fps", type=_positive, default=20, metavar="F", help="frames a second (default 20)")
     animate.add_argument("--force", action="store_true", help="replace a file that exists")
@@ -208,7 +210,8 @@ def _plot(options: argparse.Namespace) -> None:
 def _animate(options: argparse.Namespace) -> None:
     from lieint_jax.command.animate import animate
 
-    animate(options.path, options.out, options.member, options.seconds, options.fps, options.force)
+    span = (options.first, options.last)
+    animate(options.path, options.out, options.member, options.seconds, options.fps, options.force, span)
 
 
 def _schema(_: argparse.Namespace) -> None:

@@ -93,11 +93,14 @@ def load(path: Path) -> tuple[Any, dict[str, Any]]:
     Raises:
         ValueError: a damaged store, and then which file, and what can still be read; or no file of results.
     """
+    if not path.exists():
+        named = path if path.suffix in SUFFIXES else path.with_suffix(".npz")
+        raise ValueError(f"there is no file {path}; lieint run NAME --out {named} writes one")
     if path.suffix == ".zarr":
         _store.check(path)
         return _store.load(path)
-    if not path.exists():
-        raise ValueError(f"there is no file {path}; lieint run NAME --out {path} writes one")
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder without results; give a file NAME.npz or a store NAME.zarr")
     try:
         with np.load(path, allow_pickle=False) as f:
             arrays = {name: f[name] for name in f.files if name in ("q", "p", "work") or name.startswith("extra.")}
@@ -111,6 +114,8 @@ def load(path: Path) -> tuple[Any, dict[str, Any]]:
 
 def numbers(path: Path) -> list[float]:
     """The numbers of a text file, one a line; # begins a comment."""
+    if not path.is_file():
+        raise ValueError(f"there is no file {path}: give a text file with one number a line")
     try:
         return np.loadtxt(path, ndmin=1).ravel().tolist()
     except ValueError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -11,8 +12,13 @@ from jax import Array
 from matplotlib.figure import Figure
 
 from lieint_jax import plots
+from lieint_jax.command import between
 from lieint_jax.scenarios._body import in_space
+from lieint_jax.scenarios._common import POINTS
 from lieint_jax.types import State, Trajectory, energy_less_work
+from lieint_jax.types._members import along
+
+_CHORD = np.deg2rad(3)  # the most that a body turns from one point of its path to the next, if there are enough points
 
 
 class StoredRun(NamedTuple):
@@ -38,10 +44,14 @@ class StoredRun(NamedTuple):
         system = jax.tree.map(lambda x: x[members], self.system) if self.own_system else self.system
         return self._replace(system=system, run=Trajectory(self.run.t[times], state, info))
 
+    def system_of(self, member: int) -> Any:
+        """The system of one member."""
+        return jax.tree.map(lambda x: x[member], self.system) if self.own_system else self.system
+
     def series(self, function: Callable[[Any, State], Array]) -> np.ndarray:
         """The values of a function of system and state, (times, members, …)."""
-        over_members = jax.vmap(function, in_axes=(0 if self.own_system else None, 0))
-        return np.asarray(jax.jit(jax.vmap(over_members, in_axes=(None, 0)))(self.system, self.run.state))
+        measure = partial(along, function, system_axis=0 if self.own_system else None)
+        return np.asarray(jax.jit(measure)(self.system, self.run))
 
 
 def of(stored: StoredRun) -> dict[str, Callable[[StoredRun], Figure]]:
@@ -74,7 +84,7 @@ def draw_motion(stored: StoredRun) -> Figure:
     """Plot the motion of the first member: a direction on the sphere, the centres of bodies, or the components of q."""
     q = np.asarray(stored.run.state.q[:, 0])
     if q.shape[1:] == (4,):
-        fig = _draw_direction(in_space(q, np.eye(3)[2]), "body axis z")
+        fig = _draw_body(stored)
     elif q.shape[1:] == (3,):
         fig = _draw_direction(q, "q")
     elif q.shape[2:] == (7,):
@@ -85,11 +95,30 @@ def draw_motion(stored: StoredRun) -> Figure:
     return fig
 
 
+def _draw_body(stored: StoredRun) -> Figure:
+    """The body axis z of the first member; a curve if states between the saved ones can be found, else dots."""
+    system, run = stored.system_of(0), between.member(stored.run, 0)
+    joined = hasattr(system, "angular_velocity")
+    if joined:
+        apart, _ = between.turns(system, run)
+        joined = bool(apart.max() <= between.APART)
+        if joined and apart.max() > _CHORD:
+            parts = min(int(np.ceil(apart.max() / _CHORD)), max(1, POINTS // len(apart)))
+            t = np.asarray(run.t)
+            run = between.at(system, run, np.interp(np.arange(len(apart) * parts + 1) / parts, np.arange(len(t)), t))
+    path = in_space(np.asarray(run.state.q), np.eye(3)[2])
+    return _draw_direction(path, "body axis z", joined)
+
+
 @plots.style()
-def _draw_direction(path: np.ndarray, name: str) -> Figure:
+def _draw_direction(path: np.ndarray, name: str, joined: bool = True) -> Figure:
     fig, axes = plots.figure(subplot_kw={"projection": "3d"})
-    plots.sphere_path(axes[0, 0], path)
-    axes[0, 0].set_title(f"{name} of the first member, in space")
+    ax = plots.sphere_path(axes[0, 0], path, joined=joined)
+    plots.sphere_ends(ax, path)
+    plots.sphere_axes(ax)
+    ax.legend(loc="upper left")
+    apart = "" if joined else "; dots: states are saved too far apart to be joined"
+    ax.set_title(f"{name} of the first member, in space; a line every 30°{apart}", wrap=True)
     return fig
 
 

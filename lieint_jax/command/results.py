@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -91,6 +92,13 @@ def _scenario(path: Path, metadata: dict[str, Any]) -> Any:
     return scenarios.stored(table, str(path)) if "system" in table else None
 
 
+def _title(path: Path, metadata: dict[str, Any]) -> str:
+    """The title that a run was given; else, in place of its scheme, the system and the file."""
+    if metadata["title"] != metadata["scheme"]:
+        return str(metadata["title"])
+    return f"{re.sub(r'(?<=[a-z])(?=[A-Z])', ' ', metadata['system']).capitalize()}, {path.name}"
+
+
 def stored_run(path: Path, run: Any, metadata: dict[str, Any]) -> StoredRun:
     """A run with its system, which a store has, or else its scenario; ValueError if the system is not known."""
     scenario = None if "description" in metadata else _scenario(path, metadata)
@@ -100,7 +108,8 @@ def stored_run(path: Path, run: Any, metadata: dict[str, Any]) -> StoredRun:
     if "run" not in metadata:
         raise ValueError(f"{path} holds neither a scenario nor the numbers of its system")
     own_system = metadata["run"]["step_axis"] == 0
-    return StoredRun(metadata["title"], metadata.get("time_unit", ""), system_of(path, metadata), run, own_system)
+    unit = metadata.get("time_unit", "")
+    return StoredRun(_title(path, metadata), "" if unit == "1" else unit, system_of(path, metadata), run, own_system)
 
 
 def contents(path: Path, run: Any = None, metadata: Any = None) -> str:
@@ -162,7 +171,7 @@ def _kept(stored: StoredRun) -> list[str]:
     what = "energy" if run.state.work is None else "energy less work"
     relative = f" ({worst / size:.2g} of the largest energy)" if size else ""
     return [
-        f"  largest change of {what}, all members, {len(times)} times: {worst:.2g}{relative}",
+        f"  largest change of {what}, all members, at {len(times)} saved times: {worst:.2g}{relative}",
         f"  {int(count - failed)} of {count} members converged at every step",
     ]
 

@@ -8,20 +8,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from lieint_jax.command import between
 from lieint_jax.command.pictures import StoredRun
 from lieint_jax.command.solids import Solid, box, top
 from lieint_jax.groups import so3
-from lieint_jax.integrate import interpolate
 from lieint_jax.scenarios._body import spin_axis
-from lieint_jax.systems.heavy_top import Linear
 from lieint_jax.types import Bodies, FreeBodies, Trajectory
 
 _MOST = np.deg2rad(15)  # the most that a body turns from frame to frame, if states can be interpolated
 _TILT = np.deg2rad(2)  # the same of the axis of a top, whose spin may be much faster
-_APART = 2.6  # rad, the most between saved states: those found between them are off by .3° (tumbling bodies)
 _FINE = 4  # points of the path of an axis between two frames
 _SMALLEST = 0.06  # the size of the largest of several bodies, over that of the scene; smaller ones are drawn larger
 _TIP, _ARROW = 1.2, 1.5  # where axes and momentum vectors end, over the size of their body
+
+Span = tuple[float | None, float | None]
 
 
 class Scene(NamedTuple):
@@ -40,6 +40,7 @@ class Scene(NamedTuple):
         fine: points of a path from frame to frame.
         middle: the middle of what is seen, (3,).
         reach: half the side of a cube about it that holds everything.
+        needed: how many frames would show all that was asked for.
     """
 
     title: str
@@ -54,6 +55,7 @@ class Scene(NamedTuple):
     fine: int
     middle: np.ndarray
     reach: float
+    needed: int
 
     def corners(self, frame: int, body: int) -> np.ndarray:
         """The corners of a body in space, (n, 3)."""
@@ -69,16 +71,24 @@ class Scene(NamedTuple):
 
     def clock(self, frame: int) -> str:
         """The time of a frame, to print."""
-        return f"t = {self.t[frame]:.4g} {self.time_unit}"
+        return f"t = {self.t[frame]:.4g} {self.time_unit}".rstrip()
 
 
-def of(stored: StoredRun, member: int, frames: int) -> Scene:
+def of(stored: StoredRun, member: int, frames: int, span: Span = (None, None)) -> Scene:
     """The scene of one member of a run, in at most `frames` frames.
 
+    Args:
+        stored: the run.
+        member: which one.
+        frames: the most of them.
+        span: the times of the first and the last frame; None is that of the run.
+
     Raises:
-        ValueError: a system without rigid bodies, or no such member.
+        ValueError: a system without rigid bodies, no such member, or times outside the run.
     """
-    system = jax.tree.map(lambda x: x[member], stored.system) if stored.own_system else stored.system
+    if not 0 <= member < stored.run.state.p.shape[1]:
+        raise ValueError(f"the run has members 0 to {stored.run.state.p.shape[1] - 1}, got --member {member}")
+    system = stored.system_of(member)
     several = isinstance(system, Bodies | FreeBodies)
     shape = stored.run.state.q.shape
     if not (several or (shape[2:] == (4,) and hasattr(system, "inertia"))):
@@ -86,9 +96,7 @@ def of(stored: StoredRun, member: int, frames: int) -> Scene:
             f"{type(system).__name__} is not made of rigid bodies: rigid bodies, gyrostats, tops, satellites and "
             "several bodies can be animated; `lieint plot` draws this run"
         )
-    if not 0 <= member < shape[1]:
-        raise ValueError(f"the run has members 0 to {shape[1] - 1}, got --member {member}")
-    run, fine, notes = _shown(system, _member(stored.run, member), frames, stored.time_unit)
+    run, fine, notes, needed = _shown(system, between.member(stored.run, member), frames, stored.time_unit, span)
     q, p = np.asarray(run.state.q), np.asarray(run.state.p)
     x, attitudes, spins = (q[..., :3], q[..., 3:], p[..., 3:]) if several else (np.zeros((len(q), 1, 3)), q[:, None], p)
     spins = spins.reshape(len(q), -1, 3)
@@ -103,7 +111,7 @@ def of(stored: StoredRun, member: int, frames: int) -> Scene:
     seen = np.concatenate([z.reshape(-1, 3) for z in (paths, momenta, x - sizes, x + sizes)])
     low, high = seen.min(axis=0), seen.max(axis=0)
     each = ", each to its own scale" if len(solids) > 1 else ""
-    notes = (f"blue: the axis and the path of its end; red: the angular momentum{each}", *notes)
+    notes = (f"blue: the axis and the path of its end; dark orange: the angular momentum{each}", *notes)
     return Scene(
         title=stored.title,
         notes=notes,
@@ -117,58 +125,65 @@ def of(stored: StoredRun, member: int, frames: int) -> Scene:
         fine=fine,
         middle=(low + high) / 2,
         reach=float((high - low).max() / 2),
+        needed=needed,
     )
 
 
-def _member(run: Trajectory, member: int) -> Trajectory:
-    """The trajectory of one member, in memory."""
-    return Trajectory(jnp.asarray(run.t), *jax.tree.map(lambda x: np.asarray(x[:, member]), (run.state, run.info)))
-
-
-def _shown(system: Any, run: Trajectory, frames: int, time_unit: str) -> tuple[Trajectory, int, tuple[str, ...]]:
-    """The beginning of a trajectory that `frames` frames can show, at the points of paths; points a frame; notes."""
+def _shown(
+    system: Any, run: Trajectory, frames: int, time_unit: str, span: Span
+) -> tuple[Trajectory, int, tuple[str, ...], int]:
+    """As much of a span of a trajectory as `frames` frames can show, at the points of paths; points a frame; notes;
+    how many frames would show the whole span.
+    """
     t = np.asarray(run.t)
-    turns, tilts = _turns(system, run)
-    turned, most = np.concatenate([[0.0], np.cumsum(turns)]), (frames - 1) * _MOST
-    if _pointed(system) is not None:
-        turned, most = np.concatenate([[0.0], np.cumsum(tilts)]), (frames - 1) * _TILT
-    end = t[-1] if turned[-1] <= most else np.interp(most, turned, t)
-    kept = min(int(np.searchsorted(turned, most)) + 1, len(t))
-    part = jax.tree.map(lambda x: x[:kept], run)
-    times = np.linspace(t[0], end, (frames - 1) * _FINE + 1)
-    notes: tuple[str, ...] = ()
-    if turned[-1] > most:
-        notes = (f"the first {abs(end - t[0]):.4g} of {abs(t[-1] - t[0]):.4g} {time_unit}",)
-    apart = turns[: kept - 1].max()
-    if apart <= _APART:
-        return Trajectory(jnp.asarray(times), interpolate(system, part, times), part.info), _FINE, notes
-    first = jax.tree.map(lambda x: x[:frames], run)
+    sign, (first, last) = np.sign(t[-1] - t[0]), _span(t, span, time_unit)
+    turns, tilts = between.turns(system, run)
+    steps, step = (turns, _MOST) if between.pointed(system) is None else (tilts, _TILT)
+    turned = np.concatenate([[0.0], np.cumsum(steps)])
+    begun, ended = np.interp(sign * np.array([first, last]), sign * t, turned)
+    most = begun + (frames - 1) * step
+    end = last if ended <= most else np.interp(most, turned, t)
+    needed = int(np.ceil((ended - begun) / step)) + 1
+    low = int(np.searchsorted(sign * t, sign * first, side="right")) - 1
+    low = min(low, len(t) - 2)
+    high = max(int(np.searchsorted(sign * t, sign * end)), low + 1)
+    part = jax.tree.map(lambda x: x[low : high + 1], run)
+    whole = "" if span == (None, None) else " that were asked for"
+    unit = f" {time_unit}".rstrip()
+    notes = (f"the first {abs(end - first):.4g} of {abs(last - first):.4g}{unit}{whole}",) if ended > most else ()
+    apart = turns[low:high].max()
+    if apart <= between.APART:
+        times = np.linspace(first, end, (frames - 1) * _FINE + 1)
+        return between.at(system, part, times), _FINE, notes, needed
+    saved = np.flatnonzero((sign * (t - first) >= 0) & (sign * (last - t) >= 0))[:frames]
+    if len(saved) < 2:
+        raise ValueError(f"fewer than two states are saved from t = {first:.6g} to {last:.6g}, too far apart to show")
+    which = "first" if saved[0] == 0 else "next"
     note = (
         f"states are saved too far apart to be interpolated, up to {np.rad2deg(apart):.0f}° of turning: the frames are "
-        f"the first {len(first.t)} saved states; save more often to see what is between"
+        f"the {which} {len(saved)} saved states; save more often to see what is between"
     )
-    return first, 1, (note,)
+    return jax.tree.map(lambda x: x[saved], run), 1, (note,), len(saved)
 
 
-def _turns(system: Any, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """About how far the fastest body and the axis of a top turn between saved states, (saves − 1,), in radians."""
-    rates = system.angular_velocities if hasattr(system, "angular_velocities") else system.angular_velocity
-    Omega = np.asarray(jax.jit(jax.vmap(rates))(jax.tree.map(jnp.asarray, run.state)))
-    Omega, axis = Omega.reshape(len(Omega), -1, 3), _pointed(system)
-    across = Omega if axis is None else np.cross(Omega, axis)
-
-    def turns(rates: np.ndarray) -> np.ndarray:
-        speed = np.linalg.norm(rates, axis=-1).max(axis=1)
-        return np.maximum(speed[1:], speed[:-1]) * abs(np.diff(run.t))
-
-    return turns(Omega), turns(across)
+def _span(t: np.ndarray, span: Span, time_unit: str) -> tuple[float, float]:
+    """The first and last time to show; ValueError if they are not in the run, in its order."""
+    first, last = (float(end if given is None else given) for given, end in zip(span, (t[0], t[-1]), strict=True))
+    sign = np.sign(t[-1] - t[0])
+    if not sign * t[0] <= sign * first < sign * last <= sign * t[-1]:
+        unit = f" {time_unit}".rstrip()
+        raise ValueError(
+            f"--from and --to must lie in the run, from {t[0]:.6g} to {t[-1]:.6g}{unit}, in its order; got "
+            f"{first:.6g} to {last:.6g}"
+        )
+    return first, last
 
 
 def _bodies(
     system: Any, turns: np.ndarray, spins: np.ndarray, x: np.ndarray
 ) -> tuple[tuple[Solid, ...], np.ndarray, float]:
     """The surfaces of the bodies, the axis of each in the body (bodies, 3), and by how much they are enlarged."""
-    axis = _pointed(system)
+    axis = between.pointed(system)
     if axis is not None:
         return (top(np.asarray(system.inertia), axis),), axis[None], 1.0
     single = not hasattr(system, "inertias")
@@ -179,10 +194,3 @@ def _bodies(
     extent = np.ptp(x, axis=(0, 1)).max() / 2
     factor = max(1.0, _SMALLEST * extent / max(solid.size() for solid in solids))
     return tuple(solid.grown(factor) for solid in solids), axes, factor
-
-
-def _pointed(system: Any) -> np.ndarray | None:
-    """The axis (3,) of a heavy top, from its fixed point to its centre of mass in the body; None of other systems."""
-    potential = getattr(system, "potential", None)
-    weight = np.asarray(potential.weight) if isinstance(potential, Linear) else np.zeros(3)
-    return weight / np.linalg.norm(weight) if weight.any() else None

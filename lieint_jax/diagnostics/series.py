@@ -1,32 +1,46 @@
-"""Invariants along a trajectory, as series in time. For a batch of trajectories, vmap."""
+"""Invariants along a trajectory, or along those of a batch, as series in time."""
 
 from __future__ import annotations
 
-from functools import partial
-
-import jax
 import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax import _checks
 from lieint_jax.types import System, Trajectory, energy_less_work
+from lieint_jax.types._members import Axis, along
 
 
-def energy_error(system: System, trajectory: Trajectory) -> Array:
-    """H(z_n) − W_n − H(z₀) + W₀, shape (n+1,), in units of energy; W is `state.work`, 0 if it is not counted."""
-    kept = jax.vmap(partial(energy_less_work, system))(trajectory.state)
+def energy_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> Array:
+    """H(z_n) − W_n − H(z₀) + W₀ in units of energy; W is `state.work`, 0 if it is not counted.
+
+    Args:
+        system: that of the trajectory.
+        trajectory: of one body, or of a batch with the axes (time, member) of `ensemble.run`.
+        system_axis: of a batch, None if all members have one system, 0 if each has its own, on the leading axis of the
+            leaves (`step_axis=0` of `ensemble.run`); "auto" finds it by the shapes where they tell.
+
+    Returns:
+        Shape (n+1,), or (n+1, members).
+
+    Raises:
+        ValueError: shapes that contradict `system_axis`, or do not tell; axes (member, time).
+    """
+    kept = along(energy_less_work, system, trajectory, system_axis)
     return kept - kept[0]
 
 
-def momentum_error(system: System, trajectory: Trajectory) -> Array:
-    """Φ(z_n) − Φ(z₀), shape (n+1, k), of the momentum map Φ."""
-    momentum = jax.vmap(system.momentum)(trajectory.state)
+def momentum_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> Array:
+    """Φ(z_n) − Φ(z₀) of the momentum map Φ, (n+1, k) or (n+1, members, k); arguments as of `energy_error`."""
+    momentum = along(lambda own, z: own.momentum(z), system, trajectory, system_axis)
     return momentum - momentum[0]
 
 
-def constraint_error(system: System, trajectory: Trajectory) -> Array:
-    """The distance of q from the configuration space, shape (n+1,): |q|² − 1 for unit quaternions."""
-    return jax.vmap(system.phase_space.defect)(trajectory.state)
+def constraint_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> Array:
+    """The distance of q from the configuration space, (n+1,) or (n+1, members): |q|² − 1 for unit quaternions.
+
+    Arguments as of `energy_error`.
+    """
+    return along(lambda own, z: own.phase_space.defect(z), system, trajectory, system_axis)
 
 
 def delay(series: Array, lag: int) -> Array:

@@ -151,11 +151,15 @@ class Job(NamedTuple):
 
     def member(self, m: int) -> tuple[Step, State]:
         """The step and the initial state of one member."""
-        state = jax.tree.map(lambda leaf: leaf[m], self.states)
         step = self.step if self.step_axis is None else jax.tree.map(lambda leaf: leaf[m], self.step)
+        return step, self.member_state(m)
+
+    def member_state(self, m: int) -> State:
+        """The initial state of one member."""
+        state = jax.tree.map(lambda leaf: leaf[m], self.states)
         if self.t0 is not None:
             state = state._replace(t=self.t0 if self.shares_time else self.t0[m])
-        return step, state
+        return state
 
     @property
     def members(self) -> int:

@@ -22,8 +22,9 @@ from lieint_jax.ensemble._leaves import named
 from lieint_jax.ensemble._loop import Carry, Reduction, energy, step_dtype
 from lieint_jax.ensemble._progress import Bar, Interrupts, Pace
 from lieint_jax.ensemble._recording import StoreOptions, into_store
-from lieint_jax.integrate import Given, Own, Uniform, clock_of, intervals, outputs, refuse_times
+from lieint_jax.integrate import Given, Own, Uniform, clock_of, intervals, more_times, outputs, refuse_times
 from lieint_jax.types import State, Step, Trajectory, checked_step, promoted
+from lieint_jax.types._members import member_axis
 
 _NAMED = 5  # the most failed members that a report names
 _SCALARS = ("t", "work")  # the parts of states that are scalars for each member, and may be one for all
@@ -334,6 +335,8 @@ def _checked(step: Step, states: State) -> tuple[State, Any]:
 
 
 def _check(job: Job) -> None:
+    member_axis(job.step.system, job.member_state(0), job.members, job.step_axis, "step_axis")
+    step, state = job.member(0)
     defect = np.abs(np.asarray(jax.vmap(job.step.system.phase_space.defect)(job.states)))
     bad = np.flatnonzero(defect > 2 * _checks.UNIT_TOLERANCE)  # |q|² − 1 is twice the error of |q|
     if bad.size:
@@ -341,7 +344,6 @@ def _check(job: Job) -> None:
             f"states.q is off the configuration space by more than {_checks.UNIT_TOLERANCE:g}: {_some(bad)} "
             f"(worst defect {defect.max():.3g}); make states with system.state(...)"
         )
-    step, state = job.member(0)
     step.system.check(state)  # the shapes, and the time of a driven system, which are alike for all members
 
 
@@ -349,7 +351,9 @@ def _check_first(failed: np.ndarray, job: Job) -> None:
     bad = np.flatnonzero(failed >= 0)
     if bad.size and not job.step.approximate:
         step, one = job.member(bad[0])
-        raise ValueError(f"the first step fails for {_some(bad)}. Member {bad[0]}: {step.advice(one, job.first_dt)}")
+        more = more_times(step, one, job.first_dt) if isinstance(job.clock, Given) else ""
+        advice = f"{step.advice(one, job.first_dt)}{more}"
+        raise ValueError(f"the first step fails for {_some(bad)}. Member {bad[0]}: {advice}")
 
 
 def _report(failed: np.ndarray) -> None:

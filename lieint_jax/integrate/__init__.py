@@ -1,6 +1,6 @@
 """Runs of one body: many steps, output at given times, events."""
 
-from lieint_jax.integrate._clock import Given, Own, Uniform, at_time, clock_of, outputs, refuse_times
+from lieint_jax.integrate._clock import Given, Own, Uniform, at_time, clock_of, more_times, outputs, refuse_times
 from lieint_jax.integrate._event import Event, event, events
 from lieint_jax.integrate._interpolate import interpolate
 from lieint_jax.integrate._run import from_start, integrate, intervals, prepared, saves, steps
@@ -18,6 +18,7 @@ __all__ = [
     "integrate",
     "interpolate",
     "intervals",
+    "more_times",
     "outputs",
     "prepared",
     "refuse_times",

@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax.types import State, Step
+from lieint_jax.types import State, Step, converges
 
 
 class Uniform(NamedTuple):
@@ -84,6 +84,7 @@ class Own(NamedTuple):
 
 
 Clock = Uniform | Given | Own
+_HALVINGS = 20  # the most that `more_times` tries
 
 
 def clock_of(
@@ -110,6 +111,17 @@ def clock_of(
     if t is not None and concrete(nodes, t) and float(nodes[0]) != float(t):
         raise ValueError(f"times must begin at the time of the state, {float(t)}, got {float(nodes[0])}")
     return Given(nodes), nodes.size - 1
+
+
+def more_times(step: Step, state: State, size: ArrayLike) -> str:
+    """What to do where a step from a concrete `state` fails whose `size` comes from given times, after its advice."""
+    for k in range(1, _HALVINGS + 1):
+        if bool(converges(step, state, jnp.asarray(size) / 2**k)):
+            return (
+                f". Here dt is what `times` are apart, {float(jnp.abs(size)):.3g}, and a step of 1/{2**k} of it "
+                f"converges: give about {2**k} times as many times"
+            )
+    return ""
 
 
 def outputs(save_at: ArrayLike, clock: Uniform | Given, num_steps: int, dtype: Any) -> Array:

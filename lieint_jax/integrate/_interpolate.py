@@ -16,6 +16,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.types import State, System, Trajectory, time_derivative
+from lieint_jax.types._members import axes
 
 
 def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> State:
@@ -35,10 +36,15 @@ def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> Sta
         The states, every leaf with a leading axis (m,). Traced times outside the trajectory give NaN.
 
     Raises:
-        ValueError: concrete times outside the trajectory; one entry only; saved states too far apart.
+        ValueError: concrete times outside the trajectory; one entry only; several members; saved states too far apart.
     """
     if not isinstance(system, System):
         raise ValueError(f"system must be that of the trajectory, got a {type(system).__name__}")
+    if len(axes(trajectory)) > 1:
+        raise ValueError(
+            f"the trajectory is of {np.shape(trajectory.info.residual)[1]} members, and interpolate takes one: "
+            "Trajectory(run.t, *jax.tree.map(lambda x: x[:, k], (run.state, run.info))), and the system of member k"
+        )
     system.check(jax.tree.map(lambda x: x[0], trajectory.state))
     t = jnp.asarray(trajectory.t)
     wanted = _checks.real_array("times", times).astype(t.dtype)

@@ -12,8 +12,8 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.integrate._clock import Clock, Given, Own, Uniform, at_time, clock_of, outputs, refuse_times
-from lieint_jax.types import State, Step, StepInfo, Trajectory, checked_step, on_clock, promoted, start_time
+from lieint_jax.integrate._clock import Clock, Given, Own, Uniform, at_time, clock_of, more_times, outputs, refuse_times
+from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, on_clock, promoted, start_time
 
 
 def integrate(
@@ -61,7 +61,7 @@ def integrate(
     step, state, dtype = promoted(checked_step(step), state)
     clock, num_steps = clock_of(step, state.t, dtype, dt, num_steps, times)
     first = clock.size(0) if num_steps else jnp.zeros((), dtype)
-    step.check(state, first if dt is None else dt)
+    _check_first(step, state, first if dt is None else dt, isinstance(clock, Given))
     _checks.time_resolution(start_time(step, state), first if dt is None else dt, num_steps)
     if save_at is None:
         save_every = _checks.count("save_every", save_every, 1)
@@ -71,6 +71,14 @@ def integrate(
     refuse_times(step, "save_at")
     assert not isinstance(clock, Own)
     return _seen(step, state, clock, outputs(save_at, clock, num_steps, dtype), num_steps)
+
+
+def _check_first(step: Step, state: State, size: ArrayLike, given: bool) -> None:
+    """`Step.check` of the first step, whose size comes from `times` if `given`."""
+    try:
+        step.check(state, size)
+    except StepError as failed:
+        raise StepError(f"{failed}{more_times(step, state, size) if given else ''}") from None
 
 
 @partial(jax.jit, static_argnums=(3, 4))

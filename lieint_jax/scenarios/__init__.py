@@ -16,6 +16,7 @@ observations to compare with the results. `scenario_names` lists the shipped one
 from __future__ import annotations
 
 import difflib
+import re
 import sys
 import tomllib
 from importlib import resources
@@ -29,6 +30,7 @@ from lieint_jax import _discover
 from lieint_jax.scenarios._common import Common
 from lieint_jax.types import State, Step
 
+_FOR_PYTHON = "; use jax.vmap for batches"  # advice that is of no use in a file
 _OLD_KEYS = {"angular_velocity": "angular_velocity_rad"}
 
 
@@ -120,13 +122,23 @@ def _table(name: str) -> dict[str, Any]:
         except UnicodeDecodeError as error:
             raise ValueError(f"{name} is not UTF-8 text: {error}") from error
     else:
-        names = scenario_names()
-        near = difflib.get_close_matches(name, names, 1) or names
-        raise ValueError(f"no scenario {name!r}: give a .toml file or {' or '.join(near)}; lieint list describes all")
+        if path.suffix or len(path.parts) > 1:
+            raise ValueError(f"there is no file {name}; `lieint list` shows the scenarios that need none")
+        near = difflib.get_close_matches(name, scenario_names(), 1)
+        meant = f"did you mean {near[0]}? " if near else ""
+        raise ValueError(f"there is no scenario {name!r}: {meant}`lieint list` shows all; or give a .toml file")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{name} is not valid TOML: {error}") from error
+        raise ValueError(f"{name} is not valid TOML: {error}{_quotes(text, str(error))}") from error
+
+
+def _quotes(text: str, error: str) -> str:
+    """What to write where the line of an error has text without quotes."""
+    number = re.search(r"at line (\d+)", error)
+    line = text.splitlines()[int(number[1]) - 1] if number else ""
+    found = re.fullmatch(r"\s*([\w.]+)\s*=\s*([A-Za-z_][\w-]*)\s*(#.*)?", line)
+    return f'; text stands in quotes: {found[1]} = "{found[2]}"' if found else ""
 
 
 def _keys(model: Any, path: list[str]) -> list[str]:
@@ -160,4 +172,4 @@ def _explain(error: ValidationError, model: Any) -> str:
         message += f"; did you mean {near}?" if near else ""
         message += f"; allowed: {', '.join(allowed)}" if allowed else ""
     more = f"; and {len(others)} more" if others else ""
-    return f"{key}{': ' if key else ''}{message.removeprefix('Value error, ')}{given}{more}"
+    return f"{key}{': ' if key else ''}{message.removeprefix('Value error, ')}{given}{more}".replace(_FOR_PYTHON, "")

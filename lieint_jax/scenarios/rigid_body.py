@@ -64,6 +64,11 @@ class Scenario(BodyScenario):
     def _observations_are_saved(self) -> Self:
         interval = self.dt * self.save_every
         for seen in self.observation:
+            if seen.t * interval < 0:
+                raise ValueError(
+                    f"observation.t = {seen.t} lies on the other side of t = 0 than the run, since dt = {self.dt:.9g}: "
+                    f"give dt {'>' if seen.t > 0 else '<'} 0"
+                )
             if abs(seen.t / interval - round(seen.t / interval)) > 1e-6:
                 raise ValueError(f"observation.t = {seen.t} must be a multiple of dt·save_every = {interval:.9g}")
         return self

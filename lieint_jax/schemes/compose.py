@@ -107,7 +107,8 @@ class Composition(Step):
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         largest = max(self.gammas, key=abs)
-        return f"{self.name} takes sub-steps up to {largest:.3g} dt; {self.step.advice(state, largest * dt)}"
+        size = abs(largest)  # a step back fails where a step on does, and is easier to read
+        return f"{self.name} takes sub-steps of up to {size:.3g} dt; {self.step.advice(state, size * dt)}"
 
 
 def compose(step: Step, order: int, method: str | None = None) -> Composition:

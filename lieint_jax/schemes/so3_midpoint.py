@@ -149,8 +149,8 @@ class SO3Midpoint(Step):
         if not three.well_conditioned(three.symmetric(self.system.inertia)):
             return f"{self.name}: {SLENDER}"
         return (
-            f"{self.name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}; the branch of this κ "
-            f"{self.kappa.branch}. Take a smaller dt{more}"
+            f"{self.name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}, the turn in a step, rad; the branch of "
+            f"this κ {self.kappa.branch}. Take a smaller dt{more}"
         )
 
 

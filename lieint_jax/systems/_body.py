@@ -78,7 +78,8 @@ class Rotating(OnRotations, abc.ABC):
         return State(q.astype(dtype), _checks.real_array("the spatial momentum", p.astype(dtype)))
 
     def check(self, state: State) -> None:
-        """Raise ValueError if a concrete `state` is not one of this system."""
+        """Raise ValueError if a concrete `state` is not one of this system, or the system is not one, but a batch."""
+        _checks.of_one_system("inertia", self.inertia)
         _checks.unit_quaternion("state.q", state.q)
         _checks.real_array("state.p", state.p, (3,))
 

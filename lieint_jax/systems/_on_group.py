@@ -73,7 +73,8 @@ class OnGroup:
         return self.group.casimirs(self.body_momentum(state))
 
     def check(self, state: State) -> None:
-        """Raise ValueError if a concrete `state` is not one of this system."""
+        """Raise ValueError if a concrete `state` is not one of this system, or the system is not one, but a batch."""
+        _checks.of_one_system("metric", self.metric, self.group.dim)
         _check_element("state.q", self.group, state.q)
         _checks.real_array("state.p", state.p, (self.group.dim,))
 
@@ -95,6 +96,7 @@ def _check_element(name: str, group: Group, q: Array) -> None:
 
 def flat(metric: Array, xi: Array) -> Array:
     """ξ♭ = m ξ."""
+    _check_shape(metric, len(xi))
     return (
         metric * xi
         if metric.ndim == 1
@@ -104,6 +106,12 @@ def flat(metric: Array, xi: Array) -> Array:
 
 def sharp(metric: Array, mu: Array) -> Array:
     """μ♯ = m⁻¹ μ."""
+    _check_shape(metric, len(mu))
     if metric.ndim == 1:
         return mu / metric
     return unrolled.as_array(unrolled.solve(unrolled.as_list(metric), unrolled.as_list(mu)), mu)
+
+
+def _check_shape(metric: Array, d: int) -> None:
+    if metric.shape not in ((d,), (d, d)):
+        raise ValueError(f"the metric of one system has shape ({d},) or ({d}, {d}), got {metric.shape}; use jax.vmap")

@@ -101,7 +101,8 @@ class PseudoRigidBody(ElasticBody):
         return State(self.velocity(state), -jnp.array(force))
 
     def check(self, state: State) -> None:
-        """Raise ValueError if a concrete `state` is not one of this system."""
+        """Raise ValueError if a concrete `state` is not one of this system, or the system is not one, but a batch."""
+        _checks.of_one_system("inertia", self.inertia)
         _orientation("state.q", _checks.real_array("state.q", state.q, (3, 3)))
         _checks.real_array("state.p", state.p, (3, 3))
 

@@ -90,6 +90,11 @@ class _Many:
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system; warn where distances have few digits."""
         n = self.masses.shape[0]
+        if self.masses.ndim != 1 or self.inertias.shape not in ((n, 3), (n, 3, 3)):
+            raise ValueError(
+                f"masses of one system are (N,), its inertias (N, 3) or (N, 3, 3), got {self.masses.shape} and "
+                f"{self.inertias.shape}. For members with systems of their own, give ensemble.run step_axis=0"
+            )
         _checks.real_array("state.q", state.q, (n, 7))
         _checks.real_array("state.p", state.p, (n, 6))
         if not concrete(state.q):

@@ -23,6 +23,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax._checks import concrete, real_array, step_size
 from lieint_jax.types import _labelled
+from lieint_jax.types._members import Axis
 
 _T = TypeVar("_T")
 
@@ -135,7 +136,7 @@ class Trajectory(NamedTuple):
     def __repr__(self) -> str:
         return _labelled.trajectory(self)
 
-    def to_xarray(self, system: Any = None, units: Mapping[str, str] | None = None) -> Any:
+    def to_xarray(self, system: Any = None, units: Mapping[str, str] | None = None, system_axis: Axis = "auto") -> Any:
         """The trajectory as an `xarray.Dataset`, with the dimensions `time`, and `member` for a batch.
 
         Its variables are q, p, the other leaves that the states have (those of `extra` as extra_NAME), residual and
@@ -143,15 +144,18 @@ class Trajectory(NamedTuple):
         several bodies have `body`, and `pose` (x, y, z, qw, qx, qy, qz) or `momenta` (px, py, pz, pix, piy, piz).
 
         Args:
-            system: that of all members; adds energy and momentum_map, and angular_velocity (in body axes) where the
-                system has one.
+            system: that of the run; adds energy and momentum_map, and angular_velocity (in body axes) where the system
+                has one.
             units: by name of a variable or of the coordinate time, such as {"time": "d"}: the package knows none.
+            system_axis: of a batch, None if all members have one system, 0 if each has its own, on the leading axis of
+                the leaves (`step_axis=0` of `ensemble.run`); "auto" finds it by the shapes where they tell.
 
         Raises:
-            ValueError: units of what is not there.
+            ValueError: units of what is not there; shapes that contradict `system_axis`, or do not tell; a run whose
+                axes are (member, time).
             ImportError: xarray is not installed.
         """
-        return _labelled.dataset(self, system, units or {})
+        return _labelled.dataset(self, system, units or {}, system_axis)
 
     def rotations(self) -> Any:
         """The attitudes, body to space, as `scipy.spatial.transform.Rotation` of shape (n+1, …).
@@ -612,6 +616,10 @@ def _on_time(method: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any,
     return timed
 
 
+class StepError(ValueError):
+    """A step does not converge from a concrete state; the message is the step's advice."""
+
+
 class Step(abc.ABC):
     """One step of a scheme for a system: `step(state, dt) -> (state, info)`, a pure function and a pytree.
 
@@ -710,11 +718,11 @@ class Step(abc.ABC):
         dt = step_size(dt)
         with jax.ensure_compile_time_eval():  # constants are concrete inside jit too
             self.system.check(state)
-            converged = _trial(self, state, dt)
-            if concrete(converged) and not (
-                converged or self.approximate
-            ):  # a function of the step may close over a tracer
-                raise ValueError(self.advice(state, dt))
+            converged = converges(self, state, dt)
+            if self.approximate or not concrete(converged):  # a function of the step may close over a tracer
+                return
+            if not converged:
+                raise StepError(self.advice(state, dt))
 
 
 def checked_step(step: Any) -> Step:
@@ -798,6 +806,6 @@ def _is_real(leaf: Any) -> bool:
 
 
 @jax.jit
-def _trial(step: Step, state: State, dt: ArrayLike) -> Array:
+def converges(step: Step, state: State, dt: ArrayLike) -> Array:
     """Whether a step converges. Compiled, so that a step of the same structure is checked without tracing it again."""
     return step(state, dt)[1].converged

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
 from collections.abc import Mapping
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax._checks import concrete
+from lieint_jax.types._members import Axis, along, axes
 
 _SHORT = 16  # the most numbers that a description shows
 _POSE, _MOMENTA = ["x", "y", "z", "qw", "qx", "qy", "qz"], ["px", "py", "pz", "pix", "piy", "piz"]
@@ -54,24 +57,27 @@ def trajectory(run: Any) -> str:
     return f"Trajectory({len(run.t)} entries{members}, t = {run.t[0]:.6g} … {run.t[-1]:.6g}, {fate}, {run.state})"
 
 
-def dataset(run: Any, system: Any, units: Mapping[str, str]) -> Any:
+def dataset(run: Any, system: Any, units: Mapping[str, str], system_axis: Axis) -> Any:
     """An `xarray.Dataset` of a trajectory; see `Trajectory.to_xarray`."""
-    along = _along(run)
+    leading = axes(run)
     extra = {f"extra_{name}": x for name, x in (run.state.extra or {}).items()}
     leaves = {**run.state._asdict(), **extra, **run.info._asdict()}
     arrays = {name: x for name, x in leaves.items() if name != "extra" and x is not None}
     if system is not None:
-        arrays |= _measured(run, system)
+        arrays |= _measured(run, system, system_axis)
     labels: dict[str, Any] = {"time": np.asarray(run.t)}
     variables: dict[str, Any] = {}
     for name, x in arrays.items():
-        dims, own = _axes(name, x.shape[len(along) :])
+        dims, own = _axes(name, x.shape[len(leading) :])
         labels |= own
-        variables[name] = ((*along, *dims), np.asarray(x), {"long_name": _TEXTS.get(name, name.replace("_", " "))})
+        variables[name] = ((*leading, *dims), np.asarray(x), {"long_name": _TEXTS.get(name, name.replace("_", " "))})
     found = _package("xarray").Dataset(variables, labels)
     unknown = sorted(set(units) - set(found.variables))
     if unknown:
-        raise ValueError(f"units of {', '.join(unknown)} are given, but the variables are {', '.join(found.variables)}")
+        names = [str(name) for name in found.variables]
+        near = difflib.get_close_matches(unknown[0], names, 1) or [x for x in names if x.startswith(unknown[0])]
+        meant = f"; did you mean {near[0]}?" if near else ""
+        raise ValueError(f"units of {', '.join(unknown)} are given, but the variables are {', '.join(names)}{meant}")
     for name, unit in units.items():
         found[name].attrs["units"] = unit
     return found
@@ -80,7 +86,7 @@ def dataset(run: Any, system: Any, units: Mapping[str, str]) -> Any:
 def rotations(run: Any) -> Any:
     """The attitudes of a trajectory as `scipy.spatial.transform.Rotation`; see `Trajectory.rotations`."""
     q = np.asarray(run.state.q)
-    own = q.shape[len(_along(run)) :]
+    own = q.shape[len(axes(run)) :]
     if own == (3, 3):
         raise ValueError(
             "q holds matrices that need not be rotations: scipy's Rotation.from_matrix takes the nearest ones"
@@ -89,11 +95,6 @@ def rotations(run: Any) -> Any:
         raise ValueError(f"attitudes are quaternions, q of shape (…, 4), or (…, N, 7) for N bodies; got {q.shape}")
     transform = _package("scipy.spatial.transform")
     return transform.Rotation.from_quat(np.roll(q[..., -4:], -1, axis=-1))
-
-
-def _along(run: Any) -> tuple[str, ...]:
-    """The names of the leading axes: time, and member for a batch."""
-    return ("time", "member")[: np.ndim(run.info.residual)]
 
 
 def _axes(name: str, shape: tuple[int, ...]) -> tuple[tuple[str, ...], dict[str, Any]]:
@@ -109,17 +110,24 @@ def _axes(name: str, shape: tuple[int, ...]) -> tuple[tuple[str, ...], dict[str,
     return tuple(f"{name}_component{k or ''}" for k in range(len(shape))), {}
 
 
-def _measured(run: Any, system: Any) -> dict[str, Any]:
+def _measured(run: Any, system: Any, system_axis: Axis) -> dict[str, Any]:
     """Energy, momentum map, and the angular velocity in the body where the system has one."""
-    functions = {"energy": system.energy, "momentum_map": system.momentum}
+    if not hasattr(system, "energy"):
+        raise ValueError(f"system must be that of the run, such as step.system, got a {type(system).__name__}")
+    methods = {"energy": "energy", "momentum_map": "momentum"}
     if hasattr(system, "angular_velocity"):
-        functions["angular_velocity"] = system.angular_velocity
-    measured = {}
-    for name, function in functions.items():
-        for _ in _along(run):
-            function = jax.vmap(function)
-        measured[name] = jax.jit(function)(run.state)
+        methods["angular_velocity"] = "angular_velocity"
+    measured = {name: _series(run, system, method, system_axis) for name, method in methods.items()}
     return {name: x for name, x in measured.items() if x.size}
+
+
+def _series(run: Any, system: Any, method: str, system_axis: Axis) -> Any:
+    """The values of a method of the system along the run."""
+
+    def values(state: Any) -> Any:
+        return along(lambda own, z: getattr(own, method)(z), system, run._replace(state=state), system_axis)
+
+    return jax.jit(values)(jax.tree.map(jnp.asarray, run.state))
 
 
 def _package(name: str) -> Any:

@@ -1,0 +1,120 @@
+"""The member axis: whether each member of a batch has a system of its own, and functions along the runs of a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+Axis = int | Literal["auto"] | None
+
+
+def axes(run: Any) -> tuple[str, ...]:
+    """The names of the leading axes of a trajectory's states: time, and member for a batch."""
+    if np.ndim(run.t) != 1:
+        raise ValueError(
+            f"t must have shape (n+1,), got {np.shape(run.t)}: a vmapped `integrate` gives the axes (member, time). "
+            "Take ensemble.run, or jax.vmap(…, out_axes=lieint_jax.Trajectory(None, 1, 1)), for (time, member); or "
+            "vmap over the runs what you call here"
+        )
+    return ("time", "member")[: 1 if run.info is None else np.ndim(run.info.residual)]
+
+
+def along(function: Callable[[Any, Any], Any], system: Any, run: Any, system_axis: Axis = "auto") -> Any:
+    """The values of function(system, state) along a run: (times, …), or (times, members, …) for a batch.
+
+    Args:
+        function: of one system and one state.
+        system: that of the run; with the member axis on its leaves if each member has its own.
+        run: a trajectory of one body or of a batch.
+        system_axis: see `member_axis`; of one body, None or "auto".
+    """
+    states = jax.tree.map(jnp.asarray, run.state)
+    if len(axes(run)) == 1:
+        _check_single(system, states, system_axis)
+        return jax.vmap(lambda z: function(system, z))(states)
+    one, members = _one(states, 2), np.shape(run.info.residual)[1]
+    axis = member_axis(system, one, members, system_axis)
+    if axis is None:
+        return jax.vmap(jax.vmap(lambda z: function(system, z)))(states)
+    return jax.vmap(jax.vmap(function), (None, 0))(system, states)
+
+
+def member_axis(system: Any, one: Any, members: int, given: Axis, name: str = "system_axis") -> int | None:
+    """0 if each of the members has a system of its own, on the leading axis of all leaves of `system`; else None.
+
+    Shapes alone do not always tell: of three members, an inertia (3, 3) is a tensor of all, or the principal moments of
+    each.
+
+    Args:
+        system: of all members, or of each.
+        one: the state of one member, or its shapes.
+        members: how many there are.
+        given: 0, None, or "auto" to find it by the shapes.
+        name: that of the argument, for messages.
+
+    Raises:
+        ValueError: shapes that contradict `given`; with "auto", shapes that fit both.
+    """
+    if isinstance(given, bool) or given not in (0, None, "auto"):
+        raise ValueError(f'{name} must be None (one system for all), 0 (one per member) or "auto", got {given!r}')
+    shapes = [np.shape(leaf) for leaf in jax.tree.leaves(system)]
+    if not shapes:
+        return None
+    led = all(shape[:1] == (members,) for shape in shapes)
+    told = f"{members} members, and leaves of shapes {', '.join(map(str, dict.fromkeys(shapes)))}"
+    if given == 0 and not led:
+        raise ValueError(
+            f"{name}=0 needs a system for each member, made by jax.vmap, so that every leaf has a leading member axis; "
+            f"got {told}. Give {name}=None where all members have one system"
+        )
+    if given == 0:
+        return 0
+    if not led:
+        return None
+    shared, own = _fits(system, one), _fits(jax.tree.map(lambda x: x[0], system), one)
+    if given is None and own and not shared:
+        raise ValueError(f"each member has a system of its own ({told}): give {name}=0")
+    if given == "auto" and own and shared:
+        raise ValueError(
+            f"the shapes do not tell whether all members have one system or each its own ({told}): give {name}=None "
+            f"for one system, {name}=0 for one per member"
+        )
+    return 0 if own and not shared else None
+
+
+def _check_single(system: Any, states: Any, given: Axis) -> None:
+    """ValueError if a system of the run of one body has a member axis."""
+    if given not in (None, "auto"):
+        raise ValueError(f"system_axis is of batches; this run is of one body, got system_axis={given!r}")
+    firsts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(system)}
+    if len(firsts) != 1 or firsts == {()}:
+        return
+    one = _one(states, 1)
+    if not _fits(system, one) and _fits(jax.tree.map(lambda x: x[0], system), one):
+        [(members,)] = firsts
+        raise ValueError(
+            f"the run is of one body, but the system has a member axis of {members}: take that of its member, "
+            "jax.tree.map(lambda x: x[k], system)"
+        )
+
+
+def _one(states: Any, leading: int) -> Any:
+    """The shapes of one state."""
+    return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[leading:], x.dtype), states)
+
+
+def _fits(system: Any, one: Any) -> bool:
+    """Whether the shapes of a system are those of one, which takes this state, and whose energy is a scalar."""
+
+    def energy(system: Any, state: Any) -> Any:
+        system.check(state)
+        return system.energy(state)
+
+    try:
+        return jax.eval_shape(energy, system, one).shape == ()
+    except (TypeError, ValueError, IndexError):
+        return False

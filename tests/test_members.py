@@ -1,0 +1,175 @@
+"""Batches in which each member has a system of its own: measured with it, or refused where shapes do not tell."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax.diagnostics import constraint_error, energy_error, momentum_error
+from lieint_jax.types import State, StepInfo, Trajectory
+
+T = np.linspace(0, 2, 3)
+RNG = np.random.default_rng(1)
+SPREAD, RATES = RNG.uniform(0.5, 2.0, (9, 3)), RNG.normal(size=(9, 3))
+OFF = {"energy_error": energy_error, "momentum_error": momentum_error, "constraint_error": constraint_error}
+
+
+@functools.cache
+def batch(members, full=False):
+    """Free bodies of their own inertia, each turning about its z axis: their systems, their run, and their energies."""
+    J = (SPREAD**2).sum(1, keepdims=True)[:members] - SPREAD[:members] ** 2
+    bodies = li.systems.RigidBody(jnp.asarray(J if not full else J[:, :, None] * np.eye(3)))  # as jax.vmap makes them
+    rates = np.stack([0 * J[:, 0], 0 * J[:, 0], RATES[:members, 2]], axis=1)
+    half = T[:, None] * rates[:, 2] / 2
+    q = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=-1)
+    info = StepInfo(np.zeros((3, members)), np.ones((3, members), bool))
+    run = Trajectory(T, State(q, np.tile(J * rates, (3, 1, 1))), info)
+    return bodies, run, rates, (J * rates**2).sum(1) / 2
+
+
+CASES = [(5, False, "auto"), pytest.param(3, True, "auto", marks=pytest.mark.long), (3, False, 0)]
+
+
+@pytest.mark.parametrize(("members", "full", "axis"), CASES)
+def test_each_member_is_measured_with_its_own_system(members, full, axis):
+    bodies, run, rates, energies = batch(members, full)
+    data = run.to_xarray(bodies, system_axis=axis)
+    np.testing.assert_allclose(data.energy, np.broadcast_to(energies, (3, members)), rtol=2e-14)
+    np.testing.assert_allclose(data.angular_velocity[0], rates, atol=1e-15)
+    for name, off in OFF.items():
+        error = np.asarray(off(bodies, run, system_axis=axis))
+        assert error.shape == (3, members, 3)[: 3 if name == "momentum_error" else 2]
+        assert np.abs(error).max() < 2e-14  # observed: 4e-15
+
+
+def test_three_bodies_of_three_moments_look_like_one_full_tensor_and_are_asked_for():
+    bodies, run, *_ = batch(3)
+    for measure in (run.to_xarray, *(lambda s, f=f: f(s, run) for f in OFF.values())):
+        with pytest.raises(ValueError, match=r"shapes do not tell.*\(3, 3\).*system_axis=None.*system_axis=0"):
+            measure(bodies)
+    tensor = li.systems.rigid_body(np.diag([1.0, 2.0, 2.5]))
+    shared = energy_error(tensor, run, system_axis=None)
+    assert shared.shape == (3, 3)
+    apart = jax.vmap(lambda z: energy_error(tensor, Trajectory(T, z, None)), 1, 1)
+    np.testing.assert_allclose(shared, apart(run.state))
+
+
+def test_one_system_of_all_members_stays_so():
+    _, run, *_ = batch(3)
+    body = li.systems.rigid_body([1.0, 2.0, 2.5])  # of shape (3,), as many as members
+    assert energy_error(body, run).shape == (3, 3)
+
+
+def test_contradictions_and_what_is_not_an_axis_are_refused():
+    bodies, run, *_ = batch(5)
+    body, others = li.systems.rigid_body([1.0, 2.0, 2.5]), batch(9)[0]
+    for system, axis, words in (
+        (bodies, None, r"each member has a system of its own.*\(5, 3\).*system_axis=0"),
+        (body, 0, r"system_axis=0 needs a system for each member.*got 5 members.*\(3,\).*system_axis=None"),
+        (bodies, 1, r"system_axis must be None .*or \"auto\", got 1"),
+        (others, "auto", r"shape \(3,\) or \(3, 3\), got \(9, 3\).*system_axis=0"),
+        (others, 0, r"got 5 members, and leaves of shapes \(9, 3\)"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            run.to_xarray(system, system_axis=axis)
+        with pytest.raises(ValueError, match=words):
+            energy_error(system, run, system_axis=axis)
+
+
+def one(k=0, members=5):
+    bodies, run, *_ = batch(members)
+    return bodies, Trajectory(run.t, *jax.tree.map(lambda x: x[:, k], (run.state, run.info)))
+
+
+def test_the_run_of_one_body_with_the_systems_of_all_is_refused():
+    bodies, run = one()
+    for measure in (run.to_xarray, lambda system: energy_error(system, run)):
+        with pytest.raises(ValueError, match="the run is of one body, but the system has a member axis of 5"):
+            measure(bodies)
+    with pytest.raises(ValueError, match="this run is of one body, got system_axis=0"):
+        energy_error(bodies, run, system_axis=0)
+    with pytest.raises(ValueError, match=r"inertia of one system is \(3,\).*got shape \(5, 3\)"):
+        li.interpolate(bodies, run, [1.0])
+    with pytest.raises(ValueError, match=r"got shape \(3, 3\), not symmetric"):
+        li.interpolate(one(members=3)[0], run, [1.0])
+
+
+def test_interpolate_takes_one_member():
+    bodies, run, *_ = batch(5)
+    with pytest.raises(ValueError, match="the trajectory is of 5 members, and interpolate takes one"):
+        li.interpolate(bodies, run, [1.0])
+
+
+@pytest.mark.parametrize("members", [3, 5])
+def test_an_ensemble_is_told_of_a_step_axis(members):
+    bodies, run, *_ = batch(members)
+    states = jax.tree.map(lambda x: x[0], run.state)
+    steps = jax.vmap(li.schemes.so3_explicit)(bodies)
+    with pytest.raises(ValueError, match=r"step_axis=0"):
+        li.ensemble.run(steps, states, 0.1, 2, progress=False)
+    step = li.schemes.so3_explicit(li.systems.rigid_body([1.0, 2.0, 2.5]))
+    if members != 3:
+        with pytest.raises(ValueError, match=r"step_axis=0 needs a system for each member.*step_axis=None"):
+            li.ensemble.run(step, states, 0.1, 2, step_axis=0, progress=False)
+
+
+def test_a_vmapped_integrate_has_its_axes_the_other_way_round():
+    _, run, *_ = batch(5)
+    turned = jax.tree.map(lambda x: np.swapaxes(x, 0, 1), (run.state, run.info))
+    wrong = Trajectory(np.tile(T, (5, 1)), *turned)
+    body = li.systems.rigid_body([1.0, 2.0, 2.5])
+    for measure in (wrong.to_xarray, wrong.rotations, lambda: energy_error(body, wrong)):
+        with pytest.raises(ValueError, match=r"\(member, time\).*ensemble\.run.*out_axes"):
+            measure()
+    apart = jax.vmap(functools.partial(energy_error, body))(wrong)  # one by one they are right
+    np.testing.assert_allclose(apart.T, energy_error(body, run), atol=1e-15)
+
+
+@pytest.mark.long
+def test_what_the_message_about_vmap_advises_works():
+    body = li.systems.rigid_body([1.0, 2.0, 2.5])
+    states = jax.vmap(lambda w: body.state(angular_velocity=w))(jnp.asarray(RATES[:5]))
+    step = li.schemes.so3_explicit(body)
+    run = jax.vmap(lambda z: li.integrate(step, z, 0.1, 4), out_axes=Trajectory(None, 1, 1))(states)  # pyright: ignore
+    assert dict(run.to_xarray(body).sizes)["member"] == 5
+    again = li.ensemble.run(step, states, 0.1, 4, save_every=1, progress=False)
+    np.testing.assert_allclose(run.state.q, again.state.q, atol=1e-15)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("members", [2, 6])
+def test_metrics_of_members_are_told_from_a_full_one(members):
+    """On SO(4), d = 6: six metrics (6,) look like one full metric."""
+    metrics = jnp.asarray(RNG.uniform(1.0, 2.0, (members, 6)))
+    group = li.groups.special_orthogonal(4)
+    systems = jax.vmap(lambda m: li.systems.euler(group, m))(metrics)
+    states = jax.vmap(lambda s: s.state(velocity=jnp.arange(6.0)))(systems)
+    run = Trajectory(np.zeros(1), jax.tree.map(lambda x: x[None], states), StepInfo(*np.zeros((2, 1, members))))
+    expected = np.asarray(metrics) @ np.arange(6.0) ** 2 / 2
+    if members == 6:
+        with pytest.raises(ValueError, match="shapes do not tell"):
+            run.to_xarray(systems)
+    found = run.to_xarray(systems, system_axis="auto" if members == 2 else 0)
+    np.testing.assert_allclose(found.energy[0], expected, rtol=1e-14)
+
+
+@pytest.mark.long
+def test_clusters_of_their_own():
+    """Three members of three bodies are told by the ranks of the leaves."""
+    for members, n in ((4, 2), (3, 3)):
+        masses, inertias = RNG.uniform(1, 2, (members, n)), RNG.uniform(1, 1.5, (members, n, 3))
+
+        def clusters(m, J):
+            return li.systems.rigid_bodies(m, J, li.potentials.point_masses(1.0, m))
+
+        systems = jax.vmap(clusters)(jnp.asarray(masses), jnp.asarray(inertias))
+        x = np.arange(3.0 * n).reshape(n, 3) ** 1.5
+        states = jax.vmap(lambda s: s.state(x, velocities=np.ones((n, 3)), angular_velocities=np.ones((n, 3))))(systems)  # noqa: B023
+        run = Trajectory(np.zeros(1), jax.tree.map(lambda z: z[None], states), StepInfo(*np.zeros((2, 1, members))))
+        wanted = jax.vmap(lambda s, z: s.energy(z))(systems, states)
+        np.testing.assert_allclose(run.to_xarray(systems).energy[0], wanted, rtol=1e-14)
+        with pytest.raises(ValueError, match="step_axis=0"):
+            li.ensemble.run(jax.vmap(li.schemes.splitting)(systems), states, 0.1, 1, progress=False)
