@@ -26,7 +26,7 @@ except ImportError:  # an older JAX
 
 SWITCH = "LIEINT_ONE_KERNEL"  # environment variable; 0 turns this off
 _FOREIGN = ("custom_call", "dot", "convolution", "fft", "cholesky", "triangular_solve", "sort")  # library calls
-_LONG = 8000  # operations of a function that would compile slowly
+_LONG = 16_000  # operations of a function that would compile slowly
 _trace = threading.local()
 
 

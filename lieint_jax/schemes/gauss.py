@@ -1,10 +1,10 @@
 """Gauss collocation: symplectic, of any even order, in canonical coordinates of a flat space.
 
-    Z_i = z_n + Δt Σ_j a_ij k_j,    k_i = f(Z_i),    z_{n+1} = z_n + Δt Σ b_i k_i
+    Y_i = z_n + Δt Σ_j a_ij k_j,    k_i = f(Y_i),    z_{n+1} = z_n + Δt Σ b_i k_i
 
 It keeps quadratic invariants: on T*SO(3), with the quaternion q and p = 2πq as unknowns (see `_canonical`), the length
 |q|, q·p and the momentum π, as far as the potential leaves it. So the step is one on T*SO(3), and symplectic there. The
-equations are solved by fixed-point iteration on the k_i, all at once: a sweep.
+equations are solved by fixed-point iteration on the Y_i, all at once: a sweep.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def gauss(system: System, stages: int = 8, sweeps: int | None = None) -> Gauss:
 
 
 class _Equation(NamedTuple):
-    """The equations of one step, for the derivatives k of the coordinates at the stages."""
+    """The equations of one step, for the coordinates Y at the stages."""
 
     system: System
     inverse: Any
@@ -142,77 +142,89 @@ class _Equation(NamedTuple):
         still = lax.stop_gradient((self.system, self.inverse, self.state, self.start, self.dt))
         return _Equation(*still, self.stages, self.members)
 
-    def each(self, function: Callable[..., Any], Z: Components, nodes: np.ndarray) -> Components:
+    def each(self, function: Callable[..., Any], Y: Components, nodes: np.ndarray) -> Components:
         """`function(system, inverse, z, t)` of one stage, at all."""
         m, t = self.members, self.state.t
         times = None if t is None else t + self.dt * _column(nodes, self.dt.dtype, t.ndim)
         many = m.each(function, (m.system, m.inverse, -1, m.state.t if m.many else None))
-        return jax.vmap(many, (None, None, 0, 0))(self.system, self.inverse, Z, times)
+        return jax.vmap(many, (None, None, 0, 0))(self.system, self.inverse, Y, times)
 
     def moved(self, k: Components, weights: np.ndarray) -> Components:
         """z + Δt Σ w_j k_j, of every row of weights."""
         return moved(self.start, k, self.dt, weights)
 
-    def swept(self, k: Components) -> Components:
-        """f(Z) at Z_i = z_n + Δt Σ a_ij k_j."""
+    def swept(self, Y: Components) -> Components:
+        """z_n + Δt Σ a_ij f(Y_j)."""
         c, A, _ = collocation.gauss(self.stages)
-        return self.each(field, self.moved(k, A), c)
+        return self.moved(self.each(field, Y, c), A)
 
-    def residual(self, k: Components) -> Components:
-        return jax.tree.map(jnp.subtract, k, self.swept(k))
+    def residual(self, Y: Components) -> Components:
+        return jax.tree.map(jnp.subtract, Y, self.swept(Y))
 
     def guess(self, most: int) -> tuple[Components, int]:
-        """Derivatives at the stages by at most so many sweeps, at few nodes first, and the number of those sweeps."""
+        """The stages after at most so many sweeps, at few nodes, and the number of those sweeps."""
         k, last, taken = self.each(field, tuple(x[None] for x in self.start), np.zeros(1)), 1, 1
-        rungs = [(s, sweeps) for s, sweeps in _LADDER if s < min(self.stages, most - sweeps)]
-        for s, sweeps in (*rungs, (self.stages, 1)):
-            c, A, _ = collocation.gauss(s)
-            k = self.each(field, self.moved(k, collocation.integrals(last, c)), c)
-            k = lax.fori_loop(1, sweeps, lambda _, k, A=A, c=c: self.each(field, self.moved(k, A), c), k)
-            last, taken = s, taken + sweeps
-        return k, taken
+        for s, sweeps in _LADDER:
+            if s < min(self.stages, most - sweeps - taken):
+                k, last, taken = self.rung(k, last, s, sweeps), s, taken + sweeps
+        return self.moved(k, collocation.integrals(last, collocation.nodes(self.stages))), taken
 
-    def end(self, k: Components) -> State:
+    def rung(self, k: Components, last: int, stages: int, sweeps: int) -> Components:
+        """The derivatives at another number of stages, after so many sweeps, from those at the last number."""
+        c, A, _ = collocation.gauss(stages)
+
+        def swept(_: Any, carry: tuple[Components, Components]) -> tuple[Components, Components]:
+            k = self.each(field, carry[0], c)
+            return self.moved(k, A), k
+
+        Y = self.moved(k, collocation.integrals(last, c))
+        return lax.fori_loop(0, sweeps, swept, (Y, Y))[1]
+
+    def end(self, Y: Components, k: Components) -> State:
         """The state at n + 1. π moves by Δt Σ b_i τ_i, as any quadratic function of z does, without rounding p q̄."""
-        c, A, b = collocation.gauss(self.stages)
-        Z, state, m = self.moved(k, A), self.state, self.members
+        c, _, b = collocation.gauss(self.stages)
+        state, m = self.state, self.members
         impulse, work, zero = None, None, jnp.zeros((), self.dt.dtype)
         if not isinstance(self.system, ElasticBody):
-            forces = self.each(force, Z, c)
+            forces = self.each(force, Y, c)
             impulse = summed((zero,) * len(forces), forces, self.dt, b)
         if isinstance(self.system, Driven) and state.work is not None and state.t is not None:
-            [work] = summed((zero,), self.each(power, Z, c), self.dt, b)
+            [work] = summed((zero,), self.each(power, Y, c), self.dt, b)
         return m.each(ended, (m.state, -1, -1, -1), 0)(state, summed(self.start, k, self.dt, b), impulse, work)
 
     def change(self, a: Components, b: Components) -> Array:
-        """The largest difference of Δt k, in units of q, which are 1 at least, and of the largest of p."""
+        """The largest difference of stages, in units of q, which are 1 at least, and of the largest of p."""
         half, largest = len(a) // 2, self.members.largest
         q, p = (largest(jnp.abs(jnp.stack(self.start[part]))) for part in (slice(half), slice(half, None)))
         sizes = [jnp.maximum(1, q)] * half + [jnp.where(p > 0, p, 1)] * half
         moved = [largest(jnp.abs(x - y)) / size for x, y, size in zip(a, b, sizes, strict=True)]
-        return jnp.abs(self.dt) * functools.reduce(jnp.maximum, moved)
+        return functools.reduce(jnp.maximum, moved)
 
 
 def _column(nodes: np.ndarray, dtype: Any, ndim: int) -> Array:
     return jnp.asarray(nodes, dtype).reshape(-1, *[1] * ndim)
 
 
-_Carry = tuple[Components, Array, Array, Array]  # k, its last change, the one before, the number of sweeps
+_Carry = tuple[Components, Array, Array, Array]  # Y, its last change, the one before, the number of sweeps
 
 
 def _stepped(equation: _Equation, sweeps: int | None) -> tuple[State, StepInfo]:
-    k, change = _solved(equation, sweeps)
-    end = equation.end(k)
+    c, A, _ = collocation.gauss(equation.stages)
+    Y = _solved(equation, sweeps)
+    k = equation.each(field, Y, c)
+    end, change = equation.end(Y, k), lax.stop_gradient(equation.change(equation.moved(k, A), Y))
     finite = jax.vmap(all_finite)(end) if equation.members.many else all_finite(end)
     return end, StepInfo(change, finite & (change <= _CONVERGED * float(jnp.finfo(change.dtype).eps)))
 
 
-def _solved(equation: _Equation, sweeps: int | None) -> tuple[Components, Array]:
-    """The derivatives at the stages, and the last relative change of a sweep."""
+def _solved(equation: _Equation, sweeps: int | None) -> Components:
+    """The stages."""
     guess, taken = equation.without_derivative().guess(_MOST if sweeps is None else sweeps)
 
-    def solve(_: Callable[[Components], Components], start: Components) -> tuple[Components, Array]:
-        return _iterated(equation, start) if sweeps is None else _repeated(equation, start, max(1, sweeps - taken))
+    def solve(_: Callable[[Components], Components], Y: Components) -> Components:
+        if sweeps is None:
+            return _iterated(equation, Y)
+        return lax.fori_loop(0, max(1, sweeps - taken - 1), lambda _, Y: equation.swept(Y), Y)  # and one with the end
 
     def tangent_solve(linear: Callable[[Components], Components], b: Components) -> Components:
         flat, components = ravel_pytree(b)  # one array: parts of b may depend on nothing that is differentiated
@@ -223,11 +235,10 @@ def _solved(equation: _Equation, sweeps: int | None) -> tuple[Components, Array]
         x = lax.custom_linear_solve(lambda v: ravel_pytree(linear(components(v)))[0], flat, refined, refined)
         return components(x)
 
-    k, change = lax.custom_root(equation.residual, guess, solve, tangent_solve, has_aux=True)
-    return k, lax.stop_gradient(change)
+    return lax.custom_root(equation.residual, guess, solve, tangent_solve)
 
 
-def _iterated(equation: _Equation, start: Components) -> tuple[Components, Array]:
+def _iterated(equation: _Equation, Y: Components) -> Components:
     """Sweeps until they change nothing; a member that is done rests, and the others go on."""
     eps = float(jnp.finfo(equation.dt.dtype).eps)
 
@@ -237,26 +248,17 @@ def _iterated(equation: _Equation, start: Components) -> tuple[Components, Array
         return (n < _MOST) & (change > 2 * eps) & falls
 
     def improved(carry: _Carry) -> _Carry:
-        k, change, _, n = carry
-        new = equation.swept(k)
-        other = (new, equation.change(new, k), change, n + 1)
-        if not equation.members.many:
-            return other
-        going = goes_on(carry)
-        kept = jax.tree.map(partial(jnp.where, going), other[:3], carry[:3])
-        return *kept, n + 1
+        Y, change, _, n = carry
+        new = equation.swept(Y)
+        other: Any = (new, equation.change(new, Y), change)
+        if equation.members.many:
+            other = jax.tree.map(partial(jnp.where, goes_on(carry)), other, carry[:3])
+        return *other, n + 1
 
     shape = equation.start[0].shape[-1:] if equation.members.many else ()
     far = jnp.full(shape, jnp.finfo(equation.dt.dtype).max, equation.dt.dtype)
-    begin = (start, far / 2, far, jnp.zeros((), int))
-    return lax.while_loop(lambda carry: jnp.any(goes_on(carry)), improved, begin)[:2]
-
-
-def _repeated(equation: _Equation, start: Components, sweeps: int) -> tuple[Components, Array]:
-    """So many sweeps, the last of which says how much it changes."""
-    k = lax.fori_loop(1, sweeps, lambda _, k: equation.swept(k), start)
-    new = equation.swept(k)
-    return new, equation.change(new, k)
+    begin = (Y, far / 2, far, jnp.zeros((), int))
+    return lax.while_loop(lambda carry: jnp.any(goes_on(carry)), improved, begin)[0]
 
 
 @jax.custom_batching.custom_vmap
