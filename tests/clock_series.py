@@ -12,15 +12,15 @@ the two next coefficients of s and d, and one equation that must hold. Those of 
 import random
 from fractions import Fraction
 
-LENGTH = 10  # powers of h, from 0
+LENGTH = 10  # powers of h, from 0; a shorter series is one of which the rest is not known yet
 
 
 def times(a, b):
-    return [sum(a[i] * b[k - i] for i in range(k + 1)) for k in range(LENGTH)]
+    return [sum(a[i] * b[k - i] for i in range(k + 1)) for k in range(min(len(a), len(b)))]
 
 
 def plus(*series):
-    return [sum(x) for x in zip(*series, strict=True)]
+    return [sum(x) for x in zip(*series, strict=False)]
 
 
 def scaled(k, a):
@@ -41,12 +41,12 @@ def constant(x):
 
 
 def integral(a, start):
-    return [start] + [a[k] / (k + 1) for k in range(LENGTH - 1)]
+    return [start] + [x / (k + 1) for k, x in enumerate(a)]
 
 
 def exact_turn(J, P):
-    Pi, g = [constant(p) for p in P], [constant(Fraction(0))] * 3
-    for _ in range(LENGTH):
+    Pi, g = [[p] for p in P], [[Fraction(0)]] * 3
+    for _ in range(LENGTH - 1):
         Omega = [scaled(1 / j, x) for j, x in zip(J, Pi, strict=True)]
         along, across, rate = dot(g, Omega), cross(g, Omega), cross(Pi, Omega)
         g_rate = [scaled(Fraction(1, 2), plus(Omega[i], across[i], times(g[i], along))) for i in range(3)]
@@ -54,13 +54,13 @@ def exact_turn(J, P):
     return g
 
 
-def discrete_turn(J, P, s, d):
-    Pi, v = [constant(p) for p in P], [constant(Fraction(0))] * 3
-    for _ in range(LENGTH):
+def discrete_turn(J, P, s, d, length):
+    Pi, v = [constant(p) for p in P], [[Fraction(0)]] * 3
+    for _ in range(length - 1):
         along, across = dot(v, Pi), cross(v, Pi)
         bracket = [plus(Pi[i], scaled(-1, across[i]), times(v[i], along)) for i in range(3)]
         inverse = [plus(scaled(1 / j, s), d) for j in J]
-        v = [[Fraction(0), *scaled(Fraction(1, 2), times(inverse[i], bracket[i]))[:-1]] for i in range(3)]
+        v = [[Fraction(0), *scaled(Fraction(1, 2), times(inverse[i], bracket[i]))] for i in range(3)]
     return v
 
 
@@ -68,7 +68,7 @@ def clock(J, P, terms):
     """The coefficients of h², h⁴, … of s and d."""
     g, s, d = exact_turn(J, P), constant(Fraction(1)), constant(Fraction(0))
     for m in range(1, terms + 1):
-        v = discrete_turn(J, P, s, d)
+        v = discrete_turn(J, P, s, d, 2 * m + 2)
         y = [2 * (g[i][2 * m + 1] - v[i][2 * m + 1]) / P[i] for i in range(3)]
         s[2 * m] = (y[0] - y[1]) / (1 / J[0] - 1 / J[1])
         d[2 * m] = y[0] - s[2 * m] / J[0]

@@ -1,9 +1,11 @@
 """The grid of systems and schemes, found by looking into the packages: no list to edit."""
 
 import functools
+from unittest import mock
 
 import lieint_jax as li
 from lieint_jax import _discover
+from lieint_jax.schemes import _capability
 
 
 @functools.cache
@@ -15,12 +17,31 @@ def systems():
     return found
 
 
+def examples(system):
+    """The steps of a system by every scheme that takes it, by the name of the scheme's module and of the step."""
+    return {
+        (module_name, name): step
+        for module_name, module in _discover.modules(li.schemes).items()
+        for name, step in module.examples(system).items()
+    }
+
+
 @functools.cache
+def _made():
+    """Every worker collects them, so here no motion is compared: that compiles two vector fields a pair."""
+    with mock.patch.object(_capability, "_difference", return_value=(0.0, 0.0)):
+        return [
+            (module, f"{name}-{step_name}", step, step.start(state), dt)
+            for name, (system, state, dt) in systems()
+            for (module, step_name), step in examples(system).items()
+        ]
+
+
 def steps():
     """(id, step, state, dt) of every system with every scheme that takes it, the state as the scheme starts it."""
-    found = []
-    for name, (system, state, dt) in systems():
-        for module in _discover.modules(li.schemes).values():
-            for step_name, step in module.examples(system).items():
-                found.append((f"{name}-{step_name}", step, step.start(state), dt))
-    return found
+    return [found for _, *found in _made()]
+
+
+def schemes():
+    """The modules of the schemes that have a step of some system."""
+    return {module for module, *_ in _made()}

@@ -232,7 +232,7 @@ def test_6_15_and_6_16_with_beta_of_6_9():
 # Result 16, corrected -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("rule", ["average", "energy", "energy_momentum"])
 def test_result_16_energy_and_momentum_second_order_reversible_not_symplectic(rule):
     step = additive(SOFT, rule)
@@ -312,6 +312,7 @@ def test_6_13_gamma_is_not_below_one_half():
 # The bars of Figures 3c and 4c ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("dt", "Phi"), [(0.005, 6.0), (0.05, 10.0)], ids=["3c", "4c"])
 def test_average_keeps_energy_and_momentum_where_the_figures_are(dt, Phi):
     """λ = 2000 makes rounding visible. Of 4c it is a random walk of 5e-14 per step once the motion has lost its
@@ -340,7 +341,6 @@ def test_the_rules_with_gamma_say_where_they_fail():
 
 
 @pytest.mark.long
-@pytest.mark.slow
 @pytest.mark.parametrize("W", ["user", "saint_venant_kirchhoff", "neo_hookean"])
 def test_every_material_keeps_energy(W):
     """A user's W(C) by 8 Gauss nodes; St Venant–Kirchhoff by its midpoint; neo-Hookean by its invariants."""

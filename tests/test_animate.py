@@ -42,6 +42,7 @@ def moved(path, arguments=()):
     return cli.main(["animate", str(path), *map(str, arguments)])
 
 
+@pytest.mark.long
 def test_frames_between_saved_states_show_the_states_that_were_not_saved(store):
     """Saved every .1, interpolated every .05: the steps in between are met to 2e-7."""
     run, system = li.ensemble.open(store)
@@ -137,6 +138,7 @@ def test_a_path_is_drawn_between_saved_states_and_ends_are_marked():
         assert ("dots" in ax.get_title()) is not joined
 
 
+@pytest.mark.long
 def test_a_gif_has_its_frames_and_they_move(store, tmp_path, capsys):
     out = tmp_path / "turn.gif"
     assert moved(store, ["--out", out, "--seconds", 0.5, "--fps", 10, "--member", 1]) == 0

@@ -523,20 +523,11 @@ def accepted(name, seed, k):
     return done
 
 
-LONGER = (
-    _gyrostat,
-    _motor,
-    _driven,
-    _satellite,
-    _viscous,
-    _controlled,
-    _kane,
-    _well,
-    _paced,
-    _binary,
-    _molecules,
-)  # whose steps compile for a second
-NAMES = [pytest.param(name, marks=[pytest.mark.long] * (ATTACKS[name][0] in LONGER)) for name in ATTACKS]
+QUICK = {  # whose steps compile soon, or are compiled for the others
+    *("so3_midpoint[symplectic]", "so3_midpoint[cayley]", "so3_explicit", "exact", "calibrated", "preprocessed"),
+    *("compose", "top_energy_momentum", "splitting", "sphere_midpoint", "sphere_chart"),
+}
+NAMES = [pytest.param(name, marks=[pytest.mark.long] * (name not in QUICK)) for name in ATTACKS]
 
 
 @pytest.mark.filterwarnings("ignore:principal moments")

@@ -65,6 +65,7 @@ def test_full_tensors_are_principal_moments_turned():
     np.testing.assert_allclose(turned.force(START.q), BINARY.force(START.q), rtol=1e-13, atol=1e-16)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("full", [False, True], ids=["principal", "full"])
 @pytest.mark.parametrize("count", [3, 5])
 def test_gravity_s_forces_in_closed_form_are_its_derivative(count, full):
@@ -78,6 +79,7 @@ def test_gravity_s_forces_in_closed_form_are_its_derivative(count, full):
     np.testing.assert_allclose(jax.jit(V.force)(x, R), exact, rtol=0, atol=1e-14 * float(jnp.abs(exact).max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_forces_and_torques_are_the_derivatives_of_the_potential(name):
     system, state, _ = EXAMPLES[name]
@@ -236,7 +238,8 @@ def test_an_ensemble_of_binaries_is_the_binaries_one_by_one(tmp_path):
     np.testing.assert_allclose(memory.state.q[:, 3], alone.state.q, rtol=0, atol=3e-15)
 
 
-@pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.long), 5])
+@pytest.mark.long
+@pytest.mark.parametrize("count", [1, 5])
 def test_any_number_of_bodies(count):
     J = jnp.tile(jnp.array([1.0, 1.1, 1.3]), (count, 1))
     bodies = systems.rigid_bodies(jnp.ones(count), J, potentials.maccullagh(1.0, jnp.ones(count), J))
@@ -326,6 +329,7 @@ def test_energy_at_equal_forces_orders_the_schemes():
     assert strang > 100 * nystrom
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [0.3, 0.9, 1.9], ids=["narrow ellipse", "ellipse", "hyperbola"])
 def test_kepler_s_flow_on_every_conic(speed):
     """Beside DOP853; observed 1e-14. Derivatives beside differences."""

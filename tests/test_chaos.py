@@ -166,6 +166,7 @@ def test_batch_means_know_the_spread_of_runs_but_for_islands_to_which_they_stick
     assert 1 < ratio < 2.8
 
 
+@pytest.mark.long
 def test_in_float32_and_by_vmap_with_a_flag_for_the_member_that_fails():
     step, state = jax.tree.map(lambda x: x.astype(jnp.float32), REGULAR["free"])
     states = jax.tree.map(lambda x: jnp.stack([x, 100 * x if x.shape == (3,) else x]), state)

@@ -30,6 +30,7 @@ def a_step(dt=0.05):
     return li.schemes.so3_midpoint(body), body.state(angular_velocity=[0.2, dt, 1.0]), dt
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "call",
     [
@@ -54,6 +55,7 @@ def test_a_step_made_again_with_other_numbers_compiles_nothing(caplog, call):
     assert not programs(caplog, lambda: call(*a_step(0.04)))
 
 
+@pytest.mark.long
 def test_the_first_example_of_the_readme_compiles_its_run_once(caplog):
     readme = Path(__file__).parents[1] / "README.md"
     example = re.findall(r"```python\n(.*?)```", readme.read_text(encoding="utf-8"), re.S)[0]

@@ -119,6 +119,7 @@ def rate(errors):
     return np.log2(errors[0] / errors[1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [4, 6, 8, 10])
 def test_commuting_orders(order):
     step = compose(SYMPLECTIC, order)
@@ -132,6 +133,7 @@ def errors_at(t, step, counts):
     return [float(np.abs(after(step, STATE, t / n, n)[0].q - exact(t)).max()) for n in counts]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("order", "method"),
     [(4, "triple_jump"), (4, "suzuki"), (6, "yoshida_6"), (6, "kahan_li_6"), (8, "suzuki_umeno_8"), (8, "kahan_li_8")],
@@ -152,6 +154,7 @@ def test_suzuki_is_far_better_than_the_triple_jump():
     assert jump / suzuki == pytest.approx(71, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [4, 6, 8, 10])
 def test_every_invariant_of_the_base_step_is_kept(order):
     run, (energy, momentum, constraint), (form, back) = _measured(compose(SYMPLECTIC, order), 0.4)
@@ -171,6 +174,7 @@ def test_the_defect_of_a_base_step_that_is_not_symplectic_stays():
     assert np.log2(coarse / fine) == pytest.approx(5, abs=0.3)
 
 
+@pytest.mark.long
 def test_a_thousand_bodies_to_the_accuracy_that_is_claimed():
     """Order 8, Δt = .25, t = 10: 2.5e-9 by Kahan & Li's 17 stages; the 19 commuting ones do better."""
     rng = np.random.default_rng(0)

@@ -19,7 +19,8 @@ from lieint_jax.groups import so3
 
 J = np.diag([1.0, 2.0, 3.0])
 DT = 0.3
-NAMES = list(KAPPAS)
+NAMES = sorted(KAPPAS, key=lambda name: name != "symplectic")
+QUICK = ("symplectic", "cayley")  # each compiles a step and its derivative
 
 
 def close(a, b):
@@ -77,7 +78,7 @@ class OneStep:
         self.H = H(name, self.bar)
 
 
-@pytest.fixture(scope="module", params=NAMES)
+@pytest.fixture(scope="module", params=[pytest.param(x, marks=[pytest.mark.long] * (x not in QUICK)) for x in NAMES])
 def s(request):
     return OneStep(request.param)
 
@@ -300,6 +301,7 @@ def sigma_of_3_28(name, Q, J, pi, dt):
     return np.array(series)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_3_28_analytic_recursion_against_autodiff(name):
     Q, ours, *rest = of_the_paper(name)

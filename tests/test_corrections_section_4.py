@@ -71,7 +71,7 @@ class OneStep:
 one_step = functools.cache(OneStep)
 
 
-@pytest.fixture(params=list(KAPPAS))
+@pytest.fixture(params=[pytest.param(x, marks=[pytest.mark.long] * (x != "symplectic")) for x in KAPPAS])
 def s(request):
     return one_step(request.param)
 

@@ -112,6 +112,7 @@ def apart(a, b):
     assert np.abs(np.asarray(a) - np.asarray(b)).max() > 1e-3
 
 
+@pytest.mark.long
 def test_6_24_6_34_the_linearised_step():
     """Against autodiff; (6.24) with Ad_{q_{n+1}} HδΘ, not Ad*: then B_n would have its transpose in front."""
     o = one_step()

@@ -148,6 +148,7 @@ def test_order_of_explicit_euler_and_its_certificate_shows_every_loss():
     assert "order                 0.98   measured 0.98" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in PAPER if "asymmetric-" in name])
 def test_certificate_of_the_paper_s_schemes(name):
     step, state, dt = GRID[name]
@@ -168,6 +169,7 @@ def test_certificate_of_the_paper_s_schemes(name):
     assert step.name in str(c)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "order"), [("compose[commuting_8]", 8), ("preprocessed[4]", 4), ("preprocessed[6]", 6)]
 )

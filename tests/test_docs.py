@@ -20,6 +20,7 @@ TEXTS = {path.relative_to(PAGES).as_posix(): path.read_text(encoding="utf-8") fo
 PYTHON = {name: blocks(text, "python", "text") for name, text in TEXTS.items() if blocks(text, "python")}
 LONG = {  # dear pages, which run in shards
     "faq.md",
+    "install.md",
     "why.md",
     *(f"howto/{x}.md" for x in ("bodies", "chaos", "fits", "group", "output", "potential")),
     *(f"howto/{x}.md" for x in ("scheme", "system", "torque")),

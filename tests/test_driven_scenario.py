@@ -80,6 +80,7 @@ def small_run():
     return scenario, *run(scenario)
 
 
+@pytest.mark.long
 def test_members_share_their_time_and_start_relative_to_the_orbit():
     scenario, step, path = small_run()
     states = scenarios.build(scenario)[1]

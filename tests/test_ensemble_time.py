@@ -74,7 +74,7 @@ def small_chunks(monkeypatch):
     monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: 4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("t", [0.7, np.full(MEMBERS, 0.7)], ids=["scalar", "equal values"])
 def test_a_time_that_members_share_is_one_number_in_the_loop(t):
     BATCHED.clear()

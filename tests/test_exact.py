@@ -76,6 +76,7 @@ def reference(J, state, t, order=48):
     return np.array([x / 2**BITS for x in q])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("moments", "Omega", "t"),
     [
@@ -91,7 +92,7 @@ def test_long_times_against_50_digits(moments, Omega, t):
     assert difference(solve(J, state, t).q, reference(J, state, t)) < 1e-13  # floor 2e-14
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("off", [0.0, 1e-15, 1e-12, 1e-9, 1e-6, 1e-3, -1e-9, -1e-3])
 def test_near_the_separatrix(off):
     """On it (1/J₁ − 1/J₂)Π₁² = (1/J₂ − 1/J₃)Π₃². The last bits of the state allow an error of eps·exp(λt)."""

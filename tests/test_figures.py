@@ -22,6 +22,7 @@ def test_figure_1_largest_poisson_errors(body, kappa):
     assert np.ptp(run.energy) < 8e-15  # floor 1.8e-15, of energies of size 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", ["A", "S"])
 def test_figure_1_the_symplectic_kappa_is_at_round_off(body):
     assert free_body_run(body, 2, 0.05).poisson.max() < 1e-14  # floor 2.4e-15
@@ -130,6 +131,7 @@ def test_a_delay_figure_plots_every_panel_with_its_delay(tmp_path, monkeypatch):
         np.testing.assert_array_equal(points, expected)
 
 
+@pytest.mark.long
 def test_a_delay_figure_is_written_with_its_table(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "delay_run", delay_run)
     table = figures.FIGURES[3](tmp_path)

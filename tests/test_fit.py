@@ -26,6 +26,7 @@ def residuals(p):
     return (decay(p) - DATA - NOISE) / 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("optimizer", ["levenberg_marquardt", "gauss_newton"])
 def test_least_squares_finds_what_scipy_finds(optimizer):
     from scipy.optimize import curve_fit
@@ -75,6 +76,7 @@ PUBLISHED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_levenberg_marquardt_takes_as_many_evaluations_as_minpack(name):
     from scipy.optimize import least_squares
@@ -113,6 +115,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_no_success_where_the_gradient_has_not_vanished(name):
     loss, optimizer = CASES[name]
@@ -153,6 +156,7 @@ def test_scalar_losses(optimizer, iterations):
         _ = found.standard_errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "optimizer",
     [

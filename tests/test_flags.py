@@ -67,6 +67,7 @@ STEPS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STEPS)
 def test_step_sizes_that_are_no_number_of_the_type(name):
     step = STEPS[name]
@@ -83,6 +84,7 @@ def test_step_sizes_that_are_no_number_of_the_type(name):
 # Inertias of which no digits are left ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["cayley", "symplectic", "so3_explicit", "exact"])
 def test_a_full_tensor_of_a_needle_is_flagged(scheme):
     """Energy is kept to 1e-10 wherever a step converged: 2000 turned rods and needles each of 1 : 1e3 … 1e10."""
@@ -112,6 +114,7 @@ def test_a_full_tensor_of_a_needle_is_flagged(scheme):
 # The exact flow -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_exact_says_when_no_digits_are_left():
     """The error of q is some eps |Ω| dt: 7e-15, 7e-10, 9e-5, 1e-2, .4 for these."""
     body = li.systems.rigid_body([1.0, 1.0, 2.0])
@@ -140,6 +143,7 @@ def test_exact_says_when_it_passed_the_separatrix_too_closely():
 # Roots of another branch ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_jump_over_a_fold_is_flagged():
     """Two roots past the end of the branch from dt = 0, both with det F′ > 0."""
     step = schemes.sphere_midpoint(li.systems.pendulum(1.0, 1.0), normalised=True)

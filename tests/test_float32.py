@@ -36,6 +36,7 @@ def _measured(step, state, dt):
     return run, energy, li.diagnostics.constraint_error(body, run)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", [kappa_cayley, kappa_exponential, kappa_symplectic], ids=lambda k: k.name)
 def test_a_run_in_single_precision(kappa):
     step = li.schemes.so3_midpoint(_body(), kappa)

@@ -102,6 +102,7 @@ def test_the_nominal_body_has_the_published_periods_and_energy():
     np.testing.assert_allclose([longitude[0], latitude[0]], [250, -75], atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("long_axis", [False, True])
 def test_a_spin_has_its_periods_and_phases_in_both_modes(long_axis):
     """φ is the angle of the long axis from the Earth's direction about π; ψ grows by 2π in P_ψ; the motion is free."""
@@ -127,6 +128,7 @@ def test_a_spin_has_its_periods_and_phases_in_both_modes(long_axis):
     assert abs(y) < 1e-15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("long_axis", "turn"), [(False, 180), (True, 0)])
 def test_half_a_turn_about_the_axis_that_the_momentum_goes_round_is_half_a_turn_of_psi(long_axis, turn):
     """So the map of half the phases has them all: φ changes with the short axis' turn, and not with the long axis'."""
@@ -176,6 +178,7 @@ def test_members_without_a_mode_are_an_error():
         _flyby_study.members(changed(members=2000, spin=edge, variant=[]))
 
 
+@pytest.mark.long
 def test_members_are_drawn_from_the_published_errors():
     """The same member in ensembles of every size; means and deviations within 4 standard errors of 2000 members."""
     scenario = changed(members=2000)

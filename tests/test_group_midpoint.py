@@ -124,6 +124,7 @@ def test_the_energy_bar_over_random_metrics(name, tau):
 KAPPAS = {"cayley": maps.kappa_cayley, "exponential": maps.kappa_exponential, "arcsine": maps.kappa_symplectic}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("tau", TAUS)
 def test_on_so3_it_is_so3_midpoint(tau):
     """To round-off over 50 steps, for each κ; for the symplectic one on quaternions too, by the scaled Cayley map."""

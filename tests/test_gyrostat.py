@@ -58,6 +58,7 @@ def history(step, state, dt):
 # What so3_midpoint keeps ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_every_kappa_keeps_energy_to_round_off_and_momentum_bit_for_bit(kappa):
     for rotor in (H_R, np.array([0.0, 0.0, 10.0])):
@@ -69,6 +70,7 @@ def test_every_kappa_keeps_energy_to_round_off_and_momentum_bit_for_bit(kappa):
         assert length < 4 * EPS
 
 
+@pytest.mark.long
 def test_a_full_tensor_is_the_same_gyrostat_in_other_axes():
     moments, axes = np.linalg.eigh(FULL.inertia)
     axes[:, 2] *= np.linalg.det(axes)
@@ -80,6 +82,7 @@ def test_a_full_tensor_is_the_same_gyrostat_in_other_axes():
     assert angle(other, ends[1].q) < 1e-13  # floor 4e-15
 
 
+@pytest.mark.long
 def test_a_gyrostat_without_rotor_momentum_is_the_free_body():
     body, still = systems.rigid_body(J), systems.gyrostat(J, np.zeros(3))
     state = body.state(Q, angular_velocity=OMEGA)
@@ -110,6 +113,7 @@ DTS = np.array([0.05, 0.025, 0.0125, -0.1])
 ROTORS = H_R * np.array([0, 0.01, 0.02, 1])[:, None]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_refuted_no_kappa_is_symplectic_for_a_gyrostat(kappa):
     """The defect of a step is O(Δt³), and of the first order in the rotor's momentum. Without it, the symplectic κ
@@ -175,6 +179,7 @@ def dop853(J, z, t, motor=None, rtol=1e-13):
     return scipy.integrate.solve_ivp(f, (0, t), start, "DOP853", rtol=rtol, atol=1e-13).y[:, -1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["cayley", "symplectic", "splitting"])
 def test_second_order_against_another_package(scheme):
     step = {
@@ -226,6 +231,7 @@ def test_a_motor_moves_momentum_and_what_it_works_is_what_energy_gains(kappa):
     assert float(end.t) == pytest.approx(4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_each_step_balances_the_power(kappa):
     """ΔH = −Ω̄·Δh_r with Ω̄ = J⁻¹(mean of Π − h_r), by numpy, in one step of random motion."""
@@ -282,6 +288,7 @@ STEPS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STEPS)
 def test_time_symmetric(name):
     step, state = STEPS[name]
@@ -462,6 +469,7 @@ def test_single_precision(name):
     assert length < 1e-6
 
 
+@pytest.mark.long
 def test_a_motor_of_doubles_drives_a_satellite_of_singles():
     driven = systems.driven_gyrostat(np.float32(J), lambda t: [0.0, np.float64(0.1), 0.2 * t])
     end, _ = after(schemes.so3_midpoint(driven), single(START), jnp.float32(0.1), 2)

@@ -34,6 +34,7 @@ def test_it_can_be_turned_off(monkeypatch):
     assert "xla_cpu_small_call" not in jax.jit(kernel.one_kernel(squares)).lower(3, x).as_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", [li.schemes.so3_midpoint, li.schemes.so3_explicit])
 def test_an_ensemble_is_what_it_is_without(scheme, monkeypatch):
     step = scheme(BODY)

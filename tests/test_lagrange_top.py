@@ -43,6 +43,7 @@ def nutation(top, state):
     return roots[0], roots[1], 4 * float(mpmath.ellipk(k2)) / np.sqrt(beta * (roots[2] - roots[0]))
 
 
+@pytest.mark.long
 def test_nutation_period_and_amplitude():
     """Released with nothing but spin, the axis falls to the other root in half a period and is back after a whole."""
     top, state = jax.jit(lagrange)()
@@ -61,6 +62,7 @@ def test_nutation_period_and_amplitude():
         assert errors[1] < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fast", [False, True])
 def test_steady_precession_at_both_rates(fast):
     """A cos θ Ω² − CΩ₃ Ω + Mgl = 0: the axis keeps its tilt and turns at Ω, for both roots, to O(Δt²)."""
@@ -87,6 +89,7 @@ def test_steady_precession_at_both_rates(fast):
         assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.1)
 
 
+@pytest.mark.long
 def test_the_sleeping_top_wakes_below_the_threshold():
     """Upright it is stable if and only if (CΩ₃)² > 4 A Mgl; below, the tilt grows as exp(√(Mgl/A − (CΩ₃/2A)²) t)."""
     top = top_of()

@@ -46,6 +46,7 @@ def test_exponential_kappa_is_exact_up_to_its_pole():
     assert float(maps.kappa_exponential(jnp.array(x))) == pytest.approx(float(exact), rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", maps.examples())
 def test_maps_land_in_the_group_fix_their_axis_and_start_as_the_identity(name):
     tau, theta = maps.examples()[name], np.array([0.3, -0.5, 0.4])

@@ -30,6 +30,7 @@ def _at_the_root(c):
     return *cubic_root(c)[:2], jax.jacfwd(root)(c), jax.jacrev(root)(c), batch[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("c", [0.7, [0.3, -0.5], [0.3, -0.5, 0.4], [0.1, 0.2, 0.3, -0.4, 0.5]])
 def test_root_residual_and_derivatives_in_dimensions_0_to_5(c):
     c = np.array(c)
@@ -81,6 +82,7 @@ def by_chords(c, iterations=8, wrong=0.0):
     return newton.chords(residual, factored, largest, largest, [x / 2 for x in c], iterations)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", [0.0, 0.05])
 def test_chords_end_at_round_off_whatever_the_matrix(wrong):
     """Root, derivatives and batches as of `root`; a matrix off by 5 % costs turns, not digits."""

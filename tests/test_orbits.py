@@ -63,6 +63,7 @@ def test_positions_and_velocities(e, a):
             assert np.linalg.norm(error[part]) < 1e-13 * np.linalg.norm(ours[part])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("e", "a"), [(0.5, 1.3), (0.99, 1.3), (1.01, -1.3), (4.2, -1.3)])
 def test_derivatives_in_every_element_and_in_time(e, a):
     """Forward and reverse, against differences in 60 digits; two times, near periapsis and far from it."""
@@ -130,6 +131,7 @@ def test_what_is_no_orbit_is_refused(elements, message):
 FLYBY = orbits.kepler(398600.4418, -28400.0, 2.35)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("t0", "t1"), [(-345600.0, 345600.0), (50000.0, -345600.0)])
 def test_graded_times_are_shorter_near_the_centre(t0, t1):
     """Each step times r₀/r + c is the same: to .07 % with 128 steps, by the middle of each step."""

@@ -55,6 +55,7 @@ def at(trajectory, n):
 _defect = jax.jit(symplectic_defect)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("normalised", [False, True])
 @pytest.mark.parametrize("field", FIELDS)
 def test_claims_1_and_2_constraints_momentum_and_energy(field, normalised):
@@ -263,6 +264,7 @@ def test_the_frame_form_is_q_dot_the_cross_products(seed):
     np.testing.assert_allclose(omega.T @ field, slope, atol=1e-14)  # ω(X_H, ·) = dH
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("normalised", [False, True])
 def test_gradients_through_a_step(normalised):
     """By the implicit function, with respect to m, mG, γ (leaves of the step) and Δt: against differences, by a jvp."""
@@ -280,6 +282,7 @@ def test_gradients_through_a_step(normalised):
         assert np.abs(ours).max() > 1e-2
 
 
+@pytest.mark.long
 def test_float32_is_kept():
     with jax.enable_x64(False):
         bob = li.systems.pendulum(1.5, 2.0)

@@ -67,6 +67,7 @@ def test_order_against_the_exact_flow(name, order):
     assert out["errors"][1] < 1e-2 * out["error of order 2"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [4, 6])
 @pytest.mark.parametrize("name", BODIES)
 def test_energy_momentum_and_symmetry_are_exact(name, order):
@@ -83,6 +84,7 @@ def forms(step, state):
     return jax.lax.map(lambda dt: there_and_back(step, state, dt)[:3], jnp.array([0.4, 0.2]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [4, 6])
 def test_reduced_lie_poisson_structure_is_exact_and_the_canonical_form_is_not(order):
     """The map of Π alone is Poisson, DΠ̂₀Dᵀ = Π̂₁, to round-off; on T*SO(3) the defect is O(Δt^{order+1})."""
@@ -97,6 +99,7 @@ def test_reduced_lie_poisson_structure_is_exact_and_the_canonical_form_is_not(or
     assert np.log2(defects[0] / defects[1]) == pytest.approx(order + 1, abs=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["s", "d"])
 def test_the_series_of_the_clock_are_those_that_exact_arithmetic_gives(kind):
     table = getattr(_clock_series, f"_{kind.upper()}")

@@ -32,6 +32,7 @@ def matrix(S):
     return np.array(three.rows(S))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MATERIALS)
 def test_stress_is_twice_the_gradient_and_the_mean_stress_gives_the_difference(name):
     W = MATERIALS[name]
@@ -86,6 +87,7 @@ def test_elimination_and_the_arithmetic_of_matrices():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MATERIALS)
 def test_the_equations_of_motion_are_hamilton_s(name):
     """(6.3) against the derivatives of (6.2), with a full E."""

@@ -68,6 +68,7 @@ def _steps(J, q, Omega, dt, kappa):
     return energy, momentum_error(body, run), constraint_error(body, run), run.info.converged, carried
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KAPPAS)
 @hypothesis.given(moments, st.tuples(number, number, number, st.floats(0.2, 1)), directions, turns, signs)
 def test_result_03_energy_for_any_kappa(name, J, q, axis, turn, sign):
@@ -81,6 +82,7 @@ def test_result_03_energy_for_any_kappa(name, J, q, axis, turn, sign):
     assert np.abs(constraint).max() < 2e-15  # floor 7e-16
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KAPPAS)
 def test_result_03_holds_at_every_converged_step_of_moderate_size(name):
     """The assumption above is not empty: for |ΔtΩ| ≤ .7 every step of ordinary bodies converges."""

@@ -107,6 +107,7 @@ def test_the_trajectory_is_that_of_integrate():
     assert studies.reversible(STEP, STATE, 0.05, 0).t.shape == (1,)
 
 
+@pytest.mark.long
 def test_batches_of_states_and_of_parameters():
     J = jnp.array([[1.0, 2.0, 3.0], [1.0, 2.5, 2.8]])
     states = jax.vmap(lambda w: BODY.state(angular_velocity=w))(jnp.array([[0.2, 0.3, 1.0], [0.5, -0.3, 0.2]]))

@@ -104,6 +104,7 @@ def test_the_poisson_error_is_that_of_the_whole_form():
         poisson_error(step, state, 0.2, 3, method="recursion")
 
 
+@pytest.mark.long
 def test_where_no_digits_of_the_conserved_momentum_are_left_the_step_says_so():
     """On SL(2) Ad_q grows along a motion, and Π = Ad*_q π comes to be a small difference of large terms."""
     system, state = made("SL(2)")
@@ -115,6 +116,7 @@ def test_where_no_digits_of_the_conserved_momentum_are_left_the_step_says_so():
     assert error[good].max() < 1e-5
 
 
+@pytest.mark.long
 def test_derivatives_and_batches():
     system, state = made("SL(2)")
     energy = lambda m, dt: li.schemes.group_midpoint(li.systems.RightEuler(m, system.group))(state, dt)[0].p[0]  # noqa: E731

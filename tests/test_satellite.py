@@ -1,6 +1,7 @@
 """The study of a satellite: light against hand-made cases, symmetric solutions, periods, minima, the fit."""
 
 import itertools
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -70,6 +71,20 @@ def test_derivatives_of_the_light_are_those_of_differences():
             assert float(found) == pytest.approx(float(more - less) / (2 * h), abs=2e-8)  # seen: 1e-9
 
 
+def test_derivatives_of_the_fit_by_the_gradient_are_those_of_the_light():
+    """By the attitude alone, and by all at once."""
+    q, sun, observer = (jnp.asarray(x[0]) for x in directions(8))
+    at = q, (SCENE.facets, sun, observer)
+
+    @partial(jax.jit, static_argnums=0)
+    def derivatives(light):
+        alone = jax.jvp(lambda q: light(q, at[1]), at[:1], (jnp.ones(4),))[1]
+        return alone, jax.jvp(light, at, at)[1]
+
+    ours, plain = map(derivatives, (_satellite_fit._light, _satellite_fit._magnitude))
+    np.testing.assert_allclose(ours, plain, rtol=1e-13)  # seen: 1e-15
+
+
 def test_the_symmetries_of_the_facets_are_found():
     half_turns = [g for g in _facets.axis_rotations() if _facets.is_symmetry(SCENE.facets, g)]
     np.testing.assert_array_equal(half_turns, [np.diag(d) for d in ([1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1])])
@@ -113,6 +128,29 @@ def _later(J, q, rate, t):
     return li.integrate(step, state, t / 20, 20).state.q[-1]
 
 
+@pytest.mark.parametrize("normals", [[0, 2], [1, 2, 3]])
+def test_relabelled_bodies_have_the_light_that_their_turns_leave(normals):
+    """Facets without the satellite's symmetries: all turns of one change have one light, and no two changes a name."""
+    sides = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, -1]]
+    body = _facets.facets([PLATE | {"normal": sides[k], "diffuse": 0.1 + 0.2 * (k >= 2)} for k in normals])
+    cube = _facets.facets([PLATE | {"normal": list(n), "diffuse": 0.7} for n in (*np.eye(3), *-np.eye(3))])
+    body = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), body, cube)
+    q, sun, observer = directions(9)
+    every = _equivalents.changes(body, sun[:1], observer[:1])
+    lights = {}
+    for change in every[:24]:
+        lights.setdefault(change.name, []).append(
+            _equivalents._light(body, jnp.asarray(change.attitudes(q)), sun, observer)
+        )
+    turns = sum(_facets.is_symmetry(body, g) for g in _facets.axis_rotations())
+    assert len(lights) == 24 // turns
+    for same in lights.values():
+        assert len(same) == turns
+        assert max(float(jnp.abs(light - same[0]).max()) for light in same) < 1e-13  # seen: 4e-15
+    first = [same[0] for same in lights.values()]
+    assert min(float(jnp.abs(a - b).max()) for a, b in itertools.combinations(first, 2)) > 1e-3
+
+
 def test_ends_are_told_apart():
     _, sun, observer = directions(5, 1)
     every = _equivalents.changes(SCENE.facets, sun, observer)
@@ -122,6 +160,19 @@ def test_ends_are_told_apart():
     assert _equivalents.sorted_out(found, best, every).tolist() == [0, 17, 50, 95]
     off = found._replace(rate=-found.rate)
     assert _equivalents.sorted_out(off, best, every)[0] == -1
+
+
+def test_images_are_named_from_the_night_whichever_solution_was_best_before_the_shadow():
+    """There the mirror solution's χ² may be the lower one: its image in the mirror is the true motion."""
+    _, sun, observer = directions(5, 1)
+    every = _equivalents.changes(SCENE.facets, sun, observer)
+    truth = _satellite_fit.true_solution(SCENE)
+    mirror = next(change for change in every if change.name == "mirror")
+    names = [every[k].name for k in _equivalents.sorted_out(satellite._images(mirror(truth), every), truth, every)]
+    own = [change.name for change in every if change.turn == 0]
+    assert sorted(names) == sorted(own)
+    assert names[own.index("as it is")] == "mirror"
+    assert names[own.index("mirror")] == "as it is"
 
 
 def test_periods_of_a_double_series_are_found_from_irregular_data():
@@ -147,6 +198,13 @@ def test_the_spectrum_is_that_of_least_squares_and_has_derivatives():
     assert float(value) == pytest.approx(1 - rest.var() / y.var(), abs=1e-13)
     more, less = _period_search.spectrum(t, y, jnp.array([f + 1e-6, f - 1e-6]))
     assert float(slope) == pytest.approx(float(more - less) / 2e-6, rel=1e-6)
+
+
+def test_how_often_chance_names_a_frequency():
+    """Beside frequencies at random; intervals that overlap count once, and only inside the band."""
+    jk, pair, f = _period_search.combinations(3), np.array([0.061, 0.038]), np.linspace(0.01, 0.3, 20001)
+    near = np.abs(jk @ pair - f[:, None]).min(axis=1) < 0.002
+    assert _period_search.coincidence(jk @ pair, (0.01, 0.3), 0.002) == pytest.approx(near.mean(), abs=1e-3)
 
 
 def test_all_bases_generate_the_same_combinations():
@@ -188,9 +246,7 @@ def test_minima_are_minima_and_their_times_have_derivatives():
         body, state = model(params, SCENE.state.q)
         return _minima.minima(body, state, SCENE.facets, SCENE.sky, 40.0, 20)
 
-    event = jax.jit(found)(params)
-    body, _ = model(params, SCENE.state.q)
-    m = _minima.judged(body, SCENE.facets, SCENE.sky, event)
+    m = _minima.minima_of(SCENE, 40.0, 20)
     t = np.linspace(0, 40, 40001)
     light = np.asarray(_satellite_sky.true_magnitudes(SCENE, jnp.asarray(t)))
     inside = light[1:-1]

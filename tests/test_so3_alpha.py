@@ -68,6 +68,7 @@ def test_the_equations_2_17_hold_as_they_stand(alpha, kappa):
     np.testing.assert_allclose(T @ T.T, ONE + nu * X @ X, atol=4e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_one_half_is_so3_midpoint(kappa):
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
@@ -80,7 +81,6 @@ def test_one_half_is_so3_midpoint(kappa):
 
 
 @pytest.mark.long
-@pytest.mark.slow
 @pytest.mark.parametrize("alpha", [0.3, 0.5, 0.0, 0.9])
 def test_what_the_family_keeps_and_what_it_loses(alpha):
     """Order, the group and the length of Π tell α = ½ from the others; energy and momentum do not."""
@@ -113,6 +113,7 @@ def test_one_half_is_symplectic_with_the_symplectic_kappa_and_not_with_another()
     assert min(defect[:2]) > 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("alpha", "axis"), [(0.1, 0), (0.9, 2)])
 def test_other_members_end_on_an_axis(alpha, axis):
     """|Π| falls or grows monotonically, at constant energy, to its least or greatest value √(2HJ)."""
@@ -151,6 +152,7 @@ def test_derivatives_by_alpha_and_dt():
     np.testing.assert_allclose(reverse, forward[:, 0, 1], atol=1e-15)
 
 
+@pytest.mark.long
 def test_float32():
     body = li.systems.embedded_body(np.array([1, 2, 3], np.float32))
     state = jax.tree.map(lambda x: x.astype(np.float32), STATE)

@@ -36,6 +36,7 @@ def measured(body, state):
     return jax.lax.map(both, jnp.array([0.1, -0.7])), form, distance(back, state)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", INERTIAS)
 def test_equal_to_the_implicit_step_and_as_conserving(name):
     runs, form, back = measured(RigidBody(INERTIAS[name]), moving(INERTIAS[name]))
@@ -64,6 +65,7 @@ def test_gradients_go_through_what_is_solved_once():
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
 
 
+@pytest.mark.long
 def test_an_ensemble_prepares_every_member_and_every_inertia():
     J = np.array([[1.0, 2.0, 3.0], [1.0, 1.0, 2.0]])
     states = [moving(*pair) for pair in zip(J, ([0.3, 0.6, 0.8], [1, 0, 0.2]), strict=True)]

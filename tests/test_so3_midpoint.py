@@ -42,6 +42,7 @@ def test_the_reference_flow_agrees_with_another_package():
     np.testing.assert_allclose(body_momentum(end), Pi, atol=5e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_second_order_against_another_package(kappa):
     q, _ = dop853([1.0, 2, 3], STATE.q, STATE.p, 10.0)
@@ -62,6 +63,7 @@ def test_scalar_and_vector_forms_agree_to_round_off():
         np.testing.assert_allclose(a[0].q, b[0].q, atol=2e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_full_inertia_is_the_same_body_in_other_axes(kappa):
     @jax.jit
@@ -185,6 +187,7 @@ def test_derivative_in_a_parameter_of_kappa():
     assert attitude(0.2)[1] == pytest.approx(float((ahead - behind) / (2 * h)), rel=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_at_rest_value_and_derivative_are_finite(kappa):
     """No momentum, no step, no 0/0: and it converges."""
@@ -249,6 +252,7 @@ def test_inside_jit_a_failure_is_a_flag_never_an_exception_never_silent():
         assert not f(dt)[1].converged
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_every_nan_comes_with_the_flag(kappa):
     step = li.schemes.so3_midpoint(BODY, kappa)
@@ -266,6 +270,7 @@ def test_every_nan_comes_with_the_flag(kappa):
     assert np.abs(energy[good]).max() < 1e-14  # whatever is called converged is right
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("J", "Omega", "dt", "kappa"),
     [

@@ -123,7 +123,7 @@ class Wheel:
         return kappa * jnp.cross(self.rotor, omega)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
 def test_a_wheel_as_a_torque_is_the_gyrostat(kappa):
     """Its power is zero, body and wheel together keep their momentum, and the motion is that of `gyrostat`.

@@ -130,7 +130,7 @@ def flipped(data):
     return data[:k] + bytes([data[k] ^ 1]) + data[k + 1 :]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_damaged_file_of_any_kind_is_named_and_not_used(tmp_path, small_chunks, monkeypatch, fault):
     """One file of each array, of its metadata, of the checkpoint, and the root, of a run that is half done."""
@@ -263,6 +263,7 @@ def tmpfs(path, size):
         subprocess.run(["umount", "-l", path], check=True)
 
 
+@pytest.mark.long
 def test_a_full_disk_ends_a_run_that_resumes_to_the_same_bits(tmp_path, small_chunks):
     run(tmp_path / "whole.zarr", num_steps=600)
     with tmpfs(tmp_path / "disk", "240k"):

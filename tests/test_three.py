@@ -57,6 +57,7 @@ FUNCTIONS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_series_branches_values_and_two_derivatives(name):
     ours, exact, threshold = FUNCTIONS[name]

@@ -127,12 +127,14 @@ def test_results_06_and_07_momentum_about_gamma_and_energy_for_any_kappa(name, k
     assert np.abs(constraint).max() < 2e-15
 
 
+@pytest.mark.long
 def test_result_07_any_kappa_of_ones_own():
     top = TOPS["linear"]
     _, _, (energy, *_) = run(top_energy_momentum(top, lambda x: 1 + x / 3), start(top), 0.1)
     assert np.abs(energy).max() < 5e-14
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kappas"), own_and_shared("linear", "transcendental"))
 def test_second_order_and_reversible(name, kappas):
     top = TOPS[name]
@@ -187,6 +189,7 @@ def energy_errors():
     return np.asarray(all_of_them())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("top", [lagrange, kovalevskaya], ids=lambda make: make.__name__)
 def test_splitting_has_no_drift_of_energy_where_the_top_is_integrable(top):
     """The largest error of the second half of 10⁵ steps is that of the first, to 5 %."""
@@ -338,6 +341,7 @@ def test_poisson_error_of_a_system_with_a_potential_is_the_whole_matrix():
         poisson_error(splitting(top), state, 0.1, 1, "recursion")
 
 
+@pytest.mark.long
 def test_single_precision():
     top = li.systems.heavy_top(np.array([1, 2, 3], "float32"), np.array([0.5, 0.4, 1], "float32"))
     state = jax.tree.map(lambda x: np.asarray(x, "float32"), start(top))

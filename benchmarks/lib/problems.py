@@ -52,7 +52,7 @@ def ours(name: str, kind: str, step: li.Step, counts: Sequence[int], **how: Any)
 
 # stages, or order, or (stages, sweeps), and the number of steps to begin with, in units
 _CONVERGED = ((8, 1.0), (6, 1.4), (4, 4.0))
-_ROUGH = ((8, 12, 1.4), (8, 10, 1.4), (8, 16, 1.2), (6, 10, 2.0))
+_ROUGH = ((8, 16, 1.2), (8, 14, 1.5), (6, 12, 2.2), (8, 18, 1.0))
 _EXTRAPOLATED = ((12, 1.6), (16, 1.2), (8, 3.0))
 _COMPOSED = ((8, 2.5), (10, 1.8), (6, 4.0))
 

@@ -70,7 +70,9 @@ def _nothing(system: str, scheme: str) -> str:
 
 def _tasks(system: str, scheme: str, num_steps: int) -> list[_Task]:
     tasks: dict[tuple[str, str, str], list[str]] = {}
-    for system_name, module in _discover.modules(systems).items():
+    modules = _discover.modules(systems)
+    named = system.partition(".")[0]
+    for system_name, module in ({named: modules[named]} if named in modules else modules).items():
         for example, (body, *_) in module.examples().items():
             if system not in ("", system_name, example, f"{system_name}.{example}"):
                 continue

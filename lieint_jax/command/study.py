@@ -19,16 +19,21 @@ def found() -> dict[str, ModuleType]:
 
 def run(name: str, out: Path, quick: bool) -> None:
     """Run a study; write study-NAME.npz, .png and .pdf to the folder `out`, numbered if there are some already."""
-    if name not in found():
-        raise ValueError(f"study {name!r} is not one of {', '.join(found())}; lieint list describes them")
+    study = _named(name)
     out.mkdir(parents=True, exist_ok=True)
     path = files.unused(out / f"study-{name}.npz", _pictures)
-    result = found()[name].run(quick=quick)
+    result = study.run(quick=quick)
     trees.save(path, result, {"study": name, "quick": quick, "lieint_jax": __version__, "jax": jax.__version__})
-    print(found()[name].text(result))
-    drawn = plots.save(found()[name].draw(result), path.with_suffix(".png"))
+    print(study.text(result))
+    drawn = plots.save(study.draw(result), path.with_suffix(".png"))
     again = f"{files.megabytes(path)}; lieint plot {path} draws it again"
     print(f"\nwritten: {path} ({again}), {', '.join(map(str, drawn))}")
+
+
+def _named(name: str) -> ModuleType:
+    if name not in found():
+        raise ValueError(f"study {name!r} is not one of {', '.join(found())}; lieint list describes them")
+    return found()[name]
 
 
 def wrote(path: Path) -> bool:
@@ -40,7 +45,7 @@ def info(path: Path) -> str:
     """What a file of a study's results holds, in lines."""
     metadata = trees.metadata(path)
     assert metadata is not None
-    title = (found()[metadata["study"]].__doc__ or "").splitlines()[0]
+    title = (_named(metadata["study"]).__doc__ or "").splitlines()[0]
     small = ", a small one (--quick)" if metadata["quick"] else ""
     return f"{title}\n  study {metadata['study']}{small}; lieint_jax {metadata['lieint_jax']}, jax {metadata['jax']}"
 
@@ -49,11 +54,11 @@ def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
     """Report on the results of a study and draw them again; for `out` and `force` see `results.plot`."""
     metadata = trees.metadata(path)
     assert metadata is not None
-    plain = files.in_folder(path, out)
+    study, plain = _named(metadata["study"]), files.in_folder(path, out)
     files.free_pictures(_pictures(plain), force)
     result = trees.load(path)
-    print(found()[metadata["study"]].text(result))
-    drawn = plots.save(found()[metadata["study"]].draw(result), plain.with_suffix(".png"))
+    print(study.text(result))
+    drawn = plots.save(study.draw(result), plain.with_suffix(".png"))
     print(f"\nwritten: {', '.join(map(str, drawn))}")
 
 

@@ -21,6 +21,11 @@ def save(path: Path, tree: Any, metadata: dict[str, Any]) -> None:
     """Write a tree of named tuples of this package, tuples, lists, dicts, scenarios, arrays, numbers and text.
 
     An array is named by its path in the tree, such as `estimate.covariance`. An existing file is not replaced.
+
+    Raises:
+        TypeError: the tree holds something else.
+        ValueError: two arrays would have one name, or one that of the metadata.
+        FileExistsError: there is such a file.
     """
     arrays: dict[str, np.ndarray] = {}
     written = metadata | {"tree": _encoded(tree, "", arrays)}
@@ -47,7 +52,16 @@ def load(path: Path) -> Any:
     try:
         with np.load(path, allow_pickle=False) as file:
             return _decoded(json.loads(str(file["metadata"]))["tree"], dict(file))
-    except (ValueError, KeyError, TypeError, AttributeError, ImportError, zipfile.BadZipFile, EOFError) as error:
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        ImportError,
+        zipfile.BadZipFile,
+        EOFError,
+    ) as error:
         raise ValueError(f"{path} holds no tree that this version of lieint_jax can read: {error}") from error
 
 
@@ -60,6 +74,8 @@ def _encoded(value: Any, at: str, arrays: dict[str, np.ndarray]) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray | jax.Array):
+        if at in (*arrays, "metadata"):
+            raise ValueError(f"two parts of the tree are called {at}")
         arrays[at] = np.asarray(value)
         return {"array": at}
     if isinstance(value, Common):

@@ -349,7 +349,7 @@ def _check(job: Job) -> None:
 
 def _check_first(failed: np.ndarray, job: Job) -> None:
     bad = np.flatnonzero(failed >= 0)
-    if bad.size:
+    if bad.size and not job.step.approximate:
         step, one = job.member(bad[0])
         more = more_times(step, one, job.first_dt) if isinstance(job.clock, Given) else ""
         advice = f"{step.advice(one, job.first_dt)}{more}"

@@ -163,7 +163,7 @@ def fit(
         search = search._replace(made=0 * search.made)
     search, history = _iterate(lambda s: advance(s, data), search, iterations, progress)
     matrix = np.asarray(compiled(problem.covariance)(search)) if optimizer in LEAST_SQUARES else None
-    at_edge = jax.vmap(problem.at_edge) if starts else problem.at_edge
+    at_edge = jax.jit(jax.vmap(problem.at_edge)) if starts else problem.at_edge
     return _result(search, history, problem.params, np.asarray(at_edge(search.best, x)), matrix, starts)
 
 
@@ -172,7 +172,7 @@ def _free_vector(bounds: Any, params: Any, data: Any, starts: bool) -> tuple[Arr
     if not starts:
         return ravel_pytree(release(bounds, params))
     _check_starts(params, data)
-    x = jax.vmap(lambda p: release(bounds, p))(params)
+    x = jax.jit(jax.vmap(lambda p: release(bounds, p)))(params)
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(x)):
         raise ValueError("some of the starts are not inside their bounds")
     _, unravel = ravel_pytree(jax.tree.map(lambda leaf: leaf[0], x))
@@ -293,7 +293,7 @@ def _result(
         good = np.isin(codes, GOOD)
         if matrix is not None:
             matrix = np.where(good[:, None, None], matrix, np.nan)
-        every = Starts(jax.vmap(to_params)(search.best), losses, good, edge, matrix)
+        every = Starts(jax.jit(jax.vmap(to_params))(search.best), losses, good, edge, matrix)
         search, history = jax.tree.map(lambda leaf: leaf[best], search), history[:, best]
         edge, matrix = edge[best], None if matrix is None else matrix[best]
     code, made = int(search.carry.code), int(search.made)

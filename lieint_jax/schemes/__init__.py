@@ -9,7 +9,7 @@
 | `torqued_midpoint` | bodies with torques or friction | energy less work | 2 |
 | `top_energy_momentum` | tops, satellites: any potential | energy (less work), γ·π | 2 |
 | `splitting` | tops, satellites, gyrostats, groups with a potential, several bodies | form, momenta | 2 |
-| `gauss` | free bodies, gyrostats, tops, satellites, several bodies | form, momenta | 2s with s stages; 16 |
+| `gauss` | free and elastic bodies, gyrostats, tops, satellites, several bodies | form, momenta | 2s with s stages |
 | `extrapolate` | any system | nothing beyond its accuracy: for short, accurate runs | 4 to 20 |
 | `log_hamiltonian` | tops | form, with steps that vary | 2 |
 | `reversible_control` | any step | what that conserves but for the form, with steps that vary | 2 |

@@ -6,6 +6,7 @@ the error on tops.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -15,6 +16,7 @@ from jax import Array
 from lieint_jax._numerics import kernel, three
 from lieint_jax._numerics.three import add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
+from lieint_jax.schemes._capability import other_motion
 from lieint_jax.types import DrivenTop, FreeBody, Gyrostat, State, System, Top
 
 
@@ -28,10 +30,10 @@ class Turning(NamedTuple):
 
 
 def known(system: System) -> bool:
-    """Whether a system is one body with at most a potential that has an axis."""
-    if isinstance(system, Top | DrivenTop):
-        return system.axis is not None
-    return isinstance(system, FreeBody | Gyrostat)
+    """Whether a system is one body with at most a potential that has an axis, and moves as that says."""
+    if isinstance(system, Top | DrivenTop) and system.axis is None:
+        return False
+    return isinstance(system, Top | DrivenTop | FreeBody | Gyrostat) and not other_motion(motion, system, system)
 
 
 def turning(state: State) -> Turning:
@@ -55,17 +57,30 @@ def moved(state: State, z: Turning, delta: Turning) -> State:
     return state._replace(q=state.q + jnp.stack([dw, *du]), p=p, work=work)
 
 
-def rate(system: Any, z: Any) -> Turning:
+def rate(system: Any) -> Callable[[Any], Turning]:
     """The time derivative of the unknowns, for |q| = 1 but for the error of a step."""
-    q, Pi = z.q, z.Pi
-    own = subtract(Pi, system.rotor) if isinstance(system, Gyrostat) else Pi
-    half = scale(0.5, apply(three.inverse(system.inertia), own))
-    torque = cross(Pi, scale(2, half))
-    if isinstance(system, Top | DrivenTop):
-        torque = add(torque, _torque(system, z))
-    t = None if z.t is None else jnp.ones_like(z.t)
-    work = None if z.work is None else _power(system, z)
-    return Turning(by(q, half), torque, t, work)
+    inverse = three.inverse(system.inertia)
+
+    def of(z: Any) -> Turning:
+        q, Pi = z.q, z.Pi
+        Omega = apply(inverse, subtract(Pi, system.rotor) if isinstance(system, Gyrostat) else Pi)
+        torque = cross(Pi, Omega)
+        if isinstance(system, Top | DrivenTop):
+            torque = add(torque, _torque(system, z))
+        t = None if z.t is None else jnp.ones_like(z.t)
+        work = None if z.work is None else _power(system, z)
+        return Turning(by(q, scale(0.5, Omega)), torque, t, work)
+
+    return of
+
+
+def motion(system: Any, state: State) -> State:
+    """The time derivative of q and p that follows from that of the unknowns."""
+    z = turning(state)
+    q_dot = jnp.stack(rate(system)(z).q)
+    if not isinstance(system, Top | DrivenTop):
+        return State(q_dot, jnp.zeros_like(state.p))
+    return State(q_dot, so3.Ad(state.q, jnp.stack(_torque(system, z))))
 
 
 def _power(system: Any, z: Any) -> Array:
@@ -76,7 +91,7 @@ def _torque(system: Any, z: Any) -> tuple[Array, ...]:
     """Γ × ∇Ṽ(Γ), with Γ = Λᵀγ."""
     driven = isinstance(system, DrivenTop)
     axis, more = (system.axis_at(z.t), (z.t,)) if driven else (system.axis, ())
-    Gamma = _stored_seen(z.q, axis)
+    Gamma = _axis_in_body(z.q, axis)
     return cross(Gamma, jax.grad(system.potential)(jnp.stack(Gamma), *more))
 
 
@@ -86,7 +101,12 @@ def seen(q: tuple[Array, ...], axis: three.Vector) -> tuple[Array, Array, Array]
     return add(scale(w * w - dot(v, v), axis), add(scale(2 * dot(v, axis), v), scale(2 * w, cross(axis, v))))
 
 
-_stored_seen = kernel.stage(seen)
+@kernel.stage
+def _axis_in_body(q: tuple[Array, ...], axis: three.Vector) -> tuple[Array, Array, Array]:
+    """Λᵀγ for |q| = 1, in fewer operations than `seen`."""
+    w, *v = q
+    u = scale(2, cross(axis, v))
+    return add(axis, subtract(scale(w, u), cross(v, u)))
 
 
 def by(q: tuple[Array, ...], u: three.Vector) -> tuple[Array, Array, Array, Array]:

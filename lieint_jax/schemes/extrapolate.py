@@ -35,10 +35,12 @@ class Extrapolated(Step):
     Attributes:
         system: any system.
         order: even.
+        body_axes: whether it integrates in the axes of one body, in place of the states themselves.
     """
 
     system: System
     order: float = static()
+    body_axes: bool = static()
     symmetric: bool = static(default=False)
 
     @property
@@ -58,12 +60,12 @@ class Extrapolated(Step):
 
     def _unknowns(self, state: State) -> tuple[Any, Callable[[Any], Any]]:
         """What is integrated, and its time derivative."""
-        if _body_axes.known(self.system):
-            return _body_axes.turning(state), partial(_body_axes.rate, self.system)
+        if self.body_axes:
+            return _body_axes.turning(state), _body_axes.rate(self.system)
         return state, partial(time_derivative, self.system)
 
     def _moved(self, state: State, start: Any, delta: Any) -> State:
-        if _body_axes.known(self.system):
+        if self.body_axes:
             return _body_axes.moved(state, start, delta)
         return jax.tree.map(jnp.add, start, delta)
 
@@ -139,7 +141,7 @@ def extrapolate(system: System, order: int = 12) -> Extrapolated:
         raise ValueError(f"order must be an even number from 4 to 20, got {order!r}")
     if not isinstance(system, System):
         raise ValueError(f"extrapolate integrates systems, got {type(system).__name__}")
-    return Extrapolated(system, order)
+    return Extrapolated(system, order, _body_axes.known(system))
 
 
 def weights(numbers: list[int]) -> list[float]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -22,10 +23,12 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import collocation, kernel
-from lieint_jax.schemes._canonical import Components, canonical, configurations, field, force, known, power
-from lieint_jax.schemes._capability import hint
+from lieint_jax.schemes._canonical import canonical, ended, field, force, inverses, known, motion, power
+from lieint_jax.schemes._capability import check_motion, hint
+from lieint_jax.schemes._stages import Components, Members, moved, summed
 from lieint_jax.types import (
     Driven,
+    ElasticBody,
     Forced,
     FreeBodies,
     FreeBody,
@@ -40,10 +43,14 @@ from lieint_jax.types import (
 )
 
 _MOST = 100  # sweeps
+_LADDER = ((2, 1), (4, 2), (6, 2))  # stages, and sweeps at them, from which the guess climbs: each gains an order
 _STALLED = 2**16  # eps: a change below it that no longer falls is rounding
 _CONVERGED = 32  # eps: the largest last change of a step that converged
 _REFINEMENTS = 60  # sweeps of the linear equations for derivatives
-_KINDS = (FreeBody, Forced, Driven, Gyrostat, FreeBodies)
+_KINDS = (FreeBody, Forced, Driven, Gyrostat, FreeBodies, ElasticBody)
+_NOUN = "free bodies, gyrostats, tops, several bodies and pseudo-rigid bodies"
+_PART = 32  # members whose stages are computed at once
+_ONE = Members(False)
 
 
 @pytree
@@ -51,7 +58,7 @@ class Gauss(Step):
     """The step made by `gauss`.
 
     Attributes:
-        system: a Hamiltonian system on T*SO(3), or of several bodies.
+        system: a Hamiltonian system on T*SO(3), of several bodies, or on T*GL⁺(3).
         stages: s.
         sweeps: their number, or None for as many as it takes.
     """
@@ -67,14 +74,16 @@ class Gauss(Step):
         return True
 
     @property
+    def approximate(self) -> bool:
+        return self.sweeps is not None
+
+    @property
     def name(self) -> str:
         return f"gauss[{self.stages}]" if self.sweeps is None else f"gauss[{self.stages}, {self.sweeps} sweeps]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        equation = _Equation(self.system, state, canonical(state), jnp.asarray(dt, state.p.dtype), self.stages)
-        k, change = _solved(equation, self.sweeps)
-        end = equation.end(k)
-        return end, StepInfo(change, all_finite(end) & (change <= _CONVERGED * float(jnp.finfo(change.dtype).eps)))
+        dt = jnp.asarray(dt, state.p.dtype)
+        return _in_lanes(self, state, dt) if kernel.inside() else _stepped(_Equation.of(self, state, dt), self.sweeps)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         limit = "its sweeps diverge" if self.sweeps is None else f"{self.sweeps} sweeps are too few"
@@ -94,120 +103,116 @@ def gauss(system: System, stages: int = 8, sweeps: int | None = None) -> Gauss:
     evaluates the vector field at all stages; some 12 to 20 are needed.
 
     Args:
-        system: a free body, a gyrostat, a top, driven or not, several bodies.
+        system: a free body, a gyrostat, a top, driven or not, several bodies, a pseudo-rigid body.
         stages: s ≥ 1.
         sweeps: a number of sweeps in place of as many as it takes; with too few the form and momentum are kept to their
             residual only, which the step reports, and `converged` is false above round-off.
 
     Raises:
-        ValueError: another system; stages or sweeps that are no positive int.
+        ValueError: another system, or one that moves otherwise; stages or sweeps that are no positive int.
 
     Source: Hairer, Lubich & Wanner, Geometric Numerical Integration, II.1.3, VI.4; Antoñana, Makazaga & Murua 2017,
     Numer. Algorithms 76.
     """
     if not (isinstance(system, _KINDS) and known(system.phase_space)):
-        raise ValueError(
-            "gauss integrates free bodies, gyrostats, tops and several bodies, got "
-            f"{type(system).__name__}{hint('gauss', system)}"
-        )
+        raise ValueError(f"gauss integrates {_NOUN}, got {type(system).__name__}{hint('gauss', system)}")
+    check_motion("gauss", _NOUN, motion, system, system)
     s = _checks.count("stages", stages, 1)
     return Gauss(system, s, None if sweeps is None else _checks.count("sweeps", sweeps, 1), 2.0 * s)
 
 
 class _Equation(NamedTuple):
-    """The equations of one step, for the derivatives k of the coordinates at the stages: of each (s, …)."""
+    """The equations of one step, for the derivatives k of the coordinates at the stages."""
 
     system: System
+    inverse: Any
     state: State
     start: Components
     dt: Array
     stages: int
+    members: Members
 
-    def field(self, Z: Components, nodes: np.ndarray) -> Components:
-        return field(self.system, Z, self.times(nodes))
+    @classmethod
+    def of(cls, step: Gauss, state: State, dt: Array, members: Members = _ONE) -> _Equation:
+        inverse = members.each(inverses, (members.system,))(step.system) if members.inverse else inverses(step.system)
+        start = members.each(canonical, (members.state,))(state)
+        return cls(step.system, inverse, state, start, dt, step.stages, members)
 
-    def times(self, nodes: np.ndarray) -> Array | None:
-        return None if self.state.t is None else self.state.t + self.dt * jnp.asarray(nodes, self.dt.dtype)
+    def without_derivative(self) -> _Equation:
+        still = lax.stop_gradient((self.system, self.inverse, self.state, self.start, self.dt))
+        return _Equation(*still, self.stages, self.members)
+
+    def each(self, function: Callable[..., Any], Z: Components, nodes: np.ndarray) -> Components:
+        """`function(system, inverse, z, t)` of one stage, at all."""
+        m, t = self.members, self.state.t
+        times = None if t is None else t + self.dt * _column(nodes, self.dt.dtype, t.ndim)
+        many = m.each(function, (m.system, m.inverse, -1, m.state.t if m.many else None))
+        return jax.vmap(many, (None, None, 0, 0))(self.system, self.inverse, Z, times)
 
     def moved(self, k: Components, weights: np.ndarray) -> Components:
         """z + Δt Σ w_j k_j, of every row of weights."""
-        return _summed(self.start, k, self.dt, weights)
+        return moved(self.start, k, self.dt, weights)
 
     def swept(self, k: Components) -> Components:
         """f(Z) at Z_i = z_n + Δt Σ a_ij k_j."""
         c, A, _ = collocation.gauss(self.stages)
-        return self.field(self.moved(k, A), c)
+        return self.each(field, self.moved(k, A), c)
 
     def residual(self, k: Components) -> Components:
         return jax.tree.map(jnp.subtract, k, self.swept(k))
 
-    def guess(self, fewest: int) -> Components:
-        """Derivatives at the stages: those at the start, swept up at ever more nodes."""
-        k, weights = self.field(self.start, np.zeros(1)), collocation.nodes(fewest)[:, None]
-        for s in range(fewest, self.stages):
-            k = self.field(self.moved(k, weights), collocation.nodes(s))
-            weights = collocation.integrals(s, collocation.nodes(s + 1))
-        return self.field(self.moved(k, weights), collocation.nodes(self.stages))
+    def guess(self, most: int) -> tuple[Components, int]:
+        """Derivatives at the stages by at most so many sweeps, at few nodes first, and the number of those sweeps."""
+        k, last, taken = self.each(field, tuple(x[None] for x in self.start), np.zeros(1)), 1, 1
+        rungs = [(s, sweeps) for s, sweeps in _LADDER if s < min(self.stages, most - sweeps)]
+        for s, sweeps in (*rungs, (self.stages, 1)):
+            c, A, _ = collocation.gauss(s)
+            k = self.each(field, self.moved(k, collocation.integrals(last, c)), c)
+            k = lax.fori_loop(1, sweeps, lambda _, k, A=A, c=c: self.each(field, self.moved(k, A), c), k)
+            last, taken = s, taken + sweeps
+        return k, taken
 
     def end(self, k: Components) -> State:
         """The state at n + 1. π moves by Δt Σ b_i τ_i, as any quadratic function of z does, without rounding p q̄."""
         c, A, b = collocation.gauss(self.stages)
-        state, weights, t = self.state, b[None], self.times(c)
-        Z = self.moved(k, A)
-        q = configurations(self.moved(k, weights))[0]
-        forces = force(self.system, Z, t)
-        p = state.p + jnp.stack(_summed((0.0,) * len(forces), forces, self.dt, weights), axis=-1)[0]
-        if isinstance(self.system, Driven) and state.work is not None and t is not None:
-            [work] = _summed((state.work[None],), (power(self.system, Z, t),), self.dt, weights)
-            return state._replace(q=q, p=p, work=work[0])
-        return state._replace(q=q, p=p)
+        Z, state, m = self.moved(k, A), self.state, self.members
+        impulse, work, zero = None, None, jnp.zeros((), self.dt.dtype)
+        if not isinstance(self.system, ElasticBody):
+            forces = self.each(force, Z, c)
+            impulse = summed((zero,) * len(forces), forces, self.dt, b)
+        if isinstance(self.system, Driven) and state.work is not None and state.t is not None:
+            [work] = summed((zero,), self.each(power, Z, c), self.dt, b)
+        return m.each(ended, (m.state, -1, -1, -1), 0)(state, summed(self.start, k, self.dt, b), impulse, work)
 
     def change(self, a: Components, b: Components) -> Array:
         """The largest difference of Δt k, in units of q, which are 1 at least, and of the largest of p."""
-        half = len(a) // 2
-        q, p = (jnp.max(jnp.abs(jnp.stack(self.start[part]))) for part in (slice(half), slice(half, None)))
+        half, largest = len(a) // 2, self.members.largest
+        q, p = (largest(jnp.abs(jnp.stack(self.start[part]))) for part in (slice(half), slice(half, None)))
         sizes = [jnp.maximum(1, q)] * half + [jnp.where(p > 0, p, 1)] * half
-        moved = [jnp.max(jnp.abs(x - y)) / size for x, y, size in zip(a, b, sizes, strict=True)]
+        moved = [largest(jnp.abs(x - y)) / size for x, y, size in zip(a, b, sizes, strict=True)]
         return jnp.abs(self.dt) * functools.reduce(jnp.maximum, moved)
 
 
-def _summed(z: Any, k: Components, dt: Array, weights: np.ndarray) -> Components:
-    """z + Δt Σ w_j k_j."""
+def _column(nodes: np.ndarray, dtype: Any, ndim: int) -> Array:
+    return jnp.asarray(nodes, dtype).reshape(-1, *[1] * ndim)
 
-    @kernel.stage
-    def sums(z: Any, k: Components, dt: Array) -> Components:
-        columns = [w.reshape(-1, *[1] * (k[0].ndim - 1)) for w in weights.astype(dt.dtype).T]
-        return tuple(
-            x + dt * functools.reduce(jnp.add, [w * y[j : j + 1] for j, w in enumerate(columns)])
-            for x, y in zip(z, k, strict=True)
-        )
 
-    return sums(z, k, dt)
+_Carry = tuple[Components, Array, Array, Array]  # k, its last change, the one before, the number of sweeps
+
+
+def _stepped(equation: _Equation, sweeps: int | None) -> tuple[State, StepInfo]:
+    k, change = _solved(equation, sweeps)
+    end = equation.end(k)
+    finite = jax.vmap(all_finite)(end) if equation.members.many else all_finite(end)
+    return end, StepInfo(change, finite & (change <= _CONVERGED * float(jnp.finfo(change.dtype).eps)))
 
 
 def _solved(equation: _Equation, sweeps: int | None) -> tuple[Components, Array]:
     """The derivatives at the stages, and the last relative change of a sweep."""
-    fewest = 1 if sweeps is None else max(1, equation.stages + 1 - sweeps)
-    guess = equation.guess(fewest)
-    eps = float(jnp.finfo(equation.dt.dtype).eps)
+    guess, taken = equation.without_derivative().guess(_MOST if sweeps is None else sweeps)
 
     def solve(_: Callable[[Components], Components], start: Components) -> tuple[Components, Array]:
-        def improved(carry: tuple[Components, Array, Array, Array]) -> tuple[Components, Array, Array, Array]:
-            k, change, _, n = carry
-            new = equation.swept(k)
-            return new, equation.change(new, k), change, n + 1
-
-        def goes_on(carry: tuple[Components, Array, Array, Array]) -> Array:
-            _, change, before, n = carry
-            falls = (change > _STALLED * eps) | (change < before)
-            return (n < _MOST) & (change > 2 * eps) & falls
-
-        far = jnp.full_like(equation.dt, jnp.finfo(equation.dt.dtype).max)
-        begin = (start, far / 2, far, jnp.zeros((), int))
-        if sweeps is None:
-            return lax.while_loop(goes_on, improved, begin)[:2]
-        more = max(1, sweeps - equation.stages)
-        return lax.fori_loop(0, more, lambda _, carry: improved(carry), begin)[:2]
+        return _iterated(equation, start) if sweeps is None else _repeated(equation, start, max(1, sweeps - taken))
 
     def tangent_solve(linear: Callable[[Components], Components], b: Components) -> Components:
         flat, components = ravel_pytree(b)  # one array: parts of b may depend on nothing that is differentiated
@@ -220,6 +225,64 @@ def _solved(equation: _Equation, sweeps: int | None) -> tuple[Components, Array]
 
     k, change = lax.custom_root(equation.residual, guess, solve, tangent_solve, has_aux=True)
     return k, lax.stop_gradient(change)
+
+
+def _iterated(equation: _Equation, start: Components) -> tuple[Components, Array]:
+    """Sweeps until they change nothing; a member that is done rests, and the others go on."""
+    eps = float(jnp.finfo(equation.dt.dtype).eps)
+
+    def goes_on(carry: _Carry) -> Array:
+        _, change, before, n = carry
+        falls = (change > _STALLED * eps) | (change < before)
+        return (n < _MOST) & (change > 2 * eps) & falls
+
+    def improved(carry: _Carry) -> _Carry:
+        k, change, _, n = carry
+        new = equation.swept(k)
+        other = (new, equation.change(new, k), change, n + 1)
+        if not equation.members.many:
+            return other
+        going = goes_on(carry)
+        kept = jax.tree.map(partial(jnp.where, going), other[:3], carry[:3])
+        return *kept, n + 1
+
+    shape = equation.start[0].shape[-1:] if equation.members.many else ()
+    far = jnp.full(shape, jnp.finfo(equation.dt.dtype).max, equation.dt.dtype)
+    begin = (start, far / 2, far, jnp.zeros((), int))
+    return lax.while_loop(lambda carry: jnp.any(goes_on(carry)), improved, begin)[:2]
+
+
+def _repeated(equation: _Equation, start: Components, sweeps: int) -> tuple[Components, Array]:
+    """So many sweeps, the last of which says how much it changes."""
+    k = lax.fori_loop(1, sweeps, lambda _, k: equation.swept(k), start)
+    new = equation.swept(k)
+    return new, equation.change(new, k)
+
+
+@jax.custom_batching.custom_vmap
+def _in_lanes(step: Gauss, state: State, dt: Array) -> tuple[State, StepInfo]:
+    """The step, which vmapped computes with the members as the last axis."""
+    return _stepped(_Equation.of(step, state, dt), step.sweeps)
+
+
+@_in_lanes.def_vmap
+def _many(size: int, batched: Any, *arguments: Any) -> Any:
+    """A part of the members after the other, such that their stages fit the cache next to the core."""
+    part = max(n for n in range(1, _PART + 1) if size % n == 0)
+    axes = jax.tree.map(lambda has: -1 if has else None, batched)
+    members = Members(True, axes[0].system, -1 if any(jax.tree.leaves(batched[0])) else None, axes[1])
+    own, shared = (
+        jax.tree.map(lambda x, has, k=k: x if has is k else None, arguments, tuple(batched)) for k in (True, False)
+    )
+
+    def one(own: Any) -> tuple[State, StepInfo]:
+        mine = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), own)
+        step, state, dt = jax.tree.map(lambda x, y: y if x is None else x, mine, shared, is_leaf=lambda x: x is None)
+        return _stepped(_Equation.of(step, state, dt, members), step.sweeps)
+
+    parts = lax.map(one, jax.tree.map(lambda x: x.reshape(-1, part, *x.shape[1:]), own))
+    result = jax.tree.map(lambda x: x.reshape(size, *x.shape[2:]), parts)
+    return result, jax.tree.map(lambda _: True, result)
 
 
 def examples(system: Any) -> dict[str, Step]:

@@ -8,11 +8,11 @@ axes are relabelled, (q, Ω, J) → (qγ⁻¹, gΩ, gJgᵀ) with g one of the 24
 | g a symmetry of the facets | the same, always: for a box with two panels the 180° turns about the body axes |
 | any other g | of other facets: at best a local minimum, with the moments exchanged |
 | σ = 180° about the normal of the plane of Sun, body and observer (*mirror*) | the same if that plane stays |
-| σ = 180° about the bisector of Sun and observer (*exchange*) | the same if both directions stay |
-| σ = both | the same if both directions stay |
+| σ = 180° about the bisector of Sun and observer (*exchange*) | the same if the bisector stays |
+| σ = both: 180° about the difference of the two directions | the same if the difference keeps its direction |
 
-For the second kind of σ the facets must have a centre of symmetry, since Sun and observer go to their antipodes; for
-the third no law of scattering may care which of the two is the Sun (Helmholtz's reciprocity).
+The mirror asks for facets with a centre of symmetry, since in the body Sun and observer go to their antipodes; the
+exchange asks for a law of scattering that is the same with Sun and observer exchanged (Helmholtz's reciprocity).
 """
 
 from __future__ import annotations
@@ -73,8 +73,9 @@ class Change(NamedTuple):
 
     Attributes:
         space: its kind in space, an index of `SPACE`.
-        axes: the new names of the body axes, such as "yxz"; "xyz" where the facets have this symmetry.
-        turn: of the body axes: 0, or which of the symmetries of the facets comes before the relabelling.
+        axes: the new names of the body axes, such as "yxz"; "xyz" where the facets have this symmetry. With signs,
+            such as "x−y−z", if the 180° turns about the body axes are not all symmetries of the facets.
+        turn: of the body axes: 0, or which of the symmetries of the facets comes after the relabelling.
         sigma: the turn of space, a quaternion, (4,).
         g: the turn of the body axes, (3, 3).
     """
@@ -117,16 +118,23 @@ def changes(facets: Facets, sun: np.ndarray, observer: np.ndarray) -> list[Chang
     every = (np.eye(4)[0], *(np.append(0, v) for v in (normal, bisector, np.cross(normal, bisector))))
     rotations = axis_rotations()
     own = [g for g in rotations if is_symmetry(facets, g)]
-    cosets: list[np.ndarray] = []
+    signed = len([g for g in own if np.trace(np.abs(g)) == 3]) < 4
+    cosets: list[np.ndarray] = []  # of the symmetries: their light is the same, as symmetries act on it last
     for g in rotations:
-        if not any(np.allclose(g, other @ h) for other in cosets for h in own):
+        if not any(np.allclose(g, h @ other) for other in cosets for h in own):
             cosets.append(g)
     return [
-        Change(space, "".join("xyz"[k] for k in np.abs(g).argmax(axis=0)), turn, sigma, g @ h)
+        Change(space, _axes(g, signed), turn, sigma, h @ g)
         for space, sigma in enumerate(every)
         for g in cosets
         for turn, h in enumerate(own)
     ]
+
+
+def _axes(g: np.ndarray, signed: bool) -> str:
+    """The new names of the body axes, with their signs or without."""
+    order = np.abs(g).argmax(axis=0)
+    return "".join(("−" if signed and g[k, column] < 0 else "") + "xyz"[k] for column, k in enumerate(order))
 
 
 def distance(a: Solutions, b: Solutions) -> np.ndarray:

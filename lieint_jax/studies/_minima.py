@@ -14,7 +14,7 @@ from lieint_jax import schemes
 from lieint_jax.groups import so3
 from lieint_jax.integrate import Event, events
 from lieint_jax.studies._facets import Facets, magnitude
-from lieint_jax.studies._satellite_sky import directions
+from lieint_jax.studies._satellite_sky import Scene, closed_form, directions
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State
 
@@ -63,20 +63,19 @@ def minima(body: RigidBody, state: State, facets: Facets, sky: dict[str, float],
     )
 
 
-def judged(body: RigidBody, facets: Facets, sky: dict[str, float], found: Event) -> Minima:
-    """The minima that the events found, with what shows that they are minima."""
-    step, moments = schemes.preprocessed(body, 6), (-_BESIDE, _BESIDE)
+def minima_of(scene: Scene, until: float, count: int) -> Minima:
+    """The first `count` minima of the light of a scene, with what shows that they are minima.
+
+    Their times and the slopes there are those of the scheme, the magnitudes those of the closed form.
+    """
 
     @jax.jit
-    @jax.vmap
-    def look(state: State) -> tuple[Array, ...]:
-        assert state.t is not None
-        here = light(facets, sky, state.q, state.t)
-        before, after = (step(state, dt)[0] for dt in moments)
-        beside = jnp.maximum(
-            *(light(facets, sky, s.q, state.t + dt) for s, dt in zip((before, after), moments, strict=True))
-        )
-        return state.t, here, slope(body, facets, sky, state), here - beside
+    def look(body: RigidBody, state: State) -> tuple[Event, Array]:
+        found = minima(body, state, scene.facets, scene.sky, until, count)
+        return found, jax.vmap(lambda state: slope(body, scene.facets, scene.sky, state))(found.state)
 
-    there = np.asarray(found.found)
-    return Minima(*(np.asarray(x) for x in look(jax.tree.map(lambda x: x[there], found.state))))
+    found, slopes = look(scene.body, scene.state)
+    t, slopes = (np.asarray(x)[np.asarray(found.found)] for x in (found.t, slopes))
+    beside = np.concatenate([t - _BESIDE, t, t + _BESIDE])
+    before, there, after = np.asarray(closed_form(scene, beside)[1]).reshape(3, -1)
+    return Minima(t, there, slopes, there - np.maximum(before, after))

@@ -131,6 +131,13 @@ def named(frequency: float, pair: np.ndarray, order: int, width: float) -> tuple
     return int(jk[best, 0]), int(jk[best, 1]), float(frequency - jk[best] @ pair)
 
 
+def coincidence(frequencies: np.ndarray, band: tuple[float, float], width: float) -> float:
+    """The share of a band that is within the width of one of these frequencies: how often chance names a sine."""
+    low, high = ((np.sort(frequencies) + side).clip(*band) for side in (-width, width))
+    covered = np.append(band[0], high[:-1])  # up to here by those before
+    return float((high - np.maximum(low, covered)).sum() / (band[1] - band[0]))
+
+
 def bases(pair: np.ndarray, most: int, band: tuple[float, float]) -> np.ndarray:
     """All pairs of frequencies inside the band that generate the same combinations as a pair, (bases, 2).
 

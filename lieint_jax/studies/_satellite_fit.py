@@ -7,13 +7,15 @@ order 6, whose derivatives in so many starts cost a tenth of the closed form's; 
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.flatten_util import ravel_pytree
+from jax.custom_derivatives import SymbolicZero
+from jax.typing import ArrayLike
 
 from lieint_jax import schemes
 from lieint_jax.ensemble._over_members import over_members
@@ -27,21 +29,48 @@ from lieint_jax.studies._radar import model
 from lieint_jax.studies._satellite_sky import Lightcurve, Scene, true_magnitudes
 from lieint_jax.studies._tumbling import mean_periods
 from lieint_jax.systems import RigidBody
+from lieint_jax.types import State
 
 BOUNDS = {"attitude": free, "inertia": inertia_ratios, "rate": free}
 STEP = 0.75  # min
 _ITERATIONS, _TOLERANCE, _FINE = 50, 1e-6, 4000
+_AT_ONCE = 10_000  # guesses that are tried together
 _POOL, _NEAR, _SCATTER = 50_000, 500, 0.8  # random bodies, those kept for a candidate, scatter of log second moments
 
 
-def magnitudes(params: dict[str, Array], begin: Array, facets: Facets, curve: Lightcurve) -> tuple[Array, Array]:
+def magnitudes(params: dict[str, Array], begin: ArrayLike, facets: Facets, curve: Lightcurve) -> tuple[Array, Array]:
     """The model's magnitudes, (n,), and whether all steps converged; `params` and `begin` as in `_radar.model`."""
-    body, state = model(params, begin)
+    body, state = model(params, jnp.asarray(begin))
     steps = int(np.ceil(curve.t[-1] / STEP))
     path = integrate(schemes.preprocessed(body, 6), state, STEP, steps, save_at=jnp.asarray(curve.t))
     q = path.state.q[1:]
-    light = jax.vmap(magnitude, (None, 0, 0, 0))(facets, q, jnp.asarray(curve.sun), jnp.asarray(curve.observer))
+    light = jax.vmap(_light, (0, (None, 0, 0)))(q, (facets, jnp.asarray(curve.sun), jnp.asarray(curve.observer)))
     return light, jnp.all(path.info.converged)
+
+
+def _magnitude(q: Array, scene: tuple[Facets, Array, Array]) -> Array:
+    facets, sun, observer = scene
+    return magnitude(facets, q, sun, observer)
+
+
+_light = jax.custom_jvp(_magnitude)
+
+
+@partial(_light.defjvp, symbolic_zeros=True)
+def _light_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    """By the gradient in the attitude: a fit's derivatives in eight directions then cost little more than the light."""
+    (q, scene), (turn, *changes) = primals, jax.tree.leaves(tangents, is_leaf=_is_zero)
+    light, gradient = jax.value_and_grad(_magnitude)(q, scene)
+    along = jnp.zeros(()) if _is_zero(turn) else jnp.vdot(gradient, turn)
+    if all(map(_is_zero, changes)):
+        return light, along
+    full = [jnp.zeros(x.shape, x.dtype) if _is_zero(x) else x for x in changes]
+    change = jax.tree.unflatten(jax.tree.structure(scene), full)
+    return light, along + jax.jvp(lambda scene: _magnitude(q, scene), (scene,), (change,))[1]
+
+
+def _is_zero(tangent: Any) -> bool:
+    return isinstance(tangent, SymbolicZero)
 
 
 def fitted(
@@ -88,35 +117,49 @@ def random_guesses(
         Guesses as `fitted` wants them, their attitudes `begin`, (count, 4), and the candidate of each, (count,).
     """
     keys = jax.random.split(key, 4)
-    J = jax.vmap(principal_inertia.inside)(_SCATTER * jax.random.normal(keys[0], (_POOL, 3)))
-    J = np.asarray(J / J[:, 2:])
-    Pi = np.asarray(jax.random.normal(keys[1], (_POOL, 3)))
-
-    @jax.jit
-    @jax.vmap
-    def periods(J: Array, Pi: Array) -> Array:
-        body = RigidBody(J)
-        return mean_periods(body, body.state(body_momentum=Pi))
-
-    of_pool = 1 / np.asarray(periods(J, Pi))
+    J, Pi, of_pool = (np.asarray(x) for x in _pool(keys[:2]))
     ratio, wanted = of_pool[:, 1] / of_pool[:, 0], frequencies[:, 1] / frequencies[:, 0]
     near = np.argsort(np.abs(np.log(ratio[:, None] / wanted)), axis=0)[:_NEAR]
     which = np.arange(count) % len(frequencies)
     chosen = near[np.asarray(jax.random.randint(keys[2], (count,), 0, _NEAR)), which]
     speed = (frequencies[which] / of_pool[chosen]).mean(axis=1)
     rate = np.rad2deg(speed[:, None] * Pi[chosen] / J[chosen])
-    begin = jax.vmap(so3.normalise)(jax.random.normal(keys[3], (count, 4)))
+    begin = jax.jit(lambda key: jax.vmap(so3.normalise)(jax.random.normal(key, (count, 4))))(keys[3])
     return {"attitude": np.zeros((count, 3)), "inertia": J[chosen, :2], "rate": rate}, np.asarray(begin), which
 
 
-def losses(guesses: dict[str, np.ndarray], begin: np.ndarray, facets: Facets, curve: Lightcurve) -> Array:
+@jax.jit
+def _pool(keys: Array) -> tuple[Array, Array, Array]:
+    """Random bodies: moments over the third, body momenta, mean frequencies of precession and rotation."""
+    J = jax.vmap(principal_inertia.inside)(_SCATTER * jax.random.normal(keys[0], (_POOL, 3)))
+    J = J / J[:, 2:]
+    Pi = jax.random.normal(keys[1], (_POOL, 3))
+
+    def frequencies(J: Array, Pi: Array) -> Array:
+        body = RigidBody(J)
+        return 1 / mean_periods(body, body.state(body_momentum=Pi))
+
+    return J, Pi, jax.vmap(frequencies)(J, Pi)
+
+
+def losses(
+    guesses: dict[str, np.ndarray], begin: np.ndarray, facets: Facets, curve: Lightcurve, progress: bool = True
+) -> np.ndarray:
     """Half the sum of squares of each guess's errors in units of the noise, (guesses,)."""
+    from tqdm import tqdm  # where it is used: the package imports in a moment
 
     def one(params: dict[str, Array], begin: Array) -> Array:
         light, _ = magnitudes(params, begin, facets, curve)
         return len(curve.t) * jnp.var(light - curve.magnitude) / (2 * curve.noise**2)
 
-    return over_members(one)(guesses, begin)
+    of_piece, pieces = over_members(one), np.array_split(np.arange(len(begin)), -(-len(begin) // _AT_ONCE))
+    found = []
+    with tqdm(total=len(begin), unit=" guesses", disable=None if progress else True, leave=False) as bar:
+        for piece in pieces:
+            some = {name: leaf[piece] for name, leaf in guesses.items()}
+            found.append(np.asarray(of_piece(some, begin[piece])))
+            bar.update(len(piece))
+    return np.concatenate(found)
 
 
 class Estimate(NamedTuple):
@@ -161,35 +204,48 @@ def estimate(
     starts = night.starts
     assert starts is not None
     assert starts.covariance is not None
-    x = np.asarray(jax.vmap(lambda p: ravel_pytree(p)[0])(starts.params))
-    _, unravel = ravel_pytree(jax.tree.map(lambda leaf: leaf[0], starts.params))
-    truth, best = true_solution(made), solutions(starts.params, begin).take(chosen)
-    turn = min((c for c in every if c.name == SPACE[0]), key=lambda c: float(distance(c(truth), best)[0]))
+    params = jax.tree.map(np.asarray, starts.params)  # off the devices over which the fits were split
+    x = np.concatenate([params[name] for name in BOUNDS], axis=1)
     sigma = np.sqrt(np.diagonal(starts.covariance, axis1=1, axis2=2))
-
-    def periods(x: Array) -> Array:
-        return mean_periods(*model(unravel(x), jnp.asarray(begin[chosen])))
-
-    D = jax.jit(jax.jacfwd(periods))(x[chosen])
-    light = magnitudes(unravel(jnp.asarray(x[chosen])), jnp.asarray(begin[chosen]), made.facets, curve)[0]
-    body, state = model(unravel(jnp.asarray(x[chosen])), jnp.asarray(begin[chosen]))
+    truth, best = true_solution(made), solutions(params, begin).take(chosen)
+    turn = min((c for c in every if c.name == SPACE[0]), key=lambda c: float(distance(c(truth), best)[0]))
+    one = {name: leaf[chosen] for name, leaf in params.items()}
+    body, state, light, periods, D = _motion(one, begin[chosen], made, curve)
     fine = np.linspace(0, curve.t[-1], _FINE)
-    closed = made._replace(body=body, state=state)
-    exact = np.asarray(true_magnitudes(closed, jnp.asarray(np.append(curve.t, fine))))
-    zero = float(np.mean(curve.magnitude - light))
+    exact = np.asarray(true_magnitudes(made._replace(body=body, state=state), np.append(curve.t, fine)))
+    zero = np.mean(curve.magnitude - light)
     return Estimate(
         x[chosen],
         _vector(turn(truth), begin[chosen]),
         sigma[chosen],
         turn.g,
-        np.asarray(periods(x[chosen])),
+        periods,
         np.sqrt(np.diagonal(D @ starts.covariance[chosen] @ D.T)),
         (x[several:] - _vector(truth, truth.q[0])) / sigma[several:],
-        np.asarray(light) + zero,
+        light + zero,
         fine,
         exact[len(curve.t) :] + zero,
         float(np.abs(light - exact[: len(curve.t)]).max() / curve.noise),
     )
+
+
+def _motion(
+    params: dict[str, Array], begin: np.ndarray, made: Scene, curve: Lightcurve
+) -> tuple[RigidBody, State, np.ndarray, np.ndarray, np.ndarray]:
+    """A solution's body and state; magnitudes, (n,); mean periods, (2,), and their derivative by x, (2, 8)."""
+
+    @jax.jit
+    def look(params: dict[str, Array]) -> tuple[RigidBody, State, Array, Array, list[Array]]:
+        def periods(params: dict[str, Array]) -> tuple[Array, Array]:
+            found = mean_periods(*model(params, jnp.asarray(begin)))
+            return found, found
+
+        D, found = jax.jacfwd(periods, has_aux=True)(params)
+        light, _ = magnitudes(params, begin, made.facets, curve)
+        return *model(params, jnp.asarray(begin)), light, found, [D[name] for name in BOUNDS]
+
+    body, state, light, found, D = look(params)
+    return body, state, np.asarray(light), np.asarray(found), np.concatenate(D, axis=1)
 
 
 def _vector(one: Solutions, begin: np.ndarray) -> np.ndarray:

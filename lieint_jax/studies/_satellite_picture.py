@@ -100,9 +100,11 @@ def _first(ax: Axes, found: Any) -> None:
 
 def _night(ax: Axes, found: Any) -> None:
     excess = 2 * (found.images.loss - found.night.loss.min())
-    names = [_kind(found.changes[k].name) for k in found.named]
-    columns = sorted({axes for _, axes in names})
-    for (space, axes), value, end in zip(names, excess, found.images.change, strict=True):
+    columns = sorted({_kind(change.name)[1] for change in found.changes})
+    for begin, value, end in zip(found.named, excess, found.images.change, strict=True):
+        if begin < 0:  # the first session's best end is no image of the night's
+            continue
+        space, axes = _kind(found.changes[begin].name)
         own = end >= 0 and _kind(found.changes[end].name) == (space, axes)
         x = columns.index(axes) + 0.15 * (list(_COLORS).index(space) - 1.5)
         fill = _COLORS[space] if own else "none"

@@ -1,4 +1,4 @@
-"""The report of the study of a satellite, in six parts."""
+"""The report of the study of a satellite, in seven parts."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lieint_jax.studies._equivalents import SPACE
-from lieint_jax.studies._period_search import HARMONICS, named
+from lieint_jax.studies._period_search import HARMONICS, SPECTRUM, coincidence, combinations, named
 from lieint_jax.studies._satellite_fit import STEP
 
 NAMES = (
@@ -49,9 +49,13 @@ def _minima(found: Any) -> list[str]:
 
 def _periods(found: Any) -> list[str]:
     s, true, width = found.search, 1 / found.periods, _width(found)
+    jk = combinations(HARMONICS)
+    chance = [100 * coincidence(some @ true, SPECTRUM, width) for some in (jk, jk[jk[:, 1] % 2 == 0])]
     lines = [
-        f"\n  sines in the light, the strongest first, each the simplest j f_precession + k f_rotation within "
-        f"{width:.4f} per min",
+        "\n  sines in the light, the strongest first, each the simplest j f_precession + k f_rotation with |j|, |k| ≤ "
+        f"{HARMONICS}",
+        f"  within {width:.4f} per min (by chance {chance[0]:.0f} % of all frequencies are as near to one, "
+        f"{chance[1]:.0f} % to one with even k)",
         f"    {'1/min':>9}{'period (min)':>14}{'variance':>10}{'j':>5}{'k':>4}{'off (1/min)':>13}",
     ]
     for p in s.peaks:
@@ -87,7 +91,7 @@ def _width(found: Any) -> float:
 
 
 def _ends(found: Any) -> list[str]:
-    rows = [_row(found, k) for k in range(len(found.named))]
+    rows = _rows(found)
     lost = sum(not row[3] for row in rows)
     first = found.first
     right = [k for k, change in enumerate(found.changes) if change.name == SPACE[0]]
@@ -129,10 +133,13 @@ def _table(found: Any, rows: list[Any]) -> list[str]:
     return [*lines, f"    {'elsewhere':<32}{len(other):>5}" + (f"{2 * other.min():>47.1f}" if len(other) else "")]
 
 
-def _row(found: Any, k: int) -> tuple[str, np.ndarray, float, bool, float]:
+def _rows(found: Any) -> list[tuple[str, np.ndarray, float, bool, float]]:
+    return [_row(found, name) for name in dict.fromkeys(change.name for change in found.changes)]
+
+
+def _row(found: Any, name: str) -> tuple[str, np.ndarray, float, bool, float]:
     """A named solution: its name, the starts that ended there by turn, their least loss, whether it is a minimum on the
     night, and the loss there."""
-    name = found.changes[found.named[k]].name
     alike = [i for i, change in enumerate(found.changes) if change.name == name]
     counts = np.array([(found.first.change == i).sum() for i in alike])
     before, after = (
@@ -159,22 +166,23 @@ def _estimate(found: Any) -> list[str]:
         f"\n  the best solution, χ² {2 * found.night.loss.min():.1f} for {len(found.curve.t) - 9} degrees of freedom, "
         f"beside the truth {truth},",
         f"  and how far the fits of {len(e.errors)} synthetic sets are from theirs",
-        f"    {'':<24}{'fitted':>11}{'± 1σ':>10}{'truth':>11}{'off':>9}{'within 1σ':>12}{'2σ':>6}{'scatter/σ':>11}",
+        f"    {'':<24}{'fitted':>11}{'± 1σ':>10}{'truth':>11}{'off':>9}{'within 1σ':>12}{'2σ':>6}{'rms/σ':>9}",
     ]
     for k, name in enumerate(NAMES):
         share = [100 * (size[:, k] <= limit).mean() for limit in (1, 2)]
         beside = _beside(name, e.value[k], e.sigma[k], e.truth[k])
-        lines.append(f"{beside}{share[0]:>11.0f}%{share[1]:>5.0f}%{e.errors[:, k].std():>11.2f}")
+        lines.append(f"{beside}{share[0]:>11.0f}%{share[1]:>5.0f}%{np.sqrt((e.errors[:, k] ** 2).mean()):>9.2f}")
     share = [100 * (size <= limit).mean() for limit in (1, 2)]
-    mean = (
-        f"    {'all parameters':<24}{'':>41}{share[0]:>11.0f}%{share[1]:>5.0f}%{np.sqrt((e.errors**2).mean()):>11.2f}"
-    )
+    mean = f"    {'all parameters':<24}{'':>41}{share[0]:>11.0f}%{share[1]:>5.0f}%{np.sqrt((e.errors**2).mean()):>9.2f}"
+    chance = [100 * np.sqrt(p * (1 - p) / len(e.errors)) for p in (0.683, 0.954)]
     periods = zip(
         ("precession period (min)", "rotation period (min)"), e.periods, e.periods_sigma, found.periods, strict=True
     )
     return [
         *lines,
-        f"{mean}   expected 68 %, 95 %, 1",
+        mean,
+        f"    {'expected of each':<24}{'':>41}{68:>11}%{95:>5}%{1:>9.2f}   ± {chance[0]:.0f} %, {chance[1]:.0f} %, "
+        f"{1 / np.sqrt(2 * len(e.errors)):.2f} by chance",
         *(_beside(*row) for row in periods),
         f"  the scheme of order 6, in steps of {STEP:g} min, puts no magnitude farther from the closed form's than "
         f"{e.integration:.2g} of its noise",
@@ -190,7 +198,7 @@ def _published(found: Any) -> list[str]:
     names = [named(p.frequency, true, HARMONICS, width) for p in found.search.peaks]
     good = [k for _, k, off in names if abs(off) < width]
     even = sum(k % 2 == 0 for k in good)
-    rows = {row[0]: row for row in (_row(found, k) for k in range(len(found.named)))}
+    rows = {row[0]: row for row in _rows(found)}
     best, mirror = rows[SPACE[0]], rows[SPACE[1]]
     before = f"{2 * (mirror[2] - best[2]):.1f} higher" if np.isfinite(mirror[2] - best[2]) else "not met"
     after = f"{2 * (mirror[4] - best[4]):.1f} higher" if mirror[3] else "no minimum"

@@ -10,12 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from lieint_jax.studies._facets import Facets, facets, magnitude
 from lieint_jax.systems import RigidBody, rigid_body
 from lieint_jax.types import State
 
 _DAY = 1440.0  # minutes
+_PIECE = 256  # times at once in the closed form: pieces of one size need one compiled program
 
 
 class Scene(NamedTuple):
@@ -99,20 +101,34 @@ def exposure_times(plan: dict[str, Any]) -> np.ndarray:
     return np.sort(t[kept]) - t[kept].min()
 
 
-def true_magnitudes(scene: Scene, t: Array) -> Array:
+def true_magnitudes(scene: Scene, t: ArrayLike) -> Array:
     """The magnitudes of the true motion, in closed form, without noise, at times (n,)."""
+    return closed_form(scene, t)[1]
 
-    def one(t: Array) -> Array:
-        return magnitude(scene.facets, scene.body.solution(scene.state, t).q, *directions(scene.sky, t))
+
+def closed_form(scene: Scene, t: ArrayLike) -> tuple[Array, Array]:
+    """Attitudes, (n, 4), and magnitudes without noise, (n,), of the scene's body at times (n,), n > 0."""
+    t = jnp.asarray(t)
+    padded = jnp.append(t, jnp.full(-len(t) % _PIECE, t[-1])).reshape(-1, _PIECE)
+    pieces = [_closed_form(scene.facets, scene.sky, scene.body, scene.state, piece) for piece in padded]
+    q, light = (jnp.concatenate(leaves)[: len(t)] for leaves in zip(*pieces, strict=True))
+    return q, light
+
+
+@jax.jit
+def _closed_form(facets: Facets, sky: dict[str, float], body: RigidBody, state: State, t: Array) -> tuple[Array, Array]:
+    def one(t: Array) -> tuple[Array, Array]:
+        q = body.solution(state, t).q
+        return q, magnitude(facets, q, *directions(sky, t))
 
     return jax.vmap(one)(t)
 
 
 def observe(scene: Scene, sets: int = 1) -> tuple[Lightcurve, np.ndarray]:
     """The light curve, and the magnitudes of the same exposures with noise of their own in several sets, (sets, n)."""
-    t = jnp.asarray(exposure_times(scene.exposures))
-    sun, observer = (np.asarray(v) for v in directions(scene.sky, t))
+    t = exposure_times(scene.exposures)
+    sun, observer = (np.asarray(v) for v in jax.jit(directions)(scene.sky, t))
     key, noise = jax.random.key(scene.exposures["seed"] + 1), scene.exposures["noise_mag"]
-    clean = true_magnitudes(scene, t)
-    seen = np.asarray(clean + noise * jax.random.normal(key, (1 + sets, len(t))))
-    return Lightcurve(np.asarray(t), seen[0], sun, observer, noise), seen[1:]
+    clean = np.asarray(true_magnitudes(scene, t))
+    seen = clean + noise * np.asarray(jax.random.normal(key, (1 + sets, len(t))))
+    return Lightcurve(t, seen[0], sun, observer, noise), seen[1:]

@@ -24,10 +24,10 @@ from lieint_jax.fitting._fit import Fit
 from lieint_jax.studies import _satellite_picture, _satellite_report
 from lieint_jax.studies._equivalents import Change, Solutions, changes, differences, parameters, solutions, sorted_out
 from lieint_jax.studies._facets import Facets, brightness, facets, magnitude
-from lieint_jax.studies._minima import Minima, judged, minima
+from lieint_jax.studies._minima import Minima, minima_of
 from lieint_jax.studies._period_search import Search, search
 from lieint_jax.studies._satellite_fit import Estimate, estimate, fitted, losses, random_guesses, true_solution
-from lieint_jax.studies._satellite_sky import Lightcurve, Scene, observe, scene
+from lieint_jax.studies._satellite_sky import Lightcurve, Scene, closed_form, observe, scene
 from lieint_jax.studies._tumbling import mean_periods
 
 __all__ = ["Facets", "SatelliteFit", "brightness", "draw", "facets", "magnitude", "run", "scene", "text"]
@@ -66,9 +66,9 @@ class SatelliteFit(NamedTuple):
         first: the ends of all starts on the first session.
         candidate: which candidate pair of periods each start had, (starts,).
         night: the ends of the best of them on the whole night.
-        images: the ends on the whole night from the images of the best end of the first session, one for each change
-            that is no symmetry of the facets; `named` says which.
-        named: the indices of these changes.
+        images: the ends on the whole night from the images of the best end of the first session, one for each kind of
+            change; `named` says which.
+        named: which change of the night's best end each image is where it starts, an index of `changes`; −1 for none.
         fit: of the whole night.
         estimate: the best solution beside the truth.
         light_changes: by how much the changes in space alter the light of the truth (mag, rms), (3, 4): under the
@@ -108,66 +108,67 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     found = search(curve.t, curve.magnitude)
     first = curve.until(session)
     clock = [time.perf_counter()]
-    guess, begin, candidate = _chosen(found.candidates, made, first, guesses, starts)
+    guess, begin, candidate = _chosen(found.candidates, made, first, guesses, starts, progress)
     clock.append(time.perf_counter())
     one = fitted(guess, begin, _repeated(first, starts), made.facets, first, progress)
     clock.append(time.perf_counter())
     assert one.starts is not None
     every = changes(made.facets, first.sun, first.observer)
-    named = np.array([k for k, change in enumerate(every) if change.turn == 0])
-    ends = solutions(one.starts.params, begin)
-    best = ends.take(int(np.argmin(one.starts.loss)))
-    images = [every[k](best) for k in named]
-    again = Solutions(*map(np.concatenate, zip(ends.take(np.argsort(one.starts.loss)[:kept]), *images, strict=True)))
-    night, begin = _whole_night(again, made, curve, seen, progress)
+    ends, order = solutions(one.starts.params, begin), np.argsort(one.starts.loss)
+    images = _images(ends.take(order[0]), every)
+    night, begin = _whole_night(_joined(ends.take(order[:kept]), images), made, curve, seen, progress)
     clock.append(time.perf_counter())
     assert night.starts is not None
-    after, several = solutions(night.starts.params, begin), kept + len(named)
+    after, several = solutions(night.starts.params, begin), kept + len(images.q)
     chosen = int(np.argmin(night.starts.loss[:several]))
-    judged_ends = _ends(night, after, after.take(chosen), every)
+    best = after.take(chosen)
+    of_night = _ends(night, after, best, every)
     return SatelliteFit(
-        made.title,
-        len(made.facets.area),
-        float(np.linalg.norm(np.rad2deg(made.body.angular_velocity(made.state))) / 60),
-        curve,
-        session,
-        np.asarray(mean_periods(made.body, made.state)),
-        judged(made.body, made.facets, made.sky, _minima(made, session)),
-        found,
-        guesses,
-        every,
-        _ends(one, ends, after.take(chosen), every),
-        candidate,
-        Ends(*(leaf[:kept] for leaf in judged_ends)),
-        Ends(*(leaf[kept:several] for leaf in judged_ends)),
-        named,
-        night,
-        estimate(made, curve, night, begin, chosen, several, every),
-        _light_changes(made, first, curve),
-        np.diff(clock),
-        len(jax.devices()),
+        title=made.title,
+        facets=len(made.facets.area),
+        rate=float(np.linalg.norm(np.rad2deg(made.body.angular_velocity(made.state))) / 60),
+        curve=curve,
+        session=session,
+        periods=np.asarray(jax.jit(mean_periods)(made.body, made.state)),
+        minima=minima_of(made, session, _MOST_MINIMA),
+        search=found,
+        guesses=guesses,
+        changes=every,
+        first=_ends(one, ends, best, every),
+        candidate=candidate,
+        night=Ends(*(leaf[:kept] for leaf in of_night)),
+        images=Ends(*(leaf[kept:several] for leaf in of_night)),
+        named=sorted_out(images, best, every),
+        fit=night,
+        estimate=estimate(made, curve, night, begin, chosen, several, every),
+        light_changes=_light_changes(made, first, curve),
+        seconds=np.diff(clock),
+        devices=len(jax.devices()),
     )
+
+
+def _images(best: Solutions, every: list[Change]) -> Solutions:
+    """A solution's image of each kind, the solution itself among them."""
+    return _joined(*(change(best) for change in every if change.turn == 0))
+
+
+def _joined(*parts: Solutions) -> Solutions:
+    return Solutions(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _light_changes(made: Scene, first: Lightcurve, night: Lightcurve) -> np.ndarray:
     middle = len(first.t) // 2
     held = first._replace(sun=first.sun[[middle] * len(first.t)], observer=first.observer[[middle] * len(first.t)])
-    q = np.asarray(jax.vmap(lambda t: made.body.solution(made.state, t).q)(night.t))
+    q = np.asarray(closed_form(made, night.t)[0])
     return np.stack([differences(made.facets, q[: len(c.t)], c.sun, c.observer) for c in (held, first, night)])
 
 
-def _minima(made: Scene, until: float) -> Any:
-    return jax.jit(lambda body, state: minima(body, state, made.facets, made.sky, until, _MOST_MINIMA))(
-        made.body, made.state
-    )
-
-
 def _chosen(
-    candidates: np.ndarray, made: Scene, curve: Lightcurve, guesses: int, starts: int
+    candidates: np.ndarray, made: Scene, curve: Lightcurve, guesses: int, starts: int, progress: bool
 ) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
     """The best of random guesses, their attitudes, and the candidate of each."""
     guess, begin, candidate = random_guesses(candidates, guesses, jax.random.key(made.exposures["seed"]))
-    order = np.argsort(np.asarray(losses(guess, begin, made.facets, curve)))[:starts]
+    order = np.argsort(losses(guess, begin, made.facets, curve, progress))[:starts]
     return jax.tree.map(lambda leaf: leaf[order], guess), begin[order], candidate[order]
 
 
@@ -180,7 +181,7 @@ def _whole_night(
 ) -> tuple[Fit, np.ndarray]:
     """Fits of the light curve from several solutions, and of other noise from the truth: one compiled program."""
     truth = jax.tree.map(lambda leaf: np.repeat(leaf, len(seen), axis=0), true_solution(made))
-    guess, begin = parameters(Solutions(*map(np.concatenate, zip(several, truth, strict=True))))
+    guess, begin = parameters(_joined(several, truth))
     data = np.concatenate([_repeated(curve, len(several.q)), seen])
     return fitted(guess, begin, data, made.facets, curve, progress), begin
 

@@ -117,16 +117,22 @@ def shadow(step: Step, state: State, dt: float, num_steps: int, every: int = 20,
 
 def run(quick: bool = False, progress: bool = True) -> LyapunovSpectrum:
     """Measure the asymmetric top of `systems.heavy_top` with the splitting; `quick` takes a fifth of the time."""
-    del progress
+    from tqdm import tqdm  # where it is used: the package imports in a moment
+
     top, state = asymmetric()
     dt, steps = 0.05, 4000 if quick else 20_000
     step = schemes.splitting(top)
-    t, values = jax.jit(exponents, static_argnums=(2, 3, 4))(step, state, dt, steps, steps // 200)
     fine, short = 0.005, 20.0
     precise = schemes.compose(step, 6)
-    close = jax.jit(exponents, static_argnums=(2, 3, 4))(precise, state, 10 * fine, round(short / fine / 10), 1)[1][-1]
-    independent = jax.jit(reference, static_argnums=(2, 3))(top, state, short, 100)
-    near = jax.jit(shadow, static_argnums=(2, 3))(step, state, dt, steps)
+    of_step = jax.jit(exponents, static_argnums=(2, 3, 4))
+    parts = (
+        lambda: of_step(step, state, dt, steps, steps // 200),
+        lambda: of_step(precise, state, 10 * fine, round(short / fine / 10), 1)[1][-1],
+        lambda: jax.jit(reference, static_argnums=(2, 3))(top, state, short, 100),
+        lambda: jax.jit(shadow, static_argnums=(2, 3))(step, state, dt, steps),
+    )
+    bar = tqdm(parts, unit="part", disable=None if progress else True, leave=False)
+    (t, values), close, independent, near = (jax.block_until_ready(part()) for part in bar)
     last = np.sort(np.asarray(values[-1]))[::-1]
     growth = (values[:, 0] * t)[len(t) // 2 - 1 :: len(t) // (2 * _BLOCKS)]
     rates = np.asarray(jnp.diff(growth) / jnp.diff(t[len(t) // 2 - 1 :: len(t) // (2 * _BLOCKS)]))
