@@ -119,6 +119,7 @@ def test_a_span_of_states_too_far_apart():
         scene.of(uniform(2.8 * np.arange(6.0)), 0, 9, (3.0, 4.0))
 
 
+@pytest.mark.long
 def test_a_path_is_drawn_between_saved_states_and_ends_are_marked():
     """Chords of a spin of 1 rad a saved state would leave the curve by 12 %; farther apart it is dots."""
     tilted = np.array([np.cos(0.4), np.sin(0.4), 0, 0])
