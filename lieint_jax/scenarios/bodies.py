@@ -204,9 +204,7 @@ class Scenario(Common):
             raise ValueError(f"gravity is given {len(gravities)} times, by {' and '.join(gravities)}: give it once")
         for term in self.potential:
             if term.kind != "uniform_field" and len(self.bodies) < 2:
-                raise ValueError(
-                    f"the potential {term.kind!r} acts between bodies: give two tables [[bodies]] at least"
-                )
+                raise ValueError(f"the potential {term.kind!r} acts between bodies: give two [[bodies]] at least")
             for name in term.between or []:
                 if name not in self.names():
                     raise ValueError(f"between has {name!r}, which is no body; there are {', '.join(self.names())}")
