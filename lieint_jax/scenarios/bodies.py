@@ -429,8 +429,11 @@ def draw_motion(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     plots.paths(axes[0, 0], shown).set(xlabel="x (m)", ylabel="y (m)", title="nominal member, about the barycentre")
     axes[0, 0].legend()
     if len(names) > 1:
-        curves = dict(zip(names[1:], distances[:, : len(names) - 1].T[:_SHOWN], strict=False))
+        curves = dict(zip(names[1:_SHOWN], distances[:, : len(names) - 1].T, strict=False))
         plots.series(axes[0, 1], t, curves, f"distance from {names[0]} (m)", unit)
+        for curve, look in zip(axes[0, 1].lines, plots.STYLES[1:], strict=False):  # as each body's path has it
+            curve.set(**look)
+        axes[0, 1].legend()
     else:
         plots.series(axes[0, 1], t, dict(zip("xyz", run.state.q[:, 0, 0, :3].T, strict=True)), "position (m)", unit)
     axes[0, 1].set_title("nominal member")
