@@ -199,7 +199,7 @@ def test_two_bodies_are_those_of_the_kind_binary():
 @pytest.mark.long
 @pytest.mark.parametrize("scheme", list(_several.ORDERS))
 def test_every_scheme_can_be_chosen(scheme):
-    """A pair of points on an eccentric orbit, a fifth of it: all by their default orders against nystrom."""
+    """A third of an eccentric orbit of two points, by the orders that are the default, against nystrom of order 6."""
     pair = [body("A", -1.0, velocity_m_s=[0.0, -0.6, 0.0]), body("B", 1.0, velocity_m_s=[0.0, 0.6, 0.0])]
     terms = [dict(kind="point_masses", G=1.0)]
     keys = dict(bodies=pair, potential=terms, steps=40, dt=0.05)
@@ -207,7 +207,8 @@ def test_every_scheme_can_be_chosen(scheme):
     step, path = run(scenarios.parse(book(**keys, scheme=scheme), "mine.toml"))
     assert scheme.split("_")[0] in step.name
     assert path.info.converged.all()
-    assert abs(path.state.q[-1] - fine.state.q[-1]).max() < 2e-3
+    error = 1e-3 if _several.ORDERS[scheme][0] == 2 else 1e-13  # observed 4e-4 and 2e-4, 1e-14
+    assert abs(path.state.q[-1] - fine.state.q[-1]).max() < error
 
 
 def test_members_spread_as_the_file_says_and_the_first_is_the_nominal_one():
