@@ -112,6 +112,16 @@ def _places(ax: Axes, t: np.ndarray, shift: float) -> list[int]:
     return np.unique(abs(x - wanted[:, None]).argmin(axis=1)).tolist()
 
 
+def paths(ax: Axes, curves: Mapping[str, np.ndarray], plane: tuple[int, int] = (0, 1)) -> Axes:
+    """At most eight paths of points (n, 3) by label, on the plane of two of their axes; a mark at the end of each."""
+    _few(curves)
+    i, j = plane
+    for (label, x), look in zip(curves.items(), STYLES, strict=False):
+        ax.plot(x[:, i], x[:, j], label=label, **look, markevery=[len(x) - 1])
+    ax.set(xlabel="xyz"[i], ylabel="xyz"[j], aspect="equal")
+    return ax
+
+
 def log_error(
     ax: Axes,
     t: np.ndarray,

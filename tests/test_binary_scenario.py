@@ -15,7 +15,7 @@ from two_bodies import reference
 from lieint_jax import scenarios
 from lieint_jax.command import cli, files
 from lieint_jax.ensemble import _job
-from lieint_jax.scenarios import _binary_motion, binary
+from lieint_jax.scenarios import _binary_motion, _several, binary
 from lieint_jax.scenarios._spectrum import line, spectrum
 
 
@@ -102,7 +102,7 @@ def test_an_order_that_a_scheme_does_not_have():
 )
 def test_every_scheme_can_be_chosen(scheme, error):
     """By key, each at its lowest order: errors of position after an orbit, over the distance; the last was .034."""
-    scenario = scenarios.load("kw4", scheme=scheme, order=min(2 if x == 2 else 4 for x in binary._ORDERS[scheme]))
+    scenario = scenarios.load("kw4", scheme=scheme, order=min(2 if x == 2 else 4 for x in _several.ORDERS[scheme]))
     scenario = scenario.model_copy(update=dict(steps=100, save_every=100, dt=670.0, members=2))
     step, path = run(scenario)
     assert scheme in step.name

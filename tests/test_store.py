@@ -454,7 +454,7 @@ def test_the_command_line_writes_resumes_and_shows(tmp_path, monkeypatch, capsys
     assert "complete: 21 of 21 entries" in out
     assert "so3_midpoint[symplectic]" in out
     for bad, message in (
-        (["info", "no.zarr"], "no.zarr is not there"),
+        (["info", "no.zarr"], "there is no file no.zarr; lieint run NAME --out no.zarr writes one"),
         (["run", "book.toml", "--out", "x.npz", "--resume"], "only a run written as .zarr can be resumed"),
         (["run", "book.toml", "--processes", "2"], "go with --distributed"),
         (["run", "book.toml", "--devices", "99"], "99 devices were asked for"),

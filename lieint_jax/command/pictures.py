@@ -126,10 +126,9 @@ def _draw_direction(path: np.ndarray, name: str, joined: bool = True) -> Figure:
 def _draw_centres(x: np.ndarray) -> Figure:
     """The paths (times, bodies, 3) of the centres of the first bodies, in two projections."""
     fig, axes = plots.figure(2)
-    for ax, (i, j) in zip(axes[0], ((0, 1), (0, 2)), strict=True):
-        for k, look in zip(range(x.shape[1]), plots.STYLES, strict=False):
-            ax.plot(x[:, k, i], x[:, k, j], label=f"body {k + 1}", **look, markevery=[len(x) - 1])
-        ax.set(xlabel="xyz"[i], ylabel="xyz"[j], aspect="equal")
+    curves = {f"body {k + 1}": x[:, k] for k in range(min(x.shape[1], len(plots.STYLES)))}
+    for ax, plane in zip(axes[0], ((0, 1), (0, 2)), strict=True):
+        plots.paths(ax, curves, plane)
     axes[0, 0].legend()
     more = f", the first {len(plots.STYLES)} of {x.shape[1]} bodies" if x.shape[1] > len(plots.STYLES) else ""
     axes[0, 0].set_title(f"centres of the first member{more}; a mark at the end")

@@ -23,8 +23,9 @@ def linearization(step: Step, state: State, dt: ArrayLike) -> Array:
 
 
 # Dimensions above which the columns of a derivative are taken one by one: XLA fuses a batch of them so that each
-# element is computed again for each of its uses. With 64 molecules a certificate took many minutes, now seconds.
-_LARGE = 64
+# element is computed again for each of its uses. With 64 molecules, and with three bodies by `nystrom`, a certificate
+# took many minutes.
+_LARGE = 24
 
 
 def pushed(space: PhaseSpace, function: Callable[[State], tuple[State, Any]], state: State) -> tuple[State, Any, Array]:

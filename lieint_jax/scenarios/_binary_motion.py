@@ -89,16 +89,16 @@ def relative(system: RigidBodies, state: State) -> tuple[Array, Array]:
 def motion(system: RigidBodies, run: Trajectory) -> Motion:
     """The angles and distances of a run."""
     angles, rates = over_members(_instant, system, run)
-    t = (np.asarray(run.t) - run.t[0])[:, None]
-
-    def followed(angle: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """The angle continued in time; it moves by less than half a turn off its first rate between two saves."""
-        return rate[0] * t + np.unwrap(angle - rate[0] * t, axis=0)
-
-    continued = {name: followed(getattr(angles, name), rate) for name, rate in rates.items()}
+    continued = {name: followed(run.t, getattr(angles, name), rate) for name, rate in rates.items()}
     continued["libration"] = np.unwrap(angles.libration, axis=0)
     continued["node"] = np.unwrap(angles.node, axis=0)
     return angles._replace(**continued)
+
+
+def followed(t: np.ndarray | Array, angle: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """An angle (times, …) continued in time; it moves by less than half a turn off its first rate between two saves."""
+    since = (np.asarray(t) - t[0]).reshape(-1, *[1] * (angle.ndim - 1))
+    return rate[0] * since + np.unwrap(angle - rate[0] * since, axis=0)
 
 
 def _instant(system: RigidBodies, state: State) -> tuple[Motion, dict[str, Array]]:
@@ -111,24 +111,24 @@ def _instant(system: RigidBodies, state: State) -> tuple[Motion, dict[str, Array
     x, z = (jax.vmap(so3.Ad, (0, None))(attitudes, axis) for axis in (jnp.eye(3)[0], jnp.eye(3)[2]))
     spins = jnp.sum(jax.vmap(so3.Ad)(attitudes, Omega) * up, axis=1)
     Gamma = so3.Ad_star(attitudes[1], d)
-    longitude = partial(_longitude, up)
+    about_up = partial(longitude, up)
     angles = Motion(
         distance=jnp.sqrt(three.dot(d, d)),  # pyright: ignore[reportArgumentType]
-        longitude=longitude(d),
-        spin_1=longitude(x[0]),
-        spin_2=longitude(x[1]),
+        longitude=about_up(d),
+        spin_1=about_up(x[0]),
+        spin_2=about_up(x[1]),
         libration=-jnp.arctan2(Gamma[1], Gamma[0]),  # pyright: ignore[reportArgumentType]
         out_of_plane=jnp.arcsin(Gamma[2] / jnp.sqrt(three.dot(d, d))),  # pyright: ignore[reportArgumentType]
         obliquity_1=_between(z[0], normal),
         obliquity_2=_between(z[1], normal),
         inclination=_between(up, normal),
-        node=longitude(normal),
+        node=about_up(normal),
     )
     orbital = three.dot(normal, up) / three.dot(d, d)
     return angles, {"longitude": orbital, "spin_1": spins[0], "spin_2": spins[1]}
 
 
-def _longitude(up: Array, a: Array) -> Any:
+def longitude(up: Array, a: Array) -> Any:
     """The angle of `a` about the unit vector `up`."""
     e1, e2 = frame(up)
     return jnp.arctan2(three.dot(e2, a), three.dot(e1, a))
@@ -176,7 +176,7 @@ def period(step: Step, state: State, dt: float, num_steps: int, save_every: int,
         run = integrate(step, faster(system, state, change), dt, num_steps, save_every)
         L = system.momentum(state)[3:]
         up = L / jnp.sqrt(three.dot(L, L))
-        angles = jax.vmap(lambda z: _longitude(up, relative(system, z)[0]))(run.state)
+        angles = jax.vmap(lambda z: longitude(up, relative(system, z)[0]))(run.state)
         return 2 * jnp.pi / rate(run.t, jnp.unwrap(angles))
 
     return jax.jvp(after, (change,), (jnp.ones_like(change),))

@@ -8,30 +8,34 @@ member has masses and moments of its own: the leaves of the step that `build` ma
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from matplotlib.figure import Figure
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
-from lieint_jax import _checks, plots, potentials, schemes, systems
+from lieint_jax import plots, potentials, systems
 from lieint_jax.groups import so3
 from lieint_jax.scenarios import _binary_motion
 from lieint_jax.scenarios._binary_motion import Motion, energies, motion, nominal_of, over_members, rate
-from lieint_jax.scenarios._common import (
-    Common,
-    NonNegative,
-    Published,
-    Rate,
-    RateSpread,
-    Table,
-    Triple,
-    deviation,
-    follow,
-    nominal,
+from lieint_jax.scenarios._common import Common, NonNegative, Published, Table, deviation, follow, nominal
+from lieint_jax.scenarios._several import (
+    ORDERS,
+    Above,
+    ExtendedBody,
+    Row,
+    angular_velocity,
+    assumed,
+    attitude,
+    check_order,
+    cited,
+    conserved,
+    mass_and_moments,
+    row_lines,
+    step_of,
 )
 from lieint_jax.scenarios._spectrum import line, spectrum
 from lieint_jax.systems import RigidBodies
@@ -44,64 +48,12 @@ _BRIEF, _FINE = 4, 4  # orbits of the picture of energies, and its steps in one 
 _UPRIGHT = 30  # degrees of obliquity, above which a secondary counts as tumbling
 _LONG = 8  # length of the spectrum's run, over that of the scenario
 
-Above = Annotated[float, Field(gt=0)]
 
-
-class BodySpread(RateSpread):
-    """Standard deviations of the members' bodies about the nominal one."""
-
-    attitude_deg: NonNegative = 0.0
-    """Of a turn about each axis of space, in degrees."""
-    mass_percent: NonNegative = 0.0
-    """Of the mass, of unchanged size and shape."""
-    axes_percent: NonNegative = 0.0
-    """Of each semi-axis of the homogeneous ellipsoid with the body's moments, of unchanged mass."""
-
-
-class Body(Rate):
+class Body(ExtendedBody):
     """One body: mass and moments, or those of a homogeneous ellipsoid; attitude and angular velocity in its axes."""
 
-    mass_kg: Above | None = None
-    """In kg."""
-    moments_kg_m2: Triple | None = None
-    """Principal moments about the centre of mass, in kg m²."""
-    semi_axes_m: Triple | None = None
-    """Semi-axes of an ellipsoid along the principal axes, in m."""
-    density_kg_m3: Above | None = None
-    """Of the ellipsoid, in kg/m³."""
-    euler_313_deg: Triple = [0.0, 0.0, 0.0]
-    """Attitude R_z(α) R_x(β) R_z(γ), body to space, in degrees."""
     relative_to: Literal["space", "orbit"] = "space"
     """What the angular velocity is relative to: the orbit's axes turn by speed/separation about their z axis."""
-    spread: BodySpread = BodySpread()
-
-    @model_validator(mode="after")
-    def _a_body(self) -> Self:
-        given = [x is not None for x in (self.mass_kg, self.moments_kg_m2, self.semi_axes_m, self.density_kg_m3)]
-        if given not in ([True, True, False, False], [False, False, True, True]):
-            raise ValueError("give mass_kg and moments_kg_m2, or semi_axes_m and density_kg_m3")
-        if min(self.semi_axes_m or [1.0]) <= 0:
-            raise ValueError("semi_axes_m must be positive")
-        if self.moments_kg_m2 is not None:
-            _checks.inertia(self.moments_kg_m2)
-        if self.rate() is None:
-            raise ValueError("give exactly one of angular_velocity_rad and angular_velocity_deg")
-        return self
-
-    def mass(self) -> float:
-        """In kg."""
-        if self.mass_kg is not None:
-            return self.mass_kg
-        assert self.semi_axes_m is not None
-        assert self.density_kg_m3 is not None
-        return self.density_kg_m3 * 4 / 3 * np.pi * float(np.prod(self.semi_axes_m))
-
-    def squares(self) -> np.ndarray:
-        """The squared semi-axes, over 5, of the homogeneous ellipsoid with the body's moments per mass."""
-        if self.semi_axes_m is not None:
-            return np.square(self.semi_axes_m) / 5
-        J = np.asarray(self.moments_kg_m2) / self.mass()
-        return J.sum() / 2 - J
 
 
 class Orbit(Table):
@@ -122,6 +74,7 @@ class Spread(Table):
     """Each component of the relative velocity, in mm/s."""
 
 
+Scheme = Literal["kepler_splitting", "nystrom", "splitting", "bodies_energy_momentum"]
 Name = Literal[
     "orbital_period_h",
     "orbital_period_before_h",
@@ -139,7 +92,7 @@ class Scenario(Common):
     """Seconds; other units are in the names of the keys."""
     G: Above = 6.67430e-11
     """The constant of gravity, in m³ kg⁻¹ s⁻²."""
-    scheme: Literal["kepler_splitting", "nystrom", "splitting", "bodies_energy_momentum"] = "kepler_splitting"
+    scheme: Scheme = "kepler_splitting"
     order: int | list[int] | None = None
     """Of kepler_splitting 2, [8, 4] or [8, 6, 4]; of nystrom 4 or 6; of the others 2, 4, 6 or 8."""
     primary: Body
@@ -151,30 +104,12 @@ class Scenario(Common):
 
     @model_validator(mode="after")
     def _order_of_the_scheme(self) -> Self:
-        allowed = _ORDERS[self.scheme]
-        if self.order is not None and self.order not in allowed:
-            raise ValueError(f"order of {self.scheme} is {' or '.join(map(str, allowed))}, got {self.order}")
+        check_order(self.scheme, self.order)
         return self
 
     def assumption(self) -> str:
-        found = {"relative velocity": (self.spread.velocity_mm_s, "mm/s")}
-        for name, body in (("primary", self.primary), ("secondary", self.secondary)):
-            found |= {
-                f"{name}'s attitude": (body.spread.attitude_deg, "°"),
-                f"{name}'s angular velocity": (np.rad2deg(body.spread.rate()), "°/s"),
-                f"{name}'s mass": (body.spread.mass_percent, "%"),
-                f"{name}'s semi-axes": (body.spread.axes_percent, "%"),
-            }
-        given = [f"{name} {size:.2g} {unit}" for name, (size, unit) in found.items() if size]
-        return f"spread about the nominal state, an assumption (1 sigma, each component): {', '.join(given) or 'none'}"
-
-
-_ORDERS: dict[str, list[Any]] = {
-    "kepler_splitting": [[8, 6, 4], [8, 4], 2],
-    "nystrom": [6, 4],
-    "splitting": [2, 4, 6, 8],
-    "bodies_energy_momentum": [2, 4, 6, 8],
-}
+        own = {"relative velocity": (self.spread.velocity_mm_s, "mm/s")}
+        return assumed(own | self.primary.spreads("primary") | self.secondary.spreads("secondary"))
 
 
 def build(scenario: Scenario) -> tuple[Step, State]:
@@ -190,10 +125,10 @@ def _member(scenario: Scenario, k: Array) -> tuple[Step, State]:
     noise = jax.random.normal(jax.random.fold_in(jax.random.key(scenario.seed), k), (1 + 2 * 4, 3))
     noise = jnp.where(k == 0, 0.0, noise)
     pair, given = (scenario.primary, scenario.secondary), (noise[1:5], noise[5:])
-    made = [_mass_and_moments(body, *x[:2]) for body, x in zip(pair, given, strict=True)]
+    made = [mass_and_moments(body, *x[:2]) for body, x in zip(pair, given, strict=True)]
     m, J = (jnp.stack(x) for x in zip(*made, strict=True))
     bodies = systems.rigid_bodies(m, J, potentials.maccullagh(scenario.G, m, J))
-    attitudes = [_attitude(body, x[2]) for body, x in zip(pair, given, strict=True)]
+    attitudes = [attitude(body, x[2]) for body, x in zip(pair, given, strict=True)]
     d = jnp.array([scenario.orbit.separation_m, 0.0, 0.0])
     speed = _speed(scenario.orbit, bodies, d, attitudes)
     across = speed + scenario.orbit.speed_change_mm_s / 1000
@@ -212,33 +147,14 @@ def _member(scenario: Scenario, k: Array) -> tuple[Step, State]:
 
 def _steps(scenario: Scenario, bodies: RigidBodies) -> dict[str, Step]:
     """Every scheme; the scenario's at its order, the others at their highest or, where it is of composition, at 2."""
-    orders = {name: allowed[0] for name, allowed in _ORDERS.items()}
+    orders = {name: ORDERS[name][0] for name in get_args(Scheme)}
     orders[scenario.scheme] = scenario.order or orders[scenario.scheme]
-    made = {
-        "kepler_splitting": schemes.kepler_splitting(bodies, orders["kepler_splitting"]),
-        "nystrom": schemes.nystrom(bodies, orders["nystrom"]),
-    }
-    for name in ("splitting", "bodies_energy_momentum"):
-        step = getattr(schemes, name)(bodies)
-        made[name] = step if orders[name] == 2 else schemes.compose(step, orders[name])
-    return made
-
-
-def _mass_and_moments(body: Body, heavier: Array, longer: Array) -> tuple[Array, Array]:
-    """The mass and the principal moments of a member's body, by its deviations."""
-    mass = body.mass() * (1 + body.spread.mass_percent / 100 * heavier[0])
-    squares = body.squares() * (1 + body.spread.axes_percent / 100 * longer) ** 2
-    return mass, mass * (jnp.sum(squares) - squares)
-
-
-def _attitude(body: Body, turned: Array) -> Array:
-    q = so3.from_euler_313(jnp.deg2rad(jnp.asarray(body.euler_313_deg)))
-    return so3.multiply(so3.exp(jnp.deg2rad(body.spread.attitude_deg) * turned), q)
+    return {name: step_of(bodies, name, order) for name, order in orders.items()}
 
 
 def _rate(body: Body, q: Array, turning: Array, jolt: Array) -> Array:
     """The angular velocity of a member's body in its axes; `turning` is that of the orbit's axes in space."""
-    Omega = jnp.asarray(body.rate()) + body.spread.rate() * jolt
+    Omega = angular_velocity(body, jolt)
     return Omega + so3.Ad_star(q, turning) if body.relative_to == "orbit" else Omega
 
 
@@ -251,21 +167,10 @@ def _speed(orbit: Orbit, bodies: RigidBodies, d: Array, attitudes: list[Array]) 
     return jnp.sqrt(-pull * (m[0] + m[1]) / (m[0] * m[1]) * d[0])
 
 
-class Row(NamedTuple):
-    """A quantity: of the nominal member, its standard deviation over the members, its published value."""
-
-    name: str
-    nominal: float
-    spread: float
-    published: Published | None = None
-
-
 def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
     """Periods beside published ones, librations, energies, what is conserved, and what a change of period says."""
     found = motion(step.system, run)
-    lines = [f"\n  {'':<54}{'nominal':>11}{'± ensemble':>12}   published"]
-    for row in quantities(scenario, run, found):
-        lines.append(f"  {row.name:<54}{_digits(row.nominal):>11}{_digits(row.spread):>12}   {_cited(scenario, row)}")
+    lines = row_lines(scenario, quantities(scenario, run, found))
     days, stay = abs(run.t[-1] - run.t[0]) / _DAY, facing(found)
     lines.append(f"  periods and rates: mean rates of longitudes about L over {days:.4g} d, by least squares")
     lines.append(
@@ -275,21 +180,10 @@ def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
     lines.append(
         f"  {int(upright.sum())} of {len(stay)} members: its z axis stays within {_UPRIGHT}° of the orbit's normal"
     )
-    lines += [*_exchange(step.system, run), *_conserved(step.system, run)]
+    lines += [*_exchange(step.system, run), *conserved(changes(step.system, run))]
     if {"orbital_period_h", "orbital_period_before_h"} <= set(scenario.published):
         lines += _impact(scenario, step, run)
     return "\n".join(line.rstrip() for line in lines)
-
-
-def _digits(x: float) -> str:
-    return f"{x:.4f}" if np.isfinite(x) else "—"
-
-
-def _cited(scenario: Scenario, row: Row) -> str:
-    if row.published is None:
-        return ""
-    error = f" ± {row.published.error:g}" if row.published.error is not None else ""
-    return f"{row.published.value:g}{error}  ({scenario.source(row.published.source)})"
 
 
 def quantities(scenario: Scenario, run: Trajectory, found: Motion) -> list[Row]:
@@ -384,12 +278,6 @@ def _exchange(system: RigidBodies, run: Trajectory) -> list[str]:
     return lines
 
 
-def _conserved(system: RigidBodies, run: Trajectory) -> list[str]:
-    """The largest changes of H, P and L."""
-    lines = ["\n  largest change, all members and saved times"]
-    return lines + [f"  {name:<54}{float(x.max()):>11.1e}" for name, x in changes(system, run).items()]
-
-
 def changes(system: RigidBodies, run: Trajectory) -> dict[str, np.ndarray]:
     """Relative changes of what is conserved, (times, members)."""
     parts, Phi = over_members(lambda s, z: (energies(s, z), s.momentum(z)), system, run)
@@ -460,7 +348,7 @@ def _impact(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
     ]
     seen = published.get("speed_change_mm_s")
     if seen is not None:
-        lines.append(f"  {'published change of speed (mm/s)':<54}     {_cited(scenario, Row('', 0, 0, seen))}")
+        lines.append(f"  {'published change of speed (mm/s)':<54}     {cited(scenario, seen)}")
     return lines
 
 
