@@ -288,7 +288,7 @@ def _many(size: int, batched: Any, *arguments: Any) -> Any:
 
 
 def examples(system: Any) -> dict[str, Step]:
-    """Order 8, for the systems that it takes."""
-    if not (isinstance(system, _KINDS) and known(system.phase_space)):
+    """Order 8, for the systems that it takes but elastic bodies: sweeps do not reach round-off on stiff ones."""
+    if not (isinstance(system, _KINDS) and known(system.phase_space)) or isinstance(system, ElasticBody):
         return {}
     return {"gauss[4]": gauss(system, 4)}
