@@ -61,6 +61,20 @@ def test_the_first_failure_is_found():
     np.testing.assert_array_equal(run.unconverged[1:4], failing[:3])  # later, what has failed is chaos
 
 
+def test_members_that_start_apart_keep_their_times(monkeypatch):
+    """256 members are two parts of a block; each part has the times of its own members."""
+    body = li.systems.gravity_gradient([1.0, 2.0, 2.9], li.orbits.kepler(1.0, 1.0, 0.3))
+    step, at = li.schemes.splitting(body), jnp.linspace(0.0, 3.0, 256)
+    states = jax.vmap(lambda t: body.state(angular_velocity=[0.1, 0.2, 0.3], t=t))(at)
+    whole = li.ensemble.run(step, states, 0.05, 4, progress=False)
+    monkeypatch.setenv(kernel.SWITCH, "0")
+    plain = li.ensemble.run(step, states, 0.05, 4, progress=False)
+    np.testing.assert_array_equal(whole.state.t[-1], at + 4 * 0.05)
+    assert len(set(np.asarray(whole.state.q[-1, :, 0]).tolist())) == 256
+    for one, other in zip(jax.tree.leaves(whole.state), jax.tree.leaves(plain.state), strict=True):
+        np.testing.assert_allclose(one, other, atol=2e-15)  # observed: 2e-16
+
+
 @li.pytree
 class Products:
     """Ṽ(Γ) = ½ Γ·AΓ, by a matrix product, which is a call of a library."""

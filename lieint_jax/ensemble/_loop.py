@@ -60,7 +60,7 @@ class Origin(NamedTuple):
     Attributes:
         t0: the time of the initial states: a scalar if the members share it, else one for each; None if they have none,
             or the step has its own, which then is part of the state.
-        clock: when the steps are, on the clock of t0.
+        clock: when the steps are; if they are of one size, its own t0 says nothing.
         quantity: the reduced quantity of the initial states; None if nothing is reduced.
     """
 
@@ -70,7 +70,10 @@ class Origin(NamedTuple):
 
     def at(self, n: ArrayLike, states: State) -> State:
         """The states with their time, that of node n, if they have one."""
-        return states if self.t0 is None else states._replace(t=self.clock.time(n))
+        if self.t0 is None:
+            return states
+        clock = self.clock._replace(t0=self.t0) if isinstance(self.clock, Uniform) else self.clock
+        return states._replace(t=clock.time(n))
 
 
 class Portion(NamedTuple):
@@ -112,8 +115,6 @@ def start(step_axis: int | None, reduction: Reduction | None) -> Callable[..., t
         quantity = None if reduction is None else _over_members(reduction, step_axis, step, _timed(states, t0))
         change = None if quantity is None else Range.fresh(quantity)
         failed = jnp.full(members, -1, step_dtype())
-        if isinstance(clock, Uniform) and t0 is not None:
-            clock = clock._replace(t0=t0)
         return Carry(states, info, failed, change), Origin(t0, clock, quantity)
 
     return jax.jit(begin, compiler_options=compiler_options())
