@@ -1,4 +1,4 @@
-"""The command `check`: certificates of every example of every system, by every scheme that takes it."""
+"""The command `check`: certificates of the examples of systems, by every scheme that takes them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 import jax
 
@@ -16,6 +17,7 @@ from lieint_jax import _discover, schemes, systems
 from lieint_jax.command import by_group
 from lieint_jax.command.compilation import keep_programs
 from lieint_jax.diagnostics import certify
+from lieint_jax.ensemble._layout import cores
 
 # Each program runs once, so what counts is how soon it is compiled: XLA's older emitters take a third of the time
 _QUICK: dict[str, str | bool] = {
@@ -26,17 +28,36 @@ _QUICK: dict[str, str | bool] = {
 
 
 class _Task(NamedTuple):
-    """One scheme for the examples of a module of systems: they share the compiled programs."""
+    """The examples of a module of systems by the steps of a module of schemes: they share the compiled programs.
+
+    Attributes:
+        system, scheme: names of the modules.
+        example: the only example; all if empty.
+        wanted: what the names of the steps must contain.
+        brief: of the examples, only the first that the scheme takes.
+        num_steps: length of a run.
+    """
 
     system: str
-    examples: tuple[str, ...]
     scheme: str
-    step: str
+    example: str
+    wanted: str
+    brief: bool
     num_steps: int
 
 
-def check(system: str, scheme: str, num_steps: int | None) -> None:
-    """Print the certificates of every example of every system with every scheme that takes it, or those of a group."""
+class _Found(NamedTuple):
+    """The names of all the steps that take the examples of a task, and the certificates of those wanted, as text."""
+
+    steps: list[str]
+    text: str
+
+
+def check(system: str, scheme: str, num_steps: int | None, every: bool = False) -> None:
+    """Print the certificates of the examples of a system with every scheme that takes them, or those of a group.
+
+    Without a name, of each system the first example that the scheme takes, or with `every` all.
+    """
     if system == "groups":
         for line in by_group.table():
             print(line, flush=True)
@@ -45,69 +66,78 @@ def check(system: str, scheme: str, num_steps: int | None) -> None:
     if group is not None:
         print(by_group.certificates(group, scheme, num_steps))
         return
-    tasks = _tasks(system, scheme, num_steps or 1000)
-    if not tasks:
-        raise ValueError(_nothing(system, scheme))
-    for text in _measured(tasks):
-        print(text, flush=True)
+    named, example = _place(system)
+    brief = not (system or every)
+    tasks = [_Task(x, y, example, scheme, brief, num_steps or 1000) for x in named for y in _discover.modules(schemes)]
+    steps, printed = [], False
+    for found in _measured(tasks):
+        steps += found.steps
+        if found.text:
+            print(found.text, flush=True)
+            printed = True
+    if not printed:
+        whole, names = f"lieint check {system}".strip(), ", ".join(dict.fromkeys(steps))
+        raise ValueError(f"no scheme with {scheme!r} in its name takes this system; {whole} checks all: {names}")
+    if brief:
+        print("One example of each system. All of a system: lieint check SYSTEM. All of all: lieint check --all")
 
 
-def _nothing(system: str, scheme: str) -> str:
-    """The message where there is nothing to check."""
-    steps = dict.fromkeys(task.step for task in _tasks(system, "", 1))
-    if steps:
-        whole = f"lieint check {system}".strip()
-        return f"no scheme with {scheme!r} in its name takes this system; {whole} checks all: {', '.join(steps)}"
-    known = [f"{name} ({', '.join(module.examples())})" for name, module in _discover.modules(systems).items()]
-    names = [x for name, module in _discover.modules(systems).items() for x in (name, *module.examples())]
+def _place(system: str) -> tuple[list[str], str]:
+    """The modules that hold a system, and the example if it is one; ValueError, which says what there is."""
+    modules = _discover.modules(systems)
+    if not system:
+        return list(modules), ""
+    name, _, example = system.partition(".")
+    if name in modules and example in ("", *_examples(name)):
+        return [name], example
+    holders = [x for x in modules if system in _examples(x)]
+    if holders:
+        return holders, system
+    known = [f"{x} ({', '.join(_examples(x))})" for x in modules]
+    names = [y for x in modules for y in (x, *_examples(x))]
     near = difflib.get_close_matches(system, [*names, *by_group.catalogue()], 1, 0.5)
     meant = f", did you mean {near[0]}?" if near else ";"
-    return (
+    raise ValueError(
         f"no system {system!r}{meant} there are {'; '.join(known)}; and the groups {', '.join(by_group.catalogue())}. "
         "Type, for example, lieint check rigid_body"
     )
 
 
-def _tasks(system: str, scheme: str, num_steps: int) -> list[_Task]:
-    tasks: dict[tuple[str, str, str], list[str]] = {}
-    modules = _discover.modules(systems)
-    named = system.partition(".")[0]
-    for system_name, module in ({named: modules[named]} if named in modules else modules).items():
-        for example, (body, *_) in module.examples().items():
-            if system not in ("", system_name, example, f"{system_name}.{example}"):
-                continue
-            for scheme_name, scheme_module in _discover.modules(schemes).items():
-                for step in scheme_module.examples(body):
-                    if scheme in step:
-                        tasks.setdefault((system_name, scheme_name, step), []).append(example)
-    return [_Task(name, tuple(found), which, step, num_steps) for (name, which, step), found in tasks.items()]
+@cache
+def _examples(system: str) -> dict[str, Any]:
+    return _discover.modules(systems)[system].examples()
 
 
-def _measured(tasks: list[_Task]) -> Iterator[str]:
+def _measured(tasks: list[_Task]) -> Iterator[_Found]:
     """The certificates, in the order of the tasks; a process a core, and a progress bar on a terminal."""
     from tqdm import tqdm
 
-    processes = min(os.cpu_count() or 1, len(tasks))
+    processes = min(cores(), len(tasks))
     if processes == 1:
         yield from map(_certificates, tasks)
         return
     bar = tqdm(total=len(tasks), unit=" schemes", disable=None, leave=False, dynamic_ncols=True)
     with bar, _flags(), multiprocessing.get_context("spawn").Pool(processes, _start) as pool:
-        for text in pool.imap(_certificates, tasks):
+        for found in pool.imap(_certificates, tasks):
             bar.clear()
-            yield text
+            yield found
             bar.update()
 
 
-def _certificates(task: _Task) -> str:
-    module = _discover.modules(systems)[task.system]
-    scheme, lines = _discover.modules(schemes)[task.scheme], []
-    for name, (body, state, dt) in module.examples().items():
-        if name in task.examples:
-            step = scheme.examples(body)[task.step]
-            lines.append(f"{task.system}.{name}\n{certify(step, step.start(state), dt, task.num_steps)}\n")
-    jax.clear_caches()  # or memory grows with every scheme
-    return "\n".join(lines)
+def _certificates(task: _Task) -> _Found:
+    scheme, uses = _discover.modules(schemes)[task.scheme], {}
+    for name, (body, state, dt) in _examples(task.system).items():
+        if task.example in ("", name) and not (task.brief and uses):
+            for label, step in scheme.examples(body).items():
+                uses.setdefault(label, []).append((name, step, state, dt))
+    lines = [
+        f"{task.system}.{name}\n{certify(step, step.start(state), dt, task.num_steps)}\n"
+        for label, those in uses.items()
+        for name, step, state, dt in (those if task.wanted in label else ())
+    ]
+    if lines:
+        jax.clear_caches()  # or memory grows with every scheme
+    return _Found(list(uses), "\n".join(lines))
 
 
 def _start() -> None:

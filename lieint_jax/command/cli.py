@@ -19,7 +19,7 @@ _EPILOG = """examples:
   lieint study toutatis                    fit a spin state to the radar fixes of 1992, predict 2004 and 2008
   lieint check rigid_body                  what every scheme conserves of a free body, measured
   lieint check rigid_body --scheme cayley  one of them
-  lieint check                             of every system: some minutes the first time
+  lieint check                             of one example of each system: some minutes the first time
   lieint check "SE(3)"                     what is conserved on a matrix group, by which map
   lieint check groups                      energy and symplectic form, group by group and map by map
   lieint figure 1 2 3 --out figures        the paper's figures
@@ -131,8 +131,9 @@ def _add_check(commands: Any) -> None:
         nargs="?",
         default="",
         metavar="SYSTEM",
-        help="a system module (rigid_body for one), example, or group; default: all, some minutes the first time",
+        help="a system module (rigid_body for one), example, or group; default: one example of each system",
     )
+    check.add_argument("--all", action="store_true", help="every example of every system: many minutes")
     check.add_argument("--scheme", default="", metavar="NAME", help="only schemes whose name contains NAME")
     check.add_argument(
         "--steps", type=_positive, metavar="N", help="length of a run (default 1000; 100 where Ad_q grows)"
@@ -225,9 +226,11 @@ def _schema(_: argparse.Namespace) -> None:
 def _check(options: argparse.Namespace) -> None:
     from lieint_jax.command import catalogue, certificates
 
-    if not options.scheme and options.steps is None:
+    if options.all and options.system:
+        raise ValueError(f"--all is every system: type lieint check --all, or lieint check {options.system}")
+    if not options.scheme and options.steps is None and not options.all:
         catalogue.announce(f"check {options.system}".strip())
-    certificates.check(options.system, options.scheme, options.steps)
+    certificates.check(options.system, options.scheme, options.steps, options.all)
 
 
 def _figure(options: argparse.Namespace) -> None:

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
-from lieint_jax.diagnostics.order import order, reversibility, units
+from lieint_jax import _checks
+from lieint_jax.diagnostics import _runs
+from lieint_jax.diagnostics.order import fitted_order, shown_reversibility, units
 from lieint_jax.diagnostics.series import constraint_error, energy_error, momentum_error
 from lieint_jax.diagnostics.symplectic import defect_matrix
-from lieint_jax.integrate import integrate
-from lieint_jax.types import State, Step, System, checked_step
+from lieint_jax.types import State, Step, System, Trajectory, checked_step, promoted, start_time
+
+_SPAN = 8  # the number of steps of size dt over which the order is measured
 
 
 class Certificate(NamedTuple):
@@ -99,53 +103,88 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
     Raises:
         ValueError: as `integrate`.
     """
-    checked_step(step).check(state, dt)
-    run = integrate(step, state, dt, num_steps)
-    system = step.system
-    momentum, total = np.abs(np.asarray(momentum_error(system, run))), np.abs(np.asarray(system.momentum(state)))
-    energy, start = float(jnp.max(jnp.abs(energy_error(system, run)))), float(jnp.abs(system.energy(state)))
-    coarse, fine = (_form_defect(step, state, h) for h in (dt, dt / 2))
-    floor = 32 * float(jnp.finfo(state.p.dtype).eps) * max(1, system.phase_space.dim / 6)
+    step, state, dtype = promoted(checked_step(step), state)
+    num_steps = _checks.count("num_steps", num_steps, 0)
+    h, most = jnp.asarray(_checks.step_size(dt), dtype), max(num_steps, 4 * _SPAN)  # one program for all runs
+    _checks.time_resolution(start_time(step, state), h, num_steps)
+    _runs.checked(step, state, h, most)
+    states, info = _runs.run(step, state, h, num_steps, most)
+    seen = jax.device_get(_seen(step.system, Trajectory(jnp.zeros(num_steps + 1, dtype), states, info)))
+    coarse, fine = (float(_form_defect(step, state, x)) for x in (h, h / 2))
+    floor = 32 * float(jnp.finfo(dtype).eps) * max(1, step.system.phase_space.dim / 6)
     power = math.log2(coarse / fine) if coarse > floor and fine > 0 else math.inf
     rounding = power < 1 and coarse < 10 * floor  # which does not fall with dt
     return Certificate(
         scheme=step.name,
-        system=type(system).__name__,
-        precision=str(state.p.dtype),
+        system=type(step.system).__name__,
+        precision=str(dtype),
         dt=float(dt),
         num_steps=num_steps,
-        energy=_relative(energy, start),
-        momentum=_relative(momentum.max(), total.max()) if total.size else math.nan,
-        constraint=float(jnp.max(jnp.abs(constraint_error(system, run)))),
+        energy=_relative(seen.energy, seen.size),
+        momentum=_relative(seen.momentum, seen.total),
+        constraint=float(seen.constraint),
         symplectic_defect=coarse,
         symplectic_order=math.inf if rounding else power,
-        order=order(step, state, dt),
-        reversibility=float(reversibility(step, state, dt)),
-        residual=float(jnp.max(run.info.residual)),
-        converged=bool(jnp.all(run.info.converged)),
+        order=fitted_order(step, state, dt, _SPAN, most),
+        reversibility=float(shown_reversibility(step, state, dt, most)),
+        residual=float(info.residual.max()),
+        converged=bool(info.converged.all()),
         work=state.work is not None,
-        clock=_relative(_clock_error(run.state, dt), start),
+        clock=_relative(_clock_error(states, dt), seen.size),
         own_time=step.own_time,
-        cancellation=max(1.0, _relative(_terms(system, state), total.max())) if total.size else 1.0,
+        cancellation=max(1.0, _relative(seen.terms, seen.total)),
     )
 
 
-def _terms(system: System, state: State) -> float:
-    """The largest sum of the absolute terms of a component of the momentum map, which is linear in p."""
+class _Seen(NamedTuple):
+    """What a run shows of its invariants: largest errors, and the sizes that they are relative to.
+
+    Attributes:
+        energy, size: max|H_n − H₀| and |H₀|; of H less work where the state counts work, its size that of H.
+        momentum, total, terms: max|Φ_n − Φ₀|, max|Φ₀|, and the largest sum of absolute terms of a component of Φ₀;
+            nan, 0 and 0 where there is no momentum map.
+        constraint: the largest defect of the configuration.
+    """
+
+    energy: Any
+    size: Any
+    momentum: Any
+    total: Any
+    terms: Any
+    constraint: Any
+
+
+@jax.jit
+def _seen(system: System, run: Trajectory) -> _Seen:
+    start = jax.tree.map(lambda x: x[0], run.state)
+
+    def largest(x: Array) -> Array:
+        return jnp.max(jnp.abs(x))
+
+    errors, total, terms = momentum_error(system, run), system.momentum(start), _terms(system, start)
+    none = not total.size
+    return _Seen(
+        energy=largest(energy_error(system, run)),
+        size=jnp.abs(system.energy(start)),
+        momentum=jnp.nan if none else largest(errors),
+        total=0.0 if none else largest(total),
+        terms=0.0 if none else jnp.max(terms),
+        constraint=largest(constraint_error(system, run)),
+    )
+
+
+def _terms(system: System, state: State) -> Array:
+    """The sum of the absolute terms of each component of the momentum map, which is linear in p."""
     slope = jax.jacfwd(lambda p: system.momentum(state._replace(p=p)))(state.p)
-    along = slope.reshape(-1, state.p.size) * state.p.ravel()
-    return float(jnp.max(jnp.sum(jnp.abs(along), axis=1)))
+    return jnp.sum(jnp.abs(slope.reshape(-1, state.p.size) * state.p.ravel()), axis=1)
 
 
-_defect_matrix = jax.jit(defect_matrix)
-
-
-def _form_defect(step: Step, state: State, dt: float) -> float:
+@jax.jit
+def _form_defect(step: Step, state: State, dt: Array) -> Array:
     """The symplectic defect with δq and δp in units of the state, such as max|π|: it does not depend on ours."""
-    defect = np.asarray(_defect_matrix(step, state, dt))
-    of_q, of_p = (np.asarray(x) for x in units(step.system.phase_space, state))
-    unit = np.sqrt(np.concatenate([of_q / of_p, of_p / of_q]))
-    return float(np.abs(unit[:, None] * defect * unit).max())
+    of_q, of_p = units(step.system.phase_space, state)
+    unit = jnp.sqrt(jnp.concatenate([of_q / of_p, of_p / of_q]))
+    return jnp.max(jnp.abs(unit[:, None] * defect_matrix(step, state, dt) * unit))
 
 
 def _clock_error(states: State, dt: float) -> float:

@@ -13,8 +13,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import collocation
-from lieint_jax.integrate import steps
-from lieint_jax.types import PhaseSpace, State, Step, StepInfo, System, clock, promoted, start_time, time_derivative
+from lieint_jax.diagnostics import _runs
+from lieint_jax.types import PhaseSpace, State, Step, System, clock, promoted, time_derivative
 
 _STAGES, _ITERATIONS = 8, 24
 
@@ -59,12 +59,16 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
         The slope of log error against log step size, over the converged runs with errors above the floor of round-off;
         inf if there are fewer than two such runs: the scheme is exact as far as can be measured.
     """
-    T = num_steps * dt
-    step.check(state, dt)
+    return fitted_order(step, state, dt, num_steps, 4 * num_steps)
+
+
+def fitted_order(step: Step, state: State, dt: float, num_steps: int, most: int) -> float:
+    """`order`, by the program of runs of up to `most` steps."""
     step, state, dtype = promoted(step, state)
+    T = num_steps * _checks.step_size(dt)
+    _runs.checked(step, state, jnp.asarray(dt, dtype), most)
     floor = 100 * np.sqrt(num_steps) * float(jnp.finfo(dtype).eps)
     seen: dict[float, float] = {}
-    space = step.system.phase_space
 
     def exact(t: ArrayLike) -> State:
         return flow(step.system, state, t, 2 * num_steps)
@@ -72,9 +76,10 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
     end = None if step.own_time else exact(T)
 
     def look(n: int) -> None:
-        last, info = _after(step, state, jnp.asarray(T / n, dtype), n)
-        error = float(distance(last, exact(clock(last) - clock(state)) if end is None else end, space))
-        if error > floor and bool(info.converged):
+        states, info = _runs.run(step, state, jnp.asarray(T / n, dtype), n, most)
+        last = _runs.last(states)
+        error = float(_apart(step, last, exact(clock(last) - clock(state)) if end is None else end))
+        if error > floor and info.converged.all():
             seen[T / n] = error
 
     for fine in (1, 2, 4):
@@ -82,7 +87,7 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
     n = num_steps
     while len(seen) < 2 and n > 1:
         n //= 2
-        if not _after(step, state, jnp.asarray(T / n, dtype), 1)[1].converged:
+        if not _runs.run(step, state, jnp.asarray(T / n, dtype), 1, most)[1].converged[1]:
             break
         look(n)
     if len(seen) < 2:
@@ -91,9 +96,8 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
 
 
 @jax.jit
-def _after(step: Step, state: State, dt: ArrayLike, num_steps: ArrayLike) -> tuple[State, StepInfo]:
-    """The state after `num_steps` steps, compiled once for any number of them, and their report."""
-    return steps(step.prepare(state, dt), state, dt, num_steps, start_time(step, state))
+def _apart(step: Step, a: State, b: State) -> Array:
+    return distance(a, b, step.system.phase_space)
 
 
 def distance(a: State, b: State, space: PhaseSpace | None = None) -> Array:
@@ -123,8 +127,13 @@ def units(space: PhaseSpace, state: State) -> tuple[Array, Array]:
 
 def reversibility(step: Step, state: State, dt: ArrayLike) -> Array:
     """`distance` of z and step(step(z, dt), −dt): zero to round-off if and only if the step is time-symmetric here."""
-    step.check(state, dt)
+    return shown_reversibility(step, state, dt, 1)
+
+
+def shown_reversibility(step: Step, state: State, dt: ArrayLike, most: int) -> Array:
+    """`reversibility`, by the program of runs of up to `most` steps."""
     step, state, dtype = promoted(step, state)
     h = jnp.asarray(_checks.step_size(dt), dtype)
-    there, _ = _after(step, state, h, 1)  # `order` has the same program
-    return distance(_after(step, there, -h, 1)[0], state, step.system.phase_space)
+    _runs.checked(step, state, h, most)
+    there = _runs.last(_runs.run(step, state, h, 1, most)[0])
+    return _apart(step, _runs.last(_runs.run(step, there, -h, 1, most)[0]), state)

@@ -99,14 +99,19 @@ def checked_mesh(mesh: Mesh | None) -> Mesh:
     return mesh
 
 
+def cores() -> int:
+    """The number of cores that this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)  # not on every system
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
 def want_devices(count: int | None) -> None:
     """Split the CPU into `count` devices; by default one per core, which is fastest.
 
     It has no effect on accelerators, once JAX has started, or where XLA_FLAGS sets the number.
     """
     if count is None:
-        affinity = getattr(os, "sched_getaffinity", None)  # not on every system
-        count = len(affinity(0)) if affinity else os.cpu_count() or 1
+        count = cores()
     if "host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
         with contextlib.suppress(RuntimeError):
             jax.config.update("jax_num_cpu_devices", count)

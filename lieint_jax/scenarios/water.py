@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 from lieint_jax import diagnostics, plots, potentials, schemes, systems
 from lieint_jax.groups import so3
 from lieint_jax.scenarios._common import Common, Published, Table, follow, nominal, series
+from lieint_jax.scenarios._several import step_of
 from lieint_jax.systems import RigidBodies
 from lieint_jax.types import State, Step, Trajectory
 
@@ -71,22 +72,13 @@ def build(scenario: Scenario) -> tuple[Step, State]:
     """The step and the batch of droplets, once they have settled."""
     bodies = _bodies(scenario)
     keys = jax.random.split(jax.random.key(scenario.seed), scenario.members)
-    return _step(scenario, bodies, scenario.scheme), jax.jit(jax.vmap(lambda key: _droplet(scenario, bodies, key)))(
-        keys
-    )
+    starts = jax.jit(jax.vmap(lambda key: _droplet(scenario, bodies, key)))(keys)
+    return step_of(bodies, scenario.scheme, scenario.order), starts
 
 
 def _bodies(scenario: Scenario) -> RigidBodies:
     molecule, n = potentials.water(scenario.model), scenario.molecules
     return systems.rigid_bodies(np.full(n, molecule.mass), np.tile(molecule.inertia, (n, 1)), molecule.potential(n))
-
-
-def _step(scenario: Scenario, bodies: RigidBodies, name: str) -> Step:
-    """The step of a scheme, at the order of the scenario."""
-    if name == "nystrom":
-        return schemes.nystrom(bodies, scenario.order)
-    step = getattr(schemes, name)(bodies)
-    return step if scenario.order == 2 else schemes.compose(step, scenario.order)
 
 
 def _droplet(scenario: Scenario, bodies: RigidBodies, key: Array) -> State:
@@ -200,7 +192,7 @@ def draw_errors(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
         (axes[0, 0], "splitting", "splitting, symplectic"),
         (axes[0, 1], "bodies_energy_momentum", "energy–momentum scheme"),
     ):
-        long = follow(_step(scenario, bodies, name), nominal(run), scenario.dt, scenario.steps, _LONGEST)
+        long = follow(step_of(bodies, name, scenario.order), nominal(run), scenario.dt, scenario.steps, _LONGEST)
         H = np.asarray(diagnostics.energy_error(bodies, long))
         moved = np.asarray(diagnostics.momentum_error(bodies, long))
         K = float(bodies.kinetic_energy(nominal(run)))

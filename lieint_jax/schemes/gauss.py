@@ -87,7 +87,10 @@ class Gauss(Step):
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         limit = "its sweeps diverge" if self.sweeps is None else f"{self.sweeps} sweeps are too few"
-        return f"{self.name} does not converge at dt = {dt}: {limit}. Take a smaller dt, such that |Δt Ω| ≤ 1"
+        return (
+            f"{self.name} does not converge at dt = {dt}: {limit}. Take a smaller dt: the fastest frequency of the "
+            "motion times dt should be at most 1"
+        )
 
 
 def gauss(system: System, stages: int = 8, sweeps: int | None = None) -> Gauss:

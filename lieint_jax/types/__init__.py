@@ -718,10 +718,10 @@ class Step(abc.ABC):
         dt = step_size(dt)
         with jax.ensure_compile_time_eval():  # constants are concrete inside jit too
             self.system.check(state)
-            converged = converges(self, state, dt)
-            if self.approximate or not concrete(converged):  # a function of the step may close over a tracer
+            if self.approximate:
                 return
-            if not converged:
+            converged = converges(self, state, dt)
+            if concrete(converged) and not converged:  # a function of the step may close over a tracer
                 raise StepError(self.advice(state, dt))
 
 
