@@ -101,6 +101,8 @@ def load(path: Path) -> tuple[Any, dict[str, Any]]:
         return _store.load(path)
     if path.is_dir():
         raise ValueError(f"{path} is a folder without results; give a file NAME.npz or a store NAME.zarr")
+    if not zipfile.is_zipfile(path):  # numpy would advise to allow pickles
+        raise ValueError(f"{path} is no file of results that lieint wrote, or is damaged: it is no npz archive")
     try:
         with np.load(path, allow_pickle=False) as f:
             arrays = {name: f[name] for name in f.files if name in ("q", "p", "work") or name.startswith("extra.")}
@@ -109,7 +111,8 @@ def load(path: Path) -> tuple[Any, dict[str, Any]]:
             info = StepInfo(f["residual"], f["converged"])
             return Trajectory(f["t"], state_of(arrays), info), json.loads(str(f["metadata"]))
     except (ValueError, KeyError, TypeError, zipfile.BadZipFile, EOFError) as error:
-        raise ValueError(f"{path} is no file of results that lieint wrote, or is damaged: {error}") from error
+        reason = "it holds Python objects" if "allow_pickle" in str(error) else error
+        raise ValueError(f"{path} is no file of results that lieint wrote, or is damaged: {reason}") from error
 
 
 def numbers(path: Path) -> list[float]:
