@@ -3,12 +3,13 @@
 import json
 import os
 import re
+import typing
 
 import jax
 import numpy as np
 import pytest
 
-from lieint_jax import scenarios
+from lieint_jax import _discover, scenarios, schemes, systems
 from lieint_jax.command import by_group, certificates, cli, files, results
 from lieint_jax.scenarios import rigid_body
 from lieint_jax.types import State, StepInfo, Trajectory
@@ -145,6 +146,16 @@ def test_a_scenario_of_one_s_own(capsys, monkeypatch):
     assert files.load(scenarios.Path("book-2.npz"))[0].state.q.shape == (6, 4, 4)
 
 
+def test_bodies_take_every_scheme_of_a_free_body():
+    body = systems.rigid_body([1.0, 2.0, 3.0])
+    takes = {name for name, module in _discover.modules(schemes).items() if module.examples(body)}
+    kinds = rigid_body.Scenario.model_fields["scheme"].annotation
+    assert set(typing.get_args(kinds)) == takes - {"compose"}  # which is the key `order`
+    for scheme, order, step in (("gauss", "", 16), ("gauss", "order = 8", 8), ("extrapolate", "", 12)):
+        built = scenarios.build(scenarios.load(book(scheme=f'scheme = "{scheme}"\n{order}')))[0]
+        assert (built.name.partition("[")[0], built.order) == (scheme, step)
+
+
 def test_the_same_seed_is_the_same_ensemble():
     a, b, c = (scenarios.build(scenarios.load(book(seed=f"seed = {s}")))[1] for s in (1, 1, 2))
     np.testing.assert_array_equal(a.p, b.p)
@@ -182,6 +193,7 @@ BAD = [
     (dict(scheme='scheme = "exact"\nkappa = "cayley"'), "kappa is a key of so3_midpoint; exact has none"),
     (dict(scheme='scheme = "exact"\norder = 4'), "order of exact is none, since it is exact, got 4"),
     (dict(scheme='scheme = "preprocessed"\norder = 2'), "order of preprocessed is 4 or 6 or 8 or 10, got 2"),
+    (dict(scheme='scheme = "extrapolate"\norder = 2'), "order of extrapolate is 4 or .* or 20, got 2"),
     (
         dict(angular_velocity_deg="angular_velocity_deg = -1.0"),
         "spread.angular_velocity_deg: .*greater than or equal to 0",

@@ -35,15 +35,27 @@ class Observation(InitialState):
     """A key of the table sources, or the source itself if there is no such table."""
 
 
+_ORDERS = {
+    "so3_midpoint": range(2, 12, 2),
+    "so3_explicit": range(2, 12, 2),
+    "preprocessed": range(4, 12, 2),
+    "gauss": range(2, 22, 2),
+    "extrapolate": range(4, 22, 2),
+}
+
+
 class Scenario(BodyScenario):
     """The keys of a scenario of this kind."""
 
     system: Literal["rigid_body"]  # pyright: ignore[reportIncompatibleVariableOverride]
-    scheme: Literal["so3_midpoint", "so3_explicit", "preprocessed", "calibrated", "exact"] = "so3_midpoint"
+    scheme: Literal["so3_midpoint", "so3_explicit", "preprocessed", "calibrated", "exact", "gauss", "extrapolate"] = (
+        "so3_midpoint"
+    )
     kappa: Literal["symplectic", "cayley", "exponential"] | None = None
     """The κ of so3_midpoint; by default the symplectic one."""
-    order: Literal[2, 4, 6, 8, 10] | None = None
-    """Of so3_midpoint and so3_explicit, by default 2, above 2 by composition; of preprocessed, 4 to 10."""
+    order: Literal[2, 4, 6, 8, 10, 12, 14, 16, 18, 20] | None = None
+    """Even. Of so3_midpoint and so3_explicit 2 to 10, by default 2, above 2 by composition; of preprocessed 4 to 10, by
+    default 4; of gauss 2 to 20, by default 16; of extrapolate 4 to 20, by default 12."""
     published: dict[
         Literal["precession_period", "rotation_period", "momentum_longitude_deg", "momentum_latitude_deg"], Published
     ] = {}
@@ -51,10 +63,9 @@ class Scenario(BodyScenario):
 
     @model_validator(mode="after")
     def _keys_of_the_scheme(self) -> Self:
-        orders = {"so3_midpoint": (2, 4, 6, 8, 10), "so3_explicit": (2, 4, 6, 8, 10), "preprocessed": (4, 6, 8, 10)}
         if self.kappa is not None and self.scheme != "so3_midpoint":
             raise ValueError(f"kappa is a key of so3_midpoint; {self.scheme} has none")
-        allowed = orders.get(self.scheme, ())
+        allowed = _ORDERS.get(self.scheme, ())
         if self.order is not None and self.order not in allowed:
             known = f"{' or '.join(map(str, allowed))}" if allowed else "none, since it is exact"
             raise ValueError(f"order of {self.scheme} is {known}, got {self.order}")
@@ -88,6 +99,10 @@ def _step(scenario: Scenario, body: RigidBody) -> Step:
             return schemes.calibrated(body)
         case "preprocessed":
             return schemes.preprocessed(body, scenario.order or 4)
+        case "gauss":
+            return schemes.gauss(body, (scenario.order or 16) // 2)
+        case "extrapolate":
+            return schemes.extrapolate(body, scenario.order or 12)
         case "so3_explicit":
             step: Step = schemes.so3_explicit(body)
         case _:
