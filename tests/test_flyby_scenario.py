@@ -237,6 +237,7 @@ def test_a_passage_against_another_integrator():
 BAD = [
     (dict(orbit=dict(eccentricity=0.9)), "orbit.eccentricity: .*greater than 1"),
     (dict(orbit=dict(perigee_utc="2029-04-13T21:45:04+02:00")), "orbit.perigee_utc: must be a date in UTC"),
+    (dict(orbit=dict(perigee_km=400.0)), "perigee_km = 400 lies in the Earth, whose radius is 6378 km: give the dist"),
     (dict(orbit=dict(frame="galactic")), "orbit.frame: .*'ecliptic' or 'equator'"),
     (dict(dt=0.5), "dt is given by hours and steps: leave it out"),
     (dict(steps=641), "steps = 641 must be a multiple of save_every = 40"),

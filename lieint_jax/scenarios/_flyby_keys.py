@@ -16,6 +16,7 @@ from lieint_jax.scenarios._common import Common, Positive, Table, Text
 from lieint_jax.scenarios._flyby_motion import GivenOrbit
 
 HOUR = 3600.0
+_EARTH = 398600.4418, 6378.1366  # gravitational parameter and equatorial radius, km³/s² and km, IERS Conventions 2010
 _OBLIQUITY = np.deg2rad(23.4392911)  # of the ecliptic at J2000, IAU 1976
 
 Above = Annotated[float, Field(gt=0)]
@@ -81,6 +82,16 @@ class Orbit(Table):
         if datetime.fromisoformat(value).utcoffset() != timedelta(0):
             raise ValueError("must be a date in UTC, such as 2029-04-13T21:45:04Z")
         return value
+
+    @model_validator(mode="after")
+    def _above_the_ground(self) -> Self:
+        gm, radius = _EARTH
+        if abs(self.gm_km3_s2 / gm - 1) < 0.01 and self.perigee_km <= radius:
+            raise ValueError(
+                f"perigee_km = {self.perigee_km:g} lies in the Earth, whose radius is {radius:.0f} km: give the "
+                "distance from its centre"
+            )
+        return self
 
     def elements(self) -> tuple[float, ...]:
         """The arguments of `orbits.kepler`, in km, h and rad, in ecliptic axes."""
