@@ -28,6 +28,7 @@ from lieint_jax.systems import RigidBodies
 
 ORBITS = 2
 END = 2 * np.pi * ORBITS
+EXTRAPOLATE = "extrapolate, order 12"
 _TOLERANCES = tuple(10.0**-k for k in range(5, 15))
 
 # Didymos and Dimorphos, SI units: the example of the public two-body code of Davis & Scheeres
@@ -158,7 +159,7 @@ def dop853(dt: float, rtol: float) -> Contestant:
 
 
 def of_ours(alone: bool) -> list[Curve]:
-    """The curves of our schemes; of one system `alone`, or of many. Counts are of both orbits."""
+    """The curves of our schemes; of one system `alone`, or of many. Counts are of both orbits; the last has no form."""
     make, system = li.schemes, binary()
 
     def of(name: str, step: li.Step, first: int, points: int, factor: float = 2**0.5) -> Curve:
@@ -171,6 +172,7 @@ def of_ours(alone: bool) -> list[Curve]:
         of("nystrom, order 6", make.nystrom(system, 6), 24, 8),
         of("kepler_splitting (8, 4)", make.kepler_splitting(system, (8, 4)), 12, 9),
         of("kepler_splitting (8, 6, 4)", make.kepler_splitting(system, (8, 6, 4)), 8, 9),
+        of(EXTRAPOLATE, make.extrapolate(system, 12), 30, 7, 1.25),
     ]
 
 

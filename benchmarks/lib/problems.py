@@ -189,7 +189,7 @@ def satellite() -> Problem:
 def binary() -> Problem:
     """Didymos and systems like it, two orbits, see `binaries`."""
     system = binaries.binary()
-    mine = [curve._replace(kind=TWO_BODY) for curve in reversed(binaries.of_ours(alone=False))]
+    mine = [curve._replace(kind=TWO_BODY) for curve in reversed(binaries.of_ours(alone=False)[:-1])]
     curves = [*mine, *high_order(system, ours, 24), *by_diffrax(system, 24), binaries.by_heyoka(alone=False)]
 
     def reference(states: States) -> tuple[np.ndarray, np.ndarray, str]:

@@ -131,8 +131,11 @@ def symmetric(J: Array) -> Symmetric:
             f"a tensor of one body has shape (3,) or (3, 3), got {J.shape}: where each member has a system of its own, "
             "give step_axis=0 or system_axis=0, or use jax.vmap"
         )
-    if J.ndim == 1:
-        return components(J)
+    return components(J) if J.ndim == 1 else entries(J)
+
+
+def entries(J: Array) -> Symmetric:
+    """The distinct entries of symmetric matrices whose first two axes are those of the matrix."""
     off = [(J[i, j] + J[j, i]) / 2 for i, j in ((1, 2), (0, 2), (0, 1))]
     return (J[0, 0], J[1, 1], J[2, 2], *off)
 

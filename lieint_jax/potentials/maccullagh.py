@@ -61,7 +61,7 @@ class MacCullagh(Potential):
         for body, other in ((i, j), (j, i)):
             axes, J = R[body].T, self.inertias[body].T  # the axes of the body in space
             Gamma = [three.dot(axis, d) for axis in axes]
-            JGamma = three.apply(three.components(J) if self.inertias.ndim == 2 else three.symmetric(J), Gamma)
+            JGamma = three.apply(three.components(J) if self.inertias.ndim == 2 else three.entries(J), Gamma)
             along = along + m[other] * three.dot(Gamma, JGamma)
             arm = three.scale(m[other], [three.dot(axes[:, k], JGamma) for k in range(3)])
             arms.append(three.scale(3 * third * v, arm))
