@@ -25,6 +25,8 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics.power_series import horner
 from lieint_jax.types import pytree
 
+EARTH_GM = 398600.4418  # the Earth's gravitational parameter in km³/s², IERS Conventions 2010
+
 _Function = Callable[[Array], Array]
 _CORRECTIONS = 3  # of Halley on an ellipse: 2 suffice for all E
 _HYPERBOLIC_CORRECTIONS = 5  # of Halley on a hyperbola

@@ -88,7 +88,7 @@ def _place(system: str) -> tuple[list[str], str]:
     if not system:
         return list(modules), ""
     name, _, example = system.partition(".")
-    if name in modules and example in ("", *_examples(name)):
+    if name in modules and (not example or example in _examples(name)):
         return [name], example
     holders = [x for x in modules if system in _examples(x)]
     if holders:

@@ -101,9 +101,9 @@ def load(path: Path) -> tuple[Any, dict[str, Any]]:
         return _store.load(path)
     if path.is_dir():
         raise ValueError(f"{path} is a folder without results; give a file NAME.npz or a store NAME.zarr")
-    if not zipfile.is_zipfile(path):  # numpy would advise to allow pickles
-        raise ValueError(f"{path} is no file of results that lieint wrote, or is damaged: it is no npz archive")
     try:
+        if not zipfile.is_zipfile(path):  # numpy would advise to allow pickles
+            raise zipfile.BadZipFile("it is no npz archive")
         with np.load(path, allow_pickle=False) as f:
             arrays = {name: f[name] for name in f.files if name in ("q", "p", "work") or name.startswith("extra.")}
             if _TIME in f:

@@ -15,7 +15,7 @@ from lieint_jax.diagnostics import _runs
 from lieint_jax.diagnostics.order import fitted_order, shown_reversibility, units
 from lieint_jax.diagnostics.series import constraint_error, energy_error, momentum_error
 from lieint_jax.diagnostics.symplectic import defect_matrix
-from lieint_jax.types import State, Step, System, Trajectory, checked_step, promoted, start_time
+from lieint_jax.types import State, Step, System, Trajectory, start_time
 
 _SPAN = 8  # the number of steps of size dt over which the order is measured
 
@@ -103,21 +103,20 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
     Raises:
         ValueError: as `integrate`.
     """
-    step, state, dtype = promoted(checked_step(step), state)
     num_steps = _checks.count("num_steps", num_steps, 0)
-    h, most = jnp.asarray(_checks.step_size(dt), dtype), max(num_steps, 4 * _SPAN)  # one program for all runs
+    most = max(num_steps, 4 * _SPAN)  # one program for all runs
+    step, state, h = _runs.checked(step, state, dt, most)
     _checks.time_resolution(start_time(step, state), h, num_steps)
-    _runs.checked(step, state, h, most)
-    states, info = _runs.run(step, state, h, num_steps, most)
-    seen = jax.device_get(_seen(step.system, Trajectory(jnp.zeros(num_steps + 1, dtype), states, info)))
+    run = _runs.run(step, state, h, num_steps, most)
+    seen = jax.device_get(_seen(step.system, run))
     coarse, fine = (float(_form_defect(step, state, x)) for x in (h, h / 2))
-    floor = 32 * float(jnp.finfo(dtype).eps) * max(1, step.system.phase_space.dim / 6)
+    floor = 32 * float(jnp.finfo(h.dtype).eps) * max(1, step.system.phase_space.dim / 6)
     power = math.log2(coarse / fine) if coarse > floor and fine > 0 else math.inf
     rounding = power < 1 and coarse < 10 * floor  # which does not fall with dt
     return Certificate(
         scheme=step.name,
         system=type(step.system).__name__,
-        precision=str(dtype),
+        precision=str(h.dtype),
         dt=float(dt),
         num_steps=num_steps,
         energy=_relative(seen.energy, seen.size),
@@ -126,11 +125,11 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
         symplectic_defect=coarse,
         symplectic_order=math.inf if rounding else power,
         order=fitted_order(step, state, dt, _SPAN, most),
-        reversibility=float(shown_reversibility(step, state, dt, most)),
-        residual=float(info.residual.max()),
-        converged=bool(info.converged.all()),
+        reversibility=float(shown_reversibility(step, state, h, most)),
+        residual=float(run.info.residual.max()),
+        converged=bool(run.info.converged.all()),
         work=state.work is not None,
-        clock=_relative(_clock_error(states, dt), seen.size),
+        clock=_relative(_clock_error(run.state, dt), seen.size),
         own_time=step.own_time,
         cancellation=max(1.0, _relative(seen.terms, seen.total)),
     )

@@ -11,10 +11,9 @@ from jax import Array, lax
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks
 from lieint_jax._numerics import collocation
 from lieint_jax.diagnostics import _runs
-from lieint_jax.types import PhaseSpace, State, Step, System, clock, promoted, time_derivative
+from lieint_jax.types import PhaseSpace, State, Step, System, clock, time_derivative
 
 _STAGES, _ITERATIONS = 8, 24
 
@@ -59,14 +58,14 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
         The slope of log error against log step size, over the converged runs with errors above the floor of round-off;
         inf if there are fewer than two such runs: the scheme is exact as far as can be measured.
     """
-    return fitted_order(step, state, dt, num_steps, 4 * num_steps)
+    most = 4 * num_steps
+    step, state, _ = _runs.checked(step, state, dt, most)
+    return fitted_order(step, state, dt, num_steps, most)
 
 
 def fitted_order(step: Step, state: State, dt: float, num_steps: int, most: int) -> float:
-    """`order`, by the program of runs of up to `most` steps."""
-    step, state, dtype = promoted(step, state)
-    T = num_steps * _checks.step_size(dt)
-    _runs.checked(step, state, jnp.asarray(dt, dtype), most)
+    """`order` of what is checked, by the program of runs of up to `most` steps."""
+    dtype, T = state.p.dtype, num_steps * dt
     floor = 100 * np.sqrt(num_steps) * float(jnp.finfo(dtype).eps)
     seen: dict[float, float] = {}
 
@@ -76,10 +75,10 @@ def fitted_order(step: Step, state: State, dt: float, num_steps: int, most: int)
     end = None if step.own_time else exact(T)
 
     def look(n: int) -> None:
-        states, info = _runs.run(step, state, jnp.asarray(T / n, dtype), n, most)
-        last = _runs.last(states)
+        run = _runs.run(step, state, jnp.asarray(T / n, dtype), n, most)
+        last = _runs.last(run)
         error = float(_apart(step, last, exact(clock(last) - clock(state)) if end is None else end))
-        if error > floor and info.converged.all():
+        if error > floor and run.info.converged.all():
             seen[T / n] = error
 
     for fine in (1, 2, 4):
@@ -87,7 +86,7 @@ def fitted_order(step: Step, state: State, dt: float, num_steps: int, most: int)
     n = num_steps
     while len(seen) < 2 and n > 1:
         n //= 2
-        if not _runs.run(step, state, jnp.asarray(T / n, dtype), 1, most)[1].converged[1]:
+        if not _runs.run(step, state, jnp.asarray(T / n, dtype), 1, most).info.converged[1]:
             break
         look(n)
     if len(seen) < 2:
@@ -127,13 +126,10 @@ def units(space: PhaseSpace, state: State) -> tuple[Array, Array]:
 
 def reversibility(step: Step, state: State, dt: ArrayLike) -> Array:
     """`distance` of z and step(step(z, dt), −dt): zero to round-off if and only if the step is time-symmetric here."""
-    return shown_reversibility(step, state, dt, 1)
+    return shown_reversibility(*_runs.checked(step, state, dt, 1), 1)
 
 
-def shown_reversibility(step: Step, state: State, dt: ArrayLike, most: int) -> Array:
-    """`reversibility`, by the program of runs of up to `most` steps."""
-    step, state, dtype = promoted(step, state)
-    h = jnp.asarray(_checks.step_size(dt), dtype)
-    _runs.checked(step, state, h, most)
-    there = _runs.last(_runs.run(step, state, h, 1, most)[0])
-    return _apart(step, _runs.last(_runs.run(step, there, -h, 1, most)[0]), state)
+def shown_reversibility(step: Step, state: State, dt: Array, most: int) -> Array:
+    """`reversibility` of what is checked, by the program of runs of up to `most` steps."""
+    there = _runs.last(_runs.run(step, state, dt, 1, most))
+    return _apart(step, _runs.last(_runs.run(step, there, -dt, 1, most)), state)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
 from typing import Annotated, Any, Self, TypeVar
 
@@ -15,11 +15,13 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from lieint_jax.integrate import integrate
 from lieint_jax.types import State, Step, Trajectory
 
+HOUR, DAY = 3600.0, 86400.0  # seconds
 LONGEST, POINTS = 200_000, 4_000  # the most steps of the nominal member that are drawn, and points of a curve
 
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 Quadruple = Annotated[list[float], Field(min_length=4, max_length=4)]
 NonNegative = Annotated[float, Field(ge=0)]
+Above = Annotated[float, Field(gt=0)]
 Positive = Annotated[int, Field(gt=0, le=10**12)]
 Text = Annotated[str, Field(pattern=r"^[^$]*$")]  # without $, which matplotlib reads as mathematics
 
@@ -41,7 +43,7 @@ class Published(Table):
 
     value: float
     """Periods in time_unit; what ends in _deg, in degrees."""
-    error: Annotated[float, Field(gt=0)] | None = None
+    error: Above | None = None
     """Standard deviation, in the unit of the value."""
     source: str
     """A key of the table sources, or the source itself if there is no such table."""
@@ -173,6 +175,12 @@ def deviation(x: np.ndarray) -> np.ndarray:
     return np.std(x, axis=0, ddof=1) if len(x) > 1 else np.zeros(x.shape[1:])
 
 
+def largest_changes(changes: dict[str, Any], width: int) -> list[str]:
+    """The lines of a report with the largest of each change over members and saved times, names of this width."""
+    lines = ["\n  largest change, all members and saved times"]
+    return lines + [f"  {name:<{width}}{float(np.max(x)):>10.1e}" for name, x in changes.items()]
+
+
 def for_last_run(function: Callable[[S, Step, Trajectory], R]) -> Callable[[S, Step, Trajectory], R]:
     """The same function of (scenario, step, run), which keeps its value for the last run, for report and pictures."""
     last: list[tuple[Trajectory, R]] = []
@@ -184,6 +192,13 @@ def for_last_run(function: Callable[[S, Step, Trajectory], R]) -> Callable[[S, S
         return last[0][1]
 
     return kept
+
+
+def check_order(scheme: str, order: Any, allowed: Sequence[Any]) -> None:
+    """ValueError if an order is given that a scheme does not have; an exact one has none."""
+    if order is not None and order not in allowed:
+        known = " or ".join(map(str, allowed)) or "none, since it is exact"
+        raise ValueError(f"order of {scheme} is {known}, got {order}")
 
 
 def paragraphs(notes: list[str]) -> list[str]:

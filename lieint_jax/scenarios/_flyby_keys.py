@@ -12,14 +12,12 @@ from pydantic import Field, field_validator, model_validator
 from lieint_jax import orbits
 from lieint_jax.groups import so3
 from lieint_jax.scenarios import _flyby_motion as motion
-from lieint_jax.scenarios._common import Common, Positive, Table, Text
+from lieint_jax.scenarios._common import HOUR, Above, Common, Positive, Table, Text
 from lieint_jax.scenarios._flyby_motion import GivenOrbit
 
-HOUR = 3600.0
-_EARTH = 398600.4418, 6378.1366  # gravitational parameter and equatorial radius, km³/s² and km, IERS Conventions 2010
+_EARTH_RADIUS = 6378.1366  # equatorial, km, IERS Conventions 2010
 _OBLIQUITY = np.deg2rad(23.4392911)  # of the ecliptic at J2000, IAU 1976
 
-Above = Annotated[float, Field(gt=0)]
 Mode = Literal["short_axis", "long_axis"]
 Frame = Literal["ecliptic", "equator"]
 
@@ -85,10 +83,9 @@ class Orbit(Table):
 
     @model_validator(mode="after")
     def _above_the_ground(self) -> Self:
-        gm, radius = _EARTH
-        if abs(self.gm_km3_s2 / gm - 1) < 0.01 and self.perigee_km <= radius:
+        if abs(self.gm_km3_s2 / orbits.EARTH_GM - 1) < 0.01 and self.perigee_km <= _EARTH_RADIUS:
             raise ValueError(
-                f"perigee_km = {self.perigee_km:g} lies in the Earth, whose radius is {radius:.0f} km: give the "
+                f"perigee_km = {self.perigee_km:g} lies in the Earth, whose radius is {_EARTH_RADIUS:.0f} km: give the "
                 "distance from its centre"
             )
         return self
@@ -205,7 +202,7 @@ class Known(Table):
     """Which quantity it is."""
     value: float
     """In the unit that the name has."""
-    error: Annotated[float, Field(gt=0)] | None = None
+    error: Above | None = None
     """As published."""
     source: str
     """A key of the table sources."""

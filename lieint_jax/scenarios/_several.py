@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from lieint_jax import _checks, schemes
 from lieint_jax.groups import so3
-from lieint_jax.scenarios._common import Common, NonNegative, Published, Rate, RateSpread, Triple
+from lieint_jax.scenarios._common import Above, Common, NonNegative, Published, Rate, RateSpread, Triple
 from lieint_jax.systems import RigidBodies
 from lieint_jax.types import Step
-
-Above = Annotated[float, Field(gt=0)]
 
 ORDERS: dict[str, list[Any]] = {
     "kepler_splitting": [[8, 6, 4], [8, 4], 2],
@@ -118,13 +116,6 @@ def angular_velocity(body: ExtendedBody, jolt: Array) -> Array:
     return jnp.asarray(body.rate()) + body.spread.rate() * jolt
 
 
-def check_order(scheme: str, order: int | list[int] | None) -> None:
-    """ValueError if a scheme does not have an order."""
-    allowed = ORDERS[scheme]
-    if order is not None and order not in allowed:
-        raise ValueError(f"order of {scheme} is {' or '.join(map(str, allowed))}, got {order}")
-
-
 def step_of(bodies: RigidBodies, scheme: str, order: Any, G: float | None = None) -> Step:
     """The step of a scheme at an order of `ORDERS`; G, where a potential has none, is for kepler_splitting."""
     if scheme == "kepler_splitting":
@@ -161,9 +152,3 @@ def cited(scenario: Common, published: Published | None) -> str:
         return ""
     error = f" ± {published.error:g}" if published.error is not None else ""
     return f"{published.value:g}{error}  ({scenario.source(published.source)})"
-
-
-def conserved(changes: dict[str, np.ndarray]) -> list[str]:
-    """The lines of a report with the largest of each change, (times, members)."""
-    lines = ["\n  largest change, all members and saved times"]
-    return lines + [f"  {name:<54}{float(x.max()):>11.1e}" for name, x in changes.items()]

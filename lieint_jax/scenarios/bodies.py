@@ -24,6 +24,9 @@ from lieint_jax._numerics import three
 from lieint_jax.potentials import Potential, Springs
 from lieint_jax.scenarios._binary_motion import followed, longitude, over_members, rate
 from lieint_jax.scenarios._common import (
+    DAY,
+    HOUR,
+    Above,
     Common,
     NonNegative,
     Published,
@@ -31,20 +34,19 @@ from lieint_jax.scenarios._common import (
     Table,
     Text,
     Triple,
+    check_order,
     deviation,
     for_last_run,
+    largest_changes,
 )
 from lieint_jax.scenarios._several import (
     ORDERS,
-    Above,
     BodySpread,
     ExtendedBody,
     Row,
     angular_velocity,
     assumed,
     attitude,
-    check_order,
-    conserved,
     mass_and_moments,
     row_lines,
     step_of,
@@ -55,7 +57,6 @@ from lieint_jax.types import State, Step, Trajectory
 
 STEP_AXIS = 0  # members have systems of their own, see `lieint_jax.scenarios`
 
-_HOUR, _DAY = 3600.0, 86400.0
 _PAIRS = 6  # the most pairs of which every distance is reported
 _SHOWN = 8  # the most bodies and pairs of a picture or of the report's periods
 _TINY = float(np.finfo(float).tiny)
@@ -212,7 +213,7 @@ class Scenario(Common):
 
     @model_validator(mode="after")
     def _a_scheme_for_these_bodies(self) -> Self:
-        check_order(self.scheme, self.order)
+        check_order(self.scheme, self.order, ORDERS[self.scheme])
         if self.scheme == "kepler_splitting":
             if len(self.bodies) != 2:
                 raise ValueError(f"kepler_splitting is for two bodies, got {len(self.bodies)}; take nystrom")
@@ -334,9 +335,9 @@ def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
     """Distances, periods beside published ones, and what is conserved."""
     lines = row_lines(scenario, quantities(scenario, run, motion(scenario, step, run)), ".6g")
     if _orbits(scenario):
-        days = abs(run.t[-1] - run.t[0]) / _DAY
+        days = abs(run.t[-1] - run.t[0]) / DAY
         lines.append(f"  periods: mean rates of longitudes about L over {days:.4g} d, by least squares")
-    lines += conserved(changes(scenario, step, run))
+    lines += largest_changes(changes(scenario, step, run), 55)
     if any(term.kind == "uniform_field" for term in scenario.potential):
         lines.append("  P across the field, and L about it, of the sum of potentials: the rest is not conserved")
     return "\n".join(line.rstrip() for line in lines)
@@ -354,7 +355,7 @@ def quantities(scenario: Scenario, run: Trajectory, found: Motion) -> list[Row]:
         for k in range(1, min(len(scenario.bodies), _SHOWN)):
             rows += _orbit(scenario, k, np.asarray(run.t), found)
     for k, body in enumerate(scenario.bodies[:_SHOWN]):
-        hours = 2 * np.pi / np.maximum(found.turning[..., k].mean(axis=0), _TINY) / _HOUR
+        hours = 2 * np.pi / np.maximum(found.turning[..., k].mean(axis=0), _TINY) / HOUR
         rows.append(_row(f"{body.name}: a turn at its mean angular velocity (h)", hours, body.published.get("turn_h")))
     return rows
 
@@ -387,10 +388,10 @@ def _orbit(scenario: Scenario, k: int, t: np.ndarray, found: Motion) -> list[Row
     f = abs(orbital) / (2 * np.pi)
     distance = found.distances[..., k - 1]
     anomalistic, size = line(t, distance, 0.9 * f, 1.1 * f)
-    apsides = np.rad2deg(orbital - np.sign(orbital) * 2 * np.pi * anomalistic) * _DAY
+    apsides = np.rad2deg(orbital - np.sign(orbital) * 2 * np.pi * anomalistic) * DAY
     published = body.published
     return [
-        _row(f"{body.name} about {first.name}: period (h)", 1 / f / _HOUR, published.get("orbital_period_h")),
+        _row(f"{body.name} about {first.name}: period (h)", 1 / f / HOUR, published.get("orbital_period_h")),
         _row("  eccentricity: amplitude of the distance over its mean", size / distance.mean(axis=0)),
         _row("  precession of the line of apsides (°/d)", apsides, published.get("apsidal_precession_deg_d")),
     ]
@@ -445,7 +446,7 @@ def draw_motion(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
 
 def _clock(span: float) -> tuple[str, float]:
     """The unit of the time axis for a run of so many seconds, and its seconds."""
-    return next(((unit, size) for unit, size in (("d", _DAY), ("h", _HOUR)) if span > 2 * size), ("s", 1.0))
+    return next(((unit, size) for unit, size in (("d", DAY), ("h", HOUR)) if span > 2 * size), ("s", 1.0))
 
 
 PICTURES = {"motion": draw_motion}

@@ -17,13 +17,11 @@ from lieint_jax.groups import so3
 from lieint_jax.orbits import Kepler
 from lieint_jax.scenarios import _body
 from lieint_jax.scenarios._body import TopScenario, about, in_space, inertia_matrix, top_schemes
-from lieint_jax.scenarios._common import Table, deviation, follow, nominal, series
+from lieint_jax.scenarios._common import Above, Table, deviation, follow, nominal, series
 from lieint_jax.systems import GravityGradient
 from lieint_jax.types import State, Step, Trajectory, energy_less_work
 
 _DISTINCT = 1e-9  # the least relative difference of two moments of inertia between which an axis is told apart
-
-Above = Annotated[float, Field(gt=0)]
 
 
 class Orbit(Table):

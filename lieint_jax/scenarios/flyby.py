@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax.scenarios import _flyby_motion as motion
-from lieint_jax.scenarios._common import paragraphs
-from lieint_jax.scenarios._flyby_keys import HOUR, Scenario
+from lieint_jax.scenarios._common import HOUR, paragraphs
+from lieint_jax.scenarios._flyby_keys import Scenario
 from lieint_jax.scenarios._flyby_motion import GivenOrbit, Outcome
 from lieint_jax.scenarios._flyby_pictures import draw_after, draw_map, draw_sensitivity
 from lieint_jax.scenarios._flyby_study import WATCHED, Study, change, members, pole_angles, study, thinned, unknowns

@@ -15,7 +15,7 @@ from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.scenarios._body import TopScenario, ensemble, in_space, inertia_matrix, top_schemes
-from lieint_jax.scenarios._common import LONGEST, POINTS, Triple, deviation, follow, nominal, series
+from lieint_jax.scenarios._common import LONGEST, POINTS, Triple, deviation, follow, largest_changes, nominal, series
 from lieint_jax.scenarios._runge_kutta import RungeKutta, cost
 from lieint_jax.systems import PotentialTop, kovalevskaya_integral, lagrange_motion
 from lieint_jax.types import State, Step, Trajectory
@@ -58,8 +58,7 @@ class Comparison(NamedTuple):
 
 def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
     """The changes of conserved quantities, worst of all members; nutation and precession beside the closed form."""
-    lines = ["\n  largest change, all members and saved times"]
-    lines += [f"  {name:<34}{change:>10.1e}" for name, change in changes(step.system, run).items()]
+    lines = largest_changes(changes(step.system, run), 34)
     unit, known = scenario.time_unit, is_lagrange(step.system)
     lines += [f"\n  {'':<34}{'nominal':>10}{'± ensemble':>12}{'closed form' if known else '':>14}"]
     rows = quantities(step.system, run, unit)

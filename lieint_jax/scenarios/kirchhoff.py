@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from lieint_jax import diagnostics, maps, plots, schemes
 from lieint_jax.scenarios._common import (
+    Above,
     Common,
     NonNegative,
     Rate,
@@ -27,7 +28,7 @@ from lieint_jax.scenarios._runge_kutta import RungeKutta
 from lieint_jax.systems import Euler, kirchhoff
 from lieint_jax.types import State, Step, Trajectory
 
-PositiveTriple = Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=3, max_length=3)]
+PositiveTriple = Annotated[list[Above], Field(min_length=3, max_length=3)]
 
 
 class InitialState(Rate):

@@ -23,6 +23,7 @@ from lieint_jax import _checks, ensemble, orbits, plots, schemes, systems
 from lieint_jax.diagnostics import Lyapunov, lyapunov
 from lieint_jax.groups import so3
 from lieint_jax.scenarios._common import (
+    Above,
     Common,
     NonNegative,
     Positive,
@@ -44,7 +45,6 @@ _ROUND = 1e-9  # an angle within this of π is one of 0
 _IN_PLANE, _OUT_OF_PLANE = (2, 5), (0, 1, 3, 4)  # coordinates (δθ, δπ), which do not mix along a planar motion
 
 Eccentricity = Annotated[float, Field(ge=0, lt=1)]
-Above = Annotated[float, Field(gt=0)]
 
 
 class Sample(Table):

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
-from pydantic import Field, field_validator, model_validator
+from pydantic import field_validator, model_validator
 
 from lieint_jax import _checks, diagnostics, plots, schemes, systems
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.scenarios import heavy_top
-from lieint_jax.scenarios._common import Common, NonNegative, Table, Triple, follow, nominal, series
+from lieint_jax.scenarios._common import Above, Common, NonNegative, Table, Triple, follow, nominal, series
 from lieint_jax.scenarios.heavy_top import Comparison
 from lieint_jax.systems import Pendulum, PotentialTop
 from lieint_jax.types import State, Step, Trajectory
@@ -47,7 +47,7 @@ class Scenario(Common):
     """The keys of a scenario of this kind."""
 
     system: Literal["pendulum"]  # pyright: ignore[reportIncompatibleVariableOverride]
-    mass: Annotated[float, Field(gt=0)]
+    mass: Above
     """In a unit of mass."""
     gravity: float
     """The acceleration of gravity over the pendulum's length, per time_unit squared."""

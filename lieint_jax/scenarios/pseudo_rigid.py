@@ -12,6 +12,7 @@ from pydantic import Field, field_validator, model_validator
 
 from lieint_jax import _checks, diagnostics, plots, schemes, systems
 from lieint_jax.scenarios._common import (
+    Above,
     Common,
     NonNegative,
     Positive,
@@ -30,7 +31,6 @@ from lieint_jax.types import State, Step, Trajectory
 _LONGEST = 4_000  # the most steps of the nominal member that are drawn; all are, since a delay plot needs each
 
 Matrix = Annotated[list[Triple], Field(min_length=3, max_length=3)]
-Above = Annotated[float, Field(gt=0)]
 
 
 class Material(Table):

@@ -16,7 +16,7 @@ from lieint_jax.groups import so3
 from lieint_jax.integrate import integrate
 from lieint_jax.phase_spaces import frame
 from lieint_jax.scenarios._body import BodyScenario, InitialState, about_least, ensemble, in_space, inertia_matrix
-from lieint_jax.scenarios._common import Published, Text, deviation, follow, nominal, thinned
+from lieint_jax.scenarios._common import Published, Text, check_order, deviation, follow, nominal, thinned
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, Trajectory
 
@@ -65,10 +65,7 @@ class Scenario(BodyScenario):
     def _keys_of_the_scheme(self) -> Self:
         if self.kappa is not None and self.scheme != "so3_midpoint":
             raise ValueError(f"kappa is a key of so3_midpoint; {self.scheme} has none")
-        allowed = _ORDERS.get(self.scheme, ())
-        if self.order is not None and self.order not in allowed:
-            known = f"{' or '.join(map(str, allowed))}" if allowed else "none, since it is exact"
-            raise ValueError(f"order of {self.scheme} is {known}, got {self.order}")
+        check_order(self.scheme, self.order, _ORDERS.get(self.scheme, ()))
         return self
 
     @model_validator(mode="after")

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from lieint_jax import diagnostics, plots, potentials, schemes, systems
 from lieint_jax.groups import so3
-from lieint_jax.scenarios._common import Common, Published, Table, follow, nominal, series
+from lieint_jax.scenarios._common import Above, Common, Published, Table, follow, largest_changes, nominal, series
 from lieint_jax.scenarios._several import step_of
 from lieint_jax.systems import RigidBodies
 from lieint_jax.types import State, Step, Trajectory
@@ -21,8 +21,6 @@ from lieint_jax.types import State, Step, Trajectory
 _BOLTZMANN = 0.00831446261815324  # kJ/(mol K)
 _SCALED_EVERY = 10  # steps, while a droplet settles
 _LONGEST = 2000  # the most steps of the picture of errors: the energy–momentum scheme takes ten forces a step
-
-Above = Annotated[float, Field(gt=0)]
 
 
 class Settling(Table):
@@ -171,8 +169,7 @@ def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
     """What is kept, worst of all members; temperature; the first O–O distance beside the published one."""
     bodies = step.system
     T, r = series(lambda z: temperature(bodies, z), run), distances(scenario, run)
-    lines = ["\n  largest change, all members and saved times"]
-    lines += [f"  {name:<54}{change:>10.1e}" for name, change in changes(bodies, run).items()]
+    lines = largest_changes(changes(bodies, run), 54)
     later = T[len(T) // 2 :]
     lines.append(f"\n  {'temperature, second half of the run (K)':<54}{later.mean():>10.1f} ± {later.std():.1f}")
     lines.append(f"  {'first peak of the O–O distances (nm)':<54}{histogram(r[1:]).peak:>10.4f}")

@@ -22,7 +22,7 @@ from lieint_jax.studies._tumbling import mean_periods
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State
 
-MU = 398600.4418 * 86400.0**2  # the Earth's GM in km³/d² (IERS)
+MU = orbits.EARTH_GM * 86400.0**2  # km³/d²
 AU = 149597870.7  # km
 _EARTH_SPEED = 29.7847  # km/s, of a circular orbit of 1 au
 _HALF, _STEPS = 12.0, 800  # days before and after the least distance; steps over both
