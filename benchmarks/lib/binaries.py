@@ -28,7 +28,7 @@ from lieint_jax.systems import RigidBodies
 
 ORBITS = 2
 END = 2 * np.pi * ORBITS
-EXTRAPOLATE = "extrapolate, order 12"
+EXTRAPOLATE = "extrapolate, order 14"
 _TOLERANCES = tuple(10.0**-k for k in range(5, 15))
 
 # Didymos and Dimorphos, SI units: the example of the public two-body code of Davis & Scheeres
@@ -172,7 +172,7 @@ def of_ours(alone: bool) -> list[Curve]:
         of("nystrom, order 6", make.nystrom(system, 6), 24, 8),
         of("kepler_splitting (8, 4)", make.kepler_splitting(system, (8, 4)), 12, 9),
         of("kepler_splitting (8, 6, 4)", make.kepler_splitting(system, (8, 6, 4)), 8, 9),
-        of(EXTRAPOLATE, make.extrapolate(system, 12), 30, 7, 1.25),
+        of(EXTRAPOLATE, make.extrapolate(system, 14), 24, 7, 1.2),
     ]
 
 

@@ -17,12 +17,20 @@ def nodes(stages: int) -> np.ndarray:
 
 
 def integrals(stages: int, points: np.ndarray) -> np.ndarray:
-    """∫ℓ_j from 0 to each point, (points, s), with ℓ the Lagrange polynomials of the nodes on [0, 1].
-
-    By the discrete orthogonality of the Legendre polynomials, without a linear solve.
-    """
-    x, w = np.polynomial.legendre.leggauss(stages)
-    P, y = np.polynomial.legendre.legvander(x, stages - 1), 2 * np.asarray(points) - 1
-    k, at = np.arange(1, stages), np.polynomial.legendre.legvander(y, stages)
+    """∫ℓ_j from 0 to each point, (points, s), with ℓ the Lagrange polynomials of the nodes on [0, 1]."""
+    y, k = 2 * np.asarray(points) - 1, np.arange(1, stages)
+    at = np.polynomial.legendre.legvander(y, stages)
     whole = np.column_stack([(y + 1) / 2, (at[:, 2:] - at[:, :-2]) / (2 * (2 * k + 1))])
-    return whole @ ((2 * np.arange(stages) + 1)[:, None] / 2 * w * P.T)
+    return whole @ _coefficients(stages)
+
+
+def values(stages: int, points: np.ndarray) -> np.ndarray:
+    """ℓ_j at each point, (points, s)."""
+    return np.polynomial.legendre.legvander(2 * np.asarray(points) - 1, stages - 1) @ _coefficients(stages)
+
+
+def _coefficients(stages: int) -> np.ndarray:
+    """Those of ℓ_j in Legendre's polynomials, (s, s), by their discrete orthogonality, without a linear solve."""
+    x, w = np.polynomial.legendre.leggauss(stages)
+    P = np.polynomial.legendre.legvander(x, stages - 1)
+    return (2 * np.arange(stages) + 1)[:, None] / 2 * w * P.T

@@ -152,13 +152,15 @@ def cayley_difference(q: three.Vector, h: three.Vector) -> tuple[Array, Array, A
 
 def to_matrix(q: Array) -> Array:
     """The rotation matrix Λ, shape (3, 3)."""
-    w, x, y, z = three.components(q)
-    return jnp.stack(
-        [
-            jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
-            jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
-            jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
-        ]
+    return jnp.stack([jnp.stack(row) for row in matrix_of(*three.components(q))])
+
+
+def matrix_of(w: Array, x: Array, y: Array, z: Array) -> three.Matrix:
+    """The rows of the rotation matrix of a unit quaternion."""
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
 
 

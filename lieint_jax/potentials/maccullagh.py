@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import three
+from lieint_jax._numerics import kernel, three
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree
 
 _FEW = 6  # pairs that are written out one by one, which XLA fuses better
+
+
+class _Place(NamedTuple):
+    """The position and the rotation of a body, or of k of them, entry by entry."""
+
+    x: three.Vector
+    R: three.Matrix
 
 
 @pytree
@@ -38,37 +49,39 @@ class MacCullagh(Potential):
 
     def force(self, x: Array, R: Array) -> Array:
         """The forces −∂V/∂x and the torques −∂V(exp(δ̂)R)/∂δ, (N, 6), six times as fast as the derivative of V."""
-        (i, j), zero = self._pairs, jnp.zeros((x.shape[0], 6), x.dtype)
+        i, j = self._pairs
         if i.size > _FEW:
-            on_i, on_j = self._attraction(i, j, x, R)
-            return zero.at[i].add(on_i).at[j].add(on_j)
-        rows = list(zero)
-        for a, b in zip(i, j, strict=True):
-            on_a, on_b = self._attraction(a, b, x, R)
-            rows[a], rows[b] = rows[a] + on_a, rows[b] + on_b
-        return jnp.stack(rows)
+            on_i, on_j = self._attraction(i, j, *(_Place(x[n].T, jnp.moveaxis(R[n], 0, -1)) for n in (i, j)))
+            zero = jnp.zeros((x.shape[0], 6), x.dtype)
+            return zero.at[i].add(jnp.stack(on_i, axis=-1)).at[j].add(jnp.stack(on_j, axis=-1))
+        return jnp.stack([jnp.stack(row) for row in self.forces(list(x), list(R))])
 
-    def _attraction(self, i: np.ndarray, j: np.ndarray, x: Array, R: Array) -> tuple[Array, Array]:
-        """Force and torque of j on i and of i on j, for two numbers (6,) or k pairs of them (k, 6).
+    def forces(self, x: Sequence[three.Vector], R: Sequence[three.Matrix]) -> list[Any]:
+        """`force` of few bodies, number by number: six of each body."""
+        sums: list[Any] = [None] * len(x)
+        for i, j in itertools.combinations(range(len(x)), 2):
+            for n, more in zip((i, j), self._attraction(i, j, _Place(x[i], R[i]), _Place(x[j], R[j])), strict=True):
+                sums[n] = more if sums[n] is None else [y + dy for y, dy in zip(sums[n], more, strict=True)]
+        zero = jnp.zeros_like(x[0][0])
+        return [[zero] * 6 if row is None else row for row in sums]
+
+    def _attraction(self, i: Any, j: Any, at_i: _Place, at_j: _Place) -> tuple[list[Array], list[Array]]:
+        """Force and torque of j on i and of i on j, six components each, for two numbers or for k pairs of them.
 
         With a = (3G/r⁵) m ΛJΓ of either body, m the other's mass: f_i = −f_j = G[…]d/r³ + a_i + a_j, τ = d × a.
         """
-        m, trace, G = self.masses, self._traces, self.G
-        d = three.components((x[j] - x[i]).T)
-        v = 1 / three.dot(d, d)
-        third = G * v * jnp.sqrt(v)
+        m, trace = self.masses, self._traces
+        d = three.subtract(at_j.x, at_i.x)
         arms, along = [], 0.0
-        for body, other in ((i, j), (j, i)):
-            axes, J = R[body].T, self.inertias[body].T  # the axes of the body in space
-            Gamma = [three.dot(axis, d) for axis in axes]
-            JGamma = three.apply(three.components(J) if self.inertias.ndim == 2 else three.entries(J), Gamma)
-            along = along + m[other] * three.dot(Gamma, JGamma)
-            arm = three.scale(m[other], [three.dot(axes[:, k], JGamma) for k in range(3)])
-            arms.append(three.scale(3 * third * v, arm))
-        size = third * (m[i] * m[j] + 1.5 * v * (m[j] * trace[i] + m[i] * trace[j] - 5 * v * along))
-        f = three.once(three.add(three.scale(size, d), three.add(*arms)))
-        turn_i, turn_j = (three.cross(d, arm) for arm in arms)
-        return jnp.stack([*f, *turn_i], axis=-1), jnp.stack([*three.scale(-1, f), *turn_j], axis=-1)
+        for body, other, R in ((i, j, at_i.R), (j, i, at_j.R)):
+            J = self.inertias[body].T
+            own, arm = _arm(three.components(J) if self.inertias.ndim == 2 else three.entries(J), _seen(d, R), R)
+            along = along + m[other] * own
+            arms.append(three.scale(m[other], arm))
+        f, turns = _pull(self.G, m[i] * m[j], m[j] * trace[i] + m[i] * trace[j], d, along, arms)
+        if not kernel.inside():
+            f = three.once(f)
+        return [*f, *turns[0]], [*three.scale(-1, f), *turns[1]]
 
     def invariants(self, x: Array, R: Array) -> Array:
         """Of each of k pairs r², Γ_i and Γ_j, (7k,)."""
@@ -131,6 +144,31 @@ def maccullagh(G: ArrayLike, masses: ArrayLike, inertias: ArrayLike) -> MacCulla
     if m.ndim != 1 or J.shape not in ((m.size, 3), (m.size, 3, 3)):
         raise ValueError(f"masses (N,) and inertias (N, 3) or (N, 3, 3) are needed, got {m.shape} and {J.shape}")
     return MacCullagh(_checks.real_array("G", G, ()), m, J)
+
+
+@kernel.stage
+def _seen(d: three.Vector, R: three.Matrix) -> three.Vector:
+    """Γ = Λᵀd."""
+    return tuple(three.dot(axis, d) for axis in three.transpose(R))
+
+
+@kernel.stage
+def _arm(J: three.Symmetric, Gamma: three.Vector, R: three.Matrix) -> tuple[Array, three.Vector]:
+    """Γ·JΓ and ΛJΓ."""
+    JGamma = three.apply(J, Gamma)
+    return three.dot(Gamma, JGamma), tuple(three.dot(row, JGamma) for row in R)
+
+
+@kernel.stage
+def _pull(
+    G: Array, masses: Array, traces: Array, d: three.Vector, along: Array, arms: list[three.Vector]
+) -> tuple[three.Vector, list[three.Vector]]:
+    """f_i and both torques, from both m ΛJΓ, and the sum of their products with d."""
+    v = 1 / three.dot(d, d)
+    third = G * v * jnp.sqrt(v)
+    arms = [three.scale(3 * third * v, arm) for arm in arms]
+    size = third * (masses + 1.5 * v * (traces - 5 * v * along))
+    return three.add(three.scale(size, d), three.add(*arms)), [three.cross(d, arm) for arm in arms]
 
 
 def _times(J: Array, Gamma: Array) -> Array:

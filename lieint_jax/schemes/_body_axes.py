@@ -36,7 +36,7 @@ def known(system: System) -> bool:
     return isinstance(system, Top | DrivenTop | FreeBody | Gyrostat) and not other_motion(motion, system, system)
 
 
-def turning(state: State) -> Turning:
+def unknowns(state: State) -> Turning:
     Pi = so3.Ad_star(state.q, state.p)
     return Turning(three.components(state.q), three.components(Pi), state.t, state.work)
 
@@ -76,7 +76,7 @@ def rate(system: Any) -> Callable[[Any], Turning]:
 
 def motion(system: Any, state: State) -> State:
     """The time derivative of q and p that follows from that of the unknowns."""
-    z = turning(state)
+    z = unknowns(state)
     q_dot = jnp.stack(rate(system)(z).q)
     if not isinstance(system, Top | DrivenTop):
         return State(q_dot, jnp.zeros_like(state.p))

@@ -10,12 +10,15 @@ torque does: all quadratic.
 
 T*GL⁺(3) is flat as it is.
 
-Coordinates are a tuple of components: those of q, then those of p; of several bodies positions, quaternions, linear
-momenta, and p, each with an axis of bodies, (N,).
+Coordinates are a tuple of components: those of q, then those of p. Of several bodies these are positions and
+quaternions, then linear momenta and p: of few bodies one body after the other, number by number; of more each component
+has an axis of bodies, (N,).
 """
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -27,6 +30,7 @@ from lieint_jax._numerics.three import add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, CotangentMatrices, CotangentMotions
 from lieint_jax.schemes._body_axes import by, seen
+from lieint_jax.schemes._few_bodies import FEW, Place, forces
 from lieint_jax.schemes._stages import Components
 from lieint_jax.types import (
     Bodies,
@@ -46,7 +50,7 @@ _Quaternion = tuple[Array, Array, Array, Array]
 
 
 class Parts(NamedTuple):
-    """Coordinates by their meaning; x and P are empty for one body."""
+    """The coordinates of one body, or of many with an axis of bodies; x and P are empty in a system of one body."""
 
     x: Components
     q: Components
@@ -65,31 +69,56 @@ def canonical(state: State) -> Components:
     """The coordinates of a state."""
     if state.q.shape == (3, 3):
         return tuple(state.q.ravel()) + tuple(state.p.ravel())
-    q, p = _components(state.q), _components(state.p)
-    if len(q) == 4:
-        return (*q, *_from_left(scale(2, p), q))
-    return (*q, *p[:3], *_from_left(scale(2, p[3:]), q[3:]))
+    if state.q.ndim == 2 and len(state.q) <= FEW:
+        bodies = zip(map(_components, state.q), map(_components, state.p), strict=True)
+        return _all_halves([_coordinates(q, p) for q, p in bodies])
+    return _all_halves([_coordinates(_components(state.q), _components(state.p))])
 
 
-def parts(z: Components) -> Parts:
-    if len(z) == 8:
-        return Parts((), z[:4], (), z[4:])
-    return Parts(z[:3], z[3:7], z[7:10], z[10:])
+def _coordinates(q: Components, p: Components) -> tuple[Components, Components]:
+    """Of q and p, those of a body or of many: each of both halves."""
+    return q, (*p[:-3], *_from_left(scale(2, p[-3:]), q[-4:]))
+
+
+def _all_halves(bodies: Sequence[tuple[Components, Components]]) -> Components:
+    """The first half of each body, then the second of each."""
+    return tuple(x for half in zip(*bodies, strict=True) for x in itertools.chain(*half))
+
+
+def parts(z: Components) -> list[Parts]:
+    """The coordinates of each body, or of many together."""
+    half = len(z) // 2
+    if half == 4:
+        return [Parts((), z[:4], (), z[4:])]
+    starts = range(0, half, 7)
+    return [
+        Parts(z[n : n + 3], z[n + 3 : n + 7], z[half + n : half + n + 3], z[half + n + 3 : half + n + 7])
+        for n in starts
+    ]
 
 
 def momentum(z: Components) -> Components:
-    """π = ½ Im(p q̄) of coordinates; after the linear momenta, if there are any."""
-    _, (w, *v), P, (p0, *p) = parts(z)
-    return (*P, *scale(0.5, add(subtract(scale(w, p), scale(p0, v)), cross(v, p))))
+    """π = ½ Im(p q̄) of coordinates, of several bodies after the linear momenta."""
+    return tuple(itertools.chain(*map(_momenta, parts(z))))
+
+
+def _momenta(body: Parts) -> Components:
+    (w, *v), (p0, *p) = body.q, body.p
+    return (*body.P, *scale(0.5, add(subtract(scale(w, p), scale(p0, v)), cross(v, p))))
 
 
 def configuration(z: Components) -> Array:
     """The configuration, with quaternions of unit length: (4,), (N, 7), or (3, 3)."""
     if len(z) == 18:
         return jnp.stack(z[:9]).reshape(3, 3)
-    x, q, *_ = parts(z)
+    bodies = [jnp.stack([*x, *_unit(q)], axis=-1) for x, q, *_ in parts(z)]
+    return jnp.stack(bodies) if bodies[0].shape == (7,) else bodies[0]
+
+
+def _unit(q: Components) -> _Quaternion:
     r = jnp.sqrt(_inverse_square(q))
-    return jnp.stack([*x, *(r * y for y in q)], axis=-1)
+    w, x, y, z = q
+    return r * w, r * x, r * y, r * z
 
 
 def inverses(system: Any) -> Any:
@@ -97,8 +126,9 @@ def inverses(system: Any) -> Any:
     if isinstance(system, ElasticBody):
         return None
     if isinstance(system, FreeBodies | Bodies):
-        return jax.vmap(three.inverse)(system.inertias)
-    return three.inverse(system.metric if isinstance(system, MechanicalSystem) else system.inertia)
+        few = system.masses.shape[0] <= FEW
+        return [three.inverse(J) for J in system.inertias] if few else [jax.vmap(three.inverse)(system.inertias)]
+    return [three.inverse(system.metric if isinstance(system, MechanicalSystem) else system.inertia)]
 
 
 @kernel.stage
@@ -108,22 +138,26 @@ def field(system: Any, inverse: Any, z: Components, t: Array | None) -> Componen
         F, P = (jnp.stack(x).reshape(3, 3) for x in (z[:9], z[9:]))
         rate = system.vector_field(State(F, P))
         return (*rate.q.ravel(), *rate.p.ravel())
-    _, q, P, p = parts(z)
-    half = _half_rate(system.rotor if isinstance(system, Gyrostat) else None, inverse, q, p)
-    q_dot, p_dot = by(q, half), by(p, half)
-    velocity = tuple(y / system.masses for y in P)  # pyright: ignore[reportAttributeAccessIssue]
-    if not isinstance(system, Forced | Driven):
-        return (*velocity, *q_dot, *(jnp.zeros_like(y) for y in P), *p_dot)
-    F, kick = _kick(system, z, t)
-    return (*velocity, *q_dot, *F, *(a + b for a, b in zip(p_dot, kick, strict=True)))
+    bodies = parts(z)
+    rates = [
+        _rate(system.rotor if isinstance(system, Gyrostat) else None, J, m, body)
+        for J, m, body in zip(inverse, _masses(system, len(bodies)), bodies, strict=True)
+    ]
+    if isinstance(system, Forced | Driven):
+        kicks = _kicks(system, bodies, z, t)
+        rates = [(q, tuple(map(jnp.add, p, kick))) for (q, p), kick in zip(rates, kicks, strict=True)]
+    return _all_halves(rates)
 
 
 @kernel.stage
 def force(system: Any, _: Any, z: Components, t: Array | None) -> Components:
     """The components of π̇, or of (ṗ, π̇) of several bodies."""
+    bodies = parts(z)
     if not isinstance(system, Forced | Driven):
-        *_, P, _ = parts(z)
-        return (jnp.zeros_like(z[0]),) * (3 + len(P))
+        return (jnp.zeros_like(z[0]),) * (3 + len(bodies[0].P)) * len(bodies)
+    if isinstance(system, Bodies) and bodies[0].x[0].ndim == 0:
+        places = [Place.of(body.x, _unit(body.q)) for body in bodies]
+        return tuple(itertools.chain(*forces(system, places)))
     q = configuration(z)
     at = (q,) if t is None or isinstance(system, Forced) else (q, t)
     return _components(system.force(*at))
@@ -137,7 +171,9 @@ def power(system: Driven, _: Any, z: Components, t: Array) -> Components:
 
 def ended(state: State, z: Components, impulse: Components | None, work: Array | None) -> State:
     """`state` moved to the coordinates z; with the impulse and the work of the step added to what they change."""
-    p = jnp.stack(z[9:]).reshape(3, 3) if impulse is None else state.p + jnp.stack(impulse, axis=-1)
+    moves = z[9:] if impulse is None else impulse
+    p = jnp.stack(moves, axis=-1).reshape(state.p.shape)
+    p = p if impulse is None else state.p + p
     end = state._replace(q=configuration(z), p=p)
     return end if work is None or state.work is None else end._replace(work=state.work + work)
 
@@ -149,16 +185,35 @@ def motion(system: Any, state: State) -> State:
     if isinstance(system, ElasticBody):
         return ended(state, rate, None, None)
     _, q = jax.jvp(configuration, (z,), (rate,))
-    return State(q, jnp.stack(force(system, None, z, state.t), axis=-1))
+    return State(q, jnp.stack(force(system, None, z, state.t), axis=-1).reshape(state.p.shape))
 
 
-def _kick(system: Any, z: Components, t: Array | None) -> tuple[Components, _Quaternion]:
-    """Ṗ, if there is such a part, and what the potential adds to ṗ: 2τq/|q|²."""
-    _, q, *_ = parts(z)
+def _masses(system: Any, count: int) -> list[Any]:
+    """The mass of each part, or of all its bodies."""
+    if not isinstance(system, FreeBodies | Bodies):
+        return [None]
+    return [system.masses] if count == 1 and len(system.masses) > FEW else list(system.masses)
+
+
+def _rate(rotor: Array | None, inverse: Any, mass: Any, body: Parts) -> tuple[Components, Components]:
+    """The derivatives of both halves of a body's coordinates, without a potential."""
+    half = _half_rate(rotor, inverse, body.q, body.p)
+    velocity, zeros = tuple(y / mass for y in body.P), (jnp.zeros_like(y) for y in body.P)
+    return (*velocity, *by(body.q, half)), (*zeros, *by(body.p, half))
+
+
+def _kicks(system: Any, bodies: list[Parts], z: Components, t: Array | None) -> list[Components]:
+    """What the potential adds to the second half of each body's rates: the force, and 2τq/|q|²."""
     if isinstance(system, Top | DrivenTop) and system.axis is not None:
-        return (), by(q, _body_torque(system, q, t))
-    forces = force(system, None, z, t)
-    return forces[:-3], _from_left(scale(2 * _inverse_square(q), forces[-3:]), q)
+        return [by(bodies[0].q, _body_torque(system, bodies[0].q, t))]
+    found = force(system, None, z, t)
+    each = len(found) // len(bodies)
+    return [_kick(body.q, found[n * each : (n + 1) * each]) for n, body in enumerate(bodies)]
+
+
+def _kick(q: Components, force: Components) -> Components:
+    """The force on a body, if there is one, and its torque τ as 2τq/|q|²."""
+    return (*force[:-3], *_from_left(scale(2 * _inverse_square(q), force[-3:]), q))
 
 
 @kernel.stage

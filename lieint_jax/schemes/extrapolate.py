@@ -21,7 +21,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax._numerics import kernel
-from lieint_jax.schemes import _body_axes
+from lieint_jax.schemes import _body_axes, _few_bodies
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES
 from lieint_jax.types import Bodies, State, Step, StepInfo, System, Top, all_finite, pytree, static, time_derivative
 
@@ -35,12 +35,12 @@ class Extrapolated(Step):
     Attributes:
         system: any system.
         order: even.
-        body_axes: whether it integrates in the axes of one body, in place of the states themselves.
+        form: the module whose unknowns it integrates, of one body or of few, in place of the states themselves.
     """
 
     system: System
     order: float = static()
-    body_axes: bool = static()
+    form: Any = static()
     symmetric: bool = static(default=False)
 
     @property
@@ -60,14 +60,12 @@ class Extrapolated(Step):
 
     def _unknowns(self, state: State) -> tuple[Any, Callable[[Any], Any]]:
         """What is integrated, and its time derivative."""
-        if self.body_axes:
-            return _body_axes.turning(state), _body_axes.rate(self.system)
-        return state, partial(time_derivative, self.system)
+        if self.form is None:
+            return state, partial(time_derivative, self.system)
+        return self.form.unknowns(state), self.form.rate(self.system)
 
     def _moved(self, state: State, start: Any, delta: Any) -> State:
-        if self.body_axes:
-            return _body_axes.moved(state, start, delta)
-        return jax.tree.map(jnp.add, start, delta)
+        return jax.tree.map(jnp.add, start, delta) if self.form is None else self.form.moved(state, start, delta)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
@@ -87,10 +85,6 @@ def _extrapolated(rate: Callable[[Any], Any], start: Any, dt: Array, order: int)
     def after(h: Array, before: Any, delta: Any) -> Any:
         return jax.tree.map(lambda x, f: x + 2 * h * f, before, at(delta))
 
-    @kernel.stage
-    def midpoint(h: Array, before: Any, delta: Any) -> Any:
-        return jax.tree.map(lambda x, y, f: (x + y + h * f) / 2, before, delta, at(delta))
-
     def first(h: Array) -> Any:
         return jax.tree.map(lambda x: h * x, slope)
 
@@ -98,13 +92,16 @@ def _extrapolated(rate: Callable[[Any], Any], start: Any, dt: Array, order: int)
         before, delta, best, second = carry
         h, last, w, v, following = row
         middle = after(h, before, delta)
+        end = after(jnp.where(last, h / 2, h), delta, middle)
 
         def closed() -> Any:
-            S = midpoint(h, delta, middle)
-            sums = (jax.tree.map(lambda s, x, w=w: s + w * x, sum_, S) for sum_, w in ((best, w), (second, v)))
+            sums = (
+                jax.tree.map(lambda s, x, y, w=w: s + w * ((x + y) / 2), sum_, middle, end)
+                for sum_, w in ((best, w), (second, v))
+            )
             return zero, first(following), *sums
 
-        return lax.cond(last, closed, lambda: (middle, after(h, delta, middle), best, second)), None
+        return lax.cond(last, closed, lambda: (middle, end, best, second)), None
 
     zero = jax.tree.map(jnp.zeros_like, start)
     last, *numbers = _rows(order)
@@ -141,7 +138,7 @@ def extrapolate(system: System, order: int = 12) -> Extrapolated:
         raise ValueError(f"order must be an even number from 4 to 20, got {order!r}")
     if not isinstance(system, System):
         raise ValueError(f"extrapolate integrates systems, got {type(system).__name__}")
-    return Extrapolated(system, order, _body_axes.known(system))
+    return Extrapolated(system, order, next((form for form in (_body_axes, _few_bodies) if form.known(system)), None))
 
 
 def weights(numbers: list[int]) -> list[float]:

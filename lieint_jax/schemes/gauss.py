@@ -43,7 +43,7 @@ from lieint_jax.types import (
 )
 
 _MOST = 100  # sweeps
-_LADDER = ((2, 1), (4, 2), (6, 2))  # stages, and sweeps at them, from which the guess climbs: each gains an order
+_NODES = 4  # of the guess of a step with more, and its sweeps: each gains an order
 _STALLED = 2**16  # eps: a change below it that no longer falls is rounding
 _CONVERGED = 32  # eps: the largest last change of a step that converged
 _REFINEMENTS = 60  # sweeps of the linear equations for derivatives
@@ -156,36 +156,30 @@ class _Equation(NamedTuple):
         """z + Δt Σ w_j k_j, of every row of weights."""
         return moved(self.start, k, self.dt, weights)
 
-    def swept(self, Y: Components) -> Components:
-        """z_n + Δt Σ a_ij f(Y_j)."""
-        c, A, _ = collocation.gauss(self.stages)
-        return self.moved(self.each(field, Y, c), A)
+    def at(self, k: Components) -> Components:
+        """The coordinates at the stages, z_n + Δt Σ a_ij k_j."""
+        return self.moved(k, collocation.gauss(self.stages)[1])
 
-    def residual(self, Y: Components) -> Components:
-        return jax.tree.map(jnp.subtract, Y, self.swept(Y))
+    def swept(self, k: Components) -> Components:
+        """f(z_n + Δt Σ a_ij k_j)."""
+        return self.each(field, self.at(k), collocation.gauss(self.stages)[0])
+
+    def residual(self, k: Components) -> Components:
+        return jax.tree.map(jnp.subtract, k, self.swept(k))
 
     def guess(self, most: int) -> tuple[Components, int]:
-        """The stages after at most so many sweeps, at few nodes, and the number of those sweeps."""
-        k, last, taken = self.each(field, tuple(x[None] for x in self.start), np.zeros(1)), 1, 1
-        for s, sweeps in _LADDER:
-            if s < min(self.stages, most - sweeps - taken):
-                k, last, taken = self.rung(k, last, s, sweeps), s, taken + sweeps
-        return self.moved(k, collocation.integrals(last, collocation.nodes(self.stages))), taken
+        """The k_i after at most so many sweeps, at few nodes, and the number of those sweeps."""
+        s = min(self.stages, _NODES)
+        k = tuple(jnp.zeros((s, *x.shape), x.dtype) for x in self.start)
+        if self.stages == s or most <= 2 * _NODES:
+            return tuple(jnp.zeros((self.stages, *x.shape), x.dtype) for x in self.start), 0
+        k = lax.fori_loop(0, _NODES, lambda _, k: self._replace(stages=s).swept(k), k)
+        return tuple(_between(x, s, self.stages) for x in k), _NODES
 
-    def rung(self, k: Components, last: int, stages: int, sweeps: int) -> Components:
-        """The derivatives at another number of stages, after so many sweeps, from those at the last number."""
-        c, A, _ = collocation.gauss(stages)
-
-        def swept(_: Any, carry: tuple[Components, Components]) -> tuple[Components, Components]:
-            k = self.each(field, carry[0], c)
-            return self.moved(k, A), k
-
-        Y = self.moved(k, collocation.integrals(last, c))
-        return lax.fori_loop(0, sweeps, swept, (Y, Y))[1]
-
-    def end(self, Y: Components, k: Components) -> State:
+    def end(self, k: Components) -> State:
         """The state at n + 1. π moves by Δt Σ b_i τ_i, as any quadratic function of z does, without rounding p q̄."""
         c, _, b = collocation.gauss(self.stages)
+        Y = self.at(k)
         state, m = self.state, self.members
         impulse, work, zero = None, None, jnp.zeros((), self.dt.dtype)
         if not isinstance(self.system, ElasticBody):
@@ -196,38 +190,41 @@ class _Equation(NamedTuple):
         return m.each(ended, (m.state, -1, -1, -1), 0)(state, summed(self.start, k, self.dt, b), impulse, work)
 
     def change(self, a: Components, b: Components) -> Array:
-        """The largest difference of stages, in units of q, which are 1 at least, and of the largest of p."""
+        """The largest difference of Δt k_i, in units of q, which are 1 at least, and of the largest of p."""
         half, largest = len(a) // 2, self.members.largest
         q, p = (largest(jnp.abs(jnp.stack(self.start[part]))) for part in (slice(half), slice(half, None)))
         sizes = [jnp.maximum(1, q)] * half + [jnp.where(p > 0, p, 1)] * half
         moved = [largest(jnp.abs(x - y)) / size for x, y, size in zip(a, b, sizes, strict=True)]
-        return functools.reduce(jnp.maximum, moved)
+        return jnp.abs(self.dt) * functools.reduce(jnp.maximum, moved)
+
+
+def _between(k: Array, few: int, many: int) -> Array:
+    """The values at many nodes of the polynomial through those at few."""
+    weights = collocation.values(few, collocation.nodes(many)).astype(k.dtype)
+    columns = (w.reshape(-1, *[1] * (k.ndim - 1)) * x for w, x in zip(weights.T, k, strict=True))
+    return functools.reduce(jnp.add, columns)
 
 
 def _column(nodes: np.ndarray, dtype: Any, ndim: int) -> Array:
     return jnp.asarray(nodes, dtype).reshape(-1, *[1] * ndim)
 
 
-_Carry = tuple[Components, Array, Array, Array]  # Y, its last change, the one before, the number of sweeps
-
-
 def _stepped(equation: _Equation, sweeps: int | None) -> tuple[State, StepInfo]:
-    c, A, _ = collocation.gauss(equation.stages)
-    Y = _solved(equation, sweeps)
-    k = equation.each(field, Y, c)
-    end, change = equation.end(Y, k), lax.stop_gradient(equation.change(equation.moved(k, A), Y))
+    k, change = _solved(equation, sweeps)
+    end, change = equation.end(k), lax.stop_gradient(change)
     finite = jax.vmap(all_finite)(end) if equation.members.many else all_finite(end)
     return end, StepInfo(change, finite & (change <= _CONVERGED * float(jnp.finfo(change.dtype).eps)))
 
 
-def _solved(equation: _Equation, sweeps: int | None) -> Components:
-    """The stages."""
+def _solved(equation: _Equation, sweeps: int | None) -> tuple[Components, Array]:
+    """The k_i, and their last change."""
     guess, taken = equation.without_derivative().guess(_MOST if sweeps is None else sweeps)
 
-    def solve(_: Callable[[Components], Components], Y: Components) -> Components:
+    def solve(_: Callable[[Components], Components], k: Components) -> tuple[Components, Array]:
         if sweeps is None:
-            return _iterated(equation, Y)
-        return lax.fori_loop(0, max(1, sweeps - taken - 1), lambda _, Y: equation.swept(Y), Y)  # and one with the end
+            return _iterated(equation, k)
+        both = lax.fori_loop(0, max(1, sweeps - taken), lambda _, pair: (equation.swept(pair[0]), pair[0]), (k, k))
+        return both[0], equation.change(*both)
 
     def tangent_solve(linear: Callable[[Components], Components], b: Components) -> Components:
         flat, components = ravel_pytree(b)  # one array: parts of b may depend on nothing that is differentiated
@@ -238,30 +235,33 @@ def _solved(equation: _Equation, sweeps: int | None) -> Components:
         x = lax.custom_linear_solve(lambda v: ravel_pytree(linear(components(v)))[0], flat, refined, refined)
         return components(x)
 
-    return lax.custom_root(equation.residual, guess, solve, tangent_solve)
+    return lax.custom_root(equation.residual, guess, solve, tangent_solve, has_aux=True)
 
 
-def _iterated(equation: _Equation, Y: Components) -> Components:
+_Carry = tuple[Components, Array, Array, Array]  # k, its last change, the one before, the number of sweeps
+
+
+def _iterated(equation: _Equation, k: Components) -> tuple[Components, Array]:
     """Sweeps until they change nothing; a member that is done rests, and the others go on."""
     eps = float(jnp.finfo(equation.dt.dtype).eps)
 
     def goes_on(carry: _Carry) -> Array:
         _, change, before, n = carry
         falls = (change > _STALLED * eps) | (change < before)
-        return (n < _MOST) & (change > 2 * eps) & falls
+        return (n < _MOST) & (change > 4 * eps) & falls
 
     def improved(carry: _Carry) -> _Carry:
-        Y, change, _, n = carry
-        new = equation.swept(Y)
-        other: Any = (new, equation.change(new, Y), change)
+        k, change, _, n = carry
+        new = equation.swept(k)
+        other: Any = (new, equation.change(new, k), change)
         if equation.members.many:
             other = jax.tree.map(partial(jnp.where, goes_on(carry)), other, carry[:3])
         return *other, n + 1
 
     shape = equation.start[0].shape[-1:] if equation.members.many else ()
     far = jnp.full(shape, jnp.finfo(equation.dt.dtype).max, equation.dt.dtype)
-    begin = (Y, far / 2, far, jnp.zeros((), int))
-    return lax.while_loop(lambda carry: jnp.any(goes_on(carry)), improved, begin)[0]
+    begin = (k, far / 2, far, jnp.zeros((), int))
+    return lax.while_loop(lambda carry: jnp.any(goes_on(carry)), improved, begin)[:2]
 
 
 @jax.custom_batching.custom_vmap
