@@ -235,6 +235,13 @@ def test_what_gauss_and_extrapolate_refuse():
             make()
 
 
+def test_the_polynomial_through_the_nodes():
+    """Of degree 3 through 4 nodes, at 7: its values and its integrals; observed 3e-16."""
+    c, at = collocation.nodes(4), collocation.nodes(7)
+    np.testing.assert_allclose(collocation.values(4, at) @ c**3, at**3, atol=2e-15)
+    np.testing.assert_allclose(collocation.integrals(4, at) @ c**3, at**4 / 4, atol=2e-15)
+
+
 def test_the_weights_cancel_even_powers():
     numbers = [2, 4, 6, 8, 10, 12]
     w = np.array(weights(numbers))

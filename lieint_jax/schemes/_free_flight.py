@@ -1,20 +1,21 @@
-"""The exact free motion of many rigid bodies: centres go straight on, each body turns as a free rigid body does."""
+"""The free motion of many rigid bodies: centres go straight on, each body turns as a free rigid body does."""
 
 from __future__ import annotations
 
-import math
+import dataclasses
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax import _free_body
 from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.schemes._capability import Integrand
-from lieint_jax.schemes.exact import judged
-from lieint_jax.types import Bodies, FreeBodies, State, Step, StepInfo, pytree, static
+from lieint_jax.schemes._few_bodies import FEW
+from lieint_jax.types import Bodies, FreeBodies, FreeBody, State, Step, StepInfo, pytree
 
 
 def free_motion(bodies: FreeBodies | Bodies, state: State) -> Array:
@@ -37,31 +38,61 @@ MANY_FREE_BODIES = Integrand(FreeBodies, "free rigid bodies (systems.rigid_bodie
 
 @pytree
 class FreeFlight(Step):
-    """The exact flow of free rigid bodies, the drift of a splitting.
+    """Free rigid bodies, each turned by a step of its own: the drift of a splitting.
 
     Attributes:
         system: free rigid bodies.
+        turn: a step of one free rigid body, which takes the inertia of each.
     """
 
     system: FreeBodies
-    order: float = static(default=math.inf)
-    symmetric: bool = static(default=True)
+    turn: Step
+
+    @classmethod
+    def by(cls, scheme: str, system: FreeBodies, step: Callable[[FreeBody], Step]) -> FreeFlight:
+        """By the step of a scheme for one body."""
+        MANY_FREE_BODIES.check(scheme, system)
+        return cls(system, step(system.one(system.inertias)))
+
+    @property
+    def order(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.turn.order
+
+    @property
+    def symmetric(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.turn.symmetric
 
     @property
     def commuting(self) -> bool:
-        return True
+        return self.turn.commuting
+
+    @property
+    def one_kernel(self) -> bool:
+        return not self.commuting
 
     @property
     def name(self) -> str:
-        return "free_flight"
+        return "free_flight" if self.commuting else f"free_flight[{self.turn.name}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        J, spins = self.system.inertias, state.p[:, 3:]
-        turned, report = jax.vmap(_free_body.attitude, (0, 0, 0, None))(J, state.q[:, 3:], spins, jnp.asarray(dt))
-        info = jax.vmap(judged)(J, turned, *report)
+        turned, info = self._turned(self.system.inertias, State(state.q[:, 3:], state.p[:, 3:]), dt)
         x = state.q[:, :3] + dt * (state.p[:, :3] / self.system.masses[:, None])
         together = StepInfo(jnp.max(info.residual), jnp.all(info.converged))
         return state._replace(q=jnp.concatenate([x, turned], axis=1)), together
+
+    def _turned(self, inertias: Array, turning: State, dt: ArrayLike) -> tuple[Array, StepInfo]:
+        """The quaternions (N, 4) after a time, and the reports; of few bodies one by one, unless the step is long."""
+
+        def turned(J: Array, body: State) -> tuple[Array, StepInfo]:
+            step: Any = self.turn
+            own: Any = dataclasses.replace(step, system=dataclasses.replace(step.system, inertia=J))
+            end, info = own(body, dt)
+            return end.q, info
+
+        if len(inertias) > FEW or self.commuting:
+            return jax.vmap(turned)(inertias, turning)
+        each = [turned(J, jax.tree.map(lambda x, n=n: x[n], turning)) for n, J in enumerate(inertias)]
+        return jax.tree.map(lambda *x: jnp.stack(x), *each)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, overload
 
 import jax.numpy as jnp
 from jax import Array
@@ -11,8 +11,9 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _free_body
 from lieint_jax._numerics import three
+from lieint_jax.schemes._free_flight import FreeFlight
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES, SLENDER, lost
-from lieint_jax.types import FreeBody, State, Step, StepInfo, pytree, static
+from lieint_jax.types import FreeBodies, FreeBody, State, Step, StepInfo, pytree, static
 
 
 @pytree
@@ -61,8 +62,12 @@ def judged(J: Array, q: Array, length: Array, condition: Array) -> StepInfo:
     return StepInfo(length, good & jnp.all(jnp.isfinite(q)) & three.well_conditioned(three.symmetric(J)))
 
 
-def exact(system: FreeBody) -> Exact:
-    """The exact flow of a free rigid body: any inertia, any step size of either sign.
+@overload
+def exact(system: FreeBody) -> Exact: ...
+@overload
+def exact(system: FreeBodies) -> FreeFlight: ...
+def exact(system: FreeBody | FreeBodies) -> Exact | FreeFlight:
+    """The exact flow of a free rigid body, or of several: any inertia, any step size of either sign.
 
     | conserved | to |
     |---|---|
@@ -76,14 +81,17 @@ def exact(system: FreeBody) -> Exact:
     `order` is infinite.
 
     Args:
-        system: `systems.rigid_body(...)`. For a full tensor each step finds the principal axes, which is slower, and
-            energy drifts by half an eps per step. Derivatives: see `_free_body.attitude`.
+        system: `systems.rigid_body(...)`, or `systems.rigid_bodies(...).free`. For a full tensor each step finds the
+            principal axes, which is slower, and energy drifts by half an eps per step. Derivatives: see
+            `_free_body.attitude`.
 
     Raises:
         ValueError: not a free rigid body.
 
     Source: this package; another form is that of Celledoni, Fassò, Säfström & Zanna 2008, SIAM J. Sci. Comput. 30.
     """
+    if isinstance(system, FreeBodies):
+        return FreeFlight.by("exact", system, Exact)
     FREE_BODIES.check("exact", system)
     return Exact(system)
 

@@ -18,7 +18,8 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax.schemes._capability import check_motion, hint
-from lieint_jax.schemes._free_flight import MANY_FREE_BODIES, FreeFlight
+from lieint_jax.schemes._free_flight import MANY_FREE_BODIES
+from lieint_jax.schemes.exact import exact
 from lieint_jax.schemes.preprocessed import preprocessed
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES
 from lieint_jax.schemes.splitting import kicked, kicked_motion
@@ -117,10 +118,10 @@ def nystrom(system: Forced | Driven, order: int, drift: Step | None = None) -> N
         system: `systems.rigid_bodies(...)`, or a rigid body in a potential: `systems.heavy_top(...)`,
             `systems.potential_top(...)`, `systems.driven_top(...)`, `systems.gravity_gradient(...)`.
         order: 4 or 6.
-        drift: of one body, a symmetric step of `system.free` of at least this order; by default
+        drift: a symmetric step of `system.free` of at least this order. Of one body it is by default
             `preprocessed(system.free, 10)`, with which order 6 keeps the form to 1e-14 at |ΔtΩ| = .6 and to 1e-10 at
-            1.2, order 4, whose drifts are longer, to 1e-11 at .5. `exact(system.free)` keeps it to round-off at any
-            step and takes five times as long.
+            1.2, order 4, whose drifts are longer, to 1e-11 at .5; of several bodies `exact(system.free)`, which keeps
+            it to round-off at any step and takes five times as long.
 
     Raises:
         ValueError: another system or order; a drift that does not suit.
@@ -137,7 +138,7 @@ def nystrom(system: Forced | Driven, order: int, drift: Step | None = None) -> N
             f"{type(system).__name__}{hint('nystrom', system)}"
         )
     if drift is None:
-        drift = preprocessed(free, 10) if FREE_BODIES.declared(free) else FreeFlight(free)
+        drift = preprocessed(free, 10) if FREE_BODIES.declared(free) else exact(free)
     if not isinstance(drift, Step) or not drift.symmetric or drift.own_time or drift.order < order:
         raise ValueError(
             f"drift must be a symmetric step of system.free of order {order} or more, such as exact(system.free), got "

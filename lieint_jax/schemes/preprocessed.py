@@ -14,7 +14,7 @@ and with the further terms of `_clock_series` to orders 6, 8 and 10.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, overload
 
 import jax.numpy as jnp
 from jax import Array
@@ -24,8 +24,9 @@ from lieint_jax import _checks
 from lieint_jax._numerics import three
 from lieint_jax.maps import kappa_symplectic
 from lieint_jax.schemes._clock_series import constants
+from lieint_jax.schemes._free_flight import FreeFlight
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES, ITERATIONS, SO3Midpoint
-from lieint_jax.types import FreeBody, State, Step, StepInfo, pytree, static
+from lieint_jax.types import FreeBodies, FreeBody, State, Step, StepInfo, pytree, static
 
 ORDERS = (4, 6, 8, 10)
 
@@ -83,7 +84,11 @@ def retimed(system: FreeBody, s: Array, d: Array, iterations: int | None) -> SO3
     return SO3Midpoint(body, kappa_symplectic, iterations or ITERATIONS["scalar"])
 
 
-def preprocessed(system: FreeBody, order: int, iterations: int | None = None) -> Preprocessed:
+@overload
+def preprocessed(system: FreeBody, order: int, iterations: int | None = None) -> Preprocessed: ...
+@overload
+def preprocessed(system: FreeBodies, order: int, iterations: int | None = None) -> FreeFlight: ...
+def preprocessed(system: FreeBody | FreeBodies, order: int, iterations: int | None = None) -> Preprocessed | FreeFlight:
     """The symplectic step of a free rigid body with a preprocessed inertia: order 4, 6, 8 or 10, one stage.
 
     | conserved | to |
@@ -95,7 +100,7 @@ def preprocessed(system: FreeBody, order: int, iterations: int | None = None) ->
     Symmetric; the branch ends near |Δt Ω| = 1, as that of `so3_midpoint`.
 
     Args:
-        system: `systems.rigid_body(...)`.
+        system: `systems.rigid_body(...)`, or `systems.rigid_bodies(...).free`, whose centres go straight on.
         order: 4, 6, 8 or 10.
         iterations: as of `so3_midpoint`.
 
@@ -104,11 +109,13 @@ def preprocessed(system: FreeBody, order: int, iterations: int | None = None) ->
 
     Source: McLachlan & Zanna 2005, Found. Comput. Math. 5; Hairer & Vilmart 2006, J. Phys. A 39.
     """
-    FREE_BODIES.check("preprocessed", system)
     if isinstance(order, bool) or order not in ORDERS:
         raise ValueError(f"order must be 4, 6, 8 or 10, got {order!r}; calibrated(system) is exact")
     if iterations is not None:
         iterations = _checks.count("iterations", iterations, 1)
+    if isinstance(system, FreeBodies):
+        return FreeFlight.by("preprocessed", system, lambda body: Preprocessed(body, order, iterations))
+    FREE_BODIES.check("preprocessed", system)
     return Preprocessed(system, order, iterations)
 
 

@@ -25,7 +25,7 @@ from lieint_jax._numerics import three
 from lieint_jax.maps import arcsine, is_symplectic
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.schemes._capability import check_motion, hint
-from lieint_jax.schemes._free_flight import MANY_FREE_BODIES, FreeFlight
+from lieint_jax.schemes._free_flight import MANY_FREE_BODIES
 from lieint_jax.schemes._free_motion import FreeMotion, is_free_motion
 from lieint_jax.schemes._turning import Turning, turning
 from lieint_jax.schemes.exact import exact
@@ -162,7 +162,8 @@ def splitting(system: Forced | Driven | Gyrostat, drift: Step | None = None) -> 
             `systems.rigid_bodies(...)`; or `systems.gyrostat(...)`.
         drift: a symmetric step of `system.free`; by default the symplectic `so3_midpoint`; on other groups and products
             of them `group_midpoint` with `maps.arcsine` where that is symplectic; on SE(3) with an isotropic mass the
-            same step of the attitude and the exact one of the centre; of several bodies the exact one.
+            same step of the attitude and the exact one of the centre; of several bodies the exact one, in whose place
+            `preprocessed(system.free, 10)` takes a quarter of the time where no body turns by more than |ΔtΩ| = ½.
             `exact(system.free)` has smaller errors where the body turns fast in a weak potential, and no limit on
             |Δt Ω|; it is the default of a gyrostat.
 
@@ -194,8 +195,7 @@ def _drift(free: Any) -> Step:
     if FREE_BODIES.declared(free):
         return so3_midpoint(free)
     if MANY_FREE_BODIES.declared(free):
-        MANY_FREE_BODIES.check("splitting", free)
-        return FreeFlight(free)
+        return exact(free)
     if GEODESICS.declared(free):
         with suppress(ValueError), jax.ensure_compile_time_eval():  # groups where the arcsine map is not defined
             if all(is_symplectic(arcsine, free.group, metric) for metric in _metrics(free)):

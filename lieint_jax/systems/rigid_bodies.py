@@ -16,6 +16,7 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMotions
+from lieint_jax.systems.rigid_body import RigidBody
 from lieint_jax.types import Bodies, FreeBodies, PhaseSpace, State, callable_pytree, pytree
 
 _DIGITS = {"float64": 11, "float32": 4}  # of the least distance, below which a state warns
@@ -131,6 +132,10 @@ class ManyFreeBodies(_Many, FreeBodies):
         turning = jax.vmap(so3.tangent)(state.q[:, 3:], self.angular_velocities(state))
         q_dot = jnp.concatenate([state.p[:, :3] / self.masses[:, None], turning], axis=1)
         return State(q_dot, jnp.zeros_like(state.p))
+
+    def one(self, inertia: Array) -> RigidBody:
+        """A free body of this inertia."""
+        return RigidBody(inertia)
 
 
 @pytree

@@ -400,6 +400,10 @@ class FreeBodies(System):
     masses: Array
     inertias: Array
 
+    @abc.abstractmethod
+    def one(self, inertia: Array) -> FreeBody:
+        """A free body of this inertia."""
+
 
 class Bodies(Forced):
     """N rigid bodies in a potential: as `FreeBodies`, with forces and torques.
