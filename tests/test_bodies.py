@@ -374,7 +374,7 @@ def test_free_bodies_go_straight_on_and_turn_alone(drift):
     ids=lambda x: getattr(x, "name", None),
 )
 def test_bodies_may_turn_by_preprocessed_steps(step, exact, dt):
-    """What the exact drift keeps, they keep, in an ensemble too; observed: form 5e-14 by Kepler (exact 1e-14), L 1e-15."""
+    """They keep what the exact drift keeps, in an ensemble too; observed: form 5e-14 by Kepler, else 2e-15, L 1e-15."""
     (end, info), (same, _) = (jax.jit(x)(START, dt) for x in (step, exact))
     assert info.converged
     for a, b in zip(end[:2], same[:2], strict=True):

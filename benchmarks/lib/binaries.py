@@ -161,6 +161,7 @@ def dop853(dt: float, rtol: float) -> Contestant:
 def of_ours(alone: bool) -> list[Curve]:
     """The curves of our schemes; of one system `alone`, or of many. Counts are of both orbits; the last has no form."""
     make, system = li.schemes, binary()
+    turns = make.preprocessed(system.free, 10)
 
     def of(name: str, step: li.Step, first: int, points: int, factor: float = 2**0.5) -> Curve:
         made = partial(looped, name, step) if alone else partial(by_ensemble, name, step)
@@ -170,8 +171,10 @@ def of_ours(alone: bool) -> list[Curve]:
         of("splitting", make.splitting(system), 200, 3, 4),
         of("nystrom, order 4", make.nystrom(system, 4), 64, 8),
         of("nystrom, order 6", make.nystrom(system, 6), 24, 8),
+        of("nystrom 6, preprocessed turns", make.nystrom(system, 6, turns), 24, 8),
         of("kepler_splitting (8, 4)", make.kepler_splitting(system, (8, 4)), 12, 9),
         of("kepler_splitting (8, 6, 4)", make.kepler_splitting(system, (8, 6, 4)), 8, 9),
+        of("kepler (8, 6, 4), preprocessed turns", make.kepler_splitting(system, (8, 6, 4), drift=turns), 8, 9),
         of(EXTRAPOLATE, make.extrapolate(system, 14), 24, 7, 1.2),
     ]
 
