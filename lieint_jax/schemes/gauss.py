@@ -4,7 +4,7 @@
 
 It keeps quadratic invariants: on T*SO(3), with the quaternion q and p = 2πq as unknowns (see `_canonical`), the length
 |q|, q·p and the momentum π, as far as the potential leaves it. So the step is one on T*SO(3), and symplectic there. The
-equations are solved by fixed-point iteration on the Y_i, all at once: a sweep.
+equations are solved by fixed-point iteration on the k_i, all at once: a sweep.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ def gauss(system: System, stages: int = 8, sweeps: int | None = None) -> Gauss:
 
 
 class _Equation(NamedTuple):
-    """The equations of one step, for the coordinates Y at the stages."""
+    """The equations of one step, for the derivatives k of the coordinates at the stages."""
 
     system: System
     inverse: Any
@@ -169,12 +169,14 @@ class _Equation(NamedTuple):
 
     def guess(self, most: int) -> tuple[Components, int]:
         """The k_i after at most so many sweeps, at few nodes, and the number of those sweeps."""
-        s = min(self.stages, _NODES)
-        k = tuple(jnp.zeros((s, *x.shape), x.dtype) for x in self.start)
-        if self.stages == s or most <= 2 * _NODES:
-            return tuple(jnp.zeros((self.stages, *x.shape), x.dtype) for x in self.start), 0
-        k = lax.fori_loop(0, _NODES, lambda _, k: self._replace(stages=s).swept(k), k)
-        return tuple(_between(x, s, self.stages) for x in k), _NODES
+        if self.stages <= _NODES or most <= 2 * _NODES:
+            return self._zeros(), 0
+        few = self._replace(stages=_NODES)
+        k = lax.fori_loop(0, _NODES, lambda _, k: few.swept(k), few._zeros())
+        return tuple(_between(x, _NODES, self.stages) for x in k), _NODES
+
+    def _zeros(self) -> Components:
+        return tuple(jnp.zeros((self.stages, *x.shape), x.dtype) for x in self.start)
 
     def end(self, k: Components) -> State:
         """The state at n + 1. π moves by Δt Σ b_i τ_i, as any quadratic function of z does, without rounding p q̄."""
