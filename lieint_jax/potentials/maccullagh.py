@@ -57,7 +57,7 @@ class MacCullagh(Potential):
         return jnp.stack([jnp.stack(row) for row in self.forces(list(x), list(R))])
 
     def forces(self, x: Sequence[three.Vector], R: Sequence[three.Matrix]) -> list[Any]:
-        """`force` of few bodies, number by number: six of each body."""
+        """`force` of few bodies, number by number, which vectorises over members: six numbers of each body."""
         sums: list[Any] = [None] * len(x)
         for i, j in itertools.combinations(range(len(x)), 2):
             for n, more in zip((i, j), self._attraction(i, j, _Place(x[i], R[i]), _Place(x[j], R[j])), strict=True):

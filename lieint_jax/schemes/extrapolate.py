@@ -25,6 +25,7 @@ from lieint_jax.schemes import _body_axes, _few_bodies
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES
 from lieint_jax.types import Bodies, State, Step, StepInfo, System, Top, all_finite, pytree, static, time_derivative
 
+_FORMS: dict[str, Any] = {"one body": _body_axes, "few bodies": _few_bodies}
 _ROUGH = 1e-3  # the largest relative difference between the last two orders of a step that converged
 
 
@@ -35,12 +36,12 @@ class Extrapolated(Step):
     Attributes:
         system: any system.
         order: even.
-        form: the module whose unknowns it integrates, of one body or of few, in place of the states themselves.
+        form: a key of `_FORMS`, whose unknowns it integrates in place of the states themselves; "" for the states.
     """
 
     system: System
     order: float = static()
-    form: Any = static()
+    form: str = static()
     symmetric: bool = static(default=False)
 
     @property
@@ -60,12 +61,13 @@ class Extrapolated(Step):
 
     def _unknowns(self, state: State) -> tuple[Any, Callable[[Any], Any]]:
         """What is integrated, and its time derivative."""
-        if self.form is None:
+        if not self.form:
             return state, partial(time_derivative, self.system)
-        return self.form.unknowns(state), self.form.rate(self.system)
+        form = _FORMS[self.form]
+        return form.unknowns(state), form.rate(self.system)
 
     def _moved(self, state: State, start: Any, delta: Any) -> State:
-        return jax.tree.map(jnp.add, start, delta) if self.form is None else self.form.moved(state, start, delta)
+        return _FORMS[self.form].moved(state, start, delta) if self.form else jax.tree.map(jnp.add, start, delta)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
@@ -138,7 +140,7 @@ def extrapolate(system: System, order: int = 12) -> Extrapolated:
         raise ValueError(f"order must be an even number from 4 to 20, got {order!r}")
     if not isinstance(system, System):
         raise ValueError(f"extrapolate integrates systems, got {type(system).__name__}")
-    return Extrapolated(system, order, next((form for form in (_body_axes, _few_bodies) if form.known(system)), None))
+    return Extrapolated(system, order, next((name for name, form in _FORMS.items() if form.known(system)), ""))
 
 
 def weights(numbers: list[int]) -> list[float]:
