@@ -11,8 +11,8 @@ torque does: all quadratic.
 T*GL⁺(3) is flat as it is.
 
 Coordinates are a tuple of components: those of q, then those of p. Of several bodies these are positions and
-quaternions, then linear momenta and p: of few bodies one body after the other, number by number; of more each component
-has an axis of bodies, (N,).
+quaternions, then linear momenta and p, each with an axis of bodies, (N,); or one body after the other, as
+`_several_bodies` says.
 """
 
 from __future__ import annotations
@@ -29,8 +29,9 @@ from lieint_jax._numerics import kernel, three
 from lieint_jax._numerics.three import add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, CotangentMatrices, CotangentMotions
+from lieint_jax.schemes import _several_bodies
 from lieint_jax.schemes._body_axes import by, seen
-from lieint_jax.schemes._few_bodies import FEW, Place, forces
+from lieint_jax.schemes._several_bodies import Place, apart
 from lieint_jax.schemes._stages import Components
 from lieint_jax.types import (
     Bodies,
@@ -69,7 +70,7 @@ def canonical(state: State) -> Components:
     """The coordinates of a state."""
     if state.q.shape == (3, 3):
         return tuple(state.q.ravel()) + tuple(state.p.ravel())
-    if state.q.ndim == 2 and len(state.q) <= FEW:
+    if state.q.ndim == 2 and apart(len(state.q)):
         bodies = zip(map(_components, state.q), map(_components, state.p), strict=True)
         return _all_halves([_coordinates(q, p) for q, p in bodies])
     return _all_halves([_coordinates(_components(state.q), _components(state.p))])
@@ -112,7 +113,7 @@ def configuration(z: Components) -> Array:
     if len(z) == 18:
         return jnp.stack(z[:9]).reshape(3, 3)
     bodies = [jnp.stack([*x, *_unit(q)], axis=-1) for x, q, *_ in parts(z)]
-    return jnp.stack(bodies) if bodies[0].shape == (7,) else bodies[0]
+    return bodies[0] if len(z) == 8 else _several_bodies.together(bodies)
 
 
 def _unit(q: Components) -> _Quaternion:
@@ -126,8 +127,7 @@ def inverses(system: Any) -> Any:
     if isinstance(system, ElasticBody):
         return None
     if isinstance(system, FreeBodies | Bodies):
-        few = system.masses.shape[0] <= FEW
-        return [three.inverse(J) for J in system.inertias] if few else [jax.vmap(three.inverse)(system.inertias)]
+        return _several_bodies.inverses(system)
     return [three.inverse(system.metric if isinstance(system, MechanicalSystem) else system.inertia)]
 
 
@@ -139,9 +139,10 @@ def field(system: Any, inverse: Any, z: Components, t: Array | None) -> Componen
         rate = system.vector_field(State(F, P))
         return (*rate.q.ravel(), *rate.p.ravel())
     bodies = parts(z)
+    masses = _several_bodies.masses(system) if isinstance(system, FreeBodies | Bodies) else [None]
     rates = [
         _rate(system.rotor if isinstance(system, Gyrostat) else None, J, m, body)
-        for J, m, body in zip(inverse, _masses(system, len(bodies)), bodies, strict=True)
+        for J, m, body in zip(inverse, masses, bodies, strict=True)
     ]
     if isinstance(system, Forced | Driven):
         kicks = _kicks(system, bodies, z, t)
@@ -155,9 +156,9 @@ def force(system: Any, _: Any, z: Components, t: Array | None) -> Components:
     bodies = parts(z)
     if not isinstance(system, Forced | Driven):
         return (jnp.zeros_like(z[0]),) * (3 + len(bodies[0].P)) * len(bodies)
-    if isinstance(system, Bodies) and bodies[0].x[0].ndim == 0:
+    if isinstance(system, Bodies):
         places = [Place.of(body.x, _unit(body.q)) for body in bodies]
-        return tuple(itertools.chain(*forces(system, places)))
+        return tuple(itertools.chain(*_several_bodies.forces(system, places)))
     q = configuration(z)
     at = (q,) if t is None or isinstance(system, Forced) else (q, t)
     return _components(system.force(*at))
@@ -186,13 +187,6 @@ def motion(system: Any, state: State) -> State:
         return ended(state, rate, None, None)
     _, q = jax.jvp(configuration, (z,), (rate,))
     return State(q, jnp.stack(force(system, None, z, state.t), axis=-1).reshape(state.p.shape))
-
-
-def _masses(system: Any, count: int) -> list[Any]:
-    """The mass of each part, or of all its bodies."""
-    if not isinstance(system, FreeBodies | Bodies):
-        return [None]
-    return [system.masses] if count == 1 and len(system.masses) > FEW else list(system.masses)
 
 
 def _rate(rotor: Array | None, inverse: Any, mass: Any, body: Parts) -> tuple[Components, Components]:

@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.schemes._capability import Integrand
-from lieint_jax.schemes._few_bodies import FEW
+from lieint_jax.schemes._several_bodies import FEW
 from lieint_jax.types import Bodies, FreeBodies, FreeBody, State, Step, StepInfo, pytree
 
 

@@ -21,11 +21,11 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax._numerics import kernel
-from lieint_jax.schemes import _body_axes, _few_bodies
+from lieint_jax.schemes import _body_axes, _several_bodies
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES
 from lieint_jax.types import Bodies, State, Step, StepInfo, System, Top, all_finite, pytree, static, time_derivative
 
-_FORMS: dict[str, Any] = {"one body": _body_axes, "few bodies": _few_bodies}
+_FORMS: dict[str, Any] = {"one body": _body_axes, "several bodies": _several_bodies}
 _ROUGH = 1e-3  # the largest relative difference between the last two orders of a step that converged
 
 
