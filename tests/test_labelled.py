@@ -30,7 +30,7 @@ def test_a_run_as_a_dataset():
     np.testing.assert_array_equal(found.q.sel(quaternion="w"), run().state.q[:, 0])
     assert (found.time.attrs["units"], found.energy.attrs["units"]) == ("d", "J")
     np.testing.assert_allclose(found.energy, 0.5 * (RATES[0] ** 2) @ [1, 2, 3], rtol=1e-14)
-    np.testing.assert_allclose(found.angular_velocity[0], RATES[0], atol=1e-15)
+    np.testing.assert_allclose(found.angular_velocity[0], RATES[0], rtol=0, atol=3e-15)
     np.testing.assert_allclose(found.momentum_map, found.p, rtol=0)
     assert found.converged.all()
     with pytest.raises(ValueError, match=r"units of spin are given, but the variables are .*q"):
@@ -61,10 +61,10 @@ def test_several_bodies_and_matrices_have_axes_of_their_own():
 def test_attitudes_as_rotations_and_euler_angles():
     path = run()
     turns = path.rotations()
-    np.testing.assert_allclose(turns.as_matrix(), jax.vmap(BODY.rotation_matrix)(path.state), atol=1e-15)
+    np.testing.assert_allclose(turns.as_matrix(), jax.vmap(BODY.rotation_matrix)(path.state), rtol=0, atol=1e-15)
     angles = np.deg2rad(turns.as_euler("ZXZ", degrees=True))
     ours = jax.vmap(li.groups.so3.to_euler_313)(path.state.q)
-    np.testing.assert_allclose(np.cos(angles - ours), 1, atol=1e-13)
+    np.testing.assert_allclose(np.cos(angles - ours), 1, rtol=0, atol=1e-13)
     flags = StepInfo(jnp.zeros(5), jnp.ones(5, bool))
     two = Trajectory(T, State(jnp.ones((5, 2, 7)), jnp.zeros((5, 2, 6))), flags)
     assert two.rotations().as_matrix().shape == (5, 2, 3, 3)

@@ -94,7 +94,7 @@ def test_it_falls_towards_the_centre(e, a):
 def test_a_period_and_a_batch_of_both_kinds():
     orbit = orbits.kepler(1.0, 2.0, 0.6)
     period = 2 * np.pi / float(orbit.mean_motion)
-    np.testing.assert_allclose(orbit(0.4 + 100 * period)[0], orbit(0.4)[0], atol=1e-12)
+    np.testing.assert_allclose(orbit(0.4 + 100 * period)[0], orbit(0.4)[0], rtol=0, atol=1e-12)
     a, e = jnp.array([1.0, -1.0, 3.0]), jnp.array([0.2, 1.7, 0.9])
     many = jax.jit(jax.vmap(lambda a, e: orbits.kepler(1.0, a, e)(2.0)[0]))(a, e)
     alone = [orbits.kepler(1.0, *x)(2.0)[0] for x in zip(a.tolist(), e.tolist(), strict=True)]
@@ -107,7 +107,7 @@ def test_float32():
     orbit = orbits.kepler(*(jnp.float32(x) for x in (1.7, 1.3, 0.9)), *(jnp.float32(0),) * 4)
     position, velocity = orbit(jnp.float32(0.7))
     assert position.dtype == velocity.dtype == jnp.float32
-    np.testing.assert_allclose(position, orbits.kepler(1.7, 1.3, 0.9)(0.7)[0], atol=3e-6)
+    np.testing.assert_allclose(position, orbits.kepler(1.7, 1.3, 0.9)(0.7)[0], rtol=0, atol=3e-6)
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ def test_result_01_momentum_for_any_theta(axis, Theta, Pi, angle):
     """With the steps' own pieces, Λ cay Θ and Π carried by Ad* keep ΛΠ whatever Θ is: it need not solve anything."""
     q = np.array([np.cos(angle / 2), *np.sin(angle / 2) * axis])
     before, after, wrong = map(np.asarray, _turned(q, 4 * Theta, Pi))
-    np.testing.assert_allclose(after, before, atol=1e-14)  # floor 2e-15
+    np.testing.assert_allclose(after, before, rtol=0, atol=1e-14)  # floor 2e-15
     across = np.linalg.norm(np.cross(Theta, Pi))
     assert np.abs(wrong - before).max() > across / 5 - 1e-14
 
@@ -53,7 +53,7 @@ def test_result_02_on_the_group_exactly_if_alpha_is_one_half(axis, size, alpha):
     nu = (2 * alpha - 1) / (1 + alpha**2 * size**2)
     assert defect == pytest.approx(np.abs(nu * hat(Theta) @ hat(Theta)).max(), abs=2e-15)
     assert np.abs(paper.T(0.5, Theta) @ paper.T(0.5, Theta).T - ONE).max() < 2e-15
-    np.testing.assert_allclose(paper.T(0.5, Theta), _cayley(Theta), atol=2e-15)  # (2.23)
+    np.testing.assert_allclose(paper.T(0.5, Theta), _cayley(Theta), rtol=0, atol=2e-15)  # (2.23)
 
 
 @jax.jit

@@ -220,3 +220,18 @@ def test_import_is_light_and_leaves_float32_alone():
     assert rest.startswith("False")
     assert not any(name in rest for name in before)
     assert rest.strip().endswith("False")
+
+
+def test_an_absolute_bound_is_no_looser_than_it_says():
+    """numpy adds a relative tolerance of 1e-7 (1e-5 in `allclose`) to `atol` unless `rtol` is given."""
+    house = Path(__file__).parents[1]
+    loose = [
+        f"{path.relative_to(house)}:{call.lineno}"
+        for folder in ("tests", "benchmarks", "lieint_jax")
+        for path in sorted((house / folder).rglob("*.py"))
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(call, ast.Call)
+        and getattr(call.func, "attr", "") in ("assert_allclose", "allclose", "isclose")
+        and {k.arg for k in call.keywords} & {"atol", "rtol"} == {"atol"}
+    ]
+    assert not loose

@@ -367,8 +367,10 @@ def test_batches_over_weights_and_gradients():
     h = 1e-5
     many = jax.jit(jax.vmap(height))
     for k, e in enumerate(np.eye(3)):
-        np.testing.assert_allclose(slopes[:, k], (many(weights + h * e) - many(weights - h * e)) / (2 * h), atol=1e-8)
-    np.testing.assert_allclose(values, many(weights), atol=1e-15)
+        np.testing.assert_allclose(
+            slopes[:, k], (many(weights + h * e) - many(weights - h * e)) / (2 * h), rtol=0, atol=1e-8
+        )
+    np.testing.assert_allclose(values, many(weights), rtol=0, atol=1e-15)
 
 
 def test_a_top_made_inside_jit_checks_what_is_concrete():

@@ -206,11 +206,13 @@ def test_every_law_is_its_formula():
         return [(LAWS[name][0](t, q, omega), of_law(name, t, q, omega)) for name in names]
 
     for own, formula in both(t, q, omega):
-        np.testing.assert_allclose(own, formula, atol=2e-15)  # 4e-16
+        np.testing.assert_allclose(own, formula, rtol=0, atol=2e-15)  # 4e-16
     thruster, friction = LAWS["thruster"][0], 0.3 * np.cross(omega, q[:, 1:])
     fires = jax.vmap(thruster)(t, q, omega)
     np.testing.assert_array_equal(fires, np.where(((t >= 0.33) & (t < 1.77))[:, None], thruster.torque, 0))
-    np.testing.assert_allclose(np.stack(torques.internal_friction(0.3, omega.T, q[:, 1:].T)), friction.T, atol=1e-15)
+    np.testing.assert_allclose(
+        np.stack(torques.internal_friction(0.3, omega.T, q[:, 1:].T)), friction.T, rtol=0, atol=1e-15
+    )
     damper = LAWS["kane_damper"][0].during(0.0, {"damper": jnp.array([0.1, -0.3, 0.2])})
     np.testing.assert_allclose(
         damper(0.0, Q, OMEGA), -0.3 * (OMEGA - np.array([0.1, -0.3, 0.2]) / 0.4), rtol=1e-15, atol=0
@@ -241,7 +243,7 @@ def test_internal_friction_ends_about_the_major_axis_with_the_momentum_bit_for_b
     assert np.diff(energy).max() < 4e-16 * energy[0]  # 1e-16
     assert energy[-1] == pytest.approx(float(start.p @ start.p) / 2 / J[2], rel=2e-14)  # 2e-15
     Pi = body.body_momentum(last(states))
-    np.testing.assert_allclose(Pi[:2], 0, atol=1e-12)
+    np.testing.assert_allclose(Pi[:2], 0, rtol=0, atol=1e-12)
 
 
 @pytest.mark.long
@@ -252,14 +254,14 @@ def test_a_damper_keeps_the_momentum_of_both_and_ends_about_the_major_axis():
     total = np.asarray(start.p + start.extra["damper"])
     size = np.linalg.norm(total)
     assert converged
-    np.testing.assert_allclose(states.p + states.extra["damper"], np.tile(total, (6001, 1)), atol=4e-14 * size)
+    np.testing.assert_allclose(states.p + states.extra["damper"], np.tile(total, (6001, 1)), rtol=0, atol=4e-14 * size)
     assert np.diff(energy).max() < 4e-16 * energy[0]
     assert energy[0] > 1.5 * energy[-1]
     assert energy[-1] == pytest.approx(size**2 / 2 / (J[2] + 0.4), rel=1e-12)
     end = last(states)
-    np.testing.assert_allclose(damper.angular_velocity(end)[:2], 0, atol=1e-7)
+    np.testing.assert_allclose(damper.angular_velocity(end)[:2], 0, rtol=0, atol=1e-7)
     omega = so3.Ad(end.q, damper.angular_velocity(end))
-    np.testing.assert_allclose(end.extra["damper"], 0.4 * omega, atol=1e-7)  # the sphere turns with the body
+    np.testing.assert_allclose(end.extra["damper"], 0.4 * omega, rtol=0, atol=1e-7)  # the sphere turns with the body
 
 
 def turned_by(states):
@@ -296,7 +298,7 @@ def test_a_magnetic_field_that_rests_damps_all_but_the_turn_about_it():
         assert np.diff(states.work).max() <= 0
         along = np.asarray(states.p) @ B
         if left:
-            np.testing.assert_allclose(along, along[0], atol=1e-14)
+            np.testing.assert_allclose(along, along[0], rtol=0, atol=1e-14)
             # it ends turning about its major axis along b, which it cannot leave
             assert energy[-1] == pytest.approx(along[0] ** 2 / 2 / J[2], rel=1e-13)
         else:
@@ -318,9 +320,9 @@ def test_the_impulse_of_a_thruster_is_that_of_its_window_whatever_the_steps():
         end, info = after(step, state, dt, num_steps)
         gained = 0.3 + T * (stop - start) / J[2]
         assert info.converged
-        np.testing.assert_allclose(end.p, [0, 0, 1] @ PRINCIPAL * J[2] * gained, atol=4e-15)
+        np.testing.assert_allclose(end.p, [0, 0, 1] @ PRINCIPAL * J[2] * gained, rtol=0, atol=4e-15)
         assert float(end.work) == pytest.approx(J[2] * (gained**2 - 0.3**2) / 2, rel=1e-14)
-        np.testing.assert_allclose(after(step, end, -dt, num_steps)[0].p, state.p, atol=4e-15)
+        np.testing.assert_allclose(after(step, end, -dt, num_steps)[0].p, state.p, rtol=0, atol=4e-15)
 
 
 @pytest.mark.long
@@ -336,7 +338,7 @@ def test_the_end_of_a_run_changes_with_the_window_as_differences_say():
     columns = jax.jacfwd(end)(at)
     for k, e in enumerate(np.eye(2)):
         v = [np.asarray(end(at + m * h * e)) for m in (-2, -1, 1, 2)]
-        np.testing.assert_allclose(columns[:, k], (v[0] - 8 * v[1] + 8 * v[2] - v[3]) / (12 * h), atol=1e-11)
+        np.testing.assert_allclose(columns[:, k], (v[0] - 8 * v[1] + 8 * v[2] - v[3]) / (12 * h), rtol=0, atol=1e-11)
     assert np.abs(columns).max(axis=0).min() > 0.1
 
 
@@ -462,7 +464,7 @@ def test_orders_against_another_package(name):
     exact = dop853(name, start, T)
     for tried, order, counts in ((step, 2, (20, 40, 80)), (schemes.compose(step, 4), 4, (8, 16))):
         errors = np.array([np.abs(flat(after(tried, start, T / n, n)[0]) - exact).max() for n in counts])
-        np.testing.assert_allclose(np.log2(errors[:-1] / errors[1:])[-1], order, atol=0.2)
+        np.testing.assert_allclose(np.log2(errors[:-1] / errors[1:])[-1], order, rtol=0, atol=0.2)
         assert errors[-1] > 1e-11
 
 
@@ -548,12 +550,12 @@ def test_derivatives_forward_reverse_by_reversal_and_by_differences(name):
     value, at = loss(name, plainly)
     forward = np.asarray(jax.jit(jax.jacfwd(value))(at))
     for run in (plainly, reversibly):
-        np.testing.assert_allclose(jax.jit(jax.grad(loss(name, run)[0]))(at), forward, atol=2e-14)  # 2e-15
+        np.testing.assert_allclose(jax.jit(jax.grad(loss(name, run)[0]))(at), forward, rtol=0, atol=2e-14)  # 2e-15
     h, e = 1e-3, np.eye(len(at))
     batch = np.concatenate([at + k * h * e for k in (-2, -1, 1, 2)])
     v = np.asarray(jax.jit(lambda rows: jax.lax.map(value, rows))(batch)).reshape(4, -1)
     differences = (v[0] - 8 * v[1] + 8 * v[2] - v[3]) / (12 * h)
-    np.testing.assert_allclose(differences, forward, atol=1e-9)  # 2e-10, of the damper
+    np.testing.assert_allclose(differences, forward, rtol=0, atol=1e-9)  # 2e-10, of the damper
     assert np.abs(forward[9 : 9 + len(MADE[name][1])]).min() > 1e-4
 
 
@@ -721,5 +723,5 @@ def test_work_that_nobody_counts_is_not_counted_and_what_else_is_carried_stays()
         ends = [after(step, z, jnp.array(0.1), 3)[0] for z in (start, start._replace(work=None))]
         assert ends[1].work is None
         for one, other in zip(jax.tree.leaves(ends[0]._replace(work=None)), jax.tree.leaves(ends[1]), strict=True):
-            np.testing.assert_allclose(one, other, atol=1e-15)
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-15)
         np.testing.assert_array_equal(ends[1].extra["note"], [0, 1])

@@ -38,7 +38,7 @@ def test_run_water(tmp_path, monkeypatch, capsys):
 def test_the_grid_has_the_spacing_and_its_middle_at_the_origin():
     points = water._grid(64, 0.31)
     assert points.shape == (64, 3)
-    np.testing.assert_allclose(points.mean(axis=0), 0, atol=1e-15)
+    np.testing.assert_allclose(points.mean(axis=0), 0, rtol=0, atol=1e-15)
     apart = np.linalg.norm(points[:, None] - points[None], axis=2)[np.triu_indices(64, 1)]
     assert apart.min() == pytest.approx(0.31)
     assert np.linalg.norm(points, axis=1).max() < 0.31 * 2.7  # a ball of 64 cells has a radius of 2.48 of them

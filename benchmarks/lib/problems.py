@@ -210,7 +210,7 @@ def binary() -> Problem:
 
 def flyby() -> Problem:
     """Asteroids like Apophis that tumble past the Earth, 96 hours before and after; ours with graded steps."""
-    mu = 398600.4418 * 3600.0**2 / _NEAREST**3  # per h²
+    mu = li.orbits.EARTH_GM * 3600.0**2 / _NEAREST**3  # per h²
     orbit = li.orbits.kepler(mu, -28400.0 / _NEAREST, 2.35)
     system = li.systems.gravity_gradient(_ASTEROID, orbit)
     times = cache(lambda count: li.orbits.graded_times(orbit, -_FLYBY, _FLYBY, count))

@@ -96,7 +96,7 @@ def changes(top: PotentialTop, run: Trajectory) -> dict[str, float]:
     J, E = inertia_matrix(top), _weight(top)
     if is_lagrange(top):
         found["Π₃, relative to |π|"] = _change(series(lambda z: top.body_momentum(z)[2], run), momentum)
-    if np.allclose(J, np.diag([2.0, 2.0, 1.0]) * J[2, 2], atol=1e-12) and not E[1:].any():
+    if np.allclose(J, np.diag([2.0, 2.0, 1.0]) * J[2, 2], rtol=1e-12, atol=0) and not E[1:].any():
         K = series(lambda z: kovalevskaya_integral(top, z), run)
         found["Kovalevskaya's integral, relative"] = _change(K, np.maximum(abs(K[0]), (size / J[2, 2]) ** 2))
     return found

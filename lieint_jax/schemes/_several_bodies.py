@@ -55,11 +55,12 @@ class Place(NamedTuple):
 
 def forces(system: Bodies, places: Sequence[Place]) -> Sequence[Sequence[Array] | Array]:
     """The force and the torque in space on each body, or on all, six numbers."""
-    if hasattr(system.potential, "forces") and not places[0].x[0].ndim:
+    whole = places[0].x[0].ndim > 0  # one place, of all
+    if hasattr(system.potential, "forces") and not whole:
         return system.potential.forces([at.x for at in places], [at.R for at in places])  # pyright: ignore
     q = together([jnp.stack([*at.x, *at.q], axis=-1) for at in places])
     found = jnp.moveaxis(system.force(q), -1, 0)
-    return [found] if len(places) == 1 and places[0].x[0].ndim else [found[:, n] for n in range(len(places))]
+    return [found] if whole else [found[:, n] for n in range(len(places))]
 
 
 def together(rows: Sequence[Array]) -> Array:

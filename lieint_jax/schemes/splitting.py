@@ -47,9 +47,8 @@ from lieint_jax.types import (
     static,
 )
 
-_MANY = (
-    8  # bodies from which a drift costs less than their forces: 19 and 310 µs for 64 molecules, 260 and 140 ns for 2
-)
+# Bodies from which a drift costs less than their forces: 19 and 310 µs for 64 molecules, 260 and 140 ns for two.
+_MANY = 8
 
 
 def kicked_motion(parts: tuple[Forced | Driven, System], state: State) -> State:
