@@ -37,7 +37,7 @@ QUICK = (
 _LARGE = 3 * 2**30  # bytes
 OPTIONS = {
     "jax_compilation_cache_dir": str(Path(__file__).parents[1] / ".jax_cache"),
-    "jax_persistent_cache_min_compile_time_secs": 0,
+    "jax_persistent_cache_min_compile_time_secs": 0.05,  # a program that compiles sooner costs more to write down
     "jax_persistent_cache_min_entry_size_bytes": -1,
     "jax_traceback_in_locations_limit": 0,  # fewer words in each program
 }

@@ -108,6 +108,7 @@ def test_the_reference_of_the_site_has_the_kind():
         assert text in page
 
 
+@pytest.mark.long
 def test_a_sum_of_potentials_against_the_same_bodies_by_hand():
     """Gravity, a spring and a field, one step: potential, state and step are those of the package, to the bit."""
     three = [

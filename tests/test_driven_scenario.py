@@ -105,6 +105,7 @@ def _rate(t, y, J):
     return np.concatenate([turning.ravel(), (np.cross(J * Omega, Omega) + torque) / J, v, -2.0 * r / size**3])
 
 
+@pytest.mark.long
 def test_an_orbit_of_the_scenario_against_another_integrator():
     """Splitting with 200 steps an orbit: 8e-4 rad off by its order. DOP853 moves the centre along, without Kepler."""
     scenario, step, path = small_run()

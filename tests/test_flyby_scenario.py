@@ -128,7 +128,7 @@ def test_a_spin_has_its_periods_and_phases_in_both_modes(long_axis):
     assert abs(y) < 1e-15
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("long_axis", "turn"), [(False, 180), (True, 0)])
 def test_half_a_turn_about_the_axis_that_the_momentum_goes_round_is_half_a_turn_of_psi(long_axis, turn):
     """So the map of half the phases has them all: φ changes with the short axis' turn, and not with the long axis'."""
@@ -156,6 +156,7 @@ def test_a_ratio_of_periods_is_refused_where_no_mode_has_it():
     ]
 
 
+@pytest.mark.long
 def test_errors_to_one_side_are_drawn_to_that_side():
     """Also those of the pole."""
     below = dict(value=-75.0, below=14.0, above=0.0, source="pravec")

@@ -61,6 +61,7 @@ def test_the_first_failure_is_found():
     np.testing.assert_array_equal(run.unconverged[1:4], failing[:3])  # later, what has failed is chaos
 
 
+@pytest.mark.long
 def test_members_that_start_apart_keep_their_times(monkeypatch):
     """256 members are two parts of a block; each part has the times of its own members."""
     body = li.systems.gravity_gradient([1.0, 2.0, 2.9], li.orbits.kepler(1.0, 1.0, 0.3))

@@ -135,6 +135,7 @@ def test_a_store_of_version_0_1_is_not_resumed_and_says_so(tmp_path):
         li.ensemble.open(path)
 
 
+@pytest.mark.long
 def test_any_run_of_a_known_system_is_drawn_and_drawn_again(tmp_path, capsys):
     path, _ = stored(tmp_path)
     (tmp_path / "pictures").mkdir()
