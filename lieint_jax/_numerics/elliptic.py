@@ -1,6 +1,6 @@
 """Elliptic functions and Carlson's integrals, in the dtype of their arguments.
 
-All but R_J take a fixed number of iterations; R_J as many as it needs, its derivatives a fixed number.
+All but R_J take a fixed number of iterations; R_J as many as it needs, its derivatives two more.
 
 m = k² is the parameter; the argument is always its complement m1 = 1 − m, so that nothing cancels near m = 1.
 """
@@ -10,17 +10,17 @@ from __future__ import annotations
 import functools
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
+from lieint_jax._numerics.forwards import forwards
 from lieint_jax._numerics.power_series import arctan_sqrt
 
-_Four = tuple[Array, Array, Array, Array]
 _MEANS, _LANDEN, _DUPLICATIONS, _HALVINGS = 13, 5, 13, 8
 
 
+@forwards
 def quarter_period(m1: Array) -> Array:
     """K = π / (2 agm(1, √m1)), for 0 ≤ m1 ≤ 1. Relative error 3 eps.
 
@@ -31,6 +31,7 @@ def quarter_period(m1: Array) -> Array:
     return jnp.pi / 2 / a
 
 
+@forwards
 def jacobi(u: Array, m1: Array) -> tuple[Array, Array, Array]:
     """sn u, cn u and dn u of parameter m = 1 − m1, for 0 ≤ m1 ≤ 1 and |u| up to a quarter period or two.
 
@@ -86,7 +87,13 @@ def _ascending(u: Array, m1: Array) -> tuple[Array, Array, Array]:
     return sn, cn, dn
 
 
-@jax.custom_jvp
+def _smooth_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
+    """`carlson_rj` by two more duplications than its value needs, for its derivatives."""
+    state = _duplicated(root_x, root_y, root_z, p)
+    return _rj_value(lax.fori_loop(0, 2, lambda _, state: state.next, state))
+
+
+@functools.partial(forwards, smooth=_smooth_rj)
 def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     """R_J(x, y, z, p) = (3/2) ∫₀^∞ dt / ((t + p) √((t + x)(t + y)(t + z))), given the square roots of x, y and z.
 
@@ -95,20 +102,14 @@ def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     series of degree 7. Relative error 1e-15 for x, y ≥ 1e-60 z. Source: DLMF 19.26(iii), 19.36(i).
 
     It duplicates until the arguments are so close that the series has that error: 13 times at most, three or four times
-    for arguments of one size. Derivatives are those of all 13, a fixed number, which reverse mode needs.
+    for arguments of one size.
     """
+    return _rj_value(_duplicated(root_x, root_y, root_z, p))
+
+
+def _duplicated(root_x: Array, root_y: Array, root_z: Array, p: Array) -> _Duplicated:
     start = _Duplicated.of(root_x, root_y, root_z, p)
-    return _rj_value(lax.while_loop(lambda state: jnp.any(state.far), lambda state: state.next, start))
-
-
-@carlson_rj.defjvp
-def _carlson_rj_jvp(primals: _Four, tangents: _Four) -> tuple[Array, Array]:
-    def fixed(*roots_and_p: Array) -> Array:
-        start = _Duplicated.of(*roots_and_p)
-        # a loop: unrolled, its derivatives would compile for minutes
-        return _rj_value(lax.fori_loop(1, _DUPLICATIONS, lambda _, state: state.next, start))
-
-    return carlson_rj(*primals), jax.jvp(fixed, primals, tangents)[1]
+    return lax.while_loop(lambda state: jnp.any(state.far), lambda state: state.next, start)
 
 
 class _Duplicated(NamedTuple):
@@ -154,7 +155,9 @@ class _Duplicated(NamedTuple):
     def _duplicated(self, a: Array, b: Array, c: Array) -> _Duplicated:
         r = jnp.sqrt(self.p)
         d = (r + a) * (r + b) * (r + c)
-        term = self.scale / d * arctan_sqrt(jnp.maximum(self.scale**3 * self.delta / (d * d), 0))
+        square = self.scale**3 * self.delta / (d * d)
+        square = jnp.where(square < 0, 0, square)  # maximum() has half the slope at 0, where p is one of x, y, z
+        term = self.scale / d * arctan_sqrt(square)
         shift = a * b + b * c + c * a
         x, y, z, p, mean = ((v + shift) / 4 for v in self[:5])
         scale, most = self.scale / 4, functools.reduce(jnp.maximum, map(jnp.abs, self.apart))

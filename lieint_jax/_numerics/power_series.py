@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._numerics.forwards import forwards
+
 
 def horner(coefficients: Sequence[float], x: Array) -> Array:
     """Σ cₖ xᵏ."""
@@ -57,6 +59,7 @@ arctan_sqrt = _entire(
 )
 
 
+@forwards
 def stumpff(x: Array) -> tuple[Array, Array, Array, Array]:
     """c₀ … c₃ with c_k(x) = Σ (−x)ⁿ/(k + 2n)! for x of any sign: c₀ = cos √x, c₁ = sin √x/√x, and the next two."""
     near = jnp.where(jnp.abs(x) < 2, x, 0)  # the branches overlap, see `_entire`

@@ -72,16 +72,17 @@ class KeplerSplitting(Step):
         return f"kepler_splitting[{self.method}{turns}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        drifts, kicks = (jnp.asarray(x, state.p.dtype) * dt for x in METHODS[self.method])
-        state, info = self._drifted(state, drifts[0])
+        method = METHODS[self.method]
+        drifts, kicks = (jnp.asarray(x, state.p.dtype) * dt for x in (method.drifts, (0.0, *method.kicks)))
 
         def stage(carry: tuple[State, StepInfo, Array, Array], following: tuple[Array, Array]) -> tuple[Any, None]:
             state, info, a, b = carry
             state, last = self._drifted(state._replace(p=state.p + b * self._force(state.q)), a)
             return (state, info.merge(last), *following), None
 
-        begin = (state, info, drifts[1], kicks[0])  # carried, see `compose`
-        (state, info, _, _), _ = lax.scan(stage, begin, (jnp.roll(drifts[1:], -1), jnp.roll(kicks, -1)))
+        # A first kick of 0, so that the long program of a drift is compiled once; carried, see `compose`.
+        begin = (state, StepInfo.fresh(state.p), drifts[0], kicks[0])
+        (state, info, _, _), _ = lax.scan(stage, begin, (jnp.roll(drifts, -1), jnp.roll(kicks, -1)))
         return state, info
 
     def _force(self, q: Array) -> Array:
@@ -186,7 +187,7 @@ def kepler_flow(d: Array, v: Array, mu: Array, dt: Array) -> tuple[Array, Array,
 
     tau, lift = dt / r0, eta / (2 * r0)
     guess = tau * (1 - tau * (lift - tau * (2 * lift * lift - bend / (6 * r0))))
-    s, F, steady = newton.root(excess, correction, guess, _ITERATIONS, length=jnp.abs)
+    s, F, steady = newton.root(excess, correction, guess, _ITERATIONS, unroll=False, length=jnp.abs)
     G0, G1, G2, G3 = powers(s)
     r = r0 * G0 + eta * G1 + mu * G2
     residual = lax.stop_gradient(jnp.abs(F))
