@@ -29,10 +29,10 @@ def _suits(step: Step, state: State, dt: float, reduction: Reduction | None) -> 
         end, info = step(state, dt)
         return end, info, None if reduction is None else reduction(step, end)
 
-    leaves, structure = jax.tree.flatten((step, state, jnp.asarray(dt, state.p.dtype)))
-    key = structure, reduction, tuple((x.shape, x.dtype) for x in map(jnp.asarray, leaves))
+    leaves, structure = jax.tree.flatten((step, state))
+    key = structure, reduction, tuple((np.shape(x), getattr(x, "dtype", type(x))) for x in leaves)
     if key not in _suited:
-        _suited[key] = kernel.suits(both, *structure.unflatten(leaves))
+        _suited[key] = kernel.suits(both, step, state, jnp.asarray(dt, state.p.dtype))
     return _suited[key]
 
 
@@ -156,7 +156,7 @@ class Job(NamedTuple):
 
     def member_state(self, m: int) -> State:
         """The initial state of one member."""
-        state = jax.tree.map(lambda leaf: leaf[m], self.states)
+        state = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[m]), self.states)
         if self.t0 is not None:
             state = state._replace(t=self.t0 if self.shares_time else self.t0[m])
         return state
@@ -168,7 +168,7 @@ class Job(NamedTuple):
 
     def buffer_rows(self, across: int) -> int:
         """The number of saves per call of the loop and per chunk of a store, where a chunk holds `across` members."""
-        row = max(sum(leaf[0].nbytes for leaf in jax.tree.leaves(self.states)) + 9, 24)
+        row = max(sum(leaf.nbytes for leaf in jax.tree.leaves(self.states)) // self.members + 9, 24)
         enough = min(_CHUNK_BYTES // (across * row), _MEMORY // (self.members * row))
         interval = max(self.num_steps // max(self.num_saves, 1), 1)
         return int(max(1, min(enough, _CHUNK_WORK // (self.members * interval), self.num_saves + 1)))

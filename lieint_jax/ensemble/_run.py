@@ -11,6 +11,7 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.sharding import Mesh
 from jax.typing import ArrayLike
 
@@ -337,7 +338,7 @@ def _checked(step: Step, states: State) -> tuple[State, Any]:
 def _check(job: Job) -> None:
     member_axis(job.step.system, job.member_state(0), job.members, job.step_axis, "step_axis")
     step, state = job.member(0)
-    defect = np.abs(np.asarray(jax.vmap(job.step.system.phase_space.defect)(job.states)))
+    defect = np.abs(np.asarray(_defects(job.step.system.phase_space, job.states)))
     bad = np.flatnonzero(defect > 2 * _checks.UNIT_TOLERANCE)  # |q|² − 1 is twice the error of |q|
     if bad.size:
         raise ValueError(
@@ -345,6 +346,11 @@ def _check(job: Job) -> None:
             f"(worst defect {defect.max():.3g}); make states with system.state(...)"
         )
     step.system.check(state)  # the shapes, and the time of a driven system, which are alike for all members
+
+
+@jax.jit
+def _defects(phase_space: Any, states: State) -> Array:
+    return jax.vmap(phase_space.defect)(states)
 
 
 def _check_first(failed: np.ndarray, job: Job) -> None:

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax._numerics import kernel, three
-from lieint_jax._numerics.three import add, apply, cross, dot, scale
+from lieint_jax._numerics.three import add, apply, dot, scale
 from lieint_jax.groups import so3
 from lieint_jax.schemes import _body_axes
-from lieint_jax.schemes._body_axes import Turning, by
+from lieint_jax.schemes._body_axes import Turning, by, gyroscopic
 from lieint_jax.schemes._capability import other_motion
 from lieint_jax.types import Bodies, FreeBodies, State, System
 
@@ -81,20 +81,25 @@ def known(system: System) -> bool:
     return isinstance(system, Bodies) and not other_motion(motion, system, system)
 
 
-def unknowns(state: State) -> Any:
+def unknowns(system: System, state: State) -> Any:
     """Those of each body, or of all in an array, (N, 13)."""
-    turning = jax.vmap(_body_axes.unknowns)(_turning_part(state))
+    turning = jax.vmap(_body_axes.turning)(_turning_part(state))
     every = Moving(three.components(state.q[:, :3].T), three.components(state.p[:, :3].T), turning)
     count = len(state.q)
     return tuple(jax.tree.map(lambda x, n=n: x[n], every) for n in range(count)) if apart(count) else _packed(every)
 
 
-def moved(state: State, z: Any, delta: Any) -> State:
+def moved(system: System, state: State, z: Any, delta: Any) -> State:
     """The state whose unknowns are z, after their increments."""
     start, step = (_every(bodies) for bodies in (z, delta))
-    end = jax.vmap(_body_axes.moved)(_turning_part(state), start.turning, step.turning)
+    end = jax.vmap(_body_axes.turned)(_turning_part(state), start.turning, step.turning)
     x, P = (jnp.stack(add(*pair), axis=-1) for pair in ((start.x, step.x), (start.P, step.P)))
     return state._replace(q=jnp.concatenate([x, end.q], axis=1), p=jnp.concatenate([P, end.p], axis=1))
+
+
+def halves(z: Any) -> tuple[list[Array], list[Array]]:
+    every = _every(z)
+    return [*every.x, *every.turning.q], [*every.P, *every.turning.Pi]
 
 
 def _packed(z: Moving) -> Array:
@@ -124,7 +129,7 @@ def rate(system: Any) -> Callable[[Any], Any]:
 
 def motion(system: Any, state: State) -> State:
     """The time derivative of q and p that follows from that of the unknowns."""
-    z = unknowns(state)
+    z = unknowns(system, state)
     return jax.jvp(_state, (z,), (rate(system)(z),))[1]
 
 
@@ -141,9 +146,9 @@ def _rotation(q: tuple[Array, ...]) -> three.Matrix:
 
 def _rate_of_one(mass: Array, inverse: three.Symmetric, z: Moving, at: Place, force: Any) -> Moving:
     q, Pi = z.turning.q, z.turning.Pi
-    Omega = apply(inverse, Pi)
+    half = apply(tuple(x / 2 for x in inverse), Pi)
     torque = [dot(axis, force[3:]) for axis in three.transpose(at.R)]
-    turning = Turning(by(q, scale(0.5, Omega)), add(cross(Pi, Omega), torque), None, None)
+    turning = Turning(by(q, half), add(gyroscopic(inverse, Pi), torque), None, None)
     return Moving(scale(1 / mass, z.P), tuple(force[:3]), turning)
 
 

@@ -1,16 +1,19 @@
 """Extrapolated steps of the modified midpoint rule (Gragg, Bulirsch, Stoer): explicit, of any even order, any system.
 
-With increments δ from the start u, n sub-steps of size h = Δt/n,
+With increments δ from the start u, an even number n of sub-steps of size h = Δt/n,
 
-    δ₁ = h f(u),    δ_{m+1} = δ_{m−1} + 2h f(u + δ_m),    S_n = ½(δ_{n−1} + δ_n + h f(u + δ_n))
+    δ₁ = h f(u),    δ_{m+1} = δ_{m−1} + 2h f(u + δ_m),
 
-has an error in even powers of h, which the combination Σ w_n S_n over n = 2, 4, … cancels one by one.
+δ_n has an error in even powers of h, which the combination Σ w_n δ_n over n = 2, 4, … cancels one by one. Gragg's last
+sub-step, which smooths, is left out: at equal cost errors are a quarter without it.
 """
 
 from __future__ import annotations
 
+import functools
+import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -26,6 +29,8 @@ from lieint_jax.schemes.so3_midpoint import FREE_BODIES
 from lieint_jax.types import Bodies, State, Step, StepInfo, System, Top, all_finite, pytree, static, time_derivative
 
 _FORMS: dict[str, Any] = {"one body": _body_axes, "several bodies": _several_bodies}
+_First = Callable[[Array], Any]  # h ↦ δ₁, or u + δ₁
+_After = Callable[[Array, Any, Any], Any]  # h, δ_{m−1}, δ_m ↦ δ_{m+1}, or u + these
 _ROUGH = 1e-3  # the largest relative difference between the last two orders of a step that converged
 
 
@@ -37,16 +42,18 @@ class Extrapolated(Step):
         system: any system.
         order: even.
         form: a key of `_FORMS`, whose unknowns it integrates in place of the states themselves; "" for the states.
+        increments: whether sub-steps add up increments, not unknowns.
     """
 
     system: System
     order: float = static()
     form: str = static()
+    increments: bool = static(default=True)
     symmetric: bool = static(default=False)
 
     @property
     def name(self) -> str:
-        return f"extrapolate[{self.order:g}]"
+        return f"extrapolate[{self.order:g}{'' if self.increments else ', plain'}]"
 
     @property
     def one_kernel(self) -> bool:
@@ -54,9 +61,11 @@ class Extrapolated(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         start, rate = self._unknowns(state)
-        best, second = _extrapolated(rate, start, jnp.asarray(dt, state.p.dtype), int(self.order))
-        end, other = (self._moved(state, start, x) for x in (best, second))
-        off = lax.stop_gradient(jnp.maximum(_relative(end.q, other.q), _relative(end.p, other.p)))
+        dt = jnp.asarray(dt, state.p.dtype)
+        best, second = _extrapolated(rate, start, dt, int(self.order), self.increments)
+        end = self._moved(state, start, best)
+        halves = zip(*map(self._halves, (start, best, second)), strict=True)
+        off = lax.stop_gradient(functools.reduce(jnp.maximum, itertools.starmap(_relative, halves)))
         return end, StepInfo(off, all_finite(end) & (off <= _ROUGH))
 
     def _unknowns(self, state: State) -> tuple[Any, Callable[[Any], Any]]:
@@ -64,10 +73,18 @@ class Extrapolated(Step):
         if not self.form:
             return state, partial(time_derivative, self.system)
         form = _FORMS[self.form]
-        return form.unknowns(state), form.rate(self.system)
+        return form.unknowns(self.system, state), form.rate(self.system)
 
     def _moved(self, state: State, start: Any, delta: Any) -> State:
-        return _FORMS[self.form].moved(state, start, delta) if self.form else jax.tree.map(jnp.add, start, delta)
+        return (
+            _FORMS[self.form].moved(self.system, state, start, delta)
+            if self.form
+            else jax.tree.map(jnp.add, start, delta)
+        )
+
+    def _halves(self, z: Any) -> tuple[Sequence[Array], Sequence[Array]]:
+        """The configuration and the momenta among the unknowns."""
+        return _FORMS[self.form].halves(z) if self.form else ([z.q], [z.p])
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
@@ -76,71 +93,100 @@ class Extrapolated(Step):
         )
 
 
-def _extrapolated(rate: Callable[[Any], Any], start: Any, dt: Array, order: int) -> tuple[Any, Any]:
-    """Σ w_n S_n of this order, and of two less: one loop over pairs of sub-steps, that is compiled soon."""
+def _extrapolated(rate: Callable[[Any], Any], start: Any, dt: Array, order: int, increments: bool) -> tuple[Any, Any]:
+    """The increments Σ w_n δ_n of this order, and of two less."""
     slope = kernel.stored(rate(start))
-
-    def at(delta: Any) -> Any:
-        return rate(jax.tree.map(jnp.add, start, delta))
+    plus = kernel.stage(lambda delta: jax.tree.map(jnp.add, start, delta))
+    origin = jax.tree.map(jnp.zeros_like, start) if increments else start
 
     @kernel.stage
-    def after(h: Array, before: Any, delta: Any) -> Any:
-        return jax.tree.map(lambda x, f: x + 2 * h * f, before, at(delta))
+    def after(h: Array, before: Any, now: Any) -> Any:
+        return jax.tree.map(lambda x, f: x + 2 * h * f, before, rate(plus(now) if increments else now))
 
     def first(h: Array) -> Any:
-        return jax.tree.map(lambda x: h * x, slope)
+        return jax.tree.map(lambda x, f: x + h * f, origin, slope)
 
-    def two(carry: Any, row: tuple[Array, ...]) -> tuple[Any, None]:
-        before, delta, best, second = carry
-        h, last, w, v, following = row
-        middle = after(h, before, delta)
-        end = after(jnp.where(last, h / 2, h), delta, middle)
+    numbers = [2 * (j + 1) for j in range(order // 2)]
+    w = [jnp.asarray(x, dt.dtype) for x in (weights(numbers), [*weights(numbers[:-1]), 0.0])]
+    return (_nested if kernel.inside() else _flat)(first, after, origin, numbers, dt, w)
+
+
+def _nested(first: _First, after: _After, origin: Any, numbers: list[int], dt: Array, w: list[Array]) -> Any:
+    """A loop over n, and in it one over pairs of sub-steps, which overwrite each other. It has no pull-back."""
+
+    def sequence(sums: Any, row: Any) -> tuple[Any, None]:
+        pairs, h, w = row
+
+        def two(_: Any, z: tuple[Any, Any]) -> tuple[Any, Any]:
+            before, now = z
+            middle = after(h, before, now)
+            return middle, after(h, now, middle)
+
+        begin = first(h)
+        end = lax.fori_loop(0, pairs, two, (begin, after(h, origin, begin)))[1]
+        return _added(sums, w, end, origin), None
+
+    n = np.array(numbers)
+    return lax.scan(sequence, _nothing(origin), (jnp.asarray(n // 2 - 1), dt / n, w))[0]
+
+
+def _flat(first: _First, after: _After, origin: Any, numbers: list[int], dt: Array, w: list[Array]) -> Any:
+    """The same as one loop over all sub-steps."""
+    h = dt / np.array(numbers)
+
+    def one(carry: Any, row: Any) -> tuple[Any, None]:
+        before, now, sums = carry
+        h, following, last, w = row
+        end = after(h, before, now)
 
         def closed() -> Any:
-            sums = (
-                jax.tree.map(lambda s, x, y, w=w: s + w * ((x + y) / 2), sum_, middle, end)
-                for sum_, w in ((best, w), (second, v))
-            )
-            return zero, first(following), *sums
+            return origin, first(following), _added(sums, w, end, origin)
 
-        return lax.cond(last, closed, lambda: (middle, end, best, second)), None
+        return lax.cond(last, closed, lambda: (now, end, sums)), None
 
-    zero = jax.tree.map(jnp.zeros_like, start)
-    last, *numbers = _rows(order)
-    share, w, v, following = (jnp.asarray(x, dt.dtype) for x in numbers)
-    rows: Any = (dt * share, last, w, v, dt * following)
-    return lax.scan(two, (zero, first(dt * share[0]), zero, zero), rows)[0][2:]
+    of = np.repeat(np.arange(len(numbers)), np.array(numbers) - 1)
+    last = np.append(np.diff(of) > 0, True)
+    rows = (h[of], jnp.append(h[of[1:]], 0), jnp.asarray(last), [x[of] for x in w])
+    return lax.scan(one, (origin, first(h[0]), _nothing(origin)), rows)[0][2]
 
 
-def _rows(order: int) -> tuple[np.ndarray, ...]:
-    """Of each pair of sub-steps: whether it ends a sequence, its size over Δt, both weights w_n, the size after it."""
-    numbers = [2 * (j + 1) for j in range(order // 2)]
-    of = np.repeat(np.arange(len(numbers)), [n // 2 for n in numbers])
-    size, w, v = (np.array(x)[of] for x in (1 / np.array(numbers), weights(numbers), [*weights(numbers[:-1]), 0.0]))
-    return np.append(np.diff(of) > 0, True), size, w, v, np.append(size[1:], 0.0)
+def _nothing(like: Any) -> tuple[Any, Any]:
+    zero = jax.tree.map(jnp.zeros_like, like)
+    return zero, zero
 
 
-def extrapolate(system: System, order: int = 12) -> Extrapolated:
+def _added(sums: tuple[Any, ...], w: Sequence[Array], end: Any, origin: Any) -> tuple[Any, ...]:
+    """Both sums, and w times this increment. (The sum of all w is not quite 1.)"""
+    return tuple(
+        jax.tree.map(lambda s, x, z, w=w: s + w * (x - z), s, end, origin) for s, w in zip(sums, w, strict=True)
+    )
+
+
+def extrapolate(system: System, order: int = 12, increments: bool = True) -> Extrapolated:
     """Explicit steps of high order for any system, by its vector field alone. No structure is kept beyond accuracy.
 
-    43 evaluations of the vector field a step at order 12. Nothing is conserved but to the size of the error, which
+    37 evaluations of the vector field a step at order 12. Nothing is conserved but to the size of the error, which
     grows with time: for short, accurate runs, and for comparison. `residual` is the relative difference between the
     last two orders; above 1e-3 the step says `converged=False`.
 
     Args:
         system: any.
         order: even, 4 to 20.
+        increments: False adds up the unknowns themselves in sub-steps, not their increments: some 15 % less time for a
+            top in an ensemble, and 50 times the round-off.
 
     Raises:
         ValueError: another order.
 
-    Source: Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I, II.9.
+    Source: Gragg, SIAM J. Numer. Anal. 2 (1965) 384; Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations
+    I, II.9.
     """
     if isinstance(order, bool) or order not in range(4, 21, 2):
         raise ValueError(f"order must be an even number from 4 to 20, got {order!r}")
     if not isinstance(system, System):
         raise ValueError(f"extrapolate integrates systems, got {type(system).__name__}")
-    return Extrapolated(system, order, next((name for name, form in _FORMS.items() if form.known(system)), ""))
+    form = next((name for name, form in _FORMS.items() if form.known(system)), "")
+    return Extrapolated(system, order, form, increments)
 
 
 def weights(numbers: list[int]) -> list[float]:
@@ -148,9 +194,14 @@ def weights(numbers: list[int]) -> list[float]:
     return [math.prod(n * n / (n * n - k * k) for k in numbers if k != n) for n in numbers]
 
 
-def _relative(x: Array, y: Array) -> Array:
-    size = jnp.max(jnp.abs(x))
-    return jnp.max(jnp.abs(x - y)) / jnp.where(size > 0, size, 1)
+def _relative(start: Sequence[Array], best: Sequence[Array], second: Sequence[Array]) -> Array:
+    """The largest difference of two increments over the largest number that one leads to."""
+    size = _largest([z + x for z, x in zip(start, best, strict=True)])
+    return _largest([x - y for x, y in zip(best, second, strict=True)]) / jnp.where(size > 0, size, 1)
+
+
+def _largest(arrays: Sequence[Array]) -> Array:
+    return functools.reduce(jnp.maximum, [jnp.max(jnp.abs(x)) for x in arrays])
 
 
 def examples(system: Any) -> dict[str, Step]:
