@@ -50,10 +50,10 @@ def ours(name: str, kind: str, step: li.Step, counts: Sequence[int], **how: Any)
     return Curve(name, kind, partial(measure.by_ensemble, name, step, **how), counts, rough=kind == ROUGH)
 
 
-# stages, or order, or (stages, sweeps), and the number of steps to begin with, in units
+# stages, or order, or (stages, sweeps), or (order, increments), and the number of steps to begin with, in units
 _CONVERGED = ((8, 1.0), (6, 1.4), (4, 4.0))
 _ROUGH = ((8, 16, 1.2), (8, 14, 1.5), (6, 12, 2.2), (8, 18, 1.0))
-_EXTRAPOLATED = ((12, 1.6), (16, 1.2), (8, 3.0))
+_EXTRAPOLATED = ((12, True, 1.6), (14, False, 1.3), (14, True, 1.3), (16, True, 1.2))
 _COMPOSED = ((8, 2.5), (10, 1.8), (6, 4.0))
 
 
@@ -66,9 +66,9 @@ def high_order(system: Any, of: Ours, unit: float, points: int = 6, most: int = 
     for stages, sweeps, first in _ROUGH[:most]:
         name, counts = f"gauss {stages}, {sweeps} sweeps", growing(first * unit, points, 1.2)
         yield of(name, ROUGH, make.gauss(system, stages, sweeps), counts)
-    for order, first in _EXTRAPOLATED[:most]:
-        counts = growing(first * unit, points, 1.3)
-        yield of(f"extrapolate {order}", EXTRAPOLATED, make.extrapolate(system, order), counts)
+    for order, increments, first in _EXTRAPOLATED[:most]:
+        name, counts = f"extrapolate {order}{'' if increments else ', plain'}", growing(first * unit, points, 1.3)
+        yield of(name, EXTRAPOLATED, make.extrapolate(system, order, increments), counts)
 
 
 def composed(base: li.Step, of: Ours, unit: float, points: int = 6, most: int = 2) -> Iterator[Curve]:
