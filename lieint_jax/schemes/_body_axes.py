@@ -17,16 +17,22 @@ from lieint_jax._numerics import kernel, three
 from lieint_jax._numerics.three import add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.schemes._capability import other_motion
-from lieint_jax.types import DrivenTop, FreeBody, Gyrostat, State, System, Top
+from lieint_jax.types import DrivenTop, FreeBody, Gyrostat, State, System, Top, gradient
 
 
 class Turning(NamedTuple):
-    """The unknowns: a quaternion, body momentum, and the time and work of a state that has them."""
+    """The unknowns: a quaternion, body momentum, and the work of a state that has it."""
 
     q: tuple[Array, ...]
     Pi: tuple[Array, ...]
-    t: Array | None
     work: Array | None
+
+
+class Moment(NamedTuple):
+    """A time, and the axis of a driven top then."""
+
+    t: Array
+    axis: Array
 
 
 def known(system: System) -> bool:
@@ -53,7 +59,16 @@ def halves(z: Turning) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
 def turning(state: State) -> Turning:
     """The unknowns of a body whose q is its attitude."""
     Pi = so3.Ad_star(state.q, state.p)
-    return Turning(three.components(state.q), three.components(Pi), state.t, state.work)
+    return Turning(three.components(state.q), three.components(Pi), state.work)
+
+
+def moments(system: System, state: State, passed: Array) -> Moment | None:
+    """What a driven top follows, once so much time has passed since `state`: (n,) times in one call of its axis."""
+    if not isinstance(system, DrivenTop):
+        return None
+    assert state.t is not None
+    t = state.t + passed
+    return Moment(t, jax.vmap(system.axis_at)(t))
 
 
 def turned(state: State, z: Turning, delta: Turning) -> State:
@@ -89,20 +104,19 @@ def _across(u: three.Vector, du: three.Vector, Pi: three.Vector) -> tuple[Array,
     return *cross(u, Pi), *cross(du, Pi)
 
 
-def rate(system: Any) -> Callable[[Any], Turning]:
-    """The time derivative of the unknowns, for |q| = 1 but for the error of a step."""
+def rate(system: Any) -> Callable[[Any, Moment | None], Turning]:
+    """The time derivative of the unknowns at a moment, for |q| = 1 but for the error of a step."""
     inverse, torque = three.inverse(system.inertia), _torque(system)
     half = tuple(x / 2 for x in inverse)
 
-    def of(z: Any) -> Turning:
+    def of(z: Any, moment: Any) -> Turning:
         if isinstance(system, Gyrostat):
             turning = subtract(z.Pi, system.rotor)
             Pi_dot = cross(z.Pi, apply(inverse, turning))
         else:
             turning, Pi_dot = z.Pi, gyroscopic(inverse, z.Pi)
-        t = None if z.t is None else jnp.ones_like(z.t)
-        work = None if z.work is None else _power(system, z)
-        return Turning(by(z.q, apply(half, turning)), add(Pi_dot, torque(z)) if torque else Pi_dot, t, work)
+        Pi_dot = add(Pi_dot, torque(z, moment)) if torque else Pi_dot
+        return Turning(by(z.q, apply(half, turning)), Pi_dot, None if z.work is None else _power(system, z, moment))
 
     return of
 
@@ -118,8 +132,9 @@ def gyroscopic(inverse: three.Symmetric, Pi: three.Vector) -> tuple[Array, Array
 def motion(system: Any, state: State) -> State:
     """The time derivative of q and p that follows from that of the unknowns."""
     z, torque = unknowns(system, state), _torque(system)
-    q_dot = jnp.stack(_in_space(system, rate(system)(z)).q)
-    return State(q_dot, so3.Ad(state.q, jnp.stack(torque(z))) if torque else jnp.zeros_like(state.p))
+    now = jax.tree.map(lambda x: x[0], moments(system, state, jnp.zeros(1, state.p.dtype)))
+    q_dot = jnp.stack(_in_space(system, rate(system)(z, now)).q)
+    return State(q_dot, so3.Ad(state.q, jnp.stack(torque(z, now))) if torque else jnp.zeros_like(state.p))
 
 
 def _upright(axis: Any) -> tuple[Array, Array]:
@@ -138,22 +153,24 @@ def _in_space(system: System, delta: Turning) -> Turning:
     return _turned_by(so3.inverse(_upright(system.axis)[0]), delta) if isinstance(system, Top) else delta
 
 
-def _power(system: Any, z: Any) -> Array:
-    return system.power(so3.normalise(jnp.stack(z.q)), z.t) if isinstance(system, DrivenTop) else jnp.zeros_like(z.work)
+def _power(system: Any, z: Any, moment: Any) -> Array:
+    if not isinstance(system, DrivenTop):
+        return jnp.zeros_like(z.work)
+    return system.power(so3.normalise(jnp.stack(z.q)), moment.t)
 
 
-def _torque(system: Any) -> Callable[[Any], tuple[Array, ...]] | None:
-    """z ↦ Γ × ∇Ṽ(Γ), with Γ = Λᵀγ."""
+def _torque(system: Any) -> Callable[[Any, Any], tuple[Array, ...]] | None:
+    """(z, moment) ↦ Γ × ∇Ṽ(Γ), with Γ = Λᵀγ."""
     if isinstance(system, DrivenTop):
-        return lambda z: _by_potential(system.potential, _axis_in_body(z.q, system.axis_at(z.t)), z.t)
+        return lambda z, now: _by_potential(system.potential, _axis_in_body(z.q, now.axis), now.t)
     if isinstance(system, Top):
         twice = 2 * _upright(system.axis)[1]
-        return lambda z: _by_potential(system.potential, _third_axis(twice, z.q))
+        return lambda z, _: _by_potential(system.potential, _third_axis(twice, z.q))
     return None
 
 
 def _by_potential(potential: Any, Gamma: tuple[Array, ...], *t: Array) -> tuple[Array, ...]:
-    return cross(Gamma, jax.grad(potential)(jnp.stack(Gamma), *t))
+    return cross(Gamma, gradient(potential, jnp.stack(Gamma), *t))
 
 
 def seen(q: tuple[Array, ...], axis: three.Vector) -> tuple[Array, Array, Array]:

@@ -45,6 +45,7 @@ from lieint_jax.types import (
     PhaseSpace,
     State,
     Top,
+    gradient,
 )
 
 _Quaternion = tuple[Array, Array, Array, Array]
@@ -225,7 +226,7 @@ def _body_torque(system: Any, q: Components, t: Any) -> Components:
     moves = isinstance(system, DrivenTop)
     Gamma = scale(r, seen(q, _components(system.axis_at(t) if moves else system.axis)))
     at = (jnp.stack(Gamma), t) if moves else (jnp.stack(Gamma),)
-    return scale(2 * r, cross(Gamma, _components(jax.grad(system.potential)(*at))))
+    return scale(2 * r, cross(Gamma, _components(gradient(system.potential, *at))))
 
 
 def _components(x: Array) -> Components:

@@ -111,14 +111,18 @@ def _every(z: Any) -> Moving:
     if not isinstance(z, Array):
         return jax.tree.map(lambda *x: jnp.stack(x), *z)
     y = three.components(jnp.moveaxis(z, -1, 0))
-    return Moving(y[:3], y[3:6], Turning(y[6:10], y[10:], None, None))
+    return Moving(y[:3], y[3:6], Turning(y[6:10], y[10:], None))
 
 
-def rate(system: Any) -> Callable[[Any], Any]:
+def moments(system: System, state: State, passed: Array) -> None:
+    """Nothing changes with time."""
+
+
+def rate(system: Any) -> Callable[[Any, None], Any]:
     """The time derivative of the unknowns, for quaternions of unit length but for the error of a step."""
     J, m = inverses(system), masses(system)
 
-    def of(z: Any) -> Any:
+    def of(z: Any, _: None) -> Any:
         bodies = (_every(z),) if isinstance(z, Array) else z
         places = [Place.of(body.x, body.turning.q) for body in bodies]
         rates = tuple(map(_rate_of_one, m, J, bodies, places, forces(system, places)))
@@ -130,7 +134,7 @@ def rate(system: Any) -> Callable[[Any], Any]:
 def motion(system: Any, state: State) -> State:
     """The time derivative of q and p that follows from that of the unknowns."""
     z = unknowns(system, state)
-    return jax.jvp(_state, (z,), (rate(system)(z),))[1]
+    return jax.jvp(_state, (z,), (rate(system)(z, None),))[1]
 
 
 def _state(z: Any) -> State:
@@ -148,7 +152,7 @@ def _rate_of_one(mass: Array, inverse: three.Symmetric, z: Moving, at: Place, fo
     q, Pi = z.turning.q, z.turning.Pi
     half = apply(tuple(x / 2 for x in inverse), Pi)
     torque = [dot(axis, force[3:]) for axis in three.transpose(at.R)]
-    turning = Turning(by(q, half), add(gyroscopic(inverse, Pi), torque), None, None)
+    turning = Turning(by(q, half), add(gyroscopic(inverse, Pi), torque), None)
     return Moving(scale(1 / mass, z.P), tuple(force[:3]), turning)
 
 

@@ -14,7 +14,6 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any
 
 import jax
@@ -29,8 +28,9 @@ from lieint_jax.schemes.so3_midpoint import FREE_BODIES
 from lieint_jax.types import Bodies, State, Step, StepInfo, System, Top, all_finite, pytree, static, time_derivative
 
 _FORMS: dict[str, Any] = {"one body": _body_axes, "several bodies": _several_bodies}
+_Rate = Callable[[Any, Any], Any]
 _First = Callable[[Array], Any]  # h ↦ δ₁, or u + δ₁
-_After = Callable[[Array, Any, Any], Any]  # h, δ_{m−1}, δ_m ↦ δ_{m+1}, or u + these
+_After = Callable[[Array, Any, Any, Any], Any]  # h, δ_{m−1}, δ_m, what there is then ↦ δ_{m+1}, or u + these
 _ROUGH = 1e-3  # the largest relative difference between the last two orders of a step that converged
 
 
@@ -62,16 +62,22 @@ class Extrapolated(Step):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         start, rate = self._unknowns(state)
         dt = jnp.asarray(dt, state.p.dtype)
-        best, second = _extrapolated(rate, start, dt, int(self.order), self.increments)
+        moments = _FORMS[self.form].moments(self.system, state, dt * _fractions(self._numbers)) if self.form else None
+        best, second = _extrapolated(rate, moments, start, dt, self._numbers, self.increments)
         end = self._moved(state, start, best)
         halves = zip(*map(self._halves, (start, best, second)), strict=True)
         off = lax.stop_gradient(functools.reduce(jnp.maximum, itertools.starmap(_relative, halves)))
         return end, StepInfo(off, all_finite(end) & (off <= _ROUGH))
 
-    def _unknowns(self, state: State) -> tuple[Any, Callable[[Any], Any]]:
-        """What is integrated, and its time derivative."""
+    @property
+    def _numbers(self) -> list[int]:
+        """Of sub-steps."""
+        return [2 * (j + 1) for j in range(int(self.order) // 2)]
+
+    def _unknowns(self, state: State) -> tuple[Any, _Rate]:
+        """What is integrated, and its time derivative, of it and what else there is at one of the `moments`."""
         if not self.form:
-            return state, partial(time_derivative, self.system)
+            return state, lambda z, _: time_derivative(self.system, z)
         form = _FORMS[self.form]
         return form.unknowns(self.system, state), form.rate(self.system)
 
@@ -93,51 +99,66 @@ class Extrapolated(Step):
         )
 
 
-def _extrapolated(rate: Callable[[Any], Any], start: Any, dt: Array, order: int, increments: bool) -> tuple[Any, Any]:
-    """The increments Σ w_n δ_n of this order, and of two less."""
-    slope = kernel.stored(rate(start))
+def _fractions(numbers: list[int]) -> np.ndarray:
+    """m/n, where the vector field is evaluated: at 0, then for m = 1, …, n − 1 of every n."""
+    return np.concatenate([[0.0], *(np.arange(1, n) / n for n in numbers)])
+
+
+def _extrapolated(
+    rate: _Rate, moments: Any, start: Any, dt: Array, numbers: list[int], increments: bool
+) -> tuple[Any, Any]:
+    """The increments Σ w_n δ_n over all these n, and over all but the last."""
+    slope = kernel.stored(rate(start, jax.tree.map(lambda x: x[0], moments)))
     plus = kernel.stage(lambda delta: jax.tree.map(jnp.add, start, delta))
     origin = jax.tree.map(jnp.zeros_like, start) if increments else start
 
     @kernel.stage
-    def after(h: Array, before: Any, now: Any) -> Any:
-        return jax.tree.map(lambda x, f: x + 2 * h * f, before, rate(plus(now) if increments else now))
+    def after(h: Array, before: Any, now: Any, moment: Any) -> Any:
+        return jax.tree.map(lambda x, f: x + 2 * h * f, before, rate(plus(now) if increments else now, moment))
 
     def first(h: Array) -> Any:
         return jax.tree.map(lambda x, f: x + h * f, origin, slope)
 
-    numbers = [2 * (j + 1) for j in range(order // 2)]
+    moments = jax.tree.map(lambda x: x[1:], moments)
     w = [jnp.asarray(x, dt.dtype) for x in (weights(numbers), [*weights(numbers[:-1]), 0.0])]
-    return (_nested if kernel.inside() else _flat)(first, after, origin, numbers, dt, w)
+    return (_nested if kernel.inside() else _flat)(first, after, origin, moments, numbers, dt, w)
 
 
-def _nested(first: _First, after: _After, origin: Any, numbers: list[int], dt: Array, w: list[Array]) -> Any:
+def _nested(
+    first: _First, after: _After, origin: Any, moments: Any, numbers: list[int], dt: Array, w: list[Array]
+) -> Any:
     """A loop over n, and in it one over pairs of sub-steps, which overwrite each other. It has no pull-back."""
 
     def sequence(sums: Any, row: Any) -> tuple[Any, None]:
-        pairs, h, w = row
+        pairs, begin, h, w = row
 
-        def two(_: Any, z: tuple[Any, Any]) -> tuple[Any, Any]:
+        def at(m: Array | int) -> Any:
+            return jax.tree.map(lambda x: lax.dynamic_index_in_dim(x, begin + m, keepdims=False), moments)
+
+        def two(k: Array, z: tuple[Any, Any]) -> tuple[Any, Any]:
             before, now = z
-            middle = after(h, before, now)
-            return middle, after(h, now, middle)
+            middle = after(h, before, now, at(2 * k + 1))
+            return middle, after(h, now, middle, at(2 * k + 2))
 
-        begin = first(h)
-        end = lax.fori_loop(0, pairs, two, (begin, after(h, origin, begin)))[1]
+        one = first(h)
+        end = lax.fori_loop(0, pairs, two, (one, after(h, origin, one, at(0))))[1]
         return _added(sums, w, end, origin), None
 
     n = np.array(numbers)
-    return lax.scan(sequence, _nothing(origin), (jnp.asarray(n // 2 - 1), dt / n, w))[0]
+    rows = (jnp.asarray(n // 2 - 1), jnp.asarray(np.cumsum(n - 1) - (n - 1)), dt / n, w)
+    return lax.scan(sequence, _nothing(origin), rows)[0]
 
 
-def _flat(first: _First, after: _After, origin: Any, numbers: list[int], dt: Array, w: list[Array]) -> Any:
+def _flat(
+    first: _First, after: _After, origin: Any, moments: Any, numbers: list[int], dt: Array, w: list[Array]
+) -> Any:
     """The same as one loop over all sub-steps."""
     h = dt / np.array(numbers)
 
     def one(carry: Any, row: Any) -> tuple[Any, None]:
         before, now, sums = carry
-        h, following, last, w = row
-        end = after(h, before, now)
+        h, following, last, moment, w = row
+        end = after(h, before, now, moment)
 
         def closed() -> Any:
             return origin, first(following), _added(sums, w, end, origin)
@@ -146,7 +167,7 @@ def _flat(first: _First, after: _After, origin: Any, numbers: list[int], dt: Arr
 
     of = np.repeat(np.arange(len(numbers)), np.array(numbers) - 1)
     last = np.append(np.diff(of) > 0, True)
-    rows = (h[of], jnp.append(h[of[1:]], 0), jnp.asarray(last), [x[of] for x in w])
+    rows = (h[of], jnp.append(h[of[1:]], 0), jnp.asarray(last), moments, [x[of] for x in w])
     return lax.scan(one, (origin, first(h[0]), _nothing(origin)), rows)[0][2]
 
 

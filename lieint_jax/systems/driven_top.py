@@ -18,7 +18,7 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._body import TimedBody, spatial_torque
 from lieint_jax.systems.heavy_top import Linear
 from lieint_jax.systems.rigid_body import RigidBody
-from lieint_jax.types import State, callable_pytree, clock, pytree
+from lieint_jax.types import State, callable_pytree, clock, gradient, pytree
 
 
 class MovedBody(TimedBody, types.DrivenTop):
@@ -53,8 +53,8 @@ class MovedBody(TimedBody, types.DrivenTop):
         if self.axis is None:
             return spatial_torque(lambda turned: self.potential_energy(turned, t), q)
         axis = self.axis_at(t)
-        gradient = jax.grad(self.potential)(so3.Ad_star(q, axis), t)
-        return jnp.stack(three.cross(axis, so3.Ad(q, gradient)))
+        slope = gradient(self.potential, so3.Ad_star(q, axis), t)
+        return jnp.stack(three.cross(axis, so3.Ad(q, slope)))
 
     def power(self, q: Array, t: Array) -> Array:
         """∂V/∂t, a scalar: what the motion of the potential alone does to the energy."""

@@ -12,11 +12,11 @@ from lieint_jax import _checks
 from lieint_jax._numerics import elliptic, three
 from lieint_jax.groups import so3
 from lieint_jax.systems.potential_top import PotentialTop, potential_top
-from lieint_jax.types import State, pytree, static
+from lieint_jax.types import State, SteepPotential, pytree, static
 
 
 @pytree
-class Linear:
+class Linear(SteepPotential):
     """Ṽ(Γ) = E·Γ: uniform gravity, E the weight times the centre of mass in the body."""
 
     weight: Array
@@ -25,6 +25,11 @@ class Linear:
     def __call__(self, Gamma: Array, t: Array | None = None) -> Array:
         del t  # there for driven tops
         return three.dot(self.weight, Gamma)
+
+    def gradient(self, Gamma: Array, t: Array | None = None) -> Array:
+        """E."""
+        del Gamma, t
+        return self.weight
 
     def discrete_gradient(self, a: Array, b: Array, t: Array | None = None) -> Array:
         """E, for any a and b."""

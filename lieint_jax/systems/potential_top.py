@@ -17,11 +17,11 @@ from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.systems._body import Body, spatial_torque
 from lieint_jax.systems.rigid_body import RigidBody
-from lieint_jax.types import State, Top, callable_pytree, pytree
+from lieint_jax.types import State, SteepPotential, Top, callable_pytree, gradient, pytree
 
 
 @pytree
-class Quadratic:
+class Quadratic(SteepPotential):
     """Ṽ(Γ) = ½ Γ·SΓ: a field that grows linearly along γ, which is fixed in space, as in Brun's problem (S = εJ).
 
     Gravity's gradient has this form too (S = 3n²J), but its γ points to the centre of attraction and turns with the
@@ -34,10 +34,14 @@ class Quadratic:
         del t  # there for driven tops
         return three.dot(Gamma, three.apply(three.symmetric(self.matrix), Gamma)) / 2
 
+    def gradient(self, Gamma: Array, t: Array | None = None) -> Array:
+        """SΓ."""
+        del t
+        return jnp.stack(three.apply(three.symmetric(self.matrix), Gamma))
+
     def discrete_gradient(self, a: Array, b: Array, t: Array | None = None) -> Array:
         """S·½(a + b)."""
-        del t
-        return jnp.stack(three.apply(three.symmetric(self.matrix), (a + b) / 2))
+        return self.gradient((a + b) / 2, t)
 
 
 @pytree
@@ -73,8 +77,8 @@ class PotentialTop(Body, Top):
         """The torque of the potential in space, shape (3,). With an axis, γ × ΛDṼ(Γ) (4.1)."""
         if self.axis is None:
             return spatial_torque(self.potential_energy, q)
-        gradient = jax.grad(self.potential)(so3.Ad_star(q, self.axis))
-        return jnp.stack(three.cross(self.axis, so3.Ad(q, gradient)))
+        slope = gradient(self.potential, so3.Ad_star(q, self.axis))
+        return jnp.stack(three.cross(self.axis, so3.Ad(q, slope)))
 
     @property
     def _axis(self) -> Array:

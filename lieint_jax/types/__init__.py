@@ -432,6 +432,23 @@ class Top(Forced):
     axis: Array | None
 
 
+class SteepPotential(abc.ABC):
+    """A potential Ṽ(Γ) or Ṽ(Γ, t) that knows its gradient, for tops, where autodiff takes many more operations."""
+
+    @abc.abstractmethod
+    def __call__(self, Gamma: Array, t: Array | None = None) -> Array: ...
+
+    @abc.abstractmethod
+    def gradient(self, Gamma: Array, t: Array | None = None) -> Array:
+        """∇Ṽ, shape (3,)."""
+
+
+def gradient(potential: Callable[..., Array], Gamma: Array, *t: Array) -> Array:
+    """∇Ṽ(Γ) or ∇Ṽ(Γ, t), shape (3,), of any potential of tops."""
+    known = isinstance(potential, SteepPotential)
+    return potential.gradient(Gamma, *t) if known else jax.grad(potential)(Gamma, *t)
+
+
 class MechanicalSystem(Forced):
     """A left-invariant metric and a potential V(q) on T*G: q̇ = qΩ̂, π̇ = −T*R dV(q) with mΩ = Ad*_q π (5.41).
 
