@@ -16,9 +16,9 @@ from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symplectic
 from lieint_jax.schemes import compose, exact, splitting, top_energy_momentum
 from lieint_jax.schemes.top_energy_momentum import discrete_gradient
-from lieint_jax.systems.heavy_top import asymmetric, kovalevskaya, kovalevskaya_integral, lagrange
-from lieint_jax.systems.potential_top import brun, clebsch_integral, examples
-from lieint_jax.types import State
+from lieint_jax.systems.heavy_top import Linear, asymmetric, kovalevskaya, kovalevskaya_integral, lagrange
+from lieint_jax.systems.potential_top import Quadratic, brun, clebsch_integral, examples
+from lieint_jax.types import State, gradient
 
 KAPPAS = {k.name: k for k in (kappa_cayley, kappa_exponential, kappa_symplectic)}
 
@@ -409,3 +409,11 @@ def test_bad_arguments():
         li.integrate(top_energy_momentum(TOPS["linear"]), start(TOPS["linear"]), 9.0, 1)
     with pytest.raises(ValueError, match=r"splitting.*so3_midpoint.*does not converge"):
         li.integrate(splitting(TOPS["linear"]), start(TOPS["linear"]), 9.0, 1)
+
+
+def test_potentials_that_know_their_gradient():
+    """It is what autodiff finds; observed: 1e-16."""
+    Gamma, S = jnp.array([0.3, -0.5, 0.9]), jnp.array([[1.1, 0.2, 0.1], [0.2, 1.8, -0.3], [0.1, -0.3, 2.2]])
+    for potential in (Linear(Gamma[::-1]), Quadratic(S), Quadratic(jnp.diag(S))):
+        np.testing.assert_allclose(gradient(potential, Gamma), jax.grad(potential)(Gamma), rtol=0, atol=5e-16)
+    np.testing.assert_array_equal(gradient(lambda Gamma, t: t * Gamma[1], Gamma, jnp.array(2.0)), [0, 2, 0])
