@@ -280,7 +280,7 @@ def test_extrapolated_steps_have_their_order(name, order):
 @pytest.mark.parametrize("increments", [True, False])
 def test_extrapolation_in_a_kernel_is_the_same(increments):
     """There its loop is another one; observed: 2e-15 for the worst."""
-    for system, state in (leaning(), example("gyrostat")[:2], bodies()["binary"][:2]):
+    for system, state in (leaning(), example("gyrostat")[:2], example("driven")[:2], bodies()["binary"][:2]):
         step = schemes.extrapolate(system, 8, increments)
         expected, info = jax.jit(step)(state, 0.1)
         found, same = jax.jit(kernel.one_kernel(step))(state, 0.1)

@@ -62,7 +62,8 @@ class Extrapolated(Step):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         start, rate = self._unknowns(state)
         dt = jnp.asarray(dt, state.p.dtype)
-        moments = _FORMS[self.form].moments(self.system, state, dt * _fractions(self._numbers)) if self.form else None
+        passed = dt * jnp.asarray(_fractions(self._numbers), dt.dtype)
+        moments = _FORMS[self.form].moments(self.system, state, passed) if self.form else None
         best, second = _extrapolated(rate, moments, start, dt, self._numbers, self.increments)
         end = self._moved(state, start, best)
         halves = zip(*map(self._halves, (start, best, second)), strict=True)
