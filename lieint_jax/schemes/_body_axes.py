@@ -17,7 +17,7 @@ from lieint_jax._numerics import kernel, three
 from lieint_jax._numerics.three import add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.schemes._capability import other_motion
-from lieint_jax.types import DrivenTop, FreeBody, Gyrostat, State, System, Top, gradient
+from lieint_jax.types import DrivenTop, FreeBody, Gyrostat, State, System, Top, clock, gradient
 
 
 class Turning(NamedTuple):
@@ -53,6 +53,7 @@ def moved(system: System, state: State, z: Turning, delta: Turning) -> State:
 
 
 def halves(z: Turning) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """The configuration and the momenta among them."""
     return z.q, z.Pi
 
 
@@ -66,8 +67,7 @@ def moments(system: System, state: State, passed: Array) -> Moment | None:
     """What a driven top follows, once so much time has passed since `state`: (n,) times in one call of its axis."""
     if not isinstance(system, DrivenTop):
         return None
-    assert state.t is not None
-    t = state.t + passed
+    t = clock(state) + passed
     return Moment(t, jax.vmap(system.axis_at)(t))
 
 
