@@ -27,7 +27,19 @@ from lieint_jax.schemes import _body_axes, _several_bodies
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES
 from lieint_jax.types import Bodies, State, Step, StepInfo, System, Top, all_finite, pytree, static, time_derivative
 
-_FORMS: dict[str, Any] = {"one body": _body_axes, "several bodies": _several_bodies}
+
+class _States:
+    """The states themselves, as the unknowns of any system."""
+
+    known = staticmethod(lambda system: True)
+    unknowns = staticmethod(lambda system, state: state)
+    moments = staticmethod(lambda system, state, passed: None)
+    rate = staticmethod(lambda system: lambda z, _: time_derivative(system, z))
+    moved = staticmethod(lambda system, state, start, delta: jax.tree.map(jnp.add, start, delta))
+    halves = staticmethod(lambda z: ([z.q], [z.p]))
+
+
+_FORMS: dict[str, Any] = {"one body": _body_axes, "several bodies": _several_bodies, "": _States}
 _Rate = Callable[[Any, Any], Any]
 _First = Callable[[Array], Any]  # h ↦ δ₁, or u + δ₁
 _After = Callable[[Array, Any, Any, Any], Any]  # h, δ_{m−1}, δ_m, what there is then ↦ δ_{m+1}, or u + these
@@ -41,7 +53,7 @@ class Extrapolated(Step):
     Attributes:
         system: any system.
         order: even.
-        form: a key of `_FORMS`, whose unknowns it integrates in place of the states themselves; "" for the states.
+        form: a key of `_FORMS`, whose unknowns it integrates.
         increments: whether sub-steps add up increments, not unknowns.
     """
 
@@ -60,38 +72,14 @@ class Extrapolated(Step):
         return True
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        start, rate = self._unknowns(state)
-        dt = jnp.asarray(dt, state.p.dtype)
-        passed = dt * jnp.asarray(_fractions(self._numbers), dt.dtype)
-        moments = _FORMS[self.form].moments(self.system, state, passed) if self.form else None
-        best, second = _extrapolated(rate, moments, start, dt, self._numbers, self.increments)
-        end = self._moved(state, start, best)
-        halves = zip(*map(self._halves, (start, best, second)), strict=True)
+        form, numbers = _FORMS[self.form], [2 * (j + 1) for j in range(int(self.order) // 2)]
+        start, dt = form.unknowns(self.system, state), jnp.asarray(dt, state.p.dtype)
+        moments = form.moments(self.system, state, dt * jnp.asarray(_fractions(numbers), dt.dtype))
+        best, second = _extrapolated(form.rate(self.system), moments, start, dt, numbers, self.increments)
+        end = form.moved(self.system, state, start, best)
+        halves = zip(*map(form.halves, (start, best, second)), strict=True)
         off = lax.stop_gradient(functools.reduce(jnp.maximum, itertools.starmap(_relative, halves)))
         return end, StepInfo(off, all_finite(end) & (off <= _ROUGH))
-
-    @property
-    def _numbers(self) -> list[int]:
-        """Of sub-steps."""
-        return [2 * (j + 1) for j in range(int(self.order) // 2)]
-
-    def _unknowns(self, state: State) -> tuple[Any, _Rate]:
-        """What is integrated, and its time derivative, of it and what else there is at one of the `moments`."""
-        if not self.form:
-            return state, lambda z, _: time_derivative(self.system, z)
-        form = _FORMS[self.form]
-        return form.unknowns(self.system, state), form.rate(self.system)
-
-    def _moved(self, state: State, start: Any, delta: Any) -> State:
-        return (
-            _FORMS[self.form].moved(self.system, state, start, delta)
-            if self.form
-            else jax.tree.map(jnp.add, start, delta)
-        )
-
-    def _halves(self, z: Any) -> tuple[Sequence[Array], Sequence[Array]]:
-        """The configuration and the momenta among the unknowns."""
-        return _FORMS[self.form].halves(z) if self.form else ([z.q], [z.p])
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
@@ -207,7 +195,7 @@ def extrapolate(system: System, order: int = 12, increments: bool = True) -> Ext
         raise ValueError(f"order must be an even number from 4 to 20, got {order!r}")
     if not isinstance(system, System):
         raise ValueError(f"extrapolate integrates systems, got {type(system).__name__}")
-    form = next((name for name, form in _FORMS.items() if form.known(system)), "")
+    form = next(name for name, form in _FORMS.items() if form.known(system))
     return Extrapolated(system, order, form, increments)
 
 
