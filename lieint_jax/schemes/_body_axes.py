@@ -44,7 +44,7 @@ def known(system: System) -> bool:
 
 def unknowns(system: System, state: State) -> Turning:
     z = turning(state)
-    return _turned_by(_upright(system.axis)[0], z) if isinstance(system, Top) else z
+    return z._replace(q=turned_up(system.axis, z.q)) if isinstance(system, Top) else z
 
 
 def moved(system: System, state: State, z: Turning, delta: Turning) -> State:
@@ -106,19 +106,34 @@ def _across(u: three.Vector, du: three.Vector, Pi: three.Vector) -> tuple[Array,
 
 def rate(system: Any) -> Callable[[Any, Moment | None], Turning]:
     """The time derivative of the unknowns at a moment, for |q| = 1 but for the error of a step."""
-    inverse, torque = three.inverse(system.inertia), _torque(system)
-    half = tuple(x / 2 for x in inverse)
+    inverse, rotor = three.inverse(system.inertia), system.rotor if isinstance(system, Gyrostat) else None
+    torque = _torque(system)
+    height = upright(system.axis)[1] if isinstance(system, Top) else None
 
     def of(z: Any, moment: Any) -> Turning:
-        if isinstance(system, Gyrostat):
-            turning = subtract(z.Pi, system.rotor)
-            Pi_dot = cross(z.Pi, apply(inverse, turning))
+        if isinstance(system, Top):
+            q_dot, Pi_dot = _falling(inverse, system.potential, height, z.q, z.Pi)
         else:
-            turning, Pi_dot = z.Pi, gyroscopic(inverse, z.Pi)
-        Pi_dot = add(Pi_dot, torque(z, moment)) if torque else Pi_dot
-        return Turning(by(z.q, apply(half, turning)), Pi_dot, None if z.work is None else _power(system, z, moment))
+            q_dot, Pi_dot = _turning(inverse, rotor, z.q, z.Pi)
+            Pi_dot = add(Pi_dot, torque(z, moment)) if torque else Pi_dot
+        return Turning(q_dot, Pi_dot, None if z.work is None else _power(system, z, moment))
 
     return of
+
+
+@kernel.together
+def _turning(inverse: three.Symmetric, rotor: Array | None, q: Any, Pi: three.Vector) -> tuple[Any, Any]:
+    """q̇ and Π̇ without a torque."""
+    turning = Pi if rotor is None else subtract(Pi, rotor)
+    Pi_dot = gyroscopic(inverse, Pi) if rotor is None else cross(Pi, apply(inverse, turning))
+    return by(q, apply(tuple(x / 2 for x in inverse), turning)), Pi_dot
+
+
+@kernel.together
+def _falling(inverse: three.Symmetric, potential: Any, height: Array, q: Any, Pi: three.Vector) -> tuple[Any, Any]:
+    """q̇ and Π̇ of a top in a frame where its axis is ± the third."""
+    q_dot, Pi_dot = _turning(inverse, None, q, Pi)
+    return q_dot, add(Pi_dot, _torque_upright(potential, height, q))
 
 
 def gyroscopic(inverse: three.Symmetric, Pi: three.Vector) -> tuple[Array, Array, Array]:
@@ -137,20 +152,23 @@ def motion(system: Any, state: State) -> State:
     return State(q_dot, so3.Ad(state.q, jnp.stack(torque(z, now))) if torque else jnp.zeros_like(state.p))
 
 
-def _upright(axis: Any) -> tuple[Array, Array]:
+def upright(axis: Any) -> tuple[Array, Array]:
     """A rotation that takes γ to ±|γ| e₃, and ±|γ|."""
     sign, size = jnp.where(axis[2] < 0, -1, 1), jnp.sqrt(dot(axis, axis))
     g = jnp.stack([size + sign * axis[2], sign * axis[1], -sign * axis[0], jnp.zeros_like(size)])
     return so3.normalise(g), sign * size
 
 
-def _turned_by(g: Array, z: Turning) -> Turning:
-    return z._replace(q=three.components(so3.multiply(g, jnp.stack(z.q))))
+def turned_up(axis: Array, q: tuple[Array, ...]) -> tuple[Array, ...]:
+    """A quaternion in the frame where an axis is ±e₃."""
+    return three.components(so3.multiply(upright(axis)[0], jnp.stack(q)))
 
 
 def _in_space(system: System, delta: Turning) -> Turning:
     """Increments of the unknowns, those of q as of the attitude."""
-    return _turned_by(so3.inverse(_upright(system.axis)[0]), delta) if isinstance(system, Top) else delta
+    if not isinstance(system, Top):
+        return delta
+    return delta._replace(q=three.components(so3.multiply(so3.inverse(upright(system.axis)[0]), jnp.stack(delta.q))))
 
 
 def _power(system: Any, z: Any, moment: Any) -> Array:
@@ -162,11 +180,21 @@ def _power(system: Any, z: Any, moment: Any) -> Array:
 def _torque(system: Any) -> Callable[[Any, Any], tuple[Array, ...]] | None:
     """(z, moment) ↦ Γ × ∇Ṽ(Γ), with Γ = Λᵀγ."""
     if isinstance(system, DrivenTop):
-        return lambda z, now: _by_potential(system.potential, _axis_in_body(z.q, now.axis), now.t)
+        return lambda z, now: _torque_about(system.potential, now.axis, z.q, now.t)
     if isinstance(system, Top):
-        twice = 2 * _upright(system.axis)[1]
-        return lambda z, _: _by_potential(system.potential, _third_axis(twice, z.q))
+        height = upright(system.axis)[1]
+        return lambda z, _: _torque_upright(system.potential, height, z.q)
     return None
+
+
+@kernel.together
+def _torque_about(potential: Any, axis: Array, q: tuple[Array, ...], t: Array) -> tuple[Array, ...]:
+    return _by_potential(potential, _axis_in_body(q, axis), t)
+
+
+@kernel.together
+def _torque_upright(potential: Any, height: Array, q: tuple[Array, ...]) -> tuple[Array, ...]:
+    return _by_potential(potential, _third_axis(2 * height, q))
 
 
 def _by_potential(potential: Any, Gamma: tuple[Array, ...], *t: Array) -> tuple[Array, ...]:

@@ -30,7 +30,7 @@ from lieint_jax._numerics.three import add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, CotangentMatrices, CotangentMotions
 from lieint_jax.schemes import _several_bodies
-from lieint_jax.schemes._body_axes import by, seen
+from lieint_jax.schemes._body_axes import by, seen, turned_up, upright
 from lieint_jax.schemes._several_bodies import Place, apart
 from lieint_jax.schemes._stages import Components
 from lieint_jax.types import (
@@ -67,14 +67,15 @@ def known(space: PhaseSpace) -> bool:
     return isinstance(space, CotangentMotions | CotangentMatrices)
 
 
-def canonical(state: State) -> Components:
-    """The coordinates of a state."""
+def canonical(system: Any, state: State) -> Components:
+    """The coordinates of a state; of a top whose axis stays, in a frame where that is ±e₃."""
     if state.q.shape == (3, 3):
         return tuple(state.q.ravel()) + tuple(state.p.ravel())
     if state.q.ndim == 2 and apart(len(state.q)):
         bodies = zip(map(_components, state.q), map(_components, state.p), strict=True)
         return _all_halves([_coordinates(q, p) for q, p in bodies])
-    return _all_halves([_coordinates(_components(state.q), _components(state.p))])
+    q, p = _coordinates(_components(state.q), _components(state.p))
+    return (*turned_up(system.axis, q), *turned_up(system.axis, p)) if _stands(system) else _all_halves([(q, p)])
 
 
 def _coordinates(q: Components, p: Components) -> tuple[Components, Components]:
@@ -132,7 +133,6 @@ def inverses(system: Any) -> Any:
     return [three.inverse(system.metric if isinstance(system, MechanicalSystem) else system.inertia)]
 
 
-@kernel.stage
 def field(system: Any, inverse: Any, z: Components, t: Array | None) -> Components:
     """The time derivative of the coordinates, with the `inverses` of a system."""
     if isinstance(system, ElasticBody):
@@ -145,10 +145,7 @@ def field(system: Any, inverse: Any, z: Components, t: Array | None) -> Componen
         _rate(system.rotor if isinstance(system, Gyrostat) else None, J, m, body)
         for J, m, body in zip(inverse, masses, bodies, strict=True)
     ]
-    if isinstance(system, Forced | Driven):
-        kicks = _kicks(system, bodies, z, t)
-        rates = [(q, tuple(map(jnp.add, p, kick))) for (q, p), kick in zip(rates, kicks, strict=True)]
-    return _all_halves(rates)
+    return _all_halves(_kicked(system, bodies, rates, z, t) if isinstance(system, Forced | Driven) else rates)
 
 
 @kernel.stage
@@ -160,6 +157,10 @@ def force(system: Any, _: Any, z: Components, t: Array | None) -> Components:
     if isinstance(system, Bodies):
         places = [Place.of(body.x, _unit(body.q)) for body in bodies]
         return tuple(itertools.chain(*_several_bodies.forces(system, places)))
+    if _stands(system):
+        return _torque_upright(system.potential, upright(system.axis)[1], bodies[0].q)
+    if _has_axis(system):
+        return _torque_about(system.potential, system.axis_at(t), bodies[0].q, t)
     q = configuration(z)
     at = (q,) if t is None or isinstance(system, Forced) else (q, t)
     return _components(system.force(*at))
@@ -171,44 +172,44 @@ def power(system: Driven, _: Any, z: Components, t: Array) -> Components:
     return (system.power(configuration(z), t),)
 
 
-def ended(state: State, z: Components, impulse: Components | None, work: Array | None) -> State:
-    """`state` moved to the coordinates z; with the impulse and the work of the step added to what they change."""
-    moves = z[9:] if impulse is None else impulse
-    p = jnp.stack(moves, axis=-1).reshape(state.p.shape)
-    p = p if impulse is None else state.p + p
-    end = state._replace(q=configuration(z), p=p)
+def ended(system: Any, state: State, moves: Components, impulse: Components, work: Array | None) -> State:
+    """`state` after these increments of its coordinates, of its momenta, and of the work."""
+    moves, impulse = _in_space(system, moves, impulse)
+    q = configuration(tuple(map(jnp.add, canonical(None, state), moves)))
+    end = state._replace(q=q, p=state.p + jnp.stack(impulse, axis=-1).reshape(state.p.shape))
     return end if work is None or state.work is None else end._replace(work=state.work + work)
 
 
 def motion(system: Any, state: State) -> State:
     """The time derivative of q and p that follows from that of the coordinates, and from the force."""
-    z = canonical(state)
-    rate = field(system, inverses(system), z, state.t)
-    if isinstance(system, ElasticBody):
-        return ended(state, rate, None, None)
-    _, q = jax.jvp(configuration, (z,), (rate,))
-    return State(q, jnp.stack(force(system, None, z, state.t), axis=-1).reshape(state.p.shape))
+    z = canonical(system, state)
+    rates = field(system, inverses(system), z, state.t)
+    rates, p_dot = _in_space(system, rates, force(system, None, z, state.t))
+    _, q_dot = jax.jvp(configuration, (canonical(None, state),), (rates,))
+    return State(q_dot, jnp.stack(p_dot, axis=-1).reshape(state.p.shape))
+
+
+def _in_space(system: Any, rates: Components, force: Components) -> tuple[Components, Components]:
+    """Changes of the coordinates, and those of the momenta, as if no axis stood."""
+    if not _stands(system):
+        return rates, force
+    back = so3.inverse(upright(system.axis)[0])
+    p = rates[4:]  # nobody asks for them
+    return (*_components(so3.multiply(back, jnp.stack(rates[:4]))), *p), so3.Ad(back, jnp.stack(force))
 
 
 def _rate(rotor: Array | None, inverse: Any, mass: Any, body: Parts) -> tuple[Components, Components]:
     """The derivatives of both halves of a body's coordinates, without a potential."""
-    half = _half_rate(rotor, inverse, body.q, body.p)
+    q_dot, p_dot = _turning(rotor, inverse, body.q, body.p)
     velocity, zeros = tuple(y / mass for y in body.P), (jnp.zeros_like(y) for y in body.P)
-    return (*velocity, *by(body.q, half)), (*zeros, *by(body.p, half))
+    return (*velocity, *q_dot), (*zeros, *p_dot)
 
 
-def _kicks(system: Any, bodies: list[Parts], z: Components, t: Array | None) -> list[Components]:
-    """What the potential adds to the second half of each body's rates: the force, and 2τq/|q|²."""
-    if isinstance(system, Top | DrivenTop) and system.axis is not None:
-        return [by(bodies[0].q, _body_torque(system, bodies[0].q, t))]
-    found = force(system, None, z, t)
-    each = len(found) // len(bodies)
-    return [_kick(body.q, found[n * each : (n + 1) * each]) for n, body in enumerate(bodies)]
-
-
-def _kick(q: Components, force: Components) -> Components:
-    """The force on a body, if there is one, and its torque τ as 2τq/|q|²."""
-    return (*force[:-3], *_from_left(scale(2 * _inverse_square(q), force[-3:]), q))
+@kernel.together
+def _turning(rotor: Array | None, inverse: three.Symmetric, q: Components, p: Components) -> tuple[Any, Any]:
+    """½qΩ and ½pΩ."""
+    half = _half_rate(rotor, inverse, q, p)
+    return by(q, half), by(p, half)
 
 
 @kernel.stage
@@ -219,14 +220,86 @@ def _half_rate(rotor: Array | None, inverse: three.Symmetric, q: Components, p: 
     return scale(0.5, apply(inverse, Pi if rotor is None else subtract(Pi, rotor)))
 
 
-@kernel.stage
-def _body_torque(system: Any, q: Components, t: Any) -> Components:
-    """2 Γ × ∇Ṽ(Γ)/|q|², twice the torque in the body of a potential that has an axis, over |q|²."""
-    r = _inverse_square(q)
-    moves = isinstance(system, DrivenTop)
-    Gamma = scale(r, seen(q, _components(system.axis_at(t) if moves else system.axis)))
-    at = (jnp.stack(Gamma), t) if moves else (jnp.stack(Gamma),)
-    return scale(2 * r, cross(Gamma, _components(gradient(system.potential, *at))))
+def _kicked(
+    system: Any, bodies: list[Parts], rates: list[tuple[Components, Components]], z: Components, t: Array | None
+) -> list[tuple[Components, Components]]:
+    """The rates with what the potential adds to their second half: the force, and −∂V/∂q."""
+    if _has_axis(system):
+        [(q_dot, p_dot)], q = rates, bodies[0].q
+        if _stands(system):
+            return [(q_dot, _kicked_upright(system.potential, upright(system.axis)[1], q, p_dot))]
+        return [(q_dot, _kicked_about(system.potential, system.axis_at(t), q, p_dot, t))]
+    found = force(system, None, z, t)
+    each = len(found) // len(bodies)
+    kicks = [_kick(body.q, found[n * each : (n + 1) * each]) for n, body in enumerate(bodies)]
+    return [(q, tuple(map(jnp.add, p, kick))) for (q, p), kick in zip(rates, kicks, strict=True)]
+
+
+def _kick(q: Components, force: Components) -> Components:
+    """The force on a body, if there is one, and its torque τ as 2τq/|q|²."""
+    return (*force[:-3], *_from_left(scale(2 * _inverse_square(q), force[-3:]), q))
+
+
+def _has_axis(system: Any) -> bool:
+    return isinstance(system, Top | DrivenTop) and system.axis is not None
+
+
+def _stands(system: Any) -> bool:
+    """Whether the coordinates are those in a frame where an axis is ±e₃."""
+    return isinstance(system, Top) and system.axis is not None
+
+
+@kernel.together
+def _kicked_upright(potential: Any, height: Array, q: Components, p_dot: Components) -> Components:
+    return _sum(p_dot, _kick_upright(potential, height, q))
+
+
+@kernel.together
+def _kick_upright(potential: Any, height: Array, q: Components) -> Components:
+    """−∂V/∂q of V(q) = Ṽ(q̄γq), which is Ṽ(Γ) where |q| = 1: 2γq∇Ṽ, with γ = height e₃."""
+    a, b, c, d = (2 * height * x for x in _by_slope(potential, _third_axis(height, q), q))
+    return -d, -c, b, a
+
+
+@kernel.together
+def _kicked_about(potential: Any, axis: Array, q: Components, p_dot: Components, t: Array) -> Components:
+    return _sum(p_dot, _kick_about(potential, axis, q, t))
+
+
+@kernel.together
+def _kick_about(potential: Any, axis: Array, q: Components, t: Array) -> Components:
+    """The same for any axis."""
+    return _from_left(scale(2, axis), _by_slope(potential, seen(q, axis), q, t))
+
+
+@kernel.together
+def _sum(p_dot: Components, kick: Components) -> Components:
+    return tuple(map(jnp.add, p_dot, kick))
+
+
+@kernel.together
+def _torque_upright(potential: Any, height: Array, q: Components) -> Components:
+    """The torque in space, γ × q∇Ṽq̄."""
+    (w, *v), (a, *b) = q, _by_slope(potential, _third_axis(height, q), q)
+    x, y, _ = add(subtract(scale(w, b), scale(a, v)), cross(v, b))
+    return -height * y, height * x, jnp.zeros_like(x)
+
+
+@kernel.together
+def _torque_about(potential: Any, axis: Array, q: Components, t: Array) -> Components:
+    (w, *v), (a, *b) = q, _by_slope(potential, seen(q, axis), q, t)
+    return cross(axis, add(subtract(scale(w, b), scale(a, v)), cross(v, b)))
+
+
+def _third_axis(height: Array, q: Components) -> Components:
+    """`seen` of height e₃."""
+    w, x, y, z = q
+    return scale(height, (2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z))
+
+
+def _by_slope(potential: Any, Gamma: Components, q: Components, *t: Array) -> _Quaternion:
+    """q∇Ṽ."""
+    return by(q, _components(gradient(potential, jnp.stack(Gamma), *t)))
 
 
 def _components(x: Array) -> Components:

@@ -138,7 +138,7 @@ class _Equation(NamedTuple):
     @classmethod
     def of(cls, step: Gauss, state: State, dt: Array, members: Members = _ONE) -> _Equation:
         inverse = members.each(inverses, (members.system,))(step.system) if members.inverse else inverses(step.system)
-        start = members.each(canonical, (members.state,))(state)
+        start = members.each(canonical, (members.system, members.state))(step.system, state)
         return cls(step.system, inverse, state, start, dt, step.stages, members)
 
     def without_derivative(self) -> _Equation:
@@ -181,15 +181,17 @@ class _Equation(NamedTuple):
     def end(self, k: Components) -> State:
         """The state at n + 1. π moves by Δt Σ b_i τ_i, as any quadratic function of z does, without rounding p q̄."""
         c, _, b = collocation.gauss(self.stages)
-        Y = self.at(k)
-        state, m = self.state, self.members
-        impulse, work, zero = None, None, jnp.zeros((), self.dt.dtype)
-        if not isinstance(self.system, ElasticBody):
-            forces = self.each(force, Y, c)
-            impulse = summed((zero,) * len(forces), forces, self.dt, b)
+        Y, state, m = self.at(k), self.state, self.members
+
+        def over(rates: Components) -> Components:
+            """Their integral."""
+            return summed((jnp.zeros((), self.dt.dtype),) * len(rates), rates, self.dt, b)
+
+        moves, work = over(k), None
+        impulse = moves[9:] if isinstance(self.system, ElasticBody) else over(self.each(force, Y, c))
         if isinstance(self.system, Driven) and state.work is not None and state.t is not None:
-            [work] = summed((zero,), self.each(power, Y, c), self.dt, b)
-        return m.each(ended, (m.state, -1, -1, -1), 0)(state, summed(self.start, k, self.dt, b), impulse, work)
+            [work] = over(self.each(power, Y, c))
+        return m.each(ended, (m.system, m.state, -1, -1, -1), 0)(self.system, state, moves, impulse, work)
 
     def change(self, a: Components, b: Components) -> Array:
         """The largest difference of Δt k_i, in units of q, which are 1 at least, and of the largest of p."""
@@ -225,8 +227,9 @@ def _solved(equation: _Equation, sweeps: int | None) -> tuple[Components, Array]
     def solve(_: Callable[[Components], Components], k: Components) -> tuple[Components, Array]:
         if sweeps is None:
             return _iterated(equation, k)
-        both = lax.fori_loop(0, max(1, sweeps - taken), lambda _, pair: (equation.swept(pair[0]), pair[0]), (k, k))
-        return both[0], equation.change(*both)
+        last = lax.fori_loop(0, max(0, sweeps - taken - 1), lambda _, k: equation.swept(k), k)
+        k = equation.swept(last)
+        return k, equation.change(k, last)
 
     def tangent_solve(linear: Callable[[Components], Components], b: Components) -> Components:
         flat, components = ravel_pytree(b)  # one array: parts of b may depend on nothing that is differentiated
