@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,17 +13,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import kernel, three
+from lieint_jax.groups import so3
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree
 
 _FEW = 6  # pairs that are written out one by one, which XLA fuses better
-
-
-class _Place(NamedTuple):
-    """The position and the rotation of a body, or of k of them, entry by entry."""
-
-    x: three.Vector
-    R: three.Matrix
 
 
 @pytree
@@ -51,37 +45,49 @@ class MacCullagh(Potential):
         """The forces −∂V/∂x and the torques −∂V(exp(δ̂)R)/∂δ, (N, 6), six times as fast as the derivative of V."""
         i, j = self._pairs
         if i.size > _FEW:
-            on_i, on_j = self._attraction(i, j, *(_Place(x[n].T, jnp.moveaxis(R[n], 0, -1)) for n in (i, j)))
+            on_i, on_j = self._on_both(i, j, (x[j] - x[i]).T, [jnp.moveaxis(R[n], 0, -1) for n in (i, j)])
             zero = jnp.zeros((x.shape[0], 6), x.dtype)
             return zero.at[i].add(jnp.stack(on_i, axis=-1)).at[j].add(jnp.stack(on_j, axis=-1))
-        return jnp.stack([jnp.stack(row) for row in self.forces(list(x), list(R))])
+        rows = _over_pairs(x, lambda i, j: self._on_both(i, j, x[j] - x[i], [R[i], R[j]]))
+        return jnp.stack([jnp.stack(row) for row in rows])
 
-    def forces(self, x: Sequence[three.Vector], R: Sequence[three.Matrix]) -> list[Any]:
-        """`force` of few bodies, number by number, which vectorises over members: six numbers of each body."""
-        sums: list[Any] = [None] * len(x)
-        for i, j in itertools.combinations(range(len(x)), 2):
-            for n, more in zip((i, j), self._attraction(i, j, _Place(x[i], R[i]), _Place(x[j], R[j])), strict=True):
-                sums[n] = more if sums[n] is None else [y + dy for y, dy in zip(sums[n], more, strict=True)]
-        zero = jnp.zeros_like(x[0][0])
-        return [[zero] * 6 if row is None else row for row in sums]
+    def forces(self, x: Sequence[three.Vector], q: Sequence[Sequence[Array]]) -> list[Any]:
+        """Of few bodies with unit quaternions, number by number: the force and, in the body's axes, the torque."""
 
-    def _attraction(self, i: Any, j: Any, at_i: _Place, at_j: _Place) -> tuple[list[Array], list[Array]]:
-        """Force and torque of j on i and of i on j, six components each, for two numbers or for k pairs of them.
+        def on_both(i: int, j: int) -> list[Any]:
+            d = three.subtract(x[j], x[i])
+            seen = [_seen_by(self._entries(n), d, q[n]) for n in (i, j)]
+            pulls, weights = self._pulls(i, j, d, [(own, arm) for own, arm, _ in seen])
+            return [(*f, *three.scale(w, torque)) for f, w, (*_, torque) in zip(pulls, weights, seen, strict=True)]
 
-        With a = (3G/r⁵) m ΛJΓ of either body, m the other's mass: f_i = −f_j = G[…]d/r³ + a_i + a_j, τ = d × a.
+        return _over_pairs(x, on_both)
+
+    def _on_both(self, i: Any, j: Any, d: three.Vector, rotations: Sequence[three.Matrix]) -> list[Any]:
+        """The force and the torque on either body of a pair, six components each, for two numbers or for k pairs."""
+        seen = [_seen(self._entries(n), d, R) for n, R in zip((i, j), rotations, strict=True)]
+        pulls, weights = self._pulls(i, j, d, seen)
+        return [
+            (*f, *three.scale(w, three.cross(d, arm))) for f, w, (_, arm) in zip(pulls, weights, seen, strict=True)
+        ]
+
+    def _pulls(self, i: Any, j: Any, d: three.Vector, seen: Sequence[Any]) -> tuple[list[three.Vector], list[Array]]:
+        """The forces on both, and for both 3G m/r⁵, m the other's mass.
+
+        With Γ·JΓ and ΛJΓ of both: f_i = −f_j = G[…]d/r³ + a_i + a_j, a = (3G/r⁵) m ΛJΓ, and the torques are d × a.
         """
         m, trace = self.masses, self._traces
-        d = three.subtract(at_j.x, at_i.x)
-        arms, along = [], 0.0
-        for body, other, R in ((i, j, at_i.R), (j, i, at_j.R)):
-            J = self.inertias[body].T
-            own, arm = _arm(three.components(J) if self.inertias.ndim == 2 else three.entries(J), _seen(d, R), R)
-            along = along + m[other] * own
-            arms.append(three.scale(m[other], arm))
-        f, turns = _pull(self.G, m[i] * m[j], m[j] * trace[i] + m[i] * trace[j], d, along, arms)
+        (own_i, arm_i), (own_j, arm_j) = seen
+        arm = three.add(three.scale(m[j], arm_i), three.scale(m[i], arm_j))
+        masses, traces = m[i] * m[j], m[j] * trace[i] + m[i] * trace[j]
+        f, third = _pull(self.G, masses, traces, d, m[j] * own_i + m[i] * own_j, arm)
         if not kernel.inside():
             f = three.once(f)
-        return [*f, *turns[0]], [*three.scale(-1, f), *turns[1]]
+        return [f, three.scale(-1, f)], [m[j] * third, m[i] * third]
+
+    def _entries(self, n: Any) -> three.Symmetric:
+        """The inertia of a body, or of k of them."""
+        J = self.inertias[n].T
+        return three.components(J) if self.inertias.ndim == 2 else three.entries(J)
 
     def invariants(self, x: Array, R: Array) -> Array:
         """Of each of k pairs r², Γ_i and Γ_j, (7k,)."""
@@ -146,29 +152,40 @@ def maccullagh(G: ArrayLike, masses: ArrayLike, inertias: ArrayLike) -> MacCulla
     return MacCullagh(_checks.real_array("G", G, ()), m, J)
 
 
-@kernel.stage
-def _seen(d: three.Vector, R: three.Matrix) -> three.Vector:
-    """Γ = Λᵀd."""
-    return tuple(three.dot(axis, d) for axis in three.transpose(R))
+def _over_pairs(x: Sequence[three.Vector], on_both: Callable[[int, int], list[Any]]) -> list[Any]:
+    """The sums of what acts on each body, six numbers."""
+    sums: list[Any] = [None] * len(x)
+    for pair in itertools.combinations(range(len(x)), 2):
+        for n, more in zip(pair, on_both(*pair), strict=True):
+            sums[n] = more if sums[n] is None else tuple(map(jnp.add, sums[n], more))
+    return [(jnp.zeros_like(x[0][0]),) * 6 if row is None else row for row in sums]
 
 
-@kernel.stage
-def _arm(J: three.Symmetric, Gamma: three.Vector, R: three.Matrix) -> tuple[Array, three.Vector]:
-    """Γ·JΓ and ΛJΓ."""
+def _seen(J: three.Symmetric, d: three.Vector, R: three.Matrix) -> tuple[Array, three.Vector]:
+    """Γ·JΓ and ΛJΓ, with Γ = Λᵀd."""
+    Gamma = tuple(three.dot(axis, d) for axis in three.transpose(R))
     JGamma = three.apply(J, Gamma)
     return three.dot(Gamma, JGamma), tuple(three.dot(row, JGamma) for row in R)
 
 
-@kernel.stage
+@kernel.together
+def _seen_by(J: three.Symmetric, d: three.Vector, q: Sequence[Array]) -> tuple[Array, three.Vector, three.Vector]:
+    """The same by a unit quaternion, and Γ × JΓ."""
+    Gamma = so3.Ad_star(jnp.stack(q), d)
+    JGamma = jnp.stack(three.apply(J, Gamma))
+    arm = so3.Ad(jnp.stack(q), JGamma)
+    return three.dot(Gamma, JGamma), three.components(arm), three.cross(Gamma, JGamma)
+
+
+@kernel.together
 def _pull(
-    G: Array, masses: Array, traces: Array, d: three.Vector, along: Array, arms: list[three.Vector]
-) -> tuple[three.Vector, list[three.Vector]]:
-    """f_i and both torques, from both m ΛJΓ, and the sum of their products with d."""
+    G: Array, masses: Array, traces: Array, d: three.Vector, along: Array, arm: three.Vector
+) -> tuple[three.Vector, Array]:
+    """f_i and 3G/r⁵, from the sums of m Γ·JΓ and m ΛJΓ."""
     v = 1 / three.dot(d, d)
     third = G * v * jnp.sqrt(v)
-    arms = [three.scale(3 * third * v, arm) for arm in arms]
     size = third * (masses + 1.5 * v * (traces - 5 * v * along))
-    return three.add(three.scale(size, d), three.add(*arms)), [three.cross(d, arm) for arm in arms]
+    return three.add(three.scale(size, d), three.scale(3 * third * v, arm)), 3 * third * v
 
 
 def _times(J: Array, Gamma: Array) -> Array:

@@ -114,7 +114,7 @@ def rate(system: Any) -> Callable[[Any, Moment | None], Turning]:
         if isinstance(system, Top):
             q_dot, Pi_dot = _falling(inverse, system.potential, height, z.q, z.Pi)
         else:
-            q_dot, Pi_dot = _turning(inverse, rotor, z.q, z.Pi)
+            q_dot, Pi_dot = spinning(inverse, rotor, z.q, z.Pi)
             Pi_dot = add(Pi_dot, torque(z, moment)) if torque else Pi_dot
         return Turning(q_dot, Pi_dot, None if z.work is None else _power(system, z, moment))
 
@@ -122,7 +122,7 @@ def rate(system: Any) -> Callable[[Any, Moment | None], Turning]:
 
 
 @kernel.together
-def _turning(inverse: three.Symmetric, rotor: Array | None, q: Any, Pi: three.Vector) -> tuple[Any, Any]:
+def spinning(inverse: three.Symmetric, rotor: Array | None, q: Any, Pi: three.Vector) -> tuple[Any, Any]:
     """q̇ and Π̇ without a torque."""
     turning = Pi if rotor is None else subtract(Pi, rotor)
     Pi_dot = gyroscopic(inverse, Pi) if rotor is None else cross(Pi, apply(inverse, turning))
@@ -132,7 +132,7 @@ def _turning(inverse: three.Symmetric, rotor: Array | None, q: Any, Pi: three.Ve
 @kernel.together
 def _falling(inverse: three.Symmetric, potential: Any, height: Array, q: Any, Pi: three.Vector) -> tuple[Any, Any]:
     """q̇ and Π̇ of a top in a frame where its axis is ± the third."""
-    q_dot, Pi_dot = _turning(inverse, None, q, Pi)
+    q_dot, Pi_dot = spinning(inverse, None, q, Pi)
     return q_dot, add(Pi_dot, _torque_upright(potential, height, q))
 
 

@@ -31,7 +31,7 @@ from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, CotangentMatrices, CotangentMotions
 from lieint_jax.schemes import _several_bodies
 from lieint_jax.schemes._body_axes import by, seen, turned_up, upright
-from lieint_jax.schemes._several_bodies import Place, apart
+from lieint_jax.schemes._several_bodies import apart
 from lieint_jax.schemes._stages import Components
 from lieint_jax.types import (
     Bodies,
@@ -155,8 +155,8 @@ def force(system: Any, _: Any, z: Components, t: Array | None) -> Components:
     if not isinstance(system, Forced | Driven):
         return (jnp.zeros_like(z[0]),) * (3 + len(bodies[0].P)) * len(bodies)
     if isinstance(system, Bodies):
-        places = [Place.of(body.x, _unit(body.q)) for body in bodies]
-        return tuple(itertools.chain(*_several_bodies.forces(system, places)))
+        rows = _forces(system, bodies)
+        return tuple(x for row, body in zip(rows, bodies, strict=True) for x in (*row[:3], *_turned(body.q, row[3:])))
     if _stands(system):
         return _torque_upright(system.potential, upright(system.axis)[1], bodies[0].q)
     if _has_axis(system):
@@ -229,15 +229,30 @@ def _kicked(
         if _stands(system):
             return [(q_dot, _kicked_upright(system.potential, upright(system.axis)[1], q, p_dot))]
         return [(q_dot, _kicked_about(system.potential, system.axis_at(t), q, p_dot, t))]
-    found = force(system, None, z, t)
-    each = len(found) // len(bodies)
-    kicks = [_kick(body.q, found[n * each : (n + 1) * each]) for n, body in enumerate(bodies)]
+    if isinstance(system, Bodies):
+        kicks = [(*row[:3], *_kick(body.q, row[3:])) for row, body in zip(_forces(system, bodies), bodies, strict=True)]
+    else:
+        q = bodies[0].q
+        kicks = [_from_left(scale(2 * _inverse_square(q), force(system, None, z, t)), q)]
     return [(q, tuple(map(jnp.add, p, kick))) for (q, p), kick in zip(rates, kicks, strict=True)]
 
 
-def _kick(q: Components, force: Components) -> Components:
-    """The force on a body, if there is one, and its torque τ as 2τq/|q|²."""
-    return (*force[:-3], *_from_left(scale(2 * _inverse_square(q), force[-3:]), q))
+def _forces(system: Bodies, bodies: list[Parts]) -> Any:
+    """The force on each body, and the torque in its axes."""
+    return _several_bodies.forces(system, [body.x for body in bodies], [_unit(body.q) for body in bodies])
+
+
+@kernel.together
+def _kick(q: Components, torque: Components) -> Components:
+    """A torque in the body as 2qτ/|q|²."""
+    return by(q, scale(2 * _inverse_square(q), torque))
+
+
+@kernel.together
+def _turned(q: Components, u: Components) -> Components:
+    """q(0, u)q̄/|q|²."""
+    (w, *v), (a, *b) = q, by(q, u)
+    return scale(_inverse_square(q), add(subtract(scale(w, b), scale(a, v)), cross(v, b)))
 
 
 def _has_axis(system: Any) -> bool:

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax._numerics import kernel, three
-from lieint_jax._numerics.three import add, apply, dot, scale
+from lieint_jax._numerics.three import add, dot, scale
 from lieint_jax.groups import so3
 from lieint_jax.schemes import _body_axes
-from lieint_jax.schemes._body_axes import Turning, by, gyroscopic
+from lieint_jax.schemes._body_axes import Turning, spinning
 from lieint_jax.schemes._capability import other_motion
 from lieint_jax.types import Bodies, FreeBodies, State, System
 
@@ -41,26 +41,14 @@ def masses(system: Bodies | FreeBodies) -> list[Array]:
     return list(system.masses) if apart(system.masses.shape[0]) else [system.masses]
 
 
-class Place(NamedTuple):
-    """The position, the unit quaternion and the rotation of a body, or of all."""
-
-    x: three.Vector
-    q: tuple[Array, ...]
-    R: three.Matrix
-
-    @classmethod
-    def of(cls, x: three.Vector, q: tuple[Array, ...]) -> Place:
-        return cls(x, q, _rotation(q))
-
-
-def forces(system: Bodies, places: Sequence[Place]) -> Sequence[Sequence[Array] | Array]:
-    """The force and the torque in space on each body, or on all, six numbers."""
-    whole = places[0].x[0].ndim > 0  # one place, of all
+def forces(system: Bodies, x: Sequence[three.Vector], q: Sequence[tuple[Array, ...]]) -> Sequence[Sequence[Array]]:
+    """The force on each body, and the torque in its axes, or on all: six numbers. Quaternions are of unit length."""
+    whole = x[0][0].ndim > 0  # all in one
     if hasattr(system.potential, "forces") and not whole:
-        return system.potential.forces([at.x for at in places], [at.R for at in places])  # pyright: ignore
-    q = together([jnp.stack([*at.x, *at.q], axis=-1) for at in places])
-    found = jnp.moveaxis(system.force(q), -1, 0)
-    return [found] if whole else [found[:, n] for n in range(len(places))]
+        return system.potential.forces(x, q)  # pyright: ignore
+    found = system.force(together([jnp.stack([*place, *turn], axis=-1) for place, turn in zip(x, q, strict=True)]))
+    rows = [tuple(jnp.moveaxis(found, -1, 0))] if whole else list(found)
+    return [(*row[:3], *_times_transposed(_rotation(turn), row[3:])) for row, turn in zip(rows, q, strict=True)]
 
 
 def together(rows: Sequence[Array]) -> Array:
@@ -124,8 +112,8 @@ def rate(system: Any) -> Callable[[Any, None], Any]:
 
     def of(z: Any, _: None) -> Any:
         bodies = (_every(z),) if isinstance(z, Array) else z
-        places = [Place.of(body.x, body.turning.q) for body in bodies]
-        rates = tuple(map(_rate_of_one, m, J, bodies, places, forces(system, places)))
+        found = forces(system, [body.x for body in bodies], [body.turning.q for body in bodies])
+        rates = tuple(map(_rate_of_one, m, J, bodies, found))
         return _packed(rates[0]) if isinstance(z, Array) else rates
 
     return of
@@ -143,17 +131,17 @@ def _state(z: Any) -> State:
     return State(jnp.stack([*x, *turning.q], axis=-1), jnp.stack([*P, *spin], axis=-1))
 
 
-@kernel.stage
 def _rotation(q: tuple[Array, ...]) -> three.Matrix:
     return so3.matrix_of(*q)
 
 
-def _rate_of_one(mass: Array, inverse: three.Symmetric, z: Moving, at: Place, force: Any) -> Moving:
-    q, Pi = z.turning.q, z.turning.Pi
-    half = apply(tuple(x / 2 for x in inverse), Pi)
-    torque = [dot(axis, force[3:]) for axis in three.transpose(at.R)]
-    turning = Turning(by(q, half), add(gyroscopic(inverse, Pi), torque), None)
-    return Moving(scale(1 / mass, z.P), tuple(force[:3]), turning)
+def _times_transposed(R: three.Matrix, v: three.Vector) -> three.Vector:
+    return tuple(dot(axis, v) for axis in three.transpose(R))
+
+
+def _rate_of_one(mass: Array, inverse: three.Symmetric, z: Moving, force: Sequence[Array]) -> Moving:
+    q_dot, Pi_dot = spinning(inverse, None, z.turning.q, z.turning.Pi)
+    return Moving(scale(1 / mass, z.P), tuple(force[:3]), Turning(q_dot, add(Pi_dot, force[3:]), None))
 
 
 def _turning_part(state: State) -> State:

@@ -186,11 +186,16 @@ class RigidBodies(_Many, Bodies):
         """Raise ValueError if a concrete `state` is not one of this system; warn where distances have few digits."""
         super().check(state)
         if concrete(state.q, self.potential):
-            V = self.potential_energy(jnp.asarray(state.q))
+            V = _potential_energy(self, jnp.asarray(state.q))
             if V.shape != ():
                 raise ValueError(f"the potential must be a scalar, got shape {V.shape}")
             if not bool(jnp.isfinite(V)):
                 raise ValueError(f"the potential must be finite at the start, got {float(V)}")
+
+
+@jax.jit
+def _potential_energy(system: RigidBodies, q: Array) -> Array:
+    return system.potential_energy(q)
 
 
 def _attitudes(attitudes: ArrayLike | None, n: int, like: Array) -> Array:
