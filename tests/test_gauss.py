@@ -55,7 +55,7 @@ LONG = pytest.mark.long
 def test_canonical_coordinates_are_those_of_the_system(name):
     """There and back; their rate pushed forward is the vector field; the pair (q, p) has the lengths that it should."""
     system, state, _ = example(name)
-    z, t = canonical(state), state.t
+    z, t = canonical(system, state), state.t
 
     def back(z):
         return configuration(z), jnp.stack(momentum(z), axis=-1).reshape(state.p.shape)

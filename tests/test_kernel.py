@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax._numerics import kernel
+from lieint_jax._numerics import kernel, three
 from lieint_jax.ensemble import _job
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
@@ -105,3 +105,84 @@ def test_the_question_is_asked_once(monkeypatch):
     for _ in range(2):
         li.ensemble.run(step, STATES, 0.05, 2, progress=False)
     assert len(asked) == 1
+
+
+@kernel.together
+def pendulum(J, weight, q, p):
+    """A vector field of six numbers, written with arrays."""
+    Gamma, Omega = jnp.stack(q), jnp.sum(jnp.asarray([[1.0, 2, 3], [4, 5, 6], [7, 8, 10]]) * jnp.stack(p), axis=1) / J
+    return three.components(jnp.cross(Gamma, Omega)), three.components(jnp.sin(Gamma) * weight)
+
+
+def euler(field, weight_axis=None):
+    """Some steps of many members: a loop, within which alone functions are put together."""
+    each = jax.vmap(field, (None, weight_axis, 0, 0))
+
+    def loop(J, weight, q, p):
+        def one(_, z):
+            return jax.tree.map(lambda x, f: x + 0.01 * f, z, each(J, weight, *z))
+
+        return jax.lax.fori_loop(0, 5, one, (q, p))
+
+    return loop
+
+
+def pendula(*shape):
+    J = jnp.asarray([10.0, 20.0, 30.0])
+    q, p = np.random.default_rng(2).normal(size=(2, 3, *shape))
+    return J, jnp.asarray(0.7), tuple(map(jnp.asarray, q)), tuple(map(jnp.asarray, p))
+
+
+def assert_same_in_a_kernel(function, *arguments, loops):
+    """As without a kernel, and with so many loops for several results."""
+    whole = jax.jit(kernel.one_kernel(function)).lower(*arguments).compile()
+    assert whole.as_text().count(" reduce-window(") == loops
+    plain = jax.jit(function).lower(*arguments).compile()
+    assert "reduce-window" not in plain.as_text()
+    for one, other in zip(jax.tree.leaves(whole(*arguments)), jax.tree.leaves(plain(*arguments)), strict=True):
+        assert one.shape == other.shape
+        np.testing.assert_allclose(one, other, rtol=0, atol=4e-15)  # observed: 9e-16
+
+
+def test_several_results_come_of_one_loop():
+    assert_same_in_a_kernel(euler(pendulum), *pendula(64), loops=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", [(64,), (3, 32)])
+def test_members_may_have_what_others_share(shape):
+    """A weight each; and members in stages, where an argument may have either axis."""
+    J, _, q, p = pendula(*shape)
+    weights = jnp.linspace(0.5, 1.5, shape[0])
+    inner = euler(pendulum, 0)
+    if len(shape) == 1:
+        assert_same_in_a_kernel(inner, J, weights, q, p, loops=1)
+    else:
+        assert_same_in_a_kernel(jax.vmap(euler(pendulum), (None, 0, 0, 0)), J, weights, q, p, loops=1)
+
+
+def test_its_derivatives_are_those_of_the_function():
+    J, weight, q, p = pendula(16)
+    along = jax.tree.map(jnp.cos, (J, weight, q, p))
+    assert_same_in_a_kernel(lambda *x: jax.jvp(euler(pendulum), x[:4], x[4:]), J, weight, q, p, *along, loops=0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["too many numbers", "no arithmetic", "two types"])
+def test_what_cannot_be_one_loop_is_called_as_it_is(kind):
+    count = 12 if kind == "too many numbers" else 4
+
+    def function(x):
+        if kind == "too many numbers":
+            return tuple(a * b for a, b in zip(x, reversed(x), strict=True))
+        if kind == "no arithmetic":
+            return (jax.lax.fori_loop(0, 2, lambda _, y: y * x[1], x[0]), *x[1:])
+        return (x[0] * x[1], *x[2:], x[0] > x[1])
+
+    members = jax.vmap(kernel.together(function))
+
+    def loop(x):
+        return jax.lax.fori_loop(0, 3, lambda _, x: tuple(jnp.asarray(y, x[0].dtype) for y in members(x)), x)
+
+    x = tuple(jnp.asarray(np.random.default_rng(3).normal(size=(count, 32))))
+    assert_same_in_a_kernel(loop, x, loops=0)

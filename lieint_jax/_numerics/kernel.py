@@ -9,6 +9,7 @@ in another XLA, results are the same, only slower.
 from __future__ import annotations
 
 import functools
+import math
 import operator
 import os
 import threading
@@ -16,10 +17,10 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-import jax.extend.core as jax_core
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from lieint_jax._numerics import scalars
 
@@ -31,6 +32,7 @@ except ImportError:  # an older JAX
 SWITCH = "LIEINT_ONE_KERNEL"  # environment variable; 0 turns this off
 _FOREIGN = ("custom_call", "dot", "convolution", "fft", "cholesky", "triangular_solve", "sort")  # library calls
 _MOST_PAIRS = 128  # of pointers that LLVM compares at run time, so that it may vectorise a loop
+_MOST_ARRAYS = 15  # of which one loop could not do with fewer pairs
 _LONG = 16_000  # operations of a function that would compile slowly
 _trace = threading.local()
 
@@ -82,29 +84,20 @@ def stage(function: Callable[..., Any]) -> Callable[..., Any]:
 def together(function: Callable[..., Any]) -> Callable[..., Any]:
     """`function` of small arrays, which closes over no traced value; in one kernel one loop over the members does it.
 
-    XLA's CPU backend writes a loop for each result of a fusion, and each loads all that it needs: so a vector field
-    spends its time on loads. It writes one loop for several results only where an operation has them, and the one that
-    takes any function is a windowed reduction. Ours has windows of one element, such that nothing is reduced: the
-    computation gets the element, and in place of the initial value whatever is shared by all members.
-
-    Where that cannot vectorise, `function` is called as it is, with what is together or a `stage` in it.
+    XLA's CPU backend writes a loop for each result, and each loads all that it needs: a vector field spends its time on
+    that. It writes one loop only for an operation that has several results, and of those a windowed reduction takes any
+    function. Ours has windows of one element, so nothing is reduced: in place of the initial value stands what all
+    members share. Where LLVM would not vectorise that, `function` is called as it is, with what in it is together or a
+    `stage`.
     """
 
-    def of(*arguments: Any) -> Any:
+    def called(*arguments: Any) -> Any:
         if not inside() or _in_numbers():
             return function(*arguments)
         leaves, tree = jax.tree.flatten(arguments)
-        over_members = _OverMembers(function, tree, tuple(x.ndim for x in map(jnp.asarray, leaves)))
-        return _differentiable(over_members)(*leaves)
+        return _OverMembers(function, tree, tuple(map(jnp.ndim, leaves))).call(*leaves)
 
-    return of
-
-
-def _differentiable(function: _OverMembers) -> Callable[..., Any]:
-    """The function with derivatives of what it stands for: a windowed reduction has none."""
-    call = jax.custom_jvp(function.called)
-    call.defjvp(lambda primals, tangents: jax.jvp(function.plain, primals, tangents))
-    return call
+    return called
 
 
 class _OverMembers:
@@ -112,87 +105,79 @@ class _OverMembers:
 
     def __init__(self, function: Callable[..., Any], tree: Any, ndims: tuple[int, ...]):
         self.function, self.tree, self.ndims = function, tree, ndims
-        self.called = jax.custom_batching.custom_vmap(self._at_once)
-        self.called.def_vmap(self._batched)
+        self.batched = jax.custom_batching.custom_vmap(self._all)
+        self.batched.def_vmap(self._with_axis)
+        self.call = jax.custom_jvp(self.batched)  # a windowed reduction has no derivative
+        self.call.defjvp(lambda primals, tangents: jax.jvp(self._plain, primals, tangents))
 
-    def plain(self, *leaves: Array) -> Any:
+    def _plain(self, *leaves: Array) -> Any:
         return self.function(*jax.tree.unflatten(self.tree, leaves))
 
-    def _batched(self, size: int, batched: Any, *leaves: Array) -> tuple[Any, Any]:
+    def _with_axis(self, size: int, batched: Any, *leaves: Array) -> tuple[Any, Any]:
         in_front = max(x.ndim - n - has for x, n, has in zip(leaves, self.ndims, batched, strict=True))
 
         def wide(x: Array, n: int, has: bool) -> Array:
             missing = in_front - (x.ndim - n - has)
             return x.reshape(size, *[1] * missing, *x.shape[1:]) if has else x
 
-        result = self.called(*map(wide, leaves, self.ndims, batched))
+        result = self.batched(*map(wide, leaves, self.ndims, batched))
         return result, jax.tree.map(lambda _: True, result)
 
-    def _at_once(self, *leaves: Array) -> Any:
-        shape = jnp.broadcast_shapes(*(x.shape[: x.ndim - n] for x, n in zip(leaves, self.ndims, strict=True)))
+    def _all(self, *leaves: Array) -> Any:
+        """The results for all members."""
+        pairs = list(zip(leaves, self.ndims, strict=True))
+        shape = jnp.broadcast_shapes(*(x.shape[: x.ndim - n] for x, n in pairs))
         if not shape:
-            return self.plain(*leaves)
-        try:
-            program, shapes = self._program(leaves)
-        except scalars.Unknown:
-            return self._one_by_one(shape, leaves)
-        needed = iter(scalars.used(program.jaxpr))
-        entries = [
-            x[(..., *index)] if next(needed) else None
-            for x, n in zip(leaves, self.ndims, strict=True)
-            for index in np.ndindex(x.shape[x.ndim - n :])
-        ]
-        results = _in_one_loop(program, entries, shape)
-        if results is None:
-            return self._one_by_one(shape, leaves)
-        left = iter(results)
-        return jax.tree.map(lambda s: _stacked([next(left) for _ in range(s.size)], s.shape), shapes)
+            return self._plain(*leaves)
+        if sum(math.prod(x.shape[x.ndim - n :]) for x, n in pairs if x.ndim > n) <= _MOST_ARRAYS:
+            try:
+                program, results = self._program(pairs)
+            except scalars.NotArithmeticError:
+                return self._each(shape, pairs)
+            needed = iter(scalars.used(program.jaxpr))
+            indices = ((x, index) for x, n in pairs for index in np.ndindex(x.shape[x.ndim - n :]))
+            entries = {k: x[..., *index] for k, (x, index) in enumerate(indices) if next(needed)}
+            found = _in_one_loop(program, entries, shape)
+            if found is not None:
+                left = iter(found)
+                return jax.tree.map(lambda s: _stacked([next(left) for _ in range(s.size)], s.shape), results)
+        return self._each(shape, pairs)
 
-    def _program(self, leaves: tuple[Array, ...]) -> tuple[Any, Any]:
-        own = [jax.ShapeDtypeStruct(x.shape[x.ndim - n :], x.dtype) for x, n in zip(leaves, self.ndims, strict=True)]
+    def _program(self, pairs: list[tuple[Array, int]]) -> tuple[ClosedJaxpr, Any]:
         before, _trace.numbers = _in_numbers(), True
         try:
-            return scalars.flat(self.plain, *own)
+            return scalars.flat(self._plain, *(jax.ShapeDtypeStruct(x.shape[x.ndim - n :], x.dtype) for x, n in pairs))
         finally:
             _trace.numbers = before
 
-    def _one_by_one(self, shape: tuple[int, ...], leaves: tuple[Array, ...]) -> Any:
+    def _each(self, shape: tuple[int, ...], pairs: list[tuple[Array, int]]) -> Any:
         """The function itself, of all members and stages."""
-        call = self.plain
-        full = [
-            jnp.broadcast_to(x, (*shape, *x.shape[x.ndim - n :])) if x.ndim > n else x
-            for x, n in zip(leaves, self.ndims, strict=True)
-        ]
-        axes = tuple(0 if x.ndim > n else None for x, n in zip(leaves, self.ndims, strict=True))
-        for _ in shape:
-            call = jax.vmap(call, axes)
-        return call(*full)
+        full = [jnp.broadcast_to(x, (*shape, *x.shape[x.ndim - n :])) if x.ndim > n else x for x, n in pairs]
+        axes = tuple(0 if x.ndim > n else None for x, n in pairs)
+        return functools.reduce(lambda f, _: jax.vmap(f, axes), shape, self._plain)(*full)
 
 
-def _in_one_loop(program: Any, entries: list[Array | None], shape: tuple[int, ...]) -> list[Array] | None:
-    """The results of a program of numbers for arrays of them; None if the loop would not vectorise."""
-    apart = [n for n, x in enumerate(entries) if x is not None and x.ndim]
-    shared = [n for n, x in enumerate(entries) if x is not None and not x.ndim]
+def _in_one_loop(program: ClosedJaxpr, entries: dict[int, Array], shape: tuple[int, ...]) -> list[Array] | None:
+    """The results of a program of numbers for arrays of them, by their places; None if the loop would not vectorise."""
+    arrays = {k: jnp.broadcast_to(x, shape) for k, x in entries.items() if x.ndim}
+    shared = {k: x for k, x in entries.items() if not x.ndim}
     outputs = program.out_avals
-    dtypes = {entries[n].dtype for n in apart + shared} | {x.dtype for x in outputs}
-    count = max(len(apart), len(shared), len(outputs))
-    pairs = count * (count - 1) // 2 + count * (len(apart) + len(shared))
-    if len(dtypes) > 1 or pairs > _MOST_PAIRS:
+    count = max(len(arrays), len(shared), len(outputs))
+    pointers = count * (count - 1) // 2 + count * len(entries)
+    if pointers > _MOST_PAIRS or len({x.dtype for x in (*entries.values(), *outputs)}) > 1:
         return None
-    function = jax_core.jaxpr_as_fun(program)
-    arrays = [jnp.broadcast_to(entries[n], shape) for n in apart]
-    numbers = [entries[n] for n in shared]
-    zero = jnp.zeros((), arrays[0].dtype)
+    operands, numbers = list(arrays.values()), list(shared.values())
+    zero = jnp.zeros((), operands[0].dtype)
 
     def computed(initial: Any, element: Any) -> Any:
-        values = dict(zip(apart, element, strict=False)) | dict(zip(shared, initial, strict=False))
-        results = function(*(values.get(n, zero) for n in range(len(entries))))
+        known = dict(zip(arrays, element, strict=False)) | dict(zip(shared, initial, strict=False))
+        results = jaxpr_as_fun(program)(*(known.get(k, zero) for k in range(len(program.in_avals))))
         return (*results, *element[len(results) :])
 
-    operands = tuple(arrays + arrays[:1] * (count - len(arrays)))
-    initial = tuple(numbers + [zero] * (count - len(numbers)))
+    operands += operands[:1] * (count - len(operands))
+    numbers += [zero] * (count - len(numbers))
     ones = (1,) * len(shape)
-    return lax.reduce_window(operands, initial, computed, ones, ones, "VALID")[: len(outputs)]
+    return lax.reduce_window(tuple(operands), tuple(numbers), computed, ones, ones, "VALID")[: len(outputs)]
 
 
 def _stacked(entries: list[Array], shape: tuple[int, ...]) -> Array:

@@ -16,15 +16,20 @@ import numpy as np
 from jax import lax
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
-_EACH = frozenset(
+
+def _names(words: str) -> frozenset[str]:
+    return frozenset(words.split())
+
+
+_EACH = _names(
     "abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type copy cos cosh div "
     "eq erf erfc exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p logistic lt max min mul ne neg not or "
-    "pow rem round rsqrt select_n sign sin sinh sqrt square stop_gradient sub tan tanh xor".split()
+    "pow rem round rsqrt select_n sign sin sinh sqrt square stop_gradient sub tan tanh xor"
 )
-_MOVES = frozenset(
-    "broadcast_in_dim concatenate expand_dims pad reshape rev slice split squeeze stack tile transpose unstack".split()
+_MOVES = _names(
+    "broadcast_in_dim concatenate expand_dims pad reshape rev slice split squeeze stack tile transpose unstack"
 )
-_CALLS = frozenset("checkpoint closed_call core_call custom_jvp_call custom_vjp_call jit pjit remat".split())
+_CALLS = _names("checkpoint closed_call core_call custom_jvp_call custom_vjp_call jit pjit remat2")
 _REDUCES: dict[str, Callable[..., Any]] = {
     "reduce_sum": lax.add,
     "reduce_prod": lax.mul,
@@ -33,8 +38,8 @@ _REDUCES: dict[str, Callable[..., Any]] = {
 }
 
 
-class Unknown(Exception):
-    """A function does something else than this walks through."""
+class NotArithmeticError(Exception):
+    """A function does something else than arithmetic of numbers."""
 
 
 def flat(function: Callable[..., Any], *arguments: Any) -> tuple[ClosedJaxpr, Any]:
@@ -65,7 +70,7 @@ def _walked(jaxpr: Jaxpr, consts: Sequence[np.ndarray], inputs: Sequence[np.ndar
     values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *inputs], strict=True))
 
     def read(x: Any) -> np.ndarray:
-        return _entries(np.asarray(x.val, x.aval.dtype)) if isinstance(x, Literal) else values[x]
+        return _entries(np.asarray(x.val, x.aval.dtype)) if isinstance(x, Literal) else values[x]  # pyright: ignore
 
     for equation in jaxpr.eqns:
         outputs = _applied(equation, [read(x) for x in equation.invars])
@@ -79,17 +84,20 @@ def _applied(equation: Any, inputs: list[np.ndarray]) -> list[np.ndarray]:
         pairs = np.broadcast_arrays(*inputs)
         entries = [equation.primitive.bind(*row, **parameters) for row in zip(*(x.flat for x in pairs), strict=True)]
         return [_array(entries, pairs[0].shape)]
+    if not inputs:
+        with jax.ensure_compile_time_eval():
+            return [_entries(equation.primitive.bind(**parameters))]
     if name in _MOVES:
         return _moved(equation, inputs)
     if name in _REDUCES:
         return [_reduced(_REDUCES[name], inputs[0], parameters["axes"])]
     if name == "dot_general":
-        return [_product(*inputs, parameters["dimension_numbers"])]
+        return [_product(inputs[0], inputs[1], parameters["dimension_numbers"])]
     if name in _CALLS:
         inner = parameters["jaxpr"] if "jaxpr" in parameters else parameters["call_jaxpr"]
         inner = inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
         return _walked(inner.jaxpr, [_entries(x) for x in inner.consts], inputs)
-    raise Unknown(name)
+    raise NotArithmeticError(name)
 
 
 def _moved(equation: Any, inputs: list[np.ndarray]) -> list[np.ndarray]:

@@ -48,7 +48,7 @@ class MacCullagh(Potential):
             on_i, on_j = self._on_both(i, j, (x[j] - x[i]).T, [jnp.moveaxis(R[n], 0, -1) for n in (i, j)])
             zero = jnp.zeros((x.shape[0], 6), x.dtype)
             return zero.at[i].add(jnp.stack(on_i, axis=-1)).at[j].add(jnp.stack(on_j, axis=-1))
-        rows = _over_pairs(x, lambda i, j: self._on_both(i, j, x[j] - x[i], [R[i], R[j]]))
+        rows = _over_pairs(list(x), lambda i, j: self._on_both(i, j, x[j] - x[i], [R[i], R[j]]))
         return jnp.stack([jnp.stack(row) for row in rows])
 
     def forces(self, x: Sequence[three.Vector], q: Sequence[Sequence[Array]]) -> list[Any]:
@@ -66,9 +66,7 @@ class MacCullagh(Potential):
         """The force and the torque on either body of a pair, six components each, for two numbers or for k pairs."""
         seen = [_seen(self._entries(n), d, R) for n, R in zip((i, j), rotations, strict=True)]
         pulls, weights = self._pulls(i, j, d, seen)
-        return [
-            (*f, *three.scale(w, three.cross(d, arm))) for f, w, (_, arm) in zip(pulls, weights, seen, strict=True)
-        ]
+        return [(*f, *three.scale(w, three.cross(d, arm))) for f, w, (_, arm) in zip(pulls, weights, seen, strict=True)]
 
     def _pulls(self, i: Any, j: Any, d: three.Vector, seen: Sequence[Any]) -> tuple[list[three.Vector], list[Array]]:
         """The forces on both, and for both 3G m/r⁵, m the other's mass.

@@ -159,7 +159,7 @@ def upright(axis: Any) -> tuple[Array, Array]:
     return so3.normalise(g), sign * size
 
 
-def turned_up(axis: Array, q: tuple[Array, ...]) -> tuple[Array, ...]:
+def turned_up(axis: Any, q: tuple[Array, ...]) -> tuple[Array, ...]:
     """A quaternion in the frame where an axis is ±e₃."""
     return three.components(so3.multiply(upright(axis)[0], jnp.stack(q)))
 

@@ -157,10 +157,8 @@ def force(system: Any, _: Any, z: Components, t: Array | None) -> Components:
     if isinstance(system, Bodies):
         rows = _forces(system, bodies)
         return tuple(x for row, body in zip(rows, bodies, strict=True) for x in (*row[:3], *_turned(body.q, row[3:])))
-    if _stands(system):
-        return _torque_upright(system.potential, upright(system.axis)[1], bodies[0].q)
     if _has_axis(system):
-        return _torque_about(system.potential, system.axis_at(t), bodies[0].q, t)
+        return _torque(system, bodies[0].q, t)
     q = configuration(z)
     at = (q,) if t is None or isinstance(system, Forced) else (q, t)
     return _components(system.force(*at))
@@ -195,7 +193,7 @@ def _in_space(system: Any, rates: Components, force: Components) -> tuple[Compon
         return rates, force
     back = so3.inverse(upright(system.axis)[0])
     p = rates[4:]  # nobody asks for them
-    return (*_components(so3.multiply(back, jnp.stack(rates[:4]))), *p), so3.Ad(back, jnp.stack(force))
+    return (*_components(so3.multiply(back, jnp.stack(rates[:4]))), *p), _components(so3.Ad(back, jnp.stack(force)))
 
 
 def _rate(rotor: Array | None, inverse: Any, mass: Any, body: Parts) -> tuple[Components, Components]:
@@ -290,6 +288,12 @@ def _kick_about(potential: Any, axis: Array, q: Components, t: Array) -> Compone
 @kernel.together
 def _sum(p_dot: Components, kick: Components) -> Components:
     return tuple(map(jnp.add, p_dot, kick))
+
+
+def _torque(system: Any, q: Components, t: Any) -> Components:
+    if _stands(system):
+        return _torque_upright(system.potential, upright(system.axis)[1], q)
+    return _torque_about(system.potential, system.axis_at(t), q, t)
 
 
 @kernel.together
