@@ -52,7 +52,7 @@ def ours(name: str, kind: str, step: li.Step, counts: Sequence[int], **how: Any)
 
 # stages, or order, or (stages, sweeps), or (order, increments), and the number of steps to begin with, in units
 _CONVERGED = ((8, 1.0), (6, 1.4), (4, 4.0))
-_ROUGH = ((8, 16, 1.2), (8, 14, 1.5), (6, 12, 2.2), (8, 18, 1.0))
+_ROUGH = ((6, 14, 1.3), (7, 16, 1.4), (8, 18, 1.1), (8, 16, 1.2))
 _EXTRAPOLATED = ((12, True, 1.6), (14, False, 1.05), (14, True, 1.3), (16, True, 1.2))
 _COMPOSED = ((8, 2.5), (10, 1.8), (6, 4.0))
 

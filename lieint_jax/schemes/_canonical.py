@@ -182,7 +182,8 @@ def motion(system: Any, state: State) -> State:
     """The time derivative of q and p that follows from that of the coordinates, and from the force."""
     z = canonical(system, state)
     rates = field(system, inverses(system), z, state.t)
-    rates, p_dot = _in_space(system, rates, force(system, None, z, state.t))
+    p_dot = rates[9:] if isinstance(system, ElasticBody) else force(system, None, z, state.t)
+    rates, p_dot = _in_space(system, rates, p_dot)
     _, q_dot = jax.jvp(configuration, (canonical(None, state),), (rates,))
     return State(q_dot, jnp.stack(p_dot, axis=-1).reshape(state.p.shape))
 
