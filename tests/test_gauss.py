@@ -286,9 +286,39 @@ def test_extrapolation_in_a_kernel_is_the_same(increments):
         found, same = jax.jit(kernel.one_kernel(step))(state, 0.1)
         assert info.converged
         assert same.converged
-        np.testing.assert_allclose(same.residual, info.residual, rtol=1e-5)
-        for a, b in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
-            np.testing.assert_allclose(a, b, rtol=0, atol=6e-15)
+        np.testing.assert_allclose(same.residual, info.residual, rtol=1e-5, atol=4e-15)
+        assert_close(found, expected)
+        assert_close(jax.tree.map(lambda x: x[7], once_of_many(step, state, 0.1)), expected)
+
+
+def once_of_many(step, state, dt):
+    """A step of 64 members that are alike, in a loop of one kernel, as an ensemble makes it."""
+    members = jax.tree.map(lambda x: jnp.stack([x] * 64), state)
+
+    def loop(n, members):
+        return jax.lax.fori_loop(0, n, lambda _, z: jax.vmap(lambda z: step(z, dt)[0])(z), members)
+
+    return jax.jit(kernel.one_kernel(loop))(1, members)
+
+
+def assert_close(one, other):
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=6e-15)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["leaning", "gyrostat", "driven", "binary"])
+def test_gauss_in_a_kernel_is_the_same(name):
+    """Of a top whose axis leans, and is not of length 1, in a frame of its own; observed: 2e-15 for the worst."""
+    if name == "leaning":
+        system, state = leaning()
+    else:
+        system, state, _ = bodies()[name] if name == "binary" else example(name)
+    step = schemes.gauss(system, 6)
+    expected, info = jax.jit(step)(state, 0.1)
+    assert info.converged
+    assert_close(jax.tree.map(lambda x: x[7], once_of_many(step, state, 0.1)), expected)
+    assert float(distance(expected, flow(system, state, 0.1, 20), system.phase_space)) < 2e-14
 
 
 @pytest.mark.long

@@ -88,7 +88,7 @@ def together(function: Callable[..., Any]) -> Callable[..., Any]:
     that. It writes one loop only for an operation that has several results, and of those a windowed reduction takes any
     function. Ours has windows of one element, so nothing is reduced: in place of the initial value stands what all
     members share. Where LLVM would not vectorise that, `function` is called as it is, with what in it is together or a
-    `stage`.
+    `stage`. For use in loops of a kernel: outside of them XLA may not compile it.
     """
 
     def called(*arguments: Any) -> Any:

@@ -336,8 +336,8 @@ def _checked(step: Step, states: State) -> tuple[State, Any]:
 
 
 def _check(job: Job) -> None:
-    member_axis(job.step.system, job.member_state(0), job.members, job.step_axis, "step_axis")
     step, state = job.member(0)
+    member_axis(job.step.system, state, job.members, job.step_axis, "step_axis")
     defect = np.abs(np.asarray(_defects(job.step.system.phase_space, job.states)))
     bad = np.flatnonzero(defect > 2 * _checks.UNIT_TOLERANCE)  # |q|² − 1 is twice the error of |q|
     if bad.size:

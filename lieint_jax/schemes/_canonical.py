@@ -6,7 +6,8 @@ T*SO(3) is the quotient of T*S³ by ±1, and T*S³ ⊂ T*ℝ⁴: a unit quaterni
     q̇ = ½ qΩ,    ṗ = ½ pΩ + 2τq/|q|²
 
 is the Hamiltonian system of H(q/|q|, ½ Im(p q̄)) on T*ℝ⁴. It keeps |q|² and q·p, and π = ½ Im(p q̄) as far as the
-torque does: all quadratic.
+torque does: all quadratic. A potential Ṽ(Γ) of an axis γ is better taken off the sphere as Ṽ(q̄γq), without |q|: its
+part of ṗ is then 2γq∇Ṽ. That moves q·p, which changes nothing else, and is dropped after each step.
 
 T*GL⁺(3) is flat as it is.
 
@@ -250,8 +251,7 @@ def _kick(q: Components, torque: Components) -> Components:
 @kernel.together
 def _turned(q: Components, u: Components) -> Components:
     """q(0, u)q̄/|q|²."""
-    (w, *v), (a, *b) = q, by(q, u)
-    return scale(_inverse_square(q), add(subtract(scale(w, b), scale(a, v)), cross(v, b)))
+    return scale(_inverse_square(q), _back(by(q, u), q))
 
 
 def _has_axis(system: Any) -> bool:
@@ -271,7 +271,7 @@ def _kicked_upright(potential: Any, height: Array, q: Components, p_dot: Compone
 @kernel.together
 def _kick_upright(potential: Any, height: Array, q: Components) -> Components:
     """−∂V/∂q of V(q) = Ṽ(q̄γq), which is Ṽ(Γ) where |q| = 1: 2γq∇Ṽ, with γ = height e₃."""
-    a, b, c, d = (2 * height * x for x in _by_slope(potential, _third_axis(height, q), q))
+    a, b, c, d = (2 * height * x for x in _by_slope(potential, _seen_upright(height, q), q))
     return -d, -c, b, a
 
 
@@ -300,18 +300,16 @@ def _torque(system: Any, q: Components, t: Any) -> Components:
 @kernel.together
 def _torque_upright(potential: Any, height: Array, q: Components) -> Components:
     """The torque in space, γ × q∇Ṽq̄."""
-    (w, *v), (a, *b) = q, _by_slope(potential, _third_axis(height, q), q)
-    x, y, _ = add(subtract(scale(w, b), scale(a, v)), cross(v, b))
+    x, y, _ = _back(_by_slope(potential, _seen_upright(height, q), q), q)
     return -height * y, height * x, jnp.zeros_like(x)
 
 
 @kernel.together
 def _torque_about(potential: Any, axis: Array, q: Components, t: Array) -> Components:
-    (w, *v), (a, *b) = q, _by_slope(potential, seen(q, axis), q, t)
-    return cross(axis, add(subtract(scale(w, b), scale(a, v)), cross(v, b)))
+    return cross(axis, _back(_by_slope(potential, seen(q, axis), q, t), q))
 
 
-def _third_axis(height: Array, q: Components) -> Components:
+def _seen_upright(height: Array, q: Components) -> Components:
     """`seen` of height e₃."""
     w, x, y, z = q
     return scale(height, (2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z))
@@ -320,6 +318,12 @@ def _third_axis(height: Array, q: Components) -> Components:
 def _by_slope(potential: Any, Gamma: Components, q: Components, *t: Array) -> _Quaternion:
     """q∇Ṽ."""
     return by(q, _components(gradient(potential, jnp.stack(Gamma), *t)))
+
+
+def _back(x: _Quaternion, q: Components) -> three.Vector:
+    """Im(x q̄)."""
+    (w, *v), (a, *b) = q, x
+    return add(subtract(scale(w, b), scale(a, v)), cross(v, b))
 
 
 def _components(x: Array) -> Components:
