@@ -18,8 +18,8 @@ _APART = 1e-6  # |ΔI|²/|I|² from where on the quadrature of D is corrected to
 class Potential:
     """A potential V(x, Λ) of N rigid bodies, called with positions (N, 3) and rotations, body to space, (N, 3, 3).
 
-    A subclass may have `force(x, R)`, the forces and torques in closed form, (N, 6), and `forces`, the same of few
-    bodies, number by number (see `MacCullagh`).
+    A subclass may have `force(x, R)`, the forces and torques in closed form, (N, 6), and `forces(x, q)`, the same of
+    few bodies with unit quaternions q, number by number, the torques in the axes of each (see `MacCullagh`).
 
     It may have `invariants(x, R)`, functions quadratic in (x, R), (k,), or a tuple of such arrays, with V as their
     function `value`, and `discrete_gradient(I0, I1)`. By these the energy–momentum scheme keeps energy, and P and L as
