@@ -168,7 +168,7 @@ def test_its_derivatives_are_those_of_the_function():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["too many numbers", "no arithmetic", "two types"])
+@pytest.mark.parametrize("kind", ["too many numbers", "no arithmetic", "two types", "no member in it"])
 def test_what_cannot_be_one_loop_is_called_as_it_is(kind):
     count = 12 if kind == "too many numbers" else 4
 
@@ -177,6 +177,8 @@ def test_what_cannot_be_one_loop_is_called_as_it_is(kind):
             return tuple(a * b for a, b in zip(x, reversed(x), strict=True))
         if kind == "no arithmetic":
             return (jax.lax.fori_loop(0, 2, lambda _, y: y * x[1], x[0]), *x[1:])
+        if kind == "no member in it":
+            return (jnp.ones(()),) * count
         return (x[0] * x[1], *x[2:], x[0] > x[1])
 
     members = jax.vmap(kernel.together(function))

@@ -164,7 +164,7 @@ def _in_one_loop(program: ClosedJaxpr, entries: dict[int, Array], shape: tuple[i
     outputs = program.out_avals
     count = max(len(arrays), len(shared), len(outputs))
     pointers = count * (count - 1) // 2 + count * len(entries)
-    if pointers > _MOST_PAIRS or len({x.dtype for x in (*entries.values(), *outputs)}) > 1:
+    if not arrays or pointers > _MOST_PAIRS or len({x.dtype for x in (*entries.values(), *outputs)}) > 1:
         return None
     operands, numbers = list(arrays.values()), list(shared.values())
     zero = jnp.zeros((), operands[0].dtype)
