@@ -164,11 +164,14 @@ def turned_up(axis: Any, q: tuple[Array, ...]) -> tuple[Array, ...]:
     return three.components(so3.multiply(upright(axis)[0], jnp.stack(q)))
 
 
+def turned_back(axis: Any, q: tuple[Array, ...]) -> tuple[Array, ...]:
+    """From that frame."""
+    return three.components(so3.multiply(so3.inverse(upright(axis)[0]), jnp.stack(q)))
+
+
 def _in_space(system: System, delta: Turning) -> Turning:
     """Increments of the unknowns, those of q as of the attitude."""
-    if not isinstance(system, Top):
-        return delta
-    return delta._replace(q=three.components(so3.multiply(so3.inverse(upright(system.axis)[0]), jnp.stack(delta.q))))
+    return delta._replace(q=turned_back(system.axis, delta.q)) if isinstance(system, Top) else delta
 
 
 def _power(system: Any, z: Any, moment: Any) -> Array:

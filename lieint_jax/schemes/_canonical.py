@@ -31,7 +31,7 @@ from lieint_jax._numerics.three import add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, CotangentMatrices, CotangentMotions
 from lieint_jax.schemes import _several_bodies
-from lieint_jax.schemes._body_axes import by, seen, turned_up, upright
+from lieint_jax.schemes._body_axes import by, seen, turned_back, turned_up, upright
 from lieint_jax.schemes._several_bodies import apart
 from lieint_jax.schemes._stages import Components
 from lieint_jax.types import (
@@ -193,9 +193,8 @@ def _in_space(system: Any, rates: Components, force: Components) -> tuple[Compon
     """Changes of the coordinates, and those of the momenta, as if no axis stood."""
     if not _stands(system):
         return rates, force
-    back = so3.inverse(upright(system.axis)[0])
-    p = rates[4:]  # nobody asks for them
-    return (*_components(so3.multiply(back, jnp.stack(rates[:4]))), *p), _components(so3.Ad(back, jnp.stack(force)))
+    q, p = (turned_back(system.axis, half) for half in (rates[:4], rates[4:]))
+    return (*q, *p), _components(so3.Ad_star(upright(system.axis)[0], jnp.stack(force)))
 
 
 def _rate(rotor: Array | None, inverse: Any, mass: Any, body: Parts) -> tuple[Components, Components]:
