@@ -8,12 +8,14 @@ m = k² is the parameter; the argument is always its complement m1 = 1 − m, so
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
+from lieint_jax._numerics import three
 from lieint_jax._numerics.forwards import forwards
 from lieint_jax._numerics.power_series import arctan_sqrt
 
@@ -31,7 +33,15 @@ def quarter_period(m1: Array) -> Array:
     return jnp.pi / 2 / a
 
 
-@forwards
+def _jacobi_slopes(u: Array, m1: Array) -> tuple[Any, Any]:
+    """The slopes of `jacobi` by u and by m1, the latter by that of the amplitude, ∂am: one number, not three."""
+    (sn, cn, dn), (by_sn, by_cn, _) = jax.jvp(lambda m1: _jacobi(u, m1), (m1,), (jnp.ones_like(m1),))
+    [turn] = three.once((cn * by_sn - sn * by_cn,))
+    product = (1 - m1) * sn * cn
+    return (cn * dn, -sn * dn, -product), (cn * turn, -sn * turn, (sn * sn / 2 - product * turn) / dn)
+
+
+@functools.partial(forwards, slopes=_jacobi_slopes)
 def jacobi(u: Array, m1: Array) -> tuple[Array, Array, Array]:
     """sn u, cn u and dn u of parameter m = 1 − m1, for 0 ≤ m1 ≤ 1 and |u| up to a quarter period or two.
 
@@ -39,6 +49,10 @@ def jacobi(u: Array, m1: Array) -> tuple[Array, Array, Array]:
     at tanh and sech: neither has a singular derivative at its end. Error: a few eps relative to each function, and
     eps·|u| from the argument. Source: DLMF 22.7.
     """
+    return _jacobi(u, m1)
+
+
+def _jacobi(u: Array, m1: Array) -> tuple[Array, Array, Array]:
     circular = m1 >= 0.5
     descending = _descending(u, jnp.where(circular, m1, 1))
     ascending = _ascending(u, jnp.where(circular, 0, m1))

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 from jax.custom_derivatives import SymbolicZero
+
+from lieint_jax._numerics import three
+from lieint_jax._numerics.replay import kept
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def forwards(function: _Function, smooth: _Function | None = None) -> _Function:
+def forwards(
+    function: _Function, smooth: _Function | None = None, slopes: Callable[..., Sequence[Any]] | None = None
+) -> _Function:
     """The same function, elementwise in arrays of one shape, with slopes by forward mode whoever asks for them.
 
     Reverse mode would keep what the function computes on its way and go through all of it again, a program that
@@ -22,6 +28,7 @@ def forwards(function: _Function, smooth: _Function | None = None) -> _Function:
     Args:
         function: of a few arrays of one shape; its value may be a tuple of them.
         smooth: the same function in a form whose derivatives are good, if those of `function` are not.
+        slopes: the slopes of all values by each argument, where they are known.
     """
     sloped, form = jax.custom_jvp(function), smooth or function
 
@@ -29,20 +36,31 @@ def forwards(function: _Function, smooth: _Function | None = None) -> _Function:
         varied = [k for k, t in enumerate(tangents) if not isinstance(t, SymbolicZero)]
 
         @forwards
-        def slopes(*given: Any) -> Any:
-            def of(*some: Any) -> Any:
-                every = dict(enumerate(given)) | dict(zip(varied, some, strict=True))
-                return form(*every.values())
+        def by_each(*given: Any) -> Any:
+            found = slopes(*given) if slopes else None
+            return [found[k] for k in varied] if found else _by_jvp(form, given, varied)
 
-            def along(*seeds: Any) -> Any:
-                return jax.jvp(of, tuple(given[k] for k in varied), seeds)[1]
-
-            return jax.vmap(along)(
-                *(jnp.stack([jnp.full_like(given[k], float(k == n)) for n in varied]) for k in varied)
-            )
-
-        total = jax.tree.map(lambda s: sum(s[n] * tangents[k] for n, k in enumerate(varied)), slopes(*primals))
-        return sloped(*primals), total
+        each = kept(jax.tree.map(_once, by_each(*primals)))
+        total = jax.tree.map(lambda *s: sum(x * tangents[k] for k, x in zip(varied, s, strict=True)), *each)
+        return kept(sloped(*primals)), total
 
     sloped.defjvp(rule, symbolic_zeros=True)
     return sloped  # pyright: ignore[reportReturnType]
+
+
+def _by_jvp(function: Callable[..., Any], given: tuple[Any, ...], varied: list[int]) -> list[Any]:
+    def of(*some: Any) -> Any:
+        every = dict(enumerate(given)) | dict(zip(varied, some, strict=True))
+        return function(*every.values())
+
+    def along(*seeds: Any) -> Any:
+        return jax.jvp(of, tuple(given[k] for k in varied), seeds)[1]
+
+    seeds = (jnp.stack([jnp.full_like(given[k], float(k == n)) for n in varied]) for k in varied)
+    stacked = jax.vmap(along)(*seeds)
+    return [jax.tree.map(lambda s, n=n: s[n], stacked) for n in range(len(varied))]
+
+
+def _once(slope: Array) -> Array:
+    """A slope, computed once: else XLA computes it again in each of the many sums that reverse mode makes with it."""
+    return three.once((slope,))[0]

@@ -28,6 +28,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from lieint_jax._numerics import three, unrolled
+from lieint_jax._numerics.replay import kept
 
 _USES = 3  # corrections with each matrix of `chords`; 2 or more
 _FEW = 4  # corrections of which every solve that comes to round-off is steady
@@ -82,6 +83,7 @@ def root(
                 x, pace, _ = improved(x, pace)
         else:
             x, pace = lax.fori_loop(0, iterations, lambda _, carry: improved(*carry)[:2], (x, pace))
+        x = kept(x)
         return x, (function(x), pace.growth)
 
     x, (F, growth) = lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)
@@ -161,6 +163,7 @@ def chords(
 
         start = (x, Pace.before(lax.stop_gradient(length(x))), jnp.zeros((), jnp.int32), jnp.zeros((), bool))
         x, pace, *_ = lax.while_loop(lambda carry: (carry[2] < iterations) & ~carry[3], one, start)
+        x = kept(x)
         return x, (function(x), pace.growth)
 
     x, (F, growth) = lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)

@@ -23,8 +23,8 @@ def _names(words: str) -> frozenset[str]:
 
 _EACH = _names(
     "abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type copy cos cosh div "
-    "eq erf erfc exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p logistic lt max min mul ne neg not or "
-    "pow rem round rsqrt select_n sign sin sinh sqrt square stop_gradient sub tan tanh xor"
+    "eq erf erfc exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p logistic lt max min mul name ne neg not "
+    "or pow rem round rsqrt select_n sign sin sinh sqrt square stop_gradient sub tan tanh xor"
 )
 _MOVES = _names(
     "broadcast_in_dim concatenate expand_dims pad reshape rev slice split squeeze stack tile transpose unstack"

@@ -19,7 +19,7 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # which entries a full
 
 
 def components(v: Array) -> tuple[Array, ...]:
-    return tuple(v[i] for i in range(v.shape[0]))
+    return tuple(x.reshape(v.shape[1:]) for x in lax.split(v, (1,) * v.shape[0]))
 
 
 def add(a: Vector, b: Vector) -> tuple[Array, Array, Array]:

@@ -23,7 +23,7 @@ _MOST = 64  # the most entries of an array that is split into scalars
 _NAMES = """
 add sub mul div neg sign abs max min sqrt rsqrt cbrt square exp exp2 log log1p expm1 pow integer_pow sin cos tan asin
 acos atan atan2 sinh cosh tanh asinh acosh atanh logistic floor ceil round is_finite and or xor not eq ne lt le gt ge
-add_any convert_element_type select_n stop_gradient clamp copy nextafter rem
+add_any convert_element_type select_n stop_gradient clamp copy nextafter rem name
 """
 _ELEMENTWISE = frozenset(_NAMES.split())
 
@@ -141,6 +141,8 @@ def _equation(eqn: Any, inputs: list[Any]) -> list[Any]:
             return [_elementwise(eqn, inputs)]
         if name in _STRUCTURAL:
             return [_STRUCTURAL[name](*inputs, **params)]
+    if known and name == "split":
+        return np.split(inputs[0], np.cumsum(params["sizes"])[:-1], params["axis"])
     found = eqn.primitive.bind(*[_whole(x) for x in inputs], **params)
     return [_apart(x) for x in (found if eqn.primitive.multiple_results else [found])]
 

@@ -12,6 +12,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics.replay import replayed
 from lieint_jax.integrate._clock import Clock, Given, Own, Uniform, at_time, clock_of, more_times, outputs, refuse_times
 from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, on_clock, promoted, start_time
 
@@ -86,6 +87,7 @@ def _trajectory(step: Step, state: State, clock: Clock, num_saves: int, save_eve
     step = prepared(step, state, clock)
     started = StepInfo.fresh(state.p)
 
+    @replayed
     def one(carry: tuple[State, StepInfo, Array], _: None) -> tuple[tuple[State, StepInfo, Array], None]:
         state, so_far, n = carry
         state, info = step(state, clock.size(n))

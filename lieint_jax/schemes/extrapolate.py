@@ -23,6 +23,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax._numerics import kernel
+from lieint_jax._numerics.replay import replayed
 from lieint_jax.schemes import _body_axes, _several_bodies
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES
 from lieint_jax.types import Bodies, State, Step, StepInfo, System, Top, all_finite, pytree, static, time_derivative
@@ -101,6 +102,7 @@ def _extrapolated(
     plus = kernel.stage(lambda delta: jax.tree.map(jnp.add, start, delta))
     origin = jax.tree.map(jnp.zeros_like, start) if increments else start
 
+    @replayed
     @kernel.stage
     def after(h: Array, before: Any, now: Any, moment: Any) -> Any:
         return jax.tree.map(lambda x, f: x + 2 * h * f, before, rate(plus(now) if increments else now, moment))

@@ -23,6 +23,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import collocation, kernel
+from lieint_jax._numerics.replay import kept
 from lieint_jax.schemes._canonical import canonical, ended, field, force, inverses, known, motion, power
 from lieint_jax.schemes._capability import check_motion, hint
 from lieint_jax.schemes._stages import Components, Members, moved, summed
@@ -226,9 +227,10 @@ def _solved(equation: _Equation, sweeps: int | None) -> tuple[Components, Array]
 
     def solve(_: Callable[[Components], Components], k: Components) -> tuple[Components, Array]:
         if sweeps is None:
-            return _iterated(equation, k)
+            k, change = _iterated(equation, k)
+            return kept(k), change
         last = lax.fori_loop(0, max(0, sweeps - taken - 1), lambda _, k: equation.swept(k), k)
-        k = equation.swept(last)
+        k = kept(equation.swept(last))
         return k, equation.change(k, last)
 
     def tangent_solve(linear: Callable[[Components], Components], b: Components) -> Components:
