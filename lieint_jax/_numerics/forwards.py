@@ -7,7 +7,6 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jax import Array
 from jax.custom_derivatives import SymbolicZero
 
 from lieint_jax._numerics import three
@@ -40,7 +39,7 @@ def forwards(
             found = slopes(*given) if slopes else None
             return [found[k] for k in varied] if found else _by_jvp(form, given, varied)
 
-        each = kept(jax.tree.map(_once, by_each(*primals)))
+        each = kept(by_each(*primals))
         total = jax.tree.map(lambda *s: sum(x * tangents[k] for k, x in zip(varied, s, strict=True)), *each)
         return kept(sloped(*primals)), total
 
@@ -57,10 +56,6 @@ def _by_jvp(function: Callable[..., Any], given: tuple[Any, ...], varied: list[i
         return jax.jvp(of, tuple(given[k] for k in varied), seeds)[1]
 
     seeds = (jnp.stack([jnp.full_like(given[k], float(k == n)) for n in varied]) for k in varied)
-    stacked = jax.vmap(along)(*seeds)
+    # once: else XLA computes a slope again in each of the many sums that reverse mode makes with it
+    stacked = jax.tree.map(lambda s: three.once((s,))[0], jax.vmap(along)(*seeds))
     return [jax.tree.map(lambda s, n=n: s[n], stacked) for n in range(len(varied))]
-
-
-def _once(slope: Array) -> Array:
-    """A slope, computed once: else XLA computes it again in each of the many sums that reverse mode makes with it."""
-    return three.once((slope,))[0]

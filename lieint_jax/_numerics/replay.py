@@ -20,7 +20,7 @@ _Tree = TypeVar("_Tree")
 
 
 def replayed(function: _Function) -> _Function:
-    """The same function, of which reverse mode keeps the arguments, and what in it is `kept`; for the body of a loop."""
+    """The same function, of which reverse mode keeps the arguments and what in it is `kept`; for the body of a loop."""
     return partial(jax.checkpoint, prevent_cse=False, policy=_is_kept)(function)
 
 
@@ -30,6 +30,6 @@ def kept(tree: _Tree) -> _Tree:
 
 
 def _is_kept(primitive: Any, *_: Any, name: Any = None, call_jaxpr: Any = None, **__: Any) -> bool:
-    """Whether an operation's results are kept: also those of a `custom_root` that keeps its root, for it is one here."""
+    """Whether results of an operation are kept; a `custom_root` that keeps its root is one operation here."""
     inside = getattr(call_jaxpr, "jaxpr", call_jaxpr)
     return name == _KEPT or (inside is not None and any(eqn.params.get("name") == _KEPT for eqn in inside.eqns))

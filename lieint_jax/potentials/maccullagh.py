@@ -43,13 +43,24 @@ class MacCullagh(Potential):
 
     def force(self, x: Array, R: Array) -> Array:
         """The forces −∂V/∂x and the torques −∂V(exp(δ̂)R)/∂δ, (N, 6), six times as fast as the derivative of V."""
-        i, j = self._pairs
-        if i.size > _FEW:
-            on_i, on_j = self._on_both(i, j, (x[j] - x[i]).T, [jnp.moveaxis(R[n], 0, -1) for n in (i, j)])
-            zero = jnp.zeros((x.shape[0], 6), x.dtype)
-            return zero.at[i].add(jnp.stack(on_i, axis=-1)).at[j].add(jnp.stack(on_j, axis=-1))
-        rows = _over_pairs(list(x), lambda i, j: self._on_both(i, j, x[j] - x[i], [R[i], R[j]]))
-        return jnp.stack([jnp.stack(row) for row in rows])
+        if kernel.inside() and len(self._pairs[0]) <= _FEW:
+            rows = _over_pairs(list(x), lambda i, j: self._on_both(i, j, x[j] - x[i], [R[i], R[j]]))
+            return jnp.stack([jnp.stack(row) for row in rows])
+        return self._on_all(x, R)
+
+    def _on_all(self, x: Array, R: Array) -> Array:
+        """The forces and torques with an axis of pairs, seen from one end and then from the other."""
+        (i, j), m, trace = self._pairs, self.masses, self._traces
+        here, there = np.concatenate([i, j]), np.concatenate([j, i])
+        d = (x[j] - x[i]).T
+        own, arms = _seen(self._entries(here), tuple(_twice(d)), jnp.moveaxis(R[here], 0, -1))
+        along, *arm = (sum(jnp.split(m[there] * y, 2)) for y in (own, *arms))
+        f, third = _pull(self.G, m[i] * m[j], m[j] * trace[i] + m[i] * trace[j], tuple(d), along, tuple(arm))
+        f = jnp.stack(three.once(f))
+        torque = jnp.stack(three.scale(m[there] * _twice(third), three.cross(tuple(_twice(d)), arms)))
+        rows = jnp.concatenate([jnp.concatenate([f, -f], axis=1), torque]).T
+        of_each = np.argsort(here, kind="stable").reshape(self.count, -1)
+        return rows if self.count == 2 else jnp.sum(rows[of_each], axis=1)
 
     def forces(self, x: Sequence[three.Vector], q: Sequence[Sequence[Array]]) -> list[Any]:
         """Of few bodies with unit quaternions, number by number: the force and, in the body's axes, the torque."""
@@ -148,6 +159,10 @@ def maccullagh(G: ArrayLike, masses: ArrayLike, inertias: ArrayLike) -> MacCulla
     if m.ndim != 1 or J.shape not in ((m.size, 3), (m.size, 3, 3)):
         raise ValueError(f"masses (N,) and inertias (N, 3) or (N, 3, 3) are needed, got {m.shape} and {J.shape}")
     return MacCullagh(_checks.real_array("G", G, ()), m, J)
+
+
+def _twice(x: Array) -> Array:
+    return jnp.concatenate([x, x], axis=-1)
 
 
 def _over_pairs(x: Sequence[three.Vector], on_both: Callable[[int, int], list[Any]]) -> list[Any]:

@@ -18,6 +18,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton, three
 from lieint_jax._numerics.power_series import stumpff
+from lieint_jax._numerics.replay import replayed
 from lieint_jax.schemes._capability import check_motion
 from lieint_jax.schemes._free_flight import FreeFlight
 from lieint_jax.schemes.bodies_energy_momentum import BODIES
@@ -75,6 +76,7 @@ class KeplerSplitting(Step):
         method = METHODS[self.method]
         drifts, kicks = (jnp.asarray(x, state.p.dtype) * dt for x in (method.drifts, (0.0, *method.kicks)))
 
+        @replayed
         def stage(carry: tuple[State, StepInfo, Array, Array], following: tuple[Array, Array]) -> tuple[Any, None]:
             state, info, a, b = carry
             state, last = self._drifted(state._replace(p=state.p + b * self._force(state.q)), a)

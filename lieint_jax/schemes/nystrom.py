@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
+from lieint_jax._numerics.replay import replayed
 from lieint_jax.schemes._capability import check_motion, hint
 from lieint_jax.schemes._free_flight import MANY_FREE_BODIES
 from lieint_jax.schemes.exact import exact
@@ -79,23 +80,20 @@ class Nystrom(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         drifts, kicks = (jnp.asarray(x, state.p.dtype) * dt for x in METHODS[int(self.order)])
-        kick_first = len(kicks) > len(drifts)
-        if kick_first:
-            state, info, kicks = kicked(self.system, state, kicks[0]), StepInfo.fresh(state.p), kicks[1:]
-        else:
-            (state, info), drifts = self.drift(state, drifts[0]), drifts[1:]
+        kick_last = len(kicks) > len(drifts)
 
+        @replayed
         def stage(carry: tuple[State, StepInfo, Array, Array], following: tuple[Array, Array]) -> tuple[Any, None]:
             state, info, a, b = carry
-            state = state if kick_first else kicked(self.system, state, b)
-            state, last = self.drift(state, a)
-            state = kicked(self.system, state, b) if kick_first else state
+            state, last = self.drift(kicked(self.system, state, b), a)
             return (state, info.merge(last), *following), None
 
-        # a and b are carried: XLA fuses a slice of them into every loop over a batch (see `compose`)
-        begin = (state, info, drifts[0], kicks[0])
-        (state, info, _, _), _ = lax.scan(stage, begin, (jnp.roll(drifts, -1), jnp.roll(kicks, -1)))
-        return state, info
+        # A first kick of 0, if it is not there, so that the long program of a drift is compiled once. a and b are
+        # carried: XLA fuses a slice of them into every loop over a batch (see `compose`).
+        first = kicks[:-1] if kick_last else jnp.concatenate([jnp.zeros_like(kicks[:1]), kicks])
+        begin = (state, StepInfo.fresh(state.p), drifts[0], first[0])
+        (state, info, _, _), _ = lax.scan(stage, begin, (jnp.roll(drifts, -1), jnp.roll(first, -1)))
+        return (kicked(self.system, state, kicks[-1]) if kick_last else state), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         longest = max(METHODS[int(self.order)].drifts, key=abs)
