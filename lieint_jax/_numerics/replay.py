@@ -8,7 +8,6 @@ as the root of an equation, is `kept`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, TypeVar
 
 import jax
@@ -21,7 +20,7 @@ _Tree = TypeVar("_Tree")
 
 def replayed(function: _Function) -> _Function:
     """The same function, of which reverse mode keeps the arguments and what in it is `kept`; for the body of a loop."""
-    return partial(jax.checkpoint, prevent_cse=False, policy=_is_kept)(function)
+    return jax.checkpoint(function, prevent_cse=False, policy=_is_kept)  # pyright: ignore[reportReturnType]
 
 
 def kept(tree: _Tree) -> _Tree:
