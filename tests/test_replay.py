@@ -1,0 +1,72 @@
+"""Reverse mode computes a step once more on the way back: what it keeps, and that derivatives are the same."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+import lieint_jax as li
+from lieint_jax._numerics import newton
+from lieint_jax._numerics.replay import kept, replayed
+
+BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+TOP = li.systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
+
+
+def run(p, body, replay):
+    """Five implicit steps of a number, by a solver that is a loop."""
+
+    def step(z):
+        def residual(x):
+            return x - z - 0.1 * jnp.sin(p * (x + z) / 2)
+
+        def correction(x, F):
+            return F / (1 - 0.05 * p * jnp.cos(p * (x + z) / 2))
+
+        return body(newton.root(residual, correction, z, 20, done=lambda x, step: jnp.abs(step) < 1e-9)[0])
+
+    return lax.scan(lambda z, _: (replay(step)(z), None), jnp.asarray(1.0), None, length=5)[0]
+
+
+PLAIN, REPLAYED = (partial(run, body=lambda x: x, replay=way) for way in (lambda step: step, replayed))
+
+
+def test_derivatives_of_any_order_are_the_same():
+    for way in (jax.grad, jax.jacfwd):
+        assert float(way(REPLAYED)(1.3)) == pytest.approx(float(jax.jacfwd(PLAIN)(1.3)), rel=1e-15)
+        for outer in (jax.jacfwd, jax.grad) if way is jax.jacfwd else (jax.jacfwd,):
+            second = float(outer(way(REPLAYED))(1.3))
+            assert second == pytest.approx(float(jax.jacfwd(jax.jacfwd(PLAIN))(1.3)), rel=1e-12)
+
+
+def test_a_root_is_not_sought_again():
+    def loops(replay):
+        return jax.jit(jax.grad(partial(run, body=lambda x: x, replay=replay))).lower(1.3).as_text().count("while(")
+
+    assert loops(replayed) == loops(lambda step: step) < loops(jax.checkpoint)
+
+
+def test_what_is_kept_is_not_computed_again():
+    def gradient(mark):
+        dear = replayed(lambda x: mark(jnp.arctan(x)) ** 2)
+        return str(jax.make_jaxpr(jax.grad(lambda x: dear(dear(x))))(0.3)).count("atan ")
+
+    assert gradient(kept) < gradient(lambda x: x)
+
+
+@pytest.mark.parametrize(
+    ("step", "state", "most"),
+    [
+        (li.schemes.so3_midpoint(BODY), BODY.state(angular_velocity=[0.3, 0.2, 1.0]), 10),  # 58 if not replayed
+        (li.schemes.extrapolate(TOP), TOP.state(angular_velocity=[0.3, 0.2, 1.0]), 7),  # 461
+    ],
+)
+def test_a_gradient_keeps_the_state_of_each_step_and_its_root(step, state, most):
+    def numbers(steps):
+        end = jax.vjp(lambda p: li.integrate(step, state._replace(p=p), 0.05, steps, steps).state.q, state.p)[1]
+        return sum(np.size(x) for x in jax.tree.leaves(end))
+
+    assert (numbers(20) - numbers(10)) / 10 <= most
