@@ -48,20 +48,26 @@ def one_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     For arithmetic and loops. Calls of LAPACK and the like inside it fail to compile.
     """
 
-    def inside_one(*arguments: Any) -> Any:
+    compiled = jax.jit(_as_part(function))
+    return lambda *arguments: _whole(compiled, *arguments) if wanted() else function(*arguments)
+
+
+def _as_part(function: Callable[..., Any]) -> Callable[..., Any]:
+    """`function`, traced as a part of a kernel."""
+
+    def part(*arguments: Any) -> Any:
         before, _trace.inside = inside(), True
         try:
             return function(*arguments)
         finally:
             _trace.inside = before
 
-    compiled = jax.jit(inside_one)
-    return lambda *arguments: _whole(compiled, *arguments) if wanted() else function(*arguments)
+    return part
 
 
 def suits(function: Callable[..., Any], *arguments: Any) -> bool:
     """Whether a function may be part of a kernel: it is no longer than a kernel can be, and calls no library."""
-    program = jax.jit(function).lower(*arguments).as_text()
+    program = jax.jit(_as_part(function) if wanted() else function).lower(*arguments).as_text()
     return program.count("\n") < _LONG and not any(f"stablehlo.{name}" in program for name in _FOREIGN)
 
 
