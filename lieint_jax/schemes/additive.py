@@ -343,7 +343,7 @@ class _Equation(NamedTuple):
         """Newton's step, shortened where it would lead out of GL⁺(3); γ stays in its interval, fixed if D = 0."""
         rule, c, a = self.rule, self.c, self.a
         U, gamma = _matrix(x), tuple(x[9:])
-        D = self.change(U)
+        D = three.once(self.change(U))
         (S, _), tangent = jax.linearize(self.law, D, gamma)
         N = three.along(self.E, S, self.alpha * c)
         watched, middle = three.combine(self.F, U, a), three.combine(self.F, U, self.alpha)
@@ -401,7 +401,7 @@ def _newton_step(
         d_gamma.append(jnp.clip(left / jnp.where(slope == 0, 1, slope), least, most))  # no pressure acts for Δt = 0
         step = [x - y * d_gamma[k] for x, y in zip(dD, per_gamma, strict=True)]
     dS: Any = [sum(d * S[q] for d, (S, _) in zip([*step, *d_gamma], columns, strict=True)) for q in range(6)]
-    return three.combine(free, three.product(three.product(force, three.rows(dS)), N_inverse), -1), d_gamma
+    return three.combine(free, three.product(three.product(force, three.rows(three.once(dS))), N_inverse), -1), d_gamma
 
 
 def _directions(gammas: int, like: Array) -> list[tuple[Symmetric, tuple[Array, ...]]]:
