@@ -83,7 +83,8 @@ def root(
                 x, pace, _ = improved(x, pace)
         else:
             x, pace = lax.fori_loop(0, iterations, lambda _, carry: improved(*carry)[:2], (x, pace))
-        x = kept(x)
+        if done is not None or not unroll:  # corrections written out take less time than what XLA makes of a kept root
+            x = kept(x)
         return x, (function(x), pace.growth)
 
     x, (F, growth) = lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)
