@@ -60,11 +60,11 @@ def test_what_is_kept_is_not_computed_again():
 @pytest.mark.parametrize(
     ("step", "state", "most"),
     [
-        (li.schemes.so3_midpoint(BODY), BODY.state(angular_velocity=[0.3, 0.2, 1.0]), 10),  # 58 if not replayed
+        (li.schemes.so3_midpoint(BODY), BODY.state(angular_velocity=[0.3, 0.2, 1.0]), 7),  # 58 if not replayed
         (li.schemes.extrapolate(TOP), TOP.state(angular_velocity=[0.3, 0.2, 1.0]), 7),  # 461
     ],
 )
-def test_a_gradient_keeps_the_state_of_each_step_and_its_root(step, state, most):
+def test_a_gradient_keeps_the_state_of_each_step(step, state, most):
     def numbers(steps):
         end = jax.vjp(lambda p: li.integrate(step, state._replace(p=p), 0.05, steps, steps).state.q, state.p)[1]
         return sum(np.size(x) for x in jax.tree.leaves(end))

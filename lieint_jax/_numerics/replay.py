@@ -2,7 +2,7 @@
 
 What a step computes on its way is a hundred numbers, each an array over the steps, written one by one. To compute them
 again takes less time than to keep them, half of the compile time, and hardly any memory. What is dear to compute, such
-as the root of an equation, is `kept`.
+as a root that a loop finds, is `kept`.
 """
 
 from __future__ import annotations
