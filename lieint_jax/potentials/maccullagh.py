@@ -89,8 +89,6 @@ class MacCullagh(Potential):
         arm = three.add(three.scale(m[j], arm_i), three.scale(m[i], arm_j))
         masses, traces = m[i] * m[j], m[j] * trace[i] + m[i] * trace[j]
         f, third = _pull(self.G, masses, traces, d, m[j] * own_i + m[i] * own_j, arm)
-        if not kernel.inside():
-            f = three.once(f)
         return [f, three.scale(-1, f)], [m[j] * third, m[i] * third]
 
     def _entries(self, n: Any) -> three.Symmetric:
