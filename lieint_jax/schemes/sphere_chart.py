@@ -71,7 +71,9 @@ class SphereChart(Step):
         first = dt * rate(z)
         momentum = jnp.where(_largest(z[2:]) > 0, _largest(z[2:]), _largest(first[2:]))  # the latter from rest
         unit = jnp.stack([jnp.ones_like(dt)] * 2 + [jnp.where(momentum > 0, momentum, 1)] * 2)
-        u, f, steady = newton.root(residual, correction, first, self.iterations, length=lambda x: _largest(x / unit))
+        u, f, steady = newton.root(
+            residual, correction, first, self.iterations, unroll=False, length=lambda x: _largest(x / unit)
+        )
         after = z + u
         error = _largest(f / unit)
         inside = jnp.minimum(jnp.sin(after[0]), jnp.sin(z[0] + u[0] / 2)) > _pole(z.dtype)
