@@ -103,8 +103,7 @@ def _ascending(u: Array, m1: Array) -> tuple[Array, Array, Array]:
 
 def _smooth_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     """`carlson_rj` by two more duplications than its value needs, for its derivatives."""
-    state = _duplicated(root_x, root_y, root_z, p)
-    return _rj_value(lax.fori_loop(0, 2, lambda _, state: state.next, state))
+    return _rj_value(_duplicated(root_x, root_y, root_z, p, more=2))
 
 
 @functools.partial(forwards, smooth=_smooth_rj)
@@ -121,9 +120,9 @@ def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     return _rj_value(_duplicated(root_x, root_y, root_z, p))
 
 
-def _duplicated(root_x: Array, root_y: Array, root_z: Array, p: Array) -> _Duplicated:
-    start = _Duplicated.of(root_x, root_y, root_z, p)
-    return lax.while_loop(lambda state: jnp.any(state.far), lambda state: state.next, start)
+def _duplicated(root_x: Array, root_y: Array, root_z: Array, p: Array, more: int = 0) -> _Duplicated:
+    start = _Duplicated.of((root_x, root_y, root_z), p)
+    return lax.while_loop(lambda state: jnp.any(state.far), lambda state: state.next(more), start)
 
 
 class _Duplicated(NamedTuple):
@@ -132,6 +131,7 @@ class _Duplicated(NamedTuple):
     Attributes:
         x, y, z, p: the arguments.
         mean: theirs, with the weights 1, 1, 1, 2.
+        roots: of x, y, z; one of the first may be negative.
         scale: 4⁻ⁿ.
         total: of the terms that the duplications have split off.
         apart: the distances of the first x, y, z from the first mean.
@@ -146,6 +146,7 @@ class _Duplicated(NamedTuple):
     z: Array
     p: Array
     mean: Array
+    roots: tuple[Array, Array, Array]
     scale: Array
     total: Array
     apart: tuple[Array, Array, Array]
@@ -153,20 +154,16 @@ class _Duplicated(NamedTuple):
     far: Array
 
     @classmethod
-    def of(cls, root_x: Array, root_y: Array, root_z: Array, p: Array) -> _Duplicated:
-        """The arguments after the first duplication, which takes the roots as they are: one may be negative."""
-        x, y, z = root_x * root_x, root_y * root_y, root_z * root_z
+    def of(cls, roots: tuple[Array, Array, Array], p: Array) -> _Duplicated:
+        x, y, z = (root * root for root in roots)
         mean = (x + y + z + 2 * p) / 5
-        apart = (mean - x, mean - y, mean - z)
-        one, zero = jnp.ones_like(mean), jnp.zeros_like(mean)
-        given = cls(x, y, z, p, mean, one, zero, apart, (p - x) * (p - y) * (p - z), one > 0)
-        return given._duplicated(root_x, root_y, root_z)
+        apart, delta = (mean - x, mean - y, mean - z), (p - x) * (p - y) * (p - z)
+        one = jnp.ones_like(mean)
+        return cls(x, y, z, p, mean, roots, one, jnp.zeros_like(mean), apart, delta, one > 0)
 
-    @property
-    def next(self) -> _Duplicated:
-        return self._duplicated(jnp.sqrt(self.x), jnp.sqrt(self.y), jnp.sqrt(self.z))
-
-    def _duplicated(self, a: Array, b: Array, c: Array) -> _Duplicated:
+    def next(self, more: int) -> _Duplicated:
+        """After one more, which is the last but for `more` if the series is good enough then."""
+        a, b, c = self.roots
         r = jnp.sqrt(self.p)
         d = (r + a) * (r + b) * (r + c)
         square = self.scale**3 * self.delta / (d * d)
@@ -176,8 +173,9 @@ class _Duplicated(NamedTuple):
         x, y, z, p, mean = ((v + shift) / 4 for v in self[:5])
         scale, most = self.scale / 4, functools.reduce(jnp.maximum, map(jnp.abs, self.apart))
         small = (jnp.finfo(most.dtype).eps / 8) ** 0.125 * mean
-        far = (scale * most > small) & (scale > 0.25**_DUPLICATIONS)
-        return _Duplicated(x, y, z, p, mean, scale, self.total + term, self.apart, self.delta, far)
+        far = (scale * most > small * 0.25**more) & (scale > 0.25 ** (_DUPLICATIONS + more))
+        roots = (jnp.sqrt(x), jnp.sqrt(y), jnp.sqrt(z))
+        return _Duplicated(x, y, z, p, mean, roots, scale, self.total + term, self.apart, self.delta, far)
 
 
 def _rj_value(state: _Duplicated) -> Array:

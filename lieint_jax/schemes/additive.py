@@ -353,7 +353,7 @@ class _Equation(NamedTuple):
         limits = [free if rule.constrained else (determined * (g - rule.end), determined * g) for g in gamma]
         force = three.scale_matrix(c, middle)
         dU, d_gamma = _newton_step(N, watched, force, a, columns, R, limits)
-        t = _fraction(watched, three.scale_matrix(-a, dU))
+        [t] = three.once((_fraction(watched, three.scale_matrix(-a, dU)),))
         return jnp.stack([*_entries(three.scale_matrix(t, dU)), *d_gamma])
 
     def done(self, x: Array, step: Array) -> Array:
@@ -387,7 +387,7 @@ def _newton_step(
     adjugate = three.adjugate(N)
     r = 1 / three.determinant(N, adjugate)
     N_inverse = three.rows(tuple(r * x for x in adjugate))
-    A = three.scale_matrix(a, three.transposed_product(watched, force))
+    A = tuple(map(three.once, three.scale_matrix(a, three.transposed_product(watched, force))))
     free = three.product(_matrix(R), N_inverse)
     right = three.plus_transpose(three.scale_matrix(a, three.transposed_product(watched, free)))
     images = [three.plus_transpose(three.product(three.product(A, three.rows(S)), N_inverse)) for S, _ in columns]
