@@ -390,7 +390,9 @@ def _newton_step(
     A = tuple(map(three.once, three.scale_matrix(a, three.transposed_product(watched, force))))
     free = three.product(_matrix(R), N_inverse)
     right = three.plus_transpose(three.scale_matrix(a, three.transposed_product(watched, free)))
-    images = [three.plus_transpose(three.product(three.product(A, three.rows(S)), N_inverse)) for S, _ in columns]
+    images = [
+        three.once(three.plus_transpose(three.product(three.product(A, three.rows(S)), N_inverse))) for S, _ in columns
+    ]
     K = [[images[p][q] + (1 if p == q else 0) for p in range(6)] for q in range(6)]
     dD, *by_gamma = unrolled.eliminate(K, right, *images[6:])
     step, d_gamma = dD, []
