@@ -223,11 +223,16 @@ def test_too_few_sweeps_and_too_long_steps_are_flagged():
 @pytest.mark.parametrize("size", [1e-50, 1e50])
 def test_units_change_nothing(size):
     """A step does not depend on the unit of momentum; observed: 3e-16."""
-    step = jax.jit(lambda size, state: schemes.gauss(systems.heavy_top(size * J, size * WEIGHT), 6)(state, 0.3))
-    J, WEIGHT = jnp.array([1.0, 2.0, 2.5]), jnp.array([0.5, 0.4, 1.0])
+
+    @jax.jit
+    def step(unit, state):
+        top = systems.heavy_top(unit * jnp.array([1.0, 2.0, 2.5]), unit * jnp.array([0.5, 0.4, 1.0]))
+        return schemes.gauss(top, 6)(state, 0.3)
+
     end, info = step(1.0, STATE)
     other, same = step(size, STATE._replace(p=size * STATE.p))
-    assert info.converged and same.converged
+    assert info.converged
+    assert same.converged
     np.testing.assert_allclose(other.q, end.q, rtol=0, atol=2e-15)
     np.testing.assert_allclose(other.p / size, end.p, rtol=0, atol=2e-15)
 
