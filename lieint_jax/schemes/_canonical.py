@@ -286,7 +286,7 @@ def _kicked_about(potential: Any, axis: Array, q: Components, p_dot: Components,
 
 @kernel.together
 def _kick_about(potential: Any, axis: Array, q: Components, t: Array) -> Components:
-    """The same for any axis."""
+    """2γq∇Ṽ for any axis γ."""
     return _from_left(scale(2, axis), _by_slope(potential, seen(q, axis), q, t))
 
 
