@@ -233,8 +233,8 @@ def test_units_change_nothing(size):
     other, same = step(size, STATE._replace(p=size * STATE.p))
     assert info.converged
     assert same.converged
-    np.testing.assert_allclose(other.q, end.q, rtol=0, atol=2e-15)
-    np.testing.assert_allclose(other.p / size, end.p, rtol=0, atol=2e-15)
+    np.testing.assert_allclose(other.q, end.q, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(other.p / size, end.p, rtol=0, atol=1e-15)
 
 
 def test_what_gauss_and_extrapolate_refuse():

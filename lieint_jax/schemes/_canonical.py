@@ -128,14 +128,12 @@ def _unit(q: Components) -> _Quaternion:
 
 
 def inverses(system: Any) -> Any:
-    """¼J⁻¹ of each inertia, which takes Im(q̄p) to ½Ω, computed once for a step."""
+    """The inverse of each inertia, computed once for a step."""
     if isinstance(system, ElasticBody):
         return None
     if isinstance(system, FreeBodies | Bodies):
-        whole = _several_bodies.inverses(system)
-    else:
-        whole = [three.inverse(system.metric if isinstance(system, MechanicalSystem) else system.inertia)]
-    return [tuple(x / 4 for x in inverse) for inverse in whole]
+        return _several_bodies.inverses(system)
+    return [three.inverse(system.metric if isinstance(system, MechanicalSystem) else system.inertia)]
 
 
 def field(system: Any, inverse: Any, z: Components, t: Array | None) -> Components:
@@ -217,10 +215,10 @@ def _turning(rotor: Array | None, inverse: three.Symmetric, q: Components, p: Co
 
 @kernel.stage
 def _half_rate(rotor: Array | None, inverse: three.Symmetric, q: Components, p: Components) -> Components:
-    """½Ω, by ¼J⁻¹ of Im(q̄p) = 2Π, whose sums are chains: a product and a sum are one operation then."""
-    (w, x, y, z), (a, b, c, d) = q, p
-    twice = (w * b - x * a - y * d + z * c, w * c - y * a - z * b + x * d, w * d - z * a - x * c + y * b)
-    return apply(inverse, twice if rotor is None else subtract(twice, scale(2, rotor)))
+    """½Ω, of the momentum Π = ½ Im(q̄p)."""
+    (w, *v), (first, *rest) = q, p
+    Pi = scale(0.5, subtract(subtract(scale(w, rest), scale(first, v)), cross(v, rest)))
+    return scale(0.5, apply(inverse, Pi if rotor is None else subtract(Pi, rotor)))
 
 
 def _kicked(
@@ -268,15 +266,14 @@ def _stands(system: Any) -> bool:
 
 @kernel.together
 def _kicked_upright(potential: Any, height: Array, q: Components, p_dot: Components) -> Components:
-    """ṗ with −∂V/∂q of V(q) = Ṽ(q̄γq), which is Ṽ(Γ) where |q| = 1: 2γq∇Ṽ, with γ = height e₃, in chains as above."""
-    (w, x, y, z), (a, b, c, d) = q, p_dot
-    u, v, s = scale(2 * height, gradient(potential, jnp.stack(_seen_upright(height, q))))
-    return (
-        a - w * s - x * v + y * u,
-        b - w * v - z * u + x * s,
-        c + w * u + y * s - z * v,
-        d - x * u - y * v - z * s,
-    )
+    return _sum(p_dot, _kick_upright(potential, height, q))
+
+
+@kernel.together
+def _kick_upright(potential: Any, height: Array, q: Components) -> Components:
+    """−∂V/∂q of V(q) = Ṽ(q̄γq), which is Ṽ(Γ) where |q| = 1: 2γq∇Ṽ, with γ = height e₃."""
+    a, b, c, d = (2 * height * x for x in _by_slope(potential, _seen_upright(height, q), q))
+    return -d, -c, b, a
 
 
 @kernel.together
