@@ -11,16 +11,27 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
+from jax import lax
 from jax.ad_checkpoint import checkpoint_name
 
 _KEPT = "lieint_jax"
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Tree = TypeVar("_Tree")
+_Carry = TypeVar("_Carry")
 
 
 def replayed(function: _Function) -> _Function:
     """The same function, of which reverse mode keeps the arguments and what in it is `kept`; for the body of a loop."""
     return jax.checkpoint(function, prevent_cse=False, policy=_is_kept)  # pyright: ignore[reportReturnType]
+
+
+def stages(function: Callable[[_Carry, Any], tuple[_Carry, None]], carry: _Carry, each: Any) -> _Carry:
+    """The last carry of a `lax.scan` over the stages of a step, each `replayed`, their carries `kept`.
+
+    Else reverse mode of a loop over steps would go through the stages of a step twice, first to find the carries.
+    """
+    again = replayed(function)
+    return kept(lax.scan(lambda carry, one: again(kept(carry), one), carry, each)[0])
 
 
 def kept(tree: _Tree) -> _Tree:

@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton, three
 from lieint_jax._numerics.power_series import stumpff
-from lieint_jax._numerics.replay import replayed
+from lieint_jax._numerics.replay import stages
 from lieint_jax.schemes._capability import check_motion
 from lieint_jax.schemes._free_flight import FreeFlight
 from lieint_jax.schemes.bodies_energy_momentum import BODIES
@@ -76,7 +76,6 @@ class KeplerSplitting(Step):
         method = METHODS[self.method]
         drifts, kicks = (jnp.asarray(x, state.p.dtype) * dt for x in (method.drifts, (0.0, *method.kicks)))
 
-        @replayed
         def stage(carry: tuple[State, StepInfo, Array, Array], following: tuple[Array, Array]) -> tuple[Any, None]:
             state, info, a, b = carry
             state, last = self._drifted(state._replace(p=state.p + b * self._force(state.q)), a)
@@ -84,7 +83,7 @@ class KeplerSplitting(Step):
 
         # A first kick of 0, so that the long program of a drift is compiled once; carried, see `compose`.
         begin = (state, StepInfo.fresh(state.p), drifts[0], kicks[0])
-        (state, info, _, _), _ = lax.scan(stage, begin, (jnp.roll(drifts, -1), jnp.roll(kicks, -1)))
+        state, info, _, _ = stages(stage, begin, (jnp.roll(drifts, -1), jnp.roll(kicks, -1)))
         return state, info
 
     def _force(self, q: Array) -> Array:

@@ -14,10 +14,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-from jax import Array, lax
+from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics.replay import replayed
+from lieint_jax._numerics.replay import stages
 from lieint_jax.schemes._capability import check_motion, hint
 from lieint_jax.schemes._free_flight import MANY_FREE_BODIES
 from lieint_jax.schemes.exact import exact
@@ -82,7 +82,6 @@ class Nystrom(Step):
         drifts, kicks = (jnp.asarray(x, state.p.dtype) * dt for x in METHODS[int(self.order)])
         kick_last = len(kicks) > len(drifts)
 
-        @replayed
         def stage(carry: tuple[State, StepInfo, Array, Array], following: tuple[Array, Array]) -> tuple[Any, None]:
             state, info, a, b = carry
             state, last = self.drift(kicked(self.system, state, b), a)
@@ -92,7 +91,7 @@ class Nystrom(Step):
         # carried: XLA fuses a slice of them into every loop over a batch (see `compose`).
         first = kicks[:-1] if kick_last else jnp.concatenate([jnp.zeros_like(kicks[:1]), kicks])
         begin = (state, StepInfo.fresh(state.p), drifts[0], first[0])
-        (state, info, _, _), _ = lax.scan(stage, begin, (jnp.roll(drifts, -1), jnp.roll(first, -1)))
+        state, info, _, _ = stages(stage, begin, (jnp.roll(drifts, -1), jnp.roll(first, -1)))
         return (kicked(self.system, state, kicks[-1]) if kick_last else state), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
