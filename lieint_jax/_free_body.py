@@ -61,6 +61,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax._numerics import elliptic, three
+from lieint_jax._numerics.choice import where
 from lieint_jax._numerics.three import Vector, dot
 from lieint_jax.groups import so3
 
@@ -101,10 +102,10 @@ def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, A
     scale, G, e, rest = _units(inertia, Pi)
     (w, *v), accuracy = _increment(scale * inertia, e, G * t)
     Omega = three.solve_symmetric(J, Pi)
-    v = (jnp.where(rest, x * t / 2, y) for x, y in zip(Omega, v, strict=True))  # 0, with its derivative in π
-    increment = three.once((jnp.where(rest, 1, w), *v))
+    v = (where(rest, x * t / 2, y) for x, y in zip(Omega, v, strict=True))  # 0, with its derivative in π
+    increment = three.once((where(rest, 1, w), *v))
     turned = lax.stop_gradient(three.max_abs(Pi) * three.inverse_trace(J) * jnp.abs(t))
-    length, condition = (jnp.where(rest, 0, x) for x in accuracy)
+    length, condition = (where(rest, 0, x) for x in accuracy)
     return so3.normalise(jnp.stack(three.once(so3.multiply(q, increment)))), Accuracy(length, turned + condition)
 
 
@@ -128,8 +129,8 @@ def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]
     else:
         moments, V = _eigh(scale * inertia)
         e = tuple(dot(V[:, k], e) for k in range(3))
-    s, d, on_branch = _sorted_clock(moments, e, jnp.where(still, 1e-3, G * t))
-    return jnp.where(still, 1, s), jnp.where(still, 0, scale * d), still | on_branch
+    s, d, on_branch = _sorted_clock(moments, e, where(still, 1e-3, G * t))
+    return where(still, 1, s), where(still, 0, scale * d), still | on_branch
 
 
 class Periods(NamedTuple):
@@ -161,30 +162,30 @@ def periods(inertia: Array, Pi: Array) -> Periods:
     below = y * y * (1 - A / B) + z * z * (1 - A / C)  # L² − 2HA
     f, g = (B - A) * above / (A * B * C), (C - B) * below / (A * B * C)
     long_axis = f > g
-    fast = jnp.where(long_axis, f, g)
+    fast = where(long_axis, f, g)
     still = fast == 0
-    fast = jnp.where(still, 1, fast)
-    m1 = jnp.where(still, 1, jnp.abs(f - g) / fast)
+    fast = where(still, 1, fast)
+    m1 = where(still, 1, jnp.abs(f - g) / fast)
     K = elliptic.quarter_period(m1)
-    over = jnp.where(long_axis, A * (C - B), A * above)
-    under = jnp.where(long_axis, C * (B - A), C * below)
+    over = where(long_axis, A * (C - B), A * above)
+    under = where(long_axis, C * (B - A), C * below)
     on_edge = under == 0  # a symmetric body, π across its axis: ν is infinite, Π(−ν, m) vanishes
-    nu = over / jnp.where(on_edge, 1, under)
+    nu = over / where(on_edge, 1, under)
     square = x * x + y * y + z * z
     rest = square == 0
-    part = jnp.where(on_edge, 1, _less_third(m1, nu, K))
-    rate = jnp.sqrt(jnp.where(rest, 1, square)) * (1 / C + (1 / A - 1 / C) * part)
-    rotation = jnp.where(still, jnp.inf, 4 * K / jnp.sqrt(fast))
-    return Periods(jnp.where(rest, jnp.inf, 2 * jnp.pi / rate), rotation, long_axis)
+    part = where(on_edge, 1, _less_third(m1, nu, K))
+    rate = jnp.sqrt(where(rest, 1, square)) * (1 / C + (1 / A - 1 / C) * part)
+    rotation = where(still, jnp.inf, 4 * K / jnp.sqrt(fast))
+    return Periods(where(rest, jnp.inf, 2 * jnp.pi / rate), rotation, long_axis)
 
 
 def _less_third(m1: Array, nu: Array, K: Array) -> Array:
     """1 − Π(−ν, m)/K; above ν = 1e7, where R_J loses its digits, by its first term for large ν, to 1/ν."""
     root = jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny))  # as in K, or their ratio is wrong on the separatrix
     far = nu > _FAR
-    near = jnp.where(far, 1, nu)
+    near = where(far, 1, nu)
     part = elliptic.carlson_rj(jnp.zeros_like(m1), root, jnp.ones_like(m1), 1 + near) * near / (3 * K)
-    return jnp.where(far, 1 - jnp.pi / (2 * K * jnp.sqrt(1 + nu)), part)
+    return where(far, 1 - jnp.pi / (2 * K * jnp.sqrt(1 + nu)), part)
 
 
 def _units(inertia: Array, Pi: Array) -> tuple[Array, Array, Vector, Array]:
@@ -193,8 +194,8 @@ def _units(inertia: Array, Pi: Array) -> tuple[Array, Array, Vector, Array]:
     scaled = three.scale(scale, Pi)
     square = dot(scaled, scaled)
     rest = square == 0
-    G = jnp.sqrt(jnp.where(rest, 1, square))
-    return scale, G, three.once(tuple(jnp.where(rest, math.sqrt(1 / 3), x / G) for x in scaled)), rest
+    G = jnp.sqrt(where(rest, 1, square))
+    return scale, G, three.once(tuple(where(rest, math.sqrt(1 / 3), x / G) for x in scaled)), rest
 
 
 def _increment(inertia: Array, e: Vector, tau: Array) -> tuple[Vector, Accuracy]:
@@ -222,7 +223,7 @@ def _ascending(J: Array) -> tuple[Vector, _Turns]:
     for i in (0, 1, 0):
         a, b = moments[i : i + 2]
         turns.append((i, a > b))
-        moments[i : i + 2] = jnp.where(a > b, b, a), jnp.where(a > b, a, b)
+        moments[i : i + 2] = where(a > b, b, a), where(a > b, a, b)
     return tuple(moments), turns
 
 
@@ -231,7 +232,7 @@ def _turned(v: Vector, turns: _Turns, sign: int) -> Vector:
     x = list(v)
     for i, turn in turns[::sign]:
         a, b = x[i : i + 2]
-        x[i : i + 2] = jnp.where(turn, sign * b, a), jnp.where(turn, -sign * a, b)
+        x[i : i + 2] = where(turn, sign * b, a), where(turn, -sign * a, b)
     return tuple(x)
 
 
@@ -253,7 +254,7 @@ def _eigh_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple[Arra
     M = (M + M.T) / 2
     gap = w[None, :] - w[:, None]
     equal = jnp.abs(gap) <= jnp.sqrt(jnp.finfo(w.dtype).eps) * w[2]
-    turn = jnp.where(equal, 0, M / jnp.where(equal, 1, gap))
+    turn = where(equal, 0, M / where(equal, 1, gap))
     return (w, V), (jnp.stack([M[0, 0], M[1, 1], M[2, 2]]), V @ turn)
 
 
@@ -272,13 +273,13 @@ def _labels(J: Array, e: Vector) -> tuple[Array, _Labels]:
     x, y, z = (c * c for c in e)
     far0, far2 = d02 * x + d12 * y, d02 * z + d01 * y
     first = (far0 < far2) | ((far0 == far2) & (x <= z))
-    b_o, rm = jnp.where(first, 1 / J[2], 1 / J[0]), jnp.where(first, d01, -d12)
-    return first, _Labels(*three.once((b_o, rm, jnp.where(first, d12, -d01), jnp.where(first, d02, -d02))))
+    b_o, rm = where(first, 1 / J[2], 1 / J[0]), where(first, d01, -d12)
+    return first, _Labels(*three.once((b_o, rm, where(first, d12, -d01), where(first, d02, -d02))))
 
 
 def _relabelled(first: Array, v: Vector) -> Vector:
     """The components of v on the axes r, m, o from those on the axes 0, 1, 2, or back."""
-    return jnp.where(first, v[0], v[2]), jnp.where(first, v[1], -v[1]), jnp.where(first, v[2], v[0])
+    return where(first, v[0], v[2]), where(first, v[1], -v[1]), where(first, v[2], v[0])
 
 
 def _sorted(J: Array, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
@@ -293,7 +294,7 @@ def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Accurac
     er, em, eo = e
     m = _motion(b, e, tau)
     rate = (-b.mo * em * eo, b.ro * eo * er, -b.rm * er * em)
-    r = 1 / (m.cn * m.cn + m.S * m.S * b.ro * jnp.where(m.about_r, b.rm * er * er, b.mo * eo * eo))
+    r = 1 / (m.cn * m.cn + m.S * m.S * b.ro * where(m.about_r, b.rm * er * er, b.mo * eo * eo))
     moved = three.once(
         (
             r * (er * m.q_r + m.S * m.q_o * rate[0]),
@@ -304,10 +305,10 @@ def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Accurac
     fr, fm, fo = three.once(_on_polhode(b, m.R, moved))
     theta = jnp.arctan2(b.mo * m.S * em * fm, 1 - fr * fr - b.mo * m.S * em * fr * fo)
     odd = 1 - 2 * jnp.abs(m.halves % 2)  # sn and cn change sign every half period
-    fr, fm, fo = jnp.where(m.about_r, 1, odd) * fr, odd * fm, jnp.where(m.about_r, odd, 1) * fo
-    sign = jnp.where(m.about_r, odd, 1)
+    fr, fm, fo = where(m.about_r, 1, odd) * fr, odd * fm, where(m.about_r, odd, 1) * fo
+    sign = where(m.about_r, odd, 1)
     azimuth = jnp.arctan2(sign * (em * fo - eo * fm), sign * (em * fm + eo * fo))
-    azimuth = azimuth - jnp.where(m.about_r, jnp.pi * m.halves * jnp.sign(er * b.rm), 0)
+    azimuth = azimuth - where(m.about_r, jnp.pi * m.halves * jnp.sign(er * b.rm), 0)
     twist = (m.turn + theta - azimuth) / 2
     f = (fr, fm, fo)
     w, v = _between(e, f, *three.once((jnp.cos(twist), jnp.sin(twist))))
@@ -325,7 +326,7 @@ def _on_polhode(b: _Labels, R: Array, f: Vector) -> Vector:
     long = (x * x + y * y + z * z - 1) / 2
     x, y, z = x - long * x, y - long * y, z - long * z
     gx, gy, gz = 2 * (b.ro - R) * x, 2 * (b.mo - R) * y, -2 * R * z
-    floor = jnp.where(b.ro == 0, 1, b.ro * b.ro / 4)
+    floor = where(b.ro == 0, 1, b.ro * b.ro / 4)
     off = (b.ro * x * x + b.mo * y * y - R) / jnp.maximum(gx * gx + gy * gy + gz * gz, floor)
     return (f[0] - long * x - off * gx, f[1] - long * y - off * gy, f[2] - long * z - off * gz)
 
@@ -362,11 +363,11 @@ class _Motion(NamedTuple):
 
     @property
     def q_r(self) -> Array:
-        return jnp.where(self.about_r, self.dn, self.cn)
+        return where(self.about_r, self.dn, self.cn)
 
     @property
     def q_o(self) -> Array:
-        return jnp.where(self.about_r, self.cn, self.dn)
+        return where(self.about_r, self.cn, self.dn)
 
 
 def _motion(b: _Labels, e: Vector, tau: Array) -> _Motion:
@@ -374,26 +375,26 @@ def _motion(b: _Labels, e: Vector, tau: Array) -> _Motion:
     R, excess = three.once((b.ro * x + b.mo * y, b.ro * (b.rm * x - b.mo * z)))  # excess = f_r − f_o
     f_r, f_o, nu = three.once((b.rm * R, b.mo * (b.ro * z + b.rm * y), b.mo * R))
     about_r = excess > 0
-    f, g = jnp.where(about_r, f_r, f_o), jnp.where(about_r, f_o, f_r)
+    f, g = where(about_r, f_r, f_o), where(about_r, f_o, f_r)
     # XLA may work out f τ² more than once, rounded differently: both branches are right on both sides of `near`
     near, nearer, about = (f * tau * tau < c * _NEAR for c in (1, 0.5, 2))
-    [f_far] = three.once((jnp.where(nearer, 1, f),))
-    m1 = jnp.where(nearer, 1, jnp.where(about_r, excess, -excess) / f_far)  # abs() has no derivative at 0
+    [f_far] = three.once((where(nearer, 1, f),))
+    m1 = where(nearer, 1, where(about_r, excess, -excess) / f_far)  # abs() has no derivative at 0
     frequency = jnp.sqrt(f_far)
     K = elliptic.quarter_period(m1)
-    u = jnp.where(nearer, 0, frequency * tau)
+    u = where(nearer, 0, frequency * tau)
     halves = lax.stop_gradient(jnp.round(u / (2 * K)))
     sn, cn, dn = elliptic.jacobi(u - 2 * K * halves, m1)
-    x, y, time = *(jnp.where(about, k * tau * tau, 0) for k in (f, g)), jnp.where(about, tau, 0)
+    x, y, time = *(where(about, k * tau * tau, 0) for k in (f, g)), where(about, tau, 0)
     x, y, time = three.once((x, y, time))
-    S = jnp.where(near, time * (1 - (x + y) / 6 + (x * x + 14 * x * y + y * y) / 120), sn / frequency)
-    cn = jnp.where(near, 1 - x / 2 + x * (x + 4 * y) / 24, cn)
-    dn = jnp.where(near, 1 - y / 2 + y * (y + 4 * x) / 24, dn)
+    S = where(near, time * (1 - (x + y) / 6 + (x * x + 14 * x * y + y * y) / 120), sn / frequency)
+    cn = where(near, 1 - x / 2 + x * (x + 4 * y) / 24, cn)
+    dn = where(near, 1 - y / 2 + y * (y + 4 * x) / 24, dn)
     S, cn, dn = three.once((S, cn, dn))
     part, quarter = _third(cn, dn, nu * S * S, m1, nu / f_far, halves != 0)
-    X = S**3 * part + jnp.where(nearer, 0, 2 * halves * quarter / (f_far * frequency))
+    X = S**3 * part + where(nearer, 0, 2 * halves * quarter / (f_far * frequency))
     lever = jnp.abs(b.ro) * (jnp.abs(b.rm * e[0]) + jnp.abs(b.mo * e[2]))
-    condition = jnp.abs(halves) * jnp.where(halves == 0, 0, lever / jnp.where(halves == 0, 1, jnp.abs(excess)))
+    condition = jnp.abs(halves) * where(halves == 0, 0, lever / where(halves == 0, 1, jnp.abs(excess)))
     return _Motion(about_r, R, nu, S, cn, dn, halves, b.b_o * tau + b.ro * nu * X, condition)
 
 
@@ -403,7 +404,7 @@ def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array, needed: 
     Where the quarter period is not needed, it is of arguments of 1, which take no duplication.
     """
     one, root = jnp.ones_like(cn), jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny))
-    zero, root, p = (jnp.where(needed, x, 1) for x in (0 * one, root, 1 + n_quarter))
+    zero, root, p = (where(needed, x, 1) for x in (0 * one, root, 1 + n_quarter))
     x, y, p = (jnp.stack(pair) for pair in ((cn, zero), (dn, root), (1 + n, p)))
     part, quarter = three.once(three.components(elliptic.carlson_rj(x, y, jnp.ones_like(x), p) / 3))
     return part, quarter

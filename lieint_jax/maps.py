@@ -24,6 +24,7 @@ from jax import Array
 
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import power_series, three, unrolled
+from lieint_jax._numerics.choice import where
 from lieint_jax.groups import so3
 from lieint_jax.groups._basis import ideals
 from lieint_jax.groups._closed_form import squared_eigenvalue
@@ -200,10 +201,10 @@ _ARCSINE = [math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(20)]
 def _arcsine_of_square(x: Array) -> Array:
     """arcsin(√x)/√x: analytic for x < 1, arsinh(√−x)/√−x for negative x."""
     size, positive = jnp.abs(x), x > 0
-    root = jnp.sqrt(jnp.where(size < 0.05, 0.25, size))  # both branches are right near the threshold of .1
-    up = jnp.where(positive, root, 0.5)
-    closed = jnp.where(positive, jnp.arcsin(up), jnp.arcsinh(root)) / root
-    return jnp.where(size < 0.1, power_series.horner(_ARCSINE, jnp.where(size < 0.2, x, 0)), closed)
+    root = jnp.sqrt(where(size < 0.05, 0.25, size))  # both branches are right near the threshold of .1
+    up = where(positive, root, 0.5)
+    closed = where(positive, jnp.arcsin(up), jnp.arcsinh(root)) / root
+    return where(size < 0.1, power_series.horner(_ARCSINE, where(size < 0.2, x, 0)), closed)
 
 
 @pytree

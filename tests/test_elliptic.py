@@ -120,6 +120,18 @@ def test_slopes_are_found_forwards():
     np.testing.assert_allclose(of_sum, [7.4, 7.4], rtol=1e-15)
 
 
+def test_a_value_and_its_slopes_share_a_loop():
+    @forwards
+    def function(x, y):
+        cube = jax.lax.while_loop(lambda c: c[0] < 3, lambda c: (c[0] + 1, c[1] * x), (0, jnp.ones_like(x)))[1]
+        return cube * y * y
+
+    at = jnp.asarray(0.7), jnp.asarray(1.3)
+    assert str(jax.make_jaxpr(jax.value_and_grad(function, (0, 1)))(*at)).count(" while[") == 1
+    for mixed in (jax.grad(jax.grad(function, 0), 1), jax.jacfwd(jax.jacfwd(function, 1), 0)):
+        assert mixed(*at) == pytest.approx(6 * 0.49 * 1.3, rel=1e-15)
+
+
 def test_float32():
     m1 = jnp.array([*M1, 0.0], "float32")
     for x in (*elliptic.jacobi(jnp.full_like(m1, 1.3), m1), elliptic.quarter_period(m1)):

@@ -28,6 +28,13 @@ def test_saves_every_kth_state_and_the_worst_of_the_steps_between():
         state, _ = step(state, 0.1)
 
 
+def test_a_loop_of_one_turn_is_none():
+    def loops(save_every):
+        return str(jax.make_jaxpr(lambda z: li.integrate(STEP, z, 0.1, 8, save_every))(STATE)).count(" scan[")
+
+    assert loops(4) - loops(1) == loops(4) - loops(8) == 1
+
+
 def test_there_and_back_over_many_steps():
     there = jax.device_get(integrate(STEP, STATE, 0.1, 500, 500))
     back = jax.device_get(integrate(STEP, jax.tree.map(lambda x: x[-1], there.state), -0.1, 500, 500))

@@ -10,7 +10,7 @@ from jax import lax
 
 import lieint_jax as li
 from lieint_jax._numerics import newton
-from lieint_jax._numerics.replay import kept, replayed
+from lieint_jax._numerics.replay import kept, replayed, stages
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 TOP = li.systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
@@ -70,3 +70,23 @@ def test_a_gradient_keeps_the_state_of_each_step(step, state, most):
         return sum(np.size(x) for x in jax.tree.leaves(end))
 
     assert (numbers(20) - numbers(10)) / 10 <= most
+
+
+def of_stages(z, way):
+    """Five steps of three stages."""
+
+    def one(z, x):
+        return jnp.sin(z * x), None
+
+    step = replayed(lambda z, _: (way(one, z, jnp.array([0.3, 0.7, 1.1])), None))
+    return lax.scan(step, z, None, length=5)[0]
+
+
+def test_stages_are_not_gone_through_to_find_their_carries():
+    def plain(one, z, each):
+        return lax.scan(replayed(one), z, each)[0]
+
+    few, more = (jax.grad(partial(of_stages, way=way)) for way in (stages, plain))
+    loops = [jax.jit(f).lower(0.4).as_text().count("while(") for f in (few, more)]
+    assert loops[0] < loops[1]
+    assert float(few(0.4)) == pytest.approx(float(more(0.4)), rel=1e-14)

@@ -16,6 +16,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax._numerics import three
+from lieint_jax._numerics.choice import where
 from lieint_jax._numerics.forwards import forwards
 from lieint_jax._numerics.power_series import arctan_sqrt
 
@@ -54,9 +55,9 @@ def jacobi(u: Array, m1: Array) -> tuple[Array, Array, Array]:
 
 def _jacobi(u: Array, m1: Array) -> tuple[Array, Array, Array]:
     circular = m1 >= 0.5
-    descending = _descending(u, jnp.where(circular, m1, 1))
-    ascending = _ascending(u, jnp.where(circular, 0, m1))
-    sn, cn, dn = (jnp.where(circular, x, y) for x, y in zip(descending, ascending, strict=True))
+    descending = _descending(u, where(circular, m1, 1))
+    ascending = _ascending(u, where(circular, 0, m1))
+    sn, cn, dn = (where(circular, x, y) for x, y in zip(descending, ascending, strict=True))
     return sn, cn, dn
 
 
@@ -167,7 +168,7 @@ class _Duplicated(NamedTuple):
         r = jnp.sqrt(self.p)
         d = (r + a) * (r + b) * (r + c)
         square = self.scale**3 * self.delta / (d * d)
-        square = jnp.where(square < 0, 0, square)  # maximum() has half the slope at 0, where p is one of x, y, z
+        square = where(square < 0, 0, square)  # maximum() has half the slope at 0, where p is one of x, y, z
         term = self.scale / d * arctan_sqrt(square)
         shift = a * b + b * c + c * a
         x, y, z, p, mean = ((v + shift) / 4 for v in self[:5])

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._numerics.choice import where
 from lieint_jax._numerics.forwards import forwards
 
 
@@ -26,8 +27,8 @@ def _entire(series: Sequence[float], closed: Callable[[Array], Array], radius: f
     """
 
     def function(x: Array) -> Array:
-        inside, outside = jnp.where(x < 2 * radius, x, 0), jnp.where(x < radius / 2, radius, x)
-        return jnp.where(x < radius, horner(series, inside), closed(outside))
+        inside, outside = where(x < 2 * radius, x, 0), where(x < radius / 2, radius, x)
+        return where(x < radius, horner(series, inside), closed(outside))
 
     return function
 
@@ -44,11 +45,11 @@ def _reciprocal_factorials(first: int, terms: int) -> list[float]:
 def log1p_ratio(y: Array) -> Array:
     """log(1 + y)/y for y > −1, smooth at 0: below |y| = .1 by the series of 2 artanh z, z = y/(2 + y)."""
     size = jnp.abs(y)
-    small_y = jnp.where(size < 0.2, y, 0)  # both branches are right near the threshold, see `_entire`
+    small_y = where(size < 0.2, y, 0)  # both branches are right near the threshold, see `_entire`
     z = small_y / (2 + small_y)
     series = 2 / (2 + small_y) * horner([1 / (2 * k + 1) for k in range(7)], z * z)
-    far = jnp.where(size < 0.05, 1, y)
-    return jnp.where(size < 0.1, series, jnp.log1p(far) / far)
+    far = where(size < 0.05, 1, y)
+    return where(size < 0.1, series, jnp.log1p(far) / far)
 
 
 # cos √x, sin √x / √x and arctan √x / √x are analytic in x = |θ|², and so is everything built from them.
@@ -62,14 +63,14 @@ arctan_sqrt = _entire(
 @forwards
 def stumpff(x: Array) -> tuple[Array, Array, Array, Array]:
     """c₀ … c₃ with c_k(x) = Σ (−x)ⁿ/(k + 2n)! for x of any sign: c₀ = cos √x, c₁ = sin √x/√x, and the next two."""
-    near = jnp.where(jnp.abs(x) < 2, x, 0)  # the branches overlap, see `_entire`
-    bound, free = (jnp.sqrt(jnp.where(sign * x > 0.5, sign * x, 1)) for sign in (1, -1))
+    near = where(jnp.abs(x) < 2, x, 0)  # the branches overlap, see `_entire`
+    bound, free = (jnp.sqrt(where(sign * x > 0.5, sign * x, 1)) for sign in (1, -1))
     half = jnp.sin(bound / 2) / (bound / 2), jnp.sinh(free / 2) / (free / 2)
     far = x > 0
-    c2 = jnp.where(far, half[0] * half[0], half[1] * half[1]) / 2
+    c2 = where(far, half[0] * half[0], half[1] * half[1]) / 2
     sinhc = half[1] * jnp.sqrt(1 + (free * half[1]) ** 2 / 4)  # sinh x = 2 sinh ½x cosh ½x
-    c3 = jnp.where(far, (1 - jnp.sin(bound) / bound) / bound**2, (sinhc - 1) / free**2)
+    c3 = where(far, (1 - jnp.sin(bound) / bound) / bound**2, (sinhc - 1) / free**2)
     small = jnp.abs(x) < 1
-    c2 = jnp.where(small, horner(_reciprocal_factorials(2, 11), near) / 2, c2)
-    c3 = jnp.where(small, horner(_reciprocal_factorials(3, 11), near) / 6, c3)
+    c2 = where(small, horner(_reciprocal_factorials(2, 11), near) / 2, c2)
+    c3 = where(small, horner(_reciprocal_factorials(3, 11), near) / 6, c3)
     return 1 - x * c2, 1 - x * c3, c2, c3

@@ -12,6 +12,7 @@ import numpy as np
 from jax import Array
 
 from lieint_jax._numerics import power_series, three
+from lieint_jax._numerics.choice import where
 from lieint_jax._numerics.three import cross, dot
 
 dim = 3
@@ -53,15 +54,15 @@ def exp(xi: Array) -> Array:
 
 def log(q: Array) -> Array:
     """ξ with exp ξ = q and |ξ| ≤ π."""
-    q = jnp.where(q[0] < 0, -q, q)
+    q = where(q[0] < 0, -q, q)
     w, v = q[0], q[1:]
     s = dot(v, v)
     small = s < 0.02  # both branches are right near the threshold of .01, see `power_series`
-    w_near = jnp.where(small, w, 1)  # away from w = 0, where the rotation is by π
-    s_far = jnp.where(s < 0.005, 1, s)  # away from s = 0, where the square root has no derivative
-    series = power_series.arctan_sqrt(jnp.where(small, s, 0) / (w_near * w_near)) / w_near
+    w_near = where(small, w, 1)  # away from w = 0, where the rotation is by π
+    s_far = where(s < 0.005, 1, s)  # away from s = 0, where the square root has no derivative
+    series = power_series.arctan_sqrt(where(small, s, 0) / (w_near * w_near)) / w_near
     closed = jnp.arctan2(jnp.sqrt(s_far), w) / jnp.sqrt(s_far)
-    return 2 * jnp.where(s < 0.01, series, closed) * v
+    return 2 * where(s < 0.01, series, closed) * v
 
 
 def cayley(xi: Array) -> Array:
@@ -236,13 +237,13 @@ def _length(*components: Array) -> Array:
     """√(x² + y² + …), with derivative 0 at 0."""
     square = sum(x * x for x in components[1:]) + components[0] * components[0]
     positive = square > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1)), 0)
+    return where(positive, jnp.sqrt(where(positive, square, 1)), 0)
 
 
 def _arctan2(y: Array, x: Array) -> Array:
     """arctan2, with value and derivative 0 at the origin."""
     origin = (x == 0) & (y == 0)
-    return jnp.where(origin, 0, jnp.arctan2(y, jnp.where(origin, 1, x)))
+    return where(origin, 0, jnp.arctan2(y, where(origin, 1, x)))
 
 
 def _wrap(angle: Array) -> Array:
