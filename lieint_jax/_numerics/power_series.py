@@ -42,6 +42,7 @@ def _reciprocal_factorials(first: int, terms: int) -> list[float]:
     return values
 
 
+@forwards
 def log1p_ratio(y: Array) -> Array:
     """log(1 + y)/y for y > −1, smooth at 0: below |y| = .1 by the series of 2 artanh z, z = y/(2 + y)."""
     size = jnp.abs(y)

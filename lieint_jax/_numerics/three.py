@@ -49,12 +49,16 @@ def angle(a: Vector, b: Vector) -> Array:
 
 
 def once(v: Vector) -> Vector:
-    """The same numbers, each computed once.
+    """The same numbers, of one shape, each computed once and held in memory.
 
-    XLA fuses a computation into everything that uses it, and so does it again for each, but never a quotient. A long
-    computation whose few results have many uses is ten times slower without this.
+    XLA's CPU fusion recomputes a shared subexpression in each consumer, so that a long computation whose few results
+    have many uses is ten times slower without this. It has no optimisation barrier that lasts until fusion, but it does
+    not duplicate expensive operations such as division: so each number is divided by a 1 that is not known at compile
+    time, got from the first.
     """
-    return tuple(x / (1 + 0 * lax.stop_gradient(x)) for x in v)
+    first = v[0] / (1 + 0 * lax.stop_gradient(v[0]))
+    one = 1 + 0 * lax.stop_gradient(first)
+    return (first, *(x / one for x in v[1:]))
 
 
 def hat(v: Vector) -> Matrix:
@@ -188,6 +192,11 @@ def determinant(S: Symmetric, adj: Symmetric) -> Array:
     if len(S) == 3:
         return S[0] * adj[0]
     return S[0] * adj[0] + S[4] * adj[4] + S[5] * adj[5]
+
+
+def mean_cofactor(S: Symmetric, D: Symmetric) -> Symmetric:
+    """The mean of cof(S + sD) over 0 ≤ s ≤ 1, a symmetric matrix whose product with D is det(S + D) − det S."""
+    return along(adjugate(along(S, D, 0.5)), adjugate(D), 1 / 12)
 
 
 def inverse_trace(S: Symmetric) -> Array:

@@ -17,6 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from lieint_jax._numerics import three
+
 Scalar = Any  # an array scalar, or a Python number
 Vector = Any  # a list of scalars, or an array (n,)
 Matrix = Any  # a list of rows, or an array (n, n)
@@ -224,20 +226,15 @@ def eliminate(A: Sequence[Sequence[Scalar]], *right: Sequence[Scalar]) -> list[l
 
 
 def settled(A: Vector | Matrix) -> Vector | Matrix:
-    """A with each entry computed once and held in memory.
-
-    XLA's CPU fusion recomputes a shared subexpression in each consumer. It has no optimisation barrier that lasts until
-    fusion, but it does not duplicate expensive operations such as division: so each entry is divided by a 1 that is not
-    known at compile time.
-    """
+    """A with each entry computed once and held in memory, see `three.once`."""
     if _whole(A):
         return A
     rows = A if isinstance(A[0], list) else [A]
     unknown = [x for x in flatten(rows) if not _known(x)]
     if not unknown:
         return A
-    one = lax.stop_gradient(1 + 0 * (unknown[0] / lax.stop_gradient(1 + 0 * unknown[0])))
-    held = [[x if _known(x) else x / one for x in row] for row in rows]
+    once = iter(three.once(unknown))
+    held = [[x if _known(x) else next(once) for x in row] for row in rows]
     return held if isinstance(A[0], list) else held[0]
 
 

@@ -227,12 +227,7 @@ def _energy_momentum(W: StoredEnergy, C: Symmetric, D: Symmetric, gamma: Array) 
 
 
 def _incompressible(W: StoredEnergy, C: Symmetric, D: Symmetric, pressure: Array) -> Symmetric:
-    return three.along(W.mean_stress(C, D), _mean_cofactor(C, D), -pressure)
-
-
-def _mean_cofactor(C: Symmetric, D: Symmetric) -> Symmetric:
-    """S̄₃ = cof(C + ½D) + cof(D)/12: a symmetric matrix with S̄₃:D = det(C + D) − det C."""
-    return three.along(three.adjugate(three.along(C, D, 0.5)), three.adjugate(D), 1 / 12)
+    return three.along(W.mean_stress(C, D), three.mean_cofactor(C, D), -pressure)
 
 
 class _Rule(NamedTuple):
@@ -328,14 +323,14 @@ class _Equation(NamedTuple):
         S = rule.stress(W, C, D, *gamma)
         if rule.constrained:
             det = three.det(self.F)  # of C it has |F|³ times the rounding error
-            return S, ((det - 1) * (det + 1) + three.inner(_mean_cofactor(C, D), D),)
+            return S, ((det - 1) * (det + 1) + three.inner(three.mean_cofactor(C, D), D),)
         return S, tuple(_missed(W, C, D, S) + _regular(D, C, self.stiffness, g - rule.guess) for g in gamma)
 
     def residual(self, x: Array) -> Array:
         """U E + c F_{n+α} S − Δt P_n, and the equation for γ if there is one."""
         U = _matrix(x)
         S, missed = self.law(self.change(U), tuple(x[9:]))
-        force = three.product(three.combine(self.F, U, self.alpha), three.rows(S))
+        force = three.product(three.combine(self.F, U, self.alpha), three.rows(three.once(S)))
         motion = three.combine(three.product(U, three.rows(self.E)), force, self.c)
         return jnp.stack([*_entries(three.combine(motion, self.P, -self.dt)), *missed])
 

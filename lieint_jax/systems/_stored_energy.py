@@ -32,7 +32,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 class _VolumeAndTrace(StoredEnergy):
     """W = (μ/2)(I₁ − 3) + w(I₃), so S = μ1 + 2w′(I₃) cof C and, by its invariants one by one,
 
-    S̄ = μ1 + 2 Δw/ΔI₃ · (cof(C + ½D) + cof(D)/12),   ΔI₃ = cof(C + ½D):D + det(D)/4.
+    S̄ = μ1 + 2 Δw/ΔI₃ · cof̄,   cof̄ = cof(C + ½D) + cof(D)/12,   ΔI₃ = cof̄:D.
     """
 
     mu: Array
@@ -56,11 +56,9 @@ class _VolumeAndTrace(StoredEnergy):
         return self._with(2 * self.slope(I3, jnp.zeros_like(I3)), cofactor)
 
     def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
-        middle = three.adjugate(tuple(c + d / 2 for c, d in zip(C, D, strict=True)))
-        cofactor = three.adjugate(D)
-        change = three.inner(middle, D) + three.determinant(D, cofactor) / 4
-        slope = self.slope(three.determinant(C, three.adjugate(C)), change)
-        return self._with(2 * slope, tuple(m + c / 12 for m, c in zip(middle, cofactor, strict=True)))
+        cofactor = three.mean_cofactor(C, D)
+        slope = self.slope(three.determinant(C, three.adjugate(C)), three.inner(cofactor, D))
+        return self._with(2 * slope, cofactor)
 
     def _with(self, pressure: Array, cofactor: Symmetric) -> Symmetric:
         return _plus(self.mu, tuple(pressure * c for c in cofactor))
