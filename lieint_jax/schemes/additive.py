@@ -315,7 +315,7 @@ class _Equation(NamedTuple):
     def change(self, U: Matrix) -> Symmetric:
         """D = FᵀV + VᵀF + VᵀV with V = aU."""
         V = three.scale_matrix(self.a, U)
-        return three.along(three.plus_transpose(three.transposed_product(self.F, V)), three.gram(V), 1)
+        return three.once(three.along(three.plus_transpose(three.transposed_product(self.F, V)), three.gram(V), 1))
 
     def law(self, D: Symmetric, gamma: tuple[Array, ...]) -> tuple[Symmetric, tuple[Array, ...]]:
         """S, and if the rule has a γ, what must vanish: the difference S:D − 2ΔW, or det(C + D) − 1."""
@@ -338,7 +338,7 @@ class _Equation(NamedTuple):
         """Newton's step, shortened where it would lead out of GL⁺(3); γ stays in its interval, fixed if D = 0."""
         rule, c, a = self.rule, self.c, self.a
         U, gamma = _matrix(x), tuple(x[9:])
-        D = three.once(self.change(U))
+        D = self.change(U)
         (S, _), tangent = jax.linearize(self.law, D, gamma)
         N = three.along(self.E, S, self.alpha * c)
         watched, middle = three.combine(self.F, U, a), three.combine(self.F, U, self.alpha)
