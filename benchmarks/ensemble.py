@@ -89,7 +89,7 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
     nodes = np.array([0, num_steps])
     clock = Uniform(jnp.zeros(()), jnp.asarray(dt))
     job = Job(step, states, None, dt, clock, num_steps, nodes * dt, nodes, None, num_steps, None, None)
-    layout = _layout.layout_of(ensemble.first_devices(devices), len(states.p), whole=job.whole)
+    layout = _layout.layout_of(ensemble.first_devices(devices), len(states.p), part=job.part)
     loop = CompiledLoop(job, layout, buffer_rows=1, progress=False)
 
     def call() -> Any:

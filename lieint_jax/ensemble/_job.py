@@ -100,13 +100,14 @@ class Job(NamedTuple):
         return self.states if self.t0 is None else self.states._replace(t=self.t0)
 
     @property
-    def whole(self) -> bool:
-        """Whether the loop is compiled as one kernel."""
+    def part(self) -> int | None:
+        """How many members one kernel takes at a time, at most, through all of the loop; None without a kernel."""
         if not (self.step.one_kernel and kernel.wanted()):
-            return False
+            return None
         step, state = self.member(0)
         components = sum(x.size for x in jax.tree.leaves(state))
-        return components <= _COMPONENTS and _suits(step, state, self.first_dt, self.reduction)
+        fits = components <= _COMPONENTS and _suits(step, state, self.first_dt, self.reduction)
+        return self.step.kernel_members if fits else None
 
     @property
     def num_steps(self) -> int:

@@ -7,7 +7,7 @@ result depend neither on how many devices there are nor on where a member lies:
   `shard_map`, is fused differently by XLA for each number of devices, and then rounds differently.)
 * The size of a block is a multiple of 16, so that it fills whole vector registers, and 32 copies of a member follow it,
   whose results are dropped: on a CPU the remainder of a vectorised loop runs as scalar code, which rounds differently.
-* Where the loop is one kernel, a block is of whole parts of 64 or 128, which leave no remainder.
+* Where the loop is one kernel, a block is of whole parts of 32, 64 or 128, which leave no remainder.
 
 On a CPU a block fits the cache.
 """
@@ -30,7 +30,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 AXIS = "members"
 LANES = 16  # members in a vector register: 16 float32 in 512 bits
 _TAIL = 32  # padding after a block, which takes the remainder of vectorised loops
-_PARTS = (64, 128)  # members that a loop in one kernel takes at a time: multiples of the registers that LLVM unrolls
+_PARTS = (64, 128)  # members that a short loop in one kernel takes at a time: multiples of what LLVM unrolls
 _BLOCK = 1024  # the most members in a block on a CPU: their states and temporaries fit the cache
 
 
@@ -128,16 +128,16 @@ def first_devices(count: int | None) -> Mesh:
     return Mesh(devices, (AXIS,))
 
 
-def layout_of(mesh: Mesh, members: int, chunk: int | None = None, whole: bool = False) -> Layout:
+def layout_of(mesh: Mesh, members: int, chunk: int | None = None, part: int | None = None) -> Layout:
     """The layout of `members` members on a mesh; with `chunk`, each process holds whole chunks of members.
 
-    With `whole`, blocks are of whole parts, for a loop in one kernel.
+    With `part`, blocks are of whole parts, at most so large, for a loop in one kernel.
     """
     if members == 1:
         return Layout(mesh, 1, 1, 1)
     processes = count_processes(mesh)
     on_cpu = mesh.devices.flat[0].platform == "cpu"
-    unit, tail = (_PARTS[members > mesh.size * _PARTS[0]], 0) if whole else (LANES, _TAIL)
+    unit, tail = (min(part, _PARTS[members > mesh.size * _PARTS[0]]), 0) if part else (LANES, _TAIL)
     if chunk is None or processes == 1:
         each = -(-members // mesh.size)
         blocks = -(-each // _BLOCK) if on_cpu else 1
@@ -149,9 +149,9 @@ def layout_of(mesh: Mesh, members: int, chunk: int | None = None, whole: bool = 
     return Layout(mesh, members, block, each // block, tail)
 
 
-def part_of(members: int) -> int:
-    """How many members of a block a loop in one kernel takes at a time."""
-    return max(size for size in (1, *_PARTS) if members % size == 0)
+def part_of(members: int, most: int) -> int:
+    """How many members of a block a loop in one kernel takes at a time, at most so many."""
+    return max(size for size in (1, most, *_PARTS) if size <= most and members % size == 0)
 
 
 def chunk_of(layout: Layout, most: int) -> int:

@@ -132,13 +132,13 @@ def prepare(step_axis: int | None) -> Callable[..., Any]:
 
 @cache
 def advance(
-    axes: tuple[int | None, int | None], reduction: Reduction | None, whole: bool
+    axes: tuple[int | None, int | None], reduction: Reduction | None, most: int | None
 ) -> Callable[..., tuple[Carry, Any]]:
     """The compiled loop (steps, carry, origin, portion) ↦ (carry, saved).
 
     `steps` are the step of whole steps and that of the shorter ones to outputs between nodes, and `axes` their member
     axes. Each row of `saved` holds the report, and the state or the change of the reduced quantity since `origin`. With
-    `whole`, one kernel does it all for a part of the members, and then for the next.
+    `most`, one kernel does it all for a part of the members, at most so many, and then for the next.
     """
 
     def loop(steps: tuple[Step, Step], carry: Carry, origin: Origin, portion: Portion) -> tuple[Carry, Any]:
@@ -181,10 +181,12 @@ def advance(
         first = jnp.where(end.failed < 0, -1, done + end.failed)
         return end._replace(failed=jnp.where(carry.failed < 0, first, carry.failed).astype(carry.failed.dtype)), saved
 
-    return jax.jit(_in_parts(loop, axes) if whole else loop, compiler_options=compiler_options())
+    return jax.jit(loop if most is None else _in_parts(loop, axes, most), compiler_options=compiler_options())
 
 
-def _in_parts(loop: Callable[..., tuple[Carry, Any]], axes: tuple[int | None, int | None]) -> Callable[..., Any]:
+def _in_parts(
+    loop: Callable[..., tuple[Carry, Any]], axes: tuple[int | None, int | None], most: int
+) -> Callable[..., Any]:
     """The loop over parts of the members, one after the other, each in one kernel, its member axis the last."""
     in_one_kernel = kernel.one_kernel(loop)
 
@@ -192,7 +194,7 @@ def _in_parts(loop: Callable[..., tuple[Carry, Any]], axes: tuple[int | None, in
         members = carry.failed.shape[0]
 
         def cut(x: Array) -> Array:
-            return jnp.moveaxis(x.reshape(-1, part_of(members), *x.shape[1:]), 1, -1)
+            return jnp.moveaxis(x.reshape(-1, part_of(members, most), *x.shape[1:]), 1, -1)
 
         def part(own: Any) -> tuple[Carry, Any]:
             mine, carry, t0, quantity = own

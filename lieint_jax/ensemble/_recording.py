@@ -56,7 +56,7 @@ def into_store(
     if path.suffix != ".zarr":
         raise ValueError(f"a store is a folder that ends in .zarr, got {path}")
     leader = jax.process_index() == 0
-    layout = _layout.layout_of(mesh, job.members, whole=job.whole)
+    layout = _layout.layout_of(mesh, job.members, part=job.part)
     exists = bool(_layout.all_reduce_max(mesh, path.exists())[0])
     described = _description(job, options)
     if exists and not resume:
@@ -68,7 +68,7 @@ def into_store(
         _check_same(path, writer.attributes, described)
         if leader:
             _store.clean(path)
-        layout = _layout.layout_of(mesh, job.members, writer.attributes["member_chunk"], job.whole)
+        layout = _layout.layout_of(mesh, job.members, writer.attributes["member_chunk"], job.part)
         _layout.barrier(mesh)
         _store.check(path)
         if not writer.progress["complete"]:

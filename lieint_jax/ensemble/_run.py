@@ -117,7 +117,7 @@ def run(
     _checks.time_resolution(t0, job.first_dt, planned)
     with processes.watched(mesh):
         if store is None:
-            layout = _layout.layout_of(mesh, count, whole=job.whole)
+            layout = _layout.layout_of(mesh, count, part=job.part)
             return _integrate(job, layout, _InMemory(job, layout), progress)
         options = store if isinstance(store, StoreOptions) else StoreOptions(store)
         return into_store(job, mesh, options, resume, lambda layout, out: _integrate(job, layout, out, progress))
@@ -210,7 +210,7 @@ class CompiledLoop:
             step = self._map(_loop.prepare(job.step_axis), step, states, self._origin)
             axis = 0  # every member has its own constants
         self._steps, self._rows = list(zip(step, plain, strict=True)), buffer_rows
-        self._advance = _loop.advance((axis, job.step_axis), job.reduction, job.whole)
+        self._advance = _loop.advance((axis, job.step_axis), job.reduction, job.part)
         self._energies = None
         if _layout.all_reduce_max(layout.mesh, progress and Bar.visible())[0]:
             self._energies = _loop.energies(axis)

@@ -70,6 +70,10 @@ class Composition(Step):
         return self.step.one_kernel
 
     @property
+    def kernel_members(self) -> int:
+        return self.step.kernel_members
+
+    @property
     def name(self) -> str:
         return f"compose[{self.method}]({self.step.name})"
 

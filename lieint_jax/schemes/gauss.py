@@ -50,7 +50,6 @@ _CONVERGED = 32  # eps: the largest last change of a step that converged
 _REFINEMENTS = 60  # sweeps of the linear equations for derivatives
 _KINDS = (FreeBody, Forced, Driven, Gyrostat, FreeBodies, ElasticBody)
 _NOUN = "free bodies, gyrostats, tops, several bodies and pseudo-rigid bodies"
-_PART = 32  # members whose stages are computed at once
 _ONE = Members(False)
 
 
@@ -73,6 +72,10 @@ class Gauss(Step):
     @property
     def one_kernel(self) -> bool:
         return True
+
+    @property
+    def kernel_members(self) -> int:
+        return 32
 
     @property
     def approximate(self) -> bool:
@@ -279,21 +282,15 @@ def _in_lanes(step: Gauss, state: State, dt: Array) -> tuple[State, StepInfo]:
 
 @_in_lanes.def_vmap
 def _many(size: int, batched: Any, *arguments: Any) -> Any:
-    """A part of the members after the other, such that their stages fit the cache next to the core."""
-    part = max(n for n in range(1, _PART + 1) if size % n == 0)
     axes = jax.tree.map(lambda has: -1 if has else None, batched)
     members = Members(True, axes[0].system, -1 if any(jax.tree.leaves(batched[0])) else None, axes[1])
     own, shared = (
         jax.tree.map(lambda x, has, k=k: x if has is k else None, arguments, tuple(batched)) for k in (True, False)
     )
 
-    def one(own: Any) -> tuple[State, StepInfo]:
-        mine = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), own)
-        step, state, dt = jax.tree.map(lambda x, y: y if x is None else x, mine, shared, is_leaf=lambda x: x is None)
-        return _stepped(_Equation.of(step, state, dt, members), step.sweeps)
-
-    parts = lax.map(one, jax.tree.map(lambda x: x.reshape(-1, part, *x.shape[1:]), own))
-    result = jax.tree.map(lambda x: x.reshape(size, *x.shape[2:]), parts)
+    mine = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), own)
+    step, state, dt = jax.tree.map(lambda x, y: y if x is None else x, mine, shared, is_leaf=lambda x: x is None)
+    result = _stepped(_Equation.of(step, state, dt, members), step.sweeps)
     return result, jax.tree.map(lambda _: True, result)
 
 

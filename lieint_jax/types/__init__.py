@@ -696,6 +696,11 @@ class Step(abc.ABC):
         return False
 
     @property
+    def kernel_members(self) -> int:
+        """How many members such a kernel advances at a time, at most: what a step keeps should fit the cache."""
+        return 128
+
+    @property
     def approximate(self) -> bool:
         """Whether fewer iterations were asked for than convergence takes: a run reports the residual, and goes on."""
         return False
