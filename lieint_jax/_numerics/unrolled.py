@@ -13,6 +13,7 @@ import itertools
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
@@ -113,6 +114,19 @@ def quadratic(C: np.ndarray, x: Vector) -> Array:
 
 def flatten(A: Matrix) -> Vector:
     return A.reshape(-1) if _whole(A) else list(itertools.chain.from_iterable(A))
+
+
+def columns(linear: Callable[..., Any], n: int, dtype: Any) -> list[Any]:
+    """The values of a linear function of n numbers at the unit vectors.
+
+    Each is the derivative by one number, in which JAX writes no product with the zeros of the others.
+    """
+    one, zero = jnp.ones((), dtype), jnp.zeros((), dtype)
+
+    def along(k: int) -> Callable[[Array], Any]:
+        return lambda x: linear(*(x if i == k else zero for i in range(n)))
+
+    return [jax.jvp(along(k), (zero,), (one,))[1] for k in range(n)]
 
 
 def inverse(A: Matrix) -> Matrix:

@@ -342,7 +342,7 @@ class _Equation(NamedTuple):
         (S, _), tangent = jax.linearize(self.law, D, gamma)
         N = three.along(self.E, S, self.alpha * c)
         watched, middle = three.combine(self.F, U, a), three.combine(self.F, U, self.alpha)
-        columns = [tangent(*direction) for direction in _directions(len(gamma), x[0])]
+        columns = unrolled.columns(lambda *y: tangent(y[:6], y[6:]), 6 + len(gamma), x.dtype)
         determined = three.inner(D, D) > 0  # at the guess, D = 0, any γ serves, and rounding must not choose one
         free = (-jnp.inf, jnp.inf)
         limits = [free if rule.constrained else (determined * (g - rule.end), determined * g) for g in gamma]
@@ -399,14 +399,6 @@ def _newton_step(
         step = [x - y * d_gamma[k] for x, y in zip(dD, per_gamma, strict=True)]
     dS: Any = [sum(d * S[q] for d, (S, _) in zip([*step, *d_gamma], columns, strict=True)) for q in range(6)]
     return three.combine(free, three.product(three.product(force, three.rows(three.once(dS))), N_inverse), -1), d_gamma
-
-
-def _directions(gammas: int, like: Array) -> list[tuple[Symmetric, tuple[Array, ...]]]:
-    """The unit vectors of (D, γ)."""
-    one, zero = jnp.ones_like(like), jnp.zeros_like(like)
-    n = 6 + gammas
-    units = [tuple(one if q == p else zero for q in range(n)) for p in range(n)]
-    return [(u[:6], u[6:]) for u in units]
 
 
 def _fraction(G: Matrix, dG: Matrix) -> Array:
