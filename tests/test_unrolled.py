@@ -50,6 +50,17 @@ def test_settled_changes_nothing_but_when_it_is_worked_out():
     assert unrolled.settled(whole) is whole
 
 
+def test_columns_of_a_linear_function_have_no_products_with_zeros():
+    """So what is not finite in one column stays there."""
+    A = np.arange(1.0, 7.0).reshape(2, 3)
+    A[0, 1] = np.nan
+
+    def linear(*x):
+        return [sum(a * y for a, y in zip(row, x, strict=True)) for row in A]
+
+    np.testing.assert_array_equal(np.transpose(unrolled.columns(linear, 3, jnp.result_type(float))), A)
+
+
 def test_sums_of_vectors():
     x, y = [jnp.array(1.0), 0.0], [jnp.array(2.0), jnp.array(3.0)]
     assert [float(a) for a in unrolled.plus(x, (-2.0, y))] == [-3.0, -6.0]

@@ -75,7 +75,7 @@ class Gauss(Step):
 
     @property
     def kernel_members(self) -> int:
-        return 32
+        return 32  # their stages stay in the fastest cache
 
     @property
     def approximate(self) -> bool:
@@ -282,12 +282,12 @@ def _in_lanes(step: Gauss, state: State, dt: Array) -> tuple[State, StepInfo]:
 
 @_in_lanes.def_vmap
 def _many(size: int, batched: Any, *arguments: Any) -> Any:
+    """The steps of many members."""
     axes = jax.tree.map(lambda has: -1 if has else None, batched)
     members = Members(True, axes[0].system, -1 if any(jax.tree.leaves(batched[0])) else None, axes[1])
     own, shared = (
         jax.tree.map(lambda x, has, k=k: x if has is k else None, arguments, tuple(batched)) for k in (True, False)
     )
-
     mine = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), own)
     step, state, dt = jax.tree.map(lambda x, y: y if x is None else x, mine, shared, is_leaf=lambda x: x is None)
     result = _stepped(_Equation.of(step, state, dt, members), step.sweeps)
