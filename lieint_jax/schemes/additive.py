@@ -346,10 +346,9 @@ class _Equation(NamedTuple):
         determined = three.inner(D, D) > 0  # at the guess, D = 0, any γ serves, and rounding must not choose one
         free = (-jnp.inf, jnp.inf)
         limits = [free if rule.constrained else (determined * (g - rule.end), determined * g) for g in gamma]
-        force = three.scale_matrix(c, middle)
-        dU, d_gamma = _newton_step(N, watched, force, a, columns, R, limits)
-        [t] = three.once((_fraction(watched, three.scale_matrix(-a, dU)),))
-        return jnp.stack([*_entries(three.scale_matrix(t, dU)), *d_gamma])
+        dU, d_gamma = _newton_step(N, watched, middle, a, c, columns, R, limits)
+        [t] = three.once((_fraction(watched, dU, a),))
+        return jnp.concatenate([t * jnp.stack(_entries(dU)), *(g[None] for g in d_gamma)])
 
     def done(self, x: Array, step: Array) -> Array:
         """Whether the next correction, quadratically smaller, would be round-off."""
@@ -368,8 +367,9 @@ def _displacement(x: Array) -> Array:
 def _newton_step(
     N: Symmetric,
     watched: Matrix,
-    force: Matrix,
+    middle: Matrix,
     a: Any,
+    c: Array,
     columns: Sequence[tuple[Symmetric, tuple[Array, ...]]],
     R: Array,
     limits: Sequence[tuple[Any, Any]],
@@ -382,7 +382,7 @@ def _newton_step(
     adjugate = three.adjugate(N)
     r = 1 / three.determinant(N, adjugate)
     N_inverse = three.rows(tuple(r * x for x in adjugate))
-    A = tuple(map(three.once, three.scale_matrix(a, three.transposed_product(watched, force))))
+    A = tuple(map(three.once, three.scale_matrix(a * c, three.transposed_product(watched, middle))))
     free = three.product(_matrix(R), N_inverse)
     right = three.plus_transpose(three.scale_matrix(a, three.transposed_product(watched, free)))
     images = [
@@ -397,19 +397,22 @@ def _newton_step(
         left = R[9 + k] - sum(m * x for m, x in zip(row, dD, strict=False))
         d_gamma.append(jnp.clip(left / jnp.where(slope == 0, 1, slope), least, most))  # no pressure acts for Δt = 0
         step = [x - y * d_gamma[k] for x, y in zip(dD, per_gamma, strict=True)]
-    dS: Any = [sum(d * S[q] for d, (S, _) in zip([*step, *d_gamma], columns, strict=True)) for q in range(6)]
-    return three.combine(free, three.product(three.product(force, three.rows(three.once(dS))), N_inverse), -1), d_gamma
+    c_dS: Any = [c * sum(d * S[q] for d, (S, _) in zip([*step, *d_gamma], columns, strict=True)) for q in range(6)]
+    return three.combine(
+        free, three.product(three.product(middle, three.rows(three.once(c_dS))), N_inverse), -1
+    ), d_gamma
 
 
-def _fraction(G: Matrix, dG: Matrix) -> Array:
-    """The largest of the fractions t with det(G + t dG) > det(G)/10, a cubic in t; the least if none has it."""
+def _fraction(G: Matrix, dG: Matrix, a: Any) -> Array:
+    """The largest of the fractions t with det(G − ta dG) > det(G)/10, a cubic in ta; the least if none has it."""
     cof, cof_d = ((three.cross(A[1], A[2]), three.cross(A[2], A[0]), three.cross(A[0], A[1])) for A in (G, dG))
     d0, d3 = three.dot(G[0], cof[0]), three.dot(dG[0], cof_d[0])
     d1 = sum(three.dot(cof[i], dG[i]) for i in range(3))
     d2 = sum(three.dot(cof_d[i], G[i]) for i in range(3))
     fraction = jnp.full_like(d0, _FRACTIONS[0])
     for t in _FRACTIONS[1:]:
-        fraction = jnp.where(d0 + t * (d1 + t * (d2 + t * d3)) > _SHRINK * d0, t, fraction)
+        x = -a * t
+        fraction = jnp.where(d0 + x * (d1 + x * (d2 + x * d3)) > _SHRINK * d0, t, fraction)
     return fraction
 
 
