@@ -210,7 +210,7 @@ def factored(K: Matrix) -> Factored:
 
     def solved(b: Vector) -> Vector:
         y = settled(first.solve(b[:k]))
-        z = settled(second.solve(settled([u - v for u, v in zip(b[k:], matvec(C, y), strict=True)])))
+        z = settled(second.solve([u - v for u, v in zip(b[k:], matvec(C, y), strict=True)]))
         return [u - v for u, v in zip(y, matvec(W, z), strict=True)] + z
 
     return Factored(solved, first.positive & second.positive)

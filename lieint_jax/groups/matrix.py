@@ -276,8 +276,10 @@ class MatrixGroup:
         x = unrolled.settled([closed.square(xi)])[0]
         *lower, top = unrolled.settled([_closed_form.evaluated(c, x) for c in closed.series(_EXPONENTIAL)])
         value = unrolled.scaled(top, mu)
-        for c in reversed(lower):
-            value = unrolled.settled(unrolled.plus((c, mu), unrolled.matvec(self.ad_star_matrix(value), xi)))
+        for k in reversed(range(len(lower))):
+            value = unrolled.plus((lower[k], mu), unrolled.matvec(self.ad_star_matrix(value), xi))
+            if k % 2 == 0 and k > 0:  # held each time there are more kernels, held never they are long
+                value = unrolled.settled(value)
         return value
 
     def coadjoint(self, q: unrolled.Matrix, inverse: unrolled.Matrix, mu: unrolled.Vector, of: Any = np.asarray) -> Any:

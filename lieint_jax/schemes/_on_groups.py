@@ -142,7 +142,7 @@ def guess(group: Group, m: unrolled.Matrix, a: unrolled.Vector) -> unrolled.Vect
     """Θ ≈ ΔtΩ + ½Δt² m⁻¹ ad*_Ω Π, from a = ½Δt Π: second order."""
     sharp = unrolled.factored(m).solve
     half_turn = unrolled.settled(sharp(a))
-    bent = sharp(unrolled.settled(ad_star(group, half_turn, a)))
+    bent = sharp(ad_star(group, half_turn, a))
     return unrolled.settled(unrolled.plus((2.0, half_turn), (2.0, bent)))
 
 
