@@ -1,9 +1,9 @@
 """How long does one wait for the first call: of a run, and of its gradient, by every scheme on every kind of system?
 
-For the first example of each system and every scheme that takes it, float64, one core, no program kept from before:
-seconds of the first call of `jax.jit` of `integrate` (tracing and compiling, then 16 steps) and of the second one, and
-the lines of the program that XLA compiles; the same for the gradient of a sum over the end with respect to the state,
-through the scan. Last, calls that people wait for elsewhere.
+For each kind of system and every scheme, the first example that the scheme takes, float64, one core, no program kept
+from before: seconds of the first call of `jax.jit` of `integrate` (tracing and compiling, then 16 steps) and of the
+second one, and the lines of the program that XLA compiles; the same for the gradient of a sum over the end with respect
+to the state, through the scan. Last, calls that people wait for elsewhere.
 
     python benchmarks/compile.py [--quick] [--out DIR] [--only NAME …]
 
@@ -12,8 +12,9 @@ through the scan. Last, calls that people wait for elsewhere.
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from lib import command, report
@@ -44,11 +45,11 @@ def rows(quick: bool, only: list[str] | None) -> Iterator[dict[str, Any]]:
     for name, module in _discover.modules(li.systems).items():
         if quick and name not in _FIRST:
             continue
-        system, state, dt = next(iter(module.examples().values()))
+        examples = list(module.examples().values())
         for scheme, schemes in _discover.modules(li.schemes).items():
             if only and scheme not in only:
                 continue
-            for step in list(schemes.examples(system).values())[:1]:
+            for step, state, dt in itertools.islice(taken(schemes, examples), 1):
                 start = step.start(state)
 
                 def run(z: Any, step: Any = step, dt: float = dt) -> Any:
@@ -59,6 +60,13 @@ def rows(quick: bool, only: list[str] | None) -> Iterator[dict[str, Any]]:
 
                 forward, reverse = waited(run, start), waited(jax.grad(loss), start.p)
                 yield {"system": name, "scheme": scheme, "step": step.name, "forward": forward, "reverse": reverse}
+
+
+def taken(scheme: Any, examples: Iterable[tuple[Any, Any, float]]) -> Iterator[tuple[Any, Any, float]]:
+    """A step by the scheme, a state and Δt, for each example that the scheme takes."""
+    for system, state, dt in examples:
+        for step in scheme.examples(system).values():
+            yield step, state, dt
 
 
 def waited(function: Callable[[Any], Any], argument: Any) -> dict[str, float]:
