@@ -2,8 +2,8 @@
 
 For each kind of system and every scheme, the first example that the scheme takes, float64, one core, no program kept
 from before: seconds of the first call of `jax.jit` of `integrate` (tracing and compiling, then 16 steps) and of the
-second one, and the lines of the program that XLA compiles; the same for the gradient of a sum over the end with respect
-to the state, through the scan. Last, calls that people wait for elsewhere.
+second one, each the shorter of two, and the lines of the program that XLA compiles; the same for the gradient of a sum
+over the end with respect to the state, through the scan. Last, calls that people wait for elsewhere.
 
     python benchmarks/compile.py [--quick] [--out DIR] [--only NAME …]
 
@@ -58,7 +58,7 @@ def rows(quick: bool, only: list[str] | None) -> Iterator[dict[str, Any]]:
                 def loss(p: Any, z: Any = start, run: Any = run) -> Any:
                     return sum(jnp.sum(x**2) for x in run(z._replace(p=p))[:2])
 
-                forward, reverse = waited(run, start), waited(jax.grad(loss), start.p)
+                forward, reverse = of_program(run, start), of_program(jax.grad(loss), start.p)
                 yield {"system": name, "scheme": scheme, "step": step.name, "forward": forward, "reverse": reverse}
 
 
@@ -69,19 +69,29 @@ def taken(scheme: Any, examples: Iterable[tuple[Any, Any, float]]) -> Iterator[t
             yield step, state, dt
 
 
-def waited(function: Callable[[Any], Any], argument: Any) -> dict[str, float]:
-    """Seconds of the first and of the second call of the jitted function, and the lines of its program."""
+def waited(call: Callable[[], Any]) -> dict[str, float]:
+    """Seconds of the first and of the second call, each the shorter of two: hosts are noisy."""
     import jax
 
-    jax.clear_caches()
-    compiled = jax.jit(function)
-    seconds = []
-    for _ in range(2):
+    def seconds() -> float:
         begin = time.perf_counter()
-        jax.block_until_ready(compiled(argument))
-        seconds.append(time.perf_counter() - begin)
-    lines = compiled.lower(argument).as_text().count("\n")
-    return {"first": seconds[0], "second": seconds[1], "lines": lines}
+        jax.block_until_ready(jax.tree.leaves(call()))
+        return time.perf_counter() - begin
+
+    def both() -> tuple[float, float]:
+        jax.clear_caches()
+        return seconds(), seconds()
+
+    first, second = map(min, zip(both(), both(), strict=True))
+    return {"first": first, "second": second}
+
+
+def of_program(function: Callable[[Any], Any], argument: Any) -> dict[str, float]:
+    """What one waits for a jitted function, and the lines of its program."""
+    import jax
+
+    compiled = jax.jit(function)
+    return {**waited(lambda: compiled(argument)), "lines": compiled.lower(argument).as_text().count("\n")}
 
 
 def others() -> list[dict[str, Any]]:
@@ -96,21 +106,12 @@ def others() -> list[dict[str, Any]]:
     one = jax.tree.map(lambda x: x[0], states)
     step, solution = li.schemes.so3_midpoint(body), jax.jit(jax.vmap(body.solution, (0, None)))
 
-    def timed(call: Callable[[], Any]) -> dict[str, float]:
-        jax.clear_caches()
-        seconds = []
-        for _ in range(2):
-            begin = time.perf_counter()
-            jax.block_until_ready(jax.tree.leaves(call()))
-            seconds.append(time.perf_counter() - begin)
-        return {"first": seconds[0], "second": seconds[1]}
-
     calls = {
         "integrate, not jitted": lambda: li.integrate(step, one, 0.05, STEPS),
         "ensemble.run": lambda: li.ensemble.run(step, states, 0.05, STEPS, progress=False),
         "body.solution, vmapped": lambda: solution(states, 1.0),
     }
-    return [{"call": name, **timed(call)} for name, call in calls.items()]
+    return [{"call": name, **waited(call)} for name, call in calls.items()]
 
 
 def render(data: dict[str, Any]) -> list[str]:
