@@ -278,7 +278,7 @@ class MatrixGroup:
         value = unrolled.scaled(top, mu)
         for k in reversed(range(len(lower))):
             value = unrolled.plus((lower[k], mu), unrolled.matvec(self.ad_star_matrix(value), xi))
-            if k % 2 == 0 and k > 0:  # held each time there are more kernels, held never they are long
+            if k % 2 == 0 and k > 0:  # held each time is more kernels, never is longer ones
                 value = unrolled.settled(value)
         return value
 

@@ -398,9 +398,8 @@ def _newton_step(
         d_gamma.append(jnp.clip(left / jnp.where(slope == 0, 1, slope), least, most))  # no pressure acts for Δt = 0
         step = [x - y * d_gamma[k] for x, y in zip(dD, per_gamma, strict=True)]
     c_dS: Any = [c * sum(d * S[q] for d, (S, _) in zip([*step, *d_gamma], columns, strict=True)) for q in range(6)]
-    return three.combine(
-        free, three.product(three.product(middle, three.rows(three.once(c_dS))), N_inverse), -1
-    ), d_gamma
+    bent = three.product(three.product(middle, three.rows(three.once(c_dS))), N_inverse)
+    return three.combine(free, bent, -1), d_gamma
 
 
 def _fraction(G: Matrix, dG: Matrix, a: Any) -> Array:
