@@ -218,6 +218,7 @@ class Tau:
         holds: (group, Θ) ↦ whether τ(Θ) is exact to round-off. None if it always is.
         coadjoint: (group, Θ, μ) ↦ Ad*_τ(Θ) μ, on the vectors of `_numerics.unrolled`. None: a step computes it from
             τ(Θ).
+        along: (group, q, Θ, s) ↦ q τ(sΘ) for s of () or (k,). None: a step computes it from τ.
         symmetric: whether τ(−Θ) = τ(Θ)⁻¹, which makes a step of τ time-symmetric and of second order. `as_tau` measures
             it; in a `Tau` made by hand it is declared.
     """
@@ -227,6 +228,7 @@ class Tau:
     slope: Callable[[Group, Array], unrolled.Matrix] | None = static(default=None)
     holds: Callable[[Group, Array], Array] | None = static(default=None)
     coadjoint: Callable[[Group, unrolled.Vector, unrolled.Vector], unrolled.Vector] | None = static(default=None)
+    along: Callable[[Group, Array, Array, Array], Array] | None = static(default=None)
     symmetric: bool = static(default=True)
 
     def __call__(self, group: Group, theta: Array) -> Array:
@@ -288,6 +290,7 @@ _BY_EXPONENTIAL = Tau(
     slope=_GroupMethod("exp_slope", (_SLOPE_TERMS,)),
     holds=_GroupMethod("near"),
     coadjoint=_GroupMethod("exp_coadjoint"),
+    along=_GroupMethod("exp_along"),
 )
 _BY_CAYLEY = Tau(callable_pytree(cayley), "cayley", slope=_GroupMethod("cayley_slope"), coadjoint=_cayley_coadjoint)
 _BY_ARCSINE = Tau(

@@ -181,6 +181,27 @@ def test_entry_by_entry_and_whole_are_the_same_group():
             close(ours, theirs, 2e-15)
 
 
+@pytest.mark.parametrize("name", ["SE(3)", "Heis(5)", "SO(4)"])  # with a closed form; nilpotent; with none
+def test_exp_along_a_curve_is_the_product_with_exp(name):
+    g = CATALOGUE[name]
+    q, xi, tangent = jnp.array(np.random.default_rng(2).normal(size=(3, g.dim)))
+    q, s = scipy.linalg.expm(hat(g, np.asarray(q))), jnp.array([0.0, 0.5, -1.0, 1.0])
+
+    @functools.partial(jax.jit, compiler_options=QUICK)
+    def along(xi, tangent):
+        curve, slopes = jax.jvp(lambda xi: g.exp_along(jnp.asarray(q), xi, s), (xi,), (tangent,))
+        return curve, slopes, g.exp_along(jnp.asarray(q), xi, s[1])
+
+    curve, slopes, middle = along(xi, tangent)
+    X, dX = hat(g, np.asarray(xi)), hat(g, np.asarray(tangent))
+    size = np.abs(q).max() * np.abs(scipy.linalg.expm(X)).max()
+    for k, t in enumerate(np.asarray(s)):
+        value, derivative = scipy.linalg.expm_frechet(t * X, t * dX)
+        close(curve[k], q @ value, 4e-15 * size)
+        close(slopes[k], q @ derivative, 1e-14 * size)
+    close(middle, curve[1], 2e-15 * size)
+
+
 CLOSED = {  # Xʲ(X² − x)ᵏ = 0: (j, k)
     "SO(3)": (1, 1),
     "SU(2)": (0, 1),

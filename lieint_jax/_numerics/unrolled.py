@@ -129,6 +129,11 @@ def columns(linear: Callable[..., Any], n: int, dtype: Any) -> list[Any]:
     return [jax.jvp(along(k), (zero,), (one,))[1] for k in range(n)]
 
 
+def at_each(function: Callable[[Array], Any], s: Array) -> Any:
+    """The function at a number s, or at each of several, (k,)."""
+    return jax.vmap(function)(s) if s.ndim else function(s)
+
+
 def inverse(A: Matrix) -> Matrix:
     """A⁻¹ of any invertible matrix: by cofactors if unrolled, by `jax.numpy` if whole."""
     if _whole(A):
@@ -254,7 +259,7 @@ def settled(A: Vector | Matrix) -> Vector | Matrix:
 
 def as_list(x: Array) -> Any:
     """An array (n,) or (n, m) as a list of its entries."""
-    return [x[i] if x.ndim == 1 else [x[i, j] for j in range(x.shape[1])] for i in range(x.shape[0])]
+    return [*three.components(x)] if x.ndim == 1 else [[x[i, j] for j in range(x.shape[1])] for i in range(x.shape[0])]
 
 
 def as_array(x: Vector | Matrix, like: Array) -> Array:

@@ -7,6 +7,7 @@ dual element μ (d,) has the coordinates ⟨μ, Eᵢ⟩. Everything else follows
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from functools import cached_property
@@ -18,7 +19,7 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax._numerics import unrolled
+from lieint_jax._numerics import three, unrolled
 from lieint_jax.groups import _basis, _casimirs, _closed_form
 
 _UNROLLED_DIM, _UNROLLED_SIZE = 6, 5  # the largest groups that are unrolled by default, see `_numerics.unrolled`
@@ -108,6 +109,22 @@ class MatrixGroup:
     def exp_near(self, xi: Array) -> Array:
         """exp ξ̂ without scaling, for the steps of schemes: to round-off where `near` holds."""
         return unrolled.as_array(unrolled.settled(self.exp_both(self._vector(xi))[0]), xi)
+
+    def exp_along(self, q: Array, xi: Array, s: Array) -> Array:
+        """q exp(sξ̂) for a number s, or at each of several, (k,), where `near` holds: for the steps of schemes.
+
+        With a closed form it is Σ c_m(s²x) sᵐ qXᵐ, whose products are the same for all s.
+        """
+        closed = self._closed
+        if closed is None or not self.unrolled:
+            return unrolled.at_each(lambda s: self.multiply(q, self.exp_near(s * xi)), s)
+        x = closed.square(self._vector(xi)) * s * s
+        c = [s**m * _closed_form.evaluated(series, x) for m, series in enumerate(closed.series(_EXPONENTIAL))]
+        powers, X = [q], self.hat(xi)
+        while len(powers) < len(c):
+            powers.append(_product(powers[-1], X))
+        terms = (weight[..., None, None] * power for weight, power in zip(three.once(c), powers, strict=True))
+        return functools.reduce(jnp.add, terms)
 
     def near(self, xi: Array) -> Array:
         """True if ξ̂ is small enough for `exp_near`; translations may be large.
@@ -438,6 +455,13 @@ def examples() -> dict[str, MatrixGroup]:
     shear = scale + np.outer(np.eye(3)[0], np.eye(3)[1])
     x, y = (np.outer(np.eye(3)[i], np.eye(3)[2]) for i in (0, 1))
     return {name: matrix([A, x, y], name) for name, A in {"Bianchi V": scale, "Bianchi IV": shear}.items()}
+
+
+def _product(A: Array, B: Array) -> Array:
+    """AB, (n, n), by one sum of arrays, of which XLA makes one kernel."""
+    n = len(A)
+    pairs = zip(jax.lax.split(A, [1] * n, 1), jax.lax.split(B, [1] * n, 0), strict=True)
+    return functools.reduce(jnp.add, (a * b for a, b in pairs))
 
 
 def _taylor(X: unrolled.Matrix) -> tuple[unrolled.Matrix, unrolled.Matrix]:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics import newton, unrolled
+from lieint_jax._numerics import newton, three, unrolled
 from lieint_jax.maps import Tau, derivative
 from lieint_jax.types import AnalyticGroup, Group, RightGeodesicFlow, State, StepInfo
 
@@ -130,6 +130,14 @@ def coadjoint(tau: Tau, group: Any, theta: unrolled.Vector, mu: unrolled.Vector)
     return unrolled.as_list(turned) if isinstance(theta, list) else turned
 
 
+def along(tau: Tau, group: Any, q: Array, Theta: Array, s: ArrayLike = 1.0) -> Array:
+    """q τ(sΘ) for a number s, or at each of several, (k,), as one array."""
+    s = jnp.asarray(s, Theta.dtype)
+    if tau.along is not None:
+        return tau.along(group, q, Theta, s)
+    return unrolled.at_each(lambda s: group.multiply(q, tau(group, s * Theta)), s)
+
+
 def slope(tau: Tau, group: Any, theta: unrolled.Vector) -> unrolled.Matrix:
     """H(Θ), (d, d)."""
     if tau.slope is not None:
@@ -146,22 +154,27 @@ def guess(group: Group, m: unrolled.Matrix, a: unrolled.Vector) -> unrolled.Vect
     return unrolled.settled(unrolled.plus((2.0, half_turn), (2.0, bent)))
 
 
-def newton_matrix(equation: Equation, theta: unrolled.Vector, F: unrolled.Vector) -> unrolled.Matrix:
-    """m − ½Δt ad*(Π_{n+1}) H at Θ, with ½Δt Π_{n+1} = mΘ − ½Δt Π_n − F. Nothing is differentiated through it."""
+def newton_matrix(
+    equation: Equation, theta: unrolled.Vector, F: unrolled.Vector, *bends: unrolled.Matrix
+) -> unrolled.Matrix:
+    """m − ½Δt ad*(Π_{n+1}) H − Σ bends at Θ, with ½Δt Π_{n+1} = mΘ − ½Δt Π_n − F.
+
+    Nothing is differentiated through it.
+    """
     group, tau = equation.group, equation.tau
     theta, F, known, m = lax.stop_gradient((theta, F, equation.known, equation.m))
     after = unrolled.settled(unrolled.plus(unrolled.matvec(m, theta), (-1.0, known), (-1.0, F)))
     turned = unrolled.matmul(ad_star_matrix(group, after), unrolled.settled(slope(tau, group, theta)))
-    return unrolled.settled(unrolled.combination((1.0, m), (-1.0, turned)))
+    return unrolled.settled(unrolled.combination((1.0, m), *((-1.0, A) for A in (turned, *bends))))
 
 
-def bent(K: unrolled.Matrix, system: Any, where: Array, factor: ArrayLike) -> unrolled.Matrix:
-    """K − factor D², with D² the derivative of the body force along the group at `where`, held fixed."""
-    group, where = system.group, lax.stop_gradient(where)
+def bend(m: unrolled.Matrix, system: Any, where: Array, factor: ArrayLike) -> unrolled.Matrix:
+    """factor D², with D² the derivative of the body force along the group at `where`, held fixed; of the form of m."""
+    group, (where,) = system.group, three.once((lax.stop_gradient(where),))
     zero = jnp.zeros(group.dim, where.dtype)
-    bend = jax.jacfwd(lambda x: system.body_force(where + group.tangent(where, x)))(zero)
-    bend = lax.stop_gradient(factor * bend)
-    return unrolled.combination((1.0, K), (-1.0, unrolled.as_list(bend) if isinstance(K, list) else bend))
+    D2 = jax.jacfwd(lambda x: system.body_force(where + group.tangent(where, x)))(zero)
+    (D2,) = three.once((lax.stop_gradient(factor * D2),))
+    return unrolled.as_list(D2) if isinstance(m, list) else D2
 
 
 def size_unit(m: unrolled.Matrix, a: unrolled.Vector) -> Callable[[unrolled.Vector], Array]:

@@ -27,8 +27,9 @@ from lieint_jax._numerics import unrolled
 from lieint_jax.maps import Map, Tau, as_tau, exponential
 from lieint_jax.schemes._on_groups import (
     Equation,
+    along,
     as_vector,
-    bent,
+    bend,
     coadjoint,
     guess,
     newton_matrix,
@@ -75,7 +76,7 @@ class GroupAlpha(Step):
 
         def at(theta: unrolled.Vector) -> Array:
             """q_{n+1−α}."""
-            return group.multiply(q, tau(group, (1 - alpha) * unrolled.as_array(theta, state.p)))
+            return along(tau, group, q, unrolled.as_array(theta, state.p), 1 - alpha)
 
         def force(theta: unrolled.Vector) -> Array:
             """𝓕(q_n, Θ)."""
@@ -89,10 +90,9 @@ class GroupAlpha(Step):
             return equation.residual(theta, unrolled.scaled(2 * alpha, after))
 
         def matrix(theta: unrolled.Vector, F: unrolled.Vector) -> unrolled.Matrix:
-            K = newton_matrix(equation, theta, F)
             if not isinstance(self.system, MechanicalSystem):
-                return K
-            return bent(K, self.system, at(theta), 2 * alpha * (1 - alpha) * s)
+                return newton_matrix(equation, theta, F)
+            return newton_matrix(equation, theta, F, bend(m, self.system, at(theta), 2 * alpha * (1 - alpha) * s))
 
         size, start = size_unit(m, a), guess(group, m, a)
         if isinstance(self.system, MechanicalSystem):
@@ -100,7 +100,7 @@ class GroupAlpha(Step):
             size = size_unit(m, unrolled.each(jnp.maximum, unrolled.each(jnp.abs, a), unrolled.each(jnp.abs, pull)))
             start = guess(group, m, unrolled.plus(a, (0.5, pull)))
         theta, Theta, info = solved(equation, residual, matrix, size, start, self.iterations)
-        return state._replace(q=group.multiply(q, tau(group, Theta)), p=state.p + dt * force(theta)), info
+        return state._replace(q=along(tau, group, q, Theta), p=state.p + dt * force(theta)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (

@@ -29,8 +29,9 @@ from lieint_jax.maps import Tau, as_tau, exponential
 from lieint_jax.schemes._capability import Integrand
 from lieint_jax.schemes._on_groups import (
     Equation,
+    along,
     as_vector,
-    bent,
+    bend,
     body_velocity_field,
     coadjoint,
     guess,
@@ -80,25 +81,26 @@ class GroupEnergyMomentum(Step):
         m, a = equation.m, equation.a
         pull = unrolled.settled(as_vector(m, s * self.system.body_force(q)))  # what the kick is, nearly
 
-        def force(theta: unrolled.Vector) -> Array:
-            """𝓕(q_n, Θ)."""
-            Theta = unrolled.as_array(theta, state.p)
-            nodes = jnp.asarray(_NODES, Theta.dtype)
-            at = jax.vmap(lambda s: self.system.force(group.multiply(q, tau(group, s * Theta))))(nodes)
-            return jnp.tensordot(jnp.asarray(_WEIGHTS, Theta.dtype), at, 1)
+        def at(theta: unrolled.Vector, s: ArrayLike) -> Array:
+            """q_n exp(sΘ) at each s."""
+            return along(tau, group, q, unrolled.as_array(theta, state.p), s)
+
+        def force(curve: Array) -> Array:
+            """𝓕(q_n, Θ), from the nodes of the curve."""
+            return jnp.tensordot(jnp.asarray(_WEIGHTS, state.p.dtype), jax.vmap(self.system.force)(curve), 1)
 
         def residual(theta: unrolled.Vector) -> unrolled.Vector:
-            kicked = unrolled.plus(a, as_vector(m, s * group.Ad_star(q, force(theta))))
+            kicked = unrolled.plus(a, as_vector(m, s * group.Ad_star(q, force(at(theta, _NODES)))))
             return equation.residual(theta, coadjoint(tau, group, theta, unrolled.settled(kicked)))
 
         def matrix(theta: unrolled.Vector, F: unrolled.Vector) -> unrolled.Matrix:
-            middle = group.multiply(q, tau(group, unrolled.as_array(theta, state.p) / 2))
-            return bent(newton_matrix(equation, theta, F), self.system, middle, s / 2)
+            return newton_matrix(equation, theta, F, bend(m, self.system, at(theta, 0.5), s / 2))
 
         size = size_unit(m, unrolled.each(jnp.maximum, unrolled.each(jnp.abs, a), unrolled.each(jnp.abs, pull)))
         start = guess(group, m, unrolled.plus(a, (0.5, pull)))
-        theta, Theta, info = solved(equation, residual, matrix, size, start, self.iterations)
-        return state._replace(q=group.multiply(q, tau(group, Theta)), p=state.p + dt * force(theta)), info
+        theta, _, info = solved(equation, residual, matrix, size, start, self.iterations)
+        curve = at(theta, np.append(_NODES, 1.0))
+        return state._replace(q=curve[-1], p=state.p + dt * force(curve[:-1])), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (

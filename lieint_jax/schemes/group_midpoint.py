@@ -31,6 +31,7 @@ from lieint_jax.maps import Map, Tau, as_tau, cayley, cayley_lands, exponential
 from lieint_jax.schemes._capability import Integrand
 from lieint_jax.schemes._on_groups import (
     Equation,
+    along,
     as_vector,
     body_velocity_field,
     coadjoint,
@@ -91,11 +92,10 @@ class GroupMidpoint(Step):
 
         m, a = equation.m, equation.a
         theta, Theta, info = solved(equation, residual, matrix, size_unit(m, a), guess(group, m, a), self.iterations)
-        turn = tau(group, Theta)
         if isinstance(self.system, GeodesicFlow):
-            return state._replace(q=group.multiply(state.q, turn)), info
+            return state._replace(q=along(tau, group, state.q, Theta)), info
         after = unrolled.as_array(coadjoint(tau, group, theta, as_vector(m, state.p)), state.p)
-        return state._replace(q=group.multiply(group.inverse(turn), state.q), p=after), info
+        return state._replace(q=group.multiply(group.inverse(tau(group, Theta)), state.q), p=after), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         m, left = self.system.metric, isinstance(self.system, GeodesicFlow)
