@@ -124,7 +124,7 @@ class Additive(Step):
         residual, tolerance = jnp.max(jnp.abs(R[:9])) / scale, 32 * jnp.finfo(R.dtype).eps
         converged = (residual <= tolerance) & steady & (three.det(middle) > 0) & (three.det(end) > 0)
         if rule.constrained:
-            size = _largest(three.along(equation.C, D, 1))
+            size = jnp.max(jnp.abs(_array(end)))
             converged &= jnp.abs(R[9]) <= tolerance * jnp.maximum(size * size * size, 1)
         elif rule.gammas:
             converged &= jnp.abs(_missed(W, equation.C, D, S)) <= tolerance * stiff * _largest(D)
@@ -318,18 +318,20 @@ class _Equation(NamedTuple):
         return three.once(three.along(three.plus_transpose(three.transposed_product(self.F, V)), three.gram(V), 1))
 
     def law(self, D: Symmetric, gamma: tuple[Array, ...]) -> tuple[Symmetric, tuple[Array, ...]]:
-        """S, and if the rule has a γ, what must vanish: the difference S:D − 2ΔW, or det(C + D) − 1."""
+        """S, and if the rule has a γ, what must vanish: S:D − 2ΔW; or, less a constant, det(C + D) − 1."""
         rule, W, C = self.rule, self.W, self.C
         S = rule.stress(W, C, D, *gamma)
         if rule.constrained:
-            det = three.det(self.F)  # of C it has |F|³ times the rounding error
-            return S, ((det - 1) * (det + 1) + three.inner(three.mean_cofactor(C, D), D),)
+            return S, (three.inner(three.mean_cofactor(C, D), D),)
         return S, tuple(_missed(W, C, D, S) + _regular(D, C, self.stiffness, g - rule.guess) for g in gamma)
 
     def residual(self, x: Array) -> Array:
         """U E + c F_{n+α} S − Δt P_n, and the equation for γ if there is one."""
         U = _matrix(x)
         S, missed = self.law(self.change(U), tuple(x[9:]))
+        if self.rule.constrained:  # by `law`, with C for F, it has |F|³ times the rounding error
+            det = three.det(three.combine(self.F, U, self.a))
+            missed = ((det - 1) * (det + 1),)
         force = three.product(three.combine(self.F, U, self.alpha), three.rows(three.once(S)))
         motion = three.combine(three.product(U, three.rows(self.E)), force, self.c)
         return jnp.stack([*_entries(three.combine(motion, self.P, -self.dt)), *missed])
