@@ -20,6 +20,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._numerics.replay import stages
 from lieint_jax.schemes._capability import check_motion, hint
 from lieint_jax.schemes.exact import exact
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES, lost
@@ -74,13 +75,19 @@ class LogHamiltonian(Step):
         return state
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        state, before, first = self._drifted(state, 0.5 * dt)
-        depth, known = _positive(-self._potential(state))
-        state = state._replace(p=state.p + dt / depth * self.system.force(state.q))
-        state, after, second = self._drifted(state, 0.5 * dt)
-        off = jnp.abs((jnp.log(before) + jnp.log(after)) / 2 - jnp.log(depth))
-        info = first.merge(second)
-        return state, info._replace(converged=info.converged & known & (off <= _OFF))
+        def stage(carry: tuple[State, Array, StepInfo], kick: Array) -> tuple[tuple[State, Array, StepInfo], None]:
+            """Half a drift, and the kick times 1 or 0."""
+            state, off, before = carry
+            state, speed, info = self._drifted(state, 0.5 * dt)
+            depth, known = _positive(-self._potential(state))
+            off = off + jnp.log(speed) / 2 - kick * jnp.log(depth)
+            info = info._replace(converged=info.converged & (known | (kick == 0)))
+            state = state._replace(p=state.p + kick * dt / depth * self.system.force(state.q))
+            return (state, off, before.merge(info)), None
+
+        zero = jnp.zeros_like(state.p[0])
+        state, off, info = stages(stage, (state, zero, StepInfo.fresh(zero)), jnp.array([1.0, 0.0], zero.dtype))
+        return state, info._replace(converged=info.converged & (jnp.abs(off) <= _OFF))
 
     def _drifted(self, state: State, half: ArrayLike) -> tuple[State, Array, StepInfo]:
         """The state after the free motion for half/(K + B), K + B, and the report."""
