@@ -9,7 +9,7 @@ import pytest
 from grid import systems
 
 import lieint_jax as li
-from lieint_jax import schemes, types
+from lieint_jax import _discover, schemes, types
 from lieint_jax.types import State
 
 J = jnp.array([1.0, 2.0, 3.0])
@@ -100,6 +100,36 @@ def test_systems_with_a_potential_are_no_geodesic_flows_and_the_other_way_round(
         schemes.so3_midpoint(TOP)
     with pytest.raises(ValueError, match="without an axis; take splitting"):
         schemes.top_energy_momentum(li.systems.potential_top(J, lambda R: R[0, 0], None))
+
+
+def with_other_moments(system):
+    """The system with unequal moments or an unequal metric, in axes of their own; None if it has neither."""
+    rng = np.random.default_rng(5)
+
+    def drawn(size, d):
+        axes = np.linalg.qr(rng.normal(size=(d, d)))[0]
+        tensor = size * (axes * np.linspace(1, 1.8, d)) @ axes.T
+        return (tensor + tensor.T) / 2
+
+    changed = {}
+    for field in dataclasses.fields(system):
+        old = np.asarray(getattr(system, field.name)) if field.name in ("inertia", "inertias", "metric") else None
+        if old is not None and old.ndim:
+            size, d = old[old > 0].mean(), old.shape[-1]
+            several = field.name == "inertias"
+            new = np.stack([drawn(size, d) for _ in old]) if several else drawn(size, d)
+            changed[field.name] = jnp.asarray(new)
+    return dataclasses.replace(system, **changed) if changed else None
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", [name for name, (system, *_) in systems() if dataclasses.is_dataclass(system)])
+def test_no_scheme_refuses_unequal_moments_in_axes_of_their_own(name):
+    """A mistake in the motion that a scheme compares with can be hidden by the symmetry of an example."""
+    system = with_other_moments(dict(systems())[name][0])
+    for module in _discover.modules(schemes).values():
+        if system is not None:
+            module.examples(system)
 
 
 def test_the_drift_of_a_splitting_is_of_the_same_body():

@@ -123,7 +123,9 @@ class MatrixGroup:
         powers, X = [q], self.hat(xi)
         while len(powers) < len(c):
             powers.append(_product(powers[-1], X))
-        terms = (weight[..., None, None] * power for weight, power in zip(three.once(c), three.once(powers), strict=True))
+        terms = (
+            weight[..., None, None] * power for weight, power in zip(three.once(c), three.once(powers), strict=True)
+        )
         return functools.reduce(jnp.add, terms)
 
     def near(self, xi: Array) -> Array:

@@ -58,11 +58,11 @@ def _constrained_motion(body: IncompressibleBody, state: State) -> State:
     F, V = _rows(state.q), [three.solve_symmetric(E, row) for row in state.p]
     S = body.stored_energy.stress(three.gram(F))
     inverse = three.scale_matrix(1 / three.det(F), three.transpose([three.cross(F[i - 2], F[i - 1]) for i in range(3)]))
-    L, weight = three.product(inverse, V), [three.solve_symmetric(E, row) for row in inverse]  # F⁻¹E⁻¹
+    L, columns = three.product(inverse, V), three.transpose(inverse)
     stiff = three.transpose([three.solve_symmetric(E, row) for row in three.rows(S)])
     bend = sum(three.dot(L[i], [row[i] for row in L]) + stiff[i][i] for i in range(3))
-    p = bend / sum(three.dot(inverse[i], weight[i]) for i in range(3))
-    force = three.combine(three.product(F, three.rows(S)), three.transpose(inverse), -p)
+    p = bend / sum(three.dot(c, three.solve_symmetric(E, c)) for c in columns)  # tr(F⁻ᵀE⁻¹F⁻¹)
+    force = three.combine(three.product(F, three.rows(S)), columns, -p)
     return State(_array(V), -_array(force))
 
 
