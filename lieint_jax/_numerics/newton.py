@@ -167,7 +167,8 @@ def chords(
         x = kept(x)
         return x, (function(x), pace.growth)
 
-    x, (F, growth) = lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)
+    traced_once = jax.jit(residual)  # its equations are many, and used five times
+    x, (F, growth) = lax.custom_root(traced_once, guess, solve, _tangent_solve, has_aux=True)
     return x, F, _steady(growth)
 
 

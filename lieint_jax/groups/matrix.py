@@ -122,11 +122,10 @@ class MatrixGroup:
         c = [s**m * _closed_form.evaluated(series, x) for m, series in enumerate(closed.series(_EXPONENTIAL))]
         powers, X = [q], self.hat(xi)
         while len(powers) < len(c):
-            powers.append(_product(powers[-1], X))
-        terms = (
-            weight[..., None, None] * power for weight, power in zip(three.once(c), three.once(powers), strict=True)
+            powers += three.once([_product(powers[-1], X)])
+        return functools.reduce(
+            jnp.add, (weight[..., None, None] * power for weight, power in zip(three.once(c), powers, strict=True))
         )
-        return functools.reduce(jnp.add, terms)
 
     def near(self, xi: Array) -> Array:
         """True if ξ̂ is small enough for `exp_near`; translations may be large.
