@@ -134,14 +134,19 @@ def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]
 
 
 class Periods(NamedTuple):
-    """The two mean periods of a tumbling free body, in the convention of the long axis, whatever the mode.
+    """The two mean periods of a tumbling free body, both defined by its long axis, whatever the mode.
+
+    The long axis is that of the least moment; φ and ψ are Euler's angles of the body with it as the third axis, and the
+    angular momentum π as the third axis of space. Periods are in the unit of time of the state.
 
     Attributes:
-        precession: P_φ, of the axis of least moment about the angular momentum.
-        rotation: P_ψ, of Π in the body: a turn of the body about its long axis in a long-axis mode, an oscillation
-            about that axis in a short-axis mode. Infinite for a body at rest and for a sphere; on the separatrix, which
-            takes for ever, some number that rounding decides.
-        long_axis: whether Π goes round the axis of least moment (a long-axis mode), not that of greatest moment.
+        precession: P_φ = 2π over the mean rate of φ: the mean time in which the long axis goes once around π. Infinite
+            for a body at rest.
+        rotation: P_ψ, the time in which Π and Ω repeat in the axes of the body: a rotation of the body about its long
+            axis (ψ advances by 2π) in the long-axis mode, an oscillation about it in the short-axis mode. Infinite for
+            a body at rest and for a sphere; on the separatrix, where it is infinite too, rounding decides the number.
+        long_axis: the mode: True where Π goes around the axis of least moment (long-axis mode), False where it goes
+            around that of greatest moment (short-axis mode).
     """
 
     precession: Array

@@ -8,6 +8,8 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import studies
+from lieint_jax.fitting import _trust_region
+from lieint_jax.fitting._least_squares import spread
 
 pytestmark = pytest.mark.filterwarnings("ignore:the fit did not converge")
 T = np.linspace(0, 3, 40)
@@ -208,12 +210,13 @@ def test_many_starts_at_once_and_the_best_is_taken():
 
 def test_each_start_may_have_data_of_its_own():
     def loss(p, data):
-        return p - data
+        return jnp.stack([p - data, data])
 
-    found = studies.fit(loss, jnp.zeros(3), starts=True, data=jnp.array([1.0, 2.0, 3.0]))
-    np.testing.assert_allclose(found.starts.params, [1, 2, 3], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(found.starts.covariance, np.ones((3, 1, 1)))
-    assert found.starts.success.all()
+    found = studies.fit(loss, jnp.zeros(3), starts=True, data=jnp.array([2.0, 1.0, 30.0]), standardized=True)
+    np.testing.assert_allclose(found.starts.params, [2, 1, 30], rtol=0, atol=1e-9)
+    assert (found.params, found.loss, found.message) == (found.starts.params[1], 0.5, "")  # the best
+    assert list(found.starts.success) == [True, True, False]  # χ² = 4, 1, 900 of 1 degree of freedom
+    np.testing.assert_allclose(found.starts.covariance, [[[1]], [[1]], [[np.nan]]])
 
 
 def test_stopping_rules():
@@ -227,6 +230,7 @@ BOUNDS = {
     "positive": (studies.positive, jnp.array([0.3, 2.0])),
     "interval": (studies.interval(-1.0, 2.0), jnp.array([-0.9, 1.5])),
     "principal": (studies.principal_inertia, jnp.array([1.0, 2.0, 2.9])),
+    "ratios": (studies.inertia_ratios, jnp.array([0.45, 0.82])),
     "spd": (studies.spd, jnp.array([[2.0, 0.3, -0.1], [0.3, 1.0, 0.2], [-0.1, 0.2, 3.0]])),
     "inertia": (studies.inertia, jnp.array([[2.0, 0.3, -0.1], [0.3, 1.5, 0.2], [-0.1, 0.2, 2.9]])),
 }
@@ -243,9 +247,11 @@ def test_bounds_are_inverse_maps_onto_their_domain(name):
     if name == "interval":
         assert ((values > -1) & (values < 2)).all()
         return
+    if name == "ratios":
+        values = np.column_stack([values, np.ones(len(values))])  # to the third moment
     moments = np.linalg.eigvalsh(values) if values.ndim == 3 else np.sort(values)
     assert (moments > -1e-12 * moments.max(axis=1, keepdims=True)).all()
-    if name in ("principal", "inertia"):
+    if name in ("principal", "ratios", "inertia"):
         assert (moments[:, 2] <= (1 + 1e-12) * (moments[:, 0] + moments[:, 1])).all()
 
 
@@ -261,6 +267,83 @@ def test_a_bounded_fit_stays_inside_and_a_guess_outside_is_refused():
     np.testing.assert_allclose(found.params["b"], 3, rtol=0, atol=1e-6)
     with pytest.raises(ValueError, match="not inside its bound, positive"):
         studies.fit(loss, {"a": -1.0, "b": 0.0}, bounds=bounds)
+
+
+def test_the_covariance_is_that_of_the_parameters_not_of_their_coordinates():
+    """B (JᵀJ)⁻¹ Bᵀ, with J by the coordinates and B the derivative of the parameters by them."""
+    J, B = np.random.default_rng(3).normal(size=(5, 2)), np.array([[2.0, 0.3], [0.0, 0.5]])
+    covariance, rank = jax.jit(spread)(J, B, np.zeros(2, bool))
+    np.testing.assert_allclose(covariance, B @ np.linalg.inv(J.T @ J) @ B.T, rtol=1e-12)
+    assert rank == 2
+
+
+A = np.array([[1.0, 0.2], [0.3, 2.0], [0.5, -0.4]])
+
+
+def test_a_bound_changes_neither_steps_nor_covariance_where_it_is_not_active():
+    """A linear problem in coordinates that are no parameters: the covariance is (AᵀA)⁻¹."""
+    found = studies.fit(
+        lambda p: A @ p - A @ np.array([0.5, 0.7]), jnp.array([0.6, 0.8]), bounds=studies.inertia_ratios
+    )
+    assert found.success
+    assert (found.at_bound, found.message, found.degrees_of_freedom) == (False, "", 1)
+    np.testing.assert_allclose(found.params, [0.5, 0.7], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(A.T @ A), rtol=1e-12)
+
+
+def test_a_parameter_at_its_bound_has_no_standard_error_and_the_others_are_those_of_a_fit_without_it():
+    bounds = {"a": studies.positive, "k": studies.interval(0.1, 0.6)}
+    found = studies.fit(residuals, {"a": 1.0, "k": 0.2}, bounds=bounds)
+    assert found.success
+    assert found.at_bound
+    assert found.iterations <= 9  # 8; by the logistic map 22
+    assert float(found.params["k"]) == pytest.approx(0.6, abs=1e-7)
+    shape = np.exp(-0.6 * T)
+    assert float(found.params["a"]) == pytest.approx(shape @ (DATA + NOISE) / (shape @ shape), rel=1e-6)
+    assert float(found.standard_errors["a"]) == pytest.approx(0.01 / np.linalg.norm(shape), rel=1e-6)
+    assert np.isnan(found.standard_errors["k"])
+    assert found.message == "k at a bound: it has no standard error"
+    assert str(found).splitlines()[2].startswith("  k = 0.6 ± nan")
+
+
+@pytest.mark.filterwarnings("ignore:the fit is no success")
+def test_an_implausible_chi_square_is_no_success():
+    """Of residuals that are standardized: 40 of them, with ten times the noise."""
+    large = studies.fit(lambda p: 10 * residuals(p), TRUTH, standardized=True)
+    assert not large.success
+    assert np.isnan(large.covariance).all()
+    assert large.chi_square > 50 * large.degrees_of_freedom == 50 * 38
+    assert "is implausible for 38 degrees of freedom: fit from several guesses with starts=True" in large.message
+    with pytest.raises(ValueError, match="standardized=True needs residuals"):
+        studies.fit(rosenbrock, jnp.zeros(2), "lbfgs", standardized=True)
+
+
+def test_a_search_that_ends_at_a_bound_with_the_loss_falling_inwards_is_no_success():
+    """Steps of gradient descent through the logistic map are nothing there."""
+    found = studies.fit(lambda p: (p - 0.5) ** 2, 1 - 1e-9, optax.sgd(1.0), bounds=studies.interval(0.0, 1.0))
+    assert not found.success
+    assert "starts=True" in found.message
+    outside = studies.fit(lambda p: (p + 0.5) ** 2, 0.5, "lbfgs", bounds=studies.interval(0.0, 1.0))
+    assert outside.success
+    assert outside.at_bound
+    assert 0 < outside.params < 1e-6
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_the_step_in_a_box_is_that_of_bounded_least_squares(side):
+    """20 random problems, with a trust region that does not matter; sides that are near hold some coordinates."""
+    from scipy.optimize import lsq_linear
+
+    rng = np.random.default_rng(0)
+    J, r = rng.normal(size=(20, 7, 4)), rng.normal(size=(20, 7))
+    low, high = -rng.uniform(0.01, 0.4, (20, 4)), rng.uniform(0.01, 0.4, (20, 4))
+    r = r * side
+    step = jax.jit(jax.vmap(lambda *a: _trust_region.bounded_step(a[0], a[1], jnp.asarray(jnp.inf), *a[2:])))
+    z, fall, _ = step(J, r, low, high)
+    for k in range(20):
+        best = lsq_linear(J[k], -r[k], (low[k], high[k]), method="bvls", tol=1e-14)
+        np.testing.assert_allclose(z[k], best.x, rtol=0, atol=1e-12)
+        assert float(fall[k]) == pytest.approx(r[k] @ r[k] / 2 - best.cost, rel=1e-10)
 
 
 @pytest.mark.long
@@ -282,6 +365,14 @@ def test_errors():
         studies.fit(residuals, TRUTH, "lbfgs")
     with pytest.raises(ValueError, match="made of Bound"):
         studies.fit(residuals, TRUTH, bounds="positive")
+    for empty in ({}, [], jnp.zeros(0)):
+        for starts in (False, True):
+            with pytest.raises(ValueError, match="params holds no numbers"):
+                studies.fit(residuals, empty, starts=starts)
+    with pytest.raises(ValueError, match="the loss returned no residuals"):
+        studies.fit(lambda p: p[:0], jnp.ones(2))
+    with pytest.raises(ValueError, match="the loss returned no residuals"):
+        studies.fit(lambda p, data: data, jnp.ones((2, 1)), starts=True, data=jnp.ones((2, 0)))
 
 
 @pytest.mark.long

@@ -1,14 +1,15 @@
 """Fits of parameters through simulations, within bounds, from one start or many, robust where wanted.
 
-`fit(residuals, guess, bounds=…)` gives the estimate, its covariance and why it stopped. The bounds `positive`,
-`interval(low, high)`, `spd`, `inertia`, `principal_inertia` and `inertia_ratios` cannot be left; `free` is none.
+`fit(residuals, guess, bounds=…)` returns the estimate, its covariance, and whether it is a minimum within the bounds.
+Bounds: `positive`, `interval(low, high)`, `spd`, `inertia`, `principal_inertia` and `inertia_ratios`; `free` is none.
 `student_t` makes residuals of errors with outliers, `member_by_member` speeds up a long computation of few numbers.
 All of it is in `li.studies` too.
 """
 
 from lieint_jax.fitting._bounds import Bound, free, inertia, inertia_ratios, interval, positive, principal_inertia, spd
-from lieint_jax.fitting._fit import Fit, covariance, fit
+from lieint_jax.fitting._fit import covariance, fit
 from lieint_jax.fitting._member_by_member import member_by_member
+from lieint_jax.fitting._outcome import Fit
 from lieint_jax.fitting._robust import student_t, student_t_curvature, student_t_noise_error, student_t_weights
 
 __all__ = [

@@ -1,16 +1,17 @@
-"""Bounds by smooth reparametrisation: an optimiser moves freely in x, and the parameters never leave their domain.
+"""Bounds: domains of parameters, as boxes in suitable coordinates.
 
-(They may reach its edge, to round-off, where the minimum is not inside: `Fit.at_bound` says so.)
+A search moves in these coordinates y and stays inside the box: least squares by steps that respect its sides, other
+methods by a smooth map of all real x onto it. Boxes are linear in the parameters, so that they do not distort a trust
+region, but those of tensors, which are quadratic.
 
-A `Bound` is a pair of inverse maps, x ↦ parameter and back. Give `fit` one for all parameters, or a tree of them that
-matches the parameters as far as it goes.
+Give `fit` one `Bound` for all parameters, or a tree of them that is a prefix of the tree of parameters.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,70 +19,96 @@ import numpy as np
 from jax import Array
 
 from lieint_jax._checks import concrete
+from lieint_jax.fitting._box import Box
+
+_INFINITE = float("inf")
+
+
+class Chart(NamedTuple):
+    """Coordinates y of a domain that is a box in them.
+
+    Attributes:
+        parameter: the map y ↦ parameter, of arrays.
+        coordinates: the inverse map, parameter ↦ y.
+        box: the sides of the box.
+    """
+
+    parameter: Callable[[Array], Array]
+    coordinates: Callable[[Array], Array]
+    box: Box
 
 
 @dataclasses.dataclass(frozen=True)
 class Bound:
-    """A domain and the smooth map of all real x onto it.
+    """A domain of a parameter, and the smooth map of all real x onto it.
 
     Attributes:
         name: for error messages.
         inside: the map x ↦ parameter, of arrays.
         free: the inverse map, parameter ↦ x.
+        chart: coordinates for least squares; None if they are x.
     """
 
     name: str
     inside: Callable[[Array], Array]
     free: Callable[[Array], Array]
+    chart: Chart | None = None
+
+    @property
+    def coordinates(self) -> Chart:
+        """The coordinates in which the domain is a box."""
+        return Chart(self.inside, self.free, Box()) if self.chart is None else self.chart
+
+
+def _bound(name: str, chart: Chart) -> Bound:
+    """The bound of a chart."""
+    parameter, coordinates, box = chart
+    return Bound(name, lambda x: parameter(box.inside(x)), lambda p: box.free(coordinates(p)), chart)
+
+
+def _itself(p: Array) -> Array:
+    return p
 
 
 def interval(low: float, high: float) -> Bound:
-    """low < parameter < high, each component, by the logistic function."""
+    """low < parameter < high, each component; either end may be infinite."""
     if not low < high:
         raise ValueError(f"an interval needs low < high, got {low} and {high}")
-
-    def free(p: Array) -> Array:
-        u = (p - low) / (high - low)
-        return jnp.log(u) - jnp.log1p(-u)
-
-    return Bound(f"interval({low:g}, {high:g})", lambda x: low + (high - low) * jax.nn.sigmoid(x), free)
+    return _bound(f"interval({low:g}, {high:g})", Chart(_itself, _itself, Box(low, high)))
 
 
-def _from_second_moments(x: Array) -> Array:
-    """Principal moments J_i = a_j + a_k of second moments a = e^x: they satisfy the triangle inequality strictly."""
-    a = jnp.exp(x)
+def _moments(a: Array) -> Array:
+    """Principal moments J_i = a_j + a_k of second moments a: they satisfy the triangle inequality if a > 0."""
     return jnp.sum(a) - a
 
 
-def _to_second_moments(J: Array) -> Array:
-    return jnp.log(jnp.sum(J) / 2 - J)
+def _second_moments(J: Array) -> Array:
+    return jnp.sum(J) / 2 - J
 
 
-def _ratios(x: Array) -> Array:
-    """(J₁/J₃, J₂/J₃), the third second moment being 1."""
-    J = _from_second_moments(jnp.append(x, 0.0))
-    return J[:2] / J[2]
+def _ratios(y: Array) -> Array:
+    """(J₁/J₃, J₂/J₃) of their sum less 1 and their difference: the triangle inequality is y₁ > 0, −1 < y₂ < 1."""
+    return (1 + y[0] + jnp.stack([y[1], -y[1]])) / 2
 
 
 def _from_ratios(ratios: Array) -> Array:
-    x = _to_second_moments(jnp.append(ratios, 1.0))
-    return x[:2] - x[2]
+    return jnp.stack([ratios[0] + ratios[1] - 1, ratios[0] - ratios[1]])
 
 
-def _cholesky(x: Array) -> Array:
-    """LLᵀ of a lower triangular L: x holds the logarithms of its diagonal, then the entries below it."""
-    L = jnp.diag(jnp.exp(x[:3])) + jnp.zeros((3, 3), x.dtype).at[(1, 2, 2), (0, 0, 1)].set(x[3:])
+def _cholesky(y: Array) -> Array:
+    """LLᵀ of a lower triangular L: y holds its diagonal, then the entries below it."""
+    L = jnp.diag(y[:3]) + jnp.zeros((3, 3), y.dtype).at[(1, 2, 2), (0, 0, 1)].set(y[3:])
     return L @ L.T
 
 
 def _from_cholesky(S: Array) -> Array:
     L = jnp.linalg.cholesky((S + S.T) / 2)
-    return jnp.concatenate([jnp.log(jnp.diagonal(L)), L[(1, 2, 2), (0, 0, 1)]])
+    return jnp.concatenate([jnp.diagonal(L), L[(1, 2, 2), (0, 0, 1)]])
 
 
-def _tensor(x: Array) -> Array:
+def _tensor(y: Array) -> Array:
     """J = tr(E)1 − E of a positive definite E: the inertia of some distribution of mass."""
-    E = _cholesky(x)
+    E = _cholesky(y)
     return jnp.trace(E) * jnp.eye(3, dtype=E.dtype) - E
 
 
@@ -89,37 +116,65 @@ def _from_tensor(J: Array) -> Array:
     return _from_cholesky(jnp.trace(J) / 2 * jnp.eye(3, dtype=J.dtype) - J)
 
 
-free = Bound("free", lambda x: x, lambda p: p)
-positive = Bound("positive", jnp.exp, jnp.log)
-spd = Bound("spd", _cholesky, _from_cholesky)  # symmetric positive definite (3, 3)
-principal_inertia = Bound("principal_inertia", _from_second_moments, _to_second_moments)  # (3,), triangle inequality
-inertia_ratios = Bound("inertia_ratios", _ratios, _from_ratios)  # (2,), to the third moment; triangle inequality
-inertia = Bound("inertia", _tensor, _from_tensor)  # full (3, 3), positive definite, triangle inequality
+_DIAGONAL = Box(np.repeat([0, -_INFINITE], 3), _INFINITE)
+free = Bound("free", _itself, _itself)
+positive = _bound("positive", Chart(_itself, _itself, Box(0, _INFINITE)))
+spd = _bound("spd", Chart(_cholesky, _from_cholesky, _DIAGONAL))  # symmetric positive definite (3, 3)
+principal_inertia = _bound(  # (3,), triangle inequality
+    "principal_inertia", Chart(_moments, _second_moments, Box(0, _INFINITE))
+)
+inertia_ratios = _bound(  # (2,), to the third moment; triangle inequality
+    "inertia_ratios", Chart(_ratios, _from_ratios, Box(np.array([0.0, -1.0]), np.array([_INFINITE, 1.0])))
+)
+inertia = _bound("inertia", Chart(_tensor, _from_tensor, _DIAGONAL))  # (3, 3), positive definite, triangle inequality
 
 
-def release(bounds: Any, params: Any) -> Any:
-    """The free x of `params`.
+def coordinates(bounds: Any, params: Any) -> Any:
+    """The coordinates of `params`.
 
     Raises:
         ValueError: concrete parameters that are not inside their bounds, or bounds that do not match the parameters.
     """
 
-    def one(bound: Bound, part: Any) -> Any:
+    def of_part(bound: Bound, part: Any) -> Any:
         if not isinstance(bound, Bound):
             raise ValueError(f"bounds must be made of Bound's such as studies.positive, got {bound!r}")
-        x = jax.tree.map(lambda p: bound.free(jnp.asarray(p, jnp.result_type(p, float))), part)
-        if concrete(x) and not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(x)):
+        y = jax.tree.map(lambda p: bound.coordinates.coordinates(jnp.asarray(p, jnp.result_type(p, float))), part)
+        if concrete(y) and not is_inside(bound, y):
             raise ValueError(f"the first guess {part} is not inside its bound, {bound.name}")
-        return x
+        return y
 
     try:
         structure = jax.tree.structure(bounds)
         parts = structure.flatten_up_to(params)
     except (ValueError, TypeError) as error:
         raise ValueError(f"bounds do not match the parameters as far as they go: {error}") from None
-    return structure.unflatten([one(bound, part) for bound, part in zip(jax.tree.leaves(bounds), parts, strict=True)])
+    return structure.unflatten(
+        [of_part(bound, part) for bound, part in zip(jax.tree.leaves(bounds), parts, strict=True)]
+    )
 
 
-def confine(bounds: Any, x: Any) -> Any:
-    """The parameters of the free x."""
-    return jax.tree.map(lambda bound, part: jax.tree.map(bound.inside, part), bounds, x)
+def is_inside(bounds: Any, y: Any) -> bool:
+    """Whether all concrete coordinates are inside their boxes; they may have leading axes."""
+
+    def of_part(bound: Bound, part: Any) -> bool:
+        return all(bound.coordinates.box.contains(leaf).all() for leaf in jax.tree.leaves(part))
+
+    return all(jax.tree.leaves(jax.tree.map(of_part, bounds, y)))
+
+
+def parameters(bounds: Any, y: Any) -> Any:
+    """The parameters of the coordinates."""
+    return jax.tree.map(lambda bound, part: jax.tree.map(bound.coordinates.parameter, part), bounds, y)
+
+
+def box(bounds: Any, y: Any) -> Box:
+    """The box of all coordinates, as one vector in the order of `ravel_pytree(y)`; y may be of shapes alone."""
+
+    def side(k: int) -> np.ndarray:
+        def of_part(bound: Bound, part: Any) -> Any:
+            return jax.tree.map(lambda leaf: np.broadcast_to(bound.coordinates.box[k], leaf.shape), part)
+
+        return np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(jax.tree.map(of_part, bounds, y))])
+
+    return Box(side(0), side(1))

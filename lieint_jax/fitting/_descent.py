@@ -1,4 +1,8 @@
-"""Descent along gradients: any transformation of optax, and its L-BFGS with a line search."""
+"""Descent along gradients: any transformation of optax, and its L-BFGS with a line search.
+
+They move in all real x, which `Box.inside` maps into the box of coordinates. Whether they have arrived is judged by the
+gradient with respect to the coordinates, since that with respect to x vanishes at every side of the box.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +13,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._search import FLAT, RUNNING, SHORTENINGS, STILL, STUCK, Carry, Method, where
 
 Scalar = Callable[[Array], tuple[Array, Array]]
 _QUIET = {"lbfgs": 3, "other": 10}  # iterations in a row without a notable fall of the loss that end a search
-_LEVEL = 1e-5  # |gradient · x| over the loss, below which such an end is a success
+_LEVEL = 1e-5  # |gradient · y| over the loss, below which such an end is a success
 _SEARCHES = 3  # failed line searches in a row that end a search
 
 
@@ -21,8 +26,8 @@ class _Memory(NamedTuple):
     """The state of a descent.
 
     Attributes:
-        gradient: at the current point.
-        largest: the largest |component| of a gradient so far.
+        gradient: with respect to x, at the current point.
+        largest: the largest `_slope` so far.
         state: optax's own state.
         unit: `descent`: the fraction of a step that is taken; `lbfgs`: the unit of the loss.
         quiet: the number of iterations in a row without a notable fall of the loss.
@@ -35,45 +40,55 @@ class _Memory(NamedTuple):
     quiet: Array
 
 
-def _evaluation(scalar: Scalar) -> Callable[[Array], tuple[Array, Array, Array]]:
-    """x ↦ loss, gradient, and whether both are finite and the solves behind them converged."""
+def _evaluation(scalar: Scalar, box: Box) -> Callable[[Array], tuple[Array, Array, Array]]:
+    """x ↦ loss, gradient, and whether both are finite and the solves behind them converged; `scalar` is of box(x)."""
 
     def look(x: Array) -> tuple[Array, Array, Array]:
-        (value, ok), gradient = jax.value_and_grad(scalar, has_aux=True)(x)
+        (value, ok), gradient = jax.value_and_grad(scalar, has_aux=True)(box.inside(x))
+        gradient = gradient * box.slope(x)
         return value, gradient, ok & jnp.isfinite(value) & jnp.all(jnp.isfinite(gradient))
 
     return look
 
 
-def _start(look: Callable[[Array], tuple[Array, Array, Array]], optimizer: Any) -> Callable[[Array], Any]:
+def _slope(box: Box, x: Array, gradient: Array) -> Array:
+    """The gradient with respect to the coordinates, projected into the box."""
+    return box.projected(box.inside(x), gradient / box.slope(x))
+
+
+def _largest(slope: Array) -> Array:
+    return jnp.max(jnp.abs(slope))
+
+
+def _start(look: Callable[[Array], tuple[Array, Array, Array]], box: Box, optimizer: Any) -> Callable[[Array], Any]:
     """x ↦ loss, memory and whether the first guess succeeded."""
 
     def first(x: Array) -> tuple[Array, _Memory, Array]:
         value, gradient, ok = look(x)
-        largest, one, none = jnp.max(jnp.abs(gradient)), jnp.ones((), x.dtype), jnp.zeros((), jnp.int32)
+        largest, one, none = _largest(_slope(box, x, gradient)), jnp.ones((), x.dtype), jnp.zeros((), jnp.int32)
         return value, _Memory(gradient, largest, optimizer.init(x), one, none), ok
 
     return first
 
 
-def _judged(x: Array, loss: Array, memory: _Memory, ended: Array, tolerance: float) -> Array:
+def _judged(box: Box, x: Array, loss: Array, memory: _Memory, ended: Array, tolerance: float) -> Array:
     """RUNNING, or the code of why the search stops.
 
     The gradient has vanished when it is small against the largest one so far. Where a search has `ended` without that,
-    it is a success if a step as long as x itself would hardly change the loss.
+    it is a success if a step as long as the coordinates, or to a side, would hardly change the loss.
     """
     small = jnp.maximum(tolerance, 8 * jnp.finfo(x.dtype).eps)
-    level = jnp.max(jnp.abs(memory.gradient) * jnp.maximum(jnp.abs(x), 1)) <= _LEVEL * jnp.abs(loss)
+    slope = _slope(box, x, memory.gradient)
+    level = _largest(slope * jnp.maximum(jnp.abs(box.inside(x)), 1)) <= _LEVEL * jnp.abs(loss)
     code = jnp.where(ended, jnp.where(level, STILL, STUCK), RUNNING)
-    flat = jnp.max(jnp.abs(memory.gradient)) <= small * memory.largest
-    return jnp.where(flat, FLAT, code).astype(jnp.int32)
+    return jnp.where(_largest(slope) <= small * memory.largest, FLAT, code).astype(jnp.int32)
 
 
-def descent(scalar: Scalar, optimizer: Any, tolerance: float) -> Method:
+def descent(scalar: Scalar, box: Box, optimizer: Any, tolerance: float) -> Method:
     """Any optax transformation. A failed trial is taken back, and the next steps are a quarter as long."""
     import optax
 
-    look = _evaluation(scalar)
+    look = _evaluation(scalar, box)
 
     def advance(carry: Carry) -> Carry:
         gradient, largest, state, share, quiet = carry.memory
@@ -82,14 +97,14 @@ def descent(scalar: Scalar, optimizer: Any, tolerance: float) -> Method:
         value, slope, ok = look(x)
         quiet = jnp.where(jnp.abs(carry.loss - value) <= tolerance * jnp.abs(carry.loss), quiet + 1, 0)
         bad = jnp.where(ok, 0, carry.bad + 1)
-        largest = jnp.maximum(largest, jnp.max(jnp.abs(slope)))
+        largest = jnp.maximum(largest, _largest(_slope(box, x, slope)))
         memory = where(ok, _Memory(slope, largest, after, share, quiet), carry.memory)
         memory = memory._replace(unit=jnp.where(ok, jnp.minimum(1, 1.1 * share), share / 4))
         x, value = where(ok, (x, value), (carry.x, carry.loss))
         ended = (memory.quiet >= _QUIET["other"]) | (bad > SHORTENINGS)
-        return Carry(x, value, memory, _judged(x, value, memory, ended, tolerance), bad, carry.failures + ~ok)
+        return Carry(x, value, memory, _judged(box, x, value, memory, ended, tolerance), bad, carry.failures + ~ok)
 
-    return Method(_start(look, optimizer), advance)
+    return Method(_start(look, box, optimizer), advance)
 
 
 def _walled(look: Callable[[Array], tuple[Array, Array, Array]], unit: Array, wall: Array) -> Callable[[Array], Array]:
@@ -108,7 +123,7 @@ def _walled(look: Callable[[Array], tuple[Array, Array, Array]], unit: Array, wa
     return walled
 
 
-def lbfgs(scalar: Scalar, tolerance: float) -> Method:
+def lbfgs(scalar: Scalar, box: Box, tolerance: float) -> Method:
     """optax's L-BFGS with its zoom line search, which sees a high constant loss, a wall, where a trial fails.
 
     The loss is measured in units of the largest component of the first gradient, since the line search has absolute
@@ -116,13 +131,14 @@ def lbfgs(scalar: Scalar, tolerance: float) -> Method:
     """
     import optax
 
-    look = _evaluation(scalar)
+    look = _evaluation(scalar, box)
     search = optax.scale_by_zoom_linesearch(max_linesearch_steps=20, initial_guess_strategy="one")
     optimizer = optax.lbfgs(linesearch=search)
 
     def first(x: Array) -> tuple[Array, _Memory, Array]:
-        value, memory, ok = _start(look, optimizer)(x)
-        return value, memory._replace(unit=jnp.where(memory.largest > 0, memory.largest, 1)), ok
+        value, memory, ok = _start(look, box, optimizer)(x)
+        steepest = _largest(memory.gradient)
+        return value, memory._replace(unit=jnp.where(steepest > 0, steepest, 1)), ok
 
     def advance(carry: Carry) -> Carry:
         gradient, largest, state, unit, quiet = carry.memory
@@ -130,17 +146,17 @@ def lbfgs(scalar: Scalar, tolerance: float) -> Method:
         wall = now + 1e3 * (1 + jnp.abs(now))
         scaled, walled = gradient / unit, _walled(look, unit, wall)
         update, after = optimizer.update(scaled, state, carry.x, value=now, grad=scaled, value_fn=walled)
-        x = optax.apply_updates(carry.x, update)
+        x: Any = optax.apply_updates(carry.x, update)
         value, slope = (unit * optax.tree.get(after, name) for name in ("value", "grad"))  # at x, by the line search
         ok = value < unit * wall
         better = ok & (value <= carry.loss)
         quiet = jnp.where(better & (carry.loss - value <= tolerance * jnp.abs(carry.loss)), quiet + 1, 0)
         bad = jnp.where(better, 0, carry.bad + 1)
-        largest = jnp.maximum(largest, jnp.max(jnp.abs(slope)))
+        largest = jnp.maximum(largest, _largest(_slope(box, x, slope)))
         again = carry.memory._replace(state=optimizer.init(carry.x))  # restart, after a failed line search
         memory = where(better, _Memory(slope, largest, after, unit, quiet), again)
         x, value = where(better, (x, value), (carry.x, carry.loss))
         ended = (quiet >= _QUIET["lbfgs"]) | (bad >= _SEARCHES)
-        return Carry(x, value, memory, _judged(x, value, memory, ended, tolerance), bad, carry.failures + ~ok)
+        return Carry(x, value, memory, _judged(box, x, value, memory, ended, tolerance), bad, carry.failures + ~ok)
 
     return Method(first, advance)

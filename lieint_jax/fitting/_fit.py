@@ -7,7 +7,6 @@ step that led to one is taken back and shortened, and the optimiser's state is n
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -21,91 +20,14 @@ from jax.sharding import Mesh
 
 from lieint_jax import _checks
 from lieint_jax.ensemble._over_members import over_members
-from lieint_jax.fitting._bounds import confine, free, release
+from lieint_jax.fitting import _bounds
+from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._descent import descent, lbfgs
-from lieint_jax.fitting._least_squares import jacobian, least_squares, slopes, spread
-from lieint_jax.fitting._search import (
-    GOOD,
-    NOWHERE,
-    REASONS,
-    RUNNING,
-    TARGET,
-    Carry,
-    Method,
-    residuals_of,
-    valued,
-    where,
-)
+from lieint_jax.fitting._least_squares import jacobian, least_squares, spread
+from lieint_jax.fitting._outcome import End, Fit, outcome, parameter_names
+from lieint_jax.fitting._search import NOWHERE, RUNNING, TARGET, Carry, Method, residuals_of, valued, where
 
 LEAST_SQUARES = ("levenberg_marquardt", "gauss_newton")
-_EDGE = 1e-6  # |∂p/∂x| over its first value, below which a parameter p counts as at its bound
-
-
-class Starts(NamedTuple):
-    """The results of all starts, each leaf with a leading axis of starts.
-
-    Attributes:
-        params: the estimates.
-        loss: the losses there.
-        success: whether each stopped for a good reason, as in `Fit`.
-        at_bound: whether each has a parameter at the edge of its bound, as in `Fit`.
-        covariance: covariances as in `Fit`, (starts, p, p), or None.
-    """
-
-    params: Any
-    loss: np.ndarray
-    success: np.ndarray
-    at_bound: np.ndarray
-    covariance: np.ndarray | None
-
-
-class Fit(NamedTuple):
-    """The result of `fit`. With many starts, the best of them; `starts` holds all.
-
-    Attributes:
-        params: the estimate, a tree like the first guess.
-        loss: the loss at the estimate; for least squares, half the sum of squares of the residuals.
-        stopped: why the search stopped, in words.
-        success: whether it stopped for a good reason: a vanishing gradient; a loss that no longer falls and a gradient
-            that is small; the target.
-        at_bound: whether a parameter has run to the edge of its bound, where gradient and covariance mean nothing.
-        iterations: the number of iterations.
-        failures: the number of trials that failed (loss or gradient not finite, or not converged).
-        history: the loss after each iteration, shape (iterations + 1,), the first guess first.
-        covariance: of the estimate, (p, p) in the order of `ravel_pytree(params)`: the inverse of the Gauss–Newton
-            matrix, for residuals in units of their standard deviation. NaN if the search stopped for no good reason;
-            None if the fit is not by least squares.
-        starts: with many starts, the result of each, with a leading axis; else None.
-    """
-
-    params: Any
-    loss: float
-    stopped: str
-    success: bool
-    at_bound: bool
-    iterations: int
-    failures: int
-    history: np.ndarray
-    covariance: np.ndarray | None
-    starts: Starts | None
-
-    @property
-    def standard_errors(self) -> Any:
-        """Square roots of the variances, in the structure of the parameters."""
-        if self.covariance is None:
-            raise ValueError("only least-squares fits have a covariance: levenberg_marquardt, gauss_newton")
-        return ravel_pytree(self.params)[1](jnp.sqrt(jnp.diagonal(jnp.asarray(self.covariance))))
-
-    @property
-    def outcome(self) -> str:
-        """Loss, number of iterations and why the search stopped, in a line."""
-        edge = ", at a bound" if self.at_bound else ""
-        failed = f", {self.failures} trials failed" if self.failures else ""
-        return f"loss {self.loss:.6g} after {self.iterations} iterations: {self.stopped}{edge}{failed}"
-
-    def __str__(self) -> str:
-        errors = self.standard_errors if self.covariance is not None else None
-        return "\n".join([self.outcome, *_lines(self.params, errors)])
 
 
 def fit(
@@ -113,10 +35,11 @@ def fit(
     params: Any,
     optimizer: Any = "levenberg_marquardt",
     *,
-    bounds: Any = free,
+    bounds: Any = _bounds.free,
     iterations: int = 100,
     tolerance: float = 1e-10,
     target: float | None = None,
+    standardized: bool = False,
     starts: bool = False,
     data: Any = None,
     mesh: Mesh | None = None,
@@ -133,50 +56,63 @@ def fit(
         params: the first guess, a tree of arrays. With `starts`, each leaf has a leading axis of starts.
         optimizer: "levenberg_marquardt", "gauss_newton", "lbfgs" (optax, zoom line search), "adam", or any
             `optax.GradientTransformation`.
-        bounds: a `Bound`, or a tree of them that is a prefix of the tree of parameters.
+        bounds: a `Bound`, or a tree of them that is a prefix of the tree of parameters. No trial leaves them.
         iterations: the largest number of iterations.
-        tolerance: stop when the gradient is below this: in least squares the largest cosine between the residuals and
-            a column of their Jacobian, else the gradient over its largest so far. Or when the relative fall of the loss
-            is below this and the gradient is small: once in least squares, where that cosine is below √tolerance; three
-            times in a row ("lbfgs") or ten times (others), where the gradient times x is below 1e-5 of the loss. Or
-            when the step of Gauss–Newton, relative to x, is below this.
+        tolerance: stop when the step of Gauss–Newton within the bounds would lower the loss by less than this part of
+            it, or is shorter than this part of the parameters. Other methods stop when the gradient is below this part
+            of its largest value so far; or when the relative fall of the loss is below this three times in a row
+            ("lbfgs") or ten times (others), which is a success where the gradient times the parameters, or their
+            distance from a bound, is below 1e-5 of the loss.
         target: stop when the loss is at most this.
+        standardized: whether residuals are in units of their standard deviation, so that twice the loss should be χ²
+            distributed. If it is larger than chance explains in one of a million fits, the fit is no success.
         starts: whether many starts are fitted at once, vmapped and split over the devices.
         data: a second argument of the loss: loss(params, data). With `starts`, every leaf has a leading axis of starts.
         mesh: devices for many starts, as in `ensemble.run`; None takes all.
         progress: show a progress bar on stderr, if that is a terminal.
 
     Returns:
-        A `Fit`. Failed trials do not enter it; if the first guess itself fails, `stopped` says so and `params` is it.
+        A `Fit`. Failed trials do not enter it; if the first guess itself fails, `params` is that guess. A fit without
+        success has a `message` with what to try.
 
     Raises:
-        ValueError: an unknown optimiser, a guess outside its bounds, a loss that is no scalar where one is needed.
+        ValueError: an unknown optimizer, no parameters, a guess outside its bounds or on one, no residuals, a loss
+            that is no scalar where one is needed.
     """
     iterations = _checks.count("iterations", iterations, 0)
-    x, unravel = _free_vector(bounds, params, data, starts)
-    problem = _Problem(loss, bounds, unravel, optimizer, tolerance, target)
+    y, unravel, box = _vector(bounds, params, data, starts)
+    problem = _Problem(loss, bounds, unravel, box, optimizer, tolerance, target)
+    if standardized and not problem.has_residuals:
+        raise ValueError(f"standardized=True needs residuals: take one of the optimizers {', '.join(LEAST_SQUARES)}")
     compiled = partial(over_members, mesh=mesh) if starts else jax.jit
     advance = compiled(problem.advance)
-    search = compiled(problem.begin)(x, data)
-    if optimizer in LEAST_SQUARES:  # whose first iteration only evaluates x
+    search = compiled(problem.begin)(y, data)
+    if problem.has_residuals:  # their first iteration only evaluates y
         search = advance(search, data)
         search = search._replace(made=0 * search.made)
     search, history = _iterate(lambda s: advance(s, data), search, iterations, progress)
-    matrix = np.asarray(compiled(problem.covariance)(search)) if optimizer in LEAST_SQUARES else None
-    at_edge = jax.jit(jax.vmap(problem.at_edge)) if starts else problem.at_edge
-    return _result(search, history, problem.params, np.asarray(at_edge(search.best, x)), matrix, starts)
+    at_side, matrix, rank = compiled(problem.finish)(search, y)
+    degrees = None if rank is None else search.carry.memory.r.shape[-1] - rank
+    end = End(at_side, search.least, search.carry.code, search.made, search.carry.failures, matrix, degrees)
+    end = jax.tree.map(np.asarray, end)
+    estimates = jax.jit(jax.vmap(problem.params))(search.best) if starts else problem.params(search.best)
+    names = parameter_names(jax.eval_shape(unravel, jax.ShapeDtypeStruct(y.shape[-1:], y.dtype)))
+    return outcome(estimates, names, end, history, starts, standardized)
 
 
-def _free_vector(bounds: Any, params: Any, data: Any, starts: bool) -> tuple[Array, Callable[[Array], Any]]:
-    """The first guess as a vector of free parameters, (p,) or (starts, p), and the map back to a tree of them."""
+def _vector(bounds: Any, params: Any, data: Any, starts: bool) -> tuple[Array, Callable[[Array], Any], Box]:
+    """The coordinates of the first guess, (p,) or (starts, p), the map of a vector to a tree of them, and their box."""
+    if not sum(np.size(leaf) for leaf in jax.tree.leaves(params)):
+        raise ValueError(f"params holds no numbers: give a tree with at least one parameter to fit, got {params!r}")
     if not starts:
-        return ravel_pytree(release(bounds, params))
+        tree = _bounds.coordinates(bounds, params)
+        return *ravel_pytree(tree), _bounds.box(bounds, tree)
     _check_starts(params, data)
-    x = jax.jit(jax.vmap(lambda p: release(bounds, p)))(params)
-    if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(x)):
+    y = jax.jit(jax.vmap(lambda p: _bounds.coordinates(bounds, p)))(params)
+    if not _bounds.is_inside(bounds, y):
         raise ValueError("some of the starts are not inside their bounds")
-    _, unravel = ravel_pytree(jax.tree.map(lambda leaf: leaf[0], x))
-    return jax.vmap(lambda tree: ravel_pytree(tree)[0])(x), unravel
+    one = jax.tree.map(lambda leaf: leaf[0], y)
+    return jax.vmap(lambda tree: ravel_pytree(tree)[0])(y), ravel_pytree(one)[1], _bounds.box(bounds, one)
 
 
 def _check_starts(params: Any, data: Any) -> None:
@@ -199,26 +135,44 @@ class _Search(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Problem:
-    """A loss as a function of free parameters x, a vector, and the optimiser that minimises it from one start."""
+    """A loss as a function of a vector x, and the optimizer that minimises it from one start.
+
+    For residuals x holds the coordinates y of the bounds, for other losses all real numbers that `Box.inside` maps to
+    them.
+    """
 
     loss: Callable[..., Any]
     bounds: Any
     unravel: Callable[[Array], Any]
+    box: Box
     optimizer: Any
     tolerance: float
     target: float | None
 
+    @property
+    def has_residuals(self) -> bool:
+        return isinstance(self.optimizer, str) and self.optimizer in LEAST_SQUARES
+
+    def coordinates(self, x: Array) -> Array:
+        """The coordinates y of x."""
+        return x if self.has_residuals else self.box.inside(x)
+
     def params(self, x: Array) -> Any:
-        """The parameters, within their bounds, of the free x."""
-        return confine(self.bounds, self.unravel(x))
+        """The parameters of x."""
+        return self._of_coordinates(self.coordinates(x))
+
+    def _of_coordinates(self, y: Array) -> Any:
+        return _bounds.parameters(self.bounds, self.unravel(y))
 
     def method(self, data: Any) -> Method:
-        """The optimiser for this loss of x."""
+        """The optimizer for this loss."""
         more = () if data is None else (data,)
-        return _method(self.optimizer, lambda x: self.loss(self.params(x), *more), self.tolerance)
+        loss = lambda y: self.loss(self._of_coordinates(y), *more)  # noqa: E731
+        return _method(self.optimizer, loss, self.box, self.tolerance)
 
-    def begin(self, x: Array, data: Any) -> _Search:
+    def begin(self, y: Array, data: Any) -> _Search:
         """The search at its first guess."""
+        x = y if self.has_residuals else self.box.free(y)
         value, memory, ok = self.method(data).first(x)
         none = jnp.zeros((), jnp.int32)
         return _Search(Carry(x, value, memory, jnp.where(ok, none, NOWHERE), none, none), x, value, none)
@@ -232,31 +186,13 @@ class _Problem:
         best, least = where(after.loss < old.least, (after.x, after.loss), (old.best, old.least))
         return where(old.carry.code == RUNNING, _Search(after, best, least, old.made + 1), old)
 
-    def covariance(self, search: _Search) -> Array:
-        """The covariance of the parameters where a least-squares search has stopped."""
-        return spread(search.carry.memory.J, self.params, search.carry.x)
-
-    def at_edge(self, x: Array, start: Array) -> Array:
-        """True if a parameter hardly depends on x any more, compared with the start: it is at its bound."""
-
-        def speed(x: Array) -> Array:
-            return jnp.linalg.norm(slopes(self.params, x), axis=0)
-
-        return jnp.any(speed(x) <= _EDGE * speed(start))
-
-
-def _lines(params: Any, errors: Any) -> list[str]:
-    """A line for each parameter: its name in the tree, its value, and its standard error if there is one."""
-    named = jax.tree_util.tree_leaves_with_path(params)
-    spreads = jax.tree.leaves(errors) if errors is not None else [None] * len(named)
-    lines = []
-    for (path, leaf), error in zip(named, spreads, strict=True):
-        for index in np.ndindex(np.shape(leaf)):
-            place = f"[{', '.join(map(str, index))}]" if index else ""
-            spread = "" if error is None else f" ± {float(np.asarray(error)[index]):.2g}"
-            name = f"{jax.tree_util.keystr(path, simple=True, separator='.')}{place}" or "parameter"
-            lines.append(f"  {name} = {float(np.asarray(leaf)[index]):.8g}{spread}")
-    return lines
+    def finish(self, search: _Search, start: Array) -> tuple[Array, Array | None, Array | None]:
+        """Which coordinates are at a side of the box; for residuals the covariance of the parameters and J's rank."""
+        at_side = self.box.at_side(self.coordinates(search.best), start)
+        if not self.has_residuals:
+            return at_side, None, None
+        B = jax.jacfwd(lambda y: ravel_pytree(self._of_coordinates(y))[0])(search.carry.x)
+        return at_side, *spread(search.carry.memory.J, B, at_side)
 
 
 def _iterate(
@@ -277,67 +213,29 @@ def _iterate(
     return search, np.stack(history)
 
 
-def _result(
-    search: _Search,
-    history: np.ndarray,
-    to_params: Callable[[Array], Any],
-    edge: np.ndarray,
-    matrix: np.ndarray | None,
-    starts: bool,
-) -> Fit:
-    """The `Fit` of a search; with `starts`, that of the search with the least loss."""
-    every = None
-    if starts:
-        losses, codes = np.asarray(search.least), np.asarray(search.carry.code)
-        best = int(np.argmin(np.where(np.isfinite(losses), losses, np.inf)))
-        good = np.isin(codes, GOOD)
-        if matrix is not None:
-            matrix = np.where(good[:, None, None], matrix, np.nan)
-        every = Starts(jax.jit(jax.vmap(to_params))(search.best), losses, good, edge, matrix)
-        search, history = jax.tree.map(lambda leaf: leaf[best], search), history[:, best]
-        edge, matrix = edge[best], None if matrix is None else matrix[best]
-    code, made = int(search.carry.code), int(search.made)
-    if code not in GOOD and matrix is not None:
-        matrix = np.full_like(matrix, np.nan)
-        warnings.warn(
-            f"the fit did not converge ({REASONS[code]}): it has no standard errors", RuntimeWarning, stacklevel=3
-        )
-    return Fit(
-        to_params(search.best),
-        float(search.least),
-        REASONS[code],
-        code in GOOD,
-        bool(edge),
-        made,
-        int(search.carry.failures),
-        history[: made + 1],
-        None if code == NOWHERE else matrix,
-        every,
-    )
-
-
 def covariance(residuals: Callable[..., Any], params: Any) -> Array:
     """(JᵀJ)⁻¹ of residuals in units of their standard deviation, (p, p) in the order of `ravel_pytree(params)`."""
     x, unravel = ravel_pytree(params)
-    return spread(jacobian(lambda x: (residuals_of(residuals, unravel(x))[0], None), x)[0], unravel, x)
+    J = jacobian(lambda x: (residuals_of(residuals, unravel(x))[0], None), x)[0]
+    return spread(J, jnp.eye(x.size, dtype=x.dtype), jnp.zeros(x.shape, bool))[0]
 
 
-def _method(optimizer: Any, loss: Callable[[Array], Any], tolerance: float) -> Method:
-    """The optimiser called `optimizer` for a loss of free parameters."""
-    if optimizer in LEAST_SQUARES:
-        return least_squares(lambda x: residuals_of(loss, x), optimizer == "gauss_newton", tolerance)
+def _method(optimizer: Any, loss: Callable[[Array], Any], box: Box, tolerance: float) -> Method:
+    """The optimizer called `optimizer` for a loss of coordinates in a box."""
+    if isinstance(optimizer, str) and optimizer in LEAST_SQUARES:
+        return least_squares(lambda y: residuals_of(loss, y), box, optimizer == "gauss_newton", tolerance)
 
-    def scalar(x: Array) -> tuple[Array, Array]:
-        value, ok = valued(loss(x))
+    def scalar(y: Array) -> tuple[Array, Array]:
+        value, ok = valued(loss(y))
         if jnp.shape(value):
             raise ValueError(
-                f"the loss must be a scalar for this optimiser, got shape {jnp.shape(value)}; for residuals take "
+                f"the loss must be a scalar for this optimizer, got shape {jnp.shape(value)}; for residuals choose "
                 '"levenberg_marquardt"'
             )
         return value, ok
 
     if optimizer == "lbfgs":
-        return lbfgs(scalar, tolerance)
+        return lbfgs(scalar, box, tolerance)
     if optimizer == "adam":
         import optax
 
@@ -347,4 +245,4 @@ def _method(optimizer: Any, loss: Callable[[Array], Any], tolerance: float) -> M
             'optimizer must be "levenberg_marquardt", "gauss_newton", "lbfgs", "adam" or an optax transformation, got '
             f"{optimizer!r}"
         )
-    return descent(scalar, optimizer, tolerance)
+    return descent(scalar, box, optimizer, tolerance)

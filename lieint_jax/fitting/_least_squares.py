@@ -7,13 +7,15 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array, lax
-from jax.custom_batching import sequential_vmap
-from jax.flatten_util import ravel_pytree
+from jax import Array
 
-from lieint_jax.fitting._search import FLAT, NOWHERE, RUNNING, SHORTENINGS, STILL, STUCK, Carry, Method, where
+from lieint_jax.fitting._box import Box
+from lieint_jax.fitting._search import FLAT, NOWHERE, RUNNING, SETTLED, SHORTENINGS, STILL, STUCK, Carry, Method, where
+from lieint_jax.fitting._trust_region import Step, above_rounding, bounded_step, svd
 
-_SECULAR = 20  # Newton corrections of the damping; it takes 2 to 6
+_APPROACH = 0.999  # the part of the way to a side that a step may go
+_FIRST = 0.1  # the first trust radius, over the size of the coordinates or of 1
+_ROUNDING = 8  # units of round-off that are negligible
 
 
 class _Memory(NamedTuple):
@@ -22,23 +24,33 @@ class _Memory(NamedTuple):
     Attributes:
         r: residuals.
         J: their Jacobian.
-        D: the scales of the parameters.
-        radius: the trust radius, a bound of |Dδ|; for Gauss–Newton, the fraction of its step that is taken.
+        D: the scales of the coordinates.
+        radius: the trust radius, a bound of |Dδ|; for Gauss–Newton, the fraction of its step that is tried.
+        step: the step that is tried next, times D.
+        newton: the length of the step of Gauss–Newton, times D.
+        begin: the loss of the first guess.
     """
 
     r: Array
     J: Array
     D: Array
     radius: Array
+    step: Step
+    newton: Array
+    begin: Array
 
 
-def least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: bool, tolerance: float) -> Method:
-    """Minimise |r(x)|²/2.
+def least_squares(
+    residuals: Callable[[Array], tuple[Array, Array]], box: Box, undamped: bool, tolerance: float
+) -> Method:
+    """Minimise |r(x)|²/2 inside a box.
 
-    A step δ minimises |r + Jδ|² + λ|Dδ|², where λ keeps |Dδ| within the radius and D holds the largest norms of the
-    columns of J so far. `undamped`, it is the step of Gauss–Newton, halved until the loss falls.
+    A step δ minimises |r + Jδ| where |Dδ| is within the radius and x + δ in the box, a little short of its sides: D
+    holds the largest norms of the columns of J so far. `undamped`, it is the step of Gauss–Newton in the box, halved
+    until the loss falls. The search has arrived when that step is negligible, or lowers the loss little, by a part of
+    itself or by what round-off makes of the first loss.
 
-    Source: Moré 1978, Lecture Notes in Mathematics 630; here by singular values.
+    Source: Moré 1978, Lecture Notes in Mathematics 630; here by singular values, and with sides.
     """
 
     def look(x: Array) -> tuple[Array, Array, Array]:
@@ -50,90 +62,86 @@ def least_squares(residuals: Callable[[Array], tuple[Array, Array]], undamped: b
         return r, J, ok & jnp.all(jnp.isfinite(r)) & jnp.all(jnp.isfinite(J))
 
     def first(x: Array) -> tuple[Array, _Memory, Array]:
-        """Zeros: the first iteration takes a step of 0 and evaluates x, so that the simulation is compiled once."""
+        """Zeros: the first iteration makes a step of 0 and evaluates x, so that the simulation is compiled once."""
         r, J, _ = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(look, x))
-        one = jnp.ones((), r.dtype)
-        return jnp.inf * one, _Memory(r, J, jnp.zeros_like(J[0]), one), jnp.ones((), bool)
+        if not r.size:
+            raise ValueError("the loss returned no residuals: least squares needs at least one number")
+        one, none = jnp.ones((), r.dtype), jnp.zeros_like(J[0])
+        step = Step(none, 0 * one, 0 * one)
+        return jnp.inf * one, _Memory(r, J, none, one, step, one, 0 * one), jnp.ones((), bool)
 
     def advance(carry: Carry) -> Carry:
-        r, J, D, radius = carry.memory
+        r, J, D, radius, step, length, begin = carry.memory
         begun = jnp.isfinite(carry.loss)
-        scale = jnp.where(D > 0, D, 1)
-        newton, damped, damping = _steps(J / scale, r, radius)
-        step, damping = (radius * newton, 0.0) if undamped else (damped, damping)
-        x = carry.x + step / scale
+        x = carry.x + step.z / _scale(D)
         trial, J_trial, ok = look(x)
         loss = jnp.vdot(trial, trial) / 2
         fall = carry.loss - loss
-        along = J @ (step / scale)
-        predicted = jnp.vdot(along, along) / 2 + damping * jnp.vdot(step, step)
-        better = ok & ((fall >= 1e-4 * predicted) | ~begun)
+        better = ok & ((fall >= 1e-4 * step.fall) | ~begun)
         grown = jnp.maximum(D, jnp.linalg.norm(J_trial, axis=0))
-        length, size = jnp.linalg.norm(step), jnp.linalg.norm(scale * carry.x)
-        if undamped:
-            radius = jnp.where(better, jnp.minimum(1, 2 * radius), radius / 2)
-        else:
-            radius = jnp.where(better, _adapted(radius, length, fall, predicted, damping), length / 4)
-            radius = jnp.where(begun, radius, jnp.linalg.norm(grown * jnp.maximum(jnp.abs(x), 1)))
-        memory = where(better, _Memory(trial, J_trial, grown, radius), carry.memory)._replace(radius=radius)
+        adapted = _fraction(radius, better) if undamped else _radius(radius, better, fall, step)
+        opening = 1 if undamped else _FIRST * jnp.linalg.norm(grown * jnp.maximum(jnp.abs(x), 1))
+        radius = jnp.where(begun, adapted, opening)
+        r, J, D = where(better, (trial, J_trial, grown), (r, J, D))
         x, loss = where(better, (x, loss), (carry.x, carry.loss))
-        small = jnp.maximum(tolerance, 8 * jnp.finfo(x.dtype).eps)
-        cosine = _cosine(memory.J, memory.r)
-        still = (jnp.abs(fall) <= small * carry.loss) & (predicted <= small * carry.loss)
-        settled = (cosine <= jnp.sqrt(small)) & still
-        there = jnp.linalg.norm(newton) <= small * size  # even the undamped step is negligible
+        newton, ahead = _next_steps(box, undamped, x, r, J, D, radius)
+        memory = _Memory(r, J, D, radius, ahead, jnp.linalg.norm(newton.z), jnp.where(begun, begin, loss))
+        small, size = _small(tolerance, x), jnp.linalg.norm(D * x)
+        still = begun & ok & (jnp.maximum(jnp.abs(fall), step.fall) <= small * loss)
+        arrived = _arrived(box, x, loss, memory, newton, still, small)
+        arrived = jnp.where((arrived == RUNNING) & begun & ok & (length <= small * size), SETTLED, arrived)
         bad = jnp.where(better, 0, carry.bad + 1)
-        stuck = (bad > SHORTENINGS) | (begun & (length <= jnp.finfo(x.dtype).eps * size))
-        code = jnp.where(begun & ok & (settled | there), STILL, jnp.where(stuck, STUCK, RUNNING))
-        code = jnp.where(jnp.isfinite(loss), jnp.where(cosine <= small, FLAT, code), NOWHERE)
+        minute = begun & (jnp.linalg.norm(step.z) <= jnp.finfo(x.dtype).eps * size)
+        code = jnp.where((arrived == RUNNING) & (minute | (bad > SHORTENINGS)), STUCK, arrived)
+        code = jnp.where(jnp.isfinite(loss), code, NOWHERE)
         return Carry(x, loss, memory, code.astype(jnp.int32), bad, carry.failures + ~ok)
 
     return Method(first, advance)
 
 
-def _adapted(radius: Array, length: Array, fall: Array, predicted: Array, damping: Array | float) -> Array:
-    """The trust radius after an accepted step: by how much of the predicted fall of the loss came true."""
-    well = (fall >= 0.75 * predicted) | (damping == 0)
-    return jnp.where(fall < 0.25 * predicted, length / 2, jnp.where(well, 2 * length, radius))
+def _scale(D: Array) -> Array:
+    return jnp.where(D > 0, D, 1)
 
 
-def _steps(A: Array, r: Array, radius: Array) -> tuple[Array, Array, Array]:
-    """The shortest minimiser δ of |r + Aδ|; the minimiser within |δ| ≤ radius, and its λ in (AᵀA + λ)δ = −Aᵀr."""
-    U, s, Vt = _svd(A)
-    known = _known(s, A)
-    g, s = jnp.where(known, U.T @ r, 0), jnp.where(known, s, 1)
-
-    def correction(_: int, damping: Array) -> Array:
-        p = s * g / (s * s + damping)
-        length = jnp.linalg.norm(p)
-        slope = jnp.sum(p * p / (s * s + damping))
-        return damping + jnp.where(length > radius, length**2 * (length - radius) / (radius * slope), 0)
-
-    damping = lax.fori_loop(0, _SECULAR, correction, jnp.zeros_like(s[0]))
-    return -(Vt.T @ (g / s)), -(Vt.T @ (s * g / (s * s + damping))), damping
+def _small(tolerance: float, x: Array) -> Array:
+    return jnp.maximum(tolerance, _ROUNDING * jnp.finfo(x.dtype).eps)
 
 
-def _known(s: Array, A: Array) -> Array:
-    """True for the singular values of A above round-off."""
-    return s > jnp.finfo(s.dtype).eps * max(A.shape) * s[0]
+def _fraction(fraction: Array, better: Array) -> Array:
+    """The fraction of the next step of Gauss–Newton that is tried."""
+    return jnp.where(better, jnp.minimum(1, 2 * fraction), fraction / 2)
 
 
-def _cosine(J: Array, r: Array) -> Array:
-    """The largest cosine between the residuals and a column of their Jacobian; 0 where either vanishes."""
-    size = jnp.linalg.norm(J, axis=0) * jnp.linalg.norm(r)
-    return jnp.max(jnp.abs(J.T @ r) / jnp.where(size > 0, size, 1))
+def _radius(radius: Array, better: Array, fall: Array, step: Step) -> Array:
+    """The trust radius after a step: by how much of the predicted fall of the loss came true."""
+    length = jnp.linalg.norm(step.z)
+    well = (fall >= 0.75 * step.fall) | (step.damping == 0)
+    accepted = jnp.where(fall < 0.25 * step.fall, length / 2, jnp.where(well, 2 * length, radius))
+    return jnp.where(better, accepted, length / 4)
 
 
-@sequential_vmap
-def _svd(A: Array) -> tuple[Array, Array, Array]:
-    """The singular value decomposition, one matrix of a batch at a time.
+def _arrived(box: Box, x: Array, loss: Array, memory: _Memory, newton: Step, still: Array, small: Array) -> Array:
+    """FLAT or STILL where x is a minimum in the box, else RUNNING; `still`: the last step hardly changed the loss."""
+    r, J = memory.r, memory.J
+    room = jnp.where(J.T @ r > 0, x - jnp.asarray(box.low, x.dtype), jnp.asarray(box.high, x.dtype) - x)
+    norm, size = jnp.linalg.norm(r), jnp.linalg.norm(J, axis=0)
+    cosines = jnp.abs(J.T @ r) / jnp.where(size * norm > 0, size * norm, 1)
+    cosine = jnp.max(cosines * jnp.minimum(1, room * size / jnp.where(norm > 0, norm, 1)))
+    rounding = (_ROUNDING * jnp.finfo(x.dtype).eps) ** 2 * memory.begin
+    flat = (newton.fall <= jnp.maximum(small * loss, rounding)) | (cosine <= small)
+    return jnp.where(flat, FLAT, jnp.where(still & (cosine <= jnp.sqrt(small)), STILL, RUNNING))
 
-    XLA runs the SVDs of a batch on the threads that run a CPU's devices: where each core is a device, all of them wait
-    and none is left to do the work.
-    """
-    missing = max(0, A.shape[1] - A.shape[0])
-    U, s, Vt = jnp.linalg.svd(jnp.concatenate([A, jnp.zeros((missing, A.shape[1]), A.dtype)]), full_matrices=False)
-    return U[: A.shape[0]], s, Vt
+
+def _next_steps(box: Box, undamped: bool, x: Array, r: Array, J: Array, D: Array, radius: Array) -> tuple[Step, Step]:
+    """The step of Gauss–Newton in the box, and the one to try."""
+    scale = _scale(D)
+    low, high = (_APPROACH * (jnp.asarray(side, x.dtype) - x) * scale for side in box)
+    radii = jnp.stack([jnp.full_like(radius, jnp.inf), radius])
+    both = jax.vmap(lambda radius: bounded_step(J / scale, r, radius, low, high))(radii)
+    newton, damped = (Step(*(leaf[k] for leaf in both)) for k in range(2))
+    if undamped:
+        return newton, newton._replace(z=radius * newton.z, fall=radius * newton.fall)
+    return newton, damped
 
 
 def jacobian(residuals: Callable[[Array], tuple[Array, Any]], x: Array) -> tuple[Array, Any]:
@@ -149,23 +157,21 @@ def jacobian(residuals: Callable[[Array], tuple[Array, Any]], x: Array) -> tuple
     return jax.jacrev(residuals, has_aux=True)(x)
 
 
-def slopes(inside: Callable[[Array], Any], x: Array) -> Array:
-    """The derivative of the parameters, as one vector, with respect to the free x, (p, p)."""
-    return jax.jacfwd(lambda x: ravel_pytree(inside(x))[0])(x)
+def spread(J: Array, B: Array, held: Array) -> tuple[Array, Array]:
+    """The covariance B (JᵀJ)⁻¹ Bᵀ, and the rank of J; J is the Jacobian by coordinates, B that of the parameters.
 
-
-def spread(J: Array, inside: Callable[[Array], Any], x: Array) -> Array:
-    """The covariance B (JᵀJ)⁻¹ Bᵀ, with J the Jacobian with respect to the free x, B that of the parameters.
-
-    A parameter that the residuals do not determine has an infinite variance, and its covariances are nan.
+    Coordinates that are `held`, at a side of the box, count as known. Parameters that depend on them have no variance,
+    nan; those that the residuals do not determine have an infinite one, and covariances nan.
     """
+    J = jnp.where(held, 0, J)
     size = jnp.linalg.norm(J, axis=0)
     size = jnp.where(size > 0, size, 1)
-    _, s, Vt = _svd(J / size)
-    known = _known(s, J)
-    B = slopes(inside, x)
-    W = B @ (Vt / size).T  # a column for each singular value
+    _, s, Vt = svd(J / size)
+    known = above_rounding(s, J)
+    W = jnp.where(held, 0, B) @ (Vt / size).T  # a column for each singular value
     half = W * jnp.where(known, 1 / jnp.where(known, s, 1), 0)
     lost = jnp.sum(jnp.where(known, 0, W * W), axis=1) > jnp.finfo(s.dtype).eps * jnp.sum(W * W, axis=1)
     unknown = jnp.where(jnp.eye(lost.size, dtype=bool), jnp.inf, jnp.nan)
-    return jnp.where(lost[:, None] | lost, unknown, half @ half.T)
+    covariance = jnp.where(lost[:, None] | lost, unknown, half @ half.T)
+    at_side = jnp.any(held & (B != 0), axis=1)
+    return jnp.where(at_side[:, None] | at_side, jnp.nan, covariance), jnp.sum(known)

@@ -13,16 +13,17 @@ from jax.flatten_util import ravel_pytree
 
 from lieint_jax.types import StepInfo
 
-RUNNING, FLAT, STILL, TARGET, STUCK, NOWHERE = range(6)
+RUNNING, FLAT, STILL, SETTLED, TARGET, STUCK, NOWHERE = range(7)
 REASONS = (
     "the iterations were used up",
     "the gradient vanished",
     "the loss no longer fell",
+    "the steps became negligible",
     "the target was reached",
     "no step led further down, though the gradient has not vanished",
     "the first guess failed",
 )
-GOOD = (FLAT, STILL, TARGET)
+GOOD = (FLAT, STILL, SETTLED, TARGET)
 SHORTENINGS = 40  # the most in a row before a search gives up
 
 

@@ -20,7 +20,8 @@ from jax.typing import ArrayLike
 from lieint_jax import schemes
 from lieint_jax.ensemble._over_members import over_members
 from lieint_jax.fitting._bounds import free, inertia_ratios, principal_inertia
-from lieint_jax.fitting._fit import Fit, fit
+from lieint_jax.fitting._fit import fit
+from lieint_jax.fitting._outcome import Fit
 from lieint_jax.groups import so3
 from lieint_jax.integrate import integrate
 from lieint_jax.studies._equivalents import SPACE, Change, Solutions, distance, solutions

@@ -11,7 +11,8 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 
 from lieint_jax.fitting._bounds import free, inertia_ratios, interval
-from lieint_jax.fitting._fit import Fit, fit
+from lieint_jax.fitting._fit import fit
+from lieint_jax.fitting._outcome import Fit
 from lieint_jax.fitting._robust import FREEDOM, student_t, student_t_curvature, student_t_noise_error
 from lieint_jax.groups import so3
 from lieint_jax.studies._radar import errors, model, path, path_of_fits

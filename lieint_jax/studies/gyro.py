@@ -19,7 +19,8 @@ from matplotlib.figure import Figure
 
 from lieint_jax import plots, schemes
 from lieint_jax.fitting._bounds import free, inertia_ratios
-from lieint_jax.fitting._fit import Fit, fit
+from lieint_jax.fitting._fit import fit
+from lieint_jax.fitting._outcome import Fit
 from lieint_jax.integrate import integrate
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State
@@ -90,7 +91,7 @@ def run(quick: bool = False, trials: int = 100, seed: int = 4, progress: bool = 
     guesses = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (trials, *leaf.shape)), guess)
     guesses["rate"] = data[:, 0]
     bounds = {"bias": free, "inertia": inertia_ratios, "rate": free}
-    best = fit(residuals, guesses, bounds=bounds, starts=True, data=data, progress=progress)
+    best = fit(residuals, guesses, bounds=bounds, starts=True, data=data, standardized=True, progress=progress)
     assert best.starts is not None
     assert best.starts.covariance is not None
     estimates = np.asarray(jax.vmap(lambda p: ravel_pytree(p)[0])(best.starts.params))

@@ -20,7 +20,8 @@ from matplotlib.figure import Figure
 
 from lieint_jax import diagnostics, maps, plots, schemes, systems
 from lieint_jax.diagnostics.symplectic import pushed
-from lieint_jax.fitting._fit import Fit, fit
+from lieint_jax.fitting._fit import fit
+from lieint_jax.fitting._outcome import Fit
 from lieint_jax.integrate import integrate
 from lieint_jax.types import State
 

@@ -20,7 +20,8 @@ from matplotlib.figure import Figure
 from lieint_jax import diagnostics, plots, schemes, systems
 from lieint_jax.adjoints._reversible import reversible
 from lieint_jax.fitting._bounds import positive
-from lieint_jax.fitting._fit import Fit, fit
+from lieint_jax.fitting._fit import fit
+from lieint_jax.fitting._outcome import Fit
 from lieint_jax.integrate import integrate
 from lieint_jax.systems import PseudoRigidBody
 from lieint_jax.types import State
@@ -91,7 +92,7 @@ def run(quick: bool = False, progress: bool = True) -> MaterialFit:
         seen, converged = strains(params, saves, "reverse")
         return jnp.sum(((seen - data) / NOISE) ** 2) / 2, converged
 
-    found = fit(residuals, guess, bounds=positive, iterations=30, progress=progress)
+    found = fit(residuals, guess, bounds=positive, iterations=30, standardized=True, progress=progress)
     reverse = jax.jit(jax.grad(lambda p: half_square(p)[0]))
     first, last = (float(jnp.linalg.norm(ravel_pytree(reverse(p))[0])) for p in (guess, found.params))
     fitted = jax.jit(lambda p: strains(p, saves, "forward")[0])(found.params)

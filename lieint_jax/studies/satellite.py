@@ -20,7 +20,7 @@ import jax
 import numpy as np
 from matplotlib.figure import Figure
 
-from lieint_jax.fitting._fit import Fit
+from lieint_jax.fitting._outcome import Fit
 from lieint_jax.studies import _satellite_picture, _satellite_report
 from lieint_jax.studies._equivalents import Change, Solutions, changes, differences, parameters, solutions, sorted_out
 from lieint_jax.studies._facets import Facets, brightness, facets, magnitude

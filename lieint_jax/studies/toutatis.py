@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 
 from lieint_jax import scenarios
 from lieint_jax._numerics import three
-from lieint_jax.fitting._fit import Fit
+from lieint_jax.fitting._outcome import Fit
 from lieint_jax.fitting._robust import FREEDOM, student_t_weights
 from lieint_jax.groups import so3
 from lieint_jax.studies import _flyby, _toutatis_picture, _toutatis_report

@@ -1,0 +1,213 @@
+"""The result of a fit: estimate, covariance, whether it is a success, and what to try if it is none."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from lieint_jax.fitting._search import GOOD, NOWHERE, REASONS, RUNNING, STUCK
+
+_RARE = 4.75  # standard deviations of a normal distribution that one of a million values is above
+_TRY = {
+    RUNNING: "raise `iterations`, or fit from several guesses with starts=True",
+    STUCK: "look for noise or jumps in the loss and for failing solves, or fit from several guesses with starts=True",
+    NOWHERE: "start where loss and gradient are finite and the solves converge",
+}
+
+
+class Starts(NamedTuple):
+    """The results of all starts, each leaf with a leading axis of starts.
+
+    Attributes:
+        params: the estimates.
+        loss: the losses there.
+        success: whether each is a success, as in `Fit`.
+        at_bound: whether each has a parameter at its bound, as in `Fit`.
+        covariance: covariances as in `Fit`, (starts, p, p), or None.
+    """
+
+    params: Any
+    loss: np.ndarray
+    success: np.ndarray
+    at_bound: np.ndarray
+    covariance: np.ndarray | None
+
+
+class Fit(NamedTuple):
+    """The result of `fit`. With many starts, the best of them; `starts` holds all.
+
+    Attributes:
+        params: the estimate, a tree like the first guess.
+        loss: the loss at the estimate; for least squares, half the sum of squares of the residuals.
+        stopped: why the search stopped, in words.
+        success: whether the estimate is a minimum within the bounds, or reached the target, and, of residuals that are
+            `standardized`, has a plausible χ².
+        at_bound: whether a parameter is at its bound.
+        iterations: the number of iterations.
+        failures: the number of trials that failed (loss or gradient not finite, or not converged).
+        history: the loss after each iteration, shape (iterations + 1,), the first guess first.
+        covariance: of the estimate, (p, p) in the order of `ravel_pytree(params)`: the inverse of the Gauss–Newton
+            matrix, for residuals in units of their standard deviation. A parameter at its bound has none, NaN, and
+            counts as known in that of the others. NaN without success; None if the fit is not by least squares.
+        starts: with many starts, the result of each, with a leading axis; else None.
+        message: what was wrong and what to try; empty after a success with no parameter at its bound.
+        degrees_of_freedom: the number of residuals less that of the parameters that they determine and that are at no
+            bound; None if the fit is not by least squares.
+    """
+
+    params: Any
+    loss: float
+    stopped: str
+    success: bool
+    at_bound: bool
+    iterations: int
+    failures: int
+    history: np.ndarray
+    covariance: np.ndarray | None
+    starts: Starts | None
+    message: str = ""
+    degrees_of_freedom: int | None = None
+
+    @property
+    def chi_square(self) -> float:
+        """Twice the loss: χ² of residuals in units of their standard deviation."""
+        if self.degrees_of_freedom is None:
+            raise ValueError("only least-squares fits have a χ²: levenberg_marquardt, gauss_newton")
+        return 2 * self.loss
+
+    @property
+    def standard_errors(self) -> Any:
+        """Square roots of the variances, in the structure of the parameters."""
+        if self.covariance is None:
+            raise ValueError("only least-squares fits have a covariance: levenberg_marquardt, gauss_newton")
+        return ravel_pytree(self.params)[1](jnp.sqrt(jnp.diagonal(jnp.asarray(self.covariance))))
+
+    @property
+    def outcome(self) -> str:
+        """Loss, number of iterations and why the search stopped, in a line."""
+        edge = ", at a bound" if self.at_bound else ""
+        failed = f", {self.failures} trials failed" if self.failures else ""
+        return f"loss {self.loss:.6g} after {self.iterations} iterations: {self.stopped}{edge}{failed}"
+
+    def __str__(self) -> str:
+        errors = self.standard_errors if self.covariance is not None else None
+        return "\n".join([self.outcome, *_lines(self.params, errors), *filter(None, [self.message])])
+
+
+class End(NamedTuple):
+    """Where searches have ended; with many starts, each leaf has a leading axis.
+
+    Attributes:
+        at_side: which coordinates are at a side of their box, (p,).
+        loss: the least losses.
+        code: why the searches stopped, indices of `REASONS`.
+        made: the numbers of iterations.
+        failures: the numbers of failed trials.
+        covariance: of the parameters, or None.
+        degrees: degrees of freedom, or None.
+    """
+
+    at_side: Any
+    loss: Any
+    code: Any
+    made: Any
+    failures: Any
+    covariance: Any
+    degrees: Any
+
+
+def outcome(params: Any, names: list[str], end: End, history: np.ndarray, starts: bool, standardized: bool) -> Fit:
+    """The `Fit` of a search; with `starts`, that of the search with the least loss.
+
+    Args:
+        params: the estimates; with `starts`, each leaf has a leading axis.
+        names: the parameter to which each coordinate belongs.
+        end: where the searches have ended.
+        history: the losses after each iteration, (iterations + 1,) or (iterations + 1, starts).
+        starts: whether there are many.
+        standardized: whether χ² must be plausible.
+    """
+    plausible = _plausible(end) if standardized else np.ones(np.shape(end.code), bool)
+    success = np.isin(end.code, GOOD) & plausible
+    if end.covariance is not None:
+        end = end._replace(covariance=np.where(success[..., None, None], end.covariance, np.nan))
+    every = None
+    if starts:
+        every = Starts(params, end.loss, success, end.at_side.any(axis=-1), end.covariance)
+        best = int(np.argmin(np.where(np.isfinite(end.loss), end.loss, np.inf)))
+        params, end, success, plausible = jax.tree.map(lambda leaf: leaf[best], (params, end, success, plausible))
+        history = history[:, best]
+    code, made = int(end.code), int(end.made)
+    message = _message(end, names, bool(plausible))
+    if not success and end.covariance is not None:
+        warnings.warn(_warning(code, message), RuntimeWarning, stacklevel=3)
+    return Fit(
+        params,
+        float(end.loss),
+        REASONS[code],
+        bool(success),
+        bool(end.at_side.any()),
+        made,
+        int(end.failures),
+        history[: made + 1],
+        None if code == NOWHERE else end.covariance,
+        every,
+        message,
+        None if end.degrees is None else int(end.degrees),
+    )
+
+
+def _plausible(end: End) -> np.ndarray:
+    """Whether χ² is below its quantile of 1 − 1e-6, by Wilson & Hilferty 1931, Proc. Natl. Acad. Sci. 17, 684."""
+    degrees = np.maximum(end.degrees, 1)
+    width = 2 / (9 * degrees)
+    return (2 * end.loss <= degrees * (1 - width + _RARE * np.sqrt(width)) ** 3) | (end.degrees < 1)
+
+
+def _message(end: End, names: list[str], plausible: bool) -> str:
+    """What is wrong with a search, and what to try."""
+    code, good = int(end.code), int(end.code) in GOOD
+    parts = [] if good else [f"{REASONS[code]}: {_TRY[code]}"]
+    if good and not plausible:
+        parts.append(
+            f"χ² = {2 * end.loss:.4g} is implausible for {end.degrees} degrees of freedom: fit from several guesses "
+            "with starts=True; if none ends lower, the model is wrong or the standard deviation of the residuals too "
+            f"small by a factor of {np.sqrt(2 * end.loss / end.degrees):.2g}"
+        )
+    at_side = dict.fromkeys(name for name, held in zip(names, end.at_side, strict=True) if held)
+    if at_side:
+        remedy = "it has no standard error" if good and plausible else "widen the bound, or begin elsewhere"
+        parts.append(f"{', '.join(at_side)} at a bound: {remedy}")
+    return "; ".join(parts)
+
+
+def _warning(code: int, message: str) -> str:
+    reason = f"the fit did not converge ({REASONS[code]})" if code not in GOOD else "the fit is no success"
+    return f"{reason}: it has no standard errors; {message}"
+
+
+def _lines(params: Any, errors: Any) -> list[str]:
+    """A line for each parameter: its name in the tree, its value, and its standard error if there is one."""
+    named = jax.tree_util.tree_leaves_with_path(params)
+    spreads = jax.tree.leaves(errors) if errors is not None else [None] * len(named)
+    lines = []
+    for (path, leaf), error in zip(named, spreads, strict=True):
+        for index in np.ndindex(np.shape(leaf)):
+            place = f"[{', '.join(map(str, index))}]" if index else ""
+            spread = "" if error is None else f" ± {float(np.asarray(error)[index]):.2g}"
+            lines.append(f"  {_name(path, place)} = {float(np.asarray(leaf)[index]):.8g}{spread}")
+    return lines
+
+
+def parameter_names(y: Any) -> list[str]:
+    """For each number of a tree the name of its leaf."""
+    return [_name(path) for path, leaf in jax.tree_util.tree_leaves_with_path(y) for _ in range(leaf.size)]
+
+
+def _name(path: Any, place: str = "") -> str:
+    return f"{jax.tree_util.keystr(path, simple=True, separator='.')}{place}" or "parameter"
