@@ -1,0 +1,285 @@
+"""A program of numbers on arrays of the members, by JAX: what an accelerator runs.
+
+Every number that depends on the member is an array (members,), every other one a scalar. So XLA sees arithmetic without
+axes, of which it makes one kernel between two loops, and numbers in between stay in registers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from lieint_jax.native._program import Block, Branch, Loop, Number, Program, numbers_of
+from lieint_jax.native._traced import Traced, made_once
+from lieint_jax.native._walk import UnsupportedError
+
+
+def flattened(function: Callable[..., Any], kinds: Sequence[Any], examples: Sequence[Any]) -> Flattened:
+    """The `Flattened` of a function that can be hashed, made once for all arguments of the same shapes."""
+    return made_once(Flattened, function, kinds, examples)
+
+
+class Flattened:
+    """A function of one member, as a function of the arrays of all; for use inside of `jax.jit`.
+
+    Args:
+        function, kinds, examples: see `Traced`; a "row" is shared.
+
+    Attributes:
+        results: the shapes of the results of one member and one row.
+        kinds_of_results: for each of them "member" or "shared".
+        length: the number of operations.
+        width: about how many registers of 32 bits the program needs, if a kernel does what lies between two loops.
+        carried: the most numbers of a member that a loop carries: an iteration reads and writes them.
+
+    Raises:
+        UnsupportedError: the function does what cannot be a program of numbers, or has no counterpart in JAX.
+    """
+
+    def __init__(self, function: Callable[..., Any], kinds: Sequence[Any], examples: Sequence[Any]):
+        self._traced = Traced(function, kinds, examples)
+        self.results, self.kinds_of_results = self._traced.results, self._traced.kinds_of_results
+        self.length = self._traced.length
+        self.width, self.carried = width(self._traced.program), carried(self._traced.program)
+        _check(self._traced.program.block, self._traced.program)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """The results of all members, each with the leading axis (members,), from arguments with it or shared ones."""
+        traced = self._traced
+        leaves = zip(jax.tree.leaves(arguments), traced.leaves[: traced.given], strict=True)
+        arrays = [jnp.asarray(x, leaf.dtype) for x, leaf in leaves]
+        members = next(len(x) for x, leaf in zip(arrays, traced.leaves, strict=False) if leaf.varies)
+        for operation in traced.outside:
+            varies = operation.kind == "member"
+            operands = self._results(operation.program, arrays, members, operation.operands)
+            arrays += operation.results(operands if varies else [x[0] for x in operands])
+        found = self._results(traced.program, arrays, members, jax.tree.leaves(self.results))
+        return jax.tree.unflatten(jax.tree.structure(self.results), found)
+
+    def _results(self, program: Program, arrays: list[Array], members: int, shapes: Sequence[Any]) -> list[Array]:
+        """The outputs of a program as arrays (members, …)."""
+        leaves = zip(arrays, self._traced.leaves, strict=False)
+        flat = [x.reshape(members, -1) if leaf.varies else x.reshape(-1) for x, leaf in leaves]
+        values = {x: flat[x.data[0]][..., x.data[1]] for x in program.live if x.op == "argument"}
+        evaluation = _Evaluation(program, members, dict(enumerate(arrays)), values)
+        evaluation.block(program.block)
+        outputs = iter(program.outputs)
+        found = []
+        for shape in shapes:
+            entries = [evaluation.value(next(outputs), True) for _ in range(int(np.prod(shape.shape)))]
+            stacked = jnp.stack(entries, -1) if entries else jnp.zeros(0, shape.dtype)
+            found.append(stacked.reshape(members, *shape.shape))
+        return found
+
+
+class _Evaluation:
+    """The values of a program's numbers, inside a block and those around it."""
+
+    def __init__(self, program: Program, members: int, tables: dict[int, Array], values: dict[Number, Any]):
+        self.program, self.members, self.tables, self.values = program, members, tables, values
+
+    def inside(self) -> _Evaluation:
+        """An evaluation of a block that JAX traces by itself."""
+        return _Evaluation(self.program, self.members, self.tables, dict(self.values))
+
+    def varies(self, x: Number) -> bool:
+        return x in self.program.varying
+
+    def value(self, x: Number, vector: bool | None = None) -> Any:
+        """A number as an array (members,) or as a scalar."""
+        found = lax.full((), x.data, x.dtype) if x.is_constant else self.values[x]
+        wanted = self.varies(x) if vector is None else vector
+        return lax.broadcast(found, (self.members,)) if wanted and not self.varies(x) else found
+
+    def block(self, block: Block) -> None:
+        """Evaluate what a block computes."""
+        for item in block.items:
+            if isinstance(item, Loop):
+                self.loop(item)
+            elif isinstance(item, Branch):
+                self.branch(item)
+            elif item in self.program.live:
+                self.values[item] = self.operation(item)
+
+    def operation(self, x: Number) -> Any:
+        vector = self.varies(x)
+        if x.op == "array":
+            return None if vector else jnp.stack([self.value(y) for y in x.inputs])
+        if x.op == "entry":
+            return self.entry(x)
+        if x.op in ("table", "values"):
+            table = self.tables[x.data] if x.op == "table" else np.frombuffer(x.data[1], x.data[0])
+            return jnp.asarray(table)[self.value(x.inputs[0])]
+        if x.op == "convert":
+            return lax.convert_element_type(self.value(x.inputs[0], vector), x.dtype)
+        return _OPERATIONS[x.op](*(self.value(y, vector) for y in x.inputs))
+
+    def entry(self, x: Number) -> Any:
+        """The entry of an array of numbers.
+
+        If these vary, by selection: an array in memory would take a kernel of its own.
+        """
+        if not self.varies(x.inputs[1]):
+            return self.value(x.inputs[1])[self.value(x.inputs[0])]
+        index, array = self.value(x.inputs[0]), [self.value(y, True) for y in x.inputs[1].inputs]
+        found = array[-1]
+        for k in range(len(array) - 1):
+            found = lax.select(lax.eq(index, lax.full_like(index, k)), array[k], found)
+        return found
+
+    def loop(self, loop: Loop) -> None:
+        """A loop; if its test varies, it goes on while a member does, and the others keep what they have."""
+        carried = self.program.needed(loop.carries)
+        if not carried:
+            return
+        masked = self.varies(loop.test)
+
+        def inside(state: Any) -> tuple[_Evaluation, Any]:
+            inner = self.inside()
+            for k, value in zip(carried, state[0], strict=True):
+                inner.values[loop.carries[k]] = value
+            inner.block(loop.head)
+            test = inner.value(loop.test)
+            return inner, lax.bitwise_and(state[1], test) if masked else test
+
+        def goes_on(state: Any) -> Array:
+            test = inside(state)[1]
+            return jnp.any(test) if masked else test
+
+        def following(state: Any) -> Any:
+            inner, going = inside(state)
+            inner.block(loop.body)
+            after = []
+            for k, before in zip(carried, state[0], strict=True):
+                inside_varies = self.varies(loop.carries[k])
+                new = inner.value(loop.following[k], inside_varies)
+                after.append(lax.select(going, new, before) if masked and inside_varies else new)
+            return after, going if masked else None
+
+        starts = [self.value(loop.starts[k], self.varies(loop.carries[k])) for k in carried]
+        active = lax.full((self.members,), True) if masked else None
+        results, _ = lax.while_loop(goes_on, following, (starts, active))
+        for k, value in zip(carried, results, strict=True):
+            self.values[loop.results[k]] = value
+
+    def branch(self, branch: Branch) -> None:
+        """One of two blocks, or both and a selection, if the test varies."""
+        live = self.program.needed(branch.results)
+        if not live:
+            return
+        varies = [self.varies(branch.results[k]) for k in live]
+
+        def side(n: int) -> list[Any]:
+            inner = self.inside()
+            inner.block(branch.blocks[n])
+            return [inner.value(branch.values[n][k], v) for k, v in zip(live, varies, strict=True)]
+
+        test = self.value(branch.test)
+        if self.varies(branch.test):
+            chosen = [lax.select(test, *pair) for pair in zip(side(0), side(1), strict=True)]
+        else:
+            chosen = lax.cond(test, lambda: side(0), lambda: side(1))
+        for k, value in zip(live, chosen, strict=True):
+            self.values[branch.results[k]] = value
+
+
+_SAME = (
+    "abs acos acosh add asin asinh atan atan2 atanh cbrt ceil cos cosh div eq erf erfc exp exp2 expm1 floor ge gt le "
+    "log log1p logistic lt max min mul ne neg pow rem shift_left shift_right_arithmetic shift_right_logical sin sinh "
+    "sqrt sub tan tanh"
+)
+_OPERATIONS: dict[str, Callable[..., Any]] = {name: getattr(lax, name) for name in _SAME.split()} | {
+    "and": lax.bitwise_and,
+    "not": lax.bitwise_not,
+    "or": lax.bitwise_or,
+    "round_away": lambda x: lax.round(x, lax.RoundingMethod.AWAY_FROM_ZERO),
+    "round_even": lambda x: lax.round(x, lax.RoundingMethod.TO_NEAREST_EVEN),
+    "select": lax.select,
+    "xor": lax.bitwise_xor,
+}
+_READS = frozenset({"array", "entry", "table", "values", "convert"})
+
+
+def _check(block: Block, program: Program) -> None:
+    for item in block.items:
+        if isinstance(item, Number):
+            if item in program.live and item.op not in _READS and item.op not in _OPERATIONS:
+                raise UnsupportedError(item.op)
+        else:
+            for inner in _blocks(item):
+                _check(inner, program)
+
+
+def _blocks(item: Loop | Branch) -> tuple[Block, Block]:
+    return (item.head, item.body) if isinstance(item, Loop) else item.blocks
+
+
+def carried(program: Program) -> int:
+    """The most numbers of a member that a loop carries from one iteration to the next."""
+
+    def of(block: Block) -> int:
+        inner = [item for item in block.items if not isinstance(item, Number)]
+        own = [sum(x in program.varying and x in program.live for x in y.carries) for y in inner if isinstance(y, Loop)]
+        return max([0, *own, *(of(part) for item in inner for part in _blocks(item))])
+
+    return of(program.block)
+
+
+def width(program: Program) -> int:
+    """The most registers of 32 bits that numbers of a member occupy at once, in the order of the program.
+
+    What lies between two loops is counted by itself: numbers that go from one to the next do so through memory. Those
+    that are used later, or are results, count to its end, where a kernel writes them.
+    """
+    return max(_width(part, program) for part in _parts(program.block, program, program.outputs))
+
+
+def _parts(block: Block, program: Program, after: Sequence[Number]) -> list[tuple[list[Number], set[Number]]]:
+    """The operations between loops and branches, each with the numbers that are used beyond them."""
+    found: list[tuple[list[Number], set[Number]]] = []
+    needed = set(after)
+    part: list[Number] = []
+    for item in reversed(block.items):
+        if isinstance(item, Number):
+            if item in program.live:
+                part.append(item)
+            continue
+        found.append((part[::-1], set(needed)))
+        needed.update(y for x in part for y in x.inputs)
+        needed.update(numbers_of(item))
+        part = []
+        for inner, last in zip(_blocks(item), _ends(item), strict=True):
+            parts = _parts(inner, program, last)
+            found += parts
+            needed.update(y for inside, _ in parts for x in inside for y in x.inputs)
+    return [*found, (part[::-1], needed)]
+
+
+def _ends(item: Loop | Branch) -> tuple[Sequence[Number], Sequence[Number]]:
+    """What the two blocks of a loop or a branch must have at their ends."""
+    if isinstance(item, Loop):
+        return [item.test], item.following
+    return item.values[0], item.values[1]
+
+
+def _width(part: tuple[list[Number], set[Number]], program: Program) -> int:
+    numbers, needed = part
+    last = {y: k for k, x in enumerate(numbers) for y in (*x.inputs, x)}
+    last |= {x: len(numbers) for x in numbers if x in needed}
+    alive, most, seen = 0, 0, set()
+    ending: dict[int, int] = {}
+    for k, x in enumerate(numbers):
+        for y in (*x.inputs, x):
+            if y in program.varying and y not in seen:
+                seen.add(y)
+                size = max(1, y.dtype.itemsize // 4)
+                alive += size
+                ending[last[y]] = ending.get(last[y], 0) + size
+        most = max(most, alive)
+        alive -= ending.get(k, 0)
+    return most

@@ -1,0 +1,124 @@
+"""A function of one member, compiled for many: what JAX's vmap and jit do, as machine code over blocks of members."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from lieint_jax.native._program import Program
+from lieint_jax.native._traced import Leaf, Operation, Traced, made_once
+
+_FEW = 26  # numbers that an innermost loop holds, up to which two vectors of each are faster than one
+_CHUNKS = 4  # parts of the members a thread, so that threads end together
+
+
+def kernel(function: Callable[..., Any], kinds: Sequence[Any], examples: Sequence[Any]) -> Kernel:
+    """The `Kernel` of a function that can be hashed, made once for all arguments of the same shapes."""
+    return made_once(Kernel, function, kinds, examples)
+
+
+class Kernel:
+    """A function of one member, as machine code for many.
+
+    Args:
+        function, kinds, examples: see `Traced`.
+        lanes: members in a vector; by default it follows from the machine.
+
+    Attributes:
+        results: the shapes of the results of one member and one row.
+        kinds_of_results: for each of them "member" or "shared".
+
+    Raises:
+        ImportError: there is no llvmlite, which nothing else in this room needs.
+        UnsupportedError: the function does what cannot be machine code here.
+    """
+
+    def __init__(self, function: Callable[..., Any], kinds: Sequence[Any], examples: Sequence[Any], lanes: int = 0):
+        traced = Traced(function, kinds, examples)
+        self.results, self.kinds_of_results, self.length = traced.results, traced.kinds_of_results, traced.length
+        self._leaves, self._given, self._structure = traced.leaves, traced.given, jax.tree.structure(traced.results)
+        self._outside = [Outside(x, Code(x.program, x.leaves, x.operands)) for x in traced.outside]
+        self._code = Code(traced.program, self._leaves, jax.tree.leaves(self.results), lanes)
+        self.lanes = self._code.lanes
+
+    def __call__(self, arguments: Sequence[Any], members: int, rows: int = 1, threads: int = 1) -> Any:
+        """The results of all members, with the axes (members, …) of carries and (rows, members, …) of others."""
+        given = [np.asarray(x) for part in arguments for x in jax.tree.leaves(part)]
+        inputs = [np.ascontiguousarray(x, leaf.dtype) for x, leaf in zip(given, self._leaves, strict=False)]
+        for x, leaf in zip(inputs, self._leaves[: self._given], strict=True):
+            copies = {"carry": members, "member": members, "row": rows}.get(leaf.kind, 1)
+            if x.size != copies * leaf.size:
+                raise ValueError(f"an array of kind {leaf.kind} of {x.size} entries, not {copies} × {leaf.size}")
+        for outside in self._outside:
+            inputs += outside.results(inputs, members)
+        return jax.tree.unflatten(self._structure, self._code(inputs, members, rows, threads))
+
+
+class Outside(NamedTuple):
+    """An operation that JAX does before the machine code runs, and the code that computes its operands."""
+
+    operation: Operation
+    operands: Code
+
+    def results(self, inputs: list[np.ndarray], members: int) -> list[np.ndarray]:
+        """Its results for all members, or once."""
+        varies = self.operation.kind == "member"
+        operands = [x[0] for x in self.operands(inputs, members if varies else 1, 1, 1)]
+        found = self.operation.results(operands if varies else [x[0] for x in operands])
+        return [np.ascontiguousarray(x) for x in found]
+
+
+class Code:
+    """A program as machine code.
+
+    Args:
+        program: its outputs are the entries of the arrays that are carried, then of others.
+        leaves: the arrays that it reads.
+        results: the shapes of its outputs.
+        lanes: members in a vector; by default it follows from the machine.
+    """
+
+    def __init__(self, program: Program, leaves: Sequence[Leaf], results: Sequence[Any], lanes: int = 0):
+        from lieint_jax.native import _machine
+        from lieint_jax.native._calls import Functions
+        from lieint_jax.native._emit import emit
+
+        self._results, self._carried = results, sum(leaf.kind == "carry" for leaf in leaves)
+        sizes = [leaf.dtype.itemsize for leaf in leaves if leaf.dtype.kind == "f"]
+        width = _machine.register_bytes() // max(sizes, default=8)
+        self.lanes = lanes or width * (2 if program.pressure() <= _FEW else 1)
+        sizes = [int(np.prod(x.shape)) for x in results[self._carried :]]
+        functions = Functions()
+        text = emit(program, leaves, sizes, self.lanes, functions)
+        self._run = _machine.function(text, functions.text())
+
+    def __call__(self, inputs: Sequence[np.ndarray], members: int, rows: int, threads: int) -> list[np.ndarray]:
+        """The results, with the axes (members, …) of carries and (rows, members, …) of others."""
+        outputs = [
+            np.empty((members, *x.shape) if n < self._carried else (rows, members, *x.shape), x.dtype)
+            for n, x in enumerate(self._results)
+        ]
+        pointers = [x.ctypes.data for x in (*inputs, *outputs)]
+        self._over_blocks(members, rows, (ctypes.c_void_p * len(pointers))(*pointers), threads)
+        return outputs
+
+    def _over_blocks(self, members: int, rows: int, pointers: Any, threads: int) -> None:
+        blocks = -(-members // self.lanes)
+        if threads <= 1 or blocks == 1:
+            self._run(0, blocks, members, rows, pointers)
+            return
+        ends = np.linspace(0, blocks, min(blocks, _CHUNKS * threads) + 1).astype(int)
+        parts = list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True))
+        for _ in _pool(threads).map(lambda part: self._run(*part, members, rows, pointers), parts):
+            pass
+
+
+@functools.cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="lieint")

@@ -1,0 +1,119 @@
+"""Machine code of LLVM modules, in this process and on disk."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import os
+import threading
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import llvmlite.binding as llvm
+
+_lock = threading.Lock()
+_engines: dict[str, Any] = {}  # they own the code
+
+
+@functools.cache
+def target() -> Any:
+    """The machine that runs this process."""
+    return _new_target()
+
+
+@functools.cache
+def register_bytes() -> int:
+    """The bytes of a vector register."""
+    features = llvm.get_host_cpu_features()
+    return 64 if features.get("avx512f") else 32 if features.get("avx2") else 16
+
+
+def function(*texts: str) -> Any:
+    """The function `run` of the first of some modules, compiled together; empty ones are left out."""
+    text = "\n;\n".join(texts)
+    key = hashlib.sha256(
+        "\n".join([llvmlite.__version__, target().triple, llvm.get_host_cpu_name(), _features(), text]).encode()
+    ).hexdigest()
+    with _lock:
+        if key not in _engines:
+            _engines[key] = _engine(key, [x for x in texts if x])
+        address = _engines[key].get_function_address("run")
+    return ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 4, ctypes.c_void_p)(address)
+
+
+def _engine(key: str, texts: list[str]) -> Any:
+    backing = llvm.parse_assembly("")
+    engine = llvm.create_mcjit_compiler(backing, _new_target())
+    code = _from_disk(key)
+    if code is None:
+        code = _compiled(texts)
+        _to_disk(key, code)
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    return engine
+
+
+def _features() -> str:
+    """What this CPU can do: a system may withhold some of what others of its name can."""
+    return llvm.get_host_cpu_features().flatten()
+
+
+def _new_target() -> Any:
+    """The machine that runs this process, as an object of one owner: an engine disposes of its own."""
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=llvm.get_host_cpu_name(), features=_features(), opt=2, reloc="default", codemodel="jitdefault", jit=True
+    )
+
+
+def _compiled(texts: list[str]) -> bytes:
+    module, *others = map(llvm.parse_assembly, texts)
+    for other in others:
+        module.link_in(other)
+    for function in module.functions:
+        if function.name != "run" and not function.is_declaration:
+            function.linkage = llvm.Linkage.internal
+    module.verify()
+    options = llvm.create_pipeline_tuning_options(speed_level=2)
+    options.loop_vectorization = options.slp_vectorization = False
+    options.loop_unrolling = False
+    builder = llvm.create_pass_builder(target(), options)
+    manager = builder.getModulePassManager()
+    manager.run(module, builder)
+    return target().emit_object(module)
+
+
+def _folder() -> Path | None:
+    """Where machine code is kept: beside JAX's cache, if there is one."""
+    import jax
+
+    path = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    return Path(path) / "native" if path and "://" not in path else None
+
+
+def _from_disk(key: str) -> bytes | None:
+    folder = _folder()
+    if folder is None:
+        return None
+    try:
+        content = (folder / key).read_bytes()
+    except OSError:
+        return None
+    digest, code = content[:32], content[32:]
+    return code if hashlib.sha256(key.encode() + code).digest() == digest else None
+
+
+def _to_disk(key: str, code: bytes) -> None:
+    folder = _folder()
+    if folder is None:
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        temporary = folder / f".{key}.{os.getpid()}"
+        temporary.write_bytes(hashlib.sha256(key.encode() + code).digest() + code)
+        os.replace(temporary, folder / key)
+    except OSError:  # a cache that cannot be written is not needed
+        return

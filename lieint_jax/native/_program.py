@@ -1,0 +1,417 @@
+"""Programs of single numbers: straight arithmetic, loops and branches, in static single assignment.
+
+Building a program simplifies it: constants are folded, an operation that was done before is not done again, and one
+that depends on nothing inside a loop stands before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+COMMUTATIVE = frozenset({"add", "mul", "max", "min", "eq", "ne", "and", "or", "xor"})
+_COMPARISONS = frozenset({"eq", "ne", "lt", "le", "gt", "ge"})
+
+
+class Number:
+    """One number: the result of an operation, a constant, an argument, or what a loop carries.
+
+    Attributes:
+        op: the name of the operation, in most cases that of JAX's primitive.
+        inputs: the numbers that it is computed from.
+        dtype: its NumPy type.
+        data: what else the operation depends on: the value of a constant, the exponent of a power.
+        block: where it is computed; None for constants.
+    """
+
+    __slots__ = ("block", "data", "dtype", "inputs", "op")
+
+    def __init__(self, op: str, inputs: tuple[Number, ...], dtype: np.dtype, data: Any, block: Block | None):
+        self.op, self.inputs, self.dtype, self.data, self.block = op, inputs, dtype, data, block
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether its value is known."""
+        return self.op == "const"
+
+    def equals(self, value: float) -> bool:
+        """Whether it is a constant of this value."""
+        return self.op == "const" and bool(self.data == value)
+
+
+class Block:
+    """Operations in order, inside a loop or a branch of the block `parent`.
+
+    Attributes:
+        parent: the surrounding block; None for that of the whole program.
+        items: numbers, loops and branches, in the order in which they are computed.
+        pinned: whether its operations must stay inside it (a branch), even if they depend on nothing inside.
+        tested: whether its operations must not move to its parent, the head of a loop whose body it is: that is also
+            computed after the last iteration, when an index is out of bounds.
+    """
+
+    def __init__(self, parent: Block | None = None, pinned: bool = False, tested: bool = False):
+        self.parent, self.pinned, self.tested = parent, pinned, tested
+        self.depth: int = 0 if parent is None else parent.depth + 1
+        self.floor: Block = self if pinned or parent is None else parent.floor
+        self.items: list[Any] = []
+        self.known: dict[Any, Number] = {}
+
+
+class Loop:
+    """`while test(carry): carry = following(carry)`.
+
+    Attributes:
+        carries: the numbers carried, as they are inside the loop.
+        starts, following: their values before the loop, and after one iteration.
+        head, test: the block that computes whether to go on, a boolean.
+        body: the block of one iteration, inside `head`.
+        results: the numbers carried, as they are after the loop.
+    """
+
+    def __init__(self, parent: Block, starts: Sequence[Number]):
+        self.starts = list(starts)
+        self.head = Block(parent)
+        self.body = Block(self.head, tested=True)
+        self.carries = [Number("carry", (), x.dtype, self, self.head) for x in starts]
+        self.results = [Number("result", (), x.dtype, self, parent) for x in starts]
+        self.test: Number
+        self.following: list[Number] = []
+
+
+class Branch:
+    """One of two blocks, by a boolean.
+
+    Attributes:
+        test: the boolean.
+        blocks: what is computed if it is true, and if it is false.
+        values: the results of either block.
+        results: those of the block that was chosen, as they are after it.
+    """
+
+    def __init__(self, parent: Block, test: Number):
+        self.test = test
+        self.blocks = (Block(parent, pinned=True), Block(parent, pinned=True))
+        self.values: list[list[Number]] = []
+        self.results: list[Number] = []
+
+
+class Builder:
+    """Adds operations to a program, in the block `block`."""
+
+    def __init__(self) -> None:
+        self.root = self.block = Block()
+        self._constants: dict[Any, Number] = {}
+        self._order: dict[Number, int] = {}
+        self.length = 0
+
+    def constant(self, value: Any, dtype: Any = None) -> Number:
+        """A number of a known value."""
+        value = np.asarray(value, dtype)[()]
+        key = (value.dtype, value.tobytes())
+        if key not in self._constants:
+            self._constants[key] = self._new("const", (), value.dtype, value, None)
+        return self._constants[key]
+
+    def argument(self, dtype: Any, data: Any) -> Number:
+        """A number that the program is given."""
+        return self._new("argument", (), np.dtype(dtype), data, self.root)
+
+    def number(self, op: str, *inputs: Number, dtype: Any = None, data: Any = None) -> Number:
+        """The result of an operation."""
+        dtype = np.dtype(bool if op in _COMPARISONS else inputs[0].dtype if dtype is None else dtype)
+        if all(x.is_constant for x in inputs):
+            folded = _folded(op, [x.data for x in inputs], dtype, data)
+            if folded is not None:
+                return self.constant(folded, dtype)
+        simpler = self._simplified(op, inputs, dtype, data)
+        if simpler is not None:
+            return simpler
+        if op in COMMUTATIVE and self._order[inputs[0]] > self._order[inputs[1]]:
+            inputs = inputs[::-1]
+        block = self.block.floor
+        for x in inputs:
+            if x.block is not None and x.block.depth > block.depth:
+                block = x.block
+        inner = self._inside(block)
+        block = inner if inner.tested else block
+        key = (op, inputs, dtype, data)
+        surrounding: Block | None = block
+        while surrounding is not None:
+            if key in surrounding.known:
+                return surrounding.known[key]
+            surrounding = surrounding.parent
+        found = block.known[key] = self._new(op, inputs, dtype, data, block)
+        block.items.append(found)
+        self.length += 1
+        return found
+
+    def loop(
+        self,
+        starts: Sequence[Number],
+        test: Callable[[list[Number]], Number],
+        following: Callable[[list[Number]], list[Number]],
+    ) -> list[Number]:
+        """The numbers carried out of a loop."""
+        outside = self.block
+        made = Loop(outside, starts)
+        for x in (*made.carries, *made.results):
+            self._order[x] = len(self._order)
+        self.block = made.head
+        made.test = test(made.carries)
+        self.block = made.body
+        made.following = following(made.carries)
+        self.block = outside
+        outside.items.append(made)
+        return made.results
+
+    def branch(
+        self, test: Number, sides: tuple[Callable[[], list[Number]], Callable[[], list[Number]]]
+    ) -> list[Number]:
+        """The results of the first side if `test`, else of the second."""
+        if test.is_constant:
+            return sides[0 if test.data else 1]()
+        outside = self.block
+        made = Branch(outside, test)
+        for block, side in zip(made.blocks, sides, strict=True):
+            self.block = block
+            made.values.append(side())
+        self.block = outside
+        for x in made.values[0]:
+            made.results.append(self._new("result", (), x.dtype, made, outside))
+        outside.items.append(made)
+        return made.results
+
+    def _inside(self, block: Block) -> Block:
+        """The block inside `block` that the present one is, or is in; `block` itself if it is the present one."""
+        inner = self.block
+        while inner is not block and inner.parent is not None and inner.parent is not block:
+            inner = inner.parent
+        return inner
+
+    def _new(self, op: str, inputs: tuple[Number, ...], dtype: Any, data: Any, block: Block | None) -> Number:
+        found = Number(op, inputs, np.dtype(dtype), data, block)
+        self._order[found] = len(self._order)
+        return found
+
+    def _simplified(self, op: str, inputs: tuple[Number, ...], dtype: np.dtype, data: Any) -> Number | None:
+        """A number that is known to be equal, as far as it is finite."""
+        x, y, *_ = *inputs, None, None
+        if op == "add" and x is not None and y is not None:
+            if x.equals(0) or y.equals(0):
+                return y if x.equals(0) else x
+            for a, b in ((x, y), (y, x)):
+                if a.op == "neg":
+                    return self.number("sub", b, a.inputs[0])
+        if op == "sub" and x is not None and y is not None:
+            if y.equals(0):
+                return x
+            if x.equals(0):
+                return self.number("neg", y)
+            if y.op == "neg":
+                return self.number("add", x, y.inputs[0])
+        if op == "mul" and x is not None and y is not None:
+            for a, b in ((x, y), (y, x)):
+                if a.equals(0):
+                    return a
+                if a.equals(1):
+                    return b
+                if a.equals(-1):
+                    return self.number("neg", b)
+        if op == "div" and x is not None and y is not None:
+            if y.equals(1) or x.equals(0):
+                return x
+            if y.is_constant and dtype.kind == "f" and np.frexp(y.data)[0] in (0.5, -0.5):
+                with np.errstate(over="ignore"):
+                    inverse = self.constant(1 / y.data, dtype)
+                return self.number("mul", x, inverse) if np.isfinite(inverse.data) else None
+        if op == "neg" and x is not None and x.op == "neg":
+            return x.inputs[0]
+        if op == "convert" and x is not None and x.dtype == dtype:
+            return x
+        if op == "select":
+            test, on_true, on_false = inputs
+            if test.is_constant or on_true is on_false:
+                return on_true if test.is_constant and test.data else on_false
+        if op in ("and", "or") and dtype.kind == "b" and x is not None and y is not None:
+            for a, b in ((x, y), (y, x)):
+                if a.is_constant:
+                    return (b if a.data else a) if op == "and" else (a if a.data else b)
+            if x is y:
+                return x
+        if op == "not" and x is not None and x.op == "not":
+            return x.inputs[0]
+        if op in ("max", "min") and x is y:
+            return x
+        return None
+
+
+_FOLDS: dict[str, Callable[..., Any]] = {
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "neg": np.negative,
+    "abs": np.abs,
+    "max": np.maximum,
+    "min": np.minimum,
+    "sqrt": np.sqrt,
+    "floor": np.floor,
+    "ceil": np.ceil,
+    "is_finite": np.isfinite,
+    "and": np.bitwise_and,
+    "or": np.bitwise_or,
+    "xor": np.bitwise_xor,
+    "not": np.bitwise_not,
+    "eq": np.equal,
+    "ne": np.not_equal,
+    "lt": np.less,
+    "le": np.less_equal,
+    "gt": np.greater,
+    "ge": np.greater_equal,
+    "sign": np.sign,
+}
+
+
+def _folded(op: str, values: list[Any], dtype: np.dtype, data: Any) -> Any:
+    """The value of an operation on known numbers; None if it is left to the machine."""
+    with np.errstate(all="ignore"):
+        if op == "convert":
+            return _converted(values[0], dtype)
+        if op == "select":
+            return values[1] if values[0] else values[2]
+        if op == "div" and dtype.kind == "f":
+            return np.divide(*values)
+        if op in _FOLDS:
+            return np.asarray(_FOLDS[op](*values), dtype)
+    return None
+
+
+def _converted(value: Any, dtype: np.dtype) -> Any:
+    """A known number of another type; integers of real numbers are cut to what the type has, and 0 for NaN."""
+    if value.dtype.kind != "f" or dtype.kind not in "iu":
+        return value.astype(dtype)
+    least, greatest = np.iinfo(dtype).min, np.iinfo(dtype).max
+    if np.isnan(value):
+        return 0
+    return least if value <= least else greatest if value >= greatest else int(value)
+
+
+class Program:
+    """A finished program: its block, its outputs, what of it is needed, and which numbers differ between members."""
+
+    def __init__(self, builder: Builder, outputs: Sequence[Number], varying_arguments: Callable[[Number], bool]):
+        self.block, self.outputs = builder.root, list(outputs)
+        self.live = _live(self.block, self.outputs)
+        self.varying = _varying(self.block, self.live, varying_arguments)
+
+    def needed(self, numbers: Sequence[Number]) -> list[int]:
+        """The positions of the numbers that the outputs depend on."""
+        return [k for k, x in enumerate(numbers) if x in self.live]
+
+    def pressure(self) -> int:
+        """The most numbers of the members that an innermost loop needs from one iteration to the next."""
+
+        def most(block: Block) -> int:
+            return max((of(item) for item in block.items if not isinstance(item, Number)), default=0)
+
+        def of(item: Loop | Branch) -> int:
+            if isinstance(item, Branch):
+                return max(map(most, item.blocks))
+            return max(most(item.head), most(item.body)) or self._needed(item)
+
+        return most(self.block)
+
+    def _needed(self, loop: Loop) -> int:
+        """The numbers of the members that a loop without another one inside carries, or finds before it."""
+        items = [x for block in (loop.head, loop.body) for x in block.items if x in self.live]
+        inside = {loop.head, loop.body}
+        outer = {x for item in items for x in item.inputs if x.block not in inside}
+        return sum(x in self.varying for x in (*outer, *(x for x in loop.carries if x in self.live)))
+
+
+def numbers_of(item: Any) -> Iterable[Number]:
+    """All numbers that an item refers to directly."""
+    if isinstance(item, Number):
+        return item.inputs
+    if isinstance(item, Loop):
+        return (*item.starts, *item.following, item.test)
+    return (item.test, *item.values[0], *item.values[1])
+
+
+def _live(root: Block, outputs: Sequence[Number]) -> set[Number]:
+    """The numbers that the outputs depend on."""
+    place: dict[Number, tuple[Any, int]] = {}
+
+    def index(block: Block) -> None:
+        for item in block.items:
+            if isinstance(item, Loop):
+                for k, (inside, after) in enumerate(zip(item.carries, item.results, strict=True)):
+                    place[inside] = place[after] = (item, k)
+                index(item.head)
+                index(item.body)
+            elif isinstance(item, Branch):
+                for k, after in enumerate(item.results):
+                    place[after] = (item, k)
+                for side in item.blocks:
+                    index(side)
+
+    index(root)
+    live: set[Number] = set()
+    pending = list(outputs)
+    while pending:
+        x = pending.pop()
+        if x in live:
+            continue
+        live.add(x)
+        pending += x.inputs
+        if x in place:
+            item, k = place[x]
+            if isinstance(item, Loop):
+                pending += (item.carries[k], item.starts[k], item.following[k], item.test)
+            else:
+                pending += (item.test, item.values[0][k], item.values[1][k])
+    return live
+
+
+def _varying(root: Block, live: set[Number], varying_arguments: Callable[[Number], bool]) -> set[Number]:
+    """The numbers that depend on the member."""
+    varying: set[Number] = set()
+
+    def of(block: Block) -> None:
+        for item in block.items:
+            if isinstance(item, Number):
+                if item.op == "argument":
+                    continue
+                if any(x in varying for x in item.inputs):
+                    varying.add(item)
+            elif isinstance(item, Loop):
+                of_loop(item)
+            else:
+                for side in item.blocks:
+                    of(side)
+                for k, after in enumerate(item.results):
+                    if item.test in varying or any(values[k] in varying for values in item.values):
+                        varying.add(after)
+
+    def of_loop(loop: Loop) -> None:
+        for inside, start in zip(loop.carries, loop.starts, strict=True):
+            if start in varying:
+                varying.add(inside)
+        while True:
+            before = len(varying)
+            of(loop.head)
+            of(loop.body)
+            for inside, following in zip(loop.carries, loop.following, strict=True):
+                if following in varying or (loop.test in varying and following is not inside):
+                    varying.add(inside)
+            if len(varying) == before:
+                break
+        for inside, after in zip(loop.carries, loop.results, strict=True):
+            if inside in varying:
+                varying.add(after)
+
+    varying.update(x for x in live if x.op == "argument" and varying_arguments(x))
+    of(root)
+    return varying

@@ -1,0 +1,463 @@
+"""Programs of numbers against JAX: each primitive, loops, branches and indices, for members that differ."""
+
+import itertools
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+pytest.importorskip("llvmlite")
+
+from native_members import MEMBERS, bits, check_against_jax, compiled
+
+from lieint_jax.native import _machine
+
+SPECIAL = [0.0, -0.0, np.inf, -np.inf, np.nan, 1.5, -2.5]  # XLA takes subnormal numbers for 0
+TYPES = [np.int32, np.int64, np.uint32, np.uint8, np.int8, np.uint64, np.int16, np.uint16]
+
+
+def normal(*shape, seed=0, dtype=np.float64):
+    return np.random.default_rng(seed).normal(size=(MEMBERS, *shape)).astype(dtype)
+
+
+def pairs(values, dtype):
+    """All pairs of some values, one for each member."""
+    array = np.array(list(itertools.product(values, values)), dtype)
+    return array[:, 0], array[:, 1]
+
+
+def single(names, count):
+    """The functions of `jax.lax` of these names, of `count` arguments, in one program."""
+    return lambda *x: {name: getattr(lax, name)(*x[:count]) for name in names.split()}
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_real_arithmetic_has_the_bits_of_jax(dtype):
+    """Signed zeros, infinities and NaN too."""
+
+    def function(x, y):
+        found = single("add sub mul div rem eq ne lt le gt ge", 2)(x, y)
+        found |= single("neg abs sign floor ceil sqrt is_finite square", 1)(x)
+        found |= {"round": lax.round(x), "even": lax.round(x, lax.RoundingMethod.TO_NEAREST_EVEN)}
+        found |= {f"to {t.__name__}": x.astype(t) for t in TYPES} | {"to bool": x.astype(bool)}
+        found |= {"to f4": x.astype(np.float32), "to f8": x.astype(np.float64)}
+        return found | {"select": jnp.where(x < y, x, y), "power": lax.integer_pow(x, 3)}
+
+    check_against_jax(function, pairs([*SPECIAL, 300.7, -3e10, 1e20], dtype), signs=True)
+
+
+def test_greatest_and_least_show_nan():
+    def function(x, y):
+        return lax.max(x, y), lax.min(x, y), lax.clamp(-1.0, x, 2.0), lax.clamp(x, y, x + 1)
+
+    check_against_jax(function, pairs(SPECIAL, np.float64))
+
+
+@pytest.mark.parametrize(("dtype", "rtol"), [(np.float64, 4e-15), (np.float32, 2e-6)])
+def test_elementary_functions(dtype, rtol):
+    """Their errors in ulp are measured elsewhere; here their names, types and arguments."""
+
+    def function(x, y):
+        found = single("sin cos tan atan sinh cosh tanh asinh exp exp2 expm1 cbrt logistic", 1)(x)
+        found |= single("log log1p sqrt rsqrt", 1)(y) | single("asin acos atanh", 1)(jnp.tanh(x / 2))
+        return found | {
+            "atan2": lax.atan2(x, y),
+            "acosh": lax.acosh(1.5 + y),
+            "power": lax.pow(y, x),
+            "whole": lax.pow(x, jnp.int32(3)),
+            "inverse": lax.integer_pow(x, -3),
+            "zeroth": lax.integer_pow(x, 0),
+        }
+
+    check_against_jax(function, (normal(dtype=dtype), np.abs(normal(seed=1, dtype=dtype))), rtol=rtol)
+
+
+@pytest.mark.parametrize("dtype", TYPES)
+def test_whole_numbers(dtype):
+    """They wrap, and their quotients by 0 and −1 and shifts by any number of bits are XLA's, and stop no machine."""
+    info = np.iinfo(dtype)
+
+    def function(x, y):
+        names = "add sub mul div rem eq ne lt le gt ge max min and_or"
+        found = single(names.removesuffix(" and_or"), 2)(x, y)
+        found |= {"and": x & y, "or": x | y, "xor": x ^ y, "not": ~x, "power": lax.integer_pow(x, 3)}
+        found |= single("shift_left shift_right_logical shift_right_arithmetic", 2)(x, y)
+        found |= {"sign": lax.sign(x), "abs": abs(x), "clamp": lax.clamp(dtype(3), x, dtype(9))}
+        found |= {"by 0": lax.div(x, dtype(0)), "by 7": lax.rem(x, dtype(7)), "shift": lax.shift_left(x, dtype(3))}
+        found |= {f"to {t.__name__}": x.astype(t) for t in [*TYPES, np.float64, np.float32, bool]}
+        return found | ({"neg": -x} if info.min else {})
+
+    check_against_jax(function, pairs([info.min, info.max, 0, 1, 3, 7, 40, info.max - 1, info.max // 2 + 1], dtype))
+
+
+def test_truth_values():
+    def function(x, y):
+        found = single("eq ne lt le gt ge max min", 2)(x, y)
+        found |= {"and": x & y, "or": x | y, "xor": x ^ y, "not": ~x, "known": x & True}
+        found |= {f"to {t.__name__}": x.astype(t) for t in [*TYPES, np.float64, np.float32]}
+        return found | {"all": (x | ~y).all(), "sum": jnp.stack([x, y]).sum(), "select": jnp.where(x, y, ~y)}
+
+    check_against_jax(function, pairs([True, False], bool))
+
+
+def test_entries_move():
+    def function(x):
+        y = x[:, :2]
+        return {
+            "transpose": x.T,
+            "reshape": x.reshape(2, 2, 3),
+            "broadcast": jnp.broadcast_to(x[:, None, :], (4, 2, 3)),
+            "slice": x[1:4:2, ::2],
+            "rev": x[::-1],
+            "pad": lax.pad(y, 7.0, ((1, 2, 1), (-1, 0, 0))),
+            "cut": lax.pad(y, x[0, 0], ((-2, -1, 2), (0, 1, 3))),
+            "concatenate": jnp.concatenate([x, y], 1),
+            "stack": jnp.stack([x, 2 * x], 1),
+            "split": jnp.split(x, 3, axis=1),
+            "unstack": jnp.unstack(x, axis=1),
+            "tile": jnp.tile(y, (2, 1)),
+            "iota": lax.broadcasted_iota(np.int32, (2, 3), 1),
+            "which": lax.select_n(jnp.array([0, 2, 1]), x[0], x[1], x[2]),
+            "chosen": lax.select_n((x[0] > 0).astype(np.int32) + (x[1] > 0), x[0], x[1], x[2]),
+            "nothing": x[:0],
+        }
+
+    check_against_jax(function, [normal(4, 3)])
+
+
+def test_reductions_and_products():
+    whole = np.random.default_rng(1).integers(-9, 9, (MEMBERS, 3, 4))
+    with_nan = normal(3, 4)
+    with_nan[::3, 1, 2] = with_nan[1::3, 0, 1] = with_nan[::2, 2, 0] = np.nan
+
+    def reduced(x):
+        return {"sum": x.sum(1), "prod": x.prod(0), "max": x.max(), "min": x.min(0)} | {
+            "argmax": x.argmax(1),
+            "argmin": lax.argmin(x, 0, np.int32),
+            "cumsum": lax.cumsum(x, 1),
+            "reverse": lax.cumsum(x, 0, reverse=True),
+            "cumprod": lax.cumprod(x, 0),
+            "cummax": lax.cummax(x, 1),
+            "cummin": lax.cummin(x, 1, reverse=True),
+        }
+
+    def of_nothing(x):
+        y = x[:, :0]
+        found = {"sum": y.sum(1), "prod": y.prod(), "max": lax.reduce_max(y, (1,)), "min": lax.reduce_min(y, (1,))}
+        return found | {"nothing": y.sum(0)}
+
+    def function(x, k, nan):
+        found = {"real": reduced(x), "whole": reduced(k), "nan": reduced(nan)}
+        found |= {"no real": of_nothing(x), "no whole": of_nothing(k), "no truth": of_nothing(k > 0)["max"]}
+        found |= {"and": lax.reduce_and(k, (0,)), "or": lax.reduce_or(k, (1,)), "xor": lax.reduce_xor(k, (1,))}
+        found |= {"no and": lax.reduce_and(k[:0], (0,)), "truth": lax.reduce_xor(k > 0, (0,))}
+        found |= {
+            "outer": jnp.einsum("ij,kj->ik", x, x),
+            "batch": jnp.einsum("ij,ijk->ik", x, x[..., None] * x[:, None]),
+        }
+        found |= {"mixed": lax.dot(k, k.T, preferred_element_type=np.float64), "dot": x[0] @ x[1], "k": k @ k.T}
+        return found | {"zeros": jnp.zeros((2, 3)) @ x, "identity": jnp.eye(3) @ x}
+
+    check_against_jax(function, (normal(3, 4), whole, with_nan), rtol=1e-13, atol=1e-14)
+
+
+MODES = ["clip", "fill", "promise_in_bounds"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dtype", [np.float64, np.int32, np.uint32, np.bool_])
+@pytest.mark.parametrize("mode", MODES)
+def test_indices(mode, dtype):
+    """Known and computed ones, of a member and shared, in bounds and out of them."""
+    x = (10 * normal(4, 3)).astype(dtype)
+    long = (10 * normal(12, seed=2)).astype(dtype)
+    k = np.random.default_rng(3).integers(-9, 9, (MEMBERS, 2), np.int32)
+    inside = np.abs(k) % 3
+    update = (10 * normal(2, 2, seed=4)).astype(dtype)
+
+    def of(index, x, long, update):
+        fills = {"fill_value": 1} if mode == "fill" else {}
+        found = {
+            "row": x.at[index[0]].get(mode=mode),
+            "rows": x.at[index].get(mode=mode),
+            "entry": x.at[index[0], index[1]].get(mode=mode, **fills),
+            "column": x.at[:, index].get(mode=mode),
+            "long": long.at[index].get(mode=mode),
+            "set": x.at[index[0]].set(update[0, 0], mode=mode),
+            "entries": x.at[index, index[::-1]].set(update[0], mode=mode),
+            "window": lax.scatter(x, index, update, _WINDOW, mode=mode),
+            "many": jax.vmap(lambda row, k: row.at[k].get(mode=mode))(x[:2], index),
+            "some": jax.vmap(lambda row, k, u: row.at[k].set(u, mode=mode))(x[:2], index, update[0]),
+        }
+        if dtype != np.bool_:
+            found["add"] = x.at[index, 1].add(update[1], mode=mode)
+            found["mul"] = x.at[index, 1].multiply(update[1], mode=mode)
+            found["max"] = x.at[index, 1].max(update[1], mode=mode)
+            found["min"] = x.at[index, 1].min(update[1], mode=mode)
+        return found
+
+    def function(x, long, k, inside, update, shared):
+        promised = mode == "promise_in_bounds"
+        known = np.array([1, 2] if promised else [-11, 3])
+        computed, common = (inside, shared % 3) if promised else (k, shared)
+        return [of(index, x, long, update) for index in (known, computed, common)]
+
+    check_against_jax(function, (x, long, k, inside, update), [np.array([2, 7])], rtol=1e-15)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.bool_])
+def test_slices_at_computed_indices(dtype):
+    def function(x, update, k, shared):
+        return [
+            {
+                "slice": lax.dynamic_slice(x, (i[0], i[1]), (2, 2)),
+                "update": lax.dynamic_update_slice(x, update, (i[0], i[1])),
+                "one": lax.dynamic_index_in_dim(x, i[1], keepdims=False),
+                "entry": x[i[0], 1],
+                "of many": x.ravel()[i[0]],
+            }
+            for i in (np.array([9, -9]), k, shared)
+        ]
+
+    k = np.random.default_rng(3).integers(-9, 9, (MEMBERS, 2), np.int32)
+    member = (10 * normal(4, 3)).astype(dtype), (10 * normal(2, 2, seed=4)).astype(dtype), k
+    check_against_jax(function, member, [np.array([2, 7])])
+
+
+_WINDOW = lax.ScatterDimensionNumbers((0, 1), (), (0, 1))
+
+
+def test_loops_of_a_known_length():
+    """Written out and rolled, forwards and backwards, over what is known, shared, and a member's, with results."""
+    series = jnp.array(np.random.default_rng(5).normal(size=(200, 2)))
+
+    def loop(known, shared, own, flags, x, length, reverse):
+        def one(carry, row):
+            a, n, flag = carry
+            known, shared, own, on = row
+            a = jnp.where(flag ^ on, 0.9 * a + known * shared, a - 0.3 * own)
+            return (a, n + 1, ~flag), a.sum()
+
+        xs = (known[:length], shared[:length], own[:length], flags[:length])
+        after, sums = lax.scan(one, (x, 0, True), xs, reverse=reverse)
+        rolled, _ = lax.scan(lambda c, row: (one(c, row)[0], None), (x, 0, True), xs, reverse=reverse)
+        return rolled if length > 9 else (after, sums, rolled)
+
+    def function(own, flags, x, shared):
+        found = {
+            f"{length} {reverse}": loop(series, shared, own, flags, x, length, reverse)
+            for length in (0, 3, 30)
+            for reverse in (False, True)
+        }
+        long = lax.scan(lambda c, row: (c + row * c.sum() * 1e-3, None), x, series)[0]
+        few = lax.scan(lambda c, row: (c + row, c > 0), x, own, length=30)
+        same = lax.scan(lambda c, row: (c + row, None), x[0], jnp.full(150, 0.5))[0]
+        power = lax.fori_loop(0, 300, lambda n, c: c * 1.001 + series[n % 200], x)
+        return found | {"long": long, "few": few, "same": same, "power": power}
+
+    flags = np.random.default_rng(6).integers(0, 2, (MEMBERS, 30)).astype(bool)
+    check_against_jax(function, (normal(30, 2), flags, normal(2, seed=1)), [series[::-1].copy()[:30]], rtol=1e-12)
+
+
+def test_loops_of_an_unknown_length():
+    """As long as a shared number says, or a member's; nested, in a map over entries, with all kinds of carries."""
+
+    def halved(x):
+        return lax.while_loop(lambda c: c[0] > 1e-3, lambda c: (c[0] / 2, c[1] + 1, ~c[2], c[0]), (x, 0, True, 0.0))
+
+    def nested(x):
+        def outer(c):
+            inner = lax.while_loop(lambda d: d[0] < c[0], lambda d: (d[0] * 1.5, d[1] + 1), (0.01, c[1]))
+            return c[0] / 3, inner[1]
+
+        return lax.while_loop(lambda c: c[0] > 0.05, outer, (x, jnp.uint32(0)))
+
+    def counted(x, n):
+        """A loop over the steps whose body has a loop with an end of its own, and a branch of either kind."""
+
+        def body(k, x):
+            x = lax.cond(k % 2 == 0, lambda x: halved(x)[0] + x, lambda x: x + series[k % 3], x)
+            return lax.cond(x > 1, lambda x: x - lax.fori_loop(0, k % 4, lambda _, y: y / 2, x), jnp.sin, x)
+
+        return lax.fori_loop(0, n, body, x)
+
+    series = jnp.array([0.1, -0.4, 0.7])
+
+    def function(x, k, n):
+        return {
+            "while": halved(x[0]),
+            "map": jax.vmap(halved)(x),
+            "map of two": jax.vmap(jax.vmap(halved))(x.reshape(1, 2)),
+            "nested": nested(x[1]),
+            "map of nested": jax.vmap(nested)(x),
+            "shared": counted(x[0], n),
+            "own": counted(x[1], k),
+            "never": lax.while_loop(lambda c: False, lambda c: c + 1, x),
+            "no pass": lax.fori_loop(n, n, lambda _, c: c + 1, x),
+            "fixed": lax.while_loop(lambda c: c[1] < n, lambda c: (c[0], c[1] + 1), (x[0], n - 2)),
+            "none": jax.vmap(halved)(x[:0]),
+        }
+
+    x = np.abs(normal(2))
+    x[3] = np.nan
+    x[5] = 0
+    k = np.random.default_rng(1).integers(0, 9, MEMBERS)
+    check_against_jax(function, (x, k), [np.int64(7)], rtol=1e-13)
+
+
+def test_branches():
+    def function(x, k, flag, n, on):
+        def sides(test):
+            return lax.cond(test, lambda: (x[0] * 2, n, x > 0, 1.0, n), lambda: (x[1], 3, x < 9, n * 1.0, 4))
+
+        def among(k):
+            return lax.switch(k, [lambda x: x, jnp.cos, lambda x: jnp.zeros_like(x), lambda x: x * x], x)
+
+        return {
+            "own": sides(flag),
+            "shared": sides(on),
+            "known": sides(True),
+            "among": among(k),
+            "shared among": among(n),
+            "outside": (among(-3), among(9)),
+            "of a number": lax.cond(x[0] > 0, lambda: lax.fori_loop(0, k, lambda _, y: y + 1, x[0]), lambda: x[1]),
+            "map": jax.vmap(lambda y: lax.cond(y > 0, jnp.sqrt, lambda y: -y, y))(x),
+        }
+
+    k = np.arange(MEMBERS) % 7 - 2
+    flag = np.arange(MEMBERS) % 3 == 0
+    for n, on in ((2, True), (0, False)):
+        check_against_jax(function, (normal(2), k, flag), [np.int64(n), np.bool_(on)], rtol=1e-14)
+
+
+def test_solves_and_calls():
+    def function(x):
+        root = lax.custom_root(
+            lambda y: y**3 + y - x[0],
+            0.0,
+            lambda f, y: lax.fori_loop(0, 30, lambda _, y: y - f(y) / (3 * y**2 + 1), y),
+            lambda g, y: y / g(1.0),
+        )
+        solved = lax.custom_linear_solve(lambda v: 3 * v * (1 + x**2), x, lambda _, b: b / (3 * (1 + x**2)))
+        return {
+            "root": root,
+            "solved": solved,
+            "jit": jax.jit(jnp.tanh)(x),
+            "checkpoint": jax.checkpoint(jnp.sin)(x),
+            "slope": jax.grad(lambda x: jax.nn.softplus(x).sum() + root)(x),
+            "barrier": lax.optimization_barrier(x),
+            "stop": lax.stop_gradient(x),
+            "precision": lax.reduce_precision(x, 11, 52),
+        }
+
+    check_against_jax(function, [normal(3)], rtol=1e-13)
+
+
+def test_what_is_returned_may_be_known_shared_or_given():
+    def function(x, flag, nothing, n, on, scale, rate):
+        return {
+            "known": (1.5, np.int32(3), True, np.arange(3), jnp.nan, -0.0),
+            "shared": (n, on, n + 1, ~on, scale, rate * 2),
+            "given": (x, flag, nothing),
+            "entries": jnp.stack([x[0], scale, 2.0]),
+            "flags": jnp.stack([flag, on, True]),
+            "nothing": nothing + 1,
+        }
+
+    nothing = np.zeros((MEMBERS, 0))
+    member = (normal(2), np.arange(MEMBERS) % 2 == 0, nothing)
+    check_against_jax(function, member, [np.int64(3), np.bool_(True), 2.5, np.float32(3)], signs=True)
+
+
+def test_shared_tables():
+    """A long shared array is read where a program needs it: by any index, and row by row."""
+    table = np.random.default_rng(0).normal(size=300)
+    whole = np.arange(1000)
+
+    def function(x, k, table, whole, n):
+        def one(c, row):
+            return c * 0.5 + row, None
+
+        return {
+            "shared": (table[n], whole[n + 1], table[299 + 0 * n]),
+            "own": (table[k], table.at[k].get(mode="fill"), table.at[k].get(mode="clip"), whole.at[n].get(mode="fill")),
+            "scan": lax.scan(one, x, table)[0],
+            "reverse": lax.scan(one, x, table, reverse=True)[0],
+            "loop": lax.fori_loop(0, n, lambda m, c: c + table[m], x),
+        }
+
+    k = np.random.default_rng(1).integers(-400, 700, MEMBERS)
+    check_against_jax(function, (normal(), k), [table, whole, np.int64(250)], rtol=1e-13)
+    check_against_jax(lambda x, table: lax.scan(lambda c, y: (c + y, None), x, table)[0], [normal()], [table[:100]])
+
+
+def _step(x, rate):
+    return lax.while_loop(lambda c: c[0] > 1e-3, lambda c: (c[0] * rate, c[1] + jnp.sin(c[0])), (x.sum(), x))
+
+
+@pytest.mark.parametrize("lanes", [4, 8, 16])
+def test_bits_depend_on_no_order_lanes_threads_or_other_members(lanes):
+    x = np.abs(np.random.default_rng(0).normal(size=(101, 2)))
+    rate = np.float64(0.7)
+    native = compiled(_step, [x], [rate], lanes=lanes)
+    whole = compiled(_step, [x], [rate], lanes=8)([x])
+    for threads in (1, 2, 3):
+        assert bits(native([x], threads=threads)) == bits(whole)
+    order = np.random.default_rng(1).permutation(len(x))
+    assert bits(native([x[order]], threads=2)) == bits(jax.tree.map(lambda y: y[order], whole))
+    assert bits(native([x[77:78]])) == bits(jax.tree.map(lambda y: y[77:78], whole))
+    x[[3, 50]] = np.nan, 1e300
+    others = np.delete(np.arange(len(x)), [3, 50])
+    assert bits(jax.tree.map(lambda y: y[others], native([x]))) == bits(jax.tree.map(lambda y: y[others], whole))
+
+
+def test_machine_code_on_disk_is_checked(tmp_path, monkeypatch):
+    """What is damaged, cut, empty or of another key is compiled again; a folder that cannot be written is no error."""
+    key = "a" * 64
+    monkeypatch.setattr(_machine, "_folder", lambda: tmp_path / "native")
+    assert _machine._from_disk(key) is None
+    _machine._to_disk(key, b"code")
+    assert _machine._from_disk(key) == b"code"
+    file = tmp_path / "native" / key
+    good = file.read_bytes()
+    for bad in (good[:-1], good + b"x", b"", good[:10], bytes([good[0] ^ 1]) + good[1:], good[:-1] + b"f"):
+        file.write_bytes(bad)
+        assert _machine._from_disk(key) is None
+    (tmp_path / "native" / ("b" * 64)).write_bytes(good)
+    assert _machine._from_disk("b" * 64) is None
+    monkeypatch.setattr(_machine, "_folder", lambda: file / "below")
+    _machine._to_disk(key, b"code")
+    assert _machine._from_disk(key) is None
+
+
+def test_other_processors_have_other_keys(tmp_path, monkeypatch):
+    monkeypatch.setattr(_machine, "_folder", lambda: tmp_path)
+    text = "define void @run(i64 %a, i64 %b, i64 %c, i64 %d, ptr %p) {\n  ret void\n}\n"
+    _machine.function(text)
+    monkeypatch.setattr(_machine, "_features", lambda: "+sse2")
+    _machine.function(text)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+WITHOUT = """
+import sys, logging
+sys.modules["llvmlite"] = None
+logging.basicConfig(format="%(message)s")
+import jax, numpy as np, lieint_jax as li
+body = li.systems.rigid_body([1.0, 2.0, 3.0])
+states = jax.vmap(lambda w: body.state(angular_velocity=w))(np.ones((3, 3)))
+for _ in range(2):
+    found = li.ensemble.run(li.schemes.so3_midpoint(body), states, dt=0.1, num_steps=3, progress=False)
+assert found.info.converged.all()
+"""
+
+
+@pytest.mark.long
+def test_without_llvmlite_ensembles_run_by_xla_and_say_so_once():
+    told = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True)
+    assert told.returncode == 0, told.stderr
+    assert told.stderr.count("ensembles run by XLA") == 1
