@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax._checks import concrete
+from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics import power_series, three, unrolled
 from lieint_jax._numerics.choice import where
 from lieint_jax.groups import so3
@@ -71,7 +71,7 @@ def as_kappa(kappa: Kappa | Callable[[Array], Array]) -> Kappa:
         raise ValueError(f"kappa must be a callable of x = |Θ̄|², such as maps.kappa_symplectic, got {kappa!r}")
     name = getattr(kappa, "__name__", type(kappa).__name__)
     made = Kappa(callable_pytree(kappa), name=name)
-    with jax.ensure_compile_time_eval():  # concrete inside jit too, unless κ closes over a tracer
+    with at_once():  # concrete inside jit too, unless κ closes over a tracer
         at_zero = made(jnp.zeros(())) if concrete(made) else 1.0
         wrong = bool(abs(at_zero - 1) > 1e-6) if concrete(at_zero) and not jnp.shape(at_zero) else False
     if jnp.shape(at_zero) or wrong:
@@ -162,7 +162,7 @@ def arcsine_forms(group: Group) -> list[tuple[list[int], np.ndarray]]:
     That is the Killing form over −(number of λ's).
     """
     d = group.dim
-    with jax.ensure_compile_time_eval():
+    with at_once():
         ad = np.array([[group.ad(x, y) for y in jnp.eye(d)] for x in jnp.eye(d)]).transpose(0, 2, 1)  # ad[i] is ad_eᵢ
     forms = []
     for factor in ideals(ad):
@@ -320,7 +320,7 @@ def as_tau(tau: Tau | Map, group: Group) -> Tau:
         raise ValueError(f"tau must be a map (group, theta) ↦ group element, such as maps.exponential, got {tau!r}")
     name = getattr(tau, "__name__", type(tau).__name__)
     if tau is arcsine:
-        with jax.ensure_compile_time_eval():
+        with at_once():
             arcsine_forms(group)
     if tau is cayley and not cayley_lands(group):
         raise ValueError(f"the Cayley map does not land in {group}: take maps.exponential")
@@ -332,7 +332,7 @@ def as_tau(tau: Tau | Map, group: Group) -> Tau:
     made = Tau(callable_pytree(tau), name)
     if tau is exponential or tau is arcsine or not concrete(made):
         return made
-    with jax.ensure_compile_time_eval():
+    with at_once():
         return dataclasses.replace(made, symmetric=_check_map(made, group))
 
 

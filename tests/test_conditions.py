@@ -10,6 +10,7 @@ from paper import ONE, hat
 import lieint_jax as li
 from lieint_jax import _discover, diagnostics, groups, maps, schemes
 from lieint_jax.diagnostics.symplectic import defect_matrix
+from lieint_jax.groups import so3
 
 CONDITIONS = _discover.modules(diagnostics)["conditions"]
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
@@ -98,6 +99,26 @@ def test_the_exact_flow_is_of_the_class_and_violates_the_sufficient_condition():
     assert found.keeps("class")
     assert found.holds("5.25")
     assert found["5.26"] > 1e-5
+
+
+@li.pytree
+class KickAndDrift(li.Step):
+    """A kick, and a drift along the velocity after it: π_{n+1} − π_n depends on q_n alone, through a potential."""
+
+    system: li.types.Top
+
+    order, symmetric, name = 1, False, "kick and drift"
+
+    def __call__(self, state, dt):
+        p = state.p + dt * self.system.force(state.q)
+        Omega = so3.Ad_star(state.q, p) / self.system.inertia
+        return state._replace(q=so3.multiply(state.q, so3.exp(dt * Omega)), p=p), li.StepInfo.fresh(p)
+
+
+def test_4_22_is_the_symmetry_of_the_second_derivative_of_the_potential():
+    found = jax.jit(diagnostics.conditions)(KickAndDrift(TOP), LEANING, 0.2)
+    assert found.holds("4.22")
+    assert not found.holds("4.21")
 
 
 @pytest.mark.long

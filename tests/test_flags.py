@@ -1,5 +1,7 @@
 """What cannot be trusted is flagged or refused: inputs that once gave wrong numbers, or NaN, with `converged=True`."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +11,7 @@ import lieint_jax as li
 from lieint_jax import State, maps, schemes
 from lieint_jax._numerics import newton, three
 from lieint_jax.schemes.so3_midpoint import gyration, gyration_matrix
+from lieint_jax.types import Step, StepInfo
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STATE = BODY.state(angular_velocity=[0.2, 0.1, 1.0])
@@ -79,6 +82,89 @@ def test_step_sizes_that_are_no_number_of_the_type(name):
         assert not step(STATE, dt)[1].converged
         with pytest.raises(ValueError, match="dt"):
             li.integrate(step, STATE, dt, 2)
+
+
+# Ends that are not finite ---------------------------------------------------------------------------------------------
+
+
+@li.pytree
+class Careless(Step):
+    """A step that reports convergence, whatever it returns."""
+
+    system: Any
+    last: jax.Array
+    order: float = li.static(default=2)
+    symmetric: bool = li.static(default=True)
+
+    @property
+    def name(self):
+        return "careless"
+
+    def __call__(self, state, dt):
+        return state._replace(p=state.p.at[1].set(self.last)), StepInfo(dt * 0, jnp.array(True))
+
+
+@pytest.mark.parametrize("last", [jnp.nan, jnp.inf, -jnp.inf])
+def test_no_step_reports_convergence_with_an_end_that_is_not_finite(last):
+    """Whatever the scheme: the flag is set where all steps are wrapped."""
+    assert Careless(BODY, jnp.array(1.0))(STATE, 0.1)[1].converged
+    step = Careless(BODY, jnp.array(last))
+    assert not step(STATE, 0.1)[1].converged
+    assert not step.tangent(STATE, 0.1, jnp.eye(6))[1].converged
+
+
+def _to_the_other(x, R):
+    return -1 / jnp.sqrt(jnp.sum((x[0] - x[1]) ** 2))
+
+
+def test_bodies_at_one_place_and_infinite_ends_are_flagged():
+    """Two bodies fall on one another; one leaves the numbers of its type."""
+    bodies = li.systems.rigid_bodies([1.0, 1.0], [[0.1] * 3] * 2, _to_the_other)
+    step = schemes.splitting(bodies)
+    resting = bodies.state([[-0.5, 0, 0], [0.5, 0, 0]])
+    leaving = resting._replace(p=resting.p.at[0, 0].set(1e308))
+    taken = jax.jit(lambda state, dt: step(state, dt))
+    for state, dt in ((resting, 1.0), (leaving, 10.0)):
+        end, info = taken(state, dt)
+        assert not all(bool(jnp.isfinite(x).all()) for x in (end.q, end.p))
+        assert not info.converged
+    assert taken(resting, 0.1)[1].converged
+
+
+def test_a_force_that_is_no_number_is_named_at_the_start():
+    """V is finite there and its gradient is not: the slope of the root of 0."""
+    kinked = lambda x, R: jnp.sum((x[0] - x[1]) ** 2) + jnp.sqrt(jnp.sum(jnp.abs(x[0])))  # noqa: E731
+    bodies = li.systems.rigid_bodies([1.0, 1.0], [[0.1] * 3] * 2, kinked)
+    state = bodies.state([[0.0, 0, 0], [0.5, 0, 0]])
+    with pytest.raises(ValueError, match=r"RigidBodies have no finite value .* derivative of p is not finite"):
+        schemes.splitting(bodies).check(state, 0.1)
+
+
+def log_well(Gamma):
+    return jnp.log(Gamma[2] - 0.2)
+
+
+UNDEFINED = {
+    "splitting": schemes.splitting,
+    "nystrom": lambda top: schemes.nystrom(top, 6),
+    "compose": lambda top: schemes.compose(schemes.splitting(top), 4),
+    "reversible_control": lambda top: schemes.reversible_control(schemes.splitting(top), lambda state: 1 + state.q[0]),
+    "top_energy_momentum": schemes.top_energy_momentum,
+    "gauss": schemes.gauss,
+    "extrapolate": schemes.extrapolate,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", UNDEFINED)
+def test_no_step_ends_where_the_potential_is_not_defined(scheme):
+    """log(Γ₃ − 0.2) has a slope where Γ₃ < 0.2, and no value."""
+    top = li.systems.potential_top([1.0, 2.0, 2.5], log_well)
+    step = UNDEFINED[scheme](top)
+    run = li.integrate(step, step.start(top.state(angular_velocity=[2.0, 0, 0.3])), 0.05, 20)
+    defined = np.isfinite(jax.vmap(top.potential_energy)(run.state.q))
+    assert not defined.all()
+    assert not np.any(np.asarray(run.info.converged) & ~defined)
 
 
 # Inertias of which no digits are left ---------------------------------------------------------------------------------

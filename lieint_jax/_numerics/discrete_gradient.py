@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from lieint_jax.types import autodiff_gradient
+
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
@@ -20,7 +22,7 @@ def discrete_gradient(function: Callable[..., Array], a: Array, b: Array, apart:
     """
     step = b - a
     at = (a + b) / 2 + jnp.asarray(_NODES, a.dtype)[:, None] * (step / 2)
-    gradients = jax.vmap(lambda x: jax.grad(function)(x, *more))(at)
+    gradients = jax.vmap(lambda x: autodiff_gradient(function)(x, *more))(at)
     mean = jnp.tensordot(jnp.asarray(_WEIGHTS / 2, a.dtype), gradients, 1)
     square = jnp.sum(step * step)
     corrected = square > apart

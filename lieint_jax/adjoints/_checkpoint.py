@@ -13,11 +13,12 @@ from jax import Array, lax
 
 from lieint_jax._numerics.replay import replayed
 from lieint_jax.types import State, Step, StepInfo, on_clock, start_time
+from lieint_jax.types._compiled import compiled
 
 _LEVELS = 3  # levels of nested checkpoints: about 3 N^(1/3) of N states are kept
 
 
-@partial(jax.jit, static_argnums=3)
+@partial(compiled, static_argnums=3)
 def checkpointed(step: Step, state: State, dt: Array, counts: tuple[int, ...]) -> tuple[State, StepInfo]:
     """The states after counts[0], counts[0] + counts[1], … steps, and the reports in between.
 

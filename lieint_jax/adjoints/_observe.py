@@ -17,6 +17,7 @@ from lieint_jax.adjoints._checkpoint import checkpointed
 from lieint_jax.adjoints._undo import undoable
 from lieint_jax.integrate import refuse_times
 from lieint_jax.types import State, Step, StepInfo
+from lieint_jax.types._compiled import compiled
 
 
 def observe(
@@ -98,7 +99,7 @@ def _(primals: tuple[Array, Array, Array], tangents: tuple[Array, Array, Any]) -
     return _rest(t, h, whole), tangents[0] - whole * tangents[1]
 
 
-@jax.jit
+@compiled
 def _seen(
     step: Step, later: tuple[State, StepInfo], back: Array, rest: Array, reached: Array
 ) -> tuple[State, StepInfo]:

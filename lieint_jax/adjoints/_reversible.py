@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import jax
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
@@ -14,6 +13,7 @@ from lieint_jax.adjoints._undo import undoable
 from lieint_jax.diagnostics.order import distance
 from lieint_jax.integrate import from_start, intervals, steps
 from lieint_jax.types import State, Step, Trajectory, start_time
+from lieint_jax.types._compiled import compiled
 
 
 def reversible(
@@ -74,7 +74,7 @@ def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) ->
     return _there_and_back(step, state, h, _checks.count("num_steps", num_steps, 0))
 
 
-@jax.jit
+@compiled
 def _there_and_back(step: Step, state: State, h: Array, num_steps: ArrayLike) -> Array:
     prepared = step.prepare(state, h)
     end = steps(prepared, state, h, num_steps, start_time(step, state))[0]

@@ -29,9 +29,10 @@ from lieint_jax.diagnostics.order import distance
 from lieint_jax.integrate import steps
 from lieint_jax.schemes.compose import Composition
 from lieint_jax.types import State, Step, StepInfo, System, pytree, start_time, static
+from lieint_jax.types._compiled import compiled
 
 
-@partial(jax.jit, static_argnums=4)
+@partial(compiled, static_argnums=4)
 def undoable(step: Step, state: State, dt: Array, counts: Any, tolerance: float | None) -> tuple[State, StepInfo]:
     """`_marched`, differentiated by undoing its steps, with respect to arrays that the step closes over, too."""
     tolerance = math.sqrt(jnp.finfo(state.p.dtype).eps) if tolerance is None else float(tolerance)
@@ -159,6 +160,8 @@ class _Opened:
 
     def __call__(self, state: State, dt: Array) -> tuple[State, StepInfo]:
         return self.function(self.step, state, dt, *self.closed)
+
+    substep = __call__
 
 
 def _opened(step: Step, state: State, dt: Array) -> Any:

@@ -3,7 +3,17 @@
 from lieint_jax.integrate._clock import Given, Own, Uniform, at_time, clock_of, more_times, outputs, refuse_times
 from lieint_jax.integrate._event import Event, event, events
 from lieint_jax.integrate._interpolate import interpolate
-from lieint_jax.integrate._run import from_start, integrate, intervals, prepared, saves, steps
+from lieint_jax.integrate._run import (
+    from_start,
+    integrate,
+    intervals,
+    of_any_length,
+    prepared,
+    rows_for,
+    saves,
+    steps,
+    trajectory,
+)
 
 __all__ = [
     "Event",
@@ -19,9 +29,12 @@ __all__ = [
     "interpolate",
     "intervals",
     "more_times",
+    "of_any_length",
     "outputs",
     "prepared",
     "refuse_times",
+    "rows_for",
     "saves",
     "steps",
+    "trajectory",
 ]

@@ -94,8 +94,8 @@ def clock_of(
     if times is None:
         if num_steps is None:
             raise ValueError("give dt and num_steps, or times")
-        size = jnp.asarray(_checks.step_size(dt), dtype)
-        t0 = jnp.zeros((), dtype) if t is None else t
+        size = _checks.as_array(_checks.step_size(dt), dtype)
+        t0 = _checks.as_array(0.0, dtype) if t is None else t
         return Own(size) if step.own_time else Uniform(t0, size), _checks.count("num_steps", num_steps, 0)
     refuse_times(step, "times")
     if dt is not None or num_steps is not None:
@@ -109,7 +109,11 @@ def clock_of(
             n = int(np.argmax(sizes * np.sign(sizes[0]) <= 0))
             raise ValueError(f"times must increase, or decrease, from one to the next, got {nodes[n : n + 2]} at {n}")
     if t is not None and concrete(nodes, t) and float(nodes[0]) != float(t):
-        raise ValueError(f"times must begin at the time of the state, {float(t)}, got {float(nodes[0])}")
+        first = float(nodes[0])
+        raise ValueError(
+            f"times must begin at the time of the state, {float(t)}, got {first}; begin there, or make the "
+            f"state at that time: system.state(..., t={first})"
+        )
     return Given(nodes), nodes.size - 1
 
 

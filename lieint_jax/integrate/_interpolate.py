@@ -16,6 +16,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.types import State, System, Trajectory, time_derivative
+from lieint_jax.types._compiled import compiled
 from lieint_jax.types._members import axes
 
 
@@ -66,7 +67,7 @@ def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> Sta
     return found
 
 
-@jax.jit
+@compiled
 def _interpolated(system: System, trajectory: Trajectory, times: Array) -> tuple[State, Array]:
     """The states, and by how much the trapezoidal rule of the rates misses the next saved one: 1 and more is lost."""
     t, space = trajectory.t, system.phase_space

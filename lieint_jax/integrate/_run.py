@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
@@ -15,6 +17,10 @@ from lieint_jax import _checks
 from lieint_jax._numerics.replay import replayed
 from lieint_jax.integrate._clock import Clock, Given, Own, Uniform, at_time, clock_of, more_times, outputs, refuse_times
 from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, on_clock, promoted, start_time
+from lieint_jax.types._compiled import compiled
+
+_LEAST_BYTES, _MOST_BYTES = 2**20, 2**26  # of the saved states that the loop of a run is compiled for
+_SHORT = 256  # steps of a run that is made before its first step is looked at
 
 
 def integrate(
@@ -29,8 +35,9 @@ def integrate(
 ) -> Trajectory:
     """Take `num_steps` steps of size `dt`, or steps from one of the `times` to the next, and keep states on the way.
 
-    A `lax.scan`: vmap it over states, differentiate it forward or reverse, jit what calls it. It is compiled once for
-    all steps of one structure and each pair of counts: a step made again with other numbers runs at once.
+    A `lax.scan`: vmap it over states, differentiate it forward or reverse, jit what calls it. Called by itself on a
+    CPU, it is compiled once for all steps of one structure and each `save_every`, whatever the numbers in them, for up
+    to 4096 saved states of one body, again for up to 16384, and so on.
 
     The state at an output time between two steps is that of a shorter step from the last one before: it has every
     invariant of the step, and an error of one order above the scheme's beside that of the trajectory. The trajectory
@@ -53,25 +60,42 @@ def integrate(
 
     Raises:
         ValueError: a bad count, times that are not finite, not in order or outside the run, a concrete state that is
-            not one of the system, or a concrete dt past the scheme's limit at the first step. Later failures, and all
-            failures inside jit, show in `info.converged`.
+            not one of the system, a concrete dt past the scheme's limit at the first step, or a trajectory larger than
+            this machine's memory. Later failures, and all failures inside jit, show in `info.converged`.
 
     Warns:
         RuntimeWarning: a state's time is so large that the floating-point numbers there are more than dt/10⁶ apart.
     """
     step, state, dtype = promoted(checked_step(step), state)
     clock, num_steps = clock_of(step, state.t, dtype, dt, num_steps, times)
-    first = clock.size(0) if num_steps else jnp.zeros((), dtype)
-    _check_first(step, state, first if dt is None else dt, isinstance(clock, Given))
+    first = clock.size(0) if num_steps else _checks.as_array(0.0, dtype)
+    trial = _trial(step, state, clock, num_steps) if save_at is None and save_every == 1 else None
+    if trial is None or not trial.info.converged[1]:
+        _check_first(step, state, first if dt is None else dt, isinstance(clock, Given))
     _checks.time_resolution(start_time(step, state), first if dt is None else dt, num_steps)
     if save_at is None:
         save_every = _checks.count("save_every", save_every, 1)
-        return _trajectory(step, state, clock, saves(num_steps, save_every), save_every)
+        num_saves = saves(num_steps, save_every)
+        _check_size(state, num_saves + 1)
+        if trial is None or len(trial.t) != num_saves + 1:
+            rows = rows_for(state, num_saves)
+            trial = of_any_length(step, state, clock, num_saves, rows, save_every) if rows else None
+        return trajectory(step, state, clock, num_saves, save_every) if trial is None else jax.device_put(trial)
     if save_every != 1:
         raise ValueError("give save_every or save_at, not both")
     refuse_times(step, "save_at")
     assert not isinstance(clock, Own)
-    return _seen(step, state, clock, outputs(save_at, clock, num_steps, dtype), num_steps)
+    wanted = outputs(save_at, clock, num_steps, dtype)
+    _check_size(state, wanted.size + 1)
+    return _seen(step, state, clock, wanted, num_steps)
+
+
+def _check_size(state: State, entries: int) -> None:
+    """ValueError if the trajectory of a concrete state has more bytes than this machine's memory."""
+    if _checks.concrete(state):
+        size = _checks.entry_size(state) + state.p.dtype.itemsize  # and the time
+        advice = "give a larger save_every, or write to disk by ensemble.run(…, store=PATH)"
+        _checks.fits_memory(entries, size, advice, copies=2)  # the start is joined to the rest
 
 
 def _check_first(step: Step, state: State, size: ArrayLike, given: bool) -> None:
@@ -82,9 +106,70 @@ def _check_first(step: Step, state: State, size: ArrayLike, given: bool) -> None
         raise StepError(f"{failed}{more_times(step, state, size) if given else ''}") from None
 
 
-@partial(jax.jit, static_argnums=(3, 4))
-def _trajectory(step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Trajectory:
-    step = prepared(step, state, clock)
+def _trial(step: Step, state: State, clock: Clock, num_steps: int) -> Trajectory | None:
+    """The run itself, if it is short, else its first step, by the same program; None if that cannot be."""
+    rows = rows_for(state, num_steps)
+    if not (rows and num_steps) or step.approximate or not _stands_alone(step, state, clock):
+        return None
+    step.system.check(state)
+    return of_any_length(step, state, clock, num_steps if num_steps <= _SHORT else 1, rows, 1)
+
+
+def _stands_alone(*arguments: Any) -> bool:
+    """Whether a call with these arguments is not part of another function."""
+    return _checks.concrete(arguments) and not _checks.staged()
+
+
+def rows_for(state: State, num_saves: int) -> int:
+    """For how many saved states the loop of a run is compiled, a power of 4; 0 on a GPU, and where it wastes memory."""
+    if jax.default_backend() != "cpu":
+        return 0
+    size = _checks.entry_size(state)
+    rows = 4 ** max(1, int(math.log(_LEAST_BYTES / size, 4)))
+    while rows < num_saves:
+        rows *= 4
+    return rows if rows * size <= _MOST_BYTES else 0
+
+
+def of_any_length(
+    step: Step, state: State, clock: Clock, num_saves: int, most: int, save_every: int
+) -> Trajectory | None:
+    """The trajectory with `num_saves` saved states after the first, on the host, by one program for all up to `most`.
+
+    None unless all is concrete: a loop of unknown length has no derivative in reverse mode.
+    """
+    if not _stands_alone(step, state, clock):
+        return None
+    found = _padded(step, state, clock, num_saves, most, save_every)
+    if not _checks.concrete(found):  # a function of the step closes over a tracer
+        return None
+    return jax.tree.map(lambda x: np.asarray(x)[: num_saves + 1], found)
+
+
+@partial(compiled, static_argnums=(4, 5))
+def _padded(step: Step, state: State, clock: Clock, num_saves: ArrayLike, most: int, save_every: int) -> Trajectory:
+    """`trajectory` of any number of saves up to `most`; entries that follow have no meaning."""
+    interval = _interval(prepared(step, state, clock), state, clock, save_every)
+    rows = jax.tree.map(lambda x: jnp.broadcast_to(x, (most, *x.shape)), (state, StepInfo.fresh(state.p)))
+
+    def one(k: Array, carry: Any) -> Any:
+        moved, rows = carry
+        moved, saved = interval(moved, None)
+        return moved, jax.tree.map(lambda to, x: lax.dynamic_update_index_in_dim(to, x, k, 0), rows, saved)
+
+    _, later = lax.fori_loop(0, num_saves, one, ((state, jnp.zeros((), int)), rows))
+    return _joined(state, later, clock.time(save_every * jnp.arange(most + 1)))
+
+
+@partial(compiled, static_argnums=(3, 4))
+def trajectory(step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Trajectory:
+    interval = _interval(prepared(step, state, clock), state, clock, save_every)
+    _, later = _times(num_saves, interval, (state, jnp.zeros((), int)))
+    return _joined(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
+
+
+def _interval(step: Step, state: State, clock: Clock, save_every: int) -> Callable[[Any, None], tuple[Any, Any]]:
+    """The steps from one saved state to the next: (state, n) ↦ (state, n), (state, report)."""
     started = StepInfo.fresh(state.p)
 
     @replayed
@@ -98,8 +183,7 @@ def _trajectory(step: Step, state: State, clock: Clock, num_saves: int, save_eve
         (state, info, n), _ = _times(save_every, one, (state, started, n))
         return (state, n), (state, info)
 
-    _, later = _times(num_saves, interval, (state, jnp.zeros((), int)))
-    return _joined(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
+    return interval
 
 
 def _times(length: int, function: Callable[[Any, None], tuple[Any, Any]], carry: Any) -> tuple[Any, Any]:
@@ -110,7 +194,7 @@ def _times(length: int, function: Callable[[Any, None], tuple[Any, Any]], carry:
     return carry, jax.tree.map(lambda x: x[None], result)
 
 
-@partial(jax.jit, static_argnums=4)
+@partial(compiled, static_argnums=4)
 def _seen(step: Step, state: State, clock: Uniform | Given, save_at: Array, num_steps: int) -> Trajectory:
     """The trajectory at output times: whole steps, and before each a shorter one from its node to every output."""
     count = save_at.size
@@ -191,9 +275,6 @@ def intervals(num_steps: int, save_every: int | None) -> tuple[int, int]:
 def saves(num_steps: int, save_every: int) -> int:
     """The number of saved states after the initial one; ValueError if `save_every` does not divide `num_steps`."""
     if num_steps % save_every:
-        below = num_steps - num_steps % save_every
-        raise ValueError(
-            f"num_steps = {num_steps} is not a multiple of save_every = {save_every}; "
-            f"take {below} or {below + save_every} steps"
-        )
+        near = _checks.nearest_multiples(num_steps, save_every)
+        raise ValueError(f"num_steps = {num_steps} is not a multiple of save_every = {save_every}; take {near} steps")
     return num_steps // save_every

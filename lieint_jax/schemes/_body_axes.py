@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._numerics import kernel, three
+from lieint_jax._numerics import three
 from lieint_jax._numerics.three import add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.schemes._capability import other_motion
@@ -84,14 +84,12 @@ def turned(state: State, z: Turning, delta: Turning) -> State:
     return state._replace(q=state.q + jnp.stack(dq), p=p, work=work)
 
 
-@kernel.stage
 def _to_unit(q: tuple[Array, ...], dq: tuple[Array, ...]) -> tuple[Array, ...]:
     """The increments of q to (q + dq) / |q + dq|."""
     r = _shrinking(q, dq)
     return tuple(d + r * (x + d) for x, d in zip(q, dq, strict=True))
 
 
-@kernel.stage
 def _shrinking(q: tuple[Array, ...], dq: tuple[Array, ...]) -> Array:
     """1 / |q + dq| − 1."""
     excess = so3.defect(jnp.stack(q)) + sum(d * (2 * x + d) for x, d in zip(q, dq, strict=True))
@@ -99,7 +97,6 @@ def _shrinking(q: tuple[Array, ...], dq: tuple[Array, ...]) -> Array:
     return -excess / (s * (1 + s))
 
 
-@kernel.stage
 def _across(u: three.Vector, du: three.Vector, Pi: three.Vector) -> tuple[Array, ...]:
     return *cross(u, Pi), *cross(du, Pi)
 
@@ -108,32 +105,20 @@ def rate(system: Any) -> Callable[[Any, Moment | None], Turning]:
     """The time derivative of the unknowns at a moment, for |q| = 1 but for the error of a step."""
     inverse, rotor = three.inverse(system.inertia), system.rotor if isinstance(system, Gyrostat) else None
     torque = _torque(system)
-    height = upright(system.axis)[1] if isinstance(system, Top) else None
 
     def of(z: Any, moment: Any) -> Turning:
-        if isinstance(system, Top):
-            q_dot, Pi_dot = _falling(inverse, system.potential, height, z.q, z.Pi)
-        else:
-            q_dot, Pi_dot = spinning(inverse, rotor, z.q, z.Pi)
-            Pi_dot = add(Pi_dot, torque(z, moment)) if torque else Pi_dot
+        q_dot, Pi_dot = spinning(inverse, rotor, z.q, z.Pi)
+        Pi_dot = add(Pi_dot, torque(z, moment)) if torque else Pi_dot
         return Turning(q_dot, Pi_dot, None if z.work is None else _power(system, z, moment))
 
     return of
 
 
-@kernel.together
 def spinning(inverse: three.Symmetric, rotor: Array | None, q: Any, Pi: three.Vector) -> tuple[Any, Any]:
     """q̇ and Π̇ without a torque."""
     turning = Pi if rotor is None else subtract(Pi, rotor)
     Pi_dot = gyroscopic(inverse, Pi) if rotor is None else cross(Pi, apply(inverse, turning))
     return by(q, apply(tuple(x / 2 for x in inverse), turning)), Pi_dot
-
-
-@kernel.together
-def _falling(inverse: three.Symmetric, potential: Any, height: Array, q: Any, Pi: three.Vector) -> tuple[Any, Any]:
-    """q̇ and Π̇ of a top in a frame where its axis is ± the third."""
-    q_dot, Pi_dot = spinning(inverse, None, q, Pi)
-    return q_dot, add(Pi_dot, _torque_upright(potential, height, q))
 
 
 def gyroscopic(inverse: three.Symmetric, Pi: three.Vector) -> tuple[Array, Array, Array]:
@@ -190,12 +175,10 @@ def _torque(system: Any) -> Callable[[Any, Any], tuple[Array, ...]] | None:
     return None
 
 
-@kernel.together
 def _torque_about(potential: Any, axis: Array, q: tuple[Array, ...], t: Array) -> tuple[Array, ...]:
     return _by_potential(potential, _axis_in_body(q, axis), t)
 
 
-@kernel.together
 def _torque_upright(potential: Any, height: Array, q: tuple[Array, ...]) -> tuple[Array, ...]:
     return _by_potential(potential, _third_axis(2 * height, q))
 
@@ -210,7 +193,6 @@ def seen(q: tuple[Array, ...], axis: three.Vector) -> tuple[Array, Array, Array]
     return add(scale(w * w - dot(v, v), axis), add(scale(2 * dot(v, axis), v), scale(2 * w, cross(axis, v))))
 
 
-@kernel.stage
 def _axis_in_body(q: tuple[Array, ...], axis: three.Vector) -> tuple[Array, Array, Array]:
     """Λᵀγ for |q| = 1, in fewer operations than `seen`."""
     w, *v = q
@@ -218,7 +200,6 @@ def _axis_in_body(q: tuple[Array, ...], axis: three.Vector) -> tuple[Array, Arra
     return add(axis, subtract(scale(w, u), cross(v, u)))
 
 
-@kernel.stage
 def _third_axis(twice: Array, q: tuple[Array, ...]) -> tuple[Array, Array, Array]:
     """`_axis_in_body` of ½ twice e₃, in a third of its operations."""
     w, x, y, z = q

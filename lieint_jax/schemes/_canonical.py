@@ -12,28 +12,23 @@ part of ṗ is then 2γq∇Ṽ. That moves q·p, which changes nothing else, and
 T*GL⁺(3) is flat as it is.
 
 Coordinates are a tuple of components: those of q, then those of p. Of several bodies these are positions and
-quaternions, then linear momenta and p, each with an axis of bodies, (N,); or one body after the other, as
-`_several_bodies` says.
+quaternions, then linear momenta and p, each with an axis of bodies, (N,).
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._numerics import kernel, three
+from lieint_jax._numerics import three
 from lieint_jax._numerics.three import add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, CotangentMatrices, CotangentMotions
 from lieint_jax.schemes import _several_bodies
 from lieint_jax.schemes._body_axes import by, seen, turned_back, turned_up, upright
-from lieint_jax.schemes._several_bodies import apart
-from lieint_jax.schemes._stages import Components
 from lieint_jax.types import (
     Bodies,
     Driven,
@@ -49,6 +44,7 @@ from lieint_jax.types import (
     gradient,
 )
 
+Components = tuple[Array, ...]
 _Quaternion = tuple[Array, Array, Array, Array]
 
 
@@ -68,59 +64,36 @@ def known(space: PhaseSpace) -> bool:
     return isinstance(space, CotangentMotions | CotangentMatrices)
 
 
-@kernel.stage
 def canonical(system: Any, state: State) -> Components:
     """The coordinates of a state; of a top whose axis stays, in a frame where that is ±e₃."""
     if state.q.shape == (3, 3):
         return tuple(state.q.ravel()) + tuple(state.p.ravel())
-    if state.q.ndim == 2 and apart(len(state.q)):
-        bodies = zip(map(_components, state.q), map(_components, state.p), strict=True)
-        return _all_halves([_coordinates(q, p) for q, p in bodies])
-    q, p = _coordinates(_components(state.q), _components(state.p))
-    return (*turned_up(system.axis, q), *turned_up(system.axis, p)) if _stands(system) else _all_halves([(q, p)])
+    q, p = _components(state.q), _components(state.p)
+    p = (*p[:-3], *_from_left(scale(2, p[-3:]), q[-4:]))
+    return (*turned_up(system.axis, q), *turned_up(system.axis, p)) if _stands(system) else (*q, *p)
 
 
-def _coordinates(q: Components, p: Components) -> tuple[Components, Components]:
-    """Of q and p, those of a body or of many: each of both halves."""
-    return q, (*p[:-3], *_from_left(scale(2, p[-3:]), q[-4:]))
-
-
-def _all_halves(bodies: Sequence[tuple[Components, Components]]) -> Components:
-    """The first half of each body, then the second of each."""
-    return tuple(x for half in zip(*bodies, strict=True) for x in itertools.chain(*half))
-
-
-def parts(z: Components) -> list[Parts]:
-    """The coordinates of each body, or of many together."""
-    half = len(z) // 2
-    if half == 4:
-        return [Parts((), z[:4], (), z[4:])]
-    starts = range(0, half, 7)
-    return [
-        Parts(z[n : n + 3], z[n + 3 : n + 7], z[half + n : half + n + 3], z[half + n + 3 : half + n + 7])
-        for n in starts
-    ]
+def parts(z: Components) -> Parts:
+    """The parts of coordinates."""
+    if len(z) == 8:
+        return Parts((), z[:4], (), z[4:])
+    return Parts(z[:3], z[3:7], z[7:10], z[10:])
 
 
 def momentum(z: Components) -> Components:
     """π = ½ Im(p q̄) of coordinates, of several bodies after the linear momenta."""
-    return tuple(itertools.chain(*map(_momenta, parts(z))))
-
-
-def _momenta(body: Parts) -> Components:
-    (w, *v), (p0, *p) = body.q, body.p
-    return (*body.P, *scale(0.5, add(subtract(scale(w, p), scale(p0, v)), cross(v, p))))
+    _, (w, *v), P, (p0, *p) = parts(z)
+    return (*P, *scale(0.5, add(subtract(scale(w, p), scale(p0, v)), cross(v, p))))
 
 
 def configuration(z: Components) -> Array:
     """The configuration, with quaternions of unit length: (4,), (N, 7), or (3, 3)."""
     if len(z) == 18:
         return jnp.stack(z[:9]).reshape(3, 3)
-    bodies = [jnp.stack([*x, *_unit(q)], axis=-1) for x, q, *_ in parts(z)]
-    return bodies[0] if len(z) == 8 else _several_bodies.together(bodies)
+    x, q, *_ = parts(z)
+    return jnp.stack([*x, *_unit(q)], axis=-1)
 
 
-@kernel.stage
 def _unit(q: Components) -> _Quaternion:
     r = jnp.sqrt(_inverse_square(q))
     w, x, y, z = q
@@ -133,7 +106,7 @@ def inverses(system: Any) -> Any:
         return None
     if isinstance(system, FreeBodies | Bodies):
         return _several_bodies.inverses(system)
-    return [three.inverse(system.metric if isinstance(system, MechanicalSystem) else system.inertia)]
+    return three.inverse(system.metric if isinstance(system, MechanicalSystem) else system.inertia)
 
 
 def field(system: Any, inverse: Any, z: Components, t: Array | None) -> Components:
@@ -142,32 +115,30 @@ def field(system: Any, inverse: Any, z: Components, t: Array | None) -> Componen
         F, P = (jnp.stack(x).reshape(3, 3) for x in (z[:9], z[9:]))
         rate = system.vector_field(State(F, P))
         return (*rate.q.ravel(), *rate.p.ravel())
-    bodies = parts(z)
-    masses = _several_bodies.masses(system) if isinstance(system, FreeBodies | Bodies) else [None]
-    rates = [
-        _rate(system.rotor if isinstance(system, Gyrostat) else None, J, m, body)
-        for J, m, body in zip(inverse, masses, bodies, strict=True)
-    ]
-    return _all_halves(_kicked(system, bodies, rates, z, t) if isinstance(system, Forced | Driven) else rates)
+    _, q, P, p = parts(z)
+    q_dot, p_dot = _turning(system.rotor if isinstance(system, Gyrostat) else None, inverse, q, p)
+    first = (*(y / system.masses for y in P), *q_dot)  # pyright: ignore[reportAttributeAccessIssue]
+    second = (*(jnp.zeros_like(y) for y in P), *p_dot)
+    if isinstance(system, Forced | Driven):
+        second = tuple(map(jnp.add, second, _kick(system, z, t)))
+    return (*first, *second)
 
 
-@kernel.stage
 def force(system: Any, _: Any, z: Components, t: Array | None) -> Components:
     """The components of π̇, or of (ṗ, π̇) of several bodies."""
-    bodies = parts(z)
+    body = parts(z)
     if not isinstance(system, Forced | Driven):
-        return (jnp.zeros_like(z[0]),) * (3 + len(bodies[0].P)) * len(bodies)
+        return (jnp.zeros_like(z[0]),) * (3 + len(body.P))
     if isinstance(system, Bodies):
-        rows = _forces(system, bodies)
-        return tuple(x for row, body in zip(rows, bodies, strict=True) for x in (*row[:3], *_turned(body.q, row[3:])))
+        pull = _several_bodies.forces(system, body.x, _unit(body.q))
+        return (*pull[:3], *_turned(body.q, pull[3:]))
     if _has_axis(system):
-        return _torque(system, bodies[0].q, t)
+        return _torque(system, body.q, t)
     q = configuration(z)
     at = (q,) if t is None or isinstance(system, Forced) else (q, t)
     return _components(system.force(*at))
 
 
-@kernel.stage
 def power(system: Driven, _: Any, z: Components, t: Array) -> Components:
     """The power of a driven system, as one component."""
     return (system.power(configuration(z), t),)
@@ -199,21 +170,12 @@ def _in_space(system: Any, rates: Components, force: Components) -> tuple[Compon
     return (*q, *p), _components(so3.Ad_star(upright(system.axis)[0], jnp.stack(force)))
 
 
-def _rate(rotor: Array | None, inverse: Any, mass: Any, body: Parts) -> tuple[Components, Components]:
-    """The derivatives of both halves of a body's coordinates, without a potential."""
-    q_dot, p_dot = _turning(rotor, inverse, body.q, body.p)
-    velocity, zeros = tuple(y / mass for y in body.P), (jnp.zeros_like(y) for y in body.P)
-    return (*velocity, *q_dot), (*zeros, *p_dot)
-
-
-@kernel.together
 def _turning(rotor: Array | None, inverse: three.Symmetric, q: Components, p: Components) -> tuple[Any, Any]:
     """½qΩ and ½pΩ."""
     half = _half_rate(rotor, inverse, q, p)
     return by(q, half), by(p, half)
 
 
-@kernel.stage
 def _half_rate(rotor: Array | None, inverse: three.Symmetric, q: Components, p: Components) -> Components:
     """½Ω, of the momentum Π = ½ Im(q̄p)."""
     (w, *v), (first, *rest) = q, p
@@ -221,35 +183,19 @@ def _half_rate(rotor: Array | None, inverse: three.Symmetric, q: Components, p: 
     return scale(0.5, apply(inverse, Pi if rotor is None else subtract(Pi, rotor)))
 
 
-def _kicked(
-    system: Any, bodies: list[Parts], rates: list[tuple[Components, Components]], z: Components, t: Array | None
-) -> list[tuple[Components, Components]]:
-    """The rates with what the potential adds to their second half: the force, and −∂V/∂q."""
+def _kick(system: Any, z: Components, t: Array | None) -> Components:
+    """What the potential adds to the rate of the second half: the force, and −∂V/∂q."""
+    x, q, *_ = parts(z)
+    if _stands(system):
+        return _kick_upright(system.potential, upright(system.axis)[1], q)
     if _has_axis(system):
-        [(q_dot, p_dot)], q = rates, bodies[0].q
-        if _stands(system):
-            return [(q_dot, _kicked_upright(system.potential, upright(system.axis)[1], q, p_dot))]
-        return [(q_dot, _kicked_about(system.potential, system.axis_at(t), q, p_dot, t))]
+        return _kick_about(system.potential, system.axis_at(t), q, t)
     if isinstance(system, Bodies):
-        kicks = [(*row[:3], *_kick(body.q, row[3:])) for row, body in zip(_forces(system, bodies), bodies, strict=True)]
-    else:
-        q = bodies[0].q
-        kicks = [_from_left(scale(2 * _inverse_square(q), force(system, None, z, t)), q)]
-    return [(q, tuple(map(jnp.add, p, kick))) for (q, p), kick in zip(rates, kicks, strict=True)]
+        pull = _several_bodies.forces(system, x, _unit(q))
+        return (*pull[:3], *by(q, scale(2 * _inverse_square(q), pull[3:])))
+    return _from_left(scale(2 * _inverse_square(q), force(system, None, z, t)), q)
 
 
-def _forces(system: Bodies, bodies: list[Parts]) -> Any:
-    """The force on each body, and the torque in its axes."""
-    return _several_bodies.forces(system, [body.x for body in bodies], [_unit(body.q) for body in bodies])
-
-
-@kernel.together
-def _kick(q: Components, torque: Components) -> Components:
-    """A torque in the body as 2qτ/|q|²."""
-    return by(q, scale(2 * _inverse_square(q), torque))
-
-
-@kernel.together
 def _turned(q: Components, u: Components) -> Components:
     """q(0, u)q̄/|q|²."""
     return scale(_inverse_square(q), _back(by(q, u), q))
@@ -264,32 +210,15 @@ def _stands(system: Any) -> bool:
     return isinstance(system, Top) and system.axis is not None
 
 
-@kernel.together
-def _kicked_upright(potential: Any, height: Array, q: Components, p_dot: Components) -> Components:
-    return _sum(p_dot, _kick_upright(potential, height, q))
-
-
-@kernel.together
 def _kick_upright(potential: Any, height: Array, q: Components) -> Components:
     """−∂V/∂q of V(q) = Ṽ(q̄γq), which is Ṽ(Γ) where |q| = 1: 2γq∇Ṽ, with γ = height e₃."""
     a, b, c, d = (2 * height * x for x in _by_slope(potential, _seen_upright(height, q), q))
     return -d, -c, b, a
 
 
-@kernel.together
-def _kicked_about(potential: Any, axis: Array, q: Components, p_dot: Components, t: Array) -> Components:
-    return _sum(p_dot, _kick_about(potential, axis, q, t))
-
-
-@kernel.together
-def _kick_about(potential: Any, axis: Array, q: Components, t: Array) -> Components:
+def _kick_about(potential: Any, axis: Array, q: Components, t: Any) -> Components:
     """2γq∇Ṽ for any axis γ."""
     return _from_left(scale(2, axis), _by_slope(potential, seen(q, axis), q, t))
-
-
-@kernel.together
-def _sum(p_dot: Components, kick: Components) -> Components:
-    return tuple(map(jnp.add, p_dot, kick))
 
 
 def _torque(system: Any, q: Components, t: Any) -> Components:
@@ -298,14 +227,12 @@ def _torque(system: Any, q: Components, t: Any) -> Components:
     return _torque_about(system.potential, system.axis_at(t), q, t)
 
 
-@kernel.together
 def _torque_upright(potential: Any, height: Array, q: Components) -> Components:
     """The torque in space, γ × q∇Ṽq̄."""
     x, y, _ = _back(_by_slope(potential, _seen_upright(height, q), q), q)
     return -height * y, height * x, jnp.zeros_like(x)
 
 
-@kernel.together
 def _torque_about(potential: Any, axis: Array, q: Components, t: Array) -> Components:
     return cross(axis, _back(_by_slope(potential, seen(q, axis), q, t), q))
 

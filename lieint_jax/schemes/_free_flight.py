@@ -14,7 +14,6 @@ from jax.typing import ArrayLike
 from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.schemes._capability import Integrand
-from lieint_jax.schemes._several_bodies import FEW
 from lieint_jax.types import Bodies, FreeBodies, FreeBody, State, Step, StepInfo, pytree
 
 
@@ -67,10 +66,6 @@ class FreeFlight(Step):
         return self.turn.commuting
 
     @property
-    def one_kernel(self) -> bool:
-        return not self.commuting
-
-    @property
     def name(self) -> str:
         return "free_flight" if self.commuting else f"free_flight[{self.turn.name}]"
 
@@ -81,18 +76,15 @@ class FreeFlight(Step):
         return state._replace(q=jnp.concatenate([x, turned], axis=1)), together
 
     def _turned(self, inertias: Array, turning: State, dt: ArrayLike) -> tuple[Array, StepInfo]:
-        """The quaternions (N, 4) after a time, and the reports; of few bodies one by one, unless the step is long."""
+        """The quaternions (N, 4) after a time, and the reports."""
 
         def turned(J: Array, body: State) -> tuple[Array, StepInfo]:
             step: Any = self.turn
             own: Any = dataclasses.replace(step, system=dataclasses.replace(step.system, inertia=J))
-            end, info = own(body, dt)
+            end, info = own.substep(body, dt)
             return end.q, info
 
-        if len(inertias) > FEW or self.commuting:
-            return jax.vmap(turned)(inertias, turning)
-        each = [turned(J, jax.tree.map(lambda x, n=n: x[n], turning)) for n, J in enumerate(inertias)]
-        return jax.tree.map(lambda *x: jnp.stack(x), *each)
+        return jax.vmap(turned)(inertias, turning)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (

@@ -39,7 +39,7 @@ class Turning(Step):
         return f"splitting[{self.drift.name}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        state, info = self.drift(self._turn(state, dt), dt)
+        state, info = self.drift.substep(self._turn(state, dt), dt)
         return self._turn(state, dt), self._judged(info, state, dt)
 
     def tangent(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:

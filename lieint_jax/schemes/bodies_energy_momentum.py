@@ -73,10 +73,6 @@ class BodiesEnergyMomentum(Step):
     symmetric: bool = static(default=True)
 
     @property
-    def one_kernel(self) -> bool:
-        return True
-
-    @property
     def name(self) -> str:
         return "bodies_energy_momentum"
 

@@ -15,7 +15,6 @@ import dataclasses
 import math
 from typing import Any, NamedTuple, Self
 
-import jax
 import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
@@ -26,6 +25,7 @@ from lieint_jax.groups import so3
 from lieint_jax.schemes.preprocessed import retimed
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES
 from lieint_jax.types import FreeBody, State, Step, StepInfo, pytree, static
+from lieint_jax.types._compiled import compiled
 
 
 class Clock(NamedTuple):
@@ -60,10 +60,6 @@ class Calibrated(Step):
         return True
 
     @property
-    def one_kernel(self) -> bool:
-        return True
-
-    @property
     def name(self) -> str:
         return "calibrated"
 
@@ -76,7 +72,7 @@ class Calibrated(Step):
         """One step. If it was prepared, the state and dt must be of that trajectory; if not, it prepares itself."""
         if self.clock is None:
             return self.prepare(state, dt)(state, dt)
-        after, info = retimed(self.system, self.clock.s, self.clock.d, self.iterations)(state, dt)
+        after, info = retimed(self.system, self.clock.s, self.clock.d, self.iterations).substep(state, dt)
         return after, info._replace(converged=info.converged & self._fits(state, dt))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
@@ -104,7 +100,7 @@ class Calibrated(Step):
         )
 
 
-@jax.jit
+@compiled
 def _prepared(step: Calibrated, state: State, dt: ArrayLike) -> Calibrated:
     """`Calibrated.prepare`, compiled: operation by operation it takes seconds, and a message should not."""
     return step.prepare(state, dt)

@@ -66,14 +66,6 @@ class Composition(Step):
         return self.step.start(state)
 
     @property
-    def one_kernel(self) -> bool:
-        return self.step.one_kernel
-
-    @property
-    def kernel_members(self) -> int:
-        return self.step.kernel_members
-
-    @property
     def name(self) -> str:
         return f"compose[{self.method}]({self.step.name})"
 
@@ -83,7 +75,7 @@ class Composition(Step):
         return METHODS[self.method].gammas
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        return self._through(state, dt, lambda state, h: self.step(state, h))
+        return self._through(state, dt, self.step.substep)
 
     def tangent(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
         if state.extra is not None:  # it may depend on q and p, from one sub-step to the next
@@ -100,16 +92,13 @@ class Composition(Step):
         """`start` through `stage` with each of the sub-steps, and the merged report."""
 
         @replayed
-        def one(carry: tuple[Any, StepInfo, Array], following: Array) -> tuple[tuple[Any, StepInfo, Array], None]:
-            z, worst, h = carry
+        def one(carry: tuple[Any, StepInfo], h: Array) -> tuple[tuple[Any, StepInfo], None]:
+            z, worst = carry
             z, info = stage(z, h)
-            return (z, worst.merge(info), following), None
+            return (z, worst.merge(info)), None
 
-        # h is carried: XLA fuses a slice of the sub-steps into every loop over a batch, which triples their time
-        dtype = jax.tree.leaves(start)[0].dtype
-        sub_steps = jnp.asarray(self.gammas, dtype) * dt
-        begin = (start, StepInfo.fresh(sub_steps), sub_steps[0])
-        return lax.scan(one, begin, jnp.roll(sub_steps, -1))[0][:2]
+        sub_steps = jnp.asarray(self.gammas, jax.tree.leaves(start)[0].dtype) * dt
+        return lax.scan(one, (start, StepInfo.fresh(sub_steps)), sub_steps)[0]
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         largest = max(self.gammas, key=abs)

@@ -22,11 +22,10 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics import kernel
 from lieint_jax._numerics.replay import replayed
 from lieint_jax.schemes import _body_axes, _several_bodies
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES
-from lieint_jax.types import Bodies, State, Step, StepInfo, System, Top, all_finite, pytree, static, time_derivative
+from lieint_jax.types import Bodies, State, Step, StepInfo, System, Top, pytree, static, time_derivative
 
 
 class _States:
@@ -42,8 +41,6 @@ class _States:
 
 _FORMS: dict[str, Any] = {"one body": _body_axes, "several bodies": _several_bodies, "": _States}
 _Rate = Callable[[Any, Any], Any]
-_First = Callable[[Array], Any]  # h ↦ δ₁, or u + δ₁
-_After = Callable[[Array, Any, Any, Any], Any]  # h, δ_{m−1}, δ_m, what there is then ↦ δ_{m+1}, or u + these
 _ROUGH = 1e-3  # the largest relative difference between the last two orders of a step that converged
 
 
@@ -68,10 +65,6 @@ class Extrapolated(Step):
     def name(self) -> str:
         return f"extrapolate[{self.order:g}{'' if self.increments else ', plain'}]"
 
-    @property
-    def one_kernel(self) -> bool:
-        return True
-
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         form, numbers = _FORMS[self.form], [2 * (j + 1) for j in range(int(self.order) // 2)]
         start, dt = form.unknowns(self.system, state), jnp.asarray(dt, state.p.dtype)
@@ -80,7 +73,7 @@ class Extrapolated(Step):
         end = form.moved(self.system, state, start, best)
         halves = zip(*map(form.halves, (start, best, second)), strict=True)
         off = lax.stop_gradient(functools.reduce(jnp.maximum, itertools.starmap(_relative, halves)))
-        return end, StepInfo(off, all_finite(end) & (off <= _ROUGH))
+        return end, StepInfo(off, off <= _ROUGH)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
@@ -97,53 +90,21 @@ def _fractions(numbers: list[int]) -> np.ndarray:
 def _extrapolated(
     rate: _Rate, moments: Any, start: Any, dt: Array, numbers: list[int], increments: bool
 ) -> tuple[Any, Any]:
-    """The increments Σ w_n δ_n over all these n, and over all but the last."""
-    slope = kernel.stored(rate(start, jax.tree.map(lambda x: x[0], moments)))
-    plus = kernel.stage(lambda delta: jax.tree.map(jnp.add, start, delta))
+    """The increments Σ w_n δ_n over all these n, and over all but the last, by one loop over all sub-steps."""
+    slope = rate(start, jax.tree.map(lambda x: x[0], moments))
     origin = jax.tree.map(jnp.zeros_like, start) if increments else start
 
+    def at(now: Any) -> Any:
+        return jax.tree.map(jnp.add, start, now) if increments else now
+
     @replayed
-    @kernel.stage
     def after(h: Array, before: Any, now: Any, moment: Any) -> Any:
-        return jax.tree.map(lambda x, f: x + 2 * h * f, before, rate(plus(now) if increments else now, moment))
+        return jax.tree.map(lambda x, f: x + 2 * h * f, before, rate(at(now), moment))
 
     def first(h: Array) -> Any:
         return jax.tree.map(lambda x, f: x + h * f, origin, slope)
 
-    moments = jax.tree.map(lambda x: x[1:], moments)
     w = [jnp.asarray(x, dt.dtype) for x in (weights(numbers), [*weights(numbers[:-1]), 0.0])]
-    return (_nested if kernel.inside() else _flat)(first, after, origin, moments, numbers, dt, w)
-
-
-def _nested(
-    first: _First, after: _After, origin: Any, moments: Any, numbers: list[int], dt: Array, w: list[Array]
-) -> Any:
-    """A loop over n, and in it one over pairs of sub-steps, which overwrite each other. It has no pull-back."""
-
-    def sequence(sums: Any, row: Any) -> tuple[Any, None]:
-        pairs, begin, h, w = row
-
-        def at(m: Array | int) -> Any:
-            return jax.tree.map(lambda x: lax.dynamic_index_in_dim(x, begin + m, keepdims=False), moments)
-
-        def two(k: Array, z: tuple[Any, Any]) -> tuple[Any, Any]:
-            before, now = z
-            middle = after(h, before, now, at(2 * k + 1))
-            return middle, after(h, now, middle, at(2 * k + 2))
-
-        one = first(h)
-        end = lax.fori_loop(0, pairs, two, (one, after(h, origin, one, at(0))))[1]
-        return _added(sums, w, end, origin), None
-
-    n = np.array(numbers)
-    rows = (jnp.asarray(n // 2 - 1), jnp.asarray(np.cumsum(n - 1) - (n - 1)), dt / n, w)
-    return lax.scan(sequence, _nothing(origin), rows)[0]
-
-
-def _flat(
-    first: _First, after: _After, origin: Any, moments: Any, numbers: list[int], dt: Array, w: list[Array]
-) -> Any:
-    """The same as one loop over all sub-steps."""
     h = dt / np.array(numbers)
 
     def one(carry: Any, row: Any) -> tuple[Any, None]:
@@ -158,7 +119,8 @@ def _flat(
 
     of = np.repeat(np.arange(len(numbers)), np.array(numbers) - 1)
     last = np.append(np.diff(of) > 0, True)
-    rows = (h[of], jnp.append(h[of[1:]], 0), jnp.asarray(last), moments, [x[of] for x in w])
+    later = jax.tree.map(lambda x: x[1:], moments)
+    rows = (h[of], jnp.append(h[of[1:]], 0), jnp.asarray(last), later, [x[of] for x in w])
     return lax.scan(one, (origin, first(h[0]), _nothing(origin)), rows)[0][2]
 
 

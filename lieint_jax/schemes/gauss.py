@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -22,11 +21,10 @@ from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import collocation, kernel
+from lieint_jax._numerics import collocation
 from lieint_jax._numerics.replay import kept
-from lieint_jax.schemes._canonical import canonical, ended, field, force, inverses, known, motion, power
+from lieint_jax.schemes._canonical import Components, canonical, ended, field, force, inverses, known, motion, power
 from lieint_jax.schemes._capability import check_motion, hint
-from lieint_jax.schemes._stages import Components, Members, moved, summed
 from lieint_jax.types import (
     Driven,
     ElasticBody,
@@ -38,7 +36,6 @@ from lieint_jax.types import (
     Step,
     StepInfo,
     System,
-    all_finite,
     pytree,
     static,
 )
@@ -50,7 +47,6 @@ _CONVERGED = 32  # eps: the largest last change of a step that converged
 _REFINEMENTS = 60  # sweeps of the linear equations for derivatives
 _KINDS = (FreeBody, Forced, Driven, Gyrostat, FreeBodies, ElasticBody)
 _NOUN = "free bodies, gyrostats, tops, several bodies and pseudo-rigid bodies"
-_ONE = Members(False)
 
 
 @pytree
@@ -70,14 +66,6 @@ class Gauss(Step):
     symmetric: bool = static(default=True)
 
     @property
-    def one_kernel(self) -> bool:
-        return True
-
-    @property
-    def kernel_members(self) -> int:
-        return 32  # their stages stay in the fastest cache
-
-    @property
     def approximate(self) -> bool:
         return self.sweeps is not None
 
@@ -87,7 +75,10 @@ class Gauss(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         dt = jnp.asarray(dt, state.p.dtype)
-        return _in_lanes(self, state, dt) if kernel.inside() else _stepped(_Equation.of(self, state, dt), self.sweeps)
+        equation = _Equation.of(self, state, dt)
+        k, change = _solved(equation, self.sweeps)
+        end, change = equation.end(k), lax.stop_gradient(change)
+        return end, StepInfo(change, change <= _CONVERGED * float(jnp.finfo(change.dtype).eps))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         limit = "its sweeps diverge" if self.sweeps is None else f"{self.sweeps} sweeps are too few"
@@ -137,32 +128,29 @@ class _Equation(NamedTuple):
     start: Components
     dt: Array
     stages: int
-    members: Members
 
     @classmethod
-    def of(cls, step: Gauss, state: State, dt: Array, members: Members = _ONE) -> _Equation:
-        inverse = members.each(inverses, (members.system,))(step.system) if members.inverse else inverses(step.system)
-        start = members.each(canonical, (members.system, members.state))(step.system, state)
-        return cls(step.system, inverse, state, start, dt, step.stages, members)
+    def of(cls, step: Gauss, state: State, dt: Array) -> _Equation:
+        return cls(step.system, inverses(step.system), state, canonical(step.system, state), dt, step.stages)
 
     def without_derivative(self) -> _Equation:
         still = lax.stop_gradient((self.system, self.inverse, self.state, self.start, self.dt))
-        return _Equation(*still, self.stages, self.members)
+        return _Equation(*still, self.stages)
 
     def each(self, function: Callable[..., Any], Y: Components, nodes: np.ndarray) -> Components:
         """`function(system, inverse, z, t)` of one stage, at all."""
-        m, t = self.members, self.state.t
-        times = None if t is None else t + self.dt * _column(nodes, self.dt.dtype, t.ndim)
-        many = m.each(function, (m.system, m.inverse, -1, m.state.t if m.many else None))
-        return jax.vmap(many, (None, None, 0, 0))(self.system, self.inverse, Y, times)
+        t = self.state.t
+        times = None if t is None else t + self.dt * jnp.asarray(nodes, self.dt.dtype)
+        return jax.vmap(function, (None, None, 0, 0))(self.system, self.inverse, Y, times)
 
-    def moved(self, k: Components, weights: np.ndarray) -> Components:
-        """z + Δt Σ w_j k_j, of every row of weights."""
-        return moved(self.start, k, self.dt, weights)
+    def over(self, k: Components, weights: np.ndarray) -> Components:
+        """Δt Σ w_j k_j, of one row of weights or of each."""
+        w = self.dt * jnp.asarray(weights, self.dt.dtype)
+        return tuple(jnp.tensordot(w, x, 1, precision="highest") for x in k)
 
     def at(self, k: Components) -> Components:
         """The coordinates at the stages, z_n + Δt Σ a_ij k_j."""
-        return self.moved(k, collocation.gauss(self.stages)[1])
+        return tuple(map(jnp.add, self.start, self.over(k, collocation.gauss(self.stages)[1])))
 
     def swept(self, k: Components) -> Components:
         """f(z_n + Δt Σ a_ij k_j)."""
@@ -185,24 +173,19 @@ class _Equation(NamedTuple):
     def end(self, k: Components) -> State:
         """The state at n + 1. π moves by Δt Σ b_i τ_i, as any quadratic function of z does, without rounding p q̄."""
         c, _, b = collocation.gauss(self.stages)
-        Y, state, m = self.at(k), self.state, self.members
-
-        def over(rates: Components) -> Components:
-            """Their integral."""
-            return summed((jnp.zeros((), self.dt.dtype),) * len(rates), rates, self.dt, b)
-
-        moves, work = over(k), None
-        impulse = moves[9:] if isinstance(self.system, ElasticBody) else over(self.each(force, Y, c))
+        Y, state = self.at(k), self.state
+        moves, work = self.over(k, b), None
+        impulse = moves[9:] if isinstance(self.system, ElasticBody) else self.over(self.each(force, Y, c), b)
         if isinstance(self.system, Driven) and state.work is not None and state.t is not None:
-            [work] = over(self.each(power, Y, c))
-        return m.each(ended, (m.system, m.state, -1, -1, -1), 0)(self.system, state, moves, impulse, work)
+            [work] = self.over(self.each(power, Y, c), b)
+        return ended(self.system, state, moves, impulse, work)
 
     def change(self, a: Components, b: Components) -> Array:
         """The largest difference of Δt k_i, in units of q, which are 1 at least, and of the largest of p."""
-        half, largest = len(a) // 2, self.members.largest
-        q, p = (largest(jnp.abs(jnp.stack(self.start[part]))) for part in (slice(half), slice(half, None)))
+        half = len(a) // 2
+        q, p = (jnp.max(jnp.abs(jnp.stack(self.start[part]))) for part in (slice(half), slice(half, None)))
         sizes = [jnp.maximum(1, q)] * half + [jnp.where(p > 0, p, 1)] * half
-        moved = [largest(jnp.abs(x - y)) / size for x, y, size in zip(a, b, sizes, strict=True)]
+        moved = [jnp.max(jnp.abs(x - y)) / size for x, y, size in zip(a, b, sizes, strict=True)]
         return jnp.abs(self.dt) * functools.reduce(jnp.maximum, moved)
 
 
@@ -211,17 +194,6 @@ def _between(k: Array, few: int, many: int) -> Array:
     weights = collocation.values(few, collocation.nodes(many)).astype(k.dtype)
     columns = (w.reshape(-1, *[1] * (k.ndim - 1)) * x for w, x in zip(weights.T, k, strict=True))
     return functools.reduce(jnp.add, columns)
-
-
-def _column(nodes: np.ndarray, dtype: Any, ndim: int) -> Array:
-    return jnp.asarray(nodes, dtype).reshape(-1, *[1] * ndim)
-
-
-def _stepped(equation: _Equation, sweeps: int | None) -> tuple[State, StepInfo]:
-    k, change = _solved(equation, sweeps)
-    end, change = equation.end(k), lax.stop_gradient(change)
-    finite = jax.vmap(all_finite)(end) if equation.members.many else all_finite(end)
-    return end, StepInfo(change, finite & (change <= _CONVERGED * float(jnp.finfo(change.dtype).eps)))
 
 
 def _solved(equation: _Equation, sweeps: int | None) -> tuple[Components, Array]:
@@ -252,7 +224,7 @@ _Carry = tuple[Components, Array, Array, Array]  # k, its last change, the one b
 
 
 def _iterated(equation: _Equation, k: Components) -> tuple[Components, Array]:
-    """Sweeps until they change nothing; a member that is done rests, and the others go on."""
+    """Sweeps until they change nothing."""
     eps = float(jnp.finfo(equation.dt.dtype).eps)
 
     def goes_on(carry: _Carry) -> Array:
@@ -263,35 +235,11 @@ def _iterated(equation: _Equation, k: Components) -> tuple[Components, Array]:
     def improved(carry: _Carry) -> _Carry:
         k, change, _, n = carry
         new = equation.swept(k)
-        other: Any = (new, equation.change(new, k), change)
-        if equation.members.many:
-            other = jax.tree.map(partial(jnp.where, goes_on(carry)), other, carry[:3])
-        return *other, n + 1
+        return new, equation.change(new, k), change, n + 1
 
-    shape = equation.start[0].shape[-1:] if equation.members.many else ()
-    far = jnp.full(shape, jnp.finfo(equation.dt.dtype).max, equation.dt.dtype)
+    far = jnp.full((), jnp.finfo(equation.dt.dtype).max, equation.dt.dtype)
     begin = (k, far / 2, far, jnp.zeros((), int))
-    return lax.while_loop(lambda carry: jnp.any(goes_on(carry)), improved, begin)[:2]
-
-
-@jax.custom_batching.custom_vmap
-def _in_lanes(step: Gauss, state: State, dt: Array) -> tuple[State, StepInfo]:
-    """The step, which vmapped computes with the members as the last axis."""
-    return _stepped(_Equation.of(step, state, dt), step.sweeps)
-
-
-@_in_lanes.def_vmap
-def _many(size: int, batched: Any, *arguments: Any) -> Any:
-    """The steps of many members."""
-    axes = jax.tree.map(lambda has: -1 if has else None, batched)
-    members = Members(True, axes[0].system, -1 if any(jax.tree.leaves(batched[0])) else None, axes[1])
-    own, shared = (
-        jax.tree.map(lambda x, has, k=k: x if has is k else None, arguments, tuple(batched)) for k in (True, False)
-    )
-    mine = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), own)
-    step, state, dt = jax.tree.map(lambda x, y: y if x is None else x, mine, shared, is_leaf=lambda x: x is None)
-    result = _stepped(_Equation.of(step, state, dt, members), step.sweeps)
-    return result, jax.tree.map(lambda _: True, result)
+    return lax.while_loop(goes_on, improved, begin)[:2]
 
 
 def examples(system: Any) -> dict[str, Step]:

@@ -64,10 +64,6 @@ class KeplerSplitting(Step):
     symmetric: bool = static(default=True)
 
     @property
-    def one_kernel(self) -> bool:
-        return self.drift.one_kernel
-
-    @property
     def name(self) -> str:
         turns = "" if self.drift.commuting else f", {self.drift.turn.name}"
         return f"kepler_splitting[{self.method}{turns}]"
@@ -76,15 +72,13 @@ class KeplerSplitting(Step):
         method = METHODS[self.method]
         drifts, kicks = (jnp.asarray(x, state.p.dtype) * dt for x in (method.drifts, (0.0, *method.kicks)))
 
-        def stage(carry: tuple[State, StepInfo, Array, Array], following: tuple[Array, Array]) -> tuple[Any, None]:
-            state, info, a, b = carry
+        def stage(carry: tuple[State, StepInfo], of: tuple[Array, Array]) -> tuple[tuple[State, StepInfo], None]:
+            (state, info), (a, b) = carry, of
             state, last = self._drifted(state._replace(p=state.p + b * self._force(state.q)), a)
-            return (state, info.merge(last), *following), None
+            return (state, info.merge(last)), None
 
-        # A first kick of 0, so that the long program of a drift is compiled once; carried, see `compose`.
-        begin = (state, StepInfo.fresh(state.p), drifts[0], kicks[0])
-        state, info, _, _ = stages(stage, begin, (jnp.roll(drifts, -1), jnp.roll(kicks, -1)))
-        return state, info
+        # A first kick of 0, so that the long program of a drift is compiled once.
+        return stages(stage, (state, StepInfo.fresh(state.p)), (drifts, kicks))
 
     def _force(self, q: Array) -> Array:
         """The forces and torques of V₂, (2, 6): those of V without Kepler's attraction."""
@@ -98,7 +92,7 @@ class KeplerSplitting(Step):
         """The flow of the Kepler problem and of the free turns; positions and momenta change by increments alone."""
         m = self.system.masses
         M = m[0] + m[1]
-        turned, info = self.drift(state, dt)
+        turned, info = self.drift.substep(state, dt)
         p = state.p[:, :3]
         d, v = state.q[1, :3] - state.q[0, :3], p[1] / m[1] - p[0] / m[0]
         moved, faster, residual, good = kepler_flow(d, v, self.G * M, dt)

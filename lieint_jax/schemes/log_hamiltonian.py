@@ -13,13 +13,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics.replay import stages
 from lieint_jax.schemes._capability import check_motion, hint
 from lieint_jax.schemes.exact import exact
@@ -68,7 +67,7 @@ class LogHamiltonian(Step):
         if step.energy is None:
             state = state._replace(extra={**(state.extra or {}), _KEY: step.system.energy(state)})
         if concrete(step, state):
-            with jax.ensure_compile_time_eval():
+            with at_once():
                 depth, speed = -step._potential(state), step._speed(state)
                 if not (min(depth, speed) > 0 and abs(speed / depth - 1) <= _STARTS):
                     raise ValueError(step._told(state))
@@ -92,7 +91,7 @@ class LogHamiltonian(Step):
     def _drifted(self, state: State, half: ArrayLike) -> tuple[State, Array, StepInfo]:
         """The state after the free motion for half/(K + B), K + B, and the report."""
         speed, known = _positive(self._speed(state))
-        end, info = self.drift(state, half / speed)
+        end, info = self.drift.substep(state, half / speed)
         kept = jnp.finfo(speed.dtype).eps * (speed + self._energy(state)) <= lost(speed.dtype) * speed
         return end, speed, info._replace(converged=info.converged & known & kept)
 

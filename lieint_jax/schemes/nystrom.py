@@ -71,10 +71,6 @@ class Nystrom(Step):
     symmetric: bool = static(default=True)
 
     @property
-    def one_kernel(self) -> bool:
-        return self.drift.one_kernel
-
-    @property
     def name(self) -> str:
         return f"nystrom[{self.order:g}]"
 
@@ -82,17 +78,18 @@ class Nystrom(Step):
         drifts, kicks = (jnp.asarray(x, state.p.dtype) * dt for x in METHODS[int(self.order)])
         kick_last = len(kicks) > len(drifts)
 
-        def stage(carry: tuple[State, StepInfo, Array, Array], following: tuple[Array, Array]) -> tuple[Any, None]:
-            state, info, a, b = carry
-            state, last = self.drift(kicked(self.system, state, b), a)
-            return (state, info.merge(last), *following), None
+        def stage(carry: tuple[State, StepInfo], of: tuple[Array, Array]) -> tuple[tuple[State, StepInfo], None]:
+            (state, info), (a, b) = carry, of
+            state, last = self.drift.substep(kicked(self.system, state, b), a)
+            return (state, info.merge(last)), None
 
-        # A first kick of 0, if it is not there, so that the long program of a drift is compiled once. a and b are
-        # carried: XLA fuses a slice of them into every loop over a batch (see `compose`).
+        # A first kick of 0, if it is not there, so that the long program of a drift is compiled once.
         first = kicks[:-1] if kick_last else jnp.concatenate([jnp.zeros_like(kicks[:1]), kicks])
-        begin = (state, StepInfo.fresh(state.p), drifts[0], first[0])
-        state, info, _, _ = stages(stage, begin, (jnp.roll(drifts, -1), jnp.roll(first, -1)))
-        return (kicked(self.system, state, kicks[-1]) if kick_last else state), info
+        state, info = stages(stage, (state, StepInfo.fresh(state.p)), (drifts, first))
+        if kick_last:
+            return kicked(self.system, state, kicks[-1]), info
+        # The potential has not been evaluated since the last drift
+        return state, info._replace(converged=info.converged & jnp.isfinite(self.system.energy(state)))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         longest = max(METHODS[int(self.order)].drifts, key=abs)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._checks import concrete
+from lieint_jax._checks import at_once, concrete
 from lieint_jax.schemes.splitting import examples as base_examples
 from lieint_jax.types import Forced, State, Step, StepInfo, callable_pytree, promoted, pytree, static, time_derivative
 
@@ -55,7 +55,7 @@ class ReversibleControl(Step):
         step.system.check(state)
         if state.t is None:
             state = state._replace(t=jnp.zeros((), dtype))
-        with jax.ensure_compile_time_eval():  # concrete inside jit too
+        with at_once():  # concrete inside jit too
             sigma = step._sigma(state)
         if concrete(sigma) and not 0 < float(sigma) < float("inf"):
             raise ValueError(f"sigma must be positive and finite, the step size over dt, got {float(sigma):g}")
@@ -66,7 +66,7 @@ class ReversibleControl(Step):
             raise ValueError(f'the state needs its step density, state.extra["{_KEY}"]: take step.start(state)')
         half, before = self._kicked(state, dt)
         rho = (half.extra or {})[_KEY]
-        end, info = self.step(half, dt / jnp.where(rho > 0, rho, 1))
+        end, info = self.step.substep(half, dt / jnp.where(rho > 0, rho, 1))
         end, after = self._kicked(end, dt)
         return end, info._replace(converged=info.converged & before & after)
 

@@ -58,10 +58,6 @@ class SO3Explicit(Step):
         return True
 
     @property
-    def one_kernel(self) -> bool:
-        return True
-
-    @property
     def name(self) -> str:
         return "so3_explicit"
 

@@ -37,7 +37,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import kernel, newton, three
+from lieint_jax._numerics import newton, three
 from lieint_jax._numerics.three import Symmetric, Vector, add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
@@ -94,10 +94,6 @@ class SO3Midpoint(Step):
     @property
     def commuting(self) -> bool:
         return self.kappa.symplectic and isinstance(self.system, FreeBody)
-
-    @property
-    def one_kernel(self) -> bool:
-        return True
 
     @property
     def name(self) -> str:
@@ -227,7 +223,7 @@ def half_turn(J: Symmetric, a: Array, kappa: Kappa, iterations: int, b: Array | 
 def scaled(system: FreeBody | Gyrostat, state: State, dt: ArrayLike) -> tuple[Symmetric, Array]:
     """J and a = ½Δt Π_n, both over tr J: then |a| is an angle, and no power of a large inertia overflows."""
     J, r = three.unit_trace(system.inertia)
-    return J, kernel.combination((0.5 * r * dt, so3.Ad_star(state.q, state.p)))
+    return J, (0.5 * r * dt) * so3.Ad_star(state.q, state.p)
 
 
 def _bias(system: FreeBody | Gyrostat, dt: ArrayLike) -> Array | None:
@@ -277,7 +273,7 @@ def scalar_root(J: Symmetric, a: Array, iterations: int) -> Array:
     u = tuple(r * x for x in Ca)  # J⁻¹a
     g = cross(a, u)
     m = r * dot(a, Ca) * (1 + dot(u, u)) - r * dot(g, apply(C, g))  # the root, but for O(Δt⁶)
-    return kernel.stored(newton.root(quartic, correction, m, iterations)[0])
+    return newton.root(quartic, correction, m, iterations)[0]
 
 
 def half_cayley(J: Symmetric, a: Array, m: Array, gain: Array | None = None) -> Array:
@@ -298,7 +294,7 @@ def half_cayley(J: Symmetric, a: Array, m: Array, gain: Array | None = None) -> 
     else:
         t = gain * lax.stop_gradient(m * w - k * s - dot(a, Ca))  # 0 but for rounding, and so is its derivative
         x = cross(a, tuple(Ja[i] + t * Ca[i] for i in range(3)))
-    return kernel.combination((r * k, a), (r, [Ca[i] + m * Ja[i] - x[i] for i in range(3)]))
+    return (r * k) * a + r * jnp.stack([Ca[i] + m * Ja[i] - x[i] for i in range(3)])
 
 
 def scalar_residual(J: Symmetric, a: Array, h: Array) -> Vector:

@@ -21,7 +21,7 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton, unrolled
 from lieint_jax.phase_spaces import SphericalChart
 from lieint_jax.schemes.sphere_midpoint import PENDULUMS
-from lieint_jax.types import OnSphere, State, Step, StepInfo, pytree, static
+from lieint_jax.types import OnSphere, State, Step, StepInfo, autodiff_gradient, pytree, static
 
 
 @pytree
@@ -55,7 +55,7 @@ class SphereChart(Step):
 
         def rate(z: Array) -> Array:
             """𝒥∇H."""
-            slope, sine = jax.grad(potential)(z[:2]), jnp.sin(z[0])
+            slope, sine = autodiff_gradient(potential)(z[:2]), jnp.sin(z[0])
             turn = z[3] / (m * sine * sine)
             return jnp.stack([z[2] / m, turn, turn * z[3] * jnp.cos(z[0]) / sine - slope[0], -slope[1]])
 

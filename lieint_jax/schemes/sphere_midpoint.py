@@ -20,7 +20,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton, three
 from lieint_jax.schemes._capability import Integrand
-from lieint_jax.types import OnSphere, State, Step, StepInfo, pytree, static
+from lieint_jax.types import OnSphere, State, Step, StepInfo, autodiff_gradient, pytree, static
 
 
 def _motion(system: OnSphere, state: State) -> State:
@@ -52,10 +52,6 @@ class SphereMidpoint(Step):
     symmetric: bool = static(default=True)
 
     @property
-    def one_kernel(self) -> bool:
-        return True
-
-    @property
     def name(self) -> str:
         return f"sphere_midpoint[{'normalised' if self.normalised else 'plain'}]"
 
@@ -67,7 +63,7 @@ class SphereMidpoint(Step):
             """r, and −Δt r × ∇V(r)."""
             r = q + u / 2
             r = r / jnp.sqrt(three.dot(r, r)) if self.normalised else r
-            return r, -dt * jnp.stack(three.cross(r, jax.grad(self.system.potential)(r)))
+            return r, -dt * jnp.stack(three.cross(r, autodiff_gradient(self.system.potential)(r)))
 
         def equation(u: Array) -> Array:
             r, change = torque(u)

@@ -20,7 +20,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._checks import concrete
+from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics import three
 from lieint_jax.maps import arcsine, is_symplectic
 from lieint_jax.phase_spaces import CotangentGroup
@@ -87,19 +87,15 @@ class Splitting(Step):
     symmetric: bool = static(default=True)
 
     @property
-    def one_kernel(self) -> bool:
-        return True
-
-    @property
     def name(self) -> str:
         return f"splitting[{self.drift.name}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         if self.kick_first:
-            state, info = self.drift(self._kick(state, dt), dt)
+            state, info = self.drift.substep(self._kick(state, dt), dt)
             return self._kick(state, dt), info
-        state, first = self.drift(state, 0.5 * dt)
-        state, last = self.drift(kicked(self.system, state, dt), 0.5 * dt)
+        state, first = self.drift.substep(state, 0.5 * dt)
+        state, last = self.drift.substep(kicked(self.system, state, dt), 0.5 * dt)
         return state, first.merge(last)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
@@ -196,7 +192,7 @@ def _drift(free: Any) -> Step:
     if MANY_FREE_BODIES.declared(free):
         return exact(free)
     if GEODESICS.declared(free):
-        with suppress(ValueError), jax.ensure_compile_time_eval():  # groups where the arcsine map is not defined
+        with suppress(ValueError), at_once():  # groups where the arcsine map is not defined
             if all(is_symplectic(arcsine, free.group, metric) for metric in _metrics(free)):
                 return group_midpoint(free, arcsine)
         if concrete(free.metric) and is_free_motion(free):

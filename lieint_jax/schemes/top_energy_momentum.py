@@ -79,10 +79,6 @@ class TopEnergyMomentum(Step):
     symmetric: bool = static(default=True)
 
     @property
-    def one_kernel(self) -> bool:
-        return _is_linear(self.system.potential)
-
-    @property
     def name(self) -> str:
         return f"top_energy_momentum[{self.kappa.name}]"
 

@@ -22,7 +22,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
@@ -100,15 +99,6 @@ class TorquedMidpoint(Step):
         return end, info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
-        law: Any = self.system.law(jnp.zeros(()), state.extra)
-        Omega = so3.body_velocity(state.q, FREE_BODIES.vector_field(self.system, state).q)
-        omega = so3.Ad(state.q, Omega) if self.system.frame == "space" else Omega
-        torque = np.asarray(law(clock(state), state.q, omega))
-        if not np.all(np.isfinite(torque)):
-            return (
-                f"{self.name}: the torque must be finite, got {torque} at t = {float(clock(state)):g}, "
-                f"q = {np.asarray(state.q)}, ω = {np.asarray(omega)} in the {self.system.frame}: mend the law"
-            )
         return _advice(self, dt, "the torque is too stiff")
 
 

@@ -14,6 +14,7 @@ import abc
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NamedTuple, Protocol, Self, TypeVar, dataclass_transform, runtime_checkable
 
 import jax
@@ -21,9 +22,11 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._checks import concrete, real_array, step_size
+from lieint_jax._checks import at_once, concrete, real_array, step_size
 from lieint_jax.types import _labelled
+from lieint_jax.types._compiled import compiled
 from lieint_jax.types._members import Axis
+from lieint_jax.types._record import record
 
 _T = TypeVar("_T")
 
@@ -68,6 +71,7 @@ def callable_pytree(function: Callable[..., Any]) -> Callable[..., Any]:
     return jax.tree_util.Partial(function) if jax.tree_util.all_leaves([function]) else function
 
 
+@record
 class State(NamedTuple):
     """A point of phase space.
 
@@ -94,6 +98,7 @@ class State(NamedTuple):
         return _labelled.fields(self)
 
 
+@record
 class StepInfo(NamedTuple):
     """The report of a step on the equation that it solved.
 
@@ -120,6 +125,7 @@ class StepInfo(NamedTuple):
         return cls(jnp.zeros((), like.dtype), jnp.ones((), bool))
 
 
+@record
 class Trajectory(NamedTuple):
     """States at the saved times; every leaf has a leading time axis and entry 0 is the initial state.
 
@@ -448,7 +454,21 @@ class SteepPotential(abc.ABC):
 def gradient(potential: Callable[..., Array], Gamma: Array, *t: Array) -> Array:
     """∇Ṽ(Γ) or ∇Ṽ(Γ, t), shape (3,), of any potential of tops."""
     known = isinstance(potential, SteepPotential)
-    return potential.gradient(Gamma, *t) if known else jax.grad(potential)(Gamma, *t)
+    return potential.gradient(Gamma, *t) if known else autodiff_gradient(potential)(Gamma, *t)
+
+
+def autodiff_gradient(potential: Callable[..., Array], argnums: int | tuple[int, ...] = 0) -> Callable[..., Any]:
+    """`jax.grad(potential, argnums)`, but NaN where the potential itself is not finite.
+
+    The derivative of log x exists for x < 0, where log x does not: a step would go on where there is no motion.
+    """
+
+    def gradient(*arguments: Any) -> Any:
+        V, slopes = jax.value_and_grad(potential, argnums)(*arguments)
+        defined = jnp.isfinite(V)
+        return jax.tree.map(lambda slope: jnp.where(defined, slope, jnp.nan), slopes)
+
+    return gradient
 
 
 class MechanicalSystem(Forced):
@@ -623,7 +643,7 @@ def _in_one_type(method: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _on_time(method: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any, ...]]:
-    """A method (step, state, dt, …) whose new state is at t + dt, and keeps the other parts of the state."""
+    """A method (step, state, dt, …) whose new state is at t + dt and has all other parts of the state."""
 
     @functools.wraps(method)
     def timed(step: Any, state: State, dt: Array, *more: Array) -> tuple[Any, ...]:
@@ -637,6 +657,17 @@ def _on_time(method: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any,
         return end._replace(t=t), *report
 
     return timed
+
+
+def _finite_or_flagged(method: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any, ...]]:
+    """A method (step, state, dt, …) that reports `converged` only of a state that is finite."""
+
+    @functools.wraps(method)
+    def flagged(*arguments: Any) -> tuple[Any, ...]:
+        end, info, *tangents = method(*arguments)
+        return end, info._replace(converged=info.converged & all_finite(end)), *tangents
+
+    return flagged
 
 
 class StepError(ValueError):
@@ -663,11 +694,12 @@ class Step(abc.ABC):
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         if "__call__" in vars(cls):
-            cls.__call__ = _in_one_type(_on_time(cls.__call__))
+            cls.substep = _in_one_type(_on_time(cls.__call__))
+            cls.__call__ = _finite_or_flagged(cls.substep)
         if "prepare" in vars(cls):
             cls.prepare = _in_one_type(cls.prepare)
         if "tangent" in vars(cls):
-            cls.tangent = _in_one_type(_on_time(cls.tangent))
+            cls.tangent = _finite_or_flagged(_in_one_type(_on_time(cls.tangent)))
 
     @property
     @abc.abstractmethod
@@ -676,6 +708,10 @@ class Step(abc.ABC):
 
     @abc.abstractmethod
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]: ...
+
+    def substep(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        """A call as a part of a larger step, which itself is flagged where its end is not finite: see `__call__`."""
+        raise NotImplementedError  # set for every subclass, from its `__call__`
 
     @property
     def velocity_weight(self) -> ArrayLike:
@@ -691,16 +727,6 @@ class Step(abc.ABC):
     def own_time(self) -> bool:
         """Whether the step itself advances `state.t`, which must be there; then dt is a step of a fictitious time."""
         return False
-
-    @property
-    def one_kernel(self) -> bool:
-        """Whether an ensemble on a CPU compiles its loop over this step as one kernel: worth it for short steps."""
-        return False
-
-    @property
-    def kernel_members(self) -> int:
-        """How many members such a kernel advances at a time, at most: what a step keeps should fit the cache."""
-        return 128
 
     @property
     def approximate(self) -> bool:
@@ -744,13 +770,26 @@ class Step(abc.ABC):
         if not concrete(self, state, dt):
             return
         dt = step_size(dt)
-        with jax.ensure_compile_time_eval():  # constants are concrete inside jit too
+        with at_once():  # constants are concrete inside jit too
             self.system.check(state)
             if self.approximate:
                 return
             converged = converges(self, state, dt)
             if concrete(converged) and not converged:  # a function of the step may close over a tracer
+                _check_motion_defined(self.system, state)
                 raise StepError(self.advice(state, dt))
+
+
+def _check_motion_defined(system: System, state: State) -> None:
+    """ValueError if the vector field of a system is not finite at a concrete state."""
+    rate = jax.jit(type(system).vector_field)(system, state)
+    wrong = [name for name in ("q", "p") if not bool(all_finite(getattr(rate, name)))]
+    if wrong:
+        raise ValueError(
+            f"the equations of motion of {type(system).__name__} have no finite value at this state: the time "
+            f"derivative of {' and '.join(wrong)} is not finite. A potential, force or torque is singular or undefined "
+            "there, or a number is too large: begin elsewhere, or correct the function"
+        )
 
 
 def checked_step(step: Any) -> Step:
@@ -833,7 +872,7 @@ def _is_real(leaf: Any) -> bool:
     return jnp.issubdtype(jnp.result_type(leaf), jnp.floating)
 
 
-@jax.jit
+@partial(compiled, once=True)
 def converges(step: Step, state: State, dt: ArrayLike) -> Array:
     """Whether a step converges. Compiled, so that a step of the same structure is checked without tracing it again."""
     return step(state, dt)[1].converged

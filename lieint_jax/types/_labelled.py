@@ -68,7 +68,7 @@ def dataset(run: Any, system: Any, units: Mapping[str, str], system_axis: Axis) 
     labels: dict[str, Any] = {"time": np.asarray(run.t)}
     variables: dict[str, Any] = {}
     for name, x in arrays.items():
-        dims, own = _axes(name, x.shape[len(leading) :])
+        dims, own = state_axes(name, x.shape[len(leading) :])
         labels |= own
         variables[name] = ((*leading, *dims), np.asarray(x), {"long_name": _TEXTS.get(name, name.replace("_", " "))})
     found = _package("xarray").Dataset(variables, labels)
@@ -97,7 +97,7 @@ def rotations(run: Any) -> Any:
     return transform.Rotation.from_quat(np.roll(q[..., -4:], -1, axis=-1))
 
 
-def _axes(name: str, shape: tuple[int, ...]) -> tuple[tuple[str, ...], dict[str, Any]]:
+def state_axes(name: str, shape: tuple[int, ...]) -> tuple[tuple[str, ...], dict[str, Any]]:
     """Names of the axes of one state's array, and their labels."""
     if name in ("q", "p", "angular_velocity") and shape in _COMPONENTS:
         dim, own = _COMPONENTS[shape]
