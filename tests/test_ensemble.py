@@ -64,6 +64,35 @@ def test_a_late_failure_names_member_and_step():
     assert not np.asarray(run.info.converged)[:, 2].all()
 
 
+def test_the_first_failure_of_each_member_is_found():
+    """Bodies that hang from a heavy point fall faster than the scheme can turn, each after its own number of steps."""
+    top = li.systems.heavy_top([1.0, 2.0, 2.5], [0.0, 0.0, 12.0])
+    step, dt = li.schemes.splitting(top), 0.2
+    slow = 0.1 * jnp.asarray(np.random.default_rng(1).normal(size=(70, 3)))
+    batch = jax.vmap(lambda w: top.state(angular_velocity=w))(slow)
+    with pytest.warns(RuntimeWarning, match="did not converge at every step"):
+        run = ensemble.run(step, batch, dt, 40, save_every=4, reduce="energy", progress=False)
+    each = jax.vmap(lambda z: li.integrate(step, z, dt, 40, 1).info.converged)(batch)[:, 1:]
+    first = np.where(np.all(each, axis=1), -1, np.argmin(each, axis=1))
+    assert len(set(first.tolist())) > 2
+    np.testing.assert_array_equal(run.failed, first)
+    failing = np.sum(~np.asarray(each).reshape(70, 10, 4).all(axis=2), axis=0)
+    np.testing.assert_array_equal(run.unconverged[1:4], failing[:3])  # later, what has failed is chaos
+
+
+@pytest.mark.long
+def test_three_bodies():
+    masses, inertias = [1.0, 0.5, 0.2], jnp.array([[0.1, 0.2, 0.25]] * 3)
+    bodies = li.systems.rigid_bodies(masses, inertias, li.potentials.maccullagh(1.0, masses, inertias))
+    state = bodies.state([[3.0, 0, 0], [-3.0, 1, 0], [0, -2.0, 1]], angular_velocities=[[0.1, 0.2, 0.3]] * 3)
+    batch = jax.tree.map(lambda x: jnp.stack([x, x]), state)
+    for scheme in (li.schemes.splitting, li.schemes.bodies_energy_momentum):
+        run = ensemble.run(scheme(bodies), batch, 0.01, 5, progress=False)
+        one = alone(scheme(bodies), state, 0.01, 5, 5)
+        assert np.all(run.info.converged)
+        np.testing.assert_allclose(run.state.q[-1, 0], one.state.q[-1], rtol=0, atol=1e-14)
+
+
 def test_a_failure_of_the_first_step_is_an_error():
     with pytest.raises(ValueError, match=r"first step fails for 4 member\(s\): 0, 1, 2, 3\. Member 0: .*smaller dt"):
         ensemble.run(STEP, states(4), 3.0, 10, progress=False)

@@ -8,11 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from small_steps import Rests
 
 import lieint_jax as li
 from lieint_jax import ensemble, schemes, systems
 from lieint_jax.command import files
-from lieint_jax.ensemble import _job
+from lieint_jax.ensemble import _engine, _job, _run
 
 MEMBERS = 12
 UNIFORM = {"dt": 0.05, "num_steps": 60, "save_every": 5}
@@ -76,7 +77,8 @@ def small_chunks(monkeypatch):
 
 @pytest.mark.long
 @pytest.mark.parametrize("t", [0.7, np.full(MEMBERS, 0.7)], ids=["scalar", "equal values"])
-def test_a_time_that_members_share_is_one_number_in_the_loop(t):
+def test_a_time_that_members_share_is_one_number_in_the_loop(t, monkeypatch):
+    monkeypatch.setattr(_run, "engine_of", lambda job, mesh: _engine.XlaEngine(job))  # which maps over the members
     BATCHED.clear()
     jax.clear_caches()
     found = run(states=started(t))
@@ -89,7 +91,8 @@ def test_a_time_that_members_share_is_one_number_in_the_loop(t):
 
 
 @pytest.mark.long
-def test_members_may_start_at_times_of_their_own():
+def test_members_may_start_at_times_of_their_own(monkeypatch):
+    monkeypatch.setattr(_run, "engine_of", lambda job, mesh: _engine.XlaEngine(job))  # which maps over the members
     BATCHED.clear()
     jax.clear_caches()
     states = started(np.linspace(-1.0, 3.0, MEMBERS))
@@ -163,6 +166,14 @@ def test_the_reduced_energy_is_energy_less_work():
     assert max(np.abs(found.least).max(), np.abs(found.greatest).max()) < 1e-14
     assert np.abs(found.state.work).max() > 0.1
     np.testing.assert_allclose(found.state.t, 3.7, rtol=4e-16)
+
+
+def test_a_reduced_quantity_is_that_of_the_states_at_their_own_times():
+    """The time itself, of six steps that are saved in threes."""
+    options = {"dt": 0.05, "num_steps": 6, "save_every": 3}
+    found = run(step=Rests(TOP), reduce=lambda step, state: state.t, uniform=options)
+    np.testing.assert_allclose(found.least[1:], [0.05, 0.2], rtol=1e-14)
+    np.testing.assert_allclose(found.greatest[1:], [0.15, 0.3], rtol=1e-14)
 
 
 def test_a_store_and_a_file_hold_what_memory_would(tmp_path, small_chunks):

@@ -11,17 +11,20 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import killed
 import numpy as np
 import pytest
+import zarr
 from free_bodies import rows
 
 import lieint_jax as li
 from lieint_jax import ensemble
 from lieint_jax.command import cli, results
-from lieint_jax.ensemble import _job, _recording, _store
+from lieint_jax.ensemble import _engine, _identity, _integrity, _job, _layout, _run, _store
 
 J123 = np.array([1.0, 2.0, 3.0])
 BODY = li.systems.rigid_body(J123)
@@ -106,7 +109,7 @@ def test_xarray_reads_it(tmp_path, small_chunks):
     memory = run()
     run(ensemble.StoreOptions(tmp_path / "run.zarr", {"seed": 3, "scenario": {"title": "x"}}, "d"))
     with xarray.open_zarr(tmp_path / "run.zarr") as data:
-        assert data.sizes == {"time": 13, "member": 40, "q_component": 4, "p_component": 3, "system.inertia_axis0": 3}
+        assert data.sizes == {"time": 13, "member": 40, "quaternion": 4, "axis": 3, "system_inertia_axis0": 3}
         np.testing.assert_array_equal(data.q.sel(time=2.0, method="nearest"), memory.state.q[4])
         np.testing.assert_array_equal(data.time, memory.t)
         assert (data.attrs["dt"], data.attrs["seed"], data.time.attrs["units"]) == (0.1, 3, "d")
@@ -232,18 +235,275 @@ def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunk
             run(path, resume=True, **options)
     with pytest.raises(ValueError, match=r"scenario\.seed is 1 there and 2 here"):
         run(ensemble.StoreOptions(path, {"scenario": {"seed": 2}}), resume=True)
-    monkeypatch.setattr(_recording, "__version__", "9.9")
+    monkeypatch.setattr(_identity, "__version__", "9.9")
     with pytest.raises(ValueError, match=r"versions\.lieint_jax is .* there and '9\.9' here"):
         run(path, resume=True)
     monkeypatch.undo()
-    monkeypatch.setattr(_recording, "compiler_options", lambda: {"xla_cpu_prefer_vector_width": 128})
-    with pytest.raises(ValueError, match=r"compiler_options\.\w+ is .* there and 128 here"):
+    monkeypatch.setattr(_run, "engine_of", lambda job, mesh: _engine.XlaEngine(job))
+    with pytest.raises(ValueError, match="engine is 'native' there and 'xla' here"):
         run(path, resume=True)
     assert before == {f: f.read_bytes() for f in path.rglob("*") if f.is_file()}
     with pytest.raises(ValueError, match="give store"):
         run(resume=True)
     with pytest.raises(ValueError, match=r"ends in \.zarr"):
         run(tmp_path / "run.npz")
+
+
+def damped(gain):
+    return lambda t, q, omega: -gain * omega
+
+
+def opened_file(file):
+    return lambda t, q, omega: len(file.name) * omega
+
+
+def weighed(gain, t, q, omega):
+    return -gain * omega
+
+
+def begin(path, law, **options):
+    """A store of a torqued body, without a step: nothing is compiled."""
+    body = li.systems.torqued_body(J123, law)
+    states = STATES._replace(t=jnp.zeros(()), work=jnp.zeros(()))
+    return ensemble.run(li.schemes.torqued_midpoint(body), states, 0.1, 4, store=path, progress=False, **options)
+
+
+class Begun(Exception):  # noqa: N818
+    """The run would begin to integrate."""
+
+
+@pytest.fixture
+def no_loop(monkeypatch):
+    def refuse(*_):
+        raise Begun
+
+    monkeypatch.setattr(_run, "CompiledLoop", refuse)
+
+
+@pytest.mark.usefixtures("no_loop")
+def test_a_function_that_has_captured_another_number_is_another_run(tmp_path):
+    scaled = lambda k: lambda step, z: k * z.q[0]  # noqa: E731
+    for name, law, reduce, others, sentence in (
+        ("law", damped(0.1), None, (damped(0.7), None), "functions and options of the step is"),
+        ("reduce", damped(0.1), scaled(1.0), (damped(0.1), scaled(2.0)), "function of reduce is"),
+    ):
+        path = tmp_path / f"{name}.zarr"
+        with pytest.raises(Begun):
+            begin(path, law, reduce=reduce)
+        with pytest.raises(Begun):
+            begin(path, damped(0.1), reduce=reduce and scaled(1.0), resume=True)
+        with pytest.raises(ValueError, match=sentence):
+            begin(path, others[0], reduce=others[1], resume=True)
+
+
+@pytest.mark.usefixtures("no_loop")
+def test_a_function_that_cannot_be_compared_is_said_at_once_and_refused_at_a_resume(tmp_path):
+    with (tmp_path / "file").open("w") as file:
+        law, sentence = opened_file(file), r"cannot be resumed: .*opened_file.* → file: .*TextIOWrapper.*Partial"
+        with pytest.warns(RuntimeWarning, match=sentence), pytest.raises(Begun):
+            begin(tmp_path / "run.zarr", law)
+        with pytest.raises(ValueError, match=sentence):
+            begin(tmp_path / "run.zarr", law, resume=True)
+    with pytest.raises(Begun):
+        begin(tmp_path / "partial.zarr", jax.tree_util.Partial(weighed, 0.1))
+    with pytest.raises(ValueError, match="numbers of the step is"):
+        begin(tmp_path / "partial.zarr", jax.tree_util.Partial(weighed, 0.7), resume=True)
+
+
+def test_bytecode_of_another_python_is_refused_by_its_name(tmp_path, monkeypatch, no_loop):
+    with pytest.raises(Begun):
+        begin(tmp_path / "run.zarr", damped(0.1))
+    monkeypatch.setattr(_identity, "python_of", lambda *_: "CPython 3.99")
+    with pytest.raises(ValueError, match=r"versions.python is 'CPython 3\.\d+' there and 'CPython 3.99' here"):
+        begin(tmp_path / "run.zarr", damped(0.1), resume=True)
+
+
+@pytest.fixture(scope="module")
+def commits(tmp_path_factory):
+    """Copies of a store after each of the first three commits of four, and of the complete one."""
+    folder, publish = tmp_path_factory.mktemp("commits"), _store.Writer.publish
+
+    def published(self, *arguments):
+        publish(self, *arguments)
+        shutil.copytree(self.path, folder / f"{self.progress['steps']}.zarr")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_job.Job, "buffer_rows", lambda self, across: 4)
+        patch.setattr(_store.Writer, "publish", published)
+        run(folder / "whole.zarr")
+    return [folder / f"{steps}.zarr" for steps in (15, 35, 55, 60)]
+
+
+def replaced(path, source, name):
+    shutil.rmtree(path / name)
+    shutil.copytree(source / name, path / name)
+
+
+def swapped(path, a, b):
+    for folder in path:
+        (folder / a).rename(folder / "kept")
+        (folder / b).rename(folder / a)
+        (folder / "kept").rename(folder / b)
+
+
+def heavier(path):
+    zarr.open_array(str(path / "system_inertia"), mode="r+")[...] = [1.0, 2.0, 2.5]
+
+
+REPLACED = r"checkpoint is not what the run wrote: the checkpoint of commit \d, step \d+ \(found: .*\) has been"
+ELSEWHERE = "is the chunk of another place"
+MIXTURES = {  # which commit, what is done to it, what is said of it
+    "the checkpoint of a later commit": (
+        0,
+        lambda p, at: replaced(p, at[2], "checkpoint"),
+        r"found: commit 3, step 55",
+    ),
+    "one array of it": (0, lambda p, at: replaced(p, at[2], "checkpoint/q"), REPLACED),
+    "one array of an earlier one": (2, lambda p, at: replaced(p, at[0], "checkpoint/q"), REPLACED),
+    "its slots swapped": (1, lambda p, at: swapped((p / "checkpoint").glob("*/c"), "0", "1"), REPLACED),
+    "two chunks swapped": (1, lambda p, at: swapped([p / "q/c"], "0", "1"), f"q/c/0/0/0 {ELSEWHERE}"),
+    "the same in a complete run": (3, lambda p, at: swapped([p / "q/c"], "0", "2"), f"q/c/2/0/0 {ELSEWHERE}"),
+    "an inertia rewritten": (1, lambda p, at: heavier(p), "system_inertia is not what the run wrote"),
+    "the same in a complete one": (3, lambda p, at: heavier(p), "system_inertia is not what the run wrote"),
+    "older checksums": (2, lambda p, at: replaced(p, at[0], "checksums"), "checksums is not that of the last commit"),
+    "no checksums": (1, lambda p, at: shutil.rmtree(p / "checksums"), "checksums/zarr.json is missing"),
+    "no checkpoint": (1, lambda p, at: shutil.rmtree(p / "checkpoint"), "checkpoint/commit/zarr.json is missing"),
+    "no array for the end": (1, lambda p, at: shutil.rmtree(p / "first_failure"), "first_failure/zarr.json is missing"),
+}
+
+
+@pytest.mark.parametrize("mixture", MIXTURES)
+def test_a_copy_that_mixes_commits_or_places_is_neither_opened_nor_resumed(tmp_path, commits, mixture, no_loop):
+    which, change, sentence = MIXTURES[mixture]
+    path = shutil.copytree(commits[which], tmp_path / "copy.zarr")
+    ensemble.open(path)
+    change(path, commits)
+    with pytest.raises(ValueError, match=sentence):
+        ensemble.open(path)
+    with pytest.raises(ValueError, match=sentence):
+        run(path, resume=True)
+
+
+def test_a_store_that_grows_while_it_is_checked_is_not_called_damaged(tmp_path, commits, monkeypatch):
+    """The checkpoint of the commit that was read is overwritten two commits later."""
+    path, read, left = shutil.copytree(commits[0], tmp_path / "run.zarr"), _integrity.damage_of_checkpoint, [2]
+
+    def overtaken(*arguments):
+        left[0] -= 1
+        if left[0]:
+            shutil.copytree(commits[2], path, dirs_exist_ok=True)
+        return read(*arguments)
+
+    monkeypatch.setattr(_integrity, "damage_of_checkpoint", overtaken)
+    assert ensemble.open(path)[0].t.shape == (12,)
+    assert left == [0]
+
+
+def test_two_processes_that_create_one_store(tmp_path, monkeypatch):
+    """The second comes between the check and the rename of the first."""
+    path, fill = tmp_path / "run.zarr", _store._fill
+
+    def slowly(*arguments):
+        monkeypatch.setattr(_store, "_fill", fill)
+        fill(*arguments)
+        run(path, num_steps=5)
+
+    monkeypatch.setattr(_store, "_fill", slowly)
+    with pytest.raises(ValueError, match=r"run\.zarr was created by another run in the meantime"):
+        run(path, num_steps=5)
+    assert [p.name for p in tmp_path.iterdir()] == ["run.zarr"]
+    assert ensemble.open(path)[0].info.converged[...].all()
+
+
+def test_what_a_killed_process_left_of_a_store_is_removed_when_it_is_old(tmp_path, no_loop):
+    for age in (0, 2 * _store._STALE):
+        left = tmp_path / f".run.zarr.{age:.0f}-00.partial"
+        left.mkdir()
+        os.utime(left, (time.time() - age, time.time() - age))
+    with pytest.raises(Begun):
+        run(tmp_path / "run.zarr")
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".run.zarr.0-00.partial", "run.zarr"]
+
+
+@pytest.mark.usefixtures("no_loop")
+def test_places_and_attributes_that_no_store_can_have_are_refused_before_the_run(tmp_path):
+    (tmp_path / "link.zarr").symlink_to("nowhere")
+    loop = {}
+    loop["loop"] = loop
+    for name, attributes, message in (
+        ("link", {}, r"link\.zarr is a link to nowhere, which does not exist"),
+        (240 * "x", {}, r"xxx\.zarr cannot be created: File name too long; choose another"),
+        (300 * "x", {}, r"xxx\.zarr cannot be created: File name too long; choose another"),
+        ("taken", {"run": 1, "members": 2, "seed": 3}, r"may not be called members, run: it has its own"),
+        ("taken", {"progress": 1}, "may not be called progress"),
+        ("object", {"body": BODY}, "must be what JSON can hold; 'body' is not: Object of type RigidBody"),
+        ("scenario", {"scenario": {"x": {1}}}, "'scenario' is not: Object of type set"),
+        ("number", {"n": np.int64(1)}, "'n' is not: Object of type int64"),
+        ("infinite", {"x": float("nan")}, "'x' is not: Out of range float"),
+        ("key", {3: 1}, "3 is not: names must be strings"),
+        ("loop", loop, "'loop' is not: Circular"),
+    ):
+        with pytest.raises((ValueError, OSError), match=message):
+            run(ensemble.StoreOptions(tmp_path / f"{name}.zarr", attributes))
+    assert [p.name for p in tmp_path.iterdir()] == ["link.zarr"]
+
+
+def shifted(step, z, by=1.0):
+    return z.q[0] + by
+
+
+@pytest.mark.usefixtures("no_loop")
+def test_a_reduced_quantity_must_be_a_real_scalar():
+    for reduce, message in (
+        (lambda step, z: jnp.sum(z.q > 0), r"real floating-point scalar, got int\d+ of shape \(\)"),
+        (lambda step, z: 2, "got 2;"),
+        (lambda step, z: z.q, r"got float64 of shape \(4,\)"),
+        (lambda step, z: z.q[0] + 0j, r"got complex128 of shape \(\)"),
+        (lambda step, z: z.q[0] > 0, "got bool of shape"),
+        (lambda step, z: None, "got None"),
+        (lambda step, z: (z.q[0], z.q[1]), r"got \("),
+        (lambda z: z.q[0], r"two arguments, \(step, state\) ↦ scalar: too many positional arguments"),
+        (lambda step, z, k: z.q[0], r"two arguments, \(step, state\) ↦ scalar: missing a required argument: 'k'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            run(reduce=reduce)
+    with pytest.raises(Begun):
+        run(reduce=shifted)
+
+
+def test_a_quantity_that_is_nan_is_nan_in_all_of_its_interval_and_refused_at_the_start():
+    """Above the values of the first half of the run it is NaN, for some members."""
+    whole = run(num_steps=20, save_every=1).state.q[1:, :, 0]
+    limit = float(whole[:10].max())
+    assert (whole[10:] > limit).any()
+    found = run(num_steps=20, save_every=10, reduce=lambda step, z: jnp.where(z.q[0] > limit, jnp.nan, z.q[0]))
+    for series in found[1:4]:
+        np.testing.assert_array_equal(np.isnan(series), [False, False, True])
+    np.testing.assert_allclose(found.mean[1], (whole[:10] - Q[:, 0]).mean(), rtol=0, atol=1e-15)  # observed 6e-17
+    bad = np.flatnonzero(Q[:, 0] < -0.5)
+    with pytest.raises(ValueError, match=rf"reduce must be finite at the start.*{bad.size} member\(s\): {bad[0]}"):
+        run(reduce=lambda step, z: jnp.sqrt(z.q[0] + 0.5))
+
+
+def test_processes_that_are_about_to_do_different_runs_all_say_so(monkeypatch):
+    """Two processes, of which the second is given other members at another step size."""
+    mine = {"members": 40, "dt": 0.1, "scenario": {"seed": 1}, "store": "a.zarr"}
+    monkeypatch.setattr(_layout, "count_processes", lambda mesh: 2)
+    for other, sentence in (({}, None), ({"members": 39, "dt": 0.2}, "members, dt"), ({"store": None}, "store")):
+        rows: list = []
+        monkeypatch.setattr(_layout, "gather_row", lambda mesh, row, rows=rows: rows.append(row) or np.array([row] * 2))
+        _identity.check_processes(None, mine)
+        _identity.check_processes(None, mine | other)
+        monkeypatch.setattr(_layout, "gather_row", lambda mesh, row, rows=rows: np.array(rows))
+        for process in (mine, mine | other) if sentence else ():
+            with pytest.raises(ValueError, match=f"different runs: {sentence} differ. Nothing was integrated"):
+                _identity.check_processes(None, process)
+
+
+def test_an_error_of_one_process_ends_all(monkeypatch):
+    monkeypatch.setattr(_layout, "all_gather", lambda mesh, failed: np.array([[True], [failed]]))
+    with pytest.raises(ValueError, match="process 0 of this run has failed; its own message says why"):
+        _layout.agreed(None, lambda: 1)
 
 
 def test_two_runs_do_not_write_to_one_store(tmp_path, small_chunks):
@@ -278,16 +538,19 @@ def test_a_full_disk_ends_a_run_that_resumes_to_the_same_bits(tmp_path, small_ch
         assert same_folders(path, tmp_path / "whole.zarr")
 
 
-def test_a_limit_on_the_size_of_files_likewise(tmp_path, small_chunks):
-    """What needs no root: the system refuses files above a size, and the chunks are larger."""
+def test_a_limit_on_the_size_of_files_likewise(tmp_path, monkeypatch):
+    """What needs no root: the system refuses files above a size, below that of the metadata or that of the chunks."""
+    monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: 13)
     run(tmp_path / "whole.zarr")
     path, before = tmp_path / "run.zarr", resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, before[1]))
-    try:
-        with pytest.raises(OSError, match="File too large"):
-            run(path)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    for size, message in ((3000, "cannot be created: File too large"), (14_000, "too large: .* step 0; .* resume")):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+        try:
+            with pytest.raises(OSError, match=message):
+                run(path)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert len(list(tmp_path.iterdir())) == 1 + path.exists()
     run(path, resume=True)
     assert same_folders(path, tmp_path / "whole.zarr")
 
@@ -340,6 +603,39 @@ def test_killed_at_random_moments_and_resumed(book):
     assert same_folders(book / "killed.zarr", book / "whole.zarr")
 
 
+def killable(case, path, pause):
+    command = [sys.executable, str(Path(killed.__file__)), case, str(path), str(pause)]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+
+
+def commits_of(path):
+    return _store.load(path)[1]["progress"]["commits"] if path.exists() else 0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("case", killed.CASES)
+def test_kills_at_random_moments_leave_the_same_bits(tmp_path, case):
+    """Seven of each case: every second one within a second after a commit, the others from the start of Python on."""
+    path, rng, ends = tmp_path / "killed.zarr", np.random.default_rng(12), []
+    while len(ends) < 7:
+        process, before = killable(case, path, 0.01), commits_of(path)
+        while len(ends) % 2 and commits_of(path) == before and process.poll() is None:
+            time.sleep(0.01)
+        time.sleep(rng.uniform(0, 1 if len(ends) % 2 else 5))
+        ended = process.poll()
+        process.kill()
+        error = process.communicate()[1].decode()
+        assert ended is None, error  # neither complete nor failed
+        ends.append(commits_of(path))
+    assert ends == sorted(ends)
+    assert len(set(ends)) > 3  # of 60
+    for last in (path, tmp_path / "whole.zarr"):
+        process = killable(case, last, 0)
+        error = process.communicate()[1].decode()
+        assert process.returncode == 0, error
+    assert same_folders(path, tmp_path / "whole.zarr")
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("signals", [[signal.SIGINT, signal.SIGINT], [signal.SIGTERM]], ids=["SIGINT twice", "SIGTERM"])
 def test_a_run_that_a_signal_ended_at_once_is_resumed(book, signals):
@@ -359,10 +655,10 @@ def test_a_run_that_a_signal_ended_at_once_is_resumed(book, signals):
     assert same_folders(path, book / "whole.zarr")
 
 
-def meet(folder, port, *options):
+def meet(folder, port, *options, own=((), ())):
     distributed = ["--distributed", "--coordinator", f"localhost:{port}", "--processes", "2", "--process"]
     text = dict(stderr=subprocess.PIPE, text=True)
-    return [command(folder, *options, *distributed, str(k), **text) for k in range(2)]
+    return [command(folder, *options, *own[k], *distributed, str(k), **text) for k in range(2)]
 
 
 def free_port():
@@ -379,6 +675,17 @@ def test_two_processes_are_one(book):
         error = process.communicate(timeout=120)[1]
         assert process.returncode == 0, error
     assert same_arrays(book / "two.zarr", book / "whole.zarr")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("out", ["different.npz", "different.zarr"])
+def test_two_processes_of_different_scenarios_both_say_so_and_leave_nothing(book, out):
+    own = ["--members", "96"], ["--members", "100"]
+    for process in meet(book, free_port(), "--out", out, "--steps", "2000", own=own):
+        error = process.communicate(timeout=120)[1]
+        assert re.search(r"given different runs: .*initial states, members.* differ\. Nothing was integrated", error)
+        assert process.returncode == 2
+    assert not list(book.glob("*different*"))
 
 
 def same_arrays(a, b):

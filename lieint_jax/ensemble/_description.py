@@ -16,10 +16,15 @@ from typing import Any
 import jax
 import numpy as np
 
+from lieint_jax.ensemble._leaves import stored_name
 from lieint_jax.groups.matrix import MatrixGroup
 from lieint_jax.types import Step
 
 _PACKAGE = __name__.partition(".")[0]
+
+
+class UnknownNameError(ValueError):
+    """A description names a class or a function that is not of this package."""
 
 
 def describe(step: Step) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -64,8 +69,11 @@ def _describe(x: Any, path: str, arrays: dict[str, np.ndarray], system: Any) -> 
     if isinstance(x, float):
         return x if math.isfinite(x) else {"float": str(x)}
     if isinstance(x, jax.Array | np.ndarray | np.generic):
-        arrays[path] = np.asarray(x)
-        return {"array": path}
+        name = stored_name(path)
+        while name in arrays:  # a_b and a.b
+            name += "_"
+        arrays[name] = np.asarray(x)
+        return {"array": name}
     if isinstance(x, tuple | list):
         return {"tuple": [_describe(part, f"{path}.{i}", arrays, system) for i, part in enumerate(x)]}
     if isinstance(x, MatrixGroup):
@@ -97,7 +105,7 @@ def _named(name: str, own: Mapping[str, Any]) -> Any:
     found = _imported(name) or getattr(_imported(module), attribute, None)
     if found is not None and _name(found) == name:
         return found
-    raise ValueError(f"{name!r} is not of this package: give it by own={{{name!r}: …}}")
+    raise UnknownNameError(f"{name!r} is not of this package: give it by own={{{name!r}: …}}")
 
 
 def _imported(name: str) -> ModuleType | None:

@@ -5,11 +5,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple, Protocol
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
-from lieint_jax._numerics import kernel
 from lieint_jax.ensemble import _layout
 from lieint_jax.ensemble._layout import Layout
 from lieint_jax.ensemble._leaves import shared_time
@@ -18,25 +15,7 @@ from lieint_jax.integrate import Given, Uniform
 from lieint_jax.types import State, Step, StepInfo
 
 _CHUNK_BYTES, _MEMORY = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
-_COMPONENTS = 40  # the most of a state in a loop that is one kernel
 _CHUNK_WORK = 2e8  # the most body-steps between two writes, unless a single save interval has more
-
-
-def _suits(step: Step, state: State, dt: float, reduction: Reduction | None) -> bool:
-    """Whether a step, and the reduced quantity, may be part of a kernel."""
-
-    def both(step: Step, state: State, dt: Array) -> Any:
-        end, info = step(state, dt)
-        return end, info, None if reduction is None else reduction(step, end)
-
-    leaves, structure = jax.tree.flatten((step, state))
-    key = structure, reduction, tuple((np.shape(x), getattr(x, "dtype", type(x))) for x in leaves)
-    if key not in _suited:
-        _suited[key] = kernel.suits(both, step, state, jnp.asarray(dt, state.p.dtype))
-    return _suited[key]
-
-
-_suited: dict[Any, bool] = {}
 
 
 class Summary(NamedTuple):
@@ -100,16 +79,6 @@ class Job(NamedTuple):
         return self.states if self.t0 is None else self.states._replace(t=self.t0)
 
     @property
-    def part(self) -> int | None:
-        """How many members one kernel takes at a time, at most, through all of the loop; None without a kernel."""
-        if not (self.step.one_kernel and kernel.wanted()):
-            return None
-        step, state = self.member(0)
-        components = sum(x.size for x in jax.tree.leaves(state))
-        fits = components <= _COMPONENTS and _suits(step, state, self.first_dt, self.reduction)
-        return self.step.kernel_members if fits else None
-
-    @property
     def num_steps(self) -> int:
         """The number of steps in all."""
         return int(self.nodes[-1])
@@ -157,7 +126,7 @@ class Job(NamedTuple):
 
     def member_state(self, m: int) -> State:
         """The initial state of one member."""
-        state = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[m]), self.states)
+        state = jax.tree.map(lambda leaf: np.asarray(leaf)[m], self.states)
         if self.t0 is not None:
             state = state._replace(t=self.t0 if self.shares_time else self.t0[m])
         return state

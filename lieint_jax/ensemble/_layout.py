@@ -7,9 +7,9 @@ result depend neither on how many devices there are nor on where a member lies:
   `shard_map`, is fused differently by XLA for each number of devices, and then rounds differently.)
 * The size of a block is a multiple of 16, so that it fills whole vector registers, and 32 copies of a member follow it,
   whose results are dropped: on a CPU the remainder of a vectorised loop runs as scalar code, which rounds differently.
-* Where the loop is one kernel, a block is of whole parts of 32, 64 or 128, which leave no remainder.
 
-On a CPU a block fits the cache.
+On a CPU a block fits the cache. Machine code (`lieint_jax.native`) needs none of this: for it the members of a process
+are one block, the layout's `whole`.
 """
 
 from __future__ import annotations
@@ -20,18 +20,32 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from math import lcm
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
 import jax
 import numpy as np
 from jax import Array
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+_T = TypeVar("_T")
 AXIS = "members"
 LANES = 16  # members in a vector register: 16 float32 in 512 bits
 _TAIL = 32  # padding after a block, which takes the remainder of vectorised loops
-_PARTS = (64, 128)  # members that a short loop in one kernel takes at a time: multiples of what LLVM unrolls
 _BLOCK = 1024  # the most members in a block on a CPU: their states and temporaries fit the cache
+
+
+class Place(NamedTuple):
+    """Where a run is computed.
+
+    Attributes:
+        mesh: the devices of all processes.
+        threads: the threads of machine code in this process.
+        whole: whether all members of a process are one block.
+    """
+
+    mesh: Mesh
+    threads: int
+    whole: bool
 
 
 class Block(NamedTuple):
@@ -45,14 +59,25 @@ class Layout(NamedTuple):
     """The placement of members on the devices of a mesh.
 
     Each device holds `blocks_per_device` blocks of `block_size` members, in order. Places beyond the last member are
-    padding: copies of that member. A block of padding alone is left out.
+    padding: copies of that member. A block of padding alone is left out. If `place.whole`, the members of a process are
+    one block, without padding, unless it has none.
     """
 
-    mesh: Mesh
+    place: Place
     members: int
     block_size: int
     blocks_per_device: int
     tail: int = 0
+
+    @property
+    def mesh(self) -> Mesh:
+        """The devices of all processes."""
+        return self.place.mesh
+
+    @property
+    def threads(self) -> int:
+        """The threads of machine code in this process."""
+        return self.place.threads
 
     @property
     def padded_block_size(self) -> int:
@@ -79,6 +104,8 @@ class Layout(NamedTuple):
     @property
     def local_blocks(self) -> list[Block]:
         """The blocks of this process, in the order of their members; one of padding, if it has no members."""
+        if self.place.whole:
+            return [Block(None, min(self.local_members.start, self.members - 1))]
         devices, starts = self.mesh.devices.flat, range(0, self.per_device, self.block_size)
         found = [Block(devices[k], k * self.per_device + start) for k in self.local_devices for start in starts]
         return [block for block in found if block.start < self.members] or found[:1]
@@ -128,34 +155,29 @@ def first_devices(count: int | None) -> Mesh:
     return Mesh(devices, (AXIS,))
 
 
-def layout_of(mesh: Mesh, members: int, chunk: int | None = None, part: int | None = None) -> Layout:
-    """The layout of `members` members on a mesh; with `chunk`, each process holds whole chunks of members.
-
-    With `part`, blocks are of whole parts, at most so large, for a loop in one kernel.
-    """
+def layout_of(place: Place, members: int, chunk: int | None = None) -> Layout:
+    """The layout of `members` members; with `chunk`, each process holds whole chunks of members."""
     if members == 1:
-        return Layout(mesh, 1, 1, 1)
+        return Layout(place, 1, 1, 1)
+    mesh = place.mesh
     processes = count_processes(mesh)
-    on_cpu = mesh.devices.flat[0].platform == "cpu"
-    unit, tail = (min(part, _PARTS[members > mesh.size * _PARTS[0]]), 0) if part else (LANES, _TAIL)
+    on_cpu = mesh.devices.flat[0].platform == "cpu" and not place.whole
+    unit, tail = (1, 0) if place.whole else (LANES, _TAIL)
     if chunk is None or processes == 1:
         each = -(-members // mesh.size)
         blocks = -(-each // _BLOCK) if on_cpu else 1
-        return Layout(mesh, members, unit * -(-each // (unit * blocks)), blocks, tail)
+        return Layout(place, members, unit * -(-each // (unit * blocks)), blocks, tail)
     devices = mesh.size // processes
     row = lcm(chunk, unit * devices)
     each = row * -(-members // (processes * row)) // devices
     block = max(b for b in range(unit, _BLOCK + 1, unit) if each % b == 0) if on_cpu else each
-    return Layout(mesh, members, block, each // block, tail)
-
-
-def part_of(members: int, most: int) -> int:
-    """How many members of a block a loop in one kernel takes at a time, at most so many."""
-    return max(size for size in (1, most, *_PARTS) if size <= most and members % size == 0)
+    return Layout(place, members, block, each // block, tail)
 
 
 def chunk_of(layout: Layout, most: int) -> int:
     """The number of members in a chunk of a store: at most `most`, but at least one block of each local device."""
+    if layout.place.whole:
+        return min(layout.per_device * len(layout.local_devices), most)
     row = len(layout.local_devices) * layout.block_size
     return row * min(layout.blocks_per_device, max(1, most // row))
 
@@ -163,6 +185,10 @@ def chunk_of(layout: Layout, most: int) -> int:
 def scatter(layout: Layout, tree: Any, first: int = 0) -> list[Any]:
     """Cut host arrays that begin at member `first` into this process' blocks, pad them, and put each on its device."""
     tree = jax.tree.map(np.asarray, tree)
+    if layout.place.whole:
+        [start] = [block.start - first for block in layout.local_blocks]
+        end = start + max(len(layout.local_members), 1)
+        return [jax.tree.map(lambda x: x[start:end], tree)]
 
     def one(block: Block) -> Any:
         rows = np.arange(block.start, block.start + layout.padded_block_size) - first
@@ -173,6 +199,8 @@ def scatter(layout: Layout, tree: Any, first: int = 0) -> list[Any]:
 
 def replicate(layout: Layout, tree: Any) -> list[Any]:
     """A copy of `tree` for each block of this process, on the block's device."""
+    if layout.place.whole:
+        return [jax.tree.map(np.asarray, tree)]
     copies = {block.device: jax.device_put(tree, block.device) for block in layout.local_blocks}
     return [copies[block.device] for block in layout.local_blocks]
 
@@ -195,7 +223,8 @@ def map_blocks(layout: Layout, function: Callable[..., Any], *arguments: list[An
 def local_part(layout: Layout, blocks: Sequence[Array], axis: int = 0) -> np.ndarray:
     """The members of this process as one host array, without padding, from their blocks; `axis` is the member axis."""
     before = (slice(None),) * axis
-    parts = [np.asarray(x)[*before, : layout.block_size] for x in blocks]
+    size = None if layout.place.whole else layout.block_size
+    parts = [np.asarray(x)[*before, :size] for x in blocks]
     return (np.concatenate(parts, axis) if len(parts) > 1 else parts[0])[*before, : len(layout.local_members)]
 
 
@@ -236,13 +265,33 @@ def count_processes(mesh: Mesh) -> int:
     return len({device.process_index for device in mesh.devices.flat})
 
 
-def all_gather(mesh: Mesh, *values: float) -> np.ndarray:
-    """The values of each process, (processes, values), on every process."""
+def gather_row(mesh: Mesh, row: np.ndarray) -> np.ndarray:
+    """The row of each process, (processes, values), on every process."""
     count = count_processes(mesh)
     if count == 1:
-        return np.array([values], float)
+        return row[None]
     devices = mesh.size // count
-    return _all_gather_rows(mesh, np.tile(np.array(values, float), (devices, 1)))[::devices]
+    return _all_gather_rows(mesh, np.tile(row, (devices, 1)))[::devices]
+
+
+def all_gather(mesh: Mesh, *values: float) -> np.ndarray:
+    """The values of each process, (processes, values), on every process."""
+    return gather_row(mesh, np.array(values, float))
+
+
+def agreed(mesh: Mesh, action: Callable[[], _T]) -> _T:
+    """The result of `action`, which every process calls; if it fails on one, all of them end with a ValueError."""
+    result, error = None, None
+    try:
+        result = action()
+    except (ValueError, OSError) as failure:
+        error = failure
+    failed = np.flatnonzero(all_gather(mesh, error is not None))
+    if error is not None:
+        raise error
+    if failed.size:
+        raise ValueError(f"process {', '.join(map(str, failed))} of this run has failed; its own message says why")
+    return cast("_T", result)
 
 
 def all_reduce_max(mesh: Mesh, *values: float) -> tuple[float, ...]:

@@ -25,6 +25,11 @@ def state_of(arrays: Mapping[str, Any]) -> State:
     return State(**own, extra=extra or None)
 
 
+def stored_name(name: str) -> str:
+    """The name that an array has in a store, an identifier: extra_NAME for extra.NAME."""
+    return name.replace(".", "_")
+
+
 def shared_time(times: np.ndarray, members: int) -> np.ndarray:
     """The time of each member, (…, members), where all share `times`, (…); a view that takes no memory."""
     return np.broadcast_to(times[..., None], (*times.shape, members))

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lieint_jax.ensemble import _store
-from lieint_jax.ensemble._description import make
+from lieint_jax.ensemble import _opening, _store
+from lieint_jax.ensemble._description import UnknownNameError, make
 from lieint_jax.ensemble._job import Summary
 from lieint_jax.types import System, Trajectory
 
@@ -35,12 +35,20 @@ def open_run(path: str | Path, own: Mapping[str, Any] | None = None) -> tuple[An
         energies = jax.vmap(system.energy)(jax.tree.map(lambda x: x[-1], run.state))
     """
     path = Path(path)
-    _store.check(path)
-    found, attributes = _store.load(path)
+    found, attributes = load(path)
     system = system_of(path, attributes, own)
+    if isinstance(found, Trajectory) and len(found.t):
+        _opening.check_system(path, system, found, attributes["run"]["step_axis"] == 0)
     if attributes["reduce"] is not None and not attributes["progress"]["complete"]:
         raise ValueError(f"{path} is a run with `reduce` that is not complete: resume it; xarray.open_zarr reads it")
     return _result(found, attributes), system
+
+
+def load(path: Path) -> tuple[Any, dict[str, Any]]:
+    """The complete part of the run in a store, checked, and the store's attributes; see `_store.load`."""
+    _opening.store(path)
+    with _opening.reading(path):
+        return _store.load(path)
 
 
 def system_of(path: Path, attributes: Mapping[str, Any], own: Mapping[str, Any] | None = None) -> System:
@@ -50,7 +58,12 @@ def system_of(path: Path, attributes: Mapping[str, Any], own: Mapping[str, Any] 
             f"{path} was written by version 0.1, which did not keep the numbers of the system: only the states can be "
             "read, by xarray.open_zarr"
         )
-    return make(attributes["description"]["system"], _store.constants(path, attributes["constants"]), own or {})
+    constants = _store.constants(path, attributes["constants"])
+    with _opening.reading(path, passed=(UnknownNameError,)):
+        system = make(attributes["description"]["system"], constants, own or {})
+        if not isinstance(system, System):
+            raise ValueError("its description is that of no system")
+        return system
 
 
 def opened(path: Path) -> Any:

@@ -2,34 +2,31 @@
 
 from __future__ import annotations
 
-import hashlib
+import contextlib
+import json
 import os
-import platform
-import re
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jax.sharding import Mesh
 
-from lieint_jax._version import __version__
-from lieint_jax.ensemble import _layout, _store
+from lieint_jax.ensemble import _identity, _layout, _opening, _store
 from lieint_jax.ensemble._description import describe
+from lieint_jax.ensemble._engine import Engine
 from lieint_jax.ensemble._job import Job, first_entry, gathered_rows, local_rows, reduced
-from lieint_jax.ensemble._layout import Layout
-from lieint_jax.ensemble._leaves import named, state_of
-from lieint_jax.ensemble._loop import Carry, Range, compiler_options, step_dtype
+from lieint_jax.ensemble._layout import Layout, Place
+from lieint_jax.ensemble._leaves import named, state_of, stored_name
+from lieint_jax.ensemble._loop import Carry, Range, step_dtype
 from lieint_jax.ensemble._reading import opened
-from lieint_jax.integrate import Given
-from lieint_jax.types import State, StepInfo
+from lieint_jax.types import StepInfo, _labelled
 
 _RESIDUAL = "largest residual of a step since the entry before"
 _CHUNK_MEMBERS = 8192  # the most members in a chunk on disk
+_OWN = {"constants", "description", "progress", "digests", "checksum"}  # further attributes of every store
 _CHECKPOINT_EVERY = 30.0  # seconds between checkpoints within a long save interval
 
 
@@ -49,40 +46,67 @@ class StoreOptions(NamedTuple):
 
 
 def into_store(
-    job: Job, mesh: Mesh, options: StoreOptions, resume: bool, integrate: Callable[[Layout, StoreOutput], Any]
+    engine: Engine, place: Place, options: StoreOptions, resume: bool, integrate: Callable[[Layout, StoreOutput], Any]
 ) -> Any:
     """Let `integrate` fill a store, from the start or from its last checkpoint, and return the stored results."""
-    path = Path(options.path)
-    if path.suffix != ".zarr":
-        raise ValueError(f"a store is a folder that ends in .zarr, got {path}")
-    leader = jax.process_index() == 0
-    layout = _layout.layout_of(mesh, job.members, part=job.part)
-    exists = bool(_layout.all_reduce_max(mesh, path.exists())[0])
-    described = _description(job, options)
+    job, mesh = engine.job, place.mesh
+    path, leader = _checked_path(options.path), jax.process_index() == 0
+    _check_json(options.attributes)
+    layout = _layout.layout_of(place, job.members)
+    described = _identity.description(job, engine.name, options.attributes.get("scenario"))
+    attributes = _attributes(job, options, described, _layout.chunk_of(layout, _CHUNK_MEMBERS))
+    _identity.check_processes(mesh, described, store=path.name, resume=resume)
+    exists = bool(_layout.all_reduce_max(mesh, os.path.exists(path))[0])
     if exists and not resume:
         raise ValueError(f"{path} exists and is not overwritten; resume continues it, or choose another store")
-    if not exists and leader:
-        _create(path, job, options, described, _layout.chunk_of(layout, _CHUNK_MEMBERS))
-    _layout.barrier(mesh)  # now the store exists for every process
-    with _store.opened(path, leader) as writer:
-        _check_same(path, writer.attributes, described)
+    if not exists:
+        _identity.warn_of_no_resume(described)
+        _layout.agreed(mesh, lambda: leader and _create(path, job, options, attributes))
+    else:
+        _layout.agreed(mesh, lambda: _opening.store(path))
+    with contextlib.ExitStack() as stack:
+        writer = _layout.agreed(mesh, lambda: stack.enter_context(_store.opened(path, leader)))
+        if exists:
+            _layout.agreed(mesh, lambda: _identity.check_same(path, writer.attributes, described))
         if leader:
             _store.clean(path)
-        layout = _layout.layout_of(mesh, job.members, writer.attributes["member_chunk"], job.part)
+        layout = _layout.layout_of(place, job.members, writer.attributes["member_chunk"])
         _layout.barrier(mesh)
-        _store.check(path)
+        _layout.agreed(mesh, lambda: _store.check(path))
         if not writer.progress["complete"]:
             integrate(layout, StoreOutput(job, layout, writer))
     return opened(path)
 
 
-def _create(path: Path, job: Job, options: StoreOptions, described: dict[str, Any], chunk: int) -> None:
+def _checked_path(path: str | Path) -> Path:
+    """The path of a store, checked as far as that is possible before it exists."""
+    path = Path(path)
+    if path.suffix != ".zarr":
+        raise ValueError(f"a store is a folder that ends in .zarr, got {path}")
+    if os.path.lexists(path) and not os.path.exists(path):
+        raise ValueError(f"{path} is a link to {path.readlink()}, which does not exist; remove it or make that folder")
+    return path
+
+
+def _check_json(attributes: Mapping[str, Any]) -> None:
+    """ValueError if JSON cannot hold the attributes that a user gives to a store."""
+    for key, value in attributes.items():
+        try:
+            if not isinstance(key, str):
+                raise TypeError(f"names must be strings, got {key!r}")
+            json.dumps(value, allow_nan=False)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise ValueError(f"attributes of a store must be what JSON can hold; {key!r} is not: {error}") from None
+
+
+def _create(path: Path, job: Job, options: StoreOptions, attributes: dict[str, Any]) -> None:
     """Make the store of a run."""
     description, numbers = describe(job.step)
-    attributes = _attributes(job, options, described, chunk)
+    chunk = attributes["member_chunk"]
     attributes |= {"constants": sorted(numbers), "description": description}
-    constants = {name: _constant(name, x, job) for name, x in numbers.items()}
-    _store.create(path, _columns(job, chunk, options), _checkpoint_columns(job, chunk), attributes, constants)
+    columns = _columns(job, chunk, options)
+    constants = {name: _constant(name, x, job) for name, x in numbers.items()} | _labels(job)
+    _store.create(path, columns, _checkpoint_columns(job, chunk), attributes, constants)
 
 
 class StoreOutput:
@@ -95,7 +119,7 @@ class StoreOutput:
         self._entries = writer.progress["entries"]  # committed so far
         self._pending: list[tuple[Any, int]] = []
         self._since = 0.0
-        self._next: dict[str, Any] | None = None  # the progress of the commit that is being written
+        self._next: _store.Commit | None = None  # the commit that is being written
         self.buffer_rows = int(writer.attributes["time_chunk"])
 
     @property
@@ -116,7 +140,7 @@ class StoreOutput:
         part = range(max(min(mine.start, self._layout.members - 1), 0), max(mine.stop, mine.start + 1))
 
         def read(name: str) -> Any:
-            return self._writer.read(f"checkpoint/{name}", (done["commits"] % 2, slice(part.start, part.stop)))
+            return self._writer.read(f"checkpoint/{name}", (self._writer.slot, slice(part.start, part.stop)))
 
         change = Range(*map(read, Range._fields)) if self._job.reduction is not None else None
         info = StepInfo(read("residual"), read("converged"))  # pyright: ignore[reportArgumentType]
@@ -150,32 +174,33 @@ class StoreOutput:
 
     def _commit(self, carry: list[Carry], done: int, last: bool) -> None:
         self._settle(wait=True)
-        pending, first, number = self._pending, self._entries, self._held
-        slot = (self._writer.progress["commits"] + 1) % 2
-        self._pending, self._entries, self._since = [], first + number, 0.0
-        self._writer.write(partial(self._parts, carry, pending, first, slot, last))
-        self._next = {
-            "commits": 0 if last else self._writer.progress["commits"] + 1,  # reset: it depends on interruptions
-            "entries": self._entries,
-            "steps": done,
-            "complete": last,
-        }
+        pending, first, writer = self._pending, self._entries, self._writer
+        number = writer.progress["commits"] + 1
+        self._entries, self._pending, self._since = first + self._held, [], 0.0
+        row = first // self.buffer_rows if pending else None
+        commits = 0 if last else number  # reset: it depends on interruptions
+        progress = {"commits": commits, "entries": self._entries, "steps": done, "complete": last}
+        writer.write(partial(self._parts, carry, pending, first, (number, done), last))
+        self._next = _store.Commit(row, progress)
 
     def _settle(self, wait: bool) -> None:
         """Publish the commit in progress if all processes have written it; with `wait`, wait until they have."""
         while self._next is not None:
             missing = _layout.all_reduce_max(self._layout.mesh, not self._writer.written)[0]
             if not missing:
-                self._writer.publish(**self._next)
+                checksums = _layout.gather_row(self._layout.mesh, self._writer.checksums(self._next))
+                self._writer.publish(self._next, checksums.max(axis=0))
                 self._next = None
             elif not wait:
                 return
             else:
                 time.sleep(0.002)
 
-    def _parts(self, carry: list[Carry], pending: list[tuple[Any, int]], first: int, slot: int, last: bool) -> Any:
-        """The parts of a commit, one by one, computed by the background thread."""
-        layout, part = self._layout, _store.Part
+    def _parts(
+        self, carry: list[Carry], pending: list[tuple[Any, int]], first: int, commit: tuple[int, int], last: bool
+    ) -> Any:
+        """The parts of a commit, of a number and a number of steps, one by one, computed by the background thread."""
+        layout, part, slot = self._layout, _store.Part, commit[0] % 2
         mine = layout.local_members.start
         series = self._job.reduction is not None
         if len(layout.local_members):
@@ -187,7 +212,9 @@ class StoreOutput:
                 if series:
                     kept |= {name: host[name] for name in named(self._job.states)} | self._own_times(slice(-1, None), 0)
                 for name, x in kept.items():
-                    yield part(name, (mine,), x)
+                    yield part(stored_name(name), (mine,), x)
+        if jax.process_index() == 0:
+            yield part("checkpoint/commit", (slot,), np.array([commit]))
         if not pending:
             return
         if series:
@@ -201,7 +228,7 @@ class StoreOutput:
             yield part("time", (first,), self._job.times[first:end])
         if jax.process_index() == 0 or not series:
             for name, x in rows.items():
-                yield part(name, (first,) if series else (first, mine), x)
+                yield part(stored_name(name), (first,) if series else (first, mine), x)
 
     def _rows(self, pending: list[tuple[Any, int]]) -> dict[str, np.ndarray]:
         joined: dict[str, list[np.ndarray]] = {}
@@ -262,10 +289,8 @@ class _Axes:
 
     def state(self, axes: Mapping[str, tuple[int, int]], name: str, leaf: Any, **attributes: str) -> _store.Column:
         """The description of an array of one leaf of the states along `axes`."""
-        lengths = leaf.shape[1:]
-        kinds = {1: ("component",), 2: ("row", "column")}.get(len(lengths), [f"axis{k}" for k in range(len(lengths))])
-        own = {f"{name}_{kind}": (n, n) for kind, n in zip(kinds, lengths, strict=True)}
-        return self.column({**axes, **own}, **attributes)
+        dims, _ = _labelled.state_axes(stored_name(name), leaf.shape[1:])
+        return self.column({**axes, **{dim: (n, n) for dim, n in zip(dims, leaf.shape[1:], strict=True)}}, **attributes)
 
 
 def _columns(job: Job, chunk: int, options: StoreOptions) -> dict[str, _store.Column]:
@@ -280,7 +305,7 @@ def _columns(job: Job, chunk: int, options: StoreOptions) -> dict[str, _store.Co
     columns = {"time": axes.column(times, units=options.time_unit, long_name=text)}
     for name, leaf in named(job.states if job.shares_time else job.initial).items():
         along, text = members if series else {**times, **members}, texts.get(name, name.removeprefix("extra."))
-        columns[name] = axes.state(along, name, leaf, long_name=text, units=_unit(name, job, options))
+        columns[stored_name(name)] = axes.state(along, name, leaf, long_name=text, units=_unit(name, job, options))
     columns["first_failure"] = axes.column(
         members, np.int64, long_name="first step that did not converge, or -1", units="1"
     )
@@ -312,12 +337,25 @@ def _constant(name: str, values: np.ndarray, job: Job) -> tuple[_store.Column, n
     return _store.Column(values.shape, values.dtype, values.shape, dims, {"long_name": f"{name} of the run"}), values
 
 
+def _labels(job: Job) -> dict[str, tuple[_store.Column, np.ndarray]]:
+    """The coordinates that name the components of the states, such as x, y, z along the dimension "axis"."""
+    found: dict[str, tuple[_store.Column, np.ndarray]] = {}
+    for name, leaf in named(job.states).items():
+        for dim, labels in _labelled.state_axes(stored_name(name), leaf.shape[1:])[1].items():
+            values = np.asarray(labels)
+            if values.dtype.kind == "U":
+                values = values.astype(np.dtypes.StringDType())
+            found[dim] = _store.Column(values.shape, values.dtype, values.shape, (dim,), {}), values
+    return found
+
+
 def _checkpoint_columns(job: Job, chunk: int) -> dict[str, _store.Column]:
     """The arrays of the checkpoint: those of a carry, in two slots that are written in turn."""
     axes = _Axes(job, chunk)
     along = {**axes.slots, **axes.members}
     return {
         **{name: axes.state(along, name, leaf) for name, leaf in named(job.states).items()},
+        "commit": axes.column({**axes.slots, "number and steps": (2, 2)}, np.int64),
         "failed": axes.column(along, step_dtype()),
         "residual": axes.column(along),
         "converged": axes.column(along, bool),
@@ -334,11 +372,15 @@ def _unit(name: str, job: Job, options: StoreOptions) -> str:
 
 
 def _attributes(job: Job, options: StoreOptions, described: dict[str, Any], chunk: int) -> dict[str, Any]:
-    return {
+    """The attributes of a store, but for those that describe its arrays and its progress.
+
+    Raises:
+        ValueError: attributes of the user have names of the store's own.
+    """
+    own = {
         "format": _store.FORMAT,
         "leaves": list(named(job.initial)),
         "time_unit": options.time_unit,
-        "title": str(options.attributes.get("title", job.step.name)),
         "scheme": job.step.name,
         "system": type(job.step.system).__name__,
         "dt": job.dt,
@@ -350,71 +392,8 @@ def _attributes(job: Job, options: StoreOptions, described: dict[str, Any], chun
         "time_chunk": job.buffer_rows(chunk),
         "member_chunk": chunk,
         "run": described,
-        **options.attributes,
     }
-
-
-def _description(job: Job, options: StoreOptions) -> dict[str, Any]:
-    """Everything that the bits of a run depend on. A run is resumed only if all of it is equal."""
-    leaves, structure = jax.tree.flatten(job.step)
-    flags = [f for f in os.environ.get("XLA_FLAGS", "").split() if "force_host_platform_device_count" not in f]
-    return {
-        "scheme": job.step.name,
-        "system": type(job.step.system).__name__,
-        "options of the step": _digest(_store.without_addresses(str(structure)).encode()),
-        "numbers of the step": _digest(*leaves),
-        "initial states": _digest(*_with_names(job.initial)),
-        "members": job.members,
-        "dt": job.dt,
-        "num_steps": job.planned,
-        "save_every": job.save_every,
-        "times": _digest(job.clock.times) if isinstance(job.clock, Given) else None,
-        "save_at": None if job.rests is None else _digest(job.times),
-        "step_axis": job.step_axis,
-        "reduce": getattr(job.reduction, "__name__", "a function") if job.reduction is not None else None,
-        "dtype": str(job.dtype),
-        "versions": {"lieint_jax": __version__, "jax": jax.__version__, "jaxlib": version("jaxlib")},
-        "compiler_options": compiler_options(),
-        "XLA_FLAGS": " ".join(flags),
-        "device": _device(),
-        **{key: options.attributes[key] for key in ("scenario",) if key in options.attributes},
-    }
-
-
-def _with_names(states: State) -> list[Any]:
-    """The arrays of states, q and p first; each of the others, which states need not have, after its name."""
-    q, p, *rest = named(states).items()
-    return [q[1], p[1], *(part for name, x in rest for part in (name.encode(), x))]
-
-
-def _digest(*leaves: Any) -> str:
-    digest = hashlib.sha256()
-    for leaf in leaves:
-        array = np.frombuffer(leaf, np.uint8) if isinstance(leaf, bytes) else np.asarray(leaf)
-        digest.update(f"{array.dtype}{array.shape}".encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()[:16]
-
-
-def _device() -> str:
-    """The kind of device; for a CPU with its widest vector instructions, on which the compiled code depends."""
-    device = jax.devices()[0]
-    if device.platform != "cpu":
-        return device.device_kind
-    try:
-        flags = re.search(r"(?m)^flags\s*:(.*)$", Path("/proc/cpuinfo").read_text())
-    except OSError:
-        flags = None
-    found = [isa for isa in ("avx512f", "avx2", "avx") if flags and isa in flags.group(1).split()]
-    return " ".join([platform.machine(), *found[:1]])
-
-
-def _check_same(path: Path, stored: dict[str, Any], now: dict[str, Any]) -> None:
-    if stored.get("format", 1) < _store.FORMAT:
-        raise ValueError(
-            f"{path} was written by an older version of lieint_jax, whose runs this one does not continue bit for bit: "
-            "`lieint info` and `lieint plot` read what is there; run again into another store"
-        )
-    different = _store.differences(stored["run"], now)
-    if different:
-        raise ValueError(f"{path} holds another run and cannot be resumed with this one: {'; '.join(different)}")
+    taken = sorted(map(str, options.attributes.keys() & (own.keys() | _OWN)))
+    if taken:
+        raise ValueError(f"attributes of a store may not be called {', '.join(taken)}: it has its own; choose others")
+    return {"title": job.step.name} | own | dict(options.attributes)

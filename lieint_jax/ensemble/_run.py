@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import time
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,11 +16,12 @@ from jax.sharding import Mesh
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.ensemble import _layout, _loop, processes
+from lieint_jax.ensemble import _identity, _layout, _loop, processes
+from lieint_jax.ensemble._engine import Engine, engine_of
 from lieint_jax.ensemble._job import Job, Output, Summary, first_entry, gathered_rows, reduced
 from lieint_jax.ensemble._layout import Layout
 from lieint_jax.ensemble._leaves import named
-from lieint_jax.ensemble._loop import Carry, Reduction, energy, step_dtype
+from lieint_jax.ensemble._loop import Carry, Reduction, energy
 from lieint_jax.ensemble._progress import Bar, Interrupts, Pace
 from lieint_jax.ensemble._recording import StoreOptions, into_store
 from lieint_jax.integrate import Given, Own, Uniform, clock_of, intervals, more_times, outputs, refuse_times
@@ -28,6 +29,7 @@ from lieint_jax.types import State, Step, Trajectory, checked_step, promoted
 from lieint_jax.types._members import member_axis
 
 _NAMED = 5  # the most failed members that a report names
+_ENTRY, _SERIES = 2 * 8, 5 * 8  # bytes of an entry's time and node, and of its numbers in the series of `reduce`
 _SCALARS = ("t", "work")  # the parts of states that are scalars for each member, and may be one for all
 
 
@@ -51,9 +53,9 @@ def run(
     The bits of the results depend neither on the number of devices and processes nor on whether the run was resumed.
     With `jax.distributed`, every process calls this with the same arguments and gets the same results.
 
-    On a CPU the loop over a short step is compiled as one kernel, 1.2 to 3.6 times as fast (`Step.one_kernel`), unless
-    the step or the reduced quantity calls a library, as a product of matrices does. The environment variable
-    LIEINT_ONE_KERNEL=0 turns this off.
+    On a CPU the loop is compiled to machine code for vectors of members, which run in threads, one a core
+    (`lieint_jax.native`). What cannot be machine code (a call of LAPACK that depends on the state, very many bodies)
+    and other devices run by XLA.
 
     Args:
         step: a scheme's step; with `step_axis=0` its leaves carry the member axis too (one inertia per member).
@@ -66,8 +68,9 @@ def run(
         step_axis: None or 0.
         reduce: a quantity, "energy" (less the work, where states count it) or a function (step, state) ↦ scalar. No
             states are kept on the way; instead, for each save interval, the least, greatest and mean change of the
-            quantity over all steps and members.
-        mesh: devices, a `jax.sharding.Mesh` of the one axis "members"; None takes all.
+            quantity over all steps and members. All three are NaN where the quantity was NaN.
+        mesh: devices, a `jax.sharding.Mesh` of the one axis "members"; None uses all. Machine code uses as many threads
+            as the mesh has devices of this process, by default one a core.
         store: a folder NAME.zarr, or `StoreOptions`, to which results are written during the run; memory then holds no
             more than a chunk of them.
         progress: show a progress bar on stderr, if that is a terminal.
@@ -85,12 +88,16 @@ def run(
 
     Raises:
         ValueError: bad counts or times; states off the group, not finite, or without the time that a driven system
-            needs; members whose first step fails; a store that exists, or one to resume that another run wrote.
+            needs; members whose first step fails; results larger than this machine's memory; a store that exists, or
+            one to resume that another run wrote, that is damaged, or that cannot be compared with this run; attributes
+            that a store cannot hold; `reduce` that returns no real scalar, or one that is not finite at the start;
+            processes that were given different runs.
         KeyboardInterrupt: interrupted; with `store`, after the chunk has been written.
         processes.LostProcess: another process of this run is gone.
 
     Warns:
-        RuntimeWarning: members that fail to converge later, with the first step where each does; a time of the states
+        RuntimeWarning: a store that cannot be resumed, since the step refers to something that cannot be compared;
+            members that fail to converge later, with the first step where each does; a time of the states
             so large that the floating-point numbers there are more than dt/10⁶ apart.
     """
     if step_axis not in (None, 0):
@@ -99,6 +106,7 @@ def run(
         raise ValueError(f'reduce must be None, "energy" or a function (step, state) ↦ scalar, got {reduce!r}')
     if resume and store is None:
         raise ValueError("resume goes on with a run in a store; give store=PATH.zarr")
+    threads = None if mesh is None else len(mesh.local_devices)
     mesh = _layout.checked_mesh(mesh)
     step, states, dtype = promoted(checked_step(step), states)
     states, t0 = _checked(step, states)
@@ -106,26 +114,44 @@ def run(
     reduction = energy if reduce == "energy" else reduce
     clock, planned = _clock(step, t0, dtype, dt, num_steps, times)
     if save_at is None:
+        _check_size(states, intervals(planned, save_every)[1] + 1, reduction, store)
         entries = _regular(clock, planned, save_every, dtype)
     else:
         refuse_times(step, "save_at")
         if save_every is not None or reduce is not None:
             raise ValueError(f"give save_at or {'save_every' if reduce is None else 'reduce'}, not both")
         entries = _outputs(save_at, clock, planned, dtype)
+        _check_size(states, len(entries[0]), reduction, store)
     job = Job(step, states, t0, None if dt is None else float(dt), clock, planned, *entries, step_axis, reduction)
     _check(job)
+    _check_reduction(job)
     _checks.time_resolution(t0, job.first_dt, planned)
+    engine = engine_of(job, mesh)
+    place = _layout.Place(mesh, threads or _layout.cores(), engine.whole)
     with processes.watched(mesh):
         if store is None:
-            layout = _layout.layout_of(mesh, count, part=job.part)
-            return _integrate(job, layout, _InMemory(job, layout), progress)
+            if _layout.count_processes(mesh) > 1:
+                _identity.check_processes(mesh, _identity.description(job, engine.name), store=None, resume=False)
+            layout = _layout.layout_of(place, count)
+            return _integrate(engine, layout, _InMemory(job, layout), progress)
         options = store if isinstance(store, StoreOptions) else StoreOptions(store)
-        return into_store(job, mesh, options, resume, lambda layout, out: _integrate(job, layout, out, progress))
+        return into_store(engine, place, options, resume, lambda layout, out: _integrate(engine, layout, out, progress))
 
 
-def _integrate(job: Job, layout: Layout, output: Output, progress: bool) -> Any:
+def _check_size(states: State, entries: int, reduction: Any, store: Any) -> None:
+    """ValueError if the results of a run exceed this machine's memory: its states or series, and its times."""
+    size, advice = _ENTRY, "give a larger save_every"
+    if reduction is not None:
+        size += _SERIES
+    elif store is None:
+        size += _checks.entry_size(states, len(states.p))
+        advice += " or store=PATH.zarr, which holds no more than a chunk in memory"
+    _checks.fits_memory(entries, size, advice)
+
+
+def _integrate(engine: Engine, layout: Layout, output: Output, progress: bool) -> Any:
     """Run a job to its end, append its saved rows to `output`, and return the output's result."""
-    loop = CompiledLoop(job, layout, output.buffer_rows, progress)
+    job, loop = engine.job, CompiledLoop(engine, layout, output.buffer_rows, progress)
     carry, done, saved = output.restored() or (None, 0, 0)
     if carry is None:
         carry = loop.start
@@ -194,61 +220,45 @@ def _outputs(save_at: ArrayLike, clock: Uniform | Given, planned: int, dtype: An
 
 
 class CompiledLoop:
-    """The compiled loop of a job; its steps and initial carries are on the devices of a layout, block by block."""
+    """The loop of a run over the blocks of a layout."""
 
-    def __init__(self, job: Job, layout: Layout, buffer_rows: int, progress: bool) -> None:
-        self._job, self._layout = job, layout
-        axis = job.step_axis
-        step = (_layout.replicate if axis is None else _layout.scatter)(layout, job.step)
-        states = _layout.scatter(layout, job.states)
-        t0 = (_layout.replicate if job.shares_time else _layout.scatter)(layout, job.t0)
-        clock = _layout.replicate(layout, job.clock)
-        begun = self._map(_loop.start(axis, job.reduction), step, states, t0, clock)
-        self.start, self._origin = [carry for carry, _ in begun], [origin for _, origin in begun]
-        plain = step
-        if type(job.step).prepare is not Step.prepare and isinstance(job.clock, Uniform):
-            step = self._map(_loop.prepare(job.step_axis), step, states, self._origin)
-            axis = 0  # every member has its own constants
-        self._steps, self._rows = list(zip(step, plain, strict=True)), buffer_rows
-        self._advance = _loop.advance((axis, job.step_axis), job.reduction, job.part)
-        self._energies = None
-        if _layout.all_reduce_max(layout.mesh, progress and Bar.visible())[0]:
-            self._energies = _loop.energies(axis)
-            self._H0 = self._energies_of(self.start, 0)
-
-    def _map(self, function: Callable[..., Any], *arguments: list[Any]) -> list[Any]:
-        return _layout.map_blocks(self._layout, function, *arguments)
+    def __init__(self, engine: Engine, layout: Layout, buffer_rows: int, progress: bool) -> None:
+        self._engine, self._job, self._layout, self._rows = engine, engine.job, layout, buffer_rows
+        self._start = engine.start(layout)
+        self.start = self._start.carry
+        self._shown = bool(_layout.all_reduce_max(layout.mesh, progress and Bar.visible())[0])
+        if self._shown:
+            self._H0 = self._energies(self.start, 0)
 
     def advance(self, carry: list[Carry], done: int, saved: int, ends: np.ndarray) -> tuple[list[Carry], list[Any]]:
         """The carries and the saved rows, a list item per block, of the save intervals that end at the nodes `ends`.
 
         `done` steps were taken before, and `saved` entries after the start.
         """
-        nodes, rests = self._job.nodes, self._job.rests
-        saves, fill = len(ends), (0, self._rows - len(ends))
+        dtype, rests = _loop.step_dtype(), self._job.rests
+        first = np.concatenate([[done], ends[:-1]]).astype(dtype)
+        fresh = (np.arange(len(ends)) > 0) | (done == self._job.nodes[saved])
         if rests is not None:
-            rests = np.resize(rests[saved + 1 :], self._rows)
-        ends = np.pad(ends - done, fill).astype(np.int32)
-        portion = _loop.Portion(np.asarray(done, step_dtype()), saves, ends, rests, done == nodes[saved])
-        results = self._map(lambda s, c, o: self._advance(s, c, o, portion), self._steps, carry, self._origin)
-        return [c for c, _ in results], [rows for _, rows in results]
+            rests = np.resize(rests[saved + 1 :], len(ends)).astype(self._job.dtype)
+        spans = _loop.Span(first, ends.astype(dtype), rests, fresh)
+        return self._engine.advance(self._layout, self._start, carry, spans, self._rows)
 
     def check_first_step(self) -> None:
-        """Raise ValueError if the first step of a member fails."""
+        """Raise ValueError if the first step of a member fails, or the reduced quantity is not finite at the start."""
+        if self._job.reduction is not None:
+            _check_start(_layout.gather(self._layout, [origin.quantity for origin in self._start.origin]))
         if self._job.num_steps:
             after, _ = self.advance(self.start, 0, 0, np.ones(1, int))
             _check_first(_layout.gather(self._layout, [c.failed for c in after]), self._job)
 
-    def _energies_of(self, carry: list[Carry], done: int) -> list[Any]:
+    def _energies(self, carry: list[Carry], done: int) -> list[Any]:
         """The energies less work after `done` steps."""
-        energies = self._energies
-        assert energies is not None
-        return self._map(lambda s, c, o: energies(s[0], c.state, o, done), self._steps, carry, self._origin)
+        return self._engine.quantity(self._layout, _loop.energy, self._start, [c.state for c in carry], done)
 
     def watch(self, carry: list[Carry], done: int, bar: Bar) -> None:
         """Show the energy error and the failures so far on the progress bar, if it is visible."""
-        if self._energies is not None:
-            H = self._energies_of(carry, done)
+        if self._shown:
+            H = self._energies(carry, done)
             bar.show(*_layout.worst_energy_error(self._layout, self._H0, H, [c.failed for c in carry]))
 
 
@@ -325,12 +335,13 @@ def _checked(step: Step, states: State) -> tuple[State, Any]:
         if bad.size:
             where = f", and is not for {_some(bad)}" if x.ndim else f", got {x}"
             raise ValueError(f"states.{_spoken(name)} must be finite{where}")
+    states = jax.tree.map(np.asarray, states)
     t, work = states.t, states.work
     if work is not None:
-        work = jnp.broadcast_to(work, (members,))
+        work = np.broadcast_to(work, (members,))
     if step.own_time and t is not None:
-        return states._replace(t=jnp.broadcast_to(t, (members,)), work=work), None
-    if t is not None and t.ndim and np.all(np.asarray(t) == np.asarray(t[0])):
+        return states._replace(t=np.broadcast_to(t, (members,)), work=work), None  # pyright: ignore
+    if t is not None and t.ndim and np.all(t == t[0]):
         t = t[0]
     return states._replace(t=None, work=work), t
 
@@ -346,6 +357,42 @@ def _check(job: Job) -> None:
             f"(worst defect {defect.max():.3g}); make states with system.state(...)"
         )
     step.system.check(state)  # the shapes, and the time of a driven system, which are alike for all members
+
+
+def _check_reduction(job: Job) -> None:
+    """ValueError unless the reduced quantity is a real number of a step and a state."""
+    if job.reduction is None:
+        return
+    step, state = job.member(0)
+    try:
+        inspect.signature(job.reduction).bind(step, state)
+    except TypeError as error:
+        raise ValueError(f"reduce must be a function of two arguments, (step, state) ↦ scalar: {error}") from None
+    except ValueError:  # a function that does not show its arguments
+        pass
+    found: list[Any] = []
+    jax.eval_shape(lambda step, state: found.append(job.reduction(step, state)), step, state)  # pyright: ignore
+    [value] = found
+    array = isinstance(value, Array | np.ndarray | np.generic)
+    if not ((array or isinstance(value, float)) and _is_real_scalar(value)):
+        shown = f"{value.dtype} of shape {value.shape}" if array else repr(value)
+        raise ValueError(
+            f"reduce must return a real floating-point scalar, got {shown}; give one component of a vector or "
+            "its norm, and 1.0 * x for an integer x"
+        )
+
+
+def _is_real_scalar(value: Any) -> bool:
+    return np.shape(value) == () and jnp.issubdtype(jnp.result_type(value), jnp.floating)
+
+
+def _check_start(quantity: np.ndarray) -> None:
+    bad = np.flatnonzero(~np.isfinite(quantity))
+    if bad.size:
+        raise ValueError(
+            f"the quantity of reduce must be finite at the start, from which its changes are counted, and is not for "
+            f"{_some(bad)}"
+        )
 
 
 @jax.jit

@@ -6,25 +6,30 @@ The store grows while the run goes on, and the run can be continued after an end
 from __future__ import annotations
 
 import contextlib
+import glob
+import hashlib
 import itertools
 import json
 import os
-import re
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from lieint_jax.ensemble import _integrity
-from lieint_jax.ensemble._leaves import shared_time, state_of
+from lieint_jax.ensemble._integrity import CHECKPOINT, CHECKSUMS
+from lieint_jax.ensemble._leaves import shared_time, state_of, stored_name
 from lieint_jax.types import State, StepInfo, Trajectory
 
-FORMAT = 2  # of the stores written here; those of version 0.1 have no number
+FORMAT = 3  # of the stores written here; those of version 0.1 have no number, those of 0.2 have 2
 _ROOT = "zarr.json"  # the metadata of a Zarr 3 group; new data become visible when it is replaced
-_CHECKPOINT = "checkpoint"  # the group that a run is resumed from
+_RECORDS = 2**16  # the most checksums in a chunk of their array, unless a row has more
+_STALE = 3600.0  # seconds after which the folder of a store that is being made counts as left behind
 
 
 def load(path: Path) -> tuple[Any, dict[str, Any]]:
@@ -46,7 +51,8 @@ def load(path: Path) -> tuple[Any, dict[str, Any]]:
 def states(arrays: Any, times: np.ndarray, metadata: Mapping[str, Any]) -> State:
     """The states among the arrays of a store, whose attributes list them; a time that members share has none."""
     leaves = metadata.get("leaves", ["q", "p"])
-    found = {name: arrays[name] for name in leaves if name in arrays}
+    found = {name: arrays[stored_name(name)] for name in leaves if stored_name(name) in arrays}
+    found |= {name: arrays[name] for name in leaves if name in arrays}  # the names in stores of version 0.2
     if "t" in leaves and "t" not in found:
         found["t"] = shared_time(times, metadata["members"])
     return state_of(found)
@@ -60,8 +66,15 @@ def constants(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
 
 
 def check(path: Path) -> None:
-    """ValueError if a file of the store is missing or damaged: says which, and what can still be read."""
-    _integrity.check(path, _root(path))
+    """ValueError if a file of the store is missing or damaged: says which, and what can still be read.
+
+    The store may grow meanwhile: its checkpoint is then compared with the root that belongs to it.
+    """
+    root = _root(path)
+    lost = list(_integrity.damage_of_checkpoint(path, root))
+    while lost and (now := _root(path)) != root:
+        root, lost = now, list(_integrity.damage_of_checkpoint(path, now))
+    _integrity.damaged(path, itertools.chain(lost, _integrity.damage(path, root)))
 
 
 def _root(path: Path) -> dict[str, Any]:
@@ -110,6 +123,18 @@ class Part(NamedTuple):
     values: np.ndarray
 
 
+class Commit(NamedTuple):
+    """What a commit adds to a store.
+
+    Attributes:
+        row: the row of chunks along time that it fills, or None.
+        progress: the progress that it publishes.
+    """
+
+    row: int | None
+    progress: dict[str, Any]
+
+
 class Writer:
     """A run's store, open for writing.
 
@@ -117,24 +142,39 @@ class Writer:
     is resumed. A background thread writes them, each file under a temporary name first, and syncs them to disk. Then
     `publish` replaces one file, the metadata at the root, by rename: it holds the lengths of all arrays, so that
     readers (and a run that is resumed) see either all of a commit or nothing of it. The checkpoint has two slots, used
-    in turn, so that the valid one is never written to; it is removed when the run is complete.
+    in turn, so that the valid one is never written to; it is removed when the run is complete. The root also records
+    which files belong to the commit, by their checksums: see `_integrity`.
 
     Every process of a run writes the chunks of its own members; the first one publishes.
     """
 
     def __init__(self, path: Path, leader: bool) -> None:
         self.path = path
-        self.attributes: dict[str, Any] = _root(path)["attributes"]
         self._leader = leader
-        self._writing: Future[None] | None = None
-        self._writer = ThreadPoolExecutor(1, thread_name_prefix="lieint-store")
         self._lock = _lock(path) if leader else None
+        self._writing: Future[dict[str, int]] | None = None
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix="lieint-store")
         self._arrays: dict[str, Any] = {}
+
+    @cached_property
+    def attributes(self) -> dict[str, Any]:
+        """The attributes of the root; read once, when the first process has locked the store."""
+        return _root(self.path)["attributes"]
 
     @property
     def progress(self) -> dict[str, Any]:
         """The state of the published run: commits, entries along time, steps, whether it is complete."""
         return self.attributes["progress"]
+
+    @property
+    def slot(self) -> int:
+        """The slot of the published checkpoint."""
+        return self.progress["commits"] % 2
+
+    @property
+    def next_slot(self) -> int:
+        """The slot to which the next commit writes its checkpoint."""
+        return 1 - self.slot
 
     def read(self, name: str, index: Any) -> np.ndarray:
         """The values of an array of the store at `index`."""
@@ -142,7 +182,7 @@ class Writer:
 
     def write(self, parts: Callable[[], Iterable[Part]]) -> None:
         """Begin to write a commit in the background; the previous one must have been published."""
-        self._writing = self._writer.submit(self._write, parts)
+        self._writing = self._writer.submit(lambda: self._write(parts()))
 
     @property
     def written(self) -> bool:
@@ -155,21 +195,70 @@ class Writer:
             raise self._unwritten(error) from error
         return True
 
-    def publish(self, **progress: Any) -> None:
-        """Make the last commit visible, after every process has written it."""
-        self.attributes = self.attributes | {"progress": self.progress | progress}
+    def checksums(self, commit: Commit) -> np.ndarray:
+        """The checksums of the commit's files that this process has written, and 0 for those of other processes."""
+        mine = self._writing.result() if self._writing is not None else {}
+        return np.array([mine.get(file, 0) for files in self._files(commit).values() for file in files], np.uint32)
+
+    def publish(self, commit: Commit, checksums: np.ndarray) -> None:
+        """Make the last commit visible, after every process has written it; `checksums` are those of all of them."""
         if self._leader:
-            root = _root(self.path)
             try:
-                _write_root(self.path, root | {"attributes": self.attributes})
+                digests = self.attributes["digests"] | self._digests(commit, checksums)
+                attributes = self.attributes | {"progress": commit.progress, "digests": digests}
+                _write_root(self.path, _root(self.path) | {"attributes": attributes}, self._metas)
             except OSError as error:
                 raise self._unwritten(error) from error
+            self.attributes = attributes
             if self.progress["complete"]:
-                shutil.rmtree(self.path / _CHECKPOINT)
+                shutil.rmtree(self.path / CHECKPOINT)
+        self.attributes = self.attributes | {"progress": commit.progress}
+
+    def _digests(self, commit: Commit, checksums: np.ndarray) -> dict[str, Any]:
+        """The digests that a commit changes; records the checksums of a row of chunks along time."""
+        files = self._files(commit)
+        ends = np.cumsum([len(group) for group in files.values()])[:-1]
+        parts = dict(zip(files, np.split(checksums, ends), strict=True))
+        row, checkpoint = parts.pop(CHECKSUMS), parts.pop(CHECKPOINT)
+        if commit.row is not None:
+            self._write([Part(CHECKSUMS, (commit.row,), row[None])])
+            self._recorded.update(np.asarray(row, "<u4").tobytes())
+        arrays = {name: _integrity.digest_of(found) for name, found in parts.items()}
+        return {
+            "rows": self._recorded.hexdigest()[:16],
+            "checkpoint": None if commit.progress["complete"] else _integrity.digest_of(checkpoint),
+            "arrays": self.attributes["digests"]["arrays"] | arrays,
+        }
+
+    def _files(self, commit: Commit) -> dict[str, list[str]]:
+        """The files that a commit writes, by what records their checksums."""
+        metas = self._metas
+        row = [] if commit.row is None else _integrity.files_of_rows(metas, commit.row)
+        found = {CHECKSUMS: row, CHECKPOINT: _integrity.files_of_checkpoint(metas, self.next_slot)}
+        if commit.progress["complete"]:
+            names = [name for name in _results(metas) if not _integrity.along_time(metas[name])]
+            found |= {name: _integrity.chunk_files(name, metas[name]) for name in names if name not in self._constants}
+        return found
+
+    @property
+    def _constants(self) -> Mapping[str, str]:
+        """The arrays that were written when the store was made."""
+        return self.attributes["digests"]["arrays"]
+
+    @cached_property
+    def _metas(self) -> dict[str, Any]:
+        """The metadata of the store's arrays."""
+        return _integrity.metadata(self.path, self.attributes["digests"]["metadata"])
+
+    @cached_property
+    def _recorded(self) -> Any:
+        """The hash of the checksums of all published rows of chunks."""
+        rows = _integrity.rows_of(self.attributes)
+        return hashlib.sha256(_integrity.checksums_of_rows(self.path, rows).tobytes())
 
     def _unwritten(self, error: OSError) -> OSError:
         steps = _root(self.path)["attributes"]["progress"]["steps"]
-        reason = f"{error.strerror}: {self.path} holds everything up to step {steps}; mend this and resume"
+        reason = f"{error.strerror}: {self.path} holds everything up to step {steps}; fix this and resume"
         return OSError(error.errno, reason)
 
     def close(self) -> None:
@@ -187,21 +276,24 @@ class Writer:
                 self._arrays[name] = zarr.open_array(str(self.path / name), mode="r+")
         return self._arrays[name]
 
-    def _write(self, parts: Callable[[], Iterable[Part]]) -> None:
+    def _write(self, parts: Iterable[Part]) -> dict[str, int]:
+        """Write slabs to disk; the checksums of the files that hold them."""
         folders: set[Path] = set()
-        for name, at, values in parts():
+        checksums: dict[str, int] = {}
+        for name, at, values in parts:
             array = self._array(name)
             index = tuple(slice(a, a + n) for a, n in zip(at, values.shape, strict=False))
             array[index] = values
             spans = [range(s.start // c, -(-s.stop // c)) for s, c in zip(index, array.chunks, strict=False)]
             for key in itertools.product(*spans):
-                file = self.path / name / "c" / "/".join(map(str, key))
-                rest = array.ndim - len(key)
-                file = file.joinpath(*["0"] * rest)
-                _sync(file)
-                folders.update(list(file.parents)[: array.ndim + 1])
+                rest = ["0"] * (array.ndim - len(key))
+                file = "/".join((name, "c", *map(str, key), *rest))
+                checksums[file] = _integrity.checksum_of_file(self.path / file)
+                _sync(self.path / file)
+                folders.update(list((self.path / file).parents)[: array.ndim + 1])
         for folder in folders:
             _sync(folder)
+        return checksums
 
 
 def create(
@@ -214,37 +306,85 @@ def create(
     """Make a store, under a temporary name, and rename it: a store exists whole or not at all.
 
     It is empty but for the `constants`, arrays that the run does not change.
-    """
-    import zarr
-    import zarr.codecs
 
-    unfinished = path.with_name(f".{path.name}.partial")
-    if unfinished.exists():
-        shutil.rmtree(unfinished)
+    Raises:
+        ValueError: another run has made it in the meantime. Nothing is left behind.
+        OSError: the folder cannot be made.
+    """
+    _remove_stale(path)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}-{os.urandom(4).hex()}.partial")
+    try:
+        unfinished.mkdir(parents=True)
+        _fill(unfinished, columns, checkpoint, attributes, constants)
+        for file in unfinished.rglob("*"):
+            _sync(file)
+        unfinished.rename(path)
+        _sync(path.parent)
+    except OSError as error:
+        if os.path.lexists(path):
+            raise ValueError(f"{path} was created by another run in the meantime, and is not overwritten") from None
+        raise OSError(error.errno, f"{path} cannot be created: {error.strerror}; choose another store") from error
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def _fill(
+    folder: Path,
+    columns: Mapping[str, Column],
+    checkpoint: Mapping[str, Column],
+    attributes: Mapping[str, Any],
+    constants: Mapping[str, tuple[Column, np.ndarray]],
+) -> None:
+    """Make the arrays of a store in a folder, write the constants, and the metadata at the root last."""
+    import zarr
+
     start = {"commits": 0, "entries": 0, "steps": 0, "complete": False}
-    group = zarr.create_group(str(unfinished), attributes=dict(attributes) | {"progress": start})
-    slots = {f"{_CHECKPOINT}/{name}": column for name, column in checkpoint.items()}
-    fixed = {name: column for name, (column, _) in constants.items()}
-    for name, (shape, dtype, chunks, dims, extra) in {**columns, **slots, **fixed}.items():
-        missing = np.nan if np.issubdtype(dtype, np.floating) else -1 if np.issubdtype(dtype, np.integer) else False
-        group.create_array(
-            name,
-            shape=shape,
-            dtype=dtype,
-            chunks=chunks,
-            dimension_names=dims,
-            attributes=dict(extra),
-            fill_value=missing,
-            compressors=[zarr.codecs.ZstdCodec(), zarr.codecs.Crc32cCodec()],
-        )
+    group = zarr.create_group(str(folder), attributes=dict(attributes) | {"progress": start})
+    slots = {f"{CHECKPOINT}/{name}": column for name, column in checkpoint.items()}
+    named = {**columns, **slots, **{name: column for name, (column, _) in constants.items()}}
+    for name, column in named.items():
+        _add(group, name, column)
+    metas = _integrity.metadata(folder, named)
+    files, [length], [chunk] = len(_integrity.files_of_rows(metas, 0)), columns["time"].shape, columns["time"].chunks
+    rows = -(-length // chunk)
+    chunks = min(rows, max(1, _RECORDS // files)), files
+    _add(group, CHECKSUMS, Column((rows, files), np.dtype(np.uint32), chunks, ("row", "file"), {}))
     with _every_chunk():
         for name, (_, values) in constants.items():
-            zarr.open_array(str(unfinished / name), mode="r+")[...] = values
-    _write_root(unfinished, json.loads((unfinished / _ROOT).read_text()))
-    for file in unfinished.rglob("*"):
-        _sync(file)
-    unfinished.rename(path)
-    _sync(path.parent)
+            zarr.open_array(str(folder / name), mode="r+")[...] = values
+    digests = {
+        "metadata": {name: _integrity.digest((folder / name / _ROOT).read_bytes()) for name in (*named, CHECKSUMS)},
+        "arrays": {name: _integrity.digest_of_array(folder, name, metas[name]) for name in constants},
+        "rows": _integrity.digest(b""),
+        "checkpoint": None,
+    }
+    root = json.loads((folder / _ROOT).read_text(encoding="utf-8"))
+    _write_root(folder, root | {"attributes": root["attributes"] | {"digests": digests}}, metas)
+
+
+def _add(group: Any, name: str, column: Column) -> None:
+    """Make an array of a store, without values."""
+    import zarr.codecs
+
+    missing = {"f": np.nan, "i": -1, "b": False, "T": ""}.get(column.dtype.kind, 0)
+    group.create_array(
+        name,
+        shape=column.shape,
+        dtype=column.dtype,
+        chunks=column.chunks,
+        dimension_names=column.dims,
+        attributes=dict(column.attributes),
+        fill_value=missing,
+        compressors=[zarr.codecs.ZstdCodec(), zarr.codecs.Crc32cCodec()],
+    )
+
+
+def _remove_stale(path: Path) -> None:
+    """Remove the folders of stores at `path` that a killed process began to make long ago."""
+    for folder in path.parent.glob(f".{glob.escape(path.name)}.*.partial"):
+        with contextlib.suppress(OSError):
+            if time.time() - folder.stat().st_mtime > _STALE:
+                shutil.rmtree(folder)
 
 
 def _every_chunk() -> Any:
@@ -259,33 +399,35 @@ def clean(path: Path) -> None:
     for file in path.rglob("*.partial"):
         file.unlink()
     if _root(path)["attributes"]["progress"]["complete"]:
-        shutil.rmtree(path / _CHECKPOINT, ignore_errors=True)
+        shutil.rmtree(path / CHECKPOINT, ignore_errors=True)
 
 
-def _write_root(path: Path, root: dict[str, Any]) -> None:
+def _write_root(path: Path, root: dict[str, Any], metas: Mapping[str, Any]) -> None:
     """Replace the root's metadata: its attributes, and the list of the arrays that readers see, with current lengths.
 
-    That list is Zarr's consolidated metadata, on which readers (xarray among them) rely.
+    That list is Zarr's consolidated metadata, on which readers (xarray among them) rely. Arrays whose values are
+    written at the end are not in it before.
     """
-    progress, shown = root["attributes"]["progress"], {}
-    for file in sorted(path.glob(f"*/{_ROOT}")):
-        meta = json.loads(file.read_text())
-        if meta["node_type"] != "array":
-            continue
-        if (meta.get("dimension_names") or [""])[0] == "time":
-            meta["shape"][0] = progress["entries"]
-        elif not progress["complete"] and file.parent.name not in root["attributes"]["constants"]:
-            continue  # its values are written at the end
-        shown[file.parent.name] = meta
+    attributes, shown = root["attributes"], {}
+    for name in sorted(_results(metas)):
+        if _integrity.along_time(metas[name]):
+            shown[name] = metas[name] | {"shape": [attributes["progress"]["entries"], *metas[name]["shape"][1:]]}
+        elif name in attributes["digests"]["arrays"]:
+            shown[name] = metas[name]
     root = root | {"consolidated_metadata": {"kind": "inline", "must_understand": False, "metadata": shown}}
-    root["attributes"] = root["attributes"] | {"checksum": _integrity.checksum(root)}
+    root["attributes"] = attributes | {"checksum": _integrity.checksum(root)}
     file = path / f"{_ROOT}.partial"
-    with file.open("w") as f:
+    with file.open("w", encoding="utf-8") as f:
         f.write(json.dumps(root, indent=1))
         f.flush()
         os.fsync(f.fileno())
     file.rename(path / _ROOT)
     _sync(path)
+
+
+def _results(metas: Mapping[str, Any]) -> list[str]:
+    """The arrays of a store that readers see: all but the checkpoint and the checksums."""
+    return [name for name in metas if name != CHECKSUMS and not name.startswith(f"{CHECKPOINT}/")]
 
 
 def _sync(path: Path) -> None:
@@ -297,7 +439,7 @@ def _sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def _lock(path: Path) -> int | None:
+def _lock(path: Path) -> int:
     """Lock the store against a second run; the lock is released when the process ends, however it ends."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
@@ -312,25 +454,8 @@ def _lock(path: Path) -> int | None:
     return descriptor
 
 
-def differences(stored: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """The differences of two descriptions of a run, one line for each key."""
-    lines = []
-    for key in sorted(stored.keys() | now.keys()):
-        a, b = stored.get(key), now.get(key)
-        if isinstance(a, Mapping) and isinstance(b, Mapping):
-            lines += differences(a, b, f"{prefix}{key}.")
-        elif a != b:
-            lines.append(f"{prefix}{key} is {a!r} there and {b!r} here")
-    return lines
-
-
-def without_addresses(text: str) -> str:
-    """`text` without memory addresses, which differ from process to process."""
-    return re.sub(r" at 0x[0-9a-f]+", "", text)
-
-
 @contextlib.contextmanager
-def opened(path: Path, leader: bool) -> Any:
+def opened(path: Path, leader: bool) -> Iterator[Writer]:
     """A `Writer` of the store at `path`, closed at the end."""
     writer = Writer(path, leader)
     try:

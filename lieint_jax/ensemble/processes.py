@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
 import sys
@@ -46,6 +47,19 @@ def initialize(coordinator: str | None = None, count: int | None = None, index: 
             "first, how many there are, and which it is"
         ) from error
     _watch.start()
+    if _state().process_id == 0:
+        atexit.register(_end_last)  # before the shutdown that JAX has registered
+
+
+def _end_last() -> None:
+    """Wait until the other processes have disconnected, for one heartbeat at most.
+
+    This one runs the service from which they disconnect, and one that finds it gone ends in an abort of JAX.
+    """
+    limit = time.monotonic() + HEARTBEAT
+    with contextlib.suppress(Exception):  # no service any more: nothing to wait for
+        while set(_client().get_live_nodes(list(range(_number())))) > {0} and time.monotonic() < limit:
+            time.sleep(0.05)
 
 
 def leave(message: str) -> NoReturn:
@@ -135,14 +149,17 @@ _watch = _Watch()
 
 
 def _client() -> Any:
-    """The client of the coordination service, which JAX has no public name for; None without `initialize`."""
-    from jax._src.distributed import global_state
-
-    return global_state.client
+    """The client of the coordination service; None without `initialize`."""
+    return _state().client
 
 
 def _number() -> int:
     """The number of processes: `jax.process_count()` would wait for all devices."""
+    return _state().num_processes
+
+
+def _state() -> Any:
+    """What JAX has of this process among the others, for which it has no public name."""
     from jax._src.distributed import global_state
 
-    return global_state.num_processes
+    return global_state
