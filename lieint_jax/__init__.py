@@ -22,6 +22,7 @@ A system and a scheme make a step; a step makes everything else.
 | `studies`, `fitting`, `adjoints` | derivatives of whole runs, fits, ready studies |
 | `potentials`, `torques`, `orbits` | what acts on bodies |
 | `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
+| `cache_programs` | compiled programs on disk, for a quick start of the next process |
 
 `integrate` saves every step unless `save_every` says otherwise, `ensemble.run` the last one only.
 Attitudes are unit quaternions (w, x, y, z), body to space. Momenta are in space. Units are yours; all numbers must
@@ -44,6 +45,7 @@ from lieint_jax import (
     torques,
     types,
 )
+from lieint_jax._cache import cache_programs
 from lieint_jax._version import __version__
 from lieint_jax.integrate import Event, event, integrate, interpolate
 from lieint_jax.types import State, Step, StepInfo, Trajectory, pytree, static
@@ -56,6 +58,7 @@ __all__ = [
     "Trajectory",
     "__version__",
     "adjoints",
+    "cache_programs",
     "diagnostics",
     "ensemble",
     "event",

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
+import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -12,12 +16,50 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
+try:
+    from jax.extend.core import take_current_trace
+except ImportError:  # another JAX
+    take_current_trace = None
+
 UNIT_TOLERANCE = 1e-6
+_LARGEST_COUNT = 2**53  # beyond, counts are not exact as floating-point numbers
 
 
 def concrete(*trees: Any) -> bool:
     """True if every leaf is a concrete value, not a tracer."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
+
+
+def outermost() -> bool:
+    """True outside of jit, vmap, grad and all other transformations; False in a JAX that does not tell."""
+    if take_current_trace is None:
+        return False
+    with take_current_trace() as trace:
+        return type(trace).__name__ == "EvalTrace"
+
+
+def staged() -> bool:
+    """True inside a function that JAX traces whole, as jit does: there even operations on constants are recorded."""
+    return not outermost() and not concrete(jax.device_put(np.float32(0)))
+
+
+def at_once() -> contextlib.AbstractContextManager[None]:
+    """A context in which operations on concrete values are carried out, inside jit too.
+
+    Outside of jit they are anyway; there `jax.ensure_compile_time_eval` would only do harm: it compiles each constant
+    operation of a jitted function as a program of its own.
+    """
+    return jax.ensure_compile_time_eval() if staged() else contextlib.nullcontext()
+
+
+def as_array(value: Any, dtype: Any = None) -> Array:
+    """`jnp.asarray`, which would compile a program, also for numbers and lists."""
+    if isinstance(value, Array) or not concrete(value) or staged():
+        return jnp.asarray(value, dtype)
+    if dtype is None and isinstance(value, int | float | complex):
+        return jax.device_put(value)  # without a type of its own
+    host = np.array(value, dtype)  # a copy, for device_put may share the memory
+    return jax.device_put(host) if host.dtype.kind in "fiu" else jnp.asarray(value, dtype)
 
 
 def real_array(name: str, value: Any, *shapes: Sequence[int], finite: bool = True, like: Array | None = None) -> Array:
@@ -26,7 +68,7 @@ def real_array(name: str, value: Any, *shapes: Sequence[int], finite: bool = Tru
     Python numbers, which have no type of their own, take that of `like`.
     """
     try:
-        array = jnp.asarray(value, None if like is None or hasattr(value, "dtype") else like.dtype)
+        array = as_array(value, None if like is None or hasattr(value, "dtype") else like.dtype)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name} must be an array of real numbers, got {value!r}") from error
     if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
@@ -38,7 +80,10 @@ def real_array(name: str, value: Any, *shapes: Sequence[int], finite: bool = Tru
         raise ValueError(f"{name} must have shape {allowed}, got {array.shape}; use jax.vmap for batches")
     if finite and concrete(array) and not np.all(np.isfinite(array)):
         raise ValueError(f"{name} must be finite, got {np.asarray(array)}")
-    return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(jnp.result_type(float))
+    if jnp.issubdtype(array.dtype, jnp.floating):
+        return array
+    real = jnp.result_type(float)
+    return as_array(np.asarray(array), real) if concrete(array) else array.astype(real)
 
 
 def step_size(dt: Any) -> Any:
@@ -71,11 +116,90 @@ def time_resolution(t: Any, dt: Any, num_steps: int) -> None:
         )
 
 
+def function(name: str, given: Callable[..., Any], of: str, shape: tuple[int, ...], *arguments: Any) -> None:
+    """ValueError unless `given(*arguments)` has a real floating-point value of this shape.
+
+    Args:
+        name: of the function, for the message.
+        of: what it is a function of, for the message.
+        arguments: arrays, or their shapes and types: nothing is computed.
+    """
+    wanted = f"an array of real numbers of shape {shape}" if shape else "a real scalar"
+    try:
+        value = jax.eval_shape(given, *arguments)
+    except Exception as error:  # a user's function may raise anything
+        reason = f"{type(error).__name__}: {error}".partition("\n")[0]
+        raise ValueError(
+            f"{name} must be a function of {of}, which JAX can trace, with {wanted} as its value; it fails: {reason}"
+        ) from error
+    dtype = getattr(value, "dtype", None)
+    if dtype is None or value.shape != shape or not jnp.issubdtype(dtype, jnp.floating):
+        got = repr(value) if dtype is None else f"shape {value.shape} and dtype {dtype}"
+        raise ValueError(f"{name} must be a function of {of} with {wanted} as its value, got {got}")
+
+
 def count(name: str, value: Any, least: int) -> int:
-    """An integer ≥ `least`, as a Python int."""
+    """An integer ≥ `least`, as a Python int; at most 2⁵³, or 2³¹ − 1 where jax_enable_x64 is off."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ValueError(f"{name} must be an integer ≥ {least}, got {value!r}")
+    most = min(_LARGEST_COUNT, jnp.iinfo(jax.dtypes.canonicalize_dtype(np.int64)).max)
+    if value > most:
+        more = "" if most == _LARGEST_COUNT else " without jax_enable_x64"
+        raise ValueError(f"{name} must be at most {most:.16g}{more}, got {value:.6g}: give several runs")
     return int(value)
+
+
+def nearest_multiples(value: int, of: int) -> str:
+    """The positive multiples of a number that are nearest to `value`, in words: "120 or 144"."""
+    below = value - value % of
+    return f"{below} or {below + of}" if below > 0 else f"{of}"
+
+
+def memory_of_machine() -> float:
+    """The bytes of memory that this process can have: those of the machine, or of its container; inf if unknown."""
+    try:
+        bytes_ = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, OSError, ValueError):  # a system without sysconf, or without these names
+        return math.inf
+    for limit in ("memory.max", "memory/memory.limit_in_bytes"):  # of control groups, versions 2 and 1
+        try:
+            bytes_ = min(bytes_, float(Path("/sys/fs/cgroup", limit).read_text()))
+        except (OSError, ValueError):  # no such file, or "max"
+            continue
+    return bytes_
+
+
+def entry_size(state: Any, members: int = 1) -> int:
+    """The bytes of one saved entry: the arrays of `state`, and a residual and a flag for each member."""
+    leaves = jax.tree.leaves(state)
+    return sum(x.size * x.dtype.itemsize for x in leaves) + members * (leaves[0].dtype.itemsize + 1)
+
+
+def fits_memory(entries: int, size: int, advice: str, copies: int = 1) -> None:
+    """ValueError, before anything is allocated, if a result of `entries` of `size` bytes exceeds this machine's memory.
+
+    Args:
+        entries: their number.
+        size: the bytes of one.
+        advice: what to do instead.
+        copies: how many times the result is held while it is made.
+    """
+    memory = memory_of_machine()
+    if copies * entries * size > memory:
+        twice = f", {copies} times while it is made" if copies > 1 else ""
+        raise ValueError(
+            f"the result would hold {spoken_size(entries * size)} in memory{twice}: {entries} entries of "
+            f"{spoken_size(size)}, and this machine has {spoken_size(memory)}; {advice}"
+        )
+
+
+def spoken_size(size: float) -> str:
+    """A number of bytes, to print."""
+    for unit in ("bytes", "kB", "MB", "GB", "TB"):
+        if size < 1000 or unit == "TB":
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    raise AssertionError
 
 
 def fraction(name: str, value: Any) -> Array:
@@ -153,8 +277,8 @@ def unit_quaternion(name: str, value: Any) -> Array:
         norm = float(np.linalg.norm(np.asarray(q, float)))
         if abs(norm - 1) > UNIT_TOLERANCE:
             raise ValueError(
-                f"{name} must be a unit quaternion (w, x, y, z): its norm is {norm:.9g}, allowed is 1 ± "
-                f"{UNIT_TOLERANCE:g}; divide it by its norm if it is meant as a direction"
+                f"{name} must be a unit quaternion (w, x, y, z), the scalar part first: its norm is {norm:.9g}, "
+                f"allowed is 1 ± {UNIT_TOLERANCE:g}; divide it by its norm if it is meant as a direction"
             )
     return q
 

@@ -28,8 +28,7 @@ from lieint_jax.types import pytree
 EARTH_GM = 398600.4418  # the Earth's gravitational parameter in km³/s², IERS Conventions 2010
 
 _Function = Callable[[Array], Array]
-_CORRECTIONS = 3  # of Halley on an ellipse: 2 suffice for all E
-_HYPERBOLIC_CORRECTIONS = 5  # of Halley on a hyperbola
+_CORRECTIONS = 3  # by Halley's method: 2 suffice for all E, on ellipses and on hyperbolas
 _GRADINGS, _PARTS = 4, 16  # passes of `graded_times`, and parts of a step in its sums
 _CUBIC = [1 / math.factorial(2 * k + 3) for k in range(9)]  # (sinh E − E)/E³ = Σ E^{2k}/(2k+3)!
 
@@ -52,9 +51,11 @@ class Kepler:
 
     @property
     def mean_motion(self) -> Array:
-        """n = √(μ/|a|³), in radians per unit of time; the period of an ellipse is 2π/n."""
-        a = jnp.abs(self.semi_major_axis)
-        return jnp.sqrt(self.mu / a) / a
+        """n = √(μ/|a|³), in radians per unit of time; the period of an ellipse is 2π/n; NaN for no orbit."""
+        a, e = self.semi_major_axis, self.eccentricity
+        exists = (self.mu > 0) & ((a > 0) & (e >= 0) & (e < 1) | (a < 0) & (e > 1))
+        size = jnp.where(exists, jnp.abs(a), jnp.nan)
+        return jnp.sqrt(self.mu / size) / size
 
     def __call__(self, t: ArrayLike) -> tuple[Array, Array]:
         """Position (3,) and velocity (3,) at time t, a scalar of either sign."""
@@ -93,6 +94,8 @@ def kepler(
 ) -> Kepler:
     """The orbit of a body about a centre of attraction at the origin.
 
+    Traced elements are not checked here. Where they belong to no orbit, positions and velocities are NaN.
+
     The position is right to 1e-13 of the radius for e ≤ .9 and to 1e-12 for e = .99 and 1.01, beside the rounding of
     the mean anomaly n(t − T) itself, eps·n|t − T|. All elements can be differentiated, vmapped and traced.
 
@@ -127,10 +130,7 @@ def kepler(
     elements = {name: _checks.real_array(name, value, ()) for name, value in given.items()}
     dtype = jnp.result_type(*elements.values())
     elements = {name: value.astype(dtype) for name, value in elements.items()}
-    if concrete(elements["mu"]) and not float(elements["mu"]) > 0:
-        raise ValueError(f"mu must be positive, got {float(elements['mu'])}")
-    if concrete(elements["semi_major_axis"], elements["eccentricity"]):
-        _check_shape(float(elements["semi_major_axis"]), float(elements["eccentricity"]))
+    _check_elements(*(float(np.asarray(x)) if concrete(x) else None for x in (mu, semi_major_axis, eccentricity)))
     return Kepler(**elements)
 
 
@@ -171,10 +171,19 @@ def graded_times(
     return times
 
 
-def _check_shape(a: float, e: float) -> None:
+def _check_elements(mu: float | None, a: float | None, e: float | None) -> None:
+    """ValueError if the elements that are no tracers, which are None here, belong to no orbit."""
+    if mu is not None and not mu > 0:
+        raise ValueError(f"mu must be positive, got {mu}")
+    if a == 0:
+        raise ValueError("semi_major_axis must not be 0: it is > 0 for an ellipse and < 0 for a hyperbola")
+    if e is None:
+        return
     if e == 1:
-        raise ValueError("eccentricity must not be 1: a parabola has no semi-major axis; take e a little off 1")
-    if not (a > 0 and 0 <= e < 1) and not (a < 0 and e > 1):
+        raise ValueError("eccentricity must not be 1: a parabola has no semi-major axis; use an e slightly off 1")
+    if e < 0:
+        raise ValueError(f"eccentricity must be ≥ 0, got {e}")
+    if a is not None and (a > 0) != (e < 1):
         raise ValueError(
             f"an ellipse has semi_major_axis > 0 and 0 ≤ eccentricity < 1, a hyperbola semi_major_axis < 0 and "
             f"eccentricity > 1, got {a} and {e}"
@@ -203,9 +212,9 @@ def _slope(E: Array, e: Array, rest: Array, sine: _Function) -> Array:
     return rest + 2 * e * sine(E / 2) ** 2
 
 
-def _halley(E: Array, m: Array, e: Array, rest: Array, sine: _Function, less: _Function, corrections: int) -> Array:
+def _halley(E: Array, m: Array, e: Array, rest: Array, sine: _Function, less: _Function) -> Array:
     """Corrections of E as a root of rest·E + e·less(E) = m, with less(E) = E − sin E or sinh E − E."""
-    for _ in range(corrections):
+    for _ in range(_CORRECTIONS):
         f = rest * E + e * less(E) - m
         slope, bend = _slope(E, e, rest, sine), e * sine(E)
         E = E - 2 * f * slope / (2 * slope * slope - f * bend)
@@ -222,7 +231,7 @@ def _elliptic_anomaly(M: Array, e: Array) -> Array:
     r = 3 * alpha * d * (d - rest) * m + m**3
     w = jnp.cbrt(r + jnp.sqrt(jnp.maximum(q**3 + r * r, 0))) ** 2
     E = (2 * r * w / (w * w + w * q + q * q) + m) / d
-    E = _halley(E, m, e, rest, jnp.sin, _less_sine, _CORRECTIONS)
+    E = _halley(E, m, e, rest, jnp.sin, _less_sine)
     return jnp.where(M < 0, -E, E)
 
 
@@ -246,7 +255,7 @@ def _hyperbolic_anomaly(M: Array, e: Array) -> Array:
     w = jnp.cbrt(s + jnp.sqrt(s * s + p**3))
     cubic = 2 * s / (w * w + p + (p / w) ** 2)
     E = jnp.minimum(cubic, jnp.arcsinh((m + cubic) / e))
-    E = _halley(E, m, e, rest, jnp.sinh, _sinh_less, _HYPERBOLIC_CORRECTIONS)
+    E = _halley(E, m, e, rest, jnp.sinh, _sinh_less)
     return jnp.where(M < 0, -E, E)
 
 

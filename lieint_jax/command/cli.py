@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import codecs
+import contextlib
+import io
 import sys
+import threading
+import unicodedata
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -25,9 +31,15 @@ _EPILOG = """examples:
   lieint figure 1 2 3 --out figures        the paper's figures
 """
 
+_NAME = 100  # the most characters of a file's name in a message
+_WAIT = 5.0  # seconds of silence while the processes of a run connect
+_PLAIN = {"·": "*", "×": "x", "÷": "/", "−": "-", "–": "-", "—": "-", "→": "->", "↦": "->"}
+_PLAIN |= {"≤": "<=", "≥": ">=", "≈": "~", "±": "+-", "°": "deg", "‖": "||", "½": "1/2"}
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; return 0 on success, 2 with one line on stderr for an error that the user can correct."""
+    _print_everywhere()
     options = _parser().parse_args(arguments)
     import jax
 
@@ -41,13 +53,52 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output has stopped, as in `lieint … | head`
         sys.stderr.close()
         return 1
-    except (ValueError, OSError) as error:
-        print(f"lieint: {error}", file=sys.stderr)
+    except (ValueError, OSError, MemoryError) as error:
+        print(f"lieint: {_sentence(error)}", file=sys.stderr)
+        return 2
+    except jax.errors.JaxRuntimeError as error:
+        if "RESOURCE_EXHAUSTED" not in str(error):
+            raise
+        print(f"lieint: {_sentence(MemoryError())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt as stop:
         print(f"lieint: {stop if str(stop) else 'interrupted'}", file=sys.stderr)
         return 130
     return 0
+
+
+def _sentence(error: Exception) -> str:
+    """The message of an error in one line."""
+    if isinstance(error, MemoryError):
+        return f"not enough memory: {str(error) or 'fewer members, or a larger save_every, need less'}"
+    if isinstance(error, OSError) and error.strerror:
+        names = [str(name) for name in (error.filename, error.filename2) if name is not None]
+        short = [name if len(name) <= _NAME else f"{name[:_NAME]}…" for name in names]
+        return ": ".join([" → ".join(short), error.strerror] if short else [error.strerror])
+    return " ".join(str(error).split("\n"))
+
+
+def _print_everywhere() -> None:
+    """Print to terminals and files of any encoding: what one does not have is written in plain letters."""
+    codecs.register_error("lieint", _spelled)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="lieint")
+
+
+def _spelled(error: UnicodeError) -> tuple[str, int]:
+    """What is printed in place of characters that cannot be encoded, and where printing goes on."""
+    assert isinstance(error, UnicodeEncodeError)
+    return "".join(map(_plain, error.object[error.start : error.end])), error.end
+
+
+def _plain(character: str) -> str:
+    """A character in ASCII: "pi" of π, "..." of …, "?" of what has no like."""
+    name = unicodedata.name(character, "")
+    if name.startswith("GREEK "):
+        letter = name.split()[-1]
+        return letter.capitalize() if "CAPITAL" in name else letter.lower()
+    return _PLAIN.get(character) or unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode() or "?"
 
 
 class _Parser(argparse.ArgumentParser):
@@ -86,6 +137,8 @@ def _add_run(commands: Any) -> None:
     run.add_argument("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
     run.add_argument("--save-at", type=Path, metavar="FILE", help="save states at the times in FILE, one a line")
     run.add_argument("--resume", action="store_true", help="go on with the run in PATH.zarr; start it if there is none")
+    run.add_argument("--no-certificate", action="store_true", help="do not measure what the scheme conserves")
+    run.add_argument("--no-pictures", action="store_true", help="draw none; lieint plot PATH draws them later")
     run.add_argument("--devices", type=_positive, metavar="N", help="devices to use; on a CPU, if not told, one a core")
     run.add_argument("--distributed", action="store_true", help="one of many processes, as srun or mpirun start them")
     run.add_argument("--coordinator", metavar="HOST:PORT", help="with --distributed and no srun: the first process")
@@ -175,7 +228,8 @@ def _run(options: argparse.Namespace) -> None:
     if options.devices or not options.distributed:
         ensemble.want_devices(options.devices)
     if options.distributed:
-        processes.initialize(*apart)
+        with _announced(f"waiting for the processes of this run{_at(options)} to connect"):
+            processes.initialize(*apart)
     try:
         report.run(
             options.scenario,
@@ -185,9 +239,27 @@ def _run(options: argparse.Namespace) -> None:
             options.devices,
             options.resume,
             options.save_at,
+            certificate=not options.no_certificate,
+            pictures=not options.no_pictures,
         )
     except processes.LostProcess as error:
         processes.leave(f"lieint: {error}")
+
+
+def _at(options: argparse.Namespace) -> str:
+    return f" at {options.coordinator}, {options.processes} in all," if options.coordinator else ""
+
+
+@contextlib.contextmanager
+def _announced(what: str) -> Iterator[None]:
+    """A context that reports on stderr what is being waited for, if that lasts longer than `_WAIT`."""
+    timer = threading.Timer(_WAIT, lambda: print(f"lieint: {what} …", file=sys.stderr, flush=True))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _list(_: argparse.Namespace) -> None:

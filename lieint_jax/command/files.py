@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -12,12 +11,9 @@ from typing import Any
 import numpy as np
 
 from lieint_jax import plots
-from lieint_jax.ensemble import _store
-from lieint_jax.ensemble._leaves import named, state_of
-from lieint_jax.types import StepInfo, Trajectory
-
-SUFFIXES = (".npz", ".zarr")
-_TIME = "state.t"  # in an .npz, where t is the time of the trajectory
+from lieint_jax.ensemble import _opening, _reading
+from lieint_jax.ensemble._leaves import named
+from lieint_jax.types import Trajectory
 
 
 def free(path: Path, kinds: Iterable[str] = (), resume: bool = False) -> Path:
@@ -25,12 +21,14 @@ def free(path: Path, kinds: Iterable[str] = (), resume: bool = False) -> Path:
 
     With `resume`, a .zarr may exist.
     """
-    if path.suffix not in SUFFIXES:
+    if path.suffix not in _opening.SUFFIXES:
         raise ValueError(f"results are written as .npz or .zarr, got {path}")
     if resume and path.suffix != ".zarr":
         raise ValueError(f"only a run written as .zarr can be resumed, got {path}")
     found = [] if resume else [path]
     for file in (*found, *(pictures(path, kinds) if path.suffix == ".npz" else [])):
+        if file.is_symlink() and not file.exists():
+            raise ValueError(f"{file} is a link to nothing; move it away or choose another --out")
         if file.exists():
             more = "; resume continues it" if file.suffix == ".zarr" else ""
             raise ValueError(f"{file} exists and is not overwritten; move it away or choose another --out{more}")
@@ -73,7 +71,7 @@ def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:
     arrays = named(trajectory.state)
     if "t" in arrays:
         t = np.asarray(arrays.pop("t"))
-        arrays[_TIME] = t[:, :1] if (t == t[:, :1]).all() else t
+        arrays[_opening.TIME] = t[:, :1] if (t == t[:, :1]).all() else t
     with path.open("xb") as file:
         np.savez(
             file,
@@ -93,26 +91,10 @@ def load(path: Path) -> tuple[Any, dict[str, Any]]:
     Raises:
         ValueError: a damaged store, and then which file, and what can still be read; or no file of results.
     """
-    if not path.exists():
-        named = path if path.suffix in SUFFIXES else path.with_suffix(".npz")
-        raise ValueError(f"there is no file {path}; lieint run NAME --out {named} writes one")
     if path.suffix == ".zarr":
-        _store.check(path)
-        return _store.load(path)
-    if path.is_dir():
-        raise ValueError(f"{path} is a folder without results; give a file NAME.npz or a store NAME.zarr")
-    try:
-        if not zipfile.is_zipfile(path):  # numpy would advise to allow pickles
-            raise zipfile.BadZipFile("it is no npz archive")
-        with np.load(path, allow_pickle=False) as f:
-            arrays = {name: f[name] for name in f.files if name in ("q", "p", "work") or name.startswith("extra.")}
-            if _TIME in f:
-                arrays["t"] = np.broadcast_to(f[_TIME], arrays["p"].shape[:2])
-            info = StepInfo(f["residual"], f["converged"])
-            return Trajectory(f["t"], state_of(arrays), info), json.loads(str(f["metadata"]))
-    except (ValueError, KeyError, TypeError, zipfile.BadZipFile, EOFError) as error:
-        reason = "it holds Python objects" if "allow_pickle" in str(error) else error
-        raise ValueError(f"{path} is no file of results that lieint wrote, or is damaged: {reason}") from error
+        return _reading.load(path)
+    found = _opening.archive(path)
+    return _opening.run_of(found), found.metadata
 
 
 def numbers(path: Path) -> list[float]:

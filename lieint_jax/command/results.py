@@ -13,6 +13,7 @@ import numpy as np
 from lieint_jax import plots, scenarios
 from lieint_jax.command import files, pictures
 from lieint_jax.command.pictures import StoredRun
+from lieint_jax.ensemble._opening import UnreadableError, check_system
 from lieint_jax.ensemble._reading import system_of
 from lieint_jax.scenarios._common import POINTS, Common
 from lieint_jax.types import Step, Trajectory, energy_less_work
@@ -37,19 +38,20 @@ def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
     plain = files.in_folder(path, out)
     scenario = _scenario(path, metadata)
     if scenario and scenario.save_at is None and isinstance(run, Trajectory):
-        drawn = _plot_scenario(scenario, run, plain, force)
+        drawn = _plot_scenario(scenario, run, path, plain, force)
     else:
         drawn = _plot_any(stored_run(path, run, metadata), contents(path, run, metadata), plain, force)
     print(f"\nwritten: {', '.join(map(str, drawn))}")
 
 
-def _plot_scenario(scenario: Common, run: Trajectory, plain: Path, force: bool) -> list[Path]:
+def _plot_scenario(scenario: Common, run: Trajectory, path: Path, plain: Path, force: bool) -> list[Path]:
     kind, members = scenarios.kind(scenario), scenario.members
     files.free_pictures(files.pictures(plain, kind.PICTURES), force)
     shown = slice(_shown(run))
     run = Trajectory(run.t, *jax.tree.map(lambda x: x[:, shown], (run.state, run.info)))
     changes = {"steps": (len(run.t) - 1) * scenario.save_every, "members": run.state.p.shape[1]}
     step = scenarios.build_first(scenario, changes["members"])
+    check_system(path, step.system, run, scenarios.step_axis(scenario) == 0)
     scenario = scenario.model_copy(update=changes)
     print(headline(scenario, step))
     if scenario.members < members:
@@ -88,8 +90,14 @@ def _times(run: Any) -> Any:
 
 def _scenario(path: Path, metadata: dict[str, Any]) -> Any:
     """The scenario of results, or None if they have none of `lieint run`."""
-    table = metadata.get("scenario", {})
+    table = _table(metadata)
     return scenarios.stored(table, str(path)) if "system" in table else None
+
+
+def _table(metadata: dict[str, Any]) -> dict[str, Any]:
+    """The keys of the scenario of results; none if they have none, or one that is of other software."""
+    table = metadata.get("scenario")
+    return table if isinstance(table, dict) else {}
 
 
 def _title(path: Path, metadata: dict[str, Any]) -> str:
@@ -103,29 +111,39 @@ def stored_run(path: Path, run: Any, metadata: dict[str, Any]) -> StoredRun:
     """A run with its system, which a store has, or else its scenario; ValueError if the system is not known."""
     scenario = None if "description" in metadata else _scenario(path, metadata)
     if scenario:
-        step, own_system = scenarios.build_first(scenario, run.state.p.shape[1]), scenarios.step_axis(scenario) == 0
-        return StoredRun(scenario.title, scenario.time_unit, step.system, run, own_system)
-    if "run" not in metadata:
+        system = scenarios.build_first(scenario, run.state.p.shape[1]).system
+        title, own_system = scenario.title, scenarios.step_axis(scenario) == 0
+    elif "run" in metadata:
+        system, title, own_system = system_of(path, metadata), _title(path, metadata), metadata["run"]["step_axis"] == 0
+    else:
         raise ValueError(f"{path} holds neither a scenario nor the numbers of its system")
-    own_system = metadata["run"]["step_axis"] == 0
-    unit = metadata.get("time_unit", "")
-    return StoredRun(_title(path, metadata), "" if unit == "1" else unit, system_of(path, metadata), run, own_system)
+    if isinstance(run, Trajectory):
+        check_system(path, system, run, own_system)
+    return StoredRun(title, _time_unit(metadata), system, run, own_system)
+
+
+def _time_unit(metadata: dict[str, Any]) -> str:
+    """The unit of a run's times; empty if it has none."""
+    unit = str(metadata.get("time_unit") or _table(metadata).get("time_unit", ""))
+    return "" if unit == "1" else unit
 
 
 def contents(path: Path, run: Any = None, metadata: Any = None) -> str:
     """A description of a file of results, in lines."""
     if run is None:
         run, metadata = files.load(path)
-    lines = [str(metadata.get("title") or metadata.get("scenario", {}).get("title", path)), *_origin(run, metadata)]
+    lines = [str(metadata.get("title") or _table(metadata).get("title", path)), *_origin(run, metadata)]
     t = _times(run)
     if not len(t):
         return "\n".join(lines)
-    lines.append(f"  t = {t[0]:.6g} … {t[-1]:.6g}")
+    lines.append(f"  t = {t[0]:.6g} … {t[-1]:.6g} {_time_unit(metadata)}".rstrip())
     if not isinstance(run, Trajectory):
-        return "\n".join([*lines, *_changes(run)])
+        return "\n".join([*lines, *_changes(run, metadata["reduce"])])
     if len(t) > 1:
         try:
             lines += _kept(stored_run(path, run, metadata))
+        except UnreadableError:
+            raise
         except ValueError as unknown:
             lines.append(f"  energies are not computed: {unknown}")
     return "\n".join(lines)
@@ -135,24 +153,28 @@ def _origin(run: Any, metadata: dict[str, Any]) -> list[str]:
     """What was run, how far it has come, and by which versions."""
     progress = metadata.get("progress")
     if not progress:
-        return [f"  {run.state.p.shape[1]} member(s), {len(run.t)} entries; lieint_jax {metadata['lieint_jax']}"]
+        return [
+            f"  {run.state.p.shape[1]} member(s), {len(run.t)} entries; lieint_jax {metadata.get('lieint_jax', '?')}"
+        ]
     planned, dt = metadata["num_steps"], metadata["dt"]
-    sizes = "between given times" if dt is None else f"of {dt:.6g}"
+    sizes = "between given times" if dt is None else f"of {dt:.6g} {_time_unit(metadata)}".rstrip()
     entries = metadata.get("num_entries") or planned // metadata["save_every"] + 1
     state = "complete" if progress["complete"] else f"{progress['steps']} of {planned} steps; --resume goes on"
     versions = ", ".join(f"{name} {version}" for name, version in metadata["run"]["versions"].items())
+    written = metadata["run"]
+    how = "machine code" if written.get("engine") == "native" else f"XLA, {written['compiler_options']}"
     return [
         f"  {metadata['scheme']} · {metadata['system']}, {metadata['members']} member(s), {planned} steps {sizes}",
         f"  {state}: {len(_times(run))} of {entries} entries",
-        f"  written by {versions} on {metadata['run']['device']}, {metadata['run']['compiler_options']}",
+        f"  written by {versions} on {written['device']}, {how}",
     ]
 
 
-def _changes(series: dict[str, np.ndarray]) -> list[str]:
-    """The range of a reduced quantity's change."""
-    least, greatest, mean = np.nanmin(series["least"]), np.nanmax(series["greatest"]), np.nanmean(series["mean"])
+def _changes(series: dict[str, np.ndarray], quantity: str) -> list[str]:
+    """The range of the change of a reduced quantity."""
+    least, greatest, mean = series["least"].min(), series["greatest"].max(), series["mean"].mean()
     return [
-        f"  change: least {least:.3g}, greatest {greatest:.3g}, mean {mean:.3g}",
+        f"  change of {quantity} since the start: least {least:.3g}, greatest {greatest:.3g}, mean {mean:.3g}",
         f"  largest residual {series['residual'].max():.2g}; unconverged members {series['unconverged'].max()}",
     ]
 
@@ -170,8 +192,9 @@ def _kept(stored: StoredRun) -> list[str]:
         failed += int((~np.asarray(run.info.converged[:, part])).any(axis=0).sum())
     what = "energy" if run.state.work is None else "energy less work"
     relative = f" ({worst / size:.2g} of the largest energy)" if size else ""
+    looked = f"at {len(times)} of {len(run.t)} saved times"
     return [
-        f"  largest change of {what}, all members, at {len(times)} saved times: {worst:.2g}{relative}",
+        f"  largest change of {what}, all members, {looked}: {worst:.2g} in the run's units{relative}",
         f"  {int(count - failed)} of {count} members converged at every step",
     ]
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import jax
 
 from lieint_jax import _discover, plots, studies
 from lieint_jax._version import __version__
 from lieint_jax.command import files, trees
+from lieint_jax.ensemble import _opening
 
 
 def found() -> dict[str, ModuleType]:
@@ -43,8 +45,7 @@ def wrote(path: Path) -> bool:
 
 def info(path: Path) -> str:
     """What a file of a study's results holds, in lines."""
-    metadata = trees.metadata(path)
-    assert metadata is not None
+    metadata = _metadata(path)
     title = (_named(metadata["study"]).__doc__ or "").splitlines()[0]
     small = ", a small one (--quick)" if metadata["quick"] else ""
     return f"{title}\n  study {metadata['study']}{small}; lieint_jax {metadata['lieint_jax']}, jax {metadata['jax']}"
@@ -52,14 +53,24 @@ def info(path: Path) -> str:
 
 def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
     """Report on the results of a study and draw them again; for `out` and `force` see `results.plot`."""
-    metadata = trees.metadata(path)
-    assert metadata is not None
-    study, plain = _named(metadata["study"]), files.in_folder(path, out)
+    name = _metadata(path)["study"]
+    study, plain = _named(name), files.in_folder(path, out)
     files.free_pictures(_pictures(plain), force)
     result = trees.load(path)
-    print(study.text(result))
-    drawn = plots.save(study.draw(result), plain.with_suffix(".png"))
+    with _opening.reading(path, f"holds no result of the study {name}"):
+        text, figure = study.text(result), study.draw(result)
+    print(text)
+    drawn = plots.save(figure, plain.with_suffix(".png"))
     print(f"\nwritten: {', '.join(map(str, drawn))}")
+
+
+def _metadata(path: Path) -> dict[str, Any]:
+    """The metadata of a file of a study's results."""
+    found = trees.metadata(path) or {}
+    missing = {"study", "quick", "lieint_jax", "jax"} - set(found)
+    if missing:
+        raise ValueError(f"{path} is no file of a study that lieint wrote, or is damaged: it has no {min(missing)}")
+    return found
 
 
 def _pictures(path: Path) -> list[Path]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import jax
 import numpy as np
 
 from lieint_jax import scenarios
+from lieint_jax.ensemble import _opening
 from lieint_jax.scenarios._common import Common
 
 _PACKAGE = __name__.partition(".")[0]
@@ -36,11 +36,10 @@ def save(path: Path, tree: Any, metadata: dict[str, Any]) -> None:
 def metadata(path: Path) -> dict[str, Any] | None:
     """The metadata of a tree that `save` wrote; None for any other file or folder."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            found = json.loads(str(file["metadata"]))
-    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, EOFError):
+        found = _opening.archive(path).metadata
+    except (ValueError, OSError):
         return None
-    return found if isinstance(found, dict) and "tree" in found else None
+    return found if "tree" in found else None
 
 
 def load(path: Path) -> Any:
@@ -49,20 +48,10 @@ def load(path: Path) -> Any:
     Raises:
         ValueError: no such file, damaged, or of a form that this version of the package does not have.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return _decoded(json.loads(str(file["metadata"]))["tree"], dict(file))
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        ImportError,
-        zipfile.BadZipFile,
-        EOFError,
-    ) as error:
-        raise ValueError(f"{path} holds no tree that this version of lieint_jax can read: {error}") from error
+    found = _opening.archive(path)
+    arrays = found.read(*found.headers)
+    with _opening.reading(path, "holds no tree that this version of lieint_jax can read"):
+        return _decoded(found.metadata["tree"], arrays)
 
 
 def _encoded(value: Any, at: str, arrays: dict[str, np.ndarray]) -> Any:

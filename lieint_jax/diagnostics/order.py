@@ -11,9 +11,11 @@ from jax import Array, lax
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
+from lieint_jax._checks import as_array, concrete
 from lieint_jax._numerics import collocation
 from lieint_jax.diagnostics import _runs
 from lieint_jax.types import PhaseSpace, State, Step, System, clock, time_derivative
+from lieint_jax.types._compiled import compiled
 
 _STAGES, _ITERATIONS = 8, 24
 
@@ -28,7 +30,7 @@ def flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
     return _flow(system, state, t, num_steps)
 
 
-@partial(jax.jit, static_argnums=3)
+@partial(compiled, static_argnums=3)
 def _flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
     z0, unravel = ravel_pytree(state)
     _, A, b = (jnp.asarray(x, z0.dtype) for x in collocation.gauss(_STAGES))
@@ -75,7 +77,7 @@ def fitted_order(step: Step, state: State, dt: float, num_steps: int, most: int)
     end = None if step.own_time else exact(T)
 
     def look(n: int) -> None:
-        run = _runs.run(step, state, jnp.asarray(T / n, dtype), n, most)
+        run = _runs.run(step, state, as_array(T / n, dtype), n, most)
         last = _runs.last(run)
         error = float(_apart(step, last, exact(clock(last) - clock(state)) if end is None else end))
         if error > floor and run.info.converged.all():
@@ -86,7 +88,7 @@ def fitted_order(step: Step, state: State, dt: float, num_steps: int, most: int)
     n = num_steps
     while len(seen) < 2 and n > 1:
         n //= 2
-        if not _runs.run(step, state, jnp.asarray(T / n, dtype), 1, most).info.converged[1]:
+        if not _runs.run(step, state, as_array(T / n, dtype), 1, most).info.converged[1]:
             break
         look(n)
     if len(seen) < 2:
@@ -94,7 +96,7 @@ def fitted_order(step: Step, state: State, dt: float, num_steps: int, most: int)
     return float(np.polyfit(np.log(np.abs(list(seen))), np.log(list(seen.values())), 1)[0])
 
 
-@jax.jit
+@partial(compiled, once=True)
 def _apart(step: Step, a: State, b: State) -> Array:
     return distance(a, b, step.system.phase_space)
 
@@ -131,5 +133,6 @@ def reversibility(step: Step, state: State, dt: ArrayLike) -> Array:
 
 def shown_reversibility(step: Step, state: State, dt: Array, most: int) -> Array:
     """`reversibility` of what is checked, by the program of runs of up to `most` steps."""
+    back = as_array(-np.asarray(dt)) if concrete(dt) else -dt
     there = _runs.last(_runs.run(step, state, dt, 1, most))
-    return _apart(step, _runs.last(_runs.run(step, there, -dt, 1, most)), state)
+    return _apart(step, _runs.last(_runs.run(step, there, back, 1, most)), state)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 from typing import Literal, get_args
 
-import jax
 import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
@@ -14,6 +13,7 @@ from lieint_jax import _checks
 from lieint_jax.diagnostics.symplectic import linearization
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.types import DampedBody, Forced, RightGeodesicFlow, State, Step, TorquedBody
+from lieint_jax.types._compiled import compiled
 
 _Method = Literal["recursion", "product"]
 _OTHERS = (Forced, RightGeodesicFlow, TorquedBody, DampedBody)  # than left-invariant systems without potential
@@ -57,7 +57,7 @@ def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, metho
     return _recursion(step, state, dt, num_steps)
 
 
-@partial(jax.jit, static_argnums=3)
+@partial(compiled, static_argnums=3)
 def _recursion(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:
     """σ_n by (5.36), shape (num_steps+1, d, d)."""
     space = step.system.phase_space
@@ -75,7 +75,7 @@ def _recursion(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array
     return jnp.concatenate([0 * one[None], sigma])
 
 
-@partial(jax.jit, static_argnums=3)
+@partial(compiled, static_argnums=3)
 def _whole(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:
     """P_n − ω⁻¹(z_n), shape (num_steps+1, 2d, 2d)."""
     space = step.system.phase_space

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Sequence
-from typing import Any
-
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import kernel, three
-from lieint_jax.groups import so3
+from lieint_jax._numerics import three
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree
-
-_FEW = 6  # pairs that are written out one by one, which XLA fuses better
 
 
 @pytree
@@ -43,18 +36,12 @@ class MacCullagh(Potential):
 
     def force(self, x: Array, R: Array) -> Array:
         """The forces −∂V/∂x and the torques −∂V(exp(δ̂)R)/∂δ, (N, 6), six times as fast as the derivative of V."""
-        if kernel.inside() and len(self._pairs[0]) <= _FEW:
-            rows = _over_pairs(list(x), lambda i, j: self._on_both(i, j, x[j] - x[i], [R[i], R[j]]))
-            return jnp.stack([jnp.stack(row) for row in rows])
-        return self._on_all(x, R)
-
-    def _on_all(self, x: Array, R: Array) -> Array:
-        """The forces and torques with an axis of pairs, seen from one end and then from the other."""
         (i, j), m, trace = self._pairs, self.masses, self._traces
+        # an axis of pairs, seen from one end and then from the other
         here, there = np.concatenate([i, j]), np.concatenate([j, i])
         d = (x[j] - x[i]).T
         own, arms = _seen(self._entries(here), tuple(_twice(d)), jnp.moveaxis(R[here], 0, -1))
-        along, *arm = (sum(jnp.split(m[there] * y, 2)) for y in (own, *arms))
+        along, *arm = (jnp.sum((m[there] * y).reshape(2, -1), axis=0) for y in (own, *arms))
         f, third = _pull(self.G, m[i] * m[j], m[j] * trace[i] + m[i] * trace[j], tuple(d), along, tuple(arm))
         f = jnp.stack(three.once(f))
         torque = jnp.stack(three.scale(m[there] * _twice(third), three.cross(tuple(_twice(d)), arms)))
@@ -62,37 +49,8 @@ class MacCullagh(Potential):
         of_each = np.argsort(here, kind="stable").reshape(self.count, -1)
         return rows if self.count == 2 else jnp.sum(rows[of_each], axis=1)
 
-    def forces(self, x: Sequence[three.Vector], q: Sequence[Sequence[Array]]) -> list[Any]:
-        """Of few bodies with unit quaternions, number by number: the force and, in the body's axes, the torque."""
-
-        def on_both(i: int, j: int) -> list[Any]:
-            d = three.subtract(x[j], x[i])
-            seen = [_seen_by(self._entries(n), d, q[n]) for n in (i, j)]
-            pulls, weights = self._pulls(i, j, d, [(own, arm) for own, arm, _ in seen])
-            return [(*f, *three.scale(w, torque)) for f, w, (*_, torque) in zip(pulls, weights, seen, strict=True)]
-
-        return _over_pairs(x, on_both)
-
-    def _on_both(self, i: Any, j: Any, d: three.Vector, rotations: Sequence[three.Matrix]) -> list[Any]:
-        """The force and the torque on either body of a pair, six components each, for two numbers or for k pairs."""
-        seen = [_seen(self._entries(n), d, R) for n, R in zip((i, j), rotations, strict=True)]
-        pulls, weights = self._pulls(i, j, d, seen)
-        return [(*f, *three.scale(w, three.cross(d, arm))) for f, w, (_, arm) in zip(pulls, weights, seen, strict=True)]
-
-    def _pulls(self, i: Any, j: Any, d: three.Vector, seen: Sequence[Any]) -> tuple[list[three.Vector], list[Array]]:
-        """The forces on both, and for both 3G m/r⁵, m the other's mass.
-
-        With Γ·JΓ and ΛJΓ of both: f_i = −f_j = G[…]d/r³ + a_i + a_j, a = (3G/r⁵) m ΛJΓ, and the torques are d × a.
-        """
-        m, trace = self.masses, self._traces
-        (own_i, arm_i), (own_j, arm_j) = seen
-        arm = three.add(three.scale(m[j], arm_i), three.scale(m[i], arm_j))
-        masses, traces = m[i] * m[j], m[j] * trace[i] + m[i] * trace[j]
-        f, third = _pull(self.G, masses, traces, d, m[j] * own_i + m[i] * own_j, arm)
-        return [f, three.scale(-1, f)], [m[j] * third, m[i] * third]
-
-    def _entries(self, n: Any) -> three.Symmetric:
-        """The inertia of a body, or of k of them."""
+    def _entries(self, n: np.ndarray) -> three.Symmetric:
+        """The inertias of k bodies."""
         J = self.inertias[n].T
         return three.components(J) if self.inertias.ndim == 2 else three.entries(J)
 
@@ -163,15 +121,6 @@ def _twice(x: Array) -> Array:
     return jnp.concatenate([x, x], axis=-1)
 
 
-def _over_pairs(x: Sequence[three.Vector], on_both: Callable[[int, int], list[Any]]) -> list[Any]:
-    """The sums of what acts on each body, six numbers."""
-    sums: list[Any] = [None] * len(x)
-    for pair in itertools.combinations(range(len(x)), 2):
-        for n, more in zip(pair, on_both(*pair), strict=True):
-            sums[n] = more if sums[n] is None else tuple(map(jnp.add, sums[n], more))
-    return [(jnp.zeros_like(x[0][0]),) * 6 if row is None else row for row in sums]
-
-
 def _seen(J: three.Symmetric, d: three.Vector, R: three.Matrix) -> tuple[Array, three.Vector]:
     """Γ·JΓ and ΛJΓ, with Γ = Λᵀd."""
     Gamma = tuple(three.dot(axis, d) for axis in three.transpose(R))
@@ -179,16 +128,6 @@ def _seen(J: three.Symmetric, d: three.Vector, R: three.Matrix) -> tuple[Array, 
     return three.dot(Gamma, JGamma), tuple(three.dot(row, JGamma) for row in R)
 
 
-@kernel.together
-def _seen_by(J: three.Symmetric, d: three.Vector, q: Sequence[Array]) -> tuple[Array, three.Vector, three.Vector]:
-    """The same by a unit quaternion, and Γ × JΓ."""
-    Gamma = so3.Ad_star(jnp.stack(q), d)
-    JGamma = jnp.stack(three.apply(J, Gamma))
-    arm = so3.Ad(jnp.stack(q), JGamma)
-    return three.dot(Gamma, JGamma), three.components(arm), three.cross(Gamma, JGamma)
-
-
-@kernel.together
 def _pull(
     G: Array, masses: Array, traces: Array, d: three.Vector, along: Array, arm: three.Vector
 ) -> tuple[three.Vector, Array]:

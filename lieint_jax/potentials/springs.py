@@ -73,11 +73,13 @@ def springs(bodies: Any, points: ArrayLike, stiffness: ArrayLike, lengths: Array
         lengths: ℓ ≥ 0, at which the springs are slack, (k,), or one for all.
 
     Raises:
-        ValueError: shapes that disagree, a spring from a body to itself, a negative stiffness or length.
+        ValueError: no spring, shapes that disagree, a spring from a body to itself, a negative stiffness or length.
     """
     pairs = np.asarray(bodies)
     if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu" or (pairs < 0).any():
         raise ValueError(f"bodies must be pairs of indices ≥ 0, (k, 2), got {bodies!r}")
+    if not len(pairs):
+        raise ValueError("springs needs at least one spring, got bodies of shape (0, 2)")
     if (pairs[:, 0] == pairs[:, 1]).any():
         raise ValueError(f"a spring must join two bodies, got {pairs.tolist()}")
     k = len(pairs)

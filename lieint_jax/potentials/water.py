@@ -58,7 +58,7 @@ def water(model: str = "TIP4P/2005") -> Molecule:
 
     Source: Jorgensen et al. 1983, J. Chem. Phys. 79, 926; Abascal & Vega 2005, J. Chem. Phys. 123, 234505.
     """
-    if model not in _MODELS:
+    if not isinstance(model, str) or model not in _MODELS:
         raise ValueError(f"model must be one of {', '.join(map(repr, _MODELS))}, got {model!r}")
     charge, to_m, well, size = _MODELS[model]
     aside, ahead = _BOND * np.sin(_ANGLE / 2), _BOND * np.cos(_ANGLE / 2)

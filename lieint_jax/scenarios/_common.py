@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from lieint_jax import _checks
 from lieint_jax.integrate import integrate
 from lieint_jax.types import State, Step, Trajectory
 
@@ -47,6 +48,8 @@ class Published(Table):
     """Standard deviation, in the unit of the value."""
     source: str
     """A key of the table sources, or the source itself if there is no such table."""
+    remark: Text = ""
+    """Why the scenario's own value differs, for the report."""
 
 
 class Common(Table):
@@ -80,10 +83,8 @@ class Common(Table):
         if self.dt == 0:
             raise ValueError("dt must not be 0")
         if self.steps % self.save_every:
-            near = max(1, round(self.steps / self.save_every)) * self.save_every
-            raise ValueError(
-                f"steps = {self.steps} must be a multiple of save_every = {self.save_every}, such as {near}"
-            )
+            near = _checks.nearest_multiples(self.steps, self.save_every)
+            raise ValueError(f"steps = {self.steps} must be a multiple of save_every = {self.save_every}: give {near}")
         return self
 
     @model_validator(mode="after")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any, NamedTuple, Self
 
 import jax.numpy as jnp
@@ -11,9 +12,11 @@ from pydantic import model_validator
 
 from lieint_jax import _checks, schemes
 from lieint_jax.groups import so3
-from lieint_jax.scenarios._common import Above, Common, NonNegative, Published, Rate, RateSpread, Triple
+from lieint_jax.scenarios._common import Above, Common, NonNegative, Published, Rate, RateSpread, Triple, deviation
 from lieint_jax.systems import RigidBodies
 from lieint_jax.types import Step
+
+_FAR = 3  # published errors, beyond which a difference is pointed out
 
 ORDERS: dict[str, list[Any]] = {
     "kepler_splitting": [[8, 6, 4], [8, 4], 2],
@@ -129,21 +132,58 @@ def step_of(bodies: RigidBodies, scheme: str, order: Any, G: float | None = None
 
 
 class Row(NamedTuple):
-    """A quantity: of the nominal member, its standard deviation over the members, its published value."""
+    """A quantity of the members of a run.
+
+    Attributes:
+        name: with its unit.
+        nominal: its value for the nominal member.
+        spread: its standard deviation over the members.
+        published: its published value.
+        percentiles: over the members, at 16, 50 and 84 %.
+    """
 
     name: str
     nominal: float
     spread: float
     published: Published | None = None
+    percentiles: tuple[float, ...] | None = None
+
+
+def row_of(name: str, values: np.ndarray, published: Published | None = None) -> Row:
+    """The row of a quantity from its values for all members, the nominal one first."""
+    percentiles = tuple(map(float, np.percentile(values, (16, 50, 84))))
+    return Row(name, float(values[0]), float(deviation(values)), published, percentiles)
 
 
 def row_lines(scenario: Common, rows: list[Row], digits: str = ".4f") -> list[str]:
-    """The lines of a report with the head of its columns and these quantities."""
+    """The lines of a report with the head of its columns and these quantities, and how they compare with published."""
     lines = [f"\n  {'':<54}{'nominal':>11}{'± ensemble':>12}   published"]
     for row in rows:
         nominal, spread = (format(x, digits) if np.isfinite(x) else "—" for x in (row.nominal, row.spread))
         lines.append(f"  {row.name:<54}{nominal:>11}{spread:>12}   {cited(scenario, row.published)}")
-    return lines
+    notes = [f"{row.name}: {found}" for row in rows if (found := _compared(row))]
+    return lines + [
+        line for note in notes for line in textwrap.wrap(note, 116, initial_indent="  ! ", subsequent_indent="    ")
+    ]
+
+
+def _compared(row: Row) -> str:
+    """What keeps a quantity from being a test of its published value; empty if nothing does."""
+    published, found = row.published, []
+    if published is None or published.error is None or not np.isfinite(row.nominal):
+        return ""
+    off = row.nominal - published.value
+    if abs(off) > _FAR * published.error:
+        sign = ", and in its sign" if row.nominal * published.value < 0 else ""
+        by = f"{off:+.3g}, {abs(off) / published.error:.2g} times the published error"
+        found.append(f"The nominal member differs from the published value by {by}{sign}.")
+    if row.spread > published.error and row.percentiles is not None:
+        low, middle, high = row.percentiles
+        found.append(
+            f"The members' spread is {row.spread / published.error:.2g} times the published error and follows from "
+            f"their assumed deviations: the median is {middle:.4f}, and 68 % of them lie from {low:.4f} to {high:.4f}."
+        )
+    return " ".join([*found, published.remark] if found else [])
 
 
 def cited(scenario: Common, published: Published | None) -> str:

@@ -45,6 +45,7 @@ from lieint_jax.scenarios._several import (
     cited,
     mass_and_moments,
     row_lines,
+    row_of,
     step_of,
 )
 from lieint_jax.scenarios._spectrum import line, spectrum
@@ -219,10 +220,7 @@ def quantities(scenario: Scenario, run: Trajectory, found: Motion) -> list[Row]:
         ("line of centres from its equator, largest (°)", np.rad2deg(abs(found.out_of_plane).max(axis=0)), None),
         ("its obliquity, largest (°)", np.rad2deg(found.obliquity_2.max(axis=0)), None),
     ]
-    return [
-        Row(name, float(x[0]), float(deviation(x)), scenario.published.get(key) if key else None)
-        for name, x, key in table
-    ]
+    return [row_of(name, x, scenario.published.get(key) if key else None) for name, x, key in table]
 
 
 def _hours(rate: np.ndarray) -> np.ndarray:

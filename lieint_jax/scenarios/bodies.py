@@ -35,7 +35,6 @@ from lieint_jax.scenarios._common import (
     Text,
     Triple,
     check_order,
-    deviation,
     for_last_run,
     largest_changes,
 )
@@ -49,6 +48,7 @@ from lieint_jax.scenarios._several import (
     attitude,
     mass_and_moments,
     row_lines,
+    row_of,
     step_of,
 )
 from lieint_jax.scenarios._spectrum import line
@@ -362,7 +362,7 @@ def quantities(scenario: Scenario, run: Trajectory, found: Motion) -> list[Row]:
 
 def _row(name: str, values: np.ndarray, published: Published | None = None) -> Row:
     known = np.where(values < 1e300, values, np.inf)  # a body at rest has no time of a turn
-    return Row(name, float(known[0]), float(deviation(values)) if np.isfinite(known).all() else np.nan, published)
+    return row_of(name, known, published) if np.isfinite(known).all() else Row(name, float(known[0]), np.nan, published)
 
 
 def _distances(names: list[str], distances: np.ndarray) -> list[Row]:

@@ -158,7 +158,8 @@ class Scenario(Common):
         if self.steps % self.steps_per_orbit:
             raise ValueError(f"steps = {self.steps} must be whole orbits of steps_per_orbit = {self.steps_per_orbit}")
         if self.members % self.angles:
-            raise ValueError(f"members = {self.members} must be a multiple of angles = {self.angles}")
+            near = _checks.nearest_multiples(self.members, self.angles)
+            raise ValueError(f"members = {self.members} must be a multiple of angles = {self.angles}: give {near}")
         self.dt, self.save_every = dt, self.steps_per_orbit  # pyright: ignore[reportIncompatibleVariableOverride]
         return self
 

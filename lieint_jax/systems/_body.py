@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable
+from functools import partial
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -15,8 +15,10 @@ from lieint_jax import _checks
 from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
+from lieint_jax.systems._arguments import explained
 from lieint_jax.systems._timed import check_timed, timed
-from lieint_jax.types import PhaseSpace, State
+from lieint_jax.types import PhaseSpace, State, autodiff_gradient
+from lieint_jax.types._compiled import compiled
 
 _PHASE_SPACE = CotangentGroup(so3)
 
@@ -46,6 +48,7 @@ class Rotating(OnRotations, abc.ABC):
     def momentum_at(self, angular_velocity: Array) -> Array:
         """Π where the body turns with Ω, shape (3,)."""
 
+    @explained
     def state(
         self,
         attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
@@ -57,8 +60,9 @@ class Rotating(OnRotations, abc.ABC):
         """The state of an attitude and one of three ways to give the motion.
 
         Args:
-            attitude: unit quaternion (w, x, y, z) or rotation matrix (3, 3), body to space. A quaternion within 1e-6
-                of unit length is normalised.
+            attitude: unit quaternion (w, x, y, z), the scalar part first, or rotation matrix (3, 3), body to space. The
+                identity is (1, 0, 0, 0); (0, 0, 0, 1), the identity in the order of scipy, is a half rotation about z.
+                A quaternion within 1e-6 of unit length is normalized.
             angular_velocity: body angular velocity Ω, radians per unit time, shape (3,).
             body_momentum: Π, in the body, shape (3,).
             spatial_momentum: π = ΛΠ, shape (3,).
@@ -66,16 +70,13 @@ class Rotating(OnRotations, abc.ABC):
         Raises:
             ValueError: not exactly one of the three, a wrong shape, a NaN, or an attitude that is no rotation.
         """
-        q = _attitude(attitude)
+        attitude = _checked_attitude(attitude)
         name, given = _checks.one_of(
             angular_velocity=angular_velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum
         )
         value = _checks.real_array(name, given, (3,))
-        if name == "angular_velocity":
-            value = self.momentum_at(value)
-        p = value if name == "spatial_momentum" else so3.Ad(q, value)
-        dtype = jnp.result_type(q, p)
-        return State(q.astype(dtype), _checks.real_array("the spatial momentum", p.astype(dtype)))
+        q, p = _made(self, attitude, value, name)
+        return State(q, _checks.real_array("the spatial momentum", p))
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system, or the system is not one, but a batch."""
@@ -103,6 +104,7 @@ class Body(Rotating):
 class TimedBody(Body):
     """A body whose state has a time, and may count work."""
 
+    @explained
     def state(
         self,
         attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
@@ -117,7 +119,7 @@ class TimedBody(Body):
 
         Args:
             attitude, angular_velocity, body_momentum, spatial_momentum: as of `rigid_body(...).state`.
-            t: the time, a scalar.
+            t: the time of the state, a scalar; 0 if it is left out.
             work: 0.0 to count from here the work that is done on the body; None not to count it.
 
         Raises:
@@ -140,15 +142,27 @@ class TimedBody(Body):
 
 def spatial_torque(potential: Callable[[Array], Array], q: Array) -> Array:
     """The torque in space of a potential V(q), shape (3,): its i-th component is −d/dε V(exp(εeᵢ)q)."""
-    return -jax.grad(lambda theta: potential(so3.multiply(so3.exp(theta), q)))(jnp.zeros_like(q[:3]))
+    return -autodiff_gradient(lambda theta: potential(so3.multiply(so3.exp(theta), q)))(jnp.zeros_like(q[:3]))
 
 
-def _attitude(attitude: ArrayLike) -> Array:
+@partial(compiled, static_argnums=3, once=True)
+def _made(body: Rotating, attitude: Array, motion: Array, name: str) -> tuple[Array, Array]:
+    """The quaternion of an attitude, and π of the motion that the argument `name` of `state` gives."""
+    q = so3.from_matrix(attitude) if attitude.ndim == 2 else so3.normalise(attitude)
+    if name == "angular_velocity":
+        motion = body.momentum_at(motion)
+    p = motion if name == "spatial_momentum" else so3.Ad(q, motion)
+    dtype = jnp.result_type(q, p)
+    return q.astype(dtype), p.astype(dtype)
+
+
+def _checked_attitude(attitude: ArrayLike) -> Array:
+    """A quaternion or a rotation matrix."""
     if np.shape(attitude) == (3, 3):
-        return so3.from_matrix(_checks.rotation_matrix("attitude", attitude))
+        return _checks.rotation_matrix("attitude", attitude)
     if np.shape(attitude) != (4,):
         raise ValueError(
-            f"attitude must be a quaternion (4,) or a rotation matrix (3, 3), got shape {np.shape(attitude)}; "
-            "use jax.vmap for batches"
+            f"attitude must be a quaternion (w, x, y, z), shape (4,), or a rotation matrix (3, 3), got shape "
+            f"{np.shape(attitude)}; use jax.vmap for batches"
         )
-    return so3.normalise(_checks.unit_quaternion("attitude", attitude))
+    return _checks.unit_quaternion("attitude", attitude)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-import jax
+from functools import partial
+
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics import unrolled
 from lieint_jax.phase_spaces import CotangentGroup
+from lieint_jax.systems._arguments import explained
 from lieint_jax.types import Group, State
+from lieint_jax.types._compiled import compiled
 
 
 class OnGroup:
@@ -25,6 +28,7 @@ class OnGroup:
     def phase_space(self) -> CotangentGroup:
         return CotangentGroup(self.group)
 
+    @explained
     def state(
         self,
         q: ArrayLike | None = None,
@@ -36,8 +40,8 @@ class OnGroup:
         """The state at a configuration, with one of three ways to give the motion.
 
         Args:
-            q: a group element, shape (n, n), within 1e-6 of the group; a unit quaternion for `groups.so3`. By default
-                the identity.
+            q: a group element, shape (n, n), within 1e-6 of the group; a unit quaternion
+                (w, x, y, z) for `groups.so3`. By default the identity.
             velocity: body velocity Ω, shape (d,).
             body_momentum: Π = mΩ, shape (d,).
             spatial_momentum: π, with Π = Ad*_q π, shape (d,).
@@ -45,16 +49,13 @@ class OnGroup:
         Raises:
             ValueError: not exactly one of the three, a wrong shape, a NaN, or a q off the group.
         """
-        element = jnp.asarray(self.group.identity, self.metric.dtype) if q is None else _checks.real_array("q", q)
+        element = _checks.as_array(self.group.identity, self.metric.dtype) if q is None else _checks.real_array("q", q)
         _check_element("q", self.group, element)
         name, given = _checks.one_of(velocity=velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum)
         value = _checks.real_array(name, given, (self.group.dim,))
-        if name == "velocity":
-            value = flat(self.metric, value)
-        if name != "spatial_momentum":
-            value = self.group.Ad_star(self.group.inverse(element), value)
-        dtype = jnp.result_type(element, value)
-        return State(element.astype(dtype), _checks.real_array("the spatial momentum", value.astype(dtype)))
+        p = _momentum(self.group, self.metric, element, value, name)
+        dtype = jnp.result_type(element, p)
+        return State(element.astype(dtype), _checks.real_array("the spatial momentum", p.astype(dtype)))
 
     def body_momentum(self, state: State) -> Array:
         """Π = Ad*_q π, shape (d,)."""
@@ -79,14 +80,27 @@ class OnGroup:
         _checks.real_array("state.p", state.p, (self.group.dim,))
 
 
+@partial(compiled, static_argnums=(0, 4), once=True)
+def _momentum(group: Group, metric: Array, q: Array, motion: Array, name: str) -> Array:
+    """π of the motion that the argument `name` of `state` gives."""
+    if name == "velocity":
+        motion = flat(metric, motion)
+    return motion if name == "spatial_momentum" else group.Ad_star(group.inverse(q), motion)
+
+
+@partial(compiled, static_argnums=0, once=True)
+def _defect(group: Group, q: Array) -> Array:
+    return group.defect(q)
+
+
 def _check_element(name: str, group: Group, q: Array) -> None:
     """Raise ValueError if a concrete q is off the group."""
     shape = np.shape(group.identity)
     if np.shape(q) != shape:
         raise ValueError(f"{name} must have shape {shape}, got {np.shape(q)}; use jax.vmap for batches")
     if concrete(q):
-        with jax.ensure_compile_time_eval():
-            defect = abs(float(group.defect(jnp.asarray(q))))
+        with at_once():
+            defect = abs(float(_defect(group, q)))
         if not defect <= 2 * _checks.UNIT_TOLERANCE:
             raise ValueError(
                 f"{name} is off the group by {defect:.3g}, allowed is {2 * _checks.UNIT_TOLERANCE:g}; make it by "

@@ -24,7 +24,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import power_series, three
 from lieint_jax._numerics.three import Symmetric
-from lieint_jax.types import StoredEnergy, callable_pytree, pytree, static
+from lieint_jax.types import StoredEnergy, autodiff_gradient, callable_pytree, pytree, static
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
@@ -133,7 +133,7 @@ class General(StoredEnergy):
         return three.symmetric(jnp.tensordot(jnp.asarray(_WEIGHTS / 2, start.dtype), stresses, 1))
 
     def _stress(self, C: Array) -> Array:
-        return 2 * jax.grad(self)(C)
+        return 2 * autodiff_gradient(self)(C)
 
 
 def _plus(pressure: Array | float, S: Symmetric) -> Symmetric:
@@ -181,9 +181,7 @@ def as_stored_energy(energy: Any) -> StoredEnergy:
         )
     name = getattr(energy, "__name__", type(energy).__name__)
     made = General(callable_pytree(energy), name)
-    value = jax.eval_shape(made, jax.ShapeDtypeStruct((3, 3), jnp.result_type(float)))
-    if getattr(value, "shape", None) != ():
-        raise ValueError(f"W(C) must be a scalar, got {value} of {name}")
+    _checks.function(f"stored_energy {name}", made, "C = FᵀF (3, 3)", (), jnp.zeros((3, 3)))
     return made
 
 

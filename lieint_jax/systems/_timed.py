@@ -10,6 +10,8 @@ from lieint_jax.types import State, clock
 
 def timed(state: State, t: ArrayLike, work: ArrayLike | None) -> State:
     """A state at the time t, with the work done so far; ValueError if one is no finite scalar."""
+    if t is None:
+        raise ValueError("t must be a number, the time of the state: the system depends on it; leave it out for t = 0")
     given = {"t": t} if work is None else {"t": t, "work": work}
     found = {name: _checks.real_array(name, x, (), like=state.p).astype(state.p.dtype) for name, x in given.items()}
     return state._replace(**found)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, types
 from lieint_jax._numerics import three
+from lieint_jax.systems._arguments import explained
 from lieint_jax.systems._body import OnRotations
 from lieint_jax.systems._timed import check_timed, timed
 from lieint_jax.systems.gyrostat import Gyrostat
@@ -35,6 +36,7 @@ class DrivenGyrostat(OnRotations, types.DrivenGyrostat):
         """The rotor's momentum, which is zero at rest."""
         return {"rotor": jnp.zeros(3, self.inertia.dtype)}
 
+    @explained
     def state(
         self,
         attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
@@ -54,7 +56,7 @@ class DrivenGyrostat(OnRotations, types.DrivenGyrostat):
             body_momentum: Π = JΩ + h_r, shape (3,).
             spatial_momentum: π = ΛΠ, shape (3,).
             rotor: h_r in the body, shape (3,).
-            t: time, a scalar.
+            t: the time of the state, a scalar; 0 if it is left out.
             work: what the motor has done so far, a scalar, such as 0: then steps add to it. None, and nobody counts it.
 
         Raises:
@@ -135,12 +137,7 @@ def driven_gyrostat(inertia: ArrayLike, motor: Callable[[Array], ArrayLike]) -> 
     if not callable(motor):
         raise ValueError(f"motor must be a function of the time t with values (3,), got {motor!r}")
     made = DrivenGyrostat(J, callable_pytree(motor))
-    try:
-        shape = jax.eval_shape(made.torque, jnp.zeros((), J.dtype)).shape
-    except (TypeError, IndexError, ValueError) as error:
-        raise ValueError(f"motor fails as a function of the time t: {error}") from error
-    if shape != (3,):
-        raise ValueError(f"motor must be a function of the time t with values (3,), got a value of shape {shape}")
+    _checks.function("motor", made.torque, "the time t", (3,), jnp.zeros((), J.dtype))
     return made
 
 

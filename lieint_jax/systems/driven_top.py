@@ -126,27 +126,15 @@ def driven_top(
         raise ValueError(f"potential must be a function of {_argument(axis)}, got {potential!r}")
     if callable(axis):
         axis = callable_pytree(axis)
-        _check_function("axis", axis, "t, the time, with values of shape (3,)", (3,), jnp.zeros((), inertia.dtype))
+        _checks.function("axis", axis, "t, the time", (3,), jnp.zeros((), inertia.dtype))
     elif axis is not None:
         given, axis = axis, _checks.real_array("axis", axis, (3,), like=inertia)
         if concrete(given) and not np.any(np.asarray(given)):
             raise ValueError("axis must not be zero; without a symmetry axis give axis=None and a potential of Λ and t")
     made = DrivenTop(inertia, callable_pytree(potential), axis)
     q, t = jnp.zeros(4, inertia.dtype), jnp.zeros((), inertia.dtype)
-    _check_function("potential", made.potential_energy, f"{_argument(axis)}, with a scalar value", (), q, t)
+    _checks.function("potential", made.potential_energy, _argument(axis), (), q, t)
     return made
-
-
-def _check_function(
-    name: str, function: Callable[..., Any], of: str, shape: tuple[int, ...], *arguments: Array
-) -> None:
-    """ValueError if a function fails for such arguments, or gives no array of this shape."""
-    try:
-        value = jax.eval_shape(function, *arguments)
-    except (TypeError, IndexError, ValueError) as error:
-        raise ValueError(f"{name} must be a function of {of}; it fails: {error}") from error
-    if getattr(value, "shape", None) != shape:
-        raise ValueError(f"{name} must be a function of {of}, got a value of shape {getattr(value, 'shape', None)}")
 
 
 def _argument(axis: Any) -> str:

@@ -10,6 +10,7 @@ from lieint_jax import _checks, types
 from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import EmbeddedRotations
+from lieint_jax.systems._arguments import explained
 from lieint_jax.systems._body import Body
 from lieint_jax.types import State, pytree
 
@@ -32,6 +33,7 @@ class EmbeddedBody(Body, types.EmbeddedBody):
     def phase_space(self) -> EmbeddedRotations:
         return _PHASE_SPACE
 
+    @explained
     def state(
         self,
         attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Literal, get_args, overload
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics import unrolled
+from lieint_jax.systems._arguments import explained
 from lieint_jax.systems._on_group import OnGroup, flat, sharp
 from lieint_jax.types import GeodesicFlow, Group, RightGeodesicFlow, State, pytree, static
 
@@ -54,6 +54,7 @@ class RightEuler(OnGroup, RightGeodesicFlow):
     metric: Array
     group: Group = static()
 
+    @explained
     def state(
         self,
         q: ArrayLike | None = None,
@@ -65,8 +66,8 @@ class RightEuler(OnGroup, RightGeodesicFlow):
         """The state at a configuration, as of a left-invariant metric, but that `velocity` is the spatial one, ω.
 
         Args:
-            q: a group element, shape (n, n), within 1e-6 of the group; a unit quaternion for `groups.so3`. By default
-                the identity.
+            q: a group element, shape (n, n), within 1e-6 of the group; a unit quaternion
+                (w, x, y, z) for `groups.so3`. By default the identity.
             velocity: spatial velocity ω, with π = mω, shape (d,).
             body_momentum: Π = Ad*_q π, shape (d,).
             spatial_momentum: π, shape (d,).
@@ -162,7 +163,7 @@ def kirchhoff(semi_axes: tuple[float, float, float] = (3.0, 2.0, 1.0), center_of
     axes = np.asarray(semi_axes, float)
     if axes.shape != (3,) or not np.all(np.isfinite(axes)) or axes.min() <= 0:
         raise ValueError(f"semi_axes must be three positive lengths, got {semi_axes}")
-    with jax.ensure_compile_time_eval():
+    with at_once():
         r = np.asarray(_checks.real_array("center_of_mass", center_of_mass, (3,)), float)
     A = _depolarisation(axes)
     added_mass = A / (2 - A)

@@ -12,10 +12,21 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax.systems._arguments import explained
 from lieint_jax.systems._on_group import OnGroup
 from lieint_jax.systems._timed import check_timed, timed
 from lieint_jax.systems.euler import Euler, kirchhoff
-from lieint_jax.types import Driven, Group, MechanicalSystem, State, callable_pytree, clock, pytree, static
+from lieint_jax.types import (
+    Driven,
+    Group,
+    MechanicalSystem,
+    State,
+    autodiff_gradient,
+    callable_pytree,
+    clock,
+    pytree,
+    static,
+)
 
 
 @pytree
@@ -47,7 +58,7 @@ class GroupPotential(OnGroup, MechanicalSystem):
         """−T*L dV = Ad*_q of `force`, shape (d,): its i-th component is −d/dε V(q exp(εeᵢ))."""
         zero = jnp.zeros(self.group.dim, q.dtype)
         _, pull = jax.vjp(lambda Omega: self.group.tangent(q, Omega), zero)
-        return -pull(jax.grad(self.potential)(q))[0]
+        return -pull(autodiff_gradient(self.potential)(q))[0]
 
     def energy(self, state: State) -> Array:
         """½⟨Π, m⁻¹Π⟩ + V(q)."""
@@ -83,21 +94,29 @@ class DrivenGroupPotential(OnGroup, Driven):
         """The geodesic flow of the metric, without the potential."""
         return Euler(self.metric, self.group)
 
-    def state(  # pyright: ignore[reportIncompatibleMethodOverride]
-        self, q: ArrayLike | None = None, *, t: ArrayLike = 0.0, work: ArrayLike | None = None, **motion: ArrayLike
+    @explained
+    def state(
+        self,
+        q: ArrayLike | None = None,
+        *,
+        velocity: ArrayLike | None = None,
+        body_momentum: ArrayLike | None = None,
+        spatial_momentum: ArrayLike | None = None,
+        t: ArrayLike = 0.0,
+        work: ArrayLike | None = None,
     ) -> State:
         """The state at a configuration and a time.
 
         Args:
-            q: as of `GroupPotential.state`.
-            t: the time, a scalar.
+            q, velocity, body_momentum, spatial_momentum: as in `GroupPotential.state`.
+            t: the time of the state, a scalar; 0 if it is left out.
             work: 0.0 to count from here the work that is done on the system; None not to count it.
-            motion: one of velocity, body_momentum and spatial_momentum, as of `GroupPotential.state`.
 
         Raises:
-            ValueError: as `GroupPotential.state`, or a time or work that is no finite scalar.
+            ValueError: as in `GroupPotential.state`, or a time or work that is no finite scalar.
         """
-        return timed(super().state(q, **motion), t, work)
+        start = super().state(q, velocity=velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum)
+        return timed(start, t, work)
 
     def force(self, q: Array, t: Array) -> Array:
         """−T*R dV, shape (d,), at a time."""
@@ -129,7 +148,7 @@ class DrivenGroupPotential(OnGroup, Driven):
 def _force(group: Group, potential: Callable[[Array], Array], q: Array) -> Array:
     """−T*R dV, shape (d,)."""
     _, pull = jax.vjp(lambda theta: group.spatial_tangent(q, theta), jnp.zeros(group.dim, q.dtype))
-    return -pull(jax.grad(potential)(q))[0]
+    return -pull(autodiff_gradient(potential)(q))[0]
 
 
 def group_potential(
@@ -163,9 +182,7 @@ def group_potential(
         raise ValueError(f"symmetry must have shape (k, {group.dim}), got {directions.shape}")
     driven = _takes_time(potential)
     at = (jnp.asarray(group.identity, metric.dtype), *[jnp.zeros((), metric.dtype)] * driven)
-    value = jax.eval_shape(potential, *at)
-    if getattr(value, "shape", None) != ():
-        raise ValueError(f"potential must give a scalar {'V(q, t)' if driven else 'V(q)'}, got {value}")
+    _checks.function("potential", potential, "(q, t)" if driven else "q", (), *at)
     made = DrivenGroupPotential if driven else GroupPotential
     return made(metric=metric, group=group, potential=callable_pytree(potential), symmetry=directions)
 

@@ -13,6 +13,7 @@ from lieint_jax import _checks, types
 from lieint_jax._checks import concrete
 from lieint_jax.groups import special_linear
 from lieint_jax.phase_spaces import CotangentUnimodular
+from lieint_jax.systems._arguments import explained
 from lieint_jax.systems._stored_energy import as_stored_energy, mooney_rivlin
 from lieint_jax.systems.pseudo_rigid import PseudoRigidBody
 from lieint_jax.types import State, StoredEnergy, pytree
@@ -41,6 +42,7 @@ class IncompressibleBody(types.IncompressibleBody):
         """The same body without the constraint."""
         return PseudoRigidBody(self.inertia, self.stored_energy)
 
+    @explained
     def state(
         self,
         deformation: ArrayLike | None = None,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -14,7 +13,8 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import three
 from lieint_jax.phase_spaces import CotangentSphere
-from lieint_jax.types import OnSphere, State, callable_pytree, pytree
+from lieint_jax.systems._arguments import explained
+from lieint_jax.types import OnSphere, State, autodiff_gradient, callable_pytree, pytree
 
 _PHASE_SPACE = CotangentSphere()
 
@@ -47,6 +47,7 @@ class Pendulum(OnSphere):
     def phase_space(self) -> CotangentSphere:
         return _PHASE_SPACE
 
+    @explained
     def state(
         self, direction: ArrayLike, *, velocity: ArrayLike | None = None, momentum: ArrayLike | None = None
     ) -> State:
@@ -90,7 +91,7 @@ class Pendulum(OnSphere):
 
     def vector_field(self, state: State) -> State:
         """(q̇, π̇) = (π × q/m, −q × ∇V(q))."""
-        return State(self.velocity(state), -jnp.cross(state.q, jax.grad(self.potential)(state.q)))
+        return State(self.velocity(state), -jnp.cross(state.q, autodiff_gradient(self.potential)(state.q)))
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system."""
@@ -122,9 +123,11 @@ def pendulum(
         0.5
     """
     m = _checks.real_array("mass", mass, ())
-    if concrete(m) and not m > 0:
+    if concrete(m) and not np.asarray(m) > 0:
         raise ValueError(f"mass must be positive, got {m}")
-    if not callable(gravity):
+    if callable(gravity):
+        _checks.function("gravity", gravity, "γ·q", (), jnp.zeros((), m.dtype))
+    else:
         gravity = Uniform(m * _checks.real_array("gravity", gravity, (), like=m))
     return Pendulum(m, callable_pytree(gravity), _unit("axis", axis, like=m))
 

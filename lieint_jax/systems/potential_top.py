@@ -127,12 +127,7 @@ def potential_top(
     if not callable(potential):
         raise ValueError(f"potential must be a function of {_argument(axis)}, got {potential!r}")
     made = PotentialTop(inertia, callable_pytree(potential), axis)
-    try:
-        shape = jax.eval_shape(made.potential_energy, jnp.zeros(4, inertia.dtype)).shape
-    except (TypeError, IndexError, ValueError) as error:
-        raise ValueError(f"potential fails as a function of {_argument(axis)}: {error}") from error
-    if shape != ():
-        raise ValueError(f"potential must be a scalar function of {_argument(axis)}, got a value of shape {shape}")
+    _checks.function("potential", made.potential_energy, _argument(axis), (), jax.ShapeDtypeStruct((4,), inertia.dtype))
     return made
 
 

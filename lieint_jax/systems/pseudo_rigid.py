@@ -14,6 +14,7 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMatrices
+from lieint_jax.systems._arguments import explained
 from lieint_jax.systems._stored_energy import (
     as_stored_energy,
     mooney_rivlin,
@@ -41,6 +42,7 @@ class PseudoRigidBody(ElasticBody):
     def phase_space(self) -> CotangentMatrices:
         return _PHASE_SPACE
 
+    @explained
     def state(
         self,
         deformation: ArrayLike | None = None,

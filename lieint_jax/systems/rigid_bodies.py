@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -16,9 +17,12 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMotions
+from lieint_jax.systems._arguments import explained
 from lieint_jax.systems.rigid_body import RigidBody
-from lieint_jax.types import Bodies, FreeBodies, PhaseSpace, State, callable_pytree, pytree
+from lieint_jax.types import Bodies, FreeBodies, PhaseSpace, State, autodiff_gradient, callable_pytree, pytree
+from lieint_jax.types._compiled import compiled
 
+_ARGUMENTS = "positions (N, 3) and rotations (N, 3, 3)"
 _DIGITS = {"float64": 11, "float32": 4}  # of the least distance, below which a state warns
 
 
@@ -32,6 +36,7 @@ class _Many:
     def phase_space(self) -> PhaseSpace:
         return CotangentMotions(self.masses.shape[0])
 
+    @explained
     def state(
         self,
         positions: ArrayLike,
@@ -44,7 +49,8 @@ class _Many:
 
         Args:
             positions: of the centres of mass, (N, 3).
-            attitudes: unit quaternions (N, 4) or rotation matrices (N, 3, 3), body to space; by default the identity.
+            attitudes: unit quaternions (w, x, y, z), (N, 4), or rotation matrices (N, 3, 3), body to space; by default
+                the identity, (1, 0, 0, 0).
             velocities: of the centres of mass, (N, 3); by default 0.
             angular_velocities: Ω of each body in its own axes, radians per unit time, (N, 3); by default 0.
 
@@ -61,15 +67,10 @@ class _Many:
         n = self.masses.shape[0]
         x = _checks.real_array("positions", positions, (n, 3))
         v, Omega = (
-            jnp.zeros((n, 3), x.dtype) if given is None else _checks.real_array(name, given, (n, 3))
+            np.zeros((n, 3), x.dtype) if given is None else _checks.real_array(name, given, (n, 3))
             for name, given in (("velocities", velocities), ("angular_velocities", angular_velocities))
         )
-        turns = _attitudes(attitudes, n, x)
-        Pi = jax.vmap(lambda J, w: jnp.stack(three.apply(three.symmetric(J), w)))(self.inertias, Omega)
-        p = jnp.concatenate([self.masses[:, None] * v, jax.vmap(so3.Ad)(turns, Pi)], axis=1)
-        q = jnp.concatenate([x, turns], axis=1)
-        dtype = jnp.result_type(q, p)
-        state = State(q.astype(dtype), p.astype(dtype))
+        state = _made(self.masses, self.inertias, x, _attitudes(attitudes, n, x), v, Omega)
         self.check(state)
         return state
 
@@ -100,10 +101,11 @@ class _Many:
         _checks.real_array("state.p", state.p, (n, 6))
         if not concrete(state.q):
             return
-        lengths = np.linalg.norm(np.asarray(state.q[:, 3:], float), axis=1)
+        q = np.asarray(state.q)
+        lengths = np.linalg.norm(np.asarray(q[:, 3:], float), axis=1)
         worst = int(np.argmax(np.abs(lengths - 1)))
-        _checks.unit_quaternion(f"the attitude of body {worst}", state.q[worst, 3:])
-        _check_places(np.asarray(state.q[:, :3]))
+        _checks.unit_quaternion(f"the attitude of body {worst}", q[worst, 3:])
+        _check_places(q[:, :3])
 
 
 def _angular_velocity(J: Array, q: Array, spin: Array) -> Array:
@@ -175,7 +177,7 @@ class RigidBodies(_Many, Bodies):
         R = rotations(q)
         if hasattr(self.potential, "force"):
             return self.potential.force(q[:, :3], R)  # pyright: ignore
-        along_x, along_R = jax.grad(self.potential, (0, 1))(q[:, :3], R)
+        along_x, along_R = autodiff_gradient(self.potential, (0, 1))(q[:, :3], R)
         return jnp.concatenate([-along_x, potentials.torques(R, along_R)], axis=1)
 
     def vector_field(self, state: State) -> State:
@@ -187,27 +189,38 @@ class RigidBodies(_Many, Bodies):
         super().check(state)
         if concrete(state.q, self.potential):
             V = _potential_energy(self, jnp.asarray(state.q))
-            if V.shape != ():
-                raise ValueError(f"the potential must be a scalar, got shape {V.shape}")
-            if not bool(jnp.isfinite(V)):
+            if not np.isfinite(np.asarray(V)):
                 raise ValueError(f"the potential must be finite at the start, got {float(V)}")
 
 
-@jax.jit
+@compiled
 def _potential_energy(system: RigidBodies, q: Array) -> Array:
     return system.potential_energy(q)
 
 
+@partial(compiled, once=True)
+def _made(
+    masses: Array, inertias: Array, x: Array, turns: Array, v: Array | np.ndarray, Omega: Array | np.ndarray
+) -> State:
+    """The state of positions, attitudes (quaternions or rotation matrices) and velocities."""
+    turns = jax.vmap(so3.normalise if turns.ndim == 2 else so3.from_matrix)(turns)
+    Pi = jax.vmap(lambda J, w: jnp.stack(three.apply(three.symmetric(J), w)))(inertias, Omega)
+    p = jnp.concatenate([masses[:, None] * v, jax.vmap(so3.Ad)(turns, Pi)], axis=1)
+    q = jnp.concatenate([x, turns], axis=1)
+    dtype = jnp.result_type(q, p)
+    return State(q.astype(dtype), p.astype(dtype))
+
+
 def _attitudes(attitudes: ArrayLike | None, n: int, like: Array) -> Array:
-    """Unit quaternions (n, 4) of quaternions or rotation matrices; the identity if there are none."""
+    """Quaternions (n, 4) or rotation matrices (n, 3, 3), checked; the identity if there are none."""
     if attitudes is None:
-        return jnp.tile(jnp.array([1.0, 0, 0, 0], like.dtype), (n, 1))
+        return _checks.as_array(np.tile([1.0, 0, 0, 0], (n, 1)), like.dtype)
     given = _checks.real_array("attitudes", attitudes, (n, 4), (n, 3, 3))
     if concrete(given):
         check = _checks.unit_quaternion if given.ndim == 2 else _checks.rotation_matrix
         for i, one in enumerate(np.asarray(given)):
             check(f"the attitude of body {i}", one)
-    return jax.vmap(so3.normalise if given.ndim == 2 else so3.from_matrix)(given)
+    return given
 
 
 def _check_places(x: np.ndarray) -> None:
@@ -258,7 +271,7 @@ def rigid_bodies(masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Ar
     m = _checks.real_array("masses", masses)
     if m.ndim != 1 or not m.size:
         raise ValueError(f"masses must have shape (N,), got {m.shape}")
-    if concrete(m) and not bool(jnp.all(m > 0)):
+    if concrete(m) and not bool(np.all(np.asarray(m) > 0)):
         raise ValueError(f"masses must be positive, got {np.asarray(m)}")
     J = _checks.real_array("inertias", inertias)
     if J.shape not in ((m.size, 3), (m.size, 3, 3)):
@@ -267,13 +280,15 @@ def rigid_bodies(masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Ar
         )
     if concrete(J):
         for i in range(m.size):
-            _checks.inertia(J[i])
+            _checks.inertia(np.asarray(J)[i])
     if not callable(potential):
-        raise ValueError(f"potential must be a function of positions (N, 3) and rotations (N, 3, 3), got {potential!r}")
+        raise ValueError(f"potential must be a function of {_ARGUMENTS}, got {potential!r}")
     n = potentials.count(potential)
     if n not in (None, m.size):
         raise ValueError(f"the potential is one of {n} bodies, but there are {m.size} masses")
-    return RigidBodies(m, J, callable_pytree(potential))
+    made = RigidBodies(m, J, callable_pytree(potential))
+    _checks.function("potential", made.potential_energy, _ARGUMENTS, (), jax.ShapeDtypeStruct((m.size, 7), m.dtype))
+    return made
 
 
 def examples() -> dict[str, tuple[RigidBodies, State, float]]:

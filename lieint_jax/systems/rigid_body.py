@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
@@ -14,6 +13,7 @@ from lieint_jax._free_body import Periods
 from lieint_jax.groups import so3
 from lieint_jax.systems._body import Body
 from lieint_jax.types import FreeBody, State, pytree
+from lieint_jax.types._compiled import compiled
 
 
 @pytree
@@ -46,14 +46,23 @@ class RigidBody(Body, FreeBody):
         return State(_attitude(self.inertia, state.q, state.p, t)[0], state.p)
 
     def periods(self, state: State) -> Periods:
-        """The mean periods of the tumbling, precession and rotation, in closed form, and its mode.
+        """The two mean periods of a tumbling body, by which light curves are described, and its mode, in closed form.
 
-        With derivatives in the inertia and the state, but on the separatrix, where the rotation never ends.
+        Args:
+            state: a state of this body.
+
+        Returns:
+            A `Periods`, in the unit of time of the state (that of 1/Ω):
+            `precession`, in which the long axis (that of the least moment) goes once around the angular momentum on
+            average; `rotation`, in which Ω and Π repeat in the axes of the body: one rotation about the long axis in
+            the long-axis mode, one oscillation about it in the short-axis mode; and `long_axis`, True in the former.
+            Differentiable in the inertia and the state, except on the separatrix between the modes, where the rotation
+            never ends.
         """
         return _free_body.periods(self.inertia, self.body_momentum(state))
 
 
-_attitude = jax.jit(_free_body.attitude)
+_attitude = compiled(_free_body.attitude)
 
 
 def rigid_body(inertia: ArrayLike) -> RigidBody:

@@ -7,15 +7,18 @@ from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, torques
+from lieint_jax._checks import concrete
 from lieint_jax._numerics import three
 from lieint_jax.groups import so3
 from lieint_jax.systems._body import TimedBody
 from lieint_jax.types import State, callable_pytree, clock, pytree, static
 from lieint_jax.types import TorquedBody as Capability
+from lieint_jax.types._compiled import compiled
 
 _MORE = ("frame", "potential", "power", "mean", "during", "key")  # what a law may offer besides being called
 
@@ -98,6 +101,11 @@ class TorquedBody(TimedBody, Capability):
         clock(state)
         if self.carried is not None:
             _checks.real_array(f'state.extra["{self._key}"]', self._carried(state), (3,))
+        if concrete(self, state) and not np.all(np.isfinite(torque := _torque_at(self, state))):
+            raise ValueError(
+                f"the torque must be finite, got {np.asarray(torque)} at t = {float(clock(state)):g}, "
+                f"q = {np.asarray(state.q)}, ω = {np.asarray(self._velocity(state))} in the {self.frame}: fix the law"
+            )
 
     @property
     def _key(self) -> str:
@@ -115,6 +123,11 @@ class TorquedBody(TimedBody, Capability):
     def _velocity(self, state: State) -> Array:
         Omega = self.angular_velocity(state)
         return so3.Ad(state.q, Omega) if self.frame == "space" else Omega
+
+
+@compiled
+def _torque_at(body: TorquedBody, state: State) -> Array:
+    return body.torque_at(state)
 
 
 def torqued_body(inertia: ArrayLike, torque: Any, frame: Literal["body", "space"] | None = None) -> TorquedBody:
