@@ -51,6 +51,13 @@ def coverage(session):
 
 
 @nox.session(python="3.11")
+def mutate(session):
+    """Whether README's tests notice the changes that tests/mutations.toml lists; `nox -s mutate -- --shard 1/4`."""
+    session.install("-e", ".[test]")
+    session.run("python", "tests/mutate.py", *session.posargs)
+
+
+@nox.session(python="3.11")
 def build(session):
     """The sdist and the wheel, each installed in an environment of its own and tried there, away from the sources."""
     folder = session.create_tmp()

@@ -2,7 +2,9 @@
 
 A case is a system, a state and a step size, each of them over many orders of magnitude, some components exactly 0 or
 equal. A step that converged is wrong unless it is finite and on the configuration space, keeps the invariants that the
-scheme claims, and a step back, if that converges too, returns; all to the rounding errors of such data. What is no
+scheme claims, has an energy that is a number, and a step back, if that converges too, returns; all to the rounding
+errors of such data. A step by series must also be near the exact flow, to 0.1 rad. Some elements are those of no orbit,
+some bodies are at one place, some potentials have no value where the body is. What is no
 inertia, state or step size at all must be refused. `python tests/test_attack.py` prints the counts, which
 `benchmarks/RESULTS.md` shows.
 """
@@ -89,6 +91,12 @@ def _paced(rng, B):
     return (J, weight, scale), state, dt / scale
 
 
+def _edged(rng, B):
+    """A top in a potential that ends, or is singular, at some height of Γ, on either side of it."""
+    (J, weight), state, dt = _top(rng, B)
+    return (J, weight, rng.uniform(-1.6, 0.8, B)), state, dt
+
+
 def _driven(rng, B):
     """A top of a changing strength, of up to a few radians in a step, at a random time."""
     (J, weight), state, dt = _top(rng, B)
@@ -100,6 +108,7 @@ def _satellite(rng, B):
     """A satellite on an elliptic orbit, at a random time of a few turns; up to a radian of it in a step."""
     J, q, Omega, dt = _body(rng, B, 2.0)
     n, a, e = 10 ** rng.uniform(-4, 0, B) / np.abs(dt), 10 ** rng.uniform(-3, 3, B), rng.uniform(0, 0.97, B)
+    e[::13], e[1::13] = rng.choice([1.0, -0.3, 2.0], (2, len(e[::13])))[:, : len(e[1::13])]
     return (J, n * n * a**3, a, e), (q, _turned(q, J * Omega), rng.uniform(-20, 20, B) / n, np.zeros(B)), dt
 
 
@@ -179,6 +188,7 @@ def _bodies(rng, B, nearest):
     way, q, turn = rng.normal(size=(B, 3)), rng.normal(size=(B, 2, 4)), rng.normal(size=(B, 2, 3))
     q /= np.linalg.norm(q, axis=2, keepdims=True)
     way *= (apart / np.linalg.norm(way, axis=1))[:, None]
+    way[::17] = 0
     share = m[:, ::-1, None] / m.sum(1)[:, None, None] * np.array([-1, 1])[None, :, None]
     spin = J * turn * 10.0 ** rng.choice([-9, -3, -1, -1, 0, 0, 0.5, 12], (B, 2, 1)) / dt[:, None, None]
     rate = 10 ** rng.uniform(-5, 0, B) / np.abs(dt)
@@ -200,6 +210,7 @@ def _molecules(rng, B):
     """Two charged bodies with a Lennard-Jones core at their centres, up to as close as 0.7 of its size."""
     m, J, G, q, p, dt = _bodies(rng, B, 3)
     apart = np.linalg.norm(q[:, 1, :3] - q[:, 0, :3], axis=1)
+    apart = np.where(apart > 0, apart, 1)  # of bodies at one point any, as a length of the potential's
     sigma = apart * 10 ** rng.uniform(-1, 0.15, B)
     return (m, J, G * m.prod(1), G * m.prod(1) / apart, sigma), (q, p), dt
 
@@ -214,6 +225,27 @@ def top(make):
 
 def lifted(weight, lift, Gamma):
     return jnp.dot(weight, Gamma) - lift
+
+
+def above(shape, weight, edge, Gamma):
+    """A potential of the height above an edge."""
+    size = jnp.sqrt(jnp.dot(weight, weight))
+    return size * shape(jnp.dot(weight, Gamma) / size - edge)
+
+
+def pole(x):
+    return 1 / x
+
+
+def overflow(x):
+    return jnp.exp(600 * x)
+
+
+def edged(make, shape):
+    """By shapes that have no value below 0, but a slope, that are singular at 0, or leave the numbers of the type."""
+    return lambda J, weight, edge: make(
+        systems.potential_top(J, jax.tree_util.Partial(functools.partial(above, shape), weight, edge))
+    )
 
 
 def well(J, weight, lift, energy):
@@ -295,9 +327,17 @@ ATTACKS = {  # how cases are made, and the step of one; which invariants: the en
     "exact": (_free, rigid(schemes.exact), "HP"),
     "calibrated": (_free, rigid(schemes.calibrated), "HP"),
     "preprocessed": (_free, rigid(lambda b: schemes.preprocessed(b, 6)), "HP"),
+    "preprocessed[4]": (_free, rigid(lambda b: schemes.preprocessed(b, 4)), "HP"),
+    "preprocessed[10]": (_free, rigid(lambda b: schemes.preprocessed(b, 10)), "HP"),
     "compose": (_free, rigid(lambda b: schemes.compose(schemes.so3_midpoint(b), 4)), "HP"),
     "top_energy_momentum": (_top, top(schemes.top_energy_momentum), "HP"),
     "splitting": (_top, top(schemes.splitting), "P"),
+    "splitting, logarithm": (_edged, edged(schemes.splitting, jnp.log), "P"),
+    "splitting, pole": (_edged, edged(schemes.splitting, pole), "P"),
+    "splitting, overflow": (_edged, edged(schemes.splitting, overflow), "P"),
+    "nystrom, logarithm": (_edged, edged(lambda top: schemes.nystrom(top, 6), jnp.log), "P"),
+    "compose, root": (_edged, edged(lambda top: schemes.compose(schemes.splitting(top), 4), jnp.sqrt), "P"),
+    "top_energy_momentum, logarithm": (_edged, edged(schemes.top_energy_momentum, jnp.log), "P"),
     "log_hamiltonian": (_well, well, "P"),
     "reversible_control[top_energy_momentum]": (_paced, paced(schemes.top_energy_momentum), "HP"),
     "reversible_control[splitting]": (_paced, paced(schemes.splitting), "P"),
@@ -358,16 +398,23 @@ def outcome(make, numbers, parts, dt):
         # the rounding of det F is taken back in the next step, which may need a velocity of its size over Δt
         scale += eps * jnp.max(system.inertia) * (bulk / dt) ** 2
     stretch, turn = spun(system, state, after, dt)
+    flow, known = schemes.exact(system)(state, dt) if isinstance(step, schemes.Preprocessed) else (after, info)
     return {
         "converged": info.converged,
         "finite": jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(after)])),
         "lever": stretch * jnp.maximum(*(enlarged(step, x) for x in (state, after))),
         "defect": jnp.abs(system.phase_space.defect(after)) / eps / bulk,
-        "H": jnp.abs(again - H) / eps / jnp.where(scale > 0, scale, 1),
+        "flow": jnp.where(known.converged, distance(after.q, flow.q), 0),
+        # an energy that overflows is that of a state which the next step refuses; one that is NaN belongs to no state
+        "H": jnp.where(jnp.isinf(again), 0, jnp.abs(again - H) / eps / jnp.where(scale > 0, scale, 1)),
         "P": jnp.max(jnp.abs(kept - P), initial=0) / eps / jnp.maximum(jnp.maximum(*levers), jnp.finfo(p.dtype).tiny),
         # a motion near an unstable axis enlarges errors by more than the step size tells: long steps are left out
         "back": jnp.where(returned.converged & (turn < 3), largest(back.q - q) / largest(q) / eps, 0),
     }
+
+
+def distance(a, b):
+    return jnp.minimum(largest(a - b), largest(a + b))
 
 
 def spun(system, state, after, dt):
@@ -419,6 +466,7 @@ def attacked(name, dtype):
     energy = {"so3_explicit": 2048, "additive[average]": 256}.get(name, 100)
     defect = 200 if name.startswith("sphere") else 12
     bound = {"defect": defect, "H": energy * lever if "H" in claims else np.inf, "P": 40, "back": 200 * lever}
+    bound["flow"] = 0.05  # half of the angle
     wrong = {key: np.flatnonzero(converged & ~(found[key] <= most)) for key, most in bound.items()}
     return CASES, int(converged.sum()), wrong | {"finite": np.flatnonzero(converged & ~found["finite"])}
 
@@ -487,7 +535,8 @@ POSITIVE = {
     _molecules: (0, 1, 4),
 }  # numbers, by default the 1st
 NOT_NEGATIVE = {_viscous: (1,), _controlled: (1, 2), _kane: (2,), _friction: (1,)}
-OF_FUNCTIONS = {_driven: (1, 2), _motor: (1, 2), _well: (1, 2)}  # numbers of a user's function, which may be anything
+# numbers of a user's function, which may be anything
+OF_FUNCTIONS = {_driven: (1, 2), _motor: (1, 2), _well: (1, 2), _edged: (1, 2)}
 SPOILT = 300  # cases a scheme in the table
 
 

@@ -117,6 +117,15 @@ def nominal_didymos():
     return scenario, *run(scenario)
 
 
+def apsides(scenario, step, path):
+    """The mean rate of the vector of Laplace, Runge and Lenz of every member, in °/d."""
+    m, q, p = (np.asarray(x) for x in (step.system.masses, path.state.q[..., :3], path.state.p[..., :3]))
+    d, v = q[:, :, 1] - q[:, :, 0], p[:, :, 1] / m[:, 1, None] - p[:, :, 0] / m[:, 0, None]
+    e = np.cross(v, np.cross(d, v)) / (scenario.G * m.sum(axis=1)[:, None]) - d / np.linalg.norm(d, axis=-1)[..., None]
+    angle = np.unwrap(np.arctan2(e[..., 1], e[..., 0]), axis=0)
+    return np.rad2deg(np.polyfit(path.t, angle, 1)[0]) * 86400
+
+
 @pytest.mark.long
 def test_what_is_reported_of_didymos():
     """The nominal one; the apsides' rate beside that of the vector of Laplace, Runge and Lenz."""
@@ -125,15 +134,46 @@ def test_what_is_reported_of_didymos():
     assert rows["orbital period (h)"] == pytest.approx(11.372, abs=2e-4)
     assert rows["primary's spin period (h)"] == pytest.approx(2.26, abs=1e-3)
     assert rows["libration of the secondary, largest (°)"] == pytest.approx(22.27, abs=0.1)
-    m, q, p = np.asarray(step.system.masses[0]), path.state.q[:, 0, :, :3], path.state.p[:, 0, :, :3]
-    d, v = q[:, 1] - q[:, 0], p[:, 1] / m[1] - p[:, 0] / m[0]
-    e = np.cross(v, np.cross(d, v)) / (scenario.G * m.sum()) - d / np.linalg.norm(d, axis=1, keepdims=True)
-    apsides = np.rad2deg(np.polyfit(path.t, np.unwrap(np.arctan2(e[:, 1], e[:, 0])), 1)[0]) * 86400
-    assert rows["precession of the line of apsides (°/d)"] == pytest.approx(apsides, abs=0.05)  # −5.838 and −5.845
+    rate = apsides(scenario, step, path)[0]
+    assert rows["precession of the line of apsides (°/d)"] == pytest.approx(rate, abs=0.05)  # −5.838 and −5.845
     kept = {name: x.max() for name, x in binary.changes(step.system, path).items()}
     assert kept["energy, over |energy|"] < 3e-11  # 8e-12
     assert kept["linear momentum, over that of the secondary"] < 1e-15
     assert kept["angular momentum, relative"] < 5e-14
+
+
+def test_a_spread_beyond_the_published_error_is_said_and_a_value_of_the_other_sign():
+    published = scenarios._common.Published(value=6.7, error=0.2, source="a book", remark="The primary is rounder.")
+    scenario = scenarios.load("didymos", members=1)
+
+    def notes(values):
+        head, _, *lines = _several.row_lines(
+            scenario, [_several.row_of("precession (°/d)", np.array(values), published)]
+        )
+        assert "published" in head
+        return " ".join(line.strip() for line in lines)
+
+    far = notes([-5.8, -11.9, -3.5, -6.8])
+    assert "differs from the published value by -12.5, 62 times the published error, and in its sign" in far
+    assert "spread is 18 times the published error" in far
+    assert "the median is -6.3000, and 68 % of them lie from -9.4520 to -4.6040. The primary is rounder." in far
+    assert "differs" not in notes([6.6, 5.6, 7.4, 6.5])
+    assert "spread is 3.7 times" in notes([6.6, 5.6, 7.4, 6.5])
+    assert notes([6.6, 6.7, 6.65, 6.6]) == ""
+
+
+@pytest.mark.long
+def test_the_spread_of_the_apsides_of_didymos_is_that_of_the_librations():
+    """Of its members, by the vector of Laplace, Runge and Lenz too: no noise of the measurement."""
+    scenario = scenarios.load("didymos", members=12)
+    step, path = run(scenario)
+    found = binary.motion(step.system, path)
+    [row] = [row for row in binary.quantities(scenario, path, found) if "apsides" in row.name]
+    rates = apsides(scenario, step, path)
+    assert row.spread > 3
+    assert np.std(rates, ddof=1) == pytest.approx(row.spread, abs=0.2)
+    swing = abs(found.libration).max(axis=0)
+    assert np.corrcoef(rates, swing)[0, 1] < -0.8
 
 
 @pytest.mark.long

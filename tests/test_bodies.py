@@ -307,8 +307,17 @@ def test_bad_input():
     ]:
         with pytest.raises(ValueError, match=message):
             bodies.state(**options)
-    with pytest.raises(ValueError, match="the potential must be a scalar"):
-        systems.rigid_bodies(m, J, lambda x, R: x[0]).state(x)
+    for potential, message in [
+        (lambda x, R: x[0], r"got shape \(3,\) and dtype float64"),
+        (lambda x, R: None, "a real scalar as its value, got None"),
+        (lambda x, R: 0, "got shape .* and dtype int64"),
+        (lambda x, R: 1j * x[0, 0], "got shape .* and dtype complex128"),
+        (lambda x, R: np.sum(np.asarray(x)), "which JAX can trace, .* it fails: .*traced array"),
+        (lambda x: x[0, 0], "it fails: .*takes 1 positional argument but 2 were given"),
+        (lambda x, R: {}[0], "it fails: KeyError: 0"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            systems.rigid_bodies(m, J, potential)
     with pytest.raises(ValueError, match="the potential must be finite at the start"):
         systems.rigid_bodies(m, J, lambda x, R: jnp.log(-x[1, 0])).state(x)
     with pytest.warns(

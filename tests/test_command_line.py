@@ -146,6 +146,20 @@ def test_a_scenario_of_one_s_own(capsys, monkeypatch):
     assert files.load(scenarios.Path("book-2.npz"))[0].state.q.shape == (6, 4, 4)
 
 
+def test_a_run_without_certificate_and_pictures(capsys):
+    assert cli.main(["run", book(), "--no-certificate", "--no-pictures"]) == 0
+    out = capsys.readouterr().out
+    assert "ertif" not in out
+    assert "drawing" not in out
+    assert "± ensemble" in out
+    assert "4 of 4 members converged at every step" in out
+    assert os.listdir() == ["book.toml", "book.npz"] or os.listdir() == ["book.npz", "book.toml"]
+    assert cli.main(["info", "book.npz"]) == 0
+    out = capsys.readouterr().out
+    assert "t = 0 … 10 time unit" in out
+    assert re.search(r"at 11 of 11 saved times: \S+ in the run's units \(\S+ of the largest energy\)", out)
+
+
 def test_bodies_take_every_scheme_of_a_free_body():
     body = systems.rigid_body([1.0, 2.0, 3.0])
     takes = {name for name, module in _discover.modules(schemes).items() if module.examples(body)}

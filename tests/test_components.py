@@ -18,11 +18,18 @@ def solved(b):
     return lax.custom_linear_solve(lambda v: jnp.asarray(MATRIX) @ v, b, lambda _, b: jnp.asarray(inverse) @ b)
 
 
+def by_slices(v, x):
+    """A function whose derivative pads: before and after slices of two entries, and between every other one."""
+    w = jnp.concatenate([v, x * v])
+    return jnp.sum(jnp.sin(w[1:3]) * w[:2]) + jnp.sum(w[::2] ** 2)
+
+
 FUNCTIONS = {
     "zeros and ones": lambda v, x: jnp.stack([v[1] - 0.0 * v[0] + x, 1.0 * v[0] + -(0.0 * v[1])]),
     "rows and columns": lambda v, x: jnp.sum(jnp.ones((3, 1)) * v[None, :] * x, axis=0) / 4,
     "a large array": lambda v, x: v + x * jnp.sum(jnp.full((9, 9), 0.01) * v[0]),
     "an equation": lambda v, x: solved(v * x) + x,
+    "a derivative by slices": lambda v, x: jax.grad(by_slices)(v, x) / 8,
     "a derivative": lambda v, x: jax.grad(lambda w: jnp.sum(w[::-1] ** 2 * jnp.sin(w)) + x * w[1])(v) / 8,
 }
 

@@ -3,9 +3,11 @@
 import functools
 
 import jax
+import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
+from small_steps import Oscillators
 
 import lieint_jax as li
 from lieint_jax import diagnostics
@@ -14,7 +16,7 @@ from lieint_jax.integrate import steps
 from lieint_jax.maps import kappa_cayley, kappa_symplectic
 from lieint_jax.schemes import calibrated, compose, so3_explicit, so3_midpoint
 from lieint_jax.schemes._compositions import METHODS
-from lieint_jax.types import Step
+from lieint_jax.types import State, Step, StepInfo
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STATE = jax.jit(BODY.state)(np.array([1.0, 2, -1, 0.5]) / 2.5, angular_velocity=[0.3, 0.6, 0.8])
@@ -224,6 +226,35 @@ def test_a_sub_step_past_the_branch_says_so():
     assert not after(step, STATE, 4.0, 1)[1].converged
     with pytest.raises(ValueError, match=r"sub-steps of up to 0\.393 dt; so3_midpoint"):
         li.integrate(step, STATE, 4.0, 1)
+
+
+@li.pytree
+class Lagging(Step):
+    """A step that kicks by the q before: it carries q from one sub-step to the next in `extra`."""
+
+    system: Oscillators
+
+    order, symmetric, name = 2, True, "lagging"
+
+    def __call__(self, state, dt):
+        p = state.p - dt * self.system.stiffness * state.extra["before"]
+        return state._replace(q=state.q + dt * p, p=p, extra={"before": state.q}), StepInfo.fresh(p)
+
+
+def test_a_tangent_vector_goes_through_what_sub_steps_carry_from_one_to_the_next():
+    """The step is linear, so its differences are its derivative."""
+    step = compose(Lagging(Oscillators(jnp.array(1.3))), 4, "triple_jump")
+    start, T = State(jnp.eye(3), jnp.zeros((3, 3)), extra={"before": jnp.eye(3)}), np.eye(18)[:, [0, 9]]
+    space = step.system.phase_space
+
+    @jax.jit
+    @jax.vmap
+    def moved(delta):
+        return space.displacement(start, step(space.perturb(start, delta), 0.4)[0])
+
+    ends = np.asarray(moved(np.array([T[:, 0], T[:, 1], 0 * T[:, 0]])))
+    tangent = jax.jit(lambda: step.tangent(start, 0.4, T)[2])()
+    np.testing.assert_allclose(tangent.T, ends[:2] - ends[2], rtol=0, atol=1e-15)
 
 
 @pytest.mark.long

@@ -8,15 +8,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from free_bodies import Q, moving, rows
 from grid import steps
 from linearised import there_and_back
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
+from small_steps import Rests
 
 import lieint_jax as li
 from lieint_jax import diagnostics, schemes, studies, systems
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS
+from lieint_jax.schemes.splitting import Splitting
 from lieint_jax.systems.driven_top import examples as driven_tops
 from lieint_jax.systems.gravity_gradient import examples as satellites
 from lieint_jax.systems.group_potential import examples as on_groups
@@ -114,6 +117,19 @@ def test_a_step_that_drops_work_is_told_so():
 
 
 # Splitting ------------------------------------------------------------------------------------------------------------
+
+
+def test_two_half_kicks_give_the_impulse_and_the_work_of_their_times():
+    """The drift rests, so both see the same Γ: V = Γ₁ sin t, with Γ the axis seen from the body."""
+    top = systems.driven_top(J, lambda Gamma, t: jnp.sin(t) * Gamma[0], [0.0, 0.6, 0.8])
+    start = moving(J)._replace(t=jnp.array(0.3), work=jnp.array(1.0))
+    end, _ = jax.jit(lambda step, z, dt: step(z, dt))(Splitting(top, Rests(top.free)), start, 0.2)
+    axis, Lambda = np.array([0.0, 0.6, 0.8]), np.array(rows(*Q)).T
+    slope, (before, after) = Lambda[:, 0], (0.3, 0.5)
+    np.testing.assert_allclose(
+        end.p - start.p, 0.1 * (np.sin(before) + np.sin(after)) * np.cross(axis, slope), rtol=0, atol=1e-15
+    )
+    assert float(end.work) == pytest.approx(1 + 0.1 * (np.cos(before) + np.cos(after)) * (axis @ slope), rel=1e-15)
 
 
 @pytest.mark.long
@@ -279,6 +295,15 @@ def pitch(satellite, amplitude, T):
     return (jnp.arctan2(x[1], x[0]) - T + jnp.pi) % (2 * jnp.pi) - jnp.pi, rate
 
 
+def test_the_potential_of_gravity_s_gradient_at_any_distance():
+    """3μ/(2r³) r̂·ΛJΛᵀr̂ on a line past the centre."""
+    satellite = systems.gravity_gradient(J, lambda t: (jnp.stack([2 + 0 * t, t, 1 - t]), jnp.zeros(3)), 1.7)
+    r, Lambda = np.array([2.0, 0.4, 0.6]), np.array(rows(*Q)).T
+    along, distance = Lambda.T @ r, np.linalg.norm(r)
+    expected = 1.5 * 1.7 / distance**5 * (along @ (J * along))
+    assert float(satellite.potential_energy(jnp.array(Q), jnp.array(0.4))) == pytest.approx(expected, rel=1e-14)
+
+
 @pytest.mark.parametrize("amplitude", [1e-5, 0.5, 1.4])
 def test_the_period_of_pitch_libration(amplitude):
     """B α̈ = −(3/2)(A − C) sin 2α: n√(3(A − C)/B) where it is small, 4K(sin²α₀)/that where it is large.
@@ -394,8 +419,11 @@ def test_bad_input_is_refused_in_a_sentence():
         (lambda: systems.gravity_gradient(J, lambda t: 1 / 0, 1.0), None),
         (lambda: systems.gravity_gradient(J, 7.0), "orbit must be a function"),
         (lambda: systems.driven_top(J, lambda Gamma: Gamma[0]), r"function of \(Γ, t\).*it fails"),
-        (lambda: systems.driven_top(J, lambda Gamma, t: Gamma), "scalar value, got a value of shape"),
-        (lambda: systems.driven_top(J, lambda Gamma, t: t, lambda t: t), r"axis must be a function of t.*shape \(\)"),
+        (lambda: systems.driven_top(J, lambda Gamma, t: Gamma), "a real scalar as its value, got shape"),
+        (
+            lambda: systems.driven_top(J, lambda Gamma, t: t, lambda t: t),
+            r"axis .* shape \(3,\) as its value, got shape \(\)",
+        ),
         (lambda: systems.driven_top(J, lambda Gamma, t: t, [0, 0, 0]), "axis must not be zero"),
         (lambda: systems.driven_top(J, 3.0), "potential must be a function of"),
         (lambda: schemes.top_energy_momentum(example("two_wells")[0]), "without an axis; take splitting"),

@@ -4,6 +4,7 @@ import functools
 import io
 import json
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,9 +14,9 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax import scenarios, studies
-from lieint_jax.command import cli, compilation, files, report, results
-from lieint_jax.ensemble import _layout, _recording, _run, _store
+from lieint_jax import _cache, _checks, scenarios, studies
+from lieint_jax.command import cli, files, report, results
+from lieint_jax.ensemble import _identity, _layout, _run, _store, processes
 from lieint_jax.fitting import _bounds
 from lieint_jax.types import State, StepInfo, Trajectory
 
@@ -106,6 +107,44 @@ def test_what_is_wrong_is_said(call, sentence):
         call()
 
 
+STEP, ONE_MEMBER = li.schemes.so3_midpoint(BODY), jax.tree.map(lambda x: x[None], STATE)
+SIZES = [
+    (
+        lambda: li.integrate(STEP, STATE, 0.1, 2**31),
+        "would hold 157 GB in memory, 2 times .*give a larger save_every, or",
+    ),
+    (
+        lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, 1),
+        r"would hold 174 GB in memory: 2147483649 entries of 81 bytes, .*has 1 GB; give a larger save_every or store=",
+    ),
+    (lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, 1, reduce="energy"), "would hold 120 GB .*save_every$"),
+    (lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, 1, store="x.zarr"), "would hold 34.4 GB .*save_every$"),
+    (lambda: li.integrate(STEP, STATE, 0.1, 2**63), "num_steps must be at most 9007199254740992, got 9.22337e"),
+    (lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 10**30), "num_steps must be at most 9007199254740992, got 1e"),
+    (lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 1e30), "num_steps must be an integer ≥ 0, got 1e"),
+    (
+        lambda: report.run("toutatis", Path("x.npz"), 10**9),
+        "would hold 65.2 TB in memory: .*; give fewer members, a larg",
+    ),
+    (lambda: report.run("toutatis", Path("x.zarr"), 10**9), "would hold 65 GB in memory: .*; give fewer members$"),
+]
+
+
+@pytest.mark.parametrize(("call", "sentence"), SIZES, ids=[sentence[:30] for _, sentence in SIZES])
+def test_a_size_is_refused_before_it_is_allocated(call, sentence, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(_checks, "memory_of_machine", lambda: 1e9)
+    with pytest.raises(ValueError, match=sentence):
+        call()
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_memory_of_this_machine():
+    assert 2**28 < _checks.memory_of_machine() < 2**50
+    assert [_checks.spoken_size(x) for x in (81, 4.2e6, 1.4e11)] == ["81 bytes", "4.2 MB", "140 GB"]
+    assert _checks.entry_size(STATE) == 8 * 7 + 9
+
+
 def test_a_step_of_ones_own_that_fails_has_a_message():
     @li.pytree
     class Failing(li.Step):
@@ -144,7 +183,7 @@ def test_the_command_line_ends_quietly(monkeypatch, capsys):
     """Where its reader has gone, where it is interrupted, where a number is not positive, where it may not write."""
 
     def stopped_by(error):
-        def run(*_):
+        def run(*_, **__):
             raise error
 
         monkeypatch.setattr(report, "run", run)
@@ -164,10 +203,57 @@ def test_the_command_line_ends_quietly(monkeypatch, capsys):
         files.free(Path("run.npz"))
 
 
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
+def test_output_of_any_encoding(encoding, monkeypatch):
+    """As of LC_ALL=C: letters that an encoding does not have are spelled."""
+    written = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding=encoding))
+    assert cli.main(["schema"]) == 0
+    print("κ ± 3° · π² − Ωₖ ≤ … 水", flush=True)
+    [*_, last] = written.getvalue().decode(encoding).splitlines()
+    spelled = {"ascii": "kappa +- 3deg * pi2 - Omegak <= ... ?", "latin-1": "kappa ± 3° · pi² - Omegak <= ... ?"}
+    assert last == spelled.get(encoding, "κ ± 3° · π² − Ωₖ ≤ … 水")
+
+
+def test_errors_of_the_system_are_one_short_line(monkeypatch, capsys):
+    def failing(error):
+        def run(*_, **__):
+            raise error
+
+        monkeypatch.setattr(report, "run", run)
+        assert cli.main(["run", "toutatis"]) == 2
+        [line] = capsys.readouterr().err.splitlines()
+        return line
+
+    assert failing(OSError(36, "File name too long", "a" * 3000)) == f"lieint: {'a' * 100}…: File name too long"
+    assert failing(OSError(28, "No space left on device")) == "lieint: No space left on device"
+    assert failing(ValueError("two\nlines")) == "lieint: two lines"
+    assert failing(MemoryError()).startswith("lieint: not enough memory: fewer members")
+    assert failing(jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: out of memory")) == failing(MemoryError())
+    with pytest.raises(jax.errors.JaxRuntimeError, match="INTERNAL"):
+        failing(jax.errors.JaxRuntimeError("INTERNAL: a mistake"))
+
+
+def test_who_is_waited_for_is_said(monkeypatch, capsys):
+    """Processes that do not connect, as where a stranger has the coordinator's port: after some seconds."""
+    monkeypatch.setattr(cli, "_WAIT", 0.01)
+
+    def initialize(*_):
+        time.sleep(0.2)
+        raise ValueError("the processes did not meet")
+
+    monkeypatch.setattr(processes, "initialize", initialize)
+    options = ["--distributed", "--coordinator", "host:1234", "--processes", "3", "--process", "0"]
+    assert cli.main(["run", "toutatis", *options]) == 2
+    first, last = capsys.readouterr().err.splitlines()
+    assert first == "lieint: waiting for the processes of this run at host:1234, 3 in all, to connect …"
+    assert last == "lieint: the processes did not meet"
+
+
 def test_a_machine_that_does_not_describe_its_processor(monkeypatch):
     def unreadable(*_):
         raise OSError
 
     monkeypatch.setattr(Path, "read_text", unreadable)
-    assert compilation._processor()
-    assert _recording._device() == compilation.platform.machine()
+    assert _cache._processor()
+    assert _identity.device() == _cache.platform.machine()

@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax import diagnostics, schemes, systems
-from lieint_jax._numerics import collocation, kernel
+from lieint_jax import _discover, diagnostics, schemes, systems
+from lieint_jax._numerics import collocation
 from lieint_jax.diagnostics.order import distance, flow
+from lieint_jax.schemes import _body_axes
 from lieint_jax.schemes._canonical import canonical, configuration, field, force, inverses, momentum, parts
-from lieint_jax.schemes.extrapolate import weights
+from lieint_jax.schemes.extrapolate import _extrapolated, _fractions, weights
 from lieint_jax.systems.heavy_top import asymmetric
 from lieint_jax.systems.rigid_bodies import examples as bodies
 
 TOP, STATE = asymmetric()
 STEP = schemes.gauss(TOP)
+_Equation = _discover.modules(schemes)["gauss"]._Equation
 
 
 @functools.cache
@@ -50,7 +52,7 @@ LONG = pytest.mark.long
 
 
 @pytest.mark.parametrize(
-    "name", ["top", *(pytest.param(name, marks=pytest.mark.long) for name in ("driven", "binary", "many"))]
+    "name", ["top", "gyrostat", *(pytest.param(name, marks=LONG) for name in ("driven", "binary", "many"))]
 )
 def test_canonical_coordinates_are_those_of_the_system(name):
     """There and back; their rate pushed forward is the vector field; the pair (q, p) has the lengths that it should."""
@@ -68,7 +70,7 @@ def test_canonical_coordinates_are_those_of_the_system(name):
     torque = system.vector_field(state).p
     found = jnp.stack(force(system, None, z, t), axis=-1).reshape(torque.shape)
     np.testing.assert_allclose(found, torque, rtol=0, atol=1e-15 * float(jnp.abs(torque).max()))
-    q, p = (jnp.stack(x).reshape(4, -1)[:, 0] for x in (parts(z)[0].q, parts(z)[0].p))
+    q, p = (jnp.stack(x).reshape(4, -1)[:, 0] for x in (parts(z).q, parts(z).p))
     assert abs(float(q @ p)) < 1e-15
     spin = state.p.reshape(-1, state.p.shape[-1])[0, -3:]
     assert float(p @ p) == pytest.approx(4 * float(spin @ spin), rel=1e-14)
@@ -88,6 +90,36 @@ def test_form_momentum_length_and_way_back(name):
     assert diagnostics.reversibility(step, state, dt) < 3e-15
     if name != "driven":
         assert abs(float(system.energy(end) - system.energy(state))) < 1e-12
+
+
+def test_the_work_on_a_body_at_rest_is_the_quadrature_of_the_power():
+    """V = t³ does not move the body; two stages integrate its power 3t² exactly, at the nodes of the step alone."""
+    body = systems.driven_top([1.0, 2.0, 2.6], lambda Gamma, t: t**3 + 0 * Gamma[0])
+    start = li.State(jnp.array([1.0, 0, 0, 0]), jnp.zeros(3), jnp.array(0.4), jnp.array(0.0))
+    step = schemes.gauss(body, 2)
+    end, info = jax.jit(step)(start, 0.5)
+    assert info.converged
+    assert float(end.work) == pytest.approx(0.9**3 - 0.4**3, rel=1e-15)
+    nodes, Y = collocation.nodes(2), tuple(jnp.zeros((2, 8)).T)
+    [times] = _Equation.of(step, start, jnp.array(0.5)).each(lambda system, inverse, z, t: (t,), Y, nodes)
+    np.testing.assert_allclose(times, 0.4 + 0.5 * nodes, rtol=1e-15)
+
+
+def test_derivatives_converge_where_the_sweeps_do():
+    """By dt at |ΔtΩ| = 1, where the equations of the derivative need as many sweeps as those of the step."""
+    body = systems.rigid_body([1.0, 2.0, 2.6])
+    start = body.state(angular_velocity=[0.4, 0.5, 0.77])
+
+    @jax.jit
+    def both(dt):
+        def end(dt):
+            return schemes.gauss(body, 2)(start, dt)[0].q
+
+        at = jax.vmap(end)(dt + 1e-3 * jnp.array([-2.0, -1, 1, 2]))
+        return jax.jvp(end, (dt,), (1.0,))[1], (at[0] - 8 * at[1] + 8 * at[2] - at[3]) / 12e-3
+
+    own, differences = both(1.0)
+    np.testing.assert_allclose(own, differences, rtol=0, atol=1e-11)
 
 
 @pytest.mark.long
@@ -175,24 +207,9 @@ def test_derivatives_forward_reverse_reversible_and_differences():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", NAMES)
-def test_an_ensemble_in_one_kernel_is_what_it_is_without(name, monkeypatch):
-    """40 members, the last 8 in a part of their own; apart by up to 3e-16 a step."""
-    system, state, dt = example(name)
-    p = state.p * (1 + 0.1 * jnp.sin(jnp.arange(40.0)).reshape(-1, *[1] * state.p.ndim))
-    states = jax.vmap(lambda p: state._replace(p=p))(p)
-    runs = [li.ensemble.run(schemes.gauss(system, 4), states, dt / 2, 6, save_every=3, progress=False)]
-    monkeypatch.setenv(kernel.SWITCH, "0")
-    runs += [li.ensemble.run(schemes.gauss(system, 4), states, dt / 2, 6, save_every=3, progress=False)]
-    for one, other in zip(*map(jax.tree.leaves, runs), strict=True):
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-14 * float(jnp.abs(p).max()))
-    assert all(run.info.converged.all() for run in runs)
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("sweeps", [None, 12])
 def test_a_member_of_an_ensemble_has_an_inertia_and_a_weight_of_its_own(sweeps):
-    """In one kernel; each as by itself."""
+    """Each as by itself."""
     inertias = jnp.array([1.0, 2.0, 2.6]) * (1 + 0.1 * jnp.cos(jnp.arange(3.0)))[:, None]
     weights = jnp.array([[0.1, 0.2, 0.5], [0.0, 0.0, 1.0], [0.3, 0.0, 0.0]])
     steps = jax.vmap(lambda J, w: schemes.gauss(systems.heavy_top(J, w), 4, sweeps))(inertias, weights)
@@ -266,6 +283,26 @@ def test_the_weights_cancel_even_powers():
     np.testing.assert_allclose(sums, [1, 0, 0, 0, 0, 0], rtol=0, atol=1e-14)
 
 
+def test_extrapolation_samples_the_time_of_each_sub_step():
+    """u̇ = u cos t from u = 1 at order 12."""
+    numbers = [2, 4, 6, 8, 10, 12]
+
+    def end(t0, dt):
+        moments = t0 + dt * jnp.asarray(_fractions(numbers))
+        return _extrapolated(lambda u, t: u * jnp.cos(t), moments, jnp.ones(()), dt, numbers, True)[0]
+
+    expected = np.expm1(np.sin(0.6) - np.sin(0.3))
+    assert float(jax.jit(end)(0.3, 0.3)) == pytest.approx(expected, rel=1e-14)
+
+
+def test_extrapolation_follows_the_axis_of_a_driven_top_through_the_step():
+    top = systems.driven_top([1.0, 2.0, 2.6], lambda Gamma, t: Gamma[2], lambda t: jnp.stack([t, 0 * t, 1 + 0 * t]))
+    state = li.State(jnp.array([1.0, 0, 0, 0]), jnp.zeros(3), jnp.array(0.4))
+    found = _body_axes.moments(top, state, jnp.array([0.0, 0.1, 0.3]))
+    np.testing.assert_allclose(found.t, [0.4, 0.5, 0.7], rtol=1e-15)
+    np.testing.assert_allclose(found.axis, [[0.4, 0, 1], [0.5, 0, 1], [0.7, 0, 1]], rtol=1e-15)
+
+
 def leaning():
     """A heavy top of full inertia whose axis leans, points down and is not of unit length."""
     top = systems.heavy_top([[1.1, 0.2, 0.1], [0.2, 1.8, -0.3], [0.1, -0.3, 2.2]], [0.5, 0.4, 1.0], (0.3, -0.5, -1.2))
@@ -277,7 +314,7 @@ def leaning():
     ("name", "order"), [("triple", 4), ("many", 8), ("binary", 12), ("leaning", 6), ("driven", 8), ("gyrostat", 10)]
 )
 def test_extrapolated_steps_have_their_order(name, order):
-    """On one body of each kind; on few bodies, written out number by number, and on five."""
+    """On one body of each kind; on two, three and five bodies."""
     if name == "leaning":
         system, state = leaning()
     else:
@@ -294,39 +331,9 @@ def test_extrapolated_steps_have_their_order(name, order):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("increments", [True, False])
-def test_extrapolation_in_a_kernel_is_the_same(increments):
-    """There its loop is another one; observed: 2e-15 for the worst."""
-    for system, state in (leaning(), example("gyrostat")[:2], example("driven")[:2], bodies()["binary"][:2]):
-        step = schemes.extrapolate(system, 8, increments)
-        expected, info = jax.jit(step)(state, 0.1)
-        found, same = jax.jit(kernel.one_kernel(step))(state, 0.1)
-        assert info.converged
-        assert same.converged
-        np.testing.assert_allclose(same.residual, info.residual, rtol=1e-5, atol=4e-15)
-        assert_close(found, expected)
-        assert_close(jax.tree.map(lambda x: x[7], once_of_many(step, state, 0.1)), expected)
-
-
-def once_of_many(step, state, dt):
-    """A step of 64 members that are alike, in a loop of one kernel, as an ensemble makes it."""
-    members = jax.tree.map(lambda x: jnp.stack([x] * 64), state)
-
-    def loop(n, members):
-        return jax.lax.fori_loop(0, n, lambda _, z: jax.vmap(lambda z: step(z, dt)[0])(z), members)
-
-    return jax.jit(kernel.one_kernel(loop))(1, members)
-
-
-def assert_close(one, other):
-    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-        np.testing.assert_allclose(a, b, rtol=0, atol=6e-15)
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["leaning", "gyrostat", "driven", "binary"])
-def test_gauss_in_a_kernel_is_the_same(name):
-    """Of a top whose axis leans, and is not of length 1, in a frame of its own; observed: 2e-15 for the worst."""
+def test_a_converged_step_of_gauss_is_the_flow(name):
+    """Also of a top whose axis leans, and is not of length 1, in a frame of its own."""
     if name == "leaning":
         system, state = leaning()
     else:
@@ -334,7 +341,6 @@ def test_gauss_in_a_kernel_is_the_same(name):
     step = schemes.gauss(system, 6)
     expected, info = jax.jit(step)(state, 0.1)
     assert info.converged
-    assert_close(jax.tree.map(lambda x: x[7], once_of_many(step, state, 0.1)), expected)
     assert float(distance(expected, flow(system, state, 0.1, 20), system.phase_space)) < 2e-14
 
 

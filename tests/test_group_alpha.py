@@ -61,6 +61,19 @@ def test_without_a_potential_momentum_is_kept_for_every_alpha_and_the_rest_is_no
     assert order(step, SPIN, 0.05) == pytest.approx(1, abs=0.05)
 
 
+@pytest.mark.parametrize("alpha", [0.0, 1.0])
+def test_the_ends_of_the_family_are_the_symplectic_euler_schemes(alpha):
+    """On ℝ²: the velocity is that before the step and the force that after it, or the other way round."""
+    after, converged, *_ = measured(li.schemes.group_alpha(PLANE, alpha), MOVING, 0.3)
+    x0, x1 = (np.asarray(z.q)[:2, 2] for z in (MOVING, after))
+    p0, p1 = (np.asarray(z.p) for z in (MOVING, after))
+    r = [x0, x1][alpha == 0]
+    force = -r / (1 + r @ r) ** 1.5 - [0.3 * r[0] ** 2, 0]
+    assert converged
+    np.testing.assert_allclose(x1 - x0, 0.3 * np.linalg.solve(PLANE.metric, [p0, p1][alpha == 1]), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(p1 - p0, 0.3 * force, rtol=0, atol=1e-15)
+
+
 @pytest.mark.long
 def test_without_a_potential_one_half_is_group_midpoint():
     step = li.schemes.group_alpha(FREE, 0.5, SYMPLECTIC)

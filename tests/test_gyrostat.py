@@ -55,6 +55,17 @@ def history(step, state, dt):
     return [jnp.max(jnp.abs(x)) for x in (energy, momentum, length)], run.info.converged.all()
 
 
+def test_the_rate_of_a_motor_s_work_is_that_of_the_energy():
+    @jax.jit
+    def both(state):
+        rate = DRIVEN.vector_field(state)
+        return jax.jvp(DRIVEN.energy, (state,), (rate._replace(t=jnp.ones(())),))[1], rate.work
+
+    energy, work = both(START._replace(t=jnp.array(1.3)))
+    assert float(energy) == pytest.approx(float(work), rel=1e-13)
+    assert abs(work) > 0.01
+
+
 # What so3_midpoint keeps ----------------------------------------------------------------------------------------------
 
 
@@ -490,9 +501,9 @@ def test_bad_input_is_refused_in_a_sentence():
     for motor in ("on", np.zeros(3)):
         with pytest.raises(ValueError, match=r"motor must be a function of the time t with values \(3,\)"):
             systems.driven_gyrostat(J, motor)
-    with pytest.raises(ValueError, match=r"values \(3,\), got a value of shape \(2,\)"):
+    with pytest.raises(ValueError, match=r"of shape \(3,\) as its value, got shape \(2,\)"):
         systems.driven_gyrostat(J, lambda t: jnp.stack([t, t]))
-    with pytest.raises(ValueError, match=r"motor fails as a function of the time t: .*positional argument"):
+    with pytest.raises(ValueError, match=r"motor must be a function of the time t.* it fails: .*positional argument"):
         systems.driven_gyrostat(J, lambda: jnp.zeros(3))
     with pytest.raises(ValueError, match=r"work must have shape \(\)"):
         DRIVEN.state(Q, angular_velocity=OMEGA, work=[0.0])

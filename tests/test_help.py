@@ -26,6 +26,16 @@ def test_help_begins_with_a_list_of_what_is_there_in_a_screen(room):
     assert text.splitlines()[0] in pydoc.plain(pydoc.render_doc(room)).splitlines()[3]
 
 
+@pytest.mark.parametrize("topic", [li, *(getattr(li, name) for name in ("State", "StepInfo", "Trajectory", "Event"))])
+def test_help_shows_no_methods_of_tuples(topic):
+    """They were 100 lines for each of four classes, half of `help(li)`."""
+    text = pydoc.plain(pydoc.render_doc(topic))
+    assert "__add__" not in text
+    assert "__getitem__" not in text
+    assert "_replace" in text
+    assert len(text.splitlines()) <= 550
+
+
 def test_the_list_of_schemes_names_no_other():
     rows = [line.split("|")[1] for line in li.schemes.__doc__.splitlines() if line.startswith("| `")]
     assert {name for row in rows for name in re.findall(r"`(\w+)`", row)} == {

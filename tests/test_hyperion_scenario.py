@@ -129,7 +129,7 @@ source = "nobody"
 
 BAD = [
     ([("steps = 800", "steps = 810")], "steps = 810 must be whole orbits of steps_per_orbit = 40"),
-    ([("members = 12", "members = 10")], "members = 10 must be a multiple of angles = 4"),
+    ([("members = 12", "members = 10")], "members = 10 must be a multiple of angles = 4: give 8 or 12"),
     ([("steps = 800", "steps = 800\ndt = 0.1")], "dt is given by steps_per_orbit: leave it out"),
     ([("[0.5956, 0.8594, 1.0]", "[1.0, 0.8594, 0.5956]")], "inertia: must be three moments in order"),
     ([("[0.5956, 0.8594, 1.0]", "[0.5956, 0.8594, -1.0]")], "inertia: "),

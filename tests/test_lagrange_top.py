@@ -5,13 +5,15 @@ import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
+from free_bodies import moving
+from scipy.integrate import quad
 
 import lieint_jax as li
 from lieint_jax import diagnostics
 from lieint_jax.groups import so3
 from lieint_jax.integrate import steps
 from lieint_jax.schemes import compose, splitting, top_energy_momentum
-from lieint_jax.systems.heavy_top import lagrange
+from lieint_jax.systems.heavy_top import lagrange, lagrange_motion
 
 A, C, WEIGHT = 5.0, 1.0, 20.0  # of Simo & Wong's top
 after = jax.jit(steps)  # the state after any number of steps, and the worst of their reports
@@ -41,6 +43,31 @@ def nutation(top, state):
     roots = sorted(np.roots([beta, -a - c * c, 2 * b * c - beta, a - b * b]).real)
     k2 = (roots[1] - roots[0]) / (roots[2] - roots[0])
     return roots[0], roots[1], 4 * float(mpmath.ellipk(k2)) / np.sqrt(beta * (roots[2] - roots[0]))
+
+
+def test_the_closed_form_of_nutation_and_precession_against_quadrature():
+    """With u = Γ₃ between its two bounds, u̇² = β(u − u₁)(u₂ − u)(u₃ − u) and the precession is (b − cu)/(1 − u²)."""
+    top = top_of()
+    state = moving(np.array([A, A, C]), [0.5, 0.3, 20.0])
+    _, _, spin, height, energy, _ = jax.device_get(seen(top, state))
+    beta, b, c = 2 * WEIGHT / A, height / A, spin / A
+    a = 2 * (energy - spin**2 / (2 * C)) / A
+    u1, u2, u3 = sorted(np.roots([beta, -a - c * c, 2 * b * c - beta, a - b * b]).real)
+
+    def mean(rate):
+        """The integral of a rate over a period, from one bound of u to the other and back."""
+
+        def integrand(x):
+            u = (u1 + u2) / 2 + (u2 - u1) / 2 * np.sin(x)
+            return 2 * rate(u) / np.sqrt(beta * (u3 - u))
+
+        return quad(integrand, -np.pi / 2, np.pi / 2, epsabs=0, epsrel=1e-13)[0]
+
+    period = mean(lambda u: 1.0)
+    found = jax.jit(lagrange_motion)(top, state)
+    assert float(found.nutation_period) == pytest.approx(period, rel=1e-12)
+    assert float(found.precession_rate) == pytest.approx(mean(lambda u: (b - c * u) / (1 - u * u)) / period, rel=1e-12)
+    np.testing.assert_allclose(np.cos(found.inclination), [u2, u1], rtol=0, atol=1e-12)
 
 
 @pytest.mark.long

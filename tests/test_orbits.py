@@ -117,8 +117,8 @@ def test_float32():
         ((1.0, 1.0, 1.0), "eccentricity must not be 1: a parabola has no semi-major axis"),
         ((1.0, 1.0, 1.5), "a hyperbola semi_major_axis < 0 and eccentricity > 1, got 1.0 and 1.5"),
         ((1.0, -1.0, 0.5), "an ellipse has semi_major_axis > 0"),
-        ((1.0, 0.0, 0.5), "an ellipse has semi_major_axis > 0"),
-        ((1.0, 1.0, -0.1), "0 ≤ eccentricity < 1"),
+        ((1.0, 0.0, 0.5), "semi_major_axis must not be 0"),
+        ((1.0, 1.0, -0.1), "eccentricity must be ≥ 0, got -0.1"),
         ((1.0, np.nan, 0.1), "semi_major_axis must be finite"),
         ((1.0, [1.0, 2.0], 0.1), "semi_major_axis must have shape"),
     ],
@@ -126,6 +126,58 @@ def test_float32():
 def test_what_is_no_orbit_is_refused(elements, message):
     with pytest.raises(ValueError, match=message):
         li.orbits.kepler(*elements)
+
+
+NO_ORBITS = [
+    (1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -0.1), (1.0, -1.0, -1.5), (1.0, -1.0, 0.5), (1.0, 1.0, 2.0),
+    (1.0, 0.0, 0.5), (1.0, 0.0, 2.0), (0.0, 1.0, 0.5), (-1.0, 1.0, 0.5), (-1.0, -1.0, 2.0), (1.0, 1.0, np.nan),
+]  # fmt: skip
+
+
+def test_traced_elements_of_no_orbit_give_nan_and_do_not_touch_their_neighbours():
+    """Positions, velocities and their derivatives; those of two orbits in the same batch are finite."""
+
+    @jax.jit
+    @jax.vmap
+    def motion(x):
+        def orbit(x):
+            return jnp.concatenate(orbits.kepler(*x[:3])(x[3]))
+
+        return orbit(x), jax.jacfwd(orbit)(x), jax.jacrev(orbit)(x), orbits.kepler(*x[:3]).mean_motion
+
+    x = np.array([*NO_ORBITS, (1.0, 1.0, 0.5), (1.0, -1.0, 2.0)])
+    for t in (0.0, 0.7):
+        values, forward, reverse, mean_motion = motion(np.insert(x, 3, t, axis=1))
+        assert np.isnan(values[:-2, :2]).all()
+        assert np.isnan(mean_motion[:-2]).all()
+        for slopes in (forward, reverse):
+            assert np.isnan(slopes[:-2, :2, 3]).all()
+        for good in (values, forward, reverse, mean_motion):
+            assert np.isfinite(good[-2:]).all()
+
+
+def test_numbers_are_refused_although_another_element_is_traced():
+    for elements, message in [
+        ((0.0, None, 0.5), "mu must be positive"),
+        ((1.0, 0.0, None), "semi_major_axis must not be 0"),
+        ((1.0, None, 1.0), "eccentricity must not be 1"),
+        ((1.0, None, -0.5), "eccentricity must be ≥ 0"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            jax.eval_shape(lambda x: orbits.kepler(*(x if y is None else y for y in elements)), 1.0)  # noqa: B023
+
+
+def test_the_anomaly_of_any_hyperbola_is_right_to_round_off():
+    """e − 1 from 1e-12 to 1e15 and M from 1e-12 to 1e12, against Newton's method in 50 digits; seen: 3.5e-16."""
+    rng = np.random.default_rng(1)
+    e, M = 1 + 10 ** rng.uniform(-12, 15, 200), 10 ** rng.uniform(-12, 12, 200)
+    ours = jax.jit(jax.vmap(orbits._hyperbolic_anomaly))(M, e)
+    with mp.workdps(50):
+        for m, x, found in zip(*(map(mp.mpf, map(float, v)) for v in (M, e, ours)), strict=True):
+            E = found
+            for _ in range(4):
+                E -= (x * mpmath.sinh(E) - E - m) / (x * mpmath.cosh(E) - 1)
+            assert abs(found - E) < 6e-16 * E
 
 
 FLYBY = orbits.kepler(398600.4418, -28400.0, 2.35)

@@ -182,6 +182,16 @@ def test_claim_4_second_order_and_reversible_about_any_axis():
     assert found.converged
 
 
+def test_the_step_in_the_chart_follows_the_vector_field():
+    """By the central difference of two steps."""
+    bob, h = BOBS["cubic"], 1e-3
+    step = jax.jit(lambda state, dt: li.schemes.sphere_chart(bob, AXIS)(state, dt)[0])
+    ahead, behind = (step(start(), dt) for dt in (h, -h))
+    field = bob.vector_field(start())
+    for a, b, rate in zip(ahead[:2], behind[:2], field[:2], strict=True):
+        np.testing.assert_allclose((a - b) / (2 * h), rate, rtol=0, atol=1e-5)
+
+
 @pytest.mark.long
 def test_claim_5_at_the_pole_the_step_in_the_chart_is_flagged():
     """Elsewhere it is not, be it at rest; a NaN never comes without the flag."""
@@ -299,6 +309,7 @@ def test_errors():
         (lambda: li.systems.pendulum(-1.0, 1.0), "mass must be positive"),
         (lambda: li.systems.pendulum(1.0, 1.0, [0, 0, 2]), "axis must be a unit vector"),
         (lambda: li.systems.pendulum([1.0], 1.0), "mass must have shape"),
+        (lambda: li.systems.pendulum(1.0, lambda s: None), "gravity must be a function of γ·q with a real scalar"),
         (lambda: bob.state([1.0, 0], velocity=[0, 0, 1]), "direction must have shape"),
         (lambda: bob.state([1.0, 0, 0], velocity=[0, 0, jnp.nan]), "velocity must be finite"),
         (lambda: li.schemes.top_energy_momentum(bob), "rigid bodies in a potential with an axis"),

@@ -62,7 +62,7 @@ def test_a_sum_over_sites_is_the_sum_over_all_pairs_of_different_bodies(kind):
         for b, d in zip(at[j], NUMBERS[j], strict=True)
     )
     assert len(potential.groups) == 3
-    assert float(potential(PLACES, TURNS)) == pytest.approx(total, rel=1e-13)
+    assert float(jax.jit(potential)(PLACES, TURNS)) == pytest.approx(total, rel=1e-13)
 
 
 def test_one_number_a_body_is_a_point_at_its_centre():
@@ -77,9 +77,21 @@ def test_a_spring_pulls_as_hooke_says():
     V = potentials.springs([[0, 1]], [[[1.0, 0, 0], [0, 1, 0]]], 2.0, 1.5)
     ends = PLACES[0] + TURNS[0][:, 0], PLACES[1] + TURNS[1][:, 1]
     length = np.linalg.norm(ends[0] - ends[1])
-    assert float(V(PLACES[:2], TURNS[:2])) == pytest.approx((length - 1.5) ** 2, rel=1e-14)
+    assert float(jax.jit(V)(PLACES[:2], TURNS[:2])) == pytest.approx((length - 1.5) ** 2, rel=1e-14)
     slack = potentials.springs([[0, 1]], np.zeros((1, 2, 3)), 2.0, 0.0)
-    assert float(jnp.abs(jax.grad(slack)(jnp.zeros((2, 3)), TURNS[:2])).max()) == 0  # finite where its ends meet
+    pull = jax.jit(jax.grad(slack))(jnp.zeros((2, 3)), TURNS[:2])
+    assert float(jnp.abs(pull).max()) == 0  # finite where its ends meet
+
+
+@jax.jit
+def gradients(potential):
+    """Discrete gradients between states far apart, forth and back, and 1e-9 apart; the mean gradient of the latter."""
+    V = potentials.invariant_form(potential)
+    start, near = V.invariants(PLACES, TURNS), V.invariants(PLACES + 1e-9 * jnp.sin(PLACES), TURNS)
+    far = V.invariants(1.1 * PLACES + 0.1, TURNS[::-1])
+    slope = jax.tree.map(lambda a, b: (a + b) / 2, *(jax.grad(V.value)(at) for at in (start, near)))
+    found = [V.discrete_gradient(*pair) for pair in ((start, far), (far, start), (start, near))]
+    return *found, slope, jax.tree.map(jnp.subtract, far, start), V.value(start), V.value(far)
 
 
 @pytest.mark.slow
@@ -93,20 +105,34 @@ def test_discrete_gradients_give_the_difference_without_cancellation(name):
         "MacCullagh": potentials.maccullagh(1.0, np.ones(6), J),
         "sum": KINDS["charges"][0] + SPRINGS + FIELD,
     }
-    V = potentials.invariant_form(named[name])
-    start = V.invariants(PLACES, TURNS)
-    far = V.invariants(1.1 * PLACES + 0.1, TURNS[::-1])
-    D = V.discrete_gradient(start, far)
-    change = jax.tree.map(jnp.subtract, far, start)
-    terms = jnp.concatenate([jnp.ravel(x) for x in jax.tree.leaves(jax.tree.map(jnp.multiply, D, change))])
-    error = jnp.sum(terms) - V.value(far) + V.value(start)
-    assert abs(float(error)) < 1e-14 * float(jnp.abs(terms).sum() + jnp.abs(V.value(start)))
-    for d, e in zip(jax.tree.leaves(D), jax.tree.leaves(V.discrete_gradient(far, start)), strict=True):
+    D, back, close, slope, change, before, after = jax.device_get(gradients(named[name]))
+    terms = np.concatenate([np.ravel(x) for x in jax.tree.leaves(jax.tree.map(np.multiply, D, change))])
+    assert abs(terms.sum() - after + before) < 1e-14 * (np.abs(terms).sum() + abs(before))
+    for d, e in zip(jax.tree.leaves(D), jax.tree.leaves(back), strict=True):
         np.testing.assert_allclose(d, e, rtol=1e-14, atol=1e-15)
-    near = V.invariants(PLACES + 1e-9 * jnp.sin(PLACES), TURNS)
-    slope = jax.tree.map(lambda a, b: (a + b) / 2, *(jax.grad(V.value)(at) for at in (start, near)))
-    for d, e in zip(jax.tree.leaves(V.discrete_gradient(start, near)), jax.tree.leaves(slope), strict=True):
-        np.testing.assert_allclose(d, e, rtol=1e-12, atol=1e-14 * float(jnp.abs(e).max()))
+    for d, e in zip(jax.tree.leaves(close), jax.tree.leaves(slope), strict=True):
+        np.testing.assert_allclose(d, e, rtol=1e-12, atol=1e-14 * np.abs(e).max())
+
+
+def test_the_discrete_gradient_of_a_pair_of_sites_gives_the_difference():
+    """Of each law, from a squared distance to another; for molecules of more sites see above."""
+    start, end = np.array([[1.3]]), np.array([[2.9]])
+    for V in (
+        potentials.point_masses(2.0, [1.5, 0.7], softening=0.3),
+        potentials.point_charges(3.0, [1.5, -0.7]),
+        potentials.lennard_jones([1.5, 0.7], [0.9, 1.2]),
+    ):
+        [D] = V.discrete_gradient((start,), (end,))
+        assert float(D[0, 0]) * 1.6 == pytest.approx(float(V.value((end,)) - V.value((start,))), rel=1e-14)
+    spring = potentials.springs([[0, 1]], np.zeros((1, 2, 3)), 2.0, 0.8)
+    [D] = spring.discrete_gradient(start[0], end[0])
+    assert float(D) * 1.6 == pytest.approx(float(spring.value(end[0]) - spring.value(start[0])), rel=1e-14)
+
+
+def test_a_uniform_field_of_many_bodies_acts_on_the_sum_over_their_points():
+    at = [np.asarray(x + s @ np.asarray(R).T) for x, R, s in zip(PLACES, TURNS, UNEVEN, strict=True)]
+    total = sum(w @ (r @ [0.3, -0.2, -1.0]) for w, r in zip(NUMBERS, at, strict=True))
+    assert float(jax.jit(FIELD)(PLACES, TURNS)) == pytest.approx(-total, rel=1e-14)
 
 
 def test_carlson_s_integrals():
@@ -140,13 +166,11 @@ def test_an_ellipsoid_attracts_as_dirichlet_s_integral_says(place):
 
 def test_an_ellipsoid_far_away_is_maccullagh_s():
     """Their difference, of the fourth order of size over distance, falls by 2⁵ from r to 2r."""
-    a = np.array([2.0, 1.5, 0.7])
+    a, along = np.array([2.0, 1.5, 0.7]), np.array([[0.0, 0, 0], [0.6, 0.48, 0.64]])
     inertias = np.array([2.0 / 5 * ((a**2).sum() - a**2), [0.4, 0.4, 0.4]])
     second = potentials.maccullagh(1.0, [2.0, 3.0], inertias)
-    differences = []
-    for r in (20.0, 40.0):
-        x = jnp.array([[0.0, 0, 0], [0.6 * r, 0.48 * r, 0.64 * r]])
-        differences.append(float(ELLIPSOID(x, TURNS[:2]) - second(x, TURNS[:2])))
+    difference = jax.jit(lambda r: ELLIPSOID(r * along, TURNS[:2]) - second(r * along, TURNS[:2]))
+    differences = [float(difference(r)) for r in (20.0, 40.0)]
     assert np.log2(differences[0] / differences[1]) == pytest.approx(5, abs=0.05)
 
 
@@ -168,6 +192,14 @@ HANGING = {
     "uniform": potentials.uniform_field([0.1, 0.0, -0.5], WEIGHTS, TWO),
     "central": potentials.outer_field(lambda r: 0.1 * (r @ r) + 0.02 * r[2], WEIGHTS, TWO, np.eye(6)[[5]]),
 }
+
+
+def test_momentum_shows_what_an_outer_field_leaves_and_zero_for_the_rest():
+    bodies = systems.rigid_bodies([1.0, 2.0], np.ones((2, 3)), HANGING["central"])
+    rng = np.random.default_rng(6)
+    state = li.State(rng.normal(size=(2, 7)), rng.normal(size=(2, 6)))
+    turning = np.cross(state.q[:, :3], state.p[:, :3]) + state.p[:, 3:]
+    np.testing.assert_allclose(bodies.momentum(state), [0, 0, 0, 0, 0, turning[:, 2].sum()], rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -198,6 +230,26 @@ def test_the_energy_momentum_scheme_refuses_a_potential_that_it_would_change():
     for V in (lambda x, R: x[0, 2] + jnp.sum((x[1] - x[0]) ** 2), HANGING["central"]):
         with pytest.raises(ValueError, match="bodies in a potential of relative positions and attitudes"):
             schemes.bodies_energy_momentum(systems.rigid_bodies(m, J, V))
+
+
+@pytest.mark.parametrize(
+    ("model", "to_m", "dipole", "size", "well"),
+    [("TIP4P", 0.15, 2.177, 3.1536, 0.6485), ("TIP4P/2005", 0.1546, 2.305, 3.1589, 0.7749)],
+)
+def test_water_has_the_published_geometry_and_dipole(model, to_m, dipole, size, well):
+    """Distances in Å, the dipole in D, ε in kJ/mol: Tables I and II of Abascal & Vega 2005."""
+    molecule = potentials.water(model)
+    oxygen, *hydrogens, m = 10 * molecule.points
+    for hydrogen in hydrogens:
+        assert np.linalg.norm(hydrogen - oxygen) == pytest.approx(0.9572, abs=1e-12)
+        assert np.linalg.norm(m - hydrogen) < np.linalg.norm(hydrogen - oxygen)  # M lies between them
+    cosine = np.dot(hydrogens[0] - oxygen, hydrogens[1] - oxygen) / 0.9572**2
+    assert np.rad2deg(np.arccos(cosine)) == pytest.approx(104.52, abs=1e-9)
+    assert np.linalg.norm(m - oxygen) == pytest.approx(to_m, abs=1e-12)
+    moment = 10 * molecule.charges @ molecule.points
+    assert np.linalg.norm(moment) * 4.80320 == pytest.approx(dipole, abs=1e-3)  # 1 e Å = 4.80320 D
+    assert (molecule.sizes[0] * 10, molecule.wells[0]) == pytest.approx((size, well), rel=1e-4)
+    np.testing.assert_allclose(molecule.charges.sum(), 0, rtol=0, atol=1e-15)
 
 
 def test_the_tip4p_dimer():

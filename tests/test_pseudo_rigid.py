@@ -44,6 +44,18 @@ def test_stress_is_twice_the_gradient_and_the_mean_stress_gives_the_difference(n
     np.testing.assert_allclose(limit, 2 * gradient, rtol=1e-12, atol=1e-11)
 
 
+def test_every_mean_stress_gives_the_difference_of_the_energy():
+    """½S̄:D = W(C + D) − W(C), of all materials in one program."""
+
+    @jax.jit
+    def both(A, B):
+        means = [W.mean_stress(three.symmetric(A), three.symmetric(B)) for W in MATERIALS.values()]
+        return [three.inner(S, three.symmetric(B)) / 2 for S in means], [W(A + B) - W(A) for W in MATERIALS.values()]
+
+    for own, difference in zip(*both(C, D), strict=True):
+        assert float(own) == pytest.approx(float(difference), rel=1e-12)
+
+
 @pytest.mark.parametrize("size", [1e-2, 1e-5, 1e-9])
 def test_the_mean_stress_does_not_cancel(size):
     """Against 40 digits: a difference quotient of W loses eps·W/|ΔC| instead, all digits but five at |ΔC| = 1e-9."""
@@ -131,7 +143,7 @@ def test_states():
         (lambda: systems.pseudo_rigid_body(np.ones((3, 3)), MATERIALS["user"]), "positive definite"),
         (lambda: systems.pseudo_rigid_body(np.eye(3) + hat([1.0, 0, 0]), MATERIALS["user"]), "symmetric"),
         (lambda: systems.pseudo_rigid_body([1.0, 1, 1], 3.0), "a callable W"),
-        (lambda: systems.pseudo_rigid_body([1.0, 1, 1], lambda C: C), "must be a scalar"),
+        (lambda: systems.pseudo_rigid_body([1.0, 1, 1], lambda C: C), "with a real scalar as its value"),
         (lambda: systems.mooney_rivlin(-1.0, 1.0), "lam must be positive"),
         (lambda: systems.neo_hookean(1.0, 0.0), "mu must be positive"),
         (lambda: systems.pseudo_rigid_body(E, MATERIALS["user"]).state(-np.eye(3), momentum=P), "det deformation"),

@@ -7,9 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from grid import steps
+from small_steps import Leapfrog, Oscillators, leapfrog
 
 import lieint_jax as li
 from lieint_jax import studies
+from lieint_jax.schemes._compositions import METHODS
 from lieint_jax.types import State
 
 N, EVERY = 6, 3
@@ -235,6 +237,43 @@ def test_traced_times_that_are_not_reached_are_flagged_and_harm_no_other():
     end = li.integrate(STEP, STATE, 0.05, 10, 10).state.q[-1]
     np.testing.assert_allclose(state.q[1], end, rtol=0, atol=1e-14)
     assert not seen(0.0, jnp.array([0.5, 0.5, 0.5]))[1].converged.any()
+
+
+def observed_by_matrices(gammas, stiffness, dt, times):
+    """The first entry of q at the times, from q = 1 and p = 0: whole steps of a composition, then a shorter one."""
+
+    def step(h):
+        return np.linalg.multi_dot([leapfrog(stiffness, gamma * h) for gamma in gammas])
+
+    whole = [int(np.real(t) / np.real(dt)) for t in times]
+    return [(step(t - n * dt) @ np.linalg.matrix_power(step(dt), n))[0, 0] for t, n in zip(times, whole, strict=True)]
+
+
+def test_derivatives_of_observations_of_a_composition_by_the_complex_step():
+    """In the stiffness, dt and the times, through sub-steps of different sizes and through the shorter last step."""
+    weights, times, dt, stiffness = np.array([1.0, -0.7, 0.4]), np.array([0.71, 0.28, 0.33]), 0.1, 1.3
+    start = State(jnp.eye(3), jnp.zeros((3, 3)))
+
+    @jax.jit
+    @jax.value_and_grad
+    def loss(x):
+        step = li.schemes.compose(Leapfrog(Oscillators(x[0])), 4, "triple_jump")
+        return weights @ studies.observe(step, start, x[1], x[2:])[0].q[:, 0, 0]
+
+    at, gammas = np.array([stiffness, dt, *times]), METHODS["triple_jump"].gammas
+    value, slopes = loss(at)
+    assert float(value) == pytest.approx(weights @ observed_by_matrices(gammas, stiffness, dt, times), abs=1e-14)
+    for k, slope in enumerate(slopes):
+        x = at + 1e-30j * np.eye(5)[k]
+        exact = np.imag(weights @ observed_by_matrices(gammas, x[0], x[1], x[2:])) * 1e30
+        assert float(slope) == pytest.approx(exact, abs=1e-13)  # observed 2e-15
+        assert abs(exact) > 1e-4
+
+
+def test_the_clock_of_checkpoints_is_that_of_the_run():
+    start = State(jnp.eye(3), jnp.zeros((3, 3)), jnp.array(0.3))
+    run = studies.reversible(Leapfrog(Oscillators(jnp.array(1.3))), start, 0.1, 6, 2, derivative="checkpoint")
+    np.testing.assert_allclose(run.state.t, [0.3, 0.5, 0.7, 0.9], rtol=1e-15)
 
 
 @pytest.mark.long

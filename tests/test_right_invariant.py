@@ -62,6 +62,17 @@ def test_the_vector_field_is_hamiltonian(name):
     assert np.abs(slope).max() > 0.1
 
 
+def test_a_step_follows_the_vector_field():
+    """By the central difference of two steps: a step of −Δt would keep Π and the energy too."""
+    system, state = made("Aff(1)")
+    step, h = li.schemes.group_midpoint(system), 1e-3
+    ahead, behind = (_once(step, state, dt)[0] for dt in (h, -h))
+    field = system.vector_field(state)
+    for a, b, rate in zip(ahead[:2], behind[:2], field[:2], strict=True):
+        np.testing.assert_allclose((a - b) / (2 * h), rate, rtol=0, atol=1e-5)
+    assert np.abs(field.p).max() > 1e-2
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_the_inverse_map_carries_it_to_the_left_invariant_flow(name):

@@ -94,7 +94,7 @@ BAD_ATTITUDE = {
     "orthogonal": (np.eye(3) * 1.001, np.ones((3, 3))),
     "reflection": (np.diag([1.0, 1, -1]),),
     "finite": ([np.nan, 0, 0, 0], np.full((3, 3), np.inf)),
-    r"quaternion \(4,\) or a rotation matrix \(3, 3\)": ([1.0, 0, 0], np.eye(4)),
+    r"quaternion \(w, x, y, z\), shape \(4,\), or a rotation matrix \(3, 3\)": ([1.0, 0, 0], np.eye(4)),
 }
 
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from free_bodies import turned
 from grid import steps
+from small_steps import Rests
 
 import lieint_jax as li
 from lieint_jax import diagnostics, maps, schemes, systems
+from lieint_jax.schemes.splitting import Splitting
 from lieint_jax.systems.gravity_gradient import examples as satellites
 
 BODY = systems.rigid_body(turned([1.0, 2.0, 3.0]))
@@ -54,6 +56,11 @@ def test_the_closed_form_is_the_derivative(step, state):
             assert own[0].t == pytest.approx(float(START.t) + dt, abs=1e-15)
         L = diagnostics.linearization(step, state, dt)
         np.testing.assert_allclose(own[2], L, rtol=0, atol=1e-14 * np.abs(L).max())
+
+
+def test_the_closed_form_of_the_kicks_is_their_derivative():
+    top = systems.heavy_top([1.0, 2.0, 3.0], [0.3, -0.2, 1.0])
+    check(Splitting(top, Rests(top.free)), STATE, 0.4)
 
 
 @pytest.mark.long

@@ -1,6 +1,7 @@
 """Torques and internal friction: the exact balance of power and of momentum for every law and every κ."""
 
 import functools
+from unittest import mock
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +19,9 @@ from lieint_jax.integrate import steps
 from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symplectic
 from lieint_jax.schemes import torqued_midpoint
 from lieint_jax.systems import damped_body, torqued_body
+from lieint_jax.types import StepInfo
+
+EQUATION = _discover.modules(schemes)["torqued_midpoint"]._Equation
 
 KAPPAS = (kappa_cayley, kappa_exponential, kappa_symplectic)
 J = np.array([1.0, 2.0, 2.7])
@@ -49,11 +53,30 @@ def push(t, q, omega):
     return jnp.sin(3 * t) * jnp.array([0.2, -0.1, 0.3]) + turn - 0.1 * jnp.cross(omega, turn) - 0.05 * omega**3
 
 
+@li.pytree
+class WithoutPower:
+    """A law with a potential whose power is to be found from its torque."""
+
+    law: torques.PDTrace
+
+    frame = "space"
+
+    def __call__(self, t, q, omega):
+        return self.law(t, q, omega)
+
+    def mean(self, *step):
+        return self.law.mean(*step)
+
+    def potential(self, q):
+        return self.law.potential(q)
+
+
 LAWS = {
     "push in space": (push, "space"),
     "push in the body": (push, "body"),
     "viscous": (torques.viscous(D), None),
     "pd_trace": (torques.pd_trace(0.7, 0.2, TARGET), None),
+    "pd_trace without its power": (WithoutPower(torques.pd_trace(0.7, 0.2, TARGET)), None),
     "pd_quaternion": (torques.pd_quaternion(0.7, 0.2, TARGET), None),
     "bdot": (torques.bdot(0.2, field), None),
     "kane_damper": (torques.kane_damper(0.4, 0.3), None),
@@ -74,7 +97,7 @@ def of_law(name, t, q, omega):
         return push(t, q, omega)
     if name == "viscous":
         return -D @ omega
-    if name == "pd_trace":
+    if name.startswith("pd_trace"):
         return -0.35 * vex(so3.to_matrix(q) @ so3.to_matrix(TARGET).T) - 0.2 * omega
     if name == "pd_quaternion":
         return -0.7 * so3.multiply(so3.inverse(TARGET), q)[1:] - 0.2 * omega
@@ -101,7 +124,7 @@ def expected(name, a, b, dt):
     turn = so3.multiply(so3.inverse(a.q), b.q)
     h = turn[1:] / turn[0]
     kappa = jnp.sqrt(h @ h / (Omega @ Omega)) / jnp.abs(dt / 2)
-    if name == "pd_trace":
+    if name.startswith("pd_trace"):
         return -0.35 * kappa * vex(L @ so3.to_matrix(TARGET).T) - 0.2 * omega, -0.2 * omega @ omega
     if name == "pd_quaternion":
         v = sum(so3.multiply(so3.inverse(TARGET), q)[1:] for q in (a.q, b.q))
@@ -193,6 +216,58 @@ def test_energy_changes_by_the_work_and_momentum_by_the_impulse(name):
         assert found[key].max() < bound, key
 
 
+@functools.partial(jax.jit, static_argnums=0)
+def at_root(name, q, y, dt):
+    """A step whose equation has the root y: the momentum before it follows from y, so nothing is solved.
+
+    The states before and after it, and by how much the energy and the momentum change.
+    """
+    body, rest = BODIES[name], State(q, jnp.zeros(3), jnp.array(0.4), jnp.array(0.0))
+    step = torqued_midpoint(body, kappa_exponential)
+    if name == "kane_damper":
+        rest = rest._replace(extra={"damper": jnp.array([0.1, -0.3, 0.2])})
+    a = jnp.stack(EQUATION.of(step, rest, dt).residual(y))  # ½ΔtΠ/tr J
+    start = rest._replace(p=so3.Ad(q, 2 / dt * jnp.trace(FULL) * a))
+    with mock.patch.object(EQUATION, "solve", return_value=(tuple(y), StepInfo.fresh(y))):
+        end, _ = step(start, dt)
+    return start, end, *(f(end) - f(start) for f in (body.energy, body.momentum))
+
+
+@pytest.mark.parametrize("name", [name for name in LAWS if name != "push in space"])
+def test_the_balances_of_every_law_at_a_root_that_is_given(name):
+    """By the formulas of each law in matrices; a push in space see above, internal friction below."""
+    for dt in (0.07, -0.05):
+        start, end, gain, moved = at_root(name, Q, dt / 2 * OMEGA, dt)
+        torque, power = expected(name, start, end, dt)
+        size = np.abs(start.p).max()
+        assert float(gain) == pytest.approx(float(dt * power), abs=5e-15)  # observed 4e-16
+        assert float(end.work) == pytest.approx(float(dt * power), abs=1e-15)
+        np.testing.assert_allclose(end.p - start.p, dt * torque, rtol=0, atol=1e-15 * size)
+        np.testing.assert_allclose(moved, 0, rtol=0, atol=3e-15 * size)  # of the body and its damper
+        assert abs(power) > 1e-3
+
+
+def test_the_rate_of_the_work_is_that_of_the_energy():
+    """Along the vector field, for a law with and without a potential, a power, and a momentum of its own."""
+    names = ["viscous", "pd_trace without its power", "kane_damper", "internal friction"]
+
+    @jax.jit
+    def both(q, p):
+        found = {}
+        for name in names:
+            body, state = BODIES[name], State(q, p, jnp.array(0.4), jnp.array(0.0))
+            if name == "kane_damper":
+                state = state._replace(extra={"damper": jnp.array([0.1, -0.3, 0.2])})
+            rate = body.vector_field(state)
+            moving = rate._replace(t=jnp.ones(()), work=jnp.zeros(()))
+            found[name] = jax.jvp(body.energy, (state,), (moving,))[1], rate.work
+        return found
+
+    for name, (energy, work) in both(Q, FULL @ OMEGA).items():
+        assert float(energy) == pytest.approx(float(work), rel=1e-13), name
+        assert abs(work) > 1e-3, name
+
+
 def test_every_law_is_its_formula():
     """At one time, whatever the scheme makes of it: the laws against matrices, at random attitudes and velocities."""
     rng = np.random.default_rng(1)
@@ -237,10 +312,11 @@ def test_internal_friction_ends_about_the_major_axis_with_the_momentum_bit_for_b
     """As Explorer 1 did: from the minor axis to |π|²/2J₃."""
     body = damped_body(J, 0.4)
     start = body.state(Q, angular_velocity=[1.0, 0.05, -0.1], work=0.0)
-    states, energy, converged = path(torqued_midpoint(body), start, 0.2, 2000)
+    states, energy, converged = path(torqued_midpoint(body, kappa_exponential), start, 0.2, 2000)
     assert converged
     assert (states.p == start.p).all()
     assert np.diff(energy).max() < 4e-16 * energy[0]  # 1e-16
+    np.testing.assert_allclose(energy - states.work, energy[0], rtol=0, atol=1e-13 * energy[0])
     assert energy[-1] == pytest.approx(float(start.p @ start.p) / 2 / J[2], rel=2e-14)  # 2e-15
     Pi = body.body_momentum(last(states))
     np.testing.assert_allclose(Pi[:2], 0, rtol=0, atol=1e-12)
@@ -675,7 +751,7 @@ def test_a_torque_that_becomes_nan_is_flagged_and_at_the_start_refused():
     steps_to = {x: torqued_midpoint(torqued_body(J, of(until, jnp.array(x)))) for x in (0.35, -0.1)}
     run = li.integrate(steps_to[0.35], start, 0.1, 6)
     np.testing.assert_array_equal(run.info.converged, [1, 1, 1, 1, 0, 0, 0])
-    with pytest.raises(ValueError, match=r"the torque must be finite, got \[nan nan nan\] at t = 0.* mend the law"):
+    with pytest.raises(ValueError, match=r"the torque must be finite, got \[nan nan nan\] at t = 0.* fix the law"):
         li.integrate(steps_to[-0.1], start, 0.1, 6)
     assert not after(steps_to[-0.1], start, jnp.array(0.1), 1)[1].converged  # inside jit nothing raises
 

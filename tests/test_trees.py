@@ -64,7 +64,7 @@ def test_two_arrays_of_one_name_are_refused_and_a_missing_file_is_told(tmp_path)
     for tree in ({"1": np.ones(2), 1: np.zeros(2)}, {"metadata": np.ones(2)}):
         with pytest.raises(ValueError, match="are called"):
             trees.save(tmp_path / "tree.npz", tree, {})
-    with pytest.raises(ValueError, match="holds no tree"):
+    with pytest.raises(ValueError, match="there is no file"):
         trees.load(tmp_path / "none.npz")
 
 

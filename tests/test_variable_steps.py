@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from small_steps import Rests
 
 import lieint_jax as li
 from lieint_jax import diagnostics, ensemble, schemes, studies, systems
@@ -96,6 +97,25 @@ def test_the_order_is_that_of_the_states_at_their_own_times(step, dt, order):
     errors = [error(li.integrate(scheme, step.start(START), 8 / k, k), k // 10) for k in (n, 2 * n)]
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.1)
     assert diagnostics.order(scheme, step.start(START), dt) == pytest.approx(order, abs=0.1)
+
+
+def test_the_logarithmic_hamiltonian_s_clock_and_kick():
+    """A drift that rests leaves Δt = ½h/(K₀ + B) + ½h/(K₁ + B), K before and after the kick hF/(−V)."""
+    step, start = LogHamiltonian(TOP, LOG.energy, Rests(TOP.free)), START._replace(t=jnp.array(0.7))
+    end, info = one(step, start, 0.04)
+    speeds = [float(TOP.free.energy(z)) - H for z in (start, end)]
+    assert info.converged
+    assert float(end.t) == pytest.approx(0.7 + 0.02 / speeds[0] + 0.02 / speeds[1], rel=1e-15)
+    kick = 0.04 / -float(TOP.potential_energy(START.q)) * TOP.force(START.q)
+    np.testing.assert_allclose(end.p - start.p, kick, rtol=0, atol=1e-16)
+
+
+def test_the_density_is_kicked_by_half_of_dt_before_and_after_the_step():
+    """For σ = eᵗ, G = −1 at every state, and the base step is dt over the density between the kicks."""
+    step = schemes.reversible_control(Rests(systems.rigid_body(J)), lambda z: jnp.exp(z.t))
+    end, _ = one(step, START._replace(t=jnp.array(0.2), extra={"rho": jnp.array(0.9)}), 0.1)
+    assert float(end.extra["rho"]) == pytest.approx(0.8, rel=1e-15)
+    assert float(end.t) == pytest.approx(0.2 + 0.1 / 0.85, rel=1e-15)
 
 
 @pytest.mark.long
@@ -258,6 +278,29 @@ def test_the_local_error_is_that_of_the_step():
         off.append(float(jnp.linalg.norm(found - true)))
     assert np.linalg.norm(found) / np.linalg.norm(true) == pytest.approx(1, abs=0.01)
     assert np.log2(off[1] / off[2]) == pytest.approx(4, abs=0.2)
+
+
+@li.pytree
+class SymmetricBody(li.Step):
+    """The exact flow of a body of moments (1, 1, 2): a rotation about π, and one about its own third axis."""
+
+    system: systems.RigidBody
+
+    order, symmetric, name = np.inf, True, "symmetric body"
+
+    def __call__(self, state, dt):
+        spin = -so3.Ad_star(state.q, state.p)[2] / 2 * jnp.array([0.0, 0.0, 1.0])  # (1/J₃ − 1/J₁)Π₃
+        q = so3.multiply(so3.exp(dt * state.p), so3.multiply(state.q, so3.exp(dt * spin)))
+        return state._replace(q=q), li.StepInfo.fresh(q)
+
+
+def test_the_local_error_of_the_exact_flow_is_of_fifth_order():
+    body = systems.rigid_body([1.0, 1.0, 2.0])
+    state = li.State(START.q, jnp.array([0.3, 0.5, -0.4]))
+    found = jax.jit(jax.vmap(lambda dt: diagnostics.local_error(SymmetricBody(body), state, dt)))(np.array([0.4, 0.2]))
+    sizes = np.linalg.norm(found, axis=1)
+    assert np.log2(sizes[0] / sizes[1]) == pytest.approx(5, abs=0.2)
+    assert sizes[1] < 1e-5
 
 
 @pytest.mark.long
