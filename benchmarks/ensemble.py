@@ -75,22 +75,26 @@ def best(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
 
 
 def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) -> Callable[[], Any]:
-    """A function that calls the ensemble's compiled loop once, on the first `devices` devices."""
+    """A function that calls the ensemble's compiled loop once, in so many threads."""
     import jax
     import jax.numpy as jnp
     import numpy as np
 
     from lieint_jax import ensemble
     from lieint_jax.ensemble import _layout
+    from lieint_jax.ensemble._engine import engine_of
     from lieint_jax.ensemble._job import Job
     from lieint_jax.ensemble._run import CompiledLoop
     from lieint_jax.integrate import Uniform
 
     nodes = np.array([0, num_steps])
-    clock = Uniform(jnp.zeros(()), jnp.asarray(dt))
+    clock = jax.tree.map(np.asarray, Uniform(jnp.zeros(()), jnp.asarray(dt)))
+    states = jax.tree.map(np.asarray, states)
     job = Job(step, states, None, dt, clock, num_steps, nodes * dt, nodes, None, num_steps, None, None)
-    layout = _layout.layout_of(ensemble.first_devices(devices), len(states.p), part=job.part)
-    loop = CompiledLoop(job, layout, buffer_rows=1, progress=False)
+    mesh = ensemble.first_devices(None)
+    engine = engine_of(job, mesh)
+    layout = _layout.layout_of(_layout.Place(mesh, devices, engine.whole), len(states.p))
+    loop = CompiledLoop(engine, layout, buffer_rows=1, progress=False)
 
     def call() -> Any:
         return loop.advance(loop.start, 0, 0, nodes[1:])[0]

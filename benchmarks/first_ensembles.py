@@ -1,0 +1,111 @@
+"""How long does one wait for the first ensemble: by every scheme on every kind of system?
+
+For each kind of system and every scheme, the first example that the scheme accepts, float64, one core: CPU seconds of
+the first `ensemble.run` of 100 members in a fresh process with nothing cached (the import and the making of the states
+are not counted), of the second call, and the engine.
+
+    python benchmarks/first_ensembles.py [--quick] [--out DIR]
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from lib import command, report
+
+MEMBERS, STEPS = 100, 10
+
+
+def main() -> None:
+    parser = command.parser(__doc__)
+    parser.add_argument("--one", nargs=3, metavar="NAME", help="system, scheme and step: measured in this process")
+    options = command.parsed(parser)
+    command.pin()
+    if options.one:
+        print(json.dumps(waited(*options.one)))
+        return
+    data = command.under_load(lambda: {"rows": [in_a_process(*names) for names in pairs(options.quick)]})
+    report.publish("first_ensembles", render(data), data, options.out)
+
+
+def pairs(quick: bool) -> Iterator[tuple[str, str, str]]:
+    """The names of a system, a scheme and its step; `quick` takes free bodies."""
+    import jax
+
+    import lieint_jax as li
+    from lieint_jax import _discover
+
+    jax.config.update("jax_enable_x64", True)
+    for name, module in _discover.modules(li.systems).items():
+        if quick and name != "rigid_body":
+            continue
+        systems = [system for system, _, _ in module.examples().values()]
+        for scheme, schemes in _discover.modules(li.schemes).items():
+            steps = [step for system in systems for step in schemes.examples(system).values()]
+            if steps:
+                yield name, scheme, steps[0].name
+
+
+def in_a_process(*names: str) -> dict[str, Any]:
+    """What `waited` measures, in a fresh process."""
+    run = subprocess.run([sys.executable, __file__, "--one", *names], check=True, stdout=subprocess.PIPE, text=True)
+    return {"system": names[0], "step": names[2], **json.loads(run.stdout)}
+
+
+def waited(system: str, scheme: str, name: str) -> dict[str, Any]:
+    """CPU seconds of the first and the second call of `ensemble.run`, and the engine."""
+    import jax
+    import numpy as np
+
+    import lieint_jax as li
+    from lieint_jax import _discover
+
+    jax.config.update("jax_enable_x64", True)
+    examples = _discover.modules(li.systems)[system].examples().values()
+    schemes = _discover.modules(li.schemes)[scheme]
+    step, state, dt = next(
+        (step, state, dt)
+        for system, state, dt in examples
+        for step in schemes.examples(system).values()
+        if step.name == name
+    )
+    states = jax.tree.map(lambda x: np.repeat(np.asarray(x)[None], MEMBERS, axis=0), step.start(state))
+    by_xla: list[str] = []
+    handler = logging.Handler()
+    handler.emit = lambda record: by_xla.append(record.getMessage())
+    logger = logging.getLogger("lieint_jax")
+    logger.addHandler(handler)
+    logger.setLevel(logging.DEBUG)
+
+    def seconds() -> float:
+        begin = time.process_time()
+        li.ensemble.run(step, states, dt, STEPS, progress=False)
+        return time.process_time() - begin
+
+    first, second = seconds(), seconds()
+    return {"first": first, "second": second, "engine": "XLA" if by_xla else "machine code"}
+
+
+def render(data: dict[str, Any]) -> list[str]:
+    """The table and the slowest pair."""
+    before, after = data["load"]
+    cells = [
+        [r["system"], r["step"], f"{r['first']:.2f}", f"{1e3 * r['second']:.1f}", r["engine"]] for r in data["rows"]
+    ]
+    worst = max(data["rows"], key=lambda r: r["first"])
+    return [
+        f"First `ensemble.run` of {MEMBERS} members, {STEPS} steps, in a fresh process, nothing cached, one core",
+        f"Load of the machine before and after: {before:.2f}, {after:.2f}",
+        report.table(["system", "step", "first, CPU s", "second, CPU ms", "by"], cells),
+        f"Slowest: {worst['step']} of {worst['system']}, {worst['first']:.2f} s",
+    ]
+
+
+if __name__ == "__main__":
+    main()
