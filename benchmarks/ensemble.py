@@ -38,6 +38,9 @@ def main() -> None:
     if options.part:
         if not options.all_cores:
             command.pin()  # before jax makes its threads
+        import jax
+
+        jax.config.update("jax_enable_x64", True)
         print(json.dumps(PART[options.part](options.quick, len(cores))))
         return
     found: dict[str, Any] = {}

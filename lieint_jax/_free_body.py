@@ -63,6 +63,7 @@ from jax.typing import ArrayLike
 from lieint_jax._numerics import elliptic, three
 from lieint_jax._numerics.choice import where
 from lieint_jax._numerics.three import Vector, dot
+from lieint_jax._xla import materialized
 from lieint_jax.groups import so3
 
 _Turns = list[tuple[int, Array]]
@@ -103,10 +104,10 @@ def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, A
     (w, *v), accuracy = _increment(scale * inertia, e, G * t)
     Omega = three.solve_symmetric(J, Pi)
     v = (where(rest, x * t / 2, y) for x, y in zip(Omega, v, strict=True))  # 0, with its derivative in π
-    increment = three.once((where(rest, 1, w), *v))
+    increment = materialized((where(rest, 1, w), *v))
     turned = lax.stop_gradient(three.max_abs(Pi) * three.inverse_trace(J) * jnp.abs(t))
     length, condition = (where(rest, 0, x) for x in accuracy)
-    return so3.normalise(jnp.stack(three.once(so3.multiply(q, increment)))), Accuracy(length, turned + condition)
+    return so3.normalise(jnp.stack(materialized(so3.multiply(q, increment)))), Accuracy(length, turned + condition)
 
 
 def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]:
@@ -200,7 +201,7 @@ def _units(inertia: Array, Pi: Array) -> tuple[Array, Array, Vector, Array]:
     square = dot(scaled, scaled)
     rest = square == 0
     G = jnp.sqrt(where(rest, 1, square))
-    return scale, G, three.once(tuple(where(rest, math.sqrt(1 / 3), x / G) for x in scaled)), rest
+    return scale, G, materialized(tuple(where(rest, math.sqrt(1 / 3), x / G) for x in scaled)), rest
 
 
 def _increment(inertia: Array, e: Vector, tau: Array) -> tuple[Vector, Accuracy]:
@@ -279,7 +280,7 @@ def _labels(J: Array, e: Vector) -> tuple[Array, _Labels]:
     far0, far2 = d02 * x + d12 * y, d02 * z + d01 * y
     first = (far0 < far2) | ((far0 == far2) & (x <= z))
     b_o, rm = where(first, 1 / J[2], 1 / J[0]), where(first, d01, -d12)
-    return first, _Labels(*three.once((b_o, rm, where(first, d12, -d01), where(first, d02, -d02))))
+    return first, _Labels(*materialized((b_o, rm, where(first, d12, -d01), where(first, d02, -d02))))
 
 
 def _relabelled(first: Array, v: Vector) -> Vector:
@@ -290,7 +291,7 @@ def _relabelled(first: Array, v: Vector) -> Vector:
 def _sorted(J: Array, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
     """Λ⁻¹Λ(τ) as scalar and vector part, and its rounding errors, for ascending moments J."""
     first, b = _labels(J, e)
-    w, v, accuracy = _labelled(b, three.once(_relabelled(first, e)), tau)
+    w, v, accuracy = _labelled(b, materialized(_relabelled(first, e)), tau)
     return w, _relabelled(first, v), accuracy
 
 
@@ -300,14 +301,14 @@ def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Accurac
     m = _motion(b, e, tau)
     rate = (-b.mo * em * eo, b.ro * eo * er, -b.rm * er * em)
     r = 1 / (m.cn * m.cn + m.S * m.S * b.ro * where(m.about_r, b.rm * er * er, b.mo * eo * eo))
-    moved = three.once(
+    moved = materialized(
         (
             r * (er * m.q_r + m.S * m.q_o * rate[0]),
             r * (em * m.cn * m.dn + m.S * rate[1]),
             r * (eo * m.q_o + m.S * m.q_r * rate[2]),
         )
     )
-    fr, fm, fo = three.once(_on_polhode(b, m.R, moved))
+    fr, fm, fo = materialized(_on_polhode(b, m.R, moved))
     theta = jnp.arctan2(b.mo * m.S * em * fm, 1 - fr * fr - b.mo * m.S * em * fr * fo)
     odd = 1 - 2 * jnp.abs(m.halves % 2)  # sn and cn change sign every half period
     fr, fm, fo = where(m.about_r, 1, odd) * fr, odd * fm, where(m.about_r, odd, 1) * fo
@@ -316,7 +317,7 @@ def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Accurac
     azimuth = azimuth - where(m.about_r, jnp.pi * m.halves * jnp.sign(er * b.rm), 0)
     twist = (m.turn + theta - azimuth) / 2
     f = (fr, fm, fo)
-    w, v = _between(e, f, *three.once((jnp.cos(twist), jnp.sin(twist))))
+    w, v = _between(e, f, *materialized((jnp.cos(twist), jnp.sin(twist))))
     length = jnp.abs(dot(f, f) - 1)
     return w, v, Accuracy(*lax.stop_gradient((length, m.condition)))
 
@@ -377,13 +378,13 @@ class _Motion(NamedTuple):
 
 def _motion(b: _Labels, e: Vector, tau: Array) -> _Motion:
     x, y, z = (c * c for c in e)
-    R, excess = three.once((b.ro * x + b.mo * y, b.ro * (b.rm * x - b.mo * z)))  # excess = f_r − f_o
-    f_r, f_o, nu = three.once((b.rm * R, b.mo * (b.ro * z + b.rm * y), b.mo * R))
+    R, excess = materialized((b.ro * x + b.mo * y, b.ro * (b.rm * x - b.mo * z)))  # excess = f_r − f_o
+    f_r, f_o, nu = materialized((b.rm * R, b.mo * (b.ro * z + b.rm * y), b.mo * R))
     about_r = excess > 0
     f, g = where(about_r, f_r, f_o), where(about_r, f_o, f_r)
     # XLA may work out f τ² more than once, rounded differently: both branches are right on both sides of `near`
     near, nearer, about = (f * tau * tau < c * _NEAR for c in (1, 0.5, 2))
-    [f_far] = three.once((where(nearer, 1, f),))
+    [f_far] = materialized((where(nearer, 1, f),))
     m1 = where(nearer, 1, where(about_r, excess, -excess) / f_far)  # abs() has no derivative at 0
     frequency = jnp.sqrt(f_far)
     K = elliptic.quarter_period(m1)
@@ -391,11 +392,11 @@ def _motion(b: _Labels, e: Vector, tau: Array) -> _Motion:
     halves = lax.stop_gradient(jnp.round(u / (2 * K)))
     sn, cn, dn = elliptic.jacobi(u - 2 * K * halves, m1)
     x, y, time = *(where(about, k * tau * tau, 0) for k in (f, g)), where(about, tau, 0)
-    x, y, time = three.once((x, y, time))
+    x, y, time = materialized((x, y, time))
     S = where(near, time * (1 - (x + y) / 6 + (x * x + 14 * x * y + y * y) / 120), sn / frequency)
     cn = where(near, 1 - x / 2 + x * (x + 4 * y) / 24, cn)
     dn = where(near, 1 - y / 2 + y * (y + 4 * x) / 24, dn)
-    S, cn, dn = three.once((S, cn, dn))
+    S, cn, dn = materialized((S, cn, dn))
     part, quarter = _third(cn, dn, nu * S * S, m1, nu / f_far, halves != 0)
     X = S**3 * part + where(nearer, 0, 2 * halves * quarter / (f_far * frequency))
     lever = jnp.abs(b.ro) * (jnp.abs(b.rm * e[0]) + jnp.abs(b.mo * e[2]))
@@ -411,7 +412,7 @@ def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array, needed: 
     one, root = jnp.ones_like(cn), jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny))
     zero, root, p = (where(needed, x, 1) for x in (0 * one, root, 1 + n_quarter))
     x, y, p = (jnp.stack(pair) for pair in ((cn, zero), (dn, root), (1 + n, p)))
-    part, quarter = three.once(three.components(elliptic.carlson_rj(x, y, jnp.ones_like(x), p) / 3))
+    part, quarter = materialized(three.components(elliptic.carlson_rj(x, y, jnp.ones_like(x), p) / 3))
     return part, quarter
 
 

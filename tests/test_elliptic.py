@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lieint_jax._numerics import elliptic
-from lieint_jax._numerics.forwards import forwards
+from lieint_jax._xla import forward_mode
 
 EPS = 2.2e-16
 M1 = [1.0, 1 - 1e-16, 1 - 1e-8, 0.9, 0.500001, 0.5, 0.499999, 0.1, 1e-3, 1e-8, 1e-16, 1e-30, 1e-100]
@@ -102,7 +102,7 @@ def _rj(a, b, c, p):
 def test_slopes_are_found_forwards():
     """Through a `while_loop`, which reverse mode cannot pass, in both modes, of both orders, by one argument or two."""
 
-    @forwards
+    @forward_mode
     def power_and_sum(x, n):
         end = jax.lax.while_loop(lambda c: c[0] < n, lambda c: (c[0] + 1, c[1] * x), (0.0, jnp.ones_like(x)))
         return end[1], x + n
@@ -121,7 +121,7 @@ def test_slopes_are_found_forwards():
 
 
 def test_a_value_and_its_slopes_share_a_loop():
-    @forwards
+    @forward_mode
     def function(x, y):
         cube = jax.lax.while_loop(lambda c: c[0] < 3, lambda c: (c[0] + 1, c[1] * x), (0, jnp.ones_like(x)))[1]
         return cube * y * y

@@ -35,19 +35,19 @@ def test_elimination_determinant_and_pivots(d):
             assert float(unrolled.determinant(made)) == pytest.approx(np.linalg.det(K), rel=1e-13)
 
 
-def test_settled_changes_nothing_but_when_it_is_worked_out():
+def test_materialized_changes_no_number():
     x = [jnp.array(3.0), 0.0, jnp.array(-0.1), 1.0]
-    held = unrolled.settled(x)
+    held = unrolled.materialized(x)
     assert [float(a) for a in held] == [float(a) for a in x]
     assert held[1] == 0.0  # what is known stays known
     assert isinstance(held[1], float)
-    slopes = jax.jacrev(lambda v: jnp.stack(unrolled.settled(unrolled.settled([v[0] * v[1], v[1]]))))(
+    slopes = jax.jacrev(lambda v: jnp.stack(unrolled.materialized(unrolled.materialized([v[0] * v[1], v[1]]))))(
         jnp.array([2.0, 5.0])
     )
     np.testing.assert_array_equal(slopes, [[5.0, 2.0], [0.0, 1.0]])
-    assert unrolled.settled([0.0, 1.0]) == [0.0, 1.0]
+    assert unrolled.materialized([0.0, 1.0]) == [0.0, 1.0]
     whole = jnp.ones(3)
-    assert unrolled.settled(whole) is whole
+    assert unrolled.materialized(whole) is whole
 
 
 def test_columns_of_a_linear_function_have_no_products_with_zeros():

@@ -15,15 +15,14 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics import three
 from lieint_jax._numerics.choice import where
-from lieint_jax._numerics.forwards import forwards
 from lieint_jax._numerics.power_series import arctan_sqrt
+from lieint_jax._xla import forward_mode, materialized
 
 _MEANS, _LANDEN, _DUPLICATIONS, _HALVINGS = 13, 5, 13, 8
 
 
-@forwards
+@forward_mode
 def quarter_period(m1: Array) -> Array:
     """K = π / (2 agm(1, √m1)), for 0 ≤ m1 ≤ 1. Relative error 3 eps.
 
@@ -37,12 +36,12 @@ def quarter_period(m1: Array) -> Array:
 def _jacobi_slopes(u: Array, m1: Array) -> tuple[Any, Any]:
     """The slopes of `jacobi` by u and by m1, the latter by that of the amplitude, ∂am: one number, not three."""
     (sn, cn, dn), (by_sn, by_cn, _) = jax.jvp(lambda m1: _jacobi(u, m1), (m1,), (jnp.ones_like(m1),))
-    [turn] = three.once((cn * by_sn - sn * by_cn,))
+    [turn] = materialized((cn * by_sn - sn * by_cn,))
     product = (1 - m1) * sn * cn
     return (cn * dn, -sn * dn, -product), (cn * turn, -sn * turn, (sn * sn / 2 - product * turn) / dn)
 
 
-@functools.partial(forwards, slopes=_jacobi_slopes)
+@functools.partial(forward_mode, slopes=_jacobi_slopes)
 def jacobi(u: Array, m1: Array) -> tuple[Array, Array, Array]:
     """sn u, cn u and dn u of parameter m = 1 − m1, for 0 ≤ m1 ≤ 1 and |u| up to a quarter period or two.
 
@@ -107,7 +106,7 @@ def _smooth_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     return _rj_value(_duplicated(root_x, root_y, root_z, p, more=2))
 
 
-@functools.partial(forwards, smooth=_smooth_rj)
+@functools.partial(forward_mode, smooth=_smooth_rj)
 def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     """R_J(x, y, z, p) = (3/2) ∫₀^∞ dt / ((t + p) √((t + x)(t + y)(t + z))), given the square roots of x, y and z.
 

@@ -28,7 +28,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from lieint_jax._numerics import three, unrolled
-from lieint_jax._numerics.replay import kept
+from lieint_jax._xla import saved
 
 _USES = 3  # corrections with each matrix of `chords`; 2 or more
 _FEW = 4  # corrections of which every solve that comes to round-off is steady
@@ -84,7 +84,7 @@ def root(
         else:
             x, pace = lax.fori_loop(0, iterations, lambda _, carry: improved(*carry)[:2], (x, pace))
         if done is not None or not unroll:  # corrections written out take less time than what XLA makes of a kept root
-            x = kept(x)
+            x = saved(x)
         return x, (function(x), pace.growth)
 
     x, (F, growth) = lax.custom_root(residual, guess, solve, _tangent_solve, has_aux=True)
@@ -164,7 +164,7 @@ def chords(
 
         start = (x, Pace.before(lax.stop_gradient(length(x))), jnp.zeros((), jnp.int32), jnp.zeros((), bool))
         x, pace, *_ = lax.while_loop(lambda carry: (carry[2] < iterations) & ~carry[3], one, start)
-        x = kept(x)
+        x = saved(x)
         return x, (function(x), pace.growth)
 
     traced_once = jax.jit(residual)  # its equations are many, and used five times

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax._numerics.choice import where
-from lieint_jax._numerics.forwards import forwards
+from lieint_jax._xla import forward_mode
 
 
 def horner(coefficients: Sequence[float], x: Array) -> Array:
@@ -42,7 +42,7 @@ def _reciprocal_factorials(first: int, terms: int) -> list[float]:
     return values
 
 
-@forwards
+@forward_mode
 def log1p_ratio(y: Array) -> Array:
     """log(1 + y)/y for y > −1, smooth at 0: below |y| = .1 by the series of 2 artanh z, z = y/(2 + y)."""
     size = jnp.abs(y)
@@ -61,7 +61,7 @@ arctan_sqrt = _entire(
 )
 
 
-@forwards
+@forward_mode
 def stumpff(x: Array) -> tuple[Array, Array, Array, Array]:
     """c₀ … c₃ with c_k(x) = Σ (−x)ⁿ/(k + 2n)! for x of any sign: c₀ = cos √x, c₁ = sin √x/√x, and the next two."""
     near = where(jnp.abs(x) < 2, x, 0)  # the branches overlap, see `_entire`

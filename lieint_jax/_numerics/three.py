@@ -48,19 +48,6 @@ def angle(a: Vector, b: Vector) -> Array:
     return jnp.arctan2(jnp.sqrt(dot(c, c)), dot(a, b))
 
 
-def once(v: Vector) -> Vector:
-    """The same numbers, of one shape, each computed once and held in memory.
-
-    XLA's CPU fusion recomputes a shared subexpression in each consumer, so that a long computation whose few results
-    have many uses is ten times slower without this. It has no optimisation barrier that lasts until fusion, but it does
-    not duplicate expensive operations such as division: so each number is divided by a 1 that is not known at compile
-    time, got from the first.
-    """
-    first = v[0] / (1 + 0 * lax.stop_gradient(v[0]))
-    one = 1 + 0 * lax.stop_gradient(first)
-    return (first, *(x / one for x in v[1:]))
-
-
 def hat(v: Vector) -> Matrix:
     """v̂, with v̂ w = v × w."""
     x, y, z = v

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from lieint_jax import _xla
 from lieint_jax._numerics import three
 
 Scalar = Any  # an array scalar, or a Python number
@@ -203,19 +204,19 @@ def factored(K: Matrix) -> Factored:
     if len(K) <= 3:
         adjugate, det = _adjugate(K)
         r = 1 / det
-        inverted = settled([[times(r, entry) for entry in row] for row in adjugate])
+        inverted = materialized([[times(r, entry) for entry in row] for row in adjugate])
         minors = [K[0][0], det] if len(K) < 3 else [K[0][0], K[0][0] * K[1][1] - K[0][1] * K[1][0], det]
         positive = functools.reduce(jnp.logical_and, [jnp.asarray(minor) > 0 for minor in minors])
         return Factored(lambda b: matvec(inverted, b), positive)
     k = (len(K) + 1) // 2
     B, C, D = [row[k:] for row in K[:k]], [row[:k] for row in K[k:]], [row[k:] for row in K[k:]]
     first = factored([row[:k] for row in K[:k]])
-    W = settled(transpose([first.solve(column) for column in transpose(B)]))  # A⁻¹B
-    second = factored(settled(combination((1.0, D), (-1.0, matmul(C, W)))))
+    W = materialized(transpose([first.solve(column) for column in transpose(B)]))  # A⁻¹B
+    second = factored(materialized(combination((1.0, D), (-1.0, matmul(C, W)))))
 
     def solved(b: Vector) -> Vector:
-        y = settled(first.solve(b[:k]))
-        z = settled(second.solve([u - v for u, v in zip(b[k:], matvec(C, y), strict=True)]))
+        y = materialized(first.solve(b[:k]))
+        z = materialized(second.solve([u - v for u, v in zip(b[k:], matvec(C, y), strict=True)]))
         return [u - v for u, v in zip(y, matvec(W, z), strict=True)] + z
 
     return Factored(solved, first.positive & second.positive)
@@ -244,15 +245,15 @@ def eliminate(A: Sequence[Sequence[Scalar]], *right: Sequence[Scalar]) -> list[l
     return solutions
 
 
-def settled(A: Vector | Matrix) -> Vector | Matrix:
-    """A with each entry computed once and held in memory, see `three.once`."""
+def materialized(A: Vector | Matrix) -> Vector | Matrix:
+    """A with each entry computed once and held in memory, see `_xla.materialized`."""
     if _whole(A):
         return A
     rows = A if isinstance(A[0], list) else [A]
     unknown = [x for x in flatten(rows) if not _known(x)]
     if not unknown:
         return A
-    once = iter(three.once(unknown))
+    once = iter(_xla.materialized(unknown))
     held = [[x if _known(x) else next(once) for x in row] for row in rows]
     return held if isinstance(A[0], list) else held[0]
 

@@ -11,9 +11,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from lieint_jax._numerics.replay import replayed
+from lieint_jax._xla import compiled, rematerialized
 from lieint_jax.types import State, Step, StepInfo, on_clock, start_time
-from lieint_jax.types._compiled import compiled
 
 _LEVELS = 3  # levels of nested checkpoints: about 3 N^(1/3) of N states are kept
 
@@ -50,7 +49,7 @@ def checkpointed(step: Step, state: State, dt: Array, counts: tuple[int, ...]) -
 def _nested(one: Callable[..., Any], carry: Any, length: int, levels: int) -> Any:
     """Apply `one` at least `length` times, in about length^(1/levels) nested blocks, each a checkpoint."""
     if levels == 1:
-        return lax.scan(replayed(one), carry, None, length=length)[0]
+        return lax.scan(rematerialized(one), carry, None, length=length)[0]
     blocks = math.ceil(length ** (1 / levels))
     block = math.ceil(length / blocks) if blocks else 0
 

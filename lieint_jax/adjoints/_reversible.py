@@ -7,13 +7,13 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._xla import compiled
 from lieint_jax.adjoints._arguments import Derivative, checked
 from lieint_jax.adjoints._checkpoint import checkpointed
 from lieint_jax.adjoints._undo import undoable
 from lieint_jax.diagnostics.order import distance
 from lieint_jax.integrate import from_start, intervals, steps
 from lieint_jax.types import State, Step, Trajectory, start_time
-from lieint_jax.types._compiled import compiled
 
 
 def reversible(

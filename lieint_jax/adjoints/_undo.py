@@ -24,12 +24,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from lieint_jax.adjoints._components import repeat
+from lieint_jax._xla import compiled
+from lieint_jax.adjoints._numbers import repeat
 from lieint_jax.diagnostics.order import distance
 from lieint_jax.integrate import steps
 from lieint_jax.schemes.compose import Composition
 from lieint_jax.types import State, Step, StepInfo, System, pytree, start_time, static
-from lieint_jax.types._compiled import compiled
 
 
 @partial(compiled, static_argnums=4)

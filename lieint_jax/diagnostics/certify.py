@@ -13,13 +13,13 @@ import numpy as np
 from jax import Array
 
 from lieint_jax import _checks
+from lieint_jax._xla import compiled
 from lieint_jax.diagnostics import _runs
 from lieint_jax.diagnostics.order import fitted_order, shown_reversibility, units
 from lieint_jax.diagnostics.series import constraint_error, energy_error, momentum_error
 from lieint_jax.diagnostics.symplectic import defect_matrix
 from lieint_jax.groups import MatrixGroup, matrix
 from lieint_jax.types import State, Step, System, Trajectory, start_time
-from lieint_jax.types._compiled import compiled
 
 _SPAN = 8  # the number of steps of size dt over which the order is measured
 

@@ -23,10 +23,10 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._xla import compiled
 from lieint_jax.diagnostics.order import units
 from lieint_jax.integrate import Event, events, saves
 from lieint_jax.types import State, Step, StepInfo, checked_step, on_clock, promoted
-from lieint_jax.types._compiled import compiled
 
 
 class Lyapunov(NamedTuple):

@@ -13,9 +13,9 @@ from jax.typing import ArrayLike
 
 from lieint_jax._checks import as_array, concrete
 from lieint_jax._numerics import collocation
+from lieint_jax._xla import compiled
 from lieint_jax.diagnostics import _runs
 from lieint_jax.types import PhaseSpace, State, Step, System, clock, time_derivative
-from lieint_jax.types._compiled import compiled
 
 _STAGES, _ITERATIONS = 8, 24
 

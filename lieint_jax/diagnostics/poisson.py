@@ -10,10 +10,10 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._xla import compiled
 from lieint_jax.diagnostics.symplectic import linearization
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.types import DampedBody, Forced, RightGeodesicFlow, State, Step, TorquedBody
-from lieint_jax.types._compiled import compiled
 
 _Method = Literal["recursion", "product"]
 _OTHERS = (Forced, RightGeodesicFlow, TorquedBody, DampedBody)  # than left-invariant systems without potential

@@ -19,7 +19,8 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax._numerics import three, unrolled
+from lieint_jax._numerics import unrolled
+from lieint_jax._xla import materialized
 from lieint_jax.groups import _basis, _casimirs, _closed_form
 
 _UNROLLED_DIM, _UNROLLED_SIZE = 6, 5  # the largest groups that are unrolled by default, see `_numerics.unrolled`
@@ -108,7 +109,7 @@ class MatrixGroup:
 
     def exp_near(self, xi: Array) -> Array:
         """exp ξ̂ without scaling, for the steps of schemes: to round-off where `near` holds."""
-        return unrolled.as_array(unrolled.settled(self.exp_both(self._vector(xi))[0]), xi)
+        return unrolled.as_array(unrolled.materialized(self.exp_both(self._vector(xi))[0]), xi)
 
     def exp_along(self, q: Array, xi: Array, s: Array) -> Array:
         """q exp(sξ̂) for a number s, or at each of several, (k,), where `near` holds: for the steps of schemes.
@@ -122,9 +123,9 @@ class MatrixGroup:
         c = [s**m * _closed_form.evaluated(series, x) for m, series in enumerate(closed.series(_EXPONENTIAL))]
         powers, X = [q], self.hat(xi)
         while len(powers) < len(c):
-            powers += three.once([_product(powers[-1], X)])
+            powers += materialized([_product(powers[-1], X)])
         return functools.reduce(
-            jnp.add, (weight[..., None, None] * power for weight, power in zip(three.once(c), powers, strict=True))
+            jnp.add, (weight[..., None, None] * power for weight, power in zip(materialized(c), powers, strict=True))
         )
 
     def near(self, xi: Array) -> Array:
@@ -152,7 +153,7 @@ class MatrixGroup:
 
     def cayley(self, xi: Array) -> Array:
         """(1 − ½ξ̂)⁻¹(1 + ½ξ̂), which is in the group only if the algebra contains its cubes: see `cayley_lands`."""
-        return unrolled.as_array(unrolled.settled(self.cayley_both(self._vector(xi))[0]), xi)
+        return unrolled.as_array(unrolled.materialized(self.cayley_both(self._vector(xi))[0]), xi)
 
     @cached_property
     def cayley_lands(self) -> bool:
@@ -259,9 +260,9 @@ class MatrixGroup:
         X = self._hat(xi)
         if self._closed is None:
             return _sum_and_difference(*_taylor(X))
-        x = unrolled.settled([self._closed.square(xi)])[0]
+        x = unrolled.materialized([self._closed.square(xi)])[0]
         series = self._closed.series(_EXPONENTIAL)
-        return self._both(X, unrolled.settled([_closed_form.evaluated(c, x) for c in series]))
+        return self._both(X, unrolled.materialized([_closed_form.evaluated(c, x) for c in series]))
 
     def cayley_both(self, xi: unrolled.Vector) -> tuple[unrolled.Matrix, unrolled.Matrix]:
         """cay ξ and cay(−ξ): by the closed form if there is one."""
@@ -282,7 +283,7 @@ class MatrixGroup:
         """Σ c_m Xᵐ and Σ c_m (−X)ᵐ."""
         powers = [unrolled.identity(X), X]
         while len(powers) < len(c):
-            powers.append(unrolled.settled(unrolled.matmul(powers[-1], X)))
+            powers.append(unrolled.materialized(unrolled.matmul(powers[-1], X)))
         pairs = list(zip(c, powers, strict=False))
         return _sum_and_difference(unrolled.combination(*pairs[::2]), unrolled.combination(*pairs[1::2]))
 
@@ -291,13 +292,13 @@ class MatrixGroup:
         closed = self._closed_ad
         if closed is None or not self.unrolled:
             return self.coadjoint(*self.exp_both(xi), mu)
-        x = unrolled.settled([closed.square(xi)])[0]
-        *lower, top = unrolled.settled([_closed_form.evaluated(c, x) for c in closed.series(_EXPONENTIAL)])
+        x = unrolled.materialized([closed.square(xi)])[0]
+        *lower, top = unrolled.materialized([_closed_form.evaluated(c, x) for c in closed.series(_EXPONENTIAL)])
         value = unrolled.scaled(top, mu)
         for k in reversed(range(len(lower))):
             value = unrolled.plus((lower[k], mu), unrolled.matvec(self.ad_star_matrix(value), xi))
             if k % 2 == 0 and k > 0:  # held each time is more kernels, never is longer ones
-                value = unrolled.settled(value)
+                value = unrolled.materialized(value)
         return value
 
     def coadjoint(self, q: unrolled.Matrix, inverse: unrolled.Matrix, mu: unrolled.Vector, of: Any = np.asarray) -> Any:
@@ -319,7 +320,8 @@ class MatrixGroup:
     def cayley_slope(self, xi: unrolled.Vector) -> unrolled.Matrix:
         """H of cay, Hη = ((1 + ½ξ̂)⁻¹ η̂ (1 − ½ξ̂)⁻¹)^∨, as a matrix (d, d). Note (1 ∓ ½ξ̂)⁻¹ = ½(1 + cay(±ξ))."""
         minus, plus = (
-            unrolled.settled(unrolled.combination((0.5, unrolled.identity(q)), (0.5, q))) for q in self.cayley_both(xi)
+            unrolled.materialized(unrolled.combination((0.5, unrolled.identity(q)), (0.5, q)))
+            for q in self.cayley_both(xi)
         )
         E = self.basis if isinstance(plus, Array) else self.basis.tolist()
         columns = [self._vee(unrolled.matmul(unrolled.matmul(plus, e), minus)) for e in E]
@@ -467,11 +469,11 @@ def _product(A: Array, B: Array) -> Array:
 
 def _taylor(X: unrolled.Matrix) -> tuple[unrolled.Matrix, unrolled.Matrix]:
     """The even and the odd part of Σ Xᵏ/k!, in blocks of powers of X² (Paterson & Stockmeyer 1973)."""
-    Y = unrolled.settled(unrolled.matmul(X, X))
-    powers = [unrolled.identity(X), Y, unrolled.settled(unrolled.matmul(Y, Y))]
-    cube = unrolled.settled(unrolled.matmul(powers[2], Y))
+    Y = unrolled.materialized(unrolled.matmul(X, X))
+    powers = [unrolled.identity(X), Y, unrolled.materialized(unrolled.matmul(Y, Y))]
+    cube = unrolled.materialized(unrolled.matmul(powers[2], Y))
     even, odd = (_in_blocks(_EXPONENTIAL[parity:_DEGREE:2], powers, cube) for parity in (0, 1))
-    return even, unrolled.settled(unrolled.matmul(X, odd))
+    return even, unrolled.materialized(unrolled.matmul(X, odd))
 
 
 def _in_blocks(
@@ -481,9 +483,9 @@ def _in_blocks(
     blocks = [weights[k : k + len(powers)] for k in range(0, len(weights), len(powers))]
     value = unrolled.combination(*zip(blocks[-1], powers, strict=True))
     for block in blocks[-2::-1]:
-        shifted = unrolled.settled(unrolled.matmul(value, next_power))
+        shifted = unrolled.materialized(unrolled.matmul(value, next_power))
         value = unrolled.combination(*zip(block, powers, strict=True), (1.0, shifted))
-    return unrolled.settled(value)
+    return unrolled.materialized(value)
 
 
 def _sum_and_difference(even: unrolled.Matrix, odd: unrolled.Matrix) -> tuple[unrolled.Matrix, unrolled.Matrix]:

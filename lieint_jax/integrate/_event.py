@@ -18,11 +18,11 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics.sign_change import is_root, sign_change
+from lieint_jax._xla import compiled
 from lieint_jax.integrate._clock import Clock, at_time, clock_of
 from lieint_jax.integrate._run import prepared
 from lieint_jax.types import State, Step, StepInfo, callable_pytree, checked_step, promoted, start_time
 from lieint_jax.types import clock as time_of
-from lieint_jax.types._compiled import compiled
 from lieint_jax.types._record import record
 
 _RIGHT_TO = {4: 3e-4, 8: 1e-9}  # an event's time, in Δt, by the bytes of a number

@@ -15,8 +15,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._xla import compiled
 from lieint_jax.types import State, System, Trajectory, time_derivative
-from lieint_jax.types._compiled import compiled
 from lieint_jax.types._members import axes
 
 

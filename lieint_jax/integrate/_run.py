@@ -14,10 +14,9 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics.replay import replayed
+from lieint_jax._xla import compiled, rematerialized
 from lieint_jax.integrate._clock import Clock, Given, Own, Uniform, at_time, clock_of, more_times, outputs, refuse_times
 from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, on_clock, promoted, start_time
-from lieint_jax.types._compiled import compiled
 
 _LEAST_BYTES, _MOST_BYTES = 2**20, 2**26  # of the saved states that the loop of a run is compiled for
 _SHORT = 256  # steps of a run that is made before its first step is looked at
@@ -172,7 +171,7 @@ def _interval(step: Step, state: State, clock: Clock, save_every: int) -> Callab
     """The steps from one saved state to the next: (state, n) ↦ (state, n), (state, report)."""
     started = StepInfo.fresh(state.p)
 
-    @replayed
+    @rematerialized
     def one(carry: tuple[State, StepInfo, Array], _: None) -> tuple[tuple[State, StepInfo, Array], None]:
         state, so_far, n = carry
         state, info = step(state, clock.size(n))

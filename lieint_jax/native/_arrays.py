@@ -1,4 +1,4 @@
-"""A program of numbers on arrays of the members, by JAX: what an accelerator runs.
+"""A program of numbers by JAX, on arrays of the members: what an accelerator runs, and what a gradient undoes.
 
 Every number that depends on the member is an array (members,), every other one a scalar. So XLA sees arithmetic without
 axes, of which it makes one kernel between two loops, and numbers in between stay in registers.
@@ -28,7 +28,7 @@ class Flattened:
     """A function of one member, as a function of the arrays of all; for use inside of `jax.jit`.
 
     Args:
-        function, kinds, examples: see `Traced`; a "row" is shared.
+        function, kinds, examples: see `Traced`; a "row" is shared. If all are shared, it is the same function.
 
     Attributes:
         results: the shapes of the results of one member and one row.
@@ -49,31 +49,35 @@ class Flattened:
         _check(self._traced.program.block, self._traced.program)
 
     def __call__(self, *arguments: Any) -> Any:
-        """The results of all members, each with the leading axis (members,), from arguments with it or shared ones."""
+        """The results, each with the leading axis (members,) if any argument has it."""
         traced = self._traced
         leaves = zip(jax.tree.leaves(arguments), traced.leaves[: traced.given], strict=True)
         arrays = [jnp.asarray(x, leaf.dtype) for x, leaf in leaves]
-        members = next(len(x) for x, leaf in zip(arrays, traced.leaves, strict=False) if leaf.varies)
+        lengths = [len(x) for x, leaf in zip(arrays, traced.leaves, strict=False) if leaf.varies]
+        members = lengths[0] if lengths else None
         for operation in traced.outside:
             varies = operation.kind == "member"
-            operands = self._results(operation.program, arrays, members, operation.operands)
-            arrays += operation.results(operands if varies else [x[0] for x in operands])
+            operands = self._results(operation.program, arrays, members if varies else None, operation.operands)
+            arrays += operation.results(operands)
         found = self._results(traced.program, arrays, members, jax.tree.leaves(self.results))
         return jax.tree.unflatten(jax.tree.structure(self.results), found)
 
-    def _results(self, program: Program, arrays: list[Array], members: int, shapes: Sequence[Any]) -> list[Array]:
-        """The outputs of a program as arrays (members, …)."""
+    def _results(
+        self, program: Program, arrays: list[Array], members: int | None, shapes: Sequence[Any]
+    ) -> list[Array]:
+        """The outputs of a program as arrays (members, …), or (…) if they are shared."""
         leaves = zip(arrays, self._traced.leaves, strict=False)
-        flat = [x.reshape(members, -1) if leaf.varies else x.reshape(-1) for x, leaf in leaves]
+        flat = [x.reshape(len(x), -1) if leaf.varies else x.reshape(-1) for x, leaf in leaves]
+        axes = () if members is None else (members,)
         values = {x: flat[x.data[0]][..., x.data[1]] for x in program.live if x.op == "argument"}
-        evaluation = _Evaluation(program, members, dict(enumerate(arrays)), values)
+        evaluation = _Evaluation(program, members or 1, dict(enumerate(arrays)), values)
         evaluation.block(program.block)
         outputs = iter(program.outputs)
         found = []
         for shape in shapes:
-            entries = [evaluation.value(next(outputs), True) for _ in range(int(np.prod(shape.shape)))]
+            entries = [evaluation.value(next(outputs), bool(axes)) for _ in range(int(np.prod(shape.shape)))]
             stacked = jnp.stack(entries, -1) if entries else jnp.zeros(0, shape.dtype)
-            found.append(stacked.reshape(members, *shape.shape))
+            found.append(stacked.reshape(*axes, *shape.shape))
         return found
 
 

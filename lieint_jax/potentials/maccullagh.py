@@ -9,6 +9,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import three
+from lieint_jax._xla import materialized
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree
 
@@ -43,7 +44,7 @@ class MacCullagh(Potential):
         own, arms = _seen(self._entries(here), tuple(_twice(d)), jnp.moveaxis(R[here], 0, -1))
         along, *arm = (jnp.sum((m[there] * y).reshape(2, -1), axis=0) for y in (own, *arms))
         f, third = _pull(self.G, m[i] * m[j], m[j] * trace[i] + m[i] * trace[j], tuple(d), along, tuple(arm))
-        f = jnp.stack(three.once(f))
+        f = jnp.stack(materialized(f))
         torque = jnp.stack(three.scale(m[there] * _twice(third), three.cross(tuple(_twice(d)), arms)))
         rows = jnp.concatenate([jnp.concatenate([f, -f], axis=1), torque]).T
         of_each = np.argsort(here, kind="stable").reshape(self.count, -1)

@@ -19,9 +19,9 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import at_once, concrete
+from lieint_jax._xla import compiled
 from lieint_jax.groups import MatrixGroup
 from lieint_jax.types import DampedBody, DrivenGyrostat, Gyrostat, State, System, TorquedBody
-from lieint_jax.types._compiled import compiled
 
 _PACKAGE = __name__.partition(".")[0]
 _ELSEWHERE = {  # what takes the systems that few schemes take

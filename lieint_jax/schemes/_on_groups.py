@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics import newton, three, unrolled
+from lieint_jax._numerics import newton, unrolled
 from lieint_jax.maps import Tau, derivative
 from lieint_jax.types import AnalyticGroup, Group, RightGeodesicFlow, State, StepInfo
 
@@ -48,14 +48,14 @@ class Equation(NamedTuple):
     def of(cls, system: Any, tau: Tau, state: State, half: Array) -> Equation:
         """The equation of a step by τ, for a system with a group and a metric."""
         m = unpacked(system.group, system.metric)
-        carried = a = unrolled.settled(as_vector(m, half * system.group.Ad_star(state.q, state.p)))
+        carried = a = as_vector(m, half * system.group.Ad_star(state.q, state.p))
         if isinstance(system, RightGeodesicFlow):
             a = as_vector(m, -half * state.p)
         return cls(system.group, tau, m, state, half, a, a, carried)
 
     def residual(self, theta: unrolled.Vector, after: unrolled.Vector) -> unrolled.Vector:
         """m Θ − ½Δt Π_n − ½Δt Π_{n+1}, the last given as `after`."""
-        return unrolled.settled(unrolled.plus(unrolled.matvec(self.m, theta), (-1.0, self.known), (-1.0, after)))
+        return unrolled.plus(unrolled.matvec(self.m, theta), (-1.0, self.known), (-1.0, after))
 
 
 def solved(
@@ -149,9 +149,9 @@ def slope(tau: Tau, group: Any, theta: unrolled.Vector) -> unrolled.Matrix:
 def guess(group: Group, m: unrolled.Matrix, a: unrolled.Vector) -> unrolled.Vector:
     """Θ ≈ ΔtΩ + ½Δt² m⁻¹ ad*_Ω Π, from a = ½Δt Π: second order."""
     sharp = unrolled.factored(m).solve
-    half_turn = unrolled.settled(sharp(a))
+    half_turn = sharp(a)
     bent = sharp(ad_star(group, half_turn, a))
-    return unrolled.settled(unrolled.plus((2.0, half_turn), (2.0, bent)))
+    return unrolled.plus((2.0, half_turn), (2.0, bent))
 
 
 def newton_matrix(
@@ -163,17 +163,17 @@ def newton_matrix(
     """
     group, tau = equation.group, equation.tau
     theta, F, known, m = lax.stop_gradient((theta, F, equation.known, equation.m))
-    after = unrolled.settled(unrolled.plus(unrolled.matvec(m, theta), (-1.0, known), (-1.0, F)))
-    turned = unrolled.matmul(ad_star_matrix(group, after), unrolled.settled(slope(tau, group, theta)))
-    return unrolled.settled(unrolled.combination((1.0, m), *((-1.0, A) for A in (turned, *bends))))
+    after = unrolled.plus(unrolled.matvec(m, theta), (-1.0, known), (-1.0, F))
+    turned = unrolled.matmul(ad_star_matrix(group, after), slope(tau, group, theta))
+    return unrolled.combination((1.0, m), *((-1.0, A) for A in (turned, *bends)))
 
 
 def bend(m: unrolled.Matrix, system: Any, where: Array, factor: ArrayLike) -> unrolled.Matrix:
     """factor D², with D² the derivative of the body force along the group at `where`, held fixed; of the form of m."""
-    group, (where,) = system.group, three.once((lax.stop_gradient(where),))
+    group, where = system.group, lax.stop_gradient(where)
     zero = jnp.zeros(group.dim, where.dtype)
     D2 = jax.jacfwd(lambda x: system.body_force(where + group.tangent(where, x)))(zero)
-    (D2,) = three.once((lax.stop_gradient(factor * D2),))
+    D2 = lax.stop_gradient(factor * D2)
     return unrolled.as_list(D2) if isinstance(m, list) else D2
 
 

@@ -315,7 +315,7 @@ class _Equation(NamedTuple):
     def change(self, U: Matrix) -> Symmetric:
         """D = FᵀV + VᵀF + VᵀV with V = aU."""
         V = three.scale_matrix(self.a, U)
-        return three.once(three.along(three.plus_transpose(three.transposed_product(self.F, V)), three.gram(V), 1))
+        return three.along(three.plus_transpose(three.transposed_product(self.F, V)), three.gram(V), 1)
 
     def law(self, D: Symmetric, gamma: tuple[Array, ...]) -> tuple[Symmetric, tuple[Array, ...]]:
         """S, and if the rule has a γ, what must vanish: S:D − 2ΔW; or, less a constant, det(C + D) − 1."""
@@ -332,7 +332,7 @@ class _Equation(NamedTuple):
         if self.rule.constrained:  # by `law`, with C for F, it has |F|³ times the rounding error
             det = three.det(three.combine(self.F, U, self.a))
             missed = ((det - 1) * (det + 1),)
-        force = three.product(three.combine(self.F, U, self.alpha), three.rows(three.once(S)))
+        force = three.product(three.combine(self.F, U, self.alpha), three.rows(S))
         motion = three.combine(three.product(U, three.rows(self.E)), force, self.c)
         return jnp.stack([*_entries(three.combine(motion, self.P, -self.dt)), *missed])
 
@@ -349,7 +349,7 @@ class _Equation(NamedTuple):
         free = (-jnp.inf, jnp.inf)
         limits = [free if rule.constrained else (determined * (g - rule.end), determined * g) for g in gamma]
         dU, d_gamma = _newton_step(N, watched, middle, a, c, columns, R, limits)
-        [t] = three.once((_fraction(watched, dU, a),))
+        t = _fraction(watched, dU, a)
         return jnp.concatenate([t * jnp.stack(_entries(dU)), *(g[None] for g in d_gamma)])
 
     def done(self, x: Array, step: Array) -> Array:
@@ -384,12 +384,10 @@ def _newton_step(
     adjugate = three.adjugate(N)
     r = 1 / three.determinant(N, adjugate)
     N_inverse = three.rows(tuple(r * x for x in adjugate))
-    A = tuple(map(three.once, three.scale_matrix(a * c, three.transposed_product(watched, middle))))
+    A = three.scale_matrix(a * c, three.transposed_product(watched, middle))
     free = three.product(_matrix(R), N_inverse)
     right = three.plus_transpose(three.scale_matrix(a, three.transposed_product(watched, free)))
-    images = [
-        three.once(three.plus_transpose(three.product(three.product(A, three.rows(S)), N_inverse))) for S, _ in columns
-    ]
+    images = [three.plus_transpose(three.product(three.product(A, three.rows(S)), N_inverse)) for S, _ in columns]
     K = [[images[p][q] + (1 if p == q else 0) for p in range(6)] for q in range(6)]
     dD, *by_gamma = unrolled.eliminate(K, right, *images[6:])
     step, d_gamma = dD, []
@@ -400,7 +398,7 @@ def _newton_step(
         d_gamma.append(jnp.clip(left / jnp.where(slope == 0, 1, slope), least, most))  # no pressure acts for Δt = 0
         step = [x - y * d_gamma[k] for x, y in zip(dD, per_gamma, strict=True)]
     c_dS: Any = [c * sum(d * S[q] for d, (S, _) in zip([*step, *d_gamma], columns, strict=True)) for q in range(6)]
-    bent = three.product(three.product(middle, three.rows(three.once(c_dS))), N_inverse)
+    bent = three.product(three.product(middle, three.rows(c_dS)), N_inverse)
     return three.combine(free, bent, -1), d_gamma
 
 

@@ -24,8 +24,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import three
-from lieint_jax._numerics.replay import kept
 from lieint_jax._numerics.three import add, apply, cross, subtract
+from lieint_jax._xla import saved
 from lieint_jax.groups import so3
 from lieint_jax.potentials import invariant_form, torques
 from lieint_jax.schemes._capability import Integrand, check_motion
@@ -192,7 +192,7 @@ def _solved(equation: _Equation, iterations: int) -> tuple[_Ends, Array]:
 
         far = jnp.full_like(guess.move[0, 0], jnp.finfo(guess.move.dtype).max)
         ends, change, _, _ = lax.while_loop(goes_on, improved, (start, far / 2, far, jnp.zeros((), int)))
-        return kept(ends), change
+        return saved(ends), change
 
     def tangent_solve(linear: Callable[[_Ends], _Ends], b: _Ends) -> _Ends:
         K = lax.stop_gradient(equation.linearised(guess)[1])  # near that of the ends, which are not known here

@@ -21,11 +21,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks, _free_body
 from lieint_jax._numerics.three import dot
+from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.schemes.preprocessed import retimed
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES
 from lieint_jax.types import FreeBody, State, Step, StepInfo, pytree, static
-from lieint_jax.types._compiled import compiled
 
 
 class Clock(NamedTuple):

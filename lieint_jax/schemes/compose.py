@@ -28,7 +28,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics.replay import replayed
+from lieint_jax._xla import rematerialized
 from lieint_jax.schemes._compositions import METHODS
 from lieint_jax.schemes.so3_midpoint import examples as base_examples
 from lieint_jax.types import State, Step, StepInfo, pytree, static
@@ -91,7 +91,7 @@ class Composition(Step):
     def _through(self, start: Any, dt: ArrayLike, stage: Callable[[Any, Array], tuple[Any, StepInfo]]) -> Any:
         """`start` through `stage` with each of the sub-steps, and the merged report."""
 
-        @replayed
+        @rematerialized
         def one(carry: tuple[Any, StepInfo], h: Array) -> tuple[tuple[Any, StepInfo], None]:
             z, worst = carry
             z, info = stage(z, h)

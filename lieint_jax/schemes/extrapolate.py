@@ -22,7 +22,7 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics.replay import replayed
+from lieint_jax._xla import rematerialized
 from lieint_jax.schemes import _body_axes, _several_bodies
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES
 from lieint_jax.types import Bodies, State, Step, StepInfo, System, Top, pytree, static, time_derivative
@@ -97,7 +97,7 @@ def _extrapolated(
     def at(now: Any) -> Any:
         return jax.tree.map(jnp.add, start, now) if increments else now
 
-    @replayed
+    @rematerialized
     def after(h: Array, before: Any, now: Any, moment: Any) -> Any:
         return jax.tree.map(lambda x, f: x + 2 * h * f, before, rate(at(now), moment))
 

@@ -22,7 +22,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import collocation
-from lieint_jax._numerics.replay import kept
+from lieint_jax._xla import saved
 from lieint_jax.schemes._canonical import Components, canonical, ended, field, force, inverses, known, motion, power
 from lieint_jax.schemes._capability import check_motion, hint
 from lieint_jax.types import (
@@ -203,9 +203,9 @@ def _solved(equation: _Equation, sweeps: int | None) -> tuple[Components, Array]
     def solve(_: Callable[[Components], Components], k: Components) -> tuple[Components, Array]:
         if sweeps is None:
             k, change = _iterated(equation, k)
-            return kept(k), change
+            return saved(k), change
         last = lax.fori_loop(0, max(0, sweeps - taken - 1), lambda _, k: equation.swept(k), k)
-        k = kept(equation.swept(last))
+        k = saved(equation.swept(last))
         return k, equation.change(k, last)
 
     def tangent_solve(linear: Callable[[Components], Components], b: Components) -> Components:

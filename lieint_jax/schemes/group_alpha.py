@@ -72,7 +72,7 @@ class GroupAlpha(Step):
         dt = jnp.asarray(dt)
         midpoint, s = Equation.of(self.system, tau, state, 0.5 * dt), 0.5 * dt * dt
         m, a = midpoint.m, midpoint.a
-        equation = midpoint._replace(known=unrolled.settled(unrolled.scaled(2 * (1 - alpha), a)))
+        equation = midpoint._replace(known=unrolled.scaled(2 * (1 - alpha), a))
 
         def at(theta: unrolled.Vector) -> Array:
             """q_{n+1−α}."""
@@ -86,7 +86,7 @@ class GroupAlpha(Step):
             before = a
             if isinstance(self.system, MechanicalSystem):
                 before = unrolled.plus(a, as_vector(m, s * group.Ad_star(q, force(theta))))
-            after = coadjoint(tau, group, theta, unrolled.settled(before))
+            after = coadjoint(tau, group, theta, before)
             return equation.residual(theta, unrolled.scaled(2 * alpha, after))
 
         def matrix(theta: unrolled.Vector, F: unrolled.Vector) -> unrolled.Matrix:
@@ -96,7 +96,7 @@ class GroupAlpha(Step):
 
         size, start = size_unit(m, a), guess(group, m, a)
         if isinstance(self.system, MechanicalSystem):
-            pull = unrolled.settled(as_vector(m, s * self.system.body_force(q)))
+            pull = as_vector(m, s * self.system.body_force(q))
             size = size_unit(m, unrolled.each(jnp.maximum, unrolled.each(jnp.abs, a), unrolled.each(jnp.abs, pull)))
             start = guess(group, m, unrolled.plus(a, (0.5, pull)))
         theta, Theta, info = solved(equation, residual, matrix, size, start, self.iterations)

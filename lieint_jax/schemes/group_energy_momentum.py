@@ -79,7 +79,7 @@ class GroupEnergyMomentum(Step):
         dt = jnp.asarray(dt)
         equation, s = Equation.of(self.system, tau, state, 0.5 * dt), 0.5 * dt * dt
         m, a = equation.m, equation.a
-        pull = unrolled.settled(as_vector(m, s * self.system.body_force(q)))  # what the kick is, nearly
+        pull = as_vector(m, s * self.system.body_force(q))  # what the kick is, nearly
 
         def at(theta: unrolled.Vector, s: ArrayLike) -> Array:
             """q_n exp(sΘ) at each s."""
@@ -91,7 +91,7 @@ class GroupEnergyMomentum(Step):
 
         def residual(theta: unrolled.Vector) -> unrolled.Vector:
             kicked = unrolled.plus(a, as_vector(m, s * group.Ad_star(q, force(at(theta, _NODES)))))
-            return equation.residual(theta, coadjoint(tau, group, theta, unrolled.settled(kicked)))
+            return equation.residual(theta, coadjoint(tau, group, theta, kicked))
 
         def matrix(theta: unrolled.Vector, F: unrolled.Vector) -> unrolled.Matrix:
             return newton_matrix(equation, theta, F, bend(m, self.system, at(theta, 0.5), s / 2))

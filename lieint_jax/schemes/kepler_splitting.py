@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton, three
 from lieint_jax._numerics.power_series import stumpff
-from lieint_jax._numerics.replay import stages
+from lieint_jax._xla import scan_stages
 from lieint_jax.schemes._capability import check_motion
 from lieint_jax.schemes._free_flight import FreeFlight
 from lieint_jax.schemes.bodies_energy_momentum import BODIES
@@ -78,7 +78,7 @@ class KeplerSplitting(Step):
             return (state, info.merge(last)), None
 
         # A first kick of 0, so that the long program of a drift is compiled once.
-        return stages(stage, (state, StepInfo.fresh(state.p)), (drifts, kicks))
+        return scan_stages(stage, (state, StepInfo.fresh(state.p)), (drifts, kicks))
 
     def _force(self, q: Array) -> Array:
         """The forces and torques of V₂, (2, 6): those of V without Kepler's attraction."""

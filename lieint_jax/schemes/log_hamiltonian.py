@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
-from lieint_jax._numerics.replay import stages
+from lieint_jax._xla import scan_stages
 from lieint_jax.schemes._capability import check_motion, hint
 from lieint_jax.schemes.exact import exact
 from lieint_jax.schemes.so3_midpoint import FREE_BODIES, lost
@@ -85,7 +85,7 @@ class LogHamiltonian(Step):
             return (state, off, before.merge(info)), None
 
         zero = jnp.zeros_like(state.p[0])
-        state, off, info = stages(stage, (state, zero, StepInfo.fresh(zero)), jnp.array([1.0, 0.0], zero.dtype))
+        state, off, info = scan_stages(stage, (state, zero, StepInfo.fresh(zero)), jnp.array([1.0, 0.0], zero.dtype))
         return state, info._replace(converged=info.converged & (jnp.abs(off) <= _OFF))
 
     def _drifted(self, state: State, half: ArrayLike) -> tuple[State, Array, StepInfo]:

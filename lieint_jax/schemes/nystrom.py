@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics.replay import stages
+from lieint_jax._xla import scan_stages
 from lieint_jax.schemes._capability import check_motion, hint
 from lieint_jax.schemes._free_flight import MANY_FREE_BODIES
 from lieint_jax.schemes.exact import exact
@@ -85,7 +85,7 @@ class Nystrom(Step):
 
         # A first kick of 0, if it is not there, so that the long program of a drift is compiled once.
         first = kicks[:-1] if kick_last else jnp.concatenate([jnp.zeros_like(kicks[:1]), kicks])
-        state, info = stages(stage, (state, StepInfo.fresh(state.p)), (drifts, first))
+        state, info = scan_stages(stage, (state, StepInfo.fresh(state.p)), (drifts, first))
         if kick_last:
             return kicked(self.system, state, kicks[-1]), info
         # The potential has not been evaluated since the last drift

@@ -111,14 +111,12 @@ class SO3Midpoint(Step):
         if self.kappa.solve_by != "scalar" or not isinstance(body, FreeBody):
             return super().tangent(state, dt, T)
         J, a = scaled(body, state, dt)
-        a = three.once(a)
         h, info = half_turn(J, jnp.stack(a), self.kappa, self.iterations)
-        h = three.once(h)
 
         def carried(tangent: Array) -> Array:
             theta, p = tangent[:3], subtract(tangent[3:], cross(tangent[:3], state.p))
-            da = three.once(scaled(body, state._replace(p=jnp.stack(p)), dt)[1])
-            turn = three.once(so3.Ad(state.q, three.once(turned(J, a, h, da))))
+            da = scaled(body, state._replace(p=jnp.stack(p)), dt)[1]
+            turn = so3.Ad(state.q, turned(J, a, h, da))
             return jnp.stack([*add(theta, turn), *tangent[3:]])
 
         return state._replace(q=so3.cayley_increment(state.q, h)), info, jax.vmap(carried, -1, -1)(jnp.asarray(T))

@@ -21,7 +21,6 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import at_once, concrete
-from lieint_jax._numerics import three
 from lieint_jax.maps import arcsine, is_symplectic
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.schemes._capability import check_motion, hint
@@ -118,10 +117,10 @@ class Splitting(Step):
             theta, pi = jnp.split(tangent, 2)
             moved = group.spatial_tangent(state.q, theta)
             slope = jax.jvp(lambda q: _force(self.system, state._replace(q=q)), (state.q,), (moved,))[1]
-            return jnp.stack([*theta, *three.once(pi + 0.5 * dt * slope)])
+            return jnp.concatenate([theta, pi + 0.5 * dt * slope])
 
         end = self._kick(state, dt)
-        return end._replace(p=jnp.stack(three.once(end.p))), jax.vmap(carried, -1, -1)(jnp.asarray(T))
+        return end, jax.vmap(carried, -1, -1)(jnp.asarray(T))
 
     def _kick(self, state: State, dt: ArrayLike) -> State:
         return kicked(self.system, state, 0.5 * dt)

@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import three
+from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.systems._arguments import explained
 from lieint_jax.systems._timed import check_timed, timed
 from lieint_jax.types import PhaseSpace, State, autodiff_gradient
-from lieint_jax.types._compiled import compiled
 
 _PHASE_SPACE = CotangentGroup(so3)
 

@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks, potentials
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import three
+from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMotions
 from lieint_jax.systems._arguments import explained
 from lieint_jax.systems.rigid_body import RigidBody
 from lieint_jax.types import Bodies, FreeBodies, PhaseSpace, State, autodiff_gradient, callable_pytree, pytree
-from lieint_jax.types._compiled import compiled
 
 _ARGUMENTS = "positions (N, 3) and rotations (N, 3, 3)"
 _DIGITS = {"float64": 11, "float32": 4}  # of the least distance, below which a state warns

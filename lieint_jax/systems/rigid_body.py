@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, _free_body
 from lieint_jax._free_body import Periods
+from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.systems._body import Body
 from lieint_jax.types import FreeBody, State, pytree
-from lieint_jax.types._compiled import compiled
 
 
 @pytree

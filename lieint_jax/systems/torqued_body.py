@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks, torques
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import three
+from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.systems._body import TimedBody
 from lieint_jax.types import State, callable_pytree, clock, pytree, static
 from lieint_jax.types import TorquedBody as Capability
-from lieint_jax.types._compiled import compiled
 
 _MORE = ("frame", "potential", "power", "mean", "during", "key")  # what a law may offer besides being called
 

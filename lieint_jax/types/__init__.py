@@ -23,8 +23,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import at_once, concrete, real_array, step_size
+from lieint_jax._xla import compiled
 from lieint_jax.types import _labelled
-from lieint_jax.types._compiled import compiled
 from lieint_jax.types._members import Axis
 from lieint_jax.types._record import record
 

@@ -10,14 +10,14 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
-from lieint_jax._numerics import three
-from lieint_jax._numerics.replay import kept
+from lieint_jax._xla._materialize import materialized
+from lieint_jax._xla._rematerialize import saved
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Slopes = Callable[..., Sequence[Any]] | None
 
 
-def forwards(function: _Function, smooth: _Function | None = None, slopes: _Slopes = None) -> _Function:
+def forward_mode(function: _Function, smooth: _Function | None = None, slopes: _Slopes = None) -> _Function:
     """The same function, elementwise in arrays of one shape, with slopes by forward mode whoever asks for them.
 
     Reverse mode would keep what the function computes on its way and go through all of it again, a program that
@@ -53,7 +53,7 @@ def _sloped(function: _Function, form: _Function, slopes: _Slopes, primals: Any,
 
     both = jax.custom_jvp(found)
     both.defjvp(again, symbolic_zeros=True)
-    value, each = kept(both(*primals))
+    value, each = saved(both(*primals))
     total = jax.tree.map(lambda *s: sum(x * tangents[k] for k, x in zip(varied, s, strict=True)), *each)
     return value, total
 
@@ -69,5 +69,5 @@ def _by_jvp(function: Callable[..., Any], given: tuple[Any, ...], varied: list[i
     seeds = (jnp.stack([jnp.full_like(given[k], float(k == n)) for n in varied]) for k in varied)
     value, stacked = jax.vmap(along, out_axes=(None, 0))(*seeds)
     # once: else XLA computes a slope again in each of the many sums that reverse mode makes with it
-    stacked = jax.tree.map(lambda s: three.once((s,))[0], stacked)
+    stacked = jax.tree.map(lambda s: materialized((s,))[0], stacked)
     return value, [jax.tree.map(lambda s, n=n: s[n], stacked) for n in range(len(varied))]

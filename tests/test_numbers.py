@@ -1,4 +1,4 @@
-"""Functions evaluated component by component: the same numbers as on whole arrays, whatever the function is made of."""
+"""Loops that go through single numbers: the same results as on whole arrays, whatever the function is made of."""
 
 import jax
 import jax.numpy as jnp
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from lieint_jax.adjoints import _components
+from lieint_jax.adjoints import _numbers
 
 MATRIX = np.array([[2.0, 0.3], [-0.4, 3.0]])
 
@@ -34,13 +34,13 @@ FUNCTIONS = {
 }
 
 
-@pytest.mark.parametrize("longest", [_components._LONGEST, 0], ids=["by components", "too long for that"])
+@pytest.mark.parametrize("longest", [_numbers._LONGEST, 0], ids=["by numbers", "too long for that"])
 @pytest.mark.parametrize("over", [(0.5,), (0.5, -0.25, 0.75)], ids=["one", "three"])
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_repeated_by_components_is_repeated(monkeypatch, name, over, longest):
-    monkeypatch.setattr(_components, "_LONGEST", longest)
+def test_a_loop_through_single_numbers_is_that_of_arrays(monkeypatch, name, over, longest):
+    monkeypatch.setattr(_numbers, "_LONGEST", longest)
     function, start = FUNCTIONS[name], np.array([0.3, -0.7])
-    found = jax.jit(lambda v: _components.repeat(4, function, v, over))(start)
+    found = jax.jit(lambda v: _numbers.repeat(4, function, v, over))(start)
     expected, once = start, jax.jit(function)
     for x in over * 4:
         expected = once(expected, x)

@@ -10,13 +10,13 @@ from jax import lax
 
 import lieint_jax as li
 from lieint_jax._numerics import newton
-from lieint_jax._numerics.replay import kept, replayed, stages
+from lieint_jax._xla import rematerialized, saved, scan_stages
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 TOP = li.systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
 
 
-def run(p, body, replay):
+def run(p, body, way):
     """Five implicit steps of a number, by a solver that is a loop."""
 
     def step(z):
@@ -28,39 +28,39 @@ def run(p, body, replay):
 
         return body(newton.root(residual, correction, z, 20, done=lambda x, step: jnp.abs(step) < 1e-9)[0])
 
-    return lax.scan(lambda z, _: (replay(step)(z), None), jnp.asarray(1.0), None, length=5)[0]
+    return lax.scan(lambda z, _: (way(step)(z), None), jnp.asarray(1.0), None, length=5)[0]
 
 
-PLAIN, REPLAYED = (partial(run, body=lambda x: x, replay=way) for way in (lambda step: step, replayed))
+PLAIN, REMATERIALIZED = (partial(run, body=lambda x: x, way=way) for way in (lambda step: step, rematerialized))
 
 
 def test_derivatives_of_any_order_are_the_same():
     for way in (jax.grad, jax.jacfwd):
-        assert float(way(REPLAYED)(1.3)) == pytest.approx(float(jax.jacfwd(PLAIN)(1.3)), rel=1e-15)
+        assert float(way(REMATERIALIZED)(1.3)) == pytest.approx(float(jax.jacfwd(PLAIN)(1.3)), rel=1e-15)
         for outer in (jax.jacfwd, jax.grad) if way is jax.jacfwd else (jax.jacfwd,):
-            second = float(outer(way(REPLAYED))(1.3))
+            second = float(outer(way(REMATERIALIZED))(1.3))
             assert second == pytest.approx(float(jax.jacfwd(jax.jacfwd(PLAIN))(1.3)), rel=1e-12)
 
 
 def test_a_root_is_not_sought_again():
-    def loops(replay):
-        return jax.jit(jax.grad(partial(run, body=lambda x: x, replay=replay))).lower(1.3).as_text().count("while(")
+    def loops(way):
+        return jax.jit(jax.grad(partial(run, body=lambda x: x, way=way))).lower(1.3).as_text().count("while(")
 
-    assert loops(replayed) == loops(lambda step: step) < loops(jax.checkpoint)
+    assert loops(rematerialized) == loops(lambda step: step) < loops(jax.checkpoint)
 
 
 def test_what_is_kept_is_not_computed_again():
     def gradient(mark):
-        dear = replayed(lambda x: mark(jnp.arctan(x)) ** 2)
+        dear = rematerialized(lambda x: mark(jnp.arctan(x)) ** 2)
         return str(jax.make_jaxpr(jax.grad(lambda x: dear(dear(x))))(0.3)).count("atan ")
 
-    assert gradient(kept) < gradient(lambda x: x)
+    assert gradient(saved) < gradient(lambda x: x)
 
 
 @pytest.mark.parametrize(
     ("step", "state", "most"),
     [
-        (li.schemes.so3_midpoint(BODY), BODY.state(angular_velocity=[0.3, 0.2, 1.0]), 7),  # 58 if not replayed
+        (li.schemes.so3_midpoint(BODY), BODY.state(angular_velocity=[0.3, 0.2, 1.0]), 7),  # 58 if not rematerialized
         (li.schemes.extrapolate(TOP), TOP.state(angular_velocity=[0.3, 0.2, 1.0]), 7),  # 461
     ],
 )
@@ -78,15 +78,15 @@ def of_stages(z, way):
     def one(z, x):
         return jnp.sin(z * x), None
 
-    step = replayed(lambda z, _: (way(one, z, jnp.array([0.3, 0.7, 1.1])), None))
+    step = rematerialized(lambda z, _: (way(one, z, jnp.array([0.3, 0.7, 1.1])), None))
     return lax.scan(step, z, None, length=5)[0]
 
 
 def test_stages_are_not_gone_through_to_find_their_carries():
     def plain(one, z, each):
-        return lax.scan(replayed(one), z, each)[0]
+        return lax.scan(rematerialized(one), z, each)[0]
 
-    few, more = (jax.grad(partial(of_stages, way=way)) for way in (stages, plain))
+    few, more = (jax.grad(partial(of_stages, way=way)) for way in (scan_stages, plain))
     loops = [jax.jit(f).lower(0.4).as_text().count("while(") for f in (few, more)]
     assert loops[0] < loops[1]
     assert float(few(0.4)) == pytest.approx(float(more(0.4)), rel=1e-14)

@@ -1,0 +1,49 @@
+"""A loop that goes through single numbers, where that is possible.
+
+The transpose of v[i] is a `pad`, and the pull-back of a step is full of them; XLA does not fuse pads, and works on all
+components even where only one is not zero. In a program of numbers indexing, stacking and padding cost nothing, and
+zeros are dropped. Over a batch, the pull-back of a free body's step is 3 times faster.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from lieint_jax.native import Flattened, UnsupportedError
+
+_LONGEST = 10_000  # the most operations of a program of numbers that XLA compiles in bearable time
+
+
+def repeat(count: Any, function: Callable[[Any, Any], Any], carry: Any, over: tuple[float, ...]) -> Any:
+    """Apply carry ← function(carry, x) for each x in `over`, and all that `count` times. Not to be differentiated."""
+    dtype = jnp.result_type(*jax.tree.leaves(carry))
+    example = jnp.ones((), dtype)
+    once, closed = jax.closure_convert(function, carry, example)
+
+    def repeated(count: Any, carry: Any, closed: Any) -> Any:
+        return _repeated(count, lambda carry, x: once(carry, x, *closed), carry, over, dtype)
+
+    arguments = (count, carry, tuple(closed))
+    try:
+        by_numbers = Flattened(repeated, ("shared",) * 3, arguments)
+    except UnsupportedError:
+        return repeated(*arguments)
+    return by_numbers(*arguments) if by_numbers.length <= _LONGEST else repeated(*arguments)
+
+
+def _repeated(count: Any, function: Callable[[Any, Any], Any], carry: Any, over: tuple[float, ...], dtype: Any) -> Any:
+    if len(over) == 1:
+        return lax.fori_loop(0, count, lambda _, c: function(c, np.asarray(over[0], dtype)), carry)
+
+    # x is carried, since XLA would fuse a slice of `over` into every loop over a batch
+    def one(carry: tuple[Any, Array], following: Array) -> tuple[tuple[Any, Array], None]:
+        return (function(*carry), following), None
+
+    xs = jnp.asarray(over, dtype)
+    return lax.fori_loop(0, count, lambda _, c: lax.scan(one, (c, xs[0]), jnp.roll(xs, -1))[0][0], carry)
