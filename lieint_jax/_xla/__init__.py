@@ -5,7 +5,7 @@ single bodies, gradients and accelerators, does well with the same equations but
 
 `materialized`: On a CPU, XLA's fusion computes a shared subexpression again in each of its consumers. Where a long
     computation has a few results with many uses, that is dear: without it gradients of a batch by `exact` take nine
-    times as long.
+    times as long, tangent vectors of a batch of tops sixteen times. Where less than a fifth was lost it is not used.
 `unfused`: The same for what all members of a batch share, such as the position on an orbit.
 `rematerialized`, with `saved` and `scan_stages`: The gradient of a long loop keeps what its body computes, a hundred
     arrays over the steps, written one number at a time. To compute a step again on the way back is faster, compiles in

@@ -39,6 +39,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton, three
 from lieint_jax._numerics.three import Symmetric, Vector, add, apply, cross, dot, scale, subtract
+from lieint_jax._xla import materialized
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
 from lieint_jax.schemes._capability import Integrand
@@ -111,12 +112,14 @@ class SO3Midpoint(Step):
         if self.kappa.solve_by != "scalar" or not isinstance(body, FreeBody):
             return super().tangent(state, dt, T)
         J, a = scaled(body, state, dt)
+        a = materialized(a)
         h, info = half_turn(J, jnp.stack(a), self.kappa, self.iterations)
+        h = materialized(h)
 
         def carried(tangent: Array) -> Array:
             theta, p = tangent[:3], subtract(tangent[3:], cross(tangent[:3], state.p))
-            da = scaled(body, state._replace(p=jnp.stack(p)), dt)[1]
-            turn = so3.Ad(state.q, turned(J, a, h, da))
+            da = materialized(scaled(body, state._replace(p=jnp.stack(p)), dt)[1])
+            turn = materialized(so3.Ad(state.q, materialized(turned(J, a, h, da))))
             return jnp.stack([*add(theta, turn), *tangent[3:]])
 
         return state._replace(q=so3.cayley_increment(state.q, h)), info, jax.vmap(carried, -1, -1)(jnp.asarray(T))
