@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import contextvars
+import functools
 import math
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ except ImportError:  # another JAX
     take_current_trace = None
 
 UNIT_TOLERANCE = 1e-6
+_on_host: contextvars.ContextVar[bool] = contextvars.ContextVar("_on_host", default=False)
 _LARGEST_COUNT = 2**53  # beyond, counts are not exact as floating-point numbers
 
 
@@ -52,8 +55,22 @@ def at_once() -> contextlib.AbstractContextManager[None]:
     return jax.ensure_compile_time_eval() if staged() else contextlib.nullcontext()
 
 
+@contextlib.contextmanager
+def on_host() -> Iterator[None]:
+    """A context in which checked arrays stay with NumPy: to give one to a device takes as long as all checks of it."""
+    token = _on_host.set(True)
+    try:
+        yield
+    finally:
+        _on_host.reset(token)
+
+
 def as_array(value: Any, dtype: Any = None) -> Array:
     """`jnp.asarray`, which would compile a program, also for numbers and lists."""
+    typed = dtype is not None or hasattr(value, "dtype")
+    if typed and _on_host.get() and concrete(value):
+        kind = jax.dtypes.canonicalize_dtype(value.dtype if dtype is None else dtype)
+        return np.asarray(value, kind)  # pyright: ignore[reportReturnType]
     if isinstance(value, Array) or not concrete(value) or staged():
         return jnp.asarray(value, dtype)
     if dtype is None and isinstance(value, int | float | complex):
@@ -155,6 +172,7 @@ def nearest_multiples(value: int, of: int) -> str:
     return f"{below} or {below + of}" if below > 0 else f"{of}"
 
 
+@functools.cache
 def memory_of_machine() -> float:
     """The bytes of memory that this process can have: those of the machine, or of its container; inf if unknown."""
     try:

@@ -108,9 +108,35 @@ def run(
         raise ValueError("resume goes on with a run in a store; give store=PATH.zarr")
     threads = None if mesh is None else len(mesh.local_devices)
     mesh = _layout.checked_mesh(mesh)
+    with _checks.on_host():
+        job = _job(step, states, dt, num_steps, save_every, step_axis, reduce, store, times, save_at)
+    engine = engine_of(job, mesh)
+    place = _layout.Place(mesh, threads or _layout.cores(), engine.whole)
+    with processes.watched(mesh):
+        if store is None:
+            if _layout.count_processes(mesh) > 1:
+                _identity.check_processes(mesh, _identity.description(job, engine.name), store=None, resume=False)
+            layout = _layout.layout_of(place, job.members)
+            return _integrate(engine, layout, _InMemory(job, layout), progress)
+        options = store if isinstance(store, StoreOptions) else StoreOptions(store)
+        return into_store(engine, place, options, resume, lambda layout, out: _integrate(engine, layout, out, progress))
+
+
+def _job(
+    step: Step,
+    states: State,
+    dt: float | None,
+    num_steps: int | None,
+    save_every: int | None,
+    step_axis: int | None,
+    reduce: Reduction | Literal["energy"] | None,
+    store: str | Path | StoreOptions | None,
+    times: ArrayLike | None,
+    save_at: ArrayLike | None,
+) -> Job:
+    """What `run` is asked to do, checked."""
     step, states, dtype = promoted(checked_step(step), states)
     states, t0 = _checked(step, states)
-    count = states.p.shape[0]
     reduction = energy if reduce == "energy" else reduce
     clock, planned = _clock(step, t0, dtype, dt, num_steps, times)
     if save_at is None:
@@ -126,16 +152,7 @@ def run(
     _check(job)
     _check_reduction(job)
     _checks.time_resolution(t0, job.first_dt, planned)
-    engine = engine_of(job, mesh)
-    place = _layout.Place(mesh, threads or _layout.cores(), engine.whole)
-    with processes.watched(mesh):
-        if store is None:
-            if _layout.count_processes(mesh) > 1:
-                _identity.check_processes(mesh, _identity.description(job, engine.name), store=None, resume=False)
-            layout = _layout.layout_of(place, count)
-            return _integrate(engine, layout, _InMemory(job, layout), progress)
-        options = store if isinstance(store, StoreOptions) else StoreOptions(store)
-        return into_store(engine, place, options, resume, lambda layout, out: _integrate(engine, layout, out, progress))
+    return job
 
 
 def _check_size(states: State, entries: int, reduction: Any, store: Any) -> None:
