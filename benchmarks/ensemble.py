@@ -25,7 +25,7 @@ from typing import Any
 
 from lib import command
 
-PARTS = ("sizes", "cpp", "systems", "peers", "threads", "roofline")
+PARTS = ("sizes", "cpp", "systems", "torques", "peers", "threads", "roofline")
 
 
 def main() -> None:
@@ -196,12 +196,49 @@ def systems(quick: bool, _: int) -> Any:
         states = li.State(jnp.broadcast_to(state.q, (1000, *state.q.shape)), p)
         for maker in makers:
             name, step = next(iter(_schemes(maker, system).items()))
-            pilot = ours(step, states, dt, 20)
-            seconds = best({"": pilot}, 2)[""]
-            n = int(max(20, min(20 * (0.05 if quick else 0.3) / seconds, 1e5)))
-            call = ours(step, states, dt, n)
-            found[f"{module}.{example}, {name}"] = 1000 * n / best({"": call}, 3)[""]
+            found[f"{module}.{example}, {name}"] = rate(step, states, dt, quick)
             jax.clear_caches()
+    return found
+
+
+def rate(step: Any, states: Any, dt: float, quick: bool) -> float:
+    """Body-steps a second of a thousand bodies."""
+    seconds = best({"": ours(step, states, dt, 20)}, 2)[""]
+    n = int(max(20, min(20 * (0.05 if quick else 0.3) / seconds, 1e5)))
+    return 1000 * n / best({"": ours(step, states, dt, n)}, 3)[""]
+
+
+def torques(quick: bool, _: int) -> Any:
+    """Rates of a thousand bodies under one law of torque each, by `torqued_midpoint`, work counted."""
+    from functools import partial
+
+    import jax.numpy as jnp
+    import numpy as np
+    from lib import measure
+
+    import lieint_jax as li
+    from lieint_jax.groups import so3
+
+    field, n = jnp.array([0.3, 0.1, 1.0]), 500 if quick else 5000
+    laws = {
+        "of the time": lambda t, q, omega: 0.1 * jnp.stack([jnp.cos(t), jnp.sin(t), t / (1 + t * t)]),
+        "viscous": li.torques.viscous(0.01),
+        "of the attitude": lambda t, q, omega: 0.1 * jnp.cross(field, so3.Ad_star(q, field)),
+        "of time, attitude and velocity": lambda t, q, omega: (
+            0.1 * jnp.cos(t) * jnp.cross(field, so3.Ad_star(q, field)) - 0.01 * omega
+        ),
+    }
+    bodies = {name: li.systems.torqued_body(measure.INERTIA, law) for name, law in laws.items()}
+    bodies |= {name: _example("torqued_body", name)[0] for name in ("detumbling", "slew", "damper")}
+    q, p = measure.bodies(1000)
+    found = {}
+    for name, body in bodies.items():
+        more = body.state(angular_velocity=[0.0, 0.0, 1.0], work=0.0)
+        extra = {key: np.repeat(np.asarray(x)[None], 1000, axis=0) for key, x in (more.extra or {}).items()} or None
+        states = more._replace(q=q, p=p, extra=extra)
+        step = li.schemes.torqued_midpoint(body)
+        seconds = best({"": partial(li.ensemble.run, step, states, measure.DT, n, progress=False)}, 3)[""]
+        found[name] = 1000 * n / seconds
     return found
 
 
@@ -332,6 +369,15 @@ def whole_runs_table(found: Any) -> list[str]:
     return [title, report.table(["", "ours", "C++", "ours ÷ C++", "bar", ""], rows)]
 
 
+def torques_table(rates: Any) -> list[str]:
+    from lib import report
+
+    first = next(iter(rates.values()))
+    rows = [[name, f"{r / 1e6:.3g}", f"{1e9 / r:.3g}", f"{first / r:.2f}"] for name, r in rates.items()]
+    said = "Torques: millions of body-steps a second by `torqued_midpoint`, work counted, 1000 bodies, one core"
+    return [said, report.table(["torque", "rate", "ns", "÷ of the time"], rows)]
+
+
 def systems_table(rates: Any) -> list[str]:
     from lib import report
 
@@ -402,6 +448,7 @@ PART = {
     "sizes": sizes,
     "cpp": whole_runs,
     "systems": systems,
+    "torques": torques,
     "peers": against,
     "threads": threads,
     "roofline": roofline,
@@ -410,6 +457,7 @@ TABLE = {
     "sizes": sizes_table,
     "cpp": whole_runs_table,
     "systems": systems_table,
+    "torques": torques_table,
     "peers": peers_table,
     "threads": threads_table,
     "roofline": roofline_table,
