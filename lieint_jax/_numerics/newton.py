@@ -172,6 +172,11 @@ def chords(
     return x, F, _steady(growth)
 
 
+def quadratic(x: Any, step: Any) -> Array:
+    """Whether the next correction, about the square of this one, would be round-off; unknowns are of the size 1."""
+    return _largest(step) ** 2 <= jnp.finfo(jax.tree.leaves(x)[0].dtype).eps / 100 * _largest(x)
+
+
 def _until(
     done: Callable[[_Unknown, _Unknown], Array],
     improved: Callable[[_Unknown, Pace], tuple[_Unknown, Pace, _Unknown]],

@@ -194,7 +194,7 @@ def torqued_midpoint(
     Args:
         system: `systems.torqued_body(...)` or `systems.damped_body(...)`.
         kappa: κ as of `so3_midpoint`. The symplectic κ ends at |ΔtΩ| ≈ 1, the Cayley κ at 2 to 4.
-        iterations: Newton corrections per step, by default 5. A step that fell short says `converged=False`.
+        iterations: the most Newton corrections per step, by default 5. A step that fell short says `converged=False`.
 
     Raises:
         ValueError: another system, κ is not callable, iterations is not a positive int; when a run starts, a state
@@ -300,7 +300,7 @@ class _Equation(NamedTuple):
         u = three.solve_symmetric(self.J, self.a)  # ½ΔtΩ_n
         push = three.solve_symmetric(self.J, self.side(u))
         granted = at(three.max_abs(u) + three.max_abs(push))
-        y, f, steady = newton.root(self.residual, self.correction, u, iterations, unroll=False, first=granted)
+        y, f, steady = newton.root(self.residual, self.correction, u, iterations, done=newton.quadratic, first=granted)
         branch, size = self.judge(tuple(at(x) for x in y))
         good = steady & branch & three.well_conditioned(self.J) & jnp.isfinite(at(self.t))
         f = at(jnp.sqrt(dot(f, f)))
