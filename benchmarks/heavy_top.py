@@ -1,6 +1,6 @@
 """Heavy tops: how many body-steps a second, what is conserved, and how much time does an accuracy cost?
 
-Heavy plates of inertia (1, 2, 3), each fixed at one of its points, weight (.9, .8, 0): three moments, not integrable.
+Heavy plates of inertia (1, 2, 3), each fixed at one of its points, weight (0.9, 0.8, 0): three moments, not integrable.
 Random attitudes, body velocities random in the unit ball, dt = 0.05. Ours (the energy-momentum scheme with three κ's,
 the splitting, both composed) against C++ of the same schemes, diffrax, MuJoCo and (for accuracy) heyoka, called in turn
 in one process pinned to one core (as Linux can).

@@ -1,6 +1,6 @@
 """How many steps a second, how accurate, how conserving, for pseudo-rigid bodies, against diffrax and C++?
 
-Balls of the paper's Figure 3c (λ = 2000, μ = 6, E = 2·1, angular momentum 6, Δt = .005), their first states spread by
+Balls of the paper's Figure 3c (λ = 2000, μ = 6, E = 2·1, angular momentum 6, Δt = 0.005), their first states spread by
 one per cent, integrated to t = 1. One core, float64, everything in one process, contestants called in turn.
 
     python benchmarks/pseudo_rigid.py [--quick] [--out DIR]
@@ -43,7 +43,7 @@ class Solver(NamedTuple):
 
 
 def bodies(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """F = 1 + noise of .01 and P = π̂F, π = (0, 0, 6) + noise of .1; the first body is that of Figure 3c."""
+    """F = 1 + noise of 0.01 and P = π̂F, π = (0, 0, 6) + noise of 0.1; the first body is that of Figure 3c."""
     rng = np.random.default_rng(0)
     spread = (np.arange(count) > 0)[:, None, None]
     F = np.eye(3) + 0.01 * spread * rng.normal(size=(count, 3, 3))

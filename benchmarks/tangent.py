@@ -1,6 +1,6 @@
 """What does a tangent vector cost beside the step that carries it, by closed form and by autodiff?
 
-A thousand bodies and tops, dt = .05, one core. `Step.tangent` is the closed form; jvp is `jax.jvp` of the step in the
+A thousand bodies and tops, dt = 0.05, one core. `Step.tangent` is the closed form; jvp is `jax.jvp` of the step in the
 coordinates of the phase space, what any integrator can do; jacfwd is the same for all six vectors
 (`diagnostics.linearization`). Contestants are called in turn in one run; the best call of each counts.
 

@@ -31,7 +31,7 @@ def coulomb(Gamma: Array) -> Array:
 
 
 def passing() -> tuple[Any, State]:
-    """A top that passes by a charge: V from −.5 to −2 and deeper."""
+    """A top that passes by a charge: V from −0.5 to −2 and deeper."""
     top = potential_top([1.0, 2.0, 2.5], coulomb, [0.0, 0.0, 1.05])
     return top, top.state(so3.exp(jnp.array([2.5, 0.0, 0.0])), angular_velocity=[0.1, 0.05, 0.1])
 

@@ -3,8 +3,8 @@
 Six problems, 1000 members each, in one process pinned to one core (as Linux can):
 
 - free bodies of inertia (1, 2, 3), random attitudes, body velocities random in the unit ball, to t = 10 and t = 1000;
-- chaotic heavy tops to t = 100: J = (1, 2, 2.5), weight (.5, .4, 1), |Ω| = 1.2 in random directions, attitudes exp ξ
-  with normal ξ of .3 rad (where they are random, upside down as well, median errors are some 50 times smaller);
+- chaotic heavy tops to t = 100: J = (1, 2, 2.5), weight (0.5, 0.4, 1), |Ω| = 1.2 in random directions, attitudes exp ξ
+  with normal ξ of 0.3 rad (where they are random, upside down as well, median errors are some 50 times smaller);
 - the satellites of `driven.py` over three orbits, and the binary asteroids of `bodies.py` over two;
 - asteroids that tumble past the Earth on Apophis' hyperbola.
 

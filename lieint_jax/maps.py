@@ -201,7 +201,7 @@ _ARCSINE = [math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(20)]
 def _arcsine_of_square(x: Array) -> Array:
     """arcsin(√x)/√x: analytic for x < 1, arsinh(√−x)/√−x for negative x."""
     size, positive = jnp.abs(x), x > 0
-    root = jnp.sqrt(where(size < 0.05, 0.25, size))  # both branches are right near the threshold of .1
+    root = jnp.sqrt(where(size < 0.05, 0.25, size))  # both branches are right near the threshold of 0.1
     up = where(positive, root, 0.5)
     closed = where(positive, jnp.arcsin(up), jnp.arcsinh(root)) / root
     return where(size < 0.1, power_series.horner(_ARCSINE, where(size < 0.2, x, 0)), closed)

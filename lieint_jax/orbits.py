@@ -38,7 +38,7 @@ class Kepler:
     """A Kepler orbit: `orbit(t)` is the position and the velocity at time t. Made by `kepler`.
 
     Attributes:
-        mu, semi_major_axis, eccentricity, inclination, node, periapsis, periapsis_time: as of `kepler`, scalars.
+        mu, semi_major_axis, eccentricity, inclination, node, periapsis, periapsis_time: as in `kepler`, scalars.
     """
 
     mu: Array
@@ -96,7 +96,7 @@ def kepler(
 
     Traced elements are not checked here. Where they belong to no orbit, positions and velocities are NaN.
 
-    The position is right to 1e-13 of the radius for e ≤ .9 and to 1e-12 for e = .99 and 1.01, beside the rounding of
+    The position is right to 1e-13 of the radius for e ≤ 0.9 and to 1e-12 for e = 0.99 and 1.01, beside the rounding of
     the mean anomaly n(t − T) itself, eps·n|t − T|. All elements can be differentiated, vmapped and traced.
 
     Args:
@@ -147,7 +147,7 @@ def graded_times(
         orbit: t ↦ (position, velocity), such as `kepler(...)` makes.
         t0, t1: first and last time, in either order.
         n: the number of steps.
-        c: > 0; .15 serves tumbling bodies in flybys (0 would leave the body's own turning to huge steps far away).
+        c: > 0; 0.15 serves tumbling bodies in flybys (0 would leave the body's own turning to huge steps far away).
 
     Returns:
         (n+1,) times from t0 to t1.

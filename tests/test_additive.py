@@ -184,7 +184,7 @@ def test_6_17_at_the_ends_is_explicit_symplectic_euler():
 
 
 def _order(step):
-    """From 64 and 128 steps to t = .4, against the flow of the equations of motion."""
+    """From 64 and 128 steps to t = 0.4, against the flow of the equations of motion."""
     exact = _flow(SOFT_STATE)
     errors = []
     for n in (64, 128):

@@ -44,7 +44,7 @@ def moved(path, arguments=()):
 
 @pytest.mark.long
 def test_frames_between_saved_states_show_the_states_that_were_not_saved(store):
-    """Saved every .1, interpolated every .05: the steps in between are met to 2e-7."""
+    """Saved every 0.1, interpolated every 0.05: the steps in between are met to 2e-7."""
     run, system = li.ensemble.open(store)
     found = scene.of(StoredRun("a body", "s", system, run, False), 1, 81)
     np.testing.assert_allclose(found.t, DT * np.arange(81), rtol=0, atol=1e-12)

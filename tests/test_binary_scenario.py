@@ -101,7 +101,7 @@ def test_an_order_that_a_scheme_does_not_have():
     [("kepler_splitting", 0.01), ("nystrom", 0.01), ("splitting", 0.01), ("bodies_energy_momentum", 0.1)],
 )
 def test_every_scheme_can_be_chosen(scheme, error):
-    """By key, each at its lowest order: errors of position after an orbit, over the distance; the last was .034."""
+    """By key, each at its lowest order: errors of position after an orbit, over the distance; the last was 0.034."""
     scenario = scenarios.load("kw4", scheme=scheme, order=min(2 if x == 2 else 4 for x in _several.ORDERS[scheme]))
     scenario = scenario.model_copy(update=dict(steps=100, save_every=100, dt=670.0, members=2))
     step, path = run(scenario)

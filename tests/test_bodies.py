@@ -364,7 +364,7 @@ TURNS = schemes.preprocessed(BINARY.free, 10)
     ("drift", "bound"), [(schemes.exact(BINARY.free), 5e-16), (TURNS, 6e-13)], ids=["exact", "preprocessed"]
 )
 def test_free_bodies_go_straight_on_and_turn_alone(drift, bound):
-    """At |ΔtΩ| = .36; observed 1e-16 from each body's closed form, and 1.8e-13 by steps of order 10."""
+    """At |ΔtΩ| = 0.36; observed 1e-16 from each body's closed form, and 1.8e-13 by steps of order 10."""
     end, info = jax.jit(drift)(START, 0.3)
     assert info.converged
     np.testing.assert_allclose(

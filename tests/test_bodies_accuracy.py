@@ -33,7 +33,7 @@ def test_the_best_kepler_splitting_at_600_forces():
 @pytest.mark.long
 @pytest.mark.parametrize("name", EXPECTED)
 def test_errors_are_within_a_factor_of_three_of_the_table(name):
-    """Observed: between .37 and 1.9 of each entry above the floor."""
+    """Observed: between 0.37 and 1.9 of each entry above the floor."""
     for forces, expected in EXPECTED[name].items():
         for found, entry, floor in zip(kw4.errors(name, forces), expected, FLOOR, strict=True):
             assert found < max(3 * entry, floor), (forces, found, entry)

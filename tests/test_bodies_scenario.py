@@ -223,7 +223,7 @@ def test_members_spread_as_the_file_says_and_the_first_is_the_nominal_one():
     assert abs((m[..., None] * x).sum(axis=1)).max() < 1e-14
     np.testing.assert_allclose(x[0, 1] - x[0, 0], [3.0, 0, 0], rtol=1e-15)
     np.testing.assert_array_equal(m[0], [2.0, 2.0])
-    assert np.std((x[:, 1] - x[:, 0])[1:], axis=0) == pytest.approx(1e-3, rel=0.15)  # of 400: 1 sigma is .035
+    assert np.std((x[:, 1] - x[:, 0])[1:], axis=0) == pytest.approx(1e-3, rel=0.15)  # of 400: 1 sigma is 0.035
     assert np.std((v[:, 1] - v[:, 0])[1:], axis=0) == pytest.approx(1e-2, rel=0.15)
     assert np.std(m[1:, 0]) == pytest.approx(0.02, rel=0.15)
     assert np.ptp(m[:, 1]) == 0

@@ -69,7 +69,7 @@ def weight(R, dR, t):
 
 
 def tide(R, dR, t):
-    """3 Γ × JΓ / r³, or its variation, on the ellipse e = .1."""
+    """3 Γ × JΓ / r³, or its variation, on the ellipse e = 0.1."""
     E = t
     for _ in range(50):
         E = t + 0.1 * np.sin(E)
@@ -128,7 +128,7 @@ def chaotic(exponents=None):
 def test_a_chaotic_top_has_one_pair_of_exponents_and_the_sum_of_a_symplectic_step_is_round_off():
     found = chaotic()
     top, error = float(found.exponents[0]), float(found.errors[0])
-    assert abs(top - 0.0855) < 4 * error  # .0835 to .0877 by DOP853 over t = 3000 and 4000 (study of sensitivity)
+    assert abs(top - 0.0855) < 4 * error  # 0.0835 to 0.0877 by DOP853 over t = 3000 and 4000 (study of sensitivity)
     assert 0.001 < error < 0.01
     assert float(found.exponents[5]) == pytest.approx(-top, abs=2e-3)
     assert jnp.abs(found.exponents[1:5]).max() < 3 * np.log(2000) / 2000

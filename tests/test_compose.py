@@ -151,7 +151,7 @@ def test_published_order_10_on_steps_that_do_not_commute():
 
 
 def test_suzuki_is_far_better_than_the_triple_jump():
-    """70 times smaller on the symplectic step, as the power sums say: 5.29 / .0744 = 71."""
+    """70 times smaller on the symplectic step, as the power sums say: 5.29 / 0.0744 = 71."""
     jump, suzuki = (errors_at(3.2, compose(SYMPLECTIC, 4, m), (32,))[0] for m in ("triple_jump", "suzuki"))
     assert jump / suzuki == pytest.approx(71, rel=0.05)
 
@@ -178,7 +178,7 @@ def test_the_defect_of_a_base_step_that_is_not_symplectic_stays():
 
 @pytest.mark.long
 def test_a_thousand_bodies_to_the_accuracy_that_is_claimed():
-    """Order 8, Δt = .25, t = 10: 2.5e-9 by Kahan & Li's 17 stages; the 19 commuting ones do better."""
+    """Order 8, Δt = 0.25, t = 10: 2.5e-9 by Kahan & Li's 17 stages; the 19 commuting ones do better."""
     rng = np.random.default_rng(0)
     Omega = rng.normal(size=(200, 3))
     Omega *= rng.uniform(size=(200, 1)) ** (1 / 3) / np.linalg.norm(Omega, axis=1, keepdims=True)
@@ -222,7 +222,7 @@ def test_bad_arguments():
 
 def test_a_sub_step_past_the_branch_says_so():
     step = compose(SYMPLECTIC, 8)
-    assert after(step, STATE, 2.0, 1)[1].converged  # sub-steps are small: .39 of it at most
+    assert after(step, STATE, 2.0, 1)[1].converged  # sub-steps are small: 0.39 of it at most
     assert not after(step, STATE, 4.0, 1)[1].converged
     with pytest.raises(ValueError, match=r"sub-steps of up to 0\.393 dt; so3_midpoint"):
         li.integrate(step, STATE, 4.0, 1)

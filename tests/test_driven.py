@@ -204,7 +204,7 @@ CASES = [pytest.param("satellite", KAPPAS[0], id="satellite-cayley")] + [
 
 @pytest.mark.parametrize(("name", "kappa"), CASES)
 def test_energy_less_work_is_kept_over_20_000_steps(name, kappa):
-    """To 1e-13 of max|H|, and √n·ulp(t)·|∂V/∂t|, which the time's own rounding costs; observed .1 to .4 of it."""
+    """To 1e-13 of max|H|, and √n·ulp(t)·|∂V/∂t|, which the time's own rounding costs; observed 0.1 to 0.4 of it."""
     system, state, _ = example(name)
     dt = 0.05
     path, change, H, power = jax.device_get(run(schemes.top_energy_momentum(system, kappa), state, dt, 20_000))
@@ -339,7 +339,7 @@ def test_jacobi_s_integral_on_a_circular_orbit():
 
 
 def test_the_axis_of_an_oblate_body_precesses_by_the_mean_torque():
-    """ψ̇ = −(3/2) n² (C − A)/(C ω) cos ε, averaged over orbits; off by .31 n/ω of itself, 5.5e-4 here."""
+    """ψ̇ = −(3/2) n² (C − A)/(C ω) cos ε, averaged over orbits; off by 0.31 n/ω of itself, 5.5e-4 here."""
     A, C, spin, obliquity = 1.0, 1.2, 600.0, 0.4
     satellite = circular([A, A, C])
     tilt = jnp.array([np.cos(obliquity / 2), np.sin(obliquity / 2), 0.0, 0.0])

@@ -161,7 +161,7 @@ def test_extra_arrays_and_work_of_each_member():
 
 @pytest.mark.long
 def test_the_reduced_energy_is_energy_less_work():
-    """Observed 2e-15; energy alone changes by .5."""
+    """Observed 2e-15; energy alone changes by 0.5."""
     found = run(step=MIDPOINT, reduce="energy")
     assert max(np.abs(found.least).max(), np.abs(found.greatest).max()) < 1e-14
     assert np.abs(found.state.work).max() > 0.1

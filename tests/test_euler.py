@@ -162,7 +162,7 @@ def test_manakov_s_integrals_are_constants_of_the_flow():
 
 
 def test_manakov_energy_exact_and_the_extra_integrals_bounded():
-    """4000 steps of .1: energy and Casimirs at round-off; the other integrals are off by 2e-4, without drift."""
+    """4000 steps of 0.1: energy and Casimirs at round-off; the other integrals are off by 2e-4, without drift."""
     _, state, run = four_dimensional_body()
     z, first, worst = state, None, []
     for _ in range(4):

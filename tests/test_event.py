@@ -17,7 +17,7 @@ TURN = jnp.array([0.9, 0.1, 0.3, 0.2]) / np.sqrt(0.95)
 STATE = TOP.state(TURN, angular_velocity=[0.3, 0.5, 0.8])
 SPLITTING = schemes.splitting(TOP)
 BODY = systems.rigid_body([1.0, 2.0, 3.0])
-SPIN = BODY.state(angular_velocity=[0.0, 0.0, 0.7])  # q = (cos .35 t, 0, 0, sin .35 t)
+SPIN = BODY.state(angular_velocity=[0.0, 0.0, 0.7])  # q = (cos 0.35 t, 0, 0, sin 0.35 t)
 
 
 def level(state):
@@ -33,7 +33,7 @@ def spinning(start=SPIN, **options):
 
 
 def test_changes_of_either_direction_are_told_from_each_other():
-    """q = cos t of an oscillator falls through 0 first at π/2 and rises at 3π/2; with steps of .1, to 4e-3."""
+    """q = cos t of an oscillator falls through 0 first at π/2 and rises at 3π/2; with steps of 0.1, to 4e-3."""
     step, start = Leapfrog(Oscillators(jnp.array(1.0))), li.State(jnp.eye(3), jnp.zeros((3, 3)))
     for direction, quarters in ((0, 1), (-1, 1), (1, 3)):
         found = li.event(step, start, 0.1, lambda state: state.q[0, 0], 60, direction)
@@ -43,7 +43,7 @@ def test_changes_of_either_direction_are_told_from_each_other():
 
 @pytest.mark.long
 def test_a_spin_about_an_axis_passes_where_it_must():
-    """q₀ = cos .35 t vanishes at π/.7 and each 2π/.7 after, falling first; observed 4e-16 off."""
+    """q₀ = cos 0.35 t vanishes at π/0.7 and each 2π/0.7 after, falling first; observed 4e-16 off."""
     for options, quarter in (({}, 1), (dict(direction=1), 3), (dict(direction=-1, count=2), 5)):
         found = spinning(**options)
         assert found.found
@@ -55,7 +55,7 @@ def test_a_spin_about_an_axis_passes_where_it_must():
 
 @pytest.mark.long
 def test_where_the_condition_begins_at_zero_the_sign_just_after_counts():
-    start = SPIN._replace(q=jnp.array([0.0, 0.0, 0.0, 1.0]))  # q₀ = −sin .35 t
+    start = SPIN._replace(q=jnp.array([0.0, 0.0, 0.0, 1.0]))  # q₀ = −sin 0.35 t
     assert spinning(start).t == pytest.approx(2 * np.pi / 0.7, rel=4e-15)
     assert spinning(start, direction=1).t == pytest.approx(2 * np.pi / 0.7, rel=4e-15)
     assert spinning(start, direction=-1).t == pytest.approx(4 * np.pi / 0.7, rel=4e-15)
@@ -150,7 +150,7 @@ SPINNING = schemes.so3_midpoint(BODY, li.maps.kappa_exponential)  # exact about 
 
 @functools.cache
 def crossings(dtype):
-    """Events of each function of c = cos .35 t − .3, in one program."""
+    """Events of each function of c = cos 0.35 t − 0.3, in one program."""
     step, start = jax.tree.map(lambda x: x.astype(dtype), (SPINNING, SPIN))
     values = jax.vmap(lambda c: jnp.stack([f(c) for f in CONDITIONS]))
 
@@ -169,7 +169,7 @@ def crossings(dtype):
     ],
 )
 def test_the_time_of_a_root_is_right_and_what_is_no_root_is_not_found(dtype, tolerance):
-    """Bracketed to round-off, whatever the shape of the condition: 12 steps of regula falsi erred by up to .07."""
+    """Bracketed to round-off, whatever the shape of the condition: 12 steps of regula falsi erred by up to 0.07."""
     event, time = crossings(dtype), np.arccos(0.3) / 0.35
     assert event.t.dtype == dtype
     names = [*ROOTS, *OTHERS]

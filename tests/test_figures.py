@@ -115,7 +115,7 @@ def test_figure_5c_is_not_reproduced_and_the_table_says_so():
 
 
 def test_the_printed_initial_configuration_of_5a_gives_another_variation():
-    """With F₃₃ = .99 as printed neither caption is met."""
+    """With F₃₃ = 0.99 as printed neither caption is met."""
     run = delay_run(PANELS["5a"]._replace(F33=0.99))
     assert not any(np.ptp(run.series) == pytest.approx(printed, rel=0.1) for printed in (1.6, 2.0e-2))
 

@@ -93,7 +93,7 @@ def test_levenberg_marquardt_takes_as_many_evaluations_as_minpack(name):
     assert found.success
     assert 2 * found.loss == pytest.approx(least, rel=1e-5, abs=1e-20)
     assert found.loss <= theirs.cost + 1e-10 * (1 + theirs.cost)
-    assert found.iterations + 1 <= 1.8 * theirs.nfev  # .75 to 1.7
+    assert found.iterations + 1 <= 1.8 * theirs.nfev  # 0.75 to 1.7
 
 
 def test_what_the_residuals_do_not_determine_has_an_infinite_variance():

@@ -202,7 +202,7 @@ def test_a_full_tensor_of_a_needle_is_flagged(scheme):
 
 @pytest.mark.long
 def test_exact_says_when_no_digits_are_left():
-    """The error of q is some eps |Ω| dt: 7e-15, 7e-10, 9e-5, 1e-2, .4 for these."""
+    """The error of q is some eps |Ω| dt: 7e-15, 7e-10, 9e-5, 1e-2, 0.4 for these."""
     body = li.systems.rigid_body([1.0, 1.0, 2.0])
     state = body.state(angular_velocity=[0.2, 0.1, 1.0])
     sizes = jnp.array([1e2, 1e8, 1e12, 1e15, 1e17, -1e17])

@@ -24,7 +24,7 @@ MOMENTS, START = np.array([1, 2, 3], SINGLE), li.State(np.array([1, 0, 0, 0], SI
 
 
 def _body():
-    return li.systems.rigid_body(MOMENTS)  # Ω = (.2, 0, 1)
+    return li.systems.rigid_body(MOMENTS)  # Ω = (0.2, 0, 1)
 
 
 @jax.jit

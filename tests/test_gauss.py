@@ -24,7 +24,7 @@ _Equation = _discover.modules(schemes)["gauss"]._Equation
 
 @functools.cache
 def example(name):
-    """A system, a state and a moderate step: |Δt Ω| up to .6."""
+    """A system, a state and a moderate step: |Δt Ω| up to 0.6."""
     if name == "top":
         return TOP, STATE, 0.25
     if name == "elastic":
@@ -79,7 +79,7 @@ def test_canonical_coordinates_are_those_of_the_system(name):
 @pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_form_momentum_length_and_way_back(name):
-    """One step at |Δt Ω| of .25 to .6; observed at most: form 1e-15, momentum and way back 1e-16, energy 2e-16."""
+    """One step at |Δt Ω| of 0.25 to 0.6; observed at most: form 1e-15, momentum and way back 1e-16, energy 2e-16."""
     system, state, dt = example(name)
     step = schemes.gauss(system)
     end, info = jax.jit(step)(state, dt)
@@ -125,7 +125,7 @@ def test_derivatives_converge_where_the_sweeps_do():
 @pytest.mark.long
 @pytest.mark.parametrize("stages", range(2, 9))
 def test_the_order_is_twice_the_number_of_stages(stages):
-    """Against the flow by the vector field, with steps of up to 1.2; observed within .6."""
+    """Against the flow by the vector field, with steps of up to 1.2; observed within 0.6."""
     T, least = 4.8, {2: 48, 3: 24, 4: 12, 5: 8, 6: 6, 7: 5, 8: 4}[stages]
     exact = flow(TOP, STATE, T, 200)
     counts = [least, round(1.5 * least)]
@@ -141,7 +141,7 @@ def test_the_order_is_twice_the_number_of_stages(stages):
 
 @pytest.mark.long
 def test_energy_and_momentum_over_a_long_run():
-    """2000 steps of .1; observed 5e-15 and 0."""
+    """2000 steps of 0.1; observed 5e-15 and 0."""
     path = li.integrate(STEP, STATE, 0.1, 2000, 20)
     assert path.info.converged.all()
     assert float(jnp.abs(diagnostics.energy_error(TOP, path)).max()) < 3e-14
@@ -153,7 +153,7 @@ def test_energy_and_momentum_over_a_long_run():
 def test_in_a_canonical_chart_of_a_group_the_form_is_kept_and_the_momentum_is_not(group):
     """Why `gauss` takes no groups: q = exp(ξ) qₙ and η = dexp*π are canonical at any qₙ, but π is not quadratic.
 
-    Geodesics, so π is constant. Observed: form 2e-16; π moves by 1.5e-7 and 8e-8 at Δt = .4, with order 5.
+    Geodesics, so π is constant. Observed: form 2e-16; π moves by 1.5e-7 and 8e-8 at Δt = 0.4, with order 5.
     """
     metric, (_, A, b) = jnp.array([1.0, 2.0, 2.6]), collocation.gauss(2)
 

@@ -113,7 +113,7 @@ def test_results_9_10_11_momentum_energy_order_and_form(name, tau):
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "tau"), PAIRS + [pytest.param(*pair, marks=pytest.mark.slow) for pair in MORE])
 def test_the_energy_bar_over_random_metrics(name, tau):
-    """Four metrics: 1000 steps of .1 where Ad_q is bounded, else 100 of .05 over max(1, ‖Ad_q‖²). Floor 1e-14."""
+    """Four metrics: 1000 steps of 0.1 where Ad_q is bounded, else 100 of 0.05 over max(1, ‖Ad_q‖²). Floor 1e-14."""
     kept = by_group.measure(CATALOGUE[name], TAUS[tau])
     assert kept.converged
     assert kept.momentum == 0

@@ -58,7 +58,7 @@ def test_table_1_has_the_axes_in_the_order_b_c_a_and_angles_from_space_to_body(d
 def test_the_spin_vectors_in_space_are_those_that_the_authors_draw(date):
     attitude, own, given = state(date, "those")
     assert np.linalg.norm(DRAWN[date]) == pytest.approx(given.spin_rate, abs=1e-3)
-    assert apart(attitude.apply(own), np.array(DRAWN[date])) < 5  # 4.5, 1.8, .04
+    assert apart(attitude.apply(own), np.array(DRAWN[date])) < 5  # 4.5, 1.8, 0.04
 
 
 def test_the_corrected_axes_do_not_rest_in_the_body_and_those_of_the_third_reading_do():
@@ -205,7 +205,7 @@ def planar_growth(e, squared, theta, rate, span):
 
 @pytest.mark.long
 def test_the_planar_exponent_against_another_formulation():
-    """Six orbits of the case of REBOUND's notebook ChaoticHyperion: 3(B−A)/C = .78, e = .123233, θ = .01, θ̇ = 1."""
+    """Six orbits of the case of REBOUND's notebook ChaoticHyperion: 3(B−A)/C = 0.78, e = 0.123233, θ = 0.01, θ̇ = 1."""
     A, B, C = 0.6, 0.86, 1.0
     body = systems.gravity_gradient([A, B, C], orbits.kepler(1.0, 1.0, 0.123233))
     start = body.state([np.cos(0.005), 0.0, 0.0, np.sin(0.005)], angular_velocity=[0.0, 0.0, 1.0], t=0.0)
@@ -254,5 +254,5 @@ def test_the_numbers_of_hyperion():
         shape, corrected = seen[date, "those of the shape model"], seen[date, "corrected as in table 1"]
         assert moon.verdict(shape, bound) == "chaotic"
         assert 50 < scenario.period / (2 * np.pi * shape.mean()) < 350  # "on the order of 100 days"
-        assert corrected.mean() < 0.4 * shape.mean()  # .15, .08, .27
+        assert corrected.mean() < 0.4 * shape.mean()  # 0.15, 0.08, 0.27
     assert moon.verdict(seen["2005-06-10", "corrected as in table 1"], bound) != "chaotic"

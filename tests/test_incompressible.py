@@ -146,7 +146,7 @@ def test_it_is_the_limit_of_bodies_that_resist_a_change_of_volume():
     for lam in (1e4, 1e5):
         stiff = li.systems.pseudo_rigid_body(BODY.inertia, li.systems.mooney_rivlin(lam, 6.0))
         far = np.abs(jax.jit(flow, static_argnums=(0, 3))(stiff, STATE, 0.4, 2000).q - exact.q).max()
-        assert 0.05 < lam * far < 1  # .68 and .26, by the phase of the fast oscillation
+        assert 0.05 < lam * far < 1  # 0.68 and 0.26, by the phase of the fast oscillation
 
 
 @pytest.mark.long

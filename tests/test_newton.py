@@ -85,7 +85,7 @@ def by_chords(c, iterations=8, wrong=0.0):
 @pytest.mark.slow
 @pytest.mark.parametrize("wrong", [0.0, 0.05])
 def test_chords_end_at_round_off_whatever_the_matrix(wrong):
-    """Root, derivatives and batches as of `root`; a matrix off by 5 % costs turns, not digits."""
+    """Root, derivatives and batches as in `root`; a matrix off by 5 % costs turns, not digits."""
     c, scales = np.array([0.3, -0.5, 0.4]), np.array([0.1, 1.0, 6.0])
 
     @jax.jit

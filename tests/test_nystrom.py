@@ -41,7 +41,7 @@ def test_the_coefficients_satisfy_every_order_condition_to_their_last_digit(sche
 
 @jax.jit
 def measured(step, state, dt):
-    """Errors of q after 8 steps and 16 half ones; the form after a step of .5; a step and back; energy and momentum."""
+    """Errors of q after 8 steps and 16 half ones; the form after a step of 0.5; a step and back; H and momentum."""
     exact = diagnostics.flow(step.system, state, 8 * dt, 64)
     runs = [integrate(step, state, dt / k, 8 * k, 8 * k) for k in (1, 2)]
     errors = jnp.stack([so3.angle(run.state.q[-1], exact.q) for run in runs])
@@ -57,7 +57,7 @@ def measured(step, state, dt):
 def test_order_form_and_momentum(name, order):
     """Observed: orders 3.96, 4.28, 5.93, 6.10; γ·π to the last bit.
 
-    The form, with |ΔtΩ| = .5: 4e-12 and 2e-11 of order 4, whose drifts are longer, 4e-15 of order 6.
+    The form, with |ΔtΩ| = 0.5: 4e-12 and 2e-11 of order 4, whose drifts are longer, 4e-15 of order 6.
     """
     system, state = CASES[name]
     errors, defect, back, balance, kept = measured(schemes.nystrom(system, order), state, SIZES[order])
@@ -80,7 +80,7 @@ def test_nystrom_beats_compositions_at_equal_numbers_of_kicks():
 
 @pytest.mark.long
 def test_the_drift_decides_what_becomes_of_the_form():
-    """The default drift keeps it to round-off up to |ΔtΩ| = .6, the exact one at any step, order 6 never."""
+    """The default drift keeps it to round-off up to |ΔtΩ| = 0.6, the exact one at any step, order 6 never."""
     defect = jax.jit(diagnostics.symplectic_defect)
     free = TOP.free
     drifts = {name: make(free) for name, make in (("exact", schemes.exact), ("calibrated", schemes.calibrated))}

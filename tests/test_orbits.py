@@ -186,7 +186,7 @@ FLYBY = orbits.kepler(398600.4418, -28400.0, 2.35)
 @pytest.mark.slow
 @pytest.mark.parametrize(("t0", "t1"), [(-345600.0, 345600.0), (50000.0, -345600.0)])
 def test_graded_times_are_shorter_near_the_centre(t0, t1):
-    """Each step times r₀/r + c is the same: to .07 % with 128 steps, by the middle of each step."""
+    """Each step times r₀/r + c is the same: to 0.07 % with 128 steps, by the middle of each step."""
     times = orbits.graded_times(FLYBY, t0, t1, 128)
     assert times.shape == (129,)
     assert (times[0], times[-1]) == (t0, t1)

@@ -49,7 +49,7 @@ def test_the_clock_is_that_of_the_state():
 @pytest.mark.long
 @pytest.mark.parametrize(("order", "expected"), [(2, 3), (4, 5)])
 def test_between_exact_nodes_the_error_is_one_order_above_the_scheme_s(order, expected):
-    """Observed 3.2 and 5.3 from the largest of steps of .4 to .05 of themselves."""
+    """Observed 3.2 and 5.3 from the largest of steps of 0.4 to 0.05 of themselves."""
     step = SPLITTING if order == 2 else schemes.compose(SPLITTING, 4)
 
     @jax.jit

@@ -30,7 +30,7 @@ BODIES = {
 
 @jax.jit
 def measured(step, state):
-    """Angles from the exact flow at t = 3.2 after 8 and 16 steps; what 500 steps of .4 keep; a step and back."""
+    """Angles from the exact flow at t = 3.2 after 8 and 16 steps; what 500 steps of 0.4 keep; a step and back."""
     body = step.system
     base = so3_midpoint(body)
     end = diagnostics.flow(body, state, 3.2, 16)
@@ -81,7 +81,7 @@ def test_energy_momentum_and_symmetry_are_exact(name, order):
 
 @jax.jit
 def forms(step, state):
-    """Of steps of .4 and .2: the state after them, L and the symplectic defect."""
+    """Of steps of 0.4 and 0.2: the state after them, L and the symplectic defect."""
     return jax.lax.map(lambda dt: there_and_back(step, state, dt)[:3], jnp.array([0.4, 0.2]))
 
 
@@ -161,7 +161,7 @@ def _from_exact(order, J, Omega):
 
 
 def test_the_literature_s_number():
-    """4.2e-7 at Δt = .1, order 4, is the size of the canonical defect."""
+    """4.2e-7 at Δt = 0.1, order 4, is the size of the canonical defect."""
     body = BODIES["principal"]
     defect = jax.jit(diagnostics.symplectic_defect)(preprocessed(body, 4), moving(body.inertia), 0.1)
     assert 1e-8 < defect < 1e-6

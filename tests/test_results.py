@@ -85,7 +85,7 @@ def test_result_03_energy_for_any_kappa(name, J, q, axis, turn, sign):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", KAPPAS)
 def test_result_03_holds_at_every_converged_step_of_moderate_size(name):
-    """The assumption above is not empty: for |ΔtΩ| ≤ .7 every step of ordinary bodies converges."""
+    """The assumption above is not empty: for |ΔtΩ| ≤ 0.7 every step of ordinary bodies converges."""
     rng = np.random.default_rng(5)
     moments = rng.uniform(0.3, 1, (200, 3)) @ np.array([[0, 1, 1], [1, 0, 1], [1, 1, 0]])
     Omega = rng.normal(size=(200, 3))

@@ -306,7 +306,7 @@ def test_round_trips_are_measured_and_lost_digits_draw_a_warning():
     trip = jax.jit(studies.round_trip_error, static_argnums=3)
     assert trip(step, state, dt, 100) < 1e-13  # 2e-14
     lost = trip(step, state, dt, 4000)
-    assert lost > 1e-9  # the largest Lyapunov exponent is .086: e^(.086 · 200) = 3e7
+    assert lost > 1e-9  # the largest Lyapunov exponent is 0.086: e^(0.086 · 200) = 3e7
 
     def slope(save_every, k):
         def last(dt, p):

@@ -184,7 +184,7 @@ def test_periods_of_a_double_series_are_found_from_irregular_data():
     named = [_period_search.named(p.frequency, true, 3, 1 / 400)[:2] for p in found.peaks[:5]]
     assert set(named) == {line[:2] for line in lines}
     assert np.abs(found.lines - true).max(axis=1).min() < 2e-4
-    assert found.pairs.left[0] < 0.05  # .017: the grid's nearest frequencies are off by up to 1/8 of 1/400
+    assert found.pairs.left[0] < 0.05  # 0.017: the grid's nearest frequencies are off by up to 1/8 of 1/400
     left = _period_search.two_periods(t, y, 1e-4, np.array([[613, 771], [600, 771]]), 2).left
     assert left[0] < 4e-6 < 0.1 < left[1]  # 1e-6, of the ridge
 

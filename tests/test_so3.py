@@ -135,7 +135,7 @@ def test_quaternion_of_a_matrix_near_half_turns(axis, angle):
 @hypothesis.given(st.floats(-3, 3), st.floats(0.01, 3.13), st.floats(-3, 3))
 def test_euler_angles_round_trip(alpha, beta, gamma):
     angles = np.array([alpha, beta, gamma])
-    same(EULER(FROM_EULER(angles)), angles, 2e-13)  # sin β down to .01 divides the round-off
+    same(EULER(FROM_EULER(angles)), angles, 2e-13)  # sin β down to 0.01 divides the round-off
 
 
 @hypothesis.given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3))

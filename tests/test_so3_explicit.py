@@ -20,9 +20,9 @@ INERTIAS = {"principal": jnp.array([1.0, 2.0, 3.0]), "full": turned([1.0, 2.0, 2
 
 @jax.jit
 def measured(body, state):
-    """Of 2000 steps of .1 and of −.7 what is kept, and how far the two forms are from each other in the first 200.
+    """Of 2000 steps of 0.1 and of −0.7 what is kept, and how far the two forms are from each other in the first 200.
 
-    Of a step of .4: the form, and the way back.
+    Of a step of 0.4: the form, and the way back.
     """
     explicit, implicit = so3_explicit(body), so3_midpoint(body, iterations=4)
 

@@ -56,7 +56,7 @@ def power_sums(squares):
 def test_the_linearised_step_has_the_roots_of_the_characteristic_equation():
     """λ² = −3(A − C)/B of pitch, λ⁴ + (1 + 3k₁ + k₁k₃)λ² + 4k₁k₃ = 0 of roll and yaw: to order Δt².
 
-    Observed 7.5e-4 of the largest sum of its kind at Δt = .02, and 4.00 times as much at .04.
+    Observed 7.5e-4 of the largest sum of its kind at Δt = 0.02, and 4.00 times as much at 0.04.
     """
     moments, stable, margin = satellites(np.linspace(-0.93, 0.97, 26), np.linspace(-0.95, 0.91, 27))
     C, A, B = moments.T
@@ -153,7 +153,7 @@ def test_a_wheel_as_a_torque_is_the_gyrostat(kappa):
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["internal friction", "Kane's damper"])
 def test_with_a_damper_only_the_axis_of_largest_inertia_is_stable(name):
-    """A spin that wobbles by .01 rad, about each axis of three bodies, each twice: observed 3e-8 and
+    """A spin that wobbles by 0.01 rad, about each axis of three bodies, each twice: observed 3e-8 and
     less of it in the end about the axis of largest inertia, and 42 times as much and more about the others.
 
     Without a damper the axis of least inertia is stable too.

@@ -55,6 +55,6 @@ def test_lyapunov_exponents_against_the_vector_field_and_two_neighbours():
     assert abs(found.total) < 1e-12  # a symplectic step keeps volume
     assert found.exponents[-1, 0] == pytest.approx(found.apart, rel=1e-3)
     limit, error = found.limit
-    assert abs(limit - 0.0855) < 3 * error  # .0835 to .0877 by scipy's DOP853 over t = 3000 and 4000
-    assert error < 0.08  # .05: 100 units of time are few
+    assert abs(limit - 0.0855) < 3 * error  # 0.0835 to 0.0877 by scipy's DOP853 over t = 3000 and 4000
+    assert error < 0.08  # 0.05: 100 units of time are few
     assert "two neighbours" in sensitivity.text(found)

@@ -150,7 +150,7 @@ def test_second_order_and_reversible(name, kappas):
 @pytest.mark.parametrize("kappa", KAPPAS)
 @pytest.mark.parametrize("kappas", [SHARED, pytest.param(KAPPAS, marks=pytest.mark.long)], ids=["shared", "own"])
 def test_result_08_energy_momentum_is_not_symplectic(kappas, kappa):
-    """The defect of a step is of the order of 1e-3 at Δt = .2 and falls as Δt³, whatever κ."""
+    """The defect of a step is of the order of 1e-3 at Δt = 0.2 and falls as Δt³, whatever κ."""
     top = TOPS["linear"]
     step = top_energy_momentum(top, kappas[kappa])
     coarse, fine = (float(defect(step, start(top), dt)) for dt in (0.2, 0.1))

@@ -457,7 +457,7 @@ def gains(name, row, dt, start, num_steps):
 @pytest.mark.long
 @pytest.mark.parametrize("name", DISSIPATIVE)
 def test_dissipation_never_gives_energy_back(name):
-    """Each single step of 10⁵, each κ, Δt to |ΔtΩ| = .9; one that does not converge is not taken."""
+    """Each single step of 10⁵, each κ, Δt to |ΔtΩ| = 0.9; one that does not converge is not taken."""
     start = DISSIPATIVE[name].state(Q, angular_velocity=[0.6, 0.3, -0.7], work=0.0)
     most, work, count, left = jax.device_get(gains(name, np.eye(3), SIZES, start, 100_000))
     assert (count[:, :4] == 100_000).all()

@@ -90,7 +90,7 @@ def test_mean_periods_in_closed_form_are_those_of_a_trajectory(mode):
 
 
 def test_the_published_periods_are_those_of_the_published_state():
-    """7.40 ± .03 d and 5.38 ± .03 d (Zhao et al. 2015); the other state's are no farther from 7.35 and 5.41."""
+    """7.40 ± 0.03 d and 5.38 ± 0.03 d (Zhao et al. 2015); the other state's are no farther from 7.35 and 5.41."""
     values = {}
     for name, *_ in PUBLISHED:
         scenario = scenarios.load(name)
@@ -240,7 +240,7 @@ def test_what_the_study_settles(found):
     assert (found.prediction.farther > 0.05).all()  # inside their spread
     assert found.prediction.pole[17:].max() < 3
     np.testing.assert_allclose(found.prediction.energy[-3:], found.prediction.energy[0], rtol=0.06)
-    assert 0.02 < np.abs(found.flyby.rates).max() < 0.2  # published: .08 °/d
+    assert 0.02 < np.abs(found.flyby.rates).max() < 0.2  # published: 0.08 °/d
     c = found.coverage
     assert c.success.all()
     size = np.abs(c.pulls[:, :8])

@@ -28,7 +28,7 @@ def near(power, state):
 
 
 TOP = systems.potential_top(J, coulomb, [0.0, 0.0, NEAR])
-START = TOP.state(so3.exp(jnp.array([2.5, 0.0, 0.0])), angular_velocity=[0.1, 0.05, 0.1])  # far away, at V = −.51
+START = TOP.state(so3.exp(jnp.array([2.5, 0.0, 0.0])), angular_velocity=[0.1, 0.05, 0.1])  # far away, at V = −0.51
 H = float(TOP.energy(START))
 SPLITTING = schemes.splitting(TOP)
 LOG = schemes.log_hamiltonian(TOP, H)
@@ -131,7 +131,7 @@ def test_a_hundred_steps_back_return(step, dt):
 
 @pytest.mark.long
 def test_energy_does_not_drift():
-    """Over 400 passages of a symmetric top: .011 and .034 at most in every tenth of the run, 1e4 with equal steps."""
+    """Over 400 passages of a symmetric top: 0.011 and 0.034 at most in every tenth of the run, 1e4 with equal steps."""
     top = systems.potential_top([1.0, 1.0, 0.5], coulomb, [0.0, 0.0, NEAR])
     state = top.state(so3.exp(jnp.array([2.5, 0.0, 0.0])), angular_velocity=[0.1, 0.3, 0.5])
     splitting = schemes.splitting(top)
@@ -390,7 +390,7 @@ def test_what_leaves_the_domain_is_flagged_in_a_compiled_loop():
         return run.info.converged, jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(run.state)]))
 
     heavy = systems.heavy_top(J, [0.0, 0.0, 1.0])
-    up = heavy.state(so3.exp(jnp.array([3.0, 0.0, 0.0])), angular_velocity=[2.0, 0.1, 0.0])  # V from −.99 to 1
+    up = heavy.state(so3.exp(jnp.array([3.0, 0.0, 0.0])), angular_velocity=[2.0, 0.1, 0.0])  # V from −0.99 to 1
     rising = schemes.log_hamiltonian(heavy)
     cases = [
         (rising, rising.start(up)),

@@ -15,7 +15,7 @@ from lieint_jax.types import State, Trajectory
 
 @pytest.mark.long
 def test_run_water(tmp_path, monkeypatch, capsys):
-    """The first peak of one droplet of eight scatters by .005 nm, too much for its bound; of eight droplets by .002."""
+    """The first peak of one droplet of 8 scatters by 0.005 nm, too much for its bound; of 8 droplets by 0.002."""
     monkeypatch.chdir(tmp_path)
     table = Path(scenarios.__file__).with_name("water.toml").read_text(encoding="utf-8")
     Path("small.toml").write_text(table.replace("molecules = 64", "molecules = 8"), encoding="utf-8")

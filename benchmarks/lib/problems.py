@@ -46,7 +46,7 @@ Ours = Callable[..., Curve]  # (name, kind, step, counts) ↦ curve
 
 
 def ours(name: str, kind: str, step: li.Step, counts: Sequence[int], **how: Any) -> Curve:
-    """A curve of ours through `ensemble.run`, `how` as of `measure.by_ensemble`."""
+    """A curve of ours through `ensemble.run`, `how` as in `measure.by_ensemble`."""
     return Curve(name, kind, partial(measure.by_ensemble, name, step, **how), counts, rough=kind == ROUGH)
 
 
@@ -149,7 +149,7 @@ def _free(name: str, end: float, curves: Sequence[Curve]) -> Problem:
 
 
 def heavy_top() -> Problem:
-    """Chaotic tops, nearly upright: attitudes exp ξ, ξ normal of .3 rad, and velocities of one size, to t = 100."""
+    """Chaotic tops, nearly upright: attitudes exp ξ, ξ normal of 0.3 rad, and velocities of one size, to t = 100."""
     top = li.systems.heavy_top(_TOP, _WEIGHT)
     heyoka = Curve("heyoka", "heyoka", taylor.of_bodies(_TOP, _WEIGHT), (), TOLERANCES)
     mine = [*composed(li.schemes.splitting(top), ours, 160, 7, 3), *high_order(top, ours, 130, 7, 4)]
@@ -172,7 +172,7 @@ def heavy_top() -> Problem:
 
 
 def satellite() -> Problem:
-    """Satellites on an orbit with e = .1, three orbits, see `satellites`."""
+    """Satellites on an orbit with e = 0.1, three orbits, see `satellites`."""
     system = satellites.satellite()
     of = partial(ours, start=satellites.shared)
     mine = [*composed(li.schemes.splitting(system), of, 40), *high_order(system, of, 30)]
@@ -181,7 +181,7 @@ def satellite() -> Problem:
     def reference(states: States) -> tuple[np.ndarray, np.ndarray, str]:
         return precision.checked(problem, flowed(system, states, satellites.END, 200, 0.0), states)
 
-    name = "gravity gradient, e = .1, three orbits"
+    name = "gravity gradient, e = 0.1, three orbits"
     problem = Problem(name, "attitude, rad", satellites.END, measure.bodies, reference, curves)
     return problem
 

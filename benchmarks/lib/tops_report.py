@@ -34,7 +34,7 @@ def _sections(result: dict[str, Any]) -> list[str]:
         "worst of 16 tops",
         report.quality(result["quality"]),
         "Kovalevskaya's top, each method at the step that makes it cost as much as the energy-momentum scheme at "
-        "Δt = .01: the largest relative errors of energy and of the fourth integral K in the halves of the run, worst "
+        "Δt = 0.01: the largest relative errors of energy and of the fourth integral K in the halves of the run, worst "
         "of 16 tops",
         _equal_cost(result["equal_cost"]),
         "End states apart by at most\n\n" + "\n".join(apart),

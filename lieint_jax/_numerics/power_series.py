@@ -44,7 +44,7 @@ def _reciprocal_factorials(first: int, terms: int) -> list[float]:
 
 @forward_mode
 def log1p_ratio(y: Array) -> Array:
-    """log(1 + y)/y for y > −1, smooth at 0: below |y| = .1 by the series of 2 artanh z, z = y/(2 + y)."""
+    """log(1 + y)/y for y > −1, smooth at 0: below |y| = 0.1 by the series of 2 artanh z, z = y/(2 + y)."""
     size = jnp.abs(y)
     small_y = where(size < 0.2, y, 0)  # both branches are right near the threshold, see `_entire`
     z = small_y / (2 + small_y)

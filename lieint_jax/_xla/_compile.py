@@ -24,7 +24,7 @@ def compiled(function: _Function, static_argnums: int | tuple[int, ...] = (), on
     there are none inside of jit, grad and other transformations.
 
     Args:
-        function, static_argnums: as of `jax.jit`.
+        function, static_argnums: as in `jax.jit`.
         once: whether a call takes less time than compiling, as of a check: then without LLVM's optimizations too.
     """
     plain = jax.jit(function, static_argnums=static_argnums, inline=True)

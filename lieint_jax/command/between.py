@@ -12,7 +12,7 @@ from lieint_jax.integrate import interpolate
 from lieint_jax.systems.heavy_top import Linear
 from lieint_jax.types import Trajectory
 
-APART = 2.6  # rad, the most between saved states: those found between them are off by .3° (tumbling bodies)
+APART = 2.6  # rad, the most between saved states: those found between them are off by 0.3° (tumbling bodies)
 
 
 def member(run: Trajectory, k: int) -> Trajectory:

@@ -2,8 +2,8 @@
 
 Every map conserves energy and spatial momentum on every group (Results 9 and 10); the symplectic form is conserved only
 where (5.31) holds (Result 11). The table gives, over four random metrics each, the largest relative energy error (1000
-steps of .1 where Ad_q is bounded; else 100 of .05, over max(1, ‖Ad_q‖²)), and the largest defect of the form in one
-step of |Δt Ω| = .05, in the basis of the group. `lieint check groups` prints it, in some minutes:
+steps of 0.1 where Ad_q is bounded; else 100 of 0.05, over max(1, ‖Ad_q‖²)), and the largest defect of the form in one
+step of |Δt Ω| = 0.05, in the basis of the group. `lieint check groups` prints it, in some minutes:
 
 | group | energy | form, exponential | cayley | arcsine |
 |---|---|---|---|---|
@@ -111,10 +111,10 @@ class Conservation(NamedTuple):
     """Measurements on one group with one map, the worst of several random metrics.
 
     Attributes:
-        energy: largest |H − H₀|/H₀: over 1000 steps of .1 where Ad_q is bounded; else over 100 steps of .05, divided by
-            max(1, ‖Ad_q‖²).
+        energy: largest |H − H₀|/H₀: over 1000 steps of 0.1 where Ad_q is bounded; else over 100 steps of 0.05,
+            divided by max(1, ‖Ad_q‖²).
         momentum: largest change of π; 0 means bit for bit.
-        form: largest symplectic defect of a step of .05.
+        form: largest symplectic defect of a step of 0.05.
         converged: whether every step of these runs converged.
     """
 

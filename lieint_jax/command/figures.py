@@ -36,7 +36,7 @@ class Run(NamedTuple):
 
 
 def free_body_run(body: str, kappa_index: int, dt: float) -> Run:
-    """Integrate from Ω₀ = (.2, 0, 1) to t = 50, and measure the Poisson error and the energy."""
+    """Integrate from Ω₀ = (0.2, 0, 1) to t = 50, and measure the Poisson error and the energy."""
     system = rigid_body(BODIES[body])
     step = so3_midpoint(system, KAPPAS[kappa_index])
     state = system.state(angular_velocity=OMEGA)
@@ -52,7 +52,7 @@ def free_body_run(body: str, kappa_index: int, dt: float) -> Run:
 
 @plots.style()
 def figure_1(out: Path) -> str:
-    """Poisson errors of Cayley and exponential at Δt = .05, both bodies, as in the paper's Figure 1."""
+    """Poisson errors of Cayley and exponential at Δt = 0.05, both bodies, as in the paper's Figure 1."""
     fig, axes = plots.figure(2)
     lines = []
     for ax, body in zip(axes[0], BODIES, strict=True):
@@ -67,7 +67,7 @@ def figure_1(out: Path) -> str:
 
 @plots.style()
 def figure_2(out: Path) -> str:
-    """Largest Poisson errors and energy changes at Δt = .05 and .005, as in the paper's Figure 2."""
+    """Largest Poisson errors and energy changes at Δt = 0.05 and 0.005, as in the paper's Figure 2."""
     runs = [free_body_run(body, k, dt) for dt in (0.05, 0.005) for body in BODIES for k in range(3)]
     groups = [(body, dt) for dt in (0.05, 0.005) for body in BODIES]
     fig, axes = plots.figure(2)
@@ -103,7 +103,7 @@ class Panel(NamedTuple):
         Phi: P₀ = π̂F₀ with π = (0, 0, Phi).
         printed: the variation, max − min, printed in the caption.
         displacement: whether the displacement is plotted, not the energy.
-        F33: None for F₀ = 1; else F₀ = ((1.01, .01, 0), (.01, 1.01, 0), (0, 0, F33)).
+        F33: None for F₀ = 1; else F₀ = ((1.01, 0.01, 0), (0.01, 1.01, 0), (0, 0, F33)).
         steps: the number of steps, at most STEPS.
         note: a remark for the table.
     """
@@ -120,7 +120,7 @@ class Panel(NamedTuple):
 
 
 _UNSTABLE = "1500 steps; later rounding, which grows, breaks the symmetry of this motion"
-_EXCHANGED = "read with F33 = .9 for .99 and the captions of (a) and (b) exchanged"
+_EXCHANGED = "read with F33 = 0.9 for 0.99 and the captions of (a) and (b) exchanged"
 PANELS = {
     3: (
         Panel("3a", 0.005, 3, 0.4, 4.0e-8),

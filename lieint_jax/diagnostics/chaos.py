@@ -201,7 +201,7 @@ def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, vector: Array
     In constant memory. Take jax.vmap over states, `studies.over_members` to use all cores.
 
     Args:
-        step, state, dt, num_steps: as of `integrate`.
+        step, state, dt, num_steps: as in `integrate`.
         vector: the initial tangent vector (2d,) in the phase space's coordinates; by default of no special direction.
 
     Raises:
@@ -255,7 +255,7 @@ def section(
     Every point is that of a shorter step from the last whole one, so it has the invariants of the step.
 
     Args:
-        step, dt: as of `integrate`.
+        step, dt: as in `integrate`.
         states: initial states, every leaf with a leading member axis; the time may be shared.
         condition: a smooth function of the state of one member with a scalar value, 0 on the surface.
         max_steps: the most steps to look through, > 0.
@@ -267,7 +267,7 @@ def section(
         often within `max_steps`, or a step failed: leave these points out.
 
     Raises:
-        ValueError: as of `event`.
+        ValueError: as in `event`.
     """
     if not isinstance(states, State) or jnp.ndim(states.p) < 2:
         raise ValueError("states must be a State whose leaves have a leading member axis; for one body take event")

@@ -22,9 +22,9 @@ def local_error(step: Step, state: State, dt: ArrayLike) -> Array:
     is the error of φ₄. For a step with its own time, Δt is that by which `state.t` advances. vmap it over states.
 
     It helps to choose dt. No loop here adapts the step to it: such a loop loses the form and time symmetry, and gains
-    little. Around `top_energy_momentum`, which keeps energy and γ·π at any steps, a PI controller has .68 to 1.35 times
-    the error of as many equal steps on three heavy tops, and 53 to 57 % of the lanes of a vmapped loop are idle. Where
-    a motion has violent moments, `reversible_control` gains nearly as much as the loop (`benchmarks/RESULTS.md`).
+    little. Around `top_energy_momentum`, which keeps energy and γ·π at any steps, a PI controller has 0.68 to 1.35
+    times the error of as many equal steps on three heavy tops, and 53 to 57 % of the lanes of a vmapped loop are idle.
+    Where a motion has rapid phases, `reversible_control` gains nearly as much as the loop (`benchmarks/RESULTS.md`).
 
     Args:
         step, state, dt: as of a call of the step.

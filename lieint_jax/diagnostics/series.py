@@ -30,7 +30,7 @@ def energy_error(system: System, trajectory: Trajectory, system_axis: Axis = "au
 
 
 def momentum_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> Array:
-    """Φ(z_n) − Φ(z₀) of the momentum map Φ, (n+1, k) or (n+1, members, k); arguments as of `energy_error`."""
+    """Φ(z_n) − Φ(z₀) of the momentum map Φ, (n+1, k) or (n+1, members, k); arguments as in `energy_error`."""
     momentum = along(lambda own, z: own.momentum(z), system, trajectory, system_axis)
     return momentum - momentum[0]
 
@@ -38,7 +38,7 @@ def momentum_error(system: System, trajectory: Trajectory, system_axis: Axis = "
 def constraint_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> Array:
     """The distance of q from the configuration space, (n+1,) or (n+1, members): |q|² − 1 for unit quaternions.
 
-    Arguments as of `energy_error`.
+    Arguments as in `energy_error`.
     """
     return along(lambda own, z: own.phase_space.defect(z), system, trajectory, system_axis)
 

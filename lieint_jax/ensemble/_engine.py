@@ -129,7 +129,7 @@ class Engine(abc.ABC):
         )
 
     def _axes_of_origin(self, quantity: int | None) -> Any:
-        """The member axes of an origin, as of `jax.vmap`; `quantity` is that of the reduced quantity."""
+        """The member axes of an origin, as in `jax.vmap`; `quantity` is that of the reduced quantity."""
         own_time = self.job.t0 is not None and not self.job.shares_time
         return Origin(0 if own_time else None, None, None if self.job.reduction is None else quantity)  # pyright: ignore
 

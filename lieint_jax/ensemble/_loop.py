@@ -188,7 +188,7 @@ def compiler_options(platform: str | None = None) -> dict[str, Any]:
 
 @cache
 def over_members(function: Callable[..., Any], axes: Any) -> Callable[..., Any]:
-    """A function of one member, compiled by XLA for many; `axes` as of `jax.vmap`."""
+    """A function of one member, compiled by XLA for many; `axes` as in `jax.vmap`."""
     return jax.jit(jax.vmap(function, axes), compiler_options=compiler_options())
 
 

@@ -29,7 +29,7 @@ def over_members(function: Callable[..., Any], in_axes: Any = 0, mesh: Mesh | No
     Args:
         function: a function of one member, of arrays or trees of arrays.
         in_axes: 0 for an argument with a member axis, None for one that all members share; one value for all arguments,
-            or a tuple. For parts of an argument, a tree of 0 and None as of `jax.vmap`: State(0, 0, None, 0) for states
+            or a tuple. For parts of an argument, a tree of 0 and None as in `jax.vmap`: State(0, 0, None, 0) for states
             that share their time.
         mesh: devices, as in `ensemble.run`; None takes all. If their number does not divide the number of members, the
             batch is padded with copies of the last member.

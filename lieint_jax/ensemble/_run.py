@@ -77,7 +77,7 @@ def run(
         resume: continue the run in `store` from its last checkpoint; start it if there is no store.
         times: in place of dt and num_steps, the times (N+1,) between which the steps of all members lead, as of
             `integrate`.
-        save_at: in place of save_every, output times (m,) as of `integrate`, since the start if the members start at
+        save_at: in place of save_every, output times (m,) as in `integrate`, since the start if the members start at
             different times. The run ends with the last of them.
 
     Returns:

@@ -57,7 +57,7 @@ def log(q: Array) -> Array:
     q = where(q[0] < 0, -q, q)
     w, v = q[0], q[1:]
     s = dot(v, v)
-    small = s < 0.02  # both branches are right near the threshold of .01, see `power_series`
+    small = s < 0.02  # both branches are right near the threshold of 0.01, see `power_series`
     w_near = where(small, w, 1)  # away from w = 0, where the rotation is by π
     s_far = where(s < 0.005, 1, s)  # away from s = 0, where the square root has no derivative
     series = power_series.arctan_sqrt(where(small, s, 0) / (w_near * w_near)) / w_near

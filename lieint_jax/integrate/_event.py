@@ -62,7 +62,7 @@ def event(
     reverse, and by `jax.vmap` over states.
 
     Args:
-        step, state, dt: as of `integrate`.
+        step, state, dt: as in `integrate`.
         condition: a smooth function of the state with a scalar value.
         max_steps: the most steps to look through, > 0.
         direction: 1 for changes from − to +, −1 for those from + to −, 0 for both.
@@ -85,7 +85,7 @@ def events(
     count: int,
     direction: Literal[-1, 0, 1] = 0,
 ) -> Event:
-    """The first `count` events as of `event`, every leaf with a leading axis (count,)."""
+    """The first `count` events as in `event`, every leaf with a leading axis (count,)."""
     max_steps, count = _checks.count("max_steps", max_steps, 1), _checks.count("count", count, 1)
     if direction not in (-1, 0, 1):
         raise ValueError(f"direction must be −1 (falling), 1 (rising) or 0 (both), got {direction!r}")

@@ -121,7 +121,7 @@ def outer_field(
 
     Args:
         phi: place (3,) ↦ the potential of a unit weight.
-        weights, points: as of `uniform_field`.
+        weights, points: as in `uniform_field`.
         conserved: the combinations of (P, L) that the field leaves, as rows (k, 6): `jnp.eye(6)[3:]`, L, if φ depends
             on the distance from the origin alone. By default none. `momentum` then shows these, and 0 for the others.
     """

@@ -177,7 +177,7 @@ def point_charges(constant: ArrayLike, charges: Any, points: Any = None, softeni
     Args:
         constant: k, 1/4πε₀ in the units of all else: 138.93545764 for kJ/mol, nm and elementary charges.
         charges: (N, n), or N arrays of the charges of each body's points; (N,) if there is one point a body.
-        points: as of `point_masses`.
+        points: as in `point_masses`.
         softening: ε ≥ 0, a length; by default none.
     """
     return _inverse_distance(_checks.real_array("constant", constant, ()), "charges", charges, points, softening, False)
@@ -192,7 +192,7 @@ def lennard_jones(wells: Any, sizes: Any, points: Any = None) -> LennardJones:
     Args:
         wells: ε ≥ 0, the depths of the wells: (N, n), or N arrays; (N,) if there is one site a body.
         sizes: σ > 0, the distances where V = 0, of the same shape.
-        points: as of `point_masses`.
+        points: as in `point_masses`.
     """
     groups, at, (epsilon, sigma) = grouped({"wells": wells, "sizes": sizes}, points)
     if concrete(epsilon) and not all(bool(jnp.all(x >= 0)) for x in epsilon):

@@ -10,7 +10,7 @@ _REFINEMENTS = 6  # of a frequency, each by the parabola through three values of
 def spectrum(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies (cycles per unit of t) and amplitudes of a series x (n,) at evenly spaced times t (n,).
 
-    A line a cos(2πft + φ) away from others has a peak of height a, or down to .85 a between two frequencies.
+    A line a cos(2πft + φ) away from others has a peak of height a, or down to 0.85 a between two frequencies.
     """
     window = np.hanning(len(t))
     transform = np.fft.rfft(window * (x - x.mean()))

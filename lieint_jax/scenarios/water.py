@@ -142,7 +142,7 @@ class Histogram(NamedTuple):
 
 
 def histogram(r: np.ndarray, width: float = 0.005) -> Histogram:
-    """The histogram of distances, in bins of a width in nm, up to .6 nm."""
+    """The histogram of distances, in bins of a width in nm, up to 0.6 nm."""
     counts, edges = np.histogram(r, np.arange(0.2, 0.6 + width / 2, width))
     middles = (edges[1:] + edges[:-1]) / 2
     density = counts / middles**2

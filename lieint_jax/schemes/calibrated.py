@@ -46,7 +46,7 @@ class Calibrated(Step):
     Attributes:
         system: a free rigid body.
         clock: what `prepare` found; None before.
-        iterations: as of `so3_midpoint`.
+        iterations: as in `so3_midpoint`.
     """
 
     system: FreeBody

@@ -120,7 +120,7 @@ def group_alpha(
     | energy without a potential | exact (Result 10) | O(Δt²) per step |
     | energy with a potential | O(Δt³) per step (`group_energy_momentum` keeps it) | O(Δt²) per step |
     | symplectic form, abelian groups (1″ to 3″) | exact | exact |
-    | symplectic form without a potential | as of `group_midpoint`: (5.31) | O(Δt²) per step |
+    | symplectic form without a potential | as in `group_midpoint`: (5.31) | O(Δt²) per step |
     | symplectic form with a potential, other groups | O(Δt³) per step | O(Δt²) per step |
     | order | 2 | 1 |
 
@@ -134,7 +134,7 @@ def group_alpha(
     Args:
         system: `systems.euler(group, metric)` or `systems.group_potential(...)`.
         alpha: α in [0, 1]. It is a leaf of the step, and can be differentiated.
-        tau: as of `group_midpoint`.
+        tau: as in `group_midpoint`.
         iterations: how many Newton matrices a step may take, each used three times; α = 0 is explicit.
 
     Raises:

@@ -115,7 +115,7 @@ def group_midpoint(
     """The generalised midpoint rule (5.23) with (5.27), for a geodesic system on any group and any map τ.
 
     Spatial momentum is exact, bit for bit (Result 9); energy is exact (Result 10). "Exact" is to round-off at a
-    converged step; rounding errors add up, to 1.3e-10 of the energy in 10⁵ steps of `systems.kirchhoff()`, Δt = .1.
+    converged step; rounding errors add up, to 1.3e-10 of the energy in 10⁵ steps of `systems.kirchhoff()`, Δt = 0.1.
     Second order and time-symmetric if τ(−Θ) = τ(Θ)⁻¹, which is measured; else `symmetric` is False and `order` 1. The
     symplectic form is kept if and only if (5.31) holds (Result 11), which `maps.symplectic_residual` measures;
     otherwise its defect is O(Δt³) per step.
@@ -131,9 +131,9 @@ def group_midpoint(
         tau: `maps.exponential`, `maps.cayley` (where it lands in the group), `maps.arcsine`, or a map of your own
             (group, Θ) ↦ τ(Θ) with Ad_τ(Θ) Θ = Θ, which is checked at three random Θ. `compose`, `splitting` and
             `studies.reversible` take symmetric ones only.
-        iterations: how many Newton matrices a step may take, each used three times. For |Δt Ω| ≤ .05 it takes 1, for
-            ≤ .2 it takes 2, for ≤ .5 it takes 3; the largest of a batch decides. More than the 8 of the default are of
-            use for |Δt Ω| > 1, or if the metric is far from round.
+        iterations: how many Newton matrices a step may take, each used three times. For |Δt Ω| ≤ 0.05 it takes 1, for
+            ≤ 0.2 it takes 2, for ≤ 0.5 it takes 3; the largest of a batch decides. More than the default of 8 helps
+            where |Δt Ω| > 1, or if the metric is far from round.
 
     Raises:
         ValueError: not a geodesic flow; a τ that does not fit; bad iterations.

@@ -141,7 +141,7 @@ def log_hamiltonian(system: Forced, energy: ArrayLike | None = None) -> LogHamil
 
     A constant may be subtracted from a potential to make it negative; it sets how much the steps vary. A state off the
     energy by δ moves as if the potential were 1 + δ/(−V) times as strong: `start` refuses a concrete state that is off
-    by more than 1e-3 of −V, and a step off by more than .1 says `converged=False`. So does one where K is so much
+    by more than 1e-3 of −V, and a step off by more than 0.1 says `converged=False`. So does one where K is so much
     larger than −V that rounding K + B moves the attitude by more than 1e-6 (in float32 3e-4) of its turning.
 
     Args:

@@ -113,8 +113,8 @@ def nystrom(system: Forced | Driven, order: int, drift: Step | None = None) -> N
             `systems.potential_top(...)`, `systems.driven_top(...)`, `systems.gravity_gradient(...)`.
         order: 4 or 6.
         drift: a symmetric step of `system.free` of at least this order. Of one body it is by default
-            `preprocessed(system.free, 10)`, with which order 6 keeps the form to 1e-14 at |ΔtΩ| = .6 and to 1e-10 at
-            1.2, order 4, whose drifts are longer, to 1e-11 at .5; of several bodies `exact(system.free)`, which keeps
+            `preprocessed(system.free, 10)`, with which order 6 keeps the form to 1e-14 at |ΔtΩ| = 0.6 and to 1e-10 at
+            1.2, order 4, whose drifts are longer, to 1e-11 at 0.5; of several bodies `exact(system.free)`, which keeps
             it to round-off at any step and takes five times as long.
 
     Raises:

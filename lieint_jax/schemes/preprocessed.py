@@ -37,7 +37,7 @@ class Preprocessed(Step):
 
     Attributes:
         system: a free rigid body.
-        iterations: as of `so3_midpoint`.
+        iterations: as in `so3_midpoint`.
     """
 
     system: FreeBody
@@ -105,7 +105,7 @@ def preprocessed(system: FreeBody | FreeBodies, order: int, iterations: int | No
     Args:
         system: `systems.rigid_body(...)`, or `systems.rigid_bodies(...).free`, whose centres go straight on.
         order: 4, 6, 8 or 10.
-        iterations: as of `so3_midpoint`.
+        iterations: as in `so3_midpoint`.
 
     Raises:
         ValueError: not a free rigid body, another order, or bad iterations.

@@ -101,7 +101,7 @@ def so3_alpha(
     | energy ½ Π·J⁻¹Π (2.27) | exact | exact |
     | Λ on SO(3) (Result 2) | exact | lost: TTᵀ − 1 is of size \\|2α−1\\||Θ|² per step |
     | length of Π, a Casimir | exact | lost at the same rate, since Π = Λ⁻¹π |
-    | symplectic form | as of `so3_midpoint` | T*SO(3) is left |
+    | symplectic form | as in `so3_midpoint` | T*SO(3) is left |
     | order | 2 | 1 |
 
     "Exact" is to round-off at a converged step. The step of α = ½ is that of `so3_midpoint` with the same κ, its
@@ -116,7 +116,7 @@ def so3_alpha(
     Args:
         system: `systems.embedded_body(...)`.
         alpha: α in [0, 1]. It is a leaf of the step, and can be differentiated.
-        kappa: κ as of `so3_midpoint`; by default 1, the Cayley map.
+        kappa: κ as in `so3_midpoint`; by default 1, the Cayley map.
         iterations: Newton corrections per step.
 
     Raises:

@@ -170,15 +170,16 @@ def so3_midpoint(
 
     Second order, time-symmetric, |q| = 1 to round-off. Momentum is a Noether invariant of rotations in space; energy is
     ½ Π·J⁻¹Π. "Exact" is to round-off at a converged step; rounding errors add up, to 6e-12 of the energy in 10⁷ steps
-    of J = (1, 2, 2.7) with Δt = .1 (`so3_explicit` takes them back).
+    of J = (1, 2, 2.7) with Δt = 0.1 (`so3_explicit` takes them back).
 
     Args:
         system: `systems.rigid_body(...)`, `systems.gyrostat(...)`, `systems.driven_gyrostat(...)`.
         kappa: κ as a callable of x = |Θ̄|² with κ(0) = 1. A κ with parameters of its own is a `jax.tree_util.Partial`.
         iterations: Newton corrections per step; by default 3 for the scalar form (the symplectic κ of a free body), 4
-            for the vector form. The scalar form reaches round-off with 2 for |Δt Ω| ≤ .7, with 3 for ≤ .95; the vector
-            form with 2 for ≤ .2, 3 for ≤ .5, 4 for ≤ .8. A step that fell short says `converged=False`, and so does one
-            whose iterations wandered, which they may for |Δt Ω| > 1.4: it could be at a root of another branch.
+            for the vector form. The scalar form reaches round-off with 2 for |Δt Ω| ≤ 0.7, with 3 for ≤ 0.95; the
+            vector form with 2 for ≤ 0.2, 3 for ≤ 0.5, 4 for ≤ 0.8. A step that fell short says `converged=False`, and
+            so does one whose iterations were not steady, as they may be for |Δt Ω| > 1.4: it could be at a root of
+            another branch.
 
     A full tensor whose moments differ by more than 1 : 3.5e4 does not hold the smallest to enough digits; then every
     step says `converged=False`. Principal moments have no such limit.
@@ -210,7 +211,7 @@ def examples(system: Any) -> dict[str, Step]:
 
 
 def half_turn(J: Symmetric, a: Array, kappa: Kappa, iterations: int, b: Array | None = None) -> tuple[Array, StepInfo]:
-    """h = ½Θ of a step, shape (3,), from J and a as of `scaled` and b as of `_bias`, and its report."""
+    """h = ½Θ of a step, shape (3,), from J and a as in `scaled` and b as in `_bias`, and its report."""
     if kappa.solve_by == "scalar" and b is None:
         h, residual, good = _solve_scalar(J, a, iterations)
     else:

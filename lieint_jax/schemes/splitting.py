@@ -143,8 +143,8 @@ def splitting(system: Forced | Driven | Gyrostat, drift: Step | None = None) -> 
     | energy; of a driven system, energy less work | O(Δt²), bounded, no drift |
 
     In a gyrostat the turns are Λ ← Λ exp(−½Δt ĉ) with c = J⁻¹h_r: the exact flow of the rotor's part of H. A fast rotor
-    costs accuracy: with J = (1, 2, 3), |Ω| = 1 and Δt = .05 energy errs by 4e-5 of itself at |h_r| = .8, by 3e-3 at 10.
-    `so3_midpoint` keeps the energy of a gyrostat, and not the form.
+    costs accuracy: with J = (1, 2, 3), |Ω| = 1 and Δt = 0.05 energy errs by 4e-5 of itself at |h_r| = 0.8, by 3e-3 at
+    10. `so3_midpoint` keeps the energy of a gyrostat, and not the form.
 
     With eight bodies or more a step is half a free step, the kick, and the other half: what costs are the forces
     between them, which are then evaluated once a step.

@@ -136,16 +136,16 @@ def top_energy_momentum(
     | the symplectic form | no: defect O(Δt³) per step, for any κ (Result 8); `splitting` keeps it |
 
     Second order, time-symmetric. D̄ is the potential's own `discrete_gradient` if it has one, else the average of the
-    gradient between Γ_n and Γ_{n+1} by 4 Gauss nodes, corrected along ΔΓ where |ΔΓ| > .01.
+    gradient between Γ_n and Γ_{n+1} by 4 Gauss nodes, corrected along ΔΓ where |ΔΓ| > 0.01.
 
     Args:
         system: `systems.heavy_top(...)` or `systems.potential_top(...)` with an axis; or a driven one with an axis,
             `systems.driven_top(...)`, `systems.gravity_gradient(...)`. Its work is that of the potential alone, from
             differences of V: neither ∂V/∂t nor a quadrature is needed. It is symmetric, and not symplectic either.
-        kappa: κ as of `so3_midpoint`.
+        kappa: κ as in `so3_midpoint`.
         iterations: Newton corrections per step; by default 3 for a linear Ṽ and κ = 1, 5 for a linear Ṽ and any other
-            κ, 6 for any other Ṽ. With κ = 1, J = (1, 2, 2.5) and Δt²|E| = .008, 3 reach round-off for |Δt Ω| ≤ .3, 4
-            for ≤ .8. A step that fell short says `converged=False`.
+            κ, 6 for any other Ṽ. With κ = 1, J = (1, 2, 2.5) and Δt²|E| = 0.008, 3 reach round-off for |Δt Ω| ≤ 0.3, 4
+            for ≤ 0.8. A step that fell short says `converged=False`.
 
     Raises:
         ValueError: no potential or no axis, κ is not callable, iterations is not a positive int.

@@ -193,7 +193,7 @@ def torqued_midpoint(
 
     Args:
         system: `systems.torqued_body(...)` or `systems.damped_body(...)`.
-        kappa: κ as of `so3_midpoint`. The symplectic κ ends at |ΔtΩ| ≈ 1, the Cayley κ at 2 to 4.
+        kappa: κ as in `so3_midpoint`. The symplectic κ ends at |ΔtΩ| ≈ 1, the Cayley κ at 2 to 4.
         iterations: the most Newton corrections per step, by default 5. A step that fell short says `converged=False`.
 
     Raises:

@@ -186,7 +186,7 @@ def text(found: LearntKappas) -> str:
         return f"{x:>11.3e}" if np.isfinite(x) else f"{'fails':>11}"
 
     lines = [
-        f"κ learnt for a heavy top, J = (1, 2, 2.5), E = (.5, .4, 1), Δt = {DT}",
+        f"κ learnt for a heavy top, J = (1, 2, 2.5), E = (0.5, 0.4, 1), Δt = {DT}",
         "rms over states of |Lᵀω(z₁)L − ω(z₀)| after a step; Poisson error and energy at the end of long runs",
         *(f"  {name}: c = ({', '.join(f'{x:.5f}' for x in c)})" for name, c in found.coefficients.items()),
         f"\n  {'κ':<18}{'learnt on':>11}{'unseen':>11}{'Δt/2':>11}{'2Δt':>11}{'Poisson error':>15}{'energy':>10}",

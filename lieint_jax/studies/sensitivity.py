@@ -156,7 +156,7 @@ def text(found: LyapunovSpectrum) -> str:
 
     return "\n".join(
         [
-            "Lyapunov exponents of a chaotic heavy top, J = (1, 2, 2.5), E = (.5, .4, 1)",
+            "Lyapunov exponents of a chaotic heavy top, J = (1, 2, 2.5), E = (0.5, 0.4, 1)",
             f"  to t = 20, order 6:            {listed(found.short)}",
             f"  the same by the vector field:  {listed(found.independent)}",
             f"  largest difference             {np.abs(found.short - found.independent).max():.1e}",

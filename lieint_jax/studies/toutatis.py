@@ -52,7 +52,7 @@ from lieint_jax.systems import RigidBody
 __all__ = ["RadarEpochs", "SpinFit", "draw", "model", "radar_epochs", "run", "text"]
 
 _NORMAL = 1e8  # degrees of freedom of Student's t for a normal distribution
-_FAR = 18.8  # |e|²/σ² that one of 34 normal vectors of three components exceeds with a probability of .01
+_FAR = 18.8  # |e|²/σ² that one of 34 normal vectors of three components exceeds with a probability of 0.01
 
 # Least distance: Busch et al. 2012, AGU Fall Meeting, P31A-1873. Elements of the orbit about the Sun at JD 2454797.5 as
 # encyclopaedias quote them from JPL's Small-Body Database: enough for an order of magnitude, not checked there.

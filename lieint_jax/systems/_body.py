@@ -118,7 +118,7 @@ class TimedBody(Body):
         """The state of an attitude, one of three ways to give the motion, and a time.
 
         Args:
-            attitude, angular_velocity, body_momentum, spatial_momentum: as of `rigid_body(...).state`.
+            attitude, angular_velocity, body_momentum, spatial_momentum: as in `rigid_body(...).state`.
             t: the time of the state, a scalar; 0 if it is left out.
             work: 0.0 to count from here the work that is done on the body; None not to count it.
 

@@ -21,7 +21,7 @@ from lieint_jax.types import State, callable_pytree, clock, pytree
 
 @pytree
 class DrivenGyrostat(OnRotations, types.DrivenGyrostat):
-    """H = ½(Π − h_r)·J⁻¹(Π − h_r) as of `Gyrostat`, with ḣ_r = τ(t) and Ḣ = −Ω·τ. Made by `driven_gyrostat`.
+    """H = ½(Π − h_r)·J⁻¹(Π − h_r) as in `Gyrostat`, with ḣ_r = τ(t) and Ḣ = −Ω·τ. Made by `driven_gyrostat`.
 
     Attributes:
         inertia: J, principal moments (3,) or a symmetric tensor (3, 3).
@@ -51,7 +51,7 @@ class DrivenGyrostat(OnRotations, types.DrivenGyrostat):
         """The state of an attitude, one of three ways to give the motion, and the rotor.
 
         Args:
-            attitude: as of `rigid_body`.
+            attitude: as in `rigid_body`.
             angular_velocity: body angular velocity Ω, radians per unit time, shape (3,).
             body_momentum: Π = JΩ + h_r, shape (3,).
             spatial_momentum: π = ΛΠ, shape (3,).
@@ -60,7 +60,7 @@ class DrivenGyrostat(OnRotations, types.DrivenGyrostat):
             work: what the motor has done so far, a scalar, such as 0: then steps add to it. None, and nobody counts it.
 
         Raises:
-            ValueError: as of `rigid_body`; a rotor of another shape; a time or a work that is no scalar; a NaN.
+            ValueError: as in `rigid_body`; a rotor of another shape; a time or a work that is no scalar; a NaN.
         """
         h = _checks.real_array("rotor", rotor, (3,), like=self.inertia)
         motion = {"body_momentum": body_momentum, "spatial_momentum": spatial_momentum}
@@ -114,7 +114,7 @@ class DrivenGyrostat(OnRotations, types.DrivenGyrostat):
 def driven_gyrostat(inertia: ArrayLike, motor: Callable[[Array], ArrayLike]) -> DrivenGyrostat:
     """A rigid body with a rotor that a motor speeds up and slows down.
 
-    The motor's torque τ acts on the rotor, −τ on the body, so π is constant. With J and h_r as of `gyrostat` for a
+    The motor's torque τ acts on the rotor, −τ on the body, so π is constant. With J and h_r as in `gyrostat` for a
     rotor that turns freely on its bearings, τ is the torque about its axis times its axis. The energy of the rotor's
     own turning is not in H; the motor's work on the whole is H − H₀ and the change of |h_r|²/2I.
 

@@ -42,7 +42,7 @@ class EmbeddedBody(Body, types.EmbeddedBody):
         body_momentum: ArrayLike | None = None,
         spatial_momentum: ArrayLike | None = None,
     ) -> State:
-        """The state of a rotation and one of three ways to give the motion, as of `rigid_body`; q is Λ, (3, 3)."""
+        """The state of a rotation and one of three ways to give the motion, as in `rigid_body`; q is Λ, (3, 3)."""
         on_group = super().state(
             attitude,
             angular_velocity=angular_velocity,
@@ -84,7 +84,7 @@ def embedded_body(inertia: ArrayLike) -> EmbeddedBody:
     """A free rigid body whose attitude is a matrix Λ that a scheme may lead out of SO(3).
 
     Args:
-        inertia: principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3), as of `rigid_body`.
+        inertia: principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3), as in `rigid_body`.
 
     Raises:
         ValueError: as `rigid_body`.

@@ -80,7 +80,7 @@ class DrivenGroupPotential(OnGroup, Driven):
     Energy less work is conserved, with work = ∫∂V/∂t dt.
 
     Attributes:
-        metric, group, symmetry: as of `GroupPotential`.
+        metric, group, symmetry: as in `GroupPotential`.
         potential: V, a callable pytree (q, t) ↦ scalar.
     """
 

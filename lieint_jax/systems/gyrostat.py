@@ -73,7 +73,7 @@ def gyrostat(inertia: ArrayLike, rotor: ArrayLike) -> Gyrostat:
         rotor: h_r, momentum in body axes, shape (3,), in the unit of inertia times angular velocity.
 
     Raises:
-        ValueError: a bad inertia, as of `rigid_body`; a rotor of another shape, NaN or inf.
+        ValueError: a bad inertia, as in `rigid_body`; a rotor of another shape, NaN or inf.
 
     Example:
         >>> satellite = gyrostat([1.0, 2.0, 3.0], rotor=[0.5, 0.0, 0.0])

@@ -26,7 +26,7 @@ class IncompressibleBody(types.IncompressibleBody):
     The pressure p keeps det F = 1: p tr(C⁻¹E⁻¹) = tr(SE⁻¹) + tr((F⁻¹Ḟ)²) with S = 2∇W(C).
 
     Attributes:
-        inertia: E, as of `PseudoRigidBody`.
+        inertia: E, as in `PseudoRigidBody`.
         stored_energy: W.
     """
 
@@ -51,7 +51,7 @@ class IncompressibleBody(types.IncompressibleBody):
         velocity: ArrayLike | None = None,
         angular_velocity: ArrayLike | None = None,
     ) -> State:
-        """The state of a deformation and one of three ways to give the motion, as of `pseudo_rigid_body`.
+        """The state of a deformation and one of three ways to give the motion, as in `pseudo_rigid_body`.
 
         Args:
             deformation: F, shape (3, 3), det F = 1 to 1e-6; by default 1. It is divided by the cube root of det F.
@@ -116,8 +116,8 @@ def incompressible_body(
     velocity and no gravity (Dirichlet's problem), a geodesic of SL(3).
 
     Args:
-        inertia: E, as of `pseudo_rigid_body`.
-        stored_energy: W, as of `pseudo_rigid_body`; what it says of a change of volume is of no effect.
+        inertia: E, as in `pseudo_rigid_body`.
+        stored_energy: W, as in `pseudo_rigid_body`; what it says of a change of volume is of no effect.
 
     Raises:
         ValueError: as `pseudo_rigid_body`.

@@ -29,7 +29,7 @@ class TorquedBody(TimedBody, Capability):
 
     Attributes:
         inertia: J in the body frame, principal moments (3,) or a symmetric tensor (3, 3).
-        torque: τ or T, a law as of `types.TorquedBody`.
+        torque: τ or T, a law as in `types.TorquedBody`.
         frame: "body" or "space", the axes of the torque and of the angular velocity it is given.
     """
 

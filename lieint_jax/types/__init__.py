@@ -309,7 +309,7 @@ class Gyrostat(System):
     """A rigid body with a rotor whose momentum in the body is constant: q̇ = ½ q Ω, π̇ = 0 with JΩ = Π − h_r, Π = Λᵀπ.
 
     Attributes:
-        inertia: J, as of `FreeBody`.
+        inertia: J, as in `FreeBody`.
         rotor: h_r in the body, (3,).
     """
 
@@ -328,7 +328,7 @@ class DrivenGyrostat(System):
     h_r is `State.extra["rotor"]`. Energy less work is conserved, where the work is −∫Ω·τ dt.
 
     Attributes:
-        inertia: J, as of `FreeBody`.
+        inertia: J, as in `FreeBody`.
     """
 
     inertia: Array
@@ -350,7 +350,7 @@ class EmbeddedBody(System):
     """A free rigid body whose attitude Λ may leave SO(3), on L(3) × ℝ³: Λ̇ = ΛΩ̂, π̇ = 0 with JΩ = Π = Λ⁻¹π (2.12).
 
     Attributes:
-        inertia: J, as of `FreeBody`.
+        inertia: J, as in `FreeBody`.
     """
 
     inertia: Array
@@ -375,7 +375,7 @@ class RightGeodesicFlow(System):
 
     Attributes:
         group: the group G.
-        metric: m, as of `GeodesicFlow`.
+        metric: m, as in `GeodesicFlow`.
     """
 
     group: Group
@@ -417,7 +417,7 @@ class Bodies(Forced):
     """N rigid bodies in a potential: as `FreeBodies`, with forces and torques.
 
     Attributes:
-        masses, inertias: as of `FreeBodies`.
+        masses, inertias: as in `FreeBodies`.
         potential: (positions (N, 3), rotations (N, 3, 3)) ↦ V.
     """
 
@@ -430,7 +430,7 @@ class Top(Forced):
     """A rigid body in a potential Ṽ(Γ) of an axis, Γ = Λᵀγ: q̇ = ½ q Ω, π̇ = γ × Λ∇Ṽ(Γ) (4.2).
 
     Attributes:
-        inertia: J, as of `FreeBody`.
+        inertia: J, as in `FreeBody`.
         potential: Ṽ; a function of Λ, (3, 3), if there is no axis.
         axis: γ in space, (3,), or None.
     """
@@ -476,7 +476,7 @@ class MechanicalSystem(Forced):
 
     Attributes:
         group: the group G.
-        metric: m, as of `GeodesicFlow`.
+        metric: m, as in `GeodesicFlow`.
         potential: V.
     """
 
@@ -522,10 +522,10 @@ class ElasticBody(System):
 class IncompressibleBody(System):
     """A body that deforms homogeneously at constant volume, on T*SL(3): Ḟ = PE⁻¹, Ṗ = −2F∇W(FᵀF) + p F⁻ᵀ, det F = 1.
 
-    The pressure p is such that tr(ḞF⁻¹) = 0. A state is (F, P) as of `ElasticBody`, with tr(PE⁻¹F⁻¹) = 0.
+    The pressure p is such that tr(ḞF⁻¹) = 0. A state is (F, P) as in `ElasticBody`, with tr(PE⁻¹F⁻¹) = 0.
 
     Attributes:
-        inertia: E, as of `ElasticBody`.
+        inertia: E, as in `ElasticBody`.
         stored_energy: W.
     """
 
@@ -557,7 +557,7 @@ class DrivenTop(Driven):
     """A rigid body in a potential Ṽ(Γ, t) of an axis that may move: (4.2) with Γ = Λᵀγ(t).
 
     Attributes:
-        inertia: J, as of `FreeBody`.
+        inertia: J, as in `FreeBody`.
         potential: Ṽ, a function of Γ and t; of Λ, (3, 3), and t, if there is no axis.
         axis: γ, a function of time with values (3,) in space, a constant (3,), or None.
     """
@@ -590,7 +590,7 @@ class TorquedBody(System):
     counted in the energy. Such a law needs no `__call__`: `during(0, extra)` is the torque at one time.
 
     Attributes:
-        inertia: J, as of `FreeBody`.
+        inertia: J, as in `FreeBody`.
         torque: τ.
         frame: the axes of τ and ω.
     """
@@ -609,7 +609,7 @@ class DampedBody(System):
     """A rigid body on T*SO(3) with internal friction: q̇ = ½ q (Ω + α Π × Ω), π̇ = 0 with JΩ = Π = Λᵀπ.
 
     Attributes:
-        inertia: J, as of `FreeBody`.
+        inertia: J, as in `FreeBody`.
         friction: α, an inverse angular momentum.
     """
 
