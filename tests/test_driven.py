@@ -146,10 +146,11 @@ def test_splitting_is_symplectic_at_a_given_time(name):
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["satellite", "flyby", "changing_strength"])
 def test_a_composition_with_the_exact_drift_is_symplectic(name):
+    """Observed 1.6e-15 to 7e-15 of seven sub-steps, by CPU and compiler."""
     system, state, _ = example(name)
     step = schemes.compose(schemes.splitting(system, schemes.exact(system.free)), 6)
     _, _, defect, back = once(step, state, 0.2)
-    assert defect < 5e-15
+    assert defect < 2e-14
     assert error(back, state) < 5e-15
 
 
