@@ -12,9 +12,9 @@ from jax import lax
 
 pytest.importorskip("llvmlite")
 
-from native_members import MEMBERS, bits, check_against_jax, compiled
+from native_members import MEMBERS, bits, by_jax, check_against_jax, compiled
 
-from lieint_jax.native import _machine
+from lieint_jax.native import Kernel, _machine
 
 SPECIAL = [0.0, -0.0, np.inf, -np.inf, np.nan, 1.5, -2.5]  # XLA takes subnormal numbers for 0
 TYPES = [np.int32, np.int64, np.uint32, np.uint8, np.int8, np.uint64, np.int16, np.uint16]
@@ -397,6 +397,56 @@ def test_shared_tables():
 
 def _step(x, rate):
     return lax.while_loop(lambda c: c[0] > 1e-3, lambda c: (c[0] * rate, c[1] + jnp.sin(c[0])), (x.sum(), x))
+
+
+def _orbiting(x, e, steps):
+    """Steps with a position on an orbit, by a loop that ends by a test, and stages that share more than that."""
+
+    def one(n, x):
+        M = 0.1 * n
+        E = lax.while_loop(
+            lambda c: abs(c[0] - e * jnp.sin(c[0]) - M) > 1e-12,
+            lambda c: (c[0] - (c[0] - e * jnp.sin(c[0]) - M) / (1 - e * jnp.cos(c[0])), c[1] + 1),
+            (M, 0),
+        )[0]
+        r = lax.cond(jnp.cos(E) > 0, lambda: 1 - e * jnp.cos(E), lambda: jnp.exp(-e))
+
+        def stage(k, c):
+            y, weight = c
+            return y + weight * jnp.sin(r * y + jnp.cos(E + k)), weight * jnp.cos(0.01 * k)
+
+        y, weight = lax.fori_loop(0, 7, stage, (x, 0.1 * r))
+        return jnp.where(y > 3, y - 3, y) + 1e-3 * weight
+
+    return lax.fori_loop(0, steps, one, x)
+
+
+def test_what_members_share_in_a_loop_is_computed_once():
+    x, e = normal(), np.float64(0.3)
+    kinds, example = ["member", "shared", "shared"], (0.5, e, np.int64(3))
+    kernels = {lanes: Kernel(_orbiting, kinds, example, lanes) for lanes in (4, 8)}
+    for steps in (3, 20, 0, 5):  # the tape grows, and is longer than it need be
+        found = {lanes: kernel((x, e, np.int64(steps)), MEMBERS)[0] for lanes, kernel in kernels.items()}
+        np.testing.assert_allclose(found[8], by_jax(_orbiting, [x], [e, np.int64(steps)]), rtol=0, atol=1e-12)
+        assert bits(found[4]) == bits(found[8])
+        assert kernels[8].shared % max(steps, 1) == 0
+        assert kernels[8].shared >= 7 * steps
+        assert steps or kernels[8].shared == 0
+
+
+def test_what_members_share_goes_on_from_row_to_row():
+    def rows(x, e, steps):
+        end = _orbiting(x, e, steps)
+        return end, end + e
+
+    x, e, steps = normal(), np.float64(0.2), np.array([3, 0, 6])
+    kernel = Kernel(rows, ["carry", "shared", "row"], (0.5, e, np.int64(3)), 8)
+    last, each = kernel((x, e, steps), MEMBERS, len(steps), 2)
+    expected = x
+    for found, count in zip(each, steps, strict=True):
+        expected = by_jax(_orbiting, [expected], [e, count])
+        np.testing.assert_allclose(found, expected + e, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(last, expected, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("lanes", [4, 8, 16])

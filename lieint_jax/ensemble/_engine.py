@@ -22,6 +22,7 @@ from lieint_jax.types import State, Step
 
 _log = logging.getLogger(__name__)
 _SHORT = 2e6  # operations of a call that threads would not make shorter
+_MOST_SHARED = 4_000_000  # numbers that all members share, in a call: they are kept in memory
 _WIDEST = 160  # registers of 32 bits; a thread of a GPU has 255, and the order of its instructions takes the rest
 _MOST_CARRIED = 24  # numbers that an iteration of a loop reads and writes, and XLA may copy between kernels
 _SHORT_STEP, _TOGETHER = 600, 4  # the most operations of a step of which an iteration does several, and how many
@@ -64,10 +65,12 @@ class Engine(abc.ABC):
     Attributes:
         name: "native", "flat" or "xla".
         whole: whether a process has all of its members in one block.
+        most_steps: in a call.
     """
 
     name: str
     whole: bool
+    most_steps: int = 2**30
 
     def __init__(self, job: Job):
         self.job = job
@@ -248,9 +251,12 @@ class NativeEngine(Engine):
         plain = start.plain[0] if self.prepares else None
         arguments = carry[0], start.step[0], plain, start.origin[0], spans
         members = len(carry[0].failed)
-        work = members * int(spans.end[-1] - spans.first[0]) * self._interval.length
+        steps = int(spans.end[-1] - spans.first[0])
+        work = members * steps * self._interval.length
         threads = layout.threads if work > _SHORT else 1
         after, saved = self._interval(arguments, members, len(spans.first), threads)
+        if self._interval.shared:
+            self.most_steps = max(1, _MOST_SHARED * steps // self._interval.shared)
         return [after], [saved]
 
 

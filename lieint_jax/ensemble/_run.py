@@ -177,7 +177,7 @@ def _integrate(engine: Engine, layout: Layout, output: Output, progress: bool) -
     pace = Pace(layout)
     with Interrupts(output.defers_interrupts) as interrupts, Bar(progress, job.num_steps, job.members, done) as bar:
         while saved < job.num_saves:
-            ends, saves = _next_portion(job, done, saved, pace.steps, output.free_rows)
+            ends, saves = _next_portion(job, done, saved, min(pace.steps, engine.most_steps), output.free_rows)
             clock, steps = time.perf_counter(), int(ends[-1]) - done
             carry, rows = loop.advance(carry, done, saved, ends)
             done, saved = done + steps, saved + saves

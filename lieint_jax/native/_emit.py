@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -52,7 +52,26 @@ _BITS = {"and": "and", "or": "or", "xor": "xor", "shift_left": "shl", "shift_rig
 }
 
 
-def emit(program: Program, leaves: Sequence[Leaf], results: Sequence[int], lanes: int, functions: Functions) -> str:
+class Tape(NamedTuple):
+    """Numbers that one program writes and another reads, in the order in which both go through their loops.
+
+    Attributes:
+        numbers: what is written, by the body of the loop that computes it.
+        writes: whether this program is the one that writes.
+    """
+
+    numbers: dict[Block, list[Number]]
+    writes: bool
+
+
+def emit(
+    program: Program,
+    leaves: Sequence[Leaf],
+    results: Sequence[int],
+    lanes: int,
+    functions: Functions,
+    tape: Tape | None = None,
+) -> str:
     """The text of a module with the function `run`.
 
     Args:
@@ -62,17 +81,26 @@ def emit(program: Program, leaves: Sequence[Leaf], results: Sequence[int], lanes
         results: the sizes of the arrays that are returned of each row.
         lanes: members in a vector.
         functions: collects the elementary functions that it calls.
+        tape: what it writes for another program, or reads.
 
     The function's arguments are the first block and the one after the last, the numbers of members and of rows, and
-    pointers to: the leaves; the carries after the last row, leaf by leaf; the results.
+    pointers to: the leaves; the carries after the last row, leaf by leaf; the results; the tape, of 8 bytes a number,
+    and two integers, how many numbers it can hold and how many there were to write. Beyond its end nothing is written.
     """
-    return _Writer(program, leaves, results, lanes, functions).text()
+    return _Writer(program, leaves, results, lanes, functions, tape).text()
 
 
 class _Writer:
     def __init__(
-        self, program: Program, leaves: Sequence[Leaf], results: Sequence[int], lanes: int, functions: Functions
+        self,
+        program: Program,
+        leaves: Sequence[Leaf],
+        results: Sequence[int],
+        lanes: int,
+        functions: Functions,
+        tape: Tape | None,
     ):
+        self.tape = tape
         self.program, self.leaves, self.results, self.lanes = program, leaves, results, lanes
         self.carried = len(program.outputs) - sum(results)
         self.functions = functions
@@ -155,8 +183,13 @@ class _Writer:
 
     def text(self) -> str:
         pointers = self.leaves, _carry_leaves(self.leaves), self.results
-        slots = iter(range(sum(len(x) for x in pointers)))
+        slots = iter(range(sum(len(x) for x in pointers) + 2))
         self.inputs, self.carry_outputs, self.row_outputs = ([self.pointer(next(slots)) for _ in x] for x in pointers)
+        if self.tape is not None:
+            self.tape_pointer, counts = self.pointer(next(slots)), self.pointer(next(slots))
+            self.front.append("  %cursor = alloca i64")
+            self.capacity = self.add(f"load i64, ptr {counts}")
+            self.count_pointer = self.add(f"getelementptr i64, ptr {counts}, i64 1")
         used = [x for x in self.program.live if x.op == "argument"]
         used.sort(key=lambda x: x.data)
         for x in used:
@@ -169,6 +202,8 @@ class _Writer:
         self.lines.append("  %more.blocks = icmp slt i64 %block, %last")
         self.lines.append("  br i1 %more.blocks, label %block.body, label %done")
         self.begin("block.body")
+        if self.tape is not None:
+            self.lines.append("  store i64 0, ptr %cursor")
         self.index = self.member_index()
         for x in used:
             if self.leaves[x.data[0]].varies:
@@ -178,6 +213,8 @@ class _Writer:
         self.lines.append("  %block.next = add i64 %block, 1")
         self.jump("block.head")
         self.begin("done")
+        if self.tape is not None and self.tape.writes:
+            self.lines.append(f"  store i64 {self.add('load i64, ptr %cursor')}, ptr {self.count_pointer}")
         self.lines.append("  ret void")
         head = "define void @run(i64 %first, i64 %last, i64 %members, i64 %rows, ptr %pointers) #0 {\nentry:"
         tail = "}\nattributes #0 = { nounwind }"
@@ -489,7 +526,7 @@ class _Writer:
             going, test = "", self.value(loop.test, False)
         self.lines.append(f"  br i1 {test}, label %{body}, label %{exit_}")
         self.begin(body)
-        self.block(loop.body)
+        self.body(loop.body)
         following = []
         for k in carried:
             inside, after = loop.carries[k], loop.following[k]
@@ -515,6 +552,29 @@ class _Writer:
         self.lines[place:place] = text
         self.begin(exit_)
 
+    def body(self, block: Block) -> None:
+        """The body of a loop, and what of it is read from the tape, or written."""
+        shared = self.tape.numbers.get(block, []) if self.tape is not None else []
+        if self.tape is None or not shared:
+            self.block(block)
+            return
+        start = self.add("load i64, ptr %cursor")
+        end = self.add(f"add i64 {start}, {len(shared)}")
+        self.lines.append(f"  store i64 {end}, ptr %cursor")
+        if self.tape.writes:
+            self.block(block)
+            fits = self.add(f"icmp sle i64 {end}, {self.capacity}")
+            start = self.add(f"select i1 {fits}, i64 {start}, i64 0")
+        for k, x in enumerate(shared):
+            at = self.add(f"getelementptr i64, ptr {self.tape_pointer}, i64 {start}")
+            at = self.add(f"getelementptr i64, ptr {at}, i64 {k}")
+            if self.tape.writes:
+                self.lines.append(f"  store {self.scalar(x.dtype)} {self.value(x, False)}, ptr {at}")
+            else:
+                self.names[x] = self.add(f"load {self.scalar(x.dtype)}, ptr {at}")
+        if not self.tape.writes:
+            self.block(block)
+
     @property
     def mask_type(self) -> str:
         """Booleans of the members in a loop are carried as integers of the width of a number."""
@@ -536,7 +596,7 @@ class _Writer:
         return phi
 
     def branch(self, branch: Branch) -> None:
-        live = self.program.needed(branch.results)
+        live = [k for k in self.program.needed(branch.results) if branch.results[k] not in self.program.given]
         if not live:
             return
         test = branch.test
@@ -586,13 +646,13 @@ def _literal(value: Any) -> str:
 
 def _fusions(program: Program) -> tuple[dict[Number, tuple[Number, Number, str]], set[Number]]:
     """The sums that are fused with a product, as (product, other term, what of it is negative), and these products."""
-    uses: Counter[Number] = Counter(program.outputs)
+    uses: Counter[Number] = Counter([*program.outputs, *program.written])
     items: list[Number] = []
 
     def visit(block: Block) -> None:
         for item in block.items:
             if isinstance(item, Number):
-                if item in program.live:
+                if item in program.live and item not in program.given:
                     uses.update(item.inputs)
                     items.append(item)
             else:

@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from lieint_jax.native._program import Program
+from lieint_jax.native._stream import Stream, split
 from lieint_jax.native._traced import Leaf, Operation, Traced, made_once
 
 _FEW = 26  # numbers that an innermost loop holds, up to which two vectors of each are faster than one
@@ -46,6 +47,11 @@ class Kernel:
         self._outside = [Outside(x, Code(x.program, x.leaves, x.operands)) for x in traced.outside]
         self._code = Code(traced.program, self._leaves, jax.tree.leaves(self.results), lanes)
         self.lanes = self._code.lanes
+
+    @property
+    def shared(self) -> int:
+        """How many numbers, of 8 bytes each, the last call kept that all members share."""
+        return self._code.shared
 
     def __call__(self, arguments: Sequence[Any], members: int, rows: int = 1, threads: int = 1) -> Any:
         """The results of all members, with the axes (members, …) of carries and (rows, members, …) of others."""
@@ -87,16 +93,25 @@ class Code:
     def __init__(self, program: Program, leaves: Sequence[Leaf], results: Sequence[Any], lanes: int = 0):
         from lieint_jax.native import _machine
         from lieint_jax.native._calls import Functions
-        from lieint_jax.native._emit import emit
+        from lieint_jax.native._emit import Tape, emit
 
         self._results, self._carried = results, sum(leaf.kind == "carry" for leaf in leaves)
         sizes = [leaf.dtype.itemsize for leaf in leaves if leaf.dtype.kind == "f"]
         width = _machine.register_bytes() // max(sizes, default=8)
         self.lanes = lanes or width * (2 if program.pressure() <= _FEW else 1)
         sizes = [int(np.prod(x.shape)) for x in results[self._carried :]]
-        functions = Functions()
-        text = emit(program, leaves, sizes, self.lanes, functions)
+        parts, tape, functions = split(program), None, Functions()
+        self._shared = None
+        if parts is not None:
+            self._shared = Shared(parts, leaves)
+            program, tape = parts.rest, Tape(parts.numbers, writes=False)
+        text = emit(program, leaves, sizes, self.lanes, functions, tape)
         self._run = _machine.function(text, functions.text())
+
+    @property
+    def shared(self) -> int:
+        """How many numbers the last call kept that all members share."""
+        return self._shared.count if self._shared else 0
 
     def __call__(self, inputs: Sequence[np.ndarray], members: int, rows: int, threads: int) -> list[np.ndarray]:
         """The results, with the axes (members, …) of carries and (rows, members, …) of others."""
@@ -104,7 +119,8 @@ class Code:
             np.empty((members, *x.shape) if n < self._carried else (rows, members, *x.shape), x.dtype)
             for n, x in enumerate(self._results)
         ]
-        pointers = [x.ctypes.data for x in (*inputs, *outputs)]
+        shared = [] if self._shared is None else self._shared(inputs, rows)
+        pointers = [x.ctypes.data for x in (*inputs, *outputs, *shared)]
         self._over_blocks(members, rows, (ctypes.c_void_p * len(pointers))(*pointers), threads)
         return outputs
 
@@ -117,6 +133,37 @@ class Code:
         parts = list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True))
         for _ in _pool(threads).map(lambda part: self._run(*part, members, rows, pointers), parts):
             pass
+
+
+class Shared:
+    """What all members share in each iteration of a program's loops, computed once: see `_stream`.
+
+    Attributes:
+        count: how many numbers there were in the last call.
+    """
+
+    def __init__(self, parts: Stream, leaves: Sequence[Leaf]):
+        from lieint_jax.native import _machine
+        from lieint_jax.native._calls import Functions
+        from lieint_jax.native._emit import Tape, emit
+
+        functions = Functions()
+        leaves = [leaf._replace(kind="member") if leaf.kind == "carry" else leaf for leaf in leaves]
+        text = emit(parts.first, leaves, [], 1, functions, Tape(parts.numbers, writes=True))
+        self._run = _machine.function(text, functions.text())
+        self._most = max(map(len, parts.numbers.values()))
+        self.count = 0
+
+    def __call__(self, inputs: Sequence[np.ndarray], rows: int) -> tuple[np.ndarray, np.ndarray]:
+        """The numbers, each in 8 bytes; and two counts, of the room and of the numbers."""
+        while True:  # twice at most, when it does not know yet how many there are
+            tape = np.empty(max(self.count, self._most))
+            counts = np.array([len(tape), 0])
+            pointers = [x.ctypes.data for x in (*inputs, tape, counts)]
+            self._run(0, 1, 1, rows, (ctypes.c_void_p * len(pointers))(*pointers))
+            self.count = int(counts[1])
+            if self.count <= len(tape):
+                return tape, counts
 
 
 @functools.cache

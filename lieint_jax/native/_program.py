@@ -299,12 +299,36 @@ def _converted(value: Any, dtype: np.dtype) -> Any:
 
 
 class Program:
-    """A finished program: its block, its outputs, what of it is needed, and which numbers differ between members."""
+    """A finished program.
 
-    def __init__(self, builder: Builder, outputs: Sequence[Number], varying_arguments: Callable[[Number], bool]):
-        self.block, self.outputs = builder.root, list(outputs)
-        self.live = _live(self.block, self.outputs)
-        self.varying = _varying(self.block, self.live, varying_arguments)
+    Attributes:
+        block, outputs: its operations, and its results.
+        written: numbers that it computes for another program, besides its results.
+        given: numbers that it need not compute, since another program has done so.
+        live: the numbers that are needed for the outputs.
+        varying: those that depend on the member.
+    """
+
+    def __init__(
+        self,
+        block: Block,
+        outputs: Sequence[Number],
+        varying_arguments: Callable[[Number], bool],
+        written: Sequence[Number] = (),
+        given: frozenset[Number] = frozenset(),
+    ):
+        self.block, self.outputs, self.written, self.given = block, list(outputs), list(written), given
+        self._varying_arguments = varying_arguments
+        self.live = _live(block, [*self.outputs, *self.written], given)
+        self.varying = _varying(block, self.live, varying_arguments)
+
+    def only(self, written: Sequence[Number]) -> Program:
+        """The part of this program that computes some of its numbers for another one."""
+        return Program(self.block, [], self._varying_arguments, written=written)
+
+    def without(self, given: Iterable[Number]) -> Program:
+        """This program, where another one computes some of its numbers."""
+        return Program(self.block, self.outputs, self._varying_arguments, given=frozenset(given))
 
     def needed(self, numbers: Sequence[Number]) -> list[int]:
         """The positions of the numbers that the outputs depend on."""
@@ -340,8 +364,8 @@ def numbers_of(item: Any) -> Iterable[Number]:
     return (item.test, *item.values[0], *item.values[1])
 
 
-def _live(root: Block, outputs: Sequence[Number]) -> set[Number]:
-    """The numbers that the outputs depend on."""
+def _live(root: Block, outputs: Sequence[Number], given: frozenset[Number]) -> set[Number]:
+    """The numbers that the outputs depend on; those that are given depend on none."""
     place: dict[Number, tuple[Any, int]] = {}
 
     def index(block: Block) -> None:
@@ -365,6 +389,8 @@ def _live(root: Block, outputs: Sequence[Number]) -> set[Number]:
         if x in live:
             continue
         live.add(x)
+        if x in given:
+            continue
         pending += x.inputs
         if x in place:
             item, k = place[x]

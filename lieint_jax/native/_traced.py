@@ -83,7 +83,7 @@ class Traced:
         return array_of(numbers, x.shape)
 
     def _program(self, outputs: list[Number]) -> Program:
-        return Program(self._builder, outputs, lambda x: self.leaves[x.data[0]].varies)
+        return Program(self._builder.root, outputs, lambda x: self.leaves[x.data[0]].varies)
 
     def _computed_before(self, equation: Any, inputs: list[np.ndarray]) -> list[np.ndarray] | None:
         """The results of an operation that is no arithmetic, if its operands do not change during a call."""
