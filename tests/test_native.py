@@ -411,11 +411,19 @@ def _orbiting(x, e, steps):
         )[0]
         r = lax.cond(jnp.cos(E) > 0, lambda: 1 - e * jnp.cos(E), lambda: jnp.exp(-e))
 
+        nodes = jnp.cos(E + jnp.arange(12.0))
+
         def stage(k, c):
             y, weight = c
-            return y + weight * jnp.sin(r * y + jnp.cos(E + k)), weight * jnp.cos(0.01 * k)
+            node, own = nodes[k], nodes[jnp.clip(5 * y, 0, 11).astype(int)]
+            return y + weight * jnp.sin(r * y + node + own), weight * jnp.cos(0.01 * k)
+
+        def sweep(k, y):
+            size = lax.while_loop(lambda s: s > 1 + E * E, lambda s: 0.7 * s, 50.0)
+            return 0.5 * y + 0.1 * jnp.sin(size * y)
 
         y, weight = lax.fori_loop(0, 7, stage, (x, 0.1 * r))
+        y = lax.fori_loop(0, 40, sweep, y)
         return jnp.where(y > 3, y - 3, y) + 1e-3 * weight
 
     return lax.fori_loop(0, steps, one, x)

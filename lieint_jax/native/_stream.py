@@ -32,31 +32,32 @@ class Stream(NamedTuple):
 
 def split(program: Program) -> Stream | None:
     """The two programs, or None if next to nothing is shared inside loops."""
-    bodies = set(_bodies(program.block, program))
+    loops = list(_loops(program.block, program))
     shared = {
         x
-        for body in bodies
-        for x in _numbers(body)
-        if x in program.live and x not in program.varying and x.dtype.kind == "f"
+        for loop in loops
+        for x in _numbers(loop.body)
+        if x in program.live and x not in program.varying and x.dtype.kind == "f" and x.op != "array"
     }
     if not shared:
         return None
     rest = program.without(shared)
-    numbers = {body: [x for x in _numbers(body) if x in shared and x in rest.live] for body in bodies}
+    numbers = {loop.body: [x for x in _numbers(loop.body) if x in shared and x in rest.live] for loop in loops}
     numbers = {body: some for body, some in numbers.items() if some}
-    first = program.only([x for some in numbers.values() for x in some])
+    tests = [loop.test for loop in loops]  # else what does not change in a loop would be no reason to go through it
+    first = program.only([*tests, *(x for some in numbers.values() for x in some)])
     if sum(_length(body, first) for body in numbers) <= _FEW:
         return None
     return Stream(first, rest, numbers)
 
 
-def _bodies(block: Block, program: Program) -> Iterator[Block]:
-    """The bodies of loops that all members go through alike, and which change what is theirs."""
+def _loops(block: Block, program: Program) -> Iterator[Loop]:
+    """The loops that all members go through alike, and which change what is theirs."""
     for item in block.items:
         alike = isinstance(item, Loop) and item.test not in program.varying
         if alike and any(x in program.varying and x in program.live for x in item.carries):
-            yield item.body
-            yield from _bodies(item.body, program)
+            yield item
+            yield from _loops(item.body, program)
 
 
 def _numbers(body: Block) -> Iterator[Number]:
