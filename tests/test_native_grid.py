@@ -9,6 +9,8 @@ pytest.importorskip("llvmlite")
 import grid
 from native_members import MEMBERS, bits, compiled
 
+from lieint_jax import ensemble
+
 QUICK = {
     "rigid_body.free-so3_midpoint[exponential]",
     "driven_top.moving_axis-splitting[so3_midpoint[symplectic]]",
@@ -54,3 +56,25 @@ def test_members_step_as_by_jax(step, state, dt):
     known = np.delete(np.arange(MEMBERS), FAILING)
     np.testing.assert_array_equal(info.converged[known], np.asarray(verdicts.converged)[known])
     assert bits(jax.tree.map(lambda x: x[well], beside)) == bits(jax.tree.map(lambda x: x[well], found))
+
+
+def in_time():
+    """Steps of systems that depend on time, whose members then share much of a step."""
+    quick = ("driven_top.moving_axis-splitting[so3_midpoint[symplectic]]", "gravity_gradient.satellite-gauss[4]")
+    return [
+        pytest.param(*rest, id=name, marks=[] if name in quick else [pytest.mark.long])
+        for name, *rest in grid.steps()
+        if rest[1].t is not None
+    ]
+
+
+@pytest.mark.parametrize(("step", "state", "dt"), in_time())
+def test_an_ensemble_that_shares_its_time_steps_as_by_jax(step, state, dt):
+    states, count = members(state), 3
+    expected, by_jax = states, jax.jit(jax.vmap(stepped, (0, None, None)))
+    for _ in range(count):
+        expected, _ = by_jax(expected, step, np.asarray(dt))
+    run = ensemble.run(step, states, float(dt), count, progress=False)
+    for wanted, x in zip(jax.tree.leaves(expected), jax.tree.leaves(run.state), strict=True):
+        wanted = np.asarray(wanted)
+        np.testing.assert_allclose(x[-1], wanted, rtol=0, atol=1e-12 * max(1, np.abs(wanted).max(initial=0)))
