@@ -1,4 +1,4 @@
-"""What XLA is told, beyond formulas: all of it stands here.
+"""What XLA is given beyond formulas: all of it stands here.
 
 A scheme is the equations of one body, and machine code of ensembles (`native`) needs nothing more. XLA, which runs
 single bodies, gradients and accelerators, does well with the same equations but for four things.
