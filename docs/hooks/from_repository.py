@@ -20,6 +20,7 @@ TITLES = {
     "gradients": "Gradients",
     "tangent": "Tangent vectors",
     "ensemble": "Ensembles",
+    "first_ensembles": "First ensembles",
     "compile": "First calls",
     "round_off": "Rounding, 10⁷ steps",
     "round_off_long": "Rounding, 10⁸ steps",
