@@ -65,7 +65,7 @@ class Engine(abc.ABC):
     Attributes:
         name: "native", "flat" or "xla".
         whole: whether a process has all of its members in one block.
-        most_steps: in a call.
+        most_steps: the most steps that a call may take.
     """
 
     name: str
@@ -198,7 +198,7 @@ class FlatEngine(XlaEngine):
     def prepared(self, layout: Layout, start: Start, states: list[State]) -> list[Any]:
         """See `Engine`."""
         found, kinds = super().prepared(layout, start, states), self._preparation.kinds_of_results
-        return [jax.tree.map(lambda kind, x: x[0] if kind == "shared" else x, kinds, step) for step in found]
+        return [_own_or_shared(kinds, step) for step in found]
 
     def interval(self) -> Callable[..., Any]:
         """`Interval` for all members."""
@@ -218,7 +218,7 @@ class NativeEngine(Engine):
         """See `Engine`."""
         arguments = start.plain[0], states[0], start.origin[0]
         compiled, results = self._mapped(layout, Preparation(), (self._own, "member", self._origin), arguments)
-        return [jax.tree.map(lambda kind, x: x[0] if kind == "shared" else x, compiled.kinds_of_results, results)]
+        return [_own_or_shared(compiled.kinds_of_results, results)]
 
     def quantity(
         self, layout: Layout, function: Callable[..., Any], start: Start, states: list[State], n: int
@@ -258,6 +258,11 @@ class NativeEngine(Engine):
         if self._interval.shared:
             self.most_steps = max(1, _MOST_SHARED * steps // self._interval.shared)
         return [after], [saved]
+
+
+def _own_or_shared(kinds: Any, results: Any) -> Any:
+    """Results of all members: as they are where each member has its own, that of the first where all share one."""
+    return jax.tree.map(lambda kind, x: x[0] if kind == "shared" else x, kinds, results)
 
 
 def _one(x: Any) -> Any:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from lieint_jax.native._program import Block, Branch, Loop, Number, Program, numbers_of
+from lieint_jax.native._program import Block, Branch, Loop, Number, Program, blocks_of, numbers_of
 from lieint_jax.native._traced import Traced, made_once
 from lieint_jax.native._walk import UnsupportedError
 
@@ -215,12 +215,8 @@ def _check(block: Block, program: Program) -> None:
             if item in program.live and item.op not in _READS and item.op not in _OPERATIONS:
                 raise UnsupportedError(item.op)
         else:
-            for inner in _blocks(item):
+            for inner in blocks_of(item):
                 _check(inner, program)
-
-
-def _blocks(item: Loop | Branch) -> tuple[Block, Block]:
-    return (item.head, item.body) if isinstance(item, Loop) else item.blocks
 
 
 def carried(program: Program) -> int:
@@ -229,7 +225,7 @@ def carried(program: Program) -> int:
     def of(block: Block) -> int:
         inner = [item for item in block.items if not isinstance(item, Number)]
         own = [sum(x in program.varying and x in program.live for x in y.carries) for y in inner if isinstance(y, Loop)]
-        return max([0, *own, *(of(part) for item in inner for part in _blocks(item))])
+        return max([0, *own, *(of(part) for item in inner for part in blocks_of(item))])
 
     return of(program.block)
 
@@ -257,7 +253,7 @@ def _parts(block: Block, program: Program, after: Sequence[Number]) -> list[tupl
         needed.update(y for x in part for y in x.inputs)
         needed.update(numbers_of(item))
         part = []
-        for inner, last in zip(_blocks(item), _ends(item), strict=True):
+        for inner, last in zip(blocks_of(item), _ends(item), strict=True):
             parts = _parts(inner, program, last)
             found += parts
             needed.update(y for inside, _ in parts for x in inside for y in x.inputs)

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lieint_jax.native._calls import Functions
-from lieint_jax.native._program import Block, Branch, Loop, Number, Program, numbers_of
+from lieint_jax.native._program import Block, Branch, Loop, Number, Program, blocks_of, numbers_of
 from lieint_jax.native._traced import Leaf
 from lieint_jax.native._walk import UnsupportedError
 
@@ -596,7 +596,7 @@ class _Writer:
         return phi
 
     def branch(self, branch: Branch) -> None:
-        live = [k for k in self.program.needed(branch.results) if branch.results[k] not in self.program.given]
+        live = self.program.needed(branch.results)
         if not live:
             return
         test = branch.test
@@ -657,7 +657,7 @@ def _fusions(program: Program) -> tuple[dict[Number, tuple[Number, Number, str]]
                     items.append(item)
             else:
                 uses.update(numbers_of(item))
-                for inner in (item.head, item.body) if isinstance(item, Loop) else item.blocks:
+                for inner in blocks_of(item):
                     visit(inner)
 
     visit(program.block)

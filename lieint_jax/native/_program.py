@@ -331,8 +331,8 @@ class Program:
         return Program(self.block, self.outputs, self._varying_arguments, given=frozenset(given))
 
     def needed(self, numbers: Sequence[Number]) -> list[int]:
-        """The positions of the numbers that the outputs depend on."""
-        return [k for k, x in enumerate(numbers) if x in self.live]
+        """The positions of the numbers that must be computed: the outputs depend on them, and they are not given."""
+        return [k for k, x in enumerate(numbers) if x in self.live and x not in self.given]
 
     def pressure(self) -> int:
         """The most numbers of the members that an innermost loop needs from one iteration to the next."""
@@ -353,6 +353,11 @@ class Program:
         inside = {loop.head, loop.body}
         outer = {x for item in items for x in item.inputs if x.block not in inside}
         return sum(x in self.varying for x in (*outer, *(x for x in loop.carries if x in self.live)))
+
+
+def blocks_of(item: Loop | Branch) -> tuple[Block, Block]:
+    """The two blocks of a loop or a branch."""
+    return (item.head, item.body) if isinstance(item, Loop) else item.blocks
 
 
 def numbers_of(item: Any) -> Iterable[Number]:
