@@ -7,12 +7,13 @@ and guesses must carry derivatives too: a `stop_gradient` around either would ma
 silently. `root(done=…)` and `chords` loop until they are done instead, for large steps that would compile slowly and
 not fuse.
 
-**Which root.** An equation may have several, and iterations that wander can end at any of them. A solve is steady if
-its first correction was no longer than the guess and each other one at most half as long as the one before (a quarter,
-for `chords`), but for lengths below √eps, unknowns being of the size of 1: Newton's convergence theorem grants this
-near a root, and an iteration that jumps over a fold breaks it (Deuflhard, Newton Methods for Nonlinear Problems, 2.1).
+**Which root.** An equation may have several, and iterations that do not converge steadily can end at any. A solve is
+steady if its first correction was no longer than the guess and each other one at most half as long as the one before (a
+quarter, for `chords`), but for lengths below √eps, unknowns being of the size of 1: Newton's convergence theorem grants
+this near a root, and an iteration that jumps over a fold breaks it (Deuflhard, Newton Methods for Nonlinear Problems,
+2.1).
 Of 180,000 random steps of the free body with 40 corrections, 167 found a root that is not on the branch from Δt = 0;
-none of these solves was steady. A fixed number of up to four corrections is too few to wander and come to round-off:
+none of these solves was steady. A fixed number of up to four corrections is too few to stray and still reach round-off:
 of 180,000 steps none did, so nothing is recorded there, which doubles the speed of the Cayley step.
 """
 
