@@ -13,7 +13,7 @@ import numpy as np
 
 from lieint_jax.native._program import Program
 from lieint_jax.native._stream import Stream, split
-from lieint_jax.native._traced import Leaf, Operation, Traced, made_once
+from lieint_jax.native._traced import Leaf, Operation, Traced, before_rows, made_once
 
 _FEW = 26  # numbers that an innermost loop holds, up to which two vectors of each are faster than one
 _CHUNKS = 4  # parts of the members a thread, so that threads end together
@@ -148,8 +148,7 @@ class Shared:
         from lieint_jax.native._emit import Tape, emit
 
         functions = Functions()
-        leaves = [leaf._replace(kind="member") if leaf.kind == "carry" else leaf for leaf in leaves]
-        text = emit(parts.first, leaves, [], 1, functions, Tape(parts.numbers, writes=True))
+        text = emit(parts.first, before_rows(leaves), [], 1, functions, Tape(parts.numbers, writes=True))
         self._run = _machine.function(text, functions.text())
         self._most = max(map(len, parts.numbers.values()))
         self.count = 0

@@ -33,6 +33,11 @@ class Leaf(NamedTuple):
         return self.kind in ("carry", "member")
 
 
+def before_rows(leaves: Sequence[Leaf]) -> list[Leaf]:
+    """The leaves of a program that runs before the first row: what is carried is as given, each member's."""
+    return [leaf._replace(kind="member") if leaf.kind == "carry" else leaf for leaf in leaves]
+
+
 class Traced:
     """A function of one member as a program of numbers.
 
@@ -93,8 +98,7 @@ class Traced:
             return None
         kind = "member" if any(x in program.varying for x in numbers) else "shared"
         shapes = [jax.ShapeDtypeStruct(x.aval.shape, x.aval.dtype) for x in equation.invars]
-        leaves = [leaf._replace(kind="member") if leaf.kind == "carry" else leaf for leaf in self.leaves]
-        self.outside.append(Operation(equation, kind, program, leaves, shapes))
+        self.outside.append(Operation(equation, kind, program, before_rows(self.leaves), shapes))
         return [self._argument(kind, x.aval) for x in equation.outvars]
 
     def _is_fixed(self, x: Number) -> bool:
