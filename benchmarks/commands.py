@@ -5,8 +5,9 @@ first without any compiled program kept, then with those of the first time. The 
 
     python benchmarks/commands.py [--quick] [--out DIR] [--only NAME …]
 
-The rows go into `lieint_jax/command/costs.csv`, from which `lieint list` and the commands themselves say how long they
-will take, except with `--quick`. `--only "run toutatis" "figure 1"` measures these and writes no report.
+The rows go into `lieint_jax/app/command/costs.csv`, from which `lieint list` and the
+commands report how long they take, except with `--quick`.
+`--only "run toutatis" "figure 1"` measures these and writes no report.
 """
 
 from __future__ import annotations
@@ -44,14 +45,15 @@ def main() -> None:
 
 def every() -> list[str]:
     """All commands that take no more than a name."""
-    from lieint_jax import _discover, scenarios, studies, systems
-    from lieint_jax.command.figures import FIGURES
+    from lieint_jax import _discover, systems
+    from lieint_jax.app import scenarios, studies
+    from lieint_jax.app.command.figures import FIGURES
 
     return [
         *(f"run {name}" for name in scenarios.scenario_names()),
-        *(f"study {name}" for name in _discover.modules(studies)),
+        *(f"study {name}" for name in _discover.public_modules(studies)),
         *(f"figure {number}" for number in FIGURES),
-        *(f"check {name}" for name in _discover.modules(systems)),
+        *(f"check {name}" for name in _discover.modules_with_examples(systems)),
         "check",
     ]
 
@@ -75,7 +77,7 @@ def _run(name: str, folder: Path, turn: str) -> tuple[float, float, bool]:
     where = folder / turn
     where.mkdir()
     environment = os.environ | {"XDG_CACHE_HOME": str(folder / "cache")}
-    call = [sys.executable, "-m", "lieint_jax.command.cli", *name.split()]
+    call = [sys.executable, "-m", "lieint_jax.app.command.cli", *name.split()]
     begin = time.perf_counter()
     process = subprocess.Popen(call, cwd=where, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)

@@ -42,11 +42,11 @@ def rows(quick: bool, only: list[str] | None) -> Iterator[dict[str, Any]]:
     from lieint_jax import _discover
 
     jax.config.update("jax_enable_x64", True)
-    for name, module in _discover.modules(li.systems).items():
+    for name, module in _discover.modules_with_examples(li.systems).items():
         if quick and name not in _FIRST:
             continue
         examples = list(module.examples().values())
-        for scheme, schemes in _discover.modules(li.schemes).items():
+        for scheme, schemes in _discover.modules_with_examples(li.schemes).items():
             if only and scheme not in only:
                 continue
             for step, state, dt in itertools.islice(taken(schemes, examples), 1):

@@ -84,14 +84,14 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
     import numpy as np
 
     from lieint_jax import ensemble
+    from lieint_jax._integrate import UniformClock
     from lieint_jax.ensemble import _layout
     from lieint_jax.ensemble._engine import engine_of
     from lieint_jax.ensemble._job import Job
     from lieint_jax.ensemble._run import CompiledLoop
-    from lieint_jax.integrate import Uniform
 
     nodes = np.array([0, num_steps])
-    clock = jax.tree.map(np.asarray, Uniform(jnp.zeros(()), jnp.asarray(dt)))
+    clock = jax.tree.map(np.asarray, UniformClock(jnp.zeros(()), jnp.asarray(dt)))
     states = jax.tree.map(np.asarray, states)
     job = Job(step, states, None, dt, clock, num_steps, nodes * dt, nodes, None, num_steps, None, None)
     mesh = ensemble.first_devices(None)

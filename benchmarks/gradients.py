@@ -76,10 +76,10 @@ def ours(steps: int) -> dict[str, Callable[..., Any]]:
         return li.integrate(step, z, DT, steps, steps)
 
     def undone(step: Any, z: Any) -> Any:
-        return li.studies.reversible(step, z, DT, steps)
+        return li.reversible(step, z, DT, steps)
 
     def kept(step: Any, z: Any) -> Any:
-        return li.studies.reversible(step, z, DT, steps, derivative="checkpoint")
+        return li.reversible(step, z, DT, steps, derivative="checkpoint")
 
     found: dict[str, Callable[..., Any]] = {
         f"ours, {FORWARD}": lambda *a: loss(scan, *a),

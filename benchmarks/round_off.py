@@ -49,9 +49,9 @@ def variants() -> dict[str, Callable[[Any, Any], Any]]:
     from lib import measure
 
     import lieint_jax as li
-    from lieint_jax._numerics import three
+    from lieint_jax._numerics import vec3
     from lieint_jax.groups import so3
-    from lieint_jax.schemes.so3_midpoint import half_cayley, scalar_root, scaled
+    from lieint_jax.schemes._so3_midpoint import half_cayley, scalar_root, scaled
     from lieint_jax.types import State
 
     body, dt = measure.body(), measure.DT
@@ -67,7 +67,7 @@ def variants() -> dict[str, Callable[[Any, Any], Any]]:
 
     def product(carry: Any, _: Any) -> Any:
         q, low, p = carry
-        return so3.normalise(so3.multiply(q, so3.cayley(2 * half(q, p)[2]))), low, p
+        return so3.normalize(so3.multiply(q, so3.cayley(2 * half(q, p)[2]))), low, p
 
     def explicit(carry: Any, m: Any) -> Any:
         q, low, p = carry
@@ -82,15 +82,15 @@ def variants() -> dict[str, Callable[[Any, Any], Any]]:
     def delta(q: Any, h: Any) -> Any:
         """`cayley_increment` less q."""
         w, v = q[0], (q[1], q[2], q[3])
-        y = three.dot(h, h)
+        y = vec3.dot(h, h)
         s = jnp.sqrt(1 + y)
         r = 1 / (s * (1 + s))
         c = r * (1 + s)
         d = c * so3.defect(q) / 2
         k, c = -y * r - d, c - d
         ch = (c * h[0], c * h[1], c * h[2])
-        x = three.cross(v, ch)
-        return jnp.stack([w * k - three.dot(v, ch), *(w * ch[i] + k * v[i] + x[i] for i in range(3))])
+        x = vec3.cross(v, ch)
+        return jnp.stack([w * k - vec3.dot(v, ch), *(w * ch[i] + k * v[i] + x[i] for i in range(3))])
 
     def held(carry: Any, m: Any) -> Any:
         """The step of `so3_explicit`, see `half_cayley`."""
@@ -99,7 +99,7 @@ def variants() -> dict[str, Callable[[Any, Any], Any]]:
 
     return {
         "Newton, increment": by_newton,
-        "Newton, product, normalised": product,
+        "Newton, product, normalized": product,
         "explicit, increment": explicit,
         "explicit, increment, compensated": compensated,
         "explicit, increment, energy held": held,

@@ -1,6 +1,6 @@
 """Bodies in a fluid, SE(3): is the midpoint scheme twice as fast as Runge–Kutta, step for step, and what does it keep?
 
-Kirchhoff's ellipsoid of semi-axes 3, 2, 1 with its centre of mass off its centre, so that rotation and translation are
+Kirchhoff's ellipsoid of semi-axes 3, 2, 1 with its center of mass off its center, so that rotation and translation are
 coupled. Random motions q, body velocities random in the unit ball of ℝ⁶, dt = 0.05. Ours (`schemes.group_midpoint` with
 two maps) against diffrax's Tsit5 on the same right-hand side, q' = qΩ̂ with Ω = m⁻¹Ad*_q π, called in turn in one
 process pinned to one core (as Linux can). The reference is `diagnostics.flow`, Gauss collocation of order 16.

@@ -74,11 +74,11 @@ def ways(step: Any) -> dict[str, Callable[..., Any]]:
 
     def jvp(z: Any, T: Any) -> Any:
         end, tangent = jax.jvp(lambda x: moved(z, x), (jnp.zeros(6),), (T[:, 0],))
-        return end, space.trivialise(end, tangent)[:, None]
+        return end, space.trivialize(end, tangent)[:, None]
 
     def jacfwd(z: Any, T: Any) -> Any:
         end, push = jax.linearize(lambda x: moved(z, x), jnp.zeros(6))
-        return end, jax.vmap(lambda x: space.trivialise(end, push(x)), -1, -1)(T)
+        return end, jax.vmap(lambda x: space.trivialize(end, push(x)), -1, -1)(T)
 
     return {
         PLAIN: lambda z, T: (step(z, DT)[0], T),

@@ -22,7 +22,7 @@ import lieint_jax as li
 from lieint_jax import State, Step, diagnostics, schemes
 from lieint_jax.groups import so3
 from lieint_jax.systems import potential_top
-from lieint_jax.systems.heavy_top import asymmetric, kovalevskaya, lagrange
+from lieint_jax.systems._heavy_top import asymmetric, kovalevskaya, lagrange
 
 
 def coulomb(Gamma: Array) -> Array:

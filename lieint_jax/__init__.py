@@ -18,8 +18,8 @@ A system and a scheme make a step; a step makes everything else.
 | `schemes` | the integrators: `help(li.schemes)` says which one for which system |
 | `integrate`, `event`, `interpolate` | runs of one body: states at any times, and when a condition changes its sign |
 | `ensemble` | many bodies, over cores, devices and processes; results in memory or on disk |
-| `diagnostics` | what a step conserves, its order, its linearisation; chaos |
-| `studies`, `fitting`, `adjoints` | derivatives of whole runs, fits, ready studies |
+| `diagnostics` | what a step conserves, its order, its linearization; chaos |
+| `fit`, `observe`, `reversible` | fits, and derivatives of whole runs (`fitting`, `adjoints`) |
 | `potentials`, `torques`, `orbits` | what acts on bodies |
 | `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
 | `cache_programs` | compiled programs on disk, for a quick start of the next process |
@@ -40,14 +40,17 @@ from lieint_jax import (
     phase_spaces,
     potentials,
     schemes,
-    studies,
+    studies,  # noqa: F401
     systems,
     torques,
     types,
 )
 from lieint_jax._cache import cache_programs
+from lieint_jax._deprecated import renamed as _renamed
+from lieint_jax._integrate import Event, event, integrate, interpolate
 from lieint_jax._version import __version__
-from lieint_jax.integrate import Event, event, integrate, interpolate
+from lieint_jax.adjoints import observe, reversible
+from lieint_jax.fitting import fit
 from lieint_jax.types import State, Step, StepInfo, Trajectory, pytree, static
 
 __all__ = [
@@ -62,22 +65,27 @@ __all__ = [
     "diagnostics",
     "ensemble",
     "event",
+    "fit",
     "fitting",
     "groups",
     "integrate",
     "interpolate",
     "maps",
+    "observe",
     "orbits",
     "phase_spaces",
     "potentials",
     "pytree",
+    "reversible",
     "schemes",
     "static",
-    "studies",
     "systems",
     "torques",
     "types",
 ]
+
+
+__getattr__ = _renamed(__name__, {"plots": "lieint_jax.app:plots", "scenarios": "lieint_jax.app:scenarios"})
 
 
 def __dir__() -> list[str]:

@@ -289,7 +289,7 @@ def _moments(array: Array) -> np.ndarray:
 
 
 def unit_quaternion(name: str, value: Any) -> Array:
-    """A quaternion (w, x, y, z) of unit length to 1e-6. It is not normalised."""
+    """A quaternion (w, x, y, z) of unit length to 1e-6. It is not normalized."""
     q = real_array(name, value, (4,))
     if concrete(q):
         norm = float(np.linalg.norm(np.asarray(q, float)))

@@ -60,9 +60,9 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics import elliptic, three
-from lieint_jax._numerics.choice import where
-from lieint_jax._numerics.three import Vector, dot
+from lieint_jax._numerics import elliptic, vec3
+from lieint_jax._numerics.select import where
+from lieint_jax._numerics.vec3 import Vector, dot
 from lieint_jax._xla import materialized
 from lieint_jax.groups import so3
 
@@ -99,15 +99,15 @@ def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, A
     ones. For a full tensor with moments equal to within √eps they are finite, but omit the change of the inertia's
     off-diagonal elements between the equal axes.
     """
-    J, Pi = three.symmetric(inertia), so3.Ad_star(q, p)
+    J, Pi = vec3.symmetric(inertia), so3.Ad_star(q, p)
     scale, G, e, rest = _units(inertia, Pi)
     (w, *v), accuracy = _increment(scale * inertia, e, G * t)
-    Omega = three.solve_symmetric(J, Pi)
+    Omega = vec3.solve_symmetric(J, Pi)
     v = (where(rest, x * t / 2, y) for x, y in zip(Omega, v, strict=True))  # 0, with its derivative in π
     increment = materialized((where(rest, 1, w), *v))
-    turned = lax.stop_gradient(three.max_abs(Pi) * three.inverse_trace(J) * jnp.abs(t))
+    turned = lax.stop_gradient(vec3.max_abs(Pi) * vec3.inverse_trace(J) * jnp.abs(t))
     length, condition = (where(rest, 0, x) for x in accuracy)
-    return so3.normalise(jnp.stack(materialized(so3.multiply(q, increment)))), Accuracy(length, turned + condition)
+    return so3.normalize(jnp.stack(materialized(so3.multiply(q, increment)))), Accuracy(length, turned + condition)
 
 
 def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]:
@@ -159,7 +159,7 @@ def periods(inertia: Array, Pi: Array) -> Periods:
     """The mean periods of a free body of body momentum Π, (3,); `inertia` as in `attitude`."""
     if inertia.ndim == 1:
         moments, turns = _ascending(inertia)
-        x, y, z = _turned(three.components(Pi), turns, 1)
+        x, y, z = _turned(vec3.components(Pi), turns, 1)
     else:
         moments, V = _eigh(inertia)
         x, y, z = (dot(V[:, k], Pi) for k in range(3))
@@ -196,8 +196,8 @@ def _less_third(m1: Array, nu: Array, K: Array) -> Array:
 
 def _units(inertia: Array, Pi: Array) -> tuple[Array, Array, Vector, Array]:
     """1/tr J, |Π|/tr J, e, and whether the body is at rest; at rest |Π|/tr J is set to 1 and e to a unit vector."""
-    scale = 1 / three.trace(three.symmetric(inertia))
-    scaled = three.scale(scale, Pi)
+    scale = 1 / vec3.trace(vec3.symmetric(inertia))
+    scaled = vec3.scale(scale, Pi)
     square = dot(scaled, scaled)
     rest = square == 0
     G = jnp.sqrt(where(rest, 1, square))
@@ -211,11 +211,11 @@ def _increment(inertia: Array, e: Vector, tau: Array) -> tuple[Vector, Accuracy]
         w, v, accuracy = _sorted(moments, _turned(e, turns, 1), tau)
         return (w, *_turned(v, turns, -1)), accuracy
     moments, V = _eigh(inertia)
-    a, b = (three.components(V[:, k]) for k in (0, 1))  # made right-handed, and orthonormal to the last bit
+    a, b = (vec3.components(V[:, k]) for k in (0, 1))  # made right-handed, and orthonormal to the last bit
     a = _unit(a)
     overlap = dot(a, b)
     b = _unit(tuple(y - overlap * x for x, y in zip(a, b, strict=True)))
-    c = three.cross(a, b)
+    c = vec3.cross(a, b)
     w, v, accuracy = _sorted(moments, (dot(a, e), dot(b, e), dot(c, e)), tau)
     return (w, *(v[0] * a[i] + v[1] * b[i] + v[2] * c[i] for i in range(3))), accuracy
 
@@ -225,7 +225,7 @@ def _ascending(J: Array) -> tuple[Vector, _Turns]:
 
     Component by component: a gather by `argsort` would end XLA's loop over a batch before and after it.
     """
-    moments, turns = list(three.components(J)), []
+    moments, turns = list(vec3.components(J)), []
     for i in (0, 1, 0):
         a, b = moments[i : i + 2]
         turns.append((i, a > b))
@@ -283,7 +283,7 @@ def _labels(J: Array, e: Vector) -> tuple[Array, _Labels]:
     return first, _Labels(*materialized((b_o, rm, where(first, d12, -d01), where(first, d02, -d02))))
 
 
-def _relabelled(first: Array, v: Vector) -> Vector:
+def _relabeled(first: Array, v: Vector) -> Vector:
     """The components of v on the axes r, m, o from those on the axes 0, 1, 2, or back."""
     return where(first, v[0], v[2]), where(first, v[1], -v[1]), where(first, v[2], v[0])
 
@@ -291,11 +291,11 @@ def _relabelled(first: Array, v: Vector) -> Vector:
 def _sorted(J: Array, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
     """Λ⁻¹Λ(τ) as scalar and vector part, and its rounding errors, for ascending moments J."""
     first, b = _labels(J, e)
-    w, v, accuracy = _labelled(b, materialized(_relabelled(first, e)), tau)
-    return w, _relabelled(first, v), accuracy
+    w, v, accuracy = _labeled(b, materialized(_relabeled(first, e)), tau)
+    return w, _relabeled(first, v), accuracy
 
 
-def _labelled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
+def _labeled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
     """Λ⁻¹Λ(τ) as scalar and vector part, times a positive number, and its rounding errors, in the axes r, m, o."""
     er, em, eo = e
     m = _motion(b, e, tau)
@@ -341,7 +341,7 @@ def _sorted_clock(J: Array, e: Vector, tau: Array) -> tuple[Array, Array, Array]
     """`clock` for ascending moments J of trace 1 and τ ≠ 0."""
     first, b = _labels(J, e)
     half = tau / 2
-    m = _motion(b, _relabelled(first, e), half)
+    m = _motion(b, _relabeled(first, e), half)
     c, s = jnp.cos(m.turn), jnp.sin(m.turn)
     lag = c - m.R * m.S * (m.q_r / m.q_o) * s
     size = 1 + m.nu * m.S * m.S
@@ -412,7 +412,7 @@ def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array, needed: 
     one, root = jnp.ones_like(cn), jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny))
     zero, root, p = (where(needed, x, 1) for x in (0 * one, root, 1 + n_quarter))
     x, y, p = (jnp.stack(pair) for pair in ((cn, zero), (dn, root), (1 + n, p)))
-    part, quarter = materialized(three.components(elliptic.carlson_rj(x, y, jnp.ones_like(x), p) / 3))
+    part, quarter = materialized(vec3.components(elliptic.carlson_rj(x, y, jnp.ones_like(x), p) / 3))
     return part, quarter
 
 

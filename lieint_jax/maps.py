@@ -23,8 +23,9 @@ import numpy as np
 from jax import Array
 
 from lieint_jax._checks import at_once, concrete
-from lieint_jax._numerics import power_series, three, unrolled
-from lieint_jax._numerics.choice import where
+from lieint_jax._numerics import power_series, vec3
+from lieint_jax._numerics import small_linalg as la
+from lieint_jax._numerics.select import where
 from lieint_jax.groups import so3
 from lieint_jax.groups._basis import ideals
 from lieint_jax.groups._closed_form import squared_eigenvalue
@@ -132,7 +133,7 @@ def scaled_cayley(kappa: Callable[[Array], Array]) -> Map:
 
 
 def _scaled_cayley(kappa: Callable[[Array], Array], group: Group, theta: Array) -> Array:
-    return group.cayley(kappa(three.dot(theta, theta)) * theta)
+    return group.cayley(kappa(vec3.dot(theta, theta)) * theta)
 
 
 def derivative(tau: Map, group: Group, theta: Array) -> Array:
@@ -177,22 +178,22 @@ def arcsine_forms(group: Group) -> list[tuple[list[int], np.ndarray]]:
     return forms
 
 
-def _arcsine_scales(group: Group, theta: unrolled.Vector) -> list[Array]:
+def _arcsine_scales(group: Group, theta: la.Vector) -> list[Array]:
     """The s of each component of Θ."""
     scales: list[Any] = [None] * group.dim
     for factor, form in arcsine_forms(group):
-        s = _arcsine_of_square(unrolled.quadratic(form, theta))
+        s = _arcsine_of_square(la.quadratic(form, theta))
         for i in factor:
             scales[i] = s
     return scales
 
 
-def _arcsine_scaled(group: Group, theta: unrolled.Vector) -> unrolled.Vector:
+def _arcsine_scaled(group: Group, theta: la.Vector) -> la.Vector:
     """sΘ."""
     scales = _arcsine_scales(group, theta)
     if not isinstance(theta, list):
         return jnp.stack(scales) * theta
-    return [unrolled.times(s, x) for s, x in zip(scales, theta, strict=True)]
+    return [la.times(s, x) for s, x in zip(scales, theta, strict=True)]
 
 
 _ARCSINE = [math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(20)]
@@ -225,9 +226,9 @@ class Tau:
 
     function: Map
     name: str = static(default="user")
-    slope: Callable[[Group, Array], unrolled.Matrix] | None = static(default=None)
+    slope: Callable[[Group, Array], la.Matrix] | None = static(default=None)
     holds: Callable[[Group, Array], Array] | None = static(default=None)
-    coadjoint: Callable[[Group, unrolled.Vector, unrolled.Vector], unrolled.Vector] | None = static(default=None)
+    coadjoint: Callable[[Group, la.Vector, la.Vector], la.Vector] | None = static(default=None)
     along: Callable[[Group, Array, Array, Array], Array] | None = static(default=None)
     symmetric: bool = static(default=True)
 
@@ -249,13 +250,13 @@ class _GroupMethod:
         return getattr(group, self.method)(*arguments, *self.more)
 
 
-def _cayley_coadjoint(group: Any, theta: unrolled.Vector, mu: unrolled.Vector) -> unrolled.Vector:
+def _cayley_coadjoint(group: Any, theta: la.Vector, mu: la.Vector) -> la.Vector:
     return group.coadjoint(*group.cayley_both(theta), mu)
 
 
 def _half_turn(_: Group, theta: Array) -> Array:
     """Whether Θ turns by less than 180°: beyond, several Θ's lead to the same rotation."""
-    return three.dot(theta, theta) < math.pi**2
+    return vec3.dot(theta, theta) < math.pi**2
 
 
 def _arcsine_near(group: Any, theta: Array) -> Array:
@@ -266,21 +267,21 @@ def _arcsine_holds(group: Any, theta: Array) -> Array:
     return group.near(_arcsine_scaled(group, theta))
 
 
-def _arcsine_slope(group: Any, theta: Any) -> unrolled.Matrix:
+def _arcsine_slope(group: Any, theta: Any) -> la.Matrix:
     """H_exp(sΘ)(s + Θ⊗∇s), factor by factor."""
     vector = jnp.stack(theta) if isinstance(theta, list) else theta
     H = group.exp_slope(_arcsine_scaled(group, theta), _SLOPE_TERMS)
     columns: list[Any] = [None] * group.dim
     for factor, form in arcsine_forms(group):
-        s, gradient = jax.value_and_grad(lambda x, form=form: _arcsine_of_square(unrolled.quadratic(form, x)))(vector)
-        along = [unrolled.dot([row[j] for j in factor], [theta[j] for j in factor]) for row in H]
+        s, gradient = jax.value_and_grad(lambda x, form=form: _arcsine_of_square(la.quadratic(form, x)))(vector)
+        along = [la.dot([row[j] for j in factor], [theta[j] for j in factor]) for row in H]
         for j in factor:
-            columns[j] = [unrolled.times(s, row[j]) + a * gradient[j] for row, a in zip(H, along, strict=True)]
-    rows = unrolled.transpose(columns)
+            columns[j] = [la.times(s, row[j]) + a * gradient[j] for row, a in zip(H, along, strict=True)]
+    rows = la.transpose(columns)
     return rows if isinstance(theta, list) else jnp.stack([jnp.stack(row) for row in rows])
 
 
-def _arcsine_coadjoint(group: Any, theta: unrolled.Vector, mu: unrolled.Vector) -> unrolled.Vector:
+def _arcsine_coadjoint(group: Any, theta: la.Vector, mu: la.Vector) -> la.Vector:
     return group.exp_coadjoint(_arcsine_scaled(group, theta), mu)
 
 

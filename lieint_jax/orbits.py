@@ -1,4 +1,4 @@
-"""Given motions of a centre: Kepler's orbits, elliptic and hyperbolic, as functions of time.
+"""Given motions of a center: Kepler's orbits, elliptic and hyperbolic, as functions of time.
 
 With the eccentric anomaly E, M = n(t − T), n = √(μ/|a|³), in the orbit's own axes (periapsis along x)
 
@@ -92,7 +92,7 @@ def kepler(
     periapsis: ArrayLike = 0.0,
     periapsis_time: ArrayLike = 0.0,
 ) -> Kepler:
-    """The orbit of a body about a centre of attraction at the origin.
+    """The orbit of a body about a center of attraction at the origin.
 
     Traced elements are not checked here. Where they belong to no orbit, positions and velocities are NaN.
 
@@ -137,10 +137,10 @@ def kepler(
 def graded_times(
     orbit: Callable[[Array], tuple[Array, Array]], t0: float, t1: float, n: int, c: float = 0.15
 ) -> np.ndarray:
-    """Step boundaries for `integrate(…, times=…)` on an orbit: n steps, shorter where the body is nearer to the centre.
+    """Step boundaries for `integrate(…, times=…)` on an orbit: n steps, shorter where the body is nearer to the center.
 
     Steps are in proportion to 1/(r₀/r + c), where r₀ is the least distance between t0 and t1. Far away c bounds them,
-    near the centre they are about c/(1 + c) of that bound. They depend on the orbit alone and are the same for all
+    near the center they are about c/(1 + c) of that bound. They depend on the orbit alone and are the same for all
     members of an ensemble, so a symplectic step stays symplectic.
 
     Args:

@@ -8,14 +8,14 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._numerics import three
+from lieint_jax._numerics import vec3
 from lieint_jax.groups import so3
 from lieint_jax.types import Group, State, pytree, static
 
 
 @pytree
 class CotangentGroup:
-    """T*G in the spatial (right) trivialisation: a state is (q, π), a tangent vector (δθ, δπ) ∈ 𝔤 × 𝔤*.
+    """T*G in the spatial (right) trivialization: a state is (q, π), a tangent vector (δθ, δπ) ∈ 𝔤 × 𝔤*.
 
     δq = δθ q, so on SO(3) δΛ = δθ̂Λ as in (2.8); δπ is the plain variation of the spatial momentum.
     """
@@ -46,7 +46,7 @@ class CotangentGroup:
         """The end of a displacement."""
         return self.perturb(start, displacement)
 
-    def trivialise(self, state: State, tangent: State) -> Array:
+    def trivialize(self, state: State, tangent: State) -> Array:
         """(δθ, δπ), shape (2d,), of a tangent vector given in the coordinates of `State`."""
         return jnp.concatenate([self.group.spatial_velocity(state.q, tangent.q), tangent.p])
 
@@ -94,9 +94,9 @@ class EmbeddedRotations:
         """The end of a displacement."""
         return _added(start, displacement)
 
-    def trivialise(self, state: State, tangent: State) -> Array:
+    def trivialize(self, state: State, tangent: State) -> Array:
         """(δθ, δπ), shape (6,), of a tangent vector (δΛ, δπ): δθ = rot[δΛ Λ⁻¹], the rest of δΛ is left out."""
-        velocity = [three.solve(three.transpose(state.q), row) for row in tangent.q]  # δΛ Λ⁻¹
+        velocity = [vec3.solve(vec3.transpose(state.q), row) for row in tangent.q]  # δΛ Λ⁻¹
         theta = [(velocity[i][j] - velocity[j][i]) / 2 for i, j in ((2, 1), (0, 2), (1, 0))]
         return jnp.concatenate([jnp.stack(theta), tangent.p])
 
@@ -106,7 +106,7 @@ class EmbeddedRotations:
 
     def defect(self, state: State) -> Array:
         """max|ΛᵀΛ − 1|."""
-        C = three.gram(state.q)
+        C = vec3.gram(state.q)
         return jnp.max(jnp.abs(jnp.stack(C) - jnp.array([1, 1, 1, 0, 0, 0], state.q.dtype)))
 
 
@@ -136,7 +136,7 @@ class CotangentMatrices:
         """The end of a displacement."""
         return _added(start, displacement)
 
-    def trivialise(self, state: State, tangent: State) -> Array:
+    def trivialize(self, state: State, tangent: State) -> Array:
         """(δF, δP), shape (18,)."""
         return jnp.concatenate([tangent.q.ravel(), tangent.p.ravel()])
 
@@ -147,7 +147,7 @@ class CotangentMatrices:
 
     def defect(self, state: State) -> Array:
         """0 where det F > 0, 1 where F has left GL⁺(3) (an open set, from which no distance is defined)."""
-        return jnp.where(three.det(state.q) > 0, 0, 1).astype(state.q.dtype)
+        return jnp.where(vec3.det(state.q) > 0, 0, 1).astype(state.q.dtype)
 
 
 @pytree
@@ -201,7 +201,7 @@ class CotangentUnimodular:
         """The end of a displacement."""
         return self.perturb(start, displacement)
 
-    def trivialise(self, state: State, tangent: State) -> Array:
+    def trivialize(self, state: State, tangent: State) -> Array:
         """(δθ, δπ), shape (16,), of a tangent vector (δF, δP)."""
         change = jnp.tensordot(self._basis(state), tangent.p @ state.q.T + state.p @ tangent.q.T, 2)
         return jnp.concatenate([self.group.spatial_velocity(state.q, tangent.q), change])
@@ -212,7 +212,7 @@ class CotangentUnimodular:
 
     def defect(self, state: State) -> Array:
         """det F − 1."""
-        return three.det(state.q) - 1
+        return vec3.det(state.q) - 1
 
     def _basis(self, state: State) -> Array:
         return jnp.asarray(self.group.basis, state.q.dtype)
@@ -269,7 +269,7 @@ class CotangentMotions:
         turns = jnp.broadcast_to(spins, x.shape)
         return _joined(lengths, jnp.ones_like(x)).ravel(), _joined(along, turns).ravel()
 
-    def trivialise(self, state: State, tangent: State) -> Array:
+    def trivialize(self, state: State, tangent: State) -> Array:
         """(δx, δθ, …, δp, δπ, …), shape (12N,), of a tangent vector given in the coordinates of `State`."""
         turning = jax.vmap(so3.spatial_velocity)(state.q[:, 3:], tangent.q[:, 3:])
         return jnp.concatenate([_joined(tangent.q[:, :3], turning).ravel(), tangent.p.ravel()])
@@ -327,13 +327,13 @@ class CotangentSphere:
     def displaced(self, start: State, displacement: Array) -> State:
         """The end of a displacement, projected on T*S²."""
         end = _added(start, displacement)
-        q = end.q / jnp.sqrt(three.dot(end.q, end.q))
-        return end._replace(q=q, p=end.p - three.dot(q, end.p) * q)
+        q = end.q / jnp.sqrt(vec3.dot(end.q, end.q))
+        return end._replace(q=q, p=end.p - vec3.dot(q, end.p) * q)
 
-    def trivialise(self, state: State, tangent: State) -> Array:
+    def trivialize(self, state: State, tangent: State) -> Array:
         """(a, b), shape (4,), of a tangent vector given in the coordinates of `State`."""
         e1, e2 = frame(state.q)
-        return jnp.stack([three.dot(e, v) for v in (tangent.q, tangent.p) for e in (e1, e2)])
+        return jnp.stack([vec3.dot(e, v) for v in (tangent.q, tangent.p) for e in (e1, e2)])
 
     def omega(self, state: State) -> Array:
         """ω(δ₁, δ₂) = q·(δq₁ × δπ₂ + δπ₁ × δq₂), shape (4, 4): the inverse of 𝒥 (1.4), the same in every frame."""
@@ -342,9 +342,9 @@ class CotangentSphere:
 
     def defect(self, state: State) -> Array:
         """The larger of ||q|² − 1| and |q·π| over the largest component of π."""
-        size = three.max_abs(state.p)
-        tilt = jnp.abs(three.dot(state.q, state.p)) / jnp.where(size > 0, size, 1)
-        return jnp.maximum(jnp.abs(three.dot(state.q, state.q) - 1), tilt)
+        size = vec3.max_abs(state.p)
+        tilt = jnp.abs(vec3.dot(state.q, state.p)) / jnp.where(size > 0, size, 1)
+        return jnp.maximum(jnp.abs(vec3.dot(state.q, state.q) - 1), tilt)
 
 
 @pytree
@@ -369,13 +369,13 @@ class SphericalChart:
     def coordinates(self, state: State) -> Array:
         """The coordinates of a state, shape (4,): θ in [0, π], φ in (−π, π]. On the axis φ is 0."""
         e1, e2 = frame(self.axis)
-        x, y, h = (three.dot(e, state.q) for e in (e1, e2, self.axis))
+        x, y, h = (vec3.dot(e, state.q) for e in (e1, e2, self.axis))
         polar = x * x + y * y == 0
         x = jnp.where(polar, 1, x)  # harmless before the square root and the angle
         theta = jnp.arctan2(jnp.where(polar, 0, jnp.sqrt(x * x + y * y)), h)
         phi = jnp.arctan2(y, x)
         along = self._frame(theta, phi)[2]
-        return jnp.stack([theta, phi, three.dot(state.p, along), three.dot(state.p, self.axis)])
+        return jnp.stack([theta, phi, vec3.dot(state.p, along), vec3.dot(state.p, self.axis)])
 
     def _frame(self, theta: Array, phi: Array) -> tuple[Array, Array, Array]:
         """q, ∂q/∂θ, and the unit vector q × ∂q/∂θ along ∂q/∂φ."""

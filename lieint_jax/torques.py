@@ -1,8 +1,8 @@
 """Laws of torque for `systems.torqued_body`: dampers, attitude control, thrusters, the pressure of sunlight.
 
 A law is a function (t, q, ω) ↦ torque, (3,), of time, attitude quaternion and angular velocity, the torque and ω both
-in the axes that its `frame` names. Any function is one; `types.TorquedBody` says what else a law may offer. Those here
-are short, to be read, copied and changed:
+in the axes that its `frame` names. Any function is one; `types.AbstractTorquedBody` lists what else a law
+may offer. Those here are short, to be read, copied and changed:
 
 | law | torque | energy lost or gained, each step of `schemes.torqued_midpoint` exactly |
 |---|---|---|
@@ -29,8 +29,8 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import three
-from lieint_jax._numerics.three import add, cross, dot, scale
+from lieint_jax._numerics import vec3
+from lieint_jax._numerics.vec3 import add, cross, dot, scale
 from lieint_jax.groups import so3
 from lieint_jax.types import callable_pytree, pytree
 
@@ -45,7 +45,7 @@ class Viscous:
     def __call__(self, t: Array, q: Array, omega: Array) -> Array:
         """−DΩ."""
         D = self.damping if self.damping.ndim else jnp.broadcast_to(self.damping, (3,))
-        return -jnp.stack(three.apply(three.symmetric(D), omega))
+        return -jnp.stack(vec3.apply(vec3.symmetric(D), omega))
 
 
 def viscous(damping: ArrayLike) -> Viscous:
@@ -243,7 +243,7 @@ class DamperTorque:
 
 
 def kane_damper(inertia: ArrayLike, damping: ArrayLike) -> KaneDamper:
-    """Kane's damper: a sphere at the centre that a viscous fluid couples to the body, τ = −c(ω − ω_d).
+    """Kane's damper: a sphere at the center that a viscous fluid couples to the body, τ = −c(ω − ω_d).
 
     The momentum of both, π + π_d, is conserved exactly, and the energy of both falls by Δt c|ω̄ − ω̄_d|² in a step,
     until they turn together about the body's axis of largest inertia. J is the body's without the sphere.
@@ -359,7 +359,7 @@ def solar_plate(
     Args:
         force: f, pressure × area, such as 4.56e-6 N/m² × A at 1 au.
         normal: n in the body, (3,), a unit vector.
-        arm: r, from the body's centre of mass to the plate's centre of pressure, in the body, (3,).
+        arm: r, from the body's center of mass to the plate's center of pressure, in the body, (3,).
         sun: s in space, (3,), the unit vector to the Sun, or a function of time with such values.
         specular, diffuse: ρ_s and ρ_d ≥ 0, the parts of the light that are reflected so, ρ_s + ρ_d ≤ 1.
 
@@ -380,7 +380,7 @@ def solar_plate(
     )
 
 
-def internal_friction(friction: ArrayLike, Pi: three.Vector, Omega: three.Vector) -> three.Vector:
+def internal_friction(friction: ArrayLike, Pi: vec3.Vector, Omega: vec3.Vector) -> vec3.Vector:
     """α Π × Ω, the angular velocity that internal friction adds to Ω (`systems.damped_body`), in components.
 
     Π̇ = Π × (Ω + αΠ × Ω), the double bracket: |Π| and π stay, and Ḣ = −α|Π × Ω|², until the body turns about its axis
@@ -421,7 +421,7 @@ def _damping(damping: ArrayLike, *shapes: tuple[int, ...]) -> Array:
 
 
 def _control(gain: ArrayLike, damping: ArrayLike, target: ArrayLike) -> tuple[Array, Array, Array]:
-    target = so3.normalise(_checks.unit_quaternion("target", target))
+    target = so3.normalize(_checks.unit_quaternion("target", target))
     return _not_negative("gain", gain), _not_negative("damping", damping), target
 
 

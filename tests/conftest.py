@@ -7,7 +7,7 @@
 | `pytest --all-shards` | all | as a user's programs |
 
 Most of a test's time is XLA's. Its older CPU emitters, which jaxlib has up to 0.10, compile in a third of the time of
-its present ones, and without LLVM's optimisations in two thirds of that; the programs of one run serve the next from a
+its present ones, and without LLVM's optimizations in two thirds of that; the programs of one run serve the next from a
 cache on disk. The shards see to it that every test also passes without these.
 """
 

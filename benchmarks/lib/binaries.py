@@ -59,7 +59,7 @@ def start(count: int) -> States:
     spins = (np.array([0, 0, 1.0]) + off[:, 2:]) * _SPINS[:, None] * _TIME
     system = binary()
     m, J = np.asarray(system.masses), np.asarray(system.inertias)
-    share = np.array([-m[1], m[0]])[:, None]  # of the distance, from the barycentre
+    share = np.array([-m[1], m[0]])[:, None]  # of the distance, from the barycenter
     q = np.concatenate([share * d[:, None], np.tile([1.0, 0, 0, 0], (count, 2, 1))], axis=2)
     return q, np.concatenate([m[:, None] * share * v[:, None], J * spins], axis=2)
 
@@ -129,7 +129,7 @@ def to_relative(q: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 
 def from_relative(y: np.ndarray) -> States:
-    """Configurations (B, 2, 7) and momenta (B, 2, 6) of states (B, 20), the barycentre at rest at the origin."""
+    """Configurations (B, 2, 7) and momenta (B, 2, 6) of states (B, 20), the barycenter at rest at the origin."""
     m, _ = _numbers()
     share = np.array([-m[1], m[0]])[:, None]
     q, Pi = np.stack([y[:, 6:10], y[:, 13:17]], axis=1), np.stack([y[:, 10:13], y[:, 17:20]], axis=1)

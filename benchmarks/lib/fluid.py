@@ -17,7 +17,7 @@ from lib.contest import Contestant
 from lib.measure import BATCH, DT, END, WATCHED, WIDE
 
 import lieint_jax as li
-from lieint_jax.systems.euler import Euler, kirchhoff
+from lieint_jax.systems._euler import Euler, kirchhoff
 
 _DRIFT_STEPS = 1000  # few: at a distance x from the origin, Π = Ad*_q π loses digits like ε|x|
 _MAPS = {"exponential": li.maps.exponential, "Cayley": li.maps.cayley}

@@ -17,7 +17,7 @@ from lib.contest import Contestant
 from lib.measure import WATCHED, WIDE
 
 import lieint_jax as li
-from lieint_jax.systems.heavy_top import kovalevskaya, kovalevskaya_integral
+from lieint_jax.systems._heavy_top import kovalevskaya, kovalevskaya_integral
 
 _DT, _SAVES = 0.01, 200  # step size of the energy-momentum scheme; saved states of a run
 _ENERGY_MOMENTUM = "ours, energy-momentum, cayley κ" + WIDE

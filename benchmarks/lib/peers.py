@@ -25,7 +25,7 @@ from lib.contest import Contestant
 import lieint_jax as li
 from lieint_jax.ensemble import compiler_options
 from lieint_jax.groups import so3
-from lieint_jax.types import Driven
+from lieint_jax.types import AbstractDrivenSystem
 
 _PACES = {"Tsit5": 6e6, "Dopri8": 1.5e6}  # body-steps a second, about
 _ROLLOUT = 100  # steps per call of MuJoCo's rollout, which keeps every state
@@ -36,7 +36,7 @@ _MODEL = """
     <flag contact="disable" constraint="disable"/>
   </option>
   <worldbody>
-    <body><joint type="ball"/><inertial pos="{centre}" mass="1" fullinertia="{inertia}"/></body>
+    <body><joint type="ball"/><inertial pos="{center}" mass="1" fullinertia="{inertia}"/></body>
   </worldbody>
 </mujoco>
 """
@@ -115,7 +115,7 @@ def compiled(
     import diffrax
 
     def rate(t: Any, z: li.State) -> li.State:
-        if not isinstance(system, Driven):
+        if not isinstance(system, AbstractDrivenSystem):
             return system.vector_field(z)
         return system.vector_field(z._replace(t=t0 + t))._replace(work=None)
 
@@ -149,9 +149,9 @@ def mujoco_rk4(inertia: Sequence[float], dt: float, weight: Sequence[float] | No
 
     g = 10.0 if weight else 0.0
     c = np.asarray(weight or [0.0, 0.0, 0.0]) / 10
-    about = np.diag(inertia) - (c @ c) * np.eye(3) + np.outer(c, c)  # about the centre of mass (Steiner)
+    about = np.diag(inertia) - (c @ c) * np.eye(3) + np.outer(c, c)  # about the center of mass (Steiner)
     six = about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    numbers = {"inertia": " ".join(map(repr, six.tolist())), "centre": " ".join(map(repr, c.tolist()))}
+    numbers = {"inertia": " ".join(map(repr, six.tolist())), "center": " ".join(map(repr, c.tolist()))}
     xml = _MODEL.format(dt=dt, down=-g, **numbers)
     model = mujoco.MjModel.from_xml_string(xml)  # pyright: ignore[reportAttributeAccessIssue]
     data = mujoco.MjData(model)  # pyright: ignore[reportAttributeAccessIssue]

@@ -10,7 +10,7 @@ import numpy as np
 from lib import report
 from lib.precision import COMPOSED, CONVERGED, EXACT, EXTRAPOLATED, GAUSS, ORDER_2, PEERS, PREPROCESSED, ROUGH, TWO_BODY
 
-from lieint_jax import plots
+from lieint_jax.app import plots
 
 Record = dict[str, Any]
 Allowed = Callable[[Record], bool]
@@ -224,7 +224,7 @@ def at(found: Record) -> list[str]:
     ]
 
 
-# A colour and a mark each; families that are not here are in the tables only
+# A color and a mark each; families that are not here are in the tables only
 _LOOKS = {
     EXACT: (plots.WINE, "*"),
     PREPROCESSED: (plots.PURPLE, "<"),
@@ -278,5 +278,5 @@ def _panel(ax: Any, found: Record) -> None:
     ax.set_title(found["problem"])
     doubt = max(found["median_doubt"], 1e-16)
     ax.set_ylim(doubt / 10, 5)
-    ax.axhspan(doubt / 10, doubt, color=plots.GREY, alpha=0.3, lw=0, label=_DOUBT)
+    ax.axhspan(doubt / 10, doubt, color=plots.GRAY, alpha=0.3, lw=0, label=_DOUBT)
     ax.get_legend().remove()

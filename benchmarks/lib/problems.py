@@ -39,7 +39,7 @@ from lieint_jax.groups import so3
 _LOOSE = tuple(10.0**-k for k in range(3, 13))  # tolerances of diffrax
 _TOP, _WEIGHT, _SPEED, _TILT = (1.0, 2.0, 2.5), (0.5, 0.4, 1.0), 1.2, 0.3
 _ASTEROID, _TUMBLING = (0.61, 0.965, 1.0), 0.23  # Apophis' ratios of inertia; rad/h
-_NEAREST = 38340.0  # km from the centre of the Earth, the unit of length
+_NEAREST = 38340.0  # km from the center of the Earth, the unit of length
 _FLYBY = 96.0  # hours before and after
 
 Ours = Callable[..., Curve]  # (name, kind, step, counts) ↦ curve
@@ -75,7 +75,7 @@ def composed(base: li.Step, of: Ours, unit: float, points: int = 6, most: int = 
     for order, first in _COMPOSED[:most]:
         counts = growing(first * unit, points, 1.5)
         yield of(f"compose {order}", COMPOSED, li.schemes.compose(base, order), counts)
-    if isinstance(base.system, li.types.Forced | li.types.Driven):
+    if isinstance(base.system, li.types.AbstractForcedSystem | li.types.AbstractDrivenSystem):
         yield of("nystrom 6", COMPOSED, li.schemes.nystrom(base.system, 6), growing(0.8 * unit, points, 1.4))
 
 

@@ -3,7 +3,7 @@
 Both stand for the public names: those of `__all__`, else what the module defines.
 """
 
-import importlib.util
+import importlib
 import inspect
 import re
 
@@ -31,11 +31,7 @@ def _members(found):
 
 
 def _member(room, name):
-    """One of them; where a module has the name of its function, by the path to its definition."""
-    value = getattr(room, name)
-    hidden = hasattr(room, "__path__") and importlib.util.find_spec(f"{room.__name__}.{name}")
-    path = f"{value.__module__}.{value.__name__}" if hidden else f"{room.__name__}.{name}"
-    return f'<a id="{name}"></a>\n\n::: {path}'
+    return f'<a id="{name}"></a>\n\n::: {room.__name__}.{name}'
 
 
 def _public(room):

@@ -5,9 +5,10 @@ from importlib import resources
 
 from mkdocs.structure.files import File
 
-from lieint_jax import scenarios
-from lieint_jax.command import catalogue, study
-from lieint_jax.scenarios._common import Common
+from lieint_jax.app import scenarios
+from lieint_jax.app.command import list as listing
+from lieint_jax.app.command import study
+from lieint_jax.app.scenarios._common import Common
 
 INTRODUCTION = """# Every scenario key
 
@@ -34,9 +35,9 @@ def on_page_markdown(markdown, **_):
 
 
 def _listed():
-    rows = [(f"run {name}", *catalogue.described(scenarios.load(name))) for name in scenarios.scenario_names()]
+    rows = [(f"run {name}", *listing.described(scenarios.load(name))) for name in scenarios.scenario_names()]
     rows += [(f"study {name}", (module.__doc__ or "").splitlines()[0], "") for name, module in study.found().items()]
-    lines = [f"| `lieint {name}` | {what} | {size} | {catalogue.takes(name)} |" for name, what, size in rows]
+    lines = [f"| `lieint {name}` | {what} | {size} | {listing.takes(name)} |" for name, what, size in rows]
     return "\n".join(["| command | | members × steps | takes |", "|---|---|---|---|", *lines])
 
 
@@ -65,7 +66,7 @@ def _summary(module):
 
 
 def _example(name):
-    text = resources.files("lieint_jax.scenarios").joinpath(f"{name}.toml").read_text(encoding="utf-8")
+    text = resources.files("lieint_jax.app.scenarios").joinpath(f"{name}.toml").read_text(encoding="utf-8")
     indented = "\n".join(f"    {line}".rstrip() for line in f"```toml\n{text.strip()}\n```".splitlines())
     return f'??? example "The shipped scenario {name}"\n\n{indented}'
 

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics.choice import where
 from lieint_jax._numerics.power_series import arctan_sqrt
+from lieint_jax._numerics.select import where
 from lieint_jax._xla import forward_mode, materialized
 
 _MEANS, _LANDEN, _DUPLICATIONS, _HALVINGS = 13, 5, 13, 8

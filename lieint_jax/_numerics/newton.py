@@ -28,7 +28,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from lieint_jax._numerics import three, unrolled
+from lieint_jax._numerics import small_linalg as la
+from lieint_jax._numerics import vec3
 from lieint_jax._xla import saved
 
 _USES = 3  # corrections with each matrix of `chords`; 2 or more
@@ -72,11 +73,11 @@ def root(
     watched = done is not None or iterations > _FEW
 
     def solve(function: Callable[[_Unknown], _Unknown], x: _Unknown) -> tuple[_Unknown, tuple[_Unknown, Array]]:
-        def improved(x: _Unknown, pace: Pace) -> tuple[_Unknown, Pace, _Unknown]:
+        def improved(x: _Unknown, pace: ContractionMonitor) -> tuple[_Unknown, ContractionMonitor, _Unknown]:
             step = correction(x, function(x))
             return jax.tree.map(jnp.subtract, x, step), pace.after(size(step)) if watched else pace, step
 
-        pace = Pace.before(size(x) if first is None else first)
+        pace = ContractionMonitor.before(size(x) if first is None else first)
         if done is not None:
             x, pace = _until(done, improved, x, pace, iterations)
         elif unroll:
@@ -92,20 +93,20 @@ def root(
     return x, F, _steady(growth)
 
 
-class Pace(NamedTuple):
+class ContractionMonitor(NamedTuple):
     """The largest length that the next correction is granted, and the most by which one was longer."""
 
     granted: Array
     growth: Array
 
     @classmethod
-    def before(cls, length: Array) -> Pace:
+    def before(cls, length: Array) -> ContractionMonitor:
         """The pace before the first correction of a guess of that length."""
         return cls(length, jnp.zeros_like(length))
 
-    def after(self, length: Array, ratio: float = 0.5) -> Pace:
+    def after(self, length: Array, ratio: float = 0.5) -> ContractionMonitor:
         """The pace after a correction of that length, which grants `ratio` of it to the next."""
-        return Pace(ratio * length, jnp.maximum(self.growth, length - self.granted))
+        return ContractionMonitor(ratio * length, jnp.maximum(self.growth, length - self.granted))
 
 
 def _largest(x: Any) -> Array:
@@ -115,13 +116,13 @@ def _largest(x: Any) -> Array:
 
 
 def _steady(growth: Array) -> Array:
-    """Whether no correction was longer than granted, by a `Pace.growth`."""
+    """Whether no correction was longer than granted, by a `ContractionMonitor.growth`."""
     return lax.stop_gradient(growth) <= math.sqrt(jnp.finfo(growth.dtype).eps)
 
 
 def chords(
     residual: Callable[[_Unknown], _Unknown],
-    factored: Callable[[_Unknown, _Unknown], unrolled.Factored],
+    factored: Callable[[_Unknown, _Unknown], la.Factored],
     size: Callable[[_Unknown], Array],
     length: Callable[[_Unknown], Array],
     guess: _Unknown,
@@ -149,7 +150,9 @@ def chords(
     def solve(function: Callable[[_Unknown], _Unknown], x: _Unknown) -> tuple[_Unknown, tuple[_Unknown, Array]]:
         eps = float(jnp.finfo(jax.tree.leaves(x)[0].dtype).eps)
 
-        def one(carry: tuple[_Unknown, Pace, Array, Array]) -> tuple[_Unknown, Pace, Array, Array]:
+        def one(
+            carry: tuple[_Unknown, ContractionMonitor, Array, Array],
+        ) -> tuple[_Unknown, ContractionMonitor, Array, Array]:
             x, pace, k, _ = carry
             F = function(x)
             K = factored(x, F)
@@ -163,7 +166,12 @@ def chords(
             pace = pace._replace(growth=jnp.where(K.positive, pace.growth, jnp.inf))
             return x, pace, k + 1, (last <= eps) | (last * last <= eps / 8 * before)
 
-        start = (x, Pace.before(lax.stop_gradient(length(x))), jnp.zeros((), jnp.int32), jnp.zeros((), bool))
+        start = (
+            x,
+            ContractionMonitor.before(lax.stop_gradient(length(x))),
+            jnp.zeros((), jnp.int32),
+            jnp.zeros((), bool),
+        )
         x, pace, *_ = lax.while_loop(lambda carry: (carry[2] < iterations) & ~carry[3], one, start)
         x = saved(x)
         return x, (function(x), pace.growth)
@@ -180,12 +188,14 @@ def quadratic(x: Any, step: Any) -> Array:
 
 def _until(
     done: Callable[[_Unknown, _Unknown], Array],
-    improved: Callable[[_Unknown, Pace], tuple[_Unknown, Pace, _Unknown]],
+    improved: Callable[[_Unknown, ContractionMonitor], tuple[_Unknown, ContractionMonitor, _Unknown]],
     x: _Unknown,
-    pace: Pace,
+    pace: ContractionMonitor,
     most: int,
-) -> tuple[_Unknown, Pace]:
-    def one(carry: tuple[_Unknown, Pace, Array, Array]) -> tuple[_Unknown, Pace, Array, Array]:
+) -> tuple[_Unknown, ContractionMonitor]:
+    def one(
+        carry: tuple[_Unknown, ContractionMonitor, Array, Array],
+    ) -> tuple[_Unknown, ContractionMonitor, Array, Array]:
         x, pace, k, _ = carry
         x, pace, step = improved(x, pace)
         return x, pace, k + 1, done(x, step)
@@ -198,11 +208,11 @@ def _tangent_solve(linear: Callable[[Any], Any], y: Any) -> Any:
     """x with linear(x) = y. `custom_root` gives the derivative of the residual as a function, not as a matrix."""
     if isinstance(y, tuple | list):
         kind = type(y)
-        x = _tangent_solve(lambda v: jnp.stack(linear(kind(three.components(v)))), jnp.stack(y))
-        return kind(three.components(x))
+        x = _tangent_solve(lambda v: jnp.stack(linear(kind(vec3.components(v)))), jnp.stack(y))
+        return kind(vec3.components(x))
     if y.ndim == 0:
         return y / linear(jnp.ones_like(y))
     if y.shape[0] == 3:
         columns = [linear(e) for e in jnp.eye(3, dtype=y.dtype)]
-        return jnp.stack(three.solve([[c[i] for c in columns] for i in range(3)], y, divide=True))
+        return jnp.stack(vec3.solve([[c[i] for c in columns] for i in range(3)], y, divide=True))
     return jnp.linalg.solve(jax.vmap(linear, out_axes=1)(jnp.eye(y.shape[0], dtype=y.dtype)), y)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._numerics.choice import where
+from lieint_jax._numerics.select import where
 from lieint_jax._xla import forward_mode
 
 

@@ -12,11 +12,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._integrate import refuse_times
 from lieint_jax._xla import compiled
 from lieint_jax.adjoints._arguments import Derivative, checked
 from lieint_jax.adjoints._checkpoint import checkpointed
 from lieint_jax.adjoints._undo import undoable
-from lieint_jax.integrate import refuse_times
 from lieint_jax.types import State, Step, StepInfo
 
 

@@ -7,12 +7,12 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._integrate import from_start, intervals, steps
 from lieint_jax._xla import compiled
 from lieint_jax.adjoints._arguments import Derivative, checked
 from lieint_jax.adjoints._checkpoint import checkpointed
 from lieint_jax.adjoints._undo import undoable
-from lieint_jax.diagnostics.order import distance
-from lieint_jax.integrate import from_start, intervals, steps
+from lieint_jax.diagnostics._order import distance
 from lieint_jax.types import State, Step, Trajectory, start_time
 
 
@@ -66,7 +66,7 @@ def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) ->
     """The distance between the initial state and its image after `num_steps` steps of dt and as many of −dt.
 
     In q, and in p over max|p|: the error of the states that `reversible` rebuilds. It is a few round-offs per step on a
-    regular motion, and grows like the distance of neighbouring trajectories on others: over a time t on a chaotic
+    regular motion, and grows like the distance of neighboring trajectories on others: over a time t on a chaotic
     motion of Lyapunov exponent λ, like e^(λt). The gradient's relative error is about this error times the second
     derivative of the flow.
     """

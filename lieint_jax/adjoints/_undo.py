@@ -24,11 +24,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from lieint_jax._integrate import steps
 from lieint_jax._xla import compiled
 from lieint_jax.adjoints._numbers import repeat
-from lieint_jax.diagnostics.order import distance
-from lieint_jax.integrate import steps
-from lieint_jax.schemes.compose import Composition
+from lieint_jax.diagnostics._order import distance
+from lieint_jax.schemes._compose import Composition
 from lieint_jax.types import State, Step, StepInfo, System, pytree, start_time, static
 
 

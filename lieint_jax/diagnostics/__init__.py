@@ -11,14 +11,14 @@
 | `conditions` | the residuals of the paper's own conditions, by equation number |
 """
 
-from lieint_jax.diagnostics.certify import Certificate, certify
-from lieint_jax.diagnostics.chaos import Lyapunov, Megno, lyapunov, megno, section
-from lieint_jax.diagnostics.conditions import Conditions, conditions
-from lieint_jax.diagnostics.local_error import local_error
-from lieint_jax.diagnostics.order import flow, order, reversibility
-from lieint_jax.diagnostics.poisson import poisson_error
-from lieint_jax.diagnostics.series import constraint_error, delay, energy_error, momentum_error
-from lieint_jax.diagnostics.symplectic import linearization, symplectic_defect
+from lieint_jax.diagnostics._certify import Certificate, certify
+from lieint_jax.diagnostics._chaos import Lyapunov, Megno, lyapunov, megno, section
+from lieint_jax.diagnostics._conditions import Conditions, conditions
+from lieint_jax.diagnostics._local_error import local_error
+from lieint_jax.diagnostics._order import flow, order, reversibility
+from lieint_jax.diagnostics._poisson import poisson_error
+from lieint_jax.diagnostics._series import constraint_error, delay, energy_error, momentum_error
+from lieint_jax.diagnostics._symplectic import linearization, symplectic_defect
 
 __all__ = [
     "Certificate",

@@ -11,8 +11,8 @@ from lieint_jax.ensemble._layout import first_devices, want_devices
 from lieint_jax.ensemble._loop import compiler_options, energy
 from lieint_jax.ensemble._over_members import over_members
 from lieint_jax.ensemble._reading import open_run as open  # noqa: A004
-from lieint_jax.ensemble._recording import StoreOptions
 from lieint_jax.ensemble._run import run
+from lieint_jax.ensemble._store_output import StoreOptions
 
 __all__ = [
     "StoreOptions",

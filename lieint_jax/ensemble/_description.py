@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from types import ModuleType
 from typing import Any
 
@@ -17,10 +17,17 @@ import jax
 import numpy as np
 
 from lieint_jax.ensemble._leaves import stored_name
-from lieint_jax.groups.matrix import MatrixGroup
+from lieint_jax.groups._matrix import MatrixGroup
 from lieint_jax.types import Step
 
 _PACKAGE = __name__.partition(".")[0]
+_RENAMED = {  # since version 0.2
+    "ManyFreeBodies": "FreeBodies",
+    "Quadratic": "QuadraticPotential",
+    "SpinUp": "SpinUpMotor",
+    "Sum": "SumPotential",
+    "Uniform": "UniformGravity",
+}
 
 
 class UnknownNameError(ValueError):
@@ -94,18 +101,41 @@ def _lists(x: np.ndarray) -> Any:
 
 
 def _name(x: Any) -> str:
-    return x.__name__ if isinstance(x, ModuleType) else f"{x.__module__}.{getattr(x, '__qualname__', '')}"
+    """The name of a class, function or module: in the package that exports it, wherever in that it is defined."""
+    if isinstance(x, ModuleType):
+        return x.__name__
+    name = getattr(x, "__qualname__", "")
+    room = ".".join(x.__module__.split(".")[:2])
+    public = _is_ours(x) and getattr(_imported(room), name, None) is x
+    return f"{room if public else x.__module__}.{name}"
 
 
 def _named(name: str, own: Mapping[str, Any]) -> Any:
     """The object of a name: one of `own`, or one of this package."""
     if name in own:
         return own[name]
-    module, _, attribute = name.rpartition(".")
-    found = _imported(name) or getattr(_imported(module), attribute, None)
-    if found is not None and _name(found) == name:
-        return found
+    for candidate in (name, *_names_of_0_2(name)):
+        module, _, attribute = candidate.rpartition(".")
+        found = _imported(candidate) or getattr(_imported(module), attribute, None)
+        if found is not None and _is_ours(found):
+            return found
     raise UnknownNameError(f"{name!r} is not of this package: give it by own={{{name!r}: …}}")
+
+
+def _names_of_0_2(name: str) -> Iterator[str]:
+    """Where an object is now that version 0.2 wrote down under this name."""
+    module, _, attribute = name.rpartition(".")
+    attribute = _RENAMED.get(attribute, attribute)
+    room, _, file = module.rpartition(".")
+    yield f"{room}._{file}.{attribute}"
+    yield f"{room}._shared.{file.lstrip('_')}.{attribute}"
+    yield f"{_PACKAGE}.app{module.removeprefix(_PACKAGE)}.{attribute}"
+
+
+def _is_ours(x: Any) -> bool:
+    """Whether a class, function or module is defined in this package."""
+    module = x.__name__ if isinstance(x, ModuleType) else getattr(x, "__module__", None)
+    return isinstance(module, str) and module.partition(".")[0] == _PACKAGE
 
 
 def _imported(name: str) -> ModuleType | None:

@@ -12,11 +12,11 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
+from lieint_jax._integrate import UniformClock
 from lieint_jax.ensemble import _layout, _loop
 from lieint_jax.ensemble._job import Job
 from lieint_jax.ensemble._layout import Layout
 from lieint_jax.ensemble._loop import Carry, Interval, Origin, Preparation, Quantity, Span
-from lieint_jax.integrate import Uniform
 from lieint_jax.native import UnsupportedError, flattened, kernel
 from lieint_jax.types import State, Step
 
@@ -74,7 +74,7 @@ class Engine(abc.ABC):
 
     def __init__(self, job: Job):
         self.job = job
-        self.prepares = type(job.step).prepare is not Step.prepare and isinstance(job.clock, Uniform)
+        self.prepares = type(job.step).prepare is not Step.prepare and isinstance(job.clock, UniformClock)
         self._own = "shared" if job.step_axis is None else "member"
         self._origin = Origin("shared" if job.shares_time else "member", "shared", "member")  # pyright: ignore
 

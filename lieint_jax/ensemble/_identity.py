@@ -17,13 +17,13 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
+from lieint_jax._integrate import GridClock
 from lieint_jax._version import __version__
 from lieint_jax.ensemble import _layout, _store
 from lieint_jax.ensemble._digest import NotDigestible, digest, python_of
 from lieint_jax.ensemble._job import Job
 from lieint_jax.ensemble._leaves import named
 from lieint_jax.ensemble._loop import compiler_options
-from lieint_jax.integrate import Given
 from lieint_jax.types import State
 
 _NO_DIGEST = "cannot be compared: "  # what a description has in place of a digest begins so
@@ -53,7 +53,7 @@ def description(job: Job, engine: str, scenario: Any = None) -> dict[str, Any]:
         "dt": job.dt,
         "num_steps": job.planned,
         "save_every": job.save_every,
-        "times": _digest_of_arrays(job.clock.times) if isinstance(job.clock, Given) else None,
+        "times": _digest_of_arrays(job.clock.times) if isinstance(job.clock, GridClock) else None,
         "save_at": None if job.rests is None else _digest_of_arrays(job.times),
         "step_axis": job.step_axis,
         "reduce": getattr(job.reduction, "__name__", "a function") if job.reduction is not None else None,
@@ -93,7 +93,7 @@ def check_processes(mesh: Mesh, described: Mapping[str, Any], **options: Any) ->
 
 def check_same(path: Path, stored: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     """ValueError if the run in a store is another than the one described, or cannot be compared with it."""
-    if stored.get("format", 1) < _store.FORMAT:
+    if stored["format"] < _store.FORMAT:
         raise ValueError(
             f"{path} was written by an older version of lieint_jax, whose runs this one does not continue bit for bit: "
             "`lieint info` and `lieint plot` read what is there; run again into another store"

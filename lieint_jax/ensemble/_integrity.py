@@ -194,10 +194,7 @@ def _damage_by_chunks(path: Path, shown: Mapping[str, Any]) -> Iterator[str]:
         own = _json(path / name / "zarr.json")
         if own is None or {**own, "shape": own["shape"][1:]} != {**meta, "shape": meta["shape"][1:]}:
             yield f"{name}/zarr.json is missing or altered"
-        summed = meta["codecs"][-1]["name"] == "crc32c"
-        if not summed and meta["data_type"] not in ("float32", "float64"):
-            continue  # stores of version 0.1 have no file for a chunk of fill values, and only NaN is no value of a run
-        yield from _lost(path, chunk_files(name, meta), shown, summed)
+        yield from _lost(path, chunk_files(name, meta), shown, meta["codecs"][-1]["name"] == "crc32c")
 
 
 def _keys(meta: Mapping[str, Any], row: int | None) -> Iterator[tuple[int, ...]]:

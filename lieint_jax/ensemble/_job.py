@@ -7,11 +7,11 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import numpy as np
 
+from lieint_jax._integrate import GridClock, UniformClock
 from lieint_jax.ensemble import _layout
 from lieint_jax.ensemble._layout import Layout
 from lieint_jax.ensemble._leaves import shared_time
 from lieint_jax.ensemble._loop import Carry, Range, Reduction
-from lieint_jax.integrate import Given, Uniform
 from lieint_jax.types import State, Step, StepInfo
 
 _CHUNK_BYTES, _MEMORY = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
@@ -64,7 +64,7 @@ class Job(NamedTuple):
     states: State
     t0: Any
     dt: float | None
-    clock: Uniform | Given
+    clock: UniformClock | GridClock
     planned: int
     times: np.ndarray
     nodes: np.ndarray

@@ -6,7 +6,7 @@ result depend neither on how many devices there are nor on where a member lies:
 * Every block is advanced by the same program (`_loop`), compiled for one device. (One program for all devices, by
   `shard_map`, is fused differently by XLA for each number of devices, and then rounds differently.)
 * The size of a block is a multiple of 16, so that it fills whole vector registers, and 32 copies of a member follow it,
-  whose results are dropped: on a CPU the remainder of a vectorised loop runs as scalar code, which rounds differently.
+  whose results are dropped: on a CPU the remainder of a vectorized loop runs as scalar code, which rounds differently.
 
 On a CPU a block fits the cache. Machine code (`lieint_jax.native`) needs none of this: for it the members of a process
 are one block, the layout's `whole`.
@@ -30,7 +30,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 _T = TypeVar("_T")
 AXIS = "members"
 LANES = 16  # members in a vector register: 16 float32 in 512 bits
-_TAIL = 32  # padding after a block, which takes the remainder of vectorised loops
+_TAIL = 32  # padding after a block, which takes the remainder of vectorized loops
 _BLOCK = 1024  # the most members in a block on a CPU: their states and temporaries fit the cache
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax.integrate import Given, Uniform, prepared
+from lieint_jax._integrate import GridClock, UniformClock, prepared
 from lieint_jax.types import State, Step, StepInfo, energy_less_work
 
 Reduction = Callable[[Step, State], Array]
@@ -63,14 +63,14 @@ class Origin(NamedTuple):
     """
 
     t0: Array | None
-    clock: Uniform | Given
+    clock: UniformClock | GridClock
     quantity: Array | None
 
     def at(self, n: ArrayLike, state: State) -> State:
         """The state with its time, that of node n, if it has one."""
         if self.t0 is None:
             return state
-        clock = self.clock._replace(t0=self.t0) if isinstance(self.clock, Uniform) else self.clock
+        clock = self.clock._replace(t0=self.t0) if isinstance(self.clock, UniformClock) else self.clock
         return state._replace(t=clock.time(n))
 
 

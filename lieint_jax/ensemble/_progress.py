@@ -53,7 +53,7 @@ class Bar:
         self._bar.close()
 
 
-class Pace:
+class CallLength:
     """The number of steps per call of the compiled loop, adapted so that a call takes about half a second."""
 
     def __init__(self, layout: Layout) -> None:

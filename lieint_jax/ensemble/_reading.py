@@ -26,8 +26,8 @@ def open_run(path: str | Path, own: Mapping[str, Any] | None = None) -> tuple[An
         the member axis.
 
     Raises:
-        ValueError: no store, a damaged one (the message names the files), one of version 0.1, which has no numbers of
-            the system, or a name that `own` should give.
+        ValueError: no store, a damaged one (the message names the files), one of version 0.1, or a name that `own`
+            should give.
 
     Example: the energies of all members at the end.
 
@@ -53,11 +53,6 @@ def load(path: Path) -> tuple[Any, dict[str, Any]]:
 
 def system_of(path: Path, attributes: Mapping[str, Any], own: Mapping[str, Any] | None = None) -> System:
     """The system of the run in a store of these attributes."""
-    if "description" not in attributes:
-        raise ValueError(
-            f"{path} was written by version 0.1, which did not keep the numbers of the system: only the states can be "
-            "read, by xarray.open_zarr"
-        )
     constants = _store.constants(path, attributes["constants"])
     with _opening.reading(path, passed=(UnknownNameError,)):
         system = make(attributes["description"]["system"], constants, own or {})

@@ -16,15 +16,24 @@ from jax.sharding import Mesh
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._integrate import (
+    GridClock,
+    StateClock,
+    UniformClock,
+    clock_of,
+    intervals,
+    more_times,
+    outputs,
+    refuse_times,
+)
 from lieint_jax.ensemble import _identity, _layout, _loop, processes
 from lieint_jax.ensemble._engine import Engine, engine_of
 from lieint_jax.ensemble._job import Job, Output, Summary, first_entry, gathered_rows, reduced
 from lieint_jax.ensemble._layout import Layout
 from lieint_jax.ensemble._leaves import named
 from lieint_jax.ensemble._loop import Carry, Reduction, energy
-from lieint_jax.ensemble._progress import Bar, Interrupts, Pace
-from lieint_jax.ensemble._recording import StoreOptions, into_store
-from lieint_jax.integrate import Given, Own, Uniform, clock_of, intervals, more_times, outputs, refuse_times
+from lieint_jax.ensemble._progress import Bar, CallLength, Interrupts
+from lieint_jax.ensemble._store_output import StoreOptions, into_store
 from lieint_jax.types import State, Step, Trajectory, checked_step, promoted
 from lieint_jax.types._members import member_axis
 
@@ -174,7 +183,7 @@ def _integrate(engine: Engine, layout: Layout, output: Output, progress: bool) -
         carry = loop.start
         loop.check_first_step()
         output.begin(carry)
-    pace = Pace(layout)
+    pace = CallLength(layout)
     with Interrupts(output.defers_interrupts) as interrupts, Bar(progress, job.num_steps, job.members, done) as bar:
         while saved < job.num_saves:
             ends, saves = _next_portion(job, done, saved, min(pace.steps, engine.most_steps), output.free_rows)
@@ -205,30 +214,30 @@ def _next_portion(job: Job, done: int, saved: int, most: int, free_rows: int) ->
 
 def _clock(
     step: Step, t0: Any, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
-) -> tuple[Uniform | Given, int]:
+) -> tuple[UniformClock | GridClock, int]:
     """When the steps are, as host arrays, and how many are asked for; since the start if members start apart."""
     if t0 is not None and t0.ndim:
         if times is not None:
             raise ValueError("times are those of all members: give all the same states.t, or none")
         t0 = None
     clock, planned = clock_of(step, t0, dtype, dt, num_steps, times)
-    if isinstance(clock, Own):
-        clock = Uniform(jnp.zeros((), dtype), clock.dt)
+    if isinstance(clock, StateClock):
+        clock = UniformClock(jnp.zeros((), dtype), clock.dt)
     return jax.tree.map(np.asarray, clock), planned
 
 
 _Entries = tuple[np.ndarray, np.ndarray, np.ndarray | None, int | None]  # times, nodes, rests, save_every of a `Job`
 
 
-def _regular(clock: Uniform | Given, planned: int, save_every: int | None, dtype: Any) -> _Entries:
+def _regular(clock: UniformClock | GridClock, planned: int, save_every: int | None, dtype: Any) -> _Entries:
     """The entries after every so many steps."""
     interval, num_saves = intervals(planned, save_every)
     nodes = interval * np.arange(num_saves + 1)
-    times = clock.time(nodes.astype(dtype) if isinstance(clock, Uniform) else nodes)
+    times = clock.time(nodes.astype(dtype) if isinstance(clock, UniformClock) else nodes)
     return np.asarray(times), nodes, None, interval
 
 
-def _outputs(save_at: ArrayLike, clock: Uniform | Given, planned: int, dtype: Any) -> _Entries:
+def _outputs(save_at: ArrayLike, clock: UniformClock | GridClock, planned: int, dtype: Any) -> _Entries:
     """The entries at given times, the start's first."""
     wanted = outputs(save_at, clock, planned, dtype)
     times = np.concatenate([[clock.time(0)], wanted])
@@ -421,7 +430,7 @@ def _check_first(failed: np.ndarray, job: Job) -> None:
     bad = np.flatnonzero(failed >= 0)
     if bad.size and not job.step.approximate:
         step, one = job.member(bad[0])
-        more = more_times(step, one, job.first_dt) if isinstance(job.clock, Given) else ""
+        more = more_times(step, one, job.first_dt) if isinstance(job.clock, GridClock) else ""
         advice = f"{step.advice(one, job.first_dt)}{more}"
         raise ValueError(f"the first step fails for {_some(bad)}. Member {bad[0]}: {advice}")
 

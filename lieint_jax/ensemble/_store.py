@@ -26,7 +26,7 @@ from lieint_jax.ensemble._integrity import CHECKPOINT, CHECKSUMS
 from lieint_jax.ensemble._leaves import shared_time, state_of, stored_name
 from lieint_jax.types import State, StepInfo, Trajectory
 
-FORMAT = 3  # of the stores written here; those of version 0.1 have no number, those of 0.2 have 2
+FORMAT = 3  # of the stores written here; those of 0.2 have 2
 _ROOT = "zarr.json"  # the metadata of a Zarr 3 group; new data become visible when it is replaced
 _RECORDS = 2**16  # the most checksums in a chunk of their array, unless a row has more
 _STALE = 3600.0  # seconds after which the folder of a store that is being made counts as left behind
@@ -90,7 +90,9 @@ def _root(path: Path) -> dict[str, Any]:
     attributes = root.get("attributes", {})
     if "progress" not in attributes:
         raise ValueError(f"{path} is a Zarr group, but not one that lieint wrote")
-    if attributes.get("format", 1) > FORMAT:
+    if "format" not in attributes:
+        raise ValueError(f"{path} was written by version 0.1: only its states can be read, by xarray.open_zarr")
+    if attributes["format"] > FORMAT:
         raise ValueError(
             f"{path} has format {attributes['format']}; this lieint_jax reads up to {FORMAT}: take a newer one"
         )

@@ -138,7 +138,7 @@ def coordinates(bounds: Any, params: Any) -> Any:
 
     def of_part(bound: Bound, part: Any) -> Any:
         if not isinstance(bound, Bound):
-            raise ValueError(f"bounds must be made of Bound's such as studies.positive, got {bound!r}")
+            raise ValueError(f"bounds must be made of Bound's such as li.fitting.positive, got {bound!r}")
         y = jax.tree.map(lambda p: bound.coordinates.coordinates(jnp.asarray(p, jnp.result_type(p, float))), part)
         if concrete(y) and not is_inside(bound, y):
             raise ValueError(f"the first guess {part} is not inside its bound, {bound.name}")

@@ -1,7 +1,7 @@
-"""Fits: an optimiser around a loss that is a simulation, and may fail.
+"""Fits: an optimizer around a loss that is a simulation, and may fail.
 
 A trial has failed if its loss or gradient is not finite or its `converged` is False. Failed trials are counted; the
-step that led to one is taken back and shortened, and the optimiser's state is not updated by it.
+step that led to one is taken back and shortened, and the optimizer's state is not updated by it.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ def fit(
     mesh: Mesh | None = None,
     progress: bool = True,
 ) -> Fit:
-    """Minimise a loss over parameters.
+    """Minimize a loss over parameters.
 
     Args:
         loss: parameters ↦ a scalar; for "levenberg_marquardt" and "gauss_newton" ↦ residuals, an array of any shape
-            or a tree of them, whose sum of squares is minimised. Either may be returned as a pair (value, converged),
+            or a tree of them, whose sum of squares is minimized. Either may be returned as a pair (value, converged),
             where `converged` holds the flags or the `StepInfo` of the solves; a trial that did not converge has failed.
-            Residuals are differentiated in forward mode (in reverse mode through `studies.observe` and `reversible`),
+            Residuals are differentiated in forward mode (in reverse mode through `li.observe` and `reversible`),
             scalars in reverse mode.
         params: the first guess, a tree of arrays. With `starts`, each leaf has a leading axis of starts.
         optimizer: "levenberg_marquardt", "gauss_newton", "lbfgs" (optax, zoom line search), "adam", or any
@@ -135,7 +135,7 @@ class _Search(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Problem:
-    """A loss as a function of a vector x, and the optimizer that minimises it from one start.
+    """A loss as a function of a vector x, and the optimizer that minimizes it from one start.
 
     For residuals x holds the coordinates y of the bounds, for other losses all real numbers that `Box.inside` maps to
     them.

@@ -43,9 +43,9 @@ class _Memory(NamedTuple):
 def least_squares(
     residuals: Callable[[Array], tuple[Array, Array]], box: Box, undamped: bool, tolerance: float
 ) -> Method:
-    """Minimise |r(x)|²/2 inside a box.
+    """Minimize |r(x)|²/2 inside a box.
 
-    A step δ minimises |r + Jδ| where |Dδ| is within the radius and x + δ in the box, a little short of its sides: D
+    A step δ minimizes |r + Jδ| where |Dδ| is within the radius and x + δ in the box, a little short of its sides: D
     holds the largest norms of the columns of J so far. `undamped`, it is the step of Gauss–Newton in the box, halved
     until the loss falls. The search has arrived when that step is negligible, or lowers the loss little, by a part of
     itself or by what round-off makes of the first loss.
@@ -147,7 +147,7 @@ def _next_steps(box: Box, undamped: bool, x: Array, r: Array, J: Array, D: Array
 def jacobian(residuals: Callable[[Array], tuple[Array, Any]], x: Array) -> tuple[Array, Any]:
     """The Jacobian of the first result, and the second: in forward mode, which is cheaper for few parameters.
 
-    Through `studies.observe` and `reversible`, which have a reverse mode of their own and no other, in reverse mode.
+    Through `li.observe` and `reversible`, which have a reverse mode of their own and no other, in reverse mode.
     """
     try:
         return jax.jacfwd(residuals, has_aux=True)(x)

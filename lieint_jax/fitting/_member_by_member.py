@@ -23,7 +23,7 @@ def member_by_member(function: Callable[[Any, Any], Array]) -> Callable[[Any, An
     """
 
     @sequential_vmap
-    def linearised(params: Any, data: Any) -> tuple[Array, Array]:
+    def linearized(params: Any, data: Any) -> tuple[Array, Array]:
         x, unravel = ravel_pytree(params)
 
         def twice(x: Array) -> tuple[Array, Array]:
@@ -35,11 +35,11 @@ def member_by_member(function: Callable[[Any, Any], Array]) -> Callable[[Any, An
 
     @jax.custom_jvp
     def called(params: Any, data: Any) -> Array:
-        return linearised(params, data)[0]
+        return linearized(params, data)[0]
 
     @called.defjvp
     def _(primals: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[Array, Array]:
-        value, J = linearised(*primals)
+        value, J = linearized(*primals)
         return value, J @ ravel_pytree(tangents[0])[0]
 
     return called

@@ -20,7 +20,7 @@ _TRY = {
 }
 
 
-class Starts(NamedTuple):
+class MultiStartResult(NamedTuple):
     """The results of all starts, each leaf with a leading axis of starts.
 
     Attributes:
@@ -69,7 +69,7 @@ class Fit(NamedTuple):
     failures: int
     history: np.ndarray
     covariance: np.ndarray | None
-    starts: Starts | None
+    starts: MultiStartResult | None
     message: str = ""
     degrees_of_freedom: int | None = None
 
@@ -138,7 +138,7 @@ def outcome(params: Any, names: list[str], end: End, history: np.ndarray, starts
         end = end._replace(covariance=np.where(success[..., None, None], end.covariance, np.nan))
     every = None
     if starts:
-        every = Starts(params, end.loss, success, end.at_side.any(axis=-1), end.covariance)
+        every = MultiStartResult(params, end.loss, success, end.at_side.any(axis=-1), end.covariance)
         best = int(np.argmin(np.where(np.isfinite(end.loss), end.loss, np.inf)))
         params, end, success, plausible = jax.tree.map(lambda leaf: leaf[best], (params, end, success, plausible))
         history = history[:, best]

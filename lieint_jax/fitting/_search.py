@@ -33,7 +33,7 @@ class Carry(NamedTuple):
     Attributes:
         x: the current point.
         loss: the loss at x.
-        memory: the optimiser's own state.
+        memory: the optimizer's own state.
         code: RUNNING, or why the search stopped: an index of REASONS.
         bad: the number of trials in a row that failed or raised the loss.
         failures: the number of trials that failed.
@@ -48,7 +48,7 @@ class Carry(NamedTuple):
 
 
 class Method(NamedTuple):
-    """An optimiser: `first` evaluates the first guess, `advance` makes one iteration."""
+    """An optimizer: `first` evaluates the first guess, `advance` makes one iteration."""
 
     first: Callable[[Array], tuple[Array, Any, Array]]  # x ↦ loss, memory, ok
     advance: Callable[[Carry], Carry]

@@ -17,7 +17,7 @@ class Step(NamedTuple):
 
     Attributes:
         z: the step, (p,).
-        fall: by how much the linearised residuals let half their sum of squares fall.
+        fall: by how much the linearized residuals let half their sum of squares fall.
         damping: λ of the trust region; 0 where it does not limit the step.
     """
 
@@ -27,7 +27,7 @@ class Step(NamedTuple):
 
 
 def bounded_step(A: Array, r: Array, radius: Array, low: Array, high: Array) -> Step:
-    """The z that minimises |r + Az| where |z| ≤ radius and low ≤ z ≤ high, with low < 0 < high.
+    """The z that minimizes |r + Az| where |z| ≤ radius and low ≤ z ≤ high, with low < 0 < high.
 
     By active sets: coordinates that meet a side are held there, one after the other, and set free where the residuals
     pull them back inside. The objective falls with every change, so that a search cut short still yields a step.
@@ -53,7 +53,7 @@ class _Active(NamedTuple):
         side: for each coordinate −1 where it is held at its lower side, 1 at the upper one, else 0.
         damping: λ of the last solve.
         passes: the number of solves.
-        done: whether z is the minimiser.
+        done: whether z is the minimizer.
     """
 
     z: Array
@@ -64,7 +64,7 @@ class _Active(NamedTuple):
 
 
 def _change(M: Array, c: Array, radius: Array, low: Array, high: Array, state: _Active) -> _Active:
-    """Move towards the minimiser with the present coordinates held; hold or free one more."""
+    """Move toward the minimizer with the present coordinates held; hold or free one more."""
     z, side, *_ = state
     held = side != 0
     fixed = jnp.where(held, z, 0)
@@ -86,7 +86,7 @@ def _change(M: Array, c: Array, radius: Array, low: Array, high: Array, state: _
 
 
 def _damped(A: Array, r: Array, radius: Array) -> tuple[Array, Array]:
-    """The minimiser z of |r + Az| within |z| ≤ radius, the shortest of all, and its λ in (AᵀA + λ)z = −Aᵀr."""
+    """The minimizer z of |r + Az| within |z| ≤ radius, the shortest of all, and its λ in (AᵀA + λ)z = −Aᵀr."""
     U, s, Vt = svd(A)
     known = above_rounding(s, A)
     g, s = jnp.where(known, U.T @ r, 0), jnp.where(known, s, 1)

@@ -7,6 +7,7 @@ and your own: `matrix(basis)`, which checks that the basis closes under the brac
 """
 
 from lieint_jax.groups import catalogue, so3
+from lieint_jax.groups._matrix import MatrixGroup, matrix
 from lieint_jax.groups.catalogue import (
     affine,
     heisenberg,
@@ -20,7 +21,6 @@ from lieint_jax.groups.catalogue import (
     translations,
     upper_triangular,
 )
-from lieint_jax.groups.matrix import MatrixGroup, matrix
 
 __all__ = [
     "MatrixGroup",

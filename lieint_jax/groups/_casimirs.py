@@ -10,7 +10,7 @@ _TOLERANCE = 1e-9
 
 
 def linear(structure: np.ndarray) -> np.ndarray:
-    """A basis of the λ with ⟨ad*_ξ μ, λ⟩ = 0 for all ξ and μ, rows (k, d): the centre of the algebra."""
+    """A basis of the λ with ⟨ad*_ξ μ, λ⟩ = 0 for all ξ and μ, rows (k, d): the center of the algebra."""
     return _echelon(null(structure.transpose(0, 2, 1).reshape(-1, len(structure)), _TOLERANCE))
 
 

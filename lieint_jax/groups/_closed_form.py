@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lieint_jax._numerics import power_series, unrolled
+from lieint_jax._numerics import power_series
+from lieint_jax._numerics import small_linalg as la
 
 _TOLERANCE = 1e-9
 
@@ -38,9 +39,9 @@ class ClosedForm(NamedTuple):
         """K = j + 2k."""
         return self.nilpotent + 2 * self.pairs
 
-    def square(self, xi: unrolled.Vector) -> unrolled.Scalar:
+    def square(self, xi: la.Vector) -> la.Scalar:
         """x, the square of the eigenvalue λ of ξ̂."""
-        return unrolled.quadratic(self.form, xi)
+        return la.quadratic(self.form, xi)
 
     def series(self, weights: Sequence[float]) -> list[list[float]]:
         """The coefficients in x of each c_m."""
@@ -59,7 +60,7 @@ class ClosedForm(NamedTuple):
         return [[float(c) for c in coefficients] for coefficients in found]  # numpy's would widen float32
 
 
-def evaluated(series: Sequence[float], x: unrolled.Scalar) -> unrolled.Scalar:
+def evaluated(series: Sequence[float], x: la.Scalar) -> la.Scalar:
     """A power series at x; a Python number if the series is constant."""
     return series[0] if len(series) == 1 else power_series.horner(series, x)
 

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 
 from lieint_jax import _checks
-from lieint_jax.groups.matrix import MatrixGroup, matrix
+from lieint_jax.groups._matrix import MatrixGroup, matrix
 
 
 def special_orthogonal(n: int) -> MatrixGroup:
@@ -30,7 +30,7 @@ def special_unitary(n: int) -> MatrixGroup:
     """Unitary n×n matrices of determinant 1, dimension n² − 1, as real matrices of size 2n.
 
     The basis is −i/2 times the Pauli matrices for n = 2, so that brackets are cross products, and −i/2 times the
-    generalised Gell-Mann matrices for larger n.
+    generalized Gell-Mann matrices for larger n.
     """
     n = _checks.count("n", n, 2)
     hermitian = []

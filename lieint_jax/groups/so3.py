@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax._numerics import power_series, three
-from lieint_jax._numerics.choice import where
-from lieint_jax._numerics.three import cross, dot
+from lieint_jax._numerics import power_series, vec3
+from lieint_jax._numerics.select import where
+from lieint_jax._numerics.vec3 import cross, dot
 
 dim = 3
 identity = np.array([1.0, 0.0, 0.0, 0.0])
@@ -36,7 +36,7 @@ def inverse(q: Array) -> Array:
     return jnp.stack([q[0], -q[1], -q[2], -q[3]])
 
 
-def normalise(q: Array) -> Array:
+def normalize(q: Array) -> Array:
     """q / |q|."""
     return q / jnp.sqrt(_norm_squared(q))
 
@@ -71,12 +71,12 @@ def cayley(xi: Array) -> Array:
     return jnp.concatenate([jnp.ones_like(h[:1]), h]) / jnp.sqrt(1 + dot(h, h))
 
 
-def Ad(q: Array, xi: three.Vector) -> Array:
+def Ad(q: Array, xi: vec3.Vector) -> Array:
     """Λξ: from body to space."""
     return jnp.stack(_rotate(q[0], q[1:], xi))
 
 
-def Ad_star(q: Array, mu: three.Vector) -> Array:
+def Ad_star(q: Array, mu: vec3.Vector) -> Array:
     """Λᵀμ, the transpose of Ad: takes spatial momentum π to body momentum Π."""
     return jnp.stack(_rotate(-q[0], q[1:], mu))
 
@@ -98,7 +98,7 @@ def casimirs(mu: Array) -> Array:
 
 def hat(xi: Array) -> Array:
     """ξ̂, the skew matrix with ξ̂ h = ξ × h (2.1)."""
-    x, y, z = three.components(xi)
+    x, y, z = vec3.components(xi)
     o = jnp.zeros_like(x)
     return jnp.stack([jnp.stack(row) for row in ((o, -z, y), (z, o, -x), (-y, x, o))])
 
@@ -134,10 +134,10 @@ def cayley_increment(q: Array, h: Array) -> Array:
     The product q·dq has rounding errors of size |q| in each step, the increment errors of the size of the step. The
     increment also corrects |q|, so |q| = 1 to round-off for ever. Energy then drifts by 1e-13 in 10⁶ steps, not 1e-12.
     """
-    return jnp.stack([x + dx for x, dx in zip(three.components(q), cayley_difference(q, h), strict=True)])
+    return jnp.stack([x + dx for x, dx in zip(vec3.components(q), cayley_difference(q, h), strict=True)])
 
 
-def cayley_difference(q: three.Vector, h: three.Vector) -> tuple[Array, Array, Array, Array]:
+def cayley_difference(q: vec3.Vector, h: vec3.Vector) -> tuple[Array, Array, Array, Array]:
     """`cayley_increment` less q, in components."""
     w, v = q[0], (q[1], q[2], q[3])
     y = dot(h, h)
@@ -153,10 +153,10 @@ def cayley_difference(q: three.Vector, h: three.Vector) -> tuple[Array, Array, A
 
 def to_matrix(q: Array) -> Array:
     """The rotation matrix Λ, shape (3, 3)."""
-    return jnp.stack([jnp.stack(row) for row in matrix_of(*three.components(q))])
+    return jnp.stack([jnp.stack(row) for row in matrix_of(*vec3.components(q))])
 
 
-def matrix_of(w: Array, x: Array, y: Array, z: Array) -> three.Matrix:
+def matrix_of(w: Array, x: Array, y: Array, z: Array) -> vec3.Matrix:
     """The rows of the rotation matrix of a unit quaternion."""
     return (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -177,10 +177,10 @@ def from_matrix(R: Array) -> Array:
             1 - R[0, 0] - R[1, 1] + R[2, 2],
         ]
     )
-    w, x, y, z = three.components(squares)
+    w, x, y, z = vec3.components(squares)
     candidates = jnp.stack([jnp.stack(row) for row in ((w, a, b, c), (a, x, f, e), (b, f, y, d), (c, e, d, z))])
     largest = jnp.argmax(squares)
-    return normalise(candidates[largest])
+    return normalize(candidates[largest])
 
 
 def from_euler_313(angles: Array) -> Array:
@@ -201,7 +201,7 @@ def to_euler_313(q: Array) -> Array:
 
     At β = 0 or π only α + γ or α − γ is determined; the other is set to 0.
     """
-    w, x, y, z = three.components(q)
+    w, x, y, z = vec3.components(q)
     half_sum, half_difference = _arctan2(z, w), _arctan2(y, x)
     b = 2 * jnp.arctan2(_length(x, y), _length(w, z))
     return jnp.stack([_wrap(half_sum + half_difference), b, _wrap(half_sum - half_difference)])
@@ -213,7 +213,7 @@ def angle(a: Array, b: Array) -> Array:
     return 2 * jnp.arctan2(_length(x, y, z), jnp.abs(w))
 
 
-def _product(a: three.Vector, b: three.Vector) -> tuple[Array, Array, Array, Array]:
+def _product(a: vec3.Vector, b: vec3.Vector) -> tuple[Array, Array, Array, Array]:
     return (
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
@@ -226,7 +226,7 @@ def _norm_squared(q: Array) -> Array:
     return q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
 
 
-def _rotate(w: Array, v: three.Vector, u: three.Vector) -> tuple[Array, ...]:
+def _rotate(w: Array, v: vec3.Vector, u: vec3.Vector) -> tuple[Array, ...]:
     """u + 2w v×u + 2 v×(v×u): u turned by the unit quaternion (w, v); by its inverse for −w."""
     t = tuple(2 * x for x in cross(v, u))
     c = cross(v, t)

@@ -4,9 +4,9 @@
 number of lanes; LLVM inlines it. Arguments are `double`, `float` or vectors of them; floats are computed as doubles.
 All lanes run the same instructions, without tables; sin, cos and tan have a branch and a table for |x| > 2²⁴.
 
-Coefficients are those of `mpmath.chebyfit` of the functions named in `tests/test_native_functions.py`, which computes
-them again. Reductions follow Cody & Waite, *Software Manual for the Elementary Functions*, and Muller, *Elementary
-Functions*, 3rd ed., chapters 10 and 11; pairs are double-doubles.
+Coefficients are those of `mpmath.chebyfit` of the functions named in `tests/core/test_native_functions.py`, which
+computes them again. Reductions follow Cody & Waite, *Software Manual for the Elementary Functions*, and Muller,
+*Elementary Functions*, 3rd ed., chapters 10 and 11; pairs are double-doubles.
 """
 
 import math

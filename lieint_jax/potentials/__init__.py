@@ -10,11 +10,12 @@ Any function of positions and rotations is a potential too; forces and torques a
 which momenta a potential conserves.
 """
 
-from lieint_jax.potentials._potential import Potential, Sum, count, invariant_form, symmetry, torques
-from lieint_jax.potentials.ellipsoid_sphere import EllipsoidSphere, ellipsoid_sphere
-from lieint_jax.potentials.maccullagh import MacCullagh, maccullagh
-from lieint_jax.potentials.outer_field import OuterField, UniformField, outer_field, uniform_field
-from lieint_jax.potentials.site_pairs import (
+from lieint_jax._deprecated import renamed as _renamed
+from lieint_jax.potentials._ellipsoid_sphere import EllipsoidSphere, ellipsoid_sphere
+from lieint_jax.potentials._maccullagh import MacCullagh, maccullagh
+from lieint_jax.potentials._outer_field import OuterField, UniformField, outer_field, uniform_field
+from lieint_jax.potentials._potential import Potential, SumPotential, count, invariant_form, symmetry, torques
+from lieint_jax.potentials._site_pairs import (
     InverseDistance,
     LennardJones,
     lennard_jones,
@@ -22,8 +23,8 @@ from lieint_jax.potentials.site_pairs import (
     point_masses,
     sites,
 )
-from lieint_jax.potentials.springs import Springs, springs
-from lieint_jax.potentials.water import Molecule, water
+from lieint_jax.potentials._springs import Springs, springs
+from lieint_jax.potentials._water import Molecule, water
 
 __all__ = [
     "EllipsoidSphere",
@@ -34,7 +35,7 @@ __all__ = [
     "OuterField",
     "Potential",
     "Springs",
-    "Sum",
+    "SumPotential",
     "UniformField",
     "count",
     "ellipsoid_sphere",
@@ -51,3 +52,8 @@ __all__ = [
     "uniform_field",
     "water",
 ]
+
+__getattr__ = _renamed(
+    __name__,
+    {"Sum": "SumPotential"},
+)

@@ -39,15 +39,15 @@ class Potential:
         """The orthogonal projector (6, 6) on the part of (P, L) that is conserved; None if P and L are."""
         return None
 
-    def __add__(self, other: Callable[[Array, Array], Array]) -> Sum:
-        return Sum((*_terms(self), *_terms(other)))
+    def __add__(self, other: Callable[[Array, Array], Array]) -> SumPotential:
+        return SumPotential((*_terms(self), *_terms(other)))
 
-    def __radd__(self, other: Callable[[Array, Array], Array]) -> Sum:
-        return Sum((*_terms(other), *_terms(self)))
+    def __radd__(self, other: Callable[[Array, Array], Array]) -> SumPotential:
+        return SumPotential((*_terms(other), *_terms(self)))
 
 
 @pytree
-class Sum(Potential):
+class SumPotential(Potential):
     """A sum of potentials, made by `+`.
 
     Attributes:
@@ -158,4 +158,4 @@ def _terms(potential: Callable[[Array, Array], Array]) -> tuple[Callable[[Array,
         raise TypeError(
             f"a potential is added to potentials and functions of positions and rotations, got {potential!r}"
         )
-    return potential.terms if isinstance(potential, Sum) else (callable_pytree(potential),)
+    return potential.terms if isinstance(potential, SumPotential) else (callable_pytree(potential),)

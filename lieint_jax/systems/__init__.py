@@ -19,19 +19,20 @@ Integrals and closed forms to test with: `lagrange_motion`, `kovalevskaya_integr
 `manakov_integrals`. Each module has `examples()`: systems with a state worth integrating and a time step.
 """
 
-from lieint_jax.systems.damped_body import DampedBody, damped_body
-from lieint_jax.systems.driven_gyrostat import DrivenGyrostat, SpinUp, driven_gyrostat
-from lieint_jax.systems.driven_top import DrivenTop, driven_top
-from lieint_jax.systems.embedded_body import EmbeddedBody, embedded_body
-from lieint_jax.systems.euler import Euler, RightEuler, euler, kirchhoff, manakov, manakov_integrals
-from lieint_jax.systems.gravity_gradient import GravityGradient, gravity_gradient
-from lieint_jax.systems.group_potential import DrivenGroupPotential, GroupPotential, group_potential
-from lieint_jax.systems.gyrostat import Gyrostat, gyrostat
-from lieint_jax.systems.heavy_top import LagrangeMotion, heavy_top, kovalevskaya_integral, lagrange_motion
-from lieint_jax.systems.incompressible_body import IncompressibleBody, incompressible_body
-from lieint_jax.systems.pendulum import Pendulum, pendulum
-from lieint_jax.systems.potential_top import PotentialTop, Quadratic, clebsch_integral, potential_top
-from lieint_jax.systems.pseudo_rigid import (
+from lieint_jax._deprecated import renamed as _renamed
+from lieint_jax.systems._damped_body import DampedBody, damped_body
+from lieint_jax.systems._driven_gyrostat import DrivenGyrostat, SpinUpMotor, driven_gyrostat
+from lieint_jax.systems._driven_top import DrivenTop, driven_top
+from lieint_jax.systems._embedded_body import EmbeddedBody, embedded_body
+from lieint_jax.systems._euler import Euler, RightEuler, euler, kirchhoff, manakov, manakov_integrals
+from lieint_jax.systems._gravity_gradient import GravityGradient, gravity_gradient
+from lieint_jax.systems._group_potential import DrivenGroupPotential, GroupPotential, group_potential
+from lieint_jax.systems._gyrostat import Gyrostat, gyrostat
+from lieint_jax.systems._heavy_top import LagrangeMotion, heavy_top, kovalevskaya_integral, lagrange_motion
+from lieint_jax.systems._incompressible_body import IncompressibleBody, incompressible_body
+from lieint_jax.systems._pendulum import Pendulum, pendulum
+from lieint_jax.systems._potential_top import PotentialTop, QuadraticPotential, clebsch_integral, potential_top
+from lieint_jax.systems._pseudo_rigid_body import (
     PseudoRigidBody,
     StoredEnergy,
     mooney_rivlin,
@@ -39,9 +40,9 @@ from lieint_jax.systems.pseudo_rigid import (
     pseudo_rigid_body,
     saint_venant_kirchhoff,
 )
-from lieint_jax.systems.rigid_bodies import ManyFreeBodies, RigidBodies, rigid_bodies
-from lieint_jax.systems.rigid_body import RigidBody, rigid_body
-from lieint_jax.systems.torqued_body import TorquedBody, torqued_body
+from lieint_jax.systems._rigid_bodies import FreeBodies, RigidBodies, rigid_bodies
+from lieint_jax.systems._rigid_body import RigidBody, rigid_body
+from lieint_jax.systems._torqued_body import TorquedBody, torqued_body
 
 __all__ = [
     "DampedBody",
@@ -50,20 +51,20 @@ __all__ = [
     "DrivenTop",
     "EmbeddedBody",
     "Euler",
+    "FreeBodies",
     "GravityGradient",
     "GroupPotential",
     "Gyrostat",
     "IncompressibleBody",
     "LagrangeMotion",
-    "ManyFreeBodies",
     "Pendulum",
     "PotentialTop",
     "PseudoRigidBody",
-    "Quadratic",
+    "QuadraticPotential",
     "RightEuler",
     "RigidBodies",
     "RigidBody",
-    "SpinUp",
+    "SpinUpMotor",
     "StoredEnergy",
     "TorquedBody",
     "clebsch_integral",
@@ -92,3 +93,8 @@ __all__ = [
     "saint_venant_kirchhoff",
     "torqued_body",
 ]
+
+__getattr__ = _renamed(
+    __name__,
+    {"ManyFreeBodies": "FreeBodies", "SpinUp": "SpinUpMotor", "Quadratic": "QuadraticPotential"},
+)

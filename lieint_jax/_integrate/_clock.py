@@ -1,0 +1,157 @@
+"""When the steps of a run are: all of one size, between given times, or when the step itself says."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax.types import State, Step, converges
+
+
+class UniformClock(NamedTuple):
+    """Steps of one size.
+
+    Attributes:
+        t0: the time of the first.
+        dt: their size.
+    """
+
+    t0: Array
+    dt: Array
+
+    def size(self, n: ArrayLike) -> Array:
+        """The size of the step from node n."""
+        return self.dt
+
+    def time(self, n: ArrayLike) -> Array:
+        """The time of node n; a sum of n sizes would have the rounding errors of all."""
+        return self.t0 + n * self.dt
+
+    def node(self, t: Array, num_steps: int) -> Array:
+        """The last node that is not after the time t."""
+        n = lax.stop_gradient((t - self.t0) / self.dt)
+        near = jnp.round(n)
+        at_node = jnp.abs(t - self.time(near)) <= 4 * jnp.finfo(t.dtype).eps * jnp.abs(t)
+        return jnp.clip(jnp.where(at_node, near, jnp.floor(n)), 0, num_steps).astype(int)
+
+
+class GridClock(NamedTuple):
+    """Steps from one given time to the next.
+
+    Attributes:
+        times: the times of all nodes, (N+1,).
+    """
+
+    times: Array
+
+    def size(self, n: ArrayLike) -> Array:
+        """The size of the step from node n."""
+        return self.times[n + 1] - self.times[n]
+
+    def time(self, n: ArrayLike) -> Array:
+        """The time of node n."""
+        return self.times[n]
+
+    def node(self, t: Array, num_steps: int) -> Array:
+        """The last node that is not after the time t."""
+        sign = jnp.where(self.times[-1] < self.times[0], -1, 1)
+        after = jnp.searchsorted(sign * self.times, sign * t, side="right")
+        return jnp.clip(after - 1, 0, num_steps)
+
+
+class StateClock(NamedTuple):
+    """Steps of one size in a fictitious time, which advance the time of the state themselves.
+
+    Attributes:
+        dt: their size.
+    """
+
+    dt: Array
+
+    def size(self, n: ArrayLike) -> Array:
+        """The size of the step from node n."""
+        return self.dt
+
+    def time(self, n: ArrayLike) -> None:
+        """Unknown before the run: the state of node n has it."""
+        return
+
+
+Clock = UniformClock | GridClock | StateClock
+_HALVINGS = 20  # the most that `more_times` tries
+
+
+def clock_of(
+    step: Step, t: Array | None, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
+) -> tuple[Clock, int]:
+    """When the steps of a run are, and how many; t is the time of its first state."""
+    if times is None:
+        if num_steps is None:
+            raise ValueError("give dt and num_steps, or times")
+        size = _checks.as_array(_checks.step_size(dt), dtype)
+        t0 = _checks.as_array(0.0, dtype) if t is None else t
+        return StateClock(size) if step.own_time else UniformClock(t0, size), _checks.count("num_steps", num_steps, 0)
+    refuse_times(step, "times")
+    if dt is not None or num_steps is not None:
+        raise ValueError("give dt and num_steps, or times, not both")
+    nodes = _checks.real_array("times", times).astype(dtype)
+    if nodes.ndim != 1 or not nodes.size:
+        raise ValueError(f"times must have shape (N+1,), N steps, got {nodes.shape}")
+    if concrete(nodes):
+        sizes = np.diff(np.asarray(nodes))
+        if not (np.all(sizes > 0) or np.all(sizes < 0)):
+            n = int(np.argmax(sizes * np.sign(sizes[0]) <= 0))
+            raise ValueError(f"times must increase, or decrease, from one to the next, got {nodes[n : n + 2]} at {n}")
+    if t is not None and concrete(nodes, t) and float(nodes[0]) != float(t):
+        first = float(nodes[0])
+        raise ValueError(
+            f"times must begin at the time of the state, {float(t)}, got {first}; begin there, or make the "
+            f"state at that time: system.state(..., t={first})"
+        )
+    return GridClock(nodes), nodes.size - 1
+
+
+def more_times(step: Step, state: State, size: ArrayLike) -> str:
+    """What to do where a step from a concrete `state` fails whose `size` comes from given times, after its advice."""
+    for k in range(1, _HALVINGS + 1):
+        if bool(converges(step, state, jnp.asarray(size) / 2**k)):
+            return (
+                f". Here dt is what `times` are apart, {float(jnp.abs(size)):.3g}, and a step of 1/{2**k} of it "
+                f"converges: give about {2**k} times as many times"
+            )
+    return ""
+
+
+def outputs(save_at: ArrayLike, clock: UniformClock | GridClock, num_steps: int, dtype: Any) -> Array:
+    """The output times; ValueError if concrete ones are out of order or outside the run."""
+    wanted = _checks.real_array("save_at", save_at).astype(dtype)
+    if wanted.ndim != 1:
+        raise ValueError(f"save_at must have shape (m,), got {wanted.shape}")
+    if concrete(wanted, clock):
+        first, last = float(clock.time(0)), float(clock.time(num_steps))
+        ahead = (np.asarray(wanted, float) - first) * (1 if last >= first else -1)
+        if np.any(np.diff(ahead) < 0):
+            raise ValueError(f"save_at must be in the order of the run, from {first} to {last}, got {wanted}")
+        if wanted.size and (ahead[0] < 0 or ahead[-1] > abs(last - first) * (1 + 1e-12)):
+            raise ValueError(f"save_at must lie in the run, from {first} to {last}, got {wanted}")
+    return wanted
+
+
+def refuse_times(step: Step, given: str) -> None:
+    """ValueError if a step has its own time, so that no time can be given to it."""
+    if step.own_time:
+        raise ValueError(
+            f"{given} cannot be given to {step.name}, which finds its times itself: take the state at a time T by "
+            "li.event(step, state, dt, lambda z: z.t - T, max_steps)"
+        )
+
+
+def at_time(state: State, t: Array | None) -> State:
+    """`state` at the time t, if it has a time and t is one."""
+    return state if state.t is None or t is None else state._replace(t=t)

@@ -1,0 +1,289 @@
+"""Integration over many steps in one `lax.scan`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._integrate._clock import (
+    Clock,
+    GridClock,
+    StateClock,
+    UniformClock,
+    at_time,
+    clock_of,
+    more_times,
+    outputs,
+    refuse_times,
+)
+from lieint_jax._xla import compiled, rematerialized
+from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, on_clock, promoted, start_time
+
+_LEAST_BYTES, _MOST_BYTES = 2**20, 2**26  # of the saved states that the loop of a run is compiled for
+_SHORT = 256  # steps of a run that is made before its first step is looked at
+
+
+def integrate(
+    step: Step,
+    state: State,
+    dt: ArrayLike | None = None,
+    num_steps: int | None = None,
+    save_every: int = 1,
+    *,
+    times: ArrayLike | None = None,
+    save_at: ArrayLike | None = None,
+) -> Trajectory:
+    """Take `num_steps` steps of size `dt`, or steps from one of the `times` to the next, and keep states on the way.
+
+    A `lax.scan`: vmap it over states, differentiate it forward or reverse, jit what calls it. Called by itself on a
+    CPU, it is compiled once for all steps of one structure and each `save_every`, whatever the numbers in them, for up
+    to 4096 saved states of one body, again for up to 16384, and so on.
+
+    The state at an output time between two steps is that of a shorter step from the last one before: it has every
+    invariant of the step, and an error of one order above the scheme's beside that of the trajectory. The trajectory
+    does not continue from it.
+
+    Args:
+        step: a scheme's step.
+        state: the initial state; one body (use jax.vmap or `ensemble.run` for many).
+        dt: step size, either sign.
+        num_steps: a multiple of `save_every`.
+        save_every: steps between saved states.
+        times: in place of dt and num_steps, the times (N+1,) between which steps lead, increasing or decreasing; the
+            first is that of the state. Steps that do not depend on the state keep the symplectic form.
+        save_at: in place of save_every, output times (m,) in the order of the run, inside it; they may repeat.
+
+    Returns:
+        A `Trajectory`, the initial state first, then those after every `save_every` steps or at the times `save_at`.
+        Its times, and the state's where it has one, are t₀ + nΔt, where t₀ is the initial state's time, else 0; or as
+        given; or those of the states, if the step has its `own_time`.
+
+    Raises:
+        ValueError: a bad count, times that are not finite, not in order or outside the run, a concrete state that is
+            not one of the system, a concrete dt past the scheme's limit at the first step, or a trajectory larger than
+            this machine's memory. Later failures, and all failures inside jit, show in `info.converged`.
+
+    Warns:
+        RuntimeWarning: a state's time is so large that the floating-point numbers there are more than dt/10⁶ apart.
+    """
+    step, state, dtype = promoted(checked_step(step), state)
+    clock, num_steps = clock_of(step, state.t, dtype, dt, num_steps, times)
+    first = clock.size(0) if num_steps else _checks.as_array(0.0, dtype)
+    trial = _trial(step, state, clock, num_steps) if save_at is None and save_every == 1 else None
+    if trial is None or not trial.info.converged[1]:
+        _check_first(step, state, first if dt is None else dt, isinstance(clock, GridClock))
+    _checks.time_resolution(start_time(step, state), first if dt is None else dt, num_steps)
+    if save_at is None:
+        save_every = _checks.count("save_every", save_every, 1)
+        num_saves = saves(num_steps, save_every)
+        _check_size(state, num_saves + 1)
+        if trial is None or len(trial.t) != num_saves + 1:
+            rows = rows_for(state, num_saves)
+            trial = of_any_length(step, state, clock, num_saves, rows, save_every) if rows else None
+        return trajectory(step, state, clock, num_saves, save_every) if trial is None else jax.device_put(trial)
+    if save_every != 1:
+        raise ValueError("give save_every or save_at, not both")
+    refuse_times(step, "save_at")
+    assert not isinstance(clock, StateClock)
+    wanted = outputs(save_at, clock, num_steps, dtype)
+    _check_size(state, wanted.size + 1)
+    return _seen(step, state, clock, wanted, num_steps)
+
+
+def _check_size(state: State, entries: int) -> None:
+    """ValueError if the trajectory of a concrete state has more bytes than this machine's memory."""
+    if _checks.concrete(state):
+        size = _checks.entry_size(state) + state.p.dtype.itemsize  # and the time
+        advice = "give a larger save_every, or write to disk by ensemble.run(…, store=PATH)"
+        _checks.fits_memory(entries, size, advice, copies=2)  # the start is joined to the rest
+
+
+def _check_first(step: Step, state: State, size: ArrayLike, given: bool) -> None:
+    """`Step.check` of the first step, whose size comes from `times` if `given`."""
+    try:
+        step.check(state, size)
+    except StepError as failed:
+        raise StepError(f"{failed}{more_times(step, state, size) if given else ''}") from None
+
+
+def _trial(step: Step, state: State, clock: Clock, num_steps: int) -> Trajectory | None:
+    """The run itself, if it is short, else its first step, by the same program; None if that cannot be."""
+    rows = rows_for(state, num_steps)
+    if not (rows and num_steps) or step.approximate or not _stands_alone(step, state, clock):
+        return None
+    step.system.check(state)
+    return of_any_length(step, state, clock, num_steps if num_steps <= _SHORT else 1, rows, 1)
+
+
+def _stands_alone(*arguments: Any) -> bool:
+    """Whether a call with these arguments is not part of another function."""
+    return _checks.concrete(arguments) and not _checks.staged()
+
+
+def rows_for(state: State, num_saves: int) -> int:
+    """For how many saved states the loop of a run is compiled, a power of 4; 0 on a GPU, and where it wastes memory."""
+    if jax.default_backend() != "cpu":
+        return 0
+    size = _checks.entry_size(state)
+    rows = 4 ** max(1, int(math.log(_LEAST_BYTES / size, 4)))
+    while rows < num_saves:
+        rows *= 4
+    return rows if rows * size <= _MOST_BYTES else 0
+
+
+def of_any_length(
+    step: Step, state: State, clock: Clock, num_saves: int, most: int, save_every: int
+) -> Trajectory | None:
+    """The trajectory with `num_saves` saved states after the first, on the host, by one program for all up to `most`.
+
+    None unless all is concrete: a loop of unknown length has no derivative in reverse mode.
+    """
+    if not _stands_alone(step, state, clock):
+        return None
+    found = _padded(step, state, clock, num_saves, most, save_every)
+    if not _checks.concrete(found):  # a function of the step closes over a tracer
+        return None
+    return jax.tree.map(lambda x: np.asarray(x)[: num_saves + 1], found)
+
+
+@partial(compiled, static_argnums=(4, 5))
+def _padded(step: Step, state: State, clock: Clock, num_saves: ArrayLike, most: int, save_every: int) -> Trajectory:
+    """`trajectory` of any number of saves up to `most`; entries that follow have no meaning."""
+    interval = _interval(prepared(step, state, clock), state, clock, save_every)
+    rows = jax.tree.map(lambda x: jnp.broadcast_to(x, (most, *x.shape)), (state, StepInfo.fresh(state.p)))
+
+    def one(k: Array, carry: Any) -> Any:
+        moved, rows = carry
+        moved, saved = interval(moved, None)
+        return moved, jax.tree.map(lambda to, x: lax.dynamic_update_index_in_dim(to, x, k, 0), rows, saved)
+
+    _, later = lax.fori_loop(0, num_saves, one, ((state, jnp.zeros((), int)), rows))
+    return _joined(state, later, clock.time(save_every * jnp.arange(most + 1)))
+
+
+@partial(compiled, static_argnums=(3, 4))
+def trajectory(step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Trajectory:
+    interval = _interval(prepared(step, state, clock), state, clock, save_every)
+    _, later = _times(num_saves, interval, (state, jnp.zeros((), int)))
+    return _joined(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
+
+
+def _interval(step: Step, state: State, clock: Clock, save_every: int) -> Callable[[Any, None], tuple[Any, Any]]:
+    """The steps from one saved state to the next: (state, n) ↦ (state, n), (state, report)."""
+    started = StepInfo.fresh(state.p)
+
+    @rematerialized
+    def one(carry: tuple[State, StepInfo, Array], _: None) -> tuple[tuple[State, StepInfo, Array], None]:
+        state, so_far, n = carry
+        state, info = step(state, clock.size(n))
+        return (at_time(state, clock.time(n + 1)), so_far.merge(info), n + 1), None
+
+    def interval(carry: tuple[State, Array], _: None) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
+        state, n = carry
+        (state, info, n), _ = _times(save_every, one, (state, started, n))
+        return (state, n), (state, info)
+
+    return interval
+
+
+def _times(length: int, function: Callable[[Any, None], tuple[Any, Any]], carry: Any) -> tuple[Any, Any]:
+    """`lax.scan`, without the loop where its length is 1: that is a third of the time of tracing."""
+    if length != 1:
+        return lax.scan(function, carry, None, length=length)
+    carry, result = function(carry, None)
+    return carry, jax.tree.map(lambda x: x[None], result)
+
+
+@partial(compiled, static_argnums=4)
+def _seen(step: Step, state: State, clock: UniformClock | GridClock, save_at: Array, num_steps: int) -> Trajectory:
+    """The trajectory at output times: whole steps, and before each a shorter one from its node to every output."""
+    count = save_at.size
+    span = clock.time(num_steps) - clock.time(0)
+    inside = jnp.abs(save_at - clock.time(0) - span / 2) <= jnp.abs(span) / 2 * (1 + 1e-12)  # False for NaN
+    own = clock.node(jnp.where(inside, save_at, clock.time(0)), num_steps)
+    nodes = lax.cummax(own)
+    rests = save_at - clock.time(nodes)
+    whole, fresh = prepared(step, state, clock), StepInfo.fresh(state.p)
+    outputs = jnp.zeros(num_steps + count, bool).at[nodes + jnp.arange(count)].set(True)
+    buffer = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype), (state, fresh))
+
+    def one(carry: Any, is_output: Array) -> tuple[Any, None]:
+        (state, so_far), n, k, buffer = carry
+        rest = rests[jnp.minimum(k, count - 1)]
+        end, info = lax.cond(is_output, lambda: step(state, rest), lambda: whole(state, clock.size(n)))
+        reached = at_time(end, clock.time(n + 1)), so_far.merge(info)
+        slot = jnp.where(is_output, k, count)
+        buffer = jax.tree.map(lambda to, x: to.at[slot].set(x, mode="drop"), buffer, (end, so_far.merge(info)))
+        following = jax.tree.map(lambda a, b: jnp.where(is_output, a, b), (state, fresh), reached)
+        return (following, n + ~is_output, k + is_output, buffer), None
+
+    zero = jnp.zeros((), int)
+    if count:
+        buffer = lax.scan(one, ((state, fresh), zero, zero, buffer), outputs)[0][-1]
+    later, info = buffer
+    info = info._replace(converged=info.converged & inside & (own == nodes))  # else a traced time is out of order
+    return _joined(state, (at_time(later, save_at), info), jnp.concatenate([clock.time(0)[None], save_at]))
+
+
+def prepared(step: Step, state: State, clock: Clock) -> Step:
+    """The step with its constants, which hold for one step size."""
+    return step if isinstance(clock, GridClock) else step.prepare(state, clock.dt)
+
+
+def _joined(state: State, later: tuple[State, StepInfo], t: Array | None) -> Trajectory:
+    """The trajectory of an initial state, the states and reports after it, and the times of all; None: the states'."""
+    first = (state, StepInfo.fresh(state.p))
+    states, info = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
+    return Trajectory(states.t if t is None else t, states, info)
+
+
+def from_start(step: Step, state: State, later: tuple[State, StepInfo], dt: Array, save_every: int) -> Trajectory:
+    """The trajectory of an initial state and the states and reports saved after it, `save_every` steps apart."""
+    entries = 1 + later[1].residual.shape[0]
+    clock, _ = clock_of(step, state.t, dt.dtype, dt, entries - 1, None)
+    return _joined(state, later, clock.time(save_every * jnp.arange(entries)))
+
+
+def steps(
+    step: Callable[..., tuple[State, StepInfo]],
+    state: State,
+    dt: ArrayLike,
+    count: ArrayLike,
+    t0: Array | None = None,
+    done: ArrayLike = 0,
+) -> tuple[State, StepInfo]:
+    """The state after `count` steps, which may be traced, and the merged report of the steps.
+
+    `state` is that after `done` steps from the time t₀, None if the state has no time or the step advances it.
+    """
+
+    def one(n: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:
+        state, so_far = carry
+        state, info = step(state, dt)
+        return on_clock(state, t0, done + n + 1, dt), so_far.merge(info)
+
+    return lax.fori_loop(0, count, one, (state, StepInfo.fresh(state.p)))
+
+
+def intervals(num_steps: int, save_every: int | None) -> tuple[int, int]:
+    """The number of steps between saved states (None: all steps) and of saved states after the initial one."""
+    num_steps = _checks.count("num_steps", num_steps, 0)
+    save_every = max(num_steps, 1) if save_every is None else _checks.count("save_every", save_every, 1)
+    return save_every, saves(num_steps, save_every)
+
+
+def saves(num_steps: int, save_every: int) -> int:
+    """The number of saved states after the initial one; ValueError if `save_every` does not divide `num_steps`."""
+    if num_steps % save_every:
+        near = _checks.nearest_multiples(num_steps, save_every)
+        raise ValueError(f"num_steps = {num_steps} is not a multiple of save_every = {save_every}; take {near} steps")
+    return num_steps // save_every

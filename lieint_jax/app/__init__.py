@@ -1,0 +1,1 @@
+"""The application: the command `lieint`, scenarios, studies and their pictures. The library below never imports it."""

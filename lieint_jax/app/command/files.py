@@ -1,0 +1,127 @@
+"""Files of results: NAME.npz holds a finished run, the folder NAME.zarr is a store that grows (`ensemble`)."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lieint_jax.app import plots
+from lieint_jax.ensemble import _opening, _reading
+from lieint_jax.ensemble._leaves import named
+from lieint_jax.types import Trajectory
+
+
+def free(path: Path, kinds: Iterable[str] = (), resume: bool = False) -> Path:
+    """`path`, checked: it ends in .npz or .zarr, neither it nor its pictures exist, and its folder is writable.
+
+    With `resume`, a .zarr may exist.
+    """
+    if path.suffix not in _opening.SUFFIXES:
+        raise ValueError(f"results are written as .npz or .zarr, got {path}")
+    if resume and path.suffix != ".zarr":
+        raise ValueError(f"only a run written as .zarr can be resumed, got {path}")
+    found = [] if resume else [path]
+    for file in (*found, *(pictures(path, kinds) if path.suffix == ".npz" else [])):
+        if file.is_symlink() and not file.exists():
+            raise ValueError(f"{file} is a link to nothing; move it away or choose another --out")
+        if file.exists():
+            more = "; resume continues it" if file.suffix == ".zarr" else ""
+            raise ValueError(f"{file} exists and is not overwritten; move it away or choose another --out{more}")
+    if not path.parent.is_dir():
+        raise ValueError(f"the folder {path.parent} does not exist; make it first")
+    if not os.access(path.parent, os.W_OK):
+        raise ValueError(f"the folder {path.parent} cannot be written to; choose another --out")
+    return path
+
+
+def picture(path: Path, kind: str) -> Path:
+    """The path of a picture beside results at `path`, such as NAME-path.png for the kind "path"."""
+    return path.with_name(f"{path.stem}-{kind}.png")
+
+
+def pictures(path: Path, kinds: Iterable[str]) -> list[Path]:
+    """The files of the pictures beside results at `path`: each is written as PNG and as PDF."""
+    return [file for kind in kinds for file in plots.files(picture(path, kind))]
+
+
+def in_folder(path: Path, folder: Path | None) -> Path:
+    """`path`, moved to `folder` if there is one, which must exist: what the pictures of results are named after."""
+    if folder and not folder.is_dir():
+        raise ValueError(f"the folder {folder} does not exist; make it first")
+    return folder / path.name if folder else path
+
+
+def free_pictures(found: Iterable[Path], force: bool) -> None:
+    """ValueError if one of these files exists, unless it may be replaced."""
+    for file in found:
+        if file.exists() and not force:
+            raise ValueError(f"{file} exists and is not overwritten; --force replaces it, --out takes another folder")
+
+
+def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:
+    """Write a trajectory as .npz: arrays t, q, p, residual, converged, and `metadata` as JSON text.
+
+    Where states have them: work, extra.NAME, and state.t, (entries, members), or (entries, 1) if members share it.
+    """
+    arrays = named(trajectory.state)
+    if "t" in arrays:
+        t = np.asarray(arrays.pop("t"))
+        arrays[_opening.TIME] = t[:, :1] if (t == t[:, :1]).all() else t
+    with path.open("xb") as file:
+        np.savez(
+            file,
+            t=trajectory.t,
+            **arrays,
+            residual=trajectory.info.residual,
+            converged=trajectory.info.converged,
+            metadata=np.array(json.dumps(metadata)),
+        )
+
+
+def load(path: Path) -> tuple[Any, dict[str, Any]]:
+    """A run and its metadata: the run that `save` wrote, or the complete part of a store.
+
+    For the form of a store's results see `ensemble._store.load`.
+
+    Raises:
+        ValueError: a damaged store, and then which file, and what can still be read; or no file of results.
+    """
+    if path.suffix == ".zarr":
+        return _reading.load(path)
+    found = _opening.archive(path)
+    return _opening.run_of(found), found.metadata
+
+
+def numbers(path: Path) -> list[float]:
+    """The numbers of a text file, one a line; # begins a comment."""
+    if not path.is_file():
+        raise ValueError(f"there is no file {path}: give a text file with one number a line")
+    try:
+        return np.loadtxt(path, ndmin=1).ravel().tolist()
+    except ValueError as error:
+        raise ValueError(f"{path} must hold one number a line: {error}") from error
+
+
+def size(path: Path) -> int:
+    """The number of bytes of a file, or of all files of a folder."""
+    files = [path] if path.is_file() else [f for f in path.rglob("*") if f.is_file()]
+    return sum(f.stat().st_size for f in files)
+
+
+def megabytes(path: Path) -> str:
+    """The size of results, to print."""
+    return f"{size(path) / 1e6:.3g} MB"
+
+
+def unused(path: Path, beside: Callable[[Path], Iterable[Path]]) -> Path:
+    """`path`, or the first of path-2, path-3, … such that neither it nor the files `beside` it exist."""
+    candidate, k = path, 1
+    while any(file.exists() for file in (candidate, *beside(candidate))):
+        k += 1
+        candidate = path.with_stem(f"{path.stem}-{k}")
+    return candidate

@@ -1,0 +1,207 @@
+"""The commands `info` and `plot` for the results of a run: what they hold, in words and in pictures."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from lieint_jax.app import plots, scenarios
+from lieint_jax.app.command import files, pictures
+from lieint_jax.app.command.pictures import StoredRun
+from lieint_jax.app.scenarios._common import POINTS, Common
+from lieint_jax.ensemble._opening import UnreadableError, check_system
+from lieint_jax.ensemble._reading import system_of
+from lieint_jax.types import Step, Trajectory, energy_less_work
+
+_SHOWN = 2**28  # the most bytes of a store that are read to draw it
+_TIMES, _BLOCK = 17, 8192  # saved times at which energies are measured, and members at once
+
+
+def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
+    """Report on a file of results and draw it: the pictures of its scenario, or those of a run of any system.
+
+    A scenario's own are of states that are saved every so many steps, so a run with `save_at` has the others.
+
+    Args:
+        path: the file.
+        out: the folder of the pictures; by default that of the file.
+        force: replace pictures that exist.
+    """
+    run, metadata = files.load(path)
+    if len(_times(run)) < 2:
+        raise ValueError(f"{path} holds the initial states only: there is nothing to draw yet")
+    plain = files.in_folder(path, out)
+    scenario = _scenario(path, metadata)
+    if scenario and scenario.save_at is None and isinstance(run, Trajectory):
+        drawn = _plot_scenario(scenario, run, path, plain, force)
+    else:
+        drawn = _plot_any(stored_run(path, run, metadata), contents(path, run, metadata), plain, force)
+    print(f"\nwritten: {', '.join(map(str, drawn))}")
+
+
+def _plot_scenario(scenario: Common, run: Trajectory, path: Path, plain: Path, force: bool) -> list[Path]:
+    kind, members = scenarios.kind(scenario), scenario.members
+    files.free_pictures(files.pictures(plain, kind.PICTURES), force)
+    shown = slice(_shown(run))
+    run = Trajectory(run.t, *jax.tree.map(lambda x: x[:, shown], (run.state, run.info)))
+    changes = {"steps": (len(run.t) - 1) * scenario.save_every, "members": run.state.p.shape[1]}
+    step = scenarios.build_first(scenario, changes["members"])
+    check_system(path, step.system, run, scenarios.step_axis(scenario) == 0)
+    scenario = scenario.model_copy(update=changes)
+    print(headline(scenario, step))
+    if scenario.members < members:
+        print(f"  the first {scenario.members} of {members} members")
+    drawn = draw(plain, kind.PICTURES, scenario, step, run)
+    print(kind.report(scenario, step, run))
+    return drawn
+
+
+def _plot_any(stored: StoredRun, text: str, plain: Path, force: bool) -> list[Path]:
+    kinds = pictures.of(stored)
+    files.free_pictures(files.pictures(plain, kinds), force)
+    print(text)
+    if isinstance(stored.run, Trajectory):
+        times = np.unique(np.linspace(0, len(stored.run.t) - 1, min(len(stored.run.t), POINTS)).astype(int))
+        stored = stored.part(times, slice(_shown(stored.run)))
+    return draw(plain, kinds, stored)
+
+
+def draw(path: Path, kinds: Mapping[str, Callable[..., Any]], *arguments: Any) -> list[Path]:
+    """Write the pictures that the functions `kinds` draw, named after `path`, as PNG and PDF; the paths."""
+    drawn = []
+    for suffix, picture in kinds.items():
+        drawn += plots.save(picture(*arguments), files.picture(path, suffix))
+    return drawn
+
+
+def _shown(run: Trajectory) -> int:
+    """The number of the first members that are drawn."""
+    return max(1, min(_SHOWN // sum(x[:, 0].nbytes for x in jax.tree.leaves(run.state)), run.state.p.shape[1]))
+
+
+def _times(run: Any) -> Any:
+    return run.t if isinstance(run, Trajectory) else run["time"]
+
+
+def _scenario(path: Path, metadata: dict[str, Any]) -> Any:
+    """The scenario of results, or None if they have none of `lieint run`."""
+    table = _table(metadata)
+    return scenarios.stored(table, str(path)) if "system" in table else None
+
+
+def _table(metadata: dict[str, Any]) -> dict[str, Any]:
+    """The keys of the scenario of results; none if they have none, or one that is of other software."""
+    table = metadata.get("scenario")
+    return table if isinstance(table, dict) else {}
+
+
+def _title(path: Path, metadata: dict[str, Any]) -> str:
+    """The title that a run was given; else, in place of its scheme, the system and the file."""
+    if metadata["title"] != metadata["scheme"]:
+        return str(metadata["title"])
+    return f"{re.sub(r'(?<=[a-z])(?=[A-Z])', ' ', metadata['system']).capitalize()}, {path.name}"
+
+
+def stored_run(path: Path, run: Any, metadata: dict[str, Any]) -> StoredRun:
+    """A run with its system, which a store has, or else its scenario; ValueError if the system is not known."""
+    scenario = None if "description" in metadata else _scenario(path, metadata)
+    if scenario:
+        system = scenarios.build_first(scenario, run.state.p.shape[1]).system
+        title, own_system = scenario.title, scenarios.step_axis(scenario) == 0
+    elif "run" in metadata:
+        system, title, own_system = system_of(path, metadata), _title(path, metadata), metadata["run"]["step_axis"] == 0
+    else:
+        raise ValueError(f"{path} holds neither a scenario nor the numbers of its system")
+    if isinstance(run, Trajectory):
+        check_system(path, system, run, own_system)
+    return StoredRun(title, _time_unit(metadata), system, run, own_system)
+
+
+def _time_unit(metadata: dict[str, Any]) -> str:
+    """The unit of a run's times; empty if it has none."""
+    unit = str(metadata.get("time_unit") or _table(metadata).get("time_unit", ""))
+    return "" if unit == "1" else unit
+
+
+def contents(path: Path, run: Any = None, metadata: Any = None) -> str:
+    """A description of a file of results, in lines."""
+    if run is None:
+        run, metadata = files.load(path)
+    lines = [str(metadata.get("title") or _table(metadata).get("title", path)), *_origin(run, metadata)]
+    t = _times(run)
+    if not len(t):
+        return "\n".join(lines)
+    lines.append(f"  t = {t[0]:.6g} … {t[-1]:.6g} {_time_unit(metadata)}".rstrip())
+    if not isinstance(run, Trajectory):
+        return "\n".join([*lines, *_changes(run, metadata["reduce"])])
+    if len(t) > 1:
+        try:
+            lines += _kept(stored_run(path, run, metadata))
+        except UnreadableError:
+            raise
+        except ValueError as unknown:
+            lines.append(f"  energies are not computed: {unknown}")
+    return "\n".join(lines)
+
+
+def _origin(run: Any, metadata: dict[str, Any]) -> list[str]:
+    """What was run, how far it has come, and by which versions."""
+    progress = metadata.get("progress")
+    if not progress:
+        return [
+            f"  {run.state.p.shape[1]} member(s), {len(run.t)} entries; lieint_jax {metadata.get('lieint_jax', '?')}"
+        ]
+    planned, dt = metadata["num_steps"], metadata["dt"]
+    sizes = "between given times" if dt is None else f"of {dt:.6g} {_time_unit(metadata)}".rstrip()
+    entries = metadata.get("num_entries") or planned // metadata["save_every"] + 1
+    state = "complete" if progress["complete"] else f"{progress['steps']} of {planned} steps; --resume goes on"
+    versions = ", ".join(f"{name} {version}" for name, version in metadata["run"]["versions"].items())
+    written = metadata["run"]
+    how = "machine code" if written.get("engine") == "native" else f"XLA, {written['compiler_options']}"
+    return [
+        f"  {metadata['scheme']} · {metadata['system']}, {metadata['members']} member(s), {planned} steps {sizes}",
+        f"  {state}: {len(_times(run))} of {entries} entries",
+        f"  written by {versions} on {written['device']}, {how}",
+    ]
+
+
+def _changes(series: dict[str, np.ndarray], quantity: str) -> list[str]:
+    """The range of the change of a reduced quantity."""
+    least, greatest, mean = series["least"].min(), series["greatest"].max(), series["mean"].mean()
+    return [
+        f"  change of {quantity} since the start: least {least:.3g}, greatest {greatest:.3g}, mean {mean:.3g}",
+        f"  largest residual {series['residual'].max():.2g}; unconverged members {series['unconverged'].max()}",
+    ]
+
+
+def _kept(stored: StoredRun) -> list[str]:
+    """Two lines: the largest change of energy (less work, if counted) at `_TIMES` saves, and the members converged."""
+    run = stored.run
+    count = run.state.p.shape[1]
+    times = np.unique(np.linspace(0, len(run.t) - 1, _TIMES).astype(int))
+    worst = size = failed = 0.0
+    for first in range(0, count, _BLOCK):
+        part = slice(first, first + _BLOCK)
+        H = stored.part(times, part).series(energy_less_work)
+        worst, size = max(worst, float(abs(H - H[0]).max())), max(size, float(abs(H[0]).max()))
+        failed += int((~np.asarray(run.info.converged[:, part])).any(axis=0).sum())
+    what = "energy" if run.state.work is None else "energy less work"
+    relative = f" ({worst / size:.2g} of the largest energy)" if size else ""
+    looked = f"at {len(times)} of {len(run.t)} saved times"
+    return [
+        f"  largest change of {what}, all members, {looked}: {worst:.2g} in the run's units{relative}",
+        f"  {int(count - failed)} of {count} members converged at every step",
+    ]
+
+
+def headline(scenario: Common, step: Step) -> str:
+    """The lines that a report of a scenario begins with."""
+    lines = [scenario.title, f"  {scenario.members} member(s), {scenario.pace()}, {step.name}"]
+    if scenario.members > 1 and scenario.assumption():
+        lines.append(f"  {scenario.assumption()}")
+    return "\n".join(lines)

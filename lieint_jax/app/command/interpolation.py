@@ -1,0 +1,46 @@
+"""States between saved ones, for pictures: how far bodies turn from one to the next, and the path between."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from lieint_jax._integrate import interpolate
+from lieint_jax.systems._heavy_top import Linear
+from lieint_jax.types import Trajectory
+
+APART = 2.6  # rad, the most between saved states: those found between them are off by 0.3° (tumbling bodies)
+
+
+def member(run: Trajectory, k: int) -> Trajectory:
+    """The trajectory of one member, in memory."""
+    return Trajectory(jnp.asarray(run.t), *jax.tree.map(lambda x: np.asarray(x[:, k]), (run.state, run.info)))
+
+
+def turns(system: Any, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """About how far the fastest body and the axis of a top turn between saved states, (saves − 1,), in radians."""
+    rates = system.angular_velocities if hasattr(system, "angular_velocities") else system.angular_velocity
+    Omega = np.asarray(jax.jit(jax.vmap(rates))(jax.tree.map(jnp.asarray, run.state)))
+    Omega, axis = Omega.reshape(len(Omega), -1, 3), pointed(system)
+    across = Omega if axis is None else np.cross(Omega, axis)
+
+    def turned(rates: np.ndarray) -> np.ndarray:
+        speed = np.linalg.norm(rates, axis=-1).max(axis=1)
+        return np.maximum(speed[1:], speed[:-1]) * abs(np.diff(run.t))
+
+    return turned(Omega), turned(across)
+
+
+def at(system: Any, run: Trajectory, times: np.ndarray) -> Trajectory:
+    """The trajectory at times inside it, by interpolation, where saved states are no more than `APART` apart."""
+    return Trajectory(jnp.asarray(times), interpolate(system, run, times), run.info)
+
+
+def pointed(system: Any) -> np.ndarray | None:
+    """The axis (3,) of a heavy top, from its fixed point to its center of mass in the body; None of other systems."""
+    potential = getattr(system, "potential", None)
+    weight = np.asarray(potential.weight) if isinstance(potential, Linear) else np.zeros(3)
+    return weight / np.linalg.norm(weight) if weight.any() else None

@@ -1,0 +1,163 @@
+"""Pictures of a run of any system, from its states alone; scenarios have pictures of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax import Array
+from matplotlib.figure import Figure
+
+from lieint_jax.app import plots
+from lieint_jax.app.command import interpolation
+from lieint_jax.app.scenarios._body import in_space
+from lieint_jax.app.scenarios._common import POINTS
+from lieint_jax.types import State, Trajectory, energy_less_work
+from lieint_jax.types._members import along
+
+_CHORD = np.deg2rad(3)  # the most that a body turns from one point of its path to the next, if there are enough points
+
+
+class StoredRun(NamedTuple):
+    """A run with its system.
+
+    Attributes:
+        title: for pictures.
+        time_unit: the unit of its times.
+        system: whose leaves have the member axis first if `own_system`.
+        run: a `Trajectory`, whose arrays may be on disk, or the arrays of a run with `reduce` by name.
+        own_system: whether each member has a system of its own.
+    """
+
+    title: str
+    time_unit: str
+    system: Any
+    run: Any
+    own_system: bool
+
+    def part(self, times: np.ndarray, members: slice) -> StoredRun:
+        """These saved times of these members, in memory."""
+        state, info = jax.tree.map(lambda x: np.stack([x[k, members] for k in times]), (self.run.state, self.run.info))
+        system = jax.tree.map(lambda x: x[members], self.system) if self.own_system else self.system
+        return self._replace(system=system, run=Trajectory(self.run.t[times], state, info))
+
+    def system_of(self, member: int) -> Any:
+        """The system of one member."""
+        return jax.tree.map(lambda x: x[member], self.system) if self.own_system else self.system
+
+    def series(self, function: Callable[[Any, State], Array]) -> np.ndarray:
+        """The values of a function of system and state, (times, members, …)."""
+        measure = partial(along, function, system_axis=0 if self.own_system else None)
+        return np.asarray(jax.jit(measure)(self.system, self.run))
+
+
+def of(stored: StoredRun) -> dict[str, Callable[[StoredRun], Figure]]:
+    """The functions that draw a run, by the suffix of their file names."""
+    if not isinstance(stored.run, Trajectory):
+        return {"change": draw_change}
+    return {"invariants": draw_invariants, "motion": draw_motion}
+
+
+@plots.style()
+def draw_invariants(stored: StoredRun) -> Figure:
+    """Plot the errors of energy (less work, if counted) and momentum against time: the worst member and the median."""
+    H = stored.series(energy_less_work)
+    Phi = stored.series(lambda system, z: system.momentum(z))
+    what = "energy error" if stored.run.state.work is None else "error of energy less work"
+    errors = {f"{what}, relative": abs(H - H[0]) / _size(abs(H[0]))}
+    if Phi.shape[-1]:
+        norm = np.linalg.norm(Phi[0], axis=-1)
+        errors["momentum error, relative"] = np.linalg.norm(Phi - Phi[0], axis=-1) / _size(norm)
+    fig, axes = plots.figure(len(errors))
+    for ax, (label, error) in zip(axes[0], errors.items(), strict=True):
+        curves = {"worst member": error.max(axis=1), "median": np.median(error, axis=1)}
+        plots.log_error(ax, stored.run.t, curves, label, stored.time_unit)
+    fig.suptitle(stored.title)
+    return fig
+
+
+@plots.style()
+def draw_motion(stored: StoredRun) -> Figure:
+    """Plot the motion of the first member: a direction on the sphere, the centers of bodies, or the components of q."""
+    q = np.asarray(stored.run.state.q[:, 0])
+    if q.shape[1:] == (4,):
+        fig = _draw_body(stored)
+    elif q.shape[1:] == (3,):
+        fig = _draw_direction(q, "q")
+    elif q.shape[2:] == (7,):
+        fig = _draw_centers(q[..., :3])
+    else:
+        fig = _draw_components(stored, q)
+    fig.suptitle(stored.title)
+    return fig
+
+
+def _draw_body(stored: StoredRun) -> Figure:
+    """The body axis z of the first member; a curve if states between the saved ones can be found, else dots."""
+    system, run = stored.system_of(0), interpolation.member(stored.run, 0)
+    joined = hasattr(system, "angular_velocity")
+    if joined:
+        apart, _ = interpolation.turns(system, run)
+        joined = bool(apart.max() <= interpolation.APART)
+        if joined and apart.max() > _CHORD:
+            parts = min(int(np.ceil(apart.max() / _CHORD)), max(1, POINTS // len(apart)))
+            t = np.asarray(run.t)
+            run = interpolation.at(
+                system, run, np.interp(np.arange(len(apart) * parts + 1) / parts, np.arange(len(t)), t)
+            )
+    path = in_space(np.asarray(run.state.q), np.eye(3)[2])
+    return _draw_direction(path, "body axis z", joined)
+
+
+@plots.style()
+def _draw_direction(path: np.ndarray, name: str, joined: bool = True) -> Figure:
+    fig, axes = plots.figure(subplot_kw={"projection": "3d"})
+    ax = plots.sphere_path(axes[0, 0], path, joined=joined)
+    plots.sphere_ends(ax, path)
+    plots.sphere_axes(ax)
+    ax.legend(loc="upper left")
+    apart = "" if joined else "; dots: states are saved too far apart to be joined"
+    ax.set_title(f"{name} of the first member, in space; a line every 30°{apart}", wrap=True)
+    return fig
+
+
+@plots.style()
+def _draw_centers(x: np.ndarray) -> Figure:
+    """The paths (times, bodies, 3) of the centers of the first bodies, in two projections."""
+    fig, axes = plots.figure(2)
+    curves = {f"body {k + 1}": x[:, k] for k in range(min(x.shape[1], len(plots.STYLES)))}
+    for ax, plane in zip(axes[0], ((0, 1), (0, 2)), strict=True):
+        plots.paths(ax, curves, plane)
+    axes[0, 0].legend()
+    more = f", the first {len(plots.STYLES)} of {x.shape[1]} bodies" if x.shape[1] > len(plots.STYLES) else ""
+    axes[0, 0].set_title(f"centers of the first member{more}; a mark at the end")
+    return fig
+
+
+@plots.style()
+def _draw_components(stored: StoredRun, q: np.ndarray) -> Figure:
+    """Every component of q against time, a panel for each row of a matrix."""
+    rows = q.reshape(len(q), -1, q.shape[-1])
+    fig, axes = plots.figure(rows.shape[1])
+    for i, ax in enumerate(axes[0]):
+        names = [f"q{i + 1}{j + 1}" if q.ndim > 2 else f"q{j + 1}" for j in range(q.shape[-1])]
+        curves = dict(zip(names, rows[:, i].T, strict=True))
+        plots.series(ax, stored.run.t, curves, "q of the first member", stored.time_unit)
+    return fig
+
+
+@plots.style()
+def draw_change(stored: StoredRun) -> Figure:
+    """Plot the least, mean and greatest change of the reduced quantity against time."""
+    fig, axes = plots.figure()
+    curves = {name: stored.run[name] for name in ("least", "mean", "greatest")}
+    plots.series(axes[0, 0], stored.run["time"], curves, "change since the start, all members", stored.time_unit)
+    fig.suptitle(stored.title)
+    return fig
+
+
+def _size(x: np.ndarray) -> np.ndarray:
+    return np.where(x > 0, x, 1)

@@ -1,0 +1,110 @@
+"""Trees of named tuples, such as the result of a study, as one .npz: arrays by their path, the rest as JSON text."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from lieint_jax.app import scenarios
+from lieint_jax.app.scenarios._common import Common
+from lieint_jax.ensemble import _opening
+
+_PACKAGE = __name__.partition(".")[0]
+_RENAMED = {  # since version 0.2
+    "lieint_jax.studies.": "lieint_jax.app.studies.",
+    "studies._equivalents:": "studies._symmetric_solutions:",
+    "fitting._outcome:Starts": "fitting._outcome:MultiStartResult",
+}
+
+
+def save(path: Path, tree: Any, metadata: dict[str, Any]) -> None:
+    """Write a tree of named tuples of this package, tuples, lists, dicts, scenarios, arrays, numbers and text.
+
+    An array is named by its path in the tree, such as `estimate.covariance`. An existing file is not replaced.
+
+    Raises:
+        TypeError: the tree holds something else.
+        ValueError: two arrays would have one name, or one that of the metadata.
+        FileExistsError: there is such a file.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    written = metadata | {"tree": _encoded(tree, "", arrays)}
+    with path.open("xb") as file:
+        np.savez(file, allow_pickle=False, **arrays, metadata=np.array(json.dumps(written)))
+
+
+def metadata(path: Path) -> dict[str, Any] | None:
+    """The metadata of a tree that `save` wrote; None for any other file or folder."""
+    try:
+        found = _opening.archive(path).metadata
+    except (ValueError, OSError):
+        return None
+    return found if "tree" in found else None
+
+
+def load(path: Path) -> Any:
+    """The tree that `save` wrote.
+
+    Raises:
+        ValueError: no such file, damaged, or of a form that this version of the package does not have.
+    """
+    found = _opening.archive(path)
+    arrays = found.read(*found.headers)
+    with _opening.reading(path, "holds no tree that this version of lieint_jax can read"):
+        return _decoded(found.metadata["tree"], arrays)
+
+
+def _encoded(value: Any, at: str, arrays: dict[str, np.ndarray]) -> Any:
+    def below(name: Any, inner: Any) -> Any:
+        return _encoded(inner, f"{at}.{name}" if at else str(name), arrays)
+
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray | jax.Array):
+        if at in (*arrays, "metadata"):
+            raise ValueError(f"two parts of the tree are called {at}")
+        arrays[at] = np.asarray(value)
+        return {"array": at}
+    if isinstance(value, Common):
+        return {"scenario": value.model_dump()}
+    if isinstance(value, dict):
+        return {"dict": [[key, below(key, inner)] for key, inner in value.items()]}
+    if hasattr(value, "_fields"):
+        kind = f"{type(value).__module__}:{type(value).__qualname__}"
+        return {"type": kind, "fields": {name: below(name, getattr(value, name)) for name in value._fields}}
+    if isinstance(value, tuple | list):
+        return {type(value).__name__: [below(k, inner) for k, inner in enumerate(value)]}
+    raise TypeError(f"{at} is of type {type(value).__name__}, which is not written")
+
+
+def _decoded(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+    if not isinstance(value, dict):
+        return value
+    if "type" in value:
+        return _type(value["type"])(**{name: _decoded(inner, arrays) for name, inner in value["fields"].items()})
+    [(kind, inner)] = value.items()
+    if kind == "array":
+        return arrays[inner]
+    if kind == "scenario":
+        return scenarios.stored(inner, "the scenario")
+    if kind == "dict":
+        return {key: _decoded(part, arrays) for key, part in inner}
+    return {"tuple": tuple, "list": list}[kind](_decoded(part, arrays) for part in inner)
+
+
+def _type(name: str) -> Any:
+    """The named tuple called MODULE:NAME, of this package only: a file must not choose what else is imported."""
+    for old, new in _RENAMED.items():
+        name = name.replace(old, new)
+    module, _, kind = name.partition(":")
+    found = getattr(importlib.import_module(module), kind) if module.split(".")[0] == _PACKAGE else None
+    if not (isinstance(found, type) and issubclass(found, tuple) and hasattr(found, "_fields")):
+        raise ValueError(f"{name} is no named tuple of {_PACKAGE}")
+    return found

@@ -1,0 +1,196 @@
+"""What an animation shows: attitudes, places and momenta of the bodies of one member of a run, frame by frame."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from lieint_jax.app.command import interpolation
+from lieint_jax.app.command.meshes import Solid, box, top
+from lieint_jax.app.command.pictures import StoredRun
+from lieint_jax.app.scenarios._body import spin_axis
+from lieint_jax.groups import so3
+from lieint_jax.types import AbstractFreeBodies, AbstractRigidBodies, Trajectory
+
+_MOST = np.deg2rad(15)  # the most that a body turns from frame to frame, if states can be interpolated
+_TILT = np.deg2rad(2)  # the same of the axis of a top, whose spin may be much faster
+_FINE = 4  # points of the path of an axis between two frames
+_SMALLEST = 0.06  # the size of the largest of several bodies, over that of the scene; smaller ones are drawn larger
+_TIP, _ARROW = 1.2, 1.5  # where axes and momentum vectors end, over the size of their body
+
+Span = tuple[float | None, float | None]
+
+
+class Scene(NamedTuple):
+    """A scene of `bodies` bodies in `frames` frames, in one unit of length.
+
+    Attributes:
+        title: of the run.
+        notes: what is shown, in sentences.
+        time_unit: of t.
+        t: times (frames,).
+        solids: the surface of each body.
+        turns: rotation matrices, body to space, (frames, bodies, 3, 3).
+        centers: (frames, bodies, 3).
+        momenta: ends of the spatial angular momenta, drawn from the centers, (frames, bodies, 3).
+        paths: of the ends of the axes, (points, bodies, 3); point k·`fine` belongs to frame k.
+        fine: points of a path from frame to frame.
+        middle: the middle of what is seen, (3,).
+        reach: half the side of a cube about it that holds everything.
+        needed: how many frames would show all that was asked for.
+    """
+
+    title: str
+    notes: tuple[str, ...]
+    time_unit: str
+    t: np.ndarray
+    solids: tuple[Solid, ...]
+    turns: np.ndarray
+    centers: np.ndarray
+    momenta: np.ndarray
+    paths: np.ndarray
+    fine: int
+    middle: np.ndarray
+    reach: float
+    needed: int
+
+    def corners(self, frame: int, body: int) -> np.ndarray:
+        """The corners of a body in space, (n, 3)."""
+        return self.centers[frame, body] + self.solids[body].corners @ self.turns[frame, body].T
+
+    def arrow(self, frame: int, body: int) -> np.ndarray:
+        """The ends of the momentum vector of a body, (2, 3)."""
+        return np.stack([self.centers[frame, body], self.momenta[frame, body]])
+
+    def axis(self, frame: int, body: int) -> np.ndarray:
+        """The ends of the axis of a body, (2, 3)."""
+        return np.stack([self.centers[frame, body], self.paths[frame * self.fine, body]])
+
+    def clock(self, frame: int) -> str:
+        """The time of a frame, to print."""
+        return f"t = {self.t[frame]:.4g} {self.time_unit}".rstrip()
+
+
+def of(stored: StoredRun, member: int, frames: int, span: Span = (None, None)) -> Scene:
+    """The scene of one member of a run, in at most `frames` frames.
+
+    Args:
+        stored: the run.
+        member: which one.
+        frames: the most of them.
+        span: the times of the first and the last frame; None is that of the run.
+
+    Raises:
+        ValueError: a system without rigid bodies, no such member, or times outside the run.
+    """
+    if not 0 <= member < stored.run.state.p.shape[1]:
+        raise ValueError(f"the run has members 0 to {stored.run.state.p.shape[1] - 1}, got --member {member}")
+    system = stored.system_of(member)
+    several = isinstance(system, AbstractRigidBodies | AbstractFreeBodies)
+    shape = stored.run.state.q.shape
+    if not (several or (shape[2:] == (4,) and hasattr(system, "inertia"))):
+        raise ValueError(
+            f"{type(system).__name__} is not made of rigid bodies: rigid bodies, gyrostats, tops, satellites and "
+            "several bodies can be animated; `lieint plot` draws this run"
+        )
+    run, fine, notes, needed = _shown(system, interpolation.member(stored.run, member), frames, stored.time_unit, span)
+    q, p = np.asarray(run.state.q), np.asarray(run.state.p)
+    x, attitudes, spins = (q[..., :3], q[..., 3:], p[..., 3:]) if several else (np.zeros((len(q), 1, 3)), q[:, None], p)
+    spins = spins.reshape(len(q), -1, 3)
+    turns = np.asarray(jax.jit(jax.vmap(jax.vmap(so3.to_matrix)))(jnp.asarray(attitudes)))
+    solids, axes, factor = _bodies(system, turns[0], spins[0], x)
+    if factor > 1:
+        notes = (*notes, f"bodies are drawn {factor:.2g} times as large as they are")
+    sizes = np.array([solid.size() for solid in solids])[:, None]
+    paths = x + np.einsum("tbij,bj->tbi", turns, _TIP * sizes * axes)
+    lengths = np.linalg.norm(spins, axis=-1).max(axis=0)
+    momenta = x + _ARROW * sizes * spins / np.where(lengths > 0, lengths, 1)[:, None]
+    seen = np.concatenate([z.reshape(-1, 3) for z in (paths, momenta, x - sizes, x + sizes)])
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    each = ", each to its own scale" if len(solids) > 1 else ""
+    notes = (f"blue: the axis and the path of its end; dark orange: the angular momentum{each}", *notes)
+    return Scene(
+        title=stored.title,
+        notes=notes,
+        time_unit=stored.time_unit,
+        t=np.asarray(run.t)[::fine],
+        solids=solids,
+        turns=turns[::fine],
+        centers=x[::fine],
+        momenta=momenta[::fine],
+        paths=paths,
+        fine=fine,
+        middle=(low + high) / 2,
+        reach=float((high - low).max() / 2),
+        needed=needed,
+    )
+
+
+def _shown(
+    system: Any, run: Trajectory, frames: int, time_unit: str, span: Span
+) -> tuple[Trajectory, int, tuple[str, ...], int]:
+    """As much of a span of a trajectory as `frames` frames can show, at the points of paths; points a frame; notes;
+    how many frames would show the whole span.
+    """
+    t = np.asarray(run.t)
+    sign, (first, last) = np.sign(t[-1] - t[0]), _span(t, span, time_unit)
+    turns, tilts = interpolation.turns(system, run)
+    steps, step = (turns, _MOST) if interpolation.pointed(system) is None else (tilts, _TILT)
+    turned = np.concatenate([[0.0], np.cumsum(steps)])
+    begun, ended = np.interp(sign * np.array([first, last]), sign * t, turned)
+    most = begun + (frames - 1) * step
+    end = last if ended <= most else np.interp(most, turned, t)
+    needed = int(np.ceil((ended - begun) / step)) + 1
+    low = int(np.searchsorted(sign * t, sign * first, side="right")) - 1
+    low = min(low, len(t) - 2)
+    high = max(int(np.searchsorted(sign * t, sign * end)), low + 1)
+    part = jax.tree.map(lambda x: x[low : high + 1], run)
+    whole = "" if span == (None, None) else " that were asked for"
+    unit = f" {time_unit}".rstrip()
+    notes = (f"the first {abs(end - first):.4g} of {abs(last - first):.4g}{unit}{whole}",) if ended > most else ()
+    apart = turns[low:high].max()
+    if apart <= interpolation.APART:
+        times = np.linspace(first, end, (frames - 1) * _FINE + 1)
+        return interpolation.at(system, part, times), _FINE, notes, needed
+    saved = np.flatnonzero((sign * (t - first) >= 0) & (sign * (last - t) >= 0))[:frames]
+    if len(saved) < 2:
+        raise ValueError(f"fewer than two states are saved from t = {first:.6g} to {last:.6g}, too far apart to show")
+    which = "first" if saved[0] == 0 else "next"
+    note = (
+        f"states are saved too far apart to be interpolated, up to {np.rad2deg(apart):.0f}° of turning: the frames are "
+        f"the {which} {len(saved)} saved states; save more often to see what is between"
+    )
+    return jax.tree.map(lambda x: x[saved], run), 1, (note,), len(saved)
+
+
+def _span(t: np.ndarray, span: Span, time_unit: str) -> tuple[float, float]:
+    """The first and last time to show; ValueError if they are not in the run, in its order."""
+    first, last = (float(end if given is None else given) for given, end in zip(span, (t[0], t[-1]), strict=True))
+    sign = np.sign(t[-1] - t[0])
+    if not sign * t[0] <= sign * first < sign * last <= sign * t[-1]:
+        unit = f" {time_unit}".rstrip()
+        raise ValueError(
+            f"--from and --to must lie in the run, from {t[0]:.6g} to {t[-1]:.6g}{unit}, in its order; got "
+            f"{first:.6g} to {last:.6g}"
+        )
+    return first, last
+
+
+def _bodies(
+    system: Any, turns: np.ndarray, spins: np.ndarray, x: np.ndarray
+) -> tuple[tuple[Solid, ...], np.ndarray, float]:
+    """The surfaces of the bodies, the axis of each in the body (bodies, 3), and by how much they are enlarged."""
+    axis = interpolation.pointed(system)
+    if axis is not None:
+        return (top(np.asarray(system.inertia), axis),), axis[None], 1.0
+    single = not hasattr(system, "inertias")
+    inertias = np.asarray(system.inertia)[None] if single else np.asarray(system.inertias)
+    masses = [None] if single else np.asarray(system.masses)
+    axes = np.stack([spin_axis(J, R.T @ p) for J, R, p in zip(inertias, turns, spins, strict=True)])
+    solids = [box(J, m) for J, m in zip(inertias, masses, strict=True)]
+    extent = np.ptp(x, axis=(0, 1)).max() / 2
+    factor = max(1.0, _SMALLEST * extent / max(solid.size() for solid in solids))
+    return tuple(solid.grown(factor) for solid in solids), axes, factor

@@ -1,0 +1,78 @@
+"""The command `study`: it runs a study, reports, and writes its results and its picture; `plot` draws them again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import jax
+
+from lieint_jax import _discover
+from lieint_jax._version import __version__
+from lieint_jax.app import plots, studies
+from lieint_jax.app.command import files, result_file
+from lieint_jax.ensemble import _opening
+
+
+def found() -> dict[str, ModuleType]:
+    """The studies by name."""
+    return _discover.public_modules(studies)
+
+
+def run(name: str, out: Path, quick: bool) -> None:
+    """Run a study; write study-NAME.npz, .png and .pdf to the folder `out`, numbered if there are some already."""
+    study = _named(name)
+    out.mkdir(parents=True, exist_ok=True)
+    path = files.unused(out / f"study-{name}.npz", _pictures)
+    result = study.run(quick=quick)
+    result_file.save(path, result, {"study": name, "quick": quick, "lieint_jax": __version__, "jax": jax.__version__})
+    print(study.text(result))
+    drawn = plots.save(study.draw(result), path.with_suffix(".png"))
+    again = f"{files.megabytes(path)}; lieint plot {path} draws it again"
+    print(f"\nwritten: {path} ({again}), {', '.join(map(str, drawn))}")
+
+
+def _named(name: str) -> ModuleType:
+    if name not in found():
+        raise ValueError(f"study {name!r} is not one of {', '.join(found())}; lieint list describes them")
+    return found()[name]
+
+
+def wrote(path: Path) -> bool:
+    """Whether a file holds the results of a study."""
+    return path.suffix == ".npz" and result_file.metadata(path) is not None
+
+
+def info(path: Path) -> str:
+    """What a file of a study's results holds, in lines."""
+    metadata = _metadata(path)
+    title = (_named(metadata["study"]).__doc__ or "").splitlines()[0]
+    small = ", a small one (--quick)" if metadata["quick"] else ""
+    return f"{title}\n  study {metadata['study']}{small}; lieint_jax {metadata['lieint_jax']}, jax {metadata['jax']}"
+
+
+def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
+    """Report on the results of a study and draw them again; for `out` and `force` see `results.plot`."""
+    name = _metadata(path)["study"]
+    study, plain = _named(name), files.in_folder(path, out)
+    files.free_pictures(_pictures(plain), force)
+    result = result_file.load(path)
+    with _opening.reading(path, f"holds no result of the study {name}"):
+        text, figure = study.text(result), study.draw(result)
+    print(text)
+    drawn = plots.save(figure, plain.with_suffix(".png"))
+    print(f"\nwritten: {', '.join(map(str, drawn))}")
+
+
+def _metadata(path: Path) -> dict[str, Any]:
+    """The metadata of a file of a study's results."""
+    found = result_file.metadata(path) or {}
+    missing = {"study", "quick", "lieint_jax", "jax"} - set(found)
+    if missing:
+        raise ValueError(f"{path} is no file of a study that lieint wrote, or is damaged: it has no {min(missing)}")
+    return found
+
+
+def _pictures(path: Path) -> list[Path]:
+    return plots.files(path.with_suffix(".png"))

@@ -1,0 +1,175 @@
+"""Scenario files (*.toml), shipped or the user's own: from a file to a step, a batch of states and a report.
+
+A scenario is a system, a scheme, a time step and an ensemble of initial states; it may hold published values and
+observations to compare with the results. `scenario_names` lists the shipped ones. The keys of all scenarios are in
+`_common.py`; each kind of system is one module, named like the file's `system` key, which has
+
+| name | |
+|---|---|
+| `Scenario` | a pydantic model of its keys, a subclass of `_common.Common` |
+| `build(scenario)` | the step and the batch of initial states; member 0 is the nominal state |
+| `report(scenario, step, run)` | the text that reports a run |
+| `PICTURES` | functions (scenario, step, run) ↦ figure, by the suffix of their file names |
+| `STEP_AXIS` | 0 where every member has a system of its own: the leaves of the step then have the member axis |
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+import sys
+import tomllib
+from importlib import resources
+from pathlib import Path
+from types import ModuleType
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from lieint_jax import _discover
+from lieint_jax.app.scenarios._common import Common
+from lieint_jax.types import State, Step
+
+_FOR_PYTHON = "; use jax.vmap for batches"  # advice that is of no use in a file
+_OLD_KEYS = {"angular_velocity": "angular_velocity_rad"}
+
+
+def scenario_names() -> list[str]:
+    """The names of the shipped scenarios."""
+    files = resources.files(__name__).iterdir()
+    return sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml"))
+
+
+def kinds() -> dict[str, ModuleType]:
+    """The modules of this package, by the `system` key of their scenarios."""
+    return _discover.public_modules(sys.modules[__name__])
+
+
+def kind(scenario: Common) -> ModuleType:
+    """The module for a scenario's kind of system."""
+    return kinds()[scenario.system]
+
+
+def build(scenario: Common) -> tuple[Step, State]:
+    """The step and the batch of initial states; member 0 is the nominal state."""
+    return kind(scenario).build(scenario)
+
+
+def step_axis(scenario: Common) -> int | None:
+    """0 if the leaves of the step of `build` have the member axis, as `ensemble.run` has it; else None."""
+    return getattr(kind(scenario), "STEP_AXIS", None)
+
+
+def build_first(scenario: Common, members: int) -> Step:
+    """The step of the first `members` members, for those of a run that are shown; one for all if they share it."""
+    return build(scenario.model_copy(update={"members": 1 if step_axis(scenario) is None else members}))[0]
+
+
+def load(name: str, **changes: Any) -> Any:
+    """The scenario shipped under `name`, or the one in the file `name`, with `changes` to its keys.
+
+    Returns:
+        A `Scenario` of the module that its `system` key names.
+
+    Raises:
+        ValueError: no such scenario, not TOML, or a key that is missing, unknown or out of range: the message names it.
+    """
+    return parse(_table(name) | {key: value for key, value in changes.items() if value is not None}, name)
+
+
+def parse(table: dict[str, Any], name: str) -> Any:
+    """The scenario of a table of keys; error messages begin with `name`."""
+    if "system" not in table:
+        raise ValueError(f"{name}: system: key missing")
+    if not isinstance(table["system"], str) or table["system"] not in kinds():
+        allowed = " or ".join(map(repr, kinds()))
+        raise ValueError(f"{name}: system: must be {allowed} (got {table['system']!r})")
+    model = kinds()[table["system"]].Scenario
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        raise ValueError(f"{name}: {_explain(error, model)}") from error
+
+
+def stored(table: dict[str, Any], name: str) -> Any:
+    """The scenario that results hold; those of version 0.1 have keys of then, without units."""
+
+    def renamed(tree: Any) -> Any:
+        if isinstance(tree, list):
+            return [renamed(value) for value in tree]
+        if isinstance(tree, dict):
+            return {_OLD_KEYS.get(key, key): renamed(value) for key, value in tree.items()}
+        return tree
+
+    return parse(renamed(table), name)
+
+
+def schema() -> dict[str, Any]:
+    """The JSON schema of a scenario file: one of the kinds of system, told apart by the key `system`."""
+    from pydantic.json_schema import models_json_schema
+
+    found, definitions = models_json_schema([(module.Scenario, "validation") for module in kinds().values()])
+    return {"oneOf": list(found.values()), **definitions}
+
+
+def _table(name: str) -> dict[str, Any]:
+    path = Path(name)
+    if name in scenario_names():
+        text = resources.files(__name__).joinpath(f"{name}.toml").read_text(encoding="utf-8")
+    elif path.is_file():
+        try:
+            text = path.read_bytes().decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise ValueError(f"{name} is not UTF-8 text: {error}") from error
+    else:
+        if path.suffix or len(path.parts) > 1:
+            raise ValueError(f"there is no file {name}; `lieint list` shows the scenarios that need none")
+        near = difflib.get_close_matches(name, scenario_names(), 1)
+        meant = f"did you mean {near[0]}? " if near else ""
+        raise ValueError(f"there is no scenario {name!r}: {meant}`lieint list` shows all; or give a .toml file")
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{name} is not valid TOML: {error}{_quotes(text, str(error))}") from error
+
+
+def _quotes(text: str, error: str) -> str:
+    """What to write where the line of an error has text without quotes."""
+    number = re.search(r"at line (\d+)", error)
+    line = text.splitlines()[int(number[1]) - 1] if number else ""
+    found = re.fullmatch(r"\s*([\w.]+)\s*=\s*([A-Za-z_][\w-]*)\s*(#.*)?", line)
+    return f'; text stands in quotes: {found[1]} = "{found[2]}"' if found else ""
+
+
+def _keys(model: Any, path: list[str]) -> list[str]:
+    """The keys of the table at `path` in a model; none if there are several kinds of such tables."""
+    for part in path:
+        annotation = model.model_fields[part].annotation if part in getattr(model, "model_fields", {}) else None
+        inner = [x for x in (annotation, *get_args(annotation)) if isinstance(x, type) and issubclass(x, BaseModel)]
+        if len(inner) != 1:
+            return []
+        model = inner[0]
+    return list(model.model_fields)
+
+
+def _nearest(key: str, allowed: list[str]) -> list[str]:
+    """The allowed key that is most like `key`, or two that are equally like it; none if none is like it."""
+    near = difflib.get_close_matches(key, allowed, 2)
+    likeness = [difflib.SequenceMatcher(None, key, candidate).ratio() for candidate in near]
+    return [candidate for candidate, x in zip(near, likeness, strict=True) if x == likeness[0]]
+
+
+def _explain(error: ValidationError, model: Any) -> str:
+    """The first problem of a validation, in one line that names the key; an unknown one with those that are known."""
+    problem, *others = error.errors()
+    key = "".join(f"{part}." for part in problem["loc"] if part != "[key]").removesuffix(".")
+    silent = problem["type"] in ("missing", "extra_forbidden") or not problem["loc"]
+    given = "" if silent else f" (got {problem['input']!r})"
+    message = {"extra_forbidden": "unknown key", "missing": "key missing"}.get(problem["type"], problem["msg"])
+    if problem["type"] == "extra_forbidden":
+        allowed = _keys(model, [part for part in problem["loc"][:-1] if isinstance(part, str)])
+        near = " or ".join(_nearest(str(problem["loc"][-1]), allowed))
+        message += f"; did you mean {near}?" if near else ""
+        message += f"; allowed: {', '.join(allowed)}" if allowed else ""
+    more = f"; and {len(others)} more" if others else ""
+    return f"{key}{': ' if key else ''}{message.removeprefix('Value error, ')}{given}{more}".replace(_FOR_PYTHON, "")

@@ -1,0 +1,200 @@
+"""Motions of two bodies about one another as they are measured: periods, librations, energies.
+
+Positions are relative: d = x₂ − x₁, v = ẋ₂ − ẋ₁. Longitudes are angles about the total angular momentum L, which is
+conserved. The leaves of `step` and `system` have the member axis: every member has masses and moments of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from lieint_jax._integrate import integrate
+from lieint_jax._numerics import vec3
+from lieint_jax.groups import so3
+from lieint_jax.phase_spaces import frame
+from lieint_jax.systems import RigidBodies
+from lieint_jax.types import State, Step, Trajectory
+
+_NEWTON = 8  # the most corrections of a speed that is to give a period
+_CLOSE = 1e-5  # the largest last correction, over the change: what Newton's method leaves is its square
+
+
+class Motion(NamedTuple):
+    """Angles in rad at the saved times, (times, members); longitudes and librations are continuous in time.
+
+    Attributes:
+        distance: |d|.
+        longitude: of d.
+        spin_1, spin_2: the longitudes of the x axes of the two bodies.
+        libration: of the secondary's x axis from the line of centers, in its own equator.
+        out_of_plane: of the line of centers from the secondary's equator.
+        obliquity_1, obliquity_2: of the z axes of the two bodies from the normal of the orbit.
+        inclination: of the normal of the orbit from L.
+        node: the longitude of the normal of the orbit.
+    """
+
+    distance: np.ndarray
+    longitude: np.ndarray
+    spin_1: np.ndarray
+    spin_2: np.ndarray
+    libration: np.ndarray
+    out_of_plane: np.ndarray
+    obliquity_1: np.ndarray
+    obliquity_2: np.ndarray
+    inclination: np.ndarray
+    node: np.ndarray
+
+
+class Energies(NamedTuple):
+    """The parts of the energy H; all but `total` add up to it.
+
+    Attributes:
+        orbit: of the relative motion of two points, ½μ|v|² − G m₁m₂/|d|.
+        spin_1, spin_2: ½ Π·J⁻¹Π of the two bodies.
+        shape: V₂ = V + G m₁m₂/|d|, the part of the potential that their shapes make.
+        total: H.
+    """
+
+    orbit: Any
+    spin_1: Any
+    spin_2: Any
+    shape: Any
+    total: Any
+
+
+def nominal_of(tree: Any) -> Any:
+    """Member 0 of a step or a system whose leaves have the member axis."""
+    return jax.tree.map(lambda leaf: leaf[0], tree)
+
+
+def over_members(function: Callable[[RigidBodies, State], Any], system: RigidBodies, run: Trajectory) -> Any:
+    """Values of a function of system and state, at all saved times of all members: (times, members, …)."""
+    each = jax.jit(jax.vmap(jax.vmap(function), in_axes=(None, 0)))
+    return jax.tree.map(np.asarray, each(system, jax.tree.map(jnp.asarray, run.state)))
+
+
+def relative(system: RigidBodies, state: State) -> tuple[Array, Array]:
+    """d and v."""
+    x, v = state.q[:, :3], state.p[:, :3] / system.masses[:, None]
+    return x[1] - x[0], v[1] - v[0]
+
+
+def motion(system: RigidBodies, run: Trajectory) -> Motion:
+    """The angles and distances of a run."""
+    angles, rates = over_members(_instant, system, run)
+    continued = {name: followed(run.t, getattr(angles, name), rate) for name, rate in rates.items()}
+    continued["libration"] = np.unwrap(angles.libration, axis=0)
+    continued["node"] = np.unwrap(angles.node, axis=0)
+    return angles._replace(**continued)
+
+
+def followed(t: np.ndarray | Array, angle: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """An angle (times, …) continued in time; it moves by less than half a turn off its first rate between two saves."""
+    since = (np.asarray(t) - t[0]).reshape(-1, *[1] * (angle.ndim - 1))
+    return rate[0] * since + np.unwrap(angle - rate[0] * since, axis=0)
+
+
+def _instant(system: RigidBodies, state: State) -> tuple[Motion, dict[str, Array]]:
+    """The angles at one time, each within a turn, and the rates of those that go round."""
+    d, v = relative(system, state)
+    normal = jnp.stack(vec3.cross(d, v))
+    L = system.momentum(state)[3:]
+    up = L / jnp.sqrt(vec3.dot(L, L))
+    attitudes, Omega = state.q[:, 3:], system.angular_velocities(state)
+    x, z = (jax.vmap(so3.Ad, (0, None))(attitudes, axis) for axis in (jnp.eye(3)[0], jnp.eye(3)[2]))
+    spins = jnp.sum(jax.vmap(so3.Ad)(attitudes, Omega) * up, axis=1)
+    Gamma = so3.Ad_star(attitudes[1], d)
+    about_up = partial(longitude, up)
+    angles = Motion(
+        distance=jnp.sqrt(vec3.dot(d, d)),  # pyright: ignore[reportArgumentType]
+        longitude=about_up(d),
+        spin_1=about_up(x[0]),
+        spin_2=about_up(x[1]),
+        libration=-jnp.arctan2(Gamma[1], Gamma[0]),  # pyright: ignore[reportArgumentType]
+        out_of_plane=jnp.arcsin(Gamma[2] / jnp.sqrt(vec3.dot(d, d))),  # pyright: ignore[reportArgumentType]
+        obliquity_1=_between(z[0], normal),
+        obliquity_2=_between(z[1], normal),
+        inclination=_between(up, normal),
+        node=about_up(normal),
+    )
+    orbital = vec3.dot(normal, up) / vec3.dot(d, d)
+    return angles, {"longitude": orbital, "spin_1": spins[0], "spin_2": spins[1]}
+
+
+def longitude(up: Array, a: Array) -> Any:
+    """The angle of `a` about the unit vector `up`."""
+    e1, e2 = frame(up)
+    return jnp.arctan2(vec3.dot(e2, a), vec3.dot(e1, a))
+
+
+def _between(a: Array, b: Array) -> Any:
+    """The angle between two vectors, accurate for small ones too."""
+    c = jnp.stack(vec3.cross(a, b))
+    return jnp.arctan2(jnp.sqrt(vec3.dot(c, c)), vec3.dot(a, b))
+
+
+def energies(system: RigidBodies, state: State) -> Energies:
+    """The parts of the energy at a state."""
+    m, (d, v) = system.masses, relative(system, state)
+    points = system.potential.G * m[0] * m[1] / jnp.sqrt(vec3.dot(d, d))  # pyright: ignore[reportFunctionMemberAccess]
+    Pi = jax.vmap(so3.Ad_star)(state.q[:, 3:], state.p[:, 3:])
+    spins = jnp.sum(Pi * system.angular_velocities(state), axis=1) / 2
+    orbit = m[0] * m[1] / (m[0] + m[1]) * vec3.dot(v, v) / 2 - points
+    return Energies(orbit, spins[0], spins[1], system.potential_energy(state.q) + points, system.energy(state))
+
+
+def rate(t: np.ndarray | Array, angle: Any) -> Any:
+    """The mean rate of an angle (times, …): the slope of its line of least squares."""
+    centerd = t - t.mean()
+    return (centerd @ angle) / (centerd @ centerd)
+
+
+def faster(system: RigidBodies, state: State, change: Array) -> State:
+    """The state with `change` added to the speed of the relative motion, across the line of centers."""
+    m, (d, v) = system.masses, relative(system, state)
+    across = v - d * (vec3.dot(d, v) / vec3.dot(d, d))
+    push = m[0] * m[1] / (m[0] + m[1]) * change * across / jnp.sqrt(vec3.dot(across, across))
+    return state._replace(p=state.p.at[:, :3].add(jnp.stack([-push, push])))
+
+
+@partial(jax.jit, static_argnames=("num_steps", "save_every"))
+def period(step: Step, state: State, dt: float, num_steps: int, save_every: int, change: Array) -> tuple[Array, Array]:
+    """The orbital period after a change of the speed at the start, and its derivative by that change.
+
+    One run with its tangent: the derivative is that of the whole model, not of Kepler's formula.
+    """
+
+    def after(change: Array) -> Array:
+        system: Any = step.system
+        run = integrate(step, faster(system, state, change), dt, num_steps, save_every)
+        L = system.momentum(state)[3:]
+        up = L / jnp.sqrt(vec3.dot(L, L))
+        angles = jax.vmap(lambda z: longitude(up, relative(system, z)[0]))(run.state)
+        return 2 * jnp.pi / rate(run.t, jnp.unwrap(angles))
+
+    return jax.jvp(after, (change,), (jnp.ones_like(change),))
+
+
+def change_to(target: float, measure: Callable[[Array], tuple[Array, Array]]) -> float:
+    """The change of speed that gives the orbital period `target`, by Newton's method; `measure` is that of `period`."""
+    change = 0.0
+    for _ in range(_NEWTON):
+        found, slope = measure(jnp.asarray(change))
+        correction = (target - float(found)) / float(slope)
+        change += correction
+        if abs(correction) <= _CLOSE * abs(change):
+            return change
+    return float("nan")
+
+
+def kepler_speed(mu: float, r: float, period: float) -> float:
+    """The speed at the distance r, an apsis, of an orbit of two points with this period."""
+    a = (mu * (period / (2 * np.pi)) ** 2) ** (1 / 3)
+    return float(np.sqrt(mu * (2 / r - 1 / a)))

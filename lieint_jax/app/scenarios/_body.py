@@ -1,0 +1,140 @@
+"""The keys that scenarios of rigid bodies share: inertia, initial attitude and angular velocity, and their spread."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from pydantic import field_validator, model_validator
+
+from lieint_jax import _checks, maps, schemes
+from lieint_jax.app.scenarios._common import Common, NonNegative, Quadruple, Rate, RateSpread, Triple
+from lieint_jax.groups import so3
+from lieint_jax.types import State, Step
+
+
+class InitialState(Rate):
+    """The nominal state: an attitude, by one of two keys, and an angular velocity in the body."""
+
+    quaternion: Quadruple | None = None
+    """Attitude (w, x, y, z), body to space, of unit length."""
+    euler_313_deg: Triple | None = None
+    """Attitude R_z(α) R_x(β) R_z(γ), body to space, in degrees."""
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> Self:
+        if (self.quaternion is None) == (self.euler_313_deg is None):
+            raise ValueError("give the attitude, by exactly one of quaternion and euler_313_deg")
+        if self.rate() is None:
+            raise ValueError("give exactly one of angular_velocity_rad and angular_velocity_deg")
+        if self.quaternion is not None:
+            _checks.unit_quaternion("quaternion", self.quaternion)
+        return self
+
+    def attitude(self) -> Any:
+        if self.euler_313_deg is not None:
+            return so3.from_euler_313(jnp.deg2rad(jnp.asarray(self.euler_313_deg)))
+        return jnp.asarray(self.quaternion)
+
+
+class Spread(RateSpread):
+    """Standard deviations of the members about the nominal state."""
+
+    attitude_deg: NonNegative = 0.0
+    """Of a turn about each axis of space, in degrees."""
+
+
+class BodyScenario(Common):
+    """The keys of every scenario of a rigid body."""
+
+    inertia: list[Any]
+    """Principal moments (3) or a tensor in body axes (3 × 3)."""
+    state: InitialState
+    spread: Spread = Spread()
+
+    @field_validator("inertia")
+    @classmethod
+    def _a_body(cls, value: list[Any]) -> list[Any]:
+        _checks.inertia(value)
+        return value
+
+    def assumption(self) -> str:
+        return (
+            f"spread about the nominal state, an assumption: {self.spread.attitude_deg:g}° of attitude and "
+            f"{np.rad2deg(self.spread.rate()):g}°/{self.time_unit} of angular velocity (1 sigma, each component)"
+        )
+
+
+class TopScenario(BodyScenario):
+    """The keys of every scenario of a rigid body in a potential with an axis."""
+
+    scheme: Literal["top_energy_momentum", "splitting"] = "top_energy_momentum"
+    kappa: Literal["cayley", "exponential", "symplectic"] | None = None
+    """The κ of top_energy_momentum; by default cayley."""
+    order: Literal[2, 4, 6, 8] = 2
+    """Of accuracy; above 2 by composition."""
+
+    @model_validator(mode="after")
+    def _kappa_of_the_scheme(self) -> Self:
+        if self.kappa is not None and self.scheme == "splitting":
+            raise ValueError("kappa is a key of top_energy_momentum; splitting takes the symplectic one")
+        return self
+
+
+def top_schemes(scenario: TopScenario, top: Any) -> dict[str, Step]:
+    """The two schemes for tops, at the order of the scenario."""
+    two: dict[str, Step] = {
+        "top_energy_momentum": schemes.top_energy_momentum(top, getattr(maps, f"kappa_{scenario.kappa or 'cayley'}")),
+        "splitting": schemes.splitting(top),
+    }
+    return two if scenario.order == 2 else {k: schemes.compose(step, scenario.order) for k, step in two.items()}
+
+
+def ensemble(scenario: BodyScenario, body: Any) -> State:
+    """The members' states, the nominal one first."""
+    q, Omega = scenario.state.attitude(), jnp.asarray(scenario.state.rate())
+    return about(scenario, body, q, Omega)
+
+
+def about(scenario: BodyScenario, body: Any, q: Array, Omega: Array, **options: Any) -> State:
+    """The members' states about an attitude and a body angular velocity; `options` go to `body.state`."""
+    kick, jolt = jax.random.normal(jax.random.key(scenario.seed), (2, scenario.members, 3))
+    kick, jolt = (x.at[0].set(0.0) for x in (kick, jolt))
+    kick = jnp.deg2rad(scenario.spread.attitude_deg) * kick
+    jolt = scenario.spread.rate() * jolt
+
+    def member(kick: Array, jolt: Array) -> State:
+        return body.state(so3.multiply(so3.exp(kick), q), angular_velocity=Omega + jolt, **options)
+
+    return jax.vmap(member)(kick, jolt)
+
+
+def in_space(q: Any, axis: Any) -> np.ndarray:
+    """The direction in space of an axis of the body, (n, 3), at attitudes (n, 4)."""
+    return np.asarray(jax.vmap(so3.Ad, in_axes=(0, None))(jnp.asarray(q), jnp.asarray(axis)))
+
+
+def inertia_matrix(body: Any) -> np.ndarray:
+    """The inertia of a body as a matrix (3, 3), also where it is given by principal moments."""
+    J = np.asarray(body.inertia)
+    return np.diag(J) if J.ndim == 1 else J
+
+
+def about_least(moments: np.ndarray, Pi: np.ndarray) -> bool:
+    """Whether a free body tumbles about its axis of least inertia: |Π|² < 2H J₂; else about the greatest (Poinsot).
+
+    Args:
+        moments: principal moments (3,), ascending.
+        Pi: Π in the principal axes, (3,).
+    """
+    return bool((Pi**2).sum() < (Pi**2 / moments).sum() * moments[1])
+
+
+def spin_axis(inertia: np.ndarray, Pi: np.ndarray) -> np.ndarray:
+    """The principal axis (3,) about which a body of an inertia, (3,) or (3, 3), tumbles with the body momentum Π."""
+    moments, axes = np.linalg.eigh(np.diag(inertia) if np.ndim(inertia) == 1 else inertia)
+    axis = axes[:, 0 if about_least(moments, Pi @ axes) else 2]
+    return axis if axis @ Pi >= 0 else -axis

@@ -1,0 +1,224 @@
+"""The keys and functions that scenarios of every system share."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import Annotated, Any, Self, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from lieint_jax import _checks
+from lieint_jax._integrate import integrate
+from lieint_jax.types import State, Step, Trajectory
+
+HOUR, DAY = 3600.0, 86400.0  # seconds
+LONGEST, POINTS = 200_000, 4_000  # the most steps of the nominal member that are drawn, and points of a curve
+
+Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
+Quadruple = Annotated[list[float], Field(min_length=4, max_length=4)]
+NonNegative = Annotated[float, Field(ge=0)]
+Above = Annotated[float, Field(gt=0)]
+Positive = Annotated[int, Field(gt=0, le=10**12)]
+Text = Annotated[str, Field(pattern=r"^[^$]*$")]  # without $, which matplotlib reads as mathematics
+
+S = TypeVar("S")
+R = TypeVar("R")
+
+
+class Table(BaseModel):
+    """A table of keys, strictly validated: no unknown keys, no text for a number, no nan.
+
+    The text below a key is its description in the JSON schema, with its unit. Angles have theirs in the key.
+    """
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True)
+
+
+class Published(Table):
+    """A published number, with its error and source."""
+
+    value: float
+    """Periods in time_unit; what ends in _deg, in degrees."""
+    error: Above | None = None
+    """Standard deviation, in the unit of the value."""
+    source: str
+    """A key of the table sources, or the source itself if there is no such table."""
+    remark: Text = ""
+    """Why the scenario's own value differs, for the report."""
+
+
+class Common(Table):
+    """The keys of every scenario. A kind of system adds `system: Literal["its name"]`, schemes and parameters."""
+
+    title: Text
+    """Shown in reports and pictures."""
+    about: Text = ""
+    """The question that the scenario answers, in a line for `lieint list`."""
+    time_unit: Text = "time unit"
+    """The name of the unit of time. Units of length and mass are yours; all numbers must agree with them."""
+    system: str
+    """The kind of system."""
+    dt: float
+    """Step size, in time_unit, of either sign."""
+    steps: Positive
+    """The number of steps, a multiple of save_every."""
+    save_every: Positive = 1
+    """Steps between saved states."""
+    save_at: list[float] | None = None
+    """Times of saved states, in the order of the run, in place of save_every; a shorter step leads to each."""
+    members: Annotated[int, Field(gt=0, le=10**9)] = 1
+    """The number of members of the ensemble; the first is the nominal state."""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Of the random deviations of the members."""
+    sources: dict[str, str] = {}
+    """Full references, by the short names that `source` keys give."""
+
+    @model_validator(mode="after")
+    def _steps_and_saves(self) -> Self:
+        if self.dt == 0:
+            raise ValueError("dt must not be 0")
+        if self.steps % self.save_every:
+            near = _checks.nearest_multiples(self.steps, self.save_every)
+            raise ValueError(f"steps = {self.steps} must be a multiple of save_every = {self.save_every}: give {near}")
+        return self
+
+    @model_validator(mode="after")
+    def _sources_are_defined(self) -> Self:
+        for key in _sources(self.model_dump()):
+            if self.sources and key not in self.sources:
+                raise ValueError(f"source {key!r} is not one of the keys of [sources]: {', '.join(self.sources)}")
+        return self
+
+    def assumption(self) -> str:
+        """A line for the report that states the ensemble's assumption; empty if there is none."""
+        return ""
+
+    def clock(self) -> dict[str, Any]:
+        """When the steps are: those arguments of `ensemble.run`."""
+        return {"dt": self.dt, "num_steps": self.steps}
+
+    def pace(self) -> str:
+        """The steps in words."""
+        span = self.dt * self.steps
+        return f"{self.steps} steps of {self.dt:.6g} {self.time_unit} = {span:.6g} {self.time_unit}"
+
+    def source(self, key: str) -> str:
+        """The source under `key`, or `key` itself."""
+        return self.sources.get(key, key)
+
+
+class Rate(Table):
+    """An angular velocity, by one of two keys; its frame is said where it is used."""
+
+    angular_velocity_rad: Triple | None = None
+    """In radians per time_unit."""
+    angular_velocity_deg: Triple | None = None
+    """In degrees per time_unit."""
+
+    def rate(self) -> list[float] | None:
+        """Radians per time_unit; None if neither key is given, ValueError if both are."""
+        if self.angular_velocity_deg is None:
+            return self.angular_velocity_rad
+        if self.angular_velocity_rad is not None:
+            raise ValueError("give angular_velocity_rad or angular_velocity_deg, not both")
+        return np.deg2rad(self.angular_velocity_deg).tolist()
+
+
+class RateSpread(Table):
+    """A standard deviation of angular velocity, by one of two keys."""
+
+    angular_velocity_rad: NonNegative = 0.0
+    """In radians per time_unit, each component."""
+    angular_velocity_deg: NonNegative = 0.0
+    """In degrees per time_unit, each component."""
+
+    @model_validator(mode="after")
+    def _one_key(self) -> Self:
+        if self.angular_velocity_rad and self.angular_velocity_deg:
+            raise ValueError("give angular_velocity_rad or angular_velocity_deg, not both")
+        return self
+
+    def rate(self) -> float:
+        """Radians per time_unit."""
+        return self.angular_velocity_rad + float(np.deg2rad(self.angular_velocity_deg))
+
+
+def _sources(tree: Any) -> list[str]:
+    """The values of all keys `source` of a tree of tables."""
+    if isinstance(tree, dict):
+        own = [value for key, value in tree.items() if key == "source"]
+        return own + [name for value in tree.values() for name in _sources(value)]
+    return [name for value in tree for name in _sources(value)] if isinstance(tree, list) else []
+
+
+def member(run: Trajectory, m: int, time: int = 0) -> State:
+    """The state of one member of a run at the saved time of index `time`."""
+    return jax.tree.map(lambda x: jnp.asarray(x[time, m]), run.state)
+
+
+def nominal(run: Trajectory, time: int = 0) -> State:
+    """The state of member 0 of a run at the saved time of index `time`."""
+    return member(run, 0, time)
+
+
+def series(function: Callable[[State], Any], run: Trajectory) -> np.ndarray:
+    """The values of a function of the state, at all saved times of all members: (times, members, …)."""
+    return np.asarray(jax.jit(jax.vmap(jax.vmap(function)))(jax.tree.map(jnp.asarray, run.state)))
+
+
+def deviation(x: np.ndarray) -> np.ndarray:
+    """The standard deviation over the members, the first axis; 0 for a single member."""
+    return np.std(x, axis=0, ddof=1) if len(x) > 1 else np.zeros(x.shape[1:])
+
+
+def largest_changes(changes: dict[str, Any], width: int) -> list[str]:
+    """The lines of a report with the largest of each change over members and saved times, names of this width."""
+    lines = ["\n  largest change, all members and saved times"]
+    return lines + [f"  {name:<{width}}{float(np.max(x)):>10.1e}" for name, x in changes.items()]
+
+
+def for_last_run(function: Callable[[S, Step, Trajectory], R]) -> Callable[[S, Step, Trajectory], R]:
+    """The same function of (scenario, step, run), which keeps its value for the last run, for report and pictures."""
+    last: list[tuple[Trajectory, R]] = []
+
+    @wraps(function)
+    def kept(scenario: S, step: Step, run: Trajectory) -> R:
+        if not (last and last[0][0] is run):
+            last[:] = [(run, function(scenario, step, run))]
+        return last[0][1]
+
+    return kept
+
+
+def check_order(scheme: str, order: Any, allowed: Sequence[Any]) -> None:
+    """ValueError if an order is given that a scheme does not have; an exact one has none."""
+    if order is not None and order not in allowed:
+        known = " or ".join(map(str, allowed)) or "none, since it is exact"
+        raise ValueError(f"order of {scheme} is {known}, got {order}")
+
+
+def paragraphs(notes: list[str]) -> list[str]:
+    """Notes as lines of a report, an empty line before each."""
+    wrapped = (textwrap.wrap(note, 118, initial_indent="  ", subsequent_indent="  ") for note in notes)
+    return [line for lines in wrapped for line in ("", *lines)]
+
+
+def thinned(num_steps: int, longest: int = LONGEST) -> tuple[int, int]:
+    """The steps of a drawn curve, at most `longest`, and its stride, for at most `POINTS` points."""
+    num_steps = min(num_steps, longest)
+    every = -(-num_steps // POINTS) or 1
+    return max(num_steps // every, 1) * every, every
+
+
+def follow(step: Step, state: State, dt: float, num_steps: int, longest: int = LONGEST) -> Trajectory:
+    """The trajectory from one state, of at most `longest` steps, saved at the points to draw."""
+    num_steps, every = thinned(num_steps, longest)
+    return _follow(step, state, dt, num_steps, every)
+
+
+_follow = jax.jit(integrate, static_argnames=("num_steps", "save_every"))

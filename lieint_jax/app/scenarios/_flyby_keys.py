@@ -1,0 +1,282 @@
+"""The keys of a scenario of a flyby."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+from typing import Annotated, Any, Literal, Self
+
+import jax.numpy as jnp
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from lieint_jax import orbits
+from lieint_jax.app.scenarios import _flyby_motion as motion
+from lieint_jax.app.scenarios._common import HOUR, Above, Common, Positive, Table, Text
+from lieint_jax.app.scenarios._flyby_motion import GivenOrbit
+from lieint_jax.groups import so3
+
+_EARTH_RADIUS = 6378.1366  # equatorial, km, IERS Conventions 2010
+_OBLIQUITY = np.deg2rad(23.4392911)  # of the ecliptic at J2000, IAU 1976
+
+Mode = Literal["short_axis", "long_axis"]
+Frame = Literal["ecliptic", "equator"]
+
+
+class Measured(Table):
+    """A published value, with its error, or with errors to either side, of so many `sigmas`."""
+
+    value: float
+    """In the unit that the key names."""
+    error: Annotated[float, Field(ge=0)] | None = None
+    """To both sides."""
+    below: Annotated[float, Field(ge=0)] | None = None
+    """To the lower side."""
+    above: Annotated[float, Field(ge=0)] | None = None
+    """To the upper side."""
+    source: str
+    """A key of the table sources."""
+
+    @model_validator(mode="after")
+    def _one_kind_of_error(self) -> Self:
+        if (self.below is None) != (self.above is None) or (self.error is not None and self.below is not None):
+            raise ValueError("give error, or both below and above, or none of them")
+        return self
+
+    def sides(self) -> tuple[float, float]:
+        """The errors below and above."""
+        if self.below is not None and self.above is not None:
+            return self.below, self.above
+        error = self.error or 0.0
+        return error, error
+
+    def __str__(self) -> str:
+        below, above = self.sides()
+        return f"{self.value:g}" + (f" ± {above:g}" if below == above else f" −{below:g}/+{above:g}") * (above > 0)
+
+
+class Orbit(Table):
+    """A hyperbola about the planet."""
+
+    gm_km3_s2: Above
+    """The gravitational parameter of the planet, in km³/s²."""
+    perigee_km: Above
+    """The least distance from the planet's center, in km."""
+    eccentricity: Annotated[float, Field(gt=1)]
+    """Above 1."""
+    inclination_deg: float
+    """In degrees."""
+    node_deg: float
+    """The longitude of the ascending node, in degrees."""
+    argument_of_perigee_deg: float
+    """In degrees."""
+    perigee_utc: str
+    """The date of the perigee, as 2029-04-13T21:45:04Z."""
+    frame: Frame = "ecliptic"
+    """Of the elements, J2000; attitudes and poles are ecliptic."""
+
+    @field_validator("perigee_utc")
+    @classmethod
+    def _a_date(cls, value: str) -> str:
+        if datetime.fromisoformat(value).utcoffset() != timedelta(0):
+            raise ValueError("must be a date in UTC, such as 2029-04-13T21:45:04Z")
+        return value
+
+    @model_validator(mode="after")
+    def _above_the_ground(self) -> Self:
+        if abs(self.gm_km3_s2 / orbits.EARTH_GM - 1) < 0.01 and self.perigee_km <= _EARTH_RADIUS:
+            raise ValueError(
+                f"perigee_km = {self.perigee_km:g} lies in the Earth, whose radius is {_EARTH_RADIUS:.0f} km: give the "
+                "distance from its center"
+            )
+        return self
+
+    def elements(self) -> tuple[float, ...]:
+        """The arguments of `orbits.kepler`, in km, h and rad, in ecliptic axes."""
+        angles = np.deg2rad([self.node_deg, self.inclination_deg, self.argument_of_perigee_deg])
+        if self.frame == "equator":
+            tilt = so3.exp(jnp.asarray([-_OBLIQUITY, 0.0, 0.0]))
+            angles = np.asarray(so3.to_euler_313(so3.multiply(tilt, so3.from_euler_313(jnp.asarray(angles)))))
+        node, inclination, argument = map(float, angles)
+        a = self.perigee_km / (1 - self.eccentricity)
+        return self.gm_km3_s2 * HOUR**2, a, self.eccentricity, inclination, node, argument, 0.0
+
+    def date(self, hours: float) -> datetime:
+        return datetime.fromisoformat(self.perigee_utc) + timedelta(hours=hours)
+
+
+class Changes(Table):
+    """Values of the tumbling, of which a variant may replace any."""
+
+    least_moment: Measured | None = None
+    """The least principal moment, about x, over the greatest, about z."""
+    middle_moment: Measured | None = None
+    """The middle one, about y, over the greatest."""
+    precession_period_h: Measured | None = None
+    """Of the long axis about the angular momentum, in h."""
+    rotation_period_h: Measured | None = None
+    """Of the angular momentum in the body, in h."""
+    momentum_longitude_deg: Measured | None = None
+    """Of the angular momentum, ecliptic, in degrees; its error along the parallel, in degrees of a great circle."""
+    momentum_latitude_deg: Measured | None = None
+    """Of the angular momentum, ecliptic, in degrees."""
+
+
+class Tumbling(Changes):
+    """The tumbling before the passage."""
+
+    mode: Mode
+    """Whether the angular momentum goes round the axis of greatest or of least moment."""
+    least_moment: Measured  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    middle_moment: Measured  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    precession_period_h: Measured  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    rotation_period_h: Measured  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    momentum_longitude_deg: Measured  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    momentum_latitude_deg: Measured  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
+    precession_phase_deg: float = 0.0
+    """φ of the nominal member at the perigee, in degrees."""
+    rotation_phase_deg: float = 0.0
+    """ψ of the nominal member at the perigee, in degrees."""
+
+    @model_validator(mode="after")
+    def _a_mode_with_these_periods(self) -> Self:
+        self.check()
+        return self
+
+    def check(self) -> None:
+        """Raise ValueError unless the body has a mode with these periods."""
+        least, middle = self.least_moment.value, self.middle_moment.value
+        if not 0 < least < middle < 1:
+            raise ValueError("must be 0 < least_moment < middle_moment < 1, over the greatest")
+        ratio = self.rotation_period_h.value / self.precession_period_h.value
+        if not motion.possible(jnp.asarray([least, middle, 1.0]), jnp.asarray(ratio), self.long_axis):
+            raise ValueError(f"no {self.mode} mode of these moments has periods of the ratio {ratio:g}")
+
+    def changed(self, changes: Changes) -> Tumbling:
+        """The tumbling with the values that are given there."""
+        given = {name: getattr(changes, name) for name in Changes.model_fields}
+        return self.model_copy(update={name: x for name, x in given.items() if x is not None})
+
+    @property
+    def long_axis(self) -> bool:
+        return self.mode == "long_axis"
+
+    @property
+    def same_passage_deg(self) -> int:
+        """The change of φ, in degrees, that gives the same passage if ψ changes by 180°.
+
+        Such a body has turned by half a turn about the axis that Π goes round: its short axis, which reverses the long
+        one, or the long axis itself.
+        """
+        return 0 if self.long_axis else 180
+
+
+class Variant(Changes):
+    """Other assumptions."""
+
+    label: Text
+    """Shown in the report."""
+    frame: Frame | None = None
+    """Of the orbit's elements."""
+
+
+class Phases(Table):
+    """The grid of the map: φ over 360°, ψ over 180°."""
+
+    precession_phases: Annotated[int, Field(gt=0, multiple_of=2)]
+    """The number of values of φ, even."""
+    rotation_phases: Positive
+    """The number of values of ψ."""
+
+
+class Known(Table):
+    """A published number."""
+
+    quantity: Literal[
+        "perigee_distance_km",
+        "perigee_time_utc_h",
+        "precession_period_h",
+        "rotation_period_h",
+        "lightcurve_period_h",
+        "energy_ratio",
+    ]
+    """Which quantity it is."""
+    value: float
+    """In the unit that the name has."""
+    error: Above | None = None
+    """As published."""
+    source: str
+    """A key of the table sources."""
+
+
+class Expected(Table):
+    """A published expectation of the change."""
+
+    claim: Text
+    """In short."""
+    quantity: Literal["rate", "turn", "longitude", "latitude", "mode"]
+    """What the report holds against it."""
+    source: str
+    """A key of the table sources."""
+
+
+class Scenario(Common):
+    """The keys of a scenario of this kind."""
+
+    system: Literal["flyby"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    time_unit: Literal["h"] = "h"  # pyright: ignore[reportIncompatibleVariableOverride]
+    """Hours since the perigee."""
+    dt: float | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
+    """The mean step, given by hours and steps: results hold it."""
+    order: Literal[2, 4, 6, 8] = 8
+    """Of the symplectic splitting, above 2 by composition."""
+    hours: Above
+    """The run is from so long before the perigee to so long after it."""
+    arcs_hours: Annotated[list[Above], Field(min_length=1)]
+    """The same for other runs, of which the report says how the results converge."""
+    sigmas: Above = 1.0
+    """The errors of the spin are of so many standard deviations."""
+    orbit: Orbit
+    spin: Tumbling
+    map: Phases
+    variant: list[Variant] = []
+    published: list[Known] = []
+    expected: list[Expected] = []
+    notes: list[Text] = []
+    """Paragraphs at the end of the report: what was assumed, what was checked, what is not in the model."""
+
+    @model_validator(mode="after")
+    def _variants_have_such_a_mode(self) -> Self:
+        for variant in self.variant:
+            try:
+                self.spin.changed(variant).check()
+            except ValueError as error:
+                raise ValueError(f"variant {variant.label!r}: {error}") from None
+        return self
+
+    @model_validator(mode="after")
+    def _mean_step(self) -> Self:
+        dt = 2 * self.hours / self.steps
+        if self.dt is not None and self.dt != dt:
+            raise ValueError("dt is given by hours and steps: leave it out")
+        self.dt = dt  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self
+
+    def times(self, hours: float | None = None, steps: int | None = None) -> np.ndarray:
+        """The steps' boundaries, graded along the orbit."""
+        hours = self.hours if hours is None else hours
+        return orbits.graded_times(GivenOrbit(self.orbit.elements()), -hours, hours, steps or self.steps)
+
+    def clock(self) -> dict[str, Any]:
+        return {"times": self.times()}
+
+    def pace(self) -> str:
+        sizes = np.diff(self.times())
+        return f"{self.steps} graded steps of {sizes.min():.2g} to {sizes.max():.2g} h, ± {self.hours:g} h"
+
+    def assumption(self) -> str:
+        spin = self.spin
+        return (
+            f"members: both phases uniform; moments {spin.least_moment}, {spin.middle_moment}, 1; periods "
+            f"{spin.precession_period_h} h, {spin.rotation_period_h} h;\n  pole ({spin.momentum_longitude_deg}°, "
+            f"{spin.momentum_latitude_deg}°), errors along parallel and meridian; all errors {self.sigmas:g} sigma"
+        )

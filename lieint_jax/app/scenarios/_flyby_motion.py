@@ -1,0 +1,291 @@
+"""A tumbling body that passes a planet: its state from periods and phases, its passage, and the derivatives of it.
+
+Units: km for the orbit, h for times, rad for angles; the greatest moment of inertia is 1, only ratios count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jax.sharding import Mesh
+
+from lieint_jax import ensemble, orbits, schemes, systems
+from lieint_jax._integrate import integrate
+from lieint_jax._numerics import elliptic, vec3
+from lieint_jax.groups import so3
+from lieint_jax.systems import RigidBody
+from lieint_jax.types import State, Step, pytree, static
+
+_FREE = 128  # steps of the motion without torque, where it is differentiated
+_NEAR = 1e-12  # the fraction of a mode's range of energies that is left out at either end
+_BISECTIONS = 50  # of the excitation, then one step of Newton's method, which has the derivative
+
+
+class Spin(NamedTuple):
+    """A tumbling state before the passage; arrays of one shape.
+
+    Attributes:
+        least, middle: principal moments over the greatest, about the body's x and y axes.
+        precession: P_φ, the mean period of the long axis x about the angular momentum, in h.
+        rotation: P_ψ, the period of the angular momentum in the body, in h.
+        longitude, latitude: of the angular momentum.
+        phi: at the perigee, the angle about the angular momentum from the line Earth–body to the long axis x.
+        psi: at the perigee, 2π times the part of P_ψ that has passed since Π lay between x and z, nearest to x.
+
+    Both phases are those that the motion without torque has.
+    """
+
+    least: Any
+    middle: Any
+    precession: Any
+    rotation: Any
+    longitude: Any
+    latitude: Any
+    phi: Any
+    psi: Any
+
+
+class Outcome(NamedTuple):
+    """A tumbling state by its invariants; before a passage or after it.
+
+    Attributes:
+        precession, rotation: P_φ and P_ψ, in h.
+        long_axis: whether it is a long-axis mode.
+        momentum: |π|.
+        rate: 2H/|π|, the effective spin rate.
+        excitation: 2H J₃/|π|², the energy over that of the principal-axis state of least energy.
+        pole: the direction of π, (3,).
+    """
+
+    precession: Any
+    rotation: Any
+    long_axis: Any
+    momentum: Any
+    rate: Any
+    excitation: Any
+    pole: Any
+
+
+@pytree
+class GivenOrbit:
+    """A Kepler orbit by fixed numbers, those of `orbits.kepler`. It has no leaves, so members with bodies of their own
+    share it: its position is computed once a step, not once a member."""
+
+    elements: tuple[float, ...] = static()
+
+    @property
+    def mu(self) -> Array:
+        return jnp.asarray(self.elements[0])
+
+    def __call__(self, t: Array) -> tuple[Array, Array]:
+        return orbits.kepler(*self.elements)(t)
+
+
+def moments(spin: Spin) -> Array:
+    """Principal moments about x, y, z, (3,)."""
+    return jnp.stack([spin.least, spin.middle, jnp.ones_like(spin.least)])
+
+
+def _momentum(J: Array, s: Array, long_axis: bool) -> Array:
+    """The unit Π in the x-z plane whose energy is at the fraction s of the range of a mode.
+
+    The excitation goes from 1 (s = 0) to the separatrix in short-axis modes, from there to J₃/J₁ in long-axis modes.
+    """
+    A, B, _ = vec3.components(J)
+    above = 1 / B - 1 + s * (1 / A - 1 / B) if long_axis else s * (1 / B - 1)
+    square = above * A / (1 - A)
+    return jnp.stack([jnp.sqrt(square), 0 * square, jnp.sqrt(1 - square)])
+
+
+def _ratio(J: Array, s: Array, long_axis: bool) -> Array:
+    """P_ψ/P_φ, which has no units: it grows toward the separatrix."""
+    unit = RigidBody(J)
+    found = unit.periods(State(jnp.asarray([1.0, 0, 0, 0]), _momentum(J, s, long_axis)))
+    return found.rotation / found.precession
+
+
+def possible(J: Array, ratio: Array, long_axis: bool) -> Array:
+    """Whether a mode of this body has the ratio P_ψ/P_φ.
+
+    The least ratio is that of a small wobble; the greatest is taken next to the separatrix, where the ratio grows
+    without bound, but rounding leaves it no digits.
+    """
+    ends = jnp.asarray([1 - _NEAR, _NEAR] if long_axis else [_NEAR, 1 - _NEAR])
+    least, most = jax.vmap(lambda s: _ratio(J, s, long_axis))(ends)
+    return (least < ratio) & (ratio < most)
+
+
+def excited(J: Array, ratio: Array, long_axis: bool) -> Array:
+    """The unit Π in the x-z plane at which P_ψ/P_φ is `ratio`, with its derivatives."""
+    sign, fixed, wanted = -1 if long_axis else 1, lax.stop_gradient(J), lax.stop_gradient(ratio)
+
+    def halved(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+        middle = (bounds[0] + bounds[1]) / 2
+        low = sign * (_ratio(fixed, middle, long_axis) - wanted) < 0
+        return jnp.where(low, middle, bounds[0]), jnp.where(low, bounds[1], middle)
+
+    zero = jnp.zeros_like(wanted)
+    low, high = lax.fori_loop(0, _BISECTIONS, halved, (zero, zero + 1))
+    s = (low + high) / 2
+    _, slope = jax.jvp(lambda s: _ratio(fixed, s, long_axis), (s,), (jnp.ones_like(s),))
+    return _momentum(J, s - (_ratio(J, s, long_axis) - ratio) / slope, long_axis)
+
+
+def on_polhode(J: Array, unit: Array, psi: Array) -> Array:
+    """The unit Π at the phase ψ; `unit` is that at ψ = 0, in the x-z plane. In Jacobi's functions of 2Kψ/π."""
+    (A, B, C), (x, _, z) = vec3.components(J), vec3.components(unit)
+    above, below = x * x * (C / A - 1), z * z * (1 - A / C)  # 2HC − 1 and 1 − 2HA
+    f, g = (B - A) * above, (C - B) * below
+    long_axis, fast = f > g, jnp.maximum(f, g)
+    m1 = jnp.abs(f - g) / fast
+    halves = lax.stop_gradient(jnp.round(psi / jnp.pi))
+    sn, cn, dn = elliptic.jacobi(elliptic.quarter_period(m1) * (psi - jnp.pi * halves) * 2 / jnp.pi, m1)
+    odd = 1 - 2 * jnp.abs(halves % 2)
+    y = jnp.sqrt(B * jnp.where(long_axis, below / (B - A), above / (C - B)))
+    moved = jnp.where(long_axis, dn, odd * cn), odd * sn, jnp.where(long_axis, odd * cn, dn)
+    return jnp.stack([x * moved[0], y * moved[1], z * moved[2]])
+
+
+def at_perigee(spin: Spin, toward: Array, long_axis: bool) -> State:
+    """The state at the perigee without torque; `toward` is the direction of the body from the Earth there."""
+    J = moments(spin)
+    unit = excited(J, spin.rotation / spin.precession, long_axis)
+    size = RigidBody(J).periods(State(jnp.asarray([1.0, 0, 0, 0]), unit)).precession / spin.precession
+    pole = direction(spin.longitude, spin.latitude)
+    in_body = _triad(unit_of(on_polhode(J, unit, spin.psi)), jnp.asarray([1.0, 0, 0]))
+    x, y, z = _triad(pole, toward)
+    across = jnp.cos(spin.phi) * y + jnp.sin(spin.phi) * z
+    in_space = jnp.stack([x, across, jnp.stack(vec3.cross(x, across))])
+    R = jnp.stack([sum(in_space[k, i] * in_body[k] for k in range(3)) for i in range(3)])
+    return State(so3.from_matrix(R), size * pole)
+
+
+def start(spin: Spin, toward: Array, t: Array, long_axis: bool) -> State:
+    """The state at the time t since the perigee, by the exact motion without torque."""
+    return RigidBody(moments(spin)).solution(at_perigee(spin, toward, long_axis), t)
+
+
+def _triad(along: Array, near: Array) -> Array:
+    """The unit vector `along`, the direction of `near` across it, and their product: rows of a rotation."""
+    across = unit_of(near - vec3.dot(near, along) * along)
+    return jnp.stack([along, across, jnp.stack(vec3.cross(along, across))])
+
+
+def unit_of(v: Array) -> Array:
+    return v / jnp.sqrt(vec3.dot(v, v))
+
+
+def direction(longitude: Any, latitude: Any) -> Array:
+    """The unit vector of a longitude and a latitude, in rad."""
+    c = jnp.cos(latitude)
+    return jnp.stack([c * jnp.cos(longitude), c * jnp.sin(longitude), jnp.sin(latitude)])
+
+
+def outcome(J: Array, state: State) -> Outcome:
+    """The invariants of the free motion from a state."""
+    body = RigidBody(J)
+    found, size = body.periods(state), jnp.sqrt(vec3.dot(state.p, state.p))
+    double = 2 * body.energy(state)
+    return Outcome(*found, size, double / size, double * jnp.max(J) / size**2, state.p / size)
+
+
+def step_of(J: Array, orbit: Any, order: int) -> Step:
+    """The symplectic step of a body on an orbit."""
+    return _symmetric(schemes.splitting(systems.gravity_gradient(J, orbit)), order)
+
+
+def _symmetric(step: Step, order: int) -> Step:
+    return step if order == 2 else schemes.compose(step, order)
+
+
+def member(spin: Spin, orbit: Any, t: Array, order: int, long_axis: bool) -> tuple[Step, State]:
+    """The step and the state at the time t of one member, its work counted from there."""
+    state = start(spin, orbit(jnp.zeros_like(t))[0], t, long_axis)
+    return step_of(moments(spin), orbit, order), state._replace(t=t, work=jnp.zeros_like(t))
+
+
+class Passage(NamedTuple):
+    """A passage: before, after, the attitude at the end, and whether every step converged."""
+
+    before: Outcome
+    after: Outcome
+    q: Array
+    converged: Array
+
+
+def passages(elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin, times: Any) -> Passage:
+    """The passages of many members, between steps at the times (N+1,), on all devices."""
+    return _passages(order, long_axis)(spins, elements, times)
+
+
+@cache
+def _passages(order: int, long_axis: bool) -> Callable[..., Passage]:
+    return _many(lambda spin, elements, times: _passage(spin, orbits.kepler(*elements), times, order, long_axis))
+
+
+def _many(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function (spin, elements, times) of one member as one of many, on all devices, from and to host arrays."""
+    own = Mesh(np.array(jax.local_devices()), ("members",))  # of many processes, only the first one reports
+    mapped = ensemble.over_members(function, (0, None, None), own)
+    return lambda spins, *given: jax.tree.map(np.asarray, mapped(spins, *map(jnp.asarray, given)))
+
+
+def _passage(spin: Spin, orbit: Any, times: Array, order: int, long_axis: bool) -> Passage:
+    return _passed(moments(spin), *member(spin, orbit, times[0], order, long_axis), times)
+
+
+def _passed(J: Array, step: Step, state: State, times: Array) -> Passage:
+    run = integrate(step, state, times=times, save_every=times.shape[0] - 1)
+    last = jax.tree.map(lambda x: x[-1], run.state)
+    return Passage(outcome(J, state), outcome(J, last), last.q, jnp.all(run.info.converged))
+
+
+class Slopes(NamedTuple):
+    """Derivatives of (P_φ, P_ψ, 2H/|π|, angle of the pole) after a passage, each (4,), by the parts of `Spin`.
+
+    Attributes:
+        perigee: by the distance of the perigee, at the same energy of the orbit.
+    """
+
+    least: Any
+    middle: Any
+    precession: Any
+    rotation: Any
+    longitude: Any
+    latitude: Any
+    phi: Any
+    psi: Any
+    perigee: Any
+
+
+def slopes(elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin, times: Any) -> Slopes:
+    """The derivatives of many passages, forward through all steps."""
+    return _slopes(order, long_axis)(spins, elements, times)
+
+
+@cache
+def _slopes(order: int, long_axis: bool) -> Callable[..., Slopes]:
+    def measured(given: Slopes, elements: Array, times: Array) -> Array:
+        mu, a, _, *others = elements
+        orbit = orbits.kepler(mu, a, 1 - given.perigee / a, *others)
+        spin = Spin(*given[:-1])
+        J = moments(spin)
+        near = at_perigee(spin, orbit(jnp.zeros_like(times[0]))[0], long_axis)
+        free = _symmetric(schemes.so3_midpoint(RigidBody(J)), order)  # XLA takes minutes over tangents of `solution`
+        state = jax.tree.map(lambda x: x[-1], integrate(free, near, times[0] / _FREE, _FREE, _FREE).state)
+        state = state._replace(t=times[0], work=jnp.zeros_like(times[0]))
+        found = _passed(J, step_of(J, orbit, order), state, times)
+        turn = vec3.angle(found.before.pole, found.after.pole)
+        return jnp.stack([found.after.precession, found.after.rotation, found.after.rate, turn])
+
+    def one(spin: Spin, elements: Array, times: Array) -> Slopes:
+        perigee = elements[1] * (1 - elements[2])
+        return jax.jacfwd(measured)(Slopes(*spin, perigee), elements, times)
+
+    return _many(one)

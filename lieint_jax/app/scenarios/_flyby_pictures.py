@@ -1,0 +1,174 @@
+"""Pictures of a flyby: maps over both phases, distributions of the members, sensitivities."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from lieint_jax.app import plots
+from lieint_jax.app.scenarios._flyby_keys import Scenario
+from lieint_jax.app.scenarios._flyby_motion import Outcome
+from lieint_jax.app.scenarios._flyby_study import change, lonlat, study, unknowns
+from lieint_jax.types import Step, Trajectory
+
+_LONGEST = 500.0  # h of P_ψ, which is infinite between the modes: the last color is of all above
+
+
+@plots.style()
+def draw_map(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
+    """Plot, over both phases at the perigee, periods, effective spin rate and turn of the pole after the passage."""
+    found = study(scenario, step, run)
+    x, after = change(found.mapped.before, found.mapped.after), found.mapped.after
+    fig, axes = plots.figure(2, 2)
+    shape = (scenario.map.precession_phases, scenario.map.rotation_phases)
+    before = found.mapped.before
+    panels = (
+        ("effective spin rate $2H/|L|$ over that before", x.rate, "PuOr_r", (0.5, 0.6, 0.75, 1, 1.25, 1.5, 2), True),
+        (
+            f"precession period $P_\\phi$ (h); before {before.precession[0]:.2f}",
+            after.precession,
+            "viridis",
+            (18, 20, 24, 28, 32, 36, 40),
+            False,
+        ),
+        (
+            f"rotation period $P_\\psi$ (h); before {before.rotation[0]:.0f}",
+            np.clip(after.rotation, None, _LONGEST),
+            "cividis",
+            (),
+            False,
+        ),
+        ("pole turned by (°)", x.turn, "magma", (5, 10, 15, 20, 25, 30), False),
+    )
+    for ax, (title, values, colors, levels, middle) in zip(axes.flat, panels, strict=True):
+        maps = values.reshape(shape), after.long_axis.reshape(shape)
+        _draw_phases(fig, ax, *maps, scenario.spin.same_passage_deg, colors, levels, middle)
+        ax.set_title(title)
+    for ax in axes[1]:
+        ax.set_xlabel("precession phase $\\phi$ at the perigee (°)")
+    for ax in axes[:, 0]:
+        ax.set_ylabel("rotation phase $\\psi$ at the perigee (°)")
+    fig.suptitle(f"{scenario.title}: nominal body, every phase; hatched: it ends in a long-axis mode")
+    return fig
+
+
+def _draw_phases(
+    fig: Figure, ax: Any, values: Any, long_axis: Any, same_deg: int, colors: str, levels: Any, middle: bool
+) -> None:
+    """A map over φ and ψ, both to 360°: the second half is the first with ψ 180° on, and φ by `same_deg`."""
+    from matplotlib.patheffects import withStroke
+
+    n, m = values.shape
+
+    def whole(x: np.ndarray) -> np.ndarray:
+        full = np.concatenate([x, np.roll(x, n * same_deg // 360, axis=0)], axis=1)
+        return np.pad(full, ((0, 1), (0, 1)), mode="wrap").T
+
+    phi, psi = np.linspace(0, 360, n + 1), np.linspace(0, 360, 2 * m + 1)
+    options: dict[str, Any] = {"cmap": colors, "shading": "gouraud", "rasterized": True}
+    if middle:
+        from matplotlib.colors import LogNorm
+
+        most = max(abs(np.log(values)).max(), np.log(1.2))
+        options["norm"] = LogNorm(np.exp(-most), np.exp(most))
+    image = ax.pcolormesh(phi, psi, whole(values), **options)
+    bar = fig.colorbar(image, ax=ax, extend="max" if values.max() == _LONGEST else "neither")
+    shown = [level for level in levels if values.min() < level < values.max()]
+    if middle:
+        bar.set_ticks(shown, labels=[f"{level:g}" for level in shown])
+        bar.ax.minorticks_off()
+    if shown:
+        lines = ax.contour(phi, psi, whole(values), shown, colors=plots.INK, linewidths=0.6)
+        outline = [withStroke(linewidth=2, foreground="white")]
+        for text in ax.clabel(lines, fontsize="x-small", fmt="%g"):
+            text.set_path_effects(outline)
+    if long_axis.any():
+        mode = whole(long_axis.astype(float))
+        hatched = ax.contourf(phi, psi, mode, [0.5, 1.5], hatches=["///"], colors="none")
+        hatched.set(edgecolor="white", linewidth=0)
+        ax.contour(phi, psi, mode, [0.5], colors="white", linewidths=1.4)
+    ax.set_xticks(range(0, 361, 90))
+    ax.set_yticks(range(0, 361, 90))
+
+
+@plots.style()
+def draw_after(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
+    """Plot the distributions of the members after the passage: periods, spin rate, turn of the pole, and the poles."""
+    found = study(scenario, step, run)
+    x, after, before = change(found.before, found.after), found.after, found.before
+    fig, axes = plots.figure(3, 2)
+    panels = (
+        ("precession period $P_\\phi$ (h)", after.precession, before.precession[0]),
+        ("rotation period $P_\\psi$ (h)", after.rotation, before.rotation[0]),
+        ("$|L|$ over that before", x.momentum, 1.0),
+        ("effective spin rate $2H/|L|$ over that before", x.rate, 1.0),
+        ("pole turned by (°)", x.turn, None),
+    )
+    for ax, (label, values, was) in zip(axes.flat, panels, strict=False):
+        top = np.quantile(values, 0.99)
+        bins = np.linspace(values.min(), top + 0.02 * np.ptp(values[values <= top]), 50)
+        parts = [values[~after.long_axis], values[after.long_axis]]
+        ax.hist(parts, bins, stacked=True, color=[plots.BLUE, plots.RED], label=["short-axis mode", "long-axis mode"])
+        if was is not None:
+            ax.axvline(was, color=plots.INK, ls="--", lw=1.0, label="before (nominal)")
+        ax.set(xlabel=label, ylabel="members")
+    axes[0, 0].legend()
+    axes[1, 2].remove()
+    _draw_poles(fig.add_subplot(2, 3, 6, projection="polar"), before, after)
+    fig.suptitle(f"{scenario.title}: {len(after.rate)} members, phases uniform")
+    return fig
+
+
+def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
+    """The poles on the sky about the nearer pole of the ecliptic."""
+    side = np.sign(before.pole[0, 2]) or 1.0
+    for outcome, color, label in ((after, plots.RED, "after"), (before, plots.BLUE, "before")):
+        longitude, latitude = lonlat(outcome.pole)
+        ax.scatter(np.deg2rad(longitude), 90 - side * latitude, s=1.0, lw=0, color=color, alpha=0.35, rasterized=True)
+        ax.plot([], [], "o", ms=4, color=color, label=label)
+    far = np.concatenate([90 - side * lonlat(x.pole)[1] for x in (before, after)])
+    ax.set_rlim(0, 10 * np.ceil(np.quantile(far, 0.999) / 10))
+    ax.set_rlabel_position(22.5)
+    ax.tick_params(labelsize="x-small")
+    ax.set_title(
+        f"direction of $L$: longitude, and ° from\nthe {'north' if side > 0 else 'south'} pole of the ecliptic",
+    )
+    ax.legend(loc="lower left", bbox_to_anchor=(-0.3, -0.12))
+
+
+@plots.style()
+def draw_sensitivity(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
+    """Plot what one standard deviation of each unknown does to the periods, to first order, over the phases."""
+    found = study(scenario, step, run)
+    fig, axes = plots.figure(2)
+    names = {
+        "phi": "φ, uniform",
+        "psi": "ψ, uniform",
+        "least": "moment I₁/I₃",
+        "middle": "moment I₂/I₃",
+        "precession": "$P_\\phi$ before",
+        "rotation": "$P_\\psi$ before",
+        "longitude": "pole's longitude",
+        "latitude": "pole's latitude",
+    }
+    sizes = {name: sigma for name, (_, _, sigma) in unknowns(scenario).items() if sigma > 0}
+    for ax, k, label in ((axes[0, 0], 0, "change of $P_\\phi$ (h)"), (axes[0, 1], 1, "change of $P_\\psi$ (h)")):
+        shown = [
+            np.maximum(abs(getattr(found.slopes, name)[:, k]) * sizes[name], 1e-12) for name in names if name in sizes
+        ]
+        ax.boxplot(
+            shown,
+            orientation="horizontal",
+            whis=(5, 95),
+            showfliers=False,
+            medianprops={"color": plots.RED},
+            tick_labels=[text for name, text in names.items() if name in sizes],
+        )
+        ax.invert_yaxis()
+        ax.set_xscale("log")
+        ax.set_xlabel(f"{label}, 1 sigma of the unknown")
+    axes[0, 1].set_yticklabels([])
+    fig.suptitle("To first order, over all phases: 5 %, quartiles and 95 %")
+    return fig

@@ -1,0 +1,213 @@
+"""The members of a flyby, their changes, and the passages beside them: a map of phases, arcs, other assumptions."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from lieint_jax._numerics import vec3
+from lieint_jax.app.scenarios import _flyby_motion as motion
+from lieint_jax.app.scenarios._common import for_last_run
+from lieint_jax.app.scenarios._flyby_keys import Changes, Scenario, Variant
+from lieint_jax.app.scenarios._flyby_motion import Outcome, Passage, Slopes, Spin
+from lieint_jax.groups import so3
+from lieint_jax.types import State, Trajectory
+
+_TRIES = 16  # draws of a member's moments, of which the first that has such periods is taken
+_SLOPE_ORDER = 4  # of the steps that are differentiated: derivatives are right to 5e-4 of the largest
+WATCHED = 256  # members whose steps are halved and whose arcs are changed
+
+
+def members(scenario: Scenario) -> tuple[Spin, np.ndarray]:
+    """The members' spins, the nominal one first, and whether the first draw of each had such a mode.
+
+    A member is the same in ensembles of every size.
+    """
+    spin, seed = scenario.spin, jax.random.key(scenario.seed)
+    known = np.array([[x.value, *x.sides()] for x in (getattr(spin, name) for name in Changes.model_fields)])
+    known[:, 1:] /= scenario.sigmas
+    phases = np.deg2rad([spin.precession_phase_deg, spin.rotation_phase_deg])
+    spins, good = _drawn(seed, jnp.arange(scenario.members), known, phases, spin.long_axis)
+    good = np.asarray(good)
+    if none := int((~good.any(axis=1)).sum()):
+        raise ValueError(f"{none} members: none of {_TRIES} draws within the errors is a {spin.mode} mode")
+    return spins, good[:, 0]
+
+
+@partial(jax.jit, static_argnums=4)
+@partial(jax.vmap, in_axes=(None, 0, None, None, None))
+def _drawn(seed: Array, k: Array, known: Array, phases: Array, long_axis: bool) -> tuple[Spin, Array]:
+    """The k-th member, and whether each of its draws has such a mode, (_TRIES,).
+
+    `known` has a row for each key of `Changes`: value, standard deviations below and above.
+    """
+    key = jax.random.fold_in(seed, k)
+    noise = jnp.where(k == 0, 0.0, jax.random.normal(key, (_TRIES, 6)))
+    drawn = known[:, 0] + jnp.where(noise < 0, known[:, 1], known[:, 2]) * noise
+    least, middle, precession, rotation = drawn.T[:4]
+    sound = (least > 0) & (least < middle) & (middle < 1)
+    J = jnp.stack([jnp.where(sound, least, 0.5), jnp.where(sound, middle, 0.75), jnp.ones_like(least)], axis=1)
+    has = jax.vmap(lambda J, ratio: motion.possible(J, ratio, long_axis))(J, rotation / precession)
+    good = sound & has
+    one = jnp.argmax(good)
+    longitude, latitude = _moved(*jnp.deg2rad(known[4:, 0]), *jnp.deg2rad(drawn[0, 4:] - known[4:, 0]))
+    anywhere = jax.random.uniform(jax.random.fold_in(key, 1), (2,)) * 2 * jnp.pi
+    phi, psi = jnp.where(k == 0, phases, anywhere)
+    return Spin(least[one], middle[one], precession[one], rotation[one], longitude, latitude, phi, psi), good
+
+
+def _moved(longitude: Array, latitude: Array, east: Array, north: Array) -> tuple[Array, Array]:
+    """The longitude and latitude at the end of a great circle that sets out by (east, north), rad."""
+    pole = motion.direction(longitude, latitude)
+    to_east = jnp.stack([-jnp.sin(longitude), jnp.cos(longitude), jnp.zeros_like(longitude)])
+    to_north = motion.direction(longitude, latitude + jnp.pi / 2)
+    away = east * to_east + north * to_north
+    x, y, z = so3.Ad(so3.exp(jnp.stack(vec3.cross(pole, away))), pole)
+    return jnp.arctan2(y, x), jnp.arcsin(z)
+
+
+class Study(NamedTuple):
+    """The contents of the report and the pictures.
+
+    Attributes:
+        before, after: of the members.
+        grid: the spins of the map, φ slowest; mapped: their passages.
+        slopes: derivatives at every second value of both phases.
+        halved: the largest angle between attitudes at the end by the steps of the run and by half as long ones.
+        arcs: passages of the first members by the length of the arc in h.
+        variants: passages under other assumptions, by their labels.
+        failed: the number of these passages with a step that did not converge.
+    """
+
+    before: Outcome
+    after: Outcome
+    grid: Spin
+    mapped: Passage
+    slopes: Slopes
+    halved: float
+    arcs: dict[float, Passage]
+    variants: dict[str, Passage]
+    failed: int
+
+
+@for_last_run
+def study(scenario: Scenario, step: Any, run: Trajectory) -> Study:
+    """The study of a run: its members before and after the passage, and the passages that are shown beside them."""
+    from tqdm import tqdm
+
+    measured, J = jax.jit(jax.vmap(motion.outcome)), step.system.inertia
+    ends = [jax.tree.map(lambda x, k=k: jnp.asarray(x[k]), run.state) for k in (0, -1)]
+    before, after = (jax.tree.map(np.asarray, measured(J, State(z.q, z.p))) for z in ends)
+    grid, few = phases(scenario), _first(scenario, WATCHED)
+    orbit, long_axis = scenario.orbit.elements(), scenario.spin.long_axis
+    go = partial(motion.passages, orbit, scenario.order, long_axis)
+    count = 3 + len(scenario.arcs_hours) + len(scenario.variant)
+    with tqdm(total=count, unit=" passages", disable=None, leave=False) as bar:
+
+        def done(x: Any) -> Any:
+            bar.update()
+            return x
+
+        mapped = done(go(grid, scenario.times()))
+        fine = done(go(few, scenario.times(steps=2 * scenario.steps)))
+        arcs = {hours: done(go(few, scenario.times(hours, 2 * scenario.steps))) for hours in scenario.arcs_hours}
+        variants = {x.label: done(_varied(scenario, x, len(grid.phi))) for x in scenario.variant}
+        slopes = done(motion.slopes(orbit, _SLOPE_ORDER, long_axis, thinned(scenario, grid), scenario.times()))
+    watched = min(WATCHED, run.state.q.shape[1])
+    halved = float(np.max(_angles(fine.q[:watched], run.state.q[-1, :watched])))
+    failed = sum(int((~x.converged).sum()) for x in (mapped, fine, *arcs.values(), *variants.values()))
+    return Study(before, after, grid, mapped, slopes, halved, arcs, variants, failed)
+
+
+_angles = jax.jit(jax.vmap(so3.angle))
+
+
+def phases(scenario: Scenario) -> Spin:
+    """The nominal spin at the phases of the map, φ slowest."""
+    given = [getattr(scenario.spin, name).value for name in Changes.model_fields]
+    n, m = scenario.map.precession_phases, scenario.map.rotation_phases
+    phi, psi = np.meshgrid(2 * np.pi * np.arange(n) / n, np.pi * np.arange(m) / m, indexing="ij")
+    same = [np.full(phi.size, x) for x in (*given[:4], *np.deg2rad(given[4:]))]
+    return Spin(*map(jnp.asarray, (*same, phi.ravel(), psi.ravel())))
+
+
+def thinned(scenario: Scenario, grid: Any) -> Any:
+    """Every second value of both phases."""
+    n, m = scenario.map.precession_phases, scenario.map.rotation_phases
+    return jax.tree.map(lambda x: x.reshape(n, m)[::2, ::2].ravel(), grid)
+
+
+def _first(scenario: Scenario, count: int) -> Spin:
+    """The first `count` members. They are drawn with all those of the run, whose program is compiled already."""
+    enough = scenario.model_copy(update={"members": max(count, scenario.members)})
+    return jax.tree.map(lambda x: x[:count], members(enough)[0])
+
+
+def _varied(scenario: Scenario, variant: Variant, count: int) -> Passage:
+    """The passages of members under other assumptions."""
+    spin = scenario.spin.changed(variant)
+    orbit = scenario.orbit.model_copy(update={"frame": variant.frame or scenario.orbit.frame})
+    spins = _first(scenario.model_copy(update={"spin": spin}), count)
+    return motion.passages(orbit.elements(), scenario.order, spin.long_axis, spins, scenario.times())
+
+
+class Change(NamedTuple):
+    """The change of members by a passage.
+
+    Attributes:
+        momentum, rate: |π| and 2H/|π| after, over those before.
+        turn, longitude, latitude: of the pole, in degrees; latitude is the change of its distance from the ecliptic.
+        kept: whether the mode is the same.
+    """
+
+    momentum: np.ndarray
+    rate: np.ndarray
+    turn: np.ndarray
+    longitude: np.ndarray
+    latitude: np.ndarray
+    kept: np.ndarray
+
+
+def change(before: Outcome, after: Outcome) -> Change:
+    """The changes of the members."""
+    longitudes, latitudes = zip(*(lonlat(x.pole) for x in (before, after)), strict=True)
+    turn = np.rad2deg(pole_angles(before.pole, after.pole))
+    return Change(
+        after.momentum / before.momentum,
+        after.rate / before.rate,
+        turn,
+        (longitudes[1] - longitudes[0] + 180) % 360 - 180,
+        abs(latitudes[1]) - abs(latitudes[0]),
+        after.long_axis == before.long_axis,
+    )
+
+
+pole_angles = jax.jit(jax.vmap(vec3.angle))
+
+
+def lonlat(pole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Longitude and latitude in degrees."""
+    return np.rad2deg(np.arctan2(pole[:, 1], pole[:, 0])) % 360, np.rad2deg(np.arcsin(np.clip(pole[:, 2], -1, 1)))
+
+
+def unknowns(scenario: Scenario) -> dict[str, tuple[str, float, float]]:
+    """By part of `Slopes`: the change that the report takes, in words and in its unit, and one standard deviation."""
+    given, degree = scenario.spin, np.deg2rad(1.0)
+    sigma = {name: sum(getattr(given, name).sides()) / 2 / scenario.sigmas for name in Changes.model_fields}
+    east = sigma["momentum_longitude_deg"] / np.cos(np.deg2rad(given.momentum_latitude_deg.value))
+    return {
+        "phi": ("1° of φ", degree, np.pi / np.sqrt(3)),
+        "psi": ("1° of ψ", degree, np.pi / np.sqrt(3)),
+        "least": ("0.01 of I₁/I₃", 0.01, sigma["least_moment"]),
+        "middle": ("0.001 of I₂/I₃", 0.001, sigma["middle_moment"]),
+        "precession": ("0.01 h of P_φ before", 0.01, sigma["precession_period_h"]),
+        "rotation": ("1 h of P_ψ before", 1.0, sigma["rotation_period_h"]),
+        "longitude": ("1° of the pole's longitude", degree, np.deg2rad(east)),
+        "latitude": ("1° of the pole's latitude", degree, np.deg2rad(sigma["momentum_latitude_deg"])),
+        "perigee": ("1 km of the perigee", 1.0, 0.0),
+    }

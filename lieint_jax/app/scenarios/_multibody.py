@@ -1,0 +1,194 @@
+"""What scenarios of several rigid bodies share: the keys of a body, a member's numbers, schemes, rows of reports."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import Any, NamedTuple, Self
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from pydantic import model_validator
+
+from lieint_jax import _checks, schemes
+from lieint_jax.app.scenarios._common import Above, Common, NonNegative, Published, Rate, RateSpread, Triple, deviation
+from lieint_jax.groups import so3
+from lieint_jax.systems import RigidBodies
+from lieint_jax.types import Step
+
+_FAR = 3  # published errors, beyond which a difference is pointed out
+
+ORDERS: dict[str, list[Any]] = {
+    "kepler_splitting": [[8, 6, 4], [8, 4], 2],
+    "nystrom": [6, 4],
+    "splitting": [2, 4, 6, 8],
+    "bodies_energy_momentum": [2, 4, 6, 8],
+    "gauss": [16, *range(2, 16, 2)],
+}
+"""The orders of the schemes for several bodies, the one by default first."""
+
+
+class BodySpread(RateSpread):
+    """Standard deviations of the members' bodies about the nominal one."""
+
+    attitude_deg: NonNegative = 0.0
+    """Of a turn about each axis of space, in degrees."""
+    mass_percent: NonNegative = 0.0
+    """Of the mass, of unchanged size and shape."""
+    axes_percent: NonNegative = 0.0
+    """Of each semi-axis of the homogeneous ellipsoid with the body's moments, of unchanged mass."""
+
+
+class ExtendedBody(Rate):
+    """The keys of a body: mass and moments, or those of a homogeneous ellipsoid; attitude and angular velocity."""
+
+    mass_kg: Above | None = None
+    """In kg."""
+    moments_kg_m2: Triple | None = None
+    """Principal moments about the center of mass, in kg m²."""
+    semi_axes_m: Triple | None = None
+    """Semi-axes of an ellipsoid along the principal axes, in m."""
+    density_kg_m3: Above | None = None
+    """Of the ellipsoid, in kg/m³."""
+    euler_313_deg: Triple = [0.0, 0.0, 0.0]
+    """Attitude R_z(α) R_x(β) R_z(γ), body to space, in degrees."""
+    spread: BodySpread = BodySpread()
+
+    @model_validator(mode="after")
+    def _a_body(self) -> Self:
+        given = [x is not None for x in (self.mass_kg, self.moments_kg_m2, self.semi_axes_m, self.density_kg_m3)]
+        if given not in ([True, True, False, False], [True, False, True, False], [False, False, True, True]):
+            raise ValueError("give mass_kg and moments_kg_m2, or semi_axes_m and one of density_kg_m3 and mass_kg")
+        if min(self.semi_axes_m or [1.0]) <= 0:
+            raise ValueError("semi_axes_m must be positive")
+        if self.moments_kg_m2 is not None:
+            _checks.inertia(self.moments_kg_m2)
+        if self.rate() is None:
+            raise ValueError("give exactly one of angular_velocity_rad and angular_velocity_deg")
+        return self
+
+    def attitude(self) -> Array:
+        """The unit quaternion (4,), body to space."""
+        return so3.from_euler_313(jnp.deg2rad(jnp.asarray(self.euler_313_deg)))
+
+    def mass(self) -> float:
+        """In kg."""
+        if self.mass_kg is not None:
+            return self.mass_kg
+        assert self.semi_axes_m is not None
+        assert self.density_kg_m3 is not None
+        return self.density_kg_m3 * 4 / 3 * np.pi * float(np.prod(self.semi_axes_m))
+
+    def squares(self) -> np.ndarray:
+        """The squared semi-axes, over 5, of the homogeneous ellipsoid with the body's moments per mass."""
+        if self.semi_axes_m is not None:
+            return np.square(self.semi_axes_m) / 5
+        J = np.asarray(self.moments_kg_m2) / self.mass()
+        return J.sum() / 2 - J
+
+    def spreads(self, name: str) -> dict[str, tuple[float, str]]:
+        """The standard deviations of the body `name` with their units, by what they are of."""
+        return {
+            f"{name}'s attitude": (self.spread.attitude_deg, "°"),
+            f"{name}'s angular velocity": (np.rad2deg(self.spread.rate()), "°/s"),
+            f"{name}'s mass": (self.spread.mass_percent, "%"),
+            f"{name}'s semi-axes": (self.spread.axes_percent, "%"),
+        }
+
+
+def assumed(spreads: dict[str, tuple[float, str]]) -> str:
+    """The line of a report that states standard deviations, those of 0 left out."""
+    given = [f"{name} {size:.2g} {unit}" for name, (size, unit) in spreads.items() if size]
+    return f"spread about the nominal state, an assumption (1 sigma, each component): {', '.join(given) or 'none'}"
+
+
+def mass_and_moments(body: ExtendedBody, heavier: Array, longer: Array) -> tuple[Array, Array]:
+    """The mass and the principal moments of a member's body, by its deviations."""
+    mass = body.mass() * (1 + body.spread.mass_percent / 100 * heavier[0])
+    squares = body.squares() * (1 + body.spread.axes_percent / 100 * longer) ** 2
+    return mass, mass * (jnp.sum(squares) - squares)
+
+
+def attitude(body: ExtendedBody, turned: Array) -> Array:
+    """The attitude of a member's body, by its deviation."""
+    return so3.multiply(so3.exp(jnp.deg2rad(body.spread.attitude_deg) * turned), body.attitude())
+
+
+def angular_velocity(body: ExtendedBody, jolt: Array) -> Array:
+    """The angular velocity of a member's body as its keys give it, by its deviation."""
+    return jnp.asarray(body.rate()) + body.spread.rate() * jolt
+
+
+def step_of(bodies: RigidBodies, scheme: str, order: Any, G: float | None = None) -> Step:
+    """The step of a scheme at an order of `ORDERS`; G, where a potential has none, is for kepler_splitting."""
+    if scheme == "kepler_splitting":
+        return schemes.kepler_splitting(bodies, order, G)
+    if scheme == "nystrom":
+        return schemes.nystrom(bodies, order)
+    if scheme == "gauss":
+        return schemes.gauss(bodies, order // 2)
+    step = getattr(schemes, scheme)(bodies)
+    return step if order == 2 else schemes.compose(step, order)
+
+
+class Row(NamedTuple):
+    """A quantity of the members of a run.
+
+    Attributes:
+        name: with its unit.
+        nominal: its value for the nominal member.
+        spread: its standard deviation over the members.
+        published: its published value.
+        percentiles: over the members, at 16, 50 and 84 %.
+    """
+
+    name: str
+    nominal: float
+    spread: float
+    published: Published | None = None
+    percentiles: tuple[float, ...] | None = None
+
+
+def row_of(name: str, values: np.ndarray, published: Published | None = None) -> Row:
+    """The row of a quantity from its values for all members, the nominal one first."""
+    percentiles = tuple(map(float, np.percentile(values, (16, 50, 84))))
+    return Row(name, float(values[0]), float(deviation(values)), published, percentiles)
+
+
+def row_lines(scenario: Common, rows: list[Row], digits: str = ".4f") -> list[str]:
+    """The lines of a report with the head of its columns and these quantities, and how they compare with published."""
+    lines = [f"\n  {'':<54}{'nominal':>11}{'± ensemble':>12}   published"]
+    for row in rows:
+        nominal, spread = (format(x, digits) if np.isfinite(x) else "—" for x in (row.nominal, row.spread))
+        lines.append(f"  {row.name:<54}{nominal:>11}{spread:>12}   {cited(scenario, row.published)}")
+    notes = [f"{row.name}: {found}" for row in rows if (found := _compared(row))]
+    return lines + [
+        line for note in notes for line in textwrap.wrap(note, 116, initial_indent="  ! ", subsequent_indent="    ")
+    ]
+
+
+def _compared(row: Row) -> str:
+    """What keeps a quantity from being a test of its published value; empty if nothing does."""
+    published, found = row.published, []
+    if published is None or published.error is None or not np.isfinite(row.nominal):
+        return ""
+    off = row.nominal - published.value
+    if abs(off) > _FAR * published.error:
+        sign = ", and in its sign" if row.nominal * published.value < 0 else ""
+        by = f"{off:+.3g}, {abs(off) / published.error:.2g} times the published error"
+        found.append(f"The nominal member differs from the published value by {by}{sign}.")
+    if row.spread > published.error and row.percentiles is not None:
+        low, middle, high = row.percentiles
+        found.append(
+            f"The members' spread is {row.spread / published.error:.2g} times the published error and follows from "
+            f"their assumed deviations: the median is {middle:.4f}, and 68 % of them lie from {low:.4f} to {high:.4f}."
+        )
+    return " ".join([*found, published.remark] if found else [])
+
+
+def cited(scenario: Common, published: Published | None) -> str:
+    """A published value with its error and source; empty if there is none."""
+    if published is None:
+        return ""
+    error = f" ± {published.error:g}" if published.error is not None else ""
+    return f"{published.value:g}{error}  ({scenario.source(published.source)})"

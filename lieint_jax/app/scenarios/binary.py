@@ -1,0 +1,446 @@
+"""Two bodies about one another, a binary asteroid: periods, librations, energies, and what a change of speed did.
+
+Units: m, kg and s; reports are in hours and days. At the start the line from the primary to the secondary is the x axis
+of space, the secondary moves along y, z is the normal of the orbit, and the barycenter is at rest at the origin. Every
+member has masses and moments of its own: the leaves of the step that `build` makes have the member axis.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, Literal, NamedTuple, Self, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from matplotlib.figure import Figure
+from pydantic import model_validator
+
+from lieint_jax import potentials, systems
+from lieint_jax.app import plots
+from lieint_jax.app.scenarios import _binary_motion
+from lieint_jax.app.scenarios._binary_motion import Motion, energies, motion, nominal_of, over_members, rate
+from lieint_jax.app.scenarios._common import (
+    DAY,
+    HOUR,
+    Above,
+    Common,
+    NonNegative,
+    Published,
+    Table,
+    check_order,
+    deviation,
+    follow,
+    largest_changes,
+    nominal,
+)
+from lieint_jax.app.scenarios._multibody import (
+    ORDERS,
+    ExtendedBody,
+    Row,
+    angular_velocity,
+    assumed,
+    attitude,
+    cited,
+    mass_and_moments,
+    row_lines,
+    row_of,
+    step_of,
+)
+from lieint_jax.app.scenarios._spectrum import line, spectrum
+from lieint_jax.groups import so3
+from lieint_jax.systems import RigidBodies
+from lieint_jax.types import State, Step, Trajectory
+
+STEP_AXIS = 0  # members have systems of their own, see `lieint_jax.app.scenarios`
+
+_BRIEF, _FINE = 4, 4  # orbits of the picture of energies, and its steps in one of the scenario
+_UPRIGHT = 30  # degrees of obliquity, above which a secondary counts as tumbling
+_LONG = 8  # length of the spectrum's run, over that of the scenario
+
+
+class Body(ExtendedBody):
+    """One body: mass and moments, or those of a homogeneous ellipsoid; attitude and angular velocity in its axes."""
+
+    relative_to: Literal["space", "orbit"] = "space"
+    """What the angular velocity is relative to: the orbit's axes turn by speed/separation about their z axis."""
+
+
+class Orbit(Table):
+    """The relative motion at the start."""
+
+    separation_m: Above
+    """The distance of the centers of mass, in m."""
+    speed_m_s: Above | None = None
+    """Relative, across the line of centers, in m/s; by default that of a circle under the force of both shapes."""
+    speed_change_mm_s: float = 0.0
+    """Added to the speed, as by an impact, in mm/s."""
+
+
+class Spread(Table):
+    """Standard deviations of the members' relative motion about the nominal one."""
+
+    velocity_mm_s: NonNegative = 0.0
+    """Each component of the relative velocity, in mm/s."""
+
+
+Scheme = Literal["kepler_splitting", "nystrom", "splitting", "bodies_energy_momentum"]
+Name = Literal[
+    "orbital_period_h",
+    "orbital_period_before_h",
+    "primary_spin_period_h",
+    "apsidal_precession_deg_d",
+    "speed_change_mm_s",
+]
+
+
+class Scenario(Common):
+    """The keys of a scenario of this kind."""
+
+    system: Literal["binary"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    time_unit: Literal["s"] = "s"  # pyright: ignore[reportIncompatibleVariableOverride]
+    """Seconds; other units are in the names of the keys."""
+    G: Above = 6.67430e-11
+    """The constant of gravity, in m³ kg⁻¹ s⁻²."""
+    scheme: Scheme = "kepler_splitting"
+    order: int | list[int] | None = None
+    """Of kepler_splitting 2, [8, 4] or [8, 6, 4]; of nystrom 4 or 6; of the others 2, 4, 6 or 8."""
+    primary: Body
+    secondary: Body
+    orbit: Orbit
+    spread: Spread = Spread()
+    published: dict[Name, Published] = {}
+    """Periods in hours, rates in degrees a day, changes of speed in mm/s, as the names say."""
+
+    @model_validator(mode="after")
+    def _order_of_the_scheme(self) -> Self:
+        check_order(self.scheme, self.order, ORDERS[self.scheme])
+        return self
+
+    def assumption(self) -> str:
+        own = {"relative velocity": (self.spread.velocity_mm_s, "mm/s")}
+        return assumed(own | self.primary.spreads("primary") | self.secondary.spreads("secondary"))
+
+
+def build(scenario: Scenario) -> tuple[Step, State]:
+    """The step, whose leaves have the member axis, and the batch of initial states.
+
+    A member is the same in ensembles of every size.
+    """
+    return jax.jit(jax.vmap(partial(_member, scenario)))(jnp.arange(scenario.members))
+
+
+def _member(scenario: Scenario, k: Array) -> tuple[Step, State]:
+    """The step and the state of the k-th member; the first has no deviations."""
+    noise = jax.random.normal(jax.random.fold_in(jax.random.key(scenario.seed), k), (1 + 2 * 4, 3))
+    noise = jnp.where(k == 0, 0.0, noise)
+    pair, given = (scenario.primary, scenario.secondary), (noise[1:5], noise[5:])
+    made = [mass_and_moments(body, *x[:2]) for body, x in zip(pair, given, strict=True)]
+    m, J = (jnp.stack(x) for x in zip(*made, strict=True))
+    bodies = systems.rigid_bodies(m, J, potentials.maccullagh(scenario.G, m, J))
+    attitudes = [attitude(body, x[2]) for body, x in zip(pair, given, strict=True)]
+    d = jnp.array([scenario.orbit.separation_m, 0.0, 0.0])
+    speed = _speed(scenario.orbit, bodies, d, attitudes)
+    across = speed + scenario.orbit.speed_change_mm_s / 1000
+    v = jnp.stack([0 * across, across, 0 * across]) + scenario.spread.velocity_mm_s / 1000 * noise[0]
+    turning = jnp.stack([0 * speed, 0 * speed, speed / d[0]])
+    rates = [_rate(body, q, turning, x[3]) for body, q, x in zip(pair, attitudes, given, strict=True)]
+    shares = jnp.stack([-m[1], m[0]]) / (m[0] + m[1])
+    state = bodies.state(
+        shares[:, None] * d,
+        jnp.stack(attitudes),
+        velocities=shares[:, None] * v,
+        angular_velocities=jnp.stack(rates),
+    )
+    return _steps(scenario, bodies)[scenario.scheme], state
+
+
+def _steps(scenario: Scenario, bodies: RigidBodies) -> dict[str, Step]:
+    """Every scheme; the scenario's at its order, the others at their highest or, where it is of composition, at 2."""
+    orders = {name: ORDERS[name][0] for name in get_args(Scheme)}
+    orders[scenario.scheme] = scenario.order or orders[scenario.scheme]
+    return {name: step_of(bodies, name, order) for name, order in orders.items()}
+
+
+def _rate(body: Body, q: Array, turning: Array, jolt: Array) -> Array:
+    """The angular velocity of a member's body in its axes; `turning` is that of the orbit's axes in space."""
+    Omega = angular_velocity(body, jolt)
+    return Omega + so3.Ad_star(q, turning) if body.relative_to == "orbit" else Omega
+
+
+def _speed(orbit: Orbit, bodies: RigidBodies, d: Array, attitudes: list[Array]) -> Array:
+    """The relative speed before its change: that given, or that of a circle under the force along the line."""
+    if orbit.speed_m_s is not None:
+        return jnp.asarray(orbit.speed_m_s)
+    m, none = bodies.masses, jnp.zeros(3)
+    pull = bodies.force(jnp.stack([jnp.concatenate([x, q]) for x, q in zip((none, d), attitudes, strict=True)]))[1, 0]
+    return jnp.sqrt(-pull * (m[0] + m[1]) / (m[0] * m[1]) * d[0])
+
+
+def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
+    """Periods beside published ones, librations, energies, what is conserved, and what a change of period says."""
+    found = motion(step.system, run)
+    lines = row_lines(scenario, quantities(scenario, run, found))
+    days, stay = abs(run.t[-1] - run.t[0]) / DAY, facing(found)
+    lines.append(f"  periods and rates: mean rates of longitudes about L over {days:.4g} d, by least squares")
+    lines.append(
+        f"  {int(stay.sum())} of {len(stay)} members: one end of the secondary's x axis stays toward the primary"
+    )
+    upright = np.rad2deg(found.obliquity_2).max(axis=0) < _UPRIGHT
+    lines.append(
+        f"  {int(upright.sum())} of {len(stay)} members: its z axis stays within {_UPRIGHT}° of the orbit's normal"
+    )
+    lines += [*_exchange(step.system, run), *largest_changes(changes(step.system, run), 55)]
+    if {"orbital_period_h", "orbital_period_before_h"} <= set(scenario.published):
+        lines += _impact(scenario, step, run)
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def quantities(scenario: Scenario, run: Trajectory, found: Motion) -> list[Row]:
+    """Periods, precessions and librations, of the nominal member and their spread, beside published values."""
+    t = np.asarray(run.t)
+    orbital = rate(t, found.longitude)
+    lines = frequencies(t, found)
+    swing = np.rad2deg(abs(found.libration - _middle(found)).max(axis=0))
+    table: list[tuple[str, np.ndarray, Name | None]] = [
+        ("orbital period (h)", _hours(orbital), "orbital_period_h"),
+        ("primary's spin period (h)", _hours(rate(t, found.spin_1)), "primary_spin_period_h"),
+        ("secondary's spin period (h)", _hours(rate(t, found.spin_2)), None),
+        ("eccentricity: amplitude of the distance over its mean", lines.eccentricity, None),
+        (
+            "precession of the line of apsides (°/d)",
+            np.rad2deg(orbital - 2 * np.pi * lines.anomalistic) * DAY,
+            "apsidal_precession_deg_d",
+        ),
+        ("precession of the orbit's normal about L (°/d)", _precession(t, found), None),
+        ("libration of the secondary, largest (°)", swing, None),
+        ("  its line at the orbit's anomalistic frequency (°)", np.rad2deg(lines.forced), None),
+        ("  its strongest line below that (°)", np.rad2deg(lines.free), None),
+        ("  the frequency of that line, over the orbit's", 2 * np.pi * lines.free_frequency / orbital, None),
+        ("line of centers from its equator, largest (°)", np.rad2deg(abs(found.out_of_plane).max(axis=0)), None),
+        ("its obliquity, largest (°)", np.rad2deg(found.obliquity_2.max(axis=0)), None),
+    ]
+    return [row_of(name, x, scenario.published.get(key) if key else None) for name, x, key in table]
+
+
+def _hours(rate: np.ndarray) -> np.ndarray:
+    return 2 * np.pi / rate / HOUR
+
+
+def _precession(t: np.ndarray, found: Motion) -> np.ndarray:
+    """°/d; nan where the orbit's plane is L's: the inclination is round-off."""
+    inclined = found.inclination.max(axis=0) > 1e-9
+    return np.where(inclined, np.rad2deg(rate(t, found.node)) * DAY, np.nan)
+
+
+def _middle(found: Motion) -> np.ndarray:
+    """The multiple of half a turn from which each member's libration starts."""
+    return np.pi * np.round(found.libration[0] / np.pi)
+
+
+def facing(found: Motion) -> np.ndarray:
+    """Whether each member's secondary keeps one end of its x axis toward the primary."""
+    return abs(found.libration - _middle(found)).max(axis=0) < np.pi / 2
+
+
+class Lines(NamedTuple):
+    """Lines of the distance and of the libration of every member; frequencies in Hz, amplitudes in rad.
+
+    Attributes:
+        anomalistic: the frequency of the distance.
+        eccentricity: the amplitude of the distance at it, over the mean distance.
+        forced: the amplitude of the libration at it.
+        free_frequency: of the strongest line of the libration below it.
+        free: the amplitude there.
+    """
+
+    anomalistic: np.ndarray
+    eccentricity: np.ndarray
+    forced: np.ndarray
+    free_frequency: np.ndarray
+    free: np.ndarray
+
+
+def frequencies(t: np.ndarray, found: Motion) -> Lines:
+    """The lines of a run; nan where it is too short to tell them apart."""
+    f = abs(rate(t, found.longitude)) / (2 * np.pi)
+    resolved = 2 / abs(t[-1] - t[0])  # half the width of a line under the window
+    anomalistic, size = line(t, found.distance, 0.9 * f, 1.1 * f)
+    forced = line(t, found.libration, anomalistic - resolved / 2, anomalistic + resolved / 2)[1]
+    free_frequency, free = line(t, found.libration, 0.4 * f, anomalistic - resolved)
+    return Lines(anomalistic, size / found.distance.mean(axis=0), forced, free_frequency, free)
+
+
+def _exchange(system: RigidBodies, run: Trajectory) -> list[str]:
+    """How much the parts of the energy change, greatest less least."""
+    parts = over_members(energies, system, run)
+    size = abs(parts.orbit[0, 0])
+    lines = [
+        f"\n  {'energy exchanged, greatest − least (J)':<54}{'nominal':>11}{'± ensemble':>12}   over |orbit's energy|"
+    ]
+    names = {"orbit": "orbit of two points", "spin_1": "primary's spin", "spin_2": "secondary's spin"}
+    for key, name in (names | {"shape": "potential of their shapes, V + G m₁m₂/r"}).items():
+        swing = np.ptp(getattr(parts, key), axis=0)
+        lines.append(f"  {name:<54}{swing[0]:>11.3g}{float(deviation(swing)):>12.2g}   {swing[0] / size:.3g}")
+    return lines
+
+
+def changes(system: RigidBodies, run: Trajectory) -> dict[str, np.ndarray]:
+    """Relative changes of what is conserved, (times, members)."""
+    parts, Phi = over_members(lambda s, z: (energies(s, z), s.momentum(z)), system, run)
+    H, orbit, moved = parts.total, abs(parts.orbit[0]), np.linalg.norm(Phi[..., :3] - Phi[0, :, :3], axis=-1)
+    pushed = np.linalg.norm(np.asarray(run.state.p)[0, :, 1, :3], axis=-1)
+    L = np.linalg.norm(Phi[..., 3:], axis=-1)
+    return {
+        "energy, over |energy of the orbit|": abs(H - H[0]) / orbit,
+        "energy, over |energy|": abs(H - H[0]) / abs(H[0]),
+        "linear momentum, over that of the secondary": moved / pushed,
+        "angular momentum, relative": np.linalg.norm(Phi[..., 3:] - Phi[0, :, 3:], axis=-1) / L[0],
+    }
+
+
+class Impact(NamedTuple):
+    """What the published change of the period says of the speed; periods in h, speeds in mm/s.
+
+    Attributes:
+        period_unchanged: of the nominal state without the scenario's change of speed.
+        change: of the speed, from the period published before to that after, both by the whole model.
+        slope: the derivative of the period by the speed, h/(mm/s), half-way.
+        kepler: the change of the speed for two points.
+    X"""
+
+    period_unchanged: float
+    change: float
+    slope: float
+    kepler: float
+    kepler_slope: float
+
+
+def impact(scenario: Scenario, step: Any, run: Trajectory) -> Impact:
+    """The change of the speed at the start that takes the period from the published one before to that after."""
+    first, start = nominal_of(step), nominal(run)
+    duration = scenario.dt, scenario.steps, scenario.save_every
+
+    def measure(change: Array) -> tuple[Array, Array]:
+        return _binary_motion.period(first, start, *duration, change)
+
+    before, after = (scenario.published[key].value * HOUR for key in ("orbital_period_before_h", "orbital_period_h"))  # pyright: ignore[reportArgumentType]
+    ends = [_binary_motion.change_to(period, measure) for period in (before, after)]
+    d = float(jnp.linalg.norm(_binary_motion.relative(first.system, start)[0]))
+    mu = scenario.G * float(jnp.sum(first.system.masses))
+    unchanged = float(measure(jnp.asarray(-scenario.orbit.speed_change_mm_s / 1000))[0])
+    middle = (before + after) / 2
+    a, speed = (mu * (middle / (2 * np.pi)) ** 2) ** (1 / 3), _binary_motion.kepler_speed(mu, d, middle)
+    return Impact(
+        unchanged / HOUR,
+        1000 * (ends[1] - ends[0]),
+        float(measure(jnp.asarray(sum(ends) / 2))[1]) / HOUR / 1000,
+        1000 * (_binary_motion.kepler_speed(mu, d, after) - _binary_motion.kepler_speed(mu, d, before)),
+        3 * a * speed / mu * middle / HOUR / 1000,
+    )
+
+
+def _impact(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+    """What the published change of the period says of the change of the secondary's speed."""
+    found, published = impact(scenario, step, run), scenario.published
+    before, after = published["orbital_period_before_h"], published["orbital_period_h"]
+    lines = [
+        f"\n  published: orbital period {before.value:g} h before the impact ({scenario.source(before.source)}), "
+        f"{after.value:g} h after",
+        f"  {'period without the change of speed of this scenario':<54}{found.period_unchanged:>11.4f} h",
+        f"  {'change of speed between the two published periods':<54}{found.change:>11.3f} mm/s",
+        f"  {'  for two points':<54}{found.kepler:>11.3f} mm/s",
+        f"  {'derivative of the period by the speed, half-way':<54}{found.slope:>11.4f} h/(mm/s)",
+        f"  {'  for two points, ΔT/T = 3 a v Δv/GM':<54}{found.kepler_slope:>11.4f} h/(mm/s)",
+    ]
+    seen = published.get("speed_change_mm_s")
+    if seen is not None:
+        lines.append(f"  {'published change of speed (mm/s)':<54}     {cited(scenario, seen)}")
+    return lines
+
+
+@plots.style()
+def draw_orbit(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Plot the distance and the secondary's libration against time: the nominal member, and 90 % of the members."""
+    found = motion(step.system, run)
+    days = np.asarray(run.t) / DAY
+    fig, axes = plots.figure(2, size=(5.5, 3.8))
+    swing = np.rad2deg(found.libration - _middle(found))
+    for ax, x, label in zip(
+        axes[0], (found.distance, swing), ("distance (m)", "libration of the secondary (°)"), strict=True
+    ):
+        if x.shape[1] > 1:
+            ax.fill_between(
+                days, *np.percentile(x, [5, 95], axis=1), color=plots.GRAY, alpha=0.5, lw=0, label="90 % of members"
+            )
+        ax.plot(days, x[:, 0], color=plots.BLUE, lw=0.8, label="nominal")
+        ax.set(xlabel="t (d)", ylabel=label)
+        ax.margins(x=0.01, y=0.1)
+    axes[0, 0].legend(loc="upper right", ncols=2)
+    fig.suptitle(scenario.title)
+    return fig
+
+
+@plots.style()
+def draw_spectrum(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Plot the spectrum of the nominal secondary's libration over a longer run, and the frequencies expected in it."""
+    first = nominal_of(step)
+    long = follow(first, nominal(run), scenario.dt, _LONG * scenario.steps)
+    long = Trajectory(*jax.tree.map(lambda x: np.asarray(x)[:, None] if np.ndim(x) else x, long))
+    t = np.asarray(long.t)[:, 0]
+    found = motion(jax.tree.map(lambda x: x[None], first.system), long._replace(t=t))
+    f, amplitude = spectrum(t, np.rad2deg(found.libration[:, 0]))
+    orbital = float(rate(t, found.longitude)[0]) / (2 * np.pi)
+    A, B, C = (float(x) for x in first.system.inertias[1])
+    anomalistic = float(frequencies(t, found).anomalistic[0])
+    fig, axes = plots.figure(size=(7.2, 4.2))
+    ax = axes[0, 0]
+    shown = (f > 0) & (f < 3 * orbital)
+    ax.semilogy(f[shown] / orbital, amplitude[shown], color=plots.INK, lw=0.7)
+    marks = {"once an orbit, from apsis to apsis": anomalistic / orbital}
+    if B > A:
+        marks["free libration of a small swing, √(3(B−A)/C)"] = np.sqrt(3 * (B - A) / C)
+    for (label, x), style in zip(marks.items(), plots.STYLES[1:], strict=False):
+        ax.axvline(x, color=style["color"], ls="--", lw=0.9, label=label)
+    ax.set(xlim=(0, 3), xlabel="frequency over that of the orbit", ylabel="amplitude of the libration (°)")
+    ax.legend(loc="upper right")
+    ax.set_title(f"nominal member, {abs(t[-1] - t[0]) / DAY:.4g} d")
+    fig.suptitle(scenario.title)
+    return fig
+
+
+@plots.style()
+def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Plot the exchange of energy between orbit, spins and shapes, and how well two schemes conserve H and L."""
+    first, start = nominal_of(step), nominal(run)
+    turn = 2 * np.pi / abs(rate(run.t, motion(step.system, run).longitude)[0])
+    dt = scenario.dt / _FINE  # the primary's spin takes few steps a turn
+    brief = follow(first, start, dt, min(_FINE * scenario.steps, round(_BRIEF * turn / abs(dt))))
+    parts = jax.tree.map(np.asarray, jax.jit(jax.vmap(lambda z: energies(first.system, z)))(brief.state))
+    size = abs(parts.orbit[0])
+    fig, axes = plots.figure(2, size=(5.5, 3.8))
+    names = {"orbit": "orbit", "spin_1": "primary's spin", "spin_2": "secondary's spin", "shape": "shapes, V + Gm₁m₂/r"}
+    curves = {name: (getattr(parts, key) - getattr(parts, key)[0]) / size for key, name in names.items()}
+    plots.series(axes[0, 0], np.asarray(brief.t) / DAY, curves, "change over |energy of the orbit|", "d")
+    axes[0, 0].margins(y=0.25)
+    axes[0, 0].legend(loc="upper center", ncols=2)
+    axes[0, 0].set_title(f"exchange of energy, nominal member, {_BRIEF} orbits")
+    days = np.zeros(0)
+    errors: dict[str, np.ndarray] = {}
+    made = _steps(scenario, first.system)
+    for name in dict.fromkeys((scenario.scheme, "kepler_splitting", "bodies_energy_momentum")):
+        long = follow(made[name], start, scenario.dt, scenario.steps)
+        alone = Trajectory(long.t, *jax.tree.map(lambda x: x[:, None], (long.state, long.info)))
+        error = changes(jax.tree.map(lambda x: x[None], first.system), alone)
+        days = np.asarray(long.t) / DAY
+        errors[f"H, {made[name].name}"] = error["energy, over |energy|"][:, 0]
+        errors[f"L, {made[name].name}"] = error["angular momentum, relative"][:, 0]
+    plots.log_error(axes[0, 1], days, errors, "relative change", "d")
+    axes[0, 1].legend()
+    axes[0, 1].set_title("energy H and angular momentum L")
+    fig.suptitle(scenario.title)
+    return fig
+
+
+PICTURES = {"orbit": draw_orbit, "spectrum": draw_spectrum, "energy": draw_energy}

@@ -1,0 +1,453 @@
+"""Rigid bodies of one's own, one to a hundred, in potentials chosen by name: distances, periods, what is conserved.
+
+Units: m, kg and s; reports are in hours, days and degrees. Positions and velocities are in any axes that do not turn,
+angular velocities in the axes of each body. Gravity acts between all bodies, springs between two points of two bodies,
+a field on the masses. Every member has masses and moments of its own: the leaves of the step that `build` makes have
+the member axis.
+"""
+
+from __future__ import annotations
+
+import operator
+from functools import partial, reduce
+from typing import Annotated, Any, Literal, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from matplotlib.figure import Figure
+from pydantic import Field, field_validator, model_validator
+
+from lieint_jax import _checks, potentials, systems
+from lieint_jax._numerics import vec3
+from lieint_jax.app import plots
+from lieint_jax.app.scenarios._binary_motion import followed, longitude, over_members, rate
+from lieint_jax.app.scenarios._common import (
+    DAY,
+    HOUR,
+    Above,
+    Common,
+    NonNegative,
+    Published,
+    Quadruple,
+    Table,
+    Text,
+    Triple,
+    check_order,
+    for_last_run,
+    largest_changes,
+)
+from lieint_jax.app.scenarios._multibody import (
+    ORDERS,
+    BodySpread,
+    ExtendedBody,
+    Row,
+    angular_velocity,
+    assumed,
+    attitude,
+    mass_and_moments,
+    row_lines,
+    row_of,
+    step_of,
+)
+from lieint_jax.app.scenarios._spectrum import line
+from lieint_jax.potentials import Potential, Springs
+from lieint_jax.systems import RigidBodies
+from lieint_jax.types import State, Step, Trajectory
+
+STEP_AXIS = 0  # members have systems of their own, see `lieint_jax.app.scenarios`
+
+_PAIRS = 6  # the most pairs of which every distance is reported
+_SHOWN = 8  # the most bodies and pairs of a picture or of the report's periods
+_TINY = float(np.finfo(float).tiny)
+
+
+class Spread(BodySpread):
+    """Standard deviations of the members' bodies about the nominal one."""
+
+    position_m: NonNegative = 0.0
+    """Of each component of the position, in m."""
+    velocity_m_s: NonNegative = 0.0
+    """Of each component of the velocity, in m/s."""
+
+
+Measured = Literal["orbital_period_h", "apsidal_precession_deg_d", "turn_h"]
+
+
+class Body(ExtendedBody):
+    """One body. Its angular velocity is in its own axes."""
+
+    name: Annotated[Text, Field(min_length=1)]
+    """Of the body, in reports, in pictures and in `between`."""
+    position_m: Triple
+    """Of the center of mass, in m."""
+    velocity_m_s: Triple
+    """Of the center of mass, in m/s."""
+    quaternion: Quadruple | None = None
+    """Attitude (w, x, y, z), body to space, of unit length, in place of euler_313_deg."""
+    spread: Spread = Spread()  # pyright: ignore[reportIncompatibleVariableOverride]
+    published: dict[Measured, Published] = {}
+    """Orbital period about the first body and time of a turn in hours, precession of the apsides in degrees a day."""
+
+    @model_validator(mode="after")
+    def _one_attitude(self) -> Self:
+        if self.quaternion is not None:
+            if any(self.euler_313_deg):
+                raise ValueError("give the attitude by quaternion or euler_313_deg, not both")
+            _checks.unit_quaternion("quaternion", self.quaternion)
+        return self
+
+    def attitude(self) -> Array:
+        return super().attitude() if self.quaternion is None else jnp.asarray(self.quaternion)
+
+    def spreads(self, name: str) -> dict[str, tuple[float, str]]:
+        return super().spreads(name) | {
+            f"{name}'s position": (self.spread.position_m, "m"),
+            f"{name}'s velocity": (self.spread.velocity_m_s, "m/s"),
+        }
+
+
+_KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "point_masses": ((), ("G", "softening_m")),
+    "maccullagh": ((), ("G",)),
+    "spring": (("between", "points_m", "stiffness_n_m"), ("length_m",)),
+    "uniform_field": (("field_m_s2",), ()),
+}  # of each kind of potential: the keys it needs and others it takes
+_GRAVITY = ("point_masses", "maccullagh")
+
+
+class Term(Table):
+    """A potential by its kind; several are added.
+
+    `point_masses` is gravity between the centers, `maccullagh` gravity to second order of size over distance, which
+    couples orbits and spins; `spring` joins a point of one body to a point of another; `uniform_field` acts on masses.
+    """
+
+    kind: Literal["point_masses", "maccullagh", "spring", "uniform_field"]
+    G: Above | None = None
+    """The constant of gravity, in m³ kg⁻¹ s⁻²; by default 6.67430e-11."""
+    softening_m: NonNegative | None = None
+    """Of point_masses: the length ε of −G m₁m₂/√(r² + ε²), in m; by default 0."""
+    between: Annotated[list[str], Field(min_length=2, max_length=2)] | None = None
+    """Of a spring: the names of its two bodies."""
+    points_m: Annotated[list[Triple], Field(min_length=2, max_length=2)] | None = None
+    """Of a spring: its ends, each in the axes of its body from the center of mass, in m."""
+    stiffness_n_m: NonNegative | None = None
+    """Of a spring, in N/m."""
+    length_m: NonNegative | None = None
+    """Of a spring: where it is slack, in m; by default 0."""
+    field_m_s2: Triple | None = None
+    """Of uniform_field: the acceleration of every mass, in m/s²."""
+
+    @model_validator(mode="after")
+    def _keys_of_the_kind(self) -> Self:
+        needed, others = _KEYS[self.kind]
+        given = [name for name in type(self).model_fields if name != "kind" and getattr(self, name) is not None]
+        for name in given:
+            if name not in (*needed, *others):
+                allowed = ", ".join((*needed, *others))
+                raise ValueError(f"{name} is no key of the potential {self.kind!r}; allowed: {allowed}")
+        missing = [name for name in needed if name not in given]
+        if missing:
+            raise ValueError(f"the potential {self.kind!r} needs {' and '.join(missing)}")
+        if self.between is not None and self.between[0] == self.between[1]:
+            raise ValueError(f"a spring must join two bodies, got {self.between[0]!r} twice")
+        if self.field_m_s2 is not None and not any(self.field_m_s2):
+            raise ValueError("field_m_s2 must not be 0")
+        return self
+
+    def gravity(self) -> float:
+        """G in use."""
+        return 6.67430e-11 if self.G is None else self.G
+
+
+class Scenario(Common):
+    """The keys of a scenario of this kind."""
+
+    system: Literal["bodies"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    time_unit: Literal["s"] = "s"  # pyright: ignore[reportIncompatibleVariableOverride]
+    """Seconds; other units are in the names of the keys."""
+    scheme: Literal["nystrom", "splitting", "gauss", "kepler_splitting", "bodies_energy_momentum"] = "nystrom"
+    """kepler_splitting is for two bodies that attract each other."""
+    order: int | list[int] | None = None
+    """Of nystrom 6 or 4; of splitting and bodies_energy_momentum 2, 4, 6 or 8; of gauss 16 or any even one below it; of
+    kepler_splitting [8, 6, 4], [8, 4] or 2. By default the first of these."""
+    barycentric: bool = False
+    """Whether every member's barycenter is put at rest at the origin; else positions and velocities are as given."""
+    bodies: Annotated[list[Body], Field(min_length=1, max_length=100)]
+    """The bodies, one table each."""
+    potential: Annotated[list[Term], Field(min_length=1)]
+    """What acts on them, one table for each potential of the sum."""
+
+    @field_validator("bodies", "potential", mode="before")
+    @classmethod
+    def _a_list_of_tables(cls, value: Any, info: Any) -> Any:
+        if isinstance(value, dict):
+            raise ValueError(f"is a list of tables: write [[{info.field_name}]] for [{info.field_name}]")
+        return value
+
+    @model_validator(mode="after")
+    def _each_body_by_its_name_and_place(self) -> Self:
+        seen: dict[Any, str] = {}
+        for body in self.bodies:
+            if body.name in self.names()[: len(seen)]:
+                raise ValueError(f"two bodies have the name {body.name!r}")
+            place = tuple(body.position_m)
+            if place in seen:
+                raise ValueError(f"{seen[place]} and {body.name} are at one place, {body.position_m}")
+            seen[place] = body.name
+        return self
+
+    @model_validator(mode="after")
+    def _potentials_of_these_bodies(self) -> Self:
+        gravities = [term.kind for term in self.potential if term.kind in _GRAVITY]
+        if len(gravities) > 1:
+            raise ValueError(f"gravity is given {len(gravities)} times, by {' and '.join(gravities)}: give it once")
+        for term in self.potential:
+            if term.kind != "uniform_field" and len(self.bodies) < 2:
+                raise ValueError(f"the potential {term.kind!r} acts between bodies: give two [[bodies]] at least")
+            for name in term.between or []:
+                if name not in self.names():
+                    raise ValueError(f"between has {name!r}, which is no body; there are {', '.join(self.names())}")
+        return self
+
+    @model_validator(mode="after")
+    def _a_scheme_for_these_bodies(self) -> Self:
+        check_order(self.scheme, self.order, ORDERS[self.scheme])
+        if self.scheme == "kepler_splitting":
+            if len(self.bodies) != 2:
+                raise ValueError(f"kepler_splitting is for two bodies, got {len(self.bodies)}; take nystrom")
+            if self.attraction() is None:
+                raise ValueError("kepler_splitting is for bodies that attract each other; take nystrom")
+        return self
+
+    def names(self) -> list[str]:
+        """Of the bodies."""
+        return [body.name for body in self.bodies]
+
+    def attraction(self) -> Term | None:
+        """The potential of gravity between the bodies, if there is one."""
+        return next((term for term in self.potential if term.kind in _GRAVITY), None)
+
+    def assumption(self) -> str:
+        return assumed(reduce(operator.or_, (body.spreads(body.name) for body in self.bodies)))
+
+
+def build(scenario: Scenario) -> tuple[Step, State]:
+    """The step, whose leaves have the member axis, and the batch of initial states.
+
+    A member is the same in ensembles of every size.
+    """
+    return jax.jit(jax.vmap(partial(_member, scenario)))(jnp.arange(scenario.members))
+
+
+def _member(scenario: Scenario, k: Array) -> tuple[Step, State]:
+    """The step and the state of the k-th member; the first has no deviations."""
+    given = scenario.bodies
+    noise = jax.random.normal(jax.random.fold_in(jax.random.key(scenario.seed), k), (len(given), 6, 3))
+    noise = jnp.where(k == 0, 0.0, noise)
+    made = [mass_and_moments(body, *x[:2]) for body, x in zip(given, noise, strict=True)]
+    m, J = (jnp.stack(x) for x in zip(*made, strict=True))
+    bodies = systems.rigid_bodies(m, J, _potential(scenario, m, J))
+    x = jnp.asarray([b.position_m for b in given]) + _column([b.spread.position_m for b in given]) * noise[:, 4]
+    v = jnp.asarray([b.velocity_m_s for b in given]) + _column([b.spread.velocity_m_s for b in given]) * noise[:, 5]
+    if scenario.barycentric:
+        x, v = (y - jnp.sum(m[:, None] * y, axis=0) / jnp.sum(m) for y in (x, v))
+    state = bodies.state(
+        x,
+        jnp.stack([attitude(body, y[2]) for body, y in zip(given, noise, strict=True)]),
+        velocities=v,
+        angular_velocities=jnp.stack([angular_velocity(body, y[3]) for body, y in zip(given, noise, strict=True)]),
+    )
+    term = scenario.attraction()
+    order = scenario.order or ORDERS[scenario.scheme][0]
+    return step_of(bodies, scenario.scheme, order, term and term.gravity()), state
+
+
+def _column(values: list[float]) -> Array:
+    return jnp.asarray(values)[:, None]
+
+
+def _potential(scenario: Scenario, m: Array, J: Array) -> Potential:
+    """The sum of the potentials, all springs in one."""
+    terms: list[Potential] = []
+    for term in scenario.potential:
+        if term.kind == "point_masses":
+            terms.append(potentials.point_masses(term.gravity(), m, softening=term.softening_m or 0.0))
+        elif term.kind == "maccullagh":
+            terms.append(potentials.maccullagh(term.gravity(), m, J))
+        elif term.kind == "uniform_field":
+            terms.append(potentials.uniform_field(np.array(term.field_m_s2), m))
+    springs = [term for term in scenario.potential if term.kind == "spring"]
+    return reduce(operator.add, terms + ([_springs(scenario.names(), springs)] if springs else []))
+
+
+def _springs(names: list[str], springs: list[Term]) -> Springs:
+    return potentials.springs(
+        [[names.index(name) for name in term.between or []] for term in springs],
+        np.array([term.points_m for term in springs]),
+        np.array([term.stiffness_n_m for term in springs], float),
+        np.array([term.length_m or 0.0 for term in springs]),
+    )
+
+
+class Motion(NamedTuple):
+    """Of all members at the saved times; angles in rad.
+
+    Attributes:
+        distances: of every pair i < j, (times, members, pairs).
+        longitudes: of the lines from the first body to the others about L, continuous in time, (times, members, N − 1).
+        turning: the size of the angular velocity of each body, in rad/s, (times, members, N).
+    """
+
+    distances: np.ndarray
+    longitudes: np.ndarray
+    turning: np.ndarray
+
+
+@for_last_run
+def motion(_: Scenario, step: Any, run: Trajectory) -> Motion:
+    """The distances and angles of a run."""
+    found, rates = over_members(_instant, step.system, run)
+    return found._replace(longitudes=followed(run.t, found.longitudes, rates))
+
+
+def _instant(system: RigidBodies, state: State) -> tuple[Motion, Array]:
+    """The motion at one time, longitudes within a turn, and the rates of the longitudes."""
+    x, v = state.q[:, :3], state.p[:, :3] / system.masses[:, None]
+    i, j = _pairs(x.shape[0])
+    L = system.free.momentum(state)[3:]
+    up = L / jnp.sqrt(vec3.dot(L, L))
+
+    def angle(d: Array, v: Array) -> tuple[Array, Any]:
+        return longitude(up, d), vec3.dot(jnp.stack(vec3.cross(d, v)), up) / vec3.dot(d, d)
+
+    longitudes, rates = jax.vmap(angle)(x[1:] - x[0], v[1:] - v[0])
+    turning = jnp.sqrt(jnp.sum(system.angular_velocities(state) ** 2, axis=1))
+    return Motion(jnp.sqrt(jnp.sum((x[j] - x[i]) ** 2, axis=1)), longitudes, turning), rates  # pyright: ignore[reportArgumentType]
+
+
+def _pairs(n: int) -> tuple[Any, Any]:
+    return np.triu_indices(n, 1)
+
+
+def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
+    """Distances, periods beside published ones, and what is conserved."""
+    lines = row_lines(scenario, quantities(scenario, run, motion(scenario, step, run)), ".6g")
+    if _orbits(scenario):
+        days = abs(run.t[-1] - run.t[0]) / DAY
+        lines.append(f"  periods: mean rates of longitudes about L over {days:.4g} d, by least squares")
+    lines += largest_changes(changes(scenario, step, run), 55)
+    if any(term.kind == "uniform_field" for term in scenario.potential):
+        lines.append("  P across the field, and L about it, of the sum of potentials: the rest is not conserved")
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _orbits(scenario: Scenario) -> bool:
+    """Whether the bodies move under gravity between them, without a field that pulls them along."""
+    return scenario.attraction() is not None and all(term.kind != "uniform_field" for term in scenario.potential)
+
+
+def quantities(scenario: Scenario, run: Trajectory, found: Motion) -> list[Row]:
+    """Distances, periods and turns, of the nominal member and their spread, beside published values."""
+    rows = _distances(scenario.names(), found.distances)
+    if _orbits(scenario):
+        for k in range(1, min(len(scenario.bodies), _SHOWN)):
+            rows += _orbit(scenario, k, np.asarray(run.t), found)
+    for k, body in enumerate(scenario.bodies[:_SHOWN]):
+        hours = 2 * np.pi / np.maximum(found.turning[..., k].mean(axis=0), _TINY) / HOUR
+        rows.append(_row(f"{body.name}: a turn at its mean angular velocity (h)", hours, body.published.get("turn_h")))
+    return rows
+
+
+def _row(name: str, values: np.ndarray, published: Published | None = None) -> Row:
+    known = np.where(values < 1e300, values, np.inf)  # a body at rest has no time of a turn
+    return row_of(name, known, published) if np.isfinite(known).all() else Row(name, float(known[0]), np.nan, published)
+
+
+def _distances(names: list[str], distances: np.ndarray) -> list[Row]:
+    """The least and the greatest distance of each pair, or of all pairs if they are many."""
+    if distances.shape[-1] > _PAIRS:
+        return [
+            _row("all pairs: least distance (m)", distances.min(axis=(0, 2))),
+            _row("  greatest (m)", distances.max(axis=(0, 2))),
+        ]
+    rows = []
+    for k, (i, j) in enumerate(zip(*_pairs(len(names)), strict=True)):
+        rows.append(_row(f"{names[i]}–{names[j]}: least distance (m)", distances[..., k].min(axis=0)))
+        rows.append(_row("  greatest (m)", distances[..., k].max(axis=0)))
+    return rows
+
+
+def _orbit(scenario: Scenario, k: int, t: np.ndarray, found: Motion) -> list[Row]:
+    """The orbit of body k about the first: nan where it goes round less than once, or has no lines to measure."""
+    first, body = scenario.bodies[0], scenario.bodies[k]
+    around = found.longitudes[..., k - 1]
+    turns = abs(around[-1] - around[0]) / (2 * np.pi)
+    orbital = np.where(turns > 1, rate(t, around), np.nan)
+    f = abs(orbital) / (2 * np.pi)
+    distance = found.distances[..., k - 1]
+    anomalistic, size = line(t, distance, 0.9 * f, 1.1 * f)
+    apsides = np.rad2deg(orbital - np.sign(orbital) * 2 * np.pi * anomalistic) * DAY
+    published = body.published
+    return [
+        _row(f"{body.name} about {first.name}: period (h)", 1 / f / HOUR, published.get("orbital_period_h")),
+        _row("  eccentricity: amplitude of the distance over its mean", size / distance.mean(axis=0)),
+        _row("  precession of the line of apsides (°/d)", apsides, published.get("apsidal_precession_deg_d")),
+    ]
+
+
+@for_last_run
+def changes(_: Scenario, step: Any, run: Trajectory) -> dict[str, np.ndarray]:
+    """Changes of what is conserved, (times, members), over the greatest of the terms that it is made of."""
+
+    def kept(system: RigidBodies, state: State) -> tuple[Array, ...]:
+        x, p, spin = state.q[:, :3], state.p[:, :3], state.p[:, 3:]
+        own = jnp.concatenate([p, jnp.cross(x, p) + spin], axis=1)
+        return system.kinetic_energy(state), system.energy(state), system.momentum(state), own
+
+    K, H, Phi, own = over_members(kept, step.system, run)
+    moved = np.linalg.norm((Phi - Phi[0]).reshape(*H.shape, 2, 3), axis=-1)
+    sizes = np.maximum(np.linalg.norm(own.reshape(*own.shape[:-1], 2, 3), axis=-1).max(axis=(0, 2)), _TINY)
+    return {
+        "energy H, over the greatest kinetic energy": abs(H - H[0]) / np.maximum(K.max(axis=0), _TINY),
+        "linear momentum P, over the greatest |p|": moved[..., 0] / sizes[:, 0],
+        "angular momentum L, over the greatest |x × p + π|": moved[..., 1] / sizes[:, 1],
+    }
+
+
+@plots.style()
+def draw_motion(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Plot the nominal bodies' paths about their barycenter, their distances from the first, and the errors."""
+    first = jax.tree.map(lambda leaf: np.asarray(leaf[0]), step.system)
+    x = np.asarray(run.state.q[:, 0, :, :3])
+    x = x - (first.masses @ x / first.masses.sum())[:, None]
+    names, distances = scenario.names(), motion(scenario, step, run).distances[:, 0]
+    unit, seconds = _clock(float(abs(run.t[-1] - run.t[0])))
+    t = np.asarray(run.t) / seconds
+    fig, axes = plots.figure(3)
+    shown = dict(zip(names, np.moveaxis(x, 1, 0)[:_SHOWN], strict=False))
+    plots.paths(axes[0, 0], shown).set(xlabel="x (m)", ylabel="y (m)", title="nominal member, about the barycenter")
+    axes[0, 0].legend()
+    if len(names) > 1:
+        curves = dict(zip(names[1:_SHOWN], distances[:, : len(names) - 1].T, strict=False))
+        plots.series(axes[0, 1], t, curves, f"distance from {names[0]} (m)", unit)
+        for curve, look in zip(axes[0, 1].lines, plots.STYLES[1:], strict=False):  # as each body's path has it
+            curve.set(**look)
+        axes[0, 1].legend()
+    else:
+        plots.series(axes[0, 1], t, dict(zip("xyz", run.state.q[:, 0, 0, :3].T, strict=True)), "position (m)", unit)
+    axes[0, 1].set_title("nominal member")
+    errors = {name.partition(",")[0]: error.max(axis=1) for name, error in changes(scenario, step, run).items()}
+    plots.log_error(axes[0, 2], t, errors, "relative change, worst member", unit).set_title(step.name)
+    fig.suptitle(scenario.title)
+    return fig
+
+
+def _clock(span: float) -> tuple[str, float]:
+    """The unit of the time axis for a run of so many seconds, and its seconds."""
+    return next(((unit, size) for unit, size in (("d", DAY), ("h", HOUR)) if span > 2 * size), ("s", 1.0))
+
+
+PICTURES = {"motion": draw_motion}

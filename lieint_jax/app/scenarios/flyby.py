@@ -1,0 +1,235 @@
+"""A tumbling body passes a planet: periods, mode, spin rate and pole before and after, over all phases.
+
+The clock is the time since the perigee, in h; lengths are in km. The members share the orbit; each has moments, periods
+and a pole of its own, drawn from the published errors, and two phases, which are uniform: the leaves of the step that
+`build` makes have the member axis. See `_flyby_motion` for the phases.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from lieint_jax.app.scenarios import _flyby_motion as motion
+from lieint_jax.app.scenarios._common import HOUR, paragraphs
+from lieint_jax.app.scenarios._flyby_keys import Scenario
+from lieint_jax.app.scenarios._flyby_motion import GivenOrbit, Outcome
+from lieint_jax.app.scenarios._flyby_pictures import draw_after, draw_map, draw_sensitivity
+from lieint_jax.app.scenarios._flyby_study import WATCHED, Study, change, members, pole_angles, study, thinned, unknowns
+from lieint_jax.types import State, Step, Trajectory
+
+__all__ = ["PICTURES", "STEP_AXIS", "Scenario", "build", "report"]
+
+STEP_AXIS = 0  # members have bodies of their own, see `lieint_jax.app.scenarios`
+
+_QUANTILES = (0.05, 0.5, 0.95)
+
+
+def build(scenario: Scenario) -> tuple[Step, State]:
+    """The step, whose leaves have the member axis, and the batch of states at the start, which share their time."""
+    orbit, t = GivenOrbit(scenario.orbit.elements()), jnp.asarray(-scenario.hours)
+    made = partial(motion.member, orbit=orbit, t=t, order=scenario.order, long_axis=scenario.spin.long_axis)
+    step, states = jax.jit(jax.vmap(made))(members(scenario)[0])
+    return step, states._replace(t=t)
+
+
+def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
+    """The passage, periods, spin rates and poles before and after beside published ones, sensitivities and errors."""
+    found = study(scenario, step, run)
+    lines = [
+        *_known(scenario, found),
+        *_after(scenario, found),
+        *_expectations(scenario, found),
+        *_by_phase(scenario, found),
+        *_sensitivity(scenario, found),
+        *_errors(scenario, found),
+        *_variants(scenario, found),
+        *paragraphs(scenario.notes),
+        f"\n  {found.failed} of these passages had a step that did not converge",
+    ]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def facts(scenario: Scenario, before: Outcome) -> dict[str, tuple[str, np.ndarray]]:
+    """Quantities of the orbit and of the state before the passage: a name, and one value or those of the members."""
+    orbit = GivenOrbit(scenario.orbit.elements())
+    position, velocity = (np.asarray(x) for x in orbit(jnp.zeros(())))
+    date = scenario.orbit.date(0)
+    a = scenario.orbit.elements()[1]
+    alone: dict[str, tuple[str, float]] = {
+        "perigee_distance_km": ("distance at the perigee (km)", float(np.linalg.norm(position))),
+        "perigee_speed_km_s": ("speed at the perigee (km/s)", float(np.linalg.norm(velocity)) / HOUR),
+        "speed_far_km_s": ("speed far away (km/s)", float(np.sqrt(-scenario.orbit.gm_km3_s2 / a))),
+        "perigee_time_utc_h": (
+            "time of the perigee (h, UTC)",
+            date.hour + date.minute / 60 + date.second / HOUR,
+        ),
+    }
+    return {key: (name, np.array([x])) for key, (name, x) in alone.items()} | {
+        "precession_period_h": ("precession period P_φ (h)", before.precession),
+        "rotation_period_h": ("rotation period P_ψ (h)", before.rotation),
+        "lightcurve_period_h": (
+            "1/(1/P_φ − 1/P_ψ), strongest in light curves (h)",
+            1 / (1 / before.precession - 1 / before.rotation),
+        ),
+        "energy_ratio": ("energy over the least at this |L|", before.excitation),
+    }
+
+
+def _known(scenario: Scenario, found: Study) -> list[str]:
+    date, hours = scenario.orbit.date, scenario.hours
+    redrawn = 1 - members(scenario)[1].mean()
+    lines = [
+        f"\n  from {date(-hours):%Y-%m-%d %H:%M} to {date(hours):%Y-%m-%d %H:%M} UTC; "
+        f"perigee {date(0):%Y-%m-%d %H:%M:%S} UTC",
+        f"  {100 * redrawn:.3g} % of the moments were drawn again: no {scenario.spin.mode} mode has such periods",
+        f"\n  {'before':<52}{'nominal':>11}{'± members':>12}   published",
+    ]
+    for key, (name, x) in facts(scenario, found.before).items():
+        spread = f"{np.std(x, ddof=1):.4f}" if len(x) > 1 else ""
+        given = [k for k in scenario.published if k.quantity == key]
+        errors = [f" ± {k.error:g}" if k.error else "" for k in given]
+        cited = [f"{k.value:g}{e}  ({scenario.source(k.source)})" for k, e in zip(given, errors, strict=True)]
+        lines += [f"  {name:<52}{x[0]:>11.4f}{spread:>12}   {(cited or [''])[0]}"]
+        lines += [f"  {'':<52}{'':>11}{'':>12}   {text}" for text in cited[1:]]
+    return lines
+
+
+def _row(name: str, x: np.ndarray, form: str = "9.3f") -> str:
+    found = [*np.quantile(x, _QUANTILES), x.min(), x.max()] if x.size else [np.nan] * 5
+    return f"  {name:<52}" + "".join(f"{value:>{form}}" for value in found)
+
+
+def _after(scenario: Scenario, found: Study) -> list[str]:
+    changed, after = change(found.before, found.after), found.after
+    short = ~after.long_axis
+    return [
+        f"\n  {'after, members of the run':<52}{'5 %':>9}{'median':>9}{'95 %':>9}{'least':>9}{'most':>9}",
+        _row("P_φ (h)", after.precession),
+        _row("P_ψ (h)", after.rotation, "9.1f"),
+        _row("P_φ of short-axis modes (h)", after.precession[short]),
+        _row("P_φ of long-axis modes (h)", after.precession[~short]),
+        _row("|L| over that before", changed.momentum),
+        _row("effective spin rate 2H/|L| over that before", changed.rate),
+        _row("energy over the least at this |L|", after.excitation),
+        _row("pole turned by (°)", changed.turn),
+        _row("pole's longitude changed by (°)", changed.longitude, "9.1f"),
+        _row("pole's distance from the ecliptic changed by (°)", changed.latitude, "9.2f"),
+        f"  {100 * short.mean():.1f} % end in a short-axis mode, {100 * (~short).mean():.1f} % in a long-axis mode",
+    ]
+
+
+def _expectations(scenario: Scenario, found: Study) -> list[str]:
+    x = change(found.before, found.after)
+    share = lambda condition: f"{100 * np.mean(condition):.3g} %"  # noqa: E731
+    low, high = np.quantile(x.rate, (0.05, 0.95))
+    ours = {
+        "rate": f"× {low:.2f} to × {high:.2f} (5 to 95 %), × {x.rate.min():.2f} to × {x.rate.max():.2f} in all; "
+        f"halved or less in {share(x.rate <= 0.5)}, doubled or more in {share(x.rate >= 2)}",
+        "turn": f"median {np.median(x.turn):.1f}°; 10° or more in {share(x.turn >= 10)}",
+        "longitude": f"it increases in {share(x.longitude > 0)}",
+        "latitude": f"it moves closer in {share(x.latitude < 0)}",
+        "mode": f"kept in {share(x.kept)}",
+    }
+    lines = ["\n  published expectations, and the members of the run"] if scenario.expected else []
+    for expected in scenario.expected:
+        lines += [f"  {expected.claim}  ({scenario.source(expected.source)})"]
+        lines += textwrap.wrap(ours[expected.quantity], 112, initial_indent="    here: ", subsequent_indent="    ")
+    return lines
+
+
+def _by_phase(scenario: Scenario, found: Study) -> list[str]:
+    x, after = change(found.mapped.before, found.mapped.after), found.mapped.after
+    phi, psi = (np.rad2deg(np.asarray(x)) for x in (found.grid.phi, found.grid.psi))
+    turn = scenario.spin.same_passage_deg
+    same = "φ + 180°, ψ + 180°" if turn else "φ, ψ + 180°"
+    lines = [f"\n  {f'nominal body, {len(phi)} pairs of phases':<52}{'value':>9}   at φ, ψ and at {same} (°)"]
+    for name, values in (
+        ("P_φ after (h)", after.precession),
+        ("effective spin rate over that before", x.rate),
+        ("pole turned by (°)", x.turn),
+    ):
+        for which, k in (("least", values.argmin()), ("most", values.argmax())):
+            lines.append(f"  {f'{name}, {which}':<52}{values[k]:>9.3f}   {phi[k]:.0f}, {psi[k]:.0f}")
+    for name, held in (
+        ("spin rate halved or less", x.rate <= 0.5),
+        ("spin rate below × 0.75", x.rate <= 0.75),
+        ("spin rate above × 1.5", x.rate >= 1.5),
+        ("spin rate doubled or more", x.rate >= 2),
+        ("long-axis mode after", after.long_axis),
+    ):
+        modulo = 180 if turn else 360
+        where = f"φ mod {modulo}° within {_interval(phi[held], modulo)}" if held.any() else "at no phase"
+        lines.append(f"  {name:<52}{100 * held.mean():>7.1f} %   {where}")
+    return lines
+
+
+def _interval(phi: np.ndarray, modulo: int) -> str:
+    """The shortest interval, of angles in degrees modulo 180° or 360°, that holds all of these."""
+    x = np.unique(np.round(phi % modulo, 9))
+    gaps = np.diff(np.append(x, x[0] + modulo))
+    k = int(gaps.argmax())
+    first, last = x[(k + 1) % len(x)], x[k]
+    return f"{first if last >= first else first - modulo:.0f}° to {last:.0f}°"
+
+
+def _sensitivity(scenario: Scenario, found: Study) -> list[str]:
+    lines = [
+        "\n  sensitivities over the map, by forward differentiation of the whole passage: median and largest",
+        f"  {'by':<28}{'dP_φ (h)':>18}{'dP_ψ (h)':>22}{'d ln(spin rate)':>22}{'d pole (°)':>20}",
+    ]
+    rate = thinned(scenario, found.mapped.after.rate)
+    for name, (unit, size, _) in unknowns(scenario).items():
+        x = abs(getattr(found.slopes, name)) * size
+        scaled = (x[:, 0], x[:, 1], x[:, 2] / rate, np.rad2deg(x[:, 3]))
+        lines.append(f"  {unit:<28}" + "".join(f"{np.median(v):>11.3g} {v.max():>9.3g}" for v in scaled))
+    return lines
+
+
+def _errors(scenario: Scenario, found: Study) -> list[str]:
+    longest = max(found.arcs)
+    best = found.arcs[longest].after
+    heads = ("P_φ (h)", "P_ψ (%)", "2H/|L| (%)", "pole (°)")
+    lines = [
+        f"\n  attitude at the end, {scenario.steps} steps and twice as many: {found.halved:.1e} rad, the largest of "
+        f"{min(WATCHED, len(found.before.rate))} members",
+        f"\n  {f'arcs against ± {longest:g} h, {len(best.rate)} members':<34}" + "".join(f"{x:>20}" for x in heads),
+        f"  {'':<34}" + f"{'median':>11}{'largest':>9}" * 4,
+    ]
+    for hours, passage in found.arcs.items():
+        if hours == longest:
+            continue
+        x = passage.after
+        turn = np.rad2deg(pole_angles(x.pole, best.pole))
+        parts = (
+            abs(x.precession - best.precession),
+            100 * abs(x.rotation / best.rotation - 1),
+            100 * abs(x.rate / best.rate - 1),
+            turn,
+        )
+        lines.append(f"  {f'± {hours:g} h':<34}" + "".join(f"{np.median(v):>11.2g}{v.max():>9.2g}" for v in parts))
+    return lines
+
+
+def _variants(scenario: Scenario, found: Study) -> list[str]:
+    heads = {"P_φ (h)": 22, "spin rate": 20, "pole turned (°)": 22, "kept mode": 11}
+    title = "other assumptions: 5 %, median, 95 %"
+    lines = [f"\n  {title:<42}" + "".join(f"{head:>{width}}" for head, width in heads.items())]
+    cases = {"the run": (found.before, found.after)}
+    cases |= {name: (passage.before, passage.after) for name, passage in found.variants.items()}
+    for name, (before, after) in cases.items():
+        x = change(before, after)
+        columns = [(after.precession, 22, ".1f"), (x.rate, 20, ".2f"), (x.turn, 22, ".1f")]
+        text = "".join(
+            f"{', '.join(format(v, form) for v in np.quantile(values, _QUANTILES)):>{width}}"
+            for values, width, form in columns
+        )
+        lines.append(f"  {name:<42}{text}{100 * np.mean(x.kept):>9.1f} %")
+    return lines
+
+
+PICTURES = {"map": draw_map, "after": draw_after, "sensitivity": draw_sensitivity}

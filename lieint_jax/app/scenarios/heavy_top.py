@@ -1,0 +1,307 @@
+"""A heavy top: its integrals, nutation and precession compared with the closed form, its axis on the sphere."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.figure import Figure
+from pydantic import field_validator, model_validator
+
+from lieint_jax import diagnostics, schemes, systems
+from lieint_jax._numerics import vec3
+from lieint_jax.app import plots
+from lieint_jax.app.scenarios._body import TopScenario, ensemble, in_space, inertia_matrix, top_schemes
+from lieint_jax.app.scenarios._common import (
+    LONGEST,
+    POINTS,
+    Triple,
+    check_order,
+    deviation,
+    follow,
+    largest_changes,
+    nominal,
+    series,
+)
+from lieint_jax.app.scenarios._runge_kutta import RungeKutta, cost
+from lieint_jax.groups import so3
+from lieint_jax.phase_spaces import frame
+from lieint_jax.systems import PotentialTop, kovalevskaya_integral, lagrange_motion
+from lieint_jax.types import State, Step, Trajectory
+
+_LONG = 10  # length of the energies' picture, over that of the run
+_NYSTROM = (4, 6)  # its orders
+_SAMPLES = 6  # the fewest saved states per nutation from which it is measured
+_STENCIL = 6  # the saved states through which an angle and its rate are interpolated
+_HALVINGS = 50  # of the interval between two saved states in which an extreme lies
+
+
+class Scenario(TopScenario):
+    """The keys of a scenario of this kind."""
+
+    system: Literal["heavy_top"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    weight: Triple
+    """The weight times the vector to the center of mass, in body axes: an energy."""
+    axis: Triple = [0.0, 0.0, 1.0]
+    """The direction in space along which the potential energy grows: upwards."""
+    scheme: Literal["nystrom", "top_energy_momentum", "splitting"] = "top_energy_momentum"  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    @model_validator(mode="after")
+    def _order_of_the_scheme(self) -> Self:
+        if self.scheme == "nystrom":
+            check_order("nystrom", self.order, _NYSTROM)
+        return self
+
+    @field_validator("weight", "axis")
+    @classmethod
+    def _a_direction(cls, value: list[float]) -> list[float]:
+        if not any(value):
+            raise ValueError("must not be zero; a body without weight is a rigid_body")
+        return value
+
+
+def build(scenario: Scenario) -> tuple[Step, State]:
+    """The step and the batch of initial states."""
+    top = systems.heavy_top(scenario.inertia, scenario.weight, scenario.axis)
+    return _schemes(scenario, top)[scenario.scheme], ensemble(scenario, top)
+
+
+def _schemes(scenario: Scenario, top: PotentialTop) -> dict[str, Step]:
+    """The schemes for tops, at the order of the scenario."""
+    nystrom = {"nystrom": schemes.nystrom(top, scenario.order)} if scenario.order in _NYSTROM else {}
+    return nystrom | top_schemes(scenario, top)
+
+
+class Comparison(NamedTuple):
+    """A measured quantity beside its closed form: nominal value, standard deviation over the members, closed form."""
+
+    name: str
+    nominal: float
+    spread: float
+    closed_form: float
+
+
+def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
+    """The changes of the integrals, worst of all members; nutation and precession compared with the closed form."""
+    lines = largest_changes(changes(step.system, run), 34)
+    known = is_lagrange(step.system)
+    rows = quantities(step.system, run, scenario.time_unit)
+    lines += comparison_lines(rows, known)
+    if known:
+        lines.append(
+            "  closed form: elliptic integrals; the difference is the scheme's error, of its order in dt, or round-off"
+        )
+    else:
+        lines.append("  (a closed form is known for J₁ = J₂ and the weight along the third axis: Lagrange's top)")
+    if any(np.isnan(row.nominal) for row in rows):
+        lines.append(f"  — not measured: fewer than two nutations, or states saved fewer than {_SAMPLES} times in one")
+    return "\n".join(lines)
+
+
+def comparison_lines(rows: list[Comparison], known: bool = True) -> list[str]:
+    """The lines of a report with these quantities, and how they differ from their closed forms if known."""
+    head = f"{'closed form':>17}{'difference':>12}" if known else ""
+    lines = [f"\n  {'':<34}{'nominal':>17}{'± ensemble':>12}{head}"]
+    for row in rows:
+        nominal, closed = (f"{x:.10f}" if np.isfinite(x) else "—" for x in (row.nominal, row.closed_form))
+        spread, off = f"{row.spread:.5f}" if np.isfinite(row.spread) else "—", row.nominal - row.closed_form
+        difference = f"{off:.1e}" if np.isfinite(off) else "—"
+        lines.append(f"  {row.name:<34}{nominal:>17}{spread:>12}" + (f"{closed:>17}{difference:>12}" if known else ""))
+    return lines
+
+
+def is_lagrange(top: PotentialTop) -> bool:
+    """True if the top is symmetric about the axis to its center of mass, and that axis is the third."""
+    J, E = inertia_matrix(top), _weight(top)
+    size = 1e-12 * J.max()
+    symmetric = abs(J[0, 0] - J[1, 1]) <= size and abs(J - np.diag(np.diag(J))).max() <= size
+    return bool(symmetric and abs(E[:2]).max() <= 1e-12 * abs(E[2]))
+
+
+def changes(top: PotentialTop, run: Trajectory) -> dict[str, float]:
+    """Largest relative changes of the integrals: energy over the initial ½Π·J⁻¹Π + |E||γ|, momenta over |π|."""
+    size = np.linalg.norm(_weight(top)) * np.linalg.norm(np.asarray(top.axis))
+    kinetic = series(top.kinetic_energy, run)[0]
+    momentum = np.linalg.norm(np.asarray(run.state.p[0]), axis=-1) * np.linalg.norm(np.asarray(top.axis))
+    found = {
+        "energy, relative": _change(series(top.energy, run), kinetic + size),
+        "γ·π, relative to |π|": _change(series(lambda z: top.momentum(z)[0], run), momentum),
+    }
+    J, E = inertia_matrix(top), _weight(top)
+    if is_lagrange(top):
+        found["Π₃, relative to |π|"] = _change(series(lambda z: top.body_momentum(z)[2], run), momentum)
+    if np.allclose(J, np.diag([2.0, 2.0, 1.0]) * J[2, 2], rtol=1e-12, atol=0) and not E[1:].any():
+        K = series(lambda z: kovalevskaya_integral(top, z), run)
+        found["Kovalevskaya's integral, relative"] = _change(K, np.maximum(abs(K[0]), (size / J[2, 2]) ** 2))
+    return found
+
+
+def _change(x: np.ndarray, size: np.ndarray) -> float:
+    return float((abs(x - x[0]) / size).max())
+
+
+def _weight(top: PotentialTop) -> np.ndarray:
+    return np.asarray(top.potential.weight)  # pyright: ignore[reportFunctionMemberAccess]
+
+
+def _unit(x: np.ndarray) -> np.ndarray:
+    return x / np.linalg.norm(x)
+
+
+def quantities(top: PotentialTop, run: Trajectory, unit: str) -> list[Comparison]:
+    """Nutation and precession of the axis to the center of mass, measured for every member, and in closed form."""
+    motions = np.array([motion(top, run, m) for m in range(run.state.p.shape[1])])
+    closed = np.full(4, np.nan)
+    if is_lagrange(top):
+        exact = lagrange_motion(top, nominal(run))
+        closed = np.array([exact.nutation_period, exact.precession_rate, *np.rad2deg(exact.inclination)])
+    names = (
+        f"nutation period ({unit})",
+        f"mean precession (rad/{unit})",
+        "least inclination (°)",
+        "greatest inclination (°)",
+    )
+    columns = zip(names, motions[0], deviation(motions), closed, strict=True)
+    return [Comparison(name, *map(float, x)) for name, *x in columns]
+
+
+def motion(top: PotentialTop, run: Trajectory, member: int = 0) -> np.ndarray:
+    """Nutation period, mean precession rate, least and greatest inclination (°) of a member, over whole nutations.
+
+    They are interpolated at the times when the axis is lowest and highest; nan if it is lowest fewer than twice, or if
+    states are saved too far apart.
+    """
+    q, p = (jnp.asarray(x[:, member]) for x in (run.state.q, run.state.p))
+    t, axis = np.asarray(run.t), _unit(np.asarray(top.axis))
+    e, velocity, acceleration = (np.asarray(x) for x in _axis_motion(top, State(q, p), _unit(_weight(top))))
+    h = t[min(1, len(t) - 1)] - t[0]  # rates by the number of the saved state, so that runs backwards are as others
+    u, slope, bend = e @ axis, h * velocity @ axis, h**2 * acceleration @ axis
+    across = np.stack(frame(jnp.asarray(axis)))
+    (x, y), (dx, dy) = across @ e.T, h * across @ velocity.T
+    phi = np.unwrap(np.arctan2(y, x))
+    period = rate = np.nan
+    lowest, highest = (np.flatnonzero((s * slope[:-1] < 0) & (s * slope[1:] >= 0)) for s in (1, -1))
+    if len(lowest) > 1 and np.diff(lowest).min() >= _SAMPLES:
+        [low, high] = (_Extremes.of(k, slope, bend) for k in (lowest, highest))
+        at, since = t[0] + h * low.position, np.arctan2(low.value(y, dy), low.value(x, dx)) - phi[lowest]
+        turned = phi[lowest] + np.remainder(since + np.pi, 2 * np.pi) - np.pi  # it moves by less than half a turn
+        period = abs(at[-1] - at[0]) / (len(at) - 1)
+        rate = (turned[-1] - turned[0]) / (at[-1] - at[0])
+        u = np.concatenate([u, low.value(u, slope), high.value(u, slope)])
+    angle = np.rad2deg(np.arccos(np.clip(u, -1, 1)))
+    return np.array([period, rate, angle.min(), angle.max()])
+
+
+class _Extremes(NamedTuple):
+    """Extremes of a series of which the rate is known too, between saved states, by Hermite's polynomial.
+
+    Attributes:
+        first: the first saved state of the polynomial of each, (n,).
+        inside: their place, counted from the middle of the polynomial's states, (n,).
+    """
+
+    first: np.ndarray
+    inside: np.ndarray
+
+    @classmethod
+    def of(cls, before: np.ndarray, slope: np.ndarray, bend: np.ndarray) -> Self:
+        """The zeros of `slope`, whose rate is `bend`, each behind the saved state `before`."""
+        first = np.clip(before - _STENCIL // 2 + 1, 0, len(slope) - _STENCIL)
+        low = before - first - (_STENCIL - 1) / 2
+        high, begins = low + 1, np.sign(slope[before])
+        polynomial = _hermite(first, slope, bend)
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            same = np.sign(_value(polynomial, middle)) == begins
+            low, high = np.where(same, middle, low), np.where(same, high, middle)
+        return cls(first, (low + high) / 2)
+
+    @property
+    def position(self) -> np.ndarray:
+        """Their place among the saved states."""
+        return self.first + self.inside + (_STENCIL - 1) / 2
+
+    def value(self, y: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """A series y with this slope, there."""
+        return _value(_hermite(self.first, y, slope), self.inside)
+
+
+def _hermite(first: np.ndarray, y: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """The coefficients (2·_STENCIL, n) of the polynomials through y with this slope, from each `first` on."""
+    nodes, powers = np.arange(_STENCIL) - (_STENCIL - 1) / 2, np.arange(2 * _STENCIL)
+    conditions = np.concatenate([nodes[:, None] ** powers, powers * nodes[:, None] ** np.maximum(powers - 1, 0)])
+    rows = first + np.arange(_STENCIL)[:, None]
+    return np.linalg.solve(conditions, np.concatenate([y[rows], slope[rows]]))
+
+
+def _value(polynomial: np.ndarray, x: np.ndarray) -> np.ndarray:
+    return np.polynomial.polynomial.polyval(x, polynomial, tensor=False)
+
+
+@jax.jit
+def _axis_motion(top: PotentialTop, states: State, axis: Any) -> tuple[Any, Any, Any]:
+    """The direction in space of an axis of the body, its velocity and its acceleration, (n, 3) each."""
+
+    def velocity(state: State) -> Any:
+        return so3.Ad(state.q, jnp.stack(vec3.cross(top.angular_velocity(state), axis)))
+
+    def one(state: State) -> tuple[Any, Any, Any]:
+        return so3.Ad(state.q, axis), *jax.jvp(velocity, (state,), (top.vector_field(state),))
+
+    return jax.vmap(one)(states)
+
+
+@plots.style()
+def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Plot the axis to the center of mass on the sphere, for one turn about γ or the whole run, and its inclination."""
+    top, unit = step.system, scenario.time_unit
+    rate = motion(top, run)[1]
+    steps = scenario.steps
+    if np.isfinite(rate) and rate:
+        steps = min(steps, int(2 * np.pi / abs(rate * scenario.dt)) + 1)
+    long = follow(step, nominal(run), scenario.dt, steps)
+    weight, axis = _unit(_weight(top)), _unit(np.asarray(top.axis))
+    path, ends = in_space(long.state.q, weight), in_space(run.state.q[-1], weight)
+    fig, axes = plots.figure(2)
+    axes[0, 0].remove()
+    left, right = fig.add_subplot(1, 2, 1, projection="3d"), axes[0, 1]
+    plots.sphere_path(left, path, axis, eye=axis + 0.8 * path[0], pole_label="γ")
+    if scenario.members > 1:
+        plots.sphere_points(left, ends, f"members at t = {run.t[-1]:.4g}", color=plots.INK, s=2, alpha=0.5)
+    left.legend(loc="lower left")
+    left.set_title(f"the axis in space to t = {long.t[-1]:.4g} {unit}")
+    plots.series(
+        right, np.asarray(long.t), {"": np.rad2deg(np.arccos(np.clip(path @ axis, -1, 1)))}, "inclination (°)", unit
+    )
+    if is_lagrange(top):
+        for bound in np.rad2deg(lagrange_motion(top, nominal(run)).inclination):
+            right.axhline(bound, color=plots.RED, lw=0.7, ls="--")
+        right.set_title("nutation; dashed, its bounds in closed form")
+    fig.suptitle(scenario.title)
+    return fig
+
+
+@plots.style()
+def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Plot the largest energy error so far of each scheme, and of Runge–Kutta at the cost of the slower scheme."""
+    top, start, dt = step.system, nominal(run), scenario.dt
+    found, peer = _schemes(scenario, top), RungeKutta(top)
+    ratio = cost(peer, start, dt) / max(cost(scheme, start, dt) for scheme in found.values())
+    end = dt * min(_LONG * scenario.steps, LONGEST)
+    t, curves = np.linspace(0, end, POINTS + 1)[1:], {}
+    for scheme, h in [*((s, dt) for s in found.values()), (peer, dt * ratio)]:
+        long = follow(scheme, start, h, round(end / h), round(end / h))
+        error = np.abs(np.asarray(diagnostics.energy_error(top, long))) / abs(float(top.energy(start)))
+        curves[f"{scheme.name.replace('[so3_midpoint[symplectic]]', '')}, Δt = {h:.2g}"] = np.interp(
+            abs(t), np.abs(long.t), np.maximum.accumulate(error)
+        )
+    fig, axes = plots.figure(size=(6.4, 4.2))
+    axes[0, 0].set_xscale("log" if dt > 0 else "linear")
+    plots.log_error(axes[0, 0], t, curves, "largest relative energy error so far", scenario.time_unit)
+    axes[0, 0].set_title("Runge–Kutta takes steps of equal cost per unit of time")
+    return fig
+
+
+PICTURES = {"path": draw_path, "energy": draw_energy}

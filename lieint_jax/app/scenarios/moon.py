@@ -1,0 +1,449 @@
+"""The rotation of a moon in an eccentric orbit: its surface of section, its Lyapunov exponents, observed states.
+
+Units: the orbit's mean motion n and semi-major axis are 1, so time is counted in 1/n and exponents in n. Members start
+at pericenter, spin about the axis of greatest inertia along the orbit's normal, and stay planar; a state saved at every
+pericenter is a point of the section (θ, θ̇), θ the angle of the long axis from the line of apsides.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Annotated, Any, Literal, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.sharding import Mesh
+from matplotlib.figure import Figure
+from pydantic import Field, field_validator, model_validator
+
+from lieint_jax import _checks, ensemble, orbits, schemes, systems
+from lieint_jax.app import plots
+from lieint_jax.app.scenarios._common import (
+    Above,
+    Common,
+    NonNegative,
+    Positive,
+    Table,
+    Text,
+    Triple,
+    deviation,
+    for_last_run,
+    paragraphs,
+)
+from lieint_jax.diagnostics import Lyapunov, lyapunov
+from lieint_jax.groups import so3
+from lieint_jax.systems import GravityGradient
+from lieint_jax.types import State, Step, Trajectory
+
+_TURN = 2 * np.pi
+_BOUND = 3.0  # a motion counts as chaotic if its exponent is above this many times ln(t)/t, which regular ones reach
+_MOST = 0.95  # the share of members from which a state counts as chaotic, or less than the rest of it as regular
+_COLORS = plots.COLORS[1:]  # of the regular motions
+_ROUND = 1e-9  # an angle within this of π is one of 0
+_IN_PLANE, _OUT_OF_PLANE = (2, 5), (0, 1, 3, 4)  # coordinates (δθ, δπ), which do not mix along a planar motion
+
+Eccentricity = Annotated[float, Field(ge=0, lt=1)]
+
+
+class Sample(Table):
+    """How many chaotic motions are followed, and for how long."""
+
+    starts: Positive
+    """The number of motions, those of the section's chaotic members."""
+    orbits: Positive
+    """Their length."""
+
+
+class Observed(Table):
+    """A rotation state as observed, and where the principal axes were taken to be."""
+
+    date: str
+    """Of the observation."""
+    reading: str
+    """A short name of what is assumed of the principal axes."""
+    inertia: Triple
+    """Principal moments about the axes a, b, c."""
+    eccentricity: Eccentricity
+    """Of the orbit then."""
+    mean_anomaly_deg: float
+    """Of the moon then, in degrees."""
+    euler_313_deg: Triple
+    """Attitude R_z(α) R_x(β) R_z(γ), axes a, b, c to space, in degrees; in space x is toward pericenter, z normal."""
+    spin_axis: Triple
+    """The direction of the angular velocity, components along a, b, c; of any length."""
+    spin_rate: Above
+    """The size of the angular velocity, in mean motions."""
+    source: str
+    """A key of the table sources."""
+
+    @field_validator("inertia")
+    @classmethod
+    def _a_body(cls, value: list[float]) -> list[float]:
+        _checks.inertia(value)
+        return value
+
+    @field_validator("spin_axis")
+    @classmethod
+    def _a_direction(cls, value: list[float]) -> list[float]:
+        if not any(value):
+            raise ValueError("must not be zero")
+        return value
+
+
+class Ensemble(Table):
+    """Members about each observed state, an assumption on its errors."""
+
+    members: Positive
+    """The number of members of each; the first is the state itself."""
+    orbits: Positive
+    """The length of a run."""
+    steps_per_orbit: Positive
+    """The period over the step size: fast spin takes more than planar motions."""
+    attitude_deg: NonNegative = 0.0
+    """Standard deviation of a turn about each axis of space, in degrees."""
+    spin_axis_deg: NonNegative = 0.0
+    """Standard deviation of the spin axis in the body, about each of two axes, in degrees."""
+    spin_rate: NonNegative = 0.0
+    """Standard deviation of the spin rate, in mean motions."""
+
+
+class Scenario(Common):
+    """The keys of a scenario of this kind."""
+
+    system: Literal["moon"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    dt: float | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
+    """Given by steps_per_orbit: results hold it."""
+    period: Above
+    """Of the orbit, in period_unit: for times in reports."""
+    period_unit: str = "d"
+    """The name of that unit."""
+    inertia: Triple
+    """Principal moments of the planar motions, the axes of the least and the greatest first and last."""
+    eccentricity: Eccentricity
+    """Of the orbit of the planar motions."""
+    steps_per_orbit: Positive
+    """The period over the step size; a state is saved at every pericenter."""
+    angles: Positive
+    """Starts of one rate: θ = 0 … π; members is a multiple of it."""
+    greatest_rate: Above
+    """Starts have rates θ̇ = 0 … greatest_rate, in mean motions."""
+    planar: Sample
+    """Of the planar exponents."""
+    spatial: Sample
+    """Of the exponents of motions in space: the same starts, tilted by tilt_deg."""
+    tilt_deg: Above = 5.0
+    """In degrees."""
+    around: Ensemble
+    """About the observed states."""
+    observed: list[Observed] = []
+    """Observed states."""
+    notes: list[Text] = []
+    """Paragraphs of the report below the observed states: what was assumed."""
+
+    @field_validator("inertia")
+    @classmethod
+    def _a_long_body(cls, value: list[float]) -> list[float]:
+        _checks.inertia(value)
+        if not value[0] < value[1] <= value[2]:
+            raise ValueError("must be three moments in order, the first the least")
+        return value
+
+    @model_validator(mode="after")
+    def _at_every_pericenter(self) -> Self:
+        dt = _TURN / self.steps_per_orbit
+        if self.dt is not None and self.dt != dt:
+            raise ValueError("dt is given by steps_per_orbit: leave it out")
+        if self.steps % self.steps_per_orbit:
+            raise ValueError(f"steps = {self.steps} must be whole orbits of steps_per_orbit = {self.steps_per_orbit}")
+        if self.members % self.angles:
+            near = _checks.nearest_multiples(self.members, self.angles)
+            raise ValueError(f"members = {self.members} must be a multiple of angles = {self.angles}: give {near}")
+        self.dt, self.save_every = dt, self.steps_per_orbit  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self
+
+    @property
+    def orbits(self) -> int:
+        """The length of the section's motions."""
+        return self.steps // self.steps_per_orbit
+
+    def assumption(self) -> str:
+        about = self.around
+        return (
+            f"planar starts: {self.angles} angles × {self.members // self.angles} rates; about each observed state "
+            f"{about.members} members, an assumption: {about.attitude_deg:g}° of attitude, {about.spin_axis_deg:g}° of "
+            f"the spin axis, {about.spin_rate:g} n of its rate (1 sigma, each component)"
+        )
+
+
+def build(scenario: Scenario) -> tuple[Step, State]:
+    """The step and the planar starts, which share their time."""
+    step = _step(scenario.inertia, scenario.eccentricity)
+    number = np.arange(scenario.members)
+    rates = max(scenario.members // scenario.angles, 2)
+    theta = np.pi / scenario.angles * (number % scenario.angles)
+    rate = scenario.greatest_rate / (rates - 1) * (number // scenario.angles)
+    zero = np.zeros_like(theta)
+    q = jnp.asarray(np.stack([np.cos(theta / 2), zero, zero, np.sin(theta / 2)], axis=1))
+    states = _states(step.system, q, jnp.asarray(np.stack([zero, zero, rate], axis=1)), 0.0)
+    return step, states._replace(work=jnp.zeros(scenario.members))
+
+
+def _step(inertia: Any, eccentricity: float) -> Step:
+    return schemes.splitting(systems.gravity_gradient(inertia, orbits.kepler(1.0, 1.0, eccentricity)))
+
+
+def _states(body: GravityGradient, q: Array, Omega: Array, t: float) -> State:
+    """States of many members at attitudes (m, 4) with angular velocities (m, 3) in the body, at one time."""
+    states = jax.vmap(lambda q, Omega: body.state(q, angular_velocity=Omega, t=t))(q, Omega)
+    return states._replace(t=jnp.asarray(t, states.p.dtype))
+
+
+class Chaos(NamedTuple):
+    """The exponents of a scenario's motions, in n.
+
+    Attributes:
+        section: of the members, in the plane and out of it, (members, 2).
+        planar: of longer planar motions in the chaotic zone, likewise, (starts, 2).
+        spatial: the spectrum of motions in space from there, (starts, 6).
+        observed: the largest exponents of the members about each observed state, (states, members).
+        errors: their standard errors.
+        failed: how many of all these runs had a step that did not converge.
+    """
+
+    section: np.ndarray
+    planar: np.ndarray
+    spatial: np.ndarray
+    observed: np.ndarray
+    errors: np.ndarray
+    failed: int
+
+
+@for_last_run
+def chaos(scenario: Scenario, step: Step, run: Trajectory) -> Chaos:
+    """The exponents of a scenario."""
+    starts = State(jnp.asarray(run.state.q[0]), jnp.asarray(run.state.p[0]), jnp.asarray(run.t[0]))
+    planes = np.zeros((6, 2))
+    planes[_IN_PLANE, 0] = planes[_OUT_OF_PLANE, 1] = 1
+    per_orbit = scenario.steps_per_orbit
+    found = [section := _exponents(step, starts, scenario.orbits, per_orbit, planes)]
+    zone = large_zone(scenario, np.asarray(section.exponents[:, 0]))
+    planar = spatial = np.zeros((0, 6))
+    if zone.size:
+        drawn = _some(starts, zone, scenario.planar.starts)
+        found.append(one := _exponents(step, drawn, scenario.planar.orbits, per_orbit, planes))
+        tilt = so3.exp(jnp.deg2rad(scenario.tilt_deg) * jnp.array([1.0, 0.0, 0.0]))
+        drawn = _some(starts, zone, scenario.spatial.starts)
+        drawn = drawn._replace(q=jax.vmap(lambda q: so3.multiply(tilt, q))(drawn.q))
+        found.append(two := _exponents(step, drawn, scenario.spatial.orbits, per_orbit, np.eye(6)))
+        planar, spatial = np.asarray(one.exponents), np.sort(np.asarray(two.exponents), axis=1)[:, ::-1]
+    seen = [_about(scenario, k) for k in range(len(scenario.observed))]
+    failed = sum(int((~np.asarray(x.info.converged)).sum()) for x in (*found, *seen))
+    exponents, errors = (np.array([np.asarray(x[k])[:, 0] for x in seen]) for k in (0, 1))
+    return Chaos(np.asarray(section.exponents), planar, spatial, exponents, errors, failed)
+
+
+def large_zone(scenario: Scenario, exponents: np.ndarray) -> np.ndarray:
+    """The members in the large chaotic zone, not in thin layers: exponents above half the median of chaotic ones."""
+    chaotic = exponents[exponents > limit(scenario.orbits)]
+    return np.flatnonzero(exponents > np.median(chaotic) / 2) if chaotic.size else np.zeros(0, int)
+
+
+def _some(states: State, among: np.ndarray, count: int) -> State:
+    """So many of the members with the numbers `among`, evenly spread; each once at most."""
+    chosen = among[np.unique(np.linspace(0, among.size - 1, count).round().astype(int))]
+    return states._replace(q=states.q[chosen], p=states.p[chosen])
+
+
+def _about(scenario: Scenario, k: int) -> Lyapunov:
+    """The largest exponents of the members about the k-th observed state."""
+    given, spread = scenario.observed[k], scenario.around
+    step = _step(given.inertia, given.eccentricity)
+    normal = np.random.default_rng([scenario.seed, k]).normal(size=(spread.members, 7))
+    turn, aside, change = np.split(normal, [3, 6], axis=1)
+    turn[0] = aside[0] = change[0] = 0
+    q = so3.from_euler_313(jnp.deg2rad(jnp.asarray(given.euler_313_deg)))
+    q = jax.vmap(lambda v: so3.multiply(so3.exp(v), q))(jnp.asarray(np.deg2rad(spread.attitude_deg) * turn))
+    axis = np.asarray(given.spin_axis) / np.linalg.norm(given.spin_axis)
+    axes = axis + np.deg2rad(spread.spin_axis_deg) * (aside - (aside @ axis)[:, None] * axis)
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    Omega = (given.spin_rate + spread.spin_rate * change) * axes
+    states = _states(step.system, q, jnp.asarray(Omega), np.deg2rad(given.mean_anomaly_deg))
+    return _exponents(step, states, spread.orbits, spread.steps_per_orbit, np.ones((6, 1)))
+
+
+def _exponents(step: Step, states: State, orbits: int, per_orbit: int, vectors: np.ndarray) -> Lyapunov:
+    """The exponents of many members, on all devices, of initial tangent vectors (6, k)."""
+    program = _program(orbits * per_orbit, math.gcd(per_orbit, 20))
+    return program(step, states, _TURN / per_orbit, jnp.asarray(vectors))
+
+
+@functools.cache
+def _program(num_steps: int, every: int) -> Any:
+    def one(step: Step, state: State, dt: Array, vectors: Array) -> Lyapunov:
+        return lyapunov(step, state, dt, num_steps, every=every, vectors=vectors)
+
+    axes: Any = (None, State(0, 0, None), None, None)  # pyright: ignore[reportArgumentType]
+    own = Mesh(np.array(jax.local_devices()), ("members",))  # of many processes, only the first one reports
+    return ensemble.over_members(one, axes, own)
+
+
+def limit(orbits: int) -> float:
+    """The exponent above which a motion of so many orbits counts as chaotic: regular ones reach about ln(t)/t."""
+    t = _TURN * orbits
+    return _BOUND * np.log(t) / t
+
+
+def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
+    """The exponents of planar motions, of motions in space, and of the observed states, with their errors."""
+    found, unit = chaos(scenario, step, run), scenario.period_unit
+    return "\n".join(
+        [
+            f"\n  exponents in mean motions n = 2π / {scenario.period:g} {unit}; chaotic: above {_BOUND:g} ln(t)/t",
+            *_planar_lines(scenario, found),
+            *_observed_lines(scenario, found),
+            *paragraphs(scenario.notes),
+            f"\n  {found.failed} of these runs had a step that did not converge",
+        ]
+    )
+
+
+def _planar_lines(scenario: Scenario, found: Chaos) -> list[str]:
+    chaotic = found.section[:, 0] > limit(scenario.orbits)
+    tumbles = found.section[:, 1] > limit(scenario.orbits)
+    lines = [
+        f"\n  planar motions, {scenario.members} starts × {scenario.orbits} orbits",
+        f"  {'chaotic':<58}{_percent(chaotic):>8}",
+        f"  {'of the regular ones, attitude unstable':<58}{_percent(tumbles[~chaotic]):>8}",
+    ]
+    for name, values, sample in (
+        (("in the plane", "out of the plane: attitude unstable if > 0"), found.planar, scenario.planar),
+        (("1st", "2nd", "3rd", "4th", "5th", "6th"), found.spatial, scenario.spatial),
+    ):
+        if len(values):
+            space = "planar motions in the chaotic zone" if values is found.planar else "motions in space from there"
+            title = f"{space}, {len(values)} starts × {sample.orbits} orbits"
+            lines.append(f"\n  {title:<68}{'mean ± error':>10}{'spread':>9}{'e-folding':>12}")
+            lines += [
+                f"  {what:<46}{x.mean():>+10.4f} ± {_error(x):.4f}{deviation(x):>10.4f}"
+                + f"{_folding(scenario, x.mean()):>12}"
+                for what, x in zip(name, values.T, strict=True)
+            ]
+    if len(found.spatial):
+        lines.append(f"  {'largest sum of six':<48}{abs(found.spatial.sum(axis=1)).max():>10.1e} n")
+    return lines
+
+
+def _observed_lines(scenario: Scenario, found: Chaos) -> list[str]:
+    bound = limit(scenario.around.orbits)
+    lines = [
+        f"\n  observed states, {scenario.around.members} members × {scenario.around.orbits} orbits; "
+        f"chaotic: largest exponent above {bound:.4f} n",
+        f"  {'date':<12}{'principal axes':<32}{'nominal':>17}{'mean of members':>20}{'e-folding':>12}{'chaotic':>9}",
+    ]
+    for given, x, error in zip(scenario.observed, found.observed, found.errors, strict=True):
+        lines.append(
+            f"  {given.date:<12}{given.reading:<32}{x[0]:>8.4f} ± {error[0]:.4f}{x.mean():>11.4f} ± {_error(x):.4f}"
+            f"{_folding(scenario, x.mean()):>12}{_percent(x > bound):>9}  {verdict(x, bound)}"
+        )
+    return lines if scenario.observed else []
+
+
+def verdict(exponents: np.ndarray, bound: float) -> str:
+    """Whether the members about a state are chaotic: all but a few, none but a few, or undecided by the observation."""
+    share = np.mean(exponents > bound)
+    return "chaotic" if share >= _MOST else "not told from regular" if share <= 1 - _MOST else "undecided"
+
+
+def _error(x: np.ndarray) -> float:
+    """The standard error of the mean."""
+    return float(deviation(x)) / len(x) ** 0.5
+
+
+def _folding(scenario: Scenario, exponent: float) -> str:
+    """The time in which small differences grow e times."""
+    return f"{scenario.period / (_TURN * exponent):.0f} {scenario.period_unit}" if exponent > 0 else "—"
+
+
+def _percent(x: np.ndarray) -> str:
+    return f"{100 * np.mean(x):.0f} %" if x.size else "—"
+
+
+@plots.style()
+def draw_section(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
+    """Plot the surface of section at pericenter, and maps of the exponents in the plane and out of it."""
+    found = chaos(scenario, step, run)
+    chaotic = found.section[:, 0] > limit(scenario.orbits)
+    theta, rate = section(scenario, run.state)
+    fig, axes = plots.figure(3, size=(4.6, 5.2))
+    left, *maps = axes[0]
+    left.scatter(theta[:, chaotic], rate[:, chaotic], s=0.15, color=plots.GRAY, lw=0, rasterized=True)
+    for m in np.flatnonzero(~chaotic):
+        left.scatter(theta[:, m], rate[:, m], s=0.4, lw=0, rasterized=True, color=_COLORS[m % len(_COLORS)])
+    left.set_ylabel("spin rate θ̇ / n")
+    left.set_title("surface of section at pericenter:\na dot at every pericenter")
+    left.legend(handles=_legend(), frameon=True, loc="upper right")
+    names = ("in the plane", "out of the plane: the spin axis leaves its normal")
+    for ax, name, values in zip(maps, names, found.section.T, strict=True):
+        x, y, value = (_rows(scenario, grid) for grid in (theta[0], rate[0], values))
+        x[:, -1] += np.pi
+        image = ax.pcolormesh(x, y, value, shading="nearest", vmin=0, cmap="magma")
+        fig.colorbar(image, ax=ax)
+        ax.set_title(f"Lyapunov exponent / n,\n{name}")
+    for ax in axes[0]:
+        ax.set(xlabel="θ, long axis from the line of apsides", xlim=(0, np.pi), ylim=(0, scenario.greatest_rate))
+        ax.set_xticks(np.pi * np.arange(5) / 4, ["0", "π/4", "π/2", "3π/4", "π"])
+    title = f"{scenario.title}: {scenario.members} planar motions, {scenario.orbits} orbits each"
+    fig.suptitle(title)
+    return fig
+
+
+def _rows(scenario: Scenario, x: np.ndarray) -> np.ndarray:
+    """Values of the members as a grid, a row for each rate; its last column is the first, as θ is taken modulo π."""
+    grid = x.reshape(-1, scenario.angles)
+    return np.concatenate([grid, grid[:, :1]], axis=1)
+
+
+def section(scenario: Scenario, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """θ in [0, π) and θ̇ of planar states."""
+    q, p = np.asarray(state.q), np.asarray(state.p)
+    theta = 2 * np.arctan2(q[..., 3], q[..., 0]) % np.pi
+    return np.where(theta > np.pi - _ROUND, 0.0, theta), p[..., 2] / scenario.inertia[2]
+
+
+def _legend() -> list[Any]:
+    """What the dots of the section are."""
+    from matplotlib.lines import Line2D
+
+    dot = {"marker": "o", "ls": "", "ms": 4}
+    return [
+        Line2D([], [], color=plots.GRAY, label="chaotic motions", **dot),
+        Line2D([], [], color=_COLORS[0], label="regular motions, a color each", **dot),
+    ]
+
+
+@plots.style()
+def draw_observed(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
+    """Plot the largest exponents of the members about each observed state."""
+    found, bound = chaos(scenario, step, run), limit(scenario.around.orbits)
+    fig, axes = plots.figure(size=(8, 1.2 + 0.42 * max(len(scenario.observed), 3)))
+    ax, scatter = axes[0, 0], np.random.default_rng(0)
+    ax.axvspan(0, bound, color=plots.GRAY, alpha=0.35, lw=0, label="not told from a regular motion")
+    for k, (x, error) in enumerate(zip(found.observed, found.errors, strict=True)):
+        color = plots.RED if verdict(x, bound) == "chaotic" else plots.BLUE
+        ax.plot(x[1:], k + scatter.uniform(-0.2, 0.2, len(x) - 1), "o", ms=3, color=color, alpha=0.6, lw=0)
+        ax.errorbar(x[0], k, xerr=error[0], fmt="D", ms=5, color=plots.INK, capsize=2)
+    ax.plot([], [], "D", ms=5, color=plots.INK, label="state as observed, ± its error")
+    ax.plot([], [], "o", ms=3, color=plots.RED, label="members about it: chaotic as a whole")
+    ax.plot([], [], "o", ms=3, color=plots.BLUE, label="members about it: undecided, or regular")
+    names = [f"{given.date}\n{given.reading}" for given in scenario.observed]
+    ax.set_yticks(range(len(names)), names, fontsize="x-small")
+    ax.invert_yaxis()
+    ax.set(xlabel="largest Lyapunov exponent / n", xlim=(0, None), title=f"{scenario.title}: the observed states")
+    ax.legend(loc="lower right")
+    return fig
+
+
+PICTURES = {"section": draw_section, "observed": draw_observed}

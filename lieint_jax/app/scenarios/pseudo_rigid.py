@@ -1,0 +1,229 @@
+"""A pseudo-rigid body: measured conservation beside the rule's promise, delay plots, energy by two rules."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.figure import Figure
+from pydantic import Field, field_validator, model_validator
+
+from lieint_jax import _checks, diagnostics, schemes, systems
+from lieint_jax.app import plots
+from lieint_jax.app.scenarios._common import (
+    Above,
+    Common,
+    NonNegative,
+    Positive,
+    Published,
+    Rate,
+    RateSpread,
+    Table,
+    Triple,
+    follow,
+    nominal,
+    series,
+)
+from lieint_jax.systems import PseudoRigidBody
+from lieint_jax.types import State, Step, Trajectory
+
+_LONGEST = 4_000  # the most steps of the nominal member that are drawn; all are, since a delay plot needs each
+
+Matrix = Annotated[list[Triple], Field(min_length=3, max_length=3)]
+
+
+class Material(Table):
+    """A law of stored energy and its Lamé constants."""
+
+    law: Literal["mooney_rivlin", "neo_hookean", "saint_venant_kirchhoff"] = "mooney_rivlin"
+    lam: Above
+    """Lamé's λ times the body's volume: an energy."""
+    mu: Above
+    """Lamé's μ times the body's volume: an energy."""
+
+
+class InitialState(Rate):
+    """The nominal state: F, and one of angular velocity in space, velocity and momentum."""
+
+    deformation: Matrix = np.eye(3).tolist()
+    """F, 3 × 3, without unit; by default undeformed, axes along those of space."""
+    velocity: Matrix | None = None
+    """The time derivative of F, per time_unit."""
+    momentum: Matrix | None = None
+    """P, of F: velocity times the second moments of mass."""
+
+    @field_validator("deformation")
+    @classmethod
+    def _not_inside_out(cls, value: Any) -> Any:
+        if not np.linalg.det(value) > 0:
+            raise ValueError("must have a positive determinant")
+        return value
+
+    @model_validator(mode="after")
+    def _one_motion(self) -> Self:
+        if len(self.motion()) != 1:
+            raise ValueError("give exactly one of angular_velocity_rad, angular_velocity_deg, velocity, momentum")
+        return self
+
+    def motion(self) -> dict[str, Any]:
+        given = {"angular_velocity": self.rate(), "velocity": self.velocity, "momentum": self.momentum}
+        return {key: value for key, value in given.items() if value is not None}
+
+
+class Spread(RateSpread):
+    """Standard deviations of the members about the nominal state; the angular velocity is added to it."""
+
+    deformation: NonNegative = 0.0
+    """Of each entry of F, without unit."""
+
+
+class Scenario(Common):
+    """The keys of a scenario of this kind."""
+
+    system: Literal["pseudo_rigid"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    inertia: list[Any]
+    """E, the second moments of mass, principal (3) or a tensor in body axes (3 × 3)."""
+    material: Material
+    scheme: Literal["additive"] = "additive"
+    rule: Literal["average", "symplectic", "energy", "energy_momentum"] = "average"
+    alpha: Annotated[float, Field(ge=0, le=1)] = 0.5
+    """α of the symplectic rule."""
+    lag: Positive = 3
+    """Of the delay plots, in steps."""
+    state: InitialState
+    spread: Spread = Spread()
+    published: dict[Literal["midpoint_energy_variation"], Published] = {}
+
+    @field_validator("inertia")
+    @classmethod
+    def _positive_definite(cls, value: list[Any]) -> list[Any]:
+        _checks.positive_definite("inertia", value)
+        return value
+
+    @model_validator(mode="after")
+    def _alpha_of_the_rule(self) -> Self:
+        if self.alpha != 0.5 and self.rule != "symplectic":
+            raise ValueError(f"alpha: the rule {self.rule!r} conserves energy for 0.5 only (got {self.alpha})")
+        if self.steps <= 2 * self.lag:
+            raise ValueError(f"steps = {self.steps} must be more than 2·lag = {2 * self.lag}")
+        return self
+
+    def assumption(self) -> str:
+        return (
+            f"spread about the nominal state, an assumption: {self.spread.deformation:g} of each entry of F and "
+            f"{self.spread.rate():g} rad of angular velocity (1 sigma, each component)"
+        )
+
+
+def build(scenario: Scenario) -> tuple[Step, State]:
+    """The step and the batch of initial states, the nominal one first."""
+    material = getattr(systems, scenario.material.law)(scenario.material.lam, scenario.material.mu)
+    body = systems.pseudo_rigid_body(np.asarray(scenario.inertia), material)
+    start = body.state(np.asarray(scenario.state.deformation), **scenario.state.motion())
+    for_F, for_spin = jax.random.split(jax.random.key(scenario.seed))
+    dF = scenario.spread.deformation * jax.random.normal(for_F, (scenario.members, 3, 3)).at[0].set(0.0)
+    spin = scenario.spread.rate() * jax.random.normal(for_spin, (scenario.members, 3)).at[0].set(0.0)
+    V = body.velocity(start)
+
+    def member(dF: Any, spin: Any) -> State:
+        F = start.q + dF
+        turned = body.state(F, angular_velocity=spin)
+        return turned._replace(p=turned.p + body.state(F, velocity=V @ jnp.linalg.inv(start.q) @ F).p)
+
+    states = jax.vmap(member)(dF, spin)
+    exact = jax.tree.map(lambda x, x0: x.at[0].set(x0), states, start)  # the nominal state exactly, since F⁻¹F rounds
+    return schemes.additive(body, scenario.rule, scenario.alpha), exact
+
+
+class ConservationCheck(NamedTuple):
+    """A measured change: its name, its largest value over all members and saved times, and the rule's promise."""
+
+    name: str
+    found: float
+    promised: str
+
+
+def quantities(scenario: Scenario, body: PseudoRigidBody, run: Trajectory) -> list[ConservationCheck]:
+    """Largest changes of energy and momentum, relative to the member's initial |H| and |Φ|; the least det F."""
+    H, Phi = series(body.energy, run), series(body.momentum, run)
+    size = np.maximum(np.linalg.norm(Phi[0], axis=-1, keepdims=True), np.finfo(float).tiny)
+    energy = float(np.max(abs(H - H[0]) / np.maximum(abs(H[0]), np.finfo(float).tiny)))
+    momentum = float(np.max(abs(Phi - Phi[0]) / size))
+    promised = {"symplectic": "bounded, not conserved"}.get(scenario.rule, "conserved to round-off")
+    return [
+        ConservationCheck("energy, relative", energy, promised),
+        ConservationCheck("momentum rot[PFᵀ], relative", momentum, "conserved to round-off"),
+        ConservationCheck("least det F", float(np.linalg.det(run.state.q).min()), "above 0, or flagged"),
+    ]
+
+
+def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
+    """Measured changes beside the rule's promise; the energy of the midpoint rule beside the published variation."""
+    lines = [f"\n  {'all members and saved times':<34}{'found':>12}   the rule {scenario.rule!r} promises"]
+    lines += [f"  {row.name:<34}{row.found:>12.3g}   {row.promised}" for row in quantities(scenario, step.system, run)]
+    found = energies(scenario, step, run)
+    lines += [f"\n  energy of the nominal member, {len(found.t) - 1} steps, max − min"]
+    lines += [f"  {name:<34}{np.ptp(H):>12.3g}" for name, H in found.energy.items()]
+    if (printed := scenario.published.get("midpoint_energy_variation")) is not None:
+        lines[-1] += f"   published {printed.value:g}  ({scenario.source(printed.source)})"
+    if not found.converged:
+        lines.append("  NOT every one of these steps converged: do not trust what follows the first that did not")
+    return "\n".join(lines)
+
+
+class Energies(NamedTuple):
+    """The nominal member at every step: H by the scenario's rule and the midpoint rule, ‖F − 1‖² by the former."""
+
+    t: np.ndarray
+    energy: dict[str, np.ndarray]
+    displacement: np.ndarray
+    converged: bool
+
+
+MIDPOINT = "implicit midpoint rule"
+
+
+def energies(scenario: Scenario, step: Any, run: Trajectory) -> Energies:
+    """Integrate by both rules from the nominal state, at most `_LONGEST` steps, all saved."""
+    body, start, energy = step.system, nominal(run), {}
+    steps = min(scenario.steps, _LONGEST)
+    own = long = follow(step, start, scenario.dt, steps)
+    converged = bool(np.all(own.info.converged))
+    if (scenario.rule, scenario.alpha) != ("symplectic", 0.5):
+        energy[f"the rule {scenario.rule!r}"] = np.asarray(jax.vmap(body.energy)(own.state))
+        long = follow(schemes.additive(body, "symplectic"), start, scenario.dt, steps)
+        converged &= bool(np.all(long.info.converged))
+    energy[MIDPOINT] = np.asarray(jax.vmap(body.energy)(long.state))
+    displacement = np.sum((np.asarray(own.state.q) - np.eye(3)) ** 2, axis=(1, 2))
+    return Energies(np.asarray(own.t), energy, displacement, converged)
+
+
+@plots.style()
+def draw_torus(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Draw delay plots as in the paper's Figures 3 to 5: of the midpoint rule's energy, and of the displacement."""
+    found = energies(scenario, step, run)
+    fig, axes = plots.figure(2, subplot_kw={"projection": "3d"})
+    panels = {f"H, {MIDPOINT}": found.energy[MIDPOINT], f"‖F − 1‖², rule {scenario.rule!r}": found.displacement}
+    for ax, (title, x) in zip(axes[0], panels.items(), strict=True):
+        plots.delay_plot(ax, np.asarray(diagnostics.delay(jnp.asarray(x), scenario.lag)))
+        ax.set_title(f"{title}, lag {scenario.lag}")
+    fig.suptitle(scenario.title)
+    return fig
+
+
+@plots.style()
+def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Plot energy errors of the nominal member by the scenario's rule and by the midpoint rule; its displacement."""
+    found = energies(scenario, step, run)
+    fig, axes = plots.figure(2)
+    size = max(float(abs(H[0])) for H in found.energy.values())
+    errors = {name: H - H[0] for name, H in found.energy.items()}
+    plots.log_error(axes[0, 0], found.t, errors, "energy error", scenario.time_unit, size, "|H₀|")
+    plots.series(axes[0, 1], found.t, {"": found.displacement}, "displacement ‖F − 1‖²", scenario.time_unit)
+    fig.suptitle(scenario.title)
+    return fig
+
+
+PICTURES = {"torus": draw_torus, "energy": draw_energy}

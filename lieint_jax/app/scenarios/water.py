@@ -1,0 +1,240 @@
+"""A droplet of rigid molecules of water in vacuum: what each scheme keeps, its temperature, and its O–O distances."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from matplotlib.figure import Figure
+from pydantic import Field, model_validator
+
+from lieint_jax import diagnostics, potentials, schemes, systems
+from lieint_jax.app import plots
+from lieint_jax.app.scenarios._common import Above, Common, Published, Table, follow, largest_changes, nominal, series
+from lieint_jax.app.scenarios._multibody import step_of
+from lieint_jax.groups import so3
+from lieint_jax.systems import RigidBodies
+from lieint_jax.types import State, Step, Trajectory
+
+_BOLTZMANN = 0.00831446261815324  # kJ/(mol K)
+_SCALED_EVERY = 10  # steps, while a droplet settles
+_LONGEST = 2000  # the most steps of the picture of errors: the energy–momentum scheme takes ten forces a step
+
+
+class Settling(Table):
+    """How a droplet is made: molecules on a grid, turned at random, then steps in which momenta are scaled."""
+
+    spacing_nm: Above = 0.31
+    """Of the grid, in nm."""
+    temperature_kelvin: Above
+    """To which the momenta are scaled every ten steps, in K."""
+    steps: Annotated[int, Field(ge=0, le=10**7)]
+    """Of the splitting, with dt."""
+
+
+class Measured(Table):
+    """Published values to compare with."""
+
+    first_peak_nm: Published
+    """Where the first peak of the O–O distances stands, in nm."""
+
+
+class Scenario(Common):
+    """The keys of a scenario of this kind. Units are nm, ps, u and kJ/mol, which go together."""
+
+    system: Literal["water"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    time_unit: Literal["ps"] = "ps"  # pyright: ignore[reportIncompatibleVariableOverride]
+    model: Literal["TIP4P", "TIP4P/2005"] = "TIP4P/2005"
+    """Of the molecule: its charges and its Lennard-Jones site."""
+    molecules: Annotated[int, Field(ge=2, le=1000)]
+    """In a droplet; all act on all, without a cut-off."""
+    scheme: Literal["splitting", "nystrom", "bodies_energy_momentum"] = "splitting"
+    order: Literal[2, 4, 6] = 2
+    """Of accuracy; above 2 by composition. nystrom has 4 and 6."""
+    settling: Settling
+    published: Measured | None = None
+
+    @model_validator(mode="after")
+    def _the_scheme_has_the_order(self) -> Self:
+        if self.scheme == "nystrom" and self.order == 2:
+            raise ValueError("nystrom has order = 4 and order = 6")
+        return self
+
+    def assumption(self) -> str:
+        return "members: other turns of the molecules on the grid, and other velocities, before they settle"
+
+
+def build(scenario: Scenario) -> tuple[Step, State]:
+    """The step and the batch of droplets, once they have settled."""
+    bodies = _bodies(scenario)
+    keys = jax.random.split(jax.random.key(scenario.seed), scenario.members)
+    starts = jax.jit(jax.vmap(lambda key: _droplet(scenario, bodies, key)))(keys)
+    return step_of(bodies, scenario.scheme, scenario.order), starts
+
+
+def _bodies(scenario: Scenario) -> RigidBodies:
+    molecule, n = potentials.water(scenario.model), scenario.molecules
+    return systems.rigid_bodies(np.full(n, molecule.mass), np.tile(molecule.inertia, (n, 1)), molecule.potential(n))
+
+
+def _droplet(scenario: Scenario, bodies: RigidBodies, key: Array) -> State:
+    """A droplet that has settled, its center of mass at rest at the origin."""
+    n, given = scenario.molecules, scenario.settling
+    turning, going, spinning = jax.random.split(key, 3)
+    q = jax.random.normal(turning, (n, 4))
+    v, Omega = (jax.random.normal(k, (n, 3)) for k in (going, spinning))
+    v = (v - jnp.mean(v, axis=0)) / jnp.sqrt(bodies.masses[:, None])
+    turned = q / jnp.sqrt(jnp.sum(q * q, axis=1, keepdims=True))
+    state = bodies.state(
+        _grid(n, given.spacing_nm), turned, velocities=v, angular_velocities=Omega / jnp.sqrt(bodies.inertias)
+    )
+    step, kT = schemes.splitting(bodies), _BOLTZMANN * given.temperature_kelvin
+
+    def scaled(state: State) -> State:
+        wanted = kT * (6 * n - 6) / 2
+        return state._replace(p=state.p * jnp.sqrt(wanted / bodies.kinetic_energy(state)))
+
+    def some(_: Any, state: State) -> State:
+        return lax.fori_loop(0, _SCALED_EVERY, lambda _, z: step(z, scenario.dt)[0], scaled(state))
+
+    return scaled(lax.fori_loop(0, -(-given.steps // _SCALED_EVERY), some, state))
+
+
+def _grid(n: int, spacing: float) -> np.ndarray:
+    """The n points of a cubic grid that are nearest the middle of a cell, with their mean at the origin, (n, 3)."""
+    side = np.arange(-6, 7) + 0.5
+    points = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
+    chosen = points[np.argsort((points**2).sum(axis=1), kind="stable")[:n]]
+    return spacing * (chosen - chosen.mean(axis=0))
+
+
+def temperature(bodies: RigidBodies, state: State) -> Array:
+    """2K over k_B and the 6N − 6 degrees of freedom that P and L leave, in K."""
+    return 2 * bodies.kinetic_energy(state) / (_BOLTZMANN * (6 * bodies.masses.shape[0] - 6))
+
+
+def distances(scenario: Scenario, run: Trajectory) -> np.ndarray:
+    """The O–O distances at all saved times of all members, in nm, (times, members, pairs)."""
+    oxygen = jnp.asarray(potentials.water(scenario.model).points[0])
+    i, j = np.triu_indices(scenario.molecules, 1)
+
+    def apart(state: State) -> Array:
+        at = state.q[:, :3] + jax.vmap(lambda q: so3.Ad(q, oxygen))(state.q[:, 3:])
+        return jnp.sqrt(jnp.sum((at[i] - at[j]) ** 2, axis=1))
+
+    return series(apart, run)
+
+
+class Histogram(NamedTuple):
+    """The number of pairs of a molecule with others at a distance r, per volume, over that at the first peak.
+
+    Attributes:
+        r: middles of the bins, in nm.
+        density: in units of its first maximum.
+        peak: r of the first maximum, by a parabola through three bins, in nm.
+    """
+
+    r: np.ndarray
+    density: np.ndarray
+    peak: float
+
+
+def histogram(r: np.ndarray, width: float = 0.005) -> Histogram:
+    """The histogram of distances, in bins of a width in nm, up to 0.6 nm."""
+    counts, edges = np.histogram(r, np.arange(0.2, 0.6 + width / 2, width))
+    middles = (edges[1:] + edges[:-1]) / 2
+    density = counts / middles**2
+    k = int(np.clip(np.argmax(density[middles < 0.35]), 1, len(density) - 2))
+    left, top, right = density[k - 1 : k + 2]
+    curvature = left - 2 * top + right
+    shift = 0.5 * (left - right) / curvature if curvature else 0.0
+    return Histogram(middles, density / max(top, 1e-300), float(middles[k] + shift * width))
+
+
+def changes(bodies: RigidBodies, run: Trajectory) -> dict[str, float]:
+    """The largest changes: H over the least kinetic energy, P over the largest |p|, L over the largest |x × p|."""
+    K, H, PL = (series(f, run) for f in (bodies.kinetic_energy, bodies.energy, bodies.momentum))
+    x, p = (np.asarray(y)[..., :3] for y in (run.state.q, run.state.p))
+    moved = abs(PL - PL[0])
+    return {
+        "energy H, over the least kinetic energy": float(abs(H - H[0]).max() / K.min()),
+        "linear momentum P, over the largest |p|": float(moved[..., :3].max() / abs(p).max()),
+        "angular momentum L, over the largest |x × p|": float(moved[..., 3:].max() / abs(np.cross(x, p)).max()),
+    }
+
+
+def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
+    """What is kept, worst of all members; temperature; the first O–O distance beside the published one."""
+    bodies = step.system
+    T, r = series(lambda z: temperature(bodies, z), run), distances(scenario, run)
+    lines = largest_changes(changes(bodies, run), 54)
+    later = T[len(T) // 2 :]
+    lines.append(f"\n  {'temperature, second half of the run (K)':<54}{later.mean():>10.1f} ± {later.std():.1f}")
+    lines.append(f"  {'first peak of the O–O distances (nm)':<54}{histogram(r[1:]).peak:>10.4f}")
+    if scenario.published:
+        known = scenario.published.first_peak_nm
+        error = f" ± {known.error:g}" if known.error else ""
+        lines.append(f"  {'published, of the liquid (nm)':<54}{known.value:>10.4f}{error} [{known.source}]")
+    return "\n".join(lines)
+
+
+@plots.style()
+def draw_errors(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Plot the errors of H, P and L of the nominal droplet by the splitting and by the energy–momentum scheme."""
+    fig, axes = plots.figure(2)
+    bodies = step.system
+    for ax, name, title in (
+        (axes[0, 0], "splitting", "splitting, symplectic"),
+        (axes[0, 1], "bodies_energy_momentum", "energy–momentum scheme"),
+    ):
+        long = follow(step_of(bodies, name, scenario.order), nominal(run), scenario.dt, scenario.steps, _LONGEST)
+        H = np.asarray(diagnostics.energy_error(bodies, long))
+        moved = np.asarray(diagnostics.momentum_error(bodies, long))
+        K = float(bodies.kinetic_energy(nominal(run)))
+        x, p = (np.asarray(y)[..., :3] for y in (long.state.q, long.state.p))
+        curves = {
+            "H, over K": H / K,
+            "P, over the largest |p|": np.linalg.norm(moved[:, :3], axis=1) / abs(p).max(),
+            "L, over the largest |x × p|": np.linalg.norm(moved[:, 3:], axis=1) / abs(np.cross(x, p)).max(),
+        }
+        plots.log_error(ax, np.asarray(long.t), curves, "relative change", "ps")
+        ax.set(title=title, ylim=(1e-17, 1))
+    fig.suptitle(scenario.title)
+    return fig
+
+
+@plots.style()
+def draw_droplet(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Plot the nominal droplet at the end, the temperature of the members, and the histogram of O–O distances."""
+    fig, axes = plots.figure(3)
+    axes[0, 0].remove()
+    left: Any = fig.add_subplot(1, 3, 1, projection="3d")
+    end, molecule = nominal(run, -1), potentials.water(scenario.model)
+    R = np.asarray(jax.vmap(so3.to_matrix)(end.q[:, 3:]))
+    sites = np.asarray(end.q)[:, None, :3] + np.einsum("nij,sj->nsi", R, molecule.points[:3])
+    for hydrogen in (1, 2):
+        bonds = np.stack([sites[:, 0], sites[:, hydrogen], np.full_like(sites[:, 0], np.nan)], axis=1).reshape(-1, 3)
+        left.plot(*bonds.T, color=plots.INK, lw=1.2)
+    left.scatter(*sites[:, 0].T, color=plots.RED, s=36, depthshade=True)
+    left.scatter(*sites[:, 1:].reshape(-1, 3).T, color=plots.BLUE, s=6, depthshade=True)
+    size = 2 * abs(sites).max()
+    left.set(aspect="equal", title=f"at {run.t[-1]:.3g} ps, {size:.2g} nm across")
+    left.set_box_aspect(None, zoom=1.5)
+    left.set_axis_off()
+    T, t = series(lambda z: temperature(step.system, z), run), np.asarray(run.t)
+    plots.series(axes[0, 1], t, {f"droplet {m}": T[:, m] for m in range(min(T.shape[1], 6))}, "temperature (K)", "ps")
+    found = histogram(distances(scenario, run)[1:])
+    axes[0, 2].plot(found.r, found.density, color=plots.INK, lw=1, label=f"first peak at {found.peak:.3f} nm")
+    if scenario.published:
+        known = scenario.published.first_peak_nm
+        axes[0, 2].axvline(known.value, color=plots.RED, ls="--", lw=1, label=f"liquid, published: {known.value:g} nm")
+    axes[0, 2].set(xlabel="O–O distance r (nm)", ylabel="pairs per volume, over the first peak")
+    axes[0, 2].legend()
+    fig.suptitle(scenario.title)
+    return fig
+
+
+PICTURES = {"errors": draw_errors, "droplet": draw_droplet}

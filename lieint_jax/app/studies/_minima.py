@@ -1,0 +1,81 @@
+"""The minima of a tumbling body's light: events of the time derivative of its magnitude, with derivatives."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import schemes
+from lieint_jax._integrate import Event, events
+from lieint_jax.app.studies._facets import Facets, magnitude
+from lieint_jax.app.studies._satellite_sky import Scene, closed_form, directions
+from lieint_jax.groups import so3
+from lieint_jax.systems import RigidBody
+from lieint_jax.types import State
+
+_STEP = 0.1  # min: shorter than the light takes to turn, so that no two changes of sign are in one step
+_BESIDE = 0.02  # min, on either side of a minimum: where it must be brighter
+
+
+class Minima(NamedTuple):
+    """The minima of the light in a session.
+
+    Attributes:
+        t: their times (min), (minima,).
+        magnitude: there, (minima,).
+        slope: the time derivative of the magnitude there: 0 but for rounding (1/min), (minima,).
+        rise: by how many magnitudes the light is brighter a moment before and after, the less of the two, (minima,).
+    """
+
+    t: np.ndarray
+    magnitude: np.ndarray
+    slope: np.ndarray
+    rise: np.ndarray
+
+
+def light(facets: Facets, sky: dict[str, float], q: Array, t: ArrayLike) -> Array:
+    """The magnitude at an attitude and a time."""
+    return magnitude(facets, q, *directions(sky, jnp.asarray(t)))
+
+
+def slope(body: RigidBody, facets: Facets, sky: dict[str, float], state: State) -> Array:
+    """The time derivative of the magnitude along the motion."""
+    t = jnp.asarray(state.t)
+    moving = so3.tangent(state.q, body.angular_velocity(state)), jnp.ones_like(t)
+    return jax.jvp(lambda q, t: light(facets, sky, q, t), (state.q, t), moving)[1]
+
+
+def minima(body: RigidBody, state: State, facets: Facets, sky: dict[str, float], until: float, count: int) -> Event:
+    """The first `count` minima of the light before the time `until`, as events; differentiable in body and state."""
+    return events(
+        schemes.preprocessed(body, 6),
+        state._replace(t=jnp.zeros(())),
+        _STEP,
+        lambda state: slope(body, facets, sky, state),
+        int(until / _STEP),
+        count,
+        direction=-1,
+    )
+
+
+def minima_of(scene: Scene, until: float, count: int) -> Minima:
+    """The first `count` minima of the light of a scene, with what shows that they are minima.
+
+    Their times and the slopes there are those of the scheme, the magnitudes those of the closed form.
+    """
+
+    @jax.jit
+    def look(body: RigidBody, state: State) -> tuple[Event, Array]:
+        found = minima(body, state, scene.facets, scene.sky, until, count)
+        return found, jax.vmap(lambda state: slope(body, scene.facets, scene.sky, state))(found.state)
+
+    found, slopes = look(scene.body, scene.state)
+    t, slopes = (np.asarray(x)[np.asarray(found.found)] for x in (found.t, slopes))
+    beside = np.concatenate([t - _BESIDE, t, t + _BESIDE])
+    before, there, after = np.asarray(closed_form(scene, beside)[1]).reshape(3, -1)
+    return Minima(t, there, slopes, there - np.maximum(before, after))

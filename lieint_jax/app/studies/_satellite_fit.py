@@ -1,0 +1,255 @@
+"""The spin state and inertia of a satellite from its light curve: the model, many starts, and errors.
+
+Eight parameters are fitted: attitude (3), body rate (3), two ratios of inertia. The zero point of the magnitudes is the
+mean of the errors: it is taken out of them, which is least squares for it too. The motion is that of the scheme of
+order 6, whose derivatives in so many starts cost a tenth of the closed form's; its error is measured beside that.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.custom_derivatives import SymbolicZero
+from jax.typing import ArrayLike
+
+from lieint_jax import schemes
+from lieint_jax._integrate import integrate
+from lieint_jax.app.studies._facets import Facets, magnitude
+from lieint_jax.app.studies._radar import model
+from lieint_jax.app.studies._satellite_sky import Lightcurve, Scene, true_magnitudes
+from lieint_jax.app.studies._symmetric_solutions import SPACE, Change, Solutions, distance, solutions
+from lieint_jax.app.studies._tumbling import mean_periods
+from lieint_jax.ensemble._over_members import over_members
+from lieint_jax.fitting._bounds import free, inertia_ratios, principal_inertia
+from lieint_jax.fitting._fit import fit
+from lieint_jax.fitting._outcome import Fit
+from lieint_jax.groups import so3
+from lieint_jax.systems import RigidBody
+from lieint_jax.types import State
+
+BOUNDS = {"attitude": free, "inertia": inertia_ratios, "rate": free}
+STEP = 0.75  # min
+_ITERATIONS, _TOLERANCE, _FINE = 50, 1e-6, 4000
+_AT_ONCE = 10_000  # guesses that are tried together
+_POOL, _NEAR, _SCATTER = 50_000, 500, 0.8  # random bodies, those kept for a candidate, scatter of log second moments
+
+
+def magnitudes(params: dict[str, Array], begin: ArrayLike, facets: Facets, curve: Lightcurve) -> tuple[Array, Array]:
+    """The model's magnitudes, (n,), and whether all steps converged; `params` and `begin` as in `_radar.model`."""
+    body, state = model(params, jnp.asarray(begin))
+    steps = int(np.ceil(curve.t[-1] / STEP))
+    path = integrate(schemes.preprocessed(body, 6), state, STEP, steps, save_at=jnp.asarray(curve.t))
+    q = path.state.q[1:]
+    light = jax.vmap(_light, (0, (None, 0, 0)))(q, (facets, jnp.asarray(curve.sun), jnp.asarray(curve.observer)))
+    return light, jnp.all(path.info.converged)
+
+
+def _magnitude(q: Array, scene: tuple[Facets, Array, Array]) -> Array:
+    facets, sun, observer = scene
+    return magnitude(facets, q, sun, observer)
+
+
+_light = jax.custom_jvp(_magnitude)
+
+
+@partial(_light.defjvp, symbolic_zeros=True)
+def _light_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    """By the gradient in the attitude: a fit's derivatives in eight directions then cost little more than the light."""
+    (q, scene), (turn, *changes) = primals, jax.tree.leaves(tangents, is_leaf=_is_zero)
+    light, gradient = jax.value_and_grad(_magnitude)(q, scene)
+    along = jnp.zeros(()) if _is_zero(turn) else jnp.vdot(gradient, turn)
+    if all(map(_is_zero, changes)):
+        return light, along
+    full = [jnp.zeros(x.shape, x.dtype) if _is_zero(x) else x for x in changes]
+    change = jax.tree.unflatten(jax.tree.structure(scene), full)
+    return light, along + jax.jvp(lambda scene: _magnitude(q, scene), (scene,), (change,))[1]
+
+
+def _is_zero(tangent: Any) -> bool:
+    return isinstance(tangent, SymbolicZero)
+
+
+def fitted(
+    guesses: dict[str, Any], begin: Any, seen: Any, facets: Facets, curve: Lightcurve, progress: bool = True
+) -> Fit:
+    """All fits at once to magnitudes seen, (fits, n), at the exposures of the curve.
+
+    Each leaf of guesses, and `begin`, has a leading axis.
+    """
+
+    def residuals(params: dict[str, Array], data: tuple[Array, Array]) -> tuple[Array, Array]:
+        begin, seen = data
+        light, converged = magnitudes(params, begin, facets, curve)
+        error = (light - seen) / curve.noise
+        return error - jnp.mean(error), converged
+
+    return fit(
+        residuals,
+        guesses,
+        bounds=BOUNDS,
+        starts=True,
+        data=(begin, seen),
+        iterations=_ITERATIONS,
+        tolerance=_TOLERANCE,
+        progress=progress,
+    )
+
+
+def random_guesses(
+    frequencies: np.ndarray, count: int, key: Array
+) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+    """Guesses whose mean precession and rotation frequencies are near given ones, else at random.
+
+    The inertia is that of random second moments, the body momentum's direction and the attitude are uniform. Of a pool
+    of such bodies, those whose ratio of the two frequencies is nearest to a candidate's serve it, and turn as fast as
+    it says. Each candidate has as many guesses.
+
+    Args:
+        frequencies: candidates for (precession, rotation) in 1/min, (candidates, 2).
+        count: the number of guesses.
+        key: of the random numbers.
+
+    Returns:
+        Guesses as `fitted` wants them, their attitudes `begin`, (count, 4), and the candidate of each, (count,).
+    """
+    keys = jax.random.split(key, 4)
+    J, Pi, of_pool = (np.asarray(x) for x in _pool(keys[:2]))
+    ratio, wanted = of_pool[:, 1] / of_pool[:, 0], frequencies[:, 1] / frequencies[:, 0]
+    near = np.argsort(np.abs(np.log(ratio[:, None] / wanted)), axis=0)[:_NEAR]
+    which = np.arange(count) % len(frequencies)
+    chosen = near[np.asarray(jax.random.randint(keys[2], (count,), 0, _NEAR)), which]
+    speed = (frequencies[which] / of_pool[chosen]).mean(axis=1)
+    rate = np.rad2deg(speed[:, None] * Pi[chosen] / J[chosen])
+    begin = jax.jit(lambda key: jax.vmap(so3.normalize)(jax.random.normal(key, (count, 4))))(keys[3])
+    return {"attitude": np.zeros((count, 3)), "inertia": J[chosen, :2], "rate": rate}, np.asarray(begin), which
+
+
+@jax.jit
+def _pool(keys: Array) -> tuple[Array, Array, Array]:
+    """Random bodies: moments over the third, body momenta, mean frequencies of precession and rotation."""
+    J = jax.vmap(principal_inertia.inside)(_SCATTER * jax.random.normal(keys[0], (_POOL, 3)))
+    J = J / J[:, 2:]
+    Pi = jax.random.normal(keys[1], (_POOL, 3))
+
+    def frequencies(J: Array, Pi: Array) -> Array:
+        body = RigidBody(J)
+        return 1 / mean_periods(body, body.state(body_momentum=Pi))
+
+    return J, Pi, jax.vmap(frequencies)(J, Pi)
+
+
+def losses(
+    guesses: dict[str, np.ndarray], begin: np.ndarray, facets: Facets, curve: Lightcurve, progress: bool = True
+) -> np.ndarray:
+    """Half the sum of squares of each guess's errors in units of the noise, (guesses,)."""
+    from tqdm import tqdm  # where it is used: the package imports in a moment
+
+    def one(params: dict[str, Array], begin: Array) -> Array:
+        light, _ = magnitudes(params, begin, facets, curve)
+        return len(curve.t) * jnp.var(light - curve.magnitude) / (2 * curve.noise**2)
+
+    of_piece, pieces = over_members(one), np.array_split(np.arange(len(begin)), -(-len(begin) // _AT_ONCE))
+    found = []
+    with tqdm(total=len(begin), unit=" guesses", disable=None if progress else True, leave=False) as bar:
+        for piece in pieces:
+            some = {name: leaf[piece] for name, leaf in guesses.items()}
+            found.append(np.asarray(of_piece(some, begin[piece])))
+            bar.update(len(piece))
+    return np.concatenate(found)
+
+
+class Estimate(NamedTuple):
+    """The best solution beside the truth, in the order attitude (°, as turns in space), inertia ratios, rate (°/min).
+
+    Attributes:
+        value: the estimate, (8,).
+        truth: the truth, or its image under a symmetry of the facets, whichever is nearest, (8,).
+        sigma: standard errors of the estimate, (8,).
+        turned: that symmetry, a turn of the body axes, (3, 3).
+        periods: mean precession and rotation period of the estimate (min), (2,).
+        periods_sigma: their standard errors, (2,).
+        errors: (estimate − truth)/σ of the synthetic sets, (sets, 8).
+        light: the magnitudes of the fit, with the zero point of the light curve, (n,).
+        fine_t, fine_light: the same at many times by the closed form, (m,).
+        integration: the largest difference between the fit's magnitudes and those of the closed form, over the noise.
+    """
+
+    value: np.ndarray
+    truth: np.ndarray
+    sigma: np.ndarray
+    turned: np.ndarray
+    periods: np.ndarray
+    periods_sigma: np.ndarray
+    errors: np.ndarray
+    light: np.ndarray
+    fine_t: np.ndarray
+    fine_light: np.ndarray
+    integration: float
+
+
+def true_solution(made: Scene) -> Solutions:
+    """The true spin state, as one solution."""
+    rate, J = np.rad2deg(made.body.angular_velocity(made.state)), np.asarray(made.body.inertia)
+    return Solutions(np.asarray(made.state.q)[None], rate[None], (J / np.cbrt(J.prod()))[None])
+
+
+def estimate(
+    made: Scene, curve: Lightcurve, night: Fit, begin: np.ndarray, chosen: int, several: int, every: list[Change]
+) -> Estimate:
+    """The fit `chosen` beside the truth; the fits from the number `several` on are of synthetic sets."""
+    starts = night.starts
+    assert starts is not None
+    assert starts.covariance is not None
+    params = jax.tree.map(np.asarray, starts.params)  # off the devices over which the fits were split
+    x = np.concatenate([params[name] for name in BOUNDS], axis=1)
+    sigma = np.sqrt(np.diagonal(starts.covariance, axis1=1, axis2=2))
+    truth, best = true_solution(made), solutions(params, begin).take(chosen)
+    turn = min((c for c in every if c.name == SPACE[0]), key=lambda c: float(distance(c(truth), best)[0]))
+    one = {name: leaf[chosen] for name, leaf in params.items()}
+    body, state, light, periods, D = _motion(one, begin[chosen], made, curve)
+    fine = np.linspace(0, curve.t[-1], _FINE)
+    exact = np.asarray(true_magnitudes(made._replace(body=body, state=state), np.append(curve.t, fine)))
+    zero = np.mean(curve.magnitude - light)
+    return Estimate(
+        x[chosen],
+        _vector(turn(truth), begin[chosen]),
+        sigma[chosen],
+        turn.g,
+        periods,
+        np.sqrt(np.diagonal(D @ starts.covariance[chosen] @ D.T)),
+        (x[several:] - _vector(truth, truth.q[0])) / sigma[several:],
+        light + zero,
+        fine,
+        exact[len(curve.t) :] + zero,
+        float(np.abs(light - exact[: len(curve.t)]).max() / curve.noise),
+    )
+
+
+def _motion(
+    params: dict[str, Array], begin: np.ndarray, made: Scene, curve: Lightcurve
+) -> tuple[RigidBody, State, np.ndarray, np.ndarray, np.ndarray]:
+    """A solution's body and state; magnitudes, (n,); mean periods, (2,), and their derivative by x, (2, 8)."""
+
+    @jax.jit
+    def look(params: dict[str, Array]) -> tuple[RigidBody, State, Array, Array, list[Array]]:
+        def periods(params: dict[str, Array]) -> tuple[Array, Array]:
+            found = mean_periods(*model(params, jnp.asarray(begin)))
+            return found, found
+
+        D, found = jax.jacfwd(periods, has_aux=True)(params)
+        light, _ = magnitudes(params, begin, made.facets, curve)
+        return *model(params, jnp.asarray(begin)), light, found, [D[name] for name in BOUNDS]
+
+    body, state, light, found, D = look(params)
+    return body, state, np.asarray(light), np.asarray(found), np.concatenate(D, axis=1)
+
+
+def _vector(one: Solutions, begin: np.ndarray) -> np.ndarray:
+    """A solution as the parameters of the fit, (8,)."""
+    turn = so3.log(so3.multiply(jnp.asarray(one.q[0]), so3.inverse(jnp.asarray(begin))))
+    return np.concatenate([np.rad2deg(turn), one.inertia[0, :2] / one.inertia[0, 2], one.rate[0]])

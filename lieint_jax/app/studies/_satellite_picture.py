@@ -1,0 +1,133 @@
+"""The picture of the study of a satellite: six panels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from lieint_jax.app import plots
+from lieint_jax.app.studies._period_search import HARMONICS, named
+
+_COLORS = {"as it is": plots.INK, "mirror": plots.RED, "exchange": plots.GREEN, "mirror and exchange": plots.ORANGE}
+_TITLES = (
+    "light before the shadow",
+    "spectrum of all the light",
+    "pairs of frequencies",
+    "where the starts ended, first session",
+    "the night, from all images of the best end",
+    "estimate less truth",
+)
+
+
+@plots.style()
+def draw(found: Any) -> Figure:
+    """The light with its minima; both searches for periods; the ends of all starts; the images; errors."""
+    fig, axes = plots.figure(3, 2)
+    parts = (_light, _spectrum, _pairs, _first, _night, _errors)
+    for ax, part, letter, title in zip(axes.flat, parts, "abcdef", _TITLES, strict=True):
+        part(ax, found)
+        ax.set_title(f"({letter}) {title}", loc="left", fontsize="small")
+    fig.suptitle(f"{found.title}, simulated", fontsize="medium")
+    return fig
+
+
+def _light(ax: Axes, found: Any) -> None:
+    session = found.session
+    fine, seen = found.estimate.fine_t <= session, found.curve.t <= session
+    ax.plot(found.estimate.fine_t[fine], found.estimate.fine_light[fine], color=plots.BLUE, lw=0.8, label="fit")
+    ax.plot(found.curve.t[seen], found.curve.magnitude[seen], ".", color=plots.INK, ms=3, label="exposures")
+    for t in found.minima.t:
+        ax.axvline(t, color=plots.GRAY, lw=0.6, zorder=0, label="true minima" if t == found.minima.t[0] else None)
+    ax.set(xlabel="min", ylabel="magnitude, zero point unknown")
+    top, bottom = found.estimate.fine_light.min(), found.estimate.fine_light.max()
+    ax.set_ylim(bottom + 0.1, top - 0.5)
+    ax.legend(frameon=False, fontsize="x-small", ncols=3, loc="upper left")
+
+
+def _spectrum(ax: Axes, found: Any) -> None:
+    f, power = found.search.frequencies, found.search.power
+    ax.plot(f, 100 * power, color=plots.BLUE, lw=0.8)
+    true = 1 / found.periods
+    for value, name in zip(true, "fg", strict=True):
+        ax.axvline(value, color=plots.RED, lw=0.8, ls="--")
+        ax.annotate(f"{name} ", (value, 0.94), xycoords=("data", "axes fraction"), ha="right", fontsize="small")
+    for peak in (p.frequency for p in found.search.peaks[:7]):
+        j, k, _off = named(peak, true, HARMONICS, 1 / found.curve.t[-1])
+        height = 100 * np.interp(peak, f, power)
+        ax.annotate(f"({j},{k})", (peak, height), ha="center", va="bottom", fontsize="xx-small")
+    ax.set(xlabel="frequency (1/min)", ylabel="variance explained (%)", ylim=(0, 115 * power.max()))
+    note = "f precession, g rotation, true\n(j,k): jf + kg, the simplest"
+    ax.text(0.97, 0.95, note, transform=ax.transAxes, ha="right", va="top", fontsize="x-small")
+
+
+def _pairs(ax: Axes, found: Any) -> None:
+    pairs, left = found.search.pairs.pairs, 100 * found.search.pairs.left
+    true = 1 / found.periods
+    y = np.arange(len(pairs))[::-1]
+    ax.barh(y, left, color=plots.BLUE, height=0.6)
+    for height, pair, value in zip(y, pairs, left, strict=True):
+        names = " and ".join("({},{})".format(*named(f, true, HARMONICS, 1 / found.curve.t[-1])) for f in pair)
+        ax.text(value + 0.3, height, names, va="center", fontsize="x-small")
+    ax.set(xlabel="variance left by a double series of order 2 (%)", xlim=(0, 1.5 * left.max()))
+    ax.set_yticks(y, [f"{p[0]:.4f}, {p[1]:.4f}" for p in pairs], fontsize="x-small")
+    ax.set_ylabel("frequencies (1/min)")
+
+
+def _kind(name: str) -> tuple[str, str]:
+    """The change in space of a change's name, and the new names of the axes."""
+    space, _, axes = name.partition(", axes ")
+    return space, axes or "xyz"
+
+
+def _first(ax: Axes, found: Any) -> None:
+    order = np.argsort(found.first.loss)
+    chi = 2 * found.first.loss[order] / (found.curve.t <= found.session).sum()
+    change, rank = found.first.change[order], np.arange(1, len(order) + 1)
+    ax.loglog(rank, chi, ".", color=plots.GRAY, ms=3, label=f"elsewhere ({(change < 0).sum()})")
+    kinds = [_kind(found.changes[k].name) if k >= 0 else None for k in change]
+    for space, color in _COLORS.items():
+        for own, mark in ((True, "o"), (False, "x")):
+            which = np.array([kind is not None and kind[0] == space and (kind[1] == "xyz") == own for kind in kinds])
+            if which.any():
+                label = f"{space}{'' if own else ', axes exchanged'} ({which.sum()})"
+                ax.loglog(rank[which], chi[which], mark, color=color, ms=4, label=label)
+    ax.set(xlabel="start, by its χ²", ylabel="χ² per exposure")
+    ax.legend(frameon=False, fontsize="x-small", loc="upper left")
+
+
+def _night(ax: Axes, found: Any) -> None:
+    excess = 2 * (found.images.loss - found.night.loss.min())
+    columns = sorted({_kind(change.name)[1] for change in found.changes})
+    for begin, value, end in zip(found.named, excess, found.images.change, strict=True):
+        if begin < 0:  # the first session's best end is no image of the night's
+            continue
+        space, axes = _kind(found.changes[begin].name)
+        own = end >= 0 and _kind(found.changes[end].name) == (space, axes)
+        x = columns.index(axes) + 0.15 * (list(_COLORS).index(space) - 1.5)
+        fill = _COLORS[space] if own else "none"
+        ax.plot(x, max(value, 0.5), "o", color=_COLORS[space], mfc=fill, ms=5)
+    for space, color in _COLORS.items():
+        ax.plot([], [], "o", color=color, ms=5, label=space)
+    ax.plot([], [], "o", color=plots.GRAY, mfc="none", ms=5, label="went elsewhere")
+    ax.set(yscale="log", xlabel="names of the axes", ylabel="χ² above the best (0 drawn at 0.5)", ylim=(0.3, 3e7))
+    ax.set_xticks(range(len(columns)), columns)
+    ax.legend(frameon=False, fontsize="x-small", ncols=2, loc="upper left")
+
+
+def _errors(ax: Axes, found: Any) -> None:
+    errors = found.estimate.errors
+    edges = np.linspace(-4, 4, 33).tolist()
+    sets = f"{len(errors)} synthetic sets, 8 parameters"
+    ax.hist(np.clip(errors.ravel(), -3.99, 3.99), edges, density=True, color=plots.BLUE, alpha=0.6, label=sets)
+    x = np.linspace(-4, 4, 201)
+    ax.plot(x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color=plots.INK, lw=1.2, label="normal")
+    own = (found.estimate.value - found.estimate.truth) / found.estimate.sigma
+    ax.plot(own, np.full(8, 0.02), "|", color=plots.RED, ms=14, mew=1.5, label="the best solution")
+    size = np.abs(errors)
+    note = f"within 1σ {100 * (size <= 1).mean():.0f} % (68)\nwithin 2σ {100 * (size <= 2).mean():.0f} % (95)"
+    ax.text(0.03, 0.97, note, transform=ax.transAxes, va="top", fontsize="x-small")
+    ax.set(xlabel="(estimate − truth)/σ", ylabel="density", ylim=(0, 0.6))
+    ax.legend(frameon=False, fontsize="x-small", loc="upper right")

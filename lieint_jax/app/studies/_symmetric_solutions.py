@@ -1,0 +1,173 @@
+"""The symmetric solutions of a light curve's fit: other spin states whose light is the same, or nearly so.
+
+A solution (attitude q, body rate Ω, moments J) stays one of Euler's equations if space is turned, q → σq, and if body
+axes are relabeled, (q, Ω, J) → (qγ⁻¹, gΩ, gJgᵀ) with g one of the 24 rotations that take the axes to themselves.
+
+| change | light |
+|---|---|
+| g a symmetry of the facets | the same, always: for a box with two panels the 180° turns about the body axes |
+| any other g | of other facets: at best a local minimum, with the moments exchanged |
+| σ = 180° about the normal of the plane of Sun, body and observer (*mirror*) | the same if that plane stays |
+| σ = 180° about the bisector of Sun and observer (*exchange*) | the same if the bisector stays |
+| σ = both: 180° about the difference of the two directions | the same if the difference keeps its direction |
+
+The mirror asks for facets with a center of symmetry, since in the body Sun and observer go to their antipodes; the
+exchange asks for a law of scattering that is the same with Sun and observer exchanged (Helmholtz's reciprocity).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from lieint_jax.app.studies._facets import Facets, axis_rotations, is_symmetry, magnitude
+from lieint_jax.groups import so3
+
+SPACE = ("as it is", "mirror", "exchange", "mirror and exchange")
+_NEAR = (20.0, 0.2, 0.2)  # an attitude (°), a rate and logarithms of moments within which two solutions are one
+
+
+class Solutions(NamedTuple):
+    """Spin states at t = 0.
+
+    Attributes:
+        q: attitudes, (n, 4).
+        rate: body rates, (n, 3).
+        inertia: moments over the geometric mean of the three, (n, 3).
+    """
+
+    q: np.ndarray
+    rate: np.ndarray
+    inertia: np.ndarray
+
+    def take(self, which: np.ndarray | int) -> Solutions:
+        """Some of them."""
+        return Solutions(*(np.atleast_2d(leaf[which]) for leaf in self))
+
+
+def solutions(params: dict[str, np.ndarray], begin: np.ndarray) -> Solutions:
+    """Those of parameters as of the fit, with leading axes."""
+    q = _attitudes(params["attitude"], begin)
+    J = np.concatenate([np.asarray(params["inertia"]), np.ones((len(q), 1))], axis=1)
+    return Solutions(np.asarray(q), np.asarray(params["rate"]), J / np.cbrt(J.prod(axis=1, keepdims=True)))
+
+
+@jax.jit
+@jax.vmap
+def _attitudes(turn: Array, begin: Array) -> Array:
+    return so3.multiply(so3.exp(jnp.deg2rad(turn)), begin)
+
+
+def parameters(found: Solutions) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Parameters as of the fit, and attitudes to begin with."""
+    inertia = found.inertia[:, :2] / found.inertia[:, 2:]
+    return {"attitude": np.zeros_like(found.rate), "inertia": inertia, "rate": found.rate}, found.q
+
+
+class Change(NamedTuple):
+    """A change of solutions that may leave the light as it is.
+
+    Attributes:
+        space: its kind in space, an index of `SPACE`.
+        axes: the new names of the body axes, such as "yxz"; "xyz" where the facets have this symmetry. With signs,
+            such as "x−y−z", if the 180° turns about the body axes are not all symmetries of the facets.
+        turn: of the body axes: 0, or which of the symmetries of the facets comes after the relabeling.
+        sigma: the turn of space, a quaternion, (4,).
+        g: the turn of the body axes, (3, 3).
+    """
+
+    space: int
+    axes: str
+    turn: int
+    sigma: np.ndarray
+    g: np.ndarray
+
+    @property
+    def name(self) -> str:
+        """In words, without the turn."""
+        return SPACE[self.space] if self.axes == "xyz" else f"{SPACE[self.space]}, axes {self.axes}"
+
+    def attitudes(self, q: np.ndarray) -> np.ndarray:
+        """The changed attitudes, (n, 4)."""
+        return np.asarray(_turned(self.sigma, q, self.g))
+
+    def __call__(self, found: Solutions) -> Solutions:
+        """The changed solutions."""
+        return Solutions(self.attitudes(found.q), found.rate @ self.g.T, found.inertia @ (self.g**2).T)
+
+
+@jax.jit
+def _turned(sigma: Array, q: Array, g: Array) -> Array:
+    gamma = so3.inverse(so3.from_matrix(g))
+    return jax.vmap(lambda q: so3.multiply(sigma, so3.multiply(q, gamma)))(q)
+
+
+def changes(facets: Facets, sun: np.ndarray, observer: np.ndarray) -> list[Change]:
+    """All changes for facets and directions to Sun and observer, (n, 3): of space, of axes, and symmetries of facets.
+
+    The plane is the one nearest to all directions, the bisector that of the mean directions.
+    """
+    normal = np.linalg.svd(np.concatenate([sun, observer]))[2][2]
+    bisector = sun.mean(axis=0) / np.linalg.norm(sun.mean(axis=0)) + observer.mean(axis=0)
+    bisector = bisector - (bisector @ normal) * normal  # so that the two turns commute
+    bisector = bisector / np.linalg.norm(bisector)
+    every = (np.eye(4)[0], *(np.append(0, v) for v in (normal, bisector, np.cross(normal, bisector))))
+    rotations = axis_rotations()
+    own = [g for g in rotations if is_symmetry(facets, g)]
+    signed = len([g for g in own if np.trace(np.abs(g)) == 3]) < 4
+    cosets: list[np.ndarray] = []  # of the symmetries: their light is the same, as symmetries act on it last
+    for g in rotations:
+        if not any(np.allclose(g, h @ other) for other in cosets for h in own):
+            cosets.append(g)
+    return [
+        Change(space, _axes(g, signed), turn, sigma, h @ g)
+        for space, sigma in enumerate(every)
+        for g in cosets
+        for turn, h in enumerate(own)
+    ]
+
+
+def _axes(g: np.ndarray, signed: bool) -> str:
+    """The new names of the body axes, with their signs or without."""
+    order = np.abs(g).argmax(axis=0)
+    return "".join(("−" if signed and g[k, column] < 0 else "") + "xyz"[k] for column, k in enumerate(order))
+
+
+def distance(a: Solutions, b: Solutions) -> np.ndarray:
+    """How far each of a is from the one solution b: 1 at the limit up to which they count as one, (n,)."""
+    cosine = np.abs(a.q @ b.q[0]).clip(0, 1)
+    size = np.linalg.norm(b.rate[0])
+    each = (
+        np.rad2deg(2 * np.arccos(cosine)) / _NEAR[0],
+        np.linalg.norm(a.rate - b.rate[0], axis=1) / size / _NEAR[1],
+        np.abs(np.log(a.inertia / b.inertia[0])).max(axis=1) / _NEAR[2],
+    )
+    return np.max(each, axis=0)
+
+
+def sorted_out(found: Solutions, best: Solutions, every: list[Change]) -> np.ndarray:
+    """Which change of the solution `best` each of `found` is, (n,); −1 for none."""
+    off = np.stack([distance(found, change(best)) for change in every])
+    return np.where(off.min(axis=0) < 1, off.argmin(axis=0), -1)
+
+
+def differences(facets: Facets, q: np.ndarray, sun: np.ndarray, observer: np.ndarray) -> np.ndarray:
+    """By how much each kind of change in space alters the light, whatever symmetry of the facets goes with it, (4,).
+
+    The root mean square of the differences in magnitude, less their mean, along attitudes q, (n, 4), under the
+    directions to Sun and observer, (n, 3); of the symmetries of the facets the one with the greatest difference.
+    """
+
+    found = np.zeros(len(SPACE))
+    for change in changes(facets, sun, observer):
+        if change.name == SPACE[change.space]:
+            off = _light(facets, change.attitudes(q), sun, observer) - _light(facets, q, sun, observer)
+            found[change.space] = max(found[change.space], float(np.std(off)))
+    return found
+
+
+_light = jax.jit(jax.vmap(magnitude, (None, 0, 0, 0)))

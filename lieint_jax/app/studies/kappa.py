@@ -1,0 +1,222 @@
+"""The most nearly symplectic κ of an energy-momentum family, learnt as the paper proposes (Section 2).
+
+For a heavy top the schemes of `top_energy_momentum` keep energy and γ·π for every κ, and the symplectic form for none
+(Result 8). So κ(x) = 1 + c₁x + c₂x² is learnt: it minimizes the sum of squares of the entries of the defect
+Lᵀω(z₁)L − ω(z₀) over an ensemble of states. Inertia and weight are of size 1, so the entries can be added up. Then the
+learnt κ is tested on unseen states, at other step sizes, and over long runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+from matplotlib.figure import Figure
+
+from lieint_jax import diagnostics, maps, schemes, systems
+from lieint_jax._integrate import integrate
+from lieint_jax.app import plots
+from lieint_jax.diagnostics._symplectic import pushed
+from lieint_jax.fitting._fit import fit
+from lieint_jax.fitting._outcome import Fit
+from lieint_jax.types import State
+
+DT = 0.1
+FORMS = {"c₁x + c₂x²": 2, "c₁x + … + c₄x⁴": 4}
+FAST, FASTER = 3.0, 4.5  # largest body rates of the training states, and of the unseen ones
+_TERMS = max(FORMS.values())
+_GIVEN = {
+    "cayley": np.zeros(2 + _TERMS),
+    "exponential": np.eye(2 + _TERMS)[0],
+    "symplectic": np.eye(2 + _TERMS)[1],
+}
+
+
+def polynomial(c: Array, x: Array) -> Array:
+    """κ(x) = 1 + c₁x + c₂x² + …"""
+    value = jnp.zeros_like(x)
+    for k in reversed(range(c.shape[0])):
+        value = (value + c[k]) * x
+    return 1 + value
+
+
+def family(weights: Array, x: Array) -> Array:
+    """κ(x) = 1 + w₁(κ_exp − 1) + w₂(κ_symplectic − 1) + w₃x + w₄x² + …: one program for given and learnt κ's."""
+    exponential, symplectic = (k(x) - 1 for k in (maps.kappa_exponential, maps.kappa_symplectic))
+    return polynomial(weights[2:], x) + weights[0] * exponential + weights[1] * symplectic
+
+
+def member(weights: Array) -> maps.Kappa:
+    """The κ of `family` with these weights, for |Θ̄| < 1."""
+    return maps.Kappa(jax.tree_util.Partial(family, weights), name="family", limit=1.0)
+
+
+def _learnt(c: Array) -> Array:
+    """The weights of `family` that give 1 + c₁x + c₂x² + …"""
+    return jnp.concatenate([jnp.zeros(2), c, jnp.zeros(_TERMS - c.shape[0])])
+
+
+class KappaErrors(NamedTuple):
+    """The errors of one κ.
+
+    Attributes:
+        learnt: root mean square defect of a step on the training states, at step size DT.
+        unseen: the same on unseen states.
+        sizes: the same on the training states, by step size.
+        poisson: geometric mean over the long runs of the Poisson error at their end.
+        energy: largest energy error of the long runs.
+        converged: the number of long runs that converged.
+    """
+
+    learnt: float
+    unseen: float
+    sizes: dict[float, float]
+    poisson: float
+    energy: float
+    converged: int
+
+
+class LearntKappas(NamedTuple):
+    """The results of the study.
+
+    Attributes:
+        coefficients: those learnt, by the form of κ.
+        fit: the fit of both forms at once.
+        rows: the errors of each κ, by its name.
+        steps: the number of steps of the long runs.
+        series: times, and Poisson errors by the name of κ (geometric mean of the runs).
+    """
+
+    coefficients: dict[str, np.ndarray]
+    fit: Fit
+    rows: dict[str, KappaErrors]
+    steps: int
+    series: tuple[np.ndarray, dict[str, np.ndarray]]
+
+
+def top() -> Any:
+    """An asymmetric heavy top, not integrable."""
+    return systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
+
+
+def states(count: int, seed: int, size: float = FAST) -> State:
+    """Random attitudes, and body rates in the ball of radius `size`."""
+    rng = np.random.default_rng(seed)
+    q, Omega, radius = rng.normal(size=(count, 4)), rng.normal(size=(count, 3)), rng.random((count, 1))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    Omega *= size * np.cbrt(radius) / np.linalg.norm(Omega, axis=1, keepdims=True)
+    return jax.vmap(lambda q, w: top().state(q, angular_velocity=w))(jnp.asarray(q), jnp.asarray(Omega))
+
+
+def run(quick: bool = False, progress: bool = True) -> LearntKappas:
+    """Learn on 200 states, test on 500 others; `quick` takes a tenth of each."""
+    few = 10 if quick else 1
+    seen, unseen, long = states(200 // few, 1), states(500 // few, 2, FASTER), states(16 // (4 if quick else 1), 3)
+    steps = 200  # 20 time units: on longer runs of a chaotic motion the Poisson error measures the chaos instead
+
+    def residuals(c: Array, used: Array) -> tuple[Array, Array]:
+        matrices, converged = defects(jax.tree_util.Partial(polynomial, used * c), seen, DT)
+        return matrices / DT**3, converged
+
+    used = np.array([[k < terms for k in range(_TERMS)] for terms in FORMS.values()], float)
+    both = fit(residuals, 0 * used, starts=True, data=used, tolerance=1e-6, progress=progress)
+    assert both.starts is not None
+    coefficients = {name: np.asarray(c[:n]) for (name, n), c in zip(FORMS.items(), both.starts.params, strict=True)}
+    everyone = _GIVEN | {name: _learnt(jnp.asarray(c)) for name, c in coefficients.items()}
+    rows, series = {}, {}
+    for name, weights in everyone.items():
+        kappa = jnp.asarray(weights)
+        sizes = {h: _rms(kappa, seen, h) for h in (DT / 2, DT, 2 * DT)}
+        growth, energy, converged = _long(kappa, long, steps)
+        series[name] = growth
+        rows[name] = KappaErrors(sizes[DT], _rms(kappa, unseen, DT), sizes, float(growth[-1]), energy, converged)
+    t = DT * np.linspace(0, steps, len(next(iter(series.values()))))
+    return LearntKappas(coefficients, both, rows, steps, (t, series))
+
+
+def defects(kappa: Callable[[Array], Array], states: State, dt: ArrayLike) -> tuple[Array, Array]:
+    """The defect matrices Lᵀω(z₁)L − ω(z₀) of all states, (members, 6, 6), and whether all steps converged."""
+    step = schemes.top_energy_momentum(top(), kappa)
+    space = step.system.phase_space
+
+    def one(state: State) -> tuple[Array, Array]:
+        end, info, L = pushed(space, lambda z: step(z, dt), state)
+        return L.T @ space.omega(end) @ L - space.omega(state), info.converged
+
+    matrices, converged = jax.vmap(one)(states)
+    return matrices, jnp.all(converged)
+
+
+@jax.jit
+def _square(weights: Array, states: State, dt: Array) -> Array:
+    matrices, converged = defects(member(weights), states, dt)
+    return jnp.where(converged, jnp.mean(jnp.sum(matrices**2, axis=(1, 2))), jnp.nan)
+
+
+def _rms(weights: Array, states: State, dt: float) -> float:
+    return float(jnp.sqrt(_square(weights, states, jnp.asarray(dt))))
+
+
+def _long(weights: Array, states: State, steps: int) -> tuple[np.ndarray, float, int]:
+    """max|P_n − ω⁻¹| at 50 times, geometric mean over the runs; the worst energy error; how many runs converged."""
+    errors, energy, converged = _run(weights, states, steps)
+    growth = np.exp(np.log(np.asarray(errors)[:, steps // 50 :: steps // 50]).mean(axis=0))
+    return np.concatenate([[0.0], growth]), float(jnp.max(energy)), int(jnp.sum(converged))
+
+
+def _run_one(weights: Array, state: State, steps: int) -> tuple[Array, Array, Array]:
+    step = schemes.top_energy_momentum(top(), member(weights))
+    path = integrate(step, state, DT, steps, steps // 50)
+    whole = diagnostics.poisson_error(step, state, DT, steps)
+    energy = jnp.max(jnp.abs(diagnostics.energy_error(step.system, path)))
+    return jnp.max(jnp.abs(whole), axis=(1, 2)), energy, jnp.all(path.info.converged)
+
+
+_run: Any = jax.jit(jax.vmap(_run_one, (None, 0, None)), static_argnums=2)
+
+
+def text(found: LearntKappas) -> str:
+    """The study's report, to print."""
+
+    def number(x: float) -> str:
+        return f"{x:>11.3e}" if np.isfinite(x) else f"{'fails':>11}"
+
+    lines = [
+        f"κ learnt for a heavy top, J = (1, 2, 2.5), E = (0.5, 0.4, 1), Δt = {DT}",
+        "rms over states of |Lᵀω(z₁)L − ω(z₀)| after a step; Poisson error and energy at the end of long runs",
+        *(f"  {name}: c = ({', '.join(f'{x:.5f}' for x in c)})" for name, c in found.coefficients.items()),
+        f"\n  {'κ':<18}{'learnt on':>11}{'unseen':>11}{'Δt/2':>11}{'2Δt':>11}{'Poisson error':>15}{'energy':>10}",
+    ]
+    for name, row in found.rows.items():
+        halves, doubles = row.sizes[DT / 2], row.sizes[2 * DT]
+        lines.append(
+            f"  {name:<18}{''.join(map(number, (row.learnt, row.unseen, halves, doubles)))}    {number(row.poisson)}"
+            f"{row.energy:>10.1e}"
+        )
+    compared = [("the states learnt on", "learnt"), ("unseen, faster states", "unseen"), ("long runs", "poisson")]
+    for what, column in compared:
+        learnt, given = (np.nanmin([getattr(found.rows[k], column) for k in names]) for names in (FORMS, _GIVEN))
+        lines.append(f"  {what + ':':<24}the best learnt κ has {learnt / given:.2f} of the best given κ's error")
+    return "\n".join(
+        [*lines, f"  ({found.steps} steps.) No κ removes the defect (Result 8); of a given κ it is O(Δt³) as Δt → 0"]
+    )
+
+
+@plots.style()
+def draw(found: LearntKappas) -> Figure:
+    """Plot every κ on its training range (shaded) and test range, and the Poisson error along the long runs."""
+    fig, axes = plots.figure(2)
+    x = np.linspace(0, (FASTER * DT) ** 2, 200)
+    everyone = _GIVEN | {name: _learnt(jnp.asarray(c)) for name, c in found.coefficients.items()}
+    at = jax.vmap(family, (None, 0))
+    curves = {name: np.asarray(at(jnp.asarray(w), jnp.asarray(x))) for name, w in everyone.items()}
+    plots.series(axes[0, 0], x, curves, "κ").set_xlabel("|ΔtΩ|², nearly |Θ̄|²")
+    axes[0, 0].axvspan(0, (FAST * DT) ** 2, color=plots.GRAY, alpha=0.3, lw=0)
+    t, series = found.series
+    plots.log_error(axes[0, 1], t[1:], {k: y[1:] for k, y in series.items()}, "Poisson error")
+    return fig

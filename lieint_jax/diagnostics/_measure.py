@@ -1,0 +1,44 @@
+"""Runs of any length by one compiled program: what is measured of a step is measured with few compilations."""
+
+from __future__ import annotations
+
+import jax
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import at_once, concrete
+from lieint_jax._integrate import clock_of, of_any_length, rows_for, trajectory
+from lieint_jax.types import State, Step, StepError, Trajectory, checked_step, promoted
+
+
+def run(step: Step, state: State, dt: Array, count: int, most: int) -> Trajectory:
+    """The trajectory of `count` steps, each saved, as host arrays if they are concrete.
+
+    That of `integrate`, by the same program, for all counts up to `most`.
+    """
+    clock, _ = clock_of(step, state.t, dt.dtype, dt, count, None)
+    most = max(count, most)
+    found = of_any_length(step, state, clock, count, rows_for(state, most) or most, 1)
+    return trajectory(step, state, clock, count, 1) if found is None else found
+
+
+def checked(step: Step, state: State, dt: ArrayLike, most: int) -> tuple[Step, State, Array]:
+    """The three in one dtype; raises what `Step.check` raises if they are concrete, by the program of `run`."""
+    step, state, dtype = promoted(checked_step(step), state)
+    h = _checks.as_array(_checks.step_size(dt), dtype)
+    if not concrete(step, state, h):
+        return step, state, h
+    with at_once():  # constants are concrete inside jit too
+        step.system.check(state)
+    converged = run(step, state, h, 1, most).info.converged[1]
+    if not concrete(converged):
+        step.check(state, h)
+    elif not (converged or step.approximate):
+        raise StepError(step.advice(state, h))
+    return step, state, h
+
+
+def last(run: Trajectory) -> State:
+    """The last state of a run."""
+    return jax.tree.map(lambda x: x[-1], run.state)

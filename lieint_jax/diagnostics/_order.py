@@ -1,0 +1,138 @@
+"""Measured order and reversibility. The reference is the flow of the system's vector field, not the scheme itself."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jax.flatten_util import ravel_pytree
+from jax.typing import ArrayLike
+
+from lieint_jax._checks import as_array, concrete
+from lieint_jax._numerics import collocation
+from lieint_jax._xla import compiled
+from lieint_jax.diagnostics import _measure
+from lieint_jax.types import PhaseSpace, State, Step, System, clock, time_derivative
+
+_STAGES, _ITERATIONS = 8, 24
+
+
+def flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
+    """The state after time t, by Gauss–Legendre collocation of order 16 for `system.vector_field` as it stands.
+
+    A reference that shares nothing with the schemes: ambient coordinates, stages by fixed-point iteration. Its error is
+    a few round-offs for |t Ω| / num_steps ≤ 1/2. Source: Hairer, Lubich & Wanner, Geometric Numerical Integration,
+    II.1.3.
+    """
+    return _flow(system, state, t, num_steps)
+
+
+@partial(compiled, static_argnums=3)
+def _flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
+    z0, unravel = ravel_pytree(state)
+    _, A, b = (jnp.asarray(x, z0.dtype) for x in collocation.gauss(_STAGES))
+    h = jnp.asarray(t, z0.dtype) / num_steps
+    f = jax.vmap(lambda z: ravel_pytree(time_derivative(system, unravel(z)))[0])
+
+    def one(z: Array, _: None) -> tuple[Array, None]:
+        k = lax.fori_loop(0, _ITERATIONS, lambda _, k: f(z + h * (A @ k)), jnp.zeros((_STAGES, z.size), z.dtype))
+        return z + h * (b @ k), None
+
+    return unravel(lax.scan(one, z0, None, length=num_steps)[0])
+
+
+def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
+    """The order of accuracy, fitted to the errors at time T = num_steps·dt of runs with different step sizes.
+
+    The sizes are dt, dt/2, dt/4; if fewer than two of these have errors above round-off, also 2dt, 4dt, … up to T. A
+    run whose step has its own time is compared with the flow at the time at which the run ends.
+
+    Args:
+        step: a scheme's step.
+        state: the initial state, not an equilibrium.
+        dt: a step size within the scheme's limit.
+        num_steps: the number of steps of that size.
+
+    Returns:
+        The slope of log error against log step size, over the converged runs with errors above the floor of round-off;
+        inf if there are fewer than two such runs: the scheme is exact as far as can be measured.
+    """
+    most = 4 * num_steps
+    step, state, _ = _measure.checked(step, state, dt, most)
+    return fitted_order(step, state, dt, num_steps, most)
+
+
+def fitted_order(step: Step, state: State, dt: float, num_steps: int, most: int) -> float:
+    """`order` of what is checked, by the program of runs of up to `most` steps."""
+    dtype, T = state.p.dtype, num_steps * dt
+    floor = 100 * np.sqrt(num_steps) * float(jnp.finfo(dtype).eps)
+    seen: dict[float, float] = {}
+
+    def exact(t: ArrayLike) -> State:
+        return flow(step.system, state, t, 2 * num_steps)
+
+    end = None if step.own_time else exact(T)
+
+    def look(n: int) -> None:
+        run = _measure.run(step, state, as_array(T / n, dtype), n, most)
+        last = _measure.last(run)
+        error = float(_apart(step, last, exact(clock(last) - clock(state)) if end is None else end))
+        if error > floor and run.info.converged.all():
+            seen[T / n] = error
+
+    for fine in (1, 2, 4):
+        look(fine * num_steps)
+    n = num_steps
+    while len(seen) < 2 and n > 1:
+        n //= 2
+        if not _measure.run(step, state, as_array(T / n, dtype), 1, most).info.converged[1]:
+            break
+        look(n)
+    if len(seen) < 2:
+        return float("inf")
+    return float(np.polyfit(np.log(np.abs(list(seen))), np.log(list(seen.values())), 1)[0])
+
+
+@partial(compiled, once=True)
+def _apart(step: Step, a: State, b: State) -> Array:
+    return distance(a, b, step.system.phase_space)
+
+
+def distance(a: State, b: State, space: PhaseSpace | None = None) -> Array:
+    """The largest difference of two states, in q, and in p over the largest component of p: dimensionless.
+
+    In the units of the phase space, if it is given and has its own.
+    """
+    if space is not None and getattr(space, "units", None):
+        return jnp.max(jnp.abs(space.displacement(b, a) / jnp.concatenate(units(space, b))))
+    return jnp.maximum(jnp.max(jnp.abs(a.q - b.q)), jnp.max(jnp.abs(a.p - b.p)) / size(b.p))
+
+
+def size(p: Array) -> Array:
+    """The largest component of a momentum, 1 for zero: the unit of errors of momenta."""
+    largest = jnp.max(jnp.abs(p))
+    return jnp.where(largest > 0, largest, 1)
+
+
+def units(space: PhaseSpace, state: State) -> tuple[Array, Array]:
+    """The units of δq and of δp, (d,) each, in which tangent vectors are dimensionless: 1 and `size`, or its own."""
+    own = getattr(space, "units", None)
+    if own is not None:
+        return own(state)
+    one = jnp.ones(space.dim // 2, state.p.dtype)
+    return one, one * size(state.p)
+
+
+def reversibility(step: Step, state: State, dt: ArrayLike) -> Array:
+    """`distance` of z and step(step(z, dt), −dt): zero to round-off if and only if the step is time-symmetric here."""
+    return shown_reversibility(*_measure.checked(step, state, dt, 1), 1)
+
+
+def shown_reversibility(step: Step, state: State, dt: Array, most: int) -> Array:
+    """`reversibility` of what is checked, by the program of runs of up to `most` steps."""
+    back = as_array(-np.asarray(dt)) if concrete(dt) else -dt
+    there = _measure.last(_measure.run(step, state, dt, 1, most))
+    return _apart(step, _measure.last(_measure.run(step, there, back, 1, most)), state)

@@ -1,0 +1,149 @@
+"""Gravity of several bodies to second order of their size over their distance, by their moments of inertia."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._numerics import vec3
+from lieint_jax._xla import materialized
+from lieint_jax.potentials._potential import Potential
+from lieint_jax.types import pytree
+
+
+@pytree
+class MacCullagh(Potential):
+    """Gravity of bodies to second order of size over distance. Made by `maccullagh`.
+
+    Attributes:
+        G: the constant of gravity.
+        masses: (N,).
+        inertias: (N, 3) or (N, 3, 3).
+    """
+
+    G: Array
+    masses: Array
+    inertias: Array
+
+    @property
+    def count(self) -> int:
+        return self.masses.shape[0]
+
+    def __call__(self, x: Array, R: Array) -> Array:
+        return self.value(self.invariants(x, R))
+
+    def force(self, x: Array, R: Array) -> Array:
+        """The forces −∂V/∂x and the torques −∂V(exp(δ̂)R)/∂δ, (N, 6), six times as fast as the derivative of V."""
+        (i, j), m, trace = self._pairs, self.masses, self._traces
+        # an axis of pairs, seen from one end and then from the other
+        here, there = np.concatenate([i, j]), np.concatenate([j, i])
+        d = (x[j] - x[i]).T
+        own, arms = _seen(self._entries(here), tuple(_twice(d)), jnp.moveaxis(R[here], 0, -1))
+        along, *arm = (jnp.sum((m[there] * y).reshape(2, -1), axis=0) for y in (own, *arms))
+        f, third = _pull(self.G, m[i] * m[j], m[j] * trace[i] + m[i] * trace[j], tuple(d), along, tuple(arm))
+        f = jnp.stack(materialized(f))
+        torque = jnp.stack(vec3.scale(m[there] * _twice(third), vec3.cross(tuple(_twice(d)), arms)))
+        rows = jnp.concatenate([jnp.concatenate([f, -f], axis=1), torque]).T
+        of_each = np.argsort(here, kind="stable").reshape(self.count, -1)
+        return rows if self.count == 2 else jnp.sum(rows[of_each], axis=1)
+
+    def _entries(self, n: np.ndarray) -> vec3.Symmetric:
+        """The inertias of k bodies."""
+        J = self.inertias[n].T
+        return vec3.components(J) if self.inertias.ndim == 2 else vec3.entries(J)
+
+    def invariants(self, x: Array, R: Array) -> Array:
+        """Of each of k pairs r², Γ_i and Γ_j, (7k,)."""
+        i, j = self._pairs
+        d = x[j] - x[i]
+        Gamma = [jnp.sum(R[n] * d[:, :, None], axis=1) for n in (i, j)]
+        return jnp.concatenate([jnp.sum(d * d, axis=1), Gamma[0].ravel(), Gamma[1].ravel()])
+
+    def value(self, invariants: Array) -> Array:
+        """V of the invariants."""
+        (i, j), (u, *Gammas) = self._pairs, self._split(invariants)
+        m, trace = self.masses, self._traces
+        along = sum(m[b] * _form(self.inertias[a], Gamma) for a, b, Gamma in zip((i, j), (j, i), Gammas, strict=True))
+        second = 1.5 * along / u - 0.5 * (m[j] * trace[i] + m[i] * trace[j])
+        return self.G * jnp.sum((second / u - m[i] * m[j]) / jnp.sqrt(u))
+
+    def discrete_gradient(self, start: Array, end: Array) -> Array:
+        """D with D·(end − start) = V(end) − V(start), in closed form, without cancellation."""
+        (i, j), (u0, *Gammas0), (u1, *Gammas1) = self._pairs, self._split(start), self._split(end)
+        m, trace = self.masses, self._traces
+        a, b = 1 / jnp.sqrt(u0), 1 / jnp.sqrt(u1)
+        d1 = -a * a * b * b / (a + b)  # of u^−½: (b − a)/(u₁ − u₀)
+        d3, d5 = d1 * (a * a + a * b + b * b), d1 * (a**4 + a**3 * b + a * a * b * b + a * b**3 + b**4)
+        along_u = -m[i] * m[j] * d1 - 0.5 * (m[j] * trace[i] + m[i] * trace[j]) * d3
+        along_Gamma = []
+        for k, other, G0, G1 in zip((i, j), (j, i), Gammas0, Gammas1, strict=True):
+            J, weight = self.inertias[k], 1.5 * m[other]
+            along_u = along_u + weight * (_form(J, G0) + _form(J, G1)) / 2 * d5
+            along_Gamma.append(((a**5 + b**5) / 2 * weight)[:, None] * _times(J, G0 + G1))
+        return self.G * jnp.concatenate([along_u, along_Gamma[0].ravel(), along_Gamma[1].ravel()])
+
+    @property
+    def _pairs(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.triu_indices(self.masses.shape[0], 1)  # pyright: ignore[reportReturnType]
+
+    @property
+    def _traces(self) -> Array:
+        J = self.inertias
+        return jnp.sum(J, axis=1) if J.ndim == 2 else jnp.trace(J, axis1=1, axis2=2)
+
+    def _split(self, invariants: Array) -> tuple[Array, Array, Array]:
+        """r² (k,), Γ_i (k, 3) and Γ_j (k, 3)."""
+        k = invariants.size // 7
+        return invariants[:k], invariants[k : 4 * k].reshape(k, 3), invariants[4 * k :].reshape(k, 3)
+
+
+def maccullagh(G: ArrayLike, masses: ArrayLike, inertias: ArrayLike) -> MacCullagh:
+    """Gravity of N bodies to second order of their size over their distance (MacCullagh 1844).
+
+    V = Σ_{i<j} −G m_i m_j/r − G (m_j tr J_i + m_i tr J_j)/2r³ + (3G/2r⁵) (m_j Γ_i·J_iΓ_i + m_i Γ_j·J_jΓ_j), where
+    Γ_i = Λ_iᵀ(x_j − x_i) is the line between the two in the axes of body i. Terms of both bodies' shapes together, of
+    order 4, are left out. Invariant: P and L are conserved.
+
+    Args:
+        G: the constant of gravity, in the units of all else.
+        masses: (N,).
+        inertias: about the centers of mass, (N, 3) or (N, 3, 3).
+    """
+    m, J = _checks.real_array("masses", masses), _checks.real_array("inertias", inertias)
+    if m.ndim != 1 or J.shape not in ((m.size, 3), (m.size, 3, 3)):
+        raise ValueError(f"masses (N,) and inertias (N, 3) or (N, 3, 3) are needed, got {m.shape} and {J.shape}")
+    return MacCullagh(_checks.real_array("G", G, ()), m, J)
+
+
+def _twice(x: Array) -> Array:
+    return jnp.concatenate([x, x], axis=-1)
+
+
+def _seen(J: vec3.Symmetric, d: vec3.Vector, R: vec3.Matrix) -> tuple[Array, vec3.Vector]:
+    """Γ·JΓ and ΛJΓ, with Γ = Λᵀd."""
+    Gamma = tuple(vec3.dot(axis, d) for axis in vec3.transpose(R))
+    JGamma = vec3.apply(J, Gamma)
+    return vec3.dot(Gamma, JGamma), tuple(vec3.dot(row, JGamma) for row in R)
+
+
+def _pull(
+    G: Array, masses: Array, traces: Array, d: vec3.Vector, along: Array, arm: vec3.Vector
+) -> tuple[vec3.Vector, Array]:
+    """f_i and 3G/r⁵, from the sums of m Γ·JΓ and m ΛJΓ."""
+    v = 1 / vec3.dot(d, d)
+    third = G * v * jnp.sqrt(v)
+    size = third * (masses + 1.5 * v * (traces - 5 * v * along))
+    return vec3.add(vec3.scale(size, d), vec3.scale(3 * third * v, arm)), 3 * third * v
+
+
+def _times(J: Array, Gamma: Array) -> Array:
+    """JΓ of each of k bodies, (k, 3)."""
+    return J * Gamma if J.ndim == 2 else jnp.sum(J * Gamma[:, None, :], axis=2)
+
+
+def _form(J: Array, Gamma: Array) -> Array:
+    """Γ·JΓ of each of k bodies, (k,)."""
+    return jnp.sum(Gamma * _times(J, Gamma), axis=1)

@@ -1,0 +1,135 @@
+"""Fields from outside, which act on points of the bodies: a uniform one, and any other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import reduce
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax.potentials._potential import Potential
+from lieint_jax.potentials._site_groups import grouped, places
+from lieint_jax.types import callable_pytree, pytree, static
+
+
+@pytree
+class UniformField(Potential):
+    """V = −Σ g·(w_i x_i + Λ_i d_i). Made by `uniform_field`.
+
+    Attributes:
+        field: g, (3,).
+        weights: w, masses or charges of the bodies, (N,).
+        moments: d, Σ w_a s_a over the points of a body, (N, 3).
+    """
+
+    field: Array
+    weights: Array
+    moments: Array
+
+    @property
+    def count(self) -> int:
+        return self.weights.shape[0]
+
+    @property
+    def symmetry(self) -> Array:
+        """P across the field and L about it are conserved."""
+        along = jnp.outer(self.field, self.field) / jnp.sum(self.field**2)
+        return jax.scipy.linalg.block_diag(jnp.eye(3) - along, along)
+
+    def __call__(self, x: Array, R: Array) -> Array:
+        return self.value(self.invariants(x, R))
+
+    def invariants(self, x: Array, R: Array) -> Array:
+        """g·(w_i x_i + Λ_i d_i), (N,)."""
+        moments = self.weights[:, None] * x + jnp.sum(R * self.moments[:, None, :], axis=2)
+        return jnp.sum(moments * self.field, axis=1)
+
+    def value(self, invariants: Array) -> Array:
+        """V of the invariants."""
+        return -jnp.sum(invariants)
+
+    def discrete_gradient(self, start: Array, end: Array) -> Array:
+        """−1 for every body."""
+        return jnp.full_like(start, -1)
+
+
+@pytree
+class OuterField(Potential):
+    """V = Σ w_a φ(x_i + Λ_i s_a). Made by `outer_field`.
+
+    Attributes:
+        phi: place (3,) ↦ φ.
+        strengths: w of each group of bodies with as many points, (bodies, points).
+        points: s of each group, (bodies, points, 3).
+        kept: the projector (6, 6) on the part of (P, L) that is conserved.
+        groups: the bodies of each group.
+    """
+
+    phi: Callable[[Array], Array]
+    strengths: tuple[Array, ...]
+    points: tuple[Array, ...]
+    kept: Array
+    groups: tuple[tuple[int, ...], ...] = static()
+
+    @property
+    def count(self) -> int:
+        return sum(map(len, self.groups))
+
+    @property
+    def symmetry(self) -> Array:
+        return self.kept
+
+    def __call__(self, x: Array, R: Array) -> Array:
+        terms = zip(self.strengths, self.points, self.groups, strict=True)
+        return reduce(
+            jnp.add, (jnp.sum(w * jax.vmap(jax.vmap(self.phi))(places(s, bodies, x, R))) for w, s, bodies in terms)
+        )
+
+
+def uniform_field(field: ArrayLike, weights: Any, points: Any = None) -> UniformField:
+    """A field that is the same everywhere: gravity near the ground, or an electric field on charges. V = −Σ w_a g·r_a.
+
+    Conserved: P across the field, L about it.
+
+    Args:
+        field: g, force per weight, (3,), not 0.
+        weights: of points of the bodies, their masses or charges: (N, n), or N arrays; (N,) if there is one point each.
+        points: in the axes of the body, from its center of mass, (N, n, 3), or N arrays (n_i, 3). By default each
+            body's center of mass.
+    """
+    g = _checks.real_array("field", field, (3,))
+    if _checks.concrete(g) and not bool(jnp.any(g != 0)):
+        raise ValueError("field must not be 0")
+    groups, at, (w,) = grouped({"weights": weights}, points)
+    order = jnp.argsort(jnp.array([i for group in groups for i in group]))
+    total = jnp.concatenate([jnp.sum(x, axis=1) for x in w])[order]
+    moments = jnp.concatenate([jnp.sum(x[:, :, None] * s, axis=1) for x, s in zip(w, at, strict=True)])[order]
+    return UniformField(g, total, moments)
+
+
+def outer_field(
+    phi: Callable[[Array], Array], weights: Any, points: Any = None, conserved: ArrayLike | None = None
+) -> OuterField:
+    """Any field from outside that acts on points of the bodies: V = Σ w_a φ(r_a).
+
+    `bodies_energy_momentum` refuses it, having no invariants: take `splitting` or `nystrom`.
+
+    Args:
+        phi: place (3,) ↦ the potential of a unit weight.
+        weights, points: as in `uniform_field`.
+        conserved: the combinations of (P, L) that the field leaves, as rows (k, 6): `jnp.eye(6)[3:]`, L, if φ depends
+            on the distance from the origin alone. By default none. `momentum` then shows these, and 0 for the others.
+    """
+    if not callable(phi):
+        raise ValueError(f"phi must be a function of a place (3,), got {phi!r}")
+    groups, at, (w,) = grouped({"weights": weights}, points)
+    rows = jnp.zeros((0, 6)) if conserved is None else _checks.real_array("conserved", conserved)
+    if rows.ndim != 2 or rows.shape[1] != 6:
+        raise ValueError(f"conserved must be rows (k, 6) of combinations of (P, L), got shape {rows.shape}")
+    kept = jnp.linalg.pinv(rows) @ rows if len(rows) else jnp.zeros((6, 6))
+    return OuterField(callable_pytree(phi), w, at, kept, groups)

@@ -1,0 +1,77 @@
+"""Rigid molecules of water: four sites, of which one carries a Lennard-Jones potential and three carry charges."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from lieint_jax._checks import count
+from lieint_jax.potentials._potential import Potential
+from lieint_jax.potentials._site_pairs import sites
+
+_CALORIE, _OXYGEN, _HYDROGEN = 4.184, 15.9994, 1.008  # J; u
+
+
+class Molecule(NamedTuple):
+    """A rigid molecule in nm, ps, atomic mass units, kJ/mol and elementary charges, which go together.
+
+    Attributes:
+        mass: in u.
+        inertia: principal moments about the center of mass, (3,), in u nm².
+        points: sites in the principal axes, from the center of mass, (n, 3), in nm.
+        charges: (n,).
+        wells: ε of Lennard-Jones, (n,), in kJ/mol.
+        sizes: σ of Lennard-Jones, (n,), in nm.
+    """
+
+    mass: float
+    inertia: np.ndarray
+    points: np.ndarray
+    charges: np.ndarray
+    wells: np.ndarray
+    sizes: np.ndarray
+
+    def potential(self, number: int) -> Potential:
+        """The potential of so many of these molecules."""
+        at = jnp.tile(jnp.asarray(self.points), (count("number", number, 2), 1, 1))
+        return sites(at, self.charges, self.wells, self.sizes)
+
+
+class _Model(NamedTuple):
+    hydrogen: float  # its charge, in e
+    to_m: float  # from the oxygen to the negative charge, in nm
+    well: float  # in kcal/mol
+    size: float  # in nm
+
+
+_MODELS = {"TIP4P": _Model(0.52, 0.015, 0.1550, 0.31536), "TIP4P/2005": _Model(0.5564, 0.01546, 0.1852, 0.31589)}
+_BOND, _ANGLE = 0.09572, np.deg2rad(104.52)
+
+
+def water(model: str = "TIP4P/2005") -> Molecule:
+    """A molecule of water: oxygen, two hydrogens, and the negative charge M on the bisector. x along HH, y normal.
+
+    Args:
+        model: "TIP4P" or "TIP4P/2005".
+
+    Source: Jorgensen et al. 1983, J. Chem. Phys. 79, 926; Abascal & Vega 2005, J. Chem. Phys. 123, 234505.
+    """
+    if not isinstance(model, str) or model not in _MODELS:
+        raise ValueError(f"model must be one of {', '.join(map(repr, _MODELS))}, got {model!r}")
+    charge, to_m, well, size = _MODELS[model]
+    aside, ahead = _BOND * np.sin(_ANGLE / 2), _BOND * np.cos(_ANGLE / 2)
+    at = np.array([[0, 0, 0], [aside, 0, ahead], [-aside, 0, ahead], [0, 0, to_m]])
+    masses = np.array([_OXYGEN, _HYDROGEN, _HYDROGEN, 0])
+    at -= masses @ at / masses.sum()
+    squares = masses @ (at * at)
+    lennard_jones = np.array([1.0, 0, 0, 0])
+    return Molecule(
+        float(masses.sum()),
+        squares.sum() - squares,
+        at,
+        charge * np.array([0, 1, 1, -2]),
+        well * _CALORIE * lennard_jones,
+        size * lennard_jones,
+    )

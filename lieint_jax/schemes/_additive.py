@@ -1,0 +1,448 @@
+"""Additive schemes for pseudo-rigid bodies: symplectic, or conserving energy; all conserve momentum (Section 6.2).
+
+With F_{n+α} = F_n + αU and U = F_{n+1} − F_n, one step is
+
+    U E = Δt P_{n+β},  P_{n+β} = P_n + β(P_{n+1} − P_n),  β = 1 − α                 (6.5), (6.6), (6.9)
+    P_{n+1} = P_n − Δt F_{n+α} S                                                    (6.5), (6.9)
+
+with a symmetric S: then rot[PFᵀ] is conserved (Result 15). S is a function of C_n and the change D of C alone:
+
+    symplectic        S = 2∇W(C_n + D),  D = F_{n+α}ᵀF_{n+α} − C_n                  (6.17)
+    average           S = S̄(C_n, D) with ½S̄:D = W(C_n + D) − W(C_n),  D = C_{n+1} − C_n, α = ½
+    energy            S = 2∇W(C_n + γD), γ from ½S:D = ΔW                           (6.11), (6.13)
+    energy_momentum   S = ∇W(C_n + γD) + ∇W(C_n + (1−γ)D), γ from ½S:D = ΔW         (6.14), its γ corrected
+    incompressible    S = S̄(C_n, D) − p S̄₃(C_n, D), p from det C_{n+1} = 1; S̄₃ is S̄ of W = ½ det C, so that
+                      S̄₃:D = Δdet C = 0 and the pressure p does no work
+
+P_{n+1} eliminated, nine equations for U are left, and one for γ where there is one; with c = βΔt²,
+
+    R(U) = U E + c F_{n+α} S − Δt P_n = 0.
+
+Newton's step needs six (or seven): dR = dU N + c F_{n+α} dS with the symmetric N = E + αcS, and dS depends on dU
+through dD alone. No difference of nearby things is taken: D comes of U, and ΔW is ½S̄:D.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple, get_args
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import newton, vec3
+from lieint_jax._numerics import small_linalg as la
+from lieint_jax._numerics.vec3 import Matrix, Symmetric
+from lieint_jax.schemes._shared.accepts import AcceptedSystems
+from lieint_jax.types import (
+    AbstractElasticBody,
+    AbstractIncompressibleBody,
+    State,
+    Step,
+    StepInfo,
+    StoredEnergy,
+    pytree,
+    static,
+)
+
+Rule = Literal["symplectic", "energy", "energy_momentum", "average", "incompressible"]
+_SHRINK = 0.1  # det of the watched F may fall to this part of itself in one Newton correction
+_FRACTIONS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)  # of a Newton correction that are tried
+
+
+def _motion(body: AbstractElasticBody, state: State) -> State:
+    """(Ḟ, Ṗ) = (PE⁻¹, −2F∇W(FᵀF)) (6.3)."""
+    E = vec3.symmetric(body.inertia)
+    V = [vec3.solve_symmetric(E, row) for row in state.p]
+    return State(_array(V), -_array(vec3.product(state.q, vec3.rows(body.stored_energy.stress(vec3.gram(state.q))))))
+
+
+def _constrained_motion(body: AbstractIncompressibleBody, state: State) -> State:
+    """(Ḟ, Ṗ) = (PE⁻¹, −FS + pF⁻ᵀ), S = 2∇W, and p from d²/dt² det F = 0."""
+    E = vec3.full(vec3.symmetric(body.inertia))
+    F, V = _rows(state.q), [vec3.solve_symmetric(E, row) for row in state.p]
+    S = body.stored_energy.stress(vec3.gram(F))
+    inverse = vec3.scale_matrix(1 / vec3.det(F), vec3.transpose([vec3.cross(F[i - 2], F[i - 1]) for i in range(3)]))
+    L, columns = vec3.product(inverse, V), vec3.transpose(inverse)
+    stiff = vec3.transpose([vec3.solve_symmetric(E, row) for row in vec3.rows(S)])
+    bend = sum(vec3.dot(L[i], [row[i] for row in L]) + stiff[i][i] for i in range(3))
+    p = bend / sum(vec3.dot(c, vec3.solve_symmetric(E, c)) for c in columns)  # tr(F⁻ᵀE⁻¹F⁻¹)
+    force = vec3.combine(vec3.product(F, vec3.rows(S)), columns, -p)
+    return State(_array(V), -_array(force))
+
+
+ELASTIC_BODIES = AcceptedSystems(AbstractElasticBody, "pseudo-rigid bodies (systems.pseudo_rigid_body)", _motion)
+INCOMPRESSIBLE = AcceptedSystems(
+    AbstractIncompressibleBody, "incompressible bodies (systems.incompressible_body)", _constrained_motion
+)
+
+
+@pytree
+class Additive(Step):
+    """The step made by `additive`.
+
+    Attributes:
+        system: a pseudo-rigid body, or an incompressible one.
+        alpha: where between F_n and F_{n+1} the force acts.
+        rule: how S is chosen.
+        iterations: the most Newton corrections per step.
+    """
+
+    system: AbstractElasticBody | AbstractIncompressibleBody
+    alpha: Array
+    rule: Rule = static()
+    iterations: int = static()
+    order: float = static(default=2)
+    symmetric: bool = static(default=True)
+
+    @property
+    def name(self) -> str:
+        return f"additive[{self.rule}]"
+
+    @property
+    def velocity_weight(self) -> Array:
+        """β = 1 − α (6.9)."""
+        return 1 - self.alpha
+
+    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        dt = jnp.asarray(dt)
+        equation = _Equation.of(self, state, dt)
+        rule, W, E, alpha, F = equation.rule, equation.W, equation.E, equation.alpha, equation.F
+        guess = jnp.concatenate([jnp.zeros(9, state.q.dtype), jnp.full(rule.gammas, rule.guess, state.q.dtype)])
+        x, R, steady = newton.root(
+            equation.residual,
+            equation.correction,
+            guess,
+            self.iterations,
+            done=equation.done,
+            length=_displacement,
+            first=equation.size,
+        )
+        U = _matrix(x)
+        D = equation.change(U)
+        S = rule.stress(W, equation.C, D, *x[9:])
+        middle, end = vec3.combine(F, U, alpha), vec3.combine(F, U)
+        after = vec3.combine(equation.P, vec3.product(middle, vec3.rows(S)), -dt)
+
+        stiff = _largest(S) + equation.stiffness
+        scale = equation.size * (_largest(E) + equation.c * stiff) + jnp.abs(dt) * jnp.max(jnp.abs(state.p))
+        residual, tolerance = jnp.max(jnp.abs(R[:9])) / scale, 32 * jnp.finfo(R.dtype).eps
+        converged = (residual <= tolerance) & steady & (vec3.det(middle) > 0) & (vec3.det(end) > 0)
+        if rule.constrained:
+            size = jnp.max(jnp.abs(_array(end)))
+            converged &= jnp.abs(R[9]) <= tolerance * jnp.maximum(size * size * size, 1)
+        elif rule.gammas:
+            converged &= jnp.abs(_missed(W, equation.C, D, S)) <= tolerance * stiff * _largest(D)
+        return state._replace(q=_array(end), p=_array(after)), lax.stop_gradient(StepInfo(residual, converged))
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        return (
+            f"{self.name} does not converge within {self.iterations} iterations at dt = {dt}: take a smaller dt, more "
+            "iterations, or the rule 'average', which has no second equation to solve"
+        )
+
+
+def additive(
+    system: AbstractElasticBody | AbstractIncompressibleBody,
+    rule: Rule = "average",
+    alpha: ArrayLike = 0.5,
+    iterations: int = 25,
+) -> Additive:
+    """The schemes of Section 6.2 for a pseudo-rigid body, by how they choose the stress S.
+
+    | rule | energy | momentum rot[PFᵀ] | symplectic form | order |
+    |---|---|---|---|---|
+    | `"average"` (ours) | exact | exact | O(Δt³) per step | 2 |
+    | `"symplectic"` (6.17) | bounded | exact | exact, for every α | 2 for α = ½, else 1 |
+    | `"energy"` (6.11), (6.13) | exact | exact | O(Δt³) per step | 2 |
+    | `"energy_momentum"` (6.14), γ corrected | exact | exact | O(Δt³) per step | 2 |
+    | `"incompressible"` (ours), det F = 1 exact too | exact | exact | O(Δt³) per step | 2 |
+
+    "Exact" is to round-off at a converged step. With α = ½ all are time-symmetric.
+
+    "average" takes a stress with ½S:ΔC = ΔW that needs no γ: by invariants for the shipped materials, else 8 Gauss
+    nodes of ∇W along C. The two rules of the paper ask for a γ as well, whose equation may have several roots; they are
+    slower, and can fail where the others do not.
+
+    "incompressible" is "average" with a pressure, a multiplier for det F_{n+1} = 1, after Gonzalez 1999. The velocities
+    V = PE⁻¹ are those of constant volume at the middle of a step; at its ends tr(VF⁻¹) is O(Δt²), of alternating sign.
+
+    Args:
+        system: `systems.pseudo_rigid_body(...)`; `systems.incompressible_body(...)` for the rule "incompressible".
+        rule: as above.
+        alpha: α in [0, 1], where the force acts; ½ but for "symplectic". There ½ is the implicit midpoint rule; 0 and 1
+            are the two explicit symplectic Euler schemes.
+        iterations: the most Newton corrections per step. They end early: after 3 to 4 at the steps of the
+            paper's Figure 3, up to a dozen at those of Figure 4.
+
+    A Newton correction that would nearly turn the watched F inside out is shortened (to as little as a sixteenth).
+    `converged` needs the residual at round-off, det F > 0 at both F_{n+α} and F_{n+1}, which W(C) is blind to, and for
+    the rules with γ, ½S:ΔC = ΔW. `residual` is relative to the terms of the equation.
+
+    Raises:
+        ValueError: not a pseudo-rigid body, an unknown rule, α out of range or not ½ for an energy rule, a bad count.
+
+    Source: Lewis & Simo 1994, Results 15 and 16; "average": this package, after Gonzalez 2000, Comput. Methods Appl.
+    Mech. Engrg. 190, and McLachlan, Quispel & Robidoux 1999.
+    """
+    volume = INCOMPRESSIBLE.declared(system)
+    (INCOMPRESSIBLE if volume else ELASTIC_BODIES).check("additive", system)
+    if rule not in get_args(Rule):
+        raise ValueError(f"rule must be one of {', '.join(get_args(Rule))}, got {rule!r}")
+    if volume != (rule == "incompressible"):
+        kept = "incompressible_body with the rule 'incompressible', pseudo_rigid_body with the others"
+        raise ValueError(f"additive takes {kept}, got {type(system).__name__} with {rule!r}")
+    alpha = _checks.fraction("alpha", alpha)
+    middle = not concrete(alpha) or float(alpha) == 0.5
+    if not middle and rule != "symplectic":
+        raise ValueError(f"the rule {rule!r} conserves energy for alpha = 1/2 only, got {alpha}")
+    order = 2 if middle else 1
+    return Additive(system, alpha, rule, _checks.count("iterations", iterations, 1), order, middle)
+
+
+def examples(system: Any) -> dict[str, Step]:
+    """The two rules that solve no equation for γ, for pseudo-rigid bodies; the one for incompressible bodies.
+
+    The other two compile too long to be among the examples, which every test of a scheme and `lieint check` go through;
+    `diagnostics.certify(additive(body, "energy"), …)` certifies them.
+    """
+    if INCOMPRESSIBLE.declared(system):
+        step = additive(system, "incompressible")
+        return {step.name: step}
+    if not ELASTIC_BODIES.declared(system):
+        return {}
+    return {step.name: step for step in (additive(system, "average"), additive(system, "symplectic"))}
+
+
+# The rules: S(C, D) or S(C, D, γ) -------------------------------------------------------------------------------------
+
+
+def _symplectic(W: StoredEnergy, C: Symmetric, D: Symmetric) -> Symmetric:
+    return W.stress(vec3.along(C, D, 1))
+
+
+def _average(W: StoredEnergy, C: Symmetric, D: Symmetric) -> Symmetric:
+    return W.mean_stress(C, D)
+
+
+def _energy(W: StoredEnergy, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
+    return W.stress(vec3.along(C, D, gamma))
+
+
+def _energy_momentum(W: StoredEnergy, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
+    ends = (W.stress(vec3.along(C, D, s)) for s in (gamma, 1 - gamma))
+    return tuple((x + y) / 2 for x, y in zip(*ends, strict=True))
+
+
+def _incompressible(W: StoredEnergy, C: Symmetric, D: Symmetric, pressure: Array) -> Symmetric:
+    return vec3.along(W.mean_stress(C, D), vec3.mean_cofactor(C, D), -pressure)
+
+
+class _Rule(NamedTuple):
+    """A choice of S. If it has a γ, `gammas` is 1, `guess` the limit of γ for D → 0, and γ lies in [0, end].
+
+    If it is `constrained`, γ is any number, a pressure, whose equation is det(C + D) = 1.
+    """
+
+    stress: Callable[..., Symmetric]
+    gammas: int = 0
+    guess: float = 0.0
+    end: float = 0.0
+    constrained: bool = False
+
+
+_RULES: dict[str, _Rule] = {
+    "symplectic": _Rule(_symplectic),
+    "average": _Rule(_average),
+    "energy": _Rule(_energy, 1, 0.5, 1.0),
+    "energy_momentum": _Rule(_energy_momentum, 1, 0.5 - 12**-0.5, 0.5),
+    "incompressible": _Rule(_incompressible, 1, end=math.inf, constrained=True),
+}
+
+
+def _missed(W: StoredEnergy, C: Symmetric, D: Symmetric, S: Symmetric) -> Array:
+    """S:D − 2ΔW."""
+    return vec3.inner(vec3.along(S, W.mean_stress(C, D), -1), D)
+
+
+def _regular(D: Symmetric, C: Symmetric, stiffness: Array, off: Array) -> Array:
+    """A term below the rounding of `_missed` that holds γ at its limit where any γ serves: D = 0, or W quadratic."""
+    eps = jnp.finfo(off.dtype).eps
+    return eps * stiffness * off * (vec3.inner(D, D) + eps * eps * vec3.inner(C, C))
+
+
+def _stiffness(W: StoredEnergy, C: Symmetric) -> Array:
+    """The size of ∂S/∂C·C: the rounding of C moves S by eps times this."""
+    return lax.stop_gradient(_largest(jax.jvp(W.stress, (C,), (C,))[1]))
+
+
+# The equation, and Newton's step for it -------------------------------------------------------------------------------
+
+
+class _Equation(NamedTuple):
+    """R(x) = 0 of one step, for x = (U, γ): nine entries of U, row by row, and γ if the rule has one.
+
+    Attributes:
+        rule: how S is chosen.
+        W: the stored energy.
+        alpha: α.
+        E: the inertia, in full.
+        F: F_n.
+        P: P_n.
+        C: F_nᵀF_n.
+        dt: Δt.
+        c: βΔt².
+        a: where F is watched, at F_n + aU: what W sees must stay in GL⁺(3).
+        stiffness: by how much eps of C moves S.
+        size: of F_n.
+    """
+
+    rule: _Rule
+    W: StoredEnergy
+    alpha: Array
+    E: Symmetric
+    F: Matrix
+    P: Matrix
+    C: Symmetric
+    dt: Array
+    c: Array
+    a: Any
+    stiffness: Array
+    size: Array
+
+    @classmethod
+    def of(cls, step: Additive, state: State, dt: Array) -> _Equation:
+        """The equation of a step from a state."""
+        rule, W = _RULES[step.rule], step.system.stored_energy
+        alpha = step.alpha.astype(state.p.dtype)
+        E = vec3.full(vec3.symmetric(step.system.inertia))
+        F, P = _matrix(state.q.ravel()), _matrix(state.p.ravel())
+        C, c, a = vec3.gram(F), (1 - alpha) * dt * dt, alpha if step.rule == "symplectic" else 1
+        return cls(rule, W, alpha, E, F, P, C, dt, c, a, _stiffness(W, C), jnp.max(jnp.abs(state.q)))
+
+    def change(self, U: Matrix) -> Symmetric:
+        """D = FᵀV + VᵀF + VᵀV with V = aU."""
+        V = vec3.scale_matrix(self.a, U)
+        return vec3.along(vec3.plus_transpose(vec3.transposed_product(self.F, V)), vec3.gram(V), 1)
+
+    def law(self, D: Symmetric, gamma: tuple[Array, ...]) -> tuple[Symmetric, tuple[Array, ...]]:
+        """S, and if the rule has a γ, what must vanish: S:D − 2ΔW; or, less a constant, det(C + D) − 1."""
+        rule, W, C = self.rule, self.W, self.C
+        S = rule.stress(W, C, D, *gamma)
+        if rule.constrained:
+            return S, (vec3.inner(vec3.mean_cofactor(C, D), D),)
+        return S, tuple(_missed(W, C, D, S) + _regular(D, C, self.stiffness, g - rule.guess) for g in gamma)
+
+    def residual(self, x: Array) -> Array:
+        """U E + c F_{n+α} S − Δt P_n, and the equation for γ if there is one."""
+        U = _matrix(x)
+        S, missed = self.law(self.change(U), tuple(x[9:]))
+        if self.rule.constrained:  # by `law`, with C for F, it has |F|³ times the rounding error
+            det = vec3.det(vec3.combine(self.F, U, self.a))
+            missed = ((det - 1) * (det + 1),)
+        force = vec3.product(vec3.combine(self.F, U, self.alpha), vec3.rows(S))
+        motion = vec3.combine(vec3.product(U, vec3.rows(self.E)), force, self.c)
+        return jnp.stack([*_entries(vec3.combine(motion, self.P, -self.dt)), *missed])
+
+    def correction(self, x: Array, R: Array) -> Array:
+        """Newton's step, shortened where it would lead out of GL⁺(3); γ stays in its interval, fixed if D = 0."""
+        rule, c, a = self.rule, self.c, self.a
+        U, gamma = _matrix(x), tuple(x[9:])
+        D = self.change(U)
+        (S, _), tangent = jax.linearize(self.law, D, gamma)
+        N = vec3.along(self.E, S, self.alpha * c)
+        watched, middle = vec3.combine(self.F, U, a), vec3.combine(self.F, U, self.alpha)
+        columns = la.columns(lambda *y: tangent(y[:6], y[6:]), 6 + len(gamma), x.dtype)
+        determined = vec3.inner(D, D) > 0  # at the guess, D = 0, any γ serves, and rounding must not choose one
+        free = (-jnp.inf, jnp.inf)
+        limits = [free if rule.constrained else (determined * (g - rule.end), determined * g) for g in gamma]
+        dU, d_gamma = _newton_step(N, watched, middle, a, c, columns, R, limits)
+        t = _fraction(watched, dU, a)
+        return jnp.concatenate([t * jnp.stack(_entries(dU)), *(g[None] for g in d_gamma)])
+
+    def done(self, x: Array, step: Array) -> Array:
+        """Whether the next correction, quadratically smaller, would be round-off."""
+        small_step = jnp.sqrt(jnp.finfo(step.dtype).eps) / 10
+        ends = jnp.max(jnp.abs(step[:9])) <= small_step * self.size
+        if self.rule.constrained:  # linear in the pressure, which is as good as U
+            return ends
+        return ends & jnp.all(jnp.abs(step[9:]) <= 100 * small_step)
+
+
+def _displacement(x: Array) -> Array:
+    """The size of U in x = (U, γ)."""
+    return jnp.max(jnp.abs(lax.stop_gradient(x[:9])))
+
+
+def _newton_step(
+    N: Symmetric,
+    watched: Matrix,
+    middle: Matrix,
+    a: Any,
+    c: Array,
+    columns: Sequence[tuple[Symmetric, tuple[Array, ...]]],
+    R: Array,
+    limits: Sequence[tuple[Any, Any]],
+) -> tuple[Matrix, list[Array]]:
+    """dU and dγ of dU N + (cF_{n+α}) dS = R, dS = 𝕋dD + S′dγ, dD = a(GᵀdU + dUᵀG), G = F_n + aU the watched F.
+
+    With dU = (R − cF_{n+α}dS)N⁻¹ put into dD, six equations for dD are left:
+    dD + a sym(Gᵀ cF_{n+α} dS N⁻¹) = a sym(Gᵀ R N⁻¹), sym A = A + Aᵀ. The equation for γ, if any, is eliminated last.
+    """
+    adjugate = vec3.adjugate(N)
+    r = 1 / vec3.determinant(N, adjugate)
+    N_inverse = vec3.rows(tuple(r * x for x in adjugate))
+    A = vec3.scale_matrix(a * c, vec3.transposed_product(watched, middle))
+    free = vec3.product(_matrix(R), N_inverse)
+    right = vec3.plus_transpose(vec3.scale_matrix(a, vec3.transposed_product(watched, free)))
+    images = [vec3.plus_transpose(vec3.product(vec3.product(A, vec3.rows(S)), N_inverse)) for S, _ in columns]
+    K = [[images[p][q] + (1 if p == q else 0) for p in range(6)] for q in range(6)]
+    dD, *by_gamma = la.eliminate(K, right, *images[6:])
+    step, d_gamma = dD, []
+    for k, (per_gamma, (least, most)) in enumerate(zip(by_gamma, limits, strict=True)):
+        row = [missed[k] for _, missed in columns]
+        slope = row[6 + k] - sum(m * x for m, x in zip(row, per_gamma, strict=False))
+        left = R[9 + k] - sum(m * x for m, x in zip(row, dD, strict=False))
+        d_gamma.append(jnp.clip(left / jnp.where(slope == 0, 1, slope), least, most))  # no pressure acts for Δt = 0
+        step = [x - y * d_gamma[k] for x, y in zip(dD, per_gamma, strict=True)]
+    c_dS: Any = [c * sum(d * S[q] for d, (S, _) in zip([*step, *d_gamma], columns, strict=True)) for q in range(6)]
+    bent = vec3.product(vec3.product(middle, vec3.rows(c_dS)), N_inverse)
+    return vec3.combine(free, bent, -1), d_gamma
+
+
+def _fraction(G: Matrix, dG: Matrix, a: Any) -> Array:
+    """The largest of the fractions t with det(G − ta dG) > det(G)/10, a cubic in ta; the least if none has it."""
+    cof, cof_d = ((vec3.cross(A[1], A[2]), vec3.cross(A[2], A[0]), vec3.cross(A[0], A[1])) for A in (G, dG))
+    d0, d3 = vec3.dot(G[0], cof[0]), vec3.dot(dG[0], cof_d[0])
+    d1 = sum(vec3.dot(cof[i], dG[i]) for i in range(3))
+    d2 = sum(vec3.dot(cof_d[i], G[i]) for i in range(3))
+    fraction = jnp.full_like(d0, _FRACTIONS[0])
+    for t in _FRACTIONS[1:]:
+        x = -a * t
+        fraction = jnp.where(d0 + x * (d1 + x * (d2 + x * d3)) > _SHRINK * d0, t, fraction)
+    return fraction
+
+
+def _rows(A: Array) -> Matrix:
+    return _matrix(A.ravel())
+
+
+def _matrix(u: Array) -> Matrix:
+    return tuple(tuple(u[3 * i + j] for j in range(3)) for i in range(3))
+
+
+def _array(A: Matrix) -> Array:
+    return jnp.stack([jnp.stack(row) for row in A])
+
+
+def _entries(A: Matrix) -> list[Array]:
+    return [x for row in A for x in row]
+
+
+def _largest(S: Symmetric) -> Array:
+    return jnp.maximum(vec3.max_abs(S[:3]), vec3.max_abs(S[3:]))

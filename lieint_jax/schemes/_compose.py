@@ -1,0 +1,144 @@
+"""Compositions of symmetric steps: order 4, 6, 8, 10, and every invariant of the base step kept.
+
+    Ψ_{γ_sΔt} ∘ … ∘ Ψ_{γ₁Δt},    γ a palindrome, some γ negative
+
+A symmetric step is exp(hY₁ + h³Y₃ + h⁵Y₅ + …). In general the order conditions are those of non-commuting Y's: 2, 4, 8,
+16 of them at orders 4, 6, 8, 10. But steps of the symplectic scheme for the free body commute, whatever their sizes:
+all are translations on the same tori. Then only power sums are left,
+
+    Σγ = 1,    Σγ³ = Σγ⁵ = … = Σγ^{p−1} = 0    (p/2 conditions at order p)
+
+and what is best uses one value often, and p/2 − 1 others to cancel its power sums:
+
+| order | stages | commuting: s·\\|Σγ^{p+1}\\|^{1/p} | the same for the best general palindrome here |
+|---|---|---|---|
+| 4 | 8 × 1/6, −1/3 | 2.12 | 2.61 (Suzuki, 5) |
+| 6 | 10 + 2 + 1 = 13 | 3.41 | 5.16 (Kahan & Li, 9) |
+| 8 | 14 + 2 + 2 + 1 = 19 | 4.67 | 6.92 (Kahan & Li, 17) |
+| 10 | 16 + 2 + 2 + 2 + 1 = 23 | 6.11 | 9.07 (Sofroniou & Spaletta, 35) |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from lieint_jax._xla import rematerialized
+from lieint_jax.schemes._shared.compositions import METHODS
+from lieint_jax.schemes._so3_midpoint import examples as base_examples
+from lieint_jax.types import State, Step, StepInfo, pytree, static
+
+_GENERAL = {4: "suzuki", 6: "kahan_li_6", 8: "kahan_li_8", 10: "sofroniou_spaletta_10"}
+
+
+@pytree
+class Composition(Step):
+    """The step made by `compose`.
+
+    Attributes:
+        step: the base step.
+        method: a key of `METHODS`.
+    """
+
+    step: Step
+    method: str = static()
+    order: float = static()
+    symmetric: bool = static(default=True)
+
+    @property
+    def system(self) -> Any:
+        return self.step.system
+
+    @property
+    def commuting(self) -> bool:
+        return self.step.commuting
+
+    @property
+    def own_time(self) -> bool:
+        return self.step.own_time
+
+    def start(self, state: State) -> State:
+        return self.step.start(state)
+
+    @property
+    def name(self) -> str:
+        return f"compose[{self.method}]({self.step.name})"
+
+    @property
+    def gammas(self) -> tuple[float, ...]:
+        """The sub-steps, in units of dt; they sum to 1."""
+        return METHODS[self.method].gammas
+
+    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        return self._through(state, dt, self.step.substep)
+
+    def tangent(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
+        if state.extra is not None:  # it may depend on q and p, from one sub-step to the next
+            return super().tangent(state, dt, T)
+
+        def carried(pair: tuple[State, Array], h: Array) -> tuple[tuple[State, Array], StepInfo]:
+            end, info, T = self.step.tangent(pair[0], h, pair[1])
+            return (end, T), info
+
+        (end, T), info = self._through((state, T), dt, carried)
+        return end, info, T
+
+    def _through(self, start: Any, dt: ArrayLike, stage: Callable[[Any, Array], tuple[Any, StepInfo]]) -> Any:
+        """`start` through `stage` with each of the sub-steps, and the merged report."""
+
+        @rematerialized
+        def one(carry: tuple[Any, StepInfo], h: Array) -> tuple[tuple[Any, StepInfo], None]:
+            z, worst = carry
+            z, info = stage(z, h)
+            return (z, worst.merge(info)), None
+
+        sub_steps = jnp.asarray(self.gammas, jax.tree.leaves(start)[0].dtype) * dt
+        return lax.scan(one, (start, StepInfo.fresh(sub_steps)), sub_steps)[0]
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        largest = max(self.gammas, key=abs)
+        size = abs(largest)  # a step back fails where a step on does, and is easier to read
+        return f"{self.name} takes sub-steps of up to {size:.3g} dt; {self.step.advice(state, size * dt)}"
+
+
+def compose(step: Step, order: int, method: str | None = None) -> Composition:
+    """A scheme of higher order out of a symmetric one of order 2, with the same invariants.
+
+    Energy, momentum maps and the symplectic form are kept to round-off if the base step keeps them: each sub-step does.
+    The composition is symmetric too, and costs as many base steps as it has stages.
+
+    Args:
+        step: a symmetric step of order 2, such as `so3_midpoint(...)`.
+        order: 4, 6, 8 or 10.
+        method: a key of `METHODS` of that order, by default the cheapest: "commuting_4" … "commuting_10" where the base
+            step commutes with itself at other step sizes, else "suzuki", "kahan_li_6", "kahan_li_8",
+            "sofroniou_spaletta_10". Also "triple_jump", "yoshida_6", "suzuki_umeno_8".
+
+    Raises:
+        ValueError: a step that is not symmetric or not of order 2, an order or method that there is none of, or a
+            commuting method for a step that does not commute.
+
+    Source: each method's own, in `METHODS`; Hairer, Lubich & Wanner, Geometric Numerical Integration, V.3.2; the
+    commuting ones: this package.
+    """
+    if not isinstance(step, Step) or not step.symmetric or step.order != 2:
+        raise ValueError(f"compose takes a symmetric step of order 2, got {getattr(step, 'name', step)!r}")
+    if order not in _GENERAL:
+        raise ValueError(f"order must be one of {', '.join(map(str, _GENERAL))}, got {order!r}")
+    if method is None:
+        method = f"commuting_{order}" if step.commuting else _GENERAL[order]
+    fitting = [name for name, m in METHODS.items() if m.order == order and (step.commuting or not m.counts)]
+    if method not in fitting:
+        raise ValueError(f"method must be one of {', '.join(fitting)} for {step.name} at order {order}, got {method!r}")
+    return Composition(step, method, order)
+
+
+def examples(system: Any) -> dict[str, Step]:
+    """Compositions of the steps of `so3_midpoint`: order 8 of the symplectic one, order 4 of the others."""
+    made = [compose(step, 8 if step.commuting else 4) for step in base_examples(system).values()]
+    return {step.name: step for step in made}

@@ -1,0 +1,160 @@
+"""The algorithms of Result 14 on any group, their velocity and force taken at α (Section 5.4, Appendix B).
+
+With Π_{n+α} = (1−α)Π_n + αΠ_{n+1}, one step is
+
+    q_{n+1} = q_n τ(Θ),    π_{n+1} = π_n + Δt 𝓕(q_n, Θ),    Θ = Δt m⁻¹ Π_{n+α}          (5.43), (5.45) with its Δt
+    𝓕(q_n, Θ) = −T*R dV(q_{n+1−α}),    q_{n+1−α} = q_n τ((1−α)Θ)
+
+so that Ψ_n = (1−α)Δt m⁻¹ and Ψ_{n+1} = αΔt m⁻¹ (5.51). The force stands at n+1−α where the velocity stands at n+α: on
+abelian groups (5.46) and the conditions 1″ to 3″ of Result 14 then hold for every α. There is one equation for Θ,
+
+    F(Θ) = m Θ − (1−α)Δt Π_n − αΔt Π_{n+1} = 0,    Π_{n+1} = Ad*_τ(Θ) (Π_n + Δt Ad*_{q_n} 𝓕)
+
+and Newton's matrix is m − αΔt ad*(Π_{n+1}) H less the second derivative of V (`newton.chords`).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import small_linalg as la
+from lieint_jax.maps import Map, Tau, as_tau, exponential
+from lieint_jax.schemes._group_energy_momentum import MECHANICAL
+from lieint_jax.schemes._group_midpoint import GEODESICS
+from lieint_jax.schemes._shared.group_newton import (
+    Equation,
+    along,
+    as_vector,
+    bend,
+    coadjoint,
+    guess,
+    newton_matrix,
+    size_unit,
+    solved,
+)
+from lieint_jax.types import AbstractGeodesicFlow, AbstractMechanicalSystem, State, Step, StepInfo, pytree, static
+
+
+@pytree
+class GroupAlpha(Step):
+    """The step made by `group_alpha`.
+
+    Attributes:
+        system: a geodesic flow, or a mechanical system on a group.
+        alpha: α.
+        tau: the map τ.
+        iterations: Newton matrices per step, at most.
+    """
+
+    system: AbstractGeodesicFlow | AbstractMechanicalSystem
+    alpha: Array
+    tau: Tau
+    iterations: int = static()
+    order: float = static(default=2)
+    symmetric: bool = static(default=True)
+
+    @property
+    def name(self) -> str:
+        return f"group_alpha[{self.tau.name}]"
+
+    @property
+    def velocity_weight(self) -> Array:
+        return self.alpha
+
+    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        group, tau, alpha, q = self.system.group, self.tau, self.alpha, state.q
+        dt = jnp.asarray(dt)
+        midpoint, s = Equation.of(self.system, tau, state, 0.5 * dt), 0.5 * dt * dt
+        m, a = midpoint.m, midpoint.a
+        equation = midpoint._replace(known=la.scaled(2 * (1 - alpha), a))
+
+        def at(theta: la.Vector) -> Array:
+            """q_{n+1−α}."""
+            return along(tau, group, q, la.as_array(theta, state.p), 1 - alpha)
+
+        def force(theta: la.Vector) -> Array:
+            """𝓕(q_n, Θ)."""
+            return self.system.force(at(theta)) if isinstance(self.system, AbstractMechanicalSystem) else 0 * state.p
+
+        def residual(theta: la.Vector) -> la.Vector:
+            before = a
+            if isinstance(self.system, AbstractMechanicalSystem):
+                before = la.plus(a, as_vector(m, s * group.Ad_star(q, force(theta))))
+            after = coadjoint(tau, group, theta, before)
+            return equation.residual(theta, la.scaled(2 * alpha, after))
+
+        def matrix(theta: la.Vector, F: la.Vector) -> la.Matrix:
+            if not isinstance(self.system, AbstractMechanicalSystem):
+                return newton_matrix(equation, theta, F)
+            return newton_matrix(equation, theta, F, bend(m, self.system, at(theta), 2 * alpha * (1 - alpha) * s))
+
+        size, start = size_unit(m, a), guess(group, m, a)
+        if isinstance(self.system, AbstractMechanicalSystem):
+            pull = as_vector(m, s * self.system.body_force(q))
+            size = size_unit(m, la.each(jnp.maximum, la.each(jnp.abs, a), la.each(jnp.abs, pull)))
+            start = guess(group, m, la.plus(a, (0.5, pull)))
+        theta, Theta, info = solved(equation, residual, matrix, size, start, self.iterations)
+        return state._replace(q=along(tau, group, q, Theta), p=state.p + dt * force(theta)), info
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        return (
+            f"{self.name} on {self.system.group} does not converge at dt = {dt}: take a smaller dt, or more iterations "
+            f"than {self.iterations}. If Ad_q is large, no digits of Π = Ad*_q π are left"
+        )
+
+
+def group_alpha(
+    system: AbstractGeodesicFlow | AbstractMechanicalSystem,
+    alpha: ArrayLike = 0.5,
+    tau: Tau | Map = exponential,
+    iterations: int = 8,
+) -> GroupAlpha:
+    """The class (5.43) of Result 14 with velocity at n+α and force at n+1−α, with or without a potential.
+
+    | | α = ½ | another α |
+    |---|---|---|
+    | π without a potential; ⟨π, η⟩ for each left symmetry η of V (5.44) | exact | exact |
+    | energy without a potential | exact (Result 10) | O(Δt²) per step |
+    | energy with a potential | O(Δt³) per step (`group_energy_momentum` keeps it) | O(Δt²) per step |
+    | symplectic form, abelian groups (1″ to 3″) | exact | exact |
+    | symplectic form without a potential | as in `group_midpoint`: (5.31) | O(Δt²) per step |
+    | symplectic form with a potential, other groups | O(Δt³) per step | O(Δt²) per step |
+    | order | 2 | 1 |
+
+    "Exact" is to round-off at a converged step. Without a potential the step of α = ½ is that of `group_midpoint`; on
+    a group of translations it is the implicit midpoint rule for every potential, and α = 0 and 1 are the two symplectic
+    Euler schemes. A step of α is undone by the step of 1 − α with −Δt where τ(−Θ) = τ(Θ)⁻¹ and there is no potential or
+    τ is the exponential map (or any map for which τ(sΘ) is a one-parameter group).
+
+    `diagnostics.conditions` measures the three conditions of Result 14 for a step.
+
+    Args:
+        system: `systems.euler(group, metric)` or `systems.group_potential(...)`.
+        alpha: α in [0, 1]. It is a leaf of the step, and can be differentiated.
+        tau: as in `group_midpoint`.
+        iterations: how many Newton matrices a step may take, each used three times; α = 0 is explicit.
+
+    Raises:
+        ValueError: neither a geodesic flow nor a metric and a potential on a group; a τ that does not fit; α out of
+            range; bad iterations.
+
+    Source: Lewis & Simo 1994, Results 12 to 14, Appendix B; the place of the force: (6.5), (6.9) and (6.17).
+    """
+    (MECHANICAL if MECHANICAL.declared(system) else GEODESICS).check("group_alpha", system)
+    alpha, tau = _checks.fraction("alpha", alpha), as_tau(tau, system.group)
+    middle = tau.symmetric and (not concrete(alpha) or float(alpha) == 0.5)
+    return GroupAlpha(system, alpha, tau, _checks.count("iterations", iterations, 1), 2 if middle else 1, middle)
+
+
+def examples(system: Any) -> dict[str, Step]:
+    """The step of α = ½ by the exponential map, on small groups: it is nearly `group_midpoint`, and costs as much."""
+    if not (GEODESICS.declared(system) or MECHANICAL.declared(system)) or system.group.dim > 3:
+        return {}
+    step = group_alpha(system)
+    return {step.name: step}

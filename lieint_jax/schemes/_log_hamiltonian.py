@@ -1,0 +1,189 @@
+"""The logarithmic Hamiltonian: steps that adapt to the potential, and are symplectic.
+
+The flow of ln(K + B) − ln(−V) with B = −E is that of H = K + V on the orbits of energy E, at another speed: time runs
+by dt/ds = 1/(K + B) = 1/(−V) in the fictitious time s. K is constant on the drift and V on the kick. So with h = Δs a
+step of order 2 is explicit:
+
+    (q, π, t) ← the free motion for (h/2)/(K + B),    π ← π + h F(q)/(−V(q)),    the free motion for (h/2)/(K + B)
+
+where K is that of the momentum at each drift.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import at_once, concrete
+from lieint_jax._xla import scan_stages
+from lieint_jax.schemes._exact import exact
+from lieint_jax.schemes._shared.accepts import check_motion, hint
+from lieint_jax.schemes._so3_midpoint import FREE_BODIES, lost
+from lieint_jax.schemes._splitting import kicked_motion
+from lieint_jax.types import AbstractDrivenSystem, AbstractForcedSystem, State, Step, StepInfo, promoted, pytree, static
+
+_KEY = "energy"
+_OFF = 0.1  # the largest |ln((K + B)/(−V))| in a step; it is O(h²) for a state of energy E
+_STARTS = 1e-3  # the same at the start of a run
+
+
+@pytree
+class LogHamiltonian(Step):
+    """The step made by `log_hamiltonian`.
+
+    Attributes:
+        system: a system with a potential.
+        energy: E, or None if the states carry it.
+        drift: the exact flow of the system without the potential.
+    """
+
+    system: AbstractForcedSystem
+    energy: Array | None
+    drift: Step
+    order: float = static(default=2)
+    symmetric: bool = static(default=True)
+
+    @property
+    def own_time(self) -> bool:
+        return True
+
+    @property
+    def name(self) -> str:
+        return f"log_hamiltonian[{self.drift.name}]"
+
+    def start(self, state: State) -> State:
+        """`state`, at t = 0 if it has no time, and with its energy if the step has none.
+
+        ValueError if E is not its energy.
+        """
+        step, state, dtype = promoted(self, state)
+        step.system.check(state)
+        if state.t is None:
+            state = state._replace(t=jnp.zeros((), dtype))
+        if step.energy is None:
+            state = state._replace(extra={**(state.extra or {}), _KEY: step.system.energy(state)})
+        if concrete(step, state):
+            with at_once():
+                depth, speed = -step._potential(state), step._speed(state)
+                if not (min(depth, speed) > 0 and abs(speed / depth - 1) <= _STARTS):
+                    raise ValueError(step._told(state))
+        return state
+
+    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        def stage(carry: tuple[State, Array, StepInfo], kick: Array) -> tuple[tuple[State, Array, StepInfo], None]:
+            """Half a drift, and the kick times 1 or 0."""
+            state, off, before = carry
+            state, speed, info = self._drifted(state, 0.5 * dt)
+            depth, known = _positive(-self._potential(state))
+            off = off + jnp.log(speed) / 2 - kick * jnp.log(depth)
+            info = info._replace(converged=info.converged & (known | (kick == 0)))
+            state = state._replace(p=state.p + kick * dt / depth * self.system.force(state.q))
+            return (state, off, before.merge(info)), None
+
+        zero = jnp.zeros_like(state.p[0])
+        state, off, info = scan_stages(stage, (state, zero, StepInfo.fresh(zero)), jnp.array([1.0, 0.0], zero.dtype))
+        return state, info._replace(converged=info.converged & (jnp.abs(off) <= _OFF))
+
+    def _drifted(self, state: State, half: ArrayLike) -> tuple[State, Array, StepInfo]:
+        """The state after the free motion for half/(K + B), K + B, and the report."""
+        speed, known = _positive(self._speed(state))
+        end, info = self.drift.substep(state, half / speed)
+        kept = jnp.finfo(speed.dtype).eps * (speed + self._energy(state)) <= lost(speed.dtype) * speed
+        return end, speed, info._replace(converged=info.converged & known & kept)
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        return (
+            f"{self._told(state)}. If they agree, dt = {dt} is too large: a step of the fictitious time is about −V "
+            "times that of the physical one"
+        )
+
+    def _speed(self, state: State) -> Array:
+        """K + B, which is ds/dt."""
+        return self.system.free.energy(state) - self._energy(state)
+
+    def _energy(self, state: State) -> Array:
+        """E."""
+        if self.energy is not None:
+            return self.energy
+        if _KEY not in (state.extra or {}):
+            raise ValueError(f'the state needs its energy, state.extra["{_KEY}"]: take step.start(state)')
+        return state.extra[_KEY]  # pyright: ignore[reportOptionalSubscript]
+
+    def _potential(self, state: State) -> Array:
+        """V."""
+        return self.system.energy(state._replace(p=jnp.zeros_like(state.p)))
+
+    def _told(self, state: State) -> str:
+        H, V = (float(x) for x in (self.system.energy(state), self._potential(state)))
+        return (
+            f"{self.name} needs states of its energy, with −V > 0 and K − energy > 0: got energy = "
+            f"{float(self._energy(state)):.9g}, a state with H = {H:.9g} and V = {V:.9g}"
+        )
+
+
+def log_hamiltonian(system: AbstractForcedSystem, energy: ArrayLike | None = None) -> LogHamiltonian:
+    """The symplectic scheme whose steps are short where the potential is deep: Δt ≈ dt/(−V).
+
+    `dt` is a step of the fictitious time s, and has the unit of energy × time; the step advances `state.t`, which must
+    be there: `step.start(state)` gives it. Where V is a potential −μ/r, Δt is in proportion to r.
+
+    | conserved | to |
+    |---|---|
+    | the symplectic form | round-off |
+    | γ·π, if the potential has an axis γ | round-off |
+    | energy | O(dt²), bounded, no drift |
+
+    Second order in the states as functions of `state.t`; time-symmetric; `compose` raises the order.
+
+    A constant may be subtracted from a potential to make it negative; it sets how much the steps vary. A state off the
+    energy by δ moves as if the potential were 1 + δ/(−V) times as strong: `start` refuses a concrete state that is off
+    by more than 1e-3 of −V, and a step off by more than 0.1 says `converged=False`. So does one where K is so much
+    larger than −V that rounding K + B moves the attitude by more than 1e-6 (in float32 3e-4) of its turning.
+
+    Args:
+        system: a rigid body in a potential, `systems.heavy_top(...)` or `systems.potential_top(...)`, with V < 0
+            wherever the body goes. Its free motion must be known exactly: with a step of the free motion in its place,
+            whose error depends on K, the form is not kept.
+        energy: E, that of the initial state; by default `start` writes that of each state to `state.extra["energy"]`.
+
+    Raises:
+        ValueError: another system, or one that is driven, whose energy is not constant; an energy that is no finite
+            scalar. At the start of a run: a state with −V ≤ 0 or K − E ≤ 0, or of another energy. Inside jit such a
+            step says `converged=False`.
+
+    Source: Mikkola & Tanikawa 1999, Mon. Not. R. Astron. Soc. 310; Preto & Tremaine 1999, Astron. J. 118.
+    """
+    if isinstance(system, AbstractDrivenSystem):
+        raise ValueError(
+            f"log_hamiltonian needs a constant energy, got {type(system).__name__}, whose potential depends on time; "
+            "take reversible_control of a splitting"
+        )
+    if not (isinstance(system, AbstractForcedSystem) and FREE_BODIES.declared(system.free)):
+        raise ValueError(
+            "log_hamiltonian integrates rigid bodies in a potential (systems.heavy_top, systems.potential_top), whose "
+            f"free motion is known exactly, got {type(system).__name__}{hint('log_hamiltonian', system)}"
+        )
+    free: Any = system.free
+    check_motion("log_hamiltonian", "free motion with kicks", kicked_motion, (system, free), system)
+    given = None if energy is None else _checks.real_array("energy", energy, (), like=free.inertia)
+    return LogHamiltonian(system, given, exact(free))
+
+
+def _positive(x: Array) -> tuple[Array, Array]:
+    """x, or 1 where it is not positive; and whether it is."""
+    return jnp.where(x > 0, x, 1), x > 0
+
+
+def examples(system: Any) -> dict[str, Step]:
+    """The scheme for rigid bodies in a potential that is negative at the origin of their phase space."""
+    if not (isinstance(system, AbstractForcedSystem) and FREE_BODIES.declared(system.free)):
+        return {}
+    origin = system.phase_space.origin
+    if not system.energy(origin._replace(p=jnp.zeros_like(origin.p))) < 0:
+        return {}
+    step = log_hamiltonian(system)
+    return {step.name: step}

@@ -1,0 +1,132 @@
+"""The systems that a scheme integrates: those that declare a capability and have its equations of motion.
+
+A subclass may declare a capability by inheritance and change the motion, by a force added or a rotor inside. So the
+making of a step compares the system's own vector field with the one that the scheme integrates.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from functools import partial
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax._checks import at_once, concrete
+from lieint_jax._xla import compiled
+from lieint_jax.groups import MatrixGroup
+from lieint_jax.types import (
+    AbstractDampedBody,
+    AbstractDrivenGyrostat,
+    AbstractGyrostat,
+    AbstractTorquedBody,
+    State,
+    System,
+)
+
+_PACKAGE = __name__.partition(".")[0]
+_ELSEWHERE = {  # what takes the systems that few schemes take
+    AbstractGyrostat: ("so3_midpoint", "splitting"),
+    AbstractDrivenGyrostat: ("so3_midpoint",),
+    AbstractTorquedBody: ("torqued_midpoint",),
+    AbstractDampedBody: ("torqued_midpoint",),
+}
+
+
+class AcceptedSystems(NamedTuple):
+    """The systems that a scheme integrates.
+
+    Attributes:
+        capability: the class in `types` that such a system inherits.
+        noun: what error messages call them.
+        vector_field: (system, state) ↦ the time derivative of the state, from the capability's attributes alone.
+    """
+
+    capability: type[System]
+    noun: str
+    vector_field: Callable[[Any, State], State]
+
+    def declared(self, system: Any) -> bool:
+        """Whether a system declares the capability."""
+        return isinstance(system, self.capability)
+
+    def check(self, scheme: str, system: Any, more: str = "") -> None:
+        """Raise ValueError if a system does not declare the capability, or moves otherwise; `more` ends the message."""
+        if not self.declared(system):
+            raise ValueError(
+                f"{scheme} integrates {self.noun}, got {type(system).__name__}{hint(scheme, system) or more}"
+            )
+        check_motion(scheme, self.noun, self.vector_field, system, system)
+
+
+def hint(scheme: str, system: Any) -> str:
+    """The end of a message that `scheme` refuses a system: the schemes that take it, if they are few; else nothing."""
+    fitting = next((names for kind, names in _ELSEWHERE.items() if isinstance(system, kind)), ())
+    return f"; take {' or '.join(fitting)}" if fitting and scheme not in fitting else ""
+
+
+def check_motion(
+    scheme: str, noun: str, vector_field: Callable[[Any, State], State], data: Any, system: System
+) -> None:
+    """Raise ValueError if the vector field of a system differs from `vector_field(data, ·)`, looked at in two states.
+
+    Tracers pass, and so does a vector field that is not finite there: it cannot be compared.
+    """
+    difference = other_motion(vector_field, data, system)
+    if difference:
+        raise ValueError(
+            f"{scheme} integrates {noun}, and the vector field of {type(system).__name__} is another: it differs by "
+            f"{difference:.2g} of itself. Take a scheme for its own equations of motion, or mend its vector_field"
+        )
+
+
+def other_motion(vector_field: Callable[[Any, State], State], data: Any, system: System) -> float:
+    """By how much of itself the vector field of a system differs from `vector_field(data, ·)`; 0 if by rounding only.
+
+    0 for tracers too, and for a vector field that is not finite where they are compared. Of systems of this package
+    the tests compare it: see `_tested`.
+    """
+    if (data is system and _tested(system)) or not concrete(data, system):
+        return 0.0
+    with at_once():
+        found = [_difference(vector_field, data, system, phase) for phase in (0.3, 2.0)]
+    difference, tolerance = (max(map(float, x)) for x in zip(*found, strict=True))
+    return difference if difference > tolerance else 0.0
+
+
+def _tested(part: Any) -> bool:
+    """Whether a system, or a part of one, is a class of this package, and no part of it is a function or a subclass."""
+    if part is None or isinstance(part, Array | np.ndarray | bool | int | float | str | MatrixGroup | ModuleType):
+        return True
+    fields = dataclasses.fields(part) if dataclasses.is_dataclass(part) else None
+    own = type(part).__module__.startswith(f"{_PACKAGE}.")
+    return own and fields is not None and all(_tested(getattr(part, field.name)) for field in fields)
+
+
+@partial(compiled, static_argnums=0, once=True)
+def _difference(
+    vector_field: Callable[[Any, State], State], data: Any, system: System, phase: ArrayLike
+) -> tuple[Array, Array]:
+    """The relative difference of two vector fields at a state and a time, and the tolerance for it."""
+    space = system.phase_space
+    numbers = [x for x in jax.tree.leaves((data, system)) if jnp.issubdtype(jnp.result_type(x), jnp.floating)]
+    dtype = jnp.result_type(*numbers, *([] if numbers else [float]))
+    delta = 0.3 * jnp.sin(phase + 1.7 * jnp.arange(space.dim, dtype=dtype))
+    state = space.perturb(jax.tree.map(lambda x: x.astype(dtype), space.origin), delta)
+    carried = jax.tree.map(lambda x: x + jnp.cos(phase + 1.3 * jnp.arange(x.size, dtype=dtype)), system.carried)
+    state = state._replace(t=jnp.asarray(phase, dtype), extra=carried)
+    own, scheme = system.vector_field(state), vector_field(data, state)
+    pairs = zip(*(jax.tree.leaves((rate.q, rate.p, rate.extra)) for rate in (own, scheme)), strict=True)
+    return jnp.max(jnp.stack([_relative(*pair) for pair in pairs])), jnp.sqrt(jnp.finfo(dtype).eps)
+
+
+def _relative(a: Array, b: Array) -> Array:
+    size, apart = jnp.maximum(jnp.max(jnp.abs(a)), jnp.max(jnp.abs(b))), jnp.max(jnp.abs(a - b))
+    known = jnp.isfinite(size) & (apart > 0)
+    return jnp.where(known, apart / jnp.where(known, size, 1), 0)

@@ -1,0 +1,93 @@
+"""The free motion of many rigid bodies: centers go straight on, each body turns as a free rigid body does."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax._numerics import vec3
+from lieint_jax.groups import so3
+from lieint_jax.schemes._shared.accepts import AcceptedSystems
+from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, AbstractRigidBodies, State, Step, StepInfo, pytree
+
+
+def free_motion(bodies: AbstractFreeBodies | AbstractRigidBodies, state: State) -> Array:
+    """q̇ of bodies, (N, 7): ẋ = p/m and Λ̇ = ΛΩ̂."""
+
+    def turning(J: Array, q: Array, spin: Array) -> Array:
+        return so3.tangent(q, jnp.stack(vec3.solve_symmetric(vec3.symmetric(J), so3.Ad_star(q, spin))))
+
+    turned = jax.vmap(turning)(bodies.inertias, state.q[:, 3:], state.p[:, 3:])
+    return jnp.concatenate([state.p[:, :3] / bodies.masses[:, None], turned], axis=1)
+
+
+def _motion(bodies: AbstractFreeBodies, state: State) -> State:
+    """The vector field of free bodies."""
+    return State(free_motion(bodies, state), jnp.zeros_like(state.p))
+
+
+MANY_FREE_BODIES = AcceptedSystems(AbstractFreeBodies, "free rigid bodies (systems.rigid_bodies(...).free)", _motion)
+
+
+@pytree
+class FreeFlight(Step):
+    """Free rigid bodies, each turned by a step of its own: the drift of a splitting.
+
+    Attributes:
+        system: free rigid bodies.
+        turn: a step of one free rigid body, which takes the inertia of each.
+    """
+
+    system: AbstractFreeBodies
+    turn: Step
+
+    @classmethod
+    def by(cls, scheme: str, system: AbstractFreeBodies, step: Callable[[AbstractFreeBody], Step]) -> FreeFlight:
+        """By the step of a scheme for one body."""
+        MANY_FREE_BODIES.check(scheme, system)
+        return cls(system, step(system.one(system.inertias)))
+
+    @property
+    def order(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.turn.order
+
+    @property
+    def symmetric(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.turn.symmetric
+
+    @property
+    def commuting(self) -> bool:
+        return self.turn.commuting
+
+    @property
+    def name(self) -> str:
+        return "free_flight" if self.commuting else f"free_flight[{self.turn.name}]"
+
+    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        turned, info = self._turned(self.system.inertias, State(state.q[:, 3:], state.p[:, 3:]), dt)
+        x = state.q[:, :3] + dt * (state.p[:, :3] / self.system.masses[:, None])
+        together = StepInfo(jnp.max(info.residual), jnp.all(info.converged))
+        return state._replace(q=jnp.concatenate([x, turned], axis=1)), together
+
+    def _turned(self, inertias: Array, turning: State, dt: ArrayLike) -> tuple[Array, StepInfo]:
+        """The quaternions (N, 4) after a time, and the reports."""
+
+        def turned(J: Array, body: State) -> tuple[Array, StepInfo]:
+            step: Any = self.turn
+            own: Any = dataclasses.replace(step, system=dataclasses.replace(step.system, inertia=J))
+            end, info = own.substep(body, dt)
+            return end.q, info
+
+        return jax.vmap(turned)(inertias, turning)
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        return (
+            f"{self.name} lost its digits at dt = {dt}: a body turns too often in a step, or there is a NaN or an "
+            "infinity in the state or an inertia. Take a smaller dt"
+        )

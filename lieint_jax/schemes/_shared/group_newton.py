@@ -1,0 +1,201 @@
+"""The equation for Θ that the steps on any group solve: its guess, Newton's matrix, and the report on its root.
+
+    m Θ − ½Δt (Π_n + Π_{n+1}) = 0                                                            (5.27)
+
+Vectors are lists of scalars for small groups and arrays for large ones, see `_numerics.unrolled`.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from lieint_jax._numerics import newton
+from lieint_jax._numerics import small_linalg as la
+from lieint_jax.maps import Tau, derivative
+from lieint_jax.types import AbstractRightGeodesicFlow, AnalyticGroup, Group, State, StepInfo
+
+
+class Equation(NamedTuple):
+    """The data of the equation for Θ of one step.
+
+    Attributes:
+        group: the group G.
+        tau: the map τ.
+        m: the metric as a matrix.
+        state: where the step starts.
+        half: ½Δt.
+        a: ½Δt Π_n; −½Δt π_n for a right-invariant metric, whose equation is that of the inverse of q.
+        known: the part of the equation that is known beforehand, a but for `group_alpha`.
+        carried: ½Δt Ad*_q π, which on groups that are not compact can lose its digits.
+    """
+
+    group: Any
+    tau: Tau
+    m: la.Matrix
+    state: State
+    half: Array
+    a: la.Vector
+    known: la.Vector
+    carried: la.Vector
+
+    @classmethod
+    def of(cls, system: Any, tau: Tau, state: State, half: Array) -> Equation:
+        """The equation of a step by τ, for a system with a group and a metric."""
+        m = unpacked(system.group, system.metric)
+        carried = a = as_vector(m, half * system.group.Ad_star(state.q, state.p))
+        if isinstance(system, AbstractRightGeodesicFlow):
+            a = as_vector(m, -half * state.p)
+        return cls(system.group, tau, m, state, half, a, a, carried)
+
+    def residual(self, theta: la.Vector, after: la.Vector) -> la.Vector:
+        """m Θ − ½Δt Π_n − ½Δt Π_{n+1}, the last given as `after`."""
+        return la.plus(la.matvec(self.m, theta), (-1.0, self.known), (-1.0, after))
+
+
+def solved(
+    equation: Equation,
+    residual: Callable[[la.Vector], la.Vector],
+    matrix: Callable[[la.Vector, la.Vector], la.Matrix],
+    size: Callable[[la.Vector], Array],
+    start: la.Vector,
+    iterations: int,
+) -> tuple[la.Vector, Array, StepInfo]:
+    """The root Θ by `newton.chords`, as a vector of the equation and as an array, and the report on it.
+
+    Converged if the residual, in the units of `size`, is round-off; if the root is on the branch from Δt = 0, as a
+    steady solve to a root before the fold shows; if digits are left, and τ(Θ) is exact.
+    """
+    group, tau, m, state = equation.group, equation.tau, equation.m, equation.state
+
+    def factored(theta: la.Vector, F: la.Vector) -> la.Factored:
+        return la.factored(matrix(theta, F))
+
+    def length(step: la.Vector) -> Array:
+        return size(la.matvec(m, step))
+
+    theta, F, on_branch = newton.chords(residual, factored, size, length, start, iterations)
+    good = on_branch & digits_left(equation)
+    Theta = la.as_array(theta, state.p)
+    error = size(F)
+    good = good & tau.holds(group, Theta) if tau.holds else good
+    return theta, Theta, StepInfo(error, (error <= 32 * jnp.finfo(error.dtype).eps) & good)
+
+
+def unpacked(group: Any, metric: Array) -> la.Matrix:
+    """The metric as a matrix: a list of rows for small groups, an array for large ones."""
+    d = metric.shape[0]
+    if isinstance(group, AnalyticGroup) and not group.unrolled:
+        return jnp.diag(metric) if metric.ndim == 1 else metric
+    if metric.ndim == 2:
+        return la.as_list(metric)
+    return [[metric[i] if i == j else 0.0 for j in range(d)] for i in range(d)]
+
+
+def body_velocity_field(system: Any, state: State) -> Array:
+    """q̇ = qΩ̂ with mΩ = Ad*_q π, of a system with a group and a metric."""
+    group, m = system.group, unpacked(system.group, system.metric)
+    Omega = la.solve(m, as_vector(m, group.Ad_star(state.q, state.p)))
+    return group.tangent(state.q, la.as_array(Omega, state.p))
+
+
+def as_vector(m: la.Matrix, x: Array) -> la.Vector:
+    """x as a list of scalars if m is a list of rows, else as it is."""
+    return la.as_list(x) if isinstance(m, list) else x
+
+
+def ad_star(group: Any, xi: la.Vector, mu: la.Vector) -> la.Vector:
+    """ad*_ξ μ."""
+    return la.matvec(ad_star_matrix(group, mu), xi)
+
+
+def ad_star_matrix(group: Any, mu: la.Vector) -> la.Matrix:
+    """ad*(μ), (d, d)."""
+    if isinstance(group, AnalyticGroup):
+        return group.ad_star_matrix(mu)
+    mu = la.as_array(mu, mu[0])
+    return la.as_list(jax.vmap(group.ad_star, (1, None), 1)(jnp.eye(group.dim, dtype=mu.dtype), mu))
+
+
+def coadjoint(tau: Tau, group: Any, theta: la.Vector, mu: la.Vector) -> la.Vector:
+    """Ad*_τ(Θ) μ."""
+    if tau.coadjoint is not None:
+        return tau.coadjoint(group, theta, mu)
+    turned = group.Ad_star(tau(group, la.as_array(theta, theta[0])), la.as_array(mu, mu[0]))
+    return la.as_list(turned) if isinstance(theta, list) else turned
+
+
+def along(tau: Tau, group: Any, q: Array, Theta: Array, s: ArrayLike = 1.0) -> Array:
+    """q τ(sΘ) for a number s, or at each of several, (k,), as one array."""
+    s = jnp.asarray(s, Theta.dtype)
+    if tau.along is not None:
+        return tau.along(group, q, Theta, s)
+    return la.at_each(lambda s: group.multiply(q, tau(group, s * Theta)), s)
+
+
+def slope(tau: Tau, group: Any, theta: la.Vector) -> la.Matrix:
+    """H(Θ), (d, d)."""
+    if tau.slope is not None:
+        return tau.slope(group, theta)
+    H = derivative(tau, group, la.as_array(theta, theta[0]))
+    return la.as_list(H) if isinstance(theta, list) else H
+
+
+def guess(group: Group, m: la.Matrix, a: la.Vector) -> la.Vector:
+    """Θ ≈ ΔtΩ + ½Δt² m⁻¹ ad*_Ω Π, from a = ½Δt Π: second order."""
+    sharp = la.factored(m).solve
+    half_turn = sharp(a)
+    bent = sharp(ad_star(group, half_turn, a))
+    return la.plus((2.0, half_turn), (2.0, bent))
+
+
+def newton_matrix(equation: Equation, theta: la.Vector, F: la.Vector, *bends: la.Matrix) -> la.Matrix:
+    """m − ½Δt ad*(Π_{n+1}) H − Σ bends at Θ, with ½Δt Π_{n+1} = mΘ − ½Δt Π_n − F.
+
+    Nothing is differentiated through it.
+    """
+    group, tau = equation.group, equation.tau
+    theta, F, known, m = lax.stop_gradient((theta, F, equation.known, equation.m))
+    after = la.plus(la.matvec(m, theta), (-1.0, known), (-1.0, F))
+    turned = la.matmul(ad_star_matrix(group, after), slope(tau, group, theta))
+    return la.combination((1.0, m), *((-1.0, A) for A in (turned, *bends)))
+
+
+def bend(m: la.Matrix, system: Any, where: Array, factor: ArrayLike) -> la.Matrix:
+    """factor D², with D² the derivative of the body force along the group at `where`, held fixed; of the form of m."""
+    group, where = system.group, lax.stop_gradient(where)
+    zero = jnp.zeros(group.dim, where.dtype)
+    D2 = jax.jacfwd(lambda x: system.body_force(where + group.tangent(where, x)))(zero)
+    D2 = lax.stop_gradient(factor * D2)
+    return la.as_list(D2) if isinstance(m, list) else D2
+
+
+def size_unit(m: la.Matrix, a: la.Vector) -> Callable[[la.Vector], Array]:
+    """F ↦ the largest |Fᵢ|/√mᵢᵢ over √(2H)Δt: whatever the units of the basis, round-off is round-off."""
+    a, m = lax.stop_gradient((a, m))
+    scale = 2 * jnp.sqrt(jnp.maximum(la.dot(a, la.solve(m, a)), 0))
+    units = [jnp.sqrt(m[i][i]) * jnp.where(scale == 0, 1, scale) for i in range(len(m))]
+
+    def size(F: la.Vector) -> Array:
+        return functools.reduce(jnp.maximum, (jnp.abs(lax.stop_gradient(F[i])) / units[i] for i in range(len(units))))
+
+    return size
+
+
+def digits_left(equation: Equation) -> Array:
+    """Whether Ad*_q π keeps six digits in float64: ε (size of the summands / of the sum)² ≤ ε^{3/8}; q likewise."""
+    group, m = equation.group, equation.m
+    if not isinstance(group, AnalyticGroup):
+        return jnp.ones((), bool)
+    state, carried, half = lax.stop_gradient((equation.state, equation.carried, equation.half))
+    unit = jnp.sqrt(jnp.stack([m[i][i] for i in range(len(m))]))
+    summed = jnp.max(jnp.abs(half) * group.rounding(state.q, state.p) / unit)
+    left = jnp.max(jnp.abs(la.as_array(carried, state.p)) / unit)
+    eps = float(jnp.finfo(left.dtype).eps)
+    return (eps * summed**2 <= eps**0.375 * left**2) & (group.drift(state.q) <= eps**0.375)

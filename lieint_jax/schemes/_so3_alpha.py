@@ -1,0 +1,191 @@
+"""The α-family of momentum-conserving schemes in L(3), of which α = ½ alone stays on SO(3) (Section 2.2).
+
+With Λ_{n+α} = αΛ_{n+1} + (1−α)Λ_n and Π_{n+α} likewise, one step is
+
+    Λ_{n+1} − Λ_n = Λ_{n+α} Θ̂,    Π_{n+1} − Π_n = Π_{n+(1−α)} × Θ                              (2.17)
+    Θ = κ(|Θ̄|²) Θ̄,    Θ̄ = Δt J⁻¹ ½(Π_n + Π_{n+1})                                            (2.28)
+
+or Λ_{n+1} = Λ_n T_α and T_α Π_{n+1} = Π_n (2.19), so that π = ΛΠ is constant, with (2.21) corrected
+
+    T_α(Θ) = 1 + (Θ̂ + αΘ̂²)/(1 + α²|Θ|²),    T_α T_αᵀ = 1 + νΘ̂²,    ν = (2α − 1)/(1 + α²|Θ|²).
+
+Put a = ½Δt Π_n and Θ̄ = 2y. Then ½Δt Π_{n+1} = 2Jy − a, and the second line of (2.17) is an equation for y,
+
+    J y + κ y × w = a,    w = 2(1−α) J y + (2α − 1) a,    κ = κ(4|y|²),
+
+the vector form of `so3_midpoint` if α = ½.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import newton, vec3
+from lieint_jax._numerics.vec3 import Symmetric, Vector, add, apply, cross, dot, scale, subtract
+from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
+from lieint_jax.schemes._shared.accepts import AcceptedSystems
+from lieint_jax.schemes._so3_midpoint import ITERATIONS, SLENDER, cross_apply, dense, gyroscopic, lost, on_branch
+from lieint_jax.types import AbstractEmbeddedBody, State, Step, StepInfo, pytree, static
+
+
+def _motion(body: AbstractEmbeddedBody, state: State) -> State:
+    """(Λ̇, π̇) = (ΛΩ̂, 0) with JΩ = Λ⁻¹π (2.12)."""
+    Omega = vec3.solve_symmetric(vec3.symmetric(body.inertia), vec3.solve(state.q, state.p))
+    return State(jnp.stack([jnp.stack(cross(row, Omega)) for row in state.q]), jnp.zeros_like(state.p))
+
+
+EMBEDDED = AcceptedSystems(
+    AbstractEmbeddedBody, "free rigid bodies with an attitude in L(3) (systems.embedded_body)", _motion
+)
+
+
+@pytree
+class SO3Alpha(Step):
+    """The step made by `so3_alpha`.
+
+    Attributes:
+        system: a free rigid body embedded in L(3).
+        alpha: α.
+        kappa: the scaling κ.
+        iterations: Newton corrections per step.
+    """
+
+    system: AbstractEmbeddedBody
+    alpha: Array
+    kappa: Kappa
+    iterations: int = static()
+    order: float = static(default=2)
+    symmetric: bool = static(default=True)
+
+    @property
+    def name(self) -> str:
+        return f"so3_alpha[{self.kappa.name}]"
+
+    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        J, r = vec3.unit_trace(self.system.inertia)
+        a = scale(0.5 * r * dt, vec3.solve(state.q, state.p))
+        y, residual, good = _solve(self.kappa, self.alpha, J, a, self.iterations)
+        Theta = scale(2 * self.kappa(4 * dot(y, y)), y)
+
+        residual = lax.stop_gradient(jnp.sqrt(dot(residual, residual)))
+        small = residual <= 32 * jnp.finfo(residual.dtype).eps * vec3.max_abs(a)
+        converged = small & good & vec3.well_conditioned(J) & _digits_left(state)
+        return state._replace(q=_turned(state.q, self.alpha, Theta)), StepInfo(residual, converged)
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        if not vec3.well_conditioned(vec3.symmetric(self.system.inertia)):
+            return f"{self.name}: {SLENDER}"
+        return (
+            f"{self.name} does not converge at dt = {dt}: take a smaller dt or more than {self.iterations} iterations. "
+            "If Λ is far from SO(3), as after many steps with α ≠ 1/2, no digits of Π = Λ⁻¹π are left"
+        )
+
+
+def so3_alpha(
+    system: AbstractEmbeddedBody,
+    alpha: ArrayLike = 0.5,
+    kappa: Kappa | Callable[[Array], Array] = kappa_cayley,
+    iterations: int = ITERATIONS["vector"],
+) -> SO3Alpha:
+    """The α-family (2.17) with (2.28) for a free rigid body whose attitude may leave SO(3).
+
+    | | α = ½ | another α |
+    |---|---|---|
+    | spatial momentum ΛΠ (Result 1) | exact, bit for bit | exact, bit for bit |
+    | energy ½ Π·J⁻¹Π (2.27) | exact | exact |
+    | Λ on SO(3) (Result 2) | exact | lost: TTᵀ − 1 is of size \\|2α−1\\||Θ|² per step |
+    | length of Π, a Casimir | exact | lost at the same rate, since Π = Λ⁻¹π |
+    | symplectic form | as in `so3_midpoint` | T*SO(3) is left |
+    | order | 2 | 1 |
+
+    "Exact" is to round-off at a converged step. The step of α = ½ is that of `so3_midpoint` with the same κ, its
+    attitude written as a matrix. A step of α is undone by the step of 1 − α with −Δt, so that α = ½ alone is symmetric.
+
+    The paper does not note that (2.26) and (2.27) hold for every α: energy does not tell the members apart. With α ≠ ½
+    Λ stretches from step to step, and for Δt > 0 the body ends up turning about the axis where Π is shortest (α < ½) or
+    longest (α > ½) for its energy, as if it had friction: these members are here to be measured, not for simulations.
+    T_α turns about Θ by arctan(α|Θ|) + arctan((1−α)|Θ|), so its polar factor is a step of `so3_midpoint` with a κ of
+    its own.
+
+    Args:
+        system: `systems.embedded_body(...)`.
+        alpha: α in [0, 1]. It is a leaf of the step, and can be differentiated.
+        kappa: κ as in `so3_midpoint`; by default 1, the Cayley map.
+        iterations: Newton corrections per step.
+
+    Raises:
+        ValueError: not an embedded body, α out of range, κ not callable, a bad count.
+
+    Source: Lewis & Simo 1994, (2.14)–(2.22), Results 1 and 2; T_α and ν corrected.
+    """
+    EMBEDDED.check("so3_alpha", system, "; for a body that stays on SO(3), which α = 1/2 does, take so3_midpoint")
+    alpha = _checks.fraction("alpha", alpha)
+    middle = not concrete(alpha) or float(alpha) == 0.5
+    iterations = _checks.count("iterations", iterations, 1)
+    return SO3Alpha(system, alpha, as_kappa(kappa), iterations, 2 if middle else 1, middle)
+
+
+def examples(system: Any) -> dict[str, Step]:
+    """The step of α = ½ by the Cayley map, for bodies embedded in L(3)."""
+    if not EMBEDDED.declared(system):
+        return {}
+    step = so3_alpha(system)
+    return {step.name: step}
+
+
+def _solve(kappa: Kappa, alpha: Array, J: Symmetric, a: Vector, iterations: int) -> tuple[Vector, Vector, Array]:
+    """y = ½Θ̄, the residual of its equation, and whether y is on the branch that starts at Δt = 0."""
+    b, c = 2 * (1 - alpha), 2 * alpha - 1  # w = b J y + c a
+
+    def residual(y: Vector) -> Vector:
+        turned = add(scale(b, cross_apply(y, J)), scale(c, cross(y, a)))  # y × w
+        return subtract(add(apply(J, y), scale(kappa(4 * dot(y, y)), turned)), a)
+
+    def matrix(y: Vector) -> vec3.Matrix:
+        """J + κ(b(ŷJ − (Jy)^) − c â) + 8κ′(y × w)⊗y."""
+        bent = vec3.combine(vec3.scale_matrix(b, gyroscopic(J, y)), _hat(a), -c)
+        if kappa.constant:
+            return vec3.combine(dense(J), bent)
+        k, slope = jax.jvp(kappa, (4 * dot(y, y),), (jnp.full_like(y[0], 8),))
+        g = scale(slope, add(scale(b, cross_apply(y, J)), scale(c, cross(y, a))))
+        return vec3.combine(vec3.combine(dense(J), bent, k), [scale(g[i], y) for i in range(3)])
+
+    def correction(y: Vector, f: Vector) -> Vector:
+        return vec3.solve(matrix(y), f)
+
+    u = vec3.solve_symmetric(J, a)
+    guess = add(u, vec3.solve_symmetric(J, cross(a, u)))  # ½(ΔtΩ + ½Δt²J⁻¹(Π × Ω))
+    y, f, steady = newton.root(residual, correction, guess, iterations)
+    return y, f, steady & on_branch(kappa, y, matrix(lax.stop_gradient(y)))
+
+
+def _turned(q: Array, alpha: Array, Theta: Vector) -> Array:
+    """Λ T_α(Θ), row by row: Λ + (ΛΘ̂ + αΛΘ̂²)/(1 + α²|Θ|²)."""
+    r = 1 / (1 + alpha * alpha * dot(Theta, Theta))
+    rows = []
+    for row in q:
+        first = cross(row, Theta)
+        rows.append(jnp.stack(add(row, scale(r, add(first, scale(alpha, cross(first, Theta)))))))
+    return jnp.stack(rows)
+
+
+def _digits_left(state: State) -> Array:
+    """Whether Π = Λ⁻¹π is known to `lost`: rounding of Λ moves it by eps |Λ⁻¹||Λ| of itself."""
+    q = lax.stop_gradient(state.q)
+    eps = jnp.finfo(q.dtype).eps
+    cofactors = jnp.stack([jnp.stack(cross(q[i], q[(i + 1) % 3])) for i in range(3)])
+    condition = jnp.max(jnp.abs(cofactors)) * jnp.max(jnp.abs(q)) / jnp.abs(vec3.det(q))
+    return eps * condition <= lost(q.dtype)
+
+
+def _hat(v: Vector) -> vec3.Matrix:
+    zero = jnp.zeros_like(v[0])
+    return ((zero, -v[2], v[1]), (v[2], zero, -v[0]), (-v[1], v[0], zero))

@@ -1,0 +1,128 @@
+"""The midpoint rule on T*S², in the ambient space (1.6), and the scaled one that is symplectic (Section 1.1).
+
+With q_m = ½(q_n + q_{n+1}) and π_m = ½(π_n + π_{n+1}),
+
+    q_{n+1} − q_n = (Δt/m) π_m × r,   π_{n+1} − π_n = −Δt r × ∇V(r),   r = q_m or r = q_m/|q_m|
+
+π_m = π_n − ½Δt r × ∇V(r) is explicit in r, so three equations for u = q_{n+1} − q_n are left.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._deprecated import old_calls
+from lieint_jax._numerics import newton, vec3
+from lieint_jax.schemes._shared.accepts import AcceptedSystems
+from lieint_jax.types import AbstractSphereSystem, State, Step, StepInfo, autodiff_gradient, pytree, static
+
+
+def _motion(system: AbstractSphereSystem, state: State) -> State:
+    """(q̇, π̇) = (π × q/m, −q × ∇V(q)) (1.4)."""
+    q, p = state.q, state.p
+    return State(jnp.cross(p, q) / system.mass, -jnp.cross(q, jax.grad(system.potential)(q)))
+
+
+PENDULUMS = AcceptedSystems(AbstractSphereSystem, "pendulums (systems.pendulum)", _motion)
+
+
+_TURN = 2.5  # radians; no step of a midpoint rule turns by 180°, and near that other branches come close
+
+
+@pytree
+class SphereMidpoint(Step):
+    """The step made by `sphere_midpoint`.
+
+    Attributes:
+        system: a pendulum.
+        normalized: whether r lies on the sphere.
+        iterations: Newton corrections per step.
+    """
+
+    system: AbstractSphereSystem
+    normalized: bool = static()
+    iterations: int = static()
+    order: float = static(default=2)
+    symmetric: bool = static(default=True)
+
+    @property
+    def name(self) -> str:
+        return f"sphere_midpoint[{'normalized' if self.normalized else 'plain'}]"
+
+    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        q, p, dt = state.q, state.p, jnp.asarray(dt)
+        h = dt / self.system.mass
+
+        def torque(u: Array) -> tuple[Array, Array]:
+            """r, and −Δt r × ∇V(r)."""
+            r = q + u / 2
+            r = r / jnp.sqrt(vec3.dot(r, r)) if self.normalized else r
+            return r, -dt * jnp.stack(vec3.cross(r, autodiff_gradient(self.system.potential)(r)))
+
+        def equation(u: Array) -> Array:
+            r, change = torque(u)
+            return u - h * jnp.stack(vec3.cross(p + change / 2, r))
+
+        def correction(u: Array, f: Array) -> Array:
+            return jnp.stack(vec3.solve(jax.jacfwd(equation)(u), f))
+
+        kicked = p + torque(jnp.zeros_like(q))[1] / 2
+        first = h * jnp.stack(vec3.cross(kicked, q))
+        guess = first + h / 2 * jnp.stack(vec3.cross(kicked, first))
+        u, f, steady = newton.root(equation, correction, guess, self.iterations)
+        residual = lax.stop_gradient(vec3.max_abs(f))
+        # with a positive K the equation is monotone, so it has one root; without normalization that is a proof
+        K = vec3.plus_transpose(lax.stop_gradient(jax.jacfwd(equation)(u)))
+        unique = vec3.positive_definite(K) & (jnp.abs(h) * jnp.sqrt(vec3.dot(p, p)) < _TURN)
+        converged = (residual <= 32 * jnp.finfo(u.dtype).eps) & (vec3.dot(u, u) < 4) & steady & unique
+        return state._replace(q=q + u, p=p + torque(u)[1]), StepInfo(residual, converged)
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        turn = float(np.abs(dt / self.system.mass) * np.linalg.norm(state.p))
+        more = f", or more iterations than {self.iterations}" if turn < 1 else ""
+        return (
+            f"{self.name} does not converge at dt = {dt}, where |Δt q̇| = {turn:.3g}: it may be 2.5, and the "
+            "branch of solutions ends at |Δt| of some 2/ω in a field that makes small oscillations of ω. Take a "
+            f"smaller dt{more}"
+        )
+
+
+@old_calls(normalised="normalized")
+def sphere_midpoint(system: AbstractSphereSystem, normalized: bool = False, iterations: int = 6) -> SphereMidpoint:
+    """The midpoint rule (1.6) for a pendulum, ∇H taken at the midpoint too.
+
+    | | `normalized=False` (1.6) | `normalized=True` |
+    |---|---|---|
+    | \\|q\\| = 1 and q·π = 0 | exact | exact |
+    | momentum γ·π | exact | exact |
+    | energy | exact for at most quadratic g | exact for linear g |
+    | symplectic form | O(Δt³) per step | exact |
+
+    "Exact" is to round-off. Both are of second order and time-symmetric.
+
+    Args:
+        system: `systems.pendulum(...)`.
+        normalized: take q_m/|q_m| for the mean direction q_m on the right-hand sides.
+        iterations: Newton corrections per step; 6 reach round-off where a step turns q by less than about a radian.
+
+    Raises:
+        ValueError: not a pendulum, a bad count.
+
+    Source: Lewis & Simo 1994, Section 1.1 and its closing remark.
+    """
+    PENDULUMS.check("sphere_midpoint", system)
+    return SphereMidpoint(system, bool(normalized), _checks.count("iterations", iterations, 1))
+
+
+def examples(system: Any) -> dict[str, Step]:
+    """The plain and the normalized rule, for pendulums."""
+    if not PENDULUMS.declared(system):
+        return {}
+    return {step.name: step for step in (sphere_midpoint(system), sphere_midpoint(system, normalized=True))}

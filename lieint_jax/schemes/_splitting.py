@@ -1,0 +1,225 @@
+"""Kick, drift, kick: the symplectic scheme for a system with a potential, which Section 4's own class lacks (Result 8).
+
+    π ← π + ½Δt F(q, t),    (q, π, t) ← a step of the same system without its potential,    π ← π + ½Δt F(q, t)
+    W ← W + ½Δt ∂V/∂t                                                                       W ← W + ½Δt ∂V/∂t
+
+Each kick is the exact flow of the potential alone, and the drift, a symplectic step of the kinetic energy alone, keeps
+the form too. Both keep every momentum map that the potential leaves. Energy is that of a nearby Hamiltonian, so its
+error is bounded and does not drift. In a gyrostat turns take the place of the kicks, see `_turning`. Many bodies
+drift, are kicked, drift: a drift of them costs much less than their forces, which are then evaluated once a step.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import Any, overload
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax._checks import at_once, concrete
+from lieint_jax._xla import materialized
+from lieint_jax.maps import arcsine, is_symplectic
+from lieint_jax.phase_spaces import CotangentGroup
+from lieint_jax.schemes._exact import exact
+from lieint_jax.schemes._group_midpoint import GEODESICS, group_midpoint
+from lieint_jax.schemes._shared.accepts import check_motion, hint
+from lieint_jax.schemes._shared.free_bodies import MANY_FREE_BODIES
+from lieint_jax.schemes._shared.gyrostat_splitting import GyrostatSplitting, turning
+from lieint_jax.schemes._shared.se3_free_body import FreeMotion, is_free_motion
+from lieint_jax.schemes._so3_midpoint import FREE_BODIES, so3_midpoint
+from lieint_jax.types import (
+    AbstractDrivenSystem,
+    AbstractForcedSystem,
+    AbstractFreeBodies,
+    AbstractFreeBody,
+    AbstractGyrostat,
+    Group,
+    State,
+    Step,
+    StepInfo,
+    System,
+    clock,
+    pytree,
+    static,
+)
+
+# Bodies from which a drift costs less than their forces: 19 and 310 µs for 64 molecules, 260 and 140 ns for two.
+_MANY = 8
+
+
+def kicked_motion(parts: tuple[AbstractForcedSystem | AbstractDrivenSystem, System], state: State) -> State:
+    """The vector field of the drift's system, and the force of the kicks."""
+    system, drifting = parts
+    free = drifting.vector_field(state)
+    return State(free.q, free.p + _force(system, state))
+
+
+def _force(system: AbstractForcedSystem | AbstractDrivenSystem, state: State) -> Array:
+    """The force at a state, which for a driven system is that at its time."""
+    return system.force(state.q, clock(state)) if isinstance(system, AbstractDrivenSystem) else system.force(state.q)
+
+
+def kicked(system: AbstractForcedSystem | AbstractDrivenSystem, state: State, dt: ArrayLike) -> State:
+    """The exact flow of the potential alone, at the time of the state."""
+    if isinstance(system, AbstractDrivenSystem) and state.work is not None:
+        state = state._replace(work=state.work + dt * system.power(state.q, clock(state)))
+    return state._replace(p=state.p + dt * _force(system, state))
+
+
+@pytree
+class Splitting(Step):
+    """The step made by `splitting`.
+
+    Attributes:
+        system: a system with a potential.
+        drift: a step of the system without it.
+        kick_first: whether a step begins and ends with half of the kick, or of the drift.
+    """
+
+    system: AbstractForcedSystem | AbstractDrivenSystem
+    drift: Step
+    kick_first: bool = static(default=True)
+    order: float = static(default=2)
+    symmetric: bool = static(default=True)
+
+    @property
+    def name(self) -> str:
+        return f"splitting[{self.drift.name}]"
+
+    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        if self.kick_first:
+            state, info = self.drift.substep(self._kick(state, dt), dt)
+            return self._kick(state, dt), info
+        state, first = self.drift.substep(state, 0.5 * dt)
+        state, last = self.drift.substep(kicked(self.system, state, dt), 0.5 * dt)
+        return state, first.merge(last)
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        start, h = (self._kick(state, dt), dt) if self.kick_first else (state, 0.5 * dt)
+        return f"{self.name}: {self.drift.advice(start, h)}"
+
+    def tangent(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
+        space = self.system.phase_space
+        if not (isinstance(space, CotangentGroup) and self.kick_first):
+            return super().tangent(state, dt, T)
+        state, T = self._kicked(space.group, state, dt, T)
+        end, info, T = self.drift.tangent(state, dt, T)
+        end, T = self._kicked(space.group, end, dt, T)
+        return end, info, T
+
+    def _kicked(self, group: Group, state: State, dt: ArrayLike, T: Array) -> tuple[State, Array]:
+        """The state and its tangent vectors after a kick: δπ gains ½Δt times the derivative of the force."""
+
+        def carried(tangent: Array) -> Array:
+            theta, pi = jnp.split(tangent, 2)
+            moved = group.spatial_tangent(state.q, theta)
+            slope = jax.jvp(lambda q: _force(self.system, state._replace(q=q)), (state.q,), (moved,))[1]
+            return jnp.stack([*theta, *materialized(pi + 0.5 * dt * slope)])
+
+        end = self._kick(state, dt)
+        end = end._replace(p=jnp.stack(materialized(end.p)))
+        return end, jax.vmap(carried, -1, -1)(jnp.asarray(T))
+
+    def _kick(self, state: State, dt: ArrayLike) -> State:
+        return kicked(self.system, state, 0.5 * dt)
+
+
+@overload
+def splitting(system: AbstractGyrostat, drift: Step | None = None) -> GyrostatSplitting: ...
+@overload
+def splitting(system: AbstractForcedSystem | AbstractDrivenSystem, drift: Step | None = None) -> Splitting: ...
+def splitting(
+    system: AbstractForcedSystem | AbstractDrivenSystem | AbstractGyrostat, drift: Step | None = None
+) -> Splitting | GyrostatSplitting:
+    """Kick – free step – kick for a system with any potential, turn – free step – turn for a gyrostat.
+
+    | conserved | to |
+    |---|---|
+    | the symplectic form | round-off, with a symplectic drift |
+    | γ·π, if the potential has an axis γ | round-off |
+    | π, in a gyrostat | bit for bit |
+    | energy; of a driven system, energy less work | O(Δt²), bounded, no drift |
+
+    In a gyrostat the turns are Λ ← Λ exp(−½Δt ĉ) with c = J⁻¹h_r: the exact flow of the rotor's part of H. A fast rotor
+    costs accuracy: with J = (1, 2, 3), |Ω| = 1 and Δt = 0.05 energy errs by 4e-5 of itself at |h_r| = 0.8, by 3e-3 at
+    10. `so3_midpoint` keeps the energy of a gyrostat, and not the form.
+
+    With eight bodies or more a step is half a free step, the kick, and the other half: what costs are the forces
+    between them, which are then evaluated once a step.
+
+    Second order, time-symmetric; `compose` raises the order.
+
+    Args:
+        system: `systems.heavy_top(...)`, `systems.potential_top(...)`, `systems.group_potential(...)`; a driven one,
+            `systems.driven_top(...)`, `systems.gravity_gradient(...)`, whose two kicks are those at t and t + Δt: then
+            the form is kept at a given t and Δt, and on the space extended by time and −work, too; or
+            `systems.rigid_bodies(...)`; or `systems.gyrostat(...)`.
+        drift: a symmetric step of `system.free`; by default the symplectic `so3_midpoint`; on other groups and products
+            of them `group_midpoint` with `maps.arcsine` where that is symplectic; on SE(3) with an isotropic mass the
+            same step of the attitude and the exact one of the center; of several bodies the exact one, in whose place
+            `preprocessed(system.free, 10)` takes a quarter of the time where no body turns by more than |ΔtΩ| = ½.
+            `exact(system.free)` has smaller errors where the body turns fast in a weak potential, and no limit on
+            |Δt Ω|; it is the default of a gyrostat.
+
+    Raises:
+        ValueError: a system without potential or rotor, a drift that is not symmetric, or none given where none is
+            known.
+
+    Source: Strang 1968, SIAM J. Numer. Anal. 5; for rigid bodies Touma & Wisdom 1994, Astron. J. 107.
+    """
+    if not isinstance(system, AbstractForcedSystem | AbstractDrivenSystem | AbstractGyrostat):
+        raise ValueError(
+            "splitting integrates systems with a potential (systems.heavy_top, systems.potential_top, "
+            "systems.driven_top, systems.gravity_gradient, systems.group_potential) and gyrostats, got "
+            f"{type(system).__name__}{hint('splitting', system)}"
+        )
+    if drift is None:
+        drift = exact(system.free) if isinstance(system, AbstractGyrostat) else _drift(system.free)
+    if not isinstance(drift, Step) or not drift.symmetric or drift.own_time:
+        raise ValueError(f"drift must be a symmetric step of system.free, got {getattr(drift, 'name', drift)!r}")
+    if isinstance(system, AbstractGyrostat):
+        return turning(system, drift)
+    scheme = f"splitting with {drift.name} of a {type(drift.system).__name__}"
+    check_motion(scheme, "that motion with kicks", kicked_motion, (system, drift.system), system)
+    few = not (isinstance(drift.system, AbstractFreeBodies) and len(drift.system.masses) >= _MANY)
+    return Splitting(system, drift, kick_first=few)
+
+
+def _drift(free: Any) -> Step:
+    if FREE_BODIES.declared(free):
+        return so3_midpoint(free)
+    if MANY_FREE_BODIES.declared(free):
+        return exact(free)
+    if GEODESICS.declared(free):
+        with suppress(ValueError), at_once():  # groups where the arcsine map is not defined
+            if all(is_symplectic(arcsine, free.group, metric) for metric in _metrics(free)):
+                return group_midpoint(free, arcsine)
+        if concrete(free.metric) and is_free_motion(free):
+            return FreeMotion(free)
+    raise ValueError(
+        f"no symplectic drift is known for {getattr(free, 'group', type(free).__name__)} with this metric: give a "
+        "symmetric step of system.free, such as group_midpoint(system.free), which keeps the form up to O(Δt³) per step"
+    )
+
+
+def _metrics(free: Any) -> list[Array]:
+    """The system's metric; if it is a tracer, two others at random: what is symplectic for them is so for any."""
+    if concrete(free.metric):
+        return [free.metric]
+    roots = np.random.default_rng(0).normal(size=(2, free.group.dim, free.group.dim))
+    return [jnp.asarray(root @ root.T + np.eye(free.group.dim)) for root in roots]
+
+
+def examples(system: Any) -> dict[str, Step]:
+    """The splitting of gyrostats, of rigid bodies in a potential and of any driven system, with the default drift."""
+    rigid = isinstance(system, AbstractForcedSystem | AbstractGyrostat) and isinstance(
+        system.free, AbstractFreeBody | AbstractFreeBodies
+    )
+    if not rigid and not isinstance(system, AbstractDrivenSystem):
+        return {}
+    step = splitting(system)
+    return {step.name: step}

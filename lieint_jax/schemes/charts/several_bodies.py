@@ -1,0 +1,118 @@
+"""The motion of several bodies, each turning in its own axes: ẋ = P/m, Ṗ = F, and as `_body_axes`.
+
+The unknowns have an axis of bodies, (N,), and are packed into one array.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from lieint_jax._numerics import vec3
+from lieint_jax._numerics.vec3 import add, dot, scale
+from lieint_jax.groups import so3
+from lieint_jax.schemes._shared.accepts import other_motion
+from lieint_jax.schemes.charts import body_axes
+from lieint_jax.schemes.charts.body_axes import BodyAxesState, spinning
+from lieint_jax.types import AbstractFreeBodies, AbstractRigidBodies, State, System
+
+Components = tuple[Array, ...]
+
+
+def inverses(system: AbstractRigidBodies | AbstractFreeBodies) -> vec3.Symmetric:
+    """The inverse inertias of the bodies."""
+    return jax.vmap(vec3.inverse)(system.inertias)
+
+
+def forces(system: AbstractRigidBodies, x: vec3.Vector, q: Components) -> Components:
+    """The forces on the bodies, and the torques in their axes: six numbers. Quaternions are of unit length."""
+    found = system.force(jnp.stack([*x, *q], axis=-1))
+    pull = tuple(jnp.moveaxis(found, -1, 0))
+    return (*pull[:3], *_times_transposed(_rotation(q), pull[3:]))
+
+
+class Moving(NamedTuple):
+    """The unknowns: places and linear momenta; quaternions and body momenta."""
+
+    x: vec3.Vector
+    P: vec3.Vector
+    turning: BodyAxesState
+
+
+def known(system: System) -> bool:
+    """Whether a system is of several bodies that move as this says."""
+    return isinstance(system, AbstractRigidBodies) and not other_motion(motion, system, system)
+
+
+def unknowns(system: System, state: State) -> Array:
+    """Those of all bodies in an array, (N, 13)."""
+    turning = jax.vmap(body_axes.turning)(_turning_part(state))
+    return _packed(Moving(vec3.components(state.q[:, :3].T), vec3.components(state.p[:, :3].T), turning))
+
+
+def moved(system: System, state: State, z: Array, delta: Array) -> State:
+    """The state whose unknowns are z, after their increments."""
+    start, step = _parts(z), _parts(delta)
+    end = jax.vmap(body_axes.turned)(_turning_part(state), start.turning, step.turning)
+    x, P = (jnp.stack(add(*pair), axis=-1) for pair in ((start.x, step.x), (start.P, step.P)))
+    return state._replace(q=jnp.concatenate([x, end.q], axis=1), p=jnp.concatenate([P, end.p], axis=1))
+
+
+def halves(z: Array) -> tuple[list[Array], list[Array]]:
+    """The configuration and the momentum."""
+    every = _parts(z)
+    return [*every.x, *every.turning.q], [*every.P, *every.turning.Pi]
+
+
+def _packed(z: Moving) -> Array:
+    return jnp.stack([*z.x, *z.P, *z.turning.q, *z.turning.Pi], axis=-1)
+
+
+def _parts(z: Array) -> Moving:
+    y = vec3.components(jnp.moveaxis(z, -1, 0))
+    return Moving(y[:3], y[3:6], BodyAxesState(y[6:10], y[10:], None))
+
+
+def moments(system: System, state: State, passed: Array) -> None:
+    """Nothing changes with time."""
+
+
+def rate(system: Any) -> Callable[[Array, None], Array]:
+    """The time derivative of the unknowns, for quaternions of unit length but for the error of a step."""
+    inverse, masses = inverses(system), system.masses
+
+    def of(z: Array, _: None) -> Array:
+        x, P, turning = _parts(z)
+        force = forces(system, x, turning.q)
+        q_dot, Pi_dot = spinning(inverse, None, turning.q, turning.Pi)
+        return _packed(Moving(scale(1 / masses, P), force[:3], BodyAxesState(q_dot, add(Pi_dot, force[3:]), None)))
+
+    return of
+
+
+def motion(system: Any, state: State) -> State:
+    """The time derivative of q and p that follows from that of the unknowns."""
+    z = unknowns(system, state)
+    return jax.jvp(_state, (z,), (rate(system)(z, None),))[1]
+
+
+def _state(z: Array) -> State:
+    x, P, turning = _parts(z)
+    spin = [dot(row, turning.Pi) for row in _rotation(turning.q)]
+    return State(jnp.stack([*x, *turning.q], axis=-1), jnp.stack([*P, *spin], axis=-1))
+
+
+def _rotation(q: Components) -> vec3.Matrix:
+    return so3.matrix_of(*q)
+
+
+def _times_transposed(R: vec3.Matrix, v: vec3.Vector) -> vec3.Vector:
+    return tuple(dot(axis, v) for axis in vec3.transpose(R))
+
+
+def _turning_part(state: State) -> State:
+    return State(state.q[:, 3:], state.p[:, 3:])

@@ -1,0 +1,76 @@
+"""A rigid body that loses energy inside, but no angular momentum: the double bracket."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import vec3
+from lieint_jax.groups import so3
+from lieint_jax.systems._shared.body import TimedBody
+from lieint_jax.torques import internal_friction
+from lieint_jax.types import AbstractDampedBody, State, pytree
+
+
+@pytree
+class DampedBody(TimedBody, AbstractDampedBody):
+    """H = ½ Π·J⁻¹Π; Λ̇ = Λ(Ω + αΠ × Ω)^, π̇ = 0, so that Ḣ = −α|Π × Ω|². Made by `damped_body`.
+
+    Attributes:
+        inertia: J in the body frame, principal moments (3,) or a symmetric tensor (3, 3).
+        friction: α.
+    """
+
+    inertia: Array
+    friction: Array
+
+    def energy(self, state: State) -> Array:
+        """½ Π·J⁻¹Π."""
+        return self.kinetic_energy(state)
+
+    def momentum(self, state: State) -> Array:
+        """π itself, (3,): friction inside does not change it."""
+        return state.p
+
+    def vector_field(self, state: State) -> State:
+        """(q̇, π̇) = (½ q (Ω + αΠ × Ω), 0), and −α|Π × Ω|² as the rate of the work."""
+        Pi, Omega = self.body_momentum(state), self.angular_velocity(state)
+        more = jnp.stack(internal_friction(self.friction, Pi, Omega))
+        slip = vec3.cross(Pi, Omega)
+        q_dot = so3.tangent(state.q, Omega + more)
+        return State(q_dot, jnp.zeros_like(state.p), work=-self.friction * vec3.dot(slip, slip))
+
+
+def damped_body(inertia: ArrayLike, friction: ArrayLike) -> DampedBody:
+    """A free rigid body with internal friction, as of a fluid or of bending: π stays, energy falls to |π|²/2J₃.
+
+    It ends turning about its axis of largest inertia: the energy-sink model as a differential equation.
+
+    Args:
+        inertia: principal moments (3,) or a symmetric tensor in body axes (3, 3).
+        friction: α ≥ 0, an inverse angular momentum: Ω relaxes within about 1/(α|Π||ΔΩ|).
+
+    Raises:
+        ValueError: bad inertia, or a friction that is negative or no number.
+
+    Source: the energy sink, Likins 1966, JPL TR 32-860; the double bracket, Bloch, Krishnaprasad, Marsden & Ratiu 1996,
+    Commun. Math. Phys. 175.
+
+    Example:
+        >>> body = damped_body([1.0, 2.0, 3.0], 0.1)
+        >>> state = body.state(angular_velocity=[1.0, 0.1, 0.1], work=0.0)
+    """
+    inertia = _checks.inertia(inertia)
+    alpha = _checks.real_array("friction", friction, (), like=inertia)
+    if concrete(alpha) and float(alpha) < 0:
+        raise ValueError(f"friction must not be negative, got {float(alpha):g}: it would give energy to the body")
+    return DampedBody(inertia, alpha)
+
+
+def examples() -> dict[str, tuple[DampedBody, State, float]]:
+    """A body that starts about its axis of least inertia and ends about that of the largest, as Explorer 1 did."""
+    body = damped_body([1.0, 2.0, 2.5], 0.1)
+    return {"explorer": (body, body.state(angular_velocity=[1.0, 0.1, 0.2], work=0.0), 0.05)}

@@ -1,0 +1,166 @@
+"""A gyrostat whose rotor a motor drives: momentum goes from the body to the rotor and back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks, types
+from lieint_jax._numerics import vec3
+from lieint_jax.systems._gyrostat import Gyrostat
+from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._shared.body import OnRotations
+from lieint_jax.systems._shared.time_and_work import check_timed, timed
+from lieint_jax.types import State, callable_pytree, clock, pytree
+
+
+@pytree
+class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
+    """H = ½(Π − h_r)·J⁻¹(Π − h_r) as in `Gyrostat`, with ḣ_r = τ(t) and Ḣ = −Ω·τ. Made by `driven_gyrostat`.
+
+    Attributes:
+        inertia: J, principal moments (3,) or a symmetric tensor (3, 3).
+        motor: τ, a function of time with values (3,) in the body.
+    """
+
+    inertia: Array
+    motor: Callable[[Array], Array]
+
+    @property
+    def carried(self) -> dict[str, Array]:
+        """The rotor's momentum, which is zero at rest."""
+        return {"rotor": jnp.zeros(3, self.inertia.dtype)}
+
+    @explained
+    def state(
+        self,
+        attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        *,
+        angular_velocity: ArrayLike | None = None,
+        body_momentum: ArrayLike | None = None,
+        spatial_momentum: ArrayLike | None = None,
+        rotor: ArrayLike = (0.0, 0.0, 0.0),
+        t: ArrayLike = 0.0,
+        work: ArrayLike | None = None,
+    ) -> State:
+        """The state of an attitude, one of three ways to give the motion, and the rotor.
+
+        Args:
+            attitude: as in `rigid_body`.
+            angular_velocity: body angular velocity Ω, radians per unit time, shape (3,).
+            body_momentum: Π = JΩ + h_r, shape (3,).
+            spatial_momentum: π = ΛΠ, shape (3,).
+            rotor: h_r in the body, shape (3,).
+            t: the time of the state, a scalar; 0 if it is left out.
+            work: what the motor has done so far, a scalar, such as 0: then steps add to it. None, and nobody counts it.
+
+        Raises:
+            ValueError: as in `rigid_body`; a rotor of another shape; a time or a work that is no scalar; a NaN.
+        """
+        h = _checks.real_array("rotor", rotor, (3,), like=self.inertia)
+        motion = {"body_momentum": body_momentum, "spatial_momentum": spatial_momentum}
+        made = self.holding(h).state(attitude, angular_velocity=angular_velocity, **motion)
+        return timed(made, t, work)._replace(extra={"rotor": h.astype(made.p.dtype)})
+
+    def rotor(self, state: State) -> Array:
+        """h_r in the body, shape (3,)."""
+        if state.extra is None or "rotor" not in state.extra:
+            raise ValueError(
+                "the rotor is driven, so the state needs its momentum in state.extra: make it with "
+                'system.state(..., rotor=(0, 0, 0)), or give it one with state._replace(extra={"rotor": …})'
+            )
+        return state.extra["rotor"]
+
+    def torque(self, t: Array) -> Array:
+        """τ(t), by which the motor turns the rotor and the rotor the motor, in the body, shape (3,)."""
+        return jnp.asarray(self.motor(t), jnp.result_type(t))
+
+    def holding(self, rotor: Array) -> Gyrostat:
+        """The gyrostat whose rotor keeps the momentum `rotor`: this one, at one time."""
+        return Gyrostat(self.inertia, rotor)
+
+    def angular_velocity(self, state: State) -> Array:
+        """The body angular velocity Ω = J⁻¹(Π − h_r), shape (3,)."""
+        return self.holding(self.rotor(state)).angular_velocity(state)
+
+    def energy(self, state: State) -> Array:
+        """½(Π − h_r)·J⁻¹(Π − h_r): less the work, it is conserved."""
+        return self.holding(self.rotor(state)).energy(state)
+
+    def momentum(self, state: State) -> Array:
+        """The momentum map of rotations in space: π itself, of body and rotor together, shape (3,)."""
+        return state.p
+
+    def vector_field(self, state: State) -> State:
+        """(q̇, π̇) = (½ q Ω, 0), ẇork = −Ω·τ, ḣ_r = τ; whatever else is in `extra` rests."""
+        turning, torque = self.holding(self.rotor(state)).vector_field(state), self.torque(clock(state))
+        still = jax.tree.map(jnp.zeros_like, state.extra)
+        work = -vec3.dot(self.angular_velocity(state), torque)
+        return turning._replace(work=work, extra=still | {"rotor": torque})
+
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system, or the motor has no value at its time."""
+        h = _checks.real_array('state.extra["rotor"]', self.rotor(state), (3,))
+        self.holding(h).check(state)
+        check_timed(state)
+        _checks.real_array(f"the motor's torque at t = {state.t}", self.torque(clock(state)), (3,))
+
+
+def driven_gyrostat(inertia: ArrayLike, motor: Callable[[Array], ArrayLike]) -> DrivenGyrostat:
+    """A rigid body with a rotor that a motor speeds up and slows down.
+
+    The motor's torque τ acts on the rotor, −τ on the body, so π is constant. With J and h_r as in `gyrostat` for a
+    rotor that turns freely on its bearings, τ is the torque about its axis times its axis. The energy of the rotor's
+    own turning is not in H; the motor's work on the whole is H − H₀ and the change of |h_r|²/2I.
+
+    Args:
+        inertia: principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3); without the rotor's
+            moment about its axis.
+        motor: τ, a function of the time t, a scalar, with values (3,) in the body: a smooth JAX function. Parameters to
+            be differentiated or batched go into a `jax.tree_util.Partial`, or any pytree that can be called.
+
+    Raises:
+        ValueError: a bad inertia; a motor that is no function of t with values (3,).
+
+    Example:
+        >>> satellite = driven_gyrostat([1.0, 2.0, 3.0], lambda t: jnp.array([0.1, 0.0, 0.0]))
+        >>> state = satellite.state([1, 0, 0, 0], angular_velocity=[0.2, 0.0, 1.0], work=0.0)
+        >>> satellite.vector_field(state).extra["rotor"].tolist()
+        [0.1, 0.0, 0.0]
+    """
+    J = _checks.inertia(inertia)
+    if not callable(motor):
+        raise ValueError(f"motor must be a function of the time t with values (3,), got {motor!r}")
+    made = DrivenGyrostat(J, callable_pytree(motor))
+    _checks.function("motor", made.torque, "the time t", (3,), jnp.zeros((), J.dtype))
+    return made
+
+
+@pytree
+class SpinUpMotor:
+    """A motor that brings a rotor to the momentum `momentum` in the time `duration`, gently: τ ∝ 1 − cos(2πt/duration).
+
+    Attributes:
+        momentum: what the rotor gains, (3,).
+        duration: the time that it takes, from t = 0; before and after, the motor is off.
+    """
+
+    momentum: Array
+    duration: Array
+
+    def __call__(self, t: Array) -> Array:
+        phase = 2 * math.pi * jnp.clip(t / self.duration, 0, 1)
+        return self.momentum / self.duration * (1 - jnp.cos(phase))
+
+
+def examples() -> dict[str, tuple[DrivenGyrostat, State, float]]:
+    """The spin-up of the momentum wheel of a tumbling satellite."""
+    motor = SpinUpMotor(jnp.array([0.0, 0.0, 1.5]), jnp.array(4.0))
+    satellite = driven_gyrostat([1.0, 2.0, 3.0], motor)
+    state = satellite.state(angular_velocity=[0.2, 0.5, -0.3], rotor=[0.0, 0.1, 0.0], work=0.0)
+    return {"spin_up": (satellite, state, 0.05)}

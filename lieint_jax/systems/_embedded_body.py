@@ -1,0 +1,104 @@
+"""The free rigid body with its attitude in L(3), where the α-family of Section 2.2 moves (Step 1)."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks, types
+from lieint_jax._numerics import vec3
+from lieint_jax.groups import so3
+from lieint_jax.phase_spaces import EmbeddedRotations
+from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._shared.body import Body
+from lieint_jax.types import State, pytree
+
+_PHASE_SPACE = EmbeddedRotations()
+
+
+@pytree
+class EmbeddedBody(Body, types.AbstractEmbeddedBody):
+    """H = ½ Π·J⁻¹Π with Π = Λ⁻¹π; Λ̇ = ΛΩ̂, π̇ = 0, Λ any matrix of L(3) with det Λ > 0. Made by `embedded_body`.
+
+    From a rotation the flow is that of `rigid_body`.
+
+    Attributes:
+        inertia: J in the body frame, principal moments (3,) or a symmetric tensor (3, 3).
+    """
+
+    inertia: Array
+
+    @property
+    def phase_space(self) -> EmbeddedRotations:
+        return _PHASE_SPACE
+
+    @explained
+    def state(
+        self,
+        attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        *,
+        angular_velocity: ArrayLike | None = None,
+        body_momentum: ArrayLike | None = None,
+        spatial_momentum: ArrayLike | None = None,
+    ) -> State:
+        """The state of a rotation and one of three ways to give the motion, as in `rigid_body`; q is Λ, (3, 3)."""
+        on_group = super().state(
+            attitude,
+            angular_velocity=angular_velocity,
+            body_momentum=body_momentum,
+            spatial_momentum=spatial_momentum,
+        )
+        return State(so3.to_matrix(on_group.q), on_group.p)
+
+    def rotation_matrix(self, state: State) -> Array:
+        """Λ itself, shape (3, 3): a rotation if the state is on T*SO(3)."""
+        return state.q
+
+    def body_momentum(self, state: State) -> Array:
+        """Π = Λ⁻¹π, shape (3,)."""
+        return jnp.stack(vec3.solve(state.q, state.p))
+
+    def energy(self, state: State) -> Array:
+        """½ Π·J⁻¹Π (2.11)."""
+        return self.kinetic_energy(state)
+
+    def momentum(self, state: State) -> Array:
+        """ΛΠ = π (2.13), shape (3,)."""
+        return state.p
+
+    def vector_field(self, state: State) -> State:
+        """(Λ̇, π̇) = (ΛΩ̂, 0) (2.12)."""
+        Omega = self.angular_velocity(state)
+        return State(jnp.stack([jnp.stack(vec3.cross(row, Omega)) for row in state.q]), jnp.zeros_like(state.p))
+
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system."""
+        q = _checks.real_array("state.q", state.q, (3, 3))
+        _checks.real_array("state.p", state.p, (3,))
+        if _checks.concrete(q) and not float(vec3.det(q)) > 0:
+            raise ValueError(f"state.q must have a positive determinant, got {float(vec3.det(q)):.3g}")
+
+
+def embedded_body(inertia: ArrayLike) -> EmbeddedBody:
+    """A free rigid body whose attitude is a matrix Λ that a scheme may lead out of SO(3).
+
+    Args:
+        inertia: principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3), as in `rigid_body`.
+
+    Raises:
+        ValueError: as `rigid_body`.
+
+    Example:
+        >>> body = embedded_body([1.0, 2.0, 3.0])
+        >>> state = body.state([1, 0, 0, 0], angular_velocity=[0.2, 0.0, 1.0])
+        >>> state.q.shape, float(body.energy(state))
+        ((3, 3), 1.52)
+    """
+    return EmbeddedBody(_checks.inertia(inertia))
+
+
+def examples() -> dict[str, tuple[EmbeddedBody, State, float]]:
+    """The body of the paper's Figure 1."""
+    body = embedded_body([1.0, 2.0, 3.0])
+    return {"embedded": (body, body.state(angular_velocity=[0.2, 0.0, 1.0]), 0.05)}

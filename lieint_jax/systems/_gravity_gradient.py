@@ -1,0 +1,124 @@
+"""A satellite, or any body in an orbit, under the torque of gravity's gradient (MacCullagh 1844)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import vec3
+from lieint_jax.groups import so3
+from lieint_jax.orbits import kepler
+from lieint_jax.systems._driven_top import MovedBody
+from lieint_jax.systems._potential_top import QuadraticPotential
+from lieint_jax.types import callable_pytree, pytree
+
+
+@pytree
+class TidalAxis:
+    """γ(t) = √(3μ/r³) r̂: the line to the center of attraction, of such a length that V = ½Γ·JΓ.
+
+    Attributes:
+        orbit: t ↦ (position (3,), velocity (3,)) about the center.
+        mu: μ; None for that of the orbit.
+    """
+
+    orbit: Any
+    mu: Array | None
+
+    def __call__(self, t: Array) -> Array:
+        position = self.orbit(t)[0]
+        mu = self.orbit.mu if self.mu is None else self.mu
+        r = jnp.sqrt(vec3.dot(position, position))
+        return jnp.sqrt(3 * mu / r) / (r * r) * position
+
+
+@pytree
+class GravityGradient(MovedBody):
+    """H = ½ Π·J⁻¹Π + (3μ/2r³) r̂·ΛJΛᵀr̂ with r̂(t), r(t) of an orbit. Made by `gravity_gradient`.
+
+    Attributes:
+        inertia: J about the center of mass, principal (3,) or full (3, 3).
+        orbit: t ↦ (position (3,), velocity (3,)) about the center of attraction.
+        mu: μ of that center; None for that of the orbit.
+    """
+
+    inertia: Array
+    orbit: Callable[[Array], tuple[Array, Array]]
+    mu: Array | None
+
+    @property
+    def potential(self) -> QuadraticPotential:
+        """Ṽ(Γ) = ½Γ·JΓ: time is in the axis alone."""
+        return QuadraticPotential(self.inertia)
+
+    @property
+    def axis(self) -> TidalAxis:
+        """γ(t) = √(3μ/r³) r̂."""
+        return TidalAxis(self.orbit, self.mu)
+
+    def force(self, q: Array, t: Array) -> Array:
+        """γ × ΛJΛᵀγ, the torque in space, shape (3,): what autodiff finds, in fewer operations."""
+        axis = self.axis_at(t)
+        Gamma = so3.Ad_star(q, axis)
+        return jnp.stack(vec3.cross(axis, so3.Ad(q, vec3.apply(vec3.symmetric(self.inertia), Gamma))))
+
+
+def gravity_gradient(
+    inertia: ArrayLike, orbit: Callable[[Array], tuple[Array, Array]], mu: ArrayLike | None = None
+) -> GravityGradient:
+    """A rigid body whose center moves on a given orbit, in the field of a point mass, to second order of size/distance.
+
+    V = (3μ/2r³) r̂·ΛJΛᵀr̂, the torque in space (3μ/r³) r̂ × ΛJΛᵀr̂. The axis of least moment along r̂ is stable. The
+    orbit is given: the body's attitude does not act back on it.
+
+    Args:
+        inertia: about the center of mass: principal moments (3,) or a symmetric tensor (3, 3).
+        orbit: a function t ↦ (position, velocity), each (3,), of the center of mass about the center of attraction,
+            such as `orbits.kepler(...)`, whose clock is the time of the states.
+        mu: the gravitational parameter of the center of attraction, > 0; by default `orbit.mu`.
+
+    Raises:
+        ValueError: bad inertia, an orbit that is no such function, μ missing or not positive.
+
+    Example: a satellite in an elliptic orbit, mean motion 1.
+
+        >>> from lieint_jax import orbits
+        >>> satellite = gravity_gradient([1.0, 2.0, 2.5], orbits.kepler(1.0, 1.0, 0.1))
+        >>> state = satellite.state(angular_velocity=[0.0, 0.0, 1.0], t=0.0, work=0.0)
+    """
+    inertia = _checks.inertia(inertia)
+    if not callable(orbit):
+        raise ValueError(
+            f"orbit must be a function t ↦ (position, velocity), such as orbits.kepler(...), got {orbit!r}"
+        )
+    if mu is None and not hasattr(orbit, "mu"):
+        raise ValueError("mu, the gravitational parameter, is needed with an orbit that has none of its own")
+    mu = None if mu is None else _checks.real_array("mu", mu, (), like=inertia)
+    used = orbit.mu if mu is None else mu  # pyright: ignore[reportFunctionMemberAccess]
+    if concrete(used) and not float(used) > 0:
+        raise ValueError(f"mu must be positive, got {float(used)}")
+    try:
+        shapes = [getattr(x, "shape", None) for x in jax.eval_shape(orbit, jnp.zeros((), inertia.dtype))]
+    except (TypeError, IndexError, ValueError) as error:
+        raise ValueError(f"orbit must be a function t ↦ (position, velocity); it fails: {error}") from error
+    if shapes != [(3,), (3,)]:
+        raise ValueError(f"orbit must give (position, velocity), each of shape (3,), got shapes {shapes}")
+    return GravityGradient(inertia, callable_pytree(orbit), mu)
+
+
+def examples() -> dict[str, Any]:
+    """Satellites that librate in an elliptic orbit, and a body that an Earth-like planet passes in a hyperbola."""
+    attitude = so3.exp(jnp.array([0.2, -0.1, 0.4]))
+    satellite = gravity_gradient([1.0, 2.0, 2.5], kepler(1.0, 1.0, 0.1, 0.4, 0.3, 1.1))
+    flyby = gravity_gradient([1.0, 1.6, 2.0], kepler(2.0, -1.5, 1.6, 0.3, 0.2, 0.7))
+    return {
+        "satellite": (satellite, satellite.state(attitude, angular_velocity=[0.2, 0.3, 1.0], t=0.7, work=0.0), 0.05),
+        "flyby": (flyby, flyby.state(attitude, angular_velocity=[0.5, 0.2, 0.7], t=-0.5, work=0.0), 0.05),
+    }

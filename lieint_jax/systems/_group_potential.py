@@ -1,0 +1,229 @@
+"""A left-invariant metric and a potential on any group (Section 5.4)."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax.systems._euler import Euler, kirchhoff
+from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._shared.on_group import OnGroup
+from lieint_jax.systems._shared.time_and_work import check_timed, timed
+from lieint_jax.types import (
+    AbstractDrivenSystem,
+    AbstractMechanicalSystem,
+    Group,
+    State,
+    autodiff_gradient,
+    callable_pytree,
+    clock,
+    pytree,
+    static,
+)
+
+
+@pytree
+class GroupPotential(OnGroup, AbstractMechanicalSystem):
+    """H = ½⟨Π, m⁻¹Π⟩ + V(q), Π = Ad*_q π (5.42); q̇ = qΩ̂, π̇ = −T*R dV(q) (5.41). Made by `group_potential`.
+
+    Attributes:
+        metric: m in the basis of the algebra, (d,) or (d, d).
+        group: the group G.
+        potential: V, a callable pytree q ↦ scalar.
+        symmetry: algebra elements η with V(exp(sη)q) = V(q), shape (k, d).
+    """
+
+    metric: Array
+    potential: Callable[[Array], Array]
+    symmetry: Array
+    group: Group = static()
+
+    @property
+    def free(self) -> Euler:
+        """The geodesic flow of the metric, without the potential."""
+        return Euler(self.metric, self.group)
+
+    def force(self, q: Array) -> Array:
+        """−T*R dV, shape (d,): the force of the potential in π̇. Its i-th component is −d/dε V(exp(εeᵢ)q)."""
+        return _force(self.group, self.potential, q)
+
+    def body_force(self, q: Array) -> Array:
+        """−T*L dV = Ad*_q of `force`, shape (d,): its i-th component is −d/dε V(q exp(εeᵢ))."""
+        zero = jnp.zeros(self.group.dim, q.dtype)
+        _, pull = jax.vjp(lambda Omega: self.group.tangent(q, Omega), zero)
+        return -pull(autodiff_gradient(self.potential)(q))[0]
+
+    def energy(self, state: State) -> Array:
+        """½⟨Π, m⁻¹Π⟩ + V(q)."""
+        return self.kinetic_energy(state) + self.potential(state.q)
+
+    def momentum(self, state: State) -> Array:
+        """The momentum of the symmetry, ⟨π, η⟩ for each η, shape (k,)."""
+        return self.symmetry @ state.p
+
+    def vector_field(self, state: State) -> State:
+        """(qΩ̂, −T*R dV) (5.41)."""
+        return State(self.group.tangent(state.q, self.velocity(state)), self.force(state.q))
+
+
+@pytree
+class DrivenGroupPotential(OnGroup, AbstractDrivenSystem):
+    """H = ½⟨Π, m⁻¹Π⟩ + V(q, t): (5.41) with a potential that is a given function of time. Made by `group_potential`.
+
+    Energy less work is conserved, with work = ∫∂V/∂t dt.
+
+    Attributes:
+        metric, group, symmetry: as in `GroupPotential`.
+        potential: V, a callable pytree (q, t) ↦ scalar.
+    """
+
+    metric: Array
+    potential: Callable[[Array, Array], Array]
+    symmetry: Array
+    group: Group = static()
+
+    @property
+    def free(self) -> Euler:
+        """The geodesic flow of the metric, without the potential."""
+        return Euler(self.metric, self.group)
+
+    @explained
+    def state(
+        self,
+        q: ArrayLike | None = None,
+        *,
+        velocity: ArrayLike | None = None,
+        body_momentum: ArrayLike | None = None,
+        spatial_momentum: ArrayLike | None = None,
+        t: ArrayLike = 0.0,
+        work: ArrayLike | None = None,
+    ) -> State:
+        """The state at a configuration and a time.
+
+        Args:
+            q, velocity, body_momentum, spatial_momentum: as in `GroupPotential.state`.
+            t: the time of the state, a scalar; 0 if it is left out.
+            work: 0.0 to count from here the work that is done on the system; None not to count it.
+
+        Raises:
+            ValueError: as in `GroupPotential.state`, or a time or work that is no finite scalar.
+        """
+        start = super().state(q, velocity=velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum)
+        return timed(start, t, work)
+
+    def force(self, q: Array, t: Array) -> Array:
+        """−T*R dV, shape (d,), at a time."""
+        return _force(self.group, lambda q: self.potential(q, t), q)
+
+    def power(self, q: Array, t: Array) -> Array:
+        """∂V/∂t, a scalar."""
+        return jax.jvp(lambda t: self.potential(q, t), (t,), (jnp.ones_like(t),))[1]
+
+    def energy(self, state: State) -> Array:
+        """½⟨Π, m⁻¹Π⟩ + V(q, t)."""
+        return self.kinetic_energy(state) + self.potential(state.q, clock(state))
+
+    def momentum(self, state: State) -> Array:
+        """The momentum of the symmetry, ⟨π, η⟩ for each η, shape (k,)."""
+        return self.symmetry @ state.p
+
+    def vector_field(self, state: State) -> State:
+        """(qΩ̂, −T*R dV) (5.41), and the power ∂V/∂t as the derivative of work."""
+        q, t = state.q, clock(state)
+        return State(self.group.tangent(q, self.velocity(state)), self.force(q, t), work=self.power(q, t))
+
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system."""
+        super().check(state)
+        check_timed(state)
+
+
+def _force(group: Group, potential: Callable[[Array], Array], q: Array) -> Array:
+    """−T*R dV, shape (d,)."""
+    _, pull = jax.vjp(lambda theta: group.spatial_tangent(q, theta), jnp.zeros(group.dim, q.dtype))
+    return -pull(autodiff_gradient(potential)(q))[0]
+
+
+def group_potential(
+    group: Group, metric: ArrayLike, potential: Callable[..., Array], symmetry: ArrayLike | None = None
+) -> GroupPotential | DrivenGroupPotential:
+    """A system of kinetic and potential energy on a group.
+
+    Args:
+        group: `groups.so3`, a group of the catalogue, or `groups.matrix(basis)`.
+        metric: m in the basis of the group, positive definite: (d,) or (d, d).
+        potential: V(q), smooth, q as in `State`; or V(q, t), a given function of time too, whose states have a time.
+            With parameters of its own, a `jax.tree_util.Partial`. What can be called with q alone is a V(q).
+        symmetry: directions η of the algebra, shape (k, d), under whose left action V is invariant: their momenta
+            ⟨π, η⟩ are conserved. None for none. Not checked.
+
+    Raises:
+        ValueError: a bad metric, V not callable or not a scalar, or symmetry of a wrong shape.
+
+    Example:
+        >>> from lieint_jax import groups
+        >>> weight = group_potential(groups.special_euclidean(2), [1.0, 2.0, 2.0], lambda q: 9.81 * 2.0 * q[1, 2])
+        >>> weight.force(weight.state(velocity=[0.0, 0.0, 0.0]).q).tolist()
+        [-0.0, -0.0, -19.62]
+    """
+    metric = _checks.positive_definite("metric", metric, group.dim)
+    if not callable(potential):
+        raise ValueError(f"potential must be a function of q, got {potential!r}")
+    none = jnp.zeros((0, group.dim), metric.dtype)
+    directions = _checks.real_array("symmetry", none if symmetry is None else symmetry, like=metric)
+    if directions.ndim != 2 or directions.shape[1] != group.dim:
+        raise ValueError(f"symmetry must have shape (k, {group.dim}), got {directions.shape}")
+    driven = _takes_time(potential)
+    at = (jnp.asarray(group.identity, metric.dtype), *[jnp.zeros((), metric.dtype)] * driven)
+    _checks.function("potential", potential, "(q, t)" if driven else "q", (), *at)
+    made = DrivenGroupPotential if driven else GroupPotential
+    return made(metric=metric, group=group, potential=callable_pytree(potential), symmetry=directions)
+
+
+def _takes_time(potential: Callable[..., Any]) -> bool:
+    """Whether a function needs a time beside q."""
+    try:
+        inspect.signature(potential).bind(None)
+    except TypeError:
+        return True
+    except ValueError:  # a function that does not tell
+        return False
+    return False
+
+
+def bottom_heavy(weight: Array, q: Array) -> Array:
+    """V = −weight·R₃₃: `weight` is m g times how far below the center of buoyancy the center of mass hangs."""
+    return -weight * q[2, 2]
+
+
+def henon_heiles(q: Array) -> Array:
+    """V = ½(x² + y²) + x²y − y³/3, on the translations of the plane: Hénon & Heiles, Astron. J. 69 (1964) 73."""
+    x, y = q[0, 2], q[1, 2]
+    return (x * x + y * y) / 2 + x * x * y - y**3 / 3
+
+
+def driven_henon_heiles(q: Array, t: Array) -> Array:
+    """`henon_heiles` in a galaxy whose mass pulsates."""
+    return (1 + 0.2 * jnp.cos(0.7 * t)) * henon_heiles(q)
+
+
+def examples() -> dict[str, tuple[Any, State, float]]:
+    """A bottom-heavy ellipsoid in a fluid, symmetric under translations and turns about the vertical; two stars."""
+    from lieint_jax.groups import translations
+
+    body = kirchhoff(center_of_mass=(0.0, 0.0, -0.2))
+    system = group_potential(body.group, body.metric, jax.tree_util.Partial(bottom_heavy, 0.4), jnp.eye(6)[2:])
+    star = group_potential(translations(2), [1.0, 1.0], henon_heiles)
+    pulsating = group_potential(translations(2), [1.0, 1.0], driven_henon_heiles)
+    return {
+        "pulsating": (pulsating, pulsating.state(velocity=[0.3, 0.35], t=0.4, work=0.0), 0.05),  # pyright: ignore[reportCallIssue]
+        "bottom_heavy": (system, system.state(velocity=[0.3, -0.4, 0.5, 0.6, 0.2, -0.3]), 0.05),
+        "henon_heiles": (star, star.state(velocity=[0.3, 0.35]), 0.05),
+    }

@@ -1,0 +1,148 @@
+"""Incompressible pseudo-rigid bodies: homogeneous deformations at constant volume, on T*SL(3) (Sections 1.1, 6.1.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks, types
+from lieint_jax._checks import concrete
+from lieint_jax.groups import special_linear
+from lieint_jax.phase_spaces import CotangentUnimodular
+from lieint_jax.systems._pseudo_rigid_body import PseudoRigidBody
+from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._shared.stored_energy import as_stored_energy, mooney_rivlin
+from lieint_jax.types import State, StoredEnergy, pytree
+
+
+@pytree
+class IncompressibleBody(types.AbstractIncompressibleBody):
+    """H = ½⟨P, PE⁻¹⟩ + W(FᵀF), det F = 1; Ḟ = PE⁻¹, Ṗ = −2F∇W + pF⁻ᵀ. Made by `incompressible_body`.
+
+    The pressure p keeps det F = 1: p tr(C⁻¹E⁻¹) = tr(SE⁻¹) + tr((F⁻¹Ḟ)²) with S = 2∇W(C).
+
+    Attributes:
+        inertia: E, as in `PseudoRigidBody`.
+        stored_energy: W.
+    """
+
+    inertia: Array
+    stored_energy: StoredEnergy
+
+    @property
+    def phase_space(self) -> CotangentUnimodular:
+        return CotangentUnimodular(self.inertia, special_linear(3))
+
+    @property
+    def compressible(self) -> PseudoRigidBody:
+        """The same body without the constraint."""
+        return PseudoRigidBody(self.inertia, self.stored_energy)
+
+    @explained
+    def state(
+        self,
+        deformation: ArrayLike | None = None,
+        *,
+        momentum: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        angular_velocity: ArrayLike | None = None,
+    ) -> State:
+        """The state of a deformation and one of three ways to give the motion, as in `pseudo_rigid_body`.
+
+        Args:
+            deformation: F, shape (3, 3), det F = 1 to 1e-6; by default 1. It is divided by the cube root of det F.
+            momentum: P = VE, shape (3, 3).
+            velocity: V = Ḟ, shape (3, 3). The part of V or P that changes the volume is left out, orthogonally in the
+                kinetic energy.
+            angular_velocity: ω in space, shape (3,): V = ω̂F, a rigid rotation.
+
+        Raises:
+            ValueError: not exactly one of the three, a wrong shape, a NaN, or det F ≠ 1.
+        """
+        state = self.compressible.state(
+            deformation, momentum=momentum, velocity=velocity, angular_velocity=angular_velocity
+        )
+        _volume("deformation", state.q)
+        q = state.q / jnp.cbrt(jnp.linalg.det(state.q))
+        space = self.phase_space
+        return State(q, space.tangential(q, space.spatial_momentum(State(q, state.p))))
+
+    def velocity(self, state: State) -> Array:
+        """V = Ḟ = PE⁻¹, shape (3, 3)."""
+        return self.compressible.velocity(state)
+
+    def energy(self, state: State) -> Array:
+        """½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2)."""
+        return self.compressible.energy(state)
+
+    def momentum(self, state: State) -> Array:
+        """Φ = rot[PFᵀ] (6.4), shape (3,), half the angular momentum."""
+        return self.compressible.momentum(state)
+
+    def volume_rate(self, state: State) -> Array:
+        """tr(VF⁻¹), which is 0 on T*SL(3); a step leaves O(Δt²) of it, see `schemes.additive`."""
+        return jnp.trace(jnp.linalg.solve(state.q, self.velocity(state)))
+
+    def pressure(self, state: State) -> Array:
+        """p, in units of energy."""
+        E = jnp.diag(self.inertia) if self.inertia.ndim == 1 else self.inertia
+        inverse, weight = jnp.linalg.inv(state.q), jnp.linalg.inv(E)
+        rate = inverse @ self.velocity(state)
+        S = -inverse @ self.compressible.vector_field(state).p
+        return (jnp.trace(S @ weight) + jnp.trace(rate @ rate)) / jnp.trace(inverse @ inverse.T @ weight)
+
+    def vector_field(self, state: State) -> State:
+        """(Ḟ, Ṗ) = (PE⁻¹, −2F∇W + pF⁻ᵀ)."""
+        free = self.compressible.vector_field(state)
+        return State(free.q, free.p + self.pressure(state) * jnp.linalg.inv(state.q).T)
+
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system."""
+        self.compressible.check(state)
+        _volume("state.q", state.q)
+
+
+def incompressible_body(
+    inertia: ArrayLike, stored_energy: StoredEnergy | Callable[[Array], Array]
+) -> IncompressibleBody:
+    """An elastic body that deforms homogeneously at constant volume, about its center of mass: F in SL(3).
+
+    Energy and the angular momentum 2 rot[PFᵀ] are conserved. `schemes.additive(body, "incompressible")` keeps both, and
+    det F = 1, to round-off. Without elasticity, W = 0, this is the motion of an ideal fluid ellipsoid with a linear
+    velocity and no gravity (Dirichlet's problem), a geodesic of SL(3).
+
+    Args:
+        inertia: E, as in `pseudo_rigid_body`.
+        stored_energy: W, as in `pseudo_rigid_body`; what it says of a change of volume is of no effect.
+
+    Raises:
+        ValueError: as `pseudo_rigid_body`.
+
+    Source: Lewis & Simo 1994, Sections 1.1 and 6.1.1; Arnold 1966 for W = 0.
+
+    Example:
+        >>> body = incompressible_body([2.0, 2.0, 2.0], mooney_rivlin(lam=2000.0, mu=6.0))
+        >>> state = body.state(angular_velocity=[0.0, 0.0, 3.0])
+        >>> float(body.energy(state))
+        18.0
+    """
+    return IncompressibleBody(_checks.positive_definite("inertia", inertia), as_stored_energy(stored_energy))
+
+
+def _volume(name: str, F: Array) -> None:
+    if not concrete(F):
+        return
+    det, allowed = float(np.linalg.det(np.asarray(F, float))), _checks.UNIT_TOLERANCE
+    if not abs(det - 1) <= allowed:
+        raise ValueError(f"det {name} must be 1 to {allowed:g}, got {det:.9g}; divide {name} by its cube root")
+
+
+def examples() -> dict[str, tuple[IncompressibleBody, State, float]]:
+    """The ball of the paper's Figure 3, at constant volume, strained and spinning."""
+    ball = incompressible_body(np.full(3, 2.0), mooney_rivlin(2000.0, 6.0))
+    F = np.array([[1.25, 0.1, 0.0], [0.0, 1.0, 0.2], [0.0, 0.0, 0.8]])
+    return {"ball": (ball, ball.state(F, angular_velocity=np.array([0.3, 0.0, 1.0])), 0.02)}

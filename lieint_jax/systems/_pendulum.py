@@ -1,0 +1,150 @@
+"""The spherical pendulum on T*S², the paper's introductory example (Section 1.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import vec3
+from lieint_jax.phase_spaces import CotangentSphere
+from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.types import AbstractSphereSystem, State, autodiff_gradient, callable_pytree, pytree
+
+_PHASE_SPACE = CotangentSphere()
+
+
+@pytree
+class UniformGravity:
+    """g(s) = strength·s: a uniform field."""
+
+    strength: Array
+
+    def __call__(self, s: Array) -> Array:
+        return self.strength * s
+
+
+@pytree
+class Pendulum(AbstractSphereSystem):
+    """H = |π|²/(2m) − g(γ·q) (1.3); q̇ = π × q/m, π̇ = −q × ∇V(q) with V(q) = −g(γ·q) (1.1), (1.4). Made by `pendulum`.
+
+    Attributes:
+        mass: m.
+        field: g.
+        axis: γ, a unit vector, shape (3,).
+    """
+
+    mass: Array
+    field: Callable[[Array], Array]
+    axis: Array
+
+    @property
+    def phase_space(self) -> CotangentSphere:
+        return _PHASE_SPACE
+
+    @explained
+    def state(
+        self, direction: ArrayLike, *, velocity: ArrayLike | None = None, momentum: ArrayLike | None = None
+    ) -> State:
+        """The state of a direction and one of two ways to give the motion.
+
+        Args:
+            direction: q, a unit vector to 1e-6, shape (3,); it is normalized.
+            velocity: q̇, shape (3,), tangent to the sphere.
+            momentum: π = m q × q̇, shape (3,), with q·π = 0.
+
+        Raises:
+            ValueError: not exactly one of the two, a wrong shape, a NaN, |q| ≠ 1, or a part along q above 1e-6 of the
+                whole.
+        """
+        name, given = _checks.one_of(velocity=velocity, momentum=momentum)
+        q = _unit("direction", direction)
+        vector = _checks.real_array(name, given, (3,))
+        along = vec3.dot(q, vector)
+        if concrete(along) and abs(float(along)) > _checks.UNIT_TOLERANCE * float(jnp.linalg.norm(vector)):
+            raise ValueError(f"{name} must be orthogonal to q: its part along q is {float(along):.3g}; subtract it")
+        vector = vector - along * q
+        p = vector if name == "momentum" else self.mass * jnp.cross(q, vector)
+        dtype = jnp.result_type(q, p)
+        return State(q.astype(dtype), p.astype(dtype))
+
+    def velocity(self, state: State) -> Array:
+        """q̇ = π × q/m, shape (3,)."""
+        return jnp.cross(state.p, state.q) / self.mass
+
+    def potential(self, q: Array) -> Array:
+        """V(q) = −g(γ·q), defined off the sphere too."""
+        return -self.field(vec3.dot(self.axis, q))
+
+    def energy(self, state: State) -> Array:
+        """|π|²/(2m) − g(γ·q) (1.3)."""
+        return vec3.dot(state.p, state.p) / (2 * self.mass) + self.potential(state.q)
+
+    def momentum(self, state: State) -> Array:
+        """γ·π (1.5), shape (1,)."""
+        return vec3.dot(self.axis, state.p)[None]
+
+    def vector_field(self, state: State) -> State:
+        """(q̇, π̇) = (π × q/m, −q × ∇V(q))."""
+        return State(self.velocity(state), -jnp.cross(state.q, autodiff_gradient(self.potential)(state.q)))
+
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system."""
+        q, p = _checks.real_array("state.q", state.q, (3,)), _checks.real_array("state.p", state.p, (3,))
+        if concrete(q, p) and float(self.phase_space.defect(state)) > 2 * _checks.UNIT_TOLERANCE:
+            raise ValueError("state must have |q| = 1 and q·π = 0 to 1e-6; make it with pendulum.state(...)")
+
+
+def pendulum(
+    mass: ArrayLike, gravity: ArrayLike | Callable[[Array], Array], axis: ArrayLike = (0.0, 0.0, -1.0)
+) -> Pendulum:
+    """A particle on the unit sphere in a field along an axis, V(q) = −g(γ·q).
+
+    Args:
+        mass: m > 0. (A pendulum of length l: put m l² here and m l times the acceleration into g.)
+        gravity: an acceleration G, for the uniform field g(s) = m G s; or any smooth g itself, an energy, as a callable
+            (with parameters of its own in a `jax.tree_util.Partial`).
+        axis: γ, the direction of the field: downwards; a unit vector to 1e-6.
+
+    Raises:
+        ValueError: m not positive, γ not a unit vector, a wrong shape or a NaN.
+
+    Source: Lewis & Simo 1994, (1.3)–(1.5); Simo & Gonzalez 1993.
+
+    Example:
+        >>> swing = pendulum(mass=1.0, gravity=9.81)
+        >>> state = swing.state([1.0, 0.0, 0.0], velocity=[0.0, 1.0, 0.0])
+        >>> float(swing.energy(state))
+        0.5
+    """
+    m = _checks.real_array("mass", mass, ())
+    if concrete(m) and not np.asarray(m) > 0:
+        raise ValueError(f"mass must be positive, got {m}")
+    if callable(gravity):
+        _checks.function("gravity", gravity, "γ·q", (), jnp.zeros((), m.dtype))
+    else:
+        gravity = UniformGravity(m * _checks.real_array("gravity", gravity, (), like=m))
+    return Pendulum(m, callable_pytree(gravity), _unit("axis", axis, like=m))
+
+
+def _unit(name: str, value: ArrayLike, like: Array | None = None) -> Array:
+    v = _checks.real_array(name, value, (3,), like=like)
+    if concrete(v) and abs(float(np.linalg.norm(np.asarray(v, float))) - 1) > _checks.UNIT_TOLERANCE:
+        raise ValueError(f"{name} must be a unit vector, got {np.asarray(v)}; divide it by its norm")
+    return v / jnp.linalg.norm(v)
+
+
+def _quadratic(s: Array) -> Array:
+    return s + s * s / 2
+
+
+def examples() -> dict[str, tuple[Pendulum, State, float]]:
+    """A uniform field, and one that grows with depth; both swing around the axis."""
+    direction, velocity = np.array([0.6, 0.0, -0.8]), np.array([0.0, 0.7, 0.0])
+    bobs = {"uniform": pendulum(1.0, 1.0), "quadratic": pendulum(1.5, _quadratic)}
+    return {name: (bob, bob.state(direction, velocity=velocity), 0.1) for name, bob in bobs.items()}

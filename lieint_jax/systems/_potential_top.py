@@ -1,0 +1,174 @@
+"""A rigid body with one point fixed, in any potential (Section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import vec3
+from lieint_jax.groups import so3
+from lieint_jax.systems._rigid_body import RigidBody
+from lieint_jax.systems._shared.body import Body, spatial_torque
+from lieint_jax.types import AbstractTop, PotentialWithGradient, State, callable_pytree, gradient, pytree
+
+
+@pytree
+class QuadraticPotential(PotentialWithGradient):
+    """Ṽ(Γ) = ½ Γ·SΓ: a field that grows linearly along γ, which is fixed in space, as in Brun's problem (S = εJ).
+
+    Gravity's gradient has this form too (S = 3n²J), but its γ points to the center of attraction and turns with the
+    orbit: this potential is that of a body held at one place, not of a satellite.
+    """
+
+    matrix: Array
+
+    def __call__(self, Gamma: Array, t: Array | None = None) -> Array:
+        del t  # there for driven tops
+        return vec3.dot(Gamma, vec3.apply(vec3.symmetric(self.matrix), Gamma)) / 2
+
+    def gradient(self, Gamma: Array, t: Array | None = None) -> Array:
+        """SΓ."""
+        del t
+        return jnp.stack(vec3.apply(vec3.symmetric(self.matrix), Gamma))
+
+    def discrete_gradient(self, a: Array, b: Array, t: Array | None = None) -> Array:
+        """S·½(a + b)."""
+        return self.gradient((a + b) / 2, t)
+
+
+@pytree
+class PotentialTop(Body, AbstractTop):
+    """H = ½ Π·J⁻¹Π + V: Λ̇ = ΛΩ̂, π̇ = γ × ΛDṼ(Γ) with Γ = Λᵀγ (4.2). Made by `potential_top`, `heavy_top`.
+
+    Attributes:
+        inertia: J about the fixed point, principal (3,) or full (3, 3).
+        potential: Ṽ(Γ); or V(Λ) if there is no axis.
+        axis: γ in space, shape (3,), or None.
+    """
+
+    inertia: Array
+    potential: Callable[[Array], Array]
+    axis: Array | None
+
+    @property
+    def free(self) -> RigidBody:
+        """The free body of this inertia, without the potential."""
+        return RigidBody(self.inertia)
+
+    def Gamma(self, state: State) -> Array:
+        """Γ = Λᵀγ, the axis as the body sees it, shape (3,)."""
+        return so3.Ad_star(state.q, self._axis)
+
+    def potential_energy(self, q: Array) -> Array:
+        """V, a scalar, at an attitude."""
+        if self.axis is None:
+            return self.potential(so3.to_matrix(q))
+        return self.potential(so3.Ad_star(q, self.axis))
+
+    def force(self, q: Array) -> Array:
+        """The torque of the potential in space, shape (3,). With an axis, γ × ΛDṼ(Γ) (4.1)."""
+        if self.axis is None:
+            return spatial_torque(self.potential_energy, q)
+        slope = gradient(self.potential, so3.Ad_star(q, self.axis))
+        return jnp.stack(vec3.cross(self.axis, so3.Ad(q, slope)))
+
+    @property
+    def _axis(self) -> Array:
+        if self.axis is None:
+            raise ValueError("this potential has no axis γ: it is a function of Λ (see potential_top)")
+        return self.axis
+
+    def energy(self, state: State) -> Array:
+        """½ Π·J⁻¹Π + V."""
+        return self.kinetic_energy(state) + self.potential_energy(state.q)
+
+    def momentum(self, state: State) -> Array:
+        """γ·π, shape (1,): rotations about γ are a symmetry. Shape (0,) without an axis."""
+        return state.p[:0] if self.axis is None else vec3.dot(self.axis, state.p)[None]
+
+    def vector_field(self, state: State) -> State:
+        """(q̇, π̇) = (½ q Ω, torque) (4.2)."""
+        return State(so3.tangent(state.q, self.angular_velocity(state)), self.force(state.q))
+
+
+def potential_top(
+    inertia: ArrayLike, potential: Callable[[Array], Array], axis: ArrayLike | None = (0.0, 0.0, 1.0)
+) -> PotentialTop:
+    """A rigid body with a fixed point in a potential.
+
+    Args:
+        inertia: about the fixed point: principal moments (3,) or a symmetric tensor (3, 3).
+        potential: with an axis, Ṽ(Γ) of Γ = Λᵀγ (3,): all that is symmetric about γ. Without one, V(Λ) of the rotation
+            matrix (3, 3). A smooth JAX function with a scalar value; parameters to be differentiated or batched go into
+            a `jax.tree_util.Partial`. One that knows a discrete gradient of its own (D̄·(b − a) = Ṽ(b) − Ṽ(a),
+            symmetric) has a method `discrete_gradient(a, b)`, as `QuadraticPotential` does.
+        axis: γ in space, shape (3,), of any length but 0; None for a V(Λ).
+
+    Raises:
+        ValueError: bad inertia, an axis that is no vector or zero, a potential that is no scalar function.
+
+    Example:
+        >>> top = potential_top([1.0, 2.0, 3.0], lambda Gamma: Gamma[0] ** 4)
+        >>> state = top.state(angular_velocity=[0.1, 0.2, 1.0])
+    """
+    inertia = _checks.inertia(inertia)
+    if axis is not None:
+        given, axis = axis, _checks.real_array("axis", axis, (3,), like=inertia)
+        if concrete(given) and not np.any(np.asarray(given)):
+            raise ValueError("axis must not be zero; without a symmetry axis give axis=None and a potential of Λ")
+    if not callable(potential):
+        raise ValueError(f"potential must be a function of {_argument(axis)}, got {potential!r}")
+    made = PotentialTop(inertia, callable_pytree(potential), axis)
+    _checks.function("potential", made.potential_energy, _argument(axis), (), jax.ShapeDtypeStruct((4,), inertia.dtype))
+    return made
+
+
+def brun() -> tuple[PotentialTop, State]:
+    """Brun 1893, Öfvers. K. Vetensk. Akad.: V = (ε/2)Γ·JΓ, a body in a quadratic field.
+
+    Integrable: `clebsch_integral`.
+    """
+    J = jnp.array([1.0, 2.0, 3.0])
+    top = potential_top(J, QuadraticPotential(0.8 * J), [0.0, 0.6, 0.8])
+    return top, top.state(so3.exp(jnp.array([0.3, -0.8, 0.5])), angular_velocity=[0.4, 0.6, -0.3])
+
+
+def clebsch_integral(top: PotentialTop, state: State, strength: float) -> Array:
+    """|Π|² − ε det J Γ·J⁻¹Γ, constant for V = (ε/2)Γ·JΓ (Clebsch 1871)."""
+    J, Pi, Gamma = vec3.symmetric(top.inertia), top.body_momentum(state), top.Gamma(state)
+    det = vec3.determinant(J, vec3.adjugate(J))
+    return vec3.dot(Pi, Pi) - strength * det * vec3.dot(Gamma, vec3.solve_symmetric(J, Gamma))
+
+
+def examples() -> dict[str, Any]:
+    """Brun's problem, a potential that has no axis, and one with a deep well."""
+    tilted = potential_top([1.0, 2.0, 2.5], _three_wells, None)
+    state = tilted.state(so3.exp(jnp.array([0.3, 0.1, 0.7])), angular_velocity=[0.2, 0.5, -0.4])
+    return {"brun": (*brun(), 0.05), "three_wells": (tilted, state, 0.05), "attracted": (*_attracted(), 0.02)}
+
+
+def _attracted() -> tuple[PotentialTop, State]:
+    """A body with a charge on its third axis at distance 1 from the fixed point; an opposite one is in space at 1.2."""
+    top = potential_top([1.0, 2.0, 2.5], _coulomb, [0.0, 0.0, 1.2])
+    return top, top.state(so3.exp(jnp.array([1.6, 0.4, 0.0])), angular_velocity=[0.2, 0.3, 0.4])
+
+
+def _coulomb(Gamma: Array) -> Array:
+    return -1 / jnp.sqrt(1 + vec3.dot(Gamma, Gamma) - 2 * Gamma[2])
+
+
+def _three_wells(R: Array) -> Array:
+    """A trace and a square of the rotation matrix: the misalignment of two frames, and a preference for one axis."""
+    return 0.3 * (3 - R[0, 0] - R[1, 1] - R[2, 2]) + 0.4 * R[2, 0] ** 2
+
+
+def _argument(axis: ArrayLike | None) -> str:
+    return "the rotation matrix Λ, shape (3, 3)" if axis is None else "Γ = Λᵀγ, shape (3,)"

@@ -1,0 +1,156 @@
+"""Pseudo-rigid bodies: homogeneous deformations of an elastic body, on T*GL⁺(3) (Section 6.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import vec3
+from lieint_jax.groups import so3
+from lieint_jax.phase_spaces import CotangentMatrices
+from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._shared.stored_energy import (
+    as_stored_energy,
+    mooney_rivlin,
+    neo_hookean,
+    saint_venant_kirchhoff,
+)
+from lieint_jax.types import AbstractElasticBody, State, StoredEnergy, pytree
+
+_PHASE_SPACE = CotangentMatrices()
+
+
+@pytree
+class PseudoRigidBody(AbstractElasticBody):
+    """H = ½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2); Ḟ = PE⁻¹, Ṗ = −2F∇W(FᵀF) (6.3). Made by `pseudo_rigid_body`.
+
+    Attributes:
+        inertia: E = ∫ρ X⊗X, the second moments of mass in the reference placement, (3,) or (3, 3).
+        stored_energy: W.
+    """
+
+    inertia: Array
+    stored_energy: StoredEnergy
+
+    @property
+    def phase_space(self) -> CotangentMatrices:
+        return _PHASE_SPACE
+
+    @explained
+    def state(
+        self,
+        deformation: ArrayLike | None = None,
+        *,
+        momentum: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        angular_velocity: ArrayLike | None = None,
+    ) -> State:
+        """The state of a deformation and one of three ways to give the motion.
+
+        Args:
+            deformation: F, shape (3, 3), det F > 0; by default 1.
+            momentum: P = VE, shape (3, 3).
+            velocity: V = Ḟ, shape (3, 3).
+            angular_velocity: ω in space, shape (3,): V = ω̂F, a rigid rotation. With E = 2·1 and F = 1, as in the
+                paper's figures, P = 2ω̂ and the paper's momentum is Φ = 2ω.
+
+        Raises:
+            ValueError: not exactly one of the three, a wrong shape, a NaN, or det F ≤ 0.
+        """
+        F = jnp.eye(3) if deformation is None else _checks.real_array("deformation", deformation, (3, 3))
+        _orientation("deformation", F)
+        name, given = _checks.one_of(momentum=momentum, velocity=velocity, angular_velocity=angular_velocity)
+        P = _checks.real_array(name, given, (3,) if name == "angular_velocity" else (3, 3))
+        if name == "angular_velocity":
+            P = so3.hat(P) @ F
+        if name != "momentum":
+            P = P @ self._inertia_matrix()
+        dtype = jnp.result_type(F, P)
+        return State(F.astype(dtype), P.astype(dtype))
+
+    def velocity(self, state: State) -> Array:
+        """V = Ḟ = PE⁻¹, shape (3, 3)."""
+        E = vec3.symmetric(self.inertia)
+        return jnp.stack([jnp.stack(vec3.solve_symmetric(E, row)) for row in state.p])
+
+    def strain(self, state: State) -> Array:
+        """C = FᵀF, shape (3, 3)."""
+        return jnp.array(vec3.rows(vec3.gram(state.q)))
+
+    def energy(self, state: State) -> Array:
+        """½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2)."""
+        return jnp.sum(state.p * self.velocity(state)) / 2 + self.stored_energy(self.strain(state))
+
+    def momentum(self, state: State) -> Array:
+        """Φ = rot[PFᵀ] (6.4), shape (3,), the paper's momentum map of rotations in space: ξ·Φ = ½⟨P, ξ̂F⟩."""
+        M = vec3.product(state.p, vec3.transpose(state.q))
+        return jnp.stack([M[2][1] - M[1][2], M[0][2] - M[2][0], M[1][0] - M[0][1]]) / 2
+
+    def angular_momentum(self, state: State) -> Array:
+        """∫ρ x × ẋ = 2 rot[PFᵀ], shape (3,): the physical one, twice the paper's (6.4)."""
+        return 2 * self.momentum(state)
+
+    def vector_field(self, state: State) -> State:
+        """(Ḟ, Ṗ) = (PE⁻¹, −F S), S = 2∇W(FᵀF) (6.3)."""
+        S = vec3.rows(self.stored_energy.stress(vec3.gram(state.q)))
+        force = vec3.product(state.q, S)
+        return State(self.velocity(state), -jnp.array(force))
+
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system, or the system is not one, but a batch."""
+        _checks.of_one_system("inertia", self.inertia)
+        _orientation("state.q", _checks.real_array("state.q", state.q, (3, 3)))
+        _checks.real_array("state.p", state.p, (3, 3))
+
+    def _inertia_matrix(self) -> Array:
+        return jnp.diag(self.inertia) if self.inertia.ndim == 1 else self.inertia
+
+
+def pseudo_rigid_body(inertia: ArrayLike, stored_energy: StoredEnergy | Callable[[Array], Array]) -> PseudoRigidBody:
+    """A pseudo-rigid body: an elastic body that deforms homogeneously, x = F X, about its center of mass.
+
+    Args:
+        inertia: E, the second moments of mass in the reference placement: principal (3,) or a symmetric (3, 3). For a
+            ball of mass m and radius r it is (m r²/5)·1. (The inertia of the rigid body is tr(E) 1 − E.)
+        stored_energy: `mooney_rivlin(lam, mu)`, `neo_hookean`, `saint_venant_kirchhoff`, or any callable W(C) of
+            C = FᵀF, shape (3, 3).
+
+    Raises:
+        ValueError: E not positive definite or not symmetric, a wrong shape, W not callable or not a scalar.
+
+    Source: Cohen & Muncaster 1988, The Theory of Pseudo-rigid Bodies; Lewis & Simo 1994, Section 6.
+
+    Example:
+        >>> body = pseudo_rigid_body([2.0, 2.0, 2.0], mooney_rivlin(lam=2000.0, mu=6.0))
+        >>> state = body.state(angular_velocity=[0.0, 0.0, 3.0])
+        >>> float(body.energy(state))
+        18.0
+    """
+    return PseudoRigidBody(_checks.positive_definite("inertia", inertia), as_stored_energy(stored_energy))
+
+
+def _orientation(name: str, F: Array) -> None:
+    if concrete(F) and not np.linalg.det(np.asarray(F, float)) > 0:
+        raise ValueError(f"det {name} must be positive (no body is turned inside out), got\n{np.asarray(F)}")
+
+
+def examples() -> dict[str, tuple[PseudoRigidBody, State, float]]:
+    """The ball of the paper's Figure 3b."""
+    ball = pseudo_rigid_body(np.full(3, 2.0), mooney_rivlin(2000.0, 6.0))
+    return {"ball": (ball, ball.state(angular_velocity=np.array([0.0, 0.0, 1.0])), 0.005)}
+
+
+__all__ = [
+    "PseudoRigidBody",
+    "StoredEnergy",
+    "mooney_rivlin",
+    "neo_hookean",
+    "pseudo_rigid_body",
+    "saint_venant_kirchhoff",
+]

@@ -1,0 +1,323 @@
+"""Several rigid bodies that act on one another through a potential of their positions and attitudes."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks, potentials
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import vec3
+from lieint_jax._xla import compiled
+from lieint_jax.groups import so3
+from lieint_jax.phase_spaces import CotangentMotions
+from lieint_jax.systems._rigid_body import RigidBody
+from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.types import (
+    AbstractFreeBodies,
+    AbstractRigidBodies,
+    PhaseSpace,
+    State,
+    autodiff_gradient,
+    callable_pytree,
+    pytree,
+)
+
+_ARGUMENTS = "positions (N, 3) and rotations (N, 3, 3)"
+_DIGITS = {"float64": 11, "float32": 4}  # of the least distance, below which a state warns
+
+
+class _Many:
+    """What free bodies and bodies that act on one another share: how their states are made and read."""
+
+    masses: Array
+    inertias: Array
+
+    @property
+    def phase_space(self) -> PhaseSpace:
+        return CotangentMotions(self.masses.shape[0])
+
+    @explained
+    def state(
+        self,
+        positions: ArrayLike,
+        attitudes: ArrayLike | None = None,
+        *,
+        velocities: ArrayLike | None = None,
+        angular_velocities: ArrayLike | None = None,
+    ) -> State:
+        """The state of N bodies.
+
+        Args:
+            positions: of the centers of mass, (N, 3).
+            attitudes: unit quaternions (w, x, y, z), (N, 4), or rotation matrices (N, 3, 3), body to space; by default
+                the identity, (1, 0, 0, 0).
+            velocities: of the centers of mass, (N, 3); by default 0.
+            angular_velocities: Ω of each body in its own axes, radians per unit time, (N, 3); by default 0.
+
+        Returns:
+            q (N, 7): position and quaternion; p (N, 6): linear momentum, and spatial angular momentum about the body's
+            own center of mass.
+
+        Raises:
+            ValueError: a wrong shape, a NaN, an attitude that is no rotation, two bodies at one place.
+
+        Warns:
+            RuntimeWarning: the bodies are so far from the origin that their distances have few digits.
+        """
+        n = self.masses.shape[0]
+        x = _checks.real_array("positions", positions, (n, 3))
+        v, Omega = (
+            np.zeros((n, 3), x.dtype) if given is None else _checks.real_array(name, given, (n, 3))
+            for name, given in (("velocities", velocities), ("angular_velocities", angular_velocities))
+        )
+        state = _made(self.masses, self.inertias, x, _attitudes(attitudes, n, x), v, Omega)
+        self.check(state)
+        return state
+
+    def angular_velocities(self, state: State) -> Array:
+        """The body angular velocities Ω = J⁻¹Λᵀπ, (N, 3)."""
+        return jax.vmap(_angular_velocity)(self.inertias, state.q[:, 3:], state.p[:, 3:])
+
+    def kinetic_energy(self, state: State) -> Array:
+        """Σ |p|²/2m + ½ Π·J⁻¹Π."""
+        Pi = jax.vmap(so3.Ad_star)(state.q[:, 3:], state.p[:, 3:])
+        turning = jnp.sum(Pi * self.angular_velocities(state)) / 2
+        return turning + jnp.sum(state.p[:, :3] ** 2 / self.masses[:, None]) / 2
+
+    def momentum(self, state: State) -> Array:
+        """(6,): P = Σp, and L = Σ(x × p + π) about the origin."""
+        x, p, spin = state.q[:, :3], state.p[:, :3], state.p[:, 3:]
+        return jnp.concatenate([jnp.sum(p, axis=0), jnp.sum(jnp.cross(x, p) + spin, axis=0)])
+
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system; warn where distances have few digits."""
+        n = self.masses.shape[0]
+        if self.masses.ndim != 1 or self.inertias.shape not in ((n, 3), (n, 3, 3)):
+            raise ValueError(
+                f"masses of one system are (N,), its inertias (N, 3) or (N, 3, 3), got {self.masses.shape} and "
+                f"{self.inertias.shape}. For members with systems of their own, give ensemble.run step_axis=0"
+            )
+        _checks.real_array("state.q", state.q, (n, 7))
+        _checks.real_array("state.p", state.p, (n, 6))
+        if not concrete(state.q):
+            return
+        q = np.asarray(state.q)
+        lengths = np.linalg.norm(np.asarray(q[:, 3:], float), axis=1)
+        worst = int(np.argmax(np.abs(lengths - 1)))
+        _checks.unit_quaternion(f"the attitude of body {worst}", q[worst, 3:])
+        _check_places(q[:, :3])
+
+
+def _angular_velocity(J: Array, q: Array, spin: Array) -> Array:
+    """Ω = J⁻¹Λᵀπ of one body, (3,)."""
+    return jnp.stack(vec3.solve_symmetric(vec3.symmetric(J), so3.Ad_star(q, spin)))
+
+
+@pytree
+class FreeBodies(_Many, AbstractFreeBodies):
+    """N rigid bodies on which nothing acts: `RigidBodies.free`.
+
+    Attributes:
+        masses: (N,).
+        inertias: (N, 3) or (N, 3, 3).
+    """
+
+    masses: Array
+    inertias: Array
+
+    def energy(self, state: State) -> Array:
+        """The kinetic energy."""
+        return self.kinetic_energy(state)
+
+    def vector_field(self, state: State) -> State:
+        """ẋ = p/m, Λ̇ = ΛΩ̂, ṗ = 0, π̇ = 0."""
+        turning = jax.vmap(so3.tangent)(state.q[:, 3:], self.angular_velocities(state))
+        q_dot = jnp.concatenate([state.p[:, :3] / self.masses[:, None], turning], axis=1)
+        return State(q_dot, jnp.zeros_like(state.p))
+
+    def one(self, inertia: Array) -> RigidBody:
+        """A free body of this inertia."""
+        return RigidBody(inertia)
+
+
+@pytree
+class RigidBodies(_Many, AbstractRigidBodies):
+    """H = Σ |p|²/2m + ½ Π·J⁻¹Π + V(x, Λ). Made by `rigid_bodies`.
+
+    Attributes:
+        masses: (N,).
+        inertias: about the centers of mass, principal (N, 3) or full (N, 3, 3).
+        potential: (positions (N, 3), rotations (N, 3, 3)) ↦ V.
+    """
+
+    masses: Array
+    inertias: Array
+    potential: Callable[[Array, Array], Array]
+
+    @property
+    def free(self) -> FreeBodies:
+        """The same bodies without the potential."""
+        return FreeBodies(self.masses, self.inertias)
+
+    def potential_energy(self, q: Array) -> Array:
+        """V(x, Λ)."""
+        return self.potential(q[:, :3], rotations(q))
+
+    def momentum(self, state: State) -> Array:
+        """(6,): P = Σp, and L = Σ(x × p + π) about the origin; of these what an outer field leaves conserved."""
+        both, kept = super().momentum(state), potentials.symmetry(self.potential)
+        return both if kept is None else jnp.sum(kept * both, axis=1)
+
+    def energy(self, state: State) -> Array:
+        """The kinetic energy and V."""
+        return self.kinetic_energy(state) + self.potential_energy(state.q)
+
+    def force(self, q: Array) -> Array:
+        """The forces −∂V/∂x and the torques −∂V(exp(δ̂)Λ)/∂δ in space, (N, 6)."""
+        R = rotations(q)
+        if hasattr(self.potential, "force"):
+            return self.potential.force(q[:, :3], R)  # pyright: ignore
+        along_x, along_R = autodiff_gradient(self.potential, (0, 1))(q[:, :3], R)
+        return jnp.concatenate([-along_x, potentials.torques(R, along_R)], axis=1)
+
+    def vector_field(self, state: State) -> State:
+        """ẋ = p/m, Λ̇ = ΛΩ̂, ṗ and π̇ the forces and torques."""
+        return State(self.free.vector_field(state).q, self.force(state.q))
+
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system; warn where distances have few digits."""
+        super().check(state)
+        if concrete(state.q, self.potential):
+            V = _potential_energy(self, jnp.asarray(state.q))
+            if not np.isfinite(np.asarray(V)):
+                raise ValueError(f"the potential must be finite at the start, got {float(V)}")
+
+
+@compiled
+def _potential_energy(system: RigidBodies, q: Array) -> Array:
+    return system.potential_energy(q)
+
+
+@partial(compiled, once=True)
+def _made(
+    masses: Array, inertias: Array, x: Array, turns: Array, v: Array | np.ndarray, Omega: Array | np.ndarray
+) -> State:
+    """The state of positions, attitudes (quaternions or rotation matrices) and velocities."""
+    turns = jax.vmap(so3.normalize if turns.ndim == 2 else so3.from_matrix)(turns)
+    Pi = jax.vmap(lambda J, w: jnp.stack(vec3.apply(vec3.symmetric(J), w)))(inertias, Omega)
+    p = jnp.concatenate([masses[:, None] * v, jax.vmap(so3.Ad)(turns, Pi)], axis=1)
+    q = jnp.concatenate([x, turns], axis=1)
+    dtype = jnp.result_type(q, p)
+    return State(q.astype(dtype), p.astype(dtype))
+
+
+def _attitudes(attitudes: ArrayLike | None, n: int, like: Array) -> Array:
+    """Quaternions (n, 4) or rotation matrices (n, 3, 3), checked; the identity if there are none."""
+    if attitudes is None:
+        return _checks.as_array(np.tile([1.0, 0, 0, 0], (n, 1)), like.dtype)
+    given = _checks.real_array("attitudes", attitudes, (n, 4), (n, 3, 3))
+    if concrete(given):
+        check = _checks.unit_quaternion if given.ndim == 2 else _checks.rotation_matrix
+        for i, one in enumerate(np.asarray(given)):
+            check(f"the attitude of body {i}", one)
+    return given
+
+
+def _check_places(x: np.ndarray) -> None:
+    """ValueError if two of the positions (N, 3) are one; a warning if their distances have few digits."""
+    if len(x) < 2:
+        return
+    nearest = np.inf
+    for i in range(len(x) - 1):
+        distances = np.linalg.norm(x[i + 1 :] - x[i], axis=1)
+        if not distances.all():
+            raise ValueError(f"bodies {i} and {i + 1 + int(np.argmin(distances))} are at one place, {x[i]}")
+        nearest = min(nearest, float(distances.min()))
+    digits = np.log10(nearest / np.spacing(np.abs(x).max()))
+    if digits < _DIGITS[str(x.dtype)]:
+        warnings.warn(
+            f"two bodies are {nearest:.3g} apart and {np.abs(x).max():.3g} from the origin: their distance is held to "
+            f"{max(digits, 0):.1f} digits in {x.dtype}; count positions from the barycenter",
+            RuntimeWarning,
+            stacklevel=4,
+        )
+
+
+def rotations(q: Array) -> Array:
+    """Λ of each body, (N, 3, 3), of configurations (N, 7)."""
+    return jax.vmap(so3.to_matrix)(q[:, 3:])
+
+
+def rigid_bodies(masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Array, Array], Array]) -> RigidBodies:
+    """N rigid bodies in a potential V(x, Λ) of their positions and attitudes, N from 1 on.
+
+    A potential that depends on relative positions and attitudes alone conserves the linear momentum P and the angular
+    momentum L, which `momentum` gives: (P, L), with L about the origin. Of a potential with an outer field `momentum`
+    gives what is left conserved, and 0 for the rest. Positions are best barycentric: far from the origin differences of
+    positions lose digits.
+
+    Args:
+        masses: (N,), > 0.
+        inertias: about the centers of mass: principal moments (N, 3), or tensors in body axes (N, 3, 3), positive
+            definite.
+        potential: (positions (N, 3), rotations body to space (N, 3, 3)) ↦ a scalar; of `lieint_jax.potentials`, or a
+            function of your own that JAX can differentiate.
+
+    Raises:
+        ValueError: a mass that is not positive, an inertia that is not positive definite, shapes that disagree, a
+            potential that is not callable,
+            or of another number of bodies.
+    """
+    m = _checks.real_array("masses", masses)
+    if m.ndim != 1 or not m.size:
+        raise ValueError(f"masses must have shape (N,), got {m.shape}")
+    if concrete(m) and not bool(np.all(np.asarray(m) > 0)):
+        raise ValueError(f"masses must be positive, got {np.asarray(m)}")
+    J = _checks.real_array("inertias", inertias)
+    if J.shape not in ((m.size, 3), (m.size, 3, 3)):
+        raise ValueError(
+            f"inertias must have shape ({m.size}, 3) or ({m.size}, 3, 3), as many as masses; got {J.shape}"
+        )
+    if concrete(J):
+        for i in range(m.size):
+            _checks.inertia(np.asarray(J)[i])
+    if not callable(potential):
+        raise ValueError(f"potential must be a function of {_ARGUMENTS}, got {potential!r}")
+    n = potentials.count(potential)
+    if n not in (None, m.size):
+        raise ValueError(f"the potential is one of {n} bodies, but there are {m.size} masses")
+    made = RigidBodies(m, J, callable_pytree(potential))
+    _checks.function("potential", made.potential_energy, _ARGUMENTS, (), jax.ShapeDtypeStruct((m.size, 7), m.dtype))
+    return made
+
+
+def examples() -> dict[str, tuple[RigidBodies, State, float]]:
+    """A binary asteroid, and three bodies with a term that is no sum of pairs."""
+    masses, inertias = jnp.array([1.0, 0.5]), jnp.array([[0.10, 0.11, 0.12], [0.030, 0.034, 0.040]])
+    binary = rigid_bodies(masses, inertias, potentials.maccullagh(1.0, masses, inertias))
+    at = jnp.array([[-1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    moving = jnp.array([[0.0, -0.24, -0.01], [0.0, 0.48, 0.02]])
+    spins = jnp.array([[0.1, 0.0, 1.2], [0.0, 0.02, 0.24]])
+    triple = rigid_bodies([1.0, 0.5, 0.2], jnp.array([[0.1, 0.2, 0.25]] * 3), _spread)
+    corners = jnp.array([[1.0, 0, 0], [-1.0, 0.5, 0], [0, -1.2, 0.3]])
+    past = jnp.array([[-0.19, -0.1, 0.14], [0.3, 0.2, -0.4], [0.2, 0, 0.3]])
+    return {
+        "binary": (binary, binary.state(at, velocities=moving, angular_velocities=spins), 0.05),
+        "triple": (triple, triple.state(corners, velocities=past, angular_velocities=0.3 * corners), 0.05),
+    }
+
+
+def _spread(x: Array, R: Array) -> Array:
+    """The squared area of the triangle of three bodies, and what their attitudes feel of it."""
+    a, b = x[1] - x[0], x[2] - x[0]
+    c = jnp.cross(a, b)
+    tilt = jnp.einsum("i,nij->nj", c, R)
+    return 0.5 * jnp.sum(a * a) + 0.3 * jnp.sum(b * b) + 0.1 * jnp.sum(c * c) + 0.05 * jnp.sum(tilt[:, 2] ** 2)

@@ -1,0 +1,168 @@
+"""States of a rigid body: how they are made and read. No system of its own."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable
+from functools import partial
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._numerics import vec3
+from lieint_jax._xla import compiled
+from lieint_jax.groups import so3
+from lieint_jax.phase_spaces import CotangentGroup
+from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._shared.time_and_work import check_timed, timed
+from lieint_jax.types import PhaseSpace, State, autodiff_gradient
+
+_PHASE_SPACE = CotangentGroup(so3)
+
+
+class OnRotations:
+    """A system on T*SO(3), its state an attitude q and a spatial momentum π."""
+
+    @property
+    def phase_space(self) -> PhaseSpace:
+        return _PHASE_SPACE
+
+    def rotation_matrix(self, state: State) -> Array:
+        """Λ, body to space, shape (3, 3)."""
+        return so3.to_matrix(state.q)
+
+    def body_momentum(self, state: State) -> Array:
+        """Π = Λᵀπ, shape (3,)."""
+        return so3.Ad_star(state.q, state.p)
+
+
+class Rotating(OnRotations, abc.ABC):
+    """A body whose states are made from an attitude and a motion."""
+
+    inertia: Array
+
+    @abc.abstractmethod
+    def momentum_at(self, angular_velocity: Array) -> Array:
+        """Π where the body turns with Ω, shape (3,)."""
+
+    @explained
+    def state(
+        self,
+        attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        *,
+        angular_velocity: ArrayLike | None = None,
+        body_momentum: ArrayLike | None = None,
+        spatial_momentum: ArrayLike | None = None,
+    ) -> State:
+        """The state of an attitude and one of three ways to give the motion.
+
+        Args:
+            attitude: unit quaternion (w, x, y, z), the scalar part first, or rotation matrix (3, 3), body to space. The
+                identity is (1, 0, 0, 0); (0, 0, 0, 1), the identity in the order of scipy, is a half rotation about z.
+                A quaternion within 1e-6 of unit length is normalized.
+            angular_velocity: body angular velocity Ω, radians per unit time, shape (3,).
+            body_momentum: Π, in the body, shape (3,).
+            spatial_momentum: π = ΛΠ, shape (3,).
+
+        Raises:
+            ValueError: not exactly one of the three, a wrong shape, a NaN, or an attitude that is no rotation.
+        """
+        attitude = _checked_attitude(attitude)
+        name, given = _checks.one_of(
+            angular_velocity=angular_velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum
+        )
+        value = _checks.real_array(name, given, (3,))
+        q, p = _made(self, attitude, value, name)
+        return State(q, _checks.real_array("the spatial momentum", p))
+
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system, or the system is not one, but a batch."""
+        _checks.of_one_system("inertia", self.inertia)
+        _checks.unit_quaternion("state.q", state.q)
+        _checks.real_array("state.p", state.p, (3,))
+
+
+class Body(Rotating):
+    """A body that has no momentum but that of its own turning: Π = JΩ."""
+
+    def momentum_at(self, angular_velocity: Array) -> Array:
+        """Π = JΩ, shape (3,)."""
+        return jnp.stack(vec3.apply(vec3.symmetric(self.inertia), angular_velocity))
+
+    def angular_velocity(self, state: State) -> Array:
+        """The body angular velocity Ω = J⁻¹Π, shape (3,)."""
+        return jnp.stack(vec3.solve_symmetric(vec3.symmetric(self.inertia), self.body_momentum(state)))
+
+    def kinetic_energy(self, state: State) -> Array:
+        """½ Π·J⁻¹Π."""
+        return vec3.dot(self.body_momentum(state), self.angular_velocity(state)) / 2
+
+
+class TimedBody(Body):
+    """A body whose state has a time, and may count work."""
+
+    @explained
+    def state(
+        self,
+        attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        *,
+        angular_velocity: ArrayLike | None = None,
+        body_momentum: ArrayLike | None = None,
+        spatial_momentum: ArrayLike | None = None,
+        t: ArrayLike = 0.0,
+        work: ArrayLike | None = None,
+    ) -> State:
+        """The state of an attitude, one of three ways to give the motion, and a time.
+
+        Args:
+            attitude, angular_velocity, body_momentum, spatial_momentum: as in `rigid_body(...).state`.
+            t: the time of the state, a scalar; 0 if it is left out.
+            work: 0.0 to count from here the work that is done on the body; None not to count it.
+
+        Raises:
+            ValueError: not exactly one of the three, a wrong shape, a NaN, or an attitude that is no rotation.
+        """
+        start = super().state(
+            attitude,
+            angular_velocity=angular_velocity,
+            body_momentum=body_momentum,
+            spatial_momentum=spatial_momentum,
+        )
+        return timed(start, t, work)
+
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system."""
+        super().check(state)
+        if state.t is not None:
+            check_timed(state)
+
+
+def spatial_torque(potential: Callable[[Array], Array], q: Array) -> Array:
+    """The torque in space of a potential V(q), shape (3,): its i-th component is −d/dε V(exp(εeᵢ)q)."""
+    return -autodiff_gradient(lambda theta: potential(so3.multiply(so3.exp(theta), q)))(jnp.zeros_like(q[:3]))
+
+
+@partial(compiled, static_argnums=3, once=True)
+def _made(body: Rotating, attitude: Array, motion: Array, name: str) -> tuple[Array, Array]:
+    """The quaternion of an attitude, and π of the motion that the argument `name` of `state` gives."""
+    q = so3.from_matrix(attitude) if attitude.ndim == 2 else so3.normalize(attitude)
+    if name == "angular_velocity":
+        motion = body.momentum_at(motion)
+    p = motion if name == "spatial_momentum" else so3.Ad(q, motion)
+    dtype = jnp.result_type(q, p)
+    return q.astype(dtype), p.astype(dtype)
+
+
+def _checked_attitude(attitude: ArrayLike) -> Array:
+    """A quaternion or a rotation matrix."""
+    if np.shape(attitude) == (3, 3):
+        return _checks.rotation_matrix("attitude", attitude)
+    if np.shape(attitude) != (4,):
+        raise ValueError(
+            f"attitude must be a quaternion (w, x, y, z), shape (4,), or a rotation matrix (3, 3), got shape "
+            f"{np.shape(attitude)}; use jax.vmap for batches"
+        )
+    return _checks.unit_quaternion("attitude", attitude)

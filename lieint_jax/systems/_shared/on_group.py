@@ -1,0 +1,127 @@
+"""A state of T*G and its body momentum, for any group with a left-invariant metric. No system of its own."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import at_once, concrete
+from lieint_jax._numerics import small_linalg as la
+from lieint_jax._xla import compiled
+from lieint_jax.phase_spaces import CotangentGroup
+from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.types import Group, State
+
+
+class OnGroup:
+    """A motion on T*G with the kinetic energy of a left-invariant metric m, its state a configuration q and π."""
+
+    metric: Array
+    group: Group
+
+    @property
+    def phase_space(self) -> CotangentGroup:
+        return CotangentGroup(self.group)
+
+    @explained
+    def state(
+        self,
+        q: ArrayLike | None = None,
+        *,
+        velocity: ArrayLike | None = None,
+        body_momentum: ArrayLike | None = None,
+        spatial_momentum: ArrayLike | None = None,
+    ) -> State:
+        """The state at a configuration, with one of three ways to give the motion.
+
+        Args:
+            q: a group element, shape (n, n), within 1e-6 of the group; a unit quaternion
+                (w, x, y, z) for `groups.so3`. By default the identity.
+            velocity: body velocity Ω, shape (d,).
+            body_momentum: Π = mΩ, shape (d,).
+            spatial_momentum: π, with Π = Ad*_q π, shape (d,).
+
+        Raises:
+            ValueError: not exactly one of the three, a wrong shape, a NaN, or a q off the group.
+        """
+        element = _checks.as_array(self.group.identity, self.metric.dtype) if q is None else _checks.real_array("q", q)
+        _check_element("q", self.group, element)
+        name, given = _checks.one_of(velocity=velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum)
+        value = _checks.real_array(name, given, (self.group.dim,))
+        p = _momentum(self.group, self.metric, element, value, name)
+        dtype = jnp.result_type(element, p)
+        return State(element.astype(dtype), _checks.real_array("the spatial momentum", p.astype(dtype)))
+
+    def body_momentum(self, state: State) -> Array:
+        """Π = Ad*_q π, shape (d,)."""
+        return self.group.Ad_star(state.q, state.p)
+
+    def velocity(self, state: State) -> Array:
+        """The body velocity Ω = m⁻¹Π, shape (d,)."""
+        return sharp(self.metric, self.body_momentum(state))
+
+    def kinetic_energy(self, state: State) -> Array:
+        """½⟨Π, m⁻¹Π⟩ (5.18)."""
+        return la.dot(*(la.as_list(x) for x in (self.body_momentum(state), self.velocity(state)))) / 2
+
+    def casimirs(self, state: State) -> Array:
+        """The Casimirs of body momentum that are known (`group.casimirs`), (k,): constant along every motion."""
+        return self.group.casimirs(self.body_momentum(state))
+
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system, or the system is not one, but a batch."""
+        _checks.of_one_system("metric", self.metric, self.group.dim)
+        _check_element("state.q", self.group, state.q)
+        _checks.real_array("state.p", state.p, (self.group.dim,))
+
+
+@partial(compiled, static_argnums=(0, 4), once=True)
+def _momentum(group: Group, metric: Array, q: Array, motion: Array, name: str) -> Array:
+    """π of the motion that the argument `name` of `state` gives."""
+    if name == "velocity":
+        motion = flat(metric, motion)
+    return motion if name == "spatial_momentum" else group.Ad_star(group.inverse(q), motion)
+
+
+@partial(compiled, static_argnums=0, once=True)
+def _defect(group: Group, q: Array) -> Array:
+    return group.defect(q)
+
+
+def _check_element(name: str, group: Group, q: Array) -> None:
+    """Raise ValueError if a concrete q is off the group."""
+    shape = np.shape(group.identity)
+    if np.shape(q) != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {np.shape(q)}; use jax.vmap for batches")
+    if concrete(q):
+        with at_once():
+            defect = abs(float(_defect(group, q)))
+        if not defect <= 2 * _checks.UNIT_TOLERANCE:
+            raise ValueError(
+                f"{name} is off the group by {defect:.3g}, allowed is {2 * _checks.UNIT_TOLERANCE:g}; make it by "
+                "group.exp and group.multiply"
+            )
+
+
+def flat(metric: Array, xi: Array) -> Array:
+    """ξ♭ = m ξ."""
+    _check_shape(metric, len(xi))
+    return metric * xi if metric.ndim == 1 else la.as_array(la.matvec(la.as_list(metric), la.as_list(xi)), xi)
+
+
+def sharp(metric: Array, mu: Array) -> Array:
+    """μ♯ = m⁻¹ μ."""
+    _check_shape(metric, len(mu))
+    if metric.ndim == 1:
+        return mu / metric
+    return la.as_array(la.solve(la.as_list(metric), la.as_list(mu)), mu)
+
+
+def _check_shape(metric: Array, d: int) -> None:
+    if metric.shape not in ((d,), (d, d)):
+        raise ValueError(f"the metric of one system has shape ({d},) or ({d}, {d}), got {metric.shape}; use jax.vmap")

@@ -1,0 +1,193 @@
+"""Stored energies W(C) of homogeneous elastic bodies, C = FᵀF, and their stresses S = 2∇W(C).
+
+Each gives two stresses, as symmetric tensors by their six entries (see `small`):
+
+    stress(C)          S(C) = 2∇W(C), the second Piola–Kirchhoff stress
+    mean_stress(C, D)  a symmetric S̄ with ½ S̄:D = W(C + D) − W(C), S̄(C, 0) = S(C), free of cancellation for small D
+
+The second is a discrete gradient: with it in place of S, energy is conserved and no equation for γ (6.13) is solved.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import power_series, vec3
+from lieint_jax._numerics.vec3 import Symmetric
+from lieint_jax.types import StoredEnergy, autodiff_gradient, callable_pytree, pytree, static
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+
+
+class _VolumeAndTrace(StoredEnergy):
+    """W = (μ/2)(I₁ − 3) + w(I₃), so S = μ1 + 2w′(I₃) cof C and, by its invariants one by one,
+
+    S̄ = μ1 + 2 Δw/ΔI₃ · cof̄,   cof̄ = cof(C + ½D) + cof(D)/12,   ΔI₃ = cof̄:D.
+    """
+
+    mu: Array
+
+    @abc.abstractmethod
+    def volume_energy(self, I3: Array) -> Array:
+        """w(I₃)."""
+
+    @abc.abstractmethod
+    def slope(self, I3: Array, change: Array) -> Array:
+        """(w(I₃ + ΔI₃) − w(I₃))/ΔI₃, and w′(I₃) for ΔI₃ = 0."""
+
+    def __call__(self, C: Array) -> Array:
+        S = vec3.symmetric(C)
+        I3 = vec3.determinant(S, vec3.adjugate(S))
+        return self.mu / 2 * (vec3.trace(S) - 3) + self.volume_energy(I3)
+
+    def stress(self, C: Symmetric) -> Symmetric:
+        cofactor = vec3.adjugate(C)
+        I3 = vec3.determinant(C, cofactor)
+        return self._with(2 * self.slope(I3, jnp.zeros_like(I3)), cofactor)
+
+    def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
+        cofactor = vec3.mean_cofactor(C, D)
+        slope = self.slope(vec3.determinant(C, vec3.adjugate(C)), vec3.inner(cofactor, D))
+        return self._with(2 * slope, cofactor)
+
+    def _with(self, pressure: Array, cofactor: Symmetric) -> Symmetric:
+        return _plus(self.mu, tuple(pressure * c for c in cofactor))
+
+
+@pytree
+class MooneyRivlin(_VolumeAndTrace):
+    """W = (λ/2)(I₃ − 1 − ln I₃) + (μ/2)(I₁ − 3 − ln I₃), the material of the paper's Figures 3 to 5."""
+
+    lam: Array
+    mu: Array
+
+    def volume_energy(self, I3: Array) -> Array:
+        return self.lam / 2 * (I3 - 1) - (self.lam + self.mu) / 2 * jnp.log(I3)
+
+    def slope(self, I3: Array, change: Array) -> Array:
+        return self.lam / 2 - (self.lam + self.mu) / 2 * power_series.log1p_ratio(change / I3) / I3
+
+
+@pytree
+class NeoHookean(_VolumeAndTrace):
+    """W = (μ/2)(I₁ − 3 − ln I₃) + (λ/8)(ln I₃)²."""
+
+    lam: Array
+    mu: Array
+
+    def volume_energy(self, I3: Array) -> Array:
+        log = jnp.log(I3)
+        return (self.lam / 8 * log - self.mu / 2) * log
+
+    def slope(self, I3: Array, change: Array) -> Array:
+        logs = jnp.log(I3) + jnp.log(I3 + change)
+        return (self.lam / 8 * logs - self.mu / 2) * power_series.log1p_ratio(change / I3) / I3
+
+
+@pytree
+class SaintVenantKirchhoff(StoredEnergy):
+    """W = (λ/8)(tr C − 3)² + (μ/4)|C − 1|²: quadratic in C, so S̄ is the stress at the middle."""
+
+    lam: Array
+    mu: Array
+
+    def __call__(self, C: Array) -> Array:
+        G = _plus(-1, vec3.symmetric(C))
+        return self.lam / 8 * vec3.trace(G) ** 2 + self.mu / 4 * vec3.inner(G, G)
+
+    def stress(self, C: Symmetric) -> Symmetric:
+        G = _plus(-1, C)
+        return _plus(self.lam / 2 * vec3.trace(G), tuple(self.mu * g for g in G))
+
+    def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
+        return self.stress(tuple(c + d / 2 for c, d in zip(C, D, strict=True)))
+
+
+@pytree
+class General(StoredEnergy):
+    """Any W, its stress by autodiff. S̄ = 2∫₀¹∇W(C + sD) ds by 8 Gauss nodes."""
+
+    function: Callable[[Array], Array]
+    name: str = static(default="user")
+
+    def __call__(self, C: Array) -> Array:
+        return self.function((C + C.T) / 2)
+
+    def stress(self, C: Symmetric) -> Symmetric:
+        return vec3.symmetric(self._stress(jnp.array(vec3.rows(C))))
+
+    def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
+        start, change = jnp.array(vec3.rows(C)), jnp.array(vec3.rows(D))
+        nodes = jnp.asarray((_NODES + 1) / 2, start.dtype)
+        stresses = jax.vmap(lambda s: self._stress(start + s * change))(nodes)
+        return vec3.symmetric(jnp.tensordot(jnp.asarray(_WEIGHTS / 2, start.dtype), stresses, 1))
+
+    def _stress(self, C: Array) -> Array:
+        return 2 * autodiff_gradient(self)(C)
+
+
+def _plus(pressure: Array | float, S: Symmetric) -> Symmetric:
+    """pressure·1 + S."""
+    return (*(pressure + s for s in S[:3]), *S[3:])
+
+
+def mooney_rivlin(lam: ArrayLike, mu: ArrayLike) -> MooneyRivlin:
+    """W = (λ/2)(I₃ − 1 − ln I₃) + (μ/2)(I₁ − 3 − ln I₃), I₁ = tr C, I₃ = det C: that of the paper's Figures 3–5.
+
+    Args:
+        lam: λ > 0, resistance to a change of volume; an energy.
+        mu: μ > 0, resistance to shear; an energy.
+
+    Raises:
+        ValueError: not positive or not finite.
+    """
+    return MooneyRivlin(*_moduli(lam, mu))
+
+
+def neo_hookean(lam: ArrayLike, mu: ArrayLike) -> NeoHookean:
+    """W = (μ/2)(I₁ − 3 − ln I₃) + (λ/8)(ln I₃)², the common compressible neo-Hookean material; λ, μ > 0, energies."""
+    return NeoHookean(*_moduli(lam, mu))
+
+
+def saint_venant_kirchhoff(lam: ArrayLike, mu: ArrayLike) -> SaintVenantKirchhoff:
+    """W = (λ/8)(tr C − 3)² + (μ/4)|C − 1|²; λ, μ > 0, energies.
+
+    It stays finite where the volume vanishes, so strong compression can turn a body inside out: steps watch det F.
+    """
+    return SaintVenantKirchhoff(*_moduli(lam, mu))
+
+
+def as_stored_energy(energy: Any) -> StoredEnergy:
+    """A material of this module, or any callable W(C) of a matrix (3, 3) that gives a scalar, smooth for C > 0.
+
+    Parameters of its own travel in a `jax.tree_util.Partial`.
+    """
+    if isinstance(energy, StoredEnergy):
+        return energy
+    if not callable(energy):
+        raise ValueError(
+            "stored_energy must be a material such as systems.mooney_rivlin(lam, mu), or a callable W(C) of C = FᵀF, "
+            f"shape (3, 3); got {energy!r}"
+        )
+    name = getattr(energy, "__name__", type(energy).__name__)
+    made = General(callable_pytree(energy), name)
+    _checks.function(f"stored_energy {name}", made, "C = FᵀF (3, 3)", (), jnp.zeros((3, 3)))
+    return made
+
+
+def _moduli(lam: ArrayLike, mu: ArrayLike) -> tuple[Array, Array]:
+    moduli = _checks.real_array("lam", lam, ()), _checks.real_array("mu", mu, ())
+    for name, value in zip(("lam", "mu"), moduli, strict=True):
+        if concrete(value) and not value > 0:
+            raise ValueError(f"{name} must be positive, got {value}")
+    return moduli

@@ -1,0 +1,355 @@
+"""Capabilities: abstract systems that stand for certain equations of motion.
+
+A system declares a capability by inheritance, and a scheme accepts the systems that declare the one it integrates.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax.types._group import Group
+from lieint_jax.types._state import State
+from lieint_jax.types._system import System
+
+
+class AbstractFreeBody(System):
+    """A rigid body on T*SO(3) that no torque moves: q̇ = ½ q Ω, π̇ = 0 with JΩ = Π = Λᵀπ (2.12).
+
+    Attributes:
+        inertia: J, principal moments (3,) or a symmetric tensor (3, 3).
+    """
+
+    inertia: Array
+
+
+class AbstractGyrostat(System):
+    """A rigid body with a rotor whose momentum in the body is constant: q̇ = ½ q Ω, π̇ = 0 with JΩ = Π − h_r, Π = Λᵀπ.
+
+    Attributes:
+        inertia: J, as in `AbstractFreeBody`.
+        rotor: h_r in the body, (3,).
+    """
+
+    inertia: Array
+    rotor: Array
+
+    @property
+    @abc.abstractmethod
+    def free(self) -> AbstractFreeBody:
+        """The body of this inertia without a rotor."""
+
+
+class AbstractDrivenGyrostat(System):
+    """A gyrostat whose rotor a motor drives, in a given way: as `AbstractGyrostat`, with ḣ_r = τ(t).
+
+    h_r is `State.extra["rotor"]`. Energy less work is conserved, where the work is −∫Ω·τ dt.
+
+    Attributes:
+        inertia: J, as in `AbstractFreeBody`.
+    """
+
+    inertia: Array
+
+    @abc.abstractmethod
+    def rotor(self, state: State, /) -> Array:
+        """h_r in the body, (3,)."""
+
+    @abc.abstractmethod
+    def torque(self, t: Array, /) -> Array:
+        """τ, by which the motor turns the rotor at time t, in the body, (3,)."""
+
+    @abc.abstractmethod
+    def holding(self, rotor: Array, /) -> AbstractGyrostat:
+        """The gyrostat whose rotor keeps the momentum `rotor`."""
+
+
+class AbstractEmbeddedBody(System):
+    """A free rigid body whose attitude Λ may leave SO(3), on L(3) × ℝ³: Λ̇ = ΛΩ̂, π̇ = 0 with JΩ = Π = Λ⁻¹π (2.12).
+
+    Attributes:
+        inertia: J, as in `AbstractFreeBody`.
+    """
+
+    inertia: Array
+
+
+class AbstractGeodesicFlow(System):
+    """The motion on T*G by a left-invariant metric alone: q̇ = qΩ̂, π̇ = 0 with mΩ = Π = Ad*_q π (5.14).
+
+    Attributes:
+        group: the group G.
+        metric: m, principal (d,) or full (d, d).
+    """
+
+    group: Group
+    metric: Array
+
+
+class AbstractRightGeodesicFlow(System):
+    """The motion on T*G by a right-invariant metric alone: q̇ = ω̂q, π̇ = −ad*_ω π with mω = π (end of Section 5.1.7).
+
+    The inverse of q moves by the left-invariant metric m, with body momentum −π and spatial momentum −Π.
+
+    Attributes:
+        group: the group G.
+        metric: m, as in `AbstractGeodesicFlow`.
+    """
+
+    group: Group
+    metric: Array
+
+
+class AbstractForcedSystem(System):
+    """A system with a kinetic energy and a force that depends on the configuration: the kick of a splitting."""
+
+    @property
+    @abc.abstractmethod
+    def free(self) -> System:
+        """This system without its force."""
+
+    @abc.abstractmethod
+    def force(self, q: Array, /) -> Array:
+        """By how much π̇ at the configuration q differs from π̇ of the free system; of the shape of π."""
+
+
+class AbstractFreeBodies(System):
+    """N rigid bodies on which nothing acts: ẋ = p/m, q̇ = ½ q Ω, ṗ = 0, π̇ = 0.
+
+    A state is q (N, 7), position and quaternion of each, and p (N, 6), linear and spatial angular momentum.
+
+    Attributes:
+        masses: (N,).
+        inertias: J, principal moments (N, 3) or tensors (N, 3, 3).
+    """
+
+    masses: Array
+    inertias: Array
+
+    @abc.abstractmethod
+    def one(self, inertia: Array) -> AbstractFreeBody:
+        """A free body of this inertia."""
+
+
+class AbstractRigidBodies(AbstractForcedSystem):
+    """N rigid bodies in a potential: as `AbstractFreeBodies`, with forces and torques.
+
+    Attributes:
+        masses, inertias: as in `AbstractFreeBodies`.
+        potential: (positions (N, 3), rotations (N, 3, 3)) ↦ V.
+    """
+
+    masses: Array
+    inertias: Array
+    potential: Callable[[Array, Array], Array]
+
+
+class AbstractTop(AbstractForcedSystem):
+    """A rigid body in a potential Ṽ(Γ) of an axis, Γ = Λᵀγ: q̇ = ½ q Ω, π̇ = γ × Λ∇Ṽ(Γ) (4.2).
+
+    Attributes:
+        inertia: J, as in `AbstractFreeBody`.
+        potential: Ṽ; a function of Λ, (3, 3), if there is no axis.
+        axis: γ in space, (3,), or None.
+    """
+
+    inertia: Array
+    potential: Callable[[Array], Array]
+    axis: Array | None
+
+
+class PotentialWithGradient(abc.ABC):
+    """A potential Ṽ(Γ) or Ṽ(Γ, t) that knows its gradient, for tops, where autodiff takes many more operations."""
+
+    @abc.abstractmethod
+    def __call__(self, Gamma: Array, t: Array | None = None) -> Array: ...
+
+    @abc.abstractmethod
+    def gradient(self, Gamma: Array, t: Array | None = None) -> Array:
+        """∇Ṽ, shape (3,)."""
+
+
+def gradient(potential: Callable[..., Array], Gamma: Array, *t: Array) -> Array:
+    """∇Ṽ(Γ) or ∇Ṽ(Γ, t), shape (3,), of any potential of tops."""
+    known = isinstance(potential, PotentialWithGradient)
+    return potential.gradient(Gamma, *t) if known else autodiff_gradient(potential)(Gamma, *t)
+
+
+def autodiff_gradient(potential: Callable[..., Array], argnums: int | tuple[int, ...] = 0) -> Callable[..., Any]:
+    """`jax.grad(potential, argnums)`, but NaN where the potential itself is not finite.
+
+    The derivative of log x exists for x < 0, where log x does not: a step would go on where there is no motion.
+    """
+
+    def gradient(*arguments: Any) -> Any:
+        V, slopes = jax.value_and_grad(potential, argnums)(*arguments)
+        defined = jnp.isfinite(V)
+        return jax.tree.map(lambda slope: jnp.where(defined, slope, jnp.nan), slopes)
+
+    return gradient
+
+
+class AbstractMechanicalSystem(AbstractForcedSystem):
+    """A left-invariant metric and a potential V(q) on T*G: q̇ = qΩ̂, π̇ = −T*R dV(q) with mΩ = Ad*_q π (5.41).
+
+    Attributes:
+        group: the group G.
+        metric: m, as in `AbstractGeodesicFlow`.
+        potential: V.
+    """
+
+    group: Group
+    metric: Array
+    potential: Callable[[Array], Array]
+
+    @abc.abstractmethod
+    def body_force(self, q: Array, /) -> Array:
+        """Ad*_q of `force`: its i-th component is −d/dε V(q exp(εeᵢ))."""
+
+
+class StoredEnergy(abc.ABC):
+    """W(C), an energy, of the right Cauchy–Green tensor C = FᵀF, shape (3, 3).
+
+    Symmetric tensors are tuples of six entries (xx, yy, zz, yz, xz, xy), see `_numerics.three`.
+    """
+
+    @abc.abstractmethod
+    def __call__(self, C: Array) -> Array: ...
+
+    @abc.abstractmethod
+    def stress(self, C: tuple[Array, ...]) -> tuple[Array, ...]:
+        """S = 2∇W(C)."""
+
+    @abc.abstractmethod
+    def mean_stress(self, C: tuple[Array, ...], D: tuple[Array, ...]) -> tuple[Array, ...]:
+        """S̄ with ½ S̄:D = W(C + D) − W(C)."""
+
+
+class AbstractElasticBody(System):
+    """A body that deforms homogeneously, on T*GL⁺(3): Ḟ = PE⁻¹, Ṗ = −2F∇W(FᵀF) (6.3).
+
+    Attributes:
+        inertia: E, the second moments of mass, (3,) or (3, 3).
+        stored_energy: W.
+    """
+
+    inertia: Array
+    stored_energy: StoredEnergy
+
+
+class AbstractIncompressibleBody(System):
+    """A body that deforms homogeneously at constant volume, on T*SL(3): Ḟ = PE⁻¹, Ṗ = −2F∇W(FᵀF) + p F⁻ᵀ, det F = 1.
+
+    The pressure p is such that tr(ḞF⁻¹) = 0. A state is (F, P) as in `AbstractElasticBody`, with tr(PE⁻¹F⁻¹) = 0.
+
+    Attributes:
+        inertia: E, as in `AbstractElasticBody`.
+        stored_energy: W.
+    """
+
+    inertia: Array
+    stored_energy: StoredEnergy
+
+
+class AbstractDrivenSystem(System):
+    """A kinetic energy and a potential V(q, t) that is a given function of time.
+
+    Energy less work is conserved, where the work is ∫∂V/∂t dt.
+    """
+
+    @property
+    @abc.abstractmethod
+    def free(self) -> System:
+        """This system without its potential."""
+
+    @abc.abstractmethod
+    def force(self, q: Array, t: Array, /) -> Array:
+        """By how much π̇ at the configuration q and the time t differs from π̇ of the free system."""
+
+    @abc.abstractmethod
+    def power(self, q: Array, t: Array, /) -> Array:
+        """∂V/∂t, a scalar."""
+
+
+class AbstractDrivenTop(AbstractDrivenSystem):
+    """A rigid body in a potential Ṽ(Γ, t) of an axis that may move: (4.2) with Γ = Λᵀγ(t).
+
+    Attributes:
+        inertia: J, as in `AbstractFreeBody`.
+        potential: Ṽ, a function of Γ and t; of Λ, (3, 3), and t, if there is no axis.
+        axis: γ, a function of time with values (3,) in space, a constant (3,), or None.
+    """
+
+    inertia: Array
+    potential: Any
+    axis: Any
+
+    @abc.abstractmethod
+    def axis_at(self, t: Array, /) -> Array:
+        """γ(t), shape (3,)."""
+
+
+class AbstractTorquedBody(System):
+    """A rigid body on T*SO(3) with a torque: q̇ = ½ q Ω, π̇ = τ if it is given in space, π̇ = Λτ if in the body.
+
+    A torque is a function (t, q, ω) ↦ τ, (3,), of time, the unit quaternion of the attitude, and the angular velocity
+    in the axes of the torque. A pytree may offer more:
+
+    | member | |
+    |---|---|
+    | `frame` | the axes of the torque, "body" or "space" |
+    | `potential(q)` | U, counted in the energy; then τ contains the torque −∂U |
+    | `power(t, q, omega)` | the power of all but −∂U, such as −c\\|ω\\|² |
+    | `mean(t, q_n, q_next, h, kappa, omega)` | the torque of a step, if not τ at its half; h = ½Θ, κ, ω̄ of the step |
+    | `during(dt, extra)` | the torque as it acts in a step of size dt (0: at one time) on a state with this `extra` |
+    | `key`, `inner(omega)`, `inner_energy(momentum)` | a momentum in space, `extra[key]`, that the torque comes from |
+
+    With `key`, d/dt extra[key] = −τ in space. `inner(ω)` is its value where all turns with ω; its `inner_energy` is
+    counted in the energy. Such a law needs no `__call__`: `during(0, extra)` is the torque at one time.
+
+    Attributes:
+        inertia: J, as in `AbstractFreeBody`.
+        torque: τ.
+        frame: the axes of τ and ω.
+    """
+
+    inertia: Array
+    torque: Callable[..., Array]
+    frame: str
+
+    def law(self, dt: ArrayLike, extra: dict[str, Array] | None) -> Callable[..., Array]:
+        """The torque as it acts in a step of size dt."""
+        during = getattr(self.torque, "during", None)
+        return self.torque if during is None else during(dt, extra)
+
+
+class AbstractDampedBody(System):
+    """A rigid body on T*SO(3) with internal friction: q̇ = ½ q (Ω + α Π × Ω), π̇ = 0 with JΩ = Π = Λᵀπ.
+
+    Attributes:
+        inertia: J, as in `AbstractFreeBody`.
+        friction: α, an inverse angular momentum.
+    """
+
+    inertia: Array
+    friction: Array
+
+
+class AbstractSphereSystem(System):
+    """A particle on the unit sphere, on T*S²: q̇ = π × q/m, π̇ = −q × ∇V(q) (1.4).
+
+    Attributes:
+        mass: m.
+    """
+
+    mass: Array
+
+    @abc.abstractmethod
+    def potential(self, q: Array, /) -> Array:
+        """V(q), smooth around the sphere too."""

@@ -1,0 +1,138 @@
+"""Trajectories for other packages, as labeled arrays of xarray and rotations of scipy; states in a line, to print."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from lieint_jax._checks import concrete
+from lieint_jax.types._members import Axis, along, axes
+
+_SHORT = 16  # the most numbers that a description shows
+_POSE, _MOMENTA = ["x", "y", "z", "qw", "qx", "qy", "qz"], ["px", "py", "pz", "pix", "piy", "piz"]
+_COMPONENTS: dict[tuple[int, ...], tuple[str, list[str]]] = {
+    (4,): ("quaternion", list("wxyz")),
+    (3,): ("axis", list("xyz")),
+}
+_TEXTS = {
+    "q": "configuration",
+    "p": "momentum",
+    "t": "time of each member",
+    "work": "work done on the body",
+    "residual": "largest residual since the last entry",
+    "converged": "whether all steps since the last entry did",
+}
+
+
+def described(value: Any) -> str:
+    """A number or a short array in full, to six digits; of a longer one, or a tracer, type and shape."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{name}: {described(inner)}" for name, inner in value.items()) + "}"
+    if not hasattr(value, "shape"):
+        return repr(value)
+    if not concrete(value) or value.size > _SHORT:
+        return f"{value.dtype}[{', '.join(map(str, value.shape))}]"
+    return np.array2string(np.asarray(value), precision=6, separator=", ").replace("\n", "")
+
+
+def fields(value: Any) -> str:
+    """A named tuple in a line, without its fields that are None."""
+    shown = [f"{name}={described(x)}" for name, x in zip(value._fields, value, strict=True) if x is not None]
+    return f"{type(value).__name__}({', '.join(shown)})"
+
+
+def trajectory(run: Any) -> str:
+    """A trajectory in a line."""
+    if not hasattr(run.t, "shape") or not concrete(run) or run.t.ndim != 1:
+        return fields(run)
+    members = "" if run.info.converged.ndim == 1 else f" of {run.info.converged.shape[1]} members"
+    missed = int((~np.asarray(run.info.converged)).sum())
+    fate = "all converged" if not missed else f"{missed} not converged"
+    return f"Trajectory({len(run.t)} entries{members}, t = {run.t[0]:.6g} … {run.t[-1]:.6g}, {fate}, {run.state})"
+
+
+def dataset(run: Any, system: Any, units: Mapping[str, str], system_axis: Axis) -> Any:
+    """An `xarray.Dataset` of a trajectory; see `Trajectory.to_xarray`."""
+    leading = axes(run)
+    extra = {f"extra_{name}": x for name, x in (run.state.extra or {}).items()}
+    leaves = {**run.state._asdict(), **extra, **run.info._asdict()}
+    arrays = {name: x for name, x in leaves.items() if name != "extra" and x is not None}
+    if system is not None:
+        arrays |= _measured(run, system, system_axis)
+    labels: dict[str, Any] = {"time": np.asarray(run.t)}
+    variables: dict[str, Any] = {}
+    for name, x in arrays.items():
+        dims, own = state_axes(name, x.shape[len(leading) :])
+        labels |= own
+        variables[name] = ((*leading, *dims), np.asarray(x), {"long_name": _TEXTS.get(name, name.replace("_", " "))})
+    found = _package("xarray").Dataset(variables, labels)
+    unknown = sorted(set(units) - set(found.variables))
+    if unknown:
+        names = [str(name) for name in found.variables]
+        near = difflib.get_close_matches(unknown[0], names, 1) or [x for x in names if x.startswith(unknown[0])]
+        meant = f"; did you mean {near[0]}?" if near else ""
+        raise ValueError(f"units of {', '.join(unknown)} are given, but the variables are {', '.join(names)}{meant}")
+    for name, unit in units.items():
+        found[name].attrs["units"] = unit
+    return found
+
+
+def rotations(run: Any) -> Any:
+    """The attitudes of a trajectory as `scipy.spatial.transform.Rotation`; see `Trajectory.rotations`."""
+    q = np.asarray(run.state.q)
+    own = q.shape[len(axes(run)) :]
+    if own == (3, 3):
+        raise ValueError(
+            "q holds matrices that need not be rotations: scipy's Rotation.from_matrix takes the nearest ones"
+        )
+    if own != (4,) and not (len(own) == 2 and own[1] == 7):
+        raise ValueError(f"attitudes are quaternions, q of shape (…, 4), or (…, N, 7) for N bodies; got {q.shape}")
+    transform = _package("scipy.spatial.transform")
+    return transform.Rotation.from_quat(np.roll(q[..., -4:], -1, axis=-1))
+
+
+def state_axes(name: str, shape: tuple[int, ...]) -> tuple[tuple[str, ...], dict[str, Any]]:
+    """Names of the axes of one state's array, and their labels."""
+    if name in ("q", "p", "angular_velocity") and shape in _COMPONENTS:
+        dim, own = _COMPONENTS[shape]
+        return (dim,), {dim: own}
+    if name in ("q", "p") and len(shape) == 2 and shape[1] in (6, 7):
+        dim, own = ("pose", _POSE) if shape[1] == 7 else ("momenta", _MOMENTA)
+        return ("body", dim), {"body": np.arange(shape[0]), dim: own}
+    if len(shape) == 2 and name in ("q", "p"):
+        return ("row", "column"), {}
+    return tuple(f"{name}_component{k or ''}" for k in range(len(shape))), {}
+
+
+def _measured(run: Any, system: Any, system_axis: Axis) -> dict[str, Any]:
+    """Energy, momentum map, and the angular velocity in the body where the system has one."""
+    if not hasattr(system, "energy"):
+        raise ValueError(f"system must be that of the run, such as step.system, got a {type(system).__name__}")
+    methods = {"energy": "energy", "momentum_map": "momentum"}
+    if hasattr(system, "angular_velocity"):
+        methods["angular_velocity"] = "angular_velocity"
+    measured = {name: _series(run, system, method, system_axis) for name, method in methods.items()}
+    return {name: x for name, x in measured.items() if x.size}
+
+
+def _series(run: Any, system: Any, method: str, system_axis: Axis) -> Any:
+    """The values of a method of the system along the run."""
+
+    def values(state: Any) -> Any:
+        return along(lambda own, z: getattr(own, method)(z), system, run._replace(state=state), system_axis)
+
+    return jax.jit(values)(jax.tree.map(jnp.asarray, run.state))
+
+
+def _package(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        package = name.partition(".")[0]
+        raise ImportError(f"{package} is not installed: pip install {package}") from error

@@ -1,0 +1,55 @@
+"""What every Hamiltonian system offers."""
+
+from __future__ import annotations
+
+import abc
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from lieint_jax.types._group import PhaseSpace
+from lieint_jax.types._state import State
+
+
+class System(abc.ABC):
+    """A Hamiltonian system: what every scheme and every diagnostic may ask of it."""
+
+    @property
+    @abc.abstractmethod
+    def phase_space(self) -> PhaseSpace:
+        """Its phase space, which has the symplectic form."""
+
+    @abc.abstractmethod
+    def energy(self, state: State, /) -> Array:
+        """H, a scalar."""
+
+    @abc.abstractmethod
+    def momentum(self, state: State, /) -> Array:
+        """The momentum map of the symmetries that are known, (k,); (0,) if there are none."""
+
+    @abc.abstractmethod
+    def vector_field(self, state: State, /) -> State:
+        """The time derivative of a state."""
+
+    @abc.abstractmethod
+    def check(self, state: State, /) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system."""
+
+    @property
+    def carried(self) -> dict[str, Array] | None:
+        """What the states of this system carry in `extra`, at rest; None if nothing."""
+        return None
+
+
+def time_derivative(system: System, state: State) -> State:
+    """The time derivative of all that a state holds: t is time itself, and what the system does not move rests."""
+    moving, rest = system.vector_field(state), jax.tree.map(jnp.zeros_like, state)
+    moved = {name: x for name, x in moving._asdict().items() if x is not None and getattr(state, name) is not None}
+    return rest._replace(**moved | ({} if state.t is None else {"t": jnp.ones_like(state.t)}))
+
+
+def energy_less_work(system: System, state: State) -> Array:
+    """H − W, a scalar, which is conserved: W is `state.work`, 0 if it is not counted."""
+    energy = system.energy(state)
+    return energy if state.work is None else energy - state.work

@@ -1,0 +1,249 @@
+"""`lieint animate`: what is drawn is the motion, the body has its inertia, and files are what they say."""
+
+import html.parser
+import itertools
+import re
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+
+import lieint_jax as li
+from lieint_jax.app import plots
+from lieint_jax.app.command import cli, meshes, pictures, scene
+from lieint_jax.app.command.pictures import StoredRun
+
+BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+STEP = li.schemes.so3_midpoint(BODY)
+DT = 0.05
+all_steps = jax.jit(li.integrate, static_argnums=(3, 4))
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    """Two bodies over t = 4, a state saved at every other step."""
+    path = tmp_path_factory.mktemp("runs") / "run.zarr"
+    states = jax.jit(jax.vmap(lambda w: BODY.state(angular_velocity=w)))(np.array([[0.2, 0.0, 1.0], [0.3, -0.5, 0.8]]))
+    li.ensemble.run(STEP, states, DT, 80, 2, store=path, progress=False)
+    return path
+
+
+def stored(system, q, p, t):
+    """A run of one member, as `scene.of` takes it."""
+    state = li.State(*(jnp.asarray(x)[:, None] for x in (q, p)))
+    info = li.StepInfo(jnp.zeros((len(t), 1)), jnp.ones((len(t), 1), bool))
+    return StoredRun("a body", "s", system, li.Trajectory(t, state, info), False)
+
+
+def moved(path, arguments=()):
+    return cli.main(["animate", str(path), *map(str, arguments)])
+
+
+@pytest.mark.long
+def test_frames_between_saved_states_show_the_states_that_were_not_saved(store):
+    """Saved every 0.1, interpolated every 0.05: the steps in between are met to 2e-7."""
+    run, system = li.ensemble.open(store)
+    found = scene.of(StoredRun("a body", "s", system, run, False), 1, 81)
+    np.testing.assert_allclose(found.t, DT * np.arange(81), rtol=0, atol=1e-12)
+    start = jax.tree.map(lambda x: jnp.asarray(x[0, 1]), run.state)
+    every = all_steps(STEP, start, DT, 80, 1)
+    R = np.asarray(jax.jit(jax.vmap(BODY.rotation_matrix))(every.state))
+    np.testing.assert_allclose(found.turns[::2, 0], R[::2], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found.turns[1::2, 0], R[1::2], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found.momenta, np.broadcast_to(found.momenta[0], (81, 1, 3)), rtol=0, atol=1e-13)
+    axis = R[0].T @ found.paths[0, 0]  # in the body
+    np.testing.assert_allclose(found.paths[:: 2 * found.fine, 0], R[::2] @ axis, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        np.abs(axis) / np.linalg.norm(axis), [0, 0, 1], rtol=0, atol=1e-13
+    )  # of greatest inertia
+
+
+@pytest.mark.parametrize("J", [[1.0, 2.0, 2.5], [[2.0, 0.2, -0.1], [0.2, 2.5, 0.15], [-0.1, 0.15, 3.0]]])
+def test_a_box_has_the_inertia_that_it_is_of(J):
+    """Homogeneous, its second moments are a third of those of its corners with an eighth of the mass each."""
+    mass = 1.7
+    corners = meshes.box(np.array(J), mass).corners
+    E = mass / 8 / 3 * corners.T @ corners
+    np.testing.assert_allclose(np.trace(E) * np.eye(3) - E, np.diag(J) if np.ndim(J) == 1 else J, rtol=0, atol=1e-14)
+
+
+def test_a_top_has_the_inertia_that_it_is_of():
+    """Up to its size, that of a cone on its point: J₃ = 3mr²/10, J₁ = 3m(r²/4 + h²)/5."""
+    r, h, e = 0.5, 0.9, np.array([0.6, 0.0, 0.8])
+    J1, J3 = 3 / 5 * (r**2 / 4 + h**2), 3 / 10 * r**2
+    found = meshes.top(J1 * np.eye(3) + (J3 - J1) * np.outer(e, e), e)
+    height = found.corners[-1] @ e
+    radii = np.linalg.norm(found.corners[1:-1] - height * e, axis=1)
+    np.testing.assert_allclose(radii / height, r / h, rtol=1e-12)
+    np.testing.assert_array_equal(found.corners[0], 0)
+
+
+def test_states_too_far_apart_are_shown_as_they_are():
+    """At 2.8 rad between saved states the frames are saved states, and a note says so."""
+    t = 2.8 * np.arange(6.0)
+    q = np.stack([np.cos(t / 2), 0 * t, 0 * t, np.sin(t / 2)], axis=1)
+    found = scene.of(stored(BODY, q, np.tile([0.0, 0.0, 3.0], (6, 1)), t), 0, 4)
+    np.testing.assert_array_equal(found.t, t[:4])
+    np.testing.assert_allclose(found.turns[:, 0, 0, 0], np.cos(t[:4]), rtol=0, atol=1e-14)
+    assert "up to 160° of turning: the frames are the first 4 saved states; save more often" in found.notes[-1]
+
+
+def uniform(t, rate=1.0):
+    """A run of one member that turns about its z axis."""
+    q = np.stack([np.cos(rate * t / 2), 0 * t, 0 * t, np.sin(rate * t / 2)], axis=1)
+    return stored(BODY, q, np.tile([0.0, 0.0, 3.0 * rate], (len(t), 1)), t)
+
+
+@pytest.mark.parametrize("sign", [1, pytest.param(-1, marks=pytest.mark.long)])
+def test_a_span_begins_and_ends_where_it_was_asked_for_between_saved_states(sign):
+    run = uniform(sign * np.linspace(0, 8, 9))
+    found = scene.of(run, 0, 41, (sign * 2.3, sign * 4.7))
+    np.testing.assert_allclose(found.t, sign * np.linspace(2.3, 4.7, 41), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found.turns[:, 0, 0, 0], np.cos(found.t), rtol=0, atol=1e-12)
+    assert not any("first" in note for note in found.notes)
+    assert found.needed < 41
+    short = scene.of(run, 0, 5, (sign * 2.0, None))  # 6 rad at 15° a frame
+    np.testing.assert_allclose(short.t[[0, -1]], [sign * 2, sign * (2 + np.pi / 3)], rtol=0, atol=1e-12)
+    assert short.needed == 24
+    assert "the first 1.047 of 6 s that were asked for" in short.notes
+    for span in ((-1.0, None), (3.0, 3.0), (3.0, 9.0), (4.0, 3.0)):
+        with pytest.raises(ValueError, match=r"--from and --to must lie in the run, from -?0 to -?8 s"):
+            scene.of(run, 0, 5, tuple(x if x is None else sign * x for x in span))
+
+
+def test_a_span_of_states_too_far_apart():
+    found = scene.of(uniform(2.8 * np.arange(6.0)), 0, 9, (2.0, 9.0))
+    np.testing.assert_array_equal(found.t, 2.8 * np.arange(1.0, 4.0))
+    with pytest.raises(ValueError, match="fewer than two states are saved from t = 3 to 4"):
+        scene.of(uniform(2.8 * np.arange(6.0)), 0, 9, (3.0, 4.0))
+
+
+@pytest.mark.long
+def test_a_path_is_drawn_between_saved_states_and_ends_are_marked():
+    """Chords of a spin of 1 rad a saved state would leave the curve by 12 %; farther apart it is dots."""
+    tilted = np.array([np.cos(0.4), np.sin(0.4), 0, 0])
+    for gap, joined in ((1.0, True), (2.8, False)):
+        t = gap * np.arange(9.0)
+        run = uniform(t)
+        q = np.asarray(jax.vmap(li.groups.so3.multiply, (0, None))(run.run.state.q[:, 0], jnp.asarray(tilted)))
+        fig = pictures.draw_motion(
+            stored(li.systems.rigid_body([1.0, 1.0, 1.0]), q, np.tile([0.0, 0.0, 1.0], (9, 1)), t)
+        )
+        [ax] = fig.axes
+        assert [text.get_text() for text in ax.get_legend().get_texts()] == ["start", "end"]
+        [seen] = [line for line in ax.lines if line.get_color() == plots.BLUE and line.get_alpha() == 0.9]
+        assert (seen.get_linestyle() == "-") is joined
+        count = sum(np.isfinite(line.get_data_3d()[0]).sum() for line in ax.lines if line.get_color() == plots.BLUE)
+        assert count > 100 if joined else count == 9
+        assert ("dots" in ax.get_title()) is not joined
+
+
+@pytest.mark.long
+def test_a_gif_has_its_frames_and_they_move(store, tmp_path, capsys):
+    out = tmp_path / "turn.gif"
+    assert moved(store, ["--out", out, "--seconds", 0.5, "--fps", 10, "--member", 1]) == 0
+    told = capsys.readouterr().out
+    assert f"Rigid body, {store.name}, member 1: t = 0 … t = " in told  # neither the scheme's name nor a unit "1"
+    assert "5 frames" in told
+    assert re.search(r"the rest does not fit at this speed: --seconds \d+ shows all, --from and --to another", told)
+    with Image.open(out) as film:
+        assert film.n_frames == 5
+        assert film.info["duration"] == 100
+        pictures = []
+        for k in range(5):
+            film.seek(k)
+            pictures.append(np.asarray(film.convert("RGB"), int))
+    assert all(np.abs(a - b).max() > 100 for a, b in itertools.pairwise(pictures))
+    assert moved(store, ["--out", out]) == 2
+    assert f"{out} exists and is not overwritten; --force" in capsys.readouterr().err
+
+
+class Links(html.parser.HTMLParser):
+    """The addresses that a page loads something from."""
+
+    def __init__(self):
+        super().__init__()
+        self.found = []
+
+    def handle_starttag(self, tag, attrs):
+        self.found += [value for name, value in attrs if name in ("src", "href", "data") and value]
+
+
+def test_a_page_holds_all_that_it_needs(store, tmp_path):
+    pytest.importorskip("plotly")
+    out = tmp_path / "turn.html"
+    assert moved(store, ["--out", out, "--seconds", 0.5, "--fps", 10]) == 0
+    text, links = out.read_text(encoding="utf-8"), Links()
+    links.feed(text)
+    assert not links.found
+    assert "plotly.js v" in text
+    assert "Plotly.newPlot(" in text
+    assert text.count('"name":"4"') == 1  # the last of five frames
+    assert '"name":"5"' not in text
+    assert out.stat().st_size < 7e6  # 4.9 MB, nearly all of it plotly
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--out", "turn.avi"], "an animation is written as .gif, .mp4, .html, got turn.avi"),
+        (["--out", "nowhere/turn.gif"], "the folder nowhere does not exist"),
+        (["--out", "turn.gif", "--member", "2"], "the run has members 0 to 1, got --member 2"),
+        (["--out", "turn.gif", "--seconds", "-1"], "--seconds must be positive, got -1"),
+        (
+            ["--out", "turn.gif", "--from", "3", "--to", "9"],
+            "must lie in the run, from 0 to 4, in its order; got 3 to 9",
+        ),
+    ],
+)
+def test_refusals_are_one_sentence(store, tmp_path, monkeypatch, capsys, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    assert moved(store, arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_what_is_not_installed_is_named(store, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
+    assert moved(store, ["--out", tmp_path / "turn.html"]) == 2
+    assert 'pip install "lieint_jax[animate]"' in capsys.readouterr().err
+    monkeypatch.setattr("matplotlib.animation.FFMpegWriter.isAvailable", lambda: False)
+    assert moved(store, ["--out", tmp_path / "turn.mp4"]) == 2
+    assert "ffmpeg, which is not installed: install it" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_system_without_rigid_bodies_says_what_is_possible():
+    bob = li.systems.pendulum(1.0, 9.81, [0.0, 0.0, 1.0])
+    run = stored(bob, np.tile([0.0, 0.0, 1.0], (3, 1)), np.zeros((3, 3)), np.arange(3.0))
+    with pytest.raises(ValueError, match=r"^Pendulum is not made of rigid bodies: rigid bodies, gyrostats, tops"):
+        scene.of(run, 0, 5)
+
+
+@pytest.mark.long
+def test_a_top_stands_on_its_point_and_turns_about_the_vertical():
+    top = li.systems.heavy_top([5.0, 5.0, 1.0], [0.0, 0.0, 20.0])
+    start = top.state(li.groups.so3.exp(jnp.array([0.3, 0.0, 0.0])), angular_velocity=[0.0, 0.0, 50.0])
+    run = all_steps(li.schemes.splitting(top), start, 0.01, 1000, 5)
+    found = scene.of(stored(top, run.state.q, run.state.p, run.t), 0, 60)
+    corners = np.stack([found.corners(k, 0) for k in range(60)])
+    np.testing.assert_array_equal(corners[:, 0], 0)
+    assert corners[..., 2].min() > -1e-12  # it does not fall below the table
+    assert abs(found.momenta[..., 2] - found.momenta[0, 0, 2]).max() < 1e-10  # γ·π, interpolated between saves
+
+
+@pytest.mark.long
+def test_two_bodies_stand_at_their_places():
+    bodies = li.systems.rigid_bodies([2.0, 1.0], [[0.5, 0.6, 0.7], [0.1, 0.2, 0.2]], lambda x, R: jnp.sum(x[0] * x[1]))
+    state = bodies.state([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]], angular_velocities=[[0.0, 0.1, 1.0], [0.5, 0.0, 0.3]])
+    step, dt = li.schemes.splitting(bodies), 0.05
+    run = all_steps(step, state, dt, 40, 2)
+    found = scene.of(stored(bodies, run.state.q, run.state.p, run.t), 0, 10)
+    assert len(found.solids) == 2
+    np.testing.assert_allclose(found.centers[0], state.q[:, :3], rtol=0, atol=1e-12)
+    middles = np.stack([found.corners(3, b).mean(axis=0) for b in range(2)])
+    np.testing.assert_allclose(middles, found.centers[3], rtol=0, atol=1e-12)

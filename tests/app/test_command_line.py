@@ -1,0 +1,422 @@
+"""The command: the main job on a small ensemble, certificates, and one clear line for whatever is wrong."""
+
+import json
+import os
+import re
+import typing
+
+import jax
+import numpy as np
+import pytest
+
+from lieint_jax import _discover, schemes, systems
+from lieint_jax.app import scenarios
+from lieint_jax.app.command import check, check_groups, cli, files
+from lieint_jax.app.command import info as info_command
+from lieint_jax.app.scenarios import rigid_body
+from lieint_jax.types import State, StepInfo, Trajectory
+
+
+@pytest.fixture(autouse=True)
+def in_a_fresh_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+SCENARIO = """
+title = "a book"
+system = "rigid_body"
+inertia = [1.0, 2.0, 3.0]
+scheme = "so3_midpoint"
+dt = 0.1
+steps = 100
+save_every = 10
+members = 4
+seed = 1
+[state]
+quaternion = [1.0, 0.0, 0.0, 0.0]
+angular_velocity_rad = [0.01, 1.0, 0.0]
+[spread]
+angular_velocity_deg = 1.0
+"""
+
+
+def book(**changes):
+    text = SCENARIO
+    for key, line in changes.items():
+        text = re.sub(rf"(?m)^{key} = .*$", line, text)
+    with open("book.toml", "w") as file:
+        file.write(text)
+    return "book.toml"
+
+
+@pytest.fixture(scope="module")
+def toutatis(tmp_path_factory):
+    """`lieint run toutatis` with few members for its first 24 days: output and results."""
+    folder = tmp_path_factory.mktemp("toutatis")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        import contextlib
+        import io
+
+        out = io.StringIO()
+        with contextlib.redirect_stdout(out):
+            assert cli.main(["run", "toutatis", "--members", "4", "--steps", "4800"]) == 0
+    return folder, out.getvalue()
+
+
+def test_toutatis_reaches_the_radar_epoch_and_meets_the_independent_prediction(toutatis):
+    """An integration at rtol 1e-12 by another package gave (115.52, 81.96, 110.69)° and 8.60° from the radar fix."""
+    _, out = toutatis
+    euler = re.search(r"Euler 3-1-3 .*predicted \(([^)]*)\)", out)[1]
+    np.testing.assert_allclose([float(x) for x in euler.split(",")], [115.52, 81.96, 110.69], rtol=0, atol=0.05)
+    rate = re.search(r"body rate .*predicted \(([^)]*)\)", out)[1]
+    np.testing.assert_allclose([float(x) for x in rate.split(",")], [-38.55, 1.46, -97.14], rtol=0, atol=0.05)
+    assert float(re.search(r"observed: ([\d.]+)° apart", out)[1]) == pytest.approx(8.60, abs=0.03)
+    assert float(re.search(r"own error: ([\d.]+)°", out)[1]) < 0.04
+
+
+def test_toutatis_output_says_what_it_assumes_and_cites_what_it_compares(toutatis):
+    _, out = toutatis
+    for text in ("an assumption", "7.4 ± 0.03", "5.38 ± 0.03", "180.2", "-54.75", "arXiv 1504.02024"):
+        assert text in out
+    assert "Takahashi" in out
+    assert "4 of 4 members converged" in out
+    assert "exact to round-off" in out
+
+
+def test_toutatis_writes_results_and_pictures(toutatis):
+    folder, _ = toutatis
+    run, metadata = files.load(folder / "toutatis.npz")
+    assert run.state.q.shape == (31, 4, 4)
+    assert metadata["scenario"]["members"] == 4
+    assert abs(run.t[29] - 23.159873) < 1e-9  # the radar epoch is one of the saved times
+    for name in ("toutatis-path.png", "toutatis-invariants.png"):
+        assert (folder / name).read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("members", [2])
+def test_toutatis_periods_over_800_days(members):
+    """7.3998 d and 5.3804 d by an independent integration; the published ones are 7.40 and 5.38, ± 0.03."""
+    from lieint_jax import ensemble
+
+    scenario = scenarios.load("toutatis", members=members)
+    step, states = scenarios.build(scenario)
+    run = ensemble.run(step, states, scenario.dt, scenario.steps, scenario.save_every, progress=False)
+    assert run.t[-1] >= 800
+    precession, rotation = rigid_body.mean_periods(step.system, run)
+    assert precession[0] == pytest.approx(7.3998, abs=2e-4)
+    assert rotation[0] == pytest.approx(5.3804, abs=2e-4)
+    rows = {row.name: row for row in rigid_body.quantities(scenario, step.system, run)}
+    assert rows["angular momentum longitude (°)"].nominal == pytest.approx(180.46, abs=0.01)
+    assert rows["angular momentum latitude (°)"].nominal == pytest.approx(-54.70, abs=0.01)
+
+
+@pytest.mark.long
+def test_periods_of_bodies_with_known_ones():
+    """A symmetric top, long and flat, and turned axes: precession |π|/J₁, rotation in the body Ω₃(J₁−J₃)/J₁."""
+    import jax.numpy as jnp
+
+    import lieint_jax as li
+    from lieint_jax import ensemble
+    from lieint_jax.groups import so3
+
+    turn = so3.to_matrix(so3.exp(jnp.array([0.4, -0.2, 0.7])))
+    for J in (np.array([2.0, 2.0, 1.0]), np.array([1.0, 1.0, 1.7])):
+        Omega, angle = np.array([0.3, 0.1, 0.9]), np.linalg.norm(J * [0.3, 0.1, 0.9])
+        for body, rate in (
+            (li.systems.rigid_body(J), Omega),
+            (li.systems.rigid_body(turn @ np.diag(J) @ turn.T), turn @ Omega),
+        ):
+            state = body.state(angular_velocity=rate)
+            states = jax.tree.map(lambda x: jnp.stack([x, x]), state)
+            run = ensemble.run(li.schemes.so3_midpoint(body), states, 0.01, 20_000, 100, progress=False)
+            precession, rotation = rigid_body.mean_periods(body, run)
+            np.testing.assert_allclose(precession, 2 * np.pi / (angle / J[0]), rtol=1e-3)
+            np.testing.assert_allclose(rotation, 2 * np.pi / abs(0.9 * (J[2] - J[0]) / J[0]), rtol=1e-3)
+
+
+def test_a_scenario_of_one_s_own(capsys, monkeypatch):
+    assert cli.main(["run", book()]) == 0
+    out = capsys.readouterr().out
+    assert "4 member(s), 100 steps of 0.1" in out
+    run, _ = files.load(scenarios.Path("book.npz"))
+    assert run.state.q.shape == (11, 4, 4)
+    monkeypatch.setattr(info_command, "draw", lambda *_: [])  # the second run's, for time
+    assert cli.main(["run", book(), "--steps", "50"]) == 0  # a second run loses nothing
+    assert files.load(scenarios.Path("book.npz"))[0].state.q.shape == (11, 4, 4)
+    assert files.load(scenarios.Path("book-2.npz"))[0].state.q.shape == (6, 4, 4)
+
+
+def test_a_run_without_certificate_and_pictures(capsys):
+    assert cli.main(["run", book(), "--no-certificate", "--no-pictures"]) == 0
+    out = capsys.readouterr().out
+    assert "ertif" not in out
+    assert "drawing" not in out
+    assert "± ensemble" in out
+    assert "4 of 4 members converged at every step" in out
+    assert os.listdir() == ["book.toml", "book.npz"] or os.listdir() == ["book.npz", "book.toml"]
+    assert cli.main(["info", "book.npz"]) == 0
+    out = capsys.readouterr().out
+    assert "t = 0 … 10 time unit" in out
+    assert re.search(r"at 11 of 11 saved times: \S+ in the run's units \(\S+ of the largest energy\)", out)
+
+
+def test_bodies_take_every_scheme_of_a_free_body():
+    body = systems.rigid_body([1.0, 2.0, 3.0])
+    takes = {name for name, module in _discover.modules_with_examples(schemes).items() if module.examples(body)}
+    kinds = rigid_body.Scenario.model_fields["scheme"].annotation
+    assert set(typing.get_args(kinds)) == takes - {"compose"}  # which is the key `order`
+    for scheme, order, step in (("gauss", "", 16), ("gauss", "order = 8", 8), ("extrapolate", "", 12)):
+        built = scenarios.build(scenarios.load(book(scheme=f'scheme = "{scheme}"\n{order}')))[0]
+        assert (built.name.partition("[")[0], built.order) == (scheme, step)
+
+
+def test_the_same_seed_is_the_same_ensemble():
+    a, b, c = (scenarios.build(scenarios.load(book(seed=f"seed = {s}")))[1] for s in (1, 1, 2))
+    np.testing.assert_array_equal(a.p, b.p)
+    assert np.abs(np.asarray(a.p) - np.asarray(c.p)).max() > 1e-3
+    nominal = scenarios.build(scenarios.load(book(), members=1))[1]
+    np.testing.assert_array_equal(a.p[0], nominal.p[0])  # member 0 is the nominal state
+
+
+BAD = [
+    (dict(dt="dt = 0"), "dt must not be 0"),
+    (dict(dt='dt = "fast"'), "dt: .*number.*'fast'"),
+    (dict(dt="dt = nan"), "dt: .*finite"),
+    (dict(dt=""), "dt: key missing"),
+    (dict(steps="steps = 55"), "steps = 55 must be a multiple of save_every = 10"),
+    (dict(members="members = 0"), "members: .*greater than 0.*got 0"),
+    (dict(members="members = 1.5"), "members: .*integer"),
+    (dict(seed="sed = 1"), r"sed: unknown key; did you mean seed\?; allowed: title, about, time_unit, system, dt"),
+    (dict(system='system = "heavy"'), "system: .*'rigid_body'.*got 'heavy'"),
+    (dict(system='system = ["rigid_body"]'), r"system: .*'rigid_body'.*got \['rigid_body'\]"),
+    (dict(seed='published.precession_period = {value = 1.0, error = 0, source = "x"}'), "error: .*greater than 0"),
+    (
+        dict(seed='published.precession_period = {value = 1.0, source = "x"}\nsources = {y = "a book"}'),
+        r"source 'x' is not one of the keys of \[sources\]: y",
+    ),
+    (dict(scheme='scheme = "rk4"'), "scheme: .*so3_midpoint"),
+    (dict(inertia="inertia = [1.0, 2.0]"), r"inertia: inertia must have shape \(3,\) or \(3, 3\), got \(2,\) \(got"),
+    (dict(scheme="scheme = exact # closed form"), r'not valid TOML: .*; text stands in quotes: scheme = "exact"$'),
+    (dict(inertia="inertia = [1.0, 2.0, -3.0]"), "inertia: inertia must be positive definite"),
+    (dict(angular_velocity_rad=""), "state: give exactly one of angular_velocity_rad and angular_velocity_deg"),
+    (dict(quaternion=""), "state: give the attitude, by exactly one of quaternion and euler_313_deg"),
+    (
+        dict(angular_velocity_rad="angular_velocity = [0.01, 1.0, 0.0]"),
+        r"state.angular_velocity: unknown key; did you mean angular_velocity_rad or angular_velocity_deg\?",
+    ),
+    (dict(scheme='scheme = "exact"\nkappa = "cayley"'), "kappa is a key of so3_midpoint; exact has none"),
+    (dict(scheme='scheme = "exact"\norder = 4'), "order of exact is none, since it is exact, got 4"),
+    (dict(scheme='scheme = "preprocessed"\norder = 2'), "order of preprocessed is 4 or 6 or 8 or 10, got 2"),
+    (dict(scheme='scheme = "extrapolate"\norder = 2'), "order of extrapolate is 4 or .* or 20, got 2"),
+    (
+        dict(angular_velocity_deg="angular_velocity_deg = -1.0"),
+        "spread.angular_velocity_deg: .*greater than or equal to 0",
+    ),
+    (dict(dt="dt = 3.0"), "first step fails for 4 member"),
+    (dict(title="title = "), "not valid TOML"),
+    (
+        dict(quaternion="quaternion = [2.0, 0.0, 0.0, 0.0]"),
+        "state: .*unit quaternion",
+    ),
+    (dict(dt='dt = "0.1"'), "dt: .*'0.1'"),
+    (dict(members="members = true"), "members: .*integer"),
+    (dict(seed="seed = 9223372036854775808"), "seed: "),
+    (dict(title='title = "$\\\\foo$"'), "title: "),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), BAD, ids=[m[:30] for _, m in BAD])
+def test_a_bad_file_gets_one_line_that_names_the_key(changes, message, capsys):
+    assert cli.main(["run", book(**changes)]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert re.search(message, err)
+    assert not list(scenarios.Path().glob("*.npz"))
+
+
+def test_the_schema_of_scenario_files(capsys):
+    assert cli.main(["schema"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    assert len(schema["oneOf"]) == len(scenarios.kinds())
+    systems = [
+        schema["$defs"][kind["$ref"].split("/")[-1]]["properties"]["system"]["const"] for kind in schema["oneOf"]
+    ]
+    assert set(systems) == set(scenarios.kinds())
+
+
+def test_a_file_that_is_no_result_is_one_line(capsys):
+    scenarios.Path("x.npz").write_bytes(b"no archive")
+    np.savez("y.npz", a=np.zeros(3))
+    np.savez("z.npz", p=np.array([None]))
+    for name in ("x.npz", "y.npz", "z.npz"):
+        assert cli.main(["info", name]) == 2
+        error = capsys.readouterr().err
+        assert f"{name} is no file of results that lieint wrote" in error
+        assert "pickle" not in error  # numpy's advice to allow them would run whatever the file says
+
+
+def test_info_of_a_file_without_a_scenario(capsys):
+    info = StepInfo(np.zeros((2, 3)), np.ones((2, 3), bool))
+    states = State(np.ones((2, 3, 4)), np.ones((2, 3, 3)))
+    files.save(scenarios.Path("mine.npz"), Trajectory(np.array([0.0, 0.5]), states, info), {"lieint_jax": "0.1"})
+    assert cli.main(["info", "mine.npz"]) == 0
+    out = capsys.readouterr().out
+    for text in ("mine.npz", "3 member(s), 2 entries; lieint_jax 0.1", "t = 0 … 0.5"):
+        assert text in out
+
+
+@pytest.mark.long
+def test_check_groups_prints_a_table(capsys, monkeypatch):
+    group = check_groups.catalogue()["Aff(1)"]
+    monkeypatch.setattr(check_groups, "catalogue", lambda: {group.name: group})
+    assert cli.main(["check", "groups"]) == 0
+    head, _, row = capsys.readouterr().out.strip().splitlines()
+    assert head == "| group | energy | form, exponential | cayley | arcsine |"
+    assert re.fullmatch(r"\| Aff\(1\) \| \S+ \| \S+ \| (—|\S+) \| \S+ \|", row)
+
+
+def test_an_observation_on_the_other_side_of_the_start_says_which_sign_dt_has():
+    with pytest.raises(
+        ValueError, match=r"observation\.t = 23\.159873 .*other side of t = 0.*dt = -0\.005: give dt > 0"
+    ):
+        scenarios.load("toutatis", dt=-0.005)
+
+
+@pytest.mark.long
+def test_nothing_to_check_is_said(capsys):
+    for arguments, message in (
+        (["check", "rocket"], "no system 'rocket'.*lieint check rigid_body"),
+        (["check", "rigid"], r"no system 'rigid', did you mean rigid_body\?"),
+        (["check", "rigid_body", "--scheme", "rk4"], "no scheme with 'rk4'.*exact, extrapolate"),
+    ):
+        assert cli.main(arguments) == 2
+        assert re.search(message, capsys.readouterr().err)
+
+
+def test_bad_commands(capsys):
+    for arguments, message in (
+        (["run", "nowhere"], "there is no scenario 'nowhere': `lieint list` shows all; or give a .toml file"),
+        (["run", "toutatos"], r"there is no scenario 'toutatos': did you mean toutatis\? `lieint list`"),
+        (["run", "nofile.toml"], "there is no file nofile.toml; `lieint list` shows the scenarios"),
+        (
+            ["run", "toutatis", "--save-at", "no.txt"],
+            "there is no file no.txt: give a text file with one number a line",
+        ),
+        (["info", "no.npz"], r"there is no file no\.npz; lieint run NAME --out no\.npz writes one"),
+        (["plot", "no.zarr"], r"there is no file no\.zarr; lieint run NAME --out no\.zarr writes one"),
+        (["info", "."], r"\. is a folder without results; give a file NAME\.npz or a store NAME\.zarr"),
+        (["run", "toutatis", "--members", "0"], "members: .*greater than 0"),
+        (["run", "toutatis", "--out", "results.csv"], r"\.npz or \.zarr, got results\.csv"),
+        (["run", "toutatis", "--out", "no/where.npz"], "folder no does not exist"),
+        (["figure", "9"], "figure 9 is not one of those recomputed; lieint figure 1 2 3 4 5"),
+    ):
+        assert cli.main(arguments) == 2
+        assert re.search(message, capsys.readouterr().err)
+
+
+def test_a_mistyped_command_says_what_to_type(capsys):
+    for arguments, message in (([], "; lieint --help says more"), (["run", "--steps", "x"], "; lieint run --help")):
+        with pytest.raises(SystemExit, match=r"^2$"):
+            cli.main(arguments)
+        assert message in capsys.readouterr().err
+
+
+def test_an_existing_file_is_not_overwritten(capsys):
+    scenarios.Path("mine.npz").write_text("precious")
+    assert cli.main(["run", book(), "--out", "mine.npz"]) == 2
+    assert "exists and is not overwritten" in capsys.readouterr().err
+    assert scenarios.Path("mine.npz").read_text() == "precious"
+
+
+def test_existing_pictures_are_not_overwritten(capsys):
+    scenarios.Path("mine-path.png").write_text("precious")
+    assert cli.main(["run", book(), "--out", "mine.npz"]) == 2
+    assert "mine-path.png exists" in capsys.readouterr().err
+    assert not scenarios.Path("mine.npz").exists()
+
+
+def test_a_file_in_the_place_of_a_folder(capsys):
+    scenarios.Path("file").write_text("")
+    assert cli.main(["figure", "1", "--out", "file"]) == 2
+    assert capsys.readouterr().err.startswith("lieint: ")
+
+
+def test_a_file_that_is_no_text(capsys):
+    scenarios.Path("bad.toml").write_bytes(b"\xff\xfe\x00")
+    assert cli.main(["run", "bad.toml"]) == 2
+    assert "bad.toml is not UTF-8" in capsys.readouterr().err
+    with open(book(), "rb") as file:
+        scenarios.Path("bom.toml").write_bytes(b"\xef\xbb\xbf" + file.read())
+    assert scenarios.load("bom.toml").members == 4
+
+
+def test_spread_of_an_angle_goes_round_the_circle():
+    assert rigid_body._spread(np.array([0.1, 359.9, 0.3]), angle=True) == pytest.approx(0.2)
+
+
+def test_check_prints_certificates(capsys):
+    assert cli.main(["check", "rigid_body.asymmetric", "--scheme", "symplectic", "--steps", "100"]) == 0
+    out = capsys.readouterr().out
+    assert out.count("so3_midpoint[symplectic] · RigidBody") == 1
+    assert "exact to round-off" in out
+    assert "every step converged" in out
+
+
+@pytest.mark.long
+def test_check_takes_a_group(capsys):
+    """However its name is written."""
+    assert cli.main(["check", "se 2", "--scheme", "arcsine", "--steps", "20"]) == 0
+    out = capsys.readouterr().out
+    assert "SE(2), dimension 3: Ad_q may grow" in out
+    assert "Casimirs known: 0 linear, 1 quadratic; a symplectic map known: yes" in out
+    assert re.search(r"symplectic form +\S+ +exact to round-off", out)
+    assert "conserved bit for bit" in out
+
+
+def test_groups_by_name():
+    assert check_groups.named("heis 5").dim == 5
+    assert check_groups.named("SO(3)xAff(1)").dim == 5
+    assert check_groups.named("so3") == check_groups.catalogue()["SO(3)"]
+    assert check_groups.named("E8") is None
+    with pytest.raises(ValueError, match="no scheme 'rk4' on SL\\(3\\): the maps there are exponential"):
+        check_groups.certificates(check_groups.named("sl3"), "rk4")
+    assert {name for name, group in check_groups.catalogue().items() if check_groups.bounded(group)} == {
+        *("SO(3)", "SO(4)", "SU(2)", "Heis(3)", "Heis(5)", "R^3")
+    }
+
+
+def test_help_names_every_command(capsys):
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["--help"])
+    assert stop.value.code == 0
+    out = capsys.readouterr().out
+    for word in ("run", "check", "figure", "toutatis", "my.toml"):
+        assert word in out
+
+
+def test_the_command_turns_float64_on():
+    jax.config.update("jax_enable_x64", False)
+    try:
+        cli.main(["check", "nothing"])
+        assert jax.config.jax_enable_x64
+    finally:
+        jax.config.update("jax_enable_x64", True)
+
+
+@pytest.mark.long
+def test_check_in_several_processes_prints_in_order(capfd):
+    """Every scheme of both pendulums, each once; XLA's flags are those of before."""
+    before = os.environ.get("XLA_FLAGS")
+    assert cli.main(["check", "pendulum", "--steps", "20"]) == 0
+    out = capfd.readouterr().out
+    heads = re.findall(r"^(pendulum\.\w+)\n(\S+) ", out, re.M)
+    names = ("sphere_chart", "sphere_midpoint[plain]", "sphere_midpoint[normalized]")
+    assert heads == [(f"pendulum.{bob}", name) for name in names for bob in ("uniform", "quadratic")]
+    assert os.environ.get("XLA_FLAGS") == before
+
+
+def test_a_flag_that_xla_does_not_know_is_not_set():
+    assert check._known("xla_backend_optimization_level", "0")
+    assert not check._known("xla_no_such_flag", "0")

@@ -1,0 +1,84 @@
+"""The pages of the site are true: their Python runs and prints what they show, their commands and scenarios parse."""
+
+import contextlib
+import io
+import re
+import shlex
+import types
+from pathlib import Path
+
+import jax
+import pytest
+from documents import blocks, words
+
+import lieint_jax as li
+from lieint_jax.app import scenarios
+from lieint_jax.app.command import cli
+
+PAGES = Path(__file__).parents[2] / "docs" / "pages"
+TEXTS = {path.relative_to(PAGES).as_posix(): path.read_text(encoding="utf-8") for path in sorted(PAGES.rglob("*.md"))}
+PYTHON = {name: blocks(text, "python", "text") for name, text in TEXTS.items() if blocks(text, "python")}
+LONG = {  # dear pages, which run in shards
+    "faq.md",
+    "install.md",
+    "why.md",
+    *(f"howto/{x}.md" for x in ("bodies", "chaos", "fits", "group", "output", "potential")),
+    *(f"howto/{x}.md" for x in ("scheme", "system", "torque")),
+    "tutorials/own_flyby.md",
+}
+
+
+@pytest.mark.parametrize("name", [pytest.param(x, marks=[pytest.mark.long] if x in LONG else []) for x in PYTHON])
+def test_the_python_of_a_page_runs_and_prints_what_it_shows(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    module = types.ModuleType("page")
+    following = [*PYTHON[name][1:], ("", "")]
+    for (language, code), (next_language, shown) in zip(PYTHON[name], following, strict=True):
+        if language == "python":
+            with contextlib.redirect_stdout(io.StringIO()) as printed:
+                exec(compile(code, name, "exec"), vars(module))
+            if next_language == "text":
+                assert words(printed.getvalue()) == words(shown)
+    assert jax.config.jax_enable_x64
+
+
+def test_words_tell_numbers_apart():
+    assert words("energy 1.52 within 3e-15") == words("energy 1.5201 within 8e-16")
+    assert words("energy 1.52") != words("energy 1.54")
+    assert words("energy 1.52") != words("momentum 1.52")
+    assert words("1e-15") != words("1e-6")
+
+
+def commands():
+    """The `lieint …` commands of the pages, of blocks and of the text; … stands for arguments left out."""
+    for name, text in TEXTS.items():
+        shell = [line for _, code in blocks(text, "sh") for line in code.replace("\\\n", " ").splitlines()]
+        prose = re.sub(r"^```.*?^```$", "", text, flags=re.S | re.M)
+        inline = [" ".join(code.split()) for code in re.findall(r"`([^`]+)`", prose)]
+        for line in (*shell, *inline):
+            if found := re.search(r"(?:^|\s)lieint (?=[a-z])(.*)", line.partition(" #")[0]):
+                yield name, found[1].replace("…", "")
+
+
+@pytest.mark.parametrize(("page", "command"), list(commands()))
+def test_a_command_parses_and_what_it_names_exists(page, command):
+    words = shlex.split(command)
+    if "--help" in words or words in (["run"], ["check"], ["figure"], ["study"]):  # the name of a command alone
+        with pytest.raises(SystemExit, match=r"^0$"):
+            cli._parser().parse_args([words[0], "--help"])
+        return
+    scenario = getattr(cli._parser().parse_args(words), "scenario", "NAME")
+    assert scenario in (*scenarios.scenario_names(), "NAME", "SCENARIO") or scenario.endswith(".toml")
+
+
+@pytest.mark.parametrize("name", [name for name, text in TEXTS.items() if blocks(text, "toml")])
+def test_a_scenario_of_a_page_is_valid(name):
+    import tomllib
+
+    for _, code in blocks(TEXTS[name], "toml"):
+        assert scenarios.parse(tomllib.loads(code), name).members >= 1
+
+
+@pytest.mark.parametrize("scheme", [name for name in li.schemes.__all__ if name.islower()])
+def test_which_scheme_has_every_scheme(scheme):
+    assert f"`{scheme}" in TEXTS["which_scheme.md"]

@@ -1,0 +1,187 @@
+"""`lieint run pseudo_rigid` and `lieint run pendulum`: small ensembles, the reports, and bad files."""
+
+import re
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from scenario_runs import run
+
+from lieint_jax.app import scenarios
+from lieint_jax.app.command import cli
+from lieint_jax.app.scenarios import pendulum, pseudo_rigid
+from lieint_jax.types import State, StepInfo, Trajectory
+
+
+def still(states):
+    """A run that has only its initial states."""
+    members = len(states.q)
+    start = jax.tree.map(lambda x: np.asarray(x)[None], states)
+    return Trajectory(np.zeros(1), start, StepInfo(np.zeros((1, members)), np.ones((1, members), bool)))
+
+
+# Pseudo-rigid bodies --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.long
+def test_run_pseudo_rigid(tmp_path, monkeypatch, capsys):
+    """The first quarter of Figure 3c's midpoint run already has the variation of its caption."""
+    monkeypatch.chdir(tmp_path)
+    text = (
+        scenarios.resources.files("lieint_jax.app.scenarios").joinpath("pseudo_rigid.toml").read_text(encoding="utf-8")
+    )
+    Path("ball.toml").write_text(text.replace('rule = "average"', 'rule = "symplectic"'), encoding="utf-8")
+    assert cli.main(["run", "ball.toml", "--members", "3", "--steps", "1000"]) == 0
+    out = capsys.readouterr().out
+    assert "3 of 3 members converged" in out
+    assert "exact to round-off a step" in out
+    assert float(re.search(r"midpoint rule +(\S+)   published 0.0023", out)[1]) == pytest.approx(2.3e-3, rel=0.02)
+    assert 1e-4 < float(re.search(r"energy, relative +(\S+)   bounded, not conserved", out)[1]) < 1e-2  # 1.7e-3
+    assert float(re.search(r"momentum rot\[PFᵀ\], relative +(\S+)   conserved", out)[1]) < 3e-14
+    assert 0.9 < float(re.search(r"least det F +(\S+)   above 0", out)[1]) < 1
+    for name in ("ball-torus.png", "ball-energy.png"):
+        assert Path(name).read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_run_pseudo_rigid_as_it_is_shipped():
+    scenario = scenarios.load("pseudo_rigid", members=8)
+    step, made = run(scenario)
+    rows = pseudo_rigid.quantities(scenario, step.system, made)
+    assert made.info.converged.all()
+    assert [row.promised for row in rows] == ["conserved to round-off"] * 2 + ["above 0, or flagged"]
+    assert rows[0].found < 1e-12  # floor 3e-14
+    assert rows[1].found < 1e-12  # floor 1e-14
+    series = pseudo_rigid.energies(scenario, step, made)
+    assert series.converged
+    assert np.ptp(series.energy[pseudo_rigid.MIDPOINT]) == pytest.approx(2.31e-3, rel=3e-3)
+    assert np.ptp(series.energy["the rule 'average'"]) < 5e-12
+
+
+def test_the_members_of_pseudo_rigid():
+    """The first is Figure 3c's; the others turn with its velocity and their own spin; the seed decides."""
+    scenario = scenarios.load("pseudo_rigid", members=2000)
+    step, states = jax.device_get(scenarios.build(scenario))
+    body = step.system
+    np.testing.assert_array_equal(states.q[0], np.eye(3))
+    momentum = jax.jit(lambda q, p: body.momentum(State(q, p)))(states.q[0], states.p[0])
+    np.testing.assert_allclose(momentum, [0, 0, 6], rtol=0, atol=1e-15)
+    assert np.std(np.asarray(states.q[1:])) == pytest.approx(np.hypot(0.01, np.sqrt(2) / 3), rel=0.01)
+    omega = np.asarray(states.p[1:] / 2 @ np.linalg.inv(states.q[1:]))
+    np.testing.assert_allclose(omega, -np.swapaxes(omega, 1, 2), rtol=0, atol=1e-14)  # rotations only
+    assert np.std(omega[:, 2, 1]) == pytest.approx(0.05, rel=0.1)
+    again = scenarios.build(scenarios.load("pseudo_rigid", members=1))[1]
+    np.testing.assert_array_equal(np.asarray(again.p)[0], states.p[0])
+    other = scenarios.build(scenarios.load("pseudo_rigid", members=2, seed=1))[1]
+    assert np.abs(np.asarray(other.q)[1] - states.q[1]).max() > 1e-3
+
+
+def test_a_nominal_velocity_is_carried_with_the_members():
+    """A body that stretches: V F₀⁻¹ is theirs too, so without spread they are the nominal one."""
+    state = {"deformation": np.diag([1.1, 1.0, 0.9]).tolist(), "velocity": np.diag([0.1, 0.0, -0.2]).tolist()}
+    scenario = scenarios.load("pseudo_rigid", members=3, state=state, spread={})
+    _, states = scenarios.build(scenario)
+    states = jax.device_get(states)
+    for x in states[:2]:
+        np.testing.assert_allclose(x, np.broadcast_to(x[0], x.shape), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(states.p[0], 2 * np.diag([0.1, 0.0, -0.2]), rtol=0, atol=1e-15)
+
+
+BALL = [
+    (dict(inertia=[1.0, 2.0]), "inertia: inertia must have shape"),
+    (dict(inertia=[1.0, 2.0, -1.0]), "inertia: inertia must be positive definite"),
+    (dict(material={"law": "rubber", "lam": 1.0, "mu": 1.0}), "material.law: .*neo_hookean"),
+    (dict(material={"lam": 1.0, "mu": 0.0}), "material.mu: .*greater than 0"),
+    (dict(rule="printed"), "rule: .*'energy_momentum'"),
+    (dict(alpha=0.3), "alpha: the rule 'average' conserves energy for 0.5 only"),
+    (dict(rule="symplectic", alpha=1.5), "alpha: .*less than or equal to 1"),
+    (dict(steps=4), "steps = 4 must be more than 2·lag = 6"),
+    (dict(state={}), "state: give exactly one of angular_velocity_rad, angular_velocity_deg, velocity, momentum"),
+    (dict(state={"deformation": (-np.eye(3)).tolist(), "angular_velocity_rad": [0.0] * 3}), "positive determinant"),
+    (dict(state={"momentum": [[1.0, 0.0]]}), "state.momentum"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), BALL, ids=[m[:30] for _, m in BALL])
+def test_bad_keys_of_pseudo_rigid(changes, message):
+    with pytest.raises(ValueError, match=message):
+        scenarios.load("pseudo_rigid", **changes)
+
+
+# The spherical pendulum -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.long
+def test_run_pendulum(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["run", "pendulum", "--members", "3", "--steps", "1000"]) == 0
+    out = capsys.readouterr().out
+    assert "3 of 3 members converged" in out
+    changes = [float(x) for x in re.findall(r" +(\S+)   conserved to round-off$", out, re.M)][:3]
+    assert max(changes) < 1e-13  # floor 9e-15
+    period = re.search(r"lowest point \(s\) +(\S+) +\S+ +(\S+)", out)
+    assert float(period[1]) == float(period[2]) == 1.0608362624
+    assert out.count("53.1301023542") == 2  # the greatest angle, and its closed form
+    for name in ("pendulum-path.png", "pendulum-energy.png"):
+        assert Path(name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_closed_form_of_the_pendulum():
+    """Three limits of it, by other formulas.
+
+    A conical pendulum goes round at √(G/cos θ), and its angle swings about θ with the frequency √(G(1 + 3cos²θ)/cos θ);
+    a swing in a plane has twice the time from lowest to lowest point, by the arithmetic-geometric mean.
+    """
+    G, theta = 9.80665, np.arccos(0.6)
+    rate = np.sqrt(G / 0.6)
+    state = {"direction": [0.8, 0.0, -0.6], "velocity": [0.0, float(0.8 * rate * 1.0001), 0.0]}
+    scenario = scenarios.load("pendulum", members=1, state=state)
+    step, states = scenarios.build(scenario)
+    rows = pendulum.quantities(step.system, still(states), "s")
+    assert rows[1].closed_form == pytest.approx(-rate, rel=1e-3)  # about γ, which points down
+    assert rows[0].closed_form == pytest.approx(2 * np.pi / np.sqrt(G * (1 + 3 * 0.36) / 0.6), rel=1e-3)
+    assert rows[2].closed_form == pytest.approx(np.rad2deg(theta), abs=0.05)
+    state["velocity"] = [0.0, 1e-4, 0.0]
+    narrow = scenarios.build(scenarios.load("pendulum", members=1, state=state))[1]
+    x, y = 1.0, np.cos(theta / 2)
+    for _ in range(6):
+        x, y = (x + y) / 2, np.sqrt(x * y)
+    period = pendulum.quantities(step.system, still(narrow), "s")[0].closed_form
+    assert period == pytest.approx(np.pi / x / np.sqrt(G), rel=1e-6)
+
+
+def test_the_pendulum_as_a_top_has_its_energy_and_momentum():
+    scenario = scenarios.load("pendulum", members=5, axis=[0.6, 0.0, 0.8], mass=2.0)
+    step, states = scenarios.build(scenario)
+    bob = step.system
+    top, turned = pendulum.as_top(bob, still(states))
+    as_top = jax.tree.map(lambda x: np.asarray(x[0]), turned.state)
+
+    def measured(system, states):
+        return jax.vmap(system.energy)(states), jax.vmap(system.momentum)(states)
+
+    (energies, momenta), Pi, ours = jax.device_get(
+        jax.jit(lambda top: (measured(top, as_top), jax.vmap(top.body_momentum)(as_top), measured(bob, states)))(top)
+    )
+    np.testing.assert_allclose(energies, ours[0], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(Pi[:, 2], 0, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(momenta, -ours[1], rtol=0, atol=1e-14)
+
+
+BOB = [
+    (dict(mass=0.0), "mass: .*greater than 0"),
+    (dict(gravity=0.0), "gravity must not be 0"),
+    (dict(axis=[0.0, 0.0, -2.0]), "axis: must be a unit vector"),
+    (dict(state={"direction": [1.0, 1.0, 0.0], "velocity": [0.0, 0.0, 1.0]}), "state.direction: must be a unit vector"),
+    (dict(state={"direction": [1.0, 0.0, 0.0]}), "state.velocity: key missing"),
+    (dict(normalized="yes"), "normalized: "),
+    (dict(spread={"velocity": -1.0}), "spread.velocity: .*greater than or equal to 0"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), BOB, ids=[m[:30] for _, m in BOB])
+def test_bad_keys_of_pendulum(changes, message):
+    with pytest.raises(ValueError, match=message):
+        scenarios.load("pendulum", **changes)

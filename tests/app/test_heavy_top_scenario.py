@@ -1,0 +1,160 @@
+"""`lieint run heavy_top`, and Lagrange's top in closed form against references that share nothing with it."""
+
+import functools
+import re
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+from scenario_runs import run
+
+import lieint_jax as li
+from lieint_jax import ensemble
+from lieint_jax.app import scenarios
+from lieint_jax.app.command import cli
+from lieint_jax.app.scenarios import heavy_top
+from lieint_jax.groups import so3
+from lieint_jax.systems._heavy_top import kovalevskaya, lagrange_motion
+
+TOPS = [  # weight, axis, angular velocity; the third passes 0.9° from hanging, the fourth swings through a loop
+    (20.0, [0.0, 0.0, 1.0], [0.0, 0.0, 50.0]),
+    (20.0, [0.0, 0.6, 0.8], [1.0, 0.5, 4.0]),
+    (-3.0, [0.0, 0.0, 2.0], [1.0, 0.5, 4.0]),
+    (20.0, [0.0, 0.0, 1.0], [3.0, 0.0, 8.0]),
+]
+
+
+@jax.jit
+def _facts(top, Omega):
+    """Of a top with an angular velocity: its motion in closed form, γ·π, Π, energy, and e₃ in space now and after a
+    period of nutation of the exact flow."""
+    state = top.state(so3.exp(jnp.array([0.8, 0.1, 0.0])), angular_velocity=Omega)
+    found = lagrange_motion(top, state)
+    after = li.diagnostics.flow(top, state, found.nutation_period, 200)
+    east = [so3.Ad(z.q, jnp.array([0.0, 0.0, 1.0])) for z in (state, after)]
+    return found, top.momentum(state)[0], top.body_momentum(state), top.energy(state), east
+
+
+@pytest.mark.parametrize("case", TOPS, ids=["fast", "tilted", "hanging", "looping"])
+def test_lagrange_s_top_against_quadrature_in_30_digits_and_the_flow(case):
+    """Floors: period 3e-16, precession 3e-13 (roots close together), recurrence 2e-15."""
+    weight, axis, Omega = case
+    top = li.systems.heavy_top([5.0, 5.0, 1.0], [0.0, 0.0, weight], axis)
+    found, momentum, Pi, energy, east = jax.device_get(_facts(top, np.array(Omega)))
+    with mpmath.workdps(30):
+
+        def number(x):
+            return mpmath.mpf(float(x))
+
+        size, Pi = number(np.linalg.norm(axis)), [number(x) for x in Pi]
+        sign = int(np.sign(weight))
+        alpha, a = abs(weight) * size * 2 / 5, (2 * number(energy) - Pi[2] ** 2) / 5
+        b, c = number(momentum) / size / 5, sign * Pi[2] / 5
+        guesses = np.sort(np.roots([float(x) for x in (alpha, -(a + c * c), 2 * b * c - alpha, a - b * b)]).real)
+        speed = lambda u: (a - alpha * u) * (1 - u * u) - (b - c * u) ** 2  # noqa: E731
+        u1, u2, u3 = (mpmath.findroot(speed, guess) for guess in guesses)
+
+        def integral(f):
+            def at(s):
+                u = u1 + (u2 - u1) * mpmath.sin(s) ** 2
+                return 4 * f(u) / mpmath.sqrt(alpha * (u3 - u))
+
+            return mpmath.quad(at, mpmath.linspace(0, mpmath.pi / 2, 9))
+
+        period, turned = integral(lambda u: 1), integral(lambda u: (b - c * u) / (1 - u * u))
+        assert abs(number(found.nutation_period) / period - 1) < 3e-15
+        assert abs(number(found.precession_rate) * period / turned - 1) < 3e-12
+        np.testing.assert_allclose(np.cos(found.inclination), [float(u2), float(u1)], rtol=0, atol=1e-13)
+    gamma = np.array(axis) / np.linalg.norm(axis)
+    east, turn = sign * np.array(east), float(found.precession_rate * found.nutation_period)
+    cosine = east @ gamma
+    assert abs(cosine[1] - cosine[0]) < 2e-14
+    across = np.linalg.svd(gamma[None])[2][1:]
+    across[1] *= np.sign(np.linalg.det([*across, gamma]))
+    angle = np.diff([np.arctan2(*(across @ x)[::-1]) for x in east])[0]
+    assert abs((angle - turn + np.pi) % (2 * np.pi) - np.pi) < 3e-12
+
+
+@functools.cache
+def as_shipped():
+    """The system, and the trajectories of two members."""
+    step, path = run(scenarios.load("heavy_top", members=2, steps=2000))
+    return step.system, path
+
+
+@pytest.mark.long
+def test_the_shipped_run_shows_the_closed_form():
+    """By nystrom of order 6 at dt = 0.01, from states saved 14 times in a nutation: all to ten digits."""
+    rows = heavy_top.quantities(*as_shipped(), "s")
+    assert [row.name.split()[0] for row in rows] == ["nutation", "mean", "least", "greatest"]
+    for row in rows:
+        assert row.nominal == pytest.approx(row.closed_form, rel=1e-11), row.name  # 1e-15, 2e-12, 2e-12, 2e-12
+        assert row.spread > 1e-4
+    line = heavy_top.comparison_lines(rows)[1]
+    assert re.search(r"nutation period \(s\) +0\.6822560158 +0\.0\d+ +0\.6822560158 +-?[\d.]+e-1\d$", line)
+
+
+def test_states_saved_too_far_apart_are_not_measured():
+    top, path = as_shipped()
+    period, rate, least, greatest = heavy_top.motion(top, jax.tree.map(lambda x: x[::4], path))
+    assert np.isnan([period, rate]).all()
+    assert 17 < least < greatest < 19
+
+
+@pytest.mark.long
+def test_run_heavy_top(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["run", "heavy_top", "--members", "3", "--steps", "500"]) == 0
+    out = capsys.readouterr().out
+    assert "3 of 3 members converged" in out
+    nutation = re.search(r"nutation period \(s\) +([\d.]+) +[\d.]+ +([\d.]+)", out)
+    assert float(nutation[1]) == float(nutation[2]) == 0.6822560158
+    assert float(re.search(r"γ·π, relative to \|π\| +(\S+)", out)[1]) == 0
+    for name in ("heavy_top-path.png", "heavy_top-energy.png"):
+        assert Path(name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_tops_without_closed_form_report_what_they_have():
+    top, state = jax.jit(kovalevskaya)()
+    assert not heavy_top.is_lagrange(top)
+    run = ensemble.run(li.schemes.splitting(top), jax.tree.map(lambda x: x[None], state), 0.02, 2000, 5, progress=False)
+    found = heavy_top.changes(top, run)
+    assert 1e-5 < found["Kovalevskaya's integral, relative"] < 1e-2
+    assert found["γ·π, relative to |π|"] < 1e-14
+    assert "Π₃, relative to |π|" not in found
+    assert np.isnan([row.closed_form for row in heavy_top.quantities(top, run, "s")]).all()
+
+
+SCENARIO = """
+title = "a top"
+system = "heavy_top"
+inertia = [5.0, 5.0, 1.0]
+weight = [0.0, 0.0, 20.0]
+scheme = "splitting"
+dt = 0.01
+steps = 100
+[state]
+quaternion = [1.0, 0.0, 0.0, 0.0]
+angular_velocity_rad = [0.0, 1.0, 5.0]
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("weight = [0.0, 0.0, 20.0]", "weight = [0.0, 0.0, 0.0]", "weight: must not be zero"),
+        ("weight = [0.0, 0.0, 20.0]", "", "weight: key missing"),
+        ("dt = 0.01", 'dt = 0.01\nkappa = "cayley"', "kappa is a key of top_energy_momentum"),
+        ("dt = 0.01", "dt = 0.01\norder = 3", "order: "),
+        ('"splitting"', '"nystrom"', "order of nystrom is 4 or 6, got 2"),
+        ('"splitting"', '"rk4"', "scheme: .*'nystrom', 'top_energy_momentum' or 'splitting'"),
+        ("dt = 0.01", "dt = 0.01\naxis = [0.0, 1.0]", "axis: "),
+    ],
+)
+def test_a_bad_file_gets_one_line_that_names_the_key(old, new, message, tmp_path):
+    (tmp_path / "top.toml").write_text(SCENARIO.replace(old, new))
+    with pytest.raises(ValueError, match=message):
+        scenarios.load(str(tmp_path / "top.toml"))

@@ -1,0 +1,78 @@
+"""`lieint run kirchhoff`: what is kept, a steady motion, and its spin against the linearized equations."""
+
+import re
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from lieint_jax.app import scenarios
+from lieint_jax.app.command import cli
+from lieint_jax.app.scenarios import kirchhoff
+from lieint_jax.systems._euler import kirchhoff as ellipsoid
+
+
+@pytest.mark.long
+def test_run_kirchhoff(tmp_path, monkeypatch, capsys):
+    """The nominal member, a steady motion, stays as it is; energy and Casimirs at round-off, momentum bit for bit."""
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["run", "kirchhoff", "--members", "3", "--steps", "400"]) == 0
+    out = capsys.readouterr().out
+    assert "3 of 3 members converged" in out
+    found = {
+        name: float(x) for name, x in re.findall(r"^  (energy|spatial momentum π|Π·P|\|P\|²) +(\S+)   \w", out, re.M)
+    }
+    assert len(found) == 4
+    assert found.pop("spatial momentum π") == 0
+    assert max(found.values()) < 4e-14  # floor 5e-15
+    assert float(re.search(r"mean speed along the impulse \(/s\) +(\S+)", out)[1]) == 1
+    assert float(re.search(r"third axis strays by \(°\) +(\S+)", out)[1]) == 0
+    assert "2.8507, needed to go along the third axis: 1.9785 [Lamb §128]: stable" in out
+    for name in ("kirchhoff-path.png", "kirchhoff-energy.png"):
+        assert Path(name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_spin_needed_is_where_the_linearized_equations_turn_unstable():
+    """Kirchhoff's equations Π' = Π × Ω + P × v, P' = P × Ω about a steady motion, by autodiff: growth or none."""
+    body = ellipsoid((1.0, 1.0, 2.99))
+    need = kirchhoff.spin_needed(body)
+    assert need == pytest.approx(1.9785, abs=1e-4)
+
+    metric = np.diag(body.metric)
+    slope = jax.jit(jax.jacfwd(lambda mu: body.group.ad_star(mu / metric, mu)))
+    for spin, stable in ((1.01 * need, True), (0.99 * need, False)):
+        slopes = np.linalg.eigvals(slope(np.array([0.0, 0.0, spin, 0.0, 0.0, 1.0])))
+        assert (np.abs(slopes.real).max() < 1e-6) == stable
+    assert kirchhoff.spin_needed(ellipsoid((2.0, 2.0, 1.0))) == 0  # broadside on, a disc needs no spin
+    assert kirchhoff.spin_needed(ellipsoid((3.0, 2.0, 1.0))) is None
+
+
+def test_the_members_of_kirchhoff_and_their_tilts():
+    scenario = scenarios.load("kirchhoff", members=500)
+    step, states = scenarios.build(scenario)
+    exp = jax.jit(step.system.group.exp)
+    velocities = np.linalg.solve(np.asarray(step.system.metric), np.asarray(states.p).T).T  # q is the identity
+    np.testing.assert_allclose(velocities[0], [0, 0, 8, 0, 0, 1], rtol=0, atol=1e-15)
+    assert np.std(velocities[1:, :3]) == pytest.approx(np.hypot(0.05, 8 * np.sqrt(2) / 3), rel=0.01)
+    assert np.std(velocities[1:, 3]) == pytest.approx(0.02, rel=0.1)
+    turned = np.asarray(exp(np.array([0.0, 1e-9, 0.0, 1.0, 2.0, 3.0])))
+    assert kirchhoff.tilts(np.stack([np.eye(4), turned]))[1] == pytest.approx(np.rad2deg(1e-9), rel=1e-6)
+
+
+BAD = [
+    (dict(semi_axes=[1.0, 2.0]), "semi_axes: "),
+    (dict(semi_axes=[1.0, 2.0, 0.0]), "semi_axes.2: .*greater than 0"),
+    (dict(map="arcsine"), "map: .*'exponential' or 'cayley'"),
+    (
+        dict(state={"velocity": [0.0, 0.0, 1.0]}),
+        "state: give exactly one of angular_velocity_rad and angular_velocity_deg",
+    ),
+    (dict(spread={"velocity": -1.0}), "spread.velocity: .*greater than or equal to 0"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), BAD, ids=[m[:20] for _, m in BAD])
+def test_bad_keys_of_kirchhoff(changes, message):
+    with pytest.raises(ValueError, match=message):
+        scenarios.load("kirchhoff", **changes)

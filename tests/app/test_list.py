@@ -1,0 +1,35 @@
+"""`lieint list`: every scenario and study is on it, with what it takes; long commands say so beforehand."""
+
+from lieint_jax.app import scenarios
+from lieint_jax.app.command import cli, study
+from lieint_jax.app.command import list as listing
+from lieint_jax.app.command.list import Cost
+
+
+def test_the_list_is_whole(capsys):
+    assert cli.main(["list"]) == 0
+    shown = capsys.readouterr().out
+    for name in scenarios.scenario_names():
+        scenario = scenarios.load(name)
+        assert scenario.about, f"{name}.toml lacks the line `about`"
+        assert f"  {name:<20}{scenario.title}: {scenario.about}\n" in shown
+    assert all(f"\n  {name} " in shown for name in study.found())
+    assert max(map(len, shown.splitlines())) <= 140
+
+
+def test_what_was_timed_is_there_and_the_rest_is_said_not_to_be():
+    """`python benchmarks/commands.py --only "run NAME"` times a command."""
+    every = {f"run {name}" for name in scenarios.scenario_names()} | {f"study {name}" for name in study.found()}
+    timed = {name for name in listing.costs() if name.split()[0] in ("run", "study")}
+    assert timed <= every
+    assert len(timed) > len(every) / 2
+    assert listing.text().count("not measured") == len(every - timed)
+    assert all(0 < cost.again <= 2 * cost.first for cost in listing.costs().values())
+
+
+def test_only_long_commands_say_how_long_they_take(monkeypatch, capsys):
+    costs = {"run slow": Cost(150.0, 20.0, 1.0, 1.0), "run quick": Cost(5.0, 1.0, 1.0, 1.0)}
+    monkeypatch.setattr(listing, "costs", lambda: costs)
+    for name in ("run slow", "run quick", "run my.toml"):
+        listing.announce(name)
+    assert capsys.readouterr().out == "this takes about 2.5 min on two cores, 20 s from the second time on\n"

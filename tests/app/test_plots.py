@@ -1,0 +1,167 @@
+"""Pictures: one look for all of them, colors that everybody tells apart, labels that do not overlap."""
+
+import ast
+import itertools
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax.app import plots
+from lieint_jax.app.studies import gyro
+
+ROOT = Path(li.__file__).parent
+FILES = [path for folder in (ROOT, ROOT.parent / "benchmarks") for path in folder.rglob("*.py")]
+
+# sRGB (linear) as seen without one kind of cone: Machado, Oliveira & Fernandes 2009, severity 1
+VISION = {
+    "usual": np.eye(3),
+    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+}
+XYZ = np.array(
+    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+)
+
+
+def linear(color):
+    c = np.array(matplotlib.colors.to_rgb(color))
+    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+
+
+def lab(rgb):
+    """CIE L*a*b* of linear sRGB: equal distances are about equally easy to see."""
+    x = XYZ @ np.clip(rgb, 0, 1) / XYZ.sum(axis=1)
+    f = np.where(x > 216 / 24389, np.cbrt(x), (24389 / 27 * x + 16) / 116)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+@pytest.mark.parametrize("vision", VISION)
+def test_colors_are_told_apart_with_every_kind_of_color_vision(vision):
+    """The nearest two are 16.1 apart (green and sky blue, tritanopia); a just noticeable difference is 2.3."""
+    seen = [lab(np.array(VISION[vision]) @ linear(color)) for color in plots.COLORS]
+    assert min(np.linalg.norm(a - b) for a, b in itertools.combinations(seen, 2)) > 15
+
+
+def test_the_two_reds_and_greens_of_matplotlib_are_not_told_apart():
+    """The refutation: its default green and red with deuteranopia (7.3), so that the test above can fail."""
+    green, red = (lab(np.array(VISION["deuteranopia"]) @ linear(color)) for color in ("#2ca02c", "#d62728"))
+    assert np.linalg.norm(green - red) < 15
+
+
+def test_eight_curves_have_distinct_colors_and_marks_and_a_ninth_is_refused():
+    assert len(set(plots.COLORS)) == len(set(plots.MARKS)) == len(plots.STYLES) == 8
+    _, axes = plots.figure()
+    t = np.linspace(0, 1, 50)
+    with pytest.raises(ValueError, match="9 curves cannot be told apart on one panel: at most 8"):
+        plots.series(axes[0, 0], t, {str(k): t for k in range(9)}, "y")
+    plots.series(axes[0, 0], t, {str(k): t for k in range(8)}, "y")
+    places = [tuple(line.get_markevery()) for line in axes[0, 0].get_lines()]
+    assert all(len(found) == 8 for found in places)
+    assert not set(places[0]) & set(places[4])  # curves that coincide show the marks of both
+
+
+def call_of(node, name):
+    """Whether a node is a call of plots.NAME."""
+    return isinstance(node, ast.Call) and ast.unparse(node.func) == f"plots.{name}"
+
+
+def test_every_function_that_makes_a_figure_has_the_style():
+    made = 0
+    for path in FILES:
+        for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(function, ast.FunctionDef) and any(call_of(n, "figure") for n in ast.walk(function)):
+                inside = [item.context_expr for n in ast.walk(function) if isinstance(n, ast.With) for item in n.items]
+                assert any(call_of(n, "style") for n in (*function.decorator_list, *inside)), (path, function.name)
+                made += 1
+    assert made > 30
+
+
+def test_figures_are_saved_in_one_place_and_never_by_pyplot():
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            name = node.attr if isinstance(node, ast.Attribute) else getattr(node, "module", None) or ""
+            assert "pyplot" not in name, path
+            assert name not in ("savefig", "set_size_inches") or path == ROOT / "app" / "plots.py", path
+
+
+def test_the_style_is_gone_afterwards_and_import_changes_nothing(tmp_path):
+    code = (
+        "import matplotlib; before = dict(matplotlib.rcParams); from lieint_jax import plots;"
+        "assert dict(matplotlib.rcParams) == before; print(plots.COLORS[1])"
+    )
+    assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == plots.RED
+    before = dict(matplotlib.rcParams)
+    with plots.style():
+        assert matplotlib.rcParams["axes.grid"]
+        fig, _ = plots.figure()
+    plots.save(fig, tmp_path / "a.png")
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_a_picture_is_a_png_and_a_pdf_with_the_same_bytes_every_time(tmp_path):
+    def written(name):
+        with plots.style():
+            fig, axes = plots.figure()
+            plots.series(axes[0, 0], np.arange(3.0), {"a": np.arange(3.0)}, "y", "s")
+        return plots.save(fig, tmp_path / name)
+
+    (png, pdf), again = written("a.png"), written("b.png")
+    assert (png.name, pdf.name) == ("a.png", "a.pdf")
+    assert png.read_bytes().startswith(b"\x89PNG")
+    assert pdf.read_bytes().startswith(b"%PDF")
+    assert [x.read_bytes() for x in (png, pdf)] == [x.read_bytes() for x in again]
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_errors_stand_beside_the_line_of_round_off(kind):
+    _, axes = plots.figure()
+    error = np.array([0, 1e2, -3], kind) * np.finfo(kind).eps
+    ax = plots.log_error(axes[0, 0], np.arange(3), {"midpoint": error}, "energy error", size=10.0, of="|H₀|")
+    curve, line = ax.get_lines()
+    epsilon = 10 * np.finfo(kind).eps
+    assert set(line.get_ydata()) == {epsilon}
+    assert line.get_label().startswith("round-off, ε|H₀| = ")
+    assert line.get_label() in [text.get_text() for text in ax.get_legend().get_texts()]
+    np.testing.assert_allclose(curve.get_ydata() / epsilon, [0.1, 10, 0.3], rtol=1e-6)
+    ax = plots.log_error(plots.figure()[1][0, 0], np.arange(3), {"large": np.ones(3, kind)}, "energy error")
+    assert len(ax.get_lines()) == 1  # nothing near it, no line
+
+
+def test_a_path_on_the_map_is_broken_where_it_leaves_the_map():
+    _, axes = plots.figure(subplot_kw={"projection": "mollweide"})
+    longitude = np.deg2rad([150, 170, 190, 210])
+    ax = plots.sky_path(plots.sky(axes[0, 0]), plots.on_sphere(longitude, np.zeros(4)), "equator")
+    x = ax.get_lines()[0].get_xdata()
+    np.testing.assert_allclose(np.rad2deg(x), [150, 170, np.nan, -170, -150])
+    _, axes = plots.figure(subplot_kw={"projection": "mollweide"})
+    ax = plots.sky_path(plots.sky(axes[0, 0], 180), plots.on_sphere(longitude, np.zeros(4)), "equator", 180)
+    np.testing.assert_allclose(np.rad2deg(ax.get_lines()[0].get_xdata()), [-30, -10, 10, 30])
+    assert ax.get_xticklabels()[0].get_text() == "60°"
+
+
+def apart(labels):
+    """Whether the boxes of neighboring texts do not overlap."""
+    boxes = [text.get_window_extent() for text in labels if text.get_text() and text.get_visible()]
+    return len(boxes) > 1 and not any(a.overlaps(b) for a, b in itertools.pairwise(boxes))
+
+
+def test_labels_of_the_ticks_of_study_gyro_do_not_overlap():
+    rng = np.random.default_rng(0)
+    truth = np.array([0.3, 0.2, 0.4, 0.6, 0.8, 0.0, 0.0, 0.0])
+    estimates = truth + 5e-4 * rng.normal(size=(20, 8))
+    t = np.linspace(0.5, 40, 80)
+    readings = np.stack([np.sin(t / 9), np.cos(t / 7), np.sin(t / 5)], axis=1)
+    trials = gyro.GyroTrials(None, estimates, truth, np.full((20, 8), 5e-4), np.ones(8), 0.95, (t, readings, readings))
+    fig = gyro.draw(trials)
+    with plots.style():
+        fig.draw_without_rendering()
+    for ax in fig.axes:
+        assert apart(ax.get_xticklabels())
+        assert apart(ax.get_yticklabels())
+    assert [text.get_text() for text in fig.axes[0].get_legend().get_texts()] == ["x", "y", "z", "readings"]

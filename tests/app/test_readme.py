@@ -1,0 +1,51 @@
+"""The front door is true: its Python runs, its files exist, its commands are the ones CI runs."""
+
+import re
+from pathlib import Path
+
+import jax
+from documents import blocks, words
+
+import lieint_jax as li
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_python_of_the_readme_runs_and_prints_what_it_shows(capsys):
+    (_, code), (_, shown) = blocks(README, "python", "text")
+    names = {}
+    exec(code, names)
+    printed = capsys.readouterr().out
+    assert len(code.splitlines()) <= 12
+    assert [line.split()[0] for line in printed.splitlines()] == [line.split()[0] for line in shown.splitlines()]
+    assert words(printed) == words(shown)
+    assert float(li.groups.so3.angle(names["later"].q, names["run"].state.q[-1])) < 0.1
+    assert jax.config.jax_enable_x64
+
+
+def test_the_readme_is_short_and_shows_code_early():
+    lines = README.splitlines()
+    assert len(lines) <= 120
+    assert lines.index("```python") < len(lines) / 3
+
+
+def test_every_scheme_of_the_readme_is_there():
+    table = README.partition("## Which scheme?")[2].partition("\n## ")[0]
+    rows = [line.split("|")[2] for line in table.splitlines() if line.startswith("| ")][1:]
+    assert len(rows) <= 10
+    named = {name for row in rows for name in re.findall(r"`(\w+)\(", row)}
+    assert named <= set(li.schemes.__all__)
+
+
+def test_every_link_of_the_readme_leads_somewhere():
+    links = re.findall(r"\]\(([^)#]+)\)", README)
+    assert len(links) > 8
+    assert not [link for link in links if not (ROOT / link).exists()]
+
+
+def test_the_two_commands():
+    commands = re.findall(r"^python3 -m venv .*$", README, re.M)
+    assert len(commands) == 2
+    assert "lieint run toutatis" in commands[0]
+    assert "pytest" in commands[1]

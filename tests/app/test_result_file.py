@@ -1,0 +1,104 @@
+"""What a study leaves on disk: the whole result, from which its report and its picture are made again."""
+
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from lieint_jax.app import scenarios
+from lieint_jax.app.command import cli, result_file, study
+from lieint_jax.app.studies.gyro import GyroTrials
+from lieint_jax.app.studies.kappa import KappaErrors
+
+TREE = GyroTrials(
+    fit=(1, [2.5, None, "ν"], {0.05: np.arange(3), "x": {"deep": jnp.ones((2, 2))}}),
+    estimates=np.array([1.0, np.nan]),
+    truth=np.float64(0.1),
+    sigmas=True,
+    within=KappaErrors(1.0, np.inf, {0.1: 2.0}, 0.0, 0.0, 3),
+    inside=scenarios.load("toutatis"),
+    readings=(),
+)
+
+
+def same(a, b):
+    if isinstance(a, np.ndarray | jnp.ndarray):
+        np.testing.assert_array_equal(a, b)
+        assert a.dtype == b.dtype
+    elif isinstance(a, dict):
+        assert list(a) == list(b)
+        assert all(same(a[k], b[k]) for k in a)
+    elif isinstance(a, tuple | list):
+        assert type(a) is type(b)
+        assert len(a) == len(b)
+        assert all(map(same, a, b))
+    else:
+        assert a == b
+    return True
+
+
+def test_a_tree_comes_back_as_it_was(tmp_path):
+    path = tmp_path / "tree.npz"
+    result_file.save(path, TREE, {"study": "gyro"})
+    same(TREE, result_file.load(path))
+    assert result_file.metadata(path)["study"] == "gyro"
+    with np.load(path, allow_pickle=False) as file:
+        np.testing.assert_array_equal(file["fit.2.x.deep"], 1)  # named by its path, for whoever reads it without us
+    with pytest.raises(FileExistsError):
+        result_file.save(path, TREE, {})
+
+
+def test_only_named_tuples_of_this_package_are_made(tmp_path):
+    for kind in ("os:system", "lieint_jax.types:Step", "lieint_jax.app.studies.gyro:nothing", "collections:Counter"):
+        path = tmp_path / "tree.npz"
+        tree = {"type": kind, "fields": {}}
+        np.savez(path, metadata=np.array(json.dumps({"study": "gyro", "tree": tree})))
+        with pytest.raises(ValueError, match="holds no tree that this version"):
+            result_file.load(path)
+    with pytest.raises(TypeError, match=r"0.x is of type object"):
+        result_file.save(tmp_path / "other.npz", ({"x": object()},), {})
+
+
+def test_two_arrays_of_one_name_are_refused_and_a_missing_file_is_told(tmp_path):
+    for tree in ({"1": np.ones(2), 1: np.zeros(2)}, {"metadata": np.ones(2)}):
+        with pytest.raises(ValueError, match="are called"):
+            result_file.save(tmp_path / "tree.npz", tree, {})
+    with pytest.raises(ValueError, match="there is no file"):
+        result_file.load(tmp_path / "none.npz")
+
+
+def test_a_study_of_another_version_is_told(tmp_path, capsys):
+    result_file.save(tmp_path / "tree.npz", (), {"study": "alchemy", "quick": False, "lieint_jax": "9", "jax": "9"})
+    for command in ("info", "plot"):
+        assert cli.main([command, str(tmp_path / "tree.npz")]) == 2
+        assert "'alchemy' is not one of" in capsys.readouterr().err
+
+
+def test_other_files_are_not_taken_for_studies(tmp_path):
+    plain, text = tmp_path / "plain.npz", tmp_path / "text.npz"
+    np.savez(plain, metadata=np.array('{"scenario": {}}'))
+    text.write_text("no archive")
+    assert [result_file.metadata(path) for path in (plain, text, tmp_path / "none.npz")] == [None] * 3
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", study.found())
+def test_plot_redoes_a_study_from_its_file(name, tmp_path, monkeypatch, capsys):
+    """The report in the same words and the picture pixel by pixel; a second run replaces neither."""
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["study", name, "--quick"]) == 0
+    report = capsys.readouterr().out.partition("\nwritten:")[0]
+    first = (tmp_path / f"study-{name}.png").read_bytes()
+    assert cli.main(["plot", f"study-{name}.npz"]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert cli.main(["plot", f"study-{name}.npz", "--force"]) == 0
+    assert capsys.readouterr().out.partition("\nwritten:")[0] == report
+    assert (tmp_path / f"study-{name}.png").read_bytes() == first
+    assert cli.main(["info", f"study-{name}.npz"]) == 0
+    assert f"study {name}, a small one" in capsys.readouterr().out
+    (tmp_path / f"study-{name}.npz").rename("study-before.npz")
+    monkeypatch.setattr(study.found()[name], "run", lambda quick: result_file.load(tmp_path / "study-before.npz"))
+    assert cli.main(["study", name, "--quick"]) == 0
+    assert (tmp_path / f"study-{name}-2.npz").exists()
+    assert (tmp_path / f"study-{name}-2.png").read_bytes() == first

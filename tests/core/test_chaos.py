@@ -1,0 +1,310 @@
+"""Lyapunov exponents, MEGNO and Poincaré sections: regular and chaotic motions, and variational equations by scipy."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from lieint_jax import diagnostics, orbits, schemes, systems
+from lieint_jax.diagnostics import _chaos
+from lieint_jax.groups import so3
+from lieint_jax.systems._heavy_top import asymmetric
+
+TOP, TUMBLING = asymmetric()
+MOON = systems.gravity_gradient([0.5956, 0.8594, 1.0], orbits.kepler(1.0, 1.0, 0.1))
+TILTED = MOON.state(so3.exp(jnp.array([0.3, -0.2, 0.9])), angular_velocity=[0.4, 0.3, 1.3], t=0.2)
+FREE = systems.rigid_body([1.0, 2.0, 3.0])
+LAGRANGE = systems.heavy_top([2.0, 2.0, 1.0], [0.0, 0.0, 1.0])
+REGULAR = {
+    "free": (schemes.so3_midpoint(FREE), FREE.state(angular_velocity=[0.2, 0.3, 1.0])),
+    "Lagrange": (
+        schemes.splitting(LAGRANGE),
+        LAGRANGE.state(so3.exp(jnp.array([0.7, 0.0, 0.0])), angular_velocity=[0.3, 0.2, 1.5]),
+    ),
+}
+
+
+def hat(v):
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+def by_variational_equations(J, gradient, state, t, omega):
+    """ln of R's diagonal after time t: (Λ, Ω) as twelve numbers and their variations, by DOP853, and numpy's QR.
+
+    `gradient(Γ, δΓ, Λ, δΛ, t)` gives Γ × ∇V and its variation in the body.
+    """
+    R0, p0 = np.asarray(so3.to_matrix(state.q)), np.asarray(state.p)
+    unit = np.repeat([1.0, abs(p0).max()], 3)
+    start = [(R0, omega)]
+    for column in np.diag(unit):
+        dR = hat(column[:3]) @ R0
+        start.append((dR, (dR.T @ p0 + R0.T @ column[3:]) / J))
+    y0 = np.concatenate([np.concatenate([R.ravel(), w]) for R, w in start])
+
+    def rate(t, y):
+        (R, w), *moved = ((z[:9].reshape(3, 3), z[9:]) for z in y.reshape(7, 12))
+        rates = [(R @ hat(w), (np.cross(J * w, w) + gradient(R, None, t)) / J)]
+        for dR, dw in moved:
+            turn = np.cross(J * dw, w) + np.cross(J * w, dw) + gradient(R, dR, t)
+            rates.append((dR @ hat(w) + R @ hat(dw), turn / J))
+        return np.concatenate([np.concatenate([dR.ravel(), dw]) for dR, dw in rates])
+
+    t0 = 0.0 if state.t is None else float(state.t)
+    end = solve_ivp(rate, (t0, t0 + t), y0, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1].reshape(7, 12)
+    R, w = end[0, :9].reshape(3, 3), end[0, 9:]
+    columns = []
+    for z in end[1:]:
+        spin = z[:9].reshape(3, 3) @ R.T
+        theta = np.array([spin[2, 1], spin[0, 2], spin[1, 0]])
+        columns.append(np.concatenate([theta, np.cross(theta, R @ (J * w)) + R @ (J * z[9:])]) / unit)
+    return np.log(abs(np.diag(np.linalg.qr(np.array(columns).T)[1])))
+
+
+def weight(R, dR, t):
+    """Γ × E, E the weight of the top, or its variation; the vertical is the third axis of space."""
+    return np.cross((R if dR is None else dR)[2], [0.5, 0.4, 1.0])
+
+
+def tide(R, dR, t):
+    """3 Γ × JΓ / r³, or its variation, on the ellipse e = 0.1."""
+    E = t
+    for _ in range(50):
+        E = t + 0.1 * np.sin(E)
+    x, y = np.cos(E) - 0.1, np.sqrt(0.99) * np.sin(E)
+    J, r = np.asarray(MOON.inertia), np.hypot(x, y)
+    G = np.array([x, y, 0]) / r @ R
+    if dR is None:
+        return 3 / r**3 * np.cross(G, J * G)
+    dG = np.array([x, y, 0]) / r @ dR
+    return 3 / r**3 * (np.cross(dG, J * G) + np.cross(G, J * dG))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("system", "state", "gradient", "t", "steps"),
+    [
+        pytest.param(TOP, TUMBLING, weight, 20.0, 400, id="heavy top"),
+        pytest.param(MOON, TILTED, tide, 12.0, 300, id="Hyperion"),
+    ],
+)
+def test_growth_against_the_variational_equations_of_another_formulation(system, state, gradient, t, steps):
+    """Order 6 against DOP853, over a time in which vectors grow tenfold."""
+    step = schemes.compose(schemes.splitting(system), 6)
+    found = diagnostics.lyapunov(step, state, t / steps, steps, every=steps, vectors=np.eye(6), batches=1)
+    omega = np.asarray(system.angular_velocity(state))
+    known = by_variational_equations(np.asarray(system.inertia), gradient, state, t, omega)
+    assert np.ptp(known) > 3  # 3.7
+    np.testing.assert_allclose(found.growth[0], known, rtol=0, atol=1e-6)  # 2e-8
+    assert bool(found.info.converged)
+    assert np.isnan(found.errors).all()
+
+
+@functools.cache
+def of(name):
+    step, state = REGULAR[name]
+    return diagnostics.lyapunov(step, state, 0.05, 40_000, every=20), diagnostics.megno(step, state, 0.05, 40_000)
+
+
+@pytest.mark.parametrize("name", ["free", pytest.param("Lagrange", marks=pytest.mark.long)])
+def test_exponents_of_a_regular_motion_go_to_zero_and_megno_to_two(name):
+    found, quality = of(name)
+    bound = 3 * np.log(2000) / 2000
+    assert jnp.abs(found.exponents).max() < bound
+    assert jnp.abs(found.exponents).max() > 1e-4  # shear is seen
+    assert abs(found.exponents.sum()) < 1e-14
+    assert float(quality.mean) == pytest.approx(2, abs=0.2)  # 1.89 of the free body
+    assert float(quality.value) == pytest.approx(2, abs=0.2)
+
+
+@functools.cache
+def chaotic(exponents=None):
+    return diagnostics.lyapunov(schemes.splitting(TOP), TUMBLING, 0.05, 40_000, exponents, every=20)
+
+
+@pytest.mark.long
+def test_a_chaotic_top_has_one_pair_of_exponents_and_the_sum_of_a_symplectic_step_is_round_off():
+    found = chaotic()
+    top, error = float(found.exponents[0]), float(found.errors[0])
+    assert abs(top - 0.0855) < 4 * error  # 0.0835 to 0.0877 by DOP853 over t = 3000 and 4000 (study of sensitivity)
+    assert 0.001 < error < 0.01
+    assert float(found.exponents[5]) == pytest.approx(-top, abs=2e-3)
+    assert jnp.abs(found.exponents[1:5]).max() < 3 * np.log(2000) / 2000
+    assert abs(float(found.exponents.sum())) < 1e-14
+    np.testing.assert_allclose(found.growth.sum(axis=0), found.exponents * 2000, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.long
+def test_an_energy_momentum_step_does_not_keep_volume():
+    found = diagnostics.lyapunov(schemes.top_energy_momentum(TOP), TUMBLING, 0.05, 2000, every=20)
+    assert abs(float(found.exponents.sum())) > 1e-7  # 2e-6
+    assert bool(found.info.converged)
+
+
+@pytest.mark.long
+def test_one_vector_is_the_first_of_many_and_megno_grows_with_it():
+    found = chaotic(1)
+    assert float(found.exponents[0]) == pytest.approx(float(chaotic().exponents[0]), rel=1e-9)
+    quality = diagnostics.megno(schemes.splitting(TOP), TUMBLING, 0.05, 40_000)
+    assert float(quality.mean) == pytest.approx(float(found.exponents[0]) * 2000 / 2, rel=0.15)
+    assert float(quality.mean) > 30
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["heavy top", "tumbling top", "Hyperion in its plane"])
+def test_errors_are_those_of_64_starts(name):
+    """Mean errors over the scatter: 0.80, 1.13 and 0.75; by 16 batches they were 0.55, 0.88 and 0.56 of it."""
+    near = 1e-3 * jnp.arange(64)
+    top = systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
+    tumbling, middle = TOP.angular_velocity(TUMBLING), jnp.array([1.0, 0.0, 0.0])
+
+    def in_plane(x):
+        q = jnp.stack([jnp.cos(24 * x), 0, 0, jnp.sin(24 * x)])
+        return MOON.state(q, angular_velocity=[0.0, 0.0, 1.5], t=0.0)
+
+    cases = {
+        "heavy top": (top, lambda x: top.state(angular_velocity=jnp.array([0.3, 0.2, 1.0]) + x * middle), 0.05, 60_000),
+        "tumbling top": (TOP, lambda x: TOP.state(TUMBLING.q, angular_velocity=tumbling + x * middle), 0.05, 40_000),
+        "Hyperion in its plane": (MOON, in_plane, 2 * np.pi / 80, 80 * 600),
+    }
+    system, start, dt, steps = cases[name]
+    vectors = jnp.eye(6)[:, 2:3] if system is MOON else _chaos._generic(6)[:, :1]
+
+    @jax.jit
+    @jax.vmap
+    def found(x):
+        return diagnostics.lyapunov(schemes.splitting(system), start(x), dt, steps, every=20, vectors=vectors)[:2]
+
+    exponents, errors = found(near)
+    ratio = float(errors.mean() / exponents.std(ddof=1))
+    assert 0.7 < ratio < 2
+
+
+@pytest.mark.parametrize(("memory", "ratio"), [(0.0, 1.2), (1.0, 1.09), (4.0, 0.9), (6.25, 0.84)])
+def test_the_standard_error_of_a_series_whose_error_is_known(memory, ratio):
+    """An autoregressive series x ← ax + noise in 64 values: the variance of its mean is (1 + 2Σ(1 − k/n)aᵏ)/n."""
+    n, a = 64, np.exp(-1 / memory) if memory else 0.0
+    noise = np.random.default_rng(0).normal(size=(n, 4000))
+    series = noise.copy()
+    for k in range(1, n):
+        series[k] = a * series[k - 1] + np.sqrt(1 - a * a) * noise[k]
+    k = np.arange(1, n)
+    known = np.sqrt((1 + 2 * ((1 - k / n) * a**k).sum()) / n)
+    found = _chaos.standard_error(jnp.asarray(series))
+    assert found.mean() / known == pytest.approx(ratio, abs=0.04)
+    assert ((0.3 * known < found) & (found < 3 * known)).mean() > 0.98
+
+
+def test_the_errors_of_exponents_are_those_of_their_batches():
+    """64 batches of 31 or 32 rounds; here the plain formula, window by window."""
+    found = of("free")[0]
+    lengths = np.bincount(np.arange(2000) * 64 // 2000)
+    rates = np.asarray(found.growth) / lengths[:, None]  # one unit of time each round
+    off, V = rates - rates.mean(axis=0), {}
+    for w in (1, 2, 4, 8, 16):
+        means = np.stack([off[i : i + w].mean(axis=0) for i in range(64 - w + 1)])
+        V[w] = (means**2).mean(axis=0) / (64 / w - 1)
+    square = np.max([V[1], *(2 * V[w] - V[w // 2] for w in (2, 4, 8, 16))], axis=0)
+    np.testing.assert_allclose(found.errors, np.sqrt(square), rtol=1e-9)
+    np.testing.assert_allclose(found.growth.sum(axis=0), 2000 * found.exponents, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.long
+def test_in_float32_and_by_vmap_with_a_flag_for_the_member_that_fails():
+    step, state = jax.tree.map(lambda x: x.astype(jnp.float32), REGULAR["free"])
+    states = jax.tree.map(lambda x: jnp.stack([x, 100 * x if x.shape == (3,) else x]), state)
+    found = jax.vmap(lambda z: diagnostics.megno(step, z, 0.05, 10_000))(states)
+    assert found.mean.dtype == jnp.float32
+    assert found.info.converged.tolist() == [True, False]
+    assert float(found.mean[0]) == pytest.approx(2, abs=0.4)  # 1.7 in float64
+
+
+@pytest.mark.long
+def test_ten_million_steps_take_no_more_memory_than_a_thousand():
+    step, state = REGULAR["free"]
+
+    def memory(measure, count):
+        compiled = jax.jit(lambda z: measure(step, z, 0.05, count)).lower(state).compile()
+        return compiled.memory_analysis().temp_size_in_bytes
+
+    for measure in (diagnostics.lyapunov, diagnostics.megno):
+        assert 0 < memory(measure, 10**7) <= memory(measure, 1000) + 256
+
+
+BAD = [
+    (dict(num_steps=0), "num_steps must be an integer ≥ 1"),
+    (dict(every=3), "not a multiple"),
+    (dict(exponents=7), "got exponents = 7"),
+    (dict(exponents=0), "exponents must be an integer ≥ 1"),
+    (dict(vectors=jnp.eye(5)), "from 1 to 6 tangent vectors"),
+    (dict(vectors=jnp.ones((6, 2))), "linearly independent"),
+    (dict(exponents=1, vectors=jnp.eye(6)), "not both"),
+    (dict(batches=0), "batches must be an integer ≥ 1"),
+    (dict(dt=3.0), "does not converge"),
+    (dict(step=schemes.reversible_control(REGULAR["free"][0], lambda _: 1.0)), "is of a fictitious one"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), BAD, ids=[message for _, message in BAD])
+def test_bad_arguments_are_refused(change, message):
+    step, state = REGULAR["free"]
+    with pytest.raises(ValueError, match=message):
+        diagnostics.lyapunov(**(dict(step=step, state=state, dt=0.05, num_steps=100) | change))
+
+
+def test_a_bad_vector_of_megno_is_refused():
+    step, state = REGULAR["free"]
+    with pytest.raises(ValueError, match="vector must have shape"):
+        diagnostics.megno(step, state, 0.05, 100, vector=jnp.ones(5))
+
+
+def crossing(R, J, t, E):
+    """The times at which the axis E of a top comes down through the horizon, by DOP853's own events, from (Λ, Ω)."""
+
+    def rate(_, y):
+        R, w = y[:9].reshape(3, 3), y[9:]
+        return np.concatenate([(R @ hat(w)).ravel(), (np.cross(J * w, w) + weight(R, None, 0)) / J])
+
+    def height(_, y):
+        return y[:9].reshape(3, 3)[2] @ E
+
+    height.direction = -1
+    return solve_ivp(rate, (0, t), R, "DOP853", rtol=1e-11, atol=1e-11, events=height).t_events[0]
+
+
+@pytest.mark.long
+def test_a_section_of_an_ensemble_against_the_events_of_another_integrator():
+    """The weight's axis of a chaotic top comes down through the horizon: three members, the first two times of each."""
+    E = jnp.asarray(TOP.potential.weight)
+
+    def height(state):
+        return so3.Ad_star(state.q, jnp.array([0.0, 0.0, 1.0])) @ E
+
+    states = jax.vmap(lambda w: TOP.state(TUMBLING.q, angular_velocity=w))(
+        jnp.array([[0.4, 0.9, 0.6], [0.9, 0.4, 0.6], [0.1, 0.2, 0.1]])
+    )
+    step = schemes.compose(schemes.splitting(TOP), 4)
+    found = diagnostics.section(step, states, 0.1, height, 150, 2, direction=-1)
+    assert found.t.shape == found.found.shape == (3, 2)
+    for m in range(3):
+        start = np.concatenate([np.asarray(so3.to_matrix(states.q[m])).ravel(), TOP.angular_velocity(_of(states, m))])
+        known = crossing(start, np.asarray(TOP.inertia), 15.0, np.asarray(E))
+        assert found.found[m].tolist() == [len(known) > 0, len(known) > 1]
+        both = known[:2]
+        np.testing.assert_allclose(found.t[m, : len(both)], both, rtol=0, atol=2e-4)
+    np.testing.assert_allclose(jax.vmap(jax.vmap(height))(found.state)[found.found], 0, rtol=0, atol=1e-13)
+    assert int(found.found.sum()) >= 4
+
+
+def _of(states, m):
+    return jax.tree.map(lambda x: x[m], states)
+
+
+def test_a_section_refuses_one_body_and_a_first_step_that_fails():
+    step, state = REGULAR["free"]
+    with pytest.raises(ValueError, match="leading member axis"):
+        diagnostics.section(step, state, 0.1, lambda z: z.q[0], 10, 1)
+    with pytest.raises(ValueError, match="does not converge"):
+        diagnostics.section(step, jax.tree.map(lambda x: x[None], state), 3.0, lambda z: z.q[0], 10, 1)

@@ -1,0 +1,188 @@
+"""A step made again compiles nothing, and the command line keeps compiled programs, in a folder of this processor."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import pytest
+
+import lieint_jax as li
+from lieint_jax.app.command.compilation import keep_programs
+
+NAMES = (
+    "jax_compilation_cache_dir",
+    "jax_persistent_cache_min_compile_time_secs",
+    "jax_persistent_cache_min_entry_size_bytes",
+)
+
+
+def programs(caplog, function):
+    """The names of the programs that jax compiles, or loads, for a call."""
+    caplog.clear()
+    with jax.log_compiles():
+        jax.block_until_ready(function())
+    texts = [record.getMessage() for record in caplog.records]
+    return [re.split(r"[ )]", text.removeprefix("Compiling jit("))[0] for text in texts if text.startswith("Compiling")]
+
+
+def a_step(dt=0.05):
+    body = li.systems.rigid_body([1.0, 2.0, 3.0])
+    return li.schemes.so3_midpoint(body), body.state(angular_velocity=[0.2, dt, 1.0]), dt
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda s, z, dt: li.integrate(s, z, dt, 6, 3),
+        lambda s, z, dt: li.observe(s, z, dt, [0.3, 0.7]),
+        lambda s, z, dt: jax.grad(lambda h: li.observe(s, z, h, [0.3, 0.7])[0].q[-1, 0])(dt),
+        pytest.param(
+            lambda s, z, dt: li.observe(s, z, dt, [6 * dt, 14.2 * dt], derivative="checkpoint"),
+            marks=pytest.mark.long,  # the numbers of steps are compiled in
+        ),
+        pytest.param(lambda s, z, dt: li.reversible(s, z, dt, 6, 3), marks=pytest.mark.long),
+        pytest.param(lambda s, z, dt: li.adjoints.round_trip_error(s, z, dt, 6), marks=pytest.mark.long),
+        pytest.param(lambda s, z, dt: li.diagnostics.poisson_error(s, z, dt, 6), marks=pytest.mark.long),
+        pytest.param(lambda s, z, dt: li.diagnostics.order(s, z, dt), marks=pytest.mark.long),
+        pytest.param(lambda s, z, dt: s.system.solution(z, dt), marks=pytest.mark.long),
+    ],
+)
+def test_a_step_made_again_with_other_numbers_compiles_nothing(caplog, call):
+    if not programs(caplog, lambda: call(*a_step())):  # another test of this process had it compiled
+        jax.clear_caches()
+        assert programs(caplog, lambda: call(*a_step()))
+    assert not programs(caplog, lambda: call(*a_step(0.04)))
+
+
+FIRST = """
+import jax
+jax.config.update("jax_enable_x64", True)
+import lieint_jax as li
+
+compiled = []
+event = "/jax/core/compile/backend_compile_duration"
+jax.monitoring.register_event_duration_secs_listener(lambda name, *_, **of: name == event and compiled.append(of))
+
+def show(name, value):
+    print(name, len(compiled))
+    compiled.clear()
+    return value
+
+show("import", None)
+body = show("body", li.systems.rigid_body([1.0, 2.0, 3.0]))
+step = show("step", li.schemes.so3_midpoint(body))
+state = show("state", body.state([1, 0, 0, 0], angular_velocity=[0.2, 0.0, 1.0]))
+show("another state", body.state([0.8, 0.6, 0, 0], angular_velocity=(0, 0.1, 1)))
+show("run", li.integrate(step, state, 0.05, 1000))
+show("longer run", li.integrate(step, state, 0.04, 2000))
+show("save_every", li.integrate(step, state, 0.04, 2000, 10))
+show("longer, save_every", li.integrate(step, state, 0.04, 3000, 10))
+show("certificate", li.diagnostics.certify(step, state, 0.05, 1000))
+"""
+MOST = {  # programs: the run also tries its first step; save_every tries it apart; a certificate has four measurements
+    "import": 0,
+    "body": 0,
+    "step": 0,
+    "state": 1,
+    "another state": 0,
+    "run": 1,
+    "longer run": 0,
+    "save_every": 2,
+    "longer, save_every": 0,
+    "certificate": 4,
+}
+
+
+def test_first_calls_compile_few_programs():
+    shown = subprocess.run([sys.executable, "-c", FIRST], capture_output=True, text=True, check=True).stdout
+    counts = {name: int(count) for name, count in (line.rsplit(" ", 1) for line in shown.splitlines())}
+    assert counts.keys() == MOST.keys()
+    assert {name: count for name, count in counts.items() if count > MOST[name]} == {}
+
+
+@pytest.mark.long
+def test_the_first_example_of_the_readme_compiles_its_run_once(caplog):
+    readme = Path(__file__).parents[2] / "README.md"
+    example = re.findall(r"```python\n(.*?)```", readme.read_text(encoding="utf-8"), re.S)[0]
+    jax.clear_caches()
+    first = programs(caplog, lambda: exec(example, {}))
+    assert first.count("_padded") == 1
+    assert not programs(caplog, lambda: exec(example, {}))
+
+
+@pytest.fixture
+def no_folder():
+    before = {name: getattr(jax.config, name) for name in NAMES}
+    jax.config.update("jax_compilation_cache_dir", None)
+    yield
+    for name, value in before.items():
+        jax.config.update(name, value)
+
+
+def test_programs_are_kept_under_the_user_s_cache_directory(no_folder, monkeypatch, tmp_path):
+    monkeypatch.delenv("LIEINT_CACHE", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    keep_programs()
+    assert "lieint" in jax.config.jax_compilation_cache_dir
+
+
+def test_a_folder_of_one_s_own(no_folder, monkeypatch, tmp_path):
+    monkeypatch.setenv("LIEINT_CACHE", str(tmp_path))
+    keep_programs()
+    assert jax.config.jax_compilation_cache_dir.startswith(str(tmp_path))
+
+
+def test_0_turns_it_off(no_folder, monkeypatch):
+    monkeypatch.setenv("LIEINT_CACHE", "0")
+    keep_programs()
+    assert jax.config.jax_compilation_cache_dir is None
+
+
+def test_programs_are_loaded_by_the_next_process(tmp_path):
+    """Also by one that has compiled something before it asks for the cache."""
+    script = """
+import sys, jax
+import jax.numpy as jnp
+import lieint_jax as li
+jnp.arange(3) * 2
+hits = []
+jax.monitoring.register_event_listener(lambda name, **_: hits.append(name) if name.endswith("/cache_hits") else None)
+folder = li.cache_programs(sys.argv[1])
+body = li.systems.rigid_body([1.0, 2.0, 3.0])
+li.integrate(li.schemes.so3_midpoint(body), body.state(angular_velocity=[0.2, 0.0, 1.0]), 0.1, 2)
+print(len(hits), len(list(folder.iterdir())))
+"""
+    environment = {name: value for name, value in os.environ.items() if name.upper() not in map(str.upper, NAMES)}
+    command = [sys.executable, "-c", script, str(tmp_path / "programs")]
+    runs = [subprocess.run(command, env=environment, capture_output=True, text=True, check=True) for _ in range(2)]
+    (hits, kept), (hits_again, _) = ([int(x) for x in run.stdout.split()] for run in runs)
+    assert not hits
+    assert kept
+    assert hits_again
+
+
+def test_a_folder_that_jax_was_given_stays(monkeypatch, tmp_path):
+    before = jax.config.jax_compilation_cache_dir
+    assert before
+    monkeypatch.setenv("LIEINT_CACHE", str(tmp_path))
+    keep_programs()
+    assert jax.config.jax_compilation_cache_dir == before
+
+
+def test_derivatives_outside_of_jit_go_through_the_package_s_own_programs():
+    """JAX derives no program that has options for XLA: there the package's have none."""
+    step, _, dt = a_step()
+
+    def end(moments):
+        body = li.systems.rigid_body(moments)
+        start = body.state([0.8, 0.6, 0, 0], angular_velocity=[0.2, 0.1, 1.0])
+        return li.integrate(li.schemes.so3_midpoint(body), start, dt, 3).state.q[-1, 1]
+
+    moments = step.system.inertia
+    eager, jitted = jax.grad(end)(moments), jax.jit(jax.grad(end))(moments)
+    assert abs(eager - jitted).max() < 1e-13
+    assert abs(jax.vmap(jax.grad(end))(moments[None])[0] - jitted).max() < 1e-13

@@ -1,0 +1,232 @@
+"""The measuring instruments: each against something that is not itself, on the whole grid of systems and schemes."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax import _discover, diagnostics
+from lieint_jax.diagnostics._symplectic import pushed
+from lieint_jax.groups import so3
+from lieint_jax.types import State, Step, StepInfo, pytree
+
+BODIES = jax.jit(_discover.modules_with_examples(li.systems)["rigid_body"].examples)()
+GRID = {  # every scheme that takes a rigid body
+    f"rigid_body.{name}-{step_name}": (step, jax.tree.map(np.asarray, state), float(dt))
+    for name, (body, state, dt) in BODIES.items()
+    if name in ("asymmetric", "full_tensor")
+    for module in _discover.modules_with_examples(li.schemes).values()
+    for step_name, step in module.examples(body).items()
+}
+PAPER = [name for name in GRID if "-so3_midpoint[" in name]
+BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+STATE = jax.jit(BODY.state)(np.array([1.0, 2, -1, 0.5]) / 2.5, angular_velocity=[0.3, -0.5, 0.8])
+flow = jax.jit(diagnostics.flow, static_argnums=3)
+
+
+@pytree
+class Euler(Step):
+    """Explicit Euler: a step that conserves nothing, to see that the instruments show it."""
+
+    system: li.systems.RigidBody
+
+    order, symmetric, name = 1, False, "explicit Euler"
+
+    def __call__(self, state, dt):
+        rate = self.system.vector_field(state)
+        return State(state.q + dt * rate.q, state.p + dt * rate.p), StepInfo(jnp.zeros(()), jnp.ones((), bool))
+
+
+@jax.jit
+def _linearized(step, state, dt):
+    """The state after a step, and its `linearization`, which comes with it."""
+    end, _, L = pushed(step.system.phase_space, lambda z: step(z, dt), state)
+    return end, L
+
+
+_perturbed = jax.jit(BODY.phase_space.perturb)
+
+
+@jax.jit
+def _turn(a, b):
+    """The rotation from b to a, in space."""
+    return so3.log(so3.multiply(a, so3.inverse(b)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", [name for name in GRID if "full_tensor-" in name and "-exact" not in name and "-cal" not in name]
+)
+def test_linearization_against_finite_differences(name):
+    step, state, dt = GRID[name]
+    (_, L), h = _linearized(step, state, dt), 1e-5
+    columns = []
+    for e in np.eye(6):
+        ahead, behind = (_linearized(step, _perturbed(state, s * h * e), dt)[0] for s in (1, -1))
+        columns.append(np.concatenate([_turn(ahead.q, behind.q), np.asarray(ahead.p) - behind.p]) / (2 * h))
+    np.testing.assert_allclose(L, np.stack(columns, axis=1), rtol=0, atol=1e-9)
+
+
+@jax.jit
+def _poisson_errors(step, state, dt):
+    return [diagnostics.poisson_error(step, state, dt, 1000, method) for method in ("recursion", "product")]
+
+
+@pytest.mark.parametrize("name", [name for name in PAPER if "asymmetric-" in name or "full" in name])
+@pytest.mark.slow
+def test_poisson_error_by_recursion_and_by_product_of_jacobians(name):
+    """(5.36) against (5.34) over 1000 steps, to round-off; and skew."""
+    step, state, dt = GRID[name]
+    J = step.system.inertia
+    body = li.systems.rigid_body(np.diag(J) if J.ndim == 1 else J)  # full, so that both bodies share a program
+    step = dataclasses.replace(step, system=body, iterations=2)  # to round-off at this dt
+    recursion, product = map(np.asarray, _poisson_errors(step, state, dt))
+    assert recursion.shape == (1001, 3, 3)
+    np.testing.assert_allclose(recursion, product, rtol=0, atol=4e-12)  # floor 1.3e-12, all of it the product's
+    np.testing.assert_allclose(recursion, -np.swapaxes(recursion, 1, 2), rtol=0, atol=1e-16)
+    worst = np.abs(recursion).max()
+    assert worst < 4e-14 if step.kappa.name == "symplectic" else worst > 1e-3  # floor 9e-15
+
+
+def test_poisson_error_wants_a_known_method():
+    step, state, dt = next(iter(GRID.values()))
+    with pytest.raises(ValueError, match="recursion, product"):
+        diagnostics.poisson_error(step, state, dt, 1, "magic")
+
+
+def test_flow_converges_and_preserves_what_it_should():
+    """The reference: self-consistent to round-off and on the invariants, which it does not know of."""
+    coarse, fine = (flow(BODY, STATE, 10.0, n) for n in (20, 40))
+    np.testing.assert_allclose(coarse.q, fine.q, rtol=0, atol=1e-14)  # floor 3e-15
+    energy = jax.jit(BODY.energy)
+    assert energy(fine) == pytest.approx(float(energy(STATE)), rel=1e-14)
+    back = flow(BODY, fine, -10.0, 40)
+    np.testing.assert_allclose(back.q, STATE.q, rtol=0, atol=2e-14)
+
+
+def test_flow_against_25_digits():
+    """A Taylor integration with mpmath, of the body momentum and the attitude together."""
+    body_momentum = jax.jit(BODY.body_momentum)
+    Pi = [mpmath.mpf(float(x)) for x in np.asarray(body_momentum(STATE))]
+
+    def f(_, z):
+        w, x, y, s, a, b, c = z
+        O1, O2, O3 = a, b / 2, c / 3
+        turning = [
+            -x * O1 - y * O2 - s * O3,
+            w * O1 + y * O3 - s * O2,
+            w * O2 + s * O1 - x * O3,
+            w * O3 + x * O2 - y * O1,
+        ]
+        return [*(t / 2 for t in turning), b * O3 - c * O2, c * O1 - a * O3, a * O2 - b * O1]
+
+    with mpmath.workdps(30):
+        start = [mpmath.mpf(float(x)) for x in np.asarray(STATE.q)]
+        exact = mpmath.odefun(f, 0, start + Pi, tol=mpmath.mpf(10) ** -25, degree=25)(2)
+    end = flow(BODY, STATE, 2.0, 5)
+    ours = np.concatenate([end.q, body_momentum(end)])
+    np.testing.assert_allclose(ours, [float(x) for x in exact], rtol=0, atol=5e-15)  # floor 1e-15
+
+
+def test_order_of_explicit_euler_and_its_certificate_shows_every_loss():
+    certificate = diagnostics.certify(Euler(BODY), STATE, 0.05, 100)
+    assert certificate.order == pytest.approx(1, abs=0.1)
+    assert certificate.energy > 1e-2
+    assert certificate.constraint > 1e-2
+    assert certificate.momentum == 0
+    assert certificate.symplectic_defect > 1e-3
+    assert certificate.symplectic_order == pytest.approx(2, abs=0.2)
+    assert certificate.reversibility > 1e-4
+    text = str(certificate)
+    assert text.count("not conserved") == 2
+    assert "not reversible" in text
+    assert "broken as dt^" in text
+    assert "order                 0.98   measured 0.98" in text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in PAPER if "asymmetric-" in name])
+def test_certificate_of_the_paper_s_schemes(name):
+    step, state, dt = GRID[name]
+    c = diagnostics.certify(step, state, dt, 400)
+    assert c.energy < 4e-15
+    assert c.momentum == 0
+    assert c.constraint < 2e-15
+    assert c.order == pytest.approx(2, abs=0.01)
+    assert c.reversibility < 1e-15
+    assert c.converged
+    if step.kappa.name == "symplectic":
+        assert c.symplectic_defect < 2e-15
+        assert c.symplectic_order == np.inf
+        assert "exact to round-off" in str(c)
+    else:
+        assert c.symplectic_order == pytest.approx(3, abs=0.01)
+    assert "conserved bit for bit" in str(c)
+    assert step.name in str(c)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "order"), [("compose[commuting_8]", 8), ("preprocessed[4]", 4), ("preprocessed[6]", 6)]
+)
+def test_certificate_tells_orders_apart_even_where_the_given_step_is_at_round_off(name, order):
+    """And whether the form is kept to round-off, or to which order."""
+    [(step, state, dt)] = [rest for key, rest in GRID.items() if f"asymmetric-{name}" in key]
+    c = diagnostics.certify(step, state, dt, 50)
+    assert c.order == pytest.approx(order, abs=0.3)
+    assert c.symplectic_order == (np.inf if "compose" in name else pytest.approx(order + 1, abs=0.2))
+    assert c.energy < 4e-15
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", [1e-20, 1e-4, 1e20])
+def test_verdicts_do_not_depend_on_units(scale):
+    """The same body in other units of mass, and its clock run backwards: the same certificate."""
+    for kappa, form in ((li.maps.kappa_symplectic, np.inf), (li.maps.kappa_cayley, pytest.approx(3, abs=0.02))):
+        body = li.systems.rigid_body(np.array([1.0, 2.0, 3.0]) * scale)
+        state = State(np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.3, -1.0, 2.4]) * scale)
+        c = diagnostics.certify(li.schemes.so3_midpoint(body, kappa), state, -0.05, 400)
+        assert c.order == pytest.approx(2, abs=0.01)
+        assert c.symplectic_order == form
+        assert c.reversibility < 1e-15
+
+
+def test_diagnostics_past_the_branch_are_errors():
+    step = li.schemes.so3_midpoint(BODY)
+    for measure in (
+        diagnostics.linearization,
+        diagnostics.symplectic_defect,
+        diagnostics.reversibility,
+        lambda *a: diagnostics.poisson_error(*a, 3),
+    ):
+        with pytest.raises(ValueError, match="does not converge"):
+            measure(step, STATE, 2.0)
+    with pytest.raises(ValueError, match="num_steps must be an integer"):
+        diagnostics.poisson_error(step, STATE, 0.1, 2.5)
+
+
+def test_delay():
+    points = diagnostics.delay(jnp.arange(10.0), 3)
+    np.testing.assert_array_equal(points, [[k, k + 3, k + 6] for k in range(4)])
+    with pytest.raises(ValueError, match="more than 10 numbers"):
+        diagnostics.delay(jnp.arange(10.0), 5)
+
+
+def test_series_start_at_zero_and_show_a_planted_error():
+    made = jax.jit(lambda z: li.integrate(li.schemes.so3_midpoint(BODY), z, 0.1, 20))(STATE)
+    run = jax.tree.map(np.array, made)
+    run.state.q[7] *= 1.001
+    run.state.p[9, 1] += 1e-3
+    for series, at in (
+        (diagnostics.energy_error, 7),
+        (diagnostics.constraint_error, 7),
+        (diagnostics.momentum_error, 9),
+    ):
+        error = np.abs(jax.jit(series)(BODY, run)).reshape(21, -1).max(axis=1)
+        assert error[0] < 4e-16
+        assert error[at] > 1e-4
+        assert error[at - 1] < 2e-15

@@ -1,0 +1,148 @@
+"""Batches: the same numbers as one body at a time, a report that names member and step, files that are not lost."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from free_bodies import rows
+
+import lieint_jax as li
+from lieint_jax import State, ensemble
+from lieint_jax.app.command import files
+
+J123 = np.array([1.0, 2.0, 3.0])
+BODY = li.systems.rigid_body(J123)
+STEP = li.schemes.so3_midpoint(BODY)
+
+
+def states(members, size=0.5):
+    rng = np.random.default_rng(4)
+    q, Omega = rng.normal(size=(members, 4)), rng.normal(size=(members, 3))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    Omega *= size / np.linalg.norm(Omega, axis=1, keepdims=True)
+    p = [np.array(rows(*x)).T @ (J123 * v) for x, v in zip(q, Omega, strict=True)]
+    return State(jnp.array(q), jnp.array(np.array(p)))
+
+
+alone = jax.jit(li.integrate, static_argnums=(3, 4))
+
+
+def test_the_batch_is_the_bodies_one_by_one():
+    batch = states(5)
+    run = ensemble.run(STEP, batch, 0.1, 60, 20, progress=False)
+    assert run.state.q.shape == (4, 5, 4)
+    np.testing.assert_allclose(run.t, [0, 2, 4, 6])
+    assert run.info.converged.all()
+    for m in range(5):
+        one = alone(STEP, State(np.asarray(batch.q)[m], np.asarray(batch.p)[m]), 0.1, 60, 20)
+        np.testing.assert_allclose(np.asarray(run.state.q)[:, m], one.state.q, rtol=0, atol=1e-14)
+        np.testing.assert_array_equal(np.asarray(run.state.p)[:, m], one.state.p)
+
+
+def test_keeping_the_last_state_only_and_an_inertia_each():
+    batch = states(4)
+    J = np.array([[1.0, 2, 3], [1, 1, 2], [2, 2, 2], [1, 1.5, 2]])
+    steps = jax.jit(jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.rigid_body(J))))(J)
+    run = ensemble.run(steps, batch, 0.1, 150, step_axis=0, progress=False)
+    assert run.state.q.shape == (2, 4, 4)
+    member = State(np.asarray(batch.q)[1], np.asarray(batch.p)[1])
+    one = alone(li.schemes.so3_midpoint(li.systems.rigid_body(J[1])), member, 0.1, 150, 150)
+    np.testing.assert_allclose(np.asarray(run.state.q)[-1, 1], one.state.q[1], rtol=0, atol=1e-14)
+
+
+def test_a_late_failure_names_member_and_step():
+    """A spin-up along the trajectory takes two members past the branch; the run goes on and says who and when."""
+    batch, step = states(4), li.schemes.so3_midpoint(BODY, iterations=8)
+    q, p = np.array(batch.q), np.array(batch.p)
+    q[2], p[2] = [1.0, 0, 0, 0], J123 * [0.0, 1.0, 1e-4]  # about the intermediate axis: Ω grows in the flip
+    batch = State(jnp.array(q), jnp.array(p))
+    single = alone(step, State(q[2], p[2]), 0.99, 100, 1)
+    first = int(np.argmin(np.asarray(single.info.converged))) - 1
+    assert first > 0
+    with pytest.warns(RuntimeWarning, match=rf"member 2 at step {first}"):
+        run = ensemble.run(step, batch, 0.99, 100, 10, progress=False)
+    assert not np.asarray(run.info.converged)[:, 2].all()
+
+
+def test_the_first_failure_of_each_member_is_found():
+    """Bodies that hang from a heavy point fall faster than the scheme can turn, each after its own number of steps."""
+    top = li.systems.heavy_top([1.0, 2.0, 2.5], [0.0, 0.0, 12.0])
+    step, dt = li.schemes.splitting(top), 0.2
+    slow = 0.1 * jnp.asarray(np.random.default_rng(1).normal(size=(70, 3)))
+    batch = jax.vmap(lambda w: top.state(angular_velocity=w))(slow)
+    with pytest.warns(RuntimeWarning, match="did not converge at every step"):
+        run = ensemble.run(step, batch, dt, 40, save_every=4, reduce="energy", progress=False)
+    each = jax.vmap(lambda z: li.integrate(step, z, dt, 40, 1).info.converged)(batch)[:, 1:]
+    first = np.where(np.all(each, axis=1), -1, np.argmin(each, axis=1))
+    assert len(set(first.tolist())) > 2
+    np.testing.assert_array_equal(run.failed, first)
+    failing = np.sum(~np.asarray(each).reshape(70, 10, 4).all(axis=2), axis=0)
+    np.testing.assert_array_equal(run.unconverged[1:4], failing[:3])  # later, what has failed is chaos
+
+
+@pytest.mark.long
+def test_three_bodies():
+    masses, inertias = [1.0, 0.5, 0.2], jnp.array([[0.1, 0.2, 0.25]] * 3)
+    bodies = li.systems.rigid_bodies(masses, inertias, li.potentials.maccullagh(1.0, masses, inertias))
+    state = bodies.state([[3.0, 0, 0], [-3.0, 1, 0], [0, -2.0, 1]], angular_velocities=[[0.1, 0.2, 0.3]] * 3)
+    batch = jax.tree.map(lambda x: jnp.stack([x, x]), state)
+    for scheme in (li.schemes.splitting, li.schemes.bodies_energy_momentum):
+        run = ensemble.run(scheme(bodies), batch, 0.01, 5, progress=False)
+        one = alone(scheme(bodies), state, 0.01, 5, 5)
+        assert np.all(run.info.converged)
+        np.testing.assert_allclose(run.state.q[-1, 0], one.state.q[-1], rtol=0, atol=1e-14)
+
+
+def test_a_failure_of_the_first_step_is_an_error():
+    with pytest.raises(ValueError, match=r"first step fails for 4 member\(s\): 0, 1, 2, 3\. Member 0: .*smaller dt"):
+        ensemble.run(STEP, states(4), 3.0, 10, progress=False)
+
+
+def test_bad_batches():
+    good = states(3)
+    for bad, message in (
+        (State(good.q[0], good.p[0]), "leading member axis"),
+        (State(good.q[:2], good.p), "leading member axis"),
+        (State(good.q.at[1, 0].set(jnp.nan), good.p), r"states\.q must be finite, and is not for 1 member\(s\): 1"),
+        (State(good.q.at[2].multiply(1.01), good.p), r"off the configuration space.*1 member\(s\): 2"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            ensemble.run(STEP, bad, 0.1, 10, progress=False)
+    for options, message in (
+        (dict(num_steps=10, save_every=3), "not a multiple"),
+        (dict(num_steps=10, save_every=0), "save_every must be an integer ≥ 1"),
+        (dict(num_steps="10"), "num_steps must be an integer"),
+        (dict(num_steps=10, step_axis=1), "step_axis must be None"),
+        (dict(num_steps=10, dt="fast"), "dt must be a real number"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            ensemble.run(STEP, good, **{"dt": 0.1, "progress": False} | options)
+
+
+def test_the_progress_bar_goes_to_a_terminal_and_nowhere_else(capfd, monkeypatch):
+    ensemble.run(STEP, states(2), 0.1, 200)
+    assert capfd.readouterr() == ("", "")
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    ensemble.run(STEP, states(2), 0.1, 200)
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert "step" in err
+
+
+def test_store_round_trip_and_that_nothing_is_overwritten(tmp_path):
+    run = ensemble.run(STEP, states(3), 0.1, 20, 10, progress=False)
+    path = files.free(tmp_path / "run.npz")
+    files.save(path, run, {"seed": 4})
+    again, metadata = files.load(path)
+    jax.tree.map(np.testing.assert_array_equal, again, run)
+    assert metadata == {"seed": 4}
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match="exists and is not overwritten"):
+        files.free(path)
+    with pytest.raises(FileExistsError):
+        files.save(path, run, {})
+    assert path.read_bytes() == before
+    with pytest.raises(ValueError, match=r"\.npz"):
+        files.free(tmp_path / "run.txt")
+    with pytest.raises(ValueError, match="does not exist"):
+        files.free(tmp_path / "no" / "run.npz")

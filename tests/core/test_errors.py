@@ -1,0 +1,266 @@
+"""Sentences of errors that no other test meets: what was given, what is allowed, what to do."""
+
+import functools
+import io
+import json
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax import _cache, _checks
+from lieint_jax.app import scenarios
+from lieint_jax.app.command import cli, files
+from lieint_jax.app.command import info as info_command
+from lieint_jax.app.command import run as run_command
+from lieint_jax.ensemble import _identity, _layout, _run, _store, processes
+from lieint_jax.fitting import _bounds
+from lieint_jax.types import State, StepInfo, Trajectory
+
+ONE = np.array([1.0, 0.0, 0.0, 0.0])
+BODY = li.systems.RigidBody(jnp.array([1.0, 2.0, 3.0]))
+STATE = State(jnp.array(ONE), jnp.array([0.2, 0.4, 3.0]))
+
+
+def geodesics(group):
+    return li.systems.euler(group, np.ones(group.dim))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def twisted(group, theta):
+    return group.exp(theta + 0.1 * jnp.cross(theta, jnp.roll(theta, 1)) * theta[0])
+
+
+def spread_of_toutatis(**keys):
+    return scenarios.load("toutatis", spread=keys)
+
+
+def observed_at_traced_times():
+    step = li.schemes.so3_midpoint(BODY)
+    jax.eval_shape(lambda t: li.observe(step, STATE, 0.1, t, derivative="checkpoint"), jnp.ones(2))
+
+
+SE2 = li.groups.special_euclidean(2)
+SENTENCES = [
+    (lambda: li.groups.matrix([[["a"]]]), "basis must hold numbers, got dtype <U1"),
+    (lambda: li.schemes.group_midpoint(geodesics(li.groups.so3), twisted), r"Ad_τ\(Θ\) Θ = Θ must hold .*maps\.Tau"),
+    (lambda: geodesics(SE2).check(State(np.eye(2), np.zeros(3))), r"state\.q must have shape \(3, 3\), got \(2, 2\)"),
+    (lambda: geodesics(SE2).check(State(2 * np.eye(3), np.zeros(3))), r"state\.q is off the group by .*group\.exp"),
+    (lambda: li.systems.kirchhoff((1.0, 2.0, -1.0)), "semi_axes must be three positive lengths"),
+    (lambda: li.systems.manakov([1.0, 2.0, 3.0]), "at least four positive numbers, .*for n = 3 see rigid_body"),
+    (lambda: li.systems.potential_top([1.0, 2.0, 3.0], jnp.sum, None).Gamma(STATE), "no axis γ"),
+    (lambda: _bounds.interval(2.0, 1.0), "an interval needs low < high, got 2.0 and 1.0"),
+    (
+        lambda: li.fit(jnp.sum, np.array([0.5, 2.0]), bounds=_bounds.interval(0.0, 1.0), starts=True),
+        "inside their bounds",
+    ),
+    (observed_at_traced_times, 'derivative="checkpoint" needs concrete times, dt and state'),
+    (lambda: scenarios.parse({}, "mine.toml"), r"mine\.toml: system: key missing"),
+    (lambda: spread_of_toutatis(angular_velocity_degr=1.0), "spread.angular_velocity_degr: .*angular_velocity_deg"),
+    (
+        lambda: scenarios.load(
+            "toutatis", state=dict(quaternion=ONE.tolist(), euler_313_deg=[0.0] * 3, angular_velocity_rad=[0.0] * 3)
+        ),
+        "give the attitude, by exactly one of quaternion and euler_313_deg",
+    ),
+    (
+        lambda: scenarios.load(
+            "toutatis",
+            state=dict(quaternion=ONE.tolist(), angular_velocity_deg=[0.0] * 3, angular_velocity_rad=[0.0] * 3),
+        ),
+        "give angular_velocity_rad or angular_velocity_deg, not both",
+    ),
+    (
+        lambda: spread_of_toutatis(angular_velocity_rad=0.1, angular_velocity_deg=1.0),
+        "give angular_velocity_rad or angular_velocity_deg, not both",
+    ),
+    (lambda: scenarios.load("toutatis", save_every=320), r"observation\.t = 23.* must be a multiple of dt·save_every"),
+    (lambda: _store.check(Path("group.zarr")), "a Zarr group, but not one that lieint wrote"),
+    (lambda: _store.check(Path("newer.zarr")), "has format 99; .*take a newer one"),
+    (lambda: _store.check(Path("damaged.zarr")), "is damaged: its checksum is wrong"),
+    (lambda: info_command.plot(Path("bare.npz")), "holds neither a scenario nor the numbers of its system"),
+    (lambda: info_command.plot(Path("start.npz")), "holds the initial states only"),
+]
+
+
+@pytest.fixture
+def unusable(tmp_path, monkeypatch):
+    """A folder of results that cannot be used."""
+    monkeypatch.chdir(tmp_path)
+    attributes = {
+        "group": {},
+        "newer": {"progress": 1, "format": 99},
+        "damaged": {"progress": 1, "format": 3, "checksum": "0"},
+    }
+    for name, found in attributes.items():
+        Path(f"{name}.zarr").mkdir()
+        Path(f"{name}.zarr/zarr.json").write_text(json.dumps({"attributes": found}), encoding="utf-8")
+    info = StepInfo(np.zeros((1, 1)), np.ones((1, 1), bool))
+    start = Trajectory(np.zeros(1), State(np.ones((1, 1, 4)), np.ones((1, 1, 3))), info)
+    files.save(Path("bare.npz"), jax.tree.map(lambda x: np.concatenate([x, x]), start), {})
+    files.save(Path("start.npz"), start, {"scenario": {}})
+
+
+@pytest.mark.usefixtures("unusable")
+@pytest.mark.parametrize(("call", "sentence"), SENTENCES, ids=[sentence[:30] for _, sentence in SENTENCES])
+def test_what_is_wrong_is_said(call, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        call()
+
+
+STEP, ONE_MEMBER = li.schemes.so3_midpoint(BODY), jax.tree.map(lambda x: x[None], STATE)
+SIZES = [
+    (
+        lambda: li.integrate(STEP, STATE, 0.1, 2**31),
+        "would hold 157 GB in memory, 2 times .*give a larger save_every, or",
+    ),
+    (
+        lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, 1),
+        r"would hold 174 GB in memory: 2147483649 entries of 81 bytes, .*has 1 GB; give a larger save_every or store=",
+    ),
+    (lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, 1, reduce="energy"), "would hold 120 GB .*save_every$"),
+    (lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, 1, store="x.zarr"), "would hold 34.4 GB .*save_every$"),
+    (lambda: li.integrate(STEP, STATE, 0.1, 2**63), "num_steps must be at most 9007199254740992, got 9.22337e"),
+    (lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 10**30), "num_steps must be at most 9007199254740992, got 1e"),
+    (lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 1e30), "num_steps must be an integer ≥ 0, got 1e"),
+    (
+        lambda: run_command.run("toutatis", Path("x.npz"), 10**9),
+        "would hold 65.2 TB in memory: .*; give fewer members, a larg",
+    ),
+    (lambda: run_command.run("toutatis", Path("x.zarr"), 10**9), "would hold 65 GB in memory: .*; give fewer members$"),
+]
+
+
+@pytest.mark.parametrize(("call", "sentence"), SIZES, ids=[sentence[:30] for _, sentence in SIZES])
+def test_a_size_is_refused_before_it_is_allocated(call, sentence, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(_checks, "memory_of_machine", lambda: 1e9)
+    with pytest.raises(ValueError, match=sentence):
+        call()
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_memory_of_this_machine():
+    assert 2**28 < _checks.memory_of_machine() < 2**50
+    assert [_checks.spoken_size(x) for x in (81, 4.2e6, 1.4e11)] == ["81 bytes", "4.2 MB", "140 GB"]
+    assert _checks.entry_size(STATE) == 8 * 7 + 9
+
+
+def test_a_step_of_ones_own_that_fails_has_a_message():
+    @li.pytree
+    class Failing(li.Step):
+        system: li.systems.RigidBody
+        order, symmetric, name = 1, True, "failing"
+
+        def __call__(self, state, dt):
+            return state, StepInfo(jnp.ones(()), jnp.zeros((), bool))
+
+    with pytest.raises(ValueError, match=r"the step did not converge at dt = 0\.1: take a smaller dt"):
+        Failing(BODY).check(STATE, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("owners", "sentence"),
+    [([0, 1, 0], "as many devices of each process"), ([0, 1, 1], "as many"), ([1, 2], "no device of this process, 0")],
+)
+def test_a_mesh_over_processes_must_be_even_and_have_this_one(monkeypatch, owners, sentence):
+    class Mesh:
+        axis_names = ("members",)
+        devices = np.array([SimpleNamespace(process_index=owner) for owner in owners])
+
+    monkeypatch.setattr(_layout, "Mesh", Mesh)
+    with pytest.raises(ValueError, match=sentence):
+        _layout.checked_mesh(Mesh())  # pyright: ignore[reportArgumentType]
+
+
+def test_an_interrupted_run_in_memory_says_what_would_have_been_better(monkeypatch):
+    monkeypatch.setattr(_run.CallLength, "measure", lambda *_: True)
+    states = jax.tree.map(lambda x: x[None], STATE)
+    with pytest.raises(KeyboardInterrupt, match="stopped after 6 of 6 steps; a run with a store can be resumed"):
+        li.ensemble.run(li.schemes.so3_midpoint(BODY), states, 0.1, 6, progress=False)
+
+
+def test_the_command_line_ends_quietly(monkeypatch, capsys):
+    """Where its reader has gone, where it is interrupted, where a number is not positive, where it may not write."""
+
+    def stopped_by(error):
+        def run(*_, **__):
+            raise error
+
+        monkeypatch.setattr(run_command, "run", run)
+        return cli.main(["run", "toutatis"])
+
+    assert stopped_by(KeyboardInterrupt()) == 130
+    assert stopped_by(KeyboardInterrupt("stopped after 3 of 9 steps")) == 130
+    assert capsys.readouterr().err == "lieint: interrupted\nlieint: stopped after 3 of 9 steps\n"
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "stderr", io.StringIO())
+        assert stopped_by(BrokenPipeError()) == 1
+    with pytest.raises(SystemExit):
+        cli.main(["run", "toutatis", "--devices", "0"])
+    assert "0 is not a positive number" in capsys.readouterr().err
+    monkeypatch.setattr(files.os, "access", lambda *_: False)
+    with pytest.raises(ValueError, match="cannot be written to; choose another --out"):
+        files.free(Path("run.npz"))
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
+def test_output_of_any_encoding(encoding, monkeypatch):
+    """As of LC_ALL=C: letters that an encoding does not have are spelled."""
+    written = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding=encoding))
+    assert cli.main(["schema"]) == 0
+    print("κ ± 3° · π² − Ωₖ ≤ … 水", flush=True)
+    [*_, last] = written.getvalue().decode(encoding).splitlines()
+    spelled = {"ascii": "kappa +- 3deg * pi2 - Omegak <= ... ?", "latin-1": "kappa ± 3° · pi² - Omegak <= ... ?"}
+    assert last == spelled.get(encoding, "κ ± 3° · π² − Ωₖ ≤ … 水")
+
+
+def test_errors_of_the_system_are_one_short_line(monkeypatch, capsys):
+    def failing(error):
+        def run(*_, **__):
+            raise error
+
+        monkeypatch.setattr(run_command, "run", run)
+        assert cli.main(["run", "toutatis"]) == 2
+        [line] = capsys.readouterr().err.splitlines()
+        return line
+
+    assert failing(OSError(36, "File name too long", "a" * 3000)) == f"lieint: {'a' * 100}…: File name too long"
+    assert failing(OSError(28, "No space left on device")) == "lieint: No space left on device"
+    assert failing(ValueError("two\nlines")) == "lieint: two lines"
+    assert failing(MemoryError()).startswith("lieint: not enough memory: fewer members")
+    assert failing(jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: out of memory")) == failing(MemoryError())
+    with pytest.raises(jax.errors.JaxRuntimeError, match="INTERNAL"):
+        failing(jax.errors.JaxRuntimeError("INTERNAL: a mistake"))
+
+
+def test_who_is_waited_for_is_said(monkeypatch, capsys):
+    """Processes that do not connect, as where a stranger has the coordinator's port: after some seconds."""
+    monkeypatch.setattr(cli, "_WAIT", 0.01)
+
+    def initialize(*_):
+        time.sleep(0.2)
+        raise ValueError("the processes did not meet")
+
+    monkeypatch.setattr(processes, "initialize", initialize)
+    options = ["--distributed", "--coordinator", "host:1234", "--processes", "3", "--process", "0"]
+    assert cli.main(["run", "toutatis", *options]) == 2
+    first, last = capsys.readouterr().err.splitlines()
+    assert first == "lieint: waiting for the processes of this run at host:1234, 3 in all, to connect …"
+    assert last == "lieint: the processes did not meet"
+
+
+def test_a_machine_that_does_not_describe_its_processor(monkeypatch):
+    def unreadable(*_):
+        raise OSError
+
+    monkeypatch.setattr(Path, "read_text", unreadable)
+    assert _cache._processor()
+    assert _identity.device() == _cache.platform.machine()

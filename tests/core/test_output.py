@@ -1,0 +1,148 @@
+"""Given step boundaries and output at any time."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax import diagnostics, schemes, systems
+from lieint_jax.diagnostics._order import distance
+from lieint_jax.diagnostics._symplectic import pushed
+
+TOP = systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
+STATE = TOP.state(angular_velocity=[0.3, 0.5, 0.8])
+SPLITTING = schemes.splitting(TOP)
+OUTPUTS = np.array([0.0, 0.07, 0.07, 0.3, 0.44, 1.0])
+GRADED = 2 * np.sinh(np.linspace(0, 1.2, 13)) / np.sinh(1.2)
+
+
+def last(path):
+    return jax.tree.map(lambda x: x[-1], path.state)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_output_is_a_shorter_step_from_the_state_to_the_left(sign):
+    nodes = li.integrate(SPLITTING, STATE, sign * 0.1, 10)
+    seen = li.integrate(SPLITTING, STATE, sign * 0.1, 10, save_at=sign * OUTPUTS)
+    assert seen.info.converged.all()
+    np.testing.assert_array_equal(seen.t, sign * np.array([0, *OUTPUTS]))
+    for k, (left, rest) in enumerate([(0, 0), (0, 0.07), (0, 0.07), (3, 0), (4, 0.04), (10, 0)]):
+        node = jax.tree.map(lambda x: x[left], nodes.state)  # noqa: B023
+        one = SPLITTING(node, sign * rest)[0] if rest else node
+        assert distance(jax.tree.map(lambda x: x[k + 1], seen.state), one) < 2e-16  # noqa: B023
+
+
+def test_the_clock_is_that_of_the_state():
+    start = STATE._replace(t=jnp.asarray(3.0))
+    seen = li.integrate(SPLITTING, start, 0.1, 10, save_at=3 + OUTPUTS)
+    np.testing.assert_array_equal(seen.state.t, np.array([3, *(3 + OUTPUTS)]))
+    np.testing.assert_array_equal(seen.t, seen.state.t)
+    path = li.integrate(SPLITTING, start, times=3 + GRADED)
+    np.testing.assert_array_equal(path.t, 3 + GRADED)
+    np.testing.assert_array_equal(path.state.t, path.t)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("order", "expected"), [(2, 3), (4, 5)])
+def test_between_exact_nodes_the_error_is_one_order_above_the_scheme_s(order, expected):
+    """Observed 3.2 and 5.3 from the largest of steps of 0.4 to 0.05 of themselves."""
+    step = SPLITTING if order == 2 else schemes.compose(SPLITTING, 4)
+
+    @jax.jit
+    def worst(h):
+        def error(rest):
+            return distance(step(STATE, rest)[0], diagnostics.flow(TOP, STATE, rest, 100))
+
+        return jnp.max(jax.vmap(error)(jnp.linspace(0, 1, 17) * h))
+
+    coarse, fine = worst(0.4), worst(0.05)
+    assert np.log(coarse / fine) / np.log(8) == pytest.approx(expected, abs=0.35)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("scheme", ["splitting", "top_energy_momentum"])
+def test_given_steps_keep_what_the_step_keeps(scheme):
+    step = getattr(schemes, scheme)(TOP)
+    path = li.integrate(step, STATE, times=GRADED)
+    one_by_one = functools.reduce(lambda z, h: step(z, h)[0], np.diff(GRADED), STATE)
+    assert distance(last(path), one_by_one) < 2e-15
+    space = TOP.phase_space
+    end, _, L = pushed(space, lambda z: (last(li.integrate(step, z, times=GRADED)), None), STATE)
+    defect = jnp.abs(L.T @ space.omega(end) @ L - space.omega(STATE)).max()
+    seen = li.integrate(step, STATE, times=GRADED, save_at=[0.4, 1.3])
+    H = jax.vmap(TOP.energy)(seen.state)
+    if scheme == "splitting":
+        assert defect < 2e-14  # observed 3e-15
+    else:
+        assert defect > 1e-5
+        assert np.abs(H - H[0]).max() < 1e-14
+    gamma_pi = jax.vmap(TOP.momentum)(seen.state)
+    assert np.abs(gamma_pi - gamma_pi[0]).max() < 1e-15
+
+
+@pytest.mark.long
+def test_derivatives_by_output_times_and_step_boundaries():
+    weights = jnp.array([0.3, -1.0, 0.5, 2.0])
+
+    def value(save_at, times):
+        return (li.integrate(SPLITTING, STATE, times=times, save_at=save_at).state.q @ weights)[1:] @ jnp.array(
+            [1.0, 2]
+        )
+
+    at = jnp.array([0.31, 1.22]), jnp.asarray(GRADED)
+    along = jnp.array([1.0, -0.5]), jnp.asarray(np.sin(GRADED))
+    forward = jax.jit(lambda *x: jax.jvp(value, x, along)[1])(*at)
+    reverse = jax.jit(jax.grad(value, (0, 1)))(*at)
+    assert sum(jnp.vdot(a, b) for a, b in zip(reverse, along, strict=True)) == pytest.approx(float(forward), rel=1e-12)
+    f = jax.jit(lambda h: value(*(x + h * y for x, y in zip(at, along, strict=True))))
+    h = 1e-4
+    slope = (f(-2 * h) - 8 * f(-h) + 8 * f(h) - f(2 * h)) / (12 * h)
+    assert float(slope) == pytest.approx(float(forward), rel=1e-9)
+
+
+def test_observe_is_the_same_function():
+    seen = li.integrate(SPLITTING, STATE._replace(t=jnp.asarray(3.0)), 0.1, 10, save_at=3 + OUTPUTS)
+    state, info = li.observe(SPLITTING, STATE._replace(t=jnp.asarray(3.0)), 0.1, 3 + OUTPUTS[::-1])
+    assert info.converged.all()
+    for a, b in zip(jax.tree.leaves(state), jax.tree.leaves(seen.state), strict=True):
+        np.testing.assert_allclose(a[::-1], b[1:], rtol=0, atol=5e-16)
+
+
+def test_traced_times_outside_the_run_are_flagged():
+    run = jax.jit(lambda t: li.integrate(SPLITTING, STATE, 0.1, 10, save_at=t))
+    seen = run(jnp.array([-0.1, 0.5, 0.3, 1.2, jnp.nan, 0.7]))
+    assert seen.info.converged.tolist() == [True, False, True, False, False, False, True]
+    middle = li.integrate(SPLITTING, STATE, 0.1, 5, 5)
+    assert distance(jax.tree.map(lambda x: x[2], seen.state), last(middle)) < 1e-15
+
+
+def test_what_is_no_order_of_times_is_refused():
+    run = functools.partial(li.integrate, SPLITTING, STATE)
+    cases = [
+        (dict(save_at=[0.2, 0.1]), r"save_at must be in the order of the run, from 0\.0 to 1\.0"),
+        (dict(save_at=[-0.1, 0.1]), r"save_at must lie in the run, from 0\.0 to 1\.0"),
+        (dict(save_at=[0.1, 1.1]), "save_at must lie in the run"),
+        (dict(save_at=[0.1, np.nan]), "save_at must be finite"),
+        (dict(save_at=0.1), r"save_at must have shape \(m,\)"),
+        (dict(save_at=[0.1], save_every=2), "give save_every or save_at, not both"),
+        (dict(times=[0.0, 0.1]), "give dt and num_steps, or times, not both"),
+    ]
+    for options, message in cases:
+        with pytest.raises(ValueError, match=message):
+            run(0.1, 10, **options)
+    for times, message in [
+        ([0.0, 0.1, 0.1], r"must increase, or decrease, from one to the next.*at 1"),
+        ([0.0, 0.2, 0.1], "must increase, or decrease"),
+        ([0.0, np.inf], "times must be finite"),
+        ([[0.0]], r"times must have shape \(N\+1,\)"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            run(times=times)
+    with pytest.raises(ValueError, match="give dt and num_steps, or times"):
+        run(0.1)
+    with pytest.raises(ValueError, match=r"times must begin at the time of the state, 3\.0, got 0\.0"):
+        li.integrate(SPLITTING, STATE._replace(t=jnp.asarray(3.0)), times=GRADED)

@@ -1,0 +1,183 @@
+"""Runs read back: a store gives its system too, old stores and files still open, and any run of a system is drawn."""
+
+import json
+import shutil
+import zipfile
+from functools import partial
+from pathlib import Path
+
+import grid
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray
+
+import lieint_jax as li
+from lieint_jax.app.command import cli, files
+from lieint_jax.ensemble._description import describe, make
+
+DATA = Path(__file__).parents[1] / "data"
+BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+STATES = jax.jit(jax.vmap(lambda w: BODY.state(angular_velocity=w)))(
+    np.array([[0.2, 0.0, 1.0], [0.3, -0.5, 0.8], [-1.0, 0.1, 0.0]])
+)
+EXAMPLES = {name.partition("-")[0]: step for name, step, *_ in reversed(grid.steps())}  # the first step of each
+
+
+def stored(tmp_path, **options):
+    """A short run of three bodies in a store."""
+    path, step = tmp_path / "run.zarr", li.schemes.so3_midpoint(BODY)
+    run = li.ensemble.run(step, STATES, 0.05, 20, 10, store=path, progress=False, **options)
+    return path, run
+
+
+@pytest.mark.parametrize(("name", "body"), [pytest.param(name, x[0], id=name) for name, x in grid.systems()])
+def test_every_system_of_the_package_is_made_again_from_its_description(name, body):
+    """The same leaves, bit for bit, and the same structure: jit takes the same program."""
+    description, arrays = describe(EXAMPLES[name])
+    assert sorted(arrays)
+    again = make(json.loads(json.dumps(description))["system"], arrays, {})
+    assert jax.tree.structure(again) == jax.tree.structure(body)
+    jax.tree.map(np.testing.assert_array_equal, again, body)
+
+
+def test_a_store_gives_the_trajectory_and_the_system_back(tmp_path):
+    path, run = stored(tmp_path)
+    again, body = li.ensemble.open(path)
+    np.testing.assert_array_equal(again.state.q[:], run.state.q[:])
+    assert jax.tree.structure(body) == jax.tree.structure(BODY)
+    last = jax.tree.map(lambda x: jnp.asarray(x[-1]), again.state)
+    np.testing.assert_array_equal(jax.vmap(body.energy)(last), jax.vmap(BODY.energy)(last))
+    shown = xarray.open_zarr(path)
+    np.testing.assert_array_equal(shown.system_inertia, [1, 2, 3])
+    assert (shown.attrs["format"], shown.attrs["leaves"]) == (3, ["q", "p"])
+
+
+def test_members_with_systems_of_their_own(tmp_path):
+    J = np.array([[1.0, 2.0, 3.0], [2.0, 2.0, 3.0], [2.0, 4.0, 5.0]])
+    steps = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.RigidBody(J)))(J)
+    li.ensemble.run(steps, STATES, 0.05, 4, store=tmp_path / "own.zarr", step_axis=0, progress=False)
+    run, bodies = li.ensemble.open(tmp_path / "own.zarr")
+    np.testing.assert_array_equal(bodies.inertia, J)
+    assert xarray.open_zarr(tmp_path / "own.zarr").system_inertia.dims[0] == "member"
+    last = jax.tree.map(lambda x: jnp.asarray(x[-1]), run.state)
+    energies = jax.vmap(lambda body, z: body.energy(z))
+    np.testing.assert_allclose(energies(bodies, last), energies(bodies, STATES), rtol=2e-15)  # seen: 4e-16
+
+
+def test_a_summary_and_its_system(tmp_path):
+    path, run = stored(tmp_path, reduce="energy")
+    again, body = li.ensemble.open(path)
+    np.testing.assert_array_equal(again.greatest, run.greatest)
+    np.testing.assert_array_equal(body.inertia, [1, 2, 3])
+
+
+def my_wells(R):
+    return jnp.sum(R**4)
+
+
+def test_a_function_of_one_s_own_is_asked_for_by_its_name():
+    top = li.systems.potential_top([1.0, 2.0, 3.0], my_wells, axis=None)
+    description, arrays = describe(li.schemes.splitting(top))
+    name = f"{my_wells.__module__}.my_wells"
+    with pytest.raises(ValueError, match=f"'{name}' is not of this package: give it by own="):
+        make(description["system"], arrays, {})
+    again = make(description["system"], arrays, {name: my_wells})
+    assert jax.tree.structure(again) == jax.tree.structure(top)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["os.system", "lieint_jax.nothing", "lieint_jax.app.command.cli.os.system", "lieint_jax.ensemble._store.shutil"],
+)
+def test_a_description_cannot_name_code_outside_the_package(name):
+    with pytest.raises(ValueError, match="is not of this package"):
+        make({"name": name}, {}, {})
+
+
+def test_a_constant_array_is_guarded_too(tmp_path):
+    path, _ = stored(tmp_path)
+    [chunk] = (path / "system_inertia" / "c").rglob("0")
+    chunk.write_bytes(chunk.read_bytes()[:-1] + b"\0")
+    with pytest.raises(ValueError, match=r"system_inertia/c/0 is altered"):
+        li.ensemble.open(path)
+
+
+def old(tmp_path, name):
+    """Results that version 0.1 or 0.2 wrote."""
+    if name.endswith(".npz"):
+        return shutil.copy(DATA / name, tmp_path / name)
+    with zipfile.ZipFile(DATA / f"{name}.zip") as archive:
+        archive.extractall(tmp_path)
+    return tmp_path / name.replace("-0.1", "").replace("-0.2", "")
+
+
+def test_results_of_version_0_1_still_open(tmp_path, capsys):
+    path = old(tmp_path, "toutatis-0.1.npz")
+    run, _ = files.load(Path(path))
+    assert run.state.q.shape == (11, 2, 4)
+    assert cli.main(["info", str(path)]) == 0
+    assert "2 of 2 members converged at every step" in capsys.readouterr().out
+
+
+@pytest.mark.long
+def test_results_of_version_0_1_are_drawn(tmp_path, capsys):
+    assert cli.main(["plot", str(old(tmp_path, "toutatis-0.1.npz"))]) == 0
+    assert "precession period" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("resume", [True, False])
+def test_a_store_of_version_0_1_is_refused_with_what_reads_it(tmp_path, resume):
+    path = old(tmp_path, "toutatis-0.1.zarr")
+    step = li.schemes.so3_midpoint(BODY)
+    resumed = partial(li.ensemble.run, step, STATES, 0.05, 20, store=path, resume=True, progress=False)
+    with pytest.raises(ValueError, match=r"was written by version 0.1: only its states can be read, by xarray"):
+        resumed() if resume else li.ensemble.open(path)
+
+
+def test_a_store_of_version_0_2_still_opens_and_is_checked(tmp_path):
+    """Its names have dots, and its chunks have checksums but no record of their places."""
+    path = old(tmp_path, "gyrostat-0.2.zarr")
+    run, body = li.ensemble.open(path)
+    np.testing.assert_allclose(run.state.extra["rotor"][-1], [[0.0, 0.0, 0.15]] * 2, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(body.motor.momentum, [0.0, 0.0, 0.3])
+    assert run.state.t.shape == run.state.work.shape == (3, 2)
+    step = li.schemes.so3_midpoint(BODY)
+    with pytest.raises(ValueError, match=r"was written by an older version.*run again into another store"):
+        li.ensemble.run(step, STATES, 0.05, 20, store=path, resume=True, progress=False)
+    chunk = path / "extra.rotor" / "c" / "0" / "0" / "0"
+    chunk.write_bytes(chunk.read_bytes()[:-1] + b"\0")
+    with pytest.raises(ValueError, match=r"extra.rotor/c/0/0/0 is altered \(extra.rotor of time 0 … 2, member 0 … 1\)"):
+        li.ensemble.open(path)
+
+
+@pytest.mark.long
+def test_any_run_of_a_known_system_is_drawn_and_drawn_again(tmp_path, capsys):
+    path, _ = stored(tmp_path)
+    (tmp_path / "pictures").mkdir()
+    assert cli.main(["plot", str(path), "--out", str(tmp_path / "pictures")]) == 0
+    assert "3 of 3 members converged at every step" in capsys.readouterr().out
+    picture = tmp_path / "pictures" / "run-invariants.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "pictures" / "run-motion.png").exists()
+    picture.write_text("precious")
+    assert cli.main(["plot", str(path), "--out", str(tmp_path / "pictures")]) == 2
+    assert "run-invariants.png exists and is not overwritten; --force" in capsys.readouterr().err
+    assert picture.read_text() == "precious"
+    assert cli.main(["plot", str(path), "--out", str(tmp_path / "pictures"), "--force"]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert cli.main(["plot", str(path), "--out", str(tmp_path / "nowhere")]) == 2
+    assert "nowhere does not exist" in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_summaries_and_matrices_are_drawn(tmp_path):
+    path, _ = stored(tmp_path, reduce="energy")
+    assert cli.main(["plot", str(path)]) == 0
+    assert (tmp_path / "run-change.png").exists()
+    body, state, dt = li.systems.pseudo_rigid.examples()["ball"]
+    states = jax.tree.map(lambda x: jnp.stack([x, x]), state)
+    li.ensemble.run(li.schemes.additive(body), states, dt, 20, 2, store=tmp_path / "ball.zarr", progress=False)
+    assert cli.main(["plot", str(tmp_path / "ball.zarr")]) == 0
+    assert (tmp_path / "ball-motion.png").exists()

@@ -1,0 +1,336 @@
+"""Three derivatives, one answer: forward, reverse through the scan, reverse by undoing steps; and differences."""
+
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from grid import steps
+from small_steps import Leapfrog, Oscillators, leapfrog
+
+import lieint_jax as li
+from lieint_jax.schemes._shared.compositions import METHODS
+from lieint_jax.types import State
+
+N, EVERY = 6, 3
+GRID = {name: rest for name, *rest in steps() if rest[0].symmetric}  # others cannot be undone
+FEW = [
+    "rigid_body.asymmetric-so3_midpoint[symplectic]",
+    "rigid_body.full_tensor-so3_explicit",
+]
+
+
+def plain(step, state, dt):
+    return li.integrate(step, state, dt, N, EVERY)
+
+
+def by_reversal(step, state, dt):
+    return li.reversible(step, state, dt, N, EVERY)
+
+
+def by_checkpoints(step, state, dt):
+    return li.reversible(step, state, dt, N, EVERY, derivative="checkpoint")
+
+
+def setting(name):
+    """A loss of a run, as a function of (real leaves of the step, tangent vector at the state, dt), and a direction."""
+    step, state, dt = GRID[name]
+    space, rng = step.system.phase_space, np.random.default_rng(0)
+    leaves, structure = jax.tree.flatten(step)
+    weights = jax.tree.map(lambda x: jnp.asarray(rng.normal(size=(N // EVERY + 1, *x.shape))), state)
+
+    def loss(run, leaves, delta, dt):
+        state_ = space.perturb(state, delta)
+        seen = run(jax.tree.unflatten(structure, leaves), state_, dt).state
+        return sum(jnp.sum(w * x) for w, x in zip(jax.tree.leaves(weights), jax.tree.leaves(seen), strict=True))
+
+    direction = [rng.normal(size=np.shape(x)) * np.abs(x).max(initial=0) for x in leaves]
+    direction = [(d + d.T) / 2 if d.shape == d.T.shape and d.ndim == 2 else d for d in direction]  # inertias stay so
+    delta = rng.normal(size=space.dim) * np.repeat([1.0, float(jnp.abs(state.p).max())], space.dim // 2)
+    at = ([jnp.asarray(x) for x in leaves], jnp.zeros(space.dim), jnp.asarray(dt))
+    return loss, at, ([jnp.asarray(d) for d in direction], jnp.asarray(delta), jnp.asarray(0.3 * dt))
+
+
+def agree(name):
+    loss, at, along = setting(name)
+
+    def moved(t):
+        return loss(plain, *jax.tree.map(lambda x, d: x + t * d, at, along))
+
+    forward = jax.jit(lambda: jax.jvp(moved, (0.0,), (1.0,))[1])()
+    gradients = [
+        jax.jit(jax.grad(lambda *x, run=run: loss(run, *x), argnums=(0, 1, 2)))(*at)
+        for run in (plain, by_reversal, by_checkpoints)
+    ]
+    size = max(float(jnp.max(jnp.abs(leaf), initial=0)) for leaf in jax.tree.leaves(gradients[0]))
+    for gradient in gradients:
+        for one, other in zip(jax.tree.leaves(gradients[0]), jax.tree.leaves(gradient), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-10 * size)  # floor 1e-13
+        slope = sum(jnp.sum(g * d) for g, d in zip(jax.tree.leaves(gradient), jax.tree.leaves(along), strict=True))
+        scale = sum(
+            jnp.sum(jnp.abs(g * d)) for g, d in zip(jax.tree.leaves(gradient), jax.tree.leaves(along), strict=True)
+        )
+        assert abs(slope - forward) <= 1e-9 * scale
+    h = 1e-3
+    at_ = jax.jit(jax.vmap(moved))(jnp.array([-2 * h, -h, h, 2 * h]))
+    difference = (at_[0] - 8 * at_[1] + 8 * at_[2] - at_[3]) / (12 * h)
+    assert abs(difference - forward) <= 1e-7 * scale
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", FEW)
+def test_three_derivatives_agree(name):
+    agree(name)
+
+
+@pytest.mark.long
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in GRID if name not in FEW])
+def test_three_derivatives_agree_on_the_whole_grid(name):
+    agree(name)
+
+
+BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+STATE = BODY.state(angular_velocity=[0.2, 0.3, 1.0])
+STEP = li.schemes.so3_midpoint(BODY)
+
+
+def end(J, state, dt, num_steps=40, **options):
+    step = li.schemes.so3_midpoint(li.systems.RigidBody(J))
+    return li.reversible(step, state, dt, num_steps, **options).state.q[-1, 0]
+
+
+def test_the_trajectory_is_that_of_integrate():
+    ours, theirs = li.reversible(STEP, STATE, 0.05, 12, 4), li.integrate(STEP, STATE, 0.05, 12, 4)
+    for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-15)
+    assert li.reversible(STEP, STATE, 0.05, 0).t.shape == (1,)
+
+
+@pytest.mark.long
+def test_batches_of_states_and_of_parameters():
+    J = jnp.array([[1.0, 2.0, 3.0], [1.0, 2.5, 2.8]])
+    states = jax.vmap(lambda w: BODY.state(angular_velocity=w))(jnp.array([[0.2, 0.3, 1.0], [0.5, -0.3, 0.2]]))
+    both = jax.jit(jax.vmap(jax.grad(end), (0, 0, None)))(J, states, 0.05)
+    alone = [jax.jit(jax.grad(end))(J[k], State(states.q[k], states.p[k]), 0.05) for k in (0, 1)]
+    np.testing.assert_allclose(both, jnp.stack(alone), rtol=1e-12)
+
+
+@pytest.mark.long
+def test_functions_of_a_step_may_close_over_what_is_differentiated():
+    def bent(c, run):
+        step = li.schemes.so3_midpoint(BODY, lambda x: 1 + c * x)
+        return run(step, STATE, 0.5, 8).state.q[-1, 0]
+
+    slopes = [jax.jit(jax.grad(lambda c, run=run: bent(c, run)))(0.3) for run in (li.reversible, li.integrate)]
+    assert slopes[0] == pytest.approx(float(slopes[1]), rel=1e-12)
+    assert abs(slopes[0]) > 1e-6
+
+
+def test_no_steps_have_the_derivative_of_no_steps():
+    slopes = jax.grad(lambda q: li.reversible(STEP, State(q, STATE.p), 0.05, 0).state.q[-1, 1])(STATE.q)
+    np.testing.assert_array_equal(slopes, [0, 1, 0, 0])
+
+
+SECOND = [
+    "rigid_body.asymmetric-so3_midpoint[symplectic]",
+    "rigid_body.asymmetric-so3_midpoint[cayley]",
+    "rigid_body.asymmetric-preprocessed[6]",
+    "heavy_top.asymmetric_top-splitting[so3_midpoint[symplectic]]",
+    "pendulum.uniform-sphere_midpoint[plain]",
+]
+
+
+@pytest.mark.long
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SECOND)
+def test_second_derivatives_through_a_run(name):
+    """Forward over reverse, as `jax.hessian` has it, against forward over forward. JAX differentiates the solver itself
+    there, not the equation: the iterations must carry derivatives."""
+    step, state, dt = GRID[name]
+    space, rng = step.system.phase_space, np.random.default_rng(0)
+    at = (jnp.zeros(space.dim), jnp.asarray(dt))
+    one, two = ((jnp.asarray(rng.normal(size=space.dim)), jnp.asarray(k * dt)) for k in (0.2, 0.3))
+
+    def value(delta, dt):
+        end = li.integrate(step, space.perturb(state, delta), dt, 3, 3).state
+        return jnp.sum(jnp.sin(end.q[-1])) + jnp.sum(end.p[-1] ** 2)
+
+    def along(way):
+        return lambda t: jax.tree.map(lambda x, d: x + t * d, at, way)
+
+    @jax.jit
+    def both():
+        def slope(t):
+            return sum(jnp.vdot(g, d) for g, d in zip(jax.grad(value, (0, 1))(*along(two)(t)), one, strict=True))
+
+        def forward(t):
+            return jax.jvp(lambda s: value(*jax.tree.map(lambda x, d: x + s * d, along(two)(t), one)), (0.0,), (1.0,))[
+                1
+            ]
+
+        return jax.jvp(slope, (0.0,), (1.0,))[1], jax.jvp(forward, (0.0,), (1.0,))[1]
+
+    reverse, forward = both()
+    assert float(reverse) == pytest.approx(float(forward), rel=1e-12)  # floor 1e-15
+
+
+@pytest.mark.long
+def test_a_hessian_by_undoing_steps():
+    def slope(J):
+        return jax.grad(lambda J: end(J, STATE, 0.05))(J)
+
+    def plain_end(J):
+        return li.integrate(li.schemes.so3_midpoint(li.systems.RigidBody(J)), STATE, 0.05, 40).state.q[-1, 0]
+
+    forward = jax.jit(jax.jacfwd(jax.jacfwd(plain_end)))(BODY.inertia)
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(slope))(BODY.inertia), forward, rtol=1e-11, atol=1e-12)  # 1e-15
+
+
+def temporaries(make, num_steps):
+    def last(J, states):
+        step = make(li.schemes.so3_midpoint(li.systems.RigidBody(J)))
+        return jnp.sum(jax.vmap(lambda z: li.reversible(step, z, 0.05, num_steps).state.q[-1, 0])(states))
+
+    states = jax.vmap(lambda w: BODY.state(angular_velocity=w))(jnp.ones((100, 3)))
+    return jax.jit(jax.grad(last)).lower(BODY.inertia, states).compile().memory_analysis().temp_size_in_bytes
+
+
+def test_memory_does_not_grow_with_the_number_of_steps():
+    assert temporaries(lambda step: step, 40_000) <= temporaries(lambda step: step, 40) + 64
+
+
+@pytest.mark.long
+def test_a_composition_is_undone_in_the_memory_of_its_base_step():
+    """It has 19 sub-steps."""
+    assert temporaries(lambda step: li.schemes.compose(step, 8), 40) <= 1.5 * temporaries(lambda step: step, 40)
+
+
+def observed(step, state, dt, times, **options):
+    return li.observe(step, state, dt, times, **options)[0]
+
+
+@pytest.mark.long
+def test_observations_at_any_times():
+    """The exact flow takes whole and shorter steps alike, so any times must be met to round-off, in any order."""
+    exact = li.schemes.exact(BODY)
+    times = jnp.array([0.33, 0.0, 1.0, 0.05, 0.071, 0.33])
+    for derivative in ("reversible", "checkpoint"):
+        seen, info = li.observe(exact, STATE, 0.05, times, derivative=derivative)
+        true = jax.vmap(BODY.solution, (None, 0), State(0, None))(STATE, times)
+        np.testing.assert_allclose(seen.q, true.q, rtol=0, atol=1e-14)
+        assert info.converged.all()
+    back = li.observe(exact, STATE, -0.05, -times)[0]
+    np.testing.assert_allclose(back.q[0], BODY.solution(STATE, -0.33).q, rtol=0, atol=1e-14)
+    with pytest.raises(ValueError, match="side of the start"):
+        li.observe(exact, STATE, -0.05, times)
+    with pytest.raises(ValueError, match="dt must not be 0"):
+        li.observe(exact, STATE, 0.0, times)
+
+
+def test_traced_times_that_are_not_reached_are_flagged_and_harm_no_other():
+    seen = jax.jit(lambda dt, t: li.observe(STEP, STATE, dt, t))
+    state, info = seen(0.05, jnp.array([-0.5, 0.5, 0.52]))
+    assert info.converged.tolist() == [False, True, True]
+    end = li.integrate(STEP, STATE, 0.05, 10, 10).state.q[-1]
+    np.testing.assert_allclose(state.q[1], end, rtol=0, atol=1e-14)
+    assert not seen(0.0, jnp.array([0.5, 0.5, 0.5]))[1].converged.any()
+
+
+def observed_by_matrices(gammas, stiffness, dt, times):
+    """The first entry of q at the times, from q = 1 and p = 0: whole steps of a composition, then a shorter one."""
+
+    def step(h):
+        return np.linalg.multi_dot([leapfrog(stiffness, gamma * h) for gamma in gammas])
+
+    whole = [int(np.real(t) / np.real(dt)) for t in times]
+    return [(step(t - n * dt) @ np.linalg.matrix_power(step(dt), n))[0, 0] for t, n in zip(times, whole, strict=True)]
+
+
+def test_derivatives_of_observations_of_a_composition_by_the_complex_step():
+    """In the stiffness, dt and the times, through sub-steps of different sizes and through the shorter last step."""
+    weights, times, dt, stiffness = np.array([1.0, -0.7, 0.4]), np.array([0.71, 0.28, 0.33]), 0.1, 1.3
+    start = State(jnp.eye(3), jnp.zeros((3, 3)))
+
+    @jax.jit
+    @jax.value_and_grad
+    def loss(x):
+        step = li.schemes.compose(Leapfrog(Oscillators(x[0])), 4, "triple_jump")
+        return weights @ li.observe(step, start, x[1], x[2:])[0].q[:, 0, 0]
+
+    at, gammas = np.array([stiffness, dt, *times]), METHODS["triple_jump"].gammas
+    value, slopes = loss(at)
+    assert float(value) == pytest.approx(weights @ observed_by_matrices(gammas, stiffness, dt, times), abs=1e-14)
+    for k, slope in enumerate(slopes):
+        x = at + 1e-30j * np.eye(5)[k]
+        exact = np.imag(weights @ observed_by_matrices(gammas, x[0], x[1], x[2:])) * 1e30
+        assert float(slope) == pytest.approx(exact, abs=1e-13)  # observed 2e-15
+        assert abs(exact) > 1e-4
+
+
+def test_the_clock_of_checkpoints_is_that_of_the_run():
+    start = State(jnp.eye(3), jnp.zeros((3, 3)), jnp.array(0.3))
+    run = li.reversible(Leapfrog(Oscillators(jnp.array(1.3))), start, 0.1, 6, 2, derivative="checkpoint")
+    np.testing.assert_allclose(run.state.t, [0.3, 0.5, 0.7, 0.9], rtol=1e-15)
+
+
+@pytest.mark.long
+def test_derivatives_of_observations_in_everything():
+    times = jnp.array([0.33, 1.02, 0.071])  # at a step's end the derivative by dt is that of one side
+
+    def loss(derivative, J, state, dt, times):
+        step = li.schemes.so3_explicit(li.systems.RigidBody(J))  # its `prepare` depends on everything
+        q = li.observe(step, state, dt, times, derivative=derivative)[0].q
+        return jnp.sum(q * jnp.arange(12.0).reshape(3, 4))
+
+    at = (BODY.inertia, STATE, 0.05, times)
+    reverse = jax.jit(jax.grad(lambda *x: loss("reversible", *x), argnums=(0, 1, 2, 3)))(*at)
+    for k in (0, 1):  # times and dt must be concrete for checkpoints
+        other = jax.jit(jax.grad(lambda x, k=k: loss("checkpoint", *at[:k], x, *at[k + 1 :])))(at[k])
+        for one, two in zip(jax.tree.leaves(reverse[k]), jax.tree.leaves(other), strict=True):
+            np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-11)
+    h = 1e-4
+    value = jax.jit(lambda dt, t: loss("reversible", *at[:2], dt, t))
+    slope = [value(0.05 + k * h / 10, times) for k in (-2, -1, 1, 2)]
+    assert (slope[0] - 8 * slope[1] + 8 * slope[2] - slope[3]) / 1.2 / h == pytest.approx(float(reverse[2]), rel=1e-6)
+    slope = [value(0.05, times.at[0].add(k * h)) for k in (-2, -1, 1, 2)]
+    assert (slope[0] - 8 * slope[1] + 8 * slope[2] - slope[3]) / 12 / h == pytest.approx(float(reverse[3][0]), rel=1e-7)
+
+
+@pytest.mark.long
+def test_round_trips_are_measured_and_lost_digits_draw_a_warning():
+    """A chaotic top comes back less and less; a gradient over that time says so, unless states are saved in between."""
+    step, state, dt = GRID["heavy_top.asymmetric_top-splitting[so3_midpoint[symplectic]]"]
+    trip = jax.jit(li.adjoints.round_trip_error, static_argnums=3)
+    assert trip(step, state, dt, 100) < 1e-13  # 2e-14
+    lost = trip(step, state, dt, 4000)
+    assert lost > 1e-9  # the largest Lyapunov exponent is 0.086: e^(0.086 · 200) = 3e7
+
+    def slope(save_every, k):
+        def last(dt, p):
+            return li.reversible(step, State(state.q, p), dt, 4000, save_every).state.q[-1, 0]
+
+        return jax.jit(jax.grad(last, argnums=k))(jnp.asarray(dt), state.p)
+
+    for k in (0, 1):  # whatever is differentiated
+        with pytest.warns(RuntimeWarning, match="reversal lost digits"):
+            slope(None, k).block_until_ready()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        slope(100, 0).block_until_ready()
+
+
+def test_errors_and_the_way_out():
+    ball = GRID["pseudo_rigid_body.ball-additive[symplectic]"]
+    lopsided = li.schemes.additive(ball[0].system, "symplectic", 0.3)
+    with pytest.raises(ValueError, match=r"not symmetric.*checkpoint"):
+        li.reversible(lopsided, ball[1], ball[2], 4)
+    with pytest.raises(ValueError, match="must be one of reversible, checkpoint"):
+        li.reversible(STEP, STATE, 0.05, 4, derivative="scan")
+    with pytest.raises(ValueError, match="multiple of save_every"):
+        li.reversible(STEP, STATE, 0.05, 5, 2)
+    with pytest.raises(ValueError, match="shape"):
+        li.observe(STEP, STATE, 0.05, 1.0)
+    with pytest.raises(TypeError, match="forward-mode"):
+        jax.jvp(lambda J: end(J, STATE, 0.05), (BODY.inertia,), (BODY.inertia,))

@@ -1,0 +1,829 @@
+"""Runs on disk: the same bits as in memory, whatever ended them and however often, and nothing lost or half written."""
+
+import contextlib
+import filecmp
+import os
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import killed
+import numpy as np
+import pytest
+import zarr
+from free_bodies import rows
+
+import lieint_jax as li
+from lieint_jax import ensemble
+from lieint_jax.app.command import cli, info
+from lieint_jax.ensemble import _engine, _identity, _integrity, _job, _layout, _run, _store
+
+J123 = np.array([1.0, 2.0, 3.0])
+BODY = li.systems.rigid_body(J123)
+STEP = li.schemes.so3_midpoint(BODY)
+RNG = np.random.default_rng(7)
+Q = RNG.normal(size=(40, 4))
+Q /= np.linalg.norm(Q, axis=1, keepdims=True)
+OMEGA = 0.4 * RNG.normal(size=(40, 3))
+MOMENTA = [np.array(rows(*q)).T @ (J123 * w) for q, w in zip(Q, OMEGA, strict=True)]
+STATES = li.State(jnp.array(Q), jnp.array(np.array(MOMENTA)))
+SCENARIO = """
+title = "a book"
+system = "rigid_body"
+inertia = [1.0, 2.0, 3.0]
+time_unit = "s"
+dt = 0.1
+steps = 800_000
+save_every = 100
+members = 100
+seed = 1
+[state]
+quaternion = [1.0, 0.0, 0.0, 0.0]
+angular_velocity_rad = [0.01, 1.0, 0.0]
+[spread]
+angular_velocity_deg = 5.0
+"""
+
+
+def run(path=None, step=STEP, dt=0.1, num_steps=60, save_every=5, **options):
+    return ensemble.run(step, STATES, dt, num_steps, save_every, store=path, progress=False, **options)
+
+
+@pytest.fixture
+def small_chunks(monkeypatch):
+    """Commits after every 4 saves, so that a short run has many."""
+    monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: 4)
+
+
+def same_folders(a, b):
+    """Whether two stores are the same, file by file and byte by byte."""
+    files = [sorted(f.relative_to(p) for p in (path,) for f in p.rglob("*") if f.is_file()) for path in (a, b)]
+    assert files[0] == files[1]
+    _, different, missing = filecmp.cmpfiles(a, b, files[0], shallow=False)
+    return not different and not missing
+
+
+def test_a_store_holds_what_memory_would(tmp_path, small_chunks):
+    memory, disk = run(), run(tmp_path / "run.zarr")
+    for a, b in zip(jax.tree.leaves(memory), jax.tree.leaves(disk), strict=True):
+        np.testing.assert_array_equal(a, b[...])
+    assert not list((tmp_path / "run.zarr").rglob("*.partial"))
+    assert not (tmp_path / "run.zarr/checkpoint").exists()
+    again, metadata = _store.load(tmp_path / "run.zarr")
+    np.testing.assert_array_equal(again.state.q[3, 5], memory.state.q[3, 5])
+    assert metadata["scheme"] == "so3_midpoint[symplectic]"
+    assert metadata["run"]["versions"]["jax"] == jax.__version__
+
+
+def test_reductions_are_those_of_the_trajectory(tmp_path, small_chunks):
+    every = ensemble.run(STEP, STATES, 0.1, 60, 1, progress=False)
+    change = (every.state.q[1:, :, 0] - every.state.q[0, :, 0]).reshape(12, 5 * 40)
+    found = run(reduce=lambda step, z: z.q[0])
+    for kept, expected in zip(found[1:4], (change.min(1), change.max(1), change.mean(1)), strict=True):
+        np.testing.assert_allclose(kept[1:], expected, rtol=1e-12)
+    np.testing.assert_array_equal(found.residual[1:], every.info.residual[1:].reshape(12, -1).max(1))
+    assert not found.unconverged.any()
+    np.testing.assert_array_equal(found.state.q, every.state.q[-1])
+    energy = run(reduce="energy")
+    assert max(np.abs(x).max() for x in energy[1:4]) < 2e-14  # floor 3e-15
+    assert energy.least[1:].max() < 0 < energy.greatest[1:].min()
+    jax.tree.map(np.testing.assert_array_equal, run(tmp_path / "a.zarr", reduce="energy"), energy)
+    described = info.contents(tmp_path / "a.zarr")
+    for name, value in (("least", energy.least.min()), ("greatest", energy.greatest.max())):
+        assert f"{name} {value:.3g}" in described
+    assert "unconverged members 0" in described
+    with pytest.raises(ValueError, match=r'reduce must be None, "energy" or a function'):
+        run(reduce="momentum")
+
+
+def test_xarray_reads_it(tmp_path, small_chunks):
+    xarray = pytest.importorskip("xarray")
+    memory = run()
+    run(ensemble.StoreOptions(tmp_path / "run.zarr", {"seed": 3, "scenario": {"title": "x"}}, "d"))
+    with xarray.open_zarr(tmp_path / "run.zarr") as data:
+        assert data.sizes == {"time": 13, "member": 40, "quaternion": 4, "axis": 3, "system_inertia_axis0": 3}
+        np.testing.assert_array_equal(data.q.sel(time=2.0, method="nearest"), memory.state.q[4])
+        np.testing.assert_array_equal(data.time, memory.t)
+        assert (data.attrs["dt"], data.attrs["seed"], data.time.attrs["units"]) == (0.1, 3, "d")
+        assert data.p.attrs["units"] == "unit of inertia / d"
+
+
+class Crash(BaseException):
+    """As if the process ended here."""
+
+
+FAULTS = {
+    "deleted": lambda file: file.unlink(),
+    "truncated": lambda file: file.write_bytes(file.read_bytes()[:-5]),
+    "one byte altered": lambda file: file.write_bytes(flipped(file.read_bytes())),
+}
+
+
+def flipped(data):
+    """With one bit of a byte in the middle, that is no space, turned."""
+    k = next(k for k in range(len(data) // 2, len(data)) if data[k : k + 1].strip())
+    return data[:k] + bytes([data[k] ^ 1]) + data[k + 1 :]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_damaged_file_of_any_kind_is_named_and_not_used(tmp_path, small_chunks, monkeypatch, fault):
+    """One file of each array, of its metadata, of the checkpoint, and the root, of a run that is half done."""
+    half, path, sync, left = tmp_path / "half.zarr", tmp_path / "run.zarr", os.fsync, [330]
+
+    def fails(descriptor):
+        left[0] -= 1
+        if not left[0]:
+            raise Crash
+        sync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fails)
+    with contextlib.suppress(Crash):
+        run(half, num_steps=120)
+    monkeypatch.setattr(os, "fsync", sync)
+    progress = _store.load(half)[1]["progress"]
+    assert 8 <= progress["entries"] < 25
+    slot = progress["commits"] % 2
+    files = {half / "zarr.json": None}
+    for array in (*half.glob("*/"), *half.glob("checkpoint/*/")):
+        chunks = sorted(array.glob("c/**/*")) if array.parent == half else sorted(array.glob(f"c/{slot}/**/*"))
+        files |= dict.fromkeys([array / "zarr.json", *[f for f in chunks if f.is_file()][:1]])
+    files = [f.relative_to(half) for f in files if (half / f).exists() and f.parent.name != "checkpoint"]
+    files = [f for f in files if f.parts[0] != "first_failure"]  # written at the end
+    assert len(files) >= 19
+    for file in files:
+        shutil.copytree(half, path)
+        FAULTS[fault](path / file)
+        for use in (lambda: run(path, num_steps=120, resume=True), lambda: info.contents(path)):
+            with pytest.raises(ValueError, match=rf"{re.escape(file.as_posix())} is|is not there"):
+                use()
+        shutil.rmtree(path)
+    shutil.copytree(half, path)
+    run(path, num_steps=120, resume=True)
+    run(tmp_path / "whole.zarr", num_steps=120)
+    assert same_folders(path, tmp_path / "whole.zarr")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("reduce", [None, "energy"])
+def test_an_end_at_any_write_leaves_a_store_that_resumes_to_the_same_bits(tmp_path, small_chunks, monkeypatch, reduce):
+    """A crash at one wait for the disk after another, between which lie all writes and renames."""
+    path, whole, sync = tmp_path / "run.zarr", tmp_path / "whole.zarr", os.fsync
+    run(whole, reduce=reduce)
+    seen, stages = 0, set()
+    for last in range(0, 1000, 11):
+        left = [last]
+
+        def fails(descriptor, left=left):
+            left[0] -= 1
+            if left[0] < 0:
+                raise Crash
+            sync(descriptor)
+
+        monkeypatch.setattr(os, "fsync", fails)
+        with contextlib.suppress(Crash):
+            run(path, reduce=reduce, resume=True)
+        monkeypatch.setattr(os, "fsync", sync)
+        crashed = left[0] < 0
+        if path.exists():
+            found, metadata = _store.load(path)
+            progress = metadata["progress"]
+            assert progress["entries"] >= seen  # nothing that counted is lost
+            seen = progress["entries"]
+            stages.add(seen)
+            if reduce is None and seen:
+                assert np.isfinite(found.state.q[...]).all()
+                assert found.info.converged[...].all()
+        if crashed and last % 2:  # else the next crash is one of the same run, a little later
+            run(path, reduce=reduce, resume=True)
+            assert same_folders(path, whole)
+            shutil.rmtree(path)
+            seen = 0
+        elif not crashed:
+            break
+    assert len(stages) >= 4
+    assert same_folders(path, whole)
+
+
+def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunks, monkeypatch):
+    path = tmp_path / "run.zarr"
+    run(ensemble.StoreOptions(path, {"scenario": {"seed": 1}}))
+    before = {f: f.read_bytes() for f in path.rglob("*") if f.is_file()}
+    with pytest.raises(ValueError, match=r"exists and is not overwritten; resume continues it"):
+        run(path)
+    for options, message in (
+        (dict(dt=0.2), r"dt is 0\.1 there and 0\.2 here"),
+        (dict(num_steps=70), r"num_steps is 60 there and 70 here"),
+        (dict(save_every=10), r"save_every is 5 there and 10 here"),
+        (
+            dict(step=li.schemes.so3_midpoint(BODY, li.maps.kappa_cayley)),
+            r"scheme is 'so3_midpoint\[symplectic\]' there",
+        ),
+        (dict(step=li.schemes.so3_midpoint(BODY, iterations=7)), "options of the step is"),
+        (dict(step=li.schemes.so3_midpoint(li.systems.rigid_body([1.0, 2.0, 2.5]))), "numbers of the step is"),
+        (dict(reduce="energy"), "reduce is None there and 'energy' here"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            run(path, resume=True, **options)
+    with pytest.raises(ValueError, match=r"scenario\.seed is 1 there and 2 here"):
+        run(ensemble.StoreOptions(path, {"scenario": {"seed": 2}}), resume=True)
+    monkeypatch.setattr(_identity, "__version__", "9.9")
+    with pytest.raises(ValueError, match=r"versions\.lieint_jax is .* there and '9\.9' here"):
+        run(path, resume=True)
+    monkeypatch.undo()
+    monkeypatch.setattr(_run, "engine_of", lambda job, mesh: _engine.XlaEngine(job))
+    with pytest.raises(ValueError, match="engine is 'native' there and 'xla' here"):
+        run(path, resume=True)
+    assert before == {f: f.read_bytes() for f in path.rglob("*") if f.is_file()}
+    with pytest.raises(ValueError, match="give store"):
+        run(resume=True)
+    with pytest.raises(ValueError, match=r"ends in \.zarr"):
+        run(tmp_path / "run.npz")
+
+
+def damped(gain):
+    return lambda t, q, omega: -gain * omega
+
+
+def opened_file(file):
+    return lambda t, q, omega: len(file.name) * omega
+
+
+def weighed(gain, t, q, omega):
+    return -gain * omega
+
+
+def begin(path, law, **options):
+    """A store of a torqued body, without a step: nothing is compiled."""
+    body = li.systems.torqued_body(J123, law)
+    states = STATES._replace(t=jnp.zeros(()), work=jnp.zeros(()))
+    return ensemble.run(li.schemes.torqued_midpoint(body), states, 0.1, 4, store=path, progress=False, **options)
+
+
+class Begun(Exception):  # noqa: N818
+    """The run would begin to integrate."""
+
+
+@pytest.fixture
+def no_loop(monkeypatch):
+    def refuse(*_):
+        raise Begun
+
+    monkeypatch.setattr(_run, "CompiledLoop", refuse)
+
+
+@pytest.mark.usefixtures("no_loop")
+def test_a_function_that_has_captured_another_number_is_another_run(tmp_path):
+    scaled = lambda k: lambda step, z: k * z.q[0]  # noqa: E731
+    for name, law, reduce, others, sentence in (
+        ("law", damped(0.1), None, (damped(0.7), None), "functions and options of the step is"),
+        ("reduce", damped(0.1), scaled(1.0), (damped(0.1), scaled(2.0)), "function of reduce is"),
+    ):
+        path = tmp_path / f"{name}.zarr"
+        with pytest.raises(Begun):
+            begin(path, law, reduce=reduce)
+        with pytest.raises(Begun):
+            begin(path, damped(0.1), reduce=reduce and scaled(1.0), resume=True)
+        with pytest.raises(ValueError, match=sentence):
+            begin(path, others[0], reduce=others[1], resume=True)
+
+
+@pytest.mark.usefixtures("no_loop")
+def test_a_function_that_cannot_be_compared_is_said_at_once_and_refused_at_a_resume(tmp_path):
+    with (tmp_path / "file").open("w") as file:
+        law, sentence = opened_file(file), r"cannot be resumed: .*opened_file.* → file: .*TextIOWrapper.*Partial"
+        with pytest.warns(RuntimeWarning, match=sentence), pytest.raises(Begun):
+            begin(tmp_path / "run.zarr", law)
+        with pytest.raises(ValueError, match=sentence):
+            begin(tmp_path / "run.zarr", law, resume=True)
+    with pytest.raises(Begun):
+        begin(tmp_path / "partial.zarr", jax.tree_util.Partial(weighed, 0.1))
+    with pytest.raises(ValueError, match="numbers of the step is"):
+        begin(tmp_path / "partial.zarr", jax.tree_util.Partial(weighed, 0.7), resume=True)
+
+
+def test_bytecode_of_another_python_is_refused_by_its_name(tmp_path, monkeypatch, no_loop):
+    with pytest.raises(Begun):
+        begin(tmp_path / "run.zarr", damped(0.1))
+    monkeypatch.setattr(_identity, "python_of", lambda *_: "CPython 3.99")
+    with pytest.raises(ValueError, match=r"versions.python is 'CPython 3\.\d+' there and 'CPython 3.99' here"):
+        begin(tmp_path / "run.zarr", damped(0.1), resume=True)
+
+
+@pytest.fixture(scope="module")
+def commits(tmp_path_factory):
+    """Copies of a store after each of the first three commits of four, and of the complete one."""
+    folder, publish = tmp_path_factory.mktemp("commits"), _store.Writer.publish
+
+    def published(self, *arguments):
+        publish(self, *arguments)
+        shutil.copytree(self.path, folder / f"{self.progress['steps']}.zarr")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_job.Job, "buffer_rows", lambda self, across: 4)
+        patch.setattr(_store.Writer, "publish", published)
+        run(folder / "whole.zarr")
+    return [folder / f"{steps}.zarr" for steps in (15, 35, 55, 60)]
+
+
+def replaced(path, source, name):
+    shutil.rmtree(path / name)
+    shutil.copytree(source / name, path / name)
+
+
+def swapped(path, a, b):
+    for folder in path:
+        (folder / a).rename(folder / "kept")
+        (folder / b).rename(folder / a)
+        (folder / "kept").rename(folder / b)
+
+
+def heavier(path):
+    zarr.open_array(str(path / "system_inertia"), mode="r+")[...] = [1.0, 2.0, 2.5]
+
+
+REPLACED = r"checkpoint is not what the run wrote: the checkpoint of commit \d, step \d+ \(found: .*\) has been"
+ELSEWHERE = "is the chunk of another place"
+MIXTURES = {  # which commit, what is done to it, what is said of it
+    "the checkpoint of a later commit": (
+        0,
+        lambda p, at: replaced(p, at[2], "checkpoint"),
+        r"found: commit 3, step 55",
+    ),
+    "one array of it": (0, lambda p, at: replaced(p, at[2], "checkpoint/q"), REPLACED),
+    "one array of an earlier one": (2, lambda p, at: replaced(p, at[0], "checkpoint/q"), REPLACED),
+    "its slots swapped": (1, lambda p, at: swapped((p / "checkpoint").glob("*/c"), "0", "1"), REPLACED),
+    "two chunks swapped": (1, lambda p, at: swapped([p / "q/c"], "0", "1"), f"q/c/0/0/0 {ELSEWHERE}"),
+    "the same in a complete run": (3, lambda p, at: swapped([p / "q/c"], "0", "2"), f"q/c/2/0/0 {ELSEWHERE}"),
+    "an inertia rewritten": (1, lambda p, at: heavier(p), "system_inertia is not what the run wrote"),
+    "the same in a complete one": (3, lambda p, at: heavier(p), "system_inertia is not what the run wrote"),
+    "older checksums": (2, lambda p, at: replaced(p, at[0], "checksums"), "checksums is not that of the last commit"),
+    "no checksums": (1, lambda p, at: shutil.rmtree(p / "checksums"), "checksums/zarr.json is missing"),
+    "no checkpoint": (1, lambda p, at: shutil.rmtree(p / "checkpoint"), "checkpoint/commit/zarr.json is missing"),
+    "no array for the end": (1, lambda p, at: shutil.rmtree(p / "first_failure"), "first_failure/zarr.json is missing"),
+}
+
+
+@pytest.mark.parametrize("mixture", MIXTURES)
+def test_a_copy_that_mixes_commits_or_places_is_neither_opened_nor_resumed(tmp_path, commits, mixture, no_loop):
+    which, change, sentence = MIXTURES[mixture]
+    path = shutil.copytree(commits[which], tmp_path / "copy.zarr")
+    ensemble.open(path)
+    change(path, commits)
+    with pytest.raises(ValueError, match=sentence):
+        ensemble.open(path)
+    with pytest.raises(ValueError, match=sentence):
+        run(path, resume=True)
+
+
+def test_a_store_that_grows_while_it_is_checked_is_not_called_damaged(tmp_path, commits, monkeypatch):
+    """The checkpoint of the commit that was read is overwritten two commits later."""
+    path, read, left = shutil.copytree(commits[0], tmp_path / "run.zarr"), _integrity.damage_of_checkpoint, [2]
+
+    def overtaken(*arguments):
+        left[0] -= 1
+        if left[0]:
+            shutil.copytree(commits[2], path, dirs_exist_ok=True)
+        return read(*arguments)
+
+    monkeypatch.setattr(_integrity, "damage_of_checkpoint", overtaken)
+    assert ensemble.open(path)[0].t.shape == (12,)
+    assert left == [0]
+
+
+def test_two_processes_that_create_one_store(tmp_path, monkeypatch):
+    """The second comes between the check and the rename of the first."""
+    path, fill = tmp_path / "run.zarr", _store._fill
+
+    def slowly(*arguments):
+        monkeypatch.setattr(_store, "_fill", fill)
+        fill(*arguments)
+        run(path, num_steps=5)
+
+    monkeypatch.setattr(_store, "_fill", slowly)
+    with pytest.raises(ValueError, match=r"run\.zarr was created by another run in the meantime"):
+        run(path, num_steps=5)
+    assert [p.name for p in tmp_path.iterdir()] == ["run.zarr"]
+    assert ensemble.open(path)[0].info.converged[...].all()
+
+
+def test_what_a_killed_process_left_of_a_store_is_removed_when_it_is_old(tmp_path, no_loop):
+    for age in (0, 2 * _store._STALE):
+        left = tmp_path / f".run.zarr.{age:.0f}-00.partial"
+        left.mkdir()
+        os.utime(left, (time.time() - age, time.time() - age))
+    with pytest.raises(Begun):
+        run(tmp_path / "run.zarr")
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".run.zarr.0-00.partial", "run.zarr"]
+
+
+@pytest.mark.usefixtures("no_loop")
+def test_places_and_attributes_that_no_store_can_have_are_refused_before_the_run(tmp_path):
+    (tmp_path / "link.zarr").symlink_to("nowhere")
+    loop = {}
+    loop["loop"] = loop
+    for name, attributes, message in (
+        ("link", {}, r"link\.zarr is a link to nowhere, which does not exist"),
+        (240 * "x", {}, r"xxx\.zarr cannot be created: File name too long; choose another"),
+        (300 * "x", {}, r"xxx\.zarr cannot be created: File name too long; choose another"),
+        ("taken", {"run": 1, "members": 2, "seed": 3}, r"may not be called members, run: it has its own"),
+        ("taken", {"progress": 1}, "may not be called progress"),
+        ("object", {"body": BODY}, "must be what JSON can hold; 'body' is not: Object of type RigidBody"),
+        ("scenario", {"scenario": {"x": {1}}}, "'scenario' is not: Object of type set"),
+        ("number", {"n": np.int64(1)}, "'n' is not: Object of type int64"),
+        ("infinite", {"x": float("nan")}, "'x' is not: Out of range float"),
+        ("key", {3: 1}, "3 is not: names must be strings"),
+        ("loop", loop, "'loop' is not: Circular"),
+    ):
+        with pytest.raises((ValueError, OSError), match=message):
+            run(ensemble.StoreOptions(tmp_path / f"{name}.zarr", attributes))
+    assert [p.name for p in tmp_path.iterdir()] == ["link.zarr"]
+
+
+def shifted(step, z, by=1.0):
+    return z.q[0] + by
+
+
+@pytest.mark.usefixtures("no_loop")
+def test_a_reduced_quantity_must_be_a_real_scalar():
+    for reduce, message in (
+        (lambda step, z: jnp.sum(z.q > 0), r"real floating-point scalar, got int\d+ of shape \(\)"),
+        (lambda step, z: 2, "got 2;"),
+        (lambda step, z: z.q, r"got float64 of shape \(4,\)"),
+        (lambda step, z: z.q[0] + 0j, r"got complex128 of shape \(\)"),
+        (lambda step, z: z.q[0] > 0, "got bool of shape"),
+        (lambda step, z: None, "got None"),
+        (lambda step, z: (z.q[0], z.q[1]), r"got \("),
+        (lambda z: z.q[0], r"two arguments, \(step, state\) ↦ scalar: too many positional arguments"),
+        (lambda step, z, k: z.q[0], r"two arguments, \(step, state\) ↦ scalar: missing a required argument: 'k'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            run(reduce=reduce)
+    with pytest.raises(Begun):
+        run(reduce=shifted)
+
+
+def test_a_quantity_that_is_nan_is_nan_in_all_of_its_interval_and_refused_at_the_start():
+    """Above the values of the first half of the run it is NaN, for some members."""
+    whole = run(num_steps=20, save_every=1).state.q[1:, :, 0]
+    limit = float(whole[:10].max())
+    assert (whole[10:] > limit).any()
+    found = run(num_steps=20, save_every=10, reduce=lambda step, z: jnp.where(z.q[0] > limit, jnp.nan, z.q[0]))
+    for series in found[1:4]:
+        np.testing.assert_array_equal(np.isnan(series), [False, False, True])
+    np.testing.assert_allclose(found.mean[1], (whole[:10] - Q[:, 0]).mean(), rtol=0, atol=1e-15)  # observed 6e-17
+    bad = np.flatnonzero(Q[:, 0] < -0.5)
+    with pytest.raises(ValueError, match=rf"reduce must be finite at the start.*{bad.size} member\(s\): {bad[0]}"):
+        run(reduce=lambda step, z: jnp.sqrt(z.q[0] + 0.5))
+
+
+def test_processes_that_are_about_to_do_different_runs_all_say_so(monkeypatch):
+    """Two processes, of which the second is given other members at another step size."""
+    mine = {"members": 40, "dt": 0.1, "scenario": {"seed": 1}, "store": "a.zarr"}
+    monkeypatch.setattr(_layout, "count_processes", lambda mesh: 2)
+    for other, sentence in (({}, None), ({"members": 39, "dt": 0.2}, "members, dt"), ({"store": None}, "store")):
+        rows: list = []
+        monkeypatch.setattr(_layout, "gather_row", lambda mesh, row, rows=rows: rows.append(row) or np.array([row] * 2))
+        _identity.check_processes(None, mine)
+        _identity.check_processes(None, mine | other)
+        monkeypatch.setattr(_layout, "gather_row", lambda mesh, row, rows=rows: np.array(rows))
+        for process in (mine, mine | other) if sentence else ():
+            with pytest.raises(ValueError, match=f"different runs: {sentence} differ. Nothing was integrated"):
+                _identity.check_processes(None, process)
+
+
+def test_an_error_of_one_process_ends_all(monkeypatch):
+    monkeypatch.setattr(_layout, "all_gather", lambda mesh, failed: np.array([[True], [failed]]))
+    with pytest.raises(ValueError, match="process 0 of this run has failed; its own message says why"):
+        _layout.agreed(None, lambda: 1)
+
+
+def test_two_runs_do_not_write_to_one_store(tmp_path, small_chunks):
+    run(tmp_path / "run.zarr")
+    with _store.opened(tmp_path / "run.zarr", True), pytest.raises(ValueError, match="another run is writing"):
+        run(tmp_path / "run.zarr", resume=True)
+
+
+@contextlib.contextmanager
+def tmpfs(path, size):
+    path.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "none", path], capture_output=True).returncode:
+        pytest.skip("mounting needs root")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", "-l", path], check=True)
+
+
+@pytest.mark.long
+def test_a_full_disk_ends_a_run_that_resumes_to_the_same_bits(tmp_path, small_chunks):
+    run(tmp_path / "whole.zarr", num_steps=600)
+    with tmpfs(tmp_path / "disk", "240k"):
+        path = tmp_path / "disk/run.zarr"
+        with pytest.raises(OSError, match=r"No space left on device: .* holds everything up to step \d+; .* resume"):
+            run(path, num_steps=600)
+        found, metadata = _store.load(path)
+        assert 4 <= metadata["progress"]["entries"] < 121
+        assert np.isfinite(found.state.q[...]).all()
+        subprocess.run(["mount", "-o", "remount,size=4m", tmp_path / "disk"], check=True)
+        run(path, num_steps=600, resume=True)
+        assert same_folders(path, tmp_path / "whole.zarr")
+
+
+def test_a_limit_on_the_size_of_files_likewise(tmp_path, monkeypatch):
+    """What needs no root: the system refuses files above a size, below that of the metadata or that of the chunks."""
+    monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: 13)
+    run(tmp_path / "whole.zarr")
+    path, before = tmp_path / "run.zarr", resource.getrlimit(resource.RLIMIT_FSIZE)
+    for size, message in ((3000, "cannot be created: File too large"), (14_000, "too large: .* step 0; .* resume")):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+        try:
+            with pytest.raises(OSError, match=message):
+                run(path)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert len(list(tmp_path.iterdir())) == 1 + path.exists()
+    run(path, resume=True)
+    assert same_folders(path, tmp_path / "whole.zarr")
+
+
+def test_an_interrupt_waits_for_the_chunk_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: 50)
+    path, steps, before = tmp_path / "run.zarr", 20_000_000, signal.getsignal(signal.SIGINT)
+
+    def interrupt():
+        while not (path.exists() and _store.load(path)[1]["progress"]["entries"]):
+            time.sleep(0.05)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt, daemon=True).start()
+    with pytest.raises(KeyboardInterrupt, match=rf"stopped after \d+ of {steps} steps, all of them in .*; resume"):
+        run(path, num_steps=steps, save_every=1000)
+    assert "finishing the chunk" in capsys.readouterr().err
+    progress = _store.load(path)[1]["progress"]
+    assert progress["steps"] > 0
+    assert progress["entries"] % 50 == 0
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.fixture(scope="module")
+def book(tmp_path_factory):
+    """A scenario of some seconds, and the store of its uninterrupted run."""
+    folder = tmp_path_factory.mktemp("book")
+    (folder / "book.toml").write_text(SCENARIO)
+    assert command(folder, "--out", "whole.zarr").wait() == 0
+    return folder
+
+
+def command(folder, *options, **popen):
+    arguments = [sys.executable, "-m", "lieint_jax.app.command.cli", "run", "book.toml", *options]
+    return subprocess.Popen(arguments, cwd=folder, stdout=subprocess.DEVNULL, **popen)
+
+
+@pytest.mark.long
+def test_killed_at_random_moments_and_resumed(book):
+    delays = np.random.default_rng(11).uniform(1.5, 5.0, 5)
+    ended = 0
+    for delay in delays:
+        process = command(book, "--out", "killed.zarr", "--resume", stderr=subprocess.DEVNULL)
+        time.sleep(delay)
+        ended += process.poll() is None
+        process.kill()
+        process.wait()
+    assert ended >= 2
+    assert command(book, "--out", "killed.zarr", "--resume").wait() == 0
+    assert same_folders(book / "killed.zarr", book / "whole.zarr")
+
+
+def killable(case, path, pause):
+    command = [sys.executable, str(Path(killed.__file__)), case, str(path), str(pause)]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+
+
+def commits_of(path):
+    return _store.load(path)[1]["progress"]["commits"] if path.exists() else 0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("case", killed.CASES)
+def test_kills_at_random_moments_leave_the_same_bits(tmp_path, case):
+    """Seven of each case: every second one within a second after a commit, the others from the start of Python on."""
+    path, rng, ends = tmp_path / "killed.zarr", np.random.default_rng(12), []
+    while len(ends) < 7:
+        process, before = killable(case, path, 0.01), commits_of(path)
+        while len(ends) % 2 and commits_of(path) == before and process.poll() is None:
+            time.sleep(0.01)
+        time.sleep(rng.uniform(0, 1 if len(ends) % 2 else 5))
+        ended = process.poll()
+        process.kill()
+        error = process.communicate()[1].decode()
+        assert ended is None, error  # neither complete nor failed
+        ends.append(commits_of(path))
+    assert ends == sorted(ends)
+    assert len(set(ends)) > 3  # of 60
+    for last in (path, tmp_path / "whole.zarr"):
+        process = killable(case, last, 0)
+        error = process.communicate()[1].decode()
+        assert process.returncode == 0, error
+    assert same_folders(path, tmp_path / "whole.zarr")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("signals", [[signal.SIGINT, signal.SIGINT], [signal.SIGTERM]], ids=["SIGINT twice", "SIGTERM"])
+def test_a_run_that_a_signal_ended_at_once_is_resumed(book, signals):
+    """The second SIGINT does not wait for the chunk; SIGTERM is what a scheduler sends."""
+    path = book / f"{len(signals)}.zarr"
+    process = command(book, "--out", path.name, stderr=subprocess.DEVNULL)
+    limit = time.monotonic() + 60
+    while not (path.exists() and _store.load(path)[1]["progress"]["entries"]):
+        assert time.monotonic() < limit
+        time.sleep(0.05)
+    for number in signals:
+        process.send_signal(number)
+        time.sleep(0.1)
+    assert process.wait(timeout=30) != 0
+    assert not _store.load(path)[1]["progress"]["complete"]
+    assert command(book, "--out", path.name, "--resume").wait() == 0
+    assert same_folders(path, book / "whole.zarr")
+
+
+def meet(folder, port, *options, own=((), ())):
+    distributed = ["--distributed", "--coordinator", f"localhost:{port}", "--processes", "2", "--process"]
+    text = dict(stderr=subprocess.PIPE, text=True)
+    return [command(folder, *options, *own[k], *distributed, str(k), **text) for k in range(2)]
+
+
+def free_port():
+    import socket
+
+    with socket.socket() as s:
+        s.bind(("localhost", 0))
+        return s.getsockname()[1]
+
+
+@pytest.mark.long
+def test_two_processes_are_one(book):
+    for process in meet(book, free_port(), "--out", "two.zarr"):
+        error = process.communicate(timeout=120)[1]
+        assert process.returncode == 0, error
+    assert same_arrays(book / "two.zarr", book / "whole.zarr")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("out", ["different.npz", "different.zarr"])
+def test_two_processes_of_different_scenarios_both_say_so_and_leave_nothing(book, out):
+    own = ["--members", "96"], ["--members", "100"]
+    for process in meet(book, free_port(), "--out", out, "--steps", "2000", own=own):
+        error = process.communicate(timeout=120)[1]
+        assert re.search(r"given different runs: .*initial states, members.* differ\. Nothing was integrated", error)
+        assert process.returncode == 2
+    assert not list(book.glob("*different*"))
+
+
+def same_arrays(a, b):
+    (x, _), (y, _) = _store.load(a), _store.load(b)
+    return all((p[...] == q[...]).all() for p, q in zip(jax.tree.leaves(x), jax.tree.leaves(y), strict=True))
+
+
+ALONE = """
+import os, sys, jax
+from lieint_jax.app.command import cli
+from lieint_jax.ensemble import processes
+connect = processes.initialize
+def connect_and_vanish(*arguments):
+    connect(*arguments)
+    if arguments[2] == 1:
+        os._exit(9)
+processes.initialize = connect_and_vanish
+sys.exit(cli.main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.long
+def test_a_process_that_is_lost_before_the_store_exists_is_named(book):
+    """Its sentence is the last line, and no stack of JAX's abort."""
+    port, text = free_port(), dict(stderr=subprocess.PIPE, text=True, cwd=book)
+    options = ["run", "book.toml", "--out", "never.zarr", "--distributed", "--coordinator", f"localhost:{port}"]
+    both = [
+        subprocess.Popen([sys.executable, "-c", ALONE, *options, "--processes", "2", "--process", str(k)], **text)
+        for k in range(2)
+    ]
+    errors = [process.communicate(timeout=120)[1] for process in both]
+    assert [process.returncode for process in both] == [1, 9]
+    assert errors[0].splitlines()[-1].startswith("lieint: process 1 of 2 is lost")
+    assert "Fatal" not in errors[0]
+    assert not (book / "never.zarr").exists()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("victim", [1, 0], ids=["worker", "coordinator"])
+def test_the_loss_of_a_process_ends_the_other_and_the_store_resumes(book, victim):
+    path = book / f"lost-{victim}.zarr"
+    both = meet(book, free_port(), "--out", path.name)
+    limit = time.monotonic() + 60
+    while not (path.exists() and _store.load(path)[1]["progress"]["entries"]):
+        assert time.monotonic() < limit
+        time.sleep(0.1)
+    both[victim].kill()
+    both[victim].communicate()
+    start = time.monotonic()
+    error = both[1 - victim].communicate(timeout=60)[1]
+    assert time.monotonic() - start < 30
+    assert both[1 - victim].returncode != 0
+    if victim == 1:  # the coordinator's own loss may end in the runtime's abort
+        assert "process 1 of 2 is lost; what is in the store can be resumed" in error or "unhealthy" in error
+    assert not _store.load(path)[1]["progress"]["complete"]
+    assert command(book, "--out", path.name, "--resume").wait() == 0
+    assert same_arrays(path, book / "whole.zarr")
+
+
+def test_the_command_line_writes_resumes_and_shows(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "book.toml").write_text(SCENARIO.replace("800_000", "2000"))
+    arguments = ["run", "book.toml", "--out", "run.zarr", "--members", "3"]
+    assert cli.main([*arguments, "--devices", "1"]) == 0
+    assert "3 of 3 members converged at every step" in capsys.readouterr().out
+    assert cli.main(arguments) == 2
+    assert "run.zarr exists and is not overwritten" in capsys.readouterr().err
+    assert cli.main([*arguments, "--resume"]) == 0
+    assert cli.main(["run", "book.toml", "--out", "run.zarr", "--members", "4", "--resume"]) == 2
+    assert "scenario.members is 3 there and 4 here" in capsys.readouterr().err
+    assert cli.main(["info", "run.zarr"]) == 0
+    out = capsys.readouterr().out
+    assert "complete: 21 of 21 entries" in out
+    assert "so3_midpoint[symplectic]" in out
+    for bad, message in (
+        (["info", "no.zarr"], "there is no file no.zarr; lieint run NAME --out no.zarr writes one"),
+        (["run", "book.toml", "--out", "x.npz", "--resume"], "only a run written as .zarr can be resumed"),
+        (["run", "book.toml", "--processes", "2"], "go with --distributed"),
+        (["run", "book.toml", "--devices", "99"], "99 devices were asked for"),
+        (["run", "book.toml", "--distributed", "--processes", "2"], "give all of coordinator"),
+    ):
+        assert cli.main(bad) == 2
+        assert message in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_the_command_line_draws_what_is_in_a_store(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "book.toml").write_text(SCENARIO.replace("800_000", "2000"))
+    assert cli.main(["run", "book.toml", "--out", "run.zarr", "--members", "3"]) == 0
+    assert cli.main(["plot", "run.zarr"]) == 0
+    assert "precession period" in capsys.readouterr().out
+    assert (tmp_path / "run-path.png").read_bytes().startswith(b"\x89PNG")
+    assert cli.main(["plot", "run.zarr"]) == 2
+    assert "run-path.png exists" in capsys.readouterr().err
+
+
+EIGHT = """
+import hashlib, jax, lieint_jax as li
+from lieint_jax import ensemble
+jax.config.update("jax_enable_x64", True)
+J = jax.numpy.array([[1.0, 2.0, 3.0], [1.0, 1.0, 1.5]] * 150)
+states = jax.vmap(lambda J, w: li.systems.rigid_body(J).state(angular_velocity=w))(
+    J, 0.4 * jax.random.normal(jax.random.key(0), (300, 3))
+)
+steps = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.rigid_body(J)))(J)
+for count in (1, 3, 8):
+    mesh = ensemble.first_devices(count)
+    kept = [ensemble.run(steps, states, 0.1, 400, 100, 0, reduce=how, mesh=mesh) for how in (None, "energy")]
+    times = jax.numpy.linspace(0, 20, 101) ** 1.2
+    kept += [ensemble.run(steps, states, step_axis=0, times=times, save_at=[0.3, 5, 5.01, 30], mesh=mesh)]
+    print(*(hashlib.sha256(b"".join(x.tobytes() for x in jax.tree.leaves(k))).hexdigest() for k in kept))
+"""
+
+
+@pytest.mark.long
+def test_one_device_or_eight_are_the_same_bits():
+    """States and reductions, of an inertia each, of members that divide evenly among the devices or not."""
+    environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=8"}
+    found = subprocess.run([sys.executable, "-c", EIGHT], env=environment, check=True, capture_output=True, text=True)
+    assert len(found.stdout.splitlines()) == 3
+    assert len(set(found.stdout.splitlines())) == 1
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("make", "bound"), [(li.schemes.so3_midpoint, 3e-13), (li.schemes.so3_explicit, 1e-14)])
+def test_energy_over_a_million_steps(make, bound):
+    """Worst of 16 random bodies at any of 10⁶ steps; the floor is 6e-14 and 3e-15. benchmarks/round_off.py has 10⁸."""
+    rng = np.random.default_rng(1)
+    q, w = rng.normal(size=(16, 4)), rng.normal(size=(16, 3))
+    w *= np.cbrt(rng.random((16, 1))) / np.linalg.norm(w, axis=1, keepdims=True)
+    states = jax.vmap(lambda q, w: BODY.state(q, angular_velocity=w))(
+        jnp.array(q / np.linalg.norm(q, axis=1, keepdims=True)), jnp.array(w)
+    )
+    relative = lambda step, z: jnp.log(step.system.energy(z))  # noqa: E731
+    found = ensemble.run(make(BODY), states, 0.05, 1_000_000, 100_000, reduce=relative, progress=False)
+    worst = max(-found.least.min(), found.greatest.max())
+    slope = np.polyfit(found.t / 0.05, found.mean, 1)[0]
+    assert worst < bound
+    assert abs(slope) < bound / 3e6  # per step
+    assert not found.unconverged.any()

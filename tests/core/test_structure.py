@@ -1,0 +1,226 @@
+"""The house rules: imports point down, the core needs only jax and numpy, examples everywhere, no x64 at import."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import pytest
+from grid import examples, schemes, steps, systems
+
+import lieint_jax as li
+from lieint_jax import _discover, maps
+from lieint_jax.types import Step
+
+ROOT = Path(li.__file__).parent
+FLOORS = [  # from the roof down; a module imports only from floors below its own, or its own package
+    ("studies",),  # the old names of one release
+    ("app",),
+    ("_cache",),
+    ("fitting",),
+    ("adjoints",),
+    ("ensemble",),
+    ("native",),
+    ("diagnostics",),
+    ("schemes",),
+    ("systems",),
+    ("orbits", "potentials", "torques"),
+    ("_integrate",),
+    ("_free_body",),
+    ("phase_spaces",),
+    ("maps",),
+    ("groups",),
+    ("_numerics",),
+    ("types",),
+    ("_xla",),
+    ("_checks", "_deprecated", "_discover", "_version"),
+]
+LEVEL = {name: level for level, floor in enumerate(FLOORS) for name in floor}
+CORE = {"jax", "numpy"}  # and the standard library: all that the numerical core needs, everything below `ensemble`
+COMPILER = {"llvmlite"}  # of the room `native`, which is imported by the first ensemble on a CPU
+FILES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
+ROOMS = {path.stem for path in ROOT.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()}
+
+
+def room_of(path):
+    return path.relative_to(ROOT).parts[0].removesuffix(".py")
+
+
+def imports(path):
+    """The modules that a file imports, wherever in it: `from lieint_jax.ensemble import _store` is one of a module."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            submodules = {f"{node.module}.{alias.name}" for alias in node.names}
+            found = {name for name in submodules if file_of(name)}
+            yield from found
+            if found != submodules:
+                yield node.module
+
+
+def file_of(name):
+    """The file of a module of the package, or None."""
+    path = ROOT.joinpath(*name.split(".")[1:])
+    return next((p for p in (path.with_suffix(".py"), path / "__init__.py") if p.is_file()), None)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_imports_point_down(path):
+    room = room_of(path)
+    assert room in LEVEL, f"{room} has no floor: add it to FLOORS"
+    for name in imports(path):
+        if name.startswith("lieint_jax."):
+            other = name.split(".")[1]
+            assert LEVEL[other] > LEVEL[room] or other == room, f"{path} imports {name}"
+        elif name == "lieint_jax":
+            pytest.fail(f"{path} imports the face of the package")
+        elif LEVEL[room] > LEVEL["ensemble"]:
+            top = name.split(".")[0]
+            assert top in CORE | (COMPILER if room == "native" else set()) or top in sys.stdlib_module_names, (
+                f"{path} is core and imports {name}"
+            )
+
+
+def test_no_import_goes_in_a_circle():
+    """Within the rooms too: modules can be put in an order in which each imports only those before it."""
+    import graphlib
+
+    graph = {path: {file_of(name) for name in imports(path) if name.startswith("lieint_jax.")} for path in FILES}
+    faces = {path for path in FILES if path.name == "__init__.py"}  # importing a module runs its package's face first,
+    inner = {path: found - {None} - faces for path, found in graph.items() if path not in faces}  # which is not meant
+    assert len(list(graphlib.TopologicalSorter(inner).static_order())) >= len(inner)
+    for path in inner:  # and no module imports the face of a package that it stands in
+        assert path.parent / "__init__.py" not in graph[path], path
+
+
+def test_the_house_has_few_rooms_and_every_one_a_floor():
+    assert ROOMS - {"__init__"} == set(LEVEL)
+    assert len(ROOMS - {"__init__"}) <= 25
+
+
+def test_dir_lists_the_public_names_only():
+    assert dir(li) == sorted(li.__all__)
+    assert not [name for name in dir(li) if name.startswith("_") and name != "__version__"]
+    assert all(hasattr(li, name) for name in dir(li))
+    rooms = (li.ensemble, li.adjoints, li.fitting, li.schemes, li.systems, li.groups, li.diagnostics)
+    for room in (*rooms, li.potentials):
+        assert all(hasattr(room, name) for name in room.__all__)
+
+
+CONTRACT = """
+State Step StepInfo Trajectory Event pytree static integrate interpolate event systems.rigid_body systems.heavy_top
+systems.potential_top orbits.graded_times
+systems.euler systems.group_potential systems.kirchhoff systems.manakov systems.pendulum systems.pseudo_rigid_body
+systems.embedded_body systems.incompressible_body systems.gyrostat systems.driven_gyrostat systems.torqued_body
+systems.damped_body systems.driven_top systems.gravity_gradient schemes.torqued_midpoint schemes.so3_alpha
+schemes.group_alpha schemes.sphere_chart groups.so3 groups.matrix groups.special_orthogonal groups.special_euclidean
+groups.special_linear groups.symplectic groups.special_unitary groups.affine groups.heisenberg groups.product
+maps.exponential maps.cayley maps.arcsine maps.kappa_cayley maps.kappa_exponential maps.kappa_symplectic
+schemes.so3_midpoint schemes.so3_explicit schemes.compose schemes.exact schemes.calibrated schemes.preprocessed
+schemes.top_energy_momentum schemes.splitting schemes.group_midpoint schemes.group_energy_momentum schemes.additive
+schemes.sphere_midpoint ensemble.run ensemble.compiler_options reversible observe fit
+ensemble.over_members diagnostics.linearization diagnostics.symplectic_defect diagnostics.poisson_error
+diagnostics.energy_error diagnostics.momentum_error diagnostics.delay diagnostics.order diagnostics.reversibility
+diagnostics.certify diagnostics.conditions diagnostics.lyapunov diagnostics.megno diagnostics.section
+orbits.kepler torques.viscous torques.pd_trace torques.pd_quaternion
+torques.bdot torques.kane_damper torques.thruster torques.solar_plate torques.internal_friction
+schemes.log_hamiltonian schemes.reversible_control diagnostics.local_error
+schemes.gauss schemes.extrapolate
+systems.rigid_bodies potentials.maccullagh potentials.point_masses potentials.point_charges potentials.lennard_jones
+potentials.sites potentials.springs potentials.uniform_field potentials.outer_field potentials.ellipsoid_sphere
+potentials.water schemes.bodies_energy_momentum schemes.nystrom schemes.kepler_splitting
+"""
+
+
+@pytest.mark.parametrize("name", CONTRACT.split())
+def test_every_name_of_the_contract_is_there(name):
+    found = li
+    for part in name.split("."):
+        found = getattr(found, part)
+
+
+def test_schemes_import_no_system_and_systems_no_scheme():
+    for room, forbidden in (("schemes", "systems"), ("systems", "schemes")):
+        for path in (ROOT / room).glob("*.py"):
+            assert not [name for name in imports(path) if name.startswith(f"lieint_jax.{forbidden}")]
+
+
+@pytest.mark.parametrize("package", [li.groups, li.systems, li.schemes], ids=lambda p: p.__name__)
+def test_every_module_has_examples_and_is_exported(package):
+    names = {name for name, _ in systems()}
+    for name, module in _discover.modules_with_examples(package).items():
+        if package is li.schemes:
+            assert name in schemes(), f"{name}: no example on any system"
+        else:
+            assert module.examples(), f"{name}: no example"
+        assert hasattr(package, name), f"{name} is not exported by {package.__name__}"
+    assert names
+    assert maps.examples()
+
+
+once = jax.jit(lambda step, state, dt: step(state, dt))
+
+
+LARGE = ("euler.manakov", "group_potential.bottom_heavy", "rigid_bodies")  # steps that compile for long
+LONG = ("additive", "calibrated", "extrapolate", "gauss", "group_midpoint", "sphere_chart")  # schemes whose steps do
+
+
+def dear(name):
+    return name.startswith(LARGE) or name.partition("-")[2].startswith(LONG)
+
+
+FIRST = {type(step): name for name, step, _, _ in reversed(steps()) if not dear(name)}  # the others in the shards
+GRID = [pytest.param(*s, id=s[0], marks=[pytest.mark.long] * (s[0] not in FIRST.values())) for s in steps()]
+
+
+@pytest.mark.parametrize(("name", "step", "state", "dt"), GRID)
+def test_the_grid_of_systems_and_schemes_runs(name, step, state, dt):
+    """The contract of every step: a pytree with its system as a child, a flag, and an order and symmetry stated."""
+    assert isinstance(step, Step)
+    after, info = once(step, state, dt)
+    assert jax.tree.structure(after) == jax.tree.structure(state)
+    assert info.converged
+    assert step.order >= 1
+    assert isinstance(step.symmetric, bool)
+    if type(step).prepare is not Step.prepare:
+        assert once(step.prepare(state, dt), state, dt)[1].converged
+    assert jax.tree.leaves(step)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "system"), [pytest.param(name, x[0], id=name) for name, x in systems()])
+def test_every_scheme_that_takes_a_system_has_its_motion(name, system):
+    """The steps of the grid are made without that comparison, which raises where a vector field is another."""
+    ids = [i for i, step, *_ in steps() if step.system is system]
+    assert ids == [f"{name}-{found}" for _, found in examples(system)]
+
+
+def test_import_is_light_and_leaves_float32_alone():
+    """In a fresh interpreter: nothing but jax and numpy is loaded, no application, x64 stays off, no backend starts."""
+    code = (
+        "import sys, jax, lieint_jax;"
+        "from jax._src import xla_bridge;"
+        "heavy = {'matplotlib', 'optax', 'platformdirs', 'pydantic', 'tqdm', 'zarr'} & set(sys.modules);"
+        "app = [name for name in sys.modules if name.startswith('lieint_jax.app')];"
+        "print(jax.config.jax_enable_x64, heavy or app or 'light', xla_bridge.backends_are_initialized())"
+    )
+    rest = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert rest.split() == ["False", "light", "False"]
+
+
+def test_an_absolute_bound_is_no_looser_than_it_says():
+    """numpy adds a relative tolerance of 1e-7 (1e-5 in `allclose`) to `atol` unless `rtol` is given."""
+    house = Path(__file__).parents[2]
+    loose = [
+        f"{path.relative_to(house)}:{call.lineno}"
+        for folder in ("tests", "benchmarks", "lieint_jax")
+        for path in sorted((house / folder).rglob("*.py"))
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(call, ast.Call)
+        and getattr(call.func, "attr", "") in ("assert_allclose", "allclose", "isclose")
+        and {k.arg for k in call.keywords} & {"atol", "rtol"} == {"atol"}
+    ]
+    assert not loose

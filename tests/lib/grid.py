@@ -1,0 +1,47 @@
+"""The grid of systems and schemes, found by looking into the packages: no list to edit."""
+
+import functools
+from unittest import mock
+
+import lieint_jax as li
+from lieint_jax import _discover
+from lieint_jax.schemes._shared import accepts
+
+
+@functools.cache
+def systems():
+    """(id, (system, state, dt)) of every example of a system."""
+    found = []
+    for module_name, module in _discover.modules_with_examples(li.systems).items():
+        found += [(f"{module_name}.{name}", example) for name, example in module.examples().items()]
+    return found
+
+
+def examples(system):
+    """The steps of a system by every scheme that takes it, by the name of the scheme's module and of the step."""
+    return {
+        (module_name, name): step
+        for module_name, module in _discover.modules_with_examples(li.schemes).items()
+        for name, step in module.examples(system).items()
+    }
+
+
+@functools.cache
+def _made():
+    """Every worker collects them, so here no motion is compared: that compiles two vector fields a pair."""
+    with mock.patch.object(accepts, "_difference", return_value=(0.0, 0.0)):
+        return [
+            (module, f"{name}-{step_name}", step, step.start(state), dt)
+            for name, (system, state, dt) in systems()
+            for (module, step_name), step in examples(system).items()
+        ]
+
+
+def steps():
+    """(id, step, state, dt) of every system with every scheme that takes it, the state as the scheme starts it."""
+    return [found for _, *found in _made()]
+
+
+def schemes():
+    """The modules of the schemes that have a step of some system."""
+    return {module for module, *_ in _made()}

@@ -1,0 +1,176 @@
+"""The paper's conditions as residuals of steps: zero where a structure is kept, and not where it is not."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import paper
+import pytest
+from paper import ONE, hat
+
+import lieint_jax as li
+from lieint_jax import _discover, diagnostics, groups, maps, schemes
+from lieint_jax.diagnostics._symplectic import defect_matrix
+from lieint_jax.groups import so3
+
+CONDITIONS = diagnostics._conditions
+BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+SPIN = BODY.state([0.8, 0.6, 0, 0], angular_velocity=[0.2, 0.3, 1.0])
+FLOW = li.systems.euler(groups.special_linear(2), [1.0, 2.0, 3.0])
+MOVING = FLOW.state(velocity=[0.5, -0.4, 0.6])
+TOP = li.systems.heavy_top([1.0, 2.0, 3.0], [0.3, -0.2, 1.0])
+LEANING = TOP.state([0.8, 0.6, 0, 0], angular_velocity=[0.2, 0.3, 1.0])
+STAR, HENON, _ = _discover.modules_with_examples(li.systems)["group_potential"].examples()["henon_heiles"]
+BALL, SPUN, _ = next(iter(_discover.modules_with_examples(li.systems)["pseudo_rigid_body"].examples().values()))
+EMBEDDED = li.systems.embedded_body([1.0, 2.0, 3.0])
+TILTED = EMBEDDED.state([0.8, 0.6, 0, 0], angular_velocity=[0.2, 0.3, 1.0])
+
+CASES = {  # what makes a step, state, dt, and what is kept of energy and form
+    "symplectic": (lambda: schemes.so3_midpoint(BODY), SPIN, 0.4, True, True),
+    "cayley": (lambda: schemes.so3_midpoint(BODY, maps.kappa_cayley), SPIN, 0.4, True, False),
+    "exact": (lambda: schemes.exact(BODY), SPIN, 0.4, True, True),
+    "composed": (lambda: schemes.compose(schemes.so3_midpoint(BODY), 4), SPIN, 0.4, True, True),
+    "arcsine": (lambda: schemes.group_midpoint(FLOW, maps.arcsine), MOVING, 0.2, True, True),
+    "exponential": (lambda: schemes.group_midpoint(FLOW), MOVING, -0.2, True, False),
+    "group_alpha": (lambda: schemes.group_alpha(FLOW, 0.3, maps.arcsine), MOVING, 0.2, False, False),
+    "top": (lambda: schemes.top_energy_momentum(TOP), LEANING, 0.2, True, False),
+    "top, symplectic κ": (lambda: schemes.top_energy_momentum(TOP, maps.kappa_symplectic), LEANING, 0.2, True, False),
+    "abelian, α = .3": (lambda: schemes.group_alpha(STAR, 0.3), HENON, 0.3, False, True),
+    "abelian": (lambda: schemes.group_alpha(STAR), HENON, 0.3, False, True),
+    "abelian, energy": (lambda: schemes.group_energy_momentum(STAR), HENON, 0.3, True, False),
+    "elastic": (lambda: schemes.additive(BALL, "symplectic"), SPUN, 0.02, False, True),
+    "elastic, α = .3": (lambda: schemes.additive(BALL, "symplectic", 0.3), SPUN, 0.02, False, True),
+    "elastic, energy": (lambda: schemes.additive(BALL, "average"), SPUN, 0.02, True, False),
+}
+QUICK = ("cayley",)
+
+
+def case(name):
+    make, *rest = CASES[name]
+    return make(), *rest
+
+
+@jax.jit
+def both(step, state, dt):
+    """The conditions; and the whole test of the form, by units of momentum."""
+    unit = jnp.max(jnp.abs(state.p))
+    d = step.system.phase_space.dim // 2
+    scale = jnp.repeat(jnp.stack([unit**-0.5, unit**0.5]), d)
+    defect = scale[:, None] * defect_matrix(step, state, dt) * scale
+    return diagnostics.conditions(step, state, dt), jnp.max(jnp.abs(defect))
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n not in QUICK)) for n in CASES])
+def test_the_conditions_say_what_is_kept(name):
+    """Against the symplectic defect, which knows no condition, and the energy of the step."""
+    step, state, dt, energy, form = case(name)
+    found, defect = both(step, state, dt)
+    assert found.keeps("class")
+    assert found.keeps("momentum")
+    assert found.keeps("energy") == energy
+    assert found.keeps("form") == form
+    assert (defect < 2e-14) == form  # floor 2e-15, least of the others 1e-6
+    after, _ = jax.jit(lambda step, z, h: step(z, h))(step, state, dt)
+    lost = abs(step.system.energy(after) / step.system.energy(state) - 1)
+    assert (lost < 4e-15) == energy
+    violated = [float(found[k]) for k in found.residuals if CONDITIONS.EQUATIONS[k][0] == "form"]
+    assert form or max(violated) > 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kappa", maps.KAPPAS, ids=lambda k: k.name)
+def test_3_5_is_the_paper_s_by_its_own_formulas(kappa):
+    """T of (2.5), H of (3.19), on numpy matrices: the residual that the diagnostic finds from L alone."""
+    dt, J = 0.4, np.diag([1.0, 2.0, 3.0])
+    step = schemes.so3_midpoint(BODY, kappa)
+    Pi0, Pi1 = (np.asarray(BODY.body_momentum(z)) for z in (SPIN, jax.jit(lambda z: step(z, dt)[0])(SPIN)))
+    bar = dt * np.linalg.solve(J, (Pi0 + Pi1) / 2)
+    T, H = paper.cay(paper.KAPPAS[kappa.name][0](bar @ bar) * bar), paper.H(kappa.name, bar)
+    X = 4 / dt * paper.skew((T + ONE) @ np.linalg.inv(H).T @ J) - hat(Pi0) + hat(Pi1)
+    found, _ = both(step, SPIN, dt)
+    assert float(found["3.5"]) == pytest.approx(np.abs(X).max() / np.abs(Pi0).max(), abs=4e-15)
+    assert float(found["5.31"]) == pytest.approx(float(found["3.5"]), abs=8e-15)
+    assert bool(found.holds("3.5")) == (kappa.name == "symplectic")
+
+
+@pytest.mark.long
+def test_the_exact_flow_is_of_the_class_and_violates_the_sufficient_condition():
+    """There is a τ for it, which does not leave Ω_{n+½} as it is: (5.26) is sufficient for energy, not necessary."""
+    found, _ = both(*case("exact")[:3])
+    assert found.keeps("class")
+    assert found.holds("5.25")
+    assert found["5.26"] > 1e-5
+
+
+@li.pytree
+class KickAndDrift(li.Step):
+    """A kick, and a drift along the velocity after it: π_{n+1} − π_n depends on q_n alone, through a potential."""
+
+    system: li.types.AbstractTop
+
+    order, symmetric, name = 1, False, "kick and drift"
+
+    def __call__(self, state, dt):
+        p = state.p + dt * self.system.force(state.q)
+        Omega = so3.Ad_star(state.q, p) / self.system.inertia
+        return state._replace(q=so3.multiply(state.q, so3.exp(dt * Omega)), p=p), li.StepInfo.fresh(p)
+
+
+def test_4_22_is_the_symmetry_of_the_second_derivative_of_the_potential():
+    found = jax.jit(diagnostics.conditions)(KickAndDrift(TOP), LEANING, 0.2)
+    assert found.holds("4.22")
+    assert not found.holds("4.21")
+
+
+@pytest.mark.long
+def test_a_splitting_is_not_of_the_class():
+    """It is symplectic, and the conditions do not see it: its Θ depends on q_n."""
+    step = schemes.splitting(STAR)
+    found, defect = both(step, HENON, 0.3)
+    assert defect < 4e-15
+    assert not found.keeps("class")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("alpha", [0.5, 0.3])
+def test_the_family_in_l3(alpha):
+    found = jax.jit(diagnostics.conditions)(schemes.so3_alpha(EMBEDDED, alpha), TILTED, 0.4)
+    assert found.keeps("momentum")
+    assert found.keeps("energy")
+    assert found.keeps("group") == (alpha == 0.5)
+    assert alpha == 0.5 or found["2.22"] > 1e-2
+
+
+def test_the_residual_of_3_5_falls_as_dt():
+    """The defect of the form is Δt² times it (3.13), and falls as Δt³."""
+    step = case("cayley")[0]
+    coarse, fine = (both(step, SPIN, dt)[0]["3.5"] for dt in (0.1, 0.05))
+    assert np.log2(coarse / fine) == pytest.approx(1, abs=0.1)
+
+
+def test_the_report_reads():
+    text = str(both(*case("cayley")[:3])[0])
+    assert text.splitlines()[0] == "so3_midpoint[cayley]"
+    assert "3.5    form       8.7e-02  —" in text
+    assert "2.18   momentum   0.0e+00  holds  π_{n+1} = π_n" in text
+
+
+@pytest.mark.long
+def test_float32_and_batches():
+    body = li.systems.rigid_body(np.array([1, 2, 3], np.float32))
+    states = jax.tree.map(lambda x: jnp.stack([x, x]).astype(np.float32), SPIN)
+    good, bad = (schemes.so3_midpoint(body, kappa) for kappa in (maps.kappa_symplectic, maps.kappa_cayley))
+    found = lambda z: [diagnostics.conditions(step, z, np.float32(0.4)).holds("3.5") for step in (good, bad)]  # noqa: E731
+    kept, lost = jax.jit(jax.vmap(found))(states)
+    assert kept.all()
+    assert not lost.any()
+
+
+@pytest.mark.long
+def test_what_has_no_conditions_is_refused():
+    pendulum = li.systems.pendulum(1.0, 9.81)
+    state = pendulum.phase_space.origin
+    with pytest.raises(ValueError, match=r"conditions are those of the paper for left-invariant .*got Pendulum"):
+        diagnostics.conditions(schemes.sphere_midpoint(pendulum), state, 0.1)
+    found, _ = both(*case("cayley")[:3])
+    with pytest.raises(ValueError, match="no condition here is one of 'group'"):
+        found.keeps("group")

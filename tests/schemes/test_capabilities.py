@@ -1,0 +1,315 @@
+"""A scheme takes the systems that declare its capability and have its equations of motion, and refuses all others."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from grid import systems
+
+import lieint_jax as li
+from lieint_jax import _discover, schemes, types
+from lieint_jax.schemes._shared import accepts
+from lieint_jax.types import State
+
+J = jnp.array([1.0, 2.0, 3.0])
+BODY = li.systems.rigid_body(J)
+TOP = li.systems.heavy_top(J, [0.3, -0.2, 1.0])
+FREE_BODY_SCHEMES = {
+    "so3_midpoint": schemes.so3_midpoint,
+    "so3_explicit": schemes.so3_explicit,
+    "exact": schemes.exact,
+    "calibrated": schemes.calibrated,
+    "preprocessed": lambda system: schemes.preprocessed(system, 4),
+}
+
+
+class Undeclared:
+    """A gyrostat, H = ½(Π−ℓ)·J⁻¹(Π−ℓ), with an inertia and no potential, that declares nothing."""
+
+    phase_space, inertia, rotor = BODY.phase_space, J, jnp.array([0.0, 0.0, 0.4])
+
+    def angular_velocity(self, state):
+        return (li.groups.so3.Ad_star(state.q, state.p) - self.rotor) / self.inertia
+
+    def energy(self, state):
+        Omega = self.angular_velocity(state)
+        return jnp.sum(self.inertia * Omega * Omega) / 2
+
+    def momentum(self, state):
+        return state.p
+
+    def vector_field(self, state):
+        return State(li.groups.so3.tangent(state.q, self.angular_velocity(state)), jnp.zeros(3))
+
+    def check(self, state):
+        pass
+
+
+@li.pytree
+class Gyrostat(li.systems.RigidBody):
+    """The same as a subclass of the free body, which inherits its capability."""
+
+    inertia: jax.Array
+    rotor: jax.Array
+
+    def angular_velocity(self, state):
+        return (self.body_momentum(state) - self.rotor) / self.inertia
+
+
+@li.pytree
+class Wind(li.systems.Euler):
+    """A geodesic flow with a force added."""
+
+    metric: jax.Array
+    group: object = li.static()
+
+    def vector_field(self, state):
+        free = super().vector_field(state)
+        return State(free.q, free.p + 1e-6)
+
+
+@pytest.mark.parametrize("name", FREE_BODY_SCHEMES)
+def test_a_gyrostat_is_no_free_body(name):
+    make = FREE_BODY_SCHEMES[name]
+    with pytest.raises(ValueError, match=f"{name} integrates free rigid bodies .*got Undeclared"):
+        make(Undeclared())
+    with pytest.raises(ValueError, match=rf"{name} integrates free rigid bodies .* field of Gyrostat .* differs"):
+        make(Gyrostat(J, jnp.array([0.0, 0.0, 0.4])))
+    make(Gyrostat(J, jnp.zeros(3)))  # which moves as a free body does
+    make(BODY)
+
+
+def test_a_small_force_added_to_a_geodesic_flow_is_seen():
+    wind = Wind(jnp.array([1.0, 2.0, 3.0]), li.groups.special_euclidean(2))
+    with pytest.raises(ValueError, match=r"group_midpoint integrates geodesics on groups .* vector field of Wind"):
+        schemes.group_midpoint(wind)
+
+
+def test_systems_with_a_potential_are_no_geodesic_flows_and_the_other_way_round():
+    plane, metric = li.groups.special_euclidean(2), [2.0, 1.0, 1.0]
+    flow = li.systems.euler(plane, metric)
+    weight = li.systems.group_potential(plane, metric, lambda q: q[1, 2])
+    with pytest.raises(ValueError, match="GroupPotential; with a potential take group_energy_momentum"):
+        schemes.group_midpoint(weight)
+    with pytest.raises(ValueError, match="Euler; without a potential take group_midpoint"):
+        schemes.group_energy_momentum(flow)
+    with pytest.raises(ValueError, match=r"splitting integrates systems with a potential .*got Euler"):
+        schemes.splitting(flow)
+    with pytest.raises(ValueError, match=r"so3_midpoint integrates free rigid bodies .*got PotentialTop"):
+        schemes.so3_midpoint(TOP)
+    with pytest.raises(ValueError, match="without an axis; take splitting"):
+        schemes.top_energy_momentum(li.systems.potential_top(J, lambda R: R[0, 0], None))
+
+
+def with_other_moments(system):
+    """The system with unequal moments or an unequal metric, in axes of their own; None if it has neither."""
+    rng = np.random.default_rng(5)
+
+    def drawn(size, d):
+        axes = np.linalg.qr(rng.normal(size=(d, d)))[0]
+        tensor = size * (axes * np.linspace(1, 1.8, d)) @ axes.T
+        return (tensor + tensor.T) / 2
+
+    changed = {}
+    for field in dataclasses.fields(system):
+        old = np.asarray(getattr(system, field.name)) if field.name in ("inertia", "inertias", "metric") else None
+        if old is not None and old.ndim:
+            size, d = old[old > 0].mean(), old.shape[-1]
+            several = field.name == "inertias"
+            new = np.stack([drawn(size, d) for _ in old]) if several else drawn(size, d)
+            changed[field.name] = jnp.asarray(new)
+    return dataclasses.replace(system, **changed) if changed else None
+
+
+def compares_all(monkeypatch):
+    """From here on the motion of the package's own systems is compared too."""
+    monkeypatch.setattr(accepts, "_tested", lambda _: False)
+
+
+@pytest.mark.parametrize(
+    ("make", "names"),
+    [
+        (schemes.so3_midpoint, ["rigid_body.full_tensor", "gyrostat.full_tensor", "driven_gyrostat.spin_up"]),
+        (schemes.group_midpoint, ["euler.kirchhoff", "euler.right"]),
+        (schemes.torqued_midpoint, ["damped_body.explorer"]),
+        (schemes.sphere_midpoint, ["pendulum.uniform"]),
+    ],
+    ids=lambda x: getattr(x, "__name__", None),
+)
+def test_the_package_s_own_systems_move_as_schemes_say(make, names, monkeypatch):
+    """So that the making of a step need not compare them."""
+    compares_all(monkeypatch)
+    compared, difference = [], accepts._difference
+    monkeypatch.setattr(accepts, "_difference", lambda *x: (compared.append(x), difference(*x))[1])
+    for name in names:
+        make(dict(systems())[name][0])
+    assert len(compared) >= len(names)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", [name for name, (system, *_) in systems() if dataclasses.is_dataclass(system)])
+def test_no_scheme_refuses_unequal_moments_in_axes_of_their_own(name, monkeypatch):
+    """A mistake in the motion that a scheme compares with can be hidden by the symmetry of an example."""
+    compares_all(monkeypatch)
+    system = with_other_moments(dict(systems())[name][0])
+    for module in _discover.modules_with_examples(schemes).values():
+        if system is not None:
+            module.examples(system)
+
+
+def test_the_drift_of_a_splitting_is_of_the_same_body():
+    schemes.splitting(TOP, schemes.exact(TOP.free))
+    with pytest.raises(ValueError, match=r"splitting with exact of a RigidBody integrates .* PotentialTop is another"):
+        schemes.splitting(TOP, schemes.exact(li.systems.rigid_body([1.0, 2.0, 2.999])))
+
+
+class Doubled:
+    """Twice the force, and a little more."""
+
+    def vector_field(self, state):
+        q, p, *_ = super().vector_field(state)
+        return State(q, 2 * p + 0.1)
+
+
+def test_an_altered_motion_is_refused_by_every_scheme_with_a_field_of_its_own():
+    """A subclass of each system with a force, doubled."""
+    flat = li.groups.special_euclidean(2)
+    elastic = li.systems.pseudo_rigid_body(J, li.systems.neo_hookean(3.0, 2.0))
+    made = [
+        (schemes.top_energy_momentum, TOP),
+        (schemes.gauss, TOP),
+        (schemes.gauss, BODY),
+        (schemes.group_energy_momentum, li.systems.group_potential(flat, [2.0, 1.0, 1.0], lambda q: q[1, 2])),
+        (schemes.additive, elastic),
+        (schemes.sphere_midpoint, li.systems.pendulum(1.0, 1.0)),
+    ]
+    for scheme, system in made:
+        scheme(system)
+
+        changed = li.pytree(type("Changed", (Doubled, type(system)), {}))
+        fields = {field.name: getattr(system, field.name) for field in dataclasses.fields(system)}
+        with pytest.raises(ValueError, match=f"{scheme.__name__} integrates .* vector field of Changed is another"):
+            scheme(changed(**fields))
+
+
+def test_extrapolation_takes_an_altered_motion_as_it_is():
+    """Not as that of the class from which it inherits, whose unknowns of one body it knows."""
+    changed = li.pytree(type("Changed", (Doubled, type(BODY)), {}))(BODY.inertia)
+    state, dt = changed.state(angular_velocity=[0.1, 0.2, 1.0]), 0.1
+    end, info = schemes.extrapolate(changed, 4)(state, dt)
+    assert info.converged
+    np.testing.assert_allclose(end.p - state.p, dt * changed.vector_field(state).p, rtol=1e-12)
+
+
+def test_tracers_pass():
+    """An inertia that is traced cannot be looked at: the step is made."""
+
+    def end(inertia, rotor):
+        step = schemes.so3_midpoint(Gyrostat(inertia, rotor))
+        return step(BODY.state(angular_velocity=[0.1, 0.2, 1.0]), 0.1)[0].q[0]
+
+    assert np.isfinite(jax.jit(end)(J, jnp.ones(3)))
+    gyrostat = Gyrostat(J, jnp.ones(3))
+    with pytest.raises(ValueError, match="vector field of Gyrostat"):  # constants are no tracers, inside jit too
+        jax.jit(lambda dt: schemes.so3_midpoint(gyrostat)(BODY.state(spatial_momentum=J), dt))(0.1)
+
+
+def test_extreme_bodies_are_taken():
+    """Rounding is no other motion: rods, full tensors of ratio 1e10, large and small units, float32."""
+    turn = li.groups.so3.to_matrix(li.groups.so3.exp(jnp.array([0.3, 0.2, 0.5])))
+    for moments in ([1e-10, 1.0, 1.0], [1e-12, 1e-12, 1.9e-12], [1e20, 2e20, 2.5e20], [1.0, 1.0, 1.0]):
+        for inertia in (jnp.array(moments), turn @ jnp.diag(jnp.array(moments)) @ turn.T):
+            schemes.so3_midpoint(li.systems.rigid_body(inertia))
+            schemes.splitting(li.systems.heavy_top(inertia, [0.0, 0.0, 1.0]))
+    schemes.so3_midpoint(li.systems.rigid_body(J.astype(jnp.float32)))
+
+
+def test_every_system_declares_what_it_is():
+    """The examples of all systems: each is of one capability at least, and none of two that exclude each other."""
+    flows = (
+        types.AbstractFreeBody,
+        types.AbstractEmbeddedBody,
+        types.AbstractGeodesicFlow,
+        types.AbstractRightGeodesicFlow,
+    )
+    kinds = (
+        *flows,
+        types.AbstractForcedSystem,
+        types.AbstractElasticBody,
+        types.AbstractIncompressibleBody,
+        types.AbstractSphereSystem,
+    )
+    kinds += (
+        types.AbstractDrivenSystem,
+        types.AbstractGyrostat,
+        types.AbstractDrivenGyrostat,
+        types.AbstractTorquedBody,
+        types.AbstractDampedBody,
+    )
+    for name, (system, _, _) in systems():
+        assert isinstance(system, types.System), name
+        assert sum(isinstance(system, kind) for kind in kinds) == 1, name
+
+
+def test_groups_that_know_more_are_told_from_those_that_do_not():
+    class Plain:
+        """so3 in a class: all that a `Group` must have."""
+
+    for name in types.Group.__protocol_attrs__ if hasattr(types.Group, "__protocol_attrs__") else dir(li.groups.so3):
+        setattr(Plain, name, getattr(li.groups.so3, name, None))
+    assert isinstance(li.groups.special_euclidean(2), types.AnalyticGroup)
+    assert not isinstance(li.groups.so3, types.AnalyticGroup)
+    assert not isinstance(Plain(), types.AnalyticGroup)
+
+
+class NotAPytree:
+    """What somebody writes at first: a class with a `__call__`."""
+
+    def __call__(self, state, dt):
+        return state, types.StepInfo.fresh(state.p)
+
+
+@pytest.mark.parametrize("thing", [NotAPytree(), lambda state, dt: (state, None), "so3_midpoint", BODY])
+def test_what_is_no_step_is_told_how_to_become_one(thing):
+    state = BODY.state(angular_velocity=[0.2, 0.0, 1.0])
+    for call in (
+        lambda: li.integrate(thing, state, 0.1, 10),
+        lambda: li.ensemble.run(thing, jax.tree.map(lambda x: x[None], state), 0.1, 10),
+        lambda: li.reversible(thing, state, 0.1, 10),
+        lambda: li.diagnostics.certify(thing, state, 0.1, 10),
+    ):
+        with pytest.raises(ValueError, match=r"step must be a Step.*li\.Step.*li\.pytree"):
+            call()
+
+
+def test_a_step_of_one_s_own_by_the_public_names():
+    """Explicit Euler for the kinematics: what `li.pytree`, `li.static` and `li.Step` are public for."""
+
+    @li.pytree
+    class Forward(li.Step):
+        system: li.systems.RigidBody
+        order: float = li.static(default=1)
+        symmetric: bool = li.static(default=False)
+
+        @property
+        def name(self):
+            return "forward"
+
+        def __call__(self, state, dt):
+            q = state.q + dt * self.system.vector_field(state).q
+            q = q / jnp.sqrt(jnp.sum(q * q))
+            return State(q, state.p), li.StepInfo(jnp.zeros(()), jnp.isfinite(q).all())
+
+    run = li.integrate(Forward(BODY), BODY.state(angular_velocity=[0.2, 0.0, 1.0]), 0.01, 10)
+    assert run.state.q.shape == (11, 4)
+    assert run.info.converged.all()
+
+
+def test_two_classes_with_the_same_fields_have_different_structures():
+    """Else jit may run the program of one for the other: a doubled force was, now and then, not seen."""
+    changed = li.pytree(type("Changed", (Doubled, type(TOP)), {}))
+    other = changed(**{field.name: getattr(TOP, field.name) for field in dataclasses.fields(TOP)})
+    assert jax.tree.structure(other) != jax.tree.structure(TOP)
+    assert jax.tree.structure(other) == jax.tree.structure(dataclasses.replace(other, inertia=2 * TOP.inertia))

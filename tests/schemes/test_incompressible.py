@@ -1,0 +1,189 @@
+"""Incompressible pseudo-rigid bodies, F in SL(3): volume, energy and momentum at round-off (Section 6.1.1)."""
+
+import functools
+
+import hypothesis
+import hypothesis.strategies as st
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax import _discover
+from lieint_jax._numerics import vec3
+from lieint_jax.diagnostics import energy_error, flow, momentum_error
+
+BODY, STATE, DT = _discover.modules_with_examples(li.systems)["incompressible_body"].examples()["ball"]
+STEP = li.schemes.additive(BODY, "incompressible")
+QUICK = {"xla_llvm_disable_expensive_passes": True}
+number = st.floats(-1, 1, width=64)
+matrices = st.lists(number, min_size=9, max_size=9).map(lambda x: np.reshape(x, (3, 3)))
+
+
+@jax.jit
+def _once(step, state, dt):
+    return step(state, dt)
+
+
+@jax.jit
+def _steps(E, F, V, dt):
+    """Ten steps from a deformation and a velocity, made fit: relative errors of energy and momentum, det F − 1."""
+    body = li.systems.IncompressibleBody(E, BODY.stored_energy)
+    state = body.state(F / jnp.cbrt(jnp.linalg.det(F)), velocity=V)
+    run = li.integrate(li.schemes.additive(body, "incompressible"), state, dt, 10)
+    size = jnp.max(jnp.abs(state.p)) * jnp.max(jnp.abs(state.q))
+    volume = jax.vmap(body.phase_space.defect)(run.state)
+    return energy_error(body, run) / body.energy(state), momentum_error(body, run) / size, volume, run.info.converged
+
+
+@pytest.mark.long
+@hypothesis.settings(max_examples=12)
+@hypothesis.given(matrices, matrices, st.tuples(*[st.floats(0.5, 2)] * 3).map(np.array), st.sampled_from([-0.02, 0.02]))
+def test_energy_momentum_and_volume_are_kept(A, V, E, dt):
+    F = np.eye(3) + A / 5
+    hypothesis.assume(np.abs(V).max() > 0.1)
+    energy, momentum, volume, converged = map(np.asarray, _steps(E, F, V, dt))
+    assert converged.all()
+    assert np.abs(energy).max() < 2e-14  # floor 4e-15, of a W that takes large terms away from each other
+    assert np.abs(momentum).max() < 8e-15  # floor 2e-15
+    assert np.abs(volume).max() < 4e-15  # floor 1e-15
+
+
+@pytest.mark.long
+def test_the_volume_of_stretched_bodies_is_kept_to_the_rounding_of_det_F():
+    """Where the equation was asked of C = FᵀF, whose determinant has the terms |F|⁶, it was off by up to 40."""
+    rng = np.random.default_rng(0)
+    F = np.array([[1.3, -0.3, 0.8], [-0.8, 1.6, 0.5], [1.0, 0.3, 1.6]]) + rng.normal(size=(1000, 3, 3)) / 50
+    P = np.array([[9.6, 0.3, 3.6], [-7.3, 0.2, -0.5], [-1.6, 0.2, 0.1]])
+    body = li.systems.incompressible_body([7.7, 0.2, 1.2], li.systems.mooney_rivlin(0.28, 0.14))
+    step = li.schemes.additive(body, "incompressible")
+    states = li.types.State(F / np.cbrt(np.linalg.det(F))[:, None, None], np.broadcast_to(P, F.shape))
+    after, info = jax.jit(jax.vmap(lambda state: step(state, 0.39)))(jax.tree.map(jnp.asarray, states))
+    assert info.converged.all()
+    off = np.abs(jax.vmap(body.phase_space.defect)(after)) / np.abs(after.q).max((1, 2)) ** 3
+    assert off.max() < 6 * np.finfo(float).eps  # floor 2
+
+
+@pytest.mark.long
+def test_without_the_pressure_the_volume_changes():
+    free = BODY.compressible
+    after, info = _once(li.schemes.additive(free), STATE, DT)
+    assert info.converged
+    assert abs(free.phase_space.defect(after)) == 0
+    assert abs(np.linalg.det(after.q) - 1) > 1e-4
+
+
+@pytest.mark.long
+def test_the_step_is_the_one_that_its_equations_have():
+    """U E = Δt P_{n+½} and P₁ − P₀ = −Δt F_{n+½}(S̄ − pS̄₃): what S̄ leaves of the second is along S̄₃, by numpy."""
+    after, info = _once(STEP, STATE, DT)
+    assert info.converged
+    (F0, P0), (F1, P1) = (map(np.asarray, z[:2]) for z in (STATE, after))
+    np.testing.assert_allclose((F1 - F0) * 2.0, DT * (P0 + P1) / 2, rtol=0, atol=4e-16)
+    C, D = F0.T @ F0, F1.T @ F1 - F0.T @ F0
+    S = np.array(vec3.rows(BODY.stored_energy.mean_stress(vec3.symmetric(C), vec3.symmetric(D))))
+    left = np.linalg.solve((F0 + F1) / 2, -(P1 - P0) / DT) - S  # −pS̄₃
+    cofactor = lambda C: np.linalg.det(C) * np.linalg.inv(C).T  # noqa: E731
+    minor = (np.trace(D) ** 2 - np.trace(D @ D)) / 2 * np.eye(3) - np.trace(D) * D + D @ D  # cof D
+    direction = cofactor(C + D / 2) + minor / 12
+    assert np.sum(direction * D) == pytest.approx(np.linalg.det(C + D) - np.linalg.det(C), abs=1e-15)
+    p = -np.sum(left * direction) / np.sum(direction**2)
+    assert abs(p) > 1
+    np.testing.assert_allclose(left, -p * direction, rtol=0, atol=1e-10)
+
+
+@pytest.mark.long
+def test_second_order_reversible_and_the_hidden_constraint():
+    """Against the flow in T*SL(3), of order 16; tr(ḞF⁻¹) at the ends of steps is O(Δt²)."""
+
+    @functools.partial(jax.jit, static_argnums=2)
+    def run(state, dt, n):
+        out = li.integrate(STEP, state, dt, n)
+        return jax.tree.map(lambda x: x[-1], out.state), jnp.max(jnp.abs(jax.vmap(BODY.volume_rate)(out.state)))
+
+    exact = jax.jit(flow, static_argnums=(0, 3))(BODY, STATE, 0.32, 32)
+    assert abs(np.linalg.det(exact.q) - 1) < 4e-15
+    assert abs(BODY.volume_rate(exact)) < 4e-15
+    assert float(BODY.energy(exact)) == pytest.approx(float(BODY.energy(STATE)), rel=1e-14)
+    errors, rates = [], []
+    for n in (16, 32):
+        end, rate = run(STATE, 0.32 / n, n)
+        errors.append(np.abs(end.q - exact.q).max())
+        rates.append(rate)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.05)
+    assert np.log2(rates[0] / rates[1]) == pytest.approx(2, abs=0.1)
+    back = _once(STEP, _once(STEP, STATE, DT)[0], -DT)[0]
+    np.testing.assert_allclose(back.q, STATE.q, rtol=0, atol=4e-15)
+    assert np.abs(BODY.volume_rate(STATE)) < 1e-15
+
+
+def test_the_vector_field_is_hamiltonian_and_perturb_stays_on_the_manifold():
+    """i_X ω = dH on T*SL(3); det F = 1 and tr(ḞF⁻¹) = 0 after a perturbation; trivialize inverts it."""
+    space = BODY.phase_space
+
+    @functools.partial(jax.jit, compiler_options=QUICK)
+    def everything(state):
+        slope = jax.grad(lambda x: BODY.energy(space.perturb(state, x)))(jnp.zeros(16))
+        tangents = jax.jacfwd(lambda x: space.perturb(state, x))(jnp.zeros(16))
+        one = jax.vmap(lambda t: space.trivialize(state, t), in_axes=-1, out_axes=-1)(tangents)
+        moved = space.perturb(state, 0.1 * jnp.sin(jnp.arange(16.0)))
+        field = space.trivialize(state, BODY.vector_field(state))
+        return space.omega(state).T @ field, slope, one, space.defect(moved), BODY.volume_rate(moved)
+
+    left, slope, one, volume, rate = everything(STATE)
+    np.testing.assert_allclose(left, slope, rtol=0, atol=2e-13)  # of numbers up to 40
+    assert np.abs(slope).max() > 1
+    np.testing.assert_allclose(one, np.eye(16), rtol=0, atol=1e-14)
+    assert abs(volume) < 1e-14
+    assert abs(rate) < 1e-14
+
+
+@pytest.mark.long
+def test_it_is_the_limit_of_bodies_that_resist_a_change_of_volume():
+    """The flow of W + (λ/2)(I₃ − 1 − ln I₃) tends to the constrained one: it is off by less than 1/λ."""
+    exact = jax.jit(flow, static_argnums=(0, 3))(BODY, STATE, 0.4, 40)
+    for lam in (1e4, 1e5):
+        stiff = li.systems.pseudo_rigid_body(BODY.inertia, li.systems.mooney_rivlin(lam, 6.0))
+        far = np.abs(jax.jit(flow, static_argnums=(0, 3))(stiff, STATE, 0.4, 2000).q - exact.q).max()
+        assert 0.05 < lam * far < 1  # 0.68 and 0.26, by the phase of the fast oscillation
+
+
+@pytest.mark.long
+def test_what_it_keeps_by_the_certificate():
+    found = li.diagnostics.certify(STEP, STATE, DT, 500)
+    assert found.converged
+    assert max(found.energy, found.momentum, found.constraint) < 2e-14  # floors 6e-15, 3e-15, 4e-16
+    assert found.order == pytest.approx(2, abs=0.02)
+    assert found.symplectic_order == pytest.approx(3, abs=0.1)  # not symplectic
+    assert found.reversibility < 2e-14
+
+
+@pytest.mark.long
+def test_float32_and_a_step_of_no_time():
+    single = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (STEP, STATE))
+    after, info = _once(*single, np.float32(DT))
+    assert info.converged
+    assert after.q.dtype == np.float32
+    np.testing.assert_allclose(after.q, _once(STEP, STATE, DT)[0].q, rtol=0, atol=2e-6)
+    still, info = _once(STEP, STATE, 0.0)
+    assert info.converged
+    np.testing.assert_allclose(still.p, STATE.p, rtol=0, atol=1e-15)
+
+
+@pytest.mark.long
+def test_the_derivative_by_dt():
+    end = lambda h: STEP(STATE, h)[0].q  # noqa: E731
+    slope, ends = jax.jit(jax.jacfwd(end))(DT), jax.jit(jax.vmap(end))(jnp.array([DT - 1e-5, DT + 1e-5]))
+    np.testing.assert_allclose(slope, (ends[1] - ends[0]) / 2e-5, rtol=0, atol=1e-8)
+
+
+def test_what_is_refused():
+    with pytest.raises(ValueError, match=r"det deformation must be 1 to 1e-06, got 8; divide"):
+        BODY.state(2 * np.eye(3), angular_velocity=[0, 0, 1.0])
+    with pytest.raises(ValueError, match=r"incompressible_body with the rule 'incompressible'.* got .* with 'average'"):
+        li.schemes.additive(BODY)
+    with pytest.raises(ValueError, match=r"got PseudoRigidBody with 'incompressible'"):
+        li.schemes.additive(BODY.compressible, "incompressible")
+    with pytest.raises(ValueError, match="alpha = 1/2 only"):
+        li.schemes.additive(BODY, "incompressible", 0.3)

@@ -1,0 +1,81 @@
+"""The tangent vectors that a step carries along: closed forms against derivatives of the step itself."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from free_bodies import turned
+from grid import steps
+from small_steps import Rests
+
+import lieint_jax as li
+from lieint_jax import diagnostics, maps, schemes, systems
+from lieint_jax.schemes._splitting import Splitting
+from lieint_jax.systems._gravity_gradient import examples as satellites
+
+BODY = systems.rigid_body(turned([1.0, 2.0, 3.0]))
+STATE = BODY.state([0.5, -0.1, 0.7, 0.5], angular_velocity=[0.3, 0.5, -0.4])
+SATELLITE, START, _ = satellites()["satellite"]
+WHEEL = systems.gyrostat([1.0, 2.0, 3.0], [0.3, 0.1, -0.2])
+GRID = [pytest.param(step, state, dt, id=name) for name, step, state, dt in steps()]
+
+
+@jax.jit
+def carried(step, state, dt):
+    """By the step's own `tangent`, by that of any step, and the step."""
+    T = jnp.eye(step.system.phase_space.dim)
+    return step.tangent(state, dt, T), li.Step.tangent(step, state, dt, T), step(state, dt)
+
+
+def check(step, state, dt):
+    own, generic, plain = jax.device_get(carried(step, state, dt))
+    size = np.abs(generic[2]).max()
+    np.testing.assert_allclose(own[2], generic[2], rtol=0, atol=1e-14 * size)  # observed 7e-16
+    for a, b in zip(jax.tree.leaves(own[:1]), jax.tree.leaves(plain[:1]), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-15 * np.abs(b).max(initial=1))
+    assert own[1].converged == plain[1].converged
+    return own
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("step", "state"),
+    [
+        pytest.param(schemes.so3_midpoint(BODY), STATE, id="symplectic"),
+        pytest.param(schemes.splitting(SATELLITE), START, id="satellite"),
+        pytest.param(schemes.compose(schemes.splitting(SATELLITE), 4), START, id="composed"),
+        pytest.param(schemes.compose(schemes.so3_midpoint(BODY), 8), STATE, id="commuting"),
+        pytest.param(schemes.so3_midpoint(BODY, maps.kappa_cayley), STATE, id="cayley"),
+        pytest.param(schemes.splitting(WHEEL), WHEEL.state(angular_velocity=[0.2, 0.5, -0.3]), id="wheel"),
+    ],
+)
+def test_the_closed_form_is_the_derivative(step, state):
+    for dt in (0.4, -0.7):
+        own = check(step, state, dt)
+        if step.system is SATELLITE:
+            assert own[0].t == pytest.approx(float(START.t) + dt, abs=1e-15)
+        L = diagnostics.linearization(step, state, dt)
+        np.testing.assert_allclose(own[2], L, rtol=0, atol=1e-14 * np.abs(L).max())
+
+
+def test_the_closed_form_of_the_kicks_is_their_derivative():
+    top = systems.heavy_top([1.0, 2.0, 3.0], [0.3, -0.2, 1.0])
+    check(Splitting(top, Rests(top.free)), STATE, 0.4)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("step", "state", "dt"), GRID)
+def test_every_step_carries_tangent_vectors(step, state, dt):
+    check(step, jax.tree.map(jnp.asarray, state), dt)
+
+
+def test_it_is_batched_and_keeps_its_type():
+    """One tangent vector of each member, in single precision."""
+    step, state = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (schemes.so3_midpoint(BODY), STATE))
+    states = jax.tree.map(lambda x: jnp.stack([x, x]), state)
+    T = jnp.asarray(np.eye(6, 2).T[:, :, None], jnp.float32)
+    _, info, moved = jax.jit(jax.vmap(step.tangent, in_axes=(0, None, 0)))(states, jnp.float32(0.3), T)
+    L = jax.jit(schemes.so3_midpoint(BODY).tangent)(STATE, 0.3, jnp.eye(6))[2]
+    assert moved.dtype == np.float32
+    assert info.converged.all()
+    np.testing.assert_allclose(moved[:, :, 0], L[:, :2].T, rtol=0, atol=2e-6)

@@ -1,0 +1,419 @@
+"""Bodies in a potential: Results 6 to 8 as theorems with their refutations; the energy-momentum and split schemes."""
+
+import functools
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import paper
+import pytest
+
+import lieint_jax as li
+from lieint_jax import diagnostics
+from lieint_jax.diagnostics._order import distance as _distance
+from lieint_jax.groups import so3
+from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symplectic
+from lieint_jax.schemes import compose, exact, splitting, top_energy_momentum
+from lieint_jax.schemes._top_energy_momentum import discrete_gradient
+from lieint_jax.systems._heavy_top import Linear, asymmetric, kovalevskaya, kovalevskaya_integral, lagrange
+from lieint_jax.systems._potential_top import QuadraticPotential, brun, clebsch_integral, examples
+from lieint_jax.types import State, gradient
+
+KAPPAS = {k.name: k for k in (kappa_cayley, kappa_exponential, kappa_symplectic)}
+
+
+def one_of(which, x):
+    """One of the three κ's: the coefficients are leaves, so all share a compilation."""
+    return sum(w * kappa(x) for w, kappa in zip(which, KAPPAS.values(), strict=True))
+
+
+SHARED = {
+    name: Kappa(jax.tree_util.Partial(one_of, row), "shared") for name, row in zip(KAPPAS, np.eye(3), strict=True)
+}
+AXIS = [0.3, 0.5, 0.8]
+TURN = paper.exp(np.array([0.3, -0.5, 0.4]))
+FULL = TURN @ np.diag([1.0, 2.0, 3.0]) @ TURN.T
+
+
+def quartic(G):
+    return G[0] ** 4 + 0.5 * G[1] ** 3 - G[2] + 0.3 * G[0] * G[1] * G[2]
+
+
+def transcendental(G):
+    return jnp.exp(G[0]) + jnp.sin(2 * G[1]) - jnp.cosh(G[2])
+
+
+def either(which, G):
+    """One of the two: the coefficients are leaves, so both tops share compilations."""
+    return which[0] * quartic(G) + which[1] * transcendental(G)
+
+
+POTENTIALS = {
+    "quartic": jax.tree_util.Partial(either, np.array([1.0, 0.0])),
+    "transcendental": jax.tree_util.Partial(either, np.array([0.0, 1.0])),
+}
+TOPS = {"linear": li.systems.heavy_top(FULL, [0.5, 0.4, 1.0], AXIS)} | {
+    name: li.systems.potential_top(FULL, potential, AXIS) for name, potential in POTENTIALS.items()
+}
+ATTITUDE = np.array([0.3, 0.8, -0.4, 0.5]) / np.sqrt(1.14)
+distance = jax.jit(_distance)
+flow = jax.jit(diagnostics.flow, static_argnums=3)
+linearization = jax.jit(diagnostics.linearization)
+defect = jax.jit(diagnostics.symplectic_defect)
+
+
+@jax.jit
+def _state(inertia, q, Omega):
+    return li.systems.RigidBody(inertia).state(q, angular_velocity=Omega)
+
+
+def start(top, q=ATTITUDE, Omega=(0.4, 0.6, -0.5)):
+    return _state(top.inertia, q, np.array(Omega))
+
+
+@jax.jit
+def three_wells():
+    return examples()["three_wells"][:2]
+
+
+@functools.partial(jax.jit, static_argnums=(3, 4))
+def _run(step, state, dt, num_steps, save_every):
+    trajectory = li.integrate(step, state, dt, num_steps, save_every)
+    errors = (diagnostics.energy_error, diagnostics.momentum_error, diagnostics.constraint_error)
+    return trajectory, step.system.energy(state), [error(step.system, trajectory) for error in errors]
+
+
+def run(step, state, dt, num_steps=1000, save_every=1):
+    """The trajectory, H₀, and the errors of energy, momentum and constraint; one program serves every dt."""
+    return jax.device_get(_run(step, state, dt, num_steps, save_every))
+
+
+def at(trajectory, n):
+    return jax.tree.map(lambda x: x[n], trajectory.state)
+
+
+def own_and_shared(name, *others):
+    """Cases of a top: the κ's as they are, and as leaves of one program, which stand in for them in quick runs."""
+    own = [pytest.param(top, KAPPAS, id=f"{top}-own", marks=pytest.mark.long) for top in others]
+    return [pytest.param(name, KAPPAS, id=name), *(pytest.param(top, SHARED, id=top) for top in others), *own]
+
+
+@pytest.mark.long
+def test_a_kappa_shared_by_a_leaf_is_each_of_the_three():
+    """Its value and slope are theirs, and it is they that decide where a top goes."""
+    both = jax.jit(lambda kappa, x: jax.vmap(jax.value_and_grad(kappa))(x))
+    x = np.array([0.0, 0.1, 0.6])
+    for name, kappa in KAPPAS.items():
+        np.testing.assert_allclose(both(SHARED[name], x), both(kappa, x), rtol=4e-16)
+    top = TOPS["quartic"]
+    ends = [run(top_energy_momentum(top, kappa), start(top), 0.1)[0].state.q[50] for kappa in SHARED.values()]
+    assert min(np.abs(a - b).max() for a, b in itertools.combinations(ends, 2)) > 1e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kappa", KAPPAS)
+@pytest.mark.parametrize(("name", "kappas"), own_and_shared("linear", *POTENTIALS))
+def test_results_06_and_07_momentum_about_gamma_and_energy_for_any_kappa(name, kappas, kappa):
+    top = TOPS[name]
+    state = start(top)
+    step = top_energy_momentum(top, kappas[kappa])
+    trajectory, H, (energy, momentum, constraint) = run(step, state, 0.1)
+    assert trajectory.info.converged.all()
+    assert np.abs(energy / H).max() < 5e-14  # floor 3e-15 to 2e-14
+    size = max(1, float(np.linalg.norm(state.p)))
+    assert np.abs(momentum).max() < 1e-14 * size  # floor 3e-15
+    assert np.abs(trajectory.state.p - trajectory.state.p[0]).max() > 0.1  # π itself is not constant
+    assert np.abs(constraint).max() < 2e-15
+
+
+@pytest.mark.long
+def test_result_07_any_kappa_of_ones_own():
+    top = TOPS["linear"]
+    _, _, (energy, *_) = run(top_energy_momentum(top, lambda x: 1 + x / 3), start(top), 0.1)
+    assert np.abs(energy).max() < 5e-14
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "kappas"), own_and_shared("linear", "transcendental"))
+def test_second_order_and_reversible(name, kappas):
+    top = TOPS[name]
+    state = start(top)
+    end = flow(top, state, 3.2, 32)
+    for step in (top_energy_momentum(top, kappas["cayley"]), splitting(top)):
+        errors = [float(distance(at(run(step, state, 3.2 / n)[0], n), end)) for n in (64, 128)]
+        assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.05)
+        there = at(run(step, state, 0.1)[0], 1)
+        assert float(distance(at(run(step, there, -0.1)[0], 1), state)) < 1e-15
+
+
+@pytest.mark.parametrize("kappa", KAPPAS)
+@pytest.mark.parametrize("kappas", [SHARED, pytest.param(KAPPAS, marks=pytest.mark.long)], ids=["shared", "own"])
+def test_result_08_energy_momentum_is_not_symplectic(kappas, kappa):
+    """The defect of a step is of the order of 1e-3 at Δt = 0.2 and falls as Δt³, whatever κ."""
+    top = TOPS["linear"]
+    step = top_energy_momentum(top, kappas[kappa])
+    coarse, fine = (float(defect(step, start(top), dt)) for dt in (0.2, 0.1))
+    assert coarse > 1e-4
+    assert np.log2(coarse / fine) == pytest.approx(3, abs=0.15)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*TOPS, "three_wells"])
+def test_splitting_is_symplectic_and_keeps_gamma_dot_pi(name):
+    top, state = three_wells() if name == "three_wells" else (TOPS[name], start(TOPS[name]))
+    step = splitting(top)
+    for dt in (0.1, -0.3):
+        assert float(defect(step, state, dt)) < 5e-15  # floor 1e-15
+    trajectory, _, (energy, momentum, _) = run(step, state, 0.1)
+    assert trajectory.info.converged.all()
+    assert momentum.shape[1] == (0 if name == "three_wells" else 1)
+    assert np.abs(momentum).max(initial=0) < 1e-14 * max(1, float(np.linalg.norm(state.p)))
+    assert 1e-5 < np.abs(energy).max() < 0.05  # bounded, and not zero: Result 8
+
+
+@functools.cache
+def energy_errors():
+    """Of 10⁵ steps of splitting, every fourth: 16 motions of the asymmetric top, Kovalevskaya's top, Lagrange's."""
+
+    def errors(top, state, dt):
+        return diagnostics.energy_error(top, li.integrate(splitting(top), state, dt, 100_000, 4))
+
+    @jax.jit
+    def all_of_them():
+        top, (q, p, *_) = asymmetric()
+        motions = [(top, State(q, (1 + e) * p), 0.05) for e in 0.01 * np.linspace(-1, 1, 16)]
+        motions += [(*kovalevskaya(), 0.05), (*lagrange(), 0.01)]
+        return jax.vmap(errors)(*jax.tree.map(lambda *x: jnp.stack(x), *motions))
+
+    return np.asarray(all_of_them())
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("top", [lagrange, kovalevskaya], ids=lambda make: make.__name__)
+def test_splitting_has_no_drift_of_energy_where_the_top_is_integrable(top):
+    """The largest error of the second half of 10⁵ steps is that of the first, to 5 %."""
+    error = np.abs(energy_errors()[-1 if top is lagrange else -2])
+    first, second = error[:12_500].max(), error[12_500:].max()
+    assert second == pytest.approx(first, rel=0.05)
+
+
+def test_splitting_has_no_drift_of_energy_where_the_top_is_chaotic():
+    """The mean slope of 16 runs of 10⁵ steps, fitted to means over blocks, is within 3 of its standard errors of 0.
+
+    The error is that of the 16 slopes. That of one fit is too small by half: blocks of 1000 steps are correlated, 0.6
+    from one to the next, and only those of 10⁴ are not. The first 20 blocks are left out: the runs start close together
+    and the mean of their errors takes so long to settle, from -6.3e-4 to -6.7e-4; of 192 runs of 4·10⁵ steps it then
+    stays there.
+    """
+    means = energy_errors()[:16, 1:].reshape(16, 100, -1).mean(axis=2)[:, 20:]
+    x = np.arange(80) - 39.5
+    slopes = means @ x / (x @ x)
+    assert abs(slopes.mean()) < 3 * slopes.std(ddof=1) / 4  # 0.6 of them; 1.8 with jaxlib 0.12
+
+
+@pytest.mark.long
+def test_compositions_raise_the_order_and_keep_what_the_base_keeps():
+    top = TOPS["linear"]
+    state = start(top)
+    end = flow(top, state, 3.2, 32)
+    for base in (top_energy_momentum(top), splitting(top)):
+        step = compose(base, 4)
+        assert step.method == "suzuki"  # steps of tops do not commute
+        runs = {n: run(step, state, 3.2 / n, 32) for n in (16, 32)}
+        errors = [float(distance(at(trajectory, n), end)) for n, (trajectory, *_) in runs.items()]
+        assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.15)
+        _, _, (energy, momentum, _) = runs[32]
+        assert (np.abs(energy).max() < 3e-14) == (base.name != splitting(top).name)
+        assert np.abs(momentum).max() < 5e-15
+
+
+@pytest.mark.long
+def test_a_drift_of_ones_own():
+    """With the exact drift a fast top in a weak field has a smaller error; and no step is too long."""
+    top = li.systems.heavy_top([1.0, 2.0, 3.0], [0.0, 0.0, 1e-3])
+    state = start(top)
+    end = flow(top, state, 20.0, 100)
+    errors = {}
+    for name, step in {"symplectic": splitting(top), "exact": splitting(top, exact(top.free))}.items():
+        errors[name] = float(so3.angle(at(run(step, state, 0.25)[0], 80).q, end.q))
+        assert float(defect(step, state, 0.25)) < 5e-15
+    assert errors["exact"] < 1e-2 * errors["symplectic"]
+
+
+@pytest.mark.long
+def test_clebsch_and_kovalevskaya():
+    """The fourth integrals: constant along the exact flow, bounded along the schemes, their errors O(Δt²)."""
+    for (top, state), integral, dt in (
+        (brun(), functools.partial(clebsch_integral, strength=0.8), 0.05),
+        (kovalevskaya(), kovalevskaya_integral, 0.05),
+    ):
+        start = integral(top, state)
+        assert float(integral(top, flow(top, state, 10.0, 100)) - start) == pytest.approx(0, abs=3e-14)
+        for step in (splitting(top), top_energy_momentum(top)):
+            worst = []
+            for h in (dt, dt / 2):
+                states = run(step, state, h, int(1000 / h), int(0.5 / h))[0].state
+                series = np.abs(jax.vmap(integral, (None, 0))(top, states) - start)
+                assert series[1000:].max() == pytest.approx(series[:1000].max(), rel=0.3)
+                worst.append(series.max())
+            assert 3 < worst[0] / worst[1] < 5
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["linear", "transcendental"])
+def test_value_and_derivatives_are_finite_where_gamma_does_not_move(name):
+    """Spin about γ, Δt = 0, zero momentum: ΔΓ = 0 in the discrete gradient."""
+    top = li.systems.potential_top([1.0, 2.0, 3.0], TOPS[name].potential)
+    one = np.array([1.0, 0.0, 0.0, 0.0])
+    states = [start(top, one, [0.0, 0.0, 1.0]), start(top, one, [0.0, 0.0, 0.0]), start(top)]
+
+    @jax.jit
+    def slopes(state, dt):
+        step = top_energy_momentum(top)
+        return jax.jacfwd(lambda state, dt: step(state, dt)[0], argnums=(0, 1))(state, dt), top.vector_field(state)
+
+    for state, dt in zip(states, (0.1, 0.1, 0.0), strict=True):
+        (q, p, *_), field = jax.device_get(slopes(state, dt))  # each by (state, dt)
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((q, p)))
+        if dt == 0:
+            assert np.abs(p[0].p - np.eye(3)).max() < 1e-15
+            assert np.abs(q[1] - field.q).max() < 1e-15
+            assert np.abs(p[1] - field.p).max() < 1e-15
+
+
+@pytest.mark.long
+def test_linearization_against_finite_differences():
+    top = TOPS["transcendental"]
+    state, step, space, h = start(top), top_energy_momentum(top), top.phase_space, 1e-4
+    L = linearization(step, state, 0.2)
+    one = jax.jit(lambda delta: step(space.perturb(state, delta), 0.2)[0])
+    for k, e in enumerate(np.eye(6)):
+        f = [one(jnp.asarray(c * h * e)) for c in (-2, -1, 1, 2)]
+        slope = jax.tree.map(lambda a, b, c, d: (a - 8 * b + 8 * c - d) / (12 * h), *f)
+        column = space.trivialize(one(jnp.zeros(6)), slope)
+        assert np.abs(column - L[:, k]).max() < 1e-10  # floor 1e-12
+
+
+@jax.jit
+def _discrete_gradients(potential, a, b):
+    """D̄(a, b) and D̄(b, a), by quadrature; Ṽ at a and b; and the gradient in the middle."""
+    plain = lambda G: potential(G)  # noqa: E731  # which has no discrete gradient of its own
+    both = discrete_gradient(plain, a, b), discrete_gradient(plain, b, a)
+    return *both, potential(a), potential(b), jax.grad(potential)((a + b) / 2)
+
+
+@pytest.mark.parametrize("name", POTENTIALS)
+def test_discrete_gradient_is_exact_symmetric_and_consistent(name):
+    rng = np.random.default_rng(3)
+    for size in (1.0, 0.3, 1e-1, 1e-2, 1e-4, 1e-8, 0.0):
+        a = rng.normal(size=3)
+        b = a + size * rng.normal(size=3)
+        D, back, before, after, middle = jax.device_get(_discrete_gradients(POTENTIALS[name], a, b))
+        assert np.abs(D - back).max() < 3e-14
+        assert D @ (b - a) == pytest.approx(after - before, abs=3e-15 * (1 + float(abs(before))))
+        assert np.abs(D - middle).max() < 20 * size**2 + 1e-14
+
+
+def test_the_potential_s_own_discrete_gradients():
+    for top in (TOPS["linear"], brun()[0]):
+        a, b = np.array([0.3, -0.2, 0.9]), np.array([-0.5, 0.4, 0.1])
+        by_quadrature, _, before, after, _ = jax.device_get(_discrete_gradients(top.potential, a, b))
+        D = np.asarray(top.potential.discrete_gradient(a, b))
+        assert D @ (b - a) == pytest.approx(after - before, abs=1e-15)
+        assert np.abs(D - by_quadrature).max() < 1e-14
+
+
+@pytest.mark.long
+def test_poisson_error_of_a_system_with_a_potential_is_the_whole_matrix():
+    """P_n − ω⁻¹: zero to round-off for splitting, O(1) growth at once for the energy-momentum scheme."""
+    top = TOPS["linear"]
+    state = start(top)
+    poisson_error = jax.jit(diagnostics.poisson_error, static_argnums=(3, 4))
+    kept = np.asarray(poisson_error(splitting(top), state, 0.1, 50))
+    assert kept.shape == (51, 6, 6)
+    assert np.abs(kept).max() < 2e-12  # floor 2e-13: the product's own round-off
+    assert np.abs(kept + np.swapaxes(kept, 1, 2)).max() < 2e-12
+    lost = np.asarray(poisson_error(top_energy_momentum(top), state, 0.1, 1, "product"))
+    assert np.abs(lost[1]).max() > 1e-5
+    assert np.abs(lost[0]).max() == 0
+    with pytest.raises(ValueError, match=r"recursion.*without potential, got PotentialTop.*'product'"):
+        poisson_error(splitting(top), state, 0.1, 1, "recursion")
+
+
+@pytest.mark.long
+def test_single_precision():
+    top = li.systems.heavy_top(np.array([1, 2, 3], "float32"), np.array([0.5, 0.4, 1], "float32"))
+    state = jax.tree.map(lambda x: np.asarray(x, "float32"), start(top))
+    for step in (top_energy_momentum(top), splitting(top)):
+        trajectory, _, (energy, *_) = run(step, state, 0.1, 200)
+        assert trajectory.state.q.dtype == jnp.float32
+        assert trajectory.info.converged.all()
+        if step.name == top_energy_momentum(top).name:
+            assert abs(energy[-1]) < 2e-5
+
+
+@pytest.mark.long
+def test_batches_over_weights_and_gradients():
+    """The weight is a leaf: vmapped and differentiated like an inertia."""
+    state = start(TOPS["linear"])
+
+    def height(weight):
+        top = li.systems.heavy_top([1.0, 2.0, 3.0], weight)
+        return top.Gamma(jax.tree.map(lambda x: x[-1], li.integrate(top_energy_momentum(top), state, 0.1, 20).state))[2]
+
+    weights = jnp.array([[0.0, 0.0, 1.0], [0.5, 0.4, 1.0]])
+    values, slopes = jax.jit(jax.vmap(jax.value_and_grad(height)))(weights)
+    h = 1e-5
+    many = jax.jit(jax.vmap(height))
+    for k, e in enumerate(np.eye(3)):
+        np.testing.assert_allclose(
+            slopes[:, k], (many(weights + h * e) - many(weights - h * e)) / (2 * h), rtol=0, atol=1e-8
+        )
+    np.testing.assert_allclose(values, many(weights), rtol=0, atol=1e-15)
+
+
+def test_a_top_made_inside_jit_checks_what_is_concrete():
+    def energy(inertia, axis):
+        top = li.systems.heavy_top(inertia, [0.5, 0.4, 1.0], axis)
+        return top.energy(top.state(angular_velocity=[0.1, 0.2, 0.3]))
+
+    J, axis = jnp.array([1.0, 2.0, 2.5]), jnp.array([0.0, 0.6, 0.8])
+    outside = energy(J, axis)
+    assert jax.jit(lambda J: energy(J, [0.0, 0.6, 0.8]))(J) == pytest.approx(float(outside), rel=1e-15)
+    assert jax.jit(energy)(J, axis) == pytest.approx(float(outside), rel=1e-15)
+    with pytest.raises(ValueError, match="axis must not be zero"):
+        jax.jit(lambda J: energy(J, [0.0, 0.0, 0.0]))(J)
+
+
+def test_bad_arguments():
+    with pytest.raises(ValueError, match="axis must not be zero"):
+        li.systems.potential_top([1.0, 2.0, 3.0], quartic, [0.0, 0.0, 0.0])
+    with pytest.raises(ValueError, match="potential must be a function of Γ"):
+        li.systems.potential_top([1.0, 2.0, 3.0], 3.0)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match=r"function of Γ.* with a real scalar as its value, got shape \(3,\)"):
+        li.systems.potential_top([1.0, 2.0, 3.0], lambda G: G)
+    with pytest.raises(ValueError, match=r"function of the rotation matrix .* it fails: .*dot_general requires"):
+        li.systems.potential_top([1.0, 2.0, 3.0], lambda R: R[0] @ jnp.ones(4), None)
+    with pytest.raises(ValueError, match="weight"):
+        li.systems.heavy_top([1.0, 2.0, 3.0], [1.0, 2.0])
+    with pytest.raises(ValueError, match="without an axis; take splitting"):
+        top_energy_momentum(three_wells()[0])
+    with pytest.raises(ValueError, match="potential with an axis"):
+        top_energy_momentum(li.systems.rigid_body([1.0, 2.0, 3.0]))  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="systems with a potential"):
+        splitting(li.systems.rigid_body([1.0, 2.0, 3.0]))  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="drift must be a symmetric step"):
+        splitting(TOPS["linear"], "drift")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match=r"does not converge at dt = 9.0"):
+        li.integrate(top_energy_momentum(TOPS["linear"]), start(TOPS["linear"]), 9.0, 1)
+    with pytest.raises(ValueError, match=r"splitting.*so3_midpoint.*does not converge"):
+        li.integrate(splitting(TOPS["linear"]), start(TOPS["linear"]), 9.0, 1)
+
+
+def test_potentials_that_know_their_gradient():
+    """It is what autodiff finds; observed: 1e-16."""
+    Gamma, S = jnp.array([0.3, -0.5, 0.9]), jnp.array([[1.1, 0.2, 0.1], [0.2, 1.8, -0.3], [0.1, -0.3, 2.2]])
+    for potential in (Linear(Gamma[::-1]), QuadraticPotential(S), QuadraticPotential(jnp.diag(S))):
+        np.testing.assert_allclose(gradient(potential, Gamma), jax.grad(potential)(Gamma), rtol=0, atol=5e-16)
+    np.testing.assert_array_equal(gradient(lambda Gamma, t: t * Gamma[1], Gamma, jnp.array(2.0)), [0, 2, 0])

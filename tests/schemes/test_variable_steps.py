@@ -1,0 +1,404 @@
+"""Steps that vary and keep structure: the logarithmic Hamiltonian, reversible control, and the local error."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from small_steps import Rests
+
+import lieint_jax as li
+from lieint_jax import diagnostics, ensemble, schemes, systems
+from lieint_jax.groups import so3
+from lieint_jax.schemes._log_hamiltonian import LogHamiltonian
+
+J, NEAR = np.array([1.0, 2.0, 2.5]), 1.05
+
+
+def coulomb(Gamma):
+    """A charge on the body's third axis, at 1 from the fixed point; an opposite one in space at |γ|."""
+    return -1 / jnp.sqrt(1 + Gamma @ Gamma - 2 * Gamma[2])
+
+
+def near(power, state):
+    """A step size in proportion to a power of the distance of the charges."""
+    return (-1 / TOP.potential_energy(state.q)) ** power
+
+
+TOP = systems.potential_top(J, coulomb, [0.0, 0.0, NEAR])
+START = TOP.state(so3.exp(jnp.array([2.5, 0.0, 0.0])), angular_velocity=[0.1, 0.05, 0.1])  # far away, at V = −0.51
+H = float(TOP.energy(START))
+SPLITTING = schemes.splitting(TOP)
+LOG = schemes.log_hamiltonian(TOP, H)
+CONTROLLED = schemes.reversible_control(SPLITTING, jax.tree_util.Partial(near, 1.0))
+BOTH = {"log_hamiltonian": (LOG, 0.04), "reversible_control": (CONTROLLED, 0.04)}
+both = pytest.mark.parametrize(("step", "dt"), BOTH.values(), ids=BOTH)
+one = jax.jit(lambda step, state, dt: step(state, dt))
+composed = functools.cache(lambda step: schemes.compose(step, 4))
+
+
+def dop853(times):
+    """q at these times: Euler's equations in the body and the torque of the charges, by DOP853."""
+
+    def field(_, y):
+        q, Pi = y[:4], y[4:]
+        Gamma = np.asarray(_rotation(q)).T @ [0, 0, NEAR]
+        slope = np.array([0, 0, -1.0]) + Gamma  # of |Γ − e₃|²/2
+        pull = slope / np.linalg.norm(slope) ** 3
+        Omega = Pi / J
+        w, v = q[0], q[1:]
+        return np.concatenate(
+            [[-v @ Omega / 2], (w * Omega + np.cross(v, Omega)) / 2, np.cross(Pi, Omega) + np.cross(Gamma, pull)]
+        )
+
+    start = np.concatenate([START.q, TOP.body_momentum(START)])
+    return solve_ivp(field, (0, times[-1]), start, "DOP853", times, rtol=1e-13, atol=1e-14).y[:4].T
+
+
+def _rotation(q):
+    w, x, y, z = q
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+
+
+def error(run, every):
+    """The largest error of q at the run's own times, against DOP853 there."""
+    t, q = np.asarray(run.t)[every::every], np.asarray(run.state.q)[every::every]
+    return np.abs(q - dop853(t)).max()
+
+
+@pytest.mark.long
+def test_the_form_is_kept_with_the_exact_drift_and_not_with_one_that_errs():
+    """Observed 6e-15; 1.1e-2 and 8e-4 with steps of Lewis & Simo for the free motion, near the charge."""
+    defect = jax.jit(diagnostics.symplectic_defect)
+    run = li.integrate(LOG, LOG.start(START), 0.04, 400, 400)
+    state = jax.tree.map(lambda x: x[-1], run.state)
+    for dt in (0.8, -0.4):
+        assert defect(LOG, LOG.start(START), dt) < 5e-14
+        assert defect(LOG, state, dt) < 5e-14
+    assert defect(composed(LOG), state, 0.4) < 5e-14
+    erring = LogHamiltonian(TOP, LOG.energy, schemes.so3_midpoint(TOP.free))
+    coarse, fine = (float(defect(erring, state, dt)) for dt in (0.8, 0.4))
+    assert coarse > 1e-3
+    assert 6 < coarse / fine < 20
+
+
+@pytest.mark.long
+@both
+@pytest.mark.parametrize("order", [2, 4])
+def test_the_order_is_that_of_the_states_at_their_own_times(step, dt, order):
+    """Observed 2.00 and 4.00."""
+    scheme, n = (step, 200) if order == 2 else (composed(step), 50)
+    errors = [error(li.integrate(scheme, step.start(START), 8 / k, k), k // 10) for k in (n, 2 * n)]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.1)
+    assert diagnostics.order(scheme, step.start(START), dt) == pytest.approx(order, abs=0.1)
+
+
+def test_the_logarithmic_hamiltonian_s_clock_and_kick():
+    """A drift that rests leaves Δt = ½h/(K₀ + B) + ½h/(K₁ + B), K before and after the kick hF/(−V)."""
+    step, start = LogHamiltonian(TOP, LOG.energy, Rests(TOP.free)), START._replace(t=jnp.array(0.7))
+    end, info = one(step, start, 0.04)
+    speeds = [float(TOP.free.energy(z)) - H for z in (start, end)]
+    assert info.converged
+    assert float(end.t) == pytest.approx(0.7 + 0.02 / speeds[0] + 0.02 / speeds[1], rel=1e-15)
+    kick = 0.04 / -float(TOP.potential_energy(START.q)) * TOP.force(START.q)
+    np.testing.assert_allclose(end.p - start.p, kick, rtol=0, atol=1e-16)
+
+
+def test_the_density_is_kicked_by_half_of_dt_before_and_after_the_step():
+    """For σ = eᵗ, G = −1 at every state, and the base step is dt over the density between the kicks."""
+    step = schemes.reversible_control(Rests(systems.rigid_body(J)), lambda z: jnp.exp(z.t))
+    end, _ = one(step, START._replace(t=jnp.array(0.2), extra={"rho": jnp.array(0.9)}), 0.1)
+    assert float(end.extra["rho"]) == pytest.approx(0.8, rel=1e-15)
+    assert float(end.t) == pytest.approx(0.2 + 0.1 / 0.85, rel=1e-15)
+
+
+@pytest.mark.long
+@both
+def test_a_hundred_steps_back_return(step, dt):
+    """Time and density too; observed 8e-15 and 4e-15, where the motion near the charge enlarges round-off."""
+    state = step.start(START)
+    there = jax.tree.map(lambda x: x[-1], li.integrate(step, state, dt, 100, 100).state)
+    back = jax.tree.map(lambda x: x[-1], li.integrate(step, there, -dt, 100, 100).state)
+    assert abs(there.t) > 6
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=4e-14), back, state)
+
+
+@pytest.mark.long
+def test_energy_does_not_drift():
+    """Over 400 passages of a symmetric top: 0.011 and 0.034 at most in every tenth of the run, 1e4 with equal steps."""
+    top = systems.potential_top([1.0, 1.0, 0.5], coulomb, [0.0, 0.0, NEAR])
+    state = top.state(so3.exp(jnp.array([2.5, 0.0, 0.0])), angular_velocity=[0.1, 0.3, 0.5])
+    splitting = schemes.splitting(top)
+
+    def largest(run):
+        np.testing.assert_allclose(diagnostics.momentum_error(top, run), 0, rtol=0, atol=2e-12)
+        return np.abs(diagnostics.energy_error(top, run))[1:].reshape(10, 2000).max(1)
+
+    for step, most in (
+        (schemes.log_hamiltonian(top), 0.012),
+        (schemes.reversible_control(splitting, jax.tree_util.Partial(near, 1.0)), 0.035),
+    ):
+        run = li.integrate(step, step.start(state), 0.04, 20_000)
+        errors = largest(run)
+        assert run.info.converged.all()
+        assert errors.max() < most
+        assert errors.max() < 1.01 * errors.min()
+    assert largest(li.integrate(splitting, state, 924 / 20_000, 20_000)).max() > 100
+
+
+@pytest.mark.long
+def test_in_chaotic_motion_the_symplectic_one_holds_energy():
+    """Observed 5e-2 near the charge, at V down to −20, where the energy of equal steps is lost after a few passages."""
+    run = li.integrate(LOG, LOG.start(START), 0.04, 20_000)
+    assert run.info.converged.all()
+    assert np.abs(diagnostics.energy_error(TOP, run)).max() < 0.1
+
+
+@pytest.mark.long
+def test_where_the_motion_has_violent_moments_control_takes_a_third_of_the_steps():
+    """To the same error at t = 40: observed 3.5 times fewer, 2.9 with steps in proportion to the distance."""
+    step = schemes.reversible_control(SPLITTING, jax.tree_util.Partial(near, 1.5))
+    run = li.integrate(step, step.start(START), 0.02, 1800)
+    n = int(np.searchsorted(run.t, 40.0))
+    exact = dop853([float(run.t[n])])[-1]
+    constant = li.integrate(SPLITTING, START, run.t[n] / (3 * n), 3 * n, 3 * n)
+    ours, theirs = (np.abs(q - exact).max() for q in (run.state.q[n], constant.state.q[-1]))
+    assert ours < theirs
+    assert run.info.converged.all()
+
+
+def test_the_times_of_a_run_are_those_of_its_states():
+    run = li.integrate(CONTROLLED, CONTROLLED.start(START), 0.1, 60)
+    np.testing.assert_array_equal(run.t, run.state.t)
+    sizes = np.diff(run.t)
+    assert sizes.max() > 1.5 * sizes.min() > 0
+    assert run.info.converged.all()
+
+
+@pytest.mark.long
+def test_a_certificate_says_that_varying_steps_break_the_form():
+    found = diagnostics.certify(CONTROLLED, CONTROLLED.start(START), 0.04, 100)
+    assert found.order == pytest.approx(2, abs=0.1)
+    assert found.reversibility < 1e-15
+    assert "broken as dt^2.0" in str(found)
+
+
+@pytest.mark.long
+def test_the_energy_momentum_scheme_keeps_its_invariants_at_any_steps():
+    step = schemes.reversible_control(schemes.top_energy_momentum(TOP), jax.tree_util.Partial(near, 1.0))
+    run = li.integrate(step, step.start(START), 0.1, 100)
+    np.testing.assert_array_equal(run.t, run.state.t)
+    sizes = np.diff(run.t)
+    assert sizes.max() > 2 * sizes.min() > 0
+    assert np.abs(diagnostics.energy_error(TOP, run)).max() < 1e-13
+    assert np.abs(diagnostics.momentum_error(TOP, run)).max() < 1e-13
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", BOTH)
+def test_derivatives_forward_reverse_by_reversal_and_by_differences(name):
+    """With respect to the momentum, the strength of the potential or the exponent of σ, and dt."""
+
+    def made(number):
+        if name == "reversible_control":
+            return schemes.reversible_control(SPLITTING, jax.tree_util.Partial(near, number))
+        return schemes.log_hamiltonian(systems.potential_top(J, coulomb, number * jnp.array([0.0, 0.0, NEAR])))
+
+    def loss(x, by):
+        step = made(x[3])
+        start = step.start(START._replace(p=START.p + x[:3]))
+        run = li.reversible(step, start, x[4], 40, 20) if by == "reversal" else li.integrate(step, start, x[4], 40, 20)
+        return jnp.sum(jnp.sin(run.state.q + run.state.t[:, None])) + run.state.p[-1, 0]
+
+    x = jnp.array([0.0, 0.0, 0.0, 1.0, 0.1])
+    forward = jax.jit(jax.jacfwd(functools.partial(loss, by="loop")))(x)
+    for by in ("loop", "reversal"):
+        found = jax.jit(jax.grad(functools.partial(loss, by=by)))(x)
+        np.testing.assert_allclose(found, forward, rtol=1e-9, atol=1e-10)
+    value = jax.jit(jax.vmap(functools.partial(loss, by="loop")))
+    h = jnp.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-4])
+    f = [value(x + k * jnp.diag(h)) for k in (-2, -1, 1, 2)]
+    np.testing.assert_allclose((f[0] - 8 * f[1] + 8 * f[2] - f[3]) / (12 * h), forward, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.long
+@both
+def test_members_of_an_ensemble_have_times_of_their_own(step, dt, tmp_path):
+    """The same as one by one, in memory and in a store."""
+    states = jax.vmap(lambda t: step.start(START._replace(t=t)))(jnp.array([0.0, 0.05, 0.1]))
+    run = ensemble.run(step, states, dt, 20, 10, progress=False)
+    np.testing.assert_allclose(run.t, dt * np.array([0, 10, 20]))
+    assert run.state.t.shape == (3, 3)
+    for m in range(3):
+        alone = li.integrate(step, jax.tree.map(lambda x, m=m: x[m], states), dt, 20, 10)
+        np.testing.assert_allclose(run.state.t[:, m], alone.t, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(run.state.q[:, m], alone.state.q, rtol=0, atol=1e-14)
+    stored = ensemble.run(step, states, dt, 20, 10, progress=False, store=tmp_path / "run.zarr")
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[...], b), stored.state, run.state)
+    summary = ensemble.run(step, states, dt, 20, 10, progress=False, reduce="energy")
+    np.testing.assert_array_equal(summary.state.t, run.state.t[-1])
+
+
+@pytest.mark.long
+@both
+def test_the_state_at_a_given_time_is_an_event(step, dt):
+    """Of the order of the scheme, and its time is that asked for."""
+    at = [li.event(step, step.start(START), dt / k, lambda z: z.t - 5.0, 200 * k) for k in (1, 2)]
+    exact = dop853([5.0])[0]
+    assert all(e.found for e in at)
+    np.testing.assert_allclose([e.t for e in at], 5.0, rtol=1e-14)
+    np.testing.assert_array_equal([e.t for e in at], [e.state.t for e in at])
+    coarse, fine = (np.abs(e.state.q - exact).max() for e in at)
+    assert 3 < coarse / fine < 5
+
+
+@pytest.mark.long
+def test_the_local_error_is_that_of_the_step():
+    """Against the flow; the estimate's own error is O(Δt⁴): observed 1.1e-5, 7.3e-7, of 1e-4 and 1.4e-5."""
+    start = TOP.state(so3.exp(jnp.array([1.6, 0.4, 0.0])), angular_velocity=[0.2, 0.3, 0.4])
+
+    @jax.jit
+    def both(dt):
+        exact = diagnostics.flow(TOP, start, dt, 20)
+        true = so3.log(so3.multiply(so3.inverse(exact.q), SPLITTING(start, dt)[0].q))
+        return diagnostics.local_error(SPLITTING, start, dt), true
+
+    off = []
+    for dt in (0.2, 0.1, 0.05):
+        found, true = both(dt)
+        off.append(float(jnp.linalg.norm(found - true)))
+    assert np.linalg.norm(found) / np.linalg.norm(true) == pytest.approx(1, abs=0.01)
+    assert np.log2(off[1] / off[2]) == pytest.approx(4, abs=0.2)
+
+
+@li.pytree
+class SymmetricBody(li.Step):
+    """The exact flow of a body of moments (1, 1, 2): a rotation about π, and one about its own third axis."""
+
+    system: systems.RigidBody
+
+    order, symmetric, name = np.inf, True, "symmetric body"
+
+    def __call__(self, state, dt):
+        spin = -so3.Ad_star(state.q, state.p)[2] / 2 * jnp.array([0.0, 0.0, 1.0])  # (1/J₃ − 1/J₁)Π₃
+        q = so3.multiply(so3.exp(dt * state.p), so3.multiply(state.q, so3.exp(dt * spin)))
+        return state._replace(q=q), li.StepInfo.fresh(q)
+
+
+def test_the_local_error_of_the_exact_flow_is_of_fifth_order():
+    body = systems.rigid_body([1.0, 1.0, 2.0])
+    state = li.State(START.q, jnp.array([0.3, 0.5, -0.4]))
+    found = jax.jit(jax.vmap(lambda dt: diagnostics.local_error(SymmetricBody(body), state, dt)))(np.array([0.4, 0.2]))
+    sizes = np.linalg.norm(found, axis=1)
+    assert np.log2(sizes[0] / sizes[1]) == pytest.approx(5, abs=0.2)
+    assert sizes[1] < 1e-5
+
+
+@pytest.mark.long
+def test_the_local_error_of_an_exact_step_is_of_fifth_order_and_dt_is_that_of_time():
+    body = systems.rigid_body(J)
+    state = body.state(angular_velocity=[0.3, 0.5, -0.4])
+    off = [jnp.linalg.norm(diagnostics.local_error(schemes.exact(body), state, dt)) for dt in (0.4, 0.2)]
+    assert np.log2(off[0] / off[1]) == pytest.approx(5, abs=0.3)
+    started = CONTROLLED.start(START)
+    h = CONTROLLED(started, 0.1)[0].t
+    np.testing.assert_allclose(
+        diagnostics.local_error(CONTROLLED, started, 0.1),
+        diagnostics.local_error(SPLITTING, START, h),
+        rtol=0,
+        atol=1e-15,
+    )
+    with pytest.raises(ValueError, match="steps on groups"):
+        diagnostics.local_error(schemes.sphere_midpoint(systems.pendulum(1.0, 1.0)), None, 0.1)
+
+
+# What is no such step ------------------------------------------------------------------------------------------------
+
+
+def test_what_has_no_meaning_is_refused():
+    state = CONTROLLED.start(START)
+    for wrong in (dict(times=[0.0, 0.1, 0.2]), dict(dt=0.1, num_steps=2, save_at=[0.1])):
+        with pytest.raises(ValueError, match=r"cannot be given to .*li\.event"):
+            li.integrate(CONTROLLED, state, **wrong)
+    with pytest.raises(ValueError, match="give its base step"):
+        diagnostics.conditions(CONTROLLED, state, 0.1)
+    with pytest.raises(ValueError, match=r"times cannot be given"):
+        li.observe(CONTROLLED, state, 0.1, [0.2])
+    with pytest.raises(ValueError, match=r"which this state lacks: take step\.start"):
+        LOG(START, 0.1)
+    with pytest.raises(ValueError, match="step density"):
+        CONTROLLED(START._replace(t=0.0), 0.1)
+    with pytest.raises(ValueError, match=r"step\.start\(state\)"):
+        schemes.log_hamiltonian(TOP)(START._replace(t=0.0), 0.1)
+    with pytest.raises(ValueError, match="apply compose to its result"):
+        schemes.reversible_control(CONTROLLED, lambda z: z.p[0])
+    with pytest.raises(ValueError, match="a symmetric step"):
+        schemes.reversible_control(schemes.additive, lambda z: z.p[0])
+    with pytest.raises(ValueError, match="drift must be a symmetric step"):
+        schemes.splitting(TOP, CONTROLLED)
+
+
+def test_sigma_must_be_a_positive_scalar():
+    for sigma, message in (
+        (lambda z: z.p, "scalar value, got shape"),
+        (lambda z: -1.0 + 0 * z.p[0], "positive and finite.*got -1"),
+        (lambda z: 0 * z.p[0], "positive and finite.*got 0"),
+        (lambda z: jnp.nan * z.p[0], "positive and finite"),
+        (3.0, "a function of the state"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            schemes.reversible_control(SPLITTING, sigma).start(START)
+
+
+def test_what_has_no_constant_energy_or_no_exact_drift_is_refused():
+    driven = systems.driven_top(J, lambda Gamma, t: jnp.cos(t) * Gamma[2] - 2, [0.0, 0.0, 1.0])
+    for system, message in (
+        (driven, "depends on time"),
+        (systems.gyrostat(J, [0.1, 0.0, 0.0]), "rigid bodies in a potential"),
+        (systems.torqued_body(J, lambda t, q, w: -w), "take torqued_midpoint"),
+        (systems.rigid_body(J), "got RigidBody"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            schemes.log_hamiltonian(system, -1.0)
+    for energy in (np.nan, [1.0, 2.0], "low"):
+        with pytest.raises(ValueError, match="energy"):
+            schemes.log_hamiltonian(TOP, energy)
+
+
+def test_a_state_of_another_energy_or_where_v_is_positive_does_not_start():
+    for step in (schemes.log_hamiltonian(TOP, H + 0.01), schemes.log_hamiltonian(systems.heavy_top(J, [0, 0, -1.0]))):
+        with pytest.raises(ValueError, match="needs states of its energy, with −V > 0"):
+            step.start(START)
+
+
+@pytest.mark.long
+def test_what_leaves_the_domain_is_flagged_in_a_compiled_loop():
+    """And without a NaN."""
+
+    @jax.jit
+    def ended(step, state, dt):
+        run = li.integrate(step, state, dt, 40)
+        return run.info.converged, jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(run.state)]))
+
+    heavy = systems.heavy_top(J, [0.0, 0.0, 1.0])
+    up = heavy.state(so3.exp(jnp.array([3.0, 0.0, 0.0])), angular_velocity=[2.0, 0.1, 0.0])  # V from −0.99 to 1
+    rising = schemes.log_hamiltonian(heavy)
+    cases = [
+        (rising, rising.start(up)),
+        (schemes.log_hamiltonian(TOP, H + 0.1), START._replace(t=0.0)),
+        (schemes.log_hamiltonian(TOP, -H), START._replace(t=0.0)),
+    ]
+    step = schemes.reversible_control(SPLITTING, lambda z: -1 - z.p[0] ** 2)
+    cases += [(step, START._replace(t=0.0, extra={"rho": -1.0}))]
+    step = schemes.reversible_control(SPLITTING, jax.tree_util.Partial(near, 1.5))
+    cases += [(step, step.start(START))]
+    for (step, state), dt in zip(cases, (0.1, 0.1, 0.1, 0.1, 4.0), strict=True):
+        converged, finite = ended(step, state, dt)
+        assert not converged.all()
+        assert finite

@@ -1,0 +1,575 @@
+"""Gyrostats: what each scheme keeps, and what it cannot; a motor; the rule of the dual-spin satellite."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+from free_bodies import Q, angle, rows, turned
+from hypothesis import given
+from hypothesis import strategies as st
+
+import lieint_jax as li
+from lieint_jax import State, schemes, systems
+from lieint_jax._integrate import steps
+from lieint_jax.diagnostics._symplectic import defect_matrix, pushed
+from lieint_jax.maps import kappa_cayley, kappa_exponential, kappa_symplectic
+
+KAPPAS = (kappa_cayley, kappa_exponential, kappa_symplectic)
+J, H_R = np.array([1.0, 2.0, 3.0]), np.array([0.3, -0.6, 0.5])
+OMEGA = np.array([0.3, -0.5, 0.8])
+EPS = np.finfo(float).eps
+
+
+def to_body(q, v):
+    return np.array(rows(*q)) @ v
+
+
+def moving(J, rotor, Omega=OMEGA, **more):
+    """The state at Q of body velocity Ω, without a program of its own."""
+    J = np.asarray(J)
+    Pi = (J @ Omega if J.ndim == 2 else J * Omega) + rotor
+    return State(jnp.array(Q), jnp.array(np.array(rows(*Q)).T @ Pi), **more)
+
+
+GYROSTAT, FULL = systems.gyrostat(J, H_R), systems.gyrostat(turned(J), H_R)
+STATE = moving(J, H_R)
+MOTOR = systems.SpinUpMotor(jnp.array([0.4, 0.9, -0.5]), jnp.array(4.0))
+DRIVEN = systems.driven_gyrostat(J, MOTOR)
+START = moving(J, H_R, t=jnp.array(0.0), work=jnp.array(0.0), extra={"rotor": jnp.array(H_R)})
+ZERO = {"t": jnp.array(0.0), "work": jnp.array(0.0), "extra": {"rotor": jnp.zeros(3)}}
+
+after = jax.jit(steps)  # (step, state, dt, count) ↦ the state after so many steps, and the worst of their reports
+
+
+@jax.jit
+def history(step, state, dt):
+    """The errors of energy less work over |Ω||π|, of momentum and |q|, over 2000 steps, and whether all converged."""
+    run = li.integrate(step, state, dt, 2000, 20)
+    unit = jnp.linalg.norm(step.system.angular_velocity(state)) * jnp.linalg.norm(state.p)
+    energy = li.diagnostics.energy_error(step.system, run) / unit
+    momentum = li.diagnostics.momentum_error(step.system, run)
+    length = li.diagnostics.constraint_error(step.system, run)
+    return [jnp.max(jnp.abs(x)) for x in (energy, momentum, length)], run.info.converged.all()
+
+
+def test_the_rate_of_a_motor_s_work_is_that_of_the_energy():
+    @jax.jit
+    def both(state):
+        rate = DRIVEN.vector_field(state)
+        return jax.jvp(DRIVEN.energy, (state,), (rate._replace(t=jnp.ones(())),))[1], rate.work
+
+    energy, work = both(START._replace(t=jnp.array(1.3)))
+    assert float(energy) == pytest.approx(float(work), rel=1e-13)
+    assert abs(work) > 0.01
+
+
+# What so3_midpoint keeps ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
+def test_every_kappa_keeps_energy_to_round_off_and_momentum_bit_for_bit(kappa):
+    for rotor in (H_R, np.array([0.0, 0.0, 10.0])):
+        step = schemes.so3_midpoint(systems.gyrostat(J, rotor), kappa)
+        (energy, momentum, length), converged = history(step, moving(J, rotor), 0.1)
+        assert converged
+        assert energy < 2e-14  # floor 4e-15, with the fast rotor
+        assert momentum == 0
+        assert length < 4 * EPS
+
+
+@pytest.mark.long
+def test_a_full_tensor_is_the_same_gyrostat_in_other_axes():
+    moments, axes = np.linalg.eigh(FULL.inertia)
+    axes[:, 2] *= np.linalg.det(axes)
+    same = systems.gyrostat(moments, axes.T @ H_R)
+    state = moving(FULL.inertia, H_R)
+    q = li.groups.so3.multiply(state.q, li.groups.so3.from_matrix(jnp.array(axes)))
+    ends = [after(schemes.so3_midpoint(s), z, 0.1, 50)[0] for s, z in ((FULL, state), (same, State(q, state.p)))]
+    other = li.groups.so3.multiply(ends[0].q, li.groups.so3.from_matrix(jnp.array(axes)))
+    assert angle(other, ends[1].q) < 1e-13  # floor 4e-15
+
+
+@pytest.mark.long
+def test_a_gyrostat_without_rotor_momentum_is_the_free_body():
+    body, still = systems.rigid_body(J), systems.gyrostat(J, np.zeros(3))
+    state = body.state(Q, angular_velocity=OMEGA)
+    np.testing.assert_array_equal(still.state(Q, angular_velocity=OMEGA).p, state.p)
+    assert float(still.energy(state)) == pytest.approx(float(body.energy(state)), rel=1e-15)
+    for free, own in (
+        (schemes.so3_midpoint(body, kappa_cayley), schemes.so3_midpoint(still, kappa_cayley)),
+        (schemes.exact(body), schemes.splitting(still)),
+    ):
+        assert angle(after(free, state, 0.3, 3)[0].q, after(own, state, 0.3, 3)[0].q) < 4e-15  # floor 3e-16
+
+
+# The form -------------------------------------------------------------------------------------------------------------
+
+
+@jax.jit
+def defects(step, state, dts, rotors):
+    """The largest symplectic defect, of every step size with every rotor."""
+
+    def one(dt, rotor):
+        made = dataclasses.replace(step, system=systems.Gyrostat(step.system.inertia, rotor))
+        return jnp.max(jnp.abs(defect_matrix(made, state, dt)))
+
+    return jax.vmap(lambda dt: jax.vmap(lambda rotor: one(dt, rotor))(rotors))(dts)
+
+
+DTS = np.array([0.05, 0.025, 0.0125, -0.1])
+ROTORS = H_R * np.array([0, 0.01, 0.02, 1])[:, None]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
+def test_refuted_no_kappa_is_symplectic_for_a_gyrostat(kappa):
+    """The defect of a step is O(Δt³), and of the first order in the rotor's momentum. Without it, the symplectic κ
+    has none, for which b in curl_h[(Ψ − h × Ψ)/(1 + |h|²)] is to blame."""
+    found = np.asarray(defects(schemes.so3_midpoint(GYROSTAT, kappa), STATE, DTS, ROTORS))
+    slopes = np.log2(found[:2, 3] / found[1:3, 3])
+    np.testing.assert_allclose(slopes, 3, rtol=0, atol=0.06)
+    assert found[0, 3] > 4e-6
+    if kappa is kappa_symplectic:
+        assert found[:, 0].max() < 4e-15  # floor 9e-16
+        np.testing.assert_allclose(found[:, 2] / found[:, 1], 2, rtol=0.03)
+
+
+@pytest.mark.long
+def test_turn_exact_turn_is_symplectic():
+    found = np.asarray(defects(schemes.splitting(GYROSTAT), STATE, DTS, ROTORS * 3))
+    assert found.max() < 8e-15  # floor 3e-15
+
+
+def test_turn_exact_turn_keeps_momentum_and_the_energy_of_a_nearby_hamiltonian():
+    errors = []
+    for dt in (0.1, 0.05):
+        (energy, momentum, length), converged = history(schemes.splitting(GYROSTAT), STATE, dt)
+        assert converged
+        assert momentum == 0
+        assert length < 8 * EPS
+        errors.append(float(energy))
+    assert errors[0] / errors[1] == pytest.approx(4, abs=0.3)
+    assert errors[0] < 2e-3
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("order", [4, 6])
+def test_compositions_raise_the_order(order):
+    for base in (schemes.splitting(GYROSTAT), schemes.so3_midpoint(GYROSTAT)):
+        found = li.diagnostics.order(schemes.compose(base, order), STATE, 0.2)
+        assert found == pytest.approx(order, abs=0.2)
+
+
+def test_another_drift_and_what_is_none():
+    assert schemes.splitting(GYROSTAT, schemes.so3_explicit(GYROSTAT.free)).name == "splitting[so3_explicit]"
+    with pytest.raises(ValueError, match="with turns, and the vector field of Gyrostat is another"):
+        schemes.splitting(GYROSTAT, schemes.exact(systems.rigid_body([1.0, 2.0, 2.9])))
+    with pytest.raises(ValueError, match=r"symmetric step of system\.free"):
+        schemes.splitting(GYROSTAT, "exact")
+
+
+# Against another package ----------------------------------------------------------------------------------------------
+
+
+def dop853(J, z, t, motor=None, rtol=1e-13):
+    """Quaternion kinematics, Euler's equations, the rotor and the work, by scipy."""
+    J, rotor = np.asarray(J), np.asarray(H_R if z.extra is None else z.extra["rotor"])
+
+    def f(t, y):
+        q, Pi, h = y[:4], y[4:7], y[7:10]
+        Omega = (Pi - h) / J
+        torque = np.zeros(3) if motor is None else np.asarray(motor(t))
+        turning = [-q[1:] @ Omega / 2, *((q[0] * Omega + np.cross(q[1:], Omega)) / 2)]
+        return np.concatenate([turning, np.cross(Pi, Omega), torque, [-Omega @ torque]])
+
+    start = np.concatenate([z.q, to_body(z.q, z.p), rotor, [0.0]])
+    return scipy.integrate.solve_ivp(f, (0, t), start, "DOP853", rtol=rtol, atol=1e-13).y[:, -1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["cayley", "symplectic", "splitting"])
+def test_second_order_against_another_package(scheme):
+    step = {
+        "cayley": schemes.so3_midpoint(GYROSTAT, kappa_cayley),
+        "symplectic": schemes.so3_midpoint(GYROSTAT),
+        "splitting": schemes.splitting(GYROSTAT),
+    }[scheme]
+    q = dop853(J, STATE, 10.0)[:4]
+    errors = [float(angle(after(step, STATE, 10 / n, n)[0].q, q)) for n in (200, 400, 800)]
+    np.testing.assert_allclose(np.log2(np.array(errors[:-1]) / errors[1:]), 2, rtol=0, atol=0.02)
+    assert errors[0] < 1e-2
+
+
+def spin_up(t):
+    """`MOTOR` by numpy."""
+    return np.asarray(MOTOR.momentum) / 4 * (1 - np.cos(2 * np.pi * min(max(t / 4, 0), 1)))
+
+
+def test_a_driven_gyrostat_against_another_package_and_the_reference_flow():
+    step, errors = schemes.so3_midpoint(DRIVEN, kappa_cayley), []
+    expected = dop853(J, START, 3.0, spin_up)
+    for n in (30, 60, 120):
+        end, _ = after(step, START, 3 / n, n)
+        found = np.concatenate([end.q, to_body(end.q, end.p), end.extra["rotor"], [end.work]])
+        errors.append(np.abs(found - expected))
+    rates = np.log2(np.array(errors[:-1]) / errors[1:])
+    np.testing.assert_allclose(rates, 2, rtol=0, atol=0.15)
+    flow = li.diagnostics.flow(DRIVEN, START, 3.0, 12)
+    np.testing.assert_allclose(
+        [*flow.q, *flow.extra["rotor"], flow.work], expected[[*range(4), *range(7, 11)]], rtol=0, atol=1e-11
+    )
+
+
+# A motor --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
+def test_a_motor_moves_momentum_and_what_it_works_is_what_energy_gains(kappa):
+    step = schemes.so3_midpoint(DRIVEN, kappa)
+    (energy, momentum, length), converged = history(step, START, 0.1)
+    assert converged
+    assert energy < 1e-14  # floor 2e-15
+    assert momentum == 0
+    assert length < 4 * EPS
+    end, _ = after(step, START, 0.1, 40)
+    np.testing.assert_allclose(
+        end.extra["rotor"] - H_R, MOTOR.momentum, rtol=0, atol=4e-15
+    )  # a midpoint sum of whole periods
+    assert abs(float(end.work)) > 0.1
+    assert float(end.t) == pytest.approx(4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
+def test_each_step_balances_the_power(kappa):
+    """ΔH = −Ω̄·Δh_r with Ω̄ = J⁻¹(mean of Π − h_r), by numpy, in one step of random motion."""
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        h, Omega = rng.normal(size=(2, 3))
+        start = moving(J, h, Omega, **ZERO | {"t": jnp.array(rng.uniform(0.5, 3)), "extra": {"rotor": jnp.array(h)}})
+        end, info = after(schemes.so3_midpoint(DRIVEN, kappa), start, 0.3, 1)
+        own = [to_body(z.q, z.p) - z.extra["rotor"] for z in (start, end)]
+        change = np.asarray(end.extra["rotor"]) - h
+        gain = (own[1] @ (own[1] / J) - own[0] @ (own[0] / J)) / 2
+        assert info.converged
+        assert abs(gain + (own[0] + own[1]) / 2 / J @ change) < 2e-14 * max(1, np.abs(h).max())  # floor 4e-15
+        assert abs(gain - float(end.work)) < 2e-14
+
+
+def test_a_wheel_takes_up_all_momentum_and_the_body_stops():
+    """A spin about a principal axis, whose wheel gains all of it: the body rests, and the work is −½JΩ²."""
+    wheel = systems.driven_gyrostat(J, systems.SpinUpMotor(jnp.array([0.0, 0.0, 3 * 0.4]), jnp.array(4.0)))
+    start = moving(J, np.zeros(3), np.array([0, 0, 0.4]), **ZERO)
+    end, info = after(schemes.so3_midpoint(wheel), start, 0.1, 40)
+    assert info.converged
+    np.testing.assert_allclose(to_body(end.q, end.p) - end.extra["rotor"], 0, rtol=0, atol=4e-15)
+    assert float(end.work) == pytest.approx(-0.5 * 3 * 0.4**2, rel=1e-13)
+
+
+def test_a_slow_wheel_turns_the_satellite_about_its_momentum():
+    """A satellite that spins about its major axis 1 spins up a wheel along axis 3. The spin stays steady, about an axis
+    between: Ω₁ = Π₁/J₁ and Ω₃ = (Π₃ − h)/J₃ are as Π₁ to Π₃, so Π₃ = h/(1 − J₃/J₁) (Barba & Aubrun 1976)."""
+    moments = np.array([3.0, 2.5, 2.0])
+    motor = systems.SpinUpMotor(jnp.array([0.0, 0.0, 0.3]), jnp.array(300.0))
+    start = moving(moments, np.zeros(3), np.array([0.5, 0, 0]), **ZERO)
+    end, _ = after(schemes.so3_midpoint(systems.driven_gyrostat(moments, motor), kappa_exponential), start, 0.2, 1500)
+    np.testing.assert_allclose(
+        to_body(end.q, end.p), [1.2, 0, 0.9], rtol=0, atol=2e-3
+    )  # 6e-4, and falls as 1/duration³
+
+
+@pytest.mark.long
+def test_work_that_nobody_counts_is_not_counted():
+    end, _ = after(schemes.so3_midpoint(DRIVEN), START._replace(work=None), 0.1, 3)
+    assert end.work is None
+    more = START._replace(extra=START.extra | {"note": jnp.ones(2)})
+    np.testing.assert_array_equal(after(schemes.so3_midpoint(DRIVEN), more, 0.1, 3)[0].extra["note"], [1, 1])
+    assert DRIVEN.vector_field(more).extra["note"].shape == (2,)
+
+
+# Reversal and random cases --------------------------------------------------------------------------------------------
+
+
+STEPS = {
+    "cayley": (schemes.so3_midpoint(GYROSTAT, kappa_cayley), STATE),
+    "symplectic": (schemes.so3_midpoint(FULL), moving(FULL.inertia, H_R)),
+    "splitting": (schemes.splitting(GYROSTAT), STATE),
+    "driven": (schemes.so3_midpoint(DRIVEN), START._replace(t=jnp.array(1.0))),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", STEPS)
+def test_time_symmetric(name):
+    step, state = STEPS[name]
+    back, _ = after(step, after(step, state, 0.3, 1)[0], -0.3, 1)
+    for one, other in zip(jax.tree.leaves(back), jax.tree.leaves(state), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=2e-15)  # floor 3e-16
+
+
+@jax.jit
+def one_step(J, rotor, state, dt):
+    """For so3_midpoint and splitting: the energy's change, how far a step back misses, whether both converged."""
+    gyrostat, found = systems.Gyrostat(J, rotor), []
+    for step in (schemes.SO3Midpoint(gyrostat, kappa_cayley, 4), schemes.splitting(gyrostat)):
+        end, info = step(state, dt)
+        back, returned = step(end, -dt)
+        kept = gyrostat.energy(end) - gyrostat.energy(state)
+        missed = jnp.minimum(jnp.max(jnp.abs(back.q - state.q)), jnp.max(jnp.abs(back.q + state.q)))
+        found.append((kept, missed, jnp.abs(jnp.sum(end.q**2) - 1), info.converged & returned.converged))
+    return found
+
+
+sizes = st.floats(0.2, 5)
+components = st.lists(st.floats(-1, 1), min_size=3, max_size=3).map(np.array)
+
+
+@pytest.mark.long
+@given(
+    J=st.lists(sizes, min_size=3, max_size=3).map(np.array), rotor=components, Omega=components, dt=st.floats(-0.6, 0.6)
+)
+def test_random_gyrostats(J, rotor, Omega, dt):
+    unit = np.linalg.norm(J * Omega + rotor) * (1 + np.linalg.norm(Omega))
+    (kept, missed, length, good), (_, came, size, fine) = one_step(J, rotor, moving(J, rotor, Omega), dt)
+    assert fine
+    assert max(came, missed if good else 0) < 8e-15  # floor of 2000 cases 2e-15
+    assert max(length, size) < 2e-15
+    assert not good or abs(kept) <= 4e-15 * unit  # 5e-16
+    assert good or abs(dt) * (np.linalg.norm(Omega) + np.linalg.norm(rotor) / J.min()) > 0.9
+
+
+# The rule of the dual-spin satellite ----------------------------------------------------------------------------------
+
+
+@jax.jit
+@jax.vmap
+def growth(J, spin, wheel):
+    """The modulus and the angle of the largest eigenvalue of a step about a steady spin, seen from the body."""
+    dt = 0.05
+    gyrostat = systems.Gyrostat(J, wheel * jnp.array([0.0, 0.0, 1.0]))
+    Pi = J * jnp.array([0.0, 0.0, 1.0]) * spin + gyrostat.rotor
+    state = State(jnp.array([1.0, 0.0, 0.0, 0.0]), Pi)
+    end, _, L = pushed(gyrostat.phase_space, lambda z: schemes.SO3Midpoint(gyrostat, kappa_cayley, 4)(z, dt), state)
+    return li.groups.so3.to_matrix(end.q).T @ L[:3, :3]
+
+
+@pytest.mark.long
+def test_a_spin_is_stable_by_the_rule_of_the_gyrostat_and_of_no_other():
+    """Without dissipation: (λ − J₁Ω)(λ − J₂Ω) > 0 with λ = J₃Ω + h_r; and the rate is the root of it over J₁J₂."""
+    Omega, dt = 0.5, 0.05
+    h = np.linspace(-3, 3, 41) * Omega
+    for moments in ([2.0, 2.5, 3.0], [2.0, 3.0, 2.5], [2.5, 3.0, 2.0], [2.5, 2.5, 2.0]):
+        step = np.asarray(growth(np.tile(moments, (41, 1)), np.full(41, Omega), h))
+        values = np.linalg.eigvals(step)
+        margin = ((moments[2] - moments[0]) * Omega + h) * ((moments[2] - moments[1]) * Omega + h)
+        sure = np.abs(margin) > 1e-3
+        grows = np.abs(values).max(axis=1) > 1 + 1e-6
+        np.testing.assert_array_equal(grows[sure], (margin < 0)[sure])
+        rate = np.abs(np.log(values)).max(axis=1) / dt
+        np.testing.assert_allclose(rate[sure], np.sqrt(np.abs(margin[sure]) / (moments[0] * moments[1])), rtol=3e-3)
+
+
+def nutation_with_a_damper(moments, h, spin, seconds=400.0):
+    """The angle of Π from axis 3 in the end over that in the beginning, with Kane's damper: a sphere of moment D in a
+    viscous fluid, which takes energy and no momentum. By scipy."""
+    D, c = 0.2, 0.1
+    own, rotor = np.asarray(moments) - D, np.array([0, 0, h])
+
+    def f(_, y):
+        Pi, p = y[:3], y[3:]
+        Omega = (Pi - rotor - p) / own
+        return np.concatenate([np.cross(Pi, Omega), np.cross(p, Omega) + c * (Omega - p / D)])
+
+    Omega = spin * np.array([0.02, 0.0, 1.0])
+    start = np.concatenate([own * Omega + rotor + D * Omega, D * Omega])
+    ends = scipy.integrate.solve_ivp(f, (0, seconds), start, "DOP853", rtol=1e-9, atol=1e-12).y[:3, [0, -1]]
+    across = np.linalg.norm(ends[:2], axis=0) / np.linalg.norm(ends, axis=0)
+    return across[1] / across[0]
+
+
+@pytest.mark.long
+def test_with_a_damper_the_rule_is_that_of_the_major_axis():
+    """λ/Ω must be above both J₁ and J₂, or negative: less stable than without. A prolate body, stable without a wheel
+    and without a damper, is stable with a wheel that makes λ/Ω the largest."""
+    moments, spin = [2.5, 2.4, 2.0], 1.0
+    for h in (0.0, 0.2, 0.8, 2.0, -0.3):
+        stable = moments[2] * spin + h > 2.5 * spin
+        without = (moments[2] * spin + h - 2.5 * spin) * (moments[2] * spin + h - 2.4 * spin) > 0
+        assert without
+        assert (nutation_with_a_damper(moments, h, spin) < 1) == stable
+
+
+# Derivatives ----------------------------------------------------------------------------------------------------------
+
+
+N = 4
+
+
+def run_plain(step, state):
+    return li.integrate(step, state, 0.2, N, N)
+
+
+def run_back(step, state):
+    return li.reversible(step, state, 0.2, N)
+
+
+def of_constant(scheme, run):
+    def loss(J, rotor, delta):
+        gyrostat = systems.Gyrostat(J, rotor)
+        step = {
+            "midpoint": lambda: schemes.SO3Midpoint(gyrostat, kappa_symplectic, 5),
+            "splitting": lambda: schemes.splitting(gyrostat),
+        }[scheme]()
+        end = jax.tree.map(lambda x: x[-1], run(step, gyrostat.phase_space.perturb(STATE, delta)).state)
+        return end.q[1] + 2 * end.q[3] * end.p[0] + gyrostat.energy(end)
+
+    return loss
+
+
+def of_driven(_, run):
+    def loss(J, momentum, delta):
+        driven = systems.DrivenGyrostat(J, systems.SpinUpMotor(momentum, jnp.array(4.0)))
+        start = driven.phase_space.perturb(START._replace(t=jnp.array(0.7)), delta[:6])
+        start = start._replace(extra={"rotor": H_R + delta[6:]})
+        step = schemes.SO3Midpoint(driven, kappa_cayley, 5)
+        end = jax.tree.map(lambda x: x[-1], run(step, start).state)
+        return end.q[1] + end.q[3] * end.extra["rotor"][0] + 3 * end.work
+
+    return loss
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("scheme", ["midpoint", "driven", "splitting"])
+def test_derivatives_forward_reverse_by_reversal_and_by_differences(scheme):
+    """In the inertia, the rotor or the motor, the state and the rotor's initial momentum."""
+    driven = scheme == "driven"
+    make = of_driven if driven else of_constant
+    at = np.concatenate([J, MOTOR.momentum if driven else H_R, np.zeros(9 if driven else 6)])
+
+    def loss(run):
+        return lambda x: make(scheme, run)(x[:3], x[3:6], x[6:])
+
+    value = jax.jit(lambda batch: jax.lax.map(loss(run_plain), batch))
+    forward = jax.jit(jax.jacfwd(loss(run_plain)))(at)
+    for run in (run_plain, run_back):
+        np.testing.assert_allclose(jax.jit(jax.grad(loss(run)))(at), forward, rtol=0, atol=2e-14)  # floor 2e-15
+    h, e = 1e-3, np.eye(len(at))
+    v = np.asarray(value(np.concatenate([at + k * h * e for k in (-2, -1, 1, 2)]))).reshape(4, -1)
+    np.testing.assert_allclose((v[0] - 8 * v[1] + 8 * v[2] - v[3]) / (12 * h), forward, rtol=0, atol=2e-10)
+    assert np.abs(forward[:6]).min() > 1e-4
+
+
+# Single precision, bad input, other schemes ---------------------------------------------------------------------------
+
+
+def single(tree):
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), tree)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", STEPS)
+def test_single_precision(name):
+    step, state = (single(x) for x in STEPS[name])
+    (energy, momentum, length), converged = history(step, state, jnp.float32(0.1))
+    end, _ = after(step, state, jnp.float32(0.1), 3)
+    assert converged
+    assert {x.dtype for x in jax.tree.leaves(end)} == {jnp.dtype(jnp.float32)}
+    assert momentum == 0
+    assert energy < (4e-3 if name == "splitting" else 2e-5)  # floor 2e-6
+    assert length < 1e-6
+
+
+@pytest.mark.long
+def test_a_motor_of_doubles_drives_a_satellite_of_singles():
+    driven = systems.driven_gyrostat(np.float32(J), lambda t: [0.0, np.float64(0.1), 0.2 * t])
+    end, _ = after(schemes.so3_midpoint(driven), single(START), jnp.float32(0.1), 2)
+    assert {x.dtype for x in jax.tree.leaves(end)} == {jnp.dtype(jnp.float32)}
+
+
+def test_bad_input_is_refused_in_a_sentence():
+    with pytest.raises(ValueError, match=r"rotor must have shape \(3,\), got \(2,\)"):
+        systems.gyrostat(J, [0.0, 1.0])
+    with pytest.raises(ValueError, match="rotor must be finite"):
+        systems.gyrostat(J, [0.0, np.nan, 1.0])
+    with pytest.raises(ValueError, match="exactly one of angular_velocity, body_momentum, spatial_momentum"):
+        GYROSTAT.state(Q)
+    for motor in ("on", np.zeros(3)):
+        with pytest.raises(ValueError, match=r"motor must be a function of the time t with values \(3,\)"):
+            systems.driven_gyrostat(J, motor)
+    with pytest.raises(ValueError, match=r"of shape \(3,\) as its value, got shape \(2,\)"):
+        systems.driven_gyrostat(J, lambda t: jnp.stack([t, t]))
+    with pytest.raises(ValueError, match=r"motor must be a function of the time t.* it fails: .*positional argument"):
+        systems.driven_gyrostat(J, lambda: jnp.zeros(3))
+    with pytest.raises(ValueError, match=r"work must have shape \(\)"):
+        DRIVEN.state(Q, angular_velocity=OMEGA, work=[0.0])
+    with pytest.raises(ValueError, match="rotor must be finite"):
+        DRIVEN.state(Q, angular_velocity=OMEGA, rotor=[0, np.inf, 0])
+
+
+def test_a_driven_state_without_time_or_rotor_is_refused():
+    step = schemes.so3_midpoint(DRIVEN)
+    for state, message in (
+        (START._replace(t=None, work=None), r"driven, so its state needs the time.*t=0\.0"),
+        (START._replace(extra=None), r"needs its momentum in state\.extra.*rotor=\(0, 0, 0\)"),
+        (START._replace(extra={"rotor": jnp.zeros(2)}), r'extra\["rotor"\] must have shape \(3,\)'),
+        (START._replace(extra={"rotor": jnp.full(3, jnp.nan)}), r'extra\["rotor"\] must be finite'),
+    ):
+        with pytest.raises(ValueError, match=message):
+            li.integrate(step, state, 0.1, 2)
+    nowhere = systems.driven_gyrostat(J, lambda t: jnp.stack([t, t, jnp.log(t - 1)]))
+    with pytest.raises(ValueError, match=r"the motor's torque at t = 0\.0 must be finite"):
+        li.integrate(schemes.so3_midpoint(nowhere), START, 0.1, 2)
+    assert not after(schemes.so3_midpoint(nowhere), START, 0.1, 1)[1].converged
+
+
+OTHERS = {
+    "so3_explicit": schemes.so3_explicit,
+    "exact": schemes.exact,
+    "calibrated": schemes.calibrated,
+    "preprocessed": lambda system: schemes.preprocessed(system, 4),
+    "so3_alpha": schemes.so3_alpha,
+    "top_energy_momentum": schemes.top_energy_momentum,
+    "group_midpoint": schemes.group_midpoint,
+    "group_energy_momentum": schemes.group_energy_momentum,
+    "additive": schemes.additive,
+    "sphere_midpoint": schemes.sphere_midpoint,
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_other_schemes_refuse_a_gyrostat_and_name_those_that_take_it(name):
+    with pytest.raises(ValueError, match=f"{name} integrates .* got Gyrostat; take so3_midpoint or splitting"):
+        OTHERS[name](GYROSTAT)
+    with pytest.raises(ValueError, match=f"{name} integrates .* got DrivenGyrostat; take so3_midpoint$"):
+        OTHERS[name](DRIVEN)
+
+
+def test_splitting_refuses_a_driven_gyrostat():
+    with pytest.raises(ValueError, match="got DrivenGyrostat; take so3_midpoint"):
+        schemes.splitting(DRIVEN)
+
+
+def test_a_gyrostat_that_moves_otherwise_is_refused():
+    class Faster:
+        def vector_field(self, state):
+            rate = super().vector_field(state)
+            return rate._replace(q=1.001 * rate.q)
+
+    for system in (GYROSTAT, DRIVEN):
+        changed = li.pytree(type("Changed", (Faster, type(system)), {}))
+        with pytest.raises(ValueError, match="vector field of Changed is another"):
+            schemes.so3_midpoint(changed(**vars(system)))
+
+
+@pytest.mark.long
+def test_advice_says_how_fast_the_body_turns():
+    fast = moving(J, H_R, np.array([3.0, 0, 0]))
+    with pytest.raises(ValueError, match=r"\|Δt Ω\| = 3 at dt = 1\.0"):
+        schemes.so3_midpoint(GYROSTAT).check(fast, 1.0)
+    with pytest.raises(ValueError, match="the rotor turns the body by 6e"):
+        schemes.splitting(systems.gyrostat(J, [6e11, 0, 0])).check(State(STATE.q, STATE.p), 1.0)
