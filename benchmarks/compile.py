@@ -19,7 +19,7 @@ from typing import Any
 
 from lib import command, report
 
-STEPS, FORWARD, REVERSE, COMMON = 16, 5.0, 15.0, 0.5  # steps of a run; bars in seconds
+STEPS, FORWARD, REVERSE, COMMON = 16, 3.5, 10.0, 0.5  # steps of a run; bars in seconds
 _EVERYDAY = ("so3_midpoint", "so3_explicit", "splitting", "preprocessed")  # of free bodies and tops: the common ones
 _FIRST = ("rigid_body", "heavy_top")
 
