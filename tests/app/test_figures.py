@@ -13,6 +13,7 @@ free_body_run = functools.cache(figures.free_body_run)
 LARGEST = {("A", 0): 5.88e-3, ("A", 1): 3.92e-3, ("S", 0): 6.24e-3, ("S", 1): 4.17e-3}
 
 
+@pytest.mark.paper("3.3: Figs. 1, 2", "Poisson errors of three κ's", "app/command/figures.py")
 @pytest.mark.parametrize(("body", "kappa"), LARGEST)
 @pytest.mark.slow
 def test_figure_1_largest_poisson_errors(body, kappa):
@@ -95,6 +96,7 @@ def test_panels_are_those_of_the_captions(figure):
         assert (panel.dt, panel.lag, panel.Phi) == printed
 
 
+@pytest.mark.paper("6.3, Figs. 3 to 5", "delay plots", "app/command/figures.py")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", VARIATIONS)
 def test_figures_3_4_5_have_the_captions_variations(name):

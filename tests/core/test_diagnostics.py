@@ -57,6 +57,7 @@ def _turn(a, b):
     return so3.log(so3.multiply(a, so3.inverse(b)))
 
 
+@pytest.mark.paper("3: (3.1), (3.2)", "symplectic maps", "diagnostics/_symplectic.py")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [name for name in GRID if "full_tensor-" in name and "-exact" not in name and "-cal" not in name]

@@ -169,6 +169,7 @@ def _velocities(q, v):
     return q_dot, body, space, carried, so3.tangent(q, v), so3.spatial_tangent(q, carried)
 
 
+@pytest.mark.paper("2.1: (2.1), (2.2), (2.10)", "algebra, velocities", "groups/so3.py")
 @hypothesis.given(units, vectors)
 def test_velocities(q, v):
     q_dot, body, space, carried, tangent, spatial_tangent = map(np.asarray, _velocities(q, v))

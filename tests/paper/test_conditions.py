@@ -59,6 +59,7 @@ def both(step, state, dt):
     return diagnostics.conditions(step, state, dt), jnp.max(jnp.abs(defect))
 
 
+@pytest.mark.paper("4.2: (4.13)–(4.22), Result 8", "not symplectic", "diagnostics/_conditions.py")
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n not in QUICK)) for n in CASES])
 def test_the_conditions_say_what_is_kept(name):
     """Against the symplectic defect, which knows no condition, and the energy of the step."""
@@ -76,6 +77,7 @@ def test_the_conditions_say_what_is_kept(name):
     assert form or max(violated) > 1e-3
 
 
+@pytest.mark.paper("3.1: (3.3)–(3.5), Result 4", "the condition of the form", "diagnostics/_conditions.py")
 @pytest.mark.slow
 @pytest.mark.parametrize("kappa", maps.KAPPAS, ids=lambda k: k.name)
 def test_3_5_is_the_paper_s_by_its_own_formulas(kappa):

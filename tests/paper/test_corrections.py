@@ -88,6 +88,7 @@ def s(request):
 THETA = np.array([0.5, -0.8, 0.3])
 
 
+@pytest.mark.paper("2.1: (2.3)–(2.7)", "exponential, Cayley and scaled Cayley maps", "maps.py")
 def test_2_3_2_4_2_5_2_7_exponential_and_cayley():
     half = np.linalg.norm(THETA) / 2
     pseudo = np.tan(half) / half * THETA / 2
@@ -116,6 +117,8 @@ def test_2_9_is_preserved_by_the_exact_flow():
     assert close(L.T @ canonical @ L, canonical) > 0.1  # the canonical matrix is not the form here
 
 
+@pytest.mark.paper("2.1: (2.8), (2.9)", "the form of T*SO(3)", "phase_spaces.py")
+@pytest.mark.paper("5.1.5: (5.7)–(5.12)", "the form of T*G", "phase_spaces.py")
 def test_2_9_5_7_5_9_body_form_is_the_pull_back_of_the_spatial_one():
     Q = paper.exp(THETA)
     Pi = np.array([0.3, -1.2, 0.7])
@@ -173,6 +176,7 @@ def B_matrices(s):
     return M, M @ s.Q0.T, -M @ s.Q1.T  # (3.9)
 
 
+@pytest.mark.paper("3.1: (3.6)–(3.14)", "its derivation", "diagnostics/_symplectic.py")
 def test_3_8_3_9_linearized_step(s):
     _, B0, B1 = B_matrices(s)
     left, right = (np.block([[ONE + B @ hat(s.pi), B], [0 * ONE, ONE]]) for B in (B1, B0))
@@ -301,6 +305,7 @@ def sigma_of_3_28(name, Q, J, pi, dt):
     return np.array(series)
 
 
+@pytest.mark.paper("3.3: (3.26)–(3.29)", "Poisson errors", "diagnostics/_poisson.py")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_3_28_analytic_recursion_against_autodiff(name):
@@ -308,6 +313,7 @@ def test_3_28_analytic_recursion_against_autodiff(name):
     assert close(sigma_of_3_28(name, Q, *rest), ours[1:]) < 2e-15  # floor 2e-16
 
 
+@pytest.mark.paper("App. A", "μ, the driver, the Poisson errors", "diagnostics/_poisson.py")
 def test_appendix_a_mu_is_one_minus_four_mu():
     """The code's "μ": 0 for Cayley, 2 for the symplectic κ, and its muexp; true μ_exp = (κ − 1)/(κ²t²) → 1/12."""
     for t in (0.2, 0.9):

@@ -76,6 +76,7 @@ def s(request):
     return one_step(request.param)
 
 
+@pytest.mark.paper("4: (4.1), (4.2)", "tops", "systems/_potential_top.py")
 def test_4_1_and_4_2_the_torque_is_gamma_cross_e():
     """Against the derivative of V along δθ̂Λ; the other sign is wrong by the whole torque."""
     top = li.systems.potential_top([1.0, 2.0, 3.0], lambda G: jnp.sin(2 * G[0]) + G[1] ** 3 - G[0] * G[2], GAMMA)

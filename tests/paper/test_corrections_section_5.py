@@ -112,6 +112,7 @@ def apart(a, b):
     assert np.abs(np.asarray(a) - np.asarray(b)).max() > 1e-3
 
 
+@pytest.mark.paper("App. B: (6.33)–(6.46)", "Result 14", "diagnostics/_conditions.py")
 @pytest.mark.long
 def test_6_24_6_34_the_linearized_step():
     """Against autodiff; (6.24) with Ad_{q_{n+1}} HδΘ, not Ad*: then B_n would have its transpose in front."""
@@ -135,6 +136,7 @@ def test_result_14_condition_1_has_no_dt():
     apart(-o["R"][:3, :3], carry @ (2 / DT * skew(o["M"]) - o["D"]) @ carry.T)
 
 
+@pytest.mark.paper("5.4: (5.50)–(5.53), Result 14", "the conditions of the form", "diagnostics/_conditions.py")
 def test_result_14_conditions_2_and_3():
     """The whole test (6.37) in terms of the three conditions' residuals S: zero if and only if all three are."""
     o = one_step()
@@ -212,6 +214,7 @@ def test_5_32_the_half_stands_before_both_terms():
     apart(mu @ M @ nu / 2 - nu @ M @ mu, mu @ right @ nu)  # as printed
 
 
+@pytest.mark.paper("App. B: (6.18)–(6.23)", "energy on a group", "diagnostics/_conditions.py")
 def test_6_18_6_21_6_23_the_momenta_of_a_step():
     o, one = one_step(), np.eye(3)
     force, G = o["Ad0"].T @ o["force"], one + o["back"].T
@@ -225,6 +228,7 @@ def test_6_18_6_21_6_23_the_momenta_of_a_step():
     close(nu @ axis, 2 * np.linalg.solve(G, nu) @ axis)
 
 
+@pytest.mark.paper("5.4: (5.45)–(5.48), Result 12", "momentum on linear groups", "schemes/_group_alpha.py")
 @pytest.mark.parametrize("alpha", [0.3, 0.5, 1.0])
 def test_result_12_and_5_45_5_48_need_dt(alpha):
     """ℝ³ under rotations, Θ = Δt m⁻¹p_{n+α}: a force along q_{n+1−α} keeps q × p, one along q_{n+α} does not."""

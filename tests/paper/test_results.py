@@ -68,6 +68,7 @@ def _steps(J, q, Omega, dt, kappa):
     return energy, momentum_error(body, run), constraint_error(body, run), run.info.converged, carried
 
 
+@pytest.mark.paper("2.2: (2.25)–(2.28), Result 3", "energy for any κ", "schemes/_so3_midpoint.py")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", KAPPAS)
 @hypothesis.given(moments, st.tuples(number, number, number, st.floats(0.2, 1)), directions, turns, signs)
@@ -150,6 +151,7 @@ def test_result_04_symplectic_if_and_only_if_condition_3_5(name, J, Omega):
         assert defect > 5e-4
 
 
+@pytest.mark.paper("3.2: (3.15)–(3.25), Result 5", "the symplectic κ", "schemes/_so3_midpoint.py")
 @hypothesis.given(moments, st.tuples(number, number, number, st.floats(0.2, 1)), directions, turns, signs)
 def test_result_05_symplectic_kappa_preserves_the_form(J, q, axis, turn, sign):
     converged, *_, defect, size = linearized("symplectic", J, axis, sign * turn, np.array(q) / np.linalg.norm(q))

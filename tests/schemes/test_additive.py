@@ -136,6 +136,7 @@ def test_result_13_kinetic_energy_changes_by_the_work_of_the_force():
 # Result 15 ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.paper("6.2: (6.5)–(6.9), Result 15", "momentum for any symmetric stress", "schemes/_additive.py")
 @pytest.mark.parametrize("alpha", [0.0, 0.3, 0.5, 1.0])
 def test_result_15_momentum_for_any_symmetric_stress_and_any_alpha(alpha):
     """Even a constant S, which is consistent with nothing. With S not symmetric, or β = α ≠ ½, it is lost."""
@@ -157,6 +158,7 @@ def test_result_15_momentum_for_any_symmetric_stress_and_any_alpha(alpha):
 LABELED = additive(SOFT, "symplectic", alpha=0.3)  # its static fields serve every α
 
 
+@pytest.mark.paper("6.2: (6.15)–(6.17)", "the symplectic family", "schemes/_additive.py")
 @pytest.mark.parametrize("alpha", [0.0, 0.3, 0.5, 0.8, 1.0])
 def test_6_17_is_symplectic_and_keeps_momentum_for_every_alpha(alpha):
     step = dataclasses.replace(LABELED, alpha=jnp.array(alpha))
@@ -204,6 +206,7 @@ def test_6_17_is_second_order_at_one_half_only(alpha, order):
     assert (made.order, made.symmetric) == (order, order == 2)
 
 
+@pytest.mark.paper("6.1.2: (6.4)", "momentum maps of pseudo-rigid bodies", "systems/_pseudo_rigid_body.py")
 def test_6_4_the_momentum_map_is_twice_rot():
     """⟨P, ξ̂F⟩ = 2ξ·rot[PFᵀ], for the pairing tr PᵀV; without the 2 it is not the momentum of rotations."""
     xi = np.array([0.3, -1.0, 0.7])
@@ -232,6 +235,7 @@ def test_6_15_and_6_16_with_beta_of_6_9():
 # Result 16, corrected -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.paper("6.2: (6.10)–(6.14), Result 16", "energy and momentum", "schemes/_additive.py")
 @pytest.mark.long
 @pytest.mark.parametrize("rule", ["average", "energy", "energy_momentum"])
 def test_result_16_energy_and_momentum_second_order_reversible_not_symplectic(rule):

@@ -88,6 +88,9 @@ def test_long_runs_with_constants_found_once():
         assert np.abs(momentum).max() == 0
 
 
+@pytest.mark.paper(
+    "1.2", "the symplectic step is the exact flow but for one time scale and one turn about π", "schemes/_calibrated.py"
+)
 @pytest.mark.long
 def test_constants_are_those_of_the_trajectory_and_the_preprocessed_ones_approach_them():
     body, state = RigidBody(J123), moving(J123)

@@ -85,6 +85,7 @@ def test_without_a_potential_one_half_is_group_midpoint():
     assert measured(li.schemes.group_alpha(FREE), SPIN, 0.3)[2] > 1e-4  # exp is not symplectic here
 
 
+@pytest.mark.paper("1.1: (1.1), (1.2)", "canonical systems, on translations of ℝⁿ", "schemes/_group_alpha.py")
 @pytest.mark.long
 @pytest.mark.parametrize("alpha", [0.3, 0.0, 0.5, 1.0])
 def test_on_an_abelian_group_the_form_is_kept_for_every_alpha(alpha):
@@ -113,6 +114,7 @@ def test_the_equations_5_43_and_5_45_hold_as_they_stand(alpha):
     assert alpha == 0.5 or exchanged > 1e-3
 
 
+@pytest.mark.paper("5.4: (5.43), (5.44)", "the class, and momentum", "schemes/_group_alpha.py")
 @pytest.mark.long
 @pytest.mark.parametrize("alpha", [0.5, 0.3])
 def test_with_a_potential_the_momentum_of_its_symmetry_is_kept_and_the_form_is_not(alpha):

@@ -82,6 +82,7 @@ def measured(step, state, dt):
     }
 
 
+@pytest.mark.paper("5.2: (5.23)–(5.27), Results 9, 10", "energy and momentum on a group", "schemes/_group_midpoint.py")
 @pytest.mark.parametrize(
     ("name", "tau"),
     [pytest.param(*pair, marks=pytest.mark.long) if pair != CHEAP else pair for pair in PAIRS + MORE],
@@ -230,6 +231,9 @@ def test_5_29_5_30_6_27_the_linearized_step(name, tau):
     assert np.abs(C - same).max() < bound
 
 
+@pytest.mark.paper(
+    "5.2: (5.28)–(5.33), Result 11", "the condition of the form on a group", "diagnostics/_conditions.py"
+)
 @formulas
 def test_5_31_with_the_inverse_5_33_and_6_28(name, tau):
     """Result 11. As printed, with Ad_τ for Ad_τ⁻¹, (5.31) does not tell symplectic maps; as it should be, it does."""
@@ -252,6 +256,7 @@ def test_5_31_with_the_inverse_5_33_and_6_28(name, tau):
     assert np.abs(o["Ad1"].T @ o["alpha"] @ o["Ad1"] - o["A1"]).max() < 1e-13  # (6.28)
 
 
+@pytest.mark.paper("App. B: (6.24)–(6.32)", "the linearized step, (5.31)", "diagnostics/_conditions.py")
 @formulas
 def test_6_31_6_32_are_why(name, tau):
     """For every map: the residual of (5.31) is that of (6.30) carried by G_n Ad*, so the two vanish together."""
@@ -270,6 +275,7 @@ def test_6_31_6_32_are_why(name, tau):
         assert (np.abs(skew(inside) - carried).max() < 1e-12 * scale) == (sign == -1)
 
 
+@pytest.mark.paper("5.3: (5.34)–(5.40)", "Poisson errors on a group", "diagnostics/_poisson.py")
 @pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "tau"), [("SE(2)", "cayley"), ("SL(2)", "arcsine")])
@@ -294,6 +300,7 @@ def omega(alpha):
     return np.block([[alpha, one], [-one, 0 * one]])
 
 
+@pytest.mark.paper("5.1.7: (5.15)–(5.20)", "left-invariant energy", "systems/_euler.py")
 def test_5_9_5_19_5_20_the_sign_of_the_equations_of_motion():
     """(q̇, π̇) = −ω⁻¹DH, not +: against the equations of motion, with DH by autodiff in (δθ, δπ)."""
     system, state = system_and_state("SE(2)")
@@ -310,6 +317,7 @@ def test_5_9_5_19_5_20_the_sign_of_the_equations_of_motion():
     assert np.abs(motion - hamiltonian).max() > 0.1
 
 
+@pytest.mark.paper("5.1.1–5.1.4: (5.1)–(5.6)", "groups, pairings, trivializations", "groups/_matrix.py")
 def test_5_3_5_12_the_adjoint_action_and_the_form():
     """Ad_q ξ = d/dε q exp(εξ) q⁻¹, not exp(εξ) q⁻¹; ω(δ, Δ) is −d of the canonical one-form ⟨π, δθ⟩ (5.9)."""
     system, state = system_and_state("SL(2)")

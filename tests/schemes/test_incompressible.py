@@ -37,6 +37,7 @@ def _steps(E, F, V, dt):
     return energy_error(body, run) / body.energy(state), momentum_error(body, run) / size, volume, run.info.converged
 
 
+@pytest.mark.paper("6.1.1, 1.1", "incompressible bodies, Q = SL(3)", "systems/_incompressible_body.py")
 @pytest.mark.long
 @hypothesis.settings(max_examples=12)
 @hypothesis.given(matrices, matrices, st.tuples(*[st.floats(0.5, 2)] * 3).map(np.array), st.sampled_from([-0.02, 0.02]))

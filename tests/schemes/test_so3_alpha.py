@@ -36,6 +36,7 @@ def _steps(J, alpha, q, Omega, dt):
     return run, energy, li.diagnostics.momentum_error(body, run)
 
 
+@pytest.mark.paper("2.2: (2.14)–(2.18), Result 1", "the α-family in L(3): momentum", "schemes/_so3_alpha.py")
 @hypothesis.given(st.floats(0, 1), vectors, vectors, st.sampled_from([-0.3, 0.3]))
 def test_result_01_and_2_27_momentum_and_energy_for_every_alpha(alpha, axis, Omega, dt):
     q = np.array([1.0, *axis]) / np.linalg.norm([1.0, *axis])
@@ -45,6 +46,7 @@ def test_result_01_and_2_27_momentum_and_energy_for_every_alpha(alpha, axis, Ome
     assert np.abs(energy).max() < 2e-14  # floor 5e-15: Λ is worn by its stretch
 
 
+@pytest.mark.paper("2.2: (2.19)–(2.22)", "T_α and ν", "schemes/_so3_alpha.py")
 @pytest.mark.slow
 @pytest.mark.parametrize("alpha", [0.0, 0.3, 0.5, 1.0])
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)
@@ -80,6 +82,7 @@ def test_one_half_is_so3_midpoint(kappa):
     np.testing.assert_allclose(here.q, so3.to_matrix(there.q), rtol=0, atol=8e-15)  # floor 2e-15
 
 
+@pytest.mark.paper("2.2: (2.23), (2.24), Result 2", "α = ½ alone stays on SO(3)", "schemes/_so3_alpha.py")
 @pytest.mark.long
 @pytest.mark.parametrize("alpha", [0.3, 0.5, 0.0, 0.9])
 def test_what_the_family_keeps_and_what_it_loses(alpha):

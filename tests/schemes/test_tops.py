@@ -111,6 +111,7 @@ def test_a_kappa_shared_by_a_leaf_is_each_of_the_three():
     assert min(np.abs(a - b).max() for a, b in itertools.combinations(ends, 2)) > 1e-5
 
 
+@pytest.mark.paper("4.1: (4.3)–(4.12), Results 6, 7", "energy and momentum of tops", "schemes/_top_energy_momentum.py")
 @pytest.mark.slow
 @pytest.mark.parametrize("kappa", KAPPAS)
 @pytest.mark.parametrize(("name", "kappas"), own_and_shared("linear", *POTENTIALS))

@@ -66,6 +66,7 @@ def test_the_casimirs_found_are_those_known():
     assert groups.upper_triangular(3).casimirs(np.arange(6.0)).tolist() == [8]  # the trace
 
 
+@pytest.mark.paper("5.1.6: (5.13), (5.14)", "Euler's equations on a group", "systems/_euler.py")
 @pytest.mark.parametrize("name", ["SL(2)", "SE(2)", "Heis(3)"])
 def test_body_and_spatial_pictures_agree(name):
     """With π̇ = 0 and q̇ = qΩ̂ (5.14), Π = Ad*_q π follows Π̇ = ad*_Ω Π (5.13); energy from either is the same."""

@@ -70,6 +70,7 @@ def check(system, state, dt):
 LARGER = [pytest.param(name, marks=pytest.mark.long) for name in ("SL(2)", "SE(3)", "SL(3)", "SO(4)")]
 
 
+@pytest.mark.paper("5.4: (5.49), Result 13", "energy with a potential", "schemes/_group_energy_momentum.py")
 @pytest.mark.parametrize("name", ["Aff(1)", *LARGER])
 def test_result_13_energy_for_any_potential(name):
     check(*system_and_state(groups.catalogue.examples()[name]), 0.05)
@@ -158,6 +159,7 @@ def test_a_metric_that_couples_the_factors_has_no_known_drift(axis):
         li.schemes.splitting(li.systems.group_potential(system.group, m, system.potential))
 
 
+@pytest.mark.paper("5.4: (5.41), (5.42)", "a potential on a group", "systems/_group_potential.py")
 def test_the_equations_of_motion_are_hamiltonian():
     system, state = system_and_state(groups.special_euclidean(2))
     space = system.phase_space

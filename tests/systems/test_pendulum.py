@@ -55,6 +55,7 @@ def at(trajectory, n):
 _defect = jax.jit(symplectic_defect)
 
 
+@pytest.mark.paper("1.1: (1.3), (1.5)", "the pendulum, and its momentum about γ", "systems/_pendulum.py")
 @pytest.mark.slow
 @pytest.mark.parametrize("normalized", [False, True])
 @pytest.mark.parametrize("field", FIELDS)
@@ -72,6 +73,7 @@ def test_claims_1_and_2_constraints_momentum_and_energy(field, normalized):
         assert 1e-5 < energy < 1e-2
 
 
+@pytest.mark.paper("1.1: claim 3", "not symplectic; normalized it is", "schemes/_sphere_midpoint.py")
 @pytest.mark.parametrize("field", ["linear", "cubic"])
 def test_claim_3_the_plain_rule_is_not_symplectic_the_normalized_one_is(field):
     bob = BOBS[field]
@@ -82,6 +84,7 @@ def test_claim_3_the_plain_rule_is_not_symplectic_the_normalized_one_is(field):
     assert np.log2(coarse / fine) == pytest.approx(3, abs=0.1)
 
 
+@pytest.mark.paper("1.1: (1.6), claims 1, 2", "the midpoint rule on T*S²", "schemes/_sphere_midpoint.py")
 def test_1_6_as_printed_does_not_keep_energy():
     """∇H(½(z_n + z_n)), an explicit gradient, for ∇H(½(z_n + z_{n+1})): of first order, and energy is lost."""
     m, dt, grad = 1.5, 0.1, -2 * AXIS
@@ -143,6 +146,7 @@ def test_the_spherical_chart_is_one_of_darboux():
     assert CHART.state(jnp.array(Z)).p @ AXIS == pytest.approx(Z[3], abs=1e-15)
 
 
+@pytest.mark.paper("1.1: claim 4", "spherical coordinates: form and momentum", "schemes/_sphere_chart.py")
 @pytest.mark.long
 def test_claim_4_in_spherical_coordinates_the_midpoint_rule_is_symplectic_and_keeps_momentum():
     """The form of T*S² itself, by autodiff of the step on the sphere; γ·π; and the constraints."""
@@ -210,6 +214,7 @@ def test_claim_5_at_the_pole_the_step_in_the_chart_is_flagged():
         li.schemes.sphere_chart(bob, [0.0, 0.0, 2.0])
 
 
+@pytest.mark.paper("1.1: claim 5", "spherical coordinates: energy, the pole", "schemes/_sphere_chart.py")
 def test_claim_5_the_chart_is_singular_at_the_pole_and_the_sphere_is_not():
     """A swing through the axis: in the chart the momentum's term blows up, on T*S² nothing happens."""
     near = np.array([1e-3, 0.0, 1.0, 1e-3])
@@ -233,6 +238,7 @@ def test_second_order_against_the_flow_and_reversible():
         np.testing.assert_allclose(at(run(step, there, -0.1)[0], 1)[:2], start()[:2], rtol=0, atol=4e-15)
 
 
+@pytest.mark.paper("1.1: (1.4)", "the form of T*S²", "phase_spaces.py")
 def test_the_flow_is_symplectic_for_the_form_of_1_4():
     """The exact flow preserves the frame form, so the form is the right one; with its blocks exchanged it would not."""
     bob = BOBS["cubic"]

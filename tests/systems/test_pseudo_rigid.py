@@ -100,6 +100,7 @@ def test_elimination_and_the_arithmetic_of_matrices():
     )
 
 
+@pytest.mark.paper("6, 6.1: (6.1)–(6.4)", "pseudo-rigid bodies", "systems/_pseudo_rigid_body.py")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MATERIALS)
 def test_the_equations_of_motion_are_hamilton_s(name):

@@ -26,6 +26,7 @@ def made(name, turn=0.4):
     return system, system.state(q, velocity=velocity)
 
 
+@pytest.mark.paper("5.1.7, its end", "right-invariant energy", "systems/_euler.py")
 @pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.slow
@@ -42,6 +43,7 @@ def test_energy_and_body_momentum_are_kept_and_the_order_is_two(name):
     assert np.abs(after.p - state.p).max() > 1e-3  # π is not conserved
 
 
+@pytest.mark.paper("5.1.8: (5.21), (5.22)", "momentum maps", "systems/_euler.py")
 @pytest.mark.parametrize("name", NAMES)
 def test_the_vector_field_is_hamiltonian(name):
     """i_X ω = dH on the phase space, and Π and H are constant along X; the mirror of (5.20)."""
