@@ -276,7 +276,7 @@ class _Equation(NamedTuple):
         Pi: Π_n.
         s: ¼Δt².
         q: q_n.
-        t: t + ½Δt.
+        t: t_n.
         dt: Δt.
     """
 
@@ -297,7 +297,7 @@ class _Equation(NamedTuple):
         J, r = vec3.unit_trace(system.inertia)
         Pi = vec3.components(r * so3.Ad_star(state.q, state.p))
         inner = tuple(_inner(state, law) for law in system.laws)
-        return cls(step.kappa, system.laws, inner, J, Pi, 0.25 * r * dt * dt, state.q, clock(state) + 0.5 * dt, dt)
+        return cls(step.kappa, system.laws, inner, J, Pi, 0.25 * r * dt * dt, state.q, clock(state), dt)
 
     @property
     def a(self) -> Vector:

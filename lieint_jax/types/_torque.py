@@ -16,7 +16,7 @@ class Rotation(NamedTuple):
     """The rotation of a body in one step, as a law of torque is given it. With dt = 0 it is one instant.
 
     Attributes:
-        t: the time in the middle of the step, t_n + ½Δt, ().
+        start: the time t_n, ().
         dt: Δt, ().
         q_n, q_mid, q_next: the attitudes at the start, half-way and at the end, unit quaternions (4,).
         h: ½Θ in the body, (3,), with Λ_{n+1} = Λ_n cay Θ.
@@ -25,7 +25,7 @@ class Rotation(NamedTuple):
         omega: ω̄ = Λ_nΩ̄ = Λ_{n+1}Ω̄, the same in space, (3,).
     """
 
-    t: Array
+    start: Array
     dt: Array
     q_n: Array
     q_mid: Array
@@ -36,14 +36,14 @@ class Rotation(NamedTuple):
     omega: Array
 
     @property
-    def start(self) -> Array:
-        """The time t_n."""
-        return self.t - self.dt / 2
+    def t(self) -> Array:
+        """The time in the middle of the step, t_n + ½Δt."""
+        return self.start + self.dt / 2
 
     @property
     def end(self) -> Array:
-        """The time t_{n+1}."""
-        return self.t + self.dt / 2
+        """The time t_{n+1}, rounded as the state's."""
+        return self.start + self.dt
 
     def velocity(self, frame: str) -> Array:
         """The mean angular velocity in the axes of the body or of space, (3,)."""
@@ -174,7 +174,7 @@ def instant(law: Law, t: Array, q: Array, Omega: Array, omega: Array, inner: Any
 
     def advanced(s: Array) -> tuple[Array, Any]:
         h = s / 2 * Omega
-        rotation = Rotation(t + s / 2, s, q, q_half(h / 2), q_half(h), h, jnp.ones_like(t), Omega, omega)
+        rotation = Rotation(t, s, q, q_half(h / 2), q_half(h), h, jnp.ones_like(t), Omega, omega)
         return law.mean(rotation, inner)
 
     zero = jnp.zeros((), q.dtype)

@@ -153,7 +153,7 @@ def rotation_of(path, n, dt):
     Omega = jnp.linalg.solve(INERTIA, (so3.Ad_star(a.q, a.p) + so3.Ad_star(b.q, b.p)) / 2)
     kappa = jnp.sqrt(h @ h / (Omega @ Omega)) * 2 / dt
     half = so3.normalize(a.q + b.q)
-    return a, b, torques.Rotation(a.t + dt / 2, dt, a.q, half, b.q, h, kappa, Omega, so3.Ad(a.q, Omega))
+    return a, b, torques.Rotation(a.t, dt, a.q, half, b.q, h, kappa, Omega, so3.Ad(a.q, Omega))
 
 
 def test_a_rod_in_a_field_at_rest_never_gains_and_loses_the_area_of_its_loop():
