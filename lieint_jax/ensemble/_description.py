@@ -151,6 +151,6 @@ def _imported(name: str) -> ModuleType | None:
 def _instance(cls: type, fields: Mapping[str, Any]) -> Any:
     """An instance of a dataclass with these fields, made without its checks, which its maker has done."""
     x = object.__new__(cls)
-    for name, value in fields.items():
-        object.__setattr__(x, name, value)
+    for name in {field.name for field in dataclasses.fields(cls)} & fields.keys():  # version 0.2 had others too
+        object.__setattr__(x, name, fields[name])
     return x

@@ -1,14 +1,16 @@
-"""The energy-momentum schemes of a rigid body with a torque or with internal friction: an exact balance of power.
+"""The energy-momentum schemes of a rigid body with torques or with internal friction: an exact balance of power.
 
 With Θ̄ = Δt J⁻¹ ½(Π_n + Π_{n+1}) = 2y, h = ½Θ = κ(|Θ̄|²) y, a = ½ΔtΠ_n, s = ¼Δt², one step is
 
-    Λ_{n+1} = Λ_n cay Θ,    π_{n+1} = π_n + Δt τ̄,    τ̄ = Λ̄T̄,  Λ̄ = ½(Λ_n + Λ_{n+1})
-    J y + κ y × J y = a + s T̄                                                        (vector form)
+    Λ_{n+1} = Λ_n cay Θ,    π_{n+1} = π_n + Δt Στ̄_k,    τ̄_k = Λ̄T̄_k,  Λ̄ = ½(Λ_n + Λ_{n+1})
+    J y + κ y × J y = a + s ΣT̄_k                                                     (vector form)
 
-for a torque T̄ given in the body. One given in space, τ̄ = Λ_nT, has T̄ = T − h × T. Since cay Θ Θ̄ = Θ̄, for any torque
-and any κ
+for mean torques T̄_k given in the body. One given in space, τ̄ = Λ_nT, has T̄ = T − h × T. Since cay Θ Θ̄ = Θ̄, for any
+torques and any κ
 
-    ½ Π·J⁻¹Π |_n^{n+1} = Δt Ω̄·T̄ = Δt ω̄·τ̄,    Ω̄ = Θ̄/Δt,  ω̄ = Λ_nΩ̄ = Λ_{n+1}Ω̄
+    ½ Π·J⁻¹Π |_n^{n+1} = Δt Ω̄·ΣT̄_k = Δt ω̄·Στ̄_k,    Ω̄ = Θ̄/Δt,  ω̄ = Λ_nΩ̄ = Λ_{n+1}Ω̄
+
+so that with the work W_k = Δt Ω̄·T̄_k + ΔE_k of each law, E_k its energy, ½ Π·J⁻¹Π + ΣE_k − ΣW_k is constant.
 
 Internal friction turns the body by more, and no torque acts on it. With Π̄ = ½(Π_n + Π_{n+1}), Ω̄ = J⁻¹Π̄,
 
@@ -33,19 +35,39 @@ from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._so3_midpoint import FREE_BODIES, gyration, gyration_matrix, on_branch
 from lieint_jax.torques import internal_friction
-from lieint_jax.types import AbstractDampedBody, AbstractTorquedBody, State, Step, StepInfo, clock, pytree, static
+from lieint_jax.types import (
+    AbstractDampedBody,
+    AbstractTorquedBody,
+    Law,
+    Rotation,
+    State,
+    Step,
+    StepInfo,
+    clock,
+    instant,
+    pytree,
+    static,
+)
 
 
 def _torqued_motion(body: AbstractTorquedBody, state: State) -> State:
-    """(q̇, π̇) = (½ q Ω, τ), or π̇ = ΛT; and −τ for a momentum that the torque is taken from."""
-    turning = FREE_BODIES.vector_field(body, state)
-    Omega = so3.body_velocity(state.q, turning.q)
-    law: Any = body.law(jnp.zeros_like(clock(state)), state.extra)
-    if body.frame == "space":
-        torque = law(state.t, state.q, so3.Ad(state.q, Omega))
-    else:
-        torque = so3.Ad(state.q, law(state.t, state.q, Omega))
-    return State(turning.q, torque, extra=_taken(body, jax.tree.map(jnp.zeros_like, state.extra), torque))
+    """(q̇, π̇) = (½ q Ω, Στ_k), and the rates of the laws' internal states."""
+    rotating = FREE_BODIES.vector_field(body, state)
+    Omega, t = so3.body_velocity(state.q, rotating.q), clock(state)
+    omega, impulse, rates = so3.Ad(state.q, Omega), jnp.zeros_like(state.p), {}
+    for law in body.laws:
+        inner = _inner(state, law)
+        torque, rate = instant(law, t, state.q, Omega, omega, inner, lambda h: so3.cayley_increment(state.q, h))
+        impulse = impulse + (torque if law.frame == "space" else so3.Ad(state.q, torque))
+        if law.key is not None:
+            rates[law.key] = rate
+    extra = jax.tree.map(jnp.zeros_like, state.extra)
+    return State(rotating.q, impulse, extra=(extra or {}) | rates if rates else extra)
+
+
+def _inner(state: State, law: Law) -> Any:
+    """The internal state of a law, None if it has none."""
+    return None if law.key is None else (state.extra or {})[law.key]
 
 
 def _damped_motion(body: AbstractDampedBody, state: State) -> State:
@@ -62,12 +84,6 @@ TORQUED_BODIES = AcceptedSystems(
 DAMPED_BODIES = AcceptedSystems(
     AbstractDampedBody, "rigid bodies with internal friction (systems.damped_body)", _damped_motion
 )
-
-
-def _taken(body: AbstractTorquedBody, extra: dict[str, Array] | None, impulse: Array) -> dict[str, Array] | None:
-    """`extra` less an impulse in space, if the torque is taken from a momentum in it."""
-    key = getattr(body.torque, "key", None)
-    return extra if key is None or extra is None else extra | {key: extra[key] - impulse}
 
 
 @pytree
@@ -93,14 +109,16 @@ class TorquedMidpoint(Step):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         equation = _Equation.of(self, state, dt)
         y, info = equation.solve(self.iterations)
-        h = equation.turn(y)[1]
-        q = state.q + jnp.stack(so3.cayley_difference(state.q, h))
-        omega, torque, _ = equation.torque(y)
-        mean = torque if equation.space else (so3.Ad(state.q, torque) + so3.Ad(q, torque)) / 2
-        impulse = jnp.asarray(dt) * mean
-        work = None if state.work is None else state.work + equation.work(q, omega, torque)
-        end = state._replace(q=q, p=state.p + impulse, work=work, extra=_taken(self.system, state.extra, impulse))
-        return end, info
+        rotation = equation.rotation(y)
+        torques = equation.torques(rotation)
+        q = state.q + jnp.stack(so3.cayley_difference(state.q, rotation.h))
+        rotation = rotation._replace(q_next=q)
+        impulse = jnp.asarray(dt) * (torques.space + (so3.Ad(state.q, torques.body) + so3.Ad(q, torques.body)) / 2)
+        end = state._replace(q=q, p=state.p + impulse)
+        works = [law.work(rotation, *found) for law, found in zip(equation.laws, torques.each, strict=True)]
+        if state.work is not None:
+            end = end._replace(work=state.work + sum(works))
+        return end._replace(extra=_carried(state.extra, equation.laws, torques.each, works)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return _advice(self, dt, "the torque is too stiff")
@@ -181,19 +199,21 @@ def torqued_midpoint(
     kappa: Kappa | Callable[[Array], Array] = kappa_cayley,
     iterations: int | None = None,
 ) -> TorquedMidpoint | DampedMidpoint:
-    """The energy-momentum scheme of a rigid body with any torque τ(t, q, ω), or with internal friction; for any κ.
+    """The energy-momentum scheme of a rigid body with any torques, or with internal friction; for any κ.
 
     | law of a step | to |
     |---|---|
-    | ΔH = Δt ω̄·τ̄: the energy changes by the work, which `State.work` adds up; H − W is constant | round-off |
-    | Δπ = Δt τ̄; with internal friction π itself | the impulse's rounding; bit for bit |
-    | dissipation: a viscous law, a damper, a PD law, friction takes energy in each step with Δt > 0 | exactly |
+    | ΔH = ΣW_k: the energy changes by the works of the laws, which `State.work` counts; H − W is constant | round-off |
+    | Δπ = Δt Στ̄_k; with internal friction π itself | the impulse's rounding; bit for bit |
+    | π with the momenta of wheels and dampers, where no other law acts | round-off |
+    | dissipation: drag, dampers, torquers, PD laws, friction take energy in each step with Δt > 0 | exactly |
 
-    Second order, time-symmetric: a step of −Δt undoes one of Δt, dissipation too. `schemes.compose` raises the order;
-    its negative sub-steps give energy back, so only whole steps of it lose energy, while H − W stays constant in each.
+    Second order; time-symmetric, dissipation too, unless a law is not (`torques.hysteresis`, wheels with a limit of
+    momentum). `schemes.compose` raises the order; its negative sub-steps give energy back, so only whole steps of it
+    lose energy, while H − W stays constant in each. `State.extra["works"]`, if it is there, counts each law's work.
 
-    τ̄ is the torque at t + ½Δt, at the attitude half-way, (q_n + q_{n+1})/|…|, and at ω̄; or the law's own `mean`, as
-    of a PD law, whose potential is then exact too.
+    The torque of a function is evaluated at t + ½Δt, at the attitude half-way, (q_n + q_{n+1})/|…|, and at ω̄; a law
+    has its own mean, as that of a potential, whose balance is then exact too.
 
     Args:
         system: `systems.torqued_body(...)` or `systems.damped_body(...)`.
@@ -212,7 +232,7 @@ def torqued_midpoint(
         DAMPED_BODIES.check("torqued_midpoint", system)
         return DampedMidpoint(system, kappa, count)
     TORQUED_BODIES.check("torqued_midpoint", system, "; for internal friction take systems.damped_body")
-    return TorquedMidpoint(system, kappa, count)
+    return TorquedMidpoint(system, kappa, count, symmetric=all(law.symmetric for law in system.laws))
 
 
 def examples(system: Any) -> dict[str, Step]:
@@ -222,24 +242,47 @@ def examples(system: Any) -> dict[str, Step]:
     return {step.name: step for step in (torqued_midpoint(system, kappa) for kappa in KAPPAS)}
 
 
+class _Torques(NamedTuple):
+    """The mean torques of a step.
+
+    Attributes:
+        body: the sum of those given in the body, (3,).
+        space: the sum of those given in space, (3,).
+        each: for each law its torque, and its internal state before and after.
+    """
+
+    body: Array
+    space: Array
+    each: list[tuple[Array, Any, Any]]
+
+
+def _carried(extra: dict[str, Array] | None, laws: Any, each: Any, works: list[Array]) -> dict[str, Array] | None:
+    """`extra` with the internal states of the laws after a step, and with their works if they are counted."""
+    if extra is None:
+        return None
+    after = {law.key: end for law, (_, _, end) in zip(laws, each, strict=True) if law.key is not None}
+    counted = {"works": extra["works"] + jnp.stack(works)} if "works" in extra else {}
+    return extra | after | counted
+
+
 class _Equation(NamedTuple):
     """The equation for y of one step from a state; J, Π_n, a and s are divided by tr J, so that |a| is an angle.
 
     Attributes:
         kappa: κ.
-        law: the torque of this step.
-        space: whether it is given in space, else in the body.
+        laws: the laws of torque.
+        inner: their internal states.
         J: the inertia.
         Pi: Π_n.
         s: ¼Δt².
         q: q_n.
-        t: t + ½Δt.
+        t: t_n.
         dt: Δt.
     """
 
     kappa: Kappa
-    law: Any
-    space: bool
+    laws: tuple[Law, ...]
+    inner: tuple[Any, ...]
     J: Symmetric
     Pi: Vector
     s: Array
@@ -253,41 +296,46 @@ class _Equation(NamedTuple):
         system = step.system
         J, r = vec3.unit_trace(system.inertia)
         Pi = vec3.components(r * so3.Ad_star(state.q, state.p))
-        law, t = system.law(dt, state.extra), clock(state) + 0.5 * dt
-        return cls(step.kappa, law, system.frame == "space", J, Pi, 0.25 * r * dt * dt, state.q, t, dt)
+        inner = tuple(_inner(state, law) for law in system.laws)
+        return cls(step.kappa, system.laws, inner, J, Pi, 0.25 * r * dt * dt, state.q, clock(state), dt)
 
     @property
     def a(self) -> Vector:
         """½ΔtΠ_n."""
         return scale(0.5 * self.dt, self.Pi)
 
-    def turn(self, y: Vector) -> tuple[Array, Vector]:
-        """κ and h."""
+    def rotation(self, y: Vector, q: Array | None = None) -> Rotation:
+        """What the laws are given of a step; from another q_n if it is given."""
+        q = self.q if q is None else q
         k = self.kappa(4 * dot(y, y))
-        return k, scale(k, y)
-
-    def torque(self, y: Vector, q: Array | None = None) -> tuple[Array, Array, Vector]:
-        """ω̄, the mean torque given in the axes of the law, and T̄ in the body; from another q_n if it is given."""
-        (k, h), q = self.turn(y), self.q if q is None else q
+        h = jnp.stack(scale(k, y))
         moves = self.dt != 0
         per = 2 / jnp.where(moves, self.dt, 1)
         at_once = vec3.solve_symmetric(self.J, self.Pi)
         Omega = jnp.stack([jnp.where(moves, per * y[i], at_once[i]) for i in range(3)])
-        omega = so3.Ad(q, Omega) if self.space else Omega
-        if hasattr(self.law, "mean"):
-            mean = self.law.mean(self.t, q, so3.cayley_increment(q, jnp.stack(h)), jnp.stack(h), k, omega)
-        else:
-            half = scale(1 / (1 + jnp.sqrt(1 + dot(h, h))), h)
-            mean = self.law(self.t, so3.cayley_increment(q, jnp.stack(half)), omega)
-        mean = jnp.asarray(mean).astype(self.q.dtype)
-        if not self.space:
-            return omega, mean, vec3.components(mean)
-        T = so3.Ad_star(q, mean)
-        return omega, mean, subtract(T, cross(h, T))
+        half = so3.cayley_increment(q, h / (1 + jnp.sqrt(1 + dot(h, h))))
+        return Rotation(self.t, self.dt, q, half, so3.cayley_increment(q, h), h, k, Omega, so3.Ad(q, Omega))
+
+    def torques(self, rotation: Rotation) -> _Torques:
+        """The mean torques of all laws."""
+        sums, each = {"body": jnp.zeros(3, self.q.dtype), "space": jnp.zeros(3, self.q.dtype)}, []
+        for law, inner in zip(self.laws, self.inner, strict=True):
+            torque, after = law.mean(rotation, inner)
+            torque = jnp.asarray(torque).astype(self.q.dtype)
+            sums[law.frame] = sums[law.frame] + torque
+            each.append((torque, inner, after))
+        return _Torques(sums["body"], sums["space"], each)
+
+    def torque(self, y: Vector, q: Array | None = None) -> Vector:
+        """ΣT̄_k in the body; from another q_n if it is given."""
+        rotation = self.rotation(y, q)
+        found = self.torques(rotation)
+        T = so3.Ad_star(rotation.q_n, found.space)
+        return add(found.body, subtract(T, cross(rotation.h, T)))
 
     def side(self, y: Vector) -> Vector:
         """sT̄."""
-        return scale(self.s, self.torque(y)[2])
+        return scale(self.s, self.torque(y))
 
     def residual(self, y: Vector) -> Vector:
         """Jy + κ y × Jy − a − sT̄."""
@@ -319,7 +367,7 @@ class _Equation(NamedTuple):
         def side(y: Vector, angle: Vector) -> Vector:
             """sT̄ from an attitude turned in space."""
             q = [a + b for a, b in zip(self.q, so3.spatial_tangent(self.q, jnp.stack(angle)), strict=True)]
-            return scale(self.s, self.torque(y, jnp.stack(q))[2])
+            return scale(self.s, self.torque(y, jnp.stack(q)))
 
         none = (jnp.zeros_like(y[0]),) * 3
         here, slope = jax.linearize(side, y, none)
@@ -327,15 +375,6 @@ class _Equation(NamedTuple):
         K = vec3.combine(gyration_matrix(self.kappa, self.J, y), [vec3.components(row[:3]) for row in rows], -1)
         force = jnp.maximum(vec3.max_abs(here), jnp.max(jnp.abs(jnp.stack(rows)[:, 3:])))
         return on_branch(self.kappa, y, K), vec3.max_abs(self.a) + force
-
-    def work(self, q_next: Array, omega: Array, torque: Array) -> Array:
-        """The work of the torque, but for that of its potential."""
-        if hasattr(self.law, "power"):
-            return self.dt * self.law.power(self.t, self.q, omega)
-        done = self.dt * dot(omega, torque)
-        if hasattr(self.law, "potential"):
-            done = done + self.law.potential(q_next) - self.law.potential(self.q)
-        return done
 
 
 def _jacobian(function: Callable[[Vector], Vector], x: Vector) -> vec3.Matrix:

@@ -1,8 +1,7 @@
-"""A rigid body with a torque: any law of time, attitude and angular velocity."""
+"""A rigid body with laws of torque: of time, attitude, angular velocity, and internal states such as wheels."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, Literal
 
 import jax
@@ -13,115 +12,149 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, torques
 from lieint_jax._checks import concrete
-from lieint_jax._numerics import vec3
+from lieint_jax._numerics.vec3 import dot
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import TimedBody
-from lieint_jax.types import AbstractTorquedBody, State, callable_pytree, clock, pytree, static
+from lieint_jax.torques._older import MEMBERS, OlderLaw
+from lieint_jax.types import AbstractTorquedBody, Law, Rotation, State, as_law, clock, instant, pytree
 
-_MORE = ("frame", "potential", "power", "mean", "during", "key")  # what a law may offer besides being called
+_WORKS = "works"
 
 
 @pytree
 class TorquedBody(TimedBody, AbstractTorquedBody):
-    """H = ½ Π·J⁻¹Π + U: Λ̇ = ΛΩ̂, π̇ = τ(t, q, ω) in space, or π̇ = ΛT(t, q, Ω) in the body. Made by `torqued_body`.
+    """H = ½ Π·J⁻¹Π + ΣE_k: Λ̇ = ΛΩ̂, π̇ = Στ_k. Made by `torqued_body`.
 
     Attributes:
         inertia: J in the body frame, principal moments (3,) or a symmetric tensor (3, 3).
-        torque: τ or T, a law as in `types.AbstractTorquedBody`.
-        frame: "body" or "space", the axes of the torque and of the angular velocity it is given.
+        torque: a law of torque, or the sum of several.
     """
 
     inertia: Array
-    torque: Callable[..., Array]
-    frame: str = static()
+    torque: Law
+
+    @property
+    def frame(self) -> str:
+        """The axes of `torque_at`: those of the only law, "body" for several."""
+        return self.laws[0].frame if len(self.laws) == 1 else "body"
 
     @property
     def carried(self) -> dict[str, Array] | None:
-        """The momentum at rest that the torque is taken from, by its key; None if there is none."""
-        key = getattr(self.torque, "key", None)
-        return None if key is None else {key: jnp.zeros(3, self.inertia.dtype)}
+        """The internal states of the laws at rest, by their keys; None if there are none."""
+        zero = jnp.zeros((), self.inertia.dtype)
+        q, rest = jnp.asarray(so3.identity, zero.dtype), jnp.zeros(3, zero.dtype)
+        return self._starts(Rotation(zero, zero, q, q, q, rest, zero + 1, rest, rest)) or None
 
-    def state(self, *arguments: Any, **options: Any) -> State:
+    def state(self, *arguments: Any, works: bool = False, **options: Any) -> State:
         state = super().state(*arguments, **options)
-        if self.carried is None:
-            return state
-        turning: Any = self.torque
-        omega = so3.Ad(state.q, self.angular_velocity(state))
-        return state._replace(extra={turning.key: turning.inner(omega).astype(state.p.dtype)})
+        Omega = self.angular_velocity(state)
+        zero, q = jnp.zeros((), state.p.dtype), state.q
+        now = Rotation(clock(state), zero, q, q, q, jnp.zeros_like(Omega), zero + 1, Omega, so3.Ad(q, Omega))
+        extra = jax.tree.map(lambda x: x.astype(state.p.dtype), self._starts(now))
+        if works:
+            extra[_WORKS] = jnp.zeros(len(self.laws), state.p.dtype)
+            state = state if state.work is not None else state._replace(work=zero)
+        return state._replace(extra=extra) if extra else state
 
     state.__doc__ = f"""{TimedBody.state.__doc__}
-        A momentum that the torque is taken from, as a damper's, is that of a damper which turns with the body.
+        The internal states of the laws begin as each law says: a damper rotates with the body, wheels have the speeds
+        that they were made with. With `works=True`, `State.extra["works"]` counts the work of each law, (number of
+        laws,), in their order.
         """
 
+    def inner(self, state: State, law: Law) -> Any:
+        """The internal state of a law; ValueError if a state lacks it."""
+        if law.key is None:
+            return None
+        if state.extra is None or law.key not in state.extra:
+            raise ValueError(
+                f'{type(law).__name__} has an internal state, State.extra["{law.key}"]: make the state with '
+                f'system.state(...), or give it one with state._replace(extra={{"{law.key}": …}})'
+            )
+        return state.extra[law.key]
+
     def torque_at(self, state: State) -> Array:
-        """The torque, (3,), in the axes of `frame`."""
-        return self._law(state)(clock(state), state.q, self._velocity(state)).astype(state.p.dtype)
+        """The torque of all laws, (3,), in the axes of `frame`."""
+        torques = [self._instant(state, law)[0] for law in self.laws]
+        if len(self.laws) == 1:
+            return torques[0]
+        pairs = zip(self.laws, torques, strict=True)
+        return sum((x if law.frame == "body" else so3.Ad_star(state.q, x) for law, x in pairs), jnp.zeros_like(state.p))
 
     def power(self, state: State) -> Array:
-        """The power of the torque but for that of its potential, a scalar: the rate of `State.work`."""
-        law: Any = self._law(state)
-        t, q, omega = clock(state), state.q, self._velocity(state)
-        if hasattr(law, "power"):
-            return law.power(t, q, omega)
-        power = vec3.dot(omega, law(t, q, omega))
-        if not hasattr(law, "potential"):
-            return power
-        q_dot = so3.tangent(q, self.angular_velocity(state))
-        return power + jax.jvp(law.potential, (q,), (q_dot,))[1]
+        """The rate of `State.work`, a scalar: the power of the torques and the rate of the laws' energies."""
+        return jnp.sum(self._rates(state)[2])
 
     def energy(self, state: State) -> Array:
-        """½ Π·J⁻¹Π, with the torque's potential if it has one, and the energy of a momentum it is taken from."""
-        law: Any = self.torque
-        energy = self.kinetic_energy(state)
-        if hasattr(law, "potential"):
-            energy = energy + law.potential(state.q)
-        if self.carried is not None:
-            energy = energy + law.inner_energy(self._carried(state))
-        return energy
+        """½ Π·J⁻¹Π with the energies of the laws: potentials, and those of internal states."""
+        t = clock(state)
+        laws = [law.energy(t, state.q, self.inner(state, law)) for law in self.laws]
+        return sum(laws, self.kinetic_energy(state))
 
     def momentum(self, state: State) -> Array:
-        """π with the momentum that the torque is taken from, (3,), as of a damper; (0,) for a torque from outside."""
-        return state.p[:0] if self.carried is None else state.p + self._carried(state)
+        """π with the momenta of dampers and wheels, (3,), where no law acts from outside; else (0,)."""
+        if not all(law.internal for law in self.laws):
+            return state.p[:0]
+        return sum((law.momentum(state.q, self.inner(state, law)) for law in self.laws), state.p)
 
     def vector_field(self, state: State) -> State:
-        """(q̇, π̇) = (½ q Ω, τ), the power as the rate of the work, and −τ as that of a momentum it is taken from."""
-        torque = self.torque_at(state)
-        torque = so3.Ad(state.q, torque) if self.frame == "body" else torque
+        """(q̇, π̇) = (½ q Ω, Στ_k), the rate of the work, and those of the internal states."""
+        impulse, rates, powers = self._rates(state)
         extra = jax.tree.map(jnp.zeros_like, state.extra)
-        if self.carried is not None:
-            extra = {**(extra or {}), self._key: -torque}
-        q_dot = so3.tangent(state.q, self.angular_velocity(state))
-        return State(q_dot, torque, work=self.power(state), extra=extra)
+        if rates or extra:
+            extra = (extra or {}) | rates
+        if extra and _WORKS in extra:
+            extra[_WORKS] = powers
+        return State(so3.tangent(state.q, self.angular_velocity(state)), impulse, work=jnp.sum(powers), extra=extra)
 
     def check(self, state: State) -> None:
         """Raise ValueError if a concrete `state` is not one of this system, or has no time."""
         super().check(state)
         clock(state)
-        if self.carried is not None:
-            _checks.real_array(f'state.extra["{self._key}"]', self._carried(state), (3,))
+        for law in self.laws:
+            inner = self.inner(state, law)
+            if law.key is not None and self.carried is not None:
+                _checks.real_array(f'state.extra["{law.key}"]', inner, self.carried[law.key].shape)
         if concrete(self, state) and not np.all(np.isfinite(torque := _torque_at(self, state))):
+            velocity = _velocity(self, state)
             raise ValueError(
                 f"the torque must be finite, got {np.asarray(torque)} at t = {float(clock(state)):g}, "
-                f"q = {np.asarray(state.q)}, ω = {np.asarray(self._velocity(state))} in the {self.frame}: fix the law"
+                f"q = {np.asarray(state.q)}, ω = {np.asarray(velocity)} in the {self.frame}: fix the law"
             )
 
-    @property
-    def _key(self) -> str:
-        law: Any = self.torque
-        return law.key
+    def _starts(self, now: Rotation) -> dict[str, Array]:
+        found = {law.key: law.start(now) for law in self.laws if law.key is not None}
+        return {key: value for key, value in found.items() if value is not None}
 
-    def _carried(self, state: State) -> Array:
-        self._law(state)  # which says what to do where the momentum is missing
-        assert state.extra is not None
-        return state.extra[self._key]
-
-    def _law(self, state: State) -> Callable[..., Array]:
-        return self.law(jnp.zeros((), state.p.dtype), state.extra)
-
-    def _velocity(self, state: State) -> Array:
+    def _instant(self, state: State, law: Law) -> tuple[Array, Any]:
+        """The torque of a law at a state, in the axes of its frame, and the rate of its internal state."""
         Omega = self.angular_velocity(state)
-        return so3.Ad(state.q, Omega) if self.frame == "space" else Omega
+        omega, inner = so3.Ad(state.q, Omega), self.inner(state, law)
+        half = lambda h: so3.cayley_increment(state.q, h)  # noqa: E731
+        torque, rate = instant(law, clock(state), state.q, Omega, omega, inner, half)
+        return jnp.asarray(torque).astype(state.p.dtype), rate
+
+    def _rates(self, state: State) -> tuple[Array, dict[str, Array], Array]:
+        """π̇, the rates of the internal states, and the powers of the laws."""
+        Omega, t = self.angular_velocity(state), clock(state)
+        omega, q_dot = so3.Ad(state.q, Omega), so3.tangent(state.q, Omega)
+        impulse, rates, powers = jnp.zeros_like(state.p), {}, []
+        for law in self.laws:
+            torque, rate = self._instant(state, law)
+            inner = self.inner(state, law)
+            if law.key is not None:
+                rates[law.key] = rate
+            impulse = impulse + (torque if law.frame == "space" else so3.Ad(state.q, torque))
+            at, tangents = (t, state.q, inner), (jnp.ones_like(t), q_dot, rate)
+            gain = jax.jvp(law.energy, at, tangents)[1] if inner is not None else _gain(law, t, state.q, q_dot)
+            powers.append(dot(omega if law.frame == "space" else Omega, torque) + gain)
+        return impulse, rates, jnp.stack(powers)
+
+
+def _gain(law: Law, t: Array, q: Array, q_dot: Array) -> Array:
+    """The rate of the energy of a law without an internal state."""
+    return jax.jvp(lambda t, q: law.energy(t, q, None), (t, q), (jnp.ones_like(t), q_dot))[1]
 
 
 @compiled
@@ -129,16 +162,21 @@ def _torque_at(body: TorquedBody, state: State) -> Array:
     return body.torque_at(state)
 
 
+def _velocity(body: TorquedBody, state: State) -> Array:
+    Omega = body.angular_velocity(state)
+    return so3.Ad(state.q, Omega) if body.frame == "space" else Omega
+
+
 def torqued_body(inertia: ArrayLike, torque: Any, frame: Literal["body", "space"] | None = None) -> TorquedBody:
-    """A rigid body with a torque; `schemes.torqued_midpoint` integrates it with an exact balance of power.
+    """A rigid body with torques; `schemes.torqued_midpoint` integrates it and books the work of each law exactly.
 
     Args:
-        inertia: principal moments (3,) or a symmetric tensor in body axes (3, 3).
-        torque: torque(t, q, ω) ↦ (3,) of time, attitude quaternion and angular velocity, a JAX function, in the axes
-            that `frame` says, as ω is. Parameters to be differentiated or batched go into a `jax.tree_util.Partial` or
-            a class of one's own decorated with `li.pytree`, which may also have a potential and more, see
-            `types.AbstractTorquedBody`. `lieint_jax.torques` has laws.
-        frame: "body" or "space"; by default the torque's own `frame` if it has one, else "body".
+        inertia: principal moments (3,) or a symmetric tensor in body axes (3, 3); with wheels, that without their axial
+            parts (`torques.wheels`).
+        torque: a law of `lieint_jax.torques`, a sum of laws, or a JAX function (t, q, ω) ↦ (3,) of time, attitude
+            quaternion and angular velocity, in the axes of `frame`, as ω is. Parameters to be differentiated or batched
+            go into a `jax.tree_util.Partial`, or into a custom law: see `torques.Law`.
+        frame: "body" or "space", the axes of a function; a law has its own.
 
     Raises:
         ValueError: bad inertia, a torque that is no function with a value (3,), a frame that is not the torque's own.
@@ -151,57 +189,72 @@ def torqued_body(inertia: ArrayLike, torque: Any, frame: Literal["body", "space"
         >>> bool(abs(li.diagnostics.energy_error(body, run)).max() < 1e-5)  # of H − work
         True
     """
-    inertia = _checks.inertia(inertia)
-    if not (callable(torque) or hasattr(torque, "during")):
-        raise ValueError(f"torque must be a function of (t, q, omega) with a value of shape (3,), got {torque!r}")
-    if jax.tree_util.all_leaves([torque]) and (more := [name for name in _MORE if hasattr(torque, name)]):
-        raise ValueError(
-            f"a torque with {' and '.join(more)} must be a pytree: decorate {type(torque).__name__} with @li.pytree"
-        )
-    own = getattr(torque, "frame", None)
-    frame = frame or own or "body"
-    if frame not in ("body", "space") or own not in (None, frame):
-        allowed = f'"{own}", the axes of {type(torque).__name__}' if own in ("body", "space") else '"body" or "space"'
-        raise ValueError(f"frame must be {allowed}, got {frame!r}")
-    made = TorquedBody(inertia, callable_pytree(torque), frame)
+    made = TorquedBody(_checks.inertia(inertia), _law(torque, frame))
     _check_torque(made)
     return made
 
 
+def _law(torque: Any, frame: str | None) -> Law:
+    """The torque as a law."""
+    own = getattr(torque, "frame", None)
+    if frame not in (None, "body", "space") or own not in (None, frame or own) or own not in (None, "body", "space"):
+        allowed = f'"{own}", the axes of {type(torque).__name__}' if own in ("body", "space") else '"body" or "space"'
+        raise ValueError(f"frame must be {allowed}, got {frame or own!r}")
+    if isinstance(torque, Law):
+        return torque
+    more = [name for name in MEMBERS if hasattr(torque, name)]
+    if not more or (more == ["frame"] and callable(torque)):
+        return as_law(torque, frame or own or "body")
+    if jax.tree_util.all_leaves([torque]):
+        raise ValueError(
+            f"a torque with {' and '.join(more)} must be a pytree: decorate {type(torque).__name__} with @li.pytree"
+        )
+    return OlderLaw(torque, frame or own or "body")
+
+
 def _check_torque(body: TorquedBody) -> None:
-    """Raise ValueError if the torque has no real value of shape (3,)."""
+    """Raise ValueError if a law has no real value of shape (3,)."""
     number, q, vector = (jax.ShapeDtypeStruct(shape, body.inertia.dtype) for shape in ((), (4,), (3,)))
+    for law in body.laws:
 
-    def value(t: Array, q: Array, omega: Array) -> list[Array]:
-        law: Any = body.law(jnp.zeros_like(t), body.carried)
-        means = [law.mean(t, q, q, omega, jnp.ones_like(t), omega)] if hasattr(law, "mean") else []
-        return [law(t, q, omega), *means]
+        def value(t: Array, q: Array, omega: Array, law: Law = law) -> Any:
+            now = Rotation(t, t, q, q, q, omega, t, omega, omega)
+            return law.mean(now, None if law.key is None else (body.carried or {})[law.key])[0]
 
-    try:
-        found = list(jax.eval_shape(value, number, q, vector))
-        wrong = [x for x in found if getattr(x, "shape", None) != (3,) or not _is_real(x)]
-    except (TypeError, IndexError, ValueError, AttributeError) as error:
-        raise ValueError(f"torque fails as a function of t (), q (4,) and omega (3,): {error}") from error
-    if wrong:
-        given = f"shape {wrong[0].shape} and dtype {wrong[0].dtype}" if hasattr(wrong[0], "shape") else f"{wrong[0]!r}"
-        raise ValueError(f"torque must return an array of real numbers of shape (3,), got {given}")
+        try:
+            found = jax.eval_shape(value, number, q, vector)
+        except (TypeError, IndexError, ValueError, AttributeError) as error:
+            raise ValueError(f"torque fails as a function of t (), q (4,) and omega (3,): {error}") from error
+        if getattr(found, "shape", None) != (3,) or not _is_real(found):
+            given = f"shape {found.shape} and dtype {found.dtype}" if hasattr(found, "shape") else f"{found!r}"
+            raise ValueError(f"torque must return an array of real numbers of shape (3,), got {given}")
 
 
 def _is_real(x: Any) -> bool:
     return jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)
 
 
-def _turning_field(t: Array) -> Array:
+def _dipole_field(t: Array) -> Array:
     """The field of a dipole along a polar orbit, in the dipole's unit: (3 sin 2u, 0, 3 cos 2u + 1)/2 with u = t/10."""
     return jnp.stack([1.5 * jnp.sin(t / 5), jnp.zeros_like(t), 1.5 * jnp.cos(t / 5) + 0.5])
 
 
 def examples() -> dict[str, tuple[TorquedBody, State, float]]:
-    """Magnetic detumbling on a polar orbit, a slew by a controller, and a body with a damper inside."""
+    """Magnetic detumbling on a polar orbit, a slew by a controller, a damper inside, and a satellite with five laws."""
     J, start, Omega = [1.0, 2.0, 2.5], so3.exp(jnp.array([0.9, -1.2, 0.5])), jnp.array([0.3, -0.4, 0.8])
+    satellite = torques.total(
+        [
+            torques.dipole([0.01, 0.0, 0.02], _dipole_field),
+            torques.bdot(0.05, _dipole_field, max_dipole=0.1),
+            torques.hysteresis([1.0, 0.0, 0.0], 0.02, 0.5, 0.3, _dipole_field),
+            torques.wheels(jnp.eye(3), 0.05, speeds=[1.0, -2.0, 0.5]),
+            torques.viscous(0.001),
+        ]
+    )
     made = {
-        "detumbling": torqued_body(J, torques.bdot(0.05, _turning_field)),
+        "detumbling": torqued_body(J, torques.bdot(0.05, _dipole_field)),
         "slew": torqued_body(J, torques.pd_quaternion(0.5, 0.8)),
         "damper": torqued_body(J, torques.kane_damper(0.2, 0.1)),
+        "satellite": torqued_body(J, satellite),
     }
     return {name: (body, body.state(start, angular_velocity=Omega, work=0.0), 0.05) for name, body in made.items()}

@@ -40,6 +40,7 @@ from lieint_jax.types._pytree import callable_pytree, pytree, static
 from lieint_jax.types._state import State, StepInfo, Trajectory, all_finite, clock, on_clock
 from lieint_jax.types._step import Step, StepError, checked_step, converges, promoted, start_time
 from lieint_jax.types._system import System, energy_less_work, time_derivative
+from lieint_jax.types._torque import Function, Law, Rotation, Total, as_law, instant, parts, total
 
 __all__ = [
     "AbstractDampedBody",
@@ -61,17 +62,22 @@ __all__ = [
     "AbstractTop",
     "AbstractTorquedBody",
     "AnalyticGroup",
+    "Function",
     "Group",
+    "Law",
     "PhaseSpace",
     "PotentialWithGradient",
+    "Rotation",
     "State",
     "Step",
     "StepError",
     "StepInfo",
     "StoredEnergy",
     "System",
+    "Total",
     "Trajectory",
     "all_finite",
+    "as_law",
     "autodiff_gradient",
     "callable_pytree",
     "checked_step",
@@ -79,12 +85,15 @@ __all__ = [
     "converges",
     "energy_less_work",
     "gradient",
+    "instant",
     "on_clock",
+    "parts",
     "promoted",
     "pytree",
     "start_time",
     "static",
     "time_derivative",
+    "total",
 ]
 
 __getattr__ = _renamed(

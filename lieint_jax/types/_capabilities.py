@@ -12,11 +12,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 
 from lieint_jax.types._group import Group
 from lieint_jax.types._state import State
 from lieint_jax.types._system import System
+from lieint_jax.types._torque import Law, parts
 
 
 class AbstractFreeBody(System):
@@ -296,37 +296,20 @@ class AbstractDrivenTop(AbstractDrivenSystem):
 
 
 class AbstractTorquedBody(System):
-    """A rigid body on T*SO(3) with a torque: q̇ = ½ q Ω, π̇ = τ if it is given in space, π̇ = Λτ if in the body.
-
-    A torque is a function (t, q, ω) ↦ τ, (3,), of time, the unit quaternion of the attitude, and the angular velocity
-    in the axes of the torque. A pytree may offer more:
-
-    | member | |
-    |---|---|
-    | `frame` | the axes of the torque, "body" or "space" |
-    | `potential(q)` | U, counted in the energy; then τ contains the torque −∂U |
-    | `power(t, q, omega)` | the power of all but −∂U, such as −c\\|ω\\|² |
-    | `mean(t, q_n, q_next, h, kappa, omega)` | the torque of a step, if not τ at its half; h = ½Θ, κ, ω̄ of the step |
-    | `during(dt, extra)` | the torque as it acts in a step of size dt (0: at one time) on a state with this `extra` |
-    | `key`, `inner(omega)`, `inner_energy(momentum)` | a momentum in space, `extra[key]`, that the torque comes from |
-
-    With `key`, d/dt extra[key] = −τ in space. `inner(ω)` is its value where all turns with ω; its `inner_energy` is
-    counted in the energy. Such a law needs no `__call__`: `during(0, extra)` is the torque at one time.
+    """A rigid body on T*SO(3) with laws of torque: q̇ = ½ q Ω, π̇ = Σ τ_k, with JΩ = Π = Λᵀπ.
 
     Attributes:
         inertia: J, as in `AbstractFreeBody`.
-        torque: τ.
-        frame: the axes of τ and ω.
+        torque: a law of torque, or the `Total` of several.
     """
 
     inertia: Array
-    torque: Callable[..., Array]
-    frame: str
+    torque: Law
 
-    def law(self, dt: ArrayLike, extra: dict[str, Array] | None) -> Callable[..., Array]:
-        """The torque as it acts in a step of size dt."""
-        during = getattr(self.torque, "during", None)
-        return self.torque if during is None else during(dt, extra)
+    @property
+    def laws(self) -> tuple[Law, ...]:
+        """The laws one by one, in the order in which their works are booked."""
+        return parts(self.torque)
 
 
 class AbstractDampedBody(System):

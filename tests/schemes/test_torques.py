@@ -55,7 +55,7 @@ def push(t, q, omega):
 
 @li.pytree
 class WithoutPower:
-    """A law with a potential whose power is to be found from its torque."""
+    """A law as version 0.2 had them, with a potential, whose power is to be found from its torque."""
 
     law: torques.PDTrace
 
@@ -64,11 +64,11 @@ class WithoutPower:
     def __call__(self, t, q, omega):
         return self.law(t, q, omega)
 
-    def mean(self, *step):
-        return self.law.mean(*step)
+    def mean(self, t, q_n, q_next, h, kappa, omega):
+        return self.law.mean(torques.Rotation(t, 0.0, q_n, q_n, q_next, h, kappa, omega, omega), None)[0]
 
     def potential(self, q):
-        return self.law.potential(q)
+        return self.law.energy(0.0, q, None)
 
 
 LAWS = {
@@ -288,10 +288,10 @@ def test_every_law_is_its_formula():
     np.testing.assert_allclose(
         np.stack(torques.internal_friction(0.3, omega.T, q[:, 1:].T)), friction.T, rtol=0, atol=1e-15
     )
-    damper = LAWS["kane_damper"][0].during(0.0, {"damper": jnp.array([0.1, -0.3, 0.2])})
-    np.testing.assert_allclose(
-        damper(0.0, Q, OMEGA), -0.3 * (OMEGA - np.array([0.1, -0.3, 0.2]) / 0.4), rtol=1e-15, atol=0
-    )
+    now = torques.Rotation(0.0, 0.0, Q, Q, Q, np.zeros(3), 1.0, OMEGA, OMEGA)
+    torque, after = LAWS["kane_damper"][0].mean(now, jnp.array([0.1, -0.3, 0.2]))
+    np.testing.assert_allclose(torque, -0.3 * (OMEGA - np.array([0.1, -0.3, 0.2]) / 0.4), rtol=1e-15, atol=0)
+    np.testing.assert_array_equal(after, [0.1, -0.3, 0.2])
 
 
 # What dissipation does ------------------------------------------------------------------------------------------------
@@ -685,7 +685,7 @@ REFUSED = {
     "target": (lambda: torques.pd_quaternion(1.0, 0.2, [1.0, 1.0, 0, 0]), "target must be a unit quaternion"),
     "coils": (lambda: torques.bdot(-1.0, field), "gain must not be negative"),
     "field": (lambda: torques.bdot(1.0, [0.0, 1.0]), r"field must have shape \(3,\), got \(2,\)"),
-    "sphere": (lambda: torques.kane_damper(0.0, 0.1), "inertia must be positive, the moment of inertia of the damper"),
+    "sphere": (lambda: torques.kane_damper(0.0, 0.1), "inertia must be positive, got 0"),
     "fluid": (lambda: torques.kane_damper(0.1, -0.1), "damping must not be negative"),
     "window": (lambda: torques.thruster([0, 0, 1.0], 2.0, 1.0), "must not stop before it starts, got start = 2"),
     "thrust": (lambda: torques.thruster([0, 1.0], 1.0, 2.0), r"torque must have shape \(3,\)"),
@@ -733,7 +733,7 @@ def test_states_that_lack_something_are_refused_in_a_sentence():
         (viscous, start._replace(t=jnp.array(np.nan)), r"state\.t must be finite"),
         (viscous, start._replace(work=jnp.array(np.inf)), r"state\.work must be finite"),
         (viscous, start._replace(work=jnp.zeros(2)), r"state\.work must have shape \(\)"),
-        (damper, start, r'carries its momentum in State\.extra\["damper"\]'),
+        (damper, start, r'KaneDamper has an internal state, State\.extra\["damper"\]'),
         (damper, with_damper._replace(extra={"damper": jnp.zeros(2)}), r'extra\["damper"\] must have shape \(3,\)'),
         (damper, with_damper._replace(extra={"damper": jnp.full(3, np.nan)}), r'extra\["damper"\] must be finite'),
     ):

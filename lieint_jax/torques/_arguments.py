@@ -1,0 +1,57 @@
+"""Arguments of laws of torque: vectors that may depend on time, numbers that must not be negative."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax.types import callable_pytree
+
+VectorOfTime = Array | Callable[[Array], Array]
+
+
+def vector_of_time(name: str, value: Any) -> VectorOfTime:
+    """A vector (3,), or a function of time with such values; ValueError if it is neither."""
+    if not callable(value):
+        return _checks.real_array(name, value, (3,))
+    _checks.function(name, value, "the time t", (3,), jnp.zeros(()))
+    return callable_pytree(value)
+
+
+def value_at(vector: VectorOfTime, t: Array) -> Array:
+    """The vector at a time, (3,)."""
+    return jnp.asarray(vector(t)) if callable(vector) else vector
+
+
+def not_negative(name: str, value: ArrayLike, *shapes: tuple[int, ...]) -> Array:
+    """A real number, or an array of one of the shapes, none of it negative."""
+    number = _checks.real_array(name, value, *(shapes or ((),)))
+    if concrete(number) and np.min(np.asarray(number)) < 0:
+        raise ValueError(f"{name} must not be negative, got {np.asarray(number)}")
+    return number
+
+
+def positive(name: str, value: ArrayLike, *shapes: tuple[int, ...]) -> Array:
+    """A real number, or an array of one of the shapes, all of it positive."""
+    number = _checks.real_array(name, value, *(shapes or ((),)))
+    if concrete(number) and not np.min(np.asarray(number)) > 0:
+        raise ValueError(f"{name} must be positive, got {np.asarray(number)}")
+    return number
+
+
+def unit_vector(name: str, value: ArrayLike, *shapes: tuple[int, ...]) -> Array:
+    """A vector of unit length, or an array of them."""
+    vector = _checks.real_array(name, value, *(shapes or ((3,),)))
+    if concrete(vector):
+        lengths = np.linalg.norm(np.asarray(vector, float), axis=-1)
+        if np.max(np.abs(lengths - 1)) > _checks.UNIT_TOLERANCE:
+            what = "must be a unit vector" if vector.ndim == 1 else "must be unit vectors"
+            raise ValueError(f"{name} {what}, got {np.asarray(vector)}; divide by the length")
+    return vector

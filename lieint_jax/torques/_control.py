@@ -1,0 +1,163 @@
+"""Attitude control: proportional-derivative laws, a limit of torque, and motors of wheels that follow a law."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._numerics.vec3 import dot
+from lieint_jax.groups import so3
+from lieint_jax.torques._arguments import not_negative, positive
+from lieint_jax.types import Law, Rotation, as_law, pytree
+
+
+@pytree
+class PDTrace(Law):
+    """Proportional-derivative control by U = ½k tr(1 − Λ_dᵀΛ), in space. Made by `pd_trace`."""
+
+    gain: Array
+    damping: Array
+    target: Array
+    frame = "space"
+
+    def _error(self, q: Array) -> Array:
+        """The quaternion of ΛΛ_dᵀ."""
+        return so3.multiply(q, so3.inverse(self.target))
+
+    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+        """−½κk vex(Λ̄Λ_dᵀ) − cω̄, Λ̄ the mean of Λ_n and Λ_{n+1}: ω̄·mean = −ΔU/Δt − c|ω̄|²."""
+        a, b = self._error(rotation.q_n), self._error(rotation.q_next)
+        pull = -rotation.kappa * self.gain * (a[0] * a[1:] + b[0] * b[1:])
+        return pull - self.damping * rotation.omega, inner
+
+    def energy(self, t: Array, q: Array, inner: Any) -> Array:
+        """U = ½k tr(1 − Λ_dᵀΛ) = k(1 − cos φ) of the error's angle φ."""
+        e = self._error(q)
+        return 2 * self.gain * dot(e[1:], e[1:])
+
+    def work(self, rotation: Rotation, torque: Array, inner: Any, after: Any) -> Array:
+        """−Δt c|ω̄|²."""
+        return -rotation.dt * self.damping * dot(rotation.omega, rotation.omega)
+
+
+def pd_trace(gain: ArrayLike, damping: ArrayLike, target: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> PDTrace:
+    """Control to an attitude Λ_d by the potential U = ½k tr(1 − Λ_dᵀΛ) and damping c: τ = −½k vex(ΛΛ_dᵀ) − cω.
+
+    H = T + U falls by Δt c|ω̄|² in a step. A function of Λ alone: q and −q give the same torque, so the body takes the
+    short way. The torque k sin φ vanishes at an error of φ = 180° too, where the body is at an unstable rest.
+
+    Args:
+        gain: k, a torque, > 0: small errors swing with √(k/J).
+        damping: c ≥ 0, torque × time.
+        target: Λ_d, a unit quaternion.
+
+    Raises:
+        ValueError: a negative gain or damping, a target that is no unit quaternion.
+
+    Source: Koditschek 1989, Contemp. Math. 97; the mean torque of a step: this package.
+    """
+    return PDTrace(*_control(gain, damping, target))
+
+
+@pytree
+class PDQuaternion(Law):
+    """Proportional-derivative control by U = 2k(1 − e₀), in the body. Made by `pd_quaternion`."""
+
+    gain: Array
+    damping: Array
+    target: Array
+
+    def _error(self, q: Array) -> Array:
+        """e, the quaternion of Λ_dᵀΛ."""
+        return so3.multiply(so3.inverse(self.target), q)
+
+    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+        """−κk(e_n + e_{n+1})/(1 + √(1+|h|²)) − cΩ̄, of the vector parts: Ω̄·mean = −ΔU/Δt − c|Ω̄|²."""
+        e = self._error(rotation.q_n)[1:] + self._error(rotation.q_next)[1:]
+        weight = rotation.kappa * self.gain / (1 + jnp.sqrt(1 + dot(rotation.h, rotation.h)))
+        return -weight * e - self.damping * rotation.Omega, inner
+
+    def energy(self, t: Array, q: Array, inner: Any) -> Array:
+        """U = 2k(1 − e₀) = 4k sin²(φ/4), φ the error's angle from 0 to 360°."""
+        return 2 * self.gain * (1 - self._error(q)[0])
+
+    def work(self, rotation: Rotation, torque: Array, inner: Any, after: Any) -> Array:
+        """−Δt c|Ω̄|²."""
+        return -rotation.dt * self.damping * dot(rotation.Omega, rotation.Omega)
+
+
+def pd_quaternion(gain: ArrayLike, damping: ArrayLike, target: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> PDQuaternion:
+    """Control to an attitude by the potential U = 2k(1 − e₀), e = q_d⁻¹q, and damping c: T = −k(e₁, e₂, e₃) − cΩ.
+
+    H = T + U falls by Δt c|Ω̄|² in a step. The torque k sin ½φ is largest at an error of φ = 180°, but q and −q, the
+    same attitude, have different torques: **it unwinds**, that is, from e₀ < 0 the body rotates by more than 180° to
+    come to e₀ = 1. Give the state a q with e₀ ≥ 0 to take the short way.
+
+    Args:
+        gain: k, a torque, > 0: small errors swing with √(k/2J).
+        damping: c ≥ 0, torque × time.
+        target: q_d, a unit quaternion; −q_d is the other way round.
+
+    Raises:
+        ValueError: a negative gain or damping, a target that is no unit quaternion.
+
+    Source: Wie & Barba 1985, J. Guid. Control Dyn. 8; unwinding: Bhat & Bernstein 2000, Syst. Control Lett. 39; the
+    mean torque of a step: this package.
+    """
+    return PDQuaternion(*_control(gain, damping, target))
+
+
+@pytree
+class Saturated(Law):
+    """A law whose torque is cut at a limit, component by component. Made by `saturated`."""
+
+    law: Law
+    limit: Array
+
+    @property
+    def frame(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.law.frame
+
+    @property
+    def symmetric(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.law.symmetric
+
+    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+        """The law's mean torque, each component within ± the limit."""
+        return jnp.clip(self.law.mean(rotation, inner)[0], -self.limit, self.limit), inner
+
+    def energy(self, t: Array, q: Array, inner: Any) -> Array:
+        """That of the law."""
+        return self.law.energy(t, q, inner)
+
+
+def saturated(law: Any, limit: ArrayLike) -> Saturated:
+    """A law whose torque has a limit, component by component in the axes of its frame.
+
+    The energy of the law, such as the potential of a controller, is still counted; the work that is booked is that of
+    the torque which acts.
+
+    Args:
+        law: a law without an internal state, or a function of (t, q, Ω).
+        limit: the largest torque, > 0, a number or one for each axis, (3,).
+
+    Raises:
+        ValueError: a limit that is not positive; a law with an internal state, such as wheels, which have a
+            `max_torque` of their own.
+    """
+    law = as_law(law)
+    if law.key is not None:
+        raise ValueError(
+            f'{type(law).__name__} exchanges momentum with State.extra["{law.key}"], so its torque cannot be cut; '
+            "give wheels a max_torque"
+        )
+    return Saturated(law, positive("limit", limit, (), (3,)))
+
+
+def _control(gain: ArrayLike, damping: ArrayLike, target: ArrayLike) -> tuple[Array, Array, Array]:
+    target = so3.normalize(_checks.unit_quaternion("target", target))
+    return not_negative("gain", gain), not_negative("damping", damping), target

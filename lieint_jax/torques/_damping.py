@@ -1,0 +1,118 @@
+"""Laws that take energy: viscous drag, a sphere in a fluid inside the body, internal friction."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import vec3
+from lieint_jax._numerics.vec3 import cross, dot, scale
+from lieint_jax.torques._arguments import not_negative, positive
+from lieint_jax.types import Law, Rotation, pytree, static
+
+
+@pytree
+class Viscous(Law):
+    """T = −DΩ in the body. Made by `viscous`."""
+
+    damping: Array
+
+    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+        """−DΩ̄."""
+        D = self.damping if self.damping.ndim else jnp.broadcast_to(self.damping, (3,))
+        return -jnp.stack(vec3.apply(vec3.symmetric(D), rotation.Omega)), inner
+
+
+def viscous(damping: ArrayLike) -> Viscous:
+    """Linear drag of the surroundings, T = −DΩ: its work in a step is −Δt Ω̄·DΩ̄, never positive.
+
+    Args:
+        damping: D, torque × time: a number, principal values (3,), or a symmetric tensor (3, 3); not negative.
+
+    Raises:
+        ValueError: a negative D, or none of these shapes.
+    """
+    return Viscous(_damping(damping))
+
+
+@pytree
+class KaneDamper(Law):
+    """A sphere in a viscous fluid inside the body, whose momentum is `State.extra[key]`. Made by `kane_damper`."""
+
+    inertia: Array
+    damping: Array
+    key: str = static(default="damper")  # pyright: ignore[reportIncompatibleVariableOverride]
+    frame = "space"
+    internal = True
+
+    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+        """−c(ω̄ − ω̄_d) with I_d ω̄_d = π_d + ½Δt c(ω̄ − ω̄_d), the mean momentum of the sphere."""
+        slip = (rotation.omega - inner / self.inertia) / (1 + self.damping * rotation.dt / (2 * self.inertia))
+        torque = -self.damping * slip
+        return torque, inner - rotation.dt * torque
+
+    def energy(self, t: Array, q: Array, inner: Any) -> Array:
+        """½|π_d|²/I_d."""
+        return dot(inner, inner) / (2 * self.inertia)
+
+    def work(self, rotation: Rotation, torque: Array, inner: Any, after: Any) -> Array:
+        """−Δt c|ω̄ − ω̄_d|²."""
+        slip = rotation.omega - (inner + after) / (2 * self.inertia)
+        return -rotation.dt * self.damping * dot(slip, slip)
+
+    def start(self, now: Rotation) -> Array:
+        """The momentum of the sphere where it rotates with the body."""
+        return self.inertia * now.omega
+
+    def momentum(self, q: Array, inner: Any) -> Array:
+        """π_d."""
+        return inner
+
+
+def kane_damper(inertia: ArrayLike, damping: ArrayLike, key: str = "damper") -> KaneDamper:
+    """Kane's damper: a sphere at the center that a viscous fluid couples to the body, τ = −c(ω − ω_d).
+
+    The momentum of both, π + π_d, is conserved to round-off, and the energy of both falls by Δt c|ω̄ − ω̄_d|² in a
+    step, until they rotate together about the body's axis of largest inertia. J is the body's without the sphere.
+
+    Args:
+        inertia: I_d > 0, the sphere's moment of inertia.
+        damping: c ≥ 0, torque × time.
+        key: the name of the sphere's momentum in `State.extra`; several dampers need several names.
+
+    Raises:
+        ValueError: I_d ≤ 0, c < 0.
+
+    Source: Kane, Likins & Levinson 1983, Spacecraft Dynamics; the implicit mean of a step: this package.
+    """
+    return KaneDamper(positive("inertia", inertia), not_negative("damping", damping), key)
+
+
+def internal_friction(friction: ArrayLike, Pi: vec3.Vector, Omega: vec3.Vector) -> vec3.Vector:
+    """α Π × Ω, the angular velocity that internal friction adds to Ω (`systems.damped_body`), in components.
+
+    Π̇ = Π × (Ω + αΠ × Ω), the double bracket: |Π| and π stay, and Ḣ = −α|Π × Ω|², until the body rotates about its
+    axis of largest inertia with H = |π|²/2J₃.
+
+    Source: Bloch, Krishnaprasad, Marsden & Ratiu 1996, Commun. Math. Phys. 175.
+    """
+    return scale(friction, cross(Pi, Omega))
+
+
+def _damping(damping: ArrayLike) -> Array:
+    D = _checks.real_array("damping", damping, (), (3,), (3, 3))
+    if concrete(D):
+        values = np.asarray(D, float)
+        if values.ndim == 2:
+            if not np.allclose(values, values.T, rtol=1e-6, atol=1e-6 * np.abs(values).max()):
+                raise ValueError(f"damping must be symmetric, got\n{values}\nGive (D + D.T) / 2")
+            values = np.linalg.eigvalsh(values)
+        if values.min() < -1e-12 * np.abs(values).max():
+            raise ValueError(f"damping must not be negative, got principal values {values}")
+    return D

@@ -1,0 +1,174 @@
+"""Laws that have a potential of a direction in space, which may depend on time: gravity gradient, dipole, any."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._numerics import vec3
+from lieint_jax._numerics.discrete_gradient import discrete_gradient
+from lieint_jax._numerics.vec3 import cross, dot
+from lieint_jax.groups import so3
+from lieint_jax.torques._arguments import VectorOfTime, value_at, vector_of_time
+from lieint_jax.types import Law, Rotation, callable_pytree, pytree
+
+
+class DirectionalPotential(Law):
+    """V(Γ, t) with Γ = Λᵀγ(t): T̄ = κ Γ̄ × D̄, with Γ̄ = ½(Λ_n + Λ_{n+1})ᵀγ at the middle of the step.
+
+    D̄ is a discrete gradient of V at that time: D̄·(Γ_{n+1} − Γ_n) = V(Γ_{n+1}) − V(Γ_n). So the torque itself changes
+    the energy by exactly −ΔV at a fixed time, and the work that is booked is the change of V with time alone:
+    [V(t_{n+1}) − V(t_m)] at Λ_{n+1} and [V(t_m) − V(t_n)] at Λ_n.
+    """
+
+    @abc.abstractmethod
+    def axis(self, t: Array) -> Array:
+        """γ(t) in space, (3,)."""
+
+    @abc.abstractmethod
+    def value(self, Gamma: Array, t: Array) -> Array:
+        """V(Γ, t)."""
+
+    @abc.abstractmethod
+    def gradient(self, a: Array, b: Array, t: Array) -> Array:
+        """D̄ between Γ_n = a and Γ_{n+1} = b, (3,)."""
+
+    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+        """κ Γ̄ × D̄."""
+        axis = self.axis(rotation.t)
+        a, b = so3.Ad_star(rotation.q_n, axis), so3.Ad_star(rotation.q_next, axis)
+        return rotation.kappa * jnp.stack(cross((a + b) / 2, self.gradient(a, b, rotation.t))), inner
+
+    def energy(self, t: Array, q: Array, inner: Any) -> Array:
+        """V."""
+        return self.value(so3.Ad_star(q, self.axis(t)), t)
+
+    def work(self, rotation: Rotation, torque: Array, inner: Any, after: Any) -> Array:
+        """The change of V with time, half of it at each attitude."""
+
+        def gained(q: Array, first: Array, last: Array) -> Array:
+            return self.energy(last, q, None) - self.energy(first, q, None)
+
+        t = rotation
+        return gained(t.q_n, t.start, t.t) + gained(t.q_next, t.t, t.end)
+
+
+@pytree
+class GravityGradient(DirectionalPotential):
+    """V = (3μ/2r³) r̂·Jr̂ in the body along an orbit. Made by `gravity_gradient`."""
+
+    orbit: Any
+    mu: Array
+    inertia: Array
+
+    def axis(self, t: Array) -> Array:
+        """r̂ |√(3μ/r³)|: the direction of the body from the center, in a length that leaves V = ½ Γ·JΓ."""
+        r, _ = self.orbit(t)
+        square = dot(r, r)
+        return r * (jnp.sqrt(3 * self.mu / jnp.sqrt(square)) / square)
+
+    def value(self, Gamma: Array, t: Array) -> Array:
+        """½ Γ·JΓ."""
+        return dot(Gamma, self._times(Gamma)) / 2
+
+    def gradient(self, a: Array, b: Array, t: Array) -> Array:
+        """J Γ̄."""
+        return self._times((a + b) / 2)
+
+    def _times(self, Gamma: Array) -> Array:
+        return jnp.stack(vec3.apply(vec3.symmetric(self.inertia), Gamma))
+
+
+def gravity_gradient(orbit: Any, inertia: ArrayLike, mu: ArrayLike | None = None) -> GravityGradient:
+    """The torque 3μ/r³ r̂ × Jr̂ of the gravity of a distant center on a body along an orbit; its work in closed form.
+
+    Args:
+        orbit: t ↦ (position, velocity) of the body's center from that of attraction, such as `orbits.kepler(…)`.
+        inertia: J of the body with everything in it, such as wheels at rest ("locked"), (3,) or (3, 3), in body axes.
+        mu: the gravitational parameter; by default `orbit.mu`.
+
+    Raises:
+        ValueError: an orbit that is no such function, bad inertia, no mu.
+
+    Source: Hughes 1986, Spacecraft Attitude Dynamics, 8.1; the mean torque of a step: this package.
+    """
+    if mu is None:
+        mu = getattr(orbit, "mu", None)
+        if mu is None:
+            raise ValueError("this orbit has no mu: give gravity_gradient(orbit, inertia, mu=…)")
+    _checks.function("orbit", lambda t: orbit(t)[0], "the time t, with (position, velocity)", (3,), jnp.zeros(()))
+    return GravityGradient(callable_pytree(orbit), _checks.real_array("mu", mu, ()), _checks.inertia(inertia))
+
+
+@pytree
+class Dipole(DirectionalPotential):
+    """V = −m·Λᵀb(t). Made by `dipole`."""
+
+    moment: Array
+    field: VectorOfTime
+
+    def axis(self, t: Array) -> Array:
+        """b(t)."""
+        return value_at(self.field, t)
+
+    def value(self, Gamma: Array, t: Array) -> Array:
+        """−m·Γ."""
+        return -dot(self.moment, Gamma)
+
+    def gradient(self, a: Array, b: Array, t: Array) -> Array:
+        """−m."""
+        return -self.moment
+
+
+def dipole(moment: ArrayLike, field: Any) -> Dipole:
+    """A magnetic moment that is fixed in the body, in a field: T = m × b. Its potential −m·b is counted in the energy.
+
+    Args:
+        moment: m in the body, (3,), torque / field.
+        field: b in space, (3,), or a function of time with such values, such as the field along an orbit.
+
+    Raises:
+        ValueError: no vector, or no function with such values.
+    """
+    return Dipole(_checks.real_array("moment", moment, (3,)), vector_of_time("field", field))
+
+
+@pytree
+class AnyPotential(DirectionalPotential):
+    """V(Γ, t) of an axis. Made by `potential`."""
+
+    function: Callable[..., Array]
+    direction: VectorOfTime
+
+    def axis(self, t: Array) -> Array:
+        """γ(t)."""
+        return value_at(self.direction, t)
+
+    def value(self, Gamma: Array, t: Array) -> Array:
+        """V(Γ, t)."""
+        return self.function(Gamma, t)
+
+    def gradient(self, a: Array, b: Array, t: Array) -> Array:
+        """The discrete gradient of Gonzalez with the mean of four Gauss nodes."""
+        near = 1e-6 * jnp.maximum(dot(a, a), dot(b, b))
+        return discrete_gradient(self.function, a, b, near, t)
+
+
+def potential(V: Callable[..., Array], axis: Any) -> AnyPotential:
+    """The torque Γ × ∇V of any potential V(Γ, t) of an axis, Γ = Λᵀγ(t) in the body; counted in the energy.
+
+    Args:
+        V: (Γ (3,), t) ↦ energy, a JAX function; numbers to be differentiated go into a `jax.tree_util.Partial`.
+        axis: γ in space, (3,), or a function of time with such values.
+
+    Raises:
+        ValueError: V or axis is no such function.
+    """
+    _checks.function("V", V, "Gamma (3,) and t", (), jnp.zeros(3), jnp.zeros(()))
+    return AnyPotential(callable_pytree(V), vector_of_time("axis", axis))

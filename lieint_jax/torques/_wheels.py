@@ -1,0 +1,151 @@
+"""Reaction and momentum wheels, with motors that may look at everything."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics.vec3 import cross
+from lieint_jax.groups import so3
+from lieint_jax.torques._arguments import positive, unit_vector
+from lieint_jax.types import Law, Rotation, callable_pytree, pytree
+
+_SWEEPS = 6  # of the motor's equation for the mean momentum: each gains log₁₀(1/½Δt|∂u/∂h|) digits
+
+
+@pytree
+class Wheels(Law):
+    """Wheels symmetric about axes g_j that are fixed in the body; `State.extra["wheels"]` is h, (m,). Made by `wheels`.
+
+    h_j = I_j(σ_j + g_j·Ω) is the absolute axial momentum. A motor gives Δh_j to wheel j, and −Δh_j to the body.
+    """
+
+    axes: Array
+    inertias: Array
+    motor: Callable[..., Array] | None
+    max_torque: Array | None
+    max_momentum: Array | None
+    speeds: Array
+    key = "wheels"
+    internal = True
+
+    @property
+    def symmetric(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.max_momentum is None
+
+    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+        """T̄ = −κ Ω̄ × h̄_r − Δh_r/Δt with h_r = Σ g_j h_j: then π + Λh_r is conserved."""
+        rate, after = self._driven(rotation, inner)
+        mean = (inner + after) / 2 @ self.axes
+        return -rotation.kappa * jnp.stack(cross(rotation.Omega, mean)) - rate @ self.axes, after
+
+    def energy(self, t: Array, q: Array, inner: Any) -> Array:
+        """Σ h_j²/2I_j."""
+        return jnp.sum(inner * inner / self.inertias) / 2
+
+    def work(self, rotation: Rotation, torque: Array, inner: Any, after: Any) -> Array:
+        """Σ Δh_j σ̄_j with the mean relative speed σ̄_j = h̄_j/I_j − g_j·Ω̄: what the motors do, friction included."""
+        speed = (inner + after) / 2 / self.inertias - self.axes @ rotation.Omega
+        return jnp.sum((after - inner) * speed)
+
+    def start(self, now: Rotation) -> Array:
+        """I_j(σ_j + g_j·Ω), of the relative speeds σ that the law was made with."""
+        return self.inertias * (self.speeds + self.axes @ now.Omega)
+
+    def momentum(self, q: Array, inner: Any) -> Array:
+        """Λh_r."""
+        return so3.Ad(q, inner @ self.axes)
+
+    def _driven(self, rotation: Rotation, h: Array) -> tuple[Array, Array]:
+        """The mean torque on the wheels in a step, Δh/Δt, (m,), and h after it, within both limits."""
+        if self.motor is None:
+            return jnp.zeros_like(h), h
+        torque = jnp.zeros_like(h)
+        for _ in range(_SWEEPS):
+            torque = self._limited(self.motor(rotation.t, rotation.q_mid, rotation.Omega, h + rotation.dt / 2 * torque))
+        after = h + rotation.dt * torque
+        if self.max_momentum is None:
+            return torque, after
+        after = jnp.clip(after, -self.max_momentum, self.max_momentum)
+        moves = rotation.dt != 0
+        return jnp.where(moves, (after - h) / jnp.where(moves, rotation.dt, 1), torque), after
+
+    def _limited(self, torque: Array) -> Array:
+        torque = jnp.asarray(torque)
+        return torque if self.max_torque is None else jnp.clip(torque, -self.max_torque, self.max_torque)
+
+
+def wheels(
+    axes: ArrayLike,
+    inertias: ArrayLike,
+    motor: Callable[..., Any] | None = None,
+    max_torque: ArrayLike | None = None,
+    *,
+    max_momentum: ArrayLike | None = None,
+    speeds: ArrayLike = 0.0,
+) -> Wheels:
+    """Wheels inside the body, free or driven by motors: the momentum of body and wheels is conserved to round-off.
+
+    **The body's `inertia` is then that without the wheels' axial parts**, J = J_locked − Σ I_j g_j g_jᵀ, which
+    `body_inertia` gives; gravity gradient takes the locked one. The momentum π of the state is ΛJΩ; the
+    absolute axial momenta h_j = I_j(σ_j + g_j·Ω) of the wheels are `State.extra["wheels"]`, (m,). The energy contains
+    Σ h_j²/2I_j, and the work Σ Δh_j σ̄_j of the motors is booked exactly, whatever they do.
+
+    Args:
+        axes: g_j in the body, unit vectors, (m, 3).
+        inertias: I_j > 0 about the axes, a number or (m,).
+        motor: motor(t, q, Ω, h) ↦ the torques dh_j/dt on the wheels, (m,); the body gets the opposite. It is evaluated
+            in the middle of a step, at the mean of h; friction in the bearings is a part of it. None for free wheels.
+        max_torque: the motors' greatest torque, > 0, a number or (m,), or None.
+        max_momentum: the greatest |h_j|, > 0, a number or (m,), or None. A step that it cuts cannot be undone, so a
+            scheme with this law is not symmetric.
+        speeds: σ_j, the wheels' initial speeds relative to the body, a number or (m,), rad per unit of time.
+
+    Raises:
+        ValueError: axes that are not of unit length, shapes that do not agree, numbers out of range, a motor that has
+            no such value.
+
+    Source: Hughes 1986, Spacecraft Attitude Dynamics, chapter 3 and 6; the mean torque of a step: this package.
+    """
+    g = _axes(axes)
+    m = g.shape[0]
+    moments = jnp.broadcast_to(positive("inertias", inertias, (), (m,)), (m,))
+    torque = None if max_torque is None else positive("max_torque", max_torque, (), (m,))
+    momentum = None if max_momentum is None else positive("max_momentum", max_momentum, (), (m,))
+    if motor is not None:
+        arguments = (jnp.zeros(()), jnp.asarray(so3.identity), jnp.zeros(3), jnp.zeros(m))
+        _checks.function("motor", motor, "t, q (4,), Omega (3,) and h (m,)", (m,), *arguments)
+        motor = callable_pytree(motor)
+    sigma = jnp.broadcast_to(_checks.real_array("speeds", speeds, (), (m,)), (m,)).astype(moments.dtype)
+    return Wheels(g, moments, motor, torque, momentum, sigma)
+
+
+def _axes(axes: ArrayLike) -> Array:
+    """Unit vectors (m, 3)."""
+    g = _checks.real_array("axes", axes)
+    if g.ndim != 2 or g.shape[1] != 3 or not len(g):
+        raise ValueError(f"axes must have shape (m, 3), one unit vector for each wheel, got {g.shape}")
+    return unit_vector("axes", g, g.shape)
+
+
+def body_inertia(locked: ArrayLike, axes: ArrayLike, inertias: ArrayLike) -> Array:
+    """J of a body with wheels, without their axial parts: J_locked − Σ I_j g_j g_jᵀ, (3, 3).
+
+    Args:
+        locked: the inertia of the body with all wheels at rest in it, (3,) or (3, 3).
+        axes, inertias: of the wheels, as in `wheels`.
+
+    Raises:
+        ValueError: what remains is not positive definite.
+    """
+    J = _checks.inertia(locked)
+    g = _axes(axes)
+    J = jnp.diag(J) if J.ndim == 1 else J
+    rest = J - jnp.einsum("j,ji,jk->ik", jnp.broadcast_to(jnp.asarray(inertias, J.dtype), g.shape[:1]), g, g)
+    return _checks.inertia(rest) if concrete(rest) else rest

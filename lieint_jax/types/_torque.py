@@ -1,0 +1,182 @@
+"""Laws of torque, and what a law is given in a step."""
+
+from __future__ import annotations
+
+import abc
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from lieint_jax.types._pytree import callable_pytree, pytree, static
+
+
+class Rotation(NamedTuple):
+    """The rotation of a body in one step, as a law of torque is given it. With dt = 0 it is one instant.
+
+    Attributes:
+        start: the time t_n, ().
+        dt: Δt, ().
+        q_n, q_mid, q_next: the attitudes at the start, half-way and at the end, unit quaternions (4,).
+        h: ½Θ in the body, (3,), with Λ_{n+1} = Λ_n cay Θ.
+        kappa: κ of the step, ().
+        Omega: Ω̄, the mean angular velocity in the body, (3,).
+        omega: ω̄ = Λ_nΩ̄ = Λ_{n+1}Ω̄, the same in space, (3,).
+    """
+
+    start: Array
+    dt: Array
+    q_n: Array
+    q_mid: Array
+    q_next: Array
+    h: Array
+    kappa: Array
+    Omega: Array
+    omega: Array
+
+    @property
+    def t(self) -> Array:
+        """The time in the middle of the step, t_n + ½Δt."""
+        return self.start + self.dt / 2
+
+    @property
+    def end(self) -> Array:
+        """The time t_{n+1}, rounded as the state's."""
+        return self.start + self.dt
+
+    def velocity(self, frame: str) -> Array:
+        """The mean angular velocity in the axes of the body or of space, (3,)."""
+        return self.Omega if frame == "body" else self.omega
+
+
+class Law(abc.ABC):
+    """A law of torque. Laws add: `a + b`, also with plain functions of (t, q, Ω).
+
+    A subclass is decorated with `li.pytree` and defines `mean`. A law with an internal state, such as the momentum of a
+    wheel, has a `key`, under which `State.extra` holds that state, and defines `start`.
+
+    The step books the work of each law: W = Δt Ω̄·T̄ + E_{n+1} − E_n, with E its `energy`. So H − ΣW is conserved to
+    round-off, where H is the kinetic energy of the body with the energies of all laws.
+
+    Attributes:
+        frame: the axes of the torque that `mean` returns, "body" or "space".
+        key: the name of the internal state in `State.extra`, or None.
+        symmetric: whether a step of −Δt undoes one of Δt.
+        internal: whether it exchanges momentum with the internal state only, so that the total is conserved.
+    """
+
+    frame: str = "body"
+    key: str | None = None
+    symmetric: bool = True
+    internal: bool = False
+
+    @abc.abstractmethod
+    def mean(self, rotation: Rotation, inner: Array | None) -> tuple[Array, Array | None]:
+        """The mean torque of a step in the axes of `frame`, (3,), and the internal state after it."""
+
+    def energy(self, t: Array, q: Array, inner: Array | None) -> Array:
+        """The potential at an attitude, or the energy of the internal state, (); by default 0."""
+        return jnp.zeros((), q.dtype)
+
+    def work(self, rotation: Rotation, torque: Array, inner: Array | None, after: Array | None) -> Array:
+        """The work W of a step, (). By its definition; a law that has it in closed form returns that."""
+        gained = self.energy(rotation.end, rotation.q_next, after) - self.energy(rotation.start, rotation.q_n, inner)
+        return rotation.dt * jnp.dot(rotation.velocity(self.frame), torque) + gained
+
+    def start(self, now: Rotation) -> Array | None:
+        """The internal state where a run begins, at one instant of the body; None if there is none."""
+        return None
+
+    def momentum(self, q: Array, inner: Array | None) -> Array:
+        """The angular momentum of the internal state in space, (3,)."""
+        return jnp.zeros_like(q[1:])
+
+    def __call__(self, t: Array, q: Array, velocity: Array) -> Array:
+        """The torque at one instant, of a law without an internal state, (3,); velocity in the axes of `frame`."""
+        if self.key is not None:
+            raise ValueError(f'{type(self).__name__} depends on its internal state, State.extra["{self.key}"]')
+        zero = jnp.zeros((), q.dtype)
+        return self.mean(Rotation(t, zero, q, q, q, jnp.zeros_like(velocity), zero + 1, velocity, velocity), None)[0]
+
+    def __add__(self, other: Any) -> Total:
+        return total((self, other))
+
+    def __radd__(self, other: Any) -> Total:
+        return total((other, self))
+
+
+@pytree
+class Function(Law):
+    """A law that is a function (t, q, velocity) ↦ torque in the axes of `frame`, evaluated half-way."""
+
+    function: Any
+    frame: str = static(default="body")  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def mean(self, rotation: Rotation, inner: Array | None) -> tuple[Array, Array | None]:
+        return self.function(rotation.t, rotation.q_mid, rotation.velocity(self.frame)), inner
+
+
+@pytree
+class Total(Law):
+    """A sum of laws; its internal states are those of the laws, by their keys. Made by `torques.total` and by `+`."""
+
+    laws: tuple[Law, ...]
+
+    @property
+    def symmetric(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return all(law.symmetric for law in self.laws)
+
+    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+        raise NotImplementedError  # a step adds up the laws
+
+
+def total(laws: Any) -> Total:
+    """The sum of laws of torque: the body is subject to all of them, and the work of each is booked.
+
+    Args:
+        laws: laws of `lieint_jax.torques`, other `Law`s, or plain functions (t, q, Ω) ↦ torque in the body.
+
+    Raises:
+        ValueError: two laws with one key, or something that is no law.
+    """
+    flat = tuple(part for law in laws for part in parts(law))
+    keys = [law.key for law in flat if law.key is not None]
+    if twice := sorted({key for key in keys if keys.count(key) > 1}):
+        raise ValueError(
+            f'two laws keep their internal state under the same key "{twice[0]}": give one of them another, with key=…'
+        )
+    return Total(flat)
+
+
+def parts(law: Any) -> tuple[Law, ...]:
+    """The laws that a law adds up; a function is one."""
+    if isinstance(law, Total):
+        return law.laws
+    return (as_law(law),)
+
+
+def as_law(law: Any, frame: str = "body") -> Law:
+    """A law, or a function of (t, q, velocity), as a `Law`."""
+    if isinstance(law, Law):
+        return law
+    if not (callable(law) or hasattr(law, "during")):
+        raise ValueError(f"torque must be a function of (t, q, omega) with a value of shape (3,), got {law!r}")
+    return Function(callable_pytree(law), getattr(law, "frame", frame))
+
+
+def instant(law: Law, t: Array, q: Array, Omega: Array, omega: Array, inner: Any, q_half: Any) -> tuple[Array, Any]:
+    """The torque of a law at one instant, in the axes of its frame, and the rate of its internal state.
+
+    Args:
+        q_half: h ↦ q cay 2h, of the group.
+    """
+
+    def advanced(s: Array) -> tuple[Array, Any]:
+        h = s / 2 * Omega
+        rotation = Rotation(t, s, q, q_half(h / 2), q_half(h), h, jnp.ones_like(t), Omega, omega)
+        return law.mean(rotation, inner)
+
+    zero = jnp.zeros((), q.dtype)
+    (torque, _), (_, rate) = jax.jvp(advanced, (zero,), (zero + 1,))
+    return torque, rate
