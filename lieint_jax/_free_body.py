@@ -126,7 +126,7 @@ def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]
     still = rest | (jnp.asarray(t) == 0)
     if inertia.ndim == 1:
         moments, turns = _ascending(scale * inertia)
-        e = _turned(e, turns, 1)
+        e = _permute(e, turns, 1)
     else:
         moments, V = _eigh(scale * inertia)
         e = tuple(dot(V[:, k], e) for k in range(3))
@@ -159,7 +159,7 @@ def periods(inertia: Array, Pi: Array) -> Periods:
     """The mean periods of a free body of body momentum Π, (3,); `inertia` as in `attitude`."""
     if inertia.ndim == 1:
         moments, turns = _ascending(inertia)
-        x, y, z = _turned(vec3.components(Pi), turns, 1)
+        x, y, z = _permute(vec3.components(Pi), turns, 1)
     else:
         moments, V = _eigh(inertia)
         x, y, z = (dot(V[:, k], Pi) for k in range(3))
@@ -208,8 +208,8 @@ def _increment(inertia: Array, e: Vector, tau: Array) -> tuple[Vector, Accuracy]
     """Λ⁻¹Λ(τ) in body axes, as a quaternion times a positive number, and its rounding errors."""
     if inertia.ndim == 1:
         moments, turns = _ascending(inertia)
-        w, v, accuracy = _sorted(moments, _turned(e, turns, 1), tau)
-        return (w, *_turned(v, turns, -1)), accuracy
+        w, v, accuracy = _sorted(moments, _permute(e, turns, 1), tau)
+        return (w, *_permute(v, turns, -1)), accuracy
     moments, V = _eigh(inertia)
     a, b = (vec3.components(V[:, k]) for k in (0, 1))  # made right-handed, and orthonormal to the last bit
     a = _unit(a)
@@ -233,7 +233,7 @@ def _ascending(J: Array) -> tuple[Vector, _Turns]:
     return tuple(moments), turns
 
 
-def _turned(v: Vector, turns: _Turns, sign: int) -> Vector:
+def _permute(v: Vector, turns: _Turns, sign: int) -> Vector:
     """v after quarter turns that exchange the components i and i + 1, forwards (sign 1) or backwards (sign −1)."""
     x = list(v)
     for i, turn in turns[::sign]:

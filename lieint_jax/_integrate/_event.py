@@ -164,7 +164,7 @@ def _brackets(
     none = _Bracket(state, jnp.zeros((), int), jnp.stack([start, start]), jnp.zeros_like(start), jnp.zeros((), bool))
     buffer = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype), none)
 
-    def one(carry: Any, _: None) -> tuple[Any, None]:
+    def step_once(carry: Any, _: None) -> tuple[Any, None]:
         state, value, n, sign, info, number, buffer = carry
         end, last = whole(state, clock.size(n))
         end, info = at_time(end, clock.time(n + 1)), info.merge(last)
@@ -178,7 +178,7 @@ def _brackets(
         return (end, after, n + 1, sign, info, number + changes, buffer), None
 
     begin = (state, start, none.n, jnp.sign(start), StepInfo.fresh(state.p), none.n, buffer)
-    (end, _, n, _, _, number, buffer), _ = lax.scan(one, begin, None, length=max_steps)
+    (end, _, n, _, _, number, buffer), _ = lax.scan(step_once, begin, None, length=max_steps)
     there = jnp.arange(count) < number
     last = none._replace(state=end, n=n)
     return jax.tree.map(lambda x, y: jnp.where(there.reshape(-1, *[1] * y.ndim), x, y), buffer, last)

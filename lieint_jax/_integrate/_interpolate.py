@@ -75,7 +75,7 @@ def _interpolated(system: System, trajectory: Trajectory, times: Array) -> tuple
     left = jnp.clip(jnp.searchsorted(sign * t, sign * times, side="right") - 1, 0, len(t) - 2)
     inside = (sign * t[0] <= sign * times) & (sign * times <= sign * t[-1])
 
-    def one(k: Array, time: Array, inside: Array) -> tuple[State, Array]:
+    def interpolate_at(k: Array, time: Array, inside: Array) -> tuple[State, Array]:
         a, b = (jax.tree.map(lambda x: x[n], trajectory.state) for n in (k, k + 1))  # noqa: B023
         h = t[k + 1] - t[k]
         rest, unravel = ravel_pytree(_rest(a))
@@ -92,7 +92,7 @@ def _interpolated(system: System, trajectory: Trajectory, times: Array) -> tuple
         gap = jnp.abs(h * (v0 + v1) / 2 - end) / (1 + jnp.abs(end))
         return found, jnp.where(inside, jnp.max(gap[: space.dim // 2]), 0)
 
-    return jax.vmap(one)(left, times, inside)
+    return jax.vmap(interpolate_at)(left, times, inside)
 
 
 def _rest(state: State) -> dict[str, Any]:
@@ -103,10 +103,10 @@ def _jet(system: System, function: Callable[[State], Array], state: State) -> tu
     """A function of the state, and its first and second time derivatives along the flow."""
     flow = partial(time_derivative, system)
 
-    def along(z: State) -> tuple[Array, Array]:
+    def rate(z: State) -> tuple[Array, Array]:
         return jax.jvp(function, (z,), (flow(z),))
 
-    (value, first), (_, second) = jax.jvp(along, (state,), (flow(state),))
+    (value, first), (_, second) = jax.jvp(rate, (state,), (flow(state),))
     return value, first, second
 
 

@@ -96,7 +96,7 @@ def integrate(
     assert not isinstance(clock, StateClock)
     wanted = outputs(save_at, clock, num_steps, dtype)
     _check_size(state, wanted.size + 1)
-    return _seen(step, state, clock, wanted, num_steps)
+    return _at_output_times(step, state, clock, wanted, num_steps)
 
 
 def _check_size(state: State, entries: int) -> None:
@@ -161,12 +161,12 @@ def _padded(step: Step, state: State, clock: Clock, num_saves: ArrayLike, most: 
     interval = _interval(prepared(step, state, clock), state, clock, save_every)
     rows = jax.tree.map(lambda x: jnp.broadcast_to(x, (most, *x.shape)), (state, StepInfo.fresh(state.p)))
 
-    def one(k: Array, carry: Any) -> Any:
+    def padded_interval(k: Array, carry: Any) -> Any:
         moved, rows = carry
         moved, saved = interval(moved, None)
         return moved, jax.tree.map(lambda to, x: lax.dynamic_update_index_in_dim(to, x, k, 0), rows, saved)
 
-    _, later = lax.fori_loop(0, num_saves, one, ((state, jnp.zeros((), int)), rows))
+    _, later = lax.fori_loop(0, num_saves, padded_interval, ((state, jnp.zeros((), int)), rows))
     return _joined(state, later, clock.time(save_every * jnp.arange(most + 1)))
 
 
@@ -182,14 +182,14 @@ def _interval(step: Step, state: State, clock: Clock, save_every: int) -> Callab
     started = StepInfo.fresh(state.p)
 
     @rematerialized
-    def one(carry: tuple[State, StepInfo, Array], _: None) -> tuple[tuple[State, StepInfo, Array], None]:
+    def step_once(carry: tuple[State, StepInfo, Array], _: None) -> tuple[tuple[State, StepInfo, Array], None]:
         state, so_far, n = carry
         state, info = step(state, clock.size(n))
         return (at_time(state, clock.time(n + 1)), so_far.merge(info), n + 1), None
 
     def interval(carry: tuple[State, Array], _: None) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
         state, n = carry
-        (state, info, n), _ = _times(save_every, one, (state, started, n))
+        (state, info, n), _ = _times(save_every, step_once, (state, started, n))
         return (state, n), (state, info)
 
     return interval
@@ -204,7 +204,9 @@ def _times(length: int, function: Callable[[Any, None], tuple[Any, Any]], carry:
 
 
 @partial(compiled, static_argnums=4)
-def _seen(step: Step, state: State, clock: UniformClock | GridClock, save_at: Array, num_steps: int) -> Trajectory:
+def _at_output_times(
+    step: Step, state: State, clock: UniformClock | GridClock, save_at: Array, num_steps: int
+) -> Trajectory:
     """The trajectory at output times: whole steps, and before each a shorter one from its node to every output."""
     count = save_at.size
     span = clock.time(num_steps) - clock.time(0)
@@ -216,7 +218,7 @@ def _seen(step: Step, state: State, clock: UniformClock | GridClock, save_at: Ar
     outputs = jnp.zeros(num_steps + count, bool).at[nodes + jnp.arange(count)].set(True)
     buffer = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype), (state, fresh))
 
-    def one(carry: Any, is_output: Array) -> tuple[Any, None]:
+    def step_to_output(carry: Any, is_output: Array) -> tuple[Any, None]:
         (state, so_far), n, k, buffer = carry
         rest = rests[jnp.minimum(k, count - 1)]
         end, info = lax.cond(is_output, lambda: step(state, rest), lambda: whole(state, clock.size(n)))
@@ -228,7 +230,7 @@ def _seen(step: Step, state: State, clock: UniformClock | GridClock, save_at: Ar
 
     zero = jnp.zeros((), int)
     if count:
-        buffer = lax.scan(one, ((state, fresh), zero, zero, buffer), outputs)[0][-1]
+        buffer = lax.scan(step_to_output, ((state, fresh), zero, zero, buffer), outputs)[0][-1]
     later, info = buffer
     info = info._replace(converged=info.converged & inside & (own == nodes))  # else a traced time is out of order
     return _joined(state, (at_time(later, save_at), info), jnp.concatenate([clock.time(0)[None], save_at]))
@@ -266,12 +268,12 @@ def steps(
     `state` is that after `done` steps from the time t₀, None if the state has no time or the step advances it.
     """
 
-    def one(n: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:
+    def step_once(n: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:
         state, so_far = carry
         state, info = step(state, dt)
         return on_clock(state, t0, done + n + 1, dt), so_far.merge(info)
 
-    return lax.fori_loop(0, count, one, (state, StepInfo.fresh(state.p)))
+    return lax.fori_loop(0, count, step_once, (state, StepInfo.fresh(state.p)))
 
 
 def intervals(num_steps: int, save_every: int | None) -> tuple[int, int]:

@@ -121,7 +121,7 @@ def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
 
 
 def _duplicated(root_x: Array, root_y: Array, root_z: Array, p: Array, more: int = 0) -> _Duplicated:
-    start = _Duplicated.of((root_x, root_y, root_z), p)
+    start = _Duplicated.from_roots((root_x, root_y, root_z), p)
     return lax.while_loop(lambda state: jnp.any(state.far), lambda state: state.next(more), start)
 
 
@@ -154,7 +154,7 @@ class _Duplicated(NamedTuple):
     far: Array
 
     @classmethod
-    def of(cls, roots: tuple[Array, Array, Array], p: Array) -> _Duplicated:
+    def from_roots(cls, roots: tuple[Array, Array, Array], p: Array) -> _Duplicated:
         x, y, z = (root * root for root in roots)
         mean = (x + y + z + 2 * p) / 5
         apart, delta = (mean - x, mean - y, mean - z), (p - x) * (p - y) * (p - z)

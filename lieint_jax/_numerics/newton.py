@@ -75,9 +75,9 @@ def root(
     def solve(function: Callable[[_Unknown], _Unknown], x: _Unknown) -> tuple[_Unknown, tuple[_Unknown, Array]]:
         def improved(x: _Unknown, pace: ContractionMonitor) -> tuple[_Unknown, ContractionMonitor, _Unknown]:
             step = correction(x, function(x))
-            return jax.tree.map(jnp.subtract, x, step), pace.after(size(step)) if watched else pace, step
+            return jax.tree.map(jnp.subtract, x, step), pace.update(size(step)) if watched else pace, step
 
-        pace = ContractionMonitor.before(size(x) if first is None else first)
+        pace = ContractionMonitor.start(size(x) if first is None else first)
         if done is not None:
             x, pace = _until(done, improved, x, pace, iterations)
         elif unroll:
@@ -100,11 +100,11 @@ class ContractionMonitor(NamedTuple):
     growth: Array
 
     @classmethod
-    def before(cls, length: Array) -> ContractionMonitor:
+    def start(cls, length: Array) -> ContractionMonitor:
         """The pace before the first correction of a guess of that length."""
         return cls(length, jnp.zeros_like(length))
 
-    def after(self, length: Array, ratio: float = 0.5) -> ContractionMonitor:
+    def update(self, length: Array, ratio: float = 0.5) -> ContractionMonitor:
         """The pace after a correction of that length, which grants `ratio` of it to the next."""
         return ContractionMonitor(ratio * length, jnp.maximum(self.growth, length - self.granted))
 
@@ -150,7 +150,7 @@ def chords(
     def solve(function: Callable[[_Unknown], _Unknown], x: _Unknown) -> tuple[_Unknown, tuple[_Unknown, Array]]:
         eps = float(jnp.finfo(jax.tree.leaves(x)[0].dtype).eps)
 
-        def one(
+        def body(
             carry: tuple[_Unknown, ContractionMonitor, Array, Array],
         ) -> tuple[_Unknown, ContractionMonitor, Array, Array]:
             x, pace, k, _ = carry
@@ -161,18 +161,18 @@ def chords(
                 F = function(x) if use else F
                 sizes.append(size(F))
                 step = K.solve(F)
-                x, pace = jax.tree.map(jnp.subtract, x, step), pace.after(lax.stop_gradient(length(step)), _CHORD)
+                x, pace = jax.tree.map(jnp.subtract, x, step), pace.update(lax.stop_gradient(length(step)), _CHORD)
             before, last = sizes[-2:]
             pace = pace._replace(growth=jnp.where(K.positive, pace.growth, jnp.inf))
             return x, pace, k + 1, (last <= eps) | (last * last <= eps / 8 * before)
 
         start = (
             x,
-            ContractionMonitor.before(lax.stop_gradient(length(x))),
+            ContractionMonitor.start(lax.stop_gradient(length(x))),
             jnp.zeros((), jnp.int32),
             jnp.zeros((), bool),
         )
-        x, pace, *_ = lax.while_loop(lambda carry: (carry[2] < iterations) & ~carry[3], one, start)
+        x, pace, *_ = lax.while_loop(lambda carry: (carry[2] < iterations) & ~carry[3], body, start)
         x = saved(x)
         return x, (function(x), pace.growth)
 
@@ -193,7 +193,7 @@ def _until(
     pace: ContractionMonitor,
     most: int,
 ) -> tuple[_Unknown, ContractionMonitor]:
-    def one(
+    def body(
         carry: tuple[_Unknown, ContractionMonitor, Array, Array],
     ) -> tuple[_Unknown, ContractionMonitor, Array, Array]:
         x, pace, k, _ = carry
@@ -201,7 +201,7 @@ def _until(
         return x, pace, k + 1, done(x, step)
 
     start = (x, pace, jnp.zeros((), jnp.int32), jnp.zeros((), bool))
-    return lax.while_loop(lambda carry: (carry[2] < most) & ~carry[3], one, start)[:2]
+    return lax.while_loop(lambda carry: (carry[2] < most) & ~carry[3], body, start)[:2]
 
 
 def _tangent_solve(linear: Callable[[Any], Any], y: Any) -> Any:

@@ -28,7 +28,7 @@ Matrix = Any  # a list of rows, or an array (n, n)
 
 def times(a: Scalar, b: Scalar) -> Scalar:
     for x, y in ((a, b), (b, a)):
-        if _known(x) and x in (0, 1, -1):
+        if _is_constant(x) and x in (0, 1, -1):
             return 0.0 if x == 0 else y if x == 1 else -y
     return a * b
 
@@ -36,37 +36,37 @@ def times(a: Scalar, b: Scalar) -> Scalar:
 def total(terms: Iterable[Scalar]) -> Scalar:
     sum_ = 0.0
     for term in terms:
-        if not (_known(term) and term == 0):
-            sum_ = term if _known(sum_) and sum_ == 0 else sum_ + term
+        if not (_is_constant(term) and term == 0):
+            sum_ = term if _is_constant(sum_) and sum_ == 0 else sum_ + term
     return sum_
 
 
 def dot(a: Vector, b: Vector) -> Scalar:
-    if _whole(a) and _whole(b):
+    if _is_array(a) and _is_array(b):
         return a @ b
     return total(times(x, y) for x, y in zip(a, b, strict=True))
 
 
 def matvec(A: Matrix, x: Vector) -> Vector:
-    if _whole(A):
+    if _is_array(A):
         return A @ as_array(x, A)
     return [dot(row, x) for row in A]
 
 
 def matmul(A: Matrix, B: Matrix) -> Matrix:
-    if _whole(A) or _whole(B):
+    if _is_array(A) or _is_array(B):
         return A @ B
     columns = transpose(B)
     return [[dot(row, column) for column in columns] for row in A]
 
 
 def transpose(A: Matrix) -> Matrix:
-    return A.T if _whole(A) else [list(column) for column in zip(*A, strict=True)]
+    return A.T if _is_array(A) else [list(column) for column in zip(*A, strict=True)]
 
 
 def combination(*pairs: tuple[Scalar, Matrix]) -> Matrix:
     """Σ cA over pairs (c, A)."""
-    if any(_whole(A) for _, A in pairs):
+    if any(_is_array(A) for _, A in pairs):
         return sum((c * A for c, A in pairs[1:]), pairs[0][0] * pairs[0][1])
     n, m = len(pairs[0][1]), len(pairs[0][1][0])
     return [[total(times(c, A[i][j]) for c, A in pairs) for j in range(m)] for i in range(n)]
@@ -75,7 +75,7 @@ def combination(*pairs: tuple[Scalar, Matrix]) -> Matrix:
 def plus(*terms: Any) -> Vector:
     """Σ cx over vectors x and pairs (c, x)."""
     pairs = [term if isinstance(term, tuple) else (1.0, term) for term in terms]
-    if any(_whole(x) for _, x in pairs):
+    if any(_is_array(x) for _, x in pairs):
         return sum((c * x for c, x in pairs[1:]), pairs[0][0] * pairs[0][1])
     rows = zip(*(x for _, x in pairs), strict=True)
     return [total(times(c, x) for (c, _), x in zip(pairs, row, strict=True)) for row in rows]
@@ -83,24 +83,24 @@ def plus(*terms: Any) -> Vector:
 
 def scaled(c: Scalar, x: Vector) -> Vector:
     """cx."""
-    return c * x if _whole(x) else [times(c, entry) for entry in x]
+    return c * x if _is_array(x) else [times(c, entry) for entry in x]
 
 
-def each(function: Callable[..., Scalar], *vectors: Vector) -> Vector:
+def map_entries(function: Callable[..., Scalar], *vectors: Vector) -> Vector:
     """The function applied to the entries, one by one."""
-    if any(_whole(x) for x in vectors):
+    if any(_is_array(x) for x in vectors):
         return function(*vectors)
     return [function(*entries) for entries in zip(*vectors, strict=True)]
 
 
 def identity(like: Matrix) -> Matrix:
     n = len(like)
-    return jnp.eye(n, dtype=like.dtype) if _whole(like) else [[float(i == j) for j in range(n)] for i in range(n)]
+    return jnp.eye(n, dtype=like.dtype) if _is_array(like) else [[float(i == j) for j in range(n)] for i in range(n)]
 
 
 def linear(C: np.ndarray, x: Vector) -> Any:
     """Σ_i C[..., i] x_i for constants C, shape (m, d) or (m, k, d): a vector or a matrix."""
-    if _whole(x):
+    if _is_array(x):
         return jnp.asarray(C, x.dtype) @ x
     if C.ndim > 2:
         return [linear(c, x) for c in C]
@@ -114,7 +114,7 @@ def quadratic(C: np.ndarray, x: Vector) -> Array:
 
 
 def flatten(A: Matrix) -> Vector:
-    return A.reshape(-1) if _whole(A) else list(itertools.chain.from_iterable(A))
+    return A.reshape(-1) if _is_array(A) else list(itertools.chain.from_iterable(A))
 
 
 def columns(linear: Callable[..., Any], n: int, dtype: Any) -> list[Any]:
@@ -124,10 +124,10 @@ def columns(linear: Callable[..., Any], n: int, dtype: Any) -> list[Any]:
     """
     one, zero = jnp.ones((), dtype), jnp.zeros((), dtype)
 
-    def along(k: int) -> Callable[[Array], Any]:
+    def column(k: int) -> Callable[[Array], Any]:
         return lambda x: linear(*(x if i == k else zero for i in range(n)))
 
-    return [jax.jvp(along(k), (zero,), (one,))[1] for k in range(n)]
+    return [jax.jvp(column(k), (zero,), (one,))[1] for k in range(n)]
 
 
 def at_each(function: Callable[[Array], Any], s: Array) -> Any:
@@ -137,7 +137,7 @@ def at_each(function: Callable[[Array], Any], s: Array) -> Any:
 
 def inverse(A: Matrix) -> Matrix:
     """A⁻¹ of any invertible matrix: by cofactors if unrolled, by `jax.numpy` if whole."""
-    if _whole(A):
+    if _is_array(A):
         return jnp.linalg.inv(A)
     adjugate, det = _adjugate(A)
     r = 1 / det
@@ -146,7 +146,7 @@ def inverse(A: Matrix) -> Matrix:
 
 def determinant(A: Matrix) -> Scalar:
     """det A: by cofactors if unrolled, by `jax.numpy` if whole."""
-    return jnp.linalg.det(A) if _whole(A) else _adjugate(A)[1]
+    return jnp.linalg.det(A) if _is_array(A) else _adjugate(A)[1]
 
 
 def _adjugate(A: Matrix) -> tuple[Matrix, Scalar]:
@@ -160,16 +160,18 @@ def _adjugate(A: Matrix) -> tuple[Matrix, Scalar]:
             terms = []
             for k, j in enumerate(columns):
                 entry = A[rows[0]][j]
-                if not (_known(entry) and entry == 0):
+                if not (_is_constant(entry) and entry == 0):
                     rest = minor(rows[1:], columns[:k] + columns[k + 1 :])
                     terms.append(times((-1.0) ** k, times(entry, rest)))
             minors[rows, columns] = total(terms)
         return minors[rows, columns]
 
-    def without(k: int) -> tuple[int, ...]:
+    def indices_without(k: int) -> tuple[int, ...]:
         return tuple(i for i in range(n) if i != k)
 
-    adjugate = [[times((-1.0) ** (i + j), minor(without(j), without(i))) for j in range(n)] for i in range(n)]
+    adjugate = [
+        [times((-1.0) ** (i + j), minor(indices_without(j), indices_without(i))) for j in range(n)] for i in range(n)
+    ]
     return adjugate, dot(A[0], [row[0] for row in adjugate])
 
 
@@ -197,7 +199,7 @@ def factored(K: Matrix) -> Factored:
     The matrices of schemes are a metric less a nearly skew matrix, so that no pivot vanishes or is small. Unrolled
     matrices are cut into 2×2 blocks, so that up to six unknowns take two divisions: XLA stops fusing at a division.
     """
-    if _whole(K):
+    if _is_array(K):
         inverted = jnp.linalg.inv(K)
         pivots = jnp.diagonal(jnp.linalg.cholesky(lax.stop_gradient(K + K.T)))  # NaN if there is no such factor
         return Factored(lambda b: inverted @ as_array(b, K), jnp.all(pivots > 0))
@@ -247,14 +249,14 @@ def eliminate(A: Sequence[Sequence[Scalar]], *right: Sequence[Scalar]) -> list[l
 
 def materialized(A: Vector | Matrix) -> Vector | Matrix:
     """A with each entry computed once and held in memory, see `_xla.materialized`."""
-    if _whole(A):
+    if _is_array(A):
         return A
     rows = A if isinstance(A[0], list) else [A]
-    unknown = [x for x in flatten(rows) if not _known(x)]
+    unknown = [x for x in flatten(rows) if not _is_constant(x)]
     if not unknown:
         return A
     once = iter(_xla.materialized(unknown))
-    held = [[x if _known(x) else next(once) for x in row] for row in rows]
+    held = [[x if _is_constant(x) else next(once) for x in row] for row in rows]
     return held if isinstance(A[0], list) else held[0]
 
 
@@ -265,7 +267,7 @@ def as_list(x: Array) -> Any:
 
 def as_array(x: Vector | Matrix, like: Array) -> Array:
     """A vector or matrix as an array, in the dtype of `like`."""
-    if _whole(x):
+    if _is_array(x):
         return x
     if isinstance(x[0], Sequence):
         n, m = len(x), len(x[0])
@@ -273,9 +275,9 @@ def as_array(x: Vector | Matrix, like: Array) -> Array:
     return jnp.stack([jnp.asarray(entry, like.dtype) for entry in x])
 
 
-def _known(x: Scalar) -> bool:
+def _is_constant(x: Scalar) -> bool:
     return isinstance(x, int | float)
 
 
-def _whole(x: Any) -> bool:
+def _is_array(x: Any) -> bool:
     return not isinstance(x, list)

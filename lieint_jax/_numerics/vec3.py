@@ -142,7 +142,7 @@ def unit_trace(J: Array) -> tuple[Symmetric, Array]:
     return tuple(r * x for x in S), r
 
 
-def along(S: Symmetric, R: Symmetric, s: Any) -> Symmetric:
+def add_scaled(S: Symmetric, R: Symmetric, s: Any) -> Symmetric:
     """S + s R."""
     return tuple(x + s * y for x, y in zip(S, R, strict=True))
 
@@ -183,7 +183,7 @@ def determinant(S: Symmetric, adj: Symmetric) -> Array:
 
 def mean_cofactor(S: Symmetric, D: Symmetric) -> Symmetric:
     """The mean of cof(S + sD) over 0 ≤ s ≤ 1, a symmetric matrix whose product with D is det(S + D) − det S."""
-    return along(adjugate(along(S, D, 0.5)), adjugate(D), 1 / 12)
+    return add_scaled(adjugate(add_scaled(S, D, 0.5)), adjugate(D), 1 / 12)
 
 
 def inverse_trace(S: Symmetric) -> Array:

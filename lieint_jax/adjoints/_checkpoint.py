@@ -29,7 +29,7 @@ def checkpointed(step: Step, state: State, dt: Array, counts: tuple[int, ...]) -
     def interval(carry: tuple[State, Array], count: Array) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
         state, done = carry
 
-        def one(carry: tuple[Array, State, StepInfo], _: None) -> tuple[tuple[Array, State, StepInfo], None]:
+        def step_once(carry: tuple[Array, State, StepInfo], _: None) -> tuple[tuple[Array, State, StepInfo], None]:
             k, state, so_far = carry
             after, info = step(state, dt)
             after = on_clock(after, t0, done + k + 1, dt)
@@ -39,7 +39,7 @@ def checkpointed(step: Step, state: State, dt: Array, counts: tuple[int, ...]) -
             return (k + 1, *taken), None
 
         start = (jnp.zeros((), jnp.int32), state, StepInfo.fresh(state.p))
-        _, state, info = _nested(one, start, max(counts, default=0), _LEVELS)
+        _, state, info = _nested(step_once, start, max(counts, default=0), _LEVELS)
         return (state, done + count), (state, info)
 
     start = (state, jnp.zeros((), jnp.int32))

@@ -42,8 +42,8 @@ def _repeated(count: Any, function: Callable[[Any, Any], Any], carry: Any, over:
         return lax.fori_loop(0, count, lambda _, c: function(c, np.asarray(over[0], dtype)), carry)
 
     # x is carried, since XLA would fuse a slice of `over` into every loop over a batch
-    def one(carry: tuple[Any, Array], following: Array) -> tuple[tuple[Any, Array], None]:
+    def step_once(carry: tuple[Any, Array], following: Array) -> tuple[tuple[Any, Array], None]:
         return (function(*carry), following), None
 
     xs = jnp.asarray(over, dtype)
-    return lax.fori_loop(0, count, lambda _, c: lax.scan(one, (c, xs[0]), jnp.roll(xs, -1))[0][0], carry)
+    return lax.fori_loop(0, count, lambda _, c: lax.scan(step_once, (c, xs[0]), jnp.roll(xs, -1))[0][0], carry)

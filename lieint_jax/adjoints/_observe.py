@@ -80,7 +80,7 @@ def observe(
         later = checkpointed(step, state, h, tuple(np.diff(whole[order], prepend=0).tolist()))
     else:
         later = undoable(step, state, h, xp.diff(whole[order], prepend=0), tolerance)
-    return _seen(step, later, xp.argsort(order), _rest(t - t0, h, whole), reached)
+    return _states_at(step, later, xp.argsort(order), _rest(t - t0, h, whole), reached)
 
 
 @jax.custom_jvp
@@ -100,7 +100,7 @@ def _(primals: tuple[Array, Array, Array], tangents: tuple[Array, Array, Any]) -
 
 
 @compiled
-def _seen(
+def _states_at(
     step: Step, later: tuple[State, StepInfo], back: Array, rest: Array, reached: Array
 ) -> tuple[State, StepInfo]:
     """The states a step of `rest` after those of `later` in the order `back`, by the step as given, not prepared."""

@@ -36,7 +36,7 @@ from lieint_jax.types import State, Step, StepInfo, System, pytree, start_time, 
 def undoable(step: Step, state: State, dt: Array, counts: Any, tolerance: float | None) -> tuple[State, StepInfo]:
     """`_marched`, differentiated by undoing its steps, with respect to arrays that the step closes over, too."""
     tolerance = math.sqrt(jnp.finfo(state.p.dtype).eps) if tolerance is None else float(tolerance)
-    return _march(_opened(step.prepare(state, dt), state, dt), state, dt, counts, tolerance)
+    return _march(_substeps(step.prepare(state, dt), state, dt), state, dt, counts, tolerance)
 
 
 def _marched(step: Any, state: State, dt: Array, counts: Any, tolerance: float) -> tuple[State, StepInfo]:
@@ -83,7 +83,9 @@ def _march_back(tolerance: float, kept: Any, cotangents: tuple[State, Any]) -> t
     starts = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest])[:-1], state, later)
     zero = jax.tree.map(jnp.zeros_like, (state, (smooth, dt)))
     found, errors = lax.scan(interval, zero, (starts, later, cotangents[0], jnp.asarray(counts)), reverse=True)
-    none = _watched(jnp.max(errors, initial=0), tolerance)  # added to every result, or XLA may remove the warning
+    none = _zero_with_warning(
+        jnp.max(errors, initial=0), tolerance
+    )  # added to every result, or XLA may remove the warning
     lam, (leaves, h) = jax.tree.map(lambda x: x + none.astype(x.dtype), found)
     return _cotangent(step, leaves), lam, h, np.zeros(np.shape(counts), jax.dtypes.float0)
 
@@ -117,7 +119,7 @@ def _cotangent(tree: Any, smooth: Any) -> Any:
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
-def _watched(error: Array, tolerance: float) -> Array:
+def _zero_with_warning(error: Array, tolerance: float) -> Array:
     """Zero, with a warning on the host if `error` is above `tolerance`; a batch makes one call."""
 
     def warn(error: np.ndarray) -> np.ndarray:
@@ -136,9 +138,9 @@ def _watched(error: Array, tolerance: float) -> Array:
     return jax.pure_callback(warn, jax.ShapeDtypeStruct((), error.dtype), error, vmap_method="expand_dims")
 
 
-@_watched.defjvp
+@_zero_with_warning.defjvp
 def _(tolerance: float, primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    none = _watched(primals[0], tolerance)
+    none = _zero_with_warning(primals[0], tolerance)
     return none, jnp.zeros_like(none)
 
 
@@ -164,8 +166,8 @@ class _Opened:
     substep = __call__
 
 
-def _opened(step: Step, state: State, dt: Array) -> Any:
+def _substeps(step: Step, state: State, dt: Array) -> Any:
     if isinstance(step, Composition):
-        return dataclasses.replace(step, step=_opened(step.step, state, dt))
+        return dataclasses.replace(step, step=_substeps(step.step, state, dt))
     function, closed = jax.closure_convert(lambda step, z, dt: step(z, dt), step, state, dt)
     return _Opened(step, tuple(closed), function)

@@ -73,11 +73,15 @@ class Certificate(NamedTuple):
         eps = float(jnp.finfo(self.precision).eps)
         exact = 16 * eps * math.sqrt(max(self.num_steps, 1))
         rows = [
-            ("energy less work" if self.work else "energy", self.energy, _kept(self.energy, exact + self.clock, eps)),
-            ("momentum", self.momentum, _kept(self.momentum, exact * self.cancellation, eps)),
-            ("constraint", self.constraint, _kept(self.constraint, exact, eps)),
+            (
+                "energy less work" if self.work else "energy",
+                self.energy,
+                _verdict(self.energy, exact + self.clock, eps),
+            ),
+            ("momentum", self.momentum, _verdict(self.momentum, exact * self.cancellation, eps)),
+            ("constraint", self.constraint, _verdict(self.constraint, exact, eps)),
             ("symplectic form", self.symplectic_defect, self._form()),
-            ("reversibility", self.reversibility, _kept(self.reversibility, exact, eps, "reversible")),
+            ("reversibility", self.reversibility, _verdict(self.reversibility, exact, eps, "reversible")),
             ("residual", self.residual, "every step converged" if self.converged else "NOT every step converged"),
             ("order", self.order, "exact flow" if math.isinf(self.order) else f"measured {self.order:.2f}"),
         ]
@@ -112,7 +116,7 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
     step, state, h = _measure.checked(step, state, dt, most)
     _checks.time_resolution(start_time(step, state), h, num_steps)
     run = _measure.run(step, state, h, num_steps, most)
-    seen = jax.device_get(_seen(step.system, run))
+    seen = jax.device_get(_measure_invariants(step.system, run))
     form = _on_arrays(step)
     coarse, fine = (float(_form_defect(form, state, x)) for x in (h, _checks.as_array(np.asarray(h) / 2)))
     floor = 32 * float(jnp.finfo(h.dtype).eps) * max(1, step.system.phase_space.dim / 6)
@@ -159,7 +163,7 @@ class MeasuredInvariants(NamedTuple):
 
 
 @partial(compiled, once=True)
-def _seen(system: System, run: Trajectory) -> MeasuredInvariants:
+def _measure_invariants(system: System, run: Trajectory) -> MeasuredInvariants:
     start = jax.tree.map(lambda x: x[0], run.state)
 
     def largest(x: Array) -> Array:
@@ -219,7 +223,7 @@ def _relative(error: float, size: float) -> float:
     return float(error / size) if size else float(error)
 
 
-def _kept(error: float, exact: float, eps: float, verb: str = "conserved") -> str:
+def _verdict(error: float, exact: float, eps: float, verb: str = "conserved") -> str:
     if math.isnan(error):
         return "none"
     if error == 0:

@@ -134,7 +134,7 @@ def _lyapunov(step: Step, state: State, dt: Array, frame: Array, rounds: int, ev
     unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
     zero, t0 = jnp.zeros((), int), state.t
 
-    def one(carry: Any, _: None) -> tuple[Any, None]:
+    def interval(carry: Any, _: None) -> tuple[Any, None]:
         state, T, info, n = carry
         state, last, T = step.tangent(state, dt, T)
         return (on_clock(state, t0, n + 1, dt), T, info.merge(last), n + 1), None
@@ -142,7 +142,7 @@ def _lyapunov(step: Step, state: State, dt: Array, frame: Array, rounds: int, ev
     def orthonormalized(carry: Any, _: None) -> tuple[Any, None]:
         (state, frame, info, n), growth = carry
         batch = n // every * batches // rounds
-        (state, T, info, n), _ = lax.scan(one, (state, unit * frame, info, n), None, length=every)
+        (state, T, info, n), _ = lax.scan(interval, (state, unit * frame, info, n), None, length=every)
         frame, gain = orthonormal(T / unit)
         growth = growth.at[batch].add(gain)
         return ((state, frame, info, n), growth), None
@@ -221,7 +221,7 @@ def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, vector: Array
 def _megno(step: Step, state: State, dt: Array, vector: Array, num_steps: int) -> Megno:
     unit, t0 = jnp.concatenate(units(step.system.phase_space, state))[:, None], state.t
 
-    def one(carry: Any, _: None) -> tuple[Any, None]:
+    def step_once(carry: Any, _: None) -> tuple[Any, None]:
         state, W, Y, mean, info, n = carry
         state, last, T = step.tangent(state, dt, unit * W)
         W, gain = orthonormal(T / unit)
@@ -232,7 +232,7 @@ def _megno(step: Step, state: State, dt: Array, vector: Array, num_steps: int) -
     zero = jnp.zeros((), vector.dtype)
     first = orthonormal(vector[:, None] / unit)[0]
     begin = (state, first, zero, zero, StepInfo.fresh(state.p), jnp.zeros((), int))
-    (_, _, Y, mean, info, _), _ = lax.scan(one, begin, None, length=num_steps)
+    (_, _, Y, mean, info, _), _ = lax.scan(step_once, begin, None, length=num_steps)
     return Megno(Y, mean, info)
 
 

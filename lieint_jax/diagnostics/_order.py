@@ -37,11 +37,11 @@ def _flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
     h = jnp.asarray(t, z0.dtype) / num_steps
     f = jax.vmap(lambda z: ravel_pytree(time_derivative(system, unravel(z)))[0])
 
-    def one(z: Array, _: None) -> tuple[Array, None]:
+    def step_once(z: Array, _: None) -> tuple[Array, None]:
         k = lax.fori_loop(0, _ITERATIONS, lambda _, k: f(z + h * (A @ k)), jnp.zeros((_STAGES, z.size), z.dtype))
         return z + h * (b @ k), None
 
-    return unravel(lax.scan(one, z0, None, length=num_steps)[0])
+    return unravel(lax.scan(step_once, z0, None, length=num_steps)[0])
 
 
 def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
@@ -79,7 +79,7 @@ def fitted_order(step: Step, state: State, dt: float, num_steps: int, most: int)
     def look(n: int) -> None:
         run = _measure.run(step, state, as_array(T / n, dtype), n, most)
         last = _measure.last(run)
-        error = float(_apart(step, last, exact(clock(last) - clock(state)) if end is None else end))
+        error = float(_distance(step, last, exact(clock(last) - clock(state)) if end is None else end))
         if error > floor and run.info.converged.all():
             seen[T / n] = error
 
@@ -97,7 +97,7 @@ def fitted_order(step: Step, state: State, dt: float, num_steps: int, most: int)
 
 
 @partial(compiled, once=True)
-def _apart(step: Step, a: State, b: State) -> Array:
+def _distance(step: Step, a: State, b: State) -> Array:
     return distance(a, b, step.system.phase_space)
 
 
@@ -135,4 +135,4 @@ def shown_reversibility(step: Step, state: State, dt: Array, most: int) -> Array
     """`reversibility` of what is checked, by the program of runs of up to `most` steps."""
     back = as_array(-np.asarray(dt)) if concrete(dt) else -dt
     there = _measure.last(_measure.run(step, state, dt, 1, most))
-    return _apart(step, _measure.last(_measure.run(step, there, back, 1, most)), state)
+    return _distance(step, _measure.last(_measure.run(step, there, back, 1, most)), state)

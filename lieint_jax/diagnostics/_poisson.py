@@ -62,10 +62,10 @@ def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, metho
                 f"the recursion (5.36) is for left-invariant systems on T*G without potential, got "
                 f"{type(step.system).__name__}; take method='product'"
             )
-        return _whole(step, state, dt, num_steps)
+        return _all_errors(step, state, dt, num_steps)
     if method == "product":
         d = space.dim // 2
-        return _whole(step, state, dt, num_steps)[:, :d, :d]
+        return _all_errors(step, state, dt, num_steps)[:, :d, :d]
     return _recursion(step, state, dt, num_steps)
 
 
@@ -88,7 +88,7 @@ def _recursion(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array
 
 
 @partial(compiled, static_argnums=3)
-def _whole(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:
+def _all_errors(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:
     """P_n − ω⁻¹(z_n), shape (num_steps+1, 2d, 2d)."""
     space = step.system.phase_space
 

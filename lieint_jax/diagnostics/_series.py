@@ -7,7 +7,7 @@ from jax import Array
 
 from lieint_jax import _checks
 from lieint_jax.types import System, Trajectory, energy_less_work
-from lieint_jax.types._members import Axis, along
+from lieint_jax.types._members import Axis, map_over_run
 
 
 def energy_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> Array:
@@ -25,13 +25,13 @@ def energy_error(system: System, trajectory: Trajectory, system_axis: Axis = "au
     Raises:
         ValueError: shapes that contradict `system_axis`, or do not tell; axes (member, time).
     """
-    kept = along(energy_less_work, system, trajectory, system_axis)
+    kept = map_over_run(energy_less_work, system, trajectory, system_axis)
     return kept - kept[0]
 
 
 def momentum_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> Array:
     """Φ(z_n) − Φ(z₀) of the momentum map Φ, (n+1, k) or (n+1, members, k); arguments as in `energy_error`."""
-    momentum = along(lambda own, z: own.momentum(z), system, trajectory, system_axis)
+    momentum = map_over_run(lambda own, z: own.momentum(z), system, trajectory, system_axis)
     return momentum - momentum[0]
 
 
@@ -40,7 +40,7 @@ def constraint_error(system: System, trajectory: Trajectory, system_axis: Axis =
 
     Arguments as in `energy_error`.
     """
-    return along(lambda own, z: own.phase_space.defect(z), system, trajectory, system_axis)
+    return map_over_run(lambda own, z: own.phase_space.defect(z), system, trajectory, system_axis)
 
 
 def delay(series: Array, lag: int) -> Array:

@@ -262,7 +262,7 @@ class MatrixGroup:
             return _sum_and_difference(*_taylor(X))
         x = la.materialized([self._closed.square(xi)])[0]
         series = self._closed.series(_EXPONENTIAL)
-        return self._both(X, la.materialized([_closed_form.evaluated(c, x) for c in series]))
+        return self._series_and_inverse(X, la.materialized([_closed_form.evaluated(c, x) for c in series]))
 
     def cayley_both(self, xi: la.Vector) -> tuple[la.Matrix, la.Matrix]:
         """cay ξ and cay(−ξ): by the closed form if there is one."""
@@ -275,9 +275,9 @@ class MatrixGroup:
         if closed.pairs:  # 2 Σ (X/2)ⁿ, from the last two powers on a geometric series in x/4
             r = 1 / (1 - closed.square(xi) / 4)
             coefficients[-2:] = [c * r if m else 2 * r - 1 for m, c in [*enumerate(coefficients)][-2:]]
-        return self._both(X, coefficients)
+        return self._series_and_inverse(X, coefficients)
 
-    def _both(self, X: la.Matrix, c: list[la.Scalar]) -> tuple[la.Matrix, la.Matrix]:
+    def _series_and_inverse(self, X: la.Matrix, c: list[la.Scalar]) -> tuple[la.Matrix, la.Matrix]:
         """Σ c_m Xᵐ and Σ c_m (−X)ᵐ."""
         powers = [la.identity(X), X]
         while len(powers) < len(c):

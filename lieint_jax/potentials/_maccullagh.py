@@ -41,7 +41,7 @@ class MacCullagh(Potential):
         # an axis of pairs, seen from one end and then from the other
         here, there = np.concatenate([i, j]), np.concatenate([j, i])
         d = (x[j] - x[i]).T
-        own, arms = _seen(self._entries(here), tuple(_twice(d)), jnp.moveaxis(R[here], 0, -1))
+        own, arms = _quadrupole(self._entries(here), tuple(_twice(d)), jnp.moveaxis(R[here], 0, -1))
         along, *arm = (jnp.sum((m[there] * y).reshape(2, -1), axis=0) for y in (own, *arms))
         f, third = _pull(self.G, m[i] * m[j], m[j] * trace[i] + m[i] * trace[j], tuple(d), along, tuple(arm))
         f = jnp.stack(materialized(f))
@@ -122,7 +122,7 @@ def _twice(x: Array) -> Array:
     return jnp.concatenate([x, x], axis=-1)
 
 
-def _seen(J: vec3.Symmetric, d: vec3.Vector, R: vec3.Matrix) -> tuple[Array, vec3.Vector]:
+def _quadrupole(J: vec3.Symmetric, d: vec3.Vector, R: vec3.Matrix) -> tuple[Array, vec3.Vector]:
     """Γ·JΓ and ΛJΓ, with Γ = Λᵀd."""
     Gamma = tuple(vec3.dot(axis, d) for axis in vec3.transpose(R))
     JGamma = vec3.apply(J, Gamma)

@@ -70,12 +70,12 @@ class _SitePairs(Potential):
     def _distances(self, at: Sequence[Array], g: int, h: int) -> Array:
         a, b = (at[k].reshape(-1, 3) for k in (g, h))
         u = sum((a[:, None, k] - b[None, :, k]) ** 2 for k in range(3))
-        return u if g != h else jnp.where(self._apart(g), u, 1)  # pyright: ignore[reportReturnType]
+        return u if g != h else jnp.where(self._in_different_bodies(g), u, 1)  # pyright: ignore[reportReturnType]
 
     def _weight(self, g: int, h: int) -> Array | float:
-        return 1.0 if g != h else jnp.where(self._apart(g), 0.5, 0.0)
+        return 1.0 if g != h else jnp.where(self._in_different_bodies(g), 0.5, 0.0)
 
-    def _apart(self, g: int) -> Array:
+    def _in_different_bodies(self, g: int) -> Array:
         """Whether two sites of a group are in different bodies."""
         body = jnp.arange(self.points[g].shape[0] * self.points[g].shape[1]) // self.points[g].shape[1]
         return body[:, None] != body[None, :]

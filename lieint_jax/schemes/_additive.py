@@ -111,7 +111,7 @@ class Additive(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         dt = jnp.asarray(dt)
-        equation = _Equation.of(self, state, dt)
+        equation = _Equation.from_state(self, state, dt)
         rule, W, E, alpha, F = equation.rule, equation.W, equation.E, equation.alpha, equation.F
         guess = jnp.concatenate([jnp.zeros(9, state.q.dtype), jnp.full(rule.gammas, rule.guess, state.q.dtype)])
         x, R, steady = newton.root(
@@ -119,7 +119,7 @@ class Additive(Step):
             equation.correction,
             guess,
             self.iterations,
-            done=equation.done,
+            done=equation.is_converged,
             length=_displacement,
             first=equation.size,
         )
@@ -223,7 +223,7 @@ def examples(system: Any) -> dict[str, Step]:
 
 
 def _symplectic(W: StoredEnergy, C: Symmetric, D: Symmetric) -> Symmetric:
-    return W.stress(vec3.along(C, D, 1))
+    return W.stress(vec3.add_scaled(C, D, 1))
 
 
 def _average(W: StoredEnergy, C: Symmetric, D: Symmetric) -> Symmetric:
@@ -231,16 +231,16 @@ def _average(W: StoredEnergy, C: Symmetric, D: Symmetric) -> Symmetric:
 
 
 def _energy(W: StoredEnergy, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
-    return W.stress(vec3.along(C, D, gamma))
+    return W.stress(vec3.add_scaled(C, D, gamma))
 
 
 def _energy_momentum(W: StoredEnergy, C: Symmetric, D: Symmetric, gamma: Array) -> Symmetric:
-    ends = (W.stress(vec3.along(C, D, s)) for s in (gamma, 1 - gamma))
+    ends = (W.stress(vec3.add_scaled(C, D, s)) for s in (gamma, 1 - gamma))
     return tuple((x + y) / 2 for x, y in zip(*ends, strict=True))
 
 
 def _incompressible(W: StoredEnergy, C: Symmetric, D: Symmetric, pressure: Array) -> Symmetric:
-    return vec3.along(W.mean_stress(C, D), vec3.mean_cofactor(C, D), -pressure)
+    return vec3.add_scaled(W.mean_stress(C, D), vec3.mean_cofactor(C, D), -pressure)
 
 
 class _Rule(NamedTuple):
@@ -267,7 +267,7 @@ _RULES: dict[str, _Rule] = {
 
 def _missed(W: StoredEnergy, C: Symmetric, D: Symmetric, S: Symmetric) -> Array:
     """S:D − 2ΔW."""
-    return vec3.inner(vec3.along(S, W.mean_stress(C, D), -1), D)
+    return vec3.inner(vec3.add_scaled(S, W.mean_stress(C, D), -1), D)
 
 
 def _regular(D: Symmetric, C: Symmetric, stiffness: Array, off: Array) -> Array:
@@ -316,7 +316,7 @@ class _Equation(NamedTuple):
     size: Array
 
     @classmethod
-    def of(cls, step: Additive, state: State, dt: Array) -> _Equation:
+    def from_state(cls, step: Additive, state: State, dt: Array) -> _Equation:
         """The equation of a step from a state."""
         rule, W = _RULES[step.rule], step.system.stored_energy
         alpha = step.alpha.astype(state.p.dtype)
@@ -328,7 +328,7 @@ class _Equation(NamedTuple):
     def change(self, U: Matrix) -> Symmetric:
         """D = FᵀV + VᵀF + VᵀV with V = aU."""
         V = vec3.scale_matrix(self.a, U)
-        return vec3.along(vec3.plus_transpose(vec3.transposed_product(self.F, V)), vec3.gram(V), 1)
+        return vec3.add_scaled(vec3.plus_transpose(vec3.transposed_product(self.F, V)), vec3.gram(V), 1)
 
     def law(self, D: Symmetric, gamma: tuple[Array, ...]) -> tuple[Symmetric, tuple[Array, ...]]:
         """S, and if the rule has a γ, what must vanish: S:D − 2ΔW; or, less a constant, det(C + D) − 1."""
@@ -355,7 +355,7 @@ class _Equation(NamedTuple):
         U, gamma = _matrix(x), tuple(x[9:])
         D = self.change(U)
         (S, _), tangent = jax.linearize(self.law, D, gamma)
-        N = vec3.along(self.E, S, self.alpha * c)
+        N = vec3.add_scaled(self.E, S, self.alpha * c)
         watched, middle = vec3.combine(self.F, U, a), vec3.combine(self.F, U, self.alpha)
         columns = la.columns(lambda *y: tangent(y[:6], y[6:]), 6 + len(gamma), x.dtype)
         determined = vec3.inner(D, D) > 0  # at the guess, D = 0, any γ serves, and rounding must not choose one
@@ -365,7 +365,7 @@ class _Equation(NamedTuple):
         t = _fraction(watched, dU, a)
         return jnp.concatenate([t * jnp.stack(_entries(dU)), *(g[None] for g in d_gamma)])
 
-    def done(self, x: Array, step: Array) -> Array:
+    def is_converged(self, x: Array, step: Array) -> Array:
         """Whether the next correction, quadratically smaller, would be round-off."""
         small_step = jnp.sqrt(jnp.finfo(step.dtype).eps) / 10
         ends = jnp.max(jnp.abs(step[:9])) <= small_step * self.size

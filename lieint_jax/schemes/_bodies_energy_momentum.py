@@ -199,10 +199,10 @@ def _solved(equation: _Equation, iterations: int) -> tuple[_Ends, Array]:
 
         def solver(K: Array) -> Callable[[Callable[[_Ends], _Ends], _Ends], _Ends]:
             def refined(matvec: Callable[[_Ends], _Ends], b: _Ends) -> _Ends:
-                def one(_: int, v: _Ends) -> _Ends:
+                def refine(_: int, v: _Ends) -> _Ends:
                     return jax.tree.map(jnp.add, v, _over(K, jax.tree.map(jnp.subtract, b, matvec(v))))
 
-                return lax.fori_loop(0, iterations, one, _over(K, b))
+                return lax.fori_loop(0, iterations, refine, _over(K, b))
 
             return refined
 

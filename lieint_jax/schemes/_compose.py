@@ -92,13 +92,13 @@ class Composition(Step):
         """`start` through `stage` with each of the sub-steps, and the merged report."""
 
         @rematerialized
-        def one(carry: tuple[Any, StepInfo], h: Array) -> tuple[tuple[Any, StepInfo], None]:
+        def substep(carry: tuple[Any, StepInfo], h: Array) -> tuple[tuple[Any, StepInfo], None]:
             z, worst = carry
             z, info = stage(z, h)
             return (z, worst.merge(info)), None
 
         sub_steps = jnp.asarray(self.gammas, jax.tree.leaves(start)[0].dtype) * dt
-        return lax.scan(one, (start, StepInfo.fresh(sub_steps)), sub_steps)[0]
+        return lax.scan(substep, (start, StepInfo.fresh(sub_steps)), sub_steps)[0]
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         largest = max(self.gammas, key=abs)

@@ -87,7 +87,7 @@ def exact(system: AbstractFreeBody | AbstractFreeBodies) -> Exact | FreeFlight:
     Source: this package; another form is that of Celledoni, Fassò, Säfström & Zanna 2008, SIAM J. Sci. Comput. 30.
     """
     if isinstance(system, AbstractFreeBodies):
-        return FreeFlight.by("exact", system, Exact)
+        return FreeFlight.from_scheme("exact", system, Exact)
     FREE_BODIES.check("exact", system)
     return Exact(system)
 

@@ -24,7 +24,9 @@ from jax.typing import ArrayLike
 
 from lieint_jax._xla import rematerialized
 from lieint_jax.schemes._so3_midpoint import FREE_BODIES
-from lieint_jax.schemes.charts import body_axes, several_bodies
+from lieint_jax.schemes.charts._chart import PlainState
+from lieint_jax.schemes.charts.body_axes import BODY_AXES
+from lieint_jax.schemes.charts.several_bodies import SEVERAL_BODIES
 from lieint_jax.types import (
     AbstractRigidBodies,
     AbstractTop,
@@ -34,22 +36,14 @@ from lieint_jax.types import (
     System,
     pytree,
     static,
-    time_derivative,
 )
 
-
-class _States:
-    """The states themselves, as the unknowns of any system."""
-
-    known = staticmethod(lambda system: True)
-    unknowns = staticmethod(lambda system, state: state)
-    moments = staticmethod(lambda system, state, passed: None)
-    rate = staticmethod(lambda system: lambda z, _: time_derivative(system, z))
-    moved = staticmethod(lambda system, state, start, delta: jax.tree.map(jnp.add, start, delta))
-    halves = staticmethod(lambda z: ([z.q], [z.p]))
-
-
-_FORMS: dict[str, Any] = {"one body": body_axes, "several bodies": several_bodies, "": _States}
+# the first that supports a system
+_CHARTS = {
+    "one body": BODY_AXES,
+    "several bodies": SEVERAL_BODIES,
+    "": PlainState(),
+}  # the first that supports a system
 _Rate = Callable[[Any, Any], Any]
 _ROUGH = 1e-3  # the largest relative difference between the last two orders of a step that converged
 
@@ -61,7 +55,7 @@ class Extrapolated(Step):
     Attributes:
         system: any system.
         order: even.
-        form: a key of `_FORMS`, whose unknowns it integrates.
+        form: the name of the chart in which it integrates.
         increments: whether sub-steps add up increments, not unknowns.
     """
 
@@ -76,12 +70,12 @@ class Extrapolated(Step):
         return f"extrapolate[{self.order:g}{'' if self.increments else ', plain'}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        form, numbers = _FORMS[self.form], [2 * (j + 1) for j in range(int(self.order) // 2)]
-        start, dt = form.unknowns(self.system, state), jnp.asarray(dt, state.p.dtype)
-        moments = form.moments(self.system, state, dt * jnp.asarray(_fractions(numbers), dt.dtype))
-        best, second = _extrapolated(form.rate(self.system), moments, start, dt, numbers, self.increments)
-        end = form.moved(self.system, state, start, best)
-        halves = zip(*map(form.halves, (start, best, second)), strict=True)
+        chart, numbers = _CHARTS[self.form], [2 * (j + 1) for j in range(int(self.order) // 2)]
+        start, dt = chart.unknowns(self.system, state), jnp.asarray(dt, state.p.dtype)
+        moments = chart.stage_times(self.system, state, dt * jnp.asarray(_fractions(numbers), dt.dtype))
+        best, second = _extrapolated(chart.rate(self.system), moments, start, dt, numbers, self.increments)
+        end = chart.advance(self.system, state, start, best)
+        halves = zip(*map(chart.split_qp, (start, best, second)), strict=True)
         off = lax.stop_gradient(functools.reduce(jnp.maximum, itertools.starmap(_relative, halves)))
         return end, StepInfo(off, off <= _ROUGH)
 
@@ -104,12 +98,12 @@ def _extrapolated(
     slope = rate(start, jax.tree.map(lambda x: x[0], moments))
     origin = jax.tree.map(jnp.zeros_like, start) if increments else start
 
-    def at(now: Any) -> Any:
+    def state_at(now: Any) -> Any:
         return jax.tree.map(jnp.add, start, now) if increments else now
 
     @rematerialized
-    def after(h: Array, before: Any, now: Any, moment: Any) -> Any:
-        return jax.tree.map(lambda x, f: x + 2 * h * f, before, rate(at(now), moment))
+    def leapfrog(h: Array, before: Any, now: Any, moment: Any) -> Any:
+        return jax.tree.map(lambda x, f: x + 2 * h * f, before, rate(state_at(now), moment))
 
     def first(h: Array) -> Any:
         return jax.tree.map(lambda x, f: x + h * f, origin, slope)
@@ -117,10 +111,10 @@ def _extrapolated(
     w = [jnp.asarray(x, dt.dtype) for x in (weights(numbers), [*weights(numbers[:-1]), 0.0])]
     h = dt / np.array(numbers)
 
-    def one(carry: Any, row: Any) -> tuple[Any, None]:
+    def step_once(carry: Any, row: Any) -> tuple[Any, None]:
         before, now, sums = carry
         h, following, last, moment, w = row
-        end = after(h, before, now, moment)
+        end = leapfrog(h, before, now, moment)
 
         def closed() -> Any:
             return origin, first(following), _added(sums, w, end, origin)
@@ -131,7 +125,7 @@ def _extrapolated(
     last = np.append(np.diff(of) > 0, True)
     later = jax.tree.map(lambda x: x[1:], moments)
     rows = (h[of], jnp.append(h[of[1:]], 0), jnp.asarray(last), later, [x[of] for x in w])
-    return lax.scan(one, (origin, first(h[0]), _nothing(origin)), rows)[0][2]
+    return lax.scan(step_once, (origin, first(h[0]), _nothing(origin)), rows)[0][2]
 
 
 def _nothing(like: Any) -> tuple[Any, Any]:
@@ -169,7 +163,7 @@ def extrapolate(system: System, order: int = 12, increments: bool = True) -> Ext
         raise ValueError(f"order must be an even number from 4 to 20, got {order!r}")
     if not isinstance(system, System):
         raise ValueError(f"extrapolate integrates systems, got {type(system).__name__}")
-    form = next(name for name, form in _FORMS.items() if form.known(system))
+    form = next(name for name, chart in _CHARTS.items() if chart.supports(system))
     return Extrapolated(system, order, form, increments)
 
 

@@ -31,9 +31,9 @@ from lieint_jax.schemes.charts.canonical import (
     field,
     force,
     inverses,
-    known,
     motion,
     power,
+    supports,
 )
 from lieint_jax.types import (
     AbstractDrivenSystem,
@@ -92,7 +92,7 @@ class Gauss(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         dt = jnp.asarray(dt, state.p.dtype)
-        equation = _Equation.of(self, state, dt)
+        equation = _Equation.from_state(self, state, dt)
         k, change = _solved(equation, self.sweeps)
         end, change = equation.end(k), lax.stop_gradient(change)
         return end, StepInfo(change, change <= _CONVERGED * float(jnp.finfo(change.dtype).eps))
@@ -129,7 +129,7 @@ def gauss(system: System, stages: int = 8, sweeps: int | None = None) -> Gauss:
     Source: Hairer, Lubich & Wanner, Geometric Numerical Integration, II.1.3, VI.4; Antoñana, Makazaga & Murua 2017,
     Numer. Algorithms 76.
     """
-    if not (isinstance(system, _KINDS) and known(system.phase_space)):
+    if not (isinstance(system, _KINDS) and supports(system.phase_space)):
         raise ValueError(f"gauss integrates {_NOUN}, got {type(system).__name__}{hint('gauss', system)}")
     check_motion("gauss", _NOUN, motion, system, system)
     s = _checks.count("stages", stages, 1)
@@ -147,14 +147,14 @@ class _Equation(NamedTuple):
     stages: int
 
     @classmethod
-    def of(cls, step: Gauss, state: State, dt: Array) -> _Equation:
+    def from_state(cls, step: Gauss, state: State, dt: Array) -> _Equation:
         return cls(step.system, inverses(step.system), state, canonical(step.system, state), dt, step.stages)
 
     def without_derivative(self) -> _Equation:
         still = lax.stop_gradient((self.system, self.inverse, self.state, self.start, self.dt))
         return _Equation(*still, self.stages)
 
-    def each(self, function: Callable[..., Any], Y: Components, nodes: np.ndarray) -> Components:
+    def at_stages(self, function: Callable[..., Any], Y: Components, nodes: np.ndarray) -> Components:
         """`function(system, inverse, z, t)` of one stage, at all."""
         t = self.state.t
         times = None if t is None else t + self.dt * jnp.asarray(nodes, self.dt.dtype)
@@ -165,13 +165,13 @@ class _Equation(NamedTuple):
         w = self.dt * jnp.asarray(weights, self.dt.dtype)
         return tuple(jnp.tensordot(w, x, 1, precision="highest") for x in k)
 
-    def at(self, k: Components) -> Components:
+    def stage_values(self, k: Components) -> Components:
         """The coordinates at the stages, z_n + Δt Σ a_ij k_j."""
         return tuple(map(jnp.add, self.start, self.over(k, collocation.gauss(self.stages)[1])))
 
     def swept(self, k: Components) -> Components:
         """f(z_n + Δt Σ a_ij k_j)."""
-        return self.each(field, self.at(k), collocation.gauss(self.stages)[0])
+        return self.at_stages(field, self.stage_values(k), collocation.gauss(self.stages)[0])
 
     def residual(self, k: Components) -> Components:
         return jax.tree.map(jnp.subtract, k, self.swept(k))
@@ -190,11 +190,13 @@ class _Equation(NamedTuple):
     def end(self, k: Components) -> State:
         """The state at n + 1. π moves by Δt Σ b_i τ_i, as any quadratic function of z does, without rounding p q̄."""
         c, _, b = collocation.gauss(self.stages)
-        Y, state = self.at(k), self.state
+        Y, state = self.stage_values(k), self.state
         moves, work = self.over(k, b), None
-        impulse = moves[9:] if isinstance(self.system, AbstractElasticBody) else self.over(self.each(force, Y, c), b)
+        impulse = (
+            moves[9:] if isinstance(self.system, AbstractElasticBody) else self.over(self.at_stages(force, Y, c), b)
+        )
         if isinstance(self.system, AbstractDrivenSystem) and state.work is not None and state.t is not None:
-            [work] = self.over(self.each(power, Y, c), b)
+            [work] = self.over(self.at_stages(power, Y, c), b)
         return ended(self.system, state, moves, impulse, work)
 
     def change(self, a: Components, b: Components) -> Array:
@@ -261,6 +263,6 @@ def _iterated(equation: _Equation, k: Components) -> tuple[Components, Array]:
 
 def examples(system: Any) -> dict[str, Step]:
     """Order 8, for the systems that it takes but elastic bodies: sweeps do not reach round-off on stiff ones."""
-    if not (isinstance(system, _KINDS) and known(system.phase_space)) or isinstance(system, AbstractElasticBody):
+    if not (isinstance(system, _KINDS) and supports(system.phase_space)) or isinstance(system, AbstractElasticBody):
         return {}
     return {"gauss[4]": gauss(system, 4)}

@@ -29,7 +29,6 @@ from lieint_jax.schemes._group_energy_momentum import MECHANICAL
 from lieint_jax.schemes._group_midpoint import GEODESICS
 from lieint_jax.schemes._shared.group_newton import (
     Equation,
-    along,
     as_vector,
     bend,
     coadjoint,
@@ -37,6 +36,7 @@ from lieint_jax.schemes._shared.group_newton import (
     newton_matrix,
     size_unit,
     solved,
+    translate,
 )
 from lieint_jax.types import AbstractGeodesicFlow, AbstractMechanicalSystem, State, Step, StepInfo, pytree, static
 
@@ -70,17 +70,21 @@ class GroupAlpha(Step):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         group, tau, alpha, q = self.system.group, self.tau, self.alpha, state.q
         dt = jnp.asarray(dt)
-        midpoint, s = Equation.of(self.system, tau, state, 0.5 * dt), 0.5 * dt * dt
+        midpoint, s = Equation.from_state(self.system, tau, state, 0.5 * dt), 0.5 * dt * dt
         m, a = midpoint.m, midpoint.a
         equation = midpoint._replace(known=la.scaled(2 * (1 - alpha), a))
 
-        def at(theta: la.Vector) -> Array:
+        def configuration(theta: la.Vector) -> Array:
             """q_{n+1−α}."""
-            return along(tau, group, q, la.as_array(theta, state.p), 1 - alpha)
+            return translate(tau, group, q, la.as_array(theta, state.p), 1 - alpha)
 
         def force(theta: la.Vector) -> Array:
             """𝓕(q_n, Θ)."""
-            return self.system.force(at(theta)) if isinstance(self.system, AbstractMechanicalSystem) else 0 * state.p
+            return (
+                self.system.force(configuration(theta))
+                if isinstance(self.system, AbstractMechanicalSystem)
+                else 0 * state.p
+            )
 
         def residual(theta: la.Vector) -> la.Vector:
             before = a
@@ -92,15 +96,17 @@ class GroupAlpha(Step):
         def matrix(theta: la.Vector, F: la.Vector) -> la.Matrix:
             if not isinstance(self.system, AbstractMechanicalSystem):
                 return newton_matrix(equation, theta, F)
-            return newton_matrix(equation, theta, F, bend(m, self.system, at(theta), 2 * alpha * (1 - alpha) * s))
+            return newton_matrix(
+                equation, theta, F, bend(m, self.system, configuration(theta), 2 * alpha * (1 - alpha) * s)
+            )
 
         size, start = size_unit(m, a), guess(group, m, a)
         if isinstance(self.system, AbstractMechanicalSystem):
             pull = as_vector(m, s * self.system.body_force(q))
-            size = size_unit(m, la.each(jnp.maximum, la.each(jnp.abs, a), la.each(jnp.abs, pull)))
+            size = size_unit(m, la.map_entries(jnp.maximum, la.map_entries(jnp.abs, a), la.map_entries(jnp.abs, pull)))
             start = guess(group, m, la.plus(a, (0.5, pull)))
         theta, Theta, info = solved(equation, residual, matrix, size, start, self.iterations)
-        return state._replace(q=along(tau, group, q, Theta), p=state.p + dt * force(theta)), info
+        return state._replace(q=translate(tau, group, q, Theta), p=state.p + dt * force(theta)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (

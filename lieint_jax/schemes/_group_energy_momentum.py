@@ -29,7 +29,6 @@ from lieint_jax.maps import Tau, as_tau, exponential
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.group_newton import (
     Equation,
-    along,
     as_vector,
     bend,
     body_velocity_field,
@@ -38,6 +37,7 @@ from lieint_jax.schemes._shared.group_newton import (
     newton_matrix,
     size_unit,
     solved,
+    translate,
 )
 from lieint_jax.types import AbstractMechanicalSystem, State, Step, StepInfo, pytree, static
 
@@ -79,29 +79,29 @@ class GroupEnergyMomentum(Step):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         group, tau, q = self.system.group, self.tau, state.q
         dt = jnp.asarray(dt)
-        equation, s = Equation.of(self.system, tau, state, 0.5 * dt), 0.5 * dt * dt
+        equation, s = Equation.from_state(self.system, tau, state, 0.5 * dt), 0.5 * dt * dt
         m, a = equation.m, equation.a
         pull = as_vector(m, s * self.system.body_force(q))  # what the kick is, nearly
 
-        def at(theta: la.Vector, s: ArrayLike) -> Array:
+        def configurations(theta: la.Vector, s: ArrayLike) -> Array:
             """q_n exp(sΘ) at each s."""
-            return along(tau, group, q, la.as_array(theta, state.p), s)
+            return translate(tau, group, q, la.as_array(theta, state.p), s)
 
         def force(curve: Array) -> Array:
             """𝓕(q_n, Θ), from the nodes of the curve."""
             return jnp.tensordot(jnp.asarray(_WEIGHTS, state.p.dtype), jax.vmap(self.system.force)(curve), 1)
 
         def residual(theta: la.Vector) -> la.Vector:
-            kicked = la.plus(a, as_vector(m, s * group.Ad_star(q, force(at(theta, _NODES)))))
+            kicked = la.plus(a, as_vector(m, s * group.Ad_star(q, force(configurations(theta, _NODES)))))
             return equation.residual(theta, coadjoint(tau, group, theta, kicked))
 
         def matrix(theta: la.Vector, F: la.Vector) -> la.Matrix:
-            return newton_matrix(equation, theta, F, bend(m, self.system, at(theta, 0.5), s / 2))
+            return newton_matrix(equation, theta, F, bend(m, self.system, configurations(theta, 0.5), s / 2))
 
-        size = size_unit(m, la.each(jnp.maximum, la.each(jnp.abs, a), la.each(jnp.abs, pull)))
+        size = size_unit(m, la.map_entries(jnp.maximum, la.map_entries(jnp.abs, a), la.map_entries(jnp.abs, pull)))
         start = guess(group, m, la.plus(a, (0.5, pull)))
         theta, _, info = solved(equation, residual, matrix, size, start, self.iterations)
-        curve = at(theta, np.append(_NODES, 1.0))
+        curve = configurations(theta, np.append(_NODES, 1.0))
         return state._replace(q=curve[-1], p=state.p + dt * force(curve[:-1])), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:

@@ -31,7 +31,6 @@ from lieint_jax.maps import Map, Tau, as_tau, cayley, cayley_lands, exponential
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.group_newton import (
     Equation,
-    along,
     as_vector,
     body_velocity_field,
     coadjoint,
@@ -39,6 +38,7 @@ from lieint_jax.schemes._shared.group_newton import (
     newton_matrix,
     size_unit,
     solved,
+    translate,
     unpacked,
 )
 from lieint_jax.types import AbstractGeodesicFlow, AbstractRightGeodesicFlow, State, Step, StepInfo, pytree, static
@@ -82,7 +82,7 @@ class GroupMidpoint(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         group, tau = self.system.group, self.tau
-        equation = Equation.of(self.system, tau, state, 0.5 * jnp.asarray(dt))
+        equation = Equation.from_state(self.system, tau, state, 0.5 * jnp.asarray(dt))
 
         def residual(theta: la.Vector) -> la.Vector:
             return equation.residual(theta, coadjoint(tau, group, theta, equation.a))
@@ -93,7 +93,7 @@ class GroupMidpoint(Step):
         m, a = equation.m, equation.a
         theta, Theta, info = solved(equation, residual, matrix, size_unit(m, a), guess(group, m, a), self.iterations)
         if isinstance(self.system, AbstractGeodesicFlow):
-            return state._replace(q=along(tau, group, state.q, Theta)), info
+            return state._replace(q=translate(tau, group, state.q, Theta)), info
         after = la.as_array(coadjoint(tau, group, theta, as_vector(m, state.p)), state.p)
         return state._replace(q=group.multiply(group.inverse(tau(group, Theta)), state.q), p=after), info
 

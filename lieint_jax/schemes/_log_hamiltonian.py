@@ -70,7 +70,7 @@ class LogHamiltonian(Step):
             with at_once():
                 depth, speed = -step._potential(state), step._speed(state)
                 if not (min(depth, speed) > 0 and abs(speed / depth - 1) <= _STARTS):
-                    raise ValueError(step._told(state))
+                    raise ValueError(step._energies(state))
         return state
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
@@ -97,8 +97,8 @@ class LogHamiltonian(Step):
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
-            f"{self._told(state)}. If they agree, dt = {dt} is too large: a step of the fictitious time is about −V "
-            "times that of the physical one"
+            f"{self._energies(state)}. If they agree, dt = {dt} is too large: a step of the fictitious time is about "
+            "−V times that of the physical one"
         )
 
     def _speed(self, state: State) -> Array:
@@ -117,7 +117,7 @@ class LogHamiltonian(Step):
         """V."""
         return self.system.energy(state._replace(p=jnp.zeros_like(state.p)))
 
-    def _told(self, state: State) -> str:
+    def _energies(self, state: State) -> str:
         H, V = (float(x) for x in (self.system.energy(state), self._potential(state)))
         return (
             f"{self.name} needs states of its energy, with −V > 0 and K − energy > 0: got energy = "

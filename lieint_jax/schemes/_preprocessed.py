@@ -119,7 +119,7 @@ def preprocessed(
     if iterations is not None:
         iterations = _checks.count("iterations", iterations, 1)
     if isinstance(system, AbstractFreeBodies):
-        return FreeFlight.by("preprocessed", system, lambda body: Preprocessed(body, order, iterations))
+        return FreeFlight.from_scheme("preprocessed", system, lambda body: Preprocessed(body, order, iterations))
     FREE_BODIES.check("preprocessed", system)
     return Preprocessed(system, order, iterations)
 

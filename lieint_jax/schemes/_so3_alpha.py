@@ -78,7 +78,7 @@ class SO3Alpha(Step):
         residual = lax.stop_gradient(jnp.sqrt(dot(residual, residual)))
         small = residual <= 32 * jnp.finfo(residual.dtype).eps * vec3.max_abs(a)
         converged = small & good & vec3.well_conditioned(J) & _digits_left(state)
-        return state._replace(q=_turned(state.q, self.alpha, Theta)), StepInfo(residual, converged)
+        return state._replace(q=_rotated_attitude(state.q, self.alpha, Theta)), StepInfo(residual, converged)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         if not vec3.well_conditioned(vec3.symmetric(self.system.inertia)):
@@ -167,7 +167,7 @@ def _solve(kappa: Kappa, alpha: Array, J: Symmetric, a: Vector, iterations: int)
     return y, f, steady & on_branch(kappa, y, matrix(lax.stop_gradient(y)))
 
 
-def _turned(q: Array, alpha: Array, Theta: Vector) -> Array:
+def _rotated_attitude(q: Array, alpha: Array, Theta: Vector) -> Array:
     """Λ T_α(Θ), row by row: Λ + (ΛΘ̂ + αΛΘ̂²)/(1 + α²|Θ|²)."""
     r = 1 / (1 + alpha * alpha * dot(Theta, Theta))
     rows = []

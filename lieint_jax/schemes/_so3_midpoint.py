@@ -129,7 +129,7 @@ class SO3Midpoint(Step):
         def carried(tangent: Array) -> Array:
             theta, p = tangent[:3], subtract(tangent[3:], cross(tangent[:3], state.p))
             da = materialized(scaled(body, state._replace(p=jnp.stack(p)), dt)[1])
-            turn = materialized(so3.Ad(state.q, materialized(turned(J, a, h, da))))
+            turn = materialized(so3.Ad(state.q, materialized(half_turn_derivative(J, a, h, da))))
             return jnp.stack([*add(theta, turn), *tangent[3:]])
 
         return state._replace(q=so3.cayley_increment(state.q, h)), info, jax.vmap(carried, -1, -1)(jnp.asarray(T))
@@ -317,7 +317,7 @@ def scalar_residual(J: Symmetric, a: Array, h: Array) -> Vector:
     return tuple(Jh[i] - m * h[i] - a[i] - x[i] for i in range(3))
 
 
-def turned(J: Symmetric, a: Vector, h: Vector, da: Vector) -> Vector:
+def half_turn_derivative(J: Symmetric, a: Vector, h: Vector, da: Vector) -> Vector:
     """The turn of the body at the end of a step, in the axes of its beginning, that a change δa of a brings.
 
     (J − m − â − h⊗a) δh = δa + δa × h + (δa·h)h, m = a·h, the derivative of the scalar form; and cay 2h turns by

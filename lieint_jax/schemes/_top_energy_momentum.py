@@ -103,13 +103,13 @@ class TopEnergyMomentum(Step):
         """½[V(Λ_n, t_{n+1}) − V(Λ_n, t_n)] + ½[V(Λ_{n+1}, t_{n+1}) − V(Λ_{n+1}, t_n)]; 0 of a field at rest."""
         if len(fields) == 1:
             return 0.0
-        ends = [(field.value(field.Gamma), field.value(_turned(h, field.Gamma))) for field in fields]
+        ends = [(field.value(field.Gamma), field.value(_rotated_axis(h, field.Gamma))) for field in fields]
         (at_start, turned), (at_end, both) = ends
         return (at_end - at_start) / 2 + (both - turned) / 2
 
     def _solve(self, fields: tuple[_Field, ...], state: State, dt: ArrayLike) -> tuple[Vector, list[Array], StepInfo]:
         """y, the discrete gradient of each field, and the report."""
-        equation, linear = _Equation.of(self, fields, state, dt), _is_linear(self.system.potential)
+        equation, linear = _Equation.from_state(self, fields, state, dt), _is_linear(self.system.potential)
         guess, count = equation.guess(), self.iterations
         y, f, steady = newton.root(equation.residual, equation.correction, guess, count, unroll=linear)
         good = vec3.well_conditioned(equation.J) & steady
@@ -192,11 +192,13 @@ class _Field(NamedTuple):
 
     def gradient(self, h: Vector) -> Array:
         """D̄ between Γ_n and Γ_{n+1} at this time."""
-        return discrete_gradient(self.potential, jnp.stack(self.Gamma), jnp.stack(_turned(h, self.Gamma)), *self.at)
+        return discrete_gradient(
+            self.potential, jnp.stack(self.Gamma), jnp.stack(_rotated_axis(h, self.Gamma)), *self.at
+        )
 
     def bend(self, h: Vector) -> vec3.Matrix:
         """The columns Γ × S(Γ × eᵢ), with S = 2∂D̄/∂Γ_{n+1} up to O(ΔΓ²)."""
-        at = jnp.stack(add(self.Gamma, scale(2, _turned(h, self.Gamma)))) / 3
+        at = jnp.stack(add(self.Gamma, scale(2, _rotated_axis(h, self.Gamma)))) / 3
         S = vec3.symmetric(jax.hessian(self.potential)(at, *self.at))
         return [
             cross(self.Gamma, vec3.apply(S, cross(self.Gamma, e))) for e in np.eye(3).tolist()
@@ -232,7 +234,7 @@ class _Equation(NamedTuple):
     fields: tuple[tuple[_Field, Array], ...]
 
     @classmethod
-    def of(cls, step: TopEnergyMomentum, fields: tuple[_Field, ...], state: State, dt: ArrayLike) -> _Equation:
+    def from_state(cls, step: TopEnergyMomentum, fields: tuple[_Field, ...], state: State, dt: ArrayLike) -> _Equation:
         """The equation of a step from a state."""
         J, r = vec3.unit_trace(step.system.inertia)
         a = scale(0.5 * r * dt, so3.Ad_star(state.q, state.p))
@@ -312,7 +314,7 @@ def _is_linear(potential: Callable[..., Array]) -> bool:
     return getattr(potential, "linear", False)
 
 
-def _turned(h: Vector, Gamma: Vector) -> Vector:
+def _rotated_axis(h: Vector, Gamma: Vector) -> Vector:
     """Γ_{n+1} = cay(2h)ᵀΓ = Γ + 2(h × (h × Γ) − h × Γ)/(1 + |h|²)."""
     x = cross(h, Gamma)
     return add(Gamma, scale(2 / (1 + dot(h, h)), subtract(cross(h, x), x)))

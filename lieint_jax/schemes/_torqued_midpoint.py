@@ -107,7 +107,7 @@ class TorquedMidpoint(Step):
         return f"torqued_midpoint[{self.kappa.name}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        equation = _Equation.of(self, state, dt)
+        equation = _Equation.from_state(self, state, dt)
         y, info = equation.solve(self.iterations)
         rotation = equation.rotation(y)
         torques = equation.torques(rotation)
@@ -291,7 +291,7 @@ class _Equation(NamedTuple):
     dt: Array
 
     @classmethod
-    def of(cls, step: TorquedMidpoint, state: State, dt: Any) -> _Equation:
+    def from_state(cls, step: TorquedMidpoint, state: State, dt: Any) -> _Equation:
         """The equation of a step from a state."""
         system = step.system
         J, r = vec3.unit_trace(system.inertia)
@@ -380,7 +380,7 @@ class _Equation(NamedTuple):
 def _jacobian(function: Callable[[Vector], Vector], x: Vector) -> vec3.Matrix:
     """The derivative of a function of three components, as rows."""
 
-    def along(axis: Array) -> Vector:
+    def derivative(axis: Array) -> Vector:
         return jax.jvp(function, (tuple(x),), (vec3.components(axis),))[1]
 
-    return [vec3.components(row) for row in jax.vmap(along)(jnp.eye(3, dtype=x[0].dtype))]
+    return [vec3.components(row) for row in jax.vmap(derivative)(jnp.eye(3, dtype=x[0].dtype))]

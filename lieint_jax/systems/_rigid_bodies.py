@@ -78,7 +78,7 @@ class _Many:
             np.zeros((n, 3), x.dtype) if given is None else _checks.real_array(name, given, (n, 3))
             for name, given in (("velocities", velocities), ("angular_velocities", angular_velocities))
         )
-        state = _made(self.masses, self.inertias, x, _attitudes(attitudes, n, x), v, Omega)
+        state = _make_state(self.masses, self.inertias, x, _attitudes(attitudes, n, x), v, Omega)
         self.check(state)
         return state
 
@@ -143,7 +143,7 @@ class FreeBodies(_Many, AbstractFreeBodies):
         q_dot = jnp.concatenate([state.p[:, :3] / self.masses[:, None], turning], axis=1)
         return State(q_dot, jnp.zeros_like(state.p))
 
-    def one(self, inertia: Array) -> RigidBody:
+    def single_body(self, inertia: Array) -> RigidBody:
         """A free body of this inertia."""
         return RigidBody(inertia)
 
@@ -207,7 +207,7 @@ def _potential_energy(system: RigidBodies, q: Array) -> Array:
 
 
 @partial(compiled, once=True)
-def _made(
+def _make_state(
     masses: Array, inertias: Array, x: Array, turns: Array, v: Array | np.ndarray, Omega: Array | np.ndarray
 ) -> State:
     """The state of positions, attitudes (quaternions or rotation matrices) and velocities."""

@@ -133,7 +133,7 @@ class AbstractFreeBodies(System):
     inertias: Array
 
     @abc.abstractmethod
-    def one(self, inertia: Array) -> AbstractFreeBody:
+    def single_body(self, inertia: Array) -> AbstractFreeBody:
         """A free body of this inertia."""
 
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax._checks import concrete
-from lieint_jax.types._members import Axis, along, axes
+from lieint_jax.types._members import Axis, axes, map_over_run
 
 _SHORT = 16  # the most numbers that a description shows
 _POSE, _MOMENTA = ["x", "y", "z", "qw", "qx", "qy", "qz"], ["px", "py", "pz", "pix", "piy", "piz"]
@@ -125,7 +125,7 @@ def _series(run: Any, system: Any, method: str, system_axis: Axis) -> Any:
     """The values of a method of the system along the run."""
 
     def values(state: Any) -> Any:
-        return along(lambda own, z: getattr(own, method)(z), system, run._replace(state=state), system_axis)
+        return map_over_run(lambda own, z: getattr(own, method)(z), system, run._replace(state=state), system_axis)
 
     return jax.jit(values)(jax.tree.map(jnp.asarray, run.state))
 

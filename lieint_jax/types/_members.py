@@ -23,7 +23,7 @@ def axes(run: Any) -> tuple[str, ...]:
     return ("time", "member")[: 1 if run.info is None else np.ndim(run.info.residual)]
 
 
-def along(function: Callable[[Any, Any], Any], system: Any, run: Any, system_axis: Axis = "auto") -> Any:
+def map_over_run(function: Callable[[Any, Any], Any], system: Any, run: Any, system_axis: Axis = "auto") -> Any:
     """The values of function(system, state) along a run: (times, …), or (times, members, …) for a batch.
 
     Args:
@@ -36,7 +36,7 @@ def along(function: Callable[[Any, Any], Any], system: Any, run: Any, system_axi
     if len(axes(run)) == 1:
         _check_single(system, states, system_axis)
         return jax.vmap(lambda z: function(system, z))(states)
-    one, members = _one(states, 2), np.shape(run.info.residual)[1]
+    one, members = _member_shapes(states, 2), np.shape(run.info.residual)[1]
     axis = member_axis(system, one, members, system_axis)
     if axis is None:
         return jax.vmap(jax.vmap(lambda z: function(system, z)))(states)
@@ -93,7 +93,7 @@ def _check_single(system: Any, states: Any, given: Axis) -> None:
     firsts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(system)}
     if len(firsts) != 1 or firsts == {()}:
         return
-    one = _one(states, 1)
+    one = _member_shapes(states, 1)
     if not _fits(system, one) and _fits(jax.tree.map(lambda x: x[0], system), one):
         [(members,)] = firsts
         raise ValueError(
@@ -102,7 +102,7 @@ def _check_single(system: Any, states: Any, given: Axis) -> None:
         )
 
 
-def _one(states: Any, leading: int) -> Any:
+def _member_shapes(states: Any, leading: int) -> Any:
     """The shapes of one state."""
     return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[leading:], x.dtype), states)
 

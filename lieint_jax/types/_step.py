@@ -144,11 +144,11 @@ class Step(abc.ABC):
         """
         space = self.system.phase_space
 
-        def moved(delta: Array) -> tuple[State, tuple[State, StepInfo]]:
+        def perturbed_step(delta: Array) -> tuple[State, tuple[State, StepInfo]]:
             end, info = self(space.perturb(state, delta), dt)
             return end, (end, info)
 
-        _, push, (end, info) = jax.linearize(moved, jnp.zeros(space.dim, state.p.dtype), has_aux=True)
+        _, push, (end, info) = jax.linearize(perturbed_step, jnp.zeros(space.dim, state.p.dtype), has_aux=True)
         return end, info, jax.vmap(lambda delta: space.trivialize(end, push(delta)), -1, -1)(jnp.asarray(T))
 
     def advice(self, state: State, dt: ArrayLike) -> str:

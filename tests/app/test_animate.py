@@ -46,7 +46,7 @@ def moved(path, arguments=()):
 def test_frames_between_saved_states_show_the_states_that_were_not_saved(store):
     """Saved every 0.1, interpolated every 0.05: the steps in between are met to 2e-7."""
     run, system = li.ensemble.open(store)
-    found = scene.of(StoredRun("a body", "s", system, run, False), 1, 81)
+    found = scene.scene_of(StoredRun("a body", "s", system, run, False), 1, 81)
     np.testing.assert_allclose(found.t, DT * np.arange(81), rtol=0, atol=1e-12)
     start = jax.tree.map(lambda x: jnp.asarray(x[0, 1]), run.state)
     every = all_steps(STEP, start, DT, 80, 1)
@@ -85,7 +85,7 @@ def test_states_too_far_apart_are_shown_as_they_are():
     """At 2.8 rad between saved states the frames are saved states, and a note says so."""
     t = 2.8 * np.arange(6.0)
     q = np.stack([np.cos(t / 2), 0 * t, 0 * t, np.sin(t / 2)], axis=1)
-    found = scene.of(stored(BODY, q, np.tile([0.0, 0.0, 3.0], (6, 1)), t), 0, 4)
+    found = scene.scene_of(stored(BODY, q, np.tile([0.0, 0.0, 3.0], (6, 1)), t), 0, 4)
     np.testing.assert_array_equal(found.t, t[:4])
     np.testing.assert_allclose(found.turns[:, 0, 0, 0], np.cos(t[:4]), rtol=0, atol=1e-14)
     assert "up to 160° of turning: the frames are the first 4 saved states; save more often" in found.notes[-1]
@@ -100,25 +100,25 @@ def uniform(t, rate=1.0):
 @pytest.mark.parametrize("sign", [1, pytest.param(-1, marks=pytest.mark.long)])
 def test_a_span_begins_and_ends_where_it_was_asked_for_between_saved_states(sign):
     run = uniform(sign * np.linspace(0, 8, 9))
-    found = scene.of(run, 0, 41, (sign * 2.3, sign * 4.7))
+    found = scene.scene_of(run, 0, 41, (sign * 2.3, sign * 4.7))
     np.testing.assert_allclose(found.t, sign * np.linspace(2.3, 4.7, 41), rtol=0, atol=1e-14)
     np.testing.assert_allclose(found.turns[:, 0, 0, 0], np.cos(found.t), rtol=0, atol=1e-12)
     assert not any("first" in note for note in found.notes)
     assert found.needed < 41
-    short = scene.of(run, 0, 5, (sign * 2.0, None))  # 6 rad at 15° a frame
+    short = scene.scene_of(run, 0, 5, (sign * 2.0, None))  # 6 rad at 15° a frame
     np.testing.assert_allclose(short.t[[0, -1]], [sign * 2, sign * (2 + np.pi / 3)], rtol=0, atol=1e-12)
     assert short.needed == 24
     assert "the first 1.047 of 6 s that were asked for" in short.notes
     for span in ((-1.0, None), (3.0, 3.0), (3.0, 9.0), (4.0, 3.0)):
         with pytest.raises(ValueError, match=r"--from and --to must lie in the run, from -?0 to -?8 s"):
-            scene.of(run, 0, 5, tuple(x if x is None else sign * x for x in span))
+            scene.scene_of(run, 0, 5, tuple(x if x is None else sign * x for x in span))
 
 
 def test_a_span_of_states_too_far_apart():
-    found = scene.of(uniform(2.8 * np.arange(6.0)), 0, 9, (2.0, 9.0))
+    found = scene.scene_of(uniform(2.8 * np.arange(6.0)), 0, 9, (2.0, 9.0))
     np.testing.assert_array_equal(found.t, 2.8 * np.arange(1.0, 4.0))
     with pytest.raises(ValueError, match="fewer than two states are saved from t = 3 to 4"):
-        scene.of(uniform(2.8 * np.arange(6.0)), 0, 9, (3.0, 4.0))
+        scene.scene_of(uniform(2.8 * np.arange(6.0)), 0, 9, (3.0, 4.0))
 
 
 @pytest.mark.long
@@ -221,7 +221,7 @@ def test_a_system_without_rigid_bodies_says_what_is_possible():
     bob = li.systems.pendulum(1.0, 9.81, [0.0, 0.0, 1.0])
     run = stored(bob, np.tile([0.0, 0.0, 1.0], (3, 1)), np.zeros((3, 3)), np.arange(3.0))
     with pytest.raises(ValueError, match=r"^Pendulum is not made of rigid bodies: rigid bodies, gyrostats, tops"):
-        scene.of(run, 0, 5)
+        scene.scene_of(run, 0, 5)
 
 
 @pytest.mark.long
@@ -229,7 +229,7 @@ def test_a_top_stands_on_its_point_and_turns_about_the_vertical():
     top = li.systems.heavy_top([5.0, 5.0, 1.0], [0.0, 0.0, 20.0])
     start = top.state(li.groups.so3.exp(jnp.array([0.3, 0.0, 0.0])), angular_velocity=[0.0, 0.0, 50.0])
     run = all_steps(li.schemes.splitting(top), start, 0.01, 1000, 5)
-    found = scene.of(stored(top, run.state.q, run.state.p, run.t), 0, 60)
+    found = scene.scene_of(stored(top, run.state.q, run.state.p, run.t), 0, 60)
     corners = np.stack([found.corners(k, 0) for k in range(60)])
     np.testing.assert_array_equal(corners[:, 0], 0)
     assert corners[..., 2].min() > -1e-12  # it does not fall below the table
@@ -242,7 +242,7 @@ def test_two_bodies_stand_at_their_places():
     state = bodies.state([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]], angular_velocities=[[0.0, 0.1, 1.0], [0.5, 0.0, 0.3]])
     step, dt = li.schemes.splitting(bodies), 0.05
     run = all_steps(step, state, dt, 40, 2)
-    found = scene.of(stored(bodies, run.state.q, run.state.p, run.t), 0, 10)
+    found = scene.scene_of(stored(bodies, run.state.q, run.state.p, run.t), 0, 10)
     assert len(found.solids) == 2
     np.testing.assert_allclose(found.centers[0], state.q[:, :3], rtol=0, atol=1e-12)
     middles = np.stack([found.corners(3, b).mean(axis=0) for b in range(2)])

@@ -376,12 +376,12 @@ def test_check_takes_a_group(capsys):
 
 
 def test_groups_by_name():
-    assert check_groups.named("heis 5").dim == 5
-    assert check_groups.named("SO(3)xAff(1)").dim == 5
-    assert check_groups.named("so3") == check_groups.catalogue()["SO(3)"]
-    assert check_groups.named("E8") is None
+    assert check_groups.find_group("heis 5").dim == 5
+    assert check_groups.find_group("SO(3)xAff(1)").dim == 5
+    assert check_groups.find_group("so3") == check_groups.catalogue()["SO(3)"]
+    assert check_groups.find_group("E8") is None
     with pytest.raises(ValueError, match="no scheme 'rk4' on SL\\(3\\): the maps there are exponential"):
-        check_groups.certificates(check_groups.named("sl3"), "rk4")
+        check_groups.certificates(check_groups.find_group("sl3"), "rk4")
     assert {name for name, group in check_groups.catalogue().items() if check_groups.bounded(group)} == {
         *("SO(3)", "SO(4)", "SU(2)", "Heis(3)", "Heis(5)", "R^3")
     }
@@ -418,5 +418,5 @@ def test_check_in_several_processes_prints_in_order(capfd):
 
 
 def test_a_flag_that_xla_does_not_know_is_not_set():
-    assert check._known("xla_backend_optimization_level", "0")
-    assert not check._known("xla_no_such_flag", "0")
+    assert check._xla_has_flag("xla_backend_optimization_level", "0")
+    assert not check._xla_has_flag("xla_no_such_flag", "0")

@@ -13,13 +13,15 @@ def test_the_list_is_whole(capsys):
         scenario = scenarios.load(name)
         assert scenario.about, f"{name}.toml lacks the line `about`"
         assert f"  {name:<20}{scenario.title}: {scenario.about}\n" in shown
-    assert all(f"\n  {name} " in shown for name in study.found())
+    assert all(f"\n  {name} " in shown for name in study.studies_by_name())
     assert max(map(len, shown.splitlines())) <= 140
 
 
 def test_what_was_timed_is_there_and_the_rest_is_said_not_to_be():
     """`python benchmarks/commands.py --only "run NAME"` times a command."""
-    every = {f"run {name}" for name in scenarios.scenario_names()} | {f"study {name}" for name in study.found()}
+    every = {f"run {name}" for name in scenarios.scenario_names()} | {
+        f"study {name}" for name in study.studies_by_name()
+    }
     timed = {name for name in listing.costs() if name.split()[0] in ("run", "study")}
     assert timed <= every
     assert len(timed) > len(every) / 2

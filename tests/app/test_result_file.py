@@ -83,7 +83,7 @@ def test_other_files_are_not_taken_for_studies(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", study.found())
+@pytest.mark.parametrize("name", study.studies_by_name())
 def test_plot_redoes_a_study_from_its_file(name, tmp_path, monkeypatch, capsys):
     """The report in the same words and the picture pixel by pixel; a second run replaces neither."""
     monkeypatch.chdir(tmp_path)
@@ -98,7 +98,9 @@ def test_plot_redoes_a_study_from_its_file(name, tmp_path, monkeypatch, capsys):
     assert cli.main(["info", f"study-{name}.npz"]) == 0
     assert f"study {name}, a small one" in capsys.readouterr().out
     (tmp_path / f"study-{name}.npz").rename("study-before.npz")
-    monkeypatch.setattr(study.found()[name], "run", lambda quick: result_file.load(tmp_path / "study-before.npz"))
+    monkeypatch.setattr(
+        study.studies_by_name()[name], "run", lambda quick: result_file.load(tmp_path / "study-before.npz")
+    )
     assert cli.main(["study", name, "--quick"]) == 0
     assert (tmp_path / f"study-{name}-2.npz").exists()
     assert (tmp_path / f"study-{name}-2.png").read_bytes() == first

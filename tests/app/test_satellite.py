@@ -191,7 +191,7 @@ def test_periods_of_a_double_series_are_found_from_irregular_data():
     lines = ((1, 0, 1.0), (1, 1, 0.8), (2, 1, 0.5), (0, 1, 0.4), (2, -1, 0.3))
     y = sum(a * np.cos(2 * np.pi * (j * true[0] + k * true[1]) * t + 3 * a) for j, k, a in lines)
     found = _period_search.search(t, y + 0.02 * rng.normal(size=150))
-    named = [_period_search.named(p.frequency, true, 3, 1 / 400)[:2] for p in found.peaks[:5]]
+    named = [_period_search.find_combination(p.frequency, true, 3, 1 / 400)[:2] for p in found.peaks[:5]]
     assert set(named) == {line[:2] for line in lines}
     assert np.abs(found.lines - true).max(axis=1).min() < 2e-4
     assert found.pairs.left[0] < 0.05  # 0.017: the grid's nearest frequencies are off by up to 1/8 of 1/400
@@ -277,7 +277,9 @@ def test_the_period_search_finds_the_true_combinations():
     curve, _ = _satellite_sky.observe(SCENE)
     true = 1 / np.asarray(_satellite_fit.mean_periods(SCENE.body, SCENE.state))
     found, width = _period_search.search(curve.t, curve.magnitude), 1 / curve.t[-1]
-    named = [_period_search.named(p.frequency, true, _period_search.HARMONICS, width) for p in found.peaks[:9]]
+    named = [
+        _period_search.find_combination(p.frequency, true, _period_search.HARMONICS, width) for p in found.peaks[:9]
+    ]
     assert max(abs(off) for *_, off in named) < width
     assert all(k % 2 == 0 for _, k, _ in named)
     assert np.abs(found.candidates - true).max(axis=1).min() < width / 2

@@ -66,4 +66,4 @@ def test_sums_of_vectors():
     assert [float(a) for a in la.plus(x, (-2.0, y))] == [-3.0, -6.0]
     np.testing.assert_array_equal(la.plus((2.0, jnp.ones(2)), jnp.ones(2)), [3, 3])
     assert [float(a) for a in la.scaled(2.0, y)] == [4.0, 6.0]
-    assert [float(a) for a in la.each(jnp.maximum, x, y)] == [2.0, 3.0]
+    assert [float(a) for a in la.map_entries(jnp.maximum, x, y)] == [2.0, 3.0]

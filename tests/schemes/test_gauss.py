@@ -101,7 +101,7 @@ def test_the_work_on_a_body_at_rest_is_the_quadrature_of_the_power():
     assert info.converged
     assert float(end.work) == pytest.approx(0.9**3 - 0.4**3, rel=1e-15)
     nodes, Y = collocation.nodes(2), tuple(jnp.zeros((2, 8)).T)
-    [times] = _Equation.of(step, start, jnp.array(0.5)).each(lambda system, inverse, z, t: (t,), Y, nodes)
+    [times] = _Equation.from_state(step, start, jnp.array(0.5)).at_stages(lambda system, inverse, z, t: (t,), Y, nodes)
     np.testing.assert_allclose(times, 0.4 + 0.5 * nodes, rtol=1e-15)
 
 
@@ -298,7 +298,7 @@ def test_extrapolation_samples_the_time_of_each_sub_step():
 def test_extrapolation_follows_the_axis_of_a_driven_top_through_the_step():
     top = systems.driven_top([1.0, 2.0, 2.6], lambda Gamma, t: Gamma[2], lambda t: jnp.stack([t, 0 * t, 1 + 0 * t]))
     state = li.State(jnp.array([1.0, 0, 0, 0]), jnp.zeros(3), jnp.array(0.4))
-    found = body_axes.moments(top, state, jnp.array([0.0, 0.1, 0.3]))
+    found = body_axes.BODY_AXES.stage_times(top, state, jnp.array([0.0, 0.1, 0.3]))
     np.testing.assert_allclose(found.t, [0.4, 0.5, 0.7], rtol=1e-15)
     np.testing.assert_allclose(found.axis, [[0.4, 0, 1], [0.5, 0, 1], [0.7, 0, 1]], rtol=1e-15)
 

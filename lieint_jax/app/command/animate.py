@@ -52,7 +52,7 @@ def animate(
         raise ValueError(f"{path} is of a run with `reduce`, which keeps no states: there is nothing to animate")
     if len(run.t) < 2:
         raise ValueError(f"{path} holds the initial states only: there is nothing to animate yet")
-    found = scene.of(info.stored_run(path, run, metadata), member, max(2, round(seconds * fps)), span)
+    found = scene.scene_of(info.stored_run(path, run, metadata), member, max(2, round(seconds * fps)), span)
     print(f"{found.title}, member {member}: {found.clock(0)} … {found.clock(-1)}, {len(found.t)} frames")
     print("\n".join(f"  {note}" for note in found.notes))
     if found.needed > len(found.t):

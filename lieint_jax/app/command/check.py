@@ -62,7 +62,7 @@ def check(system: str, scheme: str, num_steps: int | None, every: bool = False) 
         for line in check_groups.table():
             print(line, flush=True)
         return
-    group = check_groups.named(system)
+    group = check_groups.find_group(system)
     if group is not None:
         print(check_groups.certificates(group, scheme, num_steps))
         return
@@ -156,7 +156,7 @@ def _start() -> None:
 def _flags() -> Iterator[None]:
     """Processes started in this context compile quickly, by the flags that this XLA has."""
     before = os.environ.get("XLA_FLAGS")
-    flags = [f"--{name}={str(value).lower()}" for name, value in _QUICK.items() if _known(name, value)]
+    flags = [f"--{name}={str(value).lower()}" for name, value in _QUICK.items() if _xla_has_flag(name, value)]
     os.environ["XLA_FLAGS"] = " ".join([before or "", *flags]).strip()
     try:
         yield
@@ -166,7 +166,7 @@ def _flags() -> Iterator[None]:
             os.environ["XLA_FLAGS"] = before
 
 
-def _known(name: str, value: str | bool) -> bool:
+def _xla_has_flag(name: str, value: str | bool) -> bool:
     """Whether XLA has a flag; as an option of one program, an unknown one is an error and does not end the process."""
     try:
         jax.jit(lambda x: x).lower(0.0).compile(compiler_options={name: value})

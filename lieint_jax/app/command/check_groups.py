@@ -58,7 +58,7 @@ def catalogue() -> dict[str, MatrixGroup]:
     return groups.catalogue.examples() | _discover.modules_with_examples(groups)["matrix"].examples()
 
 
-def named(name: str) -> MatrixGroup | None:
+def find_group(name: str) -> MatrixGroup | None:
     """The group of the catalogue with a name, in any spelling ("SE(3)", "se3", "Heis 5"); None if there is none."""
     found = {_plain(key): group for key, group in catalogue().items()}
     return found.get(_plain(name))
@@ -130,14 +130,14 @@ def measure(group: MatrixGroup, tau: Map, metrics: int = 4) -> Conservation:
     dt, steps = (0.1, 1000) if bounded(group) else (0.05, 100)
     systems, states = zip(*(example(group, seed) for seed in range(metrics)), strict=True)
     stacked = [jax.tree.map(lambda *x: jnp.stack(x), *trees) for trees in (systems, states)]
-    energy, growth, momentum, form, converged = jax.vmap(partial(_kept, tau, dt, steps))(*stacked)
+    energy, growth, momentum, form, converged = jax.vmap(partial(_conserves, tau, dt, steps))(*stacked)
     scale = 1.0 if bounded(group) else np.maximum(1, np.asarray(growth) ** 2)
     energy, momentum, form = (float(np.max(x)) for x in (energy / scale, momentum, form))
     return Conservation(energy, momentum, form, bool(np.all(converged)))
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=_QUICK)
-def _kept(tau: Map, dt: float, steps: int, system: Euler, state: State) -> tuple[Array, ...]:
+def _conserves(tau: Map, dt: float, steps: int, system: Euler, state: State) -> tuple[Array, ...]:
     step = group_midpoint(system, tau)
     run = integrate(step, state, dt, steps, steps // 10)
     one = jnp.eye(system.group.dim)

@@ -229,7 +229,7 @@ def _run(options: argparse.Namespace) -> None:
     if options.devices or not options.distributed:
         ensemble.want_devices(options.devices)
     if options.distributed:
-        with _announced(f"waiting for the processes of this run{_at(options)} to connect"):
+        with _announced(f"waiting for the processes of this run{_where(options)} to connect"):
             processes.initialize(*apart)
     try:
         run.run(
@@ -247,7 +247,7 @@ def _run(options: argparse.Namespace) -> None:
         processes.leave(f"lieint: {error}")
 
 
-def _at(options: argparse.Namespace) -> str:
+def _where(options: argparse.Namespace) -> str:
     return f" at {options.coordinator}, {options.processes} in all," if options.coordinator else ""
 
 

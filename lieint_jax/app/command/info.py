@@ -47,7 +47,7 @@ def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
 def _plot_scenario(scenario: Common, run: Trajectory, path: Path, plain: Path, force: bool) -> list[Path]:
     kind, members = scenarios.kind(scenario), scenario.members
     files.free_pictures(files.pictures(plain, kind.PICTURES), force)
-    shown = slice(_shown(run))
+    shown = slice(_count_drawn(run))
     run = Trajectory(run.t, *jax.tree.map(lambda x: x[:, shown], (run.state, run.info)))
     changes = {"steps": (len(run.t) - 1) * scenario.save_every, "members": run.state.p.shape[1]}
     step = scenarios.build_first(scenario, changes["members"])
@@ -62,12 +62,12 @@ def _plot_scenario(scenario: Common, run: Trajectory, path: Path, plain: Path, f
 
 
 def _plot_any(stored: StoredRun, text: str, plain: Path, force: bool) -> list[Path]:
-    kinds = pictures.of(stored)
+    kinds = pictures.drawings_of(stored)
     files.free_pictures(files.pictures(plain, kinds), force)
     print(text)
     if isinstance(stored.run, Trajectory):
         times = np.unique(np.linspace(0, len(stored.run.t) - 1, min(len(stored.run.t), POINTS)).astype(int))
-        stored = stored.part(times, slice(_shown(stored.run)))
+        stored = stored.part(times, slice(_count_drawn(stored.run)))
     return draw(plain, kinds, stored)
 
 
@@ -79,7 +79,7 @@ def draw(path: Path, kinds: Mapping[str, Callable[..., Any]], *arguments: Any) -
     return drawn
 
 
-def _shown(run: Trajectory) -> int:
+def _count_drawn(run: Trajectory) -> int:
     """The number of the first members that are drawn."""
     return max(1, min(_SHOWN // sum(x[:, 0].nbytes for x in jax.tree.leaves(run.state)), run.state.p.shape[1]))
 
@@ -91,7 +91,7 @@ def _times(run: Any) -> Any:
 def _scenario(path: Path, metadata: dict[str, Any]) -> Any:
     """The scenario of results, or None if they have none of `lieint run`."""
     table = _table(metadata)
-    return scenarios.stored(table, str(path)) if "system" in table else None
+    return scenarios.from_results(table, str(path)) if "system" in table else None
 
 
 def _table(metadata: dict[str, Any]) -> dict[str, Any]:
@@ -141,7 +141,7 @@ def contents(path: Path, run: Any = None, metadata: Any = None) -> str:
         return "\n".join([*lines, *_changes(run, metadata["reduce"])])
     if len(t) > 1:
         try:
-            lines += _kept(stored_run(path, run, metadata))
+            lines += _conservation(stored_run(path, run, metadata))
         except UnreadableError:
             raise
         except ValueError as unknown:
@@ -179,7 +179,7 @@ def _changes(series: dict[str, np.ndarray], quantity: str) -> list[str]:
     ]
 
 
-def _kept(stored: StoredRun) -> list[str]:
+def _conservation(stored: StoredRun) -> list[str]:
     """Two lines: the largest change of energy (less work, if counted) at `_TIMES` saves, and the members converged."""
     run = stored.run
     count = run.state.p.shape[1]

@@ -27,14 +27,14 @@ def turns(system: Any, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     Omega, axis = Omega.reshape(len(Omega), -1, 3), pointed(system)
     across = Omega if axis is None else np.cross(Omega, axis)
 
-    def turned(rates: np.ndarray) -> np.ndarray:
+    def largest_angles(rates: np.ndarray) -> np.ndarray:
         speed = np.linalg.norm(rates, axis=-1).max(axis=1)
         return np.maximum(speed[1:], speed[:-1]) * abs(np.diff(run.t))
 
-    return turned(Omega), turned(across)
+    return largest_angles(Omega), largest_angles(across)
 
 
-def at(system: Any, run: Trajectory, times: np.ndarray) -> Trajectory:
+def interpolate_at(system: Any, run: Trajectory, times: np.ndarray) -> Trajectory:
     """The trajectory at times inside it, by interpolation, where saved states are no more than `APART` apart."""
     return Trajectory(jnp.asarray(times), interpolate(system, run, times), run.info)
 

@@ -51,7 +51,7 @@ def text() -> str:
         what, size = described(scenarios.load(name))
         lines += _entry(name, what, f"{size}; {takes(f'run {name}')}")
     lines.append("\nstudies: lieint study NAME")
-    for name, module in study.found().items():
+    for name, module in study.studies_by_name().items():
         lines += _entry(name, (module.__doc__ or "").splitlines()[0], takes(f"study {name}"))
     return "\n".join([*lines, "\nscenarios: members × steps; time on two cores, the first time and again; memory"])
 

@@ -16,7 +16,7 @@ from lieint_jax.app.command import interpolation
 from lieint_jax.app.scenarios._body import in_space
 from lieint_jax.app.scenarios._common import POINTS
 from lieint_jax.types import State, Trajectory, energy_less_work
-from lieint_jax.types._members import along
+from lieint_jax.types._members import map_over_run
 
 _CHORD = np.deg2rad(3)  # the most that a body turns from one point of its path to the next, if there are enough points
 
@@ -50,11 +50,11 @@ class StoredRun(NamedTuple):
 
     def series(self, function: Callable[[Any, State], Array]) -> np.ndarray:
         """The values of a function of system and state, (times, members, …)."""
-        measure = partial(along, function, system_axis=0 if self.own_system else None)
+        measure = partial(map_over_run, function, system_axis=0 if self.own_system else None)
         return np.asarray(jax.jit(measure)(self.system, self.run))
 
 
-def of(stored: StoredRun) -> dict[str, Callable[[StoredRun], Figure]]:
+def drawings_of(stored: StoredRun) -> dict[str, Callable[[StoredRun], Figure]]:
     """The functions that draw a run, by the suffix of their file names."""
     if not isinstance(stored.run, Trajectory):
         return {"change": draw_change}
@@ -105,7 +105,7 @@ def _draw_body(stored: StoredRun) -> Figure:
         if joined and apart.max() > _CHORD:
             parts = min(int(np.ceil(apart.max() / _CHORD)), max(1, POINTS // len(apart)))
             t = np.asarray(run.t)
-            run = interpolation.at(
+            run = interpolation.interpolate_at(
                 system, run, np.interp(np.arange(len(apart) * parts + 1) / parts, np.arange(len(t)), t)
             )
     path = in_space(np.asarray(run.state.q), np.eye(3)[2])

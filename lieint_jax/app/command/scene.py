@@ -74,7 +74,7 @@ class Scene(NamedTuple):
         return f"t = {self.t[frame]:.4g} {self.time_unit}".rstrip()
 
 
-def of(stored: StoredRun, member: int, frames: int, span: Span = (None, None)) -> Scene:
+def scene_of(stored: StoredRun, member: int, frames: int, span: Span = (None, None)) -> Scene:
     """The scene of one member of a run, in at most `frames` frames.
 
     Args:
@@ -96,7 +96,9 @@ def of(stored: StoredRun, member: int, frames: int, span: Span = (None, None)) -
             f"{type(system).__name__} is not made of rigid bodies: rigid bodies, gyrostats, tops, satellites and "
             "several bodies can be animated; `lieint plot` draws this run"
         )
-    run, fine, notes, needed = _shown(system, interpolation.member(stored.run, member), frames, stored.time_unit, span)
+    run, fine, notes, needed = _drawable_span(
+        system, interpolation.member(stored.run, member), frames, stored.time_unit, span
+    )
     q, p = np.asarray(run.state.q), np.asarray(run.state.p)
     x, attitudes, spins = (q[..., :3], q[..., 3:], p[..., 3:]) if several else (np.zeros((len(q), 1, 3)), q[:, None], p)
     spins = spins.reshape(len(q), -1, 3)
@@ -129,7 +131,7 @@ def of(stored: StoredRun, member: int, frames: int, span: Span = (None, None)) -
     )
 
 
-def _shown(
+def _drawable_span(
     system: Any, run: Trajectory, frames: int, time_unit: str, span: Span
 ) -> tuple[Trajectory, int, tuple[str, ...], int]:
     """As much of a span of a trajectory as `frames` frames can show, at the points of paths; points a frame; notes;
@@ -154,7 +156,7 @@ def _shown(
     apart = turns[low:high].max()
     if apart <= interpolation.APART:
         times = np.linspace(first, end, (frames - 1) * _FINE + 1)
-        return interpolation.at(system, part, times), _FINE, notes, needed
+        return interpolation.interpolate_at(system, part, times), _FINE, notes, needed
     saved = np.flatnonzero((sign * (t - first) >= 0) & (sign * (last - t) >= 0))[:frames]
     if len(saved) < 2:
         raise ValueError(f"fewer than two states are saved from t = {first:.6g} to {last:.6g}, too far apart to show")

@@ -15,14 +15,14 @@ from lieint_jax.app.command import files, result_file
 from lieint_jax.ensemble import _opening
 
 
-def found() -> dict[str, ModuleType]:
+def studies_by_name() -> dict[str, ModuleType]:
     """The studies by name."""
     return _discover.public_modules(studies)
 
 
 def run(name: str, out: Path, quick: bool) -> None:
     """Run a study; write study-NAME.npz, .png and .pdf to the folder `out`, numbered if there are some already."""
-    study = _named(name)
+    study = _study(name)
     out.mkdir(parents=True, exist_ok=True)
     path = files.unused(out / f"study-{name}.npz", _pictures)
     result = study.run(quick=quick)
@@ -33,10 +33,10 @@ def run(name: str, out: Path, quick: bool) -> None:
     print(f"\nwritten: {path} ({again}), {', '.join(map(str, drawn))}")
 
 
-def _named(name: str) -> ModuleType:
-    if name not in found():
-        raise ValueError(f"study {name!r} is not one of {', '.join(found())}; lieint list describes them")
-    return found()[name]
+def _study(name: str) -> ModuleType:
+    if name not in studies_by_name():
+        raise ValueError(f"study {name!r} is not one of {', '.join(studies_by_name())}; lieint list describes them")
+    return studies_by_name()[name]
 
 
 def wrote(path: Path) -> bool:
@@ -47,7 +47,7 @@ def wrote(path: Path) -> bool:
 def info(path: Path) -> str:
     """What a file of a study's results holds, in lines."""
     metadata = _metadata(path)
-    title = (_named(metadata["study"]).__doc__ or "").splitlines()[0]
+    title = (_study(metadata["study"]).__doc__ or "").splitlines()[0]
     small = ", a small one (--quick)" if metadata["quick"] else ""
     return f"{title}\n  study {metadata['study']}{small}; lieint_jax {metadata['lieint_jax']}, jax {metadata['jax']}"
 
@@ -55,7 +55,7 @@ def info(path: Path) -> str:
 def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
     """Report on the results of a study and draw them again; for `out` and `force` see `results.plot`."""
     name = _metadata(path)["study"]
-    study, plain = _named(name), files.in_folder(path, out)
+    study, plain = _study(name), files.in_folder(path, out)
     files.free_pictures(_pictures(plain), force)
     result = result_file.load(path)
     with _opening.reading(path, f"holds no result of the study {name}"):
@@ -67,11 +67,11 @@ def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
 
 def _metadata(path: Path) -> dict[str, Any]:
     """The metadata of a file of a study's results."""
-    found = result_file.metadata(path) or {}
-    missing = {"study", "quick", "lieint_jax", "jax"} - set(found)
+    studies_by_name = result_file.metadata(path) or {}
+    missing = {"study", "quick", "lieint_jax", "jax"} - set(studies_by_name)
     if missing:
         raise ValueError(f"{path} is no file of a study that lieint wrote, or is damaged: it has no {min(missing)}")
-    return found
+    return studies_by_name
 
 
 def _pictures(path: Path) -> list[Path]:

@@ -91,7 +91,7 @@ def parse(table: dict[str, Any], name: str) -> Any:
         raise ValueError(f"{name}: {_explain(error, model)}") from error
 
 
-def stored(table: dict[str, Any], name: str) -> Any:
+def from_results(table: dict[str, Any], name: str) -> Any:
     """The scenario that results hold; those of version 0.1 have keys of then, without units."""
 
     def renamed(tree: Any) -> Any:

@@ -171,7 +171,7 @@ def period(step: Step, state: State, dt: float, num_steps: int, save_every: int,
     One run with its tangent: the derivative is that of the whole model, not of Kepler's formula.
     """
 
-    def after(change: Array) -> Array:
+    def perturbed_end(change: Array) -> Array:
         system: Any = step.system
         run = integrate(step, faster(system, state, change), dt, num_steps, save_every)
         L = system.momentum(state)[3:]
@@ -179,7 +179,7 @@ def period(step: Step, state: State, dt: float, num_steps: int, save_every: int,
         angles = jax.vmap(lambda z: longitude(up, relative(system, z)[0]))(run.state)
         return 2 * jnp.pi / rate(run.t, jnp.unwrap(angles))
 
-    return jax.jvp(after, (change,), (jnp.ones_like(change),))
+    return jax.jvp(perturbed_end, (change,), (jnp.ones_like(change),))
 
 
 def change_to(target: float, measure: Callable[[Array], tuple[Array, Array]]) -> float:

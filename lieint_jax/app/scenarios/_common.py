@@ -187,12 +187,12 @@ def for_last_run(function: Callable[[S, Step, Trajectory], R]) -> Callable[[S, S
     last: list[tuple[Trajectory, R]] = []
 
     @wraps(function)
-    def kept(scenario: S, step: Step, run: Trajectory) -> R:
+    def cached(scenario: S, step: Step, run: Trajectory) -> R:
         if not (last and last[0][0] is run):
             last[:] = [(run, function(scenario, step, run))]
         return last[0][1]
 
-    return kept
+    return cached
 
 
 def check_order(scheme: str, order: Any, allowed: Sequence[Any]) -> None:

@@ -284,8 +284,8 @@ def _slopes(order: int, long_axis: bool) -> Callable[..., Slopes]:
         turn = vec3.angle(found.before.pole, found.after.pole)
         return jnp.stack([found.after.precession, found.after.rotation, found.after.rate, turn])
 
-    def one(spin: Spin, elements: Array, times: Array) -> Slopes:
+    def end(spin: Spin, elements: Array, times: Array) -> Slopes:
         perigee = elements[1] * (1 - elements[2])
         return jax.jacfwd(measured)(Slopes(*spin, perigee), elements, times)
 
-    return _many(one)
+    return _many(end)

@@ -62,7 +62,7 @@ def _draw_phases(
 
     n, m = values.shape
 
-    def whole(x: np.ndarray) -> np.ndarray:
+    def full_circle(x: np.ndarray) -> np.ndarray:
         full = np.concatenate([x, np.roll(x, n * same_deg // 360, axis=0)], axis=1)
         return np.pad(full, ((0, 1), (0, 1)), mode="wrap").T
 
@@ -73,19 +73,19 @@ def _draw_phases(
 
         most = max(abs(np.log(values)).max(), np.log(1.2))
         options["norm"] = LogNorm(np.exp(-most), np.exp(most))
-    image = ax.pcolormesh(phi, psi, whole(values), **options)
+    image = ax.pcolormesh(phi, psi, full_circle(values), **options)
     bar = fig.colorbar(image, ax=ax, extend="max" if values.max() == _LONGEST else "neither")
     shown = [level for level in levels if values.min() < level < values.max()]
     if middle:
         bar.set_ticks(shown, labels=[f"{level:g}" for level in shown])
         bar.ax.minorticks_off()
     if shown:
-        lines = ax.contour(phi, psi, whole(values), shown, colors=plots.INK, linewidths=0.6)
+        lines = ax.contour(phi, psi, full_circle(values), shown, colors=plots.INK, linewidths=0.6)
         outline = [withStroke(linewidth=2, foreground="white")]
         for text in ax.clabel(lines, fontsize="x-small", fmt="%g"):
             text.set_path_effects(outline)
     if long_axis.any():
-        mode = whole(long_axis.astype(float))
+        mode = full_circle(long_axis.astype(float))
         hatched = ax.contourf(phi, psi, mode, [0.5, 1.5], hatches=["///"], colors="none")
         hatched.set(edgecolor="white", linewidth=0)
         ax.contour(phi, psi, mode, [0.5], colors="white", linewidths=1.4)

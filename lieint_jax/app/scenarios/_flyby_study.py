@@ -55,13 +55,13 @@ def _drawn(seed: Array, k: Array, known: Array, phases: Array, long_axis: bool) 
     has = jax.vmap(lambda J, ratio: motion.possible(J, ratio, long_axis))(J, rotation / precession)
     good = sound & has
     one = jnp.argmax(good)
-    longitude, latitude = _moved(*jnp.deg2rad(known[4:, 0]), *jnp.deg2rad(drawn[0, 4:] - known[4:, 0]))
+    longitude, latitude = _along_great_circle(*jnp.deg2rad(known[4:, 0]), *jnp.deg2rad(drawn[0, 4:] - known[4:, 0]))
     anywhere = jax.random.uniform(jax.random.fold_in(key, 1), (2,)) * 2 * jnp.pi
     phi, psi = jnp.where(k == 0, phases, anywhere)
     return Spin(least[one], middle[one], precession[one], rotation[one], longitude, latitude, phi, psi), good
 
 
-def _moved(longitude: Array, latitude: Array, east: Array, north: Array) -> tuple[Array, Array]:
+def _along_great_circle(longitude: Array, latitude: Array, east: Array, north: Array) -> tuple[Array, Array]:
     """The longitude and latitude at the end of a great circle that sets out by (east, north), rad."""
     pole = motion.direction(longitude, latitude)
     to_east = jnp.stack([-jnp.sin(longitude), jnp.cos(longitude), jnp.zeros_like(longitude)])
@@ -109,15 +109,15 @@ def study(scenario: Scenario, step: Any, run: Trajectory) -> Study:
     count = 3 + len(scenario.arcs_hours) + len(scenario.variant)
     with tqdm(total=count, unit=" passages", disable=None, leave=False) as bar:
 
-        def done(x: Any) -> Any:
+        def advance_bar(x: Any) -> Any:
             bar.update()
             return x
 
-        mapped = done(go(grid, scenario.times()))
-        fine = done(go(few, scenario.times(steps=2 * scenario.steps)))
-        arcs = {hours: done(go(few, scenario.times(hours, 2 * scenario.steps))) for hours in scenario.arcs_hours}
-        variants = {x.label: done(_varied(scenario, x, len(grid.phi))) for x in scenario.variant}
-        slopes = done(motion.slopes(orbit, _SLOPE_ORDER, long_axis, thinned(scenario, grid), scenario.times()))
+        mapped = advance_bar(go(grid, scenario.times()))
+        fine = advance_bar(go(few, scenario.times(steps=2 * scenario.steps)))
+        arcs = {hours: advance_bar(go(few, scenario.times(hours, 2 * scenario.steps))) for hours in scenario.arcs_hours}
+        variants = {x.label: advance_bar(_varied(scenario, x, len(grid.phi))) for x in scenario.variant}
+        slopes = advance_bar(motion.slopes(orbit, _SLOPE_ORDER, long_axis, thinned(scenario, grid), scenario.times()))
     watched = min(WATCHED, run.state.q.shape[1])
     halved = float(np.max(_angles(fine.q[:watched], run.state.q[-1, :watched])))
     failed = sum(int((~x.converged).sum()) for x in (mapped, fine, *arcs.values(), *variants.values()))

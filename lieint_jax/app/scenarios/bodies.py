@@ -402,12 +402,12 @@ def _orbit(scenario: Scenario, k: int, t: np.ndarray, found: Motion) -> list[Row
 def changes(_: Scenario, step: Any, run: Trajectory) -> dict[str, np.ndarray]:
     """Changes of what is conserved, (times, members), over the greatest of the terms that it is made of."""
 
-    def kept(system: RigidBodies, state: State) -> tuple[Array, ...]:
+    def invariants(system: RigidBodies, state: State) -> tuple[Array, ...]:
         x, p, spin = state.q[:, :3], state.p[:, :3], state.p[:, 3:]
         own = jnp.concatenate([p, jnp.cross(x, p) + spin], axis=1)
         return system.kinetic_energy(state), system.energy(state), system.momentum(state), own
 
-    K, H, Phi, own = over_members(kept, step.system, run)
+    K, H, Phi, own = over_members(invariants, step.system, run)
     moved = np.linalg.norm((Phi - Phi[0]).reshape(*H.shape, 2, 3), axis=-1)
     sizes = np.maximum(np.linalg.norm(own.reshape(*own.shape[:-1], 2, 3), axis=-1).max(axis=(0, 2)), _TINY)
     return {

@@ -41,8 +41,8 @@ def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
     """The passage, periods, spin rates and poles before and after beside published ones, sensitivities and errors."""
     found = study(scenario, step, run)
     lines = [
-        *_known(scenario, found),
-        *_after(scenario, found),
+        *_published_lines(scenario, found),
+        *_change_lines(scenario, found),
         *_expectations(scenario, found),
         *_by_phase(scenario, found),
         *_sensitivity(scenario, found),
@@ -80,7 +80,7 @@ def facts(scenario: Scenario, before: Outcome) -> dict[str, tuple[str, np.ndarra
     }
 
 
-def _known(scenario: Scenario, found: Study) -> list[str]:
+def _published_lines(scenario: Scenario, found: Study) -> list[str]:
     date, hours = scenario.orbit.date, scenario.hours
     redrawn = 1 - members(scenario)[1].mean()
     lines = [
@@ -104,7 +104,7 @@ def _row(name: str, x: np.ndarray, form: str = "9.3f") -> str:
     return f"  {name:<52}" + "".join(f"{value:>{form}}" for value in found)
 
 
-def _after(scenario: Scenario, found: Study) -> list[str]:
+def _change_lines(scenario: Scenario, found: Study) -> list[str]:
     changed, after = change(found.before, found.after), found.after
     short = ~after.long_axis
     return [

@@ -184,7 +184,7 @@ def motion(top: PotentialTop, run: Trajectory, member: int = 0) -> np.ndarray:
     period = rate = np.nan
     lowest, highest = (np.flatnonzero((s * slope[:-1] < 0) & (s * slope[1:] >= 0)) for s in (1, -1))
     if len(lowest) > 1 and np.diff(lowest).min() >= _SAMPLES:
-        [low, high] = (_Extremes.of(k, slope, bend) for k in (lowest, highest))
+        [low, high] = (_Extremes.from_slope(k, slope, bend) for k in (lowest, highest))
         at, since = t[0] + h * low.position, np.arctan2(low.value(y, dy), low.value(x, dx)) - phi[lowest]
         turned = phi[lowest] + np.remainder(since + np.pi, 2 * np.pi) - np.pi  # it moves by less than half a turn
         period = abs(at[-1] - at[0]) / (len(at) - 1)
@@ -206,7 +206,7 @@ class _Extremes(NamedTuple):
     inside: np.ndarray
 
     @classmethod
-    def of(cls, before: np.ndarray, slope: np.ndarray, bend: np.ndarray) -> Self:
+    def from_slope(cls, before: np.ndarray, slope: np.ndarray, bend: np.ndarray) -> Self:
         """The zeros of `slope`, whose rate is `bend`, each behind the saved state `before`."""
         first = np.clip(before - _STENCIL // 2 + 1, 0, len(slope) - _STENCIL)
         low = before - first - (_STENCIL - 1) / 2
@@ -247,10 +247,10 @@ def _axis_motion(top: PotentialTop, states: State, axis: Any) -> tuple[Any, Any,
     def velocity(state: State) -> Any:
         return so3.Ad(state.q, jnp.stack(vec3.cross(top.angular_velocity(state), axis)))
 
-    def one(state: State) -> tuple[Any, Any, Any]:
+    def axis_and_velocity(state: State) -> tuple[Any, Any, Any]:
         return so3.Ad(state.q, axis), *jax.jvp(velocity, (state,), (top.vector_field(state),))
 
-    return jax.vmap(one)(states)
+    return jax.vmap(axis_and_velocity)(states)
 
 
 @plots.style()

@@ -232,10 +232,10 @@ def chaos(scenario: Scenario, step: Step, run: Trajectory) -> Chaos:
     zone = large_zone(scenario, np.asarray(section.exponents[:, 0]))
     planar = spatial = np.zeros((0, 6))
     if zone.size:
-        drawn = _some(starts, zone, scenario.planar.starts)
+        drawn = _pick(starts, zone, scenario.planar.starts)
         found.append(one := _exponents(step, drawn, scenario.planar.orbits, per_orbit, planes))
         tilt = so3.exp(jnp.deg2rad(scenario.tilt_deg) * jnp.array([1.0, 0.0, 0.0]))
-        drawn = _some(starts, zone, scenario.spatial.starts)
+        drawn = _pick(starts, zone, scenario.spatial.starts)
         drawn = drawn._replace(q=jax.vmap(lambda q: so3.multiply(tilt, q))(drawn.q))
         found.append(two := _exponents(step, drawn, scenario.spatial.orbits, per_orbit, np.eye(6)))
         planar, spatial = np.asarray(one.exponents), np.sort(np.asarray(two.exponents), axis=1)[:, ::-1]
@@ -251,7 +251,7 @@ def large_zone(scenario: Scenario, exponents: np.ndarray) -> np.ndarray:
     return np.flatnonzero(exponents > np.median(chaotic) / 2) if chaotic.size else np.zeros(0, int)
 
 
-def _some(states: State, among: np.ndarray, count: int) -> State:
+def _pick(states: State, among: np.ndarray, count: int) -> State:
     """So many of the members with the numbers `among`, evenly spread; each once at most."""
     chosen = among[np.unique(np.linspace(0, among.size - 1, count).round().astype(int))]
     return states._replace(q=states.q[chosen], p=states.p[chosen])
@@ -282,12 +282,12 @@ def _exponents(step: Step, states: State, orbits: int, per_orbit: int, vectors: 
 
 @functools.cache
 def _program(num_steps: int, every: int) -> Any:
-    def one(step: Step, state: State, dt: Array, vectors: Array) -> Lyapunov:
+    def exponents_of(step: Step, state: State, dt: Array, vectors: Array) -> Lyapunov:
         return lyapunov(step, state, dt, num_steps, every=every, vectors=vectors)
 
     axes: Any = (None, State(0, 0, None), None, None)  # pyright: ignore[reportArgumentType]
     own = Mesh(np.array(jax.local_devices()), ("members",))  # of many processes, only the first one reports
-    return ensemble.over_members(one, axes, own)
+    return ensemble.over_members(exponents_of, axes, own)
 
 
 def limit(orbits: int) -> float:

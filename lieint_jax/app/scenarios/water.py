@@ -97,10 +97,10 @@ def _droplet(scenario: Scenario, bodies: RigidBodies, key: Array) -> State:
         wanted = kT * (6 * n - 6) / 2
         return state._replace(p=state.p * jnp.sqrt(wanted / bodies.kinetic_energy(state)))
 
-    def some(_: Any, state: State) -> State:
+    def relax(_: Any, state: State) -> State:
         return lax.fori_loop(0, _SCALED_EVERY, lambda _, z: step(z, scenario.dt)[0], scaled(state))
 
-    return scaled(lax.fori_loop(0, -(-given.steps // _SCALED_EVERY), some, state))
+    return scaled(lax.fori_loop(0, -(-given.steps // _SCALED_EVERY), relax, state))
 
 
 def _grid(n: int, spacing: float) -> np.ndarray:
@@ -121,11 +121,11 @@ def distances(scenario: Scenario, run: Trajectory) -> np.ndarray:
     oxygen = jnp.asarray(potentials.water(scenario.model).points[0])
     i, j = np.triu_indices(scenario.molecules, 1)
 
-    def apart(state: State) -> Array:
+    def pair_distances(state: State) -> Array:
         at = state.q[:, :3] + jax.vmap(lambda q: so3.Ad(q, oxygen))(state.q[:, 3:])
         return jnp.sqrt(jnp.sum((at[i] - at[j]) ** 2, axis=1))
 
-    return series(apart, run)
+    return series(pair_distances, run)
 
 
 class Histogram(NamedTuple):

@@ -73,14 +73,14 @@ def passage(body: RigidBody, state: State, distance: float, speed: float, member
     turns = jnp.asarray(turns / np.linalg.norm(turns, axis=1, keepdims=True))
     orbit = hyperbola(distance, speed)
 
-    def one(t: Array, turn: Array) -> tuple[Array, Array, Array]:
+    def end(t: Array, turn: Array) -> tuple[Array, Array, Array]:
         before = State(so3.multiply(turn, body.solution(state, t).q), so3.Ad(turn, state.p))
         after = through(body, before, orbit)
         change = 360 / mean_periods(body, after) - 360 / mean_periods(body, before)
         size = jnp.linalg.norm(after.p - before.p) / jnp.linalg.norm(before.p)
         return size, jnp.rad2deg(vec3.angle(before.p, after.p)), change
 
-    results = jax.jit(partial(jax.lax.map, lambda x: one(*x), batch_size=min(members, 64)))((times, turns))
+    results = jax.jit(partial(jax.lax.map, lambda x: end(*x), batch_size=min(members, 64)))((times, turns))
     return Flyby(distance, speed, *(np.asarray(x) for x in results))
 
 

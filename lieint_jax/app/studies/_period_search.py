@@ -80,13 +80,13 @@ def two_periods(t: np.ndarray, y: np.ndarray, step: float, numbers: np.ndarray, 
     window, data = (np.concatenate([[w.sum()], powers @ w]) for w in (np.ones(len(t)), y))
     between = jk[None, :, :] - jk[:, None, :]  # of e*_a e_b
 
-    def at(table: np.ndarray, k: np.ndarray) -> np.ndarray:
+    def coefficient(table: np.ndarray, k: np.ndarray) -> np.ndarray:
         return np.where(k < 0, table[np.abs(k)].conj(), table[np.abs(k)])
 
     def left(pair: np.ndarray) -> np.ndarray:
-        gram = at(window, np.einsum("abc,pc->pab", between, pair))
+        gram = coefficient(window, np.einsum("abc,pc->pab", between, pair))
         gram = gram + _RIDGE * len(t) * np.eye(len(jk))
-        b = at(data, -pair @ jk.T)
+        b = coefficient(data, -pair @ jk.T)
         return 1 - np.einsum("pa,pa->p", b.conj(), np.linalg.solve(gram, b[..., None])[..., 0]).real / (y @ y)
 
     parts = np.array_split(numbers, -(-len(numbers) // _AT_ONCE))
@@ -120,7 +120,7 @@ def peaks(t: np.ndarray, y: np.ndarray, frequencies: np.ndarray, count: int) -> 
     return found
 
 
-def named(frequency: float, pair: np.ndarray, order: int, width: float) -> tuple[int, int, float]:
+def find_combination(frequency: float, pair: np.ndarray, order: int, width: float) -> tuple[int, int, float]:
     """The (j, k) with |j|, |k| ≤ order whose j f₁ + k f₂ is a frequency, and the difference.
 
     Of those nearer than the width, the simplest; if there is none, the nearest.

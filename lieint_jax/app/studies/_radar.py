@@ -101,11 +101,11 @@ def path(params: dict[str, Array], data: dict[str, Array]) -> Array:
     """Attitudes and body rates in °/d, (n, 7), at the times data["t"] (n,), with data["begin"] as in `model`."""
     body, state = model(params, data["begin"])
 
-    def one(t: Array) -> Array:
+    def spin_at(t: Array) -> Array:
         later = body.solution(state, t)
         return jnp.concatenate([later.q, jnp.rad2deg(body.angular_velocity(later))])
 
-    return jax.lax.map(one, data["t"])
+    return jax.lax.map(spin_at, data["t"])
 
 
 path_of_fits = member_by_member(path)

@@ -149,11 +149,11 @@ def losses(
     """Half the sum of squares of each guess's errors in units of the noise, (guesses,)."""
     from tqdm import tqdm  # where it is used: the package imports in a moment
 
-    def one(params: dict[str, Array], begin: Array) -> Array:
+    def loss(params: dict[str, Array], begin: Array) -> Array:
         light, _ = magnitudes(params, begin, facets, curve)
         return len(curve.t) * jnp.var(light - curve.magnitude) / (2 * curve.noise**2)
 
-    of_piece, pieces = over_members(one), np.array_split(np.arange(len(begin)), -(-len(begin) // _AT_ONCE))
+    of_piece, pieces = over_members(loss), np.array_split(np.arange(len(begin)), -(-len(begin) // _AT_ONCE))
     found = []
     with tqdm(total=len(begin), unit=" guesses", disable=None if progress else True, leave=False) as bar:
         for piece in pieces:

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
-from lieint_jax.app.studies._period_search import HARMONICS, named
+from lieint_jax.app.studies._period_search import HARMONICS, find_combination
 
 _COLORS = {"as it is": plots.INK, "mirror": plots.RED, "exchange": plots.GREEN, "mirror and exchange": plots.ORANGE}
 _TITLES = (
@@ -55,7 +55,7 @@ def _spectrum(ax: Axes, found: Any) -> None:
         ax.axvline(value, color=plots.RED, lw=0.8, ls="--")
         ax.annotate(f"{name} ", (value, 0.94), xycoords=("data", "axes fraction"), ha="right", fontsize="small")
     for peak in (p.frequency for p in found.search.peaks[:7]):
-        j, k, _off = named(peak, true, HARMONICS, 1 / found.curve.t[-1])
+        j, k, _off = find_combination(peak, true, HARMONICS, 1 / found.curve.t[-1])
         height = 100 * np.interp(peak, f, power)
         ax.annotate(f"({j},{k})", (peak, height), ha="center", va="bottom", fontsize="xx-small")
     ax.set(xlabel="frequency (1/min)", ylabel="variance explained (%)", ylim=(0, 115 * power.max()))
@@ -69,7 +69,9 @@ def _pairs(ax: Axes, found: Any) -> None:
     y = np.arange(len(pairs))[::-1]
     ax.barh(y, left, color=plots.BLUE, height=0.6)
     for height, pair, value in zip(y, pairs, left, strict=True):
-        names = " and ".join("({},{})".format(*named(f, true, HARMONICS, 1 / found.curve.t[-1])) for f in pair)
+        names = " and ".join(
+            "({},{})".format(*find_combination(f, true, HARMONICS, 1 / found.curve.t[-1])) for f in pair
+        )
         ax.text(value + 0.3, height, names, va="center", fontsize="x-small")
     ax.set(xlabel="variance left by a double series of order 2 (%)", xlim=(0, 1.5 * left.max()))
     ax.set_yticks(y, [f"{p[0]:.4f}, {p[1]:.4f}" for p in pairs], fontsize="x-small")

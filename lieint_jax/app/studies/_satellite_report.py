@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from lieint_jax.app.studies._period_search import HARMONICS, SPECTRUM, coincidence, combinations, named
+from lieint_jax.app.studies._period_search import HARMONICS, SPECTRUM, coincidence, combinations, find_combination
 from lieint_jax.app.studies._satellite_fit import STEP
 from lieint_jax.app.studies._symmetric_solutions import SPACE
 
@@ -59,13 +59,13 @@ def _periods(found: Any) -> list[str]:
         f"    {'1/min':>9}{'period (min)':>14}{'variance':>10}{'j':>5}{'k':>4}{'off (1/min)':>13}",
     ]
     for p in s.peaks:
-        j, k, off = named(p.frequency, true, HARMONICS, width)
+        j, k, off = find_combination(p.frequency, true, HARMONICS, width)
         lines.append(f"    {p.frequency:>9.5f}{1 / p.frequency:>14.2f}{100 * p.share:>9.1f}%{j:>5}{k:>4}{off:>13.5f}")
     lines.append(
         "  pairs of frequencies of a double Fourier series of order 2, the best first, and what each is in truth"
     )
     for pair, left in list(zip(s.pairs.pairs, s.pairs.left, strict=True))[:6]:
-        names = [(f, *named(f, true, HARMONICS, width)) for f in pair]
+        names = [(f, *find_combination(f, true, HARMONICS, width)) for f in pair]
         each = "  and  ".join(f"{f:.5f} = ({j:>2}, {k:>2}) {off:+.5f}" for f, j, k, off in names)
         lines.append(f"    {each}   leaves {100 * left:.1f} % of the variance")
     return [*lines, *_candidates(s.candidates, true, width)]
@@ -170,7 +170,7 @@ def _estimate(found: Any) -> list[str]:
     ]
     for k, name in enumerate(NAMES):
         share = [100 * (size[:, k] <= limit).mean() for limit in (1, 2)]
-        beside = _beside(name, e.value[k], e.sigma[k], e.truth[k])
+        beside = _comparison(name, e.value[k], e.sigma[k], e.truth[k])
         lines.append(f"{beside}{share[0]:>11.0f}%{share[1]:>5.0f}%{np.sqrt((e.errors[:, k] ** 2).mean()):>9.2f}")
     share = [100 * (size <= limit).mean() for limit in (1, 2)]
     mean = f"    {'all parameters':<24}{'':>41}{share[0]:>11.0f}%{share[1]:>5.0f}%{np.sqrt((e.errors**2).mean()):>9.2f}"
@@ -183,19 +183,19 @@ def _estimate(found: Any) -> list[str]:
         mean,
         f"    {'expected of each':<24}{'':>41}{68:>11}%{95:>5}%{1:>9.2f}   ± {chance[0]:.0f} %, {chance[1]:.0f} %, "
         f"{1 / np.sqrt(2 * len(e.errors)):.2f} by chance",
-        *(_beside(*row) for row in periods),
+        *(_comparison(*row) for row in periods),
         f"  the scheme of order 6, in steps of {STEP:g} min, puts no magnitude farther from the closed form's than "
         f"{e.integration:.2g} of its noise",
     ]
 
 
-def _beside(name: str, value: float, sigma: float, truth: float) -> str:
+def _comparison(name: str, value: float, sigma: float, truth: float) -> str:
     return f"    {name:<24}{value:>11.4f}{sigma:>10.4f}{truth:>11.4f}{(value - truth) / sigma:>+7.2f} σ"
 
 
 def _published(found: Any) -> list[str]:
     width, true = _width(found), 1 / found.periods
-    names = [named(p.frequency, true, HARMONICS, width) for p in found.search.peaks]
+    names = [find_combination(p.frequency, true, HARMONICS, width) for p in found.search.peaks]
     good = [k for _, k, off in names if abs(off) < width]
     even = sum(k % 2 == 0 for k in good)
     rows = {row[0]: row for row in _rows(found)}

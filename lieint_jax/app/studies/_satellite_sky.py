@@ -79,7 +79,7 @@ def scene() -> Scene:
 def directions(sky: dict[str, float], t: Array) -> tuple[Array, Array]:
     """Unit vectors from the satellite to Sun and observer at time t (min), (3,) each: each keeps its declination."""
 
-    def one(name: str) -> Array:
+    def direction(name: str) -> Array:
         right_ascension = jnp.deg2rad(sky[f"{name}_right_ascension_deg"] + sky[f"{name}_rate_deg_day"] * t / _DAY)
         declination = jnp.deg2rad(sky[f"{name}_declination_deg"] + 0 * t)
         flat = jnp.cos(declination)
@@ -87,7 +87,7 @@ def directions(sky: dict[str, float], t: Array) -> tuple[Array, Array]:
             [flat * jnp.cos(right_ascension), flat * jnp.sin(right_ascension), jnp.sin(declination)], axis=-1
         )
 
-    return one("sun"), one("observer")
+    return direction("sun"), direction("observer")
 
 
 def exposure_times(plan: dict[str, Any]) -> np.ndarray:
@@ -117,11 +117,11 @@ def closed_form(scene: Scene, t: ArrayLike) -> tuple[Array, Array]:
 
 @jax.jit
 def _closed_form(facets: Facets, sky: dict[str, float], body: RigidBody, state: State, t: Array) -> tuple[Array, Array]:
-    def one(t: Array) -> tuple[Array, Array]:
+    def attitude_and_spin(t: Array) -> tuple[Array, Array]:
         q = body.solution(state, t).q
         return q, magnitude(facets, q, *directions(sky, t))
 
-    return jax.vmap(one)(t)
+    return jax.vmap(attitude_and_spin)(t)
 
 
 def observe(scene: Scene, sets: int = 1) -> tuple[Lightcurve, np.ndarray]:

@@ -157,10 +157,10 @@ def synthetic(truth: Estimate, unravel: Any, data: dict[str, Any], sets: int, se
     drawn = rng.normal(size=shape) / np.sqrt(rng.chisquare(FREEDOM, (*shape[:3], 1)) / FREEDOM)
     turns, change = jnp.asarray(drawn) * truth.noise[:, None, None, None]
 
-    def turned(turn: Array, q: Array) -> Array:
+    def rotate(turn: Array, q: Array) -> Array:
         return so3.multiply(so3.exp(jnp.deg2rad(turn)), q)
 
-    seen = jax.vmap(jax.vmap(turned), (0, None))(turns, found[:, :4])
+    seen = jax.vmap(jax.vmap(rotate), (0, None))(turns, found[:, :4])
     return repeated(data, sets) | {"q": seen, "rate": found[:, 4:] + change}
 
 

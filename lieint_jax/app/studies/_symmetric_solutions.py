@@ -93,7 +93,7 @@ class Change(NamedTuple):
 
     def attitudes(self, q: np.ndarray) -> np.ndarray:
         """The changed attitudes, (n, 4)."""
-        return np.asarray(_turned(self.sigma, q, self.g))
+        return np.asarray(_relabel(self.sigma, q, self.g))
 
     def __call__(self, found: Solutions) -> Solutions:
         """The changed solutions."""
@@ -101,7 +101,7 @@ class Change(NamedTuple):
 
 
 @jax.jit
-def _turned(sigma: Array, q: Array, g: Array) -> Array:
+def _relabel(sigma: Array, q: Array, g: Array) -> Array:
     gamma = so3.inverse(so3.from_matrix(g))
     return jax.vmap(lambda q: so3.multiply(sigma, so3.multiply(q, gamma)))(q)
 

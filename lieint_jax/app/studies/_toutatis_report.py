@@ -101,13 +101,13 @@ def _comparison(found: Any) -> list[str]:
         "\n  published as such:",
     ]
     for k, p in enumerate(found.scenario.published.values()):
-        lines.append(_beside(k, value[k], sigma[k], p.value, p.error, found.scenario.source(p.source)))
+        lines.append(_published_comparison(k, value[k], sigma[k], p.value, p.error, found.scenario.source(p.source)))
     for k, period in enumerate(HUDSON_OSTRO):
-        lines.append(_beside(k, value[k], sigma[k], period, 0.0, "Hudson & Ostro 1995, Science 270:84"))
+        lines.append(_published_comparison(k, value[k], sigma[k], period, 0.0, "Hudson & Ostro 1995, Science 270:84"))
     return lines
 
 
-def _beside(k: int, ours: float, sigma: float, value: float, error: float, source: str) -> str:
+def _published_comparison(k: int, ours: float, sigma: float, value: float, error: float, source: str) -> str:
     """A published value, its difference from ours in units of both errors, and its source."""
     given = f"{value:g}" + (f" ± {error:g}" if error else "")
     return f"    {NAMES[k]:<26}{given:<16}{_difference(value, ours, k) / np.hypot(sigma, error):>+5.1f} σ   {source}"

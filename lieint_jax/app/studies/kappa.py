@@ -144,11 +144,11 @@ def defects(kappa: Callable[[Array], Array], states: State, dt: ArrayLike) -> tu
     step = schemes.top_energy_momentum(top(), kappa)
     space = step.system.phase_space
 
-    def one(state: State) -> tuple[Array, Array]:
+    def defect(state: State) -> tuple[Array, Array]:
         end, info, L = pushed(space, lambda z: step(z, dt), state)
         return L.T @ space.omega(end) @ L - space.omega(state), info.converged
 
-    matrices, converged = jax.vmap(one)(states)
+    matrices, converged = jax.vmap(defect)(states)
     return matrices, jnp.all(converged)
 
 

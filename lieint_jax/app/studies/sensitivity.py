@@ -83,14 +83,14 @@ def reference(system: System, state: State, t: float, pieces: int) -> Array:
     space = system.phase_space
     unit = jnp.concatenate(units(space, state))[:, None]
 
-    def one(carry: tuple[State, Array, Array], _: None) -> tuple[tuple[State, Array, Array], None]:
+    def step_once(carry: tuple[State, Array, Array], _: None) -> tuple[tuple[State, Array, Array], None]:
         state, frame, sums = carry
         end, _, L = pushed(space, lambda z: (flow(system, z, t / pieces, 2), None), state)
         frame, growth = orthonormal(L @ (unit * frame) / unit)
         return (end, frame, sums + growth), None
 
     start = (state, jnp.eye(space.dim), jnp.zeros(space.dim))
-    return lax.scan(one, start, None, length=pieces)[0][2] / t
+    return lax.scan(step_once, start, None, length=pieces)[0][2] / t
 
 
 def shadow(step: Step, state: State, dt: float, num_steps: int, every: int = 20, distance: float = 1e-8) -> Array:
@@ -101,18 +101,20 @@ def shadow(step: Step, state: State, dt: float, num_steps: int, every: int = 20,
     space = step.system.phase_space
     unit = jnp.concatenate(units(space, state))
 
-    def apart(a: State, b: State) -> Array:
+    def separation(a: State, b: State) -> Array:
         return space.trivialize(a, jax.tree.map(jnp.subtract, b, a)) / unit
 
-    def one(carry: tuple[State, State, Array], _: None) -> tuple[tuple[State, State, Array], None]:
+    def step_once(carry: tuple[State, State, Array], _: None) -> tuple[tuple[State, State, Array], None]:
         a, b, total = carry
         a, b = lax.fori_loop(0, every, lambda _, z: (step(z[0], dt)[0], step(z[1], dt)[0]), (a, b))
-        delta = apart(a, b)
+        delta = separation(a, b)
         size = jnp.linalg.norm(delta)
         return (a, space.perturb(a, unit * delta * (distance / size)), total + jnp.log(size / distance)), None
 
     first = jnp.zeros(space.dim).at[0].set(distance)
-    total = lax.scan(one, (state, space.perturb(state, first), jnp.zeros(())), None, length=num_steps // every)[0][2]
+    total = lax.scan(step_once, (state, space.perturb(state, first), jnp.zeros(())), None, length=num_steps // every)[
+        0
+    ][2]
     return total / (dt * every * (num_steps // every))
 
 

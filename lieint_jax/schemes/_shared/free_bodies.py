@@ -48,10 +48,12 @@ class FreeFlight(Step):
     turn: Step
 
     @classmethod
-    def by(cls, scheme: str, system: AbstractFreeBodies, step: Callable[[AbstractFreeBody], Step]) -> FreeFlight:
+    def from_scheme(
+        cls, scheme: str, system: AbstractFreeBodies, step: Callable[[AbstractFreeBody], Step]
+    ) -> FreeFlight:
         """By the step of a scheme for one body."""
         MANY_FREE_BODIES.check(scheme, system)
-        return cls(system, step(system.one(system.inertias)))
+        return cls(system, step(system.single_body(system.inertias)))
 
     @property
     def order(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -70,21 +72,21 @@ class FreeFlight(Step):
         return "free_flight" if self.commuting else f"free_flight[{self.turn.name}]"
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        turned, info = self._turned(self.system.inertias, State(state.q[:, 3:], state.p[:, 3:]), dt)
+        turned, info = self._rotate_all(self.system.inertias, State(state.q[:, 3:], state.p[:, 3:]), dt)
         x = state.q[:, :3] + dt * (state.p[:, :3] / self.system.masses[:, None])
         together = StepInfo(jnp.max(info.residual), jnp.all(info.converged))
         return state._replace(q=jnp.concatenate([x, turned], axis=1)), together
 
-    def _turned(self, inertias: Array, turning: State, dt: ArrayLike) -> tuple[Array, StepInfo]:
+    def _rotate_all(self, inertias: Array, turning: State, dt: ArrayLike) -> tuple[Array, StepInfo]:
         """The quaternions (N, 4) after a time, and the reports."""
 
-        def turned(J: Array, body: State) -> tuple[Array, StepInfo]:
+        def rotate_body(J: Array, body: State) -> tuple[Array, StepInfo]:
             step: Any = self.turn
             own: Any = dataclasses.replace(step, system=dataclasses.replace(step.system, inertia=J))
             end, info = own.substep(body, dt)
             return end.q, info
 
-        return jax.vmap(turned)(inertias, turning)
+        return jax.vmap(rotate_body)(inertias, turning)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (

@@ -46,7 +46,7 @@ class Equation(NamedTuple):
     carried: la.Vector
 
     @classmethod
-    def of(cls, system: Any, tau: Tau, state: State, half: Array) -> Equation:
+    def from_state(cls, system: Any, tau: Tau, state: State, half: Array) -> Equation:
         """The equation of a step by τ, for a system with a group and a metric."""
         m = unpacked(system.group, system.metric)
         carried = a = as_vector(m, half * system.group.Ad_star(state.q, state.p))
@@ -131,7 +131,7 @@ def coadjoint(tau: Tau, group: Any, theta: la.Vector, mu: la.Vector) -> la.Vecto
     return la.as_list(turned) if isinstance(theta, list) else turned
 
 
-def along(tau: Tau, group: Any, q: Array, Theta: Array, s: ArrayLike = 1.0) -> Array:
+def translate(tau: Tau, group: Any, q: Array, Theta: Array, s: ArrayLike = 1.0) -> Array:
     """q τ(sΘ) for a number s, or at each of several, (k,), as one array."""
     s = jnp.asarray(s, Theta.dtype)
     if tau.along is not None:

@@ -17,6 +17,7 @@ from lieint_jax._numerics import vec3
 from lieint_jax._numerics.vec3 import add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import other_motion
+from lieint_jax.schemes.charts._chart import Chart
 from lieint_jax.types import (
     AbstractDrivenTop,
     AbstractFreeBody,
@@ -44,46 +45,13 @@ class Moment(NamedTuple):
     axis: Array
 
 
-def known(system: System) -> bool:
-    """Whether a system is one body with at most a potential that has an axis, and moves as that says."""
-    if isinstance(system, AbstractTop | AbstractDrivenTop) and system.axis is None:
-        return False
-    return isinstance(
-        system, AbstractTop | AbstractDrivenTop | AbstractFreeBody | AbstractGyrostat
-    ) and not other_motion(motion, system, system)
-
-
-def unknowns(system: System, state: State) -> BodyAxesState:
-    """The unknowns of a step from this state."""
-    z = turning(state)
-    return z._replace(q=turned_up(system.axis, z.q)) if isinstance(system, AbstractTop) else z
-
-
-def moved(system: System, state: State, z: BodyAxesState, delta: BodyAxesState) -> State:
-    """The state whose unknowns are z, after their increments."""
-    return turned(state, z._replace(q=vec3.components(state.q)), _in_space(system, delta))
-
-
-def halves(z: BodyAxesState) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """The configuration and the momenta among them."""
-    return z.q, z.Pi
-
-
 def turning(state: State) -> BodyAxesState:
     """The unknowns of a body whose q is its attitude."""
     Pi = so3.Ad_star(state.q, state.p)
     return BodyAxesState(vec3.components(state.q), vec3.components(Pi), state.work)
 
 
-def moments(system: System, state: State, passed: Array) -> Moment | None:
-    """What a driven top follows, once so much time has passed since `state`: (n,) times in one call of its axis."""
-    if not isinstance(system, AbstractDrivenTop):
-        return None
-    t = clock(state) + passed
-    return Moment(t, jax.vmap(system.axis_at)(t))
-
-
-def turned(state: State, z: BodyAxesState, delta: BodyAxesState) -> State:
+def advance_body(state: State, z: BodyAxesState, delta: BodyAxesState) -> State:
     """The state of which z is `turning`, after their increments. π moves by one as well, for the last digits."""
     dq = _to_unit(z.q, delta.q)
     (w, *u), (dw, *du) = z.q, dq
@@ -113,24 +81,11 @@ def _across(u: vec3.Vector, du: vec3.Vector, Pi: vec3.Vector) -> tuple[Array, ..
     return *cross(u, Pi), *cross(du, Pi)
 
 
-def rate(system: Any) -> Callable[[Any, Moment | None], BodyAxesState]:
-    """The time derivative of the unknowns at a moment, for |q| = 1 but for the error of a step."""
-    inverse, rotor = vec3.inverse(system.inertia), system.rotor if isinstance(system, AbstractGyrostat) else None
-    torque = _torque(system)
-
-    def of(z: Any, moment: Any) -> BodyAxesState:
-        q_dot, Pi_dot = spinning(inverse, rotor, z.q, z.Pi)
-        Pi_dot = add(Pi_dot, torque(z, moment)) if torque else Pi_dot
-        return BodyAxesState(q_dot, Pi_dot, None if z.work is None else _power(system, z, moment))
-
-    return of
-
-
 def spinning(inverse: vec3.Symmetric, rotor: Array | None, q: Any, Pi: vec3.Vector) -> tuple[Any, Any]:
     """q̇ and Π̇ without a torque."""
     turning = Pi if rotor is None else subtract(Pi, rotor)
     Pi_dot = gyroscopic(inverse, Pi) if rotor is None else cross(Pi, apply(inverse, turning))
-    return by(q, apply(tuple(x / 2 for x in inverse), turning)), Pi_dot
+    return quat_times_vec(q, apply(tuple(x / 2 for x in inverse), turning)), Pi_dot
 
 
 def gyroscopic(inverse: vec3.Symmetric, Pi: vec3.Vector) -> tuple[Array, Array, Array]:
@@ -143,9 +98,9 @@ def gyroscopic(inverse: vec3.Symmetric, Pi: vec3.Vector) -> tuple[Array, Array, 
 
 def motion(system: Any, state: State) -> State:
     """The time derivative of q and p that follows from that of the unknowns."""
-    z, torque = unknowns(system, state), _torque(system)
-    now = jax.tree.map(lambda x: x[0], moments(system, state, jnp.zeros(1, state.p.dtype)))
-    q_dot = jnp.stack(_in_space(system, rate(system)(z, now)).q)
+    z, torque = BODY_AXES.unknowns(system, state), _torque(system)
+    now = jax.tree.map(lambda x: x[0], BODY_AXES.stage_times(system, state, jnp.zeros(1, state.p.dtype)))
+    q_dot = jnp.stack(_in_space(system, BODY_AXES.rate(system)(z, now)).q)
     return State(q_dot, so3.Ad(state.q, jnp.stack(torque(z, now))) if torque else jnp.zeros_like(state.p))
 
 
@@ -199,7 +154,7 @@ def _by_potential(potential: Any, Gamma: tuple[Array, ...], *t: Array) -> tuple[
     return cross(Gamma, gradient(potential, jnp.stack(Gamma), *t))
 
 
-def seen(q: tuple[Array, ...], axis: vec3.Vector) -> tuple[Array, Array, Array]:
+def axis_in_body(q: tuple[Array, ...], axis: vec3.Vector) -> tuple[Array, Array, Array]:
     """|q|² Λᵀγ, the axis γ as the body sees it: Im(q̄γq)."""
     w, *v = q
     return add(scale(w * w - dot(v, v), axis), add(scale(2 * dot(v, axis), v), scale(2 * w, cross(axis, v))))
@@ -218,7 +173,54 @@ def _third_axis(twice: Array, q: tuple[Array, ...]) -> tuple[Array, Array, Array
     return scale(twice, (x * z - w * y, y * z + w * x, 0.5 - (x * x + y * y)))
 
 
-def by(q: tuple[Array, ...], u: vec3.Vector) -> tuple[Array, Array, Array, Array]:
+def quat_times_vec(q: tuple[Array, ...], u: vec3.Vector) -> tuple[Array, Array, Array, Array]:
     """q(0, u)."""
     w, *v = q
     return (-dot(v, u), *add(scale(w, u), cross(v, u)))
+
+
+class BodyAxes(Chart):
+    """One body with at most a potential that has an axis, in its own axes."""
+
+    def supports(self, system: System) -> bool:
+        """Whether a system is one body with at most a potential that has an axis, and moves as that says."""
+        if isinstance(system, AbstractTop | AbstractDrivenTop) and system.axis is None:
+            return False
+        return isinstance(
+            system, AbstractTop | AbstractDrivenTop | AbstractFreeBody | AbstractGyrostat
+        ) and not other_motion(motion, system, system)
+
+    def unknowns(self, system: System, state: State) -> BodyAxesState:
+        """The unknowns of a step from this state."""
+        z = turning(state)
+        return z._replace(q=turned_up(system.axis, z.q)) if isinstance(system, AbstractTop) else z
+
+    def advance(self, system: System, state: State, z: BodyAxesState, delta: BodyAxesState) -> State:
+        """The state whose unknowns are z, after their increments."""
+        return advance_body(state, z._replace(q=vec3.components(state.q)), _in_space(system, delta))
+
+    def split_qp(self, z: BodyAxesState) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        """The configuration and the momenta among them."""
+        return z.q, z.Pi
+
+    def stage_times(self, system: System, state: State, passed: Array) -> Moment | None:
+        """What a driven top follows, once so much time has passed since `state`: (n,) times in one call of its axis."""
+        if not isinstance(system, AbstractDrivenTop):
+            return None
+        t = clock(state) + passed
+        return Moment(t, jax.vmap(system.axis_at)(t))
+
+    def rate(self, system: Any) -> Callable[[Any, Moment | None], BodyAxesState]:
+        """The time derivative of the unknowns at a moment, for |q| = 1 but for the error of a step."""
+        inverse, rotor = vec3.inverse(system.inertia), system.rotor if isinstance(system, AbstractGyrostat) else None
+        torque = _torque(system)
+
+        def field(z: Any, moment: Any) -> BodyAxesState:
+            q_dot, Pi_dot = spinning(inverse, rotor, z.q, z.Pi)
+            Pi_dot = add(Pi_dot, torque(z, moment)) if torque else Pi_dot
+            return BodyAxesState(q_dot, Pi_dot, None if z.work is None else _power(system, z, moment))
+
+        return field
+
+
+BODY_AXES = BodyAxes()

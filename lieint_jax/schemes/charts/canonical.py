@@ -28,7 +28,7 @@ from lieint_jax._numerics.vec3 import add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, CotangentMatrices, CotangentMotions
 from lieint_jax.schemes.charts import several_bodies
-from lieint_jax.schemes.charts.body_axes import by, seen, turned_back, turned_up, upright
+from lieint_jax.schemes.charts.body_axes import axis_in_body, quat_times_vec, turned_back, turned_up, upright
 from lieint_jax.types import (
     AbstractDrivenSystem,
     AbstractDrivenTop,
@@ -57,7 +57,7 @@ class Parts(NamedTuple):
     p: Components
 
 
-def known(space: PhaseSpace) -> bool:
+def supports(space: PhaseSpace) -> bool:
     """Whether a phase space has such coordinates here: T*SO(3), that of several bodies, T*GL⁺(3)."""
     if isinstance(space, CotangentGroup):
         return space.group is so3
@@ -131,7 +131,7 @@ def force(system: Any, _: Any, z: Components, t: Array | None) -> Components:
         return (jnp.zeros_like(z[0]),) * (3 + len(body.P))
     if isinstance(system, AbstractRigidBodies):
         pull = several_bodies.forces(system, body.x, _unit(body.q))
-        return (*pull[:3], *_turned(body.q, pull[3:]))
+        return (*pull[:3], *_rotate(body.q, pull[3:]))
     if _has_axis(system):
         return _torque(system, body.q, t)
     q = configuration(z)
@@ -173,7 +173,7 @@ def _in_space(system: Any, rates: Components, force: Components) -> tuple[Compon
 def _turning(rotor: Array | None, inverse: vec3.Symmetric, q: Components, p: Components) -> tuple[Any, Any]:
     """½qΩ and ½pΩ."""
     half = _half_rate(rotor, inverse, q, p)
-    return by(q, half), by(p, half)
+    return quat_times_vec(q, half), quat_times_vec(p, half)
 
 
 def _half_rate(rotor: Array | None, inverse: vec3.Symmetric, q: Components, p: Components) -> Components:
@@ -192,13 +192,13 @@ def _kick(system: Any, z: Components, t: Array | None) -> Components:
         return _kick_about(system.potential, system.axis_at(t), q, t)
     if isinstance(system, AbstractRigidBodies):
         pull = several_bodies.forces(system, x, _unit(q))
-        return (*pull[:3], *by(q, scale(2 * _inverse_square(q), pull[3:])))
+        return (*pull[:3], *quat_times_vec(q, scale(2 * _inverse_square(q), pull[3:])))
     return _from_left(scale(2 * _inverse_square(q), force(system, None, z, t)), q)
 
 
-def _turned(q: Components, u: Components) -> Components:
+def _rotate(q: Components, u: Components) -> Components:
     """q(0, u)q̄/|q|²."""
-    return scale(_inverse_square(q), _back(by(q, u), q))
+    return scale(_inverse_square(q), _times_conjugate(quat_times_vec(q, u), q))
 
 
 def _has_axis(system: Any) -> bool:
@@ -218,7 +218,7 @@ def _kick_upright(potential: Any, height: Array, q: Components) -> Components:
 
 def _kick_about(potential: Any, axis: Array, q: Components, t: Any) -> Components:
     """2γq∇Ṽ for any axis γ."""
-    return _from_left(scale(2, axis), _by_slope(potential, seen(q, axis), q, t))
+    return _from_left(scale(2, axis), _by_slope(potential, axis_in_body(q, axis), q, t))
 
 
 def _torque(system: Any, q: Components, t: Any) -> Components:
@@ -229,12 +229,12 @@ def _torque(system: Any, q: Components, t: Any) -> Components:
 
 def _torque_upright(potential: Any, height: Array, q: Components) -> Components:
     """The torque in space, γ × q∇Ṽq̄."""
-    x, y, _ = _back(_by_slope(potential, _seen_upright(height, q), q), q)
+    x, y, _ = _times_conjugate(_by_slope(potential, _seen_upright(height, q), q), q)
     return -height * y, height * x, jnp.zeros_like(x)
 
 
 def _torque_about(potential: Any, axis: Array, q: Components, t: Array) -> Components:
-    return cross(axis, _back(_by_slope(potential, seen(q, axis), q, t), q))
+    return cross(axis, _times_conjugate(_by_slope(potential, axis_in_body(q, axis), q, t), q))
 
 
 def _seen_upright(height: Array, q: Components) -> Components:
@@ -245,10 +245,10 @@ def _seen_upright(height: Array, q: Components) -> Components:
 
 def _by_slope(potential: Any, Gamma: Components, q: Components, *t: Array) -> _Quaternion:
     """q∇Ṽ."""
-    return by(q, _components(gradient(potential, jnp.stack(Gamma), *t)))
+    return quat_times_vec(q, _components(gradient(potential, jnp.stack(Gamma), *t)))
 
 
-def _back(x: _Quaternion, q: Components) -> vec3.Vector:
+def _times_conjugate(x: _Quaternion, q: Components) -> vec3.Vector:
     """Im(x q̄)."""
     (w, *v), (a, *b) = q, x
     return add(subtract(scale(w, b), scale(a, v)), cross(v, b))

@@ -17,6 +17,7 @@ from lieint_jax._numerics.vec3 import add, dot, scale
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import other_motion
 from lieint_jax.schemes.charts import body_axes
+from lieint_jax.schemes.charts._chart import Chart
 from lieint_jax.schemes.charts.body_axes import BodyAxesState, spinning
 from lieint_jax.types import AbstractFreeBodies, AbstractRigidBodies, State, System
 
@@ -43,31 +44,6 @@ class Moving(NamedTuple):
     turning: BodyAxesState
 
 
-def known(system: System) -> bool:
-    """Whether a system is of several bodies that move as this says."""
-    return isinstance(system, AbstractRigidBodies) and not other_motion(motion, system, system)
-
-
-def unknowns(system: System, state: State) -> Array:
-    """Those of all bodies in an array, (N, 13)."""
-    turning = jax.vmap(body_axes.turning)(_turning_part(state))
-    return _packed(Moving(vec3.components(state.q[:, :3].T), vec3.components(state.p[:, :3].T), turning))
-
-
-def moved(system: System, state: State, z: Array, delta: Array) -> State:
-    """The state whose unknowns are z, after their increments."""
-    start, step = _parts(z), _parts(delta)
-    end = jax.vmap(body_axes.turned)(_turning_part(state), start.turning, step.turning)
-    x, P = (jnp.stack(add(*pair), axis=-1) for pair in ((start.x, step.x), (start.P, step.P)))
-    return state._replace(q=jnp.concatenate([x, end.q], axis=1), p=jnp.concatenate([P, end.p], axis=1))
-
-
-def halves(z: Array) -> tuple[list[Array], list[Array]]:
-    """The configuration and the momentum."""
-    every = _parts(z)
-    return [*every.x, *every.turning.q], [*every.P, *every.turning.Pi]
-
-
 def _packed(z: Moving) -> Array:
     return jnp.stack([*z.x, *z.P, *z.turning.q, *z.turning.Pi], axis=-1)
 
@@ -77,27 +53,10 @@ def _parts(z: Array) -> Moving:
     return Moving(y[:3], y[3:6], BodyAxesState(y[6:10], y[10:], None))
 
 
-def moments(system: System, state: State, passed: Array) -> None:
-    """Nothing changes with time."""
-
-
-def rate(system: Any) -> Callable[[Array, None], Array]:
-    """The time derivative of the unknowns, for quaternions of unit length but for the error of a step."""
-    inverse, masses = inverses(system), system.masses
-
-    def of(z: Array, _: None) -> Array:
-        x, P, turning = _parts(z)
-        force = forces(system, x, turning.q)
-        q_dot, Pi_dot = spinning(inverse, None, turning.q, turning.Pi)
-        return _packed(Moving(scale(1 / masses, P), force[:3], BodyAxesState(q_dot, add(Pi_dot, force[3:]), None)))
-
-    return of
-
-
 def motion(system: Any, state: State) -> State:
     """The time derivative of q and p that follows from that of the unknowns."""
-    z = unknowns(system, state)
-    return jax.jvp(_state, (z,), (rate(system)(z, None),))[1]
+    z = SEVERAL_BODIES.unknowns(system, state)
+    return jax.jvp(_state, (z,), (SEVERAL_BODIES.rate(system)(z, None),))[1]
 
 
 def _state(z: Array) -> State:
@@ -116,3 +75,43 @@ def _times_transposed(R: vec3.Matrix, v: vec3.Vector) -> vec3.Vector:
 
 def _turning_part(state: State) -> State:
     return State(state.q[:, 3:], state.p[:, 3:])
+
+
+class SeveralBodies(Chart):
+    """Several bodies: positions and linear momenta in space, quaternions and momenta in the axes of each."""
+
+    def supports(self, system: System) -> bool:
+        """Whether a system is of several bodies that move as this says."""
+        return isinstance(system, AbstractRigidBodies) and not other_motion(motion, system, system)
+
+    def unknowns(self, system: System, state: State) -> Array:
+        """Those of all bodies in an array, (N, 13)."""
+        turning = jax.vmap(body_axes.turning)(_turning_part(state))
+        return _packed(Moving(vec3.components(state.q[:, :3].T), vec3.components(state.p[:, :3].T), turning))
+
+    def advance(self, system: System, state: State, z: Array, delta: Array) -> State:
+        """The state whose unknowns are z, after their increments."""
+        start, step = _parts(z), _parts(delta)
+        end = jax.vmap(body_axes.advance_body)(_turning_part(state), start.turning, step.turning)
+        x, P = (jnp.stack(add(*pair), axis=-1) for pair in ((start.x, step.x), (start.P, step.P)))
+        return state._replace(q=jnp.concatenate([x, end.q], axis=1), p=jnp.concatenate([P, end.p], axis=1))
+
+    def split_qp(self, z: Array) -> tuple[list[Array], list[Array]]:
+        """The configuration and the momentum."""
+        every = _parts(z)
+        return [*every.x, *every.turning.q], [*every.P, *every.turning.Pi]
+
+    def rate(self, system: Any) -> Callable[[Array, None], Array]:
+        """The time derivative of the unknowns, for quaternions of unit length but for the error of a step."""
+        inverse, masses = inverses(system), system.masses
+
+        def field(z: Array, _: None) -> Array:
+            x, P, turning = _parts(z)
+            force = forces(system, x, turning.q)
+            q_dot, Pi_dot = spinning(inverse, None, turning.q, turning.Pi)
+            return _packed(Moving(scale(1 / masses, P), force[:3], BodyAxesState(q_dot, add(Pi_dot, force[3:]), None)))
+
+        return field
+
+
+SEVERAL_BODIES = SeveralBodies()

@@ -75,7 +75,7 @@ class Rotating(OnRotations, abc.ABC):
             angular_velocity=angular_velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum
         )
         value = _checks.real_array(name, given, (3,))
-        q, p = _made(self, attitude, value, name)
+        q, p = _attitude_and_momentum(self, attitude, value, name)
         return State(q, _checks.real_array("the spatial momentum", p))
 
     def check(self, state: State) -> None:
@@ -146,7 +146,7 @@ def spatial_torque(potential: Callable[[Array], Array], q: Array) -> Array:
 
 
 @partial(compiled, static_argnums=3, once=True)
-def _made(body: Rotating, attitude: Array, motion: Array, name: str) -> tuple[Array, Array]:
+def _attitude_and_momentum(body: Rotating, attitude: Array, motion: Array, name: str) -> tuple[Array, Array]:
     """The quaternion of an attitude, and π of the motion that the argument `name` of `state` gives."""
     q = so3.from_matrix(attitude) if attitude.ndim == 2 else so3.normalize(attitude)
     if name == "angular_velocity":
