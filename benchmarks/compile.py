@@ -53,7 +53,7 @@ def rows(quick: bool, only: list[str] | None) -> Iterator[dict[str, Any]]:
                 start = step.start(state)
 
                 def run(z: Any, step: Any = step, dt: float = dt) -> Any:
-                    return li.integrate(step, z, dt, STEPS, STEPS).state
+                    return li.integrate(step, z, dt, STEPS, save_every=STEPS).state
 
                 def loss(p: Any, z: Any = start, run: Any = run) -> Any:
                     return sum(jnp.sum(x**2) for x in run(z._replace(p=p))[:2])

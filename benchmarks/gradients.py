@@ -73,7 +73,7 @@ def ours(steps: int) -> dict[str, Callable[..., Any]]:
         return jnp.mean(jax.vmap(lambda q, p: run(step, li.State(q, p)).state.q[-1, 0])(q, p))
 
     def scan(step: Any, z: Any) -> Any:
-        return li.integrate(step, z, DT, steps, steps)
+        return li.integrate(step, z, DT, steps, save_every=steps)
 
     def undone(step: Any, z: Any) -> Any:
         return li.reversible(step, z, DT, steps)

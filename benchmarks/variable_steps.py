@@ -75,7 +75,7 @@ def controlled(step: Step, state: State, end: float, tolerance: float) -> tuple[
 
 @partial(jax.jit, static_argnums=3)
 def constant(step: Step, state: State, dt: float, num_steps: int) -> State:
-    return jax.tree.map(lambda x: x[-1], li.integrate(step, state, dt, num_steps, num_steps).state)
+    return jax.tree.map(lambda x: x[-1], li.integrate(step, state, dt, num_steps, save_every=num_steps).state)
 
 
 @jax.jit

@@ -23,6 +23,7 @@ import numpy as np
 from jax import Array
 
 from lieint_jax._checks import at_once, concrete
+from lieint_jax._deprecated import old_calls
 from lieint_jax._numerics import power_series, vec3
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.select import where
@@ -390,7 +391,8 @@ def symplectic_residual(tau: Map, group: Group, metric: Array, theta: Array) -> 
     return jnp.max(jnp.abs((M - M.T) / 2 - right)) / jnp.max(jnp.abs(m))
 
 
-def is_symplectic(tau: Map, group: Group, metric: Array, size: float = 0.3, samples: int = 8) -> bool:
+@old_calls()
+def is_symplectic(tau: Map, group: Group, metric: Array, size: float = 0.3, *, samples: int = 8) -> bool:
     """True if τ conserves the symplectic form for this group and metric, measured at random Θ with |Θᵢ| ≤ `size`."""
     theta = np.random.default_rng(0).uniform(-size, size, (samples, group.dim))
     theta = jnp.asarray(theta, jnp.result_type(metric, float))

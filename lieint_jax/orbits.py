@@ -22,6 +22,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._deprecated import old_calls
 from lieint_jax._numerics.power_series import horner
 from lieint_jax.types import pytree
 
@@ -83,11 +84,13 @@ class Kepler:
         return P, jnp.stack([-c * sw - s * cw * ci, -s * sw + c * cw * ci, cw * si])
 
 
+@old_calls()
 def kepler(
     mu: ArrayLike,
     semi_major_axis: ArrayLike,
     eccentricity: ArrayLike,
     inclination: ArrayLike = 0.0,
+    *,
     node: ArrayLike = 0.0,
     periapsis: ArrayLike = 0.0,
     periapsis_time: ArrayLike = 0.0,
@@ -134,8 +137,9 @@ def kepler(
     return Kepler(**elements)
 
 
+@old_calls()
 def graded_times(
-    orbit: Callable[[Array], tuple[Array, Array]], t0: float, t1: float, n: int, c: float = 0.15
+    orbit: Callable[[Array], tuple[Array, Array]], t0: float, t1: float, n: int, *, c: float = 0.15
 ) -> np.ndarray:
     """Step boundaries for `integrate(…, times=…)` on an orbit: n steps, shorter where the body is nearer to the center.
 

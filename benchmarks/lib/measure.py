@@ -92,7 +92,7 @@ def ours(name: str, step: li.Step, dt: float, wide: bool, pace: float = 1e7, t: 
     @partial(jax.jit, static_argnums=1, compiler_options=compiler_options() if wide else {})
     def run(states: li.State, n: int) -> tuple[li.State, li.StepInfo]:
         start = None if t is None else jnp.asarray(t, dtype)
-        trajectory = jax.vmap(lambda z: li.integrate(step, z._replace(t=start), dt, n, n))(states)
+        trajectory = jax.vmap(lambda z: li.integrate(step, z._replace(t=start), dt, n, save_every=n))(states)
         return jax.tree.map(lambda leaf: leaf[:, -1], (trajectory.state, trajectory.info))
 
     def load(q: np.ndarray, p: np.ndarray) -> tuple[li.State, li.StepInfo]:

@@ -17,6 +17,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._deprecated import old_calls
 from lieint_jax._integrate._clock import Clock, at_time, clock_of
 from lieint_jax._integrate._run import prepared
 from lieint_jax._numerics.sign_change import is_root, sign_change
@@ -46,11 +47,13 @@ class Event(NamedTuple):
     found: Array
 
 
+@old_calls()
 def event(
     step: Step,
     state: State,
     dt: ArrayLike,
     condition: Callable[[State], ArrayLike],
+    *,
     max_steps: int,
     direction: Literal[-1, 0, 1] = 0,
     count: int = 1,
@@ -72,7 +75,7 @@ def event(
         ValueError: a condition that is no scalar or not finite at the start, counts < 1, another direction, and what
             `integrate` raises.
     """
-    found = events(step, state, dt, condition, max_steps, count, direction)
+    found = events(step, state, dt, condition, max_steps=max_steps, count=count, direction=direction)
     return jax.tree.map(lambda x: x[count - 1], found)
 
 
@@ -81,6 +84,7 @@ def events(
     state: State,
     dt: ArrayLike,
     condition: Callable[[State], ArrayLike],
+    *,
     max_steps: int,
     count: int,
     direction: Literal[-1, 0, 1] = 0,

@@ -14,6 +14,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._deprecated import old_calls
 from lieint_jax._integrate._clock import (
     Clock,
     GridClock,
@@ -32,13 +33,14 @@ _LEAST_BYTES, _MOST_BYTES = 2**20, 2**26  # of the saved states that the loop of
 _SHORT = 256  # steps of a run that is made before its first step is looked at
 
 
+@old_calls()
 def integrate(
     step: Step,
     state: State,
     dt: ArrayLike | None = None,
     num_steps: int | None = None,
-    save_every: int = 1,
     *,
+    save_every: int = 1,
     times: ArrayLike | None = None,
     save_at: ArrayLike | None = None,
 ) -> Trajectory:

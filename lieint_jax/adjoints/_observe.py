@@ -12,6 +12,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._deprecated import old_calls
 from lieint_jax._integrate import refuse_times
 from lieint_jax._xla import compiled
 from lieint_jax.adjoints._arguments import Derivative, checked
@@ -20,11 +21,13 @@ from lieint_jax.adjoints._undo import undoable
 from lieint_jax.types import State, Step, StepInfo
 
 
+@old_calls()
 def observe(
     step: Step,
     state: State,
     dt: ArrayLike,
     times: ArrayLike,
+    *,
     derivative: Derivative = "reversible",
     tolerance: float | None = None,
 ) -> tuple[State, StepInfo]:

@@ -7,6 +7,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._deprecated import old_calls
 from lieint_jax._integrate import from_start, intervals, steps
 from lieint_jax._xla import compiled
 from lieint_jax.adjoints._arguments import Derivative, checked
@@ -16,11 +17,13 @@ from lieint_jax.diagnostics._order import distance
 from lieint_jax.types import State, Step, Trajectory, start_time
 
 
+@old_calls()
 def reversible(
     step: Step,
     state: State,
     dt: ArrayLike,
     num_steps: int,
+    *,
     save_every: int | None = None,
     derivative: Derivative = "reversible",
     tolerance: float | None = None,

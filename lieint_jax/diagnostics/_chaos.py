@@ -23,6 +23,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._deprecated import old_calls
 from lieint_jax._integrate import Event, events, saves
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics._order import units
@@ -65,14 +66,15 @@ class Megno(NamedTuple):
     info: StepInfo
 
 
+@old_calls()
 def lyapunov(
     step: Step,
     state: State,
     dt: ArrayLike,
     num_steps: int,
+    *,
     exponents: int | None = None,
     every: int = 1,
-    *,
     vectors: ArrayLike | None = None,
     batches: int = 64,
 ) -> Lyapunov:
@@ -195,7 +197,8 @@ def orthonormal(W: Array) -> tuple[Array, Array]:
     return jnp.stack(Q, axis=1), jnp.stack(growth)
 
 
-def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, vector: ArrayLike | None = None) -> Megno:
+@old_calls()
+def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, *, vector: ArrayLike | None = None) -> Megno:
     """MEGNO of a run, which tells a chaotic motion from a regular one sooner than the exponent does.
 
     In constant memory. Take jax.vmap over states, `li.ensemble.over_members` to use all cores.
@@ -241,11 +244,13 @@ def _generic(dim: int) -> np.ndarray:
     return np.linalg.qr(np.random.default_rng(0).normal(size=(dim, dim)))[0]
 
 
+@old_calls()
 def section(
     step: Step,
     states: State,
     dt: ArrayLike,
     condition: Callable[[State], ArrayLike],
+    *,
     max_steps: int,
     count: int,
     direction: Literal[-1, 0, 1] = 1,
@@ -276,4 +281,6 @@ def section(
     axes = axes._replace(t=None) if shared else axes
     first = jax.tree.map(lambda x, axis: x if axis is None else x[0], states, axes, is_leaf=lambda x: x is None)
     checked_step(step).check(first, dt)  # inside vmap it cannot be
-    return jax.vmap(lambda z: events(step, z, dt, condition, max_steps, count, direction), in_axes=(axes,))(states)
+    return jax.vmap(
+        lambda z: events(step, z, dt, condition, max_steps=max_steps, count=count, direction=direction), in_axes=(axes,)
+    )(states)

@@ -10,6 +10,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._deprecated import old_calls
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics._symplectic import linearization
 from lieint_jax.phase_spaces import CotangentGroup
@@ -31,7 +32,8 @@ _OTHERS = (
 )  # than left-invariant systems without potential
 
 
-def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, method: _Method | None = None) -> Array:
+@old_calls()
+def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, *, method: _Method | None = None) -> Array:
     """The Poisson error of a run: zero for ever if and only if its steps are symplectic.
 
     The linearized steps transport the Poisson matrix, P_{n+1} = L_n P_n L_nᵀ (5.34) from P₀ = ω⁻¹(z₀). For

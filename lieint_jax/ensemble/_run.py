@@ -16,6 +16,7 @@ from jax.sharding import Mesh
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._deprecated import old_calls
 from lieint_jax._integrate import (
     GridClock,
     StateClock,
@@ -42,11 +43,13 @@ _ENTRY, _SERIES = 2 * 8, 5 * 8  # bytes of an entry's time and node, and of its 
 _SCALARS = ("t", "work")  # the parts of states that are scalars for each member, and may be one for all
 
 
+@old_calls()
 def run(
     step: Step,
     states: State,
     dt: float | None = None,
     num_steps: int | None = None,
+    *,
     save_every: int | None = None,
     step_axis: int | None = None,
     reduce: Reduction | Literal["energy"] | None = None,

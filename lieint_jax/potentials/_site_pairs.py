@@ -16,6 +16,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._deprecated import old_calls
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.potentials._site_groups import grouped, places
 from lieint_jax.types import pytree, static
@@ -202,7 +203,8 @@ def lennard_jones(wells: Any, sizes: Any, points: Any = None) -> LennardJones:
     return LennardJones(epsilon, sigma, at, groups)
 
 
-def sites(points: Any, charges: Any, wells: Any, sizes: Any, constant: ArrayLike = 138.93545764) -> Potential:
+@old_calls()
+def sites(points: Any, charges: Any, wells: Any, sizes: Any, *, constant: ArrayLike = 138.93545764) -> Potential:
     """Molecules of charges and Lennard-Jones sites: `point_charges` and `lennard_jones` of the same points, added.
 
     Sites without a charge, and sites with ε = 0, are left out of the sums where all bodies have none. Invariant: P and

@@ -116,8 +116,8 @@ def gravity_gradient(
 def examples() -> dict[str, Any]:
     """Satellites that librate in an elliptic orbit, and a body that an Earth-like planet passes in a hyperbola."""
     attitude = so3.exp(jnp.array([0.2, -0.1, 0.4]))
-    satellite = gravity_gradient([1.0, 2.0, 2.5], kepler(1.0, 1.0, 0.1, 0.4, 0.3, 1.1))
-    flyby = gravity_gradient([1.0, 1.6, 2.0], kepler(2.0, -1.5, 1.6, 0.3, 0.2, 0.7))
+    satellite = gravity_gradient([1.0, 2.0, 2.5], kepler(1.0, 1.0, 0.1, 0.4, node=0.3, periapsis=1.1))
+    flyby = gravity_gradient([1.0, 1.6, 2.0], kepler(2.0, -1.5, 1.6, 0.3, node=0.2, periapsis=0.7))
     return {
         "satellite": (satellite, satellite.state(attitude, angular_velocity=[0.2, 0.3, 1.0], t=0.7, work=0.0), 0.05),
         "flyby": (flyby, flyby.state(attitude, angular_velocity=[0.5, 0.2, 0.7], t=-0.5, work=0.0), 0.05),

@@ -246,7 +246,7 @@ def examples() -> dict[str, tuple[TorquedBody, State, float]]:
         [
             torques.dipole([0.01, 0.0, 0.02], _dipole_field),
             torques.bdot(0.05, _dipole_field, max_dipole=0.1),
-            torques.hysteresis([1.0, 0.0, 0.0], 0.02, 0.5, 0.3, _dipole_field),
+            torques.hysteresis([1.0, 0.0, 0.0], 0.02, 0.5, 0.3, field=_dipole_field),
             torques.wheels(jnp.eye(3), 0.05, speeds=[1.0, -2.0, 0.5]),
             torques.viscous(0.001),
         ]

@@ -122,7 +122,7 @@ class Hysteresis(Law):
 
 
 def hysteresis(
-    axis: ArrayLike, saturation: ArrayLike, slope: ArrayLike, coercivity: ArrayLike, field: Any, *, key: str = "rod"
+    axis: ArrayLike, saturation: ArrayLike, slope: ArrayLike, coercivity: ArrayLike, *, field: Any, key: str = "rod"
 ) -> Hysteresis:
     """A rod of soft magnetic material that takes energy from the rotation of a satellite in the Earth's field.
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._deprecated import old_calls
 from lieint_jax._numerics.vec3 import add, cross, dot, scale
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, not_negative, unit_vector, value_at, vector_of_time
@@ -37,11 +38,13 @@ class SolarPlate(Law):
         return jnp.stack(cross(self.arm, push)), inner
 
 
+@old_calls()
 def solar_plate(
     force: ArrayLike,
     normal: ArrayLike,
     arm: ArrayLike,
     sun: Any,
+    *,
     specular: ArrayLike = 0.0,
     diffuse: ArrayLike = 0.0,
 ) -> SolarPlate:

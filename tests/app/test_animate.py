@@ -19,7 +19,7 @@ from lieint_jax.app.command.pictures import StoredRun
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)
 DT = 0.05
-all_steps = jax.jit(li.integrate, static_argnums=(3, 4))
+all_steps = jax.jit(li.integrate, static_argnames=("num_steps", "save_every"))
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def store(tmp_path_factory):
     """Two bodies over t = 4, a state saved at every other step."""
     path = tmp_path_factory.mktemp("runs") / "run.zarr"
     states = jax.jit(jax.vmap(lambda w: BODY.state(angular_velocity=w)))(np.array([[0.2, 0.0, 1.0], [0.3, -0.5, 0.8]]))
-    li.ensemble.run(STEP, states, DT, 80, 2, store=path, progress=False)
+    li.ensemble.run(STEP, states, DT, 80, save_every=2, store=path, progress=False)
     return path
 
 
@@ -49,7 +49,7 @@ def test_frames_between_saved_states_show_the_states_that_were_not_saved(store):
     found = scene.scene_of(StoredRun("a body", "s", system, run, False), 1, 81)
     np.testing.assert_allclose(found.t, DT * np.arange(81), rtol=0, atol=1e-12)
     start = jax.tree.map(lambda x: jnp.asarray(x[0, 1]), run.state)
-    every = all_steps(STEP, start, DT, 80, 1)
+    every = all_steps(STEP, start, DT, 80, save_every=1)
     R = np.asarray(jax.jit(jax.vmap(BODY.rotation_matrix))(every.state))
     np.testing.assert_allclose(found.turns[::2, 0], R[::2], rtol=0, atol=1e-14)
     np.testing.assert_allclose(found.turns[1::2, 0], R[1::2], rtol=0, atol=1e-6)
@@ -228,7 +228,7 @@ def test_a_system_without_rigid_bodies_says_what_is_possible():
 def test_a_top_stands_on_its_point_and_turns_about_the_vertical():
     top = li.systems.heavy_top([5.0, 5.0, 1.0], [0.0, 0.0, 20.0])
     start = top.state(li.groups.so3.exp(jnp.array([0.3, 0.0, 0.0])), angular_velocity=[0.0, 0.0, 50.0])
-    run = all_steps(li.schemes.splitting(top), start, 0.01, 1000, 5)
+    run = all_steps(li.schemes.splitting(top), start, 0.01, 1000, save_every=5)
     found = scene.scene_of(stored(top, run.state.q, run.state.p, run.t), 0, 60)
     corners = np.stack([found.corners(k, 0) for k in range(60)])
     np.testing.assert_array_equal(corners[:, 0], 0)
@@ -241,7 +241,7 @@ def test_two_bodies_stand_at_their_places():
     bodies = li.systems.rigid_bodies([2.0, 1.0], [[0.5, 0.6, 0.7], [0.1, 0.2, 0.2]], lambda x, R: jnp.sum(x[0] * x[1]))
     state = bodies.state([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]], angular_velocities=[[0.0, 0.1, 1.0], [0.5, 0.0, 0.3]])
     step, dt = li.schemes.splitting(bodies), 0.05
-    run = all_steps(step, state, dt, 40, 2)
+    run = all_steps(step, state, dt, 40, save_every=2)
     found = scene.scene_of(stored(bodies, run.state.q, run.state.p, run.t), 0, 10)
     assert len(found.solids) == 2
     np.testing.assert_allclose(found.centers[0], state.q[:, :3], rtol=0, atol=1e-12)

@@ -237,11 +237,12 @@ def test_the_states_of_sn263_are_those_of_its_elements():
     alpha, gamma, beta = scenario.bodies
     G, M, day = 6.67430e-11, alpha.mass(), 86400.0
 
-    def at(mu, period, *elements):
-        return [np.asarray(y) for y in orbits.kepler(mu, (mu * (period / 2 / np.pi) ** 2) ** (1 / 3), *elements)(0.0)]
+    def at(mu, period, *elements, **angles):
+        a = (mu * (period / 2 / np.pi) ** 2) ** (1 / 3)
+        return [np.asarray(y) for y in orbits.kepler(mu, a, *elements, **angles)(0.0)]
 
     inner = at(G * (M + gamma.mass()), 0.686 * day, 0.016)
-    outer = at(G * (M + gamma.mass() + beta.mass()), 6.225 * day, 0.015, np.deg2rad(14), 0.0, np.pi)
+    outer = at(G * (M + gamma.mass() + beta.mass()), 6.225 * day, 0.015, np.deg2rad(14), periapsis=np.pi)
     share = gamma.mass() / (M + gamma.mass())
     for found, y in ((gamma, inner), (beta, [b + share * a for a, b in zip(inner, outer, strict=True)])):
         np.testing.assert_allclose(found.position_m, y[0], rtol=0, atol=6e-4)
@@ -277,6 +278,6 @@ def test_sn263_by_hand():
     triple = systems.rigid_bodies(m, J, potentials.maccullagh(6.67430e-11, m, J))
     Omega = np.array([b.rate() for b in scenario.bodies])
     state = triple.state(x, velocities=v, angular_velocities=Omega)
-    end = jax.jit(lambda z: li.integrate(schemes.nystrom(triple, 6), z, scenario.dt, 10, 10))(state).state
+    end = jax.jit(lambda z: li.integrate(schemes.nystrom(triple, 6), z, scenario.dt, 10, save_every=10))(state).state
     q = run(scenario)[1].state.q[-1, 0]
     np.testing.assert_allclose(q, end.q[-1], rtol=1e-13, atol=1e-9)  # m; observed 4e-12

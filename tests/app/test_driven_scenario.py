@@ -63,7 +63,7 @@ def folder(tmp_path, monkeypatch):
 
 def test_the_orbit_s_axes_turn_as_they_are_said_to():
     """Ṙ = ω × R by forward differentiation, and the columns are r̂, the direction of motion and the normal."""
-    orbit = orbits.kepler(2.0, 1.5, 0.4, 0.5, 0.3, 0.9)
+    orbit = orbits.kepler(2.0, 1.5, 0.4, 0.5, node=0.3, periapsis=0.9)
     t = jnp.array(0.7)
     (R, spin), (rate, _) = jax.jvp(jax.jit(lambda t: driven.orbit_axes(orbit, t)), (t,), (jnp.ones(()),))
     np.testing.assert_allclose(np.cross(spin, R, axisb=0, axisc=0), rate, rtol=0, atol=3e-15)  # 7e-16

@@ -121,7 +121,7 @@ def test_exponents_of_a_regular_motion_go_to_zero_and_megno_to_two(name):
 
 @functools.cache
 def chaotic(exponents=None):
-    return diagnostics.lyapunov(schemes.splitting(TOP), TUMBLING, 0.05, 40_000, exponents, every=20)
+    return diagnostics.lyapunov(schemes.splitting(TOP), TUMBLING, 0.05, 40_000, exponents=exponents, every=20)
 
 
 @pytest.mark.long
@@ -286,7 +286,7 @@ def test_a_section_of_an_ensemble_against_the_events_of_another_integrator():
         jnp.array([[0.4, 0.9, 0.6], [0.9, 0.4, 0.6], [0.1, 0.2, 0.1]])
     )
     step = schemes.compose(schemes.splitting(TOP), 4)
-    found = diagnostics.section(step, states, 0.1, height, 150, 2, direction=-1)
+    found = diagnostics.section(step, states, 0.1, height, max_steps=150, count=2, direction=-1)
     assert found.t.shape == found.found.shape == (3, 2)
     for m in range(3):
         start = np.concatenate([np.asarray(so3.to_matrix(states.q[m])).ravel(), TOP.angular_velocity(_of(states, m))])
@@ -305,6 +305,6 @@ def _of(states, m):
 def test_a_section_refuses_one_body_and_a_first_step_that_fails():
     step, state = REGULAR["free"]
     with pytest.raises(ValueError, match="leading member axis"):
-        diagnostics.section(step, state, 0.1, lambda z: z.q[0], 10, 1)
+        diagnostics.section(step, state, 0.1, lambda z: z.q[0], max_steps=10, count=1)
     with pytest.raises(ValueError, match="does not converge"):
-        diagnostics.section(step, jax.tree.map(lambda x: x[None], state), 3.0, lambda z: z.q[0], 10, 1)
+        diagnostics.section(step, jax.tree.map(lambda x: x[None], state), 3.0, lambda z: z.q[0], max_steps=10, count=1)

@@ -74,7 +74,7 @@ def test_linearization_against_finite_differences(name):
 
 @jax.jit
 def _poisson_errors(step, state, dt):
-    return [diagnostics.poisson_error(step, state, dt, 1000, method) for method in ("recursion", "product")]
+    return [diagnostics.poisson_error(step, state, dt, 1000, method=method) for method in ("recursion", "product")]
 
 
 @pytest.mark.parametrize("name", [name for name in PAPER if "asymmetric-" in name or "full" in name])
@@ -96,7 +96,7 @@ def test_poisson_error_by_recursion_and_by_product_of_jacobians(name):
 def test_poisson_error_wants_a_known_method():
     step, state, dt = next(iter(GRID.values()))
     with pytest.raises(ValueError, match="recursion, product"):
-        diagnostics.poisson_error(step, state, dt, 1, "magic")
+        diagnostics.poisson_error(step, state, dt, 1, method="magic")
 
 
 def test_flow_converges_and_preserves_what_it_should():

@@ -24,17 +24,17 @@ def states(members, size=0.5):
     return State(jnp.array(q), jnp.array(np.array(p)))
 
 
-alone = jax.jit(li.integrate, static_argnums=(3, 4))
+alone = jax.jit(li.integrate, static_argnames=("num_steps", "save_every"))
 
 
 def test_the_batch_is_the_bodies_one_by_one():
     batch = states(5)
-    run = ensemble.run(STEP, batch, 0.1, 60, 20, progress=False)
+    run = ensemble.run(STEP, batch, 0.1, 60, save_every=20, progress=False)
     assert run.state.q.shape == (4, 5, 4)
     np.testing.assert_allclose(run.t, [0, 2, 4, 6])
     assert run.info.converged.all()
     for m in range(5):
-        one = alone(STEP, State(np.asarray(batch.q)[m], np.asarray(batch.p)[m]), 0.1, 60, 20)
+        one = alone(STEP, State(np.asarray(batch.q)[m], np.asarray(batch.p)[m]), 0.1, 60, save_every=20)
         np.testing.assert_allclose(np.asarray(run.state.q)[:, m], one.state.q, rtol=0, atol=1e-14)
         np.testing.assert_array_equal(np.asarray(run.state.p)[:, m], one.state.p)
 
@@ -46,7 +46,7 @@ def test_keeping_the_last_state_only_and_an_inertia_each():
     run = ensemble.run(steps, batch, 0.1, 150, step_axis=0, progress=False)
     assert run.state.q.shape == (2, 4, 4)
     member = State(np.asarray(batch.q)[1], np.asarray(batch.p)[1])
-    one = alone(li.schemes.so3_midpoint(li.systems.rigid_body(J[1])), member, 0.1, 150, 150)
+    one = alone(li.schemes.so3_midpoint(li.systems.rigid_body(J[1])), member, 0.1, 150, save_every=150)
     np.testing.assert_allclose(np.asarray(run.state.q)[-1, 1], one.state.q[1], rtol=0, atol=1e-14)
 
 
@@ -56,11 +56,11 @@ def test_a_late_failure_names_member_and_step():
     q, p = np.array(batch.q), np.array(batch.p)
     q[2], p[2] = [1.0, 0, 0, 0], J123 * [0.0, 1.0, 1e-4]  # about the intermediate axis: Ω grows in the flip
     batch = State(jnp.array(q), jnp.array(p))
-    single = alone(step, State(q[2], p[2]), 0.99, 100, 1)
+    single = alone(step, State(q[2], p[2]), 0.99, 100, save_every=1)
     first = int(np.argmin(np.asarray(single.info.converged))) - 1
     assert first > 0
     with pytest.warns(RuntimeWarning, match=rf"member 2 at step {first}"):
-        run = ensemble.run(step, batch, 0.99, 100, 10, progress=False)
+        run = ensemble.run(step, batch, 0.99, 100, save_every=10, progress=False)
     assert not np.asarray(run.info.converged)[:, 2].all()
 
 
@@ -72,7 +72,7 @@ def test_the_first_failure_of_each_member_is_found():
     batch = jax.vmap(lambda w: top.state(angular_velocity=w))(slow)
     with pytest.warns(RuntimeWarning, match="did not converge at every step"):
         run = ensemble.run(step, batch, dt, 40, save_every=4, reduce="energy", progress=False)
-    each = jax.vmap(lambda z: li.integrate(step, z, dt, 40, 1).info.converged)(batch)[:, 1:]
+    each = jax.vmap(lambda z: li.integrate(step, z, dt, 40, save_every=1).info.converged)(batch)[:, 1:]
     first = np.where(np.all(each, axis=1), -1, np.argmin(each, axis=1))
     assert len(set(first.tolist())) > 2
     np.testing.assert_array_equal(run.failed, first)
@@ -88,7 +88,7 @@ def test_three_bodies():
     batch = jax.tree.map(lambda x: jnp.stack([x, x]), state)
     for scheme in (li.schemes.splitting, li.schemes.bodies_energy_momentum):
         run = ensemble.run(scheme(bodies), batch, 0.01, 5, progress=False)
-        one = alone(scheme(bodies), state, 0.01, 5, 5)
+        one = alone(scheme(bodies), state, 0.01, 5, save_every=5)
         assert np.all(run.info.converged)
         np.testing.assert_allclose(run.state.q[-1, 0], one.state.q[-1], rtol=0, atol=1e-14)
 
@@ -130,7 +130,7 @@ def test_the_progress_bar_goes_to_a_terminal_and_nowhere_else(capfd, monkeypatch
 
 
 def test_store_round_trip_and_that_nothing_is_overwritten(tmp_path):
-    run = ensemble.run(STEP, states(3), 0.1, 20, 10, progress=False)
+    run = ensemble.run(STEP, states(3), 0.1, 20, save_every=10, progress=False)
     path = files.free(tmp_path / "run.npz")
     files.save(path, run, {"seed": 4})
     again, metadata = files.load(path)

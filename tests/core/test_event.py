@@ -29,14 +29,14 @@ def attitude(state):
 
 
 def spinning(start=SPIN, **options):
-    return li.event(schemes.exact(BODY), start, 0.3, attitude, 100, **options)
+    return li.event(schemes.exact(BODY), start, 0.3, attitude, max_steps=100, **options)
 
 
 def test_changes_of_either_direction_are_told_from_each_other():
     """q = cos t of an oscillator falls through 0 first at π/2 and rises at 3π/2; with steps of 0.1, to 4e-3."""
     step, start = Leapfrog(Oscillators(jnp.array(1.0))), li.State(jnp.eye(3), jnp.zeros((3, 3)))
     for direction, quarters in ((0, 1), (-1, 1), (1, 3)):
-        found = li.event(step, start, 0.1, lambda state: state.q[0, 0], 60, direction)
+        found = li.event(step, start, 0.1, lambda state: state.q[0, 0], max_steps=60, direction=direction)
         assert found.found
         assert found.t == pytest.approx(quarters * np.pi / 2, abs=4e-3)
 
@@ -64,14 +64,14 @@ def test_where_the_condition_begins_at_zero_the_sign_just_after_counts():
 @pytest.mark.long
 def test_where_there_is_none_nothing_is_found_and_no_derivative_is_nan():
     def time(w):
-        found = li.event(SPLITTING, TOP.state(TURN, angular_velocity=w), 0.05, lambda z: z.p[0] - 100, 20)
+        found = li.event(SPLITTING, TOP.state(TURN, angular_velocity=w), 0.05, lambda z: z.p[0] - 100, max_steps=20)
         return found.t, found.found
 
     (t, found), slope = jax.jit(jax.value_and_grad(time, has_aux=True))(jnp.array([0.3, 0.5, 0.8]))
     assert not found
     assert t == 1.0
     assert np.isfinite(slope).all()
-    too_far = li.event(SPLITTING, STATE._replace(p=0.4 * STATE.p), 0.5, lambda z: z.q[0] - 0.2, 200)
+    too_far = li.event(SPLITTING, STATE._replace(p=0.4 * STATE.p), 0.5, lambda z: z.q[0] - 0.2, max_steps=200)
     path = li.integrate(SPLITTING, STATE._replace(p=0.4 * STATE.p), 0.5, 200)
     assert too_far.found == path.info.converged[: int(too_far.t / 0.5) + 2].all()
 
@@ -81,7 +81,7 @@ def test_where_there_is_none_nothing_is_found_and_no_derivative_is_nan():
 def test_the_time_is_of_the_order_of_the_scheme(order):
     """Observed 2.02 and 4.02; 1e-18 of the condition at the event."""
     step = SPLITTING if order == 2 else schemes.compose(SPLITTING, 4)
-    found = [li.event(step, STATE, 20 / n, level, n, count=2) for n in (200, 400, 6400)]
+    found = [li.event(step, STATE, 20 / n, level, max_steps=n, count=2) for n in (200, 400, 6400)]
     assert max(abs(e.state.p[0]) for e in found) < 1e-15
     coarse, fine, exact = (float(e.t) for e in found)
     assert np.log2((coarse - exact) / (fine - exact)) == pytest.approx(order, abs=0.15)
@@ -90,7 +90,7 @@ def test_the_time_is_of_the_order_of_the_scheme(order):
 @pytest.mark.long
 def test_derivatives_forward_reverse_and_by_differences():
     def time(w):
-        return li.event(SPLITTING, TOP.state(TURN, angular_velocity=w), 0.05, level, 200, count=2).t
+        return li.event(SPLITTING, TOP.state(TURN, angular_velocity=w), 0.05, level, max_steps=200, count=2).t
 
     w = jnp.array([0.3, 0.5, 0.8])
     value, forward = jax.jit(time), jax.jit(jax.jacfwd(time))(w)
@@ -99,7 +99,7 @@ def test_derivatives_forward_reverse_and_by_differences():
     for i, slope in enumerate(forward):
         f = [value(w.at[i].add(k * h)) for k in (-2, -1, 1, 2)]
         assert float(f[0] - 8 * f[1] + 8 * f[2] - f[3]) / (12 * h) == pytest.approx(float(slope), rel=1e-8)
-    at = jax.jit(lambda dt: li.event(SPLITTING, STATE, dt, level, 200, count=2).t)
+    at = jax.jit(lambda dt: li.event(SPLITTING, STATE, dt, level, max_steps=200, count=2).t)
     f = [at(0.05 + k * 1e-5) for k in (-2, -1, 1, 2)]
     by_dt = float(f[0] - 8 * f[1] + 8 * f[2] - f[3]) / 1.2e-4
     assert by_dt == pytest.approx(float(jax.jit(jax.grad(at))(0.05)), rel=1e-6)
@@ -109,18 +109,20 @@ def test_derivatives_forward_reverse_and_by_differences():
 def test_many_at_once_and_one_after_the_other():
     """A batch finds what each member finds; the events in turn are those of `count`."""
     starts = jax.vmap(lambda w: TOP.state(TURN, angular_velocity=w))(jnp.array([[0.3, 0.5, 0.8], [0.1, -0.4, 0.9]]))
-    many = jax.vmap(lambda z: events(SPLITTING, z, 0.05, level, 400, 3))(starts)
+    many = jax.vmap(lambda z: events(SPLITTING, z, 0.05, level, max_steps=400, count=3))(starts)
     assert many.found.all()
     assert (np.diff(many.t, axis=1) > 0).all()
     for m in range(2):
         start = jax.tree.map(lambda x: x[m], starts)  # noqa: B023
         for k in range(3):
-            assert li.event(SPLITTING, start, 0.05, level, 400, count=k + 1).t == pytest.approx(float(many.t[m, k]))
+            assert li.event(SPLITTING, start, 0.05, level, max_steps=400, count=k + 1).t == pytest.approx(
+                float(many.t[m, k])
+            )
 
 
 def test_a_heavy_top_falls():
     """The energy at the event is that of the steps, and its time lies between two of them."""
-    found = jax.jit(lambda z: li.event(SPLITTING, z, 0.05, level, 200, count=2))(STATE)
+    found = jax.jit(lambda z: li.event(SPLITTING, z, 0.05, level, max_steps=200, count=2))(STATE)
     path = li.integrate(SPLITTING, STATE, 0.05, 200)
     changes = np.flatnonzero(np.diff(np.sign(path.state.p[:, 0])))
     assert path.t[changes[1]] < found.t < path.t[changes[1] + 1]
@@ -156,7 +158,7 @@ def crossings(dtype):
 
     def found(k):
         condition = jax.tree_util.Partial(lambda k, z: values(z.q[:1] - 0.3)[0, k], k)
-        return li.event(step, start, jnp.asarray(0.5, dtype), condition, 10)
+        return li.event(step, start, jnp.asarray(0.5, dtype), condition, max_steps=10)
 
     return jax.jit(jax.vmap(found))(jnp.arange(len(CONDITIONS)))
 
@@ -186,7 +188,7 @@ def test_late_on_a_clock_the_time_is_right_to_its_rounding():
     """At t = 1e7 numbers are 1.9e-9 apart, which is more than 1e-9 dt: the condition is a staircase there."""
     start = SPIN._replace(t=jnp.asarray(1e7))
     times = 1e7 + jnp.linspace(0.1, 3.3, 32)
-    found = jax.jit(jax.vmap(lambda T: li.event(SPINNING, start, 0.5, lambda z: z.t - T, 10)))(times)
+    found = jax.jit(jax.vmap(lambda T: li.event(SPINNING, start, 0.5, lambda z: z.t - T, max_steps=10)))(times)
     assert found.found.all()
     np.testing.assert_allclose(found.t, times, rtol=0, atol=4e-9)
 
@@ -202,8 +204,8 @@ def test_bad_input_is_refused_in_a_sentence():
     ]
     for arguments, message in cases:
         with pytest.raises(ValueError, match=message):
-            find(*arguments)
+            find(arguments[0], max_steps=arguments[1])
     with pytest.raises(ValueError, match="direction must be"):
-        find(level, 10, direction=2)
+        find(level, max_steps=10, direction=2)
     with pytest.raises(ValueError, match="count must be an integer ≥ 1"):
-        find(level, 10, count=0)
+        find(level, max_steps=10, count=0)

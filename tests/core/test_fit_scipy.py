@@ -75,7 +75,9 @@ def attitudes(params):
 def gyro(params):
     """40 readings of a rate gyro with a bias."""
     body = _body(params)
-    run = li.integrate(li.schemes.so3_midpoint(body), body.state(angular_velocity=params["rate"]), 0.25, 80, 2)
+    run = li.integrate(
+        li.schemes.so3_midpoint(body), body.state(angular_velocity=params["rate"]), 0.25, 80, save_every=2
+    )
     return jax.vmap(body.angular_velocity)(run.state)[1:] + params["bias"], run.info.converged
 
 
@@ -83,7 +85,7 @@ def top(params):
     """The direction of the third axis of a heavy top at 40 times."""
     body = li.systems.heavy_top(jnp.append(params["transverse"] * jnp.ones(2), 1.0), params["weight"] * jnp.eye(3)[2])
     start = body.state(so3.exp(jnp.array([0.3, 0.0, 0.0])), angular_velocity=[0.0, 0.0, 6.0])
-    run = li.integrate(li.schemes.splitting(body), start, 0.05, 200, 5)
+    run = li.integrate(li.schemes.splitting(body), start, 0.05, 200, save_every=5)
     return jax.vmap(lambda q: so3.Ad(q, jnp.eye(3)[2]))(run.state.q)[1:], run.info.converged
 
 
@@ -103,14 +105,18 @@ def light(params):
 def friction(params):
     """40 readings of a rate gyro on a body with internal friction."""
     body = li.systems.damped_body(jnp.append(params["ratios"], 1.0), params["friction"])
-    run = li.integrate(li.schemes.torqued_midpoint(body), body.state(angular_velocity=[0.8, 0.2, 0.4]), 0.2, 120, 3)
+    run = li.integrate(
+        li.schemes.torqued_midpoint(body), body.state(angular_velocity=[0.8, 0.2, 0.4]), 0.2, 120, save_every=3
+    )
     return jax.vmap(body.angular_velocity)(run.state)[1:], run.info.converged
 
 
 def rotor(params):
     """40 readings of a rate gyro on a gyrostat whose rotor momentum is unknown."""
     body = li.systems.gyrostat(jnp.array([1.0, 2.0, 2.5]), params["rotor"])
-    run = li.integrate(li.schemes.so3_midpoint(body), body.state(angular_velocity=params["rate"]), 0.2, 80, 2)
+    run = li.integrate(
+        li.schemes.so3_midpoint(body), body.state(angular_velocity=params["rate"]), 0.2, 80, save_every=2
+    )
     return jax.vmap(body.angular_velocity)(run.state)[1:], run.info.converged
 
 
@@ -118,7 +124,7 @@ def pendulum(params):
     """40 directions of a spherical pendulum in a field of unknown strength."""
     body = li.systems.pendulum(1.0, params["gravity"])
     start = body.state([0.0, 0.6, -0.8], velocity=params["speed"] * jnp.eye(3)[0])
-    run = li.integrate(li.schemes.sphere_midpoint(body), start, 0.05, 120, 3)
+    run = li.integrate(li.schemes.sphere_midpoint(body), start, 0.05, 120, save_every=3)
     return run.state.q[1:], run.info.converged
 
 

@@ -11,11 +11,11 @@ from lieint_jax import State
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STATE = jax.jit(BODY.state)(np.array([1.0, 2, -1, 0.5]) / 2.5, angular_velocity=[0.3, -0.5, 0.8])
 STEP = li.schemes.so3_midpoint(BODY)
-integrate = jax.jit(li.integrate, static_argnums=(3, 4))
+integrate = jax.jit(li.integrate, static_argnames=("num_steps", "save_every"))
 
 
 def test_saves_every_kth_state_and_the_worst_of_the_steps_between():
-    every, some = jax.device_get([integrate(STEP, STATE, 0.1, 12), integrate(STEP, STATE, 0.1, 12, 4)])
+    every, some = jax.device_get([integrate(STEP, STATE, 0.1, 12), integrate(STEP, STATE, 0.1, 12, save_every=4)])
     np.testing.assert_allclose(every.t, 0.1 * np.arange(13), rtol=0, atol=1e-15)
     np.testing.assert_array_equal(some.t, every.t[::4])
     jax.tree.map(lambda a, b: np.testing.assert_array_equal(a, b[::4]), some.state, every.state)
@@ -30,14 +30,16 @@ def test_saves_every_kth_state_and_the_worst_of_the_steps_between():
 
 def test_a_loop_of_one_turn_is_none():
     def loops(save_every):
-        return str(jax.make_jaxpr(lambda z: li.integrate(STEP, z, 0.1, 8, save_every))(STATE)).count(" scan[")
+        return str(jax.make_jaxpr(lambda z: li.integrate(STEP, z, 0.1, 8, save_every=save_every))(STATE)).count(
+            " scan["
+        )
 
     assert loops(4) - loops(1) == loops(4) - loops(8) == 1
 
 
 def test_there_and_back_over_many_steps():
-    there = jax.device_get(integrate(STEP, STATE, 0.1, 500, 500))
-    back = jax.device_get(integrate(STEP, jax.tree.map(lambda x: x[-1], there.state), -0.1, 500, 500))
+    there = jax.device_get(integrate(STEP, STATE, 0.1, 500, save_every=500))
+    back = jax.device_get(integrate(STEP, jax.tree.map(lambda x: x[-1], there.state), -0.1, 500, save_every=500))
     np.testing.assert_allclose(back.state.q[-1], STATE.q, rtol=0, atol=2e-13)  # floor 3e-14
     assert back.t[-1] == -50
 
@@ -51,7 +53,7 @@ def test_zero_steps():
 def test_jit_vmap_grad_of_a_whole_run():
     def end(J, dt):
         step = li.schemes.so3_midpoint(li.systems.RigidBody(J))
-        return li.integrate(step, STATE, dt, 50, 10).state.q[-1, 0]
+        return li.integrate(step, STATE, dt, 50, save_every=10).state.q[-1, 0]
 
     both = jax.jit(jax.value_and_grad(end, argnums=(0, 1)))
     J, dt, h = np.asarray(BODY.inertia), 0.05, 1e-5
@@ -79,7 +81,7 @@ def test_jit_vmap_grad_of_a_whole_run():
 )
 def test_bad_counts(num_steps, save_every, message):
     with pytest.raises(ValueError, match=message):
-        li.integrate(STEP, STATE, 0.1, num_steps, save_every)
+        li.integrate(STEP, STATE, 0.1, num_steps, save_every=save_every)
 
 
 def test_bad_states_and_steps_are_refused_before_anything_runs():
@@ -103,9 +105,9 @@ def test_bad_states_and_steps_are_refused_before_anything_runs():
 
 def test_mixed_precisions_and_integers_are_promoted():
     single = jax.tree.map(lambda x: np.asarray(x, "float32"), STATE)
-    assert integrate(STEP, single, 0.1, 2, 1).state.q.dtype == jnp.float64
+    assert integrate(STEP, single, 0.1, 2, save_every=1).state.q.dtype == jnp.float64
     whole = State(jnp.array([1, 0, 0, 0]), jnp.array([0, 1, 1]))
-    assert li.integrate(STEP, whole, 0.1, np.int64(4), np.int64(2)).state.q.shape == (3, 4)
+    assert li.integrate(STEP, whole, 0.1, np.int64(4), save_every=np.int64(2)).state.q.shape == (3, 4)
 
 
 @pytest.mark.parametrize("state", [(STATE.q, STATE.p), None, STATE.q], ids=["tuple", "None", "array"])

@@ -116,7 +116,7 @@ def test_traced_times_outside_the_run_are_flagged():
     run = jax.jit(lambda t: li.integrate(SPLITTING, STATE, 0.1, 10, save_at=t))
     seen = run(jnp.array([-0.1, 0.5, 0.3, 1.2, jnp.nan, 0.7]))
     assert seen.info.converged.tolist() == [True, False, True, False, False, False, True]
-    middle = li.integrate(SPLITTING, STATE, 0.1, 5, 5)
+    middle = li.integrate(SPLITTING, STATE, 0.1, 5, save_every=5)
     assert distance(jax.tree.map(lambda x: x[2], seen.state), last(middle)) < 1e-15
 
 

@@ -66,7 +66,9 @@ def test_what_is_kept_is_not_computed_again():
 )
 def test_a_gradient_keeps_the_state_of_each_step(step, state, most):
     def numbers(steps):
-        end = jax.vjp(lambda p: li.integrate(step, state._replace(p=p), 0.05, steps, steps).state.q, state.p)[1]
+        end = jax.vjp(
+            lambda p: li.integrate(step, state._replace(p=p), 0.05, steps, save_every=steps).state.q, state.p
+        )[1]
         return sum(np.size(x) for x in jax.tree.leaves(end))
 
     assert (numbers(20) - numbers(10)) / 10 <= most

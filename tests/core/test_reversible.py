@@ -22,15 +22,15 @@ FEW = [
 
 
 def plain(step, state, dt):
-    return li.integrate(step, state, dt, N, EVERY)
+    return li.integrate(step, state, dt, N, save_every=EVERY)
 
 
 def by_reversal(step, state, dt):
-    return li.reversible(step, state, dt, N, EVERY)
+    return li.reversible(step, state, dt, N, save_every=EVERY)
 
 
 def by_checkpoints(step, state, dt):
-    return li.reversible(step, state, dt, N, EVERY, derivative="checkpoint")
+    return li.reversible(step, state, dt, N, save_every=EVERY, derivative="checkpoint")
 
 
 def setting(name):
@@ -102,7 +102,7 @@ def end(J, state, dt, num_steps=40, **options):
 
 
 def test_the_trajectory_is_that_of_integrate():
-    ours, theirs = li.reversible(STEP, STATE, 0.05, 12, 4), li.integrate(STEP, STATE, 0.05, 12, 4)
+    ours, theirs = li.reversible(STEP, STATE, 0.05, 12, save_every=4), li.integrate(STEP, STATE, 0.05, 12, save_every=4)
     for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-15)
     assert li.reversible(STEP, STATE, 0.05, 0).t.shape == (1,)
@@ -154,7 +154,7 @@ def test_second_derivatives_through_a_run(name):
     one, two = ((jnp.asarray(rng.normal(size=space.dim)), jnp.asarray(k * dt)) for k in (0.2, 0.3))
 
     def value(delta, dt):
-        end = li.integrate(step, space.perturb(state, delta), dt, 3, 3).state
+        end = li.integrate(step, space.perturb(state, delta), dt, 3, save_every=3).state
         return jnp.sum(jnp.sin(end.q[-1])) + jnp.sum(end.p[-1] ** 2)
 
     def along(way):
@@ -233,7 +233,7 @@ def test_traced_times_that_are_not_reached_are_flagged_and_harm_no_other():
     seen = jax.jit(lambda dt, t: li.observe(STEP, STATE, dt, t))
     state, info = seen(0.05, jnp.array([-0.5, 0.5, 0.52]))
     assert info.converged.tolist() == [False, True, True]
-    end = li.integrate(STEP, STATE, 0.05, 10, 10).state.q[-1]
+    end = li.integrate(STEP, STATE, 0.05, 10, save_every=10).state.q[-1]
     np.testing.assert_allclose(state.q[1], end, rtol=0, atol=1e-14)
     assert not seen(0.0, jnp.array([0.5, 0.5, 0.5]))[1].converged.any()
 
@@ -271,7 +271,7 @@ def test_derivatives_of_observations_of_a_composition_by_the_complex_step():
 
 def test_the_clock_of_checkpoints_is_that_of_the_run():
     start = State(jnp.eye(3), jnp.zeros((3, 3)), jnp.array(0.3))
-    run = li.reversible(Leapfrog(Oscillators(jnp.array(1.3))), start, 0.1, 6, 2, derivative="checkpoint")
+    run = li.reversible(Leapfrog(Oscillators(jnp.array(1.3))), start, 0.1, 6, save_every=2, derivative="checkpoint")
     np.testing.assert_allclose(run.state.t, [0.3, 0.5, 0.7, 0.9], rtol=1e-15)
 
 
@@ -309,7 +309,7 @@ def test_round_trips_are_measured_and_lost_digits_draw_a_warning():
 
     def slope(save_every, k):
         def last(dt, p):
-            return li.reversible(step, State(state.q, p), dt, 4000, save_every).state.q[-1, 0]
+            return li.reversible(step, State(state.q, p), dt, 4000, save_every=save_every).state.q[-1, 0]
 
         return jax.jit(jax.grad(last, argnums=k))(jnp.asarray(dt), state.p)
 
@@ -329,7 +329,7 @@ def test_errors_and_the_way_out():
     with pytest.raises(ValueError, match="must be one of reversible, checkpoint"):
         li.reversible(STEP, STATE, 0.05, 4, derivative="scan")
     with pytest.raises(ValueError, match="multiple of save_every"):
-        li.reversible(STEP, STATE, 0.05, 5, 2)
+        li.reversible(STEP, STATE, 0.05, 5, save_every=2)
     with pytest.raises(ValueError, match="shape"):
         li.observe(STEP, STATE, 0.05, 1.0)
     with pytest.raises(TypeError, match="forward-mode"):

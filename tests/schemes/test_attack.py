@@ -297,7 +297,9 @@ def driven(make):
 
 
 def satellite(make):
-    return lambda J, mu, a, e: make(systems.gravity_gradient(J, li.orbits.kepler(mu, a, e, 0.5, 0.3, 1.0)))
+    return lambda J, mu, a, e: make(
+        systems.gravity_gradient(J, li.orbits.kepler(mu, a, e, 0.5, node=0.3, periapsis=1.0))
+    )
 
 
 def torqued(law, kappa=maps.kappa_cayley):

@@ -26,7 +26,7 @@ KEEPING = schemes.bodies_energy_momentum(BINARY)
 
 def errors(step, state, dt, num_steps, every):
     """The largest |ΔH| over the kinetic or the whole energy, |ΔP|/|p|, and |ΔL| over |L| or |x||p|, of a run."""
-    path = li.integrate(step, state, dt, num_steps, every)
+    path = li.integrate(step, state, dt, num_steps, save_every=every)
     assert path.info.converged.all()
     system = step.system
     H = jnp.abs(diagnostics.energy_error(system, path)).max() / max(system.kinetic_energy(state), system.energy(state))
@@ -123,7 +123,7 @@ def test_a_step_of_many_bodies_keeps_what_that_of_two_does():
     """P and L observed within 2e-16 over 100 steps, and a step back within 5e-16."""
     bodies, state = eight()
     step = schemes.splitting(bodies)
-    run, fine = (li.integrate(step, state, 0.01 / k, 100 * k, 100 * k) for k in (1, 2))
+    run, fine = (li.integrate(step, state, 0.01 / k, 100 * k, save_every=100 * k) for k in (1, 2))
     assert np.abs(diagnostics.momentum_error(bodies, run)).max() < 1e-15
     assert diagnostics.reversibility(step, state, 0.01) < 3e-15
     H, less = (abs(float(diagnostics.energy_error(bodies, x)[-1])) for x in (run, fine))
@@ -149,7 +149,7 @@ def test_the_error_is_of_second_order_against_dop853(step):
     x, R = reference(BINARY, START, 16.0)
     found = []
     for n in (320, 640):
-        q = li.integrate(step, START, 16.0 / n, n, n).state.q[-1]
+        q = li.integrate(step, START, 16.0 / n, n, save_every=n).state.q[-1]
         turned = jax.vmap(so3.to_matrix)(q[:, 3:])
         found.append([float(np.abs(q[:, :3] - x).max()), float(np.abs(turned - R).max())])
     coarse, fine = np.array(found)
@@ -260,10 +260,10 @@ def test_gradients_in_masses_inertias_and_states(scheme):
 def test_an_ensemble_of_binaries_is_the_binaries_one_by_one(tmp_path):
     p = START.p[None] * (1 + 0.01 * jnp.arange(5.0))[:, None, None]
     states = li.State(jnp.broadcast_to(START.q, (5, *START.q.shape)), p)
-    run = functools.partial(li.ensemble.run, SPLITTING, states, DT, 40, 10, progress=False)
+    run = functools.partial(li.ensemble.run, SPLITTING, states, DT, 40, save_every=10, progress=False)
     memory, stored = run(), run(store=tmp_path / "run.zarr")
     np.testing.assert_array_equal(memory.state.q, stored.state.q[...])
-    alone = li.integrate(SPLITTING, li.State(START.q, p[3]), DT, 40, 10)
+    alone = li.integrate(SPLITTING, li.State(START.q, p[3]), DT, 40, save_every=10)
     np.testing.assert_allclose(memory.state.q[:, 3], alone.state.q, rtol=0, atol=3e-15)
 
 
@@ -399,7 +399,9 @@ def test_bodies_may_turn_by_preprocessed_steps(step, exact, dt, form):
     assert L < 7e-15
     many = jax.tree.map(lambda x: jnp.stack([x, x]), START)
     together = li.ensemble.run(step, many, dt, 20, save_every=20).state.q[-1, 1]
-    np.testing.assert_allclose(together, li.integrate(step, START, dt, 20, 20).state.q[-1], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        together, li.integrate(step, START, dt, 20, save_every=20).state.q[-1], rtol=0, atol=1e-14
+    )
 
 
 @pytest.mark.long
@@ -410,7 +412,9 @@ def test_derivatives_through_preprocessed_turns():
         V = potentials.maccullagh(1.0, m, J)
         system = systems.rigid_bodies(m, J, V)
         step = schemes.nystrom(system, 4, schemes.preprocessed(system.free, 10))
-        return jnp.vdot(li.integrate(step, START._replace(q=START.q.at[1, 0].add(dx)), 0.3, 4, 4).state.q[-1, 0], ALONG)
+        return jnp.vdot(
+            li.integrate(step, START._replace(q=START.q.at[1, 0].add(dx)), 0.3, 4, save_every=4).state.q[-1, 0], ALONG
+        )
 
     ALONG, at = jnp.cos(jnp.arange(7.0)), (BINARY.inertias, BINARY.masses, jnp.asarray(0.0))
     reverse, forward = (jax.jit(way(end, (0, 1, 2)))(*at) for way in (jax.grad, jax.jacfwd))

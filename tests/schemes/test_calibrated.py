@@ -75,7 +75,7 @@ def test_exact_where_it_converges_and_it_converges_up_to_70_degrees(J):
 def test_long_runs_with_constants_found_once():
     @jax.jit
     def measured(step, state):
-        run = li.integrate(step, state, 0.8, 500, 50)
+        run = li.integrate(step, state, 0.8, 500, save_every=50)
         off = so3.angle(run.state.q[-1], step.system.solution(state, 400.0).q)
         errors = (f(step.system, run) for f in (diagnostics.energy_error, diagnostics.momentum_error))
         return run.info.converged, off, *errors

@@ -41,7 +41,7 @@ def test_a_narrower_inertia_is_widened_to_the_state(scheme):
     (a, info), (b, _) = step(narrow, state), step(wide, state)
     assert info.converged
     np.testing.assert_array_equal(a.q, b.q)
-    run = jax.jit(li.integrate, static_argnames=("num_steps", "save_every"))(narrow, state, 0.1, 500, 500)
+    run = jax.jit(li.integrate, static_argnames=("num_steps", "save_every"))(narrow, state, 0.1, 500, save_every=500)
     assert run.info.converged.all()
     H = [float(narrow.system.energy(jax.tree.map(lambda leaf, i=i: leaf[i], run.state))) for i in (0, -1)]
     assert H[1] == pytest.approx(H[0], rel=1e-14)  # floor 3e-15

@@ -31,7 +31,7 @@ def _body():
 def _measured(step, state, dt):
     """1000 steps, and their errors of energy, relative to it, and of the constraint."""
     body = step.system
-    run = li.integrate(step, state, dt, 1000, 10)
+    run = li.integrate(step, state, dt, 1000, save_every=10)
     energy = li.diagnostics.energy_error(body, run) / body.energy(state)
     return run, energy, li.diagnostics.constraint_error(body, run)
 

@@ -131,7 +131,7 @@ def test_the_order_is_twice_the_number_of_stages(stages):
     counts = [least, round(1.5 * least)]
     errors = []
     for n in counts:
-        path = li.integrate(schemes.gauss(TOP, stages), STATE, T / n, n, n)
+        path = li.integrate(schemes.gauss(TOP, stages), STATE, T / n, n, save_every=n)
         assert path.info.converged.all()
         errors.append(float(distance(jax.tree.map(lambda x: x[-1], path.state), exact)))
     order = np.log(errors[0] / errors[1]) / np.log(counts[1] / counts[0])
@@ -142,7 +142,7 @@ def test_the_order_is_twice_the_number_of_stages(stages):
 @pytest.mark.long
 def test_energy_and_momentum_over_a_long_run():
     """2000 steps of 0.1; observed 5e-15 and 0."""
-    path = li.integrate(STEP, STATE, 0.1, 2000, 20)
+    path = li.integrate(STEP, STATE, 0.1, 2000, save_every=20)
     assert path.info.converged.all()
     assert float(jnp.abs(diagnostics.energy_error(TOP, path)).max()) < 3e-14
     assert float(jnp.abs(diagnostics.momentum_error(TOP, path)).max()) < 1e-15
@@ -191,7 +191,7 @@ def test_in_a_canonical_chart_of_a_group_the_form_is_kept_and_the_momentum_is_no
 def test_derivatives_forward_reverse_reversible_and_differences():
     def end(weight, run):
         top = systems.heavy_top(TOP.inertia, weight)
-        path = run(schemes.gauss(top, 4), STATE._replace(p=STATE.p * weight[2]), 0.1, 10, 10)
+        path = run(schemes.gauss(top, 4), STATE._replace(p=STATE.p * weight[2]), 0.1, 10, save_every=10)
         return jnp.sum(jnp.sin(path.state.q[-1])) + jnp.sum(path.state.p[-1] ** 2)
 
     weight = jnp.array([0.2, 0.3, 1.0])
@@ -217,7 +217,7 @@ def test_a_member_of_an_ensemble_has_an_inertia_and_a_weight_of_its_own(sweeps):
     run = li.ensemble.run(steps, states, 0.1, 5, step_axis=0, progress=False)
     for k in range(3):
         own, start = jax.tree.map(lambda x, k=k: x[k], (steps, states))
-        path = li.integrate(own, start, 0.1, 5, 5)
+        path = li.integrate(own, start, 0.1, 5, save_every=5)
         for one, other in zip(jax.tree.leaves(run.state), jax.tree.leaves(path.state), strict=True):
             np.testing.assert_allclose(one[-1, k], other[-1], rtol=0, atol=2e-15)
 
@@ -323,7 +323,7 @@ def test_extrapolated_steps_have_their_order(name, order):
     exact = flow(system, state, T, 200)
     errors = []
     for n in (least, 2 * least):
-        path = li.integrate(schemes.extrapolate(system, order), state, T / n, n, n)
+        path = li.integrate(schemes.extrapolate(system, order), state, T / n, n, save_every=n)
         assert path.info.converged.all()
         errors.append(float(distance(jax.tree.map(lambda x: x[-1], path.state), exact, system.phase_space)))
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.8)
@@ -349,7 +349,7 @@ def test_increments_keep_the_last_digits():
     """After 2000 steps, by the energy; observed: 4e-15 with increments, 1.7e-13 without."""
     drift = {}
     for increments in (True, False):
-        path = li.integrate(schemes.extrapolate(TOP, 12, increments), STATE, 0.05, 2000, 50)
+        path = li.integrate(schemes.extrapolate(TOP, 12, increments), STATE, 0.05, 2000, save_every=50)
         H = np.asarray(jax.vmap(TOP.energy)(path.state))
         drift[increments] = np.max(np.abs(H / H[0] - 1))
     assert drift[True] < 1.5e-14

@@ -67,7 +67,7 @@ def system_and_state(name, seed=0):
 @functools.partial(jax.jit, compiler_options=QUICK)
 def measured(step, state, dt):
     system = step.system
-    run = li.integrate(step, state, dt, 1000, 100)
+    run = li.integrate(step, state, dt, 1000, save_every=100)
     g = system.group
     Ad_q = jax.vmap(lambda q: jax.vmap(g.Ad, (None, 1), 1)(q, jnp.eye(g.dim)))(run.state.q[:2])
     after, _, form, back = there_and_back(step, state, dt)
@@ -283,7 +283,7 @@ def test_5_34_5_35_5_36_the_recursion_is_the_product(name, tau):
     system, state = system_and_state(name, seed=2)
     step = group_midpoint(system, TAUS[tau])
     by = jax.jit(
-        lambda z: [poisson_error(step, z, 0.1, 20, m) for m in ("recursion", "product")], compiler_options=QUICK
+        lambda z: [poisson_error(step, z, 0.1, 20, method=m) for m in ("recursion", "product")], compiler_options=QUICK
     )
     recursion, product = by(state)
     assert recursion.shape == (21, 3, 3)
@@ -472,7 +472,7 @@ def test_hyperbolic_motion_is_flagged_before_digits_run_out():
     @jax.jit
     def measured(velocity):
         state = system.state(velocity=velocity)
-        run = li.integrate(group_midpoint(system), state, 0.1, 1000, 10)
+        run = li.integrate(group_midpoint(system), state, 0.1, 1000, save_every=10)
         Ad_q = jax.vmap(lambda q: jax.vmap(g.Ad, (None, 1), 1)(q, jnp.eye(3)))(run.state.q)
         return run.info.converged, jnp.abs(energy_error(system, run) / system.energy(state)), Ad_q
 

@@ -125,7 +125,7 @@ def test_the_sleeping_top_wakes_below_the_threshold():
     def axes(step, spin):
         """The axis of a top that starts almost upright, every 400th step of 4800."""
         state = top.state(so3.exp(jnp.array([1e-7, 0.0, 0.0])), angular_velocity=jnp.array([0.0, 0.0, 1.0]) * spin)
-        path = li.integrate(step, state, 0.0025, 4800, 400).state
+        path = li.integrate(step, state, 0.0025, 4800, save_every=400).state
         return jax.vmap(so3.Ad, (0, None))(path.q, jnp.array([0.0, 0.0, 1.0]))
 
     threshold = np.sqrt(4 * A * WEIGHT) / C

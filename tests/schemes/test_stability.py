@@ -85,7 +85,7 @@ def swing(moments):
     """The largest angle from rest in the last two orbits of twelve, after a push of 1e-3 rad; and convergence."""
     satellite = systems.gravity_gradient(moments, CIRCLE)
     start = satellite.state(so3.exp(1e-3 * jnp.array([0.6, 0.48, 0.64])), angular_velocity=E3)
-    run = li.integrate(schemes.splitting(satellite), start, 2 * np.pi / 50, 600, 10)
+    run = li.integrate(schemes.splitting(satellite), start, 2 * np.pi / 50, 600, save_every=10)
     error = jax.vmap(lambda t, q: so3.multiply(so3.exp(-t * E3), q)[1:])(run.t[-10:], run.state.q[-10:])
     return 2 * jnp.arcsin(jnp.minimum(jnp.linalg.norm(error, axis=1), 1)).max(), run.info.converged.all()
 
@@ -170,7 +170,7 @@ def test_with_a_damper_only_the_axis_of_largest_inertia_is_stable(name):
         else:
             body = systems.torqued_body(J - 0.2, torques.kane_damper(0.2, 0.2))
         start = body.state(angular_velocity=jnp.array([0.01, 0.01, 1.0]))
-        run = li.integrate(schemes.torqued_midpoint(body), start, 0.2, 4000, 4000)
+        run = li.integrate(schemes.torqued_midpoint(body), start, 0.2, 4000, save_every=4000)
         Pi = jax.vmap(lambda z: so3.Ad_star(z.q, body.momentum(z)))(run.state)
         return jnp.arctan2(jnp.hypot(Pi[:, 0], Pi[:, 1]), Pi[:, 2]), run.info.converged.all()
 

@@ -19,7 +19,7 @@ from lieint_jax.schemes import torqued_midpoint
 from lieint_jax.systems import torqued_body
 
 LOCKED = jnp.array([1.3, 1.7, 2.2])
-ORBIT = orbits.kepler(1.0, 1.0, 0.1, 0.4, 0.3, 0.2)
+ORBIT = orbits.kepler(1.0, 1.0, 0.1, 0.4, node=0.3, periapsis=0.2)
 AXES = jnp.array([[1.0, 0, 0], [0, 1.0, 0], [0.6, 0, 0.8]])
 MOMENTS = jnp.array([0.05, 0.04, 0.06])
 INERTIA = torques.body_inertia(LOCKED, AXES, MOMENTS)
@@ -56,10 +56,10 @@ LAWS = {
     "gravity_gradient": torques.gravity_gradient(ORBIT, LOCKED),
     "dipole": torques.dipole([0.1, -0.2, 0.15], field),
     "bdot": torques.bdot(0.3, field, max_dipole=0.1),
-    "hysteresis": torques.hysteresis([0.6, 0.8, 0.0], 0.1, 0.4, 0.2, field),
+    "hysteresis": torques.hysteresis([0.6, 0.8, 0.0], 0.1, 0.4, 0.2, field=field),
     "viscous": torques.viscous([0.02, 0.03, 0.01]),
     "kane_damper": torques.kane_damper(0.2, 0.1),
-    "solar_plate": torques.solar_plate(0.05, [0.0, 0.6, 0.8], [0.3, -0.2, 0.1], sun, 0.5, 0.2),
+    "solar_plate": torques.solar_plate(0.05, [0.0, 0.6, 0.8], [0.3, -0.2, 0.1], sun, specular=0.5, diffuse=0.2),
     "pd_trace": torques.saturated(torques.pd_trace(0.3, 0.1), 0.1),
     "wheels": wheels(max_torque=0.05, max_momentum=0.12),
 }
@@ -158,7 +158,7 @@ def rotation_of(path, n, dt):
 
 def test_a_rod_in_a_field_at_rest_never_gains_and_loses_the_area_of_its_loop():
     """A body that is turned slowly through two turns about an axis across the field: the second is a closed loop."""
-    rod = torques.hysteresis([1.0, 0, 0], 0.5, 0.3, 0.4, [2.0, 0, 0])
+    rod = torques.hysteresis([1.0, 0, 0], 0.5, 0.3, 0.4, field=[2.0, 0, 0])
     angle = np.linspace(0, 4 * np.pi, 4001)
     x = 2 * np.cos(angle)
     w, losses, area = np.clip(0.0, x[0] - 0.4, x[0] + 0.4), [], 0.0
@@ -201,7 +201,7 @@ def test_orders_against_another_package(order):
     step = li.schemes.compose(torqued_midpoint(body), order) if order > 2 else torqued_midpoint(body)
     f, flat = rhs(body, state)
     end = solve_ivp(lambda t, y: np.asarray(f(t, y)), (0, 2.0), flat(state), "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
-    final = jax.jit(lambda dt, n: li.integrate(step, state, dt, n, n).state, static_argnums=1)
+    final = jax.jit(lambda dt, n: li.integrate(step, state, dt, n, save_every=n).state, static_argnums=1)
     errors = [np.abs(flat(jax.tree.map(lambda x: x[-1], final(2.0 / n, n))) - end).max() for n in (20, 40)]
     assert errors[1] < 1e-3
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.15)
@@ -243,7 +243,7 @@ def test_gradients_through_a_sum_are_those_of_differences():
         )
         body = li.systems.TorquedBody(INERTIA, law)
         state = body.state(Q, angular_velocity=OMEGA)
-        last = li.integrate(torqued_midpoint(body), state, 0.1, 10, 10).state
+        last = li.integrate(torqued_midpoint(body), state, 0.1, 10, save_every=10).state
         return jnp.concatenate([last.q[-1], last.p[-1], last.extra["wheels"][-1]])
 
     x, v = jnp.array([0.1, 0.1, -0.2, 0.15, 1.0, 2.0, -1.0]), jnp.array([0.3, -1.0, 0.5, 0.7, -0.2, 0.4, 0.9])

@@ -79,7 +79,7 @@ def three_wells():
 
 @functools.partial(jax.jit, static_argnums=(3, 4))
 def _run(step, state, dt, num_steps, save_every):
-    trajectory = li.integrate(step, state, dt, num_steps, save_every)
+    trajectory = li.integrate(step, state, dt, num_steps, save_every=save_every)
     errors = (diagnostics.energy_error, diagnostics.momentum_error, diagnostics.constraint_error)
     return trajectory, step.system.energy(state), [error(step.system, trajectory) for error in errors]
 
@@ -178,7 +178,7 @@ def energy_errors():
     """Of 10⁵ steps of splitting, every fourth: 16 motions of the asymmetric top, Kovalevskaya's top, Lagrange's."""
 
     def errors(top, state, dt):
-        return diagnostics.energy_error(top, li.integrate(splitting(top), state, dt, 100_000, 4))
+        return diagnostics.energy_error(top, li.integrate(splitting(top), state, dt, 100_000, save_every=4))
 
     @jax.jit
     def all_of_them():
@@ -330,16 +330,16 @@ def test_poisson_error_of_a_system_with_a_potential_is_the_whole_matrix():
     """P_n − ω⁻¹: zero to round-off for splitting, O(1) growth at once for the energy-momentum scheme."""
     top = TOPS["linear"]
     state = start(top)
-    poisson_error = jax.jit(diagnostics.poisson_error, static_argnums=(3, 4))
+    poisson_error = jax.jit(diagnostics.poisson_error, static_argnames=("num_steps", "method"))
     kept = np.asarray(poisson_error(splitting(top), state, 0.1, 50))
     assert kept.shape == (51, 6, 6)
     assert np.abs(kept).max() < 2e-12  # floor 2e-13: the product's own round-off
     assert np.abs(kept + np.swapaxes(kept, 1, 2)).max() < 2e-12
-    lost = np.asarray(poisson_error(top_energy_momentum(top), state, 0.1, 1, "product"))
+    lost = np.asarray(poisson_error(top_energy_momentum(top), state, 0.1, 1, method="product"))
     assert np.abs(lost[1]).max() > 1e-5
     assert np.abs(lost[0]).max() == 0
     with pytest.raises(ValueError, match=r"recursion.*without potential, got PotentialTop.*'product'"):
-        poisson_error(splitting(top), state, 0.1, 1, "recursion")
+        poisson_error(splitting(top), state, 0.1, 1, method="recursion")
 
 
 @pytest.mark.long

@@ -81,7 +81,7 @@ LAWS = {
     "bdot": (torques.bdot(0.2, field), None),
     "kane_damper": (torques.kane_damper(0.4, 0.3), None),
     "thruster": (torques.thruster([0.3, -0.5, 0.2], 0.33, 1.77), None),
-    "solar_plate": (torques.solar_plate(0.4, NORMAL, ARM, SUN, 0.6, 0.3), None),
+    "solar_plate": (torques.solar_plate(0.4, NORMAL, ARM, SUN, specular=0.6, diffuse=0.3), None),
 }
 BODIES = {name: torqued_body(FULL, torque, frame) for name, (torque, frame) in LAWS.items()}
 BODIES["internal friction"] = damped_body(FULL, 0.3)
@@ -583,7 +583,10 @@ MADE = {  # how a system is made of an inertia and of parameters, and which ones
     "thruster": (lambda J, x: torqued_body(J, torques.thruster(x[:3], x[3], x[4])), [0.3, -0.5, 0.2, 0.33, 0.91]),
     "solar_plate": (
         lambda J, x: torqued_body(
-            J, torques.solar_plate(x[0], so3.Ad(so3.exp(x[1:4]), NORMAL), x[4:7], of(turning_sun, x[7]), x[8], x[9])
+            J,
+            torques.solar_plate(
+                x[0], so3.Ad(so3.exp(x[1:4]), NORMAL), x[4:7], of(turning_sun, x[7]), specular=x[8], diffuse=x[9]
+            ),
         ),
         [0.4, 0.1, -0.2, 0.1, *ARM, 0.7, 0.6, 0.3],
     ),
@@ -612,7 +615,7 @@ def loss(name, run):
 
 
 def plainly(step, state):
-    return li.integrate(step, state, 0.15, 6, 6).state
+    return li.integrate(step, state, 0.15, 6, save_every=6).state
 
 
 def reversibly(step, state):
@@ -691,7 +694,7 @@ REFUSED = {
     "thrust": (lambda: torques.thruster([0, 1.0], 1.0, 2.0), r"torque must have shape \(3,\)"),
     "plate": (lambda: torques.solar_plate(1.0, [0, 0, 2.0], ARM, SUN), "normal must be a unit vector"),
     "Sun": (lambda: torques.solar_plate(1.0, NORMAL, ARM, [0, 1.0, 1.0]), "sun must be a unit vector"),
-    "light": (lambda: torques.solar_plate(1.0, NORMAL, ARM, SUN, 0.7, 0.5), "specular . diffuse must be at most 1"),
+    "light": (lambda: torques.solar_plate(1.0, NORMAL, ARM, SUN, specular=0.7, diffuse=0.5), "must be at most 1"),
     "pressure": (lambda: torques.solar_plate(-1.0, NORMAL, ARM, SUN), "force must not be negative"),
     "friction": (lambda: damped_body(J, -0.1), "friction must not be negative, got -0.1: it would give energy"),
     "friction of a shape": (lambda: damped_body(J, [0.1, 0.1]), r"friction must have shape \(\)"),

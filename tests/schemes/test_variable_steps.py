@@ -76,7 +76,7 @@ def error(run, every):
 def test_the_form_is_kept_with_the_exact_drift_and_not_with_one_that_errs():
     """Observed 6e-15; 1.1e-2 and 8e-4 with steps of Lewis & Simo for the free motion, near the charge."""
     defect = jax.jit(diagnostics.symplectic_defect)
-    run = li.integrate(LOG, LOG.start(START), 0.04, 400, 400)
+    run = li.integrate(LOG, LOG.start(START), 0.04, 400, save_every=400)
     state = jax.tree.map(lambda x: x[-1], run.state)
     for dt in (0.8, -0.4):
         assert defect(LOG, LOG.start(START), dt) < 5e-14
@@ -123,8 +123,8 @@ def test_the_density_is_kicked_by_half_of_dt_before_and_after_the_step():
 def test_a_hundred_steps_back_return(step, dt):
     """Time and density too; observed 8e-15 and 4e-15, where the motion near the charge enlarges round-off."""
     state = step.start(START)
-    there = jax.tree.map(lambda x: x[-1], li.integrate(step, state, dt, 100, 100).state)
-    back = jax.tree.map(lambda x: x[-1], li.integrate(step, there, -dt, 100, 100).state)
+    there = jax.tree.map(lambda x: x[-1], li.integrate(step, state, dt, 100, save_every=100).state)
+    back = jax.tree.map(lambda x: x[-1], li.integrate(step, there, -dt, 100, save_every=100).state)
     assert abs(there.t) > 6
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=4e-14), back, state)
 
@@ -167,7 +167,7 @@ def test_where_the_motion_has_violent_moments_control_takes_a_third_of_the_steps
     run = li.integrate(step, step.start(START), 0.02, 1800)
     n = int(np.searchsorted(run.t, 40.0))
     exact = dop853([float(run.t[n])])[-1]
-    constant = li.integrate(SPLITTING, START, run.t[n] / (3 * n), 3 * n, 3 * n)
+    constant = li.integrate(SPLITTING, START, run.t[n] / (3 * n), 3 * n, save_every=3 * n)
     ours, theirs = (np.abs(q - exact).max() for q in (run.state.q[n], constant.state.q[-1]))
     assert ours < theirs
     assert run.info.converged.all()
@@ -213,7 +213,11 @@ def test_derivatives_forward_reverse_by_reversal_and_by_differences(name):
     def loss(x, by):
         step = made(x[3])
         start = step.start(START._replace(p=START.p + x[:3]))
-        run = li.reversible(step, start, x[4], 40, 20) if by == "reversal" else li.integrate(step, start, x[4], 40, 20)
+        run = (
+            li.reversible(step, start, x[4], 40, save_every=20)
+            if by == "reversal"
+            else li.integrate(step, start, x[4], 40, save_every=20)
+        )
         return jnp.sum(jnp.sin(run.state.q + run.state.t[:, None])) + run.state.p[-1, 0]
 
     x = jnp.array([0.0, 0.0, 0.0, 1.0, 0.1])
@@ -232,16 +236,16 @@ def test_derivatives_forward_reverse_by_reversal_and_by_differences(name):
 def test_members_of_an_ensemble_have_times_of_their_own(step, dt, tmp_path):
     """The same as one by one, in memory and in a store."""
     states = jax.vmap(lambda t: step.start(START._replace(t=t)))(jnp.array([0.0, 0.05, 0.1]))
-    run = ensemble.run(step, states, dt, 20, 10, progress=False)
+    run = ensemble.run(step, states, dt, 20, save_every=10, progress=False)
     np.testing.assert_allclose(run.t, dt * np.array([0, 10, 20]))
     assert run.state.t.shape == (3, 3)
     for m in range(3):
-        alone = li.integrate(step, jax.tree.map(lambda x, m=m: x[m], states), dt, 20, 10)
+        alone = li.integrate(step, jax.tree.map(lambda x, m=m: x[m], states), dt, 20, save_every=10)
         np.testing.assert_allclose(run.state.t[:, m], alone.t, rtol=0, atol=1e-14)
         np.testing.assert_allclose(run.state.q[:, m], alone.state.q, rtol=0, atol=1e-14)
-    stored = ensemble.run(step, states, dt, 20, 10, progress=False, store=tmp_path / "run.zarr")
+    stored = ensemble.run(step, states, dt, 20, save_every=10, progress=False, store=tmp_path / "run.zarr")
     jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[...], b), stored.state, run.state)
-    summary = ensemble.run(step, states, dt, 20, 10, progress=False, reduce="energy")
+    summary = ensemble.run(step, states, dt, 20, save_every=10, progress=False, reduce="energy")
     np.testing.assert_array_equal(summary.state.t, run.state.t[-1])
 
 
@@ -249,7 +253,7 @@ def test_members_of_an_ensemble_have_times_of_their_own(step, dt, tmp_path):
 @both
 def test_the_state_at_a_given_time_is_an_event(step, dt):
     """Of the order of the scheme, and its time is that asked for."""
-    at = [li.event(step, step.start(START), dt / k, lambda z: z.t - 5.0, 200 * k) for k in (1, 2)]
+    at = [li.event(step, step.start(START), dt / k, lambda z: z.t - 5.0, max_steps=200 * k) for k in (1, 2)]
     exact = dop853([5.0])[0]
     assert all(e.found for e in at)
     np.testing.assert_allclose([e.t for e in at], 5.0, rtol=1e-14)

@@ -124,9 +124,9 @@ def test_kirchhoff_of_a_sphere_and_of_a_spheroid():
 def test_kirchhoff_energy_with_the_center_of_mass_off_the_center():
     """½m|v + Ω × r|² and so on, from the parts."""
     r, (Omega, v) = np.array([0.1, -0.2, 0.3]), np.random.default_rng(0).normal(size=(2, 3))
-    whole, centerd = EULER.kirchhoff(center_of_mass=r), np.diag(EULER.kirchhoff().metric)
+    whole, centered = EULER.kirchhoff(center_of_mass=r), np.diag(EULER.kirchhoff().metric)
     moving = whole.energy(whole.state(velocity=np.concatenate([Omega, v])))
-    parts = centerd[:3] @ Omega**2 + (centerd[3:] - 1) @ v**2 + np.sum((v + np.cross(Omega, r)) ** 2)
+    parts = centered[:3] @ Omega**2 + (centered[3:] - 1) @ v**2 + np.sum((v + np.cross(Omega, r)) ** 2)
     assert moving == pytest.approx(parts / 2, rel=1e-14)
 
 
@@ -140,7 +140,7 @@ def four_dimensional_body():
 
     @functools.partial(jax.jit, compiler_options=QUICK)
     def run(state, dt):
-        out = li.integrate(step, state, dt, 1000, 10)
+        out = li.integrate(step, state, dt, 1000, save_every=10)
         Pi = jax.vmap(system.body_momentum)(out.state)
         energy = li.diagnostics.energy_error(system, out) / system.energy(state)
         return out, Pi, jax.vmap(lambda x: EULER.manakov_integrals((1.0, 2.0, 3.5, 5.0), x))(Pi), energy

@@ -40,7 +40,7 @@ def system_and_state(group, seed=0):
 @functools.partial(jax.jit, compiler_options=QUICK)
 def measured(step, state, dt):
     system = step.system
-    run = li.integrate(step, state, dt, 200, 20)
+    run = li.integrate(step, state, dt, 200, save_every=20)
     after, _, form, back = there_and_back(step, state, dt)
     exact = flow(system, state, dt, 1)
     return {

@@ -47,7 +47,7 @@ after = jax.jit(steps)  # (step, state, dt, count) ↦ the state after so many s
 @jax.jit
 def history(step, state, dt):
     """The errors of energy less work over |Ω||π|, of momentum and |q|, over 2000 steps, and whether all converged."""
-    run = li.integrate(step, state, dt, 2000, 20)
+    run = li.integrate(step, state, dt, 2000, save_every=20)
     unit = jnp.linalg.norm(step.system.angular_velocity(state)) * jnp.linalg.norm(state.p)
     energy = li.diagnostics.energy_error(step.system, run) / unit
     momentum = li.diagnostics.momentum_error(step.system, run)
@@ -411,7 +411,7 @@ N = 4
 
 
 def run_plain(step, state):
-    return li.integrate(step, state, 0.2, N, N)
+    return li.integrate(step, state, 0.2, N, save_every=N)
 
 
 def run_back(step, state):

@@ -215,7 +215,7 @@ def test_two_bodies_and_a_spring_in_an_outer_field(field, scheme):
     both = HANGING[field] + potentials.springs([[0, 1]], [[[0.1, 0, 0], [0, 0.2, 0]]], 3.0, 1.0)
     bodies = systems.rigid_bodies([1.0, 2.0], [[0.3, 0.4, 0.5], [0.5, 0.6, 0.7]], both)
     state = bodies.state(PLACES[:2] / 2, velocities=PLACES[2:4] / 9, angular_velocities=PLACES[3:5] / 9)
-    path = li.integrate(getattr(schemes, scheme)(bodies), state, 0.02, 200, 20)
+    path = li.integrate(getattr(schemes, scheme)(bodies), state, 0.02, 200, save_every=20)
     moved = jnp.abs(diagnostics.momentum_error(bodies, path)).max()
     assert float(moved) < 1e-14 * float(jnp.abs(path.state.p).max())
     assert float(jnp.abs(bodies.momentum(state)).max()) > 0.1
@@ -270,7 +270,7 @@ def test_the_tip4p_dimer():
 
 
 def water_errors(num_steps, every):
-    path = li.integrate(schemes.bodies_energy_momentum(DIMER), NEAR, 1e-3, num_steps, every)
+    path = li.integrate(schemes.bodies_energy_momentum(DIMER), NEAR, 1e-3, num_steps, save_every=every)
     assert path.info.converged.all()
     H = jnp.abs(diagnostics.energy_error(DIMER, path)).max() / jax.vmap(DIMER.kinetic_energy)(path.state).min()
     moved = jnp.abs(diagnostics.momentum_error(DIMER, path)).max(axis=0)

@@ -139,7 +139,7 @@ def measure(group: MatrixGroup, tau: Map, metrics: int = 4) -> Conservation:
 @partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=_QUICK)
 def _conserves(tau: Map, dt: float, steps: int, system: Euler, state: State) -> tuple[Array, ...]:
     step = group_midpoint(system, tau)
-    run = integrate(step, state, dt, steps, steps // 10)
+    run = integrate(step, state, dt, steps, save_every=steps // 10)
     one = jnp.eye(system.group.dim)
     Ad_q = jax.vmap(lambda q: jax.vmap(system.group.Ad, (None, 1), 1)(q, one))(run.state.q)
     return (

@@ -152,8 +152,8 @@ def energies(system: RigidBodies, state: State) -> Energies:
 
 def rate(t: np.ndarray | Array, angle: Any) -> Any:
     """The mean rate of an angle (times, …): the slope of its line of least squares."""
-    centerd = t - t.mean()
-    return (centerd @ angle) / (centerd @ centerd)
+    centered = t - t.mean()
+    return (centered @ angle) / (centered @ centered)
 
 
 def faster(system: RigidBodies, state: State, change: Array) -> State:
@@ -173,7 +173,7 @@ def period(step: Step, state: State, dt: float, num_steps: int, save_every: int,
 
     def perturbed_end(change: Array) -> Array:
         system: Any = step.system
-        run = integrate(step, faster(system, state, change), dt, num_steps, save_every)
+        run = integrate(step, faster(system, state, change), dt, num_steps, save_every=save_every)
         L = system.momentum(state)[3:]
         up = L / jnp.sqrt(vec3.dot(L, L))
         angles = jax.vmap(lambda z: longitude(up, relative(system, z)[0]))(run.state)

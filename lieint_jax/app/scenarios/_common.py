@@ -218,7 +218,7 @@ def thinned(num_steps: int, longest: int = LONGEST) -> tuple[int, int]:
 def follow(step: Step, state: State, dt: float, num_steps: int, longest: int = LONGEST) -> Trajectory:
     """The trajectory from one state, of at most `longest` steps, saved at the points to draw."""
     num_steps, every = thinned(num_steps, longest)
-    return _follow(step, state, dt, num_steps, every)
+    return _follow(step, state, dt, num_steps, save_every=every)
 
 
 _follow = jax.jit(integrate, static_argnames=("num_steps", "save_every"))

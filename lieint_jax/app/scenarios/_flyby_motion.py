@@ -84,7 +84,7 @@ class GivenOrbit:
         return jnp.asarray(self.elements[0])
 
     def __call__(self, t: Array) -> tuple[Array, Array]:
-        return orbits.kepler(*self.elements)(t)
+        return orbit_of(self.elements)(t)
 
 
 def moments(spin: Spin) -> Array:
@@ -219,6 +219,12 @@ class Passage(NamedTuple):
     converged: Array
 
 
+def orbit_of(elements: Any) -> orbits.Kepler:
+    """The orbit of elements in the order of `orbits.kepler`."""
+    names = ("mu", "semi_major_axis", "eccentricity", "inclination", "node", "periapsis", "periapsis_time")
+    return orbits.kepler(**dict(zip(names, elements, strict=False)))
+
+
 def passages(elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin, times: Any) -> Passage:
     """The passages of many members, between steps at the times (N+1,), on all devices."""
     return _passages(order, long_axis)(spins, elements, times)
@@ -226,7 +232,7 @@ def passages(elements: tuple[float, ...], order: int, long_axis: bool, spins: Sp
 
 @cache
 def _passages(order: int, long_axis: bool) -> Callable[..., Passage]:
-    return _many(lambda spin, elements, times: _passage(spin, orbits.kepler(*elements), times, order, long_axis))
+    return _many(lambda spin, elements, times: _passage(spin, orbit_of(elements), times, order, long_axis))
 
 
 def _many(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -273,12 +279,12 @@ def slopes(elements: tuple[float, ...], order: int, long_axis: bool, spins: Spin
 def _slopes(order: int, long_axis: bool) -> Callable[..., Slopes]:
     def measured(given: Slopes, elements: Array, times: Array) -> Array:
         mu, a, _, *others = elements
-        orbit = orbits.kepler(mu, a, 1 - given.perigee / a, *others)
+        orbit = orbit_of((mu, a, 1 - given.perigee / a, *others))
         spin = Spin(*given[:-1])
         J = moments(spin)
         near = at_perigee(spin, orbit(jnp.zeros_like(times[0]))[0], long_axis)
         free = _symmetric(schemes.so3_midpoint(RigidBody(J)), order)  # XLA takes minutes over tangents of `solution`
-        state = jax.tree.map(lambda x: x[-1], integrate(free, near, times[0] / _FREE, _FREE, _FREE).state)
+        state = jax.tree.map(lambda x: x[-1], integrate(free, near, times[0] / _FREE, _FREE, save_every=_FREE).state)
         state = state._replace(t=times[0], work=jnp.zeros_like(times[0]))
         found = _passed(J, step_of(J, orbit, order), state, times)
         turn = vec3.angle(found.before.pole, found.after.pole)

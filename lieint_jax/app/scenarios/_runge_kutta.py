@@ -48,7 +48,7 @@ def cost(step: Step, state: State, dt: float) -> float:
 
     @partial(jax.jit, compiler_options=compiler_options())
     def run(states: State) -> Any:
-        return jax.vmap(lambda z: integrate(step, z, dt, _STEPS, _STEPS))(states).state
+        return jax.vmap(lambda z: integrate(step, z, dt, _STEPS, save_every=_STEPS))(states).state
 
     states = jax.tree.map(lambda x: jnp.tile(x, (_BODIES, 1)), state)
     jax.block_until_ready(run(states))

@@ -51,7 +51,13 @@ class Orbit(Table):
     def motion(self) -> Kepler:
         inclination, node, periapsis = np.deg2rad([self.inclination_deg, self.node_deg, self.periapsis_deg])
         return orbits.kepler(
-            self.mu, self.semi_major_axis, self.eccentricity, inclination, node, periapsis, self.periapsis_time
+            self.mu,
+            self.semi_major_axis,
+            self.eccentricity,
+            inclination,
+            node=node,
+            periapsis=periapsis,
+            periapsis_time=self.periapsis_time,
         )
 
 

@@ -309,7 +309,7 @@ def draw_invariants(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
 
     @jax.jit
     def errors(z: State) -> tuple[Array, Array, Array]:
-        series = integrate(step, z, scenario.dt, n, every)
+        series = integrate(step, z, scenario.dt, n, save_every=every)
         energy = diagnostics.energy_error(step.system, series) / step.system.energy(z)
         sigma = jax.vmap(so3.vee)(diagnostics.poisson_error(step, z, scenario.dt, n)[::every])
         return series.t, energy, jnp.linalg.norm(sigma, axis=1)

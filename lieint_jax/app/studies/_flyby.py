@@ -88,5 +88,5 @@ def through(body: RigidBody, before: State, orbit: orbits.Kepler) -> State:
     """The state 12 days after the least distance, from that 12 days before it."""
     step = schemes.splitting(systems.gravity_gradient(body.inertia, orbit))
     begin = State(before.q, before.p, jnp.asarray(-_HALF), jnp.zeros(()))
-    run = integrate(step, begin, 2 * _HALF / _STEPS, _STEPS, _STEPS)
+    run = integrate(step, begin, 2 * _HALF / _STEPS, _STEPS, save_every=_STEPS)
     return State(run.state.q[-1], run.state.p[-1])

@@ -57,8 +57,8 @@ def minima(body: RigidBody, state: State, facets: Facets, sky: dict[str, float],
         state._replace(t=jnp.zeros(())),
         _STEP,
         lambda state: slope(body, facets, sky, state),
-        int(until / _STEP),
-        count,
+        max_steps=int(until / _STEP),
+        count=count,
         direction=-1,
     )
 

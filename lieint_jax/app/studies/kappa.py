@@ -171,7 +171,7 @@ def _long(weights: Array, states: State, steps: int) -> tuple[np.ndarray, float,
 
 def _run_one(weights: Array, state: State, steps: int) -> tuple[Array, Array, Array]:
     step = schemes.top_energy_momentum(top(), member(weights))
-    path = integrate(step, state, DT, steps, steps // 50)
+    path = integrate(step, state, DT, steps, save_every=steps // 50)
     whole = diagnostics.poisson_error(step, state, DT, steps)
     energy = jnp.max(jnp.abs(diagnostics.energy_error(step.system, path)))
     return jnp.max(jnp.abs(whole), axis=(1, 2)), energy, jnp.all(path.info.converged)

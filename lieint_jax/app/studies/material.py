@@ -61,7 +61,7 @@ def strains(params: dict[str, Array], saves: int, derivative: str) -> tuple[Arra
     """C at every `_EVERY`-th step, (saves, 6), and whether all steps converged."""
     body, state = start(params)
     follow = integrate if derivative == "forward" else reversible
-    path = follow(schemes.additive(body), state, DT, saves * _EVERY, _EVERY)
+    path = follow(schemes.additive(body), state, DT, saves * _EVERY, save_every=_EVERY)
     return _six(jax.vmap(body.strain)(path.state))[1:], jnp.all(path.info.converged)
 
 
