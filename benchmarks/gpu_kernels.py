@@ -148,9 +148,9 @@ def _job(step: Any, state: Any, dt: float) -> Any:
 
     states = jax.tree.map(lambda x: jnp.broadcast_to(x, (2, *jnp.shape(x))), step.start(state))
     step, states, dtype = promoted(checked_step(step), states)
-    states, t0 = _run._checked(step, states)
-    clock, planned = _run._clock(step, t0, dtype, dt, 100, None)
-    return Job(step, states, t0, dt, clock, planned, *_run._regular(clock, planned, None, dtype), None, None)
+    states, t0 = _run._split_time(step, states)
+    clock, planned_steps = _run._make_clock(step, t0, dtype, dt, 100, None)
+    return Job(step, states, t0, dt, clock, planned_steps, *_run._entries_by_count(clock, planned_steps, None, dtype), None, None)
 
 
 def _counted(interval: Callable[..., Any], job: Any, together: int, dump: Path) -> list[Any]:

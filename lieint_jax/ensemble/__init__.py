@@ -5,9 +5,9 @@ can be resumed, with `reduce=` it keeps a summary in place of states. `open(path
 back. `over_members` applies any function of one member to all, over the devices.
 """
 
-from lieint_jax.ensemble import processes
+from lieint_jax.ensemble import archives, processes
 from lieint_jax.ensemble._job import Summary
-from lieint_jax.ensemble._layout import first_devices, want_devices
+from lieint_jax.ensemble._layout import count_cores, first_devices, want_devices
 from lieint_jax.ensemble._loop import compiler_options, energy
 from lieint_jax.ensemble._over_members import over_members
 from lieint_jax.ensemble._reading import open_run as open  # noqa: A004
@@ -17,7 +17,9 @@ from lieint_jax.ensemble._store_output import StoreOptions
 __all__ = [
     "StoreOptions",
     "Summary",
+    "archives",
     "compiler_options",
+    "count_cores",
     "energy",
     "first_devices",
     "open",

@@ -16,7 +16,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from lieint_jax.ensemble._leaves import stored_name
+from lieint_jax.ensemble._store import store_name
 from lieint_jax.groups._matrix import MatrixGroup
 from lieint_jax.types import Step
 
@@ -57,10 +57,10 @@ def make(description: Any, arrays: Mapping[str, Any], own: Mapping[str, Any]) ->
         "array": lambda: np.asarray(arrays[value]),
         "float": lambda: float(value),
         "tuple": lambda: tuple(make(part, arrays, own) for part in value),
-        "name": lambda: _named(value, own),
+        "name": lambda: _find_object(value, own),
         "group": lambda: MatrixGroup(np.array(inner["basis"]), inner["name"], inner["unrolled"]),
         "partial": lambda: jax.tree_util.Partial(make(value, arrays, own), *inner["args"], **dict(inner["keywords"])),
-        "class": lambda: _instance(_named(value, own), inner),
+        "class": lambda: _instance(_find_object(value, own), inner),
     }
     return makers[kind]()
 
@@ -76,7 +76,7 @@ def _describe(x: Any, path: str, arrays: dict[str, np.ndarray], system: Any) -> 
     if isinstance(x, float):
         return x if math.isfinite(x) else {"float": str(x)}
     if isinstance(x, jax.Array | np.ndarray | np.generic):
-        name = stored_name(path)
+        name = store_name(path)
         while name in arrays:  # a_b and a.b
             name += "_"
         arrays[name] = np.asarray(x)
@@ -106,17 +106,17 @@ def _name(x: Any) -> str:
         return x.__name__
     name = getattr(x, "__qualname__", "")
     room = ".".join(x.__module__.split(".")[:2])
-    public = _is_ours(x) and getattr(_imported(room), name, None) is x
+    public = _is_ours(x) and getattr(_import_own(room), name, None) is x
     return f"{room if public else x.__module__}.{name}"
 
 
-def _named(name: str, own: Mapping[str, Any]) -> Any:
+def _find_object(name: str, own: Mapping[str, Any]) -> Any:
     """The object of a name: one of `own`, or one of this package."""
     if name in own:
         return own[name]
     for candidate in (name, *_names_of_0_2(name)):
         module, _, attribute = candidate.rpartition(".")
-        found = _imported(candidate) or getattr(_imported(module), attribute, None)
+        found = _import_own(candidate) or getattr(_import_own(module), attribute, None)
         if found is not None and _is_ours(found):
             return found
     raise UnknownNameError(f"{name!r} is not of this package: give it by own={{{name!r}: …}}")
@@ -138,7 +138,7 @@ def _is_ours(x: Any) -> bool:
     return isinstance(module, str) and module.partition(".")[0] == _PACKAGE
 
 
-def _imported(name: str) -> ModuleType | None:
+def _import_own(name: str) -> ModuleType | None:
     """The module of this package with this name, or None."""
     if name.partition(".")[0] != _PACKAGE:
         return None

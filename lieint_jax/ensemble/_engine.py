@@ -75,7 +75,7 @@ class Engine(abc.ABC):
     def __init__(self, job: Job):
         self.job = job
         self.prepares = type(job.step).prepare is not Step.prepare and isinstance(job.clock, UniformClock)
-        self._own = "shared" if job.step_axis is None else "member"
+        self._step_kind = "shared" if job.step_axis is None else "member"
         self._origin = Origin("shared" if job.shares_time else "member", "shared", "member")  # pyright: ignore
 
     def start(self, layout: Layout) -> Start:
@@ -86,7 +86,7 @@ class Engine(abc.ABC):
         t0 = (_layout.replicate if job.shares_time else _layout.scatter)(layout, job.t0)
         start = Start(step, step, [Origin(t, job.clock, None) for t in t0], [])
         if self.prepares:
-            start = start._replace(step=self.prepared(layout, start, states))
+            start = start._replace(step=self.prepare(layout, start, states))
         origin = start.origin
         if job.reduction is not None:
             reduced = self.quantity(layout, job.reduction, start, states, 0)
@@ -95,7 +95,7 @@ class Engine(abc.ABC):
         return start._replace(origin=origin, carry=carry)
 
     @abc.abstractmethod
-    def prepared(self, layout: Layout, start: Start, states: list[State]) -> list[Any]:
+    def prepare(self, layout: Layout, start: Start, states: list[State]) -> list[Any]:
         """The steps with their constants for whole steps."""
 
     @abc.abstractmethod
@@ -110,24 +110,24 @@ class Engine(abc.ABC):
     ) -> tuple[list[Carry], list[Any]]:
         """The carries after these save intervals, `rows` at most, and the saved rows."""
 
-    def programs(self, make: Callable[..., Any], together: int = 1) -> tuple[Any, Any]:
+    def make_programs(self, make: Callable[..., Any], together: int = 1) -> tuple[Any, Any]:
         """`Preparation`, if it is needed, and `Interval`, made by `make(function, kinds, examples)`."""
         job = self.job
-        step = job.step if job.step_axis is None else jax.tree.map(_one, job.step)
-        state = jax.tree.map(_one, job.states)
-        t0 = job.t0 if job.t0 is None or job.shares_time else _one(job.t0)
+        step = job.step if job.step_axis is None else jax.tree.map(_member_shape, job.step)
+        state = jax.tree.map(_member_shape, job.states)
+        t0 = job.t0 if job.t0 is None or job.shares_time else _member_shape(job.t0)
         origin = Origin(t0, job.clock, None)  # pyright: ignore[reportArgumentType]
-        preparation, prepared, kinds = None, step, self._own
+        preparation, prepared, kinds = None, step, self._step_kind
         if self.prepares:
-            preparation = make(Preparation(), (self._own, "member", self._origin), (step, state, origin))
+            preparation = make(Preparation(), (self._step_kind, "member", self._origin), (step, state, origin))
             prepared, kinds = preparation.results, preparation.kinds_of_results
         value: Any = None if job.reduction is None else jax.ShapeDtypeStruct((), job.dtype)
-        carry = jax.tree.map(_one, _loop.start(jax.tree.map(lambda x: x[:1], job.states), value))
+        carry = jax.tree.map(_member_shape, _loop.start(jax.tree.map(lambda x: x[:1], job.states), value))
         plain = step if self.prepares else None
         count, rest = np.zeros((), _loop.step_dtype()), None if job.rests is None else np.zeros((), job.dtype)
         return preparation, make(
             Interval(job.reduction, together),
-            ("carry", kinds, self._own, self._origin, "row"),
+            ("carry", kinds, self._step_kind, self._origin, "row"),
             (carry, prepared, plain, origin._replace(quantity=value), Span(count, count, rest, np.bool_(True))),
         )
 
@@ -142,16 +142,18 @@ class XlaEngine(Engine):
 
     name, whole = "xla", False
 
-    def prepared(self, layout: Layout, start: Start, states: list[State]) -> list[Any]:
+    def prepare(self, layout: Layout, start: Start, states: list[State]) -> list[Any]:
         """See `Engine`."""
-        compiled = _loop.over_members(Preparation(), (self.job.step_axis, 0, self._axes_of_origin(None)))
+        compiled = _loop.compile_for_members(Preparation(), (self.job.step_axis, 0, self._axes_of_origin(None)))
         return _layout.map_blocks(layout, compiled, start.plain, states, start.origin)
 
     def quantity(
         self, layout: Layout, function: Callable[..., Any], start: Start, states: list[State], n: int
     ) -> list[Any]:
         """See `Engine`."""
-        compiled = _loop.over_members(Quantity(function), (self.job.step_axis, 0, self._axes_of_origin(None), None))
+        compiled = _loop.compile_for_members(
+            Quantity(function), (self.job.step_axis, 0, self._axes_of_origin(None), None)
+        )
         origin = [o._replace(quantity=None) for o in start.origin]
         return _layout.map_blocks(layout, lambda *x: compiled(*x, n), start.plain, states, origin)
 
@@ -161,7 +163,7 @@ class XlaEngine(Engine):
         """See `Engine`."""
         count = len(spans.first)
         spans = jax.tree.map(lambda x: np.resize(x, rows), spans)
-        compiled = _loop.advance(self.interval())
+        compiled = _loop.compile_intervals(self.interval())
         plain = start.plain if self.prepares else [None] * len(carry)
         results = _layout.map_blocks(
             layout, lambda *x: compiled(*x, spans, count), carry, start.step, plain, start.origin
@@ -171,7 +173,9 @@ class XlaEngine(Engine):
     def interval(self) -> Callable[..., Any]:
         """`Interval` for all members."""
         own = self.job.step_axis
-        return _loop.vmapped(self.job.reduction, (0, 0 if self.prepares else own, own, self._axes_of_origin(0), None))
+        return _loop.vmap_interval(
+            self.job.reduction, (0, 0 if self.prepares else own, own, self._axes_of_origin(0), None)
+        )
 
 
 class FlatEngine(XlaEngine):
@@ -187,18 +191,18 @@ class FlatEngine(XlaEngine):
 
     def __init__(self, job: Job):
         super().__init__(job)
-        self._preparation, self._flat = self.programs(flattened)
+        self._preparation, self._flat = self.make_programs(flattened)
         if self._flat.width > _WIDEST:
             raise UnsupportedError(f"some {self._flat.width} registers, more than {_WIDEST}")
         if self._flat.carried > _MOST_CARRIED:
             raise UnsupportedError(f"a loop with {self._flat.carried} numbers, more than {_MOST_CARRIED}")
         if self._flat.length <= _SHORT_STEP:
-            _, self._flat = self.programs(flattened, _TOGETHER)
+            _, self._flat = self.make_programs(flattened, _TOGETHER)
 
-    def prepared(self, layout: Layout, start: Start, states: list[State]) -> list[Any]:
+    def prepare(self, layout: Layout, start: Start, states: list[State]) -> list[Any]:
         """See `Engine`."""
-        found, kinds = super().prepared(layout, start, states), self._preparation.kinds_of_results
-        return [_own_or_shared(kinds, step) for step in found]
+        found, kinds = super().prepare(layout, start, states), self._preparation.kinds_of_results
+        return [_without_shared_axis(kinds, step) for step in found]
 
     def interval(self) -> Callable[..., Any]:
         """`Interval` for all members."""
@@ -212,13 +216,15 @@ class NativeEngine(Engine):
 
     def __init__(self, job: Job):
         super().__init__(job)
-        _, self._interval = self.programs(kernel)
+        _, self._interval = self.make_programs(kernel)
 
-    def prepared(self, layout: Layout, start: Start, states: list[State]) -> list[Any]:
+    def prepare(self, layout: Layout, start: Start, states: list[State]) -> list[Any]:
         """See `Engine`."""
         arguments = start.plain[0], states[0], start.origin[0]
-        compiled, results = self._mapped(layout, Preparation(), (self._own, "member", self._origin), arguments)
-        return [_own_or_shared(compiled.kinds_of_results, results)]
+        compiled, results = self._map_members(
+            layout, Preparation(), (self._step_kind, "member", self._origin), arguments
+        )
+        return [_without_shared_axis(compiled.kinds_of_results, results)]
 
     def quantity(
         self, layout: Layout, function: Callable[..., Any], start: Start, states: list[State], n: int
@@ -228,16 +234,20 @@ class NativeEngine(Engine):
         arguments = start.plain[0], states[0], origin, node
         try:
             return [
-                self._mapped(layout, Quantity(function), (self._own, "member", self._origin, "shared"), arguments)[1]
+                self._map_members(
+                    layout, Quantity(function), (self._step_kind, "member", self._origin, "shared"), arguments
+                )[1]
             ]
         except UnsupportedError:
             axes = self.job.step_axis, 0, self._axes_of_origin(None), None
-            return [np.asarray(_loop.over_members(Quantity(function), axes)(*arguments))]
+            return [np.asarray(_loop.compile_for_members(Quantity(function), axes)(*arguments))]
 
-    def _mapped(self, layout: Layout, function: Any, kinds: Any, arguments: Any) -> tuple[Any, Any]:
+    def _map_members(self, layout: Layout, function: Any, kinds: Any, arguments: Any) -> tuple[Any, Any]:
         """A function of one member, compiled, and its results for all."""
         examples = tuple(
-            jax.tree.map(lambda k, part: jax.tree.map(_one if k == "member" else lambda x: x, part), kind, argument)
+            jax.tree.map(
+                lambda k, part: jax.tree.map(_member_shape if k == "member" else lambda x: x, part), kind, argument
+            )
             for kind, argument in zip(kinds, arguments, strict=True)
         )
         compiled = kernel(function, kinds, examples)
@@ -260,11 +270,11 @@ class NativeEngine(Engine):
         return [after], [saved]
 
 
-def _own_or_shared(kinds: Any, results: Any) -> Any:
+def _without_shared_axis(kinds: Any, results: Any) -> Any:
     """Results of all members: as they are where each member has its own, that of the first where all share one."""
     return jax.tree.map(lambda kind, x: x[0] if kind == "shared" else x, kinds, results)
 
 
-def _one(x: Any) -> Any:
+def _member_shape(x: Any) -> Any:
     """The shape of one member's part of an array."""
     return jax.ShapeDtypeStruct(np.shape(x)[1:], x.dtype)

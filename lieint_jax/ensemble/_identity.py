@@ -22,8 +22,8 @@ from lieint_jax._version import __version__
 from lieint_jax.ensemble import _layout, _store
 from lieint_jax.ensemble._digest import NotDigestible, digest, python_of
 from lieint_jax.ensemble._job import Job
-from lieint_jax.ensemble._leaves import named
 from lieint_jax.ensemble._loop import compiler_options
+from lieint_jax.ensemble._store import leaves_by_name
 from lieint_jax.types import State
 
 _NO_DIGEST = "cannot be compared: "  # what a description has in place of a digest begins so
@@ -51,7 +51,7 @@ def description(job: Job, engine: str, scenario: Any = None) -> dict[str, Any]:
         "initial states": _digest_of_arrays(*_with_names(job.initial)),
         "members": job.members,
         "dt": job.dt,
-        "num_steps": job.planned,
+        "num_steps": job.planned_steps,
         "save_every": job.save_every,
         "times": _digest_of_arrays(job.clock.times) if isinstance(job.clock, GridClock) else None,
         "save_at": None if job.rests is None else _digest_of_arrays(job.times),
@@ -159,7 +159,7 @@ def _python(*values: Any) -> dict[str, str]:
 
 def _with_names(states: State) -> list[Any]:
     """The arrays of states, q and p first; each of the others, which states need not have, after its name."""
-    q, p, *rest = named(states).items()
+    q, p, *rest = leaves_by_name(states).items()
     return [q[1], p[1], *(part for name, x in rest for part in (name.encode(), x))]
 
 

@@ -49,7 +49,7 @@ def metadata(path: Path, names: Iterable[str]) -> dict[str, dict[str, Any]]:
     return {name: json.loads((path / name / "zarr.json").read_text(encoding="utf-8")) for name in names}
 
 
-def along_time(meta: Mapping[str, Any]) -> bool:
+def is_along_time(meta: Mapping[str, Any]) -> bool:
     """True for an array that grows while the run goes on."""
     return (meta.get("dimension_names") or [""])[0] == "time"
 
@@ -61,7 +61,7 @@ def chunk_files(name: str, meta: Mapping[str, Any], row: int | None = None) -> l
 
 def files_of_rows(metas: Mapping[str, Any], row: int) -> list[str]:
     """The files of one row of chunks of all arrays along time, in the order of `checksums`."""
-    names = sorted(name for name, meta in metas.items() if along_time(meta))
+    names = sorted(name for name, meta in metas.items() if is_along_time(meta))
     return [file for name in names for file in chunk_files(name, metas[name], row)]
 
 
@@ -78,7 +78,7 @@ def checksum_of_file(file: Path) -> int:
         return int.from_bytes(f.read(4), "little")
 
 
-def damaged(path: Path, found: Iterable[str]) -> None:
+def raise_if_damaged(path: Path, found: Iterable[str]) -> None:
     """ValueError that names the files that are missing or altered, if there are any."""
     lost = list(found)
     if lost:
@@ -139,13 +139,13 @@ def _damage_of_array(path: Path, files: list[str], metas: Mapping[str, Any], exp
     found = [_checksum(path / file) for file in files]
     sums = [checksum for checksum in found if isinstance(checksum, int)]
     if len(sums) < len(files):
-        yield from _lost(path, files, metas)
+        yield from _damage_of_files(path, files, metas)
     elif digest_of(sums) != expected:
         folder = files[0].partition("/")[0]
         yield f"{folder} is not what the run wrote: {what} has been replaced, or was copied while a run wrote to it"
 
 
-def _lost(path: Path, files: Iterable[str], metas: Mapping[str, Any], summed: bool = True) -> Iterator[str]:
+def _damage_of_files(path: Path, files: Iterable[str], metas: Mapping[str, Any], summed: bool = True) -> Iterator[str]:
     """A line for each of these files of chunks that is missing, unreadable or altered."""
     for file in files:
         found = _checksum(path / file, summed)
@@ -159,7 +159,7 @@ def _damage_along_time(path: Path, metas: Mapping[str, Any], root: Mapping[str, 
     own = metadata(path, [CHECKSUMS])
     chunks = math.ceil(rows / own[CHECKSUMS]["chunk_grid"]["configuration"]["chunk_shape"][0])
     files = [file for row in range(chunks) for file in chunk_files(CHECKSUMS, own[CHECKSUMS], row)]
-    lost = list(_lost(path, files, own))
+    lost = list(_damage_of_files(path, files, own))
     if lost:
         yield from lost
         return
@@ -194,7 +194,7 @@ def _damage_by_chunks(path: Path, shown: Mapping[str, Any]) -> Iterator[str]:
         own = _json(path / name / "zarr.json")
         if own is None or {**own, "shape": own["shape"][1:]} != {**meta, "shape": meta["shape"][1:]}:
             yield f"{name}/zarr.json is missing or altered"
-        yield from _lost(path, chunk_files(name, meta), shown, meta["codecs"][-1]["name"] == "crc32c")
+        yield from _damage_of_files(path, chunk_files(name, meta), shown, meta["codecs"][-1]["name"] == "crc32c")
 
 
 def _keys(meta: Mapping[str, Any], row: int | None) -> Iterator[tuple[int, ...]]:

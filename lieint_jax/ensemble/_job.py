@@ -10,8 +10,8 @@ import numpy as np
 from lieint_jax._integrate import GridClock, UniformClock
 from lieint_jax.ensemble import _layout
 from lieint_jax.ensemble._layout import Layout
-from lieint_jax.ensemble._leaves import shared_time
 from lieint_jax.ensemble._loop import Carry, Range, Reduction
+from lieint_jax.ensemble._store import shared_time
 from lieint_jax.types import State, Step, StepInfo
 
 _CHUNK_BYTES, _MEMORY = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
@@ -51,7 +51,7 @@ class Job(NamedTuple):
             step has its own, which then is part of the states.
         dt: the step size as the caller gave it; None if he gave times.
         clock: when the steps are; since the start, if the states have no time or their own.
-        planned: the number of steps that the caller asked for; the run ends at its last entry.
+        planned_steps: the number of steps that the caller asked for; the run ends at its last entry.
         times: the times of all entries on this clock, the start's first.
         nodes: the number of whole steps before each entry.
         rests: the size of the shorter step from its node to each entry, 0 for the start; None if all are at nodes.
@@ -65,7 +65,7 @@ class Job(NamedTuple):
     t0: Any
     dt: float | None
     clock: UniformClock | GridClock
-    planned: int
+    planned_steps: int
     times: np.ndarray
     nodes: np.ndarray
     rests: np.ndarray | None
@@ -96,7 +96,7 @@ class Job(NamedTuple):
     @property
     def first_dt(self) -> float:
         """The size of the first step."""
-        return self.dt or (float(self.clock.size(0)) if self.planned else 0.0)
+        return self.dt or (float(self.clock.size(0)) if self.planned_steps else 0.0)
 
     @property
     def shares_time(self) -> bool:
@@ -162,7 +162,7 @@ class Output(Protocol):
         """The largest number of saves that the next call may bring."""
         ...
 
-    def restored(self) -> tuple[list[Carry], int, int] | None:
+    def restore(self) -> tuple[list[Carry], int, int] | None:
         """The carry, and the numbers of steps and of saves, of the run that this output holds already, or None."""
 
     def begin(self, carry: list[Carry]) -> None:
@@ -198,7 +198,7 @@ def local_rows(saved: list[Any], number: int) -> list[Any]:
     return jax.tree.map(lambda x: np.array(np.asarray(x)[:number]), saved)
 
 
-def gathered_rows(layout: Layout, saved: list[Any], number: int) -> Any:
+def gather_rows(layout: Layout, saved: list[Any], number: int) -> Any:
     """The first `number` saved rows of all members, on every process."""
     return _layout.gather(layout, local_rows(saved, number), 1)
 
@@ -209,7 +209,7 @@ def first_entry(job: Job) -> dict[str, np.ndarray]:
     return dict.fromkeys(("least", "greatest", "mean", "residual"), zero) | {"unconverged": np.zeros(1, np.int64)}
 
 
-def reduced(rows: tuple[StepInfo, Range], job: Job) -> dict[str, np.ndarray]:
+def reduce_rows(rows: tuple[StepInfo, Range], job: Job) -> dict[str, np.ndarray]:
     """Reduce rows (saves, members) to series (saves,). Sums run in the order of the members, whatever their devices."""
     info, change = rows
     values = job.members * (job.save_every or 1)

@@ -126,7 +126,7 @@ def checked_mesh(mesh: Mesh | None) -> Mesh:
     return mesh
 
 
-def cores() -> int:
+def count_cores() -> int:
     """The number of cores that this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)  # not on every system
     return len(affinity(0)) if affinity else os.cpu_count() or 1
@@ -138,7 +138,7 @@ def want_devices(count: int | None) -> None:
     It has no effect on accelerators, once JAX has started, or where XLA_FLAGS sets the number.
     """
     if count is None:
-        count = cores()
+        count = count_cores()
     if "host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
         with contextlib.suppress(RuntimeError):
             jax.config.update("jax_num_cpu_devices", count)
@@ -279,7 +279,7 @@ def all_gather(mesh: Mesh, *values: float) -> np.ndarray:
     return gather_row(mesh, np.array(values, float))
 
 
-def agreed(mesh: Mesh, action: Callable[[], _T]) -> _T:
+def fail_together(mesh: Mesh, action: Callable[[], _T]) -> _T:
     """The result of `action`, which every process calls; if it fails on one, all of them end with a ValueError."""
     result, error = None, None
     try:

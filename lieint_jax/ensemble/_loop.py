@@ -27,11 +27,11 @@ class Range(NamedTuple):
     total: Array
 
     @classmethod
-    def fresh(cls, like: Array) -> Range:
+    def empty(cls, like: Array) -> Range:
         """The range of no steps yet."""
         return cls(jnp.full_like(like, jnp.inf), jnp.full_like(like, -jnp.inf), jnp.zeros_like(like))
 
-    def including(self, x: Array) -> Range:
+    def include(self, x: Array) -> Range:
         """This range with one more value per member; a NaN shows in all three."""
         return Range(jnp.minimum(self.least, x), jnp.maximum(self.greatest, x), self.total + x)
 
@@ -66,7 +66,7 @@ class Origin(NamedTuple):
     clock: UniformClock | GridClock
     quantity: Array | None
 
-    def at(self, n: ArrayLike, state: State) -> State:
+    def add_time(self, n: ArrayLike, state: State) -> State:
         """The state with its time, that of node n, if it has one."""
         if self.t0 is None:
             return state
@@ -102,11 +102,11 @@ class Interval(NamedTuple):
 
     def __call__(self, carry: Carry, step: Step, plain: Step | None, origin: Origin, span: Span) -> tuple[Carry, Any]:
         info, change = carry.info, carry.change
-        fresh = StepInfo.fresh(info.residual), None if change is None else Range.fresh(change.total)
+        fresh = StepInfo.fresh(info.residual), None if change is None else Range.empty(change.total)
         info, change = jax.tree.map(lambda new, old: jnp.where(span.fresh, new, old), fresh, (info, change))
 
         def stepped(step: Step, n: Array, carry: Carry, dt: Array) -> Carry:
-            state, info = step(origin.at(n, carry.state), dt)
+            state, info = step(origin.add_time(n, carry.state), dt)
             state = state if origin.t0 is None else state._replace(t=None)
             failed = jnp.where((carry.failed < 0) & ~info.converged, n.astype(carry.failed.dtype), carry.failed)
             return Carry(state, carry.info.merge(info), failed, carry.change)
@@ -115,8 +115,8 @@ class Interval(NamedTuple):
             carry = stepped(step, n, carry, origin.clock.size(n))
             if self.reduction is None or carry.change is None or origin.quantity is None:
                 return carry
-            after = self.reduction(step, origin.at(n + 1, carry.state))
-            return carry._replace(change=carry.change.including(after - origin.quantity))
+            after = self.reduction(step, origin.add_time(n + 1, carry.state))
+            return carry._replace(change=carry.change.include(after - origin.quantity))
 
         def several(k: Array, carry: Carry) -> Carry:
             for j in range(self.together):
@@ -140,14 +140,14 @@ class Quantity(NamedTuple):
     function: Callable[..., Any]
 
     def __call__(self, step: Step, state: State, origin: Origin, n: Array) -> Any:
-        return self.function(step, origin.at(n, state))
+        return self.function(step, origin.add_time(n, state))
 
 
 class Preparation(NamedTuple):
     """(step, state, origin) ↦ the step with its constants for whole steps."""
 
     def __call__(self, step: Step, state: State, origin: Origin) -> Step:
-        return prepared(step, origin.at(0, state), origin.clock)
+        return prepared(step, origin.add_time(0, state), origin.clock)
 
 
 def start(states: State, reduced: Array | None) -> Carry:
@@ -187,13 +187,13 @@ def compiler_options(platform: str | None = None) -> dict[str, Any]:
 
 
 @cache
-def over_members(function: Callable[..., Any], axes: Any) -> Callable[..., Any]:
+def compile_for_members(function: Callable[..., Any], axes: Any) -> Callable[..., Any]:
     """A function of one member, compiled by XLA for many; `axes` as in `jax.vmap`."""
     return jax.jit(jax.vmap(function, axes), compiler_options=compiler_options())
 
 
 @cache
-def advance(interval: Callable[..., Any]) -> Callable[..., tuple[Carry, Any]]:
+def compile_intervals(interval: Callable[..., Any]) -> Callable[..., tuple[Carry, Any]]:
     """`over_intervals`, compiled by XLA."""
     return jax.jit(over_intervals(interval), compiler_options=compiler_options())
 
@@ -219,6 +219,6 @@ def over_intervals(interval: Callable[..., Any]) -> Callable[..., tuple[Carry, A
 
 
 @cache
-def vmapped(reduction: Reduction | None, axes: Any) -> Callable[..., tuple[Carry, Any]]:
+def vmap_interval(reduction: Reduction | None, axes: Any) -> Callable[..., tuple[Carry, Any]]:
     """`Interval` for all members."""
     return jax.vmap(Interval(reduction), axes)

@@ -23,7 +23,7 @@ import numpy as np
 
 from lieint_jax import _checks
 from lieint_jax.ensemble import _store
-from lieint_jax.ensemble._leaves import state_of, stored_name
+from lieint_jax.ensemble._store import state_from_leaves, store_name
 from lieint_jax.types import StepInfo, System, Trajectory
 
 SUFFIXES = (".npz", ".zarr")
@@ -43,7 +43,7 @@ class UnreadableError(ValueError):
 
 
 @contextlib.contextmanager
-def reading(
+def wrap_errors(
     path: Path,
     what: str = "is no file of results that lieint wrote, or is damaged",
     passed: tuple[type[Exception], ...] = (),
@@ -78,7 +78,7 @@ def refuse_special(path: Path) -> None:
         raise UnreadableError(f"{path} is a device, a pipe or a socket; give a file NAME.npz or a store NAME.zarr")
 
 
-def parsed(text: str | bytes) -> Any:
+def parse_json(text: str | bytes) -> Any:
     """What JSON text of bounded size and depth holds."""
     if len(text) > _JSON_BYTES:
         raise ValueError(f"its description has {_checks.spoken_size(len(text))}, more than any run's")
@@ -111,16 +111,16 @@ class Archive(NamedTuple):
 
     def read(self, *names: str) -> dict[str, np.ndarray]:
         """The arrays of these names."""
-        with reading(self.path), np.load(self.path, allow_pickle=False) as file:
+        with wrap_errors(self.path), np.load(self.path, allow_pickle=False) as file:
             return {name: file[name] for name in names}
 
 
-def archive(path: Path) -> Archive:
+def open_archive(path: Path) -> Archive:
     """The .npz at `path`, which `lieint run` or `lieint study` wrote."""
     refuse_special(path)
     if path.is_dir():
         raise UnreadableError(f"{path} is a folder without results; give a file NAME.npz or a store NAME.zarr")
-    with reading(path):
+    with wrap_errors(path):
         if not zipfile.is_zipfile(path):
             raise ValueError("it is no npz archive")
         with zipfile.ZipFile(path) as file:
@@ -133,9 +133,9 @@ def archive(path: Path) -> Archive:
         if headers["metadata"][1].itemsize > 4 * _JSON_BYTES:
             raise ValueError("its description is too long")
         with np.load(path, allow_pickle=False) as file:
-            found = parsed(str(file["metadata"]))
-        _check_table("its metadata", found, _OF_ARCHIVE)
-        return Archive(path, headers, {key: x for key, x in found.items() if key not in _OF_STORE})
+            found = parse_json(str(file["metadata"]))
+        _check_table("its metadata", found, _ARCHIVE_KEYS)
+        return Archive(path, headers, {key: x for key, x in found.items() if key not in _STORE_KEYS})
 
 
 def _check_expansion(infos: list[zipfile.ZipInfo], size: int) -> None:
@@ -165,9 +165,9 @@ def _header(file: zipfile.ZipFile, info: zipfile.ZipInfo) -> tuple[str, tuple[tu
     return info.filename.removesuffix(".npy"), (shape, dtype)
 
 
-def run_of(found: Archive) -> Trajectory:
+def read_trajectory(found: Archive) -> Trajectory:
     """The run in an archive that `lieint run` wrote."""
-    with reading(found.path):
+    with wrap_errors(found.path):
         arrays = {name: x for name, x in found.headers.items() if name != "metadata"}
         kinds = {name: (shape, str(dtype) if dtype.isnative else dtype.str) for name, (shape, dtype) in arrays.items()}
         named = {name for name in kinds if name in ("q", "p", "work") or name.startswith("extra.")}
@@ -177,12 +177,12 @@ def run_of(found: Archive) -> Trajectory:
             _expect(TIME, kinds, _REALS, (n, 1), (n, m))
         _check_scenario(found.metadata.get("scenario", {}), *kinds["p"][0][:2])
     read = found.read(*sorted(named | {"t", "residual", "converged"} | ({TIME} & set(kinds))))
-    with reading(found.path):
+    with wrap_errors(found.path):
         leaves = {name: read[name] for name in named}
         if TIME in read:
             leaves["t"] = np.broadcast_to(read[TIME], leaves["p"].shape[:2])
         _check_times(read["t"])
-        return Trajectory(read["t"], state_of(leaves), StepInfo(read["residual"], read["converged"]))  # pyright: ignore[reportArgumentType]
+        return Trajectory(read["t"], state_from_leaves(leaves), StepInfo(read["residual"], read["converged"]))  # pyright: ignore[reportArgumentType]
 
 
 _Kinds = Mapping[str, tuple[tuple[int, ...], str]]  # shape and dtype by name
@@ -222,10 +222,10 @@ def _check_scenario(scenario: Mapping[str, Any], entries: int, members: int) -> 
     save_at = scenario.get("save_at")
     if not (save_at is None or isinstance(save_at, list)):
         raise ValueError("save_at of its scenario is no list")
-    planned = scenario["steps"] // scenario["save_every"] + 1 if save_at is None else len(save_at) + 1
-    if (planned, scenario["members"]) != (entries, members):
+    planned_steps = scenario["steps"] // scenario["save_every"] + 1 if save_at is None else len(save_at) + 1
+    if (planned_steps, scenario["members"]) != (entries, members):
         raise ValueError(
-            f"it has {entries} entries of {members} members, and its scenario {planned} of {scenario['members']}"
+            f"it has {entries} entries of {members} members, and its scenario {planned_steps} of {scenario['members']}"
         )
 
 
@@ -234,7 +234,7 @@ def _check_times(t: np.ndarray) -> None:
         raise ValueError("its times are not finite and in order")
 
 
-def store(path: Path) -> dict[str, Any]:
+def check_store(path: Path) -> dict[str, Any]:
     """The attributes of the store at `path`, after every file in it has been checked.
 
     Raises:
@@ -244,18 +244,18 @@ def store(path: Path) -> dict[str, Any]:
     refuse_special(path)
     if not path.is_dir():
         raise UnreadableError(f"{path} is not there, or is no store of a run: that is a folder NAME.zarr")
-    with reading(path):
+    with wrap_errors(path):
         count = _check_files(path)
-    with reading(path, passed=(ValueError,)):
-        root = _store._root(path)
-    with reading(path):
+    with wrap_errors(path, passed=(ValueError,)):
+        root = _store.read_root(path)
+    with wrap_errors(path):
         shown = _check_arrays(root["consolidated_metadata"]["metadata"], count)
         _check_attributes(root["attributes"], shown)
-    with reading(path, passed=(ValueError,)):
+    with wrap_errors(path, passed=(ValueError,)):
         _store.check(path)
-    with reading(path):
+    with wrap_errors(path):
         for name in root["attributes"].get("constants", ()):  # whose lengths do not grow
-            if parsed((path / name / "zarr.json").read_bytes())["shape"] != shown[name]["shape"]:
+            if parse_json((path / name / "zarr.json").read_bytes())["shape"] != shown[name]["shape"]:
                 raise ValueError(f"{name} has another shape than its description")
     return root["attributes"]
 
@@ -278,7 +278,7 @@ def _check_files(path: Path) -> int:
                 if status.st_size > _JSON_BYTES:
                     raise ValueError(f"{file.relative_to(path)} has {_checks.spoken_size(status.st_size)}")
                 with contextlib.suppress(json.JSONDecodeError, UnicodeDecodeError, FileNotFoundError):
-                    parsed(file.read_bytes())  # text that is no JSON is reported with what can still be read
+                    parse_json(file.read_bytes())  # text that is no JSON is reported with what can still be read
     return count
 
 
@@ -297,7 +297,7 @@ def _check_arrays(shown: Any, files: int) -> dict[str, Any]:
         )
         grid = array["chunk_grid"]
         chunk = grid["configuration"]["chunk_shape"]
-        if grid["name"] != "regular" or not _LENGTHS.holds(chunk) or len(chunk) != len(array["shape"]) or 0 in chunk:
+        if grid["name"] != "regular" or not _LENGTHS.accepts(chunk) or len(chunk) != len(array["shape"]) or 0 in chunk:
             raise ValueError(f"{name} has chunks that are none of shape {tuple(array['shape'])}")
         if math.prod(chunk) * 8 > _CHUNK_BYTES:
             raise ValueError(f"{name} has chunks of {_checks.spoken_size(math.prod(chunk) * 8)}")
@@ -308,15 +308,15 @@ def _check_arrays(shown: Any, files: int) -> dict[str, Any]:
 
 def _check_attributes(found: Any, shown: Mapping[str, Any]) -> None:
     """ValueError unless the attributes of a store describe a run, and these arrays."""
-    _check_table("the description", found, _OF_STORE)
-    _check_table("progress", found["progress"], _PROGRESS)
-    _check_table("run", found["run"], _RUN)
+    _check_table("the description", found, _STORE_KEYS)
+    _check_table("progress", found["progress"], _PROGRESS_KEYS)
+    _check_table("run", found["run"], _RUN_KEYS)
     leaves, constants = found.get("leaves", ["q", "p"]), found.get("constants", [])
     bad = [name for name in (*leaves, *constants) if not (isinstance(name, str) and _NAME.fullmatch(name))]
     if bad:
         raise ValueError(f"{bad[0]!r} is no name of an array")
     kinds = {name: (tuple(array["shape"]), str(array["data_type"])) for name, array in shown.items()}
-    leaves = [name if name in kinds else stored_name(name) for name in leaves]  # format 2 has the names of states
+    leaves = [name if name in kinds else store_name(name) for name in leaves]  # format 2 has the names of states
     missing = set(constants) - set(kinds)
     if missing:
         raise ValueError(f"it has no array {min(missing)}")
@@ -339,7 +339,7 @@ def _check_attributes(found: Any, shown: Mapping[str, Any]) -> None:
 class _Kind(NamedTuple):
     """What a value in a description may be: whether one is, and in words."""
 
-    holds: Callable[[Any], bool]
+    accepts: Callable[[Any], bool]
     words: str
     required: bool = True
 
@@ -353,24 +353,24 @@ _NATURAL = _Kind(_is_count, "an integer ≥ 0")
 _COUNT = _Kind(lambda x: _is_count(x) and x > 0, "a positive integer")
 _TEXT = _Kind(lambda x: isinstance(x, str), "text")
 _TABLE = _Kind(lambda x: isinstance(x, dict), "a table")
-_TABLES = _Kind(lambda x: isinstance(x, list) and bool(x) and all(map(_TABLE.holds, x)), "a list of tables")
+_TABLES = _Kind(lambda x: isinstance(x, list) and bool(x) and all(map(_TABLE.accepts, x)), "a list of tables")
 _LIST = _Kind(lambda x: isinstance(x, list), "a list", required=False)
 _LENGTHS = _Kind(lambda x: isinstance(x, list) and all(map(_is_count, x)), "a list of lengths")
 _TEXT_OR_TABLE = _Kind(lambda x: isinstance(x, str | dict), "text")
 _FLAG = _Kind(lambda x: isinstance(x, bool), "true or false")
-_OF_ARCHIVE = {
+_ARCHIVE_KEYS = {
     "scenario": _TABLE._replace(required=False),
     **dict.fromkeys(("title", "study", "lieint_jax", "jax"), _TEXT._replace(required=False)),
     "quick": _FLAG._replace(required=False),
     "tree": _Kind(lambda _: True, "a tree", required=False),
 }
-_OF_STORE = {
+_STORE_KEYS = {
     "progress": _TABLE,
     "run": _TABLE,
     "members": _COUNT,
     "num_steps": _NATURAL,
     "num_entries": _NATURAL._replace(required=False),
-    "save_every": _Kind(lambda x: x is None or _COUNT.holds(x), "a positive integer or null"),
+    "save_every": _Kind(lambda x: x is None or _COUNT.accepts(x), "a positive integer or null"),
     "dt": _Kind(lambda x: x is None or (isinstance(x, int | float) and not isinstance(x, bool)), "a number or null"),
     "reduce": _Kind(lambda x: x is None or isinstance(x, str), "text or null"),
     "scheme": _TEXT,
@@ -380,10 +380,10 @@ _OF_STORE = {
     "constants": _LIST,
     "description": _TABLE._replace(required=False),
 }
-_PROGRESS = dict.fromkeys(("commits", "entries", "steps"), _NATURAL) | {"complete": _FLAG}
+_PROGRESS_KEYS = dict.fromkeys(("commits", "entries", "steps"), _NATURAL) | {"complete": _FLAG}
 _ARRAY = {"shape": _LENGTHS, "data_type": _TEXT_OR_TABLE, "codecs": _TABLES, "node_type": _TEXT}
-_RUN = {
-    "versions": _Kind(lambda x: isinstance(x, dict) and all(map(_TEXT.holds, x.values())), "a table of text"),
+_RUN_KEYS = {
+    "versions": _Kind(lambda x: isinstance(x, dict) and all(map(_TEXT.accepts, x.values())), "a table of text"),
     "device": _TEXT,
     "step_axis": _Kind(lambda x: x is None or (_is_count(x) and x == 0), "null or 0"),
     "engine": _TEXT._replace(required=False),
@@ -395,17 +395,17 @@ def _check_table(where: str, found: Any, kinds: Mapping[str, _Kind]) -> None:
     """ValueError if a table in a description has no value of a key, or one of another kind."""
     if not isinstance(found, dict):
         raise ValueError(f"{where} is no table")
-    for key, (holds, words, required) in kinds.items():
+    for key, (accepts, words, required) in kinds.items():
         if key not in found and required:
             raise ValueError(f"{where} has no {key}")
-        if key in found and not holds(found[key]):
+        if key in found and not accepts(found[key]):
             raise ValueError(f"{key} of {where} is not {words}")
 
 
 def check_system(path: Path, system: System, run: Trajectory, own_system: bool) -> None:
     """UnreadableError unless the states of the run in a file are of this system, or of each member's own."""
     members = run.state.p.shape[1]
-    with reading(path):
+    with wrap_errors(path):
         if own_system and any(np.shape(leaf)[:1] != (members,) for leaf in jax.tree.leaves(system)):
             raise ValueError(f"its system has not one number for each of its {members} members")
         first = jax.tree.map(lambda x: x[0], system) if own_system else system

@@ -71,7 +71,7 @@ def over_members(function: Callable[..., Any], in_axes: Any = 0, mesh: Mesh | No
         return compiled
 
     def on_all(*arguments: Any) -> Any:
-        with processes.watched(mesh):
+        with processes.name_lost(mesh):
             return jax.block_until_ready(compiled(*jax.tree.map(np.asarray, arguments)))
 
     return on_all

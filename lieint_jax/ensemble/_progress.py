@@ -27,13 +27,13 @@ class Bar:
             initial=done * count,
             unit=" body-steps",
             unit_scale=True,
-            disable=not (shown and self.visible()),
+            disable=not (shown and self.is_visible()),
             leave=False,
             dynamic_ncols=True,
         )
 
     @staticmethod
-    def visible() -> bool:
+    def is_visible() -> bool:
         """True if this is the first process and its stderr is a terminal."""
         return jax.process_index() == 0 and sys.stderr.isatty()
 
@@ -81,7 +81,7 @@ class Interrupts:
         self._deferred = deferred and threading.current_thread() is threading.main_thread()
         self._before: dict[int, Any] = {}
 
-    def _ask(self, number: int, _: object) -> None:
+    def _request(self, number: int, _: object) -> None:
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True
@@ -89,7 +89,7 @@ class Interrupts:
 
     def __enter__(self) -> Self:
         if self._deferred:
-            self._before = {n: signal.signal(n, self._ask) for n in (signal.SIGINT, signal.SIGTERM)}
+            self._before = {n: signal.signal(n, self._request) for n in (signal.SIGINT, signal.SIGTERM)}
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -35,8 +35,8 @@ def open_run(path: str | Path, own: Mapping[str, Any] | None = None) -> tuple[An
         energies = jax.vmap(system.energy)(jax.tree.map(lambda x: x[-1], run.state))
     """
     path = Path(path)
-    found, attributes = load(path)
-    system = system_of(path, attributes, own)
+    found, attributes = load_store(path)
+    system = system_from_store(path, attributes, own)
     if isinstance(found, Trajectory) and len(found.t):
         _opening.check_system(path, system, found, attributes["run"]["step_axis"] == 0)
     if attributes["reduce"] is not None and not attributes["progress"]["complete"]:
@@ -44,24 +44,24 @@ def open_run(path: str | Path, own: Mapping[str, Any] | None = None) -> tuple[An
     return _result(found, attributes), system
 
 
-def load(path: Path) -> tuple[Any, dict[str, Any]]:
+def load_store(path: Path) -> tuple[Any, dict[str, Any]]:
     """The complete part of the run in a store, checked, and the store's attributes; see `_store.load`."""
-    _opening.store(path)
-    with _opening.reading(path):
+    _opening.check_store(path)
+    with _opening.wrap_errors(path):
         return _store.load(path)
 
 
-def system_of(path: Path, attributes: Mapping[str, Any], own: Mapping[str, Any] | None = None) -> System:
+def system_from_store(path: Path, attributes: Mapping[str, Any], own: Mapping[str, Any] | None = None) -> System:
     """The system of the run in a store of these attributes."""
     constants = _store.constants(path, attributes["constants"])
-    with _opening.reading(path, passed=(UnknownNameError,)):
+    with _opening.wrap_errors(path, passed=(UnknownNameError,)):
         system = make(attributes["description"]["system"], constants, own or {})
         if not isinstance(system, System):
             raise ValueError("its description is that of no system")
         return system
 
 
-def opened(path: Path) -> Any:
+def open_complete(path: Path) -> Any:
     """The run in a complete store: a `Trajectory` of arrays on disk, or a `Summary`."""
     return _result(*_store.load(path))
 
@@ -69,6 +69,6 @@ def opened(path: Path) -> Any:
 def _result(found: Any, attributes: Mapping[str, Any]) -> Any:
     if isinstance(found, Trajectory):
         return found
-    state = _store.states(found, found["time"][-1], attributes)
+    state = _store.states_in(found, found["time"][-1], attributes)
     series = {name: found[name] for name in ("least", "greatest", "mean", "residual", "unconverged")}
     return Summary(found["time"], **series, state=state, failed=found["first_failure"])

@@ -28,12 +28,12 @@ from lieint_jax._integrate import (
 )
 from lieint_jax.ensemble import _identity, _layout, _loop, processes
 from lieint_jax.ensemble._engine import Engine, engine_of
-from lieint_jax.ensemble._job import Job, Output, Summary, first_entry, gathered_rows, reduced
+from lieint_jax.ensemble._job import Job, Output, Summary, first_entry, gather_rows, reduce_rows
 from lieint_jax.ensemble._layout import Layout
-from lieint_jax.ensemble._leaves import named
 from lieint_jax.ensemble._loop import Carry, Reduction, energy
 from lieint_jax.ensemble._progress import Bar, CallLength, Interrupts
-from lieint_jax.ensemble._store_output import StoreOptions, into_store
+from lieint_jax.ensemble._store import leaves_by_name
+from lieint_jax.ensemble._store_output import StoreOptions, run_into_store
 from lieint_jax.types import State, Step, Trajectory, checked_step, promoted
 from lieint_jax.types._members import member_axis
 
@@ -118,20 +118,22 @@ def run(
     threads = None if mesh is None else len(mesh.local_devices)
     mesh = _layout.checked_mesh(mesh)
     with _checks.on_host():
-        job = _job(step, states, dt, num_steps, save_every, step_axis, reduce, store, times, save_at)
+        job = _make_job(step, states, dt, num_steps, save_every, step_axis, reduce, store, times, save_at)
     engine = engine_of(job, mesh)
-    place = _layout.Place(mesh, threads or _layout.cores(), engine.whole)
-    with processes.watched(mesh):
+    place = _layout.Place(mesh, threads or _layout.count_cores(), engine.whole)
+    with processes.name_lost(mesh):
         if store is None:
             if _layout.count_processes(mesh) > 1:
                 _identity.check_processes(mesh, _identity.description(job, engine.name), store=None, resume=False)
             layout = _layout.layout_of(place, job.members)
-            return _integrate(engine, layout, _InMemory(job, layout), progress)
+            return _integrate(engine, layout, MemoryOutput(job, layout), progress)
         options = store if isinstance(store, StoreOptions) else StoreOptions(store)
-        return into_store(engine, place, options, resume, lambda layout, out: _integrate(engine, layout, out, progress))
+        return run_into_store(
+            engine, place, options, resume, lambda layout, out: _integrate(engine, layout, out, progress)
+        )
 
 
-def _job(
+def _make_job(
     step: Step,
     states: State,
     dt: float | None,
@@ -145,22 +147,22 @@ def _job(
 ) -> Job:
     """What `run` is asked to do, checked."""
     step, states, dtype = promoted(checked_step(step), states)
-    states, t0 = _checked(step, states)
+    states, t0 = _split_time(step, states)
     reduction = energy if reduce == "energy" else reduce
-    clock, planned = _clock(step, t0, dtype, dt, num_steps, times)
+    clock, planned_steps = _make_clock(step, t0, dtype, dt, num_steps, times)
     if save_at is None:
-        _check_size(states, intervals(planned, save_every)[1] + 1, reduction, store)
-        entries = _regular(clock, planned, save_every, dtype)
+        _check_size(states, intervals(planned_steps, save_every)[1] + 1, reduction, store)
+        entries = _entries_by_count(clock, planned_steps, save_every, dtype)
     else:
         refuse_times(step, "save_at")
         if save_every is not None or reduce is not None:
             raise ValueError(f"give save_at or {'save_every' if reduce is None else 'reduce'}, not both")
-        entries = _outputs(save_at, clock, planned, dtype)
+        entries = _entries_at_times(save_at, clock, planned_steps, dtype)
         _check_size(states, len(entries[0]), reduction, store)
-    job = Job(step, states, t0, None if dt is None else float(dt), clock, planned, *entries, step_axis, reduction)
-    _check(job)
+    job = Job(step, states, t0, None if dt is None else float(dt), clock, planned_steps, *entries, step_axis, reduction)
+    _check_job(job)
     _check_reduction(job)
-    _checks.time_resolution(t0, job.first_dt, planned)
+    _checks.time_resolution(t0, job.first_dt, planned_steps)
     return job
 
 
@@ -178,7 +180,7 @@ def _check_size(states: State, entries: int, reduction: Any, store: Any) -> None
 def _integrate(engine: Engine, layout: Layout, output: Output, progress: bool) -> Any:
     """Run a job to its end, append its saved rows to `output`, and return the output's result."""
     job, loop = engine.job, CompiledLoop(engine, layout, output.buffer_rows, progress)
-    carry, done, saved = output.restored() or (None, 0, 0)
+    carry, done, saved = output.restore() or (None, 0, 0)
     if carry is None:
         carry = loop.start
         loop.check_first_step()
@@ -186,14 +188,14 @@ def _integrate(engine: Engine, layout: Layout, output: Output, progress: bool) -
     pace = CallLength(layout)
     with Interrupts(output.defers_interrupts) as interrupts, Bar(progress, job.num_steps, job.members, done) as bar:
         while saved < job.num_saves:
-            ends, saves = _next_portion(job, done, saved, min(pace.steps, engine.most_steps), output.free_rows)
+            ends, saves = _next_call(job, done, saved, min(pace.steps, engine.most_steps), output.free_rows)
             clock, steps = time.perf_counter(), int(ends[-1]) - done
             carry, rows = loop.advance(carry, done, saved, ends)
             done, saved = done + steps, saved + saves
             if saves:
                 output.append(rows, saves)
             bar.update(steps)
-            loop.watch(carry, done, bar)
+            loop.show_progress(carry, done, bar)
             stop = pace.measure(steps, time.perf_counter() - clock, interrupts.requested)
             output.checkpoint(carry, done, pace.seconds, stop)
             if stop and output.can_stop():
@@ -201,18 +203,18 @@ def _integrate(engine: Engine, layout: Layout, output: Output, progress: bool) -
         if not job.num_saves:
             output.checkpoint(carry, 0, 0.0, stop=False)
         result = output.result(carry)
-    _report(_layout.gather(layout, [c.failed for c in carry]))
+    _warn_of_failures(_layout.gather(layout, [c.failed for c in carry]))
     return result
 
 
-def _next_portion(job: Job, done: int, saved: int, most: int, free_rows: int) -> tuple[np.ndarray, int]:
+def _next_call(job: Job, done: int, saved: int, most: int, free_rows: int) -> tuple[np.ndarray, int]:
     """The nodes at which the intervals of the next call end, about `most` steps in all, and how many are saved."""
     ahead = job.nodes[saved + 1 : saved + 1 + free_rows]
     saves = int(np.searchsorted(ahead, done + most, side="right"))
     return (ahead[:saves], saves) if saves else (np.array([done + most]), 0)
 
 
-def _clock(
+def _make_clock(
     step: Step, t0: Any, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
 ) -> tuple[UniformClock | GridClock, int]:
     """When the steps are, as host arrays, and how many are asked for; since the start if members start apart."""
@@ -220,28 +222,30 @@ def _clock(
         if times is not None:
             raise ValueError("times are those of all members: give all the same states.t, or none")
         t0 = None
-    clock, planned = clock_of(step, t0, dtype, dt, num_steps, times)
+    clock, planned_steps = clock_of(step, t0, dtype, dt, num_steps, times)
     if isinstance(clock, StateClock):
         clock = UniformClock(jnp.zeros((), dtype), clock.dt)
-    return jax.tree.map(np.asarray, clock), planned
+    return jax.tree.map(np.asarray, clock), planned_steps
 
 
 _Entries = tuple[np.ndarray, np.ndarray, np.ndarray | None, int | None]  # times, nodes, rests, save_every of a `Job`
 
 
-def _regular(clock: UniformClock | GridClock, planned: int, save_every: int | None, dtype: Any) -> _Entries:
+def _entries_by_count(
+    clock: UniformClock | GridClock, planned_steps: int, save_every: int | None, dtype: Any
+) -> _Entries:
     """The entries after every so many steps."""
-    interval, num_saves = intervals(planned, save_every)
+    interval, num_saves = intervals(planned_steps, save_every)
     nodes = interval * np.arange(num_saves + 1)
     times = clock.time(nodes.astype(dtype) if isinstance(clock, UniformClock) else nodes)
     return np.asarray(times), nodes, None, interval
 
 
-def _outputs(save_at: ArrayLike, clock: UniformClock | GridClock, planned: int, dtype: Any) -> _Entries:
+def _entries_at_times(save_at: ArrayLike, clock: UniformClock | GridClock, planned_steps: int, dtype: Any) -> _Entries:
     """The entries at given times, the start's first."""
-    wanted = outputs(save_at, clock, planned, dtype)
+    wanted = outputs(save_at, clock, planned_steps, dtype)
     times = np.concatenate([[clock.time(0)], wanted])
-    nodes = np.asarray(jax.vmap(lambda t: clock.node(t, planned))(times))
+    nodes = np.asarray(jax.vmap(lambda t: clock.node(t, planned_steps))(times))
     return times, nodes, times - np.asarray(clock.time(nodes)).astype(dtype), None
 
 
@@ -252,7 +256,7 @@ class CompiledLoop:
         self._engine, self._job, self._layout, self._rows = engine, engine.job, layout, buffer_rows
         self._start = engine.start(layout)
         self.start = self._start.carry
-        self._shown = bool(_layout.all_reduce_max(layout.mesh, progress and Bar.visible())[0])
+        self._shown = bool(_layout.all_reduce_max(layout.mesh, progress and Bar.is_visible())[0])
         if self._shown:
             self._H0 = self._energies(self.start, 0)
 
@@ -281,14 +285,14 @@ class CompiledLoop:
         """The energies less work after `done` steps."""
         return self._engine.quantity(self._layout, _loop.energy, self._start, [c.state for c in carry], done)
 
-    def watch(self, carry: list[Carry], done: int, bar: Bar) -> None:
+    def show_progress(self, carry: list[Carry], done: int, bar: Bar) -> None:
         """Show the energy error and the failures so far on the progress bar, if it is visible."""
         if self._shown:
             H = self._energies(carry, done)
             bar.show(*_layout.worst_energy_error(self._layout, self._H0, H, [c.failed for c in carry]))
 
 
-class _InMemory:
+class MemoryOutput:
     """Results as numpy arrays."""
 
     defers_interrupts = False
@@ -299,7 +303,7 @@ class _InMemory:
         self._series: list[dict[str, np.ndarray]] = []
         self._out: Any = None
 
-    def restored(self) -> None:
+    def restore(self) -> None:
         return None
 
     def begin(self, carry: list[Carry]) -> None:
@@ -311,11 +315,11 @@ class _InMemory:
         self._put(jax.tree.map(lambda x: x[None], first))
 
     def append(self, saved: Any, number: int) -> None:
-        rows = gathered_rows(self._layout, saved, number)
+        rows = gather_rows(self._layout, saved, number)
         if self._job.reduction is None:
             self._put(rows)
         else:
-            self._series.append(reduced(rows, self._job))
+            self._series.append(reduce_rows(rows, self._job))
 
     def _put(self, rows: Any) -> None:
         number = len(jax.tree.leaves(rows)[0])
@@ -341,26 +345,26 @@ class _InMemory:
         return Summary(self._job.times, **series, state=self._job.with_last_time(state), failed=failed)
 
 
-def _checked(step: Step, states: State) -> tuple[State, Any]:
+def _split_time(step: Step, states: State) -> tuple[State, Any]:
     """The states without their time, with the member axis on every leaf, and their time: a scalar if it is shared.
 
     The time that a step has for its own stays among the states, one for each member.
     """
-    shapes = {name: np.shape(x) for name, x in named(states).items()}
+    shapes = {name: np.shape(x) for name, x in leaves_by_name(states).items()}
     for key in states.extra or {}:
         if not str(key).isidentifier():
             raise ValueError(f'a key of states.extra must be a name, such as "rotor", got {key!r}')
     counts = {shape[:1] for name, shape in shapes.items() if shape or name not in _SCALARS}
     short = [name for name in ("q", "p") if len(shapes[name]) < 2]
     if len(counts) != 1 or (0,) in counts or short or any(len(shapes.get(name, ())) > 1 for name in _SCALARS):
-        told = ", ".join(f"{_spoken(name)} {shape}" for name, shape in shapes.items())
+        told = ", ".join(f"{_python_name(name)} {shape}" for name, shape in shapes.items())
         raise ValueError(f"states need a leading member axis on every leaf, but t and work may be scalars; got {told}")
     [(members,)] = counts
-    for name, x in named(states).items():
+    for name, x in leaves_by_name(states).items():
         bad = np.flatnonzero(~np.isfinite(np.asarray(x)).reshape(len(x) if x.ndim else 1, -1).all(axis=1))
         if bad.size:
-            where = f", and is not for {_some(bad)}" if x.ndim else f", got {x}"
-            raise ValueError(f"states.{_spoken(name)} must be finite{where}")
+            where = f", and is not for {_list_members(bad)}" if x.ndim else f", got {x}"
+            raise ValueError(f"states.{_python_name(name)} must be finite{where}")
     states = jax.tree.map(np.asarray, states)
     t, work = states.t, states.work
     if work is not None:
@@ -372,14 +376,14 @@ def _checked(step: Step, states: State) -> tuple[State, Any]:
     return states._replace(t=None, work=work), t
 
 
-def _check(job: Job) -> None:
+def _check_job(job: Job) -> None:
     step, state = job.member(0)
     member_axis(job.step.system, state, job.members, job.step_axis, "step_axis")
     defect = np.abs(np.asarray(_defects(job.step.system.phase_space, job.states)))
     bad = np.flatnonzero(defect > 2 * _checks.UNIT_TOLERANCE)  # |q|² − 1 is twice the error of |q|
     if bad.size:
         raise ValueError(
-            f"states.q is off the configuration space by more than {_checks.UNIT_TOLERANCE:g}: {_some(bad)} "
+            f"states.q is off the configuration space by more than {_checks.UNIT_TOLERANCE:g}: {_list_members(bad)} "
             f"(worst defect {defect.max():.3g}); make states with system.state(...)"
         )
     step.system.check(state)  # the shapes, and the time of a driven system, which are alike for all members
@@ -417,7 +421,7 @@ def _check_start(quantity: np.ndarray) -> None:
     if bad.size:
         raise ValueError(
             f"the quantity of reduce must be finite at the start, from which its changes are counted, and is not for "
-            f"{_some(bad)}"
+            f"{_list_members(bad)}"
         )
 
 
@@ -432,10 +436,10 @@ def _check_first(failed: np.ndarray, job: Job) -> None:
         step, one = job.member(bad[0])
         more = more_times(step, one, job.first_dt) if isinstance(job.clock, GridClock) else ""
         advice = f"{step.advice(one, job.first_dt)}{more}"
-        raise ValueError(f"the first step fails for {_some(bad)}. Member {bad[0]}: {advice}")
+        raise ValueError(f"the first step fails for {_list_members(bad)}. Member {bad[0]}: {advice}")
 
 
-def _report(failed: np.ndarray) -> None:
+def _warn_of_failures(failed: np.ndarray) -> None:
     bad = np.flatnonzero(failed >= 0)
     if bad.size:
         bad = bad[np.argsort(failed[bad], kind="stable")]
@@ -449,11 +453,11 @@ def _report(failed: np.ndarray) -> None:
         )
 
 
-def _spoken(name: str) -> str:
+def _python_name(name: str) -> str:
     """The name of an array of the states as one writes it in Python."""
     return f'extra["{name.removeprefix("extra.")}"]' if name.startswith("extra.") else name
 
 
-def _some(which: np.ndarray) -> str:
+def _list_members(which: np.ndarray) -> str:
     more = ", …" if which.size > _NAMED else ""
     return f"{which.size} member(s): {', '.join(map(str, which[:_NAMED]))}{more}"

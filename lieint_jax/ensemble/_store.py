@@ -23,13 +23,36 @@ import numpy as np
 
 from lieint_jax.ensemble import _integrity
 from lieint_jax.ensemble._integrity import CHECKPOINT, CHECKSUMS
-from lieint_jax.ensemble._leaves import shared_time, state_of, stored_name
 from lieint_jax.types import State, StepInfo, Trajectory
 
 FORMAT = 3  # of the stores written here; those of 0.2 have 2
+_EXTRA = "extra."  # begins the name of a leaf of `State.extra`: extra.NAME
 _ROOT = "zarr.json"  # the metadata of a Zarr 3 group; new data become visible when it is replaced
 _RECORDS = 2**16  # the most checksums in a chunk of their array, unless a row has more
 _STALE = 3600.0  # seconds after which the folder of a store that is being made counts as left behind
+
+
+def leaves_by_name(state: State) -> dict[str, Any]:
+    """The arrays that a state has, by name."""
+    own = {name: x for name, x in state._asdict().items() if name != "extra" and x is not None}
+    return own | {f"{_EXTRA}{name}": x for name, x in (state.extra or {}).items()}
+
+
+def state_from_leaves(arrays: Mapping[str, Any]) -> State:
+    """The state of these arrays, which `leaves_by_name` gives."""
+    extra = {name.removeprefix(_EXTRA): x for name, x in arrays.items() if name.startswith(_EXTRA)}
+    own = {name: x for name, x in arrays.items() if not name.startswith(_EXTRA)}
+    return State(**own, extra=extra or None)
+
+
+def store_name(name: str) -> str:
+    """The name that an array has in a store, an identifier: extra_NAME for extra.NAME."""
+    return name.replace(".", "_")
+
+
+def shared_time(times: np.ndarray, members: int) -> np.ndarray:
+    """The time of each member, (…, members), where all share `times`, (…); a view that takes no memory."""
+    return np.broadcast_to(times[..., None], (*times.shape, members))
 
 
 def load(path: Path) -> tuple[Any, dict[str, Any]]:
@@ -40,22 +63,22 @@ def load(path: Path) -> tuple[Any, dict[str, Any]]:
     """
     import zarr
 
-    metadata = dict(_root(path)["attributes"])
+    metadata = dict(read_root(path)["attributes"])
     group: Any = zarr.open_group(str(path), mode="r", use_consolidated=True)
     if metadata["reduce"] is not None:
         return {name: array[...] for name, array in group.arrays()}, metadata
     times, info = group["time"][...], StepInfo(group["residual"], group["converged"])
-    return Trajectory(times, states(group, times, metadata), info), metadata
+    return Trajectory(times, states_in(group, times, metadata), info), metadata
 
 
-def states(arrays: Any, times: np.ndarray, metadata: Mapping[str, Any]) -> State:
+def states_in(arrays: Any, times: np.ndarray, metadata: Mapping[str, Any]) -> State:
     """The states among the arrays of a store, whose attributes list them; a time that members share has none."""
     leaves = metadata.get("leaves", ["q", "p"])
-    found = {name: arrays[stored_name(name)] for name in leaves if stored_name(name) in arrays}
+    found = {name: arrays[store_name(name)] for name in leaves if store_name(name) in arrays}
     found |= {name: arrays[name] for name in leaves if name in arrays}  # the names in stores of version 0.2
     if "t" in leaves and "t" not in found:
         found["t"] = shared_time(times, metadata["members"])
-    return state_of(found)
+    return state_from_leaves(found)
 
 
 def constants(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
@@ -70,14 +93,14 @@ def check(path: Path) -> None:
 
     The store may grow meanwhile: its checkpoint is then compared with the root that belongs to it.
     """
-    root = _root(path)
+    root = read_root(path)
     lost = list(_integrity.damage_of_checkpoint(path, root))
-    while lost and (now := _root(path)) != root:
+    while lost and (now := read_root(path)) != root:
         root, lost = now, list(_integrity.damage_of_checkpoint(path, now))
-    _integrity.damaged(path, itertools.chain(lost, _integrity.damage(path, root)))
+    _integrity.raise_if_damaged(path, itertools.chain(lost, _integrity.damage(path, root)))
 
 
-def _root(path: Path) -> dict[str, Any]:
+def read_root(path: Path) -> dict[str, Any]:
     """The store's root metadata."""
     try:
         root = json.loads((path / _ROOT).read_text(encoding="utf-8"))
@@ -161,7 +184,7 @@ class Writer:
     @cached_property
     def attributes(self) -> dict[str, Any]:
         """The attributes of the root; read once, when the first process has locked the store."""
-        return _root(self.path)["attributes"]
+        return read_root(self.path)["attributes"]
 
     @property
     def progress(self) -> dict[str, Any]:
@@ -187,14 +210,14 @@ class Writer:
         self._writing = self._writer.submit(lambda: self._write(parts()))
 
     @property
-    def written(self) -> bool:
+    def is_written(self) -> bool:
         """True if this process' part of the last commit is on disk; raises OSError if writing it failed."""
         if self._writing is None or not self._writing.done():
             return self._writing is None
         try:
             self._writing.result()
         except OSError as error:
-            raise self._unwritten(error) from error
+            raise self._write_error(error) from error
         return True
 
     def checksums(self, commit: Commit) -> np.ndarray:
@@ -208,9 +231,9 @@ class Writer:
             try:
                 digests = self.attributes["digests"] | self._digests(commit, checksums)
                 attributes = self.attributes | {"progress": commit.progress, "digests": digests}
-                _write_root(self.path, _root(self.path) | {"attributes": attributes}, self._metas)
+                _write_root(self.path, read_root(self.path) | {"attributes": attributes}, self._metas)
             except OSError as error:
-                raise self._unwritten(error) from error
+                raise self._write_error(error) from error
             self.attributes = attributes
             if self.progress["complete"]:
                 shutil.rmtree(self.path / CHECKPOINT)
@@ -224,10 +247,10 @@ class Writer:
         row, checkpoint = parts.pop(CHECKSUMS), parts.pop(CHECKPOINT)
         if commit.row is not None:
             self._write([Part(CHECKSUMS, (commit.row,), row[None])])
-            self._recorded.update(np.asarray(row, "<u4").tobytes())
+            self._hash_of_rows.update(np.asarray(row, "<u4").tobytes())
         arrays = {name: _integrity.digest_of(found) for name, found in parts.items()}
         return {
-            "rows": self._recorded.hexdigest()[:16],
+            "rows": self._hash_of_rows.hexdigest()[:16],
             "checkpoint": None if commit.progress["complete"] else _integrity.digest_of(checkpoint),
             "arrays": self.attributes["digests"]["arrays"] | arrays,
         }
@@ -238,7 +261,7 @@ class Writer:
         row = [] if commit.row is None else _integrity.files_of_rows(metas, commit.row)
         found = {CHECKSUMS: row, CHECKPOINT: _integrity.files_of_checkpoint(metas, self.next_slot)}
         if commit.progress["complete"]:
-            names = [name for name in _results(metas) if not _integrity.along_time(metas[name])]
+            names = [name for name in _results(metas) if not _integrity.is_along_time(metas[name])]
             found |= {name: _integrity.chunk_files(name, metas[name]) for name in names if name not in self._constants}
         return found
 
@@ -253,13 +276,13 @@ class Writer:
         return _integrity.metadata(self.path, self.attributes["digests"]["metadata"])
 
     @cached_property
-    def _recorded(self) -> Any:
+    def _hash_of_rows(self) -> Any:
         """The hash of the checksums of all published rows of chunks."""
         rows = _integrity.rows_of(self.attributes)
         return hashlib.sha256(_integrity.checksums_of_rows(self.path, rows).tobytes())
 
-    def _unwritten(self, error: OSError) -> OSError:
-        steps = _root(self.path)["attributes"]["progress"]["steps"]
+    def _write_error(self, error: OSError) -> OSError:
+        steps = read_root(self.path)["attributes"]["progress"]["steps"]
         reason = f"{error.strerror}: {self.path} holds everything up to step {steps}; fix this and resume"
         return OSError(error.errno, reason)
 
@@ -274,7 +297,7 @@ class Writer:
         if name not in self._arrays:
             import zarr
 
-            with _every_chunk():
+            with _write_every_chunk():
                 self._arrays[name] = zarr.open_array(str(self.path / name), mode="r+")
         return self._arrays[name]
 
@@ -351,7 +374,7 @@ def _fill(
     rows = -(-length // chunk)
     chunks = min(rows, max(1, _RECORDS // files)), files
     _add(group, CHECKSUMS, Column((rows, files), np.dtype(np.uint32), chunks, ("row", "file"), {}))
-    with _every_chunk():
+    with _write_every_chunk():
         for name, (_, values) in constants.items():
             zarr.open_array(str(folder / name), mode="r+")[...] = values
     digests = {
@@ -389,7 +412,7 @@ def _remove_stale(path: Path) -> None:
                 shutil.rmtree(folder)
 
 
-def _every_chunk() -> Any:
+def _write_every_chunk() -> Any:
     """A context in which arrays opened write chunks of fill values too: a file that is missing is one that was lost."""
     import zarr
 
@@ -400,7 +423,7 @@ def clean(path: Path) -> None:
     """Remove what a killed writer left: temporary files, and the checkpoint of a run that is complete."""
     for file in path.rglob("*.partial"):
         file.unlink()
-    if _root(path)["attributes"]["progress"]["complete"]:
+    if read_root(path)["attributes"]["progress"]["complete"]:
         shutil.rmtree(path / CHECKPOINT, ignore_errors=True)
 
 
@@ -412,7 +435,7 @@ def _write_root(path: Path, root: dict[str, Any], metas: Mapping[str, Any]) -> N
     """
     attributes, shown = root["attributes"], {}
     for name in sorted(_results(metas)):
-        if _integrity.along_time(metas[name]):
+        if _integrity.is_along_time(metas[name]):
             shown[name] = metas[name] | {"shape": [attributes["progress"]["entries"], *metas[name]["shape"][1:]]}
         elif name in attributes["digests"]["arrays"]:
             shown[name] = metas[name]
@@ -457,7 +480,7 @@ def _lock(path: Path) -> int:
 
 
 @contextlib.contextmanager
-def opened(path: Path, leader: bool) -> Iterator[Writer]:
+def open_writer(path: Path, leader: bool) -> Iterator[Writer]:
     """A `Writer` of the store at `path`, closed at the end."""
     writer = Writer(path, leader)
     try:

@@ -71,7 +71,7 @@ def leave(message: str) -> NoReturn:
 
 
 @contextlib.contextmanager
-def watched(mesh: Mesh) -> Iterator[None]:
+def name_lost(mesh: Mesh) -> Iterator[None]:
     """Turn the failure of a collective operation into `LostProcess`, which names the processes that are gone."""
     _watch.begin()
     try:
@@ -118,13 +118,13 @@ class _Watch:
     def missing(self) -> str:
         """The processes that are gone, for a message. It may take some heartbeats to know."""
         if self._thread is None:
-            self._gone_now()
+            self._is_any_gone()
         else:
             self._found.wait(3 * HEARTBEAT)
         return self._gone
 
     def _run(self) -> None:
-        while not self._gone_now():
+        while not self._is_any_gone():
             time.sleep(1)
             self._active.wait()
         self._found.set()
@@ -132,7 +132,7 @@ class _Watch:
         if self._active.is_set():
             leave(f"lieint: {self._gone} is lost; {_RESUMED}")
 
-    def _gone_now(self) -> bool:
+    def _is_any_gone(self) -> bool:
         count = _number()
         try:
             live = set(_client().get_live_nodes(list(range(count))))

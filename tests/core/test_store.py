@@ -503,12 +503,12 @@ def test_processes_that_are_about_to_do_different_runs_all_say_so(monkeypatch):
 def test_an_error_of_one_process_ends_all(monkeypatch):
     monkeypatch.setattr(_layout, "all_gather", lambda mesh, failed: np.array([[True], [failed]]))
     with pytest.raises(ValueError, match="process 0 of this run has failed; its own message says why"):
-        _layout.agreed(None, lambda: 1)
+        _layout.fail_together(None, lambda: 1)
 
 
 def test_two_runs_do_not_write_to_one_store(tmp_path, small_chunks):
     run(tmp_path / "run.zarr")
-    with _store.opened(tmp_path / "run.zarr", True), pytest.raises(ValueError, match="another run is writing"):
+    with _store.open_writer(tmp_path / "run.zarr", True), pytest.raises(ValueError, match="another run is writing"):
         run(tmp_path / "run.zarr", resume=True)
 
 

@@ -1,0 +1,32 @@
+"""Files of results, checked before their numbers are read: archives NAME.npz, and the stores NAME.zarr of `ensemble.run`.
+
+The application reads and writes its files through these names. Whatever is wrong with a file becomes an
+`UnreadableError`, a ValueError of one sentence that names the file.
+"""
+
+from lieint_jax.ensemble._opening import (
+    SUFFIXES,
+    TIME,
+    Archive,
+    UnreadableError,
+    check_system,
+    open_archive,
+    read_trajectory,
+    wrap_errors,
+)
+from lieint_jax.ensemble._reading import load_store, system_from_store
+from lieint_jax.ensemble._store import leaves_by_name
+
+__all__ = [
+    "SUFFIXES",
+    "TIME",
+    "Archive",
+    "UnreadableError",
+    "check_system",
+    "leaves_by_name",
+    "load_store",
+    "open_archive",
+    "read_trajectory",
+    "system_from_store",
+    "wrap_errors",
+]
