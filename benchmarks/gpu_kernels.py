@@ -101,7 +101,7 @@ def counts(quick: bool, only: list[str] | None, dump: Path) -> Iterator[list[Any
         yield [name, "plain", "", *_counted(engine.interval(), job, 1, dump)]
         for together in (1, 4):
             try:
-                _, interval = engine.programs(flattened, together)
+                _, interval = engine.make_programs(flattened, together)
             except UnsupportedError as reason:
                 yield [name, f"none: {reason}", *[""] * 7]
                 break

@@ -8,11 +8,12 @@ from typing import Any
 
 from lieint_jax.ensemble import _opening, _store
 from lieint_jax.ensemble._description import UnknownNameError, make
+from lieint_jax.ensemble._integrity import Table
 from lieint_jax.ensemble._job import Summary
 from lieint_jax.types import System, Trajectory
 
 
-def open_run(path: str | Path, own: Mapping[str, Any] | None = None) -> tuple[Any, System]:
+def open_run(path: str | Path, own: Mapping[str, object] | None = None) -> tuple[Any, System]:
     """The run in a store, and its system, with which everything can be computed from it.
 
     Args:
@@ -44,14 +45,14 @@ def open_run(path: str | Path, own: Mapping[str, Any] | None = None) -> tuple[An
     return _result(found, attributes), system
 
 
-def load_store(path: Path) -> tuple[Any, dict[str, Any]]:
+def load_store(path: Path) -> tuple[Any, Table]:
     """The complete part of the run in a store, checked, and the store's attributes; see `_store.load`."""
     _opening.check_store(path)
     with _opening.wrap_errors(path):
         return _store.load(path)
 
 
-def system_from_store(path: Path, attributes: Mapping[str, Any], own: Mapping[str, Any] | None = None) -> System:
+def system_from_store(path: Path, attributes: Table, own: Mapping[str, object] | None = None) -> System:
     """The system of the run in a store of these attributes."""
     constants = _store.constants(path, attributes["constants"])
     with _opening.wrap_errors(path, passed=(UnknownNameError,)):
@@ -66,7 +67,7 @@ def open_complete(path: Path) -> Any:
     return _result(*_store.load(path))
 
 
-def _result(found: Any, attributes: Mapping[str, Any]) -> Any:
+def _result(found: Any, attributes: Table) -> Any:
     if isinstance(found, Trajectory):
         return found
     state = _store.states_in(found, found["time"][-1], attributes)

@@ -215,7 +215,7 @@ def _next_call(job: Job, done: int, saved: int, most: int, free_rows: int) -> tu
 
 
 def _make_clock(
-    step: Step, t0: Any, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
+    step: Step, t0: Any, dtype: np.dtype, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
 ) -> tuple[UniformClock | GridClock, int]:
     """When the steps are, as host arrays, and how many are asked for; since the start if members start apart."""
     if t0 is not None and t0.ndim:
@@ -232,7 +232,7 @@ _Entries = tuple[np.ndarray, np.ndarray, np.ndarray | None, int | None]  # times
 
 
 def _entries_by_count(
-    clock: UniformClock | GridClock, planned_steps: int, save_every: int | None, dtype: Any
+    clock: UniformClock | GridClock, planned_steps: int, save_every: int | None, dtype: np.dtype
 ) -> _Entries:
     """The entries after every so many steps."""
     interval, num_saves = intervals(planned_steps, save_every)
@@ -241,7 +241,9 @@ def _entries_by_count(
     return np.asarray(times), nodes, None, interval
 
 
-def _entries_at_times(save_at: ArrayLike, clock: UniformClock | GridClock, planned_steps: int, dtype: Any) -> _Entries:
+def _entries_at_times(
+    save_at: ArrayLike, clock: UniformClock | GridClock, planned_steps: int, dtype: np.dtype
+) -> _Entries:
     """The entries at given times, the start's first."""
     wanted = outputs(save_at, clock, planned_steps, dtype)
     times = np.concatenate([[clock.time(0)], wanted])
@@ -267,10 +269,10 @@ class CompiledLoop:
         """
         dtype, rests = _loop.step_dtype(), self._job.rests
         first = np.concatenate([[done], ends[:-1]]).astype(dtype)
-        fresh = (np.arange(len(ends)) > 0) | (done == self._job.nodes[saved])
+        begins = (np.arange(len(ends)) > 0) | (done == self._job.nodes[saved])
         if rests is not None:
             rests = np.resize(rests[saved + 1 :], len(ends)).astype(self._job.dtype)
-        spans = _loop.Span(first, ends.astype(dtype), rests, fresh)
+        spans = _loop.Span(first, ends.astype(dtype), rests, begins)
         return self._engine.advance(self._layout, self._start, carry, spans, self._rows)
 
     def check_first_step(self) -> None:

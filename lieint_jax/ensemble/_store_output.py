@@ -13,10 +13,12 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from numpy.typing import DTypeLike
 
 from lieint_jax.ensemble import _identity, _layout, _opening, _store
 from lieint_jax.ensemble._description import describe
 from lieint_jax.ensemble._engine import Engine
+from lieint_jax.ensemble._integrity import Table
 from lieint_jax.ensemble._job import Job, first_entry, gather_rows, local_rows, reduce_rows
 from lieint_jax.ensemble._layout import Layout, Place
 from lieint_jax.ensemble._loop import Carry, Range, step_dtype
@@ -88,7 +90,7 @@ def _checked_path(path: str | Path) -> Path:
     return path
 
 
-def _check_json(attributes: Mapping[str, Any]) -> None:
+def _check_json(attributes: Mapping[str, object]) -> None:
     """ValueError if JSON cannot hold the attributes that a user gives to a store."""
     for key, value in attributes.items():
         try:
@@ -99,7 +101,7 @@ def _check_json(attributes: Mapping[str, Any]) -> None:
             raise ValueError(f"attributes of a store must be what JSON can hold; {key!r} is not: {error}") from None
 
 
-def _create(path: Path, job: Job, options: StoreOptions, attributes: dict[str, Any]) -> None:
+def _create(path: Path, job: Job, options: StoreOptions, attributes: Table) -> None:
     """Make the store of a run."""
     description, numbers = describe(job.step)
     chunk = attributes["member_chunk"]
@@ -284,7 +286,9 @@ class _Axes:
         self.slots = {"slot": (2, 1)}
         self._number = job.dtype
 
-    def column(self, axes: Mapping[str, tuple[int, int]], dtype: Any = None, **attributes: str) -> _store.Column:
+    def column(
+        self, axes: Mapping[str, tuple[int, int]], dtype: DTypeLike | None = None, **attributes: str
+    ) -> _store.Column:
         """The description of an array of scalars along `axes`."""
         (shape, chunks), kind = zip(*axes.values(), strict=True), np.dtype(self._number if dtype is None else dtype)
         return _store.Column(shape, kind, chunks, tuple(axes), attributes)
@@ -373,7 +377,7 @@ def _unit(name: str, job: Job, options: StoreOptions) -> str:
     return f"unit of inertia / {options.time_unit}{power}" if rigid and power is not None else "1"
 
 
-def _attributes(job: Job, options: StoreOptions, described: dict[str, Any], chunk: int) -> dict[str, Any]:
+def _attributes(job: Job, options: StoreOptions, described: Table, chunk: int) -> Table:
     """The attributes of a store, but for those that describe its arrays and its progress.
 
     Raises:

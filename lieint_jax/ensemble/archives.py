@@ -1,7 +1,7 @@
-"""Files of results, checked before their numbers are read: archives NAME.npz, and the stores NAME.zarr of `ensemble.run`.
+"""Read files of results: archives NAME.npz and the stores NAME.zarr of `ensemble.run`, checked before they are read.
 
-The application reads and writes its files through these names. Whatever is wrong with a file becomes an
-`UnreadableError`, a ValueError of one sentence that names the file.
+The application reads its files through these names. A file that cannot be read raises `UnreadableError`, a ValueError
+whose message is one sentence that names the file.
 """
 
 from lieint_jax.ensemble._opening import (

@@ -81,8 +81,8 @@ SENTENCES = [
         "give angular_velocity_rad or angular_velocity_deg, not both",
     ),
     (lambda: scenarios.load("toutatis", save_every=320), r"observation\.t = 23.* must be a multiple of dt·save_every"),
-    (lambda: _store.check(Path("group.zarr")), "a Zarr group, but not one that lieint wrote"),
-    (lambda: _store.check(Path("newer.zarr")), "has format 99; .*take a newer one"),
+    (lambda: _store.check(Path("group.zarr")), "a Zarr group, but was not written by lieint"),
+    (lambda: _store.check(Path("newer.zarr")), "has format 99; .*use a newer one"),
     (lambda: _store.check(Path("damaged.zarr")), "is damaged: its checksum is wrong"),
     (lambda: info_command.plot(Path("bare.npz")), "holds neither a scenario nor the numbers of its system"),
     (lambda: info_command.plot(Path("start.npz")), "holds the initial states only"),
@@ -167,7 +167,7 @@ def test_a_step_of_ones_own_that_fails_has_a_message():
 
 @pytest.mark.parametrize(
     ("owners", "sentence"),
-    [([0, 1, 0], "as many devices of each process"), ([0, 1, 1], "as many"), ([1, 2], "no device of this process, 0")],
+    [([0, 1, 0], "equally many devices of each process"), ([0, 1, 1], "equally many"), ([1, 2], "no device of this process, 0")],
 )
 def test_a_mesh_over_processes_must_be_even_and_have_this_one(monkeypatch, owners, sentence):
     class Mesh:
