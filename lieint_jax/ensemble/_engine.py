@@ -28,7 +28,7 @@ from lieint_jax.ensemble._loop import (
     Saved,
     Span,
 )
-from lieint_jax.native import Flattened, Kernel, UnsupportedError, flattened, kernel
+from lieint_jax.native import Flattened, Kernel, UnsupportedError, flatten, kernel
 from lieint_jax.types import State, Step
 
 _Program = TypeVar("_Program", Kernel, Flattened)
@@ -200,13 +200,13 @@ class FlatEngine(XlaEngine):
 
     def __init__(self, job: Job):
         super().__init__(job)
-        self._preparation, self._flat = self.make_programs(flattened)
+        self._preparation, self._flat = self.make_programs(flatten)
         if self._flat.width > _WIDEST:
             raise UnsupportedError(f"about {self._flat.width} registers, more than {_WIDEST}")
         if self._flat.carried > _MOST_CARRIED:
             raise UnsupportedError(f"a loop with {self._flat.carried} numbers, more than {_MOST_CARRIED}")
         if self._flat.length <= _SHORT_STEP:
-            _, self._flat = self.make_programs(flattened, _TOGETHER)
+            _, self._flat = self.make_programs(flatten, _TOGETHER)
 
     def prepare(self, layout: Layout, start: Start, states: list[State]) -> list[Step]:
         """See `Engine`."""
@@ -288,6 +288,6 @@ def _without_shared_axis(kinds: Tree, results: Tree) -> Tree:
     return jax.tree.map(lambda kind, x: x[0] if kind == "shared" else x, kinds, results)
 
 
-def _member_shape(x: np.ndarray) -> jax.ShapeDtypeStruct:
+def _member_shape(x: Numbers) -> jax.ShapeDtypeStruct:
     """The shape of one member's part of an array."""
     return jax.ShapeDtypeStruct(np.shape(x)[1:], x.dtype)

@@ -109,7 +109,7 @@ def check_same(path: Path, stored: Table, now: Table) -> None:
 def warn_of_no_resume(described: Table) -> None:
     """Warn at the start of a run that cannot be resumed, because something that it depends on has no digest."""
     for key, reason in _not_comparable(described).items():
-        warnings.warn(f"this run cannot be resumed: the {key} {reason}; {_ADVICE}", RuntimeWarning, stacklevel=4)
+        warnings.warn(f"this run cannot be resumed: the {key} {reason}; {_ADVICE}", RuntimeWarning, stacklevel=5)
 
 
 def differences(stored: Mapping[str, object], now: Mapping[str, object], prefix: str = "") -> list[str]:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import jax
 import numpy as np
 
 from lieint_jax._integrate import GridClock, UniformClock
 from lieint_jax.ensemble import _layout
-from lieint_jax.ensemble._layout import Layout
+from lieint_jax.ensemble._layout import Layout, Numbers
 from lieint_jax.ensemble._loop import Carry, Range, Reduction, Saved
 from lieint_jax.ensemble._store import shared_time
-from lieint_jax.types import State, Step
+from lieint_jax.types import State, Step, Trajectory
 
 _CHUNK_BYTES, _BUFFER_BYTES = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
 _CHUNK_WORK = 2e8  # the most body-steps between two writes, unless one save interval has more
@@ -63,7 +63,7 @@ class Job(NamedTuple):
 
     step: Step
     states: State
-    t0: np.ndarray | None
+    t0: Numbers | None
     dt: float | None
     clock: UniformClock | GridClock
     planned_steps: int
@@ -189,7 +189,7 @@ class Output(Protocol):
         """The message for a user who interrupted the run."""
         ...
 
-    def result(self, carry: list[Carry]) -> Any:
+    def result(self, carry: list[Carry]) -> Trajectory | Summary | None:
         """The result, after the last step."""
 
 

@@ -102,7 +102,7 @@ def test_toutatis_periods_over_800_days(members):
 
     scenario = scenarios.load("toutatis", members=members)
     step, states = scenarios.build(scenario)
-    run = ensemble.run(step, states, scenario.dt, scenario.steps, scenario.save_every, progress=False)
+    run = ensemble.run(step, states, scenario.dt, scenario.steps, save_every=scenario.save_every, progress=False)
     assert run.t[-1] >= 800
     precession, rotation = rigid_body.mean_periods(step.system, run)
     assert precession[0] == pytest.approx(7.3998, abs=2e-4)
@@ -130,7 +130,7 @@ def test_periods_of_bodies_with_known_ones():
         ):
             state = body.state(angular_velocity=rate)
             states = jax.tree.map(lambda x: jnp.stack([x, x]), state)
-            run = ensemble.run(li.schemes.so3_midpoint(body), states, 0.01, 20_000, 100, progress=False)
+            run = ensemble.run(li.schemes.so3_midpoint(body), states, 0.01, 20_000, save_every=100, progress=False)
             precession, rotation = rigid_body.mean_periods(body, run)
             np.testing.assert_allclose(precession, 2 * np.pi / (angle / J[0]), rtol=1e-3)
             np.testing.assert_allclose(rotation, 2 * np.pi / abs(0.9 * (J[2] - J[0]) / J[0]), rtol=1e-3)

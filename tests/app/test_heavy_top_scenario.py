@@ -120,7 +120,9 @@ def test_run_heavy_top(tmp_path, monkeypatch, capsys):
 def test_tops_without_closed_form_report_what_they_have():
     top, state = jax.jit(kovalevskaya)()
     assert not heavy_top.is_lagrange(top)
-    run = ensemble.run(li.schemes.splitting(top), jax.tree.map(lambda x: x[None], state), 0.02, 2000, 5, progress=False)
+    run = ensemble.run(
+        li.schemes.splitting(top), jax.tree.map(lambda x: x[None], state), 0.02, 2000, save_every=5, progress=False
+    )
     found = heavy_top.changes(top, run)
     assert 1e-5 < found["Kovalevskaya's integral, relative"] < 1e-2
     assert found["γ·π, relative to |π|"] < 1e-14

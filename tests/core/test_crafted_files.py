@@ -188,7 +188,7 @@ def good(tmp_path_factory):
 
 def run_into(path, **options):
     states = jax.jit(jax.vmap(lambda w: BODY.state(angular_velocity=w)))(np.array([[0.2, 0.0, 1.0], [0.3, -0.5, 0.8]]))
-    li.ensemble.run(li.schemes.so3_midpoint(BODY), states, 0.05, 4, 2, store=path, progress=False, **options)
+    li.ensemble.run(li.schemes.so3_midpoint(BODY), states, 0.05, 4, save_every=2, store=path, progress=False, **options)
 
 
 def rooted(change):

@@ -29,7 +29,7 @@ alone = jax.jit(li.integrate, static_argnums=(3, 4))
 
 def test_the_batch_is_the_bodies_one_by_one():
     batch = states(5)
-    run = ensemble.run(STEP, batch, 0.1, 60, 20, progress=False)
+    run = ensemble.run(STEP, batch, 0.1, 60, save_every=20, progress=False)
     assert run.state.q.shape == (4, 5, 4)
     np.testing.assert_allclose(run.t, [0, 2, 4, 6])
     assert run.info.converged.all()
@@ -60,7 +60,7 @@ def test_a_late_failure_names_member_and_step():
     first = int(np.argmin(np.asarray(single.info.converged))) - 1
     assert first > 0
     with pytest.warns(RuntimeWarning, match=rf"member 2 at step {first}"):
-        run = ensemble.run(step, batch, 0.99, 100, 10, progress=False)
+        run = ensemble.run(step, batch, 0.99, 100, save_every=10, progress=False)
     assert not np.asarray(run.info.converged)[:, 2].all()
 
 
@@ -103,7 +103,10 @@ def test_bad_batches():
     for bad, message in (
         (State(good.q[0], good.p[0]), "leading member axis"),
         (State(good.q[:2], good.p), "leading member axis"),
-        (State(good.q.at[1, 0].set(jnp.nan), good.p), r"states\.q must be finite, and is not for 1 member\(s\): 1"),
+        (
+            State(good.q.at[1, 0].set(jnp.nan), good.p),
+            r"states\.q must be finite, and is not finite for 1 member\(s\): 1",
+        ),
         (State(good.q.at[2].multiply(1.01), good.p), r"off the configuration space.*1 member\(s\): 2"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -130,7 +133,7 @@ def test_the_progress_bar_goes_to_a_terminal_and_nowhere_else(capfd, monkeypatch
 
 
 def test_store_round_trip_and_that_nothing_is_overwritten(tmp_path):
-    run = ensemble.run(STEP, states(3), 0.1, 20, 10, progress=False)
+    run = ensemble.run(STEP, states(3), 0.1, 20, save_every=10, progress=False)
     path = files.free(tmp_path / "run.npz")
     files.save(path, run, {"seed": 4})
     again, metadata = files.load(path)

@@ -121,11 +121,17 @@ SIZES = [
         "would hold 157 GB in memory, 2 times .*give a larger save_every, or",
     ),
     (
-        lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, 1),
-        r"would hold 174 GB in memory: 2147483649 entries of 81 bytes, .*has 1 GB; give a larger save_every or store=",
+        lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1),
+        r"would hold 174 GB in memory: 2147483649 entries of 81 bytes, .*has 1 GB; use a larger save_every or store=",
     ),
-    (lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, 1, reduce="energy"), "would hold 120 GB .*save_every$"),
-    (lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, 1, store="x.zarr"), "would hold 34.4 GB .*save_every$"),
+    (
+        lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1, reduce="energy"),
+        "would hold 120 GB .*save_every$",
+    ),
+    (
+        lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1, store="x.zarr"),
+        "would hold 34.4 GB .*save_every$",
+    ),
     (lambda: li.integrate(STEP, STATE, 0.1, 2**63), "num_steps must be at most 9007199254740992, got 9.22337e"),
     (lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 10**30), "num_steps must be at most 9007199254740992, got 1e"),
     (lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 1e30), "num_steps must be an integer ≥ 0, got 1e"),
@@ -167,7 +173,11 @@ def test_a_step_of_ones_own_that_fails_has_a_message():
 
 @pytest.mark.parametrize(
     ("owners", "sentence"),
-    [([0, 1, 0], "equally many devices of each process"), ([0, 1, 1], "equally many"), ([1, 2], "no device of this process, 0")],
+    [
+        ([0, 1, 0], "equally many devices of each process"),
+        ([0, 1, 1], "equally many"),
+        ([1, 2], "no device of this process, 0"),
+    ],
 )
 def test_a_mesh_over_processes_must_be_even_and_have_this_one(monkeypatch, owners, sentence):
     class Mesh:

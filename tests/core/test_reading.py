@@ -28,7 +28,7 @@ EXAMPLES = {name.partition("-")[0]: step for name, step, *_ in reversed(grid.ste
 def stored(tmp_path, **options):
     """A short run of three bodies in a store."""
     path, step = tmp_path / "run.zarr", li.schemes.so3_midpoint(BODY)
-    run = li.ensemble.run(step, STATES, 0.05, 20, 10, store=path, progress=False, **options)
+    run = li.ensemble.run(step, STATES, 0.05, 20, save_every=10, store=path, progress=False, **options)
     return path, run
 
 
@@ -178,6 +178,8 @@ def test_summaries_and_matrices_are_drawn(tmp_path):
     assert (tmp_path / "run-change.png").exists()
     body, state, dt = li.systems.pseudo_rigid.examples()["ball"]
     states = jax.tree.map(lambda x: jnp.stack([x, x]), state)
-    li.ensemble.run(li.schemes.additive(body), states, dt, 20, 2, store=tmp_path / "ball.zarr", progress=False)
+    li.ensemble.run(
+        li.schemes.additive(body), states, dt, 20, save_every=2, store=tmp_path / "ball.zarr", progress=False
+    )
     assert cli.main(["plot", str(tmp_path / "ball.zarr")]) == 0
     assert (tmp_path / "ball-motion.png").exists()

@@ -54,7 +54,7 @@ angular_velocity_deg = 5.0
 
 
 def run(path=None, step=STEP, dt=0.1, num_steps=60, save_every=5, **options):
-    return ensemble.run(step, STATES, dt, num_steps, save_every, store=path, progress=False, **options)
+    return ensemble.run(step, STATES, dt, num_steps, save_every=save_every, store=path, progress=False, **options)
 
 
 @pytest.fixture
@@ -84,7 +84,7 @@ def test_a_store_holds_what_memory_would(tmp_path, small_chunks):
 
 
 def test_reductions_are_those_of_the_trajectory(tmp_path, small_chunks):
-    every = ensemble.run(STEP, STATES, 0.1, 60, 1, progress=False)
+    every = ensemble.run(STEP, STATES, 0.1, 60, save_every=1, progress=False)
     change = (every.state.q[1:, :, 0] - every.state.q[0, :, 0]).reshape(12, 5 * 40)
     found = run(reduce=lambda step, z: z.q[0])
     for kept, expected in zip(found[1:4], (change.min(1), change.max(1), change.mean(1)), strict=True):
@@ -225,7 +225,7 @@ def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunk
         (dict(save_every=10), r"save_every is 5 in the store and 10 here"),
         (
             dict(step=li.schemes.so3_midpoint(BODY, li.maps.kappa_cayley)),
-            r"scheme is 'so3_midpoint\[symplectic\]' there",
+            r"scheme is 'so3_midpoint\[symplectic\]' in the store",
         ),
         (dict(step=li.schemes.so3_midpoint(BODY, iterations=7)), "options of the step is"),
         (dict(step=li.schemes.so3_midpoint(li.systems.rigid_body([1.0, 2.0, 2.5]))), "numbers of the step is"),
@@ -683,7 +683,9 @@ def test_two_processes_of_different_scenarios_both_say_so_and_leave_nothing(book
     own = ["--members", "96"], ["--members", "100"]
     for process in meet(book, free_port(), "--out", out, "--steps", "2000", own=own):
         error = process.communicate(timeout=120)[1]
-        assert re.search(r"given different runs: .*they differ in .*initial states, members.*\. Nothing was integrated", error)
+        assert re.search(
+            r"given different runs: .*they differ in .*initial states, members.*\. Nothing was integrated", error
+        )
         assert process.returncode == 2
     assert not list(book.glob("*different*"))
 
@@ -821,7 +823,7 @@ def test_energy_over_a_million_steps(make, bound):
         jnp.array(q / np.linalg.norm(q, axis=1, keepdims=True)), jnp.array(w)
     )
     relative = lambda step, z: jnp.log(step.system.energy(z))  # noqa: E731
-    found = ensemble.run(make(BODY), states, 0.05, 1_000_000, 100_000, reduce=relative, progress=False)
+    found = ensemble.run(make(BODY), states, 0.05, 1_000_000, save_every=100_000, reduce=relative, progress=False)
     worst = max(-found.least.min(), found.greatest.max())
     slope = np.polyfit(found.t / 0.05, found.mean, 1)[0]
     assert worst < bound

@@ -260,7 +260,7 @@ def test_gradients_in_masses_inertias_and_states(scheme):
 def test_an_ensemble_of_binaries_is_the_binaries_one_by_one(tmp_path):
     p = START.p[None] * (1 + 0.01 * jnp.arange(5.0))[:, None, None]
     states = li.State(jnp.broadcast_to(START.q, (5, *START.q.shape)), p)
-    run = functools.partial(li.ensemble.run, SPLITTING, states, DT, 40, 10, progress=False)
+    run = functools.partial(li.ensemble.run, SPLITTING, states, DT, 40, save_every=10, progress=False)
     memory, stored = run(), run(store=tmp_path / "run.zarr")
     np.testing.assert_array_equal(memory.state.q, stored.state.q[...])
     alone = li.integrate(SPLITTING, li.State(START.q, p[3]), DT, 40, 10)

@@ -232,16 +232,16 @@ def test_derivatives_forward_reverse_by_reversal_and_by_differences(name):
 def test_members_of_an_ensemble_have_times_of_their_own(step, dt, tmp_path):
     """The same as one by one, in memory and in a store."""
     states = jax.vmap(lambda t: step.start(START._replace(t=t)))(jnp.array([0.0, 0.05, 0.1]))
-    run = ensemble.run(step, states, dt, 20, 10, progress=False)
+    run = ensemble.run(step, states, dt, 20, save_every=10, progress=False)
     np.testing.assert_allclose(run.t, dt * np.array([0, 10, 20]))
     assert run.state.t.shape == (3, 3)
     for m in range(3):
         alone = li.integrate(step, jax.tree.map(lambda x, m=m: x[m], states), dt, 20, 10)
         np.testing.assert_allclose(run.state.t[:, m], alone.t, rtol=0, atol=1e-14)
         np.testing.assert_allclose(run.state.q[:, m], alone.state.q, rtol=0, atol=1e-14)
-    stored = ensemble.run(step, states, dt, 20, 10, progress=False, store=tmp_path / "run.zarr")
+    stored = ensemble.run(step, states, dt, 20, save_every=10, progress=False, store=tmp_path / "run.zarr")
     jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[...], b), stored.state, run.state)
-    summary = ensemble.run(step, states, dt, 20, 10, progress=False, reduce="energy")
+    summary = ensemble.run(step, states, dt, 20, save_every=10, progress=False, reduce="energy")
     np.testing.assert_array_equal(summary.state.t, run.state.t[-1])
 
 
