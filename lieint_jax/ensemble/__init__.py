@@ -1,8 +1,8 @@
-"""Batches of bodies: over devices and processes, with results in memory or on disk, and a report of failures.
+"""Batches of bodies over devices and processes, with results in memory or on disk, and a report of failures.
 
-`run(step, states, dt, num_steps)` integrates a batch in one compiled loop; with `store=` it writes while it runs and
-can be resumed, with `reduce=` it keeps a summary in place of states. `open(path)` gives a stored run and its system
-back. `over_members` applies any function of one member to all, over the devices.
+`run(step, states, dt, num_steps)` integrates a batch in one compiled loop. With `store=` it writes results while it
+runs and can be resumed; with `reduce=` it returns a summary in place of states. `open(path)` returns a stored run and
+its system. `over_members` applies any function of one member to all members, over all devices.
 """
 
 from lieint_jax.ensemble import archives, processes

@@ -1,4 +1,4 @@
-"""A run into a store: its arrays, its checkpoints, and the check that a run may be resumed."""
+"""A run that is written to a store: its arrays, its checkpoints, and the check that a run may be resumed."""
 
 from __future__ import annotations
 
@@ -20,12 +20,13 @@ from lieint_jax.ensemble._description import describe
 from lieint_jax.ensemble._engine import Engine
 from lieint_jax.ensemble._integrity import Table
 from lieint_jax.ensemble._job import Job, first_entry, gather_rows, local_rows, reduce_rows
-from lieint_jax.ensemble._layout import Layout, Place
-from lieint_jax.ensemble._loop import Carry, Range, step_dtype
+from lieint_jax.ensemble._layout import Layout, Numbers, Place
+from lieint_jax.ensemble._loop import Carry, Range, Saved, step_dtype
 from lieint_jax.ensemble._reading import open_complete
 from lieint_jax.ensemble._store import leaves_by_name, state_from_leaves, store_name
 from lieint_jax.types import StepInfo, _labeled
 
+Pending = Any  # saved rows by block, or the series of a reduction by name
 _RESIDUAL = "largest residual of a step since the entry before"
 _CHUNK_MEMBERS = 8192  # the most members in a chunk on disk
 _OWN = {"constants", "description", "progress", "digests", "checksum"}  # further attributes of every store
@@ -33,12 +34,12 @@ _CHECKPOINT_EVERY = 30.0  # seconds between checkpoints within a long save inter
 
 
 class StoreOptions(NamedTuple):
-    """The place of a store, and attributes to write beside the results.
+    """The path of a store, and attributes that are written with the results.
 
     Attributes:
         path: a folder, whose name ends in .zarr.
-        attributes: values that JSON can hold, such as a title. The key "scenario" describes the run: a resume with
-            another scenario is refused.
+        attributes: values for JSON, such as a title. The key "scenario" describes the run: a run with another scenario
+            cannot resume it.
         time_unit: the unit of dt.
     """
 
@@ -48,9 +49,13 @@ class StoreOptions(NamedTuple):
 
 
 def run_into_store(
-    engine: Engine, place: Place, options: StoreOptions, resume: bool, integrate: Callable[[Layout, StoreOutput], Any]
+    engine: Engine,
+    place: Place,
+    options: StoreOptions,
+    resume: bool,
+    integrate: Callable[[Layout, StoreOutput], object],
 ) -> Any:
-    """Let `integrate` fill a store, from the start or from its last checkpoint, and return the stored results."""
+    """Let `integrate` fill a store from the start or from its last checkpoint, and return the stored results."""
     job, mesh = engine.job, place.mesh
     path, leader = _checked_path(options.path), jax.process_index() == 0
     _check_json(options.attributes)
@@ -81,7 +86,7 @@ def run_into_store(
 
 
 def _checked_path(path: str | Path) -> Path:
-    """The path of a store, checked as far as that is possible before it exists."""
+    """The path of a store, checked as far as is possible before it exists."""
     path = Path(path)
     if path.suffix != ".zarr":
         raise ValueError(f"a store is a folder that ends in .zarr, got {path}")
@@ -91,14 +96,14 @@ def _checked_path(path: str | Path) -> Path:
 
 
 def _check_json(attributes: Mapping[str, object]) -> None:
-    """ValueError if JSON cannot hold the attributes that a user gives to a store."""
+    """Raise ValueError if the user's attributes of a store are not values for JSON."""
     for key, value in attributes.items():
         try:
             if not isinstance(key, str):
                 raise TypeError(f"names must be strings, got {key!r}")
             json.dumps(value, allow_nan=False)
         except (TypeError, ValueError, RecursionError) as error:
-            raise ValueError(f"attributes of a store must be what JSON can hold; {key!r} is not: {error}") from None
+            raise ValueError(f"attributes of a store must be values for JSON; {key!r} is not: {error}") from None
 
 
 def _create(path: Path, job: Job, options: StoreOptions, attributes: Table) -> None:
@@ -119,7 +124,7 @@ class StoreOutput:
     def __init__(self, job: Job, layout: Layout, writer: _store.Writer) -> None:
         self._job, self._layout, self._writer = job, layout, writer
         self._entries = writer.progress["entries"]  # committed so far
-        self._pending: list[tuple[Any, int]] = []
+        self._pending: list[tuple[Pending, int]] = []
         self._since = 0.0
         self._next: _store.Commit | None = None  # the commit that is being written
         self.buffer_rows = int(writer.attributes["time_chunk"])
@@ -134,7 +139,7 @@ class StoreOutput:
         return self.buffer_rows - (self._entries + self._pending_rows) % self.buffer_rows
 
     def restore(self) -> tuple[list[Carry], int, int] | None:
-        """The carry, and the numbers of steps and of saves, of the run that the store holds, or None."""
+        """The carry and the numbers of steps and of saves of the run in the store, or None."""
         done = self._writer.progress
         if not done["commits"]:
             return None
@@ -157,13 +162,13 @@ class StoreOutput:
         else:
             self._pending.append((first_entry(self._job), 1))
 
-    def append(self, saved: Any, number: int) -> None:
+    def append(self, saved: list[Saved], number: int) -> None:
         """Receive `number` saved rows."""
         if self._job.reduction is not None:
-            saved = reduce_rows(gather_rows(self._layout, saved, number), self._job)
+            rows: Pending = reduce_rows(gather_rows(self._layout, saved, number), self._job)
         else:
-            saved = local_rows(saved, number)
-        self._pending.append((saved, number))
+            rows = local_rows(saved, number)
+        self._pending.append((rows, number))
 
     def checkpoint(self, carry: list[Carry], done: int, seconds: float, stop: bool) -> None:
         """Commit if a chunk is full; or if no rows are pending and the last commit is old or the run is to stop."""
@@ -199,9 +204,9 @@ class StoreOutput:
                 time.sleep(0.002)
 
     def _parts(
-        self, carry: list[Carry], pending: list[tuple[Any, int]], first: int, commit: tuple[int, int], last: bool
+        self, carry: list[Carry], pending: list[tuple[Pending, int]], first: int, commit: tuple[int, int], last: bool
     ) -> Any:
-        """The parts of a commit, of a number and a number of steps, one by one, computed by the background thread."""
+        """The parts of a commit (its number, number of steps), one by one, computed by the background thread."""
         layout, part, slot = self._layout, _store.Part, commit[0] % 2
         mine = layout.local_members.start
         series = self._job.reduction is not None
@@ -234,7 +239,7 @@ class StoreOutput:
             for name, x in rows.items():
                 yield part(store_name(name), (first,) if series else (first, mine), x)
 
-    def _rows(self, pending: list[tuple[Any, int]]) -> dict[str, np.ndarray]:
+    def _rows(self, pending: list[tuple[Pending, int]]) -> dict[str, np.ndarray]:
         joined: dict[str, list[np.ndarray]] = {}
         for saved, _ in pending:
             blocks = [leaves_by_name(state) | info._asdict() for info, state in saved]
@@ -267,9 +272,9 @@ class StoreOutput:
         _layout.barrier(self._layout.mesh)
 
 
-def _leaves_of_carry(carry: list[Carry]) -> dict[str, list[Any]]:
+def _leaves_of_carry(carry: list[Carry]) -> dict[str, list[Numbers]]:
     """The arrays of a carry by name, each as a list of its blocks."""
-    found: dict[str, list[Any]] = {}
+    found: dict[str, list[Numbers]] = {}
     for c in carry:
         change = c.change._asdict() if c.change is not None else {}
         for name, x in {**leaves_by_name(c.state), "failed": c.failed, **c.info._asdict(), **change}.items():
@@ -293,7 +298,7 @@ class _Axes:
         (shape, chunks), kind = zip(*axes.values(), strict=True), np.dtype(self._number if dtype is None else dtype)
         return _store.Column(shape, kind, chunks, tuple(axes), attributes)
 
-    def state(self, axes: Mapping[str, tuple[int, int]], name: str, leaf: Any, **attributes: str) -> _store.Column:
+    def state(self, axes: Mapping[str, tuple[int, int]], name: str, leaf: Numbers, **attributes: str) -> _store.Column:
         """The description of an array of one leaf of the states along `axes`."""
         dims, _ = _labeled.state_axes(store_name(name), leaf.shape[1:])
         return self.column({**axes, **{dim: (n, n) for dim, n in zip(dims, leaf.shape[1:], strict=True)}}, **attributes)
@@ -337,7 +342,7 @@ def _series_columns(job: Job, axes: _Axes) -> dict[str, _store.Column]:
 
 
 def _constant(name: str, values: np.ndarray, job: Job) -> tuple[_store.Column, np.ndarray]:
-    """The description and the values of an array of numbers of the step, with the member axis first if it has one."""
+    """The description and the values of an array of the step, with the member axis first if it has one."""
     along = ("member",) if job.step_axis is not None else ()
     dims = (*along, *(f"{name}_axis{k}" for k in range(values.ndim - len(along))))
     return _store.Column(values.shape, values.dtype, values.shape, dims, {"long_name": f"{name} of the run"}), values
@@ -356,7 +361,7 @@ def _labels(job: Job) -> dict[str, tuple[_store.Column, np.ndarray]]:
 
 
 def _checkpoint_columns(job: Job, chunk: int) -> dict[str, _store.Column]:
-    """The arrays of the checkpoint: those of a carry, in two slots that are written in turn."""
+    """The arrays of the checkpoint: those of a carry, in two slots that are written alternately."""
     axes = _Axes(job, chunk)
     along = {**axes.slots, **axes.members}
     return {
@@ -378,10 +383,10 @@ def _unit(name: str, job: Job, options: StoreOptions) -> str:
 
 
 def _attributes(job: Job, options: StoreOptions, described: Table, chunk: int) -> Table:
-    """The attributes of a store, but for those that describe its arrays and its progress.
+    """The attributes of a store, except those that describe its arrays and its progress.
 
     Raises:
-        ValueError: attributes of the user have names of the store's own.
+        ValueError: a name of the user's attributes is reserved.
     """
     own = {
         "format": _store.FORMAT,
@@ -399,7 +404,7 @@ def _attributes(job: Job, options: StoreOptions, described: Table, chunk: int) -
         "member_chunk": chunk,
         "run": described,
     }
-    taken = sorted(map(str, options.attributes.keys() & (own.keys() | _OWN)))
-    if taken:
-        raise ValueError(f"attributes of a store may not be called {', '.join(taken)}: it has its own; choose others")
+    reserved = sorted(map(str, options.attributes.keys() & (own.keys() | _OWN)))
+    if reserved:
+        raise ValueError(f"attributes of a store may not be called {', '.join(reserved)}: these names are reserved")
     return {"title": job.step.name} | own | dict(options.attributes)

@@ -243,7 +243,7 @@ def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunk
     with pytest.raises(ValueError, match="engine is 'native' in the store and 'xla' here"):
         run(path, resume=True)
     assert before == {f: f.read_bytes() for f in path.rglob("*") if f.is_file()}
-    with pytest.raises(ValueError, match="give store"):
+    with pytest.raises(ValueError, match="pass store"):
         run(resume=True)
     with pytest.raises(ValueError, match=r"ends in \.zarr"):
         run(tmp_path / "run.npz")
@@ -434,9 +434,9 @@ def test_places_and_attributes_that_no_store_can_have_are_refused_before_the_run
         ("link", {}, r"link\.zarr is a link to nowhere, which does not exist"),
         (240 * "x", {}, r"xxx\.zarr cannot be created: File name too long; choose another"),
         (300 * "x", {}, r"xxx\.zarr cannot be created: File name too long; choose another"),
-        ("taken", {"run": 1, "members": 2, "seed": 3}, r"may not be called members, run: it has its own"),
+        ("taken", {"run": 1, "members": 2, "seed": 3}, r"may not be called members, run: these names are reserved"),
         ("taken", {"progress": 1}, "may not be called progress"),
-        ("object", {"body": BODY}, "must be what JSON can hold; 'body' is not: Object of type RigidBody"),
+        ("object", {"body": BODY}, "must be values for JSON; 'body' is not: Object of type RigidBody"),
         ("scenario", {"scenario": {"x": {1}}}, "'scenario' is not: Object of type set"),
         ("number", {"n": np.int64(1)}, "'n' is not: Object of type int64"),
         ("infinite", {"x": float("nan")}, "'x' is not: Out of range float"),
@@ -767,7 +767,7 @@ def test_the_command_line_writes_resumes_and_shows(tmp_path, monkeypatch, capsys
         (["run", "book.toml", "--out", "x.npz", "--resume"], "only a run written as .zarr can be resumed"),
         (["run", "book.toml", "--processes", "2"], "go with --distributed"),
         (["run", "book.toml", "--devices", "99"], "99 devices were requested"),
-        (["run", "book.toml", "--distributed", "--processes", "2"], "give all of coordinator"),
+        (["run", "book.toml", "--distributed", "--processes", "2"], "pass all of coordinator"),
     ):
         assert cli.main(bad) == 2
         assert message in capsys.readouterr().err
