@@ -33,7 +33,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", metavar="NAME", help="the commands to measure")
     options = command.parsed(parser)
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:CORES])
-    names = options.only or (["run pendulum", "study gyro"] if options.quick else every())
+    names = options.only or (["run pendulum", "study gyro"] if options.quick else command_names())
     data = command.under_load(lambda: {"rows": [measured(name) for name in names]})
     if options.only:
         print("\n\n".join(render(data)))
@@ -43,7 +43,7 @@ def main() -> None:
         keep(data["rows"])
 
 
-def every() -> list[str]:
+def command_names() -> list[str]:
     """All commands that take no more than a name."""
     from lieint_jax import _discover, systems
     from lieint_jax.app import scenarios, studies
@@ -105,7 +105,7 @@ def keep(rows: list[dict[str, Any]]) -> None:
     """Write the rows to `COSTS`, over those of the same commands."""
     old = dict(line.split(",", 1) for line in COSTS.read_text(encoding="utf-8").splitlines()[1:])
     new = {r["name"]: f"{r['first']:.0f},{r['again']:.0f},{r['memory']:.1f},{r['disk']:.1f}" for r in rows}
-    known = {name: (old | new)[name] for name in every() if name in old | new}
+    known = {name: (old | new)[name] for name in command_names() if name in old | new}
     lines = [HEAD, *(f"{name},{numbers}" for name, numbers in known.items())]
     COSTS.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

@@ -49,7 +49,7 @@ def rows(quick: bool, only: list[str] | None) -> Iterator[dict[str, Any]]:
         for scheme, schemes in _discover.modules_with_examples(li.schemes).items():
             if only and scheme not in only:
                 continue
-            for step, state, dt in itertools.islice(taken(schemes, examples), 1):
+            for step, state, dt in itertools.islice(accepted_steps(schemes, examples), 1):
                 start = step.start(state)
 
                 def run(z: Any, step: Any = step, dt: float = dt) -> Any:
@@ -62,7 +62,7 @@ def rows(quick: bool, only: list[str] | None) -> Iterator[dict[str, Any]]:
                 yield {"system": name, "scheme": scheme, "step": step.name, "forward": forward, "reverse": reverse}
 
 
-def taken(scheme: Any, examples: Iterable[tuple[Any, Any, float]]) -> Iterator[tuple[Any, Any, float]]:
+def accepted_steps(scheme: Any, examples: Iterable[tuple[Any, Any, float]]) -> Iterator[tuple[Any, Any, float]]:
     """A step by the scheme, a state and Δt, for each example that the scheme takes."""
     for system, state, dt in examples:
         for step in scheme.examples(system).values():
@@ -70,7 +70,7 @@ def taken(scheme: Any, examples: Iterable[tuple[Any, Any, float]]) -> Iterator[t
 
 
 def waited(call: Callable[[], Any]) -> dict[str, float]:
-    """Seconds of the first and of the second call, each the shorter of two: hosts are noisy."""
+    """Seconds of the first and of the second call, each the shorter of two: timings are noisy."""
     import jax
 
     def seconds() -> float:
@@ -78,11 +78,11 @@ def waited(call: Callable[[], Any]) -> dict[str, float]:
         jax.block_until_ready(jax.tree.leaves(call()))
         return time.perf_counter() - begin
 
-    def both() -> tuple[float, float]:
+    def time_twice() -> tuple[float, float]:
         jax.clear_caches()
         return seconds(), seconds()
 
-    first, second = map(min, zip(both(), both(), strict=True))
+    first, second = map(min, zip(time_twice(), time_twice(), strict=True))
     return {"first": first, "second": second}
 
 

@@ -89,7 +89,7 @@ def counts(quick: bool, only: list[str] | None, dump: Path) -> Iterator[list[Any
     import jax
 
     from lieint_jax.ensemble import _engine
-    from lieint_jax.native import UnsupportedError, flattened
+    from lieint_jax.native import UnsupportedError, flatten
 
     jax.config.update("jax_platforms", "cpu")
     jax.config.update("jax_enable_x64", True)
@@ -101,7 +101,7 @@ def counts(quick: bool, only: list[str] | None, dump: Path) -> Iterator[list[Any
         yield [name, "plain", "", *_counted(engine.interval(), job, 1, dump)]
         for together in (1, 4):
             try:
-                _, interval = engine.programs(flattened, together)
+                _, interval = engine.make_programs(flatten, together)
             except UnsupportedError as reason:
                 yield [name, f"none: {reason}", *[""] * 7]
                 break
@@ -148,9 +148,19 @@ def _job(step: Any, state: Any, dt: float) -> Any:
 
     states = jax.tree.map(lambda x: jnp.broadcast_to(x, (2, *jnp.shape(x))), step.start(state))
     step, states, dtype = promoted(checked_step(step), states)
-    states, t0 = _run._checked(step, states)
-    clock, planned = _run._clock(step, t0, dtype, dt, 100, None)
-    return Job(step, states, t0, dt, clock, planned, *_run._regular(clock, planned, None, dtype), None, None)
+    states, t0 = _run._split_time(step, states)
+    clock, planned_steps = _run._make_clock(step, t0, dtype, dt, 100, None)
+    return Job(
+        step,
+        states,
+        t0,
+        dt,
+        clock,
+        planned_steps,
+        *_run._entries_by_count(clock, planned_steps, None, dtype),
+        None,
+        None,
+    )
 
 
 def _counted(interval: Callable[..., Any], job: Any, together: int, dump: Path) -> list[Any]:

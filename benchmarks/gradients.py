@@ -78,14 +78,14 @@ def ours(steps: int) -> dict[str, Callable[..., Any]]:
     def undone(step: Any, z: Any) -> Any:
         return li.reversible(step, z, DT, steps)
 
-    def kept(step: Any, z: Any) -> Any:
+    def checkpointed(step: Any, z: Any) -> Any:
         return li.reversible(step, z, DT, steps, derivative="checkpoint")
 
     found: dict[str, Callable[..., Any]] = {
         f"ours, {FORWARD}": lambda *a: loss(scan, *a),
         f"ours, {OURS}": jax.grad(lambda *a: loss(undone, *a)),
         f"ours, {OURS}, in all states": jax.grad(lambda *a: loss(undone, *a), (1, 2)),
-        "ours, checkpoint": jax.grad(lambda *a: loss(kept, *a)),
+        "ours, checkpoint": jax.grad(lambda *a: loss(checkpointed, *a)),
         "ours, forward mode (3 parameters)": jax.jacfwd(lambda *a: loss(scan, *a)),
     }
     if steps <= 2000:  # 4 GiB at 10 000 steps
@@ -107,13 +107,13 @@ def diffrax_losses(steps: int) -> dict[str, Callable[..., Any]]:
     def loss(adjoint: Any, J: Any, q: Any, p: Any) -> Any:
         term = diffrax.ODETerm(lambda t, z, J: li.systems.RigidBody(J).vector_field(z))
 
-        def one(q: Any, p: Any) -> Any:
+        def solve(q: Any, p: Any) -> Any:
             end: Any = diffrax.diffeqsolve(
                 term, diffrax.Tsit5(), 0.0, steps * DT, DT, li.State(q, p), J, max_steps=steps + 1, adjoint=adjoint
             ).ys
             return end.q[-1, 0]
 
-        return jnp.mean(jax.vmap(one)(q, p))
+        return jnp.mean(jax.vmap(solve)(q, p))
 
     recursive, back = diffrax.RecursiveCheckpointAdjoint(), diffrax.BacksolveAdjoint()
     return {

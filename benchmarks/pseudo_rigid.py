@@ -183,11 +183,11 @@ def _our_loop(wide: bool) -> Any:
     from lieint_jax.ensemble import compiler_options
 
     def run(step: Any, states: Any, dt: Any, n: Any) -> Any:
-        def one(_: Any, carry: Any) -> Any:
+        def body(_: Any, carry: Any) -> Any:
             states, info = jax.vmap(lambda z: step(z, dt))(carry[0])
             return states, carry[1] & info.converged
 
-        return jax.lax.fori_loop(0, n, one, (states, jax.numpy.ones(len(states.q), bool)))
+        return jax.lax.fori_loop(0, n, body, (states, jax.numpy.ones(len(states.q), bool)))
 
     return jax.jit(run, compiler_options=compiler_options() if wide else {})
 
@@ -219,13 +219,13 @@ def _diffrax_loop(name: str, adaptive: bool) -> Any:
         term = diffrax.ODETerm(lambda t, z, args: body.vector_field(z))
         controller = diffrax.PIDController(tolerance, tolerance) if adaptive else diffrax.ConstantStepSize()
 
-        def one(z: Any) -> Any:
+        def solve(z: Any) -> Any:
             made = diffrax.diffeqsolve(
                 term, solver, 0.0, t, dt, z, stepsize_controller=controller, max_steps=None, throw=False
             )
             return made.ys, made.result == diffrax.RESULTS.successful
 
-        return jax.vmap(one)(states)
+        return jax.vmap(solve)(states)
 
     return jax.jit(run)
 

@@ -92,7 +92,7 @@ def variants() -> dict[str, Callable[[Any, Any], Any]]:
         x = vec3.cross(v, ch)
         return jnp.stack([w * k - vec3.dot(v, ch), *(w * ch[i] + k * v[i] + x[i] for i in range(3))])
 
-    def held(carry: Any, m: Any) -> Any:
+    def with_energy_increment(carry: Any, m: Any) -> Any:
         """The step of `so3_explicit`, see `half_cayley`."""
         q, low, p = carry
         return so3.cayley_increment(q, half_cayley(*scaled(body, State(q, p), dt), *m)), low, p
@@ -102,7 +102,7 @@ def variants() -> dict[str, Callable[[Any, Any], Any]]:
         "Newton, product, normalized": product,
         "explicit, increment": explicit,
         "explicit, increment, compensated": compensated,
-        "explicit, increment, energy held": held,
+        "explicit, increment, energy held": with_energy_increment,
     }
 
 
@@ -120,7 +120,7 @@ def _loop(name: str, watch: bool) -> Callable[..., Any]:
 
     @partial(jax.jit, compiler_options=compiler_options())
     def run(carry: Any, m: Any, H0: Any, steps: Any) -> Any:
-        def one(_: Any, loop: Any) -> Any:
+        def advance(_: Any, loop: Any) -> Any:
             carry, worst = loop
             carry = jax.vmap(step)(carry, m)
             if watch:
@@ -128,7 +128,7 @@ def _loop(name: str, watch: bool) -> Callable[..., Any]:
                 worst = jnp.maximum(worst, jnp.abs(H - H0) / H0)
             return carry, worst
 
-        return lax.fori_loop(0, steps, one, (carry, jnp.zeros_like(H0)))
+        return lax.fori_loop(0, steps, advance, (carry, jnp.zeros_like(H0)))
 
     return run
 

@@ -69,15 +69,15 @@ def ways(step: Any) -> dict[str, Callable[..., Any]]:
         end, _, T = step.tangent(z, DT, T)
         return end, T
 
-    def moved(z: Any, delta: Any) -> Any:
+    def step_from(z: Any, delta: Any) -> Any:
         return step(space.perturb(z, delta), DT)[0]
 
     def jvp(z: Any, T: Any) -> Any:
-        end, tangent = jax.jvp(lambda x: moved(z, x), (jnp.zeros(6),), (T[:, 0],))
+        end, tangent = jax.jvp(lambda x: step_from(z, x), (jnp.zeros(6),), (T[:, 0],))
         return end, space.trivialize(end, tangent)[:, None]
 
     def jacfwd(z: Any, T: Any) -> Any:
-        end, push = jax.linearize(lambda x: moved(z, x), jnp.zeros(6))
+        end, push = jax.linearize(lambda x: step_from(z, x), jnp.zeros(6))
         return end, jax.vmap(lambda x: space.trivialize(end, push(x)), -1, -1)(T)
 
     return {
@@ -126,7 +126,7 @@ def render(data: dict[str, Any], bodies: int) -> str:
         ratio = row["rates"][TANGENT] / row["rates"][JVP]
         lines.append(f"\n{row['step']}: {ratio:.1f}, {'held' if ratio >= BAR else 'MISSED'}")
     lines.append(
-        "\nOf a composition, jvp passes the coordinates of the phase space, its dearest part, once in five stages."
+        "\nThe jvp of a composition computes the expensive coordinates of the phase space once in five stages."
     )
     return "\n".join(lines)
 

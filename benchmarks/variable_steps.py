@@ -56,7 +56,7 @@ def controlled(step: Step, state: State, end: float, tolerance: float) -> tuple[
         _, t, _, _, tried = carry
         return (t < end) & (tried < MOST)
 
-    def one(carry: tuple) -> tuple:
+    def body(carry: tuple) -> tuple:
         state, t, h, before, tried = carry
         h = jnp.minimum(h, end - t)
         after, info = step(state, h)
@@ -69,7 +69,7 @@ def controlled(step: Step, state: State, end: float, tolerance: float) -> tuple[
         return state, t, h * jnp.clip(SAFETY * grow, 0.2, 5), before, tried + 1
 
     start = (state, jnp.zeros(()), jnp.asarray(1e-3), jnp.ones(()), jnp.zeros((), int))
-    end_state, *_, tried = lax.while_loop(unfinished, one, start)
+    end_state, *_, tried = lax.while_loop(unfinished, body, start)
     return end_state, tried
 
 

@@ -11,24 +11,24 @@ from pathlib import Path
 import jax
 from jax.experimental.compilation_cache import compilation_cache
 
-_WORTHWHILE = 0.01  # seconds of compilation below which a program is not kept
+_WORTHWHILE = 0.01  # programs that compile in fewer seconds are not stored
 
 
 def cache_programs(path: str | os.PathLike[str] | None = None) -> Path:
-    """Keep the programs that are compiled from here on, for all processes that call this: those load them.
+    """Store compiled programs on disk, so that later processes start without compiling them again.
 
-    Turns on JAX's persistent compilation cache, for all that JAX compiles. A process still traces its functions, which
-    is the smaller part of a first call. Processes may share the folder, and it may be deleted at any time.
+    Turns on JAX's persistent compilation cache for everything that JAX compiles. A process still traces its functions,
+    which is the smaller part of a first call. Processes may share the folder, and it may be deleted at any time.
 
     Args:
-        path: a folder, which is made; by default `lieint` under the user's cache directory (`~/.cache` on Linux).
-            Programs for different kinds of processors lie in folders of their own in it.
+        path: a folder, which is created; by default `lieint` in the user's cache directory (`~/.cache` on Linux).
+            Programs for each kind of processor are in a subfolder.
 
     Returns:
-        The folder that JAX writes to.
+        The folder to which JAX writes.
 
     Raises:
-        OSError: the folder cannot be made.
+        OSError: the folder cannot be created.
 
     Example:
         >>> import lieint_jax as li
@@ -39,7 +39,7 @@ def cache_programs(path: str | os.PathLike[str] | None = None) -> Path:
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTHWHILE)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    compilation_cache.reset_cache()  # else JAX stays without one if it has compiled anything
+    compilation_cache.reset_cache()  # otherwise JAX ignores the cache if it has already compiled a program
     return folder
 
 
@@ -55,5 +55,5 @@ def _processor() -> str:
         features = re.search(r"(?m)^(?:flags|Features)\s*:(.*)$", Path("/proc/cpuinfo").read_text())
     except OSError:
         features = None
-    known = features.group(1) if features else platform.processor()
-    return f"{platform.machine()}-{hashlib.sha256(known.encode()).hexdigest()[:8]}"
+    model = features.group(1) if features else platform.processor()
+    return f"{platform.machine()}-{hashlib.sha256(model.encode()).hexdigest()[:8]}"

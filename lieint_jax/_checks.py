@@ -1,4 +1,4 @@
-"""Checks of concrete arguments: errors say what was given, what is allowed and what to do. Tracers are not checked."""
+"""Checks of concrete arguments: error messages name the value, the allowed values and the remedy. Tracers pass."""
 
 from __future__ import annotations
 
@@ -17,24 +17,26 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
+from jax.typing import DTypeLike
 
 try:
     from jax.extend.core import take_current_trace
 except ImportError:  # another JAX
     take_current_trace = None
 
+Input = Any  # an argument as a user passes it: a number, a list, an array, a tracer, or something invalid
 UNIT_TOLERANCE = 1e-6
 _on_host: contextvars.ContextVar[bool] = contextvars.ContextVar("_on_host", default=False)
 _LARGEST_COUNT = 2**53  # beyond, counts are not exact as floating-point numbers
 
 
-def concrete(*trees: Any) -> bool:
+def concrete(*trees: object) -> bool:
     """True if every leaf is a concrete value, not a tracer."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
 def outermost() -> bool:
-    """True outside of jit, vmap, grad and all other transformations; False in a JAX that does not tell."""
+    """True outside of jit, vmap, grad and all other transformations; False in a JAX that does not report it."""
     if take_current_trace is None:
         return False
     with take_current_trace() as trace:
@@ -42,22 +44,22 @@ def outermost() -> bool:
 
 
 def staged() -> bool:
-    """True inside a function that JAX traces whole, as jit does: there even operations on constants are recorded."""
+    """True inside a function that JAX traces as a whole, as in jit: there even operations on constants are recorded."""
     return not outermost() and not concrete(jax.device_put(np.float32(0)))
 
 
 def at_once() -> contextlib.AbstractContextManager[None]:
-    """A context in which operations on concrete values are carried out, inside jit too.
+    """A context in which operations on concrete values are computed immediately, inside jit too.
 
-    Outside of jit they are anyway; there `jax.ensure_compile_time_eval` would only do harm: it compiles each constant
-    operation of a jitted function as a program of its own.
+    Outside of jit they are in any case. There `jax.ensure_compile_time_eval` would be harmful: it compiles each
+    constant operation of a jitted function as a separate program.
     """
     return jax.ensure_compile_time_eval() if staged() else contextlib.nullcontext()
 
 
 @contextlib.contextmanager
 def on_host() -> Iterator[None]:
-    """A context in which checked arrays stay with NumPy: to give one to a device takes as long as all checks of it."""
+    """A context in which checked arrays stay NumPy arrays: copying one to a device costs as much as all its checks."""
     token = _on_host.set(True)
     try:
         yield
@@ -65,8 +67,8 @@ def on_host() -> Iterator[None]:
         _on_host.reset(token)
 
 
-def as_array(value: Any, dtype: Any = None) -> Array:
-    """`jnp.asarray`, which would compile a program, also for numbers and lists."""
+def as_array(value: Input, dtype: DTypeLike | None = None) -> Array:
+    """`jnp.asarray`, but without compiling a program for numbers and lists."""
     typed = dtype is not None or hasattr(value, "dtype")
     if typed and _on_host.get() and concrete(value):
         kind = jax.dtypes.canonicalize_dtype(value.dtype if dtype is None else dtype)
@@ -74,15 +76,17 @@ def as_array(value: Any, dtype: Any = None) -> Array:
     if isinstance(value, Array) or not concrete(value) or staged():
         return jnp.asarray(value, dtype)
     if dtype is None and isinstance(value, int | float | complex):
-        return jax.device_put(value)  # without a type of its own
+        return jax.device_put(value)  # weakly typed
     host = np.array(value, dtype)  # a copy, for device_put may share the memory
     return jax.device_put(host) if host.dtype.kind in "fiu" else jnp.asarray(value, dtype)
 
 
-def real_array(name: str, value: Any, *shapes: Sequence[int], finite: bool = True, like: Array | None = None) -> Array:
-    """`value` as a floating-point array of one of `shapes` (of any, if none is given), finite where it is concrete.
+def real_array(
+    name: str, value: Input, *shapes: Sequence[int], finite: bool = True, like: Array | None = None
+) -> Array:
+    """`value` as a floating-point array of one of `shapes` (any if none is given), finite where it is concrete.
 
-    Python numbers, which have no type of their own, take that of `like`.
+    Python numbers, which have no dtype, get that of `like`.
     """
     try:
         array = as_array(value, None if like is None or hasattr(value, "dtype") else like.dtype)
@@ -103,7 +107,7 @@ def real_array(name: str, value: Any, *shapes: Sequence[int], finite: bool = Tru
     return as_array(np.asarray(array), real) if concrete(array) else array.astype(real)
 
 
-def step_size(dt: Any) -> Any:
+def step_size(dt: Input) -> Input:
     """`dt`, checked to be a real scalar; a Python integer as a float."""
     if isinstance(dt, int) and not isinstance(dt, bool):
         try:
@@ -118,8 +122,8 @@ def step_size(dt: Any) -> Any:
     return dt
 
 
-def time_resolution(t: Any, dt: Any, num_steps: int) -> None:
-    """Warn if the floating-point numbers at a concrete time t of a run are more than 1e-6·dt apart."""
+def time_resolution(t: Input, dt: Input, num_steps: int) -> None:
+    """Warn if neighboring floating-point numbers at a concrete time t of a run differ by more than 1e-6·dt."""
     if t is None or not concrete(t, dt):
         return
     t = np.asarray(t)
@@ -133,12 +137,14 @@ def time_resolution(t: Any, dt: Any, num_steps: int) -> None:
         )
 
 
-def function(name: str, given: Callable[..., Any], of: str, shape: tuple[int, ...], *arguments: Any) -> None:
-    """ValueError unless `given(*arguments)` has a real floating-point value of this shape.
+def function(name: str, given: Callable[..., object], of: str, shape: tuple[int, ...], *arguments: object) -> None:
+    """Raise ValueError unless `given(*arguments)` is a real floating-point array of this shape.
 
     Args:
-        name: of the function, for the message.
-        of: what it is a function of, for the message.
+        name: the name of the function, for the message.
+        given: the function.
+        of: the names of its arguments, for the message.
+        shape: the expected shape of its value.
         arguments: arrays, or their shapes and types: nothing is computed.
     """
     wanted = f"an array of real numbers of shape {shape}" if shape else "a real scalar"
@@ -155,26 +161,26 @@ def function(name: str, given: Callable[..., Any], of: str, shape: tuple[int, ..
         raise ValueError(f"{name} must be a function of {of} with {wanted} as its value, got {got}")
 
 
-def count(name: str, value: Any, least: int) -> int:
+def count(name: str, value: Input, least: int) -> int:
     """An integer ≥ `least`, as a Python int; at most 2⁵³, or 2³¹ − 1 where jax_enable_x64 is off."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ValueError(f"{name} must be an integer ≥ {least}, got {value!r}")
     most = min(_LARGEST_COUNT, jnp.iinfo(jax.dtypes.canonicalize_dtype(np.int64)).max)
     if value > most:
         more = "" if most == _LARGEST_COUNT else " without jax_enable_x64"
-        raise ValueError(f"{name} must be at most {most:.16g}{more}, got {value:.6g}: give several runs")
+        raise ValueError(f"{name} must be at most {most:.16g}{more}, got {value:.6g}: split it into several runs")
     return int(value)
 
 
 def nearest_multiples(value: int, of: int) -> str:
-    """The positive multiples of a number that are nearest to `value`, in words: "120 or 144"."""
+    """The nearest positive multiples of `of` to `value`, as text: "120 or 144"."""
     below = value - value % of
     return f"{below} or {below + of}" if below > 0 else f"{of}"
 
 
 @functools.cache
 def memory_of_machine() -> float:
-    """The bytes of memory that this process can have: those of the machine, or of its container; inf if unknown."""
+    """The bytes of memory available to this process: those of the machine, or of its container; inf if unknown."""
     try:
         bytes_ = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     except (AttributeError, OSError, ValueError):  # a system without sysconf, or without these names
@@ -187,20 +193,20 @@ def memory_of_machine() -> float:
     return bytes_
 
 
-def entry_size(state: Any, members: int = 1) -> int:
+def entry_size(state: object, members: int = 1) -> int:
     """The bytes of one saved entry: the arrays of `state`, and a residual and a flag for each member."""
     leaves = jax.tree.leaves(state)
     return sum(x.size * x.dtype.itemsize for x in leaves) + members * (leaves[0].dtype.itemsize + 1)
 
 
 def fits_memory(entries: int, size: int, advice: str, copies: int = 1) -> None:
-    """ValueError, before anything is allocated, if a result of `entries` of `size` bytes exceeds this machine's memory.
+    """Raise ValueError, before anything is allocated, if a result exceeds this machine's memory.
 
     Args:
-        entries: their number.
-        size: the bytes of one.
-        advice: what to do instead.
-        copies: how many times the result is held while it is made.
+        entries: the number of entries of the result.
+        size: the bytes of an entry.
+        advice: the remedy, for the message.
+        copies: how many copies of the result exist while it is computed.
     """
     memory = memory_of_machine()
     if copies * entries * size > memory:
@@ -220,7 +226,7 @@ def spoken_size(size: float) -> str:
     raise AssertionError
 
 
-def fraction(name: str, value: Any) -> Array:
+def fraction(name: str, value: Input) -> Array:
     """A number in [0, 1], as an array scalar."""
     array = real_array(name, value, ())
     if concrete(array) and not 0 <= float(array) <= 1:
@@ -228,18 +234,18 @@ def fraction(name: str, value: Any) -> Array:
     return array
 
 
-def one_of(**given: Any) -> tuple[str, Any]:
-    """The name and value of the one argument that is not None; ValueError unless there is exactly one."""
+def one_of(**given: Input) -> tuple[str, Input]:
+    """The name and value of the only argument that is not None; raises ValueError unless there is exactly one."""
     named = {name: value for name, value in given.items() if value is not None}
     if len(named) != 1:
         raise ValueError(f"give exactly one of {', '.join(given)}; got {' and '.join(named) or 'none'}")
     return named.popitem()
 
 
-def inertia(value: Any) -> Array:
+def inertia(value: Input) -> Array:
     """A positive definite inertia: principal moments (3,) or a symmetric tensor (3, 3).
 
-    Moments that violate the triangle inequality (Jᵢ ≤ Jⱼ + Jₖ) belong to no distribution of mass; they draw a warning,
+    Moments that violate the triangle inequality (Jᵢ ≤ Jⱼ + Jₖ) belong to no distribution of mass. They cause a warning,
     not an error, since such pseudo-inertias are in use.
     """
     array = positive_definite("inertia", value)
@@ -253,8 +259,8 @@ def inertia(value: Any) -> Array:
     return array
 
 
-def of_one_system(name: str, value: Any, d: int = 3) -> None:
-    """ValueError if a tensor, principal (d,) or symmetric (d, d), is rather a stack of those of many systems."""
+def of_one_system(name: str, value: Input, d: int = 3) -> None:
+    """Raise ValueError if a tensor, principal (d,) or symmetric (d, d), is a stack of those of many systems instead."""
     shape = np.shape(value)
     skewed = shape == (d, d) and concrete(value) and not _symmetric(np.asarray(value))
     if skewed or shape not in ((d,), (d, d)):
@@ -265,14 +271,14 @@ def of_one_system(name: str, value: Any, d: int = 3) -> None:
         )
 
 
-def positive_definite(name: str, value: Any, d: int = 3) -> Array:
+def positive_definite(name: str, value: Input, d: int = 3) -> Array:
     """A positive definite tensor: principal values (d,) or a symmetric tensor (d, d)."""
     array = real_array(name, value, (d,), (d, d))
     if not concrete(array):
         return array
     J = np.asarray(array, float)
     if J.ndim == 2 and not _symmetric(J):
-        raise ValueError(f"{name} must be symmetric, got\n{J}\nTake (A + A.T) / 2 if the difference is noise")
+        raise ValueError(f"{name} must be symmetric, got\n{J}\nUse (A + A.T) / 2 if the difference is noise")
     moments = _moments(array)
     if moments[0] <= 0:
         raise ValueError(f"{name} must be positive definite, got principal values {moments}")
@@ -288,7 +294,7 @@ def _moments(array: Array) -> np.ndarray:
     return np.sort(J if J.ndim == 1 else np.linalg.eigvalsh(J))
 
 
-def unit_quaternion(name: str, value: Any) -> Array:
+def unit_quaternion(name: str, value: Input) -> Array:
     """A quaternion (w, x, y, z) of unit length to 1e-6. It is not normalized."""
     q = real_array(name, value, (4,))
     if concrete(q):
@@ -301,7 +307,7 @@ def unit_quaternion(name: str, value: Any) -> Array:
     return q
 
 
-def rotation_matrix(name: str, value: Any) -> Array:
+def rotation_matrix(name: str, value: Input) -> Array:
     """A proper rotation matrix, orthogonal to 1e-6."""
     R = real_array(name, value, (3, 3))
     if concrete(R):

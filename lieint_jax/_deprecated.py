@@ -1,4 +1,4 @@
-"""Old names and ways to call that still work for one release, with a `DeprecationWarning`."""
+"""Old names and old ways to call functions, which still work for one release with a `DeprecationWarning`."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ def renamed(package: str, names: Mapping[str, str]) -> Callable[[str], Any]:
     """The `__getattr__` of a package some of whose names have changed.
 
     Args:
-        package: the package, as `__name__` gives it.
-        names: by old name, where the object is now: "new_name" in the same package, or "module:name".
+        package: the `__name__` of the package.
+        names: the new place of the object by old name: "new_name" in the same package, or "module:name".
     """
 
     def __getattr__(name: str) -> Any:  # noqa: N807
@@ -29,22 +29,22 @@ def renamed(package: str, names: Mapping[str, str]) -> Callable[[str], Any]:
         warnings.warn(
             f"{old} is now {where}; the old name will be removed in version 0.4", DeprecationWarning, stacklevel=2
         )
-        return _found(module or package, new)
+        return _attribute_or_module(module or package, new)
 
     return __getattr__
 
 
-def _found(module: str, name: str) -> Any:
+def _attribute_or_module(module: str, name: str) -> object:
     """An attribute of a module, or one of its modules."""
     home = importlib.import_module(module)
     return getattr(home, name) if hasattr(home, name) else importlib.import_module(f"{module}.{name}")
 
 
 def old_calls(**renamed_arguments: str) -> Callable[[_F], _F]:
-    """A decorator: the function still accepts its keyword-only arguments by position, and arguments by old names.
+    """Let a function still accept its keyword-only arguments by position, and arguments by old names (a decorator).
 
     Args:
-        renamed_arguments: by old name, the name of an argument now.
+        renamed_arguments: the new name of an argument by its old name.
     """
 
     def decorate(function: _F) -> _F:
@@ -53,18 +53,18 @@ def old_calls(**renamed_arguments: str) -> Callable[[_F], _F]:
         by_keyword = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
 
         @functools.wraps(function)
-        def called(*args: Any, **kwargs: Any) -> Any:
+        def call(*args: object, **kwargs: object) -> object:
             positional, more = args[: len(by_position)], args[len(by_position) :]
             named = dict(zip(by_keyword, more, strict=False))
             if more and len(named) == len(more):
-                _warn(f"{function.__name__}: give {', '.join(named)} by name; by position")
+                _warn(f"{function.__name__}: pass {', '.join(named)} by name; by position")
                 args, kwargs = positional, named | kwargs
             for old in renamed_arguments.keys() & kwargs.keys():
                 _warn(f"{function.__name__}: {old} is now {renamed_arguments[old]}; the old name")
                 kwargs[renamed_arguments[old]] = kwargs.pop(old)
             return function(*args, **kwargs)
 
-        return called  # type: ignore[return-value]
+        return call  # type: ignore[return-value]
 
     return decorate
 

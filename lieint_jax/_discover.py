@@ -1,4 +1,4 @@
-"""Discovery of the modules of a package: a new group, system or scheme is one file, without a list to edit."""
+"""Discovery of the modules of a package: a new group, system or scheme is one file, and there is no list to edit."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from lib import peers, taylor
 from lib.contest import Contestant, race
 from lib.measure import BATCH, WATCHED, States, by_ensemble
 from lib.precision import Curve, Sizes, flowed, growing, points_of, records
-from lib.taylor import cross, dot, turned
+from lib.taylor import cross, dot, rotate
 from scipy.integrate import solve_ivp
 
 import lieint_jax as li
@@ -84,11 +84,11 @@ def looped(name: str, step: li.Step, dt: float) -> Contestant:
 
 @partial(jax.jit, compiler_options=compiler_options())
 def _loop(step: li.Step, states: li.State, info: li.StepInfo, dt: Any, num_steps: Any) -> tuple[li.State, li.StepInfo]:
-    def one(_: Any, carry: tuple[li.State, li.StepInfo]) -> tuple[li.State, li.StepInfo]:
+    def body(_: Any, carry: tuple[li.State, li.StepInfo]) -> tuple[li.State, li.StepInfo]:
         states, last = jax.vmap(lambda z: step(z, dt))(carry[0])
         return states, carry[1].merge(last)
 
-    return lax.fori_loop(0, num_steps, one, (states, info))
+    return lax.fori_loop(0, num_steps, body, (states, info))
 
 
 def rates_of_relative_motion(m: Sequence[float], J: Any, y: Sequence[Any]) -> list[Any]:
@@ -100,10 +100,10 @@ def rates_of_relative_motion(m: Sequence[float], J: Any, y: Sequence[Any]) -> li
     for i in range(2):
         q, Pi, other = y[6 + 7 * i : 10 + 7 * i], y[10 + 7 * i : 13 + 7 * i], m[1 - i]
         w = [a / b for a, b in zip(Pi, J[i], strict=True)]
-        Gamma = turned(-1.0 * q[0], q[1:], d)
+        Gamma = rotate(-1.0 * q[0], q[1:], d)
         JGamma = [a * b for a, b in zip(J[i], Gamma, strict=True)]
         along = along + other * dot(Gamma, JGamma)
-        arms = [a + other * b for a, b in zip(arms, turned(q[0], q[1:], JGamma), strict=True)]
+        arms = [a + other * b for a, b in zip(arms, rotate(q[0], q[1:], JGamma), strict=True)]
         turning += [-0.5 * dot(q[1:], w)]
         turning += [0.5 * (q[0] * a + b) for a, b in zip(w, cross(q[1:], w), strict=True)]
         torque = cross(Gamma, JGamma)
@@ -163,24 +163,24 @@ def of_ours(alone: bool) -> list[Curve]:
     make, system = li.schemes, binary()
     turns = make.preprocessed(system.free, 10)
 
-    def of(name: str, step: li.Step, first: int, points: int, factor: float = 2**0.5) -> Curve:
+    def curve(name: str, step: li.Step, first: int, points: int, factor: float = 2**0.5) -> Curve:
         made = partial(looped, name, step) if alone else partial(by_ensemble, name, step)
         return Curve(name, "ours", made, growing(first, points, factor))
 
     return [
-        of("splitting", make.splitting(system), 200, 3, 4),
-        of("nystrom, order 4", make.nystrom(system, 4), 64, 8),
-        of("nystrom, order 6", make.nystrom(system, 6), 24, 8),
-        of("nystrom 6, preprocessed turns", make.nystrom(system, 6, turns), 24, 8),
-        of("kepler_splitting (8, 4)", make.kepler_splitting(system, (8, 4)), 12, 9),
-        of("kepler_splitting (8, 6, 4)", make.kepler_splitting(system, (8, 6, 4)), 8, 9),
-        of("kepler (8, 6, 4), preprocessed turns", make.kepler_splitting(system, (8, 6, 4), drift=turns), 8, 9),
-        of(EXTRAPOLATE, make.extrapolate(system, 14), 24, 7, 1.2),
+        curve("splitting", make.splitting(system), 200, 3, 4),
+        curve("nystrom, order 4", make.nystrom(system, 4), 64, 8),
+        curve("nystrom, order 6", make.nystrom(system, 6), 24, 8),
+        curve("nystrom 6, preprocessed turns", make.nystrom(system, 6, turns), 24, 8),
+        curve("kepler_splitting (8, 4)", make.kepler_splitting(system, (8, 4)), 12, 9),
+        curve("kepler_splitting (8, 6, 4)", make.kepler_splitting(system, (8, 6, 4)), 8, 9),
+        curve("kepler (8, 6, 4), preprocessed turns", make.kepler_splitting(system, (8, 6, 4), drift=turns), 8, 9),
+        curve(EXTRAPOLATE, make.extrapolate(system, 14), 24, 7, 1.2),
     ]
 
 
 def by_heyoka(alone: bool) -> Curve:
-    make = partial(taylor.one if alone else taylor.many, relative_motion, to_relative, from_relative)
+    make = partial(taylor.one_system if alone else taylor.many_systems, relative_motion, to_relative, from_relative)
     return Curve("heyoka", "heyoka", make, (), _TOLERANCES)
 
 
@@ -200,7 +200,7 @@ def _diffrax(name: str) -> Any:
     return peers.diffrax_of(name, binary())
 
 
-def apart(q: np.ndarray, exact: np.ndarray) -> np.ndarray:
+def distance_error(q: np.ndarray, exact: np.ndarray) -> np.ndarray:
     """The errors |d − d*|/|d*| of configurations (B, 2, 7), d = x₂ − x₁."""
     d, right = (x[:, 1, :3] - x[:, 0, :3] for x in (q, exact))
     return np.linalg.norm(d - right, axis=1) / np.linalg.norm(right, axis=1)
@@ -217,7 +217,7 @@ def reference() -> tuple[np.ndarray, np.ndarray]:
     states = start(WATCHED)
     exact = flowed(binary(), states, END, round(16 * END))
     scipy = dop853(END, 1e-13)
-    return exact, apart(scipy.read(scipy.advance(scipy.load(*states), 1))[0], exact)
+    return exact, distance_error(scipy.read(scipy.advance(scipy.load(*states), 1))[0], exact)
 
 
 def accuracy(rounds: int, stride: int, notes: list[str]) -> dict[str, Any]:
@@ -227,7 +227,7 @@ def accuracy(rounds: int, stride: int, notes: list[str]) -> dict[str, Any]:
     extent = Sizes(rounds=rounds, longest=np.inf, seconds=np.inf)
     for key, count in (("many", BATCH), ("one", 1)):
         points = [x for curve in curves(count == 1) for x in points_of(curve, END, stride, notes)]
-        found[key] = records(points, start(count), exact, doubts, extent, notes, apart)
+        found[key] = records(points, start(count), exact, doubts, extent, notes, distance_error)
         for record in found[key]:
             record["milliseconds"] *= count / 1000  # of all systems
     found["heyoka_compile_seconds"] = _compile_seconds(stride)

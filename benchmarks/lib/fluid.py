@@ -51,10 +51,10 @@ def contestants(missing: list[str]) -> list[Contestant]:
 
 def reference(end: float) -> tuple[np.ndarray, float]:
     """The watched bodies' q at t = end, and the distance of a second reference, see `measure.by_flow`."""
-    return measure.by_flow(body(), bodies(WATCHED), end, apart)
+    return measure.by_flow(body(), bodies(WATCHED), end, largest_difference)
 
 
-def apart(q: np.ndarray, exact: np.ndarray) -> float:
+def largest_difference(q: np.ndarray, exact: np.ndarray) -> float:
     """The largest difference of an entry, in radians or lengths."""
     return float(np.abs(q - exact).max())
 
@@ -75,7 +75,9 @@ def everything(sizes: measure.Sizes) -> dict[str, Any]:
         "machine": measure.machine(),
         "rates": measure.rates(entries, BATCH, sizes, bodies),
         "quality": [
-            measure.quality(c, exact, sizes, body(), bodies, apart, energy_drift) for c in entries if WIDE not in c.name
+            measure.quality(c, exact, sizes, body(), bodies, largest_difference, energy_drift)
+            for c in entries
+            if WIDE not in c.name
         ],
         "reference_doubt": doubt,
         "notes": notes,

@@ -226,24 +226,24 @@ def astrojax_of(inertia: Sequence[float], orbit: Any, dt: float, rtol: float | N
 
     @partial(jax.jit, compiler_options=compiler_options())
     def constant(states: jax.Array, num_steps: jax.Array) -> jax.Array:
-        def one(n: jax.Array, x: jax.Array) -> jax.Array:
+        def body(n: jax.Array, x: jax.Array) -> jax.Array:
             return jax.vmap(lambda x: rk4_step(field, n * dt, x, dt).state)(x)
 
-        return jax.lax.fori_loop(0, num_steps, one, states)
+        return jax.lax.fori_loop(0, num_steps, body, states)
 
     @partial(jax.jit, compiler_options=compiler_options())
     def adaptive(states: jax.Array, num_steps: jax.Array) -> jax.Array:
         end, tolerances = num_steps * dt, AdaptiveConfig(abs_tol=rtol, rel_tol=rtol)  # pyright: ignore[reportArgumentType]
 
-        def one(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+        def step_once(carry: tuple[Any, ...]) -> tuple[Any, ...]:
             t, h, x = carry
             made = dp54_step(field, t, x, jnp.minimum(h, end - t), tolerances)
             return t + made.dt_used, made.dt_next, made.state
 
-        def body(x: jax.Array) -> jax.Array:
-            return jax.lax.while_loop(lambda carry: carry[0] < end, one, (0.0 * end, 0.0 * end + 0.01, x))[2]
+        def solve(x: jax.Array) -> jax.Array:
+            return jax.lax.while_loop(lambda carry: carry[0] < end, step_once, (0.0 * end, 0.0 * end + 0.01, x))[2]
 
-        return jax.vmap(body)(states)
+        return jax.vmap(solve)(states)
 
     def load(q: np.ndarray, p: np.ndarray) -> jax.Array:
         return jnp.concatenate([jnp.asarray(q), jnp.asarray(to_body(q, p) / diagonal)], axis=1)

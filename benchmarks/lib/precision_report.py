@@ -66,7 +66,7 @@ def _sections(result: Record) -> list[str]:
         _bars(problems),
         *_bars_of_free_bodies(problems),
         *(section for x in problems for section in summary(x)),
-        *(section for x in problems for section in at(x)),
+        *(section for x in problems for section in table_of_points(x)),
         "\n".join(["Notes", "", *(f"- {note}" for note in result["notes"])]),
     ]
 
@@ -92,14 +92,16 @@ def _bars(problems: Sequence[Record]) -> str:
             ratio = ms / rival if np.isfinite(rival) else np.nan
             limit = ["", ""] if most is None else [f"{bar.sign} {most:g}", report.verdict(ratio, ratio <= most)]
             label = f"{bar.problem}, {bar.error:g}: {who} ÷ {bar.rival}"
-            rows.append([label, _named(by), *_cells(ms, rival, ratio), *limit])
+            rows.append([label, _curve_name(by), *_cells(ms, rival, ratio), *limit])
         (best, _), (whole, by) = (fastest(points, allowed, bar.error) for _, allowed, _ in contenders[1:])
         price = whole / best if np.isfinite(best) else np.nan
-        rows.append([f"{bar.problem}, {bar.error:g}: price of convergence", _named(by), *_cells(whole, best, price)])
+        rows.append(
+            [f"{bar.problem}, {bar.error:g}: price of convergence", _curve_name(by), *_cells(whole, best, price)]
+        )
     return report.table(["", "by", "ms", "÷ ms", "ratio", "bar", ""], [row + [""] * (7 - len(row)) for row in rows])
 
 
-def _named(record: Record | None) -> str:
+def _curve_name(record: Record | None) -> str:
     """The curve of a record, and whether its steps converged if they need not."""
     if record is None:
         return ""
@@ -128,7 +130,7 @@ def _bars_of_free_bodies(problems: Sequence[Record]) -> list[str]:
             ms, by = fastest(soon, allowed, error, LARGEST)
             ratio = ms / tsit5 if np.isfinite(tsit5) else np.nan
             bar = [f"≤ {share:g}", report.verdict(ratio, ratio <= share)]
-            rows.append([f"{error:g} rad, {which} ÷ Tsit5", _named(by), *_cells(ms, tsit5, ratio), *bar])
+            rows.append([f"{error:g} rad, {which} ÷ Tsit5", _curve_name(by), *_cells(ms, tsit5, ratio), *bar])
     worst = max((r for r in points if r["kind"] in _OF_THE_PAPER), key=lambda r: r["energy_drift"])
     drift = worst["energy_drift"]
     verdict = report.verdict(drift, drift <= DRIFT)
@@ -150,7 +152,7 @@ def summary(found: Record) -> list[str]:
         row = [name]
         for error, rival in zip(ERRORS, rivals, strict=True):
             ms, by = fastest(points, allowed, error)
-            row += [_named(by), _number(ms), _number(ms / rival if np.isfinite(rival) else np.nan)]
+            row += [_curve_name(by), _number(ms), _number(ms / rival if np.isfinite(rival) else np.nan)]
         rows.append(row)
     title = (
         f"{found['problem']}: milliseconds per 1000 members for a median error ({found['error']}), and over heyoka's; "
@@ -189,13 +191,13 @@ def _interpolated(records: Sequence[Record], curve: str, error: float, key: str)
 def front(records: Sequence[Record], key: str) -> list[Record]:
     """Those good records than which none is both faster and more accurate, the fastest first."""
     found: list[Record] = []
-    for r in sorted(filter(good, records), key=lambda r: r["milliseconds"]):
+    for r in sorted(filter(is_valid, records), key=lambda r: r["milliseconds"]):
         if np.isfinite(r[key]) and (not found or r[key] < found[-1][key]):
             found.append(r)
     return found
 
 
-def good(record: Record) -> bool:
+def is_valid(record: Record) -> bool:
     """Whether all steps converged, or need not."""
     return record["converged"] is not False or record["rough"]
 
@@ -204,7 +206,7 @@ def setting(record: Record) -> str:
     return f"{'rtol' if record['adaptive'] else 'Δt'} {record['setting']:.3g}"
 
 
-def at(found: Record) -> list[str]:
+def table_of_points(found: Record) -> list[str]:
     """The table of all points of a problem, with its title."""
     rows = []
     for r in found["points"]:

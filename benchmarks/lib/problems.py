@@ -57,26 +57,26 @@ _EXTRAPOLATED = ((12, True, 1.6), (14, False, 1.05), (14, True, 1.3), (16, True,
 _COMPOSED = ((8, 2.5), (10, 1.8), (6, 4.0))
 
 
-def high_order(system: Any, of: Ours, unit: float, points: int = 6, most: int = 2) -> Iterator[Curve]:
+def high_order(system: Any, curve: Ours, unit: float, points: int = 6, most: int = 2) -> Iterator[Curve]:
     """Gauss and extrapolation, the `most` likely of each; Gauss of 8 stages needs some `unit` steps."""
     make = li.schemes
     for stages, first in _CONVERGED[:most]:
         counts = growing(first * unit, points, 1.25)
-        yield of(f"gauss {stages}", CONVERGED, make.gauss(system, stages), counts)
+        yield curve(f"gauss {stages}", CONVERGED, make.gauss(system, stages), counts)
     for stages, sweeps, first in _ROUGH[:most]:
         name, counts = f"gauss {stages}, {sweeps} sweeps", growing(first * unit, points, 1.2)
-        yield of(name, ROUGH, make.gauss(system, stages, sweeps), counts)
+        yield curve(name, ROUGH, make.gauss(system, stages, sweeps), counts)
     for order, increments, first in _EXTRAPOLATED[:most]:
         name, counts = f"extrapolate {order}{'' if increments else ', plain'}", growing(first * unit, points, 1.3)
-        yield of(name, EXTRAPOLATED, make.extrapolate(system, order, increments), counts)
+        yield curve(name, EXTRAPOLATED, make.extrapolate(system, order, increments), counts)
 
 
-def composed(base: li.Step, of: Ours, unit: float, points: int = 6, most: int = 2) -> Iterator[Curve]:
+def composed(base: li.Step, curve: Ours, unit: float, points: int = 6, most: int = 2) -> Iterator[Curve]:
     for order, first in _COMPOSED[:most]:
         counts = growing(first * unit, points, 1.5)
-        yield of(f"compose {order}", COMPOSED, li.schemes.compose(base, order), counts)
+        yield curve(f"compose {order}", COMPOSED, li.schemes.compose(base, order), counts)
     if isinstance(base.system, li.types.AbstractForcedSystem | li.types.AbstractDrivenSystem):
-        yield of("nystrom 6", COMPOSED, li.schemes.nystrom(base.system, 6), growing(0.8 * unit, points, 1.4))
+        yield curve("nystrom 6", COMPOSED, li.schemes.nystrom(base.system, 6), growing(0.8 * unit, points, 1.4))
 
 
 def by_diffrax(system: Any, unit: float, **how: Any) -> Iterator[Curve]:
@@ -104,16 +104,16 @@ def free_body_soon() -> Problem:
     body, make = measure.body(), li.schemes
     base = make.so3_midpoint(body)
 
-    def of(name: str, kind: str, step: li.Step, counts: Sequence[int]) -> Curve:
+    def curve(name: str, kind: str, step: li.Step, counts: Sequence[int]) -> Curve:
         return Curve(name, kind, partial(measure.ours, name, step, wide=True), counts)
 
     mine = [
-        of("κ symplectic", ORDER_2, base, growing(50, 3, 4)),
-        *(of(f"compose {n}", COMPOSED, make.compose(base, n), growing(9, 5, 1.7)) for n in (6, 8, 10)),
-        of("preprocessed 6", PREPROCESSED, make.preprocessed(body, 6), growing(24, 6, 1.9)),
-        of("preprocessed 10", PREPROCESSED, make.preprocessed(body, 10), growing(14, 7, 1.4)),
-        of("exact", EXACT, make.exact(body), (1, 10)),
-        of("calibrated", EXACT, make.calibrated(body), (10, 40)),
+        curve("κ symplectic", ORDER_2, base, growing(50, 3, 4)),
+        *(curve(f"compose {n}", COMPOSED, make.compose(base, n), growing(9, 5, 1.7)) for n in (6, 8, 10)),
+        curve("preprocessed 6", PREPROCESSED, make.preprocessed(body, 6), growing(24, 6, 1.9)),
+        curve("preprocessed 10", PREPROCESSED, make.preprocessed(body, 10), growing(14, 7, 1.4)),
+        curve("exact", EXACT, make.exact(body), (1, 10)),
+        curve("calibrated", EXACT, make.calibrated(body), (10, 40)),
     ]
     scipy = Curve("scipy DOP853", "scipy", partial(peers.dop853, INERTIA), (), _LOOSE[1::2], WATCHED)
     return _free("free body, t = 10", 10.0, [*mine, *precision.of_peers(INERTIA, None, 10.0), scipy])
@@ -174,8 +174,8 @@ def heavy_top() -> Problem:
 def satellite() -> Problem:
     """Satellites on an orbit with e = 0.1, three orbits, see `satellites`."""
     system = satellites.satellite()
-    of = partial(ours, start=satellites.shared)
-    mine = [*composed(li.schemes.splitting(system), of, 40), *high_order(system, of, 30)]
+    curve = partial(ours, start=satellites.shared)
+    mine = [*composed(li.schemes.splitting(system), curve, 40), *high_order(system, curve, 30)]
     curves = [*mine, *by_diffrax(system, 40), *satellites.by_astrojax(4, 4), satellites.by_heyoka()]
 
     def reference(states: States) -> tuple[np.ndarray, np.ndarray, str]:
@@ -202,7 +202,7 @@ def binary() -> Problem:
         binaries.start,
         reference,
         curves,
-        binaries.apart,
+        binaries.distance_error,
         binaries.energy_drift,
     )
     return problem
@@ -218,10 +218,10 @@ def flyby() -> Problem:
     def begin(z: li.State) -> li.State:
         return z._replace(t=jnp.asarray(-_FLYBY))
 
-    of = partial(ours, start=begin, times=times)
+    curve = partial(ours, start=begin, times=times)
     heyoka = Curve("heyoka", "heyoka", taylor.of_satellites(_ASTEROID, orbit, -_FLYBY), (), TOLERANCES)
     # few points: each number of given times is a program of its own
-    mine = [*composed(li.schemes.splitting(system), of, 40, 4), *high_order(system, of, 36, 4)]
+    mine = [*composed(li.schemes.splitting(system), curve, 40, 4), *high_order(system, curve, 36, 4)]
     curves = [*mine, *by_diffrax(system, 60, t0=-_FLYBY), heyoka]
 
     def start(count: int) -> States:

@@ -44,7 +44,7 @@ def counted(z: li.State) -> li.State:
     return shared(z)._replace(work=jnp.zeros(len(z.q)))
 
 
-def apart(z: li.State) -> li.State:
+def with_own_times(z: li.State) -> li.State:
     """Each member has a time of its own; the first starts at 0."""
     return z._replace(t=jnp.linspace(0.0, 1.0, len(z.q)))
 
@@ -58,7 +58,7 @@ def contestants(missing: list[str]) -> list[Contestant]:
             (TOP, top, lambda z: z, 4e7),
             (SHARED, body, shared, 3e7),
             (COUNTED, body, counted, 3e7),
-            (APART, body, apart, 4e6),
+            (APART, body, with_own_times, 4e6),
         )
     ]
     makers += [("diffrax", partial(peers.diffrax_of("Tsit5", satellite(), whole=whole), DT)) for whole in (False, True)]

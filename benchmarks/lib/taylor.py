@@ -34,7 +34,7 @@ def compiled(equations: Equations, rtol: float) -> tuple[Any, float]:
     return made, time.perf_counter() - began
 
 
-def many(equations: Equations, load: Load, read: Read, dt: float, rtol: float) -> Contestant:
+def many_systems(equations: Equations, load: Load, read: Read, dt: float, rtol: float) -> Contestant:
     """A batch of any size, eight members after the other; its states are (blocks, variables, 8)."""
     batch, _ = compiled(equations, rtol)
     members = 0
@@ -61,7 +61,7 @@ def many(equations: Equations, load: Load, read: Read, dt: float, rtol: float) -
     return Contestant("heyoka", "float64", 1e4, in_lanes, advance, out_of_lanes)
 
 
-def one(equations: Equations, load: Load, read: Read, dt: float, rtol: float) -> Contestant:
+def one_system(equations: Equations, load: Load, read: Read, dt: float, rtol: float) -> Contestant:
     """A single member."""
     import heyoka
 
@@ -89,7 +89,7 @@ def attitudes(
     wide = np.longdouble
     q = q.astype(wide)
     q /= np.sqrt((q * q).sum(axis=1, keepdims=True))
-    Pi = np.stack(turned(q[:, 0], [*-q[:, 1:].T], [*p.astype(wide).T]), axis=1)
+    Pi = np.stack(rotate(q[:, 0], [*-q[:, 1:].T], [*p.astype(wide).T]), axis=1)
     pairs = _top(inertia, weight, heyoka)
     integrator: Any = heyoka.taylor_adaptive(pairs, np.zeros(len(pairs), wide), tol=wide(rtol), fp_type=wide)
     ends = np.empty((len(q), 4))
@@ -103,7 +103,7 @@ def attitudes(
 
 def of_bodies(inertia: Sequence[float], weight: Sequence[float] = (0.0, 0.0, 0.0)) -> Callable[..., Contestant]:
     """(dt, rtol) ↦ heavy tops of this weight; free bodies without one."""
-    return partial(many, partial(_top, tuple(inertia), tuple(weight)), _load, _read)
+    return partial(many_systems, partial(_top, tuple(inertia), tuple(weight)), _load, _read)
 
 
 def of_satellites(inertia: Sequence[float], orbit: Any, t0: float) -> Callable[..., Contestant]:
@@ -114,7 +114,7 @@ def of_satellites(inertia: Sequence[float], orbit: Any, t0: float) -> Callable[.
         return np.concatenate([_load(q, p), np.tile([*place, *velocity], (len(q), 1))], axis=1)
 
     equations = partial(_satellite, tuple(inertia), float(orbit.mu))
-    return partial(many, equations, load, lambda rows: _read(rows[:, :7]))
+    return partial(many_systems, equations, load, lambda rows: _read(rows[:, :7]))
 
 
 def _load(q: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -169,7 +169,7 @@ def cross(a: Sequence[Any], b: Sequence[Any]) -> list[Any]:
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
-def turned(w: Any, v: Sequence[Any], u: Sequence[Any]) -> list[Any]:
-    """u turned by the quaternion (w, v)."""
+def rotate(w: Any, v: Sequence[Any], u: Sequence[Any]) -> list[Any]:
+    """u rotated by the quaternion (w, v)."""
     t = [2.0 * x for x in cross(v, u)]
     return [a + w * b + c for a, b, c in zip(u, t, cross(v, t), strict=True)]

@@ -40,7 +40,7 @@ def _sections(result: dict[str, Any]) -> list[str]:
         "End states apart by at most\n\n" + "\n".join(apart),
         f"`diagnostics.flow` with all and with half of its steps, at t = 10: {result['reference_doubt']:.1e} rad",
         *precision_report.summary(result["accuracy"]),
-        *precision_report.at(result["accuracy"]),
+        *precision_report.table_of_points(result["accuracy"]),
     ]
 
 

@@ -41,10 +41,10 @@ def cluster() -> tuple[RigidBodies, li.State]:
     system = li.systems.rigid_bodies(masses, inertias, molecule.potential(count))
     turns /= np.linalg.norm(turns, axis=1, keepdims=True)
     start = system.state(places - places.mean(axis=0), turns, velocities=v - v.mean(axis=0), angular_velocities=Omega)
-    return system, _settled(system, start)
+    return system, _relax(system, start)
 
 
-def _settled(system: RigidBodies, state: li.State) -> li.State:
+def _relax(system: RigidBodies, state: li.State) -> li.State:
     """The state, moved along its forces by short ways, since random attitudes let sites meet; with its own momenta."""
     space = system.phase_space
 
@@ -122,10 +122,10 @@ def everything(steps: int, rounds: int, notes: list[str]) -> list[dict[str, Any]
             seconds[name].append(time.perf_counter() - began)
     best = {name: min(found[1:]) / steps for name, found in seconds.items()}
     system, start = cluster()
-    kinetic, dearest = float(system.kinetic_energy(start)), max(best.values())
+    kinetic, slowest = float(system.kinetic_energy(start)), max(best.values())
     found = []
     for name, (state, run) in entries.items():
-        count = 10 * round(steps * dearest / best[name] / 10)  # of steps that cost as much as `steps` of the dearest
+        count = 10 * round(steps * slowest / best[name] / 10)  # of steps that cost as much as `steps` of the slowest
         same, equal = run(state, steps, DT)[1], run(state, count, steps * DT / count)[1]
         found.append(
             {

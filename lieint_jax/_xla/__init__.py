@@ -1,19 +1,21 @@
-"""What XLA is given beyond formulas: all of it stands here.
+"""All hints that the package gives to XLA beyond the formulas.
 
-A scheme is the equations of one body, and machine code of ensembles (`native`) needs nothing more. XLA, which runs
-single bodies, gradients and accelerators, does well with the same equations but for four things.
+A scheme consists of the equations of one body, and the machine code of ensembles (`native`) needs nothing more. XLA,
+which runs single bodies, gradients and accelerators, handles the same equations well with four exceptions.
 
-`materialized`: On a CPU, XLA's fusion computes a shared subexpression again in each of its consumers. Where a long
-    computation has a few results with many uses, that is dear: without it gradients of a batch by `exact` take nine
-    times as long, tangent vectors of a batch of tops sixteen times. Where less than a fifth was lost it is not used.
-`unfused`: The same for what all members of a batch share, such as the position on an orbit.
-`rematerialized`, with `saved` and `scan_stages`: The gradient of a long loop keeps what its body computes, a hundred
-    arrays over the steps, written one number at a time. To compute a step again on the way back is faster, compiles in
-    half of the time and takes hardly any memory; what is dear to compute again, such as a root, is saved.
-`forward_mode`: A long function of a few numbers, such as an elliptic integral, has a short derivative forwards, a long
-    one in reverse, and none in reverse if it is a loop that ends by a test. So it is derived forwards, whoever asks.
+`materialized`: On a CPU, XLA's fusion computes a shared subexpression again in each of its consumers. This is expensive
+    where a long computation has a few results with many uses: without `materialized`, gradients of a batch by `exact`
+    are 9 times as slow, and tangent vectors of a batch of tops 16 times. It is not used where it gains less than 20 %.
+`unfused`: The same for data that all members of a batch share, such as the position on an orbit.
+`rematerialized`, with `saved` and `scan_stages`: The gradient of a long loop stores the intermediate values of its
+    body, about a hundred arrays over the steps, written one number at a time. Computing a step again in the backward
+    pass is faster, compiles in half of the time and needs hardly any memory. Values that are expensive to compute
+    again, such as a root, are saved.
+`forward_mode`: A long function of a few numbers, such as an elliptic integral, has a short derivative in forward mode,
+    a long one in reverse mode, and none in reverse mode if it is a `while_loop`. So it is always differentiated in
+    forward mode.
 
-`compiled` is `jax.jit` with options by which the package's own programs compile in half of the time.
+`compiled` is `jax.jit` with options that halve the compile time of the package's own programs.
 """
 
 from lieint_jax._xla._compile import compiled

@@ -1,13 +1,13 @@
-"""Batches of bodies: over devices and processes, with results in memory or on disk, and a report of failures.
+"""Batches of bodies over devices and processes, with results in memory or on disk, and a report of failures.
 
-`run(step, states, dt, num_steps)` integrates a batch in one compiled loop; with `store=` it writes while it runs and
-can be resumed, with `reduce=` it keeps a summary in place of states. `open(path)` gives a stored run and its system
-back. `over_members` applies any function of one member to all, over the devices.
+`run(step, states, dt, num_steps)` integrates a batch in one compiled loop. With `store=` it writes results while it
+runs and can be resumed; with `reduce=` it returns a summary in place of states. `open(path)` returns a stored run and
+its system. `over_members` applies any function of one member to all members, over all devices.
 """
 
-from lieint_jax.ensemble import processes
+from lieint_jax.ensemble import archives, processes
 from lieint_jax.ensemble._job import Summary
-from lieint_jax.ensemble._layout import first_devices, want_devices
+from lieint_jax.ensemble._layout import count_cores, first_devices, want_devices
 from lieint_jax.ensemble._loop import compiler_options, energy
 from lieint_jax.ensemble._over_members import over_members
 from lieint_jax.ensemble._reading import open_run as open  # noqa: A004
@@ -17,7 +17,9 @@ from lieint_jax.ensemble._store_output import StoreOptions
 __all__ = [
     "StoreOptions",
     "Summary",
+    "archives",
     "compiler_options",
+    "count_cores",
     "energy",
     "first_devices",
     "open",

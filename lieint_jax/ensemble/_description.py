@@ -1,7 +1,7 @@
-"""A step or a system as data: its numbers as named arrays, and everything else as JSON, from which it is made again.
+"""A step or a system as data: its numbers as named arrays and everything else as JSON, from which it can be rebuilt.
 
-Classes, functions and modules are written down as names. Only names of this package are imported when a step is made
-again: a file must not choose what code is run.
+Classes, functions and modules are stored as names. Only names of this package are imported when a step is rebuilt:
+a file must not choose which code runs.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from lieint_jax.ensemble._leaves import stored_name
+from lieint_jax.ensemble._store import store_name
 from lieint_jax.groups._matrix import MatrixGroup
 from lieint_jax.types import Step
 
@@ -31,42 +31,42 @@ _RENAMED = {  # since version 0.2
 
 
 class UnknownNameError(ValueError):
-    """A description names a class or a function that is not of this package."""
+    """A description names a class or a function from outside this package."""
 
 
-def describe(step: Step) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The description of a step and of its system, which JSON can hold, and their arrays by name."""
+def describe(step: Step) -> tuple[dict[str, object], dict[str, np.ndarray]]:
+    """The description of a step and of its system, as values for JSON, and their arrays by name."""
     arrays: dict[str, np.ndarray] = {}
     system = _describe(step.system, "system", arrays, None)
     return {"system": system, "step": _describe(step, "step", arrays, step.system)}, arrays
 
 
-def make(description: Any, arrays: Mapping[str, Any], own: Mapping[str, Any]) -> Any:
-    """What a description describes.
+def make(description: object, arrays: Mapping[str, object], own: Mapping[str, object]) -> Any:
+    """Rebuild the object of a description.
 
     Args:
-        description: a part of what `describe` gives, such as its "system".
-        arrays: by name.
-        own: classes and functions that are not of this package, by the names that they are described by.
+        description: a part of a result of `describe`, such as its "system".
+        arrays: the arrays by name.
+        own: classes and functions from outside this package, by their names in the description.
     """
     if not isinstance(description, Mapping):
         return description
     [(kind, value)] = list(description.items())[:1]
     inner = {name: make(part, arrays, own) for name, part in description.get("fields", {}).items()}
-    makers: dict[str, Callable[[], Any]] = {
+    makers: dict[str, Callable[[], object]] = {
         "array": lambda: np.asarray(arrays[value]),
         "float": lambda: float(value),
         "tuple": lambda: tuple(make(part, arrays, own) for part in value),
-        "name": lambda: _named(value, own),
+        "name": lambda: _find_object(value, own),
         "group": lambda: MatrixGroup(np.array(inner["basis"]), inner["name"], inner["unrolled"]),
         "partial": lambda: jax.tree_util.Partial(make(value, arrays, own), *inner["args"], **dict(inner["keywords"])),
-        "class": lambda: _instance(_named(value, own), inner),
+        "class": lambda: _instance(_find_object(value, own), inner),
     }
     return makers[kind]()
 
 
-def _describe(x: Any, path: str, arrays: dict[str, np.ndarray], system: Any) -> Any:
-    def fields(**values: Any) -> dict[str, Any]:
+def _describe(x: object, path: str, arrays: dict[str, np.ndarray], system: object) -> object:
+    def fields(**values: object) -> dict[str, object]:
         return {name: _describe(value, f"{path}.{name}", arrays, system) for name, value in values.items()}
 
     if x is system and x is not None:
@@ -76,7 +76,7 @@ def _describe(x: Any, path: str, arrays: dict[str, np.ndarray], system: Any) -> 
     if isinstance(x, float):
         return x if math.isfinite(x) else {"float": str(x)}
     if isinstance(x, jax.Array | np.ndarray | np.generic):
-        name = stored_name(path)
+        name = store_name(path)
         while name in arrays:  # a_b and a.b
             name += "_"
         arrays[name] = np.asarray(x)
@@ -84,7 +84,7 @@ def _describe(x: Any, path: str, arrays: dict[str, np.ndarray], system: Any) -> 
     if isinstance(x, tuple | list):
         return {"tuple": [_describe(part, f"{path}.{i}", arrays, system) for i, part in enumerate(x)]}
     if isinstance(x, MatrixGroup):
-        return {"group": x.name, "fields": {"basis": _lists(x.basis), "name": x.name, "unrolled": x.unrolled}}
+        return {"group": x.name, "fields": {"basis": _nested_tuples(x.basis), "name": x.name, "unrolled": x.unrolled}}
     if isinstance(x, jax.tree_util.Partial):
         inside = fields(args=x.args, keywords=tuple(x.keywords.items()))
         return {"partial": _describe(x.func, path, arrays, system), "fields": inside}
@@ -96,34 +96,34 @@ def _describe(x: Any, path: str, arrays: dict[str, np.ndarray], system: Any) -> 
     return {"name": f"{_name(type(x))} object"}
 
 
-def _lists(x: np.ndarray) -> Any:
-    return {"tuple": [_lists(part) for part in x]} if x.ndim else float(x)
+def _nested_tuples(x: np.ndarray) -> object:
+    return {"tuple": [_nested_tuples(part) for part in x]} if x.ndim else float(x)
 
 
-def _name(x: Any) -> str:
-    """The name of a class, function or module: in the package that exports it, wherever in that it is defined."""
+def _name(x: object) -> str:
+    """The name of a class, function or module, in the package that exports it rather than in its own file."""
     if isinstance(x, ModuleType):
         return x.__name__
     name = getattr(x, "__qualname__", "")
     room = ".".join(x.__module__.split(".")[:2])
-    public = _is_ours(x) and getattr(_imported(room), name, None) is x
+    public = _is_ours(x) and getattr(_import_own(room), name, None) is x
     return f"{room if public else x.__module__}.{name}"
 
 
-def _named(name: str, own: Mapping[str, Any]) -> Any:
+def _find_object(name: str, own: Mapping[str, object]) -> Any:
     """The object of a name: one of `own`, or one of this package."""
     if name in own:
         return own[name]
     for candidate in (name, *_names_of_0_2(name)):
         module, _, attribute = candidate.rpartition(".")
-        found = _imported(candidate) or getattr(_imported(module), attribute, None)
+        found = _import_own(candidate) or getattr(_import_own(module), attribute, None)
         if found is not None and _is_ours(found):
             return found
-    raise UnknownNameError(f"{name!r} is not of this package: give it by own={{{name!r}: …}}")
+    raise UnknownNameError(f"{name!r} does not belong to this package: pass it as own={{{name!r}: …}}")
 
 
 def _names_of_0_2(name: str) -> Iterator[str]:
-    """Where an object is now that version 0.2 wrote down under this name."""
+    """The present names of an object that version 0.2 stored under this name."""
     module, _, attribute = name.rpartition(".")
     attribute = _RENAMED.get(attribute, attribute)
     room, _, file = module.rpartition(".")
@@ -132,14 +132,14 @@ def _names_of_0_2(name: str) -> Iterator[str]:
     yield f"{_PACKAGE}.app{module.removeprefix(_PACKAGE)}.{attribute}"
 
 
-def _is_ours(x: Any) -> bool:
-    """Whether a class, function or module is defined in this package."""
+def _is_ours(x: object) -> bool:
+    """True if a class, function or module is defined in this package."""
     module = x.__name__ if isinstance(x, ModuleType) else getattr(x, "__module__", None)
     return isinstance(module, str) and module.partition(".")[0] == _PACKAGE
 
 
-def _imported(name: str) -> ModuleType | None:
-    """The module of this package with this name, or None."""
+def _import_own(name: str) -> ModuleType | None:
+    """The module of this package with this name, imported; None if there is none."""
     if name.partition(".")[0] != _PACKAGE:
         return None
     try:
@@ -148,8 +148,8 @@ def _imported(name: str) -> ModuleType | None:
         return None
 
 
-def _instance(cls: type, fields: Mapping[str, Any]) -> Any:
-    """An instance of a dataclass with these fields, made without its checks, which its maker has done."""
+def _instance(cls: type, fields: Mapping[str, object]) -> Any:
+    """An instance of a dataclass with these fields, without the checks of its constructor, which they have passed."""
     x = object.__new__(cls)
     for name in {field.name for field in dataclasses.fields(cls)} & fields.keys():  # version 0.2 had others too
         object.__setattr__(x, name, fields[name])

@@ -1,12 +1,12 @@
-"""How a run is computed: machine code over blocks of members on a CPU, or XLA's loop over all members of a device."""
+"""The engines of a run: machine code over blocks of members on a CPU, or XLA's loop over all members of a device."""
 
 from __future__ import annotations
 
 import abc
 import functools
 import logging
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -15,42 +15,55 @@ from jax.sharding import Mesh
 from lieint_jax._integrate import UniformClock
 from lieint_jax.ensemble import _layout, _loop
 from lieint_jax.ensemble._job import Job
-from lieint_jax.ensemble._layout import Layout
-from lieint_jax.ensemble._loop import Carry, Interval, Origin, Preparation, Quantity, Span
-from lieint_jax.native import UnsupportedError, flattened, kernel
+from lieint_jax.ensemble._layout import Layout, Numbers, Tree
+from lieint_jax.ensemble._loop import (
+    Axes,
+    Carry,
+    Interval,
+    MappedInterval,
+    Origin,
+    Preparation,
+    Quantity,
+    Reduction,
+    Saved,
+    Span,
+)
+from lieint_jax.native import Flattened, Kernel, UnsupportedError, flatten, kernel
 from lieint_jax.types import State, Step
 
+_Program = TypeVar("_Program", Kernel, Flattened)
+
 _log = logging.getLogger(__name__)
-_SHORT = 2e6  # operations of a call that threads would not make shorter
-_MOST_SHARED = 4_000_000  # numbers that all members share, in a call: they are kept in memory
-_WIDEST = 160  # registers of 32 bits; a thread of a GPU has 255, and the order of its instructions takes the rest
-_MOST_CARRIED = 24  # numbers that an iteration of a loop reads and writes, and XLA may copy between kernels
-_SHORT_STEP, _TOGETHER = 600, 4  # the most operations of a step of which an iteration does several, and how many
+_SHORT = 2e6  # the most operations of a call that runs in one thread: more threads would not make it faster
+_MOST_SHARED = 4_000_000  # the most numbers shared by all members in a call: they are held in memory
+_WIDEST = 160  # the most registers of 32 bits; a GPU's thread has 255, and the order of its instructions uses the rest
+_MOST_CARRIED = 24  # the most numbers that an iteration of a loop reads and writes, and XLA may copy between kernels
+_SHORT_STEP, _TOGETHER = 600, 4  # steps of at most so many operations are computed so many to an iteration
 
 
 class Start(NamedTuple):
-    """What the blocks of a layout begin with, each field a list with an item per block.
+    """The initial data of the blocks of a layout; each field is a list with an item per block.
 
     Attributes:
-        step, plain: the steps of whole steps, with their constants, and without.
+        step, plain: the steps with the constants of whole steps, and without.
         origin: see `Origin`.
         carry: the carries.
     """
 
-    step: list[Any]
-    plain: list[Any]
+    step: list[Step]
+    plain: list[Step]
     origin: list[Origin]
     carry: list[Carry]
 
 
 def engine_of(job: Job, mesh: Mesh) -> Engine:
-    """The engine of a run: machine code on a CPU and flat arrays elsewhere, where that is possible."""
+    """The engine of a run: machine code on a CPU, flat arrays elsewhere, XLA's plain loop where neither is possible."""
     try:
         return NativeEngine(job) if mesh.devices.flat[0].platform == "cpu" else FlatEngine(job)
     except ImportError as error:
         _warn_once(str(error))
     except UnsupportedError as reason:
-        _log.debug("%s runs by XLA's plain loop, since it is no program of numbers: %s", job.step.name, reason)
+        _log.debug("%s runs in XLA's plain loop, since it is not a program of numbers: %s", job.step.name, reason)
     return XlaEngine(job)
 
 
@@ -64,8 +77,8 @@ class Engine(abc.ABC):
 
     Attributes:
         name: "native", "flat" or "xla".
-        whole: whether a process has all of its members in one block.
-        most_steps: the most steps that a call may take.
+        whole: True if a process has all of its members in one block.
+        most_steps: the most steps in a call.
     """
 
     name: str
@@ -75,18 +88,18 @@ class Engine(abc.ABC):
     def __init__(self, job: Job):
         self.job = job
         self.prepares = type(job.step).prepare is not Step.prepare and isinstance(job.clock, UniformClock)
-        self._own = "shared" if job.step_axis is None else "member"
+        self._step_kind = "shared" if job.step_axis is None else "member"
         self._origin = Origin("shared" if job.shares_time else "member", "shared", "member")  # pyright: ignore
 
     def start(self, layout: Layout) -> Start:
-        """What the blocks of a layout begin with."""
+        """The initial data of the blocks of a layout."""
         job = self.job
         step = (_layout.replicate if job.step_axis is None else _layout.scatter)(layout, job.step)
         states = _layout.scatter(layout, job.states)
         t0 = (_layout.replicate if job.shares_time else _layout.scatter)(layout, job.t0)
         start = Start(step, step, [Origin(t, job.clock, None) for t in t0], [])
         if self.prepares:
-            start = start._replace(step=self.prepared(layout, start, states))
+            start = start._replace(step=self.prepare(layout, start, states))
         origin = start.origin
         if job.reduction is not None:
             reduced = self.quantity(layout, job.reduction, start, states, 0)
@@ -95,44 +108,42 @@ class Engine(abc.ABC):
         return start._replace(origin=origin, carry=carry)
 
     @abc.abstractmethod
-    def prepared(self, layout: Layout, start: Start, states: list[State]) -> list[Any]:
-        """The steps with their constants for whole steps."""
+    def prepare(self, layout: Layout, start: Start, states: list[State]) -> list[Step]:
+        """The steps with the constants of whole steps."""
 
     @abc.abstractmethod
-    def quantity(
-        self, layout: Layout, function: Callable[..., Any], start: Start, states: list[State], n: int
-    ) -> list[Any]:
+    def quantity(self, layout: Layout, function: Reduction, start: Start, states: list[State], n: int) -> list[Numbers]:
         """A function of step and state at node n, for all members."""
 
     @abc.abstractmethod
     def advance(
         self, layout: Layout, start: Start, carry: list[Carry], spans: Span, rows: int
-    ) -> tuple[list[Carry], list[Any]]:
-        """The carries after these save intervals, `rows` at most, and the saved rows."""
+    ) -> tuple[list[Carry], list[Saved]]:
+        """The carries after these save intervals, at most `rows`, and the saved rows."""
 
-    def programs(self, make: Callable[..., Any], together: int = 1) -> tuple[Any, Any]:
-        """`Preparation`, if it is needed, and `Interval`, made by `make(function, kinds, examples)`."""
+    def make_programs(self, make: Callable[..., _Program], together: int = 1) -> tuple[_Program | None, _Program]:
+        """`Preparation`, if it is needed, and `Interval`, each compiled by `make(function, kinds, examples)`."""
         job = self.job
-        step = job.step if job.step_axis is None else jax.tree.map(_one, job.step)
-        state = jax.tree.map(_one, job.states)
-        t0 = job.t0 if job.t0 is None or job.shares_time else _one(job.t0)
+        step = job.step if job.step_axis is None else jax.tree.map(_member_shape, job.step)
+        state = jax.tree.map(_member_shape, job.states)
+        t0 = job.t0 if job.t0 is None or job.shares_time else _member_shape(job.t0)
         origin = Origin(t0, job.clock, None)  # pyright: ignore[reportArgumentType]
-        preparation, prepared, kinds = None, step, self._own
+        preparation, prepared, kinds = None, step, self._step_kind
         if self.prepares:
-            preparation = make(Preparation(), (self._own, "member", self._origin), (step, state, origin))
+            preparation = make(Preparation(), (self._step_kind, "member", self._origin), (step, state, origin))
             prepared, kinds = preparation.results, preparation.kinds_of_results
         value: Any = None if job.reduction is None else jax.ShapeDtypeStruct((), job.dtype)
-        carry = jax.tree.map(_one, _loop.start(jax.tree.map(lambda x: x[:1], job.states), value))
+        carry = jax.tree.map(_member_shape, _loop.start(jax.tree.map(lambda x: x[:1], job.states), value))
         plain = step if self.prepares else None
         count, rest = np.zeros((), _loop.step_dtype()), None if job.rests is None else np.zeros((), job.dtype)
         return preparation, make(
             Interval(job.reduction, together),
-            ("carry", kinds, self._own, self._origin, "row"),
+            ("carry", kinds, self._step_kind, self._origin, "row"),
             (carry, prepared, plain, origin._replace(quantity=value), Span(count, count, rest, np.bool_(True))),
         )
 
-    def _axes_of_origin(self, quantity: int | None) -> Any:
-        """The member axes of an origin, as in `jax.vmap`; `quantity` is that of the reduced quantity."""
+    def _axes_of_origin(self, quantity: int | None) -> Axes:
+        """The member axes of an origin, as in `jax.vmap`; `quantity` is the axis of the reduced quantity."""
         own_time = self.job.t0 is not None and not self.job.shares_time
         return Origin(0 if own_time else None, None, None if self.job.reduction is None else quantity)  # pyright: ignore
 
@@ -142,102 +153,114 @@ class XlaEngine(Engine):
 
     name, whole = "xla", False
 
-    def prepared(self, layout: Layout, start: Start, states: list[State]) -> list[Any]:
+    def prepare(self, layout: Layout, start: Start, states: list[State]) -> list[Step]:
         """See `Engine`."""
-        compiled = _loop.over_members(Preparation(), (self.job.step_axis, 0, self._axes_of_origin(None)))
+        compiled = _loop.compile_for_members(Preparation(), (self.job.step_axis, 0, self._axes_of_origin(None)))
         return _layout.map_blocks(layout, compiled, start.plain, states, start.origin)
 
-    def quantity(
-        self, layout: Layout, function: Callable[..., Any], start: Start, states: list[State], n: int
-    ) -> list[Any]:
+    def quantity(self, layout: Layout, function: Reduction, start: Start, states: list[State], n: int) -> list[Numbers]:
         """See `Engine`."""
-        compiled = _loop.over_members(Quantity(function), (self.job.step_axis, 0, self._axes_of_origin(None), None))
+        compiled = _loop.compile_for_members(
+            Quantity(function), (self.job.step_axis, 0, self._axes_of_origin(None), None)
+        )
         origin = [o._replace(quantity=None) for o in start.origin]
         return _layout.map_blocks(layout, lambda *x: compiled(*x, n), start.plain, states, origin)
 
     def advance(
         self, layout: Layout, start: Start, carry: list[Carry], spans: Span, rows: int
-    ) -> tuple[list[Carry], list[Any]]:
+    ) -> tuple[list[Carry], list[Saved]]:
         """See `Engine`."""
         count = len(spans.first)
         spans = jax.tree.map(lambda x: np.resize(x, rows), spans)
-        compiled = _loop.advance(self.interval())
+        compiled = _loop.compile_intervals(self.interval())
         plain = start.plain if self.prepares else [None] * len(carry)
         results = _layout.map_blocks(
             layout, lambda *x: compiled(*x, spans, count), carry, start.step, plain, start.origin
         )
         return [c for c, _ in results], [rows for _, rows in results]
 
-    def interval(self) -> Callable[..., Any]:
+    def interval(self) -> MappedInterval:
         """`Interval` for all members."""
         own = self.job.step_axis
-        return _loop.vmapped(self.job.reduction, (0, 0 if self.prepares else own, own, self._axes_of_origin(0), None))
+        return _loop.vmap_interval(
+            self.job.reduction, (0, 0 if self.prepares else own, own, self._axes_of_origin(0), None)
+        )
 
 
 class FlatEngine(XlaEngine):
     """XLA, on the devices of a layout, with an array (members,) for each number of a step.
 
-    XLA makes one kernel of what lies between two loops of the step, if its numbers fit the registers of a GPU.
+    XLA compiles the operations between two loops of the step into one kernel, if their numbers fit a GPU's registers.
 
     Raises:
-        UnsupportedError: the step is no program of numbers, or has too many numbers at once.
+        UnsupportedError: the step is not a program of numbers, or has too many live numbers.
     """
 
     name = "flat"
 
     def __init__(self, job: Job):
         super().__init__(job)
-        self._preparation, self._flat = self.programs(flattened)
+        self._preparation, self._flat = self.make_programs(flatten)
         if self._flat.width > _WIDEST:
-            raise UnsupportedError(f"some {self._flat.width} registers, more than {_WIDEST}")
+            raise UnsupportedError(f"about {self._flat.width} registers, more than {_WIDEST}")
         if self._flat.carried > _MOST_CARRIED:
             raise UnsupportedError(f"a loop with {self._flat.carried} numbers, more than {_MOST_CARRIED}")
         if self._flat.length <= _SHORT_STEP:
-            _, self._flat = self.programs(flattened, _TOGETHER)
+            _, self._flat = self.make_programs(flatten, _TOGETHER)
 
-    def prepared(self, layout: Layout, start: Start, states: list[State]) -> list[Any]:
+    def prepare(self, layout: Layout, start: Start, states: list[State]) -> list[Step]:
         """See `Engine`."""
-        found, kinds = super().prepared(layout, start, states), self._preparation.kinds_of_results
-        return [_own_or_shared(kinds, step) for step in found]
+        steps, preparation = super().prepare(layout, start, states), self._preparation
+        return (
+            steps
+            if preparation is None
+            else [_without_shared_axis(preparation.kinds_of_results, step) for step in steps]
+        )
 
-    def interval(self) -> Callable[..., Any]:
+    def interval(self) -> MappedInterval:
         """`Interval` for all members."""
         return self._flat
 
 
 class NativeEngine(Engine):
-    """Machine code, in threads of this process; a block is all that a process has."""
+    """Machine code, in threads of this process; all members of a process are one block."""
 
     name, whole = "native", True
 
     def __init__(self, job: Job):
         super().__init__(job)
-        _, self._interval = self.programs(kernel)
+        _, self._interval = self.make_programs(kernel)
 
-    def prepared(self, layout: Layout, start: Start, states: list[State]) -> list[Any]:
+    def prepare(self, layout: Layout, start: Start, states: list[State]) -> list[Step]:
         """See `Engine`."""
         arguments = start.plain[0], states[0], start.origin[0]
-        compiled, results = self._mapped(layout, Preparation(), (self._own, "member", self._origin), arguments)
-        return [_own_or_shared(compiled.kinds_of_results, results)]
+        compiled, results = self._map_members(
+            layout, Preparation(), (self._step_kind, "member", self._origin), arguments
+        )
+        return [_without_shared_axis(compiled.kinds_of_results, results)]
 
-    def quantity(
-        self, layout: Layout, function: Callable[..., Any], start: Start, states: list[State], n: int
-    ) -> list[Any]:
-        """See `Engine`; by XLA where it is no program of numbers, as an energy may be whose step is one."""
+    def quantity(self, layout: Layout, function: Reduction, start: Start, states: list[State], n: int) -> list[Numbers]:
+        """See `Engine`. XLA computes a quantity that is not a program of numbers, even if the step is one."""
         origin, node = start.origin[0]._replace(quantity=None), np.asarray(n, _loop.step_dtype())
         arguments = start.plain[0], states[0], origin, node
         try:
             return [
-                self._mapped(layout, Quantity(function), (self._own, "member", self._origin, "shared"), arguments)[1]
+                self._map_members(
+                    layout, Quantity(function), (self._step_kind, "member", self._origin, "shared"), arguments
+                )[1]
             ]
         except UnsupportedError:
             axes = self.job.step_axis, 0, self._axes_of_origin(None), None
-            return [np.asarray(_loop.over_members(Quantity(function), axes)(*arguments))]
+            return [np.asarray(_loop.compile_for_members(Quantity(function), axes)(*arguments))]
 
-    def _mapped(self, layout: Layout, function: Any, kinds: Any, arguments: Any) -> tuple[Any, Any]:
-        """A function of one member, compiled, and its results for all."""
+    def _map_members(
+        self, layout: Layout, function: Callable[..., Tree], kinds: Sequence[Tree], arguments: Sequence[Tree]
+    ) -> tuple[Kernel, Tree]:
+        """A function of one member, compiled, and its results for all members."""
         examples = tuple(
-            jax.tree.map(lambda k, part: jax.tree.map(_one if k == "member" else lambda x: x, part), kind, argument)
+            jax.tree.map(
+                lambda k, part: jax.tree.map(_member_shape if k == "member" else lambda x: x, part), kind, argument
+            )
             for kind, argument in zip(kinds, arguments, strict=True)
         )
         compiled = kernel(function, kinds, examples)
@@ -246,7 +269,7 @@ class NativeEngine(Engine):
 
     def advance(
         self, layout: Layout, start: Start, carry: list[Carry], spans: Span, rows: int
-    ) -> tuple[list[Carry], list[Any]]:
+    ) -> tuple[list[Carry], list[Saved]]:
         """See `Engine`."""
         plain = start.plain[0] if self.prepares else None
         arguments = carry[0], start.step[0], plain, start.origin[0], spans
@@ -260,11 +283,11 @@ class NativeEngine(Engine):
         return [after], [saved]
 
 
-def _own_or_shared(kinds: Any, results: Any) -> Any:
-    """Results of all members: as they are where each member has its own, that of the first where all share one."""
+def _without_shared_axis(kinds: Tree, results: Tree) -> Tree:
+    """Results of all members, with the first in place of all where the members share one."""
     return jax.tree.map(lambda kind, x: x[0] if kind == "shared" else x, kinds, results)
 
 
-def _one(x: Any) -> Any:
+def _member_shape(x: Numbers) -> jax.ShapeDtypeStruct:
     """The shape of one member's part of an array."""
     return jax.ShapeDtypeStruct(np.shape(x)[1:], x.dtype)

@@ -1,4 +1,4 @@
-"""What the bits of a run depend on, compared before it starts: between its processes, and with the run in a store."""
+"""Everything that the bits of a run depend on; processes and stores are compared by it before a run starts."""
 
 from __future__ import annotations
 
@@ -11,35 +11,36 @@ import warnings
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 from jax.sharding import Mesh
+from jax.typing import ArrayLike
 
 from lieint_jax._integrate import GridClock
 from lieint_jax._version import __version__
 from lieint_jax.ensemble import _layout, _store
 from lieint_jax.ensemble._digest import NotDigestible, digest, python_of
+from lieint_jax.ensemble._integrity import Table
 from lieint_jax.ensemble._job import Job
-from lieint_jax.ensemble._leaves import named
 from lieint_jax.ensemble._loop import compiler_options
+from lieint_jax.ensemble._store import leaves_by_name
 from lieint_jax.types import State
 
-_NO_DIGEST = "cannot be compared: "  # what a description has in place of a digest begins so
+_NO_DIGEST = "cannot be compared: "  # begins the reason that stands in place of a digest in a description
 _ADVICE = (
-    "give the function what it needs in a jax.tree_util.Partial, or make it a pytree that can be called, whose numbers "
-    "are compared one by one"
+    "pass the function's data in a jax.tree_util.Partial, or make it a callable pytree, whose numbers are compared one "
+    "by one"
 )
 
 
-def description(job: Job, engine: str, scenario: Any = None) -> dict[str, Any]:
-    """Everything that the bits of a run depend on, as JSON gives it back. A run is resumed only if all of it is equal.
+def description(job: Job, engine: str, scenario: object = None) -> Table:
+    """Everything that the bits of a run depend on, as read back from JSON. A run is resumed only if all of it is equal.
 
     Args:
         job: the run.
-        engine: what computes it, "native" (machine code) or "xla".
-        scenario: a table that the run was made from, or None.
+        engine: the name of the engine that computes it, "native" (machine code), "flat" or "xla".
+        scenario: the table that the run was made from, or None.
     """
     leaves, structure = jax.tree.flatten(job.step)
     flags = [f for f in os.environ.get("XLA_FLAGS", "").split() if "force_host_platform_device_count" not in f]
@@ -51,7 +52,7 @@ def description(job: Job, engine: str, scenario: Any = None) -> dict[str, Any]:
         "initial states": _digest_of_arrays(*_with_names(job.initial)),
         "members": job.members,
         "dt": job.dt,
-        "num_steps": job.planned,
+        "num_steps": job.planned_steps,
         "save_every": job.save_every,
         "times": _digest_of_arrays(job.clock.times) if isinstance(job.clock, GridClock) else None,
         "save_at": None if job.rests is None else _digest_of_arrays(job.times),
@@ -70,13 +71,13 @@ def description(job: Job, engine: str, scenario: Any = None) -> dict[str, Any]:
     return json.loads(json.dumps(described))
 
 
-def check_processes(mesh: Mesh, described: Mapping[str, Any], **options: Any) -> None:
-    """ValueError on every process if they are about to do different runs.
+def check_processes(mesh: Mesh, described: Table, **options: object) -> None:
+    """Raise ValueError on every process if the processes are about to start different runs.
 
     Args:
-        mesh: the devices of all of them.
-        described: the run of this one.
-        options: what else they must agree on, which JSON can hold.
+        mesh: the devices of all processes.
+        described: the description of this process' run.
+        options: other values for JSON on which the processes must agree.
     """
     if _layout.count_processes(mesh) == 1:
         return
@@ -86,45 +87,45 @@ def check_processes(mesh: Mesh, described: Mapping[str, Any], **options: Any) ->
     different = [key for key, same in zip(parts, (found == found[0]).all(axis=(0, 2)), strict=True) if not same]
     if different:
         raise ValueError(
-            f"the processes of this run were given different runs: {', '.join(different)} differ. Nothing was "
+            f"the processes of this run were given different runs: they differ in {', '.join(different)}. Nothing was "
             "integrated; start every process with the same scenario and the same arguments"
         )
 
 
-def check_same(path: Path, stored: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """ValueError if the run in a store is another than the one described, or cannot be compared with it."""
+def check_same(path: Path, stored: Table, now: Table) -> None:
+    """Raise ValueError if the run in a store differs from the one described, or cannot be compared with it."""
     if stored["format"] < _store.FORMAT:
         raise ValueError(
-            f"{path} was written by an older version of lieint_jax, whose runs this one does not continue bit for bit: "
-            "`lieint info` and `lieint plot` read what is there; run again into another store"
+            f"{path} was written by an older version of lieint_jax, whose runs this one cannot continue bit for bit: "
+            "`lieint info` and `lieint plot` read its results; run again into another store"
         )
     for key, reason in _not_comparable(now).items():
         raise ValueError(f"{path} cannot be resumed: the {key} {reason}; {_ADVICE}")
     different = differences(stored["run"], now)
     if different:
-        raise ValueError(f"{path} holds another run and cannot be resumed with this one: {'; '.join(different)}")
+        raise ValueError(f"{path} holds another run and cannot be resumed by this one: {'; '.join(different)}")
 
 
-def warn_of_no_resume(described: Mapping[str, Any]) -> None:
-    """Warn that a run that begins cannot be resumed, if something that it depends on has no digest."""
+def warn_of_no_resume(described: Table) -> None:
+    """Warn at the start of a run that cannot be resumed, because something that it depends on has no digest."""
     for key, reason in _not_comparable(described).items():
-        warnings.warn(f"this run cannot be resumed: the {key} {reason}; {_ADVICE}", RuntimeWarning, stacklevel=4)
+        warnings.warn(f"this run cannot be resumed: the {key} {reason}; {_ADVICE}", RuntimeWarning, stacklevel=5)
 
 
-def differences(stored: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """The differences of two descriptions of a run, one line for each key."""
+def differences(stored: Mapping[str, object], now: Mapping[str, object], prefix: str = "") -> list[str]:
+    """The differences between two descriptions of a run, one line for each key."""
     lines = []
     for key in sorted(stored.keys() | now.keys()):
         a, b = stored.get(key), now.get(key)
         if isinstance(a, Mapping) and isinstance(b, Mapping):
             lines += differences(a, b, f"{prefix}{key}.")
         elif a != b:
-            lines.append(f"{prefix}{key} is {a!r} there and {b!r} here")
+            lines.append(f"{prefix}{key} is {a!r} in the store and {b!r} here")
     return lines
 
 
 def device() -> str:
-    """The kind of device; for a CPU with its widest vector instructions, on which the compiled code depends."""
+    """The kind of device; of a CPU also its widest vector instructions, on which the compiled code depends."""
     first = jax.devices()[0]
     if first.platform != "cpu":
         return first.device_kind
@@ -136,20 +137,20 @@ def device() -> str:
     return " ".join([platform.machine(), *found[:1]])
 
 
-def _not_comparable(described: Mapping[str, Any]) -> dict[str, str]:
+def _not_comparable(described: Table) -> dict[str, str]:
     return {key: x for key, x in described.items() if isinstance(x, str) and x.startswith(_NO_DIGEST)}
 
 
-def _digest_or_reason(value: Any) -> str:
-    """The digest of a value; a sentence why it has none."""
+def _digest_or_reason(value: object) -> str:
+    """The digest of a value, or the reason why it has none."""
     try:
         return digest(value)
     except NotDigestible as reason:
         return f"{_NO_DIGEST}{reason}"
 
 
-def _python(*values: Any) -> dict[str, str]:
-    """The Python whose bytecode enters the digests of the user's functions, if there are any."""
+def _python(*values: object) -> dict[str, str]:
+    """The Python version whose bytecode enters the digests of the user's functions, if there are any."""
     try:
         found = python_of(*values)
     except NotDigestible:
@@ -157,13 +158,13 @@ def _python(*values: Any) -> dict[str, str]:
     return {"python": found} if found else {}
 
 
-def _with_names(states: State) -> list[Any]:
-    """The arrays of states, q and p first; each of the others, which states need not have, after its name."""
-    q, p, *rest = named(states).items()
+def _with_names(states: State) -> list[ArrayLike | bytes]:
+    """The arrays of states: q and p first, then each optional array after its name."""
+    q, p, *rest = leaves_by_name(states).items()
     return [q[1], p[1], *(part for name, x in rest for part in (name.encode(), x))]
 
 
-def _digest_of_arrays(*leaves: Any) -> str:
+def _digest_of_arrays(*leaves: ArrayLike | bytes) -> str:
     found = hashlib.sha256()
     for leaf in leaves:
         array = np.frombuffer(leaf, np.uint8) if isinstance(leaf, bytes) else np.asarray(leaf)

@@ -1,8 +1,9 @@
-"""Whether the files of a store are all there, as they were written, in their places and of one commit.
+"""The check that the files of a store are complete, unaltered, in their places and of one commit.
 
-Every chunk ends with its own checksum (CRC-32C). The store records those checksums by the chunks' places: of arrays
-along time, in the array `checksums`, a row for each row of chunks; of all others, and of the checkpoint that belongs to
-the published commit, as digests in the root, with one of `checksums` itself and of the metadata of each array.
+Every chunk ends with its own checksum (CRC-32C), and the store records these checksums by the places of the chunks.
+Those of arrays along time are in the array `checksums`, with one row for each row of chunks. Those of all other arrays
+and of the published commit's checkpoint are digests in the root. The root also holds digests of `checksums` itself and
+of the metadata of each array.
 """
 
 from __future__ import annotations
@@ -17,13 +18,14 @@ from typing import Any
 
 import numpy as np
 
-CHECKPOINT = "checkpoint"  # the group that a run is resumed from
+Table = dict[str, Any]  # an object of JSON, such as the attributes of a store or the metadata of an array
+CHECKPOINT = "checkpoint"  # the group from which a run is resumed
 CHECKSUMS = "checksums"  # the array of the checksums of chunks along time
-_NAMED = 5  # the most damaged files that a message names
+_MAX_NAMED = 5  # damaged files in a message
 
 
-def checksum(root: Mapping[str, Any]) -> str:
-    """The checksum of a store's root metadata, itself left out."""
+def checksum(root: Table) -> str:
+    """The checksum of a store's root metadata, without its own entry."""
     attributes = {key: value for key, value in root["attributes"].items() if key != "checksum"}
     text = json.dumps({**root, "attributes": attributes}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -39,59 +41,59 @@ def digest_of(checksums: Iterable[int]) -> str:
     return digest(np.array(list(checksums), "<u4").tobytes())
 
 
-def digest_of_array(path: Path, name: str, meta: Mapping[str, Any]) -> str:
+def digest_of_array(path: Path, name: str, meta: Table) -> str:
     """The digest of the checksums of an array in a store."""
     return digest_of(checksum_of_file(path / file) for file in chunk_files(name, meta))
 
 
-def metadata(path: Path, names: Iterable[str]) -> dict[str, dict[str, Any]]:
+def metadata(path: Path, names: Iterable[str]) -> dict[str, Table]:
     """The metadata of the arrays of these names in a store."""
     return {name: json.loads((path / name / "zarr.json").read_text(encoding="utf-8")) for name in names}
 
 
-def along_time(meta: Mapping[str, Any]) -> bool:
-    """True for an array that grows while the run goes on."""
+def is_along_time(meta: Table) -> bool:
+    """True for an array that grows during the run."""
     return (meta.get("dimension_names") or [""])[0] == "time"
 
 
-def chunk_files(name: str, meta: Mapping[str, Any], row: int | None = None) -> list[str]:
-    """The files of the chunks of an array, relative to the store: all of them, or those of one row of chunks."""
+def chunk_files(name: str, meta: Table, row: int | None = None) -> list[str]:
+    """The files of an array's chunks, relative to the store: all of them, or those of one row of chunks."""
     return ["/".join((name, "c", *map(str, key))) for key in _keys(meta, row)]
 
 
-def files_of_rows(metas: Mapping[str, Any], row: int) -> list[str]:
+def files_of_rows(metas: Mapping[str, Table], row: int) -> list[str]:
     """The files of one row of chunks of all arrays along time, in the order of `checksums`."""
-    names = sorted(name for name, meta in metas.items() if along_time(meta))
+    names = sorted(name for name, meta in metas.items() if is_along_time(meta))
     return [file for name in names for file in chunk_files(name, metas[name], row)]
 
 
-def files_of_checkpoint(metas: Mapping[str, Any], slot: int) -> list[str]:
+def files_of_checkpoint(metas: Mapping[str, Table], slot: int) -> list[str]:
     """The files of a slot of the checkpoint, in the order in which their checksums enter its digest."""
     names = sorted(name for name in metas if name.startswith(f"{CHECKPOINT}/"))
     return [file for name in names for file in chunk_files(name, metas[name], slot)]
 
 
 def checksum_of_file(file: Path) -> int:
-    """The checksum that the file of a chunk ends with."""
+    """The checksum at the end of a chunk's file."""
     with file.open("rb") as f:
         f.seek(-4, 2)
         return int.from_bytes(f.read(4), "little")
 
 
-def damaged(path: Path, found: Iterable[str]) -> None:
-    """ValueError that names the files that are missing or altered, if there are any."""
-    lost = list(found)
+def raise_if_damaged(path: Path, damage: Iterable[str]) -> None:
+    """Raise a ValueError with the first lines of `damage`, if there are any."""
+    lost = list(damage)
     if lost:
-        more = f"; and {len(lost) - _NAMED} more" if len(lost) > _NAMED else ""
+        more = f"; and {len(lost) - _MAX_NAMED} more" if len(lost) > _MAX_NAMED else ""
         raise ValueError(
-            f"{path} is damaged: {'; '.join(lost[:_NAMED])}{more}. All else can still be read, by xarray.open_zarr for "
-            "one; put the files back from a copy, make the copy again while no run writes, or run again into another "
-            "store"
+            f"{path} is damaged: {'; '.join(lost[:_MAX_NAMED])}{more}. Everything else can still be read, for example "
+            "by xarray.open_zarr; restore the files from a copy, repeat the copy while no run writes, or run again "
+            "into another store"
         )
 
 
-def damage(path: Path, root: Mapping[str, Any]) -> Iterator[str]:
-    """A line for each file of the published results that is missing or altered, and what is lost with it."""
+def damage(path: Path, root: Table) -> Iterator[str]:
+    """A line for each missing or altered file of the published results, with the part that is lost."""
     progress, shown = root["attributes"]["progress"], root["consolidated_metadata"]["metadata"]
     digests = root["attributes"].get("digests")
     if digests is None:  # a store of version 0.2 or older
@@ -108,15 +110,15 @@ def damage(path: Path, root: Mapping[str, Any]) -> Iterator[str]:
         yield from _damage_along_time(path, shown, root)
 
 
-def damage_of_checkpoint(path: Path, root: Mapping[str, Any]) -> Iterator[str]:
-    """A line for each file of the published commit's checkpoint that is missing or altered."""
+def damage_of_checkpoint(path: Path, root: Table) -> Iterator[str]:
+    """A line for each missing or altered file of the published commit's checkpoint."""
     progress, digests = root["attributes"]["progress"], root["attributes"].get("digests")
     if digests is None or progress["complete"] or not progress["commits"]:
         return
     try:
         metas = metadata(path, [name for name in digests["metadata"] if name.startswith(f"{CHECKPOINT}/")])
     except (OSError, ValueError):
-        return  # `damage` names the file
+        return  # `damage` reports the file
     slot = progress["commits"] % 2
     files, found = files_of_checkpoint(metas, slot), _commit_in(path, slot)
     what = f"the checkpoint of commit {progress['commits']}, step {progress['steps']} (found: {found})"
@@ -124,7 +126,7 @@ def damage_of_checkpoint(path: Path, root: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _commit_in(path: Path, slot: int) -> str:
-    """The commit that a slot of the checkpoint is of, in words."""
+    """The commit in a slot of the checkpoint, in words."""
     import zarr
 
     try:
@@ -134,77 +136,81 @@ def _commit_in(path: Path, slot: int) -> str:
     return f"commit {number}, step {steps}"
 
 
-def _damage_of_array(path: Path, files: list[str], metas: Mapping[str, Any], expected: str, what: str) -> Iterator[str]:
-    """The damaged files of chunks; if there is none, a line if they are not the ones whose digest is `expected`."""
+def _damage_of_array(
+    path: Path, files: list[str], metas: Mapping[str, Table], expected: str, what: str
+) -> Iterator[str]:
+    """A line for each damaged chunk; if there is none, one line if the digest of all differs from `expected`."""
     found = [_checksum(path / file) for file in files]
     sums = [checksum for checksum in found if isinstance(checksum, int)]
     if len(sums) < len(files):
-        yield from _lost(path, files, metas)
+        yield from _damage_of_files(path, files, metas)
     elif digest_of(sums) != expected:
         folder = files[0].partition("/")[0]
-        yield f"{folder} is not what the run wrote: {what} has been replaced, or was copied while a run wrote to it"
+        yield f"{folder} is not as the run wrote it: {what} was replaced, or copied while a run was writing it"
 
 
-def _lost(path: Path, files: Iterable[str], metas: Mapping[str, Any], summed: bool = True) -> Iterator[str]:
-    """A line for each of these files of chunks that is missing, unreadable or altered."""
+def _damage_of_files(
+    path: Path, files: Iterable[str], metas: Mapping[str, Table], summed: bool = True
+) -> Iterator[str]:
+    """A line for each of these chunks whose file is missing, unreadable or altered."""
     for file in files:
         found = _checksum(path / file, summed)
         if isinstance(found, str):
             yield f"{file} is {found} ({_part(file, metas)})"
 
 
-def _damage_along_time(path: Path, metas: Mapping[str, Any], root: Mapping[str, Any]) -> Iterator[str]:
-    """The files along time that are missing, altered, or not those of their places."""
-    rows = rows_of(root["attributes"])
+def _damage_along_time(path: Path, metas: Mapping[str, Table], root: Table) -> Iterator[str]:
+    """A line for each missing, altered or misplaced file of the arrays along time."""
+    rows = published_rows(root["attributes"])
     own = metadata(path, [CHECKSUMS])
     chunks = math.ceil(rows / own[CHECKSUMS]["chunk_grid"]["configuration"]["chunk_shape"][0])
     files = [file for row in range(chunks) for file in chunk_files(CHECKSUMS, own[CHECKSUMS], row)]
-    lost = list(_lost(path, files, own))
+    lost = list(_damage_of_files(path, files, own))
     if lost:
         yield from lost
         return
     recorded = checksums_of_rows(path, rows)
     if digest(recorded.tobytes()) != root["attributes"]["digests"]["rows"]:
-        yield f"{CHECKSUMS} is not that of the last commit: it has been replaced, or was copied while a run wrote to it"
+        yield f"{CHECKSUMS} is not that of the last commit: it was replaced, or copied while a run was writing it"
         return
     for row in range(rows):
         for file, expected in zip(files_of_rows(metas, row), recorded[row].tolist(), strict=False):
             found = _checksum(path / file)
             if isinstance(found, int) and found != expected:
-                found = "the chunk of another place or of another run"
+                found = "the chunk of another place or another run"
             if isinstance(found, str):
                 yield f"{file} is {found} ({_part(file, metas)})"
 
 
-def rows_of(attributes: Mapping[str, Any]) -> int:
-    """The number of rows of chunks along time that are published."""
+def published_rows(attributes: Table) -> int:
+    """The number of published rows of chunks along time."""
     return math.ceil(attributes["progress"]["entries"] / attributes["time_chunk"])
 
 
 def checksums_of_rows(path: Path, rows: int) -> np.ndarray:
-    """The recorded checksums of the first rows of chunks along time, (rows, files)."""
+    """The recorded checksums of the first rows of chunks along time, shape (rows, files)."""
     import zarr
 
     return np.asarray(zarr.open_array(str(path / CHECKSUMS), mode="r")[:rows], "<u4")
 
 
-def _damage_by_chunks(path: Path, shown: Mapping[str, Any]) -> Iterator[str]:
-    """The damage of a store that records no checksums: its chunks may have some of their own."""
+def _damage_by_chunks(path: Path, shown: Mapping[str, Table]) -> Iterator[str]:
+    """The damage of a store that records no checksums; only those inside the chunks, if there are any, are compared."""
     for name, meta in shown.items():
-        own = _json(path / name / "zarr.json")
+        own = _read_json(path / name / "zarr.json")
         if own is None or {**own, "shape": own["shape"][1:]} != {**meta, "shape": meta["shape"][1:]}:
             yield f"{name}/zarr.json is missing or altered"
-        yield from _lost(path, chunk_files(name, meta), shown, meta["codecs"][-1]["name"] == "crc32c")
+        yield from _damage_of_files(path, chunk_files(name, meta), shown, meta["codecs"][-1]["name"] == "crc32c")
 
 
-def _keys(meta: Mapping[str, Any], row: int | None) -> Iterator[tuple[int, ...]]:
+def _keys(meta: Table, row: int | None) -> Iterator[tuple[int, ...]]:
     """The keys of an array's chunks, or of one row of them."""
     sizes = meta["chunk_grid"]["configuration"]["chunk_shape"]
     spans = [range(math.ceil(n / size)) for n, size in zip(meta["shape"], sizes, strict=True)]
     return itertools.product(*(spans if row is None else [range(row, row + 1), *spans[1:]]))
 
 
-def _json(file: Path) -> Any:
+def _read_json(file: Path) -> Any:
     try:
         return json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -218,8 +224,8 @@ def _digest_of_file(file: Path) -> str | None:
         return None
 
 
-def _part(file: str, metas: Mapping[str, Any]) -> str:
-    """The part of an array that a chunk's file holds, in words."""
+def _part(file: str, metas: Mapping[str, Table]) -> str:
+    """The part of an array in a chunk's file, in words."""
     name, _, key = file.rpartition("/c")
     meta, keys = metas[name], [int(k) for k in key.split("/")[1:]]
     axes = meta.get("dimension_names") or [f"axis {i}" for i in range(len(keys))]
@@ -233,8 +239,8 @@ def _part(file: str, metas: Mapping[str, Any]) -> str:
 
 
 def _checksum(file: Path, summed: bool = True) -> int | str:
-    """The checksum that a chunk's file ends with, 0 if it has none; a word if it is missing, unreadable or altered."""
-    import google_crc32c  # of zarr
+    """The checksum of a chunk's file, 0 if it has none; a word if the file is missing, unreadable or altered."""
+    import google_crc32c  # a dependency of zarr
 
     try:
         data = file.read_bytes()

@@ -1,21 +1,21 @@
-"""The description of an integration, and the interface of its outputs, in memory and on disk."""
+"""The description of an integration, and the interface of its outputs in memory and on disk."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import jax
 import numpy as np
 
 from lieint_jax._integrate import GridClock, UniformClock
 from lieint_jax.ensemble import _layout
-from lieint_jax.ensemble._layout import Layout
-from lieint_jax.ensemble._leaves import shared_time
-from lieint_jax.ensemble._loop import Carry, Range, Reduction
-from lieint_jax.types import State, Step, StepInfo
+from lieint_jax.ensemble._layout import Layout, Numbers
+from lieint_jax.ensemble._loop import Carry, Range, Reduction, Saved
+from lieint_jax.ensemble._store import shared_time
+from lieint_jax.types import State, Step, Trajectory
 
-_CHUNK_BYTES, _MEMORY = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
-_CHUNK_WORK = 2e8  # the most body-steps between two writes, unless a single save interval has more
+_CHUNK_BYTES, _BUFFER_BYTES = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
+_CHUNK_WORK = 2e8  # the most body-steps between two writes, unless one save interval has more
 
 
 class Summary(NamedTuple):
@@ -23,8 +23,8 @@ class Summary(NamedTuple):
 
     Attributes:
         t: times, shape (n+1,).
-        least, greatest, mean: of the change of the reduced quantity since the start, over all members and all steps
-            since the previous entry.
+        least, greatest, mean: the least, greatest and mean change of the reduced quantity since the start, over all
+            members and all steps since the previous entry.
         residual: the largest residual over the same members and steps.
         unconverged: the number of members with a step that did not converge since the previous entry.
         state: the states at the end, (members, …).
@@ -42,30 +42,31 @@ class Summary(NamedTuple):
 
 
 class Job(NamedTuple):
-    """An integration to be done.
+    """An integration that is to be computed.
 
     Attributes:
         step: the step; with the member axis on its leaves if `step_axis` is 0.
         states: the initial states without their time, with the member axis on every leaf.
-        t0: the time of the initial states: () if the members share it, else (members,); None if they have none, or the
-            step has its own, which then is part of the states.
-        dt: the step size as the caller gave it; None if he gave times.
-        clock: when the steps are; since the start, if the states have no time or their own.
-        planned: the number of steps that the caller asked for; the run ends at its last entry.
-        times: the times of all entries on this clock, the start's first.
+        t0: the time of the initial states: shape () if the members share it, else (members,). None if they have no
+            time, or if the step has a time of its own, which then is part of the states.
+        dt: the step size given by the caller; None if times were given.
+        clock: the times of the steps; since the start, if the states have no time or each member has its own.
+        planned_steps: the number of steps that the caller asked for; the run ends at its last entry.
+        times: the times of all entries on this clock, that of the start first.
         nodes: the number of whole steps before each entry.
-        rests: the size of the shorter step from its node to each entry, 0 for the start; None if all are at nodes.
-        save_every: steps between saves; None with `rests`.
+        rests: the size of the shorter step from its node to each entry, 0 for the start; None if all entries are at
+            nodes.
+        save_every: the number of steps between saves; None with `rests`.
         step_axis: None or 0.
         reduction: the quantity to reduce, or None.
     """
 
     step: Step
     states: State
-    t0: Any
+    t0: Numbers | None
     dt: float | None
     clock: UniformClock | GridClock
-    planned: int
+    planned_steps: int
     times: np.ndarray
     nodes: np.ndarray
     rests: np.ndarray | None
@@ -80,7 +81,7 @@ class Job(NamedTuple):
 
     @property
     def num_steps(self) -> int:
-        """The number of steps in all."""
+        """The total number of steps."""
         return int(self.nodes[-1])
 
     @property
@@ -90,34 +91,33 @@ class Job(NamedTuple):
 
     @property
     def dtype(self) -> np.dtype:
-        """That of the states."""
+        """The dtype of the states."""
         return np.dtype(self.states.p.dtype)
 
     @property
     def first_dt(self) -> float:
         """The size of the first step."""
-        return self.dt or (float(self.clock.size(0)) if self.planned else 0.0)
+        return self.dt or (float(self.clock.size(0)) if self.planned_steps else 0.0)
 
     @property
     def shares_time(self) -> bool:
         """True if the states have a time, the same for all members."""
         return self.t0 is not None and not np.ndim(self.t0)
 
-    def state_times(self, entries: slice = slice(None)) -> Any:
-        """The time of each member at these entries, (entries, members); None if there is no t0."""
-        if self.t0 is None:
-            return None
-        if self.shares_time:
+    def state_times(self, entries: slice = slice(None)) -> np.ndarray:
+        """The time of each member at these entries, shape (entries, members), where the states have a time."""
+        if self.t0 is None or self.shares_time:
             return shared_time(self.times[entries], self.members)
         return np.asarray(self.t0) + self.times[entries, None]
 
     def with_times(self, states: State) -> State:
         """The states of all entries with their time."""
-        return states if self.t0 is None else states._replace(t=self.state_times())
+        return states if self.t0 is None else states._replace(t=self.state_times())  # pyright: ignore[reportArgumentType]
 
     def with_last_time(self, state: State) -> State:
         """The states at the end of the run with their time."""
-        return state if self.t0 is None else state._replace(t=self.state_times(slice(-1, None))[0])
+        last = slice(-1, None)
+        return state if self.t0 is None else state._replace(t=self.state_times(last)[0])
 
     def member(self, m: int) -> tuple[Step, State]:
         """The step and the initial state of one member."""
@@ -137,15 +137,15 @@ class Job(NamedTuple):
         return self.states.p.shape[0]
 
     def buffer_rows(self, across: int) -> int:
-        """The number of saves per call of the loop and per chunk of a store, where a chunk holds `across` members."""
+        """The number of saves per call of the loop and per chunk of a store with `across` members to a chunk."""
         row = max(sum(leaf.nbytes for leaf in jax.tree.leaves(self.states)) // self.members + 9, 24)
-        enough = min(_CHUNK_BYTES // (across * row), _MEMORY // (self.members * row))
+        enough = min(_CHUNK_BYTES // (across * row), _BUFFER_BYTES // (self.members * row))
         interval = max(self.num_steps // max(self.num_saves, 1), 1)
         return int(max(1, min(enough, _CHUNK_WORK // (self.members * interval), self.num_saves + 1)))
 
 
 class Output(Protocol):
-    """The destination of a run's saved rows: memory (`_run`) or disk (`_recording`)."""
+    """The destination of a run's saved rows: memory (`_run`) or disk (`_store_output`)."""
 
     @property
     def defers_interrupts(self) -> bool:
@@ -154,64 +154,65 @@ class Output(Protocol):
 
     @property
     def buffer_rows(self) -> int:
-        """The largest number of saves of one call of the compiled loop: the length of its buffer."""
+        """The largest number of saves in one call of the compiled loop: the length of its buffer."""
         ...
 
     @property
     def free_rows(self) -> int:
-        """The largest number of saves that the next call may bring."""
+        """The largest number of saves in the next call."""
         ...
 
-    def restored(self) -> tuple[list[Carry], int, int] | None:
-        """The carry, and the numbers of steps and of saves, of the run that this output holds already, or None."""
+    def restore(self) -> tuple[list[Carry], int, int] | None:
+        """The carry and the numbers of steps and of saves of the unfinished run in this output, or None."""
 
     def begin(self, carry: list[Carry]) -> None:
-        """Receive the entry of the start; not called for a run that was restored."""
+        """Receive the entry of the start; not called for a resumed run."""
 
-    def append(self, saved: Any, number: int) -> None:
+    def append(self, saved: list[Saved], number: int) -> None:
         """Receive `number` saved rows."""
 
     def checkpoint(self, carry: list[Carry], done: int, seconds: float, stop: bool) -> None:
-        """Called after each call of the loop with a carry from which the run can be resumed; may write a checkpoint.
+        """Receive, after each call of the loop, a carry from which the run can be resumed, and write it if it is time.
 
         Args:
             carry: the carry.
-            done: the number of steps taken.
+            done: the number of steps so far.
             seconds: the duration of the call.
             stop: True if the run was asked to stop.
         """
 
     def can_stop(self) -> bool:
-        """True if everything that a resume needs has been kept."""
+        """True if everything that a resumed run needs has been written."""
         ...
 
     def interrupt_message(self, done: int, num_steps: int) -> str:
         """The message for a user who interrupted the run."""
         ...
 
-    def result(self, carry: list[Carry]) -> Any:
-        """The result, when all steps are taken."""
+    def result(self, carry: list[Carry]) -> Trajectory | Summary | None:
+        """The result, after the last step."""
 
 
-def local_rows(saved: list[Any], number: int) -> list[Any]:
+def local_rows(saved: list[Saved], number: int) -> list[Saved]:
     """The first `number` saved rows of each block, copied to the host."""
     return jax.tree.map(lambda x: np.array(np.asarray(x)[:number]), saved)
 
 
-def gathered_rows(layout: Layout, saved: list[Any], number: int) -> Any:
+def gather_rows(layout: Layout, saved: list[Saved], number: int) -> Saved:
     """The first `number` saved rows of all members, on every process."""
     return _layout.gather(layout, local_rows(saved, number), 1)
 
 
 def first_entry(job: Job) -> dict[str, np.ndarray]:
-    """The entry of the start in the series of reductions."""
+    """The entry of the start in the series of a reduction."""
     zero = np.zeros(1, job.dtype)
     return dict.fromkeys(("least", "greatest", "mean", "residual"), zero) | {"unconverged": np.zeros(1, np.int64)}
 
 
-def reduced(rows: tuple[StepInfo, Range], job: Job) -> dict[str, np.ndarray]:
-    """Reduce rows (saves, members) to series (saves,). Sums run in the order of the members, whatever their devices."""
+def reduce_rows(rows: Saved, job: Job) -> dict[str, np.ndarray]:
+    """Reduce rows (saves, members) to series (saves,). Sums follow the order of the members, whatever their devices."""
     info, change = rows
+    assert isinstance(change, Range)
     values = job.members * (job.save_every or 1)
     return {
         "least": change.least.min(axis=1),

@@ -1,15 +1,16 @@
 """Members over devices: a batch is cut into blocks, padded, and placed.
 
-The mesh axis "members" runs over devices and processes. A device's members lie on it in blocks, and the bits of a
-result depend neither on how many devices there are nor on where a member lies:
+The mesh axis "members" runs over devices and processes. The members of a device are divided into blocks, and the bits
+of a result depend neither on the number of devices nor on the place of a member:
 
-* Every block is advanced by the same program (`_loop`), compiled for one device. (One program for all devices, by
-  `shard_map`, is fused differently by XLA for each number of devices, and then rounds differently.)
-* The size of a block is a multiple of 16, so that it fills whole vector registers, and 32 copies of a member follow it,
-  whose results are dropped: on a CPU the remainder of a vectorized loop runs as scalar code, which rounds differently.
+* The same program (`_loop`), compiled for one device, advances every block. (XLA would fuse one program for all
+  devices, by `shard_map`, differently for each number of devices, and its results would round differently.)
+* The size of a block is a multiple of 16, so that it fills whole vector registers. It is followed by 32 copies of a
+  member, whose results are dropped: on a CPU the remainder of a vectorized loop runs as scalar code, which rounds
+  differently.
 
-On a CPU a block fits the cache. Machine code (`lieint_jax.native`) needs none of this: for it the members of a process
-are one block, the layout's `whole`.
+On a CPU a block fits the cache. Machine code (`lieint_jax.native`) needs none of this: there the members of a process
+are one block (`Place.whole`).
 """
 
 from __future__ import annotations
@@ -28,19 +29,21 @@ from jax import Array
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 _T = TypeVar("_T")
+Tree = Any  # a tree of arrays
+Numbers = Array | np.ndarray
 AXIS = "members"
 LANES = 16  # members in a vector register: 16 float32 in 512 bits
-_TAIL = 32  # padding after a block, which takes the remainder of vectorized loops
+_TAIL = 32  # padding after a block, for the remainder of vectorized loops
 _BLOCK = 1024  # the most members in a block on a CPU: their states and temporaries fit the cache
 
 
 class Place(NamedTuple):
-    """Where a run is computed.
+    """The devices and threads that compute a run.
 
     Attributes:
         mesh: the devices of all processes.
-        threads: the threads of machine code in this process.
-        whole: whether all members of a process are one block.
+        threads: the number of threads of machine code in this process.
+        whole: True if all members of a process are one block.
     """
 
     mesh: Mesh
@@ -51,7 +54,7 @@ class Place(NamedTuple):
 class Block(NamedTuple):
     """A block of members on a device of this process; `start` is its first member."""
 
-    device: Any
+    device: Any  # jax.Device | None
     start: int
 
 
@@ -59,8 +62,8 @@ class Layout(NamedTuple):
     """The placement of members on the devices of a mesh.
 
     Each device holds `blocks_per_device` blocks of `block_size` members, in order. Places beyond the last member are
-    padding: copies of that member. A block of padding alone is left out. If `place.whole`, the members of a process are
-    one block, without padding, unless it has none.
+    padding, copies of that member. A block that would contain only padding is left out. If `place.whole`, the members
+    of a process are one block without padding.
     """
 
     place: Place
@@ -76,12 +79,12 @@ class Layout(NamedTuple):
 
     @property
     def threads(self) -> int:
-        """The threads of machine code in this process."""
+        """The number of threads of machine code in this process."""
         return self.place.threads
 
     @property
     def padded_block_size(self) -> int:
-        """The members of a block and the copies after it. A single member, always one block, needs no copies."""
+        """The number of members of a block and of the copies after it. A single member needs no copies."""
         return self.block_size + self.tail
 
     @property
@@ -103,7 +106,7 @@ class Layout(NamedTuple):
 
     @property
     def local_blocks(self) -> list[Block]:
-        """The blocks of this process, in the order of their members; one of padding, if it has no members."""
+        """The blocks of this process, in the order of their members; one block of padding if it has no members."""
         if self.place.whole:
             return [Block(None, min(self.local_members.start, self.members - 1))]
         devices, starts = self.mesh.devices.flat, range(0, self.per_device, self.block_size)
@@ -112,7 +115,7 @@ class Layout(NamedTuple):
 
 
 def checked_mesh(mesh: Mesh | None) -> Mesh:
-    """`mesh`, if its one axis is "members" and each process has equally many devices in it; None means all devices."""
+    """`mesh`, checked: its one axis is "members", with equally many devices of each process. None means all devices."""
     if mesh is None:
         return first_devices(None)
     if not isinstance(mesh, Mesh) or tuple(mesh.axis_names) != (AXIS,):
@@ -120,37 +123,44 @@ def checked_mesh(mesh: Mesh | None) -> Mesh:
         raise ValueError(f'mesh must be a jax.sharding.Mesh of one axis, "{AXIS}", got {given}')
     processes = [device.process_index for device in mesh.devices.flat]
     if processes != sorted(processes) or len({processes.count(p) for p in processes}) > 1:
-        raise ValueError(f"mesh must list as many devices of each process, process by process, got {processes}")
+        raise ValueError(f"mesh must list equally many devices of each process, process by process, got {processes}")
     if jax.process_index() not in processes:
         raise ValueError(f"mesh has no device of this process, {jax.process_index()}")
     return mesh
 
 
-def cores() -> int:
+def count_cores() -> int:
     """The number of cores that this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)  # not on every system
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 def want_devices(count: int | None) -> None:
-    """Split the CPU into `count` devices; by default one per core, which is fastest.
+    """Split the CPU into several JAX devices, so that `over_members` uses all cores.
 
-    It has no effect on accelerators, once JAX has started, or where XLA_FLAGS sets the number.
+    It has no effect on accelerators, after JAX has started, or where XLA_FLAGS sets the number.
+
+    Args:
+        count: the number of devices; None means one per core, which is fastest.
     """
     if count is None:
-        count = cores()
+        count = count_cores()
     if "host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
         with contextlib.suppress(RuntimeError):
             jax.config.update("jax_num_cpu_devices", count)
 
 
 def first_devices(count: int | None) -> Mesh:
-    """A mesh of the first `count` devices of each process; None takes all."""
+    """A mesh for `run` and `over_members` of the first `count` devices of each process; None means all.
+
+    Raises:
+        ValueError: a process has fewer devices.
+    """
     devices = np.array(jax.devices())
     if count is not None:
         available = jax.local_device_count()
         if count > available:
-            raise ValueError(f"{count} devices were asked for and {available} are there")
+            raise ValueError(f"{count} devices were requested, and {available} are available")
         devices = devices.reshape(-1, available)[:, :count].ravel()
     return Mesh(devices, (AXIS,))
 
@@ -182,22 +192,22 @@ def chunk_of(layout: Layout, most: int) -> int:
     return row * min(layout.blocks_per_device, max(1, most // row))
 
 
-def scatter(layout: Layout, tree: Any, first: int = 0) -> list[Any]:
-    """Cut host arrays that begin at member `first` into this process' blocks, pad them, and put each on its device."""
+def scatter(layout: Layout, tree: _T, first: int = 0) -> list[_T]:
+    """Split host arrays that begin at member `first` into this process' blocks, pad them, and copy them to devices."""
     tree = jax.tree.map(np.asarray, tree)
     if layout.place.whole:
         [start] = [block.start - first for block in layout.local_blocks]
         end = start + max(len(layout.local_members), 1)
         return [jax.tree.map(lambda x: x[start:end], tree)]
 
-    def one(block: Block) -> Any:
+    def put_block(block: Block) -> _T:
         rows = np.arange(block.start, block.start + layout.padded_block_size) - first
         return jax.device_put(jax.tree.map(lambda x: x[np.clip(rows, 0, len(x) - 1)], tree), block.device)
 
-    return [one(block) for block in layout.local_blocks]
+    return [put_block(block) for block in layout.local_blocks]
 
 
-def replicate(layout: Layout, tree: Any) -> list[Any]:
+def replicate(layout: Layout, tree: _T) -> list[_T]:
     """A copy of `tree` for each block of this process, on the block's device."""
     if layout.place.whole:
         return [jax.tree.map(np.asarray, tree)]
@@ -205,13 +215,13 @@ def replicate(layout: Layout, tree: Any) -> list[Any]:
     return [copies[block.device] for block in layout.local_blocks]
 
 
-def map_blocks(layout: Layout, function: Callable[..., Any], *arguments: list[Any]) -> list[Any]:
-    """Apply `function` to the arguments of each block, on all devices at once; return when all are done."""
-    work: dict[Any, list[int]] = {}
+def map_blocks(layout: Layout, function: Callable[..., _T], *arguments: Sequence[object]) -> list[_T]:
+    """Apply `function` to the arguments of each block, on all devices at the same time, and wait for all results."""
+    work: dict[object, list[int]] = {}
     for k, block in enumerate(layout.local_blocks):
         work.setdefault(block.device, []).append(k)
 
-    def on_device(which: list[int]) -> list[tuple[int, Any]]:
+    def on_device(which: list[int]) -> list[tuple[int, _T]]:
         return jax.block_until_ready([(k, function(*(x[k] for x in arguments))) for k in which])
 
     if len(work) == 1:
@@ -220,7 +230,7 @@ def map_blocks(layout: Layout, function: Callable[..., Any], *arguments: list[An
         return [result for done in pool.map(on_device, work.values()) for _, result in done]
 
 
-def local_part(layout: Layout, blocks: Sequence[Array], axis: int = 0) -> np.ndarray:
+def local_part(layout: Layout, blocks: Sequence[Numbers], axis: int = 0) -> np.ndarray:
     """The members of this process as one host array, without padding, from their blocks; `axis` is the member axis."""
     before = (slice(None),) * axis
     size = None if layout.place.whole else layout.block_size
@@ -228,12 +238,12 @@ def local_part(layout: Layout, blocks: Sequence[Array], axis: int = 0) -> np.nda
     return (np.concatenate(parts, axis) if len(parts) > 1 else parts[0])[*before, : len(layout.local_members)]
 
 
-def gather(layout: Layout, trees: Sequence[Any], axis: int = 0) -> Any:
+def gather(layout: Layout, trees: Sequence[Tree], axis: int = 0) -> Tree:
     """The arrays of all members on every process, without padding, from a tree per block; `axis` is the member axis."""
     return jax.tree.map(lambda *blocks: _gather_leaf(layout, blocks, axis), *trees)
 
 
-def _gather_leaf(layout: Layout, blocks: Sequence[Array], axis: int) -> np.ndarray:
+def _gather_leaf(layout: Layout, blocks: Sequence[Numbers], axis: int) -> np.ndarray:
     mine = local_part(layout, blocks, axis)
     if count_processes(layout.mesh) == 1:
         return mine
@@ -248,7 +258,8 @@ def _all_gather_rows(mesh: Mesh, mine: np.ndarray) -> np.ndarray:
     spread = NamedSharding(mesh, PartitionSpec(AXIS))
     first = mesh.devices.size // count_processes(mesh) * jax.process_index()
 
-    def part(index: Any) -> np.ndarray:
+    def part(index: tuple[slice, ...] | None) -> np.ndarray:
+        assert index is not None
         return mine[index[0].start - first : index[0].stop - first]
 
     array = jax.make_array_from_callback((mesh.size, *mine.shape[1:]), spread, part)
@@ -256,12 +267,12 @@ def _all_gather_rows(mesh: Mesh, mine: np.ndarray) -> np.ndarray:
 
 
 @cache
-def _replicated(mesh: Mesh) -> Any:
+def _replicated(mesh: Mesh) -> Callable[[Array], Array]:
     return jax.jit(lambda x: x, out_shardings=NamedSharding(mesh, PartitionSpec()))
 
 
 def count_processes(mesh: Mesh) -> int:
-    """The number of processes that the devices of a mesh belong to."""
+    """The number of processes to which the devices of a mesh belong."""
     return len({device.process_index for device in mesh.devices.flat})
 
 
@@ -279,8 +290,8 @@ def all_gather(mesh: Mesh, *values: float) -> np.ndarray:
     return gather_row(mesh, np.array(values, float))
 
 
-def agreed(mesh: Mesh, action: Callable[[], _T]) -> _T:
-    """The result of `action`, which every process calls; if it fails on one, all of them end with a ValueError."""
+def fail_together(mesh: Mesh, action: Callable[[], _T]) -> _T:
+    """The result of `action`, which every process calls; if it fails on one process, it raises ValueError on all."""
     result, error = None, None
     try:
         result = action()
@@ -290,21 +301,23 @@ def agreed(mesh: Mesh, action: Callable[[], _T]) -> _T:
     if error is not None:
         raise error
     if failed.size:
-        raise ValueError(f"process {', '.join(map(str, failed))} of this run has failed; its own message says why")
+        raise ValueError(f"process {', '.join(map(str, failed))} of this run has failed; see its own error message")
     return cast("_T", result)
 
 
 def all_reduce_max(mesh: Mesh, *values: float) -> tuple[float, ...]:
-    """The maximum of each value over all processes (all-reduce), so that they take the same decision."""
+    """The maximum of each value over all processes (all-reduce), so that they decide alike."""
     return tuple(all_gather(mesh, *values).max(axis=0).tolist())
 
 
 def barrier(mesh: Mesh) -> None:
-    """Wait until every process has come here."""
+    """Wait until every process has called this."""
     all_gather(mesh, 0.0)
 
 
-def worst_energy_error(layout: Layout, H0: list[Array], H: list[Array], failed: list[Array]) -> tuple[float, int]:
+def worst_energy_error(
+    layout: Layout, H0: Sequence[Numbers], H: Sequence[Numbers], failed: Sequence[Numbers]
+) -> tuple[float, int]:
     """max|H − H₀| / max|H₀| over all members, and the number of members that have failed."""
     H0_, H_, failed_ = (local_part(layout, x) for x in (H0, H, failed))
     change, size = (np.max(np.abs(x), initial=0.0) for x in (H_ - H0_, H0_))

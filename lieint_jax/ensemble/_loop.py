@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 from platform import machine
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,30 +14,33 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax._integrate import GridClock, UniformClock, prepared
+from lieint_jax.ensemble._layout import Numbers
 from lieint_jax.types import State, Step, StepInfo, energy_less_work
 
+_T = TypeVar("_T")
 Reduction = Callable[[Step, State], Array]
+Axes = Any  # the member axes of a function's arguments, as in `jax.vmap`
 
 
 class Range(NamedTuple):
-    """The least, the greatest and the sum of a quantity over the steps since the last save, one of each per member."""
+    """The least, the greatest and the sum of a quantity over the steps since the last save, for each member."""
 
     least: Array
     greatest: Array
     total: Array
 
     @classmethod
-    def fresh(cls, like: Array) -> Range:
-        """The range of no steps yet."""
+    def empty(cls, like: Array) -> Range:
+        """The range over no steps."""
         return cls(jnp.full_like(like, jnp.inf), jnp.full_like(like, -jnp.inf), jnp.zeros_like(like))
 
-    def including(self, x: Array) -> Range:
-        """This range with one more value per member; a NaN shows in all three."""
+    def include(self, x: Array) -> Range:
+        """The range with one more value per member; a NaN makes all three NaN."""
         return Range(jnp.minimum(self.least, x), jnp.maximum(self.greatest, x), self.total + x)
 
 
 class Carry(NamedTuple):
-    """What a run carries from one step to the next, for one member, or with the member axis first.
+    """The values that a run carries from one step to the next, for one member, or with the member axis first.
 
     Attributes:
         state: the states, without their time, which follows from the number of steps unless the step has its own.
@@ -52,22 +55,26 @@ class Carry(NamedTuple):
     change: Range | None
 
 
+Saved = tuple[StepInfo, State | Range | None]  # a saved row: the report, and the states or the reduced change
+MappedInterval = Callable[..., tuple[Carry, Saved]]  # `Interval` or a loop of it, for all members
+
+
 class Origin(NamedTuple):
-    """What a run begins with, and refers to at every step.
+    """The data of the start to which every step refers.
 
     Attributes:
-        t0: the time of the initial states: a scalar if the members share it, else one for each; None if they have none,
-            or the step has its own, which then is part of the state.
-        clock: when the steps are; if they are of one size, its own t0 says nothing.
+        t0: the time of the initial states: a scalar if the members share it, else one for each. None if they have no
+            time, or if the step has a time of its own, which then is part of the state.
+        clock: the times of the steps; for steps of one size its t0 is not used.
         quantity: the reduced quantity of the initial states; None if nothing is reduced.
     """
 
-    t0: Array | None
+    t0: Numbers | None
     clock: UniformClock | GridClock
-    quantity: Array | None
+    quantity: Numbers | None
 
-    def at(self, n: ArrayLike, state: State) -> State:
-        """The state with its time, that of node n, if it has one."""
+    def add_time(self, n: ArrayLike, state: State) -> State:
+        """The state with the time of node n, if states have a time."""
         if self.t0 is None:
             return state
         clock = self.clock._replace(t0=self.t0) if isinstance(self.clock, UniformClock) else self.clock
@@ -75,82 +82,82 @@ class Origin(NamedTuple):
 
 
 class Span(NamedTuple):
-    """A save interval, or the part of one that a call does.
+    """A save interval, or the part of one that a call computes.
 
     Attributes:
-        first, end: the numbers of the steps taken before it, and at its end.
+        first, end: the numbers of steps before it and at its end.
         rest: the size of the shorter step from its end to the output; None if the output is at the end.
-        fresh: True if a save interval begins here; False if one is continued, whose report is in the carry.
+        begins: True if a save interval begins here; False if one continues, whose report is in the carry.
     """
 
-    first: Any
-    end: Any
-    rest: Any
-    fresh: Any
+    first: Numbers
+    end: Numbers
+    rest: Numbers | None
+    begins: Numbers | np.bool_
 
 
 class Interval(NamedTuple):
     """The function of one member that a run repeats: (carry, step, plain step, origin, span) ↦ (carry, saved).
 
-    The step of shorter steps to outputs, which has no constants for whole steps, is None where it is the same. What is
-    saved is the report, and the state or the change of the reduced quantity since the origin. An iteration of the loop
-    makes `together` steps, as long as so many are left.
+    The plain step, without the constants of whole steps, is for shorter steps to outputs; None if it is the same step.
+    The saved values are the report, and the state or the change of the reduced quantity since the origin. An iteration
+    of the loop computes `together` steps, as long as so many remain.
     """
 
     reduction: Reduction | None
     together: int = 1
 
-    def __call__(self, carry: Carry, step: Step, plain: Step | None, origin: Origin, span: Span) -> tuple[Carry, Any]:
+    def __call__(self, carry: Carry, step: Step, plain: Step | None, origin: Origin, span: Span) -> tuple[Carry, Saved]:
         info, change = carry.info, carry.change
-        fresh = StepInfo.fresh(info.residual), None if change is None else Range.fresh(change.total)
-        info, change = jax.tree.map(lambda new, old: jnp.where(span.fresh, new, old), fresh, (info, change))
+        empty = StepInfo.fresh(info.residual), None if change is None else Range.empty(change.total)
+        info, change = jax.tree.map(lambda new, old: jnp.where(span.begins, new, old), empty, (info, change))
 
-        def stepped(step: Step, n: Array, carry: Carry, dt: Array) -> Carry:
-            state, info = step(origin.at(n, carry.state), dt)
+        def step_once(step: Step, n: Numbers, carry: Carry, dt: Numbers) -> Carry:
+            state, info = step(origin.add_time(n, carry.state), dt)
             state = state if origin.t0 is None else state._replace(t=None)
             failed = jnp.where((carry.failed < 0) & ~info.converged, n.astype(carry.failed.dtype), carry.failed)
             return Carry(state, carry.info.merge(info), failed, carry.change)
 
-        def one(n: Array, carry: Carry) -> Carry:
-            carry = stepped(step, n, carry, origin.clock.size(n))
+        def body(n: Numbers, carry: Carry) -> Carry:
+            carry = step_once(step, n, carry, origin.clock.size(n))
             if self.reduction is None or carry.change is None or origin.quantity is None:
                 return carry
-            after = self.reduction(step, origin.at(n + 1, carry.state))
-            return carry._replace(change=carry.change.including(after - origin.quantity))
+            after = self.reduction(step, origin.add_time(n + 1, carry.state))
+            return carry._replace(change=carry.change.include(after - origin.quantity))
 
-        def several(k: Array, carry: Carry) -> Carry:
+        def unrolled_body(k: Array, carry: Carry) -> Carry:
             for j in range(self.together):
-                carry = one(span.first + k * self.together + j, carry)
+                carry = body(span.first + k * self.together + j, carry)
             return carry
 
         carry, first = carry._replace(info=info, change=change), span.first
         if self.together > 1:
             times = (span.end - first) // self.together
-            carry, first = lax.fori_loop(0, times, several, carry), first + times * self.together
-        carry = shown = lax.fori_loop(first, span.end, one, carry)
+            carry, first = lax.fori_loop(0, times, unrolled_body, carry), first + times * self.together
+        carry = output = lax.fori_loop(first, span.end, body, carry)
         if span.rest is not None:
-            shown = stepped(step if plain is None else plain, span.end, carry, span.rest)
-            carry = carry._replace(failed=shown.failed)
-        return carry, (shown.info, shown.state if self.reduction is None else shown.change)
+            output = step_once(step if plain is None else plain, span.end, carry, span.rest)
+            carry = carry._replace(failed=output.failed)
+        return carry, (output.info, output.state if self.reduction is None else output.change)
 
 
 class Quantity(NamedTuple):
     """A function of a step and a state, of one member: (step, state, origin, n) ↦ its value at node n."""
 
-    function: Callable[..., Any]
+    function: Reduction
 
-    def __call__(self, step: Step, state: State, origin: Origin, n: Array) -> Any:
-        return self.function(step, origin.at(n, state))
+    def __call__(self, step: Step, state: State, origin: Origin, n: Array) -> Array:
+        return self.function(step, origin.add_time(n, state))
 
 
 class Preparation(NamedTuple):
     """(step, state, origin) ↦ the step with its constants for whole steps."""
 
     def __call__(self, step: Step, state: State, origin: Origin) -> Step:
-        return prepared(step, origin.at(0, state), origin.clock)
+        return prepared(step, origin.add_time(0, state), origin.clock)
 
 
-def start(states: State, reduced: Array | None) -> Carry:
+def start(states: State, reduced: Numbers | None) -> Carry:
     """The carry of a run that begins with `states`, arrays of the host."""
     members, dtype = states.p.shape[0], states.p.dtype
     info = StepInfo(np.zeros(members, dtype), np.ones(members, bool))  # pyright: ignore[reportArgumentType]
@@ -160,24 +167,27 @@ def start(states: State, reduced: Array | None) -> Carry:
     return Carry(states, info, np.full(members, -1, step_dtype()), change)  # pyright: ignore[reportArgumentType]
 
 
-def step_dtype() -> Any:
+def step_dtype() -> np.dtype:
     """The dtype of step counts: int64, or int32 without x64."""
     return jax.dtypes.canonicalize_dtype(np.int64)
 
 
 def energy(step: Step, state: State) -> Array:
-    """The energy of a step's system, less the work where the state counts it: H − W."""
+    """The energy of a step's system, minus the work where the state has it: H − W."""
     return energy_less_work(step.system, state)
 
 
-def compiler_options(platform: str | None = None) -> dict[str, Any]:
+def compiler_options(platform: str | None = None) -> dict[str, str | int]:
     """XLA's options for the compiled loops.
 
-    512-bit vectors on x86, 1.4 to 1.7 times faster on AVX-512 machines. On a GPU whole loops are in one command buffer:
-    else the host, which does not know how often they go around, waits for the device at every iteration.
+    On x86 they select 512-bit vectors, which are 1.4 to 1.7 times as fast on AVX-512 machines. On a GPU they put whole
+    loops into one command buffer; otherwise the host would wait for the device at every iteration.
 
     Args:
-        platform: "cpu" or "gpu"; None is that of JAX's default devices.
+        platform: "cpu" or "gpu"; None means that of JAX's default devices.
+
+    Returns:
+        The options by name, for `compiler_options` of `jax.jit`.
     """
     platform = platform or jax.default_backend()
     if platform == "gpu":
@@ -187,38 +197,40 @@ def compiler_options(platform: str | None = None) -> dict[str, Any]:
 
 
 @cache
-def over_members(function: Callable[..., Any], axes: Any) -> Callable[..., Any]:
+def compile_for_members(function: Callable[..., _T], axes: Axes) -> Callable[..., _T]:
     """A function of one member, compiled by XLA for many; `axes` as in `jax.vmap`."""
     return jax.jit(jax.vmap(function, axes), compiler_options=compiler_options())
 
 
 @cache
-def advance(interval: Callable[..., Any]) -> Callable[..., tuple[Carry, Any]]:
+def compile_intervals(interval: MappedInterval) -> MappedInterval:
     """`over_intervals`, compiled by XLA."""
     return jax.jit(over_intervals(interval), compiler_options=compiler_options())
 
 
-def over_intervals(interval: Callable[..., Any]) -> Callable[..., tuple[Carry, Any]]:
-    """The loop over save intervals: (carry, step, plain step, origin, spans, their number) ↦ (carry, saved).
+def over_intervals(interval: MappedInterval) -> MappedInterval:
+    """The loop over save intervals: (carry, step, plain step, origin, spans, number of spans) ↦ (carry, saved).
 
     Args:
         interval: `Interval` for all members, vmapped or flattened.
     """
 
-    def advanced(carry: Carry, step: Step, plain: Step | None, origin: Origin, spans: Span, count: Array) -> Any:
-        def one(k: Array, loop: tuple[Carry, Any]) -> tuple[Carry, Any]:
-            carry, saved = loop
+    def loop(
+        carry: Carry, step: Step, plain: Step | None, origin: Origin, spans: Span, count: Array
+    ) -> tuple[Carry, Saved]:
+        def body(k: Array, both: tuple[Carry, Saved]) -> tuple[Carry, Saved]:
+            carry, saved = both
             carry, row = interval(carry, step, plain, origin, jax.tree.map(lambda x: x[k], spans))
             return carry, jax.tree.map(lambda to, x: to.at[k].set(x), saved, row)
 
-        shown = carry.info, carry.state if carry.change is None else carry.change
-        saved = jax.tree.map(lambda x: jnp.zeros((len(spans.first), *x.shape), x.dtype), shown)
-        return lax.fori_loop(0, count, one, (carry, saved))
+        row = carry.info, carry.state if carry.change is None else carry.change
+        saved = jax.tree.map(lambda x: jnp.zeros((len(spans.first), *x.shape), x.dtype), row)
+        return lax.fori_loop(0, count, body, (carry, saved))
 
-    return advanced
+    return loop
 
 
 @cache
-def vmapped(reduction: Reduction | None, axes: Any) -> Callable[..., tuple[Carry, Any]]:
+def vmap_interval(reduction: Reduction | None, axes: Axes) -> MappedInterval:
     """`Interval` for all members."""
     return jax.vmap(Interval(reduction), axes)

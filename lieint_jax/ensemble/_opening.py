@@ -1,7 +1,7 @@
-"""Results are opened here, and only here: a file is checked against its own description before its numbers are read.
+"""The only place where files of results are opened: each is checked against its own description before it is read.
 
-Whatever is wrong with a file becomes a ValueError of one sentence. Nothing is read from devices and pipes, no name in a
-file leads out of it, and no size in a file is believed before it is compared with the bytes that are there.
+Whatever is wrong with a file becomes a ValueError of one sentence. Devices and pipes are never read, no name in a file
+leads outside of it, and no size in a file is trusted before it is compared with the number of bytes.
 """
 
 from __future__ import annotations
@@ -23,16 +23,17 @@ import numpy as np
 
 from lieint_jax import _checks
 from lieint_jax.ensemble import _store
-from lieint_jax.ensemble._leaves import state_of, stored_name
+from lieint_jax.ensemble._integrity import Table
+from lieint_jax.ensemble._store import state_from_leaves, store_name
 from lieint_jax.types import StepInfo, System, Trajectory
 
 SUFFIXES = (".npz", ".zarr")
 TIME = "state.t"  # the times of the states in an .npz, where t is the time of the trajectory
 
 _JSON_BYTES, _JSON_DEPTH = 2**26, 64
-_RATIO, _SMALL = 100, 2**20  # an archive may expand by this factor, or to this many bytes
+_MAX_RATIO, _SMALL = 100, 2**20  # an archive may expand by this factor, or to this many bytes
 _CHUNK_BYTES = 2**30
-_MOST = 10**15  # of a length of an array
+_MAX_LENGTH = 10**15  # of an axis of an array
 _REALS, _FLAGS, _COUNTS = ("float32", "float64"), ("bool",), ("int32", "int64")
 _SERIES = ("least", "greatest", "mean", "residual")
 _ZIP_ENCRYPTED = 0x1
@@ -43,28 +44,28 @@ class UnreadableError(ValueError):
 
 
 @contextlib.contextmanager
-def reading(
+def wrap_errors(
     path: Path,
     what: str = "is no file of results that lieint wrote, or is damaged",
     passed: tuple[type[Exception], ...] = (),
 ) -> Iterator[None]:
-    """A context in which whatever fails is the fault of the file at `path`, and becomes one sentence.
+    """A context that turns every error into an `UnreadableError`, one sentence about the file at `path`.
 
-    Errors of the operating system pass, and so do those of the types `passed`, which have sentences of their own.
+    Errors of the operating system and of the types `passed` are raised unchanged.
     """
     try:
         yield
     except (UnreadableError, OSError, *passed):
         raise
-    except Exception as error:  # what a crafted file can make numpy, zipfile, zarr and json raise has no end
+    except Exception as error:  # a crafted file can make numpy, zipfile, zarr and json raise anything
         [reason, *_] = str(error).splitlines() or [""]
         if not isinstance(error, ValueError):
-            reason = f"it is not as it should be, {type(error).__name__} ({reason})"
+            reason = f"its content is invalid, {type(error).__name__} ({reason})"
         raise UnreadableError(f"{path} {what}: {reason}") from error
 
 
 def refuse_special(path: Path) -> None:
-    """UnreadableError unless there is an ordinary file or a folder at `path`."""
+    """Raise UnreadableError unless there is an ordinary file or a folder at `path`."""
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
@@ -73,15 +74,15 @@ def refuse_special(path: Path) -> None:
         named = path if path.suffix in SUFFIXES else path.with_suffix(".npz") if path.name else "NAME.npz"
         raise UnreadableError(f"there is no file {path}; lieint run NAME --out {named} writes one") from None
     except ValueError as error:  # a null character
-        raise UnreadableError(f"{str(path)!r} is no name of a file: {error}") from None
+        raise UnreadableError(f"{str(path)!r} is not the name of a file: {error}") from None
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise UnreadableError(f"{path} is a device, a pipe or a socket; give a file NAME.npz or a store NAME.zarr")
 
 
-def parsed(text: str | bytes) -> Any:
-    """What JSON text of bounded size and depth holds."""
+def parse_json(text: str | bytes) -> Any:
+    """The value of a JSON text of bounded size and depth."""
     if len(text) > _JSON_BYTES:
-        raise ValueError(f"its description has {_checks.spoken_size(len(text))}, more than any run's")
+        raise ValueError(f"its description has {_checks.spoken_size(len(text))}, more than that of any run")
     try:
         found = json.loads(text)
     except RecursionError:
@@ -97,77 +98,77 @@ def parsed(text: str | bytes) -> Any:
 
 
 class Archive(NamedTuple):
-    """An .npz whose headers have been read and checked, and no numbers.
+    """An .npz file whose headers have been read and checked, but none of its numbers.
 
     Attributes:
         path: the file.
         headers: shape and dtype of each array.
-        metadata: what describes it, without keys that only stores have.
+        metadata: its description, without the keys that only stores have.
     """
 
     path: Path
     headers: dict[str, tuple[tuple[int, ...], np.dtype]]
-    metadata: dict[str, Any]
+    metadata: Table
 
     def read(self, *names: str) -> dict[str, np.ndarray]:
         """The arrays of these names."""
-        with reading(self.path), np.load(self.path, allow_pickle=False) as file:
+        with wrap_errors(self.path), np.load(self.path, allow_pickle=False) as file:
             return {name: file[name] for name in names}
 
 
-def archive(path: Path) -> Archive:
-    """The .npz at `path`, which `lieint run` or `lieint study` wrote."""
+def open_archive(path: Path) -> Archive:
+    """Open the .npz file of `lieint run` or `lieint study` at `path`."""
     refuse_special(path)
     if path.is_dir():
-        raise UnreadableError(f"{path} is a folder without results; give a file NAME.npz or a store NAME.zarr")
-    with reading(path):
+        raise UnreadableError(f"{path} is a folder without results; pass a file NAME.npz or a store NAME.zarr")
+    with wrap_errors(path):
         if not zipfile.is_zipfile(path):
-            raise ValueError("it is no npz archive")
+            raise ValueError("it is not an npz archive")
         with zipfile.ZipFile(path) as file:
             _check_expansion(file.infolist(), path.stat().st_size)
             headers = dict(_header(file, info) for info in file.infolist())
             if len(headers) != len(file.infolist()):
-                raise ValueError("two of its arrays have one name")
+                raise ValueError("two of its arrays have the same name")
         if headers.get("metadata", ((0,), np.dtype(bool)))[0] != () or headers["metadata"][1].kind != "U":
             raise ValueError("it has no metadata")
         if headers["metadata"][1].itemsize > 4 * _JSON_BYTES:
             raise ValueError("its description is too long")
         with np.load(path, allow_pickle=False) as file:
-            found = parsed(str(file["metadata"]))
-        _check_table("its metadata", found, _OF_ARCHIVE)
-        return Archive(path, headers, {key: x for key, x in found.items() if key not in _OF_STORE})
+            found = parse_json(str(file["metadata"]))
+        _check_table("its metadata", found, _ARCHIVE_KEYS)
+        return Archive(path, headers, {key: x for key, x in found.items() if key not in _STORE_KEYS})
 
 
 def _check_expansion(infos: list[zipfile.ZipInfo], size: int) -> None:
-    """ValueError unless an archive can be read, and has no more bytes in it than its file of `size` may hold."""
+    """Raise ValueError unless an archive can be read, and expands to no more bytes than a file of `size` bytes may."""
     for info in infos:
         if not re.fullmatch(r"[^/\\\0]+\.npy", info.filename):
-            raise ValueError(f"{info.filename!r} is no name of an array")
+            raise ValueError(f"{info.filename!r} is not the name of an array")
         if info.flag_bits & _ZIP_ENCRYPTED:
             raise ValueError(f"{info.filename} is encrypted")
         if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise ValueError(f"{info.filename} is compressed by method {info.compress_type}; numpy uses 0 or 8")
     total = sum(info.file_size for info in infos)
-    if total > max(_RATIO * size, _SMALL) or total > _checks.memory_of_machine():
+    if total > max(_MAX_RATIO * size, _SMALL) or total > _checks.memory_of_machine():
         raise ValueError(f"its {_checks.spoken_size(size)} would expand to {_checks.spoken_size(total)}")
 
 
 def _header(file: zipfile.ZipFile, info: zipfile.ZipInfo) -> tuple[str, tuple[tuple[int, ...], np.dtype]]:
-    """The name of an array in an archive, and its shape and dtype; ValueError unless it has the bytes of these."""
+    """The name of an array in an archive, and its shape and dtype, which must agree with its number of bytes."""
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     with file.open(info) as array:
         shape, _, dtype = readers[np.lib.format.read_magic(array)](array)
         begun = array.tell()
     if dtype.hasobject:
-        raise ValueError("it holds Python objects")
+        raise ValueError("it contains Python objects")
     if begun + math.prod(shape) * dtype.itemsize != info.file_size:
         raise ValueError(f"{info.filename} has {info.file_size - begun} bytes for shape {shape} of {dtype}")
     return info.filename.removesuffix(".npy"), (shape, dtype)
 
 
-def run_of(found: Archive) -> Trajectory:
-    """The run in an archive that `lieint run` wrote."""
-    with reading(found.path):
+def read_trajectory(found: Archive) -> Trajectory:
+    """The run in an archive of `lieint run`."""
+    with wrap_errors(found.path):
         arrays = {name: x for name, x in found.headers.items() if name != "metadata"}
         kinds = {name: (shape, str(dtype) if dtype.isnative else dtype.str) for name, (shape, dtype) in arrays.items()}
         named = {name for name in kinds if name in ("q", "p", "work") or name.startswith("extra.")}
@@ -177,19 +178,19 @@ def run_of(found: Archive) -> Trajectory:
             _expect(TIME, kinds, _REALS, (n, 1), (n, m))
         _check_scenario(found.metadata.get("scenario", {}), *kinds["p"][0][:2])
     read = found.read(*sorted(named | {"t", "residual", "converged"} | ({TIME} & set(kinds))))
-    with reading(found.path):
+    with wrap_errors(found.path):
         leaves = {name: read[name] for name in named}
         if TIME in read:
             leaves["t"] = np.broadcast_to(read[TIME], leaves["p"].shape[:2])
         _check_times(read["t"])
-        return Trajectory(read["t"], state_of(leaves), StepInfo(read["residual"], read["converged"]))  # pyright: ignore[reportArgumentType]
+        return Trajectory(read["t"], state_from_leaves(leaves), StepInfo(read["residual"], read["converged"]))  # pyright: ignore[reportArgumentType]
 
 
 _Kinds = Mapping[str, tuple[tuple[int, ...], str]]  # shape and dtype by name
 
 
 def _check_run(kinds: _Kinds, leaves: set[str], time: str) -> None:
-    """ValueError unless the arrays of a run have one number of entries and one of members."""
+    """Raise ValueError unless all arrays of a run have the same number of entries and of members."""
     missing = ({time, "residual", "converged"} | leaves) - set(kinds)
     if missing:
         raise ValueError(f"it has no array {min(missing)}")
@@ -204,7 +205,7 @@ def _check_run(kinds: _Kinds, leaves: set[str], time: str) -> None:
 
 
 def _expect(name: str, kinds: _Kinds, dtypes: tuple[str, ...], *shapes: tuple[int, ...], least: int = 0) -> None:
-    """ValueError unless an array has one of these dtypes, and one of these shapes; more axes only where `least` is."""
+    """Raise ValueError unless an array has one of these dtypes and shapes; with `least`, at least so many axes."""
     shape, dtype = kinds[name]
     if dtype not in dtypes:
         raise ValueError(f"{name} is of {dtype}, not {' or '.join(dtypes)}")
@@ -214,14 +215,14 @@ def _expect(name: str, kinds: _Kinds, dtypes: tuple[str, ...], *shapes: tuple[in
         raise ValueError(f"{name} has shape {shape}, not {wanted}")
 
 
-def _check_scenario(scenario: Mapping[str, Any], entries: int, members: int) -> None:
-    """ValueError if a scenario, where a file has one of `lieint run`, plans other numbers than these."""
+def _check_scenario(scenario: Table, entries: int, members: int) -> None:
+    """Raise ValueError if the scenario of a file, where it has one of `lieint run`, plans a different run."""
     if "system" not in scenario:
         return
     _check_table("scenario", scenario, {"members": _COUNT, "steps": _COUNT, "save_every": _COUNT})
     save_at = scenario.get("save_at")
     if not (save_at is None or isinstance(save_at, list)):
-        raise ValueError("save_at of its scenario is no list")
+        raise ValueError("save_at of its scenario is not a list")
     planned = scenario["steps"] // scenario["save_every"] + 1 if save_at is None else len(save_at) + 1
     if (planned, scenario["members"]) != (entries, members):
         raise ValueError(
@@ -234,34 +235,34 @@ def _check_times(t: np.ndarray) -> None:
         raise ValueError("its times are not finite and in order")
 
 
-def store(path: Path) -> dict[str, Any]:
-    """The attributes of the store at `path`, after every file in it has been checked.
+def check_store(path: Path) -> Table:
+    """Check every file of the store at `path`, and return the store's attributes.
 
     Raises:
-        UnreadableError: no store that lieint wrote, or one whose description does not fit its arrays.
+        UnreadableError: not a store of lieint, or its description does not fit its arrays.
         ValueError: a damaged store; the message names the files.
     """
     refuse_special(path)
     if not path.is_dir():
-        raise UnreadableError(f"{path} is not there, or is no store of a run: that is a folder NAME.zarr")
-    with reading(path):
+        raise UnreadableError(f"{path} does not exist, or is not the store of a run: that is a folder NAME.zarr")
+    with wrap_errors(path):
         count = _check_files(path)
-    with reading(path, passed=(ValueError,)):
-        root = _store._root(path)
-    with reading(path):
+    with wrap_errors(path, passed=(ValueError,)):
+        root = _store.read_root(path)
+    with wrap_errors(path):
         shown = _check_arrays(root["consolidated_metadata"]["metadata"], count)
         _check_attributes(root["attributes"], shown)
-    with reading(path, passed=(ValueError,)):
+    with wrap_errors(path, passed=(ValueError,)):
         _store.check(path)
-    with reading(path):
+    with wrap_errors(path):
         for name in root["attributes"].get("constants", ()):  # whose lengths do not grow
-            if parsed((path / name / "zarr.json").read_bytes())["shape"] != shown[name]["shape"]:
-                raise ValueError(f"{name} has another shape than its description")
+            if parse_json((path / name / "zarr.json").read_bytes())["shape"] != shown[name]["shape"]:
+                raise ValueError(f"the shape of {name} differs from its description")
     return root["attributes"]
 
 
 def _check_files(path: Path) -> int:
-    """The number of files in a store; ValueError if one is no ordinary file, or a description has no bounded size."""
+    """The number of files in a store, which must be ordinary files, with descriptions of bounded size."""
     count = 0
     for folder, _, names in os.walk(path):
         for file in (Path(folder, name) for name in names):
@@ -270,7 +271,7 @@ def _check_files(path: Path) -> int:
             except FileNotFoundError:
                 if file.is_symlink():
                     raise ValueError(f"{file.relative_to(path)} is a link to nothing") from None
-                continue  # a temporary file of the run that is writing
+                continue  # a temporary file of a run that is writing
             if not stat.S_ISREG(status.st_mode):
                 raise ValueError(f"{file.relative_to(path)} is a device, a pipe or a socket")
             count += 1
@@ -278,12 +279,12 @@ def _check_files(path: Path) -> int:
                 if status.st_size > _JSON_BYTES:
                     raise ValueError(f"{file.relative_to(path)} has {_checks.spoken_size(status.st_size)}")
                 with contextlib.suppress(json.JSONDecodeError, UnicodeDecodeError, FileNotFoundError):
-                    parsed(file.read_bytes())  # text that is no JSON is reported with what can still be read
+                    parse_json(file.read_bytes())  # text that is not JSON is reported later, with what can be read
     return count
 
 
-def _check_arrays(shown: Any, files: int) -> dict[str, Any]:
-    """The descriptions of the arrays of a store by name; ValueError if one is none, or needs more files than there are.
+def _check_arrays(shown: Any, files: int) -> Table:
+    """The descriptions of a store's arrays by name, which must be valid and need no more files than the store has.
 
     Args:
         shown: the consolidated metadata.
@@ -291,14 +292,14 @@ def _check_arrays(shown: Any, files: int) -> dict[str, Any]:
     """
     for name, array in shown.items():
         if not _NAME.fullmatch(name):
-            raise ValueError(f"{name!r} is no name of an array")
+            raise ValueError(f"{name!r} is not the name of an array")
         _check_table(
             name, array, {"shape": _LENGTHS, "data_type": _TEXT_OR_TABLE, "codecs": _TABLES, "node_type": _TEXT}
         )
         grid = array["chunk_grid"]
         chunk = grid["configuration"]["chunk_shape"]
-        if grid["name"] != "regular" or not _LENGTHS.holds(chunk) or len(chunk) != len(array["shape"]) or 0 in chunk:
-            raise ValueError(f"{name} has chunks that are none of shape {tuple(array['shape'])}")
+        if grid["name"] != "regular" or not _LENGTHS.accepts(chunk) or len(chunk) != len(array["shape"]) or 0 in chunk:
+            raise ValueError(f"{name} has chunks that do not fit its shape {tuple(array['shape'])}")
         if math.prod(chunk) * 8 > _CHUNK_BYTES:
             raise ValueError(f"{name} has chunks of {_checks.spoken_size(math.prod(chunk) * 8)}")
         if math.prod(-(-n // size) for n, size in zip(array["shape"], chunk, strict=True)) > files:
@@ -306,17 +307,17 @@ def _check_arrays(shown: Any, files: int) -> dict[str, Any]:
     return shown
 
 
-def _check_attributes(found: Any, shown: Mapping[str, Any]) -> None:
-    """ValueError unless the attributes of a store describe a run, and these arrays."""
-    _check_table("the description", found, _OF_STORE)
-    _check_table("progress", found["progress"], _PROGRESS)
-    _check_table("run", found["run"], _RUN)
+def _check_attributes(found: Table, shown: Mapping[str, Table]) -> None:
+    """Raise ValueError unless the attributes of a store describe a run with these arrays."""
+    _check_table("the description", found, _STORE_KEYS)
+    _check_table("progress", found["progress"], _PROGRESS_KEYS)
+    _check_table("run", found["run"], _RUN_KEYS)
     leaves, constants = found.get("leaves", ["q", "p"]), found.get("constants", [])
     bad = [name for name in (*leaves, *constants) if not (isinstance(name, str) and _NAME.fullmatch(name))]
     if bad:
-        raise ValueError(f"{bad[0]!r} is no name of an array")
+        raise ValueError(f"{bad[0]!r} is not the name of an array")
     kinds = {name: (tuple(array["shape"]), str(array["data_type"])) for name, array in shown.items()}
-    leaves = [name if name in kinds else stored_name(name) for name in leaves]  # format 2 has the names of states
+    leaves = [name if name in kinds else store_name(name) for name in leaves]  # format 2 has the names of states
     missing = set(constants) - set(kinds)
     if missing:
         raise ValueError(f"it has no array {min(missing)}")
@@ -337,15 +338,15 @@ def _check_attributes(found: Any, shown: Mapping[str, Any]) -> None:
 
 
 class _Kind(NamedTuple):
-    """What a value in a description may be: whether one is, and in words."""
+    """The values that a description may have for a key: a test, and the test in words."""
 
-    holds: Callable[[Any], bool]
+    accepts: Callable[[object], bool]
     words: str
     required: bool = True
 
 
-def _is_count(x: Any) -> bool:
-    return isinstance(x, int) and not isinstance(x, bool) and 0 <= x <= _MOST
+def _is_count(x: object) -> bool:
+    return isinstance(x, int) and not isinstance(x, bool) and 0 <= x <= _MAX_LENGTH
 
 
 _NAME = re.compile(r"(?!\.)[^/\\\0]+")
@@ -353,24 +354,24 @@ _NATURAL = _Kind(_is_count, "an integer ≥ 0")
 _COUNT = _Kind(lambda x: _is_count(x) and x > 0, "a positive integer")
 _TEXT = _Kind(lambda x: isinstance(x, str), "text")
 _TABLE = _Kind(lambda x: isinstance(x, dict), "a table")
-_TABLES = _Kind(lambda x: isinstance(x, list) and bool(x) and all(map(_TABLE.holds, x)), "a list of tables")
+_TABLES = _Kind(lambda x: isinstance(x, list) and bool(x) and all(map(_TABLE.accepts, x)), "a list of tables")
 _LIST = _Kind(lambda x: isinstance(x, list), "a list", required=False)
 _LENGTHS = _Kind(lambda x: isinstance(x, list) and all(map(_is_count, x)), "a list of lengths")
 _TEXT_OR_TABLE = _Kind(lambda x: isinstance(x, str | dict), "text")
 _FLAG = _Kind(lambda x: isinstance(x, bool), "true or false")
-_OF_ARCHIVE = {
+_ARCHIVE_KEYS = {
     "scenario": _TABLE._replace(required=False),
     **dict.fromkeys(("title", "study", "lieint_jax", "jax"), _TEXT._replace(required=False)),
     "quick": _FLAG._replace(required=False),
     "tree": _Kind(lambda _: True, "a tree", required=False),
 }
-_OF_STORE = {
+_STORE_KEYS = {
     "progress": _TABLE,
     "run": _TABLE,
     "members": _COUNT,
     "num_steps": _NATURAL,
     "num_entries": _NATURAL._replace(required=False),
-    "save_every": _Kind(lambda x: x is None or _COUNT.holds(x), "a positive integer or null"),
+    "save_every": _Kind(lambda x: x is None or _COUNT.accepts(x), "a positive integer or null"),
     "dt": _Kind(lambda x: x is None or (isinstance(x, int | float) and not isinstance(x, bool)), "a number or null"),
     "reduce": _Kind(lambda x: x is None or isinstance(x, str), "text or null"),
     "scheme": _TEXT,
@@ -380,10 +381,10 @@ _OF_STORE = {
     "constants": _LIST,
     "description": _TABLE._replace(required=False),
 }
-_PROGRESS = dict.fromkeys(("commits", "entries", "steps"), _NATURAL) | {"complete": _FLAG}
+_PROGRESS_KEYS = dict.fromkeys(("commits", "entries", "steps"), _NATURAL) | {"complete": _FLAG}
 _ARRAY = {"shape": _LENGTHS, "data_type": _TEXT_OR_TABLE, "codecs": _TABLES, "node_type": _TEXT}
-_RUN = {
-    "versions": _Kind(lambda x: isinstance(x, dict) and all(map(_TEXT.holds, x.values())), "a table of text"),
+_RUN_KEYS = {
+    "versions": _Kind(lambda x: isinstance(x, dict) and all(map(_TEXT.accepts, x.values())), "a table of text"),
     "device": _TEXT,
     "step_axis": _Kind(lambda x: x is None or (_is_count(x) and x == 0), "null or 0"),
     "engine": _TEXT._replace(required=False),
@@ -391,25 +392,32 @@ _RUN = {
 }
 
 
-def _check_table(where: str, found: Any, kinds: Mapping[str, _Kind]) -> None:
-    """ValueError if a table in a description has no value of a key, or one of another kind."""
+def _check_table(where: str, found: object, kinds: Mapping[str, _Kind]) -> None:
+    """Raise ValueError if a table in a description lacks a key, or has a value of another kind."""
     if not isinstance(found, dict):
-        raise ValueError(f"{where} is no table")
-    for key, (holds, words, required) in kinds.items():
+        raise ValueError(f"{where} is not a table")
+    for key, (accepts, words, required) in kinds.items():
         if key not in found and required:
             raise ValueError(f"{where} has no {key}")
-        if key in found and not holds(found[key]):
+        if key in found and not accepts(found[key]):
             raise ValueError(f"{key} of {where} is not {words}")
 
 
 def check_system(path: Path, system: System, run: Trajectory, own_system: bool) -> None:
-    """UnreadableError unless the states of the run in a file are of this system, or of each member's own."""
+    """Raise UnreadableError unless the run in a file has states of this system.
+
+    Args:
+        path: the file.
+        system: the system; with the member axis on its numbers if `own_system`.
+        run: the run.
+        own_system: True if each member has a system of its own.
+    """
     members = run.state.p.shape[1]
-    with reading(path):
+    with wrap_errors(path):
         if own_system and any(np.shape(leaf)[:1] != (members,) for leaf in jax.tree.leaves(system)):
-            raise ValueError(f"its system has not one number for each of its {members} members")
+            raise ValueError(f"its system does not have one value for each of its {members} members")
         first = jax.tree.map(lambda x: x[0], system) if own_system else system
         state = jax.tree.map(lambda x: jnp.asarray(x[0, 0]), run.state)
         first.check(state)
         if jax.eval_shape(lambda s, z: s.energy(z), first, state).shape != ():
-            raise ValueError("its system has no energy of these states")
+            raise ValueError("the energy of its system is not defined for these states")

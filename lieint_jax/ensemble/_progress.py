@@ -5,7 +5,9 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from typing import Any, Self
+from collections.abc import Callable
+from types import FrameType
+from typing import Self
 
 import jax
 
@@ -16,10 +18,10 @@ _CALL = 0.5  # target duration of a call of the compiled loop, s
 
 
 class Bar:
-    """A progress bar on stderr: body-steps per second, time left, worst energy error so far, members unconverged."""
+    """A progress bar on stderr: body-steps per second, time left, worst energy error so far, unconverged members."""
 
     def __init__(self, shown: bool, num_steps: int, count: int, done: int) -> None:
-        from tqdm import tqdm  # where it is used: the package imports in a moment
+        from tqdm import tqdm  # imported here, for a fast import of the package
 
         self._count, self._worst = count, 0.0
         self._bar = tqdm(
@@ -27,18 +29,18 @@ class Bar:
             initial=done * count,
             unit=" body-steps",
             unit_scale=True,
-            disable=not (shown and self.visible()),
+            disable=not (shown and self.is_visible()),
             leave=False,
             dynamic_ncols=True,
         )
 
     @staticmethod
-    def visible() -> bool:
+    def is_visible() -> bool:
         """True if this is the first process and its stderr is a terminal."""
         return jax.process_index() == 0 and sys.stderr.isatty()
 
     def update(self, steps: int) -> None:
-        """Advance the bar: all members have taken `steps` more steps."""
+        """Advance the bar by `steps` steps of all members."""
         self._bar.update(steps * self._count)
 
     def show(self, energy: float, unconverged: int) -> None:
@@ -73,15 +75,15 @@ class CallLength:
 class Interrupts:
     """Inside `with`, a first Ctrl-C or SIGTERM only sets `requested`; a second one interrupts at once.
 
-    If not `deferred`, or outside the main thread, the signals keep their usual handlers.
+    If not `deferred`, or outside the main thread, the handlers of the signals do not change.
     """
 
     def __init__(self, deferred: bool) -> None:
         self.requested = False
         self._deferred = deferred and threading.current_thread() is threading.main_thread()
-        self._before: dict[int, Any] = {}
+        self._handlers: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
 
-    def _ask(self, number: int, _: object) -> None:
+    def _request(self, number: int, _: object) -> None:
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True
@@ -89,9 +91,9 @@ class Interrupts:
 
     def __enter__(self) -> Self:
         if self._deferred:
-            self._before = {n: signal.signal(n, self._ask) for n in (signal.SIGINT, signal.SIGTERM)}
+            self._handlers = {n: signal.signal(n, self._request) for n in (signal.SIGINT, signal.SIGTERM)}
         return self
 
     def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
+        for number, handler in self._handlers.items():
             signal.signal(number, handler)

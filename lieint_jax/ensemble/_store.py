@@ -1,6 +1,6 @@
-"""A run in a folder NAME.zarr, in the Zarr 3 format. Nothing that is already there is ever overwritten.
+"""A run in a folder NAME.zarr, in the Zarr 3 format. An existing folder is never overwritten.
 
-The store grows while the run goes on, and the run can be continued after an end of any kind: see `Writer`.
+The store grows during the run, and the run can be resumed however it ended: see `Writer`.
 """
 
 from __future__ import annotations
@@ -22,103 +22,126 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lieint_jax.ensemble import _integrity
-from lieint_jax.ensemble._integrity import CHECKPOINT, CHECKSUMS
-from lieint_jax.ensemble._leaves import shared_time, state_of, stored_name
+from lieint_jax.ensemble._integrity import CHECKPOINT, CHECKSUMS, Table
 from lieint_jax.types import State, StepInfo, Trajectory
 
-FORMAT = 3  # of the stores written here; those of 0.2 have 2
+FORMAT = 3  # the format number of new stores; version 0.2 wrote 2
+_EXTRA = "extra."  # begins the name of a leaf of `State.extra`: extra.NAME
 _ROOT = "zarr.json"  # the metadata of a Zarr 3 group; new data become visible when it is replaced
-_RECORDS = 2**16  # the most checksums in a chunk of their array, unless a row has more
-_STALE = 3600.0  # seconds after which the folder of a store that is being made counts as left behind
+_MAX_RECORDS = 2**16  # checksums in a chunk of their array, unless one row has more
+_STALE = 3600.0  # seconds after which an unfinished store counts as abandoned
 
 
-def load(path: Path) -> tuple[Any, dict[str, Any]]:
+def leaves_by_name(state: State) -> Table:
+    """The arrays of a state by the names that stores and files have for them: q, p, t, work, and extra.NAME."""
+    own = {name: x for name, x in state._asdict().items() if name != "extra" and x is not None}
+    return own | {f"{_EXTRA}{name}": x for name, x in (state.extra or {}).items()}
+
+
+def state_from_leaves(arrays: Table) -> State:
+    """The state of these arrays: the inverse of `leaves_by_name`."""
+    extra = {name.removeprefix(_EXTRA): x for name, x in arrays.items() if name.startswith(_EXTRA)}
+    own = {name: x for name, x in arrays.items() if not name.startswith(_EXTRA)}
+    return State(**own, extra=extra or None)
+
+
+def store_name(name: str) -> str:
+    """The name of an array in a store, an identifier: extra_NAME for extra.NAME."""
+    return name.replace(".", "_")
+
+
+def shared_time(times: np.ndarray, members: int) -> np.ndarray:
+    """The time of each member, (…, members), where all share `times`, (…); a view that needs no memory."""
+    return np.broadcast_to(times[..., None], (*times.shape, members))
+
+
+def load(path: Path) -> tuple[Trajectory | dict[str, np.ndarray], Table]:
     """The complete part of a run in a store, and the store's attributes.
 
-    The leaves of the trajectory are arrays on disk, read when they are indexed. A run with `reduce` gives a dict of
-    numpy arrays instead.
+    The leaves of the trajectory are arrays on disk, read when they are indexed. For a run with `reduce` the result is
+    a dict of numpy arrays instead.
     """
     import zarr
 
-    metadata = dict(_root(path)["attributes"])
+    metadata = dict(read_root(path)["attributes"])
     group: Any = zarr.open_group(str(path), mode="r", use_consolidated=True)
     if metadata["reduce"] is not None:
         return {name: array[...] for name, array in group.arrays()}, metadata
     times, info = group["time"][...], StepInfo(group["residual"], group["converged"])
-    return Trajectory(times, states(group, times, metadata), info), metadata
+    return Trajectory(times, states_in(group, times, metadata), info), metadata
 
 
-def states(arrays: Any, times: np.ndarray, metadata: Mapping[str, Any]) -> State:
-    """The states among the arrays of a store, whose attributes list them; a time that members share has none."""
+def states_in(arrays: Any, times: np.ndarray, metadata: Table) -> State:
+    """The states among the arrays of a store, whose attributes list them. A shared time has no array of its own."""
     leaves = metadata.get("leaves", ["q", "p"])
-    found = {name: arrays[stored_name(name)] for name in leaves if stored_name(name) in arrays}
+    found = {name: arrays[store_name(name)] for name in leaves if store_name(name) in arrays}
     found |= {name: arrays[name] for name in leaves if name in arrays}  # the names in stores of version 0.2
     if "t" in leaves and "t" not in found:
         found["t"] = shared_time(times, metadata["members"])
-    return state_of(found)
+    return state_from_leaves(found)
 
 
 def constants(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
-    """The arrays of these names that the run does not change."""
+    """The arrays of these names, which the run does not change."""
     import zarr
 
     return {name: np.asarray(zarr.open_array(str(path / name), mode="r")[...]) for name in names}
 
 
 def check(path: Path) -> None:
-    """ValueError if a file of the store is missing or damaged: says which, and what can still be read.
+    """Raise ValueError if files of the store are missing or damaged; the message lists them and what can still be read.
 
-    The store may grow meanwhile: its checkpoint is then compared with the root that belongs to it.
+    If the store grows meanwhile, its checkpoint is compared with the root of the same commit.
     """
-    root = _root(path)
+    root = read_root(path)
     lost = list(_integrity.damage_of_checkpoint(path, root))
-    while lost and (now := _root(path)) != root:
+    while lost and (now := read_root(path)) != root:
         root, lost = now, list(_integrity.damage_of_checkpoint(path, now))
-    _integrity.damaged(path, itertools.chain(lost, _integrity.damage(path, root)))
+    _integrity.raise_if_damaged(path, itertools.chain(lost, _integrity.damage(path, root)))
 
 
-def _root(path: Path) -> dict[str, Any]:
+def read_root(path: Path) -> Table:
     """The store's root metadata."""
     try:
         root = json.loads((path / _ROOT).read_text(encoding="utf-8"))
     except (FileNotFoundError, NotADirectoryError):
-        raise ValueError(f"{path} is not there, or is no store of a run") from None
+        raise ValueError(f"{path} does not exist, or is not the store of a run") from None
     except ValueError as error:
         raise ValueError(
-            f"{path / _ROOT} is damaged: {error}. The arrays beside it can still be read one by one"
+            f"{path / _ROOT} is damaged: {error}. The arrays next to it can still be read one by one"
         ) from None
     attributes = root.get("attributes", {})
     if "progress" not in attributes:
-        raise ValueError(f"{path} is a Zarr group, but not one that lieint wrote")
+        raise ValueError(f"{path} is a Zarr group, but was not written by lieint")
     if "format" not in attributes:
         raise ValueError(f"{path} was written by version 0.1: only its states can be read, by xarray.open_zarr")
     if attributes["format"] > FORMAT:
         raise ValueError(
-            f"{path} has format {attributes['format']}; this lieint_jax reads up to {FORMAT}: take a newer one"
+            f"{path} has format {attributes['format']}; this lieint_jax reads formats up to {FORMAT}: use a newer one"
         )
     if "checksum" in attributes and attributes["checksum"] != _integrity.checksum(root):
-        raise ValueError(f"{path / _ROOT} is damaged: its checksum is wrong. The arrays beside it can still be read")
+        raise ValueError(f"{path / _ROOT} is damaged: its checksum is wrong. The arrays next to it can still be read")
     return root
 
 
 class Column(NamedTuple):
-    """One array of a store.
+    """The description of one array of a store.
 
     Attributes:
-        shape, dtype, chunks: of the complete run.
-        dims: names of its axes.
-        attributes: units, a long name.
+        shape, dtype, chunks: those of the complete run.
+        dims: the names of its axes.
+        attributes: its units and long name.
     """
 
     shape: tuple[int, ...]
     dtype: np.dtype
     chunks: tuple[int, ...]
     dims: tuple[str, ...]
-    attributes: Mapping[str, Any]
+    attributes: Table
 
 
 class Part(NamedTuple):
-    """A slab to write into the array `name`: `values`, beginning at index `at`; axes beyond those of `at` are whole."""
+    """A slab to write into the array `name`: `values`, starting at index `at`, over the whole of all further axes."""
 
     name: str
     at: tuple[int, ...]
@@ -126,7 +149,7 @@ class Part(NamedTuple):
 
 
 class Commit(NamedTuple):
-    """What a commit adds to a store.
+    """An addition to a store.
 
     Attributes:
         row: the row of chunks along time that it fills, or None.
@@ -134,7 +157,7 @@ class Commit(NamedTuple):
     """
 
     row: int | None
-    progress: dict[str, Any]
+    progress: Table
 
 
 class Writer:
@@ -142,12 +165,12 @@ class Writer:
 
     A commit is a set of parts that belong together: whole chunks of the arrays, and the checkpoint from which a run
     is resumed. A background thread writes them, each file under a temporary name first, and syncs them to disk. Then
-    `publish` replaces one file, the metadata at the root, by rename: it holds the lengths of all arrays, so that
-    readers (and a run that is resumed) see either all of a commit or nothing of it. The checkpoint has two slots, used
-    in turn, so that the valid one is never written to; it is removed when the run is complete. The root also records
-    which files belong to the commit, by their checksums: see `_integrity`.
+    `publish` renames a new version of one file, the metadata at the root, over the old one. That file holds the lengths
+    of all arrays, so that readers and resumed runs see either all of a commit or nothing of it. The checkpoint has two
+    slots, used alternately, so that the valid one is never written to; it is removed when the run is complete. The root
+    also records by checksums which files belong to the commit: see `_integrity`.
 
-    Every process of a run writes the chunks of its own members; the first one publishes.
+    Every process of a run writes the chunks of its own members; the first process publishes.
     """
 
     def __init__(self, path: Path, leader: bool) -> None:
@@ -156,16 +179,16 @@ class Writer:
         self._lock = _lock(path) if leader else None
         self._writing: Future[dict[str, int]] | None = None
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="lieint-store")
-        self._arrays: dict[str, Any] = {}
+        self._arrays: dict[str, Any] = {}  # of zarr
 
     @cached_property
-    def attributes(self) -> dict[str, Any]:
+    def attributes(self) -> Table:
         """The attributes of the root; read once, when the first process has locked the store."""
-        return _root(self.path)["attributes"]
+        return read_root(self.path)["attributes"]
 
     @property
-    def progress(self) -> dict[str, Any]:
-        """The state of the published run: commits, entries along time, steps, whether it is complete."""
+    def progress(self) -> Table:
+        """The state of the published run: its commits, entries along time, steps, and whether it is complete."""
         return self.attributes["progress"]
 
     @property
@@ -178,89 +201,89 @@ class Writer:
         """The slot to which the next commit writes its checkpoint."""
         return 1 - self.slot
 
-    def read(self, name: str, index: Any) -> np.ndarray:
+    def read(self, name: str, index: int | slice | tuple[int | slice, ...]) -> np.ndarray:
         """The values of an array of the store at `index`."""
         return np.asarray(self._array(name)[index])
 
     def write(self, parts: Callable[[], Iterable[Part]]) -> None:
-        """Begin to write a commit in the background; the previous one must have been published."""
+        """Start writing a commit in the background; the previous one must have been published."""
         self._writing = self._writer.submit(lambda: self._write(parts()))
 
     @property
-    def written(self) -> bool:
-        """True if this process' part of the last commit is on disk; raises OSError if writing it failed."""
+    def is_written(self) -> bool:
+        """True if this process' part of the last commit is on disk. Raises OSError if it could not be written."""
         if self._writing is None or not self._writing.done():
             return self._writing is None
         try:
             self._writing.result()
         except OSError as error:
-            raise self._unwritten(error) from error
+            raise self._write_error(error) from error
         return True
 
     def checksums(self, commit: Commit) -> np.ndarray:
-        """The checksums of the commit's files that this process has written, and 0 for those of other processes."""
+        """The checksums of the commit's files: those that this process has written, and 0 for those of others."""
         mine = self._writing.result() if self._writing is not None else {}
         return np.array([mine.get(file, 0) for files in self._files(commit).values() for file in files], np.uint32)
 
     def publish(self, commit: Commit, checksums: np.ndarray) -> None:
-        """Make the last commit visible, after every process has written it; `checksums` are those of all of them."""
+        """Make the last commit visible, after every process has written it; `checksums` are those of all processes."""
         if self._leader:
             try:
                 digests = self.attributes["digests"] | self._digests(commit, checksums)
                 attributes = self.attributes | {"progress": commit.progress, "digests": digests}
-                _write_root(self.path, _root(self.path) | {"attributes": attributes}, self._metas)
+                _write_root(self.path, read_root(self.path) | {"attributes": attributes}, self._metas)
             except OSError as error:
-                raise self._unwritten(error) from error
+                raise self._write_error(error) from error
             self.attributes = attributes
             if self.progress["complete"]:
                 shutil.rmtree(self.path / CHECKPOINT)
         self.attributes = self.attributes | {"progress": commit.progress}
 
-    def _digests(self, commit: Commit, checksums: np.ndarray) -> dict[str, Any]:
-        """The digests that a commit changes; records the checksums of a row of chunks along time."""
+    def _digests(self, commit: Commit, checksums: np.ndarray) -> Table:
+        """Record the checksums of a commit's row of chunks along time, and return the digests that it changes."""
         files = self._files(commit)
         ends = np.cumsum([len(group) for group in files.values()])[:-1]
         parts = dict(zip(files, np.split(checksums, ends), strict=True))
         row, checkpoint = parts.pop(CHECKSUMS), parts.pop(CHECKPOINT)
         if commit.row is not None:
             self._write([Part(CHECKSUMS, (commit.row,), row[None])])
-            self._recorded.update(np.asarray(row, "<u4").tobytes())
+            self._hash_of_rows.update(np.asarray(row, "<u4").tobytes())
         arrays = {name: _integrity.digest_of(found) for name, found in parts.items()}
         return {
-            "rows": self._recorded.hexdigest()[:16],
+            "rows": self._hash_of_rows.hexdigest()[:16],
             "checkpoint": None if commit.progress["complete"] else _integrity.digest_of(checkpoint),
             "arrays": self.attributes["digests"]["arrays"] | arrays,
         }
 
     def _files(self, commit: Commit) -> dict[str, list[str]]:
-        """The files that a commit writes, by what records their checksums."""
+        """The files of a commit, by the record that holds their checksums."""
         metas = self._metas
         row = [] if commit.row is None else _integrity.files_of_rows(metas, commit.row)
         found = {CHECKSUMS: row, CHECKPOINT: _integrity.files_of_checkpoint(metas, self.next_slot)}
         if commit.progress["complete"]:
-            names = [name for name in _results(metas) if not _integrity.along_time(metas[name])]
+            names = [name for name in _results(metas) if not _integrity.is_along_time(metas[name])]
             found |= {name: _integrity.chunk_files(name, metas[name]) for name in names if name not in self._constants}
         return found
 
     @property
     def _constants(self) -> Mapping[str, str]:
-        """The arrays that were written when the store was made."""
+        """The arrays that were written when the store was created."""
         return self.attributes["digests"]["arrays"]
 
     @cached_property
-    def _metas(self) -> dict[str, Any]:
+    def _metas(self) -> Table:
         """The metadata of the store's arrays."""
         return _integrity.metadata(self.path, self.attributes["digests"]["metadata"])
 
     @cached_property
-    def _recorded(self) -> Any:
-        """The hash of the checksums of all published rows of chunks."""
-        rows = _integrity.rows_of(self.attributes)
+    def _hash_of_rows(self) -> Any:
+        """The running hash of the checksums of all published rows of chunks."""
+        rows = _integrity.published_rows(self.attributes)
         return hashlib.sha256(_integrity.checksums_of_rows(self.path, rows).tobytes())
 
-    def _unwritten(self, error: OSError) -> OSError:
-        steps = _root(self.path)["attributes"]["progress"]["steps"]
-        reason = f"{error.strerror}: {self.path} holds everything up to step {steps}; fix this and resume"
+    def _write_error(self, error: OSError) -> OSError:
+        steps = read_root(self.path)["attributes"]["progress"]["steps"]
+        reason = f"{error.strerror}: {self.path} holds everything up to step {steps}; fix the cause and resume"
         return OSError(error.errno, reason)
 
     def close(self) -> None:
@@ -274,12 +297,12 @@ class Writer:
         if name not in self._arrays:
             import zarr
 
-            with _every_chunk():
+            with _write_every_chunk():
                 self._arrays[name] = zarr.open_array(str(self.path / name), mode="r+")
         return self._arrays[name]
 
     def _write(self, parts: Iterable[Part]) -> dict[str, int]:
-        """Write slabs to disk; the checksums of the files that hold them."""
+        """Write slabs to disk, and return the checksums of their files."""
         folders: set[Path] = set()
         checksums: dict[str, int] = {}
         for name, at, values in parts:
@@ -302,16 +325,16 @@ def create(
     path: Path,
     columns: Mapping[str, Column],
     checkpoint: Mapping[str, Column],
-    attributes: Mapping[str, Any],
+    attributes: Table,
     constants: Mapping[str, tuple[Column, np.ndarray]],
 ) -> None:
-    """Make a store, under a temporary name, and rename it: a store exists whole or not at all.
+    """Create a store under a temporary name and rename it, so that it never exists in part.
 
-    It is empty but for the `constants`, arrays that the run does not change.
+    It is empty except for the `constants`, arrays that the run does not change.
 
     Raises:
-        ValueError: another run has made it in the meantime. Nothing is left behind.
-        OSError: the folder cannot be made.
+        ValueError: another run has created it in the meantime. Nothing is left behind.
+        OSError: the folder cannot be created.
     """
     _remove_stale(path)
     unfinished = path.with_name(f".{path.name}.{os.getpid()}-{os.urandom(4).hex()}.partial")
@@ -334,10 +357,10 @@ def _fill(
     folder: Path,
     columns: Mapping[str, Column],
     checkpoint: Mapping[str, Column],
-    attributes: Mapping[str, Any],
+    attributes: Table,
     constants: Mapping[str, tuple[Column, np.ndarray]],
 ) -> None:
-    """Make the arrays of a store in a folder, write the constants, and the metadata at the root last."""
+    """Create the arrays of a store in a folder, then write the constants and at last the metadata at the root."""
     import zarr
 
     start = {"commits": 0, "entries": 0, "steps": 0, "complete": False}
@@ -349,9 +372,9 @@ def _fill(
     metas = _integrity.metadata(folder, named)
     files, [length], [chunk] = len(_integrity.files_of_rows(metas, 0)), columns["time"].shape, columns["time"].chunks
     rows = -(-length // chunk)
-    chunks = min(rows, max(1, _RECORDS // files)), files
+    chunks = min(rows, max(1, _MAX_RECORDS // files)), files
     _add(group, CHECKSUMS, Column((rows, files), np.dtype(np.uint32), chunks, ("row", "file"), {}))
-    with _every_chunk():
+    with _write_every_chunk():
         for name, (_, values) in constants.items():
             zarr.open_array(str(folder / name), mode="r+")[...] = values
     digests = {
@@ -365,7 +388,7 @@ def _fill(
 
 
 def _add(group: Any, name: str, column: Column) -> None:
-    """Make an array of a store, without values."""
+    """Create an array of a store, without values."""
     import zarr.codecs
 
     missing = {"f": np.nan, "i": -1, "b": False, "T": ""}.get(column.dtype.kind, 0)
@@ -382,37 +405,37 @@ def _add(group: Any, name: str, column: Column) -> None:
 
 
 def _remove_stale(path: Path) -> None:
-    """Remove the folders of stores at `path` that a killed process began to make long ago."""
+    """Remove unfinished folders of stores at `path` that a process left long ago when it was killed."""
     for folder in path.parent.glob(f".{glob.escape(path.name)}.*.partial"):
         with contextlib.suppress(OSError):
             if time.time() - folder.stat().st_mtime > _STALE:
                 shutil.rmtree(folder)
 
 
-def _every_chunk() -> Any:
-    """A context in which arrays opened write chunks of fill values too: a file that is missing is one that was lost."""
+def _write_every_chunk() -> contextlib.AbstractContextManager[object]:
+    """A context whose newly opened arrays write chunks of fill values too, so that every missing file is a lost one."""
     import zarr
 
     return zarr.config.set({"array.write_empty_chunks": True})
 
 
 def clean(path: Path) -> None:
-    """Remove what a killed writer left: temporary files, and the checkpoint of a run that is complete."""
+    """Remove what a killed writer left: temporary files, and the checkpoint of a complete run."""
     for file in path.rglob("*.partial"):
         file.unlink()
-    if _root(path)["attributes"]["progress"]["complete"]:
+    if read_root(path)["attributes"]["progress"]["complete"]:
         shutil.rmtree(path / CHECKPOINT, ignore_errors=True)
 
 
-def _write_root(path: Path, root: dict[str, Any], metas: Mapping[str, Any]) -> None:
-    """Replace the root's metadata: its attributes, and the list of the arrays that readers see, with current lengths.
+def _write_root(path: Path, root: Table, metas: Mapping[str, Table]) -> None:
+    """Replace the root's metadata: its attributes, and the list of the arrays for readers with their current lengths.
 
-    That list is Zarr's consolidated metadata, on which readers (xarray among them) rely. Arrays whose values are
-    written at the end are not in it before.
+    That list is Zarr's consolidated metadata, on which readers such as xarray rely. Arrays whose values are written at
+    the end of the run are added to it at the end.
     """
     attributes, shown = root["attributes"], {}
     for name in sorted(_results(metas)):
-        if _integrity.along_time(metas[name]):
+        if _integrity.is_along_time(metas[name]):
             shown[name] = metas[name] | {"shape": [attributes["progress"]["entries"], *metas[name]["shape"][1:]]}
         elif name in attributes["digests"]["arrays"]:
             shown[name] = metas[name]
@@ -427,8 +450,8 @@ def _write_root(path: Path, root: dict[str, Any], metas: Mapping[str, Any]) -> N
     _sync(path)
 
 
-def _results(metas: Mapping[str, Any]) -> list[str]:
-    """The arrays of a store that readers see: all but the checkpoint and the checksums."""
+def _results(metas: Mapping[str, Table]) -> list[str]:
+    """The arrays of a store for readers: all but the checkpoint and the checksums."""
     return [name for name in metas if name != CHECKSUMS and not name.startswith(f"{CHECKPOINT}/")]
 
 
@@ -442,7 +465,7 @@ def _sync(path: Path) -> None:
 
 
 def _lock(path: Path) -> int:
-    """Lock the store against a second run; the lock is released when the process ends, however it ends."""
+    """Lock the store against a second run. The lock is released when the process ends, however it ends."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         import fcntl
@@ -457,7 +480,7 @@ def _lock(path: Path) -> int:
 
 
 @contextlib.contextmanager
-def opened(path: Path, leader: bool) -> Iterator[Writer]:
+def open_writer(path: Path, leader: bool) -> Iterator[Writer]:
     """A `Writer` of the store at `path`, closed at the end."""
     writer = Writer(path, leader)
     try:

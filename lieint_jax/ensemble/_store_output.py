@@ -1,4 +1,4 @@
-"""A run into a store: its arrays, its checkpoints, and the check that a run may be resumed."""
+"""A run that is written to a store: its arrays, its checkpoints, and the check that a run may be resumed."""
 
 from __future__ import annotations
 
@@ -13,17 +13,20 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from numpy.typing import DTypeLike
 
 from lieint_jax.ensemble import _identity, _layout, _opening, _store
 from lieint_jax.ensemble._description import describe
 from lieint_jax.ensemble._engine import Engine
-from lieint_jax.ensemble._job import Job, first_entry, gathered_rows, local_rows, reduced
-from lieint_jax.ensemble._layout import Layout, Place
-from lieint_jax.ensemble._leaves import named, state_of, stored_name
-from lieint_jax.ensemble._loop import Carry, Range, step_dtype
-from lieint_jax.ensemble._reading import opened
+from lieint_jax.ensemble._integrity import Table
+from lieint_jax.ensemble._job import Job, first_entry, gather_rows, local_rows, reduce_rows
+from lieint_jax.ensemble._layout import Layout, Numbers, Place
+from lieint_jax.ensemble._loop import Carry, Range, Saved, step_dtype
+from lieint_jax.ensemble._reading import open_complete
+from lieint_jax.ensemble._store import leaves_by_name, state_from_leaves, store_name
 from lieint_jax.types import StepInfo, _labeled
 
+Pending = Any  # saved rows by block, or the series of a reduction by name
 _RESIDUAL = "largest residual of a step since the entry before"
 _CHUNK_MEMBERS = 8192  # the most members in a chunk on disk
 _OWN = {"constants", "description", "progress", "digests", "checksum"}  # further attributes of every store
@@ -31,12 +34,12 @@ _CHECKPOINT_EVERY = 30.0  # seconds between checkpoints within a long save inter
 
 
 class StoreOptions(NamedTuple):
-    """The place of a store, and attributes to write beside the results.
+    """The path of a store, and attributes that are written with the results.
 
     Attributes:
         path: a folder, whose name ends in .zarr.
-        attributes: values that JSON can hold, such as a title. The key "scenario" describes the run: a resume with
-            another scenario is refused.
+        attributes: values for JSON, such as a title. The key "scenario" describes the run: a run with another scenario
+            cannot resume it.
         time_unit: the unit of dt.
     """
 
@@ -45,10 +48,14 @@ class StoreOptions(NamedTuple):
     time_unit: str = "1"
 
 
-def into_store(
-    engine: Engine, place: Place, options: StoreOptions, resume: bool, integrate: Callable[[Layout, StoreOutput], Any]
+def run_into_store(
+    engine: Engine,
+    place: Place,
+    options: StoreOptions,
+    resume: bool,
+    integrate: Callable[[Layout, StoreOutput], object],
 ) -> Any:
-    """Let `integrate` fill a store, from the start or from its last checkpoint, and return the stored results."""
+    """Let `integrate` fill a store from the start or from its last checkpoint, and return the stored results."""
     job, mesh = engine.job, place.mesh
     path, leader = _checked_path(options.path), jax.process_index() == 0
     _check_json(options.attributes)
@@ -61,25 +68,25 @@ def into_store(
         raise ValueError(f"{path} exists and is not overwritten; resume continues it, or choose another store")
     if not exists:
         _identity.warn_of_no_resume(described)
-        _layout.agreed(mesh, lambda: leader and _create(path, job, options, attributes))
+        _layout.fail_together(mesh, lambda: leader and _create(path, job, options, attributes))
     else:
-        _layout.agreed(mesh, lambda: _opening.store(path))
+        _layout.fail_together(mesh, lambda: _opening.check_store(path))
     with contextlib.ExitStack() as stack:
-        writer = _layout.agreed(mesh, lambda: stack.enter_context(_store.opened(path, leader)))
+        writer = _layout.fail_together(mesh, lambda: stack.enter_context(_store.open_writer(path, leader)))
         if exists:
-            _layout.agreed(mesh, lambda: _identity.check_same(path, writer.attributes, described))
+            _layout.fail_together(mesh, lambda: _identity.check_same(path, writer.attributes, described))
         if leader:
             _store.clean(path)
         layout = _layout.layout_of(place, job.members, writer.attributes["member_chunk"])
         _layout.barrier(mesh)
-        _layout.agreed(mesh, lambda: _store.check(path))
+        _layout.fail_together(mesh, lambda: _store.check(path))
         if not writer.progress["complete"]:
             integrate(layout, StoreOutput(job, layout, writer))
-    return opened(path)
+    return open_complete(path)
 
 
 def _checked_path(path: str | Path) -> Path:
-    """The path of a store, checked as far as that is possible before it exists."""
+    """The path of a store, checked as far as is possible before it exists."""
     path = Path(path)
     if path.suffix != ".zarr":
         raise ValueError(f"a store is a folder that ends in .zarr, got {path}")
@@ -88,18 +95,18 @@ def _checked_path(path: str | Path) -> Path:
     return path
 
 
-def _check_json(attributes: Mapping[str, Any]) -> None:
-    """ValueError if JSON cannot hold the attributes that a user gives to a store."""
+def _check_json(attributes: Mapping[str, object]) -> None:
+    """Raise ValueError if the user's attributes of a store are not values for JSON."""
     for key, value in attributes.items():
         try:
             if not isinstance(key, str):
                 raise TypeError(f"names must be strings, got {key!r}")
             json.dumps(value, allow_nan=False)
         except (TypeError, ValueError, RecursionError) as error:
-            raise ValueError(f"attributes of a store must be what JSON can hold; {key!r} is not: {error}") from None
+            raise ValueError(f"attributes of a store must be values for JSON; {key!r} is not: {error}") from None
 
 
-def _create(path: Path, job: Job, options: StoreOptions, attributes: dict[str, Any]) -> None:
+def _create(path: Path, job: Job, options: StoreOptions, attributes: Table) -> None:
     """Make the store of a run."""
     description, numbers = describe(job.step)
     chunk = attributes["member_chunk"]
@@ -117,22 +124,22 @@ class StoreOutput:
     def __init__(self, job: Job, layout: Layout, writer: _store.Writer) -> None:
         self._job, self._layout, self._writer = job, layout, writer
         self._entries = writer.progress["entries"]  # committed so far
-        self._pending: list[tuple[Any, int]] = []
+        self._pending: list[tuple[Pending, int]] = []
         self._since = 0.0
         self._next: _store.Commit | None = None  # the commit that is being written
         self.buffer_rows = int(writer.attributes["time_chunk"])
 
     @property
-    def _held(self) -> int:
+    def _pending_rows(self) -> int:
         return sum(number for _, number in self._pending)
 
     @property
     def free_rows(self) -> int:
         """The number of saves until the current chunk is full."""
-        return self.buffer_rows - (self._entries + self._held) % self.buffer_rows
+        return self.buffer_rows - (self._entries + self._pending_rows) % self.buffer_rows
 
-    def restored(self) -> tuple[list[Carry], int, int] | None:
-        """The carry, and the numbers of steps and of saves, of the run that the store holds, or None."""
+    def restore(self) -> tuple[list[Carry], int, int] | None:
+        """The carry and the numbers of steps and of saves of the run in the store, or None."""
         done = self._writer.progress
         if not done["commits"]:
             return None
@@ -144,7 +151,7 @@ class StoreOutput:
 
         change = Range(*map(read, Range._fields)) if self._job.reduction is not None else None
         info = StepInfo(read("residual"), read("converged"))  # pyright: ignore[reportArgumentType]
-        state = state_of({name: read(name) for name in named(self._job.states)})
+        state = state_from_leaves({name: read(name) for name in leaves_by_name(self._job.states)})
         carry = Carry(state, info, read("failed"), change)  # pyright: ignore[reportArgumentType]
         return _layout.scatter(self._layout, carry, part.start), done["steps"], done["entries"] - 1
 
@@ -155,28 +162,28 @@ class StoreOutput:
         else:
             self._pending.append((first_entry(self._job), 1))
 
-    def append(self, saved: Any, number: int) -> None:
+    def append(self, saved: list[Saved], number: int) -> None:
         """Receive `number` saved rows."""
         if self._job.reduction is not None:
-            saved = reduced(gathered_rows(self._layout, saved, number), self._job)
+            rows: Pending = reduce_rows(gather_rows(self._layout, saved, number), self._job)
         else:
-            saved = local_rows(saved, number)
-        self._pending.append((saved, number))
+            rows = local_rows(saved, number)
+        self._pending.append((rows, number))
 
     def checkpoint(self, carry: list[Carry], done: int, seconds: float, stop: bool) -> None:
         """Commit if a chunk is full; or if no rows are pending and the last commit is old or the run is to stop."""
         self._settle(wait=False)
         self._since += seconds
-        last = self._entries + self._held > self._job.num_saves
-        whole = self._held and (self._entries + self._held) % self.buffer_rows == 0
-        if last or whole or (not self._held and (stop or self._since > _CHECKPOINT_EVERY)):
+        last = self._entries + self._pending_rows > self._job.num_saves
+        whole = self._pending_rows and (self._entries + self._pending_rows) % self.buffer_rows == 0
+        if last or whole or (not self._pending_rows and (stop or self._since > _CHECKPOINT_EVERY)):
             self._commit(carry, done, last)
 
     def _commit(self, carry: list[Carry], done: int, last: bool) -> None:
         self._settle(wait=True)
         pending, first, writer = self._pending, self._entries, self._writer
         number = writer.progress["commits"] + 1
-        self._entries, self._pending, self._since = first + self._held, [], 0.0
+        self._entries, self._pending, self._since = first + self._pending_rows, [], 0.0
         row = first // self.buffer_rows if pending else None
         commits = 0 if last else number  # reset: it depends on interruptions
         progress = {"commits": commits, "entries": self._entries, "steps": done, "complete": last}
@@ -186,7 +193,7 @@ class StoreOutput:
     def _settle(self, wait: bool) -> None:
         """Publish the commit in progress if all processes have written it; with `wait`, wait until they have."""
         while self._next is not None:
-            missing = _layout.all_reduce_max(self._layout.mesh, not self._writer.written)[0]
+            missing = _layout.all_reduce_max(self._layout.mesh, not self._writer.is_written)[0]
             if not missing:
                 checksums = _layout.gather_row(self._layout.mesh, self._writer.checksums(self._next))
                 self._writer.publish(self._next, checksums.max(axis=0))
@@ -197,22 +204,24 @@ class StoreOutput:
                 time.sleep(0.002)
 
     def _parts(
-        self, carry: list[Carry], pending: list[tuple[Any, int]], first: int, commit: tuple[int, int], last: bool
+        self, carry: list[Carry], pending: list[tuple[Pending, int]], first: int, commit: tuple[int, int], last: bool
     ) -> Any:
-        """The parts of a commit, of a number and a number of steps, one by one, computed by the background thread."""
+        """The parts of a commit (its number, number of steps), one by one, computed by the background thread."""
         layout, part, slot = self._layout, _store.Part, commit[0] % 2
         mine = layout.local_members.start
         series = self._job.reduction is not None
         if len(layout.local_members):
-            host = {name: _layout.local_part(layout, x) for name, x in _named(carry).items()}
+            host = {name: _layout.local_part(layout, x) for name, x in _leaves_of_carry(carry).items()}
             for name, x in host.items():
                 yield part(f"checkpoint/{name}", (slot, mine), x[None])
             if last:
                 kept = {"first_failure": host["failed"]}
                 if series:
-                    kept |= {name: host[name] for name in named(self._job.states)} | self._own_times(slice(-1, None), 0)
+                    kept |= {name: host[name] for name in leaves_by_name(self._job.states)} | self._own_times(
+                        slice(-1, None), 0
+                    )
                 for name, x in kept.items():
-                    yield part(stored_name(name), (mine,), x)
+                    yield part(store_name(name), (mine,), x)
         if jax.process_index() == 0:
             yield part("checkpoint/commit", (slot,), np.array([commit]))
         if not pending:
@@ -228,12 +237,12 @@ class StoreOutput:
             yield part("time", (first,), self._job.times[first:end])
         if jax.process_index() == 0 or not series:
             for name, x in rows.items():
-                yield part(stored_name(name), (first,) if series else (first, mine), x)
+                yield part(store_name(name), (first,) if series else (first, mine), x)
 
-    def _rows(self, pending: list[tuple[Any, int]]) -> dict[str, np.ndarray]:
+    def _rows(self, pending: list[tuple[Pending, int]]) -> dict[str, np.ndarray]:
         joined: dict[str, list[np.ndarray]] = {}
         for saved, _ in pending:
-            blocks = [named(state) | info._asdict() for info, state in saved]
+            blocks = [leaves_by_name(state) | info._asdict() for info, state in saved]
             for name in blocks[0]:
                 parts = [block[name] for block in blocks]
                 joined.setdefault(name, []).append(_layout.local_part(self._layout, parts, 1))
@@ -263,12 +272,12 @@ class StoreOutput:
         _layout.barrier(self._layout.mesh)
 
 
-def _named(carry: list[Carry]) -> dict[str, list[Any]]:
+def _leaves_of_carry(carry: list[Carry]) -> dict[str, list[Numbers]]:
     """The arrays of a carry by name, each as a list of its blocks."""
-    found: dict[str, list[Any]] = {}
+    found: dict[str, list[Numbers]] = {}
     for c in carry:
         change = c.change._asdict() if c.change is not None else {}
-        for name, x in {**named(c.state), "failed": c.failed, **c.info._asdict(), **change}.items():
+        for name, x in {**leaves_by_name(c.state), "failed": c.failed, **c.info._asdict(), **change}.items():
             found.setdefault(name, []).append(x)
     return found
 
@@ -282,14 +291,16 @@ class _Axes:
         self.slots = {"slot": (2, 1)}
         self._number = job.dtype
 
-    def column(self, axes: Mapping[str, tuple[int, int]], dtype: Any = None, **attributes: str) -> _store.Column:
+    def column(
+        self, axes: Mapping[str, tuple[int, int]], dtype: DTypeLike | None = None, **attributes: str
+    ) -> _store.Column:
         """The description of an array of scalars along `axes`."""
         (shape, chunks), kind = zip(*axes.values(), strict=True), np.dtype(self._number if dtype is None else dtype)
         return _store.Column(shape, kind, chunks, tuple(axes), attributes)
 
-    def state(self, axes: Mapping[str, tuple[int, int]], name: str, leaf: Any, **attributes: str) -> _store.Column:
+    def state(self, axes: Mapping[str, tuple[int, int]], name: str, leaf: Numbers, **attributes: str) -> _store.Column:
         """The description of an array of one leaf of the states along `axes`."""
-        dims, _ = _labeled.state_axes(stored_name(name), leaf.shape[1:])
+        dims, _ = _labeled.state_axes(store_name(name), leaf.shape[1:])
         return self.column({**axes, **{dim: (n, n) for dim, n in zip(dims, leaf.shape[1:], strict=True)}}, **attributes)
 
 
@@ -303,9 +314,9 @@ def _columns(job: Job, chunk: int, options: StoreOptions) -> dict[str, _store.Co
     if job.step.own_time:
         text = "fictitious time since the start"
     columns = {"time": axes.column(times, units=options.time_unit, long_name=text)}
-    for name, leaf in named(job.states if job.shares_time else job.initial).items():
+    for name, leaf in leaves_by_name(job.states if job.shares_time else job.initial).items():
         along, text = members if series else {**times, **members}, texts.get(name, name.removeprefix("extra."))
-        columns[stored_name(name)] = axes.state(along, name, leaf, long_name=text, units=_unit(name, job, options))
+        columns[store_name(name)] = axes.state(along, name, leaf, long_name=text, units=_unit(name, job, options))
     columns["first_failure"] = axes.column(
         members, np.int64, long_name="first step that did not converge, or -1", units="1"
     )
@@ -331,7 +342,7 @@ def _series_columns(job: Job, axes: _Axes) -> dict[str, _store.Column]:
 
 
 def _constant(name: str, values: np.ndarray, job: Job) -> tuple[_store.Column, np.ndarray]:
-    """The description and the values of an array of numbers of the step, with the member axis first if it has one."""
+    """The description and the values of an array of the step, with the member axis first if it has one."""
     along = ("member",) if job.step_axis is not None else ()
     dims = (*along, *(f"{name}_axis{k}" for k in range(values.ndim - len(along))))
     return _store.Column(values.shape, values.dtype, values.shape, dims, {"long_name": f"{name} of the run"}), values
@@ -340,8 +351,8 @@ def _constant(name: str, values: np.ndarray, job: Job) -> tuple[_store.Column, n
 def _labels(job: Job) -> dict[str, tuple[_store.Column, np.ndarray]]:
     """The coordinates that name the components of the states, such as x, y, z along the dimension "axis"."""
     found: dict[str, tuple[_store.Column, np.ndarray]] = {}
-    for name, leaf in named(job.states).items():
-        for dim, labels in _labeled.state_axes(stored_name(name), leaf.shape[1:])[1].items():
+    for name, leaf in leaves_by_name(job.states).items():
+        for dim, labels in _labeled.state_axes(store_name(name), leaf.shape[1:])[1].items():
             values = np.asarray(labels)
             if values.dtype.kind == "U":
                 values = values.astype(np.dtypes.StringDType())
@@ -350,11 +361,11 @@ def _labels(job: Job) -> dict[str, tuple[_store.Column, np.ndarray]]:
 
 
 def _checkpoint_columns(job: Job, chunk: int) -> dict[str, _store.Column]:
-    """The arrays of the checkpoint: those of a carry, in two slots that are written in turn."""
+    """The arrays of the checkpoint: those of a carry, in two slots that are written alternately."""
     axes = _Axes(job, chunk)
     along = {**axes.slots, **axes.members}
     return {
-        **{name: axes.state(along, name, leaf) for name, leaf in named(job.states).items()},
+        **{name: axes.state(along, name, leaf) for name, leaf in leaves_by_name(job.states).items()},
         "commit": axes.column({**axes.slots, "number and steps": (2, 2)}, np.int64),
         "failed": axes.column(along, step_dtype()),
         "residual": axes.column(along),
@@ -371,15 +382,15 @@ def _unit(name: str, job: Job, options: StoreOptions) -> str:
     return f"unit of inertia / {options.time_unit}{power}" if rigid and power is not None else "1"
 
 
-def _attributes(job: Job, options: StoreOptions, described: dict[str, Any], chunk: int) -> dict[str, Any]:
-    """The attributes of a store, but for those that describe its arrays and its progress.
+def _attributes(job: Job, options: StoreOptions, described: Table, chunk: int) -> Table:
+    """The attributes of a store, except those that describe its arrays and its progress.
 
     Raises:
-        ValueError: attributes of the user have names of the store's own.
+        ValueError: a name of the user's attributes is reserved.
     """
     own = {
         "format": _store.FORMAT,
-        "leaves": list(named(job.initial)),
+        "leaves": list(leaves_by_name(job.initial)),
         "time_unit": options.time_unit,
         "scheme": job.step.name,
         "system": type(job.step.system).__name__,
@@ -393,7 +404,7 @@ def _attributes(job: Job, options: StoreOptions, described: dict[str, Any], chun
         "member_chunk": chunk,
         "run": described,
     }
-    taken = sorted(map(str, options.attributes.keys() & (own.keys() | _OWN)))
-    if taken:
-        raise ValueError(f"attributes of a store may not be called {', '.join(taken)}: it has its own; choose others")
+    reserved = sorted(map(str, options.attributes.keys() & (own.keys() | _OWN)))
+    if reserved:
+        raise ValueError(f"attributes of a store may not be called {', '.join(reserved)}: these names are reserved")
     return {"title": job.step.name} | own | dict(options.attributes)

@@ -1,4 +1,4 @@
-"""Runs of many processes, by `jax.distributed`: joining them, and an error that names a process that was lost."""
+"""Runs of many processes by `jax.distributed`: how they connect, and the error that names a lost process."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _SIGNS = ("gloo", "nccl", "coordination", "connection closed", "unavailable")
 
 
 class LostProcess(RuntimeError):  # noqa: N818
-    """Another process of the run is gone."""
+    """Another process of the run has ended or cannot be reached."""
 
 
 def initialize(coordinator: str | None = None, count: int | None = None, index: int | None = None) -> None:
-    """Connect the processes of this run: those that SLURM or Open MPI started, or those described by the arguments.
+    """Connect the processes of this run, which SLURM, Open MPI or the user started.
 
     Args:
         coordinator: HOST:PORT of the first process.
@@ -35,16 +35,16 @@ def initialize(coordinator: str | None = None, count: int | None = None, index: 
     """
     given = [x is not None for x in (coordinator, count, index)]
     if any(given) and not all(given):
-        raise ValueError("give all of coordinator, number of processes and index of this process, or none of them")
-    jax.config.update("jax_enable_recoverability", True)  # else the loss of a process aborts the others: see `_Watch`
+        raise ValueError("pass all of coordinator, number of processes and index of this process, or none of them")
+    jax.config.update("jax_enable_recoverability", True)  # or the loss of a process aborts the others: see `_Watch`
     try:
         jax.distributed.initialize(
             coordinator, count, index, heartbeat_timeout_seconds=HEARTBEAT, shutdown_timeout_seconds=HEARTBEAT
         )
     except (ValueError, RuntimeError) as error:
         raise ValueError(
-            f"the processes did not meet: {error}. Start them with srun or mpirun, or tell each HOST:PORT of the "
-            "first, how many there are, and which it is"
+            f"the processes failed to connect: {error}. Start them with srun or mpirun, or pass to each HOST:PORT of "
+            "the first one, their number, and its own index"
         ) from error
     _watch.start()
     if _state().process_id == 0:
@@ -54,16 +54,16 @@ def initialize(coordinator: str | None = None, count: int | None = None, index: 
 def _end_last() -> None:
     """Wait until the other processes have disconnected, for one heartbeat at most.
 
-    This one runs the service from which they disconnect, and one that finds it gone ends in an abort of JAX.
+    This process runs the service from which they disconnect; JAX aborts a process that finds no service.
     """
     limit = time.monotonic() + HEARTBEAT
-    with contextlib.suppress(Exception):  # no service any more: nothing to wait for
+    with contextlib.suppress(Exception):  # the service has ended: there is nothing to wait for
         while set(_client().get_live_nodes(list(range(_number())))) > {0} and time.monotonic() < limit:
             time.sleep(0.05)
 
 
 def leave(message: str) -> NoReturn:
-    """Print `message` and end this process at once: an ordinary exit would wait for the processes that are gone."""
+    """Print `message` and end this process immediately: an ordinary exit would wait for lost processes."""
     print(message, file=sys.stderr)
     sys.stdout.flush()
     sys.stderr.flush()
@@ -71,8 +71,8 @@ def leave(message: str) -> NoReturn:
 
 
 @contextlib.contextmanager
-def watched(mesh: Mesh) -> Iterator[None]:
-    """Turn the failure of a collective operation into `LostProcess`, which names the processes that are gone."""
+def name_lost(mesh: Mesh) -> Iterator[None]:
+    """A context in which the failure of a collective operation becomes a `LostProcess` that names lost processes."""
     _watch.begin()
     try:
         yield
@@ -82,18 +82,18 @@ def watched(mesh: Mesh) -> Iterator[None]:
             raise LostProcess(f"{_watch.missing()} is lost; {_RESUMED}") from error
         raise
     finally:
-        _watch.end()  # who catches `LostProcess` may go on
+        _watch.end()  # a caller that catches `LostProcess` may continue
 
 
 _RESUMED = "what is in the store can be resumed"
 
 
 class _Watch:
-    """A thread that asks which processes are alive, and ends this one with a sentence if it waits for one that is not.
+    """A thread that ends this process with a message if another process is lost.
 
-    Where the other processes wait, in a collective operation or for one another's devices, depends on the moment of the
-    loss; some of these waits end in an error, which names nobody, and some never. JAX itself would abort this process,
-    with a C++ stack.
+    After a loss, the others wait in a collective operation or for each other's devices, depending on its moment. Some
+    of these waits end in an error that names no process, and some never end. JAX itself would abort this process with
+    a C++ stack trace.
     """
 
     def __init__(self) -> None:
@@ -112,31 +112,31 @@ class _Watch:
         self._active.set()
 
     def end(self) -> None:
-        """Watch no more: the processes may end, one by one."""
+        """Stop watching: from now on the processes may end one by one."""
         self._active.clear()
 
     def missing(self) -> str:
-        """The processes that are gone, for a message. It may take some heartbeats to know."""
+        """The lost processes, for a message; found after a few heartbeats at most."""
         if self._thread is None:
-            self._gone_now()
+            self._is_any_gone()
         else:
             self._found.wait(3 * HEARTBEAT)
         return self._gone
 
     def _run(self) -> None:
-        while not self._gone_now():
+        while not self._is_any_gone():
             time.sleep(1)
             self._active.wait()
         self._found.set()
-        time.sleep(HEARTBEAT)  # an error that the main thread meets says the same, and sooner
+        time.sleep(HEARTBEAT)  # usually the main thread reports the same error before
         if self._active.is_set():
             leave(f"lieint: {self._gone} is lost; {_RESUMED}")
 
-    def _gone_now(self) -> bool:
+    def _is_any_gone(self) -> bool:
         count = _number()
         try:
             live = set(_client().get_live_nodes(list(range(count))))
-        except Exception:  # the coordinator is the one that is gone
+        except Exception:  # the coordinator itself is lost
             self._gone = f"process 0 of {count}"
             return True
         gone = [str(k) for k in range(count) if k not in live]
@@ -154,12 +154,12 @@ def _client() -> Any:
 
 
 def _number() -> int:
-    """The number of processes: `jax.process_count()` would wait for all devices."""
+    """The number of processes; `jax.process_count()` would wait for all devices."""
     return _state().num_processes
 
 
 def _state() -> Any:
-    """What JAX has of this process among the others, for which it has no public name."""
+    """JAX's global state of the distributed run, which has no public name."""
     from jax._src.distributed import global_state
 
     return global_state

@@ -19,7 +19,7 @@ from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh
 
 from lieint_jax import _checks
-from lieint_jax.ensemble._over_members import over_members
+from lieint_jax.ensemble import over_members
 from lieint_jax.fitting import _bounds
 from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._descent import descent, lbfgs

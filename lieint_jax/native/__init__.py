@@ -6,8 +6,8 @@ What all members share in a step, such as the position on an orbit, a program of
 For an accelerator XLA compiles it with an array of all members for each number (`_arrays`).
 """
 
-from lieint_jax.native._arrays import Flattened, flattened
+from lieint_jax.native._arrays import Flattened, flatten
 from lieint_jax.native._kernel import Kernel, kernel
 from lieint_jax.native._walk import UnsupportedError
 
-__all__ = ["Flattened", "Kernel", "UnsupportedError", "flattened", "kernel"]
+__all__ = ["Flattened", "Kernel", "UnsupportedError", "flatten", "kernel"]

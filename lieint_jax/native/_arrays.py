@@ -1,7 +1,7 @@
-"""A program of numbers by JAX, on arrays of the members: what an accelerator runs, and what a gradient undoes.
+"""A program of numbers as JAX code on arrays of the members, for accelerators and for reversible gradients.
 
-Every number that depends on the member is an array (members,), every other one a scalar. So XLA sees arithmetic without
-axes, of which it makes one kernel between two loops, and numbers in between stay in registers.
+Every number that depends on the member is an array (members,), every other number a scalar. So XLA sees arithmetic
+without axes and compiles the operations between two loops into one kernel, whose numbers stay in registers.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import numpy as np
 from jax import Array, lax
 
 from lieint_jax.native._program import Block, Branch, Loop, Number, Program, blocks_of, numbers_of
-from lieint_jax.native._traced import Traced, made_once
+from lieint_jax.native._traced import Traced, Tree, make_once
 from lieint_jax.native._walk import UnsupportedError
 
 
-def flattened(function: Callable[..., Any], kinds: Sequence[Any], examples: Sequence[Any]) -> Flattened:
+def flatten(function: Callable[..., Tree], kinds: Sequence[Tree], examples: Sequence[Tree]) -> Flattened:
     """The `Flattened` of a function that can be hashed, made once for all arguments of the same shapes."""
-    return made_once(Flattened, function, kinds, examples)
+    return make_once(Flattened, function, kinds, examples)
 
 
 class Flattened:
@@ -34,21 +34,21 @@ class Flattened:
         results: the shapes of the results of one member and one row.
         kinds_of_results: for each of them "member" or "shared".
         length: the number of operations.
-        width: about how many registers of 32 bits the program needs, if a kernel does what lies between two loops.
-        carried: the most numbers of a member that a loop carries: an iteration reads and writes them.
+        width: about how many registers of 32 bits the program needs, if each kernel covers the code between two loops.
+        carried: the largest number of values of a member that a loop carries: an iteration reads and writes them.
 
     Raises:
-        UnsupportedError: the function does what cannot be a program of numbers, or has no counterpart in JAX.
+        UnsupportedError: the function cannot be a program of numbers, or an operation has no counterpart in JAX.
     """
 
-    def __init__(self, function: Callable[..., Any], kinds: Sequence[Any], examples: Sequence[Any]):
+    def __init__(self, function: Callable[..., Tree], kinds: Sequence[Tree], examples: Sequence[Tree]):
         self._traced = Traced(function, kinds, examples)
         self.results, self.kinds_of_results = self._traced.results, self._traced.kinds_of_results
         self.length = self._traced.length
-        self.width, self.carried = width(self._traced.program), carried(self._traced.program)
+        self.width, self.carried = width(self._traced.program), count_carried(self._traced.program)
         _check(self._traced.program.block, self._traced.program)
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments: Tree) -> Tree:
         """The results, each with the leading axis (members,) if any argument has it."""
         traced = self._traced
         leaves = zip(jax.tree.leaves(arguments), traced.leaves[: traced.given], strict=True)
@@ -63,7 +63,7 @@ class Flattened:
         return jax.tree.unflatten(jax.tree.structure(self.results), found)
 
     def _results(
-        self, program: Program, arrays: list[Array], members: int | None, shapes: Sequence[Any]
+        self, program: Program, arrays: list[Array], members: int | None, shapes: Sequence[jax.ShapeDtypeStruct]
     ) -> list[Array]:
         """The outputs of a program as arrays (members, …), or (…) if they are shared."""
         leaves = zip(arrays, self._traced.leaves, strict=False)
@@ -81,27 +81,30 @@ class Flattened:
         return found
 
 
+Carry = tuple[list[Array], Array | None]  # what a loop carries: its numbers, and which members go on
+
+
 class _Evaluation:
     """The values of a program's numbers, inside a block and those around it."""
 
     def __init__(self, program: Program, members: int, tables: dict[int, Array], values: dict[Number, Any]):
         self.program, self.members, self.tables, self.values = program, members, tables, values
 
-    def inside(self) -> _Evaluation:
-        """An evaluation of a block that JAX traces by itself."""
+    def inner(self) -> _Evaluation:
+        """An evaluation of a block that JAX traces separately."""
         return _Evaluation(self.program, self.members, self.tables, dict(self.values))
 
     def varies(self, x: Number) -> bool:
         return x in self.program.varying
 
-    def value(self, x: Number, vector: bool | None = None) -> Any:
+    def value(self, x: Number, vector: bool | None = None) -> Array:
         """A number as an array (members,) or as a scalar."""
         found = lax.full((), x.data, x.dtype) if x.is_constant else self.values[x]
         wanted = self.varies(x) if vector is None else vector
         return lax.broadcast(found, (self.members,)) if wanted and not self.varies(x) else found
 
     def block(self, block: Block) -> None:
-        """Evaluate what a block computes."""
+        """Evaluate the items of a block."""
         for item in block.items:
             if isinstance(item, Loop):
                 self.loop(item)
@@ -110,7 +113,7 @@ class _Evaluation:
             elif item in self.program.live:
                 self.values[item] = self.operation(item)
 
-    def operation(self, x: Number) -> Any:
+    def operation(self, x: Number) -> Array | None:
         vector = self.varies(x)
         if x.op == "array":
             return None if vector else jnp.stack([self.value(y) for y in x.inputs])
@@ -123,11 +126,8 @@ class _Evaluation:
             return lax.convert_element_type(self.value(x.inputs[0], vector), x.dtype)
         return _OPERATIONS[x.op](*(self.value(y, vector) for y in x.inputs))
 
-    def entry(self, x: Number) -> Any:
-        """The entry of an array of numbers.
-
-        If these vary, by selection: an array in memory would take a kernel of its own.
-        """
+    def entry(self, x: Number) -> Array:
+        """The entry of an array of numbers; by selection if they vary, since memory access would split the kernel."""
         if not self.varies(x.inputs[1]):
             return self.value(x.inputs[1])[self.value(x.inputs[0])]
         index, array = self.value(x.inputs[0]), [self.value(y, True) for y in x.inputs[1].inputs]
@@ -137,26 +137,26 @@ class _Evaluation:
         return found
 
     def loop(self, loop: Loop) -> None:
-        """A loop; if its test varies, it goes on while a member does, and the others keep what they have."""
-        carried = self.program.needed(loop.carries)
+        """A loop. If its test varies, it runs until all members have finished; finished members do not change."""
+        carried = self.program.needed_positions(loop.carries)
         if not carried:
             return
         masked = self.varies(loop.test)
 
-        def inside(state: Any) -> tuple[_Evaluation, Any]:
-            inner = self.inside()
+        def evaluate_head(state: Carry) -> tuple[_Evaluation, Any]:
+            inner = self.inner()
             for k, value in zip(carried, state[0], strict=True):
                 inner.values[loop.carries[k]] = value
             inner.block(loop.head)
-            test = inner.value(loop.test)
-            return inner, lax.bitwise_and(state[1], test) if masked else test
+            going = inner.value(loop.test)
+            return inner, going if state[1] is None else lax.bitwise_and(state[1], going)
 
-        def goes_on(state: Any) -> Array:
-            test = inside(state)[1]
-            return jnp.any(test) if masked else test
+        def test(state: Carry) -> Array:
+            going = evaluate_head(state)[1]
+            return jnp.any(going) if masked else going
 
-        def following(state: Any) -> Any:
-            inner, going = inside(state)
+        def body(state: Carry) -> Carry:
+            inner, going = evaluate_head(state)
             inner.block(loop.body)
             after = []
             for k, before in zip(carried, state[0], strict=True):
@@ -167,19 +167,19 @@ class _Evaluation:
 
         starts = [self.value(loop.starts[k], self.varies(loop.carries[k])) for k in carried]
         active = lax.full((self.members,), True) if masked else None
-        results, _ = lax.while_loop(goes_on, following, (starts, active))
+        results, _ = lax.while_loop(test, body, (starts, active))
         for k, value in zip(carried, results, strict=True):
             self.values[loop.results[k]] = value
 
     def branch(self, branch: Branch) -> None:
         """One of two blocks, or both and a selection, if the test varies."""
-        live = self.program.needed(branch.results)
+        live = self.program.needed_positions(branch.results)
         if not live:
             return
         varies = [self.varies(branch.results[k]) for k in live]
 
-        def side(n: int) -> list[Any]:
-            inner = self.inside()
+        def side(n: int) -> list[Array]:
+            inner = self.inner()
             inner.block(branch.blocks[n])
             return [inner.value(branch.values[n][k], v) for k, v in zip(live, varies, strict=True)]
 
@@ -192,12 +192,12 @@ class _Evaluation:
             self.values[branch.results[k]] = value
 
 
-_SAME = (
+_SAME_NAMES = (
     "abs acos acosh add asin asinh atan atan2 atanh cbrt ceil cos cosh div eq erf erfc exp exp2 expm1 floor ge gt le "
     "log log1p logistic lt max min mul ne neg pow rem shift_left shift_right_arithmetic shift_right_logical sin sinh "
     "sqrt sub tan tanh"
 )
-_OPERATIONS: dict[str, Callable[..., Any]] = {name: getattr(lax, name) for name in _SAME.split()} | {
+_OPERATIONS: dict[str, Callable[..., Array]] = {name: getattr(lax, name) for name in _SAME_NAMES.split()} | {
     "and": lax.bitwise_and,
     "not": lax.bitwise_not,
     "or": lax.bitwise_or,
@@ -219,22 +219,22 @@ def _check(block: Block, program: Program) -> None:
                 _check(inner, program)
 
 
-def carried(program: Program) -> int:
-    """The most numbers of a member that a loop carries from one iteration to the next."""
+def count_carried(program: Program) -> int:
+    """The largest number of values of a member that a loop carries from one iteration to the next."""
 
-    def of(block: Block) -> int:
+    def most_in(block: Block) -> int:
         inner = [item for item in block.items if not isinstance(item, Number)]
         own = [sum(x in program.varying and x in program.live for x in y.carries) for y in inner if isinstance(y, Loop)]
-        return max([0, *own, *(of(part) for item in inner for part in blocks_of(item))])
+        return max([0, *own, *(most_in(part) for item in inner for part in blocks_of(item))])
 
-    return of(program.block)
+    return most_in(program.block)
 
 
 def width(program: Program) -> int:
-    """The most registers of 32 bits that numbers of a member occupy at once, in the order of the program.
+    """The largest number of 32-bit registers that numbers of a member occupy at the same time, in program order.
 
-    What lies between two loops is counted by itself: numbers that go from one to the next do so through memory. Those
-    that are used later, or are results, count to its end, where a kernel writes them.
+    Each part between two loops is counted separately, since numbers pass between the parts through memory. Numbers that
+    are used later, or are results, count until the end of their part, where a kernel writes them.
     """
     return max(_width(part, program) for part in _parts(program.block, program, program.outputs))
 
@@ -261,7 +261,7 @@ def _parts(block: Block, program: Program, after: Sequence[Number]) -> list[tupl
 
 
 def _ends(item: Loop | Branch) -> tuple[Sequence[Number], Sequence[Number]]:
-    """What the two blocks of a loop or a branch must have at their ends."""
+    """The numbers that the two blocks of a loop or a branch must provide at their ends."""
     if isinstance(item, Loop):
         return [item.test], item.following
     return item.values[0], item.values[1]

@@ -1,20 +1,21 @@
-"""From a program of numbers to LLVM's language: every number that depends on the member is a vector of members.
+"""From a program of numbers to LLVM IR, where every number that depends on the member is a vector of members.
 
-The function that is written runs over blocks of members, and in each over rows (the save intervals of a call). Arrays
-are those of NumPy: (members, …) for what each member has, (rows, …) for what changes from row to row, and (rows,
-members, …) for what is returned of each row. What the last block has beyond the last member are copies of that.
+The generated function loops over blocks of members, and in each over rows (the save intervals of a call). Arrays have
+NumPy's layout: (members, …) for data of each member, (rows, …) for data of each row, and (rows, members, …) for the
+results of each row. Lanes of the last block beyond the last member repeat that member.
 
-Products that are used once, in a sum, are fused with it (`llvm.fma`); nothing else is left to the compiler that changes
-a bit, so results depend neither on the number of lanes nor on what LLVM makes of them.
+A product that is used once, in a sum, is fused with it (`llvm.fma`). The compiler may not change any other rounding, so
+results depend neither on the number of lanes nor on LLVM's optimizations.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jax.typing import DTypeLike
 
 from lieint_jax.native._calls import Functions
 from lieint_jax.native._program import Block, Branch, Loop, Number, Program, blocks_of, numbers_of
@@ -53,11 +54,11 @@ _BITS = {"and": "and", "or": "or", "xor": "xor", "shift_left": "shl", "shift_rig
 
 
 class Tape(NamedTuple):
-    """Numbers that one program writes and another reads, in the order in which both go through their loops.
+    """Numbers that one program writes and another reads, in the common order of their loops.
 
     Attributes:
-        numbers: what is written, by the body of the loop that computes it.
-        writes: whether this program is the one that writes.
+        numbers: the numbers, by the body of the loop that computes them.
+        writes: True if this program writes them.
     """
 
     numbers: dict[Block, list[Number]]
@@ -76,16 +77,16 @@ def emit(
 
     Args:
         program: its first outputs are the numbers carried to the next row, one for each entry of the leaves of kind
-            "carry"; the others are returned of each row.
+            "carry"; the others are the results of each row.
         leaves: the arrays that it reads; the data of an argument is (number of the leaf, number of the entry).
-        results: the sizes of the arrays that are returned of each row.
+        results: the sizes of the result arrays of one row.
         lanes: members in a vector.
         functions: collects the elementary functions that it calls.
-        tape: what it writes for another program, or reads.
+        tape: the numbers that it writes for another program, or reads.
 
     The function's arguments are the first block and the one after the last, the numbers of members and of rows, and
-    pointers to: the leaves; the carries after the last row, leaf by leaf; the results; the tape, of 8 bytes a number,
-    and two integers, how many numbers it can hold and how many there were to write. Beyond its end nothing is written.
+    pointers to: the leaves; the carries after the last row, leaf by leaf; the results; the tape, of 8 bytes per number,
+    and two integers, its capacity and how many numbers there were to write. Nothing is written beyond its end.
     """
     return _Writer(program, leaves, results, lanes, functions, tape).text()
 
@@ -106,7 +107,7 @@ class _Writer:
         self.functions = functions
         self.lines: list[str] = []
         self.front: list[str] = []
-        self.globals: dict[Any, str] = {}
+        self.globals: dict[object, str] = {}
         self.declared: dict[str, None] = {}
         self.label = "entry"
         self.names: dict[Number, str] = {}
@@ -123,13 +124,13 @@ class _Writer:
     def varies(self, x: Number) -> bool:
         return x in self.program.varying
 
-    def scalar(self, dtype: Any) -> str:
+    def scalar(self, dtype: DTypeLike) -> str:
         name = np.dtype(dtype).str[1:]
         if name not in _TYPES:
             raise UnsupportedError(f"numbers of type {np.dtype(dtype)}")
         return _TYPES[name]
 
-    def type(self, dtype: Any, vector: bool) -> str:
+    def type(self, dtype: DTypeLike, vector: bool) -> str:
         return f"<{self.lanes} x {self.scalar(dtype)}>" if vector else self.scalar(dtype)
 
     def type_of(self, x: Number) -> str:
@@ -157,16 +158,16 @@ class _Writer:
         self.declared[f"declare {result} @{name}({', '.join(t for t, _ in arguments)})"] = None
         return self.add(f"call {result} @{name}({', '.join(f'{t} {v}' for t, v in arguments)})")
 
-    def intrinsic(self, name: str, dtype: Any, vector: bool, *values: str) -> str:
+    def intrinsic(self, name: str, dtype: DTypeLike, vector: bool, *values: str) -> str:
         kind = self.type(dtype, vector)
         return self.call(kind, f"llvm.{name}.{self.suffix(dtype, vector)}", [(kind, v) for v in values])
 
-    def suffix(self, dtype: Any, vector: bool) -> str:
+    def suffix(self, dtype: DTypeLike, vector: bool) -> str:
         scalar = {"double": "f64", "float": "f32"}.get(self.scalar(dtype), self.scalar(dtype))
         return f"v{self.lanes}{scalar}" if vector else scalar
 
     def value(self, x: Number, vector: bool | None = None) -> str:
-        """The name of a number, as a vector or as a scalar."""
+        """The name of a number's value, as a vector or as a scalar."""
         vector = self.varies(x) if vector is None else vector
         if x.is_constant:
             text = _literal(x.data)
@@ -174,7 +175,7 @@ class _Writer:
         name = self.names[x]
         return self.splat(name, x.dtype) if vector and not self.varies(x) else name
 
-    def splat(self, name: str, dtype: Any) -> str:
+    def splat(self, name: str, dtype: DTypeLike) -> str:
         kind, scalar = self.type(dtype, True), self.scalar(dtype)
         first = self.add(f"insertelement {kind} poison, {scalar} {name}, i64 0")
         return self.add(f"shufflevector {kind} {first}, {kind} poison, <{self.lanes} x i32> zeroinitializer")
@@ -225,14 +226,14 @@ class _Writer:
         at = self.add(f"getelementptr ptr, ptr %pointers, i64 {slot}")
         return self.add(f"load ptr, ptr {at}")
 
-    def load(self, pointer: str, dtype: Any, index: str) -> str:
+    def load(self, pointer: str, dtype: DTypeLike, index: str) -> str:
         stored = "i8" if np.dtype(dtype).kind == "b" else self.scalar(dtype)
         at = self.add(f"getelementptr {stored}, ptr {pointer}, i64 {index}")
         found = self.add(f"load {stored}, ptr {at}")
         return self.add(f"trunc i8 {found} to i1") if np.dtype(dtype).kind == "b" else found
 
     def member_index(self) -> str:
-        """The members of the block, a vector, none beyond the last."""
+        """The indices of the block's members, a vector; none is beyond the last member."""
         first = self.splat(self.add(f"mul i64 %block, {self.lanes}"), np.int64)
         last = self.splat(self.add("sub i64 %members, 1"), np.int64)
         kind = f"<{self.lanes} x i64>"
@@ -240,7 +241,7 @@ class _Writer:
         index = self.add(f"add {kind} {first}, <{each}>")
         return self.intrinsic("smin", np.int64, True, index, last)
 
-    def entry_pointers(self, pointer: str, dtype: Any, size: int, entry: int, row: str | None = None) -> str:
+    def entry_pointers(self, pointer: str, dtype: DTypeLike, size: int, entry: int, row: str | None = None) -> str:
         """Pointers to an entry of each member of the block."""
         kind = f"<{self.lanes} x i64>"
         stored = "i8" if np.dtype(dtype).kind == "b" else self.scalar(dtype)
@@ -259,7 +260,7 @@ class _Writer:
         at = self.entry_pointers(pointer, leaf.dtype, leaf.size, entry)
         return self.gather_at(at, leaf.dtype)
 
-    def gather_at(self, at: str, dtype: Any) -> str:
+    def gather_at(self, at: str, dtype: DTypeLike) -> str:
         stored = np.dtype(np.int8) if np.dtype(dtype).kind == "b" else np.dtype(dtype)
         kind, n = self.type(stored, True), self.lanes
         name = f"llvm.masked.gather.{self.suffix(stored, True)}.v{n}p0"
@@ -267,7 +268,7 @@ class _Writer:
         found = self.call(kind, name, [(f"<{n} x ptr>", at), mask, (kind, "poison")])
         return self.add(f"trunc {kind} {found} to <{n} x i1>") if np.dtype(dtype).kind == "b" else found
 
-    def scatter(self, value: str, dtype: Any, at: str) -> None:
+    def scatter(self, value: str, dtype: DTypeLike, at: str) -> None:
         stored = np.dtype(np.int8) if np.dtype(dtype).kind == "b" else np.dtype(dtype)
         kind, n = self.type(stored, True), self.lanes
         if np.dtype(dtype).kind == "b":
@@ -437,7 +438,9 @@ class _Writer:
         """The sine or cosine, and if both are needed both at once."""
         scalar, kind = self.scalar(x.dtype), self.type(x.dtype, vector)
         lanes, [angle] = self.lanes if vector else 0, x.inputs
-        other = x.block.known.get(("cos" if x.op == "sin" else "sin", x.inputs, x.dtype, None)) if x.block else None
+        other = (
+            x.block.by_operation.get(("cos" if x.op == "sin" else "sin", x.inputs, x.dtype, None)) if x.block else None
+        )
         if other is None or other not in self.program.live:
             return self.call(kind, self.functions.name(x.op, scalar, lanes, 1), [(kind, self.value(angle, vector))])
         pair = f"{{ {kind}, {kind} }}"
@@ -501,7 +504,7 @@ class _Writer:
     # loops and branches
 
     def loop(self, loop: Loop) -> None:
-        carried = self.program.needed(loop.carries)
+        carried = self.program.needed_positions(loop.carries)
         if not carried:
             return
         masked = self.varies(loop.test)
@@ -553,7 +556,7 @@ class _Writer:
         self.begin(exit_)
 
     def body(self, block: Block) -> None:
-        """The body of a loop, and what of it is read from the tape, or written."""
+        """The body of a loop, with the numbers that are read from the tape or written to it."""
         shared = self.tape.numbers.get(block, []) if self.tape is not None else []
         if self.tape is None or not shared:
             self.block(block)
@@ -577,7 +580,7 @@ class _Writer:
 
     @property
     def mask_type(self) -> str:
-        """Booleans of the members in a loop are carried as integers of the width of a number."""
+        """The type of the members' booleans that a loop carries: integers as wide as a number."""
         return f"<{self.lanes} x {self.wide}>"
 
     def phi_type(self, carry: Number) -> str:
@@ -596,7 +599,7 @@ class _Writer:
         return phi
 
     def branch(self, branch: Branch) -> None:
-        live = self.program.needed(branch.results)
+        live = self.program.needed_positions(branch.results)
         if not live:
             return
         test = branch.test
@@ -635,7 +638,7 @@ def _carry_entries(leaves: Sequence[Leaf]) -> list[tuple[int, int]]:
     return [(k, entry) for k in _carry_leaves(leaves) for entry in range(leaves[k].size)]
 
 
-def _literal(value: Any) -> str:
+def _literal(value: np.generic) -> str:
     dtype = np.asarray(value).dtype
     if dtype.kind == "f":
         return f"0x{np.float64(value).view(np.uint64):016X}"
@@ -645,7 +648,7 @@ def _literal(value: Any) -> str:
 
 
 def _fusions(program: Program) -> tuple[dict[Number, tuple[Number, Number, str]], set[Number]]:
-    """The sums that are fused with a product, as (product, other term, what of it is negative), and these products."""
+    """The sums that are fused with a product, as (product, other term, which of them is negative), and the products."""
     uses: Counter[Number] = Counter([*program.outputs, *program.written])
     items: list[Number] = []
 

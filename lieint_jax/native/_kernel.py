@@ -1,4 +1,4 @@
-"""A function of one member, compiled for many: what JAX's vmap and jit do, as machine code over blocks of members."""
+"""A function of one member, compiled for many: like JAX's vmap and jit, but machine code over blocks of members."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import numpy as np
 
 from lieint_jax.native._program import Program
 from lieint_jax.native._stream import Stream, split
-from lieint_jax.native._traced import Leaf, Operation, Traced, before_rows, made_once
+from lieint_jax.native._traced import Leaf, Operation, Traced, Tree, leaves_before_rows, make_once
 
-_FEW = 26  # numbers that an innermost loop holds, up to which two vectors of each are faster than one
-_CHUNKS = 4  # parts of the members a thread, so that threads end together
+_FEW = 26  # the most numbers in an innermost loop for which two vectors of each are faster than one
+_CHUNKS = 4  # parts of the members per thread, so that all threads end at about the same time
 
 
-def kernel(function: Callable[..., Any], kinds: Sequence[Any], examples: Sequence[Any]) -> Kernel:
+def kernel(function: Callable[..., Tree], kinds: Sequence[Tree], examples: Sequence[Tree]) -> Kernel:
     """The `Kernel` of a function that can be hashed, made once for all arguments of the same shapes."""
-    return made_once(Kernel, function, kinds, examples)
+    return make_once(Kernel, function, kinds, examples)
 
 
 class Kernel:
@@ -36,24 +36,24 @@ class Kernel:
         kinds_of_results: for each of them "member" or "shared".
 
     Raises:
-        ImportError: there is no llvmlite, which nothing else in this room needs.
-        UnsupportedError: the function does what cannot be machine code here.
+        ImportError: llvmlite is missing.
+        UnsupportedError: the function cannot be compiled to machine code here.
     """
 
-    def __init__(self, function: Callable[..., Any], kinds: Sequence[Any], examples: Sequence[Any], lanes: int = 0):
+    def __init__(self, function: Callable[..., Tree], kinds: Sequence[Tree], examples: Sequence[Tree], lanes: int = 0):
         traced = Traced(function, kinds, examples)
         self.results, self.kinds_of_results, self.length = traced.results, traced.kinds_of_results, traced.length
         self._leaves, self._given, self._structure = traced.leaves, traced.given, jax.tree.structure(traced.results)
-        self._outside = [Outside(x, Code(x.program, x.leaves, x.operands)) for x in traced.outside]
+        self._outside = [HostOperation(x, Code(x.program, x.leaves, x.operands)) for x in traced.outside]
         self._code = Code(traced.program, self._leaves, jax.tree.leaves(self.results), lanes)
         self.lanes = self._code.lanes
 
     @property
     def shared(self) -> int:
-        """How many numbers, of 8 bytes each, the last call kept that all members share."""
+        """The number of values shared by all members in the last call, of 8 bytes each."""
         return self._code.shared
 
-    def __call__(self, arguments: Sequence[Any], members: int, rows: int = 1, threads: int = 1) -> Any:
+    def __call__(self, arguments: Sequence[Tree], members: int, rows: int = 1, threads: int = 1) -> Tree:
         """The results of all members, with the axes (members, …) of carries and (rows, members, …) of others."""
         given = [np.asarray(x) for part in arguments for x in jax.tree.leaves(part)]
         inputs = [np.ascontiguousarray(x, leaf.dtype) for x, leaf in zip(given, self._leaves, strict=False)]
@@ -66,8 +66,8 @@ class Kernel:
         return jax.tree.unflatten(self._structure, self._code(inputs, members, rows, threads))
 
 
-class Outside(NamedTuple):
-    """An operation that JAX does before the machine code runs, and the code that computes its operands."""
+class HostOperation(NamedTuple):
+    """An operation that JAX computes before the machine code runs, and the code for its operands."""
 
     operation: Operation
     operands: Code
@@ -90,7 +90,9 @@ class Code:
         lanes: members in a vector; by default it follows from the machine.
     """
 
-    def __init__(self, program: Program, leaves: Sequence[Leaf], results: Sequence[Any], lanes: int = 0):
+    def __init__(
+        self, program: Program, leaves: Sequence[Leaf], results: Sequence[jax.ShapeDtypeStruct], lanes: int = 0
+    ):
         from lieint_jax.native import _machine
         from lieint_jax.native._calls import Functions
         from lieint_jax.native._emit import Tape, emit
@@ -103,14 +105,14 @@ class Code:
         parts, tape, functions = split(program), None, Functions()
         self._shared = None
         if parts is not None:
-            self._shared = Shared(parts, leaves)
+            self._shared = SharedNumbers(parts, leaves)
             program, tape = parts.rest, Tape(parts.numbers, writes=False)
         text = emit(program, leaves, sizes, self.lanes, functions, tape)
-        self._run = _machine.function(text, functions.text())
+        self._run = _machine.compile_modules(text, functions.text())
 
     @property
     def shared(self) -> int:
-        """How many numbers the last call kept that all members share."""
+        """The number of values shared by all members in the last call."""
         return self._shared.count if self._shared else 0
 
     def __call__(self, inputs: Sequence[np.ndarray], members: int, rows: int, threads: int) -> list[np.ndarray]:
@@ -135,8 +137,8 @@ class Code:
             pass
 
 
-class Shared:
-    """What all members share in each iteration of a program's loops, computed once: see `_stream`.
+class SharedNumbers:
+    """The numbers that all members share in each iteration of a program's loops, computed once: see `_stream`.
 
     Attributes:
         count: how many numbers there were in the last call.
@@ -148,14 +150,14 @@ class Shared:
         from lieint_jax.native._emit import Tape, emit
 
         functions = Functions()
-        text = emit(parts.first, before_rows(leaves), [], 1, functions, Tape(parts.numbers, writes=True))
-        self._run = _machine.function(text, functions.text())
+        text = emit(parts.first, leaves_before_rows(leaves), [], 1, functions, Tape(parts.numbers, writes=True))
+        self._run = _machine.compile_modules(text, functions.text())
         self._most = max(map(len, parts.numbers.values()))
         self.count = 0
 
     def __call__(self, inputs: Sequence[np.ndarray], rows: int) -> tuple[np.ndarray, np.ndarray]:
         """The numbers, each in 8 bytes; and two counts, of the room and of the numbers."""
-        while True:  # twice at most, when it does not know yet how many there are
+        while True:  # two passes at most: the first call finds out how many there are
             tape = np.empty(max(self.count, self._most))
             counts = np.array([len(tape), 0])
             pointers = [x.ctypes.data for x in (*inputs, tape, counts)]

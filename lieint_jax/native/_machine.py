@@ -7,6 +7,7 @@ import functools
 import hashlib
 import os
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +31,8 @@ def register_bytes() -> int:
     return 64 if features.get("avx512f") else 32 if features.get("avx2") else 16
 
 
-def function(*texts: str) -> Any:
-    """The function `run` of the first of some modules, compiled together; empty ones are left out."""
+def compile_modules(*texts: str) -> Callable[..., None]:
+    """The function `run` of the first module, compiled together with the others; empty modules are left out."""
     text = "\n;\n".join(texts)
     key = hashlib.sha256(
         "\n".join([llvmlite.__version__, target().triple, llvm.get_host_cpu_name(), _features(), text]).encode()
@@ -46,22 +47,22 @@ def function(*texts: str) -> Any:
 def _engine(key: str, texts: list[str]) -> Any:
     backing = llvm.parse_assembly("")
     engine = llvm.create_mcjit_compiler(backing, _new_target())
-    code = _from_disk(key)
+    code = _read_cache(key)
     if code is None:
-        code = _compiled(texts)
-        _to_disk(key, code)
+        code = _compile(texts)
+        _write_cache(key, code)
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
     return engine
 
 
 def _features() -> str:
-    """What this CPU can do: a system may withhold some of what others of its name can."""
+    """The features of this CPU; the operating system may disable some that its model has."""
     return llvm.get_host_cpu_features().flatten()
 
 
 def _new_target() -> Any:
-    """The machine that runs this process, as an object of one owner: an engine disposes of its own."""
+    """The machine that runs this process, as a new object: an engine disposes of the one that it owns."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_default_triple().create_target_machine(
@@ -69,7 +70,7 @@ def _new_target() -> Any:
     )
 
 
-def _compiled(texts: list[str]) -> bytes:
+def _compile(texts: list[str]) -> bytes:
     module, *others = map(llvm.parse_assembly, texts)
     for other in others:
         module.link_in(other)
@@ -87,14 +88,14 @@ def _compiled(texts: list[str]) -> bytes:
 
 
 def _folder() -> Path | None:
-    """Where machine code is kept: beside JAX's cache, if there is one."""
+    """The folder of cached machine code, next to JAX's cache, if there is one."""
     import jax
 
     path = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     return Path(path) / "native" if path and "://" not in path else None
 
 
-def _from_disk(key: str) -> bytes | None:
+def _read_cache(key: str) -> bytes | None:
     folder = _folder()
     if folder is None:
         return None
@@ -106,7 +107,7 @@ def _from_disk(key: str) -> bytes | None:
     return code if hashlib.sha256(key.encode() + code).digest() == digest else None
 
 
-def _to_disk(key: str, code: bytes) -> None:
+def _write_cache(key: str, code: bytes) -> None:
     folder = _folder()
     if folder is None:
         return
@@ -115,5 +116,5 @@ def _to_disk(key: str, code: bytes) -> None:
         temporary = folder / f".{key}.{os.getpid()}"
         temporary.write_bytes(hashlib.sha256(key.encode() + code).digest() + code)
         os.replace(temporary, folder / key)
-    except OSError:  # a cache that cannot be written is not needed
+    except OSError:  # the cache is optional
         return

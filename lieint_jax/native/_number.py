@@ -10,6 +10,7 @@ from typing import Any
 from llvmlite import ir
 
 DOUBLE, INT, BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
+Llvm = Any  # an ir.IRBuilder or ir.Value: llvmlite has no annotations
 _SIGN = 1 << 63
 
 
@@ -22,8 +23,8 @@ def with_element(type_: ir.Type, element: ir.Type) -> ir.Type:
 class Number:
     """A double, a 64-bit integer or a truth value per lane. Python numbers become constants of the same type."""
 
-    builder: Any  # ir.IRBuilder, ir.Value: llvmlite has no annotations
-    value: Any
+    builder: Llvm
+    value: Llvm
 
     def like(self, other: "Number | float") -> "Number":
         """`other` as a number of this type."""
@@ -33,7 +34,7 @@ class Number:
         lanes = [other] * type_.count if isinstance(type_, ir.VectorType) else other
         return Number(self.builder, ir.Constant(type_, lanes))
 
-    def _new(self, value: Any) -> "Number":
+    def _new(self, value: Llvm) -> "Number":
         return Number(self.builder, value)
 
     def _is_double(self) -> bool:

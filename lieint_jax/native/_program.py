@@ -1,7 +1,7 @@
-"""Programs of single numbers: straight arithmetic, loops and branches, in static single assignment.
+"""Programs of single numbers: arithmetic, loops and branches, in static single assignment.
 
-Building a program simplifies it: constants are folded, an operation that was done before is not done again, and one
-that depends on nothing inside a loop stands before it.
+Building a program simplifies it: constants are folded, common subexpressions are computed once, and operations that do
+not depend on a loop are moved out of it.
 """
 
 from __future__ import annotations
@@ -10,34 +10,36 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from jax.typing import ArrayLike, DTypeLike
 
+Data = Any  # the value of a constant, the exponent of a power, the place of an argument
 COMMUTATIVE = frozenset({"add", "mul", "max", "min", "eq", "ne", "and", "or", "xor"})
 _COMPARISONS = frozenset({"eq", "ne", "lt", "le", "gt", "ge"})
 
 
 class Number:
-    """One number: the result of an operation, a constant, an argument, or what a loop carries.
+    """One number: the result of an operation, a constant, an argument, or a number carried by a loop.
 
     Attributes:
         op: the name of the operation, in most cases that of JAX's primitive.
-        inputs: the numbers that it is computed from.
+        inputs: the operands.
         dtype: its NumPy type.
-        data: what else the operation depends on: the value of a constant, the exponent of a power.
-        block: where it is computed; None for constants.
+        data: the parameter of the operation: the value of a constant, the exponent of a power.
+        block: the block that computes it; None for constants.
     """
 
     __slots__ = ("block", "data", "dtype", "inputs", "op")
 
-    def __init__(self, op: str, inputs: tuple[Number, ...], dtype: np.dtype, data: Any, block: Block | None):
+    def __init__(self, op: str, inputs: tuple[Number, ...], dtype: np.dtype, data: Data, block: Block | None):
         self.op, self.inputs, self.dtype, self.data, self.block = op, inputs, dtype, data, block
 
     @property
     def is_constant(self) -> bool:
-        """Whether its value is known."""
+        """True if it is a constant."""
         return self.op == "const"
 
     def equals(self, value: float) -> bool:
-        """Whether it is a constant of this value."""
+        """True if it is a constant of this value."""
         return self.op == "const" and bool(self.data == value)
 
 
@@ -47,28 +49,29 @@ class Block:
     Attributes:
         parent: the surrounding block; None for that of the whole program.
         items: numbers, loops and branches, in the order in which they are computed.
-        pinned: whether its operations must stay inside it (a branch), even if they depend on nothing inside.
-        tested: whether its operations must not move to its parent, the head of a loop whose body it is: that is also
-            computed after the last iteration, when an index is out of bounds.
+        pinned: True if its operations must stay inside it (a branch), even if they depend on nothing inside.
+        tested: True if its operations must not move to its parent, the head of a loop whose body it is: the head is
+            also computed after the last iteration, when an index is out of bounds.
+        by_operation: its numbers by operation, operands, type and data.
     """
 
     def __init__(self, parent: Block | None = None, pinned: bool = False, tested: bool = False):
         self.parent, self.pinned, self.tested = parent, pinned, tested
         self.depth: int = 0 if parent is None else parent.depth + 1
         self.floor: Block = self if pinned or parent is None else parent.floor
-        self.items: list[Any] = []
-        self.known: dict[Any, Number] = {}
+        self.items: list[Number | Loop | Branch] = []
+        self.by_operation: dict[object, Number] = {}
 
 
 class Loop:
     """`while test(carry): carry = following(carry)`.
 
     Attributes:
-        carries: the numbers carried, as they are inside the loop.
+        carries: the carried numbers inside the loop.
         starts, following: their values before the loop, and after one iteration.
-        head, test: the block that computes whether to go on, a boolean.
+        head, test: the block that computes the condition of the loop, and the condition, a boolean.
         body: the block of one iteration, inside `head`.
-        results: the numbers carried, as they are after the loop.
+        results: the carried numbers after the loop.
     """
 
     def __init__(self, parent: Block, starts: Sequence[Number]):
@@ -86,9 +89,9 @@ class Branch:
 
     Attributes:
         test: the boolean.
-        blocks: what is computed if it is true, and if it is false.
+        blocks: the block for true, and the block for false.
         values: the results of either block.
-        results: those of the block that was chosen, as they are after it.
+        results: the results of the chosen block, after the branch.
     """
 
     def __init__(self, parent: Block, test: Number):
@@ -103,30 +106,30 @@ class Builder:
 
     def __init__(self) -> None:
         self.root = self.block = Block()
-        self._constants: dict[Any, Number] = {}
+        self._constants: dict[object, Number] = {}
         self._order: dict[Number, int] = {}
         self.length = 0
 
-    def constant(self, value: Any, dtype: Any = None) -> Number:
-        """A number of a known value."""
+    def constant(self, value: ArrayLike, dtype: DTypeLike | None = None) -> Number:
+        """A constant."""
         value = np.asarray(value, dtype)[()]
         key = (value.dtype, value.tobytes())
         if key not in self._constants:
             self._constants[key] = self._new("const", (), value.dtype, value, None)
         return self._constants[key]
 
-    def argument(self, dtype: Any, data: Any) -> Number:
-        """A number that the program is given."""
+    def argument(self, dtype: DTypeLike, data: Data) -> Number:
+        """An argument of the program."""
         return self._new("argument", (), np.dtype(dtype), data, self.root)
 
-    def number(self, op: str, *inputs: Number, dtype: Any = None, data: Any = None) -> Number:
+    def number(self, op: str, *inputs: Number, dtype: DTypeLike | None = None, data: Data = None) -> Number:
         """The result of an operation."""
-        dtype = np.dtype(bool if op in _COMPARISONS else inputs[0].dtype if dtype is None else dtype)
+        kind = np.dtype(bool if op in _COMPARISONS else inputs[0].dtype if dtype is None else dtype)
         if all(x.is_constant for x in inputs):
-            folded = _folded(op, [x.data for x in inputs], dtype, data)
+            folded = _fold(op, [x.data for x in inputs], kind)
             if folded is not None:
-                return self.constant(folded, dtype)
-        simpler = self._simplified(op, inputs, dtype, data)
+                return self.constant(folded, kind)
+        simpler = self._simplify(op, inputs, kind)
         if simpler is not None:
             return simpler
         if op in COMMUTATIVE and self._order[inputs[0]] > self._order[inputs[1]]:
@@ -137,13 +140,13 @@ class Builder:
                 block = x.block
         inner = self._inside(block)
         block = inner if inner.tested else block
-        key = (op, inputs, dtype, data)
+        key = (op, inputs, kind, data)
         surrounding: Block | None = block
         while surrounding is not None:
-            if key in surrounding.known:
-                return surrounding.known[key]
+            if key in surrounding.by_operation:
+                return surrounding.by_operation[key]
             surrounding = surrounding.parent
-        found = block.known[key] = self._new(op, inputs, dtype, data, block)
+        found = block.by_operation[key] = self._new(op, inputs, kind, data, block)
         block.items.append(found)
         self.length += 1
         return found
@@ -154,7 +157,7 @@ class Builder:
         test: Callable[[list[Number]], Number],
         following: Callable[[list[Number]], list[Number]],
     ) -> list[Number]:
-        """The numbers carried out of a loop."""
+        """Add a loop, and return the carried numbers after it."""
         outside = self.block
         made = Loop(outside, starts)
         for x in (*made.carries, *made.results):
@@ -170,7 +173,7 @@ class Builder:
     def branch(
         self, test: Number, sides: tuple[Callable[[], list[Number]], Callable[[], list[Number]]]
     ) -> list[Number]:
-        """The results of the first side if `test`, else of the second."""
+        """Add a branch: the results of the first side if `test`, else those of the second."""
         if test.is_constant:
             return sides[0 if test.data else 1]()
         outside = self.block
@@ -185,19 +188,19 @@ class Builder:
         return made.results
 
     def _inside(self, block: Block) -> Block:
-        """The block inside `block` that the present one is, or is in; `block` itself if it is the present one."""
+        """The child of `block` that is or contains the current block; `block` itself if it is the current one."""
         inner = self.block
         while inner is not block and inner.parent is not None and inner.parent is not block:
             inner = inner.parent
         return inner
 
-    def _new(self, op: str, inputs: tuple[Number, ...], dtype: Any, data: Any, block: Block | None) -> Number:
+    def _new(self, op: str, inputs: tuple[Number, ...], dtype: DTypeLike, data: Data, block: Block | None) -> Number:
         found = Number(op, inputs, np.dtype(dtype), data, block)
         self._order[found] = len(self._order)
         return found
 
-    def _simplified(self, op: str, inputs: tuple[Number, ...], dtype: np.dtype, data: Any) -> Number | None:
-        """A number that is known to be equal, as far as it is finite."""
+    def _simplify(self, op: str, inputs: tuple[Number, ...], dtype: np.dtype) -> Number | None:
+        """A simpler number that is equal wherever it is finite, or None."""
         x, y, *_ = *inputs, None, None
         if op == "add" and x is not None and y is not None:
             if x.equals(0) or y.equals(0):
@@ -248,7 +251,7 @@ class Builder:
         return None
 
 
-_FOLDS: dict[str, Callable[..., Any]] = {
+_FOLDS: dict[str, np.ufunc] = {
     "add": np.add,
     "sub": np.subtract,
     "mul": np.multiply,
@@ -274,11 +277,11 @@ _FOLDS: dict[str, Callable[..., Any]] = {
 }
 
 
-def _folded(op: str, values: list[Any], dtype: np.dtype, data: Any) -> Any:
-    """The value of an operation on known numbers; None if it is left to the machine."""
+def _fold(op: str, values: list[Data], dtype: np.dtype) -> ArrayLike | None:
+    """The value of an operation on constants; None if it is left to the machine."""
     with np.errstate(all="ignore"):
         if op == "convert":
-            return _converted(values[0], dtype)
+            return _convert_constant(values[0], dtype)
         if op == "select":
             return values[1] if values[0] else values[2]
         if op == "div" and dtype.kind == "f":
@@ -288,8 +291,8 @@ def _folded(op: str, values: list[Any], dtype: np.dtype, data: Any) -> Any:
     return None
 
 
-def _converted(value: Any, dtype: np.dtype) -> Any:
-    """A known number of another type; integers of real numbers are cut to what the type has, and 0 for NaN."""
+def _convert_constant(value: Data, dtype: np.dtype) -> ArrayLike:
+    """A constant of another type; real numbers saturate at the limits of integers, and NaN becomes 0."""
     if value.dtype.kind != "f" or dtype.kind not in "iu":
         return value.astype(dtype)
     least, greatest = np.iinfo(dtype).min, np.iinfo(dtype).max
@@ -303,10 +306,10 @@ class Program:
 
     Attributes:
         block, outputs: its operations, and its results.
-        written: numbers that it computes for another program, besides its results.
-        given: numbers that it need not compute, since another program has done so.
-        live: the numbers that are needed for the outputs.
-        varying: those that depend on the member.
+        written: numbers that it computes for another program, in addition to its results.
+        given: numbers that another program has computed.
+        live: the numbers on which the outputs depend.
+        varying: the numbers that depend on the member.
     """
 
     def __init__(
@@ -319,36 +322,36 @@ class Program:
     ):
         self.block, self.outputs, self.written, self.given = block, list(outputs), list(written), given
         self._varying_arguments = varying_arguments
-        self.live = _live(block, [*self.outputs, *self.written], given)
-        self.varying = _varying(block, self.live, varying_arguments)
+        self.live = _live_numbers(block, [*self.outputs, *self.written], given)
+        self.varying = _varying_numbers(block, self.live, varying_arguments)
 
-    def only(self, written: Sequence[Number]) -> Program:
+    def part_that_computes(self, written: Sequence[Number]) -> Program:
         """The part of this program that computes some of its numbers for another one."""
         return Program(self.block, [], self._varying_arguments, written=written)
 
-    def without(self, given: Iterable[Number]) -> Program:
-        """This program, where another one computes some of its numbers."""
+    def with_given(self, given: Iterable[Number]) -> Program:
+        """This program, with some of its numbers computed by another one."""
         return Program(self.block, self.outputs, self._varying_arguments, given=frozenset(given))
 
-    def needed(self, numbers: Sequence[Number]) -> list[int]:
-        """The positions of the numbers that must be computed: the outputs depend on them, and they are not given."""
+    def needed_positions(self, numbers: Sequence[Number]) -> list[int]:
+        """The positions of the numbers that must be computed: outputs depend on them, and they are not given."""
         return [k for k, x in enumerate(numbers) if x in self.live and x not in self.given]
 
     def pressure(self) -> int:
-        """The most numbers of the members that an innermost loop needs from one iteration to the next."""
+        """The largest count of varying numbers that an innermost loop needs from one iteration to the next."""
 
-        def most(block: Block) -> int:
-            return max((of(item) for item in block.items if not isinstance(item, Number)), default=0)
+        def block_pressure(block: Block) -> int:
+            return max((item_pressure(item) for item in block.items if not isinstance(item, Number)), default=0)
 
-        def of(item: Loop | Branch) -> int:
+        def item_pressure(item: Loop | Branch) -> int:
             if isinstance(item, Branch):
-                return max(map(most, item.blocks))
-            return max(most(item.head), most(item.body)) or self._needed(item)
+                return max(map(block_pressure, item.blocks))
+            return max(block_pressure(item.head), block_pressure(item.body)) or self._loop_pressure(item)
 
-        return most(self.block)
+        return block_pressure(self.block)
 
-    def _needed(self, loop: Loop) -> int:
-        """The numbers of the members that a loop without another one inside carries, or finds before it."""
+    def _loop_pressure(self, loop: Loop) -> int:
+        """The count of varying numbers that an innermost loop carries, or reads from outside."""
         items = [x for block in (loop.head, loop.body) for x in block.items if x in self.live]
         inside = {loop.head, loop.body}
         outer = {x for item in items for x in item.inputs if x.block not in inside}
@@ -360,8 +363,8 @@ def blocks_of(item: Loop | Branch) -> tuple[Block, Block]:
     return (item.head, item.body) if isinstance(item, Loop) else item.blocks
 
 
-def numbers_of(item: Any) -> Iterable[Number]:
-    """All numbers that an item refers to directly."""
+def numbers_of(item: Number | Loop | Branch) -> Iterable[Number]:
+    """All numbers to which an item refers directly."""
     if isinstance(item, Number):
         return item.inputs
     if isinstance(item, Loop):
@@ -369,9 +372,9 @@ def numbers_of(item: Any) -> Iterable[Number]:
     return (item.test, *item.values[0], *item.values[1])
 
 
-def _live(root: Block, outputs: Sequence[Number], given: frozenset[Number]) -> set[Number]:
-    """The numbers that the outputs depend on; those that are given depend on none."""
-    place: dict[Number, tuple[Any, int]] = {}
+def _live_numbers(root: Block, outputs: Sequence[Number], given: frozenset[Number]) -> set[Number]:
+    """The numbers on which the outputs depend; given numbers depend on no others."""
+    place: dict[Number, tuple[Loop | Branch, int]] = {}
 
     def index(block: Block) -> None:
         for item in block.items:
@@ -406,11 +409,11 @@ def _live(root: Block, outputs: Sequence[Number], given: frozenset[Number]) -> s
     return live
 
 
-def _varying(root: Block, live: set[Number], varying_arguments: Callable[[Number], bool]) -> set[Number]:
+def _varying_numbers(root: Block, live: set[Number], varying_arguments: Callable[[Number], bool]) -> set[Number]:
     """The numbers that depend on the member."""
     varying: set[Number] = set()
 
-    def of(block: Block) -> None:
+    def visit(block: Block) -> None:
         for item in block.items:
             if isinstance(item, Number):
                 if item.op == "argument":
@@ -418,22 +421,22 @@ def _varying(root: Block, live: set[Number], varying_arguments: Callable[[Number
                 if any(x in varying for x in item.inputs):
                     varying.add(item)
             elif isinstance(item, Loop):
-                of_loop(item)
+                visit_loop(item)
             else:
                 for side in item.blocks:
-                    of(side)
+                    visit(side)
                 for k, after in enumerate(item.results):
                     if item.test in varying or any(values[k] in varying for values in item.values):
                         varying.add(after)
 
-    def of_loop(loop: Loop) -> None:
+    def visit_loop(loop: Loop) -> None:
         for inside, start in zip(loop.carries, loop.starts, strict=True):
             if start in varying:
                 varying.add(inside)
         while True:
             before = len(varying)
-            of(loop.head)
-            of(loop.body)
+            visit(loop.head)
+            visit(loop.body)
             for inside, following in zip(loop.carries, loop.following, strict=True):
                 if following in varying or (loop.test in varying and following is not inside):
                     varying.add(inside)
@@ -444,5 +447,5 @@ def _varying(root: Block, live: set[Number], varying_arguments: Callable[[Number
                 varying.add(after)
 
     varying.update(x for x in live if x.op == "argument" and varying_arguments(x))
-    of(root)
+    visit(root)
     return varying

@@ -1,9 +1,9 @@
-"""What all members share in each iteration of a loop, computed once: for all blocks, not in each of them.
+"""The numbers that all members share in an iteration of a loop, computed once for all blocks of members.
 
-The position on an orbit at the time of a step is a few hundred operations, as many as the step of a vector of members
-that uses it. So a program in which such numbers depend on a loop's counter alone is split in two. The first computes
-them and writes them down, the second reads them: both go through the same loops, and through nothing else that depends
-on data, so the order of writing is that of reading.
+The position on an orbit at the time of a step costs a few hundred operations, as many as the step of a vector of
+members that uses it. So a program in which such numbers depend on the counter of a loop only is split in two. The first
+program computes and writes them, the second reads them. Both run through the same loops and have no other control flow
+that depends on data, so the order of writing is the order of reading.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from typing import NamedTuple
 
 from lieint_jax.native._program import Block, Branch, Loop, Number, Program
 
-_FEW = 30  # operations that are not worth a table
+_FEW = 30  # the most shared operations that are computed in every block instead
 
 
 class Stream(NamedTuple):
-    """A program, split.
+    """A program in two parts.
 
     Attributes:
-        first: computes and writes what is shared.
-        rest: all else.
-        numbers: what is written, by the loop's body in which it is computed.
+        first: computes and writes the shared numbers.
+        rest: computes everything else.
+        numbers: the shared numbers, by the body of the loop that computes them.
     """
 
     first: Program
@@ -31,7 +31,7 @@ class Stream(NamedTuple):
 
 
 def split(program: Program) -> Stream | None:
-    """The two programs, or None if next to nothing is shared inside loops."""
+    """Split a program in two; None if hardly anything is shared inside loops."""
     loops = list(_loops(program.block, program))
     shared = {
         x
@@ -41,27 +41,28 @@ def split(program: Program) -> Stream | None:
     }
     if not shared:
         return None
-    rest = program.without(shared)
+    rest = program.with_given(shared)
     numbers = {loop.body: [x for x in _numbers(loop.body) if x in shared and x in rest.live] for loop in loops}
-    numbers = {body: some for body, some in numbers.items() if some}
-    tests = [loop.test for loop in loops]  # else what does not change in a loop would be no reason to go through it
-    first = program.only([*tests, *(x for some in numbers.values() for x in some)])
+    numbers = {body: inside for body, inside in numbers.items() if inside}
+    tests = [loop.test for loop in loops]  # included so that both programs run through the same loops
+    first = program.part_that_computes([*tests, *(x for inside in numbers.values() for x in inside)])
     if sum(_length(body, first) for body in numbers) <= _FEW:
         return None
     return Stream(first, rest, numbers)
 
 
 def _loops(block: Block, program: Program) -> Iterator[Loop]:
-    """The loops that all members go through alike, and which change what is theirs."""
+    """The loops with the same iterations for all members that carry numbers of the members."""
     for item in block.items:
-        alike = isinstance(item, Loop) and item.test not in program.varying
-        if alike and any(x in program.varying and x in program.live for x in item.carries):
+        if not isinstance(item, Loop) or item.test in program.varying:
+            continue
+        if any(x in program.varying and x in program.live for x in item.carries):
             yield item
             yield from _loops(item.body, program)
 
 
 def _numbers(body: Block) -> Iterator[Number]:
-    """The numbers that a block itself computes."""
+    """The numbers of a block, without those inside its loops and branches."""
     for item in body.items:
         if isinstance(item, Number):
             yield item
@@ -70,7 +71,7 @@ def _numbers(body: Block) -> Iterator[Number]:
 
 
 def _length(block: Block, program: Program) -> int:
-    """The operations of a block that a program needs, those of inner loops as often as these may go around."""
+    """The number of operations of a block that a program needs; those of inner loops count four times."""
     found = 0
     for item in block.items:
         if isinstance(item, Number):

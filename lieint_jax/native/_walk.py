@@ -1,27 +1,30 @@
 """From a jaxpr to a program of numbers.
 
-An array is a NumPy array of its numbers, so that what only moves entries costs nothing and a product of matrices is its
-products and sums. Loops stay loops, unless they are short.
+An array is a NumPy array of its numbers, so that operations which only move entries cost nothing, and a matrix product
+becomes products and sums. Loops stay loops, unless they are short.
 """
 
 from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NoReturn
 
 import jax
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.core import ShapedArray
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
+from jax.typing import ArrayLike, DTypeLike
 
 from lieint_jax.native._program import Builder, Number
 
-_UNROLLED = 4  # the longest counted loop that is written out
-_WRITTEN_OUT = 400  # and the most numbers of such a loop, all iterations together
+Parameters = Mapping[str, Any]  # of a primitive
+_UNROLLED = 4  # the longest counted loop that is unrolled in any case
+_UNROLLED_NUMBERS = 400  # the most numbers of a longer unrolled loop, in all iterations together
 _LONGEST = 60_000  # the most numbers of a program
 _LARGEST = 10_000  # the most entries of an array
-_SELECTED = 8  # the most numbers of which one is selected by comparing its index; of more it is read from memory
+_SELECTED = 8  # the most numbers from which one is selected by comparing indices; longer arrays are read from memory
 
 
 def _names(words: str) -> frozenset[str]:
@@ -29,20 +32,20 @@ def _names(words: str) -> frozenset[str]:
 
 
 class UnsupportedError(Exception):
-    """A function that cannot be a program of numbers; the message names what it does."""
+    """A function cannot be a program of numbers; the message names the unsupported operation."""
 
 
 class Table:
-    """An array of which a program reads single entries by an index that it computes, such as the times of all steps."""
+    """An array in memory whose entries a program reads by a computed index, such as the times of all steps."""
 
-    def __init__(self, data: Any, dtype: Any, shape: tuple[int, ...]):
+    def __init__(self, data: int, dtype: DTypeLike, shape: tuple[int, ...]):
         self.data, self.dtype, self.shape = data, np.dtype(dtype), shape
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> NoReturn:
         raise UnsupportedError(f"{name} of a long array")
 
 
-def array_of(numbers: Sequence[Any], shape: Sequence[int]) -> np.ndarray:
+def array_of(numbers: Sequence[object], shape: Sequence[int]) -> np.ndarray:
     """Numbers as an array."""
     found = np.empty(len(numbers), object)
     for k, x in enumerate(numbers):
@@ -50,27 +53,34 @@ def array_of(numbers: Sequence[Any], shape: Sequence[int]) -> np.ndarray:
     return found.reshape(shape)
 
 
+def shapes_of(variables: Sequence[Any]) -> list[ShapedArray]:
+    """The shapes and types of variables of a jaxpr."""
+    return [x.aval for x in variables]
+
+
 class Walk:
     """A walk through a jaxpr, which adds its operations to a builder.
 
     Args:
         builder: the program so far.
-        elsewhere: (equation, operands) ↦ the results of an operation that is no arithmetic, or None.
+        compute_before: (equation, operands) ↦ the results of an operation without a formula here, or None.
     """
 
-    def __init__(self, builder: Builder, elsewhere: Callable[[Any, list[np.ndarray]], list[np.ndarray] | None]):
-        self.builder, self._elsewhere = builder, elsewhere
+    def __init__(
+        self, builder: Builder, compute_before: Callable[[JaxprEqn, list[np.ndarray]], list[np.ndarray] | None]
+    ):
+        self.builder, self._compute_before = builder, compute_before
 
-    def jaxpr(self, closed: ClosedJaxpr | Jaxpr, arguments: Sequence[Any]) -> list[Any]:
+    def jaxpr(self, closed: ClosedJaxpr | Jaxpr, arguments: Sequence[np.ndarray]) -> list[np.ndarray]:
         """The results of a jaxpr, as arrays of numbers."""
         jaxpr: Any = closed.jaxpr if isinstance(closed, ClosedJaxpr) else closed
         given = closed.consts if isinstance(closed, ClosedJaxpr) else []
-        consts = [self.known(x, var.aval.dtype) for x, var in zip(given, jaxpr.constvars, strict=True)]
+        consts = [self.constant_array(x, var.aval.dtype) for x, var in zip(given, jaxpr.constvars, strict=True)]
         values: dict[Any, Any] = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *arguments], strict=True))
 
         def read(atom: Any) -> Any:
             if isinstance(atom, Literal):
-                return self.known(atom.val, atom.aval.dtype)  # pyright: ignore[reportAttributeAccessIssue]
+                return self.constant_array(atom.val, atom.aval.dtype)  # pyright: ignore[reportAttributeAccessIssue]
             return values[atom]
 
         for equation in jaxpr.eqns:
@@ -80,8 +90,8 @@ class Walk:
                 raise UnsupportedError(f"more than {_LONGEST} operations")
         return [read(x) for x in jaxpr.outvars]
 
-    def known(self, x: Any, dtype: Any) -> np.ndarray:
-        """A known array."""
+    def constant_array(self, x: ArrayLike, dtype: DTypeLike) -> np.ndarray:
+        """An array of constants."""
         if jax.numpy.issubdtype(dtype, jax.dtypes.prng_key):
             raise UnsupportedError("random keys")
         x = np.asarray(x, dtype)
@@ -89,13 +99,13 @@ class Walk:
             raise UnsupportedError(f"an array of {x.size} entries")
         return array_of([self.builder.constant(value) for value in x.flat], x.shape)
 
-    def number(self, op: str, *inputs: Number, dtype: Any = None, data: Any = None) -> Number:
+    def number(self, op: str, *inputs: Number, dtype: DTypeLike | None = None, data: object = None) -> Number:
         """The result of an operation on numbers."""
         return self.builder.number(op, *inputs, dtype=dtype, data=data)
 
-    def _equation(self, equation: Any, inputs: list[Any]) -> list[Any]:
+    def _equation(self, equation: JaxprEqn, inputs: list[np.ndarray]) -> list[np.ndarray]:
         name, parameters = equation.primitive.name, equation.params
-        out = [x.aval for x in equation.outvars]
+        out = shapes_of(equation.outvars)
         if any(np.prod(x.shape) > _LARGEST for x in out):
             raise UnsupportedError(f"an array of shape {out[0].shape}")
         if name in _STRUCTURE:
@@ -114,9 +124,9 @@ class Walk:
             return [_SPECIAL[name](self, inputs, parameters, out[0])]
         formula = _FORMULAS.get(name)
         if formula is None and name in _MACHINE:
-            formula = functools.partial(_plain, op=_MACHINE[name])
+            formula = functools.partial(_elementwise, op=_MACHINE[name])
         if formula is None:
-            results = self._elsewhere(equation, inputs)
+            results = self._compute_before(equation, inputs)
             if results is None:
                 raise UnsupportedError(name)
             return results
@@ -125,17 +135,19 @@ class Walk:
         entries = [formula(self, row, parameters, dtype) for row in zip(*(x.flat for x in arrays), strict=True)]
         return [array_of(entries, arrays[0].shape)]
 
-    def _structure(self, name: str, inputs: list[Any], parameters: Any, out: list[Any]) -> list[Any]:
+    def _structure(
+        self, name: str, inputs: list[np.ndarray], parameters: Parameters, out: list[ShapedArray]
+    ) -> list[np.ndarray]:
         if any(isinstance(x, Table) for x in inputs):
             raise UnsupportedError(f"{name} of a long array")
         found = _STRUCTURE[name](*inputs, **parameters)
         return list(found) if name in ("split", "unstack") else [found]
 
-    def _call(self, parameters: Any, inputs: list[Any]) -> list[Any]:
+    def _call(self, parameters: Parameters, inputs: list[np.ndarray]) -> list[np.ndarray]:
         inner = next(parameters[key] for key in ("jaxpr", "call_jaxpr", "fun_jaxpr", "call") if key in parameters)
         return self.jaxpr(inner, inputs)
 
-    def _look_up(self, name: str, inputs: list[Any], parameters: Any, out: Any) -> np.ndarray:
+    def _look_up(self, name: str, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
         """An entry of a table."""
         table = inputs[0]
         one = name == "dynamic_slice" or (name == "gather" and inputs[1].size == 1)
@@ -144,13 +156,13 @@ class Walk:
         mode = parameters["mode"].name if name == "gather" else "CLIP"
         [index], inside = _window(self, table.shape, (1,), list(inputs[1].flat), (0,), {}, mode)
         found = self.number("table", index, dtype=table.dtype, data=table.data)
-        return array_of([found if name != "gather" else _filled(self, inside, found, parameters)], out.shape)
+        return array_of([found if name != "gather" else _fill(self, inside, found, parameters)], out.shape)
 
     def index(self, k: int) -> Number:
-        """A known index."""
+        """A constant index."""
         return self.builder.constant(k, np.int64)
 
-    def clipped(self, index: Number, last: int) -> Number:
+    def clip_index(self, index: Number, last: int) -> Number:
         """An index from 0 to `last`, an int64."""
         index = self.number("convert", index, dtype=np.int64)
         return self.number("min", self.number("max", index, self.index(0)), self.index(last))
@@ -162,7 +174,7 @@ class Walk:
         pairs = zip(on_true.flat, on_false.flat, strict=True)
         return array_of([self.select(test, x, y) for x, y in pairs], on_true.shape)
 
-    def flattened_loop(
+    def loop_over_arrays(
         self,
         starts: list[np.ndarray],
         test: Callable[[list[np.ndarray]], Number],
@@ -185,7 +197,7 @@ class Walk:
 # control
 
 
-def _while(walk: Walk, inputs: list[Any], parameters: Any) -> list[Any]:
+def _while(walk: Walk, inputs: list[np.ndarray], parameters: Parameters) -> list[np.ndarray]:
     n, m = parameters["cond_nconsts"], parameters["body_nconsts"]
     of_test, of_body, starts = inputs[:n], inputs[n : n + m], inputs[n + m :]
 
@@ -198,13 +210,17 @@ def _while(walk: Walk, inputs: list[Any], parameters: Any) -> list[Any]:
     def following(carry: list[np.ndarray]) -> list[np.ndarray]:
         after = walk.jaxpr(parameters["body_jaxpr"], [*of_body, *carry])
         which = tests(carry)
-        return after if not which.ndim else [_by_entry(walk, which, *pair) for pair in zip(after, carry, strict=True)]
+        return (
+            after
+            if not which.ndim
+            else [_select_entries(walk, which, *pair) for pair in zip(after, carry, strict=True)]
+        )
 
-    return walk.flattened_loop(starts, test, following)
+    return walk.loop_over_arrays(starts, test, following)
 
 
-def _by_entry(walk: Walk, which: np.ndarray, after: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """What a loop with a test for each entry of the leading axes carries on."""
+def _select_entries(walk: Walk, which: np.ndarray, after: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """The values carried by a loop that has a test for each entry of the leading axes."""
     found = np.empty(after.shape, object)
     for index in np.ndindex(after.shape):
         test: Any = which[index[: which.ndim]]
@@ -212,13 +228,13 @@ def _by_entry(walk: Walk, which: np.ndarray, after: np.ndarray, before: np.ndarr
     return found
 
 
-def _scan(walk: Walk, inputs: list[Any], parameters: Any) -> list[Any]:
+def _scan(walk: Walk, inputs: list[np.ndarray], parameters: Parameters) -> list[np.ndarray]:
     length, closed = parameters["length"], parameters["jaxpr"]
     n, m = parameters["num_consts"], parameters["num_consts"] + parameters["num_carry"]
     consts, starts, series = inputs[:n], inputs[n:m], inputs[m:]
     order = range(length)[::-1] if parameters["reverse"] else range(length)
     stacked = len(closed.out_avals) > len(starts)
-    if stacked or length <= _UNROLLED or length * _size(closed.jaxpr) <= _WRITTEN_OUT:
+    if stacked or length <= _UNROLLED or length * _size(closed.jaxpr) <= _UNROLLED_NUMBERS:
         carry, rows = starts, []
         for k in order:
             found = walk.jaxpr(closed, [*consts, *carry, *(x[k] for x in map(_arrays, series))])
@@ -239,17 +255,17 @@ def _scan(walk: Walk, inputs: list[Any], parameters: Any) -> list[Any]:
         after = walk.jaxpr(closed, [*consts, *carry[1:], *rows])
         return [array_of([walk.number("add", k, one)], ()), *after]
 
-    return walk.flattened_loop(
+    return walk.loop_over_arrays(
         [array_of([zero], ()), *starts], lambda c: walk.number("lt", c[0].item(), end), following
     )[1:]
 
 
-def _arrays(x: Any) -> np.ndarray:
+def _arrays(x: np.ndarray) -> np.ndarray:
     return x if x.ndim > 1 else array_of([array_of([y], ()) for y in x.flat], x.shape)
 
 
-def _row(walk: Walk, x: Any, k: Number) -> np.ndarray:
-    """x[k] of an array of numbers at an index that only the program knows."""
+def _row(walk: Walk, x: np.ndarray | Table, k: Number) -> np.ndarray:
+    """x[k] of an array of numbers at an index that the program computes."""
     if isinstance(x, Table):
         return array_of([walk.number("table", k, dtype=x.dtype, data=x.data)], ())
     columns = x.reshape(len(x), -1).T
@@ -266,12 +282,14 @@ def _entry(walk: Walk, column: list[Number], k: Number) -> Number:
     return walk.number("entry", k, array, dtype=column[0].dtype)
 
 
-def _cond(walk: Walk, inputs: list[Any], parameters: Any) -> list[Any]:
+def _cond(walk: Walk, inputs: list[np.ndarray], parameters: Parameters) -> list[np.ndarray]:
     index, operands = inputs[0].item(), inputs[1:]
     return _branches(walk, index, parameters["branches"], operands)
 
 
-def _branches(walk: Walk, index: Number, branches: Sequence[Any], operands: list[Any]) -> list[Any]:
+def _branches(
+    walk: Walk, index: Number, branches: Sequence[ClosedJaxpr], operands: list[np.ndarray]
+) -> list[np.ndarray]:
     """The results of the branch of number `index`."""
     if len(branches) == 1:
         return walk.jaxpr(branches[0], operands)
@@ -292,7 +310,7 @@ def _branches(walk: Walk, index: Number, branches: Sequence[Any], operands: list
     return [array_of([next(left) for _ in range(int(np.prod(shape)))], shape) for shape in shapes]
 
 
-def _linear_solve(walk: Walk, inputs: list[Any], parameters: Any) -> list[Any]:
+def _linear_solve(walk: Walk, inputs: list[np.ndarray], parameters: Parameters) -> list[np.ndarray]:
     lengths = parameters["const_lengths"]
     first = sum(lengths[:2])
     return walk.jaxpr(parameters["jaxprs"].solve, [*inputs[first : first + lengths.solve], *inputs[sum(lengths) :]])
@@ -310,11 +328,11 @@ def _size(jaxpr: Any) -> int:
     return found
 
 
-def _is_jaxpr(x: Any) -> bool:
+def _is_jaxpr(x: object) -> bool:
     return isinstance(x, ClosedJaxpr | Jaxpr)
 
 
-_CONTROL: dict[str, Callable[..., list[Any]]] = {
+_CONTROL: dict[str, Callable[..., list[np.ndarray]]] = {
     "while": _while,
     "scan": _scan,
     "cond": _cond,
@@ -330,18 +348,22 @@ _CALLS = _names(
 # what moves entries
 
 
-def _broadcast_in_dim(x: np.ndarray, *_: Any, shape: Any, broadcast_dimensions: Any, **__: Any) -> np.ndarray:
+def _broadcast_in_dim(
+    x: np.ndarray, *_: object, shape: Sequence[int], broadcast_dimensions: Sequence[int], **__: object
+) -> np.ndarray:
     sizes = [1] * len(shape)
     for axis, n in zip(broadcast_dimensions, x.shape, strict=True):
         sizes[axis] = n
     return np.broadcast_to(x.reshape(sizes), shape)
 
 
-def _slice(x: np.ndarray, start_indices: Any, limit_indices: Any, strides: Any) -> np.ndarray:
+def _slice(
+    x: np.ndarray, start_indices: Sequence[int], limit_indices: Sequence[int], strides: Sequence[int] | None
+) -> np.ndarray:
     return x[tuple(itertools.starmap(slice, zip(start_indices, limit_indices, strides or (1,) * x.ndim, strict=True)))]
 
 
-def _pad(x: np.ndarray, value: np.ndarray, padding_config: Any) -> np.ndarray:
+def _pad(x: np.ndarray, value: np.ndarray, padding_config: Sequence[tuple[int, int, int]]) -> np.ndarray:
     shape = [lo + hi + max(n + (n - 1) * gap, 0) for n, (lo, hi, gap) in zip(x.shape, padding_config, strict=True)]
     found = array_of([value.item()] * int(np.prod(shape)), shape)
     for index in np.ndindex(x.shape):
@@ -351,11 +373,11 @@ def _pad(x: np.ndarray, value: np.ndarray, padding_config: Any) -> np.ndarray:
     return found
 
 
-def _stack(*arrays: np.ndarray, axis: int = 0, **_: Any) -> np.ndarray:
+def _stack(*arrays: np.ndarray, axis: int = 0, **_: object) -> np.ndarray:
     return np.concatenate([np.expand_dims(x, axis) for x in arrays], axis)
 
 
-def _unstack(x: np.ndarray, axis: int, **_: Any) -> list[np.ndarray]:
+def _unstack(x: np.ndarray, axis: int, **_: object) -> list[np.ndarray]:
     return [array_of(list(y.flat), y.shape) for y in (x.take([k], axis).squeeze(axis) for k in range(x.shape[axis]))]
 
 
@@ -379,11 +401,11 @@ _STRUCTURE: dict[str, Callable[..., Any]] = {
 # arithmetic
 
 
-def _plain(walk: Walk, x: Sequence[Number], parameters: Any, dtype: np.dtype, op: str) -> Number:
+def _elementwise(walk: Walk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype, op: str) -> Number:
     return walk.number(op, *x, dtype=dtype)
 
 
-def _integer_power(walk: Walk, x: Sequence[Number], parameters: Any, dtype: np.dtype) -> Number:
+def _integer_power(walk: Walk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
     exponent, base = parameters["y"], x[0]
     found, power = None, base
     for bit in reversed(bin(abs(exponent))[2:]):
@@ -395,7 +417,7 @@ def _integer_power(walk: Walk, x: Sequence[Number], parameters: Any, dtype: np.d
     return walk.number("div", one, found) if exponent < 0 else found
 
 
-def _select(walk: Walk, x: Sequence[Number], parameters: Any, dtype: np.dtype) -> Number:
+def _select(walk: Walk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
     which, cases = x[0], x[1:]
     if which.dtype == bool:
         return walk.select(which, cases[1], cases[0]) if len(cases) > 1 else cases[0]
@@ -405,8 +427,8 @@ def _select(walk: Walk, x: Sequence[Number], parameters: Any, dtype: np.dtype) -
     return found
 
 
-def _quotient(walk: Walk, x: Sequence[Number], parameters: Any, dtype: np.dtype, op: str) -> Number:
-    """A quotient or a remainder; of integers as XLA defines it also by 0 and −1, where a machine stops."""
+def _quotient(walk: Walk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype, op: str) -> Number:
+    """A quotient or a remainder; that of integers by 0 and −1, where a CPU would trap, as XLA defines it."""
     if dtype.kind == "f":
         return walk.number(op, *x)
     a, b = x
@@ -418,26 +440,26 @@ def _quotient(walk: Walk, x: Sequence[Number], parameters: Any, dtype: np.dtype,
     return walk.select(by_zero, ones if op == "div" else a, found)
 
 
-def _shift(walk: Walk, x: Sequence[Number], parameters: Any, dtype: np.dtype, op: str) -> Number:
-    """A shift; by too many bits, or by fewer than none, all are shifted out."""
+def _shift(walk: Walk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype, op: str) -> Number:
+    """A shift; for a shift by too many bits, or by a negative number, all bits are shifted out."""
     zero, last = (walk.builder.constant(k, dtype) for k in (0, 8 * dtype.itemsize - 1))
     inside = walk.number("and", walk.number("ge", x[1], zero), walk.number("le", x[1], last))
     found = walk.number(op, x[0], walk.select(inside, x[1], last))
     return found if op == "shift_right_arithmetic" else walk.select(inside, found, zero)
 
 
-def _absolute(walk: Walk, x: Sequence[Number], parameters: Any, dtype: np.dtype) -> Number:
+def _absolute(walk: Walk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
     return x[0] if dtype.kind == "u" else walk.number("abs", x[0])
 
 
-def _reduced_precision(walk: Walk, x: Sequence[Number], parameters: Any, dtype: np.dtype) -> Number:
+def _reduce_precision(walk: Walk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
     info = np.finfo(dtype)
     if (parameters["exponent_bits"], parameters["mantissa_bits"]) != (info.nexp, info.nmant):
         raise UnsupportedError("reduce_precision")
     return x[0]
 
 
-def _sign(walk: Walk, x: Sequence[Number], parameters: Any, dtype: np.dtype) -> Number:
+def _sign(walk: Walk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
     if dtype.kind == "u":
         return walk.number("min", x[0], walk.builder.constant(1, dtype))
     zero, one, minus = (walk.builder.constant(k, dtype) for k in (0, 1, -1))
@@ -445,15 +467,15 @@ def _sign(walk: Walk, x: Sequence[Number], parameters: Any, dtype: np.dtype) -> 
     return walk.select(walk.number("gt", x[0], zero), one, below)
 
 
-def _round(walk: Walk, x: Sequence[Number], parameters: Any, dtype: np.dtype) -> Number:
+def _round(walk: Walk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
     return walk.number("round_even" if int(parameters["rounding_method"]) else "round_away", x[0])
 
 
-def _power(walk: Walk, x: Sequence[Number], parameters: Any, dtype: np.dtype) -> Number:
+def _power(walk: Walk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
     return walk.number("pow", x[0], walk.number("convert", x[1], dtype=dtype))
 
 
-def _is_finite(walk: Walk, x: Sequence[Number], parameters: Any, dtype: np.dtype) -> Number:
+def _is_finite(walk: Walk, x: Sequence[Number], parameters: Parameters, dtype: np.dtype) -> Number:
     return walk.number("lt", walk.number("abs", x[0]), walk.builder.constant(np.inf, x[0].dtype))
 
 
@@ -467,7 +489,7 @@ _FORMULAS: dict[str, Callable[..., Number]] = {
     "is_finite": _is_finite,
     "name": lambda walk, x, p, dtype: x[0],
     "pow": _power,
-    "reduce_precision": _reduced_precision,
+    "reduce_precision": _reduce_precision,
     "rem": functools.partial(_quotient, op="rem"),
     "round": _round,
     "rsqrt": lambda walk, x, p, dtype: walk.number("div", walk.builder.constant(1, dtype), walk.number("sqrt", x[0])),
@@ -480,18 +502,18 @@ _FORMULAS: dict[str, Callable[..., Number]] = {
     "stop_gradient": lambda walk, x, p, dtype: x[0],
     "convert_element_type": lambda walk, x, p, dtype: walk.number("convert", x[0], dtype=dtype),
 }
-_SAME = _names(
+_SAME_NAMES = _names(
     "acos acosh add and asin asinh atan atan2 atanh cbrt ceil cos cosh eq exp exp2 expm1 floor ge gt le log log1p "
     "logistic lt max min mul ne neg not or sin sinh sqrt sub tan tanh xor"
 )
-_MACHINE = {"add_any": "add"} | {name: name for name in _SAME}
+_MACHINE = {"add_any": "add"} | {name: name for name in _SAME_NAMES}
 
 
 # reductions, products, indices
 
 
 def _reduction(op: str) -> Callable[..., np.ndarray]:
-    def reduce(walk: Walk, inputs: list[np.ndarray], parameters: Any, out: Any) -> np.ndarray:
+    def reduce(walk: Walk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
         x, axes = inputs[0], parameters["axes"]
         rest = [n for n in range(x.ndim) if n not in axes]
         rows = x.transpose(*rest, *axes).reshape(int(np.prod(out.shape)), int(np.prod([x.shape[n] for n in axes])))
@@ -500,7 +522,7 @@ def _reduction(op: str) -> Callable[..., np.ndarray]:
     return reduce
 
 
-def _of_nothing(op: str, dtype: np.dtype) -> Any:
+def _empty_reduction(op: str, dtype: np.dtype) -> Any:
     """The result of a reduction of no terms."""
     if op in ("max", "min"):
         ends = (-np.inf, np.inf) if dtype.kind == "f" else (False, True)
@@ -511,12 +533,12 @@ def _of_nothing(op: str, dtype: np.dtype) -> Any:
 
 def _sum(walk: Walk, op: str, terms: list[Number], dtype: np.dtype) -> Number:
     if not terms:
-        return walk.builder.constant(_of_nothing(op, dtype), dtype)
+        return walk.builder.constant(_empty_reduction(op, dtype), dtype)
     return functools.reduce(lambda x, y: walk.number(op, x, y), terms)
 
 
 def _cumulative(op: str) -> Callable[..., np.ndarray]:
-    def cumulate(walk: Walk, inputs: list[np.ndarray], parameters: Any, out: Any) -> np.ndarray:
+    def cumulate(walk: Walk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
         x = np.moveaxis(inputs[0], parameters["axis"], 0)
         found = np.empty(x.shape, object)
         order = range(len(x))[::-1] if parameters["reverse"] else range(len(x))
@@ -530,10 +552,10 @@ def _cumulative(op: str) -> Callable[..., np.ndarray]:
     return cumulate
 
 
-def _product(walk: Walk, inputs: list[np.ndarray], parameters: Any, out: Any) -> np.ndarray:
+def _product(walk: Walk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
     a, b = inputs
     (a_sum, b_sum), (a_each, b_each) = parameters["dimension_numbers"]
-    left, right = _arranged(a, a_each, a_sum), _arranged(b, b_each, b_sum)
+    left, right = _as_matrices(a, a_each, a_sum), _as_matrices(b, b_each, b_sum)
     dtype = np.dtype(out.dtype)
 
     def as_result(x: Number) -> Number:
@@ -553,21 +575,21 @@ def _product(walk: Walk, inputs: list[np.ndarray], parameters: Any, out: Any) ->
     return array_of(entries, out.shape)
 
 
-def _arranged(x: np.ndarray, each: Sequence[int], summed: Sequence[int]) -> np.ndarray:
+def _as_matrices(x: np.ndarray, each: Sequence[int], summed: Sequence[int]) -> np.ndarray:
     """The axes of a factor as (those of both, its own, those to sum over)."""
     own = [n for n in range(x.ndim) if n not in (*each, *summed)]
     sizes = [int(np.prod([x.shape[n] for n in axes])) for axes in (each, own, summed)]
     return x.transpose(*each, *own, *summed).reshape(sizes)
 
 
-def _iota(walk: Walk, inputs: list[np.ndarray], parameters: Any, out: Any) -> np.ndarray:
+def _iota(walk: Walk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
     n = out.shape[parameters["dimension"]]
     sizes = [n if k == parameters["dimension"] else 1 for k in range(len(out.shape))]
-    return walk.known(np.broadcast_to(np.arange(n).reshape(sizes), out.shape), out.dtype)
+    return walk.constant_array(np.broadcast_to(np.arange(n).reshape(sizes), out.shape), out.dtype)
 
 
 def _extreme(by: str) -> Callable[..., np.ndarray]:
-    def index_of(walk: Walk, inputs: list[np.ndarray], parameters: Any, out: Any) -> np.ndarray:
+    def index_of(walk: Walk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
         [axis] = parameters["axes"]
         rows = np.moveaxis(inputs[0], axis, -1).reshape(-1, inputs[0].shape[axis])
         found = []
@@ -591,7 +613,7 @@ def _first_nan(walk: Walk, x: Number, before: Number) -> Number:
 
 
 def _entry_at(walk: Walk, x: np.ndarray, index: Sequence[Number]) -> Number:
-    """x[index], where each index is in bounds, and may be a number that only the program knows."""
+    """x[index], where each index is in bounds, and may be a number that the program computes."""
     if not len(index):
         return x.item()
     k, rest = index[0], index[1:]
@@ -610,23 +632,25 @@ def _offset(walk: Walk, start: Number, offset: int) -> Number:
     return walk.number("add", start, walk.index(offset))
 
 
-def _dynamic_slice(walk: Walk, inputs: list[np.ndarray], parameters: Any, out: Any) -> np.ndarray:
+def _dynamic_slice(walk: Walk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
     x, sizes = inputs[0], parameters["slice_sizes"]
-    starts = [walk.clipped(k.item(), n - m) for k, n, m in zip(inputs[1:], x.shape, sizes, strict=True)]
+    starts = [walk.clip_index(k.item(), n - m) for k, n, m in zip(inputs[1:], x.shape, sizes, strict=True)]
     found = np.empty(sizes, object)
     for index in np.ndindex(*sizes):
         found[index] = _entry_at(walk, x, [_offset(walk, s, k) for s, k in zip(starts, index, strict=True)])
     return found
 
 
-def _dynamic_update_slice(walk: Walk, inputs: list[np.ndarray], parameters: Any, out: Any) -> np.ndarray:
+def _dynamic_update_slice(walk: Walk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
     x, update = inputs[:2]
     pairs = zip(inputs[2:], x.shape, update.shape, strict=True)
-    starts = [walk.clipped(k.item(), n - m) for k, n, m in pairs]
-    return _written(walk, x, [(starts, walk.builder.constant(True), update)], lambda old, new: new)
+    starts = [walk.clip_index(k.item(), n - m) for k, n, m in pairs]
+    return _write_windows(walk, x, [(starts, walk.builder.constant(True), update)], lambda old, new: new)
 
 
-def _written(walk: Walk, x: np.ndarray, updates: Any, combine: Callable[[Number, Number], Number]) -> np.ndarray:
+def _write_windows(
+    walk: Walk, x: np.ndarray, updates: Sequence[Window], combine: Callable[[Number, Number], Number]
+) -> np.ndarray:
     """x with windows (their first index, whether they are written, their numbers) written into it."""
     found = np.array(x, object)
     for starts, inside, update in updates:
@@ -635,9 +659,12 @@ def _written(walk: Walk, x: np.ndarray, updates: Any, combine: Callable[[Number,
             for place in np.ndindex(x.shape):
                 same = [walk.number("eq", k, walk.builder.constant(n, k.dtype)) for k, n in zip(at, place, strict=True)]
                 here = _sum(walk, "and", [*same, inside], np.dtype(bool))
-                before: Any = found[place]
-                found[place] = walk.select(here, combine(before, update[index]), before)
+                before, new = found[place], update[index]
+                found[place] = walk.select(here, combine(before, new), before)  # pyright: ignore[reportArgumentType]
     return found
+
+
+Window = tuple[list[Number], Number, np.ndarray]  # its first index, whether it is written, its numbers
 
 
 def _window(
@@ -649,7 +676,7 @@ def _window(
     batch: dict[int, int],
     mode: str,
 ) -> tuple[list[Number], Number]:
-    """Where a window of an array begins, moved inside, and whether it was inside, or is taken to be.
+    """The first index of a window of an array, moved inside, and whether it was inside before (or counts as inside).
 
     Args:
         walk: the walk.
@@ -662,15 +689,15 @@ def _window(
         raise UnsupportedError(f"indices of mode {mode}")
     starts, inside = [walk.index(batch.get(n, 0)) for n in range(len(shape))], walk.builder.constant(True)
     for n, k in zip(axes, index, strict=True):
-        starts[n] = walk.clipped(k, shape[n] - sizes[n])
+        starts[n] = walk.clip_index(k, shape[n] - sizes[n])
         if mode == "FILL_OR_DROP":
             same = walk.number("eq", walk.number("convert", k, dtype=np.int64), starts[n])
             inside = walk.number("and", inside, same)
     return starts, inside
 
 
-def _filled(walk: Walk, inside: Number, found: Number, parameters: Any) -> Number:
-    """What a gather finds, or its fill value."""
+def _fill(walk: Walk, inside: Number, found: Number, parameters: Parameters) -> Number:
+    """The entry of a gather if it is inside, else the fill value."""
     value, dtype = parameters["fill_value"], found.dtype
     if value is None:
         value = {"f": np.nan, "b": True}.get(dtype.kind)
@@ -679,7 +706,7 @@ def _filled(walk: Walk, inside: Number, found: Number, parameters: Any) -> Numbe
     return walk.select(inside, found, walk.builder.constant(value, dtype))
 
 
-def _gather(walk: Walk, inputs: list[np.ndarray], parameters: Any, out: Any) -> np.ndarray:
+def _gather(walk: Walk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
     x, indices = inputs
     numbers, sizes, mode = parameters["dimension_numbers"], parameters["slice_sizes"], parameters["mode"].name
     offset_dims, batching = numbers.offset_dims, numbers.operand_batching_dims
@@ -692,12 +719,12 @@ def _gather(walk: Walk, inputs: list[np.ndarray], parameters: Any, out: Any) -> 
         at, inside = _window(walk, x.shape, sizes, index, numbers.start_index_map, known, mode)
         for n, m in zip(window_axes, offset_dims, strict=True):
             at[n] = _offset(walk, at[n], place[m])
-        found[place] = _filled(walk, inside, _entry_at(walk, x, at), parameters)
+        found[place] = _fill(walk, inside, _entry_at(walk, x, at), parameters)
     return found
 
 
 def _scatter(combine: str | None) -> Callable[..., np.ndarray]:
-    def scatter(walk: Walk, inputs: list[np.ndarray], parameters: Any, out: Any) -> np.ndarray:
+    def scatter(walk: Walk, inputs: list[np.ndarray], parameters: Parameters, out: ShapedArray) -> np.ndarray:
         x, indices, updates = inputs
         numbers, mode = parameters["dimension_numbers"], parameters["mode"].name
         batching, axes = numbers.operand_batching_dims, numbers.scatter_dims_to_operand_dims
@@ -711,7 +738,7 @@ def _scatter(combine: str | None) -> Callable[..., np.ndarray]:
             part = np.expand_dims(updates[tuple(chosen)], tuple(single))
             known = {n: batch[m] for n, m in zip(batching, numbers.scatter_indices_batching_dims, strict=True)}
             windows.append((*_window(walk, x.shape, part.shape, list(indices[batch]), axes, known, mode), part))
-        return _written(walk, x, windows, lambda a, b: b if combine is None else walk.number(combine, a, b))
+        return _write_windows(walk, x, windows, lambda a, b: b if combine is None else walk.number(combine, a, b))
 
     return scatter
 

@@ -11,7 +11,6 @@ computes them again. Reductions follow Cody & Waite, *Software Manual for the El
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 from llvmlite import ir
 
@@ -19,6 +18,7 @@ from lieint_jax.native._number import (
     BIT,
     DOUBLE,
     INT,
+    Llvm,
     Number,
     Pair,
     absolute,
@@ -135,7 +135,7 @@ def _reduce_large(x: Number, *reduced: Number) -> tuple[Number, ...]:
     if not isinstance(type_, ir.VectorType):
         lanes = _call("payne_hanek", _payne_hanek, (x,), "noinline")
         return tuple(where(large, new, old) for new, old in zip(lanes, reduced, strict=True))
-    values: list[Any] = [number.value for number in reduced]
+    values: list[Llvm] = [number.value for number in reduced]
     for index in map(ir.IntType(32), range(type_.count)):
         lane = Number(builder, builder.extract_element(x.value, index))
         for part, number in enumerate(_call("payne_hanek", _payne_hanek, (lane,), "noinline")):
@@ -183,7 +183,7 @@ def _payne_hanek(x: Number) -> tuple[Number, Number, Number]:
     size = last // 8 + 24
     table = _two_over_pi(8 * size - _PADDING).to_bytes(size, "little")
     data = ir.Constant(ir.ArrayType(ir.IntType(8), size), bytearray(table))
-    stored: Any = ir.GlobalVariable(module, data.type, "lieint.two_over_pi")
+    stored: Llvm = ir.GlobalVariable(module, data.type, "lieint.two_over_pi")
     stored.linkage, stored.global_constant, stored.initializer = "internal", True, data
     offset = builder.sub(INT(size - 24), builder.lshr(first, INT(3)))
     address = builder.gep(stored, [INT(0), offset])
@@ -619,10 +619,10 @@ def _call(name: str, formula: Callable, args: tuple[Number, ...], attribute: str
         function.linkage = "internal"
         if attribute:
             function.attributes.add(attribute)
-        inside: Any = ir.IRBuilder(function.append_basic_block())
+        inside: Llvm = ir.IRBuilder(function.append_basic_block())
         results = formula(*(Number(inside, argument) for argument in function.args))
         values = [number.value for number in (results if isinstance(results, tuple) else (results,))]
-        packed: Any = ir.Constant(signature.return_type, ir.Undefined)
+        packed: Llvm = ir.Constant(signature.return_type, ir.Undefined)
         for part, value in enumerate(values):
             packed = inside.insert_value(packed, value, part)
         inside.ret(packed)
@@ -635,7 +635,7 @@ _RETURNED = {"sincos": [DOUBLE, DOUBLE], **dict.fromkeys(("reduce_large", "payne
 _INLINED = {"sin", "cos", "sincos", "exp", "log", "atan2"}
 
 
-def _emit(name: str, formula: Callable, builder: Any, args: tuple[Any, ...]) -> list[Any]:
+def _emit(name: str, formula: Callable, builder: Llvm, args: tuple[Llvm, ...]) -> list[Llvm]:
     """The values of a function, computed as doubles and rounded to the type of the arguments."""
     type_ = args[0].type
     doubles = with_element(type_, DOUBLE)
@@ -645,14 +645,14 @@ def _emit(name: str, formula: Callable, builder: Any, args: tuple[Any, ...]) -> 
     return [builder.fptrunc(number.value, type_) if narrow else number.value for number in results]
 
 
-def sincos(builder: Any, x: Any) -> tuple[Any, Any]:
+def sincos(builder: Llvm, x: Llvm) -> tuple[Llvm, Llvm]:
     """(sin x, cos x) with one reduction; the bits are those of both functions."""
     sine, cosine = _emit("sincos", _sincos, builder, (x,))
     return sine, cosine
 
 
 def _emitter(name: str, formula: Callable) -> Callable[..., ir.Value]:
-    def emit(builder: Any, *args: Any) -> Any:
+    def emit(builder: Llvm, *args: Llvm) -> Llvm:
         return _emit(name, formula, builder, args)[0]
 
     return emit

@@ -306,7 +306,7 @@ def test_bad_commands(capsys):
         ),
         (["info", "no.npz"], r"there is no file no\.npz; lieint run NAME --out no\.npz writes one"),
         (["plot", "no.zarr"], r"there is no file no\.zarr; lieint run NAME --out no\.zarr writes one"),
-        (["info", "."], r"\. is a folder without results; give a file NAME\.npz or a store NAME\.zarr"),
+        (["info", "."], r"\. is a folder without results; pass a file NAME\.npz or a store NAME\.zarr"),
         (["run", "toutatis", "--members", "0"], "members: .*greater than 0"),
         (["run", "toutatis", "--out", "results.csv"], r"\.npz or \.zarr, got results\.csv"),
         (["run", "toutatis", "--out", "no/where.npz"], "folder no does not exist"),

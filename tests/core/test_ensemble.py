@@ -103,7 +103,10 @@ def test_bad_batches():
     for bad, message in (
         (State(good.q[0], good.p[0]), "leading member axis"),
         (State(good.q[:2], good.p), "leading member axis"),
-        (State(good.q.at[1, 0].set(jnp.nan), good.p), r"states\.q must be finite, and is not for 1 member\(s\): 1"),
+        (
+            State(good.q.at[1, 0].set(jnp.nan), good.p),
+            r"states\.q must be finite, and is not finite for 1 member\(s\): 1",
+        ),
         (State(good.q.at[2].multiply(1.01), good.p), r"off the configuration space.*1 member\(s\): 2"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -134,12 +134,12 @@ def test_times_that_make_no_run_are_refused():
         ({"times": GRADED[::2][::-1]}, "times must begin at the time of the state"),
         ({"times": GRADED, "save_at": [1, 0.9]}, "save_at must be in the order of the run"),
         ({"times": GRADED, "save_at": [4.0]}, "save_at must lie in the run"),
-        ({"times": GRADED, "save_at": [1.0], "save_every": 5}, "give save_at or save_every, not both"),
-        ({"times": GRADED, "save_at": [1.0], "reduce": "energy"}, "give save_at or reduce, not both"),
+        ({"times": GRADED, "save_at": [1.0], "save_every": 5}, "pass save_at or save_every, not both"),
+        ({"times": GRADED, "save_at": [1.0], "reduce": "energy"}, "pass save_at or reduce, not both"),
     ]:
         with pytest.raises(ValueError, match=message):
             run(uniform=uniform)
-    with pytest.raises(ValueError, match=r"times are those of all members: give all the same states\.t, or none"):
+    with pytest.raises(ValueError, match=r"times hold for all members: give all members the same states\.t, or none"):
         run(states=started(np.arange(MEMBERS)), uniform={"times": GRADED})
 
 
@@ -241,10 +241,12 @@ def test_states_without_what_they_need_are_refused():
         "the system is driven, so its state needs the time": states._replace(t=None, work=None),
         r"t and work may be scalars; got .*t \(2,\)": states._replace(t=jnp.zeros(2)),
         r"states\.t must be finite, got nan": states._replace(t=jnp.asarray(np.nan)),
-        r"states\.work must be finite, and is not for .*: 3": states._replace(
+        r"states\.work must be finite, and is not finite for .*: 3": states._replace(
             work=jnp.zeros(MEMBERS).at[3].set(np.inf)
         ),
-        r"must be a name, such as .rotor., got 'my wheel'": states._replace(extra={"my wheel": jnp.zeros((12, 3))}),
+        r"must be an identifier, such as .rotor., got 'my wheel'": states._replace(
+            extra={"my wheel": jnp.zeros((12, 3))}
+        ),
     }
     for message, bad in cases.items():
         with pytest.raises(ValueError, match=message):

@@ -81,8 +81,8 @@ SENTENCES = [
         "give angular_velocity_rad or angular_velocity_deg, not both",
     ),
     (lambda: scenarios.load("toutatis", save_every=320), r"observation\.t = 23.* must be a multiple of dt·save_every"),
-    (lambda: _store.check(Path("group.zarr")), "a Zarr group, but not one that lieint wrote"),
-    (lambda: _store.check(Path("newer.zarr")), "has format 99; .*take a newer one"),
+    (lambda: _store.check(Path("group.zarr")), "a Zarr group, but was not written by lieint"),
+    (lambda: _store.check(Path("newer.zarr")), "has format 99; .*use a newer one"),
     (lambda: _store.check(Path("damaged.zarr")), "is damaged: its checksum is wrong"),
     (lambda: info_command.plot(Path("bare.npz")), "holds neither a scenario nor the numbers of its system"),
     (lambda: info_command.plot(Path("start.npz")), "holds the initial states only"),
@@ -122,7 +122,7 @@ SIZES = [
     ),
     (
         lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1),
-        r"would hold 174 GB in memory: 2147483649 entries of 81 bytes, .*has 1 GB; give a larger save_every or store=",
+        r"would hold 174 GB in memory: 2147483649 entries of 81 bytes, .*has 1 GB; use a larger save_every or store=",
     ),
     (
         lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1, reduce="energy"),
@@ -173,7 +173,11 @@ def test_a_step_of_ones_own_that_fails_has_a_message():
 
 @pytest.mark.parametrize(
     ("owners", "sentence"),
-    [([0, 1, 0], "as many devices of each process"), ([0, 1, 1], "as many"), ([1, 2], "no device of this process, 0")],
+    [
+        ([0, 1, 0], "equally many devices of each process"),
+        ([0, 1, 1], "equally many"),
+        ([1, 2], "no device of this process, 0"),
+    ],
 )
 def test_a_mesh_over_processes_must_be_even_and_have_this_one(monkeypatch, owners, sentence):
     class Mesh:

@@ -477,27 +477,27 @@ def test_machine_code_on_disk_is_checked(tmp_path, monkeypatch):
     """What is damaged, cut, empty or of another key is compiled again; a folder that cannot be written is no error."""
     key = "a" * 64
     monkeypatch.setattr(_machine, "_folder", lambda: tmp_path / "native")
-    assert _machine._from_disk(key) is None
-    _machine._to_disk(key, b"code")
-    assert _machine._from_disk(key) == b"code"
+    assert _machine._read_cache(key) is None
+    _machine._write_cache(key, b"code")
+    assert _machine._read_cache(key) == b"code"
     file = tmp_path / "native" / key
     good = file.read_bytes()
     for bad in (good[:-1], good + b"x", b"", good[:10], bytes([good[0] ^ 1]) + good[1:], good[:-1] + b"f"):
         file.write_bytes(bad)
-        assert _machine._from_disk(key) is None
+        assert _machine._read_cache(key) is None
     (tmp_path / "native" / ("b" * 64)).write_bytes(good)
-    assert _machine._from_disk("b" * 64) is None
+    assert _machine._read_cache("b" * 64) is None
     monkeypatch.setattr(_machine, "_folder", lambda: file / "below")
-    _machine._to_disk(key, b"code")
-    assert _machine._from_disk(key) is None
+    _machine._write_cache(key, b"code")
+    assert _machine._read_cache(key) is None
 
 
 def test_other_processors_have_other_keys(tmp_path, monkeypatch):
     monkeypatch.setattr(_machine, "_folder", lambda: tmp_path)
     text = "define void @run(i64 %a, i64 %b, i64 %c, i64 %d, ptr %p) {\n  ret void\n}\n"
-    _machine.function(text)
+    _machine.compile_modules(text)
     monkeypatch.setattr(_machine, "_features", lambda: "+sse2")
-    _machine.function(text)
+    _machine.compile_modules(text)
     assert len(list(tmp_path.iterdir())) == 2
 
 

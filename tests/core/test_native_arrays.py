@@ -273,8 +273,8 @@ def test_arrays_need_no_llvmlite():
 import sys
 sys.modules["llvmlite"] = None
 import jax, jax.numpy as jnp, numpy as np
-from lieint_jax.native import flattened, kernel
-flat = flattened(jnp.cumsum, ("member",), (np.zeros(3),))
+from lieint_jax.native import flatten, kernel
+flat = flatten(jnp.cumsum, ("member",), (np.zeros(3),))
 assert np.array_equal(jax.jit(flat)(np.ones((2, 3))), [[1, 2, 3]] * 2)
 try:
     kernel(jnp.cumsum, ("member",), (np.zeros(3),))

@@ -90,7 +90,7 @@ def test_over_members_is_vmap():
     np.testing.assert_allclose(many(k, 2.0), jax.vmap(slope, (0, None))(k, 2.0))
     again = jax.jit(jax.grad(lambda k: many(k, 2.0).sum()))(k)
     np.testing.assert_allclose(again, jax.vmap(lambda k: jax.grad(slope)(k, 2.0))(k), rtol=1e-13)
-    with pytest.raises(ValueError, match="one number of members"):
+    with pytest.raises(ValueError, match="the same number of members"):
         li.ensemble.over_members(slope)(k, jnp.ones(4))
     with pytest.raises(ValueError, match="in_axes"):
         li.ensemble.over_members(slope, (None, None))(k, 2.0)

@@ -81,7 +81,7 @@ def test_a_function_of_one_s_own_is_asked_for_by_its_name():
     top = li.systems.potential_top([1.0, 2.0, 3.0], my_wells, axis=None)
     description, arrays = describe(li.schemes.splitting(top))
     name = f"{my_wells.__module__}.my_wells"
-    with pytest.raises(ValueError, match=f"'{name}' is not of this package: give it by own="):
+    with pytest.raises(ValueError, match=f"'{name}' does not belong to this package: pass it as own="):
         make(description["system"], arrays, {})
     again = make(description["system"], arrays, {name: my_wells})
     assert jax.tree.structure(again) == jax.tree.structure(top)
@@ -92,7 +92,7 @@ def test_a_function_of_one_s_own_is_asked_for_by_its_name():
     ["os.system", "lieint_jax.nothing", "lieint_jax.app.command.cli.os.system", "lieint_jax.ensemble._store.shutil"],
 )
 def test_a_description_cannot_name_code_outside_the_package(name):
-    with pytest.raises(ValueError, match="is not of this package"):
+    with pytest.raises(ValueError, match="does not belong to this package"):
         make({"name": name}, {}, {})
 
 

@@ -220,30 +220,30 @@ def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunk
     with pytest.raises(ValueError, match=r"exists and is not overwritten; resume continues it"):
         run(path)
     for options, message in (
-        (dict(dt=0.2), r"dt is 0\.1 there and 0\.2 here"),
-        (dict(num_steps=70), r"num_steps is 60 there and 70 here"),
-        (dict(save_every=10), r"save_every is 5 there and 10 here"),
+        (dict(dt=0.2), r"dt is 0\.1 in the store and 0\.2 here"),
+        (dict(num_steps=70), r"num_steps is 60 in the store and 70 here"),
+        (dict(save_every=10), r"save_every is 5 in the store and 10 here"),
         (
             dict(step=li.schemes.so3_midpoint(BODY, li.maps.kappa_cayley)),
-            r"scheme is 'so3_midpoint\[symplectic\]' there",
+            r"scheme is 'so3_midpoint\[symplectic\]' in the store",
         ),
         (dict(step=li.schemes.so3_midpoint(BODY, iterations=7)), "options of the step is"),
         (dict(step=li.schemes.so3_midpoint(li.systems.rigid_body([1.0, 2.0, 2.5]))), "numbers of the step is"),
-        (dict(reduce="energy"), "reduce is None there and 'energy' here"),
+        (dict(reduce="energy"), "reduce is None in the store and 'energy' here"),
     ):
         with pytest.raises(ValueError, match=message):
             run(path, resume=True, **options)
-    with pytest.raises(ValueError, match=r"scenario\.seed is 1 there and 2 here"):
+    with pytest.raises(ValueError, match=r"scenario\.seed is 1 in the store and 2 here"):
         run(ensemble.StoreOptions(path, {"scenario": {"seed": 2}}), resume=True)
     monkeypatch.setattr(_identity, "__version__", "9.9")
-    with pytest.raises(ValueError, match=r"versions\.lieint_jax is .* there and '9\.9' here"):
+    with pytest.raises(ValueError, match=r"versions\.lieint_jax is .* in the store and '9\.9' here"):
         run(path, resume=True)
     monkeypatch.undo()
     monkeypatch.setattr(_run, "engine_of", lambda job, mesh: _engine.XlaEngine(job))
-    with pytest.raises(ValueError, match="engine is 'native' there and 'xla' here"):
+    with pytest.raises(ValueError, match="engine is 'native' in the store and 'xla' here"):
         run(path, resume=True)
     assert before == {f: f.read_bytes() for f in path.rglob("*") if f.is_file()}
-    with pytest.raises(ValueError, match="give store"):
+    with pytest.raises(ValueError, match="pass store"):
         run(resume=True)
     with pytest.raises(ValueError, match=r"ends in \.zarr"):
         run(tmp_path / "run.npz")
@@ -314,7 +314,7 @@ def test_bytecode_of_another_python_is_refused_by_its_name(tmp_path, monkeypatch
     with pytest.raises(Begun):
         begin(tmp_path / "run.zarr", damped(0.1))
     monkeypatch.setattr(_identity, "python_of", lambda *_: "CPython 3.99")
-    with pytest.raises(ValueError, match=r"versions.python is 'CPython 3\.\d+' there and 'CPython 3.99' here"):
+    with pytest.raises(ValueError, match=r"versions.python is 'CPython 3\.\d+' in the store and 'CPython 3.99' here"):
         begin(tmp_path / "run.zarr", damped(0.1), resume=True)
 
 
@@ -350,7 +350,7 @@ def heavier(path):
     zarr.open_array(str(path / "system_inertia"), mode="r+")[...] = [1.0, 2.0, 2.5]
 
 
-REPLACED = r"checkpoint is not what the run wrote: the checkpoint of commit \d, step \d+ \(found: .*\) has been"
+REPLACED = r"checkpoint is not as the run wrote it: the checkpoint of commit \d, step \d+ \(found: .*\) was replaced"
 ELSEWHERE = "is the chunk of another place"
 MIXTURES = {  # which commit, what is done to it, what is said of it
     "the checkpoint of a later commit": (
@@ -363,8 +363,8 @@ MIXTURES = {  # which commit, what is done to it, what is said of it
     "its slots swapped": (1, lambda p, at: swapped((p / "checkpoint").glob("*/c"), "0", "1"), REPLACED),
     "two chunks swapped": (1, lambda p, at: swapped([p / "q/c"], "0", "1"), f"q/c/0/0/0 {ELSEWHERE}"),
     "the same in a complete run": (3, lambda p, at: swapped([p / "q/c"], "0", "2"), f"q/c/2/0/0 {ELSEWHERE}"),
-    "an inertia rewritten": (1, lambda p, at: heavier(p), "system_inertia is not what the run wrote"),
-    "the same in a complete one": (3, lambda p, at: heavier(p), "system_inertia is not what the run wrote"),
+    "an inertia rewritten": (1, lambda p, at: heavier(p), "system_inertia is not as the run wrote it"),
+    "the same in a complete one": (3, lambda p, at: heavier(p), "system_inertia is not as the run wrote it"),
     "older checksums": (2, lambda p, at: replaced(p, at[0], "checksums"), "checksums is not that of the last commit"),
     "no checksums": (1, lambda p, at: shutil.rmtree(p / "checksums"), "checksums/zarr.json is missing"),
     "no checkpoint": (1, lambda p, at: shutil.rmtree(p / "checkpoint"), "checkpoint/commit/zarr.json is missing"),
@@ -434,9 +434,9 @@ def test_places_and_attributes_that_no_store_can_have_are_refused_before_the_run
         ("link", {}, r"link\.zarr is a link to nowhere, which does not exist"),
         (240 * "x", {}, r"xxx\.zarr cannot be created: File name too long; choose another"),
         (300 * "x", {}, r"xxx\.zarr cannot be created: File name too long; choose another"),
-        ("taken", {"run": 1, "members": 2, "seed": 3}, r"may not be called members, run: it has its own"),
+        ("taken", {"run": 1, "members": 2, "seed": 3}, r"may not be called members, run: these names are reserved"),
         ("taken", {"progress": 1}, "may not be called progress"),
-        ("object", {"body": BODY}, "must be what JSON can hold; 'body' is not: Object of type RigidBody"),
+        ("object", {"body": BODY}, "must be values for JSON; 'body' is not: Object of type RigidBody"),
         ("scenario", {"scenario": {"x": {1}}}, "'scenario' is not: Object of type set"),
         ("number", {"n": np.int64(1)}, "'n' is not: Object of type int64"),
         ("infinite", {"x": float("nan")}, "'x' is not: Out of range float"),
@@ -496,19 +496,19 @@ def test_processes_that_are_about_to_do_different_runs_all_say_so(monkeypatch):
         _identity.check_processes(None, mine | other)
         monkeypatch.setattr(_layout, "gather_row", lambda mesh, row, rows=rows: np.array(rows))
         for process in (mine, mine | other) if sentence else ():
-            with pytest.raises(ValueError, match=f"different runs: {sentence} differ. Nothing was integrated"):
+            with pytest.raises(ValueError, match=f"different runs: they differ in {sentence}. Nothing was integrated"):
                 _identity.check_processes(None, process)
 
 
 def test_an_error_of_one_process_ends_all(monkeypatch):
     monkeypatch.setattr(_layout, "all_gather", lambda mesh, failed: np.array([[True], [failed]]))
-    with pytest.raises(ValueError, match="process 0 of this run has failed; its own message says why"):
-        _layout.agreed(None, lambda: 1)
+    with pytest.raises(ValueError, match="process 0 of this run has failed; see its own error message"):
+        _layout.fail_together(None, lambda: 1)
 
 
 def test_two_runs_do_not_write_to_one_store(tmp_path, small_chunks):
     run(tmp_path / "run.zarr")
-    with _store.opened(tmp_path / "run.zarr", True), pytest.raises(ValueError, match="another run is writing"):
+    with _store.open_writer(tmp_path / "run.zarr", True), pytest.raises(ValueError, match="another run is writing"):
         run(tmp_path / "run.zarr", resume=True)
 
 
@@ -683,7 +683,9 @@ def test_two_processes_of_different_scenarios_both_say_so_and_leave_nothing(book
     own = ["--members", "96"], ["--members", "100"]
     for process in meet(book, free_port(), "--out", out, "--steps", "2000", own=own):
         error = process.communicate(timeout=120)[1]
-        assert re.search(r"given different runs: .*initial states, members.* differ\. Nothing was integrated", error)
+        assert re.search(
+            r"given different runs: .*they differ in .*initial states, members.*\. Nothing was integrated", error
+        )
         assert process.returncode == 2
     assert not list(book.glob("*different*"))
 
@@ -755,7 +757,7 @@ def test_the_command_line_writes_resumes_and_shows(tmp_path, monkeypatch, capsys
     assert "run.zarr exists and is not overwritten" in capsys.readouterr().err
     assert cli.main([*arguments, "--resume"]) == 0
     assert cli.main(["run", "book.toml", "--out", "run.zarr", "--members", "4", "--resume"]) == 2
-    assert "scenario.members is 3 there and 4 here" in capsys.readouterr().err
+    assert "scenario.members is 3 in the store and 4 here" in capsys.readouterr().err
     assert cli.main(["info", "run.zarr"]) == 0
     out = capsys.readouterr().out
     assert "complete: 21 of 21 entries" in out
@@ -764,8 +766,8 @@ def test_the_command_line_writes_resumes_and_shows(tmp_path, monkeypatch, capsys
         (["info", "no.zarr"], "there is no file no.zarr; lieint run NAME --out no.zarr writes one"),
         (["run", "book.toml", "--out", "x.npz", "--resume"], "only a run written as .zarr can be resumed"),
         (["run", "book.toml", "--processes", "2"], "go with --distributed"),
-        (["run", "book.toml", "--devices", "99"], "99 devices were asked for"),
-        (["run", "book.toml", "--distributed", "--processes", "2"], "give all of coordinator"),
+        (["run", "book.toml", "--devices", "99"], "99 devices were requested"),
+        (["run", "book.toml", "--distributed", "--processes", "2"], "pass all of coordinator"),
     ):
         assert cli.main(bad) == 2
         assert message in capsys.readouterr().err

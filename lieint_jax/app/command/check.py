@@ -17,7 +17,7 @@ from lieint_jax import _discover, schemes, systems
 from lieint_jax.app.command import check_groups
 from lieint_jax.app.command.compilation import keep_programs
 from lieint_jax.diagnostics import certify
-from lieint_jax.ensemble._layout import cores
+from lieint_jax.ensemble import count_cores
 
 # Each program runs once, so what counts is how soon it is compiled: XLA's older emitters take a third of the time
 _QUICK: dict[str, str | bool] = {
@@ -117,7 +117,7 @@ def _measured(tasks: list[_Task]) -> Iterator[_Found]:
     """The certificates, in the order of the tasks; a process a core, and a progress bar on a terminal."""
     from tqdm import tqdm
 
-    processes = min(cores(), len(tasks))
+    processes = min(count_cores(), len(tasks))
     if processes == 1:
         yield from map(_certificates, tasks)
         return

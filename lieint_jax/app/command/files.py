@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from lieint_jax.app import plots
-from lieint_jax.ensemble import _opening, _reading
-from lieint_jax.ensemble._leaves import named
+from lieint_jax.ensemble import archives
 from lieint_jax.types import Trajectory
 
 
@@ -21,7 +20,7 @@ def free(path: Path, kinds: Iterable[str] = (), resume: bool = False) -> Path:
 
     With `resume`, a .zarr may exist.
     """
-    if path.suffix not in _opening.SUFFIXES:
+    if path.suffix not in archives.SUFFIXES:
         raise ValueError(f"results are written as .npz or .zarr, got {path}")
     if resume and path.suffix != ".zarr":
         raise ValueError(f"only a run written as .zarr can be resumed, got {path}")
@@ -68,10 +67,10 @@ def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:
 
     Where states have them: work, extra.NAME, and state.t, (entries, members), or (entries, 1) if members share it.
     """
-    arrays = named(trajectory.state)
+    arrays = archives.leaves_by_name(trajectory.state)
     if "t" in arrays:
         t = np.asarray(arrays.pop("t"))
-        arrays[_opening.TIME] = t[:, :1] if (t == t[:, :1]).all() else t
+        arrays[archives.TIME] = t[:, :1] if (t == t[:, :1]).all() else t
     with path.open("xb") as file:
         np.savez(
             file,
@@ -86,15 +85,15 @@ def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:
 def load(path: Path) -> tuple[Any, dict[str, Any]]:
     """A run and its metadata: the run that `save` wrote, or the complete part of a store.
 
-    For the form of a store's results see `ensemble._store.load`.
+    For the form of a store's results see `ensemble.archives.load_store`.
 
     Raises:
         ValueError: a damaged store, and then which file, and what can still be read; or no file of results.
     """
     if path.suffix == ".zarr":
-        return _reading.load(path)
-    found = _opening.archive(path)
-    return _opening.run_of(found), found.metadata
+        return archives.load_store(path)
+    found = archives.open_archive(path)
+    return archives.read_trajectory(found), found.metadata
 
 
 def numbers(path: Path) -> list[float]:

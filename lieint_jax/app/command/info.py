@@ -14,8 +14,7 @@ from lieint_jax.app import plots, scenarios
 from lieint_jax.app.command import files, pictures
 from lieint_jax.app.command.pictures import StoredRun
 from lieint_jax.app.scenarios._common import POINTS, Common
-from lieint_jax.ensemble._opening import UnreadableError, check_system
-from lieint_jax.ensemble._reading import system_of
+from lieint_jax.ensemble.archives import UnreadableError, check_system, system_from_store
 from lieint_jax.types import Step, Trajectory, energy_less_work
 
 _SHOWN = 2**28  # the most bytes of a store that are read to draw it
@@ -114,7 +113,11 @@ def stored_run(path: Path, run: Any, metadata: dict[str, Any]) -> StoredRun:
         system = scenarios.build_first(scenario, run.state.p.shape[1]).system
         title, own_system = scenario.title, scenarios.step_axis(scenario) == 0
     elif "run" in metadata:
-        system, title, own_system = system_of(path, metadata), _title(path, metadata), metadata["run"]["step_axis"] == 0
+        system, title, own_system = (
+            system_from_store(path, metadata),
+            _title(path, metadata),
+            metadata["run"]["step_axis"] == 0,
+        )
     else:
         raise ValueError(f"{path} holds neither a scenario nor the numbers of its system")
     if isinstance(run, Trajectory):

@@ -12,7 +12,7 @@ import numpy as np
 
 from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios._common import Common
-from lieint_jax.ensemble import _opening
+from lieint_jax.ensemble import archives
 
 _PACKAGE = __name__.partition(".")[0]
 _RENAMED = {  # since version 0.2
@@ -41,7 +41,7 @@ def save(path: Path, tree: Any, metadata: dict[str, Any]) -> None:
 def metadata(path: Path) -> dict[str, Any] | None:
     """The metadata of a tree that `save` wrote; None for any other file or folder."""
     try:
-        found = _opening.archive(path).metadata
+        found = archives.open_archive(path).metadata
     except (ValueError, OSError):
         return None
     return found if "tree" in found else None
@@ -53,9 +53,9 @@ def load(path: Path) -> Any:
     Raises:
         ValueError: no such file, damaged, or of a form that this version of the package does not have.
     """
-    found = _opening.archive(path)
+    found = archives.open_archive(path)
     arrays = found.read(*found.headers)
-    with _opening.reading(path, "holds no tree that this version of lieint_jax can read"):
+    with archives.wrap_errors(path, "holds no tree that this version of lieint_jax can read"):
         return _decoded(found.metadata["tree"], arrays)
 
 

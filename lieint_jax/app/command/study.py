@@ -12,7 +12,7 @@ from lieint_jax import _discover
 from lieint_jax._version import __version__
 from lieint_jax.app import plots, studies
 from lieint_jax.app.command import files, result_file
-from lieint_jax.ensemble import _opening
+from lieint_jax.ensemble import archives
 
 
 def studies_by_name() -> dict[str, ModuleType]:
@@ -58,7 +58,7 @@ def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
     study, plain = _study(name), files.in_folder(path, out)
     files.free_pictures(_pictures(plain), force)
     result = result_file.load(path)
-    with _opening.reading(path, f"holds no result of the study {name}"):
+    with archives.wrap_errors(path, f"holds no result of the study {name}"):
         text, figure = study.text(result), study.draw(result)
     print(text)
     drawn = plots.save(figure, plain.with_suffix(".png"))

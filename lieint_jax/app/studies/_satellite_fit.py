@@ -24,7 +24,7 @@ from lieint_jax.app.studies._radar import model
 from lieint_jax.app.studies._satellite_sky import Lightcurve, Scene, true_magnitudes
 from lieint_jax.app.studies._symmetric_solutions import SPACE, Change, Solutions, distance, solutions
 from lieint_jax.app.studies._tumbling import mean_periods
-from lieint_jax.ensemble._over_members import over_members
+from lieint_jax.ensemble import over_members
 from lieint_jax.fitting._bounds import free, inertia_ratios, principal_inertia
 from lieint_jax.fitting._fit import fit
 from lieint_jax.fitting._outcome import Fit

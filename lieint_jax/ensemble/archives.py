@@ -1,0 +1,32 @@
+"""Read files of results: archives NAME.npz and the stores NAME.zarr of `ensemble.run`, checked before they are read.
+
+The application reads its files through these names. A file that cannot be read raises `UnreadableError`, a ValueError
+whose message is one sentence that names the file.
+"""
+
+from lieint_jax.ensemble._opening import (
+    SUFFIXES,
+    TIME,
+    Archive,
+    UnreadableError,
+    check_system,
+    open_archive,
+    read_trajectory,
+    wrap_errors,
+)
+from lieint_jax.ensemble._reading import load_store, system_from_store
+from lieint_jax.ensemble._store import leaves_by_name
+
+__all__ = [
+    "SUFFIXES",
+    "TIME",
+    "Archive",
+    "UnreadableError",
+    "check_system",
+    "leaves_by_name",
+    "load_store",
+    "open_archive",
+    "read_trajectory",
+    "system_from_store",
+    "wrap_errors",
+]
