@@ -2,7 +2,8 @@
 
 `run(step, states, dt, num_steps)` integrates a batch in one compiled loop. With `store=` it writes results while it
 runs and can be resumed; with `reduce=` it returns a summary in place of states. `open(path)` returns a stored run and
-its system. `over_members` applies any function of one member to all members, over all devices.
+its system; `archives` reads files of results in parts. `over_members` applies any function of one member to all
+members, over all devices; `count_cores` returns the number of cores that this process may use.
 """
 
 from lieint_jax.ensemble import archives, processes

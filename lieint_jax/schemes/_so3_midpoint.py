@@ -150,7 +150,7 @@ class SO3Midpoint(Step):
         J = np.asarray(self.system.inertia)
         own = np.asarray(so3.Ad_star(state.q, state.p) - _rotor(self.system, state))
         turn = float(np.abs(dt) * np.linalg.norm(own / J if J.ndim == 1 else np.linalg.solve(J, own)))
-        more = f", or more iterations than {self.iterations}" if turn < 1 else ""  # beyond, Newton may wander
+        more = f", or more iterations than {self.iterations}" if turn < 1 else ""  # beyond, Newton may fail to converge
         rod = self.kappa.solve_by == "scalar" and turn < 0.9 * self.kappa.limit
         more += ", or for a slender body the vector form (see so3_midpoint)" if rod else ""
         if not vec3.well_conditioned(vec3.symmetric(self.system.inertia)):

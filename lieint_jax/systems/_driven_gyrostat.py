@@ -57,7 +57,7 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
             spatial_momentum: π = ΛΠ, shape (3,).
             rotor: h_r in the body, shape (3,).
             t: the time of the state, a scalar; 0 if it is left out.
-            work: what the motor has done so far, a scalar, such as 0: then steps add to it. None, and nobody counts it.
+            work: what the motor has done so far, a scalar, such as 0: then steps add to it. None: it is not tracked.
 
         Raises:
             ValueError: as in `rigid_body`; a rotor of another shape; a time or a work that is no scalar; a NaN.

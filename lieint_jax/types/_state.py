@@ -25,7 +25,7 @@ class State(NamedTuple):
         p: momentum. SO(3): spatial angular momentum π, (3,). Matrix groups: π in the dual basis, (d,). GL⁺(3): P,
             (3, 3). S²: π = m q × q̇, (3,).
         t: time, a scalar, of a system that is driven; else it may be None.
-        work: what moving potentials and torques have done since the start, a scalar, or None if nobody counts it. The
+        work: what moving potentials and torques have done since the start, a scalar, or None if it is not tracked. The
             energy less the work is conserved.
         extra: arrays by name that a system or a scheme carries along, such as the momentum of a rotor, or None.
 

@@ -278,9 +278,7 @@ def test_check_groups_prints_a_table(capsys, monkeypatch):
 
 
 def test_an_observation_on_the_other_side_of_the_start_says_which_sign_dt_has():
-    with pytest.raises(
-        ValueError, match=r"observation\.t = 23\.159873 .*other side of t = 0.*dt = -0\.005: give dt > 0"
-    ):
+    with pytest.raises(ValueError, match=r"observation\.t = 23.159873 .*other side of t = 0.*dt = -0.005: give dt > 0"):
         scenarios.load("toutatis", dt=-0.005)
 
 

@@ -329,7 +329,7 @@ def test_run_info_plot_and_a_store_of_the_shipped_file(capsys):
     assert cli.main(["run", "x.toml", "--out", "x.npz"]) == 0
     out = capsys.readouterr().out
     assert "256 of 256 members converged" in out
-    assert re.search(r"precession period P_φ \(h\) +27\.3800", out)
+    assert re.search(r"precession period P_φ \(h\) +27.3800", out)
     assert "0 of these passages had a step that did not converge" in out
     kept = float(re.search(r"here: kept in (\S+) %", out)[1])
     assert 60 < kept < 95

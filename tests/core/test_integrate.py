@@ -86,20 +86,20 @@ def test_bad_counts(num_steps, save_every, message):
 
 def test_bad_states_and_steps_are_refused_before_anything_runs():
     for state, message in (
-        (State(STATE.q * 1.001, STATE.p), r"state\.q must be a unit quaternion.*norm is 1\.001"),
+        (State(STATE.q * 1.001, STATE.p), r"state\.q must be a unit quaternion.*norm is 1.001"),
         (State(STATE.q, STATE.p[:2]), r"state\.p must have shape \(3,\)"),
         (State(STATE.q, np.array([np.nan, 0, 0])), r"state\.p must be finite"),
     ):
         with pytest.raises(ValueError, match=message):
             li.integrate(STEP, state, 0.1, 10)
-    with pytest.raises(ValueError, match=r"so3_midpoint\[symplectic\] does not converge: \|Δt Ω\| = 1\.98 at dt = 2"):
+    with pytest.raises(ValueError, match=r"so3_midpoint\[symplectic\] does not converge: \|Δt Ω\| = 1.98 at dt = 2"):
         li.integrate(STEP, STATE, 2.0, 10)
     more = r"what `times` are apart, 4, and a step of 1/4 of it converges: give about 4 times as many times"
     with pytest.raises(ValueError, match=more):
         li.integrate(STEP, STATE, times=[0.0, 4.0, 8.0])
     with pytest.raises(ValueError, match=rf"the first step fails for 1 member.*{more}"):
         li.ensemble.run(STEP, jax.tree.map(lambda x: x[None], STATE), times=[0.0, 4.0, 8.0], progress=False)
-    with pytest.raises(ValueError, match=r"1\.001, allowed is 1 ± 1e-06[^`]*$"):
+    with pytest.raises(ValueError, match=r"1.001, allowed is 1 ± 1e-06[^`]*$"):
         li.integrate(STEP, State(STATE.q * 1.001, STATE.p), times=[0.0, 4.0])
 
 

@@ -52,7 +52,7 @@ def test_saved_states_too_far_apart_or_too_few_are_refused():
         li.interpolate(body, path, [5.0])
     path = li.integrate(step, state, 1.0, 3)
     for times, message in [
-        ([-0.1], r"times must lie in the trajectory, from 0\.0 to 3\.0"),
+        ([-0.1], r"times must lie in the trajectory, from 0.0 to 3.0"),
         ([3.1], "times must lie in the trajectory"),
         ([np.nan], "times must be finite"),
         (1.0, r"times must have shape \(m,\)"),

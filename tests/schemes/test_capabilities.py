@@ -75,7 +75,7 @@ def test_a_gyrostat_is_no_free_body(name):
     make = FREE_BODY_SCHEMES[name]
     with pytest.raises(ValueError, match=f"{name} integrates free rigid bodies .*got Undeclared"):
         make(Undeclared())
-    with pytest.raises(ValueError, match=rf"{name} integrates free rigid bodies .* field of Gyrostat .* differs"):
+    with pytest.raises(ValueError, match=rf"{name} integrates free rigid bodies .* Gyrostat.vector_field differs"):
         make(Gyrostat(J, jnp.array([0.0, 0.0, 0.4])))
     make(Gyrostat(J, jnp.zeros(3)))  # which moves as a free body does
     make(BODY)
@@ -83,7 +83,7 @@ def test_a_gyrostat_is_no_free_body(name):
 
 def test_a_small_force_added_to_a_geodesic_flow_is_seen():
     wind = Wind(jnp.array([1.0, 2.0, 3.0]), li.groups.special_euclidean(2))
-    with pytest.raises(ValueError, match=r"group_midpoint integrates geodesics on groups .* vector field of Wind"):
+    with pytest.raises(ValueError, match=r"group_midpoint integrates geodesics on groups .* Wind.vector_field"):
         schemes.group_midpoint(wind)
 
 
@@ -161,7 +161,9 @@ def test_no_scheme_refuses_unequal_moments_in_axes_of_their_own(name, monkeypatc
 
 def test_the_drift_of_a_splitting_is_of_the_same_body():
     schemes.splitting(TOP, schemes.exact(TOP.free))
-    with pytest.raises(ValueError, match=r"splitting with exact of a RigidBody integrates .* PotentialTop is another"):
+    with pytest.raises(
+        ValueError, match=r"splitting with exact of a RigidBody integrates .* PotentialTop.vector_field differs"
+    ):
         schemes.splitting(TOP, schemes.exact(li.systems.rigid_body([1.0, 2.0, 2.999])))
 
 
@@ -190,7 +192,7 @@ def test_an_altered_motion_is_refused_by_every_scheme_with_a_field_of_its_own():
 
         changed = li.pytree(type("Changed", (Doubled, type(system)), {}))
         fields = {field.name: getattr(system, field.name) for field in dataclasses.fields(system)}
-        with pytest.raises(ValueError, match=f"{scheme.__name__} integrates .* vector field of Changed is another"):
+        with pytest.raises(ValueError, match=f"{scheme.__name__} integrates .*; Changed.vector_field differs"):
             scheme(changed(**fields))
 
 
@@ -212,7 +214,7 @@ def test_tracers_pass():
 
     assert np.isfinite(jax.jit(end)(J, jnp.ones(3)))
     gyrostat = Gyrostat(J, jnp.ones(3))
-    with pytest.raises(ValueError, match="vector field of Gyrostat"):  # constants are no tracers, inside jit too
+    with pytest.raises(ValueError, match=r"Gyrostat\.vector_field"):  # constants are no tracers, inside jit too
         jax.jit(lambda dt: schemes.so3_midpoint(gyrostat)(BODY.state(spatial_momentum=J), dt))(0.1)
 
 

@@ -193,5 +193,5 @@ def test_bad_arguments():
     for iterations in (0, -1, 2.5):
         with pytest.raises(ValueError, match="iterations must be an integer ≥ 1"):
             preprocessed(body, 4, iterations)
-    with pytest.raises(ValueError, match=r"preprocessed\[4\]: the series .* do not hold at dt = 3\.0"):
+    with pytest.raises(ValueError, match=r"preprocessed\[4\]: the series .* do not hold at dt = 3.0"):
         li.integrate(preprocessed(body, 4), moving(body.inertia), 3.0, 1)

@@ -731,8 +731,8 @@ def test_states_that_lack_something_are_refused_in_a_sentence():
     start = moving(FULL)._replace(t=jnp.array(0.0), work=jnp.array(0.0))
     with_damper = start._replace(extra={"damper": jnp.zeros(3)})
     for step, state, message in (
-        (viscous, start._replace(t=None), r"with work needs the time .*state\._replace\(t=0\.0\)"),
-        (viscous, start._replace(t=None, work=None), r"needs the time: make it with system\.state\(\.\.\., t=0\.0\)"),
+        (viscous, start._replace(t=None), r"with work needs the time .*state\._replace\(t=0.0\)"),
+        (viscous, start._replace(t=None, work=None), r"needs the time: make it with system\.state\(\.\.\., t=0.0\)"),
         (viscous, start._replace(t=jnp.array(np.nan)), r"state\.t must be finite"),
         (viscous, start._replace(work=jnp.array(np.inf)), r"state\.work must be finite"),
         (viscous, start._replace(work=jnp.zeros(2)), r"state\.work must have shape \(\)"),
@@ -762,9 +762,9 @@ def test_a_torque_that_becomes_nan_is_flagged_and_at_the_start_refused():
 @pytest.mark.long
 def test_advice_where_a_step_is_too_large():
     start = moving(J, [0.5, 3.0, 0.2])._replace(t=jnp.array(0.0))
-    with pytest.raises(ValueError, match=r"does not converge at dt = 9\.0.* the torque is too stiff.* smaller dt"):
+    with pytest.raises(ValueError, match=r"does not converge at dt = 9.0.* the torque is too stiff.* smaller dt"):
         torqued_midpoint(BODIES["viscous"]).check(start, 9.0)
-    with pytest.raises(ValueError, match=r"does not converge at dt = 2\.0.* the friction is too strong.* smaller dt"):
+    with pytest.raises(ValueError, match=r"does not converge at dt = 2.0.* the friction is too strong.* smaller dt"):
         torqued_midpoint(BODIES["internal friction"]).check(start, 2.0)
 
 
@@ -789,7 +789,7 @@ def test_bodies_that_move_otherwise_are_refused():
 
     for name in ("viscous", "kane_damper", "internal friction"):
         changed = li.pytree(type("Changed", (Faster, type(BODIES[name])), {}))
-        with pytest.raises(ValueError, match="vector field of Changed is another"):
+        with pytest.raises(ValueError, match=r"Changed\.vector_field differs from their equations"):
             torqued_midpoint(changed(**vars(BODIES[name])))
 
 

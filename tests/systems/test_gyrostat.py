@@ -166,7 +166,7 @@ def test_compositions_raise_the_order(order):
 
 def test_another_drift_and_what_is_none():
     assert schemes.splitting(GYROSTAT, schemes.so3_explicit(GYROSTAT.free)).name == "splitting[so3_explicit]"
-    with pytest.raises(ValueError, match="with turns, and the vector field of Gyrostat is another"):
+    with pytest.raises(ValueError, match=r"with rotations of the rotor; Gyrostat\.vector_field differs"):
         schemes.splitting(GYROSTAT, schemes.exact(systems.rigid_body([1.0, 2.0, 2.9])))
     with pytest.raises(ValueError, match=r"symmetric step of system\.free"):
         schemes.splitting(GYROSTAT, "exact")
@@ -514,7 +514,7 @@ def test_bad_input_is_refused_in_a_sentence():
 def test_a_driven_state_without_time_or_rotor_is_refused():
     step = schemes.so3_midpoint(DRIVEN)
     for state, message in (
-        (START._replace(t=None, work=None), r"driven, so its state needs the time.*t=0\.0"),
+        (START._replace(t=None, work=None), r"driven, so its state needs the time.*t=0.0"),
         (START._replace(extra=None), r"needs its momentum in state\.extra.*rotor=\(0, 0, 0\)"),
         (START._replace(extra={"rotor": jnp.zeros(2)}), r'extra\["rotor"\] must have shape \(3,\)'),
         (START._replace(extra={"rotor": jnp.full(3, jnp.nan)}), r'extra\["rotor"\] must be finite'),
@@ -522,7 +522,7 @@ def test_a_driven_state_without_time_or_rotor_is_refused():
         with pytest.raises(ValueError, match=message):
             li.integrate(step, state, 0.1, 2)
     nowhere = systems.driven_gyrostat(J, lambda t: jnp.stack([t, t, jnp.log(t - 1)]))
-    with pytest.raises(ValueError, match=r"the motor's torque at t = 0\.0 must be finite"):
+    with pytest.raises(ValueError, match=r"the motor's torque at t = 0.0 must be finite"):
         li.integrate(schemes.so3_midpoint(nowhere), START, 0.1, 2)
     assert not after(schemes.so3_midpoint(nowhere), START, 0.1, 1)[1].converged
 
@@ -562,14 +562,14 @@ def test_a_gyrostat_that_moves_otherwise_is_refused():
 
     for system in (GYROSTAT, DRIVEN):
         changed = li.pytree(type("Changed", (Faster, type(system)), {}))
-        with pytest.raises(ValueError, match="vector field of Changed is another"):
+        with pytest.raises(ValueError, match=r"Changed\.vector_field differs from their equations"):
             schemes.so3_midpoint(changed(**vars(system)))
 
 
 @pytest.mark.long
 def test_advice_says_how_fast_the_body_turns():
     fast = moving(J, H_R, np.array([3.0, 0, 0]))
-    with pytest.raises(ValueError, match=r"\|Δt Ω\| = 3 at dt = 1\.0"):
+    with pytest.raises(ValueError, match=r"\|Δt Ω\| = 3 at dt = 1.0"):
         schemes.so3_midpoint(GYROSTAT).check(fast, 1.0)
     with pytest.raises(ValueError, match="the rotor turns the body by 6e"):
         schemes.splitting(systems.gyrostat(J, [6e11, 0, 0])).check(State(STATE.q, STATE.p), 1.0)

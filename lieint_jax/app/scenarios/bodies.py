@@ -1,4 +1,4 @@
-"""Rigid bodies of one's own, one to a hundred, in potentials chosen by name: distances, periods, what is conserved.
+"""Custom rigid bodies, one to a hundred, in potentials chosen by name: distances, periods, what is conserved.
 
 Units: m, kg and s; reports are in hours, days and degrees. Positions and velocities are in any axes that do not turn,
 angular velocities in the axes of each body. Gravity acts between all bodies, springs between two points of two bodies,

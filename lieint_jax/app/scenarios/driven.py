@@ -22,7 +22,7 @@ from lieint_jax.orbits import Kepler
 from lieint_jax.systems import GravityGradient
 from lieint_jax.types import State, Step, Trajectory, energy_less_work
 
-_DISTINCT = 1e-9  # the least relative difference of two moments of inertia between which an axis is told apart
+_DISTINCT = 1e-9  # the least relative difference of two moments of inertia that distinguishes their axes
 
 
 class Orbit(Table):

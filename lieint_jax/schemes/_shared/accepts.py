@@ -81,8 +81,8 @@ def check_motion(
     difference = other_motion(vector_field, data, system)
     if difference:
         raise ValueError(
-            f"{scheme} integrates {noun}, and the vector field of {type(system).__name__} is another: it differs by "
-            f"{difference:.2g} of itself. Take a scheme for its own equations of motion, or mend its vector_field"
+            f"{scheme} integrates {noun}; {type(system).__name__}.vector_field differs from their equations of motion "
+            f"(relative difference {difference:.2g}). Use another scheme or fix vector_field"
         )
 
 

@@ -67,7 +67,7 @@ class GyrostatSplitting(Step):
 def turning(system: AbstractGyrostat, drift: Step) -> GyrostatSplitting:
     """The step turn – drift – turn; ValueError if `drift` is of another body."""
     scheme = f"splitting with {drift.name} of a {type(drift.system).__name__}"
-    check_motion(scheme, "that motion with turns", _motion, (system, drift.system), system)
+    check_motion(scheme, "that motion with rotations of the rotor", _motion, (system, drift.system), system)
     return GyrostatSplitting(system, drift)
 
 
