@@ -25,9 +25,34 @@
 | `compose` | any symmetric step | what that conserves | 4 to 10 |
 
 A scheme refuses a system whose equations it does not integrate, and says why. `lieint check SYSTEM` measures what each
-conserves. Each module has `examples(system)`, its steps for that system.
+conserves; `catalogue()` lists what they declare, with their names in the literature and sources.
 """
 
+from lieint_jax.schemes import (
+    _additive,
+    _bodies_energy_momentum,
+    _calibrated,
+    _compose,
+    _exact,
+    _extrapolate,
+    _gauss,
+    _group_alpha,
+    _group_energy_momentum,
+    _group_midpoint,
+    _kepler_splitting,
+    _log_hamiltonian,
+    _nystrom,
+    _preprocessed,
+    _reversible_control,
+    _so3_alpha,
+    _so3_explicit,
+    _so3_midpoint,
+    _sphere_chart,
+    _sphere_midpoint,
+    _splitting,
+    _top_energy_momentum,
+    _torqued_midpoint,
+)
 from lieint_jax.schemes._additive import Additive, additive
 from lieint_jax.schemes._bodies_energy_momentum import BodiesEnergyMomentum, bodies_energy_momentum
 from lieint_jax.schemes._calibrated import Calibrated, calibrated
@@ -43,6 +68,7 @@ from lieint_jax.schemes._log_hamiltonian import LogHamiltonian, log_hamiltonian
 from lieint_jax.schemes._nystrom import Nystrom, nystrom
 from lieint_jax.schemes._preprocessed import Preprocessed, preprocessed
 from lieint_jax.schemes._reversible_control import ReversibleControl, reversible_control
+from lieint_jax.schemes._shared.properties import Catalogue, SchemeProperties
 from lieint_jax.schemes._so3_alpha import SO3Alpha, so3_alpha
 from lieint_jax.schemes._so3_explicit import SO3Explicit, so3_explicit
 from lieint_jax.schemes._so3_midpoint import SO3Midpoint, so3_midpoint
@@ -56,6 +82,7 @@ __all__ = [
     "Additive",
     "BodiesEnergyMomentum",
     "Calibrated",
+    "Catalogue",
     "Composition",
     "DampedMidpoint",
     "Exact",
@@ -72,6 +99,7 @@ __all__ = [
     "SO3Alpha",
     "SO3Explicit",
     "SO3Midpoint",
+    "SchemeProperties",
     "SphereChart",
     "SphereMidpoint",
     "Splitting",
@@ -80,6 +108,7 @@ __all__ = [
     "additive",
     "bodies_energy_momentum",
     "calibrated",
+    "catalogue",
     "compose",
     "exact",
     "extrapolate",
@@ -101,3 +130,39 @@ __all__ = [
     "top_energy_momentum",
     "torqued_midpoint",
 ]
+
+
+def catalogue() -> Catalogue:
+    """What each scheme is for and conserves, its order and limit, its names in the literature and its source.
+
+    Returns:
+        A tuple of `SchemeProperties`, which prints as a table.
+    """
+    return Catalogue(
+        module.PROPERTIES
+        for module in (
+            _so3_midpoint,
+            _so3_explicit,
+            _exact,
+            _calibrated,
+            _preprocessed,
+            _torqued_midpoint,
+            _top_energy_momentum,
+            _splitting,
+            _nystrom,
+            _gauss,
+            _extrapolate,
+            _log_hamiltonian,
+            _reversible_control,
+            _bodies_energy_momentum,
+            _kepler_splitting,
+            _additive,
+            _sphere_midpoint,
+            _sphere_chart,
+            _group_midpoint,
+            _group_energy_momentum,
+            _group_alpha,
+            _so3_alpha,
+            _compose,
+        )
+    )

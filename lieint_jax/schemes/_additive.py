@@ -39,6 +39,7 @@ from lieint_jax._numerics import newton, vec3
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.vec3 import Matrix, Symmetric
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import (
     AbstractElasticBody,
     AbstractIncompressibleBody,
@@ -203,6 +204,18 @@ def additive(
         raise ValueError(f"the rule {rule!r} conserves energy for alpha = 1/2 only, got {alpha}")
     order = 2 if middle else 1
     return Additive(system, alpha, rule, _checks.count("iterations", iterations, 1), order, middle)
+
+
+PROPERTIES = SchemeProperties(
+    name="additive",
+    systems="elastic bodies",
+    conserves=("momentum", "energy (rule average or energy)", "form (rule symplectic)", "volume (incompressible)"),
+    order=2,
+    symmetric=True,
+    limit="half a radian of the fastest vibration",
+    aliases=("energy–momentum rules of pseudo-rigid bodies",),
+    source="Lewis & Simo 1994, Results 15 and 16, (6.15) to (6.17)",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

@@ -30,6 +30,7 @@ from lieint_jax.groups import so3
 from lieint_jax.potentials import invariant_form, torques
 from lieint_jax.schemes._shared.accepts import AcceptedSystems, check_motion
 from lieint_jax.schemes._shared.free_bodies import free_motion
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import AbstractRigidBodies, State, Step, StepInfo, pytree, static
 
 _STALLED = 2**16  # eps: a change below it that no longer falls is rounding
@@ -231,6 +232,18 @@ def _parts(q: Array) -> tuple[Array, Array]:
 
 def _well_conditioned(J: Array) -> Array:
     return vec3.well_conditioned(vec3.symmetric(J))
+
+
+PROPERTIES = SchemeProperties(
+    name="bodies_energy_momentum",
+    systems="several bodies",
+    conserves=("energy", "momentum"),
+    order=2,
+    symmetric=True,
+    limit="|ΔtΩ| of 2 to 4 for the Cayley κ",
+    aliases=("energy–momentum method",),
+    source="Lewis & Simo 1994, Results 1 to 3, for several bodies: this package",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

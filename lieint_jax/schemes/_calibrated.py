@@ -24,6 +24,7 @@ from lieint_jax._numerics.vec3 import dot
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.schemes._preprocessed import retimed
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import FREE_BODIES
 from lieint_jax.types import AbstractFreeBody, State, Step, StepInfo, pytree, static
 
@@ -134,6 +135,18 @@ def calibrated(system: AbstractFreeBody, iterations: int | None = None) -> Calib
     if iterations is not None:
         iterations = _checks.count("iterations", iterations, 1)
     return Calibrated(system, None, iterations)
+
+
+PROPERTIES = SchemeProperties(
+    name="calibrated",
+    systems="free bodies",
+    conserves=("energy", "momentum", "form"),
+    order=float("inf"),
+    symmetric=True,
+    limit="less than 90° a step",
+    aliases=("exact discrete Moser–Veselov",),
+    source="McLachlan & Zanna 2005",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

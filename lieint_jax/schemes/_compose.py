@@ -30,6 +30,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax._xla import rematerialized
 from lieint_jax.schemes._shared.compositions import METHODS
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import examples as base_examples
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 
@@ -136,6 +137,18 @@ def compose(step: Step, order: int, method: str | None = None) -> Composition:
     if method not in fitting:
         raise ValueError(f"method must be one of {', '.join(fitting)} for {step.name} at order {order}, got {method!r}")
     return Composition(step, method, order)
+
+
+PROPERTIES = SchemeProperties(
+    name="compose",
+    systems="any symmetric step",
+    conserves=("what the step conserves",),
+    order=4,
+    symmetric=True,
+    limit="that of the step over its longest stage",
+    aliases=("Suzuki composition", "Yoshida composition", "Kahan–Li composition"),
+    source="Suzuki 1990; Yoshida 1990; Kahan & Li 1997",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

@@ -12,6 +12,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _free_body
 from lieint_jax._numerics import vec3
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import FREE_BODIES, SLENDER, lost
 from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, pytree, static
 
@@ -90,6 +91,18 @@ def exact(system: AbstractFreeBody | AbstractFreeBodies) -> Exact | FreeFlight:
         return FreeFlight.from_scheme("exact", system, Exact)
     FREE_BODIES.check("exact", system)
     return Exact(system)
+
+
+PROPERTIES = SchemeProperties(
+    name="exact",
+    systems="free bodies, several free bodies",
+    conserves=("energy", "momentum", "form"),
+    order=float("inf"),
+    symmetric=True,
+    limit="none",
+    aliases=("Jacobi's solution of the free rigid body",),
+    source="Jacobi 1849; Hairer & Vilmart 2006",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

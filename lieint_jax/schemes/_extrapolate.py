@@ -23,6 +23,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax._xla import rematerialized
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import FREE_BODIES
 from lieint_jax.schemes.charts._chart import PlainState
 from lieint_jax.schemes.charts.body_axes import BODY_AXES
@@ -180,6 +181,18 @@ def _relative(start: Sequence[Array], best: Sequence[Array], second: Sequence[Ar
 
 def _largest(arrays: Sequence[Array]) -> Array:
     return functools.reduce(jnp.maximum, [jnp.max(jnp.abs(x)) for x in arrays])
+
+
+PROPERTIES = SchemeProperties(
+    name="extrapolate",
+    systems="any system",
+    conserves=(),
+    order=12,
+    symmetric=False,
+    limit="none; errors grow",
+    aliases=("Gragg–Bulirsch–Stoer",),
+    source="Gragg 1965",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

@@ -24,6 +24,7 @@ from lieint_jax import _checks
 from lieint_jax._numerics import collocation
 from lieint_jax._xla import saved
 from lieint_jax.schemes._shared.accepts import check_motion, hint
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes.charts.canonical import (
     Components,
     canonical,
@@ -259,6 +260,18 @@ def _iterated(equation: _Equation, k: Components) -> tuple[Components, Array]:
     far = jnp.full((), jnp.finfo(equation.dt.dtype).max, equation.dt.dtype)
     begin = (k, far / 2, far, jnp.zeros((), int))
     return lax.while_loop(goes_on, improved, begin)[:2]
+
+
+PROPERTIES = SchemeProperties(
+    name="gauss",
+    systems="free and elastic bodies, gyrostats, tops, satellites, several bodies",
+    conserves=("momentum", "form"),
+    order=16,
+    symmetric=True,
+    limit="about one radian of the fastest motion",
+    aliases=("Gauss–Legendre collocation",),
+    source="Hairer, Lubich & Wanner 2006, II.1.3, VI.4",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

@@ -38,6 +38,7 @@ from lieint_jax.schemes._shared.group_newton import (
     solved,
     translate,
 )
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import AbstractGeodesicFlow, AbstractMechanicalSystem, State, Step, StepInfo, pytree, static
 
 
@@ -156,6 +157,18 @@ def group_alpha(
     alpha, tau = _checks.fraction("alpha", alpha), as_tau(tau, system.group)
     middle = tau.symmetric and (not concrete(alpha) or float(alpha) == 0.5)
     return GroupAlpha(system, alpha, tau, _checks.count("iterations", iterations, 1), 2 if middle else 1, middle)
+
+
+PROPERTIES = SchemeProperties(
+    name="group_alpha",
+    systems="matrix groups, with or without a potential",
+    conserves=("momentum",),
+    order=2,
+    symmetric=True,
+    limit="where the map is injective",
+    aliases=("α-family on T*G",),
+    source="Lewis & Simo 1994, (5.43), Results 12 to 14",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

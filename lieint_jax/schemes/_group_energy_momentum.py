@@ -39,6 +39,7 @@ from lieint_jax.schemes._shared.group_newton import (
     solved,
     translate,
 )
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import AbstractMechanicalSystem, State, Step, StepInfo, pytree, static
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
@@ -133,6 +134,18 @@ def group_energy_momentum(system: AbstractMechanicalSystem, iterations: int = 6)
     MECHANICAL.check("group_energy_momentum", system, "; without a potential take group_midpoint")
     tau = as_tau(exponential, system.group)
     return GroupEnergyMomentum(system, tau, _checks.count("iterations", iterations, 1))
+
+
+PROPERTIES = SchemeProperties(
+    name="group_energy_momentum",
+    systems="matrix groups with a potential",
+    conserves=("energy", "momentum"),
+    order=2,
+    symmetric=True,
+    limit="where the map is injective",
+    aliases=("energy–momentum method on T*G",),
+    source="Lewis & Simo 1994, (5.49), Result 13",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

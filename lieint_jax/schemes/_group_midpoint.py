@@ -41,6 +41,7 @@ from lieint_jax.schemes._shared.group_newton import (
     translate,
     unpacked,
 )
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import AbstractGeodesicFlow, AbstractRightGeodesicFlow, State, Step, StepInfo, pytree, static
 
 
@@ -145,6 +146,18 @@ def group_midpoint(
     tau = as_tau(tau, system.group)
     order = 2 if tau.symmetric else 1
     return GroupMidpoint(system, tau, _checks.count("iterations", iterations, 1), order, tau.symmetric)
+
+
+PROPERTIES = SchemeProperties(
+    name="group_midpoint",
+    systems="geodesics of any matrix group",
+    conserves=("energy", "momentum", "form (where the map is symplectic)"),
+    order=2,
+    symmetric=True,
+    limit="where the map is injective",
+    aliases=("midpoint rule on T*G",),
+    source="Lewis & Simo 1994, (5.23) to (5.27), Results 9 to 11",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

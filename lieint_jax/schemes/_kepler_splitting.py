@@ -24,6 +24,7 @@ from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._nystrom import Stages, mirrored
 from lieint_jax.schemes._shared.accepts import check_motion
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._splitting import kicked_motion
 from lieint_jax.types import AbstractFreeBodies, AbstractRigidBodies, State, Step, StepInfo, pytree, static
 
@@ -190,6 +191,18 @@ def kepler_flow(d: Array, v: Array, mu: Array, dt: Array) -> tuple[Array, Array,
     moved = -mu * G2 / r0 * d + (dt - mu * G3) * v
     faster = -mu * G1 / (r0 * r) * d - mu * G2 / r * v
     return moved, faster, residual, good
+
+
+PROPERTIES = SchemeProperties(
+    name="kepler_splitting",
+    systems="two bodies",
+    conserves=("momentum", "form"),
+    order=2,
+    symmetric=True,
+    limit="that of the drift",
+    aliases=("Wisdom–Holman", "WHFast"),
+    source="Wisdom & Holman 1991; Laskar & Robutel 2001",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

@@ -22,6 +22,7 @@ from lieint_jax._checks import at_once, concrete
 from lieint_jax._xla import scan_stages
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._shared.accepts import check_motion, hint
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import FREE_BODIES, lost
 from lieint_jax.schemes._splitting import kicked_motion
 from lieint_jax.types import AbstractDrivenSystem, AbstractForcedSystem, State, Step, StepInfo, promoted, pytree, static
@@ -176,6 +177,18 @@ def log_hamiltonian(system: AbstractForcedSystem, energy: ArrayLike | None = Non
 def _positive(x: Array) -> tuple[Array, Array]:
     """x, or 1 where it is not positive; and whether it is."""
     return jnp.where(x > 0, x, 1), x > 0
+
+
+PROPERTIES = SchemeProperties(
+    name="log_hamiltonian",
+    systems="tops with V < 0",
+    conserves=("momentum", "form (of the extended phase space)"),
+    order=2,
+    symmetric=True,
+    limit="a step of fictitious time",
+    aliases=("logarithmic Hamiltonian", "Mikkola–Tanikawa", "Preto–Tremaine"),
+    source="Mikkola & Tanikawa 1999; Preto & Tremaine 1999",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

@@ -22,6 +22,7 @@ from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._preprocessed import preprocessed
 from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.free_bodies import MANY_FREE_BODIES
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import FREE_BODIES
 from lieint_jax.schemes._splitting import kicked, kicked_motion
 from lieint_jax.types import AbstractDrivenSystem, AbstractForcedSystem, State, Step, StepInfo, pytree, static
@@ -140,6 +141,18 @@ def nystrom(system: AbstractForcedSystem | AbstractDrivenSystem, order: int, dri
         )
     check_motion(f"nystrom with {drift.name}", "that motion with kicks", kicked_motion, (system, drift.system), system)
     return Nystrom(system, drift, order)
+
+
+PROPERTIES = SchemeProperties(
+    name="nystrom",
+    systems="tops, satellites, several bodies",
+    conserves=("momentum", "form"),
+    order=4,
+    symmetric=True,
+    limit="that of the drift",
+    aliases=("Runge–Kutta–Nyström splitting of Blanes & Moan",),
+    source="Blanes & Moan 2002",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

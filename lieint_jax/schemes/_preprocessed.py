@@ -25,6 +25,7 @@ from lieint_jax._numerics import vec3
 from lieint_jax.maps import kappa_symplectic
 from lieint_jax.schemes._shared.clock_coefficients import constants
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import FREE_BODIES, ITERATIONS, SO3Midpoint
 from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, pytree, static
 
@@ -122,6 +123,18 @@ def preprocessed(
         return FreeFlight.from_scheme("preprocessed", system, lambda body: Preprocessed(body, order, iterations))
     FREE_BODIES.check("preprocessed", system)
     return Preprocessed(system, order, iterations)
+
+
+PROPERTIES = SchemeProperties(
+    name="preprocessed",
+    systems="free bodies, several free bodies",
+    conserves=("energy", "momentum"),
+    order=4,
+    symmetric=True,
+    limit="|ΔtΩ| ≈ 1",
+    aliases=("preprocessed discrete Moser–Veselov",),
+    source="McLachlan & Zanna 2005; Hairer & Vilmart 2006",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

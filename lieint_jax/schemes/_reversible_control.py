@@ -17,6 +17,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import at_once, concrete
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._splitting import examples as base_examples
 from lieint_jax.types import (
     AbstractForcedSystem,
@@ -147,6 +148,18 @@ def reversible_control(step: Step, sigma: Callable[[State], ArrayLike]) -> Rever
     if not callable(sigma):
         raise ValueError(f"sigma must be a function of the state with a scalar value, got {sigma!r}")
     return ReversibleControl(step, callable_pytree(sigma))
+
+
+PROPERTIES = SchemeProperties(
+    name="reversible_control",
+    systems="any symmetric step",
+    conserves=("what the step conserves, but not the form",),
+    order=2,
+    symmetric=True,
+    limit="that of the step",
+    aliases=("reversible integrating controller",),
+    source="Hairer & Söderlind 2005",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

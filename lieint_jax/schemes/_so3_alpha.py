@@ -32,6 +32,7 @@ from lieint_jax._numerics import newton, vec3
 from lieint_jax._numerics.vec3 import Symmetric, Vector, add, apply, cross, dot, scale, subtract
 from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import ITERATIONS, SLENDER, cross_apply, dense, gyroscopic, lost, on_branch
 from lieint_jax.types import AbstractEmbeddedBody, State, Step, StepInfo, pytree, static
 
@@ -131,6 +132,18 @@ def so3_alpha(
     middle = not concrete(alpha) or float(alpha) == 0.5
     iterations = _checks.count("iterations", iterations, 1)
     return SO3Alpha(system, alpha, as_kappa(kappa), iterations, 2 if middle else 1, middle)
+
+
+PROPERTIES = SchemeProperties(
+    name="so3_alpha",
+    systems="free bodies whose attitude is a matrix",
+    conserves=("momentum", "energy"),
+    order=2,
+    symmetric=True,
+    limit="|ΔtΩ| of 2 to 4",
+    aliases=("α-family in L(3)",),
+    source="Lewis & Simo 1994, (2.14) to (2.23), Results 1 and 2",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

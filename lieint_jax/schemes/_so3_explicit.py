@@ -22,6 +22,7 @@ from jax.typing import ArrayLike
 from lieint_jax._numerics import vec3
 from lieint_jax._numerics.vec3 import dot
 from lieint_jax.groups import so3
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import (
     FREE_BODIES,
     half_cayley,
@@ -105,6 +106,18 @@ def so3_explicit(system: AbstractFreeBody) -> SO3Explicit:
     """
     FREE_BODIES.check("so3_explicit", system)
     return SO3Explicit(system)
+
+
+PROPERTIES = SchemeProperties(
+    name="so3_explicit",
+    systems="free bodies",
+    conserves=("energy", "momentum", "form"),
+    order=2,
+    symmetric=True,
+    limit="|ΔtΩ| ≈ 1",
+    aliases=("discrete Moser–Veselov, solved once",),
+    source="Lewis & Simo 1994, Result 5; the scalar form: this package",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

@@ -43,6 +43,7 @@ from lieint_jax._xla import materialized
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import (
     AbstractDrivenGyrostat,
     AbstractFreeBody,
@@ -211,6 +212,18 @@ def so3_midpoint(
     if iterations is None:
         iterations = ITERATIONS[kappa.solve_by if integrand is FREE_BODIES else "vector"]
     return SO3Midpoint(system, kappa, _checks.count("iterations", iterations, 1))
+
+
+PROPERTIES = SchemeProperties(
+    name="so3_midpoint",
+    systems="free bodies, gyrostats",
+    conserves=("energy", "momentum", "form (symplectic κ, free body)"),
+    order=2,
+    symmetric=True,
+    limit="|ΔtΩ| ≈ 1 for the symplectic κ, 2 to 4 for others",
+    aliases=("discrete Moser–Veselov (symplectic κ)", "RATTLE (symplectic κ)"),
+    source="Lewis & Simo 1994, (2.24), (2.28), Results 1 to 5",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

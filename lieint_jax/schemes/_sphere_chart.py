@@ -21,6 +21,7 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.phase_spaces import SphericalChart
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._sphere_midpoint import PENDULUMS
 from lieint_jax.types import AbstractSphereSystem, State, Step, StepInfo, autodiff_gradient, pytree, static
 
@@ -123,6 +124,18 @@ def sphere_chart(
         raise ValueError(f"axis must be a unit vector, got {np.asarray(gamma)}; divide it by its norm")
     chart = SphericalChart(gamma / jnp.linalg.norm(gamma))
     return SphereChart(system, chart, _checks.count("iterations", iterations, 1))
+
+
+PROPERTIES = SchemeProperties(
+    name="sphere_chart",
+    systems="the spherical pendulum",
+    conserves=("momentum", "form"),
+    order=2,
+    symmetric=True,
+    limit="away from the axis",
+    aliases=("implicit midpoint rule in spherical coordinates",),
+    source="Lewis & Simo 1994, Section 1.1, claims 4 and 5",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

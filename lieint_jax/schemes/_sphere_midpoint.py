@@ -21,6 +21,7 @@ from lieint_jax import _checks
 from lieint_jax._deprecated import old_calls
 from lieint_jax._numerics import newton, vec3
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import AbstractSphereSystem, State, Step, StepInfo, autodiff_gradient, pytree, static
 
 
@@ -119,6 +120,18 @@ def sphere_midpoint(system: AbstractSphereSystem, normalized: bool = False, iter
     """
     PENDULUMS.check("sphere_midpoint", system)
     return SphereMidpoint(system, bool(normalized), _checks.count("iterations", iterations, 1))
+
+
+PROPERTIES = SchemeProperties(
+    name="sphere_midpoint",
+    systems="the spherical pendulum",
+    conserves=("momentum", "energy (plain)", "form (normalized)"),
+    order=2,
+    symmetric=True,
+    limit="less than 180° a step",
+    aliases=("midpoint rule on T*S²",),
+    source="Lewis & Simo 1994, (1.6)",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

@@ -29,6 +29,7 @@ from lieint_jax.schemes._group_midpoint import GEODESICS, group_midpoint
 from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.free_bodies import MANY_FREE_BODIES
 from lieint_jax.schemes._shared.gyrostat_splitting import GyrostatSplitting, turning
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.se3_free_body import FreeMotion, is_free_motion
 from lieint_jax.schemes._so3_midpoint import FREE_BODIES, so3_midpoint
 from lieint_jax.types import (
@@ -212,6 +213,18 @@ def _metrics(free: Any) -> list[Array]:
         return [free.metric]
     roots = np.random.default_rng(0).normal(size=(2, free.group.dim, free.group.dim))
     return [jnp.asarray(root @ root.T + np.eye(free.group.dim)) for root in roots]
+
+
+PROPERTIES = SchemeProperties(
+    name="splitting",
+    systems="tops, satellites, gyrostats, groups with a potential, several bodies",
+    conserves=("momentum", "form"),
+    order=2,
+    symmetric=True,
+    limit="that of the drift",
+    aliases=("Strang splitting", "kick–drift–kick", "Störmer–Verlet"),
+    source="Strang 1968; McLachlan & Quispel 2002",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

@@ -34,6 +34,7 @@ from lieint_jax._numerics.vec3 import Symmetric, Vector, add, cross, dot, scale,
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import FREE_BODIES, gyration, gyration_matrix, on_branch
 from lieint_jax.types import AbstractDrivenTop, AbstractTop, State, Step, StepInfo, clock, pytree, static
 
@@ -328,6 +329,18 @@ def _half_turn(h: Vector, D: Vector) -> Vector:
 def _moment(h: Vector, Gamma: Vector, D: Vector) -> Vector:
     """w = (Γ − h × Γ) × D = Γ × D + (Γ·D)h − (h·D)Γ."""
     return subtract(add(cross(Gamma, D), scale(dot(Gamma, D), h)), scale(dot(h, D), Gamma))
+
+
+PROPERTIES = SchemeProperties(
+    name="top_energy_momentum",
+    systems="tops, satellites",
+    conserves=("energy less work", "momentum"),
+    order=2,
+    symmetric=True,
+    limit="|ΔtΩ| of 2 to 4 for the Cayley κ",
+    aliases=("energy–momentum method",),
+    source="Lewis & Simo 1994, (4.3), (4.4), Results 6 and 7, corrected",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

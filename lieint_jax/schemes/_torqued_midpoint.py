@@ -33,6 +33,7 @@ from lieint_jax._numerics.vec3 import Symmetric, Vector, add, cross, dot, scale,
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import FREE_BODIES, gyration, gyration_matrix, on_branch
 from lieint_jax.torques import internal_friction
 from lieint_jax.types import (
@@ -233,6 +234,18 @@ def torqued_midpoint(
         return DampedMidpoint(system, kappa, count)
     TORQUED_BODIES.check("torqued_midpoint", system, "; for internal friction take systems.damped_body")
     return TorquedMidpoint(system, kappa, count, symmetric=all(law.symmetric for law in system.laws))
+
+
+PROPERTIES = SchemeProperties(
+    name="torqued_midpoint",
+    systems="bodies with torques or internal friction",
+    conserves=("energy less work",),
+    order=2,
+    symmetric=True,
+    limit="|ΔtΩ| ≈ 1 for the symplectic κ, 2 to 4 for others",
+    aliases=("energy–momentum midpoint rule",),
+    source="Lewis & Simo 1994, Results 1 to 3, with torques: this package",
+)
 
 
 def examples(system: Any) -> dict[str, Step]:

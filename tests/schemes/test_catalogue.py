@@ -1,0 +1,64 @@
+"""What the schemes declare of themselves, against their steps and against measurements."""
+
+import jax
+import pytest
+from grid import steps
+
+import lieint_jax as li
+from lieint_jax import _discover
+
+ENTRIES = {entry.name: entry for entry in li.schemes.catalogue()}
+MODULES = _discover.modules_with_examples(li.schemes)
+# certificates of one example each; the grid's first step of a scheme need not be the default
+MEASURED = ["so3_explicit", "calibrated", "preprocessed", "splitting", "group_midpoint", "so3_midpoint", "extrapolate"]
+
+
+def test_every_scheme_has_an_entry_with_a_source():
+    assert set(ENTRIES) == set(MODULES)
+    assert len(ENTRIES) >= 20
+    for entry in ENTRIES.values():
+        assert entry.source
+        assert entry.limit
+        assert entry.aliases
+        assert hasattr(li.schemes, entry.name)
+        assert entry.conserves or entry.name == "extrapolate"
+    assert "discrete Moser–Veselov" in " ".join(ENTRIES["so3_midpoint"].aliases)
+    table = repr(li.schemes.catalogue())
+    assert len(table.splitlines()) == len(ENTRIES) + 1
+    assert all(name in table for name in ENTRIES)
+
+
+def examples(scheme):
+    """The steps by a scheme in the grid."""
+    kinds = {type(step).__module__ for _, step, *_ in steps()}
+    module = MODULES[scheme].__name__
+    return [(step, state, dt) for _, step, state, dt in steps() if type(step).__module__ == module] if kinds else []
+
+
+@pytest.mark.parametrize("scheme", sorted(set(MODULES) - {"compose", "reversible_control", "exact", "preprocessed"}))
+def test_the_declared_symmetry_is_that_of_the_default_step(scheme):
+    found = examples(scheme)
+    assert found
+    entry = ENTRIES[scheme]
+    assert entry.symmetric in {step.symmetric for step, *_ in found}
+    if scheme not in ("gauss", "nystrom", "kepler_splitting"):  # of a chosen order
+        assert entry.order in {step.order for step, *_ in found}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", MEASURED)
+def test_what_is_declared_conserved_is_measured(scheme):
+    """A declared invariant is constant to round-off; an energy or form that is not declared visibly is not."""
+    step, state, dt = examples(scheme)[0]
+    body = step.system
+    run = jax.jit(lambda z: li.integrate(step, z, dt, 100))(state)
+    energy = float(abs(li.diagnostics.energy_error(body, run)).max() / abs(body.energy(state)))
+    momentum = abs(li.diagnostics.momentum_error(body, run)).max()
+    defect = float(li.diagnostics.symplectic_defect(step, state, dt))
+    declared = ENTRIES[scheme].conserves
+    assert (energy < 1e-13) == ("energy" in declared)
+    assert ("momentum" in declared) == (float(momentum) < 1e-13)
+    if "form" in declared:
+        assert defect < 1e-13
+    elif not any(x.startswith("form") for x in declared):
+        assert defect > 1e-13
