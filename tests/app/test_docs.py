@@ -79,6 +79,6 @@ def test_a_scenario_of_a_page_is_valid(name):
         assert scenarios.parse(tomllib.loads(code), name).members >= 1
 
 
-@pytest.mark.parametrize("scheme", [name for name in li.schemes.__all__ if name.islower()])
+@pytest.mark.parametrize("scheme", [entry.name for entry in li.schemes.catalogue()])
 def test_which_scheme_has_every_scheme(scheme):
     assert f"`{scheme}" in TEXTS["which_scheme.md"]
