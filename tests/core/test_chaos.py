@@ -129,7 +129,8 @@ def test_a_chaotic_top_has_one_pair_of_exponents_and_the_sum_of_a_symplectic_ste
     found = chaotic()
     top, error = float(found.exponents[0]), float(found.errors[0])
     assert abs(top - 0.0855) < 4 * error  # 0.0835 to 0.0877 by DOP853 over t = 3000 and 4000 (study of sensitivity)
-    assert 0.001 < error < 0.01
+    # The rounding of a CPU chooses one of many paths: 64 starts within 1e-7 give errors of 0.0056 to 0.0174.
+    assert 0.003 < error < 0.03
     assert float(found.exponents[5]) == pytest.approx(-top, abs=2e-3)
     assert jnp.abs(found.exponents[1:5]).max() < 3 * np.log(2000) / 2000
     assert abs(float(found.exponents.sum())) < 1e-14
@@ -148,7 +149,8 @@ def test_one_vector_is_the_first_of_many_and_megno_grows_with_it():
     found = chaotic(1)
     assert float(found.exponents[0]) == pytest.approx(float(chaotic().exponents[0]), rel=1e-9)
     quality = diagnostics.megno(schemes.splitting(TOP), TUMBLING, 0.05, 40_000)
-    assert float(quality.mean) == pytest.approx(float(found.exponents[0]) * 2000 / 2, rel=0.15)
+    # 0.82 to 1.09 of it from 64 starts within 1e-7
+    assert float(quality.mean) == pytest.approx(float(found.exponents[0]) * 2000 / 2, rel=0.3)
     assert float(quality.mean) > 30
 
 
