@@ -27,8 +27,11 @@ def examples(system):
 
 
 @functools.cache
-def _made():
-    """Every worker collects them, so here no motion is compared: that compiles two vector fields a pair."""
+def made():
+    """(module of the scheme, id, step, state, dt) of every system with every scheme that accepts it.
+
+    Every worker collects them, so here no motion is compared: that compiles two vector fields a pair.
+    """
     with mock.patch.object(accepts, "_difference", return_value=(0.0, 0.0)):
         return [
             (module, f"{name}-{step_name}", step, step.start(state), dt)
@@ -39,9 +42,9 @@ def _made():
 
 def steps():
     """(id, step, state, dt) of every system with every scheme that takes it, the state as the scheme starts it."""
-    return [found for _, *found in _made()]
+    return [found for _, *found in made()]
 
 
 def schemes():
     """The modules of the schemes that have a step of some system."""
-    return {module for module, *_ in _made()}
+    return {module for module, *_ in made()}

@@ -1,0 +1,110 @@
+"""Every scheme with every system, in ensembles: what it declares conserved stays so over a long run, and its order.
+
+One compiled step serves both. The reference is `diagnostics.flow`: collocation of order 16 for the vector field itself.
+"""
+
+import functools
+import re
+
+import jax
+import numpy as np
+import pytest
+
+pytest.importorskip("llvmlite")
+
+import grid
+from native_members import compiled
+
+import lieint_jax as li
+from lieint_jax import diagnostics, ensemble
+from lieint_jax.native import UnsupportedError
+
+MEMBERS, LONG, SHORT = 8, 2000, 20
+FLOOR = 1e-11  # the least error that shows an order: the reference is right to some 1e-14
+FINER = {"pseudo_rigid_body": 8, "incompressible_body": 4}  # parts of an example's dt that resolve its fast vibrations
+DECLARED = {entry.name: entry.conserves for entry in li.schemes.catalogue()}
+QUICK = re.compile(  # of each kind one κ, of most kinds one system
+    r"(driven_top.moving|driven_top.two|gravity_gradient.sat|potential_top.(?!brun)|rigid_bodies.binary|rigid_bodies.triple"
+    r"-(bodies|gauss|nystrom.6)|heavy_top.asym|(torqued|damped)_body|gyrostat.full|driven_gyrostat|pendulum|group_potential"
+    r"|euler.kirchhoff|pseudo_rigid|embedded|rigid_body.asym)(?!.*(exponential|midpoint\[symplectic\]\)|momentum.sym))"
+)
+
+
+def declares(scheme, step_name, invariant):
+    """Whether the scheme declares it conserved; where that depends on the kind of step, the brackets name the kind."""
+    base = re.search(r"\((\w+)", step_name)
+    declared = DECLARED[base[1] if scheme in ("compose", "reversible_control") and base[1] in DECLARED else scheme]
+    kind = step_name.rpartition("[")[2].rstrip("])")
+    names = {name.split()[0]: condition for name, _, condition in (text.partition("(") for text in declared)}
+    return invariant in names and (not names[invariant] or kind in re.findall(r"\w+", names[invariant]))
+
+
+def members(step, state):
+    """Copies of a state whose momenta differ by some percent."""
+    scale = 1 + 0.02 * np.random.default_rng(3).normal(size=(MEMBERS,) + np.ndim(state.p) * (1,))
+    states = jax.tree.map(lambda x: np.repeat(np.asarray(x)[None], MEMBERS, 0), state)
+    states = states._replace(p=states.p * scale)
+    return jax.device_get(jax.vmap(step.start)(states)) if step.own_time else states
+
+
+@functools.cache
+def energies_and_momenta():
+    """(system, states (time, member, …)) ↦ H − W and the momenta."""
+
+    def of_state(system, state):
+        return system.energy(state) - (0.0 if state.work is None else state.work), system.momentum(state)
+
+    return jax.jit(jax.vmap(jax.vmap(of_state, (None, 0)), (None, 0)))
+
+
+def flow(state, t, system):
+    return diagnostics.flow(system, state, t, 2 * SHORT)
+
+
+@functools.cache
+def reference(name, with_time):
+    """(system, states, times (members,)) ↦ the exact states after those times."""
+    system, state, _ = dict(grid.systems())[name]
+    state = jax.tree.map(lambda x: np.asarray(x)[None], state._replace(t=1.0 if with_time else None))
+    try:
+        return compiled(flow, [state, np.zeros(1)], [system])
+    except UnsupportedError:  # a system whose vector field solves linear equations by LAPACK
+        by_xla = jax.jit(jax.vmap(flow, (0, 0, None)))
+        return lambda member, shared: by_xla(*member, *shared)
+
+
+def order_and_error(name, step, states, dt):
+    """The order by two runs of the same length, and the error of the longer steps."""
+    errors = []
+    for parts in (1, 2):
+        run = ensemble.run(step, states, dt / parts, SHORT * parts, progress=False)
+        end = jax.tree.map(lambda x: x[-1], run.state)
+        times = np.asarray(end.t - states.t) if step.own_time else np.full(MEMBERS, SHORT * dt)
+        exact = reference(name, states.t is not None)([states, times], [step.system])
+        errors.append(max(np.abs(end.q - exact.q).max(), np.abs(end.p - exact.p).max() / np.abs(exact.p).max()))
+    return np.log2(errors[0] / errors[1]), errors
+
+
+def cases():
+    for scheme, name, step, state, dt in grid.made():
+        marks = () if QUICK.match(name) else pytest.mark.long
+        yield pytest.param(scheme, name, step, state, dt, id=name, marks=marks)
+
+
+@pytest.mark.parametrize(("scheme", "name", "step", "state", "dt"), list(cases()))
+def test_what_a_long_run_conserves_and_the_order(scheme, name, step, state, dt):
+    system_name, _, step_name = name.partition("-")
+    states = members(step, state)
+    run = ensemble.run(step, states, float(dt), LONG, save_every=LONG // 20, progress=False)
+    energies, momenta = (np.asarray(x) for x in energies_and_momenta()(step.system, run.state))
+    if declares(scheme, step_name, "energy"):
+        assert np.abs(energies / energies[0] - 1).max() < 2e-12  # 5e-13, of a binary; 1e-14 of most
+    if declares(scheme, step_name, "momentum"):
+        assert np.abs(momenta - momenta[0]).max(initial=0) <= 3e-13 * np.abs(momenta).max(initial=0)  # 8e-14
+    if state.extra is None:  # the vector field has no inner states
+        dt = float(dt) / FINER.get(system_name.partition(".")[0], 1)
+        order, errors = order_and_error(system_name, step, states, dt)
+        if errors[1] > FLOOR:
+            assert order == pytest.approx(step.order, abs=0.15)
+        else:
+            assert errors[0] < FLOOR * 2.0 ** (step.order + 1)
