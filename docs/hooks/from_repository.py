@@ -17,6 +17,7 @@ TITLES = {
     "driven": "Satellites",
     "bodies": "Several bodies",
     "se3": "SE(3)",
+    "engines": "Steps for engines",
     "gradients": "Gradients",
     "tangent": "Tangent vectors",
     "ensemble": "Ensembles",
