@@ -27,6 +27,7 @@ _EPILOG = """examples:
   lieint check rigid_body --scheme cayley  one of them
   lieint check                             of one example of each system: some minutes the first time
   lieint check "SE(3)"                     what is conserved on a matrix group, by which map
+  lieint check --published                 numbers of other codes (NASA, Basilisk, …), recomputed
   lieint check groups                      energy and symplectic form, group by group and map by map
   lieint figure 1 2 3 --out figures        the paper's figures
 """
@@ -191,6 +192,7 @@ def _add_check(commands: Any) -> None:
     check.add_argument(
         "--steps", type=_positive, metavar="N", help="length of a run (default 1000; 100 where Ad_q grows)"
     )
+    check.add_argument("--published", action="store_true", help="recompute published numbers of other codes instead")
     check.set_defaults(command=_check)
 
 
@@ -297,9 +299,14 @@ def _schema(_: argparse.Namespace) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
-    from lieint_jax.app.command import check
+    from lieint_jax.app.command import check, check_published
     from lieint_jax.app.command import list as listing
 
+    if options.published:
+        if options.system or options.scheme or options.steps or options.all:
+            raise ValueError("--published has cases of its own: type lieint check --published alone")
+        check_published.check()
+        return
     if options.all and options.system:
         raise ValueError(f"--all is every system: type lieint check --all, or lieint check {options.system}")
     if not options.scheme and options.steps is None and not options.all:

@@ -1,0 +1,23 @@
+"""Published numbers of other codes, recomputed: each case names its source, its inputs and what limits the agreement.
+
+`cases()` makes them, `Case.compare()` runs one; the command `lieint check --published` prints the table.
+"""
+
+from lieint_jax.app.published._case import Case, Comparison
+from lieint_jax.app.published._free_bodies import basilisk_free_body, tumbling_brick
+from lieint_jax.app.published._gravity_gradient import jeod_gravity_gradient
+from lieint_jax.app.published._heavy_top import multibody_heavy_top
+from lieint_jax.app.published._wheels import basilisk_wheels
+
+__all__ = ["Case", "Comparison", "cases"]
+
+
+def cases() -> tuple[Case, ...]:
+    """Every case, in the order of the table."""
+    return (
+        jeod_gravity_gradient(),
+        tumbling_brick(),
+        basilisk_free_body(),
+        basilisk_wheels(),
+        multibody_heavy_top(),
+    )

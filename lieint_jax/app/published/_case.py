@@ -1,0 +1,61 @@
+"""A published case: what another code computed, and the same by this package."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+class Comparison(NamedTuple):
+    """One quantity of a case.
+
+    Attributes:
+        quantity: its name, time and unit.
+        theirs, ours: the published numbers and those of this package.
+        digits: half a unit of the last printed digit, 0 if they are printed in full.
+    """
+
+    quantity: str
+    theirs: np.ndarray
+    ours: np.ndarray
+    digits: float
+
+    @property
+    def difference(self) -> float:
+        """The largest absolute difference."""
+        return float(np.abs(self.theirs - self.ours).max())
+
+
+@dataclass(frozen=True)
+class Case:
+    """A case that another code has published.
+
+    Attributes:
+        code: the code and the name of the case there.
+        source: repository, file and commit, or paper.
+        scheme: what computes it here.
+        published: quantity ↦ the numbers as published.
+        digits: quantity ↦ half a unit of their last digit, where they are rounded.
+        limit: what limits the agreement.
+        compute: () ↦ quantity ↦ our numbers.
+    """
+
+    code: str
+    source: str
+    scheme: str
+    published: Mapping[str, ArrayLike]
+    limit: str
+    compute: Callable[[], Mapping[str, ArrayLike]]
+    digits: Mapping[str, float]
+
+    def compare(self) -> list[Comparison]:
+        """Every published quantity next to ours."""
+        ours = self.compute()
+        return [
+            Comparison(name, np.asarray(value, float), np.asarray(ours[name], float), self.digits.get(name, 0.0))
+            for name, value in self.published.items()
+        ]

@@ -1,0 +1,69 @@
+"""NASA's satellite under gravity's gradient on an ellipse, for eight hours."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+
+from lieint_jax import integrate, orbits, schemes, systems
+from lieint_jax.app.published._case import Case
+
+_T0 = [
+    [-0.6443912269484258, 0.0528421023505859, 0.762868048125672],
+    [-0.7615617871967408, -0.1345758406652156, -0.6339660774765135],
+    [0.0691635085403311, -0.9894933326346473, 0.1269620169892195],
+]
+_PUBLISHED = {
+    300: {
+        "position, m": (-4033756.267998047, -1298847.133169205, 5302377.246945092),
+        "attitude matrix": (
+            (-0.5871162490491013, -0.2633642854141441, 0.7654631037945663),
+            (-0.764805635822254, -0.1293984158099508, -0.6311326242561012),
+            (0.2652675055807466, -0.9559787148018372, -0.1254505772358036),
+        ),
+        "rates, rad/s": (-1.958561461497211e-05, -0.001032040842888368, -2.37228160922577e-05),
+    },
+    28800: {
+        "position, m": (-1051395.223245429, -6116653.272961161, 2626343.274205685),
+        "attitude matrix": (
+            (-0.1416223422259051, -0.9171375917053928, 0.372561068904521),
+            (-0.9814677649343182, 0.08101112610984618, -0.1736612329832083),
+            (0.1290896532541655, -0.3902509901681823, -0.9116139676943704),
+        ),
+        "rates, rad/s": (-1.958561461497211e-05, -0.001102150420357001, -0.0007137081527530395),
+    },
+}
+
+
+def jeod_gravity_gradient() -> Case:
+    """JEOD's RUN_10C, which is NESC check case 10C."""
+
+    def compute() -> dict[str, np.ndarray]:
+        orbit = orbits.from_state(
+            398600441500000.0, [-4315967.74, 960356.2, 5167269.53], [129.091037, -7491.513855, 1452.515654]
+        )
+        satellite = systems.gravity_gradient([500.0, 12250.0, 12250.0], orbit)
+        start = satellite.state(
+            np.array(_T0).T, angular_velocity=[-1.958561461497211e-05, -0.001122059109806593, 0.0], t=0.0
+        )
+        run = integrate(schemes.extrapolate(satellite, 14), start, 60.0, 480, save_every=5)
+        found = {}
+        for t in _PUBLISHED:
+            state = jax.tree.map(lambda x, k=t // 300: x[k], run.state)
+            ours = {
+                "position, m": orbit(float(t))[0],
+                "attitude matrix": satellite.free.rotation_matrix(state).T,
+                "rates, rad/s": satellite.angular_velocity(state),
+            }
+            found |= {f"{name}, at {t} s": np.asarray(value) for name, value in ours.items()}
+        return found
+
+    return Case(
+        code="NASA JEOD, gravity gradient on an ellipse, 8 h (NESC check case 10C)",
+        source="nasa/jeod, verif/SIM_dyncomp/SET_test_val/RUN_10C/log_state_ASCII.csv @6550cf4",
+        scheme="extrapolate(satellite, 14), Δt = 60 s; orbits.from_state",
+        published={f"{name}, at {t} s": x for t, values in _PUBLISHED.items() for name, x in values.items()},
+        limit="JEOD's own orbit, which is 1e-5 m off Kepler's after 8 h, and its steps of the attitude",
+        compute=compute,
+        digits={},
+    )
