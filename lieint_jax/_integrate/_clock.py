@@ -88,15 +88,14 @@ _HALVINGS = 20  # the most that `more_times` tries
 
 
 def clock_of(
-    step: Step, t: Array | None, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
+    step: Step, state: State, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
 ) -> tuple[Clock, int]:
-    """When the steps of a run are, and how many; t is the time of its first state."""
+    """When the steps of a run from a state are, and how many."""
     if times is None:
         if num_steps is None:
             raise ValueError("give dt and num_steps, or times")
         size = _checks.as_array(_checks.step_size(dt), dtype)
-        t0 = _checks.as_array(0.0, dtype) if t is None else t
-        return StateClock(size) if step.own_time else UniformClock(t0, size), _checks.count("num_steps", num_steps, 0)
+        return uniform_clock(step, state, size), _checks.count("num_steps", num_steps, 0)
     refuse_times(step, "times")
     if dt is not None or num_steps is not None:
         raise ValueError("give dt and num_steps, or times, not both")
@@ -108,13 +107,20 @@ def clock_of(
         if not (np.all(sizes > 0) or np.all(sizes < 0)):
             n = int(np.argmax(sizes * np.sign(sizes[0]) <= 0))
             raise ValueError(f"times must increase, or decrease, from one to the next, got {nodes[n : n + 2]} at {n}")
-    if t is not None and concrete(nodes, t) and float(nodes[0]) != float(t):
+    if state.t is not None and concrete(nodes, state.t) and float(nodes[0]) != float(state.t):
         first = float(nodes[0])
         raise ValueError(
-            f"times must begin at the time of the state, {float(t)}, got {first}; begin there, or make the "
+            f"times must begin at the time of the state, {float(state.t)}, got {first}; begin there, or make the "
             f"state at that time: system.state(..., t={first})"
         )
     return GridClock(nodes), nodes.size - 1
+
+
+def uniform_clock(step: Step, state: State, dt: Array) -> UniformClock | StateClock:
+    """The clock of steps of size dt from a state; of a state without a time, since the start."""
+    if step.own_time:
+        return StateClock(dt)
+    return UniformClock(jnp.zeros((), dt.dtype) if state.t is None else state.t, dt)
 
 
 def more_times(step: Step, state: State, size: ArrayLike) -> str:

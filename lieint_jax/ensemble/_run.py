@@ -152,7 +152,7 @@ def _make_job(
     step, states, dtype = promoted(checked_step(step), states)
     states, t0 = _split_time(step, states)
     reduction = energy if reduce == "energy" else reduce
-    clock, planned_steps = _make_clock(step, t0, dtype, dt, num_steps, times)
+    clock, planned_steps = _make_clock(step, states, t0, dtype, dt, num_steps, times)
     if save_at is None:
         _check_size(states, intervals(planned_steps, save_every)[1] + 1, reduction, store)
         entries = _entries_by_count(clock, planned_steps, save_every, dtype)
@@ -219,6 +219,7 @@ def _next_call(job: Job, done: int, saved: int, most: int, free_rows: int) -> tu
 
 def _make_clock(
     step: Step,
+    states: State,
     t0: _layout.Numbers | None,
     dtype: np.dtype,
     dt: ArrayLike | None,
@@ -230,7 +231,7 @@ def _make_clock(
         if times is not None:
             raise ValueError("times hold for all members: give all members the same states.t, or none")
         t0 = None
-    clock, planned_steps = clock_of(step, t0, dtype, dt, num_steps, times)  # pyright: ignore[reportArgumentType]
+    clock, planned_steps = clock_of(step, states._replace(t=t0), dtype, dt, num_steps, times)
     if isinstance(clock, StateClock):
         clock = UniformClock(jnp.zeros((), dtype), clock.dt)
     return jax.tree.map(np.asarray, clock), planned_steps
