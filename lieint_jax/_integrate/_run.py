@@ -79,7 +79,8 @@ def integrate(
     Raises:
         ValueError: a bad count, times that are not finite, not in order or outside the run, a concrete state that is
             not one of the system, a concrete dt past the scheme's limit at the first step, a trajectory larger than
-            this machine's memory, save_at with an adjoint, or a step that the adjoint cannot differentiate. Later failures, and all failures inside jit, show in `info.converged`.
+            this machine's memory, save_at with an adjoint, or a step that the adjoint cannot differentiate.
+            Later failures, and all failures inside jit, show in `info.converged`.
 
     Warns:
         RuntimeWarning: a state's time is so large that the floating-point numbers there are more than dt/10⁶ apart.
