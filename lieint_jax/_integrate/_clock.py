@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax.types import State, Step, converges
+from lieint_jax.types import State, Step, converges, counts_work
 
 
 class UniformClock(NamedTuple):
@@ -39,6 +39,19 @@ class UniformClock(NamedTuple):
         near = jnp.round(n)
         at_node = jnp.abs(t - self.time(near)) <= 4 * jnp.finfo(t.dtype).eps * jnp.abs(t)
         return jnp.clip(jnp.where(at_node, near, jnp.floor(n)), 0, num_steps).astype(int)
+
+
+class RoundedClock(UniformClock):
+    """Steps of one size up to rounding: each is what the rounded times of its nodes are apart, as those of `GridClock`.
+
+    A step that counts work takes from it the energies of time-dependent laws at its two ends, t and t + size. If the
+    next step does not begin at t + size to the last bit, the change of energy in between is counted by neither: a
+    rounding error in every step, of one sign for long.
+    """
+
+    def size(self, n: ArrayLike) -> Array:
+        """The size of the step from node n; its derivative is that of dt."""
+        return self.dt + lax.stop_gradient(self.time(n + 1) - self.time(n) - self.dt)
 
 
 class GridClock(NamedTuple):
@@ -120,7 +133,8 @@ def uniform_clock(step: Step, state: State, dt: Array) -> UniformClock | StateCl
     """The clock of steps of size dt from a state; of a state without a time, since the start."""
     if step.own_time:
         return StateClock(dt)
-    return UniformClock(jnp.zeros((), dt.dtype) if state.t is None else state.t, dt)
+    t0 = jnp.zeros((), dt.dtype) if state.t is None else state.t
+    return RoundedClock(t0, dt) if counts_work(state) and not step.prepares else UniformClock(t0, dt)
 
 
 def more_times(step: Step, state: State, size: ArrayLike) -> str:

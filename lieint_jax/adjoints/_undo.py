@@ -159,6 +159,10 @@ class _Opened:
     def own_time(self) -> bool:
         return self.step.own_time
 
+    @property
+    def prepares(self) -> bool:
+        return self.step.prepares
+
     def __call__(self, state: State, dt: Array) -> tuple[State, StepInfo]:
         return self.function(self.step, state, dt, *self.closed)
 

@@ -119,6 +119,11 @@ class Trajectory(NamedTuple):
         return _labeled.rotations(self)
 
 
+def counts_work(state: State) -> bool:
+    """Whether a state counts work, in all or law by law."""
+    return state.work is not None or "works" in (state.extra or {})
+
+
 def clock(state: State) -> Array:
     """The time of a state; ValueError if it has none."""
     if state.t is None:
