@@ -4,6 +4,7 @@ from lieint_jax._integrate._adjoint import Adjoint
 from lieint_jax._integrate._clock import (
     Clock,
     GridClock,
+    RoundedClock,
     StateClock,
     UniformClock,
     at_time,
@@ -32,6 +33,7 @@ __all__ = [
     "Event",
     "GridClock",
     "Progress",
+    "RoundedClock",
     "StateClock",
     "UniformClock",
     "advance",

@@ -35,23 +35,44 @@ class UniformClock(NamedTuple):
 
     def node(self, t: Array, num_steps: int) -> Array:
         """The last node that is not after the time t."""
-        n = lax.stop_gradient((t - self.t0) / self.dt)
-        near = jnp.round(n)
-        at_node = jnp.abs(t - self.time(near)) <= 4 * jnp.finfo(t.dtype).eps * jnp.abs(t)
-        return jnp.clip(jnp.where(at_node, near, jnp.floor(n)), 0, num_steps).astype(int)
+        return _uniform_node(self, t, num_steps)
 
 
-class RoundedClock(UniformClock):
+class RoundedClock(NamedTuple):
     """Steps of one size up to rounding: each is what the rounded times of its nodes are apart, as those of `GridClock`.
 
     A step that counts work takes from it the energies of time-dependent laws at its two ends, t and t + size. If the
     next step does not begin at t + size to the last bit, the change of energy in between is counted by neither: a
     rounding error in every step, of one sign for long.
+
+    Attributes:
+        t0: the time of the first.
+        dt: their size.
+        coarse: dt rounded to half of its digits: products with it and with the rest are exact, so that the time of a
+            node has the same bits wherever it is computed, with or without a fused multiply-add.
     """
+
+    t0: Array
+    dt: Array
+    coarse: Array
+
+    @classmethod
+    def of_size(cls, t0: Array, dt: Array) -> RoundedClock:
+        """The clock of steps of size dt from the time t₀."""
+        precision = jnp.finfo(dt.dtype)
+        return cls(t0, dt, lax.stop_gradient(lax.reduce_precision(dt, precision.nexp, precision.nmant // 2)))
 
     def size(self, n: ArrayLike) -> Array:
         """The size of the step from node n; its derivative is that of dt."""
         return self.dt + lax.stop_gradient(self.time(n + 1) - self.time(n) - self.dt)
+
+    def time(self, n: ArrayLike) -> Array:
+        """The time of node n."""
+        return self.t0 + n * self.coarse + n * (self.dt - self.coarse)
+
+    def node(self, t: Array, num_steps: int) -> Array:
+        """The last node that is not after the time t."""
+        return _uniform_node(self, t, num_steps)
 
 
 class GridClock(NamedTuple):
@@ -96,8 +117,15 @@ class StateClock(NamedTuple):
         return
 
 
-Clock = UniformClock | GridClock | StateClock
+Clock = UniformClock | RoundedClock | GridClock | StateClock
 _HALVINGS = 20  # the most that `more_times` tries
+
+
+def _uniform_node(clock: UniformClock | RoundedClock, t: Array, num_steps: int) -> Array:
+    n = lax.stop_gradient((t - clock.t0) / clock.dt)
+    near = jnp.round(n)
+    at_node = jnp.abs(t - clock.time(near)) <= 4 * jnp.finfo(t.dtype).eps * jnp.abs(t)
+    return jnp.clip(jnp.where(at_node, near, jnp.floor(n)), 0, num_steps).astype(int)
 
 
 def clock_of(
@@ -129,12 +157,12 @@ def clock_of(
     return GridClock(nodes), nodes.size - 1
 
 
-def uniform_clock(step: Step, state: State, dt: Array) -> UniformClock | StateClock:
+def uniform_clock(step: Step, state: State, dt: Array) -> UniformClock | RoundedClock | StateClock:
     """The clock of steps of size dt from a state; of a state without a time, since the start."""
     if step.own_time:
         return StateClock(dt)
     t0 = jnp.zeros((), dt.dtype) if state.t is None else state.t
-    return RoundedClock(t0, dt) if counts_work(state) and not step.prepares else UniformClock(t0, dt)
+    return RoundedClock.of_size(t0, dt) if counts_work(state) and not step.prepares else UniformClock(t0, dt)
 
 
 def more_times(step: Step, state: State, size: ArrayLike) -> str:
@@ -148,7 +176,7 @@ def more_times(step: Step, state: State, size: ArrayLike) -> str:
     return ""
 
 
-def outputs(save_at: ArrayLike, clock: UniformClock | GridClock, num_steps: int, dtype: Any) -> Array:
+def outputs(save_at: ArrayLike, clock: UniformClock | RoundedClock | GridClock, num_steps: int, dtype: Any) -> Array:
     """The output times; ValueError if concrete ones are out of order or outside the run."""
     wanted = _checks.real_array("save_at", save_at).astype(dtype)
     if wanted.ndim != 1:

@@ -19,6 +19,7 @@ from lieint_jax._integrate._adjoint import Adjoint, checked_adjoint
 from lieint_jax._integrate._clock import (
     Clock,
     GridClock,
+    RoundedClock,
     StateClock,
     UniformClock,
     at_time,
@@ -211,7 +212,7 @@ def _interval(step: Step, clock: Clock, save_every: int) -> Callable[[Any, None]
 
 @partial(compiled, static_argnums=4)
 def _at_output_times(
-    step: Step, state: State, clock: UniformClock | GridClock, save_at: Array, num_steps: int
+    step: Step, state: State, clock: UniformClock | RoundedClock | GridClock, save_at: Array, num_steps: int
 ) -> Trajectory:
     """The trajectory at output times: whole steps, and before each a shorter one from its node to every output."""
     count = save_at.size

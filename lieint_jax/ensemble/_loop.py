@@ -17,6 +17,7 @@ from lieint_jax._integrate import (
     Body,
     GridClock,
     Progress,
+    RoundedClock,
     StateClock,
     UniformClock,
     advance,
@@ -80,7 +81,7 @@ class Origin(NamedTuple):
     """
 
     t0: Numbers | None
-    clock: UniformClock | GridClock
+    clock: UniformClock | RoundedClock | GridClock
     quantity: Numbers | None
 
     def add_time(self, n: ArrayLike, state: State) -> State:
@@ -92,9 +93,9 @@ class Origin(NamedTuple):
         return state if self.t0 is None else state._replace(t=None)
 
     @property
-    def own_clock(self) -> UniformClock | GridClock | StateClock:
+    def own_clock(self) -> UniformClock | RoundedClock | GridClock | StateClock:
         """The clock of a member, which begins at the time of its initial state."""
-        if not isinstance(self.clock, UniformClock):
+        if isinstance(self.clock, GridClock):
             return self.clock
         return StateClock(self.clock.dt) if self.t0 is None else self.clock._replace(t0=self.t0)
 

@@ -19,6 +19,7 @@ from lieint_jax import _checks
 from lieint_jax._deprecated import old_calls
 from lieint_jax._integrate import (
     GridClock,
+    RoundedClock,
     StateClock,
     UniformClock,
     clock_of,
@@ -225,7 +226,7 @@ def _make_clock(
     dt: ArrayLike | None,
     num_steps: int | None,
     times: ArrayLike | None,
-) -> tuple[UniformClock | GridClock, int]:
+) -> tuple[UniformClock | RoundedClock | GridClock, int]:
     """The clock of the steps, as host arrays, and their number; since the start if members start at different times."""
     if t0 is not None and t0.ndim:
         if times is not None:
@@ -241,17 +242,17 @@ _Entries = tuple[np.ndarray, np.ndarray, np.ndarray | None, int | None]  # times
 
 
 def _entries_by_count(
-    clock: UniformClock | GridClock, planned_steps: int, save_every: int | None, dtype: np.dtype
+    clock: UniformClock | RoundedClock | GridClock, planned_steps: int, save_every: int | None, dtype: np.dtype
 ) -> _Entries:
     """The entries after every `save_every` steps."""
     interval, num_saves = intervals(planned_steps, save_every)
     nodes = interval * np.arange(num_saves + 1)
-    times = clock.time(nodes.astype(dtype) if isinstance(clock, UniformClock) else nodes)
+    times = clock.time(nodes if isinstance(clock, GridClock) else nodes.astype(dtype))
     return np.asarray(times), nodes, None, interval
 
 
 def _entries_at_times(
-    save_at: ArrayLike, clock: UniformClock | GridClock, planned_steps: int, dtype: np.dtype
+    save_at: ArrayLike, clock: UniformClock | RoundedClock | GridClock, planned_steps: int, dtype: np.dtype
 ) -> _Entries:
     """The entries at given times, that of the start first."""
     wanted = outputs(save_at, clock, planned_steps, dtype)
