@@ -1,4 +1,4 @@
-"""Work is counted to round-off over long runs, by every loop over steps: H − W has no drift from the rounding of time."""
+"""Work is counted to round-off over long runs, in every loop over steps: the rounding of time makes H − W no drift."""
 
 import functools
 
