@@ -1,7 +1,10 @@
 """Runs of one body: many steps, output at given times, events."""
 
+from lieint_jax._integrate._adjoint import Adjoint
 from lieint_jax._integrate._clock import (
+    Clock,
     GridClock,
+    RoundedClock,
     StateClock,
     UniformClock,
     at_time,
@@ -9,34 +12,40 @@ from lieint_jax._integrate._clock import (
     more_times,
     outputs,
     refuse_times,
+    uniform_clock,
 )
+from lieint_jax._integrate._driver import Body, Progress, advance, counted, march, prepared, scanned
 from lieint_jax._integrate._event import Event, event, events
 from lieint_jax._integrate._interpolate import interpolate
 from lieint_jax._integrate._run import (
-    from_start,
     integrate,
     intervals,
     of_any_length,
-    prepared,
     rows_for,
     saves,
-    steps,
     trajectory,
 )
 
 __all__ = [
+    "Adjoint",
+    "Body",
+    "Clock",
     "Event",
     "GridClock",
+    "Progress",
+    "RoundedClock",
     "StateClock",
     "UniformClock",
+    "advance",
     "at_time",
     "clock_of",
+    "counted",
     "event",
     "events",
-    "from_start",
     "integrate",
     "interpolate",
     "intervals",
+    "march",
     "more_times",
     "of_any_length",
     "outputs",
@@ -44,6 +53,7 @@ __all__ = [
     "refuse_times",
     "rows_for",
     "saves",
-    "steps",
+    "scanned",
     "trajectory",
+    "uniform_clock",
 ]

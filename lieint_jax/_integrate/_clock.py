@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax.types import State, Step, converges
+from lieint_jax.types import State, Step, converges, counts_work
 
 
 class UniformClock(NamedTuple):
@@ -35,10 +35,44 @@ class UniformClock(NamedTuple):
 
     def node(self, t: Array, num_steps: int) -> Array:
         """The last node that is not after the time t."""
-        n = lax.stop_gradient((t - self.t0) / self.dt)
-        near = jnp.round(n)
-        at_node = jnp.abs(t - self.time(near)) <= 4 * jnp.finfo(t.dtype).eps * jnp.abs(t)
-        return jnp.clip(jnp.where(at_node, near, jnp.floor(n)), 0, num_steps).astype(int)
+        return _uniform_node(self, t, num_steps)
+
+
+class RoundedClock(NamedTuple):
+    """Steps of one size up to rounding: each is what the rounded times of its nodes are apart, as those of `GridClock`.
+
+    A step that counts work takes from it the energies of time-dependent laws at its two ends, t and t + size. If the
+    next step does not begin at t + size to the last bit, the change of energy in between is counted by neither: a
+    rounding error in every step, of one sign for long.
+
+    Attributes:
+        t0: the time of the first.
+        dt: their size.
+        coarse: dt rounded to half of its digits: products with it and with the rest are exact, so that the time of a
+            node has the same bits wherever it is computed, with or without a fused multiply-add.
+    """
+
+    t0: Array
+    dt: Array
+    coarse: Array
+
+    @classmethod
+    def of_size(cls, t0: Array, dt: Array) -> RoundedClock:
+        """The clock of steps of size dt from the time t₀."""
+        precision = jnp.finfo(dt.dtype)
+        return cls(t0, dt, lax.stop_gradient(lax.reduce_precision(dt, precision.nexp, precision.nmant // 2)))
+
+    def size(self, n: ArrayLike) -> Array:
+        """The size of the step from node n; its derivative is that of dt."""
+        return self.dt + lax.stop_gradient(self.time(n + 1) - self.time(n) - self.dt)
+
+    def time(self, n: ArrayLike) -> Array:
+        """The time of node n."""
+        return self.t0 + n * self.coarse + n * (self.dt - self.coarse)
+
+    def node(self, t: Array, num_steps: int) -> Array:
+        """The last node that is not after the time t."""
+        return _uniform_node(self, t, num_steps)
 
 
 class GridClock(NamedTuple):
@@ -83,20 +117,26 @@ class StateClock(NamedTuple):
         return
 
 
-Clock = UniformClock | GridClock | StateClock
+Clock = UniformClock | RoundedClock | GridClock | StateClock
 _HALVINGS = 20  # the most that `more_times` tries
 
 
+def _uniform_node(clock: UniformClock | RoundedClock, t: Array, num_steps: int) -> Array:
+    n = lax.stop_gradient((t - clock.t0) / clock.dt)
+    near = jnp.round(n)
+    at_node = jnp.abs(t - clock.time(near)) <= 4 * jnp.finfo(t.dtype).eps * jnp.abs(t)
+    return jnp.clip(jnp.where(at_node, near, jnp.floor(n)), 0, num_steps).astype(int)
+
+
 def clock_of(
-    step: Step, t: Array | None, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
+    step: Step, state: State, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
 ) -> tuple[Clock, int]:
-    """When the steps of a run are, and how many; t is the time of its first state."""
+    """When the steps of a run from a state are, and how many."""
     if times is None:
         if num_steps is None:
             raise ValueError("give dt and num_steps, or times")
         size = _checks.as_array(_checks.step_size(dt), dtype)
-        t0 = _checks.as_array(0.0, dtype) if t is None else t
-        return StateClock(size) if step.own_time else UniformClock(t0, size), _checks.count("num_steps", num_steps, 0)
+        return uniform_clock(step, state, size), _checks.count("num_steps", num_steps, 0)
     refuse_times(step, "times")
     if dt is not None or num_steps is not None:
         raise ValueError("give dt and num_steps, or times, not both")
@@ -108,13 +148,21 @@ def clock_of(
         if not (np.all(sizes > 0) or np.all(sizes < 0)):
             n = int(np.argmax(sizes * np.sign(sizes[0]) <= 0))
             raise ValueError(f"times must increase, or decrease, from one to the next, got {nodes[n : n + 2]} at {n}")
-    if t is not None and concrete(nodes, t) and float(nodes[0]) != float(t):
+    if state.t is not None and concrete(nodes, state.t) and float(nodes[0]) != float(state.t):
         first = float(nodes[0])
         raise ValueError(
-            f"times must begin at the time of the state, {float(t)}, got {first}; begin there, or make the "
+            f"times must begin at the time of the state, {float(state.t)}, got {first}; begin there, or make the "
             f"state at that time: system.state(..., t={first})"
         )
     return GridClock(nodes), nodes.size - 1
+
+
+def uniform_clock(step: Step, state: State, dt: Array) -> UniformClock | RoundedClock | StateClock:
+    """The clock of steps of size dt from a state; of a state without a time, since the start."""
+    if step.own_time:
+        return StateClock(dt)
+    t0 = jnp.zeros((), dt.dtype) if state.t is None else state.t
+    return RoundedClock.of_size(t0, dt) if counts_work(state) and not step.prepares else UniformClock(t0, dt)
 
 
 def more_times(step: Step, state: State, size: ArrayLike) -> str:
@@ -128,7 +176,7 @@ def more_times(step: Step, state: State, size: ArrayLike) -> str:
     return ""
 
 
-def outputs(save_at: ArrayLike, clock: UniformClock | GridClock, num_steps: int, dtype: Any) -> Array:
+def outputs(save_at: ArrayLike, clock: UniformClock | RoundedClock | GridClock, num_steps: int, dtype: Any) -> Array:
     """The output times; ValueError if concrete ones are out of order or outside the run."""
     wanted = _checks.real_array("save_at", save_at).astype(dtype)
     if wanted.ndim != 1:

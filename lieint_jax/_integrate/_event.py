@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
 from lieint_jax._integrate._clock import Clock, at_time, clock_of
-from lieint_jax._integrate._run import prepared
+from lieint_jax._integrate._driver import Progress, advance, march, prepared
 from lieint_jax._numerics.sign_change import is_root, sign_change
 from lieint_jax._xla import compiled
 from lieint_jax.types import State, Step, StepInfo, callable_pytree, checked_step, promoted, start_time
@@ -103,7 +103,7 @@ def events(
     if concrete(first) and not bool(jnp.isfinite(first)):
         raise ValueError(f"condition must be finite at the start, got {float(first)}")
     _checks.time_resolution(start_time(step, state), dt, max_steps)
-    clock, _ = clock_of(step, state.t, dtype, dt, max_steps, None)
+    clock, _ = clock_of(step, state, dtype, dt, max_steps, None)
     return _events(step, state, clock, callable_pytree(condition), max_steps, count, direction)
 
 
@@ -123,6 +123,22 @@ class _Bracket(NamedTuple):
     values: Array
     nearby: Array
     found: Array
+
+
+class _Search(NamedTuple):
+    """The changes of sign seen so far.
+
+    Attributes:
+        value: the condition at the last node.
+        sign: its last sign that was not 0.
+        number: the number of changes.
+        buffer: the first of them, with a leading axis.
+    """
+
+    value: Array
+    sign: Array
+    number: Array
+    buffer: _Bracket
 
 
 @partial(compiled, static_argnums=(4, 5, 6))
@@ -168,24 +184,23 @@ def _brackets(
     none = _Bracket(state, jnp.zeros((), int), jnp.stack([start, start]), jnp.zeros_like(start), jnp.zeros((), bool))
     buffer = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype), none)
 
-    def step_once(carry: Any, _: None) -> tuple[Any, None]:
-        state, value, n, sign, info, number, buffer = carry
-        end, last = whole(state, clock.size(n))
-        end, info = at_time(end, clock.time(n + 1)), info.merge(last)
-        after = condition(end)
-        side = jnp.sign(after)
+    def record_change(n: Array, before: Progress, after: Progress, _: StepInfo) -> _Search:
+        value, sign, number, buffer = before.seen
+        new = condition(after.state)
+        side = jnp.sign(new)
         changes = (sign * side < 0) & ((direction == 0) | (side == direction))
         slot = jnp.where(changes, number, count)
-        here = _Bracket(state, n, jnp.stack([value, after]), _nearby(state.t, end.t, value), info.converged)
+        nearby = _nearby(before.state.t, after.state.t, value)
+        here = _Bracket(before.state, n, jnp.stack([value, new]), nearby, after.info.converged)
         buffer = jax.tree.map(lambda to, x: to.at[slot].set(x, mode="drop"), buffer, here)
         sign = jnp.where(side * side > 0, side, sign)  # a zero or NaN changes nothing
-        return (end, after, n + 1, sign, info, number + changes, buffer), None
+        return _Search(new, sign, number + changes, buffer)
 
-    begin = (state, start, none.n, jnp.sign(start), StepInfo.fresh(state.p), none.n, buffer)
-    (end, _, n, _, _, number, buffer), _ = lax.scan(step_once, begin, None, length=max_steps)
-    there = jnp.arange(count) < number
-    last = none._replace(state=end, n=n)
-    return jax.tree.map(lambda x, y: jnp.where(there.reshape(-1, *[1] * y.ndim), x, y), buffer, last)
+    begin = Progress.begin(state, _Search(start, jnp.sign(start), none.n, buffer))
+    end = march(partial(advance, whole, clock), none.n, max_steps, begin, observe=record_change)
+    there = jnp.arange(count) < end.seen.number
+    last = none._replace(state=end.state, n=none.n + max_steps)
+    return jax.tree.map(lambda x, y: jnp.where(there.reshape(-1, *[1] * y.ndim), x, y), end.seen.buffer, last)
 
 
 def _nearby(t0: Array | None, t1: Array | None, like: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Integration over many steps in one `lax.scan`."""
+"""Trajectories: the states of a run that are saved on the way."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._deprecated import old_calls
+from lieint_jax._integrate._adjoint import Adjoint, checked_adjoint
 from lieint_jax._integrate._clock import (
     Clock,
     GridClock,
+    RoundedClock,
     StateClock,
     UniformClock,
     at_time,
@@ -26,8 +28,9 @@ from lieint_jax._integrate._clock import (
     outputs,
     refuse_times,
 )
-from lieint_jax._xla import compiled, rematerialized
-from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, on_clock, promoted, start_time
+from lieint_jax._integrate._driver import Progress, advance, march, prepared, scan
+from lieint_jax._xla import compiled
+from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, promoted, start_time
 
 _LEAST_BYTES, _MOST_BYTES = 2**20, 2**26  # of the saved states that the loop of a run is compiled for
 _SHORT = 256  # steps of a run that is made before its first step is looked at
@@ -43,6 +46,7 @@ def integrate(
     save_every: int = 1,
     times: ArrayLike | None = None,
     save_at: ArrayLike | None = None,
+    adjoint: Adjoint | None = None,
 ) -> Trajectory:
     """Take `num_steps` steps of size `dt`, or steps from one of the `times` to the next, and keep states on the way.
 
@@ -63,6 +67,10 @@ def integrate(
         times: in place of dt and num_steps, the times (N+1,) between which steps lead, increasing or decreasing; the
             first is that of the state. Steps that do not depend on the state keep the symplectic form.
         save_at: in place of save_every, output times (m,) in the order of the run, inside it; they may repeat.
+        adjoint: how the derivative in reverse mode is computed. None differentiates the loop, which stores what every
+            step needs. `li.adjoints.ReversibleAdjoint()` stores the saved states only, of a symmetric step;
+            `li.adjoints.RecursiveCheckpointAdjoint()` stores some 3 N^(1/3) states more, of any step. Both are for
+            save_every; give a large one.
 
     Returns:
         A `Trajectory`, the initial state first, then those after every `save_every` steps or at the times `save_at`.
@@ -71,16 +79,25 @@ def integrate(
 
     Raises:
         ValueError: a bad count, times that are not finite, not in order or outside the run, a concrete state that is
-            not one of the system, a concrete dt past the scheme's limit at the first step, or a trajectory larger than
-            this machine's memory. Later failures, and all failures inside jit, show in `info.converged`.
+            not one of the system, a concrete dt past the scheme's limit at the first step, a trajectory larger than
+            this machine's memory, save_at with an adjoint, or a step that the adjoint cannot differentiate.
+            Later failures, and all failures inside jit, show in `info.converged`.
 
     Warns:
         RuntimeWarning: a state's time is so large that the floating-point numbers there are more than dt/10⁶ apart.
     """
     step, state, dtype = promoted(checked_step(step), state)
-    clock, num_steps = clock_of(step, state.t, dtype, dt, num_steps, times)
+    clock, num_steps = clock_of(step, state, dtype, dt, num_steps, times)
+    if adjoint is not None:
+        checked_adjoint(adjoint).check(step, clock)
+        if save_at is not None:
+            raise ValueError(
+                f"save_at cannot be given with adjoint={adjoint}: give save_every, or take "
+                "li.observe(step, state, dt, times), which has the same derivatives at any times"
+            )
     first = clock.size(0) if num_steps else _checks.as_array(0.0, dtype)
-    trial = _trial(step, state, clock, num_steps) if save_at is None and save_every == 1 else None
+    may_try = save_at is None and save_every == 1 and adjoint is None
+    trial = _trial(step, state, clock, num_steps) if may_try else None
     if trial is None or not trial.info.converged[1]:
         _check_first(step, state, first if dt is None else dt, isinstance(clock, GridClock))
     _checks.time_resolution(start_time(step, state), first if dt is None else dt, num_steps)
@@ -88,6 +105,9 @@ def integrate(
         save_every = _checks.count("save_every", save_every, 1)
         num_saves = saves(num_steps, save_every)
         _check_size(state, num_saves + 1)
+        if adjoint is not None:
+            later = adjoint.run(step, state, clock, num_saves, save_every)
+            return _joined(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
         if trial is None or len(trial.t) != num_saves + 1:
             rows = rows_for(state, num_saves)
             trial = of_any_length(step, state, clock, num_saves, rows, save_every) if rows else None
@@ -160,7 +180,7 @@ def of_any_length(
 @partial(compiled, static_argnums=(4, 5))
 def _padded(step: Step, state: State, clock: Clock, num_saves: ArrayLike, most: int, save_every: int) -> Trajectory:
     """`trajectory` of any number of saves up to `most`; entries that follow have no meaning."""
-    interval = _interval(prepared(step, state, clock), state, clock, save_every)
+    interval = _interval(prepared(step, state, clock), clock, save_every)
     rows = jax.tree.map(lambda x: jnp.broadcast_to(x, (most, *x.shape)), (state, StepInfo.fresh(state.p)))
 
     def padded_interval(k: Array, carry: Any) -> Any:
@@ -174,40 +194,25 @@ def _padded(step: Step, state: State, clock: Clock, num_saves: ArrayLike, most: 
 
 @partial(compiled, static_argnums=(3, 4))
 def trajectory(step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Trajectory:
-    interval = _interval(prepared(step, state, clock), state, clock, save_every)
-    _, later = _times(num_saves, interval, (state, jnp.zeros((), int)))
+    interval = _interval(prepared(step, state, clock), clock, save_every)
+    _, later = scan(interval, (state, jnp.zeros((), int)), num_saves)
     return _joined(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
 
 
-def _interval(step: Step, state: State, clock: Clock, save_every: int) -> Callable[[Any, None], tuple[Any, Any]]:
+def _interval(step: Step, clock: Clock, save_every: int) -> Callable[[Any, None], tuple[Any, Any]]:
     """The steps from one saved state to the next: (state, n) ↦ (state, n), (state, report)."""
-    started = StepInfo.fresh(state.p)
-
-    @rematerialized
-    def step_once(carry: tuple[State, StepInfo, Array], _: None) -> tuple[tuple[State, StepInfo, Array], None]:
-        state, so_far, n = carry
-        state, info = step(state, clock.size(n))
-        return (at_time(state, clock.time(n + 1)), so_far.merge(info), n + 1), None
 
     def interval(carry: tuple[State, Array], _: None) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
         state, n = carry
-        (state, info, n), _ = _times(save_every, step_once, (state, started, n))
-        return (state, n), (state, info)
+        end = march(partial(advance, step, clock), n, save_every, Progress.begin(state))
+        return (end.state, n + save_every), (end.state, end.info)
 
     return interval
 
 
-def _times(length: int, function: Callable[[Any, None], tuple[Any, Any]], carry: Any) -> tuple[Any, Any]:
-    """`lax.scan`, without the loop where its length is 1: that is a third of the time of tracing."""
-    if length != 1:
-        return lax.scan(function, carry, None, length=length)
-    carry, result = function(carry, None)
-    return carry, jax.tree.map(lambda x: x[None], result)
-
-
 @partial(compiled, static_argnums=4)
 def _at_output_times(
-    step: Step, state: State, clock: UniformClock | GridClock, save_at: Array, num_steps: int
+    step: Step, state: State, clock: UniformClock | RoundedClock | GridClock, save_at: Array, num_steps: int
 ) -> Trajectory:
     """The trajectory at output times: whole steps, and before each a shorter one from its node to every output."""
     count = save_at.size
@@ -223,10 +228,10 @@ def _at_output_times(
     def step_to_output(carry: Any, is_output: Array) -> tuple[Any, None]:
         (state, so_far), n, k, buffer = carry
         rest = rests[jnp.minimum(k, count - 1)]
-        end, info = lax.cond(is_output, lambda: step(state, rest), lambda: whole(state, clock.size(n)))
-        reached = at_time(end, clock.time(n + 1)), so_far.merge(info)
+        end, info = lax.cond(is_output, lambda: step(state, rest), lambda: advance(whole, clock, state, n))
+        reached = end, so_far.merge(info)
         slot = jnp.where(is_output, k, count)
-        buffer = jax.tree.map(lambda to, x: to.at[slot].set(x, mode="drop"), buffer, (end, so_far.merge(info)))
+        buffer = jax.tree.map(lambda to, x: to.at[slot].set(x, mode="drop"), buffer, reached)
         following = jax.tree.map(lambda a, b: jnp.where(is_output, a, b), (state, fresh), reached)
         return (following, n + ~is_output, k + is_output, buffer), None
 
@@ -238,44 +243,11 @@ def _at_output_times(
     return _joined(state, (at_time(later, save_at), info), jnp.concatenate([clock.time(0)[None], save_at]))
 
 
-def prepared(step: Step, state: State, clock: Clock) -> Step:
-    """The step with its constants, which hold for one step size."""
-    return step if isinstance(clock, GridClock) else step.prepare(state, clock.dt)
-
-
 def _joined(state: State, later: tuple[State, StepInfo], t: Array | None) -> Trajectory:
     """The trajectory of an initial state, the states and reports after it, and the times of all; None: the states'."""
     first = (state, StepInfo.fresh(state.p))
     states, info = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
     return Trajectory(states.t if t is None else t, states, info)
-
-
-def from_start(step: Step, state: State, later: tuple[State, StepInfo], dt: Array, save_every: int) -> Trajectory:
-    """The trajectory of an initial state and the states and reports saved after it, `save_every` steps apart."""
-    entries = 1 + later[1].residual.shape[0]
-    clock, _ = clock_of(step, state.t, dt.dtype, dt, entries - 1, None)
-    return _joined(state, later, clock.time(save_every * jnp.arange(entries)))
-
-
-def steps(
-    step: Callable[..., tuple[State, StepInfo]],
-    state: State,
-    dt: ArrayLike,
-    count: ArrayLike,
-    t0: Array | None = None,
-    done: ArrayLike = 0,
-) -> tuple[State, StepInfo]:
-    """The state after `count` steps, which may be traced, and the merged report of the steps.
-
-    `state` is that after `done` steps from the time t₀, None if the state has no time or the step advances it.
-    """
-
-    def step_once(n: Array, carry: tuple[State, StepInfo]) -> tuple[State, StepInfo]:
-        state, so_far = carry
-        state, info = step(state, dt)
-        return on_clock(state, t0, done + n + 1, dt), so_far.merge(info)
-
-    return lax.fori_loop(0, count, step_once, (state, StepInfo.fresh(state.p)))
 
 
 def intervals(num_steps: int, save_every: int | None) -> tuple[int, int]:

@@ -5,14 +5,17 @@ Which derivative to take, for N steps, p parameters and a loss or m residuals:
 | derivative | how | time, in runs forward | memory |
 |---|---|---|---|
 | forward | `jax.jvp`, `jax.jacfwd` through `integrate` | about 1 + p | none |
-| reverse, by undoing steps | `jax.grad` through `reversible`, `observe` | 4 to 9, for any p | the saved states |
-| reverse, by checkpoints | the same with `derivative="checkpoint"` | 6 to 18, for any p | some 3 N^(1/3) states |
+| reverse, by undoing steps | `adjoint=ReversibleAdjoint()` | 4 to 9, for any p | the saved states |
+| reverse, by checkpoints | `adjoint=RecursiveCheckpointAdjoint()` | 6 to 18, for any p | some 3 N^(1/3) states |
 | reverse, through the scan | `jax.grad` through `integrate` | 10 and more | what N steps computed |
 | a Hessian times a vector | `jax.jvp` of `jax.grad` through `reversible`, `observe` | some 40 | the saved states |
 | a tangent flow | `jax.jvp` step by step (`Step.tangent`) | 1 + its dimension | none |
 
+An adjoint is an option of `integrate(…, save_every=…, adjoint=…)`. `reversible` and `observe` have the same two
+derivatives: the first by default, the second with `derivative="checkpoint"`.
+
 * Few parameters, or residuals to be squared: forward. `fit` does so for "levenberg_marquardt".
-* Many parameters and a scalar: `reversible`. The step must be symmetric, which all of the package are but
+* Many parameters and a scalar: `ReversibleAdjoint`. The step must be symmetric, which all of the package are but
   `additive(…, "symplectic", alpha)`, `so3_alpha` and `group_alpha` for α ≠ ½, and steps of your own.
 * A step that is not symmetric, or a motion whose neighboring trajectories separate so fast that steps cannot be undone
   (see `round_trip_error`; a warning says so): checkpoints. Where e^(λt) exceeds 1/eps, no derivative is meaningful.
@@ -22,7 +25,16 @@ All agree to round-off, for they are derivatives of the same discrete flow. On a
 the trajectory itself is accurate.
 """
 
+from lieint_jax._integrate import Adjoint
 from lieint_jax.adjoints._observe import observe
+from lieint_jax.adjoints._options import RecursiveCheckpointAdjoint, ReversibleAdjoint
 from lieint_jax.adjoints._reversible import reversible, round_trip_error
 
-__all__ = ["observe", "reversible", "round_trip_error"]
+__all__ = [
+    "Adjoint",
+    "RecursiveCheckpointAdjoint",
+    "ReversibleAdjoint",
+    "observe",
+    "reversible",
+    "round_trip_error",
+]

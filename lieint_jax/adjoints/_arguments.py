@@ -14,16 +14,27 @@ from lieint_jax.types import State, Step, checked_step, promoted, start_time
 Derivative = Literal["reversible", "checkpoint"]
 
 
-def checked(step: Step, state: State, dt: ArrayLike, derivative: str) -> tuple[Step, State, Array]:
-    """Check the arguments; return step, state and dt in their common dtype."""
+def check_derivative(derivative: str) -> None:
+    """Raise ValueError for another derivative."""
     if derivative not in get_args(Derivative):
         raise ValueError(f"derivative must be one of {', '.join(get_args(Derivative))}, got {derivative!r}")
-    checked_step(step)
-    if derivative == "reversible" and not step.symmetric:
+
+
+def check_symmetric(step: Step) -> None:
+    """Raise ValueError if steps cannot be undone."""
+    if not step.symmetric:
         raise ValueError(
-            f'{step.name} is not symmetric, so its steps cannot be undone by −dt: give derivative="checkpoint", or '
-            "take a symmetric scheme"
+            f'{step.name} is not symmetric, so its steps cannot be undone by −dt: give derivative="checkpoint" '
+            "(adjoint=li.adjoints.RecursiveCheckpointAdjoint() to li.integrate), or use a symmetric scheme"
         )
+
+
+def checked(step: Step, state: State, dt: ArrayLike, derivative: str) -> tuple[Step, State, Array]:
+    """Check the arguments; return step, state and dt in their common dtype."""
+    check_derivative(derivative)
+    checked_step(step)
+    if derivative == "reversible":
+        check_symmetric(step)
     step, state, dtype = promoted(step, state)
     step.check(state, dt)
     _checks.time_resolution(start_time(step, state), dt, 0)

@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
-from lieint_jax._integrate import refuse_times
+from lieint_jax._integrate import refuse_times, uniform_clock
 from lieint_jax._xla import compiled
 from lieint_jax.adjoints._arguments import Derivative, checked
 from lieint_jax.adjoints._checkpoint import checkpointed
@@ -80,7 +80,9 @@ def observe(
             raise ValueError(
                 'derivative="checkpoint" needs concrete times, dt and state.t: the number of steps is compiled in'
             )
-        later = checkpointed(step, state, h, tuple(np.diff(whole[order], prepend=0).tolist()))
+        later = checkpointed(
+            step, state, uniform_clock(step, state, h), tuple(np.diff(whole[order], prepend=0).tolist())
+        )
     else:
         later = undoable(step, state, h, xp.diff(whole[order], prepend=0), tolerance)
     return _states_at(step, later, xp.argsort(order), _rest(t - t0, h, whole), reached)

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import numpy as np
+from functools import partial
+
 from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._deprecated import old_calls
-from lieint_jax._integrate import from_start, intervals, steps
+from lieint_jax._integrate import Progress, advance, counted, integrate, intervals, march, uniform_clock
 from lieint_jax._xla import compiled
-from lieint_jax.adjoints._arguments import Derivative, checked
-from lieint_jax.adjoints._checkpoint import checkpointed
-from lieint_jax.adjoints._undo import undoable
+from lieint_jax.adjoints._arguments import Derivative, check_derivative, checked
+from lieint_jax.adjoints._options import RecursiveCheckpointAdjoint, ReversibleAdjoint
 from lieint_jax.diagnostics._order import distance
-from lieint_jax.types import State, Step, Trajectory, start_time
+from lieint_jax.types import State, Step, Trajectory
 
 
 @old_calls()
@@ -29,6 +29,9 @@ def reversible(
     tolerance: float | None = None,
 ) -> Trajectory:
     """Integrate like `integrate`, with a reverse-mode derivative that stores the saved states and nothing else.
+
+    It is `integrate(…, adjoint=ReversibleAdjoint(tolerance))`, or `adjoint=RecursiveCheckpointAdjoint()`, with another
+    default of save_every.
 
     Gradients flow to the leaves of `step`, the initial state, dt, and the arrays that the step's functions close over.
     Hessian-vector products, forward over reverse, need no more memory: `jax.jvp(jax.grad(loss), …)`. For forward mode
@@ -56,13 +59,10 @@ def reversible(
 
     Source: Zhuang et al. 2021, ICLR (for a leapfrog); for symmetric methods and checkpoints: this package.
     """
-    interval, num_saves = intervals(num_steps, save_every)
-    step, state, h = checked(step, state, dt, derivative)
-    if derivative == "checkpoint":
-        later = checkpointed(step, state, h, (interval,) * num_saves)
-    else:
-        later = undoable(step, state, h, np.full(num_saves, interval, np.int32), tolerance)
-    return from_start(step, state, later, h, interval)
+    check_derivative(derivative)
+    interval, _ = intervals(num_steps, save_every)
+    adjoint = RecursiveCheckpointAdjoint() if derivative == "checkpoint" else ReversibleAdjoint(tolerance)
+    return integrate(step, state, dt, num_steps, save_every=interval, adjoint=adjoint)
 
 
 def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:
@@ -80,5 +80,9 @@ def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) ->
 @compiled
 def _there_and_back(step: Step, state: State, h: Array, num_steps: ArrayLike) -> Array:
     prepared = step.prepare(state, h)
-    end = steps(prepared, state, h, num_steps, start_time(step, state))[0]
-    return distance(steps(prepared, end, -h, num_steps, start_time(step, end))[0], state, step.system.phase_space)
+
+    def end_of_run(state: State, h: Array) -> State:
+        advance_once = partial(advance, prepared, uniform_clock(step, state, h))
+        return march(advance_once, 0, num_steps, Progress.begin(state), repeat=counted).state
+
+    return distance(end_of_run(end_of_run(state, h), -h), state, step.system.phase_space)

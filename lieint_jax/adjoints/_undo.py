@@ -24,12 +24,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from lieint_jax._integrate import steps
+from lieint_jax._integrate import Progress, advance, counted, march, uniform_clock
 from lieint_jax._xla import compiled
 from lieint_jax.adjoints._numbers import repeat
 from lieint_jax.diagnostics._order import distance
 from lieint_jax.schemes._compose import Composition
-from lieint_jax.types import State, Step, StepInfo, System, pytree, start_time, static
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
 
 @partial(compiled, static_argnums=4)
@@ -41,13 +41,12 @@ def undoable(step: Step, state: State, dt: Array, counts: Any, tolerance: float 
 
 def _marched(step: Any, state: State, dt: Array, counts: Any, tolerance: float) -> tuple[State, StepInfo]:
     """The states after counts[0], counts[0] + counts[1], … steps, and the reports of the steps between them."""
-
-    t0 = start_time(step, state)
+    advance_once = partial(advance, step, uniform_clock(step, state, dt))
 
     def interval(carry: tuple[State, Array], count: Array) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
         state, done = carry
-        state, info = steps(step, state, dt, count, t0, done)
-        return (state, done + count), (state, info)
+        end = march(advance_once, done, count, Progress.begin(state), repeat=counted)
+        return (end.state, done + count), (end.state, end.info)
 
     counts = jnp.asarray(counts)
     return lax.scan(interval, (state, jnp.zeros((), counts.dtype)), counts)[1]
@@ -159,6 +158,10 @@ class _Opened:
     @property
     def own_time(self) -> bool:
         return self.step.own_time
+
+    @property
+    def prepares(self) -> bool:
+        return self.step.prepares
 
     def __call__(self, state: State, dt: Array) -> tuple[State, StepInfo]:
         return self.function(self.step, state, dt, *self.closed)

@@ -24,10 +24,10 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
-from lieint_jax._integrate import Event, events, saves
+from lieint_jax._integrate import Event, advance, events, saves, uniform_clock
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics._order import units
-from lieint_jax.types import State, Step, StepInfo, checked_step, on_clock, promoted
+from lieint_jax.types import State, Step, StepInfo, checked_step, promoted
 
 
 class Lyapunov(NamedTuple):
@@ -134,12 +134,12 @@ def _in_time(step: Step) -> Step:
 @partial(compiled, static_argnums=(4, 5, 6))
 def _lyapunov(step: Step, state: State, dt: Array, frame: Array, rounds: int, every: int, batches: int) -> Lyapunov:
     unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
-    zero, t0 = jnp.zeros((), int), state.t
+    zero, advance_frame = jnp.zeros((), int), partial(advance, step.tangent, uniform_clock(step, state, dt))
 
     def interval(carry: Any, _: None) -> tuple[Any, None]:
         state, T, info, n = carry
-        state, last, T = step.tangent(state, dt, T)
-        return (on_clock(state, t0, n + 1, dt), T, info.merge(last), n + 1), None
+        state, last, T = advance_frame(state, n, T)
+        return (state, T, info.merge(last), n + 1), None
 
     def orthonormalized(carry: Any, _: None) -> tuple[Any, None]:
         (state, frame, info, n), growth = carry
@@ -222,15 +222,16 @@ def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, *, vector: Ar
 
 @partial(compiled, static_argnums=4)
 def _megno(step: Step, state: State, dt: Array, vector: Array, num_steps: int) -> Megno:
-    unit, t0 = jnp.concatenate(units(step.system.phase_space, state))[:, None], state.t
+    unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
+    advance_vector = partial(advance, step.tangent, uniform_clock(step, state, dt))
 
     def step_once(carry: Any, _: None) -> tuple[Any, None]:
         state, W, Y, mean, info, n = carry
-        state, last, T = step.tangent(state, dt, unit * W)
+        state, last, T = advance_vector(state, n, unit * W)
         W, gain = orthonormal(T / unit)
         k = (n + 1).astype(Y.dtype)
         Y = Y * (n / k) + 2 * gain[0]
-        return (on_clock(state, t0, n + 1, dt), W, Y, mean + (Y - mean) / k, info.merge(last), n + 1), None
+        return (state, W, Y, mean + (Y - mean) / k, info.merge(last), n + 1), None
 
     zero = jnp.zeros((), vector.dtype)
     first = orthonormal(vector[:, None] / unit)[0]

@@ -17,7 +17,7 @@ def run(step: Step, state: State, dt: Array, count: int, most: int) -> Trajector
 
     That of `integrate`, by the same program, for all counts up to `most`.
     """
-    clock, _ = clock_of(step, state.t, dt.dtype, dt, count, None)
+    clock, _ = clock_of(step, state, dt.dtype, dt, count, None)
     most = max(count, most)
     found = of_any_length(step, state, clock, count, rows_for(state, most) or most, 1)
     return trajectory(step, state, clock, count, 1) if found is None else found

@@ -87,7 +87,7 @@ class Engine(abc.ABC):
 
     def __init__(self, job: Job):
         self.job = job
-        self.prepares = type(job.step).prepare is not Step.prepare and isinstance(job.clock, UniformClock)
+        self.prepares = job.step.prepares and isinstance(job.clock, UniformClock)
         self._step_kind = "shared" if job.step_axis is None else "member"
         self._origin = Origin("shared" if job.shares_time else "member", "shared", "member")  # pyright: ignore
 

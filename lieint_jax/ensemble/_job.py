@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 import jax
 import numpy as np
 
-from lieint_jax._integrate import GridClock, UniformClock
+from lieint_jax._integrate import GridClock, RoundedClock, UniformClock
 from lieint_jax.ensemble import _layout
 from lieint_jax.ensemble._layout import Layout, Numbers
 from lieint_jax.ensemble._loop import Carry, Range, Reduction, Saved
@@ -65,7 +65,7 @@ class Job(NamedTuple):
     states: State
     t0: Numbers | None
     dt: float | None
-    clock: UniformClock | GridClock
+    clock: UniformClock | RoundedClock | GridClock
     planned_steps: int
     times: np.ndarray
     nodes: np.ndarray

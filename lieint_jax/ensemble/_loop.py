@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from platform import machine
 from typing import Any, NamedTuple, TypeVar
 
@@ -13,7 +13,18 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._integrate import GridClock, UniformClock, prepared
+from lieint_jax._integrate import (
+    Body,
+    GridClock,
+    Progress,
+    RoundedClock,
+    StateClock,
+    UniformClock,
+    advance,
+    counted,
+    march,
+    prepared,
+)
 from lieint_jax.ensemble._layout import Numbers
 from lieint_jax.types import State, Step, StepInfo, energy_less_work
 
@@ -70,15 +81,23 @@ class Origin(NamedTuple):
     """
 
     t0: Numbers | None
-    clock: UniformClock | GridClock
+    clock: UniformClock | RoundedClock | GridClock
     quantity: Numbers | None
 
     def add_time(self, n: ArrayLike, state: State) -> State:
         """The state with the time of node n, if states have a time."""
-        if self.t0 is None:
-            return state
-        clock = self.clock._replace(t0=self.t0) if isinstance(self.clock, UniformClock) else self.clock
-        return state._replace(t=clock.time(n))
+        return state if self.t0 is None else state._replace(t=self.own_clock.time(n))
+
+    def remove_time(self, state: State) -> State:
+        """The state without a time that follows from the number of steps."""
+        return state if self.t0 is None else state._replace(t=None)
+
+    @property
+    def own_clock(self) -> UniformClock | RoundedClock | GridClock | StateClock:
+        """The clock of a member, which begins at the time of its initial state."""
+        if isinstance(self.clock, GridClock):
+            return self.clock
+        return StateClock(self.clock.dt) if self.t0 is None else self.clock._replace(t0=self.t0)
 
 
 class Span(NamedTuple):
@@ -112,33 +131,48 @@ class Interval(NamedTuple):
         empty = StepInfo.fresh(info.residual), None if change is None else Range.empty(change.total)
         info, change = jax.tree.map(lambda new, old: jnp.where(span.begins, new, old), empty, (info, change))
 
-        def step_once(step: Step, n: Numbers, carry: Carry, dt: Numbers) -> Carry:
-            state, info = step(origin.add_time(n, carry.state), dt)
-            state = state if origin.t0 is None else state._replace(t=None)
-            failed = jnp.where((carry.failed < 0) & ~info.converged, n.astype(carry.failed.dtype), carry.failed)
-            return Carry(state, carry.info.merge(info), failed, carry.change)
+        def advance_once(state: State, n: Array) -> tuple[State, StepInfo]:
+            end, info = advance(step, origin.own_clock, origin.add_time(n, state), n)
+            return origin.remove_time(end), info
 
-        def body(n: Numbers, carry: Carry) -> Carry:
-            carry = step_once(step, n, carry, origin.clock.size(n))
-            if self.reduction is None or carry.change is None or origin.quantity is None:
-                return carry
-            after = self.reduction(step, origin.add_time(n + 1, carry.state))
-            return carry._replace(change=carry.change.include(after - origin.quantity))
+        def record(n: Array, before: Progress, after: Progress, info: StepInfo) -> tuple[Array, Range | None]:
+            failed, change = before.seen
+            failed = _first_failure(failed, n, info)
+            if self.reduction is None or change is None or origin.quantity is None:
+                return failed, change
+            quantity = self.reduction(step, origin.add_time(n + 1, after.state))
+            return failed, change.include(quantity - origin.quantity)
 
-        def unrolled_body(k: Array, carry: Carry) -> Carry:
-            for j in range(self.together):
-                carry = body(span.first + k * self.together + j, carry)
-            return carry
-
-        carry, first = carry._replace(info=info, change=change), span.first
-        if self.together > 1:
-            times = (span.end - first) // self.together
-            carry, first = lax.fori_loop(0, times, unrolled_body, carry), first + times * self.together
-        carry = output = lax.fori_loop(first, span.end, body, carry)
+        start = Progress(carry.state, info, (carry.failed, change))
+        count, repeat = span.end - span.first, partial(_several_at_once, together=self.together)
+        state, info, (failed, change) = march(advance_once, span.first, count, start, observe=record, repeat=repeat)
+        output, worst = state, info
         if span.rest is not None:
-            output = step_once(step if plain is None else plain, span.end, carry, span.rest)
-            carry = carry._replace(failed=output.failed)
-        return carry, (output.info, output.state if self.reduction is None else output.change)
+            output, last = (step if plain is None else plain)(origin.add_time(span.end, state), span.rest)
+            output, worst = origin.remove_time(output), info.merge(last)
+            failed = _first_failure(failed, span.end, last)
+        saved = worst, output if self.reduction is None else change
+        return Carry(state, info, failed, change), saved
+
+
+def _first_failure(failed: Array, n: Numbers, info: StepInfo) -> Array:
+    """The first step that failed, after that from node n with such a report."""
+    return jnp.where((failed < 0) & ~info.converged, n.astype(failed.dtype), failed)
+
+
+def _several_at_once(body: Body, first: Array, count: Array, carry: _T, together: int) -> _T:
+    """`counted`, with so many steps in an iteration of the loop as long as so many remain."""
+
+    def iteration(k: Array, carry: _T) -> _T:
+        for j in range(together):
+            carry = body(first + k * together + j, carry)
+        return carry
+
+    if together == 1:
+        return counted(body, first, count, carry)
+    times = count // together
+    carry = lax.fori_loop(0, times, iteration, carry)
+    return counted(body, first + times * together, count - times * together, carry)
 
 
 class Quantity(NamedTuple):

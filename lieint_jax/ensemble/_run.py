@@ -19,6 +19,7 @@ from lieint_jax import _checks
 from lieint_jax._deprecated import old_calls
 from lieint_jax._integrate import (
     GridClock,
+    RoundedClock,
     StateClock,
     UniformClock,
     clock_of,
@@ -152,7 +153,7 @@ def _make_job(
     step, states, dtype = promoted(checked_step(step), states)
     states, t0 = _split_time(step, states)
     reduction = energy if reduce == "energy" else reduce
-    clock, planned_steps = _make_clock(step, t0, dtype, dt, num_steps, times)
+    clock, planned_steps = _make_clock(step, states, t0, dtype, dt, num_steps, times)
     if save_at is None:
         _check_size(states, intervals(planned_steps, save_every)[1] + 1, reduction, store)
         entries = _entries_by_count(clock, planned_steps, save_every, dtype)
@@ -219,18 +220,19 @@ def _next_call(job: Job, done: int, saved: int, most: int, free_rows: int) -> tu
 
 def _make_clock(
     step: Step,
+    states: State,
     t0: _layout.Numbers | None,
     dtype: np.dtype,
     dt: ArrayLike | None,
     num_steps: int | None,
     times: ArrayLike | None,
-) -> tuple[UniformClock | GridClock, int]:
+) -> tuple[UniformClock | RoundedClock | GridClock, int]:
     """The clock of the steps, as host arrays, and their number; since the start if members start at different times."""
     if t0 is not None and t0.ndim:
         if times is not None:
             raise ValueError("times hold for all members: give all members the same states.t, or none")
         t0 = None
-    clock, planned_steps = clock_of(step, t0, dtype, dt, num_steps, times)  # pyright: ignore[reportArgumentType]
+    clock, planned_steps = clock_of(step, states._replace(t=t0), dtype, dt, num_steps, times)
     if isinstance(clock, StateClock):
         clock = UniformClock(jnp.zeros((), dtype), clock.dt)
     return jax.tree.map(np.asarray, clock), planned_steps
@@ -240,17 +242,17 @@ _Entries = tuple[np.ndarray, np.ndarray, np.ndarray | None, int | None]  # times
 
 
 def _entries_by_count(
-    clock: UniformClock | GridClock, planned_steps: int, save_every: int | None, dtype: np.dtype
+    clock: UniformClock | RoundedClock | GridClock, planned_steps: int, save_every: int | None, dtype: np.dtype
 ) -> _Entries:
     """The entries after every `save_every` steps."""
     interval, num_saves = intervals(planned_steps, save_every)
     nodes = interval * np.arange(num_saves + 1)
-    times = clock.time(nodes.astype(dtype) if isinstance(clock, UniformClock) else nodes)
+    times = clock.time(nodes if isinstance(clock, GridClock) else nodes.astype(dtype))
     return np.asarray(times), nodes, None, interval
 
 
 def _entries_at_times(
-    save_at: ArrayLike, clock: UniformClock | GridClock, planned_steps: int, dtype: np.dtype
+    save_at: ArrayLike, clock: UniformClock | RoundedClock | GridClock, planned_steps: int, dtype: np.dtype
 ) -> _Entries:
     """The entries at given times, that of the start first."""
     wanted = outputs(save_at, clock, planned_steps, dtype)

@@ -25,6 +25,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
@@ -32,7 +33,7 @@ from lieint_jax._xla import rematerialized
 from lieint_jax.schemes._shared.compositions import METHODS
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import examples as base_examples
-from lieint_jax.types import State, Step, StepInfo, pytree, static
+from lieint_jax.types import State, Step, StepInfo, clock, counts_work, pytree, static
 
 _GENERAL = {4: "suzuki", 6: "kahan_li_6", 8: "kahan_li_8", 10: "sofroniou_spaletta_10"}
 
@@ -76,7 +77,17 @@ class Composition(Step):
         return METHODS[self.method].gammas
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        return self._through(state, dt, self.step.substep)
+        if self.own_time or not counts_work(state):
+            return self._through(state, self._sizes(state, dt), self.step.substep)
+
+        def substep_to(state: State, size_and_end: tuple[Array, Array]) -> tuple[State, StepInfo]:
+            """To the last bit, as the steps of a `RoundedClock`: else work is lost where time is rounded."""
+            h, end = size_and_end
+            return self.step.substep(state, h + lax.stop_gradient(end - clock(state) - h))
+
+        parts = np.append(np.cumsum(self.gammas)[:-1], 1)
+        ends = clock(state) + jnp.asarray(parts, state.p.dtype) * dt
+        return self._through(state, (self._sizes(state, dt), ends), substep_to)
 
     def tangent(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
         if state.extra is not None:  # it may depend on q and p, from one sub-step to the next
@@ -86,20 +97,23 @@ class Composition(Step):
             end, info, T = self.step.tangent(pair[0], h, pair[1])
             return (end, T), info
 
-        (end, T), info = self._through((state, T), dt, carried)
+        (end, T), info = self._through((state, T), self._sizes(state, dt), carried)
         return end, info, T
 
-    def _through(self, start: Any, dt: ArrayLike, stage: Callable[[Any, Array], tuple[Any, StepInfo]]) -> Any:
+    def _sizes(self, state: State, dt: ArrayLike) -> Array:
+        """The sizes of the sub-steps, γΔt."""
+        return jnp.asarray(self.gammas, state.p.dtype) * dt
+
+    def _through(self, start: Any, sub_steps: Any, stage: Callable[[Any, Any], tuple[Any, StepInfo]]) -> Any:
         """`start` through `stage` with each of the sub-steps, and the merged report."""
 
         @rematerialized
-        def substep(carry: tuple[Any, StepInfo], h: Array) -> tuple[tuple[Any, StepInfo], None]:
+        def substep(carry: tuple[Any, StepInfo], h: Any) -> tuple[tuple[Any, StepInfo], None]:
             z, worst = carry
             z, info = stage(z, h)
             return (z, worst.merge(info)), None
 
-        sub_steps = jnp.asarray(self.gammas, jax.tree.leaves(start)[0].dtype) * dt
-        return lax.scan(substep, (start, StepInfo.fresh(sub_steps)), sub_steps)[0]
+        return lax.scan(substep, (start, StepInfo.fresh(jax.tree.leaves(start)[0])), sub_steps)[0]
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         largest = max(self.gammas, key=abs)

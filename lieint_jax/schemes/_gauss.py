@@ -2,9 +2,9 @@
 
     Y_i = z_n + Δt Σ_j a_ij k_j,    k_i = f(Y_i),    z_{n+1} = z_n + Δt Σ b_i k_i
 
-It keeps quadratic invariants: on T*SO(3), with the quaternion q and p = 2πq as unknowns (see `_canonical`), the length
-|q|, q·p and the momentum π, as far as the potential leaves it. So the step is one on T*SO(3), and symplectic there. The
-equations are solved by fixed-point iteration on the k_i, all at once: a sweep.
+It conserves quadratic invariants: on T*SO(3), with the quaternion q and p = 2πq as unknowns (see `charts.canonical`),
+the length |q|, q·p and the momentum π, as far as the potential leaves it. So the step is one on T*SO(3), and symplectic
+there. The equations are solved by fixed-point iteration on the k_i, all at once: a sweep.
 """
 
 from __future__ import annotations
@@ -25,17 +25,7 @@ from lieint_jax._numerics import collocation
 from lieint_jax._xla import saved
 from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes.charts.canonical import (
-    Components,
-    canonical,
-    ended,
-    field,
-    force,
-    inverses,
-    motion,
-    power,
-    supports,
-)
+from lieint_jax.schemes.charts.canonical import CanonicalChart, Coordinates, Increments, canonical_chart
 from lieint_jax.types import (
     AbstractDrivenSystem,
     AbstractElasticBody,
@@ -130,83 +120,94 @@ def gauss(system: System, stages: int = 8, sweeps: int | None = None) -> Gauss:
     Source: Hairer, Lubich & Wanner, Geometric Numerical Integration, II.1.3, VI.4; Antoñana, Makazaga & Murua 2017,
     Numer. Algorithms 76.
     """
-    if not (isinstance(system, _KINDS) and supports(system.phase_space)):
+    chart = canonical_chart(system) if isinstance(system, _KINDS) else None
+    if chart is None:
         raise ValueError(f"gauss integrates {_NOUN}, got {type(system).__name__}{hint('gauss', system)}")
-    check_motion("gauss", _NOUN, motion, system, system)
+    check_motion("gauss", _NOUN, chart.motion, system, system)
     s = _checks.count("stages", stages, 1)
     return Gauss(system, s, None if sweeps is None else _checks.count("sweeps", sweeps, 1), 2.0 * s)
 
 
 class _Equation(NamedTuple):
-    """The equations of one step, for the derivatives k of the coordinates at the stages."""
+    """The equations of one step, for the derivatives k of the coordinates at the stages.
 
+    Attributes:
+        chart: the coordinates.
+        system: the system.
+        rate: the time derivative of the coordinates, (z, t) ↦ k.
+        state: the state that the step begins at.
+        start: its coordinates.
+        dt: Δt.
+        stages: s.
+    """
+
+    chart: CanonicalChart
     system: System
-    inverse: Any
+    rate: Callable[[Any, Any], Coordinates]
     state: State
-    start: Components
+    start: Coordinates
     dt: Array
     stages: int
 
     @classmethod
     def from_state(cls, step: Gauss, state: State, dt: Array) -> _Equation:
-        return cls(step.system, inverses(step.system), state, canonical(step.system, state), dt, step.stages)
+        chart, system = canonical_chart(step.system), step.system
+        assert chart is not None
+        return cls(chart, system, chart.rate(system), state, chart.unknowns(system, state), dt, step.stages)
 
     def without_derivative(self) -> _Equation:
-        still = lax.stop_gradient((self.system, self.inverse, self.state, self.start, self.dt))
-        return _Equation(*still, self.stages)
+        system, state, start, dt = lax.stop_gradient((self.system, self.state, self.start, self.dt))
+        return _Equation(self.chart, system, self.chart.rate(system), state, start, dt, self.stages)
 
-    def at_stages(self, function: Callable[..., Any], Y: Components, nodes: np.ndarray) -> Components:
-        """`function(system, inverse, z, t)` of one stage, at all."""
-        t = self.state.t
-        times = None if t is None else t + self.dt * jnp.asarray(nodes, self.dt.dtype)
-        return jax.vmap(function, (None, None, 0, 0))(self.system, self.inverse, Y, times)
+    def at_stages(self, function: Callable[[Any, Any], Any], Y: Coordinates, nodes: np.ndarray) -> Any:
+        """`function(z, t)` of one stage, at all."""
+        passed = self.dt * jnp.asarray(nodes, self.dt.dtype)
+        return jax.vmap(function)(Y, self.chart.stage_times(self.system, self.state, passed))
 
-    def over(self, k: Components, weights: np.ndarray) -> Components:
+    def over(self, k: Any, weights: np.ndarray) -> Any:
         """Δt Σ w_j k_j, of one row of weights or of each."""
         w = self.dt * jnp.asarray(weights, self.dt.dtype)
-        return tuple(jnp.tensordot(w, x, 1, precision="highest") for x in k)
+        return jax.tree.map(lambda x: jnp.tensordot(w, x, 1, precision="highest"), k)
 
-    def stage_values(self, k: Components) -> Components:
+    def stage_values(self, k: Coordinates) -> Coordinates:
         """The coordinates at the stages, z_n + Δt Σ a_ij k_j."""
-        return tuple(map(jnp.add, self.start, self.over(k, collocation.gauss(self.stages)[1])))
+        return jax.tree.map(jnp.add, self.start, self.over(k, collocation.gauss(self.stages)[1]))
 
-    def swept(self, k: Components) -> Components:
+    def swept(self, k: Coordinates) -> Coordinates:
         """f(z_n + Δt Σ a_ij k_j)."""
-        return self.at_stages(field, self.stage_values(k), collocation.gauss(self.stages)[0])
+        return self.at_stages(self.rate, self.stage_values(k), collocation.gauss(self.stages)[0])
 
-    def residual(self, k: Components) -> Components:
+    def residual(self, k: Coordinates) -> Coordinates:
         return jax.tree.map(jnp.subtract, k, self.swept(k))
 
-    def guess(self, most: int) -> tuple[Components, int]:
+    def guess(self, most: int) -> tuple[Coordinates, int]:
         """The k_i after at most so many sweeps, at few nodes, and the number of those sweeps."""
         if self.stages <= _NODES or most <= 2 * _NODES:
             return self._zeros(), 0
         few = self._replace(stages=_NODES)
         k = lax.fori_loop(0, _NODES, lambda _, k: few.swept(k), few._zeros())
-        return tuple(_between(x, _NODES, self.stages) for x in k), _NODES
+        return jax.tree.map(lambda x: _between(x, _NODES, self.stages), k), _NODES
 
-    def _zeros(self) -> Components:
-        return tuple(jnp.zeros((self.stages, *x.shape), x.dtype) for x in self.start)
+    def _zeros(self) -> Coordinates:
+        return jax.tree.map(lambda x: jnp.zeros((self.stages, *x.shape), x.dtype), self.start)
 
-    def end(self, k: Components) -> State:
+    def end(self, k: Coordinates) -> State:
         """The state at n + 1. π moves by Δt Σ b_i τ_i, as any quadratic function of z does, without rounding p q̄."""
         c, _, b = collocation.gauss(self.stages)
-        Y, state = self.stage_values(k), self.state
-        moves, work = self.over(k, b), None
-        impulse = (
-            moves[9:] if isinstance(self.system, AbstractElasticBody) else self.over(self.at_stages(force, Y, c), b)
-        )
-        if isinstance(self.system, AbstractDrivenSystem) and state.work is not None and state.t is not None:
-            [work] = self.over(self.at_stages(power, Y, c), b)
-        return ended(self.system, state, moves, impulse, work)
+        rates = self.at_stages(self.chart.quadratures(self.system, self.state), self.stage_values(k), c)
+        return self.chart.advance(self.system, self.state, self.start, Increments(*self.over((k, rates), b)))
 
-    def change(self, a: Components, b: Components) -> Array:
+    def change(self, a: Coordinates, b: Coordinates) -> Array:
         """The largest difference of Δt k_i, in units of q, which are 1 at least, and of the largest of p."""
-        half = len(a) // 2
-        q, p = (jnp.max(jnp.abs(jnp.stack(self.start[part]))) for part in (slice(half), slice(half, None)))
-        sizes = [jnp.maximum(1, q)] * half + [jnp.where(p > 0, p, 1)] * half
-        moved = [jnp.max(jnp.abs(x - y)) / size for x, y, size in zip(a, b, sizes, strict=True)]
-        return jnp.abs(self.dt) * functools.reduce(jnp.maximum, moved)
+        q, p = (jnp.max(jnp.abs(jnp.stack(half))) for half in self.chart.split_qp(self.start))
+        halves = zip(self.chart.split_qp(a), self.chart.split_qp(b), strict=True)
+        sizes = (jnp.maximum(1, q), jnp.where(p > 0, p, 1))
+        changes = [
+            jnp.max(jnp.abs(x - y)) / size
+            for half, size in zip(halves, sizes, strict=True)
+            for x, y in zip(*half, strict=True)
+        ]
+        return jnp.abs(self.dt) * functools.reduce(jnp.maximum, changes)
 
 
 def _between(k: Array, few: int, many: int) -> Array:
@@ -216,11 +217,11 @@ def _between(k: Array, few: int, many: int) -> Array:
     return functools.reduce(jnp.add, columns)
 
 
-def _solved(equation: _Equation, sweeps: int | None) -> tuple[Components, Array]:
+def _solved(equation: _Equation, sweeps: int | None) -> tuple[Coordinates, Array]:
     """The k_i, and their last change."""
     guess, taken = equation.without_derivative().guess(_MOST if sweeps is None else sweeps)
 
-    def solve(_: Callable[[Components], Components], k: Components) -> tuple[Components, Array]:
+    def solve(_: Callable[[Coordinates], Coordinates], k: Coordinates) -> tuple[Coordinates, Array]:
         if sweeps is None:
             k, change = _iterated(equation, k)
             return saved(k), change
@@ -228,7 +229,7 @@ def _solved(equation: _Equation, sweeps: int | None) -> tuple[Components, Array]
         k = saved(equation.swept(last))
         return k, equation.change(k, last)
 
-    def tangent_solve(linear: Callable[[Components], Components], b: Components) -> Components:
+    def tangent_solve(linear: Callable[[Coordinates], Coordinates], b: Coordinates) -> Coordinates:
         flat, components = ravel_pytree(b)  # one array: parts of b may depend on nothing that is differentiated
 
         def refined(matvec: Callable[[Array], Array], b: Array) -> Array:
@@ -240,10 +241,10 @@ def _solved(equation: _Equation, sweeps: int | None) -> tuple[Components, Array]
     return lax.custom_root(equation.residual, guess, solve, tangent_solve, has_aux=True)
 
 
-_Carry = tuple[Components, Array, Array, Array]  # k, its last change, the one before, the number of sweeps
+_Carry = tuple[Coordinates, Array, Array, Array]  # k, its last change, the one before, the number of sweeps
 
 
-def _iterated(equation: _Equation, k: Components) -> tuple[Components, Array]:
+def _iterated(equation: _Equation, k: Coordinates) -> tuple[Coordinates, Array]:
     """Sweeps until they change nothing."""
     eps = float(jnp.finfo(equation.dt.dtype).eps)
 
@@ -276,6 +277,6 @@ PROPERTIES = SchemeProperties(
 
 def examples(system: Any) -> dict[str, Step]:
     """Order 8, for the systems that it takes but elastic bodies: sweeps do not reach round-off on stiff ones."""
-    if not (isinstance(system, _KINDS) and supports(system.phase_space)) or isinstance(system, AbstractElasticBody):
+    if not isinstance(system, _KINDS) or isinstance(system, AbstractElasticBody) or canonical_chart(system) is None:
         return {}
     return {"gauss[4]": gauss(system, 4)}

@@ -37,7 +37,7 @@ from lieint_jax.types._capabilities import (
 )
 from lieint_jax.types._group import AnalyticGroup, Group, PhaseSpace
 from lieint_jax.types._pytree import callable_pytree, pytree, static
-from lieint_jax.types._state import State, StepInfo, Trajectory, all_finite, clock, on_clock
+from lieint_jax.types._state import State, StepInfo, Trajectory, all_finite, clock, counts_work
 from lieint_jax.types._step import Step, StepError, checked_step, converges, promoted, start_time
 from lieint_jax.types._system import System, energy_less_work, time_derivative
 from lieint_jax.types._torque import Function, Law, Rotation, Total, as_law, instant, parts, total
@@ -83,10 +83,10 @@ __all__ = [
     "checked_step",
     "clock",
     "converges",
+    "counts_work",
     "energy_less_work",
     "gradient",
     "instant",
-    "on_clock",
     "parts",
     "promoted",
     "pytree",

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 
 from lieint_jax.types import _labeled
 from lieint_jax.types._members import Axis
@@ -120,9 +119,9 @@ class Trajectory(NamedTuple):
         return _labeled.rotations(self)
 
 
-def on_clock(state: State, t0: Array | None, n: ArrayLike, dt: ArrayLike) -> State:
-    """`state` at the time t₀ + nΔt, if there is a t₀: the rounding errors of a sum of n steps would add up."""
-    return state if t0 is None else state._replace(t=t0 + n * dt)
+def counts_work(state: State) -> bool:
+    """Whether a state counts work, in all or law by law."""
+    return state.work is not None or "works" in (state.extra or {})
 
 
 def clock(state: State) -> Array:

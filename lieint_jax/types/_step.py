@@ -114,6 +114,11 @@ class Step(abc.ABC):
         return False
 
     @property
+    def prepares(self) -> bool:
+        """Whether `prepare` computes anything, which then holds for one step size."""
+        return type(self).prepare is not Step.prepare
+
+    @property
     def own_time(self) -> bool:
         """Whether the step itself advances `state.t`, which must be there; then dt is a step of a fictitious time."""
         return False

@@ -1,5 +1,6 @@
 """Three derivatives, one answer: forward, reverse through the scan, reverse by undoing steps; and differences."""
 
+import functools
 import warnings
 
 import jax
@@ -273,6 +274,63 @@ def test_the_clock_of_checkpoints_is_that_of_the_run():
     start = State(jnp.eye(3), jnp.zeros((3, 3)), jnp.array(0.3))
     run = li.reversible(Leapfrog(Oscillators(jnp.array(1.3))), start, 0.1, 6, save_every=2, derivative="checkpoint")
     np.testing.assert_allclose(run.state.t, [0.3, 0.5, 0.7, 0.9], rtol=1e-15)
+
+
+ADJOINTS = {"reversible": li.adjoints.ReversibleAdjoint(), "checkpoint": li.adjoints.RecursiveCheckpointAdjoint()}
+
+
+@pytest.mark.parametrize("name", ADJOINTS)
+def test_an_adjoint_of_integrate_is_the_function_of_the_same_derivative(name):
+    """Run and gradient to the bit; and they are those of the loop to round-off."""
+    step, start = Leapfrog(Oscillators(jnp.array(1.3))), State(jnp.eye(3), jnp.ones((3, 3)), jnp.array(0.3))
+    weights = jnp.arange(4.0)[:, None, None]
+    runs = {
+        "option": functools.partial(li.integrate, adjoint=ADJOINTS[name]),
+        "function": functools.partial(li.reversible, derivative=name),
+        "loop": li.integrate,
+    }
+
+    def loss(run, start):
+        path = run(step, start, 0.1, 6, save_every=2)
+        return jnp.sum(path.state.q * path.state.p * weights), path
+
+    option, function, loop = (
+        jax.jit(jax.grad(functools.partial(loss, run), has_aux=True))(start) for run in runs.values()
+    )
+    for x, y, z in zip(*map(jax.tree.leaves, (option, function, loop)), strict=True):
+        np.testing.assert_array_equal(x, y)
+        np.testing.assert_allclose(x, z, rtol=1e-13, atol=1e-13)
+
+
+def test_checkpoints_of_steps_between_given_times():
+    """At any number of levels, the gradient is that of the loop."""
+    times = jnp.array([0.3, 0.4, 0.55, 0.6, 0.9, 1.0, 1.02])
+
+    def loss(q, **options):
+        start = State(q, jnp.ones((3, 3)), jnp.array(0.3))
+        run = li.integrate(Leapfrog(Oscillators(jnp.array(1.3))), start, times=times, save_every=3, **options)
+        return jnp.sum(run.state.q**3)
+
+    expected = jax.jit(jax.grad(loss))(jnp.eye(3))
+    for levels in (1, 2, 3):
+        adjoint = li.adjoints.RecursiveCheckpointAdjoint(levels)
+        found = jax.jit(jax.grad(functools.partial(loss, adjoint=adjoint)))(jnp.eye(3))
+        np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-15)
+
+
+def test_adjoints_that_do_not_fit_say_what_does():
+    step, reversible = STEP, li.adjoints.ReversibleAdjoint()
+    with pytest.raises(ValueError, match=r"save_at cannot be given with adjoint=ReversibleAdjoint.*li.observe"):
+        li.integrate(step, STATE, 0.05, 12, save_at=[0.1], adjoint=reversible)
+    with pytest.raises(ValueError, match=r"steps of one size.*RecursiveCheckpointAdjoint"):
+        li.integrate(step, STATE, times=[0.0, 0.1, 0.3], adjoint=reversible)
+    with pytest.raises(ValueError, match=r"adjoint must be None.*got 'reversible'"):
+        li.integrate(step, STATE, 0.05, 12, adjoint="reversible")
+    with pytest.raises(ValueError, match="levels must be"):
+        li.adjoints.RecursiveCheckpointAdjoint(0)
+    one_sided = li.schemes.so3_alpha(li.systems.embedded_body([1.0, 2.0, 3.0]), alpha=0.7)
+    with pytest.raises(ValueError, match=r"is not symmetric.*RecursiveCheckpointAdjoint"):
+        li.integrate(one_sided, one_sided.system.state(angular_velocity=[0.1, 0.2, 0.3]), 0.05, 12, adjoint=reversible)
 
 
 @pytest.mark.long

@@ -11,12 +11,14 @@ part of ṗ is then 2γq∇Ṽ. That moves q·p, which changes nothing else, and
 
 T*GL⁺(3) is flat as it is.
 
-Coordinates are a tuple of components: those of q, then those of p. Of several bodies these are positions and
-quaternions, then linear momenta and p, each with an axis of bodies, (N,).
+Each of the three has a chart here, whose coordinates are components of q and as many of p. Of several bodies these are
+positions and quaternions, then linear momenta and p, each with an axis of bodies, (N,).
 """
 
 from __future__ import annotations
 
+import abc
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -28,19 +30,17 @@ from lieint_jax._numerics.vec3 import add, apply, cross, dot, scale, subtract
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, CotangentMatrices, CotangentMotions
 from lieint_jax.schemes.charts import several_bodies
+from lieint_jax.schemes.charts._chart import Chart
 from lieint_jax.schemes.charts.body_axes import axis_in_body, quat_times_vec, turned_back, turned_up, upright
 from lieint_jax.types import (
     AbstractDrivenSystem,
     AbstractDrivenTop,
-    AbstractElasticBody,
     AbstractForcedSystem,
-    AbstractFreeBodies,
     AbstractGyrostat,
     AbstractMechanicalSystem,
-    AbstractRigidBodies,
     AbstractTop,
-    PhaseSpace,
     State,
+    System,
     gradient,
 )
 
@@ -48,126 +48,276 @@ Components = tuple[Array, ...]
 _Quaternion = tuple[Array, Array, Array, Array]
 
 
-class Parts(NamedTuple):
-    """The coordinates of one body, or of many with an axis of bodies; x and P are empty in a system of one body."""
+class Coordinates(NamedTuple):
+    """The unknowns of a canonical chart: the components of q, and those of the momenta conjugate to them."""
 
-    x: Components
     q: Components
-    P: Components
     p: Components
 
 
-def supports(space: PhaseSpace) -> bool:
-    """Whether a phase space has such coordinates here: T*SO(3), that of several bodies, T*GL⁺(3)."""
-    if isinstance(space, CotangentGroup):
-        return space.group is so3
-    return isinstance(space, CotangentMotions | CotangentMatrices)
+class Quadratures(NamedTuple):
+    """What is integrated along the coordinates.
+
+    Attributes:
+        momenta: the components of the state's own momenta, π̇ or (ṗ, π̇).
+        work: that of a driven system whose work is counted, else None.
+    """
+
+    momenta: Components
+    work: Array | None
 
 
-def canonical(system: Any, state: State) -> Components:
-    """The coordinates of a state; of a top whose axis stays, in a frame where that is ±e₃."""
-    if state.q.shape == (3, 3):
-        return tuple(state.q.ravel()) + tuple(state.p.ravel())
-    q, p = _components(state.q), _components(state.p)
-    p = (*p[:-3], *_from_left(scale(2, p[-3:]), q[-4:]))
-    return (*turned_up(system.axis, q), *turned_up(system.axis, p)) if _stands(system) else (*q, *p)
+class Increments(NamedTuple):
+    """The increments of a step, or rates.
+
+    Attributes:
+        z: those of the coordinates.
+        quadratures: those of what is integrated along them; None in a chart without.
+    """
+
+    z: Coordinates
+    quadratures: Quadratures | None
 
 
-def parts(z: Components) -> Parts:
-    """The parts of coordinates."""
-    if len(z) == 8:
-        return Parts((), z[:4], (), z[4:])
-    return Parts(z[:3], z[3:7], z[7:10], z[10:])
+Moment = Array | None  # a time, or None of a state without one
 
 
-def momentum(z: Components) -> Components:
-    """π = ½ Im(p q̄) of coordinates, of several bodies after the linear momenta."""
-    _, (w, *v), P, (p0, *p) = parts(z)
-    return (*P, *scale(0.5, add(subtract(scale(w, p), scale(p0, v)), cross(v, p))))
+class CanonicalChart(Chart):
+    """Coordinates of a flat space in which the system is Hamiltonian, and quadratic invariants stay quadratic."""
+
+    @abc.abstractmethod
+    def coordinates(self, state: State) -> Coordinates:
+        """The coordinates of a state, in a frame that is fixed in space."""
+
+    @abc.abstractmethod
+    def configuration(self, z: Coordinates) -> Array:
+        """The configuration of coordinates, with quaternions of unit length."""
+
+    @abc.abstractmethod
+    def force(self, system: Any) -> Callable[[Coordinates, Moment], Components] | None:
+        """(z, t) ↦ the components of the rates of the state's momenta; None where the coordinates contain these."""
+
+    def unknowns(self, system: Any, state: State) -> Coordinates:
+        """The coordinates of a state."""
+        return self.coordinates(state)
+
+    def stage_times(self, system: Any, state: State, passed: Array) -> Moment:
+        """The times, (n,), of a state that has one."""
+        return None if state.t is None else state.t + passed
+
+    def split_qp(self, z: Coordinates) -> tuple[Components, Components]:
+        """The components of the configuration and of the momentum."""
+        return z.q, z.p
+
+    def quadratures(self, system: Any, state: State) -> Callable[[Coordinates, Moment], Quadratures | None]:
+        """(z, t) ↦ the rates of what a step from `state` integrates along its coordinates."""
+        force = self.force(system)
+        counts = isinstance(system, AbstractDrivenSystem) and state.work is not None and state.t is not None
+
+        def rates(z: Coordinates, t: Moment) -> Quadratures | None:
+            if force is None:
+                return None
+            return Quadratures(force(z, t), system.power(self.configuration(z), t) if counts else None)
+
+        return rates
+
+    def advance(self, system: Any, state: State, z: Coordinates, delta: Increments) -> State:
+        """`state`, whose unknowns are z, after these increments."""
+        delta = self.in_fixed_frame(system, delta)
+        q = self.configuration(jax.tree.map(jnp.add, self.coordinates(state), delta.z))
+        end = state._replace(q=q, p=state.p + _momentum(state, delta))
+        done = delta.quadratures
+        if done is None or done.work is None or state.work is None:
+            return end
+        return end._replace(work=state.work + done.work)
+
+    def in_fixed_frame(self, system: Any, delta: Increments) -> Increments:
+        """The increments in a frame that is fixed in space."""
+        return delta
+
+    def motion(self, system: Any, state: State) -> State:
+        """The time derivative of q and p that follows from that of the coordinates, and from the force."""
+        z, t = self.unknowns(system, state), state.t
+        along = self.quadratures(system, state._replace(work=None))
+        rates = self.in_fixed_frame(system, Increments(self.rate(system)(z, t), along(z, t)))
+        _, q_dot = jax.jvp(self.configuration, (self.coordinates(state),), (rates.z,))
+        return State(q_dot, _momentum(state, rates))
 
 
-def configuration(z: Components) -> Array:
-    """The configuration, with quaternions of unit length: (4,), (N, 7), or (3, 3)."""
-    if len(z) == 18:
-        return jnp.stack(z[:9]).reshape(3, 3)
-    x, q, *_ = parts(z)
-    return jnp.stack([*x, *_unit(q)], axis=-1)
+def _momentum(state: State, delta: Increments) -> Array:
+    """The increments of the momenta, in the shape of a state's."""
+    components = delta.z.p if delta.quadratures is None else delta.quadratures.momenta
+    return jnp.stack(components, axis=-1).reshape(state.p.shape)
+
+
+class OneBody(CanonicalChart):
+    """T*SO(3): q and p = 2πq of one body; of a top whose axis stays, in a frame where that is ±e₃."""
+
+    def supports(self, system: System) -> bool:
+        """Whether the phase space is T*SO(3)."""
+        space = system.phase_space
+        return isinstance(space, CotangentGroup) and space.group is so3
+
+    def coordinates(self, state: State) -> Coordinates:
+        """See `CanonicalChart`."""
+        q = _components(state.q)
+        return Coordinates(q, _from_left(scale(2, _components(state.p)), q))
+
+    def unknowns(self, system: Any, state: State) -> Coordinates:
+        """The coordinates of a state, in the frame of the chart."""
+        z = self.coordinates(state)
+        return Coordinates(*(turned_up(system.axis, half) for half in z)) if _stands(system) else z
+
+    def configuration(self, z: Coordinates) -> Array:
+        """The unit quaternion, (4,)."""
+        return jnp.stack(_unit(z.q), axis=-1)
+
+    def rate(self, system: Any) -> Callable[[Coordinates, Moment], Coordinates]:
+        """½qΩ and ½pΩ, with the force of a potential."""
+        inverse = vec3.inverse(system.metric if isinstance(system, AbstractMechanicalSystem) else system.inertia)
+        rotor = system.rotor if isinstance(system, AbstractGyrostat) else None
+
+        def field(z: Coordinates, t: Moment) -> Coordinates:
+            q_dot, p_dot = _turning(rotor, inverse, z.q, z.p)
+            if _is_forced(system):
+                p_dot = tuple(map(jnp.add, p_dot, self._kick(system, z, t)))
+            return Coordinates(q_dot, p_dot)
+
+        return field
+
+    def force(self, system: Any) -> Callable[[Coordinates, Moment], Components]:
+        """The torque in space."""
+
+        def torque(z: Coordinates, t: Moment) -> Components:
+            if not _is_forced(system):
+                return (jnp.zeros_like(z.q[0]),) * 3
+            if _has_axis(system):
+                return _torque(system, z.q, t)
+            q = self.configuration(z)
+            at = (q,) if t is None or isinstance(system, AbstractForcedSystem) else (q, t)
+            return _components(system.force(*at))
+
+        return torque
+
+    def in_fixed_frame(self, system: Any, delta: Increments) -> Increments:
+        """The increments as if no axis stayed."""
+        if not _stands(system) or delta.quadratures is None:
+            return delta
+        z = Coordinates(*(turned_back(system.axis, half) for half in delta.z))
+        momenta = _components(so3.Ad_star(upright(system.axis)[0], jnp.stack(delta.quadratures.momenta)))
+        return Increments(z, delta.quadratures._replace(momenta=momenta))
+
+    def momenta(self, z: Coordinates) -> Components:
+        """π = ½ Im(p q̄) of coordinates."""
+        return _half_product(z.p, z.q)
+
+    def _kick(self, system: Any, z: Coordinates, t: Moment) -> Components:
+        """What a potential adds to ṗ: −∂V/∂q."""
+        if _stands(system):
+            return _kick_upright(system.potential, upright(system.axis)[1], z.q)
+        if _has_axis(system):
+            return _kick_about(system.potential, system.axis_at(t), z.q, t)
+        return _from_left(scale(2 * _inverse_square(z.q), self.force(system)(z, t)), z.q)
+
+
+class ManyBodies(CanonicalChart):
+    """Several bodies: positions and quaternions, linear momenta and p = 2πq."""
+
+    def supports(self, system: System) -> bool:
+        """Whether the phase space is that of several bodies."""
+        return isinstance(system.phase_space, CotangentMotions)
+
+    def coordinates(self, state: State) -> Coordinates:
+        """See `CanonicalChart`."""
+        q, p = _components(state.q), _components(state.p)
+        return Coordinates(q, (*p[:3], *_from_left(scale(2, p[3:]), q[3:])))
+
+    def configuration(self, z: Coordinates) -> Array:
+        """The positions and unit quaternions, (N, 7)."""
+        return jnp.stack([*z.q[:3], *_unit(z.q[3:])], axis=-1)
+
+    def rate(self, system: Any) -> Callable[[Coordinates, Moment], Coordinates]:
+        """P/m, ½qΩ and ½pΩ, with the forces and torques."""
+        inverse, masses = several_bodies.inverses(system), system.masses
+
+        def field(z: Coordinates, _: Moment) -> Coordinates:
+            P, q = z.p[:3], z.q[3:]
+            q_dot, p_dot = _turning(None, inverse, q, z.p[3:])
+            rates = (*(jnp.zeros_like(y) for y in P), *p_dot)
+            if _is_forced(system):
+                pull = several_bodies.forces(system, z.q[:3], _unit(q))
+                kick = (*pull[:3], *quat_times_vec(q, scale(2 * _inverse_square(q), pull[3:])))
+                rates = tuple(map(jnp.add, rates, kick))
+            return Coordinates((*(y / masses for y in P), *q_dot), rates)
+
+        return field
+
+    def force(self, system: Any) -> Callable[[Coordinates, Moment], Components]:
+        """The forces on the bodies, and the torques in space."""
+
+        def pull_and_torque(z: Coordinates, _: Moment) -> Components:
+            if not _is_forced(system):
+                return (jnp.zeros_like(z.q[0]),) * 6
+            q = z.q[3:]
+            pull = several_bodies.forces(system, z.q[:3], _unit(q))
+            return (*pull[:3], *_rotate(q, pull[3:]))
+
+        return pull_and_torque
+
+    def momenta(self, z: Coordinates) -> Components:
+        """The linear momenta, and π = ½ Im(p q̄)."""
+        return (*z.p[:3], *_half_product(z.p[3:], z.q[3:]))
+
+
+class Matrices(CanonicalChart):
+    """T*GL⁺(3), which is flat: the entries of F and P."""
+
+    def supports(self, system: System) -> bool:
+        """Whether the phase space is T*GL⁺(3)."""
+        return isinstance(system.phase_space, CotangentMatrices)
+
+    def coordinates(self, state: State) -> Coordinates:
+        """See `CanonicalChart`."""
+        return Coordinates(tuple(state.q.ravel()), tuple(state.p.ravel()))
+
+    def configuration(self, z: Coordinates) -> Array:
+        """F, (3, 3)."""
+        return _matrix(z.q)
+
+    def rate(self, system: Any) -> Callable[[Coordinates, Moment], Coordinates]:
+        """The vector field."""
+        return lambda z, _: self.coordinates(system.vector_field(State(_matrix(z.q), _matrix(z.p))))
+
+    def force(self, system: Any) -> None:
+        """None: P is a coordinate."""
+
+
+_CHARTS = (OneBody(), ManyBodies(), Matrices())
+
+
+def canonical_chart(system: System) -> CanonicalChart | None:
+    """The canonical chart of a system; None if there is none here."""
+    return next((chart for chart in _CHARTS if chart.supports(system)), None)
+
+
+def _is_forced(system: Any) -> bool:
+    return isinstance(system, AbstractForcedSystem | AbstractDrivenSystem)
+
+
+def _matrix(components: Components) -> Array:
+    return jnp.stack(components).reshape(3, 3)
+
+
+def _half_product(p: Components, q: Components) -> Components:
+    """½ Im(p q̄)."""
+    (w, *v), (p0, *p) = q, p
+    return scale(0.5, add(subtract(scale(w, p), scale(p0, v)), cross(v, p)))
 
 
 def _unit(q: Components) -> _Quaternion:
     r = jnp.sqrt(_inverse_square(q))
     w, x, y, z = q
     return r * w, r * x, r * y, r * z
-
-
-def inverses(system: Any) -> Any:
-    """The inverse of each inertia, computed once for a step."""
-    if isinstance(system, AbstractElasticBody):
-        return None
-    if isinstance(system, AbstractFreeBodies | AbstractRigidBodies):
-        return several_bodies.inverses(system)
-    return vec3.inverse(system.metric if isinstance(system, AbstractMechanicalSystem) else system.inertia)
-
-
-def field(system: Any, inverse: Any, z: Components, t: Array | None) -> Components:
-    """The time derivative of the coordinates, with the `inverses` of a system."""
-    if isinstance(system, AbstractElasticBody):
-        F, P = (jnp.stack(x).reshape(3, 3) for x in (z[:9], z[9:]))
-        rate = system.vector_field(State(F, P))
-        return (*rate.q.ravel(), *rate.p.ravel())
-    _, q, P, p = parts(z)
-    q_dot, p_dot = _turning(system.rotor if isinstance(system, AbstractGyrostat) else None, inverse, q, p)
-    first = (*(y / system.masses for y in P), *q_dot)  # pyright: ignore[reportAttributeAccessIssue]
-    second = (*(jnp.zeros_like(y) for y in P), *p_dot)
-    if isinstance(system, AbstractForcedSystem | AbstractDrivenSystem):
-        second = tuple(map(jnp.add, second, _kick(system, z, t)))
-    return (*first, *second)
-
-
-def force(system: Any, _: Any, z: Components, t: Array | None) -> Components:
-    """The components of π̇, or of (ṗ, π̇) of several bodies."""
-    body = parts(z)
-    if not isinstance(system, AbstractForcedSystem | AbstractDrivenSystem):
-        return (jnp.zeros_like(z[0]),) * (3 + len(body.P))
-    if isinstance(system, AbstractRigidBodies):
-        pull = several_bodies.forces(system, body.x, _unit(body.q))
-        return (*pull[:3], *_rotate(body.q, pull[3:]))
-    if _has_axis(system):
-        return _torque(system, body.q, t)
-    q = configuration(z)
-    at = (q,) if t is None or isinstance(system, AbstractForcedSystem) else (q, t)
-    return _components(system.force(*at))
-
-
-def power(system: AbstractDrivenSystem, _: Any, z: Components, t: Array) -> Components:
-    """The power of a driven system, as one component."""
-    return (system.power(configuration(z), t),)
-
-
-def ended(system: Any, state: State, moves: Components, impulse: Components, work: Array | None) -> State:
-    """`state` after these increments of its coordinates, of its momenta, and of the work."""
-    moves, impulse = _in_space(system, moves, impulse)
-    q = configuration(tuple(map(jnp.add, canonical(None, state), moves)))
-    end = state._replace(q=q, p=state.p + jnp.stack(impulse, axis=-1).reshape(state.p.shape))
-    return end if work is None or state.work is None else end._replace(work=state.work + work)
-
-
-def motion(system: Any, state: State) -> State:
-    """The time derivative of q and p that follows from that of the coordinates, and from the force."""
-    z = canonical(system, state)
-    rates = field(system, inverses(system), z, state.t)
-    p_dot = rates[9:] if isinstance(system, AbstractElasticBody) else force(system, None, z, state.t)
-    rates, p_dot = _in_space(system, rates, p_dot)
-    _, q_dot = jax.jvp(configuration, (canonical(None, state),), (rates,))
-    return State(q_dot, jnp.stack(p_dot, axis=-1).reshape(state.p.shape))
-
-
-def _in_space(system: Any, rates: Components, force: Components) -> tuple[Components, Components]:
-    """Changes of the coordinates, and those of the momenta, as if no axis stood."""
-    if not _stands(system):
-        return rates, force
-    q, p = (turned_back(system.axis, half) for half in (rates[:4], rates[4:]))
-    return (*q, *p), _components(so3.Ad_star(upright(system.axis)[0], jnp.stack(force)))
 
 
 def _turning(rotor: Array | None, inverse: vec3.Symmetric, q: Components, p: Components) -> tuple[Any, Any]:
@@ -181,19 +331,6 @@ def _half_rate(rotor: Array | None, inverse: vec3.Symmetric, q: Components, p: C
     (w, *v), (first, *rest) = q, p
     Pi = scale(0.5, subtract(subtract(scale(w, rest), scale(first, v)), cross(v, rest)))
     return scale(0.5, apply(inverse, Pi if rotor is None else subtract(Pi, rotor)))
-
-
-def _kick(system: Any, z: Components, t: Array | None) -> Components:
-    """What the potential adds to the rate of the second half: the force, and −∂V/∂q."""
-    x, q, *_ = parts(z)
-    if _stands(system):
-        return _kick_upright(system.potential, upright(system.axis)[1], q)
-    if _has_axis(system):
-        return _kick_about(system.potential, system.axis_at(t), q, t)
-    if isinstance(system, AbstractRigidBodies):
-        pull = several_bodies.forces(system, x, _unit(q))
-        return (*pull[:3], *quat_times_vec(q, scale(2 * _inverse_square(q), pull[3:])))
-    return _from_left(scale(2 * _inverse_square(q), force(system, None, z, t)), q)
 
 
 def _rotate(q: Components, u: Components) -> Components:

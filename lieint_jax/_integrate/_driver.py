@@ -1,0 +1,116 @@
+"""The loop over steps that every run is made of: one body or many, output, events, derivatives.
+
+A run is `march`: from node to node of a clock by `advance`, in a loop of one of three kinds. `scanned` has a derivative
+in forward and reverse mode. `counted` repeats a number of times that is known only when it runs, so that one program
+serves all lengths, and has no derivative in reverse mode. Other modules have a third kind for nested checkpoints, and a
+fourth that computes several steps in one iteration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from lieint_jax._integrate._clock import Clock, GridClock, at_time
+from lieint_jax._xla import rematerialized
+from lieint_jax.types import State, Step, StepInfo
+
+Tree = Any  # a tree of arrays
+_Carry = TypeVar("_Carry")
+Body = Callable[[Array, _Carry], _Carry]  # (n, carry at node n) ↦ carry at node n + 1
+Repeat = Callable[[Body, Any, Any, Any], Any]  # (body, first node, number of steps, carry) ↦ carry
+
+
+class Progress(NamedTuple):
+    """How far a run is.
+
+    Attributes:
+        state: the state at the last node.
+        info: the merged report of the steps to it.
+        seen: what the run has recorded of the steps; None if nothing is.
+    """
+
+    state: State
+    info: StepInfo
+    seen: Tree = None
+
+    @classmethod
+    def begin(cls, state: State, seen: Tree = None) -> Progress:
+        """A run before its first step."""
+        return cls(state, StepInfo.fresh(state.p), seen)
+
+
+def advance(
+    step: Callable[..., tuple[Any, ...]], clock: Clock, state: State, n: Array, *more: Array
+) -> tuple[Any, ...]:
+    """The step from node n, where `state` is: the state at the next node, and the step's report.
+
+    Args:
+        step: (state, dt, …) ↦ state, report, …: a step, or its `tangent`.
+        clock, state, n: the times of the nodes, the state at node n, and n.
+        more: what else `step` is given, such as tangent vectors.
+    """
+    end, *report = step(state, clock.size(n), *more)
+    return at_time(end, clock.time(n + 1)), *report
+
+
+def march(
+    advance_once: Callable[[State, Array], tuple[State, StepInfo]],
+    first: ArrayLike,
+    count: ArrayLike,
+    start: Progress,
+    *,
+    observe: Callable[[Array, Progress, Progress, StepInfo], Tree] | None = None,
+    repeat: Repeat | None = None,
+) -> Progress:
+    """The run after `count` steps more.
+
+    Args:
+        advance_once: (state at node n, n) ↦ state at node n + 1 and report, such as `partial(advance, step, clock)`.
+        first: the node where the run is.
+        count: the number of steps.
+        start: the run there.
+        observe: (n, the run before the step from node n, the run after it, the step's report) ↦ the new `seen`.
+        repeat: the kind of the loop; `scanned` by default.
+    """
+
+    def step_once(n: Array, before: Progress) -> Progress:
+        state, info = advance_once(before.state, n)
+        after = Progress(state, before.info.merge(info), before.seen)
+        return after if observe is None else after._replace(seen=observe(n, before, after, info))
+
+    return (repeat or scanned)(step_once, first, count, start)
+
+
+def scanned(body: Body, first: ArrayLike, count: int, carry: _Carry) -> _Carry:
+    """`body` in a `lax.scan`, where reverse mode stores the carries and computes each step again."""
+
+    @rematerialized
+    def step_once(numbered: tuple[Array, _Carry], _: None) -> tuple[tuple[Array, _Carry], None]:
+        n, carry = numbered
+        return (n + 1, body(n, carry)), None
+
+    return scan(step_once, (jnp.asarray(first), carry), count)[0][1]
+
+
+def counted(body: Body, first: ArrayLike, count: ArrayLike, carry: _Carry) -> _Carry:
+    """`body` in a `lax.fori_loop`, whose number of steps may be traced."""
+    return lax.fori_loop(first, first + count, body, carry)
+
+
+def scan(function: Callable[[_Carry, None], tuple[_Carry, Tree]], carry: _Carry, length: int) -> tuple[_Carry, Tree]:
+    """`lax.scan`, without the loop where its length is 1: that is a third of the time of tracing."""
+    if length != 1:
+        return lax.scan(function, carry, None, length=length)
+    carry, result = function(carry, None)
+    return carry, jax.tree.map(lambda x: x[None], result)
+
+
+def prepared(step: Step, state: State, clock: Clock) -> Step:
+    """The step with its constants, which hold for one step size."""
+    return step if isinstance(clock, GridClock) else step.prepare(state, clock.dt)
