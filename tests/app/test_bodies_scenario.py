@@ -149,7 +149,7 @@ def test_one_body_falls_in_a_field():
     scenario = scenarios.parse(book(bodies=only, potential=[FIELD], scheme="splitting"), "mine.toml")
     step, path = run(scenario)
     np.testing.assert_allclose(path.state.q[-1, 0, 0, :3], [1.0, 3.0, 4.0 - 9.81 / 2], rtol=1e-14)
-    report = bodies.report(scenario, step, path)
+    report = scenarios.report(scenario, step, path)
     assert re.search(r"A: a turn at its mean angular velocity \(h\) +0.00174533 ", report)
     assert "P across the field" in report
 
@@ -185,8 +185,8 @@ def test_two_bodies_are_those_of_the_kind_binary():
     step, mine = run(scenario)
     apart = np.linalg.norm(mine.state.q[..., :3] - path.state.q[..., :3], axis=-1).max()
     assert apart < 1e-8 * 2548  # round-off of masses and moments, grown along the orbit
-    theirs = {x.name: x.nominal for x in binary.quantities(pair, path, binary.motion(other.system, path))}
-    ours = {x.name: x.nominal for x in bodies.quantities(scenario, mine, bodies.motion(scenario, step, mine))}
+    theirs = {x.name: x.nominal for x in binary.quantities(pair, other.system, path)}
+    ours = {x.name: x.nominal for x in bodies.quantities(scenario, step.system, mine)}
     for a, b in (
         ("orbital period (h)", "secondary about primary: period (h)"),
         (

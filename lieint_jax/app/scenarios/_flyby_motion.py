@@ -18,6 +18,7 @@ from jax.sharding import Mesh
 from lieint_jax import ensemble, orbits, schemes, systems
 from lieint_jax._integrate import integrate
 from lieint_jax._numerics import elliptic, vec3
+from lieint_jax.app.scenarios._common import at_order
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, pytree, static
@@ -197,11 +198,7 @@ def outcome(J: Array, state: State) -> Outcome:
 
 def step_of(J: Array, orbit: Any, order: int) -> Step:
     """The symplectic step of a body on an orbit."""
-    return _symmetric(schemes.splitting(systems.gravity_gradient(J, orbit)), order)
-
-
-def _symmetric(step: Step, order: int) -> Step:
-    return step if order == 2 else schemes.compose(step, order)
+    return at_order(schemes.splitting(systems.gravity_gradient(J, orbit)), order)
 
 
 def member(spin: Spin, orbit: Any, t: Array, order: int, long_axis: bool) -> tuple[Step, State]:
@@ -283,7 +280,7 @@ def _slopes(order: int, long_axis: bool) -> Callable[..., Slopes]:
         spin = Spin(*given[:-1])
         J = moments(spin)
         near = at_perigee(spin, orbit(jnp.zeros_like(times[0]))[0], long_axis)
-        free = _symmetric(schemes.so3_midpoint(RigidBody(J)), order)  # XLA takes minutes over tangents of `solution`
+        free = at_order(schemes.so3_midpoint(RigidBody(J)), order)  # XLA takes minutes over tangents of `solution`
         state = jax.tree.map(lambda x: x[-1], integrate(free, near, times[0] / _FREE, _FREE, save_every=_FREE).state)
         state = state._replace(t=times[0], work=jnp.zeros_like(times[0]))
         found = _passed(J, step_of(J, orbit, order), state, times)

@@ -12,9 +12,9 @@ from jax import Array
 
 from lieint_jax._numerics import vec3
 from lieint_jax.app.scenarios import _flyby_motion as motion
-from lieint_jax.app.scenarios._common import for_last_run
 from lieint_jax.app.scenarios._flyby_keys import Changes, Scenario, Variant
 from lieint_jax.app.scenarios._flyby_motion import Outcome, Passage, Slopes, Spin
+from lieint_jax.app.scenarios._runs import for_last_run
 from lieint_jax.groups import so3
 from lieint_jax.types import State, Trajectory
 

@@ -15,11 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax.app.scenarios import _flyby_motion as motion
-from lieint_jax.app.scenarios._common import HOUR, paragraphs
+from lieint_jax.app.scenarios._common import HOUR, Published
 from lieint_jax.app.scenarios._flyby_keys import Scenario
 from lieint_jax.app.scenarios._flyby_motion import GivenOrbit, Outcome
 from lieint_jax.app.scenarios._flyby_pictures import draw_after, draw_map, draw_sensitivity
 from lieint_jax.app.scenarios._flyby_study import WATCHED, Study, change, members, pole_angles, study, thinned, unknowns
+from lieint_jax.app.scenarios._report import Quantity, paragraphs, table
 from lieint_jax.types import State, Step, Trajectory
 
 __all__ = ["PICTURES", "STEP_AXIS", "Scenario", "build", "report"]
@@ -83,20 +84,24 @@ def facts(scenario: Scenario, before: Outcome) -> dict[str, tuple[str, np.ndarra
 def _published_lines(scenario: Scenario, found: Study) -> list[str]:
     date, hours = scenario.orbit.date, scenario.hours
     redrawn = 1 - members(scenario)[1].mean()
-    lines = [
+    known = [
+        Quantity(
+            name,
+            x,
+            published=[
+                Published(value=k.value, error=k.error, source=k.source)
+                for k in scenario.published
+                if k.quantity == key
+            ],
+        )
+        for key, (name, x) in facts(scenario, found.before).items()
+    ]
+    return [
         f"\n  from {date(-hours):%Y-%m-%d %H:%M} to {date(hours):%Y-%m-%d %H:%M} UTC; "
         f"perigee {date(0):%Y-%m-%d %H:%M:%S} UTC",
         f"  {100 * redrawn:.3g} % of the moments were drawn again: no {scenario.spin.mode} mode has such periods",
-        f"\n  {'before':<52}{'nominal':>11}{'± members':>12}   published",
+        *table(scenario, known, 52, "before"),
     ]
-    for key, (name, x) in facts(scenario, found.before).items():
-        spread = f"{np.std(x, ddof=1):.4f}" if len(x) > 1 else ""
-        given = [k for k in scenario.published if k.quantity == key]
-        errors = [f" ± {k.error:g}" if k.error else "" for k in given]
-        cited = [f"{k.value:g}{e}  ({scenario.source(k.source)})" for k, e in zip(given, errors, strict=True)]
-        lines += [f"  {name:<52}{x[0]:>11.4f}{spread:>12}   {(cited or [''])[0]}"]
-        lines += [f"  {'':<52}{'':>11}{'':>12}   {text}" for text in cited[1:]]
-    return lines
 
 
 def _row(name: str, x: np.ndarray, form: str = "9.3f") -> str:
