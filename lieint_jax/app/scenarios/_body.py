@@ -119,6 +119,17 @@ def in_space(q: Any, axis: Any) -> np.ndarray:
     return np.asarray(jax.vmap(so3.Ad, in_axes=(0, None))(jnp.asarray(q), jnp.asarray(axis)))
 
 
+def direction(longitude: Any, latitude: Any) -> Array:
+    """The unit vectors (…, 3) of longitudes and latitudes in rad."""
+    c = jnp.cos(latitude)
+    return jnp.stack([c * jnp.cos(longitude), c * jnp.sin(longitude), jnp.sin(latitude)], axis=-1)
+
+
+def longitude_latitude(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Longitudes in [0, 360) and latitudes of unit vectors (n, 3), in degrees."""
+    return np.rad2deg(np.arctan2(unit[:, 1], unit[:, 0])) % 360, np.rad2deg(np.arcsin(np.clip(unit[:, 2], -1, 1)))
+
+
 def inertia_matrix(body: Any) -> np.ndarray:
     """The inertia of a body as a matrix (3, 3), also where it is given by principal moments."""
     J = np.asarray(body.inertia)

@@ -13,12 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jax.sharding import Mesh
 
-from lieint_jax import ensemble, orbits, schemes, systems
+from lieint_jax import orbits, schemes, systems
 from lieint_jax._integrate import integrate
 from lieint_jax._numerics import elliptic, vec3
+from lieint_jax.app.scenarios._body import direction
 from lieint_jax.app.scenarios._common import at_order
+from lieint_jax.app.scenarios._runs import on_own_devices
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, pytree, static
@@ -182,12 +183,6 @@ def unit_of(v: Array) -> Array:
     return v / jnp.sqrt(vec3.dot(v, v))
 
 
-def direction(longitude: Any, latitude: Any) -> Array:
-    """The unit vector of a longitude and a latitude, in rad."""
-    c = jnp.cos(latitude)
-    return jnp.stack([c * jnp.cos(longitude), c * jnp.sin(longitude), jnp.sin(latitude)])
-
-
 def outcome(J: Array, state: State) -> Outcome:
     """The invariants of the free motion from a state."""
     body = RigidBody(J)
@@ -234,8 +229,7 @@ def _passages(order: int, long_axis: bool) -> Callable[..., Passage]:
 
 def _many(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function (spin, elements, times) of one member as one of many, on all devices, from and to host arrays."""
-    own = Mesh(np.array(jax.local_devices()), ("members",))  # of many processes, only the first one reports
-    mapped = ensemble.over_members(function, (0, None, None), own)
+    mapped = on_own_devices(function, (0, None, None))
     return lambda spins, *given: jax.tree.map(np.asarray, mapped(spins, *map(jnp.asarray, given)))
 
 

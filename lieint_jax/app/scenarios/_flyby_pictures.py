@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from lieint_jax.app import plots
+from lieint_jax.app.scenarios._body import longitude_latitude
 from lieint_jax.app.scenarios._flyby_keys import Scenario
 from lieint_jax.app.scenarios._flyby_motion import Outcome
-from lieint_jax.app.scenarios._flyby_study import change, lonlat, study, unknowns
+from lieint_jax.app.scenarios._flyby_study import change, study, unknowns
 from lieint_jax.app.scenarios._pictures import picture
 from lieint_jax.types import Step, Trajectory
 
@@ -120,10 +121,10 @@ def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
     """The poles on the sky about the nearer pole of the ecliptic."""
     side = np.sign(before.pole[0, 2]) or 1.0
     for outcome, color, label in ((after, plots.RED, "after"), (before, plots.BLUE, "before")):
-        longitude, latitude = lonlat(outcome.pole)
+        longitude, latitude = longitude_latitude(outcome.pole)
         ax.scatter(np.deg2rad(longitude), 90 - side * latitude, s=1.0, lw=0, color=color, alpha=0.35, rasterized=True)
         ax.plot([], [], "o", ms=4, color=color, label=label)
-    far = np.concatenate([90 - side * lonlat(x.pole)[1] for x in (before, after)])
+    far = np.concatenate([90 - side * longitude_latitude(x.pole)[1] for x in (before, after)])
     ax.set_rlim(0, 10 * np.ceil(np.quantile(far, 0.999) / 10))
     ax.set_rlabel_position(22.5)
     ax.tick_params(labelsize="x-small")

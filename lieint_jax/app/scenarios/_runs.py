@@ -9,7 +9,9 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh
 
+from lieint_jax import ensemble
 from lieint_jax._integrate import integrate
 from lieint_jax.types import State, Step, Trajectory
 
@@ -44,6 +46,11 @@ def over_members(function: Callable[[Any, State], Any], system: Any, run: Trajec
     """The same for a function of system and state, where each member has a system of its own."""
     each = jax.jit(jax.vmap(jax.vmap(function), in_axes=(None, 0)))
     return jax.tree.map(np.asarray, each(system, jax.tree.map(jnp.asarray, run.state)))
+
+
+def on_own_devices(function: Callable[..., Any], axes: Any) -> Callable[..., Any]:
+    """A function of one member as one of many, on the devices of this process: of many, only the first one reports."""
+    return ensemble.over_members(function, axes, Mesh(np.array(jax.local_devices()), ("members",)))
 
 
 def deviation(x: np.ndarray) -> np.ndarray:

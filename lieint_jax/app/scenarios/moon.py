@@ -15,15 +15,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.sharding import Mesh
 from pydantic import Field, field_validator, model_validator
 
-from lieint_jax import _checks, ensemble, orbits, schemes, systems
+from lieint_jax import _checks, orbits, schemes, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._common import Above, Common, NonNegative, Positive, Table, Text, Triple
 from lieint_jax.app.scenarios._pictures import picture
 from lieint_jax.app.scenarios._report import paragraphs
-from lieint_jax.app.scenarios._runs import deviation, for_last_run
+from lieint_jax.app.scenarios._runs import deviation, for_last_run, on_own_devices
 from lieint_jax.diagnostics import Lyapunov, lyapunov
 from lieint_jax.groups import so3
 from lieint_jax.systems import GravityGradient
@@ -276,9 +275,7 @@ def _program(num_steps: int, every: int) -> Any:
     def exponents_of(step: Step, state: State, dt: Array, vectors: Array) -> Lyapunov:
         return lyapunov(step, state, dt, num_steps, every=every, vectors=vectors)
 
-    axes: Any = (None, State(0, 0, None), None, None)  # pyright: ignore[reportArgumentType]
-    own = Mesh(np.array(jax.local_devices()), ("members",))  # of many processes, only the first one reports
-    return ensemble.over_members(exponents_of, axes, own)
+    return on_own_devices(exponents_of, (None, State(0, 0, None), None, None))  # pyright: ignore[reportArgumentType]
 
 
 def limit(orbits: int) -> float:

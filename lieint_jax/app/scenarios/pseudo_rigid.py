@@ -23,7 +23,7 @@ from lieint_jax.app.scenarios._common import (
     Triple,
 )
 from lieint_jax.app.scenarios._pictures import picture
-from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity, citation
+from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, citation
 from lieint_jax.app.scenarios._runs import follow, for_last_run, nominal, series
 from lieint_jax.systems import PseudoRigidBody
 from lieint_jax.types import State, Step, Trajectory
@@ -137,23 +137,19 @@ def build(scenario: Scenario) -> tuple[Step, State]:
 def conserved(scenario: Scenario, body: PseudoRigidBody, run: Trajectory) -> list[Conserved]:
     """Energy and momentum, relative to the member's initial |H| and |Φ|."""
     H, Phi = series(body.energy, run), series(body.momentum, run)
-    sizes = (np.maximum(x, _TINY) for x in (abs(H[0]), np.linalg.norm(Phi[0], axis=-1)))
+    size = np.maximum(np.linalg.norm(Phi[0], axis=-1), _TINY)
     promised = "bounded, not conserved" if scenario.rule == "symplectic" else ROUND_OFF
     return [
-        Conserved("energy, relative", H, next(sizes), promised),
-        Conserved("momentum rot[PFᵀ], relative", Phi, next(sizes), ROUND_OFF),
+        Conserved("energy, relative", H, np.maximum(abs(H[0]), _TINY), promised),
+        Conserved("momentum rot[PFᵀ], relative", Phi, size, ROUND_OFF),
     ]
 
 
-def quantities(scenario: Scenario, body: PseudoRigidBody, run: Trajectory) -> list[Quantity]:
-    """The least det F, which is above 0 or flagged."""
-    return [Quantity("least det F", np.linalg.det(run.state.q).min(axis=0), ".3g")]
-
-
 def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
-    """The energy of the nominal member by the midpoint rule and the published variation."""
-    found = energies(scenario, step, run)
-    lines = [f"\n  energy of the nominal member, {len(found.t) - 1} steps, max − min"]
+    """The least det F; the energy of the nominal member by the midpoint rule and the published variation."""
+    found, least = energies(scenario, step, run), float(np.linalg.det(run.state.q).min())
+    lines = [f"  {'least det F':<34}{least:>10.3g}   above 0, or flagged"]
+    lines += [f"\n  energy of the nominal member, {len(found.t) - 1} steps, max − min"]
     lines += [f"  {name:<34}{np.ptp(H):>12.3g}" for name, H in found.energy.items()]
     if (printed := scenario.published.get("midpoint_energy_variation")) is not None:
         lines[-1] += f"   published {citation(scenario, printed)}"

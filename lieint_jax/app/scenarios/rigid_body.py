@@ -13,7 +13,15 @@ from pydantic import model_validator
 from lieint_jax import diagnostics, maps, schemes, systems
 from lieint_jax._integrate import integrate
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._body import BodyScenario, InitialState, about_least, ensemble, in_space, inertia_matrix
+from lieint_jax.app.scenarios._body import (
+    BodyScenario,
+    InitialState,
+    about_least,
+    ensemble,
+    in_space,
+    inertia_matrix,
+    longitude_latitude,
+)
 from lieint_jax.app.scenarios._common import Published, Text, at_order, check_order
 from lieint_jax.app.scenarios._pictures import picture
 from lieint_jax.app.scenarios._report import Quantity
@@ -113,10 +121,9 @@ def _step(scenario: Scenario, body: RigidBody) -> Step:
 def quantities(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Quantity]:
     """Mean periods of the tumbling and the direction of the angular momentum, with their published values."""
     p = np.asarray(run.state.p)[0]
-    x, y, z = (p / np.linalg.norm(p, axis=1, keepdims=True)).T
+    longitude, latitude = longitude_latitude(p / np.linalg.norm(p, axis=1, keepdims=True))
     precession, rotation = mean_periods(body, run)
     unit, published = scenario.time_unit, {**scenario.published}
-    longitude, latitude = np.rad2deg(np.arctan2(y, x)) % 360, np.rad2deg(np.arcsin(z))
 
     def declared(name: str, values: np.ndarray, key: Any) -> Quantity:
         return Quantity(name, values, published=published.get(key), angle=key.endswith("_deg"))

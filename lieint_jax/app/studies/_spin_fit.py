@@ -10,6 +10,7 @@ import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
+from lieint_jax.app.studies._pulls import squared_distances
 from lieint_jax.app.studies._radar import errors, model, path, path_of_fits
 from lieint_jax.app.studies._tumbling import direction, mean_periods
 from lieint_jax.fitting._bounds import free, inertia_ratios, interval
@@ -177,6 +178,6 @@ def coverage(
     level = jnp.log(each.noise / truth.noise) / student_t_noise_error(len(data["t"]), 3)
     of_derived = (each.derived - truth.derived + 180) % 360 - 180  # angles; periods are far below 180
     sigma, of_sigma = (jnp.sqrt(jnp.diagonal(C, axis1=1, axis2=2)) for C in (each.covariance, each.derived_covariance))
-    distance = jnp.einsum("si,si->s", error, jnp.linalg.solve(each.covariance, error[..., None])[..., 0])
     pulls = jnp.concatenate([error / sigma, level, of_derived / of_sigma], axis=1)
-    return Coverage(np.asarray(pulls), np.asarray(distance), found.starts.success)
+    distance = squared_distances(np.asarray(error), np.asarray(each.covariance))
+    return Coverage(np.asarray(pulls), distance, found.starts.success)
