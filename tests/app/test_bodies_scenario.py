@@ -84,7 +84,7 @@ def test_a_bad_key_is_refused_by_a_sentence(keys, message):
 def test_what_a_run_keeps_of_a_scenario_reads_back():
     given = book(bodies=[body("A", 0.0, quaternion=[0.6, 0.8, 0.0, 0.0]), body("B", 1.0)], potential=[SPRING, FIELD])
     scenario = scenarios.parse(given, "mine.toml")
-    assert scenarios.from_results(scenario.model_dump(), "mine.npz") == scenario
+    assert scenarios.parse(scenario.model_dump(), "mine.npz") == scenario
 
 
 def test_the_schema_has_the_kind_with_its_tables():
