@@ -11,8 +11,8 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 
 from lieint_jax.app.studies._pulls import squared_distances
-from lieint_jax.app.studies._radar import errors, model, path, path_of_fits
-from lieint_jax.app.studies._tumbling import direction, mean_periods
+from lieint_jax.app.studies._radar import errors, path, path_of_fits
+from lieint_jax.app.studies._tumbling import direction, mean_periods, model, rotated
 from lieint_jax.fitting._bounds import free, inertia_ratios, interval
 from lieint_jax.fitting._fit import fit
 from lieint_jax.fitting._outcome import Fit
@@ -158,10 +158,7 @@ def synthetic(truth: Estimate, unravel: Any, data: dict[str, Any], sets: int, se
     drawn = rng.normal(size=shape) / np.sqrt(rng.chisquare(FREEDOM, (*shape[:3], 1)) / FREEDOM)
     turns, change = jnp.asarray(drawn) * truth.noise[:, None, None, None]
 
-    def rotate(turn: Array, q: Array) -> Array:
-        return so3.multiply(so3.exp(jnp.deg2rad(turn)), q)
-
-    seen = jax.vmap(jax.vmap(rotate), (0, None))(turns, found[:, :4])
+    seen = jax.vmap(jax.vmap(rotated), (0, None))(turns, found[:, :4])
     return repeated(data, sets) | {"q": seen, "rate": found[:, 4:] + change}
 
 

@@ -30,7 +30,6 @@ from lieint_jax.app.studies._radar import (
     RadarEpochs,
     errors,
     later_fixes,
-    model,
     path,
     radar_epochs,
 )
@@ -46,6 +45,7 @@ from lieint_jax.app.studies._spin_fit import (
 )
 from lieint_jax.app.studies._toutatis_picture import draw
 from lieint_jax.app.studies._toutatis_report import text
+from lieint_jax.app.studies._tumbling import model, rotation_between
 from lieint_jax.fitting._outcome import Fit
 from lieint_jax.fitting._robust import FREEDOM, student_t_weights
 from lieint_jax.groups import so3
@@ -187,9 +187,8 @@ def published_params(name: str, begin: Array, t: Array) -> dict[str, Array]:
     scenario = scenarios.load(name)
     body = RigidBody(jnp.asarray(scenario.inertia) / scenario.inertia[2])
     later = body.solution(body.state(scenario.state.attitude(), angular_velocity=scenario.state.rate()), t)
-    turn = so3.log(so3.multiply(later.q, so3.inverse(begin)))
     rate = body.angular_velocity(later)
-    return {"attitude": jnp.rad2deg(turn), "inertia": body.inertia[:2], "rate": jnp.rad2deg(rate)}
+    return {"attitude": rotation_between(later.q, begin), "inertia": body.inertia[:2], "rate": jnp.rad2deg(rate)}
 
 
 def _from_many_starts(
