@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Self
 
 import jax.numpy as jnp
@@ -91,19 +92,34 @@ class ExtendedBody(GivenRate):
         }
 
 
-def mass_and_moments(body: ExtendedBody, heavier: Array, longer: Array) -> tuple[Array, Array]:
+def member_bodies(bodies: Sequence[ExtendedBody], noise: Array) -> tuple[Array, Array, Array, Array]:
+    """Masses (n,), principal moments (n, 3), attitudes (n, 4) and angular velocities (n, 3) of a member's bodies.
+
+    Args:
+        bodies: as their keys give them.
+        noise: standard normal deviates of mass, semi-axes, attitude and angular velocity, (n, 4 or more, 3).
+    """
+    made = [
+        (*_mass_and_moments(body, x[0], x[1]), _attitude(body, x[2]), _angular_velocity(body, x[3]))
+        for body, x in zip(bodies, noise, strict=True)
+    ]
+    m, J, q, Omega = (jnp.stack(x) for x in zip(*made, strict=True))
+    return m, J, q, Omega
+
+
+def _mass_and_moments(body: ExtendedBody, heavier: Array, longer: Array) -> tuple[Array, Array]:
     """The mass and the principal moments of a member's body, by its deviations."""
     mass = body.mass() * (1 + body.spread.mass_percent / 100 * heavier[0])
     squares = body.squares() * (1 + body.spread.axes_percent / 100 * longer) ** 2
     return mass, mass * (jnp.sum(squares) - squares)
 
 
-def attitude(body: ExtendedBody, turned: Array) -> Array:
+def _attitude(body: ExtendedBody, turned: Array) -> Array:
     """The attitude of a member's body, by its deviation."""
     return so3.multiply(so3.exp(jnp.deg2rad(body.spread.attitude_deg) * turned), body.attitude())
 
 
-def angular_velocity(body: ExtendedBody, jolt: Array) -> Array:
+def _angular_velocity(body: ExtendedBody, jolt: Array) -> Array:
     """The angular velocity of a member's body as its keys give it, by its deviation."""
     return jnp.asarray(body.rate()) + body.spread.rate() * jolt
 

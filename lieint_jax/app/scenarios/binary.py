@@ -24,9 +24,7 @@ from lieint_jax.app.scenarios._common import DAY, HOUR, Above, Common, NonNegati
 from lieint_jax.app.scenarios._multibody import (
     ORDERS,
     ExtendedBody,
-    angular_velocity,
-    attitude,
-    mass_and_moments,
+    member_bodies,
     step_of,
 )
 from lieint_jax.app.scenarios._pictures import changes_by_scheme, picture
@@ -121,24 +119,19 @@ def _member(scenario: Scenario, k: Array) -> tuple[Step, State]:
     """The step and the state of the k-th member; the first has no deviations."""
     noise = jax.random.normal(jax.random.fold_in(jax.random.key(scenario.seed), k), (1 + 2 * 4, 3))
     noise = jnp.where(k == 0, 0.0, noise)
-    pair, given = (scenario.primary, scenario.secondary), (noise[1:5], noise[5:])
-    made = [mass_and_moments(body, *x[:2]) for body, x in zip(pair, given, strict=True)]
-    m, J = (jnp.stack(x) for x in zip(*made, strict=True))
+    pair = scenario.primary, scenario.secondary
+    m, J, attitudes, rates = member_bodies(pair, noise[1:].reshape(2, 4, 3))
     bodies = systems.rigid_bodies(m, J, potentials.maccullagh(scenario.G, m, J))
-    attitudes = [attitude(body, x[2]) for body, x in zip(pair, given, strict=True)]
     d = jnp.array([scenario.orbit.separation_m, 0.0, 0.0])
     speed = _speed(scenario.orbit, bodies, d, attitudes)
     across = speed + scenario.orbit.speed_change_mm_s / 1000
     v = jnp.stack([0 * across, across, 0 * across]) + scenario.spread.velocity_mm_s / 1000 * noise[0]
     turning = jnp.stack([0 * speed, 0 * speed, speed / d[0]])
-    rates = [_rate(body, q, turning, x[3]) for body, q, x in zip(pair, attitudes, given, strict=True)]
+    relative = jnp.array([[body.relative_to == "orbit"] for body in pair])
+    rates = rates + jnp.where(relative, jax.vmap(so3.Ad_star, (0, None))(attitudes, turning), 0.0)
     shares = jnp.stack([-m[1], m[0]]) / (m[0] + m[1])
-    state = bodies.state(
-        shares[:, None] * d,
-        jnp.stack(attitudes),
-        velocities=shares[:, None] * v,
-        angular_velocities=jnp.stack(rates),
-    )
+    x, v = shares[:, None] * d, shares[:, None] * v
+    state = bodies.state(x, attitudes, velocities=v, angular_velocities=rates)
     return _steps(scenario, bodies)[scenario.scheme], state
 
 
@@ -149,13 +142,7 @@ def _steps(scenario: Scenario, bodies: RigidBodies) -> dict[str, Step]:
     return {name: step_of(bodies, name, order) for name, order in orders.items()}
 
 
-def _rate(body: Body, q: Array, turning: Array, jolt: Array) -> Array:
-    """The angular velocity of a member's body in its axes; `turning` is that of the orbit's axes in space."""
-    Omega = angular_velocity(body, jolt)
-    return Omega + so3.Ad_star(q, turning) if body.relative_to == "orbit" else Omega
-
-
-def _speed(orbit: Orbit, bodies: RigidBodies, d: Array, attitudes: list[Array]) -> Array:
+def _speed(orbit: Orbit, bodies: RigidBodies, d: Array, attitudes: Array) -> Array:
     """The relative speed before its change: that given, or that of a circle under the force along the line."""
     if orbit.speed_m_s is not None:
         return jnp.asarray(orbit.speed_m_s)

@@ -39,9 +39,7 @@ from lieint_jax.app.scenarios._multibody import (
     ORDERS,
     BodySpread,
     ExtendedBody,
-    angular_velocity,
-    attitude,
-    mass_and_moments,
+    member_bodies,
     step_of,
 )
 from lieint_jax.app.scenarios._pictures import picture
@@ -243,19 +241,13 @@ def _member(scenario: Scenario, k: Array) -> tuple[Step, State]:
     given = scenario.bodies
     noise = jax.random.normal(jax.random.fold_in(jax.random.key(scenario.seed), k), (len(given), 6, 3))
     noise = jnp.where(k == 0, 0.0, noise)
-    made = [mass_and_moments(body, *x[:2]) for body, x in zip(given, noise, strict=True)]
-    m, J = (jnp.stack(x) for x in zip(*made, strict=True))
+    m, J, attitudes, rates = member_bodies(given, noise)
     bodies = systems.rigid_bodies(m, J, _potential(scenario, m, J))
     x = jnp.asarray([b.position_m for b in given]) + _column([b.spread.position_m for b in given]) * noise[:, 4]
     v = jnp.asarray([b.velocity_m_s for b in given]) + _column([b.spread.velocity_m_s for b in given]) * noise[:, 5]
     if scenario.barycentric:
         x, v = (y - jnp.sum(m[:, None] * y, axis=0) / jnp.sum(m) for y in (x, v))
-    state = bodies.state(
-        x,
-        jnp.stack([attitude(body, y[2]) for body, y in zip(given, noise, strict=True)]),
-        velocities=v,
-        angular_velocities=jnp.stack([angular_velocity(body, y[3]) for body, y in zip(given, noise, strict=True)]),
-    )
+    state = bodies.state(x, attitudes, velocities=v, angular_velocities=rates)
     term = scenario.attraction()
     order = scenario.order or ORDERS[scenario.scheme][0]
     return step_of(bodies, scenario.scheme, order, term and term.gravity()), state
