@@ -14,7 +14,7 @@ A function that makes a figure is decorated with `style()`, and `save` writes it
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -62,6 +62,12 @@ def figure(columns: int = 1, rows: int = 1, size: tuple[float, float] | None = N
     width, height = size or _LOOK["figure.figsize"]
     fig = Figure(figsize=(width * columns, height * rows), layout="constrained")
     return fig, fig.subplots(rows, columns, squeeze=False, **axes)
+
+
+def letter_panels(axes: Any, titles: Sequence[str]) -> None:
+    """Titles (a), (b), … of the panels of a figure, in the order of an array of axes."""
+    for ax, letter, title in zip(axes.flat, "abcdefghij", titles, strict=False):
+        ax.set_title(f"({letter}) {title}", loc="left")
 
 
 def save(fig: Figure, path: Path) -> list[Path]:

@@ -14,7 +14,7 @@ from two_bodies import reference
 
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli, files
-from lieint_jax.app.scenarios import _binary_motion, _multibody, binary
+from lieint_jax.app.scenarios import _binary_motion, _multibody, _report, _runs, binary
 from lieint_jax.app.scenarios._spectrum import line, spectrum
 from lieint_jax.ensemble import _job
 
@@ -130,13 +130,13 @@ def apsides(scenario, step, path):
 def test_what_is_reported_of_didymos():
     """The nominal one; the apsides' rate beside that of the vector of Laplace, Runge and Lenz."""
     scenario, step, path = nominal_didymos()
-    rows = {row.name: row.nominal for row in binary.quantities(scenario, path, binary.motion(step.system, path))}
+    rows = {row.name: row.nominal for row in binary.quantities(scenario, step.system, path)}
     assert rows["orbital period (h)"] == pytest.approx(11.372, abs=2e-4)
     assert rows["primary's spin period (h)"] == pytest.approx(2.26, abs=1e-3)
     assert rows["libration of the secondary, largest (°)"] == pytest.approx(22.27, abs=0.1)
     rate = apsides(scenario, step, path)[0]
     assert rows["precession of the line of apsides (°/d)"] == pytest.approx(rate, abs=0.05)  # −5.838 and −5.845
-    kept = {name: x.max() for name, x in binary.changes(step.system, path).items()}
+    kept = {x.name: x.change().max() for x in binary.conserved(scenario, step.system, path)}
     assert kept["energy, over |energy|"] < 3e-11  # 8e-12
     assert kept["linear momentum, over that of the secondary"] < 1e-15
     assert kept["angular momentum, relative"] < 5e-14
@@ -147,9 +147,8 @@ def test_a_spread_beyond_the_published_error_is_said_and_a_value_of_the_other_si
     scenario = scenarios.load("didymos", members=1)
 
     def notes(values):
-        head, _, *lines = _multibody.row_lines(
-            scenario, [_multibody.row_of("precession (°/d)", np.array(values), published)]
-        )
+        row = _report.Quantity("precession (°/d)", np.array(values), published=published)
+        _, head, _, *lines = _report.text(scenario, [], [row]).split("\n")
         assert "published" in head
         return " ".join(line.strip() for line in lines)
 
@@ -167,8 +166,8 @@ def test_the_spread_of_the_apsides_of_didymos_is_that_of_the_librations():
     """Of its members, by the vector of Laplace, Runge and Lenz too: no noise of the measurement."""
     scenario = scenarios.load("didymos", members=12)
     step, path = run(scenario)
-    found = binary.motion(step.system, path)
-    [row] = [row for row in binary.quantities(scenario, path, found) if "apsides" in row.name]
+    found = binary.motion(scenario, step.system, path)
+    [row] = [row for row in binary.quantities(scenario, step.system, path) if "apsides" in row.name]
     rates = apsides(scenario, step, path)
     assert row.spread > 3
     assert np.std(rates, ddof=1) == pytest.approx(row.spread, abs=0.2)
@@ -182,7 +181,7 @@ def test_didymos_in_steps_of_half_an_hour_against_dop853():
     _, step, path = nominal_didymos()
     start = jax.tree.map(lambda x: jnp.asarray(x[0, 0]), path.state)
     k = int(np.searchsorted(path.t, 5 * 86400.0))
-    x, _ = reference(_binary_motion.nominal_of(step.system), start, float(path.t[k]), 1e-12, 1e-12)
+    x, _ = reference(_runs.nominal_of(step.system), start, float(path.t[k]), 1e-12, 1e-12)
     q = path.state.q[k, 0, :, :3]
     assert np.linalg.norm((q[1] - q[0]) - (x[1] - x[0])) < 1e-4
 
@@ -205,7 +204,7 @@ def test_spheres_have_kepler_s_period_and_its_derivative():
         update={"members": 1}
     )
     step, states = scenarios.build(scenario)
-    first, start = _binary_motion.nominal_of(step), jax.tree.map(lambda x: x[0], states)
+    first, start = _runs.nominal_of(step), jax.tree.map(lambda x: x[0], states)
     measure = partial(_binary_motion.period, first, start, scenario.dt, scenario.steps, scenario.save_every)
     period, slope = (float(x) for x in measure(jnp.asarray(0.0)))
     mu, v = scenario.G * (5e11 + scenario.secondary.mass()), 0.17329064 - 2.7268e-3

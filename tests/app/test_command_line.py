@@ -13,7 +13,7 @@ from lieint_jax import _discover, schemes, systems
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import check, check_groups, cli, files
 from lieint_jax.app.command import info as info_command
-from lieint_jax.app.scenarios import rigid_body
+from lieint_jax.app.scenarios import _report, rigid_body
 from lieint_jax.types import State, StepInfo, Trajectory
 
 
@@ -351,7 +351,7 @@ def test_a_file_that_is_no_text(capsys):
 
 
 def test_spread_of_an_angle_goes_round_the_circle():
-    assert rigid_body._spread(np.array([0.1, 359.9, 0.3]), angle=True) == pytest.approx(0.2)
+    assert _report.Quantity("longitude", np.array([0.1, 359.9, 0.3]), angle=True).spread == pytest.approx(0.2)
 
 
 def test_check_prints_certificates(capsys):

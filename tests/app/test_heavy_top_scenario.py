@@ -15,7 +15,7 @@ import lieint_jax as li
 from lieint_jax import ensemble
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli
-from lieint_jax.app.scenarios import heavy_top
+from lieint_jax.app.scenarios import _report, heavy_top
 from lieint_jax.groups import so3
 from lieint_jax.systems._heavy_top import kovalevskaya, lagrange_motion
 
@@ -88,12 +88,13 @@ def as_shipped():
 @pytest.mark.long
 def test_the_shipped_run_shows_the_closed_form():
     """By nystrom of order 6 at dt = 0.01, from states saved 14 times in a nutation: all to ten digits."""
-    rows = heavy_top.quantities(*as_shipped(), "s")
+    scenario = scenarios.load("heavy_top", members=2, steps=2000)
+    rows = heavy_top.quantities(scenario, *as_shipped())
     assert [row.name.split()[0] for row in rows] == ["nutation", "mean", "least", "greatest"]
     for row in rows:
         assert row.nominal == pytest.approx(row.closed_form, rel=1e-11), row.name  # 1e-15, 2e-12, 2e-12, 2e-12
         assert row.spread > 1e-4
-    line = heavy_top.comparison_lines(rows)[1]
+    line = _report.table(scenario, rows)[1].rstrip()
     assert re.search(r"nutation period \(s\) +0.6822560158 +0.0\d+ +0.6822560158 +-?[\d.]+e-1\d$", line)
 
 
@@ -123,11 +124,12 @@ def test_tops_without_closed_form_report_what_they_have():
     run = ensemble.run(
         li.schemes.splitting(top), jax.tree.map(lambda x: x[None], state), 0.02, 2000, save_every=5, progress=False
     )
-    found = heavy_top.changes(top, run)
+    scenario = scenarios.load("heavy_top")
+    found = {x.name: x.change().max() for x in heavy_top.conserved(scenario, top, run)}
     assert 1e-5 < found["Kovalevskaya's integral, relative"] < 1e-2
     assert found["γ·π, relative to |π|"] < 1e-14
     assert "Π₃, relative to |π|" not in found
-    assert np.isnan([row.closed_form for row in heavy_top.quantities(top, run, "s")]).all()
+    assert np.isnan([row.closed_form for row in heavy_top.quantities(scenario, top, run)]).all()
 
 
 SCENARIO = """

@@ -18,7 +18,7 @@ from lieint_jax.app.studies import (
     _symmetric_solutions,
     satellite,
 )
-from lieint_jax.app.studies._radar import model
+from lieint_jax.app.studies._tumbling import model
 from lieint_jax.groups import so3
 
 ONE = jnp.array([1.0, 0.0, 0.0, 0.0])

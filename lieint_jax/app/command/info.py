@@ -13,7 +13,8 @@ import numpy as np
 from lieint_jax.app import plots, scenarios
 from lieint_jax.app.command import files, pictures
 from lieint_jax.app.command.pictures import StoredRun
-from lieint_jax.app.scenarios._common import POINTS, Common
+from lieint_jax.app.scenarios._common import Common
+from lieint_jax.app.scenarios._runs import POINTS
 from lieint_jax.ensemble.archives import UnreadableError, check_system, system_from_store
 from lieint_jax.types import Step, Trajectory, energy_less_work
 
@@ -56,7 +57,7 @@ def _plot_scenario(scenario: Common, run: Trajectory, path: Path, plain: Path, f
     if scenario.members < members:
         print(f"  the first {scenario.members} of {members} members")
     drawn = draw(plain, kind.PICTURES, scenario, step, run)
-    print(kind.report(scenario, step, run))
+    print(scenarios.report(scenario, step, run))
     return drawn
 
 
@@ -90,7 +91,7 @@ def _times(run: Any) -> Any:
 def _scenario(path: Path, metadata: dict[str, Any]) -> Any:
     """The scenario of results, or None if they have none of `lieint run`."""
     table = _table(metadata)
-    return scenarios.from_results(table, str(path)) if "system" in table else None
+    return scenarios.parse(table, str(path)) if "system" in table else None
 
 
 def _table(metadata: dict[str, Any]) -> dict[str, Any]:

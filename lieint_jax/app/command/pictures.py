@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from lieint_jax.app import plots
 from lieint_jax.app.command import interpolation
 from lieint_jax.app.scenarios._body import in_space
-from lieint_jax.app.scenarios._common import POINTS
+from lieint_jax.app.scenarios._runs import POINTS
 from lieint_jax.types import State, Trajectory, energy_less_work
 from lieint_jax.types._members import map_over_run
 

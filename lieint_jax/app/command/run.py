@@ -12,7 +12,8 @@ from lieint_jax import _checks, ensemble
 from lieint_jax._version import __version__
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import files, info
-from lieint_jax.app.scenarios._common import Common, nominal
+from lieint_jax.app.scenarios._common import Common
+from lieint_jax.app.scenarios._runs import nominal
 from lieint_jax.diagnostics import certify
 
 _WATCHED = 10_000  # the most steps of a certificate
@@ -78,7 +79,7 @@ def run(
     doing = " and ".join(["drawing"] * pictures + ["certifying"] * certificate)
     print(f"  results in {out}{f'; {doing} …' if doing else ''}", flush=True)
     drawn = info.draw(out, drawings, scenario, step, run)
-    print(kind.report(scenario, step, run))
+    print(scenarios.report(scenario, step, run))
     if certificate:
         first = step if kept["step_axis"] is None else jax.tree.map(lambda leaf: leaf[0], step)
         watched = min(scenario.steps, _WATCHED)

@@ -2,15 +2,19 @@
 
 A scenario is a system, a scheme, a time step and an ensemble of initial states; it may hold published values and
 observations to compare with the results. `scenario_names` lists the shipped ones. The keys of all scenarios are in
-`_common.py`; each kind of system is one module, named like the file's `system` key, which has
+`_common.py`; each kind of system is one module, named like the file's `system` key, which declares
 
 | name | |
 |---|---|
 | `Scenario` | a pydantic model of its keys, a subclass of `_common.Common` |
 | `build(scenario)` | the step and the batch of initial states; member 0 is the nominal state |
-| `report(scenario, step, run)` | the text that reports a run |
-| `PICTURES` | functions (scenario, step, run) ↦ figure, by the suffix of their file names |
+| `conserved(scenario, system, run)` | what the motion conserves, as a list of `_report.Conserved` |
+| `quantities(scenario, system, run)` | what is measured, as a list of `_report.Quantity` |
+| `remarks(scenario, step, run)` | further lines of the report |
+| `PICTURES` | functions (scenario, step, run) ↦ figure, by the suffix of their file names; see `_pictures.picture` |
 | `STEP_AXIS` | 0 where every member has a system of its own: the leaves of the step then have the member axis |
+
+Only the first two and `PICTURES` are required. A kind whose report is no such table has `report(scenario, step, run)`.
 """
 
 from __future__ import annotations
@@ -27,11 +31,11 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from lieint_jax import _discover
+from lieint_jax.app.scenarios import _report
 from lieint_jax.app.scenarios._common import Common
-from lieint_jax.types import State, Step
+from lieint_jax.types import State, Step, Trajectory
 
 _FOR_PYTHON = "; use jax.vmap for batches"  # advice that is of no use in a file
-_OLD_KEYS = {"angular_velocity": "angular_velocity_rad"}
 
 
 def scenario_names() -> list[str]:
@@ -65,6 +69,21 @@ def build_first(scenario: Common, members: int) -> Step:
     return build(scenario.model_copy(update={"members": 1 if step_axis(scenario) is None else members}))[0]
 
 
+def report(scenario: Common, step: Any, run: Trajectory) -> str:
+    """The text that reports a run: what is conserved, what was measured, and the remarks of the kind."""
+    module = kind(scenario)
+    if hasattr(module, "report"):
+        return module.report(scenario, step, run)
+    system = step.system
+    conserved, quantities = (_declared(module, name, scenario, system, run) for name in ("conserved", "quantities"))
+    return _report.text(scenario, conserved, quantities, _declared(module, "remarks", scenario, step, run))
+
+
+def _declared(module: ModuleType, name: str, *given: Any) -> list[Any]:
+    """What a kind declares under a name, if it does."""
+    return getattr(module, name)(*given) if hasattr(module, name) else []
+
+
 def load(name: str, **changes: Any) -> Any:
     """The scenario shipped under `name`, or the one in the file `name`, with `changes` to its keys.
 
@@ -89,19 +108,6 @@ def parse(table: dict[str, Any], name: str) -> Any:
         return model.model_validate(table)
     except ValidationError as error:
         raise ValueError(f"{name}: {_explain(error, model)}") from error
-
-
-def from_results(table: dict[str, Any], name: str) -> Any:
-    """The scenario that results hold; those of version 0.1 have keys of then, without units."""
-
-    def renamed(tree: Any) -> Any:
-        if isinstance(tree, list):
-            return [renamed(value) for value in tree]
-        if isinstance(tree, dict):
-            return {_OLD_KEYS.get(key, key): renamed(value) for key, value in tree.items()}
-        return tree
-
-    return parse(renamed(table), name)
 
 
 def schema() -> dict[str, Any]:

@@ -17,6 +17,7 @@ from jax import Array
 
 from lieint_jax._integrate import integrate
 from lieint_jax._numerics import vec3
+from lieint_jax.app.scenarios._runs import for_last_run, over_members
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.systems import RigidBodies
@@ -69,25 +70,20 @@ class Energies(NamedTuple):
     total: Any
 
 
-def nominal_of(tree: Any) -> Any:
-    """Member 0 of a step or a system whose leaves have the member axis."""
-    return jax.tree.map(lambda leaf: leaf[0], tree)
-
-
-def over_members(function: Callable[[RigidBodies, State], Any], system: RigidBodies, run: Trajectory) -> Any:
-    """Values of a function of system and state, at all saved times of all members: (times, members, …)."""
-    each = jax.jit(jax.vmap(jax.vmap(function), in_axes=(None, 0)))
-    return jax.tree.map(np.asarray, each(system, jax.tree.map(jnp.asarray, run.state)))
-
-
 def relative(system: RigidBodies, state: State) -> tuple[Array, Array]:
     """d and v."""
     x, v = state.q[:, :3], state.p[:, :3] / system.masses[:, None]
     return x[1] - x[0], v[1] - v[0]
 
 
-def motion(system: RigidBodies, run: Trajectory) -> Motion:
-    """The angles and distances of a run."""
+@for_last_run
+def motion(_: Any, system: RigidBodies, run: Trajectory) -> Motion:
+    """The angles and distances of a scenario's run."""
+    return measured(system, run)
+
+
+def measured(system: RigidBodies, run: Trajectory) -> Motion:
+    """The angles and distances of any run."""
     angles, rates = over_members(_instant, system, run)
     continued = {name: followed(run.t, getattr(angles, name), rate) for name, rate in rates.items()}
     continued["libration"] = np.unwrap(angles.libration, axis=0)

@@ -11,12 +11,21 @@ from jax import Array
 from pydantic import field_validator, model_validator
 
 from lieint_jax import _checks, maps, schemes
-from lieint_jax.app.scenarios._common import Common, NonNegative, Quadruple, Rate, RateSpread, Triple
+from lieint_jax.app.scenarios._common import (
+    Common,
+    GivenRate,
+    NonNegative,
+    Quadruple,
+    RateSpread,
+    Triple,
+    at_order,
+    deviates,
+)
 from lieint_jax.groups import so3
 from lieint_jax.types import State, Step
 
 
-class InitialState(Rate):
+class InitialState(GivenRate):
     """The nominal state: an attitude, by one of two keys, and an angular velocity in the body."""
 
     quaternion: Quadruple | None = None
@@ -25,11 +34,9 @@ class InitialState(Rate):
     """Attitude R_z(α) R_x(β) R_z(γ), body to space, in degrees."""
 
     @model_validator(mode="after")
-    def _one_of_each(self) -> Self:
+    def _one_attitude(self) -> Self:
         if (self.quaternion is None) == (self.euler_313_deg is None):
             raise ValueError("give the attitude, by exactly one of quaternion and euler_313_deg")
-        if self.rate() is None:
-            raise ValueError("give exactly one of angular_velocity_rad and angular_velocity_deg")
         if self.quaternion is not None:
             _checks.unit_quaternion("quaternion", self.quaternion)
         return self
@@ -61,11 +68,8 @@ class BodyScenario(Common):
         _checks.inertia(value)
         return value
 
-    def assumption(self) -> str:
-        return (
-            f"spread about the nominal state, an assumption: {self.spread.attitude_deg:g}° of attitude and "
-            f"{np.rad2deg(self.spread.rate()):g}°/{self.time_unit} of angular velocity (1 sigma, each component)"
-        )
+    def spreads(self) -> dict[str, tuple[float, str]]:
+        return {"attitude": (self.spread.attitude_deg, "°"), "angular velocity": self.spread.given(self.time_unit)}
 
 
 class TopScenario(BodyScenario):
@@ -90,7 +94,7 @@ def top_schemes(scenario: TopScenario, top: Any) -> dict[str, Step]:
         "top_energy_momentum": schemes.top_energy_momentum(top, getattr(maps, f"kappa_{scenario.kappa or 'cayley'}")),
         "splitting": schemes.splitting(top),
     }
-    return two if scenario.order == 2 else {k: schemes.compose(step, scenario.order) for k, step in two.items()}
+    return {name: at_order(step, scenario.order) for name, step in two.items()}
 
 
 def ensemble(scenario: BodyScenario, body: Any) -> State:
@@ -101,10 +105,8 @@ def ensemble(scenario: BodyScenario, body: Any) -> State:
 
 def about(scenario: BodyScenario, body: Any, q: Array, Omega: Array, **options: Any) -> State:
     """The members' states about an attitude and a body angular velocity; `options` go to `body.state`."""
-    kick, jolt = jax.random.normal(jax.random.key(scenario.seed), (2, scenario.members, 3))
-    kick, jolt = (x.at[0].set(0.0) for x in (kick, jolt))
-    kick = jnp.deg2rad(scenario.spread.attitude_deg) * kick
-    jolt = scenario.spread.rate() * jolt
+    kick, jolt = deviates(scenario)
+    kick, jolt = jnp.deg2rad(scenario.spread.attitude_deg) * kick, scenario.spread.rate() * jolt
 
     def member(kick: Array, jolt: Array) -> State:
         return body.state(so3.multiply(so3.exp(kick), q), angular_velocity=Omega + jolt, **options)
@@ -115,6 +117,17 @@ def about(scenario: BodyScenario, body: Any, q: Array, Omega: Array, **options: 
 def in_space(q: Any, axis: Any) -> np.ndarray:
     """The direction in space of an axis of the body, (n, 3), at attitudes (n, 4)."""
     return np.asarray(jax.vmap(so3.Ad, in_axes=(0, None))(jnp.asarray(q), jnp.asarray(axis)))
+
+
+def direction(longitude: Any, latitude: Any) -> Array:
+    """The unit vectors (…, 3) of longitudes and latitudes in rad."""
+    c = jnp.cos(latitude)
+    return jnp.stack([c * jnp.cos(longitude), c * jnp.sin(longitude), jnp.sin(latitude)], axis=-1)
+
+
+def longitude_latitude(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Longitudes in [0, 360) and latitudes of unit vectors (n, 3), in degrees."""
+    return np.rad2deg(np.arctan2(unit[:, 1], unit[:, 0])) % 360, np.rad2deg(np.arcsin(np.clip(unit[:, 2], -1, 1)))
 
 
 def inertia_matrix(body: Any) -> np.ndarray:

@@ -1,23 +1,19 @@
-"""The keys and functions that scenarios of every system share."""
+"""The keys that scenarios of every system share."""
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Callable, Sequence
-from functools import wraps
-from typing import Annotated, Any, Self, TypeVar
+from collections.abc import Sequence
+from typing import Annotated, Any, Self
 
 import jax
-import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from lieint_jax import _checks
-from lieint_jax._integrate import integrate
-from lieint_jax.types import State, Step, Trajectory
+from lieint_jax import _checks, schemes
+from lieint_jax.types import Step
 
 HOUR, DAY = 3600.0, 86400.0  # seconds
-LONGEST, POINTS = 200_000, 4_000  # the most steps of the nominal member that are drawn, and points of a curve
 
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 Quadruple = Annotated[list[float], Field(min_length=4, max_length=4)]
@@ -25,9 +21,6 @@ NonNegative = Annotated[float, Field(ge=0)]
 Above = Annotated[float, Field(gt=0)]
 Positive = Annotated[int, Field(gt=0, le=10**12)]
 Text = Annotated[str, Field(pattern=r"^[^$]*$")]  # without $, which matplotlib reads as mathematics
-
-S = TypeVar("S")
-R = TypeVar("R")
 
 
 class Table(BaseModel):
@@ -94,9 +87,18 @@ class Common(Table):
                 raise ValueError(f"source {key!r} is not one of the keys of [sources]: {', '.join(self.sources)}")
         return self
 
+    def spreads(self) -> dict[str, tuple[float, str]]:
+        """The standard deviations of the initial states with their units, by what they are of, as a kind declares."""
+        return {}
+
     def assumption(self) -> str:
         """A line for the report that states the ensemble's assumption; empty if there is none."""
-        return ""
+        spreads = self.spreads()
+        given = [
+            f"{name} {x:.3g}{'' if unit[:1] == '°' else ' '}{unit}".rstrip() for name, (x, unit) in spreads.items() if x
+        ]
+        line = f"spread about the nominal state, an assumption (1 sigma, each component): {', '.join(given) or 'none'}"
+        return line if spreads else ""
 
     def clock(self) -> dict[str, Any]:
         """When the steps are: those arguments of `ensemble.run`."""
@@ -129,6 +131,16 @@ class Rate(Table):
         return np.deg2rad(self.angular_velocity_deg).tolist()
 
 
+class GivenRate(Rate):
+    """An angular velocity, by exactly one of two keys."""
+
+    @model_validator(mode="after")
+    def _one_rate(self) -> Self:
+        if self.rate() is None:
+            raise ValueError("give exactly one of angular_velocity_rad and angular_velocity_deg")
+        return self
+
+
 class RateSpread(Table):
     """A standard deviation of angular velocity, by one of two keys."""
 
@@ -147,6 +159,12 @@ class RateSpread(Table):
         """Radians per time_unit."""
         return self.angular_velocity_rad + float(np.deg2rad(self.angular_velocity_deg))
 
+    def given(self, time_unit: str) -> tuple[float, str]:
+        """The standard deviation as the file gives it, with its unit."""
+        if self.angular_velocity_deg:
+            return self.angular_velocity_deg, f"°/{time_unit}"
+        return self.angular_velocity_rad, f"rad/{time_unit}"
+
 
 def _sources(tree: Any) -> list[str]:
     """The values of all keys `source` of a tree of tables."""
@@ -156,43 +174,9 @@ def _sources(tree: Any) -> list[str]:
     return [name for value in tree for name in _sources(value)] if isinstance(tree, list) else []
 
 
-def member(run: Trajectory, m: int, time: int = 0) -> State:
-    """The state of one member of a run at the saved time of index `time`."""
-    return jax.tree.map(lambda x: jnp.asarray(x[time, m]), run.state)
-
-
-def nominal(run: Trajectory, time: int = 0) -> State:
-    """The state of member 0 of a run at the saved time of index `time`."""
-    return member(run, 0, time)
-
-
-def series(function: Callable[[State], Any], run: Trajectory) -> np.ndarray:
-    """The values of a function of the state, at all saved times of all members: (times, members, …)."""
-    return np.asarray(jax.jit(jax.vmap(jax.vmap(function)))(jax.tree.map(jnp.asarray, run.state)))
-
-
-def deviation(x: np.ndarray) -> np.ndarray:
-    """The standard deviation over the members, the first axis; 0 for a single member."""
-    return np.std(x, axis=0, ddof=1) if len(x) > 1 else np.zeros(x.shape[1:])
-
-
-def largest_changes(changes: dict[str, Any], width: int) -> list[str]:
-    """The lines of a report with the largest of each change over members and saved times, names of this width."""
-    lines = ["\n  largest change, all members and saved times"]
-    return lines + [f"  {name:<{width}}{float(np.max(x)):>10.1e}" for name, x in changes.items()]
-
-
-def for_last_run(function: Callable[[S, Step, Trajectory], R]) -> Callable[[S, Step, Trajectory], R]:
-    """The same function of (scenario, step, run), which keeps its value for the last run, for report and pictures."""
-    last: list[tuple[Trajectory, R]] = []
-
-    @wraps(function)
-    def cached(scenario: S, step: Step, run: Trajectory) -> R:
-        if not (last and last[0][0] is run):
-            last[:] = [(run, function(scenario, step, run))]
-        return last[0][1]
-
-    return cached
+def deviates(scenario: Common) -> Array:
+    """Standard normal deviates for two vectors of each member, (2, members, 3); those of the nominal member are 0."""
+    return jax.random.normal(jax.random.key(scenario.seed), (2, scenario.members, 3)).at[:, 0].set(0.0)
 
 
 def check_order(scheme: str, order: Any, allowed: Sequence[Any]) -> None:
@@ -202,23 +186,6 @@ def check_order(scheme: str, order: Any, allowed: Sequence[Any]) -> None:
         raise ValueError(f"order of {scheme} is {known}, got {order}")
 
 
-def paragraphs(notes: list[str]) -> list[str]:
-    """Notes as lines of a report, an empty line before each."""
-    wrapped = (textwrap.wrap(note, 118, initial_indent="  ", subsequent_indent="  ") for note in notes)
-    return [line for lines in wrapped for line in ("", *lines)]
-
-
-def thinned(num_steps: int, longest: int = LONGEST) -> tuple[int, int]:
-    """The steps of a drawn curve, at most `longest`, and its stride, for at most `POINTS` points."""
-    num_steps = min(num_steps, longest)
-    every = -(-num_steps // POINTS) or 1
-    return max(num_steps // every, 1) * every, every
-
-
-def follow(step: Step, state: State, dt: float, num_steps: int, longest: int = LONGEST) -> Trajectory:
-    """The trajectory from one state, of at most `longest` steps, saved at the points to draw."""
-    num_steps, every = thinned(num_steps, longest)
-    return _follow(step, state, dt, num_steps, save_every=every)
-
-
-_follow = jax.jit(integrate, static_argnames=("num_steps", "save_every"))
+def at_order(step: Step, order: int | None) -> Step:
+    """A symmetric step of order 2 at a higher order, by composition."""
+    return step if order in (None, 2) else schemes.compose(step, order)

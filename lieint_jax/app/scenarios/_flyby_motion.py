@@ -13,11 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jax.sharding import Mesh
 
-from lieint_jax import ensemble, orbits, schemes, systems
+from lieint_jax import orbits, schemes, systems
 from lieint_jax._integrate import integrate
 from lieint_jax._numerics import elliptic, vec3
+from lieint_jax.app.scenarios._body import direction
+from lieint_jax.app.scenarios._common import at_order
+from lieint_jax.app.scenarios._runs import on_own_devices
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State, Step, pytree, static
@@ -181,12 +183,6 @@ def unit_of(v: Array) -> Array:
     return v / jnp.sqrt(vec3.dot(v, v))
 
 
-def direction(longitude: Any, latitude: Any) -> Array:
-    """The unit vector of a longitude and a latitude, in rad."""
-    c = jnp.cos(latitude)
-    return jnp.stack([c * jnp.cos(longitude), c * jnp.sin(longitude), jnp.sin(latitude)])
-
-
 def outcome(J: Array, state: State) -> Outcome:
     """The invariants of the free motion from a state."""
     body = RigidBody(J)
@@ -197,11 +193,7 @@ def outcome(J: Array, state: State) -> Outcome:
 
 def step_of(J: Array, orbit: Any, order: int) -> Step:
     """The symplectic step of a body on an orbit."""
-    return _symmetric(schemes.splitting(systems.gravity_gradient(J, orbit)), order)
-
-
-def _symmetric(step: Step, order: int) -> Step:
-    return step if order == 2 else schemes.compose(step, order)
+    return at_order(schemes.splitting(systems.gravity_gradient(J, orbit)), order)
 
 
 def member(spin: Spin, orbit: Any, t: Array, order: int, long_axis: bool) -> tuple[Step, State]:
@@ -237,8 +229,7 @@ def _passages(order: int, long_axis: bool) -> Callable[..., Passage]:
 
 def _many(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function (spin, elements, times) of one member as one of many, on all devices, from and to host arrays."""
-    own = Mesh(np.array(jax.local_devices()), ("members",))  # of many processes, only the first one reports
-    mapped = ensemble.over_members(function, (0, None, None), own)
+    mapped = on_own_devices(function, (0, None, None))
     return lambda spins, *given: jax.tree.map(np.asarray, mapped(spins, *map(jnp.asarray, given)))
 
 
@@ -283,7 +274,7 @@ def _slopes(order: int, long_axis: bool) -> Callable[..., Slopes]:
         spin = Spin(*given[:-1])
         J = moments(spin)
         near = at_perigee(spin, orbit(jnp.zeros_like(times[0]))[0], long_axis)
-        free = _symmetric(schemes.so3_midpoint(RigidBody(J)), order)  # XLA takes minutes over tangents of `solution`
+        free = at_order(schemes.so3_midpoint(RigidBody(J)), order)  # XLA takes minutes over tangents of `solution`
         state = jax.tree.map(lambda x: x[-1], integrate(free, near, times[0] / _FREE, _FREE, save_every=_FREE).state)
         state = state._replace(t=times[0], work=jnp.zeros_like(times[0]))
         found = _passed(J, step_of(J, orbit, order), state, times)

@@ -5,23 +5,23 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
+from lieint_jax.app.scenarios._body import longitude_latitude
 from lieint_jax.app.scenarios._flyby_keys import Scenario
 from lieint_jax.app.scenarios._flyby_motion import Outcome
-from lieint_jax.app.scenarios._flyby_study import change, lonlat, study, unknowns
+from lieint_jax.app.scenarios._flyby_study import change, study, unknowns
+from lieint_jax.app.scenarios._pictures import picture
 from lieint_jax.types import Step, Trajectory
 
 _LONGEST = 500.0  # h of P_ψ, which is infinite between the modes: the last color is of all above
 
 
-@plots.style()
-def draw_map(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
+@picture(2, 2)
+def draw_map(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot, over both phases at the perigee, periods, effective spin rate and turn of the pole after the passage."""
     found = study(scenario, step, run)
     x, after = change(found.mapped.before, found.mapped.after), found.mapped.after
-    fig, axes = plots.figure(2, 2)
     shape = (scenario.map.precession_phases, scenario.map.rotation_phases)
     before = found.mapped.before
     panels = (
@@ -42,21 +42,18 @@ def draw_map(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
         ),
         ("pole turned by (°)", x.turn, "magma", (5, 10, 15, 20, 25, 30), False),
     )
-    for ax, (title, values, colors, levels, middle) in zip(axes.flat, panels, strict=True):
+    for ax, (title, values, colors, levels, middle) in zip(axes, panels, strict=True):
         maps = values.reshape(shape), after.long_axis.reshape(shape)
-        _draw_phases(fig, ax, *maps, scenario.spin.same_passage_deg, colors, levels, middle)
+        _draw_phases(ax, *maps, scenario.spin.same_passage_deg, colors, levels, middle)
         ax.set_title(title)
-    for ax in axes[1]:
+    for ax in axes[2:]:
         ax.set_xlabel("precession phase $\\phi$ at the perigee (°)")
-    for ax in axes[:, 0]:
+    for ax in axes[::2]:
         ax.set_ylabel("rotation phase $\\psi$ at the perigee (°)")
-    fig.suptitle(f"{scenario.title}: nominal body, every phase; hatched: it ends in a long-axis mode")
-    return fig
+    axes[0].figure.suptitle(f"{scenario.title}: nominal body, every phase; hatched: it ends in a long-axis mode")
 
 
-def _draw_phases(
-    fig: Figure, ax: Any, values: Any, long_axis: Any, same_deg: int, colors: str, levels: Any, middle: bool
-) -> None:
+def _draw_phases(ax: Any, values: Any, long_axis: Any, same_deg: int, colors: str, levels: Any, middle: bool) -> None:
     """A map over φ and ψ, both to 360°: the second half is the first with ψ 180° on, and φ by `same_deg`."""
     from matplotlib.patheffects import withStroke
 
@@ -74,7 +71,7 @@ def _draw_phases(
         most = max(abs(np.log(values)).max(), np.log(1.2))
         options["norm"] = LogNorm(np.exp(-most), np.exp(most))
     image = ax.pcolormesh(phi, psi, full_circle(values), **options)
-    bar = fig.colorbar(image, ax=ax, extend="max" if values.max() == _LONGEST else "neither")
+    bar = ax.figure.colorbar(image, ax=ax, extend="max" if values.max() == _LONGEST else "neither")
     shown = [level for level in levels if values.min() < level < values.max()]
     if middle:
         bar.set_ticks(shown, labels=[f"{level:g}" for level in shown])
@@ -93,12 +90,11 @@ def _draw_phases(
     ax.set_yticks(range(0, 361, 90))
 
 
-@plots.style()
-def draw_after(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
+@picture(3, 2)
+def draw_after(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the distributions of the members after the passage: periods, spin rate, turn of the pole, and the poles."""
     found = study(scenario, step, run)
     x, after, before = change(found.before, found.after), found.after, found.before
-    fig, axes = plots.figure(3, 2)
     panels = (
         ("precession period $P_\\phi$ (h)", after.precession, before.precession[0]),
         ("rotation period $P_\\psi$ (h)", after.rotation, before.rotation[0]),
@@ -106,7 +102,7 @@ def draw_after(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
         ("effective spin rate $2H/|L|$ over that before", x.rate, 1.0),
         ("pole turned by (°)", x.turn, None),
     )
-    for ax, (label, values, was) in zip(axes.flat, panels, strict=False):
+    for ax, (label, values, was) in zip(axes, panels, strict=False):
         top = np.quantile(values, 0.99)
         bins = np.linspace(values.min(), top + 0.02 * np.ptp(values[values <= top]), 50)
         parts = [values[~after.long_axis], values[after.long_axis]]
@@ -114,21 +110,21 @@ def draw_after(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
         if was is not None:
             ax.axvline(was, color=plots.INK, ls="--", lw=1.0, label="before (nominal)")
         ax.set(xlabel=label, ylabel="members")
-    axes[0, 0].legend()
-    axes[1, 2].remove()
+    axes[0].legend()
+    fig = axes[0].figure
+    axes[5].remove()
     _draw_poles(fig.add_subplot(2, 3, 6, projection="polar"), before, after)
     fig.suptitle(f"{scenario.title}: {len(after.rate)} members, phases uniform")
-    return fig
 
 
 def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
     """The poles on the sky about the nearer pole of the ecliptic."""
     side = np.sign(before.pole[0, 2]) or 1.0
     for outcome, color, label in ((after, plots.RED, "after"), (before, plots.BLUE, "before")):
-        longitude, latitude = lonlat(outcome.pole)
+        longitude, latitude = longitude_latitude(outcome.pole)
         ax.scatter(np.deg2rad(longitude), 90 - side * latitude, s=1.0, lw=0, color=color, alpha=0.35, rasterized=True)
         ax.plot([], [], "o", ms=4, color=color, label=label)
-    far = np.concatenate([90 - side * lonlat(x.pole)[1] for x in (before, after)])
+    far = np.concatenate([90 - side * longitude_latitude(x.pole)[1] for x in (before, after)])
     ax.set_rlim(0, 10 * np.ceil(np.quantile(far, 0.999) / 10))
     ax.set_rlabel_position(22.5)
     ax.tick_params(labelsize="x-small")
@@ -138,11 +134,10 @@ def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
     ax.legend(loc="lower left", bbox_to_anchor=(-0.3, -0.12))
 
 
-@plots.style()
-def draw_sensitivity(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
+@picture(2)
+def draw_sensitivity(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot what one standard deviation of each unknown does to the periods, to first order, over the phases."""
     found = study(scenario, step, run)
-    fig, axes = plots.figure(2)
     names = {
         "phi": "φ, uniform",
         "psi": "ψ, uniform",
@@ -154,7 +149,7 @@ def draw_sensitivity(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
         "latitude": "pole's latitude",
     }
     sizes = {name: sigma for name, (_, _, sigma) in unknowns(scenario).items() if sigma > 0}
-    for ax, k, label in ((axes[0, 0], 0, "change of $P_\\phi$ (h)"), (axes[0, 1], 1, "change of $P_\\psi$ (h)")):
+    for ax, k, label in ((axes[0], 0, "change of $P_\\phi$ (h)"), (axes[1], 1, "change of $P_\\psi$ (h)")):
         shown = [
             np.maximum(abs(getattr(found.slopes, name)[:, k]) * sizes[name], 1e-12) for name in names if name in sizes
         ]
@@ -169,6 +164,5 @@ def draw_sensitivity(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
         ax.invert_yaxis()
         ax.set_xscale("log")
         ax.set_xlabel(f"{label}, 1 sigma of the unknown")
-    axes[0, 1].set_yticklabels([])
-    fig.suptitle("To first order, over all phases: 5 %, quartiles and 95 %")
-    return fig
+    axes[1].set_yticklabels([])
+    axes[0].figure.suptitle("To first order, over all phases: 5 %, quartiles and 95 %")

@@ -12,9 +12,10 @@ from jax import Array
 
 from lieint_jax._numerics import vec3
 from lieint_jax.app.scenarios import _flyby_motion as motion
-from lieint_jax.app.scenarios._common import for_last_run
+from lieint_jax.app.scenarios._body import direction, longitude_latitude
 from lieint_jax.app.scenarios._flyby_keys import Changes, Scenario, Variant
 from lieint_jax.app.scenarios._flyby_motion import Outcome, Passage, Slopes, Spin
+from lieint_jax.app.scenarios._runs import for_last_run
 from lieint_jax.groups import so3
 from lieint_jax.types import State, Trajectory
 
@@ -63,9 +64,9 @@ def _drawn(seed: Array, k: Array, known: Array, phases: Array, long_axis: bool) 
 
 def _along_great_circle(longitude: Array, latitude: Array, east: Array, north: Array) -> tuple[Array, Array]:
     """The longitude and latitude at the end of a great circle that sets out by (east, north), rad."""
-    pole = motion.direction(longitude, latitude)
+    pole = direction(longitude, latitude)
     to_east = jnp.stack([-jnp.sin(longitude), jnp.cos(longitude), jnp.zeros_like(longitude)])
-    to_north = motion.direction(longitude, latitude + jnp.pi / 2)
+    to_north = direction(longitude, latitude + jnp.pi / 2)
     away = east * to_east + north * to_north
     x, y, z = so3.Ad(so3.exp(jnp.stack(vec3.cross(pole, away))), pole)
     return jnp.arctan2(y, x), jnp.arcsin(z)
@@ -175,7 +176,7 @@ class Change(NamedTuple):
 
 def change(before: Outcome, after: Outcome) -> Change:
     """The changes of the members."""
-    longitudes, latitudes = zip(*(lonlat(x.pole) for x in (before, after)), strict=True)
+    longitudes, latitudes = zip(*(longitude_latitude(x.pole) for x in (before, after)), strict=True)
     turn = np.rad2deg(pole_angles(before.pole, after.pole))
     return Change(
         after.momentum / before.momentum,
@@ -188,11 +189,6 @@ def change(before: Outcome, after: Outcome) -> Change:
 
 
 pole_angles = jax.jit(jax.vmap(vec3.angle))
-
-
-def lonlat(pole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Longitude and latitude in degrees."""
-    return np.rad2deg(np.arctan2(pole[:, 1], pole[:, 0])) % 360, np.rad2deg(np.arcsin(np.clip(pole[:, 2], -1, 1)))
 
 
 def unknowns(scenario: Scenario) -> dict[str, tuple[str, float, float]]:

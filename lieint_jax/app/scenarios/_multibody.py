@@ -1,9 +1,9 @@
-"""What scenarios of several rigid bodies share: the keys of a body, a member's numbers, schemes, rows of reports."""
+"""What scenarios of several rigid bodies share: the keys of a body, a member's numbers, schemes."""
 
 from __future__ import annotations
 
-import textwrap
-from typing import Any, NamedTuple, Self
+from collections.abc import Sequence
+from typing import Any, Self
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,12 +11,10 @@ from jax import Array
 from pydantic import model_validator
 
 from lieint_jax import _checks, schemes
-from lieint_jax.app.scenarios._common import Above, Common, NonNegative, Published, Rate, RateSpread, Triple, deviation
+from lieint_jax.app.scenarios._common import Above, GivenRate, NonNegative, RateSpread, Triple, at_order
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBodies
 from lieint_jax.types import Step
-
-_FAR = 3  # published errors, beyond which a difference is pointed out
 
 ORDERS: dict[str, list[Any]] = {
     "kepler_splitting": [[8, 6, 4], [8, 4], 2],
@@ -39,7 +37,7 @@ class BodySpread(RateSpread):
     """Of each semi-axis of the homogeneous ellipsoid with the body's moments, of unchanged mass."""
 
 
-class ExtendedBody(Rate):
+class ExtendedBody(GivenRate):
     """The keys of a body: mass and moments, or those of a homogeneous ellipsoid; attitude and angular velocity."""
 
     mass_kg: Above | None = None
@@ -63,8 +61,6 @@ class ExtendedBody(Rate):
             raise ValueError("semi_axes_m must be positive")
         if self.moments_kg_m2 is not None:
             _checks.inertia(self.moments_kg_m2)
-        if self.rate() is None:
-            raise ValueError("give exactly one of angular_velocity_rad and angular_velocity_deg")
         return self
 
     def attitude(self) -> Array:
@@ -96,25 +92,34 @@ class ExtendedBody(Rate):
         }
 
 
-def assumed(spreads: dict[str, tuple[float, str]]) -> str:
-    """The line of a report that states standard deviations, those of 0 left out."""
-    given = [f"{name} {size:.2g} {unit}" for name, (size, unit) in spreads.items() if size]
-    return f"spread about the nominal state, an assumption (1 sigma, each component): {', '.join(given) or 'none'}"
+def member_bodies(bodies: Sequence[ExtendedBody], noise: Array) -> tuple[Array, Array, Array, Array]:
+    """Masses (n,), principal moments (n, 3), attitudes (n, 4) and angular velocities (n, 3) of a member's bodies.
+
+    Args:
+        bodies: as their keys give them.
+        noise: standard normal deviates of mass, semi-axes, attitude and angular velocity, (n, 4 or more, 3).
+    """
+    made = [
+        (*_mass_and_moments(body, x[0], x[1]), _attitude(body, x[2]), _angular_velocity(body, x[3]))
+        for body, x in zip(bodies, noise, strict=True)
+    ]
+    m, J, q, Omega = (jnp.stack(x) for x in zip(*made, strict=True))
+    return m, J, q, Omega
 
 
-def mass_and_moments(body: ExtendedBody, heavier: Array, longer: Array) -> tuple[Array, Array]:
+def _mass_and_moments(body: ExtendedBody, heavier: Array, longer: Array) -> tuple[Array, Array]:
     """The mass and the principal moments of a member's body, by its deviations."""
     mass = body.mass() * (1 + body.spread.mass_percent / 100 * heavier[0])
     squares = body.squares() * (1 + body.spread.axes_percent / 100 * longer) ** 2
     return mass, mass * (jnp.sum(squares) - squares)
 
 
-def attitude(body: ExtendedBody, turned: Array) -> Array:
+def _attitude(body: ExtendedBody, turned: Array) -> Array:
     """The attitude of a member's body, by its deviation."""
     return so3.multiply(so3.exp(jnp.deg2rad(body.spread.attitude_deg) * turned), body.attitude())
 
 
-def angular_velocity(body: ExtendedBody, jolt: Array) -> Array:
+def _angular_velocity(body: ExtendedBody, jolt: Array) -> Array:
     """The angular velocity of a member's body as its keys give it, by its deviation."""
     return jnp.asarray(body.rate()) + body.spread.rate() * jolt
 
@@ -127,68 +132,4 @@ def step_of(bodies: RigidBodies, scheme: str, order: Any, G: float | None = None
         return schemes.nystrom(bodies, order)
     if scheme == "gauss":
         return schemes.gauss(bodies, order // 2)
-    step = getattr(schemes, scheme)(bodies)
-    return step if order == 2 else schemes.compose(step, order)
-
-
-class Row(NamedTuple):
-    """A quantity of the members of a run.
-
-    Attributes:
-        name: with its unit.
-        nominal: its value for the nominal member.
-        spread: its standard deviation over the members.
-        published: its published value.
-        percentiles: over the members, at 16, 50 and 84 %.
-    """
-
-    name: str
-    nominal: float
-    spread: float
-    published: Published | None = None
-    percentiles: tuple[float, ...] | None = None
-
-
-def row_of(name: str, values: np.ndarray, published: Published | None = None) -> Row:
-    """The row of a quantity from its values for all members, the nominal one first."""
-    percentiles = tuple(map(float, np.percentile(values, (16, 50, 84))))
-    return Row(name, float(values[0]), float(deviation(values)), published, percentiles)
-
-
-def row_lines(scenario: Common, rows: list[Row], digits: str = ".4f") -> list[str]:
-    """The lines of a report with the head of its columns and these quantities, and how they compare with published."""
-    lines = [f"\n  {'':<54}{'nominal':>11}{'± ensemble':>12}   published"]
-    for row in rows:
-        nominal, spread = (format(x, digits) if np.isfinite(x) else "—" for x in (row.nominal, row.spread))
-        lines.append(f"  {row.name:<54}{nominal:>11}{spread:>12}   {cited(scenario, row.published)}")
-    notes = [f"{row.name}: {found}" for row in rows if (found := _compared(row))]
-    return lines + [
-        line for note in notes for line in textwrap.wrap(note, 116, initial_indent="  ! ", subsequent_indent="    ")
-    ]
-
-
-def _compared(row: Row) -> str:
-    """What keeps a quantity from being a test of its published value; empty if nothing does."""
-    published, found = row.published, []
-    if published is None or published.error is None or not np.isfinite(row.nominal):
-        return ""
-    off = row.nominal - published.value
-    if abs(off) > _FAR * published.error:
-        sign = ", and in its sign" if row.nominal * published.value < 0 else ""
-        by = f"{off:+.3g}, {abs(off) / published.error:.2g} times the published error"
-        found.append(f"The nominal member differs from the published value by {by}{sign}.")
-    if row.spread > published.error and row.percentiles is not None:
-        low, middle, high = row.percentiles
-        found.append(
-            f"The members' spread is {row.spread / published.error:.2g} times the published error and follows from "
-            f"their assumed deviations: the median is {middle:.4f}, and 68 % of them lie from {low:.4f} to {high:.4f}."
-        )
-    return " ".join([*found, published.remark] if found else [])
-
-
-def cited(scenario: Common, published: Published | None) -> str:
-    """A published value with its error and source; empty if there is none."""
-    if published is None:
-        return ""
-    error = f" ± {published.error:g}" if published.error is not None else ""
-    return f"{published.value:g}{error}  ({scenario.source(published.source)})"
+    return at_order(getattr(schemes, scheme)(bodies), order)

@@ -14,40 +14,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from matplotlib.figure import Figure
 from pydantic import model_validator
 
 from lieint_jax import potentials, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _binary_motion
-from lieint_jax.app.scenarios._binary_motion import Motion, energies, motion, nominal_of, over_members, rate
-from lieint_jax.app.scenarios._common import (
-    DAY,
-    HOUR,
-    Above,
-    Common,
-    NonNegative,
-    Published,
-    Table,
-    check_order,
-    deviation,
-    follow,
-    largest_changes,
-    nominal,
-)
+from lieint_jax.app.scenarios._binary_motion import Motion, energies, motion, rate
+from lieint_jax.app.scenarios._common import DAY, HOUR, Above, Common, NonNegative, Published, Table, check_order
 from lieint_jax.app.scenarios._multibody import (
     ORDERS,
     ExtendedBody,
-    Row,
-    angular_velocity,
-    assumed,
-    attitude,
-    cited,
-    mass_and_moments,
-    row_lines,
-    row_of,
+    member_bodies,
     step_of,
 )
+from lieint_jax.app.scenarios._pictures import changes_by_scheme, picture
+from lieint_jax.app.scenarios._report import Conserved, Quantity, citation, length
+from lieint_jax.app.scenarios._runs import as_ensemble, deviation, follow, nominal, nominal_of, over_members
 from lieint_jax.app.scenarios._spectrum import line, spectrum
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBodies
@@ -55,6 +37,8 @@ from lieint_jax.types import State, Step, Trajectory
 
 STEP_AXIS = 0  # members have systems of their own, see `lieint_jax.app.scenarios`
 
+_ENERGY, _MOMENTUM = "energy, over |energy|", "angular momentum, relative"
+_SHOWN = {"H": _ENERGY, "L": _MOMENTUM}  # in the picture of errors
 _BRIEF, _FINE = 4, 4  # orbits of the picture of energies, and its steps in one of the scenario
 _UPRIGHT = 30  # degrees of obliquity, above which a secondary counts as tumbling
 _LONG = 8  # length of the spectrum's run, over that of the scenario
@@ -118,9 +102,9 @@ class Scenario(Common):
         check_order(self.scheme, self.order, ORDERS[self.scheme])
         return self
 
-    def assumption(self) -> str:
+    def spreads(self) -> dict[str, tuple[float, str]]:
         own = {"relative velocity": (self.spread.velocity_mm_s, "mm/s")}
-        return assumed(own | self.primary.spreads("primary") | self.secondary.spreads("secondary"))
+        return own | self.primary.spreads("primary") | self.secondary.spreads("secondary")
 
 
 def build(scenario: Scenario) -> tuple[Step, State]:
@@ -135,24 +119,19 @@ def _member(scenario: Scenario, k: Array) -> tuple[Step, State]:
     """The step and the state of the k-th member; the first has no deviations."""
     noise = jax.random.normal(jax.random.fold_in(jax.random.key(scenario.seed), k), (1 + 2 * 4, 3))
     noise = jnp.where(k == 0, 0.0, noise)
-    pair, given = (scenario.primary, scenario.secondary), (noise[1:5], noise[5:])
-    made = [mass_and_moments(body, *x[:2]) for body, x in zip(pair, given, strict=True)]
-    m, J = (jnp.stack(x) for x in zip(*made, strict=True))
+    pair = scenario.primary, scenario.secondary
+    m, J, attitudes, rates = member_bodies(pair, noise[1:].reshape(2, 4, 3))
     bodies = systems.rigid_bodies(m, J, potentials.maccullagh(scenario.G, m, J))
-    attitudes = [attitude(body, x[2]) for body, x in zip(pair, given, strict=True)]
     d = jnp.array([scenario.orbit.separation_m, 0.0, 0.0])
     speed = _speed(scenario.orbit, bodies, d, attitudes)
     across = speed + scenario.orbit.speed_change_mm_s / 1000
     v = jnp.stack([0 * across, across, 0 * across]) + scenario.spread.velocity_mm_s / 1000 * noise[0]
     turning = jnp.stack([0 * speed, 0 * speed, speed / d[0]])
-    rates = [_rate(body, q, turning, x[3]) for body, q, x in zip(pair, attitudes, given, strict=True)]
+    relative = jnp.array([[body.relative_to == "orbit"] for body in pair])
+    rates = rates + jnp.where(relative, jax.vmap(so3.Ad_star, (0, None))(attitudes, turning), 0.0)
     shares = jnp.stack([-m[1], m[0]]) / (m[0] + m[1])
-    state = bodies.state(
-        shares[:, None] * d,
-        jnp.stack(attitudes),
-        velocities=shares[:, None] * v,
-        angular_velocities=jnp.stack(rates),
-    )
+    x, v = shares[:, None] * d, shares[:, None] * v
+    state = bodies.state(x, attitudes, velocities=v, angular_velocities=rates)
     return _steps(scenario, bodies)[scenario.scheme], state
 
 
@@ -163,13 +142,7 @@ def _steps(scenario: Scenario, bodies: RigidBodies) -> dict[str, Step]:
     return {name: step_of(bodies, name, order) for name, order in orders.items()}
 
 
-def _rate(body: Body, q: Array, turning: Array, jolt: Array) -> Array:
-    """The angular velocity of a member's body in its axes; `turning` is that of the orbit's axes in space."""
-    Omega = angular_velocity(body, jolt)
-    return Omega + so3.Ad_star(q, turning) if body.relative_to == "orbit" else Omega
-
-
-def _speed(orbit: Orbit, bodies: RigidBodies, d: Array, attitudes: list[Array]) -> Array:
+def _speed(orbit: Orbit, bodies: RigidBodies, d: Array, attitudes: Array) -> Array:
     """The relative speed before its change: that given, or that of a circle under the force along the line."""
     if orbit.speed_m_s is not None:
         return jnp.asarray(orbit.speed_m_s)
@@ -178,28 +151,25 @@ def _speed(orbit: Orbit, bodies: RigidBodies, d: Array, attitudes: list[Array]) 
     return jnp.sqrt(-pull * (m[0] + m[1]) / (m[0] * m[1]) * d[0])
 
 
-def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
-    """Periods beside published ones, librations, energies, what is conserved, and what a change of period says."""
-    found = motion(step.system, run)
-    lines = row_lines(scenario, quantities(scenario, run, found))
+def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+    """How periods are measured, which members stay upright, exchanges of energy, what a change of period says."""
+    found = motion(scenario, step.system, run)
     days, stay = abs(run.t[-1] - run.t[0]) / DAY, facing(found)
-    lines.append(f"  periods and rates: mean rates of longitudes about L over {days:.4g} d, by least squares")
-    lines.append(
-        f"  {int(stay.sum())} of {len(stay)} members: one end of the secondary's x axis stays toward the primary"
-    )
     upright = np.rad2deg(found.obliquity_2).max(axis=0) < _UPRIGHT
-    lines.append(
-        f"  {int(upright.sum())} of {len(stay)} members: its z axis stays within {_UPRIGHT}° of the orbit's normal"
-    )
-    lines += [*_exchange(step.system, run), *largest_changes(changes(step.system, run), 55)]
+    lines = [
+        f"  periods and rates: mean rates of longitudes about L over {days:.4g} d, by least squares",
+        f"  {int(stay.sum())} of {len(stay)} members: one end of the secondary's x axis stays toward the primary",
+        f"  {int(upright.sum())} of {len(stay)} members: its z axis stays within {_UPRIGHT}° of the orbit's normal",
+        *_exchange(step.system, run),
+    ]
     if {"orbital_period_h", "orbital_period_before_h"} <= set(scenario.published):
         lines += _impact(scenario, step, run)
-    return "\n".join(line.rstrip() for line in lines)
+    return lines
 
 
-def quantities(scenario: Scenario, run: Trajectory, found: Motion) -> list[Row]:
-    """Periods, precessions and librations, of the nominal member and their spread, beside published values."""
-    t = np.asarray(run.t)
+def quantities(scenario: Scenario, system: RigidBodies, run: Trajectory) -> list[Quantity]:
+    """Periods, precessions and librations, with published values."""
+    t, found = np.asarray(run.t), motion(scenario, system, run)
     orbital = rate(t, found.longitude)
     lines = frequencies(t, found)
     swing = np.rad2deg(abs(found.libration - _middle(found)).max(axis=0))
@@ -221,7 +191,7 @@ def quantities(scenario: Scenario, run: Trajectory, found: Motion) -> list[Row]:
         ("line of centers from its equator, largest (°)", np.rad2deg(abs(found.out_of_plane).max(axis=0)), None),
         ("its obliquity, largest (°)", np.rad2deg(found.obliquity_2.max(axis=0)), None),
     ]
-    return [row_of(name, x, scenario.published.get(key) if key else None) for name, x, key in table]
+    return [Quantity(name, x, published=scenario.published.get(key) if key else None) for name, x, key in table]
 
 
 def _hours(rate: np.ndarray) -> np.ndarray:
@@ -286,18 +256,17 @@ def _exchange(system: RigidBodies, run: Trajectory) -> list[str]:
     return lines
 
 
-def changes(system: RigidBodies, run: Trajectory) -> dict[str, np.ndarray]:
-    """Relative changes of what is conserved, (times, members)."""
+def conserved(scenario: Scenario, system: RigidBodies, run: Trajectory) -> list[Conserved]:
+    """Energy and momenta."""
     parts, Phi = over_members(lambda s, z: (energies(s, z), s.momentum(z)), system, run)
-    H, orbit, moved = parts.total, abs(parts.orbit[0]), np.linalg.norm(Phi[..., :3] - Phi[0, :, :3], axis=-1)
-    pushed = np.linalg.norm(np.asarray(run.state.p)[0, :, 1, :3], axis=-1)
-    L = np.linalg.norm(Phi[..., 3:], axis=-1)
-    return {
-        "energy, over |energy of the orbit|": abs(H - H[0]) / orbit,
-        "energy, over |energy|": abs(H - H[0]) / abs(H[0]),
-        "linear momentum, over that of the secondary": moved / pushed,
-        "angular momentum, relative": np.linalg.norm(Phi[..., 3:] - Phi[0, :, 3:], axis=-1) / L[0],
-    }
+    P, L = Phi[..., :3], Phi[..., 3:]
+    pushed = length(np.asarray(run.state.p)[0, :, 1, :3])
+    return [
+        Conserved("energy, over |energy of the orbit|", parts.total, abs(parts.orbit[0])),
+        Conserved(_ENERGY, parts.total, abs(parts.total[0])),
+        Conserved("linear momentum, over that of the secondary", P, pushed, norm=length),
+        Conserved(_MOMENTUM, L, length(L[0]), norm=length),
+    ]
 
 
 class Impact(NamedTuple):
@@ -356,19 +325,18 @@ def _impact(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
     ]
     seen = published.get("speed_change_mm_s")
     if seen is not None:
-        lines.append(f"  {'published change of speed (mm/s)':<54}     {cited(scenario, seen)}")
+        lines.append(f"  {'published change of speed (mm/s)':<54}     {citation(scenario, seen)}")
     return lines
 
 
-@plots.style()
-def draw_orbit(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+@picture(2, size=(5.5, 3.8))
+def draw_orbit(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the distance and the secondary's libration against time: the nominal member, and 90 % of the members."""
-    found = motion(step.system, run)
+    found = motion(scenario, step.system, run)
     days = np.asarray(run.t) / DAY
-    fig, axes = plots.figure(2, size=(5.5, 3.8))
     swing = np.rad2deg(found.libration - _middle(found))
     for ax, x, label in zip(
-        axes[0], (found.distance, swing), ("distance (m)", "libration of the secondary (°)"), strict=True
+        axes, (found.distance, swing), ("distance (m)", "libration of the secondary (°)"), strict=True
     ):
         if x.shape[1] > 1:
             ax.fill_between(
@@ -377,25 +345,19 @@ def draw_orbit(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
         ax.plot(days, x[:, 0], color=plots.BLUE, lw=0.8, label="nominal")
         ax.set(xlabel="t (d)", ylabel=label)
         ax.margins(x=0.01, y=0.1)
-    axes[0, 0].legend(loc="upper right", ncols=2)
-    fig.suptitle(scenario.title)
-    return fig
+    axes[0].legend(loc="upper right", ncols=2)
 
 
-@plots.style()
-def draw_spectrum(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+@picture(size=(7.2, 4.2))
+def draw_spectrum(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the spectrum of the nominal secondary's libration over a longer run, and the frequencies expected in it."""
-    first = nominal_of(step)
-    long = follow(first, nominal(run), scenario.dt, _LONG * scenario.steps)
-    long = Trajectory(*jax.tree.map(lambda x: np.asarray(x)[:, None] if np.ndim(x) else x, long))
-    t = np.asarray(long.t)[:, 0]
-    found = motion(jax.tree.map(lambda x: x[None], first.system), long._replace(t=t))
+    first, ax = nominal_of(step), axes[0]
+    long = as_ensemble(follow(first, nominal(run), scenario.dt, _LONG * scenario.steps))
+    t, found = np.asarray(long.t), _binary_motion.measured(jax.tree.map(lambda x: x[None], first.system), long)
     f, amplitude = spectrum(t, np.rad2deg(found.libration[:, 0]))
     orbital = float(rate(t, found.longitude)[0]) / (2 * np.pi)
     A, B, C = (float(x) for x in first.system.inertias[1])
     anomalistic = float(frequencies(t, found).anomalistic[0])
-    fig, axes = plots.figure(size=(7.2, 4.2))
-    ax = axes[0, 0]
     shown = (f > 0) & (f < 3 * orbital)
     ax.semilogy(f[shown] / orbital, amplitude[shown], color=plots.INK, lw=0.7)
     marks = {"once an orbit, from apsis to apsis": anomalistic / orbital}
@@ -406,41 +368,36 @@ def draw_spectrum(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     ax.set(xlim=(0, 3), xlabel="frequency over that of the orbit", ylabel="amplitude of the libration (°)")
     ax.legend(loc="upper right")
     ax.set_title(f"nominal member, {abs(t[-1] - t[0]) / DAY:.4g} d")
-    fig.suptitle(scenario.title)
-    return fig
 
 
-@plots.style()
-def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+@picture(2, size=(5.5, 3.8))
+def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the exchange of energy between orbit, spins and shapes, and how well two schemes conserve H and L."""
+    left, right = axes
     first, start = nominal_of(step), nominal(run)
-    turn = 2 * np.pi / abs(rate(run.t, motion(step.system, run).longitude)[0])
+    turn = 2 * np.pi / abs(rate(run.t, motion(scenario, step.system, run).longitude)[0])
     dt = scenario.dt / _FINE  # the primary's spin takes few steps a turn
     brief = follow(first, start, dt, min(_FINE * scenario.steps, round(_BRIEF * turn / abs(dt))))
     parts = jax.tree.map(np.asarray, jax.jit(jax.vmap(lambda z: energies(first.system, z)))(brief.state))
     size = abs(parts.orbit[0])
-    fig, axes = plots.figure(2, size=(5.5, 3.8))
     names = {"orbit": "orbit", "spin_1": "primary's spin", "spin_2": "secondary's spin", "shape": "shapes, V + Gm₁m₂/r"}
     curves = {name: (getattr(parts, key) - getattr(parts, key)[0]) / size for key, name in names.items()}
-    plots.series(axes[0, 0], np.asarray(brief.t) / DAY, curves, "change over |energy of the orbit|", "d")
-    axes[0, 0].margins(y=0.25)
-    axes[0, 0].legend(loc="upper center", ncols=2)
-    axes[0, 0].set_title(f"exchange of energy, nominal member, {_BRIEF} orbits")
-    days = np.zeros(0)
-    errors: dict[str, np.ndarray] = {}
+    plots.series(left, np.asarray(brief.t) / DAY, curves, "change over |energy of the orbit|", "d")
+    left.margins(y=0.25)
+    left.legend(loc="upper center", ncols=2)
+    left.set_title(f"exchange of energy, nominal member, {_BRIEF} orbits")
     made = _steps(scenario, first.system)
-    for name in dict.fromkeys((scenario.scheme, "kepler_splitting", "bodies_energy_momentum")):
-        long = follow(made[name], start, scenario.dt, scenario.steps)
-        alone = Trajectory(long.t, *jax.tree.map(lambda x: x[:, None], (long.state, long.info)))
-        error = changes(jax.tree.map(lambda x: x[None], first.system), alone)
-        days = np.asarray(long.t) / DAY
-        errors[f"H, {made[name].name}"] = error["energy, over |energy|"][:, 0]
-        errors[f"L, {made[name].name}"] = error["angular momentum, relative"][:, 0]
-    plots.log_error(axes[0, 1], days, errors, "relative change", "d")
-    axes[0, 1].legend()
-    axes[0, 1].set_title("energy H and angular momentum L")
-    fig.suptitle(scenario.title)
-    return fig
+    two = [made[name] for name in dict.fromkeys((scenario.scheme, "kepler_splitting", "bodies_energy_momentum"))]
+    t, found = changes_by_scheme(_conserved_by_one, scenario, two, start)
+    errors = {f"{symbol}, {scheme}": x[name] for scheme, x in found.items() for symbol, name in _SHOWN.items()}
+    plots.log_error(right, t / DAY, errors, "relative change", "d")
+    right.legend()
+    right.set_title("energy H and angular momentum L")
+
+
+def _conserved_by_one(scenario: Scenario, system: RigidBodies, run: Trajectory) -> list[Conserved]:
+    """`conserved` of a system without the member axis."""
+    return conserved(scenario, jax.tree.map(lambda x: x[None], system), run)
 
 
 PICTURES = {"orbit": draw_orbit, "spectrum": draw_spectrum, "energy": draw_energy}

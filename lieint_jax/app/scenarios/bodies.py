@@ -16,13 +16,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from matplotlib.figure import Figure
 from pydantic import Field, field_validator, model_validator
 
 from lieint_jax import _checks, potentials, systems
 from lieint_jax._numerics import vec3
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._binary_motion import followed, longitude, over_members, rate
+from lieint_jax.app.scenarios._binary_motion import followed, longitude, rate
 from lieint_jax.app.scenarios._common import (
     DAY,
     HOUR,
@@ -35,22 +34,17 @@ from lieint_jax.app.scenarios._common import (
     Text,
     Triple,
     check_order,
-    for_last_run,
-    largest_changes,
 )
 from lieint_jax.app.scenarios._multibody import (
     ORDERS,
     BodySpread,
     ExtendedBody,
-    Row,
-    angular_velocity,
-    assumed,
-    attitude,
-    mass_and_moments,
-    row_lines,
-    row_of,
+    member_bodies,
     step_of,
 )
+from lieint_jax.app.scenarios._pictures import picture
+from lieint_jax.app.scenarios._report import Conserved, Quantity, length
+from lieint_jax.app.scenarios._runs import for_last_run, nominal_of, over_members
 from lieint_jax.app.scenarios._spectrum import line
 from lieint_jax.potentials import Potential, Springs
 from lieint_jax.systems import RigidBodies
@@ -230,8 +224,8 @@ class Scenario(Common):
         """The potential of gravity between the bodies, if there is one."""
         return next((term for term in self.potential if term.kind in _GRAVITY), None)
 
-    def assumption(self) -> str:
-        return assumed(reduce(operator.or_, (body.spreads(body.name) for body in self.bodies)))
+    def spreads(self) -> dict[str, tuple[float, str]]:
+        return reduce(operator.or_, (body.spreads(body.name) for body in self.bodies))
 
 
 def build(scenario: Scenario) -> tuple[Step, State]:
@@ -247,19 +241,13 @@ def _member(scenario: Scenario, k: Array) -> tuple[Step, State]:
     given = scenario.bodies
     noise = jax.random.normal(jax.random.fold_in(jax.random.key(scenario.seed), k), (len(given), 6, 3))
     noise = jnp.where(k == 0, 0.0, noise)
-    made = [mass_and_moments(body, *x[:2]) for body, x in zip(given, noise, strict=True)]
-    m, J = (jnp.stack(x) for x in zip(*made, strict=True))
+    m, J, attitudes, rates = member_bodies(given, noise)
     bodies = systems.rigid_bodies(m, J, _potential(scenario, m, J))
     x = jnp.asarray([b.position_m for b in given]) + _column([b.spread.position_m for b in given]) * noise[:, 4]
     v = jnp.asarray([b.velocity_m_s for b in given]) + _column([b.spread.velocity_m_s for b in given]) * noise[:, 5]
     if scenario.barycentric:
         x, v = (y - jnp.sum(m[:, None] * y, axis=0) / jnp.sum(m) for y in (x, v))
-    state = bodies.state(
-        x,
-        jnp.stack([attitude(body, y[2]) for body, y in zip(given, noise, strict=True)]),
-        velocities=v,
-        angular_velocities=jnp.stack([angular_velocity(body, y[3]) for body, y in zip(given, noise, strict=True)]),
-    )
+    state = bodies.state(x, attitudes, velocities=v, angular_velocities=rates)
     term = scenario.attraction()
     order = scenario.order or ORDERS[scenario.scheme][0]
     return step_of(bodies, scenario.scheme, order, term and term.gravity()), state
@@ -307,9 +295,9 @@ class Motion(NamedTuple):
 
 
 @for_last_run
-def motion(_: Scenario, step: Any, run: Trajectory) -> Motion:
+def motion(_: Scenario, system: RigidBodies, run: Trajectory) -> Motion:
     """The distances and angles of a run."""
-    found, rates = over_members(_instant, step.system, run)
+    found, rates = over_members(_instant, system, run)
     return found._replace(longitudes=followed(run.t, found.longitudes, rates))
 
 
@@ -332,16 +320,15 @@ def _pairs(n: int) -> tuple[Any, Any]:
     return np.triu_indices(n, 1)
 
 
-def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
-    """Distances, periods beside published ones, and what is conserved."""
-    lines = row_lines(scenario, quantities(scenario, run, motion(scenario, step, run)), ".6g")
+def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+    """How periods are measured, and what a field does not conserve."""
+    lines = []
     if _orbits(scenario):
         days = abs(run.t[-1] - run.t[0]) / DAY
         lines.append(f"  periods: mean rates of longitudes about L over {days:.4g} d, by least squares")
-    lines += largest_changes(changes(scenario, step, run), 55)
     if any(term.kind == "uniform_field" for term in scenario.potential):
         lines.append("  P across the field, and L about it, of the sum of potentials: the rest is not conserved")
-    return "\n".join(line.rstrip() for line in lines)
+    return lines
 
 
 def _orbits(scenario: Scenario) -> bool:
@@ -349,8 +336,9 @@ def _orbits(scenario: Scenario) -> bool:
     return scenario.attraction() is not None and all(term.kind != "uniform_field" for term in scenario.potential)
 
 
-def quantities(scenario: Scenario, run: Trajectory, found: Motion) -> list[Row]:
-    """Distances, periods and turns, of the nominal member and their spread, beside published values."""
+def quantities(scenario: Scenario, system: RigidBodies, run: Trajectory) -> list[Quantity]:
+    """Distances, periods and turns, with published values."""
+    found = motion(scenario, system, run)
     rows = _distances(scenario.names(), found.distances)
     if _orbits(scenario):
         for k in range(1, min(len(scenario.bodies), _SHOWN)):
@@ -361,12 +349,12 @@ def quantities(scenario: Scenario, run: Trajectory, found: Motion) -> list[Row]:
     return rows
 
 
-def _row(name: str, values: np.ndarray, published: Published | None = None) -> Row:
-    known = np.where(values < 1e300, values, np.inf)  # a body at rest has no time of a turn
-    return row_of(name, known, published) if np.isfinite(known).all() else Row(name, float(known[0]), np.nan, published)
+def _row(name: str, values: np.ndarray, published: Published | None = None) -> Quantity:
+    """A quantity; a body at rest has no time of a turn."""
+    return Quantity(name, np.where(values < 1e300, values, np.inf), ".6g", published=published)
 
 
-def _distances(names: list[str], distances: np.ndarray) -> list[Row]:
+def _distances(names: list[str], distances: np.ndarray) -> list[Quantity]:
     """The least and the greatest distance of each pair, or of all pairs if they are many."""
     if distances.shape[-1] > _PAIRS:
         return [
@@ -380,7 +368,7 @@ def _distances(names: list[str], distances: np.ndarray) -> list[Row]:
     return rows
 
 
-def _orbit(scenario: Scenario, k: int, t: np.ndarray, found: Motion) -> list[Row]:
+def _orbit(scenario: Scenario, k: int, t: np.ndarray, found: Motion) -> list[Quantity]:
     """The orbit of body k about the first: nan where it goes round less than once, or has no lines to measure."""
     first, body = scenario.bodies[0], scenario.bodies[k]
     around = found.longitudes[..., k - 1]
@@ -399,50 +387,47 @@ def _orbit(scenario: Scenario, k: int, t: np.ndarray, found: Motion) -> list[Row
 
 
 @for_last_run
-def changes(_: Scenario, step: Any, run: Trajectory) -> dict[str, np.ndarray]:
-    """Changes of what is conserved, (times, members), over the greatest of the terms that it is made of."""
+def conserved(_: Scenario, system: RigidBodies, run: Trajectory) -> list[Conserved]:
+    """Energy and momenta, relative to the greatest of the terms that each is made of."""
 
     def invariants(system: RigidBodies, state: State) -> tuple[Array, ...]:
         x, p, spin = state.q[:, :3], state.p[:, :3], state.p[:, 3:]
         own = jnp.concatenate([p, jnp.cross(x, p) + spin], axis=1)
         return system.kinetic_energy(state), system.energy(state), system.momentum(state), own
 
-    K, H, Phi, own = over_members(invariants, step.system, run)
-    moved = np.linalg.norm((Phi - Phi[0]).reshape(*H.shape, 2, 3), axis=-1)
-    sizes = np.maximum(np.linalg.norm(own.reshape(*own.shape[:-1], 2, 3), axis=-1).max(axis=(0, 2)), _TINY)
-    return {
-        "energy H, over the greatest kinetic energy": abs(H - H[0]) / np.maximum(K.max(axis=0), _TINY),
-        "linear momentum P, over the greatest |p|": moved[..., 0] / sizes[:, 0],
-        "angular momentum L, over the greatest |x × p + π|": moved[..., 1] / sizes[:, 1],
-    }
+    K, H, Phi, own = over_members(invariants, system, run)
+    linear, angular = (np.maximum(length(x).max(axis=(0, 2)), _TINY) for x in (own[..., :3], own[..., 3:]))
+    return [
+        Conserved("energy H, over the greatest kinetic energy", H, np.maximum(K.max(axis=0), _TINY)),
+        Conserved("linear momentum P, over the greatest |p|", Phi[..., :3], linear, norm=length),
+        Conserved("angular momentum L, over the greatest |x × p + π|", Phi[..., 3:], angular, norm=length),
+    ]
 
 
-@plots.style()
-def draw_motion(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+@picture(3)
+def draw_motion(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the nominal bodies' paths about their barycenter, their distances from the first, and the errors."""
-    first = jax.tree.map(lambda leaf: np.asarray(leaf[0]), step.system)
+    left, middle, right = axes
+    first = nominal_of(step.system)
     x = np.asarray(run.state.q[:, 0, :, :3])
-    x = x - (first.masses @ x / first.masses.sum())[:, None]
-    names, distances = scenario.names(), motion(scenario, step, run).distances[:, 0]
+    x = x - (np.asarray(first.masses) @ x / np.asarray(first.masses).sum())[:, None]
+    names, distances = scenario.names(), motion(scenario, step.system, run).distances[:, 0]
     unit, seconds = _clock(float(abs(run.t[-1] - run.t[0])))
     t = np.asarray(run.t) / seconds
-    fig, axes = plots.figure(3)
     shown = dict(zip(names, np.moveaxis(x, 1, 0)[:_SHOWN], strict=False))
-    plots.paths(axes[0, 0], shown).set(xlabel="x (m)", ylabel="y (m)", title="nominal member, about the barycenter")
-    axes[0, 0].legend()
+    plots.paths(left, shown).set(xlabel="x (m)", ylabel="y (m)", title="nominal member, about the barycenter")
+    left.legend()
     if len(names) > 1:
         curves = dict(zip(names[1:_SHOWN], distances[:, : len(names) - 1].T, strict=False))
-        plots.series(axes[0, 1], t, curves, f"distance from {names[0]} (m)", unit)
-        for curve, look in zip(axes[0, 1].lines, plots.STYLES[1:], strict=False):  # as each body's path has it
+        plots.series(middle, t, curves, f"distance from {names[0]} (m)", unit)
+        for curve, look in zip(middle.lines, plots.STYLES[1:], strict=False):  # as each body's path has it
             curve.set(**look)
-        axes[0, 1].legend()
+        middle.legend()
     else:
-        plots.series(axes[0, 1], t, dict(zip("xyz", run.state.q[:, 0, 0, :3].T, strict=True)), "position (m)", unit)
-    axes[0, 1].set_title("nominal member")
-    errors = {name.partition(",")[0]: error.max(axis=1) for name, error in changes(scenario, step, run).items()}
-    plots.log_error(axes[0, 2], t, errors, "relative change, worst member", unit).set_title(step.name)
-    fig.suptitle(scenario.title)
-    return fig
+        plots.series(middle, t, dict(zip("xyz", run.state.q[:, 0, 0, :3].T, strict=True)), "position (m)", unit)
+    middle.set_title("nominal member")
+    errors = {x.name.partition(",")[0]: x.change().max(axis=1) for x in conserved(scenario, step.system, run)}
+    plots.log_error(right, t, errors, "relative change, worst member", unit).set_title(step.name)
 
 
 def _clock(span: float) -> tuple[str, float]:

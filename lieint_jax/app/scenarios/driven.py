@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from matplotlib.figure import Figure
 from pydantic import Field, model_validator
 
-from lieint_jax import diagnostics, orbits, systems
+from lieint_jax import orbits, systems
 from lieint_jax._numerics import vec3
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body
 from lieint_jax.app.scenarios._body import TopScenario, about, in_space, inertia_matrix, top_schemes
-from lieint_jax.app.scenarios._common import Above, Table, deviation, follow, nominal, series
+from lieint_jax.app.scenarios._common import Above, Table
+from lieint_jax.app.scenarios._pictures import changes_by_scheme, draw_on_sphere, picture
+from lieint_jax.app.scenarios._report import Conserved, Quantity
+from lieint_jax.app.scenarios._runs import follow, nominal, series
 from lieint_jax.groups import so3
 from lieint_jax.orbits import Kepler
 from lieint_jax.systems import GravityGradient
 from lieint_jax.types import State, Step, Trajectory, energy_less_work
 
+_ENERGY, _LESS_WORK = "energy, on which the orbit works", "energy less work"
 _DISTINCT = 1e-9  # the least relative difference of two moments of inertia that distinguishes their axes
 
 
@@ -114,49 +117,36 @@ def orbit_axes(orbit: Any, t: Array) -> tuple[Array, Array]:
     return jnp.stack([r, jnp.stack(vec3.cross(z, r)), z], axis=1), normal / vec3.dot(position, position)
 
 
-def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
-    """The changes of energy and of energy less work, worst of all members; where the axes of inertia point."""
-    body = step.system
-    lines = ["\n  largest change, all members and saved times, over the largest |energy|"]
-    lines += [f"  {name:<62}{change:>10.1e}" for name, change in changes(scenario, body, run).items()]
-    lines += [f"\n  {'':<62}{'nominal':>10}{'± ensemble':>12}"]
-    lines += [f"  {name:<62}{nominal:>10.3f}{spread:>12.3f}" for name, nominal, spread in quantities(body, run)]
-    captured = librating(body, run)
-    if captured is not None:
-        lines.append(
-            f"  {int(captured.sum())} of {len(captured)} members librate: their axis of least inertia stays on its "
-            "side of the horizon"
-        )
-    return "\n".join(lines)
-
-
-def changes(scenario: Scenario, body: GravityGradient, run: Trajectory) -> dict[str, float]:
-    """Largest changes over the largest |H| of each member: of H, H − W, and on a circle of Jacobi's integral."""
-    H, kept = (series(f, run) for f in (body.energy, lambda z: energy_less_work(body, z)))
-    found = {"energy, on which the orbit works": H, "energy less work": kept}
+def conserved(scenario: Scenario, body: GravityGradient, run: Trajectory) -> list[Conserved]:
+    """H, H − W, and on a circle Jacobi's integral, relative to the largest |H| of each member."""
+    H, less_work = (series(f, run) for f in (body.energy, lambda z: energy_less_work(body, z)))
+    size = abs(H).max(axis=0)
+    found = [Conserved(_ENERGY, H, size), Conserved(_LESS_WORK, less_work, size)]
     if scenario.orbit.eccentricity == 0:
         spin = orbit_axes(body.orbit, jnp.zeros(()))[1]
-        found["Jacobi's integral H − n·π"] = H - np.asarray(run.state.p) @ np.asarray(spin)
-    size = abs(H).max(axis=0)
-    return {name: float((abs(x - x[0]) / size).max()) for name, x in found.items()}
+        found.append(Conserved("Jacobi's integral H − n·π", H - np.asarray(run.state.p) @ np.asarray(spin), size))
+    return found
 
 
-class Pointing(NamedTuple):
-    """An angle, mean or largest over the run: of the nominal member, and its standard deviation over the members."""
-
-    name: str
-    nominal: float
-    spread: float
-
-
-def quantities(body: GravityGradient, run: Trajectory) -> list[Pointing]:
+def quantities(scenario: Scenario, body: GravityGradient, run: Trajectory) -> list[Quantity]:
     """The angles (°, ≤ 90) of the axes of least and greatest inertia from the vertical and the normal of the orbit."""
     found = []
     for which, (axis, cosine) in _cosines(body, run).items():
         angles = np.rad2deg(np.arccos(np.clip(abs(cosine), 0, 1)))
         for name, x in (("mean", angles.mean(axis=0)), ("largest", angles.max(axis=0))):
-            found.append(Pointing(f"{which} inertia's axis from the {axis}, {name} (°)", x[0], float(deviation(x))))
+            found.append(Quantity(f"{which} inertia's axis from the {axis}, {name} (°)", x, ".3f"))
     return found
+
+
+def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+    """What the changes are relative to, and how many members librate."""
+    lines, captured = ["  changes are relative to the largest |energy| of each member"], librating(step.system, run)
+    if captured is not None:
+        lines.append(
+            f"  {int(captured.sum())} of {len(captured)} members librate: their axis of least inertia stays on its "
+            "side of the horizon"
+        )
+    return lines
 
 
 def librating(body: GravityGradient, run: Trajectory) -> np.ndarray | None:
@@ -185,46 +175,32 @@ def _principal(body: GravityGradient) -> dict[str, tuple[np.ndarray, str, int]]:
     return found | ({"greatest": (axes[:, 2], "orbit's normal", 2)} if greatest else {})
 
 
-@plots.style()
-def draw_pointing(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+@picture(2, spatial=(0,))
+def draw_pointing(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot an axis of inertia in the orbit's axes, as a path on the sphere, and its angle from where it is stable."""
     body = step.system
     (axis, stable, k), *_ = [*_principal(body).values(), (np.eye(3)[0], "vertical", 0)]
     long = follow(step, nominal(run), _dt(scenario), scenario.steps)
     R = np.asarray(jax.vmap(lambda t: orbit_axes(body.orbit, t)[0])(jnp.asarray(long.t)))
     path = np.einsum("tij,ti->tj", R, in_space(long.state.q, axis))
-    end = orbit_axes(body.orbit, jnp.asarray(run.t[-1]))[0]
-    fig, axes = plots.figure(2)
-    axes[0, 0].remove()
-    left, right = fig.add_subplot(1, 2, 1, projection="3d"), axes[0, 1]
+    ends = in_space(run.state.q[-1], axis) @ np.asarray(orbit_axes(body.orbit, jnp.asarray(run.t[-1]))[0])
     pole, aside, above = (np.roll(np.eye(3)[k], j) for j in range(3))
-    plots.sphere_path(left, path, pole, eye=pole + 0.6 * aside + 0.4 * above, pole_label=stable)
-    if scenario.members > 1:
-        ends = in_space(run.state.q[-1], axis) @ np.asarray(end)
-        plots.sphere_points(left, ends, f"members at t = {run.t[-1]:.4g}", color=plots.INK, s=2, alpha=0.5)
-    left.legend(loc="lower left")
-    left.set_title("a body axis in the orbit's axes")
-    angle = np.rad2deg(np.arccos(np.clip(path @ pole, -1, 1)))
     t, unit = _clock(scenario, long)
-    plots.series(right, t, {"": angle}, f"angle from the {stable} (°)", unit)
-    fig.suptitle(scenario.title)
-    return fig
+    look = {"pole_label": stable, "angle_label": f"angle from the {stable} (°)", "unit": unit}
+    draw_on_sphere(axes, run, ends, t, path, pole, eye=pole + 0.6 * aside + 0.4 * above, **look)
+    axes[0].set_title("a body axis in the orbit's axes")
 
 
-@plots.style()
-def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+@picture(size=(6.4, 4.2))
+def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the error of energy less work of the nominal member by both schemes, and how much the energy changes."""
-    body, curves, t, unit = step.system, {}, np.zeros(0), ""
-    for name, scheme in top_schemes(scenario, body).items():
-        long = follow(scheme, nominal(run), _dt(scenario), scenario.steps)
-        H = np.asarray(jax.vmap(body.energy)(long.state))
-        curves[f"H − W, {name}"] = np.asarray(diagnostics.energy_error(body, long)) / abs(H).max()
-        curves["H"] = (H - H[0]) / abs(H).max()
-        t, unit = _clock(scenario, long)
-    fig, axes = plots.figure(size=(6.4, 4.2))
-    plots.log_error(axes[0, 0], t, curves, "change over the largest |energy|", unit)
-    axes[0, 0].set_title("energy H, on which the orbit works, and energy less work")
-    return fig
+    both = top_schemes(scenario, step.system)
+    t, found = changes_by_scheme(conserved, scenario, both.values(), nominal(run))
+    curves = {f"H − W, {name}": errors[_LESS_WORK] for name, errors in zip(both, found.values(), strict=True)}
+    curves["H"] = [*found.values()][-1][_ENERGY]
+    t, unit = _clock(scenario, run._replace(t=t))
+    plots.log_error(axes[0], t, curves, "change over the largest |energy|", unit)
+    axes[0].set_title("energy H, on which the orbit works, and energy less work")
 
 
 def _dt(scenario: Scenario) -> float:

@@ -15,11 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax.app.scenarios import _flyby_motion as motion
-from lieint_jax.app.scenarios._common import HOUR, paragraphs
+from lieint_jax.app.scenarios._common import HOUR, Published
 from lieint_jax.app.scenarios._flyby_keys import Scenario
 from lieint_jax.app.scenarios._flyby_motion import GivenOrbit, Outcome
 from lieint_jax.app.scenarios._flyby_pictures import draw_after, draw_map, draw_sensitivity
 from lieint_jax.app.scenarios._flyby_study import WATCHED, Study, change, members, pole_angles, study, thinned, unknowns
+from lieint_jax.app.scenarios._report import Quantity, paragraphs, table
 from lieint_jax.types import State, Step, Trajectory
 
 __all__ = ["PICTURES", "STEP_AXIS", "Scenario", "build", "report"]
@@ -54,49 +55,38 @@ def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
-def facts(scenario: Scenario, before: Outcome) -> dict[str, tuple[str, np.ndarray]]:
-    """Quantities of the orbit and of the state before the passage: a name, and one value or those of the members."""
-    orbit = GivenOrbit(scenario.orbit.elements())
-    position, velocity = (np.asarray(x) for x in orbit(jnp.zeros(())))
-    date = scenario.orbit.date(0)
-    a = scenario.orbit.elements()[1]
-    alone: dict[str, tuple[str, float]] = {
-        "perigee_distance_km": ("distance at the perigee (km)", float(np.linalg.norm(position))),
-        "perigee_speed_km_s": ("speed at the perigee (km/s)", float(np.linalg.norm(velocity)) / HOUR),
-        "speed_far_km_s": ("speed far away (km/s)", float(np.sqrt(-scenario.orbit.gm_km3_s2 / a))),
-        "perigee_time_utc_h": (
-            "time of the perigee (h, UTC)",
-            date.hour + date.minute / 60 + date.second / HOUR,
-        ),
-    }
-    return {key: (name, np.array([x])) for key, (name, x) in alone.items()} | {
-        "precession_period_h": ("precession period P_φ (h)", before.precession),
-        "rotation_period_h": ("rotation period P_ψ (h)", before.rotation),
-        "lightcurve_period_h": (
-            "1/(1/P_φ − 1/P_ψ), strongest in light curves (h)",
-            1 / (1 / before.precession - 1 / before.rotation),
-        ),
-        "energy_ratio": ("energy over the least at this |L|", before.excitation),
-    }
+def facts(scenario: Scenario, before: Outcome) -> list[Quantity]:
+    """Quantities of the orbit and of the members before the passage, with published values."""
+    position, velocity = (np.asarray(x) for x in GivenOrbit(scenario.orbit.elements())(jnp.zeros(())))
+    date, a = scenario.orbit.date(0), scenario.orbit.elements()[1]
+    far, light = float(np.sqrt(-scenario.orbit.gm_km3_s2 / a)), 1 / (1 / before.precession - 1 / before.rotation)
+
+    def known(name: str, values: np.ndarray | float, key: str = "") -> Quantity:
+        given = [k for k in scenario.published if k.quantity == key]
+        published = [Published(value=k.value, error=k.error, source=k.source) for k in given]
+        return Quantity(name, np.atleast_1d(values), published=published)
+
+    return [
+        known("distance at the perigee (km)", float(np.linalg.norm(position)), "perigee_distance_km"),
+        known("speed at the perigee (km/s)", float(np.linalg.norm(velocity)) / HOUR),
+        known("speed far away (km/s)", far),
+        known("time of the perigee (h, UTC)", date.hour + date.minute / 60 + date.second / HOUR, "perigee_time_utc_h"),
+        known("precession period P_φ (h)", before.precession, "precession_period_h"),
+        known("rotation period P_ψ (h)", before.rotation, "rotation_period_h"),
+        known("1/(1/P_φ − 1/P_ψ), strongest in light curves (h)", light, "lightcurve_period_h"),
+        known("energy over the least at this |L|", before.excitation, "energy_ratio"),
+    ]
 
 
 def _published_lines(scenario: Scenario, found: Study) -> list[str]:
     date, hours = scenario.orbit.date, scenario.hours
     redrawn = 1 - members(scenario)[1].mean()
-    lines = [
+    return [
         f"\n  from {date(-hours):%Y-%m-%d %H:%M} to {date(hours):%Y-%m-%d %H:%M} UTC; "
         f"perigee {date(0):%Y-%m-%d %H:%M:%S} UTC",
         f"  {100 * redrawn:.3g} % of the moments were drawn again: no {scenario.spin.mode} mode has such periods",
-        f"\n  {'before':<52}{'nominal':>11}{'± members':>12}   published",
+        *table(scenario, facts(scenario, found.before), 52, "before"),
     ]
-    for key, (name, x) in facts(scenario, found.before).items():
-        spread = f"{np.std(x, ddof=1):.4f}" if len(x) > 1 else ""
-        given = [k for k in scenario.published if k.quantity == key]
-        errors = [f" ± {k.error:g}" if k.error else "" for k in given]
-        cited = [f"{k.value:g}{e}  ({scenario.source(k.source)})" for k, e in zip(given, errors, strict=True)]
-        lines += [f"  {name:<52}{x[0]:>11.4f}{spread:>12}   {(cited or [''])[0]}"]
-        lines += [f"  {'':<52}{'':>11}{'':>12}   {text}" for text in cited[1:]]
-    return lines
 
 
 def _row(name: str, x: np.ndarray, form: str = "9.3f") -> str:

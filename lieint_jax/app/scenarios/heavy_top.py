@@ -7,30 +7,25 @@ from typing import Any, Literal, NamedTuple, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.figure import Figure
 from pydantic import field_validator, model_validator
 
 from lieint_jax import diagnostics, schemes, systems
 from lieint_jax._numerics import vec3
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._body import TopScenario, ensemble, in_space, inertia_matrix, top_schemes
-from lieint_jax.app.scenarios._common import (
-    LONGEST,
-    POINTS,
-    Triple,
-    check_order,
-    deviation,
-    follow,
-    largest_changes,
-    nominal,
-    series,
-)
+from lieint_jax.app.scenarios._common import Triple, check_order
+from lieint_jax.app.scenarios._pictures import draw_on_sphere, picture
+from lieint_jax.app.scenarios._report import Conserved, Quantity
 from lieint_jax.app.scenarios._runge_kutta import RungeKutta, cost
+from lieint_jax.app.scenarios._runs import LONGEST, POINTS, follow, nominal, series
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.systems import PotentialTop, kovalevskaya_integral, lagrange_motion
 from lieint_jax.types import State, Step, Trajectory
 
+CLOSED_FORM = (
+    "  closed form: elliptic integrals; the difference is the scheme's error, of its order in dt, or round-off"
+)
 _LONG = 10  # length of the energies' picture, over that of the run
 _NYSTROM = (4, 6)  # its orders
 _SAMPLES = 6  # the fewest saved states per nutation from which it is measured
@@ -74,44 +69,6 @@ def _schemes(scenario: Scenario, top: PotentialTop) -> dict[str, Step]:
     return nystrom | top_schemes(scenario, top)
 
 
-class Comparison(NamedTuple):
-    """A measured quantity beside its closed form: nominal value, standard deviation over the members, closed form."""
-
-    name: str
-    nominal: float
-    spread: float
-    closed_form: float
-
-
-def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
-    """The changes of the integrals, worst of all members; nutation and precession compared with the closed form."""
-    lines = largest_changes(changes(step.system, run), 34)
-    known = is_lagrange(step.system)
-    rows = quantities(step.system, run, scenario.time_unit)
-    lines += comparison_lines(rows, known)
-    if known:
-        lines.append(
-            "  closed form: elliptic integrals; the difference is the scheme's error, of its order in dt, or round-off"
-        )
-    else:
-        lines.append("  (a closed form is known for J₁ = J₂ and the weight along the third axis: Lagrange's top)")
-    if any(np.isnan(row.nominal) for row in rows):
-        lines.append(f"  — not measured: fewer than two nutations, or states saved fewer than {_SAMPLES} times in one")
-    return "\n".join(lines)
-
-
-def comparison_lines(rows: list[Comparison], known: bool = True) -> list[str]:
-    """The lines of a report with these quantities, and how they differ from their closed forms if known."""
-    head = f"{'closed form':>17}{'difference':>12}" if known else ""
-    lines = [f"\n  {'':<34}{'nominal':>17}{'± ensemble':>12}{head}"]
-    for row in rows:
-        nominal, closed = (f"{x:.10f}" if np.isfinite(x) else "—" for x in (row.nominal, row.closed_form))
-        spread, off = f"{row.spread:.5f}" if np.isfinite(row.spread) else "—", row.nominal - row.closed_form
-        difference = f"{off:.1e}" if np.isfinite(off) else "—"
-        lines.append(f"  {row.name:<34}{nominal:>17}{spread:>12}" + (f"{closed:>17}{difference:>12}" if known else ""))
-    return lines
-
-
 def is_lagrange(top: PotentialTop) -> bool:
     """True if the top is symmetric about the axis to its center of mass, and that axis is the third."""
     J, E = inertia_matrix(top), _weight(top)
@@ -120,26 +77,22 @@ def is_lagrange(top: PotentialTop) -> bool:
     return bool(symmetric and abs(E[:2]).max() <= 1e-12 * abs(E[2]))
 
 
-def changes(top: PotentialTop, run: Trajectory) -> dict[str, float]:
-    """Largest relative changes of the integrals: energy over the initial ½Π·J⁻¹Π + |E||γ|, momenta over |π|."""
+def conserved(scenario: Scenario, top: PotentialTop, run: Trajectory) -> list[Conserved]:
+    """The integrals: energy relative to the initial ½Π·J⁻¹Π + |E||γ|, momenta relative to |π|."""
     size = np.linalg.norm(_weight(top)) * np.linalg.norm(np.asarray(top.axis))
     kinetic = series(top.kinetic_energy, run)[0]
     momentum = np.linalg.norm(np.asarray(run.state.p[0]), axis=-1) * np.linalg.norm(np.asarray(top.axis))
-    found = {
-        "energy, relative": _change(series(top.energy, run), kinetic + size),
-        "γ·π, relative to |π|": _change(series(lambda z: top.momentum(z)[0], run), momentum),
-    }
+    found = [
+        Conserved("energy, relative", series(top.energy, run), kinetic + size),
+        Conserved("γ·π, relative to |π|", series(lambda z: top.momentum(z)[0], run), momentum),
+    ]
     J, E = inertia_matrix(top), _weight(top)
     if is_lagrange(top):
-        found["Π₃, relative to |π|"] = _change(series(lambda z: top.body_momentum(z)[2], run), momentum)
+        found.append(Conserved("Π₃, relative to |π|", series(lambda z: top.body_momentum(z)[2], run), momentum))
     if np.allclose(J, np.diag([2.0, 2.0, 1.0]) * J[2, 2], rtol=1e-12, atol=0) and not E[1:].any():
         K = series(lambda z: kovalevskaya_integral(top, z), run)
-        found["Kovalevskaya's integral, relative"] = _change(K, np.maximum(abs(K[0]), (size / J[2, 2]) ** 2))
+        found.append(Conserved("Kovalevskaya's integral, relative", K, np.maximum(abs(K[0]), (size / J[2, 2]) ** 2)))
     return found
-
-
-def _change(x: np.ndarray, size: np.ndarray) -> float:
-    return float((abs(x - x[0]) / size).max())
 
 
 def _weight(top: PotentialTop) -> np.ndarray:
@@ -150,7 +103,7 @@ def _unit(x: np.ndarray) -> np.ndarray:
     return x / np.linalg.norm(x)
 
 
-def quantities(top: PotentialTop, run: Trajectory, unit: str) -> list[Comparison]:
+def quantities(scenario: Any, top: PotentialTop, run: Trajectory) -> list[Quantity]:
     """Nutation and precession of the axis to the center of mass, measured for every member, and in closed form."""
     motions = np.array([motion(top, run, m) for m in range(run.state.p.shape[1])])
     closed = np.full(4, np.nan)
@@ -158,13 +111,24 @@ def quantities(top: PotentialTop, run: Trajectory, unit: str) -> list[Comparison
         exact = lagrange_motion(top, nominal(run))
         closed = np.array([exact.nutation_period, exact.precession_rate, *np.rad2deg(exact.inclination)])
     names = (
-        f"nutation period ({unit})",
-        f"mean precession (rad/{unit})",
+        f"nutation period ({scenario.time_unit})",
+        f"mean precession (rad/{scenario.time_unit})",
         "least inclination (°)",
         "greatest inclination (°)",
     )
-    columns = zip(names, motions[0], deviation(motions), closed, strict=True)
-    return [Comparison(name, *map(float, x)) for name, *x in columns]
+    columns = zip(names, motions.T, closed, strict=True)
+    return [Quantity(name, x, closed_form=float(exact)) for name, x, exact in columns]
+
+
+def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+    """How to read the table."""
+    if is_lagrange(step.system):
+        lines = [CLOSED_FORM]
+    else:
+        lines = ["  (a closed form is known for J₁ = J₂ and the weight along the third axis: Lagrange's top)"]
+    if any(np.isnan(x.nominal) for x in quantities(scenario, step.system, run)):
+        lines.append(f"  — not measured: fewer than two nutations, or states saved fewer than {_SAMPLES} times in one")
+    return lines
 
 
 def motion(top: PotentialTop, run: Trajectory, member: int = 0) -> np.ndarray:
@@ -253,8 +217,8 @@ def _axis_motion(top: PotentialTop, states: State, axis: Any) -> tuple[Any, Any,
     return jax.vmap(axis_and_velocity)(states)
 
 
-@plots.style()
-def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+@picture(2, spatial=(0,))
+def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the axis to the center of mass on the sphere, for one turn about γ or the whole run, and its inclination."""
     top, unit = step.system, scenario.time_unit
     rate = motion(top, run)[1]
@@ -262,29 +226,17 @@ def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     if np.isfinite(rate) and rate:
         steps = min(steps, int(2 * np.pi / abs(rate * scenario.dt)) + 1)
     long = follow(step, nominal(run), scenario.dt, steps)
-    weight, axis = _unit(_weight(top)), _unit(np.asarray(top.axis))
-    path, ends = in_space(long.state.q, weight), in_space(run.state.q[-1], weight)
-    fig, axes = plots.figure(2)
-    axes[0, 0].remove()
-    left, right = fig.add_subplot(1, 2, 1, projection="3d"), axes[0, 1]
-    plots.sphere_path(left, path, axis, eye=axis + 0.8 * path[0], pole_label="γ")
-    if scenario.members > 1:
-        plots.sphere_points(left, ends, f"members at t = {run.t[-1]:.4g}", color=plots.INK, s=2, alpha=0.5)
-    left.legend(loc="lower left")
-    left.set_title(f"the axis in space to t = {long.t[-1]:.4g} {unit}")
-    plots.series(
-        right, np.asarray(long.t), {"": np.rad2deg(np.arccos(np.clip(path @ axis, -1, 1)))}, "inclination (°)", unit
-    )
+    path, ends = (in_space(q, _unit(_weight(top))) for q in (long.state.q, run.state.q[-1]))
+    bounds = np.rad2deg(lagrange_motion(top, nominal(run)).inclination) if is_lagrange(top) else []
+    look = {"unit": unit, "angle_label": "inclination (°)", "bounds": bounds}
+    draw_on_sphere(axes, run, ends, np.asarray(long.t), path, _unit(np.asarray(top.axis)), **look)
+    axes[0].set_title(f"the axis in space to t = {long.t[-1]:.4g} {unit}")
     if is_lagrange(top):
-        for bound in np.rad2deg(lagrange_motion(top, nominal(run)).inclination):
-            right.axhline(bound, color=plots.RED, lw=0.7, ls="--")
-        right.set_title("nutation; dashed, its bounds in closed form")
-    fig.suptitle(scenario.title)
-    return fig
+        axes[1].set_title("nutation; dashed, its bounds in closed form")
 
 
-@plots.style()
-def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+@picture(size=(6.4, 4.2))
+def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the largest energy error so far of each scheme, and of Runge–Kutta at the cost of the slower scheme."""
     top, start, dt = step.system, nominal(run), scenario.dt
     found, peer = _schemes(scenario, top), RungeKutta(top)
@@ -297,11 +249,9 @@ def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
         curves[f"{scheme.name.replace('[so3_midpoint[symplectic]]', '')}, Δt = {h:.2g}"] = np.interp(
             abs(t), np.abs(long.t), np.maximum.accumulate(error)
         )
-    fig, axes = plots.figure(size=(6.4, 4.2))
-    axes[0, 0].set_xscale("log" if dt > 0 else "linear")
-    plots.log_error(axes[0, 0], t, curves, "largest relative energy error so far", scenario.time_unit)
-    axes[0, 0].set_title("Runge–Kutta takes steps of equal cost per unit of time")
-    return fig
+    axes[0].set_xscale("log" if dt > 0 else "linear")
+    plots.log_error(axes[0], t, curves, "largest relative energy error so far", scenario.time_unit)
+    axes[0].set_title("Runge–Kutta takes steps of equal cost per unit of time")
 
 
 PICTURES = {"path": draw_path, "energy": draw_energy}

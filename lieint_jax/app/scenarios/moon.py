@@ -15,24 +15,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.sharding import Mesh
-from matplotlib.figure import Figure
 from pydantic import Field, field_validator, model_validator
 
-from lieint_jax import _checks, ensemble, orbits, schemes, systems
+from lieint_jax import _checks, orbits, schemes, systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._common import (
-    Above,
-    Common,
-    NonNegative,
-    Positive,
-    Table,
-    Text,
-    Triple,
-    deviation,
-    for_last_run,
-    paragraphs,
-)
+from lieint_jax.app.scenarios._common import Above, Common, NonNegative, Positive, Table, Text, Triple
+from lieint_jax.app.scenarios._pictures import picture
+from lieint_jax.app.scenarios._report import paragraphs
+from lieint_jax.app.scenarios._runs import deviation, for_last_run, on_own_devices
 from lieint_jax.diagnostics import Lyapunov, lyapunov
 from lieint_jax.groups import so3
 from lieint_jax.systems import GravityGradient
@@ -285,9 +275,7 @@ def _program(num_steps: int, every: int) -> Any:
     def exponents_of(step: Step, state: State, dt: Array, vectors: Array) -> Lyapunov:
         return lyapunov(step, state, dt, num_steps, every=every, vectors=vectors)
 
-    axes: Any = (None, State(0, 0, None), None, None)  # pyright: ignore[reportArgumentType]
-    own = Mesh(np.array(jax.local_devices()), ("members",))  # of many processes, only the first one reports
-    return ensemble.over_members(exponents_of, axes, own)
+    return on_own_devices(exponents_of, (None, State(0, 0, None), None, None))  # pyright: ignore[reportArgumentType]
 
 
 def limit(orbits: int) -> float:
@@ -371,14 +359,13 @@ def _percent(x: np.ndarray) -> str:
     return f"{100 * np.mean(x):.0f} %" if x.size else "—"
 
 
-@plots.style()
-def draw_section(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
+@picture(3, size=(4.6, 5.2))
+def draw_section(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the surface of section at pericenter, and maps of the exponents in the plane and out of it."""
     found = chaos(scenario, step, run)
     chaotic = found.section[:, 0] > limit(scenario.orbits)
     theta, rate = section(scenario, run.state)
-    fig, axes = plots.figure(3, size=(4.6, 5.2))
-    left, *maps = axes[0]
+    left, *maps = axes
     left.scatter(theta[:, chaotic], rate[:, chaotic], s=0.15, color=plots.GRAY, lw=0, rasterized=True)
     for m in np.flatnonzero(~chaotic):
         left.scatter(theta[:, m], rate[:, m], s=0.4, lw=0, rasterized=True, color=_COLORS[m % len(_COLORS)])
@@ -390,14 +377,13 @@ def draw_section(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
         x, y, value = (_rows(scenario, grid) for grid in (theta[0], rate[0], values))
         x[:, -1] += np.pi
         image = ax.pcolormesh(x, y, value, shading="nearest", vmin=0, cmap="magma")
-        fig.colorbar(image, ax=ax)
+        ax.figure.colorbar(image, ax=ax)
         ax.set_title(f"Lyapunov exponent / n,\n{name}")
-    for ax in axes[0]:
+    for ax in axes:
         ax.set(xlabel="θ, long axis from the line of apsides", xlim=(0, np.pi), ylim=(0, scenario.greatest_rate))
         ax.set_xticks(np.pi * np.arange(5) / 4, ["0", "π/4", "π/2", "3π/4", "π"])
     title = f"{scenario.title}: {scenario.members} planar motions, {scenario.orbits} orbits each"
-    fig.suptitle(title)
-    return fig
+    left.figure.suptitle(title)
 
 
 def _rows(scenario: Scenario, x: np.ndarray) -> np.ndarray:
@@ -424,12 +410,11 @@ def _legend() -> list[Any]:
     ]
 
 
-@plots.style()
-def draw_observed(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
+@picture(size=lambda scenario: (8, 1.2 + 0.42 * max(len(scenario.observed), 3)))
+def draw_observed(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None:
     """Plot the largest exponents of the members about each observed state."""
     found, bound = chaos(scenario, step, run), limit(scenario.around.orbits)
-    fig, axes = plots.figure(size=(8, 1.2 + 0.42 * max(len(scenario.observed), 3)))
-    ax, scatter = axes[0, 0], np.random.default_rng(0)
+    ax, scatter = axes[0], np.random.default_rng(0)
     ax.axvspan(0, bound, color=plots.GRAY, alpha=0.35, lw=0, label="not told from a regular motion")
     for k, (x, error) in enumerate(zip(found.observed, found.errors, strict=True)):
         color = plots.RED if verdict(x, bound) == "chaotic" else plots.BLUE
@@ -441,9 +426,8 @@ def draw_observed(scenario: Scenario, step: Step, run: Trajectory) -> Figure:
     names = [f"{given.date}\n{given.reading}" for given in scenario.observed]
     ax.set_yticks(range(len(names)), names, fontsize="x-small")
     ax.invert_yaxis()
-    ax.set(xlabel="largest Lyapunov exponent / n", xlim=(0, None), title=f"{scenario.title}: the observed states")
+    ax.set(xlabel="largest Lyapunov exponent / n", xlim=(0, None), title="the observed states")
     ax.legend(loc="lower right")
-    return fig
 
 
 PICTURES = {"section": draw_section, "observed": draw_observed}

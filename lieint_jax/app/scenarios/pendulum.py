@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.figure import Figure
 from pydantic import AliasChoices, Field, field_validator, model_validator
 
-from lieint_jax import _checks, diagnostics, schemes, systems
+from lieint_jax import _checks, schemes, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import heavy_top
-from lieint_jax.app.scenarios._common import Above, Common, NonNegative, Table, Triple, follow, nominal, series
-from lieint_jax.app.scenarios.heavy_top import Comparison, comparison_lines
+from lieint_jax.app.scenarios._common import Above, Common, NonNegative, Table, Triple, at_order, deviates
+from lieint_jax.app.scenarios._pictures import changes_by_scheme, draw_on_sphere, picture
+from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity
+from lieint_jax.app.scenarios._runs import follow, nominal, series
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.systems import Pendulum, PotentialTop
@@ -73,11 +75,8 @@ class Scenario(Common):
             raise ValueError("gravity must not be 0")
         return self
 
-    def assumption(self) -> str:
-        return (
-            f"spread about the nominal state, an assumption: {self.spread.direction_deg:g}° of direction and "
-            f"{self.spread.velocity:g} of velocity (1 sigma, each component)"
-        )
+    def spreads(self) -> dict[str, tuple[float, str]]:
+        return {"direction": (self.spread.direction_deg, "°"), "velocity": (self.spread.velocity, "")}
 
 
 def _unit_vector(value: list[float]) -> list[float]:
@@ -89,7 +88,7 @@ def _unit_vector(value: list[float]) -> list[float]:
 def build(scenario: Scenario) -> tuple[Step, State]:
     """The step and the batch of initial states, the nominal one first."""
     bob = systems.pendulum(scenario.mass, scenario.gravity, scenario.axis)
-    kick, jolt = jax.random.normal(jax.random.key(scenario.seed), (2, scenario.members, 3)).at[:, 0].set(0.0)
+    kick, jolt = deviates(scenario)
     kick, jolt = jnp.deg2rad(scenario.spread.direction_deg) * kick, scenario.spread.velocity * jolt
 
     def member(kick: Any, jolt: Any) -> State:
@@ -97,33 +96,19 @@ def build(scenario: Scenario) -> tuple[Step, State]:
         V = jnp.asarray(scenario.state.velocity) + jolt
         return bob.state(q, velocity=V - q * (q @ V) / (q @ q))
 
-    step = schemes.sphere_midpoint(bob, scenario.normalized)
-    step = step if scenario.order == 2 else schemes.compose(step, scenario.order)
-    return step, jax.vmap(member)(kick, jolt)
+    return at_order(schemes.sphere_midpoint(bob, scenario.normalized), scenario.order), jax.vmap(member)(kick, jolt)
 
 
-def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
-    """The changes of conserved quantities, worst of all members; the swing compared with the closed form."""
-    lines = [f"\n  {'largest change, all members':<34}{'found':>10}   the scheme promises"]
-    lines += [f"  {name:<34}{x:>10.1e}   conserved to round-off" for name, x in changes(step.system, run).items()]
-    lines += comparison_lines(quantities(step.system, run, scenario.time_unit))
-    lines.append(
-        "  closed form: elliptic integrals; the difference is the scheme's error, of its order in dt, or round-off"
-    )
-    lines.append("  — none: fewer than two swings, states saved too far apart, or a swing through the axis")
-    return "\n".join(lines)
-
-
-def changes(bob: Pendulum, run: Trajectory) -> dict[str, float]:
-    """Largest changes: energy relative to ½|π|²/m + |mG|, γ·π relative to √(2m(H + |mG|)); |q|² − 1 and q·π."""
+def conserved(scenario: Scenario, bob: Pendulum, run: Trajectory) -> list[Conserved]:
+    """Energy relative to ½|π|²/m + |mG|, γ·π relative to √(2m(H + |mG|)); |q|² − 1 and q·π, which are 0."""
     H, gamma_pi, defect = (series(f, run) for f in (bob.energy, lambda z: bob.momentum(z)[0], bob.phase_space.defect))
     depth = abs(float(bob.potential(bob.axis)))
     kinetic = H[0] + depth  # its largest value, at the lowest point
-    return {
-        "energy, relative": float(np.max(abs(H - H[0]) / (kinetic + depth))),
-        "γ·π, relative": float(np.max(abs(gamma_pi - gamma_pi[0]) / np.sqrt(2 * float(bob.mass) * kinetic))),
-        "constraints |q| = 1, q·π = 0": float(np.max(defect)),
-    }
+    return [
+        Conserved("energy, relative", H, kinetic + depth, ROUND_OFF),
+        Conserved("γ·π, relative", gamma_pi, np.sqrt(2 * float(bob.mass) * kinetic), ROUND_OFF),
+        Conserved("constraints |q| = 1, q·π = 0", defect, promise=ROUND_OFF, initial=0.0),
+    ]
 
 
 def as_top(bob: Pendulum, run: Trajectory) -> tuple[PotentialTop, Trajectory]:
@@ -138,64 +123,54 @@ def as_top(bob: Pendulum, run: Trajectory) -> tuple[PotentialTop, Trajectory]:
     return top, run._replace(state=State(q, run.state.p))
 
 
-def quantities(bob: Pendulum, run: Trajectory, unit: str) -> list[Comparison]:
+def quantities(scenario: Scenario, bob: Pendulum, run: Trajectory) -> list[Quantity]:
     """Period, precession and bounds of the swing, measured for every member, and in closed form."""
-    top, turned = as_top(bob, run)
-    period, rate, least, greatest = heavy_top.quantities(top, turned, unit)
+    period, rate, least, greatest = heavy_top.quantities(scenario, *as_top(bob, run))
     return [
-        Comparison(f"lowest point to lowest point ({unit})", *period[1:]),
-        Comparison(f"mean rate about γ (rad/{unit})", -rate.nominal, rate.spread, -rate.closed_form),
-        Comparison("least angle from γ (°)", 180 - greatest.nominal, greatest.spread, 180 - greatest.closed_form),
-        Comparison("greatest angle from γ (°)", 180 - least.nominal, least.spread, 180 - least.closed_form),
+        replace(period, name=f"lowest point to lowest point ({scenario.time_unit})"),
+        _of_the_top(f"mean rate about γ (rad/{scenario.time_unit})", rate, 0.0),
+        _of_the_top("least angle from γ (°)", greatest, 180.0),
+        _of_the_top("greatest angle from γ (°)", least, 180.0),
     ]
 
 
-@plots.style()
-def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+def _of_the_top(name: str, of_top: Quantity, total: float) -> Quantity:
+    """A quantity of the pendulum that adds up with one of the top to a number."""
+    assert of_top.closed_form is not None
+    return replace(of_top, name=name, values=total - of_top.values, closed_form=total - of_top.closed_form)
+
+
+def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+    """How to read the table."""
+    return [
+        heavy_top.CLOSED_FORM,
+        "  — none: fewer than two swings, states saved too far apart, or a swing through the axis",
+    ]
+
+
+@picture(2, spatial=(0,))
+def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot a dozen swings of the bob on the sphere, seen from below and aside, and its angle from γ against time."""
     bob, unit = step.system, scenario.time_unit
-    rows = quantities(bob, run, unit)
+    period, _, *bounds = quantities(scenario, bob, run)
     steps = scenario.steps
-    if np.isfinite(rows[0].nominal):
-        steps = min(steps, int(12 * rows[0].nominal / abs(scenario.dt)) + 1)
+    if np.isfinite(period.nominal):
+        steps = min(steps, int(12 * period.nominal / abs(scenario.dt)) + 1)
     long = follow(step, nominal(run), scenario.dt, steps)
-    path, axis = np.asarray(long.state.q), np.asarray(bob.axis)
-    fig, axes = plots.figure(2)
-    axes[0, 0].remove()
-    left, right = fig.add_subplot(1, 2, 1, projection="3d"), axes[0, 1]
-    plots.sphere_path(left, path, axis, eye=axis + 0.8 * path[0], pole_label="γ")
-    if scenario.members > 1:
-        ends = np.asarray(run.state.q[-1])
-        plots.sphere_points(left, ends, f"members at t = {run.t[-1]:.4g}", color=plots.INK, s=2, alpha=0.5)
-    left.legend(loc="lower left")
-    left.set_title(f"the bob to t = {long.t[-1]:.4g} {unit}")
-    angle = np.rad2deg(np.arccos(np.clip(path @ axis, -1, 1)))
-    plots.series(right, np.asarray(long.t), {"": angle}, "angle from γ (°)", unit)
-    for row in rows[2:]:
-        if np.isfinite(row.closed_form):
-            right.axhline(row.closed_form, color=plots.RED, lw=0.7, ls="--")
-    right.set_title("dashed: its bounds in closed form")
-    fig.suptitle(scenario.title)
-    return fig
+    known = [x.closed_form for x in bounds if x.closed_form is not None and np.isfinite(x.closed_form)]
+    path, ends = np.asarray(long.state.q), np.asarray(run.state.q[-1])
+    draw_on_sphere(axes, run, ends, np.asarray(long.t), path, np.asarray(bob.axis), unit=unit, bounds=known)
+    axes[0].set_title(f"the bob to t = {long.t[-1]:.4g} {unit}")
+    axes[1].set_title("dashed: its bounds in closed form")
 
 
-@plots.style()
-def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+@picture(2)
+def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot energy and constraint errors of the nominal member by both forms of the midpoint rule."""
-    unit = scenario.time_unit
-    bob, energy, constraint, t = step.system, {}, {}, np.zeros(0)
-    for normalized in (False, True):
-        scheme = schemes.sphere_midpoint(bob, normalized)
-        long = follow(scheme, nominal(run), scenario.dt, scenario.steps)
-        energy[scheme.name] = np.asarray(diagnostics.energy_error(bob, long))
-        constraint[scheme.name] = np.asarray(diagnostics.constraint_error(bob, long))
-        t = np.asarray(long.t)
-    fig, axes = plots.figure(2)
-    H = abs(float(bob.energy(nominal(run)))) or 1.0
-    plots.log_error(axes[0, 0], t, {k: error / H for k, error in energy.items()}, "energy error, over |H₀|", unit)
-    plots.log_error(axes[0, 1], t, constraint, "constraint error |q|² − 1", unit)
-    fig.suptitle(scenario.title)
-    return fig
+    both = [schemes.sphere_midpoint(step.system, normalized) for normalized in (False, True)]
+    t, found = changes_by_scheme(conserved, scenario, both, nominal(run))
+    for ax, name in ((axes[0], "energy, relative"), (axes[1], "constraints |q| = 1, q·π = 0")):
+        plots.log_error(ax, t, {scheme: errors[name] for scheme, errors in found.items()}, name, scenario.time_unit)
 
 
 PICTURES = {"path": draw_path, "energy": draw_energy}

@@ -1,4 +1,4 @@
-"""A pseudo-rigid body: measured conservation beside the rule's promise, delay plots, energy by two rules."""
+"""A pseudo-rigid body: measured conservation next to the rule's promise, delay plots, energy by two rules."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.figure import Figure
 from pydantic import Field, field_validator, model_validator
 
 from lieint_jax import _checks, diagnostics, schemes, systems
@@ -22,13 +21,14 @@ from lieint_jax.app.scenarios._common import (
     RateSpread,
     Table,
     Triple,
-    follow,
-    nominal,
-    series,
 )
+from lieint_jax.app.scenarios._pictures import picture
+from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, citation
+from lieint_jax.app.scenarios._runs import follow, for_last_run, nominal, series
 from lieint_jax.systems import PseudoRigidBody
 from lieint_jax.types import State, Step, Trajectory
 
+_TINY = float(np.finfo(float).tiny)
 _LONGEST = 4_000  # the most steps of the nominal member that are drawn; all are, since a delay plot needs each
 
 Matrix = Annotated[list[Triple], Field(min_length=3, max_length=3)]
@@ -110,11 +110,8 @@ class Scenario(Common):
             raise ValueError(f"steps = {self.steps} must be more than 2·lag = {2 * self.lag}")
         return self
 
-    def assumption(self) -> str:
-        return (
-            f"spread about the nominal state, an assumption: {self.spread.deformation:g} of each entry of F and "
-            f"{self.spread.rate():g} rad of angular velocity (1 sigma, each component)"
-        )
+    def spreads(self) -> dict[str, tuple[float, str]]:
+        return {"F": (self.spread.deformation, ""), "angular velocity": self.spread.given(self.time_unit)}
 
 
 def build(scenario: Scenario) -> tuple[Step, State]:
@@ -137,40 +134,28 @@ def build(scenario: Scenario) -> tuple[Step, State]:
     return schemes.additive(body, scenario.rule, scenario.alpha), exact
 
 
-class ConservationCheck(NamedTuple):
-    """A measured change: its name, its largest value over all members and saved times, and the rule's promise."""
-
-    name: str
-    found: float
-    promised: str
-
-
-def quantities(scenario: Scenario, body: PseudoRigidBody, run: Trajectory) -> list[ConservationCheck]:
-    """Largest changes of energy and momentum, relative to the member's initial |H| and |Φ|; the least det F."""
+def conserved(scenario: Scenario, body: PseudoRigidBody, run: Trajectory) -> list[Conserved]:
+    """Energy and momentum, relative to the member's initial |H| and |Φ|."""
     H, Phi = series(body.energy, run), series(body.momentum, run)
-    size = np.maximum(np.linalg.norm(Phi[0], axis=-1, keepdims=True), np.finfo(float).tiny)
-    energy = float(np.max(abs(H - H[0]) / np.maximum(abs(H[0]), np.finfo(float).tiny)))
-    momentum = float(np.max(abs(Phi - Phi[0]) / size))
-    promised = {"symplectic": "bounded, not conserved"}.get(scenario.rule, "conserved to round-off")
+    size = np.maximum(np.linalg.norm(Phi[0], axis=-1), _TINY)
+    promised = "bounded, not conserved" if scenario.rule == "symplectic" else ROUND_OFF
     return [
-        ConservationCheck("energy, relative", energy, promised),
-        ConservationCheck("momentum rot[PFᵀ], relative", momentum, "conserved to round-off"),
-        ConservationCheck("least det F", float(np.linalg.det(run.state.q).min()), "above 0, or flagged"),
+        Conserved("energy, relative", H, np.maximum(abs(H[0]), _TINY), promised),
+        Conserved("momentum rot[PFᵀ], relative", Phi, size, ROUND_OFF),
     ]
 
 
-def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
-    """Measured changes beside the rule's promise; the energy of the midpoint rule beside the published variation."""
-    lines = [f"\n  {'all members and saved times':<34}{'found':>12}   the rule {scenario.rule!r} promises"]
-    lines += [f"  {row.name:<34}{row.found:>12.3g}   {row.promised}" for row in quantities(scenario, step.system, run)]
-    found = energies(scenario, step, run)
+def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+    """The least det F; the energy of the nominal member by the midpoint rule and the published variation."""
+    found, least = energies(scenario, step, run), float(np.linalg.det(run.state.q).min())
+    lines = [f"  {'least det F':<34}{least:>10.3g}   above 0, or flagged"]
     lines += [f"\n  energy of the nominal member, {len(found.t) - 1} steps, max − min"]
     lines += [f"  {name:<34}{np.ptp(H):>12.3g}" for name, H in found.energy.items()]
     if (printed := scenario.published.get("midpoint_energy_variation")) is not None:
-        lines[-1] += f"   published {printed.value:g}  ({scenario.source(printed.source)})"
+        lines[-1] += f"   published {citation(scenario, printed)}"
     if not found.converged:
         lines.append("  NOT every one of these steps converged: do not trust what follows the first that did not")
-    return "\n".join(lines)
+    return lines
 
 
 class Energies(NamedTuple):
@@ -185,6 +170,7 @@ class Energies(NamedTuple):
 MIDPOINT = "implicit midpoint rule"
 
 
+@for_last_run
 def energies(scenario: Scenario, step: Any, run: Trajectory) -> Energies:
     """Integrate by both rules from the nominal state, at most `_LONGEST` steps, all saved."""
     body, start, energy = step.system, nominal(run), {}
@@ -200,30 +186,24 @@ def energies(scenario: Scenario, step: Any, run: Trajectory) -> Energies:
     return Energies(np.asarray(own.t), energy, displacement, converged)
 
 
-@plots.style()
-def draw_torus(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+@picture(2, subplot_kw={"projection": "3d"})
+def draw_torus(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Draw delay plots as in the paper's Figures 3 to 5: of the midpoint rule's energy, and of the displacement."""
     found = energies(scenario, step, run)
-    fig, axes = plots.figure(2, subplot_kw={"projection": "3d"})
     panels = {f"H, {MIDPOINT}": found.energy[MIDPOINT], f"‖F − 1‖², rule {scenario.rule!r}": found.displacement}
-    for ax, (title, x) in zip(axes[0], panels.items(), strict=True):
+    for ax, (title, x) in zip(axes, panels.items(), strict=True):
         plots.delay_plot(ax, np.asarray(diagnostics.delay(jnp.asarray(x), scenario.lag)))
         ax.set_title(f"{title}, lag {scenario.lag}")
-    fig.suptitle(scenario.title)
-    return fig
 
 
-@plots.style()
-def draw_energy(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+@picture(2)
+def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot energy errors of the nominal member by the scenario's rule and by the midpoint rule; its displacement."""
     found = energies(scenario, step, run)
-    fig, axes = plots.figure(2)
     size = max(float(abs(H[0])) for H in found.energy.values())
     errors = {name: H - H[0] for name, H in found.energy.items()}
-    plots.log_error(axes[0, 0], found.t, errors, "energy error", scenario.time_unit, size, "|H₀|")
-    plots.series(axes[0, 1], found.t, {"": found.displacement}, "displacement ‖F − 1‖²", scenario.time_unit)
-    fig.suptitle(scenario.title)
-    return fig
+    plots.log_error(axes[0], found.t, errors, "energy error", scenario.time_unit, size, "|H₀|")
+    plots.series(axes[1], found.t, {"": found.displacement}, "displacement ‖F − 1‖²", scenario.time_unit)
 
 
 PICTURES = {"torus": draw_torus, "energy": draw_energy}

@@ -1,4 +1,4 @@
-"""A tumbling free rigid body: its mean periods and the direction of its momentum, beside published values."""
+"""A tumbling free rigid body: its mean periods and the direction of its momentum, compared with published values."""
 
 from __future__ import annotations
 
@@ -8,14 +8,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from matplotlib.figure import Figure
 from pydantic import model_validator
 
 from lieint_jax import diagnostics, maps, schemes, systems
 from lieint_jax._integrate import integrate
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._body import BodyScenario, InitialState, about_least, ensemble, in_space, inertia_matrix
-from lieint_jax.app.scenarios._common import Published, Text, check_order, deviation, follow, nominal, thinned
+from lieint_jax.app.scenarios._body import (
+    BodyScenario,
+    InitialState,
+    about_least,
+    ensemble,
+    in_space,
+    inertia_matrix,
+    longitude_latitude,
+)
+from lieint_jax.app.scenarios._common import Published, Text, at_order, check_order
+from lieint_jax.app.scenarios._pictures import picture
+from lieint_jax.app.scenarios._report import Quantity
+from lieint_jax.app.scenarios._runs import follow, nominal, thinned
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.systems import RigidBody
@@ -105,49 +115,34 @@ def _step(scenario: Scenario, body: RigidBody) -> Step:
             step: Step = schemes.so3_explicit(body)
         case _:
             step = schemes.so3_midpoint(body, getattr(maps, f"kappa_{scenario.kappa or 'symplectic'}"))
-    return step if scenario.order in (None, 2) else schemes.compose(step, scenario.order)
+    return at_order(step, scenario.order)
 
 
-def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
-    """Periods and directions beside the published values; predictions beside observations."""
-    table = _table(scenario, quantities(scenario, step.system, run))
-    return "\n".join([table, *(_sighting(scenario, seen) for seen in sightings(scenario, step.system, run))])
-
-
-class PublishedComparison(NamedTuple):
-    """A quantity beside its published value: nominal value, standard deviation over the members, published value."""
-
-    name: str
-    nominal: float
-    spread: float
-    published: Published | None
-
-
-def quantities(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[PublishedComparison]:
-    """Mean periods of the tumbling and the direction of the angular momentum, beside their published values."""
+def quantities(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Quantity]:
+    """Mean periods of the tumbling and the direction of the angular momentum, with their published values."""
     p = np.asarray(run.state.p)[0]
-    unit = p / np.linalg.norm(p, axis=1, keepdims=True)
-    longitude = np.rad2deg(np.arctan2(unit[:, 1], unit[:, 0])) % 360
-    latitude = np.rad2deg(np.arcsin(unit[:, 2]))
+    longitude, latitude = longitude_latitude(p / np.linalg.norm(p, axis=1, keepdims=True))
     precession, rotation = mean_periods(body, run)
-    unit = scenario.time_unit
-    published: dict[str, Published] = {**scenario.published}
-    table = {
-        "precession_period": (f"precession period ({unit})", precession),
-        "rotation_period": (f"rotation period ({unit})", rotation),
-        "momentum_longitude_deg": ("angular momentum longitude (°)", longitude),
-        "momentum_latitude_deg": ("angular momentum latitude (°)", latitude),
-    }
+    unit, published = scenario.time_unit, {**scenario.published}
+
+    def declared(name: str, values: np.ndarray, key: Any) -> Quantity:
+        return Quantity(name, values, published=published.get(key), angle=key.endswith("_deg"))
+
     return [
-        PublishedComparison(name, float(x[0]), _spread(x, key.endswith("_deg")), published.get(key))
-        for key, (name, x) in table.items()
+        declared(f"precession period ({unit})", precession, "precession_period"),
+        declared(f"rotation period ({unit})", rotation, "rotation_period"),
+        declared("angular momentum longitude (°)", longitude, "momentum_longitude_deg"),
+        declared("angular momentum latitude (°)", latitude, "momentum_latitude_deg"),
     ]
 
 
-def _spread(x: np.ndarray, angle: bool) -> float:
-    """The standard deviation of the members; for an `angle` in degrees, of the differences from the nominal one."""
-    x = (x - x[0] + 180) % 360 - 180 if angle else x
-    return float(deviation(x))
+def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+    """Why a period is missing, and predictions next to observations."""
+    lines = [_sighting(scenario, seen) for seen in sightings(scenario, step.system, run)]
+    if any(np.isnan(x.nominal) for x in quantities(scenario, step.system, run)):
+        missing = "  — no period: the body spins about an axis, or states are saved too far apart (lower save_every)"
+        return [missing, *lines]
+    return lines
 
 
 def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
@@ -187,7 +182,7 @@ def save_index(scenario: Scenario, seen: Observation) -> int:
 
 
 class Sighting(NamedTuple):
-    """An observation beside its prediction; angles in degrees."""
+    """An observation and its prediction; angles in degrees."""
 
     observation: Observation
     euler_313_deg: np.ndarray
@@ -225,22 +220,6 @@ def sightings(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Sigh
     return found
 
 
-def _table(scenario: Scenario, rows: list[PublishedComparison]) -> str:
-    lines = [f"\n  {'':<34}{'nominal':>10}{'± ensemble':>12}   published"]
-    for row in rows:
-        published = ""
-        if row.published:
-            error = f" ± {row.published.error:g}" if row.published.error is not None else ""
-            published = f"{row.published.value:g}{error}  ({scenario.source(row.published.source)})"
-        nominal, spread = (f"{x:.4f}" if np.isfinite(x) else "—" for x in (row.nominal, row.spread))
-        lines.append(f"  {row.name:<34}{nominal:>10}{spread:>12}   {published}")
-    if any(np.isnan(row.nominal) for row in rows):
-        lines.append(
-            "  — no period: the body spins about an axis, or states are saved too far apart (lower save_every)"
-        )
-    return "\n".join(lines)
-
-
 def _sighting(scenario: Scenario, sighting: Sighting) -> str:
     seen = sighting.observation
 
@@ -262,8 +241,8 @@ def _sighting(scenario: Scenario, sighting: Sighting) -> str:
     return "\n".join(lines)
 
 
-@plots.style()
-def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+@picture(size=(7.4, 4.6), subplot_kw={"projection": "mollweide"})
+def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Map where the body's z axis points in space, with all members at the first observation, and what was observed."""
     seen = [s for s in scenario.observation if 0 <= save_index(scenario, s) < len(run.t)][:1]
     last = save_index(scenario, seen[0]) if seen else len(run.t) - 1
@@ -271,8 +250,7 @@ def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     path, members = in_space(long.state.q, Z), in_space(run.state.q[last], Z)
     pole = np.asarray(run.state.p[0, :1]) / np.linalg.norm(run.state.p[0, 0])
     center = float(30 * np.round(np.rad2deg(np.arctan2(pole[0, 1], pole[0, 0])) / 30))
-    fig, axes = plots.figure(size=(7.4, 4.6), subplot_kw={"projection": "mollweide"})
-    ax, span = plots.sky(axes[0, 0], center), f"to t = {long.t[-1]:.4g} {scenario.time_unit}"
+    ax, span = plots.sky(axes[0], center), f"to t = {long.t[-1]:.4g} {scenario.time_unit}"
     plots.sky_path(ax, path, f"body axis z, nominal member, {span}", center, color=plots.BLUE, lw=0.8)
     label = f"{scenario.members} members then" if scenario.members > 1 else "axis z then"
     plots.sky_points(ax, members, label, center, color=plots.INK, s=3, alpha=0.5, lw=0, zorder=3)
@@ -280,12 +258,9 @@ def draw_path(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     if seen:
         observed = in_space(seen[0].attitude()[None], Z)
         plots.sky_points(ax, observed, "observed then", center, color=plots.RED, marker="x", s=60, lw=1.6, zorder=4)
+        plots.caption(ax.figure, _observation_in_words(scenario, seen[0], path[-1], members))
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=4)
     ax.set(xlabel="longitude in the axes of space", ylabel="latitude")
-    fig.suptitle(scenario.title)
-    if seen:
-        plots.caption(fig, _observation_in_words(scenario, seen[0], path[-1], members))
-    return fig
 
 
 def _observation_in_words(scenario: Scenario, seen: Observation, nominal_axis: np.ndarray, members: np.ndarray) -> str:
@@ -302,8 +277,8 @@ def _observation_in_words(scenario: Scenario, seen: Observation, nominal_axis: n
     )
 
 
-@plots.style()
-def draw_invariants(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+@picture(3)
+def draw_invariants(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the energy and Poisson errors of the nominal member against time."""
     n, every = thinned(scenario.steps)
 
@@ -315,12 +290,9 @@ def draw_invariants(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
         return series.t, energy, jnp.linalg.norm(sigma, axis=1)
 
     t, energy, sigma = (np.asarray(x) for x in errors(nominal(run)))
-    fig, axes = plots.figure(3)
-    plots.log_error(axes[0, 0], t, {"nominal member": energy}, "relative energy error", scenario.time_unit)
-    plots.log_error(axes[0, 1], t, {"nominal member": sigma}, "Poisson error |σ|", scenario.time_unit)
-    _draw_polhode(axes[0, 2], step.system, run)
-    fig.suptitle(scenario.title)
-    return fig
+    plots.log_error(axes[0], t, {"nominal member": energy}, "relative energy error", scenario.time_unit)
+    plots.log_error(axes[1], t, {"nominal member": sigma}, "Poisson error |σ|", scenario.time_unit)
+    _draw_polhode(axes[2], step.system, run)
 
 
 def _draw_polhode(ax: Any, body: RigidBody, run: Trajectory) -> None:

@@ -1,4 +1,4 @@
-"""A droplet of rigid molecules of water in vacuum: what each scheme keeps, its temperature, and its O–O distances."""
+"""A droplet of rigid molecules of water in vacuum: what schemes conserve, its temperature, and its O–O distances."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from matplotlib.figure import Figure
 from pydantic import Field, model_validator
 
-from lieint_jax import diagnostics, potentials, schemes, systems
+from lieint_jax import potentials, schemes, systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._common import Above, Common, Published, Table, follow, largest_changes, nominal, series
+from lieint_jax.app.scenarios._common import Above, Common, Published, Table
 from lieint_jax.app.scenarios._multibody import step_of
+from lieint_jax.app.scenarios._pictures import changes_by_scheme, picture
+from lieint_jax.app.scenarios._report import Conserved, citation
+from lieint_jax.app.scenarios._runs import nominal, series
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBodies
 from lieint_jax.types import State, Step, Trajectory
@@ -154,64 +156,44 @@ def histogram(r: np.ndarray, width: float = 0.005) -> Histogram:
     return Histogram(middles, density / max(top, 1e-300), float(middles[k] + shift * width))
 
 
-def changes(bodies: RigidBodies, run: Trajectory) -> dict[str, float]:
-    """The largest changes: H over the least kinetic energy, P over the largest |p|, L over the largest |x × p|."""
+def conserved(scenario: Scenario, bodies: RigidBodies, run: Trajectory) -> list[Conserved]:
+    """H relative to the least kinetic energy, P to the largest |p|, L to the largest |x × p|."""
     K, H, PL = (series(f, run) for f in (bodies.kinetic_energy, bodies.energy, bodies.momentum))
     x, p = (np.asarray(y)[..., :3] for y in (run.state.q, run.state.p))
-    moved = abs(PL - PL[0])
-    return {
-        "energy H, over the least kinetic energy": float(abs(H - H[0]).max() / K.min()),
-        "linear momentum P, over the largest |p|": float(moved[..., :3].max() / abs(p).max()),
-        "angular momentum L, over the largest |x × p|": float(moved[..., 3:].max() / abs(np.cross(x, p)).max()),
-    }
+    return [
+        Conserved("energy H, over the least kinetic energy", H, K.min()),
+        Conserved("linear momentum P, over the largest |p|", PL[..., :3], abs(p).max()),
+        Conserved("angular momentum L, over the largest |x × p|", PL[..., 3:], abs(np.cross(x, p)).max()),
+    ]
 
 
-def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
-    """What is kept, worst of all members; temperature; the first O–O distance beside the published one."""
-    bodies = step.system
-    T, r = series(lambda z: temperature(bodies, z), run), distances(scenario, run)
-    lines = largest_changes(changes(bodies, run), 54)
+def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
+    """The temperature; the first peak of the O–O distances and the published one."""
+    T, r = series(lambda z: temperature(step.system, z), run), distances(scenario, run)
     later = T[len(T) // 2 :]
-    lines.append(f"\n  {'temperature, second half of the run (K)':<54}{later.mean():>10.1f} ± {later.std():.1f}")
+    lines = [f"\n  {'temperature, second half of the run (K)':<54}{later.mean():>10.1f} ± {later.std():.1f}"]
     lines.append(f"  {'first peak of the O–O distances (nm)':<54}{histogram(r[1:]).peak:>10.4f}")
     if scenario.published:
-        known = scenario.published.first_peak_nm
-        error = f" ± {known.error:g}" if known.error else ""
-        lines.append(f"  {'published, of the liquid (nm)':<54}{known.value:>10.4f}{error} [{known.source}]")
-    return "\n".join(lines)
+        lines.append(f"  {'published, of the liquid (nm)':<60}{citation(scenario, scenario.published.first_peak_nm)}")
+    return lines
 
 
-@plots.style()
-def draw_errors(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+@picture(2)
+def draw_errors(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the errors of H, P and L of the nominal droplet by the splitting and by the energy–momentum scheme."""
-    fig, axes = plots.figure(2)
-    bodies = step.system
-    for ax, name, title in (
-        (axes[0, 0], "splitting", "splitting, symplectic"),
-        (axes[0, 1], "bodies_energy_momentum", "energy–momentum scheme"),
+    both = [step_of(step.system, name, scenario.order) for name in ("splitting", "bodies_energy_momentum")]
+    t, found = changes_by_scheme(conserved, scenario, both, nominal(run), _LONGEST)
+    for ax, errors, title in zip(
+        axes, found.values(), ("splitting, symplectic", "energy–momentum scheme"), strict=True
     ):
-        long = follow(step_of(bodies, name, scenario.order), nominal(run), scenario.dt, scenario.steps, _LONGEST)
-        H = np.asarray(diagnostics.energy_error(bodies, long))
-        moved = np.asarray(diagnostics.momentum_error(bodies, long))
-        K = float(bodies.kinetic_energy(nominal(run)))
-        x, p = (np.asarray(y)[..., :3] for y in (long.state.q, long.state.p))
-        curves = {
-            "H, over K": H / K,
-            "P, over the largest |p|": np.linalg.norm(moved[:, :3], axis=1) / abs(p).max(),
-            "L, over the largest |x × p|": np.linalg.norm(moved[:, 3:], axis=1) / abs(np.cross(x, p)).max(),
-        }
-        plots.log_error(ax, np.asarray(long.t), curves, "relative change", "ps")
+        plots.log_error(ax, t, errors, "relative change", "ps")
         ax.set(title=title, ylim=(1e-17, 1))
-    fig.suptitle(scenario.title)
-    return fig
 
 
-@plots.style()
-def draw_droplet(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+@picture(3, spatial=(0,))
+def draw_droplet(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the nominal droplet at the end, the temperature of the members, and the histogram of O–O distances."""
-    fig, axes = plots.figure(3)
-    axes[0, 0].remove()
-    left: Any = fig.add_subplot(1, 3, 1, projection="3d")
+    left, middle, right = axes
     end, molecule = nominal(run, -1), potentials.water(scenario.model)
     R = np.asarray(jax.vmap(so3.to_matrix)(end.q[:, 3:]))
     sites = np.asarray(end.q)[:, None, :3] + np.einsum("nij,sj->nsi", R, molecule.points[:3])
@@ -225,16 +207,14 @@ def draw_droplet(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     left.set_box_aspect(None, zoom=1.5)
     left.set_axis_off()
     T, t = series(lambda z: temperature(step.system, z), run), np.asarray(run.t)
-    plots.series(axes[0, 1], t, {f"droplet {m}": T[:, m] for m in range(min(T.shape[1], 6))}, "temperature (K)", "ps")
+    plots.series(middle, t, {f"droplet {m}": T[:, m] for m in range(min(T.shape[1], 6))}, "temperature (K)", "ps")
     found = histogram(distances(scenario, run)[1:])
-    axes[0, 2].plot(found.r, found.density, color=plots.INK, lw=1, label=f"first peak at {found.peak:.3f} nm")
+    right.plot(found.r, found.density, color=plots.INK, lw=1, label=f"first peak at {found.peak:.3f} nm")
     if scenario.published:
         known = scenario.published.first_peak_nm
-        axes[0, 2].axvline(known.value, color=plots.RED, ls="--", lw=1, label=f"liquid, published: {known.value:g} nm")
-    axes[0, 2].set(xlabel="O–O distance r (nm)", ylabel="pairs per volume, over the first peak")
-    axes[0, 2].legend()
-    fig.suptitle(scenario.title)
-    return fig
+        right.axvline(known.value, color=plots.RED, ls="--", lw=1, label=f"liquid, published: {known.value:g} nm")
+    right.set(xlabel="O–O distance r (nm)", ylabel="pairs per volume, over the first peak")
+    right.legend()
 
 
 PICTURES = {"errors": draw_errors, "droplet": draw_droplet}

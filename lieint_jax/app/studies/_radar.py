@@ -11,10 +11,9 @@ import numpy as np
 from jax import Array
 
 from lieint_jax.app import scenarios
+from lieint_jax.app.studies._tumbling import model, rotation_between
 from lieint_jax.fitting._member_by_member import member_by_member
 from lieint_jax.groups import so3
-from lieint_jax.systems import RigidBody
-from lieint_jax.types import State
 
 FITTED, MIDDLE = 17, 8  # the number of fixes of 1992, and the one in their middle, where the parameters are
 STATES = {"Zhao et al. 2015": "toutatis", "Takahashi et al. 2013": "toutatis_takahashi"}  # published, as scenarios
@@ -83,19 +82,6 @@ def _rows() -> list[list[str]]:
     return [line.split(",") for line in text.splitlines() if line[0].isdigit()]
 
 
-def model(params: dict[str, Array], attitude: Array) -> tuple[RigidBody, State]:
-    """The body and its state.
-
-    Args:
-        params: `attitude`, a rotation vector in space (°) that turns the given attitude; `inertia`, moments about body
-            x and y over that about z, (2,); `rate`, body rate (°/d).
-        attitude: the attitude to begin with, a unit quaternion.
-    """
-    body = RigidBody(jnp.append(params["inertia"], 1.0))
-    q = so3.multiply(so3.exp(jnp.deg2rad(params["attitude"])), attitude)
-    return body, body.state(q, angular_velocity=jnp.deg2rad(params["rate"]))
-
-
 @jax.jit
 def path(params: dict[str, Array], data: dict[str, Array]) -> Array:
     """Attitudes and body rates in °/d, (n, 7), at the times data["t"] (n,), with data["begin"] as in `model`."""
@@ -116,8 +102,4 @@ def errors(found: Array, data: dict[str, Array]) -> Array:
 
     data["q"], (n, 4), and data["rate"], (n, 3), are observed.
     """
-
-    def turn(q: Array, seen: Array) -> Array:
-        return jnp.rad2deg(so3.log(so3.multiply(q, so3.inverse(seen))))
-
-    return jnp.stack([jax.vmap(turn)(found[:, :4], data["q"]), found[:, 4:] - data["rate"]])
+    return jnp.stack([jax.vmap(rotation_between)(found[:, :4], data["q"]), found[:, 4:] - data["rate"]])

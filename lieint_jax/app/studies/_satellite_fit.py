@@ -20,10 +20,9 @@ from jax.typing import ArrayLike
 from lieint_jax import schemes
 from lieint_jax._integrate import integrate
 from lieint_jax.app.studies._facets import Facets, magnitude
-from lieint_jax.app.studies._radar import model
 from lieint_jax.app.studies._satellite_sky import Lightcurve, Scene, true_magnitudes
 from lieint_jax.app.studies._symmetric_solutions import SPACE, Change, Solutions, distance, solutions
-from lieint_jax.app.studies._tumbling import mean_periods
+from lieint_jax.app.studies._tumbling import mean_periods, model, rotation_between
 from lieint_jax.ensemble import over_members
 from lieint_jax.fitting._bounds import free, inertia_ratios, principal_inertia
 from lieint_jax.fitting._fit import fit
@@ -40,7 +39,7 @@ _POOL, _NEAR, _SCATTER = 50_000, 500, 0.8  # random bodies, those kept for a can
 
 
 def magnitudes(params: dict[str, Array], begin: ArrayLike, facets: Facets, curve: Lightcurve) -> tuple[Array, Array]:
-    """The model's magnitudes, (n,), and whether all steps converged; `params` and `begin` as in `_radar.model`."""
+    """The model's magnitudes, (n,), and whether all steps converged; `params` and `begin` as in `_tumbling.model`."""
     body, state = model(params, jnp.asarray(begin))
     steps = int(np.ceil(curve.t[-1] / STEP))
     path = integrate(schemes.preprocessed(body, 6), state, STEP, steps, save_at=jnp.asarray(curve.t))
@@ -251,5 +250,5 @@ def _motion(
 
 def _vector(one: Solutions, begin: np.ndarray) -> np.ndarray:
     """A solution as the parameters of the fit, (8,)."""
-    turn = so3.log(so3.multiply(jnp.asarray(one.q[0]), so3.inverse(jnp.asarray(begin))))
-    return np.concatenate([np.rad2deg(turn), one.inertia[0, :2] / one.inertia[0, 2], one.rate[0]])
+    turn = rotation_between(jnp.asarray(one.q[0]), jnp.asarray(begin))
+    return np.concatenate([turn, one.inertia[0, :2] / one.inertia[0, 2], one.rate[0]])

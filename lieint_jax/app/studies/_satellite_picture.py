@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
 from lieint_jax.app.studies._period_search import HARMONICS, find_combination
+from lieint_jax.app.studies._pulls import draw_pulls
 
 _COLORS = {"as it is": plots.INK, "mirror": plots.RED, "exchange": plots.GREEN, "mirror and exchange": plots.ORANGE}
 _TITLES = (
@@ -24,12 +25,12 @@ _TITLES = (
 
 @plots.style()
 def draw(found: Any) -> Figure:
-    """The light with its minima; both searches for periods; the ends of all starts; the images; errors."""
+    """Plot the light with its minima; both searches for periods; the ends of all starts; the images; errors."""
     fig, axes = plots.figure(3, 2)
     parts = (_light, _spectrum, _pairs, _first, _night, _errors)
-    for ax, part, letter, title in zip(axes.flat, parts, "abcdef", _TITLES, strict=True):
+    for ax, part in zip(axes.flat, parts, strict=True):
         part(ax, found)
-        ax.set_title(f"({letter}) {title}", loc="left", fontsize="small")
+    plots.letter_panels(axes, _TITLES)
     fig.suptitle(f"{found.title}, simulated", fontsize="medium")
     return fig
 
@@ -120,16 +121,5 @@ def _night(ax: Axes, found: Any) -> None:
 
 
 def _errors(ax: Axes, found: Any) -> None:
-    errors = found.estimate.errors
-    edges = np.linspace(-4, 4, 33).tolist()
-    sets = f"{len(errors)} synthetic sets, 8 parameters"
-    ax.hist(np.clip(errors.ravel(), -3.99, 3.99), edges, density=True, color=plots.BLUE, alpha=0.6, label=sets)
-    x = np.linspace(-4, 4, 201)
-    ax.plot(x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color=plots.INK, lw=1.2, label="normal")
-    own = (found.estimate.value - found.estimate.truth) / found.estimate.sigma
-    ax.plot(own, np.full(8, 0.02), "|", color=plots.RED, ms=14, mew=1.5, label="the best solution")
-    size = np.abs(errors)
-    note = f"within 1σ {100 * (size <= 1).mean():.0f} % (68)\nwithin 2σ {100 * (size <= 2).mean():.0f} % (95)"
-    ax.text(0.03, 0.97, note, transform=ax.transAxes, va="top", fontsize="x-small")
-    ax.set(xlabel="(estimate − truth)/σ", ylabel="density", ylim=(0, 0.6))
-    ax.legend(frameon=False, fontsize="x-small", loc="upper right")
+    e = found.estimate
+    draw_pulls(ax, e.errors, (e.value - e.truth) / e.sigma)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from lieint_jax.app.studies._period_search import HARMONICS, SPECTRUM, coincidence, combinations, find_combination
+from lieint_jax.app.studies._pulls import chance, shares
 from lieint_jax.app.studies._satellite_fit import STEP
 from lieint_jax.app.studies._symmetric_solutions import SPACE
 
@@ -161,7 +162,8 @@ def _symmetries(found: Any) -> list[str]:
 
 def _estimate(found: Any) -> list[str]:
     e = found.estimate
-    size, truth = np.abs(e.errors), "itself" if np.allclose(e.turned, np.eye(3)) else "after a half turn of the body"
+    each, every, by_chance = shares(e.errors), shares(e.errors, None), chance(len(e.errors))
+    truth = "itself" if np.allclose(e.turned, np.eye(3)) else "after a half turn of the body"
     lines = [
         f"\n  the best solution, χ² {2 * found.night.loss.min():.1f} for {len(found.curve.t) - 9} degrees of freedom, "
         f"beside the truth {truth},",
@@ -169,20 +171,16 @@ def _estimate(found: Any) -> list[str]:
         f"    {'':<24}{'fitted':>11}{'± 1σ':>10}{'truth':>11}{'off':>9}{'within 1σ':>12}{'2σ':>6}{'rms/σ':>9}",
     ]
     for k, name in enumerate(NAMES):
-        share = [100 * (size[:, k] <= limit).mean() for limit in (1, 2)]
-        beside = _comparison(name, e.value[k], e.sigma[k], e.truth[k])
-        lines.append(f"{beside}{share[0]:>11.0f}%{share[1]:>5.0f}%{np.sqrt((e.errors[:, k] ** 2).mean()):>9.2f}")
-    share = [100 * (size <= limit).mean() for limit in (1, 2)]
-    mean = f"    {'all parameters':<24}{'':>41}{share[0]:>11.0f}%{share[1]:>5.0f}%{np.sqrt((e.errors**2).mean()):>9.2f}"
-    chance = [100 * np.sqrt(p * (1 - p) / len(e.errors)) for p in (0.683, 0.954)]
+        compared = _comparison(name, e.value[k], e.sigma[k], e.truth[k])
+        lines.append(f"{compared}{each.one[k]:>11.0f}%{each.two[k]:>5.0f}%{each.rms[k]:>9.2f}")
     periods = zip(
         ("precession period (min)", "rotation period (min)"), e.periods, e.periods_sigma, found.periods, strict=True
     )
     return [
         *lines,
-        mean,
-        f"    {'expected of each':<24}{'':>41}{68:>11}%{95:>5}%{1:>9.2f}   ± {chance[0]:.0f} %, {chance[1]:.0f} %, "
-        f"{1 / np.sqrt(2 * len(e.errors)):.2f} by chance",
+        f"    {'all parameters':<24}{'':>41}{every.one:>11.0f}%{every.two:>5.0f}%{every.rms:>9.2f}",
+        f"    {'expected of each':<24}{'':>41}{68:>11}%{95:>5}%{1:>9.2f}   ± {by_chance.one:.0f} %, "
+        f"{by_chance.two:.0f} %, {by_chance.rms:.2f} by chance",
         *(_comparison(*row) for row in periods),
         f"  the scheme of order 6, in steps of {STEP:g} min, puts no magnitude farther from the closed form's than "
         f"{e.integration:.2g} of its noise",

@@ -12,6 +12,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from lieint_jax.app.scenarios._body import direction
 from lieint_jax.app.studies._facets import Facets, facets, magnitude
 from lieint_jax.systems import RigidBody, rigid_body
 from lieint_jax.types import State
@@ -79,15 +80,11 @@ def scene() -> Scene:
 def directions(sky: dict[str, float], t: Array) -> tuple[Array, Array]:
     """Unit vectors from the satellite to Sun and observer at time t (min), (3,) each: each keeps its declination."""
 
-    def direction(name: str) -> Array:
+    def toward(name: str) -> Array:
         right_ascension = jnp.deg2rad(sky[f"{name}_right_ascension_deg"] + sky[f"{name}_rate_deg_day"] * t / _DAY)
-        declination = jnp.deg2rad(sky[f"{name}_declination_deg"] + 0 * t)
-        flat = jnp.cos(declination)
-        return jnp.stack(
-            [flat * jnp.cos(right_ascension), flat * jnp.sin(right_ascension), jnp.sin(declination)], axis=-1
-        )
+        return direction(right_ascension, jnp.deg2rad(sky[f"{name}_declination_deg"] + 0 * t))
 
-    return direction("sun"), direction("observer")
+    return toward("sun"), toward("observer")
 
 
 def exposure_times(plan: dict[str, Any]) -> np.ndarray:

@@ -10,8 +10,9 @@ import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
-from lieint_jax.app.studies._radar import errors, model, path, path_of_fits
-from lieint_jax.app.studies._tumbling import direction, mean_periods
+from lieint_jax.app.studies._pulls import squared_distances
+from lieint_jax.app.studies._radar import errors, path, path_of_fits
+from lieint_jax.app.studies._tumbling import direction, mean_periods, model, rotated
 from lieint_jax.fitting._bounds import free, inertia_ratios, interval
 from lieint_jax.fitting._fit import fit
 from lieint_jax.fitting._outcome import Fit
@@ -157,10 +158,7 @@ def synthetic(truth: Estimate, unravel: Any, data: dict[str, Any], sets: int, se
     drawn = rng.normal(size=shape) / np.sqrt(rng.chisquare(FREEDOM, (*shape[:3], 1)) / FREEDOM)
     turns, change = jnp.asarray(drawn) * truth.noise[:, None, None, None]
 
-    def rotate(turn: Array, q: Array) -> Array:
-        return so3.multiply(so3.exp(jnp.deg2rad(turn)), q)
-
-    seen = jax.vmap(jax.vmap(rotate), (0, None))(turns, found[:, :4])
+    seen = jax.vmap(jax.vmap(rotated), (0, None))(turns, found[:, :4])
     return repeated(data, sets) | {"q": seen, "rate": found[:, 4:] + change}
 
 
@@ -177,6 +175,6 @@ def coverage(
     level = jnp.log(each.noise / truth.noise) / student_t_noise_error(len(data["t"]), 3)
     of_derived = (each.derived - truth.derived + 180) % 360 - 180  # angles; periods are far below 180
     sigma, of_sigma = (jnp.sqrt(jnp.diagonal(C, axis1=1, axis2=2)) for C in (each.covariance, each.derived_covariance))
-    distance = jnp.einsum("si,si->s", error, jnp.linalg.solve(each.covariance, error[..., None])[..., 0])
     pulls = jnp.concatenate([error / sigma, level, of_derived / of_sigma], axis=1)
-    return Coverage(np.asarray(pulls), np.asarray(distance), found.starts.success)
+    distance = squared_distances(np.asarray(error), np.asarray(each.covariance))
+    return Coverage(np.asarray(pulls), distance, found.starts.success)

@@ -20,11 +20,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from lieint_jax.app.studies._facets import Facets, axis_rotations, is_symmetry, magnitude
+from lieint_jax.app.studies._tumbling import rotated
 from lieint_jax.groups import so3
 
 SPACE = ("as it is", "mirror", "exchange", "mirror and exchange")
@@ -56,10 +56,7 @@ def solutions(params: dict[str, np.ndarray], begin: np.ndarray) -> Solutions:
     return Solutions(np.asarray(q), np.asarray(params["rate"]), J / np.cbrt(J.prod(axis=1, keepdims=True)))
 
 
-@jax.jit
-@jax.vmap
-def _attitudes(turn: Array, begin: Array) -> Array:
-    return so3.multiply(so3.exp(jnp.deg2rad(turn)), begin)
+_attitudes = jax.jit(jax.vmap(rotated))
 
 
 def parameters(found: Solutions) -> tuple[dict[str, np.ndarray], np.ndarray]:

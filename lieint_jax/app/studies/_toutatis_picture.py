@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from lieint_jax.app import plots
+from lieint_jax.app.studies._pulls import draw_pulls
 from lieint_jax.app.studies._radar import FITTED, MIDDLE, later_fixes, radar_epochs
 from lieint_jax.app.studies._toutatis_report import HUDSON_OSTRO
 
@@ -27,7 +28,7 @@ _TITLES = (
 
 @plots.style()
 def draw(found: Any) -> Figure:
-    """Residuals of attitude and rate by epoch; momentum and periods beside published ones; prediction; coverage."""
+    """Plot residuals by epoch, the prediction, momentum and periods with published ones, and the coverage of errors."""
     fig, axes = plots.figure(3, 2)
     for kind, (ax, unit) in enumerate(zip(axes[0, :2], ("attitude error (°)", "body rate error (°/d)"), strict=True)):
         _residuals(ax, found, kind, unit)
@@ -37,9 +38,8 @@ def draw(found: Any) -> Figure:
     _pair(axes[1, 1], found, (2, 3), "ecliptic longitude (°)", "ecliptic latitude (°)")
     for ax in axes[1, :2]:
         ax.legend(loc="best")
-    _coverage(axes[1, 2], found)
-    for ax, letter, title in zip(axes.flat, "abcdef", _TITLES, strict=True):
-        ax.set_title(f"({letter}) {title}", loc="left")
+    draw_pulls(axes[1, 2], found.coverage.pulls[:, :8])
+    plots.letter_panels(axes, _TITLES)
     fig.suptitle(found.scenario.title)
     return fig
 
@@ -109,19 +109,3 @@ def _pair(ax: Axes, found: Any, which: tuple[int, int], xlabel: str, ylabel: str
     ax.set(xlabel=xlabel, ylabel=ylabel)
     ax.locator_params(nbins=6)
     ax.set(xlim=(center[0] - reach[0], center[0] + reach[0]), ylim=(center[1] - reach[1], center[1] + 2 * reach[1]))
-
-
-def _coverage(ax: Axes, found: Any) -> None:
-    """The distribution of (estimate − truth)/σ of the parameters over the synthetic sets, beside the normal one."""
-    pulls = found.coverage.pulls[:, :8].ravel()
-    edges = np.linspace(-4, 4, 33).tolist()
-    ax.hist(np.clip(pulls, -3.99, 3.99), edges, density=True, color=plots.BLUE, alpha=0.6, label="8 parameters")
-    x = np.linspace(-4, 4, 201)
-    ax.plot(x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color=plots.INK, lw=1.2, label="normal")
-    size = np.abs(found.coverage.pulls[:, :8])
-    one, two = 100 * (size <= 1).mean(), 100 * (size <= 2).mean()
-    note = f"within 1σ {one:.0f} % (68)\nwithin 2σ {two:.0f} % (95)"
-    ax.text(0.03, 0.96, note, transform=ax.transAxes, va="top", fontsize="x-small")
-    sets = len(found.coverage.pulls)
-    ax.set(xlabel=f"(estimate − truth)/σ, {sets} synthetic sets", ylabel="density", ylim=(0, 0.52))
-    ax.legend(loc="upper right")

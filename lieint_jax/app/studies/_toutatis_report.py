@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from lieint_jax.app.studies import _flyby
+from lieint_jax.app.studies._pulls import ELLIPSOID, chance, shares
 from lieint_jax.app.studies._radar import FITTED, STATES, dates, later_fixes
 from lieint_jax.fitting._robust import FREEDOM, student_t_noise_error
 
@@ -27,7 +28,6 @@ NAMES = (
 HUDSON_OSTRO = (7.35, 5.41)  # precession and rotation period, d; Hudson & Ostro 1995, Science 270:84
 _CHANGE = 0.08  # °/d, the largest change of the spin by the flyby of 2004: Busch et al. 2012, AGU, P31A-1873
 _TO_2008 = 1516.0  # days from that flyby, 2004-09-29, to the fix of 2008-11-23
-_ELLIPSOID = 15.507  # the 95 % point of χ² with 8 degrees of freedom
 
 
 def text(found: Any) -> str:
@@ -169,11 +169,10 @@ def _torque(found: Any) -> list[str]:
 
 def _coverage(found: Any) -> list[str]:
     c = found.coverage
-    size, rms = np.abs(c.pulls), np.sqrt((c.pulls**2).mean(axis=0))
-    one, two = 100 * (size <= 1).mean(axis=0), 100 * (size <= 2).mean(axis=0)
+    one, two, rms = shares(c.pulls)
     labels = (*(f"attitude {a}" for a in "xyz"), "Jx/Jz", "Jy/Jz", *(f"rate {a}" for a in "xyz"))
     labels = (*labels, "log noise, attitudes", "log noise, rates", *NAMES[:4])
-    sets, margin = len(c.pulls), [100 * np.sqrt(p * (1 - p) / len(c.pulls)) for p in (0.683, 0.954)]
+    sets, margin = len(c.pulls), chance(len(c.pulls))
     lines = [
         f"\n  errors: those of the observed information, enlarged by {found.factors[0]:.3f} (noise levels: "
         f"{found.factors[1]:.3f}), which is",
@@ -186,5 +185,5 @@ def _coverage(found: Any) -> list[str]:
         *lines,
         f"  {'mean of the parameters':<26}{one[:8].mean():>9.1f}%{two[:8].mean():>9.1f}%{c.scatter[0]:>11.2f}",
         f"  {'expected of each':<26}{68.3:>9}%{95.4:>9}%{1:>11}   ± {margin[0]:.1f} %, {margin[1]:.1f} % by chance",
-        f"  truth inside the joint 95 % ellipsoid: {100 * (c.distance <= _ELLIPSOID).mean():.0f} % of the sets",
+        f"  truth inside the joint 95 % ellipsoid: {100 * (c.distance <= ELLIPSOID).mean():.0f} % of the sets",
     ]

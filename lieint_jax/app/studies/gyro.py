@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from lieint_jax import schemes
 from lieint_jax._integrate import integrate
 from lieint_jax.app import plots
+from lieint_jax.app.studies._pulls import ELLIPSOID, squared_distances
 from lieint_jax.fitting._bounds import free, inertia_ratios
 from lieint_jax.fitting._fit import fit
 from lieint_jax.fitting._outcome import Fit
@@ -34,7 +35,6 @@ TRUTH = {
 NOISE = 0.002  # rad/s, of each reading
 _EVERY, _READINGS = 0.5, 80  # seconds between readings, and their number
 _NAMES = ("bias x", "bias y", "bias z", "Jx/Jz", "Jy/Jz", "Ωx(0)", "Ωy(0)", "Ωz(0)")
-_BEYOND = 15.507  # the 95 % point of χ² with 8 degrees of freedom
 
 
 class GyroTrials(NamedTuple):
@@ -99,7 +99,7 @@ def run(quick: bool = False, trials: int = 100, seed: int = 4, progress: bool = 
     truth = np.asarray(ravel_pytree(TRUTH)[0])
     error = estimates - truth
     sigmas = np.sqrt(np.diagonal(best.starts.covariance, axis1=1, axis2=2))
-    square = np.einsum("ti,ti->t", error, np.linalg.solve(best.starts.covariance, error[..., None])[..., 0])
+    square = squared_distances(error, best.starts.covariance)
     t = _EVERY * np.arange(1, _READINGS + 1)
     fitted = rates(jax.tree.map(lambda leaf: leaf[0], best.starts.params))[0]
     return GyroTrials(
@@ -108,7 +108,7 @@ def run(quick: bool = False, trials: int = 100, seed: int = 4, progress: bool = 
         truth,
         sigmas,
         (np.abs(error) <= 2 * sigmas).mean(axis=0),
-        float((square <= _BEYOND).mean()),
+        float((square <= ELLIPSOID).mean()),
         (t, np.asarray(data[0]), np.asarray(fitted)),
     )
 

@@ -18,13 +18,13 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from matplotlib.figure import Figure
 
-from lieint_jax.app.studies import _satellite_picture, _satellite_report
 from lieint_jax.app.studies._facets import Facets, brightness, facets, magnitude
 from lieint_jax.app.studies._minima import Minima, minima_of
 from lieint_jax.app.studies._period_search import Search, search
 from lieint_jax.app.studies._satellite_fit import Estimate, estimate, fitted, losses, random_guesses, true_solution
+from lieint_jax.app.studies._satellite_picture import draw
+from lieint_jax.app.studies._satellite_report import text
 from lieint_jax.app.studies._satellite_sky import Lightcurve, Scene, closed_form, observe, scene
 from lieint_jax.app.studies._symmetric_solutions import (
     Change,
@@ -197,13 +197,3 @@ def _whole_night(
 def _ends(fit: Fit, ends: Solutions, best: Solutions, every: list[Change]) -> Ends:
     assert fit.starts is not None
     return Ends(fit.starts.loss, sorted_out(ends, best, every), fit.starts.success)
-
-
-def text(found: SatelliteFit) -> str:
-    """The study's report, to print."""
-    return _satellite_report.text(found)
-
-
-def draw(found: SatelliteFit) -> Figure:
-    """Plot the light curve, both searches for periods, where all starts ended, and truth less estimate."""
-    return _satellite_picture.draw(found)

@@ -17,12 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
-from matplotlib.figure import Figure
 
 from lieint_jax._numerics import vec3
 from lieint_jax.app import scenarios
-from lieint_jax.app.studies import _flyby, _toutatis_picture, _toutatis_report
+from lieint_jax.app.studies import _flyby
 from lieint_jax.app.studies._flyby import Flyby
+from lieint_jax.app.studies._pulls import squared_distances
 from lieint_jax.app.studies._radar import (
     FITTED,
     MIDDLE,
@@ -30,7 +30,6 @@ from lieint_jax.app.studies._radar import (
     RadarEpochs,
     errors,
     later_fixes,
-    model,
     path,
     radar_epochs,
 )
@@ -44,6 +43,9 @@ from lieint_jax.app.studies._spin_fit import (
     fitted,
     repeated,
 )
+from lieint_jax.app.studies._toutatis_picture import draw
+from lieint_jax.app.studies._toutatis_report import text
+from lieint_jax.app.studies._tumbling import model, rotation_between
 from lieint_jax.fitting._outcome import Fit
 from lieint_jax.fitting._robust import FREEDOM, student_t_weights
 from lieint_jax.groups import so3
@@ -157,7 +159,7 @@ def run(quick: bool = False, progress: bool = True) -> SpinFit:
         np.asarray(student_t_weights(jnp.asarray(e), jnp.asarray(noise))),
         (e**2).sum(axis=-1) > _FAR * noise**2,
         {name: _derived(p, data) for name, p in given.items()},
-        {name: float(d @ np.linalg.solve(estimate.covariance, d)) for name, d in difference.items()},
+        {name: float(squared_distances(d[None], np.asarray(estimate.covariance))[0]) for name, d in difference.items()},
         _predict(estimate, unravel, given, data["begin"], members),
         _flyby.passage(body, state, _FLYBY_DISTANCE, _flyby.speed_at_infinity(**_ELEMENTS), members),
         factors,
@@ -185,9 +187,8 @@ def published_params(name: str, begin: Array, t: Array) -> dict[str, Array]:
     scenario = scenarios.load(name)
     body = RigidBody(jnp.asarray(scenario.inertia) / scenario.inertia[2])
     later = body.solution(body.state(scenario.state.attitude(), angular_velocity=scenario.state.rate()), t)
-    turn = so3.log(so3.multiply(later.q, so3.inverse(begin)))
     rate = body.angular_velocity(later)
-    return {"attitude": jnp.rad2deg(turn), "inertia": body.inertia[:2], "rate": jnp.rad2deg(rate)}
+    return {"attitude": rotation_between(later.q, begin), "inertia": body.inertia[:2], "rate": jnp.rad2deg(rate)}
 
 
 def _from_many_starts(
@@ -242,13 +243,3 @@ def _predict(
         np.rad2deg(jax.vmap(vec3.angle, (None, 0))(state.p, p)),
         (Pi**2 / np.asarray(body.inertia)).sum(axis=1),
     )
-
-
-def text(found: SpinFit) -> str:
-    """The study's report, to print."""
-    return _toutatis_report.text(found)
-
-
-def draw(found: SpinFit) -> Figure:
-    """Plot residuals by epoch, the prediction and its failure, ours beside published values, and the coverage."""
-    return _toutatis_picture.draw(found)

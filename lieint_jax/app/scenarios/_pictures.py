@@ -1,0 +1,89 @@
+"""Pictures of runs: a decorator that makes the figure, and what several kinds of scenario draw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from functools import wraps
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from lieint_jax.app import plots
+from lieint_jax.app.scenarios._report import Conserved
+from lieint_jax.app.scenarios._runs import LONGEST, as_ensemble, follow
+from lieint_jax.types import State, Step, Trajectory
+
+
+def picture(
+    columns: int = 1, rows: int = 1, *, size: Any = None, spatial: Sequence[int] = (), **options: Any
+) -> Callable[[Callable[..., None]], Callable[[Any, Any, Trajectory], Figure]]:
+    """Make a function that draws on axes one that returns a picture of a run, with the title of the scenario.
+
+    The function is called with an array of axes (panels,), scenario, step, run.
+
+    Args:
+        columns, rows: of panels.
+        size: of a panel, in inches, or a function of the scenario that returns it.
+        spatial: the numbers of panels with three axes.
+        options: for `plots.figure`.
+    """
+
+    def decorate(draw: Callable[..., None]) -> Callable[[Any, Any, Trajectory], Figure]:
+        @plots.style()
+        @wraps(draw)
+        def figure_of_run(scenario: Any, step: Any, run: Trajectory) -> Figure:
+            inches: Any = size(scenario) if callable(size) else size
+            fig, axes = plots.figure(columns, rows, inches, **options)
+            axes = axes.ravel()
+            for k in spatial:
+                axes[k].remove()
+                axes[k] = fig.add_subplot(rows, columns, k + 1, projection="3d")
+            fig.suptitle(scenario.title)
+            draw(axes, scenario, step, run)
+            return fig
+
+        return figure_of_run
+
+    return decorate
+
+
+def changes_by_scheme(
+    conserved: Callable[[Any, Any, Trajectory], list[Conserved]],
+    scenario: Any,
+    steps: Iterable[Step],
+    start: State,
+    longest: int = LONGEST,
+) -> tuple[np.ndarray, dict[str, dict[str, np.ndarray]]]:
+    """Times, and by the names of steps and quantities the relative changes of what a kind conserves, from one state."""
+    found, t = {}, np.zeros(0)
+    for step in steps:
+        run = as_ensemble(follow(step, start, scenario.dt, scenario.steps, longest))
+        t = np.asarray(run.t)
+        found[step.name] = {x.name: x.change()[:, 0] for x in conserved(scenario, step.system, run)}
+    return t, found
+
+
+def draw_on_sphere(
+    axes: Sequence[Any],
+    run: Trajectory,
+    ends: np.ndarray,
+    t: np.ndarray,
+    path: np.ndarray,
+    pole: np.ndarray,
+    *,
+    unit: str,
+    pole_label: str = "γ",
+    angle_label: str = "angle from γ (°)",
+    eye: np.ndarray | None = None,
+    bounds: Iterable[float] = (),
+) -> None:
+    """Plot a path of unit vectors on the sphere with the members' `ends`, and its angle from the pole against time."""
+    left, right = axes
+    plots.sphere_path(left, path, pole, eye=pole + 0.8 * path[0] if eye is None else eye, pole_label=pole_label)
+    if len(ends) > 1:
+        plots.sphere_points(left, ends, f"members at t = {run.t[-1]:.4g}", color=plots.INK, s=2, alpha=0.5)
+    left.legend(loc="lower left")
+    plots.series(right, t, {"": np.rad2deg(np.arccos(np.clip(path @ pole, -1, 1)))}, angle_label, unit)
+    for bound in bounds:
+        right.axhline(bound, color=plots.RED, lw=0.7, ls="--")

@@ -1,0 +1,180 @@
+"""The conserved and measured quantities that a kind of scenario declares, and the report that is printed of them."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from lieint_jax.app.scenarios._common import Common, Published
+from lieint_jax.app.scenarios._runs import deviation
+
+ROUND_OFF = "conserved to round-off"
+_FAR = 3  # published errors, beyond which a difference is pointed out
+_WIDTH = 34  # the least of the column of names
+
+
+def largest_component(x: np.ndarray) -> np.ndarray:
+    """The largest component of (times, members, …) in size."""
+    return abs(x).reshape(*x.shape[:2], -1).max(axis=2)
+
+
+length: Callable[[np.ndarray], np.ndarray] = partial(np.linalg.norm, axis=-1)
+
+
+@dataclass(frozen=True)
+class Conserved:
+    """A quantity that an exact motion conserves.
+
+    Attributes:
+        name: in words, with what its change is relative to.
+        values: at all saved times of all members, (times, members, …).
+        size: what its change is relative to; broadcasts with (times, members).
+        promise: of the scheme, for the report.
+        initial: the value from which it changes; by default that at the first saved time.
+        norm: of the change of a vector.
+    """
+
+    name: str
+    values: np.ndarray
+    size: Any = 1.0
+    promise: str = ""
+    initial: Any = None
+    norm: Callable[[np.ndarray], np.ndarray] = largest_component
+
+    def change(self) -> np.ndarray:
+        """The relative change, (times, members)."""
+        return self.norm(self.values - (self.values[0] if self.initial is None else self.initial)) / self.size
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A measured quantity of every member.
+
+    Attributes:
+        name: in words, with its unit.
+        values: of the members, the nominal one first, (members,); nan where there is none.
+        digits: the format of its numbers; with a closed form there are ten digits.
+        closed_form: its exact value for the nominal member; nan where none is known.
+        published: its published values.
+        angle: whether it is an angle in degrees, so that its spread is that of differences below 180°.
+    """
+
+    name: str
+    values: np.ndarray
+    digits: str = ".4f"
+    closed_form: float | None = None
+    published: Published | Sequence[Published] | None = None
+    angle: bool = False
+
+    @property
+    def nominal(self) -> float:
+        """Its value for the nominal member."""
+        return float(self.values[0])
+
+    @property
+    def spread(self) -> float:
+        """Its standard deviation over the members; nan if one of them has no value."""
+        x = (self.values - self.values[0] + 180) % 360 - 180 if self.angle else self.values
+        return float(deviation(x)) if np.isfinite(x).all() else np.nan
+
+    @property
+    def citations(self) -> list[Published]:
+        """The published values, as a list."""
+        if self.published is None:
+            return []
+        return [self.published] if isinstance(self.published, Published) else list(self.published)
+
+
+def text(
+    scenario: Common, conserved: Sequence[Conserved], quantities: Sequence[Quantity], remarks: Sequence[str] = ()
+) -> str:
+    """The report of a run: what is conserved, what was measured, and the remarks of the kind."""
+    width = max([_WIDTH, *(len(x.name) + 2 for x in (*conserved, *quantities))])
+    lines = [*changes(conserved, width), *table(scenario, quantities, width), *_notes(quantities), *remarks]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def changes(conserved: Sequence[Conserved], width: int = _WIDTH) -> list[str]:
+    """The lines of a report with the largest change of each conserved quantity, and what the scheme promises."""
+    if not conserved:
+        return []
+    promised = "   the scheme promises" if any(x.promise for x in conserved) else ""
+    lines = [f"\n  {'largest change, all members and saved times':<{width + 10}}{promised}"]
+    return lines + [f"  {x.name:<{width}}{float(x.change().max()):>10.1e}   {x.promise}" for x in conserved]
+
+
+def table(scenario: Common, quantities: Sequence[Quantity], width: int = _WIDTH, head: str = "") -> list[str]:
+    """The lines of a report with the measured quantities next to their closed forms and published values."""
+    if not quantities:
+        return []
+    ten_digits = any(x.closed_form is not None for x in quantities)
+    exact = any(x.closed_form is not None and np.isfinite(x.closed_form) for x in quantities)
+    heads = f"{'nominal':>{17 if ten_digits else 11}}{'± ensemble':>12}"
+    heads += f"{'closed form':>17}{'difference':>12}" if exact else ""
+    lines = [f"\n  {head:<{width}}{heads}" + ("   published" if any(x.citations for x in quantities) else "")]
+    for x in quantities:
+        row = f"  {x.name:<{width}}" + _columns(x, exact, 17 if ten_digits else 11)
+        known, *others = [citation(scenario, published) for published in x.citations] or [""]
+        lines.append(f"{row}   {known}")
+        lines += [f"{'':<{len(row)}}   {other}" for other in others]
+    return lines
+
+
+def _columns(x: Quantity, exact: bool, width: int) -> str:
+    """The numbers of a row of the table: nominal value, spread, and with `exact` closed form and difference."""
+    digits, fewer = (x.digits, x.digits) if x.closed_form is None else (".10f", ".5f")
+    spread = "—" if len(x.values) == 1 else _number(x.spread, fewer)
+    columns = f"{_number(x.nominal, digits):>{width}}{spread:>12}"
+    if exact:
+        closed = np.nan if x.closed_form is None else x.closed_form
+        columns += f"{_number(closed, digits):>17}{_number(x.nominal - closed, '.1e'):>12}"
+    return columns
+
+
+def _number(x: float, digits: str) -> str:
+    return format(x, digits) if np.isfinite(x) else "—"
+
+
+def citation(scenario: Common, published: Published) -> str:
+    """A published value with its error and source."""
+    error = f" ± {published.error:g}" if published.error is not None else ""
+    return f"{published.value:g}{error}  ({scenario.source(published.source)})"
+
+
+def _notes(quantities: Sequence[Quantity]) -> list[str]:
+    """Lines that say what keeps quantities from being a test of their published values."""
+    notes = [
+        f"{x.name}: {found}" for x in quantities for published in x.citations if (found := _compared(x, published))
+    ]
+    return [
+        line for note in notes for line in textwrap.wrap(note, 116, initial_indent="  ! ", subsequent_indent="    ")
+    ]
+
+
+def _compared(x: Quantity, published: Published) -> str:
+    """What keeps a quantity from being a test of a published value; empty if nothing does."""
+    if published.error is None or not np.isfinite(x.nominal):
+        return ""
+    found, off = [], x.nominal - published.value
+    if abs(off) > _FAR * published.error:
+        sign = ", and in its sign" if x.nominal * published.value < 0 else ""
+        by = f"{off:+.3g}, {abs(off) / published.error:.2g} times the published error"
+        found.append(f"The nominal member differs from the published value by {by}{sign}.")
+    if x.spread > published.error:
+        low, middle, high = np.percentile(x.values, (16, 50, 84))
+        found.append(
+            f"The members' spread is {x.spread / published.error:.2g} times the published error and follows from "
+            f"their assumed deviations: the median is {middle:.4f}, and 68 % of them lie from {low:.4f} to {high:.4f}."
+        )
+    return " ".join([*found, published.remark] if found else [])
+
+
+def paragraphs(notes: list[str]) -> list[str]:
+    """Notes as lines of a report, an empty line before each."""
+    wrapped = (textwrap.wrap(note, 118, initial_indent="  ", subsequent_indent="  ") for note in notes)
+    return [line for lines in wrapped for line in ("", *lines)]

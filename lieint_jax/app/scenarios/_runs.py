@@ -1,0 +1,92 @@
+"""Values of functions of the state along a run, and longer runs of one member, for reports and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh
+
+from lieint_jax import ensemble
+from lieint_jax._integrate import integrate
+from lieint_jax.types import State, Step, Trajectory
+
+LONGEST, POINTS = 200_000, 4_000  # the most steps of the nominal member that are drawn, and points of a curve
+
+S = TypeVar("S")
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+def member(run: Trajectory, m: int, time: int = 0) -> State:
+    """The state of one member of a run at the saved time of index `time`."""
+    return jax.tree.map(lambda x: jnp.asarray(x[time, m]), run.state)
+
+
+def nominal(run: Trajectory, time: int = 0) -> State:
+    """The state of member 0 of a run at the saved time of index `time`."""
+    return member(run, 0, time)
+
+
+def nominal_of(tree: Any) -> Any:
+    """Member 0 of a step or a system whose leaves have the member axis."""
+    return jax.tree.map(lambda leaf: leaf[0], tree)
+
+
+def series(function: Callable[[State], Any], run: Trajectory) -> np.ndarray:
+    """The values of a function of the state, at all saved times of all members: (times, members, …)."""
+    return np.asarray(jax.jit(jax.vmap(jax.vmap(function)))(jax.tree.map(jnp.asarray, run.state)))
+
+
+def over_members(function: Callable[[Any, State], Any], system: Any, run: Trajectory) -> Any:
+    """The same for a function of system and state, where each member has a system of its own."""
+    each = jax.jit(jax.vmap(jax.vmap(function), in_axes=(None, 0)))
+    return jax.tree.map(np.asarray, each(system, jax.tree.map(jnp.asarray, run.state)))
+
+
+def on_own_devices(function: Callable[..., Any], axes: Any) -> Callable[..., Any]:
+    """A function of one member as one of many, on the devices of this process: of many, only the first one reports."""
+    return ensemble.over_members(function, axes, Mesh(np.array(jax.local_devices()), ("members",)))
+
+
+def deviation(x: np.ndarray) -> np.ndarray:
+    """The standard deviation over the members, the first axis; 0 for a single member."""
+    return np.std(x, axis=0, ddof=1) if len(x) > 1 else np.zeros(x.shape[1:])
+
+
+def for_last_run(function: Callable[[S, T, Trajectory], R]) -> Callable[[S, T, Trajectory], R]:
+    """The same function, which stores its value for the last run: the report and the pictures share it."""
+    last: list[tuple[Trajectory, R]] = []
+
+    @wraps(function)
+    def cached(scenario: S, step: T, run: Trajectory) -> R:
+        if not (last and last[0][0] is run):
+            last[:] = [(run, function(scenario, step, run))]
+        return last[0][1]
+
+    return cached
+
+
+def thinned(num_steps: int, longest: int = LONGEST) -> tuple[int, int]:
+    """The steps of a drawn curve, at most `longest`, and its stride, for at most `POINTS` points."""
+    num_steps = min(num_steps, longest)
+    every = -(-num_steps // POINTS) or 1
+    return max(num_steps // every, 1) * every, every
+
+
+def follow(step: Step, state: State, dt: float, num_steps: int, longest: int = LONGEST) -> Trajectory:
+    """The trajectory from one state, of at most `longest` steps, saved at the points to draw."""
+    num_steps, every = thinned(num_steps, longest)
+    return _follow(step, state, dt, num_steps, save_every=every)
+
+
+_follow = jax.jit(integrate, static_argnames=("num_steps", "save_every"))
+
+
+def as_ensemble(run: Trajectory) -> Trajectory:
+    """The trajectory of one member as that of an ensemble of one."""
+    return Trajectory(run.t, *jax.tree.map(lambda x: np.asarray(x)[:, None], (run.state, run.info)))
