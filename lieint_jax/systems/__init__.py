@@ -10,7 +10,7 @@
 | `rigid_bodies` | any number of bodies in any potential of positions and attitudes (`li.potentials`) |
 | `pendulum` | a point on the unit sphere |
 | `pseudo_rigid_body`, `incompressible_body` | an elastic body that deforms homogeneously; its stored energies are |
-| | `mooney_rivlin`, `neo_hookean`, `saint_venant_kirchhoff`, or yours |
+| | `mooney_rivlin`, `neo_hookean`, `saint_venant_kirchhoff`, `self_gravity`, or yours |
 | `euler`, `kirchhoff`, `manakov` | geodesics of any matrix group: bodies in a fluid, in n dimensions |
 | `group_potential` | the same with a potential |
 | `embedded_body` | a free body whose attitude is a 3×3 matrix, for the paper's refutations |
@@ -42,6 +42,7 @@ from lieint_jax.systems._pseudo_rigid_body import (
 )
 from lieint_jax.systems._rigid_bodies import FreeBodies, RigidBodies, rigid_bodies
 from lieint_jax.systems._rigid_body import RigidBody, rigid_body
+from lieint_jax.systems._shared.self_gravity import SelfGravity, self_gravity
 from lieint_jax.systems._torqued_body import TorquedBody, torqued_body
 
 __all__ = [
@@ -64,6 +65,7 @@ __all__ = [
     "RightEuler",
     "RigidBodies",
     "RigidBody",
+    "SelfGravity",
     "SpinUpMotor",
     "StoredEnergy",
     "TorquedBody",
@@ -91,6 +93,7 @@ __all__ = [
     "rigid_bodies",
     "rigid_body",
     "saint_venant_kirchhoff",
+    "self_gravity",
     "torqued_body",
 ]
 
