@@ -1,0 +1,187 @@
+"""Rotating liquid spheroids under their own gravity: their bar modes, measured and in closed form (Chandrasekhar)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from pydantic import Field, model_validator
+
+from lieint_jax import schemes, systems
+from lieint_jax.app import plots
+from lieint_jax.app.scenarios._common import Common, at_order
+from lieint_jax.app.scenarios._pictures import picture
+from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, changes
+from lieint_jax.app.scenarios._runs import series
+from lieint_jax.systems import IncompressibleBody
+from lieint_jax.types import State, Step, Trajectory
+
+SECULAR, DYNAMICAL = 0.812670, 0.952887  # eccentricities at which a bar may and must grow [Chandrasekhar 1969, § 33]
+_LINEAR = 1e-3  # the largest bar whose modes are measured
+_ROWS = 16
+
+Eccentricity = Annotated[float, Field(gt=0, lt=0.99)]
+
+
+class Scenario(Common):
+    """The keys of a scenario of this kind. Units: G = M = R = 1, R the radius of a ball of the same volume."""
+
+    system: Literal["maclaurin"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    eccentricity: Eccentricity
+    """Of the nominal spheroid, √(1 − c²/a²)."""
+    last_eccentricity: Eccentricity | None = None
+    """Of the last member; the members between have eccentricities at equal distances."""
+    bar: Annotated[float, Field(gt=0, le=0.01)] = 1e-6
+    """The initial deformation: two opposite axes are longer by this factor, two are shorter."""
+    scheme: Literal["additive"] = "additive"
+    order: Literal[2, 4, 6] = 2
+    """Of accuracy; above 2 by composition."""
+
+    @model_validator(mode="after")
+    def _members_differ(self) -> Scenario:
+        if (self.last_eccentricity is None) != (self.members == 1):
+            raise ValueError("last_eccentricity and members > 1 go together")
+        return self
+
+    def eccentricities(self) -> np.ndarray:
+        """Of all members."""
+        last = self.eccentricity if self.last_eccentricity is None else self.last_eccentricity
+        return np.linspace(self.eccentricity, last, self.members)
+
+
+def spheroid(e: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The equatorial semi-axis and the angular velocity Ω of Maclaurin's spheroids."""
+    e = np.asarray(e, float)
+    q = np.sqrt(1 - e * e)
+    square = 2 * q / e**3 * (3 - 2 * e * e) * np.arcsin(e) - 6 * q * q / e**2  # over πGρ = 3/4
+    return q ** (-1 / 3), np.sqrt(0.75 * square)
+
+
+def bar_modes(e: Any) -> np.ndarray:
+    """Ω ± √(4B₁₁ − Ω²), (…, 2), complex: the rates at which the bar e^{iσt} rotates in space, twice those of its axes.
+
+    Source: Chandrasekhar 1969, Ellipsoidal Figures of Equilibrium, § 33 (105), in space.
+    """
+    e = np.asarray(e, float)
+    Omega, q = spheroid(e)[1], np.sqrt(1 - e * e)
+    A1 = q / e**3 * np.arcsin(e) - q * q / e**2
+    A3 = 2 / e**2 - 2 * q / e**3 * np.arcsin(e)
+    A13 = (A1 - A3) / (q * q - 1)  # times a², and so are A₁₁ and B₁₁
+    B11 = A1 - (2 - A13) / 4
+    root = np.sqrt(3 * B11 - Omega**2 + 0j)  # 4B₁₁ over πGρ
+    return np.stack([Omega + root, Omega - root], axis=-1)
+
+
+def build(scenario: Scenario) -> tuple[Step, State]:
+    """The step and the spheroids with a small bar, each in its rotation."""
+    body = systems.incompressible_body(np.full(3, 0.2), systems.self_gravity(1.0, 1.0, 1.0))
+    e = scenario.eccentricities()
+    a, Omega = spheroid(e)
+    axes = np.stack([a * (1 + scenario.bar), a / (1 + scenario.bar), a * np.sqrt(1 - e * e)], axis=1)
+
+    def member(axes: Any, Omega: Any) -> State:
+        return body.state(jnp.diag(axes), angular_velocity=Omega * jnp.array([0.0, 0.0, 1.0]))
+
+    step = schemes.additive(body, "incompressible")
+    return at_order(step, scenario.order), jax.vmap(member)(jnp.asarray(axes), jnp.asarray(Omega))
+
+
+def conserved(scenario: Scenario, body: IncompressibleBody, run: Trajectory) -> list[Conserved]:
+    """Energy, angular momentum, circulation and volume."""
+    H, L = series(body.energy, run), series(body.momentum, run)
+    K = series(circulation, run)
+    size = np.linalg.norm(L[0], axis=-1)
+    return [
+        Conserved("energy, relative", H, abs(H[0]), ROUND_OFF),
+        Conserved("angular momentum, relative", L, size, ROUND_OFF),
+        Conserved("volume, relative", series(lambda z: jnp.linalg.det(z.q), run), promise=ROUND_OFF, initial=1.0),
+        Conserved("circulation, relative", K, np.linalg.norm(K[0], axis=-1), "O(Δt²)"),
+    ]
+
+
+def circulation(state: State) -> Any:
+    """rot[FᵀP], which a liquid's equal particles conserve: the vorticity in the reference state."""
+    K = state.q.T @ state.p
+    return jnp.stack([K[2, 1] - K[1, 2], K[0, 2] - K[2, 0], K[1, 0] - K[0, 1]])
+
+
+def bars(run: Trajectory) -> np.ndarray:
+    """B_xx − B_yy + 2iB_xy with B = FFᵀ, the shape in space: (times, members), complex."""
+    F = np.asarray(run.state.q)
+    B = F @ np.swapaxes(F, -1, -2)
+    return B[..., 0, 0] - B[..., 1, 1] + 2j * B[..., 0, 1]
+
+
+def measured_modes(run: Trajectory) -> np.ndarray:
+    """The two rates of each member's bar, (members, 2), by Prony's method, while the bar is small; nan if too short."""
+    z, t = bars(run), np.asarray(run.t)
+    found = np.full((z.shape[1], 2), np.nan + 0j)
+    for m, series_of_member in enumerate(z.T):
+        large = abs(series_of_member) > _LINEAR
+        x = series_of_member[: int(large.argmax()) if large.any() else None]
+        if len(x) < 8:
+            continue
+        pairs = np.stack([x[1:-1], x[:-2]], axis=1)
+        coefficients = np.linalg.lstsq(pairs, x[2:], rcond=None)[0]
+        roots = np.roots([1, *-coefficients])
+        rates = -1j * np.log(roots) / (t[1] - t[0])
+        found[m] = sorted(rates, key=lambda rate: (-round(rate.real, 6), rate.imag))
+    return found
+
+
+def report(scenario: Scenario, step: Step, run: Trajectory) -> str:
+    """What is conserved, and the modes of some members next to the closed form."""
+    e, modes = scenario.eccentricities(), measured_modes(run)
+    known = _ordered(bar_modes(e))
+    rows = np.unique(np.linspace(0, len(e) - 1, min(len(e), _ROWS)).round().astype(int))
+    lines = changes(conserved(scenario, step.system, run))
+    lines.append(f"\n  {'e':>8}{'Ω':>10}{'σ measured':>26}{'closed form':>26}{'difference':>12}")
+    for m in rows:
+        for k in range(2):
+            first = f"{e[m]:>8.4f}{float(spheroid(e[m])[1]):>10.6f}" if k == 0 else " " * 18
+            off = abs(modes[m, k] - known[m, k])
+            lines.append(f"  {first}{_complex(modes[m, k])}{_complex(known[m, k])}{off:>12.1e}")
+    lines.append(
+        f"\n  a bar may grow by friction for e > {SECULAR}, must grow for e > {DYNAMICAL} [Chandrasekhar 1969, § 33]"
+    )
+    return "\n".join(lines)
+
+
+def _ordered(modes: np.ndarray) -> np.ndarray:
+    """In the order of `measured_modes`: the faster first, and of two with the same speed the growing one."""
+    return np.array([sorted(pair, key=lambda rate: (-round(rate.real, 6), rate.imag)) for pair in modes])
+
+
+def _complex(rate: complex) -> str:
+    imaginary = f"{-rate.imag:+.6f} growth" if abs(rate.imag) > 1e-7 else ""
+    return f"{rate.real:>12.7f}{imaginary:>14}"
+
+
+@picture(2)
+def draw_modes(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> None:
+    """Plot the rates of the bar against the eccentricity, and the growth of the bars of three members."""
+    left, right = axes
+    e, fine = scenario.eccentricities(), np.linspace(0.02, 0.985, 1000)
+    known, modes = bar_modes(fine), measured_modes(run)
+    left.plot(fine, known.real, color=plots.INK, lw=0.9)
+    left.plot([], [], color=plots.INK, lw=0.9, label="rotation rate σ, closed form")
+    growth = abs(known[:, 0].imag)
+    left.plot(fine[growth > 0], growth[growth > 0], color=plots.ORANGE, lw=0.9, label="growth rate, closed form")
+    left.plot(e, modes.real, ".", color=plots.BLUE, ms=4)
+    grows = abs(modes.imag).max(axis=1) > 1e-3
+    left.plot(e[grows], abs(modes.imag).max(axis=1)[grows], ".", color=plots.BLUE, ms=4, label="measured")
+    for limit, name in ((SECULAR, "Jacobi"), (DYNAMICAL, "unstable")):
+        left.axvline(limit, color="gray", lw=0.6, ls=":")
+        left.annotate(name, (limit, -0.95), rotation=90, ha="right", va="bottom", fontsize="small", color="gray")
+    left.set(xlabel="eccentricity e", ylabel="rate (√(GM/R³))", title="the bar of Maclaurin's spheroids")
+    left.legend(loc="center left", bbox_to_anchor=(0.0, 0.62))
+    z, t = bars(run), np.asarray(run.t)
+    for m, color in zip((0, len(e) // 2, len(e) - 1), (plots.INK, plots.BLUE, plots.ORANGE), strict=True):
+        right.semilogy(t, np.maximum(abs(z[:, m]), 1e-300), color=color, lw=0.8, label=f"e = {e[m]:.3f}")
+    right.set(xlabel="t (√(R³/GM))", ylabel="|B_xx − B_yy + 2iB_xy| (R²)", title="size of the bar")
+    right.legend()
+
+
+PICTURES = {"modes": draw_modes}
