@@ -5,7 +5,8 @@ from __future__ import annotations
 import jax
 import numpy as np
 
-from lieint_jax import integrate, orbits, schemes, systems
+from lieint_jax import orbits, schemes, systems
+from lieint_jax._integrate import integrate
 from lieint_jax.app.published._case import Case
 
 _T0 = [

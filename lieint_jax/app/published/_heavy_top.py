@@ -5,7 +5,8 @@ from __future__ import annotations
 import jax
 import numpy as np
 
-from lieint_jax import integrate, schemes, systems
+from lieint_jax import schemes, systems
+from lieint_jax._integrate import integrate
 from lieint_jax.app.published._case import Case
 from lieint_jax.groups import so3
 

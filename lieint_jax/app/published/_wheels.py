@@ -5,7 +5,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax import integrate, schemes, systems, torques
+from lieint_jax import schemes, systems, torques
+from lieint_jax._integrate import integrate
 from lieint_jax.app.published._case import Case
 from lieint_jax.app.published._free_bodies import modified_rodrigues
 
