@@ -84,7 +84,8 @@ def march(
         after = Progress(state, before.info.merge(info), before.seen)
         return after if observe is None else after._replace(seen=observe(n, before, after, info))
 
-    return (repeat or scanned)(step_once, first, count, start)
+    loop: Repeat = scanned if repeat is None else repeat
+    return loop(step_once, first, count, start)
 
 
 def scanned(body: Body, first: ArrayLike, count: int, carry: _Carry) -> _Carry:
