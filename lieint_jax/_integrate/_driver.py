@@ -9,6 +9,7 @@ fourth that computes several steps in one iteration.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -16,7 +17,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._integrate._clock import Clock, GridClock, at_time
+from lieint_jax._integrate._clock import Clock, GridClock, at_time, uniform_clock
 from lieint_jax._xla import rematerialized
 from lieint_jax.types import State, Step, StepInfo
 
@@ -86,6 +87,13 @@ def march(
 
     loop: Repeat = scanned if repeat is None else repeat
     return loop(step_once, first, count, start)
+
+
+def steps(step: Step, state: State, dt: ArrayLike, count: ArrayLike) -> tuple[State, StepInfo]:
+    """The state after `count` steps, which may be traced, and the merged report of the steps."""
+    clock = uniform_clock(step, state, jnp.asarray(dt, state.p.dtype))
+    end = march(partial(advance, step, clock), 0, count, Progress.begin(state), repeat=counted)
+    return end.state, end.info
 
 
 def scanned(body: Body, first: ArrayLike, count: int, carry: _Carry) -> _Carry:
