@@ -14,7 +14,7 @@ from lieint_jax._integrate._clock import (
     refuse_times,
     uniform_clock,
 )
-from lieint_jax._integrate._driver import Body, Progress, advance, counted, march, prepared, scanned
+from lieint_jax._integrate._driver import Body, Progress, advance, counted, march, prepared, scanned, steps
 from lieint_jax._integrate._event import Event, event, events
 from lieint_jax._integrate._interpolate import interpolate
 from lieint_jax._integrate._run import (
@@ -54,6 +54,7 @@ __all__ = [
     "rows_for",
     "saves",
     "scanned",
+    "steps",
     "trajectory",
     "uniform_clock",
 ]

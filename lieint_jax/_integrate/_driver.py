@@ -9,6 +9,7 @@ fourth that computes several steps in one iteration.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -16,7 +17,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._integrate._clock import Clock, GridClock, at_time
+from lieint_jax._integrate._clock import Clock, GridClock, at_time, uniform_clock
 from lieint_jax._xla import rematerialized
 from lieint_jax.types import State, Step, StepInfo
 
@@ -59,34 +60,6 @@ def advance(
     return at_time(end, clock.time(n + 1)), *report
 
 
-def march(
-    advance_once: Callable[[State, Array], tuple[State, StepInfo]],
-    first: ArrayLike,
-    count: ArrayLike,
-    start: Progress,
-    *,
-    observe: Callable[[Array, Progress, Progress, StepInfo], Tree] | None = None,
-    repeat: Repeat | None = None,
-) -> Progress:
-    """The run after `count` steps more.
-
-    Args:
-        advance_once: (state at node n, n) ↦ state at node n + 1 and report, such as `partial(advance, step, clock)`.
-        first: the node where the run is.
-        count: the number of steps.
-        start: the run there.
-        observe: (n, the run before the step from node n, the run after it, the step's report) ↦ the new `seen`.
-        repeat: the kind of the loop; `scanned` by default.
-    """
-
-    def step_once(n: Array, before: Progress) -> Progress:
-        state, info = advance_once(before.state, n)
-        after = Progress(state, before.info.merge(info), before.seen)
-        return after if observe is None else after._replace(seen=observe(n, before, after, info))
-
-    return (repeat or scanned)(step_once, first, count, start)
-
-
 def scanned(body: Body, first: ArrayLike, count: int, carry: _Carry) -> _Carry:
     """`body` in a `lax.scan`, where reverse mode stores the carries and computes each step again."""
 
@@ -109,6 +82,41 @@ def scan(function: Callable[[_Carry, None], tuple[_Carry, Tree]], carry: _Carry,
         return lax.scan(function, carry, None, length=length)
     carry, result = function(carry, None)
     return carry, jax.tree.map(lambda x: x[None], result)
+
+
+def march(
+    advance_once: Callable[[State, Array], tuple[State, StepInfo]],
+    first: ArrayLike,
+    count: ArrayLike,
+    start: Progress,
+    *,
+    observe: Callable[[Array, Progress, Progress, StepInfo], Tree] | None = None,
+    repeat: Repeat = scanned,
+) -> Progress:
+    """The run after `count` steps more.
+
+    Args:
+        advance_once: (state at node n, n) ↦ state at node n + 1 and report, such as `partial(advance, step, clock)`.
+        first: the node where the run is.
+        count: the number of steps.
+        start: the run there.
+        observe: (n, the run before the step from node n, the run after it, the step's report) ↦ the new `seen`.
+        repeat: the kind of the loop.
+    """
+
+    def step_once(n: Array, before: Progress) -> Progress:
+        state, info = advance_once(before.state, n)
+        after = Progress(state, before.info.merge(info), before.seen)
+        return after if observe is None else after._replace(seen=observe(n, before, after, info))
+
+    return repeat(step_once, first, count, start)
+
+
+def steps(step: Step, state: State, dt: ArrayLike, count: ArrayLike) -> tuple[State, StepInfo]:
+    """The state after `count` steps, which may be traced, and the merged report of the steps."""
+    clock = uniform_clock(step, state, jnp.asarray(dt, state.p.dtype))
+    end = march(partial(advance, step, clock), 0, count, Progress.begin(state), repeat=counted)
+    return end.state, end.info
 
 
 def prepared(step: Step, state: State, clock: Clock) -> Step:

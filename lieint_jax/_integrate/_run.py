@@ -95,12 +95,12 @@ def integrate(
                 f"save_at cannot be given with adjoint={adjoint}: give save_every, or take "
                 "li.observe(step, state, dt, times), which has the same derivatives at any times"
             )
-    first = clock.size(0) if num_steps else _checks.as_array(0.0, dtype)
+    first = dt if dt is not None else clock.size(0) if num_steps else _checks.as_array(0.0, dtype)
     may_try = save_at is None and save_every == 1 and adjoint is None
     trial = _trial(step, state, clock, num_steps) if may_try else None
     if trial is None or not trial.info.converged[1]:
-        _check_first(step, state, first if dt is None else dt, isinstance(clock, GridClock))
-    _checks.time_resolution(start_time(step, state), first if dt is None else dt, num_steps)
+        _check_first(step, state, first, isinstance(clock, GridClock))
+    _checks.time_resolution(start_time(step, state), first, num_steps)
     if save_at is None:
         save_every = _checks.count("save_every", save_every, 1)
         num_saves = saves(num_steps, save_every)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._deprecated import old_calls
-from lieint_jax._integrate import Progress, advance, counted, integrate, intervals, march, uniform_clock
+from lieint_jax._integrate import integrate, intervals, steps
 from lieint_jax._xla import compiled
 from lieint_jax.adjoints._arguments import Derivative, check_derivative, checked
 from lieint_jax.adjoints._options import RecursiveCheckpointAdjoint, ReversibleAdjoint
@@ -80,9 +78,5 @@ def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) ->
 @compiled
 def _there_and_back(step: Step, state: State, h: Array, num_steps: ArrayLike) -> Array:
     prepared = step.prepare(state, h)
-
-    def end_of_run(state: State, h: Array) -> State:
-        advance_once = partial(advance, prepared, uniform_clock(step, state, h))
-        return march(advance_once, 0, num_steps, Progress.begin(state), repeat=counted).state
-
-    return distance(end_of_run(end_of_run(state, h), -h), state, step.system.phase_space)
+    end, _ = steps(prepared, state, h, num_steps)
+    return distance(steps(prepared, end, -h, num_steps)[0], state, step.system.phase_space)

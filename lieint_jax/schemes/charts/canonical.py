@@ -5,8 +5,8 @@ T*SO(3) is the quotient of T*S³ by ±1, and T*S³ ⊂ T*ℝ⁴: a unit quaterni
 
     q̇ = ½ qΩ,    ṗ = ½ pΩ + 2τq/|q|²
 
-is the Hamiltonian system of H(q/|q|, ½ Im(p q̄)) on T*ℝ⁴. It keeps |q|² and q·p, and π = ½ Im(p q̄) as far as the
-torque does: all quadratic. A potential Ṽ(Γ) of an axis γ is better taken off the sphere as Ṽ(q̄γq), without |q|: its
+is the Hamiltonian system of H(q/|q|, ½ Im(p q̄)) on T*ℝ⁴. It conserves |q|² and q·p, and π = ½ Im(p q̄) as far as
+the torque does: all quadratic. A potential Ṽ(Γ) of an axis γ is better taken off the sphere as Ṽ(q̄γq), without |q|: its
 part of ṗ is then 2γq∇Ṽ. That moves q·p, which changes nothing else, and is dropped after each step.
 
 T*GL⁺(3) is flat as it is.
@@ -112,12 +112,13 @@ class CanonicalChart(Chart):
     def quadratures(self, system: Any, state: State) -> Callable[[Coordinates, Moment], Quadratures | None]:
         """(z, t) ↦ the rates of what a step from `state` integrates along its coordinates."""
         force = self.force(system)
-        counts = isinstance(system, AbstractDrivenSystem) and state.work is not None and state.t is not None
+        counts = isinstance(system, AbstractDrivenSystem) and state.work is not None
 
         def rates(z: Coordinates, t: Moment) -> Quadratures | None:
             if force is None:
                 return None
-            return Quadratures(force(z, t), system.power(self.configuration(z), t) if counts else None)
+            work = None if t is None or not counts else system.power(self.configuration(z), t)
+            return Quadratures(force(z, t), work)
 
         return rates
 
@@ -310,8 +311,8 @@ def _matrix(components: Components) -> Array:
 
 def _half_product(p: Components, q: Components) -> Components:
     """½ Im(p q̄)."""
-    (w, *v), (p0, *p) = q, p
-    return scale(0.5, add(subtract(scale(w, p), scale(p0, v)), cross(v, p)))
+    (w, *v), (first, *rest) = q, p
+    return scale(0.5, add(subtract(scale(w, rest), scale(first, v)), cross(v, rest)))
 
 
 def _unit(q: Components) -> _Quaternion:
