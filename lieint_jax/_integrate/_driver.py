@@ -1,9 +1,9 @@
 """The loop over steps that every run is made of: one body or many, output, events, derivatives.
 
-A run is `march`: from node to node of a clock by `advance`, in a loop of one of three kinds. `scanned` has a derivative
-in forward and reverse mode. `counted` repeats a number of times that is known only when it runs, so that one program
-serves all lengths, and has no derivative in reverse mode. Other modules have a third kind for nested checkpoints, and a
-fourth that computes several steps in one iteration.
+A run is `march`: from node to node of a clock by `advance`, in a loop of one of several kinds. `scanned` has a
+derivative in forward and reverse mode. `counted` repeats a number of times that is known only when it runs, so that one
+program serves all lengths, and has no derivative in reverse mode. Other modules have loops of their own for nested
+checkpoints, and for several steps in one iteration.
 """
 
 from __future__ import annotations
