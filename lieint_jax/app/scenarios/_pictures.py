@@ -64,6 +64,12 @@ def changes_by_scheme(
     return t, found
 
 
+def draw_changes(ax: Any, t: np.ndarray, conserved: Sequence[Conserved], unit: str) -> None:
+    """Plot the relative changes of conserved quantities along a run, of the worst member each."""
+    errors = {x.name.partition(",")[0]: x.change().max(axis=1) for x in conserved}
+    plots.log_error(ax, t, errors, "relative change, worst member", unit)
+
+
 def draw_on_sphere(
     axes: Sequence[Any],
     run: Trajectory,

@@ -42,7 +42,7 @@ from lieint_jax.app.scenarios._multibody import (
     member_bodies,
     step_of,
 )
-from lieint_jax.app.scenarios._pictures import picture
+from lieint_jax.app.scenarios._pictures import draw_changes, picture
 from lieint_jax.app.scenarios._report import Conserved, Quantity, length
 from lieint_jax.app.scenarios._runs import for_last_run, nominal_of, over_members
 from lieint_jax.app.scenarios._spectrum import line
@@ -426,8 +426,8 @@ def draw_motion(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> No
     else:
         plots.series(middle, t, dict(zip("xyz", run.state.q[:, 0, 0, :3].T, strict=True)), "position (m)", unit)
     middle.set_title("nominal member")
-    errors = {x.name.partition(",")[0]: x.change().max(axis=1) for x in conserved(scenario, step.system, run)}
-    plots.log_error(right, t, errors, "relative change, worst member", unit).set_title(step.name)
+    draw_changes(right, t, conserved(scenario, step.system, run), unit)
+    right.set_title(step.name)
 
 
 def _clock(span: float) -> tuple[str, float]:
