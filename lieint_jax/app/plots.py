@@ -294,6 +294,7 @@ def delay_plot(ax: Any, points: np.ndarray, symbol: str = "x") -> Any:
     """
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
     power = int(np.floor(np.log10(np.ptp(points) or 1.0)))
+    power = power if abs(power) > 1 else 0
     x, y, z = ((points - middle) / 10.0**power).T
     ax.scatter(x, y, z, s=1.5, color=BLUE, alpha=0.7, depthshade=False, linewidths=0, rasterized=True)
     unit = rf"\,/\,10^{{{power}}}" if power else ""

@@ -350,7 +350,7 @@ def draw_orbit(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> Non
 
 
 def _closely(scenario: Scenario, step: Any, run: Trajectory) -> tuple[np.ndarray, Motion]:
-    """The times in days and the motion of the first members, in smaller steps than the run's, which make smooth curves."""
+    """The times in days and the motion of the first members, in smaller steps than the run's."""
     some, start = jax.tree.map(lambda x: jnp.asarray(x)[:_BAND], (step, State(run.state.q[0], run.state.p[0])))
     dt, steps = scenario.dt / _FINE, _FINE * scenario.steps
     long = jax.vmap(lambda step, z: follow(step, z, dt, steps), out_axes=1)(some, start)
@@ -401,7 +401,8 @@ def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> No
     t, found = changes_by_scheme(_conserved_by_one, scenario, two, start)
     errors = {f"{symbol}, {scheme}": x[name] for scheme, x in found.items() for symbol, name in _SHOWN.items()}
     plots.log_error(right, t / DAY, errors, "relative change", "d")
-    right.legend()
+    right.set_ylim(top=1e3 * right.get_ylim()[1])  # room for the legend
+    right.legend(loc="upper center", ncols=2)
     right.set_title("energy H and angular momentum L")
 
 

@@ -140,9 +140,10 @@ def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None
     paths = {name: np.asarray(follow(step, z, scenario.dt, scenario.steps).state.q) for name, z in members.items()}
     for (name, q), color in zip(paths.items(), (plots.INK, plots.BLUE), strict=False):
         left.plot(*q[:, :3, 3].T, color=color, lw=0.8, label=name)
-    left.legend(loc="upper center", bbox_to_anchor=(0.5, 0.02), ncols=2)
-    labels = {f"{axis}label": f"{axis} (unit of the semi-axes)" for axis in "xyz"}
-    plots.cube(left).set(**labels, title=f"path of the center to t = {run.t[-1]:.4g} {scenario.time_unit}")
+    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.03), ncols=2)
+    until = f"to t = {run.t[-1]:.4g} {scenario.time_unit}"
+    plots.cube(left).set(xlabel="x", ylabel="y", zlabel="z")
+    left.set_title(f"path of the center {until}, in the unit of the semi-axes")
     q = paths[name_of_last]
     P = np.asarray(last.p[3:])
     pole = P / np.linalg.norm(P) if P.any() else None

@@ -242,15 +242,15 @@ def _sighting(scenario: Scenario, sighting: Sighting) -> str:
     return "\n".join(lines)
 
 
-@picture(2, size=(5.2, 3.9), gridspec_kw={"width_ratios": [2, 1]})
+@picture(2, size=(4.7, 3.9), gridspec_kw={"width_ratios": [2, 1]})
 def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Map where the body's z axis points in space, with all members at the first observation, and what was observed.
 
     Next to the map of the sky is one of the members' surroundings.
     """
-    wide, close = axes
-    wide.remove()
-    wide = wide.figure.add_subplot(wide.get_subplotspec(), projection="mollweide")
+    place, close = axes
+    wide = place.figure.add_subplot(place.get_subplotspec(), projection="mollweide")
+    place.remove()
     seen = [s for s in scenario.observation if 0 <= save_index(scenario, s) < len(run.t)][:1]
     last = save_index(scenario, seen[0]) if seen else len(run.t) - 1
     long = follow(step, nominal(run), scenario.dt, last * scenario.save_every)
@@ -266,7 +266,8 @@ def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None
     if seen:
         plots.sky_points(ax, observed, "observed then", center, color=plots.RED, marker="x", s=60, lw=1.6, zorder=4)
         plots.caption(ax.figure, _observation_in_words(scenario, seen[0], path[-1], members))
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2)
+    legend = ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2)
+    legend.legend_handles[1].set_sizes([12])  # the members' dots are too small to be found in it
     ax.set(xlabel="longitude in the axes of space", ylabel="latitude")
     ax.set_title(f"(a) the whole sky, {span}", loc="left")
     _draw_surroundings(close, path, members, observed)

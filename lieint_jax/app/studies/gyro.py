@@ -140,7 +140,7 @@ def text(found: GyroTrials) -> str:
 
 @plots.style()
 def draw(found: GyroTrials) -> Figure:
-    """Plot the readings of one trial, and all estimates of the ratios with the ellipse that should hold 95 % of them."""
+    """Plot the readings of one trial, and all estimates of the ratios with the ellipse that 95 % should lie in."""
     fig, axes = plots.figure(2)
     t, data, fitted = found.readings
     left, right = axes[0]
