@@ -290,6 +290,8 @@ def _draw_surroundings(ax: Any, path: np.ndarray, members: np.ndarray, observed:
     near = path @ end > np.cos(np.deg2rad(min(3 * half, 90)))
     ax.plot(*np.where(near, from_end(path), np.nan), color=plots.BLUE, lw=0.8)
     ax.plot(*from_end(members), ".", color=plots.INK, ms=2.5, mew=0, alpha=0.5, zorder=3)
+    ax.plot(0, 0, "o", color=plots.BLUE, ms=5, mfc="none", zorder=4, label="nominal member")
+    ax.legend(loc="lower left")
     ax.plot(*from_end(observed), "x", color=plots.RED, ms=7, mew=1.6, zorder=4)
     ax.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xlabel="east (°)", ylabel="north (°)")
 
