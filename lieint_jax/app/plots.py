@@ -157,8 +157,13 @@ def log_error(
     errors = {f"{label}: exactly 0" if not np.any(y) else label: abs(np.asarray(y)) for label, y in curves.items()}
     series(ax, t, {label: np.ma.masked_equal(y, 0) for label, y in errors.items()}, ylabel, time_unit)
     ax.set_yscale("log")
-    near = min(np.abs(y).max() for y in curves.values()) < _NEAR * epsilon
-    return round_off(ax, epsilon, of) if near else ax
+    if not any(np.any(y) for y in curves.values()):
+        ax.set(xlim=(t[0], t[-1]), ylim=(epsilon / 10, 10 * epsilon))  # no curve sets them
+    if min(np.abs(y).max() for y in curves.values()) >= _NEAR * epsilon:
+        return ax
+    low, high = ax.get_ylim()
+    ax.set_ylim(min(low, epsilon / 10), max(high, 10 * epsilon))  # a decade at least, or it is all round-off
+    return round_off(ax, epsilon, of)
 
 
 def round_off(ax: Axes, epsilon: float = float(np.finfo(float).eps), of: str = "") -> Axes:

@@ -12,6 +12,8 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax.app import plots
+from lieint_jax.app.command import pictures
+from lieint_jax.app.scenarios._runs import as_ensemble
 from lieint_jax.app.studies import gyro
 
 ROOT = Path(li.__file__).parent
@@ -154,6 +156,19 @@ def test_a_path_on_the_map_is_broken_where_it_leaves_the_map():
     ax = plots.sky_path(plots.sky(axes[0, 0], 180), plots.on_sphere(longitude, np.zeros(4)), "equator", 180)
     np.testing.assert_allclose(np.rad2deg(ax.get_lines()[0].get_xdata()), [-30, -10, 10, 30])
     assert ax.get_xticklabels()[0].get_text() == "60°"
+
+
+@pytest.mark.parametrize(("spin", "name"), [([2.0, 0.1, 0.05], "body axis x"), ([0.1, 0.05, -2.0], "body axis −z")])
+def test_the_motion_of_a_body_is_drawn_by_the_axis_that_it_spins_about(spin, name):
+    body = li.systems.rigid_body([1.0, 2.0, 3.0])
+    start = body.state(li.groups.so3.exp(np.array([0.3, -1.0, 0.7])), angular_velocity=spin)
+    run = as_ensemble(li.integrate(li.schemes.so3_explicit(body), start, 0.05, 40))
+    fig = pictures.draw_motion(pictures.StoredRun("a body", "s", body, run, False))
+    assert fig.axes[0].get_title().startswith(f"{name} of the first member")
+    [near] = [line for line in fig.axes[0].get_lines() if line.get_label() == "start"]
+    axis = np.sign(spin[int(np.argmax(np.abs(spin)))]) * np.eye(3)[int(np.argmax(np.abs(spin)))]
+    expected = 1.01 * np.asarray(li.groups.so3.Ad(start.q, axis))
+    np.testing.assert_allclose(np.ravel(near.get_data_3d()), expected, atol=1e-6)
 
 
 def apart(labels):

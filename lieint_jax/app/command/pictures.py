@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from matplotlib.figure import Figure
@@ -120,8 +121,8 @@ def _drawn_axis(system: Any, run: Trajectory) -> tuple[np.ndarray, str]:
         return axis, "the top's axis"
     if not hasattr(system, "inertia"):
         return np.eye(3)[2], "body axis z"
-    [momentum] = in_space(so3.inverse(run.state.q[:1]), run.state.p[0])
-    axis = spin_axis(np.asarray(system.inertia), momentum)
+    momentum = so3.Ad_star(jnp.asarray(run.state.q[0]), jnp.asarray(run.state.p[0]))
+    axis = spin_axis(np.asarray(system.inertia), np.asarray(momentum))
     k = int(abs(axis).argmax())
     if abs(axis[k]) > 1 - 1e-12:
         return axis, f"body axis {'−' if axis[k] < 0 else ''}{'xyz'[k]}"

@@ -172,7 +172,7 @@ def draw_modes(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> No
     left.plot(e, modes.real, ".", color=plots.BLUE, ms=4)
     grows = abs(modes.imag).max(axis=1) > 1e-3
     left.plot(e[grows], abs(modes.imag).max(axis=1)[grows], ".", color=plots.BLUE, ms=4, label="measured")
-    for limit, name in ((SECULAR, "Jacobi ellipsoids branch off"), (DYNAMICAL, "the bar must grow")):
+    for limit, name in ((SECULAR, "Jacobi's branch"), (DYNAMICAL, "the bar must grow")):
         left.axvline(limit, color=plots.INK, lw=0.6, ls=":")
         left.annotate(name, (limit, -1.3), rotation=90, ha="right", va="bottom", fontsize="small")
     left.set(xlabel="eccentricity e", ylabel=r"rate ($\sqrt{GM/R^3}$)", title="how fast the bar rotates and grows")

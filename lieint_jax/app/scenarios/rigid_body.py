@@ -242,7 +242,7 @@ def _sighting(scenario: Scenario, sighting: Sighting) -> str:
     return "\n".join(lines)
 
 
-@picture(2, size=(4.7, 3.9), gridspec_kw={"width_ratios": [2, 1]})
+@picture(2, size=(4.7, 4.2), gridspec_kw={"width_ratios": [2, 1]})
 def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Map where the body's z axis points in space, with all members at the first observation, and what was observed.
 
@@ -290,7 +290,7 @@ def _draw_surroundings(ax: Any, path: np.ndarray, members: np.ndarray, observed:
     near = path @ end > np.cos(np.deg2rad(min(3 * half, 90)))
     ax.plot(*np.where(near, from_end(path), np.nan), color=plots.BLUE, lw=0.8)
     ax.plot(*from_end(members), ".", color=plots.INK, ms=2.5, mew=0, alpha=0.5, zorder=3)
-    ax.plot(0, 0, "o", color=plots.BLUE, ms=5, mfc="none", zorder=4, label="nominal member")
+    ax.plot(0, 0, "o", color=plots.BLUE, ms=6, mfc="white", mew=1.5, zorder=4, label="nominal member")
     ax.legend(loc="lower left")
     ax.plot(*from_end(observed), "x", color=plots.RED, ms=7, mew=1.6, zorder=4)
     ax.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xlabel="east (°)", ylabel="north (°)")
