@@ -168,7 +168,7 @@ def test_the_motion_of_a_body_is_drawn_by_the_axis_that_it_spins_about(spin, nam
     [near] = [line for line in fig.axes[0].get_lines() if line.get_label() == "start"]
     axis = np.sign(spin[int(np.argmax(np.abs(spin)))]) * np.eye(3)[int(np.argmax(np.abs(spin)))]
     expected = 1.01 * np.asarray(li.groups.so3.Ad(start.q, axis))
-    np.testing.assert_allclose(np.ravel(near.get_data_3d()), expected, atol=1e-6)
+    np.testing.assert_allclose(np.ravel(near.get_data_3d()), expected, rtol=1e-12)
 
 
 def apart(labels):
