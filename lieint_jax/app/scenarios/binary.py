@@ -354,8 +354,8 @@ def _closely(scenario: Scenario, step: Any, run: Trajectory) -> tuple[np.ndarray
     some, start = jax.tree.map(lambda x: jnp.asarray(x)[:_BAND], (step, State(run.state.q[0], run.state.p[0])))
     dt, steps = scenario.dt / _FINE, _FINE * scenario.steps
     long = jax.vmap(lambda step, z: follow(step, z, dt, steps), out_axes=1)(some, start)
-    members = Trajectory(np.asarray(long.t[:, 0]), long.state, long.info)
-    return members.t / DAY, _binary_motion.measured(some.system, members)
+    members = Trajectory(long.t[:, 0], long.state, long.info)
+    return np.asarray(members.t) / DAY, _binary_motion.measured(some.system, members)
 
 
 @picture(size=(7.2, 4.2))

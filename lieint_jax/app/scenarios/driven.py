@@ -187,7 +187,7 @@ def draw_pointing(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> 
     ends = in_space(run.state.q[-1], axis) @ np.asarray(orbit_axes(body.orbit, jnp.asarray(run.t[-1]))[0])
     pole, aside, above = (np.roll(np.eye(3)[k], j) for j in range(3))
     t, unit = _clock(scenario, long)
-    look = {"pole_label": stable, "angle_label": f"angle from the {stable} (°)", "unit": unit}
+    look: dict[str, Any] = {"pole_label": stable, "angle_label": f"angle from the {stable} (°)", "unit": unit}
     draw_on_sphere(
         axes, t, path, _clock(scenario, run)[0][-1], ends, pole, eye=pole + 0.6 * aside + 0.4 * above, **look
     )

@@ -162,7 +162,7 @@ def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None
     known = [x.closed_form for x in bounds if x.closed_form is not None and np.isfinite(x.closed_form)]
     path, ends = np.asarray(long.state.q), np.asarray(run.state.q[-1])
     look = {"unit": unit, "pole_label": "γ, down", "bounds": known}
-    draw_on_sphere(axes, np.asarray(long.t), path, run.t[-1], ends, np.asarray(bob.axis), **look)
+    draw_on_sphere(axes, np.asarray(long.t), path, float(run.t[-1]), ends, np.asarray(bob.axis), **look)
     axes[0].set_title(f"the nominal bob to t = {long.t[-1]:.4g} {unit}")
     axes[1].set_title("dashed: its bounds in closed form")
 
