@@ -25,7 +25,7 @@ from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.schemes._preprocessed import retimed
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import FREE_BODIES
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.types import AbstractFreeBody, State, Step, StepInfo, pytree, static
 
 

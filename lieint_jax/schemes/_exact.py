@@ -13,7 +13,7 @@ from lieint_jax import _free_body
 from lieint_jax._numerics import vec3
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import FREE_BODIES, SLENDER, lost
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, SLENDER, lost
 from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, pytree, static
 
 

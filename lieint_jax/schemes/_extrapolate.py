@@ -24,7 +24,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax._xla import rematerialized
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import FREE_BODIES
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes.charts._chart import PlainState
 from lieint_jax.schemes.charts.body_axes import BODY_AXES
 from lieint_jax.schemes.charts.several_bodies import SEVERAL_BODIES

@@ -23,7 +23,7 @@ from lieint_jax._xla import scan_stages
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import FREE_BODIES, lost
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, lost
 from lieint_jax.schemes._splitting import kicked_motion
 from lieint_jax.types import AbstractDrivenSystem, AbstractForcedSystem, State, Step, StepInfo, promoted, pytree, static
 

@@ -23,7 +23,7 @@ from lieint_jax.schemes._preprocessed import preprocessed
 from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.free_bodies import MANY_FREE_BODIES
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import FREE_BODIES
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes._splitting import kicked, kicked_motion
 from lieint_jax.types import AbstractDrivenSystem, AbstractForcedSystem, State, Step, StepInfo, pytree, static
 

@@ -25,8 +25,10 @@ from lieint_jax._numerics import vec3
 from lieint_jax.maps import kappa_symplectic
 from lieint_jax.schemes._shared.clock_coefficients import constants
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
+from lieint_jax.schemes._shared.half_turn import ITERATIONS
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import FREE_BODIES, ITERATIONS, SO3Midpoint
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
+from lieint_jax.schemes._so3_midpoint import SO3Midpoint
 from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, pytree, static
 
 ORDERS = (4, 6, 8, 10)

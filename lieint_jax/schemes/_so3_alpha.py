@@ -32,8 +32,10 @@ from lieint_jax._numerics import newton, vec3
 from lieint_jax._numerics.vec3 import Symmetric, Vector, add, apply, cross, dot, scale, subtract
 from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
+from lieint_jax.schemes._shared.half_turn import ITERATIONS
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import ITERATIONS, SLENDER, cross_apply, dense, gyroscopic, lost, on_branch
+from lieint_jax.schemes._shared.rigid_body import SLENDER, lost
+from lieint_jax.schemes._shared.vector_form import cross_apply, dense, gyroscopic, on_branch
 from lieint_jax.types import AbstractEmbeddedBody, State, Step, StepInfo, pytree, static
 
 

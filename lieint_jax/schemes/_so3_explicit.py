@@ -22,15 +22,11 @@ from jax.typing import ArrayLike
 from lieint_jax._numerics import vec3
 from lieint_jax._numerics.vec3 import dot
 from lieint_jax.groups import so3
+from lieint_jax.schemes._shared.half_turn import scaled
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import (
-    FREE_BODIES,
-    half_cayley,
-    scalar_residual,
-    scalar_root,
-    scaled,
-    so3_midpoint,
-)
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
+from lieint_jax.schemes._shared.scalar_form import half_cayley, scalar_residual, scalar_root
+from lieint_jax.schemes._so3_midpoint import so3_midpoint
 from lieint_jax.types import AbstractFreeBody, State, Step, StepInfo, pytree, static
 
 _ITERATIONS = 4  # corrections of m, which is solved for once

@@ -30,8 +30,9 @@ from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.free_bodies import MANY_FREE_BODIES
 from lieint_jax.schemes._shared.gyrostat_splitting import GyrostatSplitting, turning
 from lieint_jax.schemes._shared.properties import SchemeProperties
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes._shared.se3_free_body import FreeMotion, is_free_motion
-from lieint_jax.schemes._so3_midpoint import FREE_BODIES, so3_midpoint
+from lieint_jax.schemes._so3_midpoint import so3_midpoint
 from lieint_jax.types import (
     AbstractDrivenSystem,
     AbstractForcedSystem,

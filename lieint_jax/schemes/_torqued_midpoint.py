@@ -34,7 +34,8 @@ from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import FREE_BODIES, gyration, gyration_matrix, on_branch
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
+from lieint_jax.schemes._shared.vector_form import gyration, gyration_matrix, on_branch
 from lieint_jax.torques import internal_friction
 from lieint_jax.types import (
     AbstractDampedBody,

@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 from lieint_jax._numerics import vec3
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import check_motion
-from lieint_jax.schemes._so3_midpoint import lost
+from lieint_jax.schemes._shared.rigid_body import lost
 from lieint_jax.types import AbstractGyrostat, State, Step, StepInfo, System, pytree, static
 
 
