@@ -20,6 +20,7 @@ from lieint_jax.diagnostics._series import constraint_error, energy_error, momen
 from lieint_jax.diagnostics._symplectic import defect_matrix
 from lieint_jax.groups import MatrixGroup, matrix
 from lieint_jax.types import State, Step, System, Trajectory, start_time
+from lieint_jax.types.shapes import Scalar
 
 _SPAN = 8  # the number of steps of size dt over which the order is measured
 
@@ -204,7 +205,7 @@ def _fields(step: Any) -> set[str]:
 
 
 @partial(compiled, once=True)
-def _form_defect(step: Step, state: State, dt: Array) -> Array:
+def _form_defect(step: Step, state: State, dt: Array) -> Scalar:
     """The symplectic defect with δq and δp in units of the state, such as max|π|: it does not depend on ours."""
     of_q, of_p = units(step.system.phase_space, state)
     unit = jnp.sqrt(jnp.concatenate([of_q / of_p, of_p / of_q]))

@@ -28,6 +28,7 @@ from lieint_jax._integrate import Event, events, saves
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics._order import units
 from lieint_jax.types import State, Step, StepInfo, checked_step, on_clock, promoted
+from lieint_jax.types.shapes import PhaseVector, TangentVectors
 
 
 class Lyapunov(NamedTuple):
@@ -132,7 +133,9 @@ def _in_time(step: Step) -> Step:
 
 
 @partial(compiled, static_argnums=(4, 5, 6))
-def _lyapunov(step: Step, state: State, dt: Array, frame: Array, rounds: int, every: int, batches: int) -> Lyapunov:
+def _lyapunov(
+    step: Step, state: State, dt: Array, frame: TangentVectors, rounds: int, every: int, batches: int
+) -> Lyapunov:
     unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
     zero, t0 = jnp.zeros((), int), state.t
 
@@ -186,7 +189,7 @@ def standard_error(series: Array) -> Array:
     return jnp.sqrt(jnp.max(jnp.stack([variances[0], *corrected]), axis=0))
 
 
-def orthonormal(W: Array) -> tuple[Array, Array]:
+def orthonormal(W: TangentVectors) -> tuple[Array, Array]:
     """The orthonormal factor Q of W = QR, and the logarithms of R's diagonal, by Gram and Schmidt (modified)."""
     rest, Q, growth = [W[:, j] for j in range(W.shape[1])], [], []
     while rest:
@@ -221,7 +224,7 @@ def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, *, vector: Ar
 
 
 @partial(compiled, static_argnums=4)
-def _megno(step: Step, state: State, dt: Array, vector: Array, num_steps: int) -> Megno:
+def _megno(step: Step, state: State, dt: Array, vector: PhaseVector, num_steps: int) -> Megno:
     unit, t0 = jnp.concatenate(units(step.system.phase_space, state))[:, None], state.t
 
     def step_once(carry: Any, _: None) -> tuple[Any, None]:

@@ -9,9 +9,10 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax.types import State, Step, clock, promoted, time_derivative
+from lieint_jax.types.shapes import Scalar
 
 
-def local_error(step: Step, state: State, dt: ArrayLike) -> Array:
+def local_error(step: Step, state: State, dt: ArrayLike) -> Scalar:
     """The error of q in one step: e with q₁ = q(t + Δt) exp(e), estimated, in the algebra, (d,); on SO(3) in radians.
 
     With the body velocities Ω and their rates at both ends of the step, e = log(q₀⁻¹q₁) − φ₄ where

@@ -11,9 +11,10 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax.types import PhaseSpace, State, Step
+from lieint_jax.types.shapes import PhaseMatrix, Scalar
 
 
-def linearization(step: Step, state: State, dt: ArrayLike) -> Array:
+def linearization(step: Step, state: State, dt: ArrayLike) -> PhaseMatrix:
     """L_n of δz_{n+1} = L_n δz_n, shape (2d, 2d), by jacfwd of the step.
 
     Rows and columns are the phase space's own coordinates: (δθ, δπ) on T*G, with δq = δθ q.
@@ -44,7 +45,7 @@ def pushed(space: PhaseSpace, function: Callable[[State], tuple[State, Any]], st
     return end, aux, jax.vmap(lambda tangent: space.trivialize(end, tangent), in_axes=-1, out_axes=-1)(tangents)
 
 
-def symplectic_defect(step: Step, state: State, dt: ArrayLike) -> Array:
+def symplectic_defect(step: Step, state: State, dt: ArrayLike) -> Scalar:
     """max|Lᵀω(z₁)L − ω(z₀)|: zero if and only if the step is symplectic at this state (3.1).
 
     In the units of the state: the (δθ, δθ) block is a momentum, the (δθ, δπ) blocks are numbers.
@@ -52,7 +53,7 @@ def symplectic_defect(step: Step, state: State, dt: ArrayLike) -> Array:
     return jnp.max(jnp.abs(defect_matrix(step, state, dt)))
 
 
-def defect_matrix(step: Step, state: State, dt: ArrayLike) -> Array:
+def defect_matrix(step: Step, state: State, dt: ArrayLike) -> PhaseMatrix:
     """Lᵀω(z₁)L − ω(z₀), shape (2d, 2d)."""
     step.check(state, dt)
     space = step.system.phase_space

@@ -50,6 +50,7 @@ from lieint_jax.types import (
     pytree,
     static,
 )
+from lieint_jax.types.shapes import Scalar
 
 Rule = Literal["symplectic", "energy", "energy_momentum", "average", "incompressible"]
 _SHRINK = 0.1  # det of the watched F may fall to this part of itself in one Newton correction
@@ -106,7 +107,7 @@ class Additive(Step):
         return f"additive[{self.rule}]"
 
     @property
-    def velocity_weight(self) -> Array:
+    def velocity_weight(self) -> Scalar:
         """β = 1 − α (6.9)."""
         return 1 - self.alpha
 

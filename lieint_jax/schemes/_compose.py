@@ -33,6 +33,7 @@ from lieint_jax.schemes._shared.compositions import METHODS
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import examples as base_examples
 from lieint_jax.types import State, Step, StepInfo, pytree, static
+from lieint_jax.types.shapes import TangentVectors
 
 _GENERAL = {4: "suzuki", 6: "kahan_li_6", 8: "kahan_li_8", 10: "sofroniou_spaletta_10"}
 
@@ -78,7 +79,7 @@ class Composition(Step):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         return self._through(state, dt, self.step.substep)
 
-    def tangent(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
+    def tangent(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
         if state.extra is not None:  # it may depend on q and p, from one sub-step to the next
             return super().tangent(state, dt, T)
 

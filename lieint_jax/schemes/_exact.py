@@ -6,7 +6,6 @@ import math
 from typing import Any, overload
 
 import jax.numpy as jnp
-from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _free_body
@@ -15,6 +14,7 @@ from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, SLENDER, lost
 from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, pytree, static
+from lieint_jax.types.shapes import Inertia, Quaternion, Scalar
 
 
 @pytree
@@ -52,7 +52,7 @@ class Exact(Step):
         )
 
 
-def judged(J: Array, q: Array, length: Array, condition: Array) -> StepInfo:
+def judged(J: Inertia, q: Quaternion, length: Scalar, condition: Scalar) -> StepInfo:
     """The report of an exact flow to q, by what `_free_body.attitude` says of it."""
     eps = float(jnp.finfo(q.dtype).eps)
     good = (length <= 1024 * eps) & (eps * condition <= lost(q.dtype))

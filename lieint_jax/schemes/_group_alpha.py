@@ -40,6 +40,7 @@ from lieint_jax.schemes._shared.group_newton import (
 )
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import AbstractGeodesicFlow, AbstractMechanicalSystem, State, Step, StepInfo, pytree, static
+from lieint_jax.types.shapes import Scalar
 
 
 @pytree
@@ -65,7 +66,7 @@ class GroupAlpha(Step):
         return f"group_alpha[{self.tau.name}]"
 
     @property
-    def velocity_weight(self) -> Array:
+    def velocity_weight(self) -> Scalar:
         return self.alpha
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:

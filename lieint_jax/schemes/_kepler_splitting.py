@@ -27,6 +27,7 @@ from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._splitting import kicked_motion
 from lieint_jax.types import AbstractFreeBodies, AbstractRigidBodies, State, Step, StepInfo, pytree, static
+from lieint_jax.types.shapes import Scalar, Vector3
 
 _ITERATIONS = 4  # corrections of Kepler's equation, each of order 4
 METHODS: dict[Any, Stages] = {
@@ -156,7 +157,7 @@ def kepler_splitting(
     return KeplerSplitting(system, _checks.real_array("G", given, (), like=system.masses), drift, method, formal)
 
 
-def kepler_flow(d: Array, v: Array, mu: Array, dt: Array) -> tuple[Array, Array, Array, Array]:
+def kepler_flow(d: Vector3, v: Vector3, mu: Scalar, dt: Array) -> tuple[Array, Array, Array, Array]:
     """Δd and Δv of the motion d̈ = −μd/|d|³ in the time Δt, the residual over Δt, and whether it was solved.
 
     By universal variables: r₀G₁ + ηG₂ + μG₃ = Δt with G_k = sᵏc_k(βs²), β = 2μ/r₀ − |v|², η = d·v; on every conic.

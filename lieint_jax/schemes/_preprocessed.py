@@ -30,6 +30,7 @@ from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes._so3_midpoint import SO3Midpoint
 from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, pytree, static
+from lieint_jax.types.shapes import Scalar
 
 ORDERS = (4, 6, 8, 10)
 
@@ -77,7 +78,7 @@ class Preprocessed(Step):
         return s, d * r, holds
 
 
-def retimed(system: AbstractFreeBody, s: Array, d: Array, iterations: int | None) -> SO3Midpoint:
+def retimed(system: AbstractFreeBody, s: Scalar, d: Scalar, iterations: int | None) -> SO3Midpoint:
     """The symplectic step of the inertia J̃ = J(s + dJ)⁻¹."""
     J = system.inertia
     if J.ndim == 1:

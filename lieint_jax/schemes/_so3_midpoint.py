@@ -56,6 +56,7 @@ from lieint_jax.types import (
     pytree,
     static,
 )
+from lieint_jax.types.shapes import TangentVectors
 
 
 @pytree
@@ -89,7 +90,7 @@ class SO3Midpoint(Step):
         h, info = half_turn(J, a, self.kappa, self.iterations, bias(self.system, dt))
         return state._replace(q=so3.cayley_increment(state.q, h)), info
 
-    def tangent(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
+    def tangent(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
         body = self.system
         if self.kappa.solve_by != "scalar" or not isinstance(body, AbstractFreeBody):
             return super().tangent(state, dt, T)

@@ -38,6 +38,7 @@ from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes._shared.vector_form import gyration, gyration_matrix, on_branch
 from lieint_jax.types import AbstractDrivenTop, AbstractTop, State, Step, StepInfo, clock, pytree, static
+from lieint_jax.types.shapes import Vector3
 
 _APART = 1e-4  # |ΔΓ|² from where on the quadrature of D̄ is corrected to give the difference of Ṽ
 
@@ -297,7 +298,7 @@ class _Equation(NamedTuple):
         return total
 
 
-def discrete_gradient(potential: Callable[..., Array], a: Array, b: Array, *t: Array) -> Array:
+def discrete_gradient(potential: Callable[..., Array], a: Vector3, b: Vector3, *t: Array) -> Vector3:
     """D̄ with D̄·(b − a) = Ṽ(b) − Ṽ(a) and D̄(a, b) = D̄(b, a), shape (3,), at a time if the potential has one.
 
     The gradient where a = b.

@@ -13,6 +13,7 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import TimedBody
 from lieint_jax.torques import internal_friction
 from lieint_jax.types import AbstractDampedBody, State, pytree
+from lieint_jax.types.shapes import MomentumMap, Scalar
 
 
 @pytree
@@ -27,11 +28,11 @@ class DampedBody(TimedBody, AbstractDampedBody):
     inertia: Array
     friction: Array
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π."""
         return self.kinetic_energy(state)
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """π itself, (3,): friction inside does not change it."""
         return state.p
 

@@ -13,6 +13,7 @@ from lieint_jax.phase_spaces import EmbeddedRotations
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.body import Body
 from lieint_jax.types import State, pytree
+from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3
 
 _PHASE_SPACE = EmbeddedRotations()
 
@@ -51,19 +52,19 @@ class EmbeddedBody(Body, types.AbstractEmbeddedBody):
         )
         return State(so3.to_matrix(on_group.q), on_group.p)
 
-    def rotation_matrix(self, state: State) -> Array:
+    def rotation_matrix(self, state: State) -> Matrix3:
         """Λ itself, shape (3, 3): a rotation if the state is on T*SO(3)."""
         return state.q
 
-    def body_momentum(self, state: State) -> Array:
+    def body_momentum(self, state: State) -> Vector3:
         """Π = Λ⁻¹π, shape (3,)."""
         return jnp.stack(vec3.solve(state.q, state.p))
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π (2.11)."""
         return self.kinetic_energy(state)
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """ΛΠ = π (2.13), shape (3,)."""
         return state.p
 

@@ -15,6 +15,7 @@ from lieint_jax._numerics import small_linalg as la
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.on_group import OnGroup, flat, sharp
 from lieint_jax.types import AbstractGeodesicFlow, AbstractRightGeodesicFlow, Group, State, pytree, static
+from lieint_jax.types.shapes import AlgebraVector, DualVector, MomentumMap, Scalar, Vector6
 
 
 @pytree
@@ -29,11 +30,11 @@ class Euler(OnGroup, AbstractGeodesicFlow):
     metric: Array
     group: Group = static()
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½⟨Π, m⁻¹Π⟩ (5.18)."""
         return self.kinetic_energy(state)
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> DualVector:
         """The momentum map of the left action (5.21): π itself, shape (d,)."""
         return state.p
 
@@ -80,15 +81,15 @@ class RightEuler(OnGroup, AbstractRightGeodesicFlow):
             name, given = "spatial_momentum", flat(self.metric, _checks.real_array(name, given, (self.group.dim,)))
         return super().state(q, **{name: given})
 
-    def velocity(self, state: State) -> Array:
+    def velocity(self, state: State) -> AlgebraVector:
         """The spatial velocity ω = m⁻¹π, shape (d,)."""
         return sharp(self.metric, state.p)
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½⟨π, m⁻¹π⟩."""
         return la.dot(*(la.as_list(x) for x in (state.p, self.velocity(state)))) / 2
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> DualVector:
         """The momentum map of the right action (5.21): Π = Ad*_q π, shape (d,)."""
         return self.body_momentum(state)
 
@@ -192,7 +193,7 @@ def manakov(a: ArrayLike = (1.0, 2.0, 3.5, 5.0)) -> Euler:
     return Euler(array[i] + array[j], special_orthogonal(len(array)))
 
 
-def manakov_integrals(a: ArrayLike, Pi: Array) -> Array:
+def manakov_integrals(a: ArrayLike, Pi: Vector6) -> MomentumMap:
     """Coefficients of tr(Π̂ + λJ²)ᵏ in λ, for k = 2 … n: every invariant of `manakov(a)`, shape (Σ k,).
 
     Args:

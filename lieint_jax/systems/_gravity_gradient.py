@@ -18,6 +18,7 @@ from lieint_jax.orbits import kepler
 from lieint_jax.systems._driven_top import MovedBody
 from lieint_jax.systems._potential_top import QuadraticPotential
 from lieint_jax.types import callable_pytree, pytree
+from lieint_jax.types.shapes import Quaternion, Time
 
 
 @pytree
@@ -32,7 +33,7 @@ class TidalAxis:
     orbit: Any
     mu: Array | None
 
-    def __call__(self, t: Array) -> Array:
+    def __call__(self, t: Time) -> Vector3:
         position = self.orbit(t)[0]
         mu = self.orbit.mu if self.mu is None else self.mu
         r = jnp.sqrt(vec3.dot(position, position))
@@ -63,7 +64,7 @@ class GravityGradient(MovedBody):
         """γ(t) = √(3μ/r³) r̂."""
         return TidalAxis(self.orbit, self.mu)
 
-    def force(self, q: Array, t: Array) -> Array:
+    def force(self, q: Quaternion, t: Time) -> Array:
         """γ × ΛJΛᵀγ, the torque in space, shape (3,): what autodiff finds, in fewer operations."""
         axis = self.axis_at(t)
         Gamma = so3.Ad_star(q, axis)

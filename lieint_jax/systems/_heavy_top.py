@@ -13,6 +13,7 @@ from lieint_jax._numerics import elliptic, vec3
 from lieint_jax.groups import so3
 from lieint_jax.systems._potential_top import PotentialTop, potential_top
 from lieint_jax.types import PotentialWithGradient, State, pytree, static
+from lieint_jax.types.shapes import Scalar, Time, Vector3
 
 
 @pytree
@@ -22,16 +23,16 @@ class Linear(PotentialWithGradient):
     weight: Array
     linear: bool = static(default=True)
 
-    def __call__(self, Gamma: Array, t: Array | None = None) -> Array:
+    def __call__(self, Gamma: Vector3, t: Time | None = None) -> Scalar:
         del t  # there for driven tops
         return vec3.dot(self.weight, Gamma)
 
-    def gradient(self, Gamma: Array, t: Array | None = None) -> Array:
+    def gradient(self, Gamma: Vector3, t: Time | None = None) -> Vector3:
         """E."""
         del Gamma, t
         return self.weight
 
-    def discrete_gradient(self, a: Array, b: Array, t: Array | None = None) -> Array:
+    def discrete_gradient(self, a: Vector3, b: Vector3, t: Time | None = None) -> Vector3:
         """E, for any a and b."""
         del a, b, t
         return self.weight
@@ -121,7 +122,7 @@ def kovalevskaya() -> tuple[PotentialTop, State]:
     return top, top.state(so3.exp(jnp.array([0.4, 0.9, -0.2])), angular_velocity=[0.3, 0.7, 0.9])
 
 
-def kovalevskaya_integral(top: PotentialTop, state: State) -> Array:
+def kovalevskaya_integral(top: PotentialTop, state: State) -> Scalar:
     """|(Ω₁ + iΩ₂)² − E₁(Γ₁ + iΓ₂)/J₃|², constant for J₁ = J₂ = 2J₃ and E = (E₁, 0, 0)."""
     Omega, Gamma = top.angular_velocity(state), top.Gamma(state)
     assert isinstance(top.potential, Linear)

@@ -17,6 +17,7 @@ from lieint_jax.systems._pseudo_rigid_body import PseudoRigidBody
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.stored_energy import as_stored_energy, mooney_rivlin
 from lieint_jax.types import State, StoredEnergy, pytree
+from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar
 
 
 @pytree
@@ -71,23 +72,23 @@ class IncompressibleBody(types.AbstractIncompressibleBody):
         space = self.phase_space
         return State(q, space.tangential(q, space.spatial_momentum(State(q, state.p))))
 
-    def velocity(self, state: State) -> Array:
+    def velocity(self, state: State) -> Matrix3:
         """V = Ḟ = PE⁻¹, shape (3, 3)."""
         return self.compressible.velocity(state)
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2)."""
         return self.compressible.energy(state)
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """Φ = rot[PFᵀ] (6.4), shape (3,), half the angular momentum."""
         return self.compressible.momentum(state)
 
-    def volume_rate(self, state: State) -> Array:
+    def volume_rate(self, state: State) -> Scalar:
         """tr(VF⁻¹), which is 0 on T*SL(3); a step leaves O(Δt²) of it, see `schemes.additive`."""
         return jnp.trace(jnp.linalg.solve(state.q, self.velocity(state)))
 
-    def pressure(self, state: State) -> Array:
+    def pressure(self, state: State) -> Scalar:
         """p, in units of energy."""
         E = jnp.diag(self.inertia) if self.inertia.ndim == 1 else self.inertia
         inverse, weight = jnp.linalg.inv(state.q), jnp.linalg.inv(E)
@@ -133,7 +134,7 @@ def incompressible_body(
     return IncompressibleBody(_checks.positive_definite("inertia", inertia), as_stored_energy(stored_energy))
 
 
-def _volume(name: str, F: Array) -> None:
+def _volume(name: str, F: Matrix3) -> None:
     if not concrete(F):
         return
     det, allowed = float(np.linalg.det(np.asarray(F, float))), _checks.UNIT_TOLERANCE

@@ -14,6 +14,7 @@ from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import Body
 from lieint_jax.types import AbstractFreeBody, State, pytree
+from lieint_jax.types.shapes import MomentumMap, Scalar
 
 
 @pytree
@@ -26,11 +27,11 @@ class RigidBody(Body, AbstractFreeBody):
 
     inertia: Array
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π (2.11)."""
         return self.kinetic_energy(state)
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """The momentum map of rotations in space (2.13): π itself, shape (3,)."""
         return state.p
 

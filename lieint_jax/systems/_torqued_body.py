@@ -18,6 +18,7 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import TimedBody
 from lieint_jax.torques._older import MEMBERS, OlderLaw
 from lieint_jax.types import AbstractTorquedBody, Law, Rotation, State, as_law, clock, instant, pytree
+from lieint_jax.types.shapes import MomentumMap, Quaternion, Scalar, Time, Vector3
 
 _WORKS = "works"
 
@@ -74,7 +75,7 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
             )
         return state.extra[law.key]
 
-    def torque_at(self, state: State) -> Array:
+    def torque_at(self, state: State) -> Vector3:
         """The torque of all laws, (3,), in the axes of `frame`."""
         torques = [self._instant(state, law)[0] for law in self.laws]
         if len(self.laws) == 1:
@@ -82,17 +83,17 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         pairs = zip(self.laws, torques, strict=True)
         return sum((x if law.frame == "body" else so3.Ad_star(state.q, x) for law, x in pairs), jnp.zeros_like(state.p))
 
-    def power(self, state: State) -> Array:
+    def power(self, state: State) -> Scalar:
         """The rate of `State.work`, a scalar: the power of the torques and the rate of the laws' energies."""
         return jnp.sum(self._rates(state)[2])
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π with the energies of the laws: potentials, and those of internal states."""
         t = clock(state)
         laws = [law.energy(t, state.q, self.inner(state, law)) for law in self.laws]
         return sum(laws, self.kinetic_energy(state))
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """π with the momenta of dampers and wheels, (3,), where no law acts from outside; else (0,)."""
         if not all(law.internal for law in self.laws):
             return state.p[:0]
@@ -152,17 +153,17 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         return impulse, rates, jnp.stack(powers)
 
 
-def _gain(law: Law, t: Array, q: Array, q_dot: Array) -> Array:
+def _gain(law: Law, t: Time, q: Quaternion, q_dot: Quaternion) -> Array:
     """The rate of the energy of a law without an internal state."""
     return jax.jvp(lambda t, q: law.energy(t, q, None), (t, q), (jnp.ones_like(t), q_dot))[1]
 
 
 @compiled
-def _torque_at(body: TorquedBody, state: State) -> Array:
+def _torque_at(body: TorquedBody, state: State) -> Vector3:
     return body.torque_at(state)
 
 
-def _velocity(body: TorquedBody, state: State) -> Array:
+def _velocity(body: TorquedBody, state: State) -> Vector3:
     Omega = body.angular_velocity(state)
     return so3.Ad(state.q, Omega) if body.frame == "space" else Omega
 
@@ -234,7 +235,7 @@ def _is_real(x: Any) -> bool:
     return jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)
 
 
-def _dipole_field(t: Array) -> Array:
+def _dipole_field(t: Time) -> Vector3:
     """The field of a dipole along a polar orbit, in the dipole's unit: (3 sin 2u, 0, 3 cos 2u + 1)/2 with u = t/10."""
     return jnp.stack([1.5 * jnp.sin(t / 5), jnp.zeros_like(t), 1.5 * jnp.cos(t / 5) + 0.5])
 

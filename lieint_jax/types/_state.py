@@ -13,6 +13,7 @@ from jax.typing import ArrayLike
 from lieint_jax.types import _labeled
 from lieint_jax.types._members import Axis
 from lieint_jax.types._record import record
+from lieint_jax.types.shapes import Flag, Time
 
 
 @record
@@ -120,12 +121,12 @@ class Trajectory(NamedTuple):
         return _labeled.rotations(self)
 
 
-def on_clock(state: State, t0: Array | None, n: ArrayLike, dt: ArrayLike) -> State:
+def on_clock(state: State, t0: Time | None, n: ArrayLike, dt: ArrayLike) -> State:
     """`state` at the time t₀ + nΔt, if there is a t₀: the rounding errors of a sum of n steps would add up."""
     return state if t0 is None else state._replace(t=t0 + n * dt)
 
 
-def clock(state: State) -> Array:
+def clock(state: State) -> Time:
     """The time of a state; ValueError if it has none."""
     if state.t is None:
         raise ValueError(
@@ -135,6 +136,6 @@ def clock(state: State) -> Array:
     return state.t
 
 
-def all_finite(tree: Any) -> Array:
+def all_finite(tree: Any) -> Flag:
     """Whether all arrays of a tree are finite, a scalar."""
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(tree)]))

@@ -17,6 +17,7 @@ from lieint_jax._checks import at_once, concrete, real_array, step_size
 from lieint_jax._xla import compiled
 from lieint_jax.types._state import State, StepInfo, all_finite
 from lieint_jax.types._system import System
+from lieint_jax.types.shapes import Flag, Time
 
 _T = TypeVar("_T")
 
@@ -220,7 +221,7 @@ def promoted(step: _T, state: State) -> tuple[_T, State, Any]:
     return step, State(**jax.tree.map(lambda leaf: leaf.astype(dtype), found)), dtype
 
 
-def start_time(step: Step, state: State) -> Array | None:
+def start_time(step: Step, state: State) -> Time | None:
     """The t₀ from which the times t₀ + nΔt of a run follow; None where there is none, or the step has its own time."""
     return None if step.own_time else state.t
 
@@ -230,6 +231,6 @@ def _is_real(leaf: Any) -> bool:
 
 
 @partial(compiled, once=True)
-def converges(step: Step, state: State, dt: ArrayLike) -> Array:
+def converges(step: Step, state: State, dt: ArrayLike) -> Flag:
     """Whether a step converges. Compiled, so that a step of the same structure is checked without tracing it again."""
     return step(state, dt)[1].converged

@@ -19,6 +19,8 @@ from typing import Any
 
 from jax import Array, lax
 
+from lieint_jax.types.shapes import Scalar
+
 _Powers = tuple[int, int]
 _Polynomials = Mapping[_Powers, Mapping[_Powers, float]]
 _Series = Sequence[_Polynomials]
@@ -76,7 +78,7 @@ _D: _Series = (
 )
 
 
-def constants(e2: Array, e3: Array, C: Array, H: Array, terms: int) -> tuple[Array, Array, Array]:
+def constants(e2: Scalar, e3: Scalar, C: Scalar, H: Scalar, terms: int) -> tuple[Array, Array, Array]:
     """s and d over the trace of J with the terms to Δt²·ᵗᵉʳᵐˢ, 1 to 4, and whether the series hold there; see above.
 
     The series hold where their last term changes 1/J̃ by 2 % at most, and all terms together by 45 %; of a single
@@ -92,7 +94,7 @@ def constants(e2: Array, e3: Array, C: Array, H: Array, terms: int) -> tuple[Arr
     return 1 + total[0], total[1], lax.stop_gradient(holds)
 
 
-def _square(e2: Array, s: Array, d: Array) -> Array:
+def _square(e2: Scalar, s: Array, d: Array) -> Array:
     """|s + dJ|², of the matrix by which s and d change J/J̃, for J of trace 1."""
     return 3 * s * s + 2 * s * d + (1 - 2 * e2) * d * d
 

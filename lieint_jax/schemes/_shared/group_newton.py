@@ -20,6 +20,7 @@ from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.maps import Tau, derivative
 from lieint_jax.types import AbstractRightGeodesicFlow, AnalyticGroup, Group, State, StepInfo
+from lieint_jax.types.shapes import AlgebraVector, SquareMatrix
 
 
 class Equation(NamedTuple):
@@ -98,7 +99,7 @@ def unpacked(group: Any, metric: Array) -> la.Matrix:
     return [[metric[i] if i == j else 0.0 for j in range(d)] for i in range(d)]
 
 
-def body_velocity_field(system: Any, state: State) -> Array:
+def body_velocity_field(system: Any, state: State) -> AlgebraVector:
     """q̇ = qΩ̂ with mΩ = Ad*_q π, of a system with a group and a metric."""
     group, m = system.group, unpacked(system.group, system.metric)
     Omega = la.solve(m, as_vector(m, group.Ad_star(state.q, state.p)))
@@ -131,7 +132,7 @@ def coadjoint(tau: Tau, group: Any, theta: la.Vector, mu: la.Vector) -> la.Vecto
     return la.as_list(turned) if isinstance(theta, list) else turned
 
 
-def translate(tau: Tau, group: Any, q: Array, Theta: Array, s: ArrayLike = 1.0) -> Array:
+def translate(tau: Tau, group: Any, q: SquareMatrix, Theta: AlgebraVector, s: ArrayLike = 1.0) -> Array:
     """q τ(sΘ) for a number s, or at each of several, (k,), as one array."""
     s = jnp.asarray(s, Theta.dtype)
     if tau.along is not None:

@@ -13,9 +13,10 @@ from jax import Array, lax
 from lieint_jax._numerics import newton, vec3
 from lieint_jax._numerics.vec3 import Symmetric, Vector, add, apply, cross, dot, scale
 from lieint_jax.schemes._shared.vector_form import dense
+from lieint_jax.types.shapes import Scalar, Vector3
 
 
-def solve_scalar(J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vector, Array]:
+def solve_scalar(J: Symmetric, a: Vector3, iterations: int) -> tuple[Vector, Vector, Array]:
     """h = ½Θ of the symplectic κ by the scalar form, its residual, and whether h is on the branch |h| ≤ 1.
 
     The scalar form gives the value; derivatives are those of the equation for h, which has far fewer terms.
@@ -25,7 +26,7 @@ def solve_scalar(J: Symmetric, a: Array, iterations: int) -> tuple[Vector, Vecto
     return h, residual, dot(h, h) <= 1
 
 
-def scalar_root(J: Symmetric, a: Array, iterations: int) -> Array:
+def scalar_root(J: Symmetric, a: Vector3, iterations: int) -> Scalar:
     """m = a·(J − m − â)⁻¹a, constant along a trajectory, for tr J = 1."""
     C = vec3.adjugate(J)
     J3, J2 = vec3.determinant(J, C), vec3.trace(C)
@@ -48,7 +49,7 @@ def scalar_root(J: Symmetric, a: Array, iterations: int) -> Array:
     return newton.root(quartic, correction, m, iterations)[0]
 
 
-def half_cayley(J: Symmetric, a: Array, m: Array, gain: Array | None = None) -> Array:
+def half_cayley(J: Symmetric, a: Vector3, m: Scalar, gain: Scalar | None = None) -> Vector3:
     """h = (J − m − â)⁻¹a, shape (3,), for tr J = 1.
 
     With adj(J − m − â)a = adj(J)a + (m² − m tr J + |a|²)a + m Ja − a×Ja everything is a polynomial in m. If m was
@@ -69,7 +70,7 @@ def half_cayley(J: Symmetric, a: Array, m: Array, gain: Array | None = None) -> 
     return (r * k) * a + r * jnp.stack([Ca[i] + m * Ja[i] - x[i] for i in range(3)])
 
 
-def scalar_residual(J: Symmetric, a: Array, h: Array) -> Vector:
+def scalar_residual(J: Symmetric, a: Vector3, h: Vector3) -> Vector:
     """Jh − a − a × h − (a·h)h: the scalar form itself, with m = a·h."""
     m, x, Jh = dot(a, h), cross(a, h), apply(J, h)
     return tuple(Jh[i] - m * h[i] - a[i] - x[i] for i in range(3))

@@ -12,10 +12,11 @@ from jax import Array, lax
 from lieint_jax._numerics import newton, vec3
 from lieint_jax._numerics.vec3 import Symmetric, Vector, add, apply, cross, dot, scale, subtract
 from lieint_jax.maps import Kappa
+from lieint_jax.types.shapes import Flag, Vector3
 
 
 def solve_vector(
-    kappa: Kappa, J: Symmetric, a: Array, iterations: int, b: Array | None = None
+    kappa: Kappa, J: Symmetric, a: Vector3, iterations: int, b: Array | None = None
 ) -> tuple[Vector, Vector, Array]:
     """h = ½Θ for any κ by the vector form, its residual, and whether it is on the branch that starts at Δt = 0."""
 
@@ -49,7 +50,7 @@ def gyration_matrix(kappa: Kappa, J: Symmetric, y: Vector, b: Vector | None = No
     return [[e[i][j] + k * G[i][j] + g[i] * y[j] for j in range(3)] for i in range(3)]
 
 
-def on_branch(kappa: Kappa, y: Vector, K: vec3.Matrix) -> Array:
+def on_branch(kappa: Kappa, y: Vector, K: vec3.Matrix) -> Flag:
     """Whether y = ½Θ̄ lies where κ is real, and before the branch folds, where an eigenvalue of K vanishes."""
     return (4 * dot(y, y) <= kappa.limit**2) & vec3.no_negative_eigenvalue(K)
 

@@ -28,6 +28,7 @@ from lieint_jax.types import (
     clock,
     gradient,
 )
+from lieint_jax.types.shapes import Vector3
 
 
 class BodyAxesState(NamedTuple):
@@ -142,7 +143,7 @@ def _torque(system: Any) -> Callable[[Any, Any], tuple[Array, ...]] | None:
     return None
 
 
-def _torque_about(potential: Any, axis: Array, q: tuple[Array, ...], t: Array) -> tuple[Array, ...]:
+def _torque_about(potential: Any, axis: Vector3, q: tuple[Array, ...], t: Array) -> tuple[Array, ...]:
     return _by_potential(potential, _axis_in_body(q, axis), t)
 
 
