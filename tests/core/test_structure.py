@@ -38,6 +38,7 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
 ]
 LEVEL = {name: level for level, floor in enumerate(FLOORS) for name in floor}
 CORE = {"jax", "numpy"}  # and the standard library: all that the numerical core needs, everything below `ensemble`
+CHECKED = {"jaxtyping"}  # of the room `types`, where only type checkers import it: see test_import_is_light
 COMPILER = {"llvmlite"}  # of the room `native`, which is imported by the first ensemble on a CPU
 FILES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
 ROOMS = {path.stem for path in ROOT.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()}
@@ -79,9 +80,8 @@ def test_imports_point_down(path):
             pytest.fail(f"{path} imports the face of the package")
         elif LEVEL[room] > LEVEL["ensemble"]:
             top = name.split(".")[0]
-            assert top in CORE | (COMPILER if room == "native" else set()) or top in sys.stdlib_module_names, (
-                f"{path} is core and imports {name}"
-            )
+            own = {"native": COMPILER, "types": CHECKED}.get(room, set())
+            assert top in CORE | own or top in sys.stdlib_module_names, f"{path} is core and imports {name}"
 
 
 def test_no_import_goes_in_a_circle():
