@@ -18,7 +18,7 @@ from lieint_jax.orbits import kepler
 from lieint_jax.systems._driven_top import MovedBody
 from lieint_jax.systems._potential_top import QuadraticPotential
 from lieint_jax.types import callable_pytree, pytree
-from lieint_jax.types.shapes import Quaternion, Time
+from lieint_jax.types.shapes import Quaternion, Time, Vector3
 
 
 @pytree
