@@ -31,7 +31,7 @@ from lieint_jax.groups import so3
 from lieint_jax.groups._basis import ideals
 from lieint_jax.groups._closed_form import squared_eigenvalue
 from lieint_jax.types import AnalyticGroup, Group, callable_pytree, pytree, static
-from lieint_jax.types.shapes import AlgebraMatrix, AlgebraVector, Flag, GroupElement, Scalar
+from lieint_jax.types.shapes import AlgebraMatrix, AlgebraVector, Flag, GroupElement, PyTree, Scalar
 
 # Scalings κ of SO(3) --------------------------------------------------------------------------------------------------
 
@@ -182,7 +182,7 @@ def arcsine_forms(group: Group) -> list[tuple[list[int], np.ndarray]]:
 
 def _arcsine_scales(group: Group, theta: la.Vector) -> list[Array]:
     """The s of each component of Θ."""
-    scales: list[Any] = [None] * group.dim
+    scales: list[PyTree] = [None] * group.dim
     for factor, form in arcsine_forms(group):
         s = _arcsine_of_square(la.quadratic(form, theta))
         for i in factor:
@@ -246,9 +246,9 @@ class _GroupMethod:
     """The function (group, …) ↦ group.method(…, *more): comparable by its fields, and can be pickled."""
 
     method: str
-    more: tuple[Any, ...] = ()
+    more: tuple[int, ...] = ()
 
-    def __call__(self, group: Any, *arguments: Any) -> Any:
+    def __call__(self, group: Any, *arguments: PyTree) -> PyTree:
         return getattr(group, self.method)(*arguments, *self.more)
 
 
@@ -269,11 +269,11 @@ def _arcsine_holds(group: Any, theta: AlgebraVector) -> Flag:
     return group.near(_arcsine_scaled(group, theta))
 
 
-def _arcsine_slope(group: Any, theta: Any) -> la.Matrix:
+def _arcsine_slope(group: Any, theta: la.Vector) -> la.Matrix:
     """H_exp(sΘ)(s + Θ⊗∇s), factor by factor."""
     vector = jnp.stack(theta) if isinstance(theta, list) else theta
     H = group.exp_slope(_arcsine_scaled(group, theta), _SLOPE_TERMS)
-    columns: list[Any] = [None] * group.dim
+    columns: list[PyTree] = [None] * group.dim
     for factor, form in arcsine_forms(group):
         s, gradient = jax.value_and_grad(lambda x, form=form: _arcsine_of_square(la.quadratic(form, x)))(vector)
         along = [la.dot([row[j] for j in factor], [theta[j] for j in factor]) for row in H]

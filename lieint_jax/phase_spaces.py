@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax._numerics import vec3
-from lieint_jax.groups import so3
+from lieint_jax.groups import MatrixGroup, so3
 from lieint_jax.types import Group, State, pytree, static
 from lieint_jax.types.shapes import DualVector, Matrix3, PhaseMatrix, PhaseVector, Scalar, Vector3
 
@@ -163,7 +161,7 @@ class CotangentUnimodular:
     """
 
     inertia: Array
-    group: Any = static()
+    group: MatrixGroup = static()
 
     @property
     def dim(self) -> int:

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._xla import compiled
@@ -155,12 +156,12 @@ class MeasuredInvariants(NamedTuple):
         constraint: the largest defect of the configuration.
     """
 
-    energy: Any
-    size: Any
-    momentum: Any
-    total: Any
-    terms: Any
-    constraint: Any
+    energy: ArrayLike
+    size: ArrayLike
+    momentum: ArrayLike
+    total: ArrayLike
+    terms: ArrayLike
+    constraint: ArrayLike
 
 
 @partial(compiled, once=True)
@@ -200,7 +201,7 @@ def _on_arrays(step: Step) -> Step:
     return dataclasses.replace(cast("Any", step), system=system)
 
 
-def _fields(step: Any) -> set[str]:
+def _fields(step: object) -> set[str]:
     return {field.name for field in dataclasses.fields(step)} if dataclasses.is_dataclass(step) else set()
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +28,7 @@ from lieint_jax._integrate import Event, events, saves
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics._order import units
 from lieint_jax.types import State, Step, StepInfo, checked_step, on_clock, promoted
-from lieint_jax.types.shapes import PhaseVector, TangentVectors
+from lieint_jax.types.shapes import PhaseVector, PyTree, TangentVectors
 
 
 class Lyapunov(NamedTuple):
@@ -139,12 +139,12 @@ def _lyapunov(
     unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
     zero, t0 = jnp.zeros((), int), state.t
 
-    def interval(carry: Any, _: None) -> tuple[Any, None]:
+    def interval(carry: PyTree, _: None) -> tuple[PyTree, None]:
         state, T, info, n = carry
         state, last, T = step.tangent(state, dt, T)
         return (on_clock(state, t0, n + 1, dt), T, info.merge(last), n + 1), None
 
-    def orthonormalized(carry: Any, _: None) -> tuple[Any, None]:
+    def orthonormalized(carry: PyTree, _: None) -> tuple[PyTree, None]:
         (state, frame, info, n), growth = carry
         batch = n // every * batches // rounds
         (state, T, info, n), _ = lax.scan(interval, (state, unit * frame, info, n), None, length=every)
@@ -227,7 +227,7 @@ def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, *, vector: Ar
 def _megno(step: Step, state: State, dt: Array, vector: PhaseVector, num_steps: int) -> Megno:
     unit, t0 = jnp.concatenate(units(step.system.phase_space, state))[:, None], state.t
 
-    def step_once(carry: Any, _: None) -> tuple[Any, None]:
+    def step_once(carry: PyTree, _: None) -> tuple[PyTree, None]:
         state, W, Y, mean, info, n = carry
         state, last, T = step.tangent(state, dt, unit * W)
         W, gain = orthonormal(T / unit)
@@ -280,7 +280,7 @@ def section(
     if not isinstance(states, State) or jnp.ndim(states.p) < 2:
         raise ValueError("states must be a State whose leaves have a leading member axis; for one body take event")
     shared = states.t is not None and jnp.ndim(states.t) == 0
-    axes: Any = jax.tree.map(lambda _: 0, states)
+    axes: PyTree = jax.tree.map(lambda _: 0, states)
     axes = axes._replace(t=None) if shared else axes
     first = jax.tree.map(lambda x, axis: x if axis is None else x[0], states, axes, is_leaf=lambda x: x is None)
     checked_step(step).check(first, dt)  # inside vmap it cannot be

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax.types import PhaseSpace, State, Step
 from lieint_jax.types.shapes import PhaseMatrix, Scalar
+
+_Aux = TypeVar("_Aux")
 
 
 def linearization(step: Step, state: State, dt: ArrayLike) -> PhaseMatrix:
@@ -29,10 +31,12 @@ def linearization(step: Step, state: State, dt: ArrayLike) -> PhaseMatrix:
 _LARGE = 24
 
 
-def pushed(space: PhaseSpace, function: Callable[[State], tuple[State, Any]], state: State) -> tuple[State, Any, Array]:
+def pushed(
+    space: PhaseSpace, function: Callable[[State], tuple[State, _Aux]], state: State
+) -> tuple[State, _Aux, Array]:
     """end, aux = function(state), and the derivative of end, (2d, 2d), in the coordinates of the phase space."""
 
-    def push(delta: Array) -> tuple[State, tuple[State, Any]]:
+    def push(delta: Array) -> tuple[State, tuple[State, _Aux]]:
         end, aux = function(space.perturb(state, delta))
         return end, (end, aux)
 

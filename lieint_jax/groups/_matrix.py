@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +21,7 @@ from numpy.typing import ArrayLike
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._xla import materialized
 from lieint_jax.groups import _basis, _casimirs, _closed_form
-from lieint_jax.types.shapes import AlgebraVector, DualVector, Flag, MomentumMap, Scalar, SquareMatrix
+from lieint_jax.types.shapes import AlgebraVector, DualVector, Flag, MomentumMap, PyTree, Scalar, SquareMatrix
 
 _UNROLLED_DIM, _UNROLLED_SIZE = 6, 5  # the largest groups that are unrolled by default, see `_numerics.small_linalg`
 _POWERS = 5  # the most powers of X in a closed form
@@ -196,11 +195,11 @@ class MatrixGroup:
         transposed = la.transpose(self.ad_matrix(self._vector(xi)))
         return la.as_array(la.matvec(transposed, self._vector(mu)), jnp.asarray(mu))
 
-    def ad_matrix(self, xi: Any) -> la.Matrix:
+    def ad_matrix(self, xi: la.Vector) -> la.Matrix:
         """The matrix of η ↦ [ξ, η], (d, d)."""
         return la.linear(self._ad, xi)
 
-    def ad_star_matrix(self, mu: Any) -> la.Matrix:
+    def ad_star_matrix(self, mu: la.Vector) -> la.Matrix:
         """The matrix ad*(μ) of ξ ↦ ad*_ξ μ, (d, d): skew."""
         return la.linear(self._ad_star, mu)
 
@@ -300,7 +299,9 @@ class MatrixGroup:
                 value = la.materialized(value)
         return value
 
-    def coadjoint(self, q: la.Matrix, inverse: la.Matrix, mu: la.Vector, of: Any = np.asarray) -> Any:
+    def coadjoint(
+        self, q: la.Matrix, inverse: la.Matrix, mu: la.Vector, of: Callable[[np.ndarray], np.ndarray] = np.asarray
+    ) -> la.Vector:
         """Ad*_q μ: ⟨μ, (q Eᵢ q⁻¹)^∨⟩ = tr[(qᵀ D q⁻ᵀ)ᵀ Eᵢ] for the matrix D with ⟨μ, ξ⟩ = tr[Dᵀξ̂]."""
         D = la.linear(of(self._dual.transpose(1, 2, 0)), mu)
         carried = la.matmul(la.matmul(la.transpose(q), D), la.transpose(inverse))
@@ -382,16 +383,16 @@ class MatrixGroup:
         inside = np.tensordot(np.tensordot(M, self._dual, ((-2, -1), (1, 2))), self.basis, 1)
         return float(np.abs(M - inside).max())
 
-    def _vector(self, x: Any) -> la.Vector:
+    def _vector(self, x: PyTree) -> la.Vector:
         if isinstance(x, list):
             return x
         x = jnp.asarray(x)
         return la.as_list(x) if self.unrolled else x
 
-    def _matrix(self, M: Any) -> la.Matrix:
+    def _matrix(self, M: PyTree) -> la.Matrix:
         return la.as_list(jnp.asarray(M)) if self.unrolled else jnp.asarray(M)
 
-    def _element(self, q: Any) -> la.Matrix:
+    def _element(self, q: PyTree) -> la.Matrix:
         """A group element, unrolled for small groups; entries that are 0 or 1 on the whole group are Python numbers."""
         if not self.unrolled:
             return jnp.asarray(q)
@@ -496,5 +497,5 @@ def _artanh(q: SquareMatrix) -> Array:
     return z @ value
 
 
-def _absolute(x: Any) -> Any:
+def _absolute(x: PyTree) -> PyTree:
     return [_absolute(entry) for entry in x] if isinstance(x, list) else abs(x)

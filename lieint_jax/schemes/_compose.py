@@ -21,7 +21,7 @@ and what is best uses one value often, and p/2 − 1 others to cancel its power 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -32,9 +32,10 @@ from lieint_jax._xla import rematerialized
 from lieint_jax.schemes._shared.compositions import METHODS
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import examples as base_examples
-from lieint_jax.types import State, Step, StepInfo, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import TangentVectors
 
+_Carried = TypeVar("_Carried")
 _GENERAL = {4: "suzuki", 6: "kahan_li_6", 8: "kahan_li_8", 10: "sofroniou_spaletta_10"}
 
 
@@ -53,7 +54,7 @@ class Composition(Step):
     symmetric: bool = static(default=True)
 
     @property
-    def system(self) -> Any:
+    def system(self) -> System:
         return self.step.system
 
     @property
@@ -90,11 +91,13 @@ class Composition(Step):
         (end, T), info = self._through((state, T), dt, carried)
         return end, info, T
 
-    def _through(self, start: Any, dt: ArrayLike, stage: Callable[[Any, Array], tuple[Any, StepInfo]]) -> Any:
+    def _through(
+        self, start: _Carried, dt: ArrayLike, stage: Callable[[_Carried, Array], tuple[_Carried, StepInfo]]
+    ) -> tuple[_Carried, StepInfo]:
         """`start` through `stage` with each of the sub-steps, and the merged report."""
 
         @rematerialized
-        def substep(carry: tuple[Any, StepInfo], h: Array) -> tuple[tuple[Any, StepInfo], None]:
+        def substep(carry: tuple[_Carried, StepInfo], h: Array) -> tuple[tuple[_Carried, StepInfo], None]:
             z, worst = carry
             z, info = stage(z, h)
             return (z, worst.merge(info)), None
@@ -152,7 +155,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """Compositions of the steps of `so3_midpoint`: order 8 of the symplectic one, order 4 of the others."""
     made = [compose(step, 8 if step.commuting else 4) for step in base_examples(system).values()]
     return {step.name: step for step in made}

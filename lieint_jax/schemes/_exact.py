@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, overload
+from typing import overload
 
 import jax.numpy as jnp
 from jax.typing import ArrayLike
@@ -13,7 +13,7 @@ from lieint_jax._numerics import vec3
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, SLENDER, lost
-from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, pytree, static
+from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import Inertia, Quaternion, Scalar
 
 
@@ -105,6 +105,6 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The exact flow, for free rigid bodies."""
     return {"exact": exact(system)} if FREE_BODIES.declared(system) else {}

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -141,7 +141,7 @@ class _Equation(NamedTuple):
     """The equations of one step, for the derivatives k of the coordinates at the stages."""
 
     system: System
-    inverse: Any
+    inverse: Components | None
     state: State
     start: Components
     dt: Array
@@ -155,7 +155,7 @@ class _Equation(NamedTuple):
         still = lax.stop_gradient((self.system, self.inverse, self.state, self.start, self.dt))
         return _Equation(*still, self.stages)
 
-    def at_stages(self, function: Callable[..., Any], Y: Components, nodes: np.ndarray) -> Components:
+    def at_stages(self, function: Callable[..., Components], Y: Components, nodes: np.ndarray) -> Components:
         """`function(system, inverse, z, t)` of one stage, at all."""
         t = self.state.t
         times = None if t is None else t + self.dt * jnp.asarray(nodes, self.dt.dtype)
@@ -274,7 +274,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """Order 8, for the systems that it takes but elastic bodies: sweeps do not reach round-off on stiff ones."""
     if not (isinstance(system, _KINDS) and supports(system.phase_space)) or isinstance(system, AbstractElasticBody):
         return {}

@@ -14,7 +14,7 @@ and with the further terms of `_shared.clock_coefficients` to orders 6, 8 and 10
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, overload
+from typing import overload
 
 import jax.numpy as jnp
 from jax import Array
@@ -29,7 +29,7 @@ from lieint_jax.schemes._shared.half_turn import ITERATIONS
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes._so3_midpoint import SO3Midpoint
-from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, pytree, static
+from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import Scalar
 
 ORDERS = (4, 6, 8, 10)
@@ -140,7 +140,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """Orders 4, 6 and 10, for free rigid bodies."""
     if not FREE_BODIES.declared(system):
         return {}

@@ -27,7 +27,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -52,6 +51,7 @@ from lieint_jax.types import (
     State,
     Step,
     StepInfo,
+    System,
     clock,
     pytree,
     static,
@@ -198,9 +198,9 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The paper's three κ's, for free rigid bodies and gyrostats."""
-    if not any(x.declared(system) for x in (FREE_BODIES, GYROSTATS, DRIVEN_GYROSTATS)):
+    if not isinstance(system, AbstractFreeBody | AbstractGyrostat | AbstractDrivenGyrostat):
         return {}
     return {step.name: step for step in (so3_midpoint(system, kappa) for kappa in KAPPAS)}
 

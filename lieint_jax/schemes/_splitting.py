@@ -38,6 +38,7 @@ from lieint_jax.types import (
     AbstractForcedSystem,
     AbstractFreeBodies,
     AbstractFreeBody,
+    AbstractGeodesicFlow,
     AbstractGyrostat,
     Group,
     State,
@@ -192,7 +193,7 @@ def splitting(
     return Splitting(system, drift, kick_first=few)
 
 
-def _drift(free: Any) -> Step:
+def _drift(free: System) -> Step:
     if FREE_BODIES.declared(free):
         return so3_midpoint(free)
     if MANY_FREE_BODIES.declared(free):
@@ -209,7 +210,7 @@ def _drift(free: Any) -> Step:
     )
 
 
-def _metrics(free: Any) -> list[Array]:
+def _metrics(free: AbstractGeodesicFlow) -> list[Array]:
     """The system's metric; if it is a tracer, two others at random: what is symplectic for them is so for any."""
     if concrete(free.metric):
         return [free.metric]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +18,7 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._heavy_top import Linear
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import TimedBody, spatial_torque
-from lieint_jax.types import State, callable_pytree, clock, gradient, pytree
+from lieint_jax.types import State, System, callable_pytree, clock, gradient, pytree
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Quaternion, Scalar, Time, Vector3
 
 
@@ -97,7 +96,7 @@ class DrivenTop(MovedBody):
 
     inertia: Array
     potential: Callable[[Array, Array], Array]
-    axis: Any
+    axis: Callable[[Array], Array] | Array | None
 
 
 def driven_top(
@@ -139,7 +138,7 @@ def driven_top(
     return made
 
 
-def _argument(axis: Any) -> str:
+def _argument(axis: object) -> str:
     return "(Λ, t), the rotation matrix (3, 3) and the time" if axis is None else "(Γ, t), Γ = Λᵀγ (3,) and the time"
 
 
@@ -158,7 +157,7 @@ def _wells(R: Matrix3, t: Time) -> Scalar:
     return 0.3 * jnp.cos(0.8 * t) * (R[0, 0] + R[1, 2]) + 0.2 * R[2, 0] ** 2
 
 
-def examples() -> dict[str, Any]:
+def examples() -> dict[str, tuple[System, State, float]]:
     """A top whose vertical moves, one whose field changes its strength, and one without an axis."""
     J, attitude = [1.0, 2.0, 2.5], so3.exp(jnp.array([0.7, 0.5, -0.2]))
     tops = {

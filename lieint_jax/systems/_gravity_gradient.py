@@ -17,7 +17,7 @@ from lieint_jax.groups import so3
 from lieint_jax.orbits import kepler
 from lieint_jax.systems._driven_top import MovedBody
 from lieint_jax.systems._potential_top import QuadraticPotential
-from lieint_jax.types import callable_pytree, pytree
+from lieint_jax.types import State, System, callable_pytree, pytree
 from lieint_jax.types.shapes import Quaternion, Time, Vector3
 
 
@@ -51,7 +51,7 @@ class GravityGradient(MovedBody):
     """
 
     inertia: Array
-    orbit: Callable[[Array], tuple[Array, Array]]
+    orbit: Any
     mu: Array | None
 
     @property
@@ -114,7 +114,7 @@ def gravity_gradient(
     return GravityGradient(inertia, callable_pytree(orbit), mu)
 
 
-def examples() -> dict[str, Any]:
+def examples() -> dict[str, tuple[System, State, float]]:
     """Satellites that librate in an elliptic orbit, and a body that an Earth-like planet passes in a hyperbola."""
     attitude = so3.exp(jnp.array([0.2, -0.1, 0.4]))
     satellite = gravity_gradient([1.0, 2.0, 2.5], kepler(1.0, 1.0, 0.1, 0.4, node=0.3, periapsis=1.1))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +20,7 @@ from lieint_jax.types import (
     AbstractMechanicalSystem,
     Group,
     State,
+    System,
     autodiff_gradient,
     callable_pytree,
     clock,
@@ -188,7 +188,7 @@ def group_potential(
     return made(metric=metric, group=group, potential=callable_pytree(potential), symmetry=directions)
 
 
-def _takes_time(potential: Callable[..., Any]) -> bool:
+def _takes_time(potential: Callable[..., Array]) -> bool:
     """Whether a function needs a time beside q."""
     try:
         inspect.signature(potential).bind(None)
@@ -215,7 +215,7 @@ def driven_henon_heiles(q: SquareMatrix, t: Time) -> Scalar:
     return (1 + 0.2 * jnp.cos(0.7 * t)) * henon_heiles(q)
 
 
-def examples() -> dict[str, tuple[Any, State, float]]:
+def examples() -> dict[str, tuple[System, State, float]]:
     """A bottom-heavy ellipsoid in a fluid, symmetric under translations and turns about the vertical; two stars."""
     from lieint_jax.groups import translations
 

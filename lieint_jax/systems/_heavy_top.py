@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -12,7 +12,7 @@ from lieint_jax import _checks
 from lieint_jax._numerics import elliptic, vec3
 from lieint_jax.groups import so3
 from lieint_jax.systems._potential_top import PotentialTop, potential_top
-from lieint_jax.types import PotentialWithGradient, State, pytree, static
+from lieint_jax.types import PotentialWithGradient, State, System, pytree, static
 from lieint_jax.types.shapes import Scalar, Time, Vector3
 
 
@@ -141,7 +141,7 @@ def asymmetric() -> tuple[PotentialTop, State]:
     return top, top.state(so3.exp(jnp.array([1.2, 0.5, -0.2])), angular_velocity=[0.4, 0.9, 0.6])
 
 
-def examples() -> dict[str, Any]:
+def examples() -> dict[str, tuple[System, State, float]]:
     """Lagrange's top, Kovalevskaya's, and an asymmetric one."""
     return {
         "lagrange": (*lagrange(), 0.01),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +16,7 @@ from lieint_jax._numerics import vec3
 from lieint_jax.groups import so3
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import Body, spatial_torque
-from lieint_jax.types import AbstractTop, PotentialWithGradient, State, callable_pytree, gradient, pytree
+from lieint_jax.types import AbstractTop, PotentialWithGradient, State, System, callable_pytree, gradient, pytree
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Quaternion, Scalar, Time, Vector3
 
 
@@ -149,7 +148,7 @@ def clebsch_integral(top: PotentialTop, state: State, strength: float) -> Scalar
     return vec3.dot(Pi, Pi) - strength * det * vec3.dot(Gamma, vec3.solve_symmetric(J, Gamma))
 
 
-def examples() -> dict[str, Any]:
+def examples() -> dict[str, tuple[System, State, float]]:
     """Brun's problem, a potential that has no axis, and one with a deep well."""
     tilted = potential_top([1.0, 2.0, 2.5], _three_wells, None)
     state = tilted.state(so3.exp(jnp.array([0.3, 0.1, 0.7])), angular_velocity=[0.2, 0.5, -0.4])

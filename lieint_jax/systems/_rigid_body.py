@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
@@ -89,7 +87,7 @@ def rigid_body(inertia: ArrayLike) -> RigidBody:
 def examples() -> dict[str, tuple[RigidBody, State, float]]:
     """The two bodies of the paper's Figures 1 and 2, a body turned from its principal axes, and a flipping one."""
     turn = so3.to_matrix(so3.exp(jnp.array([0.3, -0.5, 0.4])))
-    bodies: dict[str, Any] = {
+    bodies: dict[str, tuple[ArrayLike, list[float]]] = {
         "asymmetric": ([1.0, 2.0, 3.0], [0.2, 0.0, 1.0]),
         "symmetric": ([1.0, 1.0, 2.0], [0.2, 0.0, 1.0]),
         "full_tensor": (turn @ jnp.diag(jnp.array([1.0, 2.0, 2.5])) @ turn.T, [0.3, -0.4, 0.8]),

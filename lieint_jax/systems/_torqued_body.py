@@ -64,7 +64,7 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         laws,), in their order.
         """
 
-    def inner(self, state: State, law: Law) -> Any:
+    def inner(self, state: State, law: Law) -> Array | None:
         """The internal state of a law; ValueError if a state lacks it."""
         if law.key is None:
             return None
@@ -128,7 +128,7 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         found = {law.key: law.start(now) for law in self.laws if law.key is not None}
         return {key: value for key, value in found.items() if value is not None}
 
-    def _instant(self, state: State, law: Law) -> tuple[Array, Any]:
+    def _instant(self, state: State, law: Law) -> tuple[Array, Array | None]:
         """The torque of a law at a state, in the axes of its frame, and the rate of its internal state."""
         Omega = self.angular_velocity(state)
         omega, inner = so3.Ad(state.q, Omega), self.inner(state, law)
@@ -218,7 +218,7 @@ def _check_torque(body: TorquedBody) -> None:
     number, q, vector = (jax.ShapeDtypeStruct(shape, body.inertia.dtype) for shape in ((), (4,), (3,)))
     for law in body.laws:
 
-        def value(t: Array, q: Array, omega: Array, law: Law = law) -> Any:
+        def value(t: Array, q: Array, omega: Array, law: Law = law) -> Array:
             now = Rotation(t, t, q, q, q, omega, t, omega, omega)
             return law.mean(now, None if law.key is None else (body.carried or {})[law.key])[0]
 
@@ -231,7 +231,7 @@ def _check_torque(body: TorquedBody) -> None:
             raise ValueError(f"torque must return an array of real numbers of shape (3,), got {given}")
 
 
-def _is_real(x: Any) -> bool:
+def _is_real(x: Array) -> bool:
     return jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)
 
 

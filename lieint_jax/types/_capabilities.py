@@ -17,7 +17,7 @@ from lieint_jax.types._group import Group
 from lieint_jax.types._state import State
 from lieint_jax.types._system import System
 from lieint_jax.types._torque import Law, parts
-from lieint_jax.types.shapes import DualVector, Inertia, Matrix3, Scalar, SquareMatrix, Time, Vector3
+from lieint_jax.types.shapes import DualVector, Inertia, Matrix3, PyTree, Scalar, SquareMatrix, Time, Vector3
 
 
 class AbstractFreeBody(System):
@@ -182,13 +182,13 @@ def gradient(potential: Callable[..., Array], Gamma: Vector3, *t: Array) -> Arra
     return potential.gradient(Gamma, *t) if known else autodiff_gradient(potential)(Gamma, *t)
 
 
-def autodiff_gradient(potential: Callable[..., Array], argnums: int | tuple[int, ...] = 0) -> Callable[..., Any]:
+def autodiff_gradient(potential: Callable[..., Array], argnums: int | tuple[int, ...] = 0) -> Callable[..., PyTree]:
     """`jax.grad(potential, argnums)`, but NaN where the potential itself is not finite.
 
     The derivative of log x exists for x < 0, where log x does not: a step would go on where there is no motion.
     """
 
-    def gradient(*arguments: Any) -> Any:
+    def gradient(*arguments: Array) -> PyTree:
         V, slopes = jax.value_and_grad(potential, argnums)(*arguments)
         defined = jnp.isfinite(V)
         return jax.tree.map(lambda slope: jnp.where(defined, slope, jnp.nan), slopes)

@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from lieint_jax.types import _labeled
 from lieint_jax.types._members import Axis
 from lieint_jax.types._record import record
-from lieint_jax.types.shapes import Flag, Time
+from lieint_jax.types.shapes import Flag, PyTree, Time
 
 
 @record
@@ -136,6 +136,6 @@ def clock(state: State) -> Time:
     return state.t
 
 
-def all_finite(tree: Any) -> Flag:
+def all_finite(tree: PyTree) -> Flag:
     """Whether all arrays of a tree are finite, a scalar."""
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(tree)]))

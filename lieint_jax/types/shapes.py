@@ -45,6 +45,7 @@ Inertia: TypeAlias = Vector3 | Matrix3  # principal moments, or a symmetric tens
 AlgebraVector: TypeAlias = Float[Array, "d"]  # in the basis of the algebra
 DualVector: TypeAlias = Float[Array, "d"]  # in the dual basis
 AlgebraMatrix: TypeAlias = Float[Array, "d d"]
+Unrolled: TypeAlias = PyTree  # a vector or a matrix: lists of scalars, or an array
 SquareMatrix: TypeAlias = Float[Array, "n n"]  # an element of a matrix group
 GroupElement: TypeAlias = Quaternion | SquareMatrix
 

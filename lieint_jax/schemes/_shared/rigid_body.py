@@ -10,11 +10,25 @@ from jax.typing import DTypeLike
 from lieint_jax._numerics import vec3
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
-from lieint_jax.types import AbstractDrivenGyrostat, AbstractFreeBody, AbstractGyrostat, State, clock
+from lieint_jax.types import (
+    AbstractDampedBody,
+    AbstractDrivenGyrostat,
+    AbstractDrivenTop,
+    AbstractFreeBody,
+    AbstractGyrostat,
+    AbstractTop,
+    AbstractTorquedBody,
+    State,
+    clock,
+)
+
+RotatingBody = (
+    AbstractFreeBody | AbstractGyrostat | AbstractTop | AbstractDrivenTop | AbstractTorquedBody | AbstractDampedBody
+)
 
 
-def _motion(body: AbstractFreeBody | AbstractGyrostat, state: State) -> State:
-    """(q̇, π̇) = (½ q Ω, 0) with JΩ = Π (2.12), or Π − h_r."""
+def rigid_motion(body: RotatingBody, state: State) -> State:
+    """(q̇, π̇) = (½ q Ω, 0) with JΩ = Π (2.12), or Π − h_r: the motion of a body but for its torques."""
     own = so3.Ad_star(state.q, state.p)
     if isinstance(body, AbstractGyrostat):
         own = own - body.rotor
@@ -24,12 +38,12 @@ def _motion(body: AbstractFreeBody | AbstractGyrostat, state: State) -> State:
 
 def _driven_motion(system: AbstractDrivenGyrostat, state: State) -> State:
     """That of the gyrostat whose rotor keeps the momentum that it has now, and ḣ_r = τ(t)."""
-    turning = _motion(system.holding(system.rotor(state)), state)
+    turning = rigid_motion(system.holding(system.rotor(state)), state)
     return turning._replace(extra={"rotor": system.torque(clock(state))})
 
 
-FREE_BODIES = AcceptedSystems(AbstractFreeBody, "free rigid bodies (systems.rigid_body)", _motion)
-GYROSTATS = AcceptedSystems(AbstractGyrostat, "gyrostats (systems.gyrostat)", _motion)
+FREE_BODIES = AcceptedSystems(AbstractFreeBody, "free rigid bodies (systems.rigid_body)", rigid_motion)
+GYROSTATS = AcceptedSystems(AbstractGyrostat, "gyrostats (systems.gyrostat)", rigid_motion)
 DRIVEN_GYROSTATS = AcceptedSystems(AbstractDrivenGyrostat, "driven gyrostats (systems.driven_gyrostat)", _driven_motion)
 SLENDER = (
     "the inertia's moments differ so much that a full tensor does not hold the smallest one (to 1 : 3.5e4 in float64, "

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -168,7 +167,7 @@ def saint_venant_kirchhoff(lam: ArrayLike, mu: ArrayLike) -> SaintVenantKirchhof
     return SaintVenantKirchhoff(*_moduli(lam, mu))
 
 
-def as_stored_energy(energy: Any) -> StoredEnergy:
+def as_stored_energy(energy: StoredEnergy | Callable[[Array], Array]) -> StoredEnergy:
     """A material of this module, or any callable W(C) of a matrix (3, 3) that gives a scalar, smooth for C > 0.
 
     Parameters of its own travel in a `jax.tree_util.Partial`.
