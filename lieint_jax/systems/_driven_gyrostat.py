@@ -15,6 +15,7 @@ from lieint_jax._numerics import vec3
 from lieint_jax.systems._gyrostat import Gyrostat
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.body import OnRotations
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.time_and_work import check_timed, timed
 from lieint_jax.types import State, callable_pytree, clock, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
@@ -157,6 +158,18 @@ class SpinUpMotor:
     def __call__(self, t: Time) -> Vector3:
         phase = 2 * math.pi * jnp.clip(t / self.duration, 0, 1)
         return self.momentum / self.duration * (1 - jnp.cos(phase))
+
+
+PROPERTIES = SystemProperties(
+    name="driven_gyrostat",
+    models="a rigid body with a rotor that a motor drives",
+    phase_space="T*SO(3): unit quaternion, π; the rotor's momentum in extra",
+    conserves=("energy less work", "momentum", "Casimirs"),
+    momentum="π in space, with the rotor",
+    sizes=(3,),
+    aliases=("spin-up of a dual-spin satellite",),
+    source="Hughes 1986, Spacecraft Attitude Dynamics",
+)
 
 
 def examples() -> dict[str, tuple[DrivenGyrostat, State, float]]:

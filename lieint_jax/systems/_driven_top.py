@@ -18,6 +18,7 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._heavy_top import Linear
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import TimedBody, spatial_torque
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, System, callable_pytree, clock, gradient, pytree
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Quaternion, Scalar, Time, Vector3
 
@@ -155,6 +156,18 @@ def _pulse(Gamma: Vector3, t: Time) -> Scalar:
 def _wells(R: Matrix3, t: Time) -> Scalar:
     """Two wells, in turn."""
     return 0.3 * jnp.cos(0.8 * t) * (R[0, 0] + R[1, 2]) + 0.2 * R[2, 0] ** 2
+
+
+PROPERTIES = SystemProperties(
+    name="driven_top",
+    models="a rigid body in a potential that is a given function of time",
+    phase_space="T*SO(3): unit quaternion, π",
+    conserves=("energy less work", "momentum (about an axis at rest)"),
+    momentum="γ·π about a constant axis, or none",
+    sizes=(1, 0),
+    aliases=("parametrically driven top",),
+    source="Lewis & Simo 1994, (4.2), with γ(t)",
+)
 
 
 def examples() -> dict[str, tuple[System, State, float]]:

@@ -12,6 +12,7 @@ from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import EmbeddedRotations
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.body import Body
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, pytree
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3
 
@@ -97,6 +98,18 @@ def embedded_body(inertia: ArrayLike) -> EmbeddedBody:
         ((3, 3), 1.52)
     """
     return EmbeddedBody(_checks.inertia(inertia))
+
+
+PROPERTIES = SystemProperties(
+    name="embedded_body",
+    models="a free rigid body with its attitude in L(3)",
+    phase_space="L(3) × ℝ³: matrix, π",
+    conserves=("energy", "momentum"),
+    momentum="π in space",
+    sizes=(3,),
+    aliases=("rigid body with embedded rotations",),
+    source="Lewis & Simo 1994, Section 2.2",
+)
 
 
 def examples() -> dict[str, tuple[EmbeddedBody, State, float]]:

@@ -14,6 +14,7 @@ from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.on_group import OnGroup, flat, sharp
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import AbstractGeodesicFlow, AbstractRightGeodesicFlow, Group, State, pytree, static
 from lieint_jax.types.shapes import AlgebraVector, DualVector, MomentumMap, Scalar, Vector6
 
@@ -211,6 +212,18 @@ def manakov_integrals(a: ArrayLike, Pi: Vector6) -> MomentumMap:
         power = [x + y for x, y in zip(lower, upper, strict=True)]
         found += [jnp.trace(P) for P in power[:-1]]
     return jnp.stack(found)
+
+
+PROPERTIES = SystemProperties(
+    name="euler",
+    models="geodesics of a matrix group; `kirchhoff` and `manakov` are special ones",
+    phase_space="T*G: matrix (n, n), π (d,)",
+    conserves=("energy", "momentum", "Casimirs"),
+    momentum="π, of a right-invariant metric Π",
+    sizes=(),
+    aliases=("Euler–Poincaré equations", "Euler–Arnold equations", "Kirchhoff's equations", "Manakov's top"),
+    source="Lewis & Simo 1994, Section 5.1; Arnold 1966",
+)
 
 
 def examples() -> dict[str, tuple[Euler | RightEuler, State, float]]:

@@ -17,6 +17,7 @@ from lieint_jax.groups import so3
 from lieint_jax.orbits import kepler
 from lieint_jax.systems._driven_top import MovedBody
 from lieint_jax.systems._potential_top import QuadraticPotential
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, System, callable_pytree, pytree
 from lieint_jax.types.shapes import Quaternion, Time, Vector3
 
@@ -112,6 +113,18 @@ def gravity_gradient(
     if shapes != [(3,), (3,)]:
         raise ValueError(f"orbit must give (position, velocity), each of shape (3,), got shapes {shapes}")
     return GravityGradient(inertia, callable_pytree(orbit), mu)
+
+
+PROPERTIES = SystemProperties(
+    name="gravity_gradient",
+    models="a satellite or a moon on a given orbit",
+    phase_space="T*SO(3): unit quaternion, π",
+    conserves=("energy less work",),
+    momentum="none",
+    sizes=(0,),
+    aliases=("satellite in a gravity gradient", "spin–orbit coupling"),
+    source="MacCullagh 1844; Hughes 1986",
+)
 
 
 def examples() -> dict[str, tuple[System, State, float]]:

@@ -14,6 +14,7 @@ from lieint_jax import _checks
 from lieint_jax.systems._euler import Euler, kirchhoff
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.on_group import OnGroup
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.time_and_work import check_timed, timed
 from lieint_jax.types import (
     AbstractDrivenSystem,
@@ -213,6 +214,18 @@ def henon_heiles(q: SquareMatrix) -> Scalar:
 def driven_henon_heiles(q: SquareMatrix, t: Time) -> Scalar:
     """`henon_heiles` in a galaxy whose mass pulsates."""
     return (1 + 0.2 * jnp.cos(0.7 * t)) * henon_heiles(q)
+
+
+PROPERTIES = SystemProperties(
+    name="group_potential",
+    models="a metric and a potential on a matrix group",
+    phase_space="T*G: matrix (n, n), π (d,)",
+    conserves=("energy (of a potential without time)", "energy less work", "momentum"),
+    momentum="⟨π, η⟩ of each symmetry η",
+    sizes=(),
+    aliases=("simple mechanical system on a Lie group",),
+    source="Lewis & Simo 1994, (5.41)",
+)
 
 
 def examples() -> dict[str, tuple[System, State, float]]:

@@ -11,6 +11,7 @@ from lieint_jax._numerics import vec3
 from lieint_jax.groups import so3
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import Rotating
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Vector3
 
@@ -86,6 +87,18 @@ def gyrostat(inertia: ArrayLike, rotor: ArrayLike) -> Gyrostat:
     """
     J = _checks.inertia(inertia)
     return Gyrostat(J, _checks.real_array("rotor", rotor, (3,), like=J))
+
+
+PROPERTIES = SystemProperties(
+    name="gyrostat",
+    models="a rigid body with a rotor of constant momentum",
+    phase_space="T*SO(3): unit quaternion, π",
+    conserves=("energy", "momentum", "Casimirs"),
+    momentum="π in space, with the rotor",
+    sizes=(3,),
+    aliases=("dual-spin satellite", "Zhukovsky–Volterra gyrostat"),
+    source="Kelvin & Tait 1879; Likins 1967",
+)
 
 
 def examples() -> dict[str, tuple[Gyrostat, State, float]]:

@@ -12,6 +12,7 @@ from lieint_jax import _checks
 from lieint_jax._numerics import elliptic, vec3
 from lieint_jax.groups import so3
 from lieint_jax.systems._potential_top import PotentialTop, potential_top
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import PotentialWithGradient, State, System, pytree, static
 from lieint_jax.types.shapes import Scalar, Time, Vector3
 
@@ -139,6 +140,18 @@ def asymmetric() -> tuple[PotentialTop, State]:
     """
     top = heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
     return top, top.state(so3.exp(jnp.array([1.2, 0.5, -0.2])), angular_velocity=[0.4, 0.9, 0.6])
+
+
+PROPERTIES = SystemProperties(
+    name="heavy_top",
+    models="a rigid body with a fixed point, under gravity",
+    phase_space="T*SO(3): unit quaternion, π",
+    conserves=("energy", "momentum"),
+    momentum="γ·π about the vertical",
+    sizes=(1,),
+    aliases=("Lagrange's top", "Kovalevskaya's top", "Euler–Poisson equations"),
+    source="Lewis & Simo 1994, Section 4; Whittaker, §71–72",
+)
 
 
 def examples() -> dict[str, tuple[System, State, float]]:

@@ -15,6 +15,7 @@ from lieint_jax.groups import special_linear
 from lieint_jax.phase_spaces import CotangentUnimodular
 from lieint_jax.systems._pseudo_rigid_body import PseudoRigidBody
 from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.stored_energy import as_stored_energy, mooney_rivlin
 from lieint_jax.types import State, StoredEnergy, pytree
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar
@@ -140,6 +141,18 @@ def _volume(name: str, F: Matrix3) -> None:
     det, allowed = float(np.linalg.det(np.asarray(F, float))), _checks.UNIT_TOLERANCE
     if not abs(det - 1) <= allowed:
         raise ValueError(f"det {name} must be 1 to {allowed:g}, got {det:.9g}; divide {name} by its cube root")
+
+
+PROPERTIES = SystemProperties(
+    name="incompressible_body",
+    models="an elastic body that deforms homogeneously at constant volume",
+    phase_space="T*SL(3): F, P",
+    conserves=("energy", "momentum", "volume"),
+    momentum="Φ = rot[PFᵀ], half the angular momentum",
+    sizes=(3,),
+    aliases=("incompressible pseudo-rigid body", "Dirichlet–Riemann ellipsoid without gravity"),
+    source="Lewis & Simo 1994, Sections 1.1 and 6.1.1",
+)
 
 
 def examples() -> dict[str, tuple[IncompressibleBody, State, float]]:

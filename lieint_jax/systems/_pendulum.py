@@ -14,6 +14,7 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import vec3
 from lieint_jax.phase_spaces import CotangentSphere
 from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import AbstractSphereSystem, State, autodiff_gradient, callable_pytree, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Vector3
 
@@ -142,6 +143,18 @@ def _unit(name: str, value: ArrayLike, like: Array | None = None) -> Vector3:
 
 def _quadratic(s: Scalar) -> Scalar:
     return s + s * s / 2
+
+
+PROPERTIES = SystemProperties(
+    name="pendulum",
+    models="a point on the unit sphere",
+    phase_space="T*S²: unit vector, π",
+    conserves=("energy", "momentum"),
+    momentum="γ·π about the axis",
+    sizes=(1,),
+    aliases=("spherical pendulum",),
+    source="Lewis & Simo 1994, (1.3)–(1.5)",
+)
 
 
 def examples() -> dict[str, tuple[Pendulum, State, float]]:

@@ -16,6 +16,7 @@ from lieint_jax._numerics import vec3
 from lieint_jax.groups import so3
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import Body, spatial_torque
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import AbstractTop, PotentialWithGradient, State, System, callable_pytree, gradient, pytree
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Quaternion, Scalar, Time, Vector3
 
@@ -146,6 +147,18 @@ def clebsch_integral(top: PotentialTop, state: State, strength: float) -> Scalar
     J, Pi, Gamma = vec3.symmetric(top.inertia), top.body_momentum(state), top.Gamma(state)
     det = vec3.determinant(J, vec3.adjugate(J))
     return vec3.dot(Pi, Pi) - strength * det * vec3.dot(Gamma, vec3.solve_symmetric(J, Gamma))
+
+
+PROPERTIES = SystemProperties(
+    name="potential_top",
+    models="a rigid body with a fixed point, in any potential",
+    phase_space="T*SO(3): unit quaternion, π",
+    conserves=("energy", "momentum (with an axis)"),
+    momentum="γ·π about the axis, or none",
+    sizes=(1, 0),
+    aliases=("Brun's problem", "Clebsch's case"),
+    source="Lewis & Simo 1994, (4.2)",
+)
 
 
 def examples() -> dict[str, tuple[System, State, float]]:

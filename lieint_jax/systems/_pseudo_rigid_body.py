@@ -15,6 +15,7 @@ from lieint_jax._numerics import vec3
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMatrices
 from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.stored_energy import (
     as_stored_energy,
     mooney_rivlin,
@@ -139,6 +140,18 @@ def pseudo_rigid_body(inertia: ArrayLike, stored_energy: StoredEnergy | Callable
 def _orientation(name: str, F: Matrix3) -> None:
     if concrete(F) and not np.linalg.det(np.asarray(F, float)) > 0:
         raise ValueError(f"det {name} must be positive (no body is turned inside out), got\n{np.asarray(F)}")
+
+
+PROPERTIES = SystemProperties(
+    name="pseudo_rigid_body",
+    models="an elastic body that deforms homogeneously",
+    phase_space="T*GL⁺(3): F, P",
+    conserves=("energy", "momentum"),
+    momentum="Φ = rot[PFᵀ], half the angular momentum",
+    sizes=(3,),
+    aliases=("homogeneous elasticity", "Dirichlet's problem with elasticity"),
+    source="Cohen & Muncaster 1988; Lewis & Simo 1994, Section 6",
+)
 
 
 def examples() -> dict[str, tuple[PseudoRigidBody, State, float]]:

@@ -20,6 +20,7 @@ from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMotions
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import (
     AbstractFreeBodies,
     AbstractRigidBodies,
@@ -309,6 +310,18 @@ def rigid_bodies(masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Ar
     made = RigidBodies(m, J, callable_pytree(potential))
     _checks.function("potential", made.potential_energy, _ARGUMENTS, (), jax.ShapeDtypeStruct((m.size, 7), m.dtype))
     return made
+
+
+PROPERTIES = SystemProperties(
+    name="rigid_bodies",
+    models="several rigid bodies in a potential of positions and attitudes",
+    phase_space="(T*ℝ³ × T*SO(3))ᴺ: poses (N, 7), momenta (N, 6)",
+    conserves=("energy", "momentum"),
+    momentum="P and L about the origin, or the components that an outer field leaves",
+    sizes=(6, 5, 4, 3, 2, 1, 0),
+    aliases=("full two-body problem", "rigid molecules"),
+    source="Maciejewski 1995, Celest. Mech. 63",
+)
 
 
 def examples() -> dict[str, tuple[RigidBodies, State, float]]:

@@ -11,6 +11,7 @@ from lieint_jax._free_body import Periods
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import Body
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import AbstractFreeBody, State, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar
 
@@ -82,6 +83,18 @@ def rigid_body(inertia: ArrayLike) -> RigidBody:
         1.52
     """
     return RigidBody(_checks.inertia(inertia))
+
+
+PROPERTIES = SystemProperties(
+    name="rigid_body",
+    models="a free rigid body",
+    phase_space="T*SO(3): unit quaternion, π",
+    conserves=("energy", "momentum", "Casimirs"),
+    momentum="π in space",
+    sizes=(3,),
+    aliases=("Euler top", "Euler–Poinsot motion"),
+    source="Lewis & Simo 1994, (2.12); Euler 1758",
+)
 
 
 def examples() -> dict[str, tuple[RigidBody, State, float]]:

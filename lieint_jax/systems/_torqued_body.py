@@ -16,6 +16,7 @@ from lieint_jax._numerics.vec3 import dot
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import TimedBody
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.torques._older import MEMBERS, OlderLaw
 from lieint_jax.types import AbstractTorquedBody, Law, Rotation, State, as_law, clock, instant, pytree
 from lieint_jax.types.shapes import MomentumMap, Quaternion, Scalar, Time, Vector3
@@ -238,6 +239,18 @@ def _is_real(x: Array) -> bool:
 def _dipole_field(t: Time) -> Vector3:
     """The field of a dipole along a polar orbit, in the dipole's unit: (3 sin 2u, 0, 3 cos 2u + 1)/2 with u = t/10."""
     return jnp.stack([1.5 * jnp.sin(t / 5), jnp.zeros_like(t), 1.5 * jnp.cos(t / 5) + 0.5])
+
+
+PROPERTIES = SystemProperties(
+    name="torqued_body",
+    models="a rigid body with laws of torque",
+    phase_space="T*SO(3): unit quaternion, π; internal states in extra",
+    conserves=("energy less work", "momentum (laws that act inside only)"),
+    momentum="π with dampers and wheels, or none",
+    sizes=(3, 0),
+    aliases=("attitude dynamics with torques",),
+    source="Hughes 1986, Spacecraft Attitude Dynamics",
+)
 
 
 def examples() -> dict[str, tuple[TorquedBody, State, float]]:
