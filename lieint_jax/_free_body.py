@@ -65,6 +65,7 @@ from lieint_jax._numerics.select import where
 from lieint_jax._numerics.vec3 import Vector, dot
 from lieint_jax._xla import materialized
 from lieint_jax.groups import so3
+from lieint_jax.types.shapes import Inertia, Quaternion, Vector3
 
 _Turns = list[tuple[int, Array]]
 _FAR = 1e7  # the ν from which Legendre's third integral is computed by its first term for large ν
@@ -83,7 +84,7 @@ class Accuracy(NamedTuple):
     condition: Array
 
 
-def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, Accuracy]:
+def attitude(inertia: Inertia, q: Quaternion, p: Vector3, t: ArrayLike) -> tuple[Array, Accuracy]:
     """The attitude after time t of a free body with initial attitude q and constant spatial momentum π.
 
     Args:
@@ -110,7 +111,7 @@ def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, A
     return so3.normalize(jnp.stack(materialized(so3.multiply(q, increment)))), Accuracy(length, turned + condition)
 
 
-def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]:
+def clock(inertia: Inertia, Pi: Vector3, t: ArrayLike) -> tuple[Array, Array, Array]:
     """s and d of the inertia J̃ = J(s + dJ)⁻¹ whose symplectic step of size t is the exact motion.
 
     Args:
@@ -155,7 +156,7 @@ class Periods(NamedTuple):
     long_axis: Array
 
 
-def periods(inertia: Array, Pi: Array) -> Periods:
+def periods(inertia: Inertia, Pi: Vector3) -> Periods:
     """The mean periods of a free body of body momentum Π, (3,); `inertia` as in `attitude`."""
     if inertia.ndim == 1:
         moments, turns = _ascending(inertia)
@@ -194,7 +195,7 @@ def _less_third(m1: Array, nu: Array, K: Array) -> Array:
     return where(far, 1 - jnp.pi / (2 * K * jnp.sqrt(1 + nu)), part)
 
 
-def _units(inertia: Array, Pi: Array) -> tuple[Array, Array, Vector, Array]:
+def _units(inertia: Inertia, Pi: Vector3) -> tuple[Array, Array, Vector, Array]:
     """1/tr J, |Π|/tr J, e, and whether the body is at rest; at rest |Π|/tr J is set to 1 and e to a unit vector."""
     scale = 1 / vec3.trace(vec3.symmetric(inertia))
     scaled = vec3.scale(scale, Pi)
@@ -204,7 +205,7 @@ def _units(inertia: Array, Pi: Array) -> tuple[Array, Array, Vector, Array]:
     return scale, G, materialized(tuple(where(rest, math.sqrt(1 / 3), x / G) for x in scaled)), rest
 
 
-def _increment(inertia: Array, e: Vector, tau: Array) -> tuple[Vector, Accuracy]:
+def _increment(inertia: Inertia, e: Vector, tau: Array) -> tuple[Vector, Accuracy]:
     """Λ⁻¹Λ(τ) in body axes, as a quaternion times a positive number, and its rounding errors."""
     if inertia.ndim == 1:
         moments, turns = _ascending(inertia)

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._xla import compiled
@@ -20,6 +21,7 @@ from lieint_jax.diagnostics._series import constraint_error, energy_error, momen
 from lieint_jax.diagnostics._symplectic import defect_matrix
 from lieint_jax.groups import MatrixGroup, matrix
 from lieint_jax.types import State, Step, System, Trajectory, start_time
+from lieint_jax.types.shapes import Scalar
 
 _SPAN = 8  # the number of steps of size dt over which the order is measured
 
@@ -154,12 +156,12 @@ class MeasuredInvariants(NamedTuple):
         constraint: the largest defect of the configuration.
     """
 
-    energy: Any
-    size: Any
-    momentum: Any
-    total: Any
-    terms: Any
-    constraint: Any
+    energy: ArrayLike
+    size: ArrayLike
+    momentum: ArrayLike
+    total: ArrayLike
+    terms: ArrayLike
+    constraint: ArrayLike
 
 
 @partial(compiled, once=True)
@@ -199,12 +201,12 @@ def _on_arrays(step: Step) -> Step:
     return dataclasses.replace(cast("Any", step), system=system)
 
 
-def _fields(step: Any) -> set[str]:
+def _fields(step: object) -> set[str]:
     return {field.name for field in dataclasses.fields(step)} if dataclasses.is_dataclass(step) else set()
 
 
 @partial(compiled, once=True)
-def _form_defect(step: Step, state: State, dt: Array) -> Array:
+def _form_defect(step: Step, state: State, dt: Array) -> Scalar:
     """The symplectic defect with δq and δp in units of the state, such as max|π|: it does not depend on ours."""
     of_q, of_p = units(step.system.phase_space, state)
     unit = jnp.sqrt(jnp.concatenate([of_q / of_p, of_p / of_q]))

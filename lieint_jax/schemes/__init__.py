@@ -68,7 +68,7 @@ from lieint_jax.schemes._log_hamiltonian import LogHamiltonian, log_hamiltonian
 from lieint_jax.schemes._nystrom import Nystrom, nystrom
 from lieint_jax.schemes._preprocessed import Preprocessed, preprocessed
 from lieint_jax.schemes._reversible_control import ReversibleControl, reversible_control
-from lieint_jax.schemes._shared.properties import Catalogue, SchemeProperties
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_alpha import SO3Alpha, so3_alpha
 from lieint_jax.schemes._so3_explicit import SO3Explicit, so3_explicit
 from lieint_jax.schemes._so3_midpoint import SO3Midpoint, so3_midpoint
@@ -77,6 +77,7 @@ from lieint_jax.schemes._sphere_midpoint import SphereMidpoint, sphere_midpoint
 from lieint_jax.schemes._splitting import Splitting, splitting
 from lieint_jax.schemes._top_energy_momentum import TopEnergyMomentum, top_energy_momentum
 from lieint_jax.schemes._torqued_midpoint import DampedMidpoint, TorquedMidpoint, torqued_midpoint
+from lieint_jax.types import Catalogue
 
 __all__ = [
     "Additive",
@@ -132,11 +133,11 @@ __all__ = [
 ]
 
 
-def catalogue() -> Catalogue:
+def catalogue() -> Catalogue[SchemeProperties]:
     """What each scheme is for and conserves, its order and limit, its names in the literature and its source.
 
     Returns:
-        A tuple of `SchemeProperties`, which prints as a table.
+        A tuple of `SchemeProperties`, which prints as a table; `.markdown()` is one for a page.
     """
     return Catalogue(
         module.PROPERTIES

@@ -47,9 +47,11 @@ from lieint_jax.types import (
     Step,
     StepInfo,
     StoredEnergy,
+    System,
     pytree,
     static,
 )
+from lieint_jax.types.shapes import Scalar
 
 Rule = Literal["symplectic", "energy", "energy_momentum", "average", "incompressible"]
 _SHRINK = 0.1  # det of the watched F may fall to this part of itself in one Newton correction
@@ -106,7 +108,7 @@ class Additive(Step):
         return f"additive[{self.rule}]"
 
     @property
-    def velocity_weight(self) -> Array:
+    def velocity_weight(self) -> Scalar:
         """β = 1 − α (6.9)."""
         return 1 - self.alpha
 
@@ -218,7 +220,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The two rules that solve no equation for γ, for pseudo-rigid bodies; the one for incompressible bodies.
 
     The other two compile too long to be among the examples, which every test of a scheme and `lieint check` go through;
@@ -324,7 +326,7 @@ class _Equation(NamedTuple):
     C: Symmetric
     dt: Array
     c: Array
-    a: Any
+    a: Array | float
     stiffness: Array
     size: Array
 
@@ -396,11 +398,11 @@ def _newton_step(
     N: Symmetric,
     watched: Matrix,
     middle: Matrix,
-    a: Any,
+    a: Array | float,
     c: Array,
     columns: Sequence[tuple[Symmetric, tuple[Array, ...]]],
     R: Array,
-    limits: Sequence[tuple[Any, Any]],
+    limits: Sequence[tuple[ArrayLike, ArrayLike]],
 ) -> tuple[Matrix, list[Array]]:
     """dU and dγ of dU N + (cF_{n+α}) dS = R, dS = 𝕋dD + S′dγ, dD = a(GᵀdU + dUᵀG), G = F_n + aU the watched F.
 
@@ -428,7 +430,7 @@ def _newton_step(
     return vec3.combine(free, bent, -1), d_gamma
 
 
-def _fraction(G: Matrix, dG: Matrix, a: Any) -> Array:
+def _fraction(G: Matrix, dG: Matrix, a: Array | float) -> Array:
     """The largest of the fractions t with det(G − ta dG) > det(G)/10, a cubic in ta; the least if none has it."""
     cof, cof_d = ((vec3.cross(A[1], A[2]), vec3.cross(A[2], A[0]), vec3.cross(A[0], A[1])) for A in (G, dG))
     d0, d3 = vec3.dot(G[0], cof[0]), vec3.dot(dG[0], cof_d[0])

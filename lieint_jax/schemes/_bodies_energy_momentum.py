@@ -15,7 +15,7 @@ balance of angular momentum: κ_i τ̄_i in place of τ̄_i keeps energy, and Δ
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +31,7 @@ from lieint_jax.potentials import invariant_form, torques
 from lieint_jax.schemes._shared.accepts import AcceptedSystems, check_motion
 from lieint_jax.schemes._shared.free_bodies import free_motion
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import AbstractRigidBodies, State, Step, StepInfo, pytree, static
+from lieint_jax.types import AbstractRigidBodies, State, Step, StepInfo, System, pytree, static
 
 _STALLED = 2**16  # eps: a change below it that no longer falls is rounding
 _CONVERGED = 32  # eps: the largest last change of a step that converged
@@ -246,6 +246,6 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The scheme, for bodies in a potential."""
     return {"bodies_energy_momentum": bodies_energy_momentum(system)} if BODIES.declared(system) else {}

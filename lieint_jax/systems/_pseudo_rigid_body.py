@@ -15,6 +15,7 @@ from lieint_jax._numerics import vec3
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMatrices
 from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.stored_energy import (
     as_stored_energy,
     mooney_rivlin,
@@ -22,6 +23,7 @@ from lieint_jax.systems._shared.stored_energy import (
     saint_venant_kirchhoff,
 )
 from lieint_jax.types import AbstractElasticBody, State, StoredEnergy, pytree
+from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3
 
 _PHASE_SPACE = CotangentMatrices()
 
@@ -74,25 +76,25 @@ class PseudoRigidBody(AbstractElasticBody):
         dtype = jnp.result_type(F, P)
         return State(F.astype(dtype), P.astype(dtype))
 
-    def velocity(self, state: State) -> Array:
+    def velocity(self, state: State) -> Matrix3:
         """V = Ḟ = PE⁻¹, shape (3, 3)."""
         E = vec3.symmetric(self.inertia)
         return jnp.stack([jnp.stack(vec3.solve_symmetric(E, row)) for row in state.p])
 
-    def strain(self, state: State) -> Array:
+    def strain(self, state: State) -> Matrix3:
         """C = FᵀF, shape (3, 3)."""
         return jnp.array(vec3.rows(vec3.gram(state.q)))
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2)."""
         return jnp.sum(state.p * self.velocity(state)) / 2 + self.stored_energy(self.strain(state))
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """Φ = rot[PFᵀ] (6.4), shape (3,), the paper's momentum map of rotations in space: ξ·Φ = ½⟨P, ξ̂F⟩."""
         M = vec3.product(state.p, vec3.transpose(state.q))
         return jnp.stack([M[2][1] - M[1][2], M[0][2] - M[2][0], M[1][0] - M[0][1]]) / 2
 
-    def angular_momentum(self, state: State) -> Array:
+    def angular_momentum(self, state: State) -> Vector3:
         """∫ρ x × ẋ = 2 rot[PFᵀ], shape (3,): the physical one, twice the paper's (6.4)."""
         return 2 * self.momentum(state)
 
@@ -108,7 +110,7 @@ class PseudoRigidBody(AbstractElasticBody):
         _orientation("state.q", _checks.real_array("state.q", state.q, (3, 3)))
         _checks.real_array("state.p", state.p, (3, 3))
 
-    def _inertia_matrix(self) -> Array:
+    def _inertia_matrix(self) -> Matrix3:
         return jnp.diag(self.inertia) if self.inertia.ndim == 1 else self.inertia
 
 
@@ -135,9 +137,21 @@ def pseudo_rigid_body(inertia: ArrayLike, stored_energy: StoredEnergy | Callable
     return PseudoRigidBody(_checks.positive_definite("inertia", inertia), as_stored_energy(stored_energy))
 
 
-def _orientation(name: str, F: Array) -> None:
+def _orientation(name: str, F: Matrix3) -> None:
     if concrete(F) and not np.linalg.det(np.asarray(F, float)) > 0:
         raise ValueError(f"det {name} must be positive (no body is turned inside out), got\n{np.asarray(F)}")
+
+
+PROPERTIES = SystemProperties(
+    name="pseudo_rigid_body",
+    models="an elastic body that deforms homogeneously",
+    phase_space="T*GL⁺(3): F, P",
+    conserves=("energy", "momentum"),
+    momentum="Φ = rot[PFᵀ], half the angular momentum",
+    sizes=(3,),
+    aliases=("homogeneous elasticity", "Dirichlet's problem with elasticity"),
+    source="Cohen & Muncaster 1988; Lewis & Simo 1994, Section 6",
+)
 
 
 def examples() -> dict[str, tuple[PseudoRigidBody, State, float]]:

@@ -20,6 +20,7 @@ from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMotions
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import (
     AbstractFreeBodies,
     AbstractRigidBodies,
@@ -28,6 +29,18 @@ from lieint_jax.types import (
     autodiff_gradient,
     callable_pytree,
     pytree,
+)
+from lieint_jax.types.shapes import (
+    Inertia,
+    Masses,
+    MomentumMap,
+    PoseMomenta,
+    Poses,
+    Positions,
+    Quaternion,
+    Rotations,
+    Scalar,
+    Vector3,
 )
 
 _ARGUMENTS = "positions (N, 3) and rotations (N, 3, 3)"
@@ -82,17 +95,17 @@ class _Many:
         self.check(state)
         return state
 
-    def angular_velocities(self, state: State) -> Array:
+    def angular_velocities(self, state: State) -> Positions:
         """The body angular velocities Ω = J⁻¹Λᵀπ, (N, 3)."""
         return jax.vmap(_angular_velocity)(self.inertias, state.q[:, 3:], state.p[:, 3:])
 
-    def kinetic_energy(self, state: State) -> Array:
+    def kinetic_energy(self, state: State) -> Scalar:
         """Σ |p|²/2m + ½ Π·J⁻¹Π."""
         Pi = jax.vmap(so3.Ad_star)(state.q[:, 3:], state.p[:, 3:])
         turning = jnp.sum(Pi * self.angular_velocities(state)) / 2
         return turning + jnp.sum(state.p[:, :3] ** 2 / self.masses[:, None]) / 2
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """(6,): P = Σp, and L = Σ(x × p + π) about the origin."""
         x, p, spin = state.q[:, :3], state.p[:, :3], state.p[:, 3:]
         return jnp.concatenate([jnp.sum(p, axis=0), jnp.sum(jnp.cross(x, p) + spin, axis=0)])
@@ -116,7 +129,7 @@ class _Many:
         _check_places(q[:, :3])
 
 
-def _angular_velocity(J: Array, q: Array, spin: Array) -> Array:
+def _angular_velocity(J: Inertia, q: Quaternion, spin: Vector3) -> Vector3:
     """Ω = J⁻¹Λᵀπ of one body, (3,)."""
     return jnp.stack(vec3.solve_symmetric(vec3.symmetric(J), so3.Ad_star(q, spin)))
 
@@ -133,7 +146,7 @@ class FreeBodies(_Many, AbstractFreeBodies):
     masses: Array
     inertias: Array
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """The kinetic energy."""
         return self.kinetic_energy(state)
 
@@ -167,20 +180,20 @@ class RigidBodies(_Many, AbstractRigidBodies):
         """The same bodies without the potential."""
         return FreeBodies(self.masses, self.inertias)
 
-    def potential_energy(self, q: Array) -> Array:
+    def potential_energy(self, q: Poses) -> Scalar:
         """V(x, Λ)."""
         return self.potential(q[:, :3], rotations(q))
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """(6,): P = Σp, and L = Σ(x × p + π) about the origin; of these what an outer field leaves conserved."""
         both, kept = super().momentum(state), potentials.symmetry(self.potential)
         return both if kept is None else jnp.sum(kept * both, axis=1)
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """The kinetic energy and V."""
         return self.kinetic_energy(state) + self.potential_energy(state.q)
 
-    def force(self, q: Array) -> Array:
+    def force(self, q: Poses) -> PoseMomenta:
         """The forces −∂V/∂x and the torques −∂V(exp(δ̂)Λ)/∂δ in space, (N, 6)."""
         R = rotations(q)
         if hasattr(self.potential, "force"):
@@ -202,13 +215,13 @@ class RigidBodies(_Many, AbstractRigidBodies):
 
 
 @compiled
-def _potential_energy(system: RigidBodies, q: Array) -> Array:
+def _potential_energy(system: RigidBodies, q: Poses) -> Scalar:
     return system.potential_energy(q)
 
 
 @partial(compiled, once=True)
 def _make_state(
-    masses: Array, inertias: Array, x: Array, turns: Array, v: Array | np.ndarray, Omega: Array | np.ndarray
+    masses: Masses, inertias: Array, x: Positions, turns: Array, v: Array | np.ndarray, Omega: Array | np.ndarray
 ) -> State:
     """The state of positions, attitudes (quaternions or rotation matrices) and velocities."""
     turns = jax.vmap(so3.normalize if turns.ndim == 2 else so3.from_matrix)(turns)
@@ -251,7 +264,7 @@ def _check_places(x: np.ndarray) -> None:
         )
 
 
-def rotations(q: Array) -> Array:
+def rotations(q: Poses) -> Rotations:
     """Λ of each body, (N, 3, 3), of configurations (N, 7)."""
     return jax.vmap(so3.to_matrix)(q[:, 3:])
 
@@ -299,6 +312,18 @@ def rigid_bodies(masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Ar
     return made
 
 
+PROPERTIES = SystemProperties(
+    name="rigid_bodies",
+    models="several rigid bodies in a potential of positions and attitudes",
+    phase_space="(T*ℝ³ × T*SO(3))ᴺ: poses (N, 7), momenta (N, 6)",
+    conserves=("energy", "momentum"),
+    momentum="P and L about the origin, or the components that an outer field leaves",
+    sizes=(6, 5, 4, 3, 2, 1, 0),
+    aliases=("full two-body problem", "rigid molecules"),
+    source="Maciejewski 1995, Celest. Mech. 63",
+)
+
+
 def examples() -> dict[str, tuple[RigidBodies, State, float]]:
     """A binary asteroid, and three bodies with a term that is no sum of pairs."""
     masses, inertias = jnp.array([1.0, 0.5]), jnp.array([[0.10, 0.11, 0.12], [0.030, 0.034, 0.040]])
@@ -315,7 +340,7 @@ def examples() -> dict[str, tuple[RigidBodies, State, float]]:
     }
 
 
-def _spread(x: Array, R: Array) -> Array:
+def _spread(x: Positions, R: Rotations) -> Array:
     """The squared area of the triangle of three bodies, and what their attitudes feel of it."""
     a, b = x[1] - x[0], x[2] - x[0]
     c = jnp.cross(a, b)

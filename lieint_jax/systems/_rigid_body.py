@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
@@ -13,7 +11,9 @@ from lieint_jax._free_body import Periods
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import Body
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import AbstractFreeBody, State, pytree
+from lieint_jax.types.shapes import MomentumMap, Scalar
 
 
 @pytree
@@ -26,11 +26,11 @@ class RigidBody(Body, AbstractFreeBody):
 
     inertia: Array
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π (2.11)."""
         return self.kinetic_energy(state)
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """The momentum map of rotations in space (2.13): π itself, shape (3,)."""
         return state.p
 
@@ -85,10 +85,22 @@ def rigid_body(inertia: ArrayLike) -> RigidBody:
     return RigidBody(_checks.inertia(inertia))
 
 
+PROPERTIES = SystemProperties(
+    name="rigid_body",
+    models="a free rigid body",
+    phase_space="T*SO(3): unit quaternion, π",
+    conserves=("energy", "momentum", "Casimirs"),
+    momentum="π in space",
+    sizes=(3,),
+    aliases=("Euler top", "Euler–Poinsot motion"),
+    source="Lewis & Simo 1994, (2.12); Euler 1758",
+)
+
+
 def examples() -> dict[str, tuple[RigidBody, State, float]]:
     """The two bodies of the paper's Figures 1 and 2, a body turned from its principal axes, and a flipping one."""
     turn = so3.to_matrix(so3.exp(jnp.array([0.3, -0.5, 0.4])))
-    bodies: dict[str, Any] = {
+    bodies: dict[str, tuple[ArrayLike, list[float]]] = {
         "asymmetric": ([1.0, 2.0, 3.0], [0.2, 0.0, 1.0]),
         "symmetric": ([1.0, 1.0, 2.0], [0.2, 0.0, 1.0]),
         "full_tensor": (turn @ jnp.diag(jnp.array([1.0, 2.0, 2.5])) @ turn.T, [0.3, -0.4, 0.8]),

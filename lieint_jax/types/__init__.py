@@ -35,6 +35,7 @@ from lieint_jax.types._capabilities import (
     autodiff_gradient,
     gradient,
 )
+from lieint_jax.types._catalogue import Catalogue
 from lieint_jax.types._group import AnalyticGroup, Group, PhaseSpace
 from lieint_jax.types._pytree import callable_pytree, pytree, static
 from lieint_jax.types._state import State, StepInfo, Trajectory, all_finite, clock, counts_work
@@ -62,6 +63,7 @@ __all__ = [
     "AbstractTop",
     "AbstractTorquedBody",
     "AnalyticGroup",
+    "Catalogue",
     "Function",
     "Group",
     "Law",

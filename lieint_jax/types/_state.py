@@ -12,6 +12,7 @@ from jax import Array
 from lieint_jax.types import _labeled
 from lieint_jax.types._members import Axis
 from lieint_jax.types._record import record
+from lieint_jax.types.shapes import Flag, PyTree, Time
 
 
 @record
@@ -124,7 +125,7 @@ def counts_work(state: State) -> bool:
     return state.work is not None or "works" in (state.extra or {})
 
 
-def clock(state: State) -> Array:
+def clock(state: State) -> Time:
     """The time of a state; ValueError if it has none."""
     if state.t is None:
         raise ValueError(
@@ -134,6 +135,6 @@ def clock(state: State) -> Array:
     return state.t
 
 
-def all_finite(tree: Any) -> Array:
+def all_finite(tree: PyTree) -> Flag:
     """Whether all arrays of a tree are finite, a scalar."""
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(tree)]))

@@ -19,6 +19,7 @@ from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.time_and_work import check_timed, timed
 from lieint_jax.types import PhaseSpace, State, autodiff_gradient
+from lieint_jax.types.shapes import Matrix3, Quaternion, Scalar, Vector3
 
 _PHASE_SPACE = CotangentGroup(so3)
 
@@ -30,11 +31,11 @@ class OnRotations:
     def phase_space(self) -> PhaseSpace:
         return _PHASE_SPACE
 
-    def rotation_matrix(self, state: State) -> Array:
+    def rotation_matrix(self, state: State) -> Matrix3:
         """Λ, body to space, shape (3, 3)."""
         return so3.to_matrix(state.q)
 
-    def body_momentum(self, state: State) -> Array:
+    def body_momentum(self, state: State) -> Vector3:
         """Π = Λᵀπ, shape (3,)."""
         return so3.Ad_star(state.q, state.p)
 
@@ -45,7 +46,7 @@ class Rotating(OnRotations, abc.ABC):
     inertia: Array
 
     @abc.abstractmethod
-    def momentum_at(self, angular_velocity: Array) -> Array:
+    def momentum_at(self, angular_velocity: Vector3) -> Vector3:
         """Π where the body turns with Ω, shape (3,)."""
 
     @explained
@@ -88,15 +89,15 @@ class Rotating(OnRotations, abc.ABC):
 class Body(Rotating):
     """A body that has no momentum but that of its own turning: Π = JΩ."""
 
-    def momentum_at(self, angular_velocity: Array) -> Array:
+    def momentum_at(self, angular_velocity: Vector3) -> Vector3:
         """Π = JΩ, shape (3,)."""
         return jnp.stack(vec3.apply(vec3.symmetric(self.inertia), angular_velocity))
 
-    def angular_velocity(self, state: State) -> Array:
+    def angular_velocity(self, state: State) -> Vector3:
         """The body angular velocity Ω = J⁻¹Π, shape (3,)."""
         return jnp.stack(vec3.solve_symmetric(vec3.symmetric(self.inertia), self.body_momentum(state)))
 
-    def kinetic_energy(self, state: State) -> Array:
+    def kinetic_energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π."""
         return vec3.dot(self.body_momentum(state), self.angular_velocity(state)) / 2
 
@@ -140,7 +141,7 @@ class TimedBody(Body):
             check_timed(state)
 
 
-def spatial_torque(potential: Callable[[Array], Array], q: Array) -> Array:
+def spatial_torque(potential: Callable[[Array], Array], q: Quaternion) -> Vector3:
     """The torque in space of a potential V(q), shape (3,): its i-th component is −d/dε V(exp(εeᵢ)q)."""
     return -autodiff_gradient(lambda theta: potential(so3.multiply(so3.exp(theta), q)))(jnp.zeros_like(q[:3]))
 
@@ -156,7 +157,7 @@ def _attitude_and_momentum(body: Rotating, attitude: Array, motion: Array, name:
     return q.astype(dtype), p.astype(dtype)
 
 
-def _checked_attitude(attitude: ArrayLike) -> Array:
+def _checked_attitude(attitude: ArrayLike) -> Quaternion:
     """A quaternion or a rotation matrix."""
     if np.shape(attitude) == (3, 3):
         return _checks.rotation_matrix("attitude", attitude)
