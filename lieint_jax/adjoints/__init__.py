@@ -1,4 +1,4 @@
-"""Derivatives of whole runs in reverse mode, by undoing steps or by checkpoints.
+"""Derivatives of whole runs: in reverse mode, by undoing steps or by checkpoints; transition matrices and covariance.
 
 Which derivative to take, for N steps, p parameters and a loss or m residuals:
 
@@ -9,7 +9,7 @@ Which derivative to take, for N steps, p parameters and a loss or m residuals:
 | reverse, by checkpoints | the same with `derivative="checkpoint"` | 6 to 18, for any p | some 3 N^(1/3) states |
 | reverse, through the scan | `jax.grad` through `integrate` | 10 and more | what N steps computed |
 | a Hessian times a vector | `jax.jvp` of `jax.grad` through `reversible`, `observe` | some 40 | the saved states |
-| a tangent flow | `jax.jvp` step by step (`Step.tangent`) | 1 + its dimension | none |
+| a tangent flow | `transition`: step by step, by `Step.tangent` | 1 + its dimension | none |
 
 * Few parameters, or residuals to be squared: forward. `fit` does so for "levenberg_marquardt".
 * Many parameters and a scalar: `reversible`. The step must be symmetric, which all of the package are but
@@ -24,5 +24,6 @@ the trajectory itself is accurate.
 
 from lieint_jax.adjoints._observe import observe
 from lieint_jax.adjoints._reversible import reversible, round_trip_error
+from lieint_jax.adjoints._transition import Ellipse, Transition, transition
 
-__all__ = ["observe", "reversible", "round_trip_error"]
+__all__ = ["Ellipse", "Transition", "observe", "reversible", "round_trip_error", "transition"]
