@@ -62,6 +62,7 @@ def test_the_matrix_of_another_step_is_not_symplectic():
     assert float(jnp.max(jnp.abs(defect))) > 1e-4
 
 
+@pytest.mark.long
 def test_the_derivatives_of_a_driven_run_by_three_ways():
     """Against differences of sixth order (observed 1e-12 of the largest) and `reversible` in reverse mode (5e-15)."""
     space, J = SATELLITE.phase_space, SATELLITE.inertia
@@ -113,6 +114,7 @@ def test_a_state_may_depend_on_the_parameters():
     np.testing.assert_allclose(found.by_parameters, expected, rtol=0, atol=1e-12)
 
 
+@pytest.mark.long
 def test_what_a_state_carries_along_is_differentiated_too():
     """Wheels whose motors follow the body's rates; their momenta at the start are parameters. Observed 3e-12."""
 
@@ -160,6 +162,10 @@ def test_it_is_batched_and_keeps_its_type():
     step, states = li.schemes.splitting(TOP), jax.tree.map(lambda x: jnp.stack([x, x]), SPINNING)
     states = states._replace(p=states.p * jnp.array([[1.0], [1.1]]))
     many = jax.jit(jax.vmap(lambda z: li.transition(step, z, DT, STEPS)))(states)
+    with pytest.raises(ValueError, match="needs transition"):
+        many.covariance(np.eye(6), np.eye(3))
+    with pytest.raises(ValueError, match="initial must be a covariance of 6 coordinates"):
+        many.covariance(np.eye(3))
     single = li.transition(step, State(states.q[1], states.p[1]), DT, STEPS)
     np.testing.assert_allclose(many.matrix[1], single.matrix, rtol=0, atol=1e-12)
     assert many.covariance(np.eye(6)).shape == (2, 6, 6)
@@ -188,7 +194,3 @@ def test_a_name_of_different_numbers_is_refused():
     step = li.schemes.torqued_midpoint(body)
     with pytest.raises(ValueError, match=r"'inertia' stands for different numbers: system\.inertia, system\.torque"):
         li.transition(step, state, DT, 5, parameters="inertia")
-    with pytest.raises(ValueError, match="needs transition"):
-        li.transition(step, state, DT, 5).covariance(np.eye(6), np.eye(3))
-    with pytest.raises(ValueError, match="initial must be a covariance of 6 coordinates"):
-        li.transition(step, state, DT, 5).covariance(np.eye(3))
