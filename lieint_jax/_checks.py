@@ -294,6 +294,13 @@ def _moments(array: Array) -> np.ndarray:
     return np.sort(J if J.ndim == 1 else np.linalg.eigvalsh(J))
 
 
+def quaternions(attitude: Input) -> Input:
+    """The quaternions (w, x, y, z), (4,) or (N, 4), of a scipy `Rotation`; anything else as it is."""
+    if not (hasattr(attitude, "as_quat") and hasattr(attitude, "as_matrix")):
+        return attitude
+    return np.roll(np.asarray(attitude.as_quat()), 1, axis=-1)
+
+
 def unit_quaternion(name: str, value: Input) -> Array:
     """A quaternion (w, x, y, z) of unit length to 1e-6. It is not normalized."""
     q = real_array(name, value, (4,))

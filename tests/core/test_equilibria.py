@@ -33,7 +33,7 @@ def test_a_satellite_in_the_regions_of_debra_and_delp():
         # near the corner of the region of gyroscopic stability half of the time
         J = np.sort(random.uniform(0.5, 1.0, 3)) if random.random() < 0.4 else random.uniform(0.5, 1.0, 3)
         if random.random() < 0.3:
-            J = np.array([0.95, 1.0, 0.5]) + random.uniform(-0.04, 0.0, 3)
+            J = np.array([0.56, 0.98, 0.52]) + random.uniform(-0.02, 0.02, 3)
         if max(J) > sum(J) / 2:
             continue
         body = li.systems.gravity_gradient(J, CIRCLE)
