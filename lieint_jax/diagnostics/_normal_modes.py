@@ -114,16 +114,16 @@ def _modes(found: Derivatives, rates: np.ndarray, small: float) -> NormalModes:
     reduced = -np.linalg.solve(form, energy) if slice_.shape[1] else np.zeros((0, 0))
     pairs, vectors = _pairs(reduced, small)
     group = _group_rates(A, orbit, omega, along, small)
-    frequencies, growth = np.abs(pairs.imag), np.abs(pairs.real)
+    frequencies, growth = np.abs(np.imag(pairs)), np.abs(np.real(pairs))
     curvature = np.linalg.eigvalsh((energy + energy.T) / 2)
-    curved = curvature[np.abs(curvature) > small**2 * np.abs(curvature).max(initial=0)]
+    curved = curvature[np.abs(curvature) > 16 * small**2 * np.abs(curvature).max(initial=0)]
     definite = bool(np.all(curved > 0) or np.all(curved < 0))
     signs = _signs(pairs, vectors, energy)
     stable = not growth.any()
     margin = _margin(frequencies, signs) if stable else -float(growth.max())
     return NormalModes(
-        jnp.asarray(np.concatenate([frequencies, np.abs(group.imag)])),
-        jnp.asarray(np.concatenate([growth, np.abs(group.real)])),
+        jnp.asarray(np.concatenate([frequencies, np.abs(np.imag(group))])),
+        jnp.asarray(np.concatenate([growth, np.abs(np.real(group))])),
         jnp.asarray(signs),
         jnp.asarray(unit[:, None] * (slice_ @ vectors)),
         stable,
@@ -152,20 +152,23 @@ def _slice(omega: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def _pairs(A: np.ndarray, small: float) -> tuple[np.ndarray, np.ndarray]:
     """One eigenvalue of each pair ±λ of a Hamiltonian matrix, by ascending frequency, and their vectors as columns."""
     values, vectors = np.linalg.eig(A)
-    scale = np.abs(values).max(initial=0)
-    values = np.where(np.abs(values.real) <= small * scale, 0, values.real) + 1j * np.where(
-        np.abs(values.imag) <= small * scale, 0, values.imag
-    )
+    values = _rounded(values, small * np.abs(values).max(initial=0))
     rest, chosen, paired = list(range(len(values))), [], []
     while rest:
-        first = max(rest, key=lambda i: (values[i].imag, values[i].real))
+        first = max(rest, key=lambda i: (np.imag(values[i]), np.real(values[i])))
         rest.remove(first)
         partner = min(rest, key=lambda i: abs(values[i] + values[first]))
         rest.remove(partner)
         chosen.append(first)
         paired.append((values[first] - values[partner]) / 2)
-    order = sorted(range(len(paired)), key=lambda i: (paired[i].imag, abs(paired[i].real)))
+    order = sorted(range(len(paired)), key=lambda i: (np.imag(paired[i]), abs(np.real(paired[i]))))
     return np.array([paired[i] for i in order], complex), vectors[:, [chosen[i] for i in order]].astype(complex)
+
+
+def _rounded(values: np.ndarray, least: float) -> np.ndarray:
+    """Eigenvalues without real and imaginary parts below `least`."""
+    real, imaginary = (np.where(np.abs(x) <= least, 0, x) for x in (np.real(values), np.imag(values)))
+    return real + 1j * imaginary
 
 
 def _group_rates(A: np.ndarray, orbit: np.ndarray, omega: np.ndarray, along: np.ndarray, small: float) -> np.ndarray:
@@ -182,17 +185,16 @@ def _group_rates(A: np.ndarray, orbit: np.ndarray, omega: np.ndarray, along: np.
     quotient = moved.T @ A @ moved  # modulo the isotropy, which A maps to itself
     values = np.linalg.eigvals(isotropy.T @ A @ isotropy)
     scale = max(np.abs(np.linalg.eigvals(orbit.T @ A @ orbit)).max(initial=0), 1e-300)
-    clean = np.where(np.abs(values.real) <= small * scale, 0, values.real)
-    values = clean + 1j * np.where(np.abs(values.imag) <= small * scale, 0, values.imag)
+    values = _rounded(values, small * scale)
     found = np.concatenate([_pairs(quotient, small)[0], values])
-    return found[np.argsort(np.abs(found.imag), kind="stable")]
+    return found[np.argsort(np.abs(np.imag(found)), kind="stable")]
 
 
 def _signs(pairs: np.ndarray, vectors: np.ndarray, energy: np.ndarray) -> np.ndarray:
     """The sign of the energy of each oscillation; for frequencies that are equal, that of the vectors as found."""
-    values = np.einsum("im,ij,jm->m", vectors.conj(), energy, vectors).real
-    oscillating = (pairs.real == 0) & (pairs.imag > 0)
-    return np.where(oscillating, np.sign(values), 0).astype(int)
+    values = np.einsum("im,ij,jm->m", vectors.conj(), energy, vectors)
+    oscillating = (np.real(pairs) == 0) & (np.imag(pairs) > 0)
+    return np.where(oscillating, np.sign(np.real(values)), 0).astype(int)
 
 
 def _margin(frequencies: np.ndarray, signs: np.ndarray) -> float:

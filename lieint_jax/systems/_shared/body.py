@@ -151,10 +151,11 @@ class Body(Rotating):
             ValueError: no motion of this body in this mode has this ratio of the periods. A sphere has none.
         """
         moments, axes = _principal(self.inertia)
-        ratio = _checks.real_array("rotation", rotation, ()) / _checks.real_array("precession", precession, ())
-        _check_ratio(moments, ratio, precession, long_axis)
-        unit = _free_body.excited(moments, jnp.asarray(ratio, moments.dtype), long_axis)
-        size = _free_body.periods(moments, unit).precession / jnp.asarray(precession, moments.dtype)
+        period = _checks.real_array("precession", precession, ()).astype(moments.dtype)
+        ratio = _checks.real_array("rotation", rotation, ()).astype(moments.dtype) / period
+        _check_ratio(moments, ratio, period, long_axis)
+        unit = _free_body.excited(moments, ratio, long_axis)
+        size = _free_body.periods(moments, unit).precession / period
         return self.state(attitude, body_momentum=axes @ (size * unit), **options)
 
 
@@ -210,7 +211,7 @@ def _principal(J: Array) -> tuple[Array, Array]:
     return J[order], jnp.eye(3, dtype=J.dtype)[:, order]
 
 
-def _check_ratio(moments: Array, ratio: Array, precession: ArrayLike, long_axis: bool) -> None:
+def _check_ratio(moments: Array, ratio: Array, precession: Array, long_axis: bool) -> None:
     """ValueError unless concrete periods are those of a motion in the mode."""
     if not isinstance(long_axis, bool | np.bool_):
         raise ValueError(f"long_axis must be True (long-axis mode) or False (short-axis mode), got {long_axis!r}")
