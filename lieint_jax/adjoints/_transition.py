@@ -186,7 +186,7 @@ def transition(
     Source: Montenbruck & Gill 2000, Satellite Orbits, 7.2 (the equations of the continuous flow); that Φ of a
     symplectic scheme is symplectic: Hairer, Lubich & Wanner, Geometric Numerical Integration, VI.2.
     """
-    run, values = _given(step, state, parameters)
+    run, values = _run_of(step, state, parameters)
     made, start = run(values)
     made, start, dtype = promoted(checked_step(made), start)
     if made.own_time:
@@ -224,7 +224,7 @@ class _Run:
         return step, state
 
 
-def _given(step: Any, state: Any, parameters: Any) -> tuple[_Run, Any]:
+def _run_of(step: Any, state: Any, parameters: Any) -> tuple[_Run, Any]:
     """The run as a function of its parameters, and their values."""
     functions = [not isinstance(step, Step) and callable(step), not isinstance(state, State) and callable(state)]
     if any(functions):
@@ -278,11 +278,11 @@ def _entries(run: _Run, values: Any, dt: Array, num_saves: int, save_every: int)
     """All entries, the start first."""
     p, unravel = ravel_pytree(values)
 
-    def made(p: Array) -> tuple[Step, State]:
+    def make_run(p: Array) -> tuple[Step, State]:
         step, state, _ = promoted(*run(unravel(p)))
         return step, state
 
-    step, start = made(p)
+    step, start = make_run(p)
     tangents, dim = _Tangents(step.system.phase_space, start), step.system.phase_space.dim
     t0 = start_time(step, start)
 
@@ -294,7 +294,7 @@ def _entries(run: _Run, values: Any, dt: Array, num_saves: int, save_every: int)
         else:
             end, info, T = tangents.carried(lambda z: step(z, dt), state, T)
         if p.size:
-            slope = tangents.slope(lambda p: made(p)[0](state, dt)[0], p)
+            slope = tangents.slope(lambda p: make_run(p)[0](state, dt)[0], p)
             T = T.at[:, dim:].add(slope)
         return (on_clock(end, t0, n + 1, dt), T, so_far.merge(info), n + 1), None
 
@@ -306,7 +306,7 @@ def _entries(run: _Run, values: Any, dt: Array, num_saves: int, save_every: int)
 
     T = jnp.eye(tangents.dim, dim, dtype=start.p.dtype)
     if p.size:
-        T = jnp.concatenate([T, tangents.slope(lambda p: made(p)[1], p)], axis=1)
+        T = jnp.concatenate([T, tangents.slope(lambda p: make_run(p)[1], p)], axis=1)
     _, (later, Ts) = lax.scan(interval, (start, T, jnp.zeros((), int)), None, length=num_saves)
     rows = jnp.concatenate([T[None], Ts])[:, :dim]
     trajectory = from_start(step, start, later, dt, save_every)
@@ -328,11 +328,11 @@ class _Tangents:
     def carried(self, function: Callable[[State], Any], state: State, T: Array) -> tuple[State, Any, Array]:
         """end, aux = function(state), and the derivative of end times T, (dim, k)."""
 
-        def moved(delta: Array) -> tuple[State, tuple[State, Any]]:
+        def perturbed_end(delta: Array) -> tuple[State, tuple[State, Any]]:
             end, aux = function(self._perturbed(state, delta))
             return end, (end, aux)
 
-        _, push, (end, aux) = jax.linearize(moved, jnp.zeros(self.dim, T.dtype), has_aux=True)
+        _, push, (end, aux) = jax.linearize(perturbed_end, jnp.zeros(self.dim, T.dtype), has_aux=True)
         return end, aux, jax.vmap(lambda delta: self._coordinates(end, push(delta)), -1, -1)(T)
 
     def slope(self, function: Callable[[Array], State], p: Array) -> Array:

@@ -132,7 +132,7 @@ def equilibrium(
     Args:
         system: a Hamiltonian system, with its known symmetries in `momentum`. It may be driven by an axis that rotates
             uniformly, as in `systems.gravity_gradient` on a circular orbit.
-        guess: a state. Of a driven system its time, which is not varied, says where the axis is.
+        guess: a state. Of a driven system its time, which is not varied, determines the axis.
         free: the coordinates of the phase space that may change, numbers from 0 to 2d − 1; by default all. On T*SO(3)
             they are δθ and δπ in space; of N bodies, 6 for each body's δx and δθ, then 6 for each one's δp and δπ.
         frame: the angular velocity in space, (3,), of the axes in which a driven body's field is constant; by default
@@ -182,7 +182,7 @@ def _newton(system: System, state: State, frame: Array, free: np.ndarray) -> Sta
         for _ in range(_HALVINGS):
             delta = np.zeros(found.unit.size)
             delta[free] = correction
-            moved = _moved(system, state, jnp.asarray(delta * found.unit, state.p.dtype))
+            moved = _perturbed(system, state, jnp.asarray(delta * found.unit, state.p.dtype))
             after = derivatives(system, moved, frame)
             less = after.residual(after.rates())
             if less < residual:
@@ -202,7 +202,7 @@ def _newton(system: System, state: State, frame: Array, free: np.ndarray) -> Sta
 
 
 @partial(compiled, once=True)
-def _moved(system: System, state: State, delta: Array) -> State:
+def _perturbed(system: System, state: State, delta: Array) -> State:
     return system.phase_space.perturb(state, delta)
 
 

@@ -133,7 +133,7 @@ def _parts(step: Splitting | GyrostatSplitting) -> _Parts:
     def potential(z: State) -> Array:
         return system.energy(z) - free.energy(z)
 
-    change = _along(potential, drift)  # {V, T} = L_T V
+    change = _lie_derivative(potential, drift)  # {V, T} = L_T V
     if isinstance(step, GyrostatSplitting):
         return _Parts({"X": rotate, "Y": drift}, change)
     if step.kick_first:
@@ -145,7 +145,7 @@ def _still(z: State) -> Array | None:
     return None if z.t is None else jnp.zeros_like(z.t)
 
 
-def _along(function: _Scalar, field: _Field) -> _Scalar:
+def _lie_derivative(function: _Scalar, field: _Field) -> _Scalar:
     """The derivative of a function along a vector field."""
     return lambda z: jax.jvp(function, (z,), (field(z),))[1]
 
@@ -159,7 +159,7 @@ def _brackets(parts: _Parts, coefficients: dict[str, float]) -> _Scalar:
         letter: {word[1:]: c for word, c in coefficients.items() if word[0] == letter}
         for letter in {word[0] for word in coefficients}
     }
-    slopes = [_along(_brackets(parts, inner[letter]), parts.fields[letter]) for letter in sorted(inner)]
+    slopes = [_lie_derivative(_brackets(parts, inner[letter]), parts.fields[letter]) for letter in sorted(inner)]
     return lambda z: -sum((slope(z) for slope in slopes[1:]), slopes[0](z))
 
 

@@ -2,7 +2,7 @@
 
     δẋ = Aδx,    A = −ω⁻¹ d²K      in axes that move with the equilibrium, K as in `_equilibrium`
 
-Of a symmetric system A has eigenvalues that say nothing of stability: 0 for a shift along the motion and for a change
+Of a symmetric system A has eigenvalues that do not bear on stability: 0 for a shift along the motion and for a change
 of the conserved momentum, ±i|ξ| for a tilt of all. They belong to the group, and are computed from it. The others are
 those of the symplectic slice, the perturbations that leave the momentum, modulo the motions along symmetries that leave
 it too.
