@@ -7,7 +7,7 @@ flow of H + Δt²H₂ + Δt⁴H₄ + …, with Poisson brackets
     H₄ = 7{X,X,X,X,Y}/5760 + {Y,X,X,X,Y}/360 + {X,Y,X,X,Y}/480 + {Y,Y,X,X,Y}/120 − {X,Y,Y,X,Y}/360 + {Y,Y,Y,X,Y}/720
 
 where {A,B,…} = {A,{B,…}}. As {A, f} = −L_A f, the derivative of −f along the flow of A, all of them are derivatives
-along known vector fields, of one scalar: {V, T} = L_T V, the rate of the potential in free motion.
+along known vector fields, of one scalar: {V, T} = L_T V, the rate of the potential in free motion, −force·velocity.
 
 Where the potential depends on time, the free motion advances it, and H − W is conserved in place of H.
 """
@@ -33,6 +33,7 @@ from lieint_jax.schemes._so3_midpoint import SO3Midpoint
 from lieint_jax.schemes._splitting import Splitting
 from lieint_jax.types import (
     AbstractDrivenSystem,
+    AbstractGyrostat,
     State,
     Step,
     checked_step,
@@ -115,30 +116,49 @@ class _Parts(NamedTuple):
 
 def _parts(step: Splitting | GyrostatSplitting) -> _Parts:
     """Kicks and drifts; of a gyrostat, rotations by the rotor and the motion of the free body."""
+    if isinstance(step, GyrostatSplitting):
+        return _rotor_parts(step.system)
     system: Any = step.system
-    free = system.free
+    driven = isinstance(system, AbstractDrivenSystem)
 
     def drift(z: State) -> State:
-        moving = free.vector_field(z)
+        moving = system.free.vector_field(z)
         return z._replace(q=moving.q, p=moving.p, t=None if z.t is None else jnp.ones_like(z.t))
 
+    def force(z: State) -> Array:
+        return system.force(z.q, clock(z)) if driven else system.force(z.q)
+
     def kick(z: State) -> State:
-        force = system.force(z.q, clock(z)) if isinstance(system, AbstractDrivenSystem) else system.force(z.q)
-        return z._replace(q=jnp.zeros_like(z.q), p=force, t=_still(z))
+        return z._replace(q=jnp.zeros_like(z.q), p=force(z), t=_still(z))
+
+    def rate(z: State) -> Array:
+        """{V, T} = L_T V: the rate of V in free motion, −force·velocity, and ∂V/∂t."""
+        velocity = system.phase_space.trivialize(z, drift(z))[: z.p.size]
+        power = system.power(z.q, clock(z)) if driven else 0.0
+        return power - jnp.sum(force(z).ravel() * velocity)
+
+    if step.kick_first:
+        return _Parts({"X": kick, "Y": drift}, rate)
+    return _Parts({"X": drift, "Y": kick}, lambda z: -rate(z))
+
+
+def _rotor_parts(system: AbstractGyrostat) -> _Parts:
+    """X = −c·Π with c = J⁻¹h_r, Y the energy of the free body: {X, Y} = −c·(Π × Ω)."""
+    velocity = tuple(vec3.solve_symmetric(vec3.symmetric(system.inertia), system.rotor))
+
+    def drift(z: State) -> State:
+        moving = system.free.vector_field(z)
+        return z._replace(q=moving.q, p=moving.p, t=_still(z))
 
     def rotate(z: State) -> State:
-        velocity = jnp.stack(vec3.solve_symmetric(vec3.symmetric(system.inertia), system.rotor))
-        return z._replace(q=so3.tangent(z.q, -velocity), p=jnp.zeros_like(z.p), t=_still(z))
+        return z._replace(q=so3.tangent(z.q, -jnp.stack(velocity)), p=jnp.zeros_like(z.p), t=_still(z))
 
-    def potential(z: State) -> Array:
-        return system.energy(z) - free.energy(z)
+    def rate(z: State) -> Array:
+        Pi = so3.Ad_star(z.q, z.p)
+        Omega = vec3.solve_symmetric(vec3.symmetric(system.inertia), Pi)
+        return -vec3.dot(velocity, vec3.cross(Pi, Omega))
 
-    change = _lie_derivative(potential, drift)  # {V, T} = L_T V
-    if isinstance(step, GyrostatSplitting):
-        return _Parts({"X": rotate, "Y": drift}, change)
-    if step.kick_first:
-        return _Parts({"X": kick, "Y": drift}, change)
-    return _Parts({"X": drift, "Y": kick}, lambda z: -change(z))
+    return _Parts({"X": rotate, "Y": drift}, rate)
 
 
 def _still(z: State) -> Array | None:
