@@ -48,7 +48,7 @@ class _Many:
     def state(
         self,
         positions: ArrayLike,
-        attitudes: ArrayLike | None = None,
+        attitudes: _checks.Attitude | None = None,
         *,
         velocities: ArrayLike | None = None,
         angular_velocities: ArrayLike | None = None,
@@ -219,7 +219,7 @@ def _make_state(
     return State(q.astype(dtype), p.astype(dtype))
 
 
-def _attitudes(attitudes: ArrayLike | None, n: int, like: Array) -> Array:
+def _attitudes(attitudes: _checks.Attitude | None, n: int, like: Array) -> Array:
     """Quaternions (n, 4) or rotation matrices (n, 3, 3), checked; the identity if there are none."""
     if attitudes is None:
         return _checks.as_array(np.tile([1.0, 0, 0, 0], (n, 1)), like.dtype)

@@ -54,7 +54,7 @@ class Rotating(OnRotations, abc.ABC):
     @explained
     def state(
         self,
-        attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        attitude: _checks.Attitude = (1.0, 0.0, 0.0, 0.0),
         *,
         angular_velocity: ArrayLike | None = None,
         body_momentum: ArrayLike | None = None,
@@ -125,7 +125,7 @@ class Body(Rotating):
 
     def state_from_periods(
         self,
-        attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        attitude: _checks.Attitude = (1.0, 0.0, 0.0, 0.0),
         *,
         precession: ArrayLike,
         rotation: ArrayLike,
@@ -165,7 +165,7 @@ class TimedBody(Body):
     @explained
     def state(
         self,
-        attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        attitude: _checks.Attitude = (1.0, 0.0, 0.0, 0.0),
         *,
         angular_velocity: ArrayLike | None = None,
         body_momentum: ArrayLike | None = None,
