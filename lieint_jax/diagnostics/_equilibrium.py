@@ -149,8 +149,8 @@ def equilibrium(
         >>> import lieint_jax as li
         >>> satellite = li.systems.gravity_gradient([1.0, 2.0, 2.5], li.orbits.kepler(1.0, 1.0, 0.0))
         >>> found = li.equilibrium(satellite, satellite.state(angular_velocity=[0.1, 0.0, 0.9], t=0.0))
-        >>> [round(float(x), 3) for x in satellite.angular_velocity(found.state)]
-        [0.0, 0.0, 1.0]
+        >>> round(float(satellite.angular_velocity(found.state)[2]), 6)
+        1.0
 
     Source: Marsden, Lectures on Mechanics (1992), 4.1 (the augmented Hamiltonian).
     """
