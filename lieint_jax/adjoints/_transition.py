@@ -231,8 +231,8 @@ def _run_of(step: Any, state: Any, parameters: Any) -> tuple[_Run, Any]:
         if not jax.tree.leaves(parameters) or _is_names(parameters):
             raise ValueError(f"a function of parameters needs their values, a tree of arrays, got {parameters!r}")
         values = jax.tree.map(lambda x: _checks.real_array("a parameter", x), parameters)
-        step, state = (callable_pytree(x) if f else x for x, f in zip((step, state), functions, strict=True))
-        return _Run(step, state), values
+        given: list[Any] = [step, state]
+        return _Run(*(callable_pytree(x) if f else x for x, f in zip(given, functions, strict=True))), values
     if parameters is None:
         return _Run(step, state), None
     if not _is_names(parameters):
@@ -240,7 +240,7 @@ def _run_of(step: Any, state: Any, parameters: Any) -> tuple[_Run, Any]:
             'parameters must be names of numbers of the step, such as "inertia", or numbers of which step or state '
             f"is a function, transition(lambda p: step, state, …, parameters=p); got {parameters!r} and no function"
         )
-    checked_step(step)
+    step = checked_step(step)
     names = [parameters] if isinstance(parameters, str) else list(parameters)
     leaves = [(_path(path), leaf) for path, leaf in jax.tree_util.tree_flatten_with_path(step)[0]]
     named = tuple((name, _places(name, step, leaves)) for name in names)
