@@ -232,7 +232,8 @@ def _run_of(step: Any, state: Any, parameters: Any) -> tuple[_Run, Any]:
             raise ValueError(f"a function of parameters needs their values, a tree of arrays, got {parameters!r}")
         values = jax.tree.map(lambda x: _checks.real_array("a parameter", x), parameters)
         given: list[Any] = [step, state]
-        return _Run(*(callable_pytree(x) if f else x for x, f in zip(given, functions, strict=True))), values
+        step, state = (callable_pytree(x) if f else x for x, f in zip(given, functions, strict=True))
+        return _Run(step, state), values
     if parameters is None:
         return _Run(step, state), None
     if not _is_names(parameters):
