@@ -139,7 +139,7 @@ def test_derivatives_in_inertia_and_state():
 @pytest.mark.slow
 @pytest.mark.parametrize("long_axis", [False, True])
 def test_a_state_of_given_periods_has_them(long_axis):
-    """Principal moments in any order and a tensor, both modes, ratios from a wobble to near the separatrix; there 1.2e-11."""
+    """Principal moments in any order and a tensor, from a wobble to near the separatrix; there 1.2e-11."""
     turn = np.asarray(so3.to_matrix(so3.exp(jnp.array([0.3, -0.5, 0.4]))))
     moments = np.roll(APOPHIS, 1)
     for J in (moments, turn @ np.diag(moments) @ turn.T):

@@ -252,8 +252,8 @@ def _checked_attitude(attitude: Any) -> Array:
         return _checks.rotation_matrix("attitude", attitude)
     if np.shape(attitude) != (4,):
         raise ValueError(
-            "attitude must be a quaternion (w, x, y, z), shape (4,), or a rotation matrix (3, 3) or one scipy Rotation, "
-            f"got shape {np.shape(attitude)}; Euler angles: so3.from_euler, modified Rodrigues parameters: "
+            "attitude must be a quaternion (w, x, y, z), shape (4,), or a rotation matrix (3, 3) or one scipy "
+            f"Rotation, got shape {np.shape(attitude)}; Euler angles: so3.from_euler, modified Rodrigues parameters: "
             "so3.from_mrp; use jax.vmap for batches"
         )
     return _checks.unit_quaternion("attitude", attitude)
