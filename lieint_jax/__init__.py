@@ -18,8 +18,10 @@ A system and a scheme make a step; a step makes everything else.
 | `schemes` | the integrators: `help(li.schemes)` says which one for which system |
 | `integrate`, `event`, `interpolate` | runs of one body: states at any times, and when a condition changes its sign |
 | `ensemble` | many bodies, over cores, devices and processes; results in memory or on disk |
+| `equilibrium`, `normal_modes` | relative equilibria, frequencies of small oscillations, stability |
 | `diagnostics` | what a step conserves, its order, its linearization; chaos |
 | `fit`, `observe`, `reversible` | fits, and derivatives of whole runs (`fitting`, `adjoints`) |
+| `transition` | state transition matrices, sensitivities to parameters, linear covariance |
 | `potentials`, `torques`, `orbits` | what acts on bodies |
 | `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
 | `cache_programs` | compiled programs on disk, for a quick start of the next process |
@@ -49,7 +51,8 @@ from lieint_jax._cache import cache_programs
 from lieint_jax._deprecated import renamed as _renamed
 from lieint_jax._integrate import Event, event, integrate, interpolate
 from lieint_jax._version import __version__
-from lieint_jax.adjoints import observe, reversible
+from lieint_jax.adjoints import observe, reversible, transition
+from lieint_jax.diagnostics import equilibrium, normal_modes
 from lieint_jax.fitting import fit
 from lieint_jax.types import State, Step, StepInfo, Trajectory, pytree, static
 
@@ -64,6 +67,7 @@ __all__ = [
     "cache_programs",
     "diagnostics",
     "ensemble",
+    "equilibrium",
     "event",
     "fit",
     "fitting",
@@ -71,6 +75,7 @@ __all__ = [
     "integrate",
     "interpolate",
     "maps",
+    "normal_modes",
     "observe",
     "orbits",
     "phase_spaces",
@@ -81,6 +86,7 @@ __all__ = [
     "static",
     "systems",
     "torques",
+    "transition",
     "types",
 ]
 

@@ -208,6 +208,78 @@ def to_euler_313(q: Quaternion) -> Vector3:
     return jnp.stack([_wrap(half_sum + half_difference), b, _wrap(half_sum - half_difference)])
 
 
+def from_euler(angles: Array, sequence: str = "ZXZ") -> Array:
+    """The attitude of Euler angles, or of roll, pitch and yaw, in any of the 24 sequences.
+
+    Args:
+        angles: in radians, (3,), in the order of the sequence.
+        sequence: three axes as in scipy: "ZXZ", capitals, rotates about the axes of the body, one after the other,
+            R_z(α) R_x(β) R_z(γ); "zxz", small letters, about those of space. Neighbors differ.
+
+    Raises:
+        ValueError: another sequence.
+    """
+    intrinsic, axes = _sequence(sequence)
+    q = None
+    for k, axis in enumerate(axes):
+        half = angles[k] / 2
+        turn = jnp.zeros(4, half.dtype).at[0].set(jnp.cos(half)).at[1 + axis].set(jnp.sin(half))
+        q = turn if q is None else (multiply(q, turn) if intrinsic else multiply(turn, q))
+    assert q is not None
+    return q
+
+
+def to_euler(q: Array, sequence: str = "ZXZ") -> Array:
+    """The Euler angles of an attitude in radians, (3,): the inverse of `from_euler`.
+
+    The first and the third are in (−π, π], the second in [0, π] if the first axis is the third ("ZXZ"), else in
+    [−π/2, π/2]. Where the second is at an end, only a sum or difference of the others is determined, and one of them is
+    arbitrary.
+
+    Source: Bernardes & Viollet 2022, PLoS ONE 17.
+    """
+    intrinsic, axes = _sequence(sequence)
+    i, j, k = axes[::-1] if intrinsic else axes
+    symmetric = i == k
+    k = 3 - i - j if symmetric else k
+    sign = (i - j) * (j - k) * (k - i) // 2
+    w, *v = vec3.components(q)
+    a, b, c, d = w, v[i], v[j], sign * v[k]
+    if not symmetric:
+        a, b, c, d = a - c, b + d, c + a, d - b
+    middle = 2 * jnp.arctan2(_length(c, d), _length(a, b))
+    half_sum, half_difference = _arctan2(b, a), _arctan2(d, c)
+    first, third = half_sum - half_difference, half_sum + half_difference
+    if not symmetric:
+        third, middle = sign * third, middle - jnp.pi / 2
+    outer = (third, first) if intrinsic else (first, third)
+    return jnp.stack([_wrap(outer[0]), middle, _wrap(outer[1])])
+
+
+def _sequence(sequence: str) -> tuple[bool, list[int]]:
+    """Whether a sequence is about the axes of the body, and its axes."""
+    axes = ["xyz".find(letter) for letter in sequence.lower()] if isinstance(sequence, str) else []
+    one_case = isinstance(sequence, str) and sequence in (sequence.lower(), sequence.upper())
+    if len(axes) != 3 or min(axes) < 0 or not one_case or axes[0] == axes[1] or axes[1] == axes[2]:
+        raise ValueError(
+            'sequence must be three axes of which neighbors differ, capitals for those of the body, such as "ZXZ" or '
+            f'"ZYX", small letters for those of space, such as "xyz", got {sequence!r}'
+        )
+    return sequence.isupper(), axes
+
+
+def from_mrp(sigma: Array) -> Array:
+    """The attitude of modified Rodrigues parameters σ = e tan(φ/4), (3,), of any length."""
+    square = dot(sigma, sigma)
+    return jnp.concatenate([(1 - square)[None], 2 * sigma]) / (1 + square)
+
+
+def to_mrp(q: Array) -> Array:
+    """Modified Rodrigues parameters σ = e tan(φ/4), (3,), of the shorter rotation: |σ| ≤ 1."""
+    q = where(q[0] < 0, -q, q)
+    return q[1:] / (1 + q[0])
+
+
 def angle(a: Quaternion, b: Quaternion) -> Scalar:
     """The angle of the rotation between two attitudes, in [0, π]; where it is 0, its derivative is set to 0."""
     w, x, y, z = _product(inverse(a), b)

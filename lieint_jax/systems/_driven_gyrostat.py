@@ -41,7 +41,7 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
     @explained
     def state(
         self,
-        attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        attitude: _checks.Attitude = (1.0, 0.0, 0.0, 0.0),
         *,
         angular_velocity: ArrayLike | None = None,
         body_momentum: ArrayLike | None = None,

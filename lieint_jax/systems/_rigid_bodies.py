@@ -61,7 +61,7 @@ class _Many:
     def state(
         self,
         positions: ArrayLike,
-        attitudes: ArrayLike | None = None,
+        attitudes: _checks.Attitude | None = None,
         *,
         velocities: ArrayLike | None = None,
         angular_velocities: ArrayLike | None = None,
@@ -70,8 +70,8 @@ class _Many:
 
         Args:
             positions: of the centers of mass, (N, 3).
-            attitudes: unit quaternions (w, x, y, z), (N, 4), or rotation matrices (N, 3, 3), body to space; by default
-                the identity, (1, 0, 0, 0).
+            attitudes: unit quaternions (w, x, y, z), (N, 4), or rotation matrices (N, 3, 3), or N scipy `Rotation`s,
+                body to space; by default the identity, (1, 0, 0, 0).
             velocities: of the centers of mass, (N, 3); by default 0.
             angular_velocities: Ω of each body in its own axes, radians per unit time, (N, 3); by default 0.
 
@@ -232,11 +232,11 @@ def _make_state(
     return State(q.astype(dtype), p.astype(dtype))
 
 
-def _attitudes(attitudes: ArrayLike | None, n: int, like: Array) -> Array:
+def _attitudes(attitudes: _checks.Attitude | None, n: int, like: Array) -> Array:
     """Quaternions (n, 4) or rotation matrices (n, 3, 3), checked; the identity if there are none."""
     if attitudes is None:
         return _checks.as_array(np.tile([1.0, 0, 0, 0], (n, 1)), like.dtype)
-    given = _checks.real_array("attitudes", attitudes, (n, 4), (n, 3, 3))
+    given = _checks.real_array("attitudes", _checks.quaternions(attitudes), (n, 4), (n, 3, 3))
     if concrete(given):
         check = _checks.unit_quaternion if given.ndim == 2 else _checks.rotation_matrix
         for i, one in enumerate(np.asarray(given)):

@@ -7,7 +7,6 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, _free_body
-from lieint_jax._free_body import Periods
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import Body
@@ -44,22 +43,6 @@ class RigidBody(Body, AbstractFreeBody):
         In Jacobi's elliptic functions, see `_free_body`. For many times, `jax.vmap(body.solution, (None, 0))`.
         """
         return State(_attitude(self.inertia, state.q, state.p, t)[0], state.p)
-
-    def periods(self, state: State) -> Periods:
-        """The two mean periods of a tumbling body, by which light curves are described, and its mode, in closed form.
-
-        Args:
-            state: a state of this body.
-
-        Returns:
-            A `Periods`, in the unit of time of the state (that of 1/Ω):
-            `precession`, in which the long axis (that of the least moment) goes once around the angular momentum on
-            average; `rotation`, in which Ω and Π repeat in the axes of the body: one rotation about the long axis in
-            the long-axis mode, one oscillation about it in the short-axis mode; and `long_axis`, True in the former.
-            Differentiable in the inertia and the state, except on the separatrix between the modes, where the rotation
-            never ends.
-        """
-        return _free_body.periods(self.inertia, self.body_momentum(state))
 
 
 _attitude = compiled(_free_body.attitude)

@@ -24,6 +24,7 @@ LONG = {  # dear pages, which run in shards
     "why.md",
     *(f"howto/{x}.md" for x in ("bodies", "chaos", "fits", "group", "output", "potential")),
     *(f"howto/{x}.md" for x in ("scheme", "system", "torque")),
+    *(f"howto/{x}.md" for x in ("covariance", "equilibria", "kalman", "optimal_control")),
     "tutorials/own_flyby.md",
 }
 
