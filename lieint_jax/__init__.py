@@ -22,6 +22,7 @@ A system and a scheme make a step; a step makes everything else.
 | `fit`, `observe`, `reversible` | fits, and derivatives of whole runs (`fitting`, `adjoints`) |
 | `potentials`, `torques`, `orbits` | what acts on bodies |
 | `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
+| `elliptic` | elliptic integrals and functions, with derivatives |
 | `cache_programs` | compiled programs on disk, for a quick start of the next process |
 
 `integrate` saves every step unless `save_every` says otherwise, `ensemble.run` the last one only.
@@ -32,6 +33,7 @@ agree. On the command line: `lieint list`.
 from lieint_jax import (
     adjoints,
     diagnostics,
+    elliptic,
     ensemble,
     fitting,
     groups,
@@ -63,6 +65,7 @@ __all__ = [
     "adjoints",
     "cache_programs",
     "diagnostics",
+    "elliptic",
     "ensemble",
     "event",
     "fit",

@@ -31,6 +31,7 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("phase_spaces",),
     ("maps",),
     ("groups",),
+    ("elliptic",),
     ("_numerics",),
     ("types",),
     ("_xla",),
