@@ -20,6 +20,7 @@ A system and a scheme make a step; a step makes everything else.
 | `ensemble` | many bodies, over cores, devices and processes; results in memory or on disk |
 | `diagnostics` | what a step conserves, its order, its linearization; chaos |
 | `fit`, `observe`, `reversible` | fits, and derivatives of whole runs (`fitting`, `adjoints`) |
+| `shapes` | mass, inertia and moments of ellipsoids, boxes, point masses, meshes |
 | `potentials`, `torques`, `orbits` | what acts on bodies |
 | `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
 | `elliptic` | elliptic integrals and functions, with derivatives |
@@ -42,6 +43,7 @@ from lieint_jax import (
     phase_spaces,
     potentials,
     schemes,
+    shapes,
     studies,  # noqa: F401
     systems,
     torques,
@@ -81,6 +83,7 @@ __all__ = [
     "pytree",
     "reversible",
     "schemes",
+    "shapes",
     "static",
     "systems",
     "torques",

@@ -467,5 +467,11 @@ def _third(x: Array, y: Array, z: Array, p: Array) -> Array:
 
 
 def _sorted(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
-    low, high = jnp.minimum(x, y), jnp.maximum(x, y)
-    return jnp.minimum(low, z), jnp.maximum(low, jnp.minimum(high, z)), jnp.maximum(high, z)
+    """In ascending order, as a permutation: the slopes of minimum() and maximum() are means where two are equal."""
+    low, high = _ordered(x, y)
+    low, other = _ordered(low, z)
+    return low, *_ordered(other, high)
+
+
+def _ordered(x: Array, y: Array) -> tuple[Array, Array]:
+    return where(x <= y, x, y), where(x <= y, y, x)
