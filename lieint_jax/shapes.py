@@ -365,6 +365,16 @@ def _of_tetrahedra(corners: Array) -> tuple[Array, ...]:
     )
 
 
+@partial(compiled, once=True)
+def trace_free(M: Array) -> Array:
+    """The part of a symmetric tensor of order 2, 3 or 4 all of whose traces are 0: what acts by gravity outside."""
+    one, trace = jnp.eye(3, dtype=M.dtype), jnp.trace(M)
+    if M.ndim < 4:
+        return M - M.ndim * (M.ndim - 1) / (2 * (2 * M.ndim - 1)) * _symmetrized(_placed(one, trace, (0, 1)))
+    double = jnp.trace(trace) * _placed(one, one, (0, 1))
+    return M - _symmetrized(6 / 7 * _placed(one, trace, (0, 1)) - 3 / 35 * double)
+
+
 def _sums(a: Array, b: Array) -> Array:
     """Σ a⊗b over rows, in full precision on GPUs too."""
     return jnp.matmul(a.T, b, precision="highest")

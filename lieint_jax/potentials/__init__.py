@@ -2,7 +2,8 @@
 
 | | |
 |---|---|
-| `maccullagh`, `ellipsoid_sphere`, `point_masses` | gravity: to second order, ellipsoid and sphere, mascons |
+| `mutual_gravity`, `maccullagh` | gravity of shapes: to order 4, to order 2 by moments of inertia |
+| `ellipsoid_sphere`, `point_masses` | gravity: of an ellipsoid and a sphere, of mascons |
 | `point_charges`, `lennard_jones`, `sites`, `water` | molecules: charges, dispersion, both, and TIP4P water |
 | `springs`, `uniform_field`, `outer_field` | springs between bodies; fields from outside, uniform or any |
 
@@ -13,6 +14,7 @@ which momenta a potential conserves.
 from lieint_jax._deprecated import renamed as _renamed
 from lieint_jax.potentials._ellipsoid_sphere import EllipsoidSphere, ellipsoid_sphere
 from lieint_jax.potentials._maccullagh import MacCullagh, maccullagh
+from lieint_jax.potentials._mutual_gravity import MutualGravity, mutual_gravity
 from lieint_jax.potentials._outer_field import OuterField, UniformField, outer_field, uniform_field
 from lieint_jax.potentials._potential import Potential, SumPotential, count, invariant_form, symmetry, torques
 from lieint_jax.potentials._site_pairs import (
@@ -32,6 +34,7 @@ __all__ = [
     "LennardJones",
     "MacCullagh",
     "Molecule",
+    "MutualGravity",
     "OuterField",
     "Potential",
     "Springs",
@@ -42,6 +45,7 @@ __all__ = [
     "invariant_form",
     "lennard_jones",
     "maccullagh",
+    "mutual_gravity",
     "outer_field",
     "point_charges",
     "point_masses",
