@@ -27,7 +27,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
@@ -120,8 +120,8 @@ class Shape:
         mass = self.mass + other.mass
         center = (self.mass * self.center + other.mass * other.center) / mass
         parts = [_shifted(part._about_center(), part.center - center) for part in (self, other)]
-        _, _, *moments = (a + b for a, b in zip(*parts, strict=True))
-        return Shape(mass, center, *moments)
+        _, _, second, third, fourth = (a + b for a, b in zip(*parts, strict=True))
+        return Shape(mass, center, second, third, fourth)
 
     def _about_center(self) -> tuple[Array, ...]:
         return self.mass, jnp.zeros_like(self.center), self.second, self.third, self.fourth
@@ -246,8 +246,8 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
     total, scale = _mass(jnp.abs(volume), mass, density)
     scale = scale * jnp.sign(volume)
     to_center = scale * moments[0] / total
-    _, _, *about = _shifted((total, *(scale * M for M in moments)), -to_center)
-    return Shape(total, reference + to_center, *about)
+    _, _, second, third, fourth = _shifted((total, *(scale * M for M in moments)), -to_center)
+    return Shape(total, reference + to_center, second, third, fourth)
 
 
 def obj(
@@ -300,7 +300,7 @@ def _solid(
     lengths, table = fourths
     one = jnp.eye(3, dtype=lengths.dtype)
     # of the three ways to pair four axes, all three hold where the four are equal
-    mean = (table * (1 - np.eye(3) * 2 / 3)).astype(lengths.dtype) * lengths[:, None] * lengths
+    mean = jnp.asarray(table * (1 - np.eye(3) * 2 / 3), lengths.dtype) * lengths[:, None] * lengths
     fourth = 3 * _symmetrized(mean[:, None, :, None] * one[:, :, None, None] * one)
     zero = jnp.zeros((3, 3, 3), lengths.dtype)
     return Shape(total, zero[0, 0], jnp.diag(total * squares), zero, total * fourth, True)
@@ -335,7 +335,7 @@ def _placed(a: Array, b: Array, axes: tuple[int, ...]) -> Array:
 def _symmetrized(T: Array) -> Array:
     """The mean of a tensor over all orders of its axes."""
     orders = list(itertools.permutations(range(T.ndim)))
-    return sum(jnp.transpose(T, order) for order in orders) / len(orders)
+    return sum((jnp.transpose(T, order) for order in orders), jnp.zeros_like(T)) / len(orders)
 
 
 @partial(compiled, once=True)
