@@ -288,7 +288,7 @@ def _complete_first(m: Array) -> Array:
 
 def _slope_of_complete_second(m1: Array) -> list[Array]:
     """∂E/∂m1 = R_D(0, m1, 1)/6, which is (K − E)/2m."""
-    root, one = jnp.sqrt(m1), jnp.ones_like(m1)
+    root, one = jnp.sqrt(where(m1 > 0, m1, 1)), jnp.ones_like(m1)
     return [_over_zero(_rd(jnp.zeros_like(m1), root, one) / 6, m1 > 0)]
 
 
