@@ -193,7 +193,7 @@ def mutual_gravity(G: ArrayLike, shapes: Sequence[Shape | ArrayLike], order: int
         ValueError: fewer than two bodies, one that is neither shape nor mass, a mass that is not positive, another
             order.
 
-    Source: Hou, Scheeres & Xin 2017, Celest. Mech. Dyn. Astron. 127, the same expansion by inertia integrals; here by
+    Source: Hou, Scheeres & Xin 2016, Celest. Mech. Dyn. Astron. 127, the same expansion by inertia integrals; here by
     trace-free moments.
     """
     if isinstance(order, bool) or order not in (2, 3, 4):

@@ -204,6 +204,13 @@ def test_files(tmp_path):
         shapes.obj(path, mass=1.0)
 
 
+def test_single_precision_stays_single_and_has_its_digits():
+    at, faces = hull(9)
+    double, single = (shapes.mesh(jnp.asarray(at, dtype), faces, mass=2.0) for dtype in ("float64", "float32"))
+    assert {x.dtype for x in jax.tree.leaves(single)} == {np.dtype("float32")}
+    assert_same(single, double, 2e-6)  # observed 4e-7
+
+
 def test_what_accepts_a_shape():
     at, faces = hull(7)
     shape = shapes.mesh(at, faces, mass=2.0)
