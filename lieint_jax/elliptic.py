@@ -342,13 +342,27 @@ def _incomplete_first(phi: Array, m: Array) -> Array:
     return _in_domain(at.with_periods(at.s * at.rf(), _complete_first(m)), m <= 1)
 
 
-@compiled
-def _incomplete_second(phi: Array, m: Array) -> Array:
+def _incomplete_second_of(phi: Array, m: Array) -> Array:
     at, positive = _Reduced(phi, m), m >= 0
     one = jnp.ones_like(at.q)
     rd = _rd(at.c, where(positive, one, at.q), where(positive, at.q, one)) * at.s * at.s / 3
     above = at.m1 * (at.rf() + m * rd) + m * at.c / at.q
-    return _in_domain(at.with_periods(at.s * where(positive, above, at.rf() - m * rd), _complete_second(m)), m <= 1)
+    return at.with_periods(at.s * where(positive, above, at.rf() - m * rd), _complete_second(m))
+
+
+def _slopes_of_incomplete_second(phi: Array, m: Array) -> list[Array]:
+    """√(1 − m sin²φ) and (E − F)/2m, which is −sin³φ R_D(cos²φ, 1 − m sin²φ, 1)/6, without a difference."""
+    at = _Reduced(phi, m)
+    part = at.s**3 * _rd(at.c, at.q, jnp.ones_like(at.q)) / 6
+    return [at.q, -at.with_periods(part, _slope_of_complete_second(at.m1)[0])]
+
+
+_second_of_amplitude = forward_mode(_incomplete_second_of, slopes=_slopes_of_incomplete_second)
+
+
+@compiled
+def _incomplete_second(phi: Array, m: Array) -> Array:
+    return _in_domain(_second_of_amplitude(phi, m), m <= 1)
 
 
 def _third_kind(n: Array, s: Array, c: Array, q: Array, m1: Array) -> Array:
