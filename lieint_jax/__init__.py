@@ -22,8 +22,10 @@ A system and a scheme make a step; a step makes everything else.
 | `diagnostics` | what a step conserves, its order, its linearization; chaos |
 | `fit`, `observe`, `reversible` | fits, and derivatives of whole runs (`fitting`, `adjoints`) |
 | `transition` | state transition matrices, sensitivities to parameters, linear covariance |
+| `shapes` | mass, inertia and moments of ellipsoids, boxes, point masses, meshes |
 | `potentials`, `torques`, `orbits` | what acts on bodies |
 | `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
+| `elliptic` | elliptic integrals and functions, with derivatives |
 | `cache_programs` | compiled programs on disk, for a quick start of the next process |
 
 `integrate` saves every step unless `save_every` says otherwise, `ensemble.run` the last one only.
@@ -34,6 +36,7 @@ agree. On the command line: `lieint list`.
 from lieint_jax import (
     adjoints,
     diagnostics,
+    elliptic,
     ensemble,
     fitting,
     groups,
@@ -42,6 +45,7 @@ from lieint_jax import (
     phase_spaces,
     potentials,
     schemes,
+    shapes,
     studies,  # noqa: F401
     systems,
     torques,
@@ -66,6 +70,7 @@ __all__ = [
     "adjoints",
     "cache_programs",
     "diagnostics",
+    "elliptic",
     "ensemble",
     "equilibrium",
     "event",
@@ -83,6 +88,7 @@ __all__ = [
     "pytree",
     "reversible",
     "schemes",
+    "shapes",
     "static",
     "systems",
     "torques",

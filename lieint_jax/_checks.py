@@ -281,8 +281,19 @@ def of_one_system(name: str, value: Input, d: int = 3) -> None:
         )
 
 
+def of_shapes(attribute: str, value: Input) -> Input:
+    """This attribute of each of several shapes, stacked; any other value as it is. Moments (3,) may become (3, 3)."""
+    if not isinstance(value, list | tuple) or not value or not all(hasattr(x, attribute) for x in value):
+        return value
+    each = [getattr(x, attribute) for x in value]
+    if len({x.ndim for x in each}) > 1:
+        each = [jnp.diag(x) if x.ndim == 1 else x for x in each]
+    return jnp.stack(each)
+
+
 def positive_definite(name: str, value: Input, d: int = 3) -> Array:
-    """A positive definite tensor: principal values (d,) or a symmetric tensor (d, d)."""
+    """A positive definite tensor: principal values (d,) or a symmetric tensor (d, d); the inertia of a shape too."""
+    value = getattr(value, "inertia", value)
     array = real_array(name, value, (d,), (d, d))
     if not concrete(array):
         return array

@@ -110,10 +110,13 @@ def maccullagh(G: ArrayLike, masses: ArrayLike, inertias: ArrayLike) -> MacCulla
 
     Args:
         G: the constant of gravity, in the units of all else.
-        masses: (N,).
-        inertias: about the centers of mass, (N, 3) or (N, 3, 3).
+        masses: (N,), or N shapes of `lieint_jax.shapes`.
+        inertias: about the centers of mass, (N, 3) or (N, 3, 3), or N shapes.
     """
-    m, J = _checks.real_array("masses", masses), _checks.real_array("inertias", inertias)
+    m, J = (
+        _checks.real_array("masses", _checks.of_shapes("mass", masses)),
+        _checks.real_array("inertias", _checks.of_shapes("inertia", inertias)),
+    )
     if m.ndim != 1 or J.shape not in ((m.size, 3), (m.size, 3, 3)):
         raise ValueError(f"masses (N,) and inertias (N, 3) or (N, 3, 3) are needed, got {m.shape} and {J.shape}")
     return MacCullagh(_checks.real_array("G", G, ()), m, J)

@@ -55,7 +55,7 @@ def heavy_top(inertia: ArrayLike, weight: ArrayLike, axis: ArrayLike = (0.0, 0.0
         >>> float(top.energy(top.state(angular_velocity=[0.0, 0.0, 50.0])))
         1270.0
     """
-    like = _checks.real_array("inertia", inertia)
+    like = _checks.inertia(inertia)
     return potential_top(inertia, Linear(_checks.real_array("weight", weight, (3,), like=like)), axis)
 
 

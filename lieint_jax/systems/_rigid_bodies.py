@@ -278,9 +278,9 @@ def rigid_bodies(masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Ar
     positions lose digits.
 
     Args:
-        masses: (N,), > 0.
+        masses: (N,), > 0, or N shapes of `lieint_jax.shapes`.
         inertias: about the centers of mass: principal moments (N, 3), or tensors in body axes (N, 3, 3), positive
-            definite.
+            definite; or N shapes.
         potential: (positions (N, 3), rotations body to space (N, 3, 3)) ↦ a scalar; of `lieint_jax.potentials`, or a
             function of your own that JAX can differentiate.
 
@@ -289,12 +289,12 @@ def rigid_bodies(masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Ar
             potential that is not callable,
             or of another number of bodies.
     """
-    m = _checks.real_array("masses", masses)
+    m = _checks.real_array("masses", _checks.of_shapes("mass", masses))
     if m.ndim != 1 or not m.size:
         raise ValueError(f"masses must have shape (N,), got {m.shape}")
     if concrete(m) and not bool(np.all(np.asarray(m) > 0)):
         raise ValueError(f"masses must be positive, got {np.asarray(m)}")
-    J = _checks.real_array("inertias", inertias)
+    J = _checks.real_array("inertias", _checks.of_shapes("inertia", inertias))
     if J.shape not in ((m.size, 3), (m.size, 3, 3)):
         raise ValueError(
             f"inertias must have shape ({m.size}, 3) or ({m.size}, 3, 3), as many as masses; got {J.shape}"

@@ -22,7 +22,7 @@ LONG = {  # dear pages, which run in shards
     "faq.md",
     "install.md",
     "why.md",
-    *(f"howto/{x}.md" for x in ("bodies", "chaos", "fits", "group", "output", "potential")),
+    *(f"howto/{x}.md" for x in ("bodies", "chaos", "fits", "group", "output", "potential", "shape")),
     *(f"howto/{x}.md" for x in ("scheme", "system", "torque")),
     *(f"howto/{x}.md" for x in ("covariance", "equilibria", "kalman", "optimal_control")),
     "tutorials/own_flyby.md",
