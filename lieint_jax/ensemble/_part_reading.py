@@ -129,8 +129,8 @@ def load(root: PartsRoot, thorough: bool, part: int | None = None) -> tuple[Any,
     if attributes["reduce"] is not None:
         if missing:
             raise ValueError(
-                f"{root.storage.address} is an incomplete run with `reduce`: {first_of(missing)}. Run these parts, or read it "
-                "by xarray.open_zarr"
+                f"{root.storage.address} is an incomplete run with `reduce`: {first_of(missing)}. Run these parts, "
+                "or read it by xarray.open_zarr"
             )
         return _series(root, group, statuses, members), attributes
     arrays = {

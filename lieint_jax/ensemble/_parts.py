@@ -83,7 +83,7 @@ class PartState(NamedTuple):
 
     def encode(self, place: Table) -> bytes:
         """The bytes of a state: a line of JSON, the arrays, and a digest; `place` is its part and its run."""
-        arrays = {name: np.ascontiguousarray(x) for name, x in self.arrays.items()}
+        arrays = {name: np.ascontiguousarray(x) for name, x in sorted(self.arrays.items())}
         shapes = {name: [x.dtype.newbyteorder("<").str, x.shape] for name, x in arrays.items()}
         header = json.dumps({**place, "progress": self.progress, "arrays": shapes}, sort_keys=True)
         body = [x.astype(x.dtype.newbyteorder("<")).tobytes() for x in arrays.values()]

@@ -62,7 +62,7 @@ def address(text: str | Path) -> Address:
     parts = urlsplit(text)
     if parts.scheme not in _SCHEMES:
         raise ValueError(f"a store is a path or a URL of {', '.join(_SCHEMES)}; got one of {parts.scheme!r}")
-    if "@" in parts.netloc or parts.query or parts.fragment:
+    if "@" in text or ":" in parts.netloc or parts.query or parts.fragment:  # a secret may contain a slash
         raise ValueError(
             "the URL of a store may not contain credentials or options: set them in the environment, as "
             "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"

@@ -1,7 +1,7 @@
 """Runs of some seconds into a store, to be killed and resumed: python tests/lib/killed.py CASE PATH PAUSE [K N].
 
-Each file waits PAUSE seconds for the disk, so that most kills come while a commit is written, on any machine. With K and
-N it is part K of N; PATH may be a URL.
+Each file waits PAUSE seconds for the disk, so that most kills come while a commit is written, on any machine. With K
+and N it is part K of N; PATH may be a URL.
 """
 
 import os

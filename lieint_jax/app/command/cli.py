@@ -131,8 +131,8 @@ def _add_run(commands: Any) -> None:
         "--out",
         type=_address,
         metavar="PATH",
-        help="where to write results: NAME.npz at the end, with pictures beside it, or NAME.zarr while the run goes on, "
-        "which may be s3://BUCKET/NAME.zarr (gs://, az://)",
+        help="where to write results: NAME.npz at the end, with pictures beside it, or NAME.zarr while the run goes "
+        "on, which may be s3://BUCKET/NAME.zarr (gs://, az://)",
     )
     run.add_argument("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
     run.add_argument("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
@@ -144,8 +144,8 @@ def _add_run(commands: Any) -> None:
     run.add_argument(
         "--part",
         metavar="K/N",
-        help="only part K = 0 ... N-1 of the members, one of N independent processes that fill one NAME.zarr; auto: the "
-        "task of a job array (SLURM, AWS Batch, ...); auto/N where the array does not report N (Kubernetes)",
+        help="only part K = 0 ... N-1 of the members, one of N independent processes that fill one NAME.zarr; auto: "
+        "the task of a job array (SLURM, AWS Batch, ...); auto/N where the array does not report N (Kubernetes)",
     )
     run.add_argument("--distributed", action="store_true", help="one of many processes, as srun or mpirun start them")
     run.add_argument("--coordinator", metavar="HOST:PORT", help="with --distributed and no srun: the first process")
