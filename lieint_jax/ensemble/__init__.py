@@ -4,7 +4,8 @@
 runs and can be resumed; with `reduce=` it returns a summary in place of states; with `part=` it is one of many
 independent processes. `open(path)` returns a stored run and its system; `archives` reads files of results one array at
 a time. `over_members` applies any function of one member to all members, over all devices; `count_cores` returns the
-number of cores that this process may use, `part_of_task` the part of this task in a job array.
+number of cores that this process may use, `part_of_task` the part of this task in a job array, `part_of_text` that of
+an option K/N or auto.
 """
 
 from lieint_jax.ensemble import archives, processes
