@@ -17,10 +17,8 @@ from lieint_jax.types import State, Step, Trajectory
 
 _CHUNK_BYTES, _BUFFER_BYTES = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
 _CHUNK_WORK = 2e8  # the most body-steps between two writes, unless one save interval has more
-_OBJECT_BYTES, _OBJECT_WORK = (
-    2**26,
-    2e10,
-)  # the same in object storage: q and p have 16 to 37 MB, some minutes of a core
+OBJECT_BYTES, _OBJECT_WORK = 2**26, 2e10  # the same in object storage: q has up to 37 MB, minutes of a core
+CHUNKS_OF_BUFFER = _BUFFER_BYTES // OBJECT_BYTES  # so many such chunks fill the buffer
 
 
 class Summary(NamedTuple):
@@ -161,7 +159,7 @@ class Job(NamedTuple):
 
     def bucket_rows(self, across: int) -> int:
         """The same of a store in object storage, where a chunk is an object and each of them a request."""
-        return self.rows_of_chunk(across, _OBJECT_BYTES, _OBJECT_WORK)
+        return self.rows_of_chunk(across, OBJECT_BYTES, _OBJECT_WORK)
 
     def rows_of_chunk(self, across: int, most_bytes: float, most_work: float) -> int:
         """The number of saves in a chunk of `across` members, with all their arrays at most `most_bytes`."""

@@ -33,11 +33,10 @@ from lieint_jax.ensemble._job import Job, Output, Summary, first_entry, gather_r
 from lieint_jax.ensemble._layout import Layout
 from lieint_jax.ensemble._loop import Carry, Reduction, Saved, energy
 from lieint_jax.ensemble._part_of_task import checked_part, part_of_task
-from lieint_jax.ensemble._parts import Split
 from lieint_jax.ensemble._progress import Bar, CallLength, Interrupts
 from lieint_jax.ensemble._storage import Url, address
 from lieint_jax.ensemble._store import leaves_by_name
-from lieint_jax.ensemble._store_output import CHUNK_MEMBERS, StoreOptions, run_into_store, run_part_into_store
+from lieint_jax.ensemble._store_output import StoreOptions, run_into_store, run_part_into_store, split_into_parts
 from lieint_jax.types import PhaseSpace, State, Step, Trajectory, checked_step, promoted
 from lieint_jax.types._members import member_axis
 
@@ -134,12 +133,10 @@ def run(
     with _checks.on_host():
         job = _make_job(step, states, dt, num_steps, save_every, step_axis, reduce, store, times, save_at)
     options = store if isinstance(store, StoreOptions) or store is None else StoreOptions(store)
-    in_parts = part is not None and count > 1
-    if (in_parts or (options is not None and isinstance(address(options.path), Url))) and _layout.count_processes(
-        mesh
-    ) > 1:
+    in_parts, remote = part is not None and count > 1, options is not None and isinstance(address(options.path), Url)
+    if (in_parts or remote) and _layout.count_processes(mesh) > 1:
         raise ValueError("part and stores in object storage are for independent processes, without jax.distributed")
-    whole, split = job, Split.of(job.members, count, CHUNK_MEMBERS)
+    whole, split = job, split_into_parts(job, count, remote)
     if in_parts:
         job = job.restricted(split.part(k))
     engine = engine_of(job, mesh)
@@ -154,7 +151,7 @@ def run(
                 _identity.check_processes(mesh, _identity.description(job, engine.name), store=None, resume=False)
             layout = _layout.layout_of(place, job.members, alone=whole.members == 1)
             return _integrate(engine, layout, MemoryOutput(job, layout), progress)
-        if in_parts or isinstance(address(options.path), Url):
+        if in_parts or remote:
             resume = resume or part is not None
             return run_part_into_store(engine, whole, place, options, split, k, resume, integrate)
         return run_into_store(engine, place, options, resume or part is not None, integrate)

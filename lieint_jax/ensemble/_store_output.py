@@ -20,7 +20,15 @@ from lieint_jax.ensemble._description import describe
 from lieint_jax.ensemble._dyadic_sum import blocks
 from lieint_jax.ensemble._engine import Engine
 from lieint_jax.ensemble._integrity import Table
-from lieint_jax.ensemble._job import Job, first_entry, gather_rows, local_rows, reduce_rows
+from lieint_jax.ensemble._job import (
+    CHUNKS_OF_BUFFER,
+    OBJECT_BYTES,
+    Job,
+    first_entry,
+    gather_rows,
+    local_rows,
+    reduce_rows,
+)
 from lieint_jax.ensemble._layout import Layout, Numbers, Place
 from lieint_jax.ensemble._loop import Carry, Range, Saved, step_dtype
 from lieint_jax.ensemble._part_writer import join, open_part, skeleton
@@ -102,6 +110,20 @@ def _refuse_parts(path: Path, attributes: Table) -> None:
     if "parts" in attributes:
         count = attributes["parts"]
         raise ValueError(f"{path} is written in {count} part(s): pass part=(k, {count}), or choose another store")
+
+
+def split_into_parts(job: Job, count: int, remote: bool) -> Split:
+    """The split of a run into `count` parts, and its chunks.
+
+    Where a chunk is an object in a bucket it has members enough that it can become as large as it should: a part holds
+    the rows of all of its members in memory, which limits the number of rows.
+    """
+    most = CHUNK_MEMBERS
+    if remote:
+        most = max(
+            most, job.members // (count * CHUNKS_OF_BUFFER), int(OBJECT_BYTES // (job.row_bytes * (job.num_saves + 1)))
+        )
+    return Split.of(job.members, count, most)
 
 
 def run_part_into_store(
