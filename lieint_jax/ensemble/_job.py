@@ -155,18 +155,15 @@ class Job(NamedTuple):
 
     def buffer_rows(self, across: int) -> int:
         """The number of saves per call of the loop and per chunk of a store with `across` members to a chunk."""
-        return self.rows_of_chunk(across, _CHUNK_BYTES, _CHUNK_WORK)
+        return self._rows_of_call(across, False)
 
     def bucket_rows(self, across: int) -> int:
         """The same of a store in object storage, where a chunk is an object and each of them a request."""
-        return self.rows_of_chunk(across, OBJECT_BYTES, _OBJECT_WORK)
+        return self._rows_of_call(across, True)
 
-    def rows_of_chunk(self, across: int, most_bytes: float, most_work: float) -> int:
-        """The number of saves in a chunk of `across` members, with all their arrays at most `most_bytes`."""
-        row = self.row_bytes
-        enough = min(most_bytes // (across * row), _BUFFER_BYTES // (self.members * row))
+    def _rows_of_call(self, across: int, remote: bool) -> int:
         interval = max(self.num_steps // max(self.num_saves, 1), 1)
-        return int(max(1, min(enough, most_work // (self.members * interval), self.num_saves + 1)))
+        return rows_of_call(across, self.members, self.row_bytes, interval, self.num_saves + 1, remote)
 
     @property
     def row_bytes(self) -> int:
@@ -221,6 +218,22 @@ class Output(Protocol):
 
     def result(self, carry: list[Carry]) -> Trajectory | Summary | None:
         """The result, after the last step."""
+
+
+def rows_of_call(across: int, members: int, row: int, interval: int, entries: int, remote: bool) -> int:
+    """The number of saves per call of the loop and per chunk.
+
+    Args:
+        across: the members of a chunk.
+        members: those of the process.
+        row: the bytes of a member in a saved row.
+        interval: the steps between two saves.
+        entries: the entries of the run.
+        remote: whether a chunk is an object in object storage.
+    """
+    most_bytes, most_work = (OBJECT_BYTES, _OBJECT_WORK) if remote else (_CHUNK_BYTES, _CHUNK_WORK)
+    enough = min(most_bytes // (across * row), _BUFFER_BYTES // (members * row))
+    return int(max(1, min(enough, most_work // (members * interval), entries)))
 
 
 def local_rows(saved: list[Saved], number: int) -> list[Saved]:

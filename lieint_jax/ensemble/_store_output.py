@@ -113,17 +113,19 @@ def _refuse_parts(path: Path, attributes: Table) -> None:
 
 
 def split_into_parts(job: Job, count: int, remote: bool) -> Split:
-    """The split of a run into `count` parts, and its chunks.
+    """The split of a run into `count` parts, and its chunks."""
+    return Split.of(job.members, count, chunk_members(job.members, count, job.row_bytes, job.num_saves + 1, remote))
+
+
+def chunk_members(members: int, count: int, row: int, entries: int, remote: bool) -> int:
+    """The most members in a chunk of a run of `count` parts, of which a saved row has `row` bytes for each member.
 
     Where a chunk is an object in a bucket it has members enough that it can become as large as it should: a part holds
     the rows of all of its members in memory, which limits the number of rows.
     """
-    most = CHUNK_MEMBERS
-    if remote:
-        most = max(
-            most, job.members // (count * CHUNKS_OF_BUFFER), int(OBJECT_BYTES // (job.row_bytes * (job.num_saves + 1)))
-        )
-    return Split.of(job.members, count, most)
+    if not remote:
+        return CHUNK_MEMBERS
+    return max(CHUNK_MEMBERS, members // (count * CHUNKS_OF_BUFFER), OBJECT_BYTES // (row * entries))
 
 
 def run_part_into_store(
@@ -366,7 +368,7 @@ class StoreOutput:
             for name in blocks[0]:
                 parts = [block[name] for block in blocks]
                 joined.setdefault(name, []).append(_layout.local_part(self._layout, parts, 1))
-        return {name: np.concatenate(parts) for name, parts in joined.items()}
+        return {name: np.concatenate(parts) if len(parts) > 1 else parts[0] for name, parts in joined.items()}
 
     def _own_times(self, entries: slice, *index: int) -> dict[str, np.ndarray]:
         """The array "t" of this process' members, if each member has times of its own."""

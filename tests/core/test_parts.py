@@ -458,14 +458,14 @@ def part_process(case, place, k, count, environment=None):
     return subprocess.Popen(command, env=os.environ | (environment or {}), **output)
 
 
-def kill_parts(case, place, environment, count=8, kills=16):
+def kill_parts(case, place, environment, count=8, kills=10):
     """Start parts in random order, end two at a time at random moments, until all are complete; the number of kills."""
     rng, unfinished, ended = np.random.default_rng(5), set(range(count)), 0
     while unfinished:
         chosen = rng.choice(sorted(unfinished), min(2, len(unfinished)), replace=False).tolist()
         running = {k: part_process(case, place, k, count, environment) for k in chosen}
         if ended < kills:
-            time.sleep(rng.uniform(1.0, 8.0))
+            time.sleep(rng.uniform(2.0, 7.0))
             for process in running.values():
                 ended += process.poll() is None
                 process.send_signal(signal.SIGKILL)
@@ -474,6 +474,9 @@ def kill_parts(case, place, environment, count=8, kills=16):
             assert process.returncode in (0, -signal.SIGKILL), error
             unfinished -= {k} if process.returncode == 0 else set()
     return ended
+
+
+OWN = {f"__main__.{function.__name__}": function for function in (killed.tilted, killed.axis, killed.slowness)}
 
 
 def whole_of(case):
@@ -485,8 +488,8 @@ def whole_of(case):
 @pytest.mark.long
 @pytest.mark.parametrize("case", ["driven", "own_time"])
 def test_eight_parts_killed_at_random_moments_are_one_process_on_a_disk(tmp_path, case):
-    assert kill_parts(case, tmp_path / "run.zarr", {}) >= 8
-    assert_same(ensemble.open(tmp_path / "run.zarr")[0], whole_of(case))
+    assert kill_parts(case, tmp_path / "run.zarr", {}) >= 6
+    assert_same(ensemble.open(tmp_path / "run.zarr", OWN)[0], whole_of(case))
     assert not list((tmp_path / "run.zarr").rglob("*.partial"))
 
 
@@ -599,10 +602,10 @@ def test_ten_thousand_faults_lose_nothing(proxy, monkeypatch):
 def test_eight_parts_killed_at_random_moments_are_one_process_on_s3(proxy):
     proxy.rate, proxy.kinds = 0.02, tuple(kind for kind in faults.KINDS if kind != "late")
     url = "s3://bucket/killed/run.zarr"
-    assert kill_parts("driven", url, environment_of(proxy)) >= 8
+    assert kill_parts("driven", url, environment_of(proxy)) >= 6
     proxy.rate = 0.0
     assert sum(proxy.injected.values()) > 10
-    assert_same(ensemble.open(url)[0], whole_of("driven"))
+    assert_same(ensemble.open(url, OWN)[0], whole_of("driven"))
 
 
 @needs_moto

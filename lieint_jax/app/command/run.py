@@ -16,6 +16,7 @@ from lieint_jax.app.scenarios._common import Common, nominal
 from lieint_jax.diagnostics import certify
 from lieint_jax.ensemble.archives import Address, Url
 
+_NOTED = 10**8  # bytes of memory from which on they are printed
 _WATCHED = 10_000  # the most steps of a certificate
 _LARGE = 10**7  # entries of members, from which on a run's size is looked at before its members are made
 
@@ -60,6 +61,15 @@ def run(
     step, states = kind.build(scenario)
     if leader:
         print(info.headline(scenario, step), flush=True)
+        needed = ensemble.peak_memory(
+            states,
+            _entries(scenario),
+            store=out if out.suffix == ".zarr" else None,
+            part=part,
+            save_every=scenario.save_every,
+        )
+        if needed > _NOTED:
+            print(f"  about {_checks.spoken_size(needed)} of memory", flush=True)
     kept = {"save_every": scenario.save_every} if scenario.save_at is None else {"save_at": scenario.save_at}
     kept["step_axis"] = scenarios.step_axis(scenario)
     integrate = partial(ensemble.run, step, states, **scenario.clock(), mesh=mesh, resume=resume, part=part, **kept)
@@ -107,9 +117,14 @@ def _report_outputs(out: Path, pictures: bool) -> None:
         print(f"{info.contents(out)}\n\nwritten: {out} ({files.megabytes(out)})")
 
 
+def _entries(scenario: Common) -> int:
+    """The number of saved entries, that of the start included."""
+    return (scenario.steps // scenario.save_every if scenario.save_at is None else len(scenario.save_at)) + 1
+
+
 def _check_size(scenario: Common, out: Address) -> None:
     """ValueError if a large run has more bytes than this machine's memory, before its members are made."""
-    entries = (scenario.steps // scenario.save_every if scenario.save_at is None else len(scenario.save_at)) + 1
+    entries = _entries(scenario)
     if scenario.members * entries < _LARGE:
         return
     state = scenarios.build(scenario.model_copy(update={"members": 1}))[1]
