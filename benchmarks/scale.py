@@ -173,7 +173,8 @@ def simulated(runs: list[dict[str, Any]], report: Any) -> list[str]:
     return [
         f"Simulated: without deaths a worker computes {runs[0]['without deaths']:.0f} s. Lives and the waits for a "
         "successor (mean 60 s) are exponential, a start costs 20 s, a request 30 ms (median) and its bytes at "
-        "100 MB/s. Of the requests 1 % fail. Entries are compared with those of a run without deaths; a death in a PUT leaves it "
+        "100 MB/s. Of the requests 1 % fail. "
+        "Entries are compared with those of a run without deaths; a death in a PUT leaves it "
         "done or not, by chance.",
         report.table(head, rows),
         "S3 accepts 3500 PUTs a second of one prefix before it throttles.",

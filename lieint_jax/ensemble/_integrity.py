@@ -18,6 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from lieint_jax.ensemble._storage import Address
+
 Table = dict[str, Any]  # an object of JSON, such as the attributes of a store or the metadata of an array
 CHECKPOINT = "checkpoint"  # the group from which a run is resumed
 CHECKSUMS = "checksums"  # the array of the checksums of chunks along time
@@ -83,7 +85,7 @@ def checksum_of_file(file: Path) -> int:
         return int.from_bytes(f.read(4), "little")
 
 
-def raise_if_damaged(path: Path, damage: Iterable[str]) -> None:
+def raise_if_damaged(path: Address, damage: Iterable[str]) -> None:
     """Raise a ValueError with the first lines of `damage`, if there are any."""
     lost = list(damage)
     if lost:

@@ -14,7 +14,7 @@ from lieint_jax.ensemble._storage import Url, address
 from lieint_jax.ensemble._store_output import StoreOptions, chunk_members
 from lieint_jax.types import State
 
-_STATES = 4  # copies of a part's states: the carries before and after a call, and that of a checkpoint
+_STATES = 6  # copies of a part's states: of the carries, of a checkpoint, and while they are checked
 _ROWS, _STORED_ROWS = (
     2,
     4,

@@ -11,8 +11,8 @@ class _Scheduler(NamedTuple):
     """The variables of a scheduler: the task's index; the number of tasks, or the last index; the first; the stride."""
 
     name: str
-    index: str
-    count: str | None = None
+    task: str
+    tasks: str | None = None
     last: str | None = None
     first: str | int = 0
     stride: str | None = None
@@ -22,14 +22,14 @@ SCHEDULERS = (
     _Scheduler(
         "SLURM",
         "SLURM_ARRAY_TASK_ID",
-        count="SLURM_ARRAY_TASK_COUNT",
+        tasks="SLURM_ARRAY_TASK_COUNT",
         first="SLURM_ARRAY_TASK_MIN",
         stride="SLURM_ARRAY_TASK_STEP",
     ),
-    _Scheduler("AWS Batch", "AWS_BATCH_JOB_ARRAY_INDEX", count="AWS_BATCH_JOB_ARRAY_SIZE"),
+    _Scheduler("AWS Batch", "AWS_BATCH_JOB_ARRAY_INDEX", tasks="AWS_BATCH_JOB_ARRAY_SIZE"),
     _Scheduler("Kubernetes", "JOB_COMPLETION_INDEX"),
-    _Scheduler("Google Batch", "BATCH_TASK_INDEX", count="BATCH_TASK_COUNT"),
-    _Scheduler("Cloud Run", "CLOUD_RUN_TASK_INDEX", count="CLOUD_RUN_TASK_COUNT"),
+    _Scheduler("Google Batch", "BATCH_TASK_INDEX", tasks="BATCH_TASK_COUNT"),
+    _Scheduler("Cloud Run", "CLOUD_RUN_TASK_INDEX", tasks="CLOUD_RUN_TASK_COUNT"),
     _Scheduler("Grid Engine", "SGE_TASK_ID", last="SGE_TASK_LAST", first="SGE_TASK_FIRST", stride="SGE_TASK_STEPSIZE"),
     _Scheduler("LSF", "LSB_JOBINDEX", last="LSB_JOBINDEX_END", first=1),
     _Scheduler("PBS", "PBS_ARRAY_INDEX"),
@@ -51,13 +51,13 @@ def part_of_task(count: int | None = None, environment: Mapping[str, str] = os.e
         ValueError: no such array, or its number of tasks is not known.
     """
     for scheduler in SCHEDULERS:
-        index = _number(environment, scheduler.index)
+        index = _number(environment, scheduler.task)
         if index is None:
             continue
         first = scheduler.first if isinstance(scheduler.first, int) else _number(environment, scheduler.first) or 0
         stride = (scheduler.stride and _number(environment, scheduler.stride)) or 1
         last = scheduler.last and _number(environment, scheduler.last)
-        reported = (scheduler.count and _number(environment, scheduler.count)) or (
+        reported = (scheduler.tasks and _number(environment, scheduler.tasks)) or (
             (last - first) // stride + 1 if isinstance(last, int) else None
         )
         if count is None and reported is None:
@@ -66,7 +66,7 @@ def part_of_task(count: int | None = None, environment: Mapping[str, str] = os.e
             )
         return checked_part(((index - first) // stride, count or reported or 1))
     raise ValueError(
-        f"there is no array of tasks: none of {', '.join(s.index for s in SCHEDULERS)} is set. Give the part, as in "
+        f"there is no array of tasks: none of {', '.join(s.task for s in SCHEDULERS)} is set. Give the part, as in "
         "--part 3/8"
     )
 

@@ -38,12 +38,12 @@ class Split(NamedTuple):
 
     Attributes:
         members: their number.
-        count: the number of parts.
+        parts: the number of parts.
         chunk: the number of members in a chunk.
     """
 
     members: int
-    count: int
+    parts: int
     chunk: int
 
     @classmethod
@@ -62,7 +62,7 @@ class Split(NamedTuple):
     def chunks(self, k: int) -> range:
         """The chunks of part k."""
         every = math.ceil(self.members / self.chunk)
-        return range(k * every // self.count, (k + 1) * every // self.count)
+        return range(k * every // self.parts, (k + 1) * every // self.parts)
 
     def part(self, k: int) -> range:
         """The members of part k."""
@@ -173,7 +173,7 @@ class PartsRoot:
         """Where the state of part k belongs: its part and its run."""
         shape = [self.split, self.attributes["time_chunk"], self.entries]
         run = json.dumps([self.attributes["run"], shape], sort_keys=True)
-        return {"part": [k, self.split.count], "run": _integrity.digest(run.encode())}
+        return {"part": [k, self.split.parts], "run": _integrity.digest(run.encode())}
 
     @staticmethod
     def state_file(k: int) -> str:
@@ -259,7 +259,7 @@ class PartsRoot:
 
     def statuses(self, thorough: bool) -> list[PartStatus]:
         """The state of every part; if `thorough`, with a look at each of its files."""
-        return list(_in_threads(lambda k: self.status(k, thorough), range(self.split.count), self.storage))
+        return list(_in_threads(lambda k: self.status(k, thorough), range(self.split.parts), self.storage))
 
     def status(self, k: int, thorough: bool) -> PartStatus:
         """The state of part k."""

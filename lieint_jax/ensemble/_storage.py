@@ -161,29 +161,29 @@ class Disk(Storage):
     is_remote = False
 
     def __init__(self, path: Path) -> None:
-        self.address = path
+        self.address = self._path = path
 
     def read(self, name: str) -> bytes:
         """See `Storage`."""
         with _missing_folder():
-            return (self.address / name).read_bytes()
+            return (self._path / name).read_bytes()
 
     def tail(self, name: str) -> bytes:
         """See `Storage`."""
-        with _missing_folder(), (self.address / name).open("rb") as file:
+        with _missing_folder(), (self._path / name).open("rb") as file:
             file.seek(max(0, file.seek(0, os.SEEK_END) - 4))
             return file.read()
 
     def put(self, name: str, data: bytes) -> None:
         """See `Storage`."""
         with self._temporary(name, data) as file:
-            file.rename(self.address / name)
+            file.rename(self._path / name)
 
     def create(self, name: str, data: bytes) -> bool:
         """See `Storage`."""
         with self._temporary(name, data) as file:
             try:
-                os.link(file, self.address / name)
+                os.link(file, self._path / name)
             except FileExistsError:
                 return False
         return True
@@ -191,7 +191,7 @@ class Disk(Storage):
     @contextlib.contextmanager
     def _temporary(self, name: str, data: bytes) -> Iterator[Path]:
         """A file of this content on the disk, to be moved to its place; then the entries of the folder are synced."""
-        target = self.address / name
+        target = self._path / name
         self._make(target.parent)
         file = target.with_name(f".{target.name}.{os.getpid()}-{os.urandom(4).hex()}.partial")
         try:
@@ -213,17 +213,17 @@ class Disk(Storage):
 
     def sizes(self, folder: str = "") -> dict[str, int]:
         """See `Storage`."""
-        found, start = {}, self.address / folder
+        found, start = {}, self._path / folder
         for place, _, names in os.walk(start):
             for file in (Path(place, name) for name in names if not name.endswith(".partial")):
                 with contextlib.suppress(FileNotFoundError):
-                    found[file.relative_to(self.address).as_posix()] = file.stat().st_size
+                    found[file.relative_to(self._path).as_posix()] = file.stat().st_size
         return found
 
     @contextlib.contextmanager
     def lock(self, folder: str) -> Iterator[None]:
         """See `Storage`. The lock is released when the process ends, however it ends."""
-        path = self.address / folder
+        path = self._path / folder
         self._make(path)
         descriptor = lock_folder(path)
         try:
@@ -237,7 +237,7 @@ class Disk(Storage):
         """See `Storage`."""
         from zarr.storage import LocalStore
 
-        return LocalStore(self.address, read_only=True)
+        return LocalStore(self._path, read_only=True)
 
 
 class Bucket(Storage):
@@ -246,7 +246,7 @@ class Bucket(Storage):
     is_remote = True
 
     def __init__(self, url: Url) -> None:
-        self.address = url
+        self.address = self._url = url
         self._reached = False  # whether a request has succeeded
 
     @cached_property
@@ -258,12 +258,12 @@ class Bucket(Storage):
             raise ValueError(
                 f"{self.address} is in object storage, which needs obstore: pip install 'lieint_jax[cloud]'"
             ) from None
-        if urlsplit(self.address).scheme == "memory":
-            return _memory(self.address)
+        if urlsplit(self._url).scheme == "memory":
+            return _memory(self._url)
         options = {"timeout": timedelta(seconds=_TIMEOUT), "allow_http": _allows_http()}
         no_retry = {"max_retries": 0, "retry_timeout": timedelta(seconds=2 * _TIMEOUT)}  # `_retry` repeats requests
         try:
-            return obstore.store.from_url(self.address, client_options=options, retry_config=no_retry)  # pyright: ignore
+            return obstore.store.from_url(self._url, client_options=options, retry_config=no_retry)  # pyright: ignore
         except Exception as error:
             raise ValueError(f"{self.address} cannot be opened: {message(error)}") from None
 

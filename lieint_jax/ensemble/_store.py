@@ -262,7 +262,7 @@ class Writer(BackgroundWriter):
         self._arrays: dict[str, Any] = {}  # of zarr
 
     @cached_property
-    def attributes(self) -> Table:
+    def attributes(self) -> Table:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The attributes of the root; read once, when the first process has locked the store."""
         return read_root(self.path)["attributes"]
 

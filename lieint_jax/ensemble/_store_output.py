@@ -181,24 +181,24 @@ def _same_run(storage: Storage, found: Table | None, described: Table, split: Sp
     if "parts" not in attributes:
         raise ValueError(f"{storage.address} was not written in parts; choose another store")
     _identity.check_same(storage.address, attributes, described)
-    if attributes["parts"] != split.count:
-        raise ValueError(f"{storage.address} is written in {attributes['parts']} part(s), not in {split.count}")
+    if attributes["parts"] != split.parts:
+        raise ValueError(f"{storage.address} is written in {attributes['parts']} part(s), not in {split.parts}")
     return PartsRoot(storage, found)
 
 
 def _skeleton(job: Job, options: StoreOptions, described: Table, split: Split, remote: bool) -> dict[str, bytes]:
     """The files that a store in parts begins with; `job` is that of all members."""
-    largest = job.restricted(max(map(split.part, range(split.count)), key=len))
+    largest = job.restricted(max(map(split.part, range(split.parts)), key=len))
     rows = (largest.bucket_rows if remote else largest.buffer_rows)(split.chunk)
     description, numbers = describe(job.step)
     attributes = _attributes(job, options, described, split.chunk, rows)
-    attributes |= {"format": _store.PARTS_FORMAT, "parts": split.count}
+    attributes |= {"format": _store.PARTS_FORMAT, "parts": split.parts}
     attributes |= {"constants": sorted(numbers), "description": description}
     axes = _Axes(job, split.chunk, rows)
     columns = _columns(job, axes, options)
     if job.reduction is not None:
-        most = max(len(blocks(part.start, part.stop)) for part in map(split.part, range(split.count)))
-        series = {"part": (split.count, 1), **axes.times}
+        most = max(len(blocks(part.start, part.stop)) for part in map(split.part, range(split.parts)))
+        series = {"part": (split.parts, 1), **axes.times}
         columns |= _series_columns(job, axes, series)
         columns["sums"] = axes.column({**series, "block": (most, most)}, long_name="sums over blocks of members")
     constants = {name: _constant(name, x, job) for name, x in numbers.items()} | _labels(job)
