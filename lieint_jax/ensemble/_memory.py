@@ -15,10 +15,7 @@ from lieint_jax.ensemble._store_output import StoreOptions, chunk_members
 from lieint_jax.types import State
 
 _STATES = 6  # copies of a part's states: of the carries, of a checkpoint, and while they are checked
-_ROWS, _STORED_ROWS = (
-    2,
-    4,
-)  # copies of the rows of a call; a store's are also joined, and encoded, while others are computed
+_ROWS, _STORED_ROWS = 3, 6  # copies of the rows of a call; a store's are joined and encoded while others are computed
 _REDUCED = 5 * 8 + 1  # bytes of a member in a row of a run with `reduce`
 
 
