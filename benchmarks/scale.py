@@ -107,8 +107,8 @@ def paper(plan: dict[str, Any], report: Any) -> list[str]:
         f"On paper: {MEMBERS:.0e} bodies × {STEPS:.0e} steps, saved every {SAVE_EVERY}, {WORKERS} workers of one core",
         report.table(["", "value"], rows),
         "The rate is that of 10⁶ members in ensemble.md, on a core of a Xeon. The prices are assumptions: $ 0.015 for a "
-        "core hour, 0.005 for 1000 PUTs, 0.023 for a GB and month. What saturates first is the bandwidth of the workers, "
-        "not the number of requests.",
+        "core hour, 0.005 for 1000 PUTs, 0.023 for a GB and month. What saturates first is the bandwidth of the "
+        "workers, not the number of requests.",
         "The metadata do not grow with the number of chunks: Zarr computes their names. What breaks first is the "
         "memory of the initial states, which every part makes for all members; divide such a run into stores of "
         "10⁷ members. Chunks of 8192 members would be objects of about 1 MB, and many more of them; so chunks in "
@@ -180,8 +180,8 @@ def simulated(runs: list[dict[str, Any]], report: Any) -> list[str]:
         "Entries are compared with those of a run without deaths; a death in a PUT leaves it "
         "done or not, by chance.",
         report.table(head, rows),
-        "A simulated part has one chunk of each array to a commit, and the one on paper four: the busiest second has four "
-        "times as many PUTs. S3 accepts 3500 a second of one prefix before it throttles.",
+        "A simulated part has one chunk of each array to a commit, and the one on paper four: the busiest second has "
+        "four times as many PUTs. S3 accepts 3500 a second of one prefix before it throttles.",
     ]
 
 
