@@ -106,8 +106,8 @@ def paper(plan: dict[str, Any], report: Any) -> list[str]:
     return [
         f"On paper: {MEMBERS:.0e} bodies × {STEPS:.0e} steps, saved every {SAVE_EVERY}, {WORKERS} workers of one core",
         report.table(["", "value"], rows),
-        "The rate is that of 10⁶ members in ensemble.md, on a core of a Xeon. The prices are assumptions: $ 0.015 for a "
-        "core hour, 0.005 for 1000 PUTs, 0.023 for a GB and month. What saturates first is the bandwidth of the "
+        "The rate is that of 10⁶ members in ensemble.md, on a core of a Xeon. The prices are assumptions: $ 0.015 for "
+        "a core hour, 0.005 for 1000 PUTs, 0.023 for a GB and month. What saturates first is the bandwidth of the "
         "workers, not the number of requests.",
         "The metadata do not grow with the number of chunks: Zarr computes their names. What breaks first is the "
         "memory of the initial states, which every part makes for all members; divide such a run into stores of "
@@ -206,7 +206,9 @@ def draw(run: dict[str, Any], runs: list[dict[str, Any]], out: Any) -> None:
         axes[1].set(xlabel="time (s)", ylabel="requests a second")
         axes[2].plot([r["lifetime"] for r in runs], [r["computed again"] for r in runs], "o-", label="computed again")
         axes[2].plot([r["lifetime"] for r in runs], [r["waited for commits"] for r in runs], "s-", label="waited")
-        axes[2].set(xlabel="mean life (s)", ylabel="fraction of the computing time", xscale="log")
+        axes[2].set(xlabel="mean life (min)", ylabel="fraction of the computing time", xscale="log")
+        axes[2].set_xticks(LIFETIMES, [f"{life / 60:.0f}" for life in LIFETIMES])
+        axes[2].minorticks_off()
         axes[2].legend()
         plots.save(fig, out / "scale.png")
 

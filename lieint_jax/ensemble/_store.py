@@ -262,7 +262,7 @@ class Writer(BackgroundWriter):
         self._arrays: dict[str, Any] = {}  # of zarr
 
     @cached_property
-    def attributes(self) -> Table:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def attributes(self) -> Table:
         """The attributes of the root; read once, when the first process has locked the store."""
         return read_root(self.path)["attributes"]
 
@@ -297,7 +297,7 @@ class Writer(BackgroundWriter):
             self.attributes = attributes
             if self.progress["complete"]:
                 shutil.rmtree(self.path / CHECKPOINT)
-        self.attributes = self.attributes | {"progress": commit.progress}
+        self.attributes = self.attributes | {"progress": commit.progress}  # pyright: ignore
 
     def _digests(self, commit: Commit, checksums: np.ndarray) -> Table:
         """Record the checksums of a commit's row of chunks along time, and return the digests that it changes."""

@@ -202,6 +202,7 @@ class Mortal:
         monkeypatch.setattr(self.kind, "put", mortal)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reduce", [None, "energy"])
 def test_an_end_at_any_write_of_any_part_leaves_the_same_bits(place, monkeypatch, reduce):
     """Parts in random order, each ended after a random number of files, and begun again; nothing published is lost."""
@@ -545,6 +546,7 @@ def test_a_run_on_s3_is_that_in_memory_and_holds_no_credentials(proxy, capsys):
 
 
 @needs_moto
+@pytest.mark.long
 def test_xarray_reads_it_lazily_by_its_url(proxy):
     xarray = pytest.importorskip("xarray")
     pytest.importorskip("s3fs")
