@@ -30,7 +30,8 @@ def peak_memory(
 ) -> int:
     """The bytes that `ensemble.run` will need at most, beyond those of the process and of the states before it.
 
-    It is an estimate for machine code on a CPU; `benchmarks/scale.py` compares it with measured peaks. With `store` it
+    It is an estimate for machine code on a CPU, whose numbers of copies were fitted to the peaks of free bodies that
+    `benchmarks/scale.py` measures; other systems may need more. With `store` it
     does not grow with the number of entries, but for 16 bytes of each; with `reduce`, neither.
 
     Args:

@@ -87,8 +87,8 @@ def run(
         mesh: devices, a `jax.sharding.Mesh` of the one axis "members"; None uses all. Machine code uses as many threads
             as the mesh has devices of this process, by default one per core.
         store: a folder NAME.zarr, a URL (s3://, gs://, az:// or memory://BUCKET/NAME.zarr), or `StoreOptions`, to which
-            results are written during the run; memory then holds no more than one chunk of them. Credentials for a URL
-            are those in the environment.
+            results are written during the run; memory then holds a few copies of one chunk of them: see `peak_memory`.
+            Credentials for a URL are those in the environment.
         progress: show a progress bar on stderr, if that is a terminal.
         resume: continue the run in `store` from its last checkpoint; start it if there is no store.
         times: in place of dt and num_steps, the times (N+1,) of the boundaries of all members' steps, as in
