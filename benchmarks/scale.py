@@ -275,7 +275,8 @@ def memories(rows: list[dict[str, Any]], report: Any) -> list[str]:
         "Peak memory of a run above that of the process before it, MB, and what `ensemble.peak_memory` gives before",
         report.table(["results", "members", "saves", "measured", "given"], cells),
         "The numbers of copies that `peak_memory` counts were raised until its values lay above these peaks and "
-        "above four of 640 000 members, so the table is a fit and no prediction: a run of another system was not compared.",
+        "above four of 640 000 members, so the table is a fit and no prediction: a run of another system was "
+        "not compared.",
     ]
 
 
