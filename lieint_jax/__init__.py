@@ -20,7 +20,7 @@ A system and a scheme make a step; a step makes everything else.
 | `ensemble` | many bodies, over cores, devices and processes; results in memory or on disk |
 | `diagnostics` | what a step conserves, its order, its linearization; chaos |
 | `fit`, `observe`, `reversible` | fits, and derivatives of whole runs (`fitting`, `adjoints`) |
-| `potentials`, `torques`, `orbits` | what acts on bodies |
+| `potentials`, `torques`, `tides`, `orbits` | what acts on bodies |
 | `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
 | `cache_programs` | compiled programs on disk, for a quick start of the next process |
 
@@ -42,6 +42,7 @@ from lieint_jax import (
     schemes,
     studies,  # noqa: F401
     systems,
+    tides,
     torques,
     types,
 )
@@ -80,6 +81,7 @@ __all__ = [
     "schemes",
     "static",
     "systems",
+    "tides",
     "torques",
     "types",
 ]

@@ -13,7 +13,7 @@
 | `extrapolate` | any system | nothing beyond its accuracy: for short, accurate runs | 4 to 20 |
 | `log_hamiltonian` | tops | form, with steps that vary | 2 |
 | `reversible_control` | any step | what that conserves but for the form, with steps that vary | 2 |
-| `bodies_energy_momentum` | several bodies | energy, both momenta | 2 |
+| `bodies_energy_momentum` | several bodies, with tides too | energy (less work), both momenta | 2 |
 | `nystrom` | tops, satellites, several bodies | form, momenta | 4, 6 |
 | `kepler_splitting` | two bodies | form, both momenta; the orbit solved exactly | 2, (8, 4), (8, 6, 4) |
 | `additive` | elastic bodies | momentum, and energy or the form; of incompressible ones volume too | 2 |

@@ -40,12 +40,13 @@ from lieint_jax.systems._pseudo_rigid_body import (
     pseudo_rigid_body,
     saint_venant_kirchhoff,
 )
-from lieint_jax.systems._rigid_bodies import FreeBodies, RigidBodies, rigid_bodies
+from lieint_jax.systems._rigid_bodies import DissipativeBodies, FreeBodies, RigidBodies, rigid_bodies
 from lieint_jax.systems._rigid_body import RigidBody, rigid_body
 from lieint_jax.systems._torqued_body import TorquedBody, torqued_body
 
 __all__ = [
     "DampedBody",
+    "DissipativeBodies",
     "DrivenGroupPotential",
     "DrivenGyrostat",
     "DrivenTop",

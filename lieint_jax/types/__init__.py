@@ -13,6 +13,7 @@ from __future__ import annotations
 from lieint_jax._deprecated import renamed as _renamed
 from lieint_jax.types._capabilities import (
     AbstractDampedBody,
+    AbstractDissipativeBodies,
     AbstractDrivenGyrostat,
     AbstractDrivenSystem,
     AbstractDrivenTop,
@@ -36,6 +37,7 @@ from lieint_jax.types._capabilities import (
     gradient,
 )
 from lieint_jax.types._group import AnalyticGroup, Group, PhaseSpace
+from lieint_jax.types._pair_law import PairLaw, pair_forces
 from lieint_jax.types._pytree import callable_pytree, pytree, static
 from lieint_jax.types._state import State, StepInfo, Trajectory, all_finite, clock, on_clock
 from lieint_jax.types._step import Step, StepError, checked_step, converges, promoted, start_time
@@ -44,6 +46,7 @@ from lieint_jax.types._torque import Function, Law, Rotation, Total, as_law, ins
 
 __all__ = [
     "AbstractDampedBody",
+    "AbstractDissipativeBodies",
     "AbstractDrivenGyrostat",
     "AbstractDrivenSystem",
     "AbstractDrivenTop",
@@ -65,6 +68,7 @@ __all__ = [
     "Function",
     "Group",
     "Law",
+    "PairLaw",
     "PhaseSpace",
     "PotentialWithGradient",
     "Rotation",
@@ -87,6 +91,7 @@ __all__ = [
     "gradient",
     "instant",
     "on_clock",
+    "pair_forces",
     "parts",
     "promoted",
     "pytree",

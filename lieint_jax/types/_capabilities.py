@@ -150,6 +150,28 @@ class AbstractRigidBodies(AbstractForcedSystem):
     potential: Callable[[Array, Array], Array]
 
 
+class AbstractDissipativeBodies(System):
+    """N rigid bodies in a potential that lose energy by a law of pairs: as `AbstractRigidBodies`, with its forces.
+
+    Energy less work is conserved, where the work is what the law does, and so are both momenta if the potential is
+    invariant.
+
+    Attributes:
+        masses, inertias, potential: as in `AbstractRigidBodies`.
+        dissipation: a `PairLaw`, or a function (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j).
+    """
+
+    masses: Array
+    inertias: Array
+    potential: Callable[[Array, Array], Array]
+    dissipation: Callable[..., Any]
+
+    @property
+    @abc.abstractmethod
+    def conservative(self) -> AbstractRigidBodies:
+        """The same bodies without the law."""
+
+
 class AbstractTop(AbstractForcedSystem):
     """A rigid body in a potential Ṽ(Γ) of an axis, Γ = Λᵀγ: q̇ = ½ q Ω, π̇ = γ × Λ∇Ṽ(Γ) (4.2).
 

@@ -25,6 +25,7 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("diagnostics",),
     ("schemes",),
     ("systems",),
+    ("tides",),
     ("orbits", "potentials", "torques"),
     ("_integrate",),
     ("_free_body",),
@@ -131,7 +132,7 @@ schemes.log_hamiltonian schemes.reversible_control diagnostics.local_error
 schemes.gauss schemes.extrapolate
 systems.rigid_bodies potentials.maccullagh potentials.point_masses potentials.point_charges potentials.lennard_jones
 potentials.sites potentials.springs potentials.uniform_field potentials.outer_field potentials.ellipsoid_sphere
-potentials.water schemes.bodies_energy_momentum schemes.nystrom schemes.kepler_splitting
+potentials.water schemes.bodies_energy_momentum schemes.nystrom schemes.kepler_splitting tides.constant_lag
 """
 
 
