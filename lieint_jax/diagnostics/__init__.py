@@ -19,12 +19,14 @@ from lieint_jax.diagnostics._order import flow, order, reversibility
 from lieint_jax.diagnostics._poisson import poisson_error
 from lieint_jax.diagnostics._series import constraint_error, delay, energy_error, momentum_error
 from lieint_jax.diagnostics._symplectic import linearization, symplectic_defect
+from lieint_jax.diagnostics._thermal import ThermalCertificate
 
 __all__ = [
     "Certificate",
     "Conditions",
     "Lyapunov",
     "Megno",
+    "ThermalCertificate",
     "certify",
     "conditions",
     "constraint_error",
