@@ -113,7 +113,7 @@ class Langevin(Step):
         n = self._carried(state, _COUNT)
         key = random_bits.fold_in(random_bits.key_of(self._carried(state, _KEY)), random_bits.word(n))
         state, info = (self._metropolis if self.metropolis else self._baoab)(state, jnp.asarray(dt), key)
-        counted = (n + 1 > n) & (n < _MOST) & (dt >= 0)
+        counted = (n + 1 > n) & (n < _MOST) & (jnp.asarray(dt) >= 0)
         end = self._added(state, **{_COUNT: 1})
         return end, info._replace(converged=info.converged & counted)
 
@@ -186,7 +186,7 @@ class Langevin(Step):
         return state._replace(extra=extra | {name: extra[name] + x for name, x in more.items()})
 
     def advice(self, state: State, dt: ArrayLike) -> str:
-        if dt < 0:
+        if float(dt) < 0:  # pyright: ignore[reportArgumentType]
             return f"{self.name} has no step back, got dt = {dt}: friction and noise have no inverse. Take dt > 0"
         return f"{self.name}: {self.deterministic.advice(state, dt)}"
 
@@ -209,13 +209,13 @@ def _checked_key(key: Any) -> Array:
     if isinstance(key, int | np.integer) and not isinstance(key, bool):
         return jax.random.key(int(key))
     typed = isinstance(key, Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
-    words = jax.random.key_data(key) if typed else key
+    words: Any = jax.random.key_data(key) if typed else key
     if not isinstance(words, Array | np.ndarray) or words.shape != (2,) or words.dtype != jnp.uint32:
         raise ValueError(
             f"key must be one of jax.random.key(seed), of two words (threefry2x32), or a seed, got {key!r}. Members of "
             "an ensemble have keys of their own by step.start(states, key=…)"
         )
-    return key if typed else jax.random.wrap_key_data(jnp.asarray(words), impl="threefry2x32")
+    return jax.random.wrap_key_data(jnp.asarray(words), impl="threefry2x32")
 
 
 def langevin(system: Any, temperature: ArrayLike, friction: ArrayLike, metropolis: bool = False) -> Langevin:

@@ -265,6 +265,21 @@ class AbstractElasticBody(System):
     stored_energy: StoredEnergy
 
 
+class AbstractViscousBody(System):
+    """A body that deforms homogeneously and is viscous: as `AbstractElasticBody`, with Ṗ = −F(2∇W(C) + νĊ), C = FᵀF.
+
+    Energy less work is conserved, where the work is −∫½ν|Ċ|² dt.
+
+    Attributes:
+        inertia, stored_energy: as in `AbstractElasticBody`.
+        viscosity: ν ≥ 0, an energy times a time.
+    """
+
+    inertia: Array
+    stored_energy: StoredEnergy
+    viscosity: Array
+
+
 class AbstractIncompressibleBody(System):
     """A body that deforms homogeneously at constant volume, on T*SL(3): Ḟ = PE⁻¹, Ṗ = −2F∇W(FᵀF) + p F⁻ᵀ, det F = 1.
 

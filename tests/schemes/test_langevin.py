@@ -184,7 +184,7 @@ def test_free_bodies_are_sampled_exactly_at_any_step(full):
     """Δt = 3: ⟨Π_i²⟩ = kT J_i on each axis and attitudes without a preferred direction, by χ²."""
     body = systems.rigid_body(np.diag(J) if full else J)
     step = schemes.langevin(body, 1.0, 0.5 if full else RATES)
-    end = run(step, members(step, body.state(), 8192), 3.0, 12)
+    end = run(step, members(step, body.state(angular_velocity=[0.1, 0.2, 0.3]), 8192), 3.0, 12)
     Pi = body_momenta(jnp.array(end.q[-1]), jnp.array(end.p[-1]))
     assert within(Pi**2 / J, 1)
     assert within(Pi[:, [0, 1, 2]] * Pi[:, [1, 2, 0]], 0)
@@ -245,14 +245,17 @@ def test_the_bias_falls_as_the_square_of_the_step():
 @pytest.mark.long
 @pytest.mark.parametrize("metropolis", [False, True])
 def test_several_bodies_have_their_energy_on_every_axis_of_motion_and_rotation(metropolis):
-    """Three bodies on springs, each axis with a rate of its own: ⟨p²/m⟩ and ⟨Π²/J⟩ are kT."""
+    """Three bodies on springs, each axis with a rate of its own: ⟨p²/m⟩ and ⟨Π²/J⟩ are kT, 36 numbers.
+
+    The bias of the plain scheme, 0.006 of the stiffest by that at twice the step, is a fifth of a standard error.
+    """
     masses, moments, kT = np.array([1.0, 0.5, 0.3]), np.tile([0.1, 0.2, 0.25], (3, 1)), 0.5
     V = potentials.springs([[0, 1], [1, 2], [2, 0]], [[[0.1, 0, 0], [0, 0.1, 0.2]]] * 3, [3.0, 4.0, 5.0], 1.0)
     bodies = systems.rigid_bodies(masses, moments, V)
     step = schemes.langevin(bodies, kT, [0.5, 0.6, 0.7, 1.0, 1.5, 2.0], metropolis=metropolis)
     end = run(step, members(step, bodies.state([[0, 0, 0.0], [1, 0, 0], [0, 1, 0]]), 4096), 0.05, 200)
     q, p = jnp.array(end.q[-1]), jnp.array(end.p[-1])
-    assert within(p[..., :3] ** 2 / (masses[:, None] * kT), 1 if metropolis else np.full((3, 3), 0.995), 4.5)
+    assert within(p[..., :3] ** 2 / (masses[:, None] * kT), 1, 4.5)
     assert within(body_momenta(q[..., 3:], p[..., 3:]) ** 2 / (moments * kT), 1, 4.5)
 
 
@@ -281,7 +284,7 @@ def test_a_free_rotor_forgets_its_attitude_as_theory_says():
     """A spherical body, γ = 0.5, kT/J = 1: from the persistent to the diffusive regime, within 4 standard errors."""
     body = systems.rigid_body([2.0, 2.0, 2.0])
     step = schemes.langevin(body, 2.0, 0.5)
-    warm = run(step, members(step, body.state(), 16384), 2.0, 20)
+    warm = run(step, members(step, body.state(angular_velocity=[0.1, 0.2, 0.3]), 16384), 2.0, 20)
     path = run(step, jax.tree.map(lambda x: x[-1], warm), 0.05, 80, 20)
     R = np.array(jax.jit(jax.vmap(so3.to_matrix))(jnp.array(path.q).reshape(-1, 4))).reshape(5, -1, 3, 3)
     overlap = np.einsum("tmij,mij->tm", R, R[0]) / 3

@@ -27,6 +27,7 @@ from lieint_jax.types import (
     AbstractDrivenGyrostat,
     AbstractGyrostat,
     AbstractTorquedBody,
+    AbstractViscousBody,
     State,
     System,
 )
@@ -38,6 +39,7 @@ _ELSEWHERE = {  # what takes the systems that few schemes take
     AbstractTorquedBody: ("torqued_midpoint",),
     AbstractDampedBody: ("torqued_midpoint",),
     AbstractDissipativeBodies: ("bodies_energy_momentum",),
+    AbstractViscousBody: ("additive",),
 }
 
 
