@@ -23,7 +23,7 @@ A system and a scheme make a step; a step makes everything else.
 | `fit`, `observe`, `reversible` | fits, and derivatives of whole runs (`fitting`, `adjoints`) |
 | `transition` | state transition matrices, sensitivities to parameters, linear covariance |
 | `shapes` | mass, inertia and moments of ellipsoids, boxes, point masses, meshes |
-| `potentials`, `torques`, `orbits` | what acts on bodies |
+| `potentials`, `torques`, `tides`, `orbits` | what acts on bodies |
 | `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
 | `elliptic` | elliptic integrals and functions, with derivatives |
 | `cache_programs` | compiled programs on disk, for a quick start of the next process |
@@ -48,6 +48,7 @@ from lieint_jax import (
     shapes,
     studies,  # noqa: F401
     systems,
+    tides,
     torques,
     types,
 )
@@ -91,6 +92,7 @@ __all__ = [
     "shapes",
     "static",
     "systems",
+    "tides",
     "torques",
     "transition",
     "types",

@@ -21,7 +21,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._integrate import from_start, intervals
+from lieint_jax._integrate import at_time, intervals, uniform_clock
+from lieint_jax._integrate import trajectory as joined
 from lieint_jax._xla import compiled, rematerialized
 from lieint_jax.types import (
     PhaseSpace,
@@ -30,10 +31,8 @@ from lieint_jax.types import (
     StepInfo,
     callable_pytree,
     checked_step,
-    on_clock,
     promoted,
     pytree,
-    start_time,
     static,
 )
 
@@ -285,19 +284,20 @@ def _entries(run: _Run, values: Any, dt: Array, num_saves: int, save_every: int)
 
     step, start = make_run(p)
     tangents, dim = _Tangents(step.system.phase_space, start), step.system.phase_space.dim
-    t0 = start_time(step, start)
+    clock = uniform_clock(step, start, dt)
 
     @rematerialized
     def step_once(carry: Any, _: None) -> tuple[Any, None]:
         state, T, so_far, n = carry
+        h = clock.size(n)
         if tangents.dim == dim:
-            end, info, T = step.tangent(state, dt, T)
+            end, info, T = step.tangent(state, h, T)
         else:
-            end, info, T = tangents.carried(lambda z: step(z, dt), state, T)
+            end, info, T = tangents.carried(lambda z: step(z, h), state, T)
         if p.size:
-            slope = tangents.slope(lambda p: make_run(p)[0](state, dt)[0], p)
+            slope = tangents.slope(lambda p: make_run(p)[0](state, h)[0], p)
             T = T.at[:, dim:].add(slope)
-        return (on_clock(end, t0, n + 1, dt), T, so_far.merge(info), n + 1), None
+        return (at_time(end, clock.time(n + 1)), T, so_far.merge(info), n + 1), None
 
     def interval(carry: tuple[State, Array, Array], _: None) -> tuple[Any, Any]:
         state, T, n = carry
@@ -310,7 +310,7 @@ def _entries(run: _Run, values: Any, dt: Array, num_saves: int, save_every: int)
         T = jnp.concatenate([T, tangents.slope(lambda p: make_run(p)[1], p)], axis=1)
     _, (later, Ts) = lax.scan(interval, (start, T, jnp.zeros((), int)), None, length=num_saves)
     rows = jnp.concatenate([T[None], Ts])[:, :dim]
-    trajectory = from_start(step, start, later, dt, save_every)
+    trajectory = joined(start, later, clock.time(save_every * jnp.arange(num_saves + 1)))
     by_parameters = jax.vmap(jax.vmap(unravel))(rows[:, :, dim:]) if p.size else None
     return Transition(trajectory.t, trajectory.state, trajectory.info, rows[:, :, :dim], by_parameters)
 

@@ -24,6 +24,7 @@ from lieint_jax.diagnostics._order import flow, order, reversibility
 from lieint_jax.diagnostics._poisson import poisson_error
 from lieint_jax.diagnostics._series import constraint_error, delay, energy_error, momentum_error
 from lieint_jax.diagnostics._symplectic import linearization, symplectic_defect
+from lieint_jax.diagnostics._thermal import ThermalCertificate
 
 __all__ = [
     "Certificate",
@@ -32,6 +33,7 @@ __all__ = [
     "Lyapunov",
     "Megno",
     "NormalModes",
+    "ThermalCertificate",
     "certify",
     "conditions",
     "constraint_error",

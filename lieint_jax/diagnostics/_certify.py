@@ -19,6 +19,7 @@ from lieint_jax.diagnostics import _measure
 from lieint_jax.diagnostics._order import fitted_order, shown_reversibility, units
 from lieint_jax.diagnostics._series import constraint_error, energy_error, momentum_error
 from lieint_jax.diagnostics._symplectic import defect_matrix
+from lieint_jax.diagnostics._thermal import ThermalCertificate, certify_thermostat
 from lieint_jax.groups import MatrixGroup, matrix
 from lieint_jax.types import State, Step, System, Trajectory, start_time
 from lieint_jax.types.shapes import Scalar
@@ -101,8 +102,11 @@ class Certificate(NamedTuple):
         return f"broken {law}"
 
 
-def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
+def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate | ThermalCertificate:
     """Measure what `step` conserves from `state`: energy, momentum, form, order, reversibility.
+
+    Of a step with noise (`schemes.langevin`): whether its heat is exact, how the energy less heat changes, and whether
+    the canonical measure has a bias.
 
     Args:
         step: a scheme's step.
@@ -113,6 +117,8 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
     Raises:
         ValueError: as `integrate`.
     """
+    if isinstance(step, Step) and step.deterministic is not None:
+        return certify_thermostat(step, state, dt, num_steps)
     num_steps = _checks.count("num_steps", num_steps, 0)
     most = max(num_steps, 4 * _SPAN)  # one program for all runs
     step, state, h = _measure.checked(step, state, dt, most)

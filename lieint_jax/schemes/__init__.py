@@ -13,9 +13,10 @@
 | `extrapolate` | any system | nothing beyond its accuracy: for short, accurate runs | 4 to 20 |
 | `log_hamiltonian` | tops | form, with steps that vary | 2 |
 | `reversible_control` | any step | what that conserves but for the form, with steps that vary | 2 |
-| `bodies_energy_momentum` | several bodies | energy, both momenta | 2 |
+| `bodies_energy_momentum` | several bodies, with tides too | energy (less work), both momenta | 2 |
 | `nystrom` | tops, satellites, several bodies | form, momenta | 4, 6 |
 | `kepler_splitting` | two bodies | form, both momenta; the orbit solved exactly | 2, (8, 4), (8, 6, 4) |
+| `langevin` | free bodies, tops, several bodies in a heat bath | the canonical measure; heat counted exactly | 2 |
 | `additive` | elastic bodies | momentum, and energy or the form; of incompressible ones volume too | 2 |
 | `sphere_midpoint` | the spherical pendulum | γ·π, and energy or the form | 2 |
 | `sphere_chart` | the spherical pendulum | form, γ·π; singular on the axis | 2 |
@@ -40,6 +41,7 @@ from lieint_jax.schemes import (
     _group_energy_momentum,
     _group_midpoint,
     _kepler_splitting,
+    _langevin,
     _log_hamiltonian,
     _nystrom,
     _preprocessed,
@@ -64,6 +66,7 @@ from lieint_jax.schemes._group_alpha import GroupAlpha, group_alpha
 from lieint_jax.schemes._group_energy_momentum import GroupEnergyMomentum, group_energy_momentum
 from lieint_jax.schemes._group_midpoint import GroupMidpoint, group_midpoint
 from lieint_jax.schemes._kepler_splitting import KeplerSplitting, kepler_splitting
+from lieint_jax.schemes._langevin import Langevin, langevin
 from lieint_jax.schemes._log_hamiltonian import LogHamiltonian, log_hamiltonian
 from lieint_jax.schemes._nystrom import Nystrom, nystrom
 from lieint_jax.schemes._preprocessed import Preprocessed, preprocessed
@@ -93,6 +96,7 @@ __all__ = [
     "GroupEnergyMomentum",
     "GroupMidpoint",
     "KeplerSplitting",
+    "Langevin",
     "LogHamiltonian",
     "Nystrom",
     "Preprocessed",
@@ -118,6 +122,7 @@ __all__ = [
     "group_energy_momentum",
     "group_midpoint",
     "kepler_splitting",
+    "langevin",
     "log_hamiltonian",
     "nystrom",
     "preprocessed",
@@ -157,6 +162,7 @@ def catalogue() -> Catalogue[SchemeProperties]:
             _reversible_control,
             _bodies_energy_momentum,
             _kepler_splitting,
+            _langevin,
             _additive,
             _sphere_midpoint,
             _sphere_chart,

@@ -14,6 +14,8 @@ with a symmetric S: then rot[PFᵀ] is conserved (Result 15). S is a function of
     incompressible    S = S̄(C_n, D) − p S̄₃(C_n, D), p from det C_{n+1} = 1; S̄₃ is S̄ of W = ½ det C, so that
                       S̄₃:D = Δdet C = 0 and the pressure p does no work
 
+A viscous body has the stress S̄(C_n, D) + νD/Δt by the rule "average": it loses ½νD:D/Δt in a step, which is booked.
+
 P_{n+1} eliminated, nine equations for U are left, and one for γ where there is one; with c = βΔt²,
 
     R(U) = U E + c F_{n+α} S − Δt P_n = 0.
@@ -43,6 +45,7 @@ from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.types import (
     AbstractElasticBody,
     AbstractIncompressibleBody,
+    AbstractViscousBody,
     State,
     Step,
     StepInfo,
@@ -65,6 +68,15 @@ def _motion(body: AbstractElasticBody, state: State) -> State:
     return State(_array(V), -_array(vec3.product(state.q, vec3.rows(body.stored_energy.stress(vec3.gram(state.q))))))
 
 
+def _viscous_motion(body: AbstractViscousBody, state: State) -> State:
+    """(Ḟ, Ṗ) = (PE⁻¹, −F(2∇W(C) + νĊ))."""
+    E, F = vec3.symmetric(body.inertia), _rows(state.q)
+    V = [vec3.solve_symmetric(E, row) for row in state.p]
+    C_dot = vec3.plus_transpose(vec3.transposed_product(F, V))
+    S = vec3.add_scaled(body.stored_energy.stress(vec3.gram(F)), C_dot, body.viscosity)
+    return State(_array(V), -_array(vec3.product(F, vec3.rows(S))))
+
+
 def _constrained_motion(body: AbstractIncompressibleBody, state: State) -> State:
     """(Ḟ, Ṗ) = (PE⁻¹, −FS + pF⁻ᵀ), S = 2∇W, and p from d²/dt² det F = 0."""
     E = vec3.full(vec3.symmetric(body.inertia))
@@ -80,6 +92,9 @@ def _constrained_motion(body: AbstractIncompressibleBody, state: State) -> State
 
 
 ELASTIC_BODIES = AcceptedSystems(AbstractElasticBody, "pseudo-rigid bodies (systems.pseudo_rigid_body)", _motion)
+VISCOUS_BODIES = AcceptedSystems(
+    AbstractViscousBody, "viscous pseudo-rigid bodies (systems.pseudo_rigid_body)", _viscous_motion
+)
 INCOMPRESSIBLE = AcceptedSystems(
     AbstractIncompressibleBody, "incompressible bodies (systems.incompressible_body)", _constrained_motion
 )
@@ -90,13 +105,13 @@ class Additive(Step):
     """The step made by `additive`.
 
     Attributes:
-        system: a pseudo-rigid body, or an incompressible one.
+        system: a pseudo-rigid body, elastic or viscous, or an incompressible one.
         alpha: where between F_n and F_{n+1} the force acts.
         rule: how S is chosen.
         iterations: the most Newton corrections per step.
     """
 
-    system: AbstractElasticBody | AbstractIncompressibleBody
+    system: AbstractElasticBody | AbstractViscousBody | AbstractIncompressibleBody
     alpha: Array
     rule: Rule = static()
     iterations: int = static()
@@ -141,7 +156,10 @@ class Additive(Step):
             converged &= jnp.abs(R[9]) <= tolerance * jnp.maximum(size * size * size, 1)
         elif rule.gammas:
             converged &= jnp.abs(_missed(W, equation.C, D, S)) <= tolerance * stiff * _largest(D)
-        return state._replace(q=_array(end), p=_array(after)), lax.stop_gradient(StepInfo(residual, converged))
+        moved = state._replace(q=_array(end), p=_array(after))
+        if isinstance(W, _Viscous) and state.work is not None:
+            moved = moved._replace(work=state.work - W.rate * vec3.inner(D, D) / 2)
+        return moved, lax.stop_gradient(StepInfo(residual, converged))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
@@ -151,7 +169,7 @@ class Additive(Step):
 
 
 def additive(
-    system: AbstractElasticBody | AbstractIncompressibleBody,
+    system: AbstractElasticBody | AbstractViscousBody | AbstractIncompressibleBody,
     rule: Rule = "average",
     alpha: ArrayLike = 0.5,
     iterations: int = 25,
@@ -167,6 +185,9 @@ def additive(
     | `"incompressible"` (ours), det F = 1 exact too | exact | exact | O(Δt³) per step | 2 |
 
     "Exact" is to round-off at a converged step. With α = ½ all are time-symmetric.
+
+    A viscous body has the rule "average" only: energy and what was lost (−`State.work`) are exact, and no step loses
+    less than 0.
 
     "average" takes a stress with ½S:ΔC = ΔW that needs no γ: by invariants for the shipped materials, else 8 Gauss
     nodes of ∇W along C. The two rules of the paper ask for a γ as well, whose equation may have several roots; they are
@@ -193,13 +214,15 @@ def additive(
     Source: Lewis & Simo 1994, Results 15 and 16; "average": this package, after Gonzalez 2000, Comput. Methods Appl.
     Mech. Engrg. 190, and McLachlan, Quispel & Robidoux 1999.
     """
-    volume = INCOMPRESSIBLE.declared(system)
-    (INCOMPRESSIBLE if volume else ELASTIC_BODIES).check("additive", system)
+    volume, viscous = INCOMPRESSIBLE.declared(system), VISCOUS_BODIES.declared(system)
+    (INCOMPRESSIBLE if volume else VISCOUS_BODIES if viscous else ELASTIC_BODIES).check("additive", system)
     if rule not in get_args(Rule):
         raise ValueError(f"rule must be one of {', '.join(get_args(Rule))}, got {rule!r}")
     if volume != (rule == "incompressible"):
         kept = "incompressible_body with the rule 'incompressible', pseudo_rigid_body with the others"
         raise ValueError(f"additive takes {kept}, got {type(system).__name__} with {rule!r}")
+    if viscous and rule != "average":
+        raise ValueError(f"a viscous body has the rule 'average', whose loss is exact, got {rule!r}")
     alpha = _checks.fraction("alpha", alpha)
     middle = not concrete(alpha) or float(alpha) == 0.5
     if not middle and rule != "symplectic":
@@ -229,6 +252,8 @@ def examples(system: System) -> dict[str, Step]:
     if INCOMPRESSIBLE.declared(system):
         step = additive(system, "incompressible")
         return {step.name: step}
+    if VISCOUS_BODIES.declared(system):
+        return {"additive[average]": additive(system)}
     if not ELASTIC_BODIES.declared(system):
         return {}
     return {step.name: step for step in (additive(system, "average"), additive(system, "symplectic"))}
@@ -296,6 +321,28 @@ def _stiffness(W: StoredEnergy, C: Symmetric) -> Array:
     return lax.stop_gradient(_largest(jax.jvp(W.stress, (C,), (C,))[1]))
 
 
+@pytree
+class _Viscous(StoredEnergy):
+    """A stored energy whose mean stress is that of a viscous body in one step: S̄ + νD/Δt.
+
+    Attributes:
+        elastic: the stored energy.
+        rate: ν/Δt.
+    """
+
+    elastic: StoredEnergy
+    rate: Array
+
+    def __call__(self, C: Array) -> Array:
+        return self.elastic(C)
+
+    def stress(self, C: Symmetric) -> Symmetric:
+        return self.elastic.stress(C)
+
+    def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
+        return vec3.add_scaled(self.elastic.mean_stress(C, D), D, self.rate)
+
+
 # The equation, and Newton's step for it -------------------------------------------------------------------------------
 
 
@@ -338,7 +385,11 @@ class _Equation(NamedTuple):
         E = vec3.full(vec3.symmetric(step.system.inertia))
         F, P = _matrix(state.q.ravel()), _matrix(state.p.ravel())
         C, c, a = vec3.gram(F), (1 - alpha) * dt * dt, alpha if step.rule == "symplectic" else 1
-        return cls(rule, W, alpha, E, F, P, C, dt, c, a, _stiffness(W, C), jnp.max(jnp.abs(state.q)))
+        stiffness = _stiffness(W, C)
+        if isinstance(step.system, AbstractViscousBody):
+            W = _Viscous(W, step.system.viscosity / jnp.where(dt == 0, 1, dt))
+            stiffness = stiffness + jnp.abs(W.rate) * _largest(C)
+        return cls(rule, W, alpha, E, F, P, C, dt, c, a, stiffness, jnp.max(jnp.abs(state.q)))
 
     def change(self, U: Matrix) -> Symmetric:
         """D = FᵀV + VᵀF + VᵀV with V = aU."""

@@ -55,12 +55,13 @@ from lieint_jax.systems._potential_top import PotentialTop, QuadraticPotential, 
 from lieint_jax.systems._pseudo_rigid_body import (
     PseudoRigidBody,
     StoredEnergy,
+    ViscousBody,
     mooney_rivlin,
     neo_hookean,
     pseudo_rigid_body,
     saint_venant_kirchhoff,
 )
-from lieint_jax.systems._rigid_bodies import FreeBodies, RigidBodies, rigid_bodies
+from lieint_jax.systems._rigid_bodies import DissipativeBodies, FreeBodies, RigidBodies, rigid_bodies
 from lieint_jax.systems._rigid_body import RigidBody, rigid_body
 from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.self_gravity import SelfGravity, self_gravity
@@ -69,6 +70,7 @@ from lieint_jax.types import Catalogue
 
 __all__ = [
     "DampedBody",
+    "DissipativeBodies",
     "DrivenGroupPotential",
     "DrivenGyrostat",
     "DrivenTop",
@@ -92,6 +94,7 @@ __all__ = [
     "StoredEnergy",
     "SystemProperties",
     "TorquedBody",
+    "ViscousBody",
     "catalogue",
     "clebsch_integral",
     "damped_body",

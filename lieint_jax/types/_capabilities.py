@@ -151,6 +151,28 @@ class AbstractRigidBodies(AbstractForcedSystem):
     potential: Callable[[Array, Array], Array]
 
 
+class AbstractDissipativeBodies(System):
+    """N rigid bodies in a potential that lose energy by a law of pairs: as `AbstractRigidBodies`, with its forces.
+
+    Energy less work is conserved, where the work is what the law does, and so are both momenta if the potential is
+    invariant.
+
+    Attributes:
+        masses, inertias, potential: as in `AbstractRigidBodies`.
+        dissipation: a `PairLaw`, or a function (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j).
+    """
+
+    masses: Array
+    inertias: Array
+    potential: Callable[[Array, Array], Array]
+    dissipation: Callable[..., Any]
+
+    @property
+    @abc.abstractmethod
+    def conservative(self) -> AbstractRigidBodies:
+        """The same bodies without the law."""
+
+
 class AbstractTop(AbstractForcedSystem):
     """A rigid body in a potential Ṽ(Γ) of an axis, Γ = Λᵀγ: q̇ = ½ q Ω, π̇ = γ × Λ∇Ṽ(Γ) (4.2).
 
@@ -242,6 +264,21 @@ class AbstractElasticBody(System):
 
     inertia: Array
     stored_energy: StoredEnergy
+
+
+class AbstractViscousBody(System):
+    """A body that deforms homogeneously and is viscous: as `AbstractElasticBody`, with Ṗ = −F(2∇W(C) + νĊ), C = FᵀF.
+
+    Energy less work is conserved, where the work is −∫½ν|Ċ|² dt.
+
+    Attributes:
+        inertia, stored_energy: as in `AbstractElasticBody`.
+        viscosity: ν ≥ 0, an energy times a time.
+    """
+
+    inertia: Array
+    stored_energy: StoredEnergy
+    viscosity: Array
 
 
 class AbstractIncompressibleBody(System):

@@ -131,6 +131,11 @@ class Step(abc.ABC):
         """Whether fewer iterations were asked for than convergence takes: a run reports the residual, and goes on."""
         return False
 
+    @property
+    def deterministic(self) -> Step | None:
+        """Of a step with noise, the step that is left without it and friction; None of all others."""
+        return None
+
     def start(self, state: State) -> State:
         """`state` with what else the states of this step carry, as it is at the start of a run; here nothing."""
         return state

@@ -23,9 +23,11 @@ from lieint_jax._xla import compiled
 from lieint_jax.groups import MatrixGroup
 from lieint_jax.types import (
     AbstractDampedBody,
+    AbstractDissipativeBodies,
     AbstractDrivenGyrostat,
     AbstractGyrostat,
     AbstractTorquedBody,
+    AbstractViscousBody,
     State,
     System,
 )
@@ -38,6 +40,8 @@ _ELSEWHERE = {  # what takes the systems that few schemes take
     AbstractDrivenGyrostat: ("so3_midpoint",),
     AbstractTorquedBody: ("torqued_midpoint",),
     AbstractDampedBody: ("torqued_midpoint",),
+    AbstractDissipativeBodies: ("bodies_energy_momentum",),
+    AbstractViscousBody: ("additive",),
 }
 
 
