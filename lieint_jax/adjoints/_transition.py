@@ -21,8 +21,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._integrate import at_time, intervals, uniform_clock
-from lieint_jax._integrate import trajectory as joined
+from lieint_jax._integrate import at_time, intervals, joined, uniform_clock
 from lieint_jax._xla import compiled, rematerialized
 from lieint_jax.types import (
     PhaseSpace,
@@ -33,6 +32,7 @@ from lieint_jax.types import (
     checked_step,
     promoted,
     pytree,
+    start_time,
     static,
 )
 

@@ -293,5 +293,6 @@ PROPERTIES = SchemeProperties(
 
 def examples(system: System) -> dict[str, Step]:
     """The scheme, for bodies in a potential, with dissipation or without."""
-    taken = BODIES.declared(system) or DISSIPATIVE_BODIES.declared(system)
-    return {"bodies_energy_momentum": bodies_energy_momentum(system)} if taken else {}
+    if BODIES.declared(system) or DISSIPATIVE_BODIES.declared(system):
+        return {"bodies_energy_momentum": bodies_energy_momentum(system)}
+    return {}
