@@ -67,7 +67,7 @@ class Wheels(Law):
         if self.motor is None:
             return jnp.zeros_like(h), h
         torque = jnp.zeros_like(h)
-        for _ in range(_SWEEPS):
+        for _ in range(_SWEEPS if getattr(self.motor, "reads_momentum", True) else 1):
             torque = self._limited(self.motor(rotation.t, rotation.q_mid, rotation.Omega, h + rotation.dt / 2 * torque))
         after = h + rotation.dt * torque
         if self.max_momentum is None:
@@ -113,7 +113,7 @@ def wheels(
 
     Source: Hughes 1986, Spacecraft Attitude Dynamics, chapter 3 and 6; the mean torque of a step: this package.
     """
-    g = _axes(axes)
+    g = wheel_axes(axes)
     m = g.shape[0]
     moments = jnp.broadcast_to(positive("inertias", inertias, (), (m,)), (m,))
     torque = None if max_torque is None else positive("max_torque", max_torque, (), (m,))
@@ -126,7 +126,7 @@ def wheels(
     return Wheels(g, moments, motor, torque, momentum, sigma)
 
 
-def _axes(axes: ArrayLike) -> Array:
+def wheel_axes(axes: ArrayLike) -> Array:
     """Unit vectors (m, 3)."""
     g = _checks.real_array("axes", axes)
     if g.ndim != 2 or g.shape[1] != 3 or not len(g):
@@ -145,7 +145,7 @@ def body_inertia(locked: ArrayLike, axes: ArrayLike, inertias: ArrayLike) -> Arr
         ValueError: what remains is not positive definite.
     """
     J = _checks.inertia(locked)
-    g = _axes(axes)
+    g = wheel_axes(axes)
     J = jnp.diag(J) if J.ndim == 1 else J
     rest = J - jnp.einsum("j,ji,jk->ik", jnp.broadcast_to(jnp.asarray(inertias, J.dtype), g.shape[:1]), g, g)
     return _checks.inertia(rest) if concrete(rest) else rest

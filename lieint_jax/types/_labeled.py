@@ -13,6 +13,7 @@ import numpy as np
 
 from lieint_jax._checks import concrete
 from lieint_jax.types._members import Axis, axes, map_over_run
+from lieint_jax.types._torque import labels as laws_of
 
 _SHORT = 16  # the most numbers that a description shows
 _POSE, _MOMENTA = ["x", "y", "z", "qw", "qx", "qy", "qz"], ["px", "py", "pz", "pix", "piy", "piz"]
@@ -25,6 +26,7 @@ _TEXTS = {
     "p": "momentum",
     "t": "time of each member",
     "work": "work done on the body",
+    "extra_works": "work of each law",
     "residual": "largest residual since the last entry",
     "converged": "whether all steps since the last entry did",
 }
@@ -68,7 +70,7 @@ def dataset(run: Any, system: Any, units: Mapping[str, str], system_axis: Axis) 
     labels: dict[str, Any] = {"time": np.asarray(run.t)}
     variables: dict[str, Any] = {}
     for name, x in arrays.items():
-        dims, own = state_axes(name, x.shape[len(leading) :])
+        dims, own = state_axes(name, x.shape[len(leading) :], system)
         labels |= own
         variables[name] = ((*leading, *dims), np.asarray(x), {"long_name": _TEXTS.get(name, name.replace("_", " "))})
     found = _package("xarray").Dataset(variables, labels)
@@ -97,8 +99,11 @@ def rotations(run: Any) -> Any:
     return transform.Rotation.from_quat(np.roll(q[..., -4:], -1, axis=-1))
 
 
-def state_axes(name: str, shape: tuple[int, ...]) -> tuple[tuple[str, ...], dict[str, Any]]:
-    """Names of the axes of one state's array, and their labels."""
+def state_axes(name: str, shape: tuple[int, ...], system: Any = None) -> tuple[tuple[str, ...], dict[str, Any]]:
+    """Names of the axes of one state's array, and their labels, of which some are those of the system."""
+    if name == "extra_works" and len(shape) == 1:
+        names = laws_of(system)
+        return ("law",), {"law": names} if len(names) == shape[0] else {}
     if name in ("q", "p", "angular_velocity") and shape in _COMPONENTS:
         dim, own = _COMPONENTS[shape]
         return (dim,), {dim: own}
