@@ -34,6 +34,7 @@ _DIPOLE = np.array(  # g₁¹, h₁¹, g₁⁰ in nT, IGRF-14 (IAGA Working Grou
         [-1410.3 + 50.0, 4545.5 - 107.5, -29350.0 + 63.0],
     ]
 )
+_ORDINAL = 1721424.5  # the Julian date of day 0 of Python's count
 _FAR = 100.0  # radii of the Earth: an orbit further away was given in another unit
 
 
@@ -55,7 +56,7 @@ def julian_date(year: int, month: int, day: int, hours: float = 0.0) -> float:
         days = datetime.date(year, month, day).toordinal()
     except (TypeError, ValueError) as error:
         raise ValueError(f"year, month, day must be a day of the calendar, got {year}, {month}, {day}") from error
-    return days + 1721424.5 + float(hours) / 24
+    return days + _ORDINAL + float(hours) / 24
 
 
 def earth_rotation_angle(date: ArrayLike) -> Array:
@@ -140,13 +141,20 @@ def earth_field(
 
 def _dipole_of(date: float) -> np.ndarray:
     """(g₁¹, h₁¹, g₁⁰) in tesla at a Julian date, linear between the epochs of IGRF."""
-    year = 2000 + (float(date) - 2451544.5) / 365.25
+    year = _decimal_year(float(date))
     if not _YEARS[0] <= year <= _YEARS[-1]:
         raise ValueError(
             f"the built-in dipole is that of IGRF-14 from 2000 to 2030, got the Julian date {date}, year {year:.1f}; "
             "give coefficients=(g11, h11, g10), in tesla"
         )
     return 1e-9 * np.array([np.interp(year, _YEARS, column) for column in _DIPOLE.T])
+
+
+def _decimal_year(date: float) -> float:
+    """The year of a Julian date, 2025.0 at the beginning of January 1."""
+    year = datetime.date.fromordinal(int(date - _ORDINAL)).year
+    first, next_ = julian_date(year, 1, 1), julian_date(year + 1, 1, 1)
+    return year + (date - first) / (next_ - first)
 
 
 @pytree

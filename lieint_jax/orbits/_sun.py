@@ -80,7 +80,7 @@ class Eclipse:
         r, _ = self.orbit(t)
         s = jnp.asarray(self.sun(t) if callable(self.sun) else self.sun)
         along, beside = dot(r, s), cross(r, s)
-        off = jnp.sqrt(dot(beside, beside))
+        off = jnp.sqrt(jnp.maximum(dot(beside, beside), jnp.finfo(r.dtype).tiny))
         if self.cylinder:
             return jnp.where((along < 0) & (off < self.radius), 0.0, 1.0).astype(r.dtype)
         size = jnp.sqrt(dot(r, r))

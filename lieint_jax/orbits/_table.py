@@ -30,8 +30,8 @@ class Table:
     def __call__(self, t: ArrayLike) -> tuple[Array, Array]:
         """Position (3,) and velocity (3,) at time t. Outside of the table: ValueError if t is concrete, else NaN."""
         first, last = self.times[0], self.times[-1]
-        if concrete(t, self.times) and not float(first) <= float(t) <= float(last):
-            raise ValueError(f"the table has times from {float(first):g} to {float(last):g}, got t = {float(t):g}")
+        if concrete(t, self.times) and not float(first) <= float(now := np.asarray(t)) <= float(last):
+            raise ValueError(f"the table has times from {float(first):g} to {float(last):g}, got t = {float(now):g}")
         t = jnp.asarray(t, self.times.dtype)
         k = jnp.clip(jnp.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
         (a, b), (ra, rb), (va, vb) = ((x[k], x[k + 1]) for x in (self.times, self.positions, self.velocities))

@@ -67,8 +67,9 @@ def _torqued_motion(body: AbstractTorquedBody, state: State) -> State:
 
 
 def _inner(state: State, law: Law) -> Any:
-    """The internal state of a law, None if it has none."""
-    return None if law.key is None else (state.extra or {})[law.key]
+    """The internal state of a law, or the one that it reads; None if there is none."""
+    key = law.key or law.reads
+    return None if key is None else (state.extra or {})[key]
 
 
 def _damped_motion(body: AbstractDampedBody, state: State) -> State:
