@@ -34,10 +34,20 @@ class LocalFrame:
         return jnp.stack([jnp.stack(cross(across, down)), across, down], axis=1)
 
     def angular_velocity(self, t: ArrayLike) -> Array:
-        """The angular velocity of the frame in its own axes, (3,), for any orbit, perturbed ones too."""
+        """The angular velocity of the frame in its own axes, (3,), for any orbit, perturbed ones too.
+
+        It is −|h|/r² about y, and −r(v̇·ĥ)/|h| about z, as the plane of a perturbed orbit rotates.
+        """
         t = jnp.asarray(t)
-        R, rate = jax.jvp(self.matrix, (t,), (jnp.ones_like(t),))
-        return so3.vee(R.T @ rate)
+        if hasattr(self.orbit, "acceleration"):
+            r, v = self.orbit(t)
+            acceleration = self.orbit.acceleration(r)
+        else:
+            (r, v), (_, acceleration) = jax.jvp(self.orbit, (t,), (jnp.ones_like(t),))
+        h = jnp.stack(cross(r, v))
+        size, square = jnp.sqrt(dot(h, h)), dot(r, r)
+        tilt = jnp.sqrt(square) * dot(acceleration, h) / (size * size)
+        return jnp.stack([jnp.zeros_like(size), -size / square, -tilt])
 
 
 def lvlh(orbit: Any) -> LocalFrame:

@@ -81,6 +81,11 @@ class KeplerFromState:
             return self._on_ellipse(t) if float(alpha) > 0 else self._on_hyperbola(t)
         return lax.cond(alpha > 0, self._on_ellipse, self._on_hyperbola, jnp.asarray(t))
 
+    def acceleration(self, position: Array) -> Array:
+        """−μr/|r|³ at a position, (3,)."""
+        square = dot(position, position)
+        return position * (-self.mu / (square * jnp.sqrt(square)))
+
     @property
     def _inverse_axis(self) -> Array:
         """1/a = 2/r₀ − v₀²/μ."""

@@ -16,6 +16,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
+from lieint_jax._numerics.vec3 import dot
 from lieint_jax.orbits._anomaly import Function, elliptic_anomaly, hyperbolic_anomaly, slope
 from lieint_jax.types import pytree
 
@@ -62,6 +63,11 @@ class Kepler:
         speed = jnp.sqrt(self.mu / a)
         P, Q = self._axes()
         return a * (x * P + y * Q), speed * (vx * P + vy * Q)
+
+    def acceleration(self, position: Array) -> Array:
+        """−μr/|r|³ at a position, (3,)."""
+        square = dot(position, position)
+        return position * (-self.mu / (square * jnp.sqrt(square)))
 
     def _axes(self) -> tuple[Array, Array]:
         """The unit vectors to periapsis and along the velocity there: the columns of R_z(Ω) R_x(i) R_z(ω)."""

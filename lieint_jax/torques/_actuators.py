@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
@@ -77,17 +78,19 @@ class WheelMotor:
     allocation: Array
     gyroscopic: bool = static(default=False)
 
-    @property
-    def reads_momentum(self) -> bool:
-        """Whether the motors' torques depend on the momenta of the wheels."""
-        return self.gyroscopic
-
     def __call__(self, t: Array, q: Array, Omega: Array, h: Array) -> Array:
         """The torques dh_j/dt on the wheels, (m,)."""
+        return self.given(t, q, Omega)(h)
+
+    def given(self, t: Array, q: Array, Omega: Array) -> Callable[[Array], Array]:
+        """The torques as a function of h: the control law is evaluated once."""
         torque = _wanted(self.control, t, q, Omega)
-        if self.gyroscopic:
-            torque = torque + jnp.stack(cross(Omega, h @ self.axes))
-        return -(self.allocation @ torque)
+
+        def motors(h: Array) -> Array:
+            momentum = jnp.stack(cross(Omega, h @ self.axes)) if self.gyroscopic else 0
+            return -(self.allocation @ (torque + momentum))
+
+        return motors
 
 
 def wheel_motor(axes: ArrayLike, control: Any, gyroscopic: bool = False) -> WheelMotor:

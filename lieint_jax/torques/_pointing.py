@@ -44,12 +44,14 @@ class Target:
     frame: Any
     offset: Array
 
-    def error(self, t: Array, q: Array, Omega: Array) -> _Error:
-        """How a body at q with Ω differs from the target at time t."""
+    def error(self, t: Array, q: Array, Omega: Array, accelerates: bool = True) -> _Error:
+        """How a body at q with Ω differs from the target at time t; its acceleration is 0 if it is not asked for."""
         if not callable(self.frame):
             e = self._short(self.frame, q)
             return _Error(e[0], e[1:], Omega, jnp.zeros_like(Omega))
         e = self._short(jnp.asarray(self.frame(t)), q)
+        if not accelerates:
+            return _Error(e[0], e[1:], Omega - so3.Ad_star(e, self._velocity(t)), jnp.zeros_like(Omega))
         velocity, rate = jax.jvp(self._velocity, (t,), (jnp.ones_like(t),))
         target = so3.Ad_star(e, velocity)
         slip = Omega - target
@@ -97,7 +99,7 @@ class Pointing(Law):
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """The law at the middle of the step."""
-        error = self.target.error(rotation.t, rotation.q_mid, rotation.Omega)
+        error = self.target.error(rotation.t, rotation.q_mid, rotation.Omega, self.inertia is not None)
         wanted = -self.gain * error.vector - self.damping * error.velocity
         return wanted + _feedforward(self.inertia, rotation.Omega, error.acceleration), inner
 

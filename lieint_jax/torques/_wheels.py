@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -66,9 +67,11 @@ class Wheels(Law):
         """The mean torque on the wheels in a step, Δh/Δt, (m,), and h after it, within both limits."""
         if self.motor is None:
             return jnp.zeros_like(h), h
-        torque = jnp.zeros_like(h)
-        for _ in range(_SWEEPS if getattr(self.motor, "reads_momentum", True) else 1):
-            torque = self._limited(self.motor(rotation.t, rotation.q_mid, rotation.Omega, h + rotation.dt / 2 * torque))
+        now = rotation.t, rotation.q_mid, rotation.Omega
+        given = getattr(self.motor, "given", functools.partial(functools.partial, self.motor))
+        motors, torque = given(*now), jnp.zeros_like(h)
+        for _ in range(_SWEEPS):
+            torque = self._limited(motors(h + rotation.dt / 2 * torque))
         after = h + rotation.dt * torque
         if self.max_momentum is None:
             return torque, after

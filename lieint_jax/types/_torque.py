@@ -202,5 +202,7 @@ def instant(law: Law, t: Array, q: Array, Omega: Array, omega: Array, inner: Any
         return law.mean(rotation, inner)
 
     zero = jnp.zeros((), q.dtype)
+    if law.key is None:
+        return advanced(zero)[0], None
     (torque, _), (_, rate) = jax.jvp(advanced, (zero,), (zero + 1,))
     return torque, rate

@@ -23,7 +23,7 @@ LONG = {  # dear pages, which run in shards
     "install.md",
     "why.md",
     *(f"howto/{x}.md" for x in ("bodies", "chaos", "fits", "group", "output", "potential")),
-    *(f"howto/{x}.md" for x in ("scheme", "system", "torque")),
+    *(f"howto/{x}.md" for x in ("satellite", "scheme", "system", "torque")),
     "tutorials/own_flyby.md",
 }
 

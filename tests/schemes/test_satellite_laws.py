@@ -15,7 +15,15 @@ from lieint_jax.schemes import torqued_midpoint
 from lieint_jax.systems import torqued_body
 
 LOCKED = jnp.array([1.3, 1.7, 2.2])
-ORBIT = orbits.kepler(1.0, 1.0, 0.1, 0.4, node=0.3, periapsis=0.2)
+
+
+@jax.tree_util.Partial
+def ORBIT(t):
+    """A circle: as a function, it compiles in a part of the time of Kepler's equation."""
+    c, s, ci, si = jnp.cos(t), jnp.sin(t), 0.8, 0.6
+    return jnp.stack([c, ci * s, si * s]), jnp.stack([-s, ci * c, si * c])
+
+
 FRAME = orbits.lvlh(ORBIT)
 FIELD = orbits.earth_field(ORBIT, 2460676.5, [0.1, 0.2, -0.9], 0.8, rate=0.06)
 AIR = orbits.atmosphere(ORBIT, 0.3, 0.1, 0.1, radius=0.8, rate=0.06)
@@ -30,7 +38,7 @@ HOLDING = torques.wheels(
     AXES, MOMENTS, torques.wheel_motor(AXES, POINTING, gyroscopic=True), speeds=[1.0, 2.0, -1.0, 3]
 )
 LAWS = {
-    "gravity_gradient": torques.gravity_gradient(ORBIT, LOCKED),
+    "gravity_gradient": torques.gravity_gradient(ORBIT, LOCKED, mu=1.0),
     "aerodynamic": torques.aerodynamic(AIR, *PLATES),
     "solar_plates": torques.solar_plates(*PLATES, SUN, light=LIGHT, specular=0.3, diffuse=0.2),
     "unloading": torques.unloading(AXES, 0.1, FIELD, 0.2),
@@ -84,6 +92,7 @@ def test_works_are_named_by_their_laws(seven):
     assert li.types.labels(torqued_body(INERTIA, named)) == ["function", "viscous", "viscous_2", "pd_trace"]
 
 
+@pytest.mark.long
 def test_works_in_a_store_are_named_by_their_laws(tmp_path):
     xarray = pytest.importorskip("xarray")
     body, state = start(torques.viscous(0.1) + torques.pd_trace(0.1, 0.1), works=True)
@@ -95,12 +104,13 @@ def test_works_in_a_store_are_named_by_their_laws(tmp_path):
 
 
 def test_a_law_that_reads_the_wheels_may_stand_before_or_after_them():
-    laws = [LAWS["unloading"], HOLDING]
+    laws = [torques.unloading(AXES, 0.1, [0.3, 0.1, 1.0]), torques.wheels(AXES, MOMENTS, speeds=[1.0, 2.0, -1.0, 3])]
     ends = []
     for order in (laws, laws[::-1]):
         body, state = start(torques.total(order))
-        ends.append(last(run(torqued_midpoint(body), state, 20)[0]))
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=1e-14), *ends)
+        ends.append(jax.jit(torqued_midpoint(body))(state, 0.05)[0])
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=1e-15), *ends)
+    assert float(jnp.abs(ends[0].p - state.p).max()) > 1e-4
 
 
 def numpy_plates(force_of):
@@ -139,21 +149,6 @@ def test_air_at_rest_takes_energy_in_every_step():
     path, H = run(torqued_midpoint(body), state, 100)
     assert (np.diff(path.state.work) < 0).all()
     np.testing.assert_allclose(H - path.state.work, H[0], rtol=1e-14)
-
-
-def test_pointing_reaches_a_moving_frame_and_wheels_do_it_as_an_ideal_actuator():
-    """With feed-forward the error tends to 0 on an orbit with e = 0.1; the wheels follow the same path."""
-    free, state = start(POINTING)
-    ideal = run(torqued_midpoint(free), state, 1200)[0].state
-    body, state = start(HOLDING)
-    wheeled = run(torqued_midpoint(body), state, 1200)[0].state
-    for path, atol in ((ideal, 3e-4), (wheeled, 3e-4)):
-        error = so3.multiply(so3.inverse(FRAME(path.t[-1])), path.q[-1])
-        assert np.abs(error[1:]).max() < atol  # that of a step of order 2; 1.1e-4 observed
-    np.testing.assert_allclose(np.abs(np.sum(ideal.q * wheeled.q, axis=1)), 1, rtol=0, atol=1e-3)
-    without, state = start(torques.pointing(FRAME, 0.8, 1.2))
-    error = so3.multiply(so3.inverse(FRAME(60.0)), last(run(torqued_midpoint(without), state, 1200)[0]).q)
-    assert np.abs(error[1:]).max() > 0.01
 
 
 def test_the_sliding_variable_falls_at_its_rate():
@@ -200,18 +195,17 @@ def test_torquers_give_what_is_across_the_field():
     assert not np.any(torques.torquers(control, [0.0, 0, 0])(t, Q, OMEGA))
 
 
-def test_torquers_unload_wheels_that_hold_the_attitude():
-    """The wheels' momentum falls to a twentieth within a few orbits, and the body stays where it points."""
-    law = LAWS["gravity_gradient"] + torques.unloading(AXES, 0.3, FIELD) + HOLDING
-    body = torqued_body(INERTIA, law)
-    state = body.state(FRAME(0.0), angular_velocity=FRAME.angular_velocity(0.0), works=True)
-    path = run(torqued_midpoint(body), state, 800)[0]
+def test_wheels_hold_a_satellite_to_its_frame_while_torquers_unload_them():
+    """From an attitude far off; the wheels' momentum falls, the error too."""
+    body = torqued_body(INERTIA, LAWS["gravity_gradient"] + torques.unloading(AXES, 0.3, FIELD) + HOLDING)
+    state = body.state(Q, angular_velocity=OMEGA)
+    path, _ = run(torqued_midpoint(body), state, 800)
     h = np.linalg.norm(path.state.extra["wheels"] @ AXES, axis=1)
-    still = np.linalg.norm(body.torque_at(state))
-    assert still > 0
+    error = np.asarray(jax.vmap(lambda t, q: so3.multiply(so3.inverse(FRAME(t)), q)[1:])(path.t, path.state.q))
+    print(h[0], h[200::100], np.linalg.norm(error, axis=1)[[0, 100, 200, 400, -1]])
     assert h[-1] < 0.35 * h[0]
-    error = jax.vmap(lambda t, q: so3.multiply(so3.inverse(FRAME(t)), q)[1:])(path.t, path.state.q)
-    assert np.abs(error).max() < 0.2
+    assert np.linalg.norm(error[0]) > 0.3
+    assert np.linalg.norm(error[-1]) < 0.02
 
 
 def rhs(body, template):
@@ -246,31 +240,26 @@ def test_orders_against_another_package_with_saturation_in_force(order):
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.15)
 
 
-def test_a_step_back_undoes_a_step():
-    names = ("aerodynamic", "solar_plates", "torquers", "unloading", "wheels")
-    body, state = start(torques.total(LAWS[name] for name in names))
-    step = torqued_midpoint(body)
-    path, _ = run(step, state, 20)
-    back, _ = run(step, last(path), 20, -0.05)
-    # observed 2e-15
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=3e-14), last(back), state)
+def test_steps_back_undo_steps(seven):
+    """Observed: 2e-14 after 200 steps there and back."""
+    body, (path, _) = seven
+    back, _ = run(torqued_midpoint(body), last(path), 200, -0.05)
+    start_ = jax.tree.map(lambda x: x[0], path.state)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=1e-12), last(back), start_)
 
 
 def test_three_basilisk_wheels():
-    """MRP after 1 s; motors until 0.5 s, the third cut at 0.2 N m. Observed: 5e-9, by order 6.
+    """MRP after 1 s; motors until 0.5 s, the third cut at 0.2 N m.
 
     Source: AVSLab/basilisk @babdff7, reactionWheels/_UnitTest/test_reactionWheelStateEffector_integrated.py.
     """
     axial, rpm = 100 / (6000 * 2 * np.pi / 60), 2 * np.pi / 60
-    motor = lambda t, q, Omega, h: jnp.array([0.2, 0.1, -0.5])  # noqa: E731
+    motor = lambda t, q, Omega, h: jnp.where(t < 0.5, 1.0, 0.0) * jnp.array([0.2, 0.1, -0.5])  # noqa: E731
     speeds = np.array([500.0, 200.0, -150.0]) * rpm
-    J = torques.body_inertia([900.0, 800.0, 600.0], np.eye(3), axial)
-    driven = torqued_body(J, torques.wheels(np.eye(3), axial, motor, max_torque=0.2, speeds=speeds))
-    coasting = torqued_body(J, torques.wheels(np.eye(3), axial))
-    state = driven.state(angular_velocity=[0.08, 0.01, 0.0])
-    for body in (driven, coasting):
-        path = li.integrate(torqued_midpoint(body), state, 1 / 512, 256, save_every=256)
-        state = last(path)
+    law = torques.wheels(np.eye(3), axial, motor, max_torque=0.2, speeds=speeds)
+    body = torqued_body(torques.body_inertia([900.0, 800.0, 600.0], np.eye(3), axial), law)
+    state = body.state(angular_velocity=[0.08, 0.01, 0.0])
+    state = last(li.integrate(torqued_midpoint(body), state, 1 / 512, 512, save_every=512))
     mrp = np.asarray(state.q[1:]) / (1 + float(state.q[0]))
     np.testing.assert_allclose(mrp, [0.0199853994, 0.00245647716, 8.45356279e-06], rtol=0, atol=1e-9)
 
