@@ -33,7 +33,7 @@ PLATES = torques.box_plates([1.0, 0.5, 0.4], [0.05, -0.1, 0.08])
 AXES, MOMENTS = torques.wheel_pyramid(), jnp.full(4, 0.05)
 INERTIA = torques.body_inertia(LOCKED, AXES, MOMENTS)
 Q, OMEGA = so3.normalize(jnp.array([0.8, -0.3, 0.4, 0.2])), jnp.array([0.5, -0.3, 0.6])
-POINTING = torques.pointing(FRAME, 0.8, 1.2, INERTIA)
+POINTING = torques.pointing(FRAME, 8.0, 6.0, INERTIA)  # stiffer than the gravity gradient, which destabilizes
 HOLDING = torques.wheels(
     AXES, MOMENTS, torques.wheel_motor(AXES, POINTING, gyroscopic=True), speeds=[1.0, 2.0, -1.0, 3]
 )
@@ -202,8 +202,7 @@ def test_wheels_hold_a_satellite_to_its_frame_while_torquers_unload_them():
     path, _ = run(torqued_midpoint(body), state, 800)
     h = np.linalg.norm(path.state.extra["wheels"] @ AXES, axis=1)
     error = np.asarray(jax.vmap(lambda t, q: so3.multiply(so3.inverse(FRAME(t)), q)[1:])(path.t, path.state.q))
-    print(h[0], h[200::100], np.linalg.norm(error, axis=1)[[0, 100, 200, 400, -1]])
-    assert h[-1] < 0.35 * h[0]
+    assert h[-1] < 0.2 * h.max()
     assert np.linalg.norm(error[0]) > 0.3
     assert np.linalg.norm(error[-1]) < 0.02
 
@@ -286,3 +285,46 @@ def test_bad_laws_of_a_satellite_are_refused_in_a_sentence(name):
     make, message = REFUSED[name]
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.long
+def test_members_run_as_machine_code_as_by_jax():
+    pytest.importorskip("llvmlite")
+    from native_members import MEMBERS, compiled
+
+    body, state = start(torques.total(LAWS.values()), works=True)
+    scale = 1 + 0.05 * np.random.default_rng(3).normal(size=(MEMBERS, 1))
+    states = jax.tree.map(lambda x: np.repeat(np.asarray(x)[None], MEMBERS, 0), state)
+    states = states._replace(p=states.p * scale)
+    stepped = lambda state, step, dt: step(state, dt)  # noqa: E731
+    shared = (torqued_midpoint(body), np.asarray(0.05))
+    wanted, info = jax.jit(jax.vmap(stepped, (0, None, None)))(states, *shared)
+    found, verdicts = compiled(stepped, [states], shared)([states])
+    assert info.converged.all()
+    assert verdicts.converged.all()
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=1e-13), found, wanted)
+
+
+@pytest.mark.long
+def test_three_derivatives_agree_with_differences():
+    """Of the end by gains, drag and speeds of wheels: forward, reverse, and by undoing steps."""
+
+    def end(x, integrate=li.integrate):
+        drag = torques.Aerodynamic(torques.Plates(*PLATES), AIR, x[0])
+        control = torques.Pointing(POINTING.target, x[1], jnp.asarray(1.2), None)
+        motor = torques.WheelMotor((control,), AXES, torques.allocation(AXES))
+        dump = torques.Unloading(AXES, x[2], FIELD, None, jnp.zeros(4))
+        law = torques.total([drag, dump, torques.Wheels(AXES, MOMENTS, motor, None, None, x[3] * jnp.ones(4))])
+        body = li.systems.TorquedBody(INERTIA, law)
+        state = body.state(Q, angular_velocity=OMEGA)
+        final = last(integrate(torqued_midpoint(body), state, 0.1, 10, save_every=10))
+        return jnp.concatenate([final.q, final.p, final.extra["wheels"]])
+
+    x, v, u = jnp.array([2.2, 0.8, 0.1, 1.5]), jnp.array([0.3, -0.2, 0.5, 0.7]), jnp.sin(jnp.arange(11.0))
+    value = jax.jit(end)
+    differences = (value(x + 1e-5 * v) - value(x - 1e-5 * v)) / 2e-5
+    forward = jax.jit(lambda x: jax.jvp(end, (x,), (v,))[1])(x)
+    np.testing.assert_allclose(forward, differences, rtol=0, atol=1e-8)
+    for integrate in (li.integrate, li.reversible):
+        reverse = jax.jit(jax.grad(lambda x, integrate=integrate: u @ end(x, integrate)))(x) @ v
+        assert float(reverse) == pytest.approx(float(u @ forward), abs=1e-12)
