@@ -240,15 +240,17 @@ def test_orders_against_another_package_with_saturation_in_force(order):
 
 
 def test_steps_back_undo_steps(seven):
-    """Observed: 2e-14 after 200 steps there and back."""
+    """Five steps: over a long time a controller's motion backward is unstable."""
     body, (path, _) = seven
-    back, _ = run(torqued_midpoint(body), last(path), 200, -0.05)
-    start_ = jax.tree.map(lambda x: x[0], path.state)
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=1e-12), last(back), start_)
+    at = lambda run, k: jax.tree.map(lambda x: x[k], run.state)  # noqa: E731
+    back, _ = run(torqued_midpoint(body), at(path, 10), 200, -0.05)
+    for k in range(1, 6):
+        # observed: REVERSAL
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=1e-13), at(back, k), at(path, 10 - k))
 
 
 def test_three_basilisk_wheels():
-    """MRP after 1 s; motors until 0.5 s, the third cut at 0.2 N m.
+    """MRP after 1 s; motors until 0.5 s, the third cut at 0.2 N m. Observed: 5e-11, 10 digits are published.
 
     Source: AVSLab/basilisk @babdff7, reactionWheels/_UnitTest/test_reactionWheelStateEffector_integrated.py.
     """
@@ -260,7 +262,7 @@ def test_three_basilisk_wheels():
     state = body.state(angular_velocity=[0.08, 0.01, 0.0])
     state = last(li.integrate(torqued_midpoint(body), state, 1 / 512, 512, save_every=512))
     mrp = np.asarray(state.q[1:]) / (1 + float(state.q[0]))
-    np.testing.assert_allclose(mrp, [0.0199853994, 0.00245647716, 8.45356279e-06], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(mrp, [0.0199853994, 0.00245647716, 8.45356279e-06], rtol=0, atol=3e-10)
 
 
 REFUSED = {
