@@ -311,11 +311,14 @@ def test_members_run_as_machine_code_as_by_jax():
 def test_three_derivatives_agree_with_differences():
     """Of the end by gains, drag and speeds of wheels: forward, reverse, and by undoing steps."""
 
+    wind = jax.tree_util.Partial(lambda t: (jnp.asarray(0.5), jnp.array([0.9, 0.3, 0.2])))
+    still = torques.pointing([1.0, 0, 0, 0], 1.0, 1.0).target
+
     def end(x, integrate=li.integrate):
-        drag = torques.Aerodynamic(torques.Plates(*PLATES), AIR, x[0])
-        control = torques.Pointing(POINTING.target, x[1], jnp.asarray(1.2), None)
+        drag = torques.Aerodynamic(torques.Plates(*PLATES), wind, x[0])
+        control = torques.Pointing(still, x[1], jnp.asarray(1.2), None)
         motor = torques.WheelMotor((control,), AXES, torques.allocation(AXES))
-        dump = torques.Unloading(AXES, x[2], FIELD, None, jnp.zeros(4))
+        dump = torques.Unloading(AXES, x[2], jnp.array([0.3, 0.1, 1.0]), None, jnp.zeros(4))
         law = torques.total([drag, dump, torques.Wheels(AXES, MOMENTS, motor, None, None, x[3] * jnp.ones(4))])
         body = li.systems.TorquedBody(INERTIA, law)
         state = body.state(Q, angular_velocity=OMEGA)
