@@ -18,6 +18,7 @@ from lieint_jax.torques._arguments import positive, unit_vector
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 
 _SWEEPS = 6  # of the motor's equation for the mean momentum: each gains log₁₀(1/½Δt|∂u/∂h|) digits
+_CHEAP_SWEEPS = 12  # of a motor that evaluates its control law once
 
 
 @pytree
@@ -68,9 +69,10 @@ class Wheels(Law):
         if self.motor is None:
             return jnp.zeros_like(h), h
         now = rotation.t, rotation.q_mid, rotation.Omega
-        given = getattr(self.motor, "given", functools.partial(functools.partial, self.motor))
-        motors, torque = given(*now), jnp.zeros_like(h)
-        for _ in range(_SWEEPS):
+        given = getattr(self.motor, "given", None)
+        motors = given(*now) if given else functools.partial(self.motor, *now)
+        torque = jnp.zeros_like(h)
+        for _ in range(_CHEAP_SWEEPS if given else _SWEEPS):
             torque = self._limited(motors(h + rotation.dt / 2 * torque))
         after = h + rotation.dt * torque
         if self.max_momentum is None:

@@ -290,24 +290,6 @@ def test_bad_laws_of_a_satellite_are_refused_in_a_sentence(name):
 
 
 @pytest.mark.long
-def test_members_run_as_machine_code_as_by_jax():
-    pytest.importorskip("llvmlite")
-    from native_members import MEMBERS, compiled
-
-    body, state = start(torques.total(LAWS.values()), works=True)
-    scale = 1 + 0.05 * np.random.default_rng(3).normal(size=(MEMBERS, 1))
-    states = jax.tree.map(lambda x: np.repeat(np.asarray(x)[None], MEMBERS, 0), state)
-    states = states._replace(p=states.p * scale)
-    stepped = lambda state, step, dt: step(state, dt)  # noqa: E731
-    shared = (torqued_midpoint(body), np.asarray(0.05))
-    wanted, info = jax.jit(jax.vmap(stepped, (0, None, None)))(states, *shared)
-    found, verdicts = compiled(stepped, [states], shared)([states])
-    assert info.converged.all()
-    assert verdicts.converged.all()
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=1e-13), found, wanted)
-
-
-@pytest.mark.long
 def test_three_derivatives_agree_with_differences():
     """Of the end by gains, drag and speeds of wheels: forward, reverse, and by undoing steps."""
 
