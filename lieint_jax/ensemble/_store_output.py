@@ -473,7 +473,8 @@ def _labels(job: Job) -> dict[str, tuple[_store.Column, np.ndarray]]:
     """The coordinates that name the components of the states, such as x, y, z along the dimension "axis"."""
     found: dict[str, tuple[_store.Column, np.ndarray]] = {}
     for name, leaf in leaves_by_name(job.states).items():
-        for dim, labels in _labeled.state_axes(store_name(name), leaf.shape[1:])[1].items():
+        system = getattr(job.step, "system", None)
+        for dim, labels in _labeled.state_axes(store_name(name), leaf.shape[1:], system)[1].items():
             values = np.asarray(labels)
             if values.dtype.kind == "U":
                 values = values.astype(np.dtypes.StringDType())

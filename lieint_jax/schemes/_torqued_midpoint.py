@@ -69,8 +69,9 @@ def _torqued_motion(body: AbstractTorquedBody, state: State) -> State:
 
 
 def _inner(state: State, law: Law) -> Array | None:
-    """The internal state of a law, None if it has none."""
-    return None if law.key is None else (state.extra or {})[law.key]
+    """The internal state of a law, or the one that it reads; None if there is none."""
+    key = law.key or law.reads
+    return None if key is None else (state.extra or {})[key]
 
 
 def _damped_motion(body: AbstractDampedBody, state: State) -> State:
@@ -340,14 +341,18 @@ class _Equation(NamedTuple):
         return Rotation(self.t, self.dt, q, half, so3.cayley_increment(q, h), h, k, Omega, so3.Ad(q, Omega))
 
     def torques(self, rotation: Rotation) -> _Torques:
-        """The mean torques of all laws."""
-        sums, each = {"body": jnp.zeros(3, self.q.dtype), "space": jnp.zeros(3, self.q.dtype)}, []
-        for law, inner in zip(self.laws, self.inner, strict=True):
+        """The mean torques of all laws. Those that read an internal state are given its mean in the step."""
+        sums = {"body": jnp.zeros(3, self.q.dtype), "space": jnp.zeros(3, self.q.dtype)}
+        each, means = {}, {}
+        for k, law in sorted(enumerate(self.laws), key=lambda numbered: numbered[1].reads is not None):
+            inner = self.inner[k] if law.reads is None else means[law.reads]
             torque, after = law.mean(rotation, inner)
             torque = jnp.asarray(torque).astype(self.q.dtype)
             sums[law.frame] = sums[law.frame] + torque
-            each.append((torque, inner, after))
-        return _Torques(sums["body"], sums["space"], each)
+            each[k] = (torque, inner, after)
+            if law.key is not None:
+                means[law.key] = (inner + after) / 2
+        return _Torques(sums["body"], sums["space"], [each[k] for k in range(len(each))])
 
     def torque(self, y: Vector, q: Array | None = None) -> Vector:
         """ΣT̄_k in the body; from another q_n if it is given."""

@@ -66,15 +66,16 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         """
 
     def inner(self, state: State, law: Law) -> Array | None:
-        """The internal state of a law; ValueError if a state lacks it."""
-        if law.key is None:
+        """The internal state of a law, or the one that it reads; ValueError if a state lacks it."""
+        key = law.key or law.reads
+        if key is None:
             return None
-        if state.extra is None or law.key not in state.extra:
+        if state.extra is None or key not in state.extra:
             raise ValueError(
-                f'{type(law).__name__} has an internal state, State.extra["{law.key}"]: make the state with '
-                f'system.state(...), or give it one with state._replace(extra={{"{law.key}": …}})'
+                f'{type(law).__name__} has an internal state, State.extra["{key}"]: make the state with '
+                f'system.state(...), or give it one with state._replace(extra={{"{key}": …}})'
             )
-        return state.extra[law.key]
+        return state.extra[key]
 
     def torque_at(self, state: State) -> Vector3:
         """The torque of all laws, (3,), in the axes of `frame`."""
@@ -149,7 +150,7 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
                 rates[law.key] = rate
             impulse = impulse + (torque if law.frame == "space" else so3.Ad(state.q, torque))
             at, tangents = (t, state.q, inner), (jnp.ones_like(t), q_dot, rate)
-            gain = jax.jvp(law.energy, at, tangents)[1] if inner is not None else _gain(law, t, state.q, q_dot)
+            gain = jax.jvp(law.energy, at, tangents)[1] if law.key is not None else _gain(law, t, state.q, q_dot)
             powers.append(dot(omega if law.frame == "space" else Omega, torque) + gain)
         return impulse, rates, jnp.stack(powers)
 
@@ -216,12 +217,20 @@ def _law(torque: Any, frame: str | None) -> Law:
 
 def _check_torque(body: TorquedBody) -> None:
     """Raise ValueError if a law has no real value of shape (3,)."""
+    keys = [law.key for law in body.laws]
+    for law in body.laws:
+        if law.reads is not None and law.reads not in keys:
+            raise ValueError(
+                f'{type(law).__name__} reads State.extra["{law.reads}"], and no law has it: add the law with that '
+                "internal state, such as torques.wheels"
+            )
     number, q, vector = (jax.ShapeDtypeStruct(shape, body.inertia.dtype) for shape in ((), (4,), (3,)))
     for law in body.laws:
 
         def value(t: Array, q: Array, omega: Array, law: Law = law) -> Array:
             now = Rotation(t, t, q, q, q, omega, t, omega, omega)
-            return law.mean(now, None if law.key is None else (body.carried or {})[law.key])[0]
+            key = law.key or law.reads
+            return law.mean(now, None if key is None else (body.carried or {})[key])[0]
 
         try:
             found = jax.eval_shape(value, number, q, vector)

@@ -44,7 +44,7 @@ from lieint_jax.types._pytree import callable_pytree, pytree, static
 from lieint_jax.types._state import State, StepInfo, Trajectory, all_finite, clock, counts_work
 from lieint_jax.types._step import Step, StepError, checked_step, converges, promoted, start_time
 from lieint_jax.types._system import System, energy_less_work, time_derivative
-from lieint_jax.types._torque import Function, Law, Rotation, Total, as_law, instant, parts, total
+from lieint_jax.types._torque import Function, Law, Rotation, Total, as_law, instant, labels, parts, total
 
 __all__ = [
     "AbstractDampedBody",
@@ -95,6 +95,7 @@ __all__ = [
     "energy_less_work",
     "gradient",
     "instant",
+    "labels",
     "pair_forces",
     "parts",
     "promoted",

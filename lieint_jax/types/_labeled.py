@@ -14,6 +14,7 @@ from jax import Array
 
 from lieint_jax._checks import concrete
 from lieint_jax.types._members import Axis, Run, axes, map_over_run
+from lieint_jax.types._torque import labels as laws_of
 from lieint_jax.types.shapes import PyTree
 
 _SHORT = 16  # the most numbers that a description shows
@@ -27,6 +28,7 @@ _TEXTS = {
     "p": "momentum",
     "t": "time of each member",
     "work": "work done on the body",
+    "extra_works": "work of each law",
     "residual": "largest residual since the last entry",
     "converged": "whether all steps since the last entry did",
 }
@@ -70,7 +72,7 @@ def dataset(run: Run, system: PyTree, units: Mapping[str, str], system_axis: Axi
     labels: dict[str, PyTree] = {"time": np.asarray(run.t)}
     variables: dict[str, PyTree] = {}
     for name, x in arrays.items():
-        dims, own = state_axes(name, x.shape[len(leading) :])
+        dims, own = state_axes(name, x.shape[len(leading) :], system)
         labels |= own
         variables[name] = ((*leading, *dims), np.asarray(x), {"long_name": _TEXTS.get(name, name.replace("_", " "))})
     found = _package("xarray").Dataset(variables, labels)
@@ -99,8 +101,13 @@ def rotations(run: Run) -> Any:
     return transform.Rotation.from_quat(np.roll(q[..., -4:], -1, axis=-1))
 
 
-def state_axes(name: str, shape: tuple[int, ...]) -> tuple[tuple[str, ...], dict[str, np.ndarray | list[str]]]:
-    """Names of the axes of one state's array, and their labels."""
+def state_axes(
+    name: str, shape: tuple[int, ...], system: PyTree = None
+) -> tuple[tuple[str, ...], dict[str, np.ndarray | list[str]]]:
+    """Names of the axes of one state's array, and their labels, of which some are those of the system."""
+    if name == "extra_works" and len(shape) == 1:
+        names = laws_of(system)
+        return ("law",), {"law": names} if len(names) == shape[0] else {}
     if name in ("q", "p", "angular_velocity") and shape in _COMPONENTS:
         dim, own = _COMPONENTS[shape]
         return (dim,), {dim: own}
