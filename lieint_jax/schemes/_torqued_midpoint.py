@@ -351,7 +351,7 @@ class _Equation(NamedTuple):
             sums[law.frame] = sums[law.frame] + torque
             each[k] = (torque, inner, after)
             if law.key is not None:
-                means[law.key] = (inner + after) / 2
+                means[law.key] = jax.tree.map(lambda a, b: (a + b) / 2, inner, after)
         return _Torques(sums["body"], sums["space"], [each[k] for k in range(len(each))])
 
     def torque(self, y: Vector, q: Array | None = None) -> Vector:
