@@ -23,8 +23,8 @@ def runge_kutta_of_basilisk(dt):
 
     def rates(y):
         s, w = y[:3], y[3:]
-        turning = 0.25 * ((1 - s @ s) * w + 2 * np.cross(s, w) + 2 * s * (s @ w))
-        return np.concatenate([turning, (torque - np.cross(w, inertia * w)) / inertia])
+        mrp_rates = 0.25 * ((1 - s @ s) * w + 2 * np.cross(s, w) + 2 * s * (s @ w))
+        return np.concatenate([mrp_rates, (torque - np.cross(w, inertia * w)) / inertia])
 
     y = np.array([0.1, 0.2, -0.3, 0.001, -0.01, 0.03])
     for _ in range(round(600 / dt)):
