@@ -105,6 +105,5 @@ def kynema_precession() -> Case:
 
 def modified_rodrigues(q: jax.Array) -> np.ndarray:
     """v/(1 + w) of the unit quaternion (w, v) from body to space, w ≥ 0."""
-    q = np.asarray(q)
-    q = q if q[0] >= 0 else -q
-    return q[1:] / (1 + q[0])
+    w, *v = np.asarray(q) if q[0] >= 0 else -np.asarray(q)
+    return np.array(v) / (1 + w)
