@@ -32,7 +32,7 @@ _MODEL = """
 <mujoco>
   <option timestep="{dt}" integrator="{integrator}" gravity="0 0 0" viscosity="{viscosity}" density="0"/>
   <worldbody>
-    <body><freejoint/><geom type="box" size=".1 .2 .3" density="1000" contype="0" conaffinity="0"/></body>
+    <body><freejoint/><geom type="box" size="0.1 0.2 0.3" density="1000" contype="0" conaffinity="0"/></body>
   </worldbody>
 </mujoco>
 """

@@ -47,7 +47,7 @@ class Split(NamedTuple):
     chunk: int
 
     @classmethod
-    def of(cls, members: int, count: int, most: int) -> Split:
+    def into_parts(cls, members: int, count: int, most: int) -> Split:
         """The split into `count` parts, with chunks of at most `most` members.
 
         Raises:

@@ -114,7 +114,9 @@ def _refuse_parts(path: Path, attributes: Table) -> None:
 
 def split_into_parts(job: Job, count: int, remote: bool) -> Split:
     """The split of a run into `count` parts, and its chunks."""
-    return Split.of(job.members, count, chunk_members(job.members, count, job.row_bytes, job.num_saves + 1, remote))
+    return Split.into_parts(
+        job.members, count, chunk_members(job.members, count, job.row_bytes, job.num_saves + 1, remote)
+    )
 
 
 def chunk_members(members: int, count: int, row: int, entries: int, remote: bool) -> int:

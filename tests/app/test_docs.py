@@ -18,7 +18,7 @@ from lieint_jax.app.command import cli
 PAGES = Path(__file__).parents[2] / "docs" / "pages"
 TEXTS = {path.relative_to(PAGES).as_posix(): path.read_text(encoding="utf-8") for path in sorted(PAGES.rglob("*.md"))}
 PYTHON = {name: blocks(text, "python", "text") for name, text in TEXTS.items() if blocks(text, "python")}
-LONG = {  # dear pages, which run in shards
+LONG = {  # expensive pages, which run in shards
     "faq.md",
     "install.md",
     "why.md",

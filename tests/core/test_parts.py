@@ -135,7 +135,7 @@ def test_the_sum_over_members_does_not_depend_on_the_parts():
 
 def test_every_member_is_in_one_part_of_about_equal_size():
     for members, count, most in ((41, 8, 8192), (9, 4, 8192), (100_001, 10, 8192), (5, 5, 2), (10**9, 1000, 8192)):
-        split = _parts.Split.of(members, count, most)
+        split = _parts.Split.into_parts(members, count, most)
         ends = [split.part(k) for k in range(count)]
         assert [part.start for part in ends] == [0, *(part.stop for part in ends[:-1])]
         assert ends[-1].stop == members
