@@ -70,7 +70,7 @@ class WheelMotor:
         control: laws that give the torque.
         axes: of the wheels, (m, 3).
         allocation: from a torque to those of the wheels, (m, 3).
-        gyroscopic: whether Ω × h of the wheels is cancelled.
+        gyroscopic: whether Ω × h of the wheels is canceled.
     """
 
     control: tuple[Law, ...]
