@@ -104,7 +104,7 @@ def det(A: Matrix) -> Array:
 
 
 def no_negative_eigenvalue(A: Matrix) -> Array:
-    """False if A has a real eigenvalue ≤ 0: whether its characteriztic polynomial's signs alternate (Descartes)."""
+    """False if A has a real eigenvalue ≤ 0: whether its characteristic polynomial's signs alternate (Descartes)."""
     minors = [A[i][i] * A[j][j] - A[i][j] * A[j][i] for i, j in PAIRS[3:]]
     return (A[0][0] + A[1][1] + A[2][2] > 0) & (minors[0] + minors[1] + minors[2] > 0) & (det(A) > 0)
 

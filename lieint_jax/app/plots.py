@@ -95,11 +95,13 @@ def caption(fig: Figure, text: str) -> None:
 
 
 def series(ax: Axes, t: np.ndarray, curves: Mapping[str, np.ndarray], ylabel: str, time_unit: str = "") -> Axes:
-    """At most eight curves against time; each has a color, dashes and a mark of its own."""
+    """At most eight curves against time; each has a color, dashes and a mark of its own. Masked values are left out."""
     _few(curves)
     for k, ((label, y), look) in enumerate(zip(curves.items(), STYLES, strict=False)):
-        places = _places(ax, t, (k + 0.5) / len(curves)) if len(curves) > 1 else []
-        ax.plot(t, y, label=label, markevery=places, **look)
+        shown = ~np.ma.getmaskarray(y)
+        x = np.asarray(t)[shown]
+        places = _places(ax, x, (k + 0.5) / len(curves)) if len(curves) > 1 and len(x) else []
+        ax.plot(x, np.asarray(y)[shown], label=label, markevery=places, **look)
     ax.set(xlabel=f"t ({time_unit})" if time_unit else "t", ylabel=ylabel)
     if len(curves) > 1:
         ax.legend()
@@ -137,9 +139,10 @@ def log_error(
     size: float = 1.0,
     of: str = "",
 ) -> Axes:
-    """Absolute errors on a logarithmic axis; exact zeros are drawn at a tenth of round-off.
+    """Absolute errors on a logarithmic axis, and the line of round-off if a curve stays near it.
 
-    The line of round-off is drawn if a curve stays near it.
+    Such an axis has no zero: exact zeros are left out, and a curve of nothing but zeros is in the legend only, as
+    "exactly 0".
 
     Args:
         ax: the axes.
@@ -151,10 +154,16 @@ def log_error(
         of: the symbol of `size`, such as "|H₀|".
     """
     epsilon = size * float(np.finfo(np.result_type(*curves.values(), np.float32)).eps)
-    series(ax, t, {label: np.maximum(np.abs(y), epsilon / 10) for label, y in curves.items()}, ylabel, time_unit)
+    errors = {f"{label}: exactly 0" if not np.any(y) else label: abs(np.asarray(y)) for label, y in curves.items()}
+    series(ax, t, {label: np.ma.masked_equal(y, 0) for label, y in errors.items()}, ylabel, time_unit)
     ax.set_yscale("log")
-    near = min(np.abs(y).max() for y in curves.values()) < _NEAR * epsilon
-    return round_off(ax, epsilon, of) if near else ax
+    if not any(np.any(y) for y in curves.values()):
+        ax.set(xlim=(t[0], t[-1]), ylim=(epsilon / 10, 10 * epsilon))  # no curve sets them
+    if min(np.abs(y).max() for y in curves.values()) >= _NEAR * epsilon:
+        return ax
+    low, high = ax.get_ylim()
+    ax.set_ylim(min(low, epsilon / 10), max(high, 10 * epsilon))  # a decade at least, or it is all round-off
+    return round_off(ax, epsilon, of)
 
 
 def round_off(ax: Axes, epsilon: float = float(np.finfo(float).eps), of: str = "") -> Axes:
@@ -172,9 +181,9 @@ def sphere_path(
     pole_label: str = "angular momentum",
     joined: bool = True,
 ) -> Any:
-    """A path of unit vectors (n, 3) on the sphere, paler on the far side, and the axis `pole` about which it turns.
+    """A path of unit vectors (n, 3) on the sphere, paler on the far side, and the axis `pole` about which it rotates.
 
-    The vectors are joined by a curve, or drawn as dots.
+    The vectors are joined by a curve, or drawn as dots. The axis is a pin in the sphere.
 
     The view is from the direction `eye`; by default from the mean of the path, turned by 25° in both angles. Meridians
     and parallels, 30° apart, are drawn on the near side only.
@@ -190,8 +199,9 @@ def sphere_path(
         look: dict[str, Any] = {"lw": 0.8} if joined else {"ls": "", "marker": "o", "ms": 1.5}
         ax.plot(*np.where(side[:, None], path, np.nan).T, color=BLUE, alpha=alpha, **look)
     if pole is not None:
-        end = 1.3 * np.asarray(pole)
-        ax.plot(*np.stack([0 * end, end]).T, color=RED, lw=1.5, label=pole_label)
+        pin = np.outer([1.01, 1.25], pole)
+        alpha = 1.0 if pin[0] @ _sight(ax) >= 0 else 0.4
+        ax.plot(*pin.T, color=RED, lw=1.5, marker="o", ms=3.5, markevery=[0], alpha=alpha, label=pole_label)
     ax.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1))  # equal ranges, or the sphere is drawn as an ellipsoid
     ax.set_box_aspect((1, 1, 1), zoom=1.5)
     ax.set_axis_off()
@@ -224,7 +234,7 @@ def sky(ax: Any, center: float = 0.0) -> Any:
     """Label axes with Mollweide's projection, which is equal-area, as a map of the sphere about a longitude (°)."""
     ticks = range(-120, 121, 60)
     ax.set_xticks(np.deg2rad(ticks), [f"{(tick + center) % 360:g}°" for tick in ticks])
-    ax.set_yticks(np.deg2rad(range(-60, 61, 30)), [f"{latitude}°" for latitude in range(-60, 61, 30)])
+    ax.set_yticks(np.deg2rad(range(-60, 61, 30)), [f"{y}°".replace("-", "−") for y in range(-60, 61, 30)])
     ax.tick_params(axis="x", labelcolor="#606060")
     ax.grid(True)
     return ax
@@ -279,14 +289,22 @@ def _sight(ax: Any) -> np.ndarray:
     return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
 
 
-def delay_plot(ax: Any, points: np.ndarray) -> Any:
-    """The points (x_n, x_{n+N}, x_{n+2N}) of a series, shape (n, 3), less the middle of their range, as small dots."""
+def delay_plot(ax: Any, points: np.ndarray, symbol: str = "x") -> Any:
+    """The points (x_n, x_{n+N}, x_{n+2N}) of a series, shape (n, 3), less the middle of their range, as small dots.
+
+    Args:
+        ax: axes in three dimensions.
+        points: as `diagnostics.delay` returns them.
+        symbol: of x, in TeX.
+    """
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
     power = int(np.floor(np.log10(np.ptp(points) or 1.0)))
+    power = power if abs(power) > 1 else 0
     x, y, z = ((points - middle) / 10.0**power).T
     ax.scatter(x, y, z, s=1.5, color=BLUE, alpha=0.7, depthshade=False, linewidths=0, rasterized=True)
-    unit = f" / $10^{{{power}}}$" if power else ""
-    ax.set(xlabel=f"$x_n${unit}", ylabel=f"$x_{{n+N}}${unit}", zlabel=f"$x_{{n+2N}}${unit}")
+    unit = rf"\,/\,10^{{{power}}}" if power else ""
+    names = (rf"$\Delta {symbol}_{{{index}}}{unit}$" for index in ("n", "n+N", "n+2N"))
+    ax.set(**dict(zip(("xlabel", "ylabel", "zlabel"), names, strict=True)))
     return cube(ax)
 
 

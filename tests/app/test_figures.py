@@ -126,7 +126,7 @@ def test_a_delay_figure_plots_every_panel_with_its_delay(tmp_path, monkeypatch):
     """The points (x_n, x_{n+N}, x_{n+2N}) for the delay N of its panel."""
     series, drawn = np.arange(50.0) ** 2, []
     monkeypatch.setattr(figures, "delay_run", lambda panel: figures.DelayRun(series, True))
-    monkeypatch.setattr(figures.plots, "delay_plot", lambda ax, points: drawn.append(points))
+    monkeypatch.setattr(figures.plots, "delay_plot", lambda ax, points, symbol: drawn.append(points))
     figures.FIGURES[4](tmp_path)
     for points, N in zip(drawn, (3, 5, 3, 5), strict=True):
         expected = np.stack([series[: 50 - 2 * N], series[N : 50 - N], series[2 * N :]], axis=1)

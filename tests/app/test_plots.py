@@ -12,6 +12,8 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax.app import plots
+from lieint_jax.app.command import pictures
+from lieint_jax.app.scenarios._runs import as_ensemble
 from lieint_jax.app.studies import gyro
 
 ROOT = Path(li.__file__).parent
@@ -72,12 +74,18 @@ def call_of(node, name):
 
 
 def test_every_function_that_makes_a_figure_has_the_style():
+    """Pictures of scenarios have it from their decorator `picture`."""
     made = 0
     for path in FILES:
         for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(function, ast.FunctionDef) and any(call_of(n, "figure") for n in ast.walk(function)):
-                inside = [item.context_expr for n in ast.walk(function) if isinstance(n, ast.With) for item in n.items]
-                assert any(call_of(n, "style") for n in (*function.decorator_list, *inside)), (path, function.name)
+            if not isinstance(function, ast.FunctionDef):
+                continue
+            nodes = [*ast.walk(function)]
+            made += any(ast.unparse(x).startswith("picture(") for x in function.decorator_list)
+            if any(call_of(n, "figure") for n in nodes):
+                inside = [item.context_expr for n in nodes if isinstance(n, ast.With) for item in n.items]
+                decorators = [x for n in nodes if isinstance(n, ast.FunctionDef) for x in n.decorator_list]
+                assert any(call_of(n, "style") for n in (*decorators, *inside)), (path, function.name)
                 made += 1
     assert made > 30
 
@@ -128,7 +136,12 @@ def test_errors_stand_beside_the_line_of_round_off(kind):
     assert set(line.get_ydata()) == {epsilon}
     assert line.get_label().startswith("round-off, ε|H₀| = ")
     assert line.get_label() in [text.get_text() for text in ax.get_legend().get_texts()]
-    np.testing.assert_allclose(curve.get_ydata() / epsilon, [0.1, 10, 0.3], rtol=1e-6)
+    np.testing.assert_allclose(curve.get_xdata(), [1, 2])  # a logarithmic axis has no zero
+    np.testing.assert_allclose(curve.get_ydata() / epsilon, [10, 0.3], rtol=1e-6)
+    errors = {"energy": error, "momentum": np.zeros(3, kind)}
+    ax = plots.log_error(plots.figure()[1][0, 0], np.arange(3), errors, "relative change")
+    assert [len(curve.get_ydata()) for curve in ax.get_lines()] == [2, 0, 2]  # the last is the line of round-off
+    assert ax.get_legend().get_texts()[1].get_text() == "momentum: exactly 0"
     ax = plots.log_error(plots.figure()[1][0, 0], np.arange(3), {"large": np.ones(3, kind)}, "energy error")
     assert len(ax.get_lines()) == 1  # nothing near it, no line
 
@@ -145,6 +158,19 @@ def test_a_path_on_the_map_is_broken_where_it_leaves_the_map():
     assert ax.get_xticklabels()[0].get_text() == "60°"
 
 
+@pytest.mark.parametrize(("spin", "name"), [([2.0, 0.1, 0.05], "body axis x"), ([0.1, 0.05, -2.0], "body axis −z")])
+def test_the_motion_of_a_body_is_drawn_by_the_axis_that_it_spins_about(spin, name):
+    body = li.systems.rigid_body([1.0, 2.0, 3.0])
+    start = body.state(li.groups.so3.exp(np.array([0.3, -1.0, 0.7])), angular_velocity=spin)
+    run = as_ensemble(li.integrate(li.schemes.so3_explicit(body), start, 0.05, 40))
+    fig = pictures.draw_motion(pictures.StoredRun("a body", "s", body, run, False))
+    assert fig.axes[0].get_title().startswith(f"{name} of the first member")
+    [near] = [line for line in fig.axes[0].get_lines() if line.get_label() == "start"]
+    axis = np.sign(spin[int(np.argmax(np.abs(spin)))]) * np.eye(3)[int(np.argmax(np.abs(spin)))]
+    expected = 1.01 * np.asarray(li.groups.so3.Ad(start.q, axis))
+    np.testing.assert_allclose(np.ravel(near.get_data_3d()), expected, atol=1e-6)
+
+
 def apart(labels):
     """Whether the boxes of neighboring texts do not overlap."""
     boxes = [text.get_window_extent() for text in labels if text.get_text() and text.get_visible()]
@@ -157,7 +183,8 @@ def test_labels_of_the_ticks_of_study_gyro_do_not_overlap():
     estimates = truth + 5e-4 * rng.normal(size=(20, 8))
     t = np.linspace(0.5, 40, 80)
     readings = np.stack([np.sin(t / 9), np.cos(t / 7), np.sin(t / 5)], axis=1)
-    trials = gyro.GyroTrials(None, estimates, truth, np.full((20, 8), 5e-4), np.ones(8), 0.95, (t, readings, readings))
+    sigmas, covariance = np.full((20, 8), 5e-4), 5e-4**2 * np.eye(8)
+    trials = gyro.GyroTrials(None, estimates, truth, sigmas, covariance, np.ones(8), 0.95, (t, readings, readings))
     fig = gyro.draw(trials)
     with plots.style():
         fig.draw_without_rendering()
@@ -165,3 +192,5 @@ def test_labels_of_the_ticks_of_study_gyro_do_not_overlap():
         assert apart(ax.get_xticklabels())
         assert apart(ax.get_yticklabels())
     assert [text.get_text() for text in fig.axes[0].get_legend().get_texts()] == ["x", "y", "z", "readings"]
+    inside = np.linalg.norm((estimates - truth)[:, 3:5] / 5e-4, axis=1) <= np.sqrt(5.991)  # χ² of 95 %
+    assert f"{inside.sum()} of 20 inside" in fig.axes[1].get_legend().get_texts()[-1].get_text()

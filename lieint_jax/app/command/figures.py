@@ -178,14 +178,24 @@ def _delay_figure(number: int, out: Path) -> str:
     lines = [f"Figure {number}: variation max − min", f"  {'':<4} {'ours':>9} {'printed':>9}   all converged"]
     for ax, panel in zip(axes.flat, PANELS[number], strict=True):
         run = delay_run(panel)
-        plots.delay_plot(ax, np.asarray(delay(jnp.asarray(run.series), panel.lag)))
+        symbol, kind = ("d", "d = ‖F − 1‖²") if panel.displacement else ("H", "H")
+        plots.delay_plot(ax, np.asarray(delay(jnp.asarray(run.series), panel.lag)), symbol)
         variation = np.ptp(run.series)
-        kind = "‖F−1‖²" if panel.displacement else "H"
-        ax.set_title(f"({panel.name[1]}) {kind}: {variation:.3g}, printed {panel.printed:.3g}")
+        ax.set_title(
+            f"({panel.name[1]}) Δt = {panel.dt:g}, N = {panel.lag}, π₃ = {panel.Phi:g}\n"
+            f"max {kind[0]} − min {kind[0]} = {_tex(variation)}; in the paper {_tex(panel.printed)}"
+        )
         verdict = "yes" if run.converged else "NO"
         lines.append(f"  {panel.name:<4} {variation:>9.3g} {panel.printed:>9.3g}   {verdict:<4} {panel.note}".rstrip())
+    fig.suptitle("The midpoint rule: values N steps from one another, less their mid-range")
     plots.save(fig, out / f"figure-{number}.png")
     return "\n".join(lines)
+
+
+def _tex(x: float) -> str:
+    """A number in two digits, with its power of ten."""
+    mantissa, _, power = f"{x:.1e}".partition("e")
+    return f"{x:.2g}" if x >= 1e-2 else rf"${mantissa}\times10^{{{int(power)}}}$"
 
 
 FIGURES: dict[int, Callable[[Path], str]] = {1: figure_1, 2: figure_2} | {

@@ -7,14 +7,16 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from matplotlib.figure import Figure
 
 from lieint_jax.app import plots
 from lieint_jax.app.command import interpolation
-from lieint_jax.app.scenarios._body import in_space
+from lieint_jax.app.scenarios._body import in_space, spin_axis
 from lieint_jax.app.scenarios._runs import POINTS
+from lieint_jax.groups import so3
 from lieint_jax.types import State, Trajectory, energy_less_work
 from lieint_jax.types._members import map_over_run
 
@@ -96,7 +98,7 @@ def draw_motion(stored: StoredRun) -> Figure:
 
 
 def _draw_body(stored: StoredRun) -> Figure:
-    """The body axis z of the first member; a curve if states between the saved ones can be found, else dots."""
+    """The axis about which the first member's body spins; a curve if states between the saved ones can be found."""
     system, run = stored.system_of(0), interpolation.member(stored.run, 0)
     joined = hasattr(system, "angular_velocity")
     if joined:
@@ -108,8 +110,23 @@ def _draw_body(stored: StoredRun) -> Figure:
             run = interpolation.interpolate_at(
                 system, run, np.interp(np.arange(len(apart) * parts + 1) / parts, np.arange(len(t)), t)
             )
-    path = in_space(np.asarray(run.state.q), np.eye(3)[2])
-    return _draw_direction(path, "body axis z", joined)
+    axis, name = _drawn_axis(system, run)
+    return _draw_direction(in_space(np.asarray(run.state.q), axis), name, joined)
+
+
+def _drawn_axis(system: Any, run: Trajectory) -> tuple[np.ndarray, str]:
+    """The axis of the body to draw, with its name: a top's, else the principal axis that the initial spin is about."""
+    axis = interpolation.pointed(system)
+    if axis is not None:
+        return axis, "the top's axis"
+    if not hasattr(system, "inertia"):
+        return np.eye(3)[2], "body axis z"
+    momentum = so3.Ad_star(jnp.asarray(run.state.q[0]), jnp.asarray(run.state.p[0]))
+    axis = spin_axis(np.asarray(system.inertia), np.asarray(momentum))
+    k = int(abs(axis).argmax())
+    if abs(axis[k]) > 1 - 1e-12:
+        return axis, f"body axis {'−' if axis[k] < 0 else ''}{'xyz'[k]}"
+    return axis, "the principal axis that the spin is about"
 
 
 @plots.style()

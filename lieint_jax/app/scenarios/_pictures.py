@@ -72,10 +72,10 @@ def draw_changes(ax: Any, t: np.ndarray, conserved: Sequence[Conserved], unit: s
 
 def draw_on_sphere(
     axes: Sequence[Any],
-    run: Trajectory,
-    ends: np.ndarray,
     t: np.ndarray,
     path: np.ndarray,
+    end: float,
+    ends: np.ndarray,
     pole: np.ndarray,
     *,
     unit: str,
@@ -84,12 +84,13 @@ def draw_on_sphere(
     eye: np.ndarray | None = None,
     bounds: Iterable[float] = (),
 ) -> None:
-    """Plot a path of unit vectors on the sphere with the members' `ends`, and its angle from the pole against time."""
+    """Plot a path of unit vectors on the sphere, with all members' at the time `end`, and its angle from the pole."""
     left, right = axes
     plots.sphere_path(left, path, pole, eye=pole + 0.8 * path[0] if eye is None else eye, pole_label=pole_label)
     if len(ends) > 1:
-        plots.sphere_points(left, ends, f"members at t = {run.t[-1]:.4g}", color=plots.INK, s=2, alpha=0.5)
-    left.legend(loc="lower left")
+        when = f"{end:.4g} {unit}".rstrip()
+        plots.sphere_points(left, ends, f"{len(ends)} members at t = {when}", color=plots.INK, s=2, alpha=0.5)
+    left.legend(loc="upper center", bbox_to_anchor=(0.5, 0.03), ncols=2)
     plots.series(right, t, {"": np.rad2deg(np.arccos(np.clip(path @ pole, -1, 1)))}, angle_label, unit)
     for bound in bounds:
-        right.axhline(bound, color=plots.RED, lw=0.7, ls="--")
+        right.axhline(bound, color=plots.RED, lw=0.7, ls="--", zorder=3)

@@ -39,7 +39,8 @@ STEP_AXIS = 0  # members have systems of their own, see `lieint_jax.app.scenario
 
 _ENERGY, _MOMENTUM = "energy, over |energy|", "angular momentum, relative"
 _SHOWN = {"H": _ENERGY, "L": _MOMENTUM}  # in the picture of errors
-_BRIEF, _FINE = 4, 4  # orbits of the picture of energies, and its steps in one of the scenario
+_BRIEF, _FINE = 4, 4  # orbits of the picture of energies, and the steps of pictures in one of the scenario
+_BAND = 100  # the most members whose range is drawn
 _UPRIGHT = 30  # degrees of obliquity, above which a secondary counts as tumbling
 _LONG = 8  # length of the spectrum's run, over that of the scenario
 
@@ -331,21 +332,30 @@ def _impact(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
 
 @picture(2, size=(5.5, 3.8))
 def draw_orbit(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
-    """Plot the distance and the secondary's libration against time: the nominal member, and 90 % of the members."""
-    found = motion(scenario, step.system, run)
-    days = np.asarray(run.t) / DAY
+    """Plot the distance and the secondary's libration: the nominal member, and 90 % of up to `_BAND` members."""
+    days, found = _closely(scenario, step, run)
     swing = np.rad2deg(found.libration - _middle(found))
     for ax, x, label in zip(
         axes, (found.distance, swing), ("distance (m)", "libration of the secondary (°)"), strict=True
     ):
         if x.shape[1] > 1:
-            ax.fill_between(
-                days, *np.percentile(x, [5, 95], axis=1), color=plots.GRAY, alpha=0.5, lw=0, label="90 % of members"
-            )
-        ax.plot(days, x[:, 0], color=plots.BLUE, lw=0.8, label="nominal")
+            low, high = np.percentile(x, [5, 95], axis=1)
+            ax.fill_between(days, low, high, color=plots.GRAY, lw=0, label=f"90 % of {x.shape[1]} members")
+        ax.plot(days, x[:, 0], color=plots.BLUE, lw=0.8, label="nominal member")
         ax.set(xlabel="t (d)", ylabel=label)
         ax.margins(x=0.01, y=0.1)
+    low, high = axes[0].get_ylim()
+    axes[0].set_ylim(low, high + 0.1 * (high - low))  # room for the legend
     axes[0].legend(loc="upper right", ncols=2)
+
+
+def _closely(scenario: Scenario, step: Any, run: Trajectory) -> tuple[np.ndarray, Motion]:
+    """The times in days and the motion of the first members, in smaller steps than the run's."""
+    some, start = jax.tree.map(lambda x: jnp.asarray(x)[:_BAND], (step, State(run.state.q[0], run.state.p[0])))
+    dt, steps = scenario.dt / _FINE, _FINE * scenario.steps
+    long = jax.vmap(lambda step, z: follow(step, z, dt, steps), out_axes=1)(some, start)
+    members = Trajectory(np.asarray(long.t[:, 0]), long.state, long.info)
+    return members.t / DAY, _binary_motion.measured(some.system, members)
 
 
 @picture(size=(7.2, 4.2))
@@ -391,7 +401,8 @@ def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> No
     t, found = changes_by_scheme(_conserved_by_one, scenario, two, start)
     errors = {f"{symbol}, {scheme}": x[name] for scheme, x in found.items() for symbol, name in _SHOWN.items()}
     plots.log_error(right, t / DAY, errors, "relative change", "d")
-    right.legend()
+    right.set_ylim(top=1e3 * right.get_ylim()[1])  # room for the legend
+    right.legend(loc="upper center", ncols=2)
     right.set_title("energy H and angular momentum L")
 
 

@@ -179,7 +179,8 @@ def _principal(body: GravityGradient) -> dict[str, tuple[np.ndarray, str, int]]:
 def draw_pointing(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot an axis of inertia in the orbit's axes, as a path on the sphere, and its angle from where it is stable."""
     body = step.system
-    (axis, stable, k), *_ = [*_principal(body).values(), (np.eye(3)[0], "vertical", 0)]
+    found = _principal(body) or {"some": (np.eye(3)[0], "vertical", 0)}
+    which, (axis, stable, k) = next(iter(found.items()))
     long = follow(step, nominal(run), _dt(scenario), scenario.steps)
     R = np.asarray(jax.vmap(lambda t: orbit_axes(body.orbit, t)[0])(jnp.asarray(long.t)))
     path = np.einsum("tij,ti->tj", R, in_space(long.state.q, axis))
@@ -187,8 +188,10 @@ def draw_pointing(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> 
     pole, aside, above = (np.roll(np.eye(3)[k], j) for j in range(3))
     t, unit = _clock(scenario, long)
     look = {"pole_label": stable, "angle_label": f"angle from the {stable} (°)", "unit": unit}
-    draw_on_sphere(axes, run, ends, t, path, pole, eye=pole + 0.6 * aside + 0.4 * above, **look)
-    axes[0].set_title("a body axis in the orbit's axes")
+    draw_on_sphere(
+        axes, t, path, _clock(scenario, run)[0][-1], ends, pole, eye=pole + 0.6 * aside + 0.4 * above, **look
+    )
+    axes[0].set_title(f"the axis of {which} inertia in the orbit's axes, nominal member")
 
 
 @picture(size=(6.4, 4.2))

@@ -228,11 +228,11 @@ def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None
     long = follow(step, nominal(run), scenario.dt, steps)
     path, ends = (in_space(q, _unit(_weight(top))) for q in (long.state.q, run.state.q[-1]))
     bounds = np.rad2deg(lagrange_motion(top, nominal(run)).inclination) if is_lagrange(top) else []
-    look = {"unit": unit, "angle_label": "inclination (°)", "bounds": bounds}
-    draw_on_sphere(axes, run, ends, np.asarray(long.t), path, _unit(np.asarray(top.axis)), **look)
-    axes[0].set_title(f"the axis in space to t = {long.t[-1]:.4g} {unit}")
+    look = {"unit": unit, "pole_label": "γ, up", "angle_label": "inclination (°)", "bounds": bounds}
+    draw_on_sphere(axes, np.asarray(long.t), path, run.t[-1], ends, _unit(np.asarray(top.axis)), **look)
+    axes[0].set_title(f"the nominal axis in space to t = {long.t[-1]:.4g} {unit}")
     if is_lagrange(top):
-        axes[1].set_title("nutation; dashed, its bounds in closed form")
+        axes[1].set_title("its nutation; dashed, the bounds in closed form")
 
 
 @picture(size=(6.4, 4.2))

@@ -135,18 +135,23 @@ def tilts(q: Any) -> np.ndarray:
 def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the path of the center of the nominal and the last member, and the last one's third axis on the sphere."""
     left, right = axes
-    last = member(run, -1)
-    members = {"nominal": nominal(run)} | ({"the last member": last} if scenario.members > 1 else {})
+    last, name_of_last = member(run, -1), f"member {scenario.members - 1}" if scenario.members > 1 else "nominal member"
+    members = {"nominal member": nominal(run), name_of_last: last}
     paths = {name: np.asarray(follow(step, z, scenario.dt, scenario.steps).state.q) for name, z in members.items()}
     for (name, q), color in zip(paths.items(), (plots.INK, plots.BLUE), strict=False):
         left.plot(*q[:, :3, 3].T, color=color, lw=0.8, label=name)
-    left.legend()
-    plots.cube(left).set(xlabel="x", ylabel="y", zlabel="z", title="the center of the ellipsoid")
-    q = paths["the last member" if scenario.members > 1 else "nominal"]
+    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.03), ncols=2)
+    until = f"to t = {run.t[-1]:.4g} {scenario.time_unit}"
+    plots.cube(left).set(xlabel="x", ylabel="y", zlabel="z")
+    left.set_title(f"path of the center {until}, in the unit of the semi-axes")
+    q = paths[name_of_last]
     P = np.asarray(last.p[3:])
     pole = P / np.linalg.norm(P) if P.any() else None
-    plots.sphere_path(right, q[:, :3, 2], pole, eye=q[0, :3, 2] + 0.5 * q[0, :3, 0], pole_label="impulse")
-    right.set_title("its third axis")
+    plots.sphere_path(
+        right, q[:, :3, 2], pole, eye=q[0, :3, 2] + 0.5 * q[0, :3, 0], pole_label="direction of the impulse"
+    )
+    right.set_title(f"third axis of {name_of_last.replace('nominal', 'the nominal')} in space")
+    right.legend(loc="upper center", bbox_to_anchor=(0.5, 0.02))
 
 
 @picture(2)

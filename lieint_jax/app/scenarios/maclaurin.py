@@ -172,15 +172,19 @@ def draw_modes(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> No
     left.plot(e, np.real(modes), ".", color=plots.BLUE, ms=4)
     grows = measured > 1e-3
     left.plot(e[grows], measured[grows], ".", color=plots.BLUE, ms=4, label="measured")
-    for limit, name in ((SECULAR, "Jacobi"), (DYNAMICAL, "unstable")):
-        left.axvline(limit, color="gray", lw=0.6, ls=":")
-        left.annotate(name, (limit, -0.95), rotation=90, ha="right", va="bottom", fontsize="small", color="gray")
-    left.set(xlabel="eccentricity e", ylabel="rate (√(GM/R³))", title="the bar of Maclaurin's spheroids")
+    for limit, name in ((SECULAR, "Jacobi's branch"), (DYNAMICAL, "the bar must grow")):
+        left.axvline(limit, color=plots.INK, lw=0.6, ls=":")
+        left.annotate(name, (limit, -1.3), rotation=90, ha="right", va="bottom", fontsize="small")
+    left.set(xlabel="eccentricity e", ylabel=r"rate ($\sqrt{GM/R^3}$)", title="how fast the bar rotates and grows")
+    left.set_ylim(-1.35, 1.25)
     left.legend(loc="center left", bbox_to_anchor=(0.0, 0.62))
     z, t = bars(run), np.asarray(run.t)
-    for m, color in zip((0, len(e) // 2, len(e) - 1), (plots.INK, plots.BLUE, plots.ORANGE), strict=True):
-        right.semilogy(t, np.maximum(abs(z[:, m]), 1e-300), color=color, lw=0.8, label=f"e = {e[m]:.3f}")
-    right.set(xlabel="t (√(R³/GM))", ylabel="|B_xx − B_yy + 2iB_xy| (R²)", title="size of the bar")
+    looks = zip((plots.INK, plots.BLUE, plots.ORANGE), ("-", "--", "-"), strict=True)
+    for m, (color, dashes) in zip((0, len(e) // 2, len(e) - 1), looks, strict=True):
+        size = np.maximum(abs(z[:, m]), 1e-300)
+        right.semilogy(t, size, color=color, ls=dashes, lw=0.8, label=f"e = {e[m]:.3f}")
+    right.set(xlabel=r"t ($\sqrt{R^3/GM}$)", ylabel=r"$|B_{xx}-B_{yy}+2iB_{xy}|$ ($R^2$), $B=FF^T$")
+    right.set_title("size of the bar")
     right.legend()
 
 

@@ -22,6 +22,8 @@ from lieint_jax.phase_spaces import frame
 from lieint_jax.systems import Pendulum, PotentialTop
 from lieint_jax.types import State, Step, Trajectory
 
+_FINE = 4  # steps of the drawn path in one of the scenario: so it reaches its bounds
+
 
 class InitialState(Table):
     """The nominal state: a unit vector, and a velocity, whose component along the vector is removed."""
@@ -156,11 +158,12 @@ def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None
     steps = scenario.steps
     if np.isfinite(period.nominal):
         steps = min(steps, int(12 * period.nominal / abs(scenario.dt)) + 1)
-    long = follow(step, nominal(run), scenario.dt, steps)
+    long = follow(step, nominal(run), scenario.dt / _FINE, _FINE * steps)
     known = [x.closed_form for x in bounds if x.closed_form is not None and np.isfinite(x.closed_form)]
     path, ends = np.asarray(long.state.q), np.asarray(run.state.q[-1])
-    draw_on_sphere(axes, run, ends, np.asarray(long.t), path, np.asarray(bob.axis), unit=unit, bounds=known)
-    axes[0].set_title(f"the bob to t = {long.t[-1]:.4g} {unit}")
+    look = {"unit": unit, "pole_label": "γ, down", "bounds": known}
+    draw_on_sphere(axes, np.asarray(long.t), path, run.t[-1], ends, np.asarray(bob.axis), **look)
+    axes[0].set_title(f"the nominal bob to t = {long.t[-1]:.4g} {unit}")
     axes[1].set_title("dashed: its bounds in closed form")
 
 

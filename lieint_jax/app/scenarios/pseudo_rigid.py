@@ -190,10 +190,13 @@ def energies(scenario: Scenario, step: Any, run: Trajectory) -> Energies:
 def draw_torus(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Draw delay plots as in the paper's Figures 3 to 5: of the midpoint rule's energy, and of the displacement."""
     found = energies(scenario, step, run)
-    panels = {f"H, {MIDPOINT}": found.energy[MIDPOINT], f"‖F − 1‖², rule {scenario.rule!r}": found.displacement}
-    for ax, (title, x) in zip(axes, panels.items(), strict=True):
-        plots.delay_plot(ax, np.asarray(diagnostics.delay(jnp.asarray(x), scenario.lag)))
-        ax.set_title(f"{title}, lag {scenario.lag}")
+    panels = {
+        f"energy H of the {MIDPOINT}": ("H", found.energy[MIDPOINT]),
+        f"displacement d = ‖F − 1‖² of the rule {scenario.rule!r}": ("d", found.displacement),
+    }
+    for ax, (title, (symbol, x)) in zip(axes, panels.items(), strict=True):
+        plots.delay_plot(ax, np.asarray(diagnostics.delay(jnp.asarray(x), scenario.lag)), symbol)
+        ax.set_title(f"{title}:\nthree values N = {scenario.lag} steps from one another, less their mid-range")
 
 
 @picture(2)

@@ -34,6 +34,7 @@ from lieint_jax.types import State, Step, Trajectory
 Z = (0.0, 0.0, 1.0)  # the body axis that is drawn
 
 _SUBSCRIPTS = "₁₂₃"
+_TINY = float(np.finfo(float).tiny)
 
 
 class Observation(InitialState):
@@ -241,26 +242,58 @@ def _sighting(scenario: Scenario, sighting: Sighting) -> str:
     return "\n".join(lines)
 
 
-@picture(size=(7.4, 4.6), subplot_kw={"projection": "mollweide"})
+@picture(2, size=(4.7, 4.2), gridspec_kw={"width_ratios": [2, 1]})
 def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
-    """Map where the body's z axis points in space, with all members at the first observation, and what was observed."""
+    """Map where the body's z axis points in space, with all members at the first observation, and what was observed.
+
+    Next to the map of the sky is one of the members' surroundings.
+    """
+    place, close = axes
+    wide = place.figure.add_subplot(place.get_subplotspec(), projection="mollweide")
+    place.remove()
     seen = [s for s in scenario.observation if 0 <= save_index(scenario, s) < len(run.t)][:1]
     last = save_index(scenario, seen[0]) if seen else len(run.t) - 1
     long = follow(step, nominal(run), scenario.dt, last * scenario.save_every)
     path, members = in_space(long.state.q, Z), in_space(run.state.q[last], Z)
     pole = np.asarray(run.state.p[0, :1]) / np.linalg.norm(run.state.p[0, 0])
     center = float(30 * np.round(np.rad2deg(np.arctan2(pole[0, 1], pole[0, 0])) / 30))
-    ax, span = plots.sky(axes[0], center), f"to t = {long.t[-1]:.4g} {scenario.time_unit}"
+    ax, span = plots.sky(wide, center), f"to t = {long.t[-1]:.4g} {scenario.time_unit}"
     plots.sky_path(ax, path, f"body axis z, nominal member, {span}", center, color=plots.BLUE, lw=0.8)
     label = f"{scenario.members} members then" if scenario.members > 1 else "axis z then"
-    plots.sky_points(ax, members, label, center, color=plots.INK, s=3, alpha=0.5, lw=0, zorder=3)
+    plots.sky_points(ax, members, label, center, color=plots.INK, s=2, alpha=0.4, lw=0, zorder=3)
     plots.sky_points(ax, pole, "angular momentum", center, color=plots.GREEN, marker="P", s=45, zorder=3)
+    observed = in_space(seen[0].attitude()[None], Z) if seen else np.zeros((0, 3))
     if seen:
-        observed = in_space(seen[0].attitude()[None], Z)
         plots.sky_points(ax, observed, "observed then", center, color=plots.RED, marker="x", s=60, lw=1.6, zorder=4)
         plots.caption(ax.figure, _observation_in_words(scenario, seen[0], path[-1], members))
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=4)
+    legend = ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2)
+    legend.legend_handles[1].set_sizes([12])  # the members' dots are too small to be found in it
     ax.set(xlabel="longitude in the axes of space", ylabel="latitude")
+    ax.set_title(f"(a) the whole sky, {span}", loc="left")
+    _draw_surroundings(close, path, members, observed)
+    close.set_title("(b) the same about the nominal member", loc="left")
+
+
+def _draw_surroundings(ax: Any, path: np.ndarray, members: np.ndarray, observed: np.ndarray) -> None:
+    """The members' axes and the observed one in degrees east and north of the end of the path."""
+    end = path[-1]
+    east = np.cross((0.0, 0.0, 1.0), end)
+    east = east / np.linalg.norm(east) if east.any() else np.eye(3)[0]
+    across = np.stack([east, np.cross(end, east)], axis=1)
+
+    def from_end(x: np.ndarray) -> np.ndarray:
+        offset, angle = x @ across, np.arccos(np.clip(x @ end, -1, 1))
+        return np.rad2deg((offset * (angle / np.maximum(np.linalg.norm(offset, axis=1), _TINY))[:, None]).T)
+
+    shown = np.concatenate([from_end(members), from_end(observed)], axis=1)
+    half = 1.15 * max(abs(shown).max(), 1.0)
+    near = path @ end > np.cos(np.deg2rad(min(3 * half, 90)))
+    ax.plot(*np.where(near, from_end(path), np.nan), color=plots.BLUE, lw=0.8)
+    ax.plot(*from_end(members), ".", color=plots.INK, ms=2.5, mew=0, alpha=0.5, zorder=3)
+    ax.plot(0, 0, "o", color=plots.BLUE, ms=6, mfc="white", mew=1.5, zorder=4, label="nominal member")
+    ax.legend(loc="lower left")
+    ax.plot(*from_end(observed), "x", color=plots.RED, ms=7, mew=1.6, zorder=4)
+    ax.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xlabel="east (°)", ylabel="north (°)")
 
 
 def _observation_in_words(scenario: Scenario, seen: Observation, nominal_axis: np.ndarray, members: np.ndarray) -> str:

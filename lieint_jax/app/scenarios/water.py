@@ -197,15 +197,8 @@ def draw_droplet(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> N
     end, molecule = nominal(run, -1), potentials.water(scenario.model)
     R = np.asarray(jax.vmap(so3.to_matrix)(end.q[:, 3:]))
     sites = np.asarray(end.q)[:, None, :3] + np.einsum("nij,sj->nsi", R, molecule.points[:3])
-    for hydrogen in (1, 2):
-        bonds = np.stack([sites[:, 0], sites[:, hydrogen], np.full_like(sites[:, 0], np.nan)], axis=1).reshape(-1, 3)
-        left.plot(*bonds.T, color=plots.INK, lw=1.2)
-    left.scatter(*sites[:, 0].T, color=plots.RED, s=36, depthshade=True)
-    left.scatter(*sites[:, 1:].reshape(-1, 3).T, color=plots.BLUE, s=6, depthshade=True)
-    size = 2 * abs(sites).max()
-    left.set(aspect="equal", title=f"at {run.t[-1]:.3g} ps, {size:.2g} nm across")
-    left.set_box_aspect(None, zoom=1.5)
-    left.set_axis_off()
+    _draw_molecules(left, sites - sites.mean(axis=(0, 1)))
+    left.set_title(f"the nominal droplet at t = {run.t[-1]:.3g} ps")
     T, t = series(lambda z: temperature(step.system, z), run), np.asarray(run.t)
     plots.series(middle, t, {f"droplet {m}": T[:, m] for m in range(min(T.shape[1], 6))}, "temperature (K)", "ps")
     found = histogram(distances(scenario, run)[1:])
@@ -215,6 +208,25 @@ def draw_droplet(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> N
         right.axvline(known.value, color=plots.RED, ls="--", lw=1, label=f"liquid, published: {known.value:g} nm")
     right.set(xlabel="O–O distance r (nm)", ylabel="pairs per volume, over the first peak")
     right.legend()
+
+
+def _draw_molecules(ax: Any, sites: np.ndarray) -> None:
+    """The atoms (molecules, 3, 3), oxygen first, about the origin, in nm; their bonds; a bar of a round length."""
+    for hydrogen in (1, 2):
+        bonds = np.stack([sites[:, 0], sites[:, hydrogen], np.full_like(sites[:, 0], np.nan)], axis=1).reshape(-1, 3)
+        ax.plot(*bonds.T, color=plots.INK, lw=1.2)
+    ax.scatter(*sites[:, 0].T, color=plots.RED, s=36, depthshade=True, label="oxygen")
+    ax.scatter(*sites[:, 1:].reshape(-1, 3).T, color=plots.BLUE, s=8, depthshade=True, label="hydrogen")
+    size = abs(sites).max()
+    ax.view_init(elev=0, azim=-90)  # along y, so that the bar along x is seen in its length
+    ax.set_proj_type("ortho")
+    ax.set(xlim=(-size, size), ylim=(-size, size), zlim=(-1.1 * size, 0.9 * size))
+    ax.set_box_aspect((1, 1, 1), zoom=1.4)
+    ax.set_axis_off()
+    length = 0.5 if size > 0.5 else 0.1
+    ax.plot([-length / 2, length / 2], [0, 0], [-1.1 * size] * 2, color=plots.INK, lw=2)
+    ax.text(0, 0, -1.13 * size, f"{length} nm", ha="center", va="top")
+    ax.legend(loc="upper left")
 
 
 PICTURES = {"errors": draw_errors, "droplet": draw_droplet}

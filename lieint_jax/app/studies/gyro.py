@@ -45,6 +45,7 @@ class GyroTrials(NamedTuple):
         estimates: estimated parameters, (trials, 8), in the order of `_NAMES`.
         truth: true parameters, (8,).
         sigmas: reported standard errors, (trials, 8).
+        covariance: the mean of the reported covariances, (8, 8).
         within: the share of trials with each parameter within 2σ of the truth, (8,).
         inside: the share of trials with the truth in the joint 95 % ellipsoid.
         readings: times, readings, and fitted rates with bias, of the first trial.
@@ -54,6 +55,7 @@ class GyroTrials(NamedTuple):
     estimates: np.ndarray
     truth: np.ndarray
     sigmas: np.ndarray
+    covariance: np.ndarray
     within: np.ndarray
     inside: float
     readings: tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -107,6 +109,7 @@ def run(quick: bool = False, trials: int = 100, seed: int = 4, progress: bool = 
         estimates,
         truth,
         sigmas,
+        np.asarray(best.starts.covariance).mean(axis=0),
         (np.abs(error) <= 2 * sigmas).mean(axis=0),
         float((square <= ELLIPSOID).mean()),
         (t, np.asarray(data[0]), np.asarray(fitted)),
@@ -137,7 +140,7 @@ def text(found: GyroTrials) -> str:
 
 @plots.style()
 def draw(found: GyroTrials) -> Figure:
-    """Plot the readings of one trial, and all estimates of the ratios beside the truth."""
+    """Plot the readings of one trial, and all estimates of the ratios with the ellipse that 95 % should lie in."""
     fig, axes = plots.figure(2)
     t, data, fitted = found.readings
     left, right = axes[0]
@@ -146,11 +149,26 @@ def draw(found: GyroTrials) -> Figure:
     handles, labels = left.get_legend_handles_labels()
     left.legend(handles[:4], labels[:4])
     left.set_title("readings of the first trial and the fitted motion")
-    x, y = found.estimates[:, 3:5].T
-    sx, sy = found.sigmas[:, 3:5].T
-    right.errorbar(x, y, 2 * sy, 2 * sx, ".", ms=3, lw=0.4, color=plots.BLUE, label="estimates, ±2σ reported")
-    right.plot(*found.truth[3:5], "x", ms=9, mew=2, color=plots.RED, label="truth")
-    right.set(xlabel="Jx/Jz", ylabel="Jy/Jz", title=f"inertia ratios, {len(x)} trials")
+    ellipse, inside = _ellipse(found)
+    estimates, truth = found.estimates[:, 3:5], found.truth[3:5]
+    right.plot(*estimates.T, ".", ms=4, color=plots.BLUE, label="estimates")
+    right.plot(*truth, "x", ms=9, mew=2, color=plots.RED, label="truth")
+    label = f"95 % ellipse of the mean reported\ncovariance: {inside} of {len(estimates)} inside"
+    right.plot(*ellipse.T, color=plots.INK, lw=1, label=label)
+    right.set(xlabel="$J_x/J_z$", ylabel="$J_y/J_z$", title=f"inertia ratios, {len(estimates)} trials")
     right.locator_params(axis="x", nbins=5)
-    right.legend()
+    right.margins(y=0.1)
+    low, high = right.get_ylim()
+    right.set_ylim(low, high + 0.25 * (high - low))  # room for the legend
+    right.legend(loc="upper left")
     return fig
+
+
+def _ellipse(found: GyroTrials) -> tuple[np.ndarray, int]:
+    """The 95 % ellipse (n, 2) of both ratios about the truth, and how many estimates lie in it."""
+    chol = np.linalg.cholesky(found.covariance[3:5, 3:5])
+    angle = np.linspace(0, 2 * np.pi, 145)
+    radius = np.sqrt(-2 * np.log(0.05))  # of χ² with two degrees of freedom
+    offsets = np.linalg.solve(chol, (found.estimates - found.truth)[:, 3:5].T)
+    ellipse = found.truth[3:5] + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ chol.T
+    return ellipse, int((np.linalg.norm(offsets, axis=0) <= radius).sum())
