@@ -10,6 +10,7 @@ baseline/engine.c. The exact motion is that of scipy's DOP853 at 1e-13.
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 import tempfile
@@ -31,7 +32,7 @@ _MODEL = """
 <mujoco>
   <option timestep="{dt}" integrator="{integrator}" gravity="0 0 0" viscosity="{viscosity}" density="0"/>
   <worldbody>
-    <body><freejoint/><geom type="box" size=".1 .2 .3" density="1000" contype="0" conaffinity="0"/></body>
+    <body><freejoint/><geom type="box" size="0.1 0.2 0.3" density="1000" contype="0" conaffinity="0"/></body>
   </worldbody>
 </mujoco>
 """
@@ -60,8 +61,7 @@ def exact(viscosity: float) -> tuple[np.ndarray, np.ndarray, float]:
 
 def by_mujoco(integrator: str, viscosity: float) -> tuple[np.ndarray, np.ndarray]:
     """q and ω in the body at the end."""
-    import mujoco
-
+    mujoco: Any = importlib.import_module("mujoco")
     model = mujoco.MjModel.from_xml_string(_MODEL.format(dt=DT, integrator=integrator, viscosity=viscosity))
     data = mujoco.MjData(model)
     assert np.allclose(model.body_inertia[1], J)  # the frame of the inertia is that of the body
@@ -73,7 +73,7 @@ def by_mujoco(integrator: str, viscosity: float) -> tuple[np.ndarray, np.ndarray
 
 def by_c(viscosity: float) -> tuple[np.ndarray, np.ndarray, float]:
     """q, ω in the body and the work at the end, by `torqued_midpoint`."""
-    import engine_code
+    engine_code: Any = importlib.import_module("engine_code")
 
     start = _State(np.array([1.0, 0, 0, 0]), J * OMEGA)
     c = drag(viscosity)

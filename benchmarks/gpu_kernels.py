@@ -149,7 +149,7 @@ def _job(step: Any, state: Any, dt: float) -> Any:
     states = jax.tree.map(lambda x: jnp.broadcast_to(x, (2, *jnp.shape(x))), step.start(state))
     step, states, dtype = promoted(checked_step(step), states)
     states, t0 = _run._split_time(step, states)
-    clock, planned_steps = _run._make_clock(step, t0, dtype, dt, 100, None)
+    clock, planned_steps = _run._make_clock(step, states, t0, dtype, dt, 100, None)
     return Job(
         step,
         states,

@@ -51,7 +51,8 @@ def variants() -> dict[str, Callable[[Any, Any], Any]]:
     import lieint_jax as li
     from lieint_jax._numerics import vec3
     from lieint_jax.groups import so3
-    from lieint_jax.schemes._so3_midpoint import half_cayley, scalar_root, scaled
+    from lieint_jax.schemes._shared.half_turn import scaled
+    from lieint_jax.schemes._shared.scalar_form import half_cayley, scalar_root
     from lieint_jax.types import State
 
     body, dt = measure.body(), measure.DT

@@ -18,10 +18,14 @@ A system and a scheme make a step; a step makes everything else.
 | `schemes` | the integrators: `help(li.schemes)` says which one for which system |
 | `integrate`, `event`, `interpolate` | runs of one body: states at any times, and when a condition changes its sign |
 | `ensemble` | many bodies, over cores, devices and processes; results in memory or on disk |
+| `equilibrium`, `normal_modes` | relative equilibria, frequencies of small oscillations, stability |
 | `diagnostics` | what a step conserves, its order, its linearization; chaos |
 | `fit`, `observe`, `reversible` | fits, and derivatives of whole runs (`fitting`, `adjoints`) |
-| `potentials`, `torques`, `orbits` | what acts on bodies |
+| `transition` | state transition matrices, sensitivities to parameters, linear covariance |
+| `shapes` | mass, inertia and moments of ellipsoids, boxes, point masses, meshes |
+| `potentials`, `torques`, `tides`, `orbits` | what acts on bodies |
 | `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
+| `elliptic` | elliptic integrals and functions, with derivatives |
 | `cache_programs` | compiled programs on disk, for a quick start of the next process |
 
 `integrate` saves every step unless `save_every` says otherwise, `ensemble.run` the last one only.
@@ -32,6 +36,7 @@ agree. On the command line: `lieint list`.
 from lieint_jax import (
     adjoints,
     diagnostics,
+    elliptic,
     ensemble,
     fitting,
     groups,
@@ -40,8 +45,10 @@ from lieint_jax import (
     phase_spaces,
     potentials,
     schemes,
+    shapes,
     studies,  # noqa: F401
     systems,
+    tides,
     torques,
     types,
 )
@@ -49,7 +56,8 @@ from lieint_jax._cache import cache_programs
 from lieint_jax._deprecated import renamed as _renamed
 from lieint_jax._integrate import Event, event, integrate, interpolate
 from lieint_jax._version import __version__
-from lieint_jax.adjoints import observe, reversible
+from lieint_jax.adjoints import observe, reversible, transition
+from lieint_jax.diagnostics import equilibrium, normal_modes
 from lieint_jax.fitting import fit
 from lieint_jax.types import State, Step, StepInfo, Trajectory, pytree, static
 
@@ -63,7 +71,9 @@ __all__ = [
     "adjoints",
     "cache_programs",
     "diagnostics",
+    "elliptic",
     "ensemble",
+    "equilibrium",
     "event",
     "fit",
     "fitting",
@@ -71,6 +81,7 @@ __all__ = [
     "integrate",
     "interpolate",
     "maps",
+    "normal_modes",
     "observe",
     "orbits",
     "phase_spaces",
@@ -78,9 +89,12 @@ __all__ = [
     "pytree",
     "reversible",
     "schemes",
+    "shapes",
     "static",
     "systems",
+    "tides",
     "torques",
+    "transition",
     "types",
 ]
 

@@ -10,14 +10,14 @@ import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
-from jax.typing import DTypeLike
+from jax.typing import ArrayLike, DTypeLike
 
 try:
     from jax.extend.core import take_current_trace
@@ -25,6 +25,16 @@ except ImportError:  # another JAX
     take_current_trace = None
 
 Input = Any  # an argument as a user passes it: a number, a list, an array, a tracer, or something invalid
+
+
+class RotationLike(Protocol):
+    """A `scipy.spatial.transform.Rotation`, recognized by its methods."""
+
+    def as_quat(self) -> Any: ...
+    def as_matrix(self) -> Any: ...
+
+
+Attitude = ArrayLike | Sequence[Any] | RotationLike
 UNIT_TOLERANCE = 1e-6
 _on_host: contextvars.ContextVar[bool] = contextvars.ContextVar("_on_host", default=False)
 _LARGEST_COUNT = 2**53  # beyond, counts are not exact as floating-point numbers
@@ -271,8 +281,19 @@ def of_one_system(name: str, value: Input, d: int = 3) -> None:
         )
 
 
+def of_shapes(attribute: str, value: Input) -> Input:
+    """This attribute of each of several shapes, stacked; any other value as it is. Moments (3,) may become (3, 3)."""
+    if not isinstance(value, list | tuple) or not value or not all(hasattr(x, attribute) for x in value):
+        return value
+    each = [getattr(x, attribute) for x in value]
+    if len({x.ndim for x in each}) > 1:
+        each = [jnp.diag(x) if x.ndim == 1 else x for x in each]
+    return jnp.stack(each)
+
+
 def positive_definite(name: str, value: Input, d: int = 3) -> Array:
-    """A positive definite tensor: principal values (d,) or a symmetric tensor (d, d)."""
+    """A positive definite tensor: principal values (d,) or a symmetric tensor (d, d); the inertia of a shape too."""
+    value = getattr(value, "inertia", value)
     array = real_array(name, value, (d,), (d, d))
     if not concrete(array):
         return array
@@ -292,6 +313,13 @@ def _symmetric(J: np.ndarray) -> bool:
 def _moments(array: Array) -> np.ndarray:
     J = np.asarray(array, float)
     return np.sort(J if J.ndim == 1 else np.linalg.eigvalsh(J))
+
+
+def quaternions(attitude: Input) -> Input:
+    """The quaternions (w, x, y, z), (4,) or (N, 4), of a scipy `Rotation`; anything else as it is."""
+    if not (hasattr(attitude, "as_quat") and hasattr(attitude, "as_matrix")):
+        return attitude
+    return np.roll(np.asarray(attitude.as_quat()), 1, axis=-1)
 
 
 def unit_quaternion(name: str, value: Input) -> Array:

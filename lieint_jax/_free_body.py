@@ -65,9 +65,11 @@ from lieint_jax._numerics.select import where
 from lieint_jax._numerics.vec3 import Vector, dot
 from lieint_jax._xla import materialized
 from lieint_jax.groups import so3
+from lieint_jax.types.shapes import Inertia, Quaternion, Vector3
 
 _Turns = list[tuple[int, Array]]
 _FAR = 1e7  # the ν from which Legendre's third integral is computed by its first term for large ν
+_BISECTIONS = 50  # of the energies of a mode, then one step of Newton's method, which has the derivative
 _NEAR = 1e-5  # the f τ² below which S, cn, dn are computed by series, with an error of 1e-17
 
 
@@ -83,7 +85,7 @@ class Accuracy(NamedTuple):
     condition: Array
 
 
-def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, Accuracy]:
+def attitude(inertia: Inertia, q: Quaternion, p: Vector3, t: ArrayLike) -> tuple[Array, Accuracy]:
     """The attitude after time t of a free body with initial attitude q and constant spatial momentum π.
 
     Args:
@@ -110,7 +112,7 @@ def attitude(inertia: Array, q: Array, p: Array, t: ArrayLike) -> tuple[Array, A
     return so3.normalize(jnp.stack(materialized(so3.multiply(q, increment)))), Accuracy(length, turned + condition)
 
 
-def clock(inertia: Array, Pi: Array, t: ArrayLike) -> tuple[Array, Array, Array]:
+def clock(inertia: Inertia, Pi: Vector3, t: ArrayLike) -> tuple[Array, Array, Array]:
     """s and d of the inertia J̃ = J(s + dJ)⁻¹ whose symplectic step of size t is the exact motion.
 
     Args:
@@ -155,7 +157,7 @@ class Periods(NamedTuple):
     long_axis: Array
 
 
-def periods(inertia: Array, Pi: Array) -> Periods:
+def periods(inertia: Inertia, Pi: Vector3) -> Periods:
     """The mean periods of a free body of body momentum Π, (3,); `inertia` as in `attitude`."""
     if inertia.ndim == 1:
         moments, turns = _ascending(inertia)
@@ -185,6 +187,44 @@ def periods(inertia: Array, Pi: Array) -> Periods:
     return Periods(where(rest, jnp.inf, 2 * jnp.pi / rate), rotation, long_axis)
 
 
+def on_axes(moments: Array, s: Array, long_axis: bool) -> Array:
+    """The unit Π in the plane of the long and the short axis at the fraction s of the energies of a mode.
+
+    2HC/|Π|² goes from 1 (s = 0) to the separatrix, C/B, in short-axis modes, from there to C/A in long-axis modes.
+
+    Args:
+        moments: A ≤ B ≤ C, (3,).
+        s: from 0 to 1.
+        long_axis: the mode.
+    """
+    A, B, C = vec3.components(moments)
+    above = C / B - 1 + s * (C / A - C / B) if long_axis else s * (C / B - 1)
+    square = above * A / (C - A)
+    return jnp.stack([jnp.sqrt(square), 0 * square, jnp.sqrt(1 - square)])
+
+
+def period_ratio(moments: Array, s: Array, long_axis: bool) -> Array:
+    """P_ψ/P_φ at the fraction s of a mode's energies, which has no unit: it grows toward the separatrix."""
+    found = periods(moments, on_axes(moments, s, long_axis))
+    return found.rotation / found.precession
+
+
+def excited(moments: Array, ratio: Array, long_axis: bool) -> Array:
+    """The unit Π of `on_axes` at which P_ψ/P_φ is `ratio`, by bisection, with its first derivatives."""
+    sign, fixed, wanted = -1 if long_axis else 1, lax.stop_gradient(moments), lax.stop_gradient(ratio)
+
+    def halved(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+        middle = (bounds[0] + bounds[1]) / 2
+        low = sign * (period_ratio(fixed, middle, long_axis) - wanted) < 0
+        return where(low, middle, bounds[0]), where(low, bounds[1], middle)
+
+    zero = jnp.zeros_like(wanted)
+    low, high = lax.fori_loop(0, _BISECTIONS, halved, (zero, zero + 1))
+    s = (low + high) / 2
+    _, slope = jax.jvp(lambda s: period_ratio(fixed, s, long_axis), (s,), (jnp.ones_like(s),))
+    return on_axes(moments, s - (period_ratio(moments, s, long_axis) - ratio) / slope, long_axis)
+
+
 def _less_third(m1: Array, nu: Array, K: Array) -> Array:
     """1 − Π(−ν, m)/K; above ν = 1e7, where R_J loses its digits, by its first term for large ν, to 1/ν."""
     root = jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny))  # as in K, or their ratio is wrong on the separatrix
@@ -194,7 +234,12 @@ def _less_third(m1: Array, nu: Array, K: Array) -> Array:
     return where(far, 1 - jnp.pi / (2 * K * jnp.sqrt(1 + nu)), part)
 
 
-def _units(inertia: Array, Pi: Array) -> tuple[Array, Array, Vector, Array]:
+def principal_axes(inertia: Array) -> tuple[Array, Array]:
+    """The moments of a tensor (3, 3) in ascending order, and their axes as columns."""
+    return _eigh(inertia)
+
+
+def _units(inertia: Inertia, Pi: Vector3) -> tuple[Array, Array, Vector, Array]:
     """1/tr J, |Π|/tr J, e, and whether the body is at rest; at rest |Π|/tr J is set to 1 and e to a unit vector."""
     scale = 1 / vec3.trace(vec3.symmetric(inertia))
     scaled = vec3.scale(scale, Pi)
@@ -204,7 +249,7 @@ def _units(inertia: Array, Pi: Array) -> tuple[Array, Array, Vector, Array]:
     return scale, G, materialized(tuple(where(rest, math.sqrt(1 / 3), x / G) for x in scaled)), rest
 
 
-def _increment(inertia: Array, e: Vector, tau: Array) -> tuple[Vector, Accuracy]:
+def _increment(inertia: Inertia, e: Vector, tau: Array) -> tuple[Vector, Accuracy]:
     """Λ⁻¹Λ(τ) in body axes, as a quaternion times a positive number, and its rounding errors."""
     if inertia.ndim == 1:
         moments, turns = _ascending(inertia)

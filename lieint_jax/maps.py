@@ -31,6 +31,7 @@ from lieint_jax.groups import so3
 from lieint_jax.groups._basis import ideals
 from lieint_jax.groups._closed_form import squared_eigenvalue
 from lieint_jax.types import AnalyticGroup, Group, callable_pytree, pytree, static
+from lieint_jax.types.shapes import AlgebraMatrix, AlgebraVector, Flag, GroupElement, PyTree, Scalar
 
 # Scalings κ of SO(3) --------------------------------------------------------------------------------------------------
 
@@ -56,7 +57,7 @@ class Kappa:
     symplectic: bool = static(default=False)
     constant: bool = static(default=False)
 
-    def __call__(self, x: Array) -> Array:
+    def __call__(self, x: Scalar) -> Scalar:
         return self.function(x)
 
     @property
@@ -81,7 +82,7 @@ def as_kappa(kappa: Kappa | Callable[[Array], Array]) -> Kappa:
     return made
 
 
-def _symplectic(x: Array) -> Array:
+def _symplectic(x: Scalar) -> Scalar:
     return 2 / (1 + jnp.sqrt(1 - x))
 
 
@@ -100,7 +101,7 @@ def _lambert(levels: int) -> tuple[list[float], list[float]]:
 _TAN = _lambert(11)
 
 
-def _exponential(x: Array) -> Array:
+def _exponential(x: Scalar) -> Scalar:
     """tan(u)/u, u² = x/4: a rational function, exact to round-off up to the pole at x = π² and smooth at 0."""
     numerator, denominator = (power_series.horner(c, x / 4) for c in _TAN)
     return numerator / denominator
@@ -118,12 +119,12 @@ KAPPAS = (kappa_cayley, kappa_exponential, kappa_symplectic)
 Map = Callable[[Group, Array], Array]
 
 
-def exponential(group: Group, theta: Array) -> Array:
+def exponential(group: Group, theta: AlgebraVector) -> GroupElement:
     """exp Θ."""
     return group.exp(theta)
 
 
-def cayley(group: Group, theta: Array) -> Array:
+def cayley(group: Group, theta: AlgebraVector) -> GroupElement:
     """cay Θ = (1 − Θ/2)⁻¹(1 + Θ/2) (2.5)."""
     return group.cayley(theta)
 
@@ -133,17 +134,17 @@ def scaled_cayley(kappa: Callable[[Array], Array]) -> Map:
     return jax.tree_util.Partial(_scaled_cayley, kappa)
 
 
-def _scaled_cayley(kappa: Callable[[Array], Array], group: Group, theta: Array) -> Array:
+def _scaled_cayley(kappa: Callable[[Array], Array], group: Group, theta: AlgebraVector) -> GroupElement:
     return group.cayley(kappa(vec3.dot(theta, theta)) * theta)
 
 
-def derivative(tau: Map, group: Group, theta: Array) -> Array:
+def derivative(tau: Map, group: Group, theta: AlgebraVector) -> AlgebraMatrix:
     """H(Θ) of Dτ(Θ)·δΘ = τ(Θ)(HδΘ)^ (5.28), shape (d, d), by autodiff."""
     value, tangents = tau(group, theta), jax.jacfwd(lambda x: tau(group, x))(theta)
     return jax.vmap(lambda t: group.body_velocity(value, t), in_axes=-1, out_axes=-1)(tangents)
 
 
-def arcsine(group: Group, theta: Array) -> Array:
+def arcsine(group: Group, theta: AlgebraVector) -> Array:
     """exp(s(x)Θ), s(x) = arcsin(√x)/√x, x = −λ² for the eigenvalues 0 and ±λ of ad_Θ (arsinh for x < 0).
 
     On a direct product, each factor has its own x. On SO(3) it is the scaled Cayley map of the symplectic κ. Elsewhere
@@ -181,7 +182,7 @@ def arcsine_forms(group: Group) -> list[tuple[list[int], np.ndarray]]:
 
 def _arcsine_scales(group: Group, theta: la.Vector) -> list[Array]:
     """The s of each component of Θ."""
-    scales: list[Any] = [None] * group.dim
+    scales: list[PyTree] = [None] * group.dim
     for factor, form in arcsine_forms(group):
         s = _arcsine_of_square(la.quadratic(form, theta))
         for i in factor:
@@ -200,7 +201,7 @@ def _arcsine_scaled(group: Group, theta: la.Vector) -> la.Vector:
 _ARCSINE = [math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(20)]
 
 
-def _arcsine_of_square(x: Array) -> Array:
+def _arcsine_of_square(x: Scalar) -> Scalar:
     """arcsin(√x)/√x: analytic for x < 1, arsinh(√−x)/√−x for negative x."""
     size, positive = jnp.abs(x), x > 0
     root = jnp.sqrt(where(size < 0.05, 0.25, size))  # both branches are right near the threshold of 0.1
@@ -233,7 +234,7 @@ class Tau:
     along: Callable[[Group, Array, Array, Array], Array] | None = static(default=None)
     symmetric: bool = static(default=True)
 
-    def __call__(self, group: Group, theta: Array) -> Array:
+    def __call__(self, group: Group, theta: AlgebraVector) -> GroupElement:
         return self.function(group, theta)
 
 
@@ -245,9 +246,9 @@ class _GroupMethod:
     """The function (group, …) ↦ group.method(…, *more): comparable by its fields, and can be pickled."""
 
     method: str
-    more: tuple[Any, ...] = ()
+    more: tuple[int, ...] = ()
 
-    def __call__(self, group: Any, *arguments: Any) -> Any:
+    def __call__(self, group: Any, *arguments: PyTree) -> PyTree:
         return getattr(group, self.method)(*arguments, *self.more)
 
 
@@ -255,24 +256,24 @@ def _cayley_coadjoint(group: Any, theta: la.Vector, mu: la.Vector) -> la.Vector:
     return group.coadjoint(*group.cayley_both(theta), mu)
 
 
-def _half_turn(_: Group, theta: Array) -> Array:
+def _half_turn(_: Group, theta: AlgebraVector) -> Flag:
     """Whether Θ turns by less than 180°: beyond, several Θ's lead to the same rotation."""
     return vec3.dot(theta, theta) < math.pi**2
 
 
-def _arcsine_near(group: Any, theta: Array) -> Array:
+def _arcsine_near(group: Any, theta: AlgebraVector) -> GroupElement:
     return group.exp_near(_arcsine_scaled(group, theta))
 
 
-def _arcsine_holds(group: Any, theta: Array) -> Array:
+def _arcsine_holds(group: Any, theta: AlgebraVector) -> Flag:
     return group.near(_arcsine_scaled(group, theta))
 
 
-def _arcsine_slope(group: Any, theta: Any) -> la.Matrix:
+def _arcsine_slope(group: Any, theta: la.Vector) -> la.Matrix:
     """H_exp(sΘ)(s + Θ⊗∇s), factor by factor."""
     vector = jnp.stack(theta) if isinstance(theta, list) else theta
     H = group.exp_slope(_arcsine_scaled(group, theta), _SLOPE_TERMS)
-    columns: list[Any] = [None] * group.dim
+    columns: list[PyTree] = [None] * group.dim
     for factor, form in arcsine_forms(group):
         s, gradient = jax.value_and_grad(lambda x, form=form: _arcsine_of_square(la.quadratic(form, x)))(vector)
         along = [la.dot([row[j] for j in factor], [theta[j] for j in factor]) for row in H]
@@ -365,12 +366,12 @@ def _check_map(tau: Tau, group: Group) -> bool:
     return symmetric
 
 
-def axis_residual(tau: Map, group: Group, theta: Array) -> Array:
+def axis_residual(tau: Map, group: Group, theta: AlgebraVector) -> Scalar:
     """max|Ad_τ(Θ) Θ − Θ| / max|Θ|: zero if a step by τ conserves energy (Result 10)."""
     return jnp.max(jnp.abs(group.Ad(tau(group, theta), theta) - theta)) / jnp.max(jnp.abs(theta))
 
 
-def symplectic_residual(tau: Map, group: Group, metric: Array, theta: Array) -> Array:
+def symplectic_residual(tau: Map, group: Group, metric: Array, theta: AlgebraVector) -> Scalar:
     """The residual of the symplectic condition (5.31), relative to the metric.
 
     With (5.33) inserted, Δt drops out: skew[m H⁻¹ (1 + Ad_τ⁻¹)] = ad*([(1 + Ad*_τ⁻¹)⁻¹ − ½] m Θ). The step of

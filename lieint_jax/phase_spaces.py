@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax._numerics import vec3
-from lieint_jax.groups import so3
+from lieint_jax.groups import MatrixGroup, so3
 from lieint_jax.types import Group, State, pytree, static
+from lieint_jax.types.shapes import DualVector, Matrix3, PhaseMatrix, PhaseVector, Scalar, Vector3
 
 
 @pytree
@@ -32,12 +31,12 @@ class CotangentGroup:
         """The identity, at rest."""
         return State(jnp.asarray(self.group.identity, float), jnp.zeros(self.group.dim))
 
-    def perturb(self, state: State, delta: Array) -> State:
+    def perturb(self, state: State, delta: PhaseVector) -> State:
         """The state moved by δ = (δθ, δπ), shape (2d,): (exp(δθ) q, π + δπ)."""
         d = self.group.dim
         return state._replace(q=self.group.multiply(self.group.exp(delta[:d]), state.q), p=state.p + delta[d:])
 
-    def displacement(self, start: State, end: State) -> Array:
+    def displacement(self, start: State, end: State) -> PhaseVector:
         """The δ, shape (2d,), with perturb(start, δ) = end, of the least δθ."""
         turn = self.group.log(self.group.multiply(end.q, self.group.inverse(start.q)))
         return jnp.concatenate([turn, end.p - start.p])
@@ -46,18 +45,18 @@ class CotangentGroup:
         """The end of a displacement."""
         return self.perturb(start, displacement)
 
-    def trivialize(self, state: State, tangent: State) -> Array:
+    def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(δθ, δπ), shape (2d,), of a tangent vector given in the coordinates of `State`."""
         return jnp.concatenate([self.group.spatial_velocity(state.q, tangent.q), tangent.p])
 
-    def omega(self, state: State) -> Array:
+    def omega(self, state: State) -> PhaseMatrix:
         """The symplectic form as a matrix [[α, 1], [−1, 0]], shape (2d, 2d), αξ = ad*_ξ π: (2.9), (5.9)."""
         d = self.group.dim
         one, zero = jnp.eye(d, dtype=state.p.dtype), jnp.zeros((d, d), state.p.dtype)
         alpha = jax.vmap(self.group.ad_star, in_axes=(1, None), out_axes=1)(one, state.p)
         return jnp.block([[alpha, one], [-one, zero]])
 
-    def defect(self, state: State) -> Array:
+    def defect(self, state: State) -> Scalar:
         """The distance of q from the group: |q|² − 1 for unit quaternions."""
         return self.group.defect(state.q)
 
@@ -80,7 +79,7 @@ class EmbeddedRotations:
         """Λ = 1, at rest."""
         return State(jnp.eye(3), jnp.zeros(3))
 
-    def perturb(self, state: State, delta: Array) -> State:
+    def perturb(self, state: State, delta: PhaseVector) -> State:
         """The state moved by δ = (δθ, δπ), shape (6,): (exp(δθ̂) Λ, π + δπ)."""
         turn = so3.exp(delta[:3])
         turned = jax.vmap(lambda column: so3.Ad(turn, column), 1, 1)(state.q)
@@ -94,17 +93,17 @@ class EmbeddedRotations:
         """The end of a displacement."""
         return _added(start, displacement)
 
-    def trivialize(self, state: State, tangent: State) -> Array:
+    def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(δθ, δπ), shape (6,), of a tangent vector (δΛ, δπ): δθ = rot[δΛ Λ⁻¹], the rest of δΛ is left out."""
         velocity = [vec3.solve(vec3.transpose(state.q), row) for row in tangent.q]  # δΛ Λ⁻¹
         theta = [(velocity[i][j] - velocity[j][i]) / 2 for i, j in ((2, 1), (0, 2), (1, 0))]
         return jnp.concatenate([jnp.stack(theta), tangent.p])
 
-    def omega(self, state: State) -> Array:
+    def omega(self, state: State) -> PhaseMatrix:
         """[[π̂, 1], [−1, 0]], shape (6, 6) (2.9)."""
         return CotangentGroup(so3).omega(state)
 
-    def defect(self, state: State) -> Array:
+    def defect(self, state: State) -> Scalar:
         """max|ΛᵀΛ − 1|."""
         C = vec3.gram(state.q)
         return jnp.max(jnp.abs(jnp.stack(C) - jnp.array([1, 1, 1, 0, 0, 0], state.q.dtype)))
@@ -124,7 +123,7 @@ class CotangentMatrices:
         """F = 1, at rest."""
         return State(jnp.eye(3), jnp.zeros((3, 3)))
 
-    def perturb(self, state: State, delta: Array) -> State:
+    def perturb(self, state: State, delta: PhaseVector) -> State:
         """(F + δF, P + δP) for δ = (δF, δP), shape (18,)."""
         return state._replace(q=state.q + delta[:9].reshape(3, 3), p=state.p + delta[9:].reshape(3, 3))
 
@@ -136,16 +135,16 @@ class CotangentMatrices:
         """The end of a displacement."""
         return _added(start, displacement)
 
-    def trivialize(self, state: State, tangent: State) -> Array:
+    def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(δF, δP), shape (18,)."""
         return jnp.concatenate([tangent.q.ravel(), tangent.p.ravel()])
 
-    def omega(self, state: State) -> Array:
+    def omega(self, state: State) -> PhaseMatrix:
         """[[0, 1], [−1, 0]], shape (18, 18): ω(δ₁, δ₂) = ⟨δP₂, δF₁⟩ − ⟨δP₁, δF₂⟩ (6.1)."""
         one = jnp.eye(9, dtype=state.p.dtype)
         return jnp.block([[0 * one, one], [-one, 0 * one]])
 
-    def defect(self, state: State) -> Array:
+    def defect(self, state: State) -> Scalar:
         """0 where det F > 0, 1 where F has left GL⁺(3) (an open set, from which no distance is defined)."""
         return jnp.where(vec3.det(state.q) > 0, 0, 1).astype(state.q.dtype)
 
@@ -162,7 +161,7 @@ class CotangentUnimodular:
     """
 
     inertia: Array
-    group: Any = static()
+    group: MatrixGroup = static()
 
     @property
     def dim(self) -> int:
@@ -174,11 +173,11 @@ class CotangentUnimodular:
         """F = 1, at rest."""
         return State(jnp.eye(3), jnp.zeros((3, 3)))
 
-    def spatial_momentum(self, state: State) -> Array:
+    def spatial_momentum(self, state: State) -> DualVector:
         """π_i = ⟨P, e_i F⟩, shape (8,)."""
         return jnp.tensordot(self._basis(state), state.p @ state.q.T, 2)
 
-    def tangential(self, q: Array, pi: Array) -> Array:
+    def tangential(self, q: Matrix3, pi: DualVector) -> Matrix3:
         """The P = ωFE, (3, 3), with ω in sl(3) and spatial momentum π at F."""
         E = jnp.diag(self.inertia) if self.inertia.ndim == 1 else self.inertia
         e = jnp.asarray(self.group.basis, q.dtype)
@@ -186,13 +185,13 @@ class CotangentUnimodular:
         M = jnp.einsum("iab,jab->ij", carried, e)
         return jnp.tensordot(jnp.linalg.solve(M, pi), e, 1) @ q @ E
 
-    def perturb(self, state: State, delta: Array) -> State:
+    def perturb(self, state: State, delta: PhaseVector) -> State:
         """The state moved by δ = (δθ, δπ), shape (16,): (exp(δθ̂)F, P), the part of P that is no velocity's as it is."""
         pi, q = self.spatial_momentum(state), self.group.multiply(self.group.exp(delta[:8]), state.q)
         rest = state.p - self.tangential(state.q, pi)
         return state._replace(q=q, p=self.tangential(q, pi + delta[8:]) + rest)
 
-    def displacement(self, start: State, end: State) -> Array:
+    def displacement(self, start: State, end: State) -> PhaseVector:
         """The δ, shape (16,), with perturb(start, δ) = end, of the least δθ."""
         turn = self.group.log(self.group.multiply(end.q, self.group.inverse(start.q)))
         return jnp.concatenate([turn, self.spatial_momentum(end) - self.spatial_momentum(start)])
@@ -201,16 +200,16 @@ class CotangentUnimodular:
         """The end of a displacement."""
         return self.perturb(start, displacement)
 
-    def trivialize(self, state: State, tangent: State) -> Array:
+    def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(δθ, δπ), shape (16,), of a tangent vector (δF, δP)."""
         change = jnp.tensordot(self._basis(state), tangent.p @ state.q.T + state.p @ tangent.q.T, 2)
         return jnp.concatenate([self.group.spatial_velocity(state.q, tangent.q), change])
 
-    def omega(self, state: State) -> Array:
+    def omega(self, state: State) -> PhaseMatrix:
         """The symplectic form of T*SL(3) as a matrix, shape (16, 16) (5.9)."""
         return CotangentGroup(self.group).omega(State(state.q, self.spatial_momentum(state)))
 
-    def defect(self, state: State) -> Array:
+    def defect(self, state: State) -> Scalar:
         """det F − 1."""
         return vec3.det(state.q) - 1
 
@@ -243,7 +242,7 @@ class CotangentMotions:
         turns = jnp.tile(jnp.array([1.0, 0, 0, 0]), (self.count, 1))
         return State(jnp.concatenate([places, turns], axis=1), jnp.zeros((self.count, 6)))
 
-    def perturb(self, state: State, delta: Array) -> State:
+    def perturb(self, state: State, delta: PhaseVector) -> State:
         """The state moved by δ, shape (12N,): x + δx, exp(δθ) q, p + δp, π + δπ."""
         along_q, along_p = delta.reshape(2, self.count, 6)
         turned = jax.vmap(so3.multiply)(jax.vmap(so3.exp)(along_q[:, 3:]), state.q[:, 3:])
@@ -269,12 +268,12 @@ class CotangentMotions:
         turns = jnp.broadcast_to(spins, x.shape)
         return _joined(lengths, jnp.ones_like(x)).ravel(), _joined(along, turns).ravel()
 
-    def trivialize(self, state: State, tangent: State) -> Array:
+    def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(δx, δθ, …, δp, δπ, …), shape (12N,), of a tangent vector given in the coordinates of `State`."""
         turning = jax.vmap(so3.spatial_velocity)(state.q[:, 3:], tangent.q[:, 3:])
         return jnp.concatenate([_joined(tangent.q[:, :3], turning).ravel(), tangent.p.ravel()])
 
-    def omega(self, state: State) -> Array:
+    def omega(self, state: State) -> PhaseMatrix:
         """[[α, 1], [−1, 0]], shape (12N, 12N), α being π̂ of each body on its δθ (2.9)."""
         one = jnp.eye(6 * self.count, dtype=state.p.dtype)
         spins = jnp.zeros((self.count, 6, 6), state.p.dtype).at[:, 3:, 3:].set(jax.vmap(so3.hat)(state.p[:, 3:]))
@@ -283,7 +282,7 @@ class CotangentMotions:
         alpha = alpha.at[n, :, n, :].set(spins).reshape(one.shape)
         return jnp.block([[alpha, one], [-one, 0 * one]])
 
-    def defect(self, state: State) -> Array:
+    def defect(self, state: State) -> Scalar:
         """The largest ||q|² − 1| of the quaternions."""
         return jnp.max(jnp.abs(jax.vmap(so3.defect)(state.q[:, 3:])))
 
@@ -314,7 +313,7 @@ class CotangentSphere:
         """q = e₃, at rest."""
         return State(jnp.array([0.0, 0.0, 1.0]), jnp.zeros(3))
 
-    def perturb(self, state: State, delta: Array) -> State:
+    def perturb(self, state: State, delta: PhaseVector) -> State:
         """The state moved by δ = (a, b), shape (4,): q and π + δπ turned by exp(θ̂), θ = q × δq; it stays on T*S²."""
         e1, e2 = frame(state.q)
         turn = so3.exp(delta[0] * e2 - delta[1] * e1)
@@ -330,17 +329,17 @@ class CotangentSphere:
         q = end.q / jnp.sqrt(vec3.dot(end.q, end.q))
         return end._replace(q=q, p=end.p - vec3.dot(q, end.p) * q)
 
-    def trivialize(self, state: State, tangent: State) -> Array:
+    def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(a, b), shape (4,), of a tangent vector given in the coordinates of `State`."""
         e1, e2 = frame(state.q)
         return jnp.stack([vec3.dot(e, v) for v in (tangent.q, tangent.p) for e in (e1, e2)])
 
-    def omega(self, state: State) -> Array:
+    def omega(self, state: State) -> PhaseMatrix:
         """ω(δ₁, δ₂) = q·(δq₁ × δπ₂ + δπ₁ × δq₂), shape (4, 4): the inverse of 𝒥 (1.4), the same in every frame."""
         turn = jnp.array([[0, 1], [-1, 0]], state.p.dtype)
         return jnp.block([[0 * turn, turn], [turn, 0 * turn]])
 
-    def defect(self, state: State) -> Array:
+    def defect(self, state: State) -> Scalar:
         """The larger of ||q|² − 1| and |q·π| over the largest component of π."""
         size = vec3.max_abs(state.p)
         tilt = jnp.abs(vec3.dot(state.q, state.p)) / jnp.where(size > 0, size, 1)
@@ -360,13 +359,13 @@ class SphericalChart:
 
     axis: Array
 
-    def state(self, z: Array) -> State:
+    def state(self, z: PhaseVector) -> State:
         """The state of coordinates z, shape (4,)."""
         theta, phi, p_theta, p_phi = z
         q, down, along = self._frame(theta, phi)
         return State(q, p_theta * along - p_phi / jnp.sin(theta) * down)
 
-    def coordinates(self, state: State) -> Array:
+    def coordinates(self, state: State) -> PhaseVector:
         """The coordinates of a state, shape (4,): θ in [0, π], φ in (−π, π]. On the axis φ is 0."""
         e1, e2 = frame(self.axis)
         x, y, h = (vec3.dot(e, state.q) for e in (e1, e2, self.axis))
@@ -377,7 +376,7 @@ class SphericalChart:
         along = self._frame(theta, phi)[2]
         return jnp.stack([theta, phi, vec3.dot(state.p, along), vec3.dot(state.p, self.axis)])
 
-    def _frame(self, theta: Array, phi: Array) -> tuple[Array, Array, Array]:
+    def _frame(self, theta: Scalar, phi: Scalar) -> tuple[Array, Array, Array]:
         """q, ∂q/∂θ, and the unit vector q × ∂q/∂θ along ∂q/∂φ."""
         e1, e2 = frame(self.axis)
         out, along = jnp.cos(phi) * e1 + jnp.sin(phi) * e2, jnp.cos(phi) * e2 - jnp.sin(phi) * e1
@@ -396,7 +395,7 @@ def _added(state: State, entries: Array) -> State:
     )
 
 
-def frame(q: Array) -> tuple[Array, Array]:
+def frame(q: Vector3) -> tuple[Vector3, Vector3]:
     """Unit vectors e₁, e₂ with e₁ × e₂ = q, for a unit vector q (Duff et al. 2017, J. Comput. Graph. Tech. 6)."""
     x, y, z = q
     sign = jnp.where(z < 0, -1, 1).astype(q.dtype)

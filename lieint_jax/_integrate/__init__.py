@@ -20,6 +20,7 @@ from lieint_jax._integrate._interpolate import interpolate
 from lieint_jax._integrate._run import (
     integrate,
     intervals,
+    joined,
     of_any_length,
     rows_for,
     saves,
@@ -45,6 +46,7 @@ __all__ = [
     "integrate",
     "interpolate",
     "intervals",
+    "joined",
     "march",
     "more_times",
     "of_any_length",

@@ -1,6 +1,6 @@
-"""Elliptic functions and Carlson's integrals, in the dtype of their arguments.
+"""Elliptic functions and Carlson's integrals, in the dtype of their arguments: what `lieint_jax.elliptic` rests on.
 
-All but R_J take a fixed number of iterations; R_J as many as it needs, its derivatives two more.
+All but R_J run a fixed number of iterations; R_J as many as it needs, its derivatives two more.
 
 m = k² is the parameter; the argument is always its complement m1 = 1 − m, so that nothing cancels near m = 1.
 """
@@ -13,18 +13,19 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
-from jax.typing import ArrayLike
 
-from lieint_jax._numerics.power_series import arctan_sqrt
+from lieint_jax._numerics.power_series import arctan_sqrt, horner
 from lieint_jax._numerics.select import where
 from lieint_jax._xla import forward_mode, materialized
 
 _MEANS, _LANDEN, _DUPLICATIONS, _HALVINGS = 13, 5, 13, 8
+_MOST = 24  # duplications of R_F for arguments of any ratio in the range of float64
+_CLOSE = 0.1  # relative distance of the arguments of R_C, below which a series is summed
 
 
 @forward_mode
 def quarter_period(m1: Array) -> Array:
-    """K = π / (2 agm(1, √m1)), for 0 ≤ m1 ≤ 1. Relative error 3 eps.
+    """K = π / (2 agm(1, √m1)), for m1 ≥ 0. Relative error 3 eps.
 
     K is infinite at m1 = 0; here its value there is that at m1 = √tiny, 179 in float64 and 23 in float32.
     """
@@ -120,9 +121,40 @@ def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     return _rj_value(_duplicated(root_x, root_y, root_z, p))
 
 
-def _duplicated(root_x: Array, root_y: Array, root_z: Array, p: Array, more: int = 0) -> _Duplicated:
+def _smooth_rj_of_any(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
+    return _rj_value(_duplicated(root_x, root_y, root_z, p, more=2, ordered=False))
+
+
+@functools.partial(forward_mode, smooth=_smooth_rj_of_any)
+def carlson_rj_of_any(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
+    """`carlson_rj` for every p > 0; R_D(x, y, z) = R_J(x, y, z, z) among them.
+
+    A p that is much larger than x, y and z needs log₄ of that ratio duplications.
+    """
+    return _rj_value(_duplicated(root_x, root_y, root_z, p, ordered=False))
+
+
+@forward_mode
+def carlson_rc(root_x: Array, root_y: Array) -> Array:
+    """R_C(x, y) = ½ ∫₀^∞ dt / ((t + y) √(t + x)), given the square roots of x ≥ 0 and y > 0.
+
+    By arctan for y > x, log for y < x, and a series in between, of which each is accurate beyond its threshold.
+    """
+    x, d = root_x * root_x, (root_y - root_x) * (root_y + root_x)
+    near, above = jnp.abs(d) < 2 * _CLOSE * x, d > 0
+    ratio = where(near, d, 0) / where(near, x, 1)
+    series = horner([(-1) ** k / (2 * k + 1) for k in range(18)], ratio) / where(near, root_x, 1)
+    root = jnp.sqrt(where(jnp.abs(d) > _CLOSE / 2 * x, jnp.abs(d), 1))
+    far = where(above, jnp.arctan2(root, root_x), jnp.log((root_x + root) / root_y)) / root
+    return where(jnp.abs(d) < _CLOSE * x, series, far)
+
+
+def _duplicated(
+    root_x: Array, root_y: Array, root_z: Array, p: Array, more: int = 0, ordered: bool = True
+) -> _Duplicated:
+    """The arguments of R_J, duplicated until they are close; `ordered` if p ≥ x, y, z."""
     start = _Duplicated.from_roots((root_x, root_y, root_z), p)
-    return lax.while_loop(lambda state: jnp.any(state.far), lambda state: state.next(more), start)
+    return lax.while_loop(lambda state: jnp.any(state.far), lambda state: state.next(more, ordered), start)
 
 
 class _Duplicated(NamedTuple):
@@ -161,19 +193,24 @@ class _Duplicated(NamedTuple):
         one = jnp.ones_like(mean)
         return cls(x, y, z, p, mean, roots, one, jnp.zeros_like(mean), apart, delta, one > 0)
 
-    def next(self, more: int) -> _Duplicated:
+    def next(self, more: int, ordered: bool) -> _Duplicated:
         """After one more, which is the last but for `more` if the series is good enough then."""
         a, b, c = self.roots
         r = jnp.sqrt(self.p)
         d = (r + a) * (r + b) * (r + c)
-        square = self.scale**3 * self.delta / (d * d)
-        square = where(square < 0, 0, square)  # maximum() has half the slope at 0, where p is one of x, y, z
-        term = self.scale / d * arctan_sqrt(square)
         shift = a * b + b * c + c * a
+        if ordered:
+            square = self.scale**3 * self.delta / (d * d)
+            square = where(square < 0, 0, square)  # maximum() has half the slope at 0, where p is one of x, y, z
+            part = arctan_sqrt(square)
+        else:  # R_C(1, 1 + e) with 1 + e as a sum of positive terms: it is near 0 where p is much less than x, y or z
+            part = carlson_rc(jnp.ones_like(r), jnp.sqrt(2 * r * (self.p + shift) / d))
+        term = self.scale / d * part
         x, y, z, p, mean = ((v + shift) / 4 for v in self[:5])
         scale, most = self.scale / 4, functools.reduce(jnp.maximum, map(jnp.abs, self.apart))
         small = (jnp.finfo(most.dtype).eps / 8) ** 0.125 * mean
-        far = (scale * most > small * 0.25**more) & (scale > 0.25 ** (_DUPLICATIONS + more))
+        least = 0.25 ** (_DUPLICATIONS + more) if ordered else 16 * jnp.finfo(most.dtype).tiny
+        far = (scale * most > small * 0.25**more) & (scale > least)
         roots = (jnp.sqrt(x), jnp.sqrt(y), jnp.sqrt(z))
         return _Duplicated(x, y, z, p, mean, roots, scale, self.total + term, self.apart, self.delta, far)
 
@@ -183,29 +220,41 @@ def _rj_value(state: _Duplicated) -> Array:
     return state.scale / (state.mean * jnp.sqrt(state.mean)) * _rj_series(X, Y, Z) + 6 * state.total
 
 
+@forward_mode
+def carlson_rf(root_x: Array, root_y: Array, root_z: Array) -> Array:
+    """R_F(x, y, z), given the square roots of x, y, z ≥ 0 of any ratio, at most one of which is 0 or slightly negative.
+
+    The roots as in `carlson_rj`.
+    """
+    return _rf_rd((root_x, root_y, root_z), _MOST)[0]
+
+
 def carlson_rf_rd(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array, Array]:
-    """R_F(x, y, z), and R_D(y, z, x), R_D(z, x, y), R_D(x, y, z), for positive x, y, z.
+    """R_F(x, y, z), and R_D(y, z, x), R_D(z, x, y), R_D(x, y, z), for positive x, y, z of moderate ratios.
 
     R_F = ½ ∫₀^∞ dt/√((t + x)(t + y)(t + z)), and R_D has a factor 3/(t + its last argument) in the integrand. By
     duplication, then series of degree 7. Source: DLMF 19.26(iii), 19.36(i).
     """
+    return _rf_rd((jnp.sqrt(x), jnp.sqrt(y), jnp.sqrt(z)), _HALVINGS)
 
-    def duplicate(n: ArrayLike, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+
+def _rf_rd(first: tuple[Array, Array, Array], duplications: int) -> tuple[Array, Array, Array, Array]:
+    def duplicate(roots: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         at, totals, scale = carry
-        roots = jnp.sqrt(at)
         a, b, c = roots
         shift = a * b + b * c + c * a
         return (at + shift) / 4, totals + scale / (roots * (at + shift)), scale / 4
 
-    begin = jnp.stack([x, y, z])
-    at, totals, scale = lax.fori_loop(0, _HALVINGS, duplicate, (begin, jnp.zeros_like(begin), jnp.ones_like(x)))
-    A = jnp.sum(at) / 3
+    roots = jnp.stack(first)
+    start = duplicate(roots, (roots * roots, jnp.zeros_like(roots), jnp.ones_like(first[0])))
+    at, totals, scale = lax.fori_loop(1, duplications, lambda _, carry: duplicate(jnp.sqrt(carry[0]), carry), start)
+    A = (at[0] + at[1] + at[2]) / 3
     X, Y = 1 - at[0] / A, 1 - at[1] / A
     E2, E3 = -X * X - X * Y - Y * Y, -X * Y * (X + Y)
     series = 1 - E2 / 10 + E3 / 14 + E2 * E2 / 24 - 3 * E2 * E3 / 44 - 5 * E2**3 / 208 + 3 * E3 * E3 / 104
     found = [(series + E2 * E2 * E3 / 16) / jnp.sqrt(A)]
     for k in range(3):
-        A = (jnp.sum(at) + 2 * at[k]) / 5
+        A = (at[0] + at[1] + at[2] + 2 * at[k]) / 5
         X, Y = 1 - at[k - 2] / A, 1 - at[k - 1] / A
         found.append(scale / (A * jnp.sqrt(A)) * _rj_series(X, Y, -(X + Y) / 3) + 3 * totals[k])
     return found[0], found[1], found[2], found[3]

@@ -22,7 +22,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +31,7 @@ from jax import Array, lax
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics import vec3
 from lieint_jax._xla import saved
+from lieint_jax.types.shapes import PyTree
 
 _USES = 3  # corrections with each matrix of `chords`; 2 or more
 _FEW = 4  # corrections of which every solve that comes to round-off is steady
@@ -109,7 +110,7 @@ class ContractionMonitor(NamedTuple):
         return ContractionMonitor(ratio * length, jnp.maximum(self.growth, length - self.granted))
 
 
-def _largest(x: Any) -> Array:
+def _largest(x: PyTree) -> Array:
     """The largest component."""
     parts = [jnp.max(jnp.abs(lax.stop_gradient(leaf))) for leaf in jax.tree.leaves(x)]
     return functools.reduce(jnp.maximum, parts)
@@ -181,7 +182,7 @@ def chords(
     return x, F, _steady(growth)
 
 
-def quadratic(x: Any, step: Any) -> Array:
+def quadratic(x: PyTree, step: PyTree) -> Array:
     """Whether the next correction, about the square of this one, would be round-off; unknowns are of the size 1."""
     return _largest(step) ** 2 <= jnp.finfo(jax.tree.leaves(x)[0].dtype).eps / 100 * _largest(x)
 
@@ -204,7 +205,7 @@ def _until(
     return lax.while_loop(lambda carry: (carry[2] < most) & ~carry[3], body, start)[:2]
 
 
-def _tangent_solve(linear: Callable[[Any], Any], y: Any) -> Any:
+def _tangent_solve(linear: Callable[[PyTree], PyTree], y: PyTree) -> PyTree:
     """x with linear(x) = y. `custom_root` gives the derivative of the residual as a function, not as a matrix."""
     if isinstance(y, tuple | list):
         kind = type(y)

@@ -6,13 +6,12 @@ of them take a tenth longer to trace and to compile.
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 from jax import Array, lax
+from jax.typing import ArrayLike
 
 
-def where(condition: Array, x: Any, y: Any) -> Array:
+def where(condition: Array, x: ArrayLike, y: ArrayLike) -> Array:
     """`jnp.where` for values that are numbers or arrays."""
     dtype = jnp.result_type(x, y)
     shape = jnp.broadcast_shapes(jnp.shape(condition), jnp.shape(x), jnp.shape(y))

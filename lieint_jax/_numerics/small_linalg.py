@@ -17,9 +17,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.typing import DTypeLike
 
 from lieint_jax import _xla
 from lieint_jax._numerics import vec3
+from lieint_jax.types.shapes import PyTree
 
 Scalar = Any  # an array scalar, or a Python number
 Vector = Any  # a list of scalars, or an array (n,)
@@ -72,7 +74,7 @@ def combination(*pairs: tuple[Scalar, Matrix]) -> Matrix:
     return [[total(times(c, A[i][j]) for c, A in pairs) for j in range(m)] for i in range(n)]
 
 
-def plus(*terms: Any) -> Vector:
+def plus(*terms: Vector | tuple[Scalar, Vector]) -> Vector:
     """Σ cx over vectors x and pairs (c, x)."""
     pairs = [term if isinstance(term, tuple) else (1.0, term) for term in terms]
     if any(_is_array(x) for _, x in pairs):
@@ -98,7 +100,7 @@ def identity(like: Matrix) -> Matrix:
     return jnp.eye(n, dtype=like.dtype) if _is_array(like) else [[float(i == j) for j in range(n)] for i in range(n)]
 
 
-def linear(C: np.ndarray, x: Vector) -> Any:
+def linear(C: np.ndarray, x: Vector) -> Vector | Matrix:
     """Σ_i C[..., i] x_i for constants C, shape (m, d) or (m, k, d): a vector or a matrix."""
     if _is_array(x):
         return jnp.asarray(C, x.dtype) @ x
@@ -117,20 +119,20 @@ def flatten(A: Matrix) -> Vector:
     return A.reshape(-1) if _is_array(A) else list(itertools.chain.from_iterable(A))
 
 
-def columns(linear: Callable[..., Any], n: int, dtype: Any) -> list[Any]:
+def columns(linear: Callable[..., PyTree], n: int, dtype: DTypeLike) -> list[PyTree]:
     """The values of a linear function of n numbers at the unit vectors.
 
     Each is the derivative by one number, in which JAX writes no product with the zeros of the others.
     """
     one, zero = jnp.ones((), dtype), jnp.zeros((), dtype)
 
-    def column(k: int) -> Callable[[Array], Any]:
+    def column(k: int) -> Callable[[Array], PyTree]:
         return lambda x: linear(*(x if i == k else zero for i in range(n)))
 
     return [jax.jvp(column(k), (zero,), (one,))[1] for k in range(n)]
 
 
-def at_each(function: Callable[[Array], Any], s: Array) -> Any:
+def at_each(function: Callable[[Array], PyTree], s: Array) -> PyTree:
     """The function at a number s, or at each of several, (k,)."""
     return jax.vmap(function)(s) if s.ndim else function(s)
 
@@ -260,7 +262,7 @@ def materialized(A: Vector | Matrix) -> Vector | Matrix:
     return held if isinstance(A[0], list) else held[0]
 
 
-def as_list(x: Array) -> Any:
+def as_list(x: Array) -> Vector | Matrix:
     """An array (n,) or (n, m) as a list of its entries."""
     return [*vec3.components(x)] if x.ndim == 1 else [[x[i, j] for j in range(x.shape[1])] for i in range(x.shape[0])]
 
@@ -279,5 +281,5 @@ def _is_constant(x: Scalar) -> bool:
     return isinstance(x, int | float)
 
 
-def _is_array(x: Any) -> bool:
+def _is_array(x: object) -> bool:
     return not isinstance(x, list)

@@ -1,4 +1,4 @@
-"""Derivatives of whole runs in reverse mode, by undoing steps or by checkpoints.
+"""Derivatives of whole runs: in reverse mode, by undoing steps or by checkpoints; transition matrices and covariance.
 
 Which derivative to take, for N steps, p parameters and a loss or m residuals:
 
@@ -9,7 +9,7 @@ Which derivative to take, for N steps, p parameters and a loss or m residuals:
 | reverse, by checkpoints | `adjoint=RecursiveCheckpointAdjoint()` | 6 to 18, for any p | some 3 N^(1/3) states |
 | reverse, through the scan | `jax.grad` through `integrate` | 10 and more | what N steps computed |
 | a Hessian times a vector | `jax.jvp` of `jax.grad` through `reversible`, `observe` | some 40 | the saved states |
-| a tangent flow | `jax.jvp` step by step (`Step.tangent`) | 1 + its dimension | none |
+| a tangent flow | `transition`: step by step, by `Step.tangent` | 1 + its dimension | none |
 
 An adjoint is an option of `integrate(…, save_every=…, adjoint=…)`. `reversible` and `observe` have the same two
 derivatives: the first by default, the second with `derivative="checkpoint"`.
@@ -29,12 +29,16 @@ from lieint_jax._integrate import Adjoint
 from lieint_jax.adjoints._observe import observe
 from lieint_jax.adjoints._options import RecursiveCheckpointAdjoint, ReversibleAdjoint
 from lieint_jax.adjoints._reversible import reversible, round_trip_error
+from lieint_jax.adjoints._transition import Ellipse, Transition, transition
 
 __all__ = [
     "Adjoint",
+    "Ellipse",
     "RecursiveCheckpointAdjoint",
     "ReversibleAdjoint",
+    "Transition",
     "observe",
     "reversible",
     "round_trip_error",
+    "transition",
 ]

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._xla import compiled
@@ -18,8 +19,10 @@ from lieint_jax.diagnostics import _measure
 from lieint_jax.diagnostics._order import fitted_order, shown_reversibility, units
 from lieint_jax.diagnostics._series import constraint_error, energy_error, momentum_error
 from lieint_jax.diagnostics._symplectic import defect_matrix
+from lieint_jax.diagnostics._thermal import ThermalCertificate, certify_thermostat
 from lieint_jax.groups import MatrixGroup, matrix
 from lieint_jax.types import State, Step, System, Trajectory, start_time
+from lieint_jax.types.shapes import Scalar
 
 _SPAN = 8  # the number of steps of size dt over which the order is measured
 
@@ -99,8 +102,11 @@ class Certificate(NamedTuple):
         return f"broken {law}"
 
 
-def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
+def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate | ThermalCertificate:
     """Measure what `step` conserves from `state`: energy, momentum, form, order, reversibility.
+
+    Of a step with noise (`schemes.langevin`): whether its heat is exact, how the energy less heat changes, and whether
+    the canonical measure has a bias.
 
     Args:
         step: a scheme's step.
@@ -111,6 +117,8 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate:
     Raises:
         ValueError: as `integrate`.
     """
+    if isinstance(step, Step) and step.deterministic is not None:
+        return certify_thermostat(step, state, dt, num_steps)
     num_steps = _checks.count("num_steps", num_steps, 0)
     most = max(num_steps, 4 * _SPAN)  # one program for all runs
     step, state, h = _measure.checked(step, state, dt, most)
@@ -154,12 +162,12 @@ class MeasuredInvariants(NamedTuple):
         constraint: the largest defect of the configuration.
     """
 
-    energy: Any
-    size: Any
-    momentum: Any
-    total: Any
-    terms: Any
-    constraint: Any
+    energy: ArrayLike
+    size: ArrayLike
+    momentum: ArrayLike
+    total: ArrayLike
+    terms: ArrayLike
+    constraint: ArrayLike
 
 
 @partial(compiled, once=True)
@@ -199,12 +207,12 @@ def _on_arrays(step: Step) -> Step:
     return dataclasses.replace(cast("Any", step), system=system)
 
 
-def _fields(step: Any) -> set[str]:
+def _fields(step: object) -> set[str]:
     return {field.name for field in dataclasses.fields(step)} if dataclasses.is_dataclass(step) else set()
 
 
 @partial(compiled, once=True)
-def _form_defect(step: Step, state: State, dt: Array) -> Array:
+def _form_defect(step: Step, state: State, dt: Array) -> Scalar:
     """The symplectic defect with δq and δp in units of the state, such as max|π|: it does not depend on ours."""
     of_q, of_p = units(step.system.phase_space, state)
     unit = jnp.sqrt(jnp.concatenate([of_q / of_p, of_p / of_q]))

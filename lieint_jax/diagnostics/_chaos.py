@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +28,7 @@ from lieint_jax._integrate import Event, advance, events, saves, uniform_clock
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics._order import units
 from lieint_jax.types import State, Step, StepInfo, checked_step, promoted
+from lieint_jax.types.shapes import PhaseVector, PyTree, TangentVectors
 
 
 class Lyapunov(NamedTuple):
@@ -132,16 +133,18 @@ def _in_time(step: Step) -> Step:
 
 
 @partial(compiled, static_argnums=(4, 5, 6))
-def _lyapunov(step: Step, state: State, dt: Array, frame: Array, rounds: int, every: int, batches: int) -> Lyapunov:
+def _lyapunov(
+    step: Step, state: State, dt: Array, frame: TangentVectors, rounds: int, every: int, batches: int
+) -> Lyapunov:
     unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
     zero, advance_frame = jnp.zeros((), int), partial(advance, step.tangent, uniform_clock(step, state, dt))
 
-    def interval(carry: Any, _: None) -> tuple[Any, None]:
+    def interval(carry: PyTree, _: None) -> tuple[PyTree, None]:
         state, T, info, n = carry
         state, last, T = advance_frame(state, n, T)
         return (state, T, info.merge(last), n + 1), None
 
-    def orthonormalized(carry: Any, _: None) -> tuple[Any, None]:
+    def orthonormalized(carry: PyTree, _: None) -> tuple[PyTree, None]:
         (state, frame, info, n), growth = carry
         batch = n // every * batches // rounds
         (state, T, info, n), _ = lax.scan(interval, (state, unit * frame, info, n), None, length=every)
@@ -186,7 +189,7 @@ def standard_error(series: Array) -> Array:
     return jnp.sqrt(jnp.max(jnp.stack([variances[0], *corrected]), axis=0))
 
 
-def orthonormal(W: Array) -> tuple[Array, Array]:
+def orthonormal(W: TangentVectors) -> tuple[Array, Array]:
     """The orthonormal factor Q of W = QR, and the logarithms of R's diagonal, by Gram and Schmidt (modified)."""
     rest, Q, growth = [W[:, j] for j in range(W.shape[1])], [], []
     while rest:
@@ -221,11 +224,11 @@ def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, *, vector: Ar
 
 
 @partial(compiled, static_argnums=4)
-def _megno(step: Step, state: State, dt: Array, vector: Array, num_steps: int) -> Megno:
+def _megno(step: Step, state: State, dt: Array, vector: PhaseVector, num_steps: int) -> Megno:
     unit = jnp.concatenate(units(step.system.phase_space, state))[:, None]
     advance_vector = partial(advance, step.tangent, uniform_clock(step, state, dt))
 
-    def step_once(carry: Any, _: None) -> tuple[Any, None]:
+    def step_once(carry: PyTree, _: None) -> tuple[PyTree, None]:
         state, W, Y, mean, info, n = carry
         state, last, T = advance_vector(state, n, unit * W)
         W, gain = orthonormal(T / unit)
@@ -278,7 +281,7 @@ def section(
     if not isinstance(states, State) or jnp.ndim(states.p) < 2:
         raise ValueError("states must be a State whose leaves have a leading member axis; for one body take event")
     shared = states.t is not None and jnp.ndim(states.t) == 0
-    axes: Any = jax.tree.map(lambda _: 0, states)
+    axes: PyTree = jax.tree.map(lambda _: 0, states)
     axes = axes._replace(t=None) if shared else axes
     first = jax.tree.map(lambda x, axis: x if axis is None else x[0], states, axes, is_leaf=lambda x: x is None)
     checked_step(step).check(first, dt)  # inside vmap it cannot be

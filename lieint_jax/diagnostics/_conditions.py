@@ -16,12 +16,12 @@ flow too: there is a τ(Θ) for each.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 
 from lieint_jax.diagnostics._order import size
 from lieint_jax.diagnostics._symplectic import pushed
@@ -39,6 +39,7 @@ from lieint_jax.types import (
     pytree,
     static,
 )
+from lieint_jax.types.shapes import PyTree
 
 EQUATIONS = {
     "2.18": ("momentum", "π_{n+1} = π_n"),
@@ -111,7 +112,7 @@ class Conditions:
         return "\n".join([self.scheme, *rows])
 
 
-def conditions(step: Step, state: State, dt: ArrayLike) -> Conditions:
+def conditions(step: Step, state: State, dt: Any) -> Conditions:
     """The paper's conditions that apply to a step's system, as residuals at one state.
 
     | system | momentum | energy | symplectic form |
@@ -168,7 +169,7 @@ def conditions(step: Step, state: State, dt: ArrayLike) -> Conditions:
 _Found = dict[str, tuple[Array, Array]]  # equation ↦ residual, and the largest of its terms in the same unit
 
 
-def _embedded(system: Any, state: State, end: State) -> _Found:
+def _embedded(system: PyTree, state: State, end: State) -> _Found:
     """(2.18), (2.22), (2.27)."""
     Pi0, Pi1 = system.body_momentum(state), system.body_momentum(end)
     mean = (system.angular_velocity(state) + system.angular_velocity(end)) / 2
@@ -182,7 +183,7 @@ def _embedded(system: Any, state: State, end: State) -> _Found:
     }
 
 
-def _on_group(step: Any, state: State, end: State, L: Array, dt: Any) -> _Found:
+def _on_group(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found:
     """The conditions of Sections 3 to 5."""
     system, group = step.system, step.system.phase_space.group
     m = system.metric if isinstance(system, AbstractGeodesicFlow | AbstractMechanicalSystem) else system.inertia
@@ -190,7 +191,7 @@ def _on_group(step: Any, state: State, end: State, L: Array, dt: Any) -> _Found:
     d, w = group.dim, jnp.asarray(step.velocity_weight, L.dtype)
     one, solve = jnp.eye(d, dtype=L.dtype), jnp.linalg.solve
 
-    def matrix(act: Any, element: Array) -> Array:
+    def matrix(act: Callable[[Array, Array], Array], element: Array) -> Array:
         return jax.vmap(act, (None, 1), 1)(element, one)
 
     def ad_star(mu: Array) -> Array:
@@ -274,7 +275,7 @@ def _on_group(step: Any, state: State, end: State, L: Array, dt: Any) -> _Found:
     return found
 
 
-def _elastic(step: Any, state: State, end: State, L: Array, dt: Any) -> _Found:
+def _elastic(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found:
     """The conditions of Section 6, whose group is abelian: H = 1."""
     system, b = step.system, jnp.asarray(step.velocity_weight, L.dtype)
     E = jnp.diag(system.inertia) if jnp.ndim(system.inertia) == 1 else system.inertia

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax.types import State, Step, clock, promoted, time_derivative
+from lieint_jax.types import Group, State, Step, clock, promoted, time_derivative
+from lieint_jax.types.shapes import Scalar
 
 
-def local_error(step: Step, state: State, dt: ArrayLike) -> Array:
+def local_error(step: Step, state: State, dt: ArrayLike) -> Scalar:
     """The error of q in one step: e with q₁ = q(t + Δt) exp(e), estimated, in the algebra, (d,); on SO(3) in radians.
 
     With the body velocities Ω and their rates at both ends of the step, e = log(q₀⁻¹q₁) − φ₄ where
@@ -32,7 +31,7 @@ def local_error(step: Step, state: State, dt: ArrayLike) -> Array:
     Raises:
         ValueError: a system that is not on a group, and as `Step.check`.
     """
-    group: Any = getattr(step.system.phase_space, "group", None)
+    group: Group | None = getattr(step.system.phase_space, "group", None)
     if group is None:
         raise ValueError(f"local_error is of steps on groups, got {step.name} for a {type(step.system).__name__}")
     step, state, _ = promoted(step, state)

@@ -16,6 +16,7 @@ from lieint_jax._numerics import collocation
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics import _measure
 from lieint_jax.types import PhaseSpace, State, Step, System, clock, time_derivative
+from lieint_jax.types.shapes import PhaseVector, Scalar
 
 _STAGES, _ITERATIONS = 8, 24
 
@@ -97,11 +98,11 @@ def fitted_order(step: Step, state: State, dt: float, num_steps: int, most: int)
 
 
 @partial(compiled, once=True)
-def _distance(step: Step, a: State, b: State) -> Array:
+def _distance(step: Step, a: State, b: State) -> Scalar:
     return distance(a, b, step.system.phase_space)
 
 
-def distance(a: State, b: State, space: PhaseSpace | None = None) -> Array:
+def distance(a: State, b: State, space: PhaseSpace | None = None) -> Scalar:
     """The largest difference of two states, in q, and in p over the largest component of p: dimensionless.
 
     In the units of the phase space, if it is given and has its own.
@@ -111,13 +112,13 @@ def distance(a: State, b: State, space: PhaseSpace | None = None) -> Array:
     return jnp.maximum(jnp.max(jnp.abs(a.q - b.q)), jnp.max(jnp.abs(a.p - b.p)) / size(b.p))
 
 
-def size(p: Array) -> Array:
+def size(p: Array) -> Scalar:
     """The largest component of a momentum, 1 for zero: the unit of errors of momenta."""
     largest = jnp.max(jnp.abs(p))
     return jnp.where(largest > 0, largest, 1)
 
 
-def units(space: PhaseSpace, state: State) -> tuple[Array, Array]:
+def units(space: PhaseSpace, state: State) -> tuple[PhaseVector, PhaseVector]:
     """The units of δq and of δp, (d,) each, in which tangent vectors are dimensionless: 1 and `size`, or its own."""
     own = getattr(space, "units", None)
     if own is not None:
@@ -126,12 +127,12 @@ def units(space: PhaseSpace, state: State) -> tuple[Array, Array]:
     return one, one * size(state.p)
 
 
-def reversibility(step: Step, state: State, dt: ArrayLike) -> Array:
+def reversibility(step: Step, state: State, dt: ArrayLike) -> Scalar:
     """`distance` of z and step(step(z, dt), −dt): zero to round-off if and only if the step is time-symmetric here."""
     return shown_reversibility(*_measure.checked(step, state, dt, 1), 1)
 
 
-def shown_reversibility(step: Step, state: State, dt: Array, most: int) -> Array:
+def shown_reversibility(step: Step, state: State, dt: Array, most: int) -> Scalar:
     """`reversibility` of what is checked, by the program of runs of up to `most` steps."""
     back = as_array(-np.asarray(dt)) if concrete(dt) else -dt
     there = _measure.last(_measure.run(step, state, dt, 1, most))

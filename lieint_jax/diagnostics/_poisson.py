@@ -22,6 +22,7 @@ from lieint_jax.types import (
     State,
     Step,
 )
+from lieint_jax.types.shapes import TimeSeries
 
 _Method = Literal["recursion", "product"]
 _OTHERS = (
@@ -33,7 +34,9 @@ _OTHERS = (
 
 
 @old_calls()
-def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, *, method: _Method | None = None) -> Array:
+def poisson_error(
+    step: Step, state: State, dt: ArrayLike, num_steps: int, *, method: _Method | None = None
+) -> TimeSeries:
     """The Poisson error of a run: zero for ever if and only if its steps are symplectic.
 
     The linearized steps transport the Poisson matrix, P_{n+1} = L_n P_n L_nᵀ (5.34) from P₀ = ω⁻¹(z₀). For
@@ -72,7 +75,7 @@ def poisson_error(step: Step, state: State, dt: ArrayLike, num_steps: int, *, me
 
 
 @partial(compiled, static_argnums=3)
-def _recursion(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:
+def _recursion(step: Step, state: State, dt: ArrayLike, num_steps: int) -> TimeSeries:
     """σ_n by (5.36), shape (num_steps+1, d, d)."""
     space = step.system.phase_space
     d, omega = space.dim // 2, space.omega(state)
@@ -90,7 +93,7 @@ def _recursion(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array
 
 
 @partial(compiled, static_argnums=3)
-def _all_errors(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:
+def _all_errors(step: Step, state: State, dt: ArrayLike, num_steps: int) -> TimeSeries:
     """P_n − ω⁻¹(z_n), shape (num_steps+1, 2d, 2d)."""
     space = step.system.phase_space
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
-from jax import Array
 
 from lieint_jax import _checks
 from lieint_jax.types import System, Trajectory, energy_less_work
 from lieint_jax.types._members import Axis, map_over_run
+from lieint_jax.types.shapes import DelayPlot, InvariantSeries, MomentumSeries, TimeSeries
 
 
-def energy_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> Array:
+def energy_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> InvariantSeries:
     """H(z_n) − W_n − H(z₀) + W₀ in units of energy; W is `state.work`, 0 if it is not counted.
 
     Args:
@@ -29,13 +29,13 @@ def energy_error(system: System, trajectory: Trajectory, system_axis: Axis = "au
     return kept - kept[0]
 
 
-def momentum_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> Array:
+def momentum_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> MomentumSeries:
     """Φ(z_n) − Φ(z₀) of the momentum map Φ, (n+1, k) or (n+1, members, k); arguments as in `energy_error`."""
     momentum = map_over_run(lambda own, z: own.momentum(z), system, trajectory, system_axis)
     return momentum - momentum[0]
 
 
-def constraint_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> Array:
+def constraint_error(system: System, trajectory: Trajectory, system_axis: Axis = "auto") -> InvariantSeries:
     """The distance of q from the configuration space, (n+1,) or (n+1, members): |q|² − 1 for unit quaternions.
 
     Arguments as in `energy_error`.
@@ -43,7 +43,7 @@ def constraint_error(system: System, trajectory: Trajectory, system_axis: Axis =
     return map_over_run(lambda own, z: own.phase_space.defect(z), system, trajectory, system_axis)
 
 
-def delay(series: Array, lag: int) -> Array:
+def delay(series: TimeSeries, lag: int) -> DelayPlot:
     """The delay plot of a series: points (x_n, x_{n+lag}, x_{n+2lag}), shape (len − 2·lag, 3)."""
     lag = _checks.count("lag", lag, 1)
     if series.ndim != 1 or len(series) <= 2 * lag:

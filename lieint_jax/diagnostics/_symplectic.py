@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -11,9 +11,12 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax.types import PhaseSpace, State, Step
+from lieint_jax.types.shapes import PhaseMatrix, Scalar
+
+_Aux = TypeVar("_Aux")
 
 
-def linearization(step: Step, state: State, dt: ArrayLike) -> Array:
+def linearization(step: Step, state: State, dt: ArrayLike) -> PhaseMatrix:
     """L_n of δz_{n+1} = L_n δz_n, shape (2d, 2d), by jacfwd of the step.
 
     Rows and columns are the phase space's own coordinates: (δθ, δπ) on T*G, with δq = δθ q.
@@ -28,10 +31,12 @@ def linearization(step: Step, state: State, dt: ArrayLike) -> Array:
 _LARGE = 24
 
 
-def pushed(space: PhaseSpace, function: Callable[[State], tuple[State, Any]], state: State) -> tuple[State, Any, Array]:
+def pushed(
+    space: PhaseSpace, function: Callable[[State], tuple[State, _Aux]], state: State
+) -> tuple[State, _Aux, Array]:
     """end, aux = function(state), and the derivative of end, (2d, 2d), in the coordinates of the phase space."""
 
-    def push(delta: Array) -> tuple[State, tuple[State, Any]]:
+    def push(delta: Array) -> tuple[State, tuple[State, _Aux]]:
         end, aux = function(space.perturb(state, delta))
         return end, (end, aux)
 
@@ -44,7 +49,7 @@ def pushed(space: PhaseSpace, function: Callable[[State], tuple[State, Any]], st
     return end, aux, jax.vmap(lambda tangent: space.trivialize(end, tangent), in_axes=-1, out_axes=-1)(tangents)
 
 
-def symplectic_defect(step: Step, state: State, dt: ArrayLike) -> Array:
+def symplectic_defect(step: Step, state: State, dt: ArrayLike) -> Scalar:
     """max|Lᵀω(z₁)L − ω(z₀)|: zero if and only if the step is symplectic at this state (3.1).
 
     In the units of the state: the (δθ, δθ) block is a momentum, the (δθ, δπ) blocks are numbers.
@@ -52,7 +57,7 @@ def symplectic_defect(step: Step, state: State, dt: ArrayLike) -> Array:
     return jnp.max(jnp.abs(defect_matrix(step, state, dt)))
 
 
-def defect_matrix(step: Step, state: State, dt: ArrayLike) -> Array:
+def defect_matrix(step: Step, state: State, dt: ArrayLike) -> PhaseMatrix:
     """Lᵀω(z₁)L − ω(z₀), shape (2d, 2d)."""
     step.check(state, dt)
     space = step.system.phase_space

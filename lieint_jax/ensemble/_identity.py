@@ -24,6 +24,7 @@ from lieint_jax.ensemble._digest import NotDigestible, digest, python_of
 from lieint_jax.ensemble._integrity import Table
 from lieint_jax.ensemble._job import Job
 from lieint_jax.ensemble._loop import compiler_options
+from lieint_jax.ensemble._storage import Address
 from lieint_jax.ensemble._store import leaves_by_name
 from lieint_jax.types import State
 
@@ -92,7 +93,7 @@ def check_processes(mesh: Mesh, described: Table, **options: object) -> None:
         )
 
 
-def check_same(path: Path, stored: Table, now: Table) -> None:
+def check_same(path: Address, stored: Table, now: Table) -> None:
     """Raise ValueError if the run in a store differs from the one described, or cannot be compared with it."""
     if stored["format"] < _store.FORMAT:
         raise ValueError(

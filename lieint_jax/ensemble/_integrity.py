@@ -18,6 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from lieint_jax.ensemble._storage import Address
+
 Table = dict[str, Any]  # an object of JSON, such as the attributes of a store or the metadata of an array
 CHECKPOINT = "checkpoint"  # the group from which a run is resumed
 CHECKSUMS = "checksums"  # the array of the checksums of chunks along time
@@ -56,9 +58,12 @@ def is_along_time(meta: Table) -> bool:
     return (meta.get("dimension_names") or [""])[0] == "time"
 
 
-def chunk_files(name: str, meta: Table, row: int | None = None) -> list[str]:
-    """The files of an array's chunks, relative to the store: all of them, or those of one row of chunks."""
-    return ["/".join((name, "c", *map(str, key))) for key in _keys(meta, row)]
+def chunk_files(name: str, meta: Table, row: int | None = None, only: Mapping[str, range] | None = None) -> list[str]:
+    """The files of an array's chunks, relative to the store: all of them, or those of one row of chunks.
+
+    With `only`, those whose numbers along the dimensions of these names are in these ranges.
+    """
+    return ["/".join((name, "c", *map(str, key))) for key in _keys(meta, row, only or {})]
 
 
 def files_of_rows(metas: Mapping[str, Table], row: int) -> list[str]:
@@ -80,7 +85,7 @@ def checksum_of_file(file: Path) -> int:
         return int.from_bytes(f.read(4), "little")
 
 
-def raise_if_damaged(path: Path, damage: Iterable[str]) -> None:
+def raise_if_damaged(path: Address, damage: Iterable[str]) -> None:
     """Raise a ValueError with the first lines of `damage`, if there are any."""
     lost = list(damage)
     if lost:
@@ -156,7 +161,7 @@ def _damage_of_files(
     for file in files:
         found = _checksum(path / file, summed)
         if isinstance(found, str):
-            yield f"{file} is {found} ({_part(file, metas)})"
+            yield f"{file} is {found} ({part_of_array(file, metas)})"
 
 
 def _damage_along_time(path: Path, metas: Mapping[str, Table], root: Table) -> Iterator[str]:
@@ -179,7 +184,7 @@ def _damage_along_time(path: Path, metas: Mapping[str, Table], root: Table) -> I
             if isinstance(found, int) and found != expected:
                 found = "the chunk of another place or another run"
             if isinstance(found, str):
-                yield f"{file} is {found} ({_part(file, metas)})"
+                yield f"{file} is {found} ({part_of_array(file, metas)})"
 
 
 def published_rows(attributes: Table) -> int:
@@ -203,11 +208,14 @@ def _damage_by_chunks(path: Path, shown: Mapping[str, Table]) -> Iterator[str]:
         yield from _damage_of_files(path, chunk_files(name, meta), shown, meta["codecs"][-1]["name"] == "crc32c")
 
 
-def _keys(meta: Table, row: int | None) -> Iterator[tuple[int, ...]]:
-    """The keys of an array's chunks, or of one row of them."""
+def _keys(meta: Table, row: int | None, only: Mapping[str, range]) -> Iterator[tuple[int, ...]]:
+    """The keys of an array's chunks, or of some of them: see `chunk_files`."""
     sizes = meta["chunk_grid"]["configuration"]["chunk_shape"]
     spans = [range(math.ceil(n / size)) for n, size in zip(meta["shape"], sizes, strict=True)]
-    return itertools.product(*(spans if row is None else [range(row, row + 1), *spans[1:]]))
+    if row is not None:
+        spans[0] = range(row, row + 1)
+    dims = meta.get("dimension_names") or [""] * len(spans)
+    return itertools.product(*(only.get(dim, span) for dim, span in zip(dims, spans, strict=True)))
 
 
 def _read_json(file: Path) -> Any:
@@ -224,7 +232,7 @@ def _digest_of_file(file: Path) -> str | None:
         return None
 
 
-def _part(file: str, metas: Mapping[str, Table]) -> str:
+def part_of_array(file: str, metas: Mapping[str, Table]) -> str:
     """The part of an array in a chunk's file, in words."""
     name, _, key = file.rpartition("/c")
     meta, keys = metas[name], [int(k) for k in key.split("/")[1:]]
@@ -240,15 +248,18 @@ def _part(file: str, metas: Mapping[str, Table]) -> str:
 
 def _checksum(file: Path, summed: bool = True) -> int | str:
     """The checksum of a chunk's file, 0 if it has none; a word if the file is missing, unreadable or altered."""
-    import google_crc32c  # a dependency of zarr
-
     try:
         data = file.read_bytes()
     except FileNotFoundError:
         return "missing"
     except OSError as error:
         return f"unreadable ({error.strerror})"
-    if not summed:
-        return 0
+    return checksum_of_bytes(data) if summed else 0
+
+
+def checksum_of_bytes(data: bytes) -> int | str:
+    """The checksum at the end of a chunk; "altered" if it is not that of the other bytes."""
+    import google_crc32c  # a dependency of zarr
+
     recorded = int.from_bytes(data[-4:], "little")
     return recorded if len(data) >= 4 and google_crc32c.value(data[:-4]) == recorded else "altered"

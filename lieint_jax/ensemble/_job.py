@@ -9,6 +9,7 @@ import numpy as np
 
 from lieint_jax._integrate import GridClock, RoundedClock, UniformClock
 from lieint_jax.ensemble import _layout
+from lieint_jax.ensemble._dyadic_sum import block_sums, blocks, total
 from lieint_jax.ensemble._layout import Layout, Numbers
 from lieint_jax.ensemble._loop import Carry, Range, Reduction, Saved
 from lieint_jax.ensemble._store import shared_time
@@ -16,6 +17,8 @@ from lieint_jax.types import State, Step, Trajectory
 
 _CHUNK_BYTES, _BUFFER_BYTES = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
 _CHUNK_WORK = 2e8  # the most body-steps between two writes, unless one save interval has more
+OBJECT_BYTES, _OBJECT_WORK = 2**26, 2e10  # the same in object storage: q has up to 37 MB, minutes of a core
+CHUNKS_OF_BUFFER = _BUFFER_BYTES // OBJECT_BYTES  # so many such chunks fill the buffer
 
 
 class Summary(NamedTuple):
@@ -59,6 +62,7 @@ class Job(NamedTuple):
         save_every: the number of steps between saves; None with `rests`.
         step_axis: None or 0.
         reduction: the quantity to reduce, or None.
+        part: the members of the run to which this job is restricted, one of its parts; None if it is the whole run.
     """
 
     step: Step
@@ -73,6 +77,19 @@ class Job(NamedTuple):
     save_every: int | None
     step_axis: int | None
     reduction: Reduction | None
+    part: range | None = None
+
+    def restricted(self, members: range) -> Job:
+        """The job of these members only."""
+        own = slice(members.start, members.stop)
+        step = self.step if self.step_axis is None else jax.tree.map(lambda leaf: leaf[own], self.step)
+        t0 = self.t0 if self.t0 is None or self.shares_time else self.t0[own]
+        return self._replace(step=step, states=jax.tree.map(lambda x: x[own], self.states), t0=t0, part=members)
+
+    @property
+    def first_member(self) -> int:
+        """The number in the run of the first member of this job."""
+        return 0 if self.part is None else self.part.start
 
     @property
     def initial(self) -> State:
@@ -138,10 +155,20 @@ class Job(NamedTuple):
 
     def buffer_rows(self, across: int) -> int:
         """The number of saves per call of the loop and per chunk of a store with `across` members to a chunk."""
-        row = max(sum(leaf.nbytes for leaf in jax.tree.leaves(self.states)) // self.members + 9, 24)
-        enough = min(_CHUNK_BYTES // (across * row), _BUFFER_BYTES // (self.members * row))
+        return self._rows_of_call(across, False)
+
+    def bucket_rows(self, across: int) -> int:
+        """The same of a store in object storage, where a chunk is an object and each of them a request."""
+        return self._rows_of_call(across, True)
+
+    def _rows_of_call(self, across: int, remote: bool) -> int:
         interval = max(self.num_steps // max(self.num_saves, 1), 1)
-        return int(max(1, min(enough, _CHUNK_WORK // (self.members * interval), self.num_saves + 1)))
+        return rows_of_call(across, self.members, self.row_bytes, interval, self.num_saves + 1, remote)
+
+    @property
+    def row_bytes(self) -> int:
+        """The bytes of a member in a saved row: its states, a residual and a flag."""
+        return max(sum(leaf.nbytes for leaf in jax.tree.leaves(self.states)) // self.members + 9, 24)
 
 
 class Output(Protocol):
@@ -193,6 +220,22 @@ class Output(Protocol):
         """The result, after the last step."""
 
 
+def rows_of_call(across: int, members: int, row: int, interval: int, entries: int, remote: bool) -> int:
+    """The number of saves per call of the loop and per chunk.
+
+    Args:
+        across: the members of a chunk.
+        members: those of the process.
+        row: the bytes of a member in a saved row.
+        interval: the steps between two saves.
+        entries: the entries of the run.
+        remote: whether a chunk is an object in object storage.
+    """
+    most_bytes, most_work = (OBJECT_BYTES, _OBJECT_WORK) if remote else (_CHUNK_BYTES, _CHUNK_WORK)
+    enough = min(most_bytes // (across * row), _BUFFER_BYTES // (members * row))
+    return int(max(1, min(enough, most_work // (members * interval), entries)))
+
+
 def local_rows(saved: list[Saved], number: int) -> list[Saved]:
     """The first `number` saved rows of each block, copied to the host."""
     return jax.tree.map(lambda x: np.array(np.asarray(x)[:number]), saved)
@@ -206,18 +249,28 @@ def gather_rows(layout: Layout, saved: list[Saved], number: int) -> Saved:
 def first_entry(job: Job) -> dict[str, np.ndarray]:
     """The entry of the start in the series of a reduction."""
     zero = np.zeros(1, job.dtype)
-    return dict.fromkeys(("least", "greatest", "mean", "residual"), zero) | {"unconverged": np.zeros(1, np.int64)}
+    found = dict.fromkeys(("least", "greatest", "mean", "residual"), zero) | {"unconverged": np.zeros(1, np.int64)}
+    return found if job.part is None else found | {"sums": np.zeros((1, len(blocks(*_ends(job.part)))), job.dtype)}
 
 
 def reduce_rows(rows: Saved, job: Job) -> dict[str, np.ndarray]:
-    """Reduce rows (saves, members) to series (saves,). Sums follow the order of the members, whatever their devices."""
+    """Reduce rows (saves, members) to series (saves,), whose bits depend neither on devices nor on parts.
+
+    Of a part, "sums" (saves, blocks) are those from which the mean of the whole run follows.
+    """
     info, change = rows
     assert isinstance(change, Range)
-    values = job.members * (job.save_every or 1)
-    return {
+    sums = block_sums(np.asarray(change.total), job.first_member)
+    members = range(job.first_member, job.first_member + job.members)
+    found = {
         "least": change.least.min(axis=1),
         "greatest": change.greatest.max(axis=1),
-        "mean": np.array([np.sum(row) for row in np.asarray(change.total)]) / values,
+        "mean": total([(members, sums)]) / (job.members * (job.save_every or 1)),
         "residual": info.residual.max(axis=1),
         "unconverged": (~np.asarray(info.converged)).sum(axis=1),
-    }  # pyright: ignore[reportReturnType]
+    }
+    return found if job.part is None else found | {"sums": sums}  # pyright: ignore[reportReturnType]
+
+
+def _ends(members: range) -> tuple[int, int]:
+    return members.start, members.stop

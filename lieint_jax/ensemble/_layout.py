@@ -165,9 +165,12 @@ def first_devices(count: int | None) -> Mesh:
     return Mesh(devices, (AXIS,))
 
 
-def layout_of(place: Place, members: int, chunk: int | None = None) -> Layout:
-    """The layout of `members` members; with `chunk`, each process holds whole chunks of members."""
-    if members == 1:
+def layout_of(place: Place, members: int, chunk: int | None = None, alone: bool = True) -> Layout:
+    """The layout of `members` members; with `chunk`, each process holds whole chunks of members.
+
+    A single member is computed without padding, unless it is not `alone` but part of a run of more.
+    """
+    if members == 1 and alone:
         return Layout(place, 1, 1, 1)
     mesh = place.mesh
     processes = count_processes(mesh)

@@ -22,8 +22,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax import _checks
-from lieint_jax.ensemble import _store
+from lieint_jax.ensemble import _integrity, _store
 from lieint_jax.ensemble._integrity import Table
+from lieint_jax.ensemble._part_reading import PublishedArray
+from lieint_jax.ensemble._parts import PartsRoot, read_root
+from lieint_jax.ensemble._storage import Address, Bucket, Disk, Storage, Url
 from lieint_jax.ensemble._store import state_from_leaves, store_name
 from lieint_jax.types import StepInfo, System, Trajectory
 
@@ -34,6 +37,7 @@ _JSON_BYTES, _JSON_DEPTH = 2**26, 64
 _MAX_RATIO, _SMALL = 100, 2**20  # an archive may expand by this factor, or to this many bytes
 _CHUNK_BYTES = 2**30
 _MAX_LENGTH = 10**15  # of an axis of an array
+_MAX_PARTS = 10**6
 _REALS, _FLAGS, _COUNTS = ("float32", "float64"), ("bool",), ("int32", "int64")
 _SERIES = ("least", "greatest", "mean", "residual")
 _ZIP_ENCRYPTED = 0x1
@@ -45,7 +49,7 @@ class UnreadableError(ValueError):
 
 @contextlib.contextmanager
 def wrap_errors(
-    path: Path,
+    path: Address,
     what: str = "is no file of results that lieint wrote, or is damaged",
     passed: tuple[type[Exception], ...] = (),
 ) -> Iterator[None]:
@@ -235,13 +239,17 @@ def _check_times(t: np.ndarray) -> None:
         raise ValueError("its times are not finite and in order")
 
 
-def check_store(path: Path) -> Table:
+def check_store(path: Address) -> Table:
     """Check every file of the store at `path`, and return the store's attributes.
+
+    Of a store in parts only the description of the run is checked: `_part_reading.load` checks its parts one by one.
 
     Raises:
         UnreadableError: not a store of lieint, or its description does not fit its arrays.
         ValueError: a damaged store; the message names the files.
     """
+    if isinstance(path, Url):
+        return _check_bucket(path)
     refuse_special(path)
     if not path.is_dir():
         raise UnreadableError(f"{path} does not exist, or is not the store of a run: that is a folder NAME.zarr")
@@ -249,6 +257,8 @@ def check_store(path: Path) -> Table:
         count = _check_files(path)
     with wrap_errors(path, passed=(ValueError,)):
         root = _store.read_root(path)
+    if "parts" in root["attributes"]:
+        return _check_parts(Disk(path), root)
     with wrap_errors(path):
         shown = _check_arrays(root["consolidated_metadata"]["metadata"], count)
         _check_attributes(root["attributes"], shown)
@@ -259,6 +269,32 @@ def check_store(path: Path) -> Table:
             if parse_json((path / name / "zarr.json").read_bytes())["shape"] != shown[name]["shape"]:
                 raise ValueError(f"the shape of {name} differs from its description")
     return root["attributes"]
+
+
+def _check_bucket(url: Url) -> Table:
+    """Check the description of the run in a store in object storage, and return its attributes."""
+    storage = Bucket(url)
+    root = read_root(storage)
+    if root is None:
+        raise UnreadableError(f"there is no store {url}; lieint run NAME --out {url} writes one")
+    if "parts" not in root["attributes"]:
+        raise UnreadableError(f"{url} is a copy of a store that was written on a disk: copy it to a disk to read it")
+    return _check_parts(storage, root)
+
+
+def _check_parts(storage: Storage, root: Table) -> Table:
+    """Check the description of a store in parts, and return its attributes."""
+    found = root["attributes"]
+    with wrap_errors(storage.address):
+        shown = _check_arrays(root["consolidated_metadata"]["metadata"], None)
+        _check_table("the description", found, _PARTS_KEYS)
+        if found["parts"] > min(found["members"], _MAX_PARTS):
+            raise ValueError(f"it has {found['parts']} parts of {found['members']} members")
+        _check_attributes(found, shown)
+        own = PartsRoot(storage, root)
+        lost = list(own.damage_of_root())
+    _integrity.raise_if_damaged(storage.address, lost)
+    return found
 
 
 def _check_files(path: Path) -> int:
@@ -283,12 +319,12 @@ def _check_files(path: Path) -> int:
     return count
 
 
-def _check_arrays(shown: Any, files: int) -> Table:
+def _check_arrays(shown: Any, files: int | None) -> Table:
     """The descriptions of a store's arrays by name, which must be valid and need no more files than the store has.
 
     Args:
         shown: the consolidated metadata.
-        files: the number of files in the store.
+        files: the number of files in the store; None if it may lack some.
     """
     for name, array in shown.items():
         if not _NAME.fullmatch(name):
@@ -302,7 +338,8 @@ def _check_arrays(shown: Any, files: int) -> Table:
             raise ValueError(f"{name} has chunks that do not fit its shape {tuple(array['shape'])}")
         if math.prod(chunk) * 8 > _CHUNK_BYTES:
             raise ValueError(f"{name} has chunks of {_checks.spoken_size(math.prod(chunk) * 8)}")
-        if math.prod(-(-n // size) for n, size in zip(array["shape"], chunk, strict=True)) > files:
+        chunks = math.prod(-(-n // size) for n, size in zip(array["shape"], chunk, strict=True))
+        if files is not None and chunks > files:
             raise ValueError(f"{name} of shape {tuple(array['shape'])} has more chunks than there are files")
     return shown
 
@@ -321,14 +358,18 @@ def _check_attributes(found: Table, shown: Mapping[str, Table]) -> None:
     missing = set(constants) - set(kinds)
     if missing:
         raise ValueError(f"it has no array {min(missing)}")
-    entries, members = found["progress"]["entries"], found["members"]
+    in_parts = "parts" in found
+    entries, members = found["num_entries"] if in_parts else found["progress"]["entries"], found["members"]
     if found["reduce"] is not None:
         names = {*_SERIES, "unconverged", "time"}
         if not names <= set(kinds):
             raise ValueError(f"it has no array {min(names - set(kinds))}")
         for name in names:
-            _expect(name, kinds, _COUNTS if name == "unconverged" else _REALS, (entries,))
-        if found["progress"]["complete"]:
+            shape = (found["parts"], entries) if in_parts and name != "time" else (entries,)
+            _expect(name, kinds, _COUNTS if name == "unconverged" else _REALS, shape)
+        if in_parts and kinds.get("sums", ((),))[0][:2] != (found["parts"], entries):
+            raise ValueError("it has no sums of its parts")
+        if found["progress"]["complete"] or in_parts:
             for name in {*leaves, "first_failure"} - ({"t"} - set(kinds)):
                 _expect(name, kinds, _COUNTS if name == "first_failure" else _REALS, (members,), least=1)
         return
@@ -381,6 +422,7 @@ _STORE_KEYS = {
     "constants": _LIST,
     "description": _TABLE._replace(required=False),
 }
+_PARTS_KEYS = dict.fromkeys(("parts", "num_entries", "member_chunk", "time_chunk"), _COUNT) | {"digests": _TABLE}
 _PROGRESS_KEYS = dict.fromkeys(("commits", "entries", "steps"), _NATURAL) | {"complete": _FLAG}
 _ARRAY = {"shape": _LENGTHS, "data_type": _TEXT_OR_TABLE, "codecs": _TABLES, "node_type": _TEXT}
 _RUN_KEYS = {
@@ -403,7 +445,7 @@ def _check_table(where: str, found: object, kinds: Mapping[str, _Kind]) -> None:
             raise ValueError(f"{key} of {where} is not {words}")
 
 
-def check_system(path: Path, system: System, run: Trajectory, own_system: bool) -> None:
+def check_system(path: Address, system: System, run: Trajectory, own_system: bool) -> None:
     """Raise UnreadableError unless the run in a file has states of this system.
 
     Args:
@@ -416,8 +458,9 @@ def check_system(path: Path, system: System, run: Trajectory, own_system: bool) 
     with wrap_errors(path):
         if own_system and any(np.shape(leaf)[:1] != (members,) for leaf in jax.tree.leaves(system)):
             raise ValueError(f"its system does not have one value for each of its {members} members")
-        first = jax.tree.map(lambda x: x[0], system) if own_system else system
-        state = jax.tree.map(lambda x: jnp.asarray(x[0, 0]), run.state)
+        m = run.state.p.first_published if isinstance(run.state.p, PublishedArray) else 0
+        first = jax.tree.map(lambda x: x[m], system) if own_system else system
+        state = jax.tree.map(lambda x: jnp.asarray(x[0, m]), run.state)
         first.check(state)
         if jax.eval_shape(lambda s, z: s.energy(z), first, state).shape != ():
             raise ValueError("the energy of its system is not defined for these states")

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lieint_jax.ensemble import _opening, _store
+from lieint_jax.ensemble import _opening, _part_reading, _store
 from lieint_jax.ensemble._description import UnknownNameError, make
 from lieint_jax.ensemble._integrity import Table
 from lieint_jax.ensemble._job import Summary
+from lieint_jax.ensemble._parts import PartsRoot, first_of, read_root
+from lieint_jax.ensemble._storage import Address, address, open_storage
 from lieint_jax.types import System, Trajectory
 
 
@@ -17,25 +20,33 @@ def open_run(path: str | Path, own: Mapping[str, object] | None = None) -> tuple
     """Open the run in a store, and rebuild its system, for energies and all other quantities.
 
     Args:
-        path: a folder NAME.zarr that `ensemble.run` or `lieint run` has written or is writing.
+        path: a folder NAME.zarr, or a URL such as s3://bucket/NAME.zarr, that `ensemble.run` or `lieint run` has
+            written or is writing.
         own: classes and functions of the system from outside this package, such as a custom potential, by their names
             in the store. If one is missing, the error message contains its name.
 
     Returns:
         The result of `ensemble.run` so far: a `Trajectory` of arrays on disk, which are read when they are indexed, or
-        a `Summary`; and the system with the numbers in the store. With `step_axis=0` they have the member axis.
+        a `Summary`; and the system with the numbers in the store. With `step_axis=0` they have the member axis. Of a
+        store in parts, members of a missing or damaged part, and entries that a part has not reached, are NaN.
 
     Raises:
         ValueError: no store, a damaged one (the message lists the files), one of version 0.1, or a name missing in
             `own`.
+
+    Warns:
+        RuntimeWarning: parts that are missing, damaged or incomplete, by number. Objects in a bucket are not read for
+            this, a damaged one raises an error when it is read; `lieint info` looks at each.
 
     Example: the energies of all members at the end.
 
         run, system = li.ensemble.open("run.zarr")
         energies = jax.vmap(system.energy)(jax.tree.map(lambda x: x[-1], run.state))
     """
-    path = Path(path)
+    path = address(path)
     found, attributes = load_store(path)
+    if attributes.get("missing"):
+        warnings.warn(f"{path} is incomplete: {first_of(attributes['missing'])}", RuntimeWarning, stacklevel=2)
     system = system_from_store(path, attributes, own)
     if isinstance(found, Trajectory) and len(found.t):
         _opening.check_system(path, system, found, attributes["run"]["step_axis"] == 0)
@@ -44,14 +55,29 @@ def open_run(path: str | Path, own: Mapping[str, object] | None = None) -> tuple
     return _result(found, attributes), system
 
 
-def load_store(path: Path) -> tuple[Any, Table]:
-    """The complete part of the run in a store, checked, and the store's attributes; see `_store.load`."""
-    _opening.check_store(path)
+def load_store(path: Address, thorough: bool | None = None) -> tuple[Any, Table]:
+    """The complete part of the run in a store, checked, and the store's attributes; see `_store.load`.
+
+    Args:
+        path: the store.
+        thorough: of a store in parts, look at every file; None does so on a disk.
+    """
+    if "parts" in _opening.check_store(path):
+        storage = open_storage(path)
+        root = read_root(storage)
+        assert root is not None
+        return _part_reading.load(PartsRoot(storage, root), not storage.is_remote if thorough is None else thorough)
+    assert isinstance(path, Path)
     with _opening.wrap_errors(path):
         return _store.load(path)
 
 
-def system_from_store(path: Path, attributes: Table, own: Mapping[str, object] | None = None) -> System:
+def read_part(root: PartsRoot, k: int) -> Any:
+    """The results of part k of a store, as `open_complete`."""
+    return _result(*_part_reading.load(root, False, k))
+
+
+def system_from_store(path: Address, attributes: Table, own: Mapping[str, object] | None = None) -> System:
     """The system of the run in a store of these attributes."""
     constants = _store.constants(path, attributes["constants"])
     with _opening.wrap_errors(path, passed=(UnknownNameError,)):

@@ -33,9 +33,11 @@ from lieint_jax.ensemble._engine import Engine, engine_of
 from lieint_jax.ensemble._job import Job, Output, Summary, first_entry, gather_rows, reduce_rows
 from lieint_jax.ensemble._layout import Layout
 from lieint_jax.ensemble._loop import Carry, Reduction, Saved, energy
+from lieint_jax.ensemble._part_of_task import checked_part, part_of_task
 from lieint_jax.ensemble._progress import Bar, CallLength, Interrupts
+from lieint_jax.ensemble._storage import Url, address
 from lieint_jax.ensemble._store import leaves_by_name
-from lieint_jax.ensemble._store_output import StoreOptions, run_into_store
+from lieint_jax.ensemble._store_output import StoreOptions, run_into_store, run_part_into_store, split_into_parts
 from lieint_jax.types import PhaseSpace, State, Step, Trajectory, checked_step, promoted
 from lieint_jax.types._members import member_axis
 
@@ -61,6 +63,7 @@ def run(
     resume: bool = False,
     times: ArrayLike | None = None,
     save_at: ArrayLike | None = None,
+    part: tuple[int, int] | Literal["auto"] | None = None,
 ) -> Any:
     """Integrate a batch of initial states in one compiled loop, in memory or into a store that can be resumed.
 
@@ -84,18 +87,24 @@ def run(
             mean change of the quantity over all steps and members. All three are NaN where the quantity was NaN.
         mesh: devices, a `jax.sharding.Mesh` of the one axis "members"; None uses all. Machine code uses as many threads
             as the mesh has devices of this process, by default one per core.
-        store: a folder NAME.zarr, or `StoreOptions`, to which results are written during the run; memory then holds no
-            more than one chunk of them.
+        store: a folder NAME.zarr, a URL (s3://, gs://, az:// or memory://BUCKET/NAME.zarr), or `StoreOptions`, to which
+            results are written during the run; memory then holds a few copies of one chunk of them: see `peak_memory`.
+            Credentials for a URL are those in the environment.
         progress: show a progress bar on stderr, if that is a terminal.
         resume: continue the run in `store` from its last checkpoint; start it if there is no store.
         times: in place of dt and num_steps, the times (N+1,) of the boundaries of all members' steps, as in
             `integrate`.
         save_at: in place of save_every, output times (m,) as in `integrate`; since the start, if the members start at
             different times. The run ends at the last of them.
+        part: (k, n) integrates part k = 0 … n − 1 of the members only, as one of n processes that need not run at the
+            same time or know of each other. Each writes its own part of `store`; it continues this part, if the store
+            has it, and starts it otherwise. "auto" is the number of this task in an array of tasks: see
+            `part_of_task`. All parts have the bits of one process.
 
     Returns:
         A `Trajectory` of numpy arrays, axes (time, member, …), the initial states first; with `store`, of Zarr arrays,
-        which are read from disk when they are indexed. With `reduce`, a `Summary`. Its t is t₀ + nΔt, where t₀ is the
+        which are read from disk when they are indexed. With `reduce`, a `Summary`. With `part`, the results of the
+        members of that part; `ensemble.open` returns those of all. Its t is t₀ + nΔt, where t₀ is the
         shared time of the members. If they have no time or start at different times, t is the time since the start. If
         the step has its `own_time`, t is nΔt, and state.t the time of each member.
 
@@ -119,22 +128,34 @@ def run(
         raise ValueError(f'reduce must be None, "energy" or a function (step, state) ↦ scalar, got {reduce!r}')
     if resume and store is None:
         raise ValueError("resume continues a run in a store; pass store=PATH.zarr")
+    k, count = part_of_task() if part == "auto" else checked_part(part)
     threads = None if mesh is None else len(mesh.local_devices)
     mesh = _layout.checked_mesh(mesh)
     with _checks.on_host():
         job = _make_job(step, states, dt, num_steps, save_every, step_axis, reduce, store, times, save_at)
+    options = store if isinstance(store, StoreOptions) or store is None else StoreOptions(store)
+    in_parts, remote = part is not None and count > 1, options is not None and isinstance(address(options.path), Url)
+    if (in_parts or remote) and _layout.count_processes(mesh) > 1:
+        raise ValueError("part and stores in object storage are for independent processes, without jax.distributed")
+    whole, split = job, split_into_parts(job, count, remote)
+    if in_parts:
+        job = job.restricted(split.part(k))
     engine = engine_of(job, mesh)
     place = _layout.Place(mesh, threads or _layout.count_cores(), engine.whole)
+
+    def integrate(layout: Layout, output: Output) -> object:
+        return _integrate(engine, layout, output, progress)
+
     with processes.name_lost(mesh):
-        if store is None:
+        if options is None:
             if _layout.count_processes(mesh) > 1:
                 _identity.check_processes(mesh, _identity.description(job, engine.name), store=None, resume=False)
-            layout = _layout.layout_of(place, job.members)
+            layout = _layout.layout_of(place, job.members, alone=whole.members == 1)
             return _integrate(engine, layout, MemoryOutput(job, layout), progress)
-        options = store if isinstance(store, StoreOptions) else StoreOptions(store)
-        return run_into_store(
-            engine, place, options, resume, lambda layout, out: _integrate(engine, layout, out, progress)
-        )
+        if in_parts or remote:
+            resume = resume or part is not None
+            return run_part_into_store(engine, whole, place, options, split, k, resume, integrate)
+        return run_into_store(engine, place, options, resume or part is not None, integrate)
 
 
 def _make_job(
@@ -207,7 +228,7 @@ def _integrate(engine: Engine, layout: Layout, output: Output, progress: bool) -
         if not job.num_saves:
             output.checkpoint(carry, 0, 0.0, stop=False)
         result = output.result(carry)
-    _warn_of_failures(_layout.gather(layout, [c.failed for c in carry]))
+    _warn_of_failures(_layout.gather(layout, [c.failed for c in carry]), job.first_member)
     return result
 
 
@@ -288,7 +309,9 @@ class CompiledLoop:
     def check_first_step(self) -> None:
         """Raise ValueError if the first step of a member fails, or the reduced quantity is not finite at the start."""
         if self._job.reduction is not None:
-            _check_start(_layout.gather(self._layout, [origin.quantity for origin in self._start.origin]))
+            _check_start(
+                _layout.gather(self._layout, [origin.quantity for origin in self._start.origin]), self._job.first_member
+            )
         if self._job.num_steps:
             after, _ = self.advance(self.start, 0, 0, np.ones(1, int))
             _check_first(_layout.gather(self._layout, [c.failed for c in after]), self._job)
@@ -352,7 +375,8 @@ class MemoryOutput:
         if self._job.reduction is None and self._out is not None:
             info, state = self._out
             return Trajectory(self._job.times, self._job.with_times(state), info)  # pyright: ignore[reportArgumentType]
-        series = {name: np.concatenate([part[name] for part in self._series]) for name in self._series[0]}
+        names = set(Summary._fields) & set(self._series[0])
+        series = {name: np.concatenate([part[name] for part in self._series]) for name in names}
         state, failed = _layout.gather(self._layout, [(c.state, c.failed) for c in carry])
         return Summary(self._job.times, **series, state=self._job.with_last_time(state), failed=failed)
 
@@ -428,12 +452,12 @@ def _is_real_scalar(value: _layout.Numbers | np.generic | float) -> bool:
     return np.shape(value) == () and jnp.issubdtype(jnp.result_type(value), jnp.floating)
 
 
-def _check_start(quantity: np.ndarray) -> None:
+def _check_start(quantity: np.ndarray, first: int) -> None:
     bad = np.flatnonzero(~np.isfinite(quantity))
     if bad.size:
         raise ValueError(
             f"the quantity of reduce must be finite at the start, from which its changes are measured, and is not "
-            f"finite for {_list_members(bad)}"
+            f"finite for {_list_members(bad + first)}"
         )
 
 
@@ -448,14 +472,15 @@ def _check_first(failed: np.ndarray, job: Job) -> None:
         step, state = job.member(bad[0])
         more = more_times(step, state, job.first_dt) if isinstance(job.clock, GridClock) else ""
         advice = f"{step.advice(state, job.first_dt)}{more}"
-        raise ValueError(f"the first step fails for {_list_members(bad)}. Member {bad[0]}: {advice}")
+        first = job.first_member
+        raise ValueError(f"the first step fails for {_list_members(bad + first)}. Member {bad[0] + first}: {advice}")
 
 
-def _warn_of_failures(failed: np.ndarray) -> None:
+def _warn_of_failures(failed: np.ndarray, first: int) -> None:
     bad = np.flatnonzero(failed >= 0)
     if bad.size:
         bad = bad[np.argsort(failed[bad], kind="stable")]
-        named = ", ".join(f"member {m} at step {failed[m]}" for m in bad[:_MAX_NAMED])
+        named = ", ".join(f"member {first + m} at step {failed[m]}" for m in bad[:_MAX_NAMED])
         more = f" and {bad.size - _MAX_NAMED} more" if bad.size > _MAX_NAMED else ""
         warnings.warn(
             f"{bad.size} of {failed.size} members did not converge at every step: {named}{more}; "

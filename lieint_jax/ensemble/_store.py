@@ -5,6 +5,7 @@ The store grows during the run, and the run can be resumed however it ended: see
 
 from __future__ import annotations
 
+import abc
 import contextlib
 import glob
 import hashlib
@@ -23,11 +24,13 @@ import numpy as np
 
 from lieint_jax.ensemble import _integrity
 from lieint_jax.ensemble._integrity import CHECKPOINT, CHECKSUMS, Table
+from lieint_jax.ensemble._storage import Address, lock_folder, open_storage, sync
 from lieint_jax.types import State, StepInfo, Trajectory
 
 FORMAT = 3  # the format number of new stores; version 0.2 wrote 2
+PARTS_FORMAT = 4  # that of stores in parts: see `_parts`
 _EXTRA = "extra."  # begins the name of a leaf of `State.extra`: extra.NAME
-_ROOT = "zarr.json"  # the metadata of a Zarr 3 group; new data become visible when it is replaced
+ROOT = "zarr.json"  # the metadata of a Zarr 3 group; new data become visible when it is replaced
 _MAX_RECORDS = 2**16  # checksums in a chunk of their array, unless one row has more
 _STALE = 3600.0  # seconds after which an unfinished store counts as abandoned
 
@@ -81,11 +84,12 @@ def states_in(arrays: Any, times: np.ndarray, metadata: Table) -> State:
     return state_from_leaves(found)
 
 
-def constants(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
+def constants(path: Address, names: Iterable[str]) -> dict[str, np.ndarray]:
     """The arrays of these names, which the run does not change."""
     import zarr
 
-    return {name: np.asarray(zarr.open_array(str(path / name), mode="r")[...]) for name in names}
+    store = open_storage(path).arrays()
+    return {name: np.asarray(zarr.open_array(store, path=name, mode="r")[...]) for name in names}
 
 
 def check(path: Path) -> None:
@@ -103,24 +107,31 @@ def check(path: Path) -> None:
 def read_root(path: Path) -> Table:
     """The store's root metadata."""
     try:
-        root = json.loads((path / _ROOT).read_text(encoding="utf-8"))
+        return checked_root((path / ROOT).read_bytes(), path)
     except (FileNotFoundError, NotADirectoryError):
         raise ValueError(f"{path} does not exist, or is not the store of a run") from None
+
+
+def checked_root(data: bytes, path: Address) -> Table:
+    """The root metadata of the store at `path` from its bytes."""
+    try:
+        root = json.loads(data)
     except ValueError as error:
         raise ValueError(
-            f"{path / _ROOT} is damaged: {error}. The arrays next to it can still be read one by one"
+            f"{path}/{ROOT} is damaged: {error}. The arrays next to it can still be read one by one"
         ) from None
     attributes = root.get("attributes", {})
     if "progress" not in attributes:
         raise ValueError(f"{path} is a Zarr group, but was not written by lieint")
     if "format" not in attributes:
         raise ValueError(f"{path} was written by version 0.1: only its states can be read, by xarray.open_zarr")
-    if attributes["format"] > FORMAT:
+    if attributes["format"] > PARTS_FORMAT:
         raise ValueError(
-            f"{path} has format {attributes['format']}; this lieint_jax reads formats up to {FORMAT}: use a newer one"
+            f"{path} has format {attributes['format']}; this lieint_jax reads formats up to {PARTS_FORMAT}: use "
+            "a newer one"
         )
     if "checksum" in attributes and attributes["checksum"] != _integrity.checksum(root):
-        raise ValueError(f"{path / _ROOT} is damaged: its checksum is wrong. The arrays next to it can still be read")
+        raise ValueError(f"{path}/{ROOT} is damaged: its checksum is wrong. The arrays next to it can still be read")
     return root
 
 
@@ -160,7 +171,77 @@ class Commit(NamedTuple):
     progress: Table
 
 
-class Writer:
+class BackgroundWriter(abc.ABC):
+    """A store, open for writing: a thread writes a commit while the run goes on.
+
+    Attributes:
+        path: its address.
+    """
+
+    def __init__(self, path: Address) -> None:
+        self.path = path
+        self._writing: Future[dict[str, int]] | None = None
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix="lieint-store")
+
+    @property
+    @abc.abstractmethod
+    def attributes(self) -> Table:
+        """The attributes of the store."""
+
+    @property
+    @abc.abstractmethod
+    def progress(self) -> Table:
+        """The state of the published run: its commits, entries along time, steps, and whether it is complete."""
+
+    @abc.abstractmethod
+    def read(self, name: str, index: int | slice | tuple[int | slice, ...]) -> np.ndarray:
+        """The values of an array of the checkpoint, with its slots, at `index`."""
+
+    @abc.abstractmethod
+    def _write(self, parts: Iterable[Part], commit: Commit) -> dict[str, int]:
+        """Write a commit, and return the checksums of its files that other processes need."""
+
+    @abc.abstractmethod
+    def checksums(self, commit: Commit) -> np.ndarray:
+        """The checksums of the commit's files: those that this process has written, and 0 for those of others."""
+
+    @abc.abstractmethod
+    def publish(self, commit: Commit, checksums: np.ndarray) -> None:
+        """Make the last commit visible, after every process has written it; `checksums` are those of all processes."""
+
+    @property
+    def slot(self) -> int:
+        """The slot of the published checkpoint."""
+        return self.progress["commits"] % 2
+
+    def write(self, parts: Callable[[], Iterable[Part]], commit: Commit) -> None:
+        """Start writing a commit in the background; the previous one must have been published."""
+        self._writing = self._writer.submit(lambda: self._write(parts(), commit))
+
+    @property
+    def is_written(self) -> bool:
+        """True if this process' part of the last commit is on disk. Raises OSError if it could not be written."""
+        if self._writing is None or not self._writing.done():
+            return self._writing is None
+        try:
+            self._writing.result()
+        except OSError as error:
+            raise self._write_error(error) from error
+        return True
+
+    def _write_error(self, error: OSError) -> OSError:
+        reason = error.strerror or str(error)
+        steps = self.progress["steps"]
+        return OSError(
+            error.errno, f"{reason}: {self.path} holds everything up to step {steps}; fix the cause and resume"
+        )
+
+    def close(self) -> None:
+        """Wait for the background thread."""
+        self._writer.shutdown()
+
+
+class Writer(BackgroundWriter):
     """A run's store, open for writing.
 
     A commit is a set of parts that belong together: whole chunks of the arrays, and the checkpoint from which a run
@@ -174,11 +255,10 @@ class Writer:
     """
 
     def __init__(self, path: Path, leader: bool) -> None:
+        super().__init__(path)
         self.path = path
         self._leader = leader
-        self._lock = _lock(path) if leader else None
-        self._writing: Future[dict[str, int]] | None = None
-        self._writer = ThreadPoolExecutor(1, thread_name_prefix="lieint-store")
+        self._lock = lock_folder(path) if leader else None
         self._arrays: dict[str, Any] = {}  # of zarr
 
     @cached_property
@@ -192,11 +272,6 @@ class Writer:
         return self.attributes["progress"]
 
     @property
-    def slot(self) -> int:
-        """The slot of the published checkpoint."""
-        return self.progress["commits"] % 2
-
-    @property
     def next_slot(self) -> int:
         """The slot to which the next commit writes its checkpoint."""
         return 1 - self.slot
@@ -204,21 +279,6 @@ class Writer:
     def read(self, name: str, index: int | slice | tuple[int | slice, ...]) -> np.ndarray:
         """The values of an array of the store at `index`."""
         return np.asarray(self._array(name)[index])
-
-    def write(self, parts: Callable[[], Iterable[Part]]) -> None:
-        """Start writing a commit in the background; the previous one must have been published."""
-        self._writing = self._writer.submit(lambda: self._write(parts()))
-
-    @property
-    def is_written(self) -> bool:
-        """True if this process' part of the last commit is on disk. Raises OSError if it could not be written."""
-        if self._writing is None or not self._writing.done():
-            return self._writing is None
-        try:
-            self._writing.result()
-        except OSError as error:
-            raise self._write_error(error) from error
-        return True
 
     def checksums(self, commit: Commit) -> np.ndarray:
         """The checksums of the commit's files: those that this process has written, and 0 for those of others."""
@@ -237,7 +297,7 @@ class Writer:
             self.attributes = attributes
             if self.progress["complete"]:
                 shutil.rmtree(self.path / CHECKPOINT)
-        self.attributes = self.attributes | {"progress": commit.progress}
+        self.attributes = self.attributes | {"progress": commit.progress}  # pyright: ignore
 
     def _digests(self, commit: Commit, checksums: np.ndarray) -> Table:
         """Record the checksums of a commit's row of chunks along time, and return the digests that it changes."""
@@ -281,14 +341,9 @@ class Writer:
         rows = _integrity.published_rows(self.attributes)
         return hashlib.sha256(_integrity.checksums_of_rows(self.path, rows).tobytes())
 
-    def _write_error(self, error: OSError) -> OSError:
-        steps = read_root(self.path)["attributes"]["progress"]["steps"]
-        reason = f"{error.strerror}: {self.path} holds everything up to step {steps}; fix the cause and resume"
-        return OSError(error.errno, reason)
-
     def close(self) -> None:
         """Wait for the background thread, and release the lock."""
-        self._writer.shutdown()
+        super().close()
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
@@ -297,11 +352,11 @@ class Writer:
         if name not in self._arrays:
             import zarr
 
-            with _write_every_chunk():
+            with write_every_chunk():
                 self._arrays[name] = zarr.open_array(str(self.path / name), mode="r+")
         return self._arrays[name]
 
-    def _write(self, parts: Iterable[Part]) -> dict[str, int]:
+    def _write(self, parts: Iterable[Part], commit: Commit | None = None) -> dict[str, int]:
         """Write slabs to disk, and return the checksums of their files."""
         folders: set[Path] = set()
         checksums: dict[str, int] = {}
@@ -314,10 +369,10 @@ class Writer:
                 rest = ["0"] * (array.ndim - len(key))
                 file = "/".join((name, "c", *map(str, key), *rest))
                 checksums[file] = _integrity.checksum_of_file(self.path / file)
-                _sync(self.path / file)
+                sync(self.path / file)
                 folders.update(list((self.path / file).parents)[: array.ndim + 1])
         for folder in folders:
-            _sync(folder)
+            sync(folder)
         return checksums
 
 
@@ -342,9 +397,9 @@ def create(
         unfinished.mkdir(parents=True)
         _fill(unfinished, columns, checkpoint, attributes, constants)
         for file in unfinished.rglob("*"):
-            _sync(file)
+            sync(file)
         unfinished.rename(path)
-        _sync(path.parent)
+        sync(path.parent)
     except OSError as error:
         if os.path.lexists(path):
             raise ValueError(f"{path} was created by another run in the meantime, and is not overwritten") from None
@@ -368,26 +423,26 @@ def _fill(
     slots = {f"{CHECKPOINT}/{name}": column for name, column in checkpoint.items()}
     named = {**columns, **slots, **{name: column for name, (column, _) in constants.items()}}
     for name, column in named.items():
-        _add(group, name, column)
+        add_array(group, name, column)
     metas = _integrity.metadata(folder, named)
     files, [length], [chunk] = len(_integrity.files_of_rows(metas, 0)), columns["time"].shape, columns["time"].chunks
     rows = -(-length // chunk)
     chunks = min(rows, max(1, _MAX_RECORDS // files)), files
-    _add(group, CHECKSUMS, Column((rows, files), np.dtype(np.uint32), chunks, ("row", "file"), {}))
-    with _write_every_chunk():
+    add_array(group, CHECKSUMS, Column((rows, files), np.dtype(np.uint32), chunks, ("row", "file"), {}))
+    with write_every_chunk():
         for name, (_, values) in constants.items():
             zarr.open_array(str(folder / name), mode="r+")[...] = values
     digests = {
-        "metadata": {name: _integrity.digest((folder / name / _ROOT).read_bytes()) for name in (*named, CHECKSUMS)},
+        "metadata": {name: _integrity.digest((folder / name / ROOT).read_bytes()) for name in (*named, CHECKSUMS)},
         "arrays": {name: _integrity.digest_of_array(folder, name, metas[name]) for name in constants},
         "rows": _integrity.digest(b""),
         "checkpoint": None,
     }
-    root = json.loads((folder / _ROOT).read_text(encoding="utf-8"))
+    root = json.loads((folder / ROOT).read_text(encoding="utf-8"))
     _write_root(folder, root | {"attributes": root["attributes"] | {"digests": digests}}, metas)
 
 
-def _add(group: Any, name: str, column: Column) -> None:
+def add_array(group: Any, name: str, column: Column) -> None:
     """Create an array of a store, without values."""
     import zarr.codecs
 
@@ -412,7 +467,7 @@ def _remove_stale(path: Path) -> None:
                 shutil.rmtree(folder)
 
 
-def _write_every_chunk() -> contextlib.AbstractContextManager[object]:
+def write_every_chunk() -> contextlib.AbstractContextManager[object]:
     """A context whose newly opened arrays write chunks of fill values too, so that every missing file is a lost one."""
     import zarr
 
@@ -441,42 +496,18 @@ def _write_root(path: Path, root: Table, metas: Mapping[str, Table]) -> None:
             shown[name] = metas[name]
     root = root | {"consolidated_metadata": {"kind": "inline", "must_understand": False, "metadata": shown}}
     root["attributes"] = attributes | {"checksum": _integrity.checksum(root)}
-    file = path / f"{_ROOT}.partial"
+    file = path / f"{ROOT}.partial"
     with file.open("w", encoding="utf-8") as f:
         f.write(json.dumps(root, indent=1))
         f.flush()
         os.fsync(f.fileno())
-    file.rename(path / _ROOT)
-    _sync(path)
+    file.rename(path / ROOT)
+    sync(path)
 
 
 def _results(metas: Mapping[str, Table]) -> list[str]:
     """The arrays of a store for readers: all but the checkpoint and the checksums."""
     return [name for name in metas if name != CHECKSUMS and not name.startswith(f"{CHECKPOINT}/")]
-
-
-def _sync(path: Path) -> None:
-    """Wait until a file, or a folder's list of entries, is on disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _lock(path: Path) -> int:
-    """Lock the store against a second run. The lock is released when the process ends, however it ends."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        import fcntl
-
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(descriptor)
-        raise ValueError(f"another run is writing to {path}") from None
-    except (ImportError, OSError):  # a system, or a file system, without locks
-        pass
-    return descriptor
 
 
 @contextlib.contextmanager

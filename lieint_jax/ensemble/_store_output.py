@@ -17,19 +17,39 @@ from numpy.typing import DTypeLike
 
 from lieint_jax.ensemble import _identity, _layout, _opening, _store
 from lieint_jax.ensemble._description import describe
+from lieint_jax.ensemble._dyadic_sum import blocks
 from lieint_jax.ensemble._engine import Engine
 from lieint_jax.ensemble._integrity import Table
-from lieint_jax.ensemble._job import Job, first_entry, gather_rows, local_rows, reduce_rows
+from lieint_jax.ensemble._job import (
+    CHUNKS_OF_BUFFER,
+    OBJECT_BYTES,
+    Job,
+    first_entry,
+    gather_rows,
+    local_rows,
+    reduce_rows,
+)
 from lieint_jax.ensemble._layout import Layout, Numbers, Place
 from lieint_jax.ensemble._loop import Carry, Range, Saved, step_dtype
-from lieint_jax.ensemble._reading import open_complete
+from lieint_jax.ensemble._part_writer import join, open_part, skeleton
+from lieint_jax.ensemble._parts import PartsRoot, Split, read_root
+from lieint_jax.ensemble._reading import open_complete, read_part
+from lieint_jax.ensemble._storage import Storage, address, open_storage
 from lieint_jax.ensemble._store import leaves_by_name, state_from_leaves, store_name
 from lieint_jax.types import StepInfo, _labeled
 
 Pending = Any  # saved rows by block, or the series of a reduction by name
 _RESIDUAL = "largest residual of a step since the entry before"
-_CHUNK_MEMBERS = 8192  # the most members in a chunk on disk
-_OWN = {"constants", "description", "progress", "digests", "checksum"}  # further attributes of every store
+CHUNK_MEMBERS = 8192  # the most members in a chunk on disk
+_OWN = {
+    "constants",
+    "description",
+    "progress",
+    "digests",
+    "checksum",
+    "parts",
+    "missing",
+}  # further attributes of every store
 _CHECKPOINT_EVERY = 30.0  # seconds between checkpoints within a long save interval
 
 
@@ -37,7 +57,7 @@ class StoreOptions(NamedTuple):
     """The path of a store, and attributes that are written with the results.
 
     Attributes:
-        path: a folder, whose name ends in .zarr.
+        path: a folder or a URL, whose name ends in .zarr.
         attributes: values for JSON, such as a title. The key "scenario" describes the run: a run with another scenario
             cannot resume it.
         time_unit: the unit of dt.
@@ -61,7 +81,8 @@ def run_into_store(
     _check_json(options.attributes)
     layout = _layout.layout_of(place, job.members)
     described = _identity.description(job, engine.name, options.attributes.get("scenario"))
-    attributes = _attributes(job, options, described, _layout.chunk_of(layout, _CHUNK_MEMBERS))
+    chunk = _layout.chunk_of(layout, CHUNK_MEMBERS)
+    attributes = _attributes(job, options, described, chunk, job.buffer_rows(chunk))
     _identity.check_processes(mesh, described, store=path.name, resume=resume)
     exists = bool(_layout.all_reduce_max(mesh, os.path.exists(path))[0])
     if exists and not resume:
@@ -70,7 +91,7 @@ def run_into_store(
         _identity.warn_of_no_resume(described)
         _layout.fail_together(mesh, lambda: leader and _create(path, job, options, attributes))
     else:
-        _layout.fail_together(mesh, lambda: _opening.check_store(path))
+        _layout.fail_together(mesh, lambda: _refuse_parts(path, _opening.check_store(path)))
     with contextlib.ExitStack() as stack:
         writer = _layout.fail_together(mesh, lambda: stack.enter_context(_store.open_writer(path, leader)))
         if exists:
@@ -85,12 +106,114 @@ def run_into_store(
     return open_complete(path)
 
 
-def _checked_path(path: str | Path) -> Path:
-    """The path of a store, checked as far as is possible before it exists."""
-    path = Path(path)
+def _refuse_parts(path: Path, attributes: Table) -> None:
+    if "parts" in attributes:
+        count = attributes["parts"]
+        raise ValueError(f"{path} is written in {count} part(s): pass part=(k, {count}), or choose another store")
+
+
+def split_into_parts(job: Job, count: int, remote: bool) -> Split:
+    """The split of a run into `count` parts, and its chunks."""
+    return Split.into_parts(
+        job.members, count, chunk_members(job.members, count, job.row_bytes, job.num_saves + 1, remote)
+    )
+
+
+def chunk_members(members: int, count: int, row: int, entries: int, remote: bool) -> int:
+    """The most members in a chunk of a run of `count` parts, of which a saved row has `row` bytes for each member.
+
+    Where a chunk is an object in a bucket it has members enough that it can become as large as it should: a part holds
+    the rows of all of its members in memory, which limits the number of rows.
+    """
+    if not remote:
+        return CHUNK_MEMBERS
+    return max(CHUNK_MEMBERS, members // (count * CHUNKS_OF_BUFFER), OBJECT_BYTES // (row * entries))
+
+
+def run_part_into_store(
+    engine: Engine,
+    whole: Job,
+    place: Place,
+    options: StoreOptions,
+    split: Split,
+    k: int,
+    resume: bool,
+    integrate: Callable[[Layout, StoreOutput], object],
+) -> Any:
+    """Let `integrate` fill part k of a store, from its start or its last commit, and return the results of its members.
+
+    The first part to come creates the store; every part checks that the store is that of its own run.
+
+    Args:
+        engine: that of the part's job.
+        whole: the job of all members.
+        place: the devices and threads.
+        options: the store.
+        split: the parts.
+        k: which one.
+        resume: continue a store that exists.
+        integrate: fills an output.
+    """
+    storage = open_storage(_checked_path(options.path))
+    _check_json(options.attributes)
+    described = _identity.description(whole, engine.name, options.attributes.get("scenario"))
+    found = read_root(storage)
+    if found is not None and not resume:
+        raise ValueError(
+            f"{storage.address} exists and is not overwritten; resume continues it, or choose another store"
+        )
+    files = _skeleton(whole, options, described, split, storage.is_remote)
+    if found is None:
+        storage.create(_store.ROOT, files[_store.ROOT])
+        found = read_root(storage)
+    root = _same_run(storage, found, described, split)
+    join(storage, root, files)
+    layout = _layout.layout_of(place, engine.job.members, alone=whole.members == 1)
+    with open_part(root, k) as writer:
+        if not writer.progress["complete"]:
+            integrate(layout, StoreOutput(engine.job, layout, writer))
+    return read_part(root, k)
+
+
+def _same_run(storage: Storage, found: Table | None, described: Table, split: Split) -> PartsRoot:
+    """The root of a store, if it is that of this run in these parts."""
+    if found is None:
+        raise ValueError(f"{storage.address} was removed while this part started")
+    attributes = found["attributes"]
+    if "parts" not in attributes:
+        raise ValueError(f"{storage.address} was not written in parts; choose another store")
+    _identity.check_same(storage.address, attributes, described)
+    if attributes["parts"] != split.parts:
+        raise ValueError(f"{storage.address} is written in {attributes['parts']} part(s), not in {split.parts}")
+    return PartsRoot(storage, found)
+
+
+def _skeleton(job: Job, options: StoreOptions, described: Table, split: Split, remote: bool) -> dict[str, bytes]:
+    """The files that a store in parts begins with; `job` is that of all members."""
+    largest = job.restricted(max(map(split.part, range(split.parts)), key=len))
+    rows = (largest.bucket_rows if remote else largest.buffer_rows)(split.chunk)
+    description, numbers = describe(job.step)
+    attributes = _attributes(job, options, described, split.chunk, rows)
+    attributes |= {"format": _store.PARTS_FORMAT, "parts": split.parts}
+    attributes |= {"constants": sorted(numbers), "description": description}
+    axes = _Axes(job, split.chunk, rows)
+    columns = _columns(job, axes, options)
+    if job.reduction is not None:
+        most = max(len(blocks(part.start, part.stop)) for part in map(split.part, range(split.parts)))
+        series = {"part": (split.parts, 1), **axes.times}
+        columns |= _series_columns(job, axes, series)
+        columns["sums"] = axes.column({**series, "block": (most, most)}, long_name="sums over blocks of members")
+    constants = {name: _constant(name, x, job) for name, x in numbers.items()} | _labels(job)
+    constants["time"] = columns.pop("time"), job.times
+    return skeleton(columns, attributes, constants)
+
+
+def _checked_path(place: str | Path) -> Any:
+    """The path or URL of a store, checked as far as is possible before it exists."""
+    path = address(place)
     if path.suffix != ".zarr":
         raise ValueError(f"a store is a folder that ends in .zarr, got {path}")
-    if os.path.lexists(path) and not os.path.exists(path):
+    if isinstance(path, Path) and os.path.lexists(path) and not os.path.exists(path):
         raise ValueError(f"{path} is a link to {path.readlink()}, which does not exist; remove it or make that folder")
     return path
 
@@ -111,9 +234,10 @@ def _create(path: Path, job: Job, options: StoreOptions, attributes: Table) -> N
     description, numbers = describe(job.step)
     chunk = attributes["member_chunk"]
     attributes |= {"constants": sorted(numbers), "description": description}
-    columns = _columns(job, chunk, options)
+    axes = _Axes(job, chunk, attributes["time_chunk"])
+    columns = _columns(job, axes, options)
     constants = {name: _constant(name, x, job) for name, x in numbers.items()} | _labels(job)
-    _store.create(path, columns, _checkpoint_columns(job, chunk), attributes, constants)
+    _store.create(path, columns, _checkpoint_columns(job, axes), attributes, constants)
 
 
 class StoreOutput:
@@ -121,7 +245,7 @@ class StoreOutput:
 
     defers_interrupts = True
 
-    def __init__(self, job: Job, layout: Layout, writer: _store.Writer) -> None:
+    def __init__(self, job: Job, layout: Layout, writer: _store.BackgroundWriter) -> None:
         self._job, self._layout, self._writer = job, layout, writer
         self._entries = writer.progress["entries"]  # committed so far
         self._pending: list[tuple[Pending, int]] = []
@@ -187,8 +311,8 @@ class StoreOutput:
         row = first // self.buffer_rows if pending else None
         commits = 0 if last else number  # reset: it depends on interruptions
         progress = {"commits": commits, "entries": self._entries, "steps": done, "complete": last}
-        writer.write(partial(self._parts, carry, pending, first, (number, done), last))
         self._next = _store.Commit(row, progress)
+        writer.write(partial(self._parts, carry, pending, first, (number, done), last), self._next)
 
     def _settle(self, wait: bool) -> None:
         """Publish the commit in progress if all processes have written it; with `wait`, wait until they have."""
@@ -246,7 +370,7 @@ class StoreOutput:
             for name in blocks[0]:
                 parts = [block[name] for block in blocks]
                 joined.setdefault(name, []).append(_layout.local_part(self._layout, parts, 1))
-        return {name: np.concatenate(parts) for name, parts in joined.items()}
+        return {name: np.concatenate(parts) if len(parts) > 1 else parts[0] for name, parts in joined.items()}
 
     def _own_times(self, entries: slice, *index: int) -> dict[str, np.ndarray]:
         """The array "t" of this process' members, if each member has times of its own."""
@@ -285,8 +409,8 @@ def _leaves_of_carry(carry: list[Carry]) -> dict[str, list[Numbers]]:
 class _Axes:
     """The axes that the arrays of a store share, each a name with its length and chunk length."""
 
-    def __init__(self, job: Job, chunk: int) -> None:
-        self.times = {"time": (job.num_saves + 1, job.buffer_rows(chunk))}  # name: (length, chunk)
+    def __init__(self, job: Job, chunk: int, rows: int) -> None:
+        self.times = {"time": (job.num_saves + 1, rows)}  # name: (length, chunk)
         self.members = {"member": (job.members, chunk)}
         self.slots = {"slot": (2, 1)}
         self._number = job.dtype
@@ -304,9 +428,8 @@ class _Axes:
         return self.column({**axes, **{dim: (n, n) for dim, n in zip(dims, leaf.shape[1:], strict=True)}}, **attributes)
 
 
-def _columns(job: Job, chunk: int, options: StoreOptions) -> dict[str, _store.Column]:
+def _columns(job: Job, axes: _Axes, options: StoreOptions) -> dict[str, _store.Column]:
     """The arrays that readers see."""
-    axes = _Axes(job, chunk)
     times, members = axes.times, axes.members
     series = job.reduction is not None
     texts = {"q": "configuration", "p": "momentum", "work": "work done on the body", "t": "time of each member"}
@@ -320,7 +443,7 @@ def _columns(job: Job, chunk: int, options: StoreOptions) -> dict[str, _store.Co
     columns["first_failure"] = axes.column(
         members, np.int64, long_name="first step that did not converge, or -1", units="1"
     )
-    return columns | (_series_columns(job, axes) if series else _report_columns(axes))
+    return columns | (_series_columns(job, axes, times) if series else _report_columns(axes))
 
 
 def _report_columns(axes: _Axes) -> dict[str, _store.Column]:
@@ -331,13 +454,13 @@ def _report_columns(axes: _Axes) -> dict[str, _store.Column]:
     }
 
 
-def _series_columns(job: Job, axes: _Axes) -> dict[str, _store.Column]:
+def _series_columns(job: Job, axes: _Axes, along: Mapping[str, tuple[int, int]]) -> dict[str, _store.Column]:
     what = getattr(job.reduction, "__name__", "reduced quantity")
     text = "{} change of {} since the start, over members and steps"
     return {
-        **{name: axes.column(axes.times, long_name=text.format(name, what)) for name in ("least", "greatest", "mean")},
-        "residual": axes.column(axes.times, long_name=_RESIDUAL, units="1"),
-        "unconverged": axes.column(axes.times, np.int64, long_name="members with a step that did not", units="1"),
+        **{name: axes.column(along, long_name=text.format(name, what)) for name in ("least", "greatest", "mean")},
+        "residual": axes.column(along, long_name=_RESIDUAL, units="1"),
+        "unconverged": axes.column(along, np.int64, long_name="members with a step that did not", units="1"),
     }
 
 
@@ -352,7 +475,8 @@ def _labels(job: Job) -> dict[str, tuple[_store.Column, np.ndarray]]:
     """The coordinates that name the components of the states, such as x, y, z along the dimension "axis"."""
     found: dict[str, tuple[_store.Column, np.ndarray]] = {}
     for name, leaf in leaves_by_name(job.states).items():
-        for dim, labels in _labeled.state_axes(store_name(name), leaf.shape[1:])[1].items():
+        system = getattr(job.step, "system", None)
+        for dim, labels in _labeled.state_axes(store_name(name), leaf.shape[1:], system)[1].items():
             values = np.asarray(labels)
             if values.dtype.kind == "U":
                 values = values.astype(np.dtypes.StringDType())
@@ -360,9 +484,8 @@ def _labels(job: Job) -> dict[str, tuple[_store.Column, np.ndarray]]:
     return found
 
 
-def _checkpoint_columns(job: Job, chunk: int) -> dict[str, _store.Column]:
+def _checkpoint_columns(job: Job, axes: _Axes) -> dict[str, _store.Column]:
     """The arrays of the checkpoint: those of a carry, in two slots that are written alternately."""
-    axes = _Axes(job, chunk)
     along = {**axes.slots, **axes.members}
     return {
         **{name: axes.state(along, name, leaf) for name, leaf in leaves_by_name(job.states).items()},
@@ -382,7 +505,7 @@ def _unit(name: str, job: Job, options: StoreOptions) -> str:
     return f"unit of inertia / {options.time_unit}{power}" if rigid and power is not None else "1"
 
 
-def _attributes(job: Job, options: StoreOptions, described: Table, chunk: int) -> Table:
+def _attributes(job: Job, options: StoreOptions, described: Table, chunk: int, rows: int) -> Table:
     """The attributes of a store, except those that describe its arrays and its progress.
 
     Raises:
@@ -400,7 +523,7 @@ def _attributes(job: Job, options: StoreOptions, described: Table, chunk: int) -
         "num_entries": job.num_saves + 1,
         "members": job.members,
         "reduce": described["reduce"],
-        "time_chunk": job.buffer_rows(chunk),
+        "time_chunk": rows,
         "member_chunk": chunk,
         "run": described,
     }

@@ -15,17 +15,22 @@ from lieint_jax.ensemble._opening import (
     wrap_errors,
 )
 from lieint_jax.ensemble._reading import load_store, system_from_store
+from lieint_jax.ensemble._storage import Address, Url, address, open_storage
 from lieint_jax.ensemble._store import leaves_by_name
 
 __all__ = [
     "SUFFIXES",
     "TIME",
+    "Address",
     "Archive",
     "UnreadableError",
+    "Url",
+    "address",
     "check_system",
     "leaves_by_name",
     "load_store",
     "open_archive",
+    "open_storage",
     "read_trajectory",
     "system_from_store",
     "wrap_errors",

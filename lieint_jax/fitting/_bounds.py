@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,7 @@ from jax import Array
 
 from lieint_jax._checks import concrete
 from lieint_jax.fitting._box import Box
+from lieint_jax.types.shapes import PyTree
 
 _INFINITE = float("inf")
 
@@ -129,14 +130,14 @@ inertia_ratios = _bound(  # (2,), to the third moment; triangle inequality
 inertia = _bound("inertia", Chart(_tensor, _from_tensor, _DIAGONAL))  # (3, 3), positive definite, triangle inequality
 
 
-def coordinates(bounds: Any, params: Any) -> Any:
+def coordinates(bounds: PyTree, params: PyTree) -> PyTree:
     """The coordinates of `params`.
 
     Raises:
         ValueError: concrete parameters that are not inside their bounds, or bounds that do not match the parameters.
     """
 
-    def of_part(bound: Bound, part: Any) -> Any:
+    def of_part(bound: Bound, part: PyTree) -> PyTree:
         if not isinstance(bound, Bound):
             raise ValueError(f"bounds must be made of Bound's such as li.fitting.positive, got {bound!r}")
         y = jax.tree.map(lambda p: bound.coordinates.coordinates(jnp.asarray(p, jnp.result_type(p, float))), part)
@@ -154,25 +155,25 @@ def coordinates(bounds: Any, params: Any) -> Any:
     )
 
 
-def is_inside(bounds: Any, y: Any) -> bool:
+def is_inside(bounds: PyTree, y: PyTree) -> bool:
     """Whether all concrete coordinates are inside their boxes; they may have leading axes."""
 
-    def of_part(bound: Bound, part: Any) -> bool:
+    def of_part(bound: Bound, part: PyTree) -> bool:
         return all(bound.coordinates.box.contains(leaf).all() for leaf in jax.tree.leaves(part))
 
     return all(jax.tree.leaves(jax.tree.map(of_part, bounds, y)))
 
 
-def parameters(bounds: Any, y: Any) -> Any:
+def parameters(bounds: PyTree, y: PyTree) -> PyTree:
     """The parameters of the coordinates."""
     return jax.tree.map(lambda bound, part: jax.tree.map(bound.coordinates.parameter, part), bounds, y)
 
 
-def box(bounds: Any, y: Any) -> Box:
+def box(bounds: PyTree, y: PyTree) -> Box:
     """The box of all coordinates, as one vector in the order of `ravel_pytree(y)`; y may be of shapes alone."""
 
     def side(k: int) -> np.ndarray:
-        def of_part(bound: Bound, part: Any) -> Any:
+        def of_part(bound: Bound, part: PyTree) -> PyTree:
             return jax.tree.map(lambda leaf: np.broadcast_to(bound.coordinates.box[k], leaf.shape), part)
 
         return np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(jax.tree.map(of_part, bounds, y))])

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
+
+from lieint_jax.types.shapes import PyTree
 
 _EDGE = 1e-6  # distance from a side over that of the first guess, below which a coordinate counts as at its bound
 _RANGE = 0.9  # part of the range of floating-point numbers that `inside` uses
@@ -61,7 +63,7 @@ class Box(NamedTuple):
         lower = np.isfinite(low) & (y <= low + _EDGE * (start - low))
         return lower | np.isfinite(high) & (y >= high - _EDGE * (high - start))
 
-    def _sides(self, y: Array) -> tuple[Any, Any]:
+    def _sides(self, y: Array) -> tuple[PyTree, PyTree]:
         """The sides in the precision of the coordinates."""
         return np.asarray(self.low, y.dtype), np.asarray(self.high, y.dtype)
 

@@ -7,7 +7,7 @@ gradient with respect to the coordinates, since that with respect to x vanishes 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,10 @@ from jax import Array
 
 from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._search import FLAT, RUNNING, SHORTENINGS, STILL, STUCK, Carry, Method, where
+from lieint_jax.types.shapes import PyTree
+
+if TYPE_CHECKING:
+    from optax import GradientTransformation
 
 Scalar = Callable[[Array], tuple[Array, Array]]
 _QUIET = {"lbfgs": 3, "other": 10}  # iterations in a row without a notable fall of the loss that end a search
@@ -35,7 +39,7 @@ class _Memory(NamedTuple):
 
     gradient: Array
     largest: Array
-    state: Any
+    state: PyTree
     unit: Array
     quiet: Array
 
@@ -60,7 +64,9 @@ def _largest(slope: Array) -> Array:
     return jnp.max(jnp.abs(slope))
 
 
-def _start(look: Callable[[Array], tuple[Array, Array, Array]], box: Box, optimizer: Any) -> Callable[[Array], Any]:
+def _start(
+    look: Callable[[Array], tuple[Array, Array, Array]], box: Box, optimizer: GradientTransformation
+) -> Callable[[Array], PyTree]:
     """x ↦ loss, memory and whether the first guess succeeded."""
 
     def first(x: Array) -> tuple[Array, _Memory, Array]:
@@ -84,7 +90,7 @@ def _judged(box: Box, x: Array, loss: Array, memory: _Memory, ended: Array, tole
     return jnp.where(_largest(slope) <= small * memory.largest, FLAT, code).astype(jnp.int32)
 
 
-def descent(scalar: Scalar, box: Box, optimizer: Any, tolerance: float) -> Method:
+def descent(scalar: Scalar, box: Box, optimizer: GradientTransformation, tolerance: float) -> Method:
     """Any optax transformation. A failed trial is taken back, and the next steps are a quarter as long."""
     import optax
 
@@ -93,7 +99,7 @@ def descent(scalar: Scalar, box: Box, optimizer: Any, tolerance: float) -> Metho
     def advance(carry: Carry) -> Carry:
         gradient, largest, state, share, quiet = carry.memory
         update, after = optimizer.update(gradient, state, carry.x)
-        x: Any = optax.apply_updates(carry.x, share * update)
+        x: PyTree = optax.apply_updates(carry.x, share * update)
         value, slope, ok = look(x)
         quiet = jnp.where(jnp.abs(carry.loss - value) <= tolerance * jnp.abs(carry.loss), quiet + 1, 0)
         bad = jnp.where(ok, 0, carry.bad + 1)
@@ -146,7 +152,7 @@ def lbfgs(scalar: Scalar, box: Box, tolerance: float) -> Method:
         wall = now + 1e3 * (1 + jnp.abs(now))
         scaled, walled = gradient / unit, _walled(look, unit, wall)
         update, after = optimizer.update(scaled, state, carry.x, value=now, grad=scaled, value_fn=walled)
-        x: Any = optax.apply_updates(carry.x, update)
+        x: PyTree = optax.apply_updates(carry.x, update)
         value, slope = (unit * optax.tree.get(after, name) for name in ("value", "grad"))  # at x, by the line search
         ok = value < unit * wall
         better = ok & (value <= carry.loss)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,22 +26,26 @@ from lieint_jax.fitting._descent import descent, lbfgs
 from lieint_jax.fitting._least_squares import jacobian, least_squares, spread
 from lieint_jax.fitting._outcome import End, Fit, outcome, parameter_names
 from lieint_jax.fitting._search import NOWHERE, RUNNING, TARGET, Carry, Method, residuals_of, valued, where
+from lieint_jax.types.shapes import PyTree
+
+if TYPE_CHECKING:
+    from optax import GradientTransformation
 
 LEAST_SQUARES = ("levenberg_marquardt", "gauss_newton")
 
 
 def fit(
-    loss: Callable[..., Any],
-    params: Any,
-    optimizer: Any = "levenberg_marquardt",
+    loss: Callable[..., PyTree],
+    params: PyTree,
+    optimizer: str | GradientTransformation = "levenberg_marquardt",
     *,
-    bounds: Any = _bounds.free,
+    bounds: PyTree = _bounds.free,
     iterations: int = 100,
     tolerance: float = 1e-10,
     target: float | None = None,
     standardized: bool = False,
     starts: bool = False,
-    data: Any = None,
+    data: PyTree = None,
     mesh: Mesh | None = None,
     progress: bool = True,
 ) -> Fit:
@@ -100,7 +104,7 @@ def fit(
     return outcome(estimates, names, end, history, starts, standardized)
 
 
-def _vector(bounds: Any, params: Any, data: Any, starts: bool) -> tuple[Array, Callable[[Array], Any], Box]:
+def _vector(bounds: PyTree, params: PyTree, data: PyTree, starts: bool) -> tuple[Array, Callable[[Array], PyTree], Box]:
     """The coordinates of the first guess, (p,) or (starts, p), the map of a vector to a tree of them, and their box."""
     if not sum(np.size(leaf) for leaf in jax.tree.leaves(params)):
         raise ValueError(f"params holds no numbers: give a tree with at least one parameter to fit, got {params!r}")
@@ -115,7 +119,7 @@ def _vector(bounds: Any, params: Any, data: Any, starts: bool) -> tuple[Array, C
     return jax.vmap(lambda tree: ravel_pytree(tree)[0])(y), ravel_pytree(one)[1], _bounds.box(bounds, one)
 
 
-def _check_starts(params: Any, data: Any) -> None:
+def _check_starts(params: PyTree, data: PyTree) -> None:
     counts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves((params, data))}
     if len(counts) != 1 or () in counts:
         raise ValueError(
@@ -141,11 +145,11 @@ class _Problem:
     them.
     """
 
-    loss: Callable[..., Any]
-    bounds: Any
-    unravel: Callable[[Array], Any]
+    loss: Callable[..., PyTree]
+    bounds: PyTree
+    unravel: Callable[[Array], PyTree]
     box: Box
-    optimizer: Any
+    optimizer: str | GradientTransformation
     tolerance: float
     target: float | None
 
@@ -157,27 +161,27 @@ class _Problem:
         """The coordinates y of x."""
         return x if self.has_residuals else self.box.inside(x)
 
-    def params(self, x: Array) -> Any:
+    def params(self, x: Array) -> PyTree:
         """The parameters of x."""
         return self._of_coordinates(self.coordinates(x))
 
-    def _of_coordinates(self, y: Array) -> Any:
+    def _of_coordinates(self, y: Array) -> PyTree:
         return _bounds.parameters(self.bounds, self.unravel(y))
 
-    def method(self, data: Any) -> Method:
+    def method(self, data: PyTree) -> Method:
         """The optimizer for this loss."""
         more = () if data is None else (data,)
         loss = lambda y: self.loss(self._of_coordinates(y), *more)  # noqa: E731
         return _method(self.optimizer, loss, self.box, self.tolerance)
 
-    def begin(self, y: Array, data: Any) -> _Search:
+    def begin(self, y: Array, data: PyTree) -> _Search:
         """The search at its first guess."""
         x = y if self.has_residuals else self.box.free(y)
         value, memory, ok = self.method(data).first(x)
         none = jnp.zeros((), jnp.int32)
         return _Search(Carry(x, value, memory, jnp.where(ok, none, NOWHERE), none, none), x, value, none)
 
-    def advance(self, old: _Search, data: Any) -> _Search:
+    def advance(self, old: _Search, data: PyTree) -> _Search:
         """The search after one more iteration; a search that has stopped stays as it is."""
         after = self.method(data).advance(old.carry)
         if self.target is not None:
@@ -213,14 +217,16 @@ def _iterate(
     return search, np.stack(history)
 
 
-def covariance(residuals: Callable[..., Any], params: Any) -> Array:
+def covariance(residuals: Callable[..., PyTree], params: PyTree) -> Array:
     """(JᵀJ)⁻¹ of residuals in units of their standard deviation, (p, p) in the order of `ravel_pytree(params)`."""
     x, unravel = ravel_pytree(params)
     J = jacobian(lambda x: (residuals_of(residuals, unravel(x))[0], None), x)[0]
     return spread(J, jnp.eye(x.size, dtype=x.dtype), jnp.zeros(x.shape, bool))[0]
 
 
-def _method(optimizer: Any, loss: Callable[[Array], Any], box: Box, tolerance: float) -> Method:
+def _method(
+    optimizer: str | GradientTransformation, loss: Callable[[Array], PyTree], box: Box, tolerance: float
+) -> Method:
     """The optimizer called `optimizer` for a loss of coordinates in a box."""
     if isinstance(optimizer, str) and optimizer in LEAST_SQUARES:
         return least_squares(lambda y: residuals_of(loss, y), box, optimizer == "gauss_newton", tolerance)
@@ -240,7 +246,7 @@ def _method(optimizer: Any, loss: Callable[[Array], Any], box: Box, tolerance: f
         import optax
 
         optimizer = optax.adam(1e-2)
-    if not (hasattr(optimizer, "init") and hasattr(optimizer, "update")):
+    if isinstance(optimizer, str) or not (hasattr(optimizer, "init") and hasattr(optimizer, "update")):
         raise ValueError(
             'optimizer must be "levenberg_marquardt", "gauss_newton", "lbfgs", "adam" or an optax transformation, got '
             f"{optimizer!r}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ from jax import Array
 from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._search import FLAT, NOWHERE, RUNNING, SETTLED, SHORTENINGS, STILL, STUCK, Carry, Method, where
 from lieint_jax.fitting._trust_region import Step, above_rounding, bounded_step, svd
+from lieint_jax.types.shapes import PyTree
 
 _APPROACH = 0.999  # the part of the way to a side that a step may go
 _FIRST = 0.1  # the first trust radius, over the size of the coordinates or of 1
@@ -144,7 +145,7 @@ def _next_steps(box: Box, undamped: bool, x: Array, r: Array, J: Array, D: Array
     return newton, damped
 
 
-def jacobian(residuals: Callable[[Array], tuple[Array, Any]], x: Array) -> tuple[Array, Any]:
+def jacobian(residuals: Callable[[Array], tuple[Array, PyTree]], x: Array) -> tuple[Array, PyTree]:
     """The Jacobian of the first result, and the second: in forward mode, which is cheaper for few parameters.
 
     Through `li.observe` and `reversible`, which have a reverse mode of their own and no other, in reverse mode.

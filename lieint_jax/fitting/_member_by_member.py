@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 from jax import Array
 from jax.custom_batching import sequential_vmap
 from jax.flatten_util import ravel_pytree
 
+from lieint_jax.types.shapes import PyTree
 
-def member_by_member(function: Callable[[Any, Any], Array]) -> Callable[[Any, Any], Array]:
+
+def member_by_member(function: Callable[[PyTree, PyTree], Array]) -> Callable[[PyTree, PyTree], Array]:
     """The same function of (params, data), which `vmap` turns into a loop and whose Jacobian is computed in one piece.
 
     For a long computation of few numbers, such as the closed form of a free body's motion: XLA fuses a batch of its
@@ -23,7 +24,7 @@ def member_by_member(function: Callable[[Any, Any], Array]) -> Callable[[Any, An
     """
 
     @sequential_vmap
-    def linearized(params: Any, data: Any) -> tuple[Array, Array]:
+    def linearized(params: PyTree, data: PyTree) -> tuple[Array, Array]:
         x, unravel = ravel_pytree(params)
 
         def twice(x: Array) -> tuple[Array, Array]:
@@ -34,11 +35,11 @@ def member_by_member(function: Callable[[Any, Any], Array]) -> Callable[[Any, An
         return value, J
 
     @jax.custom_jvp
-    def called(params: Any, data: Any) -> Array:
+    def called(params: PyTree, data: PyTree) -> Array:
         return linearized(params, data)[0]
 
     @called.defjvp
-    def _(primals: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[Array, Array]:
+    def _(primals: tuple[PyTree, PyTree], tangents: tuple[PyTree, PyTree]) -> tuple[Array, Array]:
         value, J = linearized(*primals)
         return value, J @ ravel_pytree(tangents[0])[0]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,9 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from lieint_jax.fitting._search import GOOD, NOWHERE, REASONS, RUNNING, STUCK
+from lieint_jax.types.shapes import PyTree
 
+_Numbers = PyTree  # arrays of JAX at the end of a search, of numpy in its report
 _RARE = 4.75  # standard deviations of a normal distribution that one of a million values is above
 _TRY = {
     RUNNING: "raise `iterations`, or fit from several guesses with starts=True",
@@ -31,7 +33,7 @@ class MultiStartResult(NamedTuple):
         covariance: covariances as in `Fit`, (starts, p, p), or None.
     """
 
-    params: Any
+    params: PyTree
     loss: np.ndarray
     success: np.ndarray
     at_bound: np.ndarray
@@ -60,7 +62,7 @@ class Fit(NamedTuple):
             bound; None if the fit is not by least squares.
     """
 
-    params: Any
+    params: PyTree
     loss: float
     stopped: str
     success: bool
@@ -81,7 +83,7 @@ class Fit(NamedTuple):
         return 2 * self.loss
 
     @property
-    def standard_errors(self) -> Any:
+    def standard_errors(self) -> PyTree:
         """Square roots of the variances, in the structure of the parameters."""
         if self.covariance is None:
             raise ValueError("only least-squares fits have a covariance: levenberg_marquardt, gauss_newton")
@@ -112,16 +114,16 @@ class End(NamedTuple):
         degrees: degrees of freedom, or None.
     """
 
-    at_side: Any
-    loss: Any
-    code: Any
-    made: Any
-    failures: Any
-    covariance: Any
-    degrees: Any
+    at_side: _Numbers
+    loss: _Numbers
+    code: _Numbers
+    made: _Numbers
+    failures: _Numbers
+    covariance: _Numbers | None
+    degrees: _Numbers
 
 
-def outcome(params: Any, names: list[str], end: End, history: np.ndarray, starts: bool, standardized: bool) -> Fit:
+def outcome(params: PyTree, names: list[str], end: End, history: np.ndarray, starts: bool, standardized: bool) -> Fit:
     """The `Fit` of a search; with `starts`, that of the search with the least loss.
 
     Args:
@@ -191,7 +193,7 @@ def _warning(code: int, message: str) -> str:
     return f"{reason}: it has no standard errors; {message}"
 
 
-def _lines(params: Any, errors: Any) -> list[str]:
+def _lines(params: PyTree, errors: PyTree) -> list[str]:
     """A line for each parameter: its name in the tree, its value, and its standard error if there is one."""
     named = jax.tree_util.tree_leaves_with_path(params)
     spreads = jax.tree.leaves(errors) if errors is not None else [None] * len(named)
@@ -204,10 +206,10 @@ def _lines(params: Any, errors: Any) -> list[str]:
     return lines
 
 
-def parameter_names(y: Any) -> list[str]:
+def parameter_names(y: PyTree) -> list[str]:
     """For each number of a tree the name of its leaf."""
     return [_name(path) for path, leaf in jax.tree_util.tree_leaves_with_path(y) for _ in range(leaf.size)]
 
 
-def _name(path: Any, place: str = "") -> str:
+def _name(path: tuple[object, ...], place: str = "") -> str:
     return f"{jax.tree_util.keystr(path, simple=True, separator='.')}{place}" or "parameter"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 
 from lieint_jax.types import StepInfo
+from lieint_jax.types.shapes import PyTree
 
 RUNNING, FLAT, STILL, SETTLED, TARGET, STUCK, NOWHERE = range(7)
 REASONS = (
@@ -41,7 +42,7 @@ class Carry(NamedTuple):
 
     x: Array
     loss: Array
-    memory: Any
+    memory: PyTree
     code: Array
     bad: Array
     failures: Array
@@ -50,11 +51,11 @@ class Carry(NamedTuple):
 class Method(NamedTuple):
     """An optimizer: `first` evaluates the first guess, `advance` makes one iteration."""
 
-    first: Callable[[Array], tuple[Array, Any, Array]]  # x ↦ loss, memory, ok
+    first: Callable[[Array], tuple[Array, PyTree, Array]]  # x ↦ loss, memory, ok
     advance: Callable[[Carry], Carry]
 
 
-def valued(outcome: Any) -> tuple[Any, Array]:
+def valued(outcome: PyTree) -> tuple[PyTree, Array]:
     """A value and whether it converged, from a pair (value, flags or `StepInfo`) or a bare value, which has."""
     if isinstance(outcome, tuple) and len(outcome) == 2:
         value, flag = outcome
@@ -64,16 +65,16 @@ def valued(outcome: Any) -> tuple[Any, Array]:
     return outcome, jnp.ones((), bool)
 
 
-def _is_flag(x: Any) -> bool:
+def _is_flag(x: object) -> bool:
     return isinstance(x, bool | np.ndarray | np.generic | Array) and jnp.issubdtype(jnp.result_type(x), jnp.bool_)
 
 
-def residuals_of(function: Callable[[Any], Any], params: Any) -> tuple[Array, Array]:
+def residuals_of(function: Callable[[PyTree], PyTree], params: PyTree) -> tuple[Array, Array]:
     """The residuals as one vector, and whether they converged."""
     value, ok = valued(function(params))
     return ravel_pytree(value)[0], ok
 
 
-def where(good: Array, new: Any, old: Any) -> Any:
+def where(good: Array, new: PyTree, old: PyTree) -> PyTree:
     """The tree `new` where `good`, else `old`, leaf by leaf."""
     return jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +21,7 @@ from numpy.typing import ArrayLike
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._xla import materialized
 from lieint_jax.groups import _basis, _casimirs, _closed_form
+from lieint_jax.types.shapes import AlgebraVector, DualVector, Flag, MomentumMap, PyTree, Scalar, SquareMatrix
 
 _UNROLLED_DIM, _UNROLLED_SIZE = 6, 5  # the largest groups that are unrolled by default, see `_numerics.small_linalg`
 _POWERS = 5  # the most powers of X in a closed form
@@ -77,25 +77,25 @@ class MatrixGroup:
 
     # Coordinates
 
-    def hat(self, xi: Array) -> Array:
+    def hat(self, xi: AlgebraVector) -> SquareMatrix:
         """ξ̂ = Σ ξᵢEᵢ, shape (n, n)."""
         return la.as_array(self._hat(self._vector(xi)), xi)
 
-    def vee(self, M: Array) -> Array:
+    def vee(self, M: SquareMatrix) -> AlgebraVector:
         """The inverse of `hat`; of any M, the orthogonal projection to the algebra (in the Frobenius product)."""
         return la.as_array(self._vee(self._matrix(M)), M)
 
     # The group
 
-    def multiply(self, a: Array, b: Array) -> Array:
+    def multiply(self, a: SquareMatrix, b: SquareMatrix) -> SquareMatrix:
         """The product ab."""
         return la.as_array(la.matmul(self._element(a), self._element(b)), jnp.asarray(a))
 
-    def inverse(self, a: Array) -> Array:
+    def inverse(self, a: SquareMatrix) -> SquareMatrix:
         """a⁻¹: S⁻¹aᵀS if the group preserves a bilinear form S, else by cofactors (n ≤ 5) or elimination."""
         return la.as_array(self._inverse(self._element(a)), jnp.asarray(a))
 
-    def exp(self, xi: Array) -> Array:
+    def exp(self, xi: AlgebraVector) -> SquareMatrix:
         """exp ξ̂: to round-off for norms up to 128 (largest row or column sum of |ξ̂|), NaN beyond.
 
         A Taylor polynomial of degree 23 for norms up to 2, scaling and squaring beyond. The cost is fixed.
@@ -107,11 +107,11 @@ class MatrixGroup:
         E = jax.lax.fori_loop(0, _SQUARINGS, lambda k, E: jnp.where(k < halvings, E @ E, E), E)
         return jnp.where(halvings <= _SQUARINGS, E, jnp.nan)
 
-    def exp_near(self, xi: Array) -> Array:
+    def exp_near(self, xi: AlgebraVector) -> SquareMatrix:
         """exp ξ̂ without scaling, for the steps of schemes: to round-off where `near` holds."""
         return la.as_array(la.materialized(self.exp_both(self._vector(xi))[0]), xi)
 
-    def exp_along(self, q: Array, xi: Array, s: Array) -> Array:
+    def exp_along(self, q: SquareMatrix, xi: AlgebraVector, s: Array) -> Array:
         """q exp(sξ̂) for a number s, or at each of several, (k,), where `near` holds: for the steps of schemes.
 
         With a closed form it is Σ c_m(s²x) sᵐ qXᵐ, whose products are the same for all s.
@@ -128,7 +128,7 @@ class MatrixGroup:
             jnp.add, (weight[..., None, None] * power for weight, power in zip(materialized(c), powers, strict=True))
         )
 
-    def near(self, xi: Array) -> Array:
+    def near(self, xi: AlgebraVector) -> Flag:
         """True if ξ̂ is small enough for `exp_near`; translations may be large.
 
         With a closed form, the eigenvalue of ξ̂ must lie within ±2; else ‖ξ̂¹⁶‖ ≤ 2¹⁶ max(1, ‖ξ̂‖).
@@ -141,7 +141,7 @@ class MatrixGroup:
         size, last = (jnp.max(jnp.abs(jnp.stack(la.flatten(la.as_array(M, xi))))) for M in (X, power))
         return last <= 2.0**16 * jnp.maximum(1, size)
 
-    def log(self, q: Array) -> Array:
+    def log(self, q: SquareMatrix) -> AlgebraVector:
         """ξ with exp ξ̂ = q, near the identity: to round-off for rotations by up to 2 radians."""
 
         def improve(_: int, xi: Array) -> Array:
@@ -151,7 +151,7 @@ class MatrixGroup:
 
         return jax.lax.fori_loop(0, _CORRECTIONS, improve, 2 * self.vee(_artanh(q)))
 
-    def cayley(self, xi: Array) -> Array:
+    def cayley(self, xi: AlgebraVector) -> SquareMatrix:
         """(1 − ½ξ̂)⁻¹(1 + ½ξ̂), which is in the group only if the algebra contains its cubes: see `cayley_lands`."""
         return la.as_array(la.materialized(self.cayley_both(self._vector(xi))[0]), xi)
 
@@ -162,7 +162,7 @@ class MatrixGroup:
         X = np.tensordot(rng.normal(size=(2 * self.dim**2 + 8, self.dim)), self.basis, 1)
         return bool(self._outside(X @ X @ X) <= _basis.TOLERANCE * np.abs(X).max() ** 3)
 
-    def defect(self, q: Array) -> Array:
+    def defect(self, q: SquareMatrix) -> Scalar:
         """The distance of q from the group: its largest violation of the equations that the group is known to satisfy.
 
         The equations are: q lies in the linear span of the group; it preserves the bilinear forms on vectors and on
@@ -176,34 +176,34 @@ class MatrixGroup:
 
     # Adjoint actions
 
-    def Ad(self, q: Array, xi: Array) -> Array:
+    def Ad(self, q: SquareMatrix, xi: AlgebraVector) -> AlgebraVector:
         """Ad_q ξ = (q ξ̂ q⁻¹)^∨ (5.3): from body to space."""
         q_, X = self._element(q), self._hat(self._vector(xi))
         return la.as_array(self._vee(la.matmul(la.matmul(q_, X), self._inverse(q_))), jnp.asarray(q))
 
-    def Ad_star(self, q: Array, mu: Array) -> Array:
+    def Ad_star(self, q: SquareMatrix, mu: DualVector) -> DualVector:
         """Ad*_q μ, the transpose of Ad: takes spatial momentum π to body momentum Π."""
         q_ = self._element(q)
         return la.as_array(self.coadjoint(q_, self._inverse(q_), self._vector(mu)), jnp.asarray(mu))
 
-    def ad(self, xi: Array, eta: Array) -> Array:
+    def ad(self, xi: AlgebraVector, eta: AlgebraVector) -> AlgebraVector:
         """[ξ, η]."""
         return la.as_array(la.matvec(self.ad_matrix(self._vector(xi)), self._vector(eta)), jnp.asarray(xi))
 
-    def ad_star(self, xi: Array, mu: Array) -> Array:
+    def ad_star(self, xi: AlgebraVector, mu: DualVector) -> DualVector:
         """The transpose of ad: ⟨ad*_ξ μ, η⟩ = ⟨μ, [ξ, η]⟩ (5.4)."""
         transposed = la.transpose(self.ad_matrix(self._vector(xi)))
         return la.as_array(la.matvec(transposed, self._vector(mu)), jnp.asarray(mu))
 
-    def ad_matrix(self, xi: Any) -> la.Matrix:
+    def ad_matrix(self, xi: la.Vector) -> la.Matrix:
         """The matrix of η ↦ [ξ, η], (d, d)."""
         return la.linear(self._ad, xi)
 
-    def ad_star_matrix(self, mu: Any) -> la.Matrix:
+    def ad_star_matrix(self, mu: la.Vector) -> la.Matrix:
         """The matrix ad*(μ) of ξ ↦ ad*_ξ μ, (d, d): skew."""
         return la.linear(self._ad_star, mu)
 
-    def casimirs(self, mu: Array) -> Array:
+    def casimirs(self, mu: DualVector) -> MomentumMap:
         """Functions of μ that no Ad*_q changes, (k,): the linear ones (the center), then the quadratic ones.
 
         They are all those of degree up to two, without products of linear ones: Π·P and |P|² on SE(3), |Π|² on SO(3),
@@ -212,12 +212,12 @@ class MatrixGroup:
         central, forms = (jnp.asarray(x, mu.dtype) for x in self._casimirs)
         return jnp.concatenate([central @ mu, forms @ mu @ mu])
 
-    def rounding(self, q: Array, mu: Array) -> Array:
+    def rounding(self, q: SquareMatrix, mu: DualVector) -> DualVector:
         """The sum of the sizes of the terms of `Ad_star(q, mu)`, (d,): times eps, it bounds the rounding error."""
         a, b, c = (_absolute(x) for x in (self._element(q), self._inverse(self._element(q)), self._vector(mu)))
         return la.as_array(self.coadjoint(a, b, c, np.abs), jnp.asarray(mu))
 
-    def drift(self, q: Array) -> Array:
+    def drift(self, q: SquareMatrix) -> Scalar:
         """A cheap distance of q from the group, for every step; `defect` is complete.
 
         It is |q⁻¹q − 1|, with q⁻¹ by the bilinear form that the group preserves; or |det q − 1|, if the basis is
@@ -235,20 +235,20 @@ class MatrixGroup:
 
     # Velocities
 
-    def spatial_velocity(self, q: Array, q_dot: Array) -> Array:
+    def spatial_velocity(self, q: SquareMatrix, q_dot: SquareMatrix) -> AlgebraVector:
         """θ with q̇ = θ̂q."""
         return self.vee(q_dot @ self.inverse(q))
 
-    def body_velocity(self, q: Array, q_dot: Array) -> Array:
+    def body_velocity(self, q: SquareMatrix, q_dot: SquareMatrix) -> AlgebraVector:
         """Θ with q̇ = qΘ̂."""
         return self.vee(self.inverse(q) @ q_dot)
 
-    def tangent(self, q: Array, Omega: Array) -> Array:
+    def tangent(self, q: SquareMatrix, Omega: AlgebraVector) -> SquareMatrix:
         """q̇ = qΩ̂ for the body velocity Ω: the inverse of `body_velocity`."""
         product = la.matmul(self._element(q), self._hat(self._vector(Omega)))
         return la.as_array(product, jnp.asarray(q))
 
-    def spatial_tangent(self, q: Array, theta: Array) -> Array:
+    def spatial_tangent(self, q: SquareMatrix, theta: AlgebraVector) -> SquareMatrix:
         """q̇ = θ̂q for the spatial velocity θ: the inverse of `spatial_velocity`."""
         product = la.matmul(self._hat(self._vector(theta)), self._element(q))
         return la.as_array(product, jnp.asarray(q))
@@ -299,7 +299,9 @@ class MatrixGroup:
                 value = la.materialized(value)
         return value
 
-    def coadjoint(self, q: la.Matrix, inverse: la.Matrix, mu: la.Vector, of: Any = np.asarray) -> Any:
+    def coadjoint(
+        self, q: la.Matrix, inverse: la.Matrix, mu: la.Vector, of: Callable[[np.ndarray], np.ndarray] = np.asarray
+    ) -> la.Vector:
         """Ad*_q μ: ⟨μ, (q Eᵢ q⁻¹)^∨⟩ = tr[(qᵀ D q⁻ᵀ)ᵀ Eᵢ] for the matrix D with ⟨μ, ξ⟩ = tr[Dᵀξ̂]."""
         D = la.linear(of(self._dual.transpose(1, 2, 0)), mu)
         carried = la.matmul(la.matmul(la.transpose(q), D), la.transpose(inverse))
@@ -381,16 +383,16 @@ class MatrixGroup:
         inside = np.tensordot(np.tensordot(M, self._dual, ((-2, -1), (1, 2))), self.basis, 1)
         return float(np.abs(M - inside).max())
 
-    def _vector(self, x: Any) -> la.Vector:
+    def _vector(self, x: PyTree) -> la.Vector:
         if isinstance(x, list):
             return x
         x = jnp.asarray(x)
         return la.as_list(x) if self.unrolled else x
 
-    def _matrix(self, M: Any) -> la.Matrix:
+    def _matrix(self, M: PyTree) -> la.Matrix:
         return la.as_list(jnp.asarray(M)) if self.unrolled else jnp.asarray(M)
 
-    def _element(self, q: Any) -> la.Matrix:
+    def _element(self, q: PyTree) -> la.Matrix:
         """A group element, unrolled for small groups; entries that are 0 or 1 on the whole group are Python numbers."""
         if not self.unrolled:
             return jnp.asarray(q)
@@ -485,7 +487,7 @@ def _sum_and_difference(even: la.Matrix, odd: la.Matrix) -> tuple[la.Matrix, la.
     return la.combination((1.0, even), (1.0, odd)), la.combination((1.0, even), (-1.0, odd))
 
 
-def _artanh(q: Array) -> Array:
+def _artanh(q: SquareMatrix) -> Array:
     """artanh z = z + z³/3 + … for z = (q − 1)(q + 1)⁻¹, half the logarithm."""
     one = jnp.eye(len(q), dtype=q.dtype)
     z = jnp.linalg.solve((q + one).T, (q - one).T).T
@@ -495,5 +497,5 @@ def _artanh(q: Array) -> Array:
     return z @ value
 
 
-def _absolute(x: Any) -> Any:
+def _absolute(x: PyTree) -> PyTree:
     return [_absolute(entry) for entry in x] if isinstance(x, list) else abs(x)

@@ -14,6 +14,7 @@ from jax import Array
 from lieint_jax._numerics import power_series, vec3
 from lieint_jax._numerics.select import where
 from lieint_jax._numerics.vec3 import cross, dot
+from lieint_jax.types.shapes import Matrix3, MomentumMap, Quaternion, Scalar, Vector3
 
 dim = 3
 identity = np.array([1.0, 0.0, 0.0, 0.0])
@@ -26,33 +27,33 @@ def examples() -> dict[str, object]:
     return {"so3": sys.modules[__name__]}
 
 
-def multiply(a: Array, b: Array) -> Array:
+def multiply(a: Quaternion, b: Quaternion | tuple[Array, ...]) -> Quaternion:
     """The product ab: first b, then a."""
     return jnp.stack(_product(a, b))
 
 
-def inverse(q: Array) -> Array:
+def inverse(q: Quaternion) -> Quaternion:
     """q⁻¹ of a unit quaternion: its conjugate."""
     return jnp.stack([q[0], -q[1], -q[2], -q[3]])
 
 
-def normalize(q: Array) -> Array:
+def normalize(q: Quaternion) -> Quaternion:
     """q / |q|."""
     return q / jnp.sqrt(_norm_squared(q))
 
 
-def defect(q: Array) -> Array:
+def defect(q: Quaternion) -> Scalar:
     """|q|² − 1, the distance of q from the group."""
     return _norm_squared(q) - 1
 
 
-def exp(xi: Array) -> Array:
+def exp(xi: Vector3) -> Quaternion:
     """exp ξ, the rotation about ξ by the angle |ξ| (2.3)."""
     x = dot(xi, xi) / 4
     return jnp.concatenate([power_series.cos_sqrt(x)[None], power_series.sinc_sqrt(x) * xi / 2])
 
 
-def log(q: Array) -> Array:
+def log(q: Quaternion) -> Vector3:
     """ξ with exp ξ = q and |ξ| ≤ π."""
     q = where(q[0] < 0, -q, q)
     w, v = q[0], q[1:]
@@ -65,70 +66,70 @@ def log(q: Array) -> Array:
     return 2 * where(s < 0.01, series, closed) * v
 
 
-def cayley(xi: Array) -> Array:
+def cayley(xi: Vector3) -> Quaternion:
     """cay ξ = (1 + ½ξ̂)(1 − ½ξ̂)⁻¹ (2.5): the rotation about ξ by 2 arctan(|ξ|/2)."""
     h = xi / 2
     return jnp.concatenate([jnp.ones_like(h[:1]), h]) / jnp.sqrt(1 + dot(h, h))
 
 
-def Ad(q: Array, xi: vec3.Vector) -> Array:
+def Ad(q: Quaternion, xi: vec3.Vector) -> Vector3:
     """Λξ: from body to space."""
     return jnp.stack(_rotate(q[0], q[1:], xi))
 
 
-def Ad_star(q: Array, mu: vec3.Vector) -> Array:
+def Ad_star(q: Quaternion, mu: vec3.Vector) -> Vector3:
     """Λᵀμ, the transpose of Ad: takes spatial momentum π to body momentum Π."""
     return jnp.stack(_rotate(-q[0], q[1:], mu))
 
 
-def ad(xi: Array, eta: Array) -> Array:
+def ad(xi: Vector3, eta: Vector3) -> Vector3:
     """[ξ, η] = ξ × η (2.1)."""
     return jnp.stack(cross(xi, eta))
 
 
-def ad_star(xi: Array, mu: Array) -> Array:
+def ad_star(xi: Vector3, mu: Vector3) -> Vector3:
     """μ × ξ, the transpose of ad: ⟨ad*_ξ μ, η⟩ = ⟨μ, ξ × η⟩."""
     return jnp.stack(cross(mu, xi))
 
 
-def casimirs(mu: Array) -> Array:
+def casimirs(mu: Vector3) -> MomentumMap:
     """|μ|², (1,), which no Ad*_q changes."""
     return jnp.stack([dot(mu, mu)])
 
 
-def hat(xi: Array) -> Array:
+def hat(xi: Vector3) -> Matrix3:
     """ξ̂, the skew matrix with ξ̂ h = ξ × h (2.1)."""
     x, y, z = vec3.components(xi)
     o = jnp.zeros_like(x)
     return jnp.stack([jnp.stack(row) for row in ((o, -z, y), (z, o, -x), (-y, x, o))])
 
 
-def vee(M: Array) -> Array:
+def vee(M: Matrix3) -> Vector3:
     """The inverse of `hat`. Of any M it takes the skew part: the paper's rot[M]."""
     return jnp.stack([M[2, 1] - M[1, 2], M[0, 2] - M[2, 0], M[1, 0] - M[0, 1]]) / 2
 
 
-def spatial_velocity(q: Array, q_dot: Array) -> Array:
+def spatial_velocity(q: Quaternion, q_dot: Quaternion) -> Vector3:
     """θ with q̇ = ½ θ q, that is Λ̇ = θ̂Λ."""
     return 2 * jnp.stack(_product(q_dot, inverse(q))[1:])
 
 
-def body_velocity(q: Array, q_dot: Array) -> Array:
+def body_velocity(q: Quaternion, q_dot: Quaternion) -> Vector3:
     """Θ with q̇ = ½ q Θ, that is Λ̇ = ΛΘ̂."""
     return 2 * jnp.stack(_product(inverse(q), q_dot)[1:])
 
 
-def tangent(q: Array, Omega: Array) -> Array:
+def tangent(q: Quaternion, Omega: Vector3) -> Quaternion:
     """q̇ = ½ q Ω for the body velocity Ω: the inverse of `body_velocity`."""
     return jnp.stack(_product(q, (jnp.zeros_like(Omega[0]), *(Omega[i] / 2 for i in range(3)))))
 
 
-def spatial_tangent(q: Array, theta: Array) -> Array:
+def spatial_tangent(q: Quaternion, theta: Vector3) -> Quaternion:
     """q̇ = ½ θ q for the spatial velocity θ: the inverse of `spatial_velocity`."""
     return jnp.stack(_product((jnp.zeros_like(theta[0]), *(theta[i] / 2 for i in range(3))), q))
 
 
-def cayley_increment(q: Array, h: Array) -> Array:
+def cayley_increment(q: Quaternion, h: Vector3 | tuple[Array, ...]) -> Quaternion:
     """q cay(2h), as q + q(c − 1, ch) with c = 1/√(1+|h|²).
 
     The product q·dq has rounding errors of size |q| in each step, the increment errors of the size of the step. The
@@ -151,12 +152,12 @@ def cayley_difference(q: vec3.Vector, h: vec3.Vector) -> tuple[Array, Array, Arr
     return (w * k - dot(v, ch), w * ch[0] + k * v[0] + x, w * ch[1] + k * v[1] + y, w * ch[2] + k * v[2] + z)
 
 
-def to_matrix(q: Array) -> Array:
+def to_matrix(q: Quaternion) -> Matrix3:
     """The rotation matrix Λ, shape (3, 3)."""
     return jnp.stack([jnp.stack(row) for row in matrix_of(*vec3.components(q))])
 
 
-def matrix_of(w: Array, x: Array, y: Array, z: Array) -> vec3.Matrix:
+def matrix_of(w: Scalar, x: Scalar, y: Scalar, z: Scalar) -> vec3.Matrix:
     """The rows of the rotation matrix of a unit quaternion."""
     return (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -165,7 +166,7 @@ def matrix_of(w: Array, x: Array, y: Array, z: Array) -> vec3.Matrix:
     )
 
 
-def from_matrix(R: Array) -> Array:
+def from_matrix(R: Matrix3) -> Quaternion:
     """The unit quaternion of a rotation matrix, its largest component positive."""
     a, b, c = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]  # 4wx, 4wy, 4wz
     d, e, f = R[2, 1] + R[1, 2], R[0, 2] + R[2, 0], R[1, 0] + R[0, 1]  # 4yz, 4xz, 4xy
@@ -183,7 +184,7 @@ def from_matrix(R: Array) -> Array:
     return normalize(candidates[largest])
 
 
-def from_euler_313(angles: Array) -> Array:
+def from_euler_313(angles: Vector3) -> Quaternion:
     """The attitude R_z(α) R_x(β) R_z(γ) of Euler angles (α, β, γ) in radians, shape (3,)."""
     half_sum, half_difference, b = (angles[0] + angles[2]) / 2, (angles[0] - angles[2]) / 2, angles[1] / 2
     return jnp.stack(
@@ -196,7 +197,7 @@ def from_euler_313(angles: Array) -> Array:
     )
 
 
-def to_euler_313(q: Array) -> Array:
+def to_euler_313(q: Quaternion) -> Vector3:
     """Euler angles (α, β, γ) of q = R_z(α) R_x(β) R_z(γ): β in [0, π], α and γ in (−π, π].
 
     At β = 0 or π only α + γ or α − γ is determined; the other is set to 0.
@@ -207,7 +208,79 @@ def to_euler_313(q: Array) -> Array:
     return jnp.stack([_wrap(half_sum + half_difference), b, _wrap(half_sum - half_difference)])
 
 
-def angle(a: Array, b: Array) -> Array:
+def from_euler(angles: Array, sequence: str = "ZXZ") -> Array:
+    """The attitude of Euler angles, or of roll, pitch and yaw, in any of the 24 sequences.
+
+    Args:
+        angles: in radians, (3,), in the order of the sequence.
+        sequence: three axes as in scipy: "ZXZ", capitals, rotates about the axes of the body, one after the other,
+            R_z(α) R_x(β) R_z(γ); "zxz", small letters, about those of space. Neighbors differ.
+
+    Raises:
+        ValueError: another sequence.
+    """
+    intrinsic, axes = _sequence(sequence)
+    q = None
+    for k, axis in enumerate(axes):
+        half = angles[k] / 2
+        turn = jnp.zeros(4, half.dtype).at[0].set(jnp.cos(half)).at[1 + axis].set(jnp.sin(half))
+        q = turn if q is None else (multiply(q, turn) if intrinsic else multiply(turn, q))
+    assert q is not None
+    return q
+
+
+def to_euler(q: Array, sequence: str = "ZXZ") -> Array:
+    """The Euler angles of an attitude in radians, (3,): the inverse of `from_euler`.
+
+    The first and the third are in (−π, π], the second in [0, π] if the first axis is the third ("ZXZ"), else in
+    [−π/2, π/2]. Where the second is at an end, only a sum or difference of the others is determined, and one of them is
+    arbitrary.
+
+    Source: Bernardes & Viollet 2022, PLoS ONE 17.
+    """
+    intrinsic, axes = _sequence(sequence)
+    i, j, k = axes[::-1] if intrinsic else axes
+    symmetric = i == k
+    k = 3 - i - j if symmetric else k
+    sign = (i - j) * (j - k) * (k - i) // 2
+    w, *v = vec3.components(q)
+    a, b, c, d = w, v[i], v[j], sign * v[k]
+    if not symmetric:
+        a, b, c, d = a - c, b + d, c + a, d - b
+    middle = 2 * jnp.arctan2(_length(c, d), _length(a, b))
+    half_sum, half_difference = _arctan2(b, a), _arctan2(d, c)
+    first, third = half_sum - half_difference, half_sum + half_difference
+    if not symmetric:
+        third, middle = sign * third, middle - jnp.pi / 2
+    outer = (third, first) if intrinsic else (first, third)
+    return jnp.stack([_wrap(outer[0]), middle, _wrap(outer[1])])
+
+
+def _sequence(sequence: str) -> tuple[bool, list[int]]:
+    """Whether a sequence is about the axes of the body, and its axes."""
+    axes = ["xyz".find(letter) for letter in sequence.lower()] if isinstance(sequence, str) else []
+    one_case = isinstance(sequence, str) and sequence in (sequence.lower(), sequence.upper())
+    if len(axes) != 3 or min(axes) < 0 or not one_case or axes[0] == axes[1] or axes[1] == axes[2]:
+        raise ValueError(
+            'sequence must be three axes of which neighbors differ, capitals for those of the body, such as "ZXZ" or '
+            f'"ZYX", small letters for those of space, such as "xyz", got {sequence!r}'
+        )
+    return sequence.isupper(), axes
+
+
+def from_mrp(sigma: Array) -> Array:
+    """The attitude of modified Rodrigues parameters σ = e tan(φ/4), (3,), of any length."""
+    square = dot(sigma, sigma)
+    return jnp.concatenate([(1 - square)[None], 2 * sigma]) / (1 + square)
+
+
+def to_mrp(q: Array) -> Array:
+    """Modified Rodrigues parameters σ = e tan(φ/4), (3,), of the shorter rotation: |σ| ≤ 1."""
+    q = where(q[0] < 0, -q, q)
+    return q[1:] / (1 + q[0])
+
+
+def angle(a: Quaternion, b: Quaternion) -> Scalar:
     """The angle of the rotation between two attitudes, in [0, π]; where it is 0, its derivative is set to 0."""
     w, x, y, z = _product(inverse(a), b)
     return 2 * jnp.arctan2(_length(x, y, z), jnp.abs(w))
@@ -222,11 +295,11 @@ def _product(a: vec3.Vector, b: vec3.Vector) -> tuple[Array, Array, Array, Array
     )
 
 
-def _norm_squared(q: Array) -> Array:
+def _norm_squared(q: Quaternion) -> Array:
     return q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
 
 
-def _rotate(w: Array, v: vec3.Vector, u: vec3.Vector) -> tuple[Array, ...]:
+def _rotate(w: Scalar, v: vec3.Vector, u: vec3.Vector) -> tuple[Array, ...]:
     """u + 2w v×u + 2 v×(v×u): u turned by the unit quaternion (w, v); by its inverse for −w."""
     t = tuple(2 * x for x in cross(v, u))
     c = cross(v, t)
@@ -240,7 +313,7 @@ def _length(*components: Array) -> Array:
     return where(positive, jnp.sqrt(where(positive, square, 1)), 0)
 
 
-def _arctan2(y: Array, x: Array) -> Array:
+def _arctan2(y: Scalar, x: Scalar) -> Array:
     """arctan2, with value and derivative 0 at the origin."""
     origin = (x == 0) & (y == 0)
     return where(origin, 0, jnp.arctan2(y, where(origin, 1, x)))

@@ -2,8 +2,10 @@
 
 | | |
 |---|---|
-| `maccullagh`, `ellipsoid_sphere`, `point_masses` | gravity: to second order, ellipsoid and sphere, mascons |
-| `point_charges`, `lennard_jones`, `sites`, `water` | molecules: charges, dispersion, both, and TIP4P water |
+| `mutual_gravity`, `maccullagh` | gravity of shapes: to order 4, to order 2 by moments of inertia |
+| `ellipsoid_sphere`, `point_masses` | gravity: of an ellipsoid and a sphere, of mascons |
+| `point_charges`, `lennard_jones`, `sites` | molecules: charges, dispersion, both |
+| `molecule`, `water` | a rigid molecule of sites, with its principal axes; TIP4P water |
 | `springs`, `uniform_field`, `outer_field` | springs between bodies; fields from outside, uniform or any |
 
 Any function of positions and rotations is a potential too; forces and torques are then by autodiff. `symmetry` says
@@ -13,6 +15,8 @@ which momenta a potential conserves.
 from lieint_jax._deprecated import renamed as _renamed
 from lieint_jax.potentials._ellipsoid_sphere import EllipsoidSphere, ellipsoid_sphere
 from lieint_jax.potentials._maccullagh import MacCullagh, maccullagh
+from lieint_jax.potentials._molecule import Molecule, molecule
+from lieint_jax.potentials._mutual_gravity import MutualGravity, mutual_gravity
 from lieint_jax.potentials._outer_field import OuterField, UniformField, outer_field, uniform_field
 from lieint_jax.potentials._potential import Potential, SumPotential, count, invariant_form, symmetry, torques
 from lieint_jax.potentials._site_pairs import (
@@ -24,7 +28,7 @@ from lieint_jax.potentials._site_pairs import (
     sites,
 )
 from lieint_jax.potentials._springs import Springs, springs
-from lieint_jax.potentials._water import Molecule, water
+from lieint_jax.potentials._water import water
 
 __all__ = [
     "EllipsoidSphere",
@@ -32,6 +36,7 @@ __all__ = [
     "LennardJones",
     "MacCullagh",
     "Molecule",
+    "MutualGravity",
     "OuterField",
     "Potential",
     "Springs",
@@ -42,6 +47,8 @@ __all__ = [
     "invariant_form",
     "lennard_jones",
     "maccullagh",
+    "molecule",
+    "mutual_gravity",
     "outer_field",
     "point_charges",
     "point_masses",

@@ -17,6 +17,7 @@ from lieint_jax._numerics import newton
 from lieint_jax._numerics.elliptic import carlson_rf_rd
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree
+from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
 _ITERATIONS = 12  # Newton's, which doubles a_i² + λ while that is much too small
 
@@ -39,14 +40,14 @@ class EllipsoidSphere(Potential):
     def count(self) -> int:
         return 2
 
-    def __call__(self, x: Array, R: Array) -> Array:
+    def __call__(self, x: Positions, R: Rotations) -> Scalar:
         return self.value(self.invariants(x, R))
 
-    def invariants(self, x: Array, R: Array) -> Array:
+    def invariants(self, x: Positions, R: Rotations) -> Array:
         """Γ, the place of the sphere in the axes of the ellipsoid, (3,)."""
         return jnp.sum(R[0] * (x[1] - x[0])[:, None], axis=0)
 
-    def value(self, invariants: Array) -> Array:
+    def value(self, invariants: Array) -> Scalar:
         """V of Γ."""
         squares = invariants**2
         RF, *RD = carlson_rf_rd(*(self.semi_axes**2 + _confocal(squares, self.semi_axes**2)))

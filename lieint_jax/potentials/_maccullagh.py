@@ -12,6 +12,7 @@ from lieint_jax._numerics import vec3
 from lieint_jax._xla import materialized
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree
+from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
 
 
 @pytree
@@ -32,10 +33,10 @@ class MacCullagh(Potential):
     def count(self) -> int:
         return self.masses.shape[0]
 
-    def __call__(self, x: Array, R: Array) -> Array:
+    def __call__(self, x: Positions, R: Rotations) -> Scalar:
         return self.value(self.invariants(x, R))
 
-    def force(self, x: Array, R: Array) -> Array:
+    def force(self, x: Positions, R: Rotations) -> PoseMomenta:
         """The forces −∂V/∂x and the torques −∂V(exp(δ̂)R)/∂δ, (N, 6), six times as fast as the derivative of V."""
         (i, j), m, trace = self._pairs, self.masses, self._traces
         # an axis of pairs, seen from one end and then from the other
@@ -55,14 +56,14 @@ class MacCullagh(Potential):
         J = self.inertias[n].T
         return vec3.components(J) if self.inertias.ndim == 2 else vec3.entries(J)
 
-    def invariants(self, x: Array, R: Array) -> Array:
+    def invariants(self, x: Positions, R: Rotations) -> Array:
         """Of each of k pairs r², Γ_i and Γ_j, (7k,)."""
         i, j = self._pairs
         d = x[j] - x[i]
         Gamma = [jnp.sum(R[n] * d[:, :, None], axis=1) for n in (i, j)]
         return jnp.concatenate([jnp.sum(d * d, axis=1), Gamma[0].ravel(), Gamma[1].ravel()])
 
-    def value(self, invariants: Array) -> Array:
+    def value(self, invariants: Array) -> Scalar:
         """V of the invariants."""
         (i, j), (u, *Gammas) = self._pairs, self._split(invariants)
         m, trace = self.masses, self._traces
@@ -109,10 +110,13 @@ def maccullagh(G: ArrayLike, masses: ArrayLike, inertias: ArrayLike) -> MacCulla
 
     Args:
         G: the constant of gravity, in the units of all else.
-        masses: (N,).
-        inertias: about the centers of mass, (N, 3) or (N, 3, 3).
+        masses: (N,), or N shapes of `lieint_jax.shapes`.
+        inertias: about the centers of mass, (N, 3) or (N, 3, 3), or N shapes.
     """
-    m, J = _checks.real_array("masses", masses), _checks.real_array("inertias", inertias)
+    m, J = (
+        _checks.real_array("masses", _checks.of_shapes("mass", masses)),
+        _checks.real_array("inertias", _checks.of_shapes("inertia", inertias)),
+    )
     if m.ndim != 1 or J.shape not in ((m.size, 3), (m.size, 3, 3)):
         raise ValueError(f"masses (N,) and inertias (N, 3) or (N, 3, 3) are needed, got {m.shape} and {J.shape}")
     return MacCullagh(_checks.real_array("G", G, ()), m, J)

@@ -15,6 +15,7 @@ from lieint_jax import _checks
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.potentials._site_groups import grouped, places
 from lieint_jax.types import callable_pytree, pytree, static
+from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
 
 @pytree
@@ -41,15 +42,15 @@ class UniformField(Potential):
         along = jnp.outer(self.field, self.field) / jnp.sum(self.field**2)
         return jax.scipy.linalg.block_diag(jnp.eye(3) - along, along)
 
-    def __call__(self, x: Array, R: Array) -> Array:
+    def __call__(self, x: Positions, R: Rotations) -> Scalar:
         return self.value(self.invariants(x, R))
 
-    def invariants(self, x: Array, R: Array) -> Array:
+    def invariants(self, x: Positions, R: Rotations) -> Array:
         """g·(w_i x_i + Λ_i d_i), (N,)."""
         moments = self.weights[:, None] * x + jnp.sum(R * self.moments[:, None, :], axis=2)
         return jnp.sum(moments * self.field, axis=1)
 
-    def value(self, invariants: Array) -> Array:
+    def value(self, invariants: Array) -> Scalar:
         """V of the invariants."""
         return -jnp.sum(invariants)
 
@@ -84,7 +85,7 @@ class OuterField(Potential):
     def symmetry(self) -> Array:
         return self.kept
 
-    def __call__(self, x: Array, R: Array) -> Array:
+    def __call__(self, x: Positions, R: Rotations) -> Scalar:
         terms = zip(self.strengths, self.points, self.groups, strict=True)
         return reduce(
             jnp.add, (jnp.sum(w * jax.vmap(jax.vmap(self.phi))(places(s, bodies, x, R))) for w, s, bodies in terms)

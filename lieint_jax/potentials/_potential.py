@@ -11,6 +11,7 @@ from jax import Array
 
 from lieint_jax._numerics.discrete_gradient import discrete_gradient
 from lieint_jax.types import callable_pytree, pytree
+from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
 _APART = 1e-6  # |ΔI|²/|I|² from where on the quadrature of D is corrected to give the difference of V
 
@@ -26,7 +27,7 @@ class Potential:
     far as they leave the invariants unchanged.
     """
 
-    def __call__(self, x: Array, R: Array) -> Array:
+    def __call__(self, x: Positions, R: Rotations) -> Scalar:
         raise NotImplementedError
 
     @property
@@ -56,7 +57,7 @@ class SumPotential(Potential):
 
     terms: tuple[Callable[[Array, Array], Array], ...]
 
-    def __call__(self, x: Array, R: Array) -> Array:
+    def __call__(self, x: Positions, R: Rotations) -> Scalar:
         return reduce(jnp.add, (term(x, R) for term in self.terms))
 
     @property
@@ -75,11 +76,11 @@ class SumPotential(Potential):
         kept = axes * (lost < 1e-9)
         return kept @ kept.T
 
-    def invariants(self, x: Array, R: Array) -> tuple[Any, ...]:
+    def invariants(self, x: Positions, R: Rotations) -> tuple[Any, ...]:
         """Those of every term."""
         return tuple(invariant_form(term).invariants(x, R) for term in self.terms)
 
-    def value(self, invariants: tuple[Any, ...]) -> Array:
+    def value(self, invariants: tuple[Any, ...]) -> Scalar:
         """V of the invariants."""
         pairs = zip(self.terms, invariants, strict=True)
         return reduce(jnp.add, (invariant_form(term).value(own) for term, own in pairs))
@@ -100,7 +101,7 @@ def symmetry(potential: Callable[[Array, Array], Array]) -> Array | None:
     return getattr(potential, "symmetry", None)
 
 
-def torques(R: Array, along_R: Array) -> Array:
+def torques(R: Rotations, along_R: Rotations) -> Positions:
     """−∂V(exp(δ̂)R)/∂δ at δ = 0 of each body, (N, 3), where ∂V/∂R is `along_R`, both (N, 3, 3)."""
     turned = [[jnp.sum(along_R[:, i] * R[:, j], axis=1) for j in range(3)] for i in range(3)]
     return jnp.stack([turned[j][i] - turned[i][j] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
@@ -133,7 +134,7 @@ def _quadrature(value: Callable[[Array], Array]) -> Callable[[Array, Array], Arr
     return lambda start, end: discrete_gradient(value, start, end, _APART * jnp.sum(start * start))
 
 
-def relative(x: Array, R: Array) -> Array:
+def relative(x: Positions, R: Rotations) -> Array:
     """Positions and attitudes relative to the first body, in its axes, (12 (N − 1),)."""
     first = R[0]
     xi = jnp.sum(first * (x[1:] - x[0])[:, :, None], axis=1)

@@ -20,6 +20,7 @@ from lieint_jax._deprecated import old_calls
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.potentials._site_groups import grouped, places
 from lieint_jax.types import pytree, static
+from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
 
 class _SitePairs(Potential):
@@ -44,15 +45,15 @@ class _SitePairs(Potential):
     def count(self) -> int:
         return sum(map(len, self.groups))
 
-    def __call__(self, x: Array, R: Array) -> Array:
+    def __call__(self, x: Positions, R: Rotations) -> Scalar:
         return self.value(self.invariants(x, R))
 
-    def invariants(self, x: Array, R: Array) -> tuple[Array, ...]:
+    def invariants(self, x: Positions, R: Rotations) -> tuple[Array, ...]:
         """The squared distances u of every block of pairs; 1 within a body."""
         at = [places(s, bodies, x, R) for s, bodies in zip(self.points, self.groups, strict=True)]
         return tuple(self._distances(at, g, h) for g, h in self._blocks())
 
-    def value(self, invariants: tuple[Array, ...]) -> Array:
+    def value(self, invariants: tuple[Array, ...]) -> Scalar:
         """V of the squared distances."""
         blocks = zip(invariants, self._blocks(), strict=True)
         nothing = jnp.zeros((), self.points[0].dtype)
@@ -103,7 +104,7 @@ class InverseDistance(_SitePairs):
     gravity: bool = static()
 
     @property
-    def G(self) -> Array:
+    def G(self) -> Scalar:
         """The constant of gravity, if the strengths are masses."""
         if not self.gravity:
             raise AttributeError("charges have no constant of gravity G")

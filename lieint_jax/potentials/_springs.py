@@ -13,6 +13,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree, static
+from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
 
 @pytree
@@ -31,17 +32,17 @@ class Springs(Potential):
     lengths: Array
     bodies: tuple[tuple[int, int], ...] = static()
 
-    def __call__(self, x: Array, R: Array) -> Array:
+    def __call__(self, x: Positions, R: Rotations) -> Scalar:
         return self.value(self.invariants(x, R))
 
-    def invariants(self, x: Array, R: Array) -> Array:
+    def invariants(self, x: Positions, R: Rotations) -> Array:
         """The squared length of each spring, (k,)."""
         if max(map(max, self.bodies)) >= x.shape[0]:
             raise ValueError(f"springs join the bodies {self.bodies}, but there are {x.shape[0]}, counted from 0")
         a, b = (self._end(k, x, R) for k in (0, 1))
         return jnp.sum((a - b) ** 2, axis=1)
 
-    def value(self, invariants: Array) -> Array:
+    def value(self, invariants: Array) -> Scalar:
         """V of the squared lengths."""
         return jnp.sum(self.stiffness * (invariants - 2 * self.lengths * _root(invariants) + self.lengths**2)) / 2
 
@@ -51,7 +52,7 @@ class Springs(Potential):
         inverse = jnp.where(together > 0, 1 / jnp.where(together > 0, together, 1), 0)
         return self.stiffness * (0.5 - self.lengths * inverse)
 
-    def _end(self, k: int, x: Array, R: Array) -> Array:
+    def _end(self, k: int, x: Positions, R: Rotations) -> Array:
         body = np.array(self.bodies)[:, k]
         return x[body] + jnp.sum(R[body] * self.points[:, k, None, :], axis=2)
 

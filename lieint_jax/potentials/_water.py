@@ -4,39 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax._checks import count
-from lieint_jax.potentials._potential import Potential
-from lieint_jax.potentials._site_pairs import sites
+from lieint_jax.potentials._molecule import Molecule, molecule
 
 _CALORIE, _OXYGEN, _HYDROGEN = 4.184, 15.9994, 1.008  # J; u
-
-
-class Molecule(NamedTuple):
-    """A rigid molecule in nm, ps, atomic mass units, kJ/mol and elementary charges, which go together.
-
-    Attributes:
-        mass: in u.
-        inertia: principal moments about the center of mass, (3,), in u nm².
-        points: sites in the principal axes, from the center of mass, (n, 3), in nm.
-        charges: (n,).
-        wells: ε of Lennard-Jones, (n,), in kJ/mol.
-        sizes: σ of Lennard-Jones, (n,), in nm.
-    """
-
-    mass: float
-    inertia: np.ndarray
-    points: np.ndarray
-    charges: np.ndarray
-    wells: np.ndarray
-    sizes: np.ndarray
-
-    def potential(self, number: int) -> Potential:
-        """The potential of so many of these molecules."""
-        at = jnp.tile(jnp.asarray(self.points), (count("number", number, 2), 1, 1))
-        return sites(at, self.charges, self.wells, self.sizes)
 
 
 class _Model(NamedTuple):
@@ -64,14 +36,5 @@ def water(model: str = "TIP4P/2005") -> Molecule:
     aside, ahead = _BOND * np.sin(_ANGLE / 2), _BOND * np.cos(_ANGLE / 2)
     at = np.array([[0, 0, 0], [aside, 0, ahead], [-aside, 0, ahead], [0, 0, to_m]])
     masses = np.array([_OXYGEN, _HYDROGEN, _HYDROGEN, 0])
-    at -= masses @ at / masses.sum()
-    squares = masses @ (at * at)
-    lennard_jones = np.array([1.0, 0, 0, 0])
-    return Molecule(
-        float(masses.sum()),
-        squares.sum() - squares,
-        at,
-        charge * np.array([0, 1, 1, -2]),
-        well * _CALORIE * lennard_jones,
-        size * lennard_jones,
-    )
+    oxygen = np.array([1.0, 0, 0, 0])
+    return molecule(masses, at, charge * np.array([0, 1, 1, -2]), well * _CALORIE * oxygen, sizes=size * oxygen)

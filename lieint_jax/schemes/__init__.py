@@ -13,9 +13,10 @@
 | `extrapolate` | any system | nothing beyond its accuracy: for short, accurate runs | 4 to 20 |
 | `log_hamiltonian` | tops | form, with steps that vary | 2 |
 | `reversible_control` | any step | what that conserves but for the form, with steps that vary | 2 |
-| `bodies_energy_momentum` | several bodies | energy, both momenta | 2 |
+| `bodies_energy_momentum` | several bodies, with tides too | energy (less work), both momenta | 2 |
 | `nystrom` | tops, satellites, several bodies | form, momenta | 4, 6 |
 | `kepler_splitting` | two bodies | form, both momenta; the orbit solved exactly | 2, (8, 4), (8, 6, 4) |
+| `langevin` | free bodies, tops, several bodies in a heat bath | the canonical measure; heat counted exactly | 2 |
 | `additive` | elastic bodies | momentum, and energy or the form; of incompressible ones volume too | 2 |
 | `sphere_midpoint` | the spherical pendulum | γ·π, and energy or the form | 2 |
 | `sphere_chart` | the spherical pendulum | form, γ·π; singular on the axis | 2 |
@@ -40,6 +41,7 @@ from lieint_jax.schemes import (
     _group_energy_momentum,
     _group_midpoint,
     _kepler_splitting,
+    _langevin,
     _log_hamiltonian,
     _nystrom,
     _preprocessed,
@@ -64,11 +66,12 @@ from lieint_jax.schemes._group_alpha import GroupAlpha, group_alpha
 from lieint_jax.schemes._group_energy_momentum import GroupEnergyMomentum, group_energy_momentum
 from lieint_jax.schemes._group_midpoint import GroupMidpoint, group_midpoint
 from lieint_jax.schemes._kepler_splitting import KeplerSplitting, kepler_splitting
+from lieint_jax.schemes._langevin import Langevin, langevin
 from lieint_jax.schemes._log_hamiltonian import LogHamiltonian, log_hamiltonian
 from lieint_jax.schemes._nystrom import Nystrom, nystrom
 from lieint_jax.schemes._preprocessed import Preprocessed, preprocessed
 from lieint_jax.schemes._reversible_control import ReversibleControl, reversible_control
-from lieint_jax.schemes._shared.properties import Catalogue, SchemeProperties
+from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_alpha import SO3Alpha, so3_alpha
 from lieint_jax.schemes._so3_explicit import SO3Explicit, so3_explicit
 from lieint_jax.schemes._so3_midpoint import SO3Midpoint, so3_midpoint
@@ -77,6 +80,7 @@ from lieint_jax.schemes._sphere_midpoint import SphereMidpoint, sphere_midpoint
 from lieint_jax.schemes._splitting import Splitting, splitting
 from lieint_jax.schemes._top_energy_momentum import TopEnergyMomentum, top_energy_momentum
 from lieint_jax.schemes._torqued_midpoint import DampedMidpoint, TorquedMidpoint, torqued_midpoint
+from lieint_jax.types import Catalogue
 
 __all__ = [
     "Additive",
@@ -92,6 +96,7 @@ __all__ = [
     "GroupEnergyMomentum",
     "GroupMidpoint",
     "KeplerSplitting",
+    "Langevin",
     "LogHamiltonian",
     "Nystrom",
     "Preprocessed",
@@ -117,6 +122,7 @@ __all__ = [
     "group_energy_momentum",
     "group_midpoint",
     "kepler_splitting",
+    "langevin",
     "log_hamiltonian",
     "nystrom",
     "preprocessed",
@@ -132,11 +138,11 @@ __all__ = [
 ]
 
 
-def catalogue() -> Catalogue:
+def catalogue() -> Catalogue[SchemeProperties]:
     """What each scheme is for and conserves, its order and limit, its names in the literature and its source.
 
     Returns:
-        A tuple of `SchemeProperties`, which prints as a table.
+        A tuple of `SchemeProperties`, which prints as a table; `.markdown()` is one for a page.
     """
     return Catalogue(
         module.PROPERTIES
@@ -156,6 +162,7 @@ def catalogue() -> Catalogue:
             _reversible_control,
             _bodies_energy_momentum,
             _kepler_splitting,
+            _langevin,
             _additive,
             _sphere_midpoint,
             _sphere_chart,

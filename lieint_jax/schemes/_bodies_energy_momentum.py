@@ -10,12 +10,16 @@ gradient D of Ṽ, D·ΔI = ΔV, the forces are the derivatives of w(x, Λ) = D�
 
 As I is quadratic, their work is −ΔV; as w is invariant, their sums Σf̄ and Σ(x̄ × f̄ + τ̄) vanish. Any other κ breaks the
 balance of angular momentum: κ_i τ̄_i in place of τ̄_i keeps energy, and ΔL = Δt Σ(κ_i − 1)τ̄_i.
+
+A law of dissipation f(r, v, ω_i, ω_j) is evaluated at r̄, v̄ = Δr/Δt and ω̄ = θ̄/Δt, θ̄ = Λ_nΘ̄, and adds to f̄ and τ̄. As
+(Δx, θ̄) is what forces and torques work along, the energy falls by Δt times the loss that the law has at the means, not
+negative in any step, and as its forces balance at x̄, P and L are still conserved.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +35,17 @@ from lieint_jax.potentials import invariant_form, torques
 from lieint_jax.schemes._shared.accepts import AcceptedSystems, check_motion
 from lieint_jax.schemes._shared.free_bodies import free_motion
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import AbstractRigidBodies, State, Step, StepInfo, pytree, static
+from lieint_jax.types import (
+    AbstractDissipativeBodies,
+    AbstractRigidBodies,
+    State,
+    Step,
+    StepInfo,
+    System,
+    pair_forces,
+    pytree,
+    static,
+)
 
 _STALLED = 2**16  # eps: a change below it that no longer falls is rounding
 _CONVERGED = 32  # eps: the largest last change of a step that converged
@@ -49,7 +63,18 @@ def _motion_by_invariants(bodies: AbstractRigidBodies, state: State) -> State:
     return State(free_motion(bodies, state), jnp.concatenate([-along_x, torques(R, along_R)], axis=1))
 
 
+def _dissipative_motion(bodies: AbstractDissipativeBodies, state: State) -> State:
+    """The vector field of bodies that lose energy."""
+    moving, (x, p) = _motion(bodies.conservative, state), (state.q[:, :3], state.p[:, :3])
+    Omega = jax.vmap(so3.body_velocity)(state.q[:, 3:], moving.q[:, 3:])
+    omega = jax.vmap(so3.Ad)(state.q[:, 3:], Omega)
+    return moving._replace(p=moving.p + pair_forces(bodies.dissipation, x, p / bodies.masses[:, None], omega)[0])
+
+
 BODIES = AcceptedSystems(AbstractRigidBodies, "bodies that act on one another (systems.rigid_bodies)", _motion)
+DISSIPATIVE_BODIES = AcceptedSystems(
+    AbstractDissipativeBodies, "bodies with dissipation (systems.rigid_bodies)", _dissipative_motion
+)
 
 
 class _Ends(NamedTuple):
@@ -64,11 +89,11 @@ class BodiesEnergyMomentum(Step):
     """The step made by `bodies_energy_momentum`.
 
     Attributes:
-        system: bodies in a potential.
+        system: bodies in a potential, with dissipation or without.
         iterations: the most iterations of a step.
     """
 
-    system: AbstractRigidBodies
+    system: AbstractRigidBodies | AbstractDissipativeBodies
     iterations: int = static()
     order: float = static(default=2)
     symmetric: bool = static(default=True)
@@ -80,24 +105,29 @@ class BodiesEnergyMomentum(Step):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         equation = _Equation(self.system, state, jnp.asarray(dt, state.p.dtype))
         ends, change = _solved(equation, self.iterations)
-        force = equation.force(ends)
+        force, lost = equation.force(ends), equation.dissipation(ends)[1]
         good = change <= _CONVERGED * float(jnp.finfo(change.dtype).eps)
         good &= jnp.all(jnp.isfinite(force)) & jnp.all(jax.vmap(_well_conditioned)(self.system.inertias))
-        return state._replace(q=equation.configuration(ends), p=state.p + equation.dt * force), StepInfo(change, good)
+        work = None if state.work is None else state.work - equation.dt * lost
+        end = state._replace(q=equation.configuration(ends), p=state.p + equation.dt * force, work=work)
+        return end, StepInfo(change, good)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
             f"{self.name} does not converge at dt = {dt}: bodies turn, or pass one another, too fast for steps of this "
-            f"size. Take a smaller dt, or more iterations than {self.iterations}"
+            f"size, or lose their energy too fast. Take a smaller dt, or more iterations than {self.iterations}"
         )
 
 
-def bodies_energy_momentum(system: AbstractRigidBodies, iterations: int = 50) -> BodiesEnergyMomentum:
+def bodies_energy_momentum(
+    system: AbstractRigidBodies | AbstractDissipativeBodies, iterations: int = 50
+) -> BodiesEnergyMomentum:
     """The energy–momentum scheme for N rigid bodies in a potential of their relative positions and attitudes.
 
     | conserved | to |
     |---|---|
     | energy | round-off, for potentials of `lieint_jax.potentials`; for others as far as their values are exact |
+    | with dissipation, energy and what was lost (−`State.work`), no step losing less than 0 | round-off |
     | P and L, if the potential is invariant | round-off |
     | the symplectic form | no: defect O(Δt³) per step |
 
@@ -116,16 +146,20 @@ def bodies_energy_momentum(system: AbstractRigidBodies, iterations: int = 50) ->
 
     Source: this package; the discrete gradient's place in it, Gonzalez 1996, J. Nonlinear Sci. 6.
     """
-    BODIES.check("bodies_energy_momentum", system)
+    if isinstance(system, AbstractDissipativeBodies):
+        DISSIPATIVE_BODIES.check("bodies_energy_momentum", system)
+    else:
+        BODIES.check("bodies_energy_momentum", system)
+    inner = system.conservative if isinstance(system, AbstractDissipativeBodies) else system
     noun = "bodies in a potential of relative positions and attitudes, or one with invariants of its own"
-    check_motion("bodies_energy_momentum", noun, _motion_by_invariants, system, system)
+    check_motion("bodies_energy_momentum", noun, _motion_by_invariants, inner, inner)
     return BodiesEnergyMomentum(system, _checks.count("iterations", iterations, 1))
 
 
 class _Equation(NamedTuple):
     """The equations of one step."""
 
-    system: AbstractRigidBodies
+    system: AbstractRigidBodies | AbstractDissipativeBodies
     state: State
     dt: Array
 
@@ -140,7 +174,18 @@ class _Equation(NamedTuple):
         (x0, R0), (x1, R1) = _parts(self.state.q), _parts(self.configuration(ends))
         D, R = gradient(invariants(x0, R0), invariants(x1, R1)), (R0 + R1) / 2
         along_x, along_R = jax.vjp(invariants, x0 + ends.move / 2, R)[1](D)
-        return jnp.concatenate([-along_x, torques(R, along_R)], axis=1)
+        force = jnp.concatenate([-along_x, torques(R, along_R)], axis=1)
+        if isinstance(self.system, AbstractDissipativeBodies):
+            force = force + self.dissipation(ends)[0]
+        return force
+
+    def dissipation(self, ends: _Ends) -> tuple[Array, Array]:
+        """The part of f̄ and τ̄ that loses energy, (N, 6), and the loss in a unit of time."""
+        if not isinstance(self.system, AbstractDissipativeBodies):
+            return jnp.zeros_like(self.state.p), jnp.zeros_like(self.dt)
+        rate = 1 / jnp.where(self.dt == 0, 1, self.dt)
+        x, v = self.state.q[:, :3] + ends.move / 2, rate * ends.move
+        return pair_forces(self.system.dissipation, x, v, jax.vmap(so3.Ad)(self.state.q[:, 3:], 2 * rate * ends.turn))
 
     def residual(self, ends: _Ends) -> _Ends:
         """What is zero at the end of the step."""
@@ -236,8 +281,8 @@ def _well_conditioned(J: Array) -> Array:
 
 PROPERTIES = SchemeProperties(
     name="bodies_energy_momentum",
-    systems="several bodies",
-    conserves=("energy", "momentum"),
+    systems="several bodies, with dissipation too",
+    conserves=("energy", "energy less work", "momentum"),
     order=2,
     symmetric=True,
     limit="|ΔtΩ| of 2 to 4 for the Cayley κ",
@@ -246,6 +291,8 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
-    """The scheme, for bodies in a potential."""
-    return {"bodies_energy_momentum": bodies_energy_momentum(system)} if BODIES.declared(system) else {}
+def examples(system: System) -> dict[str, Step]:
+    """The scheme, for bodies in a potential, with dissipation or without."""
+    if BODIES.declared(system) or DISSIPATIVE_BODIES.declared(system):
+        return {"bodies_energy_momentum": bodies_energy_momentum(system)}
+    return {}

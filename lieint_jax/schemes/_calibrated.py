@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -25,8 +25,8 @@ from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.schemes._preprocessed import retimed
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import FREE_BODIES
-from lieint_jax.types import AbstractFreeBody, State, Step, StepInfo, pytree, static
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
+from lieint_jax.types import AbstractFreeBody, State, Step, StepInfo, System, pytree, static
 
 
 class Clock(NamedTuple):
@@ -149,6 +149,6 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The calibrated step, for free rigid bodies."""
     return {"calibrated": calibrated(system)} if FREE_BODIES.declared(system) else {}

@@ -21,7 +21,7 @@ and what is best uses one value often, and p/2 − 1 others to cancel its power 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -33,8 +33,10 @@ from lieint_jax._xla import rematerialized
 from lieint_jax.schemes._shared.compositions import METHODS
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._so3_midpoint import examples as base_examples
-from lieint_jax.types import State, Step, StepInfo, clock, counts_work, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, clock, counts_work, pytree, static
+from lieint_jax.types.shapes import PyTree, TangentVectors
 
+_Carried = TypeVar("_Carried")
 _GENERAL = {4: "suzuki", 6: "kahan_li_6", 8: "kahan_li_8", 10: "sofroniou_spaletta_10"}
 
 
@@ -53,7 +55,7 @@ class Composition(Step):
     symmetric: bool = static(default=True)
 
     @property
-    def system(self) -> Any:
+    def system(self) -> System:
         return self.step.system
 
     @property
@@ -89,7 +91,7 @@ class Composition(Step):
         ends = clock(state) + jnp.asarray(parts, state.p.dtype) * dt
         return self._through(state, (self._sizes(state, dt), ends), substep_to)
 
-    def tangent(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
+    def tangent(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
         if state.extra is not None:  # it may depend on q and p, from one sub-step to the next
             return super().tangent(state, dt, T)
 
@@ -104,11 +106,13 @@ class Composition(Step):
         """The sizes of the sub-steps, γΔt."""
         return jnp.asarray(self.gammas, state.p.dtype) * dt
 
-    def _through(self, start: Any, sub_steps: Any, stage: Callable[[Any, Any], tuple[Any, StepInfo]]) -> Any:
+    def _through(
+        self, start: _Carried, sub_steps: PyTree, stage: Callable[[_Carried, PyTree], tuple[_Carried, StepInfo]]
+    ) -> tuple[_Carried, StepInfo]:
         """`start` through `stage` with each of the sub-steps, and the merged report."""
 
         @rematerialized
-        def substep(carry: tuple[Any, StepInfo], h: Any) -> tuple[tuple[Any, StepInfo], None]:
+        def substep(carry: tuple[_Carried, StepInfo], h: PyTree) -> tuple[tuple[_Carried, StepInfo], None]:
             z, worst = carry
             z, info = stage(z, h)
             return (z, worst.merge(info)), None
@@ -165,7 +169,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """Compositions of the steps of `so3_midpoint`: order 8 of the symplectic one, order 4 of the others."""
     made = [compose(step, 8 if step.commuting else 4) for step in base_examples(system).values()]
     return {step.name: step for step in made}

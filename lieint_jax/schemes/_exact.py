@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import Any, overload
+from typing import overload
 
 import jax.numpy as jnp
-from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _free_body
 from lieint_jax._numerics import vec3
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import FREE_BODIES, SLENDER, lost
-from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, pytree, static
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, SLENDER, lost
+from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, System, pytree, static
+from lieint_jax.types.shapes import Inertia, Quaternion, Scalar
 
 
 @pytree
@@ -52,7 +52,7 @@ class Exact(Step):
         )
 
 
-def judged(J: Array, q: Array, length: Array, condition: Array) -> StepInfo:
+def judged(J: Inertia, q: Quaternion, length: Scalar, condition: Scalar) -> StepInfo:
     """The report of an exact flow to q, by what `_free_body.attitude` says of it."""
     eps = float(jnp.finfo(q.dtype).eps)
     good = (length <= 1024 * eps) & (eps * condition <= lost(q.dtype))
@@ -105,6 +105,6 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The exact flow, for free rigid bodies."""
     return {"exact": exact(system)} if FREE_BODIES.declared(system) else {}

@@ -14,7 +14,7 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +24,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax._xla import rematerialized
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import FREE_BODIES
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes.charts._chart import PlainState
 from lieint_jax.schemes.charts.body_axes import BODY_AXES
 from lieint_jax.schemes.charts.several_bodies import SEVERAL_BODIES
@@ -38,6 +38,7 @@ from lieint_jax.types import (
     pytree,
     static,
 )
+from lieint_jax.types.shapes import PyTree
 
 # the first that supports a system
 _CHARTS = {
@@ -45,7 +46,7 @@ _CHARTS = {
     "several bodies": SEVERAL_BODIES,
     "": PlainState(),
 }  # the first that supports a system
-_Rate = Callable[[Any, Any], Any]
+_Unknowns = TypeVar("_Unknowns")
 _ROUGH = 1e-3  # the largest relative difference between the last two orders of a step that converged
 
 
@@ -93,31 +94,36 @@ def _fractions(numbers: list[int]) -> np.ndarray:
 
 
 def _extrapolated(
-    rate: _Rate, moments: Any, start: Any, dt: Array, numbers: list[int], increments: bool
-) -> tuple[Any, Any]:
+    rate: Callable[[_Unknowns, PyTree], _Unknowns],
+    moments: PyTree,
+    start: _Unknowns,
+    dt: Array,
+    numbers: list[int],
+    increments: bool,
+) -> tuple[_Unknowns, _Unknowns]:
     """The increments Σ w_n δ_n over all these n, and over all but the last, by one loop over all sub-steps."""
     slope = rate(start, jax.tree.map(lambda x: x[0], moments))
     origin = jax.tree.map(jnp.zeros_like, start) if increments else start
 
-    def state_at(now: Any) -> Any:
+    def state_at(now: _Unknowns) -> _Unknowns:
         return jax.tree.map(jnp.add, start, now) if increments else now
 
     @rematerialized
-    def leapfrog(h: Array, before: Any, now: Any, moment: Any) -> Any:
+    def leapfrog(h: Array, before: _Unknowns, now: _Unknowns, moment: PyTree) -> _Unknowns:
         return jax.tree.map(lambda x, f: x + 2 * h * f, before, rate(state_at(now), moment))
 
-    def first(h: Array) -> Any:
+    def first(h: Array) -> _Unknowns:
         return jax.tree.map(lambda x, f: x + h * f, origin, slope)
 
     w = [jnp.asarray(x, dt.dtype) for x in (weights(numbers), [*weights(numbers[:-1]), 0.0])]
     h = dt / np.array(numbers)
 
-    def step_once(carry: Any, row: Any) -> tuple[Any, None]:
+    def step_once(carry: PyTree, row: PyTree) -> tuple[PyTree, None]:
         before, now, sums = carry
         h, following, last, moment, w = row
         end = leapfrog(h, before, now, moment)
 
-        def closed() -> Any:
+        def closed() -> PyTree:
             return origin, first(following), _added(sums, w, end, origin)
 
         return lax.cond(last, closed, lambda: (now, end, sums)), None
@@ -129,12 +135,12 @@ def _extrapolated(
     return lax.scan(step_once, (origin, first(h[0]), _nothing(origin)), rows)[0][2]
 
 
-def _nothing(like: Any) -> tuple[Any, Any]:
+def _nothing(like: _Unknowns) -> tuple[_Unknowns, _Unknowns]:
     zero = jax.tree.map(jnp.zeros_like, like)
     return zero, zero
 
 
-def _added(sums: tuple[Any, ...], w: Sequence[Array], end: Any, origin: Any) -> tuple[Any, ...]:
+def _added(sums: tuple[_Unknowns, ...], w: Sequence[Array], end: _Unknowns, origin: _Unknowns) -> tuple[_Unknowns, ...]:
     """Both sums, and w times this increment. (The sum of all w is not quite 1.)"""
     return tuple(
         jax.tree.map(lambda s, x, z, w=w: s + w * (x - z), s, end, origin) for s, w in zip(sums, w, strict=True)
@@ -195,7 +201,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """Order 12, for free bodies, tops and several bodies."""
     if not (FREE_BODIES.declared(system) or isinstance(system, AbstractTop | AbstractRigidBodies)):
         return {}

@@ -275,7 +275,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """Order 8, for the systems that it takes but elastic bodies: sweeps do not reach round-off on stiff ones."""
     if not isinstance(system, _KINDS) or isinstance(system, AbstractElasticBody) or canonical_chart(system) is None:
         return {}

@@ -15,8 +15,6 @@ and Newton's matrix is m − αΔt ad*(Π_{n+1}) H less the second derivative of
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
@@ -39,7 +37,17 @@ from lieint_jax.schemes._shared.group_newton import (
     translate,
 )
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import AbstractGeodesicFlow, AbstractMechanicalSystem, State, Step, StepInfo, pytree, static
+from lieint_jax.types import (
+    AbstractGeodesicFlow,
+    AbstractMechanicalSystem,
+    State,
+    Step,
+    StepInfo,
+    System,
+    pytree,
+    static,
+)
+from lieint_jax.types.shapes import Scalar
 
 
 @pytree
@@ -65,7 +73,7 @@ class GroupAlpha(Step):
         return f"group_alpha[{self.tau.name}]"
 
     @property
-    def velocity_weight(self) -> Array:
+    def velocity_weight(self) -> Scalar:
         return self.alpha
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
@@ -171,7 +179,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The step of α = ½ by the exponential map, on small groups: it is nearly `group_midpoint`, and costs as much."""
     if not (GEODESICS.declared(system) or MECHANICAL.declared(system)) or system.group.dim > 3:
         return {}

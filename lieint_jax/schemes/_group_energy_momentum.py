@@ -15,8 +15,6 @@ and Newton's matrix is that of `group_midpoint` with the second derivative of V 
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -40,7 +38,7 @@ from lieint_jax.schemes._shared.group_newton import (
     translate,
 )
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import AbstractMechanicalSystem, State, Step, StepInfo, pytree, static
+from lieint_jax.types import AbstractMechanicalSystem, State, Step, StepInfo, System, pytree, static
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _NODES, _WEIGHTS = (_NODES + 1) / 2, _WEIGHTS / 2
@@ -148,7 +146,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The energy-momentum step, for systems with a potential on a group."""
     if not MECHANICAL.declared(system):
         return {}

@@ -19,8 +19,6 @@ Steps of SE(3) and its like take their Ad*_τ and τ in closed form (`groups._cl
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -42,7 +40,16 @@ from lieint_jax.schemes._shared.group_newton import (
     unpacked,
 )
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import AbstractGeodesicFlow, AbstractRightGeodesicFlow, State, Step, StepInfo, pytree, static
+from lieint_jax.types import (
+    AbstractGeodesicFlow,
+    AbstractRightGeodesicFlow,
+    State,
+    Step,
+    StepInfo,
+    System,
+    pytree,
+    static,
+)
 
 
 def _motion(system: AbstractGeodesicFlow, state: State) -> State:
@@ -160,7 +167,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The exponential map, and the Cayley map where it lands in the group."""
     if not (GEODESICS.declared(system) or RIGHT_GEODESICS.declared(system)):
         return {}

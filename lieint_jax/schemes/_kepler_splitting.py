@@ -9,7 +9,7 @@ then the errors of the methods (8, 4) and (8, 6, 4) are O(εΔt⁸ + ε²Δt⁴)
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import cast
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -26,10 +26,12 @@ from lieint_jax.schemes._shared.accepts import check_motion
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._splitting import kicked_motion
-from lieint_jax.types import AbstractFreeBodies, AbstractRigidBodies, State, Step, StepInfo, pytree, static
+from lieint_jax.types import AbstractFreeBodies, AbstractRigidBodies, State, Step, StepInfo, System, pytree, static
+from lieint_jax.types.shapes import Scalar, Vector3
 
 _ITERATIONS = 4  # corrections of Kepler's equation, each of order 4
-METHODS: dict[Any, Stages] = {
+Order = int | tuple[int, ...]
+METHODS: dict[Order, Stages] = {
     2: Stages((0.5, 0.5), (1.0,)),
     (8, 4): Stages(
         mirrored([0.07534696026989288842, 0.51791685468825678230, -0.09326381495814967072]),
@@ -60,7 +62,7 @@ class KeplerSplitting(Step):
     system: AbstractRigidBodies
     G: Array
     drift: FreeFlight
-    method: Any = static()
+    method: Order = static()
     order: float = static()
     symmetric: bool = static(default=True)
 
@@ -112,7 +114,7 @@ class KeplerSplitting(Step):
 
 
 def kepler_splitting(
-    system: AbstractRigidBodies, order: Any = (8, 6, 4), G: ArrayLike | None = None, drift: FreeFlight | None = None
+    system: AbstractRigidBodies, order: Order = (8, 6, 4), G: ArrayLike | None = None, drift: FreeFlight | None = None
 ) -> KeplerSplitting:
     """Symplectic steps about the exact Kepler motion of two bodies, for binary asteroids and planets with their moons.
 
@@ -156,7 +158,7 @@ def kepler_splitting(
     return KeplerSplitting(system, _checks.real_array("G", given, (), like=system.masses), drift, method, formal)
 
 
-def kepler_flow(d: Array, v: Array, mu: Array, dt: Array) -> tuple[Array, Array, Array, Array]:
+def kepler_flow(d: Vector3, v: Vector3, mu: Scalar, dt: Array) -> tuple[Array, Array, Array, Array]:
     """Δd and Δv of the motion d̈ = −μd/|d|³ in the time Δt, the residual over Δt, and whether it was solved.
 
     By universal variables: r₀G₁ + ηG₂ + μG₃ = Δt with G_k = sᵏc_k(βs²), β = 2μ/r₀ − |v|², η = d·v; on every conic.
@@ -205,7 +207,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The three methods, for two bodies under gravity."""
     if not (BODIES.declared(system) and system.masses.shape == (2,) and hasattr(system.potential, "G")):
         return {}

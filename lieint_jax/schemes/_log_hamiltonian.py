@@ -11,8 +11,6 @@ where K is that of the momentum at each drift.
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
@@ -23,9 +21,19 @@ from lieint_jax._xla import scan_stages
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import FREE_BODIES, lost
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, lost
 from lieint_jax.schemes._splitting import kicked_motion
-from lieint_jax.types import AbstractDrivenSystem, AbstractForcedSystem, State, Step, StepInfo, promoted, pytree, static
+from lieint_jax.types import (
+    AbstractDrivenSystem,
+    AbstractForcedSystem,
+    State,
+    Step,
+    StepInfo,
+    System,
+    promoted,
+    pytree,
+    static,
+)
 
 _KEY = "energy"
 _OFF = 0.1  # the largest |ln((K + B)/(−V))| in a step; it is O(h²) for a state of energy E
@@ -168,7 +176,7 @@ def log_hamiltonian(system: AbstractForcedSystem, energy: ArrayLike | None = Non
             "log_hamiltonian integrates rigid bodies in a potential (systems.heavy_top, systems.potential_top), whose "
             f"free motion is known exactly, got {type(system).__name__}{hint('log_hamiltonian', system)}"
         )
-    free: Any = system.free
+    free = system.free
     check_motion("log_hamiltonian", "free motion with kicks", kicked_motion, (system, free), system)
     given = None if energy is None else _checks.real_array("energy", energy, (), like=free.inertia)
     return LogHamiltonian(system, given, exact(free))
@@ -191,7 +199,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The scheme for rigid bodies in a potential that is negative at the origin of their phase space."""
     if not (isinstance(system, AbstractForcedSystem) and FREE_BODIES.declared(system.free)):
         return {}

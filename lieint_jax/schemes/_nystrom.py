@@ -11,7 +11,7 @@ of a higher order: a drift of order 2 would make the whole of order 2.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -23,9 +23,9 @@ from lieint_jax.schemes._preprocessed import preprocessed
 from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.free_bodies import MANY_FREE_BODIES
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import FREE_BODIES
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes._splitting import kicked, kicked_motion
-from lieint_jax.types import AbstractDrivenSystem, AbstractForcedSystem, State, Step, StepInfo, pytree, static
+from lieint_jax.types import AbstractDrivenSystem, AbstractForcedSystem, State, Step, StepInfo, System, pytree, static
 
 
 class Stages(NamedTuple):
@@ -125,7 +125,7 @@ def nystrom(system: AbstractForcedSystem | AbstractDrivenSystem, order: int, dri
     """
     if order not in METHODS:
         raise ValueError(f"order must be 4 or 6, got {order!r}; compose(splitting(system), order) has others")
-    free: Any = system.free if isinstance(system, AbstractForcedSystem | AbstractDrivenSystem) else None
+    free = system.free if isinstance(system, AbstractForcedSystem | AbstractDrivenSystem) else None
     if not (FREE_BODIES.declared(free) or MANY_FREE_BODIES.declared(free)):
         raise ValueError(
             "nystrom integrates rigid bodies in a potential (systems.rigid_bodies, systems.heavy_top, "
@@ -155,7 +155,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """Both orders, for several bodies; those for one body would make the grid of tests too large."""
     if not (isinstance(system, AbstractForcedSystem) and MANY_FREE_BODIES.declared(system.free)):
         return {}

@@ -14,7 +14,7 @@ and with the further terms of `_shared.clock_coefficients` to orders 6, 8 and 10
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, overload
+from typing import overload
 
 import jax.numpy as jnp
 from jax import Array
@@ -25,9 +25,12 @@ from lieint_jax._numerics import vec3
 from lieint_jax.maps import kappa_symplectic
 from lieint_jax.schemes._shared.clock_coefficients import constants
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
+from lieint_jax.schemes._shared.half_turn import ITERATIONS
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import FREE_BODIES, ITERATIONS, SO3Midpoint
-from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, pytree, static
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
+from lieint_jax.schemes._so3_midpoint import SO3Midpoint
+from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, System, pytree, static
+from lieint_jax.types.shapes import Scalar
 
 ORDERS = (4, 6, 8, 10)
 
@@ -75,7 +78,7 @@ class Preprocessed(Step):
         return s, d * r, holds
 
 
-def retimed(system: AbstractFreeBody, s: Array, d: Array, iterations: int | None) -> SO3Midpoint:
+def retimed(system: AbstractFreeBody, s: Scalar, d: Scalar, iterations: int | None) -> SO3Midpoint:
     """The symplectic step of the inertia J̃ = J(s + dJ)⁻¹."""
     J = system.inertia
     if J.ndim == 1:
@@ -137,7 +140,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """Orders 4, 6 and 10, for free rigid bodies."""
     if not FREE_BODIES.declared(system):
         return {}

@@ -9,7 +9,6 @@ Since ρ̇ = ρG/ρ in the time with dt = dε/ρ, ρσ is constant up to O(ε²)
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +23,7 @@ from lieint_jax.types import (
     State,
     Step,
     StepInfo,
+    System,
     callable_pytree,
     promoted,
     pytree,
@@ -49,7 +49,7 @@ class ReversibleControl(Step):
     symmetric: bool = static(default=True)
 
     @property
-    def system(self) -> Any:
+    def system(self) -> System:
         return self.step.system
 
     @property
@@ -162,7 +162,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """Splittings of systems with a potential, with steps that are short where the momentum is large."""
     made = [
         reversible_control(step, _calm)

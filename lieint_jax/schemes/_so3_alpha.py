@@ -19,7 +19,6 @@ the vector form of `so3_midpoint` if α = ½.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -32,9 +31,11 @@ from lieint_jax._numerics import newton, vec3
 from lieint_jax._numerics.vec3 import Symmetric, Vector, add, apply, cross, dot, scale, subtract
 from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
+from lieint_jax.schemes._shared.half_turn import ITERATIONS
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import ITERATIONS, SLENDER, cross_apply, dense, gyroscopic, lost, on_branch
-from lieint_jax.types import AbstractEmbeddedBody, State, Step, StepInfo, pytree, static
+from lieint_jax.schemes._shared.rigid_body import SLENDER, lost
+from lieint_jax.schemes._shared.vector_form import cross_apply, dense, gyroscopic, on_branch
+from lieint_jax.types import AbstractEmbeddedBody, State, Step, StepInfo, System, pytree, static
 
 
 def _motion(body: AbstractEmbeddedBody, state: State) -> State:
@@ -146,7 +147,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The step of α = ½ by the Cayley map, for bodies embedded in L(3)."""
     if not EMBEDDED.declared(system):
         return {}

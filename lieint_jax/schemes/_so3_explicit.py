@@ -13,7 +13,7 @@ does not drift, however many steps.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Self
+from typing import Self
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -22,16 +22,12 @@ from jax.typing import ArrayLike
 from lieint_jax._numerics import vec3
 from lieint_jax._numerics.vec3 import dot
 from lieint_jax.groups import so3
+from lieint_jax.schemes._shared.half_turn import scaled
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import (
-    FREE_BODIES,
-    half_cayley,
-    scalar_residual,
-    scalar_root,
-    scaled,
-    so3_midpoint,
-)
-from lieint_jax.types import AbstractFreeBody, State, Step, StepInfo, pytree, static
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
+from lieint_jax.schemes._shared.scalar_form import half_cayley, scalar_residual, scalar_root
+from lieint_jax.schemes._so3_midpoint import so3_midpoint
+from lieint_jax.types import AbstractFreeBody, State, Step, StepInfo, System, pytree, static
 
 _ITERATIONS = 4  # corrections of m, which is solved for once
 _FEEDBACK = 1 / 32  # of an energy error taken back per step, where the lever is longest
@@ -120,6 +116,6 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The explicit step, for free rigid bodies."""
     return {"so3_explicit": so3_explicit(system)} if FREE_BODIES.declared(system) else {}

@@ -7,14 +7,12 @@ With z = (θ, φ, p_θ, p_φ) about an axis, z_m = ½(z_n + z_{n+1}) and the con
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 from jax import Array, lax
-from jax.typing import ArrayLike
+from jax.typing import ArrayLike, DTypeLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
@@ -23,7 +21,7 @@ from lieint_jax._numerics import small_linalg as la
 from lieint_jax.phase_spaces import SphericalChart
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._sphere_midpoint import PENDULUMS
-from lieint_jax.types import AbstractSphereSystem, State, Step, StepInfo, autodiff_gradient, pytree, static
+from lieint_jax.types import AbstractSphereSystem, State, Step, StepInfo, System, autodiff_gradient, pytree, static
 
 
 @pytree
@@ -138,14 +136,14 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The rule about the axis that pendulums have by default."""
     if not PENDULUMS.declared(system):
         return {}
     return {"sphere_chart": sphere_chart(system)}
 
 
-def _pole(dtype: Any) -> float:
+def _pole(dtype: DTypeLike) -> float:
     """The least sin θ of a step: at its square root of eps p_φ²/sin²θ has half of the digits left."""
     return float(jnp.finfo(dtype).eps) ** (1 / 3)
 

@@ -9,8 +9,6 @@ With q_m = ½(q_n + q_{n+1}) and π_m = ½(π_n + π_{n+1}),
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +20,7 @@ from lieint_jax._deprecated import old_calls
 from lieint_jax._numerics import newton, vec3
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.types import AbstractSphereSystem, State, Step, StepInfo, autodiff_gradient, pytree, static
+from lieint_jax.types import AbstractSphereSystem, State, Step, StepInfo, System, autodiff_gradient, pytree, static
 
 
 def _motion(system: AbstractSphereSystem, state: State) -> State:
@@ -134,7 +132,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The plain and the normalized rule, for pendulums."""
     if not PENDULUMS.declared(system):
         return {}

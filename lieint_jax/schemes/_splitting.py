@@ -30,13 +30,15 @@ from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.free_bodies import MANY_FREE_BODIES
 from lieint_jax.schemes._shared.gyrostat_splitting import GyrostatSplitting, turning
 from lieint_jax.schemes._shared.properties import SchemeProperties
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.schemes._shared.se3_free_body import FreeMotion, is_free_motion
-from lieint_jax.schemes._so3_midpoint import FREE_BODIES, so3_midpoint
+from lieint_jax.schemes._so3_midpoint import so3_midpoint
 from lieint_jax.types import (
     AbstractDrivenSystem,
     AbstractForcedSystem,
     AbstractFreeBodies,
     AbstractFreeBody,
+    AbstractGeodesicFlow,
     AbstractGyrostat,
     Group,
     State,
@@ -47,6 +49,7 @@ from lieint_jax.types import (
     pytree,
     static,
 )
+from lieint_jax.types.shapes import TangentVectors
 
 # Bodies from which a drift costs less than their forces: 19 and 310 µs for 64 molecules, 260 and 140 ns for two.
 _MANY = 8
@@ -103,7 +106,7 @@ class Splitting(Step):
         start, h = (self._kick(state, dt), dt) if self.kick_first else (state, 0.5 * dt)
         return f"{self.name}: {self.drift.advice(start, h)}"
 
-    def tangent(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
+    def tangent(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
         space = self.system.phase_space
         if not (isinstance(space, CotangentGroup) and self.kick_first):
             return super().tangent(state, dt, T)
@@ -112,7 +115,7 @@ class Splitting(Step):
         end, T = self._kicked(space.group, end, dt, T)
         return end, info, T
 
-    def _kicked(self, group: Group, state: State, dt: ArrayLike, T: Array) -> tuple[State, Array]:
+    def _kicked(self, group: Group, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, Array]:
         """The state and its tangent vectors after a kick: δπ gains ½Δt times the derivative of the force."""
 
         def carried(tangent: Array) -> Array:
@@ -190,7 +193,7 @@ def splitting(
     return Splitting(system, drift, kick_first=few)
 
 
-def _drift(free: Any) -> Step:
+def _drift(free: System) -> Step:
     if FREE_BODIES.declared(free):
         return so3_midpoint(free)
     if MANY_FREE_BODIES.declared(free):
@@ -207,7 +210,7 @@ def _drift(free: Any) -> Step:
     )
 
 
-def _metrics(free: Any) -> list[Array]:
+def _metrics(free: AbstractGeodesicFlow) -> list[Array]:
     """The system's metric; if it is a tracer, two others at random: what is symplectic for them is so for any."""
     if concrete(free.metric):
         return [free.metric]

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -35,8 +35,10 @@ from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import FREE_BODIES, gyration, gyration_matrix, on_branch
-from lieint_jax.types import AbstractDrivenTop, AbstractTop, State, Step, StepInfo, clock, pytree, static
+from lieint_jax.schemes._shared.rigid_body import rigid_motion
+from lieint_jax.schemes._shared.vector_form import gyration, gyration_matrix, on_branch
+from lieint_jax.types import AbstractDrivenTop, AbstractTop, State, Step, StepInfo, System, clock, pytree, static
+from lieint_jax.types.shapes import Vector3
 
 _APART = 1e-4  # |ΔΓ|² from where on the quadrature of D̄ is corrected to give the difference of Ṽ
 
@@ -44,7 +46,7 @@ _APART = 1e-4  # |ΔΓ|² from where on the quadrature of D̄ is corrected to gi
 def _motion(top: AbstractTop, state: State) -> State:
     """(q̇, π̇) = (½ q Ω, γ × Λ∇Ṽ(Γ)) (4.2)."""
     gradient = jax.grad(top.potential)(so3.Ad_star(state.q, top.axis))
-    turning = FREE_BODIES.vector_field(top, state)
+    turning = rigid_motion(top, state)
     return State(turning.q, jnp.stack(cross(top.axis, so3.Ad(state.q, gradient))))
 
 
@@ -53,7 +55,7 @@ def _driven_motion(top: AbstractDrivenTop, state: State) -> State:
     t = clock(state)
     axis = top.axis_at(t)
     gradient = jax.grad(top.potential)(so3.Ad_star(state.q, axis), t)
-    turning = FREE_BODIES.vector_field(top, state)
+    turning = rigid_motion(top, state)
     return State(turning.q, jnp.stack(cross(axis, so3.Ad(state.q, gradient))))
 
 
@@ -296,7 +298,7 @@ class _Equation(NamedTuple):
         return total
 
 
-def discrete_gradient(potential: Callable[..., Array], a: Array, b: Array, *t: Array) -> Array:
+def discrete_gradient(potential: Callable[..., Array], a: Vector3, b: Vector3, *t: Array) -> Vector3:
     """D̄ with D̄·(b − a) = Ṽ(b) − Ṽ(a) and D̄(a, b) = D̄(b, a), shape (3,), at a time if the potential has one.
 
     The gradient where a = b.
@@ -343,7 +345,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The paper's three κ's, for rigid bodies in a potential with an axis."""
     if not (TOPS.declared(system) or DRIVEN_TOPS.declared(system)) or system.axis is None:
         return {}

@@ -19,7 +19,7 @@ Internal friction turns the body by more, and no torque acts on it. With Π̄ = 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -34,7 +34,8 @@ from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._so3_midpoint import FREE_BODIES, gyration, gyration_matrix, on_branch
+from lieint_jax.schemes._shared.rigid_body import rigid_motion
+from lieint_jax.schemes._shared.vector_form import gyration, gyration_matrix, on_branch
 from lieint_jax.torques import internal_friction
 from lieint_jax.types import (
     AbstractDampedBody,
@@ -44,6 +45,7 @@ from lieint_jax.types import (
     State,
     Step,
     StepInfo,
+    System,
     clock,
     instant,
     pytree,
@@ -53,7 +55,7 @@ from lieint_jax.types import (
 
 def _torqued_motion(body: AbstractTorquedBody, state: State) -> State:
     """(q̇, π̇) = (½ q Ω, Στ_k), and the rates of the laws' internal states."""
-    rotating = FREE_BODIES.vector_field(body, state)
+    rotating = rigid_motion(body, state)
     Omega, t = so3.body_velocity(state.q, rotating.q), clock(state)
     omega, impulse, rates = so3.Ad(state.q, Omega), jnp.zeros_like(state.p), {}
     for law in body.laws:
@@ -66,14 +68,15 @@ def _torqued_motion(body: AbstractTorquedBody, state: State) -> State:
     return State(rotating.q, impulse, extra=(extra or {}) | rates if rates else extra)
 
 
-def _inner(state: State, law: Law) -> Any:
-    """The internal state of a law, None if it has none."""
-    return None if law.key is None else (state.extra or {})[law.key]
+def _inner(state: State, law: Law) -> Array | None:
+    """The internal state of a law, or the one that it reads; None if there is none."""
+    key = law.key or law.reads
+    return None if key is None else (state.extra or {})[key]
 
 
 def _damped_motion(body: AbstractDampedBody, state: State) -> State:
     """(q̇, π̇) = (½ q (Ω + αΠ × Ω), 0)."""
-    turning = FREE_BODIES.vector_field(body, state)
+    turning = rigid_motion(body, state)
     Omega = so3.body_velocity(state.q, turning.q)
     more = internal_friction(body.friction, so3.Ad_star(state.q, state.p), Omega)
     return turning._replace(q=turning.q + so3.tangent(state.q, jnp.stack(more)))
@@ -188,7 +191,7 @@ class DampedMidpoint(Step):
         return _advice(self, dt, "the friction is too strong")
 
 
-def _advice(step: Any, dt: ArrayLike, reason: str) -> str:
+def _advice(step: TorquedMidpoint | DampedMidpoint, dt: ArrayLike, reason: str) -> str:
     return (
         f"{step.name} does not converge at dt = {dt}: the branch of this κ {step.kappa.branch}, or {reason}. "
         f"Take a smaller dt, or more than {step.iterations} iterations if |Δt Ω| < 1"
@@ -248,11 +251,14 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The paper's three κ's, for bodies with a torque or with internal friction."""
     if not (TORQUED_BODIES.declared(system) or DAMPED_BODIES.declared(system)):
         return {}
     return {step.name: step for step in (torqued_midpoint(system, kappa) for kappa in KAPPAS)}
+
+
+_Each = list[tuple[Array, Any, Any]]
 
 
 class _Torques(NamedTuple):
@@ -266,10 +272,15 @@ class _Torques(NamedTuple):
 
     body: Array
     space: Array
-    each: list[tuple[Array, Any, Any]]
+    each: _Each
 
 
-def _carried(extra: dict[str, Array] | None, laws: Any, each: Any, works: list[Array]) -> dict[str, Array] | None:
+def _carried(
+    extra: dict[str, Array] | None,
+    laws: Sequence[Law],
+    each: _Each,
+    works: list[Array],
+) -> dict[str, Array] | None:
     """`extra` with the internal states of the laws after a step, and with their works if they are counted."""
     if extra is None:
         return None
@@ -295,7 +306,7 @@ class _Equation(NamedTuple):
 
     kappa: Kappa
     laws: tuple[Law, ...]
-    inner: tuple[Any, ...]
+    inner: tuple[Array | None, ...]
     J: Symmetric
     Pi: Vector
     s: Array
@@ -330,14 +341,18 @@ class _Equation(NamedTuple):
         return Rotation(self.t, self.dt, q, half, so3.cayley_increment(q, h), h, k, Omega, so3.Ad(q, Omega))
 
     def torques(self, rotation: Rotation) -> _Torques:
-        """The mean torques of all laws."""
-        sums, each = {"body": jnp.zeros(3, self.q.dtype), "space": jnp.zeros(3, self.q.dtype)}, []
-        for law, inner in zip(self.laws, self.inner, strict=True):
+        """The mean torques of all laws. Those that read an internal state are given its mean in the step."""
+        sums = {"body": jnp.zeros(3, self.q.dtype), "space": jnp.zeros(3, self.q.dtype)}
+        each, means = {}, {}
+        for k, law in sorted(enumerate(self.laws), key=lambda numbered: numbered[1].reads is not None):
+            inner = self.inner[k] if law.reads is None else means[law.reads]
             torque, after = law.mean(rotation, inner)
             torque = jnp.asarray(torque).astype(self.q.dtype)
             sums[law.frame] = sums[law.frame] + torque
-            each.append((torque, inner, after))
-        return _Torques(sums["body"], sums["space"], each)
+            each[k] = (torque, inner, after)
+            if law.key is not None:
+                means[law.key] = jax.tree.map(lambda a, b: (a + b) / 2, inner, after)
+        return _Torques(sums["body"], sums["space"], [each[k] for k in range(len(each))])
 
     def torque(self, y: Vector, q: Array | None = None) -> Vector:
         """ΣT̄_k in the body; from another q_n if it is given."""

@@ -15,11 +15,31 @@
 | `group_potential` | the same with a potential |
 | `embedded_body` | a free body whose attitude is a 3×3 matrix, for the paper's refutations |
 
+`catalogue()` lists what each conserves, with its phase space, names in the literature and source.
+
 Integrals and closed forms to test with: `lagrange_motion`, `kovalevskaya_integral`, `clebsch_integral`,
 `manakov_integrals`. Each module has `examples()`: systems with a state worth integrating and a time step.
 """
 
 from lieint_jax._deprecated import renamed as _renamed
+from lieint_jax.systems import (
+    _damped_body,
+    _driven_gyrostat,
+    _driven_top,
+    _embedded_body,
+    _euler,
+    _gravity_gradient,
+    _group_potential,
+    _gyrostat,
+    _heavy_top,
+    _incompressible_body,
+    _pendulum,
+    _potential_top,
+    _pseudo_rigid_body,
+    _rigid_bodies,
+    _rigid_body,
+    _torqued_body,
+)
 from lieint_jax.systems._damped_body import DampedBody, damped_body
 from lieint_jax.systems._driven_gyrostat import DrivenGyrostat, SpinUpMotor, driven_gyrostat
 from lieint_jax.systems._driven_top import DrivenTop, driven_top
@@ -35,18 +55,22 @@ from lieint_jax.systems._potential_top import PotentialTop, QuadraticPotential, 
 from lieint_jax.systems._pseudo_rigid_body import (
     PseudoRigidBody,
     StoredEnergy,
+    ViscousBody,
     mooney_rivlin,
     neo_hookean,
     pseudo_rigid_body,
     saint_venant_kirchhoff,
 )
-from lieint_jax.systems._rigid_bodies import FreeBodies, RigidBodies, rigid_bodies
+from lieint_jax.systems._rigid_bodies import DissipativeBodies, FreeBodies, RigidBodies, rigid_bodies
 from lieint_jax.systems._rigid_body import RigidBody, rigid_body
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.self_gravity import SelfGravity, self_gravity
 from lieint_jax.systems._torqued_body import TorquedBody, torqued_body
+from lieint_jax.types import Catalogue
 
 __all__ = [
     "DampedBody",
+    "DissipativeBodies",
     "DrivenGroupPotential",
     "DrivenGyrostat",
     "DrivenTop",
@@ -68,7 +92,10 @@ __all__ = [
     "SelfGravity",
     "SpinUpMotor",
     "StoredEnergy",
+    "SystemProperties",
     "TorquedBody",
+    "ViscousBody",
+    "catalogue",
     "clebsch_integral",
     "damped_body",
     "driven_gyrostat",
@@ -96,6 +123,36 @@ __all__ = [
     "self_gravity",
     "torqued_body",
 ]
+
+
+def catalogue() -> Catalogue[SystemProperties]:
+    """What each system models and its exact motion conserves, its phase space, names in the literature and source.
+
+    Returns:
+        A tuple of `SystemProperties`, which prints as a table; `.markdown()` is one for a page.
+    """
+    return Catalogue(
+        module.PROPERTIES
+        for module in (
+            _rigid_body,
+            _embedded_body,
+            _gyrostat,
+            _driven_gyrostat,
+            _damped_body,
+            _torqued_body,
+            _heavy_top,
+            _potential_top,
+            _driven_top,
+            _gravity_gradient,
+            _rigid_bodies,
+            _pendulum,
+            _pseudo_rigid_body,
+            _incompressible_body,
+            _euler,
+            _group_potential,
+        )
+    )
+
 
 __getattr__ = _renamed(
     __name__,

@@ -11,8 +11,10 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import vec3
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import TimedBody
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.torques import internal_friction
 from lieint_jax.types import AbstractDampedBody, State, pytree
+from lieint_jax.types.shapes import MomentumMap, Scalar
 
 
 @pytree
@@ -27,11 +29,11 @@ class DampedBody(TimedBody, AbstractDampedBody):
     inertia: Array
     friction: Array
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π."""
         return self.kinetic_energy(state)
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """π itself, (3,): friction inside does not change it."""
         return state.p
 
@@ -68,6 +70,18 @@ def damped_body(inertia: ArrayLike, friction: ArrayLike) -> DampedBody:
     if concrete(alpha) and float(alpha) < 0:
         raise ValueError(f"friction must not be negative, got {float(alpha):g}: it would give energy to the body")
     return DampedBody(inertia, alpha)
+
+
+PROPERTIES = SystemProperties(
+    name="damped_body",
+    models="a rigid body with internal friction",
+    phase_space="T*SO(3): unit quaternion, π",
+    conserves=("energy less work", "momentum", "Casimirs"),
+    momentum="π in space",
+    sizes=(3,),
+    aliases=("energy sink", "double bracket"),
+    source="Likins 1966; Bloch, Krishnaprasad, Marsden & Ratiu 1996",
+)
 
 
 def examples() -> dict[str, tuple[DampedBody, State, float]]:

@@ -15,8 +15,10 @@ from lieint_jax._numerics import vec3
 from lieint_jax.systems._gyrostat import Gyrostat
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.body import OnRotations
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.time_and_work import check_timed, timed
 from lieint_jax.types import State, callable_pytree, clock, pytree
+from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 
 
 @pytree
@@ -39,7 +41,7 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
     @explained
     def state(
         self,
-        attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        attitude: _checks.Attitude = (1.0, 0.0, 0.0, 0.0),
         *,
         angular_velocity: ArrayLike | None = None,
         body_momentum: ArrayLike | None = None,
@@ -67,7 +69,7 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
         made = self.holding(h).state(attitude, angular_velocity=angular_velocity, **motion)
         return timed(made, t, work)._replace(extra={"rotor": h.astype(made.p.dtype)})
 
-    def rotor(self, state: State) -> Array:
+    def rotor(self, state: State) -> Vector3:
         """h_r in the body, shape (3,)."""
         if state.extra is None or "rotor" not in state.extra:
             raise ValueError(
@@ -76,23 +78,23 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
             )
         return state.extra["rotor"]
 
-    def torque(self, t: Array) -> Array:
+    def torque(self, t: Time) -> Vector3:
         """τ(t), by which the motor turns the rotor and the rotor the motor, in the body, shape (3,)."""
         return jnp.asarray(self.motor(t), jnp.result_type(t))
 
-    def holding(self, rotor: Array) -> Gyrostat:
+    def holding(self, rotor: Vector3) -> Gyrostat:
         """The gyrostat whose rotor keeps the momentum `rotor`: this one, at one time."""
         return Gyrostat(self.inertia, rotor)
 
-    def angular_velocity(self, state: State) -> Array:
+    def angular_velocity(self, state: State) -> Vector3:
         """The body angular velocity Ω = J⁻¹(Π − h_r), shape (3,)."""
         return self.holding(self.rotor(state)).angular_velocity(state)
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½(Π − h_r)·J⁻¹(Π − h_r): less the work, it is conserved."""
         return self.holding(self.rotor(state)).energy(state)
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """The momentum map of rotations in space: π itself, of body and rotor together, shape (3,)."""
         return state.p
 
@@ -153,9 +155,21 @@ class SpinUpMotor:
     momentum: Array
     duration: Array
 
-    def __call__(self, t: Array) -> Array:
+    def __call__(self, t: Time) -> Vector3:
         phase = 2 * math.pi * jnp.clip(t / self.duration, 0, 1)
         return self.momentum / self.duration * (1 - jnp.cos(phase))
+
+
+PROPERTIES = SystemProperties(
+    name="driven_gyrostat",
+    models="a rigid body with a rotor that a motor drives",
+    phase_space="T*SO(3): unit quaternion, π; the rotor's momentum in extra",
+    conserves=("energy less work", "momentum", "Casimirs"),
+    momentum="π in space, with the rotor",
+    sizes=(3,),
+    aliases=("spin-up of a dual-spin satellite",),
+    source="Hughes 1986, Spacecraft Attitude Dynamics",
+)
 
 
 def examples() -> dict[str, tuple[DrivenGyrostat, State, float]]:

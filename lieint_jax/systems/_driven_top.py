@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +18,9 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._heavy_top import Linear
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import TimedBody, spatial_torque
-from lieint_jax.types import State, callable_pytree, clock, gradient, pytree
+from lieint_jax.systems._shared.properties import SystemProperties
+from lieint_jax.types import State, System, callable_pytree, clock, gradient, pytree
+from lieint_jax.types.shapes import Matrix3, MomentumMap, Quaternion, Scalar, Time, Vector3
 
 
 class MovedBody(TimedBody, types.AbstractDrivenTop):
@@ -30,7 +31,7 @@ class MovedBody(TimedBody, types.AbstractDrivenTop):
         """The free body of this inertia, without the potential."""
         return RigidBody(self.inertia)
 
-    def axis_at(self, t: Array) -> Array:
+    def axis_at(self, t: Time) -> Vector3:
         """γ(t) in space, shape (3,)."""
         if self.axis is None:
             raise ValueError("this potential has no axis γ: it is a function of Λ and t (see driven_top)")
@@ -39,17 +40,17 @@ class MovedBody(TimedBody, types.AbstractDrivenTop):
         # Without the barrier XLA works out an orbit again for each of a batch of bodies that share t: 6 times slower.
         return unfused(self.axis(t))
 
-    def Gamma(self, state: State) -> Array:
+    def Gamma(self, state: State) -> Vector3:
         """Γ = Λᵀγ(t), the axis as the body sees it, shape (3,)."""
         return so3.Ad_star(state.q, self.axis_at(clock(state)))
 
-    def potential_energy(self, q: Array, t: Array) -> Array:
+    def potential_energy(self, q: Quaternion, t: Time) -> Scalar:
         """V, a scalar, at an attitude and a time."""
         if self.axis is None:
             return self.potential(so3.to_matrix(q), t)
         return self.potential(so3.Ad_star(q, self.axis_at(t)), t)
 
-    def force(self, q: Array, t: Array) -> Array:
+    def force(self, q: Quaternion, t: Time) -> Vector3:
         """The torque of the potential in space, shape (3,). With an axis, γ × ΛDṼ(Γ, t) (4.1)."""
         if self.axis is None:
             return spatial_torque(lambda turned: self.potential_energy(turned, t), q)
@@ -57,15 +58,15 @@ class MovedBody(TimedBody, types.AbstractDrivenTop):
         slope = gradient(self.potential, so3.Ad_star(q, axis), t)
         return jnp.stack(vec3.cross(axis, so3.Ad(q, slope)))
 
-    def power(self, q: Array, t: Array) -> Array:
+    def power(self, q: Quaternion, t: Time) -> Scalar:
         """∂V/∂t, a scalar: what the motion of the potential alone does to the energy."""
         return jax.jvp(lambda t: self.potential_energy(q, t), (t,), (jnp.ones_like(t),))[1]
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π + V."""
         return self.kinetic_energy(state) + self.potential_energy(state.q, clock(state))
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """γ·π, shape (1,), if the axis is a constant: rotations about it are a symmetry, whatever t. Else (0,)."""
         moves = self.axis is None or callable(self.axis)
         return state.p[:0] if moves else vec3.dot(self.axis, state.p)[None]
@@ -96,7 +97,7 @@ class DrivenTop(MovedBody):
 
     inertia: Array
     potential: Callable[[Array, Array], Array]
-    axis: Any
+    axis: Callable[[Array], Array] | Array | None
 
 
 def driven_top(
@@ -138,26 +139,38 @@ def driven_top(
     return made
 
 
-def _argument(axis: Any) -> str:
+def _argument(axis: object) -> str:
     return "(Λ, t), the rotation matrix (3, 3) and the time" if axis is None else "(Γ, t), Γ = Λᵀγ (3,) and the time"
 
 
-def _swing(t: Array) -> Array:
+def _swing(t: Time) -> Vector3:
     """A vertical that nods and turns."""
     return jnp.stack([0.3 * jnp.sin(0.7 * t), 0.2 * jnp.cos(1.1 * t), jnp.ones_like(t)])
 
 
-def _pulse(Gamma: Array, t: Array) -> Array:
+def _pulse(Gamma: Vector3, t: Time) -> Scalar:
     """A field that is not linear in Γ, along an axis that rests; its strength oscillates."""
     return (1 + 0.4 * jnp.cos(0.9 * t)) * (0.5 * Gamma[0] + 0.3 * Gamma[2] ** 2 + 0.2 * jnp.sin(Gamma[1]))
 
 
-def _wells(R: Array, t: Array) -> Array:
+def _wells(R: Matrix3, t: Time) -> Scalar:
     """Two wells, in turn."""
     return 0.3 * jnp.cos(0.8 * t) * (R[0, 0] + R[1, 2]) + 0.2 * R[2, 0] ** 2
 
 
-def examples() -> dict[str, Any]:
+PROPERTIES = SystemProperties(
+    name="driven_top",
+    models="a rigid body in a potential that is a given function of time",
+    phase_space="T*SO(3): unit quaternion, π",
+    conserves=("energy less work", "momentum (about an axis at rest)"),
+    momentum="γ·π about a constant axis, or none",
+    sizes=(1, 0),
+    aliases=("parametrically driven top",),
+    source="Lewis & Simo 1994, (4.2), with γ(t)",
+)
+
+
+def examples() -> dict[str, tuple[System, State, float]]:
     """A top whose vertical moves, one whose field changes its strength, and one without an axis."""
     J, attitude = [1.0, 2.0, 2.5], so3.exp(jnp.array([0.7, 0.5, -0.2]))
     tops = {

@@ -12,7 +12,9 @@ from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import EmbeddedRotations
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.body import Body
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, pytree
+from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3
 
 _PHASE_SPACE = EmbeddedRotations()
 
@@ -36,7 +38,7 @@ class EmbeddedBody(Body, types.AbstractEmbeddedBody):
     @explained
     def state(
         self,
-        attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        attitude: _checks.Attitude = (1.0, 0.0, 0.0, 0.0),
         *,
         angular_velocity: ArrayLike | None = None,
         body_momentum: ArrayLike | None = None,
@@ -51,19 +53,19 @@ class EmbeddedBody(Body, types.AbstractEmbeddedBody):
         )
         return State(so3.to_matrix(on_group.q), on_group.p)
 
-    def rotation_matrix(self, state: State) -> Array:
+    def rotation_matrix(self, state: State) -> Matrix3:
         """Λ itself, shape (3, 3): a rotation if the state is on T*SO(3)."""
         return state.q
 
-    def body_momentum(self, state: State) -> Array:
+    def body_momentum(self, state: State) -> Vector3:
         """Π = Λ⁻¹π, shape (3,)."""
         return jnp.stack(vec3.solve(state.q, state.p))
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π (2.11)."""
         return self.kinetic_energy(state)
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """ΛΠ = π (2.13), shape (3,)."""
         return state.p
 
@@ -96,6 +98,18 @@ def embedded_body(inertia: ArrayLike) -> EmbeddedBody:
         ((3, 3), 1.52)
     """
     return EmbeddedBody(_checks.inertia(inertia))
+
+
+PROPERTIES = SystemProperties(
+    name="embedded_body",
+    models="a free rigid body with its attitude in L(3)",
+    phase_space="L(3) × ℝ³: matrix, π",
+    conserves=("energy", "momentum"),
+    momentum="π in space",
+    sizes=(3,),
+    aliases=("rigid body with embedded rotations",),
+    source="Lewis & Simo 1994, Section 2.2",
+)
 
 
 def examples() -> dict[str, tuple[EmbeddedBody, State, float]]:

@@ -14,7 +14,9 @@ from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.on_group import OnGroup, flat, sharp
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import AbstractGeodesicFlow, AbstractRightGeodesicFlow, Group, State, pytree, static
+from lieint_jax.types.shapes import AlgebraVector, DualVector, MomentumMap, Scalar, Vector6
 
 
 @pytree
@@ -29,11 +31,11 @@ class Euler(OnGroup, AbstractGeodesicFlow):
     metric: Array
     group: Group = static()
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½⟨Π, m⁻¹Π⟩ (5.18)."""
         return self.kinetic_energy(state)
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> DualVector:
         """The momentum map of the left action (5.21): π itself, shape (d,)."""
         return state.p
 
@@ -80,15 +82,15 @@ class RightEuler(OnGroup, AbstractRightGeodesicFlow):
             name, given = "spatial_momentum", flat(self.metric, _checks.real_array(name, given, (self.group.dim,)))
         return super().state(q, **{name: given})
 
-    def velocity(self, state: State) -> Array:
+    def velocity(self, state: State) -> AlgebraVector:
         """The spatial velocity ω = m⁻¹π, shape (d,)."""
         return sharp(self.metric, state.p)
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½⟨π, m⁻¹π⟩."""
         return la.dot(*(la.as_list(x) for x in (state.p, self.velocity(state)))) / 2
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> DualVector:
         """The momentum map of the right action (5.21): Π = Ad*_q π, shape (d,)."""
         return self.body_momentum(state)
 
@@ -192,7 +194,7 @@ def manakov(a: ArrayLike = (1.0, 2.0, 3.5, 5.0)) -> Euler:
     return Euler(array[i] + array[j], special_orthogonal(len(array)))
 
 
-def manakov_integrals(a: ArrayLike, Pi: Array) -> Array:
+def manakov_integrals(a: ArrayLike, Pi: Vector6) -> MomentumMap:
     """Coefficients of tr(Π̂ + λJ²)ᵏ in λ, for k = 2 … n: every invariant of `manakov(a)`, shape (Σ k,).
 
     Args:
@@ -210,6 +212,18 @@ def manakov_integrals(a: ArrayLike, Pi: Array) -> Array:
         power = [x + y for x, y in zip(lower, upper, strict=True)]
         found += [jnp.trace(P) for P in power[:-1]]
     return jnp.stack(found)
+
+
+PROPERTIES = SystemProperties(
+    name="euler",
+    models="geodesics of a matrix group; `kirchhoff` and `manakov` are special ones",
+    phase_space="T*G: matrix (n, n), π (d,)",
+    conserves=("energy", "momentum", "Casimirs"),
+    momentum="π, of a right-invariant metric Π",
+    sizes=(),
+    aliases=("Euler–Poincaré equations", "Euler–Arnold equations", "Kirchhoff's equations", "Manakov's top"),
+    source="Lewis & Simo 1994, Section 5.1; Arnold 1966",
+)
 
 
 def examples() -> dict[str, tuple[Euler | RightEuler, State, float]]:

@@ -17,7 +17,9 @@ from lieint_jax.groups import so3
 from lieint_jax.orbits import kepler
 from lieint_jax.systems._driven_top import MovedBody
 from lieint_jax.systems._potential_top import QuadraticPotential
-from lieint_jax.types import callable_pytree, pytree
+from lieint_jax.systems._shared.properties import SystemProperties
+from lieint_jax.types import State, System, callable_pytree, pytree
+from lieint_jax.types.shapes import Quaternion, Time, Vector3
 
 
 @pytree
@@ -32,7 +34,7 @@ class TidalAxis:
     orbit: Any
     mu: Array | None
 
-    def __call__(self, t: Array) -> Array:
+    def __call__(self, t: Time) -> Vector3:
         position = self.orbit(t)[0]
         mu = self.orbit.mu if self.mu is None else self.mu
         r = jnp.sqrt(vec3.dot(position, position))
@@ -50,7 +52,7 @@ class GravityGradient(MovedBody):
     """
 
     inertia: Array
-    orbit: Callable[[Array], tuple[Array, Array]]
+    orbit: Any
     mu: Array | None
 
     @property
@@ -63,7 +65,7 @@ class GravityGradient(MovedBody):
         """γ(t) = √(3μ/r³) r̂."""
         return TidalAxis(self.orbit, self.mu)
 
-    def force(self, q: Array, t: Array) -> Array:
+    def force(self, q: Quaternion, t: Time) -> Array:
         """γ × ΛJΛᵀγ, the torque in space, shape (3,): what autodiff finds, in fewer operations."""
         axis = self.axis_at(t)
         Gamma = so3.Ad_star(q, axis)
@@ -113,7 +115,19 @@ def gravity_gradient(
     return GravityGradient(inertia, callable_pytree(orbit), mu)
 
 
-def examples() -> dict[str, Any]:
+PROPERTIES = SystemProperties(
+    name="gravity_gradient",
+    models="a satellite or a moon on a given orbit",
+    phase_space="T*SO(3): unit quaternion, π",
+    conserves=("energy less work",),
+    momentum="none",
+    sizes=(0,),
+    aliases=("satellite in a gravity gradient", "spin–orbit coupling"),
+    source="MacCullagh 1844; Hughes 1986",
+)
+
+
+def examples() -> dict[str, tuple[System, State, float]]:
     """Satellites that librate in an elliptic orbit, and a body that an Earth-like planet passes in a hyperbola."""
     attitude = so3.exp(jnp.array([0.2, -0.1, 0.4]))
     satellite = gravity_gradient([1.0, 2.0, 2.5], kepler(1.0, 1.0, 0.1, 0.4, node=0.3, periapsis=1.1))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,18 +14,21 @@ from lieint_jax import _checks
 from lieint_jax.systems._euler import Euler, kirchhoff
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.on_group import OnGroup
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.time_and_work import check_timed, timed
 from lieint_jax.types import (
     AbstractDrivenSystem,
     AbstractMechanicalSystem,
     Group,
     State,
+    System,
     autodiff_gradient,
     callable_pytree,
     clock,
     pytree,
     static,
 )
+from lieint_jax.types.shapes import DualVector, MomentumMap, Scalar, SquareMatrix, Time
 
 
 @pytree
@@ -50,21 +52,21 @@ class GroupPotential(OnGroup, AbstractMechanicalSystem):
         """The geodesic flow of the metric, without the potential."""
         return Euler(self.metric, self.group)
 
-    def force(self, q: Array) -> Array:
+    def force(self, q: SquareMatrix) -> DualVector:
         """−T*R dV, shape (d,): the force of the potential in π̇. Its i-th component is −d/dε V(exp(εeᵢ)q)."""
         return _force(self.group, self.potential, q)
 
-    def body_force(self, q: Array) -> Array:
+    def body_force(self, q: SquareMatrix) -> DualVector:
         """−T*L dV = Ad*_q of `force`, shape (d,): its i-th component is −d/dε V(q exp(εeᵢ))."""
         zero = jnp.zeros(self.group.dim, q.dtype)
         _, pull = jax.vjp(lambda Omega: self.group.tangent(q, Omega), zero)
         return -pull(autodiff_gradient(self.potential)(q))[0]
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½⟨Π, m⁻¹Π⟩ + V(q)."""
         return self.kinetic_energy(state) + self.potential(state.q)
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """The momentum of the symmetry, ⟨π, η⟩ for each η, shape (k,)."""
         return self.symmetry @ state.p
 
@@ -118,19 +120,19 @@ class DrivenGroupPotential(OnGroup, AbstractDrivenSystem):
         start = super().state(q, velocity=velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum)
         return timed(start, t, work)
 
-    def force(self, q: Array, t: Array) -> Array:
+    def force(self, q: SquareMatrix, t: Time) -> DualVector:
         """−T*R dV, shape (d,), at a time."""
         return _force(self.group, lambda q: self.potential(q, t), q)
 
-    def power(self, q: Array, t: Array) -> Array:
+    def power(self, q: SquareMatrix, t: Time) -> Scalar:
         """∂V/∂t, a scalar."""
         return jax.jvp(lambda t: self.potential(q, t), (t,), (jnp.ones_like(t),))[1]
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½⟨Π, m⁻¹Π⟩ + V(q, t)."""
         return self.kinetic_energy(state) + self.potential(state.q, clock(state))
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """The momentum of the symmetry, ⟨π, η⟩ for each η, shape (k,)."""
         return self.symmetry @ state.p
 
@@ -145,7 +147,7 @@ class DrivenGroupPotential(OnGroup, AbstractDrivenSystem):
         check_timed(state)
 
 
-def _force(group: Group, potential: Callable[[Array], Array], q: Array) -> Array:
+def _force(group: Group, potential: Callable[[Array], Array], q: SquareMatrix) -> DualVector:
     """−T*R dV, shape (d,)."""
     _, pull = jax.vjp(lambda theta: group.spatial_tangent(q, theta), jnp.zeros(group.dim, q.dtype))
     return -pull(autodiff_gradient(potential)(q))[0]
@@ -187,7 +189,7 @@ def group_potential(
     return made(metric=metric, group=group, potential=callable_pytree(potential), symmetry=directions)
 
 
-def _takes_time(potential: Callable[..., Any]) -> bool:
+def _takes_time(potential: Callable[..., Array]) -> bool:
     """Whether a function needs a time beside q."""
     try:
         inspect.signature(potential).bind(None)
@@ -198,23 +200,35 @@ def _takes_time(potential: Callable[..., Any]) -> bool:
     return False
 
 
-def bottom_heavy(weight: Array, q: Array) -> Array:
+def bottom_heavy(weight: Scalar, q: SquareMatrix) -> Scalar:
     """V = −weight·R₃₃: `weight` is m g times how far below the center of buoyancy the center of mass hangs."""
     return -weight * q[2, 2]
 
 
-def henon_heiles(q: Array) -> Array:
+def henon_heiles(q: SquareMatrix) -> Scalar:
     """V = ½(x² + y²) + x²y − y³/3, on the translations of the plane: Hénon & Heiles, Astron. J. 69 (1964) 73."""
     x, y = q[0, 2], q[1, 2]
     return (x * x + y * y) / 2 + x * x * y - y**3 / 3
 
 
-def driven_henon_heiles(q: Array, t: Array) -> Array:
+def driven_henon_heiles(q: SquareMatrix, t: Time) -> Scalar:
     """`henon_heiles` in a galaxy whose mass pulsates."""
     return (1 + 0.2 * jnp.cos(0.7 * t)) * henon_heiles(q)
 
 
-def examples() -> dict[str, tuple[Any, State, float]]:
+PROPERTIES = SystemProperties(
+    name="group_potential",
+    models="a metric and a potential on a matrix group",
+    phase_space="T*G: matrix (n, n), π (d,)",
+    conserves=("energy (of a potential without time)", "energy less work", "momentum"),
+    momentum="⟨π, η⟩ of each symmetry η",
+    sizes=(),
+    aliases=("simple mechanical system on a Lie group",),
+    source="Lewis & Simo 1994, (5.41)",
+)
+
+
+def examples() -> dict[str, tuple[System, State, float]]:
     """A bottom-heavy ellipsoid in a fluid, symmetric under translations and turns about the vertical; two stars."""
     from lieint_jax.groups import translations
 

@@ -11,7 +11,9 @@ from lieint_jax._numerics import vec3
 from lieint_jax.groups import so3
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import Rotating
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import State, pytree
+from lieint_jax.types.shapes import MomentumMap, Scalar, Vector3
 
 
 @pytree
@@ -31,20 +33,20 @@ class Gyrostat(Rotating, types.AbstractGyrostat):
         """The body of this inertia without a rotor."""
         return RigidBody(self.inertia)
 
-    def momentum_at(self, angular_velocity: Array) -> Array:
+    def momentum_at(self, angular_velocity: Vector3) -> Vector3:
         """Π = JΩ + h_r, shape (3,)."""
         return self.rotor + jnp.stack(vec3.apply(vec3.symmetric(self.inertia), angular_velocity))
 
-    def angular_velocity(self, state: State) -> Array:
+    def angular_velocity(self, state: State) -> Vector3:
         """The body angular velocity Ω = J⁻¹(Π − h_r), shape (3,)."""
         own = self.body_momentum(state) - self.rotor
         return jnp.stack(vec3.solve_symmetric(vec3.symmetric(self.inertia), own))
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½(Π − h_r)·J⁻¹(Π − h_r)."""
         return vec3.dot(self.body_momentum(state) - self.rotor, self.angular_velocity(state)) / 2
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """The momentum map of rotations in space: π itself, of body and rotor together, shape (3,)."""
         return state.p
 
@@ -85,6 +87,18 @@ def gyrostat(inertia: ArrayLike, rotor: ArrayLike) -> Gyrostat:
     """
     J = _checks.inertia(inertia)
     return Gyrostat(J, _checks.real_array("rotor", rotor, (3,), like=J))
+
+
+PROPERTIES = SystemProperties(
+    name="gyrostat",
+    models="a rigid body with a rotor of constant momentum",
+    phase_space="T*SO(3): unit quaternion, π",
+    conserves=("energy", "momentum", "Casimirs"),
+    momentum="π in space, with the rotor",
+    sizes=(3,),
+    aliases=("dual-spin satellite", "Zhukovsky–Volterra gyrostat"),
+    source="Kelvin & Tait 1879; Likins 1967",
+)
 
 
 def examples() -> dict[str, tuple[Gyrostat, State, float]]:

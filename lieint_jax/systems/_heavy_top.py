@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -12,7 +12,9 @@ from lieint_jax import _checks
 from lieint_jax._numerics import elliptic, vec3
 from lieint_jax.groups import so3
 from lieint_jax.systems._potential_top import PotentialTop, potential_top
-from lieint_jax.types import PotentialWithGradient, State, pytree, static
+from lieint_jax.systems._shared.properties import SystemProperties
+from lieint_jax.types import PotentialWithGradient, State, System, pytree, static
+from lieint_jax.types.shapes import Scalar, Time, Vector3
 
 
 @pytree
@@ -22,16 +24,16 @@ class Linear(PotentialWithGradient):
     weight: Array
     linear: bool = static(default=True)
 
-    def __call__(self, Gamma: Array, t: Array | None = None) -> Array:
+    def __call__(self, Gamma: Vector3, t: Time | None = None) -> Scalar:
         del t  # there for driven tops
         return vec3.dot(self.weight, Gamma)
 
-    def gradient(self, Gamma: Array, t: Array | None = None) -> Array:
+    def gradient(self, Gamma: Vector3, t: Time | None = None) -> Vector3:
         """E."""
         del Gamma, t
         return self.weight
 
-    def discrete_gradient(self, a: Array, b: Array, t: Array | None = None) -> Array:
+    def discrete_gradient(self, a: Vector3, b: Vector3, t: Time | None = None) -> Vector3:
         """E, for any a and b."""
         del a, b, t
         return self.weight
@@ -53,7 +55,7 @@ def heavy_top(inertia: ArrayLike, weight: ArrayLike, axis: ArrayLike = (0.0, 0.0
         >>> float(top.energy(top.state(angular_velocity=[0.0, 0.0, 50.0])))
         1270.0
     """
-    like = _checks.real_array("inertia", inertia)
+    like = _checks.inertia(inertia)
     return potential_top(inertia, Linear(_checks.real_array("weight", weight, (3,), like=like)), axis)
 
 
@@ -121,7 +123,7 @@ def kovalevskaya() -> tuple[PotentialTop, State]:
     return top, top.state(so3.exp(jnp.array([0.4, 0.9, -0.2])), angular_velocity=[0.3, 0.7, 0.9])
 
 
-def kovalevskaya_integral(top: PotentialTop, state: State) -> Array:
+def kovalevskaya_integral(top: PotentialTop, state: State) -> Scalar:
     """|(Ω₁ + iΩ₂)² − E₁(Γ₁ + iΓ₂)/J₃|², constant for J₁ = J₂ = 2J₃ and E = (E₁, 0, 0)."""
     Omega, Gamma = top.angular_velocity(state), top.Gamma(state)
     assert isinstance(top.potential, Linear)
@@ -140,7 +142,19 @@ def asymmetric() -> tuple[PotentialTop, State]:
     return top, top.state(so3.exp(jnp.array([1.2, 0.5, -0.2])), angular_velocity=[0.4, 0.9, 0.6])
 
 
-def examples() -> dict[str, Any]:
+PROPERTIES = SystemProperties(
+    name="heavy_top",
+    models="a rigid body with a fixed point, under gravity",
+    phase_space="T*SO(3): unit quaternion, π",
+    conserves=("energy", "momentum"),
+    momentum="γ·π about the vertical",
+    sizes=(1,),
+    aliases=("Lagrange's top", "Kovalevskaya's top", "Euler–Poisson equations"),
+    source="Lewis & Simo 1994, Section 4; Whittaker, §71–72",
+)
+
+
+def examples() -> dict[str, tuple[System, State, float]]:
     """Lagrange's top, Kovalevskaya's, and an asymmetric one."""
     return {
         "lagrange": (*lagrange(), 0.01),

@@ -15,8 +15,10 @@ from lieint_jax.groups import special_linear
 from lieint_jax.phase_spaces import CotangentUnimodular
 from lieint_jax.systems._pseudo_rigid_body import PseudoRigidBody
 from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.stored_energy import as_stored_energy, mooney_rivlin
 from lieint_jax.types import State, StoredEnergy, pytree
+from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar
 
 
 @pytree
@@ -71,23 +73,23 @@ class IncompressibleBody(types.AbstractIncompressibleBody):
         space = self.phase_space
         return State(q, space.tangential(q, space.spatial_momentum(State(q, state.p))))
 
-    def velocity(self, state: State) -> Array:
+    def velocity(self, state: State) -> Matrix3:
         """V = Ḟ = PE⁻¹, shape (3, 3)."""
         return self.compressible.velocity(state)
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2)."""
         return self.compressible.energy(state)
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """Φ = rot[PFᵀ] (6.4), shape (3,), half the angular momentum."""
         return self.compressible.momentum(state)
 
-    def volume_rate(self, state: State) -> Array:
+    def volume_rate(self, state: State) -> Scalar:
         """tr(VF⁻¹), which is 0 on T*SL(3); a step leaves O(Δt²) of it, see `schemes.additive`."""
         return jnp.trace(jnp.linalg.solve(state.q, self.velocity(state)))
 
-    def pressure(self, state: State) -> Array:
+    def pressure(self, state: State) -> Scalar:
         """p, in units of energy."""
         E = jnp.diag(self.inertia) if self.inertia.ndim == 1 else self.inertia
         inverse, weight = jnp.linalg.inv(state.q), jnp.linalg.inv(E)
@@ -133,12 +135,24 @@ def incompressible_body(
     return IncompressibleBody(_checks.positive_definite("inertia", inertia), as_stored_energy(stored_energy))
 
 
-def _volume(name: str, F: Array) -> None:
+def _volume(name: str, F: Matrix3) -> None:
     if not concrete(F):
         return
     det, allowed = float(np.linalg.det(np.asarray(F, float))), _checks.UNIT_TOLERANCE
     if not abs(det - 1) <= allowed:
         raise ValueError(f"det {name} must be 1 to {allowed:g}, got {det:.9g}; divide {name} by its cube root")
+
+
+PROPERTIES = SystemProperties(
+    name="incompressible_body",
+    models="an elastic body that deforms homogeneously at constant volume",
+    phase_space="T*SL(3): F, P",
+    conserves=("energy", "momentum", "volume"),
+    momentum="Φ = rot[PFᵀ], half the angular momentum",
+    sizes=(3,),
+    aliases=("incompressible pseudo-rigid body", "Dirichlet–Riemann ellipsoid without gravity"),
+    source="Lewis & Simo 1994, Sections 1.1 and 6.1.1",
+)
 
 
 def examples() -> dict[str, tuple[IncompressibleBody, State, float]]:

@@ -14,7 +14,9 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import vec3
 from lieint_jax.phase_spaces import CotangentSphere
 from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import AbstractSphereSystem, State, autodiff_gradient, callable_pytree, pytree
+from lieint_jax.types.shapes import MomentumMap, Scalar, Vector3
 
 _PHASE_SPACE = CotangentSphere()
 
@@ -25,7 +27,7 @@ class UniformGravity:
 
     strength: Array
 
-    def __call__(self, s: Array) -> Array:
+    def __call__(self, s: Scalar) -> Scalar:
         return self.strength * s
 
 
@@ -73,19 +75,19 @@ class Pendulum(AbstractSphereSystem):
         dtype = jnp.result_type(q, p)
         return State(q.astype(dtype), p.astype(dtype))
 
-    def velocity(self, state: State) -> Array:
+    def velocity(self, state: State) -> Vector3:
         """q̇ = π × q/m, shape (3,)."""
         return jnp.cross(state.p, state.q) / self.mass
 
-    def potential(self, q: Array) -> Array:
+    def potential(self, q: Vector3) -> Scalar:
         """V(q) = −g(γ·q), defined off the sphere too."""
         return -self.field(vec3.dot(self.axis, q))
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """|π|²/(2m) − g(γ·q) (1.3)."""
         return vec3.dot(state.p, state.p) / (2 * self.mass) + self.potential(state.q)
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """γ·π (1.5), shape (1,)."""
         return vec3.dot(self.axis, state.p)[None]
 
@@ -132,15 +134,27 @@ def pendulum(
     return Pendulum(m, callable_pytree(gravity), _unit("axis", axis, like=m))
 
 
-def _unit(name: str, value: ArrayLike, like: Array | None = None) -> Array:
+def _unit(name: str, value: ArrayLike, like: Array | None = None) -> Vector3:
     v = _checks.real_array(name, value, (3,), like=like)
     if concrete(v) and abs(float(np.linalg.norm(np.asarray(v, float))) - 1) > _checks.UNIT_TOLERANCE:
         raise ValueError(f"{name} must be a unit vector, got {np.asarray(v)}; divide it by its norm")
     return v / jnp.linalg.norm(v)
 
 
-def _quadratic(s: Array) -> Array:
+def _quadratic(s: Scalar) -> Scalar:
     return s + s * s / 2
+
+
+PROPERTIES = SystemProperties(
+    name="pendulum",
+    models="a point on the unit sphere",
+    phase_space="T*S²: unit vector, π",
+    conserves=("energy", "momentum"),
+    momentum="γ·π about the axis",
+    sizes=(1,),
+    aliases=("spherical pendulum",),
+    source="Lewis & Simo 1994, (1.3)–(1.5)",
+)
 
 
 def examples() -> dict[str, tuple[Pendulum, State, float]]:

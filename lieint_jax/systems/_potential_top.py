@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +16,9 @@ from lieint_jax._numerics import vec3
 from lieint_jax.groups import so3
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import Body, spatial_torque
-from lieint_jax.types import AbstractTop, PotentialWithGradient, State, callable_pytree, gradient, pytree
+from lieint_jax.systems._shared.properties import SystemProperties
+from lieint_jax.types import AbstractTop, PotentialWithGradient, State, System, callable_pytree, gradient, pytree
+from lieint_jax.types.shapes import Matrix3, MomentumMap, Quaternion, Scalar, Time, Vector3
 
 
 @pytree
@@ -30,16 +31,16 @@ class QuadraticPotential(PotentialWithGradient):
 
     matrix: Array
 
-    def __call__(self, Gamma: Array, t: Array | None = None) -> Array:
+    def __call__(self, Gamma: Vector3, t: Time | None = None) -> Scalar:
         del t  # there for driven tops
         return vec3.dot(Gamma, vec3.apply(vec3.symmetric(self.matrix), Gamma)) / 2
 
-    def gradient(self, Gamma: Array, t: Array | None = None) -> Array:
+    def gradient(self, Gamma: Vector3, t: Time | None = None) -> Vector3:
         """SΓ."""
         del t
         return jnp.stack(vec3.apply(vec3.symmetric(self.matrix), Gamma))
 
-    def discrete_gradient(self, a: Array, b: Array, t: Array | None = None) -> Array:
+    def discrete_gradient(self, a: Vector3, b: Vector3, t: Time | None = None) -> Vector3:
         """S·½(a + b)."""
         return self.gradient((a + b) / 2, t)
 
@@ -63,17 +64,17 @@ class PotentialTop(Body, AbstractTop):
         """The free body of this inertia, without the potential."""
         return RigidBody(self.inertia)
 
-    def Gamma(self, state: State) -> Array:
+    def Gamma(self, state: State) -> Vector3:
         """Γ = Λᵀγ, the axis as the body sees it, shape (3,)."""
         return so3.Ad_star(state.q, self._axis)
 
-    def potential_energy(self, q: Array) -> Array:
+    def potential_energy(self, q: Quaternion) -> Scalar:
         """V, a scalar, at an attitude."""
         if self.axis is None:
             return self.potential(so3.to_matrix(q))
         return self.potential(so3.Ad_star(q, self.axis))
 
-    def force(self, q: Array) -> Array:
+    def force(self, q: Quaternion) -> Vector3:
         """The torque of the potential in space, shape (3,). With an axis, γ × ΛDṼ(Γ) (4.1)."""
         if self.axis is None:
             return spatial_torque(self.potential_energy, q)
@@ -81,16 +82,16 @@ class PotentialTop(Body, AbstractTop):
         return jnp.stack(vec3.cross(self.axis, so3.Ad(q, slope)))
 
     @property
-    def _axis(self) -> Array:
+    def _axis(self) -> Vector3:
         if self.axis is None:
             raise ValueError("this potential has no axis γ: it is a function of Λ (see potential_top)")
         return self.axis
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π + V."""
         return self.kinetic_energy(state) + self.potential_energy(state.q)
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """γ·π, shape (1,): rotations about γ are a symmetry. Shape (0,) without an axis."""
         return state.p[:0] if self.axis is None else vec3.dot(self.axis, state.p)[None]
 
@@ -141,14 +142,26 @@ def brun() -> tuple[PotentialTop, State]:
     return top, top.state(so3.exp(jnp.array([0.3, -0.8, 0.5])), angular_velocity=[0.4, 0.6, -0.3])
 
 
-def clebsch_integral(top: PotentialTop, state: State, strength: float) -> Array:
+def clebsch_integral(top: PotentialTop, state: State, strength: float) -> Scalar:
     """|Π|² − ε det J Γ·J⁻¹Γ, constant for V = (ε/2)Γ·JΓ (Clebsch 1871)."""
     J, Pi, Gamma = vec3.symmetric(top.inertia), top.body_momentum(state), top.Gamma(state)
     det = vec3.determinant(J, vec3.adjugate(J))
     return vec3.dot(Pi, Pi) - strength * det * vec3.dot(Gamma, vec3.solve_symmetric(J, Gamma))
 
 
-def examples() -> dict[str, Any]:
+PROPERTIES = SystemProperties(
+    name="potential_top",
+    models="a rigid body with a fixed point, in any potential",
+    phase_space="T*SO(3): unit quaternion, π",
+    conserves=("energy", "momentum (with an axis)"),
+    momentum="γ·π about the axis, or none",
+    sizes=(1, 0),
+    aliases=("Brun's problem", "Clebsch's case"),
+    source="Lewis & Simo 1994, (4.2)",
+)
+
+
+def examples() -> dict[str, tuple[System, State, float]]:
     """Brun's problem, a potential that has no axis, and one with a deep well."""
     tilted = potential_top([1.0, 2.0, 2.5], _three_wells, None)
     state = tilted.state(so3.exp(jnp.array([0.3, 0.1, 0.7])), angular_velocity=[0.2, 0.5, -0.4])
@@ -161,11 +174,11 @@ def _attracted() -> tuple[PotentialTop, State]:
     return top, top.state(so3.exp(jnp.array([1.6, 0.4, 0.0])), angular_velocity=[0.2, 0.3, 0.4])
 
 
-def _coulomb(Gamma: Array) -> Array:
+def _coulomb(Gamma: Vector3) -> Scalar:
     return -1 / jnp.sqrt(1 + vec3.dot(Gamma, Gamma) - 2 * Gamma[2])
 
 
-def _three_wells(R: Array) -> Array:
+def _three_wells(R: Matrix3) -> Scalar:
     """A trace and a square of the rotation matrix: the misalignment of two frames, and a preference for one axis."""
     return 0.3 * (3 - R[0, 0] - R[1, 1] - R[2, 2]) + 0.4 * R[2, 0] ** 2
 

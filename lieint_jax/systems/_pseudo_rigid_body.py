@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import overload
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,28 +16,26 @@ from lieint_jax._numerics import vec3
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMatrices
 from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.systems._shared.stored_energy import (
     as_stored_energy,
     mooney_rivlin,
     neo_hookean,
     saint_venant_kirchhoff,
 )
-from lieint_jax.types import AbstractElasticBody, State, StoredEnergy, pytree
+from lieint_jax.systems._shared.time_and_work import timed
+from lieint_jax.types import AbstractElasticBody, AbstractViscousBody, State, StoredEnergy, pytree
+from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3
 
 _PHASE_SPACE = CotangentMatrices()
 
 
-@pytree
-class PseudoRigidBody(AbstractElasticBody):
-    """H = ½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2); Ḟ = PE⁻¹, Ṗ = −2F∇W(FᵀF) (6.3). Made by `pseudo_rigid_body`.
-
-    Attributes:
-        inertia: E = ∫ρ X⊗X, the second moments of mass in the reference placement, (3,) or (3, 3).
-        stored_energy: W.
-    """
+class _Deforming:
+    """What elastic and viscous bodies share: how their states are made and read."""
 
     inertia: Array
     stored_energy: StoredEnergy
+    _clock = None  # the time and the work of a state that is given none
 
     @property
     def phase_space(self) -> CotangentMatrices:
@@ -50,6 +49,8 @@ class PseudoRigidBody(AbstractElasticBody):
         momentum: ArrayLike | None = None,
         velocity: ArrayLike | None = None,
         angular_velocity: ArrayLike | None = None,
+        t: ArrayLike | None = None,
+        work: ArrayLike | None = None,
     ) -> State:
         """The state of a deformation and one of three ways to give the motion.
 
@@ -59,6 +60,9 @@ class PseudoRigidBody(AbstractElasticBody):
             velocity: V = Ḟ, shape (3, 3).
             angular_velocity: ω in space, shape (3,): V = ω̂F, a rigid rotation. With E = 2·1 and F = 1, as in the
                 paper's figures, P = 2ω̂ and the paper's momentum is Φ = 2ω.
+            t: the time; by default none, and 0 of a viscous body.
+            work: what has been done on the body; by default none, and 0 of a viscous body, whose losses it counts as
+                negative work.
 
         Raises:
             ValueError: not exactly one of the three, a wrong shape, a NaN, or det F ≤ 0.
@@ -72,27 +76,29 @@ class PseudoRigidBody(AbstractElasticBody):
         if name != "momentum":
             P = P @ self._inertia_matrix()
         dtype = jnp.result_type(F, P)
-        return State(F.astype(dtype), P.astype(dtype))
+        state = State(F.astype(dtype), P.astype(dtype))
+        t, work = self._clock if t is None else t, self._clock if work is None else work
+        return state if t is None and work is None else timed(state, 0.0 if t is None else t, work)
 
-    def velocity(self, state: State) -> Array:
+    def velocity(self, state: State) -> Matrix3:
         """V = Ḟ = PE⁻¹, shape (3, 3)."""
         E = vec3.symmetric(self.inertia)
         return jnp.stack([jnp.stack(vec3.solve_symmetric(E, row)) for row in state.p])
 
-    def strain(self, state: State) -> Array:
+    def strain(self, state: State) -> Matrix3:
         """C = FᵀF, shape (3, 3)."""
         return jnp.array(vec3.rows(vec3.gram(state.q)))
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2)."""
         return jnp.sum(state.p * self.velocity(state)) / 2 + self.stored_energy(self.strain(state))
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """Φ = rot[PFᵀ] (6.4), shape (3,), the paper's momentum map of rotations in space: ξ·Φ = ½⟨P, ξ̂F⟩."""
         M = vec3.product(state.p, vec3.transpose(state.q))
         return jnp.stack([M[2][1] - M[1][2], M[0][2] - M[2][0], M[1][0] - M[0][1]]) / 2
 
-    def angular_momentum(self, state: State) -> Array:
+    def angular_momentum(self, state: State) -> Vector3:
         """∫ρ x × ẋ = 2 rot[PFᵀ], shape (3,): the physical one, twice the paper's (6.4)."""
         return 2 * self.momentum(state)
 
@@ -108,11 +114,59 @@ class PseudoRigidBody(AbstractElasticBody):
         _orientation("state.q", _checks.real_array("state.q", state.q, (3, 3)))
         _checks.real_array("state.p", state.p, (3, 3))
 
-    def _inertia_matrix(self) -> Array:
+    def _inertia_matrix(self) -> Matrix3:
         return jnp.diag(self.inertia) if self.inertia.ndim == 1 else self.inertia
 
 
-def pseudo_rigid_body(inertia: ArrayLike, stored_energy: StoredEnergy | Callable[[Array], Array]) -> PseudoRigidBody:
+@pytree
+class PseudoRigidBody(_Deforming, AbstractElasticBody):
+    """H = ½⟨P, PE⁻¹⟩ + W(FᵀF) (6.2); Ḟ = PE⁻¹, Ṗ = −2F∇W(FᵀF) (6.3). Made by `pseudo_rigid_body`.
+
+    Attributes:
+        inertia: E = ∫ρ X⊗X, the second moments of mass in the reference placement, (3,) or (3, 3).
+        stored_energy: W.
+    """
+
+    inertia: Array
+    stored_energy: StoredEnergy
+
+
+@pytree
+class ViscousBody(_Deforming, AbstractViscousBody):
+    """The same with the stress 2∇W(C) + νĊ, C = FᵀF. Made by `pseudo_rigid_body`.
+
+    Attributes:
+        inertia, stored_energy: as in `PseudoRigidBody`.
+        viscosity: ν.
+    """
+
+    inertia: Array
+    stored_energy: StoredEnergy
+    viscosity: Array
+    _clock = 0.0
+
+    def vector_field(self, state: State) -> State:
+        """(PE⁻¹, −F(S + νĊ)), and the rate of the work, −½ν|Ċ|²."""
+        elastic = super().vector_field(state)
+        change = state.q.T @ elastic.q
+        C_dot = change + change.T
+        force = self.viscosity * (state.q @ C_dot)
+        return elastic._replace(p=elastic.p - force, work=-self.viscosity * jnp.sum(C_dot * C_dot) / 2)
+
+
+@overload
+def pseudo_rigid_body(
+    inertia: ArrayLike, stored_energy: StoredEnergy | Callable[[Array], Array], viscosity: None = None
+) -> PseudoRigidBody: ...
+@overload
+def pseudo_rigid_body(
+    inertia: ArrayLike, stored_energy: StoredEnergy | Callable[[Array], Array], viscosity: ArrayLike
+) -> ViscousBody: ...
+def pseudo_rigid_body(
+    inertia: ArrayLike,
+    stored_energy: StoredEnergy | Callable[[Array], Array],
+    viscosity: ArrayLike | None = None,
+) -> PseudoRigidBody | ViscousBody:
     """A pseudo-rigid body: an elastic body that deforms homogeneously, x = F X, about its center of mass.
 
     Args:
@@ -120,9 +174,12 @@ def pseudo_rigid_body(inertia: ArrayLike, stored_energy: StoredEnergy | Callable
             ball of mass m and radius r it is (m r²/5)·1. (The inertia of the rigid body is tr(E) 1 − E.)
         stored_energy: `mooney_rivlin(lam, mu)`, `neo_hookean`, `saint_venant_kirchhoff`, or any callable W(C) of
             C = FᵀF, shape (3, 3).
+        viscosity: ν ≥ 0, an energy times a time: a stress νĊ, by which deforming loses ½ν|Ċ|² in a unit of time.
+            `schemes.additive` with its rule "average" conserves the momentum of such a body, and its energy with what
+            was lost, which `State.work` counts as negative work. By default the body is elastic.
 
     Raises:
-        ValueError: E not positive definite or not symmetric, a wrong shape, W not callable or not a scalar.
+        ValueError: E not positive definite or not symmetric, a wrong shape, W not callable or not a scalar, ν < 0.
 
     Source: Cohen & Muncaster 1988, The Theory of Pseudo-rigid Bodies; Lewis & Simo 1994, Section 6.
 
@@ -132,23 +189,47 @@ def pseudo_rigid_body(inertia: ArrayLike, stored_energy: StoredEnergy | Callable
         >>> float(body.energy(state))
         18.0
     """
-    return PseudoRigidBody(_checks.positive_definite("inertia", inertia), as_stored_energy(stored_energy))
+    E, W = _checks.positive_definite("inertia", inertia), as_stored_energy(stored_energy)
+    if viscosity is None:
+        return PseudoRigidBody(E, W)
+    nu = _checks.real_array("viscosity", viscosity, ())
+    if concrete(nu) and not float(nu) >= 0:
+        raise ValueError(f"viscosity must be ≥ 0, got {float(nu):g}")
+    return ViscousBody(E, W, nu)
 
 
-def _orientation(name: str, F: Array) -> None:
+def _orientation(name: str, F: Matrix3) -> None:
     if concrete(F) and not np.linalg.det(np.asarray(F, float)) > 0:
         raise ValueError(f"det {name} must be positive (no body is turned inside out), got\n{np.asarray(F)}")
 
 
-def examples() -> dict[str, tuple[PseudoRigidBody, State, float]]:
-    """The ball of the paper's Figure 3b."""
+PROPERTIES = SystemProperties(
+    name="pseudo_rigid_body",
+    models="an elastic body that deforms homogeneously",
+    phase_space="T*GL⁺(3): F, P",
+    conserves=("energy (elastic)", "energy less work", "momentum"),
+    momentum="Φ = rot[PFᵀ], half the angular momentum",
+    sizes=(3,),
+    aliases=("homogeneous elasticity", "Dirichlet's problem with elasticity"),
+    source="Cohen & Muncaster 1988; Lewis & Simo 1994, Section 6",
+)
+
+
+def examples() -> dict[str, tuple[PseudoRigidBody | ViscousBody, State, float]]:
+    """The ball of the paper's Figure 3b, and a viscous one."""
     ball = pseudo_rigid_body(np.full(3, 2.0), mooney_rivlin(2000.0, 6.0))
-    return {"ball": (ball, ball.state(angular_velocity=np.array([0.0, 0.0, 1.0])), 0.005)}
+    dough = pseudo_rigid_body(np.full(3, 2.0), mooney_rivlin(2000.0, 6.0), viscosity=0.5)
+    spin = np.array([0.0, 0.0, 1.0])
+    return {
+        "ball": (ball, ball.state(angular_velocity=spin), 0.005),
+        "dough": (dough, dough.state(angular_velocity=spin), 0.005),
+    }
 
 
 __all__ = [
     "PseudoRigidBody",
     "StoredEnergy",
+    "ViscousBody",
     "mooney_rivlin",
     "neo_hookean",
     "pseudo_rigid_body",

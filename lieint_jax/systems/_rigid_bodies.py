@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from functools import partial
+from typing import Any, overload
 
 import jax
 import jax.numpy as jnp
@@ -20,17 +21,35 @@ from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMotions
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.arguments import explained
+from lieint_jax.systems._shared.properties import SystemProperties
+from lieint_jax.systems._shared.time_and_work import timed
 from lieint_jax.types import (
+    AbstractDissipativeBodies,
     AbstractFreeBodies,
     AbstractRigidBodies,
+    PairLaw,
     PhaseSpace,
     State,
     autodiff_gradient,
     callable_pytree,
+    pair_forces,
     pytree,
+)
+from lieint_jax.types.shapes import (
+    Inertia,
+    Masses,
+    MomentumMap,
+    PoseMomenta,
+    Poses,
+    Positions,
+    Quaternion,
+    Rotations,
+    Scalar,
+    Vector3,
 )
 
 _ARGUMENTS = "positions (N, 3) and rotations (N, 3, 3)"
+_LAW = "(r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j)"
 _DIGITS = {"float64": 11, "float32": 4}  # of the least distance, below which a state warns
 
 
@@ -39,6 +58,7 @@ class _Many:
 
     masses: Array
     inertias: Array
+    _clock = None  # the time and the work of a state that is given none
 
     @property
     def phase_space(self) -> PhaseSpace:
@@ -48,19 +68,24 @@ class _Many:
     def state(
         self,
         positions: ArrayLike,
-        attitudes: ArrayLike | None = None,
+        attitudes: _checks.Attitude | None = None,
         *,
         velocities: ArrayLike | None = None,
         angular_velocities: ArrayLike | None = None,
+        t: ArrayLike | None = None,
+        work: ArrayLike | None = None,
     ) -> State:
         """The state of N bodies.
 
         Args:
             positions: of the centers of mass, (N, 3).
-            attitudes: unit quaternions (w, x, y, z), (N, 4), or rotation matrices (N, 3, 3), body to space; by default
-                the identity, (1, 0, 0, 0).
+            attitudes: unit quaternions (w, x, y, z), (N, 4), or rotation matrices (N, 3, 3), or N scipy `Rotation`s,
+                body to space; by default the identity, (1, 0, 0, 0).
             velocities: of the centers of mass, (N, 3); by default 0.
             angular_velocities: Ω of each body in its own axes, radians per unit time, (N, 3); by default 0.
+            t: the time; by default none, and 0 of bodies with dissipation.
+            work: what has been done on the bodies; by default none, and 0 of bodies with dissipation, whose losses it
+                counts as negative work.
 
         Returns:
             q (N, 7): position and quaternion; p (N, 6): linear momentum, and spatial angular momentum about the body's
@@ -80,19 +105,20 @@ class _Many:
         )
         state = _make_state(self.masses, self.inertias, x, _attitudes(attitudes, n, x), v, Omega)
         self.check(state)
-        return state
+        t, work = self._clock if t is None else t, self._clock if work is None else work
+        return state if t is None and work is None else timed(state, 0.0 if t is None else t, work)
 
-    def angular_velocities(self, state: State) -> Array:
+    def angular_velocities(self, state: State) -> Positions:
         """The body angular velocities Ω = J⁻¹Λᵀπ, (N, 3)."""
         return jax.vmap(_angular_velocity)(self.inertias, state.q[:, 3:], state.p[:, 3:])
 
-    def kinetic_energy(self, state: State) -> Array:
+    def kinetic_energy(self, state: State) -> Scalar:
         """Σ |p|²/2m + ½ Π·J⁻¹Π."""
         Pi = jax.vmap(so3.Ad_star)(state.q[:, 3:], state.p[:, 3:])
         turning = jnp.sum(Pi * self.angular_velocities(state)) / 2
         return turning + jnp.sum(state.p[:, :3] ** 2 / self.masses[:, None]) / 2
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """(6,): P = Σp, and L = Σ(x × p + π) about the origin."""
         x, p, spin = state.q[:, :3], state.p[:, :3], state.p[:, 3:]
         return jnp.concatenate([jnp.sum(p, axis=0), jnp.sum(jnp.cross(x, p) + spin, axis=0)])
@@ -116,7 +142,7 @@ class _Many:
         _check_places(q[:, :3])
 
 
-def _angular_velocity(J: Array, q: Array, spin: Array) -> Array:
+def _angular_velocity(J: Inertia, q: Quaternion, spin: Vector3) -> Vector3:
     """Ω = J⁻¹Λᵀπ of one body, (3,)."""
     return jnp.stack(vec3.solve_symmetric(vec3.symmetric(J), so3.Ad_star(q, spin)))
 
@@ -133,7 +159,7 @@ class FreeBodies(_Many, AbstractFreeBodies):
     masses: Array
     inertias: Array
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """The kinetic energy."""
         return self.kinetic_energy(state)
 
@@ -167,20 +193,20 @@ class RigidBodies(_Many, AbstractRigidBodies):
         """The same bodies without the potential."""
         return FreeBodies(self.masses, self.inertias)
 
-    def potential_energy(self, q: Array) -> Array:
+    def potential_energy(self, q: Poses) -> Scalar:
         """V(x, Λ)."""
         return self.potential(q[:, :3], rotations(q))
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """(6,): P = Σp, and L = Σ(x × p + π) about the origin; of these what an outer field leaves conserved."""
         both, kept = super().momentum(state), potentials.symmetry(self.potential)
         return both if kept is None else jnp.sum(kept * both, axis=1)
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """The kinetic energy and V."""
         return self.kinetic_energy(state) + self.potential_energy(state.q)
 
-    def force(self, q: Array) -> Array:
+    def force(self, q: Poses) -> PoseMomenta:
         """The forces −∂V/∂x and the torques −∂V(exp(δ̂)Λ)/∂δ in space, (N, 6)."""
         R = rotations(q)
         if hasattr(self.potential, "force"):
@@ -201,14 +227,61 @@ class RigidBodies(_Many, AbstractRigidBodies):
                 raise ValueError(f"the potential must be finite at the start, got {float(V)}")
 
 
+@pytree
+class DissipativeBodies(_Many, AbstractDissipativeBodies):
+    """Bodies that act on one another through a potential and lose energy by a law. Made by `rigid_bodies`.
+
+    Attributes:
+        masses, inertias, potential: as in `RigidBodies`.
+        dissipation: (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j), a `PairLaw` or a function.
+    """
+
+    masses: Array
+    inertias: Array
+    potential: Callable[[Array, Array], Array]
+    dissipation: Callable[..., Any]
+    _clock = 0.0
+
+    @property
+    def conservative(self) -> RigidBodies:
+        """The same bodies without dissipation."""
+        return RigidBodies(self.masses, self.inertias, self.potential)
+
+    def potential_energy(self, q: Array) -> Array:
+        """V(x, Λ)."""
+        return self.conservative.potential_energy(q)
+
+    def momentum(self, state: State) -> Array:
+        """(6,): P and L, as in `RigidBodies`."""
+        return self.conservative.momentum(state)
+
+    def energy(self, state: State) -> Array:
+        """The kinetic energy and V, which fall; less `state.work` they are constant."""
+        return self.conservative.energy(state)
+
+    def dissipative_force(self, state: State) -> tuple[Array, Array]:
+        """The forces and torques of the law in space, (N, 6), and the energy lost in a unit of time."""
+        omega = jax.vmap(so3.Ad)(state.q[:, 3:], self.angular_velocities(state))
+        return pair_forces(self.dissipation, state.q[:, :3], state.p[:, :3] / self.masses[:, None], omega)
+
+    def vector_field(self, state: State) -> State:
+        """The motion without dissipation, with its forces and torques; and the rate of the work."""
+        moving, (force, lost) = self.conservative.vector_field(state), self.dissipative_force(state)
+        return moving._replace(p=moving.p + force, work=-lost)
+
+    def check(self, state: State) -> None:
+        """Raise ValueError if a concrete `state` is not one of this system; warn where distances have few digits."""
+        self.conservative.check(state)
+
+
 @compiled
-def _potential_energy(system: RigidBodies, q: Array) -> Array:
+def _potential_energy(system: RigidBodies, q: Poses) -> Scalar:
     return system.potential_energy(q)
 
 
 @partial(compiled, once=True)
 def _make_state(
-    masses: Array, inertias: Array, x: Array, turns: Array, v: Array | np.ndarray, Omega: Array | np.ndarray
+    masses: Masses, inertias: Array, x: Positions, turns: Array, v: Array | np.ndarray, Omega: Array | np.ndarray
 ) -> State:
     """The state of positions, attitudes (quaternions or rotation matrices) and velocities."""
     turns = jax.vmap(so3.normalize if turns.ndim == 2 else so3.from_matrix)(turns)
@@ -219,11 +292,11 @@ def _make_state(
     return State(q.astype(dtype), p.astype(dtype))
 
 
-def _attitudes(attitudes: ArrayLike | None, n: int, like: Array) -> Array:
+def _attitudes(attitudes: _checks.Attitude | None, n: int, like: Array) -> Array:
     """Quaternions (n, 4) or rotation matrices (n, 3, 3), checked; the identity if there are none."""
     if attitudes is None:
         return _checks.as_array(np.tile([1.0, 0, 0, 0], (n, 1)), like.dtype)
-    given = _checks.real_array("attitudes", attitudes, (n, 4), (n, 3, 3))
+    given = _checks.real_array("attitudes", _checks.quaternions(attitudes), (n, 4), (n, 3, 3))
     if concrete(given):
         check = _checks.unit_quaternion if given.ndim == 2 else _checks.rotation_matrix
         for i, one in enumerate(np.asarray(given)):
@@ -251,12 +324,25 @@ def _check_places(x: np.ndarray) -> None:
         )
 
 
-def rotations(q: Array) -> Array:
+def rotations(q: Poses) -> Rotations:
     """Λ of each body, (N, 3, 3), of configurations (N, 7)."""
     return jax.vmap(so3.to_matrix)(q[:, 3:])
 
 
-def rigid_bodies(masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Array, Array], Array]) -> RigidBodies:
+@overload
+def rigid_bodies(
+    masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Array, Array], Array], dissipation: None = None
+) -> RigidBodies: ...
+@overload
+def rigid_bodies(
+    masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Array, Array], Array], dissipation: Callable[..., Any]
+) -> DissipativeBodies: ...
+def rigid_bodies(
+    masses: ArrayLike,
+    inertias: ArrayLike,
+    potential: Callable[[Array, Array], Array],
+    dissipation: Callable[..., Any] | None = None,
+) -> RigidBodies | DissipativeBodies:
     """N rigid bodies in a potential V(x, Λ) of their positions and attitudes, N from 1 on.
 
     A potential that depends on relative positions and attitudes alone conserves the linear momentum P and the angular
@@ -265,23 +351,27 @@ def rigid_bodies(masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Ar
     positions lose digits.
 
     Args:
-        masses: (N,), > 0.
+        masses: (N,), > 0, or N shapes of `lieint_jax.shapes`.
         inertias: about the centers of mass: principal moments (N, 3), or tensors in body axes (N, 3, 3), positive
-            definite.
+            definite; or N shapes.
         potential: (positions (N, 3), rotations body to space (N, 3, 3)) ↦ a scalar; of `lieint_jax.potentials`, or a
             function of your own that JAX can differentiate.
+        dissipation: a law by which pairs of bodies lose energy, such as `tides.constant_lag(…)`, or a function
+            (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j) of the position and velocity of one body relative to another and of their
+            angular velocities, all in space, with the force on the first's neighbor and the torques on both: see
+            `tides.PairLaw`. Then `schemes.bodies_energy_momentum` is the scheme, and `State.work` counts the losses.
 
     Raises:
         ValueError: a mass that is not positive, an inertia that is not positive definite, shapes that disagree, a
-            potential that is not callable,
-            or of another number of bodies.
+            potential or a law that is not callable, or of another number of bodies; a law that changes the angular
+            momentum, or adds energy.
     """
-    m = _checks.real_array("masses", masses)
+    m = _checks.real_array("masses", _checks.of_shapes("mass", masses))
     if m.ndim != 1 or not m.size:
         raise ValueError(f"masses must have shape (N,), got {m.shape}")
     if concrete(m) and not bool(np.all(np.asarray(m) > 0)):
         raise ValueError(f"masses must be positive, got {np.asarray(m)}")
-    J = _checks.real_array("inertias", inertias)
+    J = _checks.real_array("inertias", _checks.of_shapes("inertia", inertias))
     if J.shape not in ((m.size, 3), (m.size, 3, 3)):
         raise ValueError(
             f"inertias must have shape ({m.size}, 3) or ({m.size}, 3, 3), as many as masses; got {J.shape}"
@@ -296,11 +386,79 @@ def rigid_bodies(masses: ArrayLike, inertias: ArrayLike, potential: Callable[[Ar
         raise ValueError(f"the potential is one of {n} bodies, but there are {m.size} masses")
     made = RigidBodies(m, J, callable_pytree(potential))
     _checks.function("potential", made.potential_energy, _ARGUMENTS, (), jax.ShapeDtypeStruct((m.size, 7), m.dtype))
-    return made
+    if dissipation is None:
+        return made
+    lossy = DissipativeBodies(m, J, made.potential, callable_pytree(_pair_law(dissipation, m.size)))
+    _check_law(lossy)
+    return lossy
 
 
-def examples() -> dict[str, tuple[RigidBodies, State, float]]:
-    """A binary asteroid, and three bodies with a term that is no sum of pairs."""
+PROPERTIES = SystemProperties(
+    name="rigid_bodies",
+    models="several rigid bodies in a potential of positions and attitudes",
+    phase_space="(T*ℝ³ × T*SO(3))ᴺ: poses (N, 7), momenta (N, 6)",
+    conserves=("energy (without dissipation)", "energy less work", "momentum"),
+    momentum="P and L about the origin, or the components that an outer field leaves",
+    sizes=(6, 5, 4, 3, 2, 1, 0),
+    aliases=("full two-body problem", "rigid molecules"),
+    source="Maciejewski 1995, Celest. Mech. 63",
+)
+
+
+def _pair_law(dissipation: Callable[..., Any], n: int) -> Callable[..., Any]:
+    """The law; ValueError if it is none of n bodies."""
+    if not callable(dissipation):
+        raise ValueError(
+            f"dissipation must be a law of pairs, such as tides.constant_lag(…), or a function {_LAW}, got "
+            f"{dissipation!r}"
+        )
+    if n < 2:
+        raise ValueError(f"dissipation is a law of two bodies, but there is {n} mass")
+    if isinstance(dissipation, PairLaw) and dissipation.count not in (None, n):
+        raise ValueError(f"the law of dissipation is one of {dissipation.count} bodies, but there are {n} masses")
+    return dissipation
+
+
+def _check_law(bodies: DissipativeBodies) -> None:
+    """Raise ValueError unless the law has the right shapes, conserves angular momentum and does not add energy."""
+    space = [jax.ShapeDtypeStruct((len(bodies.masses), 3), bodies.masses.dtype)] * 3
+    _checks.function("dissipation", partial(_forces_of, bodies), _LAW, (len(bodies.masses), 6), *space)
+    if not concrete(bodies):
+        return
+    P, L, gain, size = np.asarray(_violations(bodies))
+    if not np.isfinite(size):  # a law that is singular where it is looked at cannot be judged
+        return
+    if max(P, L) > size:
+        raise ValueError(
+            "dissipation must conserve the angular momentum, r × f + τ_i + τ_j = 0: the force on the second body and "
+            f"the torques on both, {_LAW}; at a test state the sum is off by more than rounding"
+        )
+    if gain > size:
+        raise ValueError(
+            f"dissipation must lose energy, f·v + τ_i·ω_i + τ_j·ω_j ≤ 0, {_LAW}; at a test state it adds some. Check "
+            "its sign"
+        )
+
+
+def _forces_of(bodies: DissipativeBodies, x: Array, v: Array, omega: Array) -> Array:
+    return pair_forces(bodies.dissipation, x, v, omega)[0]
+
+
+@compiled
+def _violations(bodies: DissipativeBodies) -> Array:
+    """By how much the law breaks linear and angular momentum, the energy it adds, and the tolerance for all of them."""
+    numbers = jnp.arange(9 * len(bodies.masses), dtype=bodies.masses.dtype)
+    x, v, omega = jnp.sin(1.7 * numbers + 0.3 * numbers**2).reshape(3, -1, 3)
+    force, lost = pair_forces(bodies.dissipation, x, v, omega)
+    f, tau = force[:, :3], force[:, 3:]
+    turned = jnp.abs(jnp.sum(jnp.cross(x, f) + tau, axis=0)).max()
+    given = jnp.sum(f * v + tau * omega)
+    size = jnp.sqrt(jnp.finfo(x.dtype).eps) * jnp.abs(force).sum()
+    return jnp.stack([jnp.abs(jnp.sum(f, axis=0)).max(), turned, jnp.maximum(given, -lost), size])
+
+
+def examples() -> dict[str, tuple[RigidBodies | DissipativeBodies, State, float]]:
+    """A binary asteroid, the same with friction between its bodies, and three with a term that is no sum of pairs."""
     masses, inertias = jnp.array([1.0, 0.5]), jnp.array([[0.10, 0.11, 0.12], [0.030, 0.034, 0.040]])
     binary = rigid_bodies(masses, inertias, potentials.maccullagh(1.0, masses, inertias))
     at = jnp.array([[-1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
@@ -309,10 +467,21 @@ def examples() -> dict[str, tuple[RigidBodies, State, float]]:
     triple = rigid_bodies([1.0, 0.5, 0.2], jnp.array([[0.1, 0.2, 0.25]] * 3), _spread)
     corners = jnp.array([[1.0, 0, 0], [-1.0, 0.5, 0], [0, -1.2, 0.3]])
     past = jnp.array([[-0.19, -0.1, 0.14], [0.3, 0.2, -0.4], [0.2, 0, 0.3]])
+    rubbing = rigid_bodies(masses, inertias, binary.potential, _friction)
     return {
         "binary": (binary, binary.state(at, velocities=moving, angular_velocities=spins), 0.05),
+        "rubbing": (rubbing, rubbing.state(at, velocities=moving, angular_velocities=spins), 0.05),
         "triple": (triple, triple.state(corners, velocities=past, angular_velocities=0.3 * corners), 0.05),
     }
+
+
+def _friction(r: Array, v: Array, omega_i: Array, omega_j: Array) -> tuple[Array, Array, Array]:
+    """Against the relative motion, and half of it against the rotation of each body relative to the other."""
+    u = v - jnp.cross(omega_i + omega_j, r) / 2
+    f = -0.02 * u
+    tau = -jnp.cross(r, f) / 2
+    more = 0.01 * (omega_j - omega_i)
+    return f, tau + more, tau - more
 
 
 def _spread(x: Array, R: Array) -> Array:

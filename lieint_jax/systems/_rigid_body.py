@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, _free_body
-from lieint_jax._free_body import Periods
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import Body
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.types import AbstractFreeBody, State, pytree
+from lieint_jax.types.shapes import MomentumMap, Scalar
 
 
 @pytree
@@ -26,11 +25,11 @@ class RigidBody(Body, AbstractFreeBody):
 
     inertia: Array
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π (2.11)."""
         return self.kinetic_energy(state)
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """The momentum map of rotations in space (2.13): π itself, shape (3,)."""
         return state.p
 
@@ -44,22 +43,6 @@ class RigidBody(Body, AbstractFreeBody):
         In Jacobi's elliptic functions, see `_free_body`. For many times, `jax.vmap(body.solution, (None, 0))`.
         """
         return State(_attitude(self.inertia, state.q, state.p, t)[0], state.p)
-
-    def periods(self, state: State) -> Periods:
-        """The two mean periods of a tumbling body, by which light curves are described, and its mode, in closed form.
-
-        Args:
-            state: a state of this body.
-
-        Returns:
-            A `Periods`, in the unit of time of the state (that of 1/Ω):
-            `precession`, in which the long axis (that of the least moment) goes once around the angular momentum on
-            average; `rotation`, in which Ω and Π repeat in the axes of the body: one rotation about the long axis in
-            the long-axis mode, one oscillation about it in the short-axis mode; and `long_axis`, True in the former.
-            Differentiable in the inertia and the state, except on the separatrix between the modes, where the rotation
-            never ends.
-        """
-        return _free_body.periods(self.inertia, self.body_momentum(state))
 
 
 _attitude = compiled(_free_body.attitude)
@@ -85,10 +68,22 @@ def rigid_body(inertia: ArrayLike) -> RigidBody:
     return RigidBody(_checks.inertia(inertia))
 
 
+PROPERTIES = SystemProperties(
+    name="rigid_body",
+    models="a free rigid body",
+    phase_space="T*SO(3): unit quaternion, π",
+    conserves=("energy", "momentum", "Casimirs"),
+    momentum="π in space",
+    sizes=(3,),
+    aliases=("Euler top", "Euler–Poinsot motion"),
+    source="Lewis & Simo 1994, (2.12); Euler 1758",
+)
+
+
 def examples() -> dict[str, tuple[RigidBody, State, float]]:
     """The two bodies of the paper's Figures 1 and 2, a body turned from its principal axes, and a flipping one."""
     turn = so3.to_matrix(so3.exp(jnp.array([0.3, -0.5, 0.4])))
-    bodies: dict[str, Any] = {
+    bodies: dict[str, tuple[ArrayLike, list[float]]] = {
         "asymmetric": ([1.0, 2.0, 3.0], [0.2, 0.0, 1.0]),
         "symmetric": ([1.0, 1.0, 2.0], [0.2, 0.0, 1.0]),
         "full_tensor": (turn @ jnp.diag(jnp.array([1.0, 2.0, 2.5])) @ turn.T, [0.3, -0.4, 0.8]),

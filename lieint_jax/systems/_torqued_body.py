@@ -16,8 +16,10 @@ from lieint_jax._numerics.vec3 import dot
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.body import TimedBody
+from lieint_jax.systems._shared.properties import SystemProperties
 from lieint_jax.torques._older import MEMBERS, OlderLaw
 from lieint_jax.types import AbstractTorquedBody, Law, Rotation, State, as_law, clock, instant, pytree
+from lieint_jax.types.shapes import MomentumMap, Quaternion, Scalar, Time, Vector3
 
 _WORKS = "works"
 
@@ -63,18 +65,19 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         laws,), in their order.
         """
 
-    def inner(self, state: State, law: Law) -> Any:
-        """The internal state of a law; ValueError if a state lacks it."""
-        if law.key is None:
+    def inner(self, state: State, law: Law) -> Array | None:
+        """The internal state of a law, or the one that it reads; ValueError if a state lacks it."""
+        key = law.key or law.reads
+        if key is None:
             return None
-        if state.extra is None or law.key not in state.extra:
+        if state.extra is None or key not in state.extra:
             raise ValueError(
-                f'{type(law).__name__} has an internal state, State.extra["{law.key}"]: make the state with '
-                f'system.state(...), or give it one with state._replace(extra={{"{law.key}": …}})'
+                f'{type(law).__name__} has an internal state, State.extra["{key}"]: make the state with '
+                f'system.state(...), or give it one with state._replace(extra={{"{key}": …}})'
             )
-        return state.extra[law.key]
+        return state.extra[key]
 
-    def torque_at(self, state: State) -> Array:
+    def torque_at(self, state: State) -> Vector3:
         """The torque of all laws, (3,), in the axes of `frame`."""
         torques = [self._instant(state, law)[0] for law in self.laws]
         if len(self.laws) == 1:
@@ -82,17 +85,17 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         pairs = zip(self.laws, torques, strict=True)
         return sum((x if law.frame == "body" else so3.Ad_star(state.q, x) for law, x in pairs), jnp.zeros_like(state.p))
 
-    def power(self, state: State) -> Array:
+    def power(self, state: State) -> Scalar:
         """The rate of `State.work`, a scalar: the power of the torques and the rate of the laws' energies."""
         return jnp.sum(self._rates(state)[2])
 
-    def energy(self, state: State) -> Array:
+    def energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π with the energies of the laws: potentials, and those of internal states."""
         t = clock(state)
         laws = [law.energy(t, state.q, self.inner(state, law)) for law in self.laws]
         return sum(laws, self.kinetic_energy(state))
 
-    def momentum(self, state: State) -> Array:
+    def momentum(self, state: State) -> MomentumMap:
         """π with the momenta of dampers and wheels, (3,), where no law acts from outside; else (0,)."""
         if not all(law.internal for law in self.laws):
             return state.p[:0]
@@ -127,7 +130,7 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         found = {law.key: law.start(now) for law in self.laws if law.key is not None}
         return {key: value for key, value in found.items() if value is not None}
 
-    def _instant(self, state: State, law: Law) -> tuple[Array, Any]:
+    def _instant(self, state: State, law: Law) -> tuple[Array, Array | None]:
         """The torque of a law at a state, in the axes of its frame, and the rate of its internal state."""
         Omega = self.angular_velocity(state)
         omega, inner = so3.Ad(state.q, Omega), self.inner(state, law)
@@ -147,22 +150,22 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
                 rates[law.key] = rate
             impulse = impulse + (torque if law.frame == "space" else so3.Ad(state.q, torque))
             at, tangents = (t, state.q, inner), (jnp.ones_like(t), q_dot, rate)
-            gain = jax.jvp(law.energy, at, tangents)[1] if inner is not None else _gain(law, t, state.q, q_dot)
+            gain = jax.jvp(law.energy, at, tangents)[1] if law.key is not None else _gain(law, t, state.q, q_dot)
             powers.append(dot(omega if law.frame == "space" else Omega, torque) + gain)
         return impulse, rates, jnp.stack(powers)
 
 
-def _gain(law: Law, t: Array, q: Array, q_dot: Array) -> Array:
+def _gain(law: Law, t: Time, q: Quaternion, q_dot: Quaternion) -> Array:
     """The rate of the energy of a law without an internal state."""
     return jax.jvp(lambda t, q: law.energy(t, q, None), (t, q), (jnp.ones_like(t), q_dot))[1]
 
 
 @compiled
-def _torque_at(body: TorquedBody, state: State) -> Array:
+def _torque_at(body: TorquedBody, state: State) -> Vector3:
     return body.torque_at(state)
 
 
-def _velocity(body: TorquedBody, state: State) -> Array:
+def _velocity(body: TorquedBody, state: State) -> Vector3:
     Omega = body.angular_velocity(state)
     return so3.Ad(state.q, Omega) if body.frame == "space" else Omega
 
@@ -214,12 +217,20 @@ def _law(torque: Any, frame: str | None) -> Law:
 
 def _check_torque(body: TorquedBody) -> None:
     """Raise ValueError if a law has no real value of shape (3,)."""
+    keys = [law.key for law in body.laws]
+    for law in body.laws:
+        if law.reads is not None and law.reads not in keys:
+            raise ValueError(
+                f'{type(law).__name__} reads State.extra["{law.reads}"], and no law has it: add the law with that '
+                "internal state, such as torques.wheels"
+            )
     number, q, vector = (jax.ShapeDtypeStruct(shape, body.inertia.dtype) for shape in ((), (4,), (3,)))
     for law in body.laws:
 
-        def value(t: Array, q: Array, omega: Array, law: Law = law) -> Any:
+        def value(t: Array, q: Array, omega: Array, law: Law = law) -> Array:
             now = Rotation(t, t, q, q, q, omega, t, omega, omega)
-            return law.mean(now, None if law.key is None else (body.carried or {})[law.key])[0]
+            key = law.key or law.reads
+            return law.mean(now, None if key is None else (body.carried or {})[key])[0]
 
         try:
             found = jax.eval_shape(value, number, q, vector)
@@ -230,13 +241,25 @@ def _check_torque(body: TorquedBody) -> None:
             raise ValueError(f"torque must return an array of real numbers of shape (3,), got {given}")
 
 
-def _is_real(x: Any) -> bool:
+def _is_real(x: Array) -> bool:
     return jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)
 
 
-def _dipole_field(t: Array) -> Array:
+def _dipole_field(t: Time) -> Vector3:
     """The field of a dipole along a polar orbit, in the dipole's unit: (3 sin 2u, 0, 3 cos 2u + 1)/2 with u = t/10."""
     return jnp.stack([1.5 * jnp.sin(t / 5), jnp.zeros_like(t), 1.5 * jnp.cos(t / 5) + 0.5])
+
+
+PROPERTIES = SystemProperties(
+    name="torqued_body",
+    models="a rigid body with laws of torque",
+    phase_space="T*SO(3): unit quaternion, π; internal states in extra",
+    conserves=("energy less work", "momentum (laws that act inside only)"),
+    momentum="π with dampers and wheels, or none",
+    sizes=(3, 0),
+    aliases=("attitude dynamics with torques",),
+    source="Hughes 1986, Spacecraft Attitude Dynamics",
+)
 
 
 def examples() -> dict[str, tuple[TorquedBody, State, float]]:

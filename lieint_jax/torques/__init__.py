@@ -11,19 +11,34 @@
 | `bdot` | −k(\\|b\\|²ω − b(b·ω)) in a field b(t), with or without a limit | −Δt k\\|b × ω̄\\|², never positive |
 | `hysteresis` | a magnetic rod: F(w) e × b with a play operator | that of the field, less ρ\\|ΔF(w)\\| |
 | `pd_trace`, `pd_quaternion` | proportional-derivative control, which unwinds or not | −Δt c\\|ω̄\\|² |
-| `solar_plate` | r × F(s) of a flat plate, s the direction of the Sun | Δt Ω̄·T̄ |
+| `pointing`, `sliding_mode` | control to a frame that moves, such as `orbits.lvlh` | Δt Ω̄·T̄ |
+| `torquers`, `unloading` | m × b of torquers that carry out a control law, that unload wheels | the same |
+| `solar_plate`, `solar_plates` | r × F(s) of flat plates, s the direction of the Sun | the same |
+| `aerodynamic` | r × F(v) of flat plates in a thin atmosphere | the same |
 | `thruster` | constant T in the body, in a time window | the same |
 | `saturated` | any of them, cut at a limit | Δt Ω̄·T̄ and the change of its energy |
 
 `a + b` and `total` add laws, plain functions (t, q, Ω) ↦ T too. A bar on Ω or ω is the step's own angular velocity,
 J⁻¹ of the mean body momentum; on T, the mean torque of the step. The energy H of the body contains the energies of its
 laws (potentials, wheels, a damper's sphere), and H − ΣW is conserved to round-off. A law of your own is a class with a
-`mean`: see `Law`. `internal_friction` is that of `systems.damped_body`; `body_inertia` is for wheels.
+`mean`: see `Law`. `internal_friction` is that of `systems.damped_body`. For wheels: `body_inertia`, `wheel_pyramid`,
+`allocation`, and `wheel_motor`, whose motors carry out a control law; for plates: `box_plates`.
 """
 
+from lieint_jax.torques._actuators import (
+    Torquers,
+    Unloading,
+    WheelMotor,
+    allocation,
+    torquers,
+    unloading,
+    wheel_motor,
+    wheel_pyramid,
+)
 from lieint_jax.torques._control import PDQuaternion, PDTrace, Saturated, pd_quaternion, pd_trace, saturated
 from lieint_jax.torques._damping import KaneDamper, Viscous, internal_friction, kane_damper, viscous
 from lieint_jax.torques._magnetic import BDot, Hysteresis, LimitedBDot, bdot, hysteresis
+from lieint_jax.torques._pointing import Pointing, SlidingMode, Target, pointing, sliding_mode
 from lieint_jax.torques._potential import (
     AnyPotential,
     Dipole,
@@ -33,12 +48,22 @@ from lieint_jax.torques._potential import (
     gravity_gradient,
     potential,
 )
-from lieint_jax.torques._surfaces import SolarPlate, solar_plate
+from lieint_jax.torques._surfaces import (
+    Aerodynamic,
+    Plates,
+    SolarPlate,
+    SolarPlates,
+    aerodynamic,
+    box_plates,
+    solar_plate,
+    solar_plates,
+)
 from lieint_jax.torques._thruster import Thruster, thruster
 from lieint_jax.torques._wheels import Wheels, body_inertia, wheels
 from lieint_jax.types import Law, Rotation, total
 
 __all__ = [
+    "Aerodynamic",
     "AnyPotential",
     "BDot",
     "Dipole",
@@ -50,14 +75,25 @@ __all__ = [
     "LimitedBDot",
     "PDQuaternion",
     "PDTrace",
+    "Plates",
+    "Pointing",
     "Rotation",
     "Saturated",
+    "SlidingMode",
     "SolarPlate",
+    "SolarPlates",
+    "Target",
     "Thruster",
+    "Torquers",
+    "Unloading",
     "Viscous",
+    "WheelMotor",
     "Wheels",
+    "aerodynamic",
+    "allocation",
     "bdot",
     "body_inertia",
+    "box_plates",
     "dipole",
     "gravity_gradient",
     "hysteresis",
@@ -65,11 +101,18 @@ __all__ = [
     "kane_damper",
     "pd_quaternion",
     "pd_trace",
+    "pointing",
     "potential",
     "saturated",
+    "sliding_mode",
     "solar_plate",
+    "solar_plates",
     "thruster",
+    "torquers",
     "total",
+    "unloading",
     "viscous",
+    "wheel_motor",
+    "wheel_pyramid",
     "wheels",
 ]

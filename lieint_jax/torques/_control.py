@@ -126,6 +126,14 @@ class Saturated(Law):
     def symmetric(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.law.symmetric
 
+    @property
+    def reads(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.law.reads
+
+    @property
+    def label(self) -> str:
+        return self.law.label
+
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """The law's mean torque, each component within ± the limit."""
         return jnp.clip(self.law.mean(rotation, inner)[0], -self.limit, self.limit), inner

@@ -51,6 +51,10 @@ class KaneDamper(Law):
     frame = "space"
     internal = True
 
+    @property
+    def label(self) -> str:
+        return "kane_damper" if self.key == "damper" else self.key
+
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """−c(ω̄ − ω̄_d) with I_d ω̄_d = π_d + ½Δt c(ω̄ − ω̄_d), the mean momentum of the sphere."""
         slip = (rotation.omega - inner / self.inertia) / (1 + self.damping * rotation.dt / (2 * self.inertia))

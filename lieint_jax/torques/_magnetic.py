@@ -22,6 +22,10 @@ class BDot(Law):
     field: VectorOfTime
     frame = "space"
 
+    @property
+    def label(self) -> str:
+        return "bdot"
+
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """k b × (b × ω̄)."""
         b = value_at(self.field, rotation.t)
@@ -35,6 +39,10 @@ class LimitedBDot(Law):
     gain: Array
     field: VectorOfTime
     max_dipole: Array
+
+    @property
+    def label(self) -> str:
+        return "bdot"
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """m × B, in the field at the middle of the step and the attitude half-way."""
@@ -77,6 +85,10 @@ class Hysteresis(Law):
     field: VectorOfTime
     key: str = static(default="rod")  # pyright: ignore[reportIncompatibleVariableOverride]
     symmetric = False
+
+    @property
+    def label(self) -> str:
+        return "hysteresis" if self.key == "rod" else self.key
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """κ M̄ e × Λ̄ᵀb_m, with M̄ the mean moment on the straight line from x_n to x_{n+1}."""

@@ -36,6 +36,10 @@ class OlderLaw(Law):
     def internal(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.key is not None
 
+    @property
+    def label(self) -> str:
+        return type(self.law).__name__.lower()
+
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         law, velocity = self._during(rotation.dt, inner), rotation.velocity(self.frame)
         if hasattr(law, "mean"):

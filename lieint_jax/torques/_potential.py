@@ -146,6 +146,10 @@ class AnyPotential(DirectionalPotential):
     function: Callable[..., Array]
     direction: VectorOfTime
 
+    @property
+    def label(self) -> str:
+        return "potential"
+
     def axis(self, t: Array) -> Array:
         """γ(t)."""
         return value_at(self.direction, t)

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
-from lieint_jax._numerics.vec3 import add, cross, dot, scale
+from lieint_jax._numerics.vec3 import Vector, add, components, cross, dot, scale
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import VectorOfTime, not_negative, unit_vector, value_at, vector_of_time
-from lieint_jax.types import Law, Rotation, pytree
+from lieint_jax.torques._arguments import (
+    VectorOfTime,
+    not_negative,
+    positive,
+    unit_vector,
+    value_at,
+    vector_of_time,
+)
+from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 
 
 @pytree
@@ -67,12 +76,183 @@ def solar_plate(
     Source: McInnes 1999, Solar Sailing, chapter 2 (the optical model of a plate, without thermal emission).
     """
     parts = [not_negative(name, x) for name, x in (("specular", specular), ("diffuse", diffuse))]
-    if concrete(*parts) and float(parts[0]) + float(parts[1]) > 1:
-        raise ValueError(f"specular + diffuse must be at most 1, got {parts[0]} + {parts[1]}")
+    _check_parts(*parts)
     return SolarPlate(
         not_negative("force", force),
         unit_vector("normal", normal),
         _checks.real_array("arm", arm, (3,)),
-        vector_of_time("sun", sun) if callable(sun) else unit_vector("sun", sun),
+        _sun(sun),
         *parts,
     )
+
+
+@pytree
+class Plates:
+    """One-sided flat plates on the surface of a body; what is common to sunlight and air.
+
+    Attributes:
+        sizes: of the plates, (m,): areas, or forces at normal incidence.
+        normals: outward unit vectors in the body, (m, 3).
+        arms: from the body's center of mass to the centers of the plates, (m, 3).
+    """
+
+    sizes: Array
+    normals: Array
+    arms: Array
+
+    @property
+    def normal(self) -> Vector:
+        """The components of the normals, each (m,)."""
+        return components(self.normals.T)
+
+    @property
+    def arm(self) -> Vector:
+        """The components of the arms, each (m,)."""
+        return components(self.arms.T)
+
+    def torque(self, forces: Vector) -> Array:
+        """Σ r_j × F_j of the forces on the plates, given by their components (m,)."""
+        return jnp.stack([jnp.sum(x) for x in cross(self.arm, forces)])
+
+
+def _plates(name: str, sizes: ArrayLike, normals: ArrayLike, arms: ArrayLike) -> Plates:
+    r = _checks.real_array("arms", arms)
+    if r.ndim != 2 or r.shape[1] != 3 or not len(r):
+        raise ValueError(f"arms must have shape (m, 3), one for each plate, got {r.shape}")
+    m = len(r)
+    size = jnp.broadcast_to(not_negative(name, sizes, (), (m,)), (m,))
+    return Plates(size, unit_vector("normals", normals, (m, 3)), r)
+
+
+@pytree
+class SolarPlates(Law):
+    """The torque of sunlight on plates, in the body. Made by `solar_plates`."""
+
+    plates: Plates
+    sun: VectorOfTime
+    light: Callable[..., Array] | None
+    specular: Array
+    diffuse: Array
+
+    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+        """Σ r_j × F_j(Λᵀs) at the middle of the step."""
+        s, n = components(so3.Ad_star(rotation.q_mid, value_at(self.sun, rotation.t))), self.plates.normal
+        cosine = jnp.maximum(dot(n, s), 0)
+        lit = self.plates.sizes * cosine
+        if self.light is not None:
+            lit = lit * self.light(rotation.t)
+        absorbed, outward = lit * (1 - self.specular), 2 * lit * (self.specular * cosine + self.diffuse / 3)
+        return self.plates.torque(add(scale(-absorbed, s), scale(-outward, n))), inner
+
+
+def solar_plates(
+    force: ArrayLike,
+    normals: ArrayLike,
+    arms: ArrayLike,
+    sun: Any,
+    *,
+    light: Any = None,
+    specular: ArrayLike = 0.0,
+    diffuse: ArrayLike = 0.0,
+) -> SolarPlates:
+    """The pressure of sunlight on the outer surface of a satellite, as one-sided flat plates: T = Σ r_j × F_j with
+
+        F_j = −f_j cos ϑ [(1 − ρ_s)s + 2(ρ_s cos ϑ + ρ_d/3)n_j],    cos ϑ = max(n_j·s, 0).
+
+    A panel is two plates with opposite normals. Plates do not shade one another; the Earth's shadow is `light`.
+
+    Args:
+        force: f_j ≥ 0, pressure × area, such as 4.56e-6 N/m² × A_j at 1 au, a number or (m,).
+        normals: n_j, outward, in the body, unit vectors (m, 3).
+        arms: r_j, from the body's center of mass to the centers of the plates, in the body, (m, 3).
+        sun: s in space, (3,), the unit vector to the Sun, or a function of time with such values
+            (`orbits.sun_direction`).
+        light: t ↦ the part of the sunlight that arrives, from 0 to 1, such as `orbits.eclipse(orbit, sun)`; or None.
+        specular, diffuse: ρ_s and ρ_d ≥ 0, the parts of the light reflected so, ρ_s + ρ_d ≤ 1, numbers or (m,).
+
+    Raises:
+        ValueError: shapes that do not agree, normals or a Sun that are not of unit length, parts out of range, a light
+            that is no such function.
+
+    Source: McInnes 1999, Solar Sailing, chapter 2; Montenbruck & Gill 2000, Satellite Orbits, 3.4.
+    """
+    plates = _plates("force", force, normals, arms)
+    m = len(plates.sizes)
+    parts = [not_negative(name, x, (), (m,)) for name, x in (("specular", specular), ("diffuse", diffuse))]
+    _check_parts(*parts)
+    if light is not None:
+        _checks.function("light", light, "the time t", (), jnp.zeros(()))
+        light = callable_pytree(light)
+    return SolarPlates(plates, _sun(sun), light, *parts)
+
+
+@pytree
+class Aerodynamic(Law):
+    """The torque of a thin atmosphere on plates, in the body. Made by `aerodynamic`."""
+
+    plates: Plates
+    air: Callable[[Array], tuple[Array, Array]]
+    drag: Array
+
+    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+        """Σ r_j × F_j at the middle of the step; each plate moves through the air by Ω̄ × r_j too."""
+        density, velocity = self.air(rotation.t)
+        v = components(so3.Ad_star(rotation.q_mid, velocity))
+        w = add(v, cross(components(rotation.Omega), self.plates.arm))
+        met = jnp.maximum(dot(self.plates.normal, w), 0) * self.plates.sizes
+        return self.plates.torque(scale(-density / 2 * self.drag * met, w)), inner
+
+
+def aerodynamic(
+    air: Any, areas: ArrayLike, normals: ArrayLike, arms: ArrayLike, *, drag: ArrayLike = 2.2
+) -> Aerodynamic:
+    """The drag of a thin atmosphere on the outer surface of a satellite, as one-sided flat plates: T = Σ r_j × F_j with
+
+        F_j = −½ρ C_j A_j max(n_j·w_j, 0) w_j,    w_j = Λᵀv + Ω × r_j
+
+    for the velocity v relative to the air. A panel is two plates with opposite normals. In air at rest, v = 0, the
+    torque takes energy in every step. Energy changes by ΔtΩ̄·T̄ in a step, which is booked.
+
+    Args:
+        air: t ↦ (density, velocity of the body's center relative to the air in space, (3,)), such as
+            `orbits.atmosphere(orbit, …)`. The units of length of this velocity and of the arms must be one: m for N m.
+        areas: A_j ≥ 0, a number or (m,).
+        normals: n_j, outward, in the body, unit vectors (m, 3).
+        arms: r_j, from the body's center of mass to the centers of the plates, in the body, (m, 3).
+        drag: C_j ≥ 0, the drag coefficients, a number or (m,); 2 to 2.5 in a low orbit.
+
+    Raises:
+        ValueError: an air that is no such function, shapes that do not agree, normals not of unit length, negative
+            areas or coefficients.
+
+    Source: Wertz 1978, Spacecraft Attitude Determination and Control, 17.2.3, with one drag coefficient per plate.
+    """
+    _checks.function("air", lambda t: air(t)[0], "the time t, with (density, velocity)", (), jnp.zeros(()))
+    _checks.function("air", lambda t: air(t)[1], "the time t, with (density, velocity)", (3,), jnp.zeros(()))
+    plates = _plates("areas", areas, normals, arms)
+    return Aerodynamic(plates, callable_pytree(air), not_negative("drag", drag, (), (len(plates.sizes),)))
+
+
+def box_plates(sizes: ArrayLike, center: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[Array, Array, Array]:
+    """The six faces of a box, for `aerodynamic` and `solar_plates`: areas (6,), normals (6, 3) and arms (6, 3).
+
+    Args:
+        sizes: the lengths of the edges along the body axes, > 0, (3,).
+        center: the middle of the box, from the body's center of mass, (3,).
+
+    Raises:
+        ValueError: sizes that are not positive, no vectors.
+    """
+    a, c = positive("sizes", sizes, (3,)), _checks.real_array("center", center, (3,))
+    normals = jnp.concatenate([jnp.eye(3, dtype=a.dtype), -jnp.eye(3, dtype=a.dtype)])
+    areas = jnp.stack([a[1] * a[2], a[2] * a[0], a[0] * a[1]])
+    return jnp.concatenate([areas, areas]), normals, c + normals * a / 2
+
+
+def _sun(sun: Any) -> VectorOfTime:
+    return vector_of_time("sun", sun) if callable(sun) else unit_vector("sun", sun)
+
+
+def _check_parts(specular: Array, diffuse: Array) -> None:
+    if concrete(specular, diffuse) and np.max(np.asarray(specular) + np.asarray(diffuse)) > 1:
+        raise ValueError(f"specular + diffuse must be at most 1, got {np.asarray(specular)} + {np.asarray(diffuse)}")

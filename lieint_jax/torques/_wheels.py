@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -17,6 +18,7 @@ from lieint_jax.torques._arguments import positive, unit_vector
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 
 _SWEEPS = 6  # of the motor's equation for the mean momentum: each gains log₁₀(1/½Δt|∂u/∂h|) digits
+_CHEAP_SWEEPS = 12  # of a motor that evaluates its control law once
 
 
 @pytree
@@ -66,9 +68,12 @@ class Wheels(Law):
         """The mean torque on the wheels in a step, Δh/Δt, (m,), and h after it, within both limits."""
         if self.motor is None:
             return jnp.zeros_like(h), h
+        now = rotation.t, rotation.q_mid, rotation.Omega
+        given = getattr(self.motor, "given", None)
+        motors = given(*now) if given else functools.partial(self.motor, *now)
         torque = jnp.zeros_like(h)
-        for _ in range(_SWEEPS):
-            torque = self._limited(self.motor(rotation.t, rotation.q_mid, rotation.Omega, h + rotation.dt / 2 * torque))
+        for _ in range(_CHEAP_SWEEPS if given else _SWEEPS):
+            torque = self._limited(motors(h + rotation.dt / 2 * torque))
         after = h + rotation.dt * torque
         if self.max_momentum is None:
             return torque, after
@@ -113,7 +118,7 @@ def wheels(
 
     Source: Hughes 1986, Spacecraft Attitude Dynamics, chapter 3 and 6; the mean torque of a step: this package.
     """
-    g = _axes(axes)
+    g = wheel_axes(axes)
     m = g.shape[0]
     moments = jnp.broadcast_to(positive("inertias", inertias, (), (m,)), (m,))
     torque = None if max_torque is None else positive("max_torque", max_torque, (), (m,))
@@ -126,7 +131,7 @@ def wheels(
     return Wheels(g, moments, motor, torque, momentum, sigma)
 
 
-def _axes(axes: ArrayLike) -> Array:
+def wheel_axes(axes: ArrayLike) -> Array:
     """Unit vectors (m, 3)."""
     g = _checks.real_array("axes", axes)
     if g.ndim != 2 or g.shape[1] != 3 or not len(g):
@@ -145,7 +150,7 @@ def body_inertia(locked: ArrayLike, axes: ArrayLike, inertias: ArrayLike) -> Arr
         ValueError: what remains is not positive definite.
     """
     J = _checks.inertia(locked)
-    g = _axes(axes)
+    g = wheel_axes(axes)
     J = jnp.diag(J) if J.ndim == 1 else J
     rest = J - jnp.einsum("j,ji,jk->ik", jnp.broadcast_to(jnp.asarray(inertias, J.dtype), g.shape[:1]), g, g)
     return _checks.inertia(rest) if concrete(rest) else rest

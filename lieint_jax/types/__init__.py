@@ -13,6 +13,7 @@ from __future__ import annotations
 from lieint_jax._deprecated import renamed as _renamed
 from lieint_jax.types._capabilities import (
     AbstractDampedBody,
+    AbstractDissipativeBodies,
     AbstractDrivenGyrostat,
     AbstractDrivenSystem,
     AbstractDrivenTop,
@@ -30,20 +31,24 @@ from lieint_jax.types._capabilities import (
     AbstractSphereSystem,
     AbstractTop,
     AbstractTorquedBody,
+    AbstractViscousBody,
     PotentialWithGradient,
     StoredEnergy,
     autodiff_gradient,
     gradient,
 )
+from lieint_jax.types._catalogue import Catalogue
 from lieint_jax.types._group import AnalyticGroup, Group, PhaseSpace
+from lieint_jax.types._pair_law import PairLaw, pair_forces
 from lieint_jax.types._pytree import callable_pytree, pytree, static
 from lieint_jax.types._state import State, StepInfo, Trajectory, all_finite, clock, counts_work
 from lieint_jax.types._step import Step, StepError, checked_step, converges, promoted, start_time
 from lieint_jax.types._system import System, energy_less_work, time_derivative
-from lieint_jax.types._torque import Function, Law, Rotation, Total, as_law, instant, parts, total
+from lieint_jax.types._torque import Function, Law, Rotation, Total, as_law, instant, labels, parts, total
 
 __all__ = [
     "AbstractDampedBody",
+    "AbstractDissipativeBodies",
     "AbstractDrivenGyrostat",
     "AbstractDrivenSystem",
     "AbstractDrivenTop",
@@ -61,10 +66,13 @@ __all__ = [
     "AbstractSphereSystem",
     "AbstractTop",
     "AbstractTorquedBody",
+    "AbstractViscousBody",
     "AnalyticGroup",
+    "Catalogue",
     "Function",
     "Group",
     "Law",
+    "PairLaw",
     "PhaseSpace",
     "PotentialWithGradient",
     "Rotation",
@@ -87,6 +95,8 @@ __all__ = [
     "energy_less_work",
     "gradient",
     "instant",
+    "labels",
+    "pair_forces",
     "parts",
     "promoted",
     "pytree",

@@ -17,6 +17,7 @@ from lieint_jax.types._group import Group
 from lieint_jax.types._state import State
 from lieint_jax.types._system import System
 from lieint_jax.types._torque import Law, parts
+from lieint_jax.types.shapes import DualVector, Inertia, Matrix3, PyTree, Scalar, SquareMatrix, Time, Vector3
 
 
 class AbstractFreeBody(System):
@@ -58,15 +59,15 @@ class AbstractDrivenGyrostat(System):
     inertia: Array
 
     @abc.abstractmethod
-    def rotor(self, state: State, /) -> Array:
+    def rotor(self, state: State, /) -> Vector3:
         """h_r in the body, (3,)."""
 
     @abc.abstractmethod
-    def torque(self, t: Array, /) -> Array:
+    def torque(self, t: Time, /) -> Vector3:
         """τ, by which the motor turns the rotor at time t, in the body, (3,)."""
 
     @abc.abstractmethod
-    def holding(self, rotor: Array, /) -> AbstractGyrostat:
+    def holding(self, rotor: Vector3, /) -> AbstractGyrostat:
         """The gyrostat whose rotor keeps the momentum `rotor`."""
 
 
@@ -133,7 +134,7 @@ class AbstractFreeBodies(System):
     inertias: Array
 
     @abc.abstractmethod
-    def single_body(self, inertia: Array) -> AbstractFreeBody:
+    def single_body(self, inertia: Inertia) -> AbstractFreeBody:
         """A free body of this inertia."""
 
 
@@ -148,6 +149,28 @@ class AbstractRigidBodies(AbstractForcedSystem):
     masses: Array
     inertias: Array
     potential: Callable[[Array, Array], Array]
+
+
+class AbstractDissipativeBodies(System):
+    """N rigid bodies in a potential that lose energy by a law of pairs: as `AbstractRigidBodies`, with its forces.
+
+    Energy less work is conserved, where the work is what the law does, and so are both momenta if the potential is
+    invariant.
+
+    Attributes:
+        masses, inertias, potential: as in `AbstractRigidBodies`.
+        dissipation: a `PairLaw`, or a function (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j).
+    """
+
+    masses: Array
+    inertias: Array
+    potential: Callable[[Array, Array], Array]
+    dissipation: Callable[..., Any]
+
+    @property
+    @abc.abstractmethod
+    def conservative(self) -> AbstractRigidBodies:
+        """The same bodies without the law."""
 
 
 class AbstractTop(AbstractForcedSystem):
@@ -168,26 +191,26 @@ class PotentialWithGradient(abc.ABC):
     """A potential Ṽ(Γ) or Ṽ(Γ, t) that knows its gradient, for tops, where autodiff takes many more operations."""
 
     @abc.abstractmethod
-    def __call__(self, Gamma: Array, t: Array | None = None) -> Array: ...
+    def __call__(self, Gamma: Vector3, t: Time | None = None) -> Scalar: ...
 
     @abc.abstractmethod
-    def gradient(self, Gamma: Array, t: Array | None = None) -> Array:
+    def gradient(self, Gamma: Vector3, t: Time | None = None) -> Vector3:
         """∇Ṽ, shape (3,)."""
 
 
-def gradient(potential: Callable[..., Array], Gamma: Array, *t: Array) -> Array:
+def gradient(potential: Callable[..., Array], Gamma: Vector3, *t: Array) -> Array:
     """∇Ṽ(Γ) or ∇Ṽ(Γ, t), shape (3,), of any potential of tops."""
     known = isinstance(potential, PotentialWithGradient)
     return potential.gradient(Gamma, *t) if known else autodiff_gradient(potential)(Gamma, *t)
 
 
-def autodiff_gradient(potential: Callable[..., Array], argnums: int | tuple[int, ...] = 0) -> Callable[..., Any]:
+def autodiff_gradient(potential: Callable[..., Array], argnums: int | tuple[int, ...] = 0) -> Callable[..., PyTree]:
     """`jax.grad(potential, argnums)`, but NaN where the potential itself is not finite.
 
     The derivative of log x exists for x < 0, where log x does not: a step would go on where there is no motion.
     """
 
-    def gradient(*arguments: Any) -> Any:
+    def gradient(*arguments: Array) -> PyTree:
         V, slopes = jax.value_and_grad(potential, argnums)(*arguments)
         defined = jnp.isfinite(V)
         return jax.tree.map(lambda slope: jnp.where(defined, slope, jnp.nan), slopes)
@@ -209,7 +232,7 @@ class AbstractMechanicalSystem(AbstractForcedSystem):
     potential: Callable[[Array], Array]
 
     @abc.abstractmethod
-    def body_force(self, q: Array, /) -> Array:
+    def body_force(self, q: SquareMatrix, /) -> DualVector:
         """Ad*_q of `force`: its i-th component is −d/dε V(q exp(εeᵢ))."""
 
 
@@ -220,7 +243,7 @@ class StoredEnergy(abc.ABC):
     """
 
     @abc.abstractmethod
-    def __call__(self, C: Array) -> Array: ...
+    def __call__(self, C: Matrix3) -> Scalar: ...
 
     @abc.abstractmethod
     def stress(self, C: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -241,6 +264,21 @@ class AbstractElasticBody(System):
 
     inertia: Array
     stored_energy: StoredEnergy
+
+
+class AbstractViscousBody(System):
+    """A body that deforms homogeneously and is viscous: as `AbstractElasticBody`, with Ṗ = −F(2∇W(C) + νĊ), C = FᵀF.
+
+    Energy less work is conserved, where the work is −∫½ν|Ċ|² dt.
+
+    Attributes:
+        inertia, stored_energy: as in `AbstractElasticBody`.
+        viscosity: ν ≥ 0, an energy times a time.
+    """
+
+    inertia: Array
+    stored_energy: StoredEnergy
+    viscosity: Array
 
 
 class AbstractIncompressibleBody(System):
@@ -269,11 +307,11 @@ class AbstractDrivenSystem(System):
         """This system without its potential."""
 
     @abc.abstractmethod
-    def force(self, q: Array, t: Array, /) -> Array:
+    def force(self, q: Array, t: Time, /) -> Array:
         """By how much π̇ at the configuration q and the time t differs from π̇ of the free system."""
 
     @abc.abstractmethod
-    def power(self, q: Array, t: Array, /) -> Array:
+    def power(self, q: Array, t: Time, /) -> Scalar:
         """∂V/∂t, a scalar."""
 
 
@@ -291,7 +329,7 @@ class AbstractDrivenTop(AbstractDrivenSystem):
     axis: Any
 
     @abc.abstractmethod
-    def axis_at(self, t: Array, /) -> Array:
+    def axis_at(self, t: Time, /) -> Vector3:
         """γ(t), shape (3,)."""
 
 
@@ -334,5 +372,5 @@ class AbstractSphereSystem(System):
     mass: Array
 
     @abc.abstractmethod
-    def potential(self, q: Array, /) -> Array:
+    def potential(self, q: Vector3, /) -> Scalar:
         """V(q), smooth around the sphere too."""

@@ -10,9 +10,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from lieint_jax._checks import concrete
-from lieint_jax.types._members import Axis, axes, map_over_run
+from lieint_jax.types._members import Axis, Run, axes, map_over_run
+from lieint_jax.types._torque import labels as laws_of
+from lieint_jax.types.shapes import PyTree
 
 _SHORT = 16  # the most numbers that a description shows
 _POSE, _MOMENTA = ["x", "y", "z", "qw", "qx", "qy", "qz"], ["px", "py", "pz", "pix", "piy", "piz"]
@@ -25,12 +28,13 @@ _TEXTS = {
     "p": "momentum",
     "t": "time of each member",
     "work": "work done on the body",
+    "extra_works": "work of each law",
     "residual": "largest residual since the last entry",
     "converged": "whether all steps since the last entry did",
 }
 
 
-def described(value: Any) -> str:
+def described(value: PyTree) -> str:
     """A number or a short array in full, to six digits; of a longer one, or a tracer, type and shape."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{name}: {described(inner)}" for name, inner in value.items()) + "}"
@@ -41,13 +45,13 @@ def described(value: Any) -> str:
     return np.array2string(np.asarray(value), precision=6, separator=", ").replace("\n", "")
 
 
-def fields(value: Any) -> str:
+def fields(value: PyTree) -> str:
     """A named tuple in a line, without its fields that are None."""
     shown = [f"{name}={described(x)}" for name, x in zip(value._fields, value, strict=True) if x is not None]
     return f"{type(value).__name__}({', '.join(shown)})"
 
 
-def trajectory(run: Any) -> str:
+def trajectory(run: Run) -> str:
     """A trajectory in a line."""
     if not hasattr(run.t, "shape") or not concrete(run) or run.t.ndim != 1:
         return fields(run)
@@ -57,7 +61,7 @@ def trajectory(run: Any) -> str:
     return f"Trajectory({len(run.t)} entries{members}, t = {run.t[0]:.6g} … {run.t[-1]:.6g}, {fate}, {run.state})"
 
 
-def dataset(run: Any, system: Any, units: Mapping[str, str], system_axis: Axis) -> Any:
+def dataset(run: Run, system: PyTree, units: Mapping[str, str], system_axis: Axis) -> Any:
     """An `xarray.Dataset` of a trajectory; see `Trajectory.to_xarray`."""
     leading = axes(run)
     extra = {f"extra_{name}": x for name, x in (run.state.extra or {}).items()}
@@ -65,10 +69,10 @@ def dataset(run: Any, system: Any, units: Mapping[str, str], system_axis: Axis) 
     arrays = {name: x for name, x in leaves.items() if name != "extra" and x is not None}
     if system is not None:
         arrays |= _measured(run, system, system_axis)
-    labels: dict[str, Any] = {"time": np.asarray(run.t)}
-    variables: dict[str, Any] = {}
+    labels: dict[str, PyTree] = {"time": np.asarray(run.t)}
+    variables: dict[str, PyTree] = {}
     for name, x in arrays.items():
-        dims, own = state_axes(name, x.shape[len(leading) :])
+        dims, own = state_axes(name, x.shape[len(leading) :], system)
         labels |= own
         variables[name] = ((*leading, *dims), np.asarray(x), {"long_name": _TEXTS.get(name, name.replace("_", " "))})
     found = _package("xarray").Dataset(variables, labels)
@@ -83,7 +87,7 @@ def dataset(run: Any, system: Any, units: Mapping[str, str], system_axis: Axis) 
     return found
 
 
-def rotations(run: Any) -> Any:
+def rotations(run: Run) -> Any:
     """The attitudes of a trajectory as `scipy.spatial.transform.Rotation`; see `Trajectory.rotations`."""
     q = np.asarray(run.state.q)
     own = q.shape[len(axes(run)) :]
@@ -97,8 +101,13 @@ def rotations(run: Any) -> Any:
     return transform.Rotation.from_quat(np.roll(q[..., -4:], -1, axis=-1))
 
 
-def state_axes(name: str, shape: tuple[int, ...]) -> tuple[tuple[str, ...], dict[str, Any]]:
-    """Names of the axes of one state's array, and their labels."""
+def state_axes(
+    name: str, shape: tuple[int, ...], system: PyTree = None
+) -> tuple[tuple[str, ...], dict[str, np.ndarray | list[str]]]:
+    """Names of the axes of one state's array, and their labels, of which some are those of the system."""
+    if name == "extra_works" and len(shape) == 1:
+        names = laws_of(system)
+        return ("law",), {"law": names} if len(names) == shape[0] else {}
     if name in ("q", "p", "angular_velocity") and shape in _COMPONENTS:
         dim, own = _COMPONENTS[shape]
         return (dim,), {dim: own}
@@ -110,7 +119,7 @@ def state_axes(name: str, shape: tuple[int, ...]) -> tuple[tuple[str, ...], dict
     return tuple(f"{name}_component{k or ''}" for k in range(len(shape))), {}
 
 
-def _measured(run: Any, system: Any, system_axis: Axis) -> dict[str, Any]:
+def _measured(run: Run, system: PyTree, system_axis: Axis) -> dict[str, Array]:
     """Energy, momentum map, and the angular velocity in the body where the system has one."""
     if not hasattr(system, "energy"):
         raise ValueError(f"system must be that of the run, such as step.system, got a {type(system).__name__}")
@@ -121,10 +130,10 @@ def _measured(run: Any, system: Any, system_axis: Axis) -> dict[str, Any]:
     return {name: x for name, x in measured.items() if x.size}
 
 
-def _series(run: Any, system: Any, method: str, system_axis: Axis) -> Any:
+def _series(run: Run, system: PyTree, method: str, system_axis: Axis) -> Array:
     """The values of a method of the system along the run."""
 
-    def values(state: Any) -> Any:
+    def values(state: PyTree) -> Array:
         return map_over_run(lambda own, z: getattr(own, method)(z), system, run._replace(state=state), system_axis)
 
     return jax.jit(values)(jax.tree.map(jnp.asarray, run.state))

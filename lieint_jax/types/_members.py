@@ -3,16 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Literal, Protocol, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
+
+from lieint_jax.types.shapes import PyTree
 
 Axis = int | Literal["auto"] | None
 
 
-def axes(run: Any) -> tuple[str, ...]:
+class Run(Protocol):
+    """A trajectory, a named tuple, by what is read of it here."""
+
+    @property
+    def t(self) -> Array: ...
+    @property
+    def state(self) -> PyTree: ...
+    @property
+    def info(self) -> PyTree: ...
+    def _replace(self, *, state: PyTree) -> Self: ...
+
+
+def axes(run: Run) -> tuple[str, ...]:
     """The names of the leading axes of a trajectory's states: time, and member for a batch."""
     if np.ndim(run.t) != 1:
         raise ValueError(
@@ -23,7 +38,9 @@ def axes(run: Any) -> tuple[str, ...]:
     return ("time", "member")[: 1 if run.info is None else np.ndim(run.info.residual)]
 
 
-def map_over_run(function: Callable[[Any, Any], Any], system: Any, run: Any, system_axis: Axis = "auto") -> Any:
+def map_over_run(
+    function: Callable[[PyTree, PyTree], Array], system: PyTree, run: Run, system_axis: Axis = "auto"
+) -> Array:
     """The values of function(system, state) along a run: (times, …), or (times, members, …) for a batch.
 
     Args:
@@ -43,7 +60,7 @@ def map_over_run(function: Callable[[Any, Any], Any], system: Any, run: Any, sys
     return jax.vmap(jax.vmap(function), (None, 0))(system, states)
 
 
-def member_axis(system: Any, one: Any, members: int, given: Axis, name: str = "system_axis") -> int | None:
+def member_axis(system: PyTree, one: PyTree, members: int, given: Axis, name: str = "system_axis") -> int | None:
     """0 if each of the members has a system of its own, on the leading axis of all leaves of `system`; else None.
 
     Shapes alone do not always tell: of three members, an inertia (3, 3) is a tensor of all, or the principal moments of
@@ -86,7 +103,7 @@ def member_axis(system: Any, one: Any, members: int, given: Axis, name: str = "s
     return 0 if own and not shared else None
 
 
-def _check_single(system: Any, states: Any, given: Axis) -> None:
+def _check_single(system: PyTree, states: PyTree, given: Axis) -> None:
     """ValueError if a system of the run of one body has a member axis."""
     if given not in (None, "auto"):
         raise ValueError(f"system_axis is of batches; this run is of one body, got system_axis={given!r}")
@@ -102,15 +119,15 @@ def _check_single(system: Any, states: Any, given: Axis) -> None:
         )
 
 
-def _member_shapes(states: Any, leading: int) -> Any:
+def _member_shapes(states: PyTree, leading: int) -> PyTree:
     """The shapes of one state."""
     return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[leading:], x.dtype), states)
 
 
-def _fits(system: Any, one: Any) -> bool:
+def _fits(system: PyTree, one: PyTree) -> bool:
     """Whether the shapes of a system are those of one, which takes this state, and whose energy is a scalar."""
 
-    def energy(system: Any, state: Any) -> Any:
+    def energy(system: PyTree, state: PyTree) -> Array:
         system.check(state)
         return system.energy(state)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, TypeVar, dataclass_transform
 
 import jax
@@ -29,14 +29,14 @@ def pytree(cls: type[_T]) -> type[_T]:
     fixed = [field.name for field in fields if field.metadata.get("static")]
     keys = [jax.tree_util.GetAttrKey(name) for name in names]
 
-    def leaves(x: Any) -> tuple[list[Any], tuple[Any, ...]]:
+    def leaves(x: object) -> tuple[list[object], tuple[object, ...]]:
         return [getattr(x, name) for name in names], (made, *[getattr(x, name) for name in fixed])
 
-    def leaves_with_keys(x: Any) -> tuple[list[Any], tuple[Any, ...]]:
+    def leaves_with_keys(x: object) -> tuple[list[tuple[Any, object]], tuple[object, ...]]:
         values, structure = leaves(x)
         return list(zip(keys, values, strict=True)), structure
 
-    def rebuilt(structure: tuple[Any, ...], values: Any) -> Any:
+    def rebuilt(structure: tuple[object, ...], values: Iterable[object]) -> object:
         x = object.__new__(made)
         for name, value in (*zip(fixed, structure[1:], strict=True), *zip(names, values, strict=True)):
             object.__setattr__(x, name, value)

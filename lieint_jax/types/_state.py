@@ -10,8 +10,9 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax.types import _labeled
-from lieint_jax.types._members import Axis
+from lieint_jax.types._members import Axis, map_over_run
 from lieint_jax.types._record import record
+from lieint_jax.types.shapes import Flag, PyTree, Time
 
 
 @record
@@ -106,6 +107,25 @@ class Trajectory(NamedTuple):
         """
         return _labeled.dataset(self, system, units or {}, system_axis)
 
+    def periods(self, body: Any, system_axis: Axis = "auto") -> Any:
+        """The mean periods of a tumbling body along a run, precession, rotation and mode: `body.periods` of each state.
+
+        Under torques they are those of the free motion that would go on from each state.
+
+        Args:
+            body: the system of the run, one with `periods`, such as `systems.rigid_body(…)`.
+            system_axis: of a batch, as in `to_xarray`.
+
+        Returns:
+            `Periods`, arrays of shape (n+1,), or (n+1, members).
+
+        Raises:
+            ValueError: a system without periods; shapes that contradict `system_axis`, or do not tell.
+        """
+        if not hasattr(body, "periods"):
+            raise ValueError(f"the system of the run must have periods, as bodies on T*SO(3) do; got {body!r}")
+        return map_over_run(lambda own, z: own.periods(z), body, self, system_axis)
+
     def rotations(self) -> Any:
         """The attitudes, body to space, as `scipy.spatial.transform.Rotation` of shape (n+1, …).
 
@@ -124,7 +144,7 @@ def counts_work(state: State) -> bool:
     return state.work is not None or "works" in (state.extra or {})
 
 
-def clock(state: State) -> Array:
+def clock(state: State) -> Time:
     """The time of a state; ValueError if it has none."""
     if state.t is None:
         raise ValueError(
@@ -134,6 +154,6 @@ def clock(state: State) -> Array:
     return state.t
 
 
-def all_finite(tree: Any) -> Array:
+def all_finite(tree: PyTree) -> Flag:
     """Whether all arrays of a tree are finite, a scalar."""
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(tree)]))

@@ -10,6 +10,7 @@ from typing import Any, Self, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -17,26 +18,28 @@ from lieint_jax._checks import at_once, concrete, real_array, step_size
 from lieint_jax._xla import compiled
 from lieint_jax.types._state import State, StepInfo, all_finite
 from lieint_jax.types._system import System
+from lieint_jax.types.shapes import Flag, PyTree, Time
 
 _T = TypeVar("_T")
+_Report = tuple[Any, ...]  # the new state, the StepInfo, and what a method adds
 
 
-def _in_one_type(method: Callable[..., Any]) -> Callable[..., Any]:
+def _in_one_type(method: Callable[..., _T]) -> Callable[..., _T]:
     """A method (step, state, dt, …) whose arguments arrive in one floating-point type."""
 
     @functools.wraps(method)
-    def converted(step: Any, state: State, dt: ArrayLike, *more: ArrayLike) -> Any:
+    def converted(step: Step, state: State, dt: ArrayLike, *more: ArrayLike) -> _T:
         step, state, dtype = promoted(step, state)
         return method(step, state, jnp.asarray(step_size(dt), dtype), *(jnp.asarray(x, dtype) for x in more))
 
     return converted
 
 
-def _on_time(method: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any, ...]]:
+def _on_time(method: Callable[..., _Report]) -> Callable[..., _Report]:
     """A method (step, state, dt, …) whose new state is at t + dt and has all other parts of the state."""
 
     @functools.wraps(method)
-    def timed(step: Any, state: State, dt: Array, *more: Array) -> tuple[Any, ...]:
+    def timed(step: Step, state: State, dt: Array, *more: Array) -> _Report:
         if step.own_time and state.t is None:
             raise ValueError(f"{step.name} advances the time, which this state lacks: take step.start(state)")
         end, *report = method(step, state, dt, *more)
@@ -49,11 +52,11 @@ def _on_time(method: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any,
     return timed
 
 
-def _finite_or_flagged(method: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any, ...]]:
+def _finite_or_flagged(method: Callable[..., _Report]) -> Callable[..., _Report]:
     """A method (step, state, dt, …) that reports `converged` only of a state that is finite."""
 
     @functools.wraps(method)
-    def flagged(*arguments: Any) -> tuple[Any, ...]:
+    def flagged(*arguments: PyTree) -> _Report:
         end, info, *tangents = method(*arguments)
         return end, info._replace(converged=info.converged & all_finite(end)), *tangents
 
@@ -81,7 +84,7 @@ class Step(abc.ABC):
     order: float
     symmetric: bool
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
         if "__call__" in vars(cls):
             cls.substep = _in_one_type(_on_time(cls.__call__))
@@ -127,6 +130,11 @@ class Step(abc.ABC):
     def approximate(self) -> bool:
         """Whether fewer iterations were asked for than convergence takes: a run reports the residual, and goes on."""
         return False
+
+    @property
+    def deterministic(self) -> Step | None:
+        """Of a step with noise, the step that is left without it and friction; None of all others."""
+        return None
 
     def start(self, state: State) -> State:
         """`state` with what else the states of this step carry, as it is at the start of a run; here nothing."""
@@ -187,7 +195,7 @@ def _check_motion_defined(system: System, state: State) -> None:
         )
 
 
-def checked_step(step: Any) -> Step:
+def checked_step(step: object) -> Step:
     """`step`; ValueError if it is none, which says how to make one."""
     if isinstance(step, Step):
         return step
@@ -198,7 +206,7 @@ def checked_step(step: Any) -> Step:
     )
 
 
-def promoted(step: _T, state: State) -> tuple[_T, State, Any]:
+def promoted(step: _T, state: State) -> tuple[_T, State, np.dtype]:
     """`step` and `state` with all their real numbers in one floating-point type, the widest among them, and that type.
 
     Raises:
@@ -211,7 +219,7 @@ def promoted(step: _T, state: State) -> tuple[_T, State, Any]:
     if state.extra is not None and not isinstance(state.extra, dict):
         raise ValueError(f"state.extra must be a dict of arrays or None, got {type(state.extra).__name__}")
     given = {name: x for name, x in state._asdict().items() if name != "extra" and x is not None}
-    found: dict[str, Any] = {name: real_array(f"state.{name}", x, finite=False) for name, x in given.items()}
+    found: dict[str, PyTree] = {name: real_array(f"state.{name}", x, finite=False) for name, x in given.items()}
     if state.extra is not None:
         named = state.extra.items()
         found["extra"] = {name: real_array(f'state.extra["{name}"]', x, finite=False) for name, x in named}
@@ -225,16 +233,16 @@ def promoted(step: _T, state: State) -> tuple[_T, State, Any]:
     return step, State(**jax.tree.map(lambda leaf: leaf.astype(dtype), found)), dtype
 
 
-def start_time(step: Step, state: State) -> Array | None:
+def start_time(step: Step, state: State) -> Time | None:
     """The t₀ from which the times t₀ + nΔt of a run follow; None where there is none, or the step has its own time."""
     return None if step.own_time else state.t
 
 
-def _is_real(leaf: Any) -> bool:
+def _is_real(leaf: ArrayLike) -> bool:
     return jnp.issubdtype(jnp.result_type(leaf), jnp.floating)
 
 
 @partial(compiled, once=True)
-def converges(step: Step, state: State, dt: ArrayLike) -> Array:
+def converges(step: Step, state: State, dt: ArrayLike) -> Flag:
     """Whether a step converges. Compiled, so that a step of the same structure is checked without tracing it again."""
     return step(state, dt)[1].converged

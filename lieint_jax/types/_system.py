@@ -10,6 +10,7 @@ from jax import Array
 
 from lieint_jax.types._group import PhaseSpace
 from lieint_jax.types._state import State
+from lieint_jax.types.shapes import MomentumMap, Scalar
 
 
 class System(abc.ABC):
@@ -21,11 +22,11 @@ class System(abc.ABC):
         """Its phase space, which has the symplectic form."""
 
     @abc.abstractmethod
-    def energy(self, state: State, /) -> Array:
+    def energy(self, state: State, /) -> Scalar:
         """H, a scalar."""
 
     @abc.abstractmethod
-    def momentum(self, state: State, /) -> Array:
+    def momentum(self, state: State, /) -> MomentumMap:
         """The momentum map of the symmetries that are known, (k,); (0,) if there are none."""
 
     @abc.abstractmethod
@@ -49,7 +50,7 @@ def time_derivative(system: System, state: State) -> State:
     return rest._replace(**moved | ({} if state.t is None else {"t": jnp.ones_like(state.t)}))
 
 
-def energy_less_work(system: System, state: State) -> Array:
+def energy_less_work(system: System, state: State) -> Scalar:
     """H − W, a scalar, which is conserved: W is `state.work`, 0 if it is not counted."""
     energy = system.energy(state)
     return energy if state.work is None else energy - state.work

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import abc
+import functools
+import re
 from typing import Any, NamedTuple
 
 import jax
@@ -62,14 +64,21 @@ class Law(abc.ABC):
     Attributes:
         frame: the axes of the torque that `mean` returns, "body" or "space".
         key: the name of the internal state in `State.extra`, or None.
+        reads: the key of another law, whose internal state `mean` is given (its mean in the step), or None.
         symmetric: whether a step of −Δt undoes one of Δt.
         internal: whether it exchanges momentum with the internal state only, so that the total is conserved.
     """
 
     frame: str = "body"
     key: str | None = None
+    reads: str | None = None
     symmetric: bool = True
     internal: bool = False
+
+    @property
+    def label(self) -> str:
+        """The name of the law where its work is listed, such as "gravity_gradient"."""
+        return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", type(self).__name__).lower()
 
     @abc.abstractmethod
     def mean(self, rotation: Rotation, inner: Array | None) -> tuple[Array, Array | None]:
@@ -94,8 +103,8 @@ class Law(abc.ABC):
 
     def __call__(self, t: Array, q: Array, velocity: Array) -> Array:
         """The torque at one instant, of a law without an internal state, (3,); velocity in the axes of `frame`."""
-        if self.key is not None:
-            raise ValueError(f'{type(self).__name__} depends on its internal state, State.extra["{self.key}"]')
+        if (key := self.key or self.reads) is not None:
+            raise ValueError(f'{type(self).__name__} depends on an internal state, State.extra["{key}"]')
         zero = jnp.zeros((), q.dtype)
         return self.mean(Rotation(t, zero, q, q, q, jnp.zeros_like(velocity), zero + 1, velocity, velocity), None)[0]
 
@@ -112,6 +121,14 @@ class Function(Law):
 
     function: Any
     frame: str = static(default="body")  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    @property
+    def label(self) -> str:
+        function = self.function
+        while isinstance(function, functools.partial):  # such as a `jax.tree_util.Partial`
+            function = function.func
+        name = getattr(function, "__name__", type(function).__name__)
+        return "function" if name == "<lambda>" else name
 
     def mean(self, rotation: Rotation, inner: Array | None) -> tuple[Array, Array | None]:
         return self.function(rotation.t, rotation.q_mid, rotation.velocity(self.frame)), inner
@@ -149,6 +166,13 @@ def total(laws: Any) -> Total:
     return Total(flat)
 
 
+def labels(system: Any) -> list[str]:
+    """The labels of the laws of a system, with a number where several have the same; none if it has no laws."""
+    names = [law.label for law in getattr(system, "laws", ())]
+    counted = [names[: k + 1].count(name) for k, name in enumerate(names)]
+    return [name if count == 1 else f"{name}_{count}" for name, count in zip(names, counted, strict=True)]
+
+
 def parts(law: Any) -> tuple[Law, ...]:
     """The laws that a law adds up; a function is one."""
     if isinstance(law, Total):
@@ -178,5 +202,7 @@ def instant(law: Law, t: Array, q: Array, Omega: Array, omega: Array, inner: Any
         return law.mean(rotation, inner)
 
     zero = jnp.zeros((), q.dtype)
+    if law.key is None:
+        return advanced(zero)[0], None
     (torque, _), (_, rate) = jax.jvp(advanced, (zero,), (zero + 1,))
     return torque, rate

@@ -18,12 +18,13 @@ from lieint_jax.app.command import cli
 PAGES = Path(__file__).parents[2] / "docs" / "pages"
 TEXTS = {path.relative_to(PAGES).as_posix(): path.read_text(encoding="utf-8") for path in sorted(PAGES.rglob("*.md"))}
 PYTHON = {name: blocks(text, "python", "text") for name, text in TEXTS.items() if blocks(text, "python")}
-LONG = {  # dear pages, which run in shards
+LONG = {  # expensive pages, which run in shards
     "faq.md",
     "install.md",
     "why.md",
-    *(f"howto/{x}.md" for x in ("bodies", "chaos", "fits", "group", "output", "potential")),
-    *(f"howto/{x}.md" for x in ("scheme", "system", "torque")),
+    *(f"howto/{x}.md" for x in ("bodies", "chaos", "fits", "group", "output", "potential", "shape")),
+    *(f"howto/{x}.md" for x in ("sampling", "satellite", "scheme", "system", "tides", "torque")),
+    *(f"howto/{x}.md" for x in ("covariance", "equilibria", "kalman", "optimal_control")),
     "tutorials/own_flyby.md",
 }
 

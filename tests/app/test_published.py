@@ -10,9 +10,11 @@ from lieint_jax.app import published
 BOUNDS = {  # what is observed, in the order of the published quantities
     "NASA JEOD": {"position, m": 2e-5, "attitude matrix": 1e-11, "rates, rad/s": 1e-14},
     "NASA, tumbling brick": {"rates": 6e-10},  # 2.9e-10
-    "Basilisk, free spacecraft": {"MRP": 5e-10},  # 1.6e-10: half a unit of the last digit
+    "Basilisk, free spacecraft": {"MRP": 5e-10},  # 1.6e-10 and 4.97e-10: half a unit of the last digit
     "Basilisk, three balanced": {"MRP": 5e-11},  # 8e-12
-    "kynema": {"displacement": 2.5e-6, "quaternion": 2.5e-6},  # 1.2e-6, the error of theirs
+    "Basilisk, constant torque": {"MRP": 4.5e-7},  # 4.06e-7, the error of theirs: see test_published_misfits.py
+    "kynema, heavy top": {"displacement": 2.5e-6, "quaternion": 2.5e-6},  # 1.2e-6, the error of theirs
+    "kynema, precession": {"quaternion": 1.6e-3},  # 1.55e-3, the error of theirs: see test_published_misfits.py
 }
 CASES = {case.code: case for case in published.cases()}
 
@@ -31,7 +33,7 @@ def test_numbers_of_other_codes_are_reproduced(code):
 
 
 def test_every_case_names_its_source_and_its_limit():
-    assert len(CASES) >= 5
+    assert len(CASES) >= 9
     for case in CASES.values():
         assert "@" in case.source or "20" in case.source
         assert case.limit

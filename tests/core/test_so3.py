@@ -213,3 +213,66 @@ def _turned(q, v):
 def test_angle_is_the_length_of_the_logarithm(q, v):
     angle, log = map(np.asarray, _turned(q, v))
     same(angle, np.linalg.norm(log), 64 * EPS)
+
+
+SEQUENCES = [a + b + c for a in "xyz" for b in "xyz" for c in "xyz" if a != b != c]
+
+
+def test_euler_angles_of_all_sequences_against_scipy():
+    """There, and back to the same angles in their ranges; observed 9e-16."""
+    from scipy.spatial.transform import Rotation
+
+    random = np.random.default_rng(0)
+    for sequence in (*SEQUENCES, *map(str.upper, SEQUENCES)):
+        angles = random.uniform(-np.pi, np.pi, 3)
+        angles[1] = random.uniform(0.1, 3) if sequence[0] == sequence[2] else random.uniform(-1.5, 1.5)
+        q = so3.from_euler(jnp.asarray(angles), sequence)
+        expected = np.roll(Rotation.from_euler(sequence, angles).as_quat(), 1)
+        assert abs(np.asarray(q) @ expected) == pytest.approx(1, abs=1e-14)
+        same(so3.to_euler(q, sequence), angles, 1e-13)
+        same(so3.to_euler(-q, sequence), angles, 1e-13)
+
+
+def test_euler_angles_where_only_a_sum_is_determined():
+    """They give the same attitude again, with finite derivatives."""
+    for sequence, middle in (("ZXZ", 0.0), ("zyz", np.pi), ("ZYX", np.pi / 2), ("xyz", -np.pi / 2)):
+        q = so3.from_euler(jnp.array([0.4, middle, 0.3]), sequence)
+        again = so3.from_euler(so3.to_euler(q, sequence), sequence)
+        assert abs(float(q @ again)) == pytest.approx(1, abs=1e-14)
+        assert np.isfinite(jax.jacfwd(lambda q, s=sequence: so3.to_euler(q, s))(q)).all()
+
+
+@pytest.mark.parametrize("sequence", ["ZZX", "ZXX", "Zxz", "abc", "zx", 3])
+def test_another_sequence_is_refused(sequence):
+    with pytest.raises(ValueError, match="sequence must be three axes of which neighbors differ"):
+        so3.from_euler(jnp.zeros(3), sequence)
+
+
+def test_modified_rodrigues_parameters():
+    """tan(φ/4) along the axis, of the shorter rotation; its shadow −σ/|σ|² is the same attitude."""
+    e, angle = np.array([0.48, -0.6, 0.64]), 2.7
+    q = so3.exp(jnp.asarray(angle * e))
+    sigma = so3.to_mrp(q)
+    same(sigma, np.tan(angle / 4) * e)
+    same(so3.to_mrp(-q), sigma)
+    same(so3.from_mrp(sigma), q)
+    same(so3.from_mrp(-sigma / (sigma @ sigma)), -q)
+    same(jax.jacfwd(so3.from_mrp)(jnp.zeros(3)), [[0, 0, 0], [2, 0, 0], [0, 2, 0], [0, 0, 2]])
+
+
+def test_a_scipy_rotation_is_an_attitude():
+    """Recognized by its methods; scipy puts the scalar part last."""
+    from scipy.spatial.transform import Rotation
+
+    import lieint_jax as li
+
+    turn = Rotation.from_euler("ZXZ", [0.3, 0.5, -0.2])
+    body = li.systems.rigid_body([1.0, 2.0, 3.0])
+    same(body.rotation_matrix(body.state(turn, angular_velocity=[0.0, 0, 1])), turn.as_matrix())
+    several = Rotation.from_euler("ZXZ", [[0.3, 0.5, -0.2], [1.0, 0.2, 0.4]])
+    two = li.systems.rigid_bodies([1.0, 2.0], [[1.0, 2, 2.5]] * 2, li.potentials.point_masses(1.0, [1.0, 2.0]))
+    same(two.state([[0.0, 0, 0], [3.0, 0, 0]], several).q[:, 3:], np.roll(several.as_quat(), 1, axis=1))
+    with pytest.raises(ValueError, match=r"one scipy Rotation, got shape \(2, 4\)"):
+        body.state(several, angular_velocity=[0.0, 0, 1])
+    with pytest.raises(ValueError, match=r"Euler angles: so3\.from_euler"):
+        body.state([0.1, 0.2, 0.3], angular_velocity=[0.0, 0, 1])

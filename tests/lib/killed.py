@@ -1,6 +1,7 @@
-"""Runs of some seconds into a store, to be killed and resumed: python tests/lib/killed.py CASE PATH PAUSE.
+"""Runs of some seconds into a store, to be killed and resumed: python tests/lib/killed.py CASE PATH PAUSE [K N].
 
-Each file waits PAUSE seconds for the disk, so that most kills come while a commit is written, on any machine.
+Each file waits PAUSE seconds for the disk, so that most kills come while a commit is written, on any machine. With K
+and N it is part K of N; PATH may be a URL.
 """
 
 import os
@@ -69,14 +70,16 @@ def own_time(steps):
 CASES = {"driven": (driven, 120_000), "bodies": (bodies, 120_000), "own_time": (own_time, 120_000)}
 
 
-def main(case, path, pause):
+def main(case, path, pause, *part):
     sync = os.fsync
     os.fsync = lambda descriptor: (time.sleep(float(pause)), sync(descriptor))[1]
     jax.config.update("jax_enable_x64", True)
     _job.Job.buffer_rows = lambda self, across: 100  # pyright: ignore[reportAttributeAccessIssue]
     make, steps = CASES[case]
     step, states, options = make(steps)
-    li.ensemble.run(step, states, store=path, resume=True, progress=False, **options)
+    _job.Job.bucket_rows = lambda self, across: 1000  # pyright: ignore[reportAttributeAccessIssue]
+    numbers = tuple(map(int, part)) or None
+    li.ensemble.run(step, states, store=path, resume=True, progress=False, part=numbers, **options)
 
 
 if __name__ == "__main__":

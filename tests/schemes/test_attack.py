@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 import lieint_jax as li
 from lieint_jax import State, maps, schemes, systems
 from lieint_jax.types import (
+    AbstractDissipativeBodies,
     AbstractDrivenGyrostat,
     AbstractGyrostat,
     AbstractIncompressibleBody,
@@ -212,6 +213,13 @@ def _binary(rng, B):
     return (m, J, G), (q, p), dt
 
 
+def _rubbing(rng, B):
+    """Friction from a billionth of what stops a body in a step to three times that, and a state that counts it."""
+    (m, J, G), (q, p), dt = _binary(rng, B)
+    strength = 10 ** rng.uniform(-9, 0.5, B) * m.min(1) / abs(dt)
+    return (m, J, G, strength), (q, p, np.zeros(B), np.zeros(B)), dt
+
+
 def _molecules(rng, B):
     """Two charged bodies with a Lennard-Jones core at their centers, up to as close as 0.7 of its size."""
     m, J, G, q, p, dt = _bodies(rng, B, 3)
@@ -310,6 +318,19 @@ def binary(make):
     return lambda m, J, G: make(systems.rigid_bodies(m, J, li.potentials.maccullagh(G, m, J)))
 
 
+def rub(strength, r, v, omega_i, omega_j):
+    """Friction between surfaces that meet a third of the way, and of one rotation against the other."""
+    arm = r / 3
+    f = -strength * (v - jnp.cross(omega_i, arm) - jnp.cross(omega_j, r - arm))
+    more = strength * jnp.dot(r, r) * (omega_j - omega_i)
+    return f, more - jnp.cross(arm, f), -more - jnp.cross(r - arm, f)
+
+
+def rubbing(m, J, G, strength):
+    law = jax.tree_util.Partial(rub, strength)
+    return schemes.bodies_energy_momentum(systems.rigid_bodies(m, J, li.potentials.maccullagh(G, m, J), law))
+
+
 def molecules(make):
     """Charges off the centers, by a tenth of the distance at which the cores touch."""
 
@@ -376,6 +397,7 @@ ATTACKS = {  # how cases are made, and the step of one; which invariants: the en
     "nystrom, binary": (_binary, binary(lambda b: schemes.nystrom(b, 6)), "P"),
     "kepler_splitting, binary": (_binary, binary(schemes.kepler_splitting), "P"),
     "bodies_energy_momentum, binary": (_binary, binary(schemes.bodies_energy_momentum), "HP"),
+    "bodies_energy_momentum, friction": (_rubbing, rubbing, "HP"),
     "splitting, molecules": (_molecules, molecules(schemes.splitting), "P"),
     "bodies_energy_momentum, molecules": (_molecules, molecules(schemes.bodies_energy_momentum), "HP"),
 }
@@ -427,7 +449,7 @@ def distance(a, b):
 
 def spun(system, state, after, dt):
     """√ of the largest ratio of moments of inertia; the largest angle or relative distance a body goes in a step."""
-    if isinstance(system, AbstractRigidBodies):
+    if isinstance(system, AbstractRigidBodies | AbstractDissipativeBodies):
         going, spins = (jnp.maximum(jnp.abs(state.p[:, k]), jnp.abs(after.p[:, k])) for k in (slice(3), slice(3, 6)))
         apart = jnp.linalg.norm(state.q[1, :3] - state.q[0, :3])
         gone = jnp.max(going / system.masses[:, None]) / apart

@@ -249,6 +249,8 @@ def test_every_system_declares_what_it_is():
         types.AbstractDrivenGyrostat,
         types.AbstractTorquedBody,
         types.AbstractDampedBody,
+        types.AbstractDissipativeBodies,
+        types.AbstractViscousBody,
     )
     for name, (system, _, _) in systems():
         assert isinstance(system, types.System), name

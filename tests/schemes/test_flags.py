@@ -10,7 +10,7 @@ import pytest
 import lieint_jax as li
 from lieint_jax import State, maps, schemes
 from lieint_jax._numerics import newton, vec3
-from lieint_jax.schemes._so3_midpoint import gyration, gyration_matrix
+from lieint_jax.schemes._shared.vector_form import gyration, gyration_matrix
 from lieint_jax.types import Step, StepInfo
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])

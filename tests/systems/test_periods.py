@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.special import ellipk
 
+import lieint_jax as li
 from lieint_jax import _free_body, systems
 from lieint_jax.groups import so3
 
@@ -133,3 +134,57 @@ def test_derivatives_in_inertia_and_state():
         h = 1e-5 * np.eye(9)
         slopes = np.stack([(value(x + e) - value(x - e)) / 2e-5 for e in h], axis=1)
         np.testing.assert_allclose(forward, slopes, rtol=0, atol=3e-8 * abs(slopes).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("long_axis", [False, True])
+def test_a_state_of_given_periods_has_them(long_axis):
+    """Principal moments in any order and a tensor, from a wobble to near the separatrix; there 1.2e-11."""
+    turn = np.asarray(so3.to_matrix(so3.exp(jnp.array([0.3, -0.5, 0.4]))))
+    moments = np.roll(APOPHIS, 1)
+    for J in (moments, turn @ np.diag(moments) @ turn.T):
+        body = systems.rigid_body(J)
+        for ratio in (2.5, 9.59, 30.0) if long_axis else (8.0, 9.59, 30.0):
+            state = body.state_from_periods(precession=27.38, rotation=27.38 * ratio, long_axis=long_axis)
+            found = body.periods(state)
+            np.testing.assert_allclose(found[:2], [27.38, 27.38 * ratio], rtol=5e-11)
+            assert bool(found.long_axis) == long_axis
+
+
+@pytest.mark.long
+def test_the_derivative_of_a_state_by_its_periods_is_inverse_to_theirs():
+    """∂(periods)/∂(state) ∂(state)/∂(periods) = 1, and nothing for the inertia, whose periods are held."""
+    given = jnp.asarray([*APOPHIS, 27.38, 263.0])
+
+    def again(x):
+        body = systems.rigid_body(x[:3])
+        return jnp.stack(body.periods(body.state_from_periods(precession=x[3], rotation=x[4], long_axis=False))[:2])
+
+    slopes = jax.jit(jax.jacfwd(again))(given)
+    np.testing.assert_allclose(slopes[:, 3:], np.eye(2), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(slopes[:, :3], 0, rtol=0, atol=1e-6)
+
+
+def test_periods_that_no_motion_has_are_refused():
+    body = systems.rigid_body(APOPHIS)
+    with pytest.raises(
+        ValueError, match=r"rotation/precession must be above 6\.\d+, that of a small wobble, in the short"
+    ):
+        body.state_from_periods(precession=10.0, rotation=20.0, long_axis=False)
+    with pytest.raises(ValueError, match="has no long-axis mode"):
+        systems.rigid_body([1.0, 1.0, 2.0]).state_from_periods(precession=1.0, rotation=20.0, long_axis=True)
+    with pytest.raises(ValueError, match="long_axis must be True"):
+        body.state_from_periods(precession=1.0, rotation=20.0, long_axis="long")  # pyright: ignore
+
+
+def test_the_periods_of_a_run():
+    """Constant in free motion; of a body with torques they are those of the moment."""
+    body = systems.rigid_body(APOPHIS)
+    state = body.state_from_periods(precession=27.38, rotation=263.0, long_axis=False)
+    run = li.integrate(li.schemes.exact(body), state, 1.0, 20)
+    found = run.periods(body)
+    np.testing.assert_allclose(found.rotation, np.full(21, 263.0), rtol=1e-11)
+    np.testing.assert_allclose(found.precession, np.full(21, 27.38), rtol=1e-12)
+    assert not found.long_axis.any()
+    with pytest.raises(ValueError, match="must have periods"):
+        run.periods(li.systems.pendulum(1.0, 1.0))

@@ -252,6 +252,28 @@ def test_water_has_the_published_geometry_and_dipole(model, to_m, dipole, size, 
     np.testing.assert_allclose(molecule.charges.sum(), 0, rtol=0, atol=1e-15)
 
 
+def test_a_molecule_from_its_sites():
+    """Water in other axes and from another origin: the same moments and distances; and what is refused."""
+    water = potentials.water("TIP4P")
+    masses = np.array([15.9994, 1.008, 1.008, 0.0])
+    R = np.array(so3.to_matrix(so3.exp(jnp.array([0.3, -0.5, 0.8]))))
+    other = potentials.molecule(masses, water.points @ R.T + [1, 2, 3], water.charges, water.wells, sizes=water.sizes)
+    np.testing.assert_allclose(np.sort(other.inertia), np.sort(water.inertia), rtol=1e-13)
+    products = (masses[:, None] * other.points).T @ other.points
+    np.testing.assert_allclose(products - np.diag(np.diag(products)), 0, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(masses @ other.points, 0, rtol=0, atol=1e-14)
+    distances = [np.linalg.norm(x.points[:, None] - x.points, axis=2) for x in (water, other)]
+    np.testing.assert_allclose(distances[0], distances[1], rtol=0, atol=1e-15)
+    for arguments, sentence in (
+        (([1.0, 1.0], [[0, 0, 0], [0, 0, 1]]), "must not lie on one line"),
+        (([1.0, -1.0], [[0, 0, 0], [0, 0, 1]]), "masses must be finite and ≥ 0"),
+        (([1.0], [[0, 0]]), "points \\(n, 3\\) are needed"),
+        ((masses, water.points, water.charges, water.wells), "sizes must be positive where wells are"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            potentials.molecule(*arguments)
+
+
 def test_the_tip4p_dimer():
     """Its energy least by minimization: −26.04 kJ/mol are published (Jorgensen 1983), found are −26.09."""
     V = WATER.potential(2)

@@ -130,9 +130,10 @@ def _add_run(commands: Any) -> None:
     run.add_argument("scenario", metavar="SCENARIO", help="a shipped scenario (lieint list shows them) or a .toml file")
     run.add_argument(
         "--out",
-        type=Path,
+        type=_address,
         metavar="PATH",
-        help="where to write results: NAME.npz at the end, with pictures beside it, or NAME.zarr while the run goes on",
+        help="where to write results: NAME.npz at the end, with pictures beside it, or NAME.zarr while the run goes "
+        "on, which may be s3://BUCKET/NAME.zarr (gs://, az://)",
     )
     run.add_argument("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
     run.add_argument("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
@@ -141,6 +142,12 @@ def _add_run(commands: Any) -> None:
     run.add_argument("--no-certificate", action="store_true", help="do not measure what the scheme conserves")
     run.add_argument("--no-pictures", action="store_true", help="draw none; lieint plot PATH draws them later")
     run.add_argument("--devices", type=_positive, metavar="N", help="devices to use; on a CPU, if not told, one a core")
+    run.add_argument(
+        "--part",
+        metavar="K/N",
+        help="only part K = 0 ... N-1 of the members, one of N independent processes that fill one NAME.zarr; auto: "
+        "the task of a job array (SLURM, AWS Batch, ...); auto/N where the array does not report N (Kubernetes)",
+    )
     run.add_argument("--distributed", action="store_true", help="one of many processes, as srun or mpirun start them")
     run.add_argument("--coordinator", metavar="HOST:PORT", help="with --distributed and no srun: the first process")
     run.add_argument("--processes", type=_positive, metavar="N", help="… how many there are")
@@ -155,10 +162,10 @@ def _add_list(commands: Any) -> None:
 
 def _add_results(commands: Any) -> None:
     info = commands.add_parser("info", help="what a file of results holds", description="Look into results.")
-    info.add_argument("path", type=Path, metavar="PATH")
+    info.add_argument("path", type=_address, metavar="PATH", help="NAME.npz, or NAME.zarr by its path or URL")
     info.set_defaults(command=_info)
     plot = commands.add_parser("plot", help="report on results and draw them", description="Pictures of results.")
-    plot.add_argument("path", type=Path, metavar="PATH")
+    plot.add_argument("path", type=_address, metavar="PATH", help="NAME.npz, or NAME.zarr by its path or URL")
     plot.add_argument("--out", type=Path, metavar="DIR", help="folder of the pictures (default: that of PATH)")
     plot.add_argument("--force", action="store_true", help="replace pictures that exist")
     plot.set_defaults(command=_plot)
@@ -210,6 +217,18 @@ def _add_paper(commands: Any) -> None:
     study.set_defaults(command=_study)
 
 
+def _address(text: str) -> Any:
+    """The path or URL of results."""
+    if "://" not in text:
+        return Path(text)
+    from lieint_jax.ensemble import archives
+
+    try:
+        return archives.address(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
 def _positive(text: str) -> int:
     value = int(text)
     if value < 1:
@@ -226,6 +245,11 @@ def _run(options: argparse.Namespace) -> None:
     apart = (options.coordinator, options.processes, options.process)
     if not options.distributed and any(x is not None for x in apart):
         raise ValueError("--coordinator, --processes and --process go with --distributed")
+    part = None
+    if options.part is not None:
+        if options.distributed:
+            raise ValueError("--part is for independent processes, --distributed for those that start together")
+        part = ensemble.part_of_text(options.part)
     if options.members is None and options.steps is None and not options.distributed:
         listing.announce(f"run {options.scenario}")
     if options.devices or not options.distributed:
@@ -244,6 +268,7 @@ def _run(options: argparse.Namespace) -> None:
             options.save_at,
             certificate=not options.no_certificate,
             pictures=not options.no_pictures,
+            part=part,
         )
     except processes.LostProcess as error:
         processes.leave(f"lieint: {error}")

@@ -12,14 +12,17 @@ import numpy as np
 
 from lieint_jax.app import plots
 from lieint_jax.ensemble import archives
+from lieint_jax.ensemble.archives import Address, Url
 from lieint_jax.types import Trajectory
 
 
-def free(path: Path, kinds: Iterable[str] = (), resume: bool = False) -> Path:
+def free(path: Address, kinds: Iterable[str] = (), resume: bool = False) -> Address:
     """`path`, checked: it ends in .npz or .zarr, neither it nor its pictures exist, and its folder is writable.
 
-    With `resume`, a .zarr may exist.
+    With `resume`, a .zarr may exist. What is at a URL, the run itself finds out.
     """
+    if isinstance(path, Url):
+        return path
     if path.suffix not in archives.SUFFIXES:
         raise ValueError(f"results are written as .npz or .zarr, got {path}")
     if resume and path.suffix != ".zarr":
@@ -48,8 +51,13 @@ def pictures(path: Path, kinds: Iterable[str]) -> list[Path]:
     return [file for kind in kinds for file in plots.files(picture(path, kind))]
 
 
-def in_folder(path: Path, folder: Path | None) -> Path:
-    """`path`, moved to `folder` if there is one, which must exist: what the pictures of results are named after."""
+def in_folder(path: Address, folder: Path | None) -> Path:
+    """`path`, moved to `folder` if there is one, which must exist: what the pictures of results are named after.
+
+    Those of a URL are in this folder.
+    """
+    if isinstance(path, Url):
+        path = Path(path.name)
     if folder and not folder.is_dir():
         raise ValueError(f"the folder {folder} does not exist; make it first")
     return folder / path.name if folder else path
@@ -82,16 +90,17 @@ def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:
         )
 
 
-def load(path: Path) -> tuple[Any, dict[str, Any]]:
+def load(path: Address, thorough: bool | None = None) -> tuple[Any, dict[str, Any]]:
     """A run and its metadata: the run that `save` wrote, or the complete part of a store.
 
-    For the form of a store's results see `ensemble.archives.load_store`.
+    For the form of a store's results, and `thorough`, see `ensemble.archives.load_store`.
 
     Raises:
         ValueError: a damaged store, and then which file, and what can still be read; or no file of results.
     """
     if path.suffix == ".zarr":
-        return archives.load_store(path)
+        return archives.load_store(path, thorough)
+    assert not isinstance(path, Url)
     found = archives.open_archive(path)
     return archives.read_trajectory(found), found.metadata
 
@@ -106,13 +115,15 @@ def numbers(path: Path) -> list[float]:
         raise ValueError(f"{path} must hold one number a line: {error}") from error
 
 
-def size(path: Path) -> int:
-    """The number of bytes of a file, or of all files of a folder."""
+def size(path: Address) -> int:
+    """The number of bytes of a file, or of all files of a folder or below a URL."""
+    if isinstance(path, Url):
+        return sum(archives.open_storage(path).sizes().values())
     files = [path] if path.is_file() else [f for f in path.rglob("*") if f.is_file()]
     return sum(f.stat().st_size for f in files)
 
 
-def megabytes(path: Path) -> str:
+def megabytes(path: Address) -> str:
     """The size of results, to print."""
     return f"{size(path) / 1e6:.3g} MB"
 

@@ -15,14 +15,15 @@ from lieint_jax.app.command import files, pictures
 from lieint_jax.app.command.pictures import StoredRun
 from lieint_jax.app.scenarios._common import Common
 from lieint_jax.app.scenarios._runs import POINTS
-from lieint_jax.ensemble.archives import UnreadableError, check_system, system_from_store
+from lieint_jax.ensemble.archives import Address, UnreadableError, check_system, system_from_store
 from lieint_jax.types import Step, Trajectory, energy_less_work
 
 _SHOWN = 2**28  # the most bytes of a store that are read to draw it
+_NAMED = 50  # incomplete parts in a description
 _TIMES, _BLOCK = 17, 8192  # saved times at which energies are measured, and members at once
 
 
-def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
+def plot(path: Address, out: Path | None = None, force: bool = False) -> None:
     """Report on a file of results and draw it: the pictures of its scenario, or those of a run of any system.
 
     A scenario's own are of states that are saved every so many steps, so a run with `save_at` has the others.
@@ -44,7 +45,7 @@ def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
     print(f"\nwritten: {', '.join(map(str, drawn))}")
 
 
-def _plot_scenario(scenario: Common, run: Trajectory, path: Path, plain: Path, force: bool) -> list[Path]:
+def _plot_scenario(scenario: Common, run: Trajectory, path: Address, plain: Path, force: bool) -> list[Path]:
     kind, members = scenarios.kind(scenario), scenario.members
     files.free_pictures(files.pictures(plain, kind.PICTURES), force)
     shown = slice(_count_drawn(run))
@@ -88,7 +89,7 @@ def _times(run: Any) -> Any:
     return run.t if isinstance(run, Trajectory) else run["time"]
 
 
-def _scenario(path: Path, metadata: dict[str, Any]) -> Any:
+def _scenario(path: Address, metadata: dict[str, Any]) -> Any:
     """The scenario of results, or None if they have none of `lieint run`."""
     table = _table(metadata)
     return scenarios.parse(table, str(path)) if "system" in table else None
@@ -100,14 +101,14 @@ def _table(metadata: dict[str, Any]) -> dict[str, Any]:
     return table if isinstance(table, dict) else {}
 
 
-def _title(path: Path, metadata: dict[str, Any]) -> str:
+def _title(path: Address, metadata: dict[str, Any]) -> str:
     """The title that a run was given; else, in place of its scheme, the system and the file."""
     if metadata["title"] != metadata["scheme"]:
         return str(metadata["title"])
     return f"{re.sub(r'(?<=[a-z])(?=[A-Z])', ' ', metadata['system']).capitalize()}, {path.name}"
 
 
-def stored_run(path: Path, run: Any, metadata: dict[str, Any]) -> StoredRun:
+def stored_run(path: Address, run: Any, metadata: dict[str, Any]) -> StoredRun:
     """A run with its system, which a store has, or else its scenario; ValueError if the system is not known."""
     scenario = None if "description" in metadata else _scenario(path, metadata)
     if scenario:
@@ -132,10 +133,10 @@ def _time_unit(metadata: dict[str, Any]) -> str:
     return "" if unit == "1" else unit
 
 
-def contents(path: Path, run: Any = None, metadata: Any = None) -> str:
+def contents(path: Address, run: Any = None, metadata: Any = None) -> str:
     """A description of a file of results, in lines."""
     if run is None:
-        run, metadata = files.load(path)
+        run, metadata = files.load(path, thorough=True)
     lines = [str(metadata.get("title") or _table(metadata).get("title", path)), *_origin(run, metadata)]
     t = _times(run)
     if not len(t):
@@ -143,7 +144,9 @@ def contents(path: Path, run: Any = None, metadata: Any = None) -> str:
     lines.append(f"  t = {t[0]:.6g} … {t[-1]:.6g} {_time_unit(metadata)}".rstrip())
     if not isinstance(run, Trajectory):
         return "\n".join([*lines, *_changes(run, metadata["reduce"])])
-    if len(t) > 1:
+    if metadata.get("missing"):
+        lines.append("  energies are not computed: the run is incomplete")
+    elif len(t) > 1:
         try:
             lines += _conservation(stored_run(path, run, metadata))
         except UnreadableError:
@@ -163,7 +166,8 @@ def _origin(run: Any, metadata: dict[str, Any]) -> list[str]:
     planned, dt = metadata["num_steps"], metadata["dt"]
     sizes = "between given times" if dt is None else f"of {dt:.6g} {_time_unit(metadata)}".rstrip()
     entries = metadata.get("num_entries") or planned // metadata["save_every"] + 1
-    state = "complete" if progress["complete"] else f"{progress['steps']} of {planned} steps; --resume goes on"
+    more = "; --resume goes on" if "parts" not in metadata else ""
+    state = "complete" if progress["complete"] else f"{progress['steps']} of {planned} steps{more}"
     versions = ", ".join(f"{name} {version}" for name, version in metadata["run"]["versions"].items())
     written = metadata["run"]
     how = "machine code" if written.get("engine") == "native" else f"XLA, {written['compiler_options']}"
@@ -171,6 +175,18 @@ def _origin(run: Any, metadata: dict[str, Any]) -> list[str]:
         f"  {metadata['scheme']} · {metadata['system']}, {metadata['members']} member(s), {planned} steps {sizes}",
         f"  {state}: {len(_times(run))} of {entries} entries",
         f"  written by {versions} on {written['device']}, {how}",
+        *_parts(metadata),
+    ]
+
+
+def _parts(metadata: dict[str, Any]) -> list[str]:
+    """A line for each part of a store that is missing, damaged or incomplete."""
+    if "parts" not in metadata:
+        return []
+    missing = metadata["missing"]
+    return [
+        f"  {metadata['parts'] - len(missing)} of {metadata['parts']} part(s) complete",
+        *(f"  {x}" for x in missing),
     ]
 
 

@@ -4,8 +4,14 @@
 """
 
 from lieint_jax.app.published._case import Case, Comparison
-from lieint_jax.app.published._free_bodies import basilisk_free_body, tumbling_brick
-from lieint_jax.app.published._gravity_gradient import jeod_gravity_gradient
+from lieint_jax.app.published._constant_torque import basilisk_constant_torque
+from lieint_jax.app.published._free_bodies import (
+    basilisk_free_body,
+    basilisk_momentum_frame,
+    kynema_precession,
+    tumbling_brick,
+)
+from lieint_jax.app.published._gravity_gradient import jeod_gravity_gradient, jeod_pitching
 from lieint_jax.app.published._heavy_top import multibody_heavy_top
 from lieint_jax.app.published._wheels import basilisk_wheels
 
@@ -16,8 +22,12 @@ def cases() -> tuple[Case, ...]:
     """Every case, in the order of the table."""
     return (
         jeod_gravity_gradient(),
+        jeod_pitching(),
         tumbling_brick(),
         basilisk_free_body(),
+        basilisk_momentum_frame(),
         basilisk_wheels(),
+        basilisk_constant_torque(),
         multibody_heavy_top(),
+        kynema_precession(),
     )

@@ -1,4 +1,4 @@
-"""Free rigid bodies of NASA and Basilisk."""
+"""Free rigid bodies of NASA, Basilisk and kynema."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ _RATES = {  # °/s at the times
     20: (-5.42273467991, 22.7159305765, 28.6082817473),
     30: (12.6183907757, -17.3974747619, 31.1195888868),
 }
+_SPACECRAFT, _SPIN = [500.0, 200.0, 300.0], [0.5, -0.4, 0.7]  # kg m², rad/s
 
 
 def tumbling_brick() -> Case:
@@ -41,8 +42,8 @@ def basilisk_free_body() -> Case:
     """Basilisk's test of a free spacecraft."""
 
     def compute() -> dict[str, np.ndarray]:
-        body = systems.rigid_body([500.0, 200.0, 300.0])  # kg m²
-        end = body.solution(body.state(angular_velocity=[0.5, -0.4, 0.7]), 10.0)
+        body = systems.rigid_body(_SPACECRAFT)
+        end = body.solution(body.state(angular_velocity=_SPIN), 10.0)
         return {"MRP at 10 s": modified_rodrigues(end.q)}
 
     return Case(
@@ -56,8 +57,53 @@ def basilisk_free_body() -> Case:
     )
 
 
+def basilisk_momentum_frame() -> Case:
+    """The same spacecraft in a frame whose third axis opposes its angular momentum."""
+
+    def compute() -> dict[str, np.ndarray]:
+        body = systems.rigid_body(_SPACECRAFT)
+        third = -np.array(_SPACECRAFT) * _SPIN
+        third /= np.linalg.norm(third)
+        second = np.array([-third[1] / third[0], 1.0, 0.0])
+        second /= np.linalg.norm(second)
+        to_space = np.array([np.cross(second, third), second, third])
+        end = body.solution(body.state(to_space, angular_velocity=_SPIN), 10.0)
+        return {"MRP at 10 s": modified_rodrigues(end.q)}
+
+    return Case(
+        code="Basilisk, free spacecraft in the frame of its momentum",
+        source="AVSLab/basilisk, src/simulation/dynamics/spacecraft/_UnitTest/test_spacecraft.py @babdff7",
+        scheme="rigid_body(…).solution, the closed form",
+        published={"MRP at 10 s": (0.572693314, 0.510734375, -0.307377611)},
+        limit="nine printed digits",
+        compute=compute,
+        digits={"MRP at 10 s": 5e-10},
+    )
+
+
+def kynema_precession() -> Case:
+    """kynema's precessing body: a misfit, which its first step explains (`tests/app/test_published_misfits.py`)."""
+
+    def compute() -> dict[str, np.ndarray]:
+        body = systems.rigid_body([1.0, 1.0, 0.5])
+        end = body.solution(body.state(angular_velocity=[0.5, 0.5, 1.0]), 5.0)
+        q = np.asarray(end.q)
+        return {"quaternion at 5 s": q if q[0] < 0 else -q}
+
+    return Case(
+        code="kynema, precession of a free symmetric body",
+        source="kynema/kynema, tests/regression_tests/regression/test_precession.cpp @d3b403d",
+        scheme="rigid_body(…).solution, the closed form",
+        published={
+            "quaternion at 5 s": (-0.63053045128590757, 0.60556039120583116, -0.30157681970585326, -0.38049886257377241)
+        },
+        limit="the other code's start: its generalized-α method begins with zero acceleration, an error of order 1",
+        compute=compute,
+        digits={},
+    )
+
+
 def modified_rodrigues(q: jax.Array) -> np.ndarray:
     """v/(1 + w) of the unit quaternion (w, v) from body to space, w ≥ 0."""
-    q = np.asarray(q)
-    q = q if q[0] >= 0 else -q
-    return q[1:] / (1 + q[0])
+    w, *v = np.asarray(q) if q[0] >= 0 else -np.asarray(q)
+    return np.array(v) / (1 + w)

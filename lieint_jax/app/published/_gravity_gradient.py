@@ -1,4 +1,4 @@
-"""NASA's satellite under gravity's gradient on an ellipse, for eight hours."""
+"""NASA's satellite under gravity's gradient on an ellipse, for eight hours, without and with an initial pitch rate."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from lieint_jax import orbits, schemes, systems
 from lieint_jax._integrate import integrate
 from lieint_jax.app.published._case import Case
 
+_HEAD = "verif/SIM_dyncomp/SET_test_val"
 _T0 = [
     [-0.6443912269484258, 0.0528421023505859, 0.762868048125672],
     [-0.7615617871967408, -0.1345758406652156, -0.6339660774765135],
     [0.0691635085403311, -0.9894933326346473, 0.1269620169892195],
 ]
-_PUBLISHED = {
+_AT_REST = {  # RUN_10C, at the times in s
     300: {
         "position, m": (-4033756.267998047, -1298847.133169205, 5302377.246945092),
         "attitude matrix": (
@@ -34,37 +35,71 @@ _PUBLISHED = {
         "rates, rad/s": (-1.958561461497211e-05, -0.001102150420357001, -0.0007137081527530395),
     },
 }
+_PITCHING = {  # RUN_10D, on the same orbit
+    300: {
+        "attitude matrix": (
+            (-0.599756445358454, -0.2157163136966999, 0.7705573815466951),
+            (-0.7646572748686626, -0.1292402714973616, -0.6313447586016051),
+            (0.2357784091926621, -0.967865395718018, -0.08743636274561262),
+        ),
+        "rates, rad/s": (-1.958561461497211e-05, -0.0008852432884078457, -2.292505514081082e-05),
+    },
+    28800: {
+        "attitude matrix": (
+            (-0.09270989340746383, -0.9435593558564048, 0.3179632331578974),
+            (-0.9864361111063251, 0.04359502545335181, -0.1582506633829749),
+            (0.1354572787627401, -0.3283218173249661, -0.9348027117518567),
+        ),
+        "rates, rad/s": (-1.958561461497211e-05, -0.001062058853745821, -0.0006901638686869954),
+    },
+}
 
 
 def jeod_gravity_gradient() -> Case:
     """JEOD's RUN_10C, which is NESC check case 10C."""
-
-    def compute() -> dict[str, np.ndarray]:
-        orbit = orbits.from_state(
-            398600441500000.0, [-4315967.74, 960356.2, 5167269.53], [129.091037, -7491.513855, 1452.515654]
-        )
-        satellite = systems.gravity_gradient([500.0, 12250.0, 12250.0], orbit)
-        start = satellite.state(
-            np.array(_T0).T, angular_velocity=[-1.958561461497211e-05, -0.001122059109806593, 0.0], t=0.0
-        )
-        run = integrate(schemes.extrapolate(satellite, 14), start, 60.0, 480, save_every=5)
-        found = {}
-        for t in _PUBLISHED:
-            state = jax.tree.map(lambda x, k=t // 300: x[k], run.state)
-            ours = {
-                "position, m": orbit(float(t))[0],
-                "attitude matrix": satellite.free.rotation_matrix(state).T,
-                "rates, rad/s": satellite.angular_velocity(state),
-            }
-            found |= {f"{name}, at {t} s": np.asarray(value) for name, value in ours.items()}
-        return found
-
     return Case(
         code="NASA JEOD, gravity gradient on an ellipse, 8 h (NESC check case 10C)",
-        source="nasa/jeod, verif/SIM_dyncomp/SET_test_val/RUN_10C/log_state_ASCII.csv @6550cf4",
+        source=f"nasa/jeod, {_HEAD}/RUN_10C/log_state_ASCII.csv @6550cf4",
         scheme="extrapolate(satellite, 14), Δt = 60 s; orbits.from_state",
-        published={f"{name}, at {t} s": x for t, values in _PUBLISHED.items() for name, x in values.items()},
+        published=_flat(_AT_REST),
         limit="JEOD's own orbit, which is 1e-5 m off Kepler's after 8 h, and its steps of the attitude",
-        compute=compute,
+        compute=lambda: _compute(-0.001122059109806593),
         digits={},
     )
+
+
+def jeod_pitching() -> Case:
+    """JEOD's RUN_10D: the same satellite with a pitch rate of 0.01 °/s."""
+    return Case(
+        code="NASA JEOD, the same with an initial pitch rate, 8 h (NESC check case 10D)",
+        source=f"nasa/jeod, {_HEAD}/RUN_10D/log_state_ASCII.csv @6550cf4",
+        scheme="extrapolate(satellite, 14), Δt = 60 s; orbits.from_state",
+        published=_flat(_PITCHING),
+        limit="JEOD's own steps",
+        compute=lambda: _compute(-0.00094752618460716),
+        digits={},
+    )
+
+
+def _flat(published: dict) -> dict:
+    return {f"{name}, at {t} s": x for t, values in published.items() for name, x in values.items()}
+
+
+def _compute(pitch_rate: float) -> dict[str, np.ndarray]:
+    """Positions, attitudes and rates at the two times."""
+    orbit = orbits.from_state(
+        398600441500000.0, [-4315967.74, 960356.2, 5167269.53], [129.091037, -7491.513855, 1452.515654]
+    )
+    satellite = systems.gravity_gradient([500.0, 12250.0, 12250.0], orbit)
+    start = satellite.state(np.array(_T0).T, angular_velocity=[-1.958561461497211e-05, pitch_rate, 0.0], t=0.0)
+    run = integrate(schemes.extrapolate(satellite, 14), start, 60.0, 480, save_every=5)
+    found = {}
+    for t in _AT_REST:
+        state = jax.tree.map(lambda x, k=t // 300: x[k], run.state)
+        ours = {
+            "position, m": orbit(float(t))[0],
+            "attitude matrix": satellite.free.rotation_matrix(state).T,
+            "rates, rad/s": satellite.angular_velocity(state),
+        }
+        found |= {f"{name}, at {t} s": np.asarray(value) for name, value in ours.items()}
+    return found

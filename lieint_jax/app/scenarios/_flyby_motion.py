@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from lieint_jax import orbits, schemes, systems
+from lieint_jax import _free_body, orbits, schemes, systems
 from lieint_jax._integrate import integrate
 from lieint_jax._numerics import elliptic, vec3
 from lieint_jax.app.scenarios._body import direction
@@ -26,7 +26,6 @@ from lieint_jax.types import State, Step, pytree, static
 
 _FREE = 128  # steps of the motion without torque, where it is differentiated
 _NEAR = 1e-12  # the fraction of a mode's range of energies that is left out at either end
-_BISECTIONS = 50  # of the excitation, then one step of Newton's method, which has the derivative
 
 
 class Spin(NamedTuple):
@@ -94,24 +93,6 @@ def moments(spin: Spin) -> Array:
     return jnp.stack([spin.least, spin.middle, jnp.ones_like(spin.least)])
 
 
-def _momentum(J: Array, s: Array, long_axis: bool) -> Array:
-    """The unit Π in the x-z plane whose energy is at the fraction s of the range of a mode.
-
-    The excitation goes from 1 (s = 0) to the separatrix in short-axis modes, from there to J₃/J₁ in long-axis modes.
-    """
-    A, B, _ = vec3.components(J)
-    above = 1 / B - 1 + s * (1 / A - 1 / B) if long_axis else s * (1 / B - 1)
-    square = above * A / (1 - A)
-    return jnp.stack([jnp.sqrt(square), 0 * square, jnp.sqrt(1 - square)])
-
-
-def _ratio(J: Array, s: Array, long_axis: bool) -> Array:
-    """P_ψ/P_φ, which has no units: it grows toward the separatrix."""
-    unit = RigidBody(J)
-    found = unit.periods(State(jnp.asarray([1.0, 0, 0, 0]), _momentum(J, s, long_axis)))
-    return found.rotation / found.precession
-
-
 def possible(J: Array, ratio: Array, long_axis: bool) -> Array:
     """Whether a mode of this body has the ratio P_ψ/P_φ.
 
@@ -119,24 +100,8 @@ def possible(J: Array, ratio: Array, long_axis: bool) -> Array:
     without bound, but rounding leaves it no digits.
     """
     ends = jnp.asarray([1 - _NEAR, _NEAR] if long_axis else [_NEAR, 1 - _NEAR])
-    least, most = jax.vmap(lambda s: _ratio(J, s, long_axis))(ends)
+    least, most = jax.vmap(lambda s: _free_body.period_ratio(J, s, long_axis))(ends)
     return (least < ratio) & (ratio < most)
-
-
-def excited(J: Array, ratio: Array, long_axis: bool) -> Array:
-    """The unit Π in the x-z plane at which P_ψ/P_φ is `ratio`, with its derivatives."""
-    sign, fixed, wanted = -1 if long_axis else 1, lax.stop_gradient(J), lax.stop_gradient(ratio)
-
-    def halved(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
-        middle = (bounds[0] + bounds[1]) / 2
-        low = sign * (_ratio(fixed, middle, long_axis) - wanted) < 0
-        return jnp.where(low, middle, bounds[0]), jnp.where(low, bounds[1], middle)
-
-    zero = jnp.zeros_like(wanted)
-    low, high = lax.fori_loop(0, _BISECTIONS, halved, (zero, zero + 1))
-    s = (low + high) / 2
-    _, slope = jax.jvp(lambda s: _ratio(fixed, s, long_axis), (s,), (jnp.ones_like(s),))
-    return _momentum(J, s - (_ratio(J, s, long_axis) - ratio) / slope, long_axis)
 
 
 def on_polhode(J: Array, unit: Array, psi: Array) -> Array:
@@ -157,7 +122,7 @@ def on_polhode(J: Array, unit: Array, psi: Array) -> Array:
 def at_perigee(spin: Spin, toward: Array, long_axis: bool) -> State:
     """The state at the perigee without torque; `toward` is the direction of the body from the Earth there."""
     J = moments(spin)
-    unit = excited(J, spin.rotation / spin.precession, long_axis)
+    unit = _free_body.excited(J, spin.rotation / spin.precession, long_axis)
     size = RigidBody(J).periods(State(jnp.asarray([1.0, 0, 0, 0]), unit)).precession / spin.precession
     pole = direction(spin.longitude, spin.latitude)
     in_body = _triad(unit_of(on_polhode(J, unit, spin.psi)), jnp.asarray([1.0, 0, 0]))

@@ -165,13 +165,13 @@ def draw_modes(axes: Any, scenario: Scenario, step: Step, run: Trajectory) -> No
     left, right = axes
     e, fine = scenario.eccentricities(), np.linspace(0.02, 0.985, 1000)
     known, modes = bar_modes(fine), measured_modes(run)
-    left.plot(fine, known.real, color=plots.INK, lw=0.9)
+    growth, measured = np.abs(np.imag(known[:, 0])), np.abs(np.imag(modes)).max(axis=1)
+    left.plot(fine, np.real(known), color=plots.INK, lw=0.9)
     left.plot([], [], color=plots.INK, lw=0.9, label="rotation rate σ, closed form")
-    growth = abs(known[:, 0].imag)
     left.plot(fine[growth > 0], growth[growth > 0], color=plots.ORANGE, lw=0.9, label="growth rate, closed form")
-    left.plot(e, modes.real, ".", color=plots.BLUE, ms=4)
-    grows = abs(modes.imag).max(axis=1) > 1e-3
-    left.plot(e[grows], abs(modes.imag).max(axis=1)[grows], ".", color=plots.BLUE, ms=4, label="measured")
+    left.plot(e, np.real(modes), ".", color=plots.BLUE, ms=4)
+    grows = measured > 1e-3
+    left.plot(e[grows], measured[grows], ".", color=plots.BLUE, ms=4, label="measured")
     for limit, name in ((SECULAR, "Jacobi's branch"), (DYNAMICAL, "the bar must grow")):
         left.axvline(limit, color=plots.INK, lw=0.6, ls=":")
         left.annotate(name, (limit, -1.3), rotation=90, ha="right", va="bottom", fontsize="small")

@@ -10,7 +10,7 @@ import dataclasses
 from collections.abc import Callable
 from functools import partial
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Generic, NamedTuple, TypeGuard, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -23,23 +23,29 @@ from lieint_jax._xla import compiled
 from lieint_jax.groups import MatrixGroup
 from lieint_jax.types import (
     AbstractDampedBody,
+    AbstractDissipativeBodies,
     AbstractDrivenGyrostat,
     AbstractGyrostat,
     AbstractTorquedBody,
+    AbstractViscousBody,
     State,
     System,
 )
 
+_System = TypeVar("_System", bound=System)
+_Data = TypeVar("_Data")
 _PACKAGE = __name__.partition(".")[0]
 _ELSEWHERE = {  # what takes the systems that few schemes take
     AbstractGyrostat: ("so3_midpoint", "splitting"),
     AbstractDrivenGyrostat: ("so3_midpoint",),
     AbstractTorquedBody: ("torqued_midpoint",),
     AbstractDampedBody: ("torqued_midpoint",),
+    AbstractDissipativeBodies: ("bodies_energy_momentum",),
+    AbstractViscousBody: ("additive",),
 }
 
 
-class AcceptedSystems(NamedTuple):
+class AcceptedSystems(NamedTuple, Generic[_System]):
     """The systems that a scheme integrates.
 
     Attributes:
@@ -48,15 +54,15 @@ class AcceptedSystems(NamedTuple):
         vector_field: (system, state) ↦ the time derivative of the state, from the capability's attributes alone.
     """
 
-    capability: type[System]
+    capability: type[_System]
     noun: str
-    vector_field: Callable[[Any, State], State]
+    vector_field: Callable[[_System, State], State]
 
-    def declared(self, system: Any) -> bool:
+    def declared(self, system: object) -> TypeGuard[_System]:
         """Whether a system declares the capability."""
         return isinstance(system, self.capability)
 
-    def check(self, scheme: str, system: Any, more: str = "") -> None:
+    def check(self, scheme: str, system: object, more: str = "") -> None:
         """Raise ValueError if a system does not declare the capability, or moves otherwise; `more` ends the message."""
         if not self.declared(system):
             raise ValueError(
@@ -65,14 +71,14 @@ class AcceptedSystems(NamedTuple):
         check_motion(scheme, self.noun, self.vector_field, system, system)
 
 
-def hint(scheme: str, system: Any) -> str:
+def hint(scheme: str, system: object) -> str:
     """The end of a message that `scheme` refuses a system: the schemes that take it, if they are few; else nothing."""
     fitting = next((names for kind, names in _ELSEWHERE.items() if isinstance(system, kind)), ())
     return f"; take {' or '.join(fitting)}" if fitting and scheme not in fitting else ""
 
 
 def check_motion(
-    scheme: str, noun: str, vector_field: Callable[[Any, State], State], data: Any, system: System
+    scheme: str, noun: str, vector_field: Callable[[_Data, State], State], data: _Data, system: System
 ) -> None:
     """Raise ValueError if the vector field of a system differs from `vector_field(data, ·)`, looked at in two states.
 
@@ -86,7 +92,7 @@ def check_motion(
         )
 
 
-def other_motion(vector_field: Callable[[Any, State], State], data: Any, system: System) -> float:
+def other_motion(vector_field: Callable[[_Data, State], State], data: _Data, system: System) -> float:
     """By how much of itself the vector field of a system differs from `vector_field(data, ·)`; 0 if by rounding only.
 
     0 for tracers too, and for a vector field that is not finite where they are compared. Of systems of this package
@@ -100,7 +106,7 @@ def other_motion(vector_field: Callable[[Any, State], State], data: Any, system:
     return difference if difference > tolerance else 0.0
 
 
-def _tested(part: Any) -> bool:
+def _tested(part: object) -> bool:
     """Whether a system, or a part of one, is a class of this package, and no part of it is a function or a subclass."""
     if part is None or isinstance(part, Array | np.ndarray | bool | int | float | str | MatrixGroup | ModuleType):
         return True
@@ -111,7 +117,7 @@ def _tested(part: Any) -> bool:
 
 @partial(compiled, static_argnums=0, once=True)
 def _difference(
-    vector_field: Callable[[Any, State], State], data: Any, system: System, phase: ArrayLike
+    vector_field: Callable[[_Data, State], State], data: _Data, system: System, phase: ArrayLike
 ) -> tuple[Array, Array]:
     """The relative difference of two vector fields at a state and a time, and the tolerance for it."""
     space = system.phase_space

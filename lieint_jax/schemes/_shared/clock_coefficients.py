@@ -19,6 +19,8 @@ from typing import Any
 
 from jax import Array, lax
 
+from lieint_jax.types.shapes import Scalar
+
 _Powers = tuple[int, int]
 _Polynomials = Mapping[_Powers, Mapping[_Powers, float]]
 _Series = Sequence[_Polynomials]
@@ -76,7 +78,10 @@ _D: _Series = (
 )
 
 
-def constants(e2: Array, e3: Array, C: Array, H: Array, terms: int) -> tuple[Array, Array, Array]:
+_FromOne = list[Any]  # 1.0, x, x², …
+
+
+def constants(e2: Scalar, e3: Scalar, C: Scalar, H: Scalar, terms: int) -> tuple[Array, Array, Array]:
     """s and d over the trace of J with the terms to Δt²·ᵗᵉʳᵐˢ, 1 to 4, and whether the series hold there; see above.
 
     The series hold where their last term changes 1/J̃ by 2 % at most, and all terms together by 45 %; of a single
@@ -92,20 +97,20 @@ def constants(e2: Array, e3: Array, C: Array, H: Array, terms: int) -> tuple[Arr
     return 1 + total[0], total[1], lax.stop_gradient(holds)
 
 
-def _square(e2: Array, s: Array, d: Array) -> Array:
+def _square(e2: Scalar, s: Array, d: Array) -> Array:
     """|s + dJ|², of the matrix by which s and d change J/J̃, for J of trace 1."""
     return 3 * s * s + 2 * s * d + (1 - 2 * e2) * d * d
 
 
-def _powers(x: Array, most: int) -> list[Any]:
+def _powers(x: Array, most: int) -> _FromOne:
     """1, x, x², …"""
-    powers: list[Any] = [1.0, x]
+    powers: _FromOne = [1.0, x]
     while len(powers) <= most:
         powers.append(powers[-1] * x)
     return powers
 
 
-def _term(polynomials: _Polynomials, c: list[Any], h: list[Any], e2: list[Any], e3: list[Any]) -> Any:
+def _term(polynomials: _Polynomials, c: _FromOne, h: _FromOne, e2: _FromOne, e3: _FromOne) -> Any:
     return sum(
         c[a] * h[b] * sum(number * e2[i] * e3[j] for (i, j), number in polynomial.items())
         for (a, b), polynomial in polynomials.items()

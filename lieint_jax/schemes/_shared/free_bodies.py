@@ -15,12 +15,13 @@ from lieint_jax._numerics import vec3
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, AbstractRigidBodies, State, Step, StepInfo, pytree
+from lieint_jax.types.shapes import Inertia, Poses, Quaternion, Vector3
 
 
-def free_motion(bodies: AbstractFreeBodies | AbstractRigidBodies, state: State) -> Array:
+def free_motion(bodies: AbstractFreeBodies | AbstractRigidBodies, state: State) -> Poses:
     """q̇ of bodies, (N, 7): ẋ = p/m and Λ̇ = ΛΩ̂."""
 
-    def turning(J: Array, q: Array, spin: Array) -> Array:
+    def turning(J: Inertia, q: Quaternion, spin: Vector3) -> Quaternion:
         return so3.tangent(q, jnp.stack(vec3.solve_symmetric(vec3.symmetric(J), so3.Ad_star(q, spin))))
 
     turned = jax.vmap(turning)(bodies.inertias, state.q[:, 3:], state.p[:, 3:])
@@ -80,7 +81,7 @@ class FreeFlight(Step):
     def _rotate_all(self, inertias: Array, turning: State, dt: ArrayLike) -> tuple[Array, StepInfo]:
         """The quaternions (N, 4) after a time, and the reports."""
 
-        def rotate_body(J: Array, body: State) -> tuple[Array, StepInfo]:
+        def rotate_body(J: Inertia, body: State) -> tuple[Array, StepInfo]:
             step: Any = self.turn
             own: Any = dataclasses.replace(step, system=dataclasses.replace(step.system, inertia=J))
             end, info = own.substep(body, dt)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,18 @@ from jax.typing import ArrayLike
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.maps import Tau, derivative
-from lieint_jax.types import AbstractRightGeodesicFlow, AnalyticGroup, Group, State, StepInfo
+from lieint_jax.types import (
+    AbstractGeodesicFlow,
+    AbstractMechanicalSystem,
+    AbstractRightGeodesicFlow,
+    AnalyticGroup,
+    Group,
+    State,
+    StepInfo,
+)
+from lieint_jax.types.shapes import AlgebraVector, SquareMatrix
+
+MetricSystem = AbstractGeodesicFlow | AbstractRightGeodesicFlow | AbstractMechanicalSystem
 
 
 class Equation(NamedTuple):
@@ -36,7 +47,7 @@ class Equation(NamedTuple):
         carried: ½Δt Ad*_q π, which on groups that are not compact can lose its digits.
     """
 
-    group: Any
+    group: Group
     tau: Tau
     m: la.Matrix
     state: State
@@ -46,7 +57,7 @@ class Equation(NamedTuple):
     carried: la.Vector
 
     @classmethod
-    def from_state(cls, system: Any, tau: Tau, state: State, half: Array) -> Equation:
+    def from_state(cls, system: MetricSystem, tau: Tau, state: State, half: Array) -> Equation:
         """The equation of a step by τ, for a system with a group and a metric."""
         m = unpacked(system.group, system.metric)
         carried = a = as_vector(m, half * system.group.Ad_star(state.q, state.p))
@@ -88,7 +99,7 @@ def solved(
     return theta, Theta, StepInfo(error, (error <= 32 * jnp.finfo(error.dtype).eps) & good)
 
 
-def unpacked(group: Any, metric: Array) -> la.Matrix:
+def unpacked(group: Group, metric: Array) -> la.Matrix:
     """The metric as a matrix: a list of rows for small groups, an array for large ones."""
     d = metric.shape[0]
     if isinstance(group, AnalyticGroup) and not group.unrolled:
@@ -98,7 +109,7 @@ def unpacked(group: Any, metric: Array) -> la.Matrix:
     return [[metric[i] if i == j else 0.0 for j in range(d)] for i in range(d)]
 
 
-def body_velocity_field(system: Any, state: State) -> Array:
+def body_velocity_field(system: MetricSystem, state: State) -> AlgebraVector:
     """q̇ = qΩ̂ with mΩ = Ad*_q π, of a system with a group and a metric."""
     group, m = system.group, unpacked(system.group, system.metric)
     Omega = la.solve(m, as_vector(m, group.Ad_star(state.q, state.p)))
@@ -110,12 +121,12 @@ def as_vector(m: la.Matrix, x: Array) -> la.Vector:
     return la.as_list(x) if isinstance(m, list) else x
 
 
-def ad_star(group: Any, xi: la.Vector, mu: la.Vector) -> la.Vector:
+def ad_star(group: Group, xi: la.Vector, mu: la.Vector) -> la.Vector:
     """ad*_ξ μ."""
     return la.matvec(ad_star_matrix(group, mu), xi)
 
 
-def ad_star_matrix(group: Any, mu: la.Vector) -> la.Matrix:
+def ad_star_matrix(group: Group, mu: la.Vector) -> la.Matrix:
     """ad*(μ), (d, d)."""
     if isinstance(group, AnalyticGroup):
         return group.ad_star_matrix(mu)
@@ -123,7 +134,7 @@ def ad_star_matrix(group: Any, mu: la.Vector) -> la.Matrix:
     return la.as_list(jax.vmap(group.ad_star, (1, None), 1)(jnp.eye(group.dim, dtype=mu.dtype), mu))
 
 
-def coadjoint(tau: Tau, group: Any, theta: la.Vector, mu: la.Vector) -> la.Vector:
+def coadjoint(tau: Tau, group: Group, theta: la.Vector, mu: la.Vector) -> la.Vector:
     """Ad*_τ(Θ) μ."""
     if tau.coadjoint is not None:
         return tau.coadjoint(group, theta, mu)
@@ -131,7 +142,7 @@ def coadjoint(tau: Tau, group: Any, theta: la.Vector, mu: la.Vector) -> la.Vecto
     return la.as_list(turned) if isinstance(theta, list) else turned
 
 
-def translate(tau: Tau, group: Any, q: Array, Theta: Array, s: ArrayLike = 1.0) -> Array:
+def translate(tau: Tau, group: Group, q: SquareMatrix, Theta: AlgebraVector, s: ArrayLike = 1.0) -> Array:
     """q τ(sΘ) for a number s, or at each of several, (k,), as one array."""
     s = jnp.asarray(s, Theta.dtype)
     if tau.along is not None:
@@ -139,7 +150,7 @@ def translate(tau: Tau, group: Any, q: Array, Theta: Array, s: ArrayLike = 1.0) 
     return la.at_each(lambda s: group.multiply(q, tau(group, s * Theta)), s)
 
 
-def slope(tau: Tau, group: Any, theta: la.Vector) -> la.Matrix:
+def slope(tau: Tau, group: Group, theta: la.Vector) -> la.Matrix:
     """H(Θ), (d, d)."""
     if tau.slope is not None:
         return tau.slope(group, theta)
@@ -167,7 +178,7 @@ def newton_matrix(equation: Equation, theta: la.Vector, F: la.Vector, *bends: la
     return la.combination((1.0, m), *((-1.0, A) for A in (turned, *bends)))
 
 
-def bend(m: la.Matrix, system: Any, where: Array, factor: ArrayLike) -> la.Matrix:
+def bend(m: la.Matrix, system: AbstractMechanicalSystem, where: Array, factor: ArrayLike) -> la.Matrix:
     """factor D², with D² the derivative of the body force along the group at `where`, held fixed; of the form of m."""
     group, where = system.group, lax.stop_gradient(where)
     zero = jnp.zeros(group.dim, where.dtype)

@@ -16,8 +16,9 @@ from jax.typing import ArrayLike
 from lieint_jax._numerics import vec3
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import check_motion
-from lieint_jax.schemes._so3_midpoint import lost
+from lieint_jax.schemes._shared.rigid_body import lost
 from lieint_jax.types import AbstractGyrostat, State, Step, StepInfo, System, pytree, static
+from lieint_jax.types.shapes import TangentVectors
 
 
 @pytree
@@ -42,7 +43,7 @@ class GyrostatSplitting(Step):
         state, info = self.drift.substep(self._turn(state, dt), dt)
         return self._turn(state, dt), self._judged(info, state, dt)
 
-    def tangent(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
+    def tangent(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
         state, info, T = self.drift.tangent(self._turn(state, dt), dt, T)  # turns about body axes leave (δθ, δπ)
         return self._turn(state, dt), self._judged(info, state, dt), T
 

@@ -29,18 +29,7 @@ class SchemeProperties(NamedTuple):
     aliases: tuple[str, ...]
     source: str
 
+    columns = ("scheme", "for", "conserves", "order")
 
-class Catalogue(tuple[SchemeProperties, ...]):
-    """The declared properties of all schemes, which print as a table."""
-
-    __slots__ = ()
-
-    def __repr__(self) -> str:
-        rows = [("scheme", "for", "conserves", "order"), *map(_row, self)]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = ("  ".join(x.ljust(n) for x, n in zip(row, widths, strict=True)).rstrip() for row in rows)
-        return "\n".join(lines)
-
-
-def _row(entry: SchemeProperties) -> tuple[str, str, str, str]:
-    return entry.name, entry.systems, ", ".join(entry.conserves) or "nothing", f"{entry.order:g}"
+    def cells(self) -> tuple[str, ...]:
+        return self.name, self.systems, ", ".join(self.conserves) or "nothing", f"{self.order:g}"

@@ -12,7 +12,7 @@ from lieint_jax._numerics import vec3
 from lieint_jax.groups import so3
 from lieint_jax.groups.catalogue import special_euclidean
 from lieint_jax.maps import kappa_symplectic
-from lieint_jax.schemes._so3_midpoint import ITERATIONS, half_turn
+from lieint_jax.schemes._shared.half_turn import ITERATIONS, half_turn
 from lieint_jax.types import AbstractGeodesicFlow, State, Step, StepInfo, pytree, static
 
 

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Generic, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax.types import State, System, time_derivative
+from lieint_jax.types.shapes import PyTree
+
+_System = TypeVar("_System", bound=System)
+_Unknowns = TypeVar("_Unknowns")
 
 
-class Chart(abc.ABC):
+class Chart(abc.ABC, Generic[_System, _Unknowns]):
     """Coordinates in which an explicit step adds up increments. They are a pytree of arrays, called the unknowns."""
 
     @abc.abstractmethod
@@ -21,39 +25,39 @@ class Chart(abc.ABC):
         """Whether a system has these coordinates, and its equations of motion are those of `rate`."""
 
     @abc.abstractmethod
-    def unknowns(self, system: Any, state: State) -> Any:
+    def unknowns(self, system: _System, state: State) -> _Unknowns:
         """The unknowns of a state."""
 
     @abc.abstractmethod
-    def rate(self, system: Any) -> Callable[[Any, Any], Any]:
+    def rate(self, system: _System) -> Callable[[_Unknowns, PyTree], _Unknowns]:
         """(unknowns, moment) ↦ their time derivative, for a moment of `stage_times`."""
 
-    def stage_times(self, system: Any, state: State, passed: Array) -> Any:
+    def stage_times(self, system: _System, state: State, passed: Array) -> PyTree:
         """What the rate needs of the times t + passed, (n, …) each; None where nothing depends on time."""
         return None
 
     @abc.abstractmethod
-    def advance(self, system: Any, state: State, z: Any, delta: Any) -> State:
+    def advance(self, system: _System, state: State, z: _Unknowns, delta: _Unknowns) -> State:
         """The state whose unknowns are z, after the increments delta."""
 
     @abc.abstractmethod
-    def split_qp(self, z: Any) -> tuple[Sequence[Array], Sequence[Array]]:
+    def split_qp(self, z: _Unknowns) -> tuple[Sequence[Array], Sequence[Array]]:
         """The arrays of the configuration and those of the momentum, whose sizes are measured separately."""
 
 
-class PlainState(Chart):
+class PlainState(Chart[System, State]):
     """The states themselves, as the unknowns of any system."""
 
     def supports(self, system: System) -> bool:
         return True
 
-    def unknowns(self, system: Any, state: State) -> State:
+    def unknowns(self, system: System, state: State) -> State:
         return state
 
-    def rate(self, system: Any) -> Callable[[State, Any], State]:
+    def rate(self, system: System) -> Callable[[State, PyTree], State]:
         return lambda state, _: time_derivative(system, state)
 
-    def advance(self, system: Any, state: State, z: State, delta: State) -> State:
+    def advance(self, system: System, state: State, z: State, delta: State) -> State:
         return jax.tree.map(jnp.add, z, delta)
 
     def split_qp(self, z: State) -> tuple[Sequence[Array], Sequence[Array]]:

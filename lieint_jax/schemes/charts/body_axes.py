@@ -28,6 +28,9 @@ from lieint_jax.types import (
     clock,
     gradient,
 )
+from lieint_jax.types.shapes import PyTree
+
+OneBody = AbstractFreeBody | AbstractGyrostat | AbstractTop | AbstractDrivenTop
 
 
 class BodyAxesState(NamedTuple):
@@ -81,7 +84,9 @@ def _across(u: vec3.Vector, du: vec3.Vector, Pi: vec3.Vector) -> tuple[Array, ..
     return *cross(u, Pi), *cross(du, Pi)
 
 
-def spinning(inverse: vec3.Symmetric, rotor: Array | None, q: Any, Pi: vec3.Vector) -> tuple[Any, Any]:
+def spinning(
+    inverse: vec3.Symmetric, rotor: Array | None, q: tuple[Array, ...], Pi: vec3.Vector
+) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
     """q̇ and Π̇ without a torque."""
     turning = Pi if rotor is None else subtract(Pi, rotor)
     Pi_dot = gyroscopic(inverse, Pi) if rotor is None else cross(Pi, apply(inverse, turning))
@@ -96,7 +101,7 @@ def gyroscopic(inverse: vec3.Symmetric, Pi: vec3.Vector) -> tuple[Array, Array, 
     return ((c - b) * (y * z), (a - c) * (z * x), (b - a) * (x * y))
 
 
-def motion(system: Any, state: State) -> State:
+def motion(system: OneBody, state: State) -> State:
     """The time derivative of q and p that follows from that of the unknowns."""
     z, torque = BODY_AXES.unknowns(system, state), _torque(system)
     now = jax.tree.map(lambda x: x[0], BODY_AXES.stage_times(system, state, jnp.zeros(1, state.p.dtype)))
@@ -126,13 +131,13 @@ def _in_space(system: System, delta: BodyAxesState) -> BodyAxesState:
     return delta._replace(q=turned_back(system.axis, delta.q)) if isinstance(system, AbstractTop) else delta
 
 
-def _power(system: Any, z: Any, moment: Any) -> Array:
+def _power(system: OneBody, z: PyTree, moment: PyTree) -> Array:
     if not isinstance(system, AbstractDrivenTop):
         return jnp.zeros_like(z.work)
     return system.power(so3.normalize(jnp.stack(z.q)), moment.t)
 
 
-def _torque(system: Any) -> Callable[[Any, Any], tuple[Array, ...]] | None:
+def _torque(system: OneBody) -> Callable[[BodyAxesState, PyTree], tuple[Array, ...]] | None:
     """(z, moment) ↦ Γ × ∇Ṽ(Γ), with Γ = Λᵀγ."""
     if isinstance(system, AbstractDrivenTop):
         return lambda z, now: _torque_about(system.potential, now.axis, z.q, now.t)
@@ -142,15 +147,15 @@ def _torque(system: Any) -> Callable[[Any, Any], tuple[Array, ...]] | None:
     return None
 
 
-def _torque_about(potential: Any, axis: Array, q: tuple[Array, ...], t: Array) -> tuple[Array, ...]:
+def _torque_about(potential: Callable[..., Array], axis: Any, q: tuple[Array, ...], t: Array) -> tuple[Array, ...]:
     return _by_potential(potential, _axis_in_body(q, axis), t)
 
 
-def _torque_upright(potential: Any, height: Array, q: tuple[Array, ...]) -> tuple[Array, ...]:
+def _torque_upright(potential: Callable[..., Array], height: Array, q: tuple[Array, ...]) -> tuple[Array, ...]:
     return _by_potential(potential, _third_axis(2 * height, q))
 
 
-def _by_potential(potential: Any, Gamma: tuple[Array, ...], *t: Array) -> tuple[Array, ...]:
+def _by_potential(potential: Callable[..., Array], Gamma: tuple[Array, ...], *t: Array) -> tuple[Array, ...]:
     return cross(Gamma, gradient(potential, jnp.stack(Gamma), *t))
 
 
@@ -179,7 +184,7 @@ def quat_times_vec(q: tuple[Array, ...], u: vec3.Vector) -> tuple[Array, Array, 
     return (-dot(v, u), *add(scale(w, u), cross(v, u)))
 
 
-class BodyAxes(Chart):
+class BodyAxes(Chart[OneBody, BodyAxesState]):
     """One body with at most a potential that has an axis, in its own axes."""
 
     def supports(self, system: System) -> bool:
@@ -190,12 +195,12 @@ class BodyAxes(Chart):
             system, AbstractTop | AbstractDrivenTop | AbstractFreeBody | AbstractGyrostat
         ) and not other_motion(motion, system, system)
 
-    def unknowns(self, system: System, state: State) -> BodyAxesState:
+    def unknowns(self, system: OneBody, state: State) -> BodyAxesState:
         """The unknowns of a step from this state."""
         z = turning(state)
         return z._replace(q=turned_up(system.axis, z.q)) if isinstance(system, AbstractTop) else z
 
-    def advance(self, system: System, state: State, z: BodyAxesState, delta: BodyAxesState) -> State:
+    def advance(self, system: OneBody, state: State, z: BodyAxesState, delta: BodyAxesState) -> State:
         """The state whose unknowns are z, after their increments."""
         return advance_body(state, z._replace(q=vec3.components(state.q)), _in_space(system, delta))
 
@@ -203,19 +208,19 @@ class BodyAxes(Chart):
         """The configuration and the momenta among them."""
         return z.q, z.Pi
 
-    def stage_times(self, system: System, state: State, passed: Array) -> Moment | None:
+    def stage_times(self, system: OneBody, state: State, passed: Array) -> Moment | None:
         """What a driven top follows, once so much time has passed since `state`: (n,) times in one call of its axis."""
         if not isinstance(system, AbstractDrivenTop):
             return None
         t = clock(state) + passed
         return Moment(t, jax.vmap(system.axis_at)(t))
 
-    def rate(self, system: Any) -> Callable[[Any, Moment | None], BodyAxesState]:
+    def rate(self, system: OneBody) -> Callable[[BodyAxesState, PyTree], BodyAxesState]:
         """The time derivative of the unknowns at a moment, for |q| = 1 but for the error of a step."""
         inverse, rotor = vec3.inverse(system.inertia), system.rotor if isinstance(system, AbstractGyrostat) else None
         torque = _torque(system)
 
-        def field(z: Any, moment: Any) -> BodyAxesState:
+        def field(z: BodyAxesState, moment: PyTree) -> BodyAxesState:
             q_dot, Pi_dot = spinning(inverse, rotor, z.q, z.Pi)
             Pi_dot = add(Pi_dot, torque(z, moment)) if torque else Pi_dot
             return BodyAxesState(q_dot, Pi_dot, None if z.work is None else _power(system, z, moment))

@@ -6,7 +6,7 @@ The unknowns have an axis of bodies, (N,), and are packed into one array.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,7 @@ from lieint_jax.schemes.charts import body_axes
 from lieint_jax.schemes.charts._chart import Chart
 from lieint_jax.schemes.charts.body_axes import BodyAxesState, spinning
 from lieint_jax.types import AbstractFreeBodies, AbstractRigidBodies, State, System
+from lieint_jax.types.shapes import PyTree
 
 Components = tuple[Array, ...]
 
@@ -53,7 +54,7 @@ def _parts(z: Array) -> Moving:
     return Moving(y[:3], y[3:6], BodyAxesState(y[6:10], y[10:], None))
 
 
-def motion(system: Any, state: State) -> State:
+def motion(system: AbstractRigidBodies, state: State) -> State:
     """The time derivative of q and p that follows from that of the unknowns."""
     z = SEVERAL_BODIES.unknowns(system, state)
     return jax.jvp(_state, (z,), (SEVERAL_BODIES.rate(system)(z, None),))[1]
@@ -77,19 +78,19 @@ def _turning_part(state: State) -> State:
     return State(state.q[:, 3:], state.p[:, 3:])
 
 
-class SeveralBodies(Chart):
+class SeveralBodies(Chart[AbstractRigidBodies, Array]):
     """Several bodies: positions and linear momenta in space, quaternions and momenta in the axes of each."""
 
     def supports(self, system: System) -> bool:
         """Whether a system is of several bodies that move as this says."""
         return isinstance(system, AbstractRigidBodies) and not other_motion(motion, system, system)
 
-    def unknowns(self, system: System, state: State) -> Array:
+    def unknowns(self, system: AbstractRigidBodies, state: State) -> Array:
         """Those of all bodies in an array, (N, 13)."""
         turning = jax.vmap(body_axes.turning)(_turning_part(state))
         return _packed(Moving(vec3.components(state.q[:, :3].T), vec3.components(state.p[:, :3].T), turning))
 
-    def advance(self, system: System, state: State, z: Array, delta: Array) -> State:
+    def advance(self, system: AbstractRigidBodies, state: State, z: Array, delta: Array) -> State:
         """The state whose unknowns are z, after their increments."""
         start, step = _parts(z), _parts(delta)
         end = jax.vmap(body_axes.advance_body)(_turning_part(state), start.turning, step.turning)
@@ -101,11 +102,11 @@ class SeveralBodies(Chart):
         every = _parts(z)
         return [*every.x, *every.turning.q], [*every.P, *every.turning.Pi]
 
-    def rate(self, system: Any) -> Callable[[Array, None], Array]:
+    def rate(self, system: AbstractRigidBodies) -> Callable[[Array, PyTree], Array]:
         """The time derivative of the unknowns, for quaternions of unit length but for the error of a step."""
         inverse, masses = inverses(system), system.masses
 
-        def field(z: Array, _: None) -> Array:
+        def field(z: Array, _: PyTree) -> Array:
             x, P, turning = _parts(z)
             force = forces(system, x, turning.q)
             q_dot, Pi_dot = spinning(inverse, None, turning.q, turning.Pi)

@@ -5,13 +5,16 @@ from __future__ import annotations
 import abc
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import _checks
+from lieint_jax import _checks, _free_body
+from lieint_jax._checks import concrete
+from lieint_jax._free_body import Periods
 from lieint_jax._numerics import vec3
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
@@ -19,6 +22,7 @@ from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.time_and_work import check_timed, timed
 from lieint_jax.types import PhaseSpace, State, autodiff_gradient
+from lieint_jax.types.shapes import Matrix3, Quaternion, Scalar, Vector3
 
 _PHASE_SPACE = CotangentGroup(so3)
 
@@ -30,11 +34,11 @@ class OnRotations:
     def phase_space(self) -> PhaseSpace:
         return _PHASE_SPACE
 
-    def rotation_matrix(self, state: State) -> Array:
+    def rotation_matrix(self, state: State) -> Matrix3:
         """Λ, body to space, shape (3, 3)."""
         return so3.to_matrix(state.q)
 
-    def body_momentum(self, state: State) -> Array:
+    def body_momentum(self, state: State) -> Vector3:
         """Π = Λᵀπ, shape (3,)."""
         return so3.Ad_star(state.q, state.p)
 
@@ -45,13 +49,13 @@ class Rotating(OnRotations, abc.ABC):
     inertia: Array
 
     @abc.abstractmethod
-    def momentum_at(self, angular_velocity: Array) -> Array:
+    def momentum_at(self, angular_velocity: Vector3) -> Vector3:
         """Π where the body turns with Ω, shape (3,)."""
 
     @explained
     def state(
         self,
-        attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        attitude: _checks.Attitude = (1.0, 0.0, 0.0, 0.0),
         *,
         angular_velocity: ArrayLike | None = None,
         body_momentum: ArrayLike | None = None,
@@ -60,9 +64,11 @@ class Rotating(OnRotations, abc.ABC):
         """The state of an attitude and one of three ways to give the motion.
 
         Args:
-            attitude: unit quaternion (w, x, y, z), the scalar part first, or rotation matrix (3, 3), body to space. The
-                identity is (1, 0, 0, 0); (0, 0, 0, 1), the identity in the order of scipy, is a half rotation about z.
-                A quaternion within 1e-6 of unit length is normalized.
+            attitude: unit quaternion (w, x, y, z), the scalar part first, or rotation matrix (3, 3), or a
+                `scipy.spatial.transform.Rotation`, body to space. The identity is (1, 0, 0, 0); (0, 0, 0, 1), the
+                identity in the order of scipy's arrays, is a half rotation about z. A quaternion within 1e-6 of unit
+                length is normalized. Euler angles: `groups.so3.from_euler`; modified Rodrigues parameters:
+                `groups.so3.from_mrp`.
             angular_velocity: body angular velocity Ω, radians per unit time, shape (3,).
             body_momentum: Π, in the body, shape (3,).
             spatial_momentum: π = ΛΠ, shape (3,).
@@ -88,17 +94,70 @@ class Rotating(OnRotations, abc.ABC):
 class Body(Rotating):
     """A body that has no momentum but that of its own turning: Π = JΩ."""
 
-    def momentum_at(self, angular_velocity: Array) -> Array:
+    def momentum_at(self, angular_velocity: Vector3) -> Vector3:
         """Π = JΩ, shape (3,)."""
         return jnp.stack(vec3.apply(vec3.symmetric(self.inertia), angular_velocity))
 
-    def angular_velocity(self, state: State) -> Array:
+    def angular_velocity(self, state: State) -> Vector3:
         """The body angular velocity Ω = J⁻¹Π, shape (3,)."""
         return jnp.stack(vec3.solve_symmetric(vec3.symmetric(self.inertia), self.body_momentum(state)))
 
-    def kinetic_energy(self, state: State) -> Array:
+    def kinetic_energy(self, state: State) -> Scalar:
         """½ Π·J⁻¹Π."""
         return vec3.dot(self.body_momentum(state), self.angular_velocity(state)) / 2
+
+    def periods(self, state: State) -> Periods:
+        """The two mean periods of a tumbling body, by which light curves are described, and its mode, in closed form.
+
+        Of a body with torques, those of the free motion that would go on from this state.
+
+        Args:
+            state: a state of this body.
+
+        Returns:
+            A `Periods`, in the unit of time of the state (that of 1/Ω):
+            `precession`, in which the long axis (that of the least moment) goes once around the angular momentum on
+            average; `rotation`, in which Ω and Π repeat in the axes of the body: one rotation about the long axis in
+            the long-axis mode, one oscillation about it in the short-axis mode; and `long_axis`, True in the former.
+            Differentiable in the inertia and the state, except on the separatrix between the modes, where the rotation
+            never ends.
+        """
+        return _free_body.periods(self.inertia, self.body_momentum(state))
+
+    def state_from_periods(
+        self,
+        attitude: _checks.Attitude = (1.0, 0.0, 0.0, 0.0),
+        *,
+        precession: ArrayLike,
+        rotation: ArrayLike,
+        long_axis: bool,
+        **options: Any,
+    ) -> State:
+        """The state of a tumbling body with given mean periods, as light curves give them: the inverse of `periods`.
+
+        The body momentum lies in the plane of the long and the short axis, with positive components along both: there
+        the long axis is nearest to the angular momentum in short-axis modes, and farthest from it in long-axis modes.
+
+        Args:
+            attitude: as in `state`.
+            precession: P_φ > 0, the mean period of the long axis about the angular momentum.
+            rotation: P_ψ > 0, that of the body about its long axis (long-axis mode), or of its oscillation about it.
+            long_axis: the mode: True for the long-axis mode, False for the short-axis mode.
+            options: further arguments of `state`, such as t.
+
+        Returns:
+            The state, differentiable once in the inertia and both periods.
+
+        Raises:
+            ValueError: no motion of this body in this mode has this ratio of the periods. A sphere has none.
+        """
+        moments, axes = _principal(self.inertia)
+        period = _checks.real_array("precession", precession, ()).astype(moments.dtype)
+        ratio = _checks.real_array("rotation", rotation, ()).astype(moments.dtype) / period
+        _check_ratio(moments, ratio, period, long_axis)
+        unit = _free_body.excited(moments, ratio, long_axis)
+        size = _free_body.periods(moments, unit).precession / period
+        return self.state(attitude, body_momentum=axes @ (size * unit), **options)
 
 
 class TimedBody(Body):
@@ -107,7 +166,7 @@ class TimedBody(Body):
     @explained
     def state(
         self,
-        attitude: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        attitude: _checks.Attitude = (1.0, 0.0, 0.0, 0.0),
         *,
         angular_velocity: ArrayLike | None = None,
         body_momentum: ArrayLike | None = None,
@@ -140,9 +199,40 @@ class TimedBody(Body):
             check_timed(state)
 
 
-def spatial_torque(potential: Callable[[Array], Array], q: Array) -> Array:
+def spatial_torque(potential: Callable[[Array], Array], q: Quaternion) -> Vector3:
     """The torque in space of a potential V(q), shape (3,): its i-th component is −d/dε V(exp(εeᵢ)q)."""
     return -autodiff_gradient(lambda theta: potential(so3.multiply(so3.exp(theta), q)))(jnp.zeros_like(q[:3]))
+
+
+def _principal(J: Array) -> tuple[Array, Array]:
+    """Moments in ascending order, and their axes as columns."""
+    if J.ndim == 2:
+        return _free_body.principal_axes(J)
+    order = jnp.argsort(J)
+    return J[order], jnp.eye(3, dtype=J.dtype)[:, order]
+
+
+def _check_ratio(moments: Array, ratio: Array, precession: Array, long_axis: bool) -> None:
+    """ValueError unless concrete periods are those of a motion in the mode."""
+    if not isinstance(long_axis, bool | np.bool_):
+        raise ValueError(f"long_axis must be True (long-axis mode) or False (short-axis mode), got {long_axis!r}")
+    if not concrete(moments, ratio, precession):
+        return
+    (A, B, C), mode = np.asarray(moments, float), "long-axis" if long_axis else "short-axis"
+    if A == C or (long_axis and A == B) or (not long_axis and B == C):
+        raise ValueError(f"a body with the moments {A:.6g}, {B:.6g}, {C:.6g} has no {mode} mode")
+    near = jnp.asarray(1 - 1e-9 if long_axis else 1e-9, moments.dtype)
+    least = float(_least_ratio(moments, near, bool(long_axis)))
+    if not (float(precession) > 0 and float(ratio) > least):
+        raise ValueError(
+            f"rotation/precession must be above {least:.6g}, that of a small wobble, in the {mode} mode of a body with "
+            f"the moments {A:.6g}, {B:.6g}, {C:.6g}, got {float(ratio):.6g} and precession = {float(precession):.6g}"
+        )
+
+
+@partial(compiled, static_argnums=2, once=True)
+def _least_ratio(moments: Array, s: Array, long_axis: bool) -> Array:
+    return _free_body.period_ratio(moments, s, long_axis)
 
 
 @partial(compiled, static_argnums=3, once=True)
@@ -156,13 +246,15 @@ def _attitude_and_momentum(body: Rotating, attitude: Array, motion: Array, name:
     return q.astype(dtype), p.astype(dtype)
 
 
-def _checked_attitude(attitude: ArrayLike) -> Array:
+def _checked_attitude(attitude: Any) -> Quaternion:
     """A quaternion or a rotation matrix."""
+    attitude = _checks.quaternions(attitude)
     if np.shape(attitude) == (3, 3):
         return _checks.rotation_matrix("attitude", attitude)
     if np.shape(attitude) != (4,):
         raise ValueError(
-            f"attitude must be a quaternion (w, x, y, z), shape (4,), or a rotation matrix (3, 3), got shape "
-            f"{np.shape(attitude)}; use jax.vmap for batches"
+            "attitude must be a quaternion (w, x, y, z), shape (4,), or a rotation matrix (3, 3) or one scipy "
+            f"Rotation, got shape {np.shape(attitude)}; Euler angles: so3.from_euler, modified Rodrigues parameters: "
+            "so3.from_mrp; use jax.vmap for batches"
         )
     return _checks.unit_quaternion("attitude", attitude)

@@ -16,6 +16,7 @@ from lieint_jax._xla import compiled
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.types import Group, State
+from lieint_jax.types.shapes import AlgebraVector, DualVector, MomentumMap, Scalar
 
 
 class OnGroup:
@@ -57,19 +58,19 @@ class OnGroup:
         dtype = jnp.result_type(element, p)
         return State(element.astype(dtype), _checks.real_array("the spatial momentum", p.astype(dtype)))
 
-    def body_momentum(self, state: State) -> Array:
+    def body_momentum(self, state: State) -> DualVector:
         """Π = Ad*_q π, shape (d,)."""
         return self.group.Ad_star(state.q, state.p)
 
-    def velocity(self, state: State) -> Array:
+    def velocity(self, state: State) -> AlgebraVector:
         """The body velocity Ω = m⁻¹Π, shape (d,)."""
         return sharp(self.metric, self.body_momentum(state))
 
-    def kinetic_energy(self, state: State) -> Array:
+    def kinetic_energy(self, state: State) -> Scalar:
         """½⟨Π, m⁻¹Π⟩ (5.18)."""
         return la.dot(*(la.as_list(x) for x in (self.body_momentum(state), self.velocity(state)))) / 2
 
-    def casimirs(self, state: State) -> Array:
+    def casimirs(self, state: State) -> MomentumMap:
         """The Casimirs of body momentum that are known (`group.casimirs`), (k,): constant along every motion."""
         return self.group.casimirs(self.body_momentum(state))
 
@@ -108,13 +109,13 @@ def _check_element(name: str, group: Group, q: Array) -> None:
             )
 
 
-def flat(metric: Array, xi: Array) -> Array:
+def flat(metric: Array, xi: AlgebraVector) -> DualVector:
     """ξ♭ = m ξ."""
     _check_shape(metric, len(xi))
     return metric * xi if metric.ndim == 1 else la.as_array(la.matvec(la.as_list(metric), la.as_list(xi)), xi)
 
 
-def sharp(metric: Array, mu: Array) -> Array:
+def sharp(metric: Array, mu: DualVector) -> AlgebraVector:
     """μ♯ = m⁻¹ μ."""
     _check_shape(metric, len(mu))
     if metric.ndim == 1:

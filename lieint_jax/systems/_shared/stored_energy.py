@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +24,7 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics import power_series, vec3
 from lieint_jax._numerics.vec3 import Symmetric
 from lieint_jax.types import StoredEnergy, autodiff_gradient, callable_pytree, pytree, static
+from lieint_jax.types.shapes import Matrix3, Scalar
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
@@ -38,14 +38,14 @@ class _VolumeAndTrace(StoredEnergy):
     mu: Array
 
     @abc.abstractmethod
-    def volume_energy(self, I3: Array) -> Array:
+    def volume_energy(self, I3: Scalar) -> Scalar:
         """w(I₃)."""
 
     @abc.abstractmethod
-    def slope(self, I3: Array, change: Array) -> Array:
+    def slope(self, I3: Scalar, change: Scalar) -> Scalar:
         """(w(I₃ + ΔI₃) − w(I₃))/ΔI₃, and w′(I₃) for ΔI₃ = 0."""
 
-    def __call__(self, C: Array) -> Array:
+    def __call__(self, C: Matrix3) -> Scalar:
         S = vec3.symmetric(C)
         I3 = vec3.determinant(S, vec3.adjugate(S))
         return self.mu / 2 * (vec3.trace(S) - 3) + self.volume_energy(I3)
@@ -71,10 +71,10 @@ class MooneyRivlin(_VolumeAndTrace):
     lam: Array
     mu: Array
 
-    def volume_energy(self, I3: Array) -> Array:
+    def volume_energy(self, I3: Scalar) -> Scalar:
         return self.lam / 2 * (I3 - 1) - (self.lam + self.mu) / 2 * jnp.log(I3)
 
-    def slope(self, I3: Array, change: Array) -> Array:
+    def slope(self, I3: Scalar, change: Scalar) -> Scalar:
         return self.lam / 2 - (self.lam + self.mu) / 2 * power_series.log1p_ratio(change / I3) / I3
 
 
@@ -85,11 +85,11 @@ class NeoHookean(_VolumeAndTrace):
     lam: Array
     mu: Array
 
-    def volume_energy(self, I3: Array) -> Array:
+    def volume_energy(self, I3: Scalar) -> Scalar:
         log = jnp.log(I3)
         return (self.lam / 8 * log - self.mu / 2) * log
 
-    def slope(self, I3: Array, change: Array) -> Array:
+    def slope(self, I3: Scalar, change: Scalar) -> Scalar:
         logs = jnp.log(I3) + jnp.log(I3 + change)
         return (self.lam / 8 * logs - self.mu / 2) * power_series.log1p_ratio(change / I3) / I3
 
@@ -101,7 +101,7 @@ class SaintVenantKirchhoff(StoredEnergy):
     lam: Array
     mu: Array
 
-    def __call__(self, C: Array) -> Array:
+    def __call__(self, C: Matrix3) -> Scalar:
         G = _plus(-1, vec3.symmetric(C))
         return self.lam / 8 * vec3.trace(G) ** 2 + self.mu / 4 * vec3.inner(G, G)
 
@@ -120,7 +120,7 @@ class General(StoredEnergy):
     function: Callable[[Array], Array]
     name: str = static(default="user")
 
-    def __call__(self, C: Array) -> Array:
+    def __call__(self, C: Matrix3) -> Scalar:
         return self.function((C + C.T) / 2)
 
     def stress(self, C: Symmetric) -> Symmetric:
@@ -132,7 +132,7 @@ class General(StoredEnergy):
         stresses = jax.vmap(lambda s: self._stress(start + s * change))(nodes)
         return vec3.symmetric(jnp.tensordot(jnp.asarray(_WEIGHTS / 2, start.dtype), stresses, 1))
 
-    def _stress(self, C: Array) -> Array:
+    def _stress(self, C: Matrix3) -> Matrix3:
         return 2 * autodiff_gradient(self)(C)
 
 
@@ -167,7 +167,7 @@ def saint_venant_kirchhoff(lam: ArrayLike, mu: ArrayLike) -> SaintVenantKirchhof
     return SaintVenantKirchhoff(*_moduli(lam, mu))
 
 
-def as_stored_energy(energy: Any) -> StoredEnergy:
+def as_stored_energy(energy: StoredEnergy | Callable[[Array], Array]) -> StoredEnergy:
     """A material of this module, or any callable W(C) of a matrix (3, 3) that gives a scalar, smooth for C > 0.
 
     Parameters of its own travel in a `jax.tree_util.Partial`.

@@ -1,0 +1,233 @@
+"""Tides of two bodies on a circle in the plane of their equators: how they part and slow down, and where that ends."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from matplotlib.figure import Figure
+from pydantic import Field
+
+from lieint_jax import potentials, schemes, systems, tides
+from lieint_jax.app import plots
+from lieint_jax.app.scenarios._common import Above, Common, NonNegative, Published, Table
+from lieint_jax.types import State, Step, Trajectory
+
+Pair = Annotated[list[Above], Field(min_length=2, max_length=2)]
+NonNegativePair = Annotated[list[NonNegative], Field(min_length=2, max_length=2)]
+
+_DAY, _HOUR, _YEAR = 86400.0, 1 / 24, 365.25  # s; d; d
+_G = 6.6743e-20 * _DAY**2  # km³/(kg d²)
+_TERAWATT = 1e6 / _DAY**3 / 1e12  # of kg km²/d³
+_SLIGHT = 1e-2  # a relative change of the distance up to which it has a rate
+STEP_AXIS = 0  # every member has lags of its own
+
+
+class Measured(Table):
+    """Published values to compare with."""
+
+    recession_cm: Published | None = None
+    """By how much the distance grows in a year, in cm."""
+    distance_km: Published | None = None
+    """Between the centers when both bodies show each other one face, in km."""
+    period_d: Published | None = None
+    """Of that motion, in d."""
+
+
+class Scenario(Common):
+    """The keys of a scenario of this kind. Lists have a number for each of two bodies."""
+
+    system: Literal["tides"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    time_unit: Literal["d"] = "d"  # pyright: ignore[reportIncompatibleVariableOverride]
+    masses_kg: Pair
+    """In kg."""
+    radii_km: Pair
+    """In km."""
+    moment_factors: Pair
+    """The moment of inertia over mass and square of the radius; 0.4 of a ball of one density."""
+    love_numbers: NonNegativePair
+    """k₂, by which a body yields to tides of degree 2."""
+    lags_s: NonNegativePair
+    """The constant times by which the tides lag, in s."""
+    lag_spread: NonNegative = 0.0
+    """The standard deviation of the logarithm of both lags over the members."""
+    distance_km: Above
+    """Between the centers at the start, in km, on a circle."""
+    rotation_periods_h: Pair
+    """Sidereal, in hours, in the sense of the orbit."""
+    published: Measured | None = None
+
+    def assumption(self) -> str:
+        return "members: both lags times one random factor" if self.lag_spread else ""
+
+
+def build(scenario: Scenario) -> tuple[Step, State]:
+    """The steps of the members, each with lags of its own, and their states."""
+    masses, radii = (jnp.asarray(x) for x in (scenario.masses_kg, scenario.radii_km))
+    J = jnp.repeat((jnp.asarray(scenario.moment_factors) * masses * radii**2)[:, None], 3, axis=1)
+    random = np.random.default_rng(scenario.seed).normal(size=scenario.members)
+    factors = np.exp(scenario.lag_spread * random * (np.arange(scenario.members) > 0))
+
+    def step_of(factor: Array) -> Step:
+        lags = factor * jnp.asarray(scenario.lags_s) / _DAY
+        law = tides.constant_lag(_G, masses, radii, jnp.asarray(scenario.love_numbers), lags)
+        gravity = potentials.point_masses(_G, masses)
+        return schemes.bodies_energy_momentum(systems.rigid_bodies(masses, J, gravity, law))
+
+    step = jax.vmap(step_of)(jnp.asarray(factors))
+    speed = jnp.sqrt(_G * masses.sum() / scenario.distance_km)
+    shares = jnp.stack([-masses[1], masses[0]])[:, None] / masses.sum()
+    spins = 2 * np.pi / (np.asarray(scenario.rotation_periods_h) * _HOUR)
+    state = step_of(jnp.asarray(1.0)).system.state(
+        shares * jnp.array([scenario.distance_km, 0.0, 0.0]),
+        velocities=shares * jnp.array([0.0, 1.0, 0.0]) * speed,
+        angular_velocities=np.outer(spins, [0.0, 0.0, 1.0]),
+    )
+    return step, jax.tree.map(lambda x: jnp.repeat(x[None], scenario.members, axis=0), state)
+
+
+class Course(NamedTuple):
+    """What is measured of a run, each (times, members) or (times, members, 2).
+
+    Attributes:
+        distance: between the centers, km.
+        spins: about the normal of the orbit, rad/d.
+        orbital: the angular momentum of the orbit about it.
+        lost: the energy lost so far.
+    """
+
+    distance: np.ndarray
+    spins: np.ndarray
+    orbital: np.ndarray
+    lost: np.ndarray
+
+
+def course(scenario: Scenario, run: Trajectory) -> Course:
+    """The course of all members."""
+    q, p = np.asarray(run.state.q), np.asarray(run.state.p)
+    factors, m, R = (np.asarray(x) for x in (scenario.moment_factors, scenario.masses_kg, scenario.radii_km))
+    orbital = np.cross(q[..., :3], p[..., :3])[..., 2].sum(axis=-1)
+    distance = np.linalg.norm(q[..., 1, :3] - q[..., 0, :3], axis=-1)
+    return Course(distance, p[..., 5] / (factors * m * R**2), orbital, -np.asarray(run.state.work))
+
+
+def recession(scenario: Scenario, run: Trajectory) -> np.ndarray:
+    """The mean growth of the distance, km a year, of each member: by the momentum that the orbit gains, L ∝ √a.
+
+    It is as exact as rounding leaves the spins, which change little in a step: to 1e-3 for the Moon.
+    """
+    found = course(scenario, run)
+    spin = found.spins * np.asarray(scenario.moment_factors) * np.asarray(scenario.masses_kg)
+    gained = -((spin[-1] - spin[0]) * np.asarray(scenario.radii_km) ** 2).sum(axis=-1)
+    return 2 * scenario.distance_km * gained / found.orbital[0] / (float(run.t[-1]) / _YEAR)
+
+
+def double_synchronous(scenario: Scenario, L: float) -> tuple[float, float]:
+    """The distance in km and the period in d of the outer motion with both bodies locked, of angular momentum L.
+
+    The root of L = μ√(GMa) + (J₁ + J₂)√(GM/a³) above its least value, which it has where the orbit's part is three
+    times the bodies'; nan if there is none.
+    """
+    m, R, factors = (np.asarray(x) for x in (scenario.masses_kg, scenario.radii_km, scenario.moment_factors))
+    GM, mu, J = _G * m.sum(), m.prod() / m.sum(), (factors * m * R**2).sum()
+    least = np.sqrt(3 * J / mu)
+
+    def momentum(a: float) -> float:
+        return mu * np.sqrt(GM * a) + J * np.sqrt(GM / a**3)
+
+    if momentum(least) > L:
+        return np.nan, np.nan
+    low, high = least, max((L / mu) ** 2 / GM, least)
+    for _ in range(200):
+        middle = (low + high) / 2
+        low, high = (middle, high) if momentum(middle) < L else (low, middle)
+    return low, 2 * np.pi * np.sqrt(low**3 / GM)
+
+
+def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
+    """What is balanced, worst of all members; rates at which bodies part and slow down; where they end."""
+    found = course(scenario, run)
+    J = np.asarray(scenario.moment_factors) * scenario.masses_kg * np.square(scenario.radii_km)
+    L = found.orbital + (J * found.spins).sum(axis=-1)
+    P = np.asarray(run.state.p)[..., :3]
+    H = _energies(step, run) + found.lost
+    sizes = {
+        "energy H with what was lost": abs(H - H[0]).max() / abs(H[0]).max(),
+        "linear momentum P, over that of a body": abs(P.sum(axis=2)).max() / abs(P).max(),
+        "angular momentum L": abs(L - L[0]).max() / abs(L[0]).max(),
+    }
+    lines = ["largest relative changes of all members:"]
+    lines += [f"  {name:<54}{size:>10.1e}" for name, size in sizes.items()]
+    lines.append(f"  {'least loss between two saved states, over all of it':<54}{_least(found.lost):>10.1e}")
+    days = 2 * np.pi / found.spins / _HOUR
+    century = float(run.t[-1]) / (100 * _YEAR)
+    power = (found.lost[-1] - found.lost[0]) / float(run.t[-1]) * _TERAWATT
+    circle, turn = _circle(scenario, found)
+    rows = {
+        "distance at the end (km)": found.distance[-1],
+        "of a circle with the orbit's angular momentum (km)": circle,
+        "rotation periods over that of this circle, 1st": days[-1, :, 0] * _HOUR / turn,
+        "and 2nd": days[-1, :, 1] * _HOUR / turn,
+        "power lost (TW)": power,
+    }
+    if (abs(circle / scenario.distance_km - 1) < _SLIGHT).all():  # else there is no one rate
+        rows |= {
+            "distance grows (cm a year)": 1e5 * recession(scenario, run),
+            "rotation of the first body slows (ms a century)": (days[-1] - days[0])[:, 0] * 3.6e6 / century,
+        }
+    lines.append("\nnominal member, and the standard deviation of all:")
+    lines += [f"  {name:<54}{x[0]:>16.9g} ± {x.std():.2g}" for name, x in rows.items()]
+    a, period = double_synchronous(scenario, float(L[0, 0]))
+    lines.append(f"  {'closed form: both locked at (km)':<54}{a:>16.9g}")
+    lines.append(f"  {'with the period (d)':<54}{period:>16.9g}")
+    names = {"recession_cm": "distance grows (cm a year)", "distance_km": "locked at (km)", "period_d": "period (d)"}
+    for key, name in names.items():
+        known = getattr(scenario.published, key, None)
+        if known is not None:
+            error = f" ± {known.error:g}" if known.error else ""
+            remark = f"; {known.remark}" if known.remark else ""
+            lines.append(f"  {f'published: {name}':<54}{known.value:>16.9g}{error} [{known.source}{remark}]")
+    return "\n".join(lines)
+
+
+def _energies(step: Any, run: Trajectory) -> np.ndarray:
+    """H of all members, (times, members)."""
+    bodies: Any = jax.tree.map(lambda x: x[0], step.system)  # members differ in what is no part of H
+    states = run.state._replace(t=None, work=None)
+    return np.asarray(jax.jit(jax.vmap(jax.vmap(bodies.energy)))(jax.tree.map(jnp.asarray, states)))
+
+
+def _least(lost: np.ndarray) -> float:
+    return float(np.diff(lost, axis=0).min(initial=np.inf) / max(abs(lost[-1]).max(), 1e-300))
+
+
+def _circle(scenario: Scenario, found: Course) -> tuple[np.ndarray, np.ndarray]:
+    """The distance, km, and the period, d, of a circle of the angular momentum that the orbit has at the end."""
+    m = np.asarray(scenario.masses_kg)
+    GM, mu = _G * m.sum(), m.prod() / m.sum()
+    own = found.orbital[-1] / mu
+    return own**2 / GM, 2 * np.pi * own**3 / GM**2
+
+
+@plots.style()
+def draw_course(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
+    """Plot the distance, the rotations of the nominal member and the loss, and the balances."""
+    fig, axes = plots.figure(3)
+    found, t = course(scenario, run), np.asarray(run.t)
+    plots.series(axes[0, 0], t, {"": found.distance[:, 0]}, "distance (km)", scenario.time_unit)
+    n = np.sqrt(_G * sum(scenario.masses_kg) / found.distance[:, 0] ** 3)
+    rates = {"first body": found.spins[:, 0, 0], "second body": found.spins[:, 0, 1], "orbit": n}
+    plots.series(axes[0, 1], t, rates, "rate (rad/d)", scenario.time_unit)
+    J = np.asarray(scenario.moment_factors) * scenario.masses_kg * np.square(scenario.radii_km)
+    L = found.orbital[:, 0] + (J * found.spins[:, 0]).sum(axis=-1)
+    H = (_energies(step, run) + found.lost)[:, 0]
+    curves = {"L": L / L[0] - 1, "H with what was lost": H / H[0] - 1}
+    plots.log_error(axes[0, 2], t, curves, "relative change", scenario.time_unit)
+    fig.suptitle(scenario.title)
+    return fig
+
+
+PICTURES = {"course": draw_course}

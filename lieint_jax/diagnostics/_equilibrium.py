@@ -1,0 +1,284 @@
+"""Relative equilibria: motions along a symmetry of the system, found as critical points of the amended energy.
+
+    K(x) = H(x) − ω·π − ξ·Φ(x),    dK = 0
+
+Φ is the momentum map of the system's symmetries and ξ the rates of the motion along them: ẋ = Σ ξ_a x_a with the
+generator x_a of Φ_a. Where the system is driven by a field that rotates in space with the angular velocity ω, such as
+that along a circular orbit, K is its energy in the axes that rotate with the field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._xla import compiled
+from lieint_jax.diagnostics._order import units
+from lieint_jax.groups import so3
+from lieint_jax.phase_spaces import CotangentGroup
+from lieint_jax.types import AbstractDrivenTop, State, System, promoted
+
+_ITERATIONS, _HALVINGS = 60, 12
+_RANK = 1e-9  # singular values below this part of the largest one count as 0: those of symmetries are round-off
+
+
+class Equilibrium(NamedTuple):
+    """A relative equilibrium. Made by `equilibrium`.
+
+    Attributes:
+        state: the state.
+        rates: ξ, (k,), the rate of the motion along each symmetry, in the order of `system.momentum`: of a free body
+            its angular velocity in space, of a top the rate about its axis, of several bodies velocity and angular
+            velocity of all. (0,) for a system without known symmetries.
+        frame: ω, (3,), the angular velocity of the axes in space in which the field is constant; 0 if it is at rest.
+        residual: |dK|, relative to the second derivatives of K, in the units of the state.
+    """
+
+    state: State
+    rates: Array
+    frame: Array
+    residual: Array
+
+
+class Derivatives(NamedTuple):
+    """What K is made of at a state: gradients and Hessians in the coordinates of the phase space.
+
+    Attributes:
+        energy, energy2: of H − ω·π, (2d,) and (2d, 2d).
+        momentum, momentum2: of Φ, (k, 2d) and (k, 2d, 2d).
+        omega: the symplectic form, (2d, 2d).
+        unit: sizes of the coordinates, (2d,).
+    """
+
+    energy: np.ndarray
+    energy2: np.ndarray
+    momentum: np.ndarray
+    momentum2: np.ndarray
+    omega: np.ndarray
+    unit: np.ndarray
+
+    def rates(self) -> np.ndarray:
+        """The ξ, (k,), with which |dK| is least."""
+        A = (self.unit * self.momentum).T
+        return np.linalg.lstsq(A, self.unit * self.energy, rcond=_RANK)[0] if A.size else np.zeros(0)
+
+    def gradient(self, rates: np.ndarray) -> np.ndarray:
+        """dK in units of the state, (2d,)."""
+        return self.unit * (self.energy - rates @ self.momentum)
+
+    def hessian(self, rates: np.ndarray) -> np.ndarray:
+        """d²K in units of the state, (2d, 2d)."""
+        S = self.energy2 - np.tensordot(rates, self.momentum2, 1)
+        return self.unit[:, None] * S * self.unit
+
+    def residual(self, rates: np.ndarray) -> float:
+        """|dK| relative to the largest second derivative of H or of ξ·Φ."""
+        parts = (self.energy2, *(x * M for x, M in zip(rates, self.momentum2, strict=True)))
+        size = max(float(np.abs(self.unit[:, None] * x * self.unit).max()) for x in parts)
+        return float(np.abs(self.gradient(rates)).max()) / (size or 1.0)
+
+
+def derivatives(system: System, state: State, frame: Array) -> Derivatives:
+    """The derivatives at a concrete state, as host arrays."""
+    return Derivatives(*(np.asarray(x, float) for x in _derivatives(system, state, frame)))
+
+
+@partial(compiled, once=True)
+def _derivatives(system: System, state: State, frame: Array) -> tuple[Array, ...]:
+    space = system.phase_space
+
+    def energy(delta: Array) -> Array:
+        moved = space.perturb(state, delta)
+        H = system.energy(moved)
+        return H - frame @ moved.p if _is_attitude(system) else H
+
+    def momentum(delta: Array) -> Array:
+        return system.momentum(space.perturb(state, delta))
+
+    zero = jnp.zeros(space.dim, state.p.dtype)
+    k = jax.eval_shape(momentum, zero).size
+    first, second = jax.grad(energy), jax.jacfwd(jax.grad(energy))
+    if not k:
+        along, along2 = jnp.zeros((0, space.dim)), jnp.zeros((0, space.dim, space.dim))
+    else:
+        along, along2 = jax.jacfwd(momentum)(zero), jax.jacfwd(jax.jacfwd(momentum))(zero)
+    unit = jnp.concatenate(units(space, state))
+    return first(zero), second(zero), along, along2, space.omega(state), unit
+
+
+def equilibrium(
+    system: System,
+    guess: State,
+    *,
+    free: Sequence[int] | None = None,
+    frame: ArrayLike | None = None,
+) -> Equilibrium:
+    """A relative equilibrium near a guess: a steady spin, a satellite at rest in its orbit, a synchronous binary.
+
+    By Newton's method for dK = 0, in the state and the rates ξ together. Relative equilibria come in families, such as
+    spins of any rate: of all those that Newton's equation allows, each correction is the shortest in the units of the
+    state. So the result is near the guess, and a guess that is an equilibrium stays. `free` selects which coordinates
+    may change.
+
+    Args:
+        system: a Hamiltonian system, with its known symmetries in `momentum`. It may be driven by an axis that rotates
+            uniformly, as in `systems.gravity_gradient` on a circular orbit.
+        guess: a state. Of a driven system its time, which is not varied, determines the axis.
+        free: the coordinates of the phase space that may change, numbers from 0 to 2d − 1; by default all. On T*SO(3)
+            they are δθ and δπ in space; of N bodies, 6 for each body's δx and δθ, then 6 for each one's δp and δπ.
+        frame: the angular velocity in space, (3,), of the axes in which a driven body's field is constant; by default
+            that of the system's `axis`, or 0.
+
+    Returns:
+        An `Equilibrium`; `normal_modes` gives its modes and its stability.
+
+    Raises:
+        ValueError: no equilibrium near the guess, a system that is not Hamiltonian or whose field is not constant in
+            rotating axes, coordinates out of range.
+
+    Example:
+        >>> import lieint_jax as li
+        >>> satellite = li.systems.gravity_gradient([1.0, 2.0, 2.5], li.orbits.kepler(1.0, 1.0, 0.0))
+        >>> found = li.equilibrium(satellite, satellite.state(angular_velocity=[0.1, 0.0, 0.9], t=0.0))
+        >>> round(float(satellite.angular_velocity(found.state)[2]), 6)
+        1.0
+
+    Source: Marsden, Lectures on Mechanics (1992), 4.1 (the augmented Hamiltonian).
+    """
+    system, state, _ = promoted(system, guess)
+    if not concrete(system, state, frame):
+        raise ValueError("equilibrium computes with concrete numbers: call it outside of jit, vmap and grad")
+    system.check(state)
+    omega = frame_of(system, state, frame)
+    dim = system.phase_space.dim
+    chosen = np.arange(dim) if free is None else np.asarray(free, int)
+    if chosen.ndim != 1 or not chosen.size or chosen.min() < 0 or chosen.max() >= dim:
+        raise ValueError(f"free must be coordinates of the phase space, from 0 to {dim - 1}, got {free!r}")
+    state = _newton(system, state, omega, chosen)
+    found = derivatives(system, state, omega)
+    rates = found.rates()
+    return Equilibrium(state, jnp.asarray(rates, state.p.dtype), omega, jnp.asarray(found.residual(rates)))
+
+
+def _newton(system: System, state: State, frame: Array, free: np.ndarray) -> State:
+    """The state at which dK vanishes to round-off; ValueError if corrections end before."""
+    found = derivatives(system, state, frame)
+    rates = found.rates()
+    residual, eps = found.residual(rates), float(np.finfo(state.p.dtype).eps)
+    for _ in range(_ITERATIONS):
+        matrix = np.concatenate([found.hessian(rates)[:, free], -(found.unit * found.momentum).T], axis=1)
+        size = np.linalg.norm(matrix, axis=0).max()
+        correction = -np.linalg.lstsq(matrix, found.gradient(rates), rcond=_RANK)[0][: free.size]
+        correction *= min(1.0, 0.5 / max(float(np.abs(correction).max()), 1e-300))
+        for _ in range(_HALVINGS):
+            delta = np.zeros(found.unit.size)
+            delta[free] = correction
+            moved = _perturbed(system, state, jnp.asarray(delta * found.unit, state.p.dtype))
+            after = derivatives(system, moved, frame)
+            less = after.residual(after.rates())
+            if less < residual:
+                break
+            correction = correction / 2
+        else:
+            break
+        state, found, rates, residual = moved, after, after.rates(), less
+        if size == 0 or residual <= eps:
+            break
+    if not residual <= 1e4 * eps:
+        raise ValueError(
+            f"no relative equilibrium was found near this state: |dK| fell to {residual:.2g} of the second derivatives "
+            "of K and no further. Begin nearer to it, or free more coordinates"
+        )
+    return state
+
+
+@partial(compiled, once=True)
+def _perturbed(system: System, state: State, delta: Array) -> State:
+    return system.phase_space.perturb(state, delta)
+
+
+def _is_attitude(system: System) -> bool:
+    space = system.phase_space
+    return isinstance(space, CotangentGroup) and space.group is so3
+
+
+def frame_of(system: System, state: State, given: ArrayLike | None) -> Array:
+    """ω; ValueError unless in axes that rotate with it the motion is that of a Hamiltonian without time."""
+    dtype = state.p.dtype
+    if given is not None:
+        omega = _checks.real_array("frame", given, (3,)).astype(dtype)
+        if not _is_attitude(system) and np.any(np.asarray(omega)):
+            raise ValueError("frame is for the attitude of a body, a system on T*SO(3)")
+    elif isinstance(system, AbstractDrivenTop) and callable(system.axis):
+        omega = _axis_rate(system, state)
+    else:
+        omega = jnp.zeros(3, dtype)
+    varying, mismatch = (float(x) for x in _defects(system, state, omega))
+    tolerance = float(np.finfo(dtype).eps) ** 0.5
+    if not varying <= tolerance:
+        raise ValueError(
+            f"in axes that rotate with {np.asarray(omega)} the energy changes with time, by {varying:.2g} of its "
+            "gradient: a relative equilibrium needs a field at rest or one that rotates uniformly, such as that along "
+            "a circular orbit. Give its angular velocity as frame=…"
+        )
+    if not mismatch <= tolerance:
+        raise ValueError(
+            f"the motion of a {type(system).__name__} is not that of its energy and phase space alone: they differ by "
+            f"{mismatch:.2g} of the motion. It dissipates, or is driven by something that the energy leaves out"
+        )
+    return omega
+
+
+@partial(compiled, once=True)
+def _axis_rate(system: Any, state: State) -> Array:
+    """γ̇ × γ̈ / |γ̇|² at the time of the state: ω of an axis that rotates uniformly."""
+    velocity = jax.jacfwd(system.axis_at)
+    first, second = velocity(state.t), jax.jacfwd(velocity)(state.t)
+    square = jnp.sum(first * first)
+    return jnp.where(square > 0, jnp.cross(first, second) / jnp.where(square > 0, square, 1), 0)
+
+
+@partial(compiled, once=True)
+def _defects(system: System, state: State, omega: Array) -> tuple[Array, Array]:
+    """How H changes with time in the rotating axes, and how ẋ differs from the Hamiltonian field; both relative.
+
+    The first over a revolution, at states off the given one, where neither vanishes by symmetry.
+    """
+    space = system.phase_space
+    unit = jnp.concatenate(units(space, state))
+    offsets = 0.05 * jnp.asarray(np.sin(np.outer([1.0, 2.3, 3.1], 1.7 + np.arange(space.dim))), unit.dtype)
+
+    def energy(z: State, s: Array) -> Array:
+        turn = so3.exp(s * omega)
+        if _is_attitude(system):
+            z = z._replace(q=so3.multiply(turn, z.q), p=so3.Ad(turn, z.p))
+        return system.energy(z if z.t is None else z._replace(t=z.t + s))
+
+    def defects(offset: Array, part: Array) -> tuple[Array, Array]:
+        z = space.perturb(state, unit * offset)
+        rate = jnp.sqrt(omega @ omega)
+        s = part / jnp.where(rate > 0, rate, 1)
+        slope = jax.jacfwd(energy, 1)(z, s)
+        gradient = jax.grad(lambda delta: system.energy(space.perturb(z, delta)))(jnp.zeros_like(unit))
+        field = -jnp.linalg.solve(space.omega(z), gradient) / unit
+        moving = system.vector_field(z)
+        actual = space.trivialize(z, State(moving.q, moving.p)) / unit
+        size = jnp.max(jnp.abs(gradient * unit))
+        scale = jnp.maximum(jnp.max(jnp.abs(field)), jnp.max(jnp.abs(actual)))
+        frequency = jnp.maximum(jnp.where(rate > 0, rate, 0), scale)
+        return (
+            jnp.abs(slope) / jnp.where(size > 0, size * frequency, 1),
+            jnp.max(jnp.abs(field - actual)) / jnp.where(scale > 0, scale, 1),
+        )
+
+    varying, mismatch = jax.vmap(defects)(offsets, jnp.array([0.3, 1.9, 4.1], unit.dtype))
+    return jnp.max(varying), jnp.max(mismatch)

@@ -1,0 +1,205 @@
+"""Normal modes of a relative equilibrium: eigenvalues of the linearized Hamiltonian flow, their signs and stability.
+
+    δẋ = Aδx,    A = −ω⁻¹ d²K      in axes that move with the equilibrium, K as in `_equilibrium`
+
+Of a symmetric system A has eigenvalues that do not bear on stability: 0 for a shift along the motion and for a change
+of the conserved momentum, ±i|ξ| for a tilt of all. They belong to the group, and are computed from it. The others are
+those of the symplectic slice, the perturbations that leave the momentum, modulo the motions along symmetries that leave
+it too.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax._checks import concrete
+from lieint_jax.diagnostics._equilibrium import Derivatives, Equilibrium, derivatives, frame_of
+from lieint_jax.types import State, System, promoted
+
+_RANK = 1e-7  # of the dimension of a space: singular values below this part of the largest one count as 0
+
+
+class NormalModes(NamedTuple):
+    """The linearized flow about a relative equilibrium. Made by `normal_modes`.
+
+    The first m entries are the modes proper, by ascending frequency; the other d − m are motions of the whole along
+    symmetries, with the frequencies 0 and those of the rotating axes, which have no part in the stability.
+
+    Attributes:
+        frequencies: (d,), rad per unit of time, ≥ 0: the imaginary parts, in axes that move with the equilibrium.
+        growth: (d,), rates of growth ≥ 0, 1 per unit of time: the real parts; 0 for a mode that is stable. The
+            eigenvalues are ±growth ± i frequency.
+        signs: (m,), the sign of the energy K of each mode (Krein's signature); 0 for one that grows or has the
+            frequency 0.
+        vectors: (2d, m), complex, the modes in the coordinates of the phase space.
+        stable: whether no eigenvalue has a real part (spectral stability).
+        definite: whether K has an extremum on the slice, in all directions in which it is not flat: stable for
+            perturbations of finite size too, which dissipation does not change where it is a minimum.
+        margin: of a stable equilibrium, how near the frequencies are to a collision by which stability can be lost: the
+            least frequency, or the least distance of two frequencies of opposite sign, rad per unit of time. Of an
+            unstable one −max(growth). Frequencies 0, of symmetries that the system does not declare, do not count.
+    """
+
+    frequencies: Array
+    growth: Array
+    signs: Array
+    vectors: Array
+    stable: bool
+    definite: bool
+    margin: float
+
+    @property
+    def periods(self) -> Array:
+        """2π over the frequencies, in the unit of time; inf for 0."""
+        moving = self.frequencies > 0
+        return jnp.where(moving, 2 * jnp.pi / jnp.where(moving, self.frequencies, 1), jnp.inf)
+
+
+def normal_modes(system: System, state: State | Equilibrium, *, frame: ArrayLike | None = None) -> NormalModes:
+    """The frequencies of small oscillations about a relative equilibrium, and whether it is stable, with a margin.
+
+    Eigenvalues are paired exactly, ±λ. Real and imaginary parts below 1e-7 of the largest eigenvalue (in float32 3e-3)
+    are set to 0: those of a double eigenvalue 0, of a symmetry that the system does not declare, are of that size.
+
+    Args:
+        system: as in `equilibrium`.
+        state: a relative equilibrium to 1e-6, such as `equilibrium` finds.
+        frame: as in `equilibrium`.
+
+    Returns:
+        A `NormalModes`.
+
+    Raises:
+        ValueError: a state that is no relative equilibrium; as `equilibrium`.
+
+    Example: the wobble of a spin about the axis of greatest moment.
+
+        >>> import lieint_jax as li
+        >>> body = li.systems.rigid_body([1.0, 2.0, 3.0])
+        >>> modes = li.normal_modes(body, body.state(angular_velocity=[0.0, 0.0, 1.0]))
+        >>> round(float(modes.frequencies[0]), 6), modes.stable, modes.definite
+        (1.0, True, True)
+
+    Source: Marsden, Lectures on Mechanics (1992), chapters 5 and 10; Meyer & Offin 2017, Introduction to Hamiltonian
+    Dynamical Systems, 3.3 (the pairs), and Krein's theorem: Yakubovich & Starzhinskii 1975, III.
+    """
+    given = state.state if isinstance(state, Equilibrium) else state
+    system, at, _ = promoted(system, given)
+    if not concrete(system, at, frame):
+        raise ValueError("normal_modes computes with concrete numbers: call it outside of jit, vmap and grad")
+    system.check(at)
+    found = derivatives(system, at, frame_of(system, at, frame))
+    rates = found.rates()
+    residual, eps = found.residual(rates), float(np.finfo(at.p.dtype).eps)
+    if not residual <= max(1e-6, 1e3 * eps):
+        raise ValueError(
+            f"this state is no relative equilibrium: |dK| is {residual:.2g} of the second derivatives of K. "
+            "li.equilibrium(system, state) finds one near it"
+        )
+    return _modes(found, rates, 8 * eps**0.5)
+
+
+def _modes(found: Derivatives, rates: np.ndarray, small: float) -> NormalModes:
+    """All of it in units of the state, in which no coordinate is large."""
+    S, unit = found.hessian(rates), found.unit
+    omega, along = unit[:, None] * found.omega * unit, found.momentum * unit
+    A = -np.linalg.solve(omega, S)
+    slice_, orbit = _slice(omega, along)
+    form, energy = slice_.T @ omega @ slice_, slice_.T @ S @ slice_
+    reduced = -np.linalg.solve(form, energy) if slice_.shape[1] else np.zeros((0, 0))
+    pairs, vectors = _pairs(reduced, small)
+    group = _group_rates(A, orbit, omega, along, small)
+    frequencies, growth = np.abs(np.imag(pairs)), np.abs(np.real(pairs))
+    curvature = np.linalg.eigvalsh((energy + energy.T) / 2)
+    curved = curvature[np.abs(curvature) > 16 * small**2 * np.abs(curvature).max(initial=0)]
+    definite = bool(np.all(curved > 0) or np.all(curved < 0))
+    signs = _signs(pairs, vectors, energy)
+    stable = not growth.any()
+    margin = _margin(frequencies, signs) if stable else -float(growth.max())
+    return NormalModes(
+        jnp.asarray(np.concatenate([frequencies, np.abs(np.imag(group))])),
+        jnp.asarray(np.concatenate([growth, np.abs(np.real(group))])),
+        jnp.asarray(signs),
+        jnp.asarray(unit[:, None] * (slice_ @ vectors)),
+        stable,
+        definite,
+        margin,
+    )
+
+
+def _slice(omega: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bases, as columns, of the symplectic slice and of the motions along symmetries.
+
+    The slice is a complement, in the kernel V of dΦ, of V ∩ V^ω, where V^ω are the motions along symmetries.
+    """
+    dim = omega.shape[0]
+    if not along.shape[0]:
+        return np.eye(dim), np.zeros((dim, 0))
+    _, sizes, rows = np.linalg.svd(along)
+    rank = int((sizes > _RANK * max(sizes.max(initial=0), 1e-300)).sum())
+    level = rows[rank:].T  # V
+    left, sizes, _ = np.linalg.svd(level.T @ omega @ level)  # skew: the singular values are paired
+    inner = int((sizes > _RANK * np.abs(omega).max()).sum())
+    orbit = np.linalg.svd(np.linalg.solve(omega, rows[:rank].T), full_matrices=False)[0]
+    return level @ left[:, :inner], orbit
+
+
+def _pairs(A: np.ndarray, small: float) -> tuple[np.ndarray, np.ndarray]:
+    """One eigenvalue of each pair ±λ of a Hamiltonian matrix, by ascending frequency, and their vectors as columns."""
+    values, vectors = np.linalg.eig(A)
+    values = _rounded(values, small * np.abs(values).max(initial=0))
+    rest, chosen, paired = list(range(len(values))), [], []
+    while rest:
+        first = max(rest, key=lambda i: (np.imag(values[i]), np.real(values[i])))
+        rest.remove(first)
+        partner = min(rest, key=lambda i: abs(values[i] + values[first]))
+        rest.remove(partner)
+        chosen.append(first)
+        paired.append((values[first] - values[partner]) / 2)
+    order = sorted(range(len(paired)), key=lambda i: (np.imag(paired[i]), abs(np.real(paired[i]))))
+    return np.array([paired[i] for i in order], complex), vectors[:, [chosen[i] for i in order]].astype(complex)
+
+
+def _rounded(values: np.ndarray, least: float) -> np.ndarray:
+    """Eigenvalues without real and imaginary parts below `least`."""
+    real, imaginary = (np.where(np.abs(x) <= least, 0, x) for x in (np.real(values), np.imag(values)))
+    return real + 1j * imaginary
+
+
+def _group_rates(A: np.ndarray, orbit: np.ndarray, omega: np.ndarray, along: np.ndarray, small: float) -> np.ndarray:
+    """One eigenvalue of each pair that belongs to the symmetries.
+
+    On the motions along symmetries A has the eigenvalues of ad ξ: in pairs where the form does not vanish on them, and
+    else one of each pair, whose partner belongs to the change of the momentum.
+    """
+    if not orbit.shape[1]:
+        return np.zeros(0, complex)
+    left, sizes, _ = np.linalg.svd(orbit.T @ omega @ orbit)
+    inner = int((sizes > _RANK * np.abs(omega).max()).sum())
+    moved, isotropy = orbit @ left[:, :inner], orbit @ left[:, inner:]
+    quotient = moved.T @ A @ moved  # modulo the isotropy, which A maps to itself
+    values = np.linalg.eigvals(isotropy.T @ A @ isotropy)
+    scale = max(np.abs(np.linalg.eigvals(orbit.T @ A @ orbit)).max(initial=0), 1e-300)
+    values = _rounded(values, small * scale)
+    found = np.concatenate([_pairs(quotient, small)[0], values])
+    return found[np.argsort(np.abs(np.imag(found)), kind="stable")]
+
+
+def _signs(pairs: np.ndarray, vectors: np.ndarray, energy: np.ndarray) -> np.ndarray:
+    """The sign of the energy of each oscillation; for frequencies that are equal, that of the vectors as found."""
+    values = np.einsum("im,ij,jm->m", vectors.conj(), energy, vectors)
+    oscillating = (np.real(pairs) == 0) & (np.imag(pairs) > 0)
+    return np.where(oscillating, np.sign(np.real(values)), 0).astype(int)
+
+
+def _margin(frequencies: np.ndarray, signs: np.ndarray) -> float:
+    """The distance to a collision at 0, or of two frequencies of opposite sign; inf without modes."""
+    distances = [x for x in frequencies if x > 0]
+    for i, sign in enumerate(signs):
+        distances += [abs(frequencies[i] - frequencies[j]) for j in range(i) if sign * signs[j] < 0]
+    return float(min(distances, default=np.inf))

@@ -1,0 +1,104 @@
+"""Which part of a run a task of a job array integrates, from the variables that its scheduler sets."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import NamedTuple
+
+
+class _Scheduler(NamedTuple):
+    """The variables of a scheduler: the task's index; the number of tasks, or the last index; the first; the stride."""
+
+    name: str
+    task: str
+    tasks: str | None = None
+    last: str | None = None
+    first: str | int = 0
+    stride: str | None = None
+
+
+SCHEDULERS = (
+    _Scheduler(
+        "SLURM",
+        "SLURM_ARRAY_TASK_ID",
+        tasks="SLURM_ARRAY_TASK_COUNT",
+        first="SLURM_ARRAY_TASK_MIN",
+        stride="SLURM_ARRAY_TASK_STEP",
+    ),
+    _Scheduler("AWS Batch", "AWS_BATCH_JOB_ARRAY_INDEX", tasks="AWS_BATCH_JOB_ARRAY_SIZE"),
+    _Scheduler("Kubernetes", "JOB_COMPLETION_INDEX"),
+    _Scheduler("Google Batch", "BATCH_TASK_INDEX", tasks="BATCH_TASK_COUNT"),
+    _Scheduler("Cloud Run", "CLOUD_RUN_TASK_INDEX", tasks="CLOUD_RUN_TASK_COUNT"),
+    _Scheduler("Grid Engine", "SGE_TASK_ID", last="SGE_TASK_LAST", first="SGE_TASK_FIRST", stride="SGE_TASK_STEPSIZE"),
+    _Scheduler("LSF", "LSB_JOBINDEX", last="LSB_JOBINDEX_END", first=1),
+    _Scheduler("PBS", "PBS_ARRAY_INDEX"),
+    _Scheduler("GNU parallel", "PARALLEL_SEQ", first=1),
+)
+
+
+def part_of_task(count: int | None = None, environment: Mapping[str, str] = os.environ) -> tuple[int, int]:
+    """The part (k, n) of this task in an array of tasks of SLURM, AWS Batch, Kubernetes and other schedulers.
+
+    k is the task's index less the first index of the array. If only some tasks of a SLURM array are submitted again, k
+    and n are those of the new array: submit all of them (those that are complete end at once), or give k and n.
+
+    Args:
+        count: n, for a scheduler that does not report the number of tasks (Kubernetes, PBS, GNU parallel).
+        environment: the variables.
+
+    Raises:
+        ValueError: no such array, or its number of tasks is not known.
+    """
+    for scheduler in SCHEDULERS:
+        index = _number(environment, scheduler.task)
+        if index is None:
+            continue
+        first = scheduler.first if isinstance(scheduler.first, int) else _number(environment, scheduler.first) or 0
+        stride = (scheduler.stride and _number(environment, scheduler.stride)) or 1
+        last = scheduler.last and _number(environment, scheduler.last)
+        reported = (scheduler.tasks and _number(environment, scheduler.tasks)) or (
+            (last - first) // stride + 1 if isinstance(last, int) else None
+        )
+        if count is None and reported is None:
+            raise ValueError(
+                f"{scheduler.name} does not report the number of tasks to a task: give it, as in --part auto/8"
+            )
+        return checked_part(((index - first) // stride, count or reported or 1))
+    raise ValueError(
+        f"there is no array of tasks: none of {', '.join(s.task for s in SCHEDULERS)} is set. Give the part, as in "
+        "--part 3/8"
+    )
+
+
+def checked_part(part: tuple[int, int] | None) -> tuple[int, int]:
+    """`part`, checked to be (k, n) with 0 ≤ k < n; None is (0, 1)."""
+    if part is None:
+        return 0, 1
+    try:
+        k, count = (int(x) for x in part)
+        right = (k, count) == tuple(part) and 0 <= k < count
+    except (TypeError, ValueError):
+        right, k, count = False, 0, 1
+    if not right:
+        raise ValueError(f"part must be (k, n), part k = 0 … n − 1 of n, got {part!r}")
+    return k, count
+
+
+def part_of_text(text: str) -> tuple[int, int]:
+    """The part (k, n) of a text K/N, "auto" or "auto/N": see `part_of_task`."""
+    first, slash, last = text.partition("/")
+    try:
+        if first == "auto":
+            return part_of_task(int(last) if slash else None)
+        return checked_part((int(first), int(last)))
+    except ValueError as error:
+        if "invalid literal" not in str(error):
+            raise
+        raise ValueError(f"a part is K/N with K = 0 … N − 1, auto, or auto/N, got {text}") from None
+
+
+def _number(environment: Mapping[str, str], name: str) -> int | None:
+    """The number in a variable; None if there is none (Grid Engine sets "undefined")."""
+    text = environment.get(name, "")
+    return int(text) if text.isdigit() else None

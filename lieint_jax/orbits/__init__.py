@@ -1,0 +1,69 @@
+"""Given motions of a center, and what a satellite meets on its way: field, air, light, and frames to point to.
+
+| function | gives |
+|---|---|
+| `kepler`, `from_state` | the orbit by its elements; through a position and a velocity |
+| `table` | the orbit through the entries of an ephemeris |
+| `secular_j2` | an ellipse about an oblate center, with its secular rates |
+| `lvlh` | local vertical, local horizontal along an orbit: the attitude to point to the nadir |
+| `earth_field` | the Earth's magnetic dipole along an orbit; `vector_table` for other fields |
+| `atmosphere` | the density of the air, and the velocity relative to it |
+| `sun_direction`, `eclipse` | the direction of the Sun, the part of its light that reaches a satellite |
+| `julian_date`, `earth_rotation_angle` | days, and the rotation of the Earth |
+| `graded_times` | step times that are short where a flyby is close |
+
+An orbit is any function t ↦ (position, velocity) that JAX can trace. Units are yours; the Earth's constants are in km
+and seconds: `EARTH_GM`, `EARTH_RADIUS`, `EARTH_J2`, `EARTH_RATE`.
+"""
+
+from lieint_jax.orbits._earth import (
+    EARTH_GM,
+    EARTH_J2,
+    EARTH_RADIUS,
+    EARTH_RATE,
+    J2000,
+    Air,
+    EarthField,
+    atmosphere,
+    earth_field,
+    earth_rotation_angle,
+    julian_date,
+)
+from lieint_jax.orbits._frames import LocalFrame, lvlh
+from lieint_jax.orbits._from_state import KeplerFromState, from_state
+from lieint_jax.orbits._graded_times import graded_times
+from lieint_jax.orbits._kepler import Kepler, kepler
+from lieint_jax.orbits._secular import SecularJ2, secular_j2
+from lieint_jax.orbits._sun import Eclipse, SunDirection, eclipse, sun_direction
+from lieint_jax.orbits._table import Table, VectorTable, table, vector_table
+
+__all__ = [
+    "EARTH_GM",
+    "EARTH_J2",
+    "EARTH_RADIUS",
+    "EARTH_RATE",
+    "J2000",
+    "Air",
+    "EarthField",
+    "Eclipse",
+    "Kepler",
+    "KeplerFromState",
+    "LocalFrame",
+    "SecularJ2",
+    "SunDirection",
+    "Table",
+    "VectorTable",
+    "atmosphere",
+    "earth_field",
+    "earth_rotation_angle",
+    "eclipse",
+    "from_state",
+    "graded_times",
+    "julian_date",
+    "kepler",
+    "lvlh",
+    "secular_j2",
+    "sun_direction",
+    "table",
+    "vector_table",
+]

@@ -1,0 +1,69 @@
+"""Frames that move with a satellite: axes for a controller to point to."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._numerics.vec3 import cross, dot
+from lieint_jax.groups import so3
+from lieint_jax.types import callable_pytree, pytree
+
+
+@pytree
+class LocalFrame:
+    """Local vertical, local horizontal along an orbit: `frame(t)` is its attitude. Made by `lvlh`."""
+
+    orbit: Any
+
+    def __call__(self, t: ArrayLike) -> Array:
+        """The attitude of the frame at time t: the unit quaternion (4,) from its axes to those of space, q₀ ≥ 0."""
+        q = so3.from_matrix(self.matrix(t))
+        return jnp.where(q[0] < 0, -q, q)
+
+    def matrix(self, t: ArrayLike) -> Array:
+        """The axes of the frame in space, as columns, (3, 3)."""
+        r, v = self.orbit(t)
+        h = jnp.stack(cross(r, v))
+        down, across = -r / jnp.sqrt(dot(r, r)), -h / jnp.sqrt(dot(h, h))
+        return jnp.stack([jnp.stack(cross(across, down)), across, down], axis=1)
+
+    def angular_velocity(self, t: ArrayLike) -> Array:
+        """The angular velocity of the frame in its own axes, (3,), for any orbit, perturbed ones too.
+
+        It is −|h|/r² about y, and −r(v̇·ĥ)/|h| about z, as the plane of a perturbed orbit rotates.
+        """
+        t = jnp.asarray(t)
+        if hasattr(self.orbit, "acceleration"):
+            r, v = self.orbit(t)
+            acceleration = self.orbit.acceleration(r)
+        else:
+            (r, v), (_, acceleration) = jax.jvp(self.orbit, (t,), (jnp.ones_like(t),))
+        h = jnp.stack(cross(r, v))
+        size, square = jnp.sqrt(dot(h, h)), dot(r, r)
+        tilt = jnp.sqrt(square) * dot(acceleration, h) / (size * size)
+        return jnp.stack([jnp.zeros_like(size), -size / square, -tilt])
+
+
+def lvlh(orbit: Any) -> LocalFrame:
+    """Local vertical, local horizontal: z down to the center, y against the orbit's normal, x = y × z, forward.
+
+    A body at q = frame(t) points its z axis to the nadir. On a circular orbit x is the direction of the velocity.
+
+    Args:
+        orbit: t ↦ (position, velocity) from the center of attraction, such as `kepler(…)`; JAX must be able to
+            differentiate it by t.
+
+    Returns:
+        t ↦ the attitude quaternion of the frame, (4,), with a method `angular_velocity(t)` in the axes of the frame.
+
+    Raises:
+        ValueError: an orbit that is no such function.
+    """
+    _checks.function("orbit", lambda t: orbit(t)[0], "the time t, with (position, velocity)", (3,), jnp.zeros(()))
+    return LocalFrame(callable_pytree(orbit))

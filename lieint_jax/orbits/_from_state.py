@@ -1,0 +1,212 @@
+"""The Kepler orbit through a position and a velocity, by Lagrange's coefficients: no element is singular."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics.vec3 import cross, dot
+from lieint_jax.orbits._anomaly import Function, elliptic_anomaly, hyperbolic_anomaly, less_sine, sinh_less
+from lieint_jax.orbits._kepler import Kepler
+from lieint_jax.types import pytree
+
+_LINE = 1e-12  # |r × v| over |r||v| below which an orbit is a line
+
+
+@pytree
+class KeplerFromState:
+    """A Kepler orbit: `orbit(t)` is the position and the velocity at time t. Made by `from_state`.
+
+    With x = E − E₀, the change of the eccentric anomaly, and a > 0 (an ellipse)
+
+        r(t) = f r₀ + g v₀,    f = 1 − (a/r₀)(1 − cos x),    g = √(a/μ)[r₀ sin x + √(a/μ) r₀·v₀ (1 − cos x)]
+
+    Attributes:
+        mu: the gravitational parameter.
+        position, velocity: at the time `start`, (3,).
+        start: that time.
+    """
+
+    mu: Array
+    position: Array
+    velocity: Array
+    start: Array
+
+    @property
+    def semi_major_axis(self) -> Array:
+        """a, negative for a hyperbola."""
+        return 1 / self._inverse_axis
+
+    @property
+    def eccentricity(self) -> Array:
+        """e."""
+        c, s, _ = self._anomaly_parts()
+        return jnp.sqrt(jnp.where(self._inverse_axis > 0, c * c + s * s, c * c - s * s))
+
+    @property
+    def mean_motion(self) -> Array:
+        """n = √(μ/|a|³), in radians per unit of time; the period of an ellipse is 2π/n."""
+        beta = jnp.abs(self._inverse_axis)
+        return jnp.sqrt(self.mu * beta) * beta
+
+    @property
+    def elements(self) -> Kepler:
+        """The same orbit by its elements. The node of an orbit in the xy-plane is 0, the periapsis of a circle too."""
+        c, s, _ = self._anomaly_parts()
+        closed, e = self._inverse_axis > 0, self.eccentricity
+        E = jnp.where(closed, jnp.arctan2(s, c), jnp.arcsinh(s / e))
+        M = jnp.where(closed, E - s, s - E)
+        h = jnp.stack(cross(self.position, self.velocity))
+        tilt = jnp.hypot(h[0], h[1])
+        inclination, node = jnp.arctan2(tilt, h[2]), jnp.where(tilt > 0, jnp.arctan2(h[0], -h[1]), 0)
+        N = jnp.stack([jnp.cos(node), jnp.sin(node), jnp.zeros_like(node)])
+        across = jnp.stack(cross(h, N)) / jnp.sqrt(dot(h, h))
+        latitude = jnp.arctan2(dot(self.position, across), dot(self.position, N))
+        half = jnp.where(closed, jnp.tan(E / 2), jnp.tanh(E / 2))
+        anomaly = 2 * jnp.arctan(jnp.sqrt((1 + e) / jnp.abs(1 - e)) * half)
+        time = self.start - M / self.mean_motion
+        return Kepler(self.mu, self.semi_major_axis, e, inclination, node, latitude - anomaly, time)
+
+    def __call__(self, t: ArrayLike) -> tuple[Array, Array]:
+        """Position (3,) and velocity (3,) at time t, a scalar of either sign."""
+        alpha = self._inverse_axis
+        if concrete(alpha):
+            return self._on_ellipse(t) if float(alpha) > 0 else self._on_hyperbola(t)
+        return lax.cond(alpha > 0, self._on_ellipse, self._on_hyperbola, jnp.asarray(t))
+
+    def acceleration(self, position: Array) -> Array:
+        """−μr/|r|³ at a position, (3,)."""
+        square = dot(position, position)
+        return position * (-self.mu / (square * jnp.sqrt(square)))
+
+    @property
+    def _inverse_axis(self) -> Array:
+        """1/a = 2/r₀ − v₀²/μ."""
+        return 2 / jnp.sqrt(dot(self.position, self.position)) - dot(self.velocity, self.velocity) / self.mu
+
+    def _anomaly_parts(self) -> tuple[Array, Array, Array]:
+        """e cos E₀ and e sin E₀, or e cosh E₀ and e sinh E₀, and 1/|a|, which is never 0 here."""
+        alpha = self._inverse_axis
+        beta = jnp.abs(alpha)
+        size = jnp.sqrt(dot(self.position, self.position))
+        return 1 - size * alpha, dot(self.position, self.velocity) * jnp.sqrt(beta / self.mu), beta
+
+    def _on_ellipse(self, t: ArrayLike) -> tuple[Array, Array]:
+        M = self.mean_motion * (t - self.start)
+        M = M - 2 * jnp.pi * lax.stop_gradient(jnp.round(M / (2 * jnp.pi)))
+        c, s, _ = self._anomaly_parts()
+        return self._propagated(_elliptic_change(M, c, s), jnp.sin, jnp.cos)
+
+    def _on_hyperbola(self, t: ArrayLike) -> tuple[Array, Array]:
+        c, s, _ = self._anomaly_parts()
+        return self._propagated(_hyperbolic_change(self.mean_motion * (t - self.start), c, s), jnp.sinh, jnp.cosh)
+
+    def _propagated(self, x: Array, sine: Function, cosine: Function) -> tuple[Array, Array]:
+        """Position and velocity, with the circular or the hyperbolic functions."""
+        r0 = jnp.sqrt(dot(self.position, self.position))
+        a = 1 / self._anomaly_parts()[2]
+        scale, slope = jnp.sqrt(a / self.mu), dot(self.position, self.velocity)
+        S, rest = sine(x), 2 * sine(x / 2) ** 2  # rest = |1 − cos x|
+        r = r0 * cosine(x) + a * rest + scale * slope * S
+        f, g = 1 - a / r0 * rest, scale * (r0 * S + scale * slope * rest)
+        df, dg = -a / (scale * r * r0) * S, 1 - a / r * rest
+        return f * self.position + g * self.velocity, df * self.position + dg * self.velocity
+
+
+def from_state(mu: ArrayLike, position: Any, velocity: Any, t: ArrayLike = 0.0) -> KeplerFromState:
+    """The Kepler orbit through a position and a velocity, elliptic or hyperbolic.
+
+    Circles and orbits in the xy-plane are no special cases, derivatives included. `orbit.elements` are those of
+    `kepler`. Positions are right to a few ulp of the semi-major axis, apart from the rounding of the mean anomaly.
+
+    Args:
+        mu: the gravitational parameter GM, > 0, in length³ / time².
+        position, velocity: at the time t, relative to the center of attraction, (3,).
+        t: that time.
+
+    Raises:
+        ValueError: μ ≤ 0, a position at the center, a velocity along the position (the orbit is a line), a parabola,
+            a value that is no finite real number.
+
+    Source: Battin 1999, An Introduction to the Mathematics and Methods of Astrodynamics, 3.3 and 4.3.
+
+    Example:
+        >>> orbit = from_state(1.0, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+        >>> float(orbit.eccentricity)
+        0.0
+    """
+    r, v = _checks.real_array("position", position, (3,)), _checks.real_array("velocity", velocity, (3,))
+    m, start = _checks.real_array("mu", mu, ()), _checks.real_array("t", t, ())
+    dtype = jnp.result_type(r, v, m, start)
+    orbit = KeplerFromState(*(x.astype(dtype) for x in (m, r, v, start)))
+    if concrete(orbit):
+        _check(float(m), np.asarray(r, float), np.asarray(v, float))
+    return orbit
+
+
+def _check(mu: float, r: np.ndarray, v: np.ndarray) -> None:
+    """ValueError if no ellipse or hyperbola passes there."""
+    if not mu > 0:
+        raise ValueError(f"mu must be positive, got {mu}")
+    size, speed = np.linalg.norm(r), np.linalg.norm(v)
+    if size == 0:
+        raise ValueError("position must not be that of the center of attraction, got 0")
+    if np.linalg.norm(np.cross(r, v)) <= _LINE * size * speed:
+        raise ValueError(f"an orbit must not be a line through the center: position {r} and velocity {v} are parallel")
+    if abs(2 / size - speed**2 / mu) <= 1e-14 * 2 / size:
+        raise ValueError(
+            f"the speed {speed:.9g} at distance {size:.9g} is that of escape, so the orbit is a parabola, which has "
+            "no semi-major axis; change the speed slightly"
+        )
+
+
+@jax.custom_jvp
+def _elliptic_change(M: Array, c: Array, s: Array) -> Array:
+    """x of x − c sin x + s(1 − cos x) = M for |M| ≤ π, with c = e cos E₀ and s = e sin E₀."""
+    first = jnp.arctan2(s, c)
+    mean = M + first - s
+    whole = 2 * jnp.pi * jnp.round(mean / (2 * jnp.pi))
+    x = elliptic_anomaly(mean - whole, jnp.sqrt(c * c + s * s)) + whole - first
+    less = jnp.sign(x) * less_sine(jnp.abs(x))
+    f = (1 - c) * x + c * less + 2 * s * jnp.sin(x / 2) ** 2 - M  # without cancellation where x is small
+    return x - f / _elliptic_slope(x, c, s)
+
+
+def _elliptic_slope(x: Array, c: Array, s: Array) -> Array:
+    return 1 - c + 2 * c * jnp.sin(x / 2) ** 2 + s * jnp.sin(x)
+
+
+@_elliptic_change.defjvp
+def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
+    x = _elliptic_change(*primals)
+    M, c, s = tangents
+    return x, (M + jnp.sin(x) * c - 2 * jnp.sin(x / 2) ** 2 * s) / _elliptic_slope(x, *primals[1:])
+
+
+@jax.custom_jvp
+def _hyperbolic_change(M: Array, c: Array, s: Array) -> Array:
+    """x of c sinh x + s(cosh x − 1) − x = M, with c = e cosh E₀ and s = e sinh E₀."""
+    e = jnp.sqrt(c * c - s * s)
+    first = jnp.arcsinh(s / e)
+    x = hyperbolic_anomaly(M + s - first, e) - first
+    more = jnp.sign(x) * sinh_less(jnp.abs(x))
+    f = (c - 1) * x + c * more + 2 * s * jnp.sinh(x / 2) ** 2 - M
+    return x - f / _hyperbolic_slope(x, c, s)
+
+
+def _hyperbolic_slope(x: Array, c: Array, s: Array) -> Array:
+    return c - 1 + 2 * c * jnp.sinh(x / 2) ** 2 + s * jnp.sinh(x)
+
+
+@_hyperbolic_change.defjvp
+def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
+    x = _hyperbolic_change(*primals)
+    M, c, s = tangents
+    return x, (M - jnp.sinh(x) * c - 2 * jnp.sinh(x / 2) ** 2 * s) / _hyperbolic_slope(x, *primals[1:])

@@ -1,0 +1,135 @@
+"""The direction of the Sun, and the Earth's shadow."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._numerics.vec3 import cross, dot
+from lieint_jax.orbits._anomaly import less_sine
+from lieint_jax.orbits._earth import EARTH_RADIUS, J2000, above_ground, positive
+from lieint_jax.types import callable_pytree, pytree, static
+
+SUN_ANGLE = 0.0046524  # the half-angle of the Sun at 1 au: asin(696000 km / 149597870.7 km)
+
+
+@pytree
+class SunDirection:
+    """The unit vector from the Earth to the Sun: `sun(t)`, in space. Made by `sun_direction`.
+
+    Attributes:
+        days: since J2000, at t = 0.
+        day: a day in the unit of time.
+    """
+
+    days: Array
+    day: Array
+
+    def __call__(self, t: ArrayLike) -> Array:
+        """s at time t, (3,)."""
+        n = self.days + t / self.day
+        degree = np.pi / 180
+        anomaly = degree * jnp.mod(357.528 + 0.9856003 * n, 360)
+        longitude = degree * jnp.mod(280.460 + 0.9856474 * n, 360)
+        longitude = longitude + degree * (1.915 * jnp.sin(anomaly) + 0.020 * jnp.sin(2 * anomaly))
+        tilt = degree * (23.439 - 0.0000004 * n)
+        s = jnp.sin(longitude)
+        return jnp.stack([jnp.cos(longitude), jnp.cos(tilt) * s, jnp.sin(tilt) * s])
+
+
+def sun_direction(date: float, day: ArrayLike = 86400.0) -> SunDirection:
+    """The unit vector to the Sun, seen from the Earth, to 0.01° from 1950 to 2050 (mean equator and equinox of date).
+
+    Args:
+        date: the Julian date at t = 0 (`julian_date`).
+        day: the length of a day in the unit of t.
+
+    Raises:
+        ValueError: a date or a day that is no finite number, a day that is not positive.
+
+    Source: The Astronomical Almanac, low-precision formulas for the Sun's coordinates (page C5).
+    """
+    return SunDirection(_checks.real_array("date", date, ()) - J2000, positive("day", day))
+
+
+@pytree
+class Eclipse:
+    """The part of the Sun's disc that the Earth leaves visible: `light(t)` from 0 to 1. Made by `eclipse`.
+
+    Attributes:
+        orbit: t ↦ (position, velocity).
+        sun: s, a unit vector, or a function of time with such values.
+        radius: of the Earth.
+        angle: the half-angle of the Sun; 0 for a shadow that is a cylinder.
+        cylinder: whether the shadow is a cylinder.
+    """
+
+    orbit: Any
+    sun: Any
+    radius: Array
+    angle: Array
+    cylinder: bool = static()
+
+    def __call__(self, t: ArrayLike) -> Array:
+        """1 in the light, 0 in the shadow; the visible part of the disc in the penumbra of a cone."""
+        r, _ = self.orbit(t)
+        s = jnp.asarray(self.sun(t) if callable(self.sun) else self.sun)
+        along, beside = dot(r, s), cross(r, s)
+        off = jnp.sqrt(jnp.maximum(dot(beside, beside), jnp.finfo(r.dtype).tiny))
+        if self.cylinder:
+            return jnp.where((along < 0) & (off < self.radius), 0.0, 1.0).astype(r.dtype)
+        size = jnp.sqrt(dot(r, r))
+        return 1 - _covered(self.angle, jnp.arcsin(jnp.minimum(self.radius / size, 1)), jnp.arctan2(off, -along))
+
+
+def _covered(a: Array, b: Array, c: Array) -> Array:
+    """The part of a disc of radius a that is covered by one of radius b, whose center is at the distance c."""
+    overlap = (c < a + b) & (c > jnp.abs(a - b))
+    c_ = jnp.where(overlap, c, b)  # a harmless one
+    x = ((c_ - b) * (c_ + b) + a * a) / (2 * c_)
+    y = jnp.sqrt(jnp.maximum(a * a - x * x, 1e-12 * a * a))
+    alpha, beta = jnp.arctan2(y, x), jnp.arctan2(y, c_ - x)
+    area = (
+        a * a * less_sine(2 * alpha) + b * b * less_sine(2 * beta)
+    ) / 2  # two segments, each a sector less a triangle
+    whole = jnp.minimum(1, (b / a) ** 2)
+    return jnp.where(overlap, area / (jnp.pi * a * a), jnp.where(c < a + b, whole, 0))
+
+
+def eclipse(
+    orbit: Any,
+    sun: Any,
+    radius: ArrayLike = EARTH_RADIUS,
+    shadow: Literal["conical", "cylindrical"] = "conical",
+    *,
+    angle: ArrayLike = SUN_ANGLE,
+) -> Eclipse:
+    """The part of the sunlight that reaches a satellite, from 0 in the shadow of the Earth to 1.
+
+    Args:
+        orbit: t ↦ (position, velocity) from the Earth's center.
+        sun: the unit vector to the Sun in space, (3,), or a function of time with such values (`sun_direction`).
+        radius: of the Earth, in the orbit's unit of length.
+        shadow: "conical", with a penumbra, continuous in time; or "cylindrical", 0 or 1.
+        angle: the half-angle of the Sun's disc, in radians.
+
+    Raises:
+        ValueError: another shadow, a Sun that is no such vector, an orbit below the ground or in another unit.
+
+    Source: Montenbruck & Gill 2000, Satellite Orbits, 3.4.2.
+    """
+    if shadow not in ("conical", "cylindrical"):
+        raise ValueError(f'shadow must be "conical" or "cylindrical", got {shadow!r}')
+    R = positive("radius", radius)
+    above_ground(orbit, R)
+    if callable(sun):
+        _checks.function("sun", sun, "the time t", (3,), jnp.zeros(()))
+        sun = callable_pytree(sun)
+    else:
+        sun = _checks.real_array("sun", sun, (3,))
+    return Eclipse(callable_pytree(orbit), sun, R, positive("angle", angle), shadow == "cylindrical")

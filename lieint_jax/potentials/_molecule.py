@@ -1,0 +1,95 @@
+"""Rigid molecules: masses, charges and Lennard-Jones sites, in principal axes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax.potentials._potential import Potential
+from lieint_jax.potentials._site_pairs import sites
+
+_ALIGNED = 1e-12  # of the largest moment: smaller products of inertia are rounding
+
+
+class Molecule(NamedTuple):
+    """A rigid molecule in nm, ps, atomic mass units, kJ/mol and elementary charges, which go together.
+
+    Attributes:
+        mass: in u.
+        inertia: principal moments about the center of mass, (3,), in u nm².
+        points: sites in the principal axes, from the center of mass, (n, 3), in nm.
+        charges: (n,).
+        wells: ε of Lennard-Jones, (n,), in kJ/mol.
+        sizes: σ of Lennard-Jones, (n,), in nm.
+    """
+
+    mass: float
+    inertia: np.ndarray
+    points: np.ndarray
+    charges: np.ndarray
+    wells: np.ndarray
+    sizes: np.ndarray
+
+    def potential(self, number: int) -> Potential:
+        """The potential of so many of these molecules."""
+        at = jnp.tile(jnp.asarray(self.points), (_checks.count("number", number, 2), 1, 1))
+        return sites(at, self.charges, self.wells, self.sizes)
+
+
+def molecule(
+    masses: ArrayLike,
+    points: ArrayLike,
+    charges: ArrayLike | None = None,
+    wells: ArrayLike | None = None,
+    *,
+    sizes: ArrayLike | None = None,
+) -> Molecule:
+    """A rigid molecule from its sites: center of mass, principal axes and moments are computed.
+
+    The axes are rotated to principal axes, moments ascending, unless they are principal axes already.
+
+    Args:
+        masses: of the sites, in u, (n,), ≥ 0; 0 for a charge without mass.
+        points: in any axes, from any origin, in nm, (n, 3), not all on one line.
+        charges: in elementary charges, (n,); by default 0.
+        wells: ε of Lennard-Jones, in kJ/mol, (n,), ≥ 0; by default 0.
+        sizes: σ of Lennard-Jones, in nm, (n,); needed where ε > 0.
+
+    Raises:
+        ValueError: shapes that disagree, negative masses or wells, a total mass of 0, masses on one line (no inertia
+            about it), wells without sizes.
+    """
+    m, at = np.asarray(masses, float), np.asarray(points, float)
+    if m.ndim != 1 or not m.size or at.shape != (m.size, 3):
+        raise ValueError(f"masses (n,) and points (n, 3) are needed, got shapes {m.shape} and {at.shape}")
+    given = {"charges": charges, "wells": wells, "sizes": sizes}
+    numbers = {name: np.zeros(m.size) if x is None else np.asarray(x, float) for name, x in given.items()}
+    for name, x in {"masses": m, "points": at, **numbers}.items():
+        if name != "points" and x.shape != m.shape:
+            raise ValueError(f"{name} must have shape {m.shape}, as masses, got {x.shape}")
+        if not np.isfinite(x).all() or (name in ("masses", "wells") and (x < 0).any()):
+            raise ValueError(f"{name} must be finite{'' if name in ('points', 'charges') else ' and ≥ 0'}, got {x}")
+    if not m.sum() > 0:
+        raise ValueError(f"the total mass must be positive, got {m.sum()}")
+    if ((numbers["wells"] > 0) & (numbers["sizes"] <= 0)).any():
+        raise ValueError(f"sizes must be positive where wells are, got {numbers['sizes']}")
+    at = at - m @ at / m.sum()
+    inertia, at = _principal(m, at)
+    if not inertia.min() > _ALIGNED * inertia.max():
+        raise ValueError(f"masses must not lie on one line, where a body has no inertia: the moments are {inertia}")
+    return Molecule(float(m.sum()), inertia, at, **numbers)
+
+
+def _principal(m: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The principal moments of masses, and their places in principal axes."""
+    second = (m[:, None] * at).T @ at
+    if np.abs(second - np.diag(np.diag(second))).max() > _ALIGNED * second.max():
+        _, axes = np.linalg.eigh(np.trace(second) * np.eye(3) - second)
+        axes[:, 2] *= np.linalg.det(axes)
+        at = at @ axes
+    squares = m @ (at * at)
+    return squares.sum() - squares, at

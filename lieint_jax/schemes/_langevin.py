@@ -1,0 +1,295 @@
+"""Langevin dynamics of rigid bodies: the canonical measure by exact flows, with the heat counted exactly.
+
+    B: π ← π + ½Δt τ(Λ)     A: the exact free motion for ½Δt     O: Π_i ← e^{−γ_iΔt}Π_i + √(kT J_i(1 − e^{−2γ_iΔt})) ξ_i
+
+in the order B A O A B, and the same of centers and linear momenta with m in place of J. O is the exact flow of friction
+and noise, and leaves exp(−½Π·J⁻¹Π/kT) as it is; so does A, which conserves T and the volume. Without a potential the
+sampling is exact for any Δt, with one its bias is O(Δt²). The heat Q grows by the change of the kinetic energy in O, so
+that H − Q changes in A and B only, by the error of the splitting without noise.
+
+The Metropolised scheme is O(½Δt), then B A B, accepted with the probability min(1, exp(−ΔH/kT)), else π ← −π in its
+place, then O(½Δt). As B A B conserves the volume and undoes itself after a change of sign of π, it samples the
+canonical measure without a bias for any Δt.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics import random_bits, vec3
+from lieint_jax.groups import so3
+from lieint_jax.schemes._exact import exact
+from lieint_jax.schemes._shared.accepts import check_motion, hint
+from lieint_jax.schemes._shared.properties import SchemeProperties
+from lieint_jax.schemes._splitting import Splitting, kicked, kicked_motion
+from lieint_jax.types import (
+    AbstractForcedSystem,
+    AbstractFreeBodies,
+    AbstractFreeBody,
+    AbstractRigidBodies,
+    AbstractTop,
+    State,
+    Step,
+    StepInfo,
+    pytree,
+    static,
+)
+
+_KEY, _COUNT, _HEAT, _REJECTIONS = "key", "step", "heat", "rejections"
+_SYSTEMS = (AbstractFreeBody, AbstractTop, AbstractFreeBodies, AbstractRigidBodies)
+_MOST = 2**32  # steps with noise of their own
+
+
+@pytree
+class Langevin(Step):
+    """The step made by `langevin`.
+
+    Attributes:
+        system: bodies, in a potential or free.
+        drift: the exact step of their free motion.
+        temperature: kT, an energy.
+        friction: γ, rates: (), (3,), or (6,).
+        metropolis: whether steps are accepted or rejected.
+    """
+
+    system: Any
+    drift: Step
+    temperature: Array
+    friction: Array
+    metropolis: bool = static(default=False)
+    order: float = static(default=2)
+    symmetric: bool = static(default=False)
+
+    @property
+    def name(self) -> str:
+        return "langevin[metropolis]" if self.metropolis else "langevin"
+
+    @property
+    def deterministic(self) -> Step:
+        return Splitting(self.system, self.drift) if isinstance(self.system, AbstractForcedSystem) else self.drift
+
+    @property
+    def free(self) -> Langevin:
+        """The same thermostat of the bodies without their potential."""
+        return Langevin(self.drift.system, self.drift, self.temperature, self.friction, self.metropolis)
+
+    def start(self, state: State, key: Any = None, first: int = 0) -> State:
+        """`state` with a key, the number of steps so far, and the heat so far: `State.extra["key", "step", "heat"]`.
+
+        A state that has a key goes on with it unless another is given. Random numbers depend on the key and the number
+        of the step alone, so a run in parts, resumed, sharded or by another number of processes has the same bits.
+
+        Args:
+            state: of one body or system; or of an ensemble, with a leading member axis on all leaves but t.
+            key: of `jax.random.key(seed)`, or a seed, an integer; by default the seed 0. Members of an ensemble have
+                the keys `fold_in(key, member)`.
+            first: the number of the first of these members, if they are a part of a larger ensemble.
+
+        Raises:
+            ValueError: no key of `jax.random`.
+        """
+        extra, dtype = state.extra or {}, state.p.dtype
+        if key is None and _KEY in extra:
+            return state
+        made = _checked_key(0 if key is None else key)
+        axes = state.p.shape[: state.p.ndim - self.system.phase_space.origin.p.ndim]
+        if axes:
+            members = jnp.arange(first, first + axes[0])
+            digits = jax.vmap(lambda i: random_bits.digits(jax.random.fold_in(made, i), dtype))(members)
+        else:
+            digits = random_bits.digits(made, dtype)
+        counts = (_COUNT, _HEAT, _REJECTIONS) if self.metropolis else (_COUNT, _HEAT)
+        return state._replace(extra={**extra, _KEY: digits, **{name: jnp.zeros(axes, dtype) for name in counts}})
+
+    def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        n = self._carried(state, _COUNT)
+        key = random_bits.fold_in(random_bits.key_of(self._carried(state, _KEY)), random_bits.word(n))
+        state, info = (self._metropolis if self.metropolis else self._baoab)(state, jnp.asarray(dt), key)
+        counted = (n + 1 > n) & (n < _MOST) & (jnp.asarray(dt) >= 0)
+        end = self._added(state, **{_COUNT: 1})
+        return end, info._replace(converged=info.converged & counted)
+
+    def _baoab(self, state: State, dt: Array, key: random_bits.Key) -> tuple[State, StepInfo]:
+        noise = random_bits.normal(key, 0, state.p.size, state.p.dtype)
+        state, before = self.drift.substep(self._kick(state, 0.5 * dt), 0.5 * dt)
+        state, after = self.drift.substep(self._thermalize(state, dt, noise), 0.5 * dt)
+        return self._kick(state, 0.5 * dt), before.merge(after)
+
+    def _metropolis(self, state: State, dt: Array, key: random_bits.Key) -> tuple[State, StepInfo]:
+        many, dtype = state.p.size, state.p.dtype
+        used = random_bits.draws_of(many)
+        start = self._thermalize(state, 0.5 * dt, random_bits.normal(key, 0, many, dtype))
+        moved, info = self.deterministic.substep(start, dt)
+        rise = self.system.energy(moved) - self.system.energy(start)
+        u = random_bits.uniform(key, jnp.arange(2 * used, 2 * used + 1, dtype=jnp.uint32), dtype)[0]
+        accepted = self.temperature * jnp.log(u) <= -rise  # a step that ends in NaN is not
+        end = start._replace(
+            q=jnp.where(accepted, moved.q, start.q),
+            p=jnp.where(accepted, moved.p, -start.p),
+        )
+        end = self._added(end, **{_REJECTIONS: 1 - accepted.astype(dtype)})
+        return self._thermalize(end, 0.5 * dt, random_bits.normal(key, used, many, dtype)), info
+
+    def _kick(self, state: State, dt: Array) -> State:
+        return kicked(self.system, state, dt) if isinstance(self.system, AbstractForcedSystem) else state
+
+    def _thermalize(self, state: State, dt: Array, noise: Array) -> State:
+        """O: friction and noise for a time, and the heat that they bring."""
+        bodies: Any = self.drift.system
+        if state.p.ndim == 1:
+            p, gained = self._bathed(state.q, bodies.inertia, state.p, noise, self.friction, dt)
+        else:
+            p, gained = self._all_bathed(bodies, state, noise.reshape(-1, 6), dt)
+        return self._added(state._replace(p=p), **{_HEAT: gained})
+
+    def _all_bathed(self, bodies: Any, state: State, noise: Array, dt: Array) -> tuple[Array, Array]:
+        """The momenta of several bodies after friction and noise, and the kinetic energy gained."""
+        masses = bodies.masses[:, None] * jnp.ones_like(state.p[:, :3])
+        rates = (self.friction[:3], self.friction[3:]) if self.friction.shape == (6,) else (self.friction,) * 2
+        over_bodies = jax.vmap(self._bathed, (0, 0, 0, 0, None, None))
+        (moved, first), (turned, second) = (
+            over_bodies(state.q[:, 3:], J, state.p[:, own], noise[:, own], rate, dt)
+            for J, own, rate in zip((masses, bodies.inertias), (slice(3), slice(3, 6)), rates, strict=True)
+        )
+        return jnp.concatenate([moved, turned], axis=1), jnp.sum(first) + jnp.sum(second)
+
+    def _bathed(self, q: Array, J: Array, p: Array, noise: Array, rate: Array, dt: Array) -> tuple[Array, Array]:
+        """A momentum in space after friction and noise in the axes of the body, and the kinetic energy gained.
+
+        J is the inertia of the body, or its mass along each axis. The gain is ½ (Π′ − Π)·J⁻¹(Π′ + Π).
+        """
+        decay, spread = jnp.exp(-rate * dt), jnp.sqrt(-jnp.expm1(-2 * rate * jnp.maximum(dt, 0)))
+        before = so3.Ad_star(q, p)
+        after = decay * before + spread * jnp.sqrt(self.temperature) * _root_times(J, noise)
+        mean_velocity = jnp.stack(vec3.solve_symmetric(vec3.symmetric(J), before + after)) / 2
+        return so3.Ad(q, after), jnp.sum((after - before) * mean_velocity)
+
+    def _carried(self, state: State, name: str) -> Array:
+        extra = state.extra or {}
+        if name not in extra or (self.metropolis and _REJECTIONS not in extra):
+            raise ValueError(
+                f"{self.name} needs a key and counts in state.extra: take step.start(state, key=jax.random.key(0))"
+            )
+        return extra[name]
+
+    def _added(self, state: State, **more: Any) -> State:
+        """The state with these increments of what it carries."""
+        extra = dict(state.extra or {})
+        return state._replace(extra=extra | {name: extra[name] + x for name, x in more.items()})
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        if float(dt) < 0:  # pyright: ignore[reportArgumentType]
+            return f"{self.name} has no step back, got dt = {dt}: friction and noise have no inverse. Take dt > 0"
+        return f"{self.name}: {self.deterministic.advice(state, dt)}"
+
+
+def _root_times(J: Array, noise: Array) -> Array:
+    """A square root of J times a vector: that of the moments, or the lower triangle L with LLᵀ = J."""
+    if J.ndim == 1:
+        return jnp.sqrt(J) * noise
+    a = jnp.sqrt(J[0, 0])
+    b, c = J[1, 0] / a, J[2, 0] / a
+    d = jnp.sqrt(J[1, 1] - b * b)
+    e = (J[2, 1] - b * c) / d
+    f = jnp.sqrt(J[2, 2] - c * c - e * e)
+    x, y, z = noise
+    return jnp.stack([a * x, b * x + d * y, c * x + e * y + f * z])
+
+
+def _checked_key(key: Any) -> Array:
+    """A key of `jax.random`, from one or from a seed; ValueError if it is none."""
+    if isinstance(key, int | np.integer) and not isinstance(key, bool):
+        return jax.random.key(int(key))
+    typed = isinstance(key, Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
+    words: Any = jax.random.key_data(key) if typed else key
+    if not isinstance(words, Array | np.ndarray) or words.shape != (2,) or words.dtype != jnp.uint32:
+        raise ValueError(
+            f"key must be one of jax.random.key(seed), of two words (threefry2x32), or a seed, got {key!r}. Members of "
+            "an ensemble have keys of their own by step.start(states, key=…)"
+        )
+    return jax.random.wrap_key_data(jnp.asarray(words), impl="threefry2x32")
+
+
+def langevin(system: Any, temperature: ArrayLike, friction: ArrayLike, metropolis: bool = False) -> Langevin:
+    """Bodies in contact with a heat bath: samples of the canonical measure, and the heat that the bath gives.
+
+    | | |
+    |---|---|
+    | canonical measure | exact for free bodies; in a potential with a bias O(Δt²), none with `metropolis` |
+    | heat Q, `State.extra["heat"]` | exact: H − Q changes by the error of the splitting without noise, O(Δt³) a step |
+    | the same random numbers | in runs that are resumed, split, sharded, or go on natively |
+
+    States carry a key: `state = step.start(state, key=jax.random.key(0))`, and of ensembles with a leading member axis
+    the same call gives each member a key of its own. `diagnostics.certify` reports what can be certified.
+
+    Args:
+        system: `systems.rigid_body`, `heavy_top`, `potential_top`; `rigid_bodies` without dissipation, or its `.free`.
+        temperature: kT, in units of energy, > 0.
+        friction: γ ≥ 0, rates: a number; (3,), those about the principal axes of bodies with principal moments, which
+            also are those along these axes of the motion of the centers; (6,), of several bodies, those of the centers
+            first.
+        metropolis: whether to accept or reject each step by its change of energy; `State.extra["rejections"]` counts.
+
+    Raises:
+        ValueError: another system, a temperature that is not positive, a negative friction, or several rates for a full
+            tensor of inertia.
+
+    Example:
+        >>> import lieint_jax as li
+        >>> body = li.systems.rigid_body([1.0, 1.7, 2.2])
+        >>> step = langevin(body, temperature=1.0, friction=0.5)
+        >>> state = step.start(body.state(angular_velocity=[0.1, 0.2, 0.3]), key=7)
+        >>> end = li.integrate(step, state, 0.1, 10, save_every=10).state
+        >>> gained = jax.vmap(body.energy)(end)[-1] - body.energy(state)
+        >>> bool(abs(gained - end.extra["heat"][-1]) < 1e-5)
+        True
+
+    Source: Leimkuhler & Matthews 2013, Appl. Math. Res. Express; for rigid bodies Davidchack, Handel & Tretyakov 2009,
+    J. Chem. Phys. 130; Metropolised: Bou-Rabee & Owhadi 2010, SIAM J. Numer. Anal. 48.
+    """
+    if not isinstance(system, _SYSTEMS):
+        raise ValueError(
+            "langevin integrates rigid bodies, tops and several bodies in a potential that does not depend on time, or "
+            f"in none, got {type(system).__name__}{hint('langevin', system)}"
+        )
+    free: Any = system.free if isinstance(system, AbstractForcedSystem) else system
+    drift = exact(free)
+    if isinstance(system, AbstractForcedSystem):
+        check_motion("langevin", "that motion with kicks", kicked_motion, (system, free), system)
+    kT = _checks.real_array("temperature", temperature, ())
+    if concrete(kT) and not float(kT) > 0:
+        raise ValueError(f"temperature must be positive, kT in units of energy, got {float(kT):g}")
+    many = isinstance(free, AbstractFreeBodies)
+    rates = _checks.real_array("friction", friction, (), (3,), *([(6,)] if many else []))
+    if concrete(rates) and not np.all(np.asarray(rates) >= 0):
+        raise ValueError(f"friction must be ≥ 0, a rate, got {np.asarray(rates)}")
+    J = free.inertias if many else free.inertia
+    if rates.ndim and J.ndim > (2 if many else 1):
+        raise ValueError("several rates of friction are about principal axes: give principal moments, or one rate")
+    return Langevin(system, drift, kT, rates, bool(metropolis))
+
+
+PROPERTIES = SchemeProperties(
+    name="langevin",
+    systems="free bodies, tops, several bodies, in a heat bath",
+    conserves=("canonical measure (free bodies, or metropolis)",),
+    order=2,
+    symmetric=False,
+    limit="that of the potential's frequencies, Δtω < 2",
+    aliases=("BAOAB", "Langevin thermostat", "GHMC"),
+    source="Leimkuhler & Matthews 2013; Davidchack, Handel & Tretyakov 2009; Bou-Rabee & Owhadi 2010",
+)
+
+
+def examples(system: Any) -> dict[str, Step]:
+    """The thermostat of tops and several bodies."""
+    taken = isinstance(system, AbstractTop | AbstractRigidBodies)
+    return {"langevin": langevin(system, 0.1, 0.5)} if taken else {}

@@ -1,0 +1,215 @@
+"""What carries out a control law: wheels with motors, magnetic torquers; and torquers that unload wheels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._checks import concrete
+from lieint_jax._numerics.vec3 import cross, dot
+from lieint_jax.groups import so3
+from lieint_jax.torques._arguments import VectorOfTime, not_negative, positive, value_at, vector_of_time
+from lieint_jax.torques._wheels import wheel_axes
+from lieint_jax.types import Law, Rotation, parts, pytree, static
+
+
+def wheel_pyramid(tilt: ArrayLike = 0.6154797086703874, wheels: int = 4) -> Array:
+    """The axes of reaction wheels on a pyramid about the body's z axis, unit vectors (m, 3).
+
+    Args:
+        tilt: the angle from the xy-plane to the axes, in radians; by default 35.26°, where four wheels have the same
+            authority about all body axes.
+        wheels: m ≥ 3.
+
+    Raises:
+        ValueError: fewer than 3 wheels, a tilt that is no finite number.
+    """
+    m, beta = _checks.count("wheels", wheels, 3), _checks.real_array("tilt", tilt, ())
+    angle = 2 * np.pi * np.arange(m) / m
+    c, s = jnp.cos(beta), jnp.sin(beta)
+    return jnp.stack([c * np.cos(angle), c * np.sin(angle), jnp.broadcast_to(s, (m,))], axis=1)
+
+
+def allocation(axes: ArrayLike) -> Array:
+    """The matrix (m, 3) from a torque to those of the wheels, Σ g_j u_j = T with the least Σu_j²: the pseudo-inverse.
+
+    Args:
+        axes: g_j in the body, unit vectors, (m, 3).
+
+    Raises:
+        ValueError: axes that are not of unit length, or that do not span all directions.
+    """
+    g = wheel_axes(axes)
+    if concrete(g) and np.linalg.matrix_rank(np.asarray(g)) < 3:
+        raise ValueError(f"axes must span all directions, got {np.asarray(g)}: there is a torque that they cannot give")
+    return g @ jnp.linalg.inv(g.T @ g)
+
+
+def _wanted(laws: tuple[Law, ...], t: Array, q: Array, Omega: Array) -> Array:
+    """The torque of control laws in the body."""
+    total = jnp.zeros_like(Omega)
+    for law in laws:
+        if law.frame == "space":
+            total = total + so3.Ad_star(q, law(t, q, so3.Ad(q, Omega)))
+        else:
+            total = total + law(t, q, Omega)
+    return total
+
+
+@pytree
+class WheelMotor:
+    """Motors of wheels that carry out a control law. Made by `wheel_motor`.
+
+    Attributes:
+        control: laws that give the torque.
+        axes: of the wheels, (m, 3).
+        allocation: from a torque to those of the wheels, (m, 3).
+        gyroscopic: whether Ω × h of the wheels is canceled.
+    """
+
+    control: tuple[Law, ...]
+    axes: Array
+    allocation: Array
+    gyroscopic: bool = static(default=False)
+
+    def __call__(self, t: Array, q: Array, Omega: Array, h: Array) -> Array:
+        """The torques dh_j/dt on the wheels, (m,)."""
+        return self.given(t, q, Omega)(h)
+
+    def given(self, t: Array, q: Array, Omega: Array) -> Callable[[Array], Array]:
+        """The torques as a function of h: the control law is evaluated once."""
+        torque = _wanted(self.control, t, q, Omega)
+
+        def motors(h: Array) -> Array:
+            momentum = jnp.stack(cross(Omega, h @ self.axes)) if self.gyroscopic else 0
+            return -(self.allocation @ (torque + momentum))
+
+        return motors
+
+
+def wheel_motor(axes: ArrayLike, control: Any, gyroscopic: bool = False) -> WheelMotor:
+    """The motors that let wheels carry out a control law: `wheels(axes, inertias, wheel_motor(axes, control))`.
+
+    Args:
+        axes: g_j in the body, unit vectors that span all directions, (m, 3).
+        control: the torque that the body shall get: a law without an internal state such as `pointing`, a sum of such
+            laws, or a function (t, q, Ω) ↦ (3,) in the body.
+        gyroscopic: whether the motors also cancel Ω × Σg_jh_j, which the wheels' momentum does to the body.
+
+    Raises:
+        ValueError: axes that are not of unit length or do not span all directions, a law with an internal state.
+    """
+    return WheelMotor(_control(control), wheel_axes(axes), allocation(axes), bool(gyroscopic))
+
+
+@pytree
+class Torquers(Law):
+    """m × B with m = B × T/|B|², cut at a limit, T of control laws. Made by `torquers`."""
+
+    control: tuple[Law, ...]
+    field: VectorOfTime
+    max_dipole: Array | None
+
+    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+        """The law at the middle of the step."""
+        B = so3.Ad_star(rotation.q_mid, value_at(self.field, rotation.t))
+        wanted = _wanted(self.control, rotation.t, rotation.q_mid, rotation.Omega)
+        return _magnetic(wanted, B, self.max_dipole), inner
+
+
+def torquers(control: Any, field: Any, max_dipole: ArrayLike | None = None) -> Torquers:
+    """Magnetic torquers that carry out a control law as far as they can: the part of its torque across the field.
+
+    With the moment m = B × T/|B|², cut at the limit, the torque m × B is T less its part along B. In the changing field
+    of an orbit a slow law points in all axes.
+
+    Args:
+        control: as in `wheel_motor`.
+        field: b in space, (3,), or a function of time with such values, such as `orbits.earth_field(orbit, date)`.
+        max_dipole: the largest moment of a torquer, > 0, a number or one for each body axis, (3,); None for no limit.
+
+    Raises:
+        ValueError: a law with an internal state, a field that is no vector and no function, a limit that is not
+            positive.
+
+    Source: Sidi 1997, Spacecraft Dynamics and Control, 7.4.
+    """
+    return Torquers(_control(control), vector_of_time("field", field), _limit(max_dipole))
+
+
+@pytree
+class Unloading(Law):
+    """m × B with m = k h_r × B/|B|²: torquers that unload wheels. Made by `unloading`."""
+
+    axes: Array
+    gain: Array
+    field: VectorOfTime
+    max_dipole: Array | None
+    bias: Array
+    reads: str = static(default="wheels")  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+        """The law at the middle of the step, with the mean momenta of the wheels."""
+        B = so3.Ad_star(rotation.q_mid, value_at(self.field, rotation.t))
+        return _magnetic(-self.gain * ((inner - self.bias) @ self.axes), B, self.max_dipole), inner
+
+
+def unloading(
+    axes: ArrayLike,
+    gain: ArrayLike,
+    field: Any,
+    max_dipole: ArrayLike | None = None,
+    *,
+    bias: ArrayLike = 0.0,
+    key: str = "wheels",
+) -> Unloading:
+    """Momentum dumping by torquers: T = −k h_r less its part along the field, h_r = Σ g_j(h_j − bias_j) of the wheels.
+
+    To be added to wheels whose motors hold the attitude: the wheels give up what the torquers take from the body.
+
+    Args:
+        axes: g_j of the wheels in the body, unit vectors, (m, 3).
+        gain: k ≥ 0, 1 / time: the momentum falls as e^(−kt) across a field.
+        field: b in space, (3,), or a function of time with such values.
+        max_dipole: the largest moment of a torquer, > 0, a number or one for each body axis, (3,); None for no limit.
+        bias: the momenta that the wheels shall have, a number or (m,).
+        key: that of the wheels' law.
+
+    Raises:
+        ValueError: axes that are not of unit length, a negative gain, a field that is no vector and no function, a
+            limit that is not positive. The system of the sum raises one if there are no wheels in it.
+
+    Source: Camillo & Markley 1980, J. Guid. Control 3.
+    """
+    g = wheel_axes(axes)
+    wanted = _checks.real_array("bias", bias, (), (len(g),))
+    k, b = not_negative("gain", gain), vector_of_time("field", field)
+    return Unloading(g, k, b, _limit(max_dipole), jnp.broadcast_to(wanted, (len(g),)), key)
+
+
+def _control(control: Any) -> tuple[Law, ...]:
+    laws = parts(control)
+    for law in laws:
+        if (key := law.key or law.reads) is not None:
+            raise ValueError(
+                f'a control law must not have an internal state, and {type(law).__name__} has State.extra["{key}"]: '
+                "add it to the other laws of the body"
+            )
+    return laws
+
+
+def _limit(max_dipole: ArrayLike | None) -> Array | None:
+    return None if max_dipole is None else positive("max_dipole", max_dipole, (), (3,))
+
+
+def _magnetic(wanted: Array, B: Array, max_dipole: Array | None) -> Array:
+    """m × B with m = B × T/|B|², cut at a limit; 0 where there is no field."""
+    square = dot(B, B)
+    m = jnp.stack(cross(B, wanted)) / jnp.where(square > 0, square, 1)
+    return jnp.stack(cross(m if max_dipole is None else jnp.clip(m, -max_dipole, max_dipole), B))

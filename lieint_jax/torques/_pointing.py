@@ -1,0 +1,197 @@
+"""Control to a frame that moves, such as local vertical: proportional-derivative and sliding-mode laws."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from numpy.typing import ArrayLike
+
+from lieint_jax import _checks
+from lieint_jax._numerics import vec3
+from lieint_jax._numerics.vec3 import cross
+from lieint_jax.groups import so3
+from lieint_jax.torques._arguments import not_negative, positive
+from lieint_jax.types import Law, Rotation, callable_pytree, pytree
+
+
+class _Error(NamedTuple):
+    """How a body differs from its target.
+
+    Attributes:
+        scalar, vector: of the quaternion of the error with a scalar part ≥ 0: the short way.
+        velocity: Ω_e = Ω − Ω_t, in the body, (3,).
+        acceleration: the rate of Ω_t in the body, (3,).
+    """
+
+    scalar: Array
+    vector: Array
+    velocity: Array
+    acceleration: Array
+
+
+@pytree
+class Target:
+    """An attitude to point to: a frame, and the attitude of the body in it.
+
+    Attributes:
+        frame: a unit quaternion, or t ↦ one, perhaps with a method `angular_velocity(t)` in the axes of the frame.
+        offset: the attitude of the body in the frame, a unit quaternion.
+    """
+
+    frame: Any
+    offset: Array
+
+    def error(self, t: Array, q: Array, Omega: Array, accelerates: bool = True) -> _Error:
+        """How a body at q with Ω differs from the target at time t; its acceleration is 0 if it is not asked for."""
+        if not callable(self.frame):
+            e = self._short(self.frame, q)
+            return _Error(e[0], e[1:], Omega, jnp.zeros_like(Omega))
+        e = self._short(jnp.asarray(self.frame(t)), q)
+        if not accelerates:
+            return _Error(e[0], e[1:], Omega - so3.Ad_star(e, self._velocity(t)), jnp.zeros_like(Omega))
+        velocity, rate = jax.jvp(self._velocity, (t,), (jnp.ones_like(t),))
+        target = so3.Ad_star(e, velocity)
+        slip = Omega - target
+        return _Error(e[0], e[1:], slip, so3.Ad_star(e, rate) - jnp.stack(cross(slip, target)))
+
+    def _short(self, frame: Array, q: Array) -> Array:
+        """The quaternion from the body to its target, with a scalar part ≥ 0."""
+        e = so3.multiply(so3.inverse(so3.multiply(frame, self.offset)), q)
+        return jnp.where(e[0] < 0, -e, e)
+
+    def _velocity(self, t: Array) -> Array:
+        """Ω_t in the axes of the target, (3,)."""
+        if hasattr(self.frame, "angular_velocity"):
+            velocity = self.frame.angular_velocity(t)
+        else:
+            q, rate = jax.jvp(self.frame, (t,), (jnp.ones_like(t),))
+            velocity = so3.body_velocity(q, rate)
+        return so3.Ad_star(self.offset, velocity)
+
+
+def _target(frame: Any, offset: ArrayLike) -> Target:
+    mounted = so3.normalize(_checks.unit_quaternion("offset", offset))
+    if callable(frame):
+        _checks.function("frame", frame, "the time t", (4,), jnp.zeros(()))
+        return Target(callable_pytree(frame), mounted)
+    return Target(so3.normalize(_checks.unit_quaternion("frame", frame)), mounted)
+
+
+def _feedforward(J: Array | None, Omega: Array, acceleration: Array) -> Array:
+    """Ω × JΩ + J·acceleration, or 0 without J."""
+    if J is None:
+        return jnp.zeros_like(Omega)
+    tensor = vec3.symmetric(J)
+    return jnp.stack(cross(Omega, vec3.apply(tensor, Omega))) + jnp.stack(vec3.apply(tensor, acceleration))
+
+
+@pytree
+class Pointing(Law):
+    """T = −k e − c Ω_e + feed-forward, in the body. Made by `pointing`."""
+
+    target: Target
+    gain: Array
+    damping: Array
+    inertia: Array | None
+
+    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+        """The law at the middle of the step."""
+        error = self.target.error(rotation.t, rotation.q_mid, rotation.Omega, self.inertia is not None)
+        wanted = -self.gain * error.vector - self.damping * error.velocity
+        return wanted + _feedforward(self.inertia, rotation.Omega, error.acceleration), inner
+
+
+def pointing(
+    frame: Any,
+    gain: ArrayLike,
+    damping: ArrayLike,
+    inertia: ArrayLike | None = None,
+    *,
+    offset: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+) -> Pointing:
+    """Proportional-derivative control to a frame that may move, such as `orbits.lvlh(orbit)`: T = −k e − c Ω_e.
+
+    e is the vector part of the error's quaternion with a scalar part ≥ 0, so the body rotates by the short way; at an
+    error of exactly 180° the torque jumps. As a law it is an ideal actuator; `wheel_motor` and `torquers` give it to
+    wheels and to torquers. For a fixed target `pd_quaternion` and `pd_trace` have a potential.
+
+    Args:
+        frame: the attitude to point to: a unit quaternion, or t ↦ one. If it has a method `angular_velocity(t)`, in its
+            own axes, that is used, else the derivative of the quaternion.
+        gain: k ≥ 0, a torque, a number or (3,): small errors swing with √(k/2J).
+        damping: c ≥ 0, torque × time, a number or (3,).
+        inertia: J, (3,) or (3, 3), to add Ω × JΩ and J times the acceleration of the frame: the error then tends to 0
+            on a moving frame too; without it an error of the order of the missing torque over k remains.
+        offset: the attitude of the body in the frame.
+
+    Raises:
+        ValueError: a frame that is neither, negative gains, bad inertia, an offset that is no unit quaternion.
+
+    Source: Wie 2008, Space Vehicle Dynamics and Control, 7.3.
+    """
+    return Pointing(
+        _target(frame, offset),
+        not_negative("gain", gain, (), (3,)),
+        not_negative("damping", damping, (), (3,)),
+        None if inertia is None else _checks.inertia(inertia),
+    )
+
+
+@pytree
+class SlidingMode(Law):
+    """T = Ω × JΩ + J(Ω̇_t − λė − k sat(s/φ)), s = Ω_e + λe, in the body. Made by `sliding_mode`."""
+
+    target: Target
+    inertia: Array
+    slope: Array
+    rate: Array
+    layer: Array
+
+    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+        """The law at the middle of the step."""
+        Omega = rotation.Omega
+        error = self.target.error(rotation.t, rotation.q_mid, Omega)
+        turned = jnp.stack(cross(error.vector, error.velocity))
+        drift = (error.scalar * error.velocity + turned) / 2  # ė
+        s = error.velocity + self.slope * error.vector
+        wanted = error.acceleration - self.slope * drift - self.rate * jnp.clip(s / self.layer, -1, 1)
+        return _feedforward(self.inertia, Omega, wanted), inner
+
+
+def sliding_mode(
+    frame: Any,
+    inertia: ArrayLike,
+    slope: ArrayLike,
+    rate: ArrayLike,
+    *,
+    layer: ArrayLike,
+    offset: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+) -> SlidingMode:
+    """Sliding-mode control to a frame that may move: s = Ω_e + λe falls to 0 at the rate k, then the error as e^(−½λt).
+
+    With the true inertia ṡ = −k sat(s/φ), whatever the motion. A wrong one, and torques below kJ, are tolerated.
+
+    Args:
+        frame: as in `pointing`.
+        inertia: J, (3,) or (3, 3), as the controller knows it.
+        slope: λ > 0, 1 / time.
+        rate: k > 0, an angular acceleration, a number or (3,).
+        layer: φ > 0, an angular velocity: the boundary layer within which the law is linear, against chatter. Steps
+            must resolve φ/k.
+        offset: the attitude of the body in the frame.
+
+    Raises:
+        ValueError: a frame that is neither, bad inertia, numbers that are not positive, no unit quaternion.
+
+    Source: Vadali 1986, J. Guid. Control Dyn. 9; Crassidis & Markley 1996, J. Guid. Control Dyn. 19.
+    """
+    return SlidingMode(
+        _target(frame, offset),
+        _checks.inertia(inertia),
+        positive("slope", slope),
+        positive("rate", rate, (), (3,)),
+        positive("layer", layer),
+    )

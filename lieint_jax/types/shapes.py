@@ -1,0 +1,66 @@
+"""The shapes of arrays, as they stand in signatures: `Quaternion` is an array (4,), `Matrix3` an array (3, 3).
+
+They are those of one body and one instant. In a batch by `jax.vmap` the arrays inside have these shapes too. Equal
+letters are equal sizes: of a function of a `Poses` and a `Masses`, both have as many rows, N.
+
+A type checker sees the types of jaxtyping. The package does not import jaxtyping: at run time each name is an
+`typing.Annotated[Array, "Float", shape]`, from which the tests make the type of jaxtyping again and check every call.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+
+from jax import Array
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, PyTree
+else:
+
+    class _Shaped:
+        """As `jaxtyping.Float` or `Bool`: an array type and a shape, by square brackets."""
+
+        def __class_getitem__(cls, item: tuple[type, str]) -> object:
+            array, shape = item
+            return Annotated[array, cls.__name__, shape]
+
+    class Float(_Shaped):
+        """Of real numbers."""
+
+    class Bool(_Shaped):
+        """Of truth values."""
+
+    PyTree = Any  # a tree whose leaves are arrays, such as the parameters of a fit
+
+Scalar: TypeAlias = Float[Array, ""]
+Time: TypeAlias = Float[Array, ""]
+Flag: TypeAlias = Bool[Array, ""]
+
+Vector3: TypeAlias = Float[Array, "3"]
+Quaternion: TypeAlias = Float[Array, "4"]  # w, x, y, z
+Matrix3: TypeAlias = Float[Array, "3 3"]
+Vector6: TypeAlias = Float[Array, "6"]
+Inertia: TypeAlias = Vector3 | Matrix3  # principal moments, or a symmetric tensor
+
+AlgebraVector: TypeAlias = Float[Array, "d"]  # in the basis of the algebra
+DualVector: TypeAlias = Float[Array, "d"]  # in the dual basis
+AlgebraMatrix: TypeAlias = Float[Array, "d d"]
+Unrolled: TypeAlias = PyTree  # a vector or a matrix: lists of scalars, or an array
+SquareMatrix: TypeAlias = Float[Array, "n n"]  # an element of a matrix group
+GroupElement: TypeAlias = Quaternion | SquareMatrix
+
+PhaseVector: TypeAlias = Float[Array, "dim"]  # in the coordinates of a phase space
+PhaseMatrix: TypeAlias = Float[Array, "dim dim"]
+TangentVectors: TypeAlias = Float[Array, "dim columns"]
+MomentumMap: TypeAlias = Float[Array, "k"]
+
+TimeSeries: TypeAlias = Float[Array, "times"]
+InvariantSeries: TypeAlias = Float[Array, "times *members"]
+MomentumSeries: TypeAlias = Float[Array, "times *members k"]
+DelayPlot: TypeAlias = Float[Array, "points 3"]
+
+Masses: TypeAlias = Float[Array, "N"]
+Positions: TypeAlias = Float[Array, "N 3"]
+Rotations: TypeAlias = Float[Array, "N 3 3"]
+Poses: TypeAlias = Float[Array, "N 7"]  # position and quaternion of each body
+PoseMomenta: TypeAlias = Float[Array, "N 6"]  # linear and spatial angular momentum of each body

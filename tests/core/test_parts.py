@@ -1,0 +1,675 @@
+"""Runs in parts, on a disk and in object storage: the same bits as one process, however its parts end and begin.
+
+Object storage is moto's S3 server in a process of its own (`python tests/lib/faults.py PORT_FILE`), behind a proxy that
+lets requests fail; and, where no server is needed, the memory of obstore.
+"""
+
+import contextlib
+import itertools
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from importlib.util import find_spec
+from pathlib import Path
+
+import faults
+import jax
+import jax.numpy as jnp
+import killed
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax import ensemble
+from lieint_jax.app.command import cli, info
+from lieint_jax.ensemble import _dyadic_sum, _engine, _identity, _job, _parts, _run, _storage
+
+BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+STEP = li.schemes.so3_midpoint(BODY)
+STATES = jax.vmap(lambda w: BODY.state(angular_velocity=w))(jnp.array(np.random.default_rng(7).normal(size=(41, 3))))
+KEY, SECRET = "AKIDOFTHETESTS", "secretOfTheTests/1234"
+needs_obstore = pytest.mark.skipif(find_spec("obstore") is None, reason="needs obstore: pip install lieint_jax[cloud]")
+needs_moto = pytest.mark.skipif(
+    any(find_spec(name) is None for name in ("obstore", "moto", "flask", "flask_cors")),
+    reason="needs an S3 server: pip install lieint_jax[test]",
+)
+PLACES = ["disk", pytest.param("bucket", marks=needs_obstore)]
+
+
+def run(store=None, part=None, step=STEP, states=STATES, **options):
+    options = dict(dt=0.1, num_steps=60, save_every=5, progress=False) | options
+    return ensemble.run(step, states, store=store, part=part, **options)
+
+
+@pytest.fixture(autouse=True)
+def small_chunks(monkeypatch):
+    """Commits after every 4 saves, so that a short run has many."""
+    monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: 4)
+    monkeypatch.setattr(_job.Job, "bucket_rows", lambda self, across: 4)
+
+
+@pytest.fixture(params=PLACES)
+def place(request, tmp_path):
+    """The address of a new store."""
+    return tmp_path / "run.zarr" if request.param == "disk" else f"memory://tests{tmp_path}/run.zarr"
+
+
+def assert_same(a, b):
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        assert x.dtype == y.dtype
+        np.testing.assert_array_equal(x[...], y[...])
+
+
+def opened(store):
+    """The run in a store, and the warning that it is incomplete."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found, _ = ensemble.open(store)
+    return found, "".join(str(w.message) for w in caught)
+
+
+def removed(storage, name):
+    if isinstance(storage, _storage.Disk):
+        (storage.address / name).unlink()
+    else:
+        storage._store.delete(name)
+
+
+@pytest.mark.parametrize("reduce", [None, "energy"])
+def test_parts_in_any_order_are_one_process(place, reduce):
+    whole = run(reduce=reduce)
+    for k in np.random.default_rng(1).permutation(8).tolist():
+        mine = run(place, (k, 8), reduce=reduce)
+        assert_same(mine, run(part=(k, 8), reduce=reduce))
+    assert_same(ensemble.open(place)[0], whole)
+    storage = _storage.open_storage(place)
+    before = {name: storage.read(name) for name in storage.sizes()}
+    run(place, (3, 8), reduce=reduce)  # it is complete
+    assert before == {name: storage.read(name) for name in storage.sizes()}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("count", "options"), [(3, {"save_every": None}), (41, {}), (5, {"step_axis": 0}), (2, {})])
+def test_any_number_of_parts_is_one_process(place, count, options):
+    if "step_axis" in options:
+        moments = jnp.linspace(1.0, 1.5, 41)
+        step = jax.vmap(lambda a: li.schemes.so3_midpoint(li.systems.rigid_body(jnp.stack([a, 2 * a, 2.5 * a]))))(
+            moments
+        )
+        options = options | {"step": step}
+    if count == 2:
+        step = li.schemes.splitting(li.systems.driven_top(jnp.array([1.0, 2.0, 2.5]), killed.tilted, killed.axis))
+        times = jnp.linspace(0.0, 1.0, 41)
+        options = {"step": step, "states": STATES._replace(t=times, work=jnp.zeros(41))}
+    for k in range(count):
+        run(place, (k, count), **options)
+    assert_same(ensemble.open(place)[0], run(**options))
+
+
+def test_the_xla_engine_has_the_same_bits_in_parts_of_one_member(tmp_path, monkeypatch):
+    monkeypatch.setattr(_run, "engine_of", lambda job, mesh: _engine.XlaEngine(job))
+    states = jax.tree.map(lambda x: x[:3], STATES)
+    for k in range(3):
+        run(tmp_path / "run.zarr", (k, 3), states=states)
+    assert_same(ensemble.open(tmp_path / "run.zarr")[0], run(states=states))
+
+
+def test_the_sum_over_members_does_not_depend_on_the_parts():
+    rng = np.random.default_rng(2)
+    for _ in range(50):
+        members = int(rng.integers(1, 200))
+        x = rng.normal(size=(3, members)) * 10.0 ** rng.integers(-8, 8, members)
+        ends = [0, *sorted(rng.integers(0, members + 1, 5).tolist()), members]
+        ranges = [range(a, b) for a, b in itertools.pairwise(ends) if a < b]
+        parts = [(part, _dyadic_sum.block_sums(x[:, part.start : part.stop], part.start)) for part in ranges]
+        found = _dyadic_sum.total(parts)
+        np.testing.assert_array_equal(found, _dyadic_sum.total([(range(members), _dyadic_sum.block_sums(x))]))
+        exact = np.array([np.longdouble(row).sum() for row in x], float)
+        assert (abs(found - exact) <= 8 * np.finfo(float).eps * abs(x).sum(axis=1)).all()  # the tree has 8 levels
+
+
+def test_every_member_is_in_one_part_of_about_equal_size():
+    for members, count, most in ((41, 8, 8192), (9, 4, 8192), (100_001, 10, 8192), (5, 5, 2), (10**9, 1000, 8192)):
+        split = _parts.Split.into_parts(members, count, most)
+        ends = [split.part(k) for k in range(count)]
+        assert [part.start for part in ends] == [0, *(part.stop for part in ends[:-1])]
+        assert ends[-1].stop == members
+        assert split.chunk <= most
+        assert min(map(len, ends)) > 0
+        assert max(map(len, ends)) - min(map(len, ends)) <= split.chunk
+    with pytest.raises(ValueError, match=r"a run of 41 member\(s\) has at most 41 part\(s\), got 42"):
+        run(part=(0, 42))
+
+
+def test_what_is_there_is_read_and_missing_parts_are_named(place, capsys):
+    whole, found = run(), None
+    for k in (4, 1):
+        run(place, (k, 5))
+    found, warning = opened(place)
+    assert "part 0 (members 0 … 8) is missing" in warning
+    assert "part 3 (members 27 … 35) is missing" in warning
+    assert "part 1" not in warning
+    for members in (slice(9, 18), slice(36, 41)):
+        for x, y in zip(jax.tree.leaves(found.state), jax.tree.leaves(whole.state), strict=True):
+            np.testing.assert_array_equal(x[:, members], y[:, members])
+        assert found.info.converged[:, members].all()
+    assert np.isnan(found.state.q[:, [0, 8, 18, 35]]).all()
+    assert not found.info.converged[3, :8].any()
+    assert cli.main(["info", str(place)]) == 0
+    shown = capsys.readouterr().out
+    assert "2 of 5 part(s) complete" in shown
+    assert "part 2 (members 18 … 26) is missing" in shown
+
+
+def test_published_arrays_have_the_indexing_of_numpy(place):
+    for k in (0, 2):
+        run(place, (k, 3))
+    q = opened(place)[0].state.q
+    full = np.asarray(q)
+    assert np.isnan(full[:, 14:28]).all()
+    assert len(q) == full.shape[0]
+    assert (q.shape, q.ndim, q.size, q.nbytes, q.dtype) == (full.shape, 3, full.size, full.nbytes, full.dtype)
+    points = np.array([0, 3]), np.array([2, 40])
+    for index in (3, -1, slice(None, None, 5), (2, 30), (slice(2), slice(9, 30, 3), 1), ..., (..., 0), (1, ..., 2)):
+        np.testing.assert_array_equal(q[index], full[index])
+    for index in (points, ([5, 1],), (slice(None), [40, 0, 13]), (slice(3, 3),), (4, full[0, :, 0] > 0), (0, -1, 2)):
+        np.testing.assert_array_equal(q[index], full[index])
+
+
+class Crash(BaseException):
+    """As if the process ended here."""
+
+
+class Mortal:
+    """The methods of a storage, until so many files are written."""
+
+    def __init__(self, monkeypatch, storage):
+        self.left, self.kind = None, type(storage)
+        put = self.kind.put
+
+        def mortal(storage_, name, data):
+            if self.left is not None:
+                self.left -= 1
+                if self.left < 0:
+                    raise Crash
+            put(storage_, name, data)
+
+        monkeypatch.setattr(self.kind, "put", mortal)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("reduce", [None, "energy"])
+def test_an_end_at_any_write_of_any_part_leaves_the_same_bits(place, monkeypatch, reduce):
+    """Parts in random order, each ended after a random number of files, and begun again; nothing published is lost."""
+    whole, rng, seen = run(reduce=reduce), np.random.default_rng(3), np.zeros(4, int)
+    mortal, unfinished, crashes = Mortal(monkeypatch, _storage.open_storage(place)), [0, 1, 2, 3], 0
+    while unfinished:
+        k = int(rng.choice(unfinished))
+        mortal.left = int(rng.integers(0, 30))
+        try:
+            run(place, (k, 4), reduce=reduce)
+            unfinished.remove(k)
+        except Crash:
+            crashes += 1
+        mortal.left = None
+        if reduce is None:
+            with contextlib.suppress(ValueError):  # before the store exists
+                root = _parts.read_root(_storage.open_storage(place))
+                if root and not list(_parts.PartsRoot(_storage.open_storage(place), root).damage_of_root()):
+                    own = _parts.PartsRoot(_storage.open_storage(place), root).statuses(True)
+                    assert not [status.problem for status in own if status.problem and "missing" not in status.problem]
+                    entries = np.array([status.progress["entries"] for status in own])
+                    assert (entries >= seen).all()
+                    seen = entries
+    assert crashes >= 8
+    assert_same(ensemble.open(place)[0], whole)
+
+
+def test_two_processes_that_run_one_part_at_the_same_time_do_no_harm(monkeypatch):
+    """Object storage has no locks: the second runs while the first is between two commits."""
+    pytest.importorskip("obstore")
+    url, whole, put, inside = "memory://tests/twice/run.zarr", run(), _storage.Bucket.put, [0]
+
+    def interrupted(self, name, data):
+        put(self, name, data)
+        inside[0] += 1
+        if inside[0] == 25:  # after the first commit of part 0
+            run(url, (0, 2))
+
+    monkeypatch.setattr(_storage.Bucket, "put", interrupted)
+    run(url, (0, 2))
+    assert inside[0] > 50
+    run(url, (1, 2))
+    assert_same(ensemble.open(url)[0], whole)
+
+
+def test_two_processes_do_not_write_one_part_of_a_folder(tmp_path):
+    run(tmp_path / "run.zarr", (0, 2))
+    with (
+        _storage.Disk(tmp_path / "run.zarr").lock("parts/0"),
+        pytest.raises(ValueError, match=r"another run is writing to .*parts.0"),
+    ):
+        run(tmp_path / "run.zarr", (0, 2))
+
+
+def test_a_creator_that_is_killed_leaves_a_store_that_the_next_part_completes(place, monkeypatch):
+    mortal = Mortal(monkeypatch, _storage.open_storage(place))
+    mortal.left = 5
+    with pytest.raises(Crash):
+        run(place, (0, 2))
+    mortal.left = None
+    for k in (1, 0):
+        run(place, (k, 2))
+    assert_same(ensemble.open(place)[0], run())
+
+
+def copied(storage, source, target):
+    storage.put(target, storage.read(source))
+
+
+def altered(storage, name):
+    data = storage.read(name)
+    storage.put(name, data[: len(data) // 2] + bytes([data[len(data) // 2] ^ 1]) + data[len(data) // 2 + 1 :])
+
+
+DAMAGE = {  # what is done to part 1 of 3 in the store, with another run's; what is said of it
+    "a chunk removed": (lambda s, other: removed(s, "q/c/1/1/0"), r"q/c/1/1/0 is missing \(q of time 4 … 7, member 14"),
+    "a chunk of another time": (
+        lambda s, other: copied(s, "q/c/0/1/0", "q/c/1/1/0"),
+        "q/c/1/1/0 is the chunk of another",
+    ),
+    "a chunk of another run": (
+        lambda s, other: s.put("q/c/0/1/0", other.read("q/c/0/1/0")),
+        "q/c/0/1/0 is the chunk of",
+    ),
+    "its state altered": (lambda s, other: altered(s, "parts/1/state"), "its state is altered or cut off"),
+    "its state cut": (
+        lambda s, other: s.put("parts/1/state", s.read("parts/1/state")[:-7]),
+        "its state is altered or cut off",
+    ),
+    "the state of another part": (
+        lambda s, other: copied(s, "parts/0/state", "parts/1/state"),
+        "is that of another part",
+    ),
+    "that of another run": (
+        lambda s, other: s.put("parts/1/state", other.read("parts/1/state")),
+        "is that of another run: the files were copied from elsewhere",
+    ),
+    "half a copy": (lambda s, other: [removed(s, f"{x}/c/2/1/0") for x in "qp"], "p/c/2/1/0 is missing"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_part_is_named_and_refused_and_the_others_are_read(place, damage, no_loop_after):
+    change, sentence = DAMAGE[damage]
+    elsewhere = Path(f"{place}-2.zarr") if isinstance(place, Path) else f"{place}-2.zarr"
+    for store, dt in ((place, 0.1), (elsewhere, 0.2)):
+        for k in range(3):
+            no_loop_after(store, (k, 3), dt)
+    storage = _storage.open_storage(place)
+    change(storage, _storage.open_storage(elsewhere))
+    described = info.contents(storage.address)
+    assert "2 of 3 part(s) complete" in described
+    with pytest.raises(AssertionError, match=rf"(?s)part 1 \(members 14 … 27\) is damaged: .*{sentence}"):
+        raise AssertionError(described)
+    with pytest.raises(ValueError, match=rf"part 1 of .* is damaged.*{sentence}.*[Rr]emove parts/1/state, and"):
+        run(place, (1, 3))
+    found, warning = opened(place)
+    if not storage.is_remote or "state" in sentence:
+        assert "part 1" in warning
+        assert np.isnan(found.state.q[:, 14:28]).all()
+    assert np.isfinite(found.state.q[:, :14]).all()
+    removed(storage, "parts/1/state")
+    run(place, (1, 3))
+    assert_same(ensemble.open(place)[0], run())
+
+
+@pytest.fixture(scope="module")
+def complete_stores():
+    return {}
+
+
+@pytest.fixture
+def no_loop_after(complete_stores, tmp_path):
+    """Run a part, or copy the files that such a run has written before."""
+
+    def make(store, part, dt):
+        key, storage = (str(store).startswith("memory"), part, dt), _storage.open_storage(store)
+        if key not in complete_stores:
+            before = set(storage.sizes())
+            run(store, part, dt=dt)
+            complete_stores[key] = {name: storage.read(name) for name in set(storage.sizes()) - before}
+        for name, data in complete_stores[key].items():
+            storage.put(name, data)
+
+    return make
+
+
+def test_an_altered_chunk_is_named_on_a_disk_and_an_error_when_it_is_read_from_a_bucket(place):
+    for k in range(2):
+        run(place, (k, 2))
+    storage = _storage.open_storage(place)
+    altered(storage, "q/c/1/1/0")
+    found, warning = opened(place)
+    if storage.is_remote:
+        with pytest.raises((ValueError, RuntimeError), match=r"(?i)checksum"):
+            found.state.q[5, 25]
+    else:
+        assert "part 1 (members 21 … 40) is damaged: q/c/1/1/0 is altered" in warning
+
+
+def test_a_part_of_another_run_is_refused_before_it_integrates(place, monkeypatch):
+    run(place, (0, 2))
+    storage = _storage.open_storage(place)
+    before = {name: storage.read(name) for name in storage.sizes()}
+    for part, options, message in (
+        ((1, 2), dict(dt=0.2), "dt is 0.1 in the store and 0.2 here"),
+        ((1, 2), dict(states=jax.tree.map(lambda x: x[:40], STATES)), "members is 41 in the store and 40 here"),
+        ((1, 3), {}, r"is written in 2 part\(s\), not in 3"),
+        (None, {}, r"exists and is not overwritten"),
+        (None, dict(resume=True), r"written in 2 part\(s\)"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            run(place, part, **options)
+    monkeypatch.setattr(_identity, "__version__", "9.9")
+    with pytest.raises(ValueError, match=r"versions\.lieint_jax is .* in the store and '9.9' here"):
+        run(place, (1, 2))
+    assert before == {name: storage.read(name) for name in storage.sizes()}
+
+
+def test_an_ordinary_store_is_not_written_in_parts_and_the_only_part_is_ordinary(tmp_path):
+    run(tmp_path / "run.zarr", (0, 1))
+    progress = json.loads((tmp_path / "run.zarr/zarr.json").read_text())["attributes"]["progress"]
+    assert (progress["complete"], progress["entries"]) == (True, 13)
+    run(tmp_path / "run.zarr", (0, 1))
+    with pytest.raises(ValueError, match="was not written in parts; choose another store"):
+        run(tmp_path / "run.zarr", (0, 2))
+
+
+def test_the_part_of_a_task():
+    def part(count=None, **variables):
+        return ensemble.part_of_task(count, variables)
+
+    slurm = dict(SLURM_ARRAY_TASK_MIN="5", SLURM_ARRAY_TASK_COUNT="4", SLURM_ARRAY_TASK_STEP="2")
+    assert part(SLURM_ARRAY_TASK_ID="9", **slurm) == (2, 4)
+    assert part(AWS_BATCH_JOB_ARRAY_INDEX="0", AWS_BATCH_JOB_ARRAY_SIZE="7") == (0, 7)
+    assert part(JOB_COMPLETION_INDEX="3", count=8) == (3, 8)
+    assert part(SGE_TASK_ID="3", SGE_TASK_FIRST="1", SGE_TASK_LAST="9", SGE_TASK_STEPSIZE="2") == (1, 5)
+    assert part(LSB_JOBINDEX="4", LSB_JOBINDEX_END="4") == (3, 4)
+    assert part(PARALLEL_SEQ="1", count=2) == (0, 2)
+    assert part(SGE_TASK_ID="undefined", BATCH_TASK_INDEX="1", BATCH_TASK_COUNT="2") == (1, 2)
+    with pytest.raises(ValueError, match="Kubernetes does not report the number of tasks"):
+        part(JOB_COMPLETION_INDEX="3")
+    with pytest.raises(ValueError, match="there is no array of tasks: none of SLURM_ARRAY_TASK_ID, "):
+        part()
+    for bad in ((8, 8), (-1, 8), (0.5, 2), 3, "x", (0, 0)):
+        with pytest.raises(ValueError, match=r"part must be \(k, n\)"):
+            run(part=bad)
+
+
+SCENARIO = """
+title = "a book"
+time_unit = "s"
+seed = 1
+system = "rigid_body"
+inertia = [1.0, 2.0, 3.0]
+dt = 0.1
+steps = 400
+save_every = 100
+members = 10
+[state]
+quaternion = [1.0, 0.0, 0.0, 0.0]
+angular_velocity_rad = [0.01, 1.0, 0.0]
+[spread]
+angular_velocity_deg = 5.0
+"""
+
+
+def test_the_command_line_runs_parts(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("book.toml").write_text(SCENARIO)
+    command = ["run", "book.toml", "--out", "run.zarr", "--part"]
+    assert cli.main([*command, "1/2"]) == 0
+    assert "part 1 of 2 is complete in run.zarr" in capsys.readouterr().out
+    for name, value in (("ID", "3"), ("MIN", "3"), ("COUNT", "2")):
+        monkeypatch.setenv(f"SLURM_ARRAY_TASK_{name}", value)
+    assert cli.main([*command, "auto"]) == 0
+    assert cli.main(["info", "run.zarr"]) == 0
+    out = capsys.readouterr().out
+    assert "2 of 2 part(s) complete" in out
+    assert "10 of 10 members converged at every step" in out
+    for part, message in (("2/2", "part must be (k, n)"), ("x/2", "a part is K/N"), ("0/3", "is written in 2 part(s)")):
+        assert cli.main([*command, part]) == 2
+        assert message in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        cli.main(["run", "book.toml", "--out", f"s3://{KEY}:{SECRET}@bucket/run.zarr"])
+    error = capsys.readouterr().err
+    assert "may not contain credentials" in error
+    assert SECRET not in error
+
+
+def part_process(case, place, k, count, environment=None):
+    command = [sys.executable, killed.__file__, case, str(place), "0.01", str(k), str(count)]
+    output = dict(stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    return subprocess.Popen(command, env=os.environ | (environment or {}), **output)
+
+
+def kill_parts(case, place, environment, count=8, kills=10):
+    """Start parts in random order, end two at a time at random moments, until all are complete; the number of kills."""
+    rng, unfinished, ended = np.random.default_rng(5), set(range(count)), 0
+    while unfinished:
+        chosen = rng.choice(sorted(unfinished), min(2, len(unfinished)), replace=False).tolist()
+        running = {k: part_process(case, place, k, count, environment) for k in chosen}
+        if ended < kills:
+            time.sleep(rng.uniform(2.0, 7.0))
+            for process in running.values():
+                ended += process.poll() is None
+                process.send_signal(signal.SIGKILL)
+        for k, process in running.items():
+            error = process.communicate(timeout=300)[1].decode()
+            assert process.returncode in (0, -signal.SIGKILL), error
+            unfinished -= {k} if process.returncode == 0 else set()
+    return ended
+
+
+OWN = {f"__main__.{function.__name__}": function for function in (killed.tilted, killed.axis, killed.slowness)}
+
+
+def whole_of(case):
+    make, steps = killed.CASES[case]
+    step, states, options = make(steps)
+    return ensemble.run(step, states, progress=False, **options)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("case", ["driven", "own_time"])
+def test_eight_parts_killed_at_random_moments_are_one_process_on_a_disk(tmp_path, case):
+    assert kill_parts(case, tmp_path / "run.zarr", {}) >= 6
+    assert_same(ensemble.open(tmp_path / "run.zarr", OWN)[0], whole_of(case))
+    assert not list((tmp_path / "run.zarr").rglob("*.partial"))
+
+
+@pytest.fixture(scope="module")
+def s3(tmp_path_factory):
+    """The port of an S3 server on this machine."""
+    port = tmp_path_factory.mktemp("s3") / "port"
+    server = subprocess.Popen([sys.executable, faults.__file__, str(port)], stderr=subprocess.DEVNULL)
+    limit = time.monotonic() + 60
+    while not port.exists():
+        assert time.monotonic() < limit
+        assert server.poll() is None
+        time.sleep(0.05)
+    yield int(port.read_text())
+    server.kill()
+    server.wait()
+
+
+@pytest.fixture
+def proxy(s3, monkeypatch):
+    """A proxy before the server, without faults at first; the environment has its address and the credentials."""
+    monkeypatch.setattr(_job.Job, "bucket_rows", lambda self, across: 7)
+    with faults.Proxy(s3, 0.0) as proxy:
+        for name, value in environment_of(proxy).items():
+            monkeypatch.setenv(name, value)
+        connection = faults.http.client.HTTPConnection("127.0.0.1", s3)
+        connection.request("PUT", "/bucket")
+        assert connection.getresponse().status in (200, 409)
+        connection.close()
+        yield proxy
+        proxy.shutdown()
+
+
+def environment_of(proxy):
+    names = dict(
+        AWS_ACCESS_KEY_ID=KEY, AWS_SECRET_ACCESS_KEY=SECRET, AWS_REGION="us-east-1", AWS_ENDPOINT_URL=proxy.url
+    )
+    return {**names, "AWS_DEFAULT_REGION": "us-east-1"}
+
+
+@needs_moto
+def test_a_run_on_s3_is_that_in_memory_and_holds_no_credentials(proxy, capsys):
+    url = "s3://bucket/plain/run.zarr"
+    for k in (1, 0):
+        run(url, (k, 2))
+    assert_same(ensemble.open(url)[0], run())
+    assert cli.main(["info", url]) == 0
+    shown = "".join(capsys.readouterr())
+    storage = _storage.open_storage(url)
+    for secret in (SECRET, KEY):
+        assert secret not in shown
+        assert not any(secret.encode() in storage.read(name) for name in storage.sizes())
+
+
+@needs_moto
+@pytest.mark.long
+def test_xarray_reads_it_lazily_by_its_url(proxy):
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("s3fs")
+    url, memory = "s3://bucket/lazy/run.zarr", run()
+    run(url, (1, 2))
+    with xarray.open_zarr(url) as data:
+        assert data.sizes == {"time": 13, "member": 41, "quaternion": 4, "axis": 3, "system_inertia_axis0": 3}
+        assert list(data.quaternion.values) == list("wxyz")
+        before = proxy.requests
+        np.testing.assert_array_equal(data.q[4, 30], memory.state.q[4, 30])
+        assert proxy.requests - before <= 2  # one chunk
+        assert np.isnan(data.q[:, :20]).all()
+        np.testing.assert_array_equal(data.time, memory.t)
+
+
+@needs_moto
+@pytest.mark.long
+def test_requests_that_fail_are_repeated_and_nothing_is_lost_or_doubled(proxy, monkeypatch):
+    """Of requests, 30 % fail, in every way; each file that is there at the end was put as a whole."""
+    monkeypatch.setattr(_storage, "_FIRST_DELAY", 0.002)
+    monkeypatch.setattr(_storage, "_TIMEOUT", faults.LATE / 2)
+    clean, faulty = "s3://bucket/clean/run.zarr", "s3://bucket/faulty/run.zarr"
+    whole = run()
+    for k in range(2):
+        run(clean, (k, 2))
+    proxy.rate = 0.3
+    for k in (1, 0):
+        run(faulty, (k, 2))
+    found = ensemble.open(faulty)[0]
+    assert_same(found, whole)
+    proxy.rate = 0.0
+    assert min(proxy.injected.values()) >= 3
+    a, b = _storage.open_storage(clean), _storage.open_storage(faulty)
+    assert {name: a.read(name) for name in a.sizes()} == {name: b.read(name) for name in b.sizes()}
+
+
+@needs_moto
+@pytest.mark.long
+def test_ten_thousand_faults_lose_nothing(proxy, monkeypatch):
+    """Faults that need no waiting; `late` ones are in the test above."""
+    monkeypatch.setattr(_storage, "_FIRST_DELAY", 0.0005)
+    monkeypatch.setattr(_storage, "_LONGEST_DELAY", 0.002)
+    proxy.kinds = tuple(kind for kind in faults.KINDS if kind != "late")
+    whole, n = run(num_steps=600), 0
+    while sum(proxy.injected.values()) < 10_000:
+        proxy.rate, url, n = 0.8, f"s3://bucket/many/{n}/run.zarr", n + 1
+        for k in (1, 0, 2):
+            run(url, (k, 3), num_steps=600)
+        proxy.rate = 0.0
+        assert_same(ensemble.open(url)[0], whole)
+
+
+@needs_moto
+@pytest.mark.long
+def test_eight_parts_killed_at_random_moments_are_one_process_on_s3(proxy):
+    proxy.rate, proxy.kinds = 0.02, tuple(kind for kind in faults.KINDS if kind != "late")
+    url = "s3://bucket/killed/run.zarr"
+    assert kill_parts("driven", url, environment_of(proxy)) >= 6
+    proxy.rate = 0.0
+    assert sum(proxy.injected.values()) > 10
+    assert_same(ensemble.open(url, OWN)[0], whole_of("driven"))
+
+
+@needs_moto
+def test_a_storage_that_stays_away_ends_the_run_with_a_sentence_without_credentials(proxy, monkeypatch, capsys):
+    for name in ("_FIRST_DELAY", "_FIRST_PATIENCE", "_PATIENCE"):
+        monkeypatch.setattr(_storage, name, 0.01)
+    url = "s3://bucket/away/run.zarr"
+    put = _storage.Bucket.put
+
+    def vanish(self, name, data):
+        if name.startswith("q/c/1"):  # of the second commit
+            proxy.rate, proxy.kinds = 1.0, ("throttled",)
+        put(self, name, data)
+
+    monkeypatch.setattr(_storage.Bucket, "put", vanish)
+    with pytest.raises(
+        OSError, match=r"cannot be reached: .*429.* holds everything up to step \d+; fix .* resume"
+    ) as error:
+        run(url, (0, 2))
+    monkeypatch.setattr(_storage.Bucket, "put", put)
+    proxy.rate = 0.0
+    for bad, message in (("s3://nowhere/run.zarr", "no such bucket|no object"), (url, "exists and is not overwritten")):
+        with pytest.raises((OSError, ValueError), match=message) as other:
+            run(bad)
+        assert SECRET not in str(other.value)
+    assert SECRET not in str(error.value) + repr(error.value.__cause__)
+    monkeypatch.setenv("SOME_TOKEN", "Too Many")
+    assert "Too Many" not in _storage.message(ValueError("429 Too Many Requests at http://x/?sig=1234 now"))
+    assert "1234" not in _storage.message(ValueError("429 Too Many Requests at http://x/?sig=1234 now"))
+    run(url, (0, 2))
+    run(url, (1, 2))
+    assert_same(ensemble.open(url)[0], run())
+
+
+def test_urls_that_are_no_place_of_a_store_are_refused(tmp_path):
+    for url, message in (
+        ("ftp://x/run.zarr", "a store is a path or a URL of s3, gs, az, memory; got one of 'ftp'"),
+        ("s3://run.zarr", r"is s3://BUCKET/NAME.zarr, got s3://run\.zarr"),
+        ("s3://bucket/run.npz", r"is s3://BUCKET/NAME.zarr"),
+        (f"s3://{KEY}:{SECRET}@bucket/run.zarr", "may not contain credentials"),
+        (f"az://bucket/run.zarr?sig={SECRET}", "may not contain credentials"),
+    ):
+        with pytest.raises(ValueError, match=message) as error:
+            run(url)
+        assert SECRET not in str(error.value)
+
+
+def test_storages_replace_and_create_files_as_a_whole(place):
+    storage = _storage.open_storage(place)
+    assert not storage.exists("a/b")
+    assert storage.create("a/b", b"first")
+    assert storage.create("a/b", b"second") is False
+    assert storage.read("a/b") == b"first"
+    assert storage.create("a/b", b"first") is storage.is_remote  # whose answer may have been lost
+    storage.put("a/b", b"third")
+    storage.put("a/c/d", b"")
+    assert (storage.read("a/b"), storage.tail("a/b")) == (b"third", b"hird")
+    assert storage.sizes() == {"a/b": 5, "a/c/d": 0}
+    assert storage.sizes("a/c") == {"a/c/d": 0}
+    for name in ("x", "a/b/c"):
+        with pytest.raises(FileNotFoundError):
+            storage.read(name)
+    if not storage.is_remote:
+        assert not list(Path(place).rglob("*.partial"))
+        shutil.rmtree(place)

@@ -1,0 +1,249 @@
+"""Orbits from states and tables, secular rates, frames, the Earth's field, air and shadow, against other sources."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import lieint_jax as li
+from lieint_jax import orbits
+from lieint_jax.groups import so3
+
+ORBIT = orbits.kepler(1.3, 1.1, 0.1, 0.7, node=0.4, periapsis=0.2, periapsis_time=0.1)
+LOW = orbits.kepler(orbits.EARTH_GM, 6878.137, 0.001, 0.9)
+
+
+@pytest.mark.parametrize(("a", "e"), [(1.1, 0.6), (-1.1, 1.4), (2.0, 1e-3)])
+def test_a_state_gives_the_orbit_that_its_elements_give(a, e):
+    """Observed: 2e-15 over a revolution. The elements come back too."""
+    orbit = orbits.kepler(1.3, a, e, 0.7, node=0.4, periapsis=0.2, periapsis_time=0.1)
+    found = orbits.from_state(1.3, *orbit(0.5), t=0.5)
+    times = jnp.array([-3.0, 0.0, 0.49, 0.5, 0.51, 2.0, 7.0])
+    for x, y in zip(jax.vmap(orbit)(times), jax.vmap(found)(times), strict=True):
+        np.testing.assert_allclose(y, x, rtol=0, atol=4e-14)
+    for x, y in zip(jax.tree.leaves(orbit), jax.tree.leaves(found.elements), strict=True):
+        assert float(y) == pytest.approx(float(x), abs=1e-13 / e)
+    assert float(found.eccentricity) == pytest.approx(e, abs=1e-13)
+    traced = jax.jit(lambda r, v: orbits.from_state(1.3, r, v, 0.5)(2.0)[0])(*orbit(0.5))
+    np.testing.assert_allclose(traced, orbit(2.0)[0], rtol=0, atol=1e-14)
+
+
+def test_a_circle_is_no_special_case_of_a_state():
+    """Derivatives by the state at a circle in the xy-plane are those of Clohessy and Wiltshire."""
+    r, v, t = jnp.array([1.0, 0, 0]), jnp.array([0, 1.0, 0]), 2.0
+    orbit = orbits.from_state(1.0, r, v)
+    np.testing.assert_allclose(orbit(t)[0], [np.cos(t), np.sin(t), 0], rtol=0, atol=1e-15)
+    assert [float(x) for x in jax.tree.leaves(orbit.elements)] == pytest.approx([1, 1, 0, 0, 0, 0, 0], abs=1e-15)
+    by_r, by_v = jax.jit(jax.jacobian(lambda r, v: orbits.from_state(1.0, r, v)(t)[0], (0, 1)))(r, v)
+    c, s = np.cos(t), np.sin(t)
+    hill = np.array([[4 - 3 * c, 0, 0], [6 * (s - t), 1, 0], [0, 0, c]])  # in axes that rotate with the orbit
+    by_rate = np.array([[s, 2 * (1 - c), 0], [2 * (c - 1), 4 * s - 3 * t, 0], [0, 0, s]])
+    rotated = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    spin = np.array([[0, -1.0, 0], [1.0, 0, 0], [0, 0, 0]])  # v = ṙ + ω × r
+    np.testing.assert_allclose(by_v, rotated @ by_rate, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(by_r, rotated @ (hill - by_rate @ spin), rtol=0, atol=1e-14)
+
+
+T0 = [
+    [-0.6443912269484258, 0.0528421023505859, 0.762868048125672],
+    [-0.7615617871967408, -0.1345758406652156, -0.6339660774765135],
+    [0.0691635085403311, -0.9894933326346473, 0.1269620169892195],
+]
+T_END = [
+    [-0.1416223422259051, -0.9171375917053928, 0.372561068904521],
+    [-0.9814677649343182, 0.08101112610984618, -0.1736612329832083],
+    [0.1290896532541655, -0.3902509901681823, -0.9116139676943704],
+]
+
+
+def test_nasa_jeod_case_10c_from_its_position_and_velocity():
+    """Eight hours of gravity gradient. Position: JEOD's is 1.0e-5 m from Kepler's; attitude: observed 2e-12.
+
+    Source: nasa/jeod, verif/SIM_dyncomp/SET_test_val/RUN_10C/log_state_ASCII.csv @6550cf4.
+    """
+    orbit = orbits.from_state(
+        398600441500000.0, [-4315967.74, 960356.2, 5167269.53], [129.091037, -7491.513855, 1452.515654]
+    )
+    r, v = orbit(28800.0)
+    np.testing.assert_allclose(r, [-1051395.223245429, -6116653.272961161, 2626343.274205685], rtol=0, atol=2e-5)
+    np.testing.assert_allclose(v, [4747.652816813323, -3014.482597291933, -5262.44273778226], rtol=0, atol=2e-8)
+    body = li.systems.gravity_gradient([500.0, 12250.0, 12250.0], orbit)
+    q = so3.from_matrix(jnp.array(T0).T)
+    Omega = [-1.958561461497211e-05, -0.001122059109806593, 0.0]
+    start = body.state(so3.normalize(q), angular_velocity=Omega, t=0.0)
+    path = li.integrate(li.schemes.extrapolate(body, 14), start, 60.0, 480, save_every=480)
+    assert bool(path.info.converged.all())
+    np.testing.assert_allclose(so3.to_matrix(path.state.q[-1]).T, T_END, rtol=0, atol=1e-11)
+
+
+def test_a_table_is_a_smooth_orbit_of_order_four():
+    errors = []
+    for n in (100, 200):
+        times = np.linspace(0.0, 6.0, n + 1)
+        entries = jax.jit(jax.vmap(ORBIT))(times)
+        table = orbits.table(times, *entries)
+        t = np.linspace(0.0, 6.0, 1111)
+        r, v = jax.jit(jax.vmap(table))(t)
+        rate = jax.jit(jax.vmap(lambda t, table=table: jax.jvp(lambda t: table(t)[0], (t,), (1.0,))[1]))(t)
+        np.testing.assert_allclose(rate, v, rtol=0, atol=1e-12)
+        errors.append(np.abs(r - jax.vmap(ORBIT)(t)[0]).max())
+        np.testing.assert_allclose(jax.vmap(table)(times)[1], entries[1], rtol=0, atol=1e-12)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.1)
+
+
+def test_a_time_outside_of_a_table_is_an_error_or_a_failed_step():
+    times = np.linspace(0.0, 1.0, 11)
+    table = orbits.table(times, *jax.vmap(ORBIT)(times))
+    with pytest.raises(ValueError, match=r"the table has times from 0 to 1, got t = 1\.5"):
+        table(1.5)
+    assert np.isnan(jax.jit(table)(1.5)[0]).all()
+    body = li.systems.torqued_body([1.0, 2.0, 2.5], li.torques.gravity_gradient(table, [1.0, 2.0, 2.5], mu=1.3))
+    path = li.integrate(li.schemes.torqued_midpoint(body), body.state(angular_velocity=[0.1, 0.2, 0.3]), 0.3, 5)
+    assert path.info.converged.tolist() == [True, True, True, True, False, False]
+
+
+def test_secular_rates_are_the_drift_of_an_integrated_orbit():
+    """Of the node over 15 revolutions, by DOP853 with J₂ alone; the first order is right to about J₂."""
+    mu, a, e, i = orbits.EARTH_GM, 7178.137, 1e-3, 1.0
+    orbit = orbits.secular_j2(mu, a, e, i, node=0.3)
+    period = float(2 * np.pi / orbit.mean_motion)
+    j2, R = orbits.EARTH_J2, orbits.EARTH_RADIUS
+
+    def rhs(t, y):
+        r = y[:3]
+        d = np.linalg.norm(r)
+        z = 5 * (r[2] / d) ** 2
+        pull = -mu / d**3 * r - 1.5 * j2 * mu * R**2 / d**5 * r * np.array([1 - z, 1 - z, 3 - z])
+        return np.concatenate([y[3:], pull])
+
+    y = solve_ivp(rhs, (0, 15 * period), np.concatenate(orbit(0.0)), "DOP853", rtol=1e-9).y[:, -1]
+    h = np.cross(y[:3], y[3:])
+    node = np.arctan2(h[0], -h[1])
+    assert (node - 0.3) / (15 * period) == pytest.approx(float(orbit.rates[0]), rel=0.01)
+    # heliosynchronous: 360° in a tropical year at 98.6° (Vallado 2013, 11.4.1)
+    day = orbits.secular_j2(mu, a, 0.0, np.deg2rad(98.6)).rates[0] * 86400
+    assert np.rad2deg(float(day)) == pytest.approx(360 / 365.2422, rel=2e-3)
+    t = jnp.asarray(4000.0)
+    rate = jax.jvp(lambda t: orbit(t)[0], (t,), (jnp.ones_like(t),))[1]
+    np.testing.assert_allclose(orbit(t)[1], rate, rtol=0, atol=1e-13)
+
+
+def test_the_local_frame_points_down_and_rotates_as_it_says():
+    frame = orbits.lvlh(ORBIT)
+    t, dt = 0.8, 1e-4
+    r, v = ORBIT(t)
+    R = frame.matrix(t)
+    np.testing.assert_allclose(R.T @ R, np.eye(3), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(R[:, 2], -r / np.linalg.norm(r), rtol=0, atol=1e-15)
+    assert float(v @ R[:, 0]) > 0
+    np.testing.assert_allclose(so3.to_matrix(frame(t)), R, rtol=0, atol=1e-15)
+    turned = so3.log(so3.multiply(so3.inverse(frame(t - dt)), frame(t + dt))) / (2 * dt)
+    np.testing.assert_allclose(frame.angular_velocity(t), turned, rtol=0, atol=1e-8)
+    circle = orbits.kepler(1.0, 1.0, 0.0, 0.5)
+    np.testing.assert_allclose(orbits.lvlh(circle).angular_velocity(0.3), [0, -1, 0], rtol=0, atol=1e-15)
+
+
+def test_days_and_the_rotation_of_the_earth():
+    """IERS Conventions 2010: the angle at J2000 is 0.7790572732640 of a turn; it gains a turn in a sidereal day."""
+    assert orbits.julian_date(2000, 1, 1, 12.0) == 2451545.0
+    assert orbits.julian_date(2025, 1, 1) == 2460676.5
+    angle = orbits.earth_rotation_angle
+    assert float(angle(2451545.0)) == pytest.approx(2 * np.pi * 0.7790572732640, abs=1e-14)
+    later = float(angle(2451545.0 + 86164.098903691 / 86400))  # a stellar day
+    assert later == pytest.approx(2 * np.pi * 0.7790572732640, abs=1e-8)
+
+
+def test_the_field_is_the_gradient_of_its_potential_and_rotates():
+    """In axes of the Earth: V = R(R/r)²[g₁⁰ cos θ + (g₁¹ cos φ + h₁¹ sin φ) sin θ], b = −∇V."""
+    date = orbits.julian_date(2025, 1, 1)
+    field = orbits.earth_field(LOW, date)
+    g11, h11, g10 = np.array([-1410.3, 4545.5, -29350.0]) * 1e-9  # IGRF-14, 2025.0
+    np.testing.assert_allclose(field.coefficients, [g11, h11, g10], rtol=1e-12)
+
+    def V(x):
+        r = jnp.linalg.norm(x)
+        cos, phi = x[2] / r, jnp.arctan2(x[1], x[0])
+        return (
+            6371.2 * (6371.2 / r) ** 2 * (g10 * cos + (g11 * jnp.cos(phi) + h11 * jnp.sin(phi)) * jnp.sqrt(1 - cos**2))
+        )
+
+    t = 2000.0
+    angle = float(orbits.earth_rotation_angle(date)) + orbits.EARTH_RATE * t
+    to_space = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    wanted = -to_space @ jax.grad(V)(to_space.T @ LOW(t)[0])
+    np.testing.assert_allclose(field(t), wanted, rtol=0, atol=1e-18)
+    assert 1.8e-5 < np.linalg.norm(wanted) < 5e-5  # tesla
+    halfway = orbits.earth_field(LOW, orbits.julian_date(2022, 7, 2, 12.0)).coefficients[2]
+    assert float(halfway) == pytest.approx(1e-9 * (-29403.41 - 29350.0) / 2, rel=1e-7)
+
+
+def test_the_air_thins_with_height_and_rotates_with_the_earth():
+    air = orbits.atmosphere(LOW, 6.967e-13, 63.822, 500.0)
+    density, velocity = air(1000.0)
+    r, v = LOW(1000.0)
+    height = np.linalg.norm(r) - 6378.137
+    assert float(density) == pytest.approx(6.967e-13 * np.exp(-(height - 500) / 63.822), rel=1e-10)
+    np.testing.assert_allclose(velocity, v - np.cross([0, 0, orbits.EARTH_RATE], r), rtol=0, atol=1e-14)
+
+
+def test_the_sun_stands_where_seasons_begin():
+    """Equinox 2024 March 20, 3:06 UT, and solstice June 20, 20:51 UT (US Naval Observatory), to 0.01°."""
+    spring = orbits.sun_direction(orbits.julian_date(2024, 3, 20, 3 + 6 / 60))(0.0)
+    np.testing.assert_allclose(spring, [1, 0, 0], rtol=0, atol=2e-4)
+    summer = orbits.sun_direction(orbits.julian_date(2024, 6, 20))((20 + 51 / 60) * 3600.0)
+    np.testing.assert_allclose(summer, [0, np.cos(np.deg2rad(23.436)), np.sin(np.deg2rad(23.436))], rtol=0, atol=2e-4)
+
+
+def test_shadows_of_a_cylinder_and_of_a_cone():
+    circle = orbits.kepler(1.0, 1.5, 0.0)
+    sun = jnp.array([1.0, 0, 0])
+    t = np.linspace(0, 2 * np.pi * 1.5**1.5, 4001)
+    dark = 1 - jax.jit(jax.vmap(orbits.eclipse(circle, sun, 1.0, "cylindrical")))(t)
+    assert float(dark.mean()) == pytest.approx(np.arcsin(1 / 1.5) / np.pi, abs=1e-3)
+    cone = jax.jit(jax.vmap(orbits.eclipse(circle, sun, 1.0, angle=0.1)))
+    light = np.asarray(cone(t))
+    assert light.min() == 0
+    assert light.max() == 1
+    # the covered part of a disc, by counting the cells of a grid
+    k = np.flatnonzero((light > 0.2) & (light < 0.9))[0]
+    r = np.asarray(circle(t[k])[0])
+    c = np.arccos(-r[0] / 1.5)
+    x, y = np.meshgrid(*[np.linspace(-0.1, 0.1, 1501)] * 2)
+    disc, earth = x**2 + y**2 < 0.01, (x - c) ** 2 + y**2 < np.arcsin(1 / 1.5) ** 2
+    assert light[k] == pytest.approx(1 - (disc & earth).sum() / disc.sum(), abs=2e-3)
+    assert np.isfinite(jax.vmap(jax.grad(orbits.eclipse(circle, sun, 1.0)))(t[::40])).all()
+
+
+REFUSED = {
+    "no mu": (lambda: orbits.from_state(0.0, [1.0, 0, 0], [0, 1.0, 0]), "mu must be positive"),
+    "center": (lambda: orbits.from_state(1.0, [0.0, 0, 0], [0, 1.0, 0]), "position must not be that of the center"),
+    "line": (lambda: orbits.from_state(1.0, [1.0, 0, 0], [2.0, 0, 0]), "must not be a line through the center"),
+    "parabola": (lambda: orbits.from_state(1.0, [1.0, 0, 0], [0, 2**0.5, 0]), "the orbit is a parabola"),
+    "times": (lambda: orbits.table([0.0, 1, 1], np.zeros((3, 3)), np.zeros((3, 3))), r"times must increase.*1 and 2"),
+    "one time": (lambda: orbits.table([0.0], np.zeros((1, 3)), np.zeros((1, 3))), "with n ≥ 2"),
+    "positions": (lambda: orbits.table([0.0, 1], np.zeros((3, 3)), np.zeros((2, 3))), "positions must have shape"),
+    "ground": (lambda: orbits.secular_j2(orbits.EARTH_GM, 6700.0, 0.1, 1.0), "the periapsis is below the ground"),
+    "hyperbola": (lambda: orbits.secular_j2(orbits.EARTH_GM, -9e3, 1.1, 1.0), "secular rates are those of an ellipse"),
+    "field below": (
+        lambda: orbits.earth_field(orbits.kepler(1.0, 1.0, 0.1), 2460676.5),
+        "the orbit is below the ground",
+    ),
+    "meters": (
+        lambda: orbits.earth_field(orbits.kepler(orbits.EARTH_GM * 1e9, 7e6, 0.0), 2460676.5),
+        "give the radius 6371.2 in the orbit's unit",
+    ),
+    "date": (lambda: orbits.earth_field(LOW, orbits.julian_date(1950, 1, 1)), "IGRF-14 from 2000 to 2030"),
+    "day": (lambda: orbits.julian_date(2024, 2, 30), "must be a day of the calendar"),
+    "air": (lambda: orbits.atmosphere(LOW, -1.0, 60.0, 500.0), "density must be positive"),
+    "shadow": (lambda: orbits.eclipse(LOW, [1.0, 0, 0], shadow="sphere"), "shadow must be"),
+    "frame": (lambda: orbits.lvlh(lambda t: t), "orbit must be a function of the time t"),
+    "vectors": (lambda: orbits.vector_table([0.0, 1.0], np.zeros((2, 3))), "at least 3 entries"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_no_orbit_is_refused_in_a_sentence(name):
+    make, message = REFUSED[name]
+    with pytest.raises(ValueError, match=message):
+        make()

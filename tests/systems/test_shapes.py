@@ -1,0 +1,247 @@
+"""Shapes: closed forms, meshes against solids and quadrature, derivatives, files, and what accepts them."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import lieint_jax as li
+from lieint_jax import shapes
+
+CUBE = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
+QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+FACES = [[a, b, c] for q in QUADS for a, b, c in (q[:3], (q[0], *q[2:]))]
+
+
+def sphere(levels):
+    """An octahedron whose triangles are cut into four `levels` times, its vertices on the unit sphere."""
+    vertices = [np.array(v, float) for v in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))]
+    faces = [(x, y, z) if (x + y + z) % 2 else (x, z, y) for x, y, z in itertools.product((0, 1), (2, 3), (4, 5))]
+    for _ in range(levels):
+        middle, finer = {}, []
+        for face in faces:
+            inner = []
+            for i, j in zip(face, face[1:] + face[:1], strict=True):
+                key = (min(i, j), max(i, j))
+                if key not in middle:
+                    middle[key] = len(vertices)
+                    v = vertices[i] + vertices[j]
+                    vertices.append(v / np.linalg.norm(v))
+                inner.append(middle[key])
+            (a, b, c), (d, e, f) = face, inner
+            finer += [(a, d, f), (d, b, e), (f, e, c), (d, e, f)]
+        faces = finer
+    return np.array(vertices), np.array(faces)
+
+
+def hull(seed):
+    """A convex polyhedron with fifteen random vertices, its faces oriented outward."""
+    from scipy.spatial import ConvexHull
+
+    points = np.random.default_rng(seed).normal(size=(15, 3)) * [3, 2, 1] + [5, -2, 1]
+    found = ConvexHull(points)
+    used, faces = np.unique(found.simplices, return_inverse=True)
+    faces = faces.reshape(-1, 3)
+    at = points[used]
+    inside = at.mean(axis=0)
+    outward = (
+        np.einsum(
+            "fi,fi->f",
+            np.cross(at[faces[:, 1]] - at[faces[:, 0]], at[faces[:, 2]] - at[faces[:, 0]]),
+            at[faces[:, 0]] - inside,
+        )
+        > 0
+    )
+    return at, np.where(outward[:, None], faces, faces[:, ::-1])
+
+
+def nodes(at, faces, order=4):
+    """Quadrature points of a polyhedron and their volumes, exact to degree 2·order − 3: cones over the triangles."""
+    (x, w), apex = np.polynomial.legendre.leggauss(order), at.mean(axis=0)
+    u, w = (x + 1) / 2, w / 2
+    points, weights = [], []
+    for a, b, c in at[faces] - apex:
+        volume = np.dot(a, np.cross(b, c))
+        for (r, wr), (s, ws), (t, wt) in itertools.product(zip(u, w, strict=True), repeat=3):
+            points.append(r * (a + s * ((b - a) + t * (c - b))) + apex)
+            weights.append(volume * wr * ws * wt * r * r * s)
+    return np.array(points), np.array(weights)
+
+
+def assert_same(a, b, tolerance):
+    np.testing.assert_allclose(a.mass, b.mass, rtol=tolerance)
+    size = float(jnp.sqrt(jnp.max(b.second) / b.mass))
+    np.testing.assert_allclose(a.center, b.center, rtol=0, atol=tolerance * size)
+    for n in (2, 3, 4):
+        np.testing.assert_allclose(a.moments(n), b.moments(n), rtol=0, atol=tolerance * float(b.mass) * size**n)
+
+
+def test_solids_against_quadrature():
+    """Means of monomials over the solids, by Gauss' rule in coordinates in which they are polynomials."""
+    x, w = np.polynomial.legendre.leggauss(6)
+    unit = [
+        (np.array(p), np.prod(q))
+        for p, q in zip(itertools.product(x, repeat=3), itertools.product(w / 2, repeat=3), strict=True)
+    ]
+    angles = [2 * np.pi * k / 8 for k in range(8)]
+
+    def ball(p):  # radius, height on the sphere, angle by the mean over eight
+        r, z = (1 + p[0]) / 2, p[1]
+        rho = r * np.sqrt(1 - z * z)
+        return [(np.array([rho * np.cos(a), rho * np.sin(a), r * z]), 3 * r * r / 8) for a in angles]
+
+    def rod(p):
+        r = (1 + p[0]) / 2
+        return [(np.array([r * np.cos(a), r * np.sin(a), p[2]]), 2 * r / 8) for a in angles]
+
+    a = np.array([3.0, 2.0, 1.0])
+    for shape, scale, places in (
+        (shapes.ellipsoid(a, mass=7.0), a, ball),
+        (shapes.box(2 * a, mass=7.0), a, lambda p: [(p, 1.0)]),
+        (shapes.cylinder(2.0, 3.0, mass=7.0), np.array([2.0, 2.0, 1.5]), rod),
+    ):
+        parts = [(7 * w * v, scale * r) for p, w in unit for r, v in places(p)]
+        masses, points = (np.array(column) for column in zip(*parts, strict=True))
+        assert_same(shapes.sites(masses, points), shape, 2e-14)  # observed 3e-15
+
+
+def test_a_mesh_of_a_box_is_the_box():
+    found = shapes.mesh(CUBE * [3, 2, 1] + [100, 0, -50], FACES, density=2.0)
+    exact = shapes.box([3, 2, 1], density=2.0).moved([101.5, 1.0, -49.5])
+    assert_same(found, exact, 1e-13)  # observed 2e-14, the rounding of the vertices
+    assert_same(shapes.mesh(CUBE * [3, 2, 1] + [100, 0, -50], np.array(FACES)[:, ::-1], mass=12.0), exact, 1e-13)
+
+
+def test_meshes_of_an_ellipsoid_approach_it_to_second_order():
+    exact, errors = shapes.ellipsoid([3.0, 2.0, 1.0], density=1.0), []
+    for levels in (2, 3, 4):
+        vertices, faces = sphere(levels)
+        found = shapes.mesh(vertices * [3, 2, 1], faces, density=1.0)
+        errors.append(
+            [abs(found.mass - exact.mass), *(jnp.abs(found.moments(n) - exact.moments(n)).max() for n in (2, 4))]
+        )
+    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert np.all(np.abs(orders[-1] - 2) < 0.05), orders
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_convex_polyhedron_is_its_quadrature(seed):
+    at, faces = hull(seed)
+    points, weights = nodes(at, faces)
+    assert_same(shapes.mesh(at, faces, density=1.5), shapes.sites(1.5 * weights, points), 1e-13)  # observed 1e-14
+
+
+def test_a_convex_polyhedron_is_its_monte_carlo_sum():
+    """Within four standard errors: an independent definition of inside, by the planes of the faces."""
+    at, faces = hull(3)
+    found = shapes.mesh(at, faces, density=1.0)
+    low, high = at.min(axis=0), at.max(axis=0)
+    r = np.random.default_rng(0).uniform(low, high, (200000, 3))
+    normals = np.cross(at[faces[:, 1]] - at[faces[:, 0]], at[faces[:, 2]] - at[faces[:, 0]])
+    inside = np.all(r @ normals.T <= np.einsum("fi,fi->f", normals, at[faces[:, 0]]), axis=1)
+    for value, f in ((found.mass, 1.0), (found.second[0, 1], (r - found.center)[:, 0] * (r - found.center)[:, 1])):
+        samples = np.where(inside, f, 0) * np.prod(high - low)
+        assert abs(float(value) - samples.mean()) < 4 * samples.std() / np.sqrt(len(r))
+
+
+def test_slopes_by_the_vertices():
+    """Of all moments along a random direction, against sixth-order differences, forwards and in reverse."""
+    at, faces = hull(4)
+    rng = np.random.default_rng(5)
+    direction, weights = jnp.array(rng.normal(size=at.shape)), jnp.array(rng.normal(size=(3, 3, 3, 3)))
+
+    @jax.jit
+    def functional(vertices):
+        shape = shapes.mesh(vertices, faces, density=1.0)
+        total = shape.mass + jnp.sum(shape.center) + jnp.sum(weights[0, 0] * shape.inertia)
+        return total + jnp.sum(weights[0] * shape.third) + jnp.sum(weights * shape.fourth)
+
+    at = jnp.array(at)
+    forward = jax.jvp(functional, (at,), (direction,))[1]
+    reverse = jnp.sum(jax.grad(functional)(at) * direction)
+    h = 1e-3
+    values = [float(functional(at + k * h * direction)) for k in (-3, -2, -1, 1, 2, 3)]
+    differences = np.dot([-1, 9, -45, 45, -9, 1], values) / (60 * h)
+    assert float(forward) == pytest.approx(float(reverse), rel=1e-12)
+    assert float(forward) == pytest.approx(differences, rel=1e-9)  # observed 1e-11
+
+
+def test_sums_and_moves():
+    """Two halves are the whole; a rotated body's moments are those of its rotated points."""
+    whole = shapes.box([4, 2, 1], density=3.0)
+    half = shapes.box([2, 2, 1], density=3.0)
+    assert_same(half.moved([1.0, 0, 0]) + half.moved([-1.0, 0, 0]), whole, 1e-15)
+    hollow = whole + shapes.box([2, 2, 1], density=-3.0).moved([1.0, 0, 0])
+    assert_same(hollow, half.moved([-1.0, 0, 0]), 2e-14)
+    rng = np.random.default_rng(6)
+    masses, points = rng.uniform(1, 2, 5), rng.normal(size=(5, 3))
+    R = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    R *= np.linalg.det(R)
+    moved = shapes.sites(masses, points).moved([1.0, 2.0, 3.0], R)
+    assert_same(moved, shapes.sites(masses, points @ R.T + [1, 2, 3]), 1e-14)
+    moments, axes = moved.principal_axes()
+    np.testing.assert_allclose(axes @ np.diag(moments) @ axes.T, moved.inertia, atol=1e-13, rtol=0)
+    assert np.linalg.det(axes) == pytest.approx(1, abs=1e-14)
+    aligned = moved.aligned()
+    np.testing.assert_allclose(aligned.inertia, moments, rtol=1e-13)
+    assert_same(aligned, shapes.sites(masses, (points @ R.T - (moved.center - jnp.array([1.0, 2, 3]))) @ axes), 1e-13)
+
+
+def test_files(tmp_path):
+    """Polygons, negative indices, texture and normal indices, a seam of vertices that are written twice."""
+    path = tmp_path / "cube.obj"
+    lines = [f"v {x} {y} {z} 0.5 0.5 0.5" for x, y, z in CUBE]
+    lines += ["# a comment", "vn 0 0 1", *("f " + " ".join(f"{k + 1}/1/1" for k in q) for q in QUADS[:-1])]
+    lines += [f"v {x} {y} {z}" for x, y, z in CUBE[[1, 5, 7, 3]]] + ["f -4 -3 -2 -1"]
+    path.write_text("\n".join(lines))
+    cube = shapes.obj(path, density=1e-6, scale=1000.0)
+    assert float(cube.mass) == pytest.approx(1000.0, rel=1e-14)
+    np.testing.assert_allclose(cube.center, [500.0] * 3, rtol=1e-14)
+    path.write_text("v 1 2 x\nf 1 1 1")
+    with pytest.raises(ValueError, match=r"line 1 of .*cube.obj must be a line of an OBJ file, got 'v 1 2 x'"):
+        shapes.obj(path, mass=1.0)
+
+
+def test_single_precision_stays_single_and_has_its_digits():
+    at, faces = hull(9)
+    double, single = (shapes.mesh(jnp.asarray(at, dtype), faces, mass=2.0) for dtype in ("float64", "float32"))
+    assert {x.dtype for x in jax.tree.leaves(single)} == {np.dtype("float32")}
+    assert_same(single, double, 2e-6)  # observed 4e-7
+
+
+def test_what_accepts_a_shape():
+    at, faces = hull(7)
+    shape = shapes.mesh(at, faces, mass=2.0)
+    body = li.systems.rigid_body(shape)
+    np.testing.assert_array_equal(body.inertia, shape.inertia)
+    ball = shapes.ellipsoid([1.0, 1.0, 1.0], mass=3.0)
+    np.testing.assert_allclose(li.systems.rigid_body(ball).inertia, [1.2] * 3, rtol=1e-15)
+    pair = [shape, ball]
+    bodies = li.systems.rigid_bodies(pair, pair, li.potentials.maccullagh(1.0, pair, pair))
+    assert bodies.inertias.shape == (2, 3, 3)
+    np.testing.assert_allclose(bodies.masses, [2.0, 3.0])
+    slope = jax.grad(lambda a: jnp.sum(li.systems.rigid_body(shapes.ellipsoid(a, density=1.0)).inertia))(jnp.ones(3))
+    assert np.all(slope > 0)
+    assert shapes.ellipsoid(jnp.ones(3, "float32"), mass=1.0).fourth.dtype == jnp.float32
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: shapes.mesh(CUBE, FACES[:-1], mass=1.0), "the surface must be closed, but 3 edges"),
+        (lambda: shapes.mesh(CUBE, [FACES[0][::-1], *FACES[1:]], mass=1.0), "all faces must be oriented alike"),
+        (lambda: shapes.mesh(CUBE * [1, 1, 0], FACES, mass=1.0), "must enclose a volume"),
+        (lambda: shapes.mesh(CUBE, [[0, 1, 9]], mass=1.0), "faces must be indices from 0 to 7"),
+        (lambda: shapes.mesh(CUBE, [[0, 1, 1]], mass=1.0), "three distinct vertices"),
+        (lambda: shapes.mesh(CUBE, FACES), "give exactly one of mass, density"),
+        (lambda: shapes.box([1, 2, -1], mass=1.0), "edges must be positive"),
+        (lambda: shapes.sites([1.0, -1.0], [[0, 0, 0], [1, 0, 0]]), "total mass must be positive"),
+        (lambda: shapes.box([1, 2, 1], mass=1.0).moments(5), "order must be an integer from 0 to 4"),
+        (lambda: shapes.box([1, 2, 1], mass=0.0), "mass must not be 0"),
+    ],
+)
+def test_bad_arguments(make, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        make()
