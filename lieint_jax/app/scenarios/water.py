@@ -226,7 +226,7 @@ def _draw_molecules(ax: Any, sites: np.ndarray) -> None:
     length = 0.5 if size > 0.5 else 0.1
     ax.plot([-length / 2, length / 2], [0, 0], [-1.1 * size] * 2, color=plots.INK, lw=2)
     ax.text(0, 0, -1.13 * size, f"{length} nm", ha="center", va="top")
-    ax.legend(loc="upper left")
+    ax.legend(loc="upper left", bbox_to_anchor=(-0.25, 1.0))
 
 
 PICTURES = {"errors": draw_errors, "droplet": draw_droplet}
