@@ -35,6 +35,7 @@ from lieint_jax.types import (
     start_time,
     static,
 )
+from lieint_jax.types.shapes import PyTree
 
 
 class Ellipse(NamedTuple):
@@ -68,7 +69,7 @@ class Transition:
     state: State
     info: StepInfo
     matrix: Array
-    by_parameters: Any
+    by_parameters: PyTree
 
     def covariance(self, initial: ArrayLike, parameter_covariance: ArrayLike | None = None) -> Array:
         """The linear covariance Φ P₀ Φᵀ + S P_p Sᵀ of the state, (…, 2d, 2d).
@@ -141,12 +142,12 @@ def _covariance(name: str, given: ArrayLike, dim: int) -> Array:
 
 
 def transition(
-    step: Step | Callable[[Any], Step],
-    state: State | Callable[[Any], State],
+    step: Step | Callable[[PyTree], Step],
+    state: State | Callable[[PyTree], State],
     dt: ArrayLike,
     num_steps: int,
     *,
-    parameters: Any = None,
+    parameters: PyTree = None,
     save_every: int | None = None,
 ) -> Transition:
     """The state transition matrix Φ(t) of a run, its sensitivity to parameters, and from both linear covariance.
@@ -211,7 +212,7 @@ class _Run:
     state: Any
     named: tuple[tuple[str, tuple[int, ...]], ...] = static(default=())
 
-    def __call__(self, values: Any) -> tuple[Step, State]:
+    def __call__(self, values: PyTree) -> tuple[Step, State]:
         step = self.step if isinstance(self.step, Step) else self.step(values)
         state = self.state if isinstance(self.state, State) else self.state(values)
         if self.named:
@@ -223,7 +224,7 @@ class _Run:
         return step, state
 
 
-def _run_of(step: Any, state: Any, parameters: Any) -> tuple[_Run, Any]:
+def _run_of(step: Any, state: Any, parameters: PyTree) -> tuple[_Run, PyTree]:
     """The run as a function of its parameters, and their values."""
     functions = [not isinstance(step, Step) and callable(step), not isinstance(state, State) and callable(state)]
     if any(functions):
@@ -247,7 +248,7 @@ def _run_of(step: Any, state: Any, parameters: Any) -> tuple[_Run, Any]:
     return _Run(step, state, named), {name: jnp.asarray(leaves[places[0]][1]) for name, places in named}
 
 
-def _is_names(parameters: Any) -> bool:
+def _is_names(parameters: PyTree) -> bool:
     several = isinstance(parameters, list | tuple) and len(parameters) > 0
     return isinstance(parameters, str) or (several and all(isinstance(x, str) for x in parameters))
 
@@ -274,7 +275,7 @@ def _places(name: str, step: Step, leaves: list[tuple[tuple[str, ...], Any]]) ->
 
 
 @partial(compiled, static_argnums=(3, 4))
-def _entries(run: _Run, values: Any, dt: Array, num_saves: int, save_every: int) -> Transition:
+def _entries(run: _Run, values: PyTree, dt: Array, num_saves: int, save_every: int) -> Transition:
     """All entries, the start first."""
     p, unravel = ravel_pytree(values)
 
@@ -287,7 +288,7 @@ def _entries(run: _Run, values: Any, dt: Array, num_saves: int, save_every: int)
     clock = uniform_clock(step, start, dt)
 
     @rematerialized
-    def step_once(carry: Any, _: None) -> tuple[Any, None]:
+    def step_once(carry: PyTree, _: None) -> tuple[PyTree, None]:
         state, T, so_far, n = carry
         h = clock.size(n)
         if tangents.dim == dim:
@@ -299,7 +300,7 @@ def _entries(run: _Run, values: Any, dt: Array, num_saves: int, save_every: int)
             T = T.at[:, dim:].add(slope)
         return (at_time(end, clock.time(n + 1)), T, so_far.merge(info), n + 1), None
 
-    def interval(carry: tuple[State, Array, Array], _: None) -> tuple[Any, Any]:
+    def interval(carry: tuple[State, Array, Array], _: None) -> tuple[PyTree, PyTree]:
         state, T, n = carry
         fresh = StepInfo.fresh(state.p)
         (state, T, info, n), _ = lax.scan(step_once, (state, T, fresh, n), None, length=save_every)
@@ -326,10 +327,10 @@ class _Tangents:
         self._space = space
         self.dim = space.dim + self._extra(like).size
 
-    def carried(self, function: Callable[[State], Any], state: State, T: Array) -> tuple[State, Any, Array]:
+    def carried(self, function: Callable[[State], PyTree], state: State, T: Array) -> tuple[State, PyTree, Array]:
         """end, aux = function(state), and the derivative of end times T, (dim, k)."""
 
-        def perturbed_end(delta: Array) -> tuple[State, tuple[State, Any]]:
+        def perturbed_end(delta: Array) -> tuple[State, tuple[State, PyTree]]:
             end, aux = function(self._perturbed(state, delta))
             return end, (end, aux)
 

@@ -39,6 +39,7 @@ from lieint_jax.types import (
     State,
     Step,
     StepInfo,
+    System,
     pytree,
     static,
 )
@@ -289,7 +290,7 @@ PROPERTIES = SchemeProperties(
 )
 
 
-def examples(system: Any) -> dict[str, Step]:
+def examples(system: System) -> dict[str, Step]:
     """The thermostat of tops and several bodies."""
     taken = isinstance(system, AbstractTop | AbstractRigidBodies)
     return {"langevin": langevin(system, 0.1, 0.5)} if taken else {}
