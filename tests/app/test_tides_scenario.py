@@ -31,6 +31,7 @@ def test_the_closed_form_of_the_end_is_a_root_and_the_outer_one():
     assert np.isnan(tides.double_synchronous(scenario, 0.99 * mu * np.sqrt(GM * least))).all()
 
 
+@pytest.mark.long
 def test_the_moon_recedes_as_measured():
     """A month of it: the power is that of the secular equations, and the rate too, and as lasers measure it.
 

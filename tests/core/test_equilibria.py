@@ -25,6 +25,7 @@ def satellite_modes(J):
     return np.sort(np.sqrt(squares).real), stable, B > A and k1 > 0 and k3 > 0 and C > B
 
 
+@pytest.mark.long
 def test_a_satellite_in_the_regions_of_debra_and_delp():
     """48 inertias: frequencies, verdict, and the extremum of K (the region of Lagrange). Observed 3e-15."""
     random = np.random.default_rng(1)
@@ -48,6 +49,7 @@ def test_a_satellite_in_the_regions_of_debra_and_delp():
     assert min(seen.values()) >= 4, seen
 
 
+@pytest.mark.long
 def test_newton_finds_the_satellite_at_rest_in_its_orbit():
     """From 0.2 rad off, at another time and in an inclined orbit; a wrong frame is refused."""
     orbit = li.orbits.kepler(1.0, 1.0, 0.0, inclination=0.4, node=0.3)
@@ -133,6 +135,7 @@ def planar_binary(m, J, radius):
     return rate, np.sort(values.imag[values.imag > 0])
 
 
+@pytest.mark.long
 def test_a_synchronous_binary_librates_as_its_planar_problem():
     """The naive √(3(B − A)/C · m₁/M), with the orbit held, is off by 7 %. Observed 1e-9."""
     m, J, radius = np.array([1.0, 3.0]), np.array([0.30, 0.42, 0.48]), 6.0

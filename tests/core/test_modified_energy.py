@@ -76,6 +76,7 @@ def test_with_the_fourth_term_it_varies_as_the_sixth_power(name):
     assert np.log2(coarse / fine) == pytest.approx(6, abs=0.25)
 
 
+@pytest.mark.long
 def test_a_wrong_share_of_the_error_of_the_drift_stays_at_order_2():
     """Two halves of a drift have a quarter of its T₂, not all of it."""
     step, state = STEPS["top, midpoint first"]
@@ -87,6 +88,7 @@ def test_a_wrong_share_of_the_error_of_the_drift_stays_at_order_2():
     assert float(jnp.max(jnp.abs(values - values[0]))) > 20 * right
 
 
+@pytest.mark.long
 def test_the_brackets_are_those_of_nested_gradients():
     """{f, g} = −df ω⁻¹ dg on T*SO(3), by `perturb`, for H₂; and the closed form for tops. Observed 1e-15."""
     space = TOP.phase_space

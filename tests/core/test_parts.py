@@ -531,6 +531,7 @@ def environment_of(proxy):
     return {**names, "AWS_DEFAULT_REGION": "us-east-1"}
 
 
+@pytest.mark.long
 @needs_moto
 def test_a_run_on_s3_is_that_in_memory_and_holds_no_credentials(proxy, capsys):
     url = "s3://bucket/plain/run.zarr"

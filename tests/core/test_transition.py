@@ -85,6 +85,7 @@ def test_the_derivatives_of_a_driven_run_by_three_ways():
     assert float(found.t) == pytest.approx(float(TILTED.t) + DT * STEPS, abs=1e-13)
 
 
+@pytest.mark.long
 def test_names_stand_for_every_copy_of_a_number():
     """A splitting holds the inertia twice, in the system and in its drift; both vary."""
     step, values = li.schemes.splitting(TOP), {"inertia": TOP.inertia, "potential.weight": TOP.potential.weight}
@@ -158,6 +159,7 @@ def test_covariance_and_ellipse():
     np.testing.assert_allclose(spread, P[-1][np.ix_([1, 4], [1, 4])], rtol=1e-12)
 
 
+@pytest.mark.long
 def test_it_is_batched_and_keeps_its_type():
     step, states = li.schemes.splitting(TOP), jax.tree.map(lambda x: jnp.stack([x, x]), SPINNING)
     states = states._replace(p=states.p * jnp.array([[1.0], [1.1]]))

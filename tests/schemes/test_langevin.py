@@ -116,6 +116,7 @@ def test_machine_code_and_xla_see_the_same_noise():
         np.testing.assert_array_equal(a[-1], b[-1])  # split runs of `integrate`, bit for bit
 
 
+@pytest.mark.long
 def test_a_step_back_is_flagged_and_refused():
     step = thermostat()
     state = step.start(BEGIN)

@@ -70,6 +70,7 @@ def seven():
     return body, run(torqued_midpoint(body), state, 200)
 
 
+@pytest.mark.long
 def test_laws_of_a_satellite_balance_to_round_off(seven):
     """Observed: 4e-15 of the energy in 200 steps. Each law does something."""
     body, (path, H) = seven
@@ -80,6 +81,7 @@ def test_laws_of_a_satellite_balance_to_round_off(seven):
     assert torqued_midpoint(body).symmetric
 
 
+@pytest.mark.long
 def test_works_are_named_by_their_laws(seven):
     body, (path, _) = seven
     data = path.to_xarray(body)
@@ -103,6 +105,7 @@ def test_works_in_a_store_are_named_by_their_laws(tmp_path):
         assert data.extra_works.dims == ("time", "member", "law")
 
 
+@pytest.mark.long
 def test_a_law_that_reads_the_wheels_may_stand_before_or_after_them():
     laws = [torques.unloading(AXES, 0.1, [0.3, 0.1, 1.0]), torques.wheels(AXES, MOMENTS, speeds=[1.0, 2.0, -1.0, 3])]
     ends = []
@@ -195,6 +198,7 @@ def test_torquers_give_what_is_across_the_field():
     assert not np.any(torques.torquers(control, [0.0, 0, 0])(t, Q, OMEGA))
 
 
+@pytest.mark.long
 def test_wheels_hold_a_satellite_to_its_frame_while_torquers_unload_them():
     """From an attitude far off; the wheels' momentum falls, the error too."""
     body = torqued_body(INERTIA, LAWS["gravity_gradient"] + torques.unloading(AXES, 0.3, FIELD) + HOLDING)
@@ -218,6 +222,7 @@ def rhs(body, template):
     return f, lambda z: np.concatenate([z.q, z.p, z.extra["wheels"]])
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("order", [2, 4, 6])
 def test_orders_against_another_package_with_saturation_in_force(order):
@@ -239,6 +244,7 @@ def test_orders_against_another_package_with_saturation_in_force(order):
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.15)
 
 
+@pytest.mark.long
 def test_steps_back_undo_steps():
     """Few steps: over a long time a controller's motion backward is unstable."""
     still = torques.pointing([1.0, 0, 0, 0], 0.8, 1.2, INERTIA)

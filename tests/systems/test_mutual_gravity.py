@@ -179,6 +179,7 @@ def test_a_sun_as_an_outer_field():
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.1)
 
 
+@pytest.mark.long
 def test_the_slope_of_a_force_by_a_vertex():
     """Through the moments of a mesh, forwards and in reverse, against a sixth-order difference."""
     at, faces = hull(8)

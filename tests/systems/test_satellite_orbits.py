@@ -195,6 +195,7 @@ def test_the_sun_stands_where_seasons_begin():
     np.testing.assert_allclose(summer, [0, np.cos(np.deg2rad(23.436)), np.sin(np.deg2rad(23.436))], rtol=0, atol=2e-4)
 
 
+@pytest.mark.long
 def test_shadows_of_a_cylinder_and_of_a_cone():
     circle = orbits.kepler(1.0, 1.5, 0.0)
     sun = jnp.array([1.0, 0, 0])
