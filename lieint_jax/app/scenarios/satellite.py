@@ -38,6 +38,7 @@ from lieint_jax.types import State, Step, Trajectory, labels
 
 STEP_AXIS = 0  # every member has an inertia and a dipole of its own
 _CAPTURED = 10.0  # degrees from the nadir
+_SLOW = 0.5  # °/s: detumbled
 
 
 class InitialState(_body.InitialState):
@@ -222,6 +223,7 @@ def quantities(scenario: Scenario, body: TorquedBody, run: Trajectory) -> list[Q
     found = [
         Quantity("rate at the end (°/s)", c.rate[-1]),
         Quantity("z axis from the nadir at the end (°)", c.off[-1]),
+        Quantity(f"first slower than {_SLOW:g} °/s (s)", first_slow(np.asarray(run.t), c.rate), ".0f"),
         Quantity(f"within {_CAPTURED:g}° of the nadir since (s)", captured_since(np.asarray(run.t), c.off), ".0f"),
     ]
     if scenario.wheels is not None:
@@ -230,6 +232,12 @@ def quantities(scenario: Scenario, body: TorquedBody, run: Trajectory) -> list[Q
             Quantity("momentum of the wheels at the end (mN m s)", 1e3 * c.wheels[-1]),
         ]
     return found
+
+
+def first_slow(t: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """The first saved time at which a member rotates slowly, (members,); nan if there is none."""
+    slow = rate < _SLOW
+    return np.where(slow.any(axis=0), t[slow.argmax(axis=0)], np.nan)
 
 
 def captured_since(t: np.ndarray, off: np.ndarray) -> np.ndarray:
@@ -316,14 +324,18 @@ def draw_phases(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> No
 
 @picture(2)
 def draw_capture(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
-    """Plot when each start was captured against its initial rate, and how many of all starts are, against time."""
+    """Plot when each start was slow and captured against its initial rate, and how many of all starts are, with time."""
     left, right = axes
     c, t = course(scenario, step.system, run), np.asarray(run.t)
-    since = captured_since(t, c.off)
-    never = np.isnan(since)
-    left.scatter(c.rate[0, ~never], since[~never], s=4, color=plots.BLUE, label="captured")
-    left.scatter(c.rate[0, never], np.full(never.sum(), t[-1]), s=8, marker="x", color=plots.ORANGE, label="not yet")
-    left.set(xlabel="initial angular velocity (°/s)", ylabel=f"within {_CAPTURED:g}° of the nadir since (s)")
+    events = (
+        (first_slow(t, c.rate), plots.BLUE, f"slower than {_SLOW:g} °/s"),
+        (captured_since(t, c.off), plots.ORANGE, f"within {_CAPTURED:g}° of the nadir for good"),
+    )
+    for since, color, label in events:
+        reached = np.isfinite(since)
+        left.scatter(c.rate[0, reached], since[reached], s=5, color=color, label=f"{label}: {reached.sum()}")
+    left.set(xlabel="initial angular velocity (°/s)", ylabel=f"reached at t ({scenario.time_unit})")
+    left.set_ylim(0, t[-1])
     left.legend()
     for limit, color in ((90.0, plots.ORANGE), (_CAPTURED, plots.BLUE), (1.0, plots.INK)):
         right.plot(t, 100 * np.mean(c.off <= limit, axis=1), color=color, lw=0.9, label=f"within {limit:g}°")
