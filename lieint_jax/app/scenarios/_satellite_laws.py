@@ -1,4 +1,4 @@
-"""What acts on a satellite in a low orbit: the keys of its surroundings and equipment, and the laws of torque they are."""
+"""What acts on a satellite in a low orbit: the keys of its surroundings and equipment, and their laws of torque."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import datetime
 from collections.abc import Callable
 from typing import Annotated, Any, NamedTuple, Self
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -13,7 +14,7 @@ from pydantic import Field, field_validator, model_validator
 
 from lieint_jax import _checks, orbits, torques
 from lieint_jax.app.scenarios._common import Above, NonNegative, Table, Triple
-from lieint_jax.types import Law, Rotation, pytree
+from lieint_jax.types import Law, Rotation, pytree, static
 
 _KM = 1e3  # m
 _FIELD_RADIUS = 6371.2e3  # m, of the coefficients of IGRF
@@ -64,12 +65,12 @@ class Rods(Table):
 
     axes: Annotated[list[Triple], Field(min_length=1)]
     """Unit vectors in the body."""
-    saturation_A_m2: Above
-    """The greatest moment of a rod."""
-    slope_T: Above
-    """The field over which the moment rises: M = saturation tanh(w/slope)."""
-    coercivity_T: NonNegative
-    """The half-width of the hysteresis loop."""
+    saturation: Above
+    """The greatest moment of a rod, in A m²."""
+    slope: Above
+    """The field over which the moment rises, in tesla: M = saturation × tanh(w/slope)."""
+    coercivity: NonNegative
+    """The half-width of the hysteresis loop, in tesla."""
 
     @field_validator("axes")
     @classmethod
@@ -87,10 +88,10 @@ class Wheels(Table):
     """From the xy-plane to the axes."""
     inertia_kg_m2: Above
     """Of each, about its axis."""
-    max_torque_N_m: Above
-    """Of each motor."""
-    max_momentum_N_m_s: Above
-    """Of each wheel."""
+    max_torque: Above
+    """Of each motor, in N m."""
+    max_momentum: Above
+    """Of each wheel, in N m s."""
 
     def axes(self) -> Array:
         return torques.wheel_pyramid(np.deg2rad(self.tilt_deg), self.number)
@@ -132,6 +133,21 @@ class Unloading(Control):
     """In 1/s: the momentum falls with this rate across the field."""
 
 
+@pytree
+class Frame:
+    """A frame whose functions are traced once, although every iteration of a step evaluates them."""
+
+    attitude: Any = static()
+    velocity: Any = static()
+
+    def __call__(self, t: Any) -> Array:
+        return self.attitude(t)
+
+    def angular_velocity(self, t: Any) -> Array:
+        """In the axes of the frame."""
+        return self.velocity(t)
+
+
 class Surroundings(NamedTuple):
     """Functions of time along the orbit, the same for all members: constants of the program, not leaves of a step.
 
@@ -146,7 +162,7 @@ class Surroundings(NamedTuple):
     orbit: Any
     mu: float
     field: Any
-    frame: orbits.LocalFrame
+    frame: Frame
     air: Any
 
 
@@ -158,13 +174,14 @@ def surroundings(orbit: Orbit, date: datetime.date, drag: Drag | None) -> Surrou
     if drag is not None:
         height, scale = drag.height_km * _KM, drag.scale_height_km * _KM
         air = orbits.atmosphere(motion, drag.density_kg_m3, scale, height, radius=orbits.EARTH_RADIUS * _KM)
-    shared = lambda t: motion(t)  # noqa: E731
+    shared = jax.jit(lambda t: motion(t))  # traced once, although many laws evaluate it in every iteration of a step
+    frame = orbits.lvlh(shared)
     return Surroundings(
         shared,
         float(motion.mu),
-        lambda t: field(t),
-        orbits.lvlh(shared),
-        None if air is None else lambda t: air(t),
+        jax.jit(lambda t: field(t)),
+        Frame(jax.jit(frame), jax.jit(frame.angular_velocity)),
+        None if air is None else jax.jit(lambda t: air(t)),
     )
 
 
@@ -230,16 +247,16 @@ def laws(scenario: Any, around: Surroundings, inertia: Array, dipole: Array) -> 
         plates = torques.box_plates(drag.box_m, drag.center_m)
         found.append(torques.aerodynamic(around.air, *plates, drag=drag.coefficient))
     if (rods := scenario.rods) is not None:
-        material = rods.saturation_A_m2, rods.slope_T, rods.coercivity_T
+        material = rods.saturation, rods.slope, rods.coercivity
         found += [
             torques.hysteresis(axis, *material, field=around.field, key=f"rod_{k + 1}")
             for k, axis in enumerate(rods.axes)
         ]
     if (detumbling := scenario.detumbling) is not None:
-        bdot = torques.bdot(detumbling.gain, around.field, scenario.max_dipole_A_m2)
+        bdot = torques.bdot(detumbling.gain, around.field, scenario.max_dipole)
         found.append(Within(bdot, *_edges(detumbling)))
     if (unloading := scenario.unloading) is not None:
-        dumping = torques.unloading(scenario.wheels.axes(), unloading.gain, around.field, scenario.max_dipole_A_m2)
+        dumping = torques.unloading(scenario.wheels.axes(), unloading.gain, around.field, scenario.max_dipole)
         found.append(Within(dumping, *_edges(unloading)))
     if (wheels := scenario.wheels) is not None:
         found.append(_driven(wheels, scenario.pointing, around, inertia))
@@ -255,7 +272,7 @@ def _driven(wheels: Wheels, pointing: Pointing | None, around: Surroundings, ine
             around.frame, 2 * rate**2 * moments, 2 * pointing.damping_ratio * rate * moments, inertia
         )
         motor = MotorsWithin(torques.wheel_motor(axes, control, gyroscopic=True), *_edges(pointing))
-    limits = {"max_torque": wheels.max_torque_N_m, "max_momentum": wheels.max_momentum_N_m_s}
+    limits = {"max_torque": wheels.max_torque, "max_momentum": wheels.max_momentum}
     return torques.wheels(axes, wheels.inertia_kg_m2, motor, **limits)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import itertools
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple, Self
 
@@ -53,25 +54,25 @@ class Spread(_body.Spread):
 
     inertia: NonNegative = 0.0
     """Of the logarithms of the second moments of mass along the body axes, so of about this part of them."""
-    residual_dipole_A_m2: NonNegative = 0.0
-    """Of each component."""
+    residual_dipole: NonNegative = 0.0
+    """Of each component, in A m²."""
 
 
 class Scenario(_body.BodyScenario):
-    """The keys of a scenario of this kind. Units: kg m², s, N m, A m², tesla; axes of space: inertial, z to the pole."""
+    """The keys of a scenario of this kind. Units: SI; the axes of space are inertial, z to the pole."""
 
     system: Literal["satellite"]  # pyright: ignore[reportIncompatibleVariableOverride]
     time_unit: Literal["s"] = "s"  # pyright: ignore[reportIncompatibleVariableOverride]
     date: str
     """YYYY-MM-DD, 0 h UT, at t = 0: from it follow the Earth's field and rotation."""
     orbit: Orbit
-    residual_dipole_A_m2: Triple = [0.0, 0.0, 0.0]
-    """The magnetic moment of the switched-off satellite, in body axes."""
+    residual_dipole: Triple = [0.0, 0.0, 0.0]
+    """The magnetic moment of the switched-off satellite in body axes, in A m²."""
     drag: Drag | None = None
     rods: Rods | None = None
     wheels: Wheels | None = None
-    max_dipole_A_m2: Above | None = None
-    """Of each magnetic torquer, along the body axes; needed for detumbling and unloading."""
+    max_dipole: Above | None = None
+    """Of each magnetic torquer, along the body axes, in A m²; needed for detumbling and unloading."""
     detumbling: Detumbling | None = None
     pointing: Pointing | None = None
     unloading: Unloading | None = None
@@ -91,8 +92,8 @@ class Scenario(_body.BodyScenario):
     @model_validator(mode="after")
     def _equipment_is_there(self) -> Self:
         torquers = [name for name in ("detumbling", "unloading") if getattr(self, name) is not None]
-        if torquers and self.max_dipole_A_m2 is None:
-            raise ValueError(f"{torquers[0]} needs torquers: give max_dipole_A_m2")
+        if torquers and self.max_dipole is None:
+            raise ValueError(f"{torquers[0]} needs torquers: give max_dipole")
         for name in ("pointing", "unloading"):
             if getattr(self, name) is not None and self.wheels is None:
                 raise ValueError(f"{name} needs wheels: give a table wheels")
@@ -120,7 +121,7 @@ class Scenario(_body.BodyScenario):
     def spreads(self) -> dict[str, tuple[float, str]]:
         more = {
             "second moments of mass": (self.spread.inertia, "of them"),
-            "residual dipole": (self.spread.residual_dipole_A_m2, "A m²"),
+            "residual dipole": (self.spread.residual_dipole, "A m²"),
         }
         return super().spreads() | more
 
@@ -143,7 +144,7 @@ def build(scenario: Scenario) -> tuple[Step, State]:
     key = jax.random.fold_in(jax.random.key(scenario.seed), 1)
     own = jax.random.normal(key, (2, scenario.members, 3)).at[:, 0].set(0.0)
     locked = jax.vmap(stretched, (None, 0))(jnp.asarray(_matrix(scenario.inertia)), jnp.exp(spread.inertia * own[0]))
-    dipoles = jnp.asarray(scenario.residual_dipole_A_m2) + spread.residual_dipole_A_m2 * own[1]
+    dipoles = jnp.asarray(scenario.residual_dipole) + spread.residual_dipole * own[1]
     q, Omega = _initial(scenario, around)
     kick, jolt = deviates(scenario)
     kick, jolt = jnp.deg2rad(spread.attitude_deg) * kick, spread.rate() * jolt
@@ -205,7 +206,8 @@ def _course(scenario: Scenario, body: TorquedBody, run: Trajectory) -> Course:
         return jnp.linalg.norm(Omega), z, h, extra["works"], body.energy(state)
 
     rate, z, h, works, energy = over_members(measured, body, run)
-    down = np.asarray(jax.jit(jax.vmap(scenario.around().frame.matrix))(jnp.asarray(run.t)))[:, None, :, 2]
+    frames = jax.vmap(scenario.around().frame)(jnp.asarray(run.t))
+    down = np.asarray(jax.vmap(so3.Ad, (0, None))(frames, jnp.array([0.0, 0.0, 1.0])))[:, None]
     angle = np.arctan2(np.linalg.norm(np.cross(z, down), axis=-1), np.sum(z * down, axis=-1))
     return Course(np.rad2deg(rate), np.rad2deg(angle), h, works, energy, labels(body))
 
@@ -252,7 +254,7 @@ def phases(scenario: Scenario, t: np.ndarray) -> list[tuple[str, int, int]]:
     controls = scenario.controls()
     edges = sorted({t[0], t[-1], *(x for c in controls.values() for x in c.window if t[0] < x < t[-1])})
     found = []
-    for start, stop in zip(edges[:-1], edges[1:], strict=True):
+    for start, stop in itertools.pairwise(edges):
         acting = [name for name, c in controls.items() if c.window[0] <= (start + stop) / 2 < c.window[1]]
         first, last = (int(np.searchsorted(t, x)) for x in (start, stop))
         if first < last:
@@ -324,7 +326,7 @@ def draw_phases(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> No
 
 @picture(2)
 def draw_capture(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
-    """Plot when each start was slow and captured against its initial rate, and how many of all starts are, with time."""
+    """Plot when each start was slow and captured against its initial rate, and how many of them are, with time."""
     left, right = axes
     c, t = course(scenario, step.system, run), np.asarray(run.t)
     events = (
