@@ -38,6 +38,7 @@ from lieint_jax.systems import TorquedBody
 from lieint_jax.types import State, Step, Trajectory, labels
 
 STEP_AXIS = 0  # every member has an inertia and a dipole of its own
+CERTIFIED = False  # control and friction conserve no form and no momentum; the report has the balance of energy
 _CAPTURED = 10.0  # degrees from the nadir
 _SLOW = 0.5  # °/s: detumbled
 
