@@ -15,6 +15,7 @@ TITLES = {
     "heavy_top": "Heavy tops",
     "pseudo_rigid": "Elastic bodies",
     "driven": "Satellites",
+    "satellite": "Satellites with five laws",
     "bodies": "Several bodies",
     "se3": "SE(3)",
     "engines": "Steps for engines",
