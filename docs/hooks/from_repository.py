@@ -24,6 +24,7 @@ TITLES = {
     "ensemble": "Ensembles",
     "first_ensembles": "First ensembles",
     "compile": "First calls",
+    "scale": "Scale",
     "round_off": "Rounding, 10⁷ steps",
     "round_off_long": "Rounding, 10⁸ steps",
 }
