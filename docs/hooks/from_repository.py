@@ -15,6 +15,7 @@ TITLES = {
     "heavy_top": "Heavy tops",
     "pseudo_rigid": "Elastic bodies",
     "driven": "Satellites",
+    "satellite": "Satellites with five laws",
     "bodies": "Several bodies",
     "se3": "SE(3)",
     "engines": "Steps for engines",
@@ -24,6 +25,7 @@ TITLES = {
     "ensemble": "Ensembles",
     "first_ensembles": "First ensembles",
     "compile": "First calls",
+    "scale": "Scale",
     "round_off": "Rounding, 10⁷ steps",
     "round_off_long": "Rounding, 10⁸ steps",
 }

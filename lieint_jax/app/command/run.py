@@ -52,6 +52,7 @@ def run(
     scenario = scenarios.load(name, members=members, steps=steps, save_at=save_at and files.numbers(save_at))
     kind = scenarios.kind(scenario)
     drawings = kind.PICTURES if pictures else {}
+    certificate = certificate and getattr(kind, "CERTIFIED", True)
     if out is None:
         file = Path(Path(name).stem).with_suffix(".zarr" if resume else ".npz")
         out = file if resume else files.unused(file, lambda path: files.pictures(path, drawings))

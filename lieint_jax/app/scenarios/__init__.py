@@ -13,6 +13,7 @@ observations to compare with the results. `scenario_names` lists the shipped one
 | `remarks(scenario, step, run)` | further lines of the report |
 | `PICTURES` | functions (scenario, step, run) ↦ figure, by the suffix of their file names; see `_pictures.picture` |
 | `STEP_AXIS` | 0 where every member has a system of its own: the leaves of the step then have the member axis |
+| `CERTIFIED` | False where `lieint run` prints no certificate: control and friction leave it nothing but the energy |
 
 Only the first two and `PICTURES` are required. A kind whose report is no such table has `report(scenario, step, run)`.
 """

@@ -1,0 +1,287 @@
+"""What acts on a satellite in a low orbit: the keys of its surroundings and equipment, and their laws of torque."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable
+from typing import Annotated, Any, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from pydantic import Field, field_validator, model_validator
+
+from lieint_jax import _checks, orbits, torques
+from lieint_jax.app.scenarios._common import Above, NonNegative, Table, Triple
+from lieint_jax.types import Law, Rotation, pytree, static
+
+_KM = 1e3  # m
+_FIELD_RADIUS = 6371.2e3  # m, of the coefficients of IGRF
+
+Window = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+class Orbit(Table):
+    """A Kepler orbit about the Earth."""
+
+    perigee_km: Above
+    """The height above the equatorial radius."""
+    eccentricity: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    inclination_deg: float
+    """In degrees, as the two angles below."""
+    node_deg: float = 0.0
+    """The right ascension of the ascending node."""
+    perigee_deg: float = 0.0
+    """The argument of the perigee, where the satellite is at t = 0."""
+
+    def motion(self) -> orbits.Kepler:
+        """In m and s."""
+        perigee = (orbits.EARTH_RADIUS + self.perigee_km) * _KM
+        inclination, node, argument = np.deg2rad([self.inclination_deg, self.node_deg, self.perigee_deg])
+        size = perigee / (1 - self.eccentricity)
+        mu = orbits.EARTH_GM * _KM**3
+        return orbits.kepler(mu, size, self.eccentricity, inclination, node=node, periapsis=argument)
+
+
+class Drag(Table):
+    """The air on the six faces of a box."""
+
+    box_m: Annotated[list[Above], Field(min_length=3, max_length=3)]
+    """The lengths of its edges along the body axes."""
+    center_m: Triple = [0.0, 0.0, 0.0]
+    """The middle of the box, from the center of mass, in body axes."""
+    coefficient: NonNegative = 2.2
+    density_kg_m3: Above
+    """Of the air, at the height below; it varies by a factor of ten with the activity of the Sun."""
+    height_km: NonNegative
+    """Above the equatorial radius."""
+    scale_height_km: Above
+    """In which the density falls to 1/e."""
+
+
+class Rods(Table):
+    """Rods of soft magnetic material, one along each axis."""
+
+    axes: Annotated[list[Triple], Field(min_length=1)]
+    """Unit vectors in the body."""
+    saturation: Above
+    """The greatest moment of a rod, in A m²."""
+    slope: Above
+    """The field over which the moment rises, in tesla: M = saturation × tanh(w/slope)."""
+    coercivity: NonNegative
+    """The half-width of the hysteresis loop, in tesla."""
+
+    @field_validator("axes")
+    @classmethod
+    def _units(cls, value: list[list[float]]) -> list[list[float]]:
+        if np.max(abs(np.linalg.norm(value, axis=1) - 1)) > _checks.UNIT_TOLERANCE:
+            raise ValueError("must be unit vectors; divide each by its norm")
+        return value
+
+
+class Wheels(Table):
+    """Reaction wheels on a pyramid about the z axis, at rest in the body at t = 0."""
+
+    number: Annotated[int, Field(ge=3, le=100)] = 4
+    tilt_deg: Annotated[float, Field(gt=0, lt=90)] = 35.264389682754654
+    """From the xy-plane to the axes."""
+    inertia_kg_m2: Above
+    """Of each, about its axis."""
+    max_torque: Above
+    """Of each motor, in N m."""
+    max_momentum: Above
+    """Of each wheel, in N m s."""
+
+    def axes(self) -> Array:
+        return torques.wheel_pyramid(np.deg2rad(self.tilt_deg), self.number)
+
+
+class Control(Table):
+    """A law of control that acts in a window of time."""
+
+    window: Window
+    """From when to when it acts, in time_unit."""
+
+    @model_validator(mode="after")
+    def _a_window(self) -> Self:
+        if not self.window[0] < self.window[1]:
+            raise ValueError(f"window must be [from, to] with from < to, got {self.window}")
+        return self
+
+
+class Detumbling(Control):
+    """Torquers with the moment gain × angular velocity × field, the law B-dot."""
+
+    gain: Above
+    """In N m s/T²."""
+
+
+class Pointing(Control):
+    """Wheels that point z to the nadir and x forward, as a spring with a damper would about each axis."""
+
+    frequency: Above
+    """Of the spring, in rad/s: that of small errors without damping."""
+    damping_ratio: Above = 1.0
+    """1: critical."""
+
+
+class Unloading(Control):
+    """Torquers that take the momentum out of the wheels."""
+
+    gain: Above
+    """In 1/s: the momentum falls with this rate across the field."""
+
+
+@pytree
+class Frame:
+    """A frame whose functions are traced once, although every iteration of a step evaluates them."""
+
+    attitude: Any = static()
+    velocity: Any = static()
+
+    def __call__(self, t: Any) -> Array:
+        return self.attitude(t)
+
+    def angular_velocity(self, t: Any) -> Array:
+        """In the axes of the frame."""
+        return self.velocity(t)
+
+
+class Surroundings(NamedTuple):
+    """Functions of time along the orbit, the same for all members: constants of the program, not leaves of a step.
+
+    Attributes:
+        orbit: position and velocity, m and m/s.
+        mu: the gravitational parameter, m³/s².
+        field: of the Earth in space, T.
+        frame: local vertical, local horizontal: z down, x forward.
+        air: density and relative velocity, or None.
+    """
+
+    orbit: Any
+    mu: float
+    field: Any
+    frame: Frame
+    air: Any
+
+
+def surroundings(orbit: Orbit, date: datetime.date, drag: Drag | None) -> Surroundings:
+    """Those of an orbit from a date on."""
+    motion = orbit.motion()
+    field = orbits.earth_field(motion, orbits.julian_date(date.year, date.month, date.day), radius=_FIELD_RADIUS)
+    air = None
+    if drag is not None:
+        height, scale = drag.height_km * _KM, drag.scale_height_km * _KM
+        air = orbits.atmosphere(motion, drag.density_kg_m3, scale, height, radius=orbits.EARTH_RADIUS * _KM)
+    shared = jax.jit(lambda t: motion(t))  # traced once, although many laws evaluate it in every iteration of a step
+    frame = orbits.lvlh(shared)
+    return Surroundings(
+        shared,
+        float(motion.mu),
+        jax.jit(lambda t: field(t)),
+        Frame(jax.jit(frame), jax.jit(frame.angular_velocity)),
+        None if air is None else jax.jit(lambda t: air(t)),
+    )
+
+
+@pytree
+class Within(Law):
+    """A law that acts in a window of time: in steps whose middle is in it."""
+
+    law: Law
+    begin: Array
+    end: Array
+
+    @property
+    def frame(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.law.frame
+
+    @property
+    def reads(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.law.reads
+
+    @property
+    def label(self) -> str:
+        return self.law.label
+
+    def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
+        """The law's mean torque, or 0."""
+        torque = self.law.mean(rotation, inner)[0]
+        return jnp.where(_inside(self, rotation.t), torque, 0), inner
+
+
+@pytree
+class MotorsWithin:
+    """Motors of wheels that act in a window of time; outside of it the wheels are free in their bearings."""
+
+    motor: torques.WheelMotor
+    begin: Array
+    end: Array
+
+    def __call__(self, t: Array, q: Array, Omega: Array, h: Array) -> Array:
+        return self.given(t, q, Omega)(h)
+
+    def given(self, t: Array, q: Array, Omega: Array) -> Callable[[Array], Array]:
+        """As that of `WheelMotor`."""
+        motors, acts = self.motor.given(t, q, Omega), _inside(self, t)
+        return lambda h: jnp.where(acts, motors(h), 0)
+
+
+def _inside(window: Within | MotorsWithin, t: Array) -> Array:
+    return (window.begin <= t) & (t < window.end)
+
+
+def _edges(control: Control) -> tuple[Array, Array]:
+    begin, end = control.window
+    return jnp.asarray(begin), jnp.asarray(end)
+
+
+def laws(scenario: Any, around: Surroundings, inertia: Array, dipole: Array) -> list[Law]:
+    """All laws of a scenario, for a body with a locked inertia (3, 3) and a residual dipole (3,)."""
+    found: list[Law] = [
+        torques.gravity_gradient(around.orbit, inertia, around.mu),
+        torques.dipole(dipole, around.field),
+    ]
+    if (drag := scenario.drag) is not None:
+        plates = torques.box_plates(drag.box_m, drag.center_m)
+        found.append(torques.aerodynamic(around.air, *plates, drag=drag.coefficient))
+    if (rods := scenario.rods) is not None:
+        material = rods.saturation, rods.slope, rods.coercivity
+        found += [
+            torques.hysteresis(axis, *material, field=around.field, key=f"rod_{k + 1}")
+            for k, axis in enumerate(rods.axes)
+        ]
+    if (detumbling := scenario.detumbling) is not None:
+        bdot = torques.bdot(detumbling.gain, around.field, scenario.max_dipole)
+        found.append(Within(bdot, *_edges(detumbling)))
+    if (unloading := scenario.unloading) is not None:
+        dumping = torques.unloading(scenario.wheels.axes(), unloading.gain, around.field, scenario.max_dipole)
+        found.append(Within(dumping, *_edges(unloading)))
+    if (wheels := scenario.wheels) is not None:
+        found.append(_driven(wheels, scenario.pointing, around, inertia))
+    return found
+
+
+def _driven(wheels: Wheels, pointing: Pointing | None, around: Surroundings, inertia: Array) -> Law:
+    """The wheels with their motors."""
+    axes, motor = wheels.axes(), None
+    if pointing is not None:
+        moments, rate = jnp.diagonal(inertia), pointing.frequency
+        control = torques.pointing(
+            around.frame, 2 * rate**2 * moments, 2 * pointing.damping_ratio * rate * moments, inertia
+        )
+        motor = MotorsWithin(torques.wheel_motor(axes, control, gyroscopic=True), *_edges(pointing))
+    limits = {"max_torque": wheels.max_torque, "max_momentum": wheels.max_momentum}
+    return torques.wheels(axes, wheels.inertia_kg_m2, motor, **limits)
+
+
+def stretched(inertia: Array, factors: Array) -> Array:
+    """The inertia of a body whose second moments of mass along the body axes are larger by factors, (3, 3).
+
+    With P = ½ tr(J) 1 − J: any factors > 0 give an inertia that a body can have.
+    """
+    size = jnp.sqrt(factors)
+    P = jnp.trace(inertia) / 2 * jnp.eye(3) - inertia
+    P = size[:, None] * P * size
+    return jnp.trace(P) * jnp.eye(3) - P

@@ -1,0 +1,157 @@
+"""`lieint run cubesat`: the balance of all laws, what detumbles, captures and unloads, and the members' spread."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from lieint_jax.app import scenarios
+from lieint_jax.app.scenarios import satellite
+from lieint_jax.app.scenarios._satellite_laws import Within, stretched
+from lieint_jax.groups import so3
+from tests.lib.scenario_runs import run
+
+SHORT = {  # rods and drag are in the long test: each adds seconds of compilation
+    "steps": 150,
+    "save_every": 5,
+    "members": 6,
+    "detumbling": {"window": [0.0, 100.0], "gain": 4e4},
+    "pointing": {"window": [100.0, 300.0], "frequency": 0.03},
+    "unloading": {"window": [200.0, 300.0], "gain": 1e-3},
+}
+
+
+@pytest.fixture(scope="module")
+def short():
+    table = {key: value for key, value in scenarios._table("cubesat").items() if key not in ("rods", "drag")}
+    scenario = scenarios.parse(table | SHORT, "short")
+    return scenario, *run(scenario)
+
+
+def test_the_energy_less_the_work_of_all_laws_is_constant(short):
+    """Observed: 1e-15 of the largest energy. The total work is the sum of the laws', and each law does some."""
+    scenario, step, made = short
+    assert bool(np.all(made.info.converged))
+    (balance,) = satellite.conserved(scenario, step.system, made)
+    assert balance.change().max() < 1e-14
+    c = satellite.course(scenario, step.system, made)
+    np.testing.assert_allclose(made.state.work, c.works.sum(axis=-1), rtol=0, atol=1e-14 * abs(c.energy).max())
+    assert c.names == ["gravity_gradient", "dipole", "bdot", "unloading", "wheels"]
+    assert (np.abs(np.diff(c.works, axis=0)).max(axis=(0, 1)) > 0).all()
+
+
+def test_laws_of_control_act_in_their_windows(short):
+    scenario, step, made = short
+    c, t = satellite.course(scenario, step.system, made), np.asarray(made.t)
+    bdot, unloading, wheels = (np.diff(c.works[..., c.names.index(x)], axis=0) for x in ("bdot", "unloading", "wheels"))
+    after = t[:-1] >= 100.0
+    assert (bdot[~after] < 0).all()
+    assert not bdot[after].any()
+    assert not wheels[~after].any()
+    assert not unloading[t[:-1] < 200.0].any()
+    assert np.median(c.off[-1]) < 15 < np.median(c.off[20])  # the wheels point the camera
+    assert [name for name, *_ in satellite.phases(scenario, t)] == [
+        "detumbling",
+        "pointing",
+        "pointing and unloading",
+    ]
+
+
+def test_the_report_lists_phases_and_works(short):
+    scenario, step, made = short
+    text = scenarios.report(scenario, step, made)
+    assert "gave no energy between any two saved times to 6 of 6" in text
+    assert "energy less the work of all laws" in text
+    lines = [line.split() for line in text.splitlines()]
+    c = satellite.course(scenario, step.system, made)
+    row = next(line for line in lines if line[:1] == ["bdot"])
+    assert float(row[1]) == pytest.approx(1e6 * c.works[20, :, c.names.index("bdot")].mean(), abs=1e-4)
+
+
+def test_the_members_have_inertias_and_dipoles_of_their_own():
+    scenario = scenarios.load("cubesat", members=400, steps=20)
+    step, states = scenarios.build(scenario)
+    gravity, dipole = step.system.laws[:2]
+    J = np.asarray(gravity.inertia)
+    P = np.trace(J, axis1=1, axis2=2)[:, None] / 2 - np.diagonal(J, axis1=1, axis2=2)
+    np.testing.assert_allclose(J[0], np.diag(scenario.inertia), rtol=0, atol=1e-16)
+    np.testing.assert_allclose(np.std(np.log(P), axis=0), 0.05, rtol=0.15)
+    np.testing.assert_allclose(np.std(dipole.moment, axis=0), 0.002, rtol=0.15)
+    np.testing.assert_allclose(dipole.moment[0], scenario.residual_dipole)
+    assert states.p.shape == (400, 3)
+    wheels = scenario.wheels.axes()
+    body = J[0] - 5e-6 * np.asarray(wheels).T @ np.asarray(wheels)
+    np.testing.assert_allclose(step.system.inertia[0], body, rtol=0, atol=1e-17)
+
+
+def test_a_stretched_body_is_a_body():
+    """Whatever the factors; against the sum over masses."""
+    rng = np.random.default_rng(3)
+    x, m, factors = rng.normal(size=(20, 3)), rng.uniform(size=20), np.array([0.1, 3.0, 9.0])
+
+    def inertia(x):
+        return sum(k * (y @ y * np.eye(3) - np.outer(y, y)) for k, y in zip(m, x, strict=True))
+
+    found = stretched(jnp.asarray(inertia(x)), jnp.asarray(factors))
+    np.testing.assert_allclose(found, inertia(x * np.sqrt(factors)), rtol=1e-13)
+
+
+def test_a_state_relative_to_the_orbit():
+    """At rest in the axes of the orbit z points to the nadir, and the body rotates with the orbit."""
+    state = {"quaternion": [1.0, 0, 0, 0], "angular_velocity_rad": [0.0, 0.0, 0.0], "relative_to": "orbit"}
+    scenario = scenarios.load("cubesat", state=state)
+    around = scenario.around()
+    q, Omega = satellite._initial(scenario, around)
+    r, v = (np.asarray(x) for x in around.orbit(0.0))
+    np.testing.assert_allclose(so3.to_matrix(q)[:, 2], -r / np.linalg.norm(r), rtol=0, atol=1e-15)
+    normal = np.cross(r, v)
+    np.testing.assert_allclose(so3.Ad(q, Omega), normal / (r @ r), rtol=0, atol=1e-17)
+
+
+def test_times_of_capture():
+    t, off = np.arange(4.0), np.array([[5.0, 20, 20, 5], [20.0, 5, 20, 5], [5.0, 5, 20, 20], [5.0, 5, 5, 20]])
+    np.testing.assert_array_equal(satellite.captured_since(t, off), [2.0, 1.0, 3.0, np.nan])
+    np.testing.assert_array_equal(satellite.captured_since(t, np.zeros((4, 1))), [0.0])
+    np.testing.assert_array_equal(satellite.first_slow(t, np.array([[1.0, 0.1]] * 4)), [np.nan, 0.0])
+
+
+BAD = [
+    ({"date": "1 March"}, "date: must be a day such as"),
+    ({"orbit": {"perigee_km": -100.0, "inclination_deg": 0.0}}, "orbit.perigee_km: .*greater than 0"),
+    ({"wheels": {"number": 2, "inertia_kg_m2": 1e-6, "max_torque": 1.0, "max_momentum": 1.0}}, "number"),
+    ({"detumbling": {"window": [2.0, 1.0], "gain": 1.0}}, "detumbling: window must be"),
+    ({"detumbling": {"window": [0.0, 2e4], "gain": 1.0}}, "windows must not overlap"),
+    ({"rods": {"axes": [[1.0, 1, 0]], "saturation": 1.0, "slope": 1.0, "coercivity": 0.0}}, "unit vectors"),
+    ({"spread": {"inertia": -1.0}}, "spread.inertia: .*greater than or equal to 0"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), BAD, ids=[m[:20] for _, m in BAD])
+def test_bad_keys_of_a_satellite(changes, message):
+    with pytest.raises(ValueError, match=message):
+        scenarios.load("cubesat", **changes)
+
+
+def test_control_needs_its_equipment():
+    table = scenarios._table("cubesat")
+    for key, message in (("max_dipole", "detumbling needs torquers"), ("wheels", "pointing needs wheels")):
+        with pytest.raises(ValueError, match=message):
+            scenarios.parse({name: value for name, value in table.items() if name != key}, "file")
+
+
+@pytest.mark.long
+def test_every_start_of_the_shipped_scenario_is_captured_and_unloaded(tmp_path, monkeypatch, capsys):
+    """Order of events: detumbling to below 0.5 °/s, the camera within 1° of the nadir, less momentum in the wheels."""
+    scenario = scenarios.load("cubesat", members=20)
+    step, made = run(scenario)
+    (balance,) = satellite.conserved(scenario, step.system, made)
+    assert balance.change().max() < 2e-14  # observed: 3e-15
+    c, t = satellite.course(scenario, step.system, made), np.asarray(made.t)
+    (_, _, slow), (_, _, pointed), _ = satellite.phases(scenario, t)
+    assert (c.rate[slow] < satellite._SLOW).all()
+    assert (c.off[pointed:] < 1).all()
+    assert np.median(c.wheels[-1]) < 0.7 * np.median(c.wheels[pointed])
+    bdot = c.works[..., c.names.index("bdot")]
+    assert (np.diff(bdot, axis=0) <= 0).all()
+    assert any(isinstance(law, Within) for law in step.system.laws)
+    for draw in satellite.PICTURES.values():
+        assert draw(scenario, step, made).axes
