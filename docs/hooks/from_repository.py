@@ -19,7 +19,6 @@ TITLES = {
     "bodies": "Several bodies",
     "se3": "SE(3)",
     "engines": "Steps for engines",
-    "scale": "Scale",
     "gradients": "Gradients",
     "tangent": "Tangent vectors",
     "ensemble": "Ensembles",
