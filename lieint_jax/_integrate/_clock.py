@@ -161,7 +161,7 @@ def uniform_clock(step: Step, state: State, dt: Array) -> UniformClock | Rounded
     """The clock of steps of size dt from a state; of a state without a time, since the start."""
     if step.own_time:
         return StateClock(dt)
-    t0 = jnp.zeros((), dt.dtype) if state.t is None else state.t
+    t0 = _checks.as_array(0.0, dt.dtype) if state.t is None else state.t
     return RoundedClock.of_size(t0, dt) if counts_work(state) and not step.prepares else UniformClock(t0, dt)
 
 

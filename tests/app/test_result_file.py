@@ -16,6 +16,7 @@ TREE = GyroTrials(
     estimates=np.array([1.0, np.nan]),
     truth=np.float64(0.1),
     sigmas=True,
+    covariance=np.eye(2),
     within=KappaErrors(1.0, np.inf, {0.1: 2.0}, 0.0, 0.0, 3),
     inside=scenarios.load("toutatis"),
     readings=(),

@@ -156,6 +156,7 @@ def test_a_synchronous_binary_librates_as_its_planar_problem():
     assert expected.min() / naive == pytest.approx(0.928, abs=0.002)
 
 
+@pytest.mark.long
 def test_a_free_body_has_rates_and_a_spin_about_the_middle_axis_grows():
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     modes = li.normal_modes(body, body.state(angular_velocity=[0.0, 1.0, 0.0]))

@@ -144,6 +144,7 @@ def test_what_a_state_carries_along_is_differentiated_too():
     assert np.abs(held - found.matrix).max() > 1e-2
 
 
+@pytest.mark.long
 def test_covariance_and_ellipse():
     step = li.schemes.splitting(TOP)
     found = li.transition(step, SPINNING, DT, STEPS, parameters="inertia", save_every=STEPS)

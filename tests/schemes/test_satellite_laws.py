@@ -261,6 +261,7 @@ def test_steps_back_undo_steps():
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=1e-13), state, first)
 
 
+@pytest.mark.long
 def test_three_basilisk_wheels():
     """MRP after 1 s; motors until 0.5 s, the third cut at 0.2 N m. Observed: 5e-11, 10 digits are published.
 

@@ -139,6 +139,7 @@ def test_wheels_conserve_the_momentum_of_body_and_wheels():
     assert moved.shape[1] == 3
 
 
+@pytest.mark.long
 def test_wheels_and_a_damper_conserve_their_momentum_together():
     _, _, moved = balance(wheels() + torques.kane_damper(0.2, 0.1), 300)
     assert moved.max() < 1e-14
@@ -190,6 +191,7 @@ def rhs(body, template):
     return f, lambda z: np.concatenate([z.q, z.p, *(np.ravel(z.extra[k]) for k in names)])
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("order", [2, 4])
 def test_orders_against_another_package(order):
@@ -209,6 +211,7 @@ def test_orders_against_another_package(order):
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.05)
 
 
+@pytest.mark.long
 def test_a_step_back_undoes_a_step_where_the_laws_are_symmetric():
     laws = [LAWS["gravity_gradient"], LAWS["bdot"], LAWS["kane_damper"], wheels(max_torque=0.05)]
     body, state = start(torques.total(laws))
@@ -232,6 +235,7 @@ def test_functions_and_laws_add_in_any_order():
     np.testing.assert_array_equal(states[1], states[2])
 
 
+@pytest.mark.long
 def test_gradients_through_a_sum_are_those_of_differences():
     """Of the end with respect to gains, moments and limits, forward and reverse."""
 

@@ -160,6 +160,7 @@ def test_a_wrong_law_is_refused_with_a_sentence(name):
         make()
 
 
+@pytest.mark.long
 def test_friction_too_large_for_the_step_is_flagged():
     """The iteration does not converge, and the report says so; observed: finite, converged False."""
     step = schemes.bodies_energy_momentum(bodies(law=tides.constant_lag(G, MASSES, RADII, K2, 1e6 * LAGS)))

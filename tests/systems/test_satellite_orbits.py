@@ -92,6 +92,7 @@ def test_a_table_is_a_smooth_orbit_of_order_four():
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.1)
 
 
+@pytest.mark.long
 def test_a_time_outside_of_a_table_is_an_error_or_a_failed_step():
     times = np.linspace(0.0, 1.0, 11)
     table = orbits.table(times, *jax.vmap(ORBIT)(times))

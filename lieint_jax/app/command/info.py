@@ -92,7 +92,7 @@ def _times(run: Any) -> Any:
 def _scenario(path: Address, metadata: dict[str, Any]) -> Any:
     """The scenario of results, or None if they have none of `lieint run`."""
     table = _table(metadata)
-    return scenarios.parse(table, str(path)) if "system" in table else None
+    return scenarios.from_results(table, str(path)) if "system" in table else None
 
 
 def _table(metadata: dict[str, Any]) -> dict[str, Any]:

@@ -93,7 +93,7 @@ def _decoded(value: Any, arrays: dict[str, np.ndarray]) -> Any:
     if kind == "array":
         return arrays[inner]
     if kind == "scenario":
-        return scenarios.parse(inner, "the scenario")
+        return scenarios.from_results(inner, "the scenario")
     if kind == "dict":
         return {key: _decoded(part, arrays) for key, part in inner}
     return {"tuple": tuple, "list": list}[kind](_decoded(part, arrays) for part in inner)

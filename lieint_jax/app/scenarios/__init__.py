@@ -36,6 +36,7 @@ from lieint_jax.app.scenarios import _report
 from lieint_jax.app.scenarios._common import Common
 from lieint_jax.types import State, Step, Trajectory
 
+_OLD_KEYS = {"angular_velocity": "angular_velocity_rad"}  # of results of version 0.1
 _FOR_PYTHON = "; use jax.vmap for batches"  # advice that is of no use in a file
 
 
@@ -109,6 +110,19 @@ def parse(table: dict[str, Any], name: str) -> Any:
         return model.model_validate(table)
     except ValidationError as error:
         raise ValueError(f"{name}: {_explain(error, model)}") from error
+
+
+def from_results(table: dict[str, Any], name: str) -> Any:
+    """The scenario that results hold; those of version 0.1 have keys of then, without units."""
+
+    def renamed(tree: Any) -> Any:
+        if isinstance(tree, list):
+            return [renamed(value) for value in tree]
+        if isinstance(tree, dict):
+            return {_OLD_KEYS.get(key, key): renamed(value) for key, value in tree.items()}
+        return tree
+
+    return parse(renamed(table), name)
 
 
 def schema() -> dict[str, Any]:
