@@ -62,6 +62,15 @@ def _march_forward(step: Any, state: State, dt: Array, counts: Any, tolerance: f
 
 def _march_back(tolerance: float, kept: Any, cotangents: tuple[State, Any]) -> tuple[Any, ...]:
     step, state, dt, counts, later = kept
+    leaves, lam, h = _undone(step, state, dt, counts, later, cotangents[0], tolerance)
+    return _cotangent(step, leaves), lam, h, np.zeros(np.shape(counts), jax.dtypes.float0)
+
+
+@partial(compiled, static_argnums=6)
+def _undone(
+    step: Any, state: State, dt: Array, counts: Any, later: State, cotangent: State, tolerance: float
+) -> tuple[Any, State, Array]:
+    """The cotangents of the step's smooth leaves, of the state at the start and of dt, by undoing the steps."""
     smooth = _smooth(step)
 
     def go(leaves: Any, z: State, dt: Array) -> State:
@@ -81,12 +90,12 @@ def _march_back(tolerance: float, kept: Any, cotangents: tuple[State, Any]) -> t
 
     starts = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest])[:-1], state, later)
     zero = jax.tree.map(jnp.zeros_like, (state, (smooth, dt)))
-    found, errors = lax.scan(interval, zero, (starts, later, cotangents[0], jnp.asarray(counts)), reverse=True)
+    found, errors = lax.scan(interval, zero, (starts, later, cotangent, jnp.asarray(counts)), reverse=True)
     none = _zero_with_warning(
         jnp.max(errors, initial=0), tolerance
     )  # added to every result, or XLA may remove the warning
     lam, (leaves, h) = jax.tree.map(lambda x: x + none.astype(x.dtype), found)
-    return _cotangent(step, leaves), lam, h, np.zeros(np.shape(counts), jax.dtypes.float0)
+    return leaves, lam, h
 
 
 _march.defvjp(_march_forward, _march_back)

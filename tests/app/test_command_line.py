@@ -354,6 +354,7 @@ def test_spread_of_an_angle_goes_round_the_circle():
     assert _report.Quantity("longitude", np.array([0.1, 359.9, 0.3]), angle=True).spread == pytest.approx(0.2)
 
 
+@pytest.mark.long
 def test_check_prints_certificates(capsys):
     assert cli.main(["check", "rigid_body.asymmetric", "--scheme", "symplectic", "--steps", "100"]) == 0
     out = capsys.readouterr().out

@@ -32,6 +32,7 @@ def test_the_published_limits_are_those_of_the_closed_form():
     assert below == 0 < abs(above)
 
 
+@pytest.mark.long
 def test_bars_rotate_and_grow_as_in_the_closed_form():
     """Errors are 1e-4 at order 2 and Δt = 0.1; volume, energy and momentum are at round-off."""
     scenario, step, made = run(members=4, steps=300, order=2, eccentricity=0.3, last_eccentricity=0.975)

@@ -27,6 +27,7 @@ def short():
     return scenario, *run(scenario)
 
 
+@pytest.mark.long
 def test_the_energy_less_the_work_of_all_laws_is_constant(short):
     """Observed: 1e-15 of the largest energy. The total work is the sum of the laws', and each law does some."""
     scenario, step, made = short
@@ -39,6 +40,7 @@ def test_the_energy_less_the_work_of_all_laws_is_constant(short):
     assert (np.abs(np.diff(c.works, axis=0)).max(axis=(0, 1)) > 0).all()
 
 
+@pytest.mark.long
 def test_laws_of_control_act_in_their_windows(short):
     scenario, step, made = short
     c, t = satellite.course(scenario, step.system, made), np.asarray(made.t)
@@ -56,6 +58,7 @@ def test_laws_of_control_act_in_their_windows(short):
     ]
 
 
+@pytest.mark.long
 def test_the_report_lists_phases_and_works(short):
     scenario, step, made = short
     text = scenarios.report(scenario, step, made)

@@ -54,6 +54,7 @@ def variation(step, state, dt, order):
     return float(jnp.max(jnp.abs(values - values[0])))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STEPS)
 def test_with_the_second_term_it_varies_as_the_fourth_power(name):

@@ -16,6 +16,7 @@ import xarray
 import lieint_jax as li
 from lieint_jax.app.command import cli, files
 from lieint_jax.ensemble._description import describe, make
+from lieint_jax.systems._pseudo_rigid_body import examples as pseudo_rigid_bodies
 
 DATA = Path(__file__).parents[1] / "data"
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
@@ -176,7 +177,7 @@ def test_summaries_and_matrices_are_drawn(tmp_path):
     path, _ = stored(tmp_path, reduce="energy")
     assert cli.main(["plot", str(path)]) == 0
     assert (tmp_path / "run-change.png").exists()
-    body, state, dt = li.systems.pseudo_rigid.examples()["ball"]
+    body, state, dt = pseudo_rigid_bodies()["ball"]
     states = jax.tree.map(lambda x: jnp.stack([x, x]), state)
     li.ensemble.run(
         li.schemes.additive(body), states, dt, 20, save_every=2, store=tmp_path / "ball.zarr", progress=False

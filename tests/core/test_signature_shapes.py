@@ -75,6 +75,7 @@ def _geometry(system, state):
     return tangent, there, space.omega(state), space.defect(state)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", range(2))
 def test_steps_call_nothing_with_another_shape(monkeypatch, part):
     """One step of every class of steps, traced: the arrays have shapes, and no value is computed."""

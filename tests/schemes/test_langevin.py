@@ -102,6 +102,7 @@ def test_runs_in_parts_resumed_and_of_some_members_have_the_same_bits():
     assert (whole.extra["step"][-1] == 40).all()
 
 
+@pytest.mark.long
 def test_machine_code_and_xla_see_the_same_noise():
     """After 20 steps, in which rounding differs; and split runs of `integrate` have the same bits."""
     step = thermostat()

@@ -148,6 +148,7 @@ def triple(order=4):
     return system, state
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", ["splitting", pytest.param("bodies_energy_momentum", marks=pytest.mark.long)])
 def test_polyhedra_conserve_both_momenta_and_by_the_energy_momentum_scheme_energy(scheme):
     system, state = triple()
