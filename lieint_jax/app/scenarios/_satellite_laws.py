@@ -198,6 +198,10 @@ class Within(Law):
         return self.law.frame
 
     @property
+    def symmetric(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.law.symmetric
+
+    @property
     def reads(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.law.reads
 
