@@ -31,8 +31,12 @@ def error(found, true):
     return max(float(jnp.max(jnp.abs(a - b))) for a, b in pairs)
 
 
+# A satellite's laws have limits and a rod, at whose switches the motion has no sixth derivative.
+SMOOTH = sorted(set(EXAMPLES) - {"torqued_body.satellite"})
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(EXAMPLES, key="driven_top.moving_axis".__ne__))
+@pytest.mark.parametrize("name", sorted(SMOOTH, key="driven_top.moving_axis".__ne__))
 def test_the_error_is_of_order_6_and_the_states_stay_on_the_phase_space(name):
     """Observed orders from 5.6 to 7.0, and 8.5 for the flyby, whose coarse interval holds the pericenter."""
     h = 0.2 / 2 ** HALVES.get(name, 0)

@@ -115,7 +115,8 @@ def _satellite(rng, B):
     """A satellite on an elliptic orbit, at a random time of a few turns; up to a radian of it in a step."""
     J, q, Omega, dt = _body(rng, B, 2.0)
     n, a, e = 10 ** rng.uniform(-4, 0, B) / np.abs(dt), 10 ** rng.uniform(-3, 3, B), rng.uniform(0, 0.97, B)
-    e[::13], e[1::13] = rng.choice([1.0, -0.3, 2.0], (2, len(e[::13])))[:, : len(e[1::13])]
+    beyond = rng.choice([1.0, -0.3, 2.0], (2, len(e[::13])))
+    e[::13], e[1::13] = beyond[0], beyond[1, : len(e[1::13])]
     return (J, n * n * a**3, a, e), (q, _turned(q, J * Omega), rng.uniform(-20, 20, B) / n, np.zeros(B)), dt
 
 
