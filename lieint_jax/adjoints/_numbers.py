@@ -8,6 +8,7 @@ zeros are dropped. Over a batch, the pull-back of a free body's step is 3 times 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -23,18 +24,34 @@ _LONGEST = 10_000  # the most operations of a program of numbers that XLA compil
 def repeat(count: Any, function: Callable[[Any, Any], Any], carry: Any, over: tuple[float, ...]) -> Any:
     """Apply carry ← function(carry, x) for each x in `over`, and all that `count` times. Not to be differentiated."""
     dtype = jnp.result_type(*jax.tree.leaves(carry))
-    example = jnp.ones((), dtype)
-    once, closed = jax.closure_convert(function, carry, example)
+    once, closed = _opened(function, carry, jnp.ones((), dtype))
 
     def repeated(count: Any, carry: Any, closed: Any) -> Any:
-        return _repeated(count, lambda carry, x: once(carry, x, *closed), carry, over, dtype)
+        return _repeated(count, partial(once, closed), carry, over, dtype)
 
-    arguments = (count, carry, tuple(closed))
+    arguments = (count, carry, closed)
     try:
         by_numbers = Flattened(repeated, ("shared",) * 3, arguments)
     except UnsupportedError:
         return repeated(*arguments)
     return by_numbers(*arguments) if by_numbers.length <= _LONGEST else repeated(*arguments)
+
+
+def _opened(function: Callable[..., Any], *example: Any) -> tuple[Callable[..., Any], list[Array]]:
+    """`function` with the traced arrays that it closes over, of any type, as its first argument; and these arrays.
+
+    `jax.closure_convert` opens a function to real numbers only.
+    """
+    closed, out = jax.make_jaxpr(function, return_shape=True)(*example)
+    traced = [isinstance(x, jax.core.Tracer) for x in closed.consts]
+
+    def opened(arrays: list[Array], *arguments: Any) -> Any:
+        following = iter(arrays)
+        consts = [next(following) if hoisted else x for x, hoisted in zip(closed.consts, traced, strict=True)]
+        results = jax.core.eval_jaxpr(closed.jaxpr, consts, *jax.tree.leaves(arguments))
+        return jax.tree.unflatten(jax.tree.structure(out), results)
+
+    return opened, [x for x, hoisted in zip(closed.consts, traced, strict=True) if hoisted]
 
 
 def _repeated(count: Any, function: Callable[[Any, Any], Any], carry: Any, over: tuple[float, ...], dtype: Any) -> Any:
