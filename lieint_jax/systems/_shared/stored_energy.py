@@ -72,7 +72,9 @@ class MooneyRivlin(_VolumeAndTrace):
     mu: Array
 
     def volume_energy(self, I3: Scalar) -> Scalar:
-        return self.lam / 2 * (I3 - 1) - (self.lam + self.mu) / 2 * jnp.log(I3)
+        change = I3 - 1  # I₃ − 1 − ln I₃ is of second order in it, and λ may be large
+        ratio = power_series.log1p_ratio(change)
+        return change * (self.lam / 2 * (1 - ratio) - self.mu / 2 * ratio)
 
     def slope(self, I3: Scalar, change: Scalar) -> Scalar:
         return self.lam / 2 - (self.lam + self.mu) / 2 * power_series.log1p_ratio(change / I3) / I3
