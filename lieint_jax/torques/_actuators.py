@@ -14,7 +14,8 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics.vec3 import cross, dot
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import VectorOfTime, not_negative, positive, value_at, vector_of_time
+from lieint_jax.torques._arguments import VectorOfTime, cut, not_negative, positive, value_at, vector_of_time
+from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.torques._wheels import wheel_axes
 from lieint_jax.types import Law, Rotation, parts, pytree, static
 
@@ -118,7 +119,7 @@ class Torquers(Law):
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """The law at the middle of the step."""
-        B = so3.Ad_star(rotation.q_mid, value_at(self.field, rotation.t))
+        B = middle_axes(rotation, value_at(self.field, rotation.t))
         torque = _control_torque(self.control, rotation.t, rotation.q_mid, rotation.Omega)
         return _magnetic_torque(torque, B, self.max_dipole), inner
 
@@ -156,7 +157,7 @@ class Unloading(Law):
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """The law at the middle of the step, with the mean momenta of the wheels."""
-        B = so3.Ad_star(rotation.q_mid, value_at(self.field, rotation.t))
+        B = middle_axes(rotation, value_at(self.field, rotation.t))
         return _magnetic_torque(-self.gain * ((inner - self.bias) @ self.axes), B, self.max_dipole), inner
 
 
@@ -212,4 +213,4 @@ def _magnetic_torque(torque: Array, B: Array, max_dipole: Array | None) -> Array
     """m × B with m = B × T/|B|² of a torque T, cut at a limit; 0 where there is no field."""
     square = dot(B, B)
     m = jnp.stack(cross(B, torque)) / jnp.where(square > 0, square, 1)
-    return jnp.stack(cross(m if max_dipole is None else jnp.clip(m, -max_dipole, max_dipole), B))
+    return jnp.stack(cross(m if max_dipole is None else cut(m, max_dipole), B))

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics.vec3 import dot
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import not_negative, positive
+from lieint_jax.torques._arguments import cut, not_negative, positive
 from lieint_jax.torques._modified_law import ModifiedLaw
 from lieint_jax.types import Law, Rotation, as_law, pytree
 
@@ -121,7 +121,7 @@ class Saturated(ModifiedLaw):
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """The law's mean torque, each component within ± the limit."""
-        return jnp.clip(self.law.mean(rotation, inner)[0], -self.limit, self.limit), inner
+        return cut(self.law.mean(rotation, inner)[0], self.limit), inner
 
     def energy(self, t: Array, q: Array, inner: Any) -> Array:
         """That of the law."""

@@ -11,7 +11,16 @@ from numpy.typing import ArrayLike
 
 from lieint_jax._numerics.vec3 import cross, dot
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import VectorOfTime, not_negative, positive, unit_vector, value_at, vector_of_time
+from lieint_jax.torques._arguments import (
+    VectorOfTime,
+    cut,
+    not_negative,
+    positive,
+    unit_vector,
+    value_at,
+    vector_of_time,
+)
+from lieint_jax.torques._body_axes import end_axes, middle_axes, start_axes
 from lieint_jax.types import Law, Rotation, pytree, static
 
 _ROUNDINGS = 16  # of the field and the internal field, by which a rod that is dragged along misses the edge of its play
@@ -49,8 +58,8 @@ class LimitedBDot(Law):
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """m × B, in the field at the middle of the step and the attitude half-way."""
-        B = so3.Ad_star(rotation.q_mid, value_at(self.field, rotation.t))
-        m = jnp.clip(self.gain * jnp.stack(cross(rotation.Omega, B)), -self.max_dipole, self.max_dipole)
+        B = middle_axes(rotation, value_at(self.field, rotation.t))
+        m = cut(self.gain * jnp.stack(cross(rotation.Omega, B)), self.max_dipole)
         return jnp.stack(cross(m, B)), inner
 
 
@@ -95,12 +104,11 @@ class Hysteresis(Law):
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """κ M̄ e × Λ̄ᵀb_m, with M̄ the mean moment on the straight line from x_n to x_{n+1}."""
-        before, after = (
-            self._axial_field(rotation.start, rotation.q_n),
-            self._axial_field(rotation.end, rotation.q_next),
-        )
+        before = dot(self.axis, start_axes(rotation, value_at(self.field, rotation.start)))
+        after = dot(self.axis, end_axes(rotation, value_at(self.field, rotation.end)))
         w = jnp.clip(inner, after - self.coercivity, after + self.coercivity)
-        B = (so3.Ad_star(rotation.q_n, b := value_at(self.field, rotation.t)) + so3.Ad_star(rotation.q_next, b)) / 2
+        b = value_at(self.field, rotation.t)
+        B = (start_axes(rotation, b) + end_axes(rotation, b)) / 2
         moment = self._mean_moment(inner, w, after - before)
         return rotation.kappa * moment * jnp.stack(cross(self.axis, B)), w
 

@@ -14,7 +14,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics.vec3 import cross
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import positive, unit_vector
+from lieint_jax.torques._arguments import cut, positive, unit_vector
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 
 _SWEEPS = 6  # of the motor's equation for the mean momentum: each gains log₁₀(1/½Δt|∂u/∂h|) digits
@@ -89,7 +89,7 @@ class Wheels(Law):
 
     def _limit_torque(self, torque: Array) -> Array:
         torque = jnp.asarray(torque)
-        return torque if self.max_torque is None else jnp.clip(torque, -self.max_torque, self.max_torque)
+        return torque if self.max_torque is None else cut(torque, self.max_torque)
 
 
 def wheels(
