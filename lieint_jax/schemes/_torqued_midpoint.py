@@ -405,17 +405,23 @@ class _Equation(NamedTuple):
             moved = self.rotation(y)
             return self.side(now._replace(Omega=moved.Omega, omega=moved.omega))
 
-        A, B = _jacobian(by_attitude, y), _jacobian(by_velocity, y)
+        (here, A), (_, B) = _value_and_jacobian(by_attitude, y), _value_and_jacobian(by_velocity, y)
         K = vec3.combine(vec3.combine(gyration_matrix(self.kappa, self.J, y), A, -1), B, -1)
-        force = functools.reduce(jnp.maximum, map(vec3.max_abs, A), vec3.max_abs(self.side(now)))
+        force = functools.reduce(jnp.maximum, map(vec3.max_abs, A), vec3.max_abs(here))
         force = jnp.maximum(force, vec3.max_abs(y) * functools.reduce(jnp.maximum, map(vec3.max_abs, B)))
         return on_branch(self.kappa, y, K), vec3.max_abs(self.a) + force
 
 
 def _jacobian(function: Callable[[Vector], Vector], x: Vector) -> vec3.Matrix:
     """The derivative of a function of three components, as rows."""
+    return _value_and_jacobian(function, x)[1]
 
-    def derivative(axis: Array) -> Vector:
-        return jax.jvp(function, (tuple(x),), (vec3.components(axis),))[1]
 
-    return [vec3.components(row) for row in jax.vmap(derivative)(jnp.eye(3, dtype=x[0].dtype))]
+def _value_and_jacobian(function: Callable[[Vector], Vector], x: Vector) -> tuple[Vector, vec3.Matrix]:
+    """A function of three components, and its derivative as rows."""
+
+    def derivative(axis: Array) -> tuple[Vector, Vector]:
+        return jax.jvp(function, (tuple(x),), (vec3.components(axis),))
+
+    value, rows = jax.vmap(derivative, out_axes=(None, 0))(jnp.eye(3, dtype=x[0].dtype))
+    return value, [vec3.components(row) for row in rows]

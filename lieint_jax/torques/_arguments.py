@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
@@ -27,7 +28,13 @@ def vector_of_time(name: str, value: Any) -> VectorOfTime:
 
 def value_at(vector: VectorOfTime, t: Array) -> Array:
     """The vector at a time, (3,)."""
-    return jnp.asarray(vector(t)) if callable(vector) else vector
+    return jnp.asarray(evaluate(vector, t)) if callable(vector) else vector
+
+
+@jax.jit
+def evaluate(function: Callable[[Array], Any], t: Array) -> Any:
+    """A function of time, traced once, although a step evaluates it in each iteration."""
+    return function(t)
 
 
 def cut(vector: Array, limit: Array) -> Array:

@@ -15,7 +15,7 @@ from lieint_jax._numerics import vec3
 from lieint_jax._numerics.discrete_gradient import discrete_gradient
 from lieint_jax._numerics.vec3 import cross, dot
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import VectorOfTime, value_at, vector_of_time
+from lieint_jax.torques._arguments import VectorOfTime, evaluate, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, start_axes
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 
@@ -70,7 +70,7 @@ class GravityGradient(DirectionalPotential):
 
     def axis(self, t: Array) -> Array:
         """r̂ |√(3μ/r³)|: the direction of the body from the center, in a length that leaves V = ½ Γ·JΓ."""
-        r, _ = self.orbit(t)
+        r, _ = evaluate(self.orbit, t)
         square = dot(r, r)
         return r * (jnp.sqrt(3 * self.mu / jnp.sqrt(square)) / square)
 

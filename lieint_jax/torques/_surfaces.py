@@ -16,6 +16,7 @@ from lieint_jax._deprecated import old_calls
 from lieint_jax._numerics.vec3 import Vector, add, components, cross, dot, scale
 from lieint_jax.torques._arguments import (
     VectorOfTime,
+    evaluate,
     not_negative,
     positive,
     unit_vector,
@@ -140,7 +141,7 @@ class SolarPlates(Law):
         cosine = jnp.maximum(dot(n, s), 0)
         lit = self.plates.sizes * cosine
         if self.light is not None:
-            lit = lit * self.light(rotation.t)
+            lit = lit * evaluate(self.light, rotation.t)
         absorbed, outward = lit * (1 - self.specular), 2 * lit * (self.specular * cosine + self.diffuse / 3)
         return self.plates.torque(add(scale(-absorbed, s), scale(-outward, n))), inner
 
@@ -196,7 +197,7 @@ class Aerodynamic(Law):
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """Σ r_j × F_j at the middle of the step; each plate moves through the air by Ω̄ × r_j too."""
-        density, velocity = self.air(rotation.t)
+        density, velocity = evaluate(self.air, rotation.t)
         v = components(middle_axes(rotation, velocity))
         w = add(v, cross(components(rotation.Omega), self.plates.arm))
         met = jnp.maximum(dot(self.plates.normal, w), 0) * self.plates.sizes
