@@ -8,6 +8,9 @@ With the eccentric anomaly E, M = n(t − T), n = √(μ/|a|³), in the orbit's 
 
 from __future__ import annotations
 
+import functools
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
@@ -18,7 +21,7 @@ from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
 from lieint_jax._numerics.vec3 import dot
 from lieint_jax.orbits._anomaly import Function, elliptic_anomaly, hyperbolic_anomaly, slope
-from lieint_jax.types import pytree
+from lieint_jax.types import pytree, static
 
 
 @pytree
@@ -27,6 +30,8 @@ class Kepler:
 
     Attributes:
         mu, semi_major_axis, eccentricity, inclination, node, periapsis, periapsis_time: as in `kepler`, scalars.
+        closed: whether it is an ellipse, where that was known when it was made: then JAX compiles the equation of one
+            kind only. None: of both.
     """
 
     mu: Array
@@ -36,6 +41,7 @@ class Kepler:
     node: Array
     periapsis: Array
     periapsis_time: Array
+    closed: bool | None = static(default=None)
 
     @property
     def mean_motion(self) -> Array:
@@ -47,33 +53,42 @@ class Kepler:
 
     def __call__(self, t: ArrayLike) -> tuple[Array, Array]:
         """Position (3,) and velocity (3,) at time t, a scalar of either sign."""
-        a, e = jnp.abs(self.semi_major_axis), self.eccentricity
-        M = self.mean_motion * (t - self.periapsis_time)
-        if concrete(e):
-            in_plane = _on_hyperbola(M, e) if float(e) > 1 else _on_ellipse(M, e)
-        else:
-            closed = e < 1
-            # In a loop over bodies that share e and t, only one branch runs, and XLA does not fuse it into each of them
-            in_plane = lax.cond(
-                closed,
-                lambda: _on_ellipse(M, jnp.where(closed, e, 0.5)),
-                lambda: _on_hyperbola(M, jnp.where(closed, 2, e)),
-            )
-        x, y, vx, vy = in_plane
-        speed = jnp.sqrt(self.mu / a)
-        P, Q = self._axes()
-        return a * (x * P + y * Q), speed * (vx * P + vy * Q)
+        e = self.eccentricity
+        return _motion(self, t, not float(e) > 1 if concrete(e) else self.closed)
 
     def acceleration(self, position: Array) -> Array:
         """−μr/|r|³ at a position, (3,)."""
         square = dot(position, position)
         return position * (-self.mu / (square * jnp.sqrt(square)))
 
-    def _axes(self) -> tuple[Array, Array]:
+    def axes(self) -> tuple[Array, Array]:
         """The unit vectors to periapsis and along the velocity there: the columns of R_z(Ω) R_x(i) R_z(ω)."""
         (c, s), (ci, si), (cw, sw) = ((jnp.cos(x), jnp.sin(x)) for x in (self.node, self.inclination, self.periapsis))
         P = jnp.stack([c * cw - s * sw * ci, s * cw + c * sw * ci, sw * si])
         return P, jnp.stack([-c * sw - s * cw * ci, -s * sw + c * cw * ci, cw * si])
+
+
+@functools.partial(jax.jit, static_argnums=2)  # traced once, although each law along an orbit evaluates it
+def _motion(orbit: Kepler, t: ArrayLike, closed: bool | None) -> tuple[Array, Array]:
+    """The position and the velocity, on an ellipse, on a hyperbola, or on either."""
+    a, e = jnp.abs(orbit.semi_major_axis), orbit.eccentricity
+    M = orbit.mean_motion * (t - orbit.periapsis_time)
+    if closed is None:
+        is_closed = e < 1
+        # In a loop over bodies that share e and t, only one branch runs, and XLA does not fuse it into each of them
+        in_plane = lax.cond(
+            is_closed,
+            lambda: _on_ellipse(M, jnp.where(is_closed, e, 0.5)),
+            lambda: _on_hyperbola(M, jnp.where(is_closed, 2, e)),
+        )
+    elif closed:
+        in_plane = _on_ellipse(jnp.where(e < 1, M, jnp.nan), e)
+    else:
+        in_plane = _on_hyperbola(jnp.where(e > 1, M, jnp.nan), e)
+    x, y, vx, vy = in_plane
+    speed = jnp.sqrt(orbit.mu / a)
+    P, Q = orbit.axes()
+    return a * (x * P + y * Q), speed * (vx * P + vy * Q)
 
 
 @old_calls()
@@ -126,7 +141,8 @@ def kepler(
     dtype = jnp.result_type(*elements.values())
     elements = {name: value.astype(dtype) for name, value in elements.items()}
     _check_elements(*(float(np.asarray(x)) if concrete(x) else None for x in (mu, semi_major_axis, eccentricity)))
-    return Kepler(**elements)
+    e = elements["eccentricity"]
+    return Kepler(**elements, closed=bool(float(e) < 1) if concrete(e) else None)
 
 
 def _check_elements(mu: float | None, a: float | None, e: float | None) -> None:

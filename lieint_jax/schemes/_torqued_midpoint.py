@@ -19,6 +19,7 @@ Internal friction turns the body by more, and no torque acts on it. With Π̄ = 
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -258,6 +259,7 @@ def examples(system: System) -> dict[str, Step]:
     return {step.name: step for step in (torqued_midpoint(system, kappa) for kappa in KAPPAS)}
 
 
+_SHORT = 0.25  # of the length of ½ΔtΩ_n: a first correction with J instead of the Jacobian that is an improvement
 _Each = list[tuple[Array, Any, Any]]
 
 
@@ -328,10 +330,9 @@ class _Equation(NamedTuple):
         """½ΔtΠ_n."""
         return scale(0.5 * self.dt, self.Pi)
 
-    def rotation(self, y: Vector, q: Array | None = None) -> Rotation:
-        """What the laws are given of a step; from another q_n if it is given."""
-        q = self.q if q is None else q
-        k = self.kappa(4 * dot(y, y))
+    def rotation(self, y: Vector) -> Rotation:
+        """What the laws are given of a step."""
+        q, k = self.q, self.kappa(4 * dot(y, y))
         h = jnp.stack(scale(k, y))
         moves = self.dt != 0
         per = 2 / jnp.where(moves, self.dt, 1)
@@ -354,33 +355,36 @@ class _Equation(NamedTuple):
                 means[law.key] = jax.tree.map(lambda a, b: (a + b) / 2, inner, after)
         return _Torques(sums["body"], sums["space"], [each[k] for k in range(len(each))])
 
-    def torque(self, y: Vector, q: Array | None = None) -> Vector:
-        """ΣT̄_k in the body; from another q_n if it is given."""
-        rotation = self.rotation(y, q)
+    def side(self, rotation: Rotation) -> Vector:
+        """sT̄, with T̄ = ΣT̄_k in the body."""
         found = self.torques(rotation)
         T = so3.Ad_star(rotation.q_n, found.space)
-        return add(found.body, subtract(T, cross(rotation.h, T)))
+        return scale(self.s, add(found.body, subtract(T, cross(rotation.h, T))))
 
-    def side(self, y: Vector) -> Vector:
-        """sT̄."""
-        return scale(self.s, self.torque(y))
+    def side_of(self, y: Vector) -> Vector:
+        """sT̄ as a function of y."""
+        return self.side(self.rotation(y))
 
     def residual(self, y: Vector) -> Vector:
         """Jy + κ y × Jy − a − sT̄."""
-        return subtract(subtract(gyration(self.kappa, self.J, y), self.a), self.side(y))
+        return subtract(subtract(gyration(self.kappa, self.J, y), self.a), self.side_of(y))
 
     def correction(self, y: Vector, f: Vector) -> Vector:
         """Newton's step."""
-        K = vec3.combine(gyration_matrix(self.kappa, self.J, y), _jacobian(self.side, y), -1)
+        K = vec3.combine(gyration_matrix(self.kappa, self.J, y), _jacobian(self.side_of, y), -1)
         return vec3.solve(K, f)
 
     def solve(self, iterations: int) -> tuple[Vector, StepInfo]:
         """y, and the report."""
         at = lax.stop_gradient
         u = vec3.solve_symmetric(self.J, self.a)  # ½ΔtΩ_n
-        push = vec3.solve_symmetric(self.J, self.side(u))
+        push = vec3.solve_symmetric(self.J, self.residual(u))
         granted = at(vec3.max_abs(u) + vec3.max_abs(push))
-        y, f, steady = newton.root(self.residual, self.correction, u, iterations, done=newton.quadratic, first=granted)
+        short = vec3.max_abs(push) <= _SHORT * vec3.max_abs(u)
+        guess = subtract(u, [jnp.where(short, x, 0) for x in push])
+        y, f, steady = newton.root(
+            self.residual, self.correction, guess, iterations, done=newton.quadratic, first=granted
+        )
         branch, size = self.judge(tuple(at(x) for x in y))
         good = steady & branch & vec3.well_conditioned(self.J) & jnp.isfinite(at(self.t))
         f = at(jnp.sqrt(dot(f, f)))
@@ -389,26 +393,37 @@ class _Equation(NamedTuple):
     def judge(self, y: Vector) -> tuple[Array, Array]:
         """Whether y is on the branch from Δt = 0, and the size of the terms, which measures their rounding errors.
 
-        q is known to round-off only, so the torque's part is its own size and that of its derivative by the attitude.
+        The laws are given attitudes that are known to round-off, and velocities that are known to round-off of
+        themselves. So the size of the torque's part is its own and those of its derivatives by both.
         """
+        now = self.rotation(y)
 
-        def side(y: Vector, angle: Vector) -> Vector:
-            """sT̄ from an attitude turned in space."""
-            q = [a + b for a, b in zip(self.q, so3.spatial_tangent(self.q, jnp.stack(angle)), strict=True)]
-            return scale(self.s, self.torque(y, jnp.stack(q)))
+        def by_attitude(y: Vector) -> Vector:
+            """sT̄ at a constant velocity."""
+            return self.side(self.rotation(y)._replace(Omega=now.Omega, omega=now.omega))
 
-        none = (jnp.zeros_like(y[0]),) * 3
-        here, slope = jax.linearize(side, y, none)
-        rows = jax.vmap(lambda e: slope(vec3.components(e[:3]), vec3.components(e[3:])))(jnp.eye(6, dtype=y[0].dtype))
-        K = vec3.combine(gyration_matrix(self.kappa, self.J, y), [vec3.components(row[:3]) for row in rows], -1)
-        force = jnp.maximum(vec3.max_abs(here), jnp.max(jnp.abs(jnp.stack(rows)[:, 3:])))
+        def by_velocity(y: Vector) -> Vector:
+            """sT̄ at a constant attitude."""
+            moved = self.rotation(y)
+            return self.side(now._replace(Omega=moved.Omega, omega=moved.omega))
+
+        (here, A), (_, B) = _value_and_jacobian(by_attitude, y), _value_and_jacobian(by_velocity, y)
+        K = vec3.combine(vec3.combine(gyration_matrix(self.kappa, self.J, y), A, -1), B, -1)
+        force = functools.reduce(jnp.maximum, map(vec3.max_abs, A), vec3.max_abs(here))
+        force = jnp.maximum(force, vec3.max_abs(y) * functools.reduce(jnp.maximum, map(vec3.max_abs, B)))
         return on_branch(self.kappa, y, K), vec3.max_abs(self.a) + force
 
 
 def _jacobian(function: Callable[[Vector], Vector], x: Vector) -> vec3.Matrix:
     """The derivative of a function of three components, as rows."""
+    return _value_and_jacobian(function, x)[1]
 
-    def derivative(axis: Array) -> Vector:
-        return jax.jvp(function, (tuple(x),), (vec3.components(axis),))[1]
 
-    return [vec3.components(row) for row in jax.vmap(derivative)(jnp.eye(3, dtype=x[0].dtype))]
+def _value_and_jacobian(function: Callable[[Vector], Vector], x: Vector) -> tuple[Vector, vec3.Matrix]:
+    """A function of three components, and its derivative as rows."""
+
+    def derivative(axis: Array) -> tuple[Vector, Vector]:
+        return jax.jvp(function, (tuple(x),), (vec3.components(axis),))
+
+    value, rows = jax.vmap(derivative, out_axes=(None, 0))(jnp.eye(3, dtype=x[0].dtype))
+    return value, [vec3.components(row) for row in rows]

@@ -46,17 +46,16 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         """The internal states of the laws at rest, by their keys; None if there are none."""
         zero = jnp.zeros((), self.inertia.dtype)
         q, rest = jnp.asarray(so3.identity, zero.dtype), jnp.zeros(3, zero.dtype)
-        return self._starts(Rotation(zero, zero, q, q, q, rest, zero + 1, rest, rest)) or None
+        return self._starts(Rotation.at_instant(zero, q, rest, rest)) or None
 
     def state(self, *arguments: Any, works: bool = False, **options: Any) -> State:
         state = super().state(*arguments, **options)
         Omega = self.angular_velocity(state)
-        zero, q = jnp.zeros((), state.p.dtype), state.q
-        now = Rotation(clock(state), zero, q, q, q, jnp.zeros_like(Omega), zero + 1, Omega, so3.Ad(q, Omega))
+        now = Rotation.at_instant(clock(state), state.q, Omega, so3.Ad(state.q, Omega))
         extra = jax.tree.map(lambda x: x.astype(state.p.dtype), self._starts(now))
         if works:
             extra[_WORKS] = jnp.zeros(len(self.laws), state.p.dtype)
-            state = state if state.work is not None else state._replace(work=zero)
+            state = state if state.work is not None else state._replace(work=jnp.zeros((), state.p.dtype))
         return state._replace(extra=extra) if extra else state
 
     state.__doc__ = f"""{TimedBody.state.__doc__}

@@ -38,6 +38,7 @@ from lieint_jax.torques._actuators import (
 from lieint_jax.torques._control import PDQuaternion, PDTrace, Saturated, pd_quaternion, pd_trace, saturated
 from lieint_jax.torques._damping import KaneDamper, Viscous, internal_friction, kane_damper, viscous
 from lieint_jax.torques._magnetic import BDot, Hysteresis, LimitedBDot, bdot, hysteresis
+from lieint_jax.torques._modified_law import ModifiedLaw
 from lieint_jax.torques._pointing import Pointing, SlidingMode, Target, pointing, sliding_mode
 from lieint_jax.torques._potential import (
     AnyPotential,
@@ -73,6 +74,7 @@ __all__ = [
     "KaneDamper",
     "Law",
     "LimitedBDot",
+    "ModifiedLaw",
     "PDQuaternion",
     "PDTrace",
     "Plates",

@@ -14,7 +14,8 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics.vec3 import cross, dot
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import VectorOfTime, not_negative, positive, value_at, vector_of_time
+from lieint_jax.torques._arguments import VectorOfTime, cut, not_negative, positive, value_at, vector_of_time
+from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.torques._wheels import wheel_axes
 from lieint_jax.types import Law, Rotation, parts, pytree, static
 
@@ -51,7 +52,7 @@ def allocation(axes: ArrayLike) -> Array:
     return g @ jnp.linalg.inv(g.T @ g)
 
 
-def _wanted(laws: tuple[Law, ...], t: Array, q: Array, Omega: Array) -> Array:
+def _control_torque(laws: tuple[Law, ...], t: Array, q: Array, Omega: Array) -> Array:
     """The torque of control laws in the body."""
     total = jnp.zeros_like(Omega)
     for law in laws:
@@ -80,11 +81,11 @@ class WheelMotor:
 
     def __call__(self, t: Array, q: Array, Omega: Array, h: Array) -> Array:
         """The torques dh_j/dt on the wheels, (m,)."""
-        return self.given(t, q, Omega)(h)
+        return self.torque_by_momentum(t, q, Omega)(h)
 
-    def given(self, t: Array, q: Array, Omega: Array) -> Callable[[Array], Array]:
+    def torque_by_momentum(self, t: Array, q: Array, Omega: Array) -> Callable[[Array], Array]:
         """The torques as a function of h: the control law is evaluated once."""
-        torque = _wanted(self.control, t, q, Omega)
+        torque = _control_torque(self.control, t, q, Omega)
 
         def motors(h: Array) -> Array:
             momentum = jnp.stack(cross(Omega, h @ self.axes)) if self.gyroscopic else 0
@@ -105,7 +106,7 @@ def wheel_motor(axes: ArrayLike, control: Any, gyroscopic: bool = False) -> Whee
     Raises:
         ValueError: axes that are not of unit length or do not span all directions, a law with an internal state.
     """
-    return WheelMotor(_control(control), wheel_axes(axes), allocation(axes), bool(gyroscopic))
+    return WheelMotor(_control_laws(control), wheel_axes(axes), allocation(axes), bool(gyroscopic))
 
 
 @pytree
@@ -118,9 +119,9 @@ class Torquers(Law):
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """The law at the middle of the step."""
-        B = so3.Ad_star(rotation.q_mid, value_at(self.field, rotation.t))
-        wanted = _wanted(self.control, rotation.t, rotation.q_mid, rotation.Omega)
-        return _magnetic(wanted, B, self.max_dipole), inner
+        B = middle_axes(rotation, value_at(self.field, rotation.t))
+        torque = _control_torque(self.control, rotation.t, rotation.q_mid, rotation.Omega)
+        return _magnetic_torque(torque, B, self.max_dipole), inner
 
 
 def torquers(control: Any, field: Any, max_dipole: ArrayLike | None = None) -> Torquers:
@@ -140,7 +141,7 @@ def torquers(control: Any, field: Any, max_dipole: ArrayLike | None = None) -> T
 
     Source: Sidi 1997, Spacecraft Dynamics and Control, 7.4.
     """
-    return Torquers(_control(control), vector_of_time("field", field), _limit(max_dipole))
+    return Torquers(_control_laws(control), vector_of_time("field", field), _limit(max_dipole))
 
 
 @pytree
@@ -156,8 +157,8 @@ class Unloading(Law):
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """The law at the middle of the step, with the mean momenta of the wheels."""
-        B = so3.Ad_star(rotation.q_mid, value_at(self.field, rotation.t))
-        return _magnetic(-self.gain * ((inner - self.bias) @ self.axes), B, self.max_dipole), inner
+        B = middle_axes(rotation, value_at(self.field, rotation.t))
+        return _magnetic_torque(-self.gain * ((inner - self.bias) @ self.axes), B, self.max_dipole), inner
 
 
 def unloading(
@@ -188,12 +189,12 @@ def unloading(
     Source: Camillo & Markley 1980, J. Guid. Control 3.
     """
     g = wheel_axes(axes)
-    wanted = _checks.real_array("bias", bias, (), (len(g),))
+    momenta = _checks.real_array("bias", bias, (), (len(g),))
     k, b = not_negative("gain", gain), vector_of_time("field", field)
-    return Unloading(g, k, b, _limit(max_dipole), jnp.broadcast_to(wanted, (len(g),)), key)
+    return Unloading(g, k, b, _limit(max_dipole), jnp.broadcast_to(momenta, (len(g),)), key)
 
 
-def _control(control: Any) -> tuple[Law, ...]:
+def _control_laws(control: Any) -> tuple[Law, ...]:
     laws = parts(control)
     for law in laws:
         if (key := law.key or law.reads) is not None:
@@ -208,8 +209,8 @@ def _limit(max_dipole: ArrayLike | None) -> Array | None:
     return None if max_dipole is None else positive("max_dipole", max_dipole, (), (3,))
 
 
-def _magnetic(wanted: Array, B: Array, max_dipole: Array | None) -> Array:
-    """m × B with m = B × T/|B|², cut at a limit; 0 where there is no field."""
+def _magnetic_torque(torque: Array, B: Array, max_dipole: Array | None) -> Array:
+    """m × B with m = B × T/|B|² of a torque T, cut at a limit; 0 where there is no field."""
     square = dot(B, B)
-    m = jnp.stack(cross(B, wanted)) / jnp.where(square > 0, square, 1)
-    return jnp.stack(cross(m if max_dipole is None else jnp.clip(m, -max_dipole, max_dipole), B))
+    m = jnp.stack(cross(B, torque)) / jnp.where(square > 0, square, 1)
+    return jnp.stack(cross(m if max_dipole is None else cut(m, max_dipole), B))

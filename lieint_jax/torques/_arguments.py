@@ -1,13 +1,14 @@
-"""Arguments of laws of torque: vectors that may depend on time, numbers that must not be negative."""
+"""Arguments of laws of torque: vectors that may depend on time, limits, numbers that must not be negative."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
@@ -27,7 +28,20 @@ def vector_of_time(name: str, value: Any) -> VectorOfTime:
 
 def value_at(vector: VectorOfTime, t: Array) -> Array:
     """The vector at a time, (3,)."""
-    return jnp.asarray(vector(t)) if callable(vector) else vector
+    return jnp.asarray(evaluate(vector, t)) if callable(vector) else vector
+
+
+@jax.jit
+def evaluate(function: Callable[[Array], Any], t: Array) -> Any:
+    """A function of time, traced once, although a step evaluates it in each iteration."""
+    return function(t)
+
+
+def cut(vector: Array, limit: Array) -> Array:
+    """A vector with each component within ± the limit, whose derivative is 0 beyond it and at it."""
+    vector = jnp.asarray(vector)
+    limit = jnp.broadcast_to(limit, vector.shape).astype(vector.dtype)
+    return lax.clamp(-limit, vector, limit)
 
 
 def not_negative(name: str, value: ArrayLike, *shapes: tuple[int, ...]) -> Array:

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics.vec3 import dot
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import not_negative, positive
+from lieint_jax.torques._arguments import cut, not_negative, positive
+from lieint_jax.torques._modified_law import ModifiedLaw
 from lieint_jax.types import Law, Rotation, as_law, pytree
 
 
@@ -112,31 +113,15 @@ def pd_quaternion(gain: ArrayLike, damping: ArrayLike, target: ArrayLike = (1.0,
 
 
 @pytree
-class Saturated(Law):
+class Saturated(ModifiedLaw):
     """A law whose torque is cut at a limit, component by component. Made by `saturated`."""
 
     law: Law
     limit: Array
 
-    @property
-    def frame(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.law.frame
-
-    @property
-    def symmetric(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.law.symmetric
-
-    @property
-    def reads(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.law.reads
-
-    @property
-    def label(self) -> str:
-        return self.law.label
-
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """The law's mean torque, each component within ± the limit."""
-        return jnp.clip(self.law.mean(rotation, inner)[0], -self.limit, self.limit), inner
+        return cut(self.law.mean(rotation, inner)[0], self.limit), inner
 
     def energy(self, t: Array, q: Array, inner: Any) -> Array:
         """That of the law."""

@@ -4,14 +4,26 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax._numerics.vec3 import cross, dot
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import VectorOfTime, not_negative, positive, unit_vector, value_at, vector_of_time
+from lieint_jax.torques._arguments import (
+    VectorOfTime,
+    cut,
+    not_negative,
+    positive,
+    unit_vector,
+    value_at,
+    vector_of_time,
+)
+from lieint_jax.torques._body_axes import end_axes, middle_axes, start_axes
 from lieint_jax.types import Law, Rotation, pytree, static
+
+_ROUNDINGS = 16  # of the field and the internal field, by which a rod that is dragged along misses the edge of its play
 
 
 @pytree
@@ -46,8 +58,8 @@ class LimitedBDot(Law):
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """m × B, in the field at the middle of the step and the attitude half-way."""
-        B = so3.Ad_star(rotation.q_mid, value_at(self.field, rotation.t))
-        m = jnp.clip(self.gain * jnp.stack(cross(rotation.Omega, B)), -self.max_dipole, self.max_dipole)
+        B = middle_axes(rotation, value_at(self.field, rotation.t))
+        m = cut(self.gain * jnp.stack(cross(rotation.Omega, B)), self.max_dipole)
         return jnp.stack(cross(m, B)), inner
 
 
@@ -92,23 +104,35 @@ class Hysteresis(Law):
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """κ M̄ e × Λ̄ᵀb_m, with M̄ the mean moment on the straight line from x_n to x_{n+1}."""
-        before, after = self._along(rotation.start, rotation.q_n), self._along(rotation.end, rotation.q_next)
+        before = dot(self.axis, start_axes(rotation, value_at(self.field, rotation.start)))
+        after = dot(self.axis, end_axes(rotation, value_at(self.field, rotation.end)))
         w = jnp.clip(inner, after - self.coercivity, after + self.coercivity)
-        B = (so3.Ad_star(rotation.q_n, b := value_at(self.field, rotation.t)) + so3.Ad_star(rotation.q_next, b)) / 2
+        b = value_at(self.field, rotation.t)
+        B = (start_axes(rotation, b) + end_axes(rotation, b)) / 2
         moment = self._mean_moment(inner, w, after - before)
         return rotation.kappa * moment * jnp.stack(cross(self.axis, B)), w
 
     def energy(self, t: Array, q: Array, inner: Any) -> Array:
         """wF − Φ − Fx: the stored energy of the rod and its energy in the field."""
         F = self._moment(inner)
-        return F * (inner - self._along(t, q)) - self._stored(inner)
+        return F * (inner - self._axial_field(t, q)) - self._stored_energy(inner)
+
+    def inner_rate(self, now: Rotation, inner: Array) -> Array:
+        """ẇ = ẋ where x is at the edge of w ± ρ and moves outward, else 0."""
+        moving = (jnp.ones_like(now.start), so3.tangent(now.q_n, now.Omega))
+        x, speed = jax.jvp(self._axial_field, (now.start, now.q_n), moving)
+        b = value_at(self.field, now.start)
+        rounding = _ROUNDINGS * jnp.finfo(x.dtype).eps * (jnp.sqrt(dot(b, b)) + jnp.abs(inner))
+        edge = self.coercivity - rounding
+        pushed = (x - inner >= edge) & (speed > 0) | (inner - x >= edge) & (speed < 0)
+        return jnp.where(pushed, speed, 0)
 
     def start(self, now: Rotation) -> Array:
         """The w nearest to 0 with |x − w| ≤ ρ: a rod that came into the field without magnetization."""
-        x = self._along(now.t, now.q_n)
+        x = self._axial_field(now.t, now.q_n)
         return jnp.clip(jnp.zeros((), x.dtype), x - self.coercivity, x + self.coercivity)
 
-    def _along(self, t: Array, q: Array) -> Array:
+    def _axial_field(self, t: Array, q: Array) -> Array:
         """x = e·Λᵀb(t)."""
         return dot(self.axis, so3.Ad_star(q, value_at(self.field, t)))
 
@@ -116,7 +140,7 @@ class Hysteresis(Law):
         """F(w) = M_s tanh(w/a)."""
         return self.saturation * jnp.tanh(w / self.slope)
 
-    def _stored(self, w: Array) -> Array:
+    def _stored_energy(self, w: Array) -> Array:
         """Φ(w) = M_s a log cosh(w/a), without overflow."""
         x = jnp.abs(w) / self.slope
         return self.saturation * self.slope * (x + jnp.log1p(jnp.exp(-2 * x)) - jnp.log(2.0))
@@ -125,7 +149,7 @@ class Hysteresis(Law):
         """M̄ = F(w) + (F̄ − F(w))(w′ − w)/ΔX, F̄ the mean of F between w and w′ by its integral."""
         dw = end - w
         small = jnp.abs(dw) < 1e-3 * self.slope
-        mean = (self._stored(end) - self._stored(w)) / jnp.where(small, 1, dw)
+        mean = (self._stored_energy(end) - self._stored_energy(w)) / jnp.where(small, 1, dw)
         nodes = w + dw * jnp.asarray([0.5 - 0.3872983346207417, 0.5, 0.5 + 0.3872983346207417], w.dtype)
         gauss = jnp.dot(jnp.asarray([5 / 18, 8 / 18, 5 / 18], w.dtype), self._moment(nodes))
         start, moves = self._moment(w), change != 0

@@ -15,7 +15,8 @@ from lieint_jax._numerics import vec3
 from lieint_jax._numerics.discrete_gradient import discrete_gradient
 from lieint_jax._numerics.vec3 import cross, dot
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import VectorOfTime, value_at, vector_of_time
+from lieint_jax.torques._arguments import VectorOfTime, evaluate, value_at, vector_of_time
+from lieint_jax.torques._body_axes import end_axes, start_axes
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 
 
@@ -42,7 +43,7 @@ class DirectionalPotential(Law):
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """κ Γ̄ × D̄."""
         axis = self.axis(rotation.t)
-        a, b = so3.Ad_star(rotation.q_n, axis), so3.Ad_star(rotation.q_next, axis)
+        a, b = start_axes(rotation, axis), end_axes(rotation, axis)
         return rotation.kappa * jnp.stack(cross((a + b) / 2, self.gradient(a, b, rotation.t))), inner
 
     def energy(self, t: Array, q: Array, inner: Any) -> Array:
@@ -69,7 +70,7 @@ class GravityGradient(DirectionalPotential):
 
     def axis(self, t: Array) -> Array:
         """r̂ |√(3μ/r³)|: the direction of the body from the center, in a length that leaves V = ½ Γ·JΓ."""
-        r, _ = self.orbit(t)
+        r, _ = evaluate(self.orbit, t)
         square = dot(r, r)
         return r * (jnp.sqrt(3 * self.mu / jnp.sqrt(square)) / square)
 

@@ -14,15 +14,16 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
 from lieint_jax._numerics.vec3 import Vector, add, components, cross, dot, scale
-from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import (
     VectorOfTime,
+    evaluate,
     not_negative,
     positive,
     unit_vector,
     value_at,
     vector_of_time,
 )
+from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 
 
@@ -39,7 +40,7 @@ class SolarPlate(Law):
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """r × F(Λᵀs)."""
-        s = so3.Ad_star(rotation.q_mid, value_at(self.sun, rotation.t))
+        s = middle_axes(rotation, value_at(self.sun, rotation.t))
         cosine = dot(self.normal, s)
         lit = self.force * jnp.abs(cosine)  # either side may face the Sun
         outward = 2 * (self.specular * cosine + jnp.sign(cosine) * self.diffuse / 3)
@@ -136,11 +137,11 @@ class SolarPlates(Law):
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """Σ r_j × F_j(Λᵀs) at the middle of the step."""
-        s, n = components(so3.Ad_star(rotation.q_mid, value_at(self.sun, rotation.t))), self.plates.normal
+        s, n = components(middle_axes(rotation, value_at(self.sun, rotation.t))), self.plates.normal
         cosine = jnp.maximum(dot(n, s), 0)
         lit = self.plates.sizes * cosine
         if self.light is not None:
-            lit = lit * self.light(rotation.t)
+            lit = lit * evaluate(self.light, rotation.t)
         absorbed, outward = lit * (1 - self.specular), 2 * lit * (self.specular * cosine + self.diffuse / 3)
         return self.plates.torque(add(scale(-absorbed, s), scale(-outward, n))), inner
 
@@ -196,8 +197,8 @@ class Aerodynamic(Law):
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """Σ r_j × F_j at the middle of the step; each plate moves through the air by Ω̄ × r_j too."""
-        density, velocity = self.air(rotation.t)
-        v = components(so3.Ad_star(rotation.q_mid, velocity))
+        density, velocity = evaluate(self.air, rotation.t)
+        v = components(middle_axes(rotation, velocity))
         w = add(v, cross(components(rotation.Omega), self.plates.arm))
         met = jnp.maximum(dot(self.plates.normal, w), 0) * self.plates.sizes
         return self.plates.torque(scale(-density / 2 * self.drag * met, w)), inner

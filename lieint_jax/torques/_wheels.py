@@ -14,7 +14,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics.vec3 import cross
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import positive, unit_vector
+from lieint_jax.torques._arguments import cut, positive, unit_vector
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 
 _SWEEPS = 6  # of the motor's equation for the mean momentum: each gains log₁₀(1/½Δt|∂u/∂h|) digits
@@ -43,7 +43,7 @@ class Wheels(Law):
 
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """T̄ = −κ Ω̄ × h̄_r − Δh_r/Δt with h_r = Σ g_j h_j: then π + Λh_r is conserved."""
-        rate, after = self._driven(rotation, inner)
+        rate, after = self._drive(rotation, inner)
         mean = (inner + after) / 2 @ self.axes
         return -rotation.kappa * jnp.stack(cross(rotation.Omega, mean)) - rate @ self.axes, after
 
@@ -56,6 +56,10 @@ class Wheels(Law):
         speed = (inner + after) / 2 / self.inertias - self.axes @ rotation.Omega
         return jnp.sum((after - inner) * speed)
 
+    def inner_rate(self, now: Rotation, inner: Array) -> Array:
+        """The motors' torques, 0 where a wheel is at its limit of momentum and is driven beyond it."""
+        return self._drive(now, inner)[0]
+
     def start(self, now: Rotation) -> Array:
         """I_j(σ_j + g_j·Ω), of the relative speeds σ that the law was made with."""
         return self.inertias * (self.speeds + self.axes @ now.Omega)
@@ -64,26 +68,28 @@ class Wheels(Law):
         """Λh_r."""
         return so3.Ad(q, inner @ self.axes)
 
-    def _driven(self, rotation: Rotation, h: Array) -> tuple[Array, Array]:
+    def _drive(self, rotation: Rotation, h: Array) -> tuple[Array, Array]:
         """The mean torque on the wheels in a step, Δh/Δt, (m,), and h after it, within both limits."""
         if self.motor is None:
             return jnp.zeros_like(h), h
         now = rotation.t, rotation.q_mid, rotation.Omega
-        given = getattr(self.motor, "given", None)
-        motors = given(*now) if given else functools.partial(self.motor, *now)
+        by_momentum = getattr(self.motor, "torque_by_momentum", None)
+        motors = by_momentum(*now) if by_momentum else functools.partial(self.motor, *now)
         torque = jnp.zeros_like(h)
-        for _ in range(_CHEAP_SWEEPS if given else _SWEEPS):
-            torque = self._limited(motors(h + rotation.dt / 2 * torque))
+        for _ in range(_CHEAP_SWEEPS if by_momentum else _SWEEPS):
+            torque = self._limit_torque(motors(h + rotation.dt / 2 * torque))
         after = h + rotation.dt * torque
         if self.max_momentum is None:
             return torque, after
         after = jnp.clip(after, -self.max_momentum, self.max_momentum)
         moves = rotation.dt != 0
-        return jnp.where(moves, (after - h) / jnp.where(moves, rotation.dt, 1), torque), after
+        blocked = (jnp.abs(h) >= self.max_momentum) & (h * torque > 0)
+        at_once = jnp.where(blocked, 0, torque)
+        return jnp.where(moves, (after - h) / jnp.where(moves, rotation.dt, 1), at_once), after
 
-    def _limited(self, torque: Array) -> Array:
+    def _limit_torque(self, torque: Array) -> Array:
         torque = jnp.asarray(torque)
-        return torque if self.max_torque is None else jnp.clip(torque, -self.max_torque, self.max_torque)
+        return torque if self.max_torque is None else cut(torque, self.max_torque)
 
 
 def wheels(

@@ -37,6 +37,12 @@ class Rotation(NamedTuple):
     Omega: Array
     omega: Array
 
+    @classmethod
+    def at_instant(cls, t: Array, q: Array, Omega: Array, omega: Array) -> Rotation:
+        """One instant of a body, as a step of no length."""
+        zero = jnp.zeros((), q.dtype)
+        return cls(t, zero, q, q, q, jnp.zeros_like(Omega), zero + 1, Omega, omega)
+
     @property
     def t(self) -> Array:
         """The time in the middle of the step, t_n + ½Δt."""
@@ -56,7 +62,8 @@ class Law(abc.ABC):
     """A law of torque. Laws add: `a + b`, also with plain functions of (t, q, Ω).
 
     A subclass is decorated with `li.pytree` and defines `mean`. A law with an internal state, such as the momentum of a
-    wheel, has a `key`, under which `State.extra` holds that state, and defines `start`.
+    wheel, has a `key`, under which `State.extra` holds that state, and defines `start`; also `inner_rate` if that state
+    has edges, such as a limit.
 
     The step books the work of each law: W = Δt Ω̄·T̄ + E_{n+1} − E_n, with E its `energy`. So H − ΣW is conserved to
     round-off, where H is the kinetic energy of the body with the energies of all laws.
@@ -97,6 +104,13 @@ class Law(abc.ABC):
         """The internal state where a run begins, at one instant of the body; None if there is none."""
         return None
 
+    def inner_rate(self, now: Rotation, inner: Array) -> Array | None:
+        """The rate of the internal state at one instant; by default None: the derivative of what `mean` returns.
+
+        Where the state is at an edge, that derivative is none: the rate depends on the side to which it is pushed.
+        """
+        return None
+
     def momentum(self, q: Array, inner: Array | None) -> Array:
         """The angular momentum of the internal state in space, (3,)."""
         return jnp.zeros_like(q[1:])
@@ -105,8 +119,7 @@ class Law(abc.ABC):
         """The torque at one instant, of a law without an internal state, (3,); velocity in the axes of `frame`."""
         if (key := self.key or self.reads) is not None:
             raise ValueError(f'{type(self).__name__} depends on an internal state, State.extra["{key}"]')
-        zero = jnp.zeros((), q.dtype)
-        return self.mean(Rotation(t, zero, q, q, q, jnp.zeros_like(velocity), zero + 1, velocity, velocity), None)[0]
+        return self.mean(Rotation.at_instant(t, q, velocity, velocity), None)[0]
 
     def __add__(self, other: Any) -> Total:
         return total((self, other))
@@ -201,8 +214,12 @@ def instant(law: Law, t: Array, q: Array, Omega: Array, omega: Array, inner: Any
         rotation = Rotation(t, s, q, q_half(h / 2), q_half(h), h, jnp.ones_like(t), Omega, omega)
         return law.mean(rotation, inner)
 
-    zero = jnp.zeros((), q.dtype)
+    now = Rotation.at_instant(t, q, Omega, omega)
     if law.key is None:
-        return advanced(zero)[0], None
+        return law.mean(now, inner)[0], None
+    rate = law.inner_rate(now, inner)
+    if rate is not None:
+        return law.mean(now, inner)[0], rate
+    zero = jnp.zeros((), q.dtype)
     (torque, _), (_, rate) = jax.jvp(advanced, (zero,), (zero + 1,))
     return torque, rate

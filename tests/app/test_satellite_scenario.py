@@ -6,7 +6,7 @@ import pytest
 
 from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios import satellite
-from lieint_jax.app.scenarios._satellite_laws import Within, stretched
+from lieint_jax.app.scenarios._satellite_laws import Within, stretch_inertia
 from lieint_jax.groups import so3
 from tests.lib.scenario_runs import run
 
@@ -94,7 +94,7 @@ def test_a_stretched_body_is_a_body():
     def inertia(x):
         return sum(k * (y @ y * np.eye(3) - np.outer(y, y)) for k, y in zip(m, x, strict=True))
 
-    found = stretched(jnp.asarray(inertia(x)), jnp.asarray(factors))
+    found = stretch_inertia(jnp.asarray(inertia(x)), jnp.asarray(factors))
     np.testing.assert_allclose(found, inertia(x * np.sqrt(factors)), rtol=1e-13)
 
 

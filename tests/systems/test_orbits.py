@@ -1,5 +1,7 @@
 """Kepler's orbits against mpmath, in 40 digits: positions, velocities, and derivatives in every element."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import mpmath
@@ -101,6 +103,20 @@ def test_a_period_and_a_batch_of_both_kinds():
     np.testing.assert_allclose(many, alone, rtol=1e-14)
     slopes = jax.jit(jax.vmap(jax.grad(lambda a, e: orbits.kepler(1.0, a, e)(2.0)[0][0], argnums=(0, 1))))(a, e)
     assert np.isfinite(slopes).all()
+
+
+def test_an_orbit_of_a_known_kind_compiles_the_equation_of_that_kind_only():
+    """As an argument of a jitted function too. Elements of the other kind that are put into it there give NaN."""
+    at = jax.jit(lambda orbit: jnp.concatenate(orbit(0.7)))
+    ellipse, hyperbola = (orbits.kepler(1.7, a, e, 0.3, node=2.0, periapsis=-1.1) for a, e in ((1.3, 0.5), (-1.3, 1.5)))
+    for orbit, other in ((ellipse, hyperbola), (hyperbola, ellipse)):
+        either = dataclasses.replace(orbit, closed=None)
+        branches = [str(jax.make_jaxpr(at)(x)).count(" cond[") for x in (orbit, either)]
+        assert branches == [0, 1]
+        np.testing.assert_allclose(at(orbit), at(either), rtol=2e-15)
+        wrong = dataclasses.replace(other, closed=orbit.closed)
+        assert np.isnan(at(wrong)).all()
+        np.testing.assert_array_equal(jnp.concatenate(wrong(0.7)), jnp.concatenate(other(0.7)))  # known outside of jit
 
 
 def test_float32():

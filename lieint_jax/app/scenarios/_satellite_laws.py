@@ -186,33 +186,17 @@ def surroundings(orbit: Orbit, date: datetime.date, drag: Drag | None) -> Surrou
 
 
 @pytree
-class Within(Law):
+class Within(torques.ModifiedLaw):
     """A law that acts in a window of time: in steps whose middle is in it."""
 
     law: Law
     begin: Array
     end: Array
 
-    @property
-    def frame(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.law.frame
-
-    @property
-    def symmetric(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.law.symmetric
-
-    @property
-    def reads(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.law.reads
-
-    @property
-    def label(self) -> str:
-        return self.law.label
-
     def mean(self, rotation: Rotation, inner: Any) -> tuple[Array, Any]:
         """The law's mean torque, or 0."""
         torque = self.law.mean(rotation, inner)[0]
-        return jnp.where(_inside(self, rotation.t), torque, 0), inner
+        return jnp.where(_is_inside(self, rotation.t), torque, 0), inner
 
 
 @pytree
@@ -224,15 +208,15 @@ class MotorsWithin:
     end: Array
 
     def __call__(self, t: Array, q: Array, Omega: Array, h: Array) -> Array:
-        return self.given(t, q, Omega)(h)
+        return self.torque_by_momentum(t, q, Omega)(h)
 
-    def given(self, t: Array, q: Array, Omega: Array) -> Callable[[Array], Array]:
+    def torque_by_momentum(self, t: Array, q: Array, Omega: Array) -> Callable[[Array], Array]:
         """As that of `WheelMotor`."""
-        motors, acts = self.motor.given(t, q, Omega), _inside(self, t)
+        motors, acts = self.motor.torque_by_momentum(t, q, Omega), _is_inside(self, t)
         return lambda h: jnp.where(acts, motors(h), 0)
 
 
-def _inside(window: Within | MotorsWithin, t: Array) -> Array:
+def _is_inside(window: Within | MotorsWithin, t: Array) -> Array:
     return (window.begin <= t) & (t < window.end)
 
 
@@ -263,11 +247,11 @@ def laws(scenario: Any, around: Surroundings, inertia: Array, dipole: Array) -> 
         dumping = torques.unloading(scenario.wheels.axes(), unloading.gain, around.field, scenario.max_dipole)
         found.append(Within(dumping, *_edges(unloading)))
     if (wheels := scenario.wheels) is not None:
-        found.append(_driven(wheels, scenario.pointing, around, inertia))
+        found.append(_wheels_with_motors(wheels, scenario.pointing, around, inertia))
     return found
 
 
-def _driven(wheels: Wheels, pointing: Pointing | None, around: Surroundings, inertia: Array) -> Law:
+def _wheels_with_motors(wheels: Wheels, pointing: Pointing | None, around: Surroundings, inertia: Array) -> Law:
     """The wheels with their motors."""
     axes, motor = wheels.axes(), None
     if pointing is not None:
@@ -280,7 +264,7 @@ def _driven(wheels: Wheels, pointing: Pointing | None, around: Surroundings, ine
     return torques.wheels(axes, wheels.inertia_kg_m2, motor, **limits)
 
 
-def stretched(inertia: Array, factors: Array) -> Array:
+def stretch_inertia(inertia: Array, factors: Array) -> Array:
     """The inertia of a body whose second moments of mass along the body axes are larger by factors, (3, 3).
 
     With P = ½ tr(J) 1 − J: any factors > 0 give an inertia that a body can have.

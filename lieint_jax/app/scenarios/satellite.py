@@ -30,7 +30,7 @@ from lieint_jax.app.scenarios._satellite_laws import (
     Unloading,
     Wheels,
     laws,
-    stretched,
+    stretch_inertia,
     surroundings,
 )
 from lieint_jax.groups import so3
@@ -144,7 +144,9 @@ def build(scenario: Scenario) -> tuple[Step, State]:
     around, spread = scenario.around(), scenario.spread
     key = jax.random.fold_in(jax.random.key(scenario.seed), 1)
     own = jax.random.normal(key, (2, scenario.members, 3)).at[:, 0].set(0.0)
-    locked = jax.vmap(stretched, (None, 0))(jnp.asarray(_matrix(scenario.inertia)), jnp.exp(spread.inertia * own[0]))
+    locked = jax.vmap(stretch_inertia, (None, 0))(
+        jnp.asarray(_matrix(scenario.inertia)), jnp.exp(spread.inertia * own[0])
+    )
     dipoles = jnp.asarray(scenario.residual_dipole) + spread.residual_dipole * own[1]
     q, Omega = _initial(scenario, around)
     kick, jolt = deviates(scenario)
