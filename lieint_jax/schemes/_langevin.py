@@ -114,7 +114,8 @@ class Langevin(Step):
         n = self._carried(state, _COUNT)
         key = random_bits.fold_in(random_bits.key_of(self._carried(state, _KEY)), random_bits.word(n))
         state, info = (self._metropolis if self.metropolis else self._baoab)(state, jnp.asarray(dt), key)
-        counted = (n + 1 > n) & (n < _MOST) & (jnp.asarray(dt) >= 0) & random_bits.are_digits(state.extra[_KEY])
+        counted = (n >= 0) & (n + 1 > n) & (n < _MOST) & random_bits.are_digits(self._carried(state, _KEY))
+        counted &= jnp.asarray(dt) >= 0
         end = self._added(state, **{_COUNT: 1})
         return end, info._replace(converged=info.converged & counted)
 
