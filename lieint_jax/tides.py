@@ -3,6 +3,7 @@
 | | |
 |---|---|
 | `constant_lag` | the tide of each body lags by a constant time (Mignard) |
+| `constant_q` | by a constant angle, at a constant quality factor Q (MacDonald; Goldreich & Soter) |
 
 A law goes into `systems.rigid_bodies(…, dissipation=law)`, its `potential`, the part that loses nothing, into the
 potential of the bodies. `schemes.bodies_energy_momentum` conserves linear and angular momentum and the energy with what
@@ -21,24 +22,27 @@ from lieint_jax._checks import concrete
 from lieint_jax.potentials import Potential
 from lieint_jax.types import PairLaw, pytree
 
-__all__ = ["ConstantLag", "PairLaw", "PairOfTides", "TidalPotential", "constant_lag"]
+__all__ = ["LaggingTides", "PairLaw", "PairOfTides", "TidalPotential", "constant_lag", "constant_q"]
 
 
 @pytree
 class PairOfTides(PairLaw):
     """The tides of two bodies: f = −ΣA_k u_k, τ_k = r × A_k u_k, u_k = v − ω_k × r, A_k = 3B_kΔt_k/r⁸ (1 + 2r̂r̂ᵀ).
 
-    Here B_k = k₂G m² R⁵, with m the mass of the other body.
+    Here B_k = k₂G m² R⁵, with m the mass of the other body, and the lag Δt_k is a constant over √(1 + (σ_kT_k)²), with
+    σ_k = |u_k|/r the rate of the body's surface relative to the other body.
 
     Attributes:
-        strengths: k₂Δt G m of each, (2,).
+        strengths: k₂Δt G m of each at σ = 0, (2,).
         masses: m, of the other body, (2,).
         radii: R of each, (2,).
+        times: T of each, (2,).
     """
 
     strengths: Array
     masses: Array
     radii: Array
+    times: Array
 
     def __call__(self, r: Array, v: Array, omega_i: Array, omega_j: Array) -> tuple[Array, Array, Array]:
         """The force on the second body, −f on the first, and the torques on both, each (3,)."""
@@ -53,10 +57,11 @@ class PairOfTides(PairLaw):
         """A_k u_k and u_k·A_k u_k."""
         inverse = 1 / jnp.sqrt(jnp.sum(r * r))
         u, radial = v - jnp.cross(omega, r), r * inverse
-        along, near = jnp.sum(radial * u), self.radii[k] * inverse
+        along, square, near = jnp.sum(radial * u), jnp.sum(u * u), self.radii[k] * inverse
         # powers one by one: R⁵ and r⁸ of planets in kilometers are too large for float32
         factor = 3 * self.strengths[k] * (self.masses[k] * inverse * inverse * inverse) * near**2 * near**2 * near
-        return factor * (u + 2 * along * radial), factor * (jnp.sum(u * u) + 2 * along * along)
+        factor = factor / jnp.sqrt(1 + (self.times[k] * inverse) ** 2 * square)
+        return factor * (u + 2 * along * radial), factor * (square + 2 * along * along)
 
 
 @pytree
@@ -94,14 +99,15 @@ class TidalPotential(Potential):
 
 
 @pytree
-class ConstantLag(PairLaw):
-    """Tides that lag by a constant time. Made by `constant_lag`.
+class LaggingTides(PairLaw):
+    """Tides that lag by the times Δt/√(1 + (σT)²). Made by `constant_lag`, with T = 0, and `constant_q`.
 
     Attributes:
         G: the constant of gravity.
         masses, radii: (N,).
         k2: Love's numbers, (N,).
-        lags: times, (N,).
+        lags: Δt, times by which slow tides lag, (N,).
+        times: T, (N,); at rates σ = |u|/r above 1/T the lag falls as 1/σ.
     """
 
     G: Array
@@ -109,6 +115,7 @@ class ConstantLag(PairLaw):
     radii: Array
     k2: Array
     lags: Array
+    times: Array
 
     def __call__(self, r: Array, v: Array, omega_i: Array, omega_j: Array) -> tuple[Array, Array, Array]:
         """The tides of the first two bodies."""
@@ -122,11 +129,10 @@ class ConstantLag(PairLaw):
     def between(self, i: int, j: int) -> PairOfTides:
         """The tides of bodies i and j, which each raises on the other."""
         bodies, others = np.array([i, j]), np.array([j, i])
-        masses, k2, lags, radii = (
-            jnp.stack([x[k] for k in which])
-            for x, which in ((self.masses, others), (self.k2, bodies), (self.lags, bodies), (self.radii, bodies))
-        )
-        return PairOfTides(k2 * lags * (self.G * masses), masses, radii)
+        own = (self.k2, self.lags, self.radii, self.times)
+        k2, lags, radii, times = (jnp.stack([x[k] for k in bodies]) for x in own)
+        masses = jnp.stack([self.masses[k] for k in others])
+        return PairOfTides(k2 * lags * (self.G * masses), masses, radii, times)
 
     @property
     def potential(self) -> TidalPotential:
@@ -143,7 +149,7 @@ def _pairs(n: int) -> list[tuple[int, int]]:
     return [(i, j) for j in range(n) for i in range(j)]
 
 
-def constant_lag(G: ArrayLike, masses: ArrayLike, radii: ArrayLike, k2: ArrayLike, lags: ArrayLike) -> ConstantLag:
+def constant_lag(G: ArrayLike, masses: ArrayLike, radii: ArrayLike, k2: ArrayLike, lags: ArrayLike) -> LaggingTides:
     """Tides of constant time lag, to first order in the lag: each body raises one on every other.
 
     With A_k = (3k₂G m² R⁵ Δt_k/r⁸)(1 + 2r̂r̂ᵀ), m the mass of the other body and u_k = v − ω_k × r, the force on the
@@ -167,16 +173,68 @@ def constant_lag(G: ArrayLike, masses: ArrayLike, radii: ArrayLike, k2: ArrayLik
 
     Source: Mignard 1979, Moon and Planets 20, (5) and (6); the form with A_k: this package.
     """
+    bodies = _bodies(G, masses, radii, k2)
+    late = _one_each("lags", lags, bodies[1])
+    if concrete(late) and not bool(np.all(np.asarray(late) >= 0)):
+        raise ValueError(f"lags must be ≥ 0, got {np.asarray(late)}; 0 is a body without a tide")
+    return LaggingTides(*bodies, late, jnp.zeros_like(late))
+
+
+def constant_q(
+    G: ArrayLike, masses: ArrayLike, radii: ArrayLike, k2: ArrayLike, *, Q: ArrayLike, threshold: ArrayLike
+) -> LaggingTides:
+    """Tides of a constant quality factor Q: the bulge is ahead of, or behind, the other body by a constant angle 1/2Q.
+
+    The law of `constant_lag` with the lag Δt_k = 1/(2Q√(σ_k² + σ₀²)), σ_k = |v − ω_k × r|/r: a friction whose size does
+    not depend on the speed, but for rates below the threshold σ₀. There the lag is 1/(2Qσ₀), so that bodies that show
+    each other one face are at rest relative to one another and the law is smooth. As the law is −A_k u_k with A_k ≥ 0
+    for any lag, linear and angular momentum and the energy with what was lost are conserved as well. On a circular
+    orbit in the plane of the equator ȧ = ±3 (k₂/Q)(m/M)(R/a)⁵ na, to (σ₀/σ)²/2 of it.
+
+    On an eccentric orbit one bulge that lags by a constant angle is a convention: only a constant lag in time follows
+    from a linear response (Efroimsky & Williams 2009, Celest. Mech. Dyn. Astron. 104).
+
+    Args:
+        G, masses, radii, k2: as in `constant_lag`.
+        Q: quality factors, > 0, (N,), or one for all.
+        threshold: σ₀, rates in radians per unit time, > 0, (N,), or one for all; such as a hundredth of the orbit's.
+            The smaller it is, the shorter must steps be where both rates agree. There relative rotation decays at the
+            rate c = 3k₂G m² R⁵/(2Qσ₀a⁶) (1/J + a²/μ), and steps of cΔt above 1 to 2 do not converge, with a flag.
+
+    Raises:
+        ValueError: as `constant_lag`; a Q or a threshold that is not positive.
+
+    Example:
+        >>> import lieint_jax as li
+        >>> tide = li.tides.constant_q(1.0, [1.0, 0.1], [0.3, 0.1], [0.3, 0.0], Q=100.0, threshold=0.01)
+        >>> float(tide.lags[0])
+        0.5
+
+    Source: MacDonald 1964, Rev. Geophys. 2; Goldreich & Soter 1966, Icarus 5; ȧ: Murray & Dermott 1999, (4.160).
+    """
+    bodies = _bodies(G, masses, radii, k2)
+    quality, slow = _one_each("Q", Q, bodies[1]), _one_each("threshold", threshold, bodies[1])
+    for name, x in (("Q", quality), ("threshold", slow)):
+        if concrete(x) and not bool(np.all(np.asarray(x) > 0)):
+            raise ValueError(f"{name} must be positive, got {np.asarray(x)}; a body without a tide has k2 = 0")
+    return LaggingTides(*bodies, 1 / (2 * quality * slow), 1 / slow)
+
+
+def _bodies(G: ArrayLike, masses: ArrayLike, radii: ArrayLike, k2: ArrayLike) -> tuple[Array, Array, Array, Array]:
+    """G, masses, radii and Love's numbers, the last three (N,), checked."""
     m = _checks.real_array("masses", masses)
     if m.ndim != 1 or m.size < 2:
         raise ValueError(f"masses must have shape (N,), N ≥ 2, got {m.shape}")
-    n = (m.size,)
-    g, R = _checks.real_array("G", G, ()), _checks.real_array("radii", radii, n)
-    love, late = (jnp.broadcast_to(_checks.real_array(name, x, (), n), n) for name, x in (("k2", k2), ("lags", lags)))
+    g, R = _checks.real_array("G", G, ()), _checks.real_array("radii", radii, (m.size,))
     for name, x in (("G", g), ("masses", m), ("radii", R)):
         if concrete(x) and not bool(np.all(np.asarray(x) > 0)):
             raise ValueError(f"{name} must be positive, got {np.asarray(x)}")
-    for name, x in (("k2", love), ("lags", late)):
-        if concrete(x) and not bool(np.all(np.asarray(x) >= 0)):
-            raise ValueError(f"{name} must be ≥ 0, got {np.asarray(x)}; 0 is a body without a tide")
-    return ConstantLag(g, m, R, love, late)
+    love = _one_each("k2", k2, m)
+    if concrete(love) and not bool(np.all(np.asarray(love) >= 0)):
+        raise ValueError(f"k2 must be ≥ 0, got {np.asarray(love)}; 0 is a body without a tide")
+    return g, m, R, love
+
+
+def _one_each(name: str, value: ArrayLike, masses: Array) -> Array:
+    """Numbers of N bodies, (N,), from as many or from one."""
+    return jnp.broadcast_to(_checks.real_array(name, value, (), masses.shape), masses.shape)

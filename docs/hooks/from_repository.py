@@ -17,6 +17,7 @@ TITLES = {
     "driven": "Satellites",
     "satellite": "Satellites with five laws",
     "bodies": "Several bodies",
+    "tides": "Angular momentum under tides",
     "se3": "SE(3)",
     "engines": "Steps for engines",
     "gradients": "Gradients",
@@ -56,7 +57,7 @@ def _text(name):
 
 def _table(path):
     """The tables of one benchmark, with a title and, where there is one, its picture."""
-    picture = f"\n![What accuracy costs]({path.stem}.png)\n" if path.with_suffix(".png").is_file() else ""
+    picture = f"\n![{TITLES[path.stem]}]({path.stem}.png)\n" if path.with_suffix(".png").is_file() else ""
     script = "round_off" if path.stem.startswith("round_off") else path.stem
     origin = f"Written by `python benchmarks/{script}.py`, read in [Results](../index.md).\n"
     text = path.read_text(encoding="utf-8").replace("](", "]\\(")  # compose[suzuki](…) is no link

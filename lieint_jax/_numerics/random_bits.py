@@ -28,6 +28,11 @@ def digits(key: Array, dtype: Any) -> Array:
     return jnp.stack(parts).astype(dtype)
 
 
+def are_digits(x: Array) -> Array:
+    """Whether these are whole numbers from 0 to below 2¹⁶, a bool."""
+    return jnp.all((x >= 0) & (x < 2**16) & (x == jnp.floor(x)))
+
+
 def key_of(digits: Array) -> Key:
     """The key of these digits."""
     a, b, c, d = (word(digits[k]) for k in range(DIGITS))

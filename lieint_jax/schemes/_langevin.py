@@ -114,7 +114,8 @@ class Langevin(Step):
         n = self._carried(state, _COUNT)
         key = random_bits.fold_in(random_bits.key_of(self._carried(state, _KEY)), random_bits.word(n))
         state, info = (self._metropolis if self.metropolis else self._baoab)(state, jnp.asarray(dt), key)
-        counted = (n + 1 > n) & (n < _MOST) & (jnp.asarray(dt) >= 0)
+        counted = (n >= 0) & (n + 1 > n) & (n < _MOST) & random_bits.are_digits(self._carried(state, _KEY))
+        counted &= jnp.asarray(dt) >= 0
         end = self._added(state, **{_COUNT: 1})
         return end, info._replace(converged=info.converged & counted)
 
@@ -185,6 +186,16 @@ class Langevin(Step):
         """The state with these increments of what it carries."""
         extra = dict(state.extra or {})
         return state._replace(extra=extra | {name: extra[name] + x for name, x in more.items()})
+
+    def check(self, state: State, dt: ArrayLike) -> None:
+        """Raise ValueError if a concrete `state` or `dt` is out of range, or the state's key or counts are none."""
+        for name in (_KEY, _COUNT, _HEAT, *([_REJECTIONS] if self.metropolis else [])):
+            shape = (random_bits.DIGITS,) if name == _KEY else ()
+            _checks.real_array(f'state.extra["{name}"]', self._carried(state, name), shape)
+        key = self._carried(state, _KEY)
+        if concrete(key) and not bool(random_bits.are_digits(jnp.asarray(key))):
+            raise ValueError(f'state.extra["{_KEY}"] must be a key, as step.start(state, key=…) makes it, got {key}')
+        super().check(state, dt)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         if float(dt) < 0:  # pyright: ignore[reportArgumentType]

@@ -23,7 +23,7 @@ from lieint_jax.systems._shared.stored_energy import (
     neo_hookean,
     saint_venant_kirchhoff,
 )
-from lieint_jax.systems._shared.time_and_work import timed
+from lieint_jax.systems._shared.time_and_work import check_counts, timed
 from lieint_jax.types import AbstractElasticBody, AbstractViscousBody, State, StoredEnergy, pytree
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3
 
@@ -113,6 +113,7 @@ class _Deforming:
         _checks.of_one_system("inertia", self.inertia)
         _orientation("state.q", _checks.real_array("state.q", state.q, (3, 3)))
         _checks.real_array("state.p", state.p, (3, 3))
+        check_counts(state)
 
     def _inertia_matrix(self) -> Matrix3:
         return jnp.diag(self.inertia) if self.inertia.ndim == 1 else self.inertia

@@ -22,7 +22,7 @@ from lieint_jax.phase_spaces import CotangentMotions
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.properties import SystemProperties
-from lieint_jax.systems._shared.time_and_work import timed
+from lieint_jax.systems._shared.time_and_work import check_counts, timed
 from lieint_jax.types import (
     AbstractDissipativeBodies,
     AbstractFreeBodies,
@@ -133,6 +133,7 @@ class _Many:
             )
         _checks.real_array("state.q", state.q, (n, 7))
         _checks.real_array("state.p", state.p, (n, 6))
+        check_counts(state)
         if not concrete(state.q):
             return
         q = np.asarray(state.q)

@@ -31,9 +31,10 @@ def store(tmp_path_factory):
     return path
 
 
-def stored(system, q, p, t):
-    """A run of one member, as `scene.of` takes it."""
+def stored(system, q, p, t, work=None):
+    """A run of one member, as `scene.scene_of` accepts it; of a system that counts its work, with that."""
     state = li.State(*(jnp.asarray(x)[:, None] for x in (q, p)))
+    state = state if work is None else state._replace(t=jnp.asarray(t)[:, None], work=jnp.asarray(work)[:, None])
     info = li.StepInfo(jnp.zeros((len(t), 1)), jnp.ones((len(t), 1), bool))
     return StoredRun("a body", "s", system, li.Trajectory(t, state, info), False)
 
@@ -237,13 +238,19 @@ def test_a_top_stands_on_its_point_and_turns_about_the_vertical():
 
 
 @pytest.mark.long
-def test_two_bodies_stand_at_their_places():
-    bodies = li.systems.rigid_bodies([2.0, 1.0], [[0.5, 0.6, 0.7], [0.1, 0.2, 0.2]], lambda x, R: jnp.sum(x[0] * x[1]))
+@pytest.mark.parametrize("dissipative", [False, True])
+def test_two_bodies_stand_at_their_places(dissipative):
+    """By the attitudes and positions of the run itself where a frame is at a saved state."""
+    law = li.tides.constant_lag(1.0, [2.0, 1.0], [1.0, 1.0], 0.5, 0.1) if dissipative else None
+    V = li.potentials.point_masses(1.0, [2.0, 1.0])
+    bodies = li.systems.rigid_bodies([2.0, 1.0], [[0.5, 0.6, 0.7], [0.1, 0.2, 0.2]], V, law)
     state = bodies.state([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]], angular_velocities=[[0.0, 0.1, 1.0], [0.5, 0.0, 0.3]])
-    step, dt = li.schemes.splitting(bodies), 0.05
-    run = all_steps(step, state, dt, 40, save_every=2)
-    found = scene.scene_of(stored(bodies, run.state.q, run.state.p, run.t), 0, 10)
+    run = all_steps(li.schemes.bodies_energy_momentum(bodies), state, 0.05, 40, save_every=2)
+    assert (run.state.work is not None) is dissipative
+    found = scene.scene_of(stored(bodies, run.state.q, run.state.p, run.t, run.state.work), 0, 21)
     assert len(found.solids) == 2
-    np.testing.assert_allclose(found.centers[0], state.q[:, :3], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.centers, run.state.q[:, :, :3], rtol=0, atol=1e-12)
+    turns = jax.jit(jax.vmap(jax.vmap(li.groups.so3.to_matrix)))(run.state.q[:, :, 3:])
+    np.testing.assert_allclose(found.turns, turns, rtol=0, atol=1e-12)
     middles = np.stack([found.corners(3, b).mean(axis=0) for b in range(2)])
     np.testing.assert_allclose(middles, found.centers[3], rtol=0, atol=1e-12)

@@ -160,7 +160,7 @@ systems.rigid_bodies potentials.maccullagh potentials.point_masses potentials.po
 potentials.sites potentials.springs potentials.uniform_field potentials.outer_field potentials.ellipsoid_sphere
 potentials.water elliptic.K elliptic.E elliptic.F elliptic.Pi elliptic.sn elliptic.cn elliptic.dn elliptic.RF
 elliptic.RC elliptic.RD elliptic.RJ shapes.ellipsoid shapes.box shapes.cylinder shapes.sites shapes.mesh shapes.obj
-schemes.bodies_energy_momentum schemes.nystrom schemes.kepler_splitting tides.constant_lag
+schemes.bodies_energy_momentum schemes.nystrom schemes.kepler_splitting tides.constant_lag tides.constant_q
 """
 
 

@@ -13,13 +13,14 @@ from lieint_jax.app.command.meshes import Solid, box, top
 from lieint_jax.app.command.pictures import StoredRun
 from lieint_jax.app.scenarios._body import spin_axis
 from lieint_jax.groups import so3
-from lieint_jax.types import AbstractFreeBodies, AbstractRigidBodies, Trajectory
+from lieint_jax.types import AbstractDissipativeBodies, AbstractFreeBodies, AbstractRigidBodies, Trajectory
 
 _MOST = np.deg2rad(15)  # the most that a body turns from frame to frame, if states can be interpolated
 _TILT = np.deg2rad(2)  # the same of the axis of a top, whose spin may be much faster
 _FINE = 4  # points of the path of an axis between two frames
 _SMALLEST = 0.06  # the size of the largest of several bodies, over that of the scene; smaller ones are drawn larger
 _TIP, _ARROW = 1.2, 1.5  # where axes and momentum vectors end, over the size of their body
+_SEVERAL = (AbstractFreeBodies, AbstractRigidBodies, AbstractDissipativeBodies)
 
 Span = tuple[float | None, float | None]
 
@@ -89,7 +90,7 @@ def scene_of(stored: StoredRun, member: int, frames: int, span: Span = (None, No
     if not 0 <= member < stored.run.state.p.shape[1]:
         raise ValueError(f"the run has members 0 to {stored.run.state.p.shape[1] - 1}, got --member {member}")
     system = stored.system_of(member)
-    several = isinstance(system, AbstractRigidBodies | AbstractFreeBodies)
+    several = isinstance(system, _SEVERAL)
     shape = stored.run.state.q.shape
     if not (several or (shape[2:] == (4,) and hasattr(system, "inertia"))):
         raise ValueError(

@@ -19,6 +19,12 @@ def timed(state: State, t: ArrayLike, work: ArrayLike | None) -> State:
 
 def check_timed(state: State) -> None:
     """ValueError if a state has no time, or a concrete time or work is no finite scalar."""
-    _checks.real_array("state.t", clock(state), ())
-    if state.work is not None:
-        _checks.real_array("state.work", state.work, ())
+    clock(state)
+    check_counts(state)
+
+
+def check_counts(state: State) -> None:
+    """ValueError if a concrete time or work, of a state that has them, is no finite scalar."""
+    for name, value in (("state.t", state.t), ("state.work", state.work)):
+        if value is not None:
+            _checks.real_array(name, value, ())
