@@ -170,5 +170,5 @@ def _digest_of_arrays(*leaves: ArrayLike | bytes) -> str:
     for leaf in leaves:
         array = np.frombuffer(leaf, np.uint8) if isinstance(leaf, bytes) else np.asarray(leaf)
         found.update(f"{array.dtype}{array.shape}".encode())
-        found.update(np.ascontiguousarray(array).tobytes())
+        found.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8))
     return found.hexdigest()[:16]

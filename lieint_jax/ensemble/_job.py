@@ -121,11 +121,11 @@ class Job(NamedTuple):
         """True if the states have a time, the same for all members."""
         return self.t0 is not None and not np.ndim(self.t0)
 
-    def state_times(self, entries: slice = slice(None)) -> np.ndarray:
-        """The time of each member at these entries, shape (entries, members), where the states have a time."""
+    def state_times(self, entries: slice = slice(None), members: slice = slice(None)) -> np.ndarray:
+        """The times of these members at these entries, (entries, members), where the states have a time."""
         if self.t0 is None or self.shares_time:
-            return shared_time(self.times[entries], self.members)
-        return np.asarray(self.t0) + self.times[entries, None]
+            return shared_time(self.times[entries], self.members)[:, members]
+        return np.asarray(self.t0)[members] + self.times[entries, None]
 
     def with_times(self, states: State) -> State:
         """The states of all entries with their time."""
@@ -237,8 +237,13 @@ def rows_of_call(across: int, members: int, row: int, interval: int, entries: in
 
 
 def local_rows(saved: list[Saved], number: int) -> list[Saved]:
-    """The first `number` saved rows of each block, copied to the host."""
-    return jax.tree.map(lambda x: np.array(np.asarray(x)[:number]), saved)
+    """The first `number` saved rows of each block on the host; only a part of a longer buffer is copied."""
+
+    def first_rows(x: Numbers) -> np.ndarray:
+        x = np.asarray(x)
+        return x if len(x) == number else x[:number].copy()
+
+    return jax.tree.map(first_rows, saved)
 
 
 def gather_rows(layout: Layout, saved: list[Saved], number: int) -> Saved:

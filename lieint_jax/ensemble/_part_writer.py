@@ -144,6 +144,8 @@ class PartWriter(BackgroundWriter):
                 carry[part.name] = part.values[0]
             elif part.name not in self._root.constants:
                 waiting += self._put_slab(part)
+            if len(waiting) > REQUESTS:  # slabs that wait are in memory
+                waiting.pop(0).result()
         for future in waiting:
             future.result()
         self._replace_state(carry, commit)
@@ -187,7 +189,7 @@ class PartWriter(BackgroundWriter):
             arrays |= carry
         state = PartState(commit.progress, arrays)
         self._root.storage.put(self._root.state_file(self._k), state.encode(self._root.place(self._k)))
-        self._state = state
+        self._state = PartState(commit.progress, {name: x for name, x in arrays.items() if name == ROWS})
         written.clear()
 
 

@@ -86,9 +86,12 @@ class PartState(NamedTuple):
         arrays = {name: np.ascontiguousarray(x) for name, x in sorted(self.arrays.items())}
         shapes = {name: [x.dtype.newbyteorder("<").str, x.shape] for name, x in arrays.items()}
         header = json.dumps({**place, "progress": self.progress, "arrays": shapes}, sort_keys=True)
-        body = [x.astype(x.dtype.newbyteorder("<")).tobytes() for x in arrays.values()]
-        data = b"".join([header.encode(), b"\n", *body])
-        return data + hashlib.sha256(data).digest()
+        little = [x.astype(x.dtype.newbyteorder("<"), copy=False) for x in arrays.values()]
+        parts = [header.encode(), b"\n", *(x.reshape(-1).view(np.uint8).data for x in little)]
+        digest = hashlib.sha256()
+        for part in parts:
+            digest.update(part)
+        return b"".join([*parts, digest.digest()])
 
 
 class UnusablePartError(ValueError):
@@ -101,20 +104,20 @@ def decode_state(data: bytes, place: Table) -> PartState:
     Raises:
         UnusablePartError: damaged, or the state of another part or run.
     """
-    content, digest = data[:-_DIGEST], data[-_DIGEST:]
+    content, digest = memoryview(data)[:-_DIGEST], data[-_DIGEST:]
     if hashlib.sha256(content).digest() != digest:
         raise UnusablePartError("its state is altered or cut off")
-    line, _, body = content.partition(b"\n")
-    if len(line) > _MAX_HEADER:
+    end = data.find(b"\n", 0, _MAX_HEADER)
+    if end < 0:
         raise UnusablePartError("its state has too long a header")
-    header, arrays, begin = json.loads(line), {}, 0
+    header, arrays, begin = json.loads(data[:end]), {}, end + 1
     for key, name in (("run", "run"), ("part", "part")):
         if header[key] != place[key]:
             raise UnusablePartError(f"its state is that of another {name}: the files were copied from elsewhere")
     for name, (kind, shape) in header["arrays"].items():
         dtype = np.dtype(kind)
         size = math.prod(shape) * dtype.itemsize
-        arrays[name] = np.frombuffer(body[begin : begin + size], dtype).reshape(shape)
+        arrays[name] = np.frombuffer(content[begin : begin + size], dtype).reshape(shape)
         begin += size
     return PartState(header["progress"], arrays)
 

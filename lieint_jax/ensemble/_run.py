@@ -219,6 +219,7 @@ def _integrate(engine: Engine, layout: Layout, output: Output, progress: bool) -
             done, saved = done + steps, saved + saves
             if saves:
                 output.append(rows, saves)
+            del rows  # while the next call computes others
             bar.update(steps)
             loop.show_progress(carry, done, bar)
             stop = length.measure(steps, time.perf_counter() - clock, interrupts.requested)
