@@ -12,6 +12,7 @@ from lieint_jax.ensemble import _layout
 from lieint_jax.ensemble._dyadic_sum import block_sums, blocks, total
 from lieint_jax.ensemble._layout import Layout, Numbers
 from lieint_jax.ensemble._loop import Carry, Range, Reduction, Saved
+from lieint_jax.ensemble._made_states import MakeStates
 from lieint_jax.ensemble._store import shared_time
 from lieint_jax.types import State, Step, Trajectory
 
@@ -63,6 +64,8 @@ class Job(NamedTuple):
         step_axis: None or 0.
         reduction: the quantity to reduce, or None.
         part: the members of the run to which this job is restricted, one of its parts; None if it is the whole run.
+        make_states: the function that makes the states of each part; `states` of the whole run are those of its first
+            member, repeated. None if `states` are those of all members.
     """
 
     step: Step
@@ -78,6 +81,16 @@ class Job(NamedTuple):
     step_axis: int | None
     reduction: Reduction | None
     part: range | None = None
+    make_states: MakeStates | None = None
+
+    def repeated(self, members: int, make_states: MakeStates) -> Job:
+        """The job of a run of so many members, which describes its arrays, from that of the first of them."""
+
+        def repeat(x: Numbers) -> np.ndarray:
+            return np.broadcast_to(np.asarray(x)[:1], (members, *x.shape[1:]))  # a view that needs no memory
+
+        t0 = self.t0 if self.t0 is None or self.shares_time else repeat(self.t0)
+        return self._replace(states=jax.tree.map(repeat, self.states), t0=t0, make_states=make_states)
 
     def restricted(self, members: range) -> Job:
         """The job of these members only."""

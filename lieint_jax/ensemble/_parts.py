@@ -76,16 +76,19 @@ class PartState(NamedTuple):
     Attributes:
         progress: its commits, entries along time, steps, and whether it is complete.
         arrays: the checksums of its files, and the carry of an incomplete part by name.
+        initial: the digest of the initial states of its members.
     """
 
     progress: Table
     arrays: dict[str, np.ndarray]
+    initial: str = ""
 
     def encode(self, place: Table) -> bytes:
         """The bytes of a state: a line of JSON, the arrays, and a digest; `place` is its part and its run."""
         arrays = {name: np.ascontiguousarray(x) for name, x in sorted(self.arrays.items())}
         shapes = {name: [x.dtype.newbyteorder("<").str, x.shape] for name, x in arrays.items()}
-        header = json.dumps({**place, "progress": self.progress, "arrays": shapes}, sort_keys=True)
+        described = {"initial states": self.initial, "progress": self.progress, "arrays": shapes}
+        header = json.dumps({**place, **described}, sort_keys=True)
         little = [x.astype(x.dtype.newbyteorder("<"), copy=False) for x in arrays.values()]
         parts = [header.encode(), b"\n", *(x.reshape(-1).view(np.uint8).data for x in little)]
         digest = hashlib.sha256()
@@ -119,7 +122,7 @@ def decode_state(data: bytes, place: Table) -> PartState:
         size = math.prod(shape) * dtype.itemsize
         arrays[name] = np.frombuffer(content[begin : begin + size], dtype).reshape(shape)
         begin += size
-    return PartState(header["progress"], arrays)
+    return PartState(header["progress"], arrays, header["initial states"])
 
 
 class PartStatus(NamedTuple):

@@ -170,7 +170,7 @@ def run_part_into_store(
     root = _same_run(storage, found, described, split)
     join(storage, root, files)
     layout = _layout.layout_of(place, engine.job.members, alone=whole.members == 1)
-    with open_part(root, k) as writer:
+    with open_part(root, k, _identity.digest_of_states(engine.job.initial)) as writer:
         if not writer.progress["complete"]:
             integrate(layout, StoreOutput(engine.job, layout, writer))
     return read_part(root, k)
