@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -15,7 +15,7 @@ MakeStates = Callable[[np.ndarray], State]
 BLOCK = 2**16  # members that are made in one call
 
 
-class MadeStates(NamedTuple):
+class MadeStates:
     """The initial states of a run as a function.
 
     Attributes:
@@ -23,8 +23,9 @@ class MadeStates(NamedTuple):
         members: the number of members of the run.
     """
 
-    function: MakeStates
-    members: int
+    def __init__(self, function: MakeStates, members: int) -> None:
+        self.function, self.members = function, members
+        self._last: tuple[int, State] | None = None  # the block that was made last, and where it begins
 
     def of(self, members: range) -> State:
         """The initial states of consecutive members, as host arrays.
@@ -38,13 +39,18 @@ class MadeStates(NamedTuple):
         """
         found, first = None, members.start // BLOCK * BLOCK
         for start in range(first, members.stop, BLOCK):
-            numbers = np.arange(start, min(start + BLOCK, self.members))
-            made = _checked(self.function(numbers), len(numbers))
+            made = self._block(start)
             if found is None:
                 found = jax.tree.map(lambda x: np.empty((len(members), *x.shape[1:]), x.dtype) if x.ndim else x, made)
             _fill(found, made, members, start)
         assert found is not None
         return found
+
+    def _block(self, start: int) -> State:
+        if self._last is None or self._last[0] != start:
+            numbers = np.arange(start, min(start + BLOCK, self.members))
+            self._last = start, _checked(self.function(numbers), len(numbers))
+        return self._last[1]
 
 
 def made_states(states: State | MakeStates, members: int | None) -> MadeStates | None:

@@ -50,7 +50,7 @@ _OWN = {
     "parts",
     "missing",
 }  # further attributes of every store
-_SLAB = 8  # chunks of members that are joined along time, and written, at once
+SLAB = 8  # chunks of members that are joined along time, and written, at once
 _CHECKPOINT_EVERY = 30.0  # seconds between checkpoints within a long save interval
 
 
@@ -362,7 +362,7 @@ class StoreOutput:
 
     def _slabs(self, pending: list[tuple[Pending, int]], entries: slice) -> Iterator[_store.Part]:
         """The rows of this process' members, joined along time for a few chunks at once: memory has no copy of all."""
-        members, across = self._layout.local_members, _SLAB * int(self._writer.attributes["member_chunk"])
+        members, across = self._layout.local_members, SLAB * int(self._writer.attributes["member_chunk"])
         slabs = [members[k : k + across] for k in range(0, len(members), across)]
         blocks = [[leaves_by_name(state) | info._asdict() for info, state in saved] for saved, _ in pending]
         for name in blocks[0][0]:

@@ -60,11 +60,15 @@ def run(
     _check_size(scenario, out)
     leader = jax.process_index() == 0
     mesh = ensemble.first_devices(devices)
-    step, states = kind.build(scenario)
+    makes_own = scenarios.step_axis(scenario) is None  # a part makes the states of its own members only
+    if makes_own:
+        step, states = scenarios.build_first(scenario, 1), partial(scenarios.states_of, scenario)
+    else:
+        step, states = kind.build(scenario)
     if leader:
         print(info.headline(scenario, step), flush=True)
         needed = ensemble.peak_memory(
-            states,
+            scenarios.shapes_of_states(scenario) if makes_own else states,
             _entries(scenario),
             store=out if out.suffix == ".zarr" else None,
             part=part,
@@ -74,6 +78,7 @@ def run(
             print(f"  about {_checks.spoken_size(needed)} of memory", flush=True)
     kept = {"save_every": scenario.save_every} if scenario.save_at is None else {"save_at": scenario.save_at}
     kept["step_axis"] = scenarios.step_axis(scenario)
+    kept["members"] = scenario.members if makes_own else None
     integrate = partial(ensemble.run, step, states, **scenario.clock(), mesh=mesh, resume=resume, part=part, **kept)
     if out.suffix == ".zarr":
         description = {"title": scenario.title, "seed": scenario.seed, "scenario": scenario.model_dump()}
