@@ -94,7 +94,7 @@ def run(
         mesh: devices, a `jax.sharding.Mesh` of the one axis "members"; None uses all. Machine code uses as many threads
             as the mesh has devices of this process, by default one per core.
         store: a folder NAME.zarr, a URL (s3://, gs://, az:// or memory://BUCKET/NAME.zarr), or `StoreOptions`, to which
-            results are written during the run; memory then holds a few copies of one chunk of them: see `peak_memory`.
+            results are written during the run; memory then holds two rows of chunks of them: see `peak_memory`.
             Credentials for a URL are those in the environment.
         progress: show a progress bar on stderr, if that is a terminal.
         resume: continue the run in `store` from its last checkpoint; start it if there is no store.
