@@ -12,10 +12,11 @@ from scipy.special import erfinv
 from stores import assert_same
 
 import lieint_jax as li
-from lieint_jax import ensemble
+from lieint_jax import _checks, ensemble
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli
+from lieint_jax.app.command import run as run_command
 from lieint_jax.app.scenarios import rigid_body
 from lieint_jax.ensemble import _made_states, _parts, _store_output
 
@@ -197,6 +198,14 @@ def test_the_command_line_makes_the_states_of_a_part_only(tmp_path, monkeypatch,
         made = {int(numbers[0]) for numbers in asked if numbers is not None}  # the first block, the part's own
         assert made == ({0, 8, 16} if k == 0 else {0, 16, 24, 32})
     assert_same(ensemble.open("parts.zarr")[0], ensemble.open("whole.zarr")[0])
+
+
+def test_a_part_is_refused_if_its_own_members_do_not_fit_the_memory(monkeypatch):
+    monkeypatch.setattr(_checks, "memory_of_machine", lambda: 1e9)
+    scenario = scenarios.load("toutatis", members=10**9)
+    run_command._check_size(scenario, Path("x.zarr"), 1000)
+    with pytest.raises(ValueError, match=r"would hold 6.5 GB in memory: .*; give fewer members$"):
+        run_command._check_size(scenario, Path("x.zarr"), 10)
 
 
 def test_a_store_needs_the_memory_of_two_buffers_of_rows(tmp_path, monkeypatch):

@@ -57,10 +57,10 @@ def run(
         file = Path(Path(name).stem).with_suffix(".zarr" if resume else ".npz")
         out = file if resume else files.unused(file, lambda path: files.pictures(path, drawings))
     out = files.free(out, drawings, resume)
-    _check_size(scenario, out)
+    makes_own = scenarios.step_axis(scenario) is None  # a part makes the states of its own members only
+    _check_size(scenario, out, part[1] if part is not None and makes_own else 1)
     leader = jax.process_index() == 0
     mesh = ensemble.first_devices(devices)
-    makes_own = scenarios.step_axis(scenario) is None  # a part makes the states of its own members only
     if makes_own:
         step, states = scenarios.build_first(scenario, 1), partial(scenarios.states_of, scenario)
     else:
@@ -129,12 +129,18 @@ def _entries(scenario: Common) -> int:
     return (scenario.steps // scenario.save_every if scenario.save_at is None else len(scenario.save_at)) + 1
 
 
-def _check_size(scenario: Common, out: Address) -> None:
-    """ValueError if a large run has more bytes than this machine's memory, before its members are made."""
-    entries = _entries(scenario)
-    if scenario.members * entries < _LARGE:
+def _check_size(scenario: Common, out: Address, parts: int) -> None:
+    """ValueError if a large run has more bytes than this machine's memory, before its members are made.
+
+    Args:
+        scenario: the run.
+        out: where results are written.
+        parts: the number of parts of which this process makes one.
+    """
+    entries, members = _entries(scenario), -(-scenario.members // parts)
+    if members * entries < _LARGE:
         return
     state = scenarios.build(scenario.model_copy(update={"members": 1}))[1]
-    size, stored = scenario.members * _checks.entry_size(state), out.suffix == ".zarr"
+    size, stored = members * _checks.entry_size(state), out.suffix == ".zarr"
     less = "" if stored else ", a larger save_every or --out NAME.zarr"
     _checks.fits_memory(1 if stored else entries, size, f"give fewer members{less}")
