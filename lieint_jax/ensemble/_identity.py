@@ -50,7 +50,8 @@ def description(job: Job, engine: str, scenario: object = None) -> Table:
         "system": type(job.step.system).__name__,
         "functions and options of the step": _digest_or_reason(structure),
         "numbers of the step": _digest_of_arrays(*leaves),
-        "initial states": _digest_of_arrays(*_with_names(job.initial)),
+        "initial states": digest_of_states(job.initial) if job.make_states is None else None,
+        "function of states": None if job.make_states is None else _digest_or_reason(job.make_states),
         "members": job.members,
         "dt": job.dt,
         "num_steps": job.planned_steps,
@@ -62,7 +63,7 @@ def description(job: Job, engine: str, scenario: object = None) -> Table:
         "function of reduce": None if job.reduction is None else _digest_or_reason(job.reduction),
         "dtype": str(job.dtype),
         "versions": {"lieint_jax": __version__, "jax": jax.__version__, "jaxlib": version("jaxlib")}
-        | _python(structure, job.reduction),
+        | _python(structure, job.reduction, job.make_states),
         "engine": engine,
         "compiler_options": compiler_options() if engine == "xla" else {},
         "XLA_FLAGS": " ".join(flags),
@@ -159,6 +160,11 @@ def _python(*values: object) -> dict[str, str]:
     return {"python": found} if found else {}
 
 
+def digest_of_states(states: State) -> str:
+    """The digest of the arrays of states."""
+    return _digest_of_arrays(*_with_names(states))
+
+
 def _with_names(states: State) -> list[ArrayLike | bytes]:
     """The arrays of states: q and p first, then each optional array after its name."""
     q, p, *rest = leaves_by_name(states).items()
@@ -170,5 +176,5 @@ def _digest_of_arrays(*leaves: ArrayLike | bytes) -> str:
     for leaf in leaves:
         array = np.frombuffer(leaf, np.uint8) if isinstance(leaf, bytes) else np.asarray(leaf)
         found.update(f"{array.dtype}{array.shape}".encode())
-        found.update(np.ascontiguousarray(array).tobytes())
+        found.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
     return found.hexdigest()[:16]

@@ -12,6 +12,7 @@ from lieint_jax.ensemble import _layout
 from lieint_jax.ensemble._dyadic_sum import block_sums, blocks, total
 from lieint_jax.ensemble._layout import Layout, Numbers
 from lieint_jax.ensemble._loop import Carry, Range, Reduction, Saved
+from lieint_jax.ensemble._made_states import MakeStates
 from lieint_jax.ensemble._store import shared_time
 from lieint_jax.types import State, Step, Trajectory
 
@@ -63,6 +64,8 @@ class Job(NamedTuple):
         step_axis: None or 0.
         reduction: the quantity to reduce, or None.
         part: the members of the run to which this job is restricted, one of its parts; None if it is the whole run.
+        make_states: the function that makes the states of each part; `states` of the whole run are those of its first
+            member, repeated. None if `states` are those of all members.
     """
 
     step: Step
@@ -78,6 +81,16 @@ class Job(NamedTuple):
     step_axis: int | None
     reduction: Reduction | None
     part: range | None = None
+    make_states: MakeStates | None = None
+
+    def repeated(self, members: int, make_states: MakeStates) -> Job:
+        """The job of a run of so many members, which describes its arrays, from that of the first of them."""
+
+        def repeat(x: Numbers) -> np.ndarray:
+            return np.broadcast_to(np.asarray(x)[:1], (members, *x.shape[1:]))  # a view that needs no memory
+
+        t0 = self.t0 if self.t0 is None or self.shares_time else repeat(self.t0)
+        return self._replace(states=jax.tree.map(repeat, self.states), t0=t0, make_states=make_states)
 
     def restricted(self, members: range) -> Job:
         """The job of these members only."""
@@ -121,11 +134,11 @@ class Job(NamedTuple):
         """True if the states have a time, the same for all members."""
         return self.t0 is not None and not np.ndim(self.t0)
 
-    def state_times(self, entries: slice = slice(None)) -> np.ndarray:
-        """The time of each member at these entries, shape (entries, members), where the states have a time."""
+    def state_times(self, entries: slice = slice(None), members: slice = slice(None)) -> np.ndarray:
+        """The times of these members at these entries, (entries, members), where the states have a time."""
         if self.t0 is None or self.shares_time:
-            return shared_time(self.times[entries], self.members)
-        return np.asarray(self.t0) + self.times[entries, None]
+            return shared_time(self.times[entries], self.members)[:, members]
+        return np.asarray(self.t0)[members] + self.times[entries, None]
 
     def with_times(self, states: State) -> State:
         """The states of all entries with their time."""
@@ -237,8 +250,13 @@ def rows_of_call(across: int, members: int, row: int, interval: int, entries: in
 
 
 def local_rows(saved: list[Saved], number: int) -> list[Saved]:
-    """The first `number` saved rows of each block, copied to the host."""
-    return jax.tree.map(lambda x: np.array(np.asarray(x)[:number]), saved)
+    """The first `number` saved rows of each block on the host; only a part of a longer buffer is copied."""
+
+    def first_rows(x: Numbers) -> np.ndarray:
+        x = np.asarray(x)
+        return x if len(x) == number else x[:number].copy()
+
+    return jax.tree.map(first_rows, saved)
 
 
 def gather_rows(layout: Layout, saved: list[Saved], number: int) -> Saved:

@@ -80,11 +80,17 @@ def join(storage: Storage, root: PartsRoot, files: Mapping[str, bytes]) -> None:
 
 
 class PartWriter(BackgroundWriter):
-    """Part k of a store, open for writing: the interface of `_store.Writer` for one process and its own members."""
+    """Part k of a store, open for writing: the interface of `_store.Writer` for one process and its own members.
 
-    def __init__(self, root: PartsRoot, k: int) -> None:
+    Args:
+        root: the root of the store.
+        k: which part.
+        initial: the digest of the initial states of its members.
+    """
+
+    def __init__(self, root: PartsRoot, k: int, initial: str = "") -> None:
         super().__init__(root.storage.address)
-        self._root, self._k = root, k
+        self._root, self._k, self._initial = root, k, initial
         self._members = root.split.part(k)
         self._store = writable_arrays(root.storage)
         self._arrays: dict[str, Any] = {}
@@ -96,9 +102,10 @@ class PartWriter(BackgroundWriter):
                 f"part {k} of {self.path} is damaged and cannot be resumed: {error}. Remove {root.state_file(k)}, and "
                 "the part starts anew"
             ) from None
-        self._state = found or PartState(START, {})
+        self._state = found or PartState(START, {}, initial)
         if found is not None:
             self._refuse_damage(found)
+            self._refuse_other_states(found)
 
     def _refuse_damage(self, state: PartState) -> None:
         lost = next(self._root.damage(self._k, state), None)
@@ -106,6 +113,14 @@ class PartWriter(BackgroundWriter):
             raise ValueError(
                 f"part {self._k} of {self.path} is damaged: {lost}. Restore the file from a copy, or remove "
                 f"{self._root.state_file(self._k)}, and the part starts anew"
+            )
+
+    def _refuse_other_states(self, state: PartState) -> None:
+        if state.initial != self._initial:
+            raise ValueError(
+                f"part {self._k} of {self.path} began with other initial states than those given now, and cannot be "
+                "resumed: the function of states must return the same for the same numbers whenever it is called. "
+                f"Remove {self._root.state_file(self._k)}, and the part starts anew"
             )
 
     @property
@@ -144,6 +159,8 @@ class PartWriter(BackgroundWriter):
                 carry[part.name] = part.values[0]
             elif part.name not in self._root.constants:
                 waiting += self._put_slab(part)
+            if len(waiting) > REQUESTS:  # slabs that wait are in memory
+                waiting.pop(0).result()
         for future in waiting:
             future.result()
         self._replace_state(carry, commit)
@@ -185,9 +202,9 @@ class PartWriter(BackgroundWriter):
             arrays[ENDS] = np.array([written[file] for file in self._root.files(self._k)], np.uint32)
         else:
             arrays |= carry
-        state = PartState(commit.progress, arrays)
+        state = PartState(commit.progress, arrays, self._initial)
         self._root.storage.put(self._root.state_file(self._k), state.encode(self._root.place(self._k)))
-        self._state = state
+        self._state = state._replace(arrays={name: x for name, x in arrays.items() if name == ROWS})
         written.clear()
 
 
@@ -198,10 +215,10 @@ def _slices(at: tuple[int, ...], shape: tuple[int, ...]) -> tuple[slice, ...]:
 
 
 @contextlib.contextmanager
-def open_part(root: PartsRoot, k: int) -> Iterator[PartWriter]:
+def open_part(root: PartsRoot, k: int, initial: str = "") -> Iterator[PartWriter]:
     """A `PartWriter`, closed at the end."""
     with root.storage.lock(f"parts/{k}"):
-        writer = PartWriter(root, k)
+        writer = PartWriter(root, k, initial)
         try:
             yield writer
         finally:

@@ -76,19 +76,25 @@ class PartState(NamedTuple):
     Attributes:
         progress: its commits, entries along time, steps, and whether it is complete.
         arrays: the checksums of its files, and the carry of an incomplete part by name.
+        initial: the digest of the initial states of its members.
     """
 
     progress: Table
     arrays: dict[str, np.ndarray]
+    initial: str = ""
 
     def encode(self, place: Table) -> bytes:
         """The bytes of a state: a line of JSON, the arrays, and a digest; `place` is its part and its run."""
         arrays = {name: np.ascontiguousarray(x) for name, x in sorted(self.arrays.items())}
         shapes = {name: [x.dtype.newbyteorder("<").str, x.shape] for name, x in arrays.items()}
-        header = json.dumps({**place, "progress": self.progress, "arrays": shapes}, sort_keys=True)
-        body = [x.astype(x.dtype.newbyteorder("<")).tobytes() for x in arrays.values()]
-        data = b"".join([header.encode(), b"\n", *body])
-        return data + hashlib.sha256(data).digest()
+        described = {"initial states": self.initial, "progress": self.progress, "arrays": shapes}
+        header = json.dumps({**place, **described}, sort_keys=True)
+        little = [x.astype(x.dtype.newbyteorder("<"), copy=False) for x in arrays.values()]
+        parts = [header.encode(), b"\n", *(x.reshape(-1).view(np.uint8).data for x in little)]
+        digest = hashlib.sha256()
+        for part in parts:
+            digest.update(part)
+        return b"".join([*parts, digest.digest()])
 
 
 class UnusablePartError(ValueError):
@@ -101,22 +107,22 @@ def decode_state(data: bytes, place: Table) -> PartState:
     Raises:
         UnusablePartError: damaged, or the state of another part or run.
     """
-    content, digest = data[:-_DIGEST], data[-_DIGEST:]
+    content, digest = memoryview(data)[:-_DIGEST], data[-_DIGEST:]
     if hashlib.sha256(content).digest() != digest:
         raise UnusablePartError("its state is altered or cut off")
-    line, _, body = content.partition(b"\n")
-    if len(line) > _MAX_HEADER:
+    end = data.find(b"\n", 0, _MAX_HEADER)
+    if end < 0:
         raise UnusablePartError("its state has too long a header")
-    header, arrays, begin = json.loads(line), {}, 0
+    header, arrays, begin = json.loads(data[:end]), {}, end + 1
     for key, name in (("run", "run"), ("part", "part")):
         if header[key] != place[key]:
             raise UnusablePartError(f"its state is that of another {name}: the files were copied from elsewhere")
     for name, (kind, shape) in header["arrays"].items():
         dtype = np.dtype(kind)
         size = math.prod(shape) * dtype.itemsize
-        arrays[name] = np.frombuffer(body[begin : begin + size], dtype).reshape(shape)
+        arrays[name] = np.frombuffer(content[begin : begin + size], dtype).reshape(shape)
         begin += size
-    return PartState(header["progress"], arrays)
+    return PartState(header["progress"], arrays, header["initial states"])
 
 
 class PartStatus(NamedTuple):

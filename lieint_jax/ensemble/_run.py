@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import time
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,6 +34,7 @@ from lieint_jax.ensemble._engine import Engine, engine_of
 from lieint_jax.ensemble._job import Job, Output, Summary, first_entry, gather_rows, reduce_rows
 from lieint_jax.ensemble._layout import Layout
 from lieint_jax.ensemble._loop import Carry, Reduction, Saved, energy
+from lieint_jax.ensemble._made_states import MadeStates, MakeStates, made_states
 from lieint_jax.ensemble._part_of_task import checked_part, part_of_task
 from lieint_jax.ensemble._progress import Bar, CallLength, Interrupts
 from lieint_jax.ensemble._storage import Url, address
@@ -50,7 +52,7 @@ _SCALARS = ("t", "work")  # the leaves of states that are scalars for each membe
 @old_calls()
 def run(
     step: Step,
-    states: State,
+    states: State | MakeStates,
     dt: float | None = None,
     num_steps: int | None = None,
     *,
@@ -64,6 +66,7 @@ def run(
     times: ArrayLike | None = None,
     save_at: ArrayLike | None = None,
     part: tuple[int, int] | Literal["auto"] | None = None,
+    members: int | None = None,
 ) -> Any:
     """Integrate a batch of initial states in one compiled loop, in memory or into a store that can be resumed.
 
@@ -77,7 +80,10 @@ def run(
         step: a scheme's step; with `step_axis=0` its leaves carry the member axis too (one inertia per member).
         states: initial states with a leading member axis. A time t of shape () is shared by all members, and so is one
             of shape (members,) whose values are equal: then what depends on it alone, such as the position on an orbit,
-            is computed once per step. `work` of shape () is that of every member.
+            is computed once per step. `work` of shape () is that of every member. Or a function of member numbers (m,),
+            which returns the states of these members: then a part makes only its own. It is called for consecutive
+            numbers, up to 65 536 at once, must return the same for the same numbers in every process, and shares a time
+            only by one of shape ().
         dt: step size, the same for all members.
         num_steps: number of steps, a multiple of `save_every`.
         save_every: number of steps between saved states; None saves the last state only.
@@ -88,7 +94,7 @@ def run(
         mesh: devices, a `jax.sharding.Mesh` of the one axis "members"; None uses all. Machine code uses as many threads
             as the mesh has devices of this process, by default one per core.
         store: a folder NAME.zarr, a URL (s3://, gs://, az:// or memory://BUCKET/NAME.zarr), or `StoreOptions`, to which
-            results are written during the run; memory then holds a few copies of one chunk of them: see `peak_memory`.
+            results are written during the run; memory then holds two rows of chunks of them: see `peak_memory`.
             Credentials for a URL are those in the environment.
         progress: show a progress bar on stderr, if that is a terminal.
         resume: continue the run in `store` from its last checkpoint; start it if there is no store.
@@ -100,6 +106,7 @@ def run(
             same time or know of each other. Each writes its own part of `store`; it continues this part, if the store
             has it, and starts it otherwise. "auto" is the number of this task in an array of tasks: see
             `part_of_task`. All parts have the bits of one process.
+        members: the number of members, where `states` is a function.
 
     Returns:
         A `Trajectory` of numpy arrays, axes (time, member, …), the initial states first; with `store`, of Zarr arrays,
@@ -131,15 +138,33 @@ def run(
     k, count = part_of_task() if part == "auto" else checked_part(part)
     threads = None if mesh is None else len(mesh.local_devices)
     mesh = _layout.checked_mesh(mesh)
-    with _checks.on_host():
-        job = _make_job(step, states, dt, num_steps, save_every, step_axis, reduce, store, times, save_at)
     options = store if isinstance(store, StoreOptions) or store is None else StoreOptions(store)
     in_parts, remote = part is not None and count > 1, options is not None and isinstance(address(options.path), Url)
     if (in_parts or remote) and _layout.count_processes(mesh) > 1:
         raise ValueError("part and stores in object storage are for independent processes, without jax.distributed")
-    whole, split = job, split_into_parts(job, count, remote)
-    if in_parts:
-        job = job.restricted(split.part(k))
+    made = made_states(states, members)
+    make_job = partial(
+        _make_job,
+        dt=dt,
+        num_steps=num_steps,
+        save_every=save_every,
+        step_axis=step_axis,
+        reduce=reduce,
+        store=store,
+        times=times,
+        save_at=save_at,
+    )
+    with _checks.on_host():
+        if made is None:
+            whole = make_job(step, states)  # pyright: ignore[reportArgumentType]
+        elif in_parts:
+            whole = _describe_whole(make_job, step, made)
+        else:
+            whole = _make_members(make_job, step, made, range(made.members))
+        split, job = split_into_parts(whole, count, remote), whole
+        if in_parts:
+            own = split.part(k)
+            job = whole.restricted(own) if made is None else _make_members(make_job, step, made, own)._replace(part=own)
     engine = engine_of(job, mesh)
     place = _layout.Place(mesh, threads or _layout.count_cores(), engine.whole)
 
@@ -158,6 +183,21 @@ def run(
         return run_into_store(engine, place, options, resume or part is not None, integrate)
 
 
+def _make_members(make_job: partial[Job], step: Step, made: MadeStates, members: range) -> Job:
+    """The job of members whose states a function makes."""
+    own = slice(members.start, members.stop)
+    if make_job.keywords["step_axis"] is not None:
+        step = jax.tree.map(lambda leaf: leaf[own], step)
+    return make_job(step, made.of(members), made=members)
+
+
+def _describe_whole(make_job: partial[Job], step: Step, made: MadeStates) -> Job:
+    """The description of a run in parts whose states a function makes; only the first member's are made."""
+    first = _make_members(make_job, step, made, range(1))
+    step, _, _ = promoted(checked_step(step), first.initial)
+    return first.repeated(made.members, made.function)._replace(step=step)
+
+
 def _make_job(
     step: Step,
     states: State,
@@ -169,10 +209,12 @@ def _make_job(
     store: str | Path | StoreOptions | None,
     times: ArrayLike | None,
     save_at: ArrayLike | None,
+    made: range | None = None,
 ) -> Job:
-    """The checked description of a run from the arguments of `run`."""
+    """The checked description of a run from the arguments of `run`; `made` are the members that a function has made."""
+    first = 0 if made is None else made.start
     step, states, dtype = promoted(checked_step(step), states)
-    states, t0 = _split_time(step, states)
+    states, t0 = _split_time(step, states, first, merge=made is None)
     reduction = energy if reduce == "energy" else reduce
     clock, planned_steps = _make_clock(step, states, t0, dtype, dt, num_steps, times)
     if save_at is None:
@@ -185,7 +227,7 @@ def _make_job(
         entries = _entries_at_times(save_at, clock, planned_steps, dtype)
         _check_size(states, len(entries[0]), reduction, store)
     job = Job(step, states, t0, None if dt is None else float(dt), clock, planned_steps, *entries, step_axis, reduction)
-    _check_job(job)
+    _check_job(job, first)
     _check_reduction(job)
     _checks.time_resolution(t0, job.first_dt, planned_steps)
     return job
@@ -219,6 +261,7 @@ def _integrate(engine: Engine, layout: Layout, output: Output, progress: bool) -
             done, saved = done + steps, saved + saves
             if saves:
                 output.append(rows, saves)
+            del rows  # while the next call computes others
             bar.update(steps)
             loop.show_progress(carry, done, bar)
             stop = length.measure(steps, time.perf_counter() - clock, interrupts.requested)
@@ -381,10 +424,16 @@ class MemoryOutput:
         return Summary(self._job.times, **series, state=self._job.with_last_time(state), failed=failed)
 
 
-def _split_time(step: Step, states: State) -> tuple[State, _layout.Numbers | None]:
+def _split_time(step: Step, states: State, first: int = 0, merge: bool = True) -> tuple[State, _layout.Numbers | None]:
     """The checked states without their time, with the member axis on every leaf, and their time: a scalar if shared.
 
     If the step has a time of its own, it stays in the states, one for each member.
+
+    Args:
+        step: the step.
+        states: the states.
+        first: the number of the first of these members, for messages.
+        merge: whether equal times of all members are a shared one. Those of a part do not show whether all are equal.
     """
     shapes = {name: np.shape(x) for name, x in leaves_by_name(states).items()}
     for key in states.extra or {}:
@@ -399,7 +448,7 @@ def _split_time(step: Step, states: State) -> tuple[State, _layout.Numbers | Non
     for name, x in leaves_by_name(states).items():
         bad = np.flatnonzero(~np.isfinite(np.asarray(x)).reshape(len(x) if x.ndim else 1, -1).all(axis=1))
         if bad.size:
-            where = f", and is not finite for {_list_members(bad)}" if x.ndim else f", got {x}"
+            where = f", and is not finite for {_list_members(bad + first)}" if x.ndim else f", got {x}"
             raise ValueError(f"states.{_python_name(name)} must be finite{where}")
     states = jax.tree.map(np.asarray, states)
     t, work = states.t, states.work
@@ -407,20 +456,20 @@ def _split_time(step: Step, states: State) -> tuple[State, _layout.Numbers | Non
         work = np.broadcast_to(work, (members,))
     if step.own_time and t is not None:
         return states._replace(t=np.broadcast_to(t, (members,)), work=work), None  # pyright: ignore
-    if t is not None and t.ndim and np.all(t == t[0]):
+    if merge and t is not None and t.ndim and np.all(t == t[0]):
         t = t[0]
     return states._replace(t=None, work=work), t
 
 
-def _check_job(job: Job) -> None:
+def _check_job(job: Job, first: int) -> None:
     step, state = job.member(0)
     member_axis(job.step.system, state, job.members, job.step_axis, "step_axis")
     defect = np.abs(np.asarray(_defects(job.step.system.phase_space, job.states)))
     bad = np.flatnonzero(defect > 2 * _checks.UNIT_TOLERANCE)  # |q|² − 1 is twice the error of |q|
     if bad.size:
         raise ValueError(
-            f"states.q is off the configuration space by more than {_checks.UNIT_TOLERANCE:g}: {_list_members(bad)} "
-            f"(worst defect {defect.max():.3g}); make states with system.state(...)"
+            f"states.q is off the configuration space by more than {_checks.UNIT_TOLERANCE:g}: "
+            f"{_list_members(bad + first)} (worst defect {defect.max():.3g}); make states with system.state(...)"
         )
     step.system.check(state)  # the shapes, and the time of a driven system, are the same for all members
 

@@ -6,7 +6,7 @@ import contextlib
 import json
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -50,6 +50,7 @@ _OWN = {
     "parts",
     "missing",
 }  # further attributes of every store
+SLAB = 8  # chunks of members that are joined along time, and written, at once
 _CHECKPOINT_EVERY = 30.0  # seconds between checkpoints within a long save interval
 
 
@@ -169,7 +170,7 @@ def run_part_into_store(
     root = _same_run(storage, found, described, split)
     join(storage, root, files)
     layout = _layout.layout_of(place, engine.job.members, alone=whole.members == 1)
-    with open_part(root, k) as writer:
+    with open_part(root, k, _identity.digest_of_states(engine.job.initial)) as writer:
         if not writer.progress["complete"]:
             integrate(layout, StoreOutput(engine.job, layout, writer))
     return read_part(root, k)
@@ -282,7 +283,7 @@ class StoreOutput:
     def begin(self, carry: list[Carry]) -> None:
         """Receive the entry of the start."""
         if self._job.reduction is None:
-            self._pending.append(([jax.tree.map(lambda x: np.array(x)[None], (c.info, c.state)) for c in carry], 1))
+            self._pending.append(([jax.tree.map(lambda x: np.asarray(x)[None], (c.info, c.state)) for c in carry], 1))
         else:
             self._pending.append((first_entry(self._job), 1))
 
@@ -341,43 +342,48 @@ class StoreOutput:
             if last:
                 kept = {"first_failure": host["failed"]}
                 if series:
-                    kept |= {name: host[name] for name in leaves_by_name(self._job.states)} | self._own_times(
-                        slice(-1, None), 0
-                    )
+                    kept |= {name: host[name] for name in leaves_by_name(self._job.states)}
+                    if self._has_own_times:
+                        kept["t"] = self._own_times(slice(-1, None), layout.local_members)[0]
                 for name, x in kept.items():
                     yield part(store_name(name), (mine,), x)
         if jax.process_index() == 0:
             yield part("checkpoint/commit", (slot,), np.array([commit]))
         if not pending:
             return
-        if series:
-            rows: dict[str, np.ndarray] = {
-                name: np.concatenate([values[name] for values, _ in pending]) for name in pending[0][0]
-            }
-        else:
-            rows = self._rows(pending) | self._own_times(slice(first, first + sum(number for _, number in pending)))
+        end = first + sum(number for _, number in pending)
         if jax.process_index() == 0:
-            end = first + len(next(iter(rows.values())))
             yield part("time", (first,), self._job.times[first:end])
-        if jax.process_index() == 0 or not series:
-            for name, x in rows.items():
-                yield part(store_name(name), (first,) if series else (first, mine), x)
+        if not series:
+            yield from self._slabs(pending, slice(first, end))
+        elif jax.process_index() == 0:
+            for name in pending[0][0]:
+                yield part(name, (first,), np.concatenate([values[name] for values, _ in pending]))
 
-    def _rows(self, pending: list[tuple[Pending, int]]) -> dict[str, np.ndarray]:
-        joined: dict[str, list[np.ndarray]] = {}
-        for saved, _ in pending:
-            blocks = [leaves_by_name(state) | info._asdict() for info, state in saved]
-            for name in blocks[0]:
-                parts = [block[name] for block in blocks]
-                joined.setdefault(name, []).append(_layout.local_part(self._layout, parts, 1))
-        return {name: np.concatenate(parts) if len(parts) > 1 else parts[0] for name, parts in joined.items()}
+    def _slabs(self, pending: list[tuple[Pending, int]], entries: slice) -> Iterator[_store.Part]:
+        """The rows of this process' members, joined along time for a few chunks at once: memory has no copy of all."""
+        members, across = self._layout.local_members, SLAB * int(self._writer.attributes["member_chunk"])
+        slabs = [members[k : k + across] for k in range(0, len(members), across)]
+        blocks = [[leaves_by_name(state) | info._asdict() for info, state in saved] for saved, _ in pending]
+        for name in blocks[0][0]:
+            pieces = [_layout.local_part(self._layout, [block[name] for block in saved], 1) for saved in blocks]
+            for slab in slabs:
+                own = slice(slab.start - members.start, slab.stop - members.start)
+                rows = [piece[:, own] for piece in pieces]
+                joined = np.concatenate(rows) if len(rows) > 1 else rows[0]
+                yield _store.Part(store_name(name), (entries.start, slab.start), joined)
+        if self._has_own_times:
+            for slab in slabs:
+                yield _store.Part("t", (entries.start, slab.start), self._own_times(entries, slab))
 
-    def _own_times(self, entries: slice, *index: int) -> dict[str, np.ndarray]:
-        """The array "t" of this process' members, if each member has times of its own."""
-        if self._job.t0 is None or self._job.shares_time:
-            return {}
-        mine = self._layout.local_members
-        return {"t": self._job.state_times(entries)[:, mine.start : mine.stop][*index]}
+    @property
+    def _has_own_times(self) -> bool:
+        """True if the store has an array "t", since members start at different times."""
+        return self._job.t0 is not None and not self._job.shares_time
+
+    def _own_times(self, entries: slice, members: range) -> np.ndarray:
+        """The values of the array "t" for these members."""
+        return self._job.state_times(entries, slice(members.start, members.stop))
 
     def can_stop(self) -> bool:
         """True if everything so far is committed."""

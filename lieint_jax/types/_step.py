@@ -230,7 +230,7 @@ def promoted(step: _T, state: State) -> tuple[_T, State, np.dtype]:
     dtype = jnp.result_type(*jax.tree.leaves(found), *numbers)
     if any(x.dtype != dtype for x in numbers):
         step = jax.tree.map(lambda x: jnp.asarray(x, dtype) if _is_real(x) else x, step)
-    return step, State(**jax.tree.map(lambda leaf: leaf.astype(dtype), found)), dtype
+    return step, State(**jax.tree.map(lambda x: x if x.dtype == dtype else x.astype(dtype), found)), dtype
 
 
 def start_time(step: Step, state: State) -> Time | None:

@@ -9,28 +9,13 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+import scenario_files
 from documents import blocks
 
 from lieint_jax import ensemble
 from lieint_jax.app.command import cli, info
 
 PAGE = (Path(__file__).parents[2] / "docs/pages/howto/arrays.md").read_text(encoding="utf-8")
-SCENARIO = """
-title = "a book"
-system = "rigid_body"
-inertia = [1.0, 2.0, 3.0]
-time_unit = "s"
-dt = 0.1
-steps = 400
-save_every = 100
-members = 12
-seed = 1
-[state]
-quaternion = [1.0, 0.0, 0.0, 0.0]
-angular_velocity_rad = [0.01, 1.0, 0.0]
-[spread]
-angular_velocity_deg = 5.0
-"""
 
 
 def code(language, mark):
@@ -41,7 +26,7 @@ def code(language, mark):
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("my.toml").write_text(SCENARIO)
+    Path("my.toml").write_text(scenario_files.book())
     return tmp_path
 
 

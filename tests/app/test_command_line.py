@@ -4,10 +4,12 @@ import json
 import os
 import re
 import typing
+from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
+import scenario_files
 
 from lieint_jax import _discover, schemes, systems
 from lieint_jax.app import scenarios
@@ -22,30 +24,10 @@ def in_a_fresh_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-SCENARIO = """
-title = "a book"
-system = "rigid_body"
-inertia = [1.0, 2.0, 3.0]
-scheme = "so3_midpoint"
-dt = 0.1
-steps = 100
-save_every = 10
-members = 4
-seed = 1
-[state]
-quaternion = [1.0, 0.0, 0.0, 0.0]
-angular_velocity_rad = [0.01, 1.0, 0.0]
-[spread]
-angular_velocity_deg = 1.0
-"""
-
-
 def book(**changes):
-    text = SCENARIO
-    for key, line in changes.items():
-        text = re.sub(rf"(?m)^{key} = .*$", line, text)
-    with open("book.toml", "w") as file:
-        file.write(text)
+    """Write the scenario of a few short runs, with these lines in place of its own, and return the file's name."""
+    short = dict(steps="steps = 100", save_every="save_every = 10", members="members = 4")
+    Path("book.toml").write_text(scenario_files.book(**short | changes))
     return "book.toml"
 
 

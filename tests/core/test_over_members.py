@@ -1,7 +1,6 @@
 """Gradients and fits over members, split over devices and over processes."""
 
 import json
-import socket
 import subprocess
 import sys
 
@@ -10,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.sharding import Mesh
+from ports import free_port
 
 import lieint_jax as li
 
@@ -67,9 +67,7 @@ def worked(*places):
 
 @pytest.mark.long
 def test_devices_and_processes_give_what_one_device_gives():
-    with socket.socket() as free:
-        free.bind(("localhost", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     [one], [two] = worked((1, 0, 0)), worked((2, 0, 0))
     apart = worked((1, port, 0), (1, port, 1))
     assert [found["devices"] for found in (one, two, *apart)] == [1, 2, 2, 2]

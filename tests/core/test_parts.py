@@ -23,6 +23,9 @@ import jax.numpy as jnp
 import killed
 import numpy as np
 import pytest
+import scenario_files
+import stores
+from stores import Crash, assert_same
 
 import lieint_jax as li
 from lieint_jax import ensemble
@@ -49,20 +52,13 @@ def run(store=None, part=None, step=STEP, states=STATES, **options):
 @pytest.fixture(autouse=True)
 def small_chunks(monkeypatch):
     """Commits after every 4 saves, so that a short run has many."""
-    monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: 4)
-    monkeypatch.setattr(_job.Job, "bucket_rows", lambda self, across: 4)
+    stores.commit_every(monkeypatch, 4)
 
 
 @pytest.fixture(params=PLACES)
 def place(request, tmp_path):
     """The address of a new store."""
     return tmp_path / "run.zarr" if request.param == "disk" else f"memory://tests{tmp_path}/run.zarr"
-
-
-def assert_same(a, b):
-    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
-        assert x.dtype == y.dtype
-        np.testing.assert_array_equal(x[...], y[...])
 
 
 def opened(store):
@@ -179,10 +175,6 @@ def test_published_arrays_have_the_indexing_of_numpy(place):
         np.testing.assert_array_equal(q[index], full[index])
     for index in (points, ([5, 1],), (slice(None), [40, 0, 13]), (slice(3, 3),), (4, full[0, :, 0] > 0), (0, -1, 2)):
         np.testing.assert_array_equal(q[index], full[index])
-
-
-class Crash(BaseException):
-    """As if the process ended here."""
 
 
 class Mortal:
@@ -412,27 +404,9 @@ def test_the_part_of_a_task():
             run(part=bad)
 
 
-SCENARIO = """
-title = "a book"
-time_unit = "s"
-seed = 1
-system = "rigid_body"
-inertia = [1.0, 2.0, 3.0]
-dt = 0.1
-steps = 400
-save_every = 100
-members = 10
-[state]
-quaternion = [1.0, 0.0, 0.0, 0.0]
-angular_velocity_rad = [0.01, 1.0, 0.0]
-[spread]
-angular_velocity_deg = 5.0
-"""
-
-
 def test_the_command_line_runs_parts(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    Path("book.toml").write_text(SCENARIO)
+    Path("book.toml").write_text(scenario_files.book(members="members = 10"))
     command = ["run", "book.toml", "--out", "run.zarr", "--part"]
     assert cli.main([*command, "1/2"]) == 0
     assert "part 1 of 2 is complete in run.zarr" in capsys.readouterr().out

@@ -18,8 +18,12 @@ import jax.numpy as jnp
 import killed
 import numpy as np
 import pytest
+import scenario_files
+import stores
 import zarr
 from free_bodies import rows
+from ports import free_port
+from stores import Crash, assert_same
 
 import lieint_jax as li
 from lieint_jax import ensemble
@@ -35,22 +39,6 @@ Q /= np.linalg.norm(Q, axis=1, keepdims=True)
 OMEGA = 0.4 * RNG.normal(size=(40, 3))
 MOMENTA = [np.array(rows(*q)).T @ (J123 * w) for q, w in zip(Q, OMEGA, strict=True)]
 STATES = li.State(jnp.array(Q), jnp.array(np.array(MOMENTA)))
-SCENARIO = """
-title = "a book"
-system = "rigid_body"
-inertia = [1.0, 2.0, 3.0]
-time_unit = "s"
-dt = 0.1
-steps = 800_000
-save_every = 100
-members = 100
-seed = 1
-[state]
-quaternion = [1.0, 0.0, 0.0, 0.0]
-angular_velocity_rad = [0.01, 1.0, 0.0]
-[spread]
-angular_velocity_deg = 5.0
-"""
 
 
 def run(path=None, step=STEP, dt=0.1, num_steps=60, save_every=5, **options):
@@ -60,7 +48,7 @@ def run(path=None, step=STEP, dt=0.1, num_steps=60, save_every=5, **options):
 @pytest.fixture
 def small_chunks(monkeypatch):
     """Commits after every 4 saves, so that a short run has many."""
-    monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across: 4)
+    stores.commit_every(monkeypatch, 4)
 
 
 def same_folders(a, b):
@@ -73,8 +61,7 @@ def same_folders(a, b):
 
 def test_a_store_holds_what_memory_would(tmp_path, small_chunks):
     memory, disk = run(), run(tmp_path / "run.zarr")
-    for a, b in zip(jax.tree.leaves(memory), jax.tree.leaves(disk), strict=True):
-        np.testing.assert_array_equal(a, b[...])
+    assert_same(memory, disk)
     assert not list((tmp_path / "run.zarr").rglob("*.partial"))
     assert not (tmp_path / "run.zarr/checkpoint").exists()
     again, metadata = _store.load(tmp_path / "run.zarr")
@@ -114,10 +101,6 @@ def test_xarray_reads_it(tmp_path, small_chunks):
         np.testing.assert_array_equal(data.time, memory.t)
         assert (data.attrs["dt"], data.attrs["seed"], data.time.attrs["units"]) == (0.1, 3, "d")
         assert data.p.attrs["units"] == "unit of inertia / d"
-
-
-class Crash(BaseException):
-    """As if the process ended here."""
 
 
 FAULTS = {
@@ -578,7 +561,7 @@ def test_an_interrupt_waits_for_the_chunk_and_says_how_to_go_on(tmp_path, monkey
 def book(tmp_path_factory):
     """A scenario of some seconds, and the store of its uninterrupted run."""
     folder = tmp_path_factory.mktemp("book")
-    (folder / "book.toml").write_text(SCENARIO)
+    (folder / "book.toml").write_text(scenario_files.book(steps="steps = 800_000", members="members = 100"))
     assert command(folder, "--out", "whole.zarr").wait() == 0
     return folder
 
@@ -661,14 +644,6 @@ def meet(folder, port, *options, own=((), ())):
     return [command(folder, *options, *own[k], *distributed, str(k), **text) for k in range(2)]
 
 
-def free_port():
-    import socket
-
-    with socket.socket() as s:
-        s.bind(("localhost", 0))
-        return s.getsockname()[1]
-
-
 @pytest.mark.long
 def test_two_processes_are_one(book):
     for process in meet(book, free_port(), "--out", "two.zarr"):
@@ -749,7 +724,7 @@ def test_the_loss_of_a_process_ends_the_other_and_the_store_resumes(book, victim
 
 def test_the_command_line_writes_resumes_and_shows(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "book.toml").write_text(SCENARIO.replace("800_000", "2000"))
+    (tmp_path / "book.toml").write_text(scenario_files.book(steps="steps = 2000", members="members = 100"))
     arguments = ["run", "book.toml", "--out", "run.zarr", "--members", "3"]
     assert cli.main([*arguments, "--devices", "1"]) == 0
     assert "3 of 3 members converged at every step" in capsys.readouterr().out
@@ -776,7 +751,7 @@ def test_the_command_line_writes_resumes_and_shows(tmp_path, monkeypatch, capsys
 @pytest.mark.long
 def test_the_command_line_draws_what_is_in_a_store(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "book.toml").write_text(SCENARIO.replace("800_000", "2000"))
+    (tmp_path / "book.toml").write_text(scenario_files.book(steps="steps = 2000", members="members = 100"))
     assert cli.main(["run", "book.toml", "--out", "run.zarr", "--members", "3"]) == 0
     assert cli.main(["plot", "run.zarr"]) == 0
     assert "precession period" in capsys.readouterr().out

@@ -57,14 +57,18 @@ def run(
         file = Path(Path(name).stem).with_suffix(".zarr" if resume else ".npz")
         out = file if resume else files.unused(file, lambda path: files.pictures(path, drawings))
     out = files.free(out, drawings, resume)
-    _check_size(scenario, out)
+    makes_own = scenarios.step_axis(scenario) is None  # a part makes the states of its own members only
+    _check_size(scenario, out, part[1] if part is not None and makes_own else 1)
     leader = jax.process_index() == 0
     mesh = ensemble.first_devices(devices)
-    step, states = kind.build(scenario)
+    if makes_own:
+        step, states = scenarios.build_first(scenario, 1), partial(scenarios.states_of, scenario)
+    else:
+        step, states = kind.build(scenario)
     if leader:
         print(info.headline(scenario, step), flush=True)
         needed = ensemble.peak_memory(
-            states,
+            scenarios.shapes_of_states(scenario) if makes_own else states,
             _entries(scenario),
             store=out if out.suffix == ".zarr" else None,
             part=part,
@@ -74,6 +78,7 @@ def run(
             print(f"  about {_checks.spoken_size(needed)} of memory", flush=True)
     kept = {"save_every": scenario.save_every} if scenario.save_at is None else {"save_at": scenario.save_at}
     kept["step_axis"] = scenarios.step_axis(scenario)
+    kept["members"] = scenario.members if makes_own else None
     integrate = partial(ensemble.run, step, states, **scenario.clock(), mesh=mesh, resume=resume, part=part, **kept)
     if out.suffix == ".zarr":
         description = {"title": scenario.title, "seed": scenario.seed, "scenario": scenario.model_dump()}
@@ -124,12 +129,18 @@ def _entries(scenario: Common) -> int:
     return (scenario.steps // scenario.save_every if scenario.save_at is None else len(scenario.save_at)) + 1
 
 
-def _check_size(scenario: Common, out: Address) -> None:
-    """ValueError if a large run has more bytes than this machine's memory, before its members are made."""
-    entries = _entries(scenario)
-    if scenario.members * entries < _LARGE:
+def _check_size(scenario: Common, out: Address, parts: int) -> None:
+    """ValueError if a large run has more bytes than this machine's memory, before its members are made.
+
+    Args:
+        scenario: the run.
+        out: where results are written.
+        parts: the number of parts of which this process makes one.
+    """
+    entries, members = _entries(scenario), -(-scenario.members // parts)
+    if members * entries < _LARGE:
         return
     state = scenarios.build(scenario.model_copy(update={"members": 1}))[1]
-    size, stored = scenario.members * _checks.entry_size(state), out.suffix == ".zarr"
+    size, stored = members * _checks.entry_size(state), out.suffix == ".zarr"
     less = "" if stored else ", a larger save_every or --out NAME.zarr"
     _checks.fits_memory(1 if stored else entries, size, f"give fewer members{less}")

@@ -7,12 +7,12 @@ observations to compare with the results. `scenario_names` lists the shipped one
 | name | |
 |---|---|
 | `Scenario` | a pydantic model of its keys, a subclass of `_common.Common` |
-| `build(scenario)` | the step and the batch of initial states; member 0 is the nominal state |
+| `build(scenario, numbers=None)` | the step, and the initial states of these members or of all; member 0 is nominal |
 | `conserved(scenario, system, run)` | what the motion conserves, as a list of `_report.Conserved` |
 | `quantities(scenario, system, run)` | what is measured, as a list of `_report.Quantity` |
 | `remarks(scenario, step, run)` | further lines of the report |
 | `PICTURES` | functions (scenario, step, run) ↦ figure, by the suffix of their file names; see `_pictures.picture` |
-| `STEP_AXIS` | 0 where every member has a system of its own: the leaves of the step then have the member axis |
+| `STEP_AXIS` | 0 where every member has a system of its own: leaves of the step have the member axis; no `numbers` |
 | `CERTIFIED` | False where `lieint run` prints no certificate: control and friction leave it nothing but the energy |
 
 Only the first two and `PICTURES` are required. A kind whose report is no such table has `report(scenario, step, run)`.
@@ -29,6 +29,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, get_args
 
+import jax
+import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from lieint_jax import _discover
@@ -59,6 +61,17 @@ def kind(scenario: Common) -> ModuleType:
 def build(scenario: Common) -> tuple[Step, State]:
     """The step and the batch of initial states; member 0 is the nominal state."""
     return kind(scenario).build(scenario)
+
+
+def states_of(scenario: Common, numbers: np.ndarray) -> State:
+    """The initial states of the members of these numbers, of a kind whose members share one step."""
+    return kind(scenario).build(scenario, numbers)[1]
+
+
+def shapes_of_states(scenario: Common) -> State:
+    """The shapes of the initial states of all members, without making any."""
+    one = jax.eval_shape(lambda: states_of(scenario, np.arange(1)))
+    return jax.tree.map(lambda x: jax.ShapeDtypeStruct((scenario.members, *x.shape[1:])[: x.ndim], x.dtype), one)
 
 
 def step_axis(scenario: Common) -> int | None:

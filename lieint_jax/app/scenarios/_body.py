@@ -97,15 +97,17 @@ def top_schemes(scenario: TopScenario, top: Any) -> dict[str, Step]:
     return {name: at_order(step, scenario.order) for name, step in two.items()}
 
 
-def ensemble(scenario: BodyScenario, body: Any) -> State:
-    """The members' states, the nominal one first."""
+def ensemble(scenario: BodyScenario, body: Any, numbers: np.ndarray | None = None) -> State:
+    """The states of the members of these numbers; None means all, the nominal one first."""
     q, Omega = scenario.state.attitude(), jnp.asarray(scenario.state.rate())
-    return about(scenario, body, q, Omega)
+    return about(scenario, body, q, Omega, numbers)
 
 
-def about(scenario: BodyScenario, body: Any, q: Array, Omega: Array, **options: Any) -> State:
+def about(
+    scenario: BodyScenario, body: Any, q: Array, Omega: Array, numbers: np.ndarray | None = None, **options: Any
+) -> State:
     """The members' states about an attitude and a body angular velocity; `options` go to `body.state`."""
-    kick, jolt = deviates(scenario)
+    kick, jolt = deviates(scenario, numbers)
     kick, jolt = jnp.deg2rad(scenario.spread.attitude_deg) * kick, scenario.spread.rate() * jolt
 
     def member(kick: Array, jolt: Array) -> State:

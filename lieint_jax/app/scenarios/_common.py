@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Self
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from lieint_jax import _checks, schemes
+from lieint_jax._numerics import random_bits
 from lieint_jax.types import Step
 
 HOUR, DAY = 3600.0, 86400.0  # seconds
@@ -174,9 +176,16 @@ def _sources(tree: Any) -> list[str]:
     return [name for value in tree for name in _sources(value)] if isinstance(tree, list) else []
 
 
-def deviates(scenario: Common) -> Array:
-    """Standard normal deviates for two vectors of each member, (2, members, 3); those of the nominal member are 0."""
-    return jax.random.normal(jax.random.key(scenario.seed), (2, scenario.members, 3)).at[:, 0].set(0.0)
+def numbers_of(scenario: Common, numbers: np.ndarray | None) -> np.ndarray:
+    """The numbers of the members that `build` is asked for; None means all."""
+    return np.arange(scenario.members) if numbers is None else numbers
+
+
+def deviates(scenario: Common, numbers: np.ndarray | None = None) -> Array:
+    """Standard normal deviates for two vectors of each member, (2, m, 3); those of the nominal member are 0."""
+    numbers, key = numbers_of(scenario, numbers), jax.random.key(scenario.seed)
+    drawn = random_bits.normal_rows(key, (2, scenario.members, 3), numbers, axis=1)
+    return jnp.where((numbers == 0)[:, None], 0.0, drawn)
 
 
 def check_order(scheme: str, order: Any, allowed: Sequence[Any]) -> None:

@@ -97,7 +97,7 @@ class Scenario(TopScenario):
         return self
 
 
-def build(scenario: Scenario) -> tuple[Step, State]:
+def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states, which share their time."""
     body, given = systems.gravity_gradient(scenario.inertia, scenario.orbit.motion()), scenario.state
     q, Omega = given.attitude(), jnp.asarray(given.rate())
@@ -105,7 +105,7 @@ def build(scenario: Scenario) -> tuple[Step, State]:
         R, rate = orbit_axes(body.orbit, jnp.asarray(given.t))
         q = so3.multiply(so3.from_matrix(R), q)
         Omega = Omega + so3.Ad_star(q, rate)
-    states = about(scenario, body, q, Omega, t=given.t, work=0.0)
+    states = about(scenario, body, q, Omega, numbers, t=given.t, work=0.0)
     return top_schemes(scenario, body)[scenario.scheme], states._replace(t=jnp.asarray(given.t, states.p.dtype))
 
 

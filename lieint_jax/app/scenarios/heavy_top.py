@@ -57,10 +57,10 @@ class Scenario(TopScenario):
         return value
 
 
-def build(scenario: Scenario) -> tuple[Step, State]:
+def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states."""
     top = systems.heavy_top(scenario.inertia, scenario.weight, scenario.axis)
-    return _schemes(scenario, top)[scenario.scheme], ensemble(scenario, top)
+    return _schemes(scenario, top)[scenario.scheme], ensemble(scenario, top, numbers)
 
 
 def _schemes(scenario: Scenario, top: PotentialTop) -> dict[str, Step]:

@@ -10,8 +10,18 @@ import numpy as np
 from pydantic import Field
 
 from lieint_jax import maps, schemes
+from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._common import Above, Common, GivenRate, NonNegative, RateSpread, Triple, at_order
+from lieint_jax.app.scenarios._common import (
+    Above,
+    Common,
+    GivenRate,
+    NonNegative,
+    RateSpread,
+    Triple,
+    at_order,
+    numbers_of,
+)
 from lieint_jax.app.scenarios._pictures import changes_by_scheme, picture
 from lieint_jax.app.scenarios._report import Conserved, Quantity
 from lieint_jax.app.scenarios._runge_kutta import RungeKutta
@@ -57,12 +67,14 @@ class Scenario(Common):
         return {"angular velocity": self.spread.given(self.time_unit), "velocity": (self.spread.velocity, "")}
 
 
-def build(scenario: Scenario) -> tuple[Step, State]:
+def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states, the nominal one first."""
     a, b, c = scenario.semi_axes
     body = kirchhoff((a, b, c), scenario.center_of_mass)
     step = at_order(schemes.group_midpoint(body, getattr(maps, scenario.map)), scenario.order)
-    jolt = jax.random.normal(jax.random.key(scenario.seed), (scenario.members, 6)).at[0].set(0.0)
+    numbers, key = numbers_of(scenario, numbers), jax.random.key(scenario.seed)
+    jolt = random_bits.normal_rows(key, (scenario.members, 6), numbers)
+    jolt = jnp.where((numbers == 0)[:, None], 0.0, jolt)
     unit = jnp.repeat(jnp.array([scenario.spread.rate(), scenario.spread.velocity]), 3)
     velocities = jnp.array([*(scenario.state.rate() or []), *scenario.state.velocity]) + unit * jolt
     return step, jax.vmap(lambda v: body.state(velocity=v))(velocities)

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from lieint_jax import schemes, systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._common import Common, at_order
+from lieint_jax.app.scenarios._common import Common, at_order, numbers_of
 from lieint_jax.app.scenarios._pictures import picture
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, changes
 from lieint_jax.app.scenarios._runs import series
@@ -74,10 +74,10 @@ def bar_modes(e: Any) -> np.ndarray:
     return np.stack([Omega + root, Omega - root], axis=-1)
 
 
-def build(scenario: Scenario) -> tuple[Step, State]:
+def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the spheroids with a small bar, each in its rotation."""
     body = systems.incompressible_body(np.full(3, 0.2), systems.self_gravity(1.0, 1.0, 1.0))
-    e = scenario.eccentricities()
+    e = scenario.eccentricities()[numbers_of(scenario, numbers)]
     a, Omega = spheroid(e)
     axes = np.stack([a * (1 + scenario.bar), a / (1 + scenario.bar), a * np.sqrt(1 - e * e)], axis=1)
 

@@ -19,7 +19,7 @@ from pydantic import Field, field_validator, model_validator
 
 from lieint_jax import _checks, orbits, schemes, systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._common import Above, Common, NonNegative, Positive, Table, Text, Triple
+from lieint_jax.app.scenarios._common import Above, Common, NonNegative, Positive, Table, Text, Triple, numbers_of
 from lieint_jax.app.scenarios._pictures import picture
 from lieint_jax.app.scenarios._report import paragraphs
 from lieint_jax.app.scenarios._runs import deviation, for_last_run, on_own_devices
@@ -168,17 +168,17 @@ class Scenario(Common):
         )
 
 
-def build(scenario: Scenario) -> tuple[Step, State]:
+def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the planar starts, which share their time."""
     step = _step(scenario.inertia, scenario.eccentricity)
-    number = np.arange(scenario.members)
+    number = numbers_of(scenario, numbers)
     rates = max(scenario.members // scenario.angles, 2)
     theta = np.pi / scenario.angles * (number % scenario.angles)
     rate = scenario.greatest_rate / (rates - 1) * (number // scenario.angles)
     zero = np.zeros_like(theta)
     q = jnp.asarray(np.stack([np.cos(theta / 2), zero, zero, np.sin(theta / 2)], axis=1))
     states = _states(step.system, q, jnp.asarray(np.stack([zero, zero, rate], axis=1)), 0.0)
-    return step, states._replace(work=jnp.zeros(scenario.members))
+    return step, states._replace(work=jnp.zeros(len(number)))
 
 
 def _step(inertia: Any, eccentricity: float) -> Step:

@@ -87,10 +87,10 @@ def _unit_vector(value: list[float]) -> list[float]:
     return value
 
 
-def build(scenario: Scenario) -> tuple[Step, State]:
+def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states, the nominal one first."""
     bob = systems.pendulum(scenario.mass, scenario.gravity, scenario.axis)
-    kick, jolt = deviates(scenario)
+    kick, jolt = deviates(scenario, numbers)
     kick, jolt = jnp.deg2rad(scenario.spread.direction_deg) * kick, scenario.spread.velocity * jolt
 
     def member(kick: Any, jolt: Any) -> State:

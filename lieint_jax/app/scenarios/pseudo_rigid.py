@@ -7,9 +7,11 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from pydantic import Field, field_validator, model_validator
 
 from lieint_jax import _checks, diagnostics, schemes, systems
+from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios._common import (
     Above,
@@ -21,6 +23,7 @@ from lieint_jax.app.scenarios._common import (
     RateSpread,
     Table,
     Triple,
+    numbers_of,
 )
 from lieint_jax.app.scenarios._pictures import picture
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, citation
@@ -114,14 +117,17 @@ class Scenario(Common):
         return {"F": (self.spread.deformation, ""), "angular velocity": self.spread.given(self.time_unit)}
 
 
-def build(scenario: Scenario) -> tuple[Step, State]:
+def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states, the nominal one first."""
     material = getattr(systems, scenario.material.law)(scenario.material.lam, scenario.material.mu)
     body = systems.pseudo_rigid_body(np.asarray(scenario.inertia), material)
     start = body.state(np.asarray(scenario.state.deformation), **scenario.state.motion())
     for_F, for_spin = jax.random.split(jax.random.key(scenario.seed))
-    dF = scenario.spread.deformation * jax.random.normal(for_F, (scenario.members, 3, 3)).at[0].set(0.0)
-    spin = scenario.spread.rate() * jax.random.normal(for_spin, (scenario.members, 3)).at[0].set(0.0)
+    numbers, members = numbers_of(scenario, numbers), scenario.members
+    first = jnp.asarray(numbers == 0)
+    dF = scenario.spread.deformation * random_bits.normal_rows(for_F, (members, 3, 3), numbers)
+    spin = scenario.spread.rate() * random_bits.normal_rows(for_spin, (members, 3), numbers)
+    dF, spin = jnp.where(first[:, None, None], 0.0, dF), jnp.where(first[:, None], 0.0, spin)
     V = body.velocity(start)
 
     def member(dF: Any, spin: Any) -> State:
@@ -130,8 +136,11 @@ def build(scenario: Scenario) -> tuple[Step, State]:
         return turned._replace(p=turned.p + body.state(F, velocity=V @ jnp.linalg.inv(start.q) @ F).p)
 
     states = jax.vmap(member)(dF, spin)
-    exact = jax.tree.map(lambda x, x0: x.at[0].set(x0), states, start)  # the nominal state exactly, since F⁻¹F rounds
-    return schemes.additive(body, scenario.rule, scenario.alpha), exact
+
+    def exact(x: Array, x0: Array) -> Array:  # the nominal state, since F⁻¹F rounds
+        return jnp.where(first.reshape(-1, *[1] * x0.ndim), x0, x)
+
+    return schemes.additive(body, scenario.rule, scenario.alpha), jax.tree.map(exact, states, start)
 
 
 def conserved(scenario: Scenario, body: PseudoRigidBody, run: Trajectory) -> list[Conserved]:

@@ -94,10 +94,10 @@ class Scenario(BodyScenario):
         return self
 
 
-def build(scenario: Scenario) -> tuple[Step, State]:
+def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states."""
     body = systems.rigid_body(scenario.inertia)
-    return _step(scenario, body), ensemble(scenario, body)
+    return _step(scenario, body), ensemble(scenario, body, numbers)
 
 
 def _step(scenario: Scenario, body: RigidBody) -> Step:

@@ -11,8 +11,9 @@ from jax import Array, lax
 from pydantic import Field, model_validator
 
 from lieint_jax import potentials, schemes, systems
+from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._common import Above, Common, Published, Table
+from lieint_jax.app.scenarios._common import Above, Common, Published, Table, numbers_of
 from lieint_jax.app.scenarios._multibody import step_of
 from lieint_jax.app.scenarios._pictures import changes_by_scheme, picture
 from lieint_jax.app.scenarios._report import Conserved, citation
@@ -69,10 +70,10 @@ class Scenario(Common):
         return "members: other turns of the molecules on the grid, and other velocities, before they settle"
 
 
-def build(scenario: Scenario) -> tuple[Step, State]:
+def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of droplets, once they have settled."""
     bodies = _bodies(scenario)
-    keys = jax.random.split(jax.random.key(scenario.seed), scenario.members)
+    keys = random_bits.split_rows(jax.random.key(scenario.seed), scenario.members, numbers_of(scenario, numbers))
     starts = jax.jit(jax.vmap(lambda key: _droplet(scenario, bodies, key)))(keys)
     return step_of(bodies, scenario.scheme, scenario.order), starts
 

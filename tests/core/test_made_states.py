@@ -1,0 +1,232 @@
+"""Initial states as a function of member numbers: a part makes only its own; and the memory of a run into a store."""
+
+import tracemalloc
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+import scenario_files
+import stores
+from scipy.special import erfinv
+from stores import assert_same
+
+import lieint_jax as li
+from lieint_jax import _checks, ensemble
+from lieint_jax._numerics import random_bits
+from lieint_jax.app import scenarios
+from lieint_jax.app.command import cli
+from lieint_jax.app.command import run as run_command
+from lieint_jax.app.scenarios import rigid_body
+from lieint_jax.ensemble import _made_states, _parts, _store_output
+
+BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
+STEP = li.schemes.so3_midpoint(BODY)
+MEMBERS = 41
+OMEGA = np.random.default_rng(7).normal(size=(MEMBERS, 3))
+IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def states_of(numbers, scale=1.0):
+    """The states of these members, attitudes all the same."""
+    return li.State(np.tile(IDENTITY, (len(numbers), 1)), scale * OMEGA[numbers] * [1.0, 2.0, 3.0])
+
+
+def run(states=states_of, store=None, part=None, **options):
+    options = dict(dt=0.1, num_steps=60, save_every=5, progress=False, members=MEMBERS) | options
+    return ensemble.run(STEP, states, store=store, part=part, **options)
+
+
+@pytest.fixture(autouse=True)
+def small_blocks(monkeypatch):
+    monkeypatch.setattr(_made_states, "BLOCK", 8)
+    stores.commit_every(monkeypatch, 4)
+
+
+def scaled(scale):
+    return lambda numbers: states_of(numbers, scale)
+
+
+@pytest.mark.parametrize("reduce", [None, "energy"])
+def test_a_part_makes_its_own_members_only_and_all_parts_are_one_run(tmp_path, reduce):
+    whole = run(states_of(np.arange(MEMBERS)), members=None, reduce=reduce)
+    assert_same(run(reduce=reduce), whole)
+    store, split = tmp_path / "run.zarr", _parts.Split.into_parts(MEMBERS, 4, 8192)
+    for k in (2, 0, 3, 1):
+        asked = []
+
+        def noted(numbers, asked=asked):
+            asked.append(numbers.tolist())
+            return states_of(numbers)
+
+        own = split.part(k)
+        assert_same(run(noted, None, (k, 4), reduce=reduce), run(store=store, part=(k, 4), reduce=reduce))
+        blocks = {0, *range(own.start // 8, (own.stop - 1) // 8 + 1)}  # the first describes the run
+        assert asked == [list(range(8 * b, min(8 * b + 8, MEMBERS))) for b in sorted(blocks)]
+    assert_same(ensemble.open(store)[0], whole)
+
+
+def test_members_of_one_part_that_start_together_do_not_share_a_time(tmp_path):
+    """Only a scalar time is shared: the members of a part, or of a block, do not show whether all start together."""
+
+    def late(numbers):
+        return states_of(numbers)._replace(t=(numbers // 11).astype(float))
+
+    whole = run(late)
+    np.testing.assert_array_equal(whole.state.t[0], np.arange(MEMBERS) // 11)
+    for k in range(4):
+        run(late, tmp_path / "late.zarr", (k, 4))
+    assert_same(ensemble.open(tmp_path / "late.zarr")[0], whole)
+
+    def together(numbers):
+        return states_of(numbers)._replace(t=np.float64(3.0))
+
+    for k in range(2):
+        run(together, tmp_path / "together.zarr", (k, 2))
+    found = ensemble.open(tmp_path / "together.zarr")[0]
+    assert_same(found, run(together))
+    assert found.t[0] == 3.0
+
+
+def test_each_member_may_have_a_system_of_its_own(tmp_path):
+    J = np.linspace(1.0, 1.5, MEMBERS)[:, None] * [1.0, 2.0, 2.5]
+    steps = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.rigid_body(J)))(J)
+    options = dict(dt=0.1, num_steps=20, save_every=5, progress=False, step_axis=0, members=MEMBERS)
+    for k in range(3):
+        ensemble.run(steps, states_of, store=tmp_path / "run.zarr", part=(k, 3), **options)
+    assert_same(ensemble.open(tmp_path / "run.zarr")[0], ensemble.run(steps, states_of, **options))
+
+
+def test_a_part_with_another_function_of_states_is_refused(tmp_path):
+    store = tmp_path / "run.zarr"
+    run(scaled(1.0), store, (0, 2))
+    for states, members in ((scaled(1.5), MEMBERS), (states_of(np.arange(MEMBERS)), None)):
+        with pytest.raises(ValueError, match=r"holds another run.*function of states is '\w+' in the store"):
+            run(states, store, (1, 2), members=members)
+    run(scaled(1.0), store, (1, 2))
+    with open(__file__) as file, pytest.raises(ValueError, match=r"function of states cannot be compared: .*file"):
+        run(lambda numbers: states_of(numbers, 1.0 + 0 * file.fileno()), tmp_path / "other.zarr", (0, 2))
+
+
+def test_a_part_whose_function_returns_other_states_when_it_is_resumed_is_refused(tmp_path):
+    table = tmp_path / "scale.txt"
+
+    def read(numbers):
+        return states_of(numbers, float(table.read_text()))
+
+    table.write_text("1.0")
+    run(read, tmp_path / "run.zarr", (0, 2))
+    table.write_text("1.5")
+    with pytest.raises(ValueError, match=r"part 0 of .* began with other initial states .*Remove parts/0/state"):
+        run(read, tmp_path / "run.zarr", (0, 2))
+
+
+def test_functions_that_return_no_states_of_these_members_are_refused():
+    def changing(numbers):
+        found = states_of(numbers)
+        return found if numbers[0] == 0 else found._replace(work=np.zeros(len(numbers)))
+
+    off = np.where(np.arange(MEMBERS) == 30, 1.1, 1.0)[:, None]
+    for states, options, message in (
+        (states_of, dict(members=None), "states is a function of member numbers: give their number"),
+        (states_of, dict(members=0), "members must be an integer ≥ 1, got 0"),
+        (states_of(np.arange(41)), {}, "members is the number of members where states is a function"),
+        (lambda n: OMEGA[n], {}, "states must return a State .*got ndarray"),
+        (lambda n: states_of(n[:-1]), {}, r"the states of 8 member\(s\) .* got shapes \(7, 4\), \(7, 3\)"),
+        (lambda n: states_of(n)._replace(t=1.0 * n[0]), {}, "one scalar t and work for all members, got 0.0 and 8.0"),
+        (changing, {}, "arrays of the same shapes for all members, which changes at 8"),
+        (lambda n: states_of(n)._replace(q=IDENTITY * off[n]), dict(part=(1, 2)), r"1 member\(s\): 30 .*worst"),
+        (lambda n: states_of(n, np.where(n == 30, np.nan, 1.0)[:, None]), dict(part=(1, 2)), r"not finite for.*: 30"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            run(states, **options)
+
+
+def threefry(key, count):
+    """Threefry-2x32 of 20 rounds in Python's integers [Salmon et al. 2011]."""
+    keys = [*key, key[0] ^ key[1] ^ 0x1BD11BDA]
+    x, y = (count[0] + keys[0]) % 2**32, (count[1] + keys[1]) % 2**32
+    for group in range(5):
+        for bits in ((13, 15, 26, 6), (17, 29, 16, 24))[group % 2]:
+            x = (x + y) % 2**32
+            y = ((y << bits | y >> (32 - bits)) % 2**32) ^ x
+        x, y = (x + keys[(group + 1) % 3]) % 2**32, (y + keys[(group + 2) % 3] + group + 1) % 2**32
+    return x, y
+
+
+def test_draws_of_some_members_are_those_of_jax_for_all():
+    key, rows = jax.random.key(5), np.array([0, 3, 17, 99])
+    for shape, axis in (((100,), 0), ((2, 100, 3), 1), ((100, 3, 3), 0)):
+        whole = np.asarray(jax.random.normal(key, shape))
+        np.testing.assert_array_equal(random_bits.normal_rows(key, shape, rows, axis), whole.take(rows, axis))
+    keys = jax.random.key_data(jax.random.split(key, 100))
+    np.testing.assert_array_equal(jax.random.key_data(random_bits.split_rows(key, 100, rows)), keys[rows])
+    with jax.enable_x64(False):
+        whole = np.asarray(jax.random.normal(key, (100, 3)))
+        np.testing.assert_array_equal(random_bits.normal_rows(key, (100, 3), rows), whole[rows])
+    other = jax.random.key(5, impl="rbg")  # a generator that does not count
+    np.testing.assert_array_equal(
+        random_bits.normal_rows(other, (100, 3), rows), jax.random.normal(other, (100, 3))[rows]
+    )
+    place = 3 * 2**32 + 12_345  # its high word is not 0
+    high, low = threefry(tuple(map(int, jax.random.key_data(key))), divmod(place, 2**32))
+    uniform = ((high << 32 | low) >> 12) * 2.0**-51 - 1.0
+    found = random_bits.normal_rows(key, (2**35,), np.array([place]))
+    np.testing.assert_allclose(found, np.sqrt(2) * erfinv(uniform), rtol=1e-14)  # floor 1e-16
+
+
+@pytest.mark.long
+def test_scenarios_make_the_states_of_the_members_they_are_asked_for():
+    for name in ("toutatis", "hyperion", "pendulum"):
+        scenario = scenarios.load(name)
+        whole, some = scenarios.build(scenario)[1], np.array([0, 5, 8])
+        for x, y in zip(jax.tree.leaves(whole), jax.tree.leaves(scenarios.states_of(scenario, some)), strict=True):
+            np.testing.assert_allclose(y, x[some] if np.ndim(x) else x, rtol=1e-14, atol=1e-14)  # floor 0
+        shapes = scenarios.shapes_of_states(scenario)
+        assert jax.tree.map(lambda x: (x.shape, x.dtype), shapes) == jax.tree.map(lambda x: (x.shape, x.dtype), whole)
+
+
+def test_the_command_line_makes_the_states_of_a_part_only(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("book.toml").write_text(scenario_files.book(members="members = 40"))
+    assert cli.main(["run", "book.toml", "--out", "whole.zarr"]) == 0
+    build, asked = rigid_body.build, []
+    monkeypatch.setattr(rigid_body, "build", lambda scenario, n=None: asked.append(n) or build(scenario, n))
+    for k in range(2):
+        del asked[:]
+        assert cli.main(["run", "book.toml", "--out", "parts.zarr", "--part", f"{k}/2"]) == 0, capsys.readouterr().err
+        made = {int(numbers[0]) for numbers in asked if numbers is not None}  # the first block, the part's own
+        assert made == ({0, 8, 16} if k == 0 else {0, 16, 24, 32})
+    assert_same(ensemble.open("parts.zarr")[0], ensemble.open("whole.zarr")[0])
+
+
+def test_a_part_is_refused_if_its_own_members_do_not_fit_the_memory(monkeypatch):
+    monkeypatch.setattr(_checks, "memory_of_machine", lambda: 1e9)
+    scenario = scenarios.load("toutatis", members=10**9)
+    run_command._check_size(scenario, Path("x.zarr"), 1000)
+    with pytest.raises(ValueError, match=r"would hold 6.5 GB in memory: .*; give fewer members$"):
+        run_command._check_size(scenario, Path("x.zarr"), 10)
+
+
+def test_a_store_needs_the_memory_of_two_buffers_of_rows(tmp_path, monkeypatch):
+    """One is filled while the other is written; rows are joined along time a few chunks at once."""
+    monkeypatch.setattr(_store_output, "CHUNK_MEMBERS", 1000)
+    monkeypatch.setattr(_store_output, "SLAB", 2)
+    stores.commit_every(monkeypatch, 64)
+    members = 8000
+    states = li.State(np.tile(IDENTITY, (members, 1)), np.tile(OMEGA[:40], (members // 40, 1)))
+    buffer = 64 * members * 65
+    run(states, members=None, num_steps=2, save_every=1)  # compiled
+    tracemalloc.start()
+    try:
+        run(states, tmp_path / "run.zarr", members=None, num_steps=191, save_every=1)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 3.0 * buffer  # observed: 2.3 to 2.6; 4.8 when all rows were joined at once
+    given = ensemble.peak_memory(states, 192, store=tmp_path / "run.zarr")
+    assert given == ensemble.peak_memory(
+        lambda n: jax.tree.map(lambda x: x[n], states), 192, store=tmp_path / "run.zarr", members=members
+    )
+    part = ensemble.peak_memory(states, 192, store=tmp_path / "run.zarr", part=(0, 10))
+    assert part < given
