@@ -1,4 +1,4 @@
-"""Checks of concrete arguments: error messages name the value, the allowed values and the remedy. Tracers pass."""
+"""Checks of concrete arguments: messages name the value, the allowed values and the remedy. Tracers are not checked."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def staged() -> bool:
 def at_once() -> contextlib.AbstractContextManager[None]:
     """A context in which operations on concrete values are computed immediately, inside jit too.
 
-    Outside of jit they are in any case. There `jax.ensure_compile_time_eval` would be harmful: it compiles each
+    Outside of jit they are anyway. There `jax.ensure_compile_time_eval` would be harmful: it compiles each
     constant operation of a jitted function as a separate program.
     """
     return jax.ensure_compile_time_eval() if staged() else contextlib.nullcontext()

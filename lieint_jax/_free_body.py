@@ -18,7 +18,7 @@ where q = dn for the axis c of circulation and cn for the other, and D = cn² + 
 sign that makes it a sum. S, cn, dn are smooth in f and f′ ≥ 0, so symmetric and spherical bodies (f′ = 0, f = 0) and
 the separatrix (f = f′) are no special cases.
 
-**Attitude.** Axis r turns about π by the angle
+**Attitude.** Axis r rotates about π by the angle
 
     φ = b_o τ − (b_o − b_r) ν X + θ,    X = ∫₀^τ S²/(1 + νS²) dτ,    ν = (b_m − b_o)[(b_r − b_o)e_r² + (b_m − b_o)e_m²]
     θ = arctan2((b_m − b_o) S e_m e_m(τ),  1 − e_r(τ)² − (b_m − b_o) S e_m e_r(τ) e_o(τ))
@@ -26,7 +26,7 @@ the separatrix (f = f′) are no special cases.
 where X is S³ R_J(cn², dn², 1, 1 + νS²)/3 up to a quarter period, and θ comes from the addition theorem of Legendre's
 integral of the third kind. With ψ the azimuth of e about r, and "e → r" the shortest rotation from e to r,
 
-    Λ(τ) = Λ (r → e)(turn about r by φ + ψ − ψ(τ))(e(τ) → r)
+    Λ(τ) = Λ (r → e)(rotation about r by φ + ψ − ψ(τ))(e(τ) → r)
 
 The vector whose angle an arctangent computes has at least length ½. The quaternion's sign is continuous in time.
 
@@ -43,7 +43,8 @@ where q_o ℓ/√(1 + νS²) is the cosine of half the angle of the step, and no
     f = (B − A)(2HC − L²)/(ABC),    g = (C − B)(L² − 2HA)/(ABC),    m = min(f, g)/max(f, g)
 
 Π goes round the long axis in the body if f > g (long-axis mode), else round the short one, in 4K(m)/√max(f, g). The
-long axis goes round π at the mean rate of φ̇ = L (2H − Π_x²/A)/(L² − Π_x²), with K − Π(−ν, m) = ν R_J(0, 1−m, 1, 1+ν)/3:
+long axis goes round π at the mean rate of φ̇ = L (2H − Π_x²/A)/(L² − Π_x²), with K − Π(−ν, m) = ν R_J(0, 1−m, 1,
+1+ν)/3:
 
     L [1/C + (1/A − 1/C)(1 − Π(−ν, m)/K)],    ν = A(C − B)/(C(B − A)) if f > g, else A(2HC − L²)/(C(L² − 2HA))
 
@@ -78,7 +79,8 @@ class Accuracy(NamedTuple):
 
     Attributes:
         length: | |e(τ)|² − 1 |, the error of the momentum's length in the body.
-        condition: by how many times eps the attitude moves if the state and t move by eps, relative, about.
+        condition: the condition number: relative errors eps of the state and of t change the attitude by about
+            condition·eps.
     """
 
     length: Array
@@ -121,8 +123,8 @@ def clock(inertia: Inertia, Pi: Vector3, t: ArrayLike) -> tuple[Array, Array, Ar
         t: the size of the step.
 
     Returns:
-        s, d in the unit of 1/inertia, and whether there is such a step: one that turns the body by at most 90°. All
-        three are the same for every Π of a trajectory, and 1, 0 and True at rest and for t = 0.
+        s; d in the unit of 1/inertia; and whether there is such a step, one that rotates the body by at most 90°. All
+        three are the same for every Π of a trajectory, and they are 1, 0 and True at rest and for t = 0.
     """
     scale, G, e, rest = _units(inertia, Pi)
     still = rest | (jnp.asarray(t) == 0)
@@ -139,15 +141,16 @@ def clock(inertia: Inertia, Pi: Vector3, t: ArrayLike) -> tuple[Array, Array, Ar
 class Periods(NamedTuple):
     """The two mean periods of a tumbling free body, both defined by its long axis, whatever the mode.
 
-    The long axis is that of the least moment; φ and ψ are Euler's angles of the body with it as the third axis, and the
-    angular momentum π as the third axis of space. Periods are in the unit of time of the state.
+    The long axis is that of the least moment of inertia. φ and ψ are Euler angles, with the long axis as the third axis
+    of the body and the angular momentum π along the third axis of space. Periods are in the unit of time of the state.
 
     Attributes:
         precession: P_φ = 2π over the mean rate of φ: the mean time in which the long axis goes once around π. Infinite
             for a body at rest.
         rotation: P_ψ, the time in which Π and Ω repeat in the axes of the body: a rotation of the body about its long
             axis (ψ advances by 2π) in the long-axis mode, an oscillation about it in the short-axis mode. Infinite for
-            a body at rest and for a sphere; on the separatrix, where it is infinite too, rounding decides the number.
+            a body at rest and for a sphere. On the separatrix it is infinite too, but the number returned depends on
+            rounding.
         long_axis: the mode: True where Π goes around the axis of least moment (long-axis mode), False where it goes
             around that of greatest moment (short-axis mode).
     """
@@ -266,7 +269,7 @@ def _increment(inertia: Inertia, e: Vector, tau: Array) -> tuple[Vector, Accurac
 
 
 def _ascending(J: Array) -> tuple[Vector, _Turns]:
-    """The moments J in ascending order, and the quarter turns that take the axes there.
+    """The moments J in ascending order, and the quarter turns that permute the axes so.
 
     Component by component: a gather by `argsort` would end XLA's loop over a batch before and after it.
     """
@@ -396,7 +399,7 @@ def _sorted_clock(J: Array, e: Vector, tau: Array) -> tuple[Array, Array, Array]
 
 
 class _Motion(NamedTuple):
-    """The functions of τ that move e, `halves` half periods taken off, and turn = b_o τ − (b_o − b_r) ν X.
+    """The functions of τ that move e, less `halves` half periods, and turn = b_o τ − (b_o − b_r) ν X.
 
     `condition` is that of the phase along the polhode: a half period is ½ log of f_r − f_o near the separatrix, where
     the two are equal, so a change of e alters it by that of f_r − f_o, relative.
@@ -452,7 +455,7 @@ def _motion(b: _Labels, e: Vector, tau: Array) -> _Motion:
 def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array, needed: Array) -> tuple[Array, Array]:
     """R_J/3 of (cn², dn², 1, 1 + n), and that of a quarter period, (0, m1, 1, 1 + n_quarter): one loop for both.
 
-    Where the quarter period is not needed, it is of arguments of 1, which take no duplication.
+    Where the quarter period is not needed, its arguments are set to 1, which need no duplication.
     """
     one, root = jnp.ones_like(cn), jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny))
     zero, root, p = (where(needed, x, 1) for x in (0 * one, root, 1 + n_quarter))
@@ -462,7 +465,7 @@ def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array, needed: 
 
 
 def _between(e: Vector, f: Vector, c: Array, s: Array) -> tuple[Array, Vector]:
-    """(r → e)(turn about r by 2 arctan2(s, c))(f → r), times a positive number, as scalar and vector part."""
+    """(r → e)(rotation about r by 2 arctan2(s, c))(f → r), times a positive number, as scalar and vector part."""
     a, b = 1 + e[0], 1 + f[0]
     t = (c * b, s * b, c * f[2] + s * f[1], s * f[2] - c * f[1])
     return a * t[0] + e[2] * t[2] - e[1] * t[3], (

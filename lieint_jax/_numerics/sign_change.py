@@ -66,8 +66,8 @@ def sign_change(f: Callable[[Array], Array], before: Array, after: Array) -> Sig
 def is_root(ends: Array, around: Array, after: Array) -> Array:
     """Whether a function goes through 0 where it changes its sign.
 
-    A bracket shrinks onto a pole or a jump as well. At a root the function falls with the bracket: at its `ends` it is
-    at most half as large as `around` them, some distance below and above. So the root is right to that distance.
+    A bracket shrinks to a pole or a jump as well. At a root the function decreases with the bracket: at its `ends` it
+    is at most half as large as at the points `around` it, at some distance. So the root is right to that distance.
 
     Args:
         ends: of `SignChange`.

@@ -13,11 +13,11 @@ def dual_and_structure(E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     flat = E.reshape(d, -1)
     size = np.linalg.norm(flat, axis=1)
     if not size.all():
-        raise ValueError(f"basis[{int(np.argmin(size))}] is zero: take it out")
+        raise ValueError(f"basis[{int(np.argmin(size))}] is zero: remove it")
     values = np.linalg.svd(flat / size[:, None], compute_uv=False)
     if d > flat.shape[1] or values[-1] < TOLERANCE * values[0]:
         guilty = next(k for k in range(d) if np.linalg.matrix_rank(flat[: k + 1] / size[: k + 1, None], 1e-10) <= k)
-        raise ValueError(f"basis[{guilty}] is a combination of the matrices before it: take it out")
+        raise ValueError(f"basis[{guilty}] is a combination of the matrices before it: remove it")
     dual = np.linalg.solve(flat @ flat.T, flat)
     brackets = np.einsum("iab,jbc->ijac", E, E)
     brackets = brackets - brackets.transpose(1, 0, 2, 3)
@@ -34,7 +34,7 @@ def dual_and_structure(E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def ideals(c: np.ndarray) -> list[list[int]]:
-    """The factors of an algebra that is a direct sum along its basis: the indices of each, the abelian ones together.
+    """The factors of an algebra that is a direct sum along its basis, each by its indices; abelian factors are one.
 
     Args:
         c: the structure constants, or the matrices ad_eᵢ; shape (d, d, d).
@@ -77,7 +77,7 @@ def null(M: np.ndarray, tolerance: float = TOLERANCE) -> np.ndarray:
 
 
 def rounded(x: np.ndarray, tolerance: float | None = None) -> np.ndarray:
-    """x with entries near a multiple of 1/12, by default within round-off, set to it: zeros and ones become exact."""
+    """x with entries near a multiple of 1/12, by default within round-off, set to it, so that 0 and 1 are exact."""
     near = np.round(12 * x) / 12
     least = 1e-14 * max(1.0, np.abs(x).max()) if tolerance is None else tolerance
     return np.where(np.abs(x - near) < least, near, x)

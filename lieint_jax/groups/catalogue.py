@@ -97,7 +97,7 @@ def product(g: MatrixGroup, h: MatrixGroup) -> MatrixGroup:
     """The direct product of two matrix groups, as blocks of one matrix: the basis of `g`, then that of `h`."""
     for group in (g, h):
         if not isinstance(group, MatrixGroup):
-            raise ValueError(f"product takes two matrix groups, got {group!r}")
+            raise ValueError(f"product needs two matrix groups, got {group!r}")
     n = g.size + h.size
     first = [_framed(E, n) for E in g.basis]
     return matrix([*first, *(_framed(E, n, g.size) for E in h.basis)], f"{g.name} x {h.name}")

@@ -56,7 +56,7 @@ class MutualGravity(Potential):
         return self.value(self.invariants(x, R))
 
     def invariants(self, x: Array, R: Array) -> Array:
-        """Of each of k pairs r², Γ_i and Γ_j, and to order 4 C: (7k,) or (16k,)."""
+        """r², Γ_i and Γ_j of each of k pairs, (7k,); to order 4 also C, (16k,)."""
         i, j = self._pairs
         d = x[j] - x[i]
         Gamma = [jnp.sum(R[n] * d[:, :, None], axis=1).ravel() for n in (i, j)]
@@ -138,7 +138,7 @@ class MutualGravity(Potential):
     def _along_Gamma(
         self, n: np.ndarray, other: Array, sign: int, G0: Array, G1: Array, mean: dict[int, Array]
     ) -> Array:
-        """That of the terms of one body's shape alone, by its Γ."""
+        """The discrete gradient of the terms with one body's shape only, with respect to its Γ."""
         total = G0 + G1
         D = 1.5 * _scaled(other * mean[5], _times(self.second[n], total))
         if self.order >= 3:
@@ -179,19 +179,19 @@ class _Invariants(NamedTuple):
 def mutual_gravity(G: ArrayLike, shapes: Sequence[Shape | ArrayLike], order: int = 4) -> MutualGravity:
     """Gravity of N bodies of any shape, to a given order of their size over their distance, for every pair.
 
-    All terms up to the order are included, those of both shapes together too. To order 2 it is `maccullagh`. Spheres
-    and points attract as points, exactly. The sum converges where the spheres about the bodies that enclose them do not
-    meet. Invariant: P and L are conserved, by `bodies_energy_momentum` the energy too.
+    All terms up to the order are included, also those that couple both shapes. To order 2 it equals `maccullagh`.
+    Homogeneous spheres attract as points, exactly. The series converges where the enclosing spheres of the bodies do
+    not intersect. The potential is invariant: P and L are conserved; `bodies_energy_momentum` conserves the energy too.
 
     Args:
-        G: the constant of gravity, in the units of all else.
-        shapes: N bodies of `lieint_jax.shapes`, or their masses where they are spheres or points. A position of the
-            system is that of a body's center of mass, a rotation leads from the axes of its shape to space.
+        G: the constant of gravity, in units consistent with the other arguments.
+        shapes: N bodies of `lieint_jax.shapes`, or their masses where they are spheres or points. The position of a
+            body is that of its center of mass; its rotation leads from the axes of its shape to space.
         order: 2, 3 or 4.
 
     Raises:
-        ValueError: fewer than two bodies, one that is neither shape nor mass, a mass that is not positive, another
-            order.
+        ValueError: there are fewer than two bodies, one is neither a shape nor a mass, a mass is not positive, or the
+            order is not one of these.
 
     Source: Hou, Scheeres & Xin 2016, Celest. Mech. Dyn. Astron. 127, the same expansion by inertia integrals; here by
     trace-free moments.

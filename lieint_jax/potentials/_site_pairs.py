@@ -1,7 +1,7 @@
 """Sums over pairs of sites fixed in different bodies: point masses, charges, Lennard-Jones sites.
 
 V = Σ v(u_ab), u_ab = |x_i + Λ_i s_a − x_j − Λ_j s_b|², over sites a of body i and b of another body j. The u_ab are
-quadratic in positions and rotations and do not change when all bodies are moved and turned together.
+quadratic in positions and rotations and invariant under rigid motions of all bodies together.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
 
 class _SitePairs(Potential):
-    """A potential that is a sum over pairs of sites. Subclasses say what a pair of sites adds.
+    """A potential that is a sum over pairs of sites. Subclasses define the term of a pair.
 
-    The bodies are in groups, whose bodies have as many sites each. All pairs of sites of two groups form a matrix; in
-    that of a group with itself each pair stands twice, and those within a body count nothing.
+    The bodies of a group have equally many sites. All pairs of sites of two groups form a matrix; the matrix of a group
+    with itself contains each pair twice, and pairs within a body have weight 0.
     """
 
     points: tuple[Array, ...]  # of each group (bodies, sites, 3), in the axes of the body
     groups: tuple[tuple[int, ...], ...]  # which bodies are in it
 
     def _pair(self, u: Array, g: int, h: int) -> Array:
-        """What pairs of sites of the groups g and h add to V, of squared distances u, (sites of g, sites of h)."""
+        """The terms of V of pairs of sites of the groups g and h at squared distances u, (sites of g, sites of h)."""
         raise NotImplementedError
 
     def _slope(self, u0: Array, u1: Array, g: int, h: int) -> Array:
@@ -158,8 +158,8 @@ class LennardJones(_SitePairs):
 def point_masses(G: ArrayLike, masses: Any, points: Any = None, softening: ArrayLike = 0.0) -> InverseDistance:
     """Gravity of bodies that are made of point masses (mascons): V = −Σ G m_a m_b/√(r_ab² + ε²).
 
-    Invariant: P and L are conserved. `systems.rigid_bodies` is given the masses and moments of the bodies apart from
-    these; they agree if Σ m_a is the mass and Σ m_a (|s_a|² − s_a s_aᵀ) the tensor of inertia.
+    The potential is invariant: P and L are conserved. `systems.rigid_bodies` has its own masses and inertias of the
+    bodies; they are consistent if Σ m_a is the mass and Σ m_a (|s_a|² − s_a s_aᵀ) the tensor of inertia.
 
     Args:
         G: the constant of gravity.
@@ -177,7 +177,8 @@ def point_charges(constant: ArrayLike, charges: Any, points: Any = None, softeni
     Invariant: P and L are conserved.
 
     Args:
-        constant: k, 1/4πε₀ in the units of all else: 138.93545764 for kJ/mol, nm and elementary charges.
+        constant: k = 1/4πε₀ in units consistent with the other arguments: 138.93545764 for kJ/mol, nm and elementary
+            charges.
         charges: (N, n), or N arrays of the charges of each body's points; (N,) if there is one point a body.
         points: as in `point_masses`.
         softening: ε ≥ 0, a length; by default none.
@@ -188,8 +189,8 @@ def point_charges(constant: ArrayLike, charges: Any, points: Any = None, softeni
 def lennard_jones(wells: Any, sizes: Any, points: Any = None) -> LennardJones:
     """Lennard-Jones' potential between sites of different bodies: V = Σ 4ε ((σ/r)¹² − (σ/r)⁶).
 
-    Of two unlike sites σ is the mean and ε the geometric mean (Lorentz and Berthelot). Invariant: P and L are
-    conserved.
+    For two unlike sites σ is the arithmetic and ε the geometric mean (Lorentz and Berthelot). The potential is
+    invariant: P and L are conserved.
 
     Args:
         wells: ε ≥ 0, the depths of the wells: (N, n), or N arrays; (N,) if there is one site a body.
@@ -208,14 +209,14 @@ def lennard_jones(wells: Any, sizes: Any, points: Any = None) -> LennardJones:
 def sites(points: Any, charges: Any, wells: Any, sizes: Any, *, constant: ArrayLike = 138.93545764) -> Potential:
     """Molecules of charges and Lennard-Jones sites: `point_charges` and `lennard_jones` of the same points, added.
 
-    Sites without a charge, and sites with ε = 0, are left out of the sums where all bodies have none. Invariant: P and
-    L are conserved.
+    Sites that have no charge in any body, or ε = 0 in all bodies, are omitted from the respective sum. The potential is
+    invariant: P and L are conserved.
 
     Args:
         points: (N, n, 3), in the axes of the body, from its center of mass.
         charges: (n,) for molecules of one kind, or (N, n).
         wells: ε, (n,) or (N, n).
-        sizes: σ, (n,) or (N, n); of no matter where ε = 0.
+        sizes: σ, (n,) or (N, n); irrelevant where ε = 0.
         constant: 1/4πε₀; by default for kJ/mol, nm and elementary charges.
     """
     at = _checks.real_array("points", points)
@@ -230,7 +231,7 @@ def sites(points: Any, charges: Any, wells: Any, sizes: Any, *, constant: ArrayL
     if soft.any():
         terms.append(lennard_jones(epsilon[:, soft], jnp.where(epsilon > 0, sigma, 1)[:, soft], at[:, soft]))
     if not terms:
-        raise ValueError("there is no charge and no ε other than 0: nothing acts between the bodies")
+        raise ValueError("all charges and all ε are 0, so there is no force: give charges or wells that are not 0")
     return terms[0] if len(terms) == 1 else terms[0] + terms[1]
 
 

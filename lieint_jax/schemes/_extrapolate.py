@@ -1,11 +1,11 @@
-"""Extrapolated steps of the modified midpoint rule (Gragg, Bulirsch, Stoer): explicit, of any even order, any system.
+"""Extrapolation of the modified midpoint rule (Gragg, Bulirsch, Stoer): explicit, of any even order, for any system.
 
 With increments δ from the start u, an even number n of sub-steps of size h = Δt/n,
 
     δ₁ = h f(u),    δ_{m+1} = δ_{m−1} + 2h f(u + δ_m),
 
-δ_n has an error in even powers of h, which the combination Σ w_n δ_n over n = 2, 4, … cancels one by one. Gragg's last
-sub-step, which smooths, is left out: at equal cost errors are a quarter without it.
+δ_n has an error in even powers of h, which the combination Σ w_n δ_n over n = 2, 4, … cancels one by one. Gragg's
+smoothing last sub-step is omitted: at equal cost, errors are a quarter without it.
 """
 
 from __future__ import annotations
@@ -141,27 +141,27 @@ def _nothing(like: _Unknowns) -> tuple[_Unknowns, _Unknowns]:
 
 
 def _added(sums: tuple[_Unknowns, ...], w: Sequence[Array], end: _Unknowns, origin: _Unknowns) -> tuple[_Unknowns, ...]:
-    """Both sums, and w times this increment. (The sum of all w is not quite 1.)"""
+    """Both sums plus w times this increment. (The sum of all w is 1 up to rounding only.)"""
     return tuple(
         jax.tree.map(lambda s, x, z, w=w: s + w * (x - z), s, end, origin) for s, w in zip(sums, w, strict=True)
     )
 
 
 def extrapolate(system: System, order: int = 12, increments: bool = True) -> Extrapolated:
-    """Explicit steps of high order for any system, by its vector field alone. No structure is kept beyond accuracy.
+    """Gragg–Bulirsch–Stoer extrapolation: explicit steps of high order for any system, by its vector field alone.
 
-    37 evaluations of the vector field a step at order 12. Nothing is conserved but to the size of the error, which
-    grows with time: for short, accurate runs, and for comparison. `residual` is the relative difference between the
-    last two orders; above 1e-3 the step says `converged=False`.
+    Invariants are conserved up to the error of the solution only, which grows with time: use it for short, accurate
+    runs, and for comparison. At order 12 a step costs 37 evaluations of the vector field. `residual` is the relative
+    difference between the last two orders; above 1e-3 the step reports `converged=False`.
 
     Args:
-        system: any.
+        system: any system.
         order: even, 4 to 20.
-        increments: False adds up the unknowns themselves in sub-steps, not their increments: some 15 % less time for a
-            top in an ensemble, and 3 to 40 times the round-off.
+        increments: False accumulates the unknowns themselves in sub-steps, not their increments. This saves about 15 %
+            of the time for a top in an ensemble, and gives 3 to 40 times the round-off.
 
     Raises:
-        ValueError: another order.
+        ValueError: the order is not one of these, or `system` is not a system.
 
     Source: Gragg, SIAM J. Numer. Anal. 2 (1965) 384; Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations
     I, II.9.
@@ -175,12 +175,12 @@ def extrapolate(system: System, order: int = 12, increments: bool = True) -> Ext
 
 
 def weights(numbers: list[int]) -> list[float]:
-    """w_n, which cancel the errors in h², h⁴, …, of sub-steps in these numbers."""
+    """w_n, which cancel the errors in h², h⁴, … for these numbers of sub-steps."""
     return [math.prod(n * n / (n * n - k * k) for k in numbers if k != n) for n in numbers]
 
 
 def _relative(start: Sequence[Array], best: Sequence[Array], second: Sequence[Array]) -> Array:
-    """The largest difference of two increments over the largest number that one leads to."""
+    """The largest difference of two increments, relative to the largest entry of the new state."""
     size = _largest([z + x for z, x in zip(start, best, strict=True)])
     return _largest([x - y for x, y in zip(best, second, strict=True)]) / jnp.where(size > 0, size, 1)
 

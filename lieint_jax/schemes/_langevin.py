@@ -1,14 +1,14 @@
-"""Langevin dynamics of rigid bodies: the canonical measure by exact flows, with the heat counted exactly.
+"""Langevin dynamics of rigid bodies: the canonical measure by exact flows, with an exact account of the heat.
 
     B: π ← π + ½Δt τ(Λ)     A: the exact free motion for ½Δt     O: Π_i ← e^{−γ_iΔt}Π_i + √(kT J_i(1 − e^{−2γ_iΔt})) ξ_i
 
-in the order B A O A B, and the same of centers and linear momenta with m in place of J. O is the exact flow of friction
-and noise, and leaves exp(−½Π·J⁻¹Π/kT) as it is; so does A, which conserves T and the volume. Without a potential the
-sampling is exact for any Δt, with one its bias is O(Δt²). The heat Q grows by the change of the kinetic energy in O, so
-that H − Q changes in A and B only, by the error of the splitting without noise.
+in the order B A O A B, and likewise for centers and linear momenta with m in place of J. O is the exact flow of
+friction and noise, and leaves exp(−½Π·J⁻¹Π/kT) invariant; so does A, which conserves T and the volume. Without a
+potential the sampling is exact for any Δt; with a potential its bias is O(Δt²). The heat Q grows by the change of the
+kinetic energy in O, so that H − Q changes in A and B only, by the error of the splitting without noise.
 
-The Metropolised scheme is O(½Δt), then B A B, accepted with the probability min(1, exp(−ΔH/kT)), else π ← −π in its
-place, then O(½Δt). As B A B conserves the volume and undoes itself after a change of sign of π, it samples the
+The Metropolized scheme is O(½Δt), then B A B, accepted with the probability min(1, exp(−ΔH/kT)) and otherwise replaced
+by π ← −π, then O(½Δt). As B A B conserves the volume and is its own inverse up to the sign of π, the scheme samples the
 canonical measure without a bias for any Δt.
 """
 
@@ -79,23 +79,25 @@ class Langevin(Step):
 
     @property
     def free(self) -> Langevin:
-        """The same thermostat of the bodies without their potential."""
+        """The same thermostat for the bodies without their potential."""
         return Langevin(self.drift.system, self.drift, self.temperature, self.friction, self.metropolis)
 
     def start(self, state: State, key: Any = None, first: int = 0) -> State:
         """`state` with a key, the number of steps so far, and the heat so far: `State.extra["key", "step", "heat"]`.
 
-        A state that has a key goes on with it unless another is given. Random numbers depend on the key and the number
-        of the step alone, so a run in parts, resumed, sharded or by another number of processes has the same bits.
+        A state that has a key uses it again unless another is given. Random numbers depend only on the key and the
+        number of the step, so a run that is resumed, split into parts, sharded, or computed by another number of
+        processes has the same bits.
 
         Args:
-            state: of one body or system; or of an ensemble, with a leading member axis on all leaves but t.
-            key: of `jax.random.key(seed)`, or a seed, an integer; by default the seed 0. Members of an ensemble have
-                the keys `fold_in(key, member)`.
+            state: the state of one body or system; or the states of an ensemble, with a leading member axis on all
+                leaves except t.
+            key: a key from `jax.random.key(seed)`, or a seed, an integer; by default the seed 0. Members of an ensemble
+                have the keys `fold_in(key, member)`.
             first: the number of the first of these members, if they are a part of a larger ensemble.
 
         Raises:
-            ValueError: no key of `jax.random`.
+            ValueError: `key` is neither a key of `jax.random` nor a seed.
         """
         extra, dtype = state.extra or {}, state.p.dtype
         if key is None and _KEY in extra:
@@ -143,7 +145,7 @@ class Langevin(Step):
         return kicked(self.system, state, dt) if isinstance(self.system, AbstractForcedSystem) else state
 
     def _thermalize(self, state: State, dt: Array, noise: Array) -> State:
-        """O: friction and noise for a time, and the heat that they bring."""
+        """O: the state after friction and noise for a time, with the heat that they add."""
         bodies: Any = self.drift.system
         if state.p.ndim == 1:
             p, gained = self._bathed(state.q, bodies.inertia, state.p, noise, self.friction, dt)
@@ -177,12 +179,12 @@ class Langevin(Step):
         extra = state.extra or {}
         if name not in extra or (self.metropolis and _REJECTIONS not in extra):
             raise ValueError(
-                f"{self.name} needs a key and counts in state.extra: take step.start(state, key=jax.random.key(0))"
+                f"{self.name} needs a key and counts in state.extra: use step.start(state, key=jax.random.key(0))"
             )
         return extra[name]
 
     def _added(self, state: State, **more: Any) -> State:
-        """The state with these increments of what it carries."""
+        """The state with these increments of entries of `extra`."""
         extra = dict(state.extra or {})
         return state._replace(extra=extra | {name: extra[name] + x for name, x in more.items()})
 
@@ -206,42 +208,43 @@ def _root_times(J: Array, noise: Array) -> Array:
 
 
 def _checked_key(key: Any) -> Array:
-    """A key of `jax.random`, from one or from a seed; ValueError if it is none."""
+    """A key of `jax.random`, from a key or from a seed; ValueError if it is neither."""
     if isinstance(key, int | np.integer) and not isinstance(key, bool):
         return jax.random.key(int(key))
     typed = isinstance(key, Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
     words: Any = jax.random.key_data(key) if typed else key
     if not isinstance(words, Array | np.ndarray) or words.shape != (2,) or words.dtype != jnp.uint32:
         raise ValueError(
-            f"key must be one of jax.random.key(seed), of two words (threefry2x32), or a seed, got {key!r}. Members of "
-            "an ensemble have keys of their own by step.start(states, key=…)"
+            f"key must be jax.random.key(seed), of two words (threefry2x32), or a seed, got {key!r}. "
+            "step.start(states, key=…) gives each member of an ensemble its own key"
         )
     return jax.random.wrap_key_data(jnp.asarray(words), impl="threefry2x32")
 
 
 def langevin(system: Any, temperature: ArrayLike, friction: ArrayLike, metropolis: bool = False) -> Langevin:
-    """Bodies in contact with a heat bath: samples of the canonical measure, and the heat that the bath gives.
+    """Langevin dynamics (BAOAB, or Metropolized): bodies in a heat bath, with an exact account of the heat.
 
     | | |
     |---|---|
     | canonical measure | exact for free bodies; in a potential with a bias O(Δt²), none with `metropolis` |
-    | heat Q, `State.extra["heat"]` | exact: H − Q changes by the error of the splitting without noise, O(Δt³) a step |
-    | the same random numbers | in runs that are resumed, split, sharded, or go on natively |
+    | heat Q, `State.extra["heat"]` | exact: H − Q changes by the error of the noiseless splitting, O(Δt³) per step |
+    | the same random numbers | in runs that are resumed, split, sharded, or compiled to machine code |
 
-    States carry a key: `state = step.start(state, key=jax.random.key(0))`, and of ensembles with a leading member axis
-    the same call gives each member a key of its own. `diagnostics.certify` reports what can be certified.
+    States carry a key: `state = step.start(state, key=jax.random.key(0))`. For ensembles with a leading member axis the
+    same call gives each member its own key. `diagnostics.certify` reports what can be certified.
 
     Args:
         system: `systems.rigid_body`, `heavy_top`, `potential_top`; `rigid_bodies` without dissipation, or its `.free`.
         temperature: kT, in units of energy, > 0.
-        friction: γ ≥ 0, rates: a number; (3,), those about the principal axes of bodies with principal moments, which
-            also are those along these axes of the motion of the centers; (6,), of several bodies, those of the centers
-            first.
-        metropolis: whether to accept or reject each step by its change of energy; `State.extra["rejections"]` counts.
+        friction: rates γ ≥ 0. A number; or (3,), the rates about the principal axes of bodies with principal moments,
+            which for several bodies are also those of the motion of the centers along these axes; or, for several
+            bodies, (6,), the rates of the centers, then those of the rotations.
+        metropolis: whether to accept or reject each step by its change of energy; `State.extra["rejections"]` counts
+            rejected steps.
 
     Raises:
-        ValueError: another system, a temperature that is not positive, a negative friction, or several rates for a full
-            tensor of inertia.
+        ValueError: the system is none of these, the temperature is not positive, a friction is negative, or several
+            rates are given for a full tensor of inertia.
 
     Example:
         >>> import lieint_jax as li

@@ -3,10 +3,10 @@
     kick b₁, drift a₁, kick b₂, … kick b₁        (order 4, six stages)
     drift a₁, kick b₁, drift a₂, … drift a₁      (order 6, fourteen stages)
 
-With H = T + V and T quadratic in the momenta the bracket {V, {V, {V, T}}} vanishes: fewer conditions of order are left,
-and the errors are a hundredth of those of compositions with as many kicks. On T*SO(3) it vanishes as well, since
-{V, {V, T}} depends on q alone; and where V depends on time too, which the drifts advance. The drift must be exact, or
-of a higher order: a drift of order 2 would make the whole of order 2.
+With H = T + V and T quadratic in the momenta the bracket {V, {V, {V, T}}} vanishes, which leaves fewer order
+conditions: errors are a hundredth of those of compositions with as many kicks. The bracket vanishes on T*SO(3) as well,
+since {V, {V, T}} depends on q only, and where V depends on time, which the drifts advance. The drift must be exact, or
+of a higher order: a drift of order 2 would make the scheme of order 2.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from lieint_jax.types import AbstractDrivenSystem, AbstractForcedSystem, State, 
 
 
 class Stages(NamedTuple):
-    """The stages of a splitting, drifts a and kicks b in turn; it begins and ends with the kind that has one more."""
+    """The stages of a splitting: alternating drifts a and kicks b; the kind with one more is first and last."""
 
     drifts: tuple[float, ...]
     kicks: tuple[float, ...]
@@ -98,28 +98,28 @@ class Nystrom(Step):
 
 
 def nystrom(system: AbstractForcedSystem | AbstractDrivenSystem, order: int, drift: Step | None = None) -> Nystrom:
-    """Blanes and Moan's symmetric Runge–Kutta–Nyström splittings, for bodies in a potential.
+    """Runge–Kutta–Nyström splittings of Blanes & Moan, symmetric and of high accuracy, for bodies in a potential.
 
     | conserved | to |
     |---|---|
-    | the symplectic form | round-off; of one body as far as its drift keeps it, see below |
-    | P and L, or γ·π, as far as the potential leaves them | round-off |
+    | the symplectic form | round-off; for one body to the accuracy of its drift, see below |
+    | P and L, or γ·π, if the potential conserves them | round-off |
     | energy; of a driven system, energy less work | O(Δtᵒʳᵈᵉʳ), bounded, no drift |
 
-    Seven kicks a step for order 4, fourteen for order 6. On tops order 6 takes less than half of the time of
+    A step has seven kicks for order 4, fourteen for order 6. On tops order 6 runs in less than half of the time of
     compositions at equal error (`benchmarks/work_precision.py`).
 
     Args:
         system: `systems.rigid_bodies(...)`, or a rigid body in a potential: `systems.heavy_top(...)`,
             `systems.potential_top(...)`, `systems.driven_top(...)`, `systems.gravity_gradient(...)`.
         order: 4 or 6.
-        drift: a symmetric step of `system.free` of at least this order. Of one body it is by default
-            `preprocessed(system.free, 10)`, with which order 6 keeps the form to 1e-14 at |ΔtΩ| = 0.6 and to 1e-10 at
-            1.2, order 4, whose drifts are longer, to 1e-11 at 0.5; of several bodies `exact(system.free)`, which keeps
-            it to round-off at any step and takes five times as long.
+        drift: a symmetric step of `system.free` of at least this order. The default for one body is
+            `preprocessed(system.free, 10)`: order 6 then conserves the form to 1e-14 at |ΔtΩ| = 0.6 and to 1e-10 at
+            1.2; order 4, whose drifts are longer, to 1e-11 at 0.5. The default for several bodies is
+            `exact(system.free)`, which conserves it to round-off at any step and costs five times as much.
 
     Raises:
-        ValueError: another system or order; a drift that does not suit.
+        ValueError: the system or the order is none of these, or the drift is not symmetric or of too low an order.
 
     Source: Blanes & Moan 2002, J. Comput. Appl. Math. 142, Table 3: SRKN6b and SRKN14a.
     """

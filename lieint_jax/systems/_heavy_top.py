@@ -83,8 +83,8 @@ def lagrange_motion(top: PotentialTop, state: State) -> LagrangeMotion:
     """Nutation and precession of Lagrange's top, J₁ = J₂ and E along the third axis, from its integrals.
 
     With u the cosine of the inclination, u̇² = (a − αu)(1 − u²) − (b − cu)² = α(u − u₁)(u − u₂)(u − u₃), and the angle
-    of precession grows as (b − cu)/(1 − u²): complete elliptic integrals of the first and the third kind. Good to some
-    1e-13 but for tops that pass close to γ or −γ; nan for one that sleeps there.
+    of precession has the rate (b − cu)/(1 − u²), so both are complete elliptic integrals, of the first and the third
+    kind. The result is right to about 1e-13, except for tops that pass close to γ or −γ, and NaN for a sleeping top.
 
     Source: Whittaker, Analytical Dynamics, §71–72.
     """

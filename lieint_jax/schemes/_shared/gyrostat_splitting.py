@@ -1,8 +1,8 @@
-"""Turn, drift, turn: the symplectic scheme for a gyrostat.
+"""Rotation, drift, rotation: the symplectic splitting for a gyrostat.
 
     H = ½(Π − h_r)·J⁻¹(Π − h_r) = ½ Π·J⁻¹Π − c·Π + ½ h_r·c,    c = J⁻¹h_r
 
-−c·Π generates Λ ← Λ exp(−tĉ), π ← π, a turn about an axis in the body, exactly and for every J. So one step is
+−c·Π generates Λ ← Λ exp(−tĉ), π ← π, a rotation about an axis in the body, exactly and for every J. So one step is
 
     Λ ← Λ exp(−½Δt ĉ),    (Λ, π) ← a step of the free body,    Λ ← Λ exp(−½Δt ĉ)
 """
@@ -55,7 +55,7 @@ class GyrostatSplitting(Step):
         turned = self._turn(state, dt)
         if not self.drift(turned, dt)[1].converged:
             return f"{self.name}: {self.drift.advice(turned, dt)}"
-        return f"{self.name}: the rotor turns the body by {float(self._angle(dt)):.3g} rad in a step: take a smaller dt"
+        return f"{self.name}: the rotor turns the body by {float(self._angle(dt)):.3g} rad in a step: use a smaller dt"
 
     def _turn(self, state: State, dt: ArrayLike) -> State:
         turn = so3.exp(jnp.asarray(-0.5 * dt) * _velocity(self.system))
@@ -66,14 +66,14 @@ class GyrostatSplitting(Step):
 
 
 def turning(system: AbstractGyrostat, drift: Step) -> GyrostatSplitting:
-    """The step turn – drift – turn; ValueError if `drift` is of another body."""
+    """The step rotation – drift – rotation; ValueError if `drift` is a step of another body."""
     scheme = f"splitting with {drift.name} of a {type(drift.system).__name__}"
     check_motion(scheme, "that motion with rotations of the rotor", _motion, (system, drift.system), system)
     return GyrostatSplitting(system, drift)
 
 
 def _motion(parts: tuple[AbstractGyrostat, System], state: State) -> State:
-    """The vector field of the drift's system, and the turning of the rotor."""
+    """The vector field of the drift's system plus the rotation by the rotor."""
     system, drifting = parts
     free = drifting.vector_field(state)
     return State(free.q + so3.tangent(state.q, -_velocity(system)), free.p)

@@ -40,7 +40,7 @@ def scaled(system: AbstractFreeBody | AbstractGyrostat, state: State, dt: ArrayL
 
 
 def bias(system: AbstractFreeBody | AbstractGyrostat, dt: ArrayLike) -> Vector3 | None:
-    """b = ½Δt h_r over tr J, None in a free body."""
+    """b = ½Δt h_r over tr J; None for a free body."""
     return (
         (0.5 * vec3.unit_trace(system.inertia)[1] * dt) * system.rotor if isinstance(system, AbstractGyrostat) else None
     )

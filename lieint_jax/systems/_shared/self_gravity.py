@@ -1,4 +1,4 @@
-"""The gravity of a homogeneous ellipsoid on itself, as the stored energy of a body that deforms homogeneously.
+"""The self-gravity of a homogeneous ellipsoid, as the stored energy of a body that deforms homogeneously.
 
 A ball of mass M and radius R that deforms by F becomes an ellipsoid with the semi-axes R√c_i, c_i the eigenvalues of
 C = FᵀF. With u = 1/v² − 1 in the classical integral,
@@ -79,7 +79,7 @@ def _determinant(A: Symmetric) -> Array:
 
 
 def self_gravity(G: ArrayLike, mass: ArrayLike, radius: ArrayLike) -> SelfGravity:
-    """The gravity of a homogeneous ellipsoid on itself, which makes `incompressible_body` a liquid planet or star.
+    """The self-gravity of a homogeneous ellipsoid, with which `incompressible_body` is a liquid planet or star.
 
     In the undeformed state F = 1 the body is a ball, whose second moments of mass are E = (1/5)MR² in each direction.
     The energy is right to 1e-15 for axis ratios above 0.2, to 3e-12 at 0.14.
