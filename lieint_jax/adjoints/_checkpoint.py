@@ -1,4 +1,4 @@
-"""Runs whose reverse-mode derivative keeps the states at nested checkpoints and recomputes the steps between them."""
+"""Runs whose reverse-mode derivative stores states at nested checkpoints and recomputes the steps between them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def checkpointed(
 
 
 def _nested(body: Body, first: Array, count: Array, carry: Any, most: int, levels: int) -> Any:
-    """`count` steps of at most so many, in nested blocks; the results of surplus steps are dropped."""
+    """`count` steps, of at most `most`, in nested blocks; the results of surplus steps are discarded."""
 
     def step_once(numbered: tuple[Array, Any], _: None) -> tuple[tuple[Array, Any], None]:
         n, carry = numbered

@@ -1,4 +1,4 @@
-"""A loop that goes through single numbers, where that is possible.
+"""A loop compiled as a program of single numbers, where that is possible.
 
 The transpose of v[i] is a `pad`, and the pull-back of a step is full of them; XLA does not fuse pads, and works on all
 components even where only one is not zero. In a program of numbers indexing, stacking and padding cost nothing, and
@@ -22,7 +22,7 @@ _LONGEST = 10_000  # the most operations of a program of numbers that XLA compil
 
 
 def repeat(count: Any, function: Callable[[Any, Any], Any], carry: Any, over: tuple[float, ...]) -> Any:
-    """Apply carry ← function(carry, x) for each x in `over`, and all that `count` times. Not to be differentiated."""
+    """Apply carry ← function(carry, x) for each x in `over`, `count` times. It is not differentiable."""
     dtype = jnp.result_type(*jax.tree.leaves(carry))
     once, closed = _opened(function, carry, jnp.ones((), dtype))
 
@@ -40,7 +40,7 @@ def repeat(count: Any, function: Callable[[Any, Any], Any], carry: Any, over: tu
 def _opened(function: Callable[..., Any], *example: Any) -> tuple[Callable[..., Any], list[Array]]:
     """`function` with the traced arrays that it closes over, of any type, as its first argument; and these arrays.
 
-    `jax.closure_convert` opens a function to real numbers only.
+    `jax.closure_convert` makes only arrays of real numbers arguments.
     """
     closed, out = jax.make_jaxpr(function, return_shape=True)(*example)
     traced = [isinstance(x, jax.core.Tracer) for x in closed.consts]

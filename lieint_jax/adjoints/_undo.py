@@ -137,7 +137,7 @@ def _zero_with_warning(error: Array, tolerance: float) -> Array:
             warnings.warn(
                 f"reversal lost digits: a rebuilt state is {np.max(error):.2g} from the saved one (tolerance "
                 f"{tolerance:.2g}; {bad.sum()} of {bad.size}): the gradient has a relative error of about that size. "
-                'Save more often (save_every), take a shorter run, or derivative="checkpoint"',
+                'Save more often (save_every), use a shorter run, or derivative="checkpoint"',
                 RuntimeWarning,
                 stacklevel=2,
             )

@@ -285,7 +285,7 @@ def section(
 
     Returns:
         An `Event` whose leaves have leading axes (members, count). Where `found` is False, the member did not cross so
-        often within `max_steps`, or a step failed: leave these points out.
+        often within `max_steps`, or a step failed: ignore these points.
 
     Raises:
         ValueError: as in `event`.

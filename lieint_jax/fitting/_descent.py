@@ -1,7 +1,7 @@
 """Descent along gradients: any transformation of optax, and its L-BFGS with a line search.
 
-They move in all real x, which `Box.inside` maps into the box of coordinates. Whether they have arrived is judged by the
-gradient with respect to the coordinates, since that with respect to x vanishes at every side of the box.
+They move in all real x, which `Box.inside` maps into the box of coordinates. The stopping test uses the gradient with
+respect to the coordinates, since that with respect to x vanishes at every side of the box.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class _Memory(NamedTuple):
         gradient: with respect to x, at the current point.
         largest: the largest `_slope` so far.
         state: optax's own state.
-        unit: `descent`: the fraction of a step that is taken; `lbfgs`: the unit of the loss.
-        quiet: the number of iterations in a row without a notable fall of the loss.
+        unit: for `descent` the fraction of a step that is used; for `lbfgs` the unit of the loss.
+        quiet: the number of consecutive iterations without a significant decrease of the loss.
     """
 
     gradient: Array
@@ -80,7 +80,7 @@ def _start(
 def _judged(box: Box, x: Array, loss: Array, memory: _Memory, ended: Array, tolerance: float) -> Array:
     """RUNNING, or the code of why the search stops.
 
-    The gradient has vanished when it is small against the largest one so far. Where a search has `ended` without that,
+    The gradient has vanished when it is small compared with the largest one so far. If a search has `ended` otherwise,
     it is a success if a step as long as the coordinates, or to a side, would hardly change the loss.
     """
     small = jnp.maximum(tolerance, 8 * jnp.finfo(x.dtype).eps)
@@ -91,7 +91,7 @@ def _judged(box: Box, x: Array, loss: Array, memory: _Memory, ended: Array, tole
 
 
 def descent(scalar: Scalar, box: Box, optimizer: GradientTransformation, tolerance: float) -> Method:
-    """Any optax transformation. A failed trial is taken back, and the next steps are a quarter as long."""
+    """Descent by any optax transformation. A failed trial is rejected, and the next steps are a quarter as long."""
     import optax
 
     look = _evaluation(scalar, box)
@@ -130,7 +130,7 @@ def _walled(look: Callable[[Array], tuple[Array, Array, Array]], unit: Array, wa
 
 
 def lbfgs(scalar: Scalar, box: Box, tolerance: float) -> Method:
-    """optax's L-BFGS with its zoom line search, which sees a high constant loss, a wall, where a trial fails.
+    """optax's L-BFGS with its zoom line search, for which the loss of a failed trial is a high constant, a wall.
 
     The loss is measured in units of the largest component of the first gradient, since the line search has absolute
     tolerances.

@@ -56,7 +56,7 @@ class Method(NamedTuple):
 
 
 def valued(outcome: PyTree) -> tuple[PyTree, Array]:
-    """A value and whether it converged, from a pair (value, flags or `StepInfo`) or a bare value, which has."""
+    """A value and whether it converged, from a pair (value, flags or `StepInfo`) or a value alone, which converged."""
     if isinstance(outcome, tuple) and len(outcome) == 2:
         value, flag = outcome
         flag = flag.converged if isinstance(flag, StepInfo) else flag
@@ -76,5 +76,5 @@ def residuals_of(function: Callable[[PyTree], PyTree], params: PyTree) -> tuple[
 
 
 def where(good: Array, new: PyTree, old: PyTree) -> PyTree:
-    """The tree `new` where `good`, else `old`, leaf by leaf."""
+    """The tree `new` where `good`, otherwise `old`, leaf by leaf."""
     return jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)

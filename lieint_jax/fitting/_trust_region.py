@@ -17,7 +17,7 @@ class Step(NamedTuple):
 
     Attributes:
         z: the step, (p,).
-        fall: by how much the linearized residuals let half their sum of squares fall.
+        fall: the predicted decrease of half the sum of squares, from the linearized residuals.
         damping: λ of the trust region; 0 where it does not limit the step.
     """
 
@@ -29,9 +29,9 @@ class Step(NamedTuple):
 def bounded_step(A: Array, r: Array, radius: Array, low: Array, high: Array) -> Step:
     """The z that minimizes |r + Az| where |z| ≤ radius and low ≤ z ≤ high, with low < 0 < high.
 
-    By active sets: coordinates that meet a side are held there, one after the other, and set free where the residuals
-    pull them back inside. The objective falls with every change, so that a search cut short still yields a step.
-    Without finite sides it is the step of Levenberg and Marquardt.
+    It is an active-set method: coordinates that meet a side are held there, one after the other, and released where the
+    gradient points back inside. The objective decreases with every change, so that an unfinished search still yields a
+    step. Without finite sides it is the step of Levenberg and Marquardt.
     """
     M, c = _triangle(A, r)
 
@@ -50,7 +50,7 @@ class _Active(NamedTuple):
 
     Attributes:
         z: the step so far.
-        side: for each coordinate −1 where it is held at its lower side, 1 at the upper one, else 0.
+        side: for each coordinate −1 if it is held at its lower side, 1 at the upper one, otherwise 0.
         damping: λ of the last solve.
         passes: the number of solves.
         done: whether z is the minimizer.

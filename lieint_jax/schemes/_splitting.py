@@ -207,12 +207,12 @@ def _drift(free: System) -> Step:
             return FreeMotion(free)
     raise ValueError(
         f"no symplectic drift is known for {getattr(free, 'group', type(free).__name__)} with this metric: give a "
-        "symmetric step of system.free, such as group_midpoint(system.free), whose defect of the form is O(Δt³) per step"
+        "symmetric step of system.free, such as group_midpoint(system.free), whose form has a defect O(Δt³) per step"
     )
 
 
 def _metrics(free: AbstractGeodesicFlow) -> list[Array]:
-    """The system's metric; if it is a tracer, two random ones: a map symplectic for both is symplectic for every one."""
+    """The system's metric; if it is a tracer, two random ones: a map symplectic for both is so for every metric."""
     if concrete(free.metric):
         return [free.metric]
     roots = np.random.default_rng(0).normal(size=(2, free.group.dim, free.group.dim))
