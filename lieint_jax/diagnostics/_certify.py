@@ -99,7 +99,7 @@ class Certificate(NamedTuple):
             return "exact to round-off a step"
         law = f"as dt^{self.symplectic_order:.2f} a step"
         if self.symplectic_order < self.order + 0.5 and not self.own_time:
-            return f"not kept by the motion itself: it changes {law}"
+            return f"not conserved by the motion itself: it changes {law}"
         return f"broken {law}"
 
 

@@ -83,7 +83,7 @@ class Extrapolated(Step):
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
-            f"{self.name} is rough at dt = {dt}: its last two orders differ by more than {_ROUGH:g} of the state. Take "
+            f"{self.name} is rough at dt = {dt}: its last two orders differ by more than {_ROUGH:g} of the state. Use "
             "a smaller dt"
         )
 

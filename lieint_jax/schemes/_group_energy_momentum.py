@@ -131,7 +131,7 @@ def group_energy_momentum(system: AbstractMechanicalSystem, iterations: int = 6)
 
     Source: Lewis & Simo 1994, Result 13; the discrete force: this package.
     """
-    MECHANICAL.check("group_energy_momentum", system, "; without a potential take group_midpoint")
+    MECHANICAL.check("group_energy_momentum", system, "; without a potential use group_midpoint")
     tau = as_tau(exponential, system.group)
     return GroupEnergyMomentum(system, tau, _checks.count("iterations", iterations, 1))
 

@@ -111,7 +111,7 @@ class GroupMidpoint(Step):
         Omega = Pi / m if m.ndim == 1 else np.linalg.solve(m, Pi)
         turn = float(np.abs(dt) * np.linalg.norm(Omega))
         return (
-            f"{self.name} on {self.system.group} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}. Take a smaller "
+            f"{self.name} on {self.system.group} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}. Use a smaller "
             f"dt, or more iterations than {self.iterations} if |Δt Ω| < 1. If Ad_q is large, no digits of Π = Ad*_q π "
             "are left"
         )
@@ -149,7 +149,7 @@ def group_midpoint(
     Source: Lewis & Simo 1994, Results 9–11.
     """
     integrand = RIGHT_GEODESICS if RIGHT_GEODESICS.declared(system) else GEODESICS
-    integrand.check("group_midpoint", system, "; with a potential take group_energy_momentum")
+    integrand.check("group_midpoint", system, "; with a potential use group_energy_momentum")
     tau = as_tau(tau, system.group)
     order = 2 if tau.symmetric else 1
     return GroupMidpoint(system, tau, _checks.count("iterations", iterations, 1), order, tau.symmetric)

@@ -190,7 +190,7 @@ class Langevin(Step):
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         if float(dt) < 0:  # pyright: ignore[reportArgumentType]
-            return f"{self.name} has no step back, got dt = {dt}: friction and noise have no inverse. Take dt > 0"
+            return f"{self.name} has no step back, got dt = {dt}: friction and noise have no inverse. Use dt > 0"
         return f"{self.name}: {self.deterministic.advice(state, dt)}"
 
 

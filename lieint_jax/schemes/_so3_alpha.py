@@ -128,7 +128,7 @@ def so3_alpha(
 
     Source: Lewis & Simo 1994, (2.14)–(2.22), Results 1 and 2; T_α and ν corrected.
     """
-    EMBEDDED.check("so3_alpha", system, "; for a body that stays on SO(3), which α = 1/2 does, take so3_midpoint")
+    EMBEDDED.check("so3_alpha", system, "; for a body that stays on SO(3), which α = 1/2 does, use so3_midpoint")
     alpha = _checks.fraction("alpha", alpha)
     middle = not concrete(alpha) or float(alpha) == 0.5
     iterations = _checks.count("iterations", iterations, 1)

@@ -86,7 +86,7 @@ class SphereChart(Step):
     def advice(self, state: State, dt: ArrayLike) -> str:
         theta = float(np.degrees(self.chart.coordinates(state)[0]))
         return (
-            f"{self.name} does not converge at dt = {dt}, {theta:.3g}° off the axis, where the chart is singular: take "
+            f"{self.name} does not converge at dt = {dt}, {theta:.3g}° off the axis, where the chart is singular: use "
             f"a smaller dt, or more iterations than {self.iterations}, or sphere_midpoint, which has no singularity"
         )
 

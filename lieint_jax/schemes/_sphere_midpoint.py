@@ -88,7 +88,7 @@ class SphereMidpoint(Step):
         more = f", or more iterations than {self.iterations}" if turn < 1 else ""
         return (
             f"{self.name} does not converge at dt = {dt}, where |Δt q̇| = {turn:.3g}: it may be 2.5, and the "
-            "branch of solutions ends at |Δt| of some 2/ω in a field that makes small oscillations of ω. Take a "
+            "branch of solutions ends at |Δt| of some 2/ω in a field that makes small oscillations of ω. Use a "
             f"smaller dt{more}"
         )
 

@@ -237,7 +237,7 @@ def torqued_midpoint(
     if isinstance(system, AbstractDampedBody):
         DAMPED_BODIES.check("torqued_midpoint", system)
         return DampedMidpoint(system, kappa, count)
-    TORQUED_BODIES.check("torqued_midpoint", system, "; for internal friction take systems.damped_body")
+    TORQUED_BODIES.check("torqued_midpoint", system, "; for internal friction use systems.damped_body")
     return TorquedMidpoint(system, kappa, count, symmetric=all(law.symmetric for law in system.laws))
 
 

@@ -167,7 +167,7 @@ def test_a_step_of_ones_own_that_fails_has_a_message():
         def __call__(self, state, dt):
             return state, StepInfo(jnp.ones(()), jnp.zeros((), bool))
 
-    with pytest.raises(ValueError, match=r"the step did not converge at dt = 0.1: take a smaller dt"):
+    with pytest.raises(ValueError, match=r"the step did not converge at dt = 0.1: use a smaller dt"):
         Failing(BODY).check(STATE, 0.1)
 
 

@@ -99,7 +99,7 @@ def test_the_run_of_one_body_with_the_systems_of_all_is_refused():
 
 def test_interpolate_takes_one_member():
     bodies, run, *_ = batch(5)
-    with pytest.raises(ValueError, match="the trajectory is of 5 members, and interpolate takes one"):
+    with pytest.raises(ValueError, match="the trajectory is of 5 members, and interpolate accepts one"):
         li.interpolate(bodies, run, [1.0])
 
 

@@ -91,15 +91,15 @@ def test_systems_with_a_potential_are_no_geodesic_flows_and_the_other_way_round(
     plane, metric = li.groups.special_euclidean(2), [2.0, 1.0, 1.0]
     flow = li.systems.euler(plane, metric)
     weight = li.systems.group_potential(plane, metric, lambda q: q[1, 2])
-    with pytest.raises(ValueError, match="GroupPotential; with a potential take group_energy_momentum"):
+    with pytest.raises(ValueError, match="GroupPotential; with a potential use group_energy_momentum"):
         schemes.group_midpoint(weight)
-    with pytest.raises(ValueError, match="Euler; without a potential take group_midpoint"):
+    with pytest.raises(ValueError, match="Euler; without a potential use group_midpoint"):
         schemes.group_energy_momentum(flow)
     with pytest.raises(ValueError, match=r"splitting integrates systems with a potential .*got Euler"):
         schemes.splitting(flow)
     with pytest.raises(ValueError, match=r"so3_midpoint integrates free rigid bodies .*got PotentialTop"):
         schemes.so3_midpoint(TOP)
-    with pytest.raises(ValueError, match="without an axis; take splitting"):
+    with pytest.raises(ValueError, match="without an axis; use splitting"):
         schemes.top_energy_momentum(li.systems.potential_top(J, lambda R: R[0, 0], None))
 
 

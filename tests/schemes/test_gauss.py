@@ -234,7 +234,7 @@ def test_too_few_sweeps_and_too_long_steps_are_flagged():
     with pytest.warns(RuntimeWarning, match="1 of 1 members did not converge at every step"):
         li.ensemble.run(step, jax.tree.map(lambda x: x[None], STATE), 0.25, 2, progress=False)
     assert not jax.jit(STEP)(STATE, 30.0)[1].converged
-    with pytest.raises(ValueError, match=r"its sweeps diverge.* Take a smaller dt"):
+    with pytest.raises(ValueError, match=r"its sweeps diverge.* Use a smaller dt"):
         li.integrate(STEP, STATE, 30.0, 1)
 
 

@@ -176,7 +176,7 @@ def test_alpha_out_of_range_is_refused(alpha):
 
 def test_other_systems_and_states_are_refused():
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
-    with pytest.raises(ValueError, match=r"systems.embedded_body.*got RigidBody.*take so3_midpoint"):
+    with pytest.raises(ValueError, match=r"systems.embedded_body.*got RigidBody.*use so3_midpoint"):
         li.schemes.so3_alpha(body)
     with pytest.raises(ValueError, match=r"shape \(3, 3\)"):
         li.integrate(li.schemes.so3_alpha(BODY), body.state(angular_velocity=[0, 0, 1.0]), 0.1, 1)

@@ -778,7 +778,7 @@ def test_other_schemes_refuse_a_torque_and_friction_and_name_the_scheme_that_tak
     make = functools.partial(make, order=4) if name in ("nystrom", "preprocessed") else make
     make = functools.partial(make, temperature=1.0, friction=1.0) if name == "langevin" else make
     for body in (BODIES["viscous"], BODIES["internal friction"]):
-        with pytest.raises(ValueError, match=f"{name} integrates .* got {type(body).__name__}; take torqued_midpoint$"):
+        with pytest.raises(ValueError, match=f"{name} integrates .* got {type(body).__name__}; use torqued_midpoint$"):
             make(body)
 
 

@@ -334,7 +334,7 @@ def test_what_has_no_meaning_is_refused():
         diagnostics.conditions(CONTROLLED, state, 0.1)
     with pytest.raises(ValueError, match=r"times cannot be given"):
         li.observe(CONTROLLED, state, 0.1, [0.2])
-    with pytest.raises(ValueError, match=r"which this state lacks: take step\.start"):
+    with pytest.raises(ValueError, match=r"which this state lacks: use step\.start"):
         LOG(START, 0.1)
     with pytest.raises(ValueError, match="step density"):
         CONTROLLED(START._replace(t=0.0), 0.1)

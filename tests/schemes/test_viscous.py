@@ -45,7 +45,7 @@ def test_what_is_not_possible_is_refused_with_a_sentence():
         systems.pseudo_rigid_body([2.0, 2.0, 2.0], MATERIAL, -1.0)
     with pytest.raises(ValueError, match="the rule 'average'"):
         schemes.additive(BODY, "symplectic")
-    with pytest.raises(ValueError, match="take additive"):
+    with pytest.raises(ValueError, match="use additive"):
         schemes.gauss(BODY)
 
 

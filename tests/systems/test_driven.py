@@ -410,7 +410,7 @@ def test_bad_input_is_refused_in_a_sentence():
         (lambda: satellite.energy(State(state.q, state.p)), "needs the time: make it with system.state"),
         (lambda: step.check(state._replace(t=np.nan), 0.1), "state.t must be finite"),
         (lambda: step.check(state._replace(work=np.inf), 0.1), "state.work must be finite"),
-        (lambda: step(state._replace(t=None), 0.1), "a state with work needs the time that the work began at"),
+        (lambda: step(state._replace(t=None), 0.1), "a state that counts work needs a time"),
         (lambda: step(state._replace(extra=3.0), 0.1), "state.extra must be a dict of arrays"),
         (lambda: satellite.state(angular_velocity=[0, 0, 1], t=[0.0, 1]), "t must have shape ()"),
         (lambda: satellite.state(angular_velocity=[0, 0, 1], work="much"), "work must be an array of real numbers"),

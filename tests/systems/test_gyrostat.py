@@ -543,14 +543,14 @@ OTHERS = {
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_other_schemes_refuse_a_gyrostat_and_name_those_that_take_it(name):
-    with pytest.raises(ValueError, match=f"{name} integrates .* got Gyrostat; take so3_midpoint or splitting"):
+    with pytest.raises(ValueError, match=f"{name} integrates .* got Gyrostat; use so3_midpoint or splitting"):
         OTHERS[name](GYROSTAT)
-    with pytest.raises(ValueError, match=f"{name} integrates .* got DrivenGyrostat; take so3_midpoint$"):
+    with pytest.raises(ValueError, match=f"{name} integrates .* got DrivenGyrostat; use so3_midpoint$"):
         OTHERS[name](DRIVEN)
 
 
 def test_splitting_refuses_a_driven_gyrostat():
-    with pytest.raises(ValueError, match="got DrivenGyrostat; take so3_midpoint"):
+    with pytest.raises(ValueError, match="got DrivenGyrostat; use so3_midpoint"):
         schemes.splitting(DRIVEN)
 
 

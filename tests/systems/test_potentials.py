@@ -350,7 +350,7 @@ def test_bad_input():
         (lambda: potentials.point_masses(1.0, [1.0, -1.0]), "masses must be ≥ 0"),
         (lambda: potentials.point_masses(1.0, 1.0), "masses must have an entry for each body"),
         (lambda: potentials.point_masses(1.0, [1.0, 1.0], softening=-1.0), "softening must be a length ≥ 0"),
-        (lambda: potentials.point_masses(1.0, NUMBERS, UNEVEN[:5]), "masses and points must be of as many bodies"),
+        (lambda: potentials.point_masses(1.0, NUMBERS, UNEVEN[:5]), "masses and points must have the same number of bodies"),
         (lambda: potentials.lennard_jones([1.0, 1.0], [0.0, 1.0]), "sizes must be > 0"),
         (lambda: potentials.sites(np.zeros((2, 3)), [1.0], [1.0], [1.0]), r"points must have shape \(N, n, 3\)"),
         (lambda: potentials.sites(np.zeros((2, 1, 3)), [0.0], [0.0], [1.0]), "nothing acts between the bodies"),
@@ -363,10 +363,10 @@ def test_bad_input():
         (lambda: potentials.outer_field(jnp.sum, [1.0], conserved=[1.0]), "conserved must be rows"),
         (lambda: potentials.ellipsoid_sphere(1.0, [1.0, 1.0], [1.0, 0.0, 1.0]), "semi_axes must be positive"),
         (lambda: potentials.water("SPC"), "model must be one of 'TIP4P', 'TIP4P/2005', got 'SPC'"),
-        (lambda: (potentials.maccullagh(1.0, [1.0], [[1.0, 1, 1]]) + FIELD).count, "as many bodies each"),
+        (lambda: (potentials.maccullagh(1.0, [1.0], [[1.0, 1, 1]]) + FIELD).count, "the same number of bodies"),
         (
             lambda: systems.rigid_bodies([1.0, 1.0], np.ones((2, 3)), KINDS["masses"][0]),
-            "the potential is one of 6 bodies, but there are 2 masses",
+            "the potential is for 6 bodies, but there are 2 masses",
         ),
     ]:
         with pytest.raises(ValueError, match=message):
