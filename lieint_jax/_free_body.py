@@ -134,7 +134,7 @@ def clock(inertia: Inertia, Pi: Vector3, t: ArrayLike) -> tuple[Array, Array, Ar
     else:
         moments, V = _eigh(scale * inertia)
         e = tuple(dot(V[:, k], e) for k in range(3))
-    s, d, on_branch = _sorted_clock(moments, e, where(still, 1e-3, G * t))
+    s, d, on_branch = _ascending_clock(moments, e, where(still, 1e-3, G * t))
     return where(still, 1, s), where(still, 0, scale * d), still | on_branch
 
 
@@ -212,17 +212,17 @@ def period_ratio(moments: Array, s: Array, long_axis: bool) -> Array:
     return found.rotation / found.precession
 
 
-def excited(moments: Array, ratio: Array, long_axis: bool) -> Array:
+def momentum_of_ratio(moments: Array, ratio: Array, long_axis: bool) -> Array:
     """The unit Π of `on_axes` at which P_ψ/P_φ is `ratio`, by bisection, with its first derivatives."""
     sign, fixed, wanted = -1 if long_axis else 1, lax.stop_gradient(moments), lax.stop_gradient(ratio)
 
-    def halved(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+    def bisect(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
         middle = (bounds[0] + bounds[1]) / 2
         low = sign * (period_ratio(fixed, middle, long_axis) - wanted) < 0
         return where(low, middle, bounds[0]), where(low, bounds[1], middle)
 
     zero = jnp.zeros_like(wanted)
-    low, high = lax.fori_loop(0, _BISECTIONS, halved, (zero, zero + 1))
+    low, high = lax.fori_loop(0, _BISECTIONS, bisect, (zero, zero + 1))
     s = (low + high) / 2
     _, slope = jax.jvp(lambda s: period_ratio(fixed, s, long_axis), (s,), (jnp.ones_like(s),))
     return on_axes(moments, s - (period_ratio(moments, s, long_axis) - ratio) / slope, long_axis)
@@ -256,7 +256,7 @@ def _increment(inertia: Inertia, e: Vector, tau: Array) -> tuple[Vector, Accurac
     """Λ⁻¹Λ(τ) in body axes, as a quaternion times a positive number, and its rounding errors."""
     if inertia.ndim == 1:
         moments, turns = _ascending(inertia)
-        w, v, accuracy = _sorted(moments, _permute(e, turns, 1), tau)
+        w, v, accuracy = _ascending_increment(moments, _permute(e, turns, 1), tau)
         return (w, *_permute(v, turns, -1)), accuracy
     moments, V = _eigh(inertia)
     a, b = (vec3.components(V[:, k]) for k in (0, 1))  # made right-handed, and orthonormal to the last bit
@@ -264,7 +264,7 @@ def _increment(inertia: Inertia, e: Vector, tau: Array) -> tuple[Vector, Accurac
     overlap = dot(a, b)
     b = _unit(tuple(y - overlap * x for x, y in zip(a, b, strict=True)))
     c = vec3.cross(a, b)
-    w, v, accuracy = _sorted(moments, (dot(a, e), dot(b, e), dot(c, e)), tau)
+    w, v, accuracy = _ascending_increment(moments, (dot(a, e), dot(b, e), dot(c, e)), tau)
     return (w, *(v[0] * a[i] + v[1] * b[i] + v[2] * c[i] for i in range(3))), accuracy
 
 
@@ -331,19 +331,19 @@ def _labels(J: Array, e: Vector) -> tuple[Array, _Labels]:
     return first, _Labels(*materialized((b_o, rm, where(first, d12, -d01), where(first, d02, -d02))))
 
 
-def _relabeled(first: Array, v: Vector) -> Vector:
+def _relabel(first: Array, v: Vector) -> Vector:
     """The components of v on the axes r, m, o from those on the axes 0, 1, 2, or back."""
     return where(first, v[0], v[2]), where(first, v[1], -v[1]), where(first, v[2], v[0])
 
 
-def _sorted(J: Array, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
+def _ascending_increment(J: Array, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
     """Λ⁻¹Λ(τ) as scalar and vector part, and its rounding errors, for ascending moments J."""
     first, b = _labels(J, e)
-    w, v, accuracy = _labeled(b, materialized(_relabeled(first, e)), tau)
-    return w, _relabeled(first, v), accuracy
+    w, v, accuracy = _labeled_increment(b, materialized(_relabel(first, e)), tau)
+    return w, _relabel(first, v), accuracy
 
 
-def _labeled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
+def _labeled_increment(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
     """Λ⁻¹Λ(τ) as scalar and vector part, times a positive number, and its rounding errors, in the axes r, m, o."""
     er, em, eo = e
     m = _motion(b, e, tau)
@@ -365,7 +365,7 @@ def _labeled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy
     azimuth = azimuth - where(m.about_r, jnp.pi * m.halves * jnp.sign(er * b.rm), 0)
     twist = (m.turn + theta - azimuth) / 2
     f = (fr, fm, fo)
-    w, v = _between(e, f, *materialized((jnp.cos(twist), jnp.sin(twist))))
+    w, v = _rotation_between(e, f, *materialized((jnp.cos(twist), jnp.sin(twist))))
     length = jnp.abs(dot(f, f) - 1)
     return w, v, Accuracy(*lax.stop_gradient((length, m.condition)))
 
@@ -385,11 +385,11 @@ def _on_polhode(b: _Labels, R: Array, f: Vector) -> Vector:
     return (f[0] - long * x - off * gx, f[1] - long * y - off * gy, f[2] - long * z - off * gz)
 
 
-def _sorted_clock(J: Array, e: Vector, tau: Array) -> tuple[Array, Array, Array]:
+def _ascending_clock(J: Array, e: Vector, tau: Array) -> tuple[Array, Array, Array]:
     """`clock` for ascending moments J of trace 1 and τ ≠ 0."""
     first, b = _labels(J, e)
     half = tau / 2
-    m = _motion(b, _relabeled(first, e), half)
+    m = _motion(b, _relabel(first, e), half)
     c, s = jnp.cos(m.turn), jnp.sin(m.turn)
     lag = c - m.R * m.S * (m.q_r / m.q_o) * s
     size = 1 + m.nu * m.S * m.S
@@ -464,7 +464,7 @@ def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array, needed: 
     return part, quarter
 
 
-def _between(e: Vector, f: Vector, c: Array, s: Array) -> tuple[Array, Vector]:
+def _rotation_between(e: Vector, f: Vector, c: Array, s: Array) -> tuple[Array, Vector]:
     """(r → e)(rotation about r by 2 arctan2(s, c))(f → r), times a positive number, as scalar and vector part."""
     a, b = 1 + e[0], 1 + f[0]
     t = (c * b, s * b, c * f[2] + s * f[1], s * f[2] - c * f[1])

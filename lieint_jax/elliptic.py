@@ -466,7 +466,7 @@ def _second(x: Array, y: Array, z: Array) -> Array:
 @compiled
 def _third(x: Array, y: Array, z: Array, p: Array) -> Array:
     negative, valid = p < 0, (x >= 0) & (y >= 0) & (z >= 0) & (p != 0)
-    a, b, c = _sorted(_root(x), _root(y), _root(z))
+    a, b, c = _sort(_root(x), _root(y), _root(z))
     most = where(negative, c * c, 1)  # c² = 0 only where all are 0
     minus = where(negative, -p, 1)
     total = where(most + minus > 0, most + minus, 1)
@@ -480,12 +480,12 @@ def _third(x: Array, y: Array, z: Array, p: Array) -> Array:
     return _carlson(where(negative, principal, rj), (x, y, z, p), _two_zeros(x, y, z), valid)
 
 
-def _sorted(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+def _sort(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
     """In ascending order, as a permutation: the slopes of minimum() and maximum() are means where two are equal."""
-    low, high = _ordered(x, y)
-    low, other = _ordered(low, z)
-    return low, *_ordered(other, high)
+    low, high = _order(x, y)
+    low, other = _order(low, z)
+    return low, *_order(other, high)
 
 
-def _ordered(x: Array, y: Array) -> tuple[Array, Array]:
+def _order(x: Array, y: Array) -> tuple[Array, Array]:
     return where(x <= y, x, y), where(x <= y, y, x)

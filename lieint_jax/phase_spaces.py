@@ -91,7 +91,7 @@ class EmbeddedRotations:
 
     def displaced(self, start: State, displacement: Array) -> State:
         """The end of a displacement."""
-        return _added(start, displacement)
+        return _add_entries(start, displacement)
 
     def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(δθ, δπ), shape (6,), of a tangent vector (δΛ, δπ): δθ = rot[δΛ Λ⁻¹], without the other components of δΛ."""
@@ -133,7 +133,7 @@ class CotangentMatrices:
 
     def displaced(self, start: State, displacement: Array) -> State:
         """The end of a displacement."""
-        return _added(start, displacement)
+        return _add_entries(start, displacement)
 
     def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(δF, δP), shape (18,)."""
@@ -247,12 +247,12 @@ class CotangentMotions:
         """The state displaced by δ, shape (12N,): x + δx, exp(δθ) q, p + δp, π + δπ."""
         along_q, along_p = delta.reshape(2, self.count, 6)
         turned = jax.vmap(so3.multiply)(jax.vmap(so3.exp)(along_q[:, 3:]), state.q[:, 3:])
-        return state._replace(q=_joined(state.q[:, :3] + along_q[:, :3], turned), p=state.p + along_p)
+        return state._replace(q=_join_bodies(state.q[:, :3] + along_q[:, :3], turned), p=state.p + along_p)
 
     def displacement(self, start: State, end: State) -> Array:
         """The δ, shape (12N,), with perturb(start, δ) = end, of the least δθ."""
         turn = jax.vmap(lambda a, b: so3.log(so3.multiply(b, so3.inverse(a))))(start.q[:, 3:], end.q[:, 3:])
-        along_q = _joined(end.q[:, :3] - start.q[:, :3], turn)
+        along_q = _join_bodies(end.q[:, :3] - start.q[:, :3], turn)
         return jnp.concatenate([along_q.ravel(), (end.p - start.p).ravel()])
 
     def displaced(self, start: State, displacement: Array) -> State:
@@ -267,12 +267,12 @@ class CotangentMotions:
         spins = jnp.where(spins > 0, spins, _or_one(jnp.max(spins)))
         lengths, along = (jnp.broadcast_to(y, x.shape) for y in (length, momentum))
         turns = jnp.broadcast_to(spins, x.shape)
-        return _joined(lengths, jnp.ones_like(x)).ravel(), _joined(along, turns).ravel()
+        return _join_bodies(lengths, jnp.ones_like(x)).ravel(), _join_bodies(along, turns).ravel()
 
     def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(δx, δθ, …, δp, δπ, …), shape (12N,), of a tangent vector given in the coordinates of `State`."""
         turning = jax.vmap(so3.spatial_velocity)(state.q[:, 3:], tangent.q[:, 3:])
-        return jnp.concatenate([_joined(tangent.q[:, :3], turning).ravel(), tangent.p.ravel()])
+        return jnp.concatenate([_join_bodies(tangent.q[:, :3], turning).ravel(), tangent.p.ravel()])
 
     def omega(self, state: State) -> PhaseMatrix:
         """[[α, 1], [−1, 0]], shape (12N, 12N), α being π̂ of each body on its δθ (2.9)."""
@@ -288,7 +288,7 @@ class CotangentMotions:
         return jnp.max(jnp.abs(jax.vmap(so3.defect)(state.q[:, 3:])))
 
 
-def _joined(linear: Array, angular: Array) -> Array:
+def _join_bodies(linear: Array, angular: Array) -> Array:
     return jnp.concatenate([linear, angular], axis=1)
 
 
@@ -326,7 +326,7 @@ class CotangentSphere:
 
     def displaced(self, start: State, displacement: Array) -> State:
         """The end of a displacement, projected on T*S²."""
-        end = _added(start, displacement)
+        end = _add_entries(start, displacement)
         q = end.q / jnp.sqrt(vec3.dot(end.q, end.q))
         return end._replace(q=q, p=end.p - vec3.dot(q, end.p) * q)
 
@@ -389,7 +389,7 @@ def _entries(state: State) -> Array:
     return jnp.concatenate([state.q.ravel(), state.p.ravel()])
 
 
-def _added(state: State, entries: Array) -> State:
+def _add_entries(state: State, entries: Array) -> State:
     n = state.q.size
     return state._replace(
         q=state.q + entries[:n].reshape(state.q.shape), p=state.p + entries[n:].reshape(state.p.shape)

@@ -91,7 +91,7 @@ class Shape:
     def aligned(self) -> Shape:
         """The same body with its center at the origin and its principal axes along x, y and z, moments ascending."""
         _, axes = self.principal_axes()
-        turned = self._rotated(axes.T)
+        turned = self._rotate(axes.T)
         second = jnp.diag(jnp.diagonal(turned.second))
         return Shape(self.mass, jnp.zeros_like(self.center), second, turned.third, turned.fourth, True)
 
@@ -105,9 +105,9 @@ class Shape:
         by = _checks.real_array("by", by, (3,), like=self.second)
         if rotation is None:
             return Shape(self.mass, self.center + by, self.second, self.third, self.fourth, self.diagonal)
-        return self._rotated(_checks.rotation_matrix("rotation", rotation)).moved(by)
+        return self._rotate(_checks.rotation_matrix("rotation", rotation)).moved(by)
 
-    def _rotated(self, R: Array) -> Shape:
+    def _rotate(self, R: Array) -> Shape:
         second = jnp.einsum("ai,bj,ij->ab", R, R, self.second)
         third = jnp.einsum("ai,bj,ck,ijk->abc", R, R, R, self.third)
         fourth = jnp.einsum("ai,bj,ck,dl,ijkl->abcd", R, R, R, R, self.fourth)
@@ -119,7 +119,7 @@ class Shape:
             return NotImplemented
         mass = self.mass + other.mass
         center = (self.mass * self.center + other.mass * other.center) / mass
-        parts = [_shifted(part._about_center(), part.center - center) for part in (self, other)]
+        parts = [_shift_moments(part._about_center(), part.center - center) for part in (self, other)]
         _, _, second, third, fourth = (a + b for a, b in zip(*parts, strict=True))
         return Shape(mass, center, second, third, fourth)
 
@@ -247,7 +247,7 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
     total, scale = _mass(jnp.abs(volume), mass, density)
     scale = scale * jnp.sign(volume)
     to_center = scale * moments[0] / total
-    _, _, second, third, fourth = _shifted((total, *(scale * M for M in moments)), -to_center)
+    _, _, second, third, fourth = _shift_moments((total, *(scale * M for M in moments)), -to_center)
     return Shape(total, reference + to_center, second, third, fourth)
 
 
@@ -302,13 +302,13 @@ def _solid(
     one = jnp.eye(3, dtype=lengths.dtype)
     # of the three ways to pair four axes, all three hold where the four are equal
     mean = jnp.asarray(table * (1 - np.eye(3) * 2 / 3), lengths.dtype) * lengths[:, None] * lengths
-    fourth = 3 * _symmetrized(mean[:, None, :, None] * one[:, :, None, None] * one)
+    fourth = 3 * _symmetrize(mean[:, None, :, None] * one[:, :, None, None] * one)
     zero = jnp.zeros((3, 3, 3), lengths.dtype)
     return Shape(total, zero[0, 0], jnp.diag(total * squares), zero, total * fourth, True)
 
 
 @partial(compiled, once=True)
-def _shifted(moments: tuple[Array, ...], by: Array) -> tuple[Array, ...]:
+def _shift_moments(moments: tuple[Array, ...], by: Array) -> tuple[Array, ...]:
     """The moments of orders 0, 1, … of a body translated by d: ∫ (r + d)⊗…⊗(r + d) dm."""
     powers = [jnp.ones((), by.dtype)]
     for _ in moments[1:]:
@@ -316,7 +316,7 @@ def _shifted(moments: tuple[Array, ...], by: Array) -> tuple[Array, ...]:
     return tuple(
         sum(
             (
-                _placed(moments[k], powers[n - k], axes)
+                _place_axes(moments[k], powers[n - k], axes)
                 for k in range(n + 1)
                 for axes in itertools.combinations(range(n), k)
             ),
@@ -326,14 +326,14 @@ def _shifted(moments: tuple[Array, ...], by: Array) -> tuple[Array, ...]:
     )
 
 
-def _placed(a: Array, b: Array, axes: tuple[int, ...]) -> Array:
+def _place_axes(a: Array, b: Array, axes: tuple[int, ...]) -> Array:
     """The product of two tensors, with the axes of the first at these places and those of the second at the others."""
     others = [k for k in range(a.ndim + b.ndim) if k not in axes]
     outer = a[(..., *[None] * b.ndim)] * b
     return jnp.moveaxis(outer, range(outer.ndim), (*axes, *others))
 
 
-def _symmetrized(T: Array) -> Array:
+def _symmetrize(T: Array) -> Array:
     """The mean of a tensor over all orders of its axes."""
     orders = list(itertools.permutations(range(T.ndim)))
     return sum((jnp.transpose(T, order) for order in orders), jnp.zeros_like(T)) / len(orders)
@@ -361,8 +361,8 @@ def _of_tetrahedra(corners: Array) -> tuple[Array, ...]:
         jnp.sum(V),
         jnp.sum(p1V, axis=0) / 4,
         second / 20,
-        _symmetrized(third.reshape(3, 3, 3)) / 120,
-        _symmetrized(fourth.reshape(3, 3, 3, 3)) / 840,
+        _symmetrize(third.reshape(3, 3, 3)) / 120,
+        _symmetrize(fourth.reshape(3, 3, 3, 3)) / 840,
     )
 
 
@@ -371,9 +371,9 @@ def trace_free(M: Array) -> Array:
     """The trace-free part of a symmetric tensor of order 2, 3 or 4, which alone acts by gravity outside the body."""
     one, trace = jnp.eye(3, dtype=M.dtype), jnp.trace(M)
     if M.ndim < 4:
-        return M - M.ndim * (M.ndim - 1) / (2 * (2 * M.ndim - 1)) * _symmetrized(_placed(one, trace, (0, 1)))
-    double = jnp.trace(trace) * _placed(one, one, (0, 1))
-    return M - _symmetrized(6 / 7 * _placed(one, trace, (0, 1)) - 3 / 35 * double)
+        return M - M.ndim * (M.ndim - 1) / (2 * (2 * M.ndim - 1)) * _symmetrize(_place_axes(one, trace, (0, 1)))
+    double = jnp.trace(trace) * _place_axes(one, one, (0, 1))
+    return M - _symmetrize(6 / 7 * _place_axes(one, trace, (0, 1)) - 3 / 35 * double)
 
 
 def _sums(a: Array, b: Array) -> Array:

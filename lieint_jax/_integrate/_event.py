@@ -156,7 +156,7 @@ def _events(
 ) -> Event:
     brackets = _brackets(step, state, clock, condition, max_steps, count, direction)
 
-    def refined(bracket: _Bracket) -> Event:
+    def locate(bracket: _Bracket) -> Event:
         size = clock.size(bracket.n)
         tau, ends = _root(step, bracket, size, condition)
         tau = jnp.where(bracket.found, tau, 0)
@@ -169,7 +169,7 @@ def _events(
         t = time_of(end) if node is None else node + tau
         return Event(t, at_time(end, t), bracket.found & crosses & converged)
 
-    return jax.vmap(refined)(brackets)
+    return jax.vmap(locate)(brackets)
 
 
 def _brackets(

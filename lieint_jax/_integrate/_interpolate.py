@@ -59,7 +59,7 @@ def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> Sta
         first, last = min(float(t[0]), float(t[-1])), max(float(t[0]), float(t[-1]))
         if wanted.size and not first <= float(wanted.min()) <= float(wanted.max()) <= last:
             raise ValueError(f"times must lie in the trajectory, from {first} to {last}, got {wanted}")
-    found, gaps = _interpolated(system, trajectory._replace(t=t), wanted)
+    found, gaps = _states_and_gaps(system, trajectory._replace(t=t), wanted)
     if concrete(gaps) and wanted.size and not float(jnp.max(gaps)) < 1:
         k = int(np.argmax(gaps))
         raise ValueError(
@@ -70,7 +70,7 @@ def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> Sta
 
 
 @compiled
-def _interpolated(system: System, trajectory: Trajectory, times: Array) -> tuple[State, Array]:
+def _states_and_gaps(system: System, trajectory: Trajectory, times: Array) -> tuple[State, Array]:
     """The states, and the relative error of the trapezoidal rule from one saved state to the next; ≥ 1 is too large."""
     t, space = trajectory.t, system.phase_space
     sign = jnp.where(t[-1] < t[0], -1, 1)
@@ -80,10 +80,10 @@ def _interpolated(system: System, trajectory: Trajectory, times: Array) -> tuple
     def interpolate_at(k: Array, time: Array, inside: Array) -> tuple[State, Array]:
         a, b = (jax.tree.map(lambda x: x[n], trajectory.state) for n in (k, k + 1))  # noqa: B023
         h = t[k + 1] - t[k]
-        rest, unravel = ravel_pytree(_rest(a))
+        rest, unravel = ravel_pytree(_work_and_extra(a))
 
         def coordinates(z: State) -> Array:
-            return jnp.concatenate([space.displacement(a, z), ravel_pytree(_rest(z))[0] - rest])
+            return jnp.concatenate([space.displacement(a, z), ravel_pytree(_work_and_extra(z))[0] - rest])
 
         (_, v0, w0), (end, v1, w1) = (_jet(system, coordinates, z) for z in (a, b))
         d = _quintic((time - t[k]) / h, end, h * v0, h * v1, h * h * w0, h * h * w1)
@@ -97,7 +97,7 @@ def _interpolated(system: System, trajectory: Trajectory, times: Array) -> tuple
     return jax.vmap(interpolate_at)(left, times, inside)
 
 
-def _rest(state: State) -> dict[str, Any]:
+def _work_and_extra(state: State) -> dict[str, Any]:
     return {"work": state.work, "extra": state.extra}
 
 

@@ -107,7 +107,7 @@ def integrate(
         _check_size(state, num_saves + 1)
         if adjoint is not None:
             later = adjoint.run(step, state, clock, num_saves, save_every)
-            return joined(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
+            return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
         if trial is None or len(trial.t) != num_saves + 1:
             rows = rows_for(state, num_saves)
             trial = of_any_length(step, state, clock, num_saves, rows, save_every) if rows else None
@@ -171,14 +171,16 @@ def of_any_length(
     """
     if not _stands_alone(step, state, clock):
         return None
-    found = _padded(step, state, clock, num_saves, most, save_every)
+    found = _padded_trajectory(step, state, clock, num_saves, most, save_every)
     if not _checks.concrete(found):  # a function of the step closes over a tracer
         return None
     return jax.tree.map(lambda x: np.asarray(x)[: num_saves + 1], found)
 
 
 @partial(compiled, static_argnums=(4, 5))
-def _padded(step: Step, state: State, clock: Clock, num_saves: ArrayLike, most: int, save_every: int) -> Trajectory:
+def _padded_trajectory(
+    step: Step, state: State, clock: Clock, num_saves: ArrayLike, most: int, save_every: int
+) -> Trajectory:
     """`trajectory` for any number of saves up to `most`; the entries after them are undefined."""
     interval = _interval(prepared(step, state, clock), clock, save_every)
     rows = jax.tree.map(lambda x: jnp.broadcast_to(x, (most, *x.shape)), (state, StepInfo.fresh(state.p)))
@@ -189,14 +191,14 @@ def _padded(step: Step, state: State, clock: Clock, num_saves: ArrayLike, most: 
         return moved, jax.tree.map(lambda to, x: lax.dynamic_update_index_in_dim(to, x, k, 0), rows, saved)
 
     _, later = lax.fori_loop(0, num_saves, padded_interval, ((state, jnp.zeros((), int)), rows))
-    return joined(state, later, clock.time(save_every * jnp.arange(most + 1)))
+    return join_start(state, later, clock.time(save_every * jnp.arange(most + 1)))
 
 
 @partial(compiled, static_argnums=(3, 4))
 def trajectory(step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Trajectory:
     interval = _interval(prepared(step, state, clock), clock, save_every)
     _, later = scan(interval, (state, jnp.zeros((), int)), num_saves)
-    return joined(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
+    return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
 
 
 def _interval(step: Step, clock: Clock, save_every: int) -> Callable[[Any, None], tuple[Any, Any]]:
@@ -240,10 +242,10 @@ def _at_output_times(
         buffer = lax.scan(step_to_output, ((state, fresh), zero, zero, buffer), outputs)[0][-1]
     later, info = buffer
     info = info._replace(converged=info.converged & inside & (own == nodes))  # else a traced time is out of order
-    return joined(state, (at_time(later, save_at), info), jnp.concatenate([clock.time(0)[None], save_at]))
+    return join_start(state, (at_time(later, save_at), info), jnp.concatenate([clock.time(0)[None], save_at]))
 
 
-def joined(state: State, later: tuple[State, StepInfo], t: Array | None) -> Trajectory:
+def join_start(state: State, later: tuple[State, StepInfo], t: Array | None) -> Trajectory:
     """The trajectory of an initial state, the states and reports after it, and the times of all; None: the states'."""
     first = (state, StepInfo.fresh(state.p))
     states, info = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)

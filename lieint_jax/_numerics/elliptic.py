@@ -104,7 +104,7 @@ def _ascending(u: Array, m1: Array) -> tuple[Array, Array, Array]:
 
 def _smooth_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     """`carlson_rj` by two more duplications than its value needs, for its derivatives."""
-    return _rj_value(_duplicated(root_x, root_y, root_z, p, more=2))
+    return _rj_value(_duplicate(root_x, root_y, root_z, p, more=2))
 
 
 @functools.partial(forward_mode, smooth=_smooth_rj)
@@ -118,11 +118,11 @@ def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     It duplicates until the arguments are so close that the series has that error: 13 times at most, three or four times
     for arguments of one size.
     """
-    return _rj_value(_duplicated(root_x, root_y, root_z, p))
+    return _rj_value(_duplicate(root_x, root_y, root_z, p))
 
 
 def _smooth_rj_of_any(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
-    return _rj_value(_duplicated(root_x, root_y, root_z, p, more=2, ordered=False))
+    return _rj_value(_duplicate(root_x, root_y, root_z, p, more=2, ordered=False))
 
 
 @functools.partial(forward_mode, smooth=_smooth_rj_of_any)
@@ -131,7 +131,7 @@ def carlson_rj_of_any(root_x: Array, root_y: Array, root_z: Array, p: Array) -> 
 
     A p that is much larger than x, y and z needs log₄ of that ratio duplications.
     """
-    return _rj_value(_duplicated(root_x, root_y, root_z, p, ordered=False))
+    return _rj_value(_duplicate(root_x, root_y, root_z, p, ordered=False))
 
 
 @forward_mode
@@ -149,7 +149,7 @@ def carlson_rc(root_x: Array, root_y: Array) -> Array:
     return where(jnp.abs(d) < _CLOSE * x, series, far)
 
 
-def _duplicated(
+def _duplicate(
     root_x: Array, root_y: Array, root_z: Array, p: Array, more: int = 0, ordered: bool = True
 ) -> _Duplicated:
     """The arguments of R_J, duplicated until they are close; `ordered` if p ≥ x, y, z."""

@@ -74,18 +74,18 @@ def root(
     watched = done is not None or iterations > _FEW
 
     def solve(function: Callable[[_Unknown], _Unknown], x: _Unknown) -> tuple[_Unknown, tuple[_Unknown, Array]]:
-        def improved(x: _Unknown, pace: ContractionMonitor) -> tuple[_Unknown, ContractionMonitor, _Unknown]:
+        def improve(x: _Unknown, pace: ContractionMonitor) -> tuple[_Unknown, ContractionMonitor, _Unknown]:
             step = correction(x, function(x))
             return jax.tree.map(jnp.subtract, x, step), pace.update(size(step)) if watched else pace, step
 
         pace = ContractionMonitor.start(size(x) if first is None else first)
         if done is not None:
-            x, pace = _until(done, improved, x, pace, iterations)
+            x, pace = _iterate_until(done, improve, x, pace, iterations)
         elif unroll:
             for _ in range(iterations):
-                x, pace, _ = improved(x, pace)
+                x, pace, _ = improve(x, pace)
         else:
-            x, pace = lax.fori_loop(0, iterations, lambda _, carry: improved(*carry)[:2], (x, pace))
+            x, pace = lax.fori_loop(0, iterations, lambda _, carry: improve(*carry)[:2], (x, pace))
         if done is not None or not unroll:  # corrections written out take less time than what XLA makes of a kept root
             x = saved(x)
         return x, (function(x), pace.growth)
@@ -187,9 +187,9 @@ def quadratic(x: PyTree, step: PyTree) -> Array:
     return _largest(step) ** 2 <= jnp.finfo(jax.tree.leaves(x)[0].dtype).eps / 100 * _largest(x)
 
 
-def _until(
+def _iterate_until(
     done: Callable[[_Unknown, _Unknown], Array],
-    improved: Callable[[_Unknown, ContractionMonitor], tuple[_Unknown, ContractionMonitor, _Unknown]],
+    improve: Callable[[_Unknown, ContractionMonitor], tuple[_Unknown, ContractionMonitor, _Unknown]],
     x: _Unknown,
     pace: ContractionMonitor,
     most: int,
@@ -198,7 +198,7 @@ def _until(
         carry: tuple[_Unknown, ContractionMonitor, Array, Array],
     ) -> tuple[_Unknown, ContractionMonitor, Array, Array]:
         x, pace, k, _ = carry
-        x, pace, step = improved(x, pace)
+        x, pace, step = improve(x, pace)
         return x, pace, k + 1, done(x, step)
 
     start = (x, pace, jnp.zeros((), jnp.int32), jnp.zeros((), bool))

@@ -86,11 +86,11 @@ def observe(
         )
     else:
         later = undoable(step, state, h, xp.diff(whole[order], prepend=0), tolerance)
-    return _states_at(step, later, xp.argsort(order), _rest(t - t0, h, whole), reached)
+    return _states_at(step, later, xp.argsort(order), _remaining_step(t - t0, h, whole), reached)
 
 
 @jax.custom_jvp
-def _rest(t: Array, h: Array, whole: Array) -> Array:
+def _remaining_step(t: Array, h: Array, whole: Array) -> Array:
     """t − h·whole, set to 0 where it is a rounding error.
 
     XLA computes it several times, with and without a fused multiply-add, which would give steps of both 0 and 1e-17.
@@ -99,10 +99,10 @@ def _rest(t: Array, h: Array, whole: Array) -> Array:
     return jnp.where(jnp.abs(rest) <= 4 * jnp.finfo(t.dtype).eps * jnp.abs(t), 0, rest)
 
 
-@_rest.defjvp
+@_remaining_step.defjvp
 def _(primals: tuple[Array, Array, Array], tangents: tuple[Array, Array, Any]) -> tuple[Array, Array]:
     t, h, whole = primals
-    return _rest(t, h, whole), tangents[0] - whole * tangents[1]
+    return _remaining_step(t, h, whole), tangents[0] - whole * tangents[1]
 
 
 @compiled

@@ -21,7 +21,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._integrate import at_time, intervals, joined, uniform_clock
+from lieint_jax._integrate import at_time, intervals, join_start, uniform_clock
 from lieint_jax._xla import compiled, rematerialized
 from lieint_jax.types import (
     PhaseSpace,
@@ -84,11 +84,11 @@ class Transition:
         Raises:
             ValueError: a matrix has another shape or is not symmetric, or P_p is given without parameters.
         """
-        P = _carried(self.matrix, _covariance("initial", initial, self.matrix.shape[-1]))
+        P = _propagate_covariance(self.matrix, _covariance("initial", initial, self.matrix.shape[-1]))
         if parameter_covariance is None:
             return P
         S = self._sensitivity
-        return P + _carried(S, _covariance("parameter_covariance", parameter_covariance, S.shape[-1]))
+        return P + _propagate_covariance(S, _covariance("parameter_covariance", parameter_covariance, S.shape[-1]))
 
     def ellipse(
         self,
@@ -129,7 +129,7 @@ class Transition:
         return jnp.concatenate([jnp.reshape(x, (*rows, -1)) for x in leaves], axis=-1)
 
 
-def _carried(A: Array, P: Array) -> Array:
+def _propagate_covariance(A: Array, P: Array) -> Array:
     return A @ P @ jnp.swapaxes(A, -1, -2)
 
 
@@ -313,7 +313,7 @@ def _entries(run: _Run, values: PyTree, dt: Array, num_saves: int, save_every: i
         T = jnp.concatenate([T, tangents.slope(lambda p: make_run(p)[1], p)], axis=1)
     _, (later, Ts) = lax.scan(interval, (start, T, jnp.zeros((), int)), None, length=num_saves)
     rows = jnp.concatenate([T[None], Ts])[:, :dim]
-    trajectory = joined(start, later, clock.time(save_every * jnp.arange(num_saves + 1)))
+    trajectory = join_start(start, later, clock.time(save_every * jnp.arange(num_saves + 1)))
     by_parameters = jax.vmap(jax.vmap(unravel))(rows[:, :, dim:]) if p.size else None
     return Transition(trajectory.t, trajectory.state, trajectory.info, rows[:, :, :dim], by_parameters)
 

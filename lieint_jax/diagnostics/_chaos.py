@@ -149,7 +149,7 @@ def _lyapunov(
         state, last, T = advance_frame(state, n, T)
         return (state, T, info.merge(last), n + 1), None
 
-    def orthonormalized(carry: PyTree, _: None) -> tuple[PyTree, None]:
+    def orthonormal_interval(carry: PyTree, _: None) -> tuple[PyTree, None]:
         (state, frame, info, n), growth = carry
         batch = n // every * batches // rounds
         (state, T, info, n), _ = lax.scan(interval, (state, unit * frame, info, n), None, length=every)
@@ -159,7 +159,7 @@ def _lyapunov(
 
     begin = (state, orthonormal(frame / unit)[0], StepInfo.fresh(state.p), zero)
     growth = jnp.zeros((batches, frame.shape[1]), frame.dtype)
-    ((_, _, info, _), growth), _ = lax.scan(orthonormalized, (begin, growth), None, length=rounds)
+    ((_, _, info, _), growth), _ = lax.scan(orthonormal_interval, (begin, growth), None, length=rounds)
     between = jnp.abs(dt) * every
     lengths = between * np.bincount(np.arange(rounds) * batches // rounds, minlength=batches)
     errors = standard_error(growth / lengths[:, None])

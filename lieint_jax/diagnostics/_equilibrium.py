@@ -182,7 +182,7 @@ def _newton(system: System, state: State, frame: Array, free: np.ndarray) -> Sta
         for _ in range(_HALVINGS):
             delta = np.zeros(found.unit.size)
             delta[free] = correction
-            moved = _perturbed(system, state, jnp.asarray(delta * found.unit, state.p.dtype))
+            moved = _perturb(system, state, jnp.asarray(delta * found.unit, state.p.dtype))
             after = derivatives(system, moved, frame)
             less = after.residual(after.rates())
             if less < residual:
@@ -202,7 +202,7 @@ def _newton(system: System, state: State, frame: Array, free: np.ndarray) -> Sta
 
 
 @partial(compiled, once=True)
-def _perturbed(system: System, state: State, delta: Array) -> State:
+def _perturb(system: System, state: State, delta: Array) -> State:
     return system.phase_space.perturb(state, delta)
 
 

@@ -78,7 +78,7 @@ def modified_energy(step: Step, state: State, dt: ArrayLike, order: int = 4) -> 
     if not isinstance(step, Splitting | GyrostatSplitting):
         raise ValueError(f"the modified energy is known for schemes.splitting(…), got {step.name}")
     _check_drift(step.drift, order)
-    return _modified(step, state, jnp.asarray(_checks.step_size(dt), dtype), order)
+    return _modified_energy(step, state, jnp.asarray(_checks.step_size(dt), dtype), order)
 
 
 def _check_drift(drift: Step, order: int) -> None:
@@ -94,7 +94,7 @@ def _check_drift(drift: Step, order: int) -> None:
 
 
 @partial(compiled, static_argnums=3)
-def _modified(step: Splitting | GyrostatSplitting, state: State, dt: Array, order: int) -> Array:
+def _modified_energy(step: Splitting | GyrostatSplitting, state: State, dt: Array, order: int) -> Array:
     parts = _parts(step)
     z = state._replace(work=None, extra=None)  # on which the parts of H do not depend
     terms = dt**2 * _brackets(parts, _H2)(z)
@@ -130,7 +130,7 @@ def _parts(step: Splitting | GyrostatSplitting) -> _Parts:
         return system.force(z.q, clock(z)) if driven else system.force(z.q)
 
     def kick(z: State) -> State:
-        return z._replace(q=jnp.zeros_like(z.q), p=force(z), t=_still(z))
+        return z._replace(q=jnp.zeros_like(z.q), p=force(z), t=_zero_time(z))
 
     def rate(z: State) -> Array:
         """{V, T} = L_T V: the rate of V in free motion, −force·velocity, and ∂V/∂t."""
@@ -149,10 +149,10 @@ def _rotor_parts(system: AbstractGyrostat) -> _Parts:
 
     def drift(z: State) -> State:
         moving = system.free.vector_field(z)
-        return z._replace(q=moving.q, p=moving.p, t=_still(z))
+        return z._replace(q=moving.q, p=moving.p, t=_zero_time(z))
 
     def rotate(z: State) -> State:
-        return z._replace(q=so3.tangent(z.q, -jnp.stack(velocity)), p=jnp.zeros_like(z.p), t=_still(z))
+        return z._replace(q=so3.tangent(z.q, -jnp.stack(velocity)), p=jnp.zeros_like(z.p), t=_zero_time(z))
 
     def rate(z: State) -> Array:
         Pi = so3.Ad_star(z.q, z.p)
@@ -162,7 +162,7 @@ def _rotor_parts(system: AbstractGyrostat) -> _Parts:
     return _Parts({"X": rotate, "Y": drift}, rate)
 
 
-def _still(z: State) -> Array | None:
+def _zero_time(z: State) -> Array | None:
     return None if z.t is None else jnp.zeros_like(z.t)
 
 

@@ -153,7 +153,7 @@ def _slice(omega: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def _pairs(A: np.ndarray, small: float) -> tuple[np.ndarray, np.ndarray]:
     """One eigenvalue of each pair ±λ of a Hamiltonian matrix, by ascending frequency, and their vectors as columns."""
     values, vectors = np.linalg.eig(A)
-    values = _rounded(values, small * np.abs(values).max(initial=0))
+    values = _round_to_zero(values, small * np.abs(values).max(initial=0))
     rest, chosen, paired = list(range(len(values))), [], []
     while rest:
         first = max(rest, key=lambda i: (np.imag(values[i]), np.real(values[i])))
@@ -166,7 +166,7 @@ def _pairs(A: np.ndarray, small: float) -> tuple[np.ndarray, np.ndarray]:
     return np.array([paired[i] for i in order], complex), vectors[:, [chosen[i] for i in order]].astype(complex)
 
 
-def _rounded(values: np.ndarray, least: float) -> np.ndarray:
+def _round_to_zero(values: np.ndarray, least: float) -> np.ndarray:
     """Eigenvalues without real and imaginary parts below `least`."""
     real, imaginary = (np.where(np.abs(x) <= least, 0, x) for x in (np.real(values), np.imag(values)))
     return real + 1j * imaginary
@@ -186,7 +186,7 @@ def _group_rates(A: np.ndarray, orbit: np.ndarray, omega: np.ndarray, along: np.
     quotient = moved.T @ A @ moved  # modulo the isotropy, which A maps to itself
     values = np.linalg.eigvals(isotropy.T @ A @ isotropy)
     scale = max(np.abs(np.linalg.eigvals(orbit.T @ A @ orbit)).max(initial=0), 1e-300)
-    values = _rounded(values, small * scale)
+    values = _round_to_zero(values, small * scale)
     found = np.concatenate([_pairs(quotient, small)[0], values])
     return found[np.argsort(np.abs(np.imag(found)), kind="stable")]
 

@@ -89,7 +89,7 @@ def certify_thermostat(step: Any, state: State, dt: float, num_steps: int) -> Th
     run, free = (_measure.run(x, state, h, num_steps, most) for x in (step, step.free))
     kT, quiet = float(step.temperature), step.deterministic
     less, alone = (_energies_less_heat(x.system, path) for x, path in ((step, run), (step.free, free)))
-    kinetic = float(np.abs(alone).max()) + float(np.abs(_carried(free, "heat")).max())
+    kinetic = float(np.abs(alone).max()) + float(np.abs(_extra_series(free, "heat")).max())
     sizes = [float(_largest_change(quiet, run.state, x)) for x in (h, h / 2)]
     eps = float(jnp.finfo(h.dtype).eps)
     exact = sizes[0] <= 64 * eps * (abs(float(less[0])) + kT) or sizes[1] == 0
@@ -97,7 +97,7 @@ def certify_thermostat(step: Any, state: State, dt: float, num_steps: int) -> Th
     form, back = float(_form_defect(quiet, state, h)), float(shown_reversibility(quiet, state, h, 1))
     floor = 32 * eps * step.system.phase_space.dim
     accepted = not step.metropolis or (form <= floor and back <= floor)
-    rejected = _carried(run, "rejections") if step.metropolis else np.zeros(1)
+    rejected = _extra_series(run, "rejections") if step.metropolis else np.zeros(1)
     return ThermalCertificate(
         scheme=step.name,
         system=type(step.system).__name__,
@@ -118,10 +118,10 @@ def certify_thermostat(step: Any, state: State, dt: float, num_steps: int) -> Th
 
 
 def _energies_less_heat(system: Any, run: Trajectory) -> np.ndarray:
-    return np.asarray(_energies(system, run.state)) - _carried(run, "heat")
+    return np.asarray(_energies(system, run.state)) - _extra_series(run, "heat")
 
 
-def _carried(run: Trajectory, name: str) -> np.ndarray:
+def _extra_series(run: Trajectory, name: str) -> np.ndarray:
     return np.asarray((run.state.extra or {})[name])
 
 

@@ -25,7 +25,7 @@ from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._descent import descent, lbfgs
 from lieint_jax.fitting._least_squares import jacobian, least_squares, spread
 from lieint_jax.fitting._outcome import End, Fit, outcome, parameter_names
-from lieint_jax.fitting._search import NOWHERE, RUNNING, TARGET, Carry, Method, residuals_of, valued, where
+from lieint_jax.fitting._search import NOWHERE, RUNNING, TARGET, Carry, Method, residuals_of, value_and_flag, where
 from lieint_jax.types.shapes import PyTree
 
 if TYPE_CHECKING:
@@ -232,7 +232,7 @@ def _method(
         return least_squares(lambda y: residuals_of(loss, y), box, optimizer == "gauss_newton", tolerance)
 
     def scalar(y: Array) -> tuple[Array, Array]:
-        value, ok = valued(loss(y))
+        value, ok = value_and_flag(loss(y))
         if jnp.shape(value):
             raise ValueError(
                 f"the loss must be a scalar for this optimizer, got shape {jnp.shape(value)}; for residuals choose "

@@ -89,7 +89,7 @@ def least_squares(
         memory = _Memory(r, J, D, radius, ahead, jnp.linalg.norm(newton.z), jnp.where(begun, begin, loss))
         small, size = _small(tolerance, x), jnp.linalg.norm(D * x)
         still = begun & ok & (jnp.maximum(jnp.abs(fall), step.fall) <= small * loss)
-        arrived = _arrived(box, x, loss, memory, newton, still, small)
+        arrived = _stop_code(box, x, loss, memory, newton, still, small)
         arrived = jnp.where((arrived == RUNNING) & begun & ok & (length <= small * size), SETTLED, arrived)
         bad = jnp.where(better, 0, carry.bad + 1)
         minute = begun & (jnp.linalg.norm(step.z) <= jnp.finfo(x.dtype).eps * size)
@@ -121,7 +121,7 @@ def _radius(radius: Array, better: Array, fall: Array, step: Step) -> Array:
     return jnp.where(better, accepted, length / 4)
 
 
-def _arrived(box: Box, x: Array, loss: Array, memory: _Memory, newton: Step, still: Array, small: Array) -> Array:
+def _stop_code(box: Box, x: Array, loss: Array, memory: _Memory, newton: Step, still: Array, small: Array) -> Array:
     """FLAT or STILL if x is a minimum in the box, otherwise RUNNING; `still`: the last step hardly changed the loss."""
     r, J = memory.r, memory.J
     room = jnp.where(J.T @ r > 0, x - jnp.asarray(box.low, x.dtype), jnp.asarray(box.high, x.dtype) - x)

@@ -25,7 +25,7 @@ def member_by_member(function: Callable[[PyTree, PyTree], Array]) -> Callable[[P
     """
 
     @sequential_vmap
-    def linearized(params: PyTree, data: PyTree) -> tuple[Array, Array]:
+    def value_and_jacobian(params: PyTree, data: PyTree) -> tuple[Array, Array]:
         x, unravel = ravel_pytree(params)
 
         def twice(x: Array) -> tuple[Array, Array]:
@@ -36,12 +36,12 @@ def member_by_member(function: Callable[[PyTree, PyTree], Array]) -> Callable[[P
         return value, J
 
     @jax.custom_jvp
-    def called(params: PyTree, data: PyTree) -> Array:
-        return linearized(params, data)[0]
+    def call(params: PyTree, data: PyTree) -> Array:
+        return value_and_jacobian(params, data)[0]
 
-    @called.defjvp
+    @call.defjvp
     def _(primals: tuple[PyTree, PyTree], tangents: tuple[PyTree, PyTree]) -> tuple[Array, Array]:
-        value, J = linearized(*primals)
+        value, J = value_and_jacobian(*primals)
         return value, J @ ravel_pytree(tangents[0])[0]
 
-    return called
+    return call

@@ -55,7 +55,7 @@ class Method(NamedTuple):
     advance: Callable[[Carry], Carry]
 
 
-def valued(outcome: PyTree) -> tuple[PyTree, Array]:
+def value_and_flag(outcome: PyTree) -> tuple[PyTree, Array]:
     """A value and whether it converged, from a pair (value, flags or `StepInfo`) or a value alone, which converged."""
     if isinstance(outcome, tuple) and len(outcome) == 2:
         value, flag = outcome
@@ -71,7 +71,7 @@ def _is_flag(x: object) -> bool:
 
 def residuals_of(function: Callable[[PyTree], PyTree], params: PyTree) -> tuple[Array, Array]:
     """The residuals as one vector, and whether they converged."""
-    value, ok = valued(function(params))
+    value, ok = value_and_flag(function(params))
     return ravel_pytree(value)[0], ok
 
 

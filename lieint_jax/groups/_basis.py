@@ -30,7 +30,7 @@ def dual_and_structure(E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             f"the bracket of basis[{min(i, j)}] and basis[{max(i, j)}] leaves the span of the basis (by "
             f"{outside.max():.2g} of their sizes): add it, or correct one of the two"
         )
-    return rounded(dual).reshape(E.shape), rounded(c)
+    return round_entries(dual).reshape(E.shape), round_entries(c)
 
 
 def ideals(c: np.ndarray) -> list[list[int]]:
@@ -54,7 +54,7 @@ def invariant_forms(E: np.ndarray) -> list[np.ndarray]:
     n = E.shape[1]
     one = np.eye(n)
     equations = np.concatenate([np.kron(e.T, one) + np.kron(one, e.T) for e in E])
-    return [rounded(S / np.abs(S).max()) for S in null(equations).reshape(-1, n, n)]
+    return [round_entries(S / np.abs(S).max()) for S in null(equations).reshape(-1, n, n)]
 
 
 def algebra(E: np.ndarray) -> np.ndarray:
@@ -76,14 +76,14 @@ def null(M: np.ndarray, tolerance: float = TOLERANCE) -> np.ndarray:
     return rows[int(np.sum(values > tolerance * max(1.0, values.max(initial=0)))) :]
 
 
-def rounded(x: np.ndarray, tolerance: float | None = None) -> np.ndarray:
+def round_entries(x: np.ndarray, tolerance: float | None = None) -> np.ndarray:
     """x with entries near a multiple of 1/12, by default within round-off, set to it, so that 0 and 1 are exact."""
     near = np.round(12 * x) / 12
     least = 1e-14 * max(1.0, np.abs(x).max()) if tolerance is None else tolerance
     return np.where(np.abs(x - near) < least, near, x)
 
 
-def frozen(x: np.ndarray) -> np.ndarray:
+def freeze(x: np.ndarray) -> np.ndarray:
     x = np.array(x, float)
     x.flags.writeable = False
     return x

@@ -102,13 +102,13 @@ class KeplerFromState:
         M = self.mean_motion * (t - self.start)
         M = M - 2 * jnp.pi * lax.stop_gradient(jnp.round(M / (2 * jnp.pi)))
         c, s, _ = self._anomaly_parts()
-        return self._propagated(_elliptic_change(M, c, s), jnp.sin, jnp.cos)
+        return self._propagate(_elliptic_change(M, c, s), jnp.sin, jnp.cos)
 
     def _on_hyperbola(self, t: ArrayLike) -> tuple[Array, Array]:
         c, s, _ = self._anomaly_parts()
-        return self._propagated(_hyperbolic_change(self.mean_motion * (t - self.start), c, s), jnp.sinh, jnp.cosh)
+        return self._propagate(_hyperbolic_change(self.mean_motion * (t - self.start), c, s), jnp.sinh, jnp.cosh)
 
-    def _propagated(self, x: Array, sine: Function, cosine: Function) -> tuple[Array, Array]:
+    def _propagate(self, x: Array, sine: Function, cosine: Function) -> tuple[Array, Array]:
         """Position and velocity, with the circular or the hyperbolic functions."""
         r0 = jnp.sqrt(dot(self.position, self.position))
         a = 1 / self._anomaly_parts()[2]

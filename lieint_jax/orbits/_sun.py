@@ -84,10 +84,12 @@ class Eclipse:
         if self.cylinder:
             return jnp.where((along < 0) & (off < self.radius), 0.0, 1.0).astype(r.dtype)
         size = jnp.sqrt(dot(r, r))
-        return 1 - _covered(self.angle, jnp.arcsin(jnp.minimum(self.radius / size, 1)), jnp.arctan2(off, -along))
+        return 1 - _covered_fraction(
+            self.angle, jnp.arcsin(jnp.minimum(self.radius / size, 1)), jnp.arctan2(off, -along)
+        )
 
 
-def _covered(a: Array, b: Array, c: Array) -> Array:
+def _covered_fraction(a: Array, b: Array, c: Array) -> Array:
     """The fraction of a disc of radius a that is covered by one of radius b, whose center is at the distance c."""
     overlap = (c < a + b) & (c > jnp.abs(a - b))
     c_ = jnp.where(overlap, c, b)  # a harmless one

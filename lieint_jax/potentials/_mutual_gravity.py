@@ -127,10 +127,10 @@ class MutualGravity(Potential):
             seen = (_times(start.C, arms[1][0]) + _times(end.C, arms[1][1])) / 2
             across = [_times(Q[i], seen), _times(Q[j], _times(jnp.swapaxes(C, 1, 2), p))]
             along = [
-                D + 52.5 * _scaled(mean[9] * square, arm) - 15 * _scaled(mean[7], other)
+                D + 52.5 * _scale_each(mean[9] * square, arm) - 15 * _scale_each(mean[7], other)
                 for D, square, arm, other in zip(along, squares[::-1], (p, q), across, strict=True)
             ]
-            along_C = 3 * _scaled(mean[5], _product(_product(Q[i], C), Q[j])) - 15 * _scaled(
+            along_C = 3 * _scale_each(mean[5], _product(_product(Q[i], C), Q[j])) - 15 * _scale_each(
                 mean[7], p[:, :, None] * q[:, None]
             )
         return _Invariants(-self.G * along_u, along[0], along[1], along_C)
@@ -140,13 +140,13 @@ class MutualGravity(Potential):
     ) -> Array:
         """The discrete gradient of the terms with one body's shape only, with respect to its Γ."""
         total = G0 + G1
-        D = 1.5 * _scaled(other * mean[5], _times(self.second[n], total))
+        D = 1.5 * _scale_each(other * mean[5], _times(self.second[n], total))
         if self.order >= 3:
             T = self.third[n]
-            D += 2.5 * sign * _scaled(other * mean[7], _times(_times(T, total), total) - _times(_times(T, G0), G1))
+            D += 2.5 * sign * _scale_each(other * mean[7], _times(_times(T, total), total) - _times(_times(T, G0), G1))
         if self.order == 4:
             F = _times(self.fourth[n], total)
-            D += 4.375 * _scaled(other * mean[9], _times(_times(F, G0), G0) + _times(_times(F, G1), G1))
+            D += 4.375 * _scale_each(other * mean[9], _times(_times(F, G0), G0) + _times(_times(F, G1), G1))
         return D
 
     @property
@@ -230,6 +230,6 @@ def _dot(a: Array, b: Array) -> Array:
     return jnp.sum(a * b, axis=-1)
 
 
-def _scaled(numbers: Array, tensors: Array) -> Array:
+def _scale_each(numbers: Array, tensors: Array) -> Array:
     """Each of k tensors times its number."""
     return numbers.reshape(-1, *[1] * (tensors.ndim - 1)) * tensors

@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.potentials._site_groups import grouped, places
+from lieint_jax.potentials._site_groups import group_sites, places
 from lieint_jax.types import callable_pytree, pytree, static
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
@@ -106,7 +106,7 @@ def uniform_field(field: ArrayLike, weights: Any, points: Any = None) -> Uniform
     g = _checks.real_array("field", field, (3,))
     if _checks.concrete(g) and not bool(jnp.any(g != 0)):
         raise ValueError("field must not be 0")
-    groups, at, (w,) = grouped({"weights": weights}, points)
+    groups, at, (w,) = group_sites({"weights": weights}, points)
     order = jnp.argsort(jnp.array([i for group in groups for i in group]))
     total = jnp.concatenate([jnp.sum(x, axis=1) for x in w])[order]
     moments = jnp.concatenate([jnp.sum(x[:, :, None] * s, axis=1) for x, s in zip(w, at, strict=True)])[order]
@@ -129,7 +129,7 @@ def outer_field(
     """
     if not callable(phi):
         raise ValueError(f"phi must be a function of a position (3,), got {phi!r}")
-    groups, at, (w,) = grouped({"weights": weights}, points)
+    groups, at, (w,) = group_sites({"weights": weights}, points)
     rows = jnp.zeros((0, 6)) if conserved is None else _checks.real_array("conserved", conserved)
     if rows.ndim != 2 or rows.shape[1] != 6:
         raise ValueError(f"conserved must be rows (k, 6) of combinations of (P, L), got shape {rows.shape}")

@@ -15,7 +15,7 @@ Groups = tuple[tuple[int, ...], ...]
 _FEW = 4  # up to so many bodies each one is a group
 
 
-def grouped(numbers: dict[str, Any], points: Any) -> tuple[Groups, tuple[Array, ...], list[tuple[Array, ...]]]:
+def group_sites(numbers: dict[str, Any], points: Any) -> tuple[Groups, tuple[Array, ...], list[tuple[Array, ...]]]:
     """The groups of bodies; the points (bodies, n, 3) of each group; each of the numbers, (bodies, n) of each group.
 
     Args:

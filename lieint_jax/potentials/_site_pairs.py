@@ -18,7 +18,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.potentials._site_groups import grouped, places
+from lieint_jax.potentials._site_groups import group_sites, places
 from lieint_jax.types import pytree, static
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
@@ -137,19 +137,19 @@ class LennardJones(_SitePairs):
     points: tuple[Array, ...]
     groups: tuple[tuple[int, ...], ...] = static()
 
-    def _mixed(self, g: int, h: int) -> tuple[Array, Array]:
+    def _mixed_strengths(self, g: int, h: int) -> tuple[Array, Array]:
         """4ε and σ² of the pairs."""
         product = self.wells[g].reshape(-1, 1) * self.wells[h].reshape(1, -1)
         mean = jnp.where(product > 0, jnp.sqrt(jnp.where(product > 0, product, 1)), 0)
         return 4 * mean, (self.sizes[g].reshape(-1, 1) + self.sizes[h].reshape(1, -1)) ** 2 / 4
 
     def _pair(self, u: Array, g: int, h: int) -> Array:
-        depth, square = self._mixed(g, h)
+        depth, square = self._mixed_strengths(g, h)
         third = (square / u) ** 3
         return depth * (third * third - third)
 
     def _slope(self, u0: Array, u1: Array, g: int, h: int) -> Array:
-        depth, square = self._mixed(g, h)
+        depth, square = self._mixed_strengths(g, h)
         v0, v1 = square / u0, square / u1
         c = v0 * v0 + v0 * v1 + v1 * v1
         return depth * c * (1 - v0**3 - v1**3) * v0 * v1 / square
@@ -197,7 +197,7 @@ def lennard_jones(wells: Any, sizes: Any, points: Any = None) -> LennardJones:
         sizes: σ > 0, the distances where V = 0, of the same shape.
         points: as in `point_masses`.
     """
-    groups, at, (epsilon, sigma) = grouped({"wells": wells, "sizes": sizes}, points)
+    groups, at, (epsilon, sigma) = group_sites({"wells": wells, "sizes": sizes}, points)
     if concrete(epsilon) and not all(bool(jnp.all(x >= 0)) for x in epsilon):
         raise ValueError(f"wells must be ≥ 0, got {[np.asarray(x) for x in epsilon]}")
     if concrete(sigma) and not all(bool(jnp.all(x > 0)) for x in sigma):
@@ -251,7 +251,7 @@ def _inverse_distance(
     length = _checks.real_array("softening", softening, ())
     if concrete(length) and not float(length) >= 0:
         raise ValueError(f"softening must be a length ≥ 0, got {float(length)}")
-    groups, at, (c,) = grouped({name: strengths}, points)
+    groups, at, (c,) = group_sites({name: strengths}, points)
     if gravity and concrete(c) and not all(bool(jnp.all(m >= 0)) for m in c):
         raise ValueError(f"masses must be ≥ 0, got {[np.asarray(m) for m in c]}")
     return InverseDistance(constant, c, at, length, groups, gravity)

@@ -156,7 +156,7 @@ class Additive(Step):
             size = jnp.max(jnp.abs(_array(end)))
             converged &= jnp.abs(R[9]) <= tolerance * jnp.maximum(size * size * size, 1)
         elif rule.gammas:
-            converged &= jnp.abs(_missed(W, equation.C, D, S)) <= tolerance * stiff * _largest(D)
+            converged &= jnp.abs(_energy_defect(W, equation.C, D, S)) <= tolerance * stiff * _largest(D)
         moved = state._replace(q=_array(end), p=_array(after))
         if isinstance(W, _Viscous) and state.work is not None:
             moved = moved._replace(work=state.work - W.rate * vec3.inner(D, D) / 2)
@@ -306,13 +306,13 @@ _RULES: dict[str, _Rule] = {
 }
 
 
-def _missed(W: StoredEnergy, C: Symmetric, D: Symmetric, S: Symmetric) -> Array:
+def _energy_defect(W: StoredEnergy, C: Symmetric, D: Symmetric, S: Symmetric) -> Array:
     """S:D − 2ΔW."""
     return vec3.inner(vec3.add_scaled(S, W.mean_stress(C, D), -1), D)
 
 
 def _regular(D: Symmetric, C: Symmetric, stiffness: Array, off: Array) -> Array:
-    """A term below the rounding of `_missed` that fixes γ at its limit where every γ is a root: D = 0, W quadratic."""
+    """A term below the rounding of `_energy_defect` that sets γ to its limit where any γ is a root, as for D = 0."""
     eps = jnp.finfo(off.dtype).eps
     return eps * stiffness * off * (vec3.inner(D, D) + eps * eps * vec3.inner(C, C))
 
@@ -403,7 +403,7 @@ class _Equation(NamedTuple):
         S = rule.stress(W, C, D, *gamma)
         if rule.constrained:
             return S, (vec3.inner(vec3.mean_cofactor(C, D), D),)
-        return S, tuple(_missed(W, C, D, S) + _regular(D, C, self.stiffness, g - rule.guess) for g in gamma)
+        return S, tuple(_energy_defect(W, C, D, S) + _regular(D, C, self.stiffness, g - rule.guess) for g in gamma)
 
     def residual(self, x: Array) -> Array:
         """U E + c F_{n+α} S − Δt P_n, and the equation for γ if there is one."""

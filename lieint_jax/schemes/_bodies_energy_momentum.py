@@ -104,7 +104,7 @@ class BodiesEnergyMomentum(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         equation = _Equation(self.system, state, jnp.asarray(dt, state.p.dtype))
-        ends, change = _solved(equation, self.iterations)
+        ends, change = _solve(equation, self.iterations)
         force, lost = equation.force(ends), equation.dissipation(ends)[1]
         good = change <= _CONVERGED * float(jnp.finfo(change.dtype).eps)
         good &= jnp.all(jnp.isfinite(force)) & jnp.all(jax.vmap(_well_conditioned)(self.system.inertias))
@@ -220,37 +220,37 @@ class _Equation(NamedTuple):
         )
 
 
-def _solved(equation: _Equation, iterations: int) -> tuple[_Ends, Array]:
+def _solve(equation: _Equation, iterations: int) -> tuple[_Ends, Array]:
     """The ends of a step, and the last relative change of an iteration."""
     guess = equation.guess()
     eps = float(jnp.finfo(guess.move.dtype).eps)
 
     def solve(residual: Callable[[_Ends], _Ends], start: _Ends) -> tuple[_Ends, Array]:
-        def goes_on(carry: tuple[_Ends, Array, Array, Array]) -> Array:
+        def is_unfinished(carry: tuple[_Ends, Array, Array, Array]) -> Array:
             _, change, before, k = carry
             return (k < iterations) & (change > 2 * eps) & ((change > _STALLED * eps) | (change < before))
 
-        def improved(carry: tuple[_Ends, Array, Array, Array]) -> tuple[_Ends, Array, Array, Array]:
+        def improve(carry: tuple[_Ends, Array, Array, Array]) -> tuple[_Ends, Array, Array, Array]:
             ends, change, _, k = carry
             F, K = equation.linearized(ends)
-            step = _over(K, F)
+            step = _correction(K, F)
             return _Ends(ends.move - step.move, ends.turn - step.turn), _relative(step, ends), change, k + 1
 
         far = jnp.full_like(guess.move[0, 0], jnp.finfo(guess.move.dtype).max)
-        ends, change, _, _ = lax.while_loop(goes_on, improved, (start, far / 2, far, jnp.zeros((), int)))
+        ends, change, _, _ = lax.while_loop(is_unfinished, improve, (start, far / 2, far, jnp.zeros((), int)))
         return saved(ends), change
 
     def tangent_solve(linear: Callable[[_Ends], _Ends], b: _Ends) -> _Ends:
         K = lax.stop_gradient(equation.linearized(guess)[1])  # near that of the ends, which are not known here
 
         def solver(K: Array) -> Callable[[Callable[[_Ends], _Ends], _Ends], _Ends]:
-            def refined(matvec: Callable[[_Ends], _Ends], b: _Ends) -> _Ends:
+            def refine_solve(matvec: Callable[[_Ends], _Ends], b: _Ends) -> _Ends:
                 def refine(_: int, v: _Ends) -> _Ends:
-                    return jax.tree.map(jnp.add, v, _over(K, jax.tree.map(jnp.subtract, b, matvec(v))))
+                    return jax.tree.map(jnp.add, v, _correction(K, jax.tree.map(jnp.subtract, b, matvec(v))))
 
-                return lax.fori_loop(0, iterations, refine, _over(K, b))
+                return lax.fori_loop(0, iterations, refine, _correction(K, b))
 
-            return refined
+            return refine_solve
 
         return lax.custom_linear_solve(linear, b, solver(K), solver(jnp.swapaxes(K, 1, 2)))
 
@@ -258,7 +258,7 @@ def _solved(equation: _Equation, iterations: int) -> tuple[_Ends, Array]:
     return ends, lax.stop_gradient(change)
 
 
-def _over(K: Array, F: _Ends) -> _Ends:
+def _correction(K: Array, F: _Ends) -> _Ends:
     """The Newton correction of F, with its derivative but without that of the forces."""
     return _Ends(F.move, jax.vmap(lambda K, f: jnp.stack(vec3.solve(K, f)))(K, F.turn))
 

@@ -23,7 +23,7 @@ from lieint_jax import _checks, _free_body
 from lieint_jax._numerics.vec3 import dot
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
-from lieint_jax.schemes._preprocessed import retimed
+from lieint_jax.schemes._preprocessed import with_modified_inertia
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.types import AbstractFreeBody, State, Step, StepInfo, System, pytree, static
@@ -73,7 +73,7 @@ class Calibrated(Step):
         """One step. A prepared step requires a state of its trajectory and its dt; otherwise it prepares itself."""
         if self.clock is None:
             return self.prepare(state, dt)(state, dt)
-        after, info = retimed(self.system, self.clock.s, self.clock.d, self.iterations).substep(state, dt)
+        after, info = with_modified_inertia(self.system, self.clock.s, self.clock.d, self.iterations).substep(state, dt)
         return after, info._replace(converged=info.converged & self._fits(state, dt))
 
     def advice(self, state: State, dt: ArrayLike) -> str:

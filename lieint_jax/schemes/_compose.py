@@ -80,7 +80,7 @@ class Composition(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         if self.own_time or not counts_work(state):
-            return self._through(state, self._sizes(state, dt), self.step.substep)
+            return self._compose_stages(state, self._sizes(state, dt), self.step.substep)
 
         def substep_to(state: State, size_and_end: tuple[Array, Array]) -> tuple[State, StepInfo]:
             """A sub-step that ends at a given time to the last bit, as in a `RoundedClock`, so that no work is lost."""
@@ -89,24 +89,24 @@ class Composition(Step):
 
         parts = np.append(np.cumsum(self.gammas)[:-1], 1)
         ends = clock(state) + jnp.asarray(parts, state.p.dtype) * dt
-        return self._through(state, (self._sizes(state, dt), ends), substep_to)
+        return self._compose_stages(state, (self._sizes(state, dt), ends), substep_to)
 
     def tangent(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
         if state.extra is not None:  # it may depend on q and p, from one sub-step to the next
             return super().tangent(state, dt, T)
 
-        def carried(pair: tuple[State, Array], h: Array) -> tuple[tuple[State, Array], StepInfo]:
+        def substep_tangent(pair: tuple[State, Array], h: Array) -> tuple[tuple[State, Array], StepInfo]:
             end, info, T = self.step.tangent(pair[0], h, pair[1])
             return (end, T), info
 
-        (end, T), info = self._through((state, T), self._sizes(state, dt), carried)
+        (end, T), info = self._compose_stages((state, T), self._sizes(state, dt), substep_tangent)
         return end, info, T
 
     def _sizes(self, state: State, dt: ArrayLike) -> Array:
         """The sizes of the sub-steps, γΔt."""
         return jnp.asarray(self.gammas, state.p.dtype) * dt
 
-    def _through(
+    def _compose_stages(
         self, start: _Carried, sub_steps: PyTree, stage: Callable[[_Carried, PyTree], tuple[_Carried, StepInfo]]
     ) -> tuple[_Carried, StepInfo]:
         """`start` through `stage` with each of the sub-steps, and the merged report."""

@@ -12,7 +12,7 @@ from lieint_jax import _free_body
 from lieint_jax._numerics import vec3
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, SLENDER, lost
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, SLENDER, attitude_error_limit
 from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import Inertia, Quaternion, Scalar
 
@@ -40,7 +40,7 @@ class Exact(Step):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         J = self.system.inertia
         q, report = _free_body.attitude(J, state.q, state.p, dt)
-        return state._replace(q=q), judged(J, q, *report)
+        return state._replace(q=q), exact_report(J, q, *report)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         if not vec3.well_conditioned(vec3.symmetric(self.system.inertia)):
@@ -52,10 +52,10 @@ class Exact(Step):
         )
 
 
-def judged(J: Inertia, q: Quaternion, length: Scalar, condition: Scalar) -> StepInfo:
+def exact_report(J: Inertia, q: Quaternion, length: Scalar, condition: Scalar) -> StepInfo:
     """The report of an exact flow to q, from the rounding errors that `_free_body.attitude` returns."""
     eps = float(jnp.finfo(q.dtype).eps)
-    good = (length <= 1024 * eps) & (eps * condition <= lost(q.dtype))
+    good = (length <= 1024 * eps) & (eps * condition <= attitude_error_limit(q.dtype))
     return StepInfo(length, good & vec3.well_conditioned(vec3.symmetric(J)))
 
 

@@ -75,7 +75,7 @@ class Extrapolated(Step):
         chart, numbers = _CHARTS[self.form], [2 * (j + 1) for j in range(int(self.order) // 2)]
         start, dt = chart.unknowns(self.system, state), jnp.asarray(dt, state.p.dtype)
         moments = chart.stage_times(self.system, state, dt * jnp.asarray(_fractions(numbers), dt.dtype))
-        best, second = _extrapolated(chart.rate(self.system), moments, start, dt, numbers, self.increments)
+        best, second = _extrapolation(chart.rate(self.system), moments, start, dt, numbers, self.increments)
         end = chart.advance(self.system, state, start, best)
         halves = zip(*map(chart.split_qp, (start, best, second)), strict=True)
         off = lax.stop_gradient(functools.reduce(jnp.maximum, itertools.starmap(_relative, halves)))
@@ -93,7 +93,7 @@ def _fractions(numbers: list[int]) -> np.ndarray:
     return np.concatenate([[0.0], *(np.arange(1, n) / n for n in numbers)])
 
 
-def _extrapolated(
+def _extrapolation(
     rate: Callable[[_Unknowns, PyTree], _Unknowns],
     moments: PyTree,
     start: _Unknowns,
@@ -123,10 +123,10 @@ def _extrapolated(
         h, following, last, moment, w = row
         end = leapfrog(h, before, now, moment)
 
-        def closed() -> PyTree:
-            return origin, first(following), _added(sums, w, end, origin)
+        def close_substeps() -> PyTree:
+            return origin, first(following), _accumulate(sums, w, end, origin)
 
-        return lax.cond(last, closed, lambda: (now, end, sums)), None
+        return lax.cond(last, close_substeps, lambda: (now, end, sums)), None
 
     of = np.repeat(np.arange(len(numbers)), np.array(numbers) - 1)
     last = np.append(np.diff(of) > 0, True)
@@ -140,7 +140,9 @@ def _nothing(like: _Unknowns) -> tuple[_Unknowns, _Unknowns]:
     return zero, zero
 
 
-def _added(sums: tuple[_Unknowns, ...], w: Sequence[Array], end: _Unknowns, origin: _Unknowns) -> tuple[_Unknowns, ...]:
+def _accumulate(
+    sums: tuple[_Unknowns, ...], w: Sequence[Array], end: _Unknowns, origin: _Unknowns
+) -> tuple[_Unknowns, ...]:
     """Both sums plus w times this increment. (The sum of all w is 1 up to rounding only.)"""
     return tuple(
         jax.tree.map(lambda s, x, z, w=w: s + w * (x - z), s, end, origin) for s, w in zip(sums, w, strict=True)

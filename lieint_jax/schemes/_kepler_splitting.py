@@ -21,7 +21,7 @@ from lieint_jax._numerics.power_series import stumpff
 from lieint_jax._xla import scan_stages
 from lieint_jax.schemes._bodies_energy_momentum import BODIES
 from lieint_jax.schemes._exact import exact
-from lieint_jax.schemes._nystrom import Stages, mirrored
+from lieint_jax.schemes._nystrom import Stages, mirror
 from lieint_jax.schemes._shared.accepts import check_motion
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.properties import SchemeProperties
@@ -34,16 +34,12 @@ Order = int | tuple[int, ...]
 METHODS: dict[Order, Stages] = {
     2: Stages((0.5, 0.5), (1.0,)),
     (8, 4): Stages(
-        mirrored([0.07534696026989288842, 0.51791685468825678230, -0.09326381495814967072]),
-        mirrored([0.19022593937367661925, 0.84652407044352625706], -1.07350001963440575260),
+        mirror([0.07534696026989288842, 0.51791685468825678230, -0.09326381495814967072]),
+        mirror([0.19022593937367661925, 0.84652407044352625706], -1.07350001963440575260),
     ),
     (8, 6, 4): Stages(
-        mirrored(
-            [0.0711334264982231177779, 0.241153427956640098737, 0.521411761772814789212, -0.333698616227678005727]
-        ),
-        mirrored(
-            [0.183083687472197221962, 0.310782859898574869508, -0.0265646185119588006972], 0.0653961422823734184560
-        ),
+        mirror([0.0711334264982231177779, 0.241153427956640098737, 0.521411761772814789212, -0.333698616227678005727]),
+        mirror([0.183083687472197221962, 0.310782859898574869508, -0.0265646185119588006972], 0.0653961422823734184560),
     ),
 }
 
@@ -77,7 +73,7 @@ class KeplerSplitting(Step):
 
         def stage(carry: tuple[State, StepInfo], of: tuple[Array, Array]) -> tuple[tuple[State, StepInfo], None]:
             (state, info), (a, b) = carry, of
-            state, last = self._drifted(state._replace(p=state.p + b * self._force(state.q)), a)
+            state, last = self._drift(state._replace(p=state.p + b * self._force(state.q)), a)
             return (state, info.merge(last)), None
 
         # A first kick of 0, so that the long program of a drift is compiled once.
@@ -91,7 +87,7 @@ class KeplerSplitting(Step):
         on_first = jnp.stack([*kepler, *[jnp.zeros_like(r2)] * 3])
         return self.system.force(q) - jnp.stack([on_first, -on_first])
 
-    def _drifted(self, state: State, dt: Array) -> tuple[State, StepInfo]:
+    def _drift(self, state: State, dt: Array) -> tuple[State, StepInfo]:
         """The flow of the Kepler problem and of the free rotations, by increments of positions and momenta."""
         m = self.system.masses
         M = m[0] + m[1]

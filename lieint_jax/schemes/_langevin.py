@@ -29,7 +29,7 @@ from lieint_jax.groups import so3
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._splitting import Splitting, kicked, kicked_motion
+from lieint_jax.schemes._splitting import Splitting, kick, kicked_motion
 from lieint_jax.types import (
     AbstractForcedSystem,
     AbstractFreeBodies,
@@ -113,11 +113,11 @@ class Langevin(Step):
         return state._replace(extra={**extra, _KEY: digits, **{name: jnp.zeros(axes, dtype) for name in counts}})
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        n = self._carried(state, _COUNT)
-        key = random_bits.fold_in(random_bits.key_of(self._carried(state, _KEY)), random_bits.word(n))
+        n = self._extra_entry(state, _COUNT)
+        key = random_bits.fold_in(random_bits.key_of(self._extra_entry(state, _KEY)), random_bits.word(n))
         state, info = (self._metropolis if self.metropolis else self._baoab)(state, jnp.asarray(dt), key)
         counted = (n + 1 > n) & (n < _MOST) & (jnp.asarray(dt) >= 0)
-        end = self._added(state, **{_COUNT: 1})
+        end = self._add_to_extra(state, **{_COUNT: 1})
         return end, info._replace(converged=info.converged & counted)
 
     def _baoab(self, state: State, dt: Array, key: random_bits.Key) -> tuple[State, StepInfo]:
@@ -138,33 +138,35 @@ class Langevin(Step):
             q=jnp.where(accepted, moved.q, start.q),
             p=jnp.where(accepted, moved.p, -start.p),
         )
-        end = self._added(end, **{_REJECTIONS: 1 - accepted.astype(dtype)})
+        end = self._add_to_extra(end, **{_REJECTIONS: 1 - accepted.astype(dtype)})
         return self._thermalize(end, 0.5 * dt, random_bits.normal(key, used, many, dtype)), info
 
     def _kick(self, state: State, dt: Array) -> State:
-        return kicked(self.system, state, dt) if isinstance(self.system, AbstractForcedSystem) else state
+        return kick(self.system, state, dt) if isinstance(self.system, AbstractForcedSystem) else state
 
     def _thermalize(self, state: State, dt: Array, noise: Array) -> State:
         """O: the state after friction and noise for a time, with the heat that they add."""
         bodies: Any = self.drift.system
         if state.p.ndim == 1:
-            p, gained = self._bathed(state.q, bodies.inertia, state.p, noise, self.friction, dt)
+            p, gained = self._thermalize_body(state.q, bodies.inertia, state.p, noise, self.friction, dt)
         else:
             p, gained = self._all_bathed(bodies, state, noise.reshape(-1, 6), dt)
-        return self._added(state._replace(p=p), **{_HEAT: gained})
+        return self._add_to_extra(state._replace(p=p), **{_HEAT: gained})
 
     def _all_bathed(self, bodies: Any, state: State, noise: Array, dt: Array) -> tuple[Array, Array]:
         """The momenta of several bodies after friction and noise, and the kinetic energy gained."""
         masses = bodies.masses[:, None] * jnp.ones_like(state.p[:, :3])
         rates = (self.friction[:3], self.friction[3:]) if self.friction.shape == (6,) else (self.friction,) * 2
-        over_bodies = jax.vmap(self._bathed, (0, 0, 0, 0, None, None))
+        over_bodies = jax.vmap(self._thermalize_body, (0, 0, 0, 0, None, None))
         (moved, first), (turned, second) = (
             over_bodies(state.q[:, 3:], J, state.p[:, own], noise[:, own], rate, dt)
             for J, own, rate in zip((masses, bodies.inertias), (slice(3), slice(3, 6)), rates, strict=True)
         )
         return jnp.concatenate([moved, turned], axis=1), jnp.sum(first) + jnp.sum(second)
 
-    def _bathed(self, q: Array, J: Array, p: Array, noise: Array, rate: Array, dt: Array) -> tuple[Array, Array]:
+    def _thermalize_body(
+        self, q: Array, J: Array, p: Array, noise: Array, rate: Array, dt: Array
+    ) -> tuple[Array, Array]:
         """A momentum in space after friction and noise in the axes of the body, and the kinetic energy gained.
 
         J is the inertia of the body, or its mass along each axis. The gain is ½ (Π′ − Π)·J⁻¹(Π′ + Π).
@@ -175,7 +177,7 @@ class Langevin(Step):
         mean_velocity = jnp.stack(vec3.solve_symmetric(vec3.symmetric(J), before + after)) / 2
         return so3.Ad(q, after), jnp.sum((after - before) * mean_velocity)
 
-    def _carried(self, state: State, name: str) -> Array:
+    def _extra_entry(self, state: State, name: str) -> Array:
         extra = state.extra or {}
         if name not in extra or (self.metropolis and _REJECTIONS not in extra):
             raise ValueError(
@@ -183,7 +185,7 @@ class Langevin(Step):
             )
         return extra[name]
 
-    def _added(self, state: State, **more: Any) -> State:
+    def _add_to_extra(self, state: State, **more: Any) -> State:
         """The state with these increments of entries of `extra`."""
         extra = dict(state.extra or {})
         return state._replace(extra=extra | {name: extra[name] + x for name, x in more.items()})

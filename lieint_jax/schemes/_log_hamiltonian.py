@@ -21,7 +21,7 @@ from lieint_jax._xla import scan_stages
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, lost
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, attitude_error_limit
 from lieint_jax.schemes._splitting import kicked_motion
 from lieint_jax.types import (
     AbstractDrivenSystem,
@@ -86,7 +86,7 @@ class LogHamiltonian(Step):
         def stage(carry: tuple[State, Array, StepInfo], kick: Array) -> tuple[tuple[State, Array, StepInfo], None]:
             """Half a drift, and the kick times 1 or 0."""
             state, off, before = carry
-            state, speed, info = self._drifted(state, 0.5 * dt)
+            state, speed, info = self._drift(state, 0.5 * dt)
             depth, known = _positive(-self._potential(state))
             off = off + jnp.log(speed) / 2 - kick * jnp.log(depth)
             info = info._replace(converged=info.converged & (known | (kick == 0)))
@@ -97,11 +97,11 @@ class LogHamiltonian(Step):
         state, off, info = scan_stages(stage, (state, zero, StepInfo.fresh(zero)), jnp.array([1.0, 0.0], zero.dtype))
         return state, info._replace(converged=info.converged & (jnp.abs(off) <= _OFF))
 
-    def _drifted(self, state: State, half: ArrayLike) -> tuple[State, Array, StepInfo]:
+    def _drift(self, state: State, half: ArrayLike) -> tuple[State, Array, StepInfo]:
         """The state after the free motion for half/(K + B), K + B, and the report."""
         speed, known = _positive(self._speed(state))
         end, info = self.drift.substep(state, half / speed)
-        kept = jnp.finfo(speed.dtype).eps * (speed + self._energy(state)) <= lost(speed.dtype) * speed
+        kept = jnp.finfo(speed.dtype).eps * (speed + self._energy(state)) <= attitude_error_limit(speed.dtype) * speed
         return end, speed, info._replace(converged=info.converged & known & kept)
 
     def advice(self, state: State, dt: ArrayLike) -> str:

@@ -24,7 +24,7 @@ from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.free_bodies import MANY_FREE_BODIES
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
-from lieint_jax.schemes._splitting import kicked, kicked_motion
+from lieint_jax.schemes._splitting import kick, kicked_motion
 from lieint_jax.types import AbstractDrivenSystem, AbstractForcedSystem, State, Step, StepInfo, System, pytree, static
 
 
@@ -35,14 +35,14 @@ class Stages(NamedTuple):
     kicks: tuple[float, ...]
 
 
-def mirrored(half: list[float], middle: float | None = None) -> tuple[float, ...]:
+def mirror(half: list[float], middle: float | None = None) -> tuple[float, ...]:
     """`half`, the `middle` if there is one, and `half` backwards."""
     return (*half, *([] if middle is None else [middle]), *half[::-1])
 
 
 def _method_4() -> Stages:
     a, b = [0.245298957184271, 0.604872665711080], [0.0829844064174052, 0.396309801498368, -0.0390563049223486]
-    return Stages(mirrored([*a, 0.5 - sum(a)]), mirrored(b, 1 - 2 * sum(b)))
+    return Stages(mirror([*a, 0.5 - sum(a)]), mirror(b, 1 - 2 * sum(b)))
 
 
 def _method_6() -> Stages:
@@ -50,7 +50,7 @@ def _method_6() -> Stages:
     a += [-0.130144459517415, 0.106417700369543, -0.00879424312851058]
     b = [0.09171915262446165, 0.183983170005006, -0.05653436583288827, 0.004914688774712854]
     b += [0.143761127168358, 0.328567693746804]
-    return Stages(mirrored(a, 1 - 2 * sum(a)), mirrored([*b, 0.5 - sum(b)]))
+    return Stages(mirror(a, 1 - 2 * sum(a)), mirror([*b, 0.5 - sum(b)]))
 
 
 METHODS = {4: _method_4(), 6: _method_6()}  # SRKN6b and SRKN14a
@@ -81,14 +81,14 @@ class Nystrom(Step):
 
         def stage(carry: tuple[State, StepInfo], of: tuple[Array, Array]) -> tuple[tuple[State, StepInfo], None]:
             (state, info), (a, b) = carry, of
-            state, last = self.drift.substep(kicked(self.system, state, b), a)
+            state, last = self.drift.substep(kick(self.system, state, b), a)
             return (state, info.merge(last)), None
 
         # A first kick of 0, if it is not there, so that the long program of a drift is compiled once.
         first = kicks[:-1] if kick_last else jnp.concatenate([jnp.zeros_like(kicks[:1]), kicks])
         state, info = scan_stages(stage, (state, StepInfo.fresh(state.p)), (drifts, first))
         if kick_last:
-            return kicked(self.system, state, kicks[-1]), info
+            return kick(self.system, state, kicks[-1]), info
         # The potential has not been evaluated since the last drift
         return state, info._replace(converged=info.converged & jnp.isfinite(self.system.energy(state)))
 

@@ -55,14 +55,14 @@ class Preprocessed(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         s, d, holds = self._clock(state, dt)
-        end, info = retimed(self.system, s, d, self.iterations).substep(state, dt)
+        end, info = with_modified_inertia(self.system, s, d, self.iterations).substep(state, dt)
         return end, info._replace(converged=info.converged & holds)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         s, d, holds = self._clock(state, dt)
         if not holds:
             return f"{self.name}: the series that correct its inertia do not hold at dt = {dt}: use a smaller dt"
-        base = retimed(self.system, s, d, self.iterations)
+        base = with_modified_inertia(self.system, s, d, self.iterations)
         return f"{self.name} is a step of so3_midpoint with another inertia; {base.advice(state, dt)}"
 
     def _clock(self, state: State, dt: ArrayLike) -> tuple[Array, Array, Array]:
@@ -78,7 +78,7 @@ class Preprocessed(Step):
         return s, d * r, holds
 
 
-def retimed(system: AbstractFreeBody, s: Scalar, d: Scalar, iterations: int | None) -> SO3Midpoint:
+def with_modified_inertia(system: AbstractFreeBody, s: Scalar, d: Scalar, iterations: int | None) -> SO3Midpoint:
     """The symplectic step of the inertia J̃ = J(s + dJ)⁻¹."""
     J = system.inertia
     if J.ndim == 1:

@@ -75,14 +75,14 @@ class ReversibleControl(Step):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         if _KEY not in (state.extra or {}):
             raise ValueError(f'the state needs its step density, state.extra["{_KEY}"]: use step.start(state)')
-        half, before = self._kicked(state, dt)
+        half, before = self._kick_density(state, dt)
         rho = (half.extra or {})[_KEY]
         end, info = self.step.substep(half, dt / jnp.where(rho > 0, rho, 1))
-        end, after = self._kicked(end, dt)
+        end, after = self._kick_density(end, dt)
         return end, info._replace(converged=info.converged & before & after)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
-        half, _ = self._kicked(state, dt)
+        half, _ = self._kick_density(state, dt)
         sigma, rho = float(self._sigma(state)), float((half.extra or {})[_KEY])
         if not (0 < sigma < float("inf") and 0 < rho < float("inf")):
             return (
@@ -91,7 +91,7 @@ class ReversibleControl(Step):
             )
         return f"{self.name} takes a step of {dt / rho:.3g}; {self.step.advice(state, dt / rho)}"
 
-    def _kicked(self, state: State, dt: ArrayLike) -> tuple[State, Array]:
+    def _kick_density(self, state: State, dt: ArrayLike) -> tuple[State, Array]:
         """The state with ρ + ½εG(y), and whether σ and the new ρ are positive."""
         extra = dict(state.extra or {})
         sigma, slope = jax.jvp(self._sigma, (state,), (time_derivative(self.system, state),))

@@ -33,7 +33,7 @@ from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.half_turn import ITERATIONS
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import SLENDER, lost
+from lieint_jax.schemes._shared.rigid_body import SLENDER, attitude_error_limit
 from lieint_jax.schemes._shared.vector_form import cross_apply, dense, gyroscopic, on_branch
 from lieint_jax.types import AbstractEmbeddedBody, State, Step, StepInfo, System, pytree, static
 
@@ -197,7 +197,7 @@ def _digits_left(state: State) -> Array:
     eps = jnp.finfo(q.dtype).eps
     cofactors = jnp.stack([jnp.stack(cross(q[i], q[(i + 1) % 3])) for i in range(3)])
     condition = jnp.max(jnp.abs(cofactors)) * jnp.max(jnp.abs(q)) / jnp.abs(vec3.det(q))
-    return eps * condition <= lost(q.dtype)
+    return eps * condition <= attitude_error_limit(q.dtype)
 
 
 def _hat(v: Vector) -> vec3.Matrix:

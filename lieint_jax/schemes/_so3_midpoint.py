@@ -85,7 +85,7 @@ class SO3Midpoint(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         if isinstance(self.system, AbstractDrivenGyrostat):
-            return self._driven(self.system, state, jnp.asarray(dt))
+            return self._driven_step(self.system, state, jnp.asarray(dt))
         J, a = scaled(self.system, state, dt)
         h, info = half_turn(J, a, self.kappa, self.iterations, bias(self.system, dt))
         return state._replace(q=so3.cayley_increment(state.q, h)), info
@@ -99,15 +99,15 @@ class SO3Midpoint(Step):
         h, info = half_turn(J, jnp.stack(a), self.kappa, self.iterations)
         h = materialized(h)
 
-        def carried(tangent: Array) -> Array:
+        def propagate(tangent: Array) -> Array:
             theta, p = tangent[:3], subtract(tangent[3:], cross(tangent[:3], state.p))
             da = materialized(scaled(body, state._replace(p=jnp.stack(p)), dt)[1])
             turn = materialized(so3.Ad(state.q, materialized(half_turn_derivative(J, a, h, da))))
             return jnp.stack([*add(theta, turn), *tangent[3:]])
 
-        return state._replace(q=so3.cayley_increment(state.q, h)), info, jax.vmap(carried, -1, -1)(jnp.asarray(T))
+        return state._replace(q=so3.cayley_increment(state.q, h)), info, jax.vmap(propagate, -1, -1)(jnp.asarray(T))
 
-    def _driven(self, system: AbstractDrivenGyrostat, state: State, dt: Array) -> tuple[State, StepInfo]:
+    def _driven_step(self, system: AbstractDrivenGyrostat, state: State, dt: Array) -> tuple[State, StepInfo]:
         """The step of the gyrostat with the mean rotor momentum h̄_r, with the change of h_r and the motor's work."""
         rotor, change = system.rotor(state), dt * system.torque(clock(state) + 0.5 * dt)
         mean = rotor + 0.5 * change

@@ -68,7 +68,7 @@ def _force(system: AbstractForcedSystem | AbstractDrivenSystem, state: State) ->
     return system.force(state.q, clock(state)) if isinstance(system, AbstractDrivenSystem) else system.force(state.q)
 
 
-def kicked(system: AbstractForcedSystem | AbstractDrivenSystem, state: State, dt: ArrayLike) -> State:
+def kick(system: AbstractForcedSystem | AbstractDrivenSystem, state: State, dt: ArrayLike) -> State:
     """The exact flow of the potential alone, at the time of the state."""
     if isinstance(system, AbstractDrivenSystem) and state.work is not None:
         state = state._replace(work=state.work + dt * system.power(state.q, clock(state)))
@@ -100,7 +100,7 @@ class Splitting(Step):
             state, info = self.drift.substep(self._kick(state, dt), dt)
             return self._kick(state, dt), info
         state, first = self.drift.substep(state, 0.5 * dt)
-        state, last = self.drift.substep(kicked(self.system, state, dt), 0.5 * dt)
+        state, last = self.drift.substep(kick(self.system, state, dt), 0.5 * dt)
         return state, first.merge(last)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
@@ -111,15 +111,15 @@ class Splitting(Step):
         space = self.system.phase_space
         if not (isinstance(space, CotangentGroup) and self.kick_first):
             return super().tangent(state, dt, T)
-        state, T = self._kicked(space.group, state, dt, T)
+        state, T = self._kick_tangent(space.group, state, dt, T)
         end, info, T = self.drift.tangent(state, dt, T)
-        end, T = self._kicked(space.group, end, dt, T)
+        end, T = self._kick_tangent(space.group, end, dt, T)
         return end, info, T
 
-    def _kicked(self, group: Group, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, Array]:
+    def _kick_tangent(self, group: Group, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, Array]:
         """The state and its tangent vectors after a kick: δπ gains ½Δt times the derivative of the force."""
 
-        def carried(tangent: Array) -> Array:
+        def kick_derivative(tangent: Array) -> Array:
             theta, pi = jnp.split(tangent, 2)
             moved = group.spatial_tangent(state.q, theta)
             slope = jax.jvp(lambda q: _force(self.system, state._replace(q=q)), (state.q,), (moved,))[1]
@@ -127,10 +127,10 @@ class Splitting(Step):
 
         end = self._kick(state, dt)
         end = end._replace(p=jnp.stack(materialized(end.p)))
-        return end, jax.vmap(carried, -1, -1)(jnp.asarray(T))
+        return end, jax.vmap(kick_derivative, -1, -1)(jnp.asarray(T))
 
     def _kick(self, state: State, dt: ArrayLike) -> State:
-        return kicked(self.system, state, 0.5 * dt)
+        return kick(self.system, state, 0.5 * dt)
 
 
 @overload

@@ -122,7 +122,7 @@ class TorquedMidpoint(Step):
         works = [law.work(rotation, *found) for law, found in zip(equation.laws, torques.each, strict=True)]
         if state.work is not None:
             end = end._replace(work=state.work + sum(works))
-        return end._replace(extra=_carried(state.extra, equation.laws, torques.each, works)), info
+        return end._replace(extra=_extra_after(state.extra, equation.laws, torques.each, works)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return _advice(self, dt, "the torque is too stiff")
@@ -277,7 +277,7 @@ class _Torques(NamedTuple):
     each: _Each
 
 
-def _carried(
+def _extra_after(
     extra: dict[str, Array] | None,
     laws: Sequence[Law],
     each: _Each,

@@ -165,10 +165,10 @@ def examples() -> dict[str, tuple[System, State, float]]:
     """Brun's problem, a potential that has no axis, and one with a deep well."""
     tilted = potential_top([1.0, 2.0, 2.5], _three_wells, None)
     state = tilted.state(so3.exp(jnp.array([0.3, 0.1, 0.7])), angular_velocity=[0.2, 0.5, -0.4])
-    return {"brun": (*brun(), 0.05), "three_wells": (tilted, state, 0.05), "attracted": (*_attracted(), 0.02)}
+    return {"brun": (*brun(), 0.05), "three_wells": (tilted, state, 0.05), "attracted": (*_charged_body(), 0.02)}
 
 
-def _attracted() -> tuple[PotentialTop, State]:
+def _charged_body() -> tuple[PotentialTop, State]:
     """A body with a charge on its third axis at distance 1 from the fixed point; an opposite one is in space at 1.2."""
     top = potential_top([1.0, 2.0, 2.5], _coulomb, [0.0, 0.0, 1.2])
     return top, top.state(so3.exp(jnp.array([1.6, 0.4, 0.0])), angular_velocity=[0.2, 0.3, 0.4])

@@ -68,7 +68,7 @@ def dataset(run: Run, system: PyTree, units: Mapping[str, str], system_axis: Axi
     leaves = {**run.state._asdict(), **extra, **run.info._asdict()}
     arrays = {name: x for name, x in leaves.items() if name != "extra" and x is not None}
     if system is not None:
-        arrays |= _measured(run, system, system_axis)
+        arrays |= _invariants(run, system, system_axis)
     labels: dict[str, PyTree] = {"time": np.asarray(run.t)}
     variables: dict[str, PyTree] = {}
     for name, x in arrays.items():
@@ -119,7 +119,7 @@ def state_axes(
     return tuple(f"{name}_component{k or ''}" for k in range(len(shape))), {}
 
 
-def _measured(run: Run, system: PyTree, system_axis: Axis) -> dict[str, Array]:
+def _invariants(run: Run, system: PyTree, system_axis: Axis) -> dict[str, Array]:
     """Energy, momentum map, and the angular velocity in the body where the system has one."""
     if not hasattr(system, "energy"):
         raise ValueError(f"system must be that of the run, such as step.system, got a {type(system).__name__}")

@@ -11,7 +11,7 @@ import lieint_jax as li
 from lieint_jax import _discover, diagnostics, schemes, systems
 from lieint_jax._numerics import collocation
 from lieint_jax.diagnostics._order import distance, flow
-from lieint_jax.schemes._extrapolate import _extrapolated, _fractions, weights
+from lieint_jax.schemes._extrapolate import _extrapolation, _fractions, weights
 from lieint_jax.schemes.charts import body_axes
 from lieint_jax.schemes.charts.canonical import canonical_chart
 from lieint_jax.systems._heavy_top import asymmetric
@@ -290,7 +290,7 @@ def test_extrapolation_samples_the_time_of_each_sub_step():
 
     def end(t0, dt):
         moments = t0 + dt * jnp.asarray(_fractions(numbers))
-        return _extrapolated(lambda u, t: u * jnp.cos(t), moments, jnp.ones(()), dt, numbers, True)[0]
+        return _extrapolation(lambda u, t: u * jnp.cos(t), moments, jnp.ones(()), dt, numbers, True)[0]
 
     expected = np.expm1(np.sin(0.6) - np.sin(0.3))
     assert float(jax.jit(end)(0.3, 0.3)) == pytest.approx(expected, rel=1e-14)

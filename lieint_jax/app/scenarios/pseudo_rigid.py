@@ -111,7 +111,7 @@ class Scenario(Common):
         return self
 
     def spreads(self) -> dict[str, tuple[float, str]]:
-        return {"F": (self.spread.deformation, ""), "angular velocity": self.spread.given(self.time_unit)}
+        return {"F": (self.spread.deformation, ""), "angular velocity": self.spread.with_unit(self.time_unit)}
 
 
 def build(scenario: Scenario) -> tuple[Step, State]:

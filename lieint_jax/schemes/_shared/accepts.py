@@ -99,9 +99,9 @@ def other_motion(vector_field: Callable[[_Data, State], State], data: _Data, sys
     """The relative difference of the vector field of a system from `vector_field(data, ·)`; 0 if within rounding.
 
     It is also 0 for tracers and for a vector field that is not finite where they are compared, and for systems of this
-    package, whose vector fields the tests compare (see `_tested`).
+    package, whose vector fields the tests compare (see `_is_tested`).
     """
-    if (data is system and _tested(system)) or not concrete(data, system):
+    if (data is system and _is_tested(system)) or not concrete(data, system):
         return 0.0
     with at_once():
         found = [_difference(vector_field, data, system, phase) for phase in (0.3, 2.0)]
@@ -109,13 +109,13 @@ def other_motion(vector_field: Callable[[_Data, State], State], data: _Data, sys
     return difference if difference > tolerance else 0.0
 
 
-def _tested(part: object) -> bool:
+def _is_tested(part: object) -> bool:
     """Whether a system, or a part of it, is a class of this package without functions or subclasses of users."""
     if part is None or isinstance(part, Array | np.ndarray | bool | int | float | str | MatrixGroup | ModuleType):
         return True
     fields = dataclasses.fields(part) if dataclasses.is_dataclass(part) else None
     own = type(part).__module__.startswith(f"{_PACKAGE}.")
-    return own and fields is not None and all(_tested(getattr(part, field.name)) for field in fields)
+    return own and fields is not None and all(_is_tested(getattr(part, field.name)) for field in fields)
 
 
 @partial(compiled, static_argnums=0, once=True)

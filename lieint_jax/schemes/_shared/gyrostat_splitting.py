@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 from lieint_jax._numerics import vec3
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import check_motion
-from lieint_jax.schemes._shared.rigid_body import lost
+from lieint_jax.schemes._shared.rigid_body import attitude_error_limit
 from lieint_jax.types import AbstractGyrostat, State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import TangentVectors
 
@@ -41,14 +41,14 @@ class GyrostatSplitting(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         state, info = self.drift.substep(self._turn(state, dt), dt)
-        return self._turn(state, dt), self._judged(info, state, dt)
+        return self._turn(state, dt), self._report(info, state, dt)
 
     def tangent(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
         state, info, T = self.drift.tangent(self._turn(state, dt), dt, T)  # turns about body axes leave (δθ, δπ)
-        return self._turn(state, dt), self._judged(info, state, dt), T
+        return self._turn(state, dt), self._report(info, state, dt), T
 
-    def _judged(self, info: StepInfo, state: State, dt: ArrayLike) -> StepInfo:
-        known = jnp.finfo(state.q.dtype).eps * self._angle(dt) <= lost(state.q.dtype)
+    def _report(self, info: StepInfo, state: State, dt: ArrayLike) -> StepInfo:
+        known = jnp.finfo(state.q.dtype).eps * self._angle(dt) <= attitude_error_limit(state.q.dtype)
         return info._replace(converged=info.converged & known)
 
     def advice(self, state: State, dt: ArrayLike) -> str:

@@ -51,6 +51,6 @@ SLENDER = (
 )
 
 
-def lost(dtype: DTypeLike) -> float:
+def attitude_error_limit(dtype: DTypeLike) -> float:
     """The error of an attitude, by rounding of the state alone, above which a step is not to be trusted."""
     return max(1e-6, math.sqrt(jnp.finfo(dtype).eps))

@@ -45,7 +45,7 @@ class Moving(NamedTuple):
     turning: BodyAxesState
 
 
-def _packed(z: Moving) -> Array:
+def _pack(z: Moving) -> Array:
     return jnp.stack([*z.x, *z.P, *z.turning.q, *z.turning.Pi], axis=-1)
 
 
@@ -88,7 +88,7 @@ class SeveralBodies(Chart[AbstractRigidBodies, Array]):
     def unknowns(self, system: AbstractRigidBodies, state: State) -> Array:
         """The unknowns of all bodies in one array, (N, 13)."""
         turning = jax.vmap(body_axes.turning)(_turning_part(state))
-        return _packed(Moving(vec3.components(state.q[:, :3].T), vec3.components(state.p[:, :3].T), turning))
+        return _pack(Moving(vec3.components(state.q[:, :3].T), vec3.components(state.p[:, :3].T), turning))
 
     def advance(self, system: AbstractRigidBodies, state: State, z: Array, delta: Array) -> State:
         """The state whose unknowns are z, after their increments."""
@@ -110,7 +110,7 @@ class SeveralBodies(Chart[AbstractRigidBodies, Array]):
             x, P, turning = _parts(z)
             force = forces(system, x, turning.q)
             q_dot, Pi_dot = spinning(inverse, None, turning.q, turning.Pi)
-            return _packed(Moving(scale(1 / masses, P), force[:3], BodyAxesState(q_dot, add(Pi_dot, force[3:]), None)))
+            return _pack(Moving(scale(1 / masses, P), force[:3], BodyAxesState(q_dot, add(Pi_dot, force[3:]), None)))
 
         return field
 

@@ -156,7 +156,7 @@ class Body(Rotating):
         period = _checks.real_array("precession", precession, ()).astype(moments.dtype)
         ratio = _checks.real_array("rotation", rotation, ()).astype(moments.dtype) / period
         _check_ratio(moments, ratio, period, long_axis)
-        unit = _free_body.excited(moments, ratio, long_axis)
+        unit = _free_body.momentum_of_ratio(moments, ratio, long_axis)
         size = _free_body.periods(moments, unit).precession / period
         return self.state(attitude, body_momentum=axes @ (size * unit), **options)
 

@@ -39,16 +39,16 @@ class SelfGravity(StoredEnergy):
     strength: Array
 
     def __call__(self, C: Array) -> Array:
-        return -self.strength * jnp.sum(_weights(C) / jnp.sqrt(_determinant(_stretched(vec3.symmetric(C)))))
+        return -self.strength * jnp.sum(_weights(C) / jnp.sqrt(_determinant(_stretch(vec3.symmetric(C)))))
 
     def stress(self, C: Symmetric) -> Symmetric:
-        A = _stretched(C)
+        A = _stretch(C)
         d = _determinant(A)
         return self._sum(vec3.adjugate(A), d * jnp.sqrt(d))
 
     def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
         v2 = _squares(C[0])
-        A, change = _stretched(C), tuple(v2 * x for x in D)
+        A, change = _stretch(C), tuple(v2 * x for x in D)
         cofactor = vec3.mean_cofactor(A, change)
         start = _determinant(A)
         r0, r1 = jnp.sqrt(start), jnp.sqrt(start + vec3.inner(cofactor, change))
@@ -68,7 +68,7 @@ def _weights(like: Array) -> Array:
     return jnp.asarray(_W, like.dtype)
 
 
-def _stretched(C: Symmetric) -> Symmetric:
+def _stretch(C: Symmetric) -> Symmetric:
     """A = 1 + v²(C − 1) at all nodes."""
     v2 = _squares(C[0])
     return (*(1 + v2 * (c - 1) for c in C[:3]), *(v2 * c for c in C[3:]))

@@ -53,14 +53,14 @@ class _VolumeAndTrace(StoredEnergy):
     def stress(self, C: Symmetric) -> Symmetric:
         cofactor = vec3.adjugate(C)
         I3 = vec3.determinant(C, cofactor)
-        return self._with(2 * self.slope(I3, jnp.zeros_like(I3)), cofactor)
+        return self._add_shear(2 * self.slope(I3, jnp.zeros_like(I3)), cofactor)
 
     def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
         cofactor = vec3.mean_cofactor(C, D)
         slope = self.slope(vec3.determinant(C, vec3.adjugate(C)), vec3.inner(cofactor, D))
-        return self._with(2 * slope, cofactor)
+        return self._add_shear(2 * slope, cofactor)
 
-    def _with(self, pressure: Array, cofactor: Symmetric) -> Symmetric:
+    def _add_shear(self, pressure: Array, cofactor: Symmetric) -> Symmetric:
         return _plus(self.mu, tuple(pressure * c for c in cofactor))
 
 
