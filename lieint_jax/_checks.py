@@ -141,7 +141,7 @@ def time_resolution(t: Input, dt: Input, num_steps: int) -> None:
     if np.spacing(latest) > 1e-6 * abs(float(dt)) > 0:
         warnings.warn(
             f"the time {latest:.6g} of a state is held to {np.spacing(latest):.2g} in {t.dtype}, and the step is "
-            f"dt = {float(dt):.6g}: count time from a nearer epoch" + ("" if t.itemsize > 4 else ", or take float64"),
+            f"dt = {float(dt):.6g}: count time from a nearer epoch" + ("" if t.itemsize > 4 else ", or use float64"),
             RuntimeWarning,
             stacklevel=3,
         )

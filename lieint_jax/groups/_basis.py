@@ -8,7 +8,7 @@ TOLERANCE = 1e-10
 
 
 def dual_and_structure(E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The dual basis, with tr(DᵢᵀEⱼ) = δᵢⱼ, and the structure constants; ValueError if E is no basis."""
+    """The dual basis, with tr(DᵢᵀEⱼ) = δᵢⱼ, and the structure constants; ValueError if E is not a basis."""
     d = len(E)
     flat = E.reshape(d, -1)
     size = np.linalg.norm(flat, axis=1)

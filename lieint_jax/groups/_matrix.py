@@ -46,11 +46,11 @@ class MatrixGroup:
     """
 
     def __init__(self, basis: np.ndarray, name: str, unrolled: bool | None = None) -> None:
-        self.basis, self.name = _basis.frozen(basis), name
+        self.basis, self.name = _basis.freeze(basis), name
         small = self.dim <= _UNROLLED_DIM and self.size <= _UNROLLED_SIZE
         self.unrolled = small if unrolled is None else unrolled
-        self._dual, self.structure = (_basis.frozen(x) for x in _basis.dual_and_structure(self.basis))
-        self.identity = _basis.frozen(np.eye(self.basis.shape[1]))
+        self._dual, self.structure = (_basis.freeze(x) for x in _basis.dual_and_structure(self.basis))
+        self.identity = _basis.freeze(np.eye(self.basis.shape[1]))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, MatrixGroup) and self._key == other._key
@@ -82,7 +82,7 @@ class MatrixGroup:
         return la.as_array(self._hat(self._vector(xi)), xi)
 
     def vee(self, M: SquareMatrix) -> AlgebraVector:
-        """The inverse of `hat`; of any M, the orthogonal projection to the algebra (in the Frobenius product)."""
+        """The inverse of `hat`; for any M, its orthogonal projection to the algebra (in the Frobenius product)."""
         return la.as_array(self._vee(self._matrix(M)), M)
 
     # The group
@@ -341,11 +341,11 @@ class MatrixGroup:
 
     @cached_property
     def _ad(self) -> np.ndarray:
-        return _basis.frozen(self.structure.transpose(2, 1, 0))
+        return _basis.freeze(self.structure.transpose(2, 1, 0))
 
     @cached_property
     def _ad_star(self) -> np.ndarray:
-        return _basis.frozen(self.structure.transpose(1, 0, 2))
+        return _basis.freeze(self.structure.transpose(1, 0, 2))
 
     @cached_property
     def _free(self) -> np.ndarray:
@@ -364,7 +364,7 @@ class MatrixGroup:
             S = S / np.abs(S).max()
             error = np.abs(self.basis.transpose(0, 2, 1) @ S + S @ self.basis).max()
             if error < _basis.TOLERANCE and np.linalg.cond(S) < 1e3:
-                return _basis.rounded(S), _basis.rounded(np.linalg.inv(S))
+                return _basis.round_entries(S), _basis.round_entries(np.linalg.inv(S))
         return None
 
     @cached_property

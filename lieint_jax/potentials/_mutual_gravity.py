@@ -210,7 +210,7 @@ def _moments(k: int, shape: Any) -> tuple[Array, ...]:
     if isinstance(shape, Shape):
         mass, *moments = (shape.moments(n) for n in (0, 2, 3, 4))
     else:
-        mass = _checks.real_array(f"shapes[{k}], if it is no shape, the mass of a point,", shape, ())
+        mass = _checks.real_array(f"shapes[{k}], if it is not a shape, the mass of a point,", shape, ())
         moments = [jnp.zeros((3,) * n, mass.dtype) for n in (2, 3, 4)]
     if _checks.concrete(mass) and not float(mass) > 0:
         raise ValueError(f"the mass of shapes[{k}] must be positive, got {float(mass)}")

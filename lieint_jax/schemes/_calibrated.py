@@ -118,11 +118,11 @@ def calibrated(system: AbstractFreeBody, iterations: int | None = None) -> Calib
 
     `integrate` and `ensemble.run` call `prepare` once, and a step then costs as much as one of `so3_midpoint`. A direct
     call without `prepare` computes the constants at every step. Prepared for one trajectory or step size and used
-    with another, it reports `converged=False`. Where `exact` takes one large step, `calibrated` takes many small ones.
+    with another, it reports `converged=False`. Use `exact` for one large step, `calibrated` for many small ones.
 
     Args:
         system: `systems.rigid_body(...)`.
-        iterations: Newton corrections per step. 3, the default, reach round-off where a step turns the body by up to
+        iterations: Newton corrections per step. 3, the default, reach round-off where a step rotates the body by up to
             70°, 4 up to 80°, 5 to 86°, 6 to 89°; the branch ends at 90°. A step that does not converge reports
             `converged=False`.
 

@@ -122,7 +122,7 @@ class Composition(Step):
     def advice(self, state: State, dt: ArrayLike) -> str:
         largest = max(self.gammas, key=abs)
         size = abs(largest)  # a step back fails where a step on does, and is easier to read
-        return f"{self.name} takes sub-steps of up to {size:.3g} dt; {self.step.advice(state, size * dt)}"
+        return f"{self.name} has sub-steps of up to {size:.3g} dt; {self.step.advice(state, size * dt)}"
 
 
 def compose(step: Step, order: int, method: str | None = None) -> Composition:

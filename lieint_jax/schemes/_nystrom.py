@@ -94,7 +94,7 @@ class Nystrom(Step):
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         longest = max(METHODS[int(self.order)].drifts, key=abs)
-        return f"{self.name} takes sub-steps up to {longest:.3g} dt; {self.drift.advice(state, longest * dt)}"
+        return f"{self.name} has sub-steps up to {longest:.3g} dt; {self.drift.advice(state, longest * dt)}"
 
 
 def nystrom(system: AbstractForcedSystem | AbstractDrivenSystem, order: int, drift: Step | None = None) -> Nystrom:
@@ -104,7 +104,7 @@ def nystrom(system: AbstractForcedSystem | AbstractDrivenSystem, order: int, dri
     |---|---|
     | the symplectic form | round-off; for one body to the accuracy of its drift, see below |
     | P and L, or γ·π, if the potential conserves them | round-off |
-    | energy; of a driven system, energy less work | O(Δtᵒʳᵈᵉʳ), bounded, no drift |
+    | energy; for a driven system, energy less work | O(Δtᵒʳᵈᵉʳ), bounded, no drift |
 
     A step has seven kicks for order 4, fourteen for order 6. On tops order 6 runs in less than half of the time of
     compositions at equal error (`benchmarks/work_precision.py`).

@@ -89,7 +89,7 @@ class ReversibleControl(Step):
                 f"{self.name} needs sigma > 0 and a density rho > 0: got sigma = {sigma:g}, and rho = {rho:g} half a "
                 f"step later. If sigma is positive, dt = {dt} is too large"
             )
-        return f"{self.name} takes a step of {dt / rho:.3g}; {self.step.advice(state, dt / rho)}"
+        return f"{self.name} uses a step of {dt / rho:.3g}; {self.step.advice(state, dt / rho)}"
 
     def _kick_density(self, state: State, dt: ArrayLike) -> tuple[State, Array]:
         """The state with ρ + ½εG(y), and whether σ and the new ρ are positive."""

@@ -104,7 +104,7 @@ def sphere_chart(
     | \\|q\\| = 1 and q·π = 0 | round-off |
 
     Second order, time-symmetric. The paper's warning: the chart is singular on the axis. A step that comes within about
-    1e-5 (float64) of it reports `converged=False`, and near it only small steps converge; `sphere_midpoint` knows no
+    1e-5 (float64) of it reports `converged=False`, and near it only small steps converge; `sphere_midpoint` has no such
     axis.
 
     Args:

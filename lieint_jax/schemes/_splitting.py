@@ -147,7 +147,7 @@ def splitting(
     | the symplectic form | round-off, with a symplectic drift |
     | γ·π, if the potential has an axis γ | round-off |
     | π, in a gyrostat | bit for bit |
-    | energy; of a driven system, energy less work | O(Δt²), bounded, no drift |
+    | energy; for a driven system, energy less work | O(Δt²), bounded, no drift |
 
     For a gyrostat the rotations are Λ ← Λ exp(−½Δt ĉ) with c = J⁻¹h_r: the exact flow of the rotor's part of H. A fast
     rotor reduces accuracy: with J = (1, 2, 3), |Ω| = 1 and Δt = 0.05 the relative error of the energy is 4e-5 at

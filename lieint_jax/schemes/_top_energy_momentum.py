@@ -138,7 +138,7 @@ def top_energy_momentum(
 
     | conserved | to |
     |---|---|
-    | energy; of a driven top, energy less work | round-off, for any κ and any Ṽ (Result 7) |
+    | energy; for a driven top, energy less work | round-off, for any κ and any Ṽ (Result 7) |
     | γ·π | round-off (Result 6), where γ does not move |
     | the symplectic form | no: defect O(Δt³) per step, for any κ (Result 8); `splitting` conserves it |
 

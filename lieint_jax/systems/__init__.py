@@ -10,7 +10,7 @@
 | `rigid_bodies` | any number of bodies in any potential of positions and attitudes (`li.potentials`) |
 | `pendulum` | a point on the unit sphere |
 | `pseudo_rigid_body`, `incompressible_body` | an elastic body that deforms homogeneously; its stored energies are |
-| | `mooney_rivlin`, `neo_hookean`, `saint_venant_kirchhoff`, `self_gravity`, or yours |
+| | `mooney_rivlin`, `neo_hookean`, `saint_venant_kirchhoff`, `self_gravity`, or any function |
 | `euler`, `kirchhoff`, `manakov` | geodesics of any matrix group: bodies in a fluid, in n dimensions |
 | `group_potential` | the same with a potential |
 | `embedded_body` | a free body whose attitude is a 3×3 matrix, for the paper's refutations |

@@ -60,9 +60,9 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         return state._replace(extra=extra) if extra else state
 
     state.__doc__ = f"""{TimedBody.state.__doc__}
-        The internal states of the laws begin as each law says: a damper rotates with the body, wheels have the speeds
-        that they were made with. With `works=True`, `State.extra["works"]` counts the work of each law, (number of
-        laws,), in their order.
+        The internal states of the laws begin as each law defines: a damper rotates with the body, wheels have the
+        speeds that they were made with. With `works=True`, `State.extra["works"]` counts the work of each law, (number
+        of laws,), in their order.
         """
 
     def inner(self, state: State, law: Law) -> Array | None:

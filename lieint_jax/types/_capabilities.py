@@ -208,7 +208,7 @@ def gradient(potential: Callable[..., Array], Gamma: Vector3, *t: Array) -> Arra
 def autodiff_gradient(potential: Callable[..., Array], argnums: int | tuple[int, ...] = 0) -> Callable[..., PyTree]:
     """`jax.grad(potential, argnums)`, but NaN where the potential itself is not finite.
 
-    The derivative of log x exists for x < 0, where log x does not: a step would go on where there is no motion.
+    The derivative of log x is finite for x < 0, where log x is NaN: a step would continue where there is no motion.
     """
 
     def gradient(*arguments: Array) -> PyTree:

@@ -94,17 +94,17 @@ def member_axis(system: PyTree, one: PyTree, members: int, given: Axis, name: st
         return None
     shared, own = _fits(system, one), _fits(jax.tree.map(lambda x: x[0], system), one)
     if given is None and own and not shared:
-        raise ValueError(f"each member has a system of its own ({told}): give {name}=0")
+        raise ValueError(f"there is one system per member ({told}): give {name}=0")
     if given == "auto" and own and shared:
         raise ValueError(
-            f"the shapes do not tell whether all members have one system or each its own ({told}): give {name}=None "
+            f"the shapes fit one system for all members and one per member ({told}): give {name}=None "
             f"for one system, {name}=0 for one per member"
         )
     return 0 if own and not shared else None
 
 
 def _check_single(system: PyTree, states: PyTree, given: Axis) -> None:
-    """ValueError if a system of the run of one body has a member axis."""
+    """ValueError if the system of a run of one body has a member axis."""
     if given not in (None, "auto"):
         raise ValueError(f"system_axis is of batches; this run is of one body, got system_axis={given!r}")
     firsts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(system)}

@@ -110,7 +110,7 @@ def test_the_first_example_of_the_readme_compiles_its_run_once(caplog):
     example = re.findall(r"```python\n(.*?)```", readme.read_text(encoding="utf-8"), re.S)[0]
     jax.clear_caches()
     first = programs(caplog, lambda: exec(example, {}))
-    assert first.count("_padded") == 1
+    assert first.count("_padded_trajectory") == 1
     assert not programs(caplog, lambda: exec(example, {}))
 
 

@@ -1,4 +1,4 @@
-"""Batches in which each member has a system of its own: measured with it, or refused where shapes do not tell."""
+"""Batches in which each member has a system of its own: measured with it, or refused where the shapes are ambiguous."""
 
 import functools
 
@@ -48,7 +48,7 @@ def test_each_member_is_measured_with_its_own_system(members, full, axis):
 def test_three_bodies_of_three_moments_look_like_one_full_tensor_and_are_asked_for():
     bodies, run, *_ = batch(3)
     for measure in (run.to_xarray, *(lambda s, f=f: f(s, run) for f in OFF.values())):
-        with pytest.raises(ValueError, match=r"shapes do not tell.*\(3, 3\).*system_axis=None.*system_axis=0"):
+        with pytest.raises(ValueError, match=r"shapes fit one system.*\(3, 3\).*system_axis=None.*system_axis=0"):
             measure(bodies)
     tensor = li.systems.rigid_body(np.diag([1.0, 2.0, 2.5]))
     shared = energy_error(tensor, run, system_axis=None)
@@ -67,7 +67,7 @@ def test_contradictions_and_what_is_not_an_axis_are_refused():
     bodies, run, *_ = batch(5)
     body, others = li.systems.rigid_body([1.0, 2.0, 2.5]), batch(9)[0]
     for system, axis, words in (
-        (bodies, None, r"each member has a system of its own.*\(5, 3\).*system_axis=0"),
+        (bodies, None, r"there is one system per member.*\(5, 3\).*system_axis=0"),
         (body, 0, r"system_axis=0 needs a system for each member.*got 5 members.*\(3,\).*system_axis=None"),
         (bodies, 1, r"system_axis must be None .*or \"auto\", got 1"),
         (others, "auto", r"shape \(3,\) or \(3, 3\), got \(9, 3\).*system_axis=0"),
@@ -150,7 +150,7 @@ def test_metrics_of_members_are_told_from_a_full_one(members):
     run = Trajectory(np.zeros(1), jax.tree.map(lambda x: x[None], states), StepInfo(*np.zeros((2, 1, members))))
     expected = np.asarray(metrics) @ np.arange(6.0) ** 2 / 2
     if members == 6:
-        with pytest.raises(ValueError, match="shapes do not tell"):
+        with pytest.raises(ValueError, match="shapes fit one system"):
             run.to_xarray(systems)
     found = run.to_xarray(systems, system_axis="auto" if members == 2 else 0)
     np.testing.assert_allclose(found.energy[0], expected, rtol=1e-14)
@@ -158,7 +158,7 @@ def test_metrics_of_members_are_told_from_a_full_one(members):
 
 @pytest.mark.long
 def test_clusters_of_their_own():
-    """Three members of three bodies are told by the ranks of the leaves."""
+    """Three members of three bodies are recognized by the ranks of the leaves."""
     for members, n in ((4, 2), (3, 3)):
         masses, inertias = RNG.uniform(1, 2, (members, n)), RNG.uniform(1, 1.5, (members, n, 3))
 

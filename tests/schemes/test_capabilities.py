@@ -125,7 +125,7 @@ def with_other_moments(system):
 
 def compares_all(monkeypatch):
     """From here on the motion of the package's own systems is compared too."""
-    monkeypatch.setattr(accepts, "_tested", lambda _: False)
+    monkeypatch.setattr(accepts, "_is_tested", lambda _: False)
 
 
 @pytest.mark.parametrize(

@@ -479,7 +479,7 @@ def test_float32_is_kept():
         satellite = systems.gravity_gradient(np.float32(J), li.orbits.kepler(*np.float32([1.0, 1.0, 0.1])))
         state = satellite.state(angular_velocity=np.float32([0.2, 0.3, 1.0]), work=0.0)
         step = schemes.top_energy_momentum(satellite)
-        with pytest.warns(RuntimeWarning, match="or take float64"):
+        with pytest.warns(RuntimeWarning, match="or use float64"):
             path = li.integrate(step, state, 0.05, 200)
         assert {x.dtype for x in jax.tree.leaves(path.state)} == {np.dtype("float32")}
         assert path.info.converged.all()

@@ -175,7 +175,7 @@ def test_an_ellipsoid_far_away_is_maccullagh_s():
 
 
 def test_what_an_outer_field_leaves_conserved():
-    """P across a uniform field and L about it; of two fields P across both; of a central one what it is told."""
+    """P across a uniform field and L about it; of two fields P across both; of a central one what is declared."""
     z, x = (potentials.uniform_field(g, np.ones(6)) for g in ([0.0, 0, -2], [1.0, 0, 0]))
     np.testing.assert_allclose(np.diag(z.symmetry), [1, 1, 0, 0, 0, 1], rtol=0, atol=1e-15)
     np.testing.assert_allclose((z + KINDS["masses"][0]).symmetry, z.symmetry)
