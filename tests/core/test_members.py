@@ -104,7 +104,7 @@ def test_interpolate_takes_one_member():
 
 
 @pytest.mark.parametrize("members", [3, 5])
-def test_an_ensemble_is_told_of_a_step_axis(members):
+def test_steps_with_a_member_axis_need_step_axis_0(members):
     bodies, run, *_ = batch(members)
     states = jax.tree.map(lambda x: x[0], run.state)
     steps = jax.vmap(li.schemes.so3_explicit)(bodies)
@@ -141,7 +141,7 @@ def test_what_the_message_about_vmap_advises_works():
 
 @pytest.mark.long
 @pytest.mark.parametrize("members", [2, 6])
-def test_metrics_of_members_are_told_from_a_full_one(members):
+def test_metrics_of_members_are_distinguished_from_a_full_metric(members):
     """On SO(4), d = 6: six metrics (6,) look like one full metric."""
     metrics = jnp.asarray(RNG.uniform(1.0, 2.0, (members, 6)))
     group = li.groups.special_orthogonal(4)
@@ -157,7 +157,7 @@ def test_metrics_of_members_are_told_from_a_full_one(members):
 
 
 @pytest.mark.long
-def test_clusters_of_their_own():
+def test_clusters_with_one_system_per_member():
     """Three members of three bodies are recognized by the ranks of the leaves."""
     for members, n in ((4, 2), (3, 3)):
         masses, inertias = RNG.uniform(1, 2, (members, n)), RNG.uniform(1, 1.5, (members, n, 3))

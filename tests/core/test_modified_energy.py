@@ -154,6 +154,6 @@ def test_two_bodies():
         (schemes.so3_midpoint(TOP.free), 4, "the modified energy is known for"),
     ],
 )
-def test_what_is_not_known_is_refused(step, order, message):
+def test_steps_and_orders_without_modified_energy_raise_errors(step, order, message):
     with pytest.raises(ValueError, match=message):
         diagnostics.modified_energy(step, State(START.q, START.p), 0.1, order)

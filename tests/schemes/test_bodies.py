@@ -467,7 +467,7 @@ def test_kepler_s_flow_on_every_conic(speed):
     np.testing.assert_allclose(slope, v + faster, rtol=0, atol=3e-14)
 
 
-def test_what_the_splittings_of_high_order_refuse():
+def test_bad_arguments_of_nystrom_and_kepler_splitting_raise_errors():
     body = systems.rigid_body([1.0, 2.0, 3.0])
     without_G = systems.rigid_bodies(BINARY.masses, BINARY.inertias, lambda x, R: 0.0 * x[0, 0])
     for make, message in [

@@ -218,7 +218,7 @@ def test_tracers_pass():
         jax.jit(lambda dt: schemes.so3_midpoint(gyrostat)(BODY.state(spatial_momentum=J), dt))(0.1)
 
 
-def test_extreme_bodies_are_taken():
+def test_extreme_bodies_are_accepted():
     """Rounding is no other motion: rods, full tensors of ratio 1e10, large and small units, float32."""
     turn = li.groups.so3.to_matrix(li.groups.so3.exp(jnp.array([0.3, 0.2, 0.5])))
     for moments in ([1e-10, 1.0, 1.0], [1e-12, 1e-12, 1.9e-12], [1e20, 2e20, 2.5e20], [1.0, 1.0, 1.0]):
@@ -276,7 +276,7 @@ class NotAPytree:
 
 
 @pytest.mark.parametrize("thing", [NotAPytree(), lambda state, dt: (state, None), "so3_midpoint", BODY])
-def test_what_is_no_step_is_told_how_to_become_one(thing):
+def test_objects_that_are_no_steps_raise_an_error_on_how_to_define_one(thing):
     state = BODY.state(angular_velocity=[0.2, 0.0, 1.0])
     for call in (
         lambda: li.integrate(thing, state, 0.1, 10),

@@ -255,7 +255,7 @@ def test_units_change_nothing(size):
     np.testing.assert_allclose(other.p / size, end.p, rtol=0, atol=1e-15)
 
 
-def test_what_gauss_and_extrapolate_refuse():
+def test_bad_arguments_of_gauss_and_extrapolate_raise_errors():
     for make, message in [
         (
             lambda: schemes.gauss(systems.pendulum(1.0, 1.0)),

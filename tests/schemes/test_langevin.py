@@ -161,7 +161,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_what_is_not_possible_is_refused_with_a_sentence(name):
+def test_bad_arguments_of_langevin_raise_errors(name):
     make, text = WRONG[name]
     with pytest.raises(ValueError, match=text):
         make()

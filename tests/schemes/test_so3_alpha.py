@@ -85,7 +85,7 @@ def test_one_half_is_so3_midpoint(kappa):
 @pytest.mark.paper("2.2: (2.23), (2.24), Result 2", "α = ½ alone stays on SO(3)", "schemes/_so3_alpha.py")
 @pytest.mark.long
 @pytest.mark.parametrize("alpha", [0.3, 0.5, 0.0, 0.9])
-def test_what_the_family_keeps_and_what_it_loses(alpha):
+def test_the_alpha_family_conserves_energy_but_leaves_the_group(alpha):
     """Order, the group and the length of Π tell α = ½ from the others; energy and momentum do not."""
     step = li.schemes.so3_alpha(BODY, alpha)
     found = li.diagnostics.certify(step, STATE, 0.05, 40)

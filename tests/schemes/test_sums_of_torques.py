@@ -127,7 +127,7 @@ def test_nine_laws_balance_over_ten_thousand_steps():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*LAWS, *MORE])
-def test_each_law_alone_balances(name):
+def test_energy_less_work_of_each_law_is_conserved(name):
     _, error, _ = balance((LAWS | MORE)[name], 1000)
     assert error < 1e-13  # observed: 3e-14 for the gravity gradient, 1e-15 to 1e-14 for the others
 

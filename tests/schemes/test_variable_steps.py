@@ -325,7 +325,7 @@ def test_the_local_error_of_an_exact_step_is_of_fifth_order_and_dt_is_that_of_ti
 # What is no such step ------------------------------------------------------------------------------------------------
 
 
-def test_what_has_no_meaning_is_refused():
+def test_given_times_raise_an_error_for_steps_with_their_own_time():
     state = CONTROLLED.start(START)
     for wrong in (dict(times=[0.0, 0.1, 0.2]), dict(dt=0.1, num_steps=2, save_at=[0.1])):
         with pytest.raises(ValueError, match=r"cannot be given to .*li\.event"):

@@ -102,7 +102,7 @@ def test_a_composition_and_the_adjoints_keep_the_clock():
     np.testing.assert_allclose(seen.t, state.t + np.array([0.25, 1.13]), rtol=2 * EPS)
 
 
-def test_a_step_that_drops_work_is_told_so():
+def test_a_step_that_drops_work_raises_an_error():
     class Forgetful(schemes.SO3Midpoint):
         def __call__(self, state, dt):
             after, info = super().__call__(state, dt)

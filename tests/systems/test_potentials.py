@@ -174,7 +174,7 @@ def test_an_ellipsoid_far_away_is_maccullagh_s():
     assert np.log2(differences[0] / differences[1]) == pytest.approx(5, abs=0.05)
 
 
-def test_what_an_outer_field_leaves_conserved():
+def test_symmetries_of_outer_fields():
     """P across a uniform field and L about it; of two fields P across both; of a central one what is declared."""
     z, x = (potentials.uniform_field(g, np.ones(6)) for g in ([0.0, 0, -2], [1.0, 0, 0]))
     np.testing.assert_allclose(np.diag(z.symmetry), [1, 1, 0, 0, 0, 1], rtol=0, atol=1e-15)
