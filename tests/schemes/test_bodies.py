@@ -320,9 +320,7 @@ def test_bad_input():
             systems.rigid_bodies(m, J, potential)
     with pytest.raises(ValueError, match="the potential must be finite at the start"):
         systems.rigid_bodies(m, J, lambda x, R: jnp.log(-x[1, 0])).state(x)
-    with pytest.warns(
-        RuntimeWarning, match=r"3 apart and 1\.5e\+08 from the origin: their distance has \d\.\d digits"
-    ):
+    with pytest.warns(RuntimeWarning, match=r"3 apart and 1\.5e\+08 from the origin: their distance has \d\.\d digits"):
         bodies.state(x + 1.5e8)
     with pytest.raises(ValueError, match="bodies_energy_momentum integrates bodies that act on one another"):
         schemes.bodies_energy_momentum(systems.rigid_body([1.0, 2.0, 3.0]))
