@@ -31,8 +31,8 @@ def peak_memory(
     """The bytes that `ensemble.run` will need at most, beyond those of the process and of the states before it.
 
     It is an estimate for machine code on a CPU, whose numbers of copies were fitted to the peaks of free bodies that
-    `benchmarks/scale.py` measures; other systems may need more. With `store` or `reduce` it grows with the number of
-    entries by 16 bytes each only.
+    `benchmarks/scale.py` measures; other systems may need more. With `store` it grows by only 16 bytes per entry, with
+    `reduce` by 56.
 
     Args:
         states: the initial states of all members.

@@ -731,7 +731,7 @@ def test_states_that_lack_something_are_refused_in_a_sentence():
     start = moving(FULL)._replace(t=jnp.array(0.0), work=jnp.array(0.0))
     with_damper = start._replace(extra={"damper": jnp.zeros(3)})
     for step, state, message in (
-        (viscous, start._replace(t=None), r"with work needs the time .*state\._replace\(t=0.0\)"),
+        (viscous, start._replace(t=None), r"that counts work needs a time .*state\._replace\(t=0.0\)"),
         (viscous, start._replace(t=None, work=None), r"needs the time: make it with system\.state\(\.\.\., t=0.0\)"),
         (viscous, start._replace(t=jnp.array(np.nan)), r"state\.t must be finite"),
         (viscous, start._replace(work=jnp.array(np.inf)), r"state\.work must be finite"),

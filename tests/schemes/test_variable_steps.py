@@ -365,7 +365,7 @@ def test_what_has_no_constant_energy_or_no_exact_drift_is_refused():
     for system, message in (
         (driven, "depends on time"),
         (systems.gyrostat(J, [0.1, 0.0, 0.0]), "rigid bodies in a potential"),
-        (systems.torqued_body(J, lambda t, q, w: -w), "take torqued_midpoint"),
+        (systems.torqued_body(J, lambda t, q, w: -w), "use torqued_midpoint"),
         (systems.rigid_body(J), "got RigidBody"),
     ):
         with pytest.raises(ValueError, match=message):
