@@ -70,7 +70,7 @@ BAD = [
         dict(scheme="kepler_splitting", bodies=[body("A", 0.0), body("B", 1.0), body("C", 2.0)]),
         "kepler_splitting is for two bodies, got 3; use nystrom",
     ),
-    (dict(scheme="kepler_splitting", potential=[SPRING]), "for bodies that attract each other; take nystrom"),
+    (dict(scheme="kepler_splitting", potential=[SPRING]), "for bodies that attract each other; use nystrom"),
 ]
 
 
