@@ -179,11 +179,11 @@ def additive(
 
     | rule | energy | momentum rot[PFᵀ] | symplectic form | order |
     |---|---|---|---|---|
-    | `"average"` (ours) | exact | exact | O(Δt³) per step | 2 |
+    | `"average"` (this package) | exact | exact | O(Δt³) per step | 2 |
     | `"symplectic"` (6.17) | bounded | exact | exact, for every α | 2 for α = ½, else 1 |
     | `"energy"` (6.11), (6.13) | exact | exact | O(Δt³) per step | 2 |
     | `"energy_momentum"` (6.14), γ corrected | exact | exact | O(Δt³) per step | 2 |
-    | `"incompressible"` (ours), det F = 1 exact too | exact | exact | O(Δt³) per step | 2 |
+    | `"incompressible"` (this package), det F = 1 exact too | exact | exact | O(Δt³) per step | 2 |
 
     "Exact" is to round-off at a converged step. With α = ½ all are time-symmetric.
 
