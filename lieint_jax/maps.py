@@ -402,7 +402,10 @@ def symplectic_residual(tau: Map, group: Group, metric: Array, theta: AlgebraVec
 
 @old_calls()
 def is_symplectic(tau: Map, group: Group, metric: Array, size: float = 0.3, *, samples: int = 8) -> bool:
-    """True if τ conserves the symplectic form for this group and metric, measured at random Θ with |Θᵢ| ≤ `size`."""
+    """True if τ conserves the symplectic form for this group and metric, measured at random Θ with |Θᵢ| ≤ `size`.
+
+    Arguments as in `symplectic_residual`; `samples` is the number of random Θ.
+    """
     theta = np.random.default_rng(0).uniform(-size, size, (samples, group.dim))
     theta = jnp.asarray(theta, jnp.result_type(metric, float))
     found = jax.jit(jax.vmap(lambda x: symplectic_residual(tau, group, metric, x)))(theta)

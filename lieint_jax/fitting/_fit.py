@@ -218,7 +218,15 @@ def _iterate(
 
 
 def covariance(residuals: Callable[..., PyTree], params: PyTree) -> Array:
-    """(JᵀJ)⁻¹ of residuals in units of their standard deviation, (p, p) in the order of `ravel_pytree(params)`."""
+    """The covariance of parameters, (JᵀJ)⁻¹ with J the Jacobian of the residuals.
+
+    Args:
+        residuals: parameters ↦ residuals in units of their standard deviation, as in `fit`.
+        params: the parameters, a tree of arrays.
+
+    Returns:
+        (p, p), in the order of `ravel_pytree(params)`.
+    """
     x, unravel = ravel_pytree(params)
     J = jacobian(lambda x: (residuals_of(residuals, unravel(x))[0], None), x)[0]
     return spread(J, jnp.eye(x.size, dtype=x.dtype), jnp.zeros(x.shape, bool))[0]

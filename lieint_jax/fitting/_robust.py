@@ -48,7 +48,7 @@ def student_t(
 def student_t_weights(errors: Array, noise: Array | float, freedom: Array | float = FREEDOM) -> Array:
     """The weights (ν + d)/(ν + |e|²/σ²) of the vectors e in the equivalent weighted least squares, (...).
 
-    They are at most 1 + d/ν, about 1 where |e|² is dσ², and small for an outlier.
+    Arguments as in `student_t`. The weights are at most 1 + d/ν, about 1 where |e|² is dσ², and small for an outlier.
     """
     return (freedom + errors.shape[-1]) / (freedom + jnp.sum(errors * errors, axis=-1) / jnp.square(noise))
 

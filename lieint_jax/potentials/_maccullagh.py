@@ -112,6 +112,9 @@ def maccullagh(G: ArrayLike, masses: ArrayLike, inertias: ArrayLike) -> MacCulla
         G: the constant of gravity, in units consistent with the other arguments.
         masses: (N,), or N shapes of `lieint_jax.shapes`.
         inertias: about the centers of mass, (N, 3) or (N, 3, 3), or N shapes.
+
+    Raises:
+        ValueError: the shapes of the arguments disagree.
     """
     m, J = (
         _checks.real_array("masses", _checks.of_shapes("mass", masses)),

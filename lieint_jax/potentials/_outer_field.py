@@ -102,6 +102,9 @@ def uniform_field(field: ArrayLike, weights: Any, points: Any = None) -> Uniform
         weights: of points of the bodies, their masses or charges: (N, n), or N arrays; (N,) if there is one point each.
         points: in the axes of the body, from its center of mass, (N, n, 3), or N arrays (n_i, 3). By default each
             body's center of mass.
+
+    Raises:
+        ValueError: the field is 0, or shapes disagree.
     """
     g = _checks.real_array("field", field, (3,))
     if _checks.concrete(g) and not bool(jnp.any(g != 0)):

@@ -167,6 +167,9 @@ def point_masses(G: ArrayLike, masses: Any, points: Any = None, softening: Array
         points: in the axes of the body, from its center of mass: (N, n, 3), or N arrays (n_i, 3). By default each body
             is a point.
         softening: ε ≥ 0, a length; by default none.
+
+    Raises:
+        ValueError: shapes disagree, or a mass or the softening is negative.
     """
     return _inverse_distance(-_checks.real_array("G", G, ()), "masses", masses, points, softening, True)
 
@@ -182,6 +185,9 @@ def point_charges(constant: ArrayLike, charges: Any, points: Any = None, softeni
         charges: (N, n), or N arrays of the charges of each body's points; (N,) if there is one point a body.
         points: as in `point_masses`.
         softening: ε ≥ 0, a length; by default none.
+
+    Raises:
+        ValueError: shapes disagree, or the softening is negative.
     """
     return _inverse_distance(_checks.real_array("constant", constant, ()), "charges", charges, points, softening, False)
 
@@ -196,6 +202,9 @@ def lennard_jones(wells: Any, sizes: Any, points: Any = None) -> LennardJones:
         wells: ε ≥ 0, the depths of the wells: (N, n), or N arrays; (N,) if there is one site a body.
         sizes: σ > 0, the distances where V = 0, of the same shape.
         points: as in `point_masses`.
+
+    Raises:
+        ValueError: shapes disagree, a well is negative, or a size is not positive.
     """
     groups, at, (epsilon, sigma) = group_sites({"wells": wells, "sizes": sizes}, points)
     if concrete(epsilon) and not all(bool(jnp.all(x >= 0)) for x in epsilon):

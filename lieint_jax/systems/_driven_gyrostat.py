@@ -116,9 +116,9 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
 def driven_gyrostat(inertia: ArrayLike, motor: Callable[[Array], ArrayLike]) -> DrivenGyrostat:
     """A rigid body with a rotor that a motor accelerates.
 
-    The motor's torque τ acts on the rotor, −τ on the body, so π is constant. With J and h_r as in `gyrostat` for a
-    rotor that spins freely on its bearings, τ is the torque about its axis times its axis. H does not contain the
-    energy of the rotor's spin: the total work of the motor is H − H₀ plus the change of |h_r|²/2I.
+    The motor's torque τ acts on the rotor, −τ on the body, so π and H − W are conserved. With J and h_r as in
+    `gyrostat` for a rotor that spins freely on its bearings, τ is the torque about its axis times its axis. H does not
+    contain the energy of the rotor's spin: the total work of the motor is H − H₀ plus the change of |h_r|²/2I.
 
     Args:
         inertia: principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3); without the rotor's
@@ -128,6 +128,8 @@ def driven_gyrostat(inertia: ArrayLike, motor: Callable[[Array], ArrayLike]) -> 
 
     Raises:
         ValueError: a bad inertia; `motor` is not a function of t with values (3,).
+
+    Source: Hughes 1986, Spacecraft Attitude Dynamics.
 
     Example:
         >>> satellite = driven_gyrostat([1.0, 2.0, 3.0], lambda t: jnp.array([0.1, 0.0, 0.0]))

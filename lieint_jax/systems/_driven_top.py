@@ -107,6 +107,8 @@ def driven_top(
 ) -> DrivenTop:
     """A rigid body with a fixed point in a potential that is a given function of time.
 
+    Energy less work is conserved, and γ·π if the axis γ is constant.
+
     Args:
         inertia: about the fixed point: principal moments (3,) or a symmetric tensor (3, 3).
         potential: with an axis, Ṽ(Γ, t) of Γ = Λᵀγ(t), (3,), and the time; without one, V(Λ, t) of the rotation matrix
@@ -117,6 +119,8 @@ def driven_top(
 
     Raises:
         ValueError: bad inertia; the axis is not a vector, or zero; the potential is not a scalar function of both.
+
+    Source: Lewis & Simo 1994, (4.2), with γ(t).
 
     Example: a heavy top whose support shakes up and down.
 

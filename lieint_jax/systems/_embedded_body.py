@@ -89,7 +89,9 @@ def embedded_body(inertia: ArrayLike) -> EmbeddedBody:
         inertia: principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3), as in `rigid_body`.
 
     Raises:
-        ValueError: as `rigid_body`.
+        ValueError: as in `rigid_body`.
+
+    Source: Lewis & Simo 1994, Section 2.2.
 
     Example:
         >>> body = embedded_body([1.0, 2.0, 3.0])

@@ -78,7 +78,7 @@ def gravity_gradient(
     """A rigid body whose center moves on a given orbit, in the field of a point mass, to second order of size/distance.
 
     V = (3μ/2r³) r̂·ΛJΛᵀr̂, and the torque in space is (3μ/r³) r̂ × ΛJΛᵀr̂. The attitude with the axis of least moment
-    along r̂ is stable. The orbit is prescribed: the attitude does not influence it.
+    along r̂ is stable. The orbit is prescribed: the attitude does not influence it. Energy less work is conserved.
 
     Args:
         inertia: about the center of mass: principal moments (3,) or a symmetric tensor (3, 3).
@@ -88,6 +88,8 @@ def gravity_gradient(
 
     Raises:
         ValueError: bad inertia; `orbit` is not such a function; μ is missing or not positive.
+
+    Source: MacCullagh 1844; Hughes 1986, Spacecraft Attitude Dynamics, 8.1.
 
     Example: a satellite in an elliptic orbit, mean motion 1.
 

@@ -158,6 +158,8 @@ def group_potential(
 ) -> GroupPotential | DrivenGroupPotential:
     """A system with a left-invariant kinetic energy and a potential on a matrix group.
 
+    Its motion conserves energy, or energy less work if the potential depends on time, and the momenta of its symmetry.
+
     Args:
         group: `groups.so3`, a group of the catalogue, or `groups.matrix(basis)`.
         metric: m in the basis of the group, positive definite: (d,) or (d, d).
@@ -168,6 +170,8 @@ def group_potential(
 
     Raises:
         ValueError: a bad metric; V is not callable or not a scalar; `symmetry` has a wrong shape.
+
+    Source: Lewis & Simo 1994, (5.41).
 
     Example:
         >>> from lieint_jax import groups

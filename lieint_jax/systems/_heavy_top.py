@@ -40,7 +40,7 @@ class Linear(PotentialWithGradient):
 
 
 def heavy_top(inertia: ArrayLike, weight: ArrayLike, axis: ArrayLike = (0.0, 0.0, 1.0)) -> PotentialTop:
-    """A heavy rigid body with a fixed point: V = γ·ΛE.
+    """A heavy rigid body with a fixed point: V = γ·ΛE. Its motion conserves energy and γ·π.
 
     Args:
         inertia: about the fixed point: principal moments (3,) or a symmetric tensor (3, 3).
@@ -48,7 +48,9 @@ def heavy_top(inertia: ArrayLike, weight: ArrayLike, axis: ArrayLike = (0.0, 0.0
         axis: γ in space, shape (3,): upwards.
 
     Raises:
-        ValueError: as `potential_top`.
+        ValueError: as in `potential_top`.
+
+    Source: Lewis & Simo 1994, Section 4; Whittaker, Analytical Dynamics, §71–72.
 
     Example:
         >>> top = heavy_top([5.0, 5.0, 1.0], [0.0, 0.0, 20.0])

@@ -122,7 +122,7 @@ def incompressible_body(
         stored_energy: W, as in `pseudo_rigid_body`; its dependence on det C has no effect.
 
     Raises:
-        ValueError: as `pseudo_rigid_body`.
+        ValueError: as in `pseudo_rigid_body`.
 
     Source: Lewis & Simo 1994, Sections 1.1 and 6.1.1; Arnold 1966 for W = 0.
 

@@ -103,7 +103,7 @@ class PotentialTop(Body, AbstractTop):
 def potential_top(
     inertia: ArrayLike, potential: Callable[[Array], Array], axis: ArrayLike | None = (0.0, 0.0, 1.0)
 ) -> PotentialTop:
-    """A rigid body with a fixed point in a potential.
+    """A rigid body with a fixed point in a potential. Its motion conserves energy, and γ·π if there is an axis γ.
 
     Args:
         inertia: about the fixed point: principal moments (3,) or a symmetric tensor (3, 3).
@@ -115,6 +115,8 @@ def potential_top(
 
     Raises:
         ValueError: bad inertia; the axis is not a vector, or zero; the potential is not a scalar function.
+
+    Source: Lewis & Simo 1994, (4.2).
 
     Example:
         >>> top = potential_top([1.0, 2.0, 3.0], lambda Gamma: Gamma[0] ** 4)

@@ -366,6 +366,8 @@ def rigid_bodies(
         ValueError: a mass is not positive, an inertia is not positive definite, or shapes disagree; the potential or
             the law is not callable, or is for another number of bodies; the law changes the angular momentum, or adds
             energy.
+
+    Source: Maciejewski 1995, Celest. Mech. Dyn. Astron. 63.
     """
     m = _checks.real_array("masses", _checks.of_shapes("mass", masses))
     if m.ndim != 1 or not m.size:

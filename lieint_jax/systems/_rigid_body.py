@@ -49,7 +49,7 @@ _attitude = compiled(_free_body.attitude)
 
 
 def rigid_body(inertia: ArrayLike) -> RigidBody:
-    """A free rigid body.
+    """A free rigid body. Its motion conserves energy, the spatial momentum π, and |Π|².
 
     Args:
         inertia: principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3), in any unit: the
@@ -58,6 +58,8 @@ def rigid_body(inertia: ArrayLike) -> RigidBody:
     Raises:
         ValueError: not positive definite, not symmetric, a wrong shape, NaN or inf. Moments that violate the triangle
             inequality cause a warning only.
+
+    Source: Euler 1758; Lewis & Simo 1994, (2.12).
 
     Example:
         >>> body = rigid_body([1.0, 2.0, 3.0])

@@ -185,6 +185,8 @@ def torqued_body(inertia: ArrayLike, torque: Any, frame: Literal["body", "space"
     Raises:
         ValueError: bad inertia; the torque is not a function with a value (3,); `frame` is not that of the law.
 
+    Source: Hughes 1986, Spacecraft Attitude Dynamics.
+
     Example:
         >>> import lieint_jax as li
         >>> body = torqued_body([1.0, 2.0, 3.0], li.torques.viscous(0.1))
