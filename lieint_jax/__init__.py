@@ -15,7 +15,7 @@ A system and a scheme make a step; a step makes everything else.
 | | |
 |---|---|
 | `systems` | rigid bodies, tops, satellites, several bodies, elastic bodies, any matrix group |
-| `schemes` | the integrators: `help(li.schemes)` says which one for which system |
+| `schemes` | the integrators: `help(li.schemes)` lists which one fits which system |
 | `integrate`, `event`, `interpolate` | runs of one body: states at any times, and when a condition changes its sign |
 | `ensemble` | many bodies, over cores, devices and processes; results in memory or on disk |
 | `equilibrium`, `normal_modes` | relative equilibria, frequencies of small oscillations, stability |
@@ -28,9 +28,9 @@ A system and a scheme make a step; a step makes everything else.
 | `elliptic` | elliptic integrals and functions, with derivatives |
 | `cache_programs` | compiled programs on disk, for a quick start of the next process |
 
-`integrate` saves every step unless `save_every` says otherwise, `ensemble.run` the last one only.
-Attitudes are unit quaternions (w, x, y, z), body to space. Momenta are in space. Units are yours; all numbers must
-agree. On the command line: `lieint list`.
+By default `integrate` saves every step, and `ensemble.run` only the last one: `save_every` changes that.
+Attitudes are unit quaternions (w, x, y, z), body to space. Momenta are in the axes of space. Any consistent units may
+be used. `lieint list` on the command line lists systems, schemes and scenarios.
 """
 
 from lieint_jax import (

@@ -17,8 +17,9 @@ _WORTHWHILE = 0.01  # programs that compile in fewer seconds are not stored
 def cache_programs(path: str | os.PathLike[str] | None = None) -> Path:
     """Store compiled programs on disk, so that later processes start without compiling them again.
 
-    Turns on JAX's persistent compilation cache for everything that JAX compiles. A process still traces its functions,
-    which is the smaller part of a first call. Processes may share the folder, and it may be deleted at any time.
+    This enables JAX's persistent compilation cache for everything that JAX compiles. A process still traces its
+    functions, which is the smaller part of a first call. Processes may share the folder, and it may be deleted at any
+    time.
 
     Args:
         path: a folder, which is created; by default `lieint` in the user's cache directory (`~/.cache` on Linux).

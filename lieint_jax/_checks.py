@@ -1,4 +1,4 @@
-"""Checks of concrete arguments: error messages name the value, the allowed values and the remedy. Tracers pass."""
+"""Checks of concrete arguments: messages name the value, the allowed values and the remedy. Tracers are not checked."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def staged() -> bool:
 def at_once() -> contextlib.AbstractContextManager[None]:
     """A context in which operations on concrete values are computed immediately, inside jit too.
 
-    Outside of jit they are in any case. There `jax.ensure_compile_time_eval` would be harmful: it compiles each
+    Outside of jit they are anyway. There `jax.ensure_compile_time_eval` would be harmful: it compiles each
     constant operation of a jitted function as a separate program.
     """
     return jax.ensure_compile_time_eval() if staged() else contextlib.nullcontext()
@@ -141,7 +141,7 @@ def time_resolution(t: Input, dt: Input, num_steps: int) -> None:
     if np.spacing(latest) > 1e-6 * abs(float(dt)) > 0:
         warnings.warn(
             f"the time {latest:.6g} of a state is held to {np.spacing(latest):.2g} in {t.dtype}, and the step is "
-            f"dt = {float(dt):.6g}: count time from a nearer epoch" + ("" if t.itemsize > 4 else ", or take float64"),
+            f"dt = {float(dt):.6g}: count time from a nearer epoch" + ("" if t.itemsize > 4 else ", or use float64"),
             RuntimeWarning,
             stacklevel=3,
         )

@@ -18,7 +18,7 @@ where q = dn for the axis c of circulation and cn for the other, and D = cn² + 
 sign that makes it a sum. S, cn, dn are smooth in f and f′ ≥ 0, so symmetric and spherical bodies (f′ = 0, f = 0) and
 the separatrix (f = f′) are no special cases.
 
-**Attitude.** Axis r turns about π by the angle
+**Attitude.** Axis r rotates about π by the angle
 
     φ = b_o τ − (b_o − b_r) ν X + θ,    X = ∫₀^τ S²/(1 + νS²) dτ,    ν = (b_m − b_o)[(b_r − b_o)e_r² + (b_m − b_o)e_m²]
     θ = arctan2((b_m − b_o) S e_m e_m(τ),  1 − e_r(τ)² − (b_m − b_o) S e_m e_r(τ) e_o(τ))
@@ -26,7 +26,7 @@ the separatrix (f = f′) are no special cases.
 where X is S³ R_J(cn², dn², 1, 1 + νS²)/3 up to a quarter period, and θ comes from the addition theorem of Legendre's
 integral of the third kind. With ψ the azimuth of e about r, and "e → r" the shortest rotation from e to r,
 
-    Λ(τ) = Λ (r → e)(turn about r by φ + ψ − ψ(τ))(e(τ) → r)
+    Λ(τ) = Λ (r → e)(rotation about r by φ + ψ − ψ(τ))(e(τ) → r)
 
 The vector whose angle an arctangent computes has at least length ½. The quaternion's sign is continuous in time.
 
@@ -43,7 +43,8 @@ where q_o ℓ/√(1 + νS²) is the cosine of half the angle of the step, and no
     f = (B − A)(2HC − L²)/(ABC),    g = (C − B)(L² − 2HA)/(ABC),    m = min(f, g)/max(f, g)
 
 Π goes round the long axis in the body if f > g (long-axis mode), else round the short one, in 4K(m)/√max(f, g). The
-long axis goes round π at the mean rate of φ̇ = L (2H − Π_x²/A)/(L² − Π_x²), with K − Π(−ν, m) = ν R_J(0, 1−m, 1, 1+ν)/3:
+long axis goes round π at the mean rate of φ̇ = L (2H − Π_x²/A)/(L² − Π_x²), with K − Π(−ν, m) = ν R_J(0, 1−m, 1,
+1+ν)/3:
 
     L [1/C + (1/A − 1/C)(1 − Π(−ν, m)/K)],    ν = A(C − B)/(C(B − A)) if f > g, else A(2HC − L²)/(C(L² − 2HA))
 
@@ -78,7 +79,8 @@ class Accuracy(NamedTuple):
 
     Attributes:
         length: | |e(τ)|² − 1 |, the error of the momentum's length in the body.
-        condition: by how many times eps the attitude moves if the state and t move by eps, relative, about.
+        condition: the condition number: relative errors eps of the state and of t change the attitude by about
+            condition·eps.
     """
 
     length: Array
@@ -121,8 +123,8 @@ def clock(inertia: Inertia, Pi: Vector3, t: ArrayLike) -> tuple[Array, Array, Ar
         t: the size of the step.
 
     Returns:
-        s, d in the unit of 1/inertia, and whether there is such a step: one that turns the body by at most 90°. All
-        three are the same for every Π of a trajectory, and 1, 0 and True at rest and for t = 0.
+        s; d in the unit of 1/inertia; and whether there is such a step, one that rotates the body by at most 90°. All
+        three are the same for every Π of a trajectory, and they are 1, 0 and True at rest and for t = 0.
     """
     scale, G, e, rest = _units(inertia, Pi)
     still = rest | (jnp.asarray(t) == 0)
@@ -132,22 +134,23 @@ def clock(inertia: Inertia, Pi: Vector3, t: ArrayLike) -> tuple[Array, Array, Ar
     else:
         moments, V = _eigh(scale * inertia)
         e = tuple(dot(V[:, k], e) for k in range(3))
-    s, d, on_branch = _sorted_clock(moments, e, where(still, 1e-3, G * t))
+    s, d, on_branch = _ascending_clock(moments, e, where(still, 1e-3, G * t))
     return where(still, 1, s), where(still, 0, scale * d), still | on_branch
 
 
 class Periods(NamedTuple):
     """The two mean periods of a tumbling free body, both defined by its long axis, whatever the mode.
 
-    The long axis is that of the least moment; φ and ψ are Euler's angles of the body with it as the third axis, and the
-    angular momentum π as the third axis of space. Periods are in the unit of time of the state.
+    The long axis is that of the least moment of inertia. φ and ψ are Euler angles, with the long axis as the third axis
+    of the body and the angular momentum π along the third axis of space. Periods are in the unit of time of the state.
 
     Attributes:
         precession: P_φ = 2π over the mean rate of φ: the mean time in which the long axis goes once around π. Infinite
             for a body at rest.
         rotation: P_ψ, the time in which Π and Ω repeat in the axes of the body: a rotation of the body about its long
             axis (ψ advances by 2π) in the long-axis mode, an oscillation about it in the short-axis mode. Infinite for
-            a body at rest and for a sphere; on the separatrix, where it is infinite too, rounding decides the number.
+            a body at rest and for a sphere. On the separatrix it is infinite too, but the number returned depends on
+            rounding.
         long_axis: the mode: True where Π goes around the axis of least moment (long-axis mode), False where it goes
             around that of greatest moment (short-axis mode).
     """
@@ -209,17 +212,17 @@ def period_ratio(moments: Array, s: Array, long_axis: bool) -> Array:
     return found.rotation / found.precession
 
 
-def excited(moments: Array, ratio: Array, long_axis: bool) -> Array:
+def momentum_of_ratio(moments: Array, ratio: Array, long_axis: bool) -> Array:
     """The unit Π of `on_axes` at which P_ψ/P_φ is `ratio`, by bisection, with its first derivatives."""
     sign, fixed, wanted = -1 if long_axis else 1, lax.stop_gradient(moments), lax.stop_gradient(ratio)
 
-    def halved(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+    def bisect(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
         middle = (bounds[0] + bounds[1]) / 2
         low = sign * (period_ratio(fixed, middle, long_axis) - wanted) < 0
         return where(low, middle, bounds[0]), where(low, bounds[1], middle)
 
     zero = jnp.zeros_like(wanted)
-    low, high = lax.fori_loop(0, _BISECTIONS, halved, (zero, zero + 1))
+    low, high = lax.fori_loop(0, _BISECTIONS, bisect, (zero, zero + 1))
     s = (low + high) / 2
     _, slope = jax.jvp(lambda s: period_ratio(fixed, s, long_axis), (s,), (jnp.ones_like(s),))
     return on_axes(moments, s - (period_ratio(moments, s, long_axis) - ratio) / slope, long_axis)
@@ -253,7 +256,7 @@ def _increment(inertia: Inertia, e: Vector, tau: Array) -> tuple[Vector, Accurac
     """Λ⁻¹Λ(τ) in body axes, as a quaternion times a positive number, and its rounding errors."""
     if inertia.ndim == 1:
         moments, turns = _ascending(inertia)
-        w, v, accuracy = _sorted(moments, _permute(e, turns, 1), tau)
+        w, v, accuracy = _ascending_increment(moments, _permute(e, turns, 1), tau)
         return (w, *_permute(v, turns, -1)), accuracy
     moments, V = _eigh(inertia)
     a, b = (vec3.components(V[:, k]) for k in (0, 1))  # made right-handed, and orthonormal to the last bit
@@ -261,12 +264,12 @@ def _increment(inertia: Inertia, e: Vector, tau: Array) -> tuple[Vector, Accurac
     overlap = dot(a, b)
     b = _unit(tuple(y - overlap * x for x, y in zip(a, b, strict=True)))
     c = vec3.cross(a, b)
-    w, v, accuracy = _sorted(moments, (dot(a, e), dot(b, e), dot(c, e)), tau)
+    w, v, accuracy = _ascending_increment(moments, (dot(a, e), dot(b, e), dot(c, e)), tau)
     return (w, *(v[0] * a[i] + v[1] * b[i] + v[2] * c[i] for i in range(3))), accuracy
 
 
 def _ascending(J: Array) -> tuple[Vector, _Turns]:
-    """The moments J in ascending order, and the quarter turns that take the axes there.
+    """The moments J in ascending order, and the quarter turns that permute the axes so.
 
     Component by component: a gather by `argsort` would end XLA's loop over a batch before and after it.
     """
@@ -328,19 +331,19 @@ def _labels(J: Array, e: Vector) -> tuple[Array, _Labels]:
     return first, _Labels(*materialized((b_o, rm, where(first, d12, -d01), where(first, d02, -d02))))
 
 
-def _relabeled(first: Array, v: Vector) -> Vector:
+def _relabel(first: Array, v: Vector) -> Vector:
     """The components of v on the axes r, m, o from those on the axes 0, 1, 2, or back."""
     return where(first, v[0], v[2]), where(first, v[1], -v[1]), where(first, v[2], v[0])
 
 
-def _sorted(J: Array, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
+def _ascending_increment(J: Array, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
     """Λ⁻¹Λ(τ) as scalar and vector part, and its rounding errors, for ascending moments J."""
     first, b = _labels(J, e)
-    w, v, accuracy = _labeled(b, materialized(_relabeled(first, e)), tau)
-    return w, _relabeled(first, v), accuracy
+    w, v, accuracy = _labeled_increment(b, materialized(_relabel(first, e)), tau)
+    return w, _relabel(first, v), accuracy
 
 
-def _labeled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
+def _labeled_increment(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy]:
     """Λ⁻¹Λ(τ) as scalar and vector part, times a positive number, and its rounding errors, in the axes r, m, o."""
     er, em, eo = e
     m = _motion(b, e, tau)
@@ -362,7 +365,7 @@ def _labeled(b: _Labels, e: Vector, tau: Array) -> tuple[Array, Vector, Accuracy
     azimuth = azimuth - where(m.about_r, jnp.pi * m.halves * jnp.sign(er * b.rm), 0)
     twist = (m.turn + theta - azimuth) / 2
     f = (fr, fm, fo)
-    w, v = _between(e, f, *materialized((jnp.cos(twist), jnp.sin(twist))))
+    w, v = _rotation_between(e, f, *materialized((jnp.cos(twist), jnp.sin(twist))))
     length = jnp.abs(dot(f, f) - 1)
     return w, v, Accuracy(*lax.stop_gradient((length, m.condition)))
 
@@ -382,11 +385,11 @@ def _on_polhode(b: _Labels, R: Array, f: Vector) -> Vector:
     return (f[0] - long * x - off * gx, f[1] - long * y - off * gy, f[2] - long * z - off * gz)
 
 
-def _sorted_clock(J: Array, e: Vector, tau: Array) -> tuple[Array, Array, Array]:
+def _ascending_clock(J: Array, e: Vector, tau: Array) -> tuple[Array, Array, Array]:
     """`clock` for ascending moments J of trace 1 and τ ≠ 0."""
     first, b = _labels(J, e)
     half = tau / 2
-    m = _motion(b, _relabeled(first, e), half)
+    m = _motion(b, _relabel(first, e), half)
     c, s = jnp.cos(m.turn), jnp.sin(m.turn)
     lag = c - m.R * m.S * (m.q_r / m.q_o) * s
     size = 1 + m.nu * m.S * m.S
@@ -396,7 +399,7 @@ def _sorted_clock(J: Array, e: Vector, tau: Array) -> tuple[Array, Array, Array]
 
 
 class _Motion(NamedTuple):
-    """The functions of τ that move e, `halves` half periods taken off, and turn = b_o τ − (b_o − b_r) ν X.
+    """The functions of τ that move e, less `halves` half periods, and turn = b_o τ − (b_o − b_r) ν X.
 
     `condition` is that of the phase along the polhode: a half period is ½ log of f_r − f_o near the separatrix, where
     the two are equal, so a change of e alters it by that of f_r − f_o, relative.
@@ -452,7 +455,7 @@ def _motion(b: _Labels, e: Vector, tau: Array) -> _Motion:
 def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array, needed: Array) -> tuple[Array, Array]:
     """R_J/3 of (cn², dn², 1, 1 + n), and that of a quarter period, (0, m1, 1, 1 + n_quarter): one loop for both.
 
-    Where the quarter period is not needed, it is of arguments of 1, which take no duplication.
+    Where the quarter period is not needed, its arguments are set to 1, which need no duplication.
     """
     one, root = jnp.ones_like(cn), jnp.sqrt(m1 + jnp.sqrt(jnp.finfo(m1.dtype).tiny))
     zero, root, p = (where(needed, x, 1) for x in (0 * one, root, 1 + n_quarter))
@@ -461,8 +464,8 @@ def _third(cn: Array, dn: Array, n: Array, m1: Array, n_quarter: Array, needed: 
     return part, quarter
 
 
-def _between(e: Vector, f: Vector, c: Array, s: Array) -> tuple[Array, Vector]:
-    """(r → e)(turn about r by 2 arctan2(s, c))(f → r), times a positive number, as scalar and vector part."""
+def _rotation_between(e: Vector, f: Vector, c: Array, s: Array) -> tuple[Array, Vector]:
+    """(r → e)(rotation about r by 2 arctan2(s, c))(f → r), times a positive number, as scalar and vector part."""
     a, b = 1 + e[0], 1 + f[0]
     t = (c * b, s * b, c * f[2] + s * f[1], s * f[2] - c * f[1])
     return a * t[0] + e[2] * t[2] - e[1] * t[3], (

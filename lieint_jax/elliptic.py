@@ -6,13 +6,13 @@
 | `sn`, `cn`, `dn` | Jacobi's functions |
 | `RF`, `RC`, `RD`, `RJ` | Carlson's symmetric integrals |
 
-m = k² is the parameter, as in SciPy and mpmath: K(m) = ∫₀^{π/2} dθ/√(1 − m sin²θ). It may be anything up to 1, negative
-too. Arguments are broadcast against each other and computed in their own dtype, float32 or float64. The value is NaN
-outside of the domain of real values, and infinite where the integral is.
+m = k² is the parameter, as in SciPy and mpmath: K(m) = ∫₀^{π/2} dθ/√(1 − m sin²θ). It may be any number up to 1,
+including negative ones. Arguments are broadcast against each other, and values have their dtype, float32 or float64.
+The value is NaN outside the domain of real values, and infinite where the integral diverges.
 
-Everything can be jitted, vmapped and differentiated by every argument, in forward and reverse mode, to any order. Where
-a slope is infinite because an argument of Carlson's integrals is 0, a very large number stands for it, so that it does
-not spoil the slopes by the other arguments.
+Every function can be jitted, vmapped and differentiated with respect to every argument, in forward and reverse mode, to
+any order. Where a derivative is infinite because an argument of Carlson's integrals is 0, it is replaced by a very
+large number, so that the derivatives with respect to the other arguments stay finite.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def E(*arguments: ArrayLike) -> Array:
         arguments: m, the parameter k², ≤ 1; or φ in radians, of any size, and m.
 
     Returns:
-        E(m) or E(φ, m), to a relative error of a few eps; NaN for m > 1. The slope of `E(m)` at m = 1 is −inf.
+        E(m) or E(φ, m), to a relative error of a few eps; NaN for m > 1. The derivative of `E(m)` at m = 1 is −inf.
 
     Source: DLMF 19.25.9 and 19.25.10, by Carlson's integrals: sums of positive terms, in which nothing cancels.
 
@@ -107,12 +107,12 @@ def Pi(*arguments: ArrayLike) -> Array:
     `Pi(n, m)` to φ = π/2, or `Pi(n, phi, m)`: mpmath's `ellippi`. SciPy has none.
 
     Args:
-        arguments: the characteristic n, < 1, or up to 1/sin²φ where |φ| < π/2; φ in radians, of any size; the parameter
-            m = k², ≤ 1. Either n and m, or n, φ and m.
+        arguments: n and m, or n, φ and m. The characteristic n is < 1, or up to 1/sin²φ where |φ| < π/2; φ is in
+            radians, of any size; the parameter m = k² is ≤ 1.
 
     Returns:
-        Π(n, m) or Π(n, φ, m), to a relative error of some ten eps; inf for n = 1 or m = 1 where φ is π/2, NaN for m > 1
-        and where 1 − n sin²θ changes its sign within the integral.
+        Π(n, m) or Π(n, φ, m), to a relative error of about ten eps; inf for n = 1 or m = 1 where φ is π/2, NaN for
+        m > 1 and where 1 − n sin²θ changes its sign within the integral.
 
     Source: DLMF 19.25.14 for n ≥ 0. For n < 0 by R_J of the characteristic (m − n)/(1 − n), DLMF 19.21.12, so that
     nothing cancels.
@@ -135,7 +135,7 @@ def sn(u: ArrayLike, m: ArrayLike) -> Array:
         m: the parameter k², ≤ 1.
 
     Returns:
-        sn(u, m), to a few eps of itself and of its change over |u| eps; NaN for m > 1.
+        sn(u, m), to a relative error of a few eps, plus the effect of a relative error eps of u; NaN for m > 1.
 
     Source: DLMF 22.7, Landen's transformations; DLMF 22.17 for m < 0.
 
@@ -314,8 +314,8 @@ class _Reduced:
     """The arguments of an incomplete integral, φ reduced to [−π/2, π/2].
 
     Attributes:
-        turns: how often π was subtracted.
-        s, c: the sine and the cosine of the rest; c may be slightly negative.
+        turns: the number of times π was subtracted.
+        s, c: the sine and the cosine of the reduced φ; c may be slightly negative.
         m1: 1 − m.
         q: √(1 − m s²).
     """
@@ -329,7 +329,7 @@ class _Reduced:
         self.q = jnp.sqrt(self.c * self.c + self.m1 * self.s * self.s)
 
     def with_periods(self, part: Array, complete: Array) -> Array:
-        """The integral to φ, from that to the rest."""
+        """The integral to φ, from that to the reduced φ."""
         return part + where(self.turns == 0, 0, 2 * self.turns * where(self.turns == 0, 1, complete))
 
     def rf(self) -> Array:
@@ -466,7 +466,7 @@ def _second(x: Array, y: Array, z: Array) -> Array:
 @compiled
 def _third(x: Array, y: Array, z: Array, p: Array) -> Array:
     negative, valid = p < 0, (x >= 0) & (y >= 0) & (z >= 0) & (p != 0)
-    a, b, c = _sorted(_root(x), _root(y), _root(z))
+    a, b, c = _sort(_root(x), _root(y), _root(z))
     most = where(negative, c * c, 1)  # c² = 0 only where all are 0
     minus = where(negative, -p, 1)
     total = where(most + minus > 0, most + minus, 1)
@@ -480,12 +480,12 @@ def _third(x: Array, y: Array, z: Array, p: Array) -> Array:
     return _carlson(where(negative, principal, rj), (x, y, z, p), _two_zeros(x, y, z), valid)
 
 
-def _sorted(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+def _sort(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
     """In ascending order, as a permutation: the slopes of minimum() and maximum() are means where two are equal."""
-    low, high = _ordered(x, y)
-    low, other = _ordered(low, z)
-    return low, *_ordered(other, high)
+    low, high = _order(x, y)
+    low, other = _order(low, z)
+    return low, *_order(other, high)
 
 
-def _ordered(x: Array, y: Array) -> tuple[Array, Array]:
+def _order(x: Array, y: Array) -> tuple[Array, Array]:
     return where(x <= y, x, y), where(x <= y, y, x)

@@ -43,11 +43,11 @@ class Kappa:
     Attributes:
         function: x ↦ κ(x), a callable pytree. Its array leaves, if any, can be differentiated and batched.
         name: for reports.
-        limit: the largest |Θ̄| where κ is real and finite.
+        limit: the largest |Θ̄| at which κ is real and finite.
         solve_by: "vector", Newton for the three components of Θ̄; or "scalar", Newton for one unknown, possible for the
             symplectic κ (see `schemes.so3_midpoint`).
         symplectic: whether it satisfies (3.15).
-        constant: whether κ = 1 everywhere, so that its derivative is not computed.
+        constant: whether κ = 1 everywhere; then its derivative is not computed.
     """
 
     function: Callable[[Array], Array]
@@ -67,7 +67,7 @@ class Kappa:
 
 
 def as_kappa(kappa: Kappa | Callable[[Array], Array]) -> Kappa:
-    """Any callable x ↦ κ(x) as a `Kappa`; one with parameters is given as a `jax.tree_util.Partial`."""
+    """Any callable x ↦ κ(x) as a `Kappa`; a callable with parameters must be a `jax.tree_util.Partial`."""
     if isinstance(kappa, Kappa):
         return kappa
     if not callable(kappa):
@@ -147,22 +147,26 @@ def derivative(tau: Map, group: Group, theta: AlgebraVector) -> AlgebraMatrix:
 def arcsine(group: Group, theta: AlgebraVector) -> Array:
     """exp(s(x)Θ), s(x) = arcsin(√x)/√x, x = −λ² for the eigenvalues 0 and ±λ of ad_Θ (arsinh for x < 0).
 
-    On a direct product, each factor has its own x. On SO(3) it is the scaled Cayley map of the symplectic κ. Elsewhere
-    it is symplectic for every metric on SL(2), SE(2), E(1,1), the Heisenberg groups, Aff(1) and Bianchi's type V, for
-    every metric that does not couple the factors on products of these, and not on SE(3), for example: numerical
-    evidence, no proof; `symplectic_residual` measures it.
+    On a direct product, each factor has its own x. On SO(3) this is the scaled Cayley map of the symplectic κ.
+    Numerical evidence, not a proof, shows that it is symplectic for every metric on SL(2), SE(2), E(1,1), the
+    Heisenberg groups, Aff(1) and Bianchi's type V, and on products of these for every metric that does not couple the
+    factors. It is not symplectic on SE(3), for example. `symplectic_residual` measures this.
+
+    Args:
+        group: a group on which ad_Θ has no other eigenvalues than 0 and ±λ, on each factor of a product.
+        theta: Θ, shape (d,).
 
     Raises:
-        ValueError: ad_Θ has nonzero eigenvalues of several sizes (SO(4), SL(3), …): the map is not defined there.
+        ValueError: ad_Θ has several pairs of nonzero eigenvalues (SO(4), SL(3), …), where the map is not defined.
     """
     return group.exp(jnp.stack(_arcsine_scales(group, theta)) * theta)
 
 
 @cache
 def arcsine_forms(group: Group) -> list[tuple[list[int], np.ndarray]]:
-    """The factors of a group, each by the indices of its basis, and the matrix (d, d) of their x = −λ² of `arcsine`.
+    """The factors of a group, each by its indices in the basis, and the matrix (d, d) of x = −λ² of `arcsine` for each.
 
-    That is the Killing form over −(number of λ's).
+    The matrix is the Killing form over −(number of λ's).
     """
     d = group.dim
     with at_once():
@@ -173,7 +177,7 @@ def arcsine_forms(group: Group) -> list[tuple[list[int], np.ndarray]]:
         if form is None:
             raise ValueError(
                 "the arcsine map is defined where ad_Θ has one pair of nonzero eigenvalues ±λ only (on each factor of "
-                f"a product); {group} is not such a group: take maps.exponential"
+                f"a product); {group} is not such a group: use maps.exponential"
             )
         forms.append((factor, np.zeros((d, d))))
         forms[-1][1][np.ix_(factor, factor)] = -form
@@ -217,13 +221,14 @@ class Tau:
     Attributes:
         function: (group, Θ) ↦ τ(Θ), a callable pytree.
         name: for reports.
-        slope: (group, Θ) ↦ H(Θ) of (5.28), (d, d), for Newton's matrix: it may be approximate. None for autodiff.
+        slope: (group, Θ) ↦ H(Θ) of (5.28), (d, d), for Newton's matrix, where an approximation suffices. None selects
+            autodiff.
         holds: (group, Θ) ↦ whether τ(Θ) is exact to round-off. None if it always is.
-        coadjoint: (group, Θ, μ) ↦ Ad*_τ(Θ) μ, on the vectors of `_numerics.unrolled`. None: a step computes it from
+        coadjoint: (group, Θ, μ) ↦ Ad*_τ(Θ) μ, on the vectors of `_numerics.small_linalg`. None: a step computes it from
             τ(Θ).
-        along: (group, q, Θ, s) ↦ q τ(sΘ) for s of () or (k,). None: a step computes it from τ.
+        along: (group, q, Θ, s) ↦ q τ(sΘ) for s of shape () or (k,). None: a step computes it from τ.
         symmetric: whether τ(−Θ) = τ(Θ)⁻¹, which makes a step of τ time-symmetric and of second order. `as_tau` measures
-            it; in a `Tau` made by hand it is declared.
+            this; whoever constructs a `Tau` directly declares it.
     """
 
     function: Map
@@ -243,7 +248,7 @@ _SLOPE_TERMS = 3  # terms of H in Newton's matrix: the truncation error is |Θ|�
 
 @dataclasses.dataclass(frozen=True)
 class _GroupMethod:
-    """The function (group, …) ↦ group.method(…, *more): comparable by its fields, and can be pickled."""
+    """The function (group, …) ↦ group.method(…, *more), which can be compared and pickled."""
 
     method: str
     more: tuple[int, ...] = ()
@@ -257,7 +262,7 @@ def _cayley_coadjoint(group: Any, theta: la.Vector, mu: la.Vector) -> la.Vector:
 
 
 def _half_turn(_: Group, theta: AlgebraVector) -> Flag:
-    """Whether Θ turns by less than 180°: beyond, several Θ's lead to the same rotation."""
+    """Whether Θ is a rotation by less than 180°; beyond, several Θ lead to the same rotation."""
     return vec3.dot(theta, theta) < math.pi**2
 
 
@@ -304,14 +309,14 @@ _ON_ANALYTIC_GROUPS = ((exponential, _BY_EXPONENTIAL), (cayley, _BY_CAYLEY), (ar
 
 
 def cayley_lands(group: Group) -> bool:
-    """True if the Cayley map lands in a group; for a plain `Group` it is taken for granted."""
+    """True if the Cayley map lands in a group; for a plain `Group` this is assumed."""
     return not isinstance(group, AnalyticGroup) or group.cayley_lands
 
 
 def as_tau(tau: Tau | Map, group: Group) -> Tau:
-    """Any map τ(group, Θ) as a `Tau`, checked on `group`; its symmetry is measured.
+    """Any map τ(group, Θ) as a `Tau`, checked on `group`, with its symmetry measured.
 
-    A map with traced parameters is neither checked nor measured, and is taken to be symmetric.
+    A map with traced parameters is neither checked nor measured, and is assumed to be symmetric.
 
     Raises:
         ValueError: τ is not callable; it is not consistent, τ(0) = 1 and H(0) = 1; it leaves the group; or it violates
@@ -326,7 +331,7 @@ def as_tau(tau: Tau | Map, group: Group) -> Tau:
         with at_once():
             arcsine_forms(group)
     if tau is cayley and not cayley_lands(group):
-        raise ValueError(f"the Cayley map does not land in {group}: take maps.exponential")
+        raise ValueError(f"the Cayley map does not land in {group}: use maps.exponential")
     for known, form in _ON_ANALYTIC_GROUPS:
         if tau is known and isinstance(group, AnalyticGroup):
             return form
@@ -348,7 +353,7 @@ def _check_map(tau: Tau, group: Group) -> bool:
     slope = float(jnp.max(jnp.abs(derivative(tau, group, zero) - jnp.eye(group.dim))))
     if not (off < 1e3 * eps and slope < 1e-6):
         raise ValueError(
-            f"τ(0) must be the identity and Dτ(0) too for the scheme to be consistent; {tau.name} is off by {off:.2g} "
+            f"τ(0) and Dτ(0) must be the identity for the scheme to be consistent; {tau.name} is off by {off:.2g} "
             f"and {slope:.2g}"
         )
     symmetric = True
@@ -359,7 +364,7 @@ def _check_map(tau: Tau, group: Group) -> bool:
         if not turned < 1e4 * eps:
             raise ValueError(
                 f"Ad_τ(Θ) Θ = Θ must hold for energy to be conserved (Result 10); for {tau.name} on {group} it is off "
-                f"by {turned:.2g}. To use it all the same, pass maps.Tau(tau)"
+                f"by {turned:.2g}. To use it nevertheless, pass maps.Tau(tau)"
             )
         there_and_back = group.multiply(tau(group, theta), tau(group, -theta))
         symmetric &= bool(jnp.max(jnp.abs(there_and_back - one)) < 1e4 * eps)
@@ -378,10 +383,13 @@ def symplectic_residual(tau: Map, group: Group, metric: Array, theta: AlgebraVec
     `schemes.group_midpoint` from a state with Δt Ω_{n+½} = Θ is symplectic if and only if it is zero.
 
     Args:
-        tau: a map.
-        group: a group.
+        tau: a map (group, Θ) ↦ group element.
+        group: the group.
         metric: m, principal (d,) or full (d, d).
         theta: Θ, shape (d,).
+
+    Returns:
+        The largest entry of the residual, a scalar: 0 to round-off if τ is symplectic at this Θ.
     """
     one = jnp.eye(group.dim, dtype=theta.dtype)
     m = jnp.diag(metric) if jnp.ndim(metric) == 1 else metric
@@ -394,7 +402,10 @@ def symplectic_residual(tau: Map, group: Group, metric: Array, theta: AlgebraVec
 
 @old_calls()
 def is_symplectic(tau: Map, group: Group, metric: Array, size: float = 0.3, *, samples: int = 8) -> bool:
-    """True if τ conserves the symplectic form for this group and metric, measured at random Θ with |Θᵢ| ≤ `size`."""
+    """True if τ conserves the symplectic form for this group and metric, measured at random Θ with |Θᵢ| ≤ `size`.
+
+    Arguments as in `symplectic_residual`; `samples` is the number of random Θ.
+    """
     theta = np.random.default_rng(0).uniform(-size, size, (samples, group.dim))
     theta = jnp.asarray(theta, jnp.result_type(metric, float))
     found = jax.jit(jax.vmap(lambda x: symplectic_residual(tau, group, metric, x)))(theta)

@@ -32,7 +32,7 @@ class CotangentGroup:
         return State(jnp.asarray(self.group.identity, float), jnp.zeros(self.group.dim))
 
     def perturb(self, state: State, delta: PhaseVector) -> State:
-        """The state moved by δ = (δθ, δπ), shape (2d,): (exp(δθ) q, π + δπ)."""
+        """The state displaced by δ = (δθ, δπ), shape (2d,): (exp(δθ) q, π + δπ)."""
         d = self.group.dim
         return state._replace(q=self.group.multiply(self.group.exp(delta[:d]), state.q), p=state.p + delta[d:])
 
@@ -65,8 +65,8 @@ class CotangentGroup:
 class EmbeddedRotations:
     """L(3) × ℝ³ around T*SO(3): a state is (Λ, π), Λ of shape (3, 3); a tangent vector is (δθ, δπ) as on T*SO(3).
 
-    L(3) × ℝ³ has no symplectic form. So tangent vectors are projected on those of T*SO(3), and the form is (2.9): what
-    the diagnostics say of it holds at states with Λ on SO(3). `defect` measures how far Λ has left SO(3).
+    L(3) × ℝ³ has no symplectic form. So tangent vectors are projected to those of T*SO(3), and the form is (2.9). What
+    the diagnostics report of the form is valid at states with Λ on SO(3). `defect` measures how far Λ has left SO(3).
     """
 
     @property
@@ -80,7 +80,7 @@ class EmbeddedRotations:
         return State(jnp.eye(3), jnp.zeros(3))
 
     def perturb(self, state: State, delta: PhaseVector) -> State:
-        """The state moved by δ = (δθ, δπ), shape (6,): (exp(δθ̂) Λ, π + δπ)."""
+        """The state displaced by δ = (δθ, δπ), shape (6,): (exp(δθ̂) Λ, π + δπ)."""
         turn = so3.exp(delta[:3])
         turned = jax.vmap(lambda column: so3.Ad(turn, column), 1, 1)(state.q)
         return state._replace(q=turned, p=state.p + delta[3:])
@@ -91,10 +91,10 @@ class EmbeddedRotations:
 
     def displaced(self, start: State, displacement: Array) -> State:
         """The end of a displacement."""
-        return _added(start, displacement)
+        return _add_entries(start, displacement)
 
     def trivialize(self, state: State, tangent: State) -> PhaseVector:
-        """(δθ, δπ), shape (6,), of a tangent vector (δΛ, δπ): δθ = rot[δΛ Λ⁻¹], the rest of δΛ is left out."""
+        """(δθ, δπ), shape (6,), of a tangent vector (δΛ, δπ): δθ = rot[δΛ Λ⁻¹], without the other components of δΛ."""
         velocity = [vec3.solve(vec3.transpose(state.q), row) for row in tangent.q]  # δΛ Λ⁻¹
         theta = [(velocity[i][j] - velocity[j][i]) / 2 for i, j in ((2, 1), (0, 2), (1, 0))]
         return jnp.concatenate([jnp.stack(theta), tangent.p])
@@ -133,7 +133,7 @@ class CotangentMatrices:
 
     def displaced(self, start: State, displacement: Array) -> State:
         """The end of a displacement."""
-        return _added(start, displacement)
+        return _add_entries(start, displacement)
 
     def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(δF, δP), shape (18,)."""
@@ -153,7 +153,8 @@ class CotangentMatrices:
 class CotangentUnimodular:
     """T*SL(3) as pairs (F, P) with det F = 1 and tr(PE⁻¹F⁻¹) = 0, the velocities PE⁻¹ being those of constant volume.
 
-    Its coordinates are those of `CotangentGroup(SL(3))`: δF = δθ̂F, and δπ of π_i = ⟨P, e_i F⟩ for a basis e_i of sl(3).
+    Its coordinates are those of `CotangentGroup(SL(3))`: δF = δθ̂F, and δπ of π_i = ⟨P, e_i F⟩ for a basis e_i of
+    sl(3).
 
     Attributes:
         inertia: E, (3,) or (3, 3).
@@ -186,7 +187,7 @@ class CotangentUnimodular:
         return jnp.tensordot(jnp.linalg.solve(M, pi), e, 1) @ q @ E
 
     def perturb(self, state: State, delta: PhaseVector) -> State:
-        """The state moved by δ = (δθ, δπ), shape (16,): (exp(δθ̂)F, P), the part of P that is no velocity's as it is."""
+        """The state displaced by δ = (δθ, δπ), shape (16,): (exp(δθ̂)F, P); the normal part of P is unchanged."""
         pi, q = self.spatial_momentum(state), self.group.multiply(self.group.exp(delta[:8]), state.q)
         rest = state.p - self.tangential(state.q, pi)
         return state._replace(q=q, p=self.tangential(q, pi + delta[8:]) + rest)
@@ -236,22 +237,22 @@ class CotangentMotions:
 
     @property
     def origin(self) -> State:
-        """At rest, unturned, the bodies one behind the other on a screw line, 1 and more apart."""
+        """All bodies at rest in the attitude 1, on a helix, at distances of at least 1 from each other."""
         n = jnp.arange(float(self.count))
         places = jnp.stack([1.3 * n, jnp.sin(n), jnp.cos(n)], axis=1)
         turns = jnp.tile(jnp.array([1.0, 0, 0, 0]), (self.count, 1))
         return State(jnp.concatenate([places, turns], axis=1), jnp.zeros((self.count, 6)))
 
     def perturb(self, state: State, delta: PhaseVector) -> State:
-        """The state moved by δ, shape (12N,): x + δx, exp(δθ) q, p + δp, π + δπ."""
+        """The state displaced by δ, shape (12N,): x + δx, exp(δθ) q, p + δp, π + δπ."""
         along_q, along_p = delta.reshape(2, self.count, 6)
         turned = jax.vmap(so3.multiply)(jax.vmap(so3.exp)(along_q[:, 3:]), state.q[:, 3:])
-        return state._replace(q=_joined(state.q[:, :3] + along_q[:, :3], turned), p=state.p + along_p)
+        return state._replace(q=_join_bodies(state.q[:, :3] + along_q[:, :3], turned), p=state.p + along_p)
 
     def displacement(self, start: State, end: State) -> Array:
         """The δ, shape (12N,), with perturb(start, δ) = end, of the least δθ."""
         turn = jax.vmap(lambda a, b: so3.log(so3.multiply(b, so3.inverse(a))))(start.q[:, 3:], end.q[:, 3:])
-        along_q = _joined(end.q[:, :3] - start.q[:, :3], turn)
+        along_q = _join_bodies(end.q[:, :3] - start.q[:, :3], turn)
         return jnp.concatenate([along_q.ravel(), (end.p - start.p).ravel()])
 
     def displaced(self, start: State, displacement: Array) -> State:
@@ -259,19 +260,19 @@ class CotangentMotions:
         return self.perturb(start, displacement)
 
     def units(self, state: State) -> tuple[Array, Array]:
-        """The sizes of a state, in which differences are measured: of δx and δθ, and of δp and δπ, (6N,) each."""
+        """The units in which differences are measured, from a state: of δx and δθ, and of δp and δπ, (6N,) each."""
         x, p, spin = state.q[:, :3], state.p[:, :3], state.p[:, 3:]
         length, momentum = (_or_one(jnp.max(jnp.abs(y))) for y in (x - jnp.mean(x, axis=0), p))
         spins = jnp.max(jnp.abs(spin), axis=1, keepdims=True)
         spins = jnp.where(spins > 0, spins, _or_one(jnp.max(spins)))
         lengths, along = (jnp.broadcast_to(y, x.shape) for y in (length, momentum))
         turns = jnp.broadcast_to(spins, x.shape)
-        return _joined(lengths, jnp.ones_like(x)).ravel(), _joined(along, turns).ravel()
+        return _join_bodies(lengths, jnp.ones_like(x)).ravel(), _join_bodies(along, turns).ravel()
 
     def trivialize(self, state: State, tangent: State) -> PhaseVector:
         """(δx, δθ, …, δp, δπ, …), shape (12N,), of a tangent vector given in the coordinates of `State`."""
         turning = jax.vmap(so3.spatial_velocity)(state.q[:, 3:], tangent.q[:, 3:])
-        return jnp.concatenate([_joined(tangent.q[:, :3], turning).ravel(), tangent.p.ravel()])
+        return jnp.concatenate([_join_bodies(tangent.q[:, :3], turning).ravel(), tangent.p.ravel()])
 
     def omega(self, state: State) -> PhaseMatrix:
         """[[α, 1], [−1, 0]], shape (12N, 12N), α being π̂ of each body on its δθ (2.9)."""
@@ -287,7 +288,7 @@ class CotangentMotions:
         return jnp.max(jnp.abs(jax.vmap(so3.defect)(state.q[:, 3:])))
 
 
-def _joined(linear: Array, angular: Array) -> Array:
+def _join_bodies(linear: Array, angular: Array) -> Array:
     return jnp.concatenate([linear, angular], axis=1)
 
 
@@ -314,7 +315,7 @@ class CotangentSphere:
         return State(jnp.array([0.0, 0.0, 1.0]), jnp.zeros(3))
 
     def perturb(self, state: State, delta: PhaseVector) -> State:
-        """The state moved by δ = (a, b), shape (4,): q and π + δπ turned by exp(θ̂), θ = q × δq; it stays on T*S²."""
+        """The state displaced by δ = (a, b), shape (4,), on T*S²: q and π + δπ rotated by exp(θ̂), θ = q × δq."""
         e1, e2 = frame(state.q)
         turn = so3.exp(delta[0] * e2 - delta[1] * e1)
         return state._replace(q=so3.Ad(turn, state.q), p=so3.Ad(turn, state.p + delta[2] * e1 + delta[3] * e2))
@@ -325,7 +326,7 @@ class CotangentSphere:
 
     def displaced(self, start: State, displacement: Array) -> State:
         """The end of a displacement, projected on T*S²."""
-        end = _added(start, displacement)
+        end = _add_entries(start, displacement)
         q = end.q / jnp.sqrt(vec3.dot(end.q, end.q))
         return end._replace(q=q, p=end.p - vec3.dot(q, end.p) * q)
 
@@ -388,7 +389,7 @@ def _entries(state: State) -> Array:
     return jnp.concatenate([state.q.ravel(), state.p.ravel()])
 
 
-def _added(state: State, entries: Array) -> State:
+def _add_entries(state: State, entries: Array) -> State:
     n = state.q.size
     return state._replace(
         q=state.q + entries[:n].reshape(state.q.shape), p=state.p + entries[n:].reshape(state.p.shape)

@@ -1,4 +1,4 @@
-"""Bodies by their shape: mass, center, tensor of inertia and higher moments, ready for systems, potentials and torques.
+"""Bodies by their shape: mass, center, tensor of inertia and higher moments, for systems, potentials and torques.
 
 | | |
 |---|---|
@@ -6,8 +6,8 @@
 | `sites` | point masses |
 | `mesh`, `obj` | a homogeneous polyhedron of triangles, from arrays or a file |
 
-Shapes are added with `+` and placed with `moved`. A system, a potential or a torque that needs an inertia accepts a
-shape. Every number can be differentiated, with respect to semi-axes, points, vertices and masses.
+Shapes can be added with `+` and placed with `moved`. Every system, potential or torque that needs an inertia accepts a
+shape. All moments are differentiable with respect to semi-axes, points, vertices and masses.
 
 The moments of a tetrahedron with one vertex at the origin are polynomials in the three others, exact to every order:
 
@@ -44,8 +44,8 @@ class Shape:
     """A distribution of mass, by its moments. Made by `ellipsoid`, `box`, `cylinder`, `sites`, `mesh` and `obj`.
 
     Attributes:
-        mass: in the unit of mass.
-        center: of mass, in the axes of the shape, (3,).
+        mass: the mass, a scalar.
+        center: the center of mass, in the axes of the shape, (3,).
         second, third, fourth: ∫ r⊗…⊗r dm about the center, (3, 3), (3, 3, 3) and (3, 3, 3, 3).
         diagonal: whether the axes of the shape are known to be principal axes.
     """
@@ -69,10 +69,10 @@ class Shape:
         """The moments ∫ r⊗…⊗r dm about the center, a symmetric tensor with `order` axes of length 3.
 
         Args:
-            order: 0 (the mass) to 4; those of order 1 are 0.
+            order: 0 (the mass) to 4; the moments of order 1 are 0.
 
         Raises:
-            ValueError: another order.
+            ValueError: `order` is not one of these.
         """
         if isinstance(order, bool) or not isinstance(order, int) or not 0 <= order <= ORDER:
             raise ValueError(f"order must be an integer from 0 to {ORDER}, got {order!r}")
@@ -91,7 +91,7 @@ class Shape:
     def aligned(self) -> Shape:
         """The same body with its center at the origin and its principal axes along x, y and z, moments ascending."""
         _, axes = self.principal_axes()
-        turned = self._rotated(axes.T)
+        turned = self._rotate(axes.T)
         second = jnp.diag(jnp.diagonal(turned.second))
         return Shape(self.mass, jnp.zeros_like(self.center), second, turned.third, turned.fourth, True)
 
@@ -100,26 +100,26 @@ class Shape:
 
         Args:
             by: the translation, (3,).
-            rotation: a rotation matrix, (3, 3); by default none.
+            rotation: a rotation matrix, (3, 3); by default the identity.
         """
         by = _checks.real_array("by", by, (3,), like=self.second)
         if rotation is None:
             return Shape(self.mass, self.center + by, self.second, self.third, self.fourth, self.diagonal)
-        return self._rotated(_checks.rotation_matrix("rotation", rotation)).moved(by)
+        return self._rotate(_checks.rotation_matrix("rotation", rotation)).moved(by)
 
-    def _rotated(self, R: Array) -> Shape:
+    def _rotate(self, R: Array) -> Shape:
         second = jnp.einsum("ai,bj,ij->ab", R, R, self.second)
         third = jnp.einsum("ai,bj,ck,ijk->abc", R, R, R, self.third)
         fourth = jnp.einsum("ai,bj,ck,dl,ijkl->abcd", R, R, R, R, self.fourth)
         return Shape(self.mass, jnp.sum(R * self.center, axis=1), second, third, fourth)
 
     def __add__(self, other: Shape) -> Shape:
-        """Both bodies as one; a body of negative mass is a cavity."""
+        """Both bodies joined into one; a body of negative mass is a cavity."""
         if not isinstance(other, Shape):
             return NotImplemented
         mass = self.mass + other.mass
         center = (self.mass * self.center + other.mass * other.center) / mass
-        parts = [_shifted(part._about_center(), part.center - center) for part in (self, other)]
+        parts = [_shift_moments(part._about_center(), part.center - center) for part in (self, other)]
         _, _, second, third, fourth = (a + b for a, b in zip(*parts, strict=True))
         return Shape(mass, center, second, third, fourth)
 
@@ -185,7 +185,7 @@ def sites(masses: ArrayLike, points: ArrayLike) -> Shape:
         points: (n, 3).
 
     Raises:
-        ValueError: shapes that disagree, a total mass that is not positive.
+        ValueError: the shapes disagree, or the total mass is not positive.
 
     Example:
         >>> dumbbell = sites([1.0, 1.0], [[1.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
@@ -218,14 +218,15 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
 
     Args:
         vertices: (V, 3).
-        faces: the three vertices of each triangle, counted from 0, (F, 3), all counterclockwise seen from outside, or
-            all clockwise.
+        faces: the indices of the three vertices of each triangle, counted from 0, (F, 3); seen from outside, all
+            counterclockwise or all clockwise.
         mass, density: exactly one of them, a scalar.
 
     Raises:
-        ValueError: a surface that is not closed, triangles of unlike orientation, no volume, shapes that disagree.
+        ValueError: the surface is not closed or encloses no volume, triangles differ in orientation, or the shapes
+            disagree.
 
-    Source: the moments of a simplex, see the head of this module; Dobrovolskis 1996, Icarus 124, for the second.
+    Source: the moments of a simplex, in the docstring of this module; Dobrovolskis 1996, Icarus 124, for the second.
 
     Example:
         >>> corner = mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], _TETRAHEDRON, density=6.0)
@@ -246,7 +247,7 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
     total, scale = _mass(jnp.abs(volume), mass, density)
     scale = scale * jnp.sign(volume)
     to_center = scale * moments[0] / total
-    _, _, second, third, fourth = _shifted((total, *(scale * M for M in moments)), -to_center)
+    _, _, second, third, fourth = _shift_moments((total, *(scale * M for M in moments)), -to_center)
     return Shape(total, reference + to_center, second, third, fourth)
 
 
@@ -258,12 +259,12 @@ def obj(
     Polygons are cut into triangles, and vertices that are written twice are merged.
 
     Args:
-        path: of the file.
-        mass, density: exactly one of them, a scalar, in the unit of length after scaling.
+        path: the path of the file.
+        mass, density: exactly one of them, a scalar; a density refers to the unit of length after scaling.
         scale: the factor from the file's unit of length to yours: 1000 from km to m.
 
     Raises:
-        ValueError: a file without vertices or faces or with a line that is none of OBJ, and all that `mesh` raises.
+        ValueError: the file has no vertices or no faces, or a line that is not OBJ; and the errors of `mesh`.
     """
     vertices, faces = _read_obj(Path(path))
     return mesh(scale * vertices, faces, mass=mass, density=density)
@@ -301,21 +302,21 @@ def _solid(
     one = jnp.eye(3, dtype=lengths.dtype)
     # of the three ways to pair four axes, all three hold where the four are equal
     mean = jnp.asarray(table * (1 - np.eye(3) * 2 / 3), lengths.dtype) * lengths[:, None] * lengths
-    fourth = 3 * _symmetrized(mean[:, None, :, None] * one[:, :, None, None] * one)
+    fourth = 3 * _symmetrize(mean[:, None, :, None] * one[:, :, None, None] * one)
     zero = jnp.zeros((3, 3, 3), lengths.dtype)
     return Shape(total, zero[0, 0], jnp.diag(total * squares), zero, total * fourth, True)
 
 
 @partial(compiled, once=True)
-def _shifted(moments: tuple[Array, ...], by: Array) -> tuple[Array, ...]:
-    """The moments of orders 0, 1, … of a body that is moved by d: ∫ (r + d)⊗…⊗(r + d) dm."""
+def _shift_moments(moments: tuple[Array, ...], by: Array) -> tuple[Array, ...]:
+    """The moments of orders 0, 1, … of a body translated by d: ∫ (r + d)⊗…⊗(r + d) dm."""
     powers = [jnp.ones((), by.dtype)]
     for _ in moments[1:]:
         powers.append(powers[-1][..., None] * by)
     return tuple(
         sum(
             (
-                _placed(moments[k], powers[n - k], axes)
+                _place_axes(moments[k], powers[n - k], axes)
                 for k in range(n + 1)
                 for axes in itertools.combinations(range(n), k)
             ),
@@ -325,14 +326,14 @@ def _shifted(moments: tuple[Array, ...], by: Array) -> tuple[Array, ...]:
     )
 
 
-def _placed(a: Array, b: Array, axes: tuple[int, ...]) -> Array:
+def _place_axes(a: Array, b: Array, axes: tuple[int, ...]) -> Array:
     """The product of two tensors, with the axes of the first at these places and those of the second at the others."""
     others = [k for k in range(a.ndim + b.ndim) if k not in axes]
     outer = a[(..., *[None] * b.ndim)] * b
     return jnp.moveaxis(outer, range(outer.ndim), (*axes, *others))
 
 
-def _symmetrized(T: Array) -> Array:
+def _symmetrize(T: Array) -> Array:
     """The mean of a tensor over all orders of its axes."""
     orders = list(itertools.permutations(range(T.ndim)))
     return sum((jnp.transpose(T, order) for order in orders), jnp.zeros_like(T)) / len(orders)
@@ -360,19 +361,19 @@ def _of_tetrahedra(corners: Array) -> tuple[Array, ...]:
         jnp.sum(V),
         jnp.sum(p1V, axis=0) / 4,
         second / 20,
-        _symmetrized(third.reshape(3, 3, 3)) / 120,
-        _symmetrized(fourth.reshape(3, 3, 3, 3)) / 840,
+        _symmetrize(third.reshape(3, 3, 3)) / 120,
+        _symmetrize(fourth.reshape(3, 3, 3, 3)) / 840,
     )
 
 
 @partial(compiled, once=True)
 def trace_free(M: Array) -> Array:
-    """The part of a symmetric tensor of order 2, 3 or 4 all of whose traces are 0: what acts by gravity outside."""
+    """The trace-free part of a symmetric tensor of order 2, 3 or 4, which alone acts by gravity outside the body."""
     one, trace = jnp.eye(3, dtype=M.dtype), jnp.trace(M)
     if M.ndim < 4:
-        return M - M.ndim * (M.ndim - 1) / (2 * (2 * M.ndim - 1)) * _symmetrized(_placed(one, trace, (0, 1)))
-    double = jnp.trace(trace) * _placed(one, one, (0, 1))
-    return M - _symmetrized(6 / 7 * _placed(one, trace, (0, 1)) - 3 / 35 * double)
+        return M - M.ndim * (M.ndim - 1) / (2 * (2 * M.ndim - 1)) * _symmetrize(_place_axes(one, trace, (0, 1)))
+    double = jnp.trace(trace) * _place_axes(one, one, (0, 1))
+    return M - _symmetrize(6 / 7 * _place_axes(one, trace, (0, 1)) - 3 / 35 * double)
 
 
 def _sums(a: Array, b: Array) -> Array:

@@ -1,13 +1,13 @@
-"""Tides between rigid bodies: laws by which they lose energy, while linear and angular momentum are conserved.
+"""Tides between rigid bodies: laws that dissipate energy, but conserve linear and angular momentum.
 
 | | |
 |---|---|
 | `constant_lag` | the tide of each body lags by a constant time (Mignard) |
 | `constant_q` | by a constant angle, at a constant quality factor Q (MacDonald; Goldreich & Soter) |
 
-A law goes into `systems.rigid_bodies(…, dissipation=law)`, its `potential`, the part that loses nothing, into the
-potential of the bodies. `schemes.bodies_energy_momentum` conserves linear and angular momentum and the energy with what
-was lost, all to round-off. A law of your own inherits `PairLaw`, or is a function (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j).
+Pass a law to `systems.rigid_bodies(…, dissipation=law)`, and add its conservative part, `law.potential`, to the
+potential of the bodies. `schemes.bodies_energy_momentum` conserves linear and angular momentum and energy less work,
+all to round-off. A custom law inherits `PairLaw`, or is a function (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j).
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class PairOfTides(PairLaw):
 
 @pytree
 class TidalPotential(Potential):
-    """V = −½ Σ B_k/r⁶ over all pairs, B_k = k₂G m² R⁵: what a tide does that does not lag.
+    """V = −½ Σ B_k/r⁶ over all pairs, B_k = k₂G m² R⁵: the potential of a tide without lag.
 
     Attributes:
         coefficients: B_i + B_j of each pair i < j, (pairs,), in the order (0, 1), (0, 2), (1, 2), …
@@ -136,7 +136,7 @@ class LaggingTides(PairLaw):
 
     @property
     def potential(self) -> TidalPotential:
-        """The part that loses nothing, −½ Σ k₂G m² R⁵/r⁶: a potential, to be added to that of gravity."""
+        """The conservative part, −½ Σ k₂G m² R⁵/r⁶: a potential, to be added to that of gravity."""
         m = self.masses
         pairs = [self._coefficient(i, m[j]) + self._coefficient(j, m[i]) for i, j in _pairs(self.count)]
         return TidalPotential(jnp.stack(pairs))
@@ -150,20 +150,20 @@ def _pairs(n: int) -> list[tuple[int, int]]:
 
 
 def constant_lag(G: ArrayLike, masses: ArrayLike, radii: ArrayLike, k2: ArrayLike, lags: ArrayLike) -> LaggingTides:
-    """Tides of constant time lag, to first order in the lag: each body raises one on every other.
+    """Tides of constant time lag, to first order in the lag: each body raises a tide on every other.
 
     With A_k = (3k₂G m² R⁵ Δt_k/r⁸)(1 + 2r̂r̂ᵀ), m the mass of the other body and u_k = v − ω_k × r, the force on the
-    second body is −ΣA_k u_k and the torque on each r × A_k u_k: Mignard's equations without the part that loses
-    nothing, which is `.potential`. They conserve linear and angular momentum, and the energy lost is Σu_k·A_k u_k ≥ 0.
+    second body is −ΣA_k u_k and the torque on body k is r × A_k u_k: Mignard's equations without their conservative
+    part, which is `.potential`. They conserve linear and angular momentum, and dissipate the power Σu_k·A_k u_k ≥ 0.
 
     Args:
-        G: the constant of gravity, in your units.
+        G: the constant of gravity, in units consistent with the other arguments.
         masses, radii: (N,), > 0.
         k2: Love's numbers of degree 2, ≥ 0, (N,), or one for all; 0 for a body without a tide.
         lags: ≥ 0, in units of time, (N,), or one for all. A quality factor Q at the tidal frequency σ is a lag 1/(Qσ).
 
     Raises:
-        ValueError: masses or radii that are not positive, a negative number elsewhere, shapes that disagree.
+        ValueError: masses or radii are not positive, another number is negative, or shapes disagree.
 
     Example:
         >>> import lieint_jax as li
@@ -176,7 +176,7 @@ def constant_lag(G: ArrayLike, masses: ArrayLike, radii: ArrayLike, k2: ArrayLik
     bodies = _bodies(G, masses, radii, k2)
     late = _one_each("lags", lags, bodies[1])
     if concrete(late) and not bool(np.all(np.asarray(late) >= 0)):
-        raise ValueError(f"lags must be ≥ 0, got {np.asarray(late)}; 0 is a body without a tide")
+        raise ValueError(f"lags must be ≥ 0, got {np.asarray(late)}; 0 means a body without a tide")
     return LaggingTides(*bodies, late, jnp.zeros_like(late))
 
 
@@ -231,7 +231,7 @@ def _bodies(G: ArrayLike, masses: ArrayLike, radii: ArrayLike, k2: ArrayLike) ->
             raise ValueError(f"{name} must be positive, got {np.asarray(x)}")
     love = _one_each("k2", k2, m)
     if concrete(love) and not bool(np.all(np.asarray(love) >= 0)):
-        raise ValueError(f"k2 must be ≥ 0, got {np.asarray(love)}; 0 is a body without a tide")
+        raise ValueError(f"k2 must be ≥ 0, got {np.asarray(love)}; 0 means a body without a tide")
     return g, m, R, love
 
 

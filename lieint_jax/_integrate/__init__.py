@@ -20,7 +20,7 @@ from lieint_jax._integrate._interpolate import interpolate
 from lieint_jax._integrate._run import (
     integrate,
     intervals,
-    joined,
+    join_start,
     of_any_length,
     rows_for,
     saves,
@@ -46,7 +46,7 @@ __all__ = [
     "integrate",
     "interpolate",
     "intervals",
-    "joined",
+    "join_start",
     "march",
     "more_times",
     "of_any_length",

@@ -13,15 +13,15 @@ class Adjoint(abc.ABC):
 
     @abc.abstractmethod
     def check(self, step: Step, clock: Clock) -> None:
-        """Raise ValueError if runs of such a step at such times have no such derivative."""
+        """Raise ValueError if this derivative does not exist for runs of the step at the times of the clock."""
 
     @abc.abstractmethod
     def run(self, step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> tuple[State, StepInfo]:
-        """The states saved every so many steps after the initial one, and the reports of the steps between them."""
+        """The states saved every `save_every` steps after the initial one, and the reports of the steps between."""
 
 
 def checked_adjoint(adjoint: object) -> Adjoint:
-    """`adjoint`; ValueError if it is none."""
+    """`adjoint`; raises ValueError if it is not an adjoint."""
     if isinstance(adjoint, Adjoint):
         return adjoint
     raise ValueError(

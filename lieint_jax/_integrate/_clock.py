@@ -1,4 +1,4 @@
-"""When the steps of a run are: all of one size, between given times, or when the step itself says."""
+"""The times of the steps of a run: steps of one size, steps between given times, or times that the step chooses."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ class UniformClock(NamedTuple):
 
 
 class RoundedClock(NamedTuple):
-    """Steps of one size up to rounding: each is what the rounded times of its nodes are apart, as those of `GridClock`.
+    """Steps of one size up to rounding: the size of each is the difference of the rounded times of its two nodes.
 
-    A step that counts work takes from it the energies of time-dependent laws at its two ends, t and t + size. If the
-    next step does not begin at t + size to the last bit, the change of energy in between is counted by neither: a
-    rounding error in every step, of one sign for long.
+    A step that counts work evaluates the energies of time-dependent laws at its two ends, t and t + size. If the next
+    step does not begin at t + size to the last bit, neither step counts the change of energy in between: a rounding
+    error in every step, which has the same sign for many steps.
 
     Attributes:
         t0: the time of the first.
@@ -131,7 +131,7 @@ def _uniform_node(clock: UniformClock | RoundedClock, t: Array, num_steps: int) 
 def clock_of(
     step: Step, state: State, dtype: Any, dt: ArrayLike | None, num_steps: int | None, times: ArrayLike | None
 ) -> tuple[Clock, int]:
-    """When the steps of a run from a state are, and how many."""
+    """The clock of a run from a state, and the number of steps."""
     if times is None:
         if num_steps is None:
             raise ValueError("give dt and num_steps, or times")
@@ -166,7 +166,7 @@ def uniform_clock(step: Step, state: State, dt: Array) -> UniformClock | Rounded
 
 
 def more_times(step: Step, state: State, size: ArrayLike) -> str:
-    """What to do where a step from a concrete `state` fails whose `size` comes from given times, after its advice."""
+    """The remedy, after a step's advice, where a step fails whose `size` comes from given times."""
     for k in range(1, _HALVINGS + 1):
         if bool(converges(step, state, jnp.asarray(size) / 2**k)):
             return (
@@ -192,10 +192,10 @@ def outputs(save_at: ArrayLike, clock: UniformClock | RoundedClock | GridClock, 
 
 
 def refuse_times(step: Step, given: str) -> None:
-    """ValueError if a step has its own time, so that no time can be given to it."""
+    """ValueError if a step advances the time itself, so that no time can be given to it."""
     if step.own_time:
         raise ValueError(
-            f"{given} cannot be given to {step.name}, which finds its times itself: take the state at a time T by "
+            f"{given} cannot be given to {step.name}, which chooses its times itself: compute the state at a time T by "
             "li.event(step, state, dt, lambda z: z.t - T, max_steps)"
         )
 

@@ -1,9 +1,9 @@
-"""The loop over steps that every run is made of: one body or many, output, events, derivatives.
+"""The loop over steps on which all runs are built: of one body or many, with output, events or derivatives.
 
-A run is `march`: from node to node of a clock by `advance`, in a loop of one of several kinds. `scanned` has a
-derivative in forward and reverse mode. `counted` repeats a number of times that is known only when it runs, so that one
-program serves all lengths, and has no derivative in reverse mode. Other modules have loops of their own for nested
-checkpoints, and for several steps in one iteration.
+`march` runs from node to node of a clock by `advance`, in a loop of one of several kinds. `scanned` has derivatives in
+forward and reverse mode. `counted` runs a number of steps that is known only at run time, so that one program serves
+all lengths, but it has no derivative in reverse mode. Other modules define their own loops for nested checkpoints, and
+for several steps per iteration.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ Repeat = Callable[[Body, Any, Any, Any], Any]  # (body, first node, number of st
 
 
 class Progress(NamedTuple):
-    """How far a run is.
+    """The progress of a run.
 
     Attributes:
         state: the state at the last node.
-        info: the merged report of the steps to it.
-        seen: what the run has recorded of the steps; None if nothing is.
+        info: the merged report of the steps up to it.
+        seen: what the run has recorded of these steps; None if nothing is recorded.
     """
 
     state: State
@@ -54,7 +54,7 @@ def advance(
     Args:
         step: (state, dt, …) ↦ state, report, …: a step, or its `tangent`.
         clock, state, n: the times of the nodes, the state at node n, and n.
-        more: what else `step` is given, such as tangent vectors.
+        more: further arguments of `step`, such as tangent vectors.
     """
     end, *report = step(state, clock.size(n), *more)
     return at_time(end, clock.time(n + 1)), *report
@@ -93,7 +93,7 @@ def march(
     observe: Callable[[Array, Progress, Progress, StepInfo], Tree] | None = None,
     repeat: Repeat = scanned,
 ) -> Progress:
-    """The run after `count` steps more.
+    """The run after `count` further steps.
 
     Args:
         advance_once: (state at node n, n) ↦ state at node n + 1 and report, such as `partial(advance, step, clock)`.
@@ -120,5 +120,5 @@ def steps(step: Step, state: State, dt: ArrayLike, count: ArrayLike) -> tuple[St
 
 
 def prepared(step: Step, state: State, clock: Clock) -> Step:
-    """The step with its constants, which hold for one step size."""
+    """The step with its constants computed in advance, if the clock has one step size."""
     return step if isinstance(clock, GridClock) else step.prepare(state, clock.dt)

@@ -1,6 +1,6 @@
 """Events: the times at which a function of the state changes its sign.
 
-A run keeps the state y_k before each change of sign. With y(τ) a step of size τ from y_k, the event is the root of
+A run stores the state y_k before each change of sign. With y(τ) a step of size τ from y_k, the event is the root of
 g(y(τ)) = 0 between 0 and Δt, enclosed to round-off, and its derivatives are those of this equation.
 """
 
@@ -31,15 +31,15 @@ _RIGHT_TO = {4: 3e-4, 8: 1e-9}  # an event's time, in Δt, by the bytes of a num
 
 @record
 class Event(NamedTuple):
-    """When a condition changes its sign.
+    """The time and the state at which a condition changes its sign.
 
     Attributes:
         t: the time, on the clock of `state.t`; since the start if the state has no time.
-        state: the state then: a shorter step from the last one before.
-        found: whether there was such an event, t is right to 1e-9 dt (3e-4 dt in float32) or to the rounding of t, and
-            all steps to it converged. Without such an event, t and state are the last ones. Where the sign changes at
-            a pole or a jump of the condition, or rounding in the condition hides the time of its root, t and state are
-            those of the change, and found is False.
+        state: the state at t, by a shorter step from the last node before.
+        found: True if there is such an event, if t is right to 1e-9 dt (3e-4 dt in float32) or to the rounding of t,
+            and if all steps up to it converged. If the sign does not change, found is False, and t and state are those
+            at the end of the search. If the sign changes at a pole or a jump of the condition, or if rounding errors of
+            the condition hide the time of its root, found is False, and t and state are those of the change.
     """
 
     t: Array
@@ -60,20 +60,23 @@ def event(
 ) -> Event:
     """The first time after the start, or the `count`-th, at which `condition(state)` changes its sign.
 
-    Where the condition is 0 at the start, the start is no event, and the sign just after it counts. Two changes inside
-    one step are not seen. The error of t is of the order of the trajectory's. Differentiable in everything, forward and
-    reverse, and by `jax.vmap` over states.
+    If the condition is 0 at the start, the start is no event: the sign just after it is the first one. Two changes of
+    sign within one step are missed. t has the order of the step. The event is differentiable with respect to all
+    arguments, in forward and reverse mode, and can be vmapped over states.
 
     Args:
         step, state, dt: as in `integrate`.
         condition: a smooth function of the state with a scalar value.
-        max_steps: the most steps to look through, > 0.
+        max_steps: the largest number of steps to search, > 0.
         direction: 1 for changes from − to +, −1 for those from + to −, 0 for both.
         count: which of these changes, 1 for the first.
 
+    Returns:
+        An `Event`. Check `found`.
+
     Raises:
-        ValueError: a condition that is no scalar or not finite at the start, counts < 1, another direction, and what
-            `integrate` raises.
+        ValueError: the condition is not a scalar or not finite at the start, max_steps or count is < 1, direction is
+            none of these, and the errors of `integrate`.
     """
     found = events(step, state, dt, condition, max_steps=max_steps, count=count, direction=direction)
     return jax.tree.map(lambda x: x[count - 1], found)
@@ -114,8 +117,8 @@ class _Bracket(NamedTuple):
         state: the state before it.
         n: the number of steps before it.
         values: the condition before and after it, (2,).
-        nearby: a part of the step: roots closer than this count as one.
-        found: whether there is one.
+        nearby: a fraction of the step: roots closer than this count as one.
+        found: whether there is such a step.
     """
 
     state: State
@@ -153,7 +156,7 @@ def _events(
 ) -> Event:
     brackets = _brackets(step, state, clock, condition, max_steps, count, direction)
 
-    def refined(bracket: _Bracket) -> Event:
+    def locate(bracket: _Bracket) -> Event:
         size = clock.size(bracket.n)
         tau, ends = _root(step, bracket, size, condition)
         tau = jnp.where(bracket.found, tau, 0)
@@ -166,7 +169,7 @@ def _events(
         t = time_of(end) if node is None else node + tau
         return Event(t, at_time(end, t), bracket.found & crosses & converged)
 
-    return jax.vmap(refined)(brackets)
+    return jax.vmap(locate)(brackets)
 
 
 def _brackets(
@@ -178,7 +181,7 @@ def _brackets(
     count: int,
     direction: int,
 ) -> _Bracket:
-    """The first `count` changes of sign; in place of those that there are not, the last state."""
+    """The first `count` changes of sign; missing ones are filled with the last state."""
     whole = prepared(step, state, clock)
     start = condition(state)
     none = _Bracket(state, jnp.zeros((), int), jnp.stack([start, start]), jnp.zeros_like(start), jnp.zeros((), bool))
@@ -204,7 +207,7 @@ def _brackets(
 
 
 def _nearby(t0: Array | None, t1: Array | None, like: Array) -> Array:
-    """How near to the root of a step from t₀ to t₁ its sides are looked at, as a part of the step."""
+    """The distance from a root at which its two sides are evaluated, as a fraction of the step from t₀ to t₁."""
     least = jnp.asarray(_RIGHT_TO[like.dtype.itemsize], like.dtype)
     if t0 is None or t1 is None:
         return least

@@ -23,27 +23,29 @@ from lieint_jax.types._members import axes
 def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> State:
     """The states of a trajectory at any times inside it, for pictures.
 
-    Between two saved states, the quintic Hermite polynomial of their values and first and second derivatives, in
-    coordinates of the phase space about the first: those of exp on groups. It stays on the phase space; its error is
-    O(h⁶) for saved states h apart, beside that of the trajectory. It keeps no invariant: `integrate(…, save_at=…)`
-    does, at the price of a step for each time.
+    Between two saved states this is the quintic Hermite polynomial of their values and first and second derivatives, in
+    coordinates of the phase space about the first state: those of exp on groups. So the result lies on the phase space.
+    For saved states at intervals h its error is O(h⁶), in addition to that of the trajectory. It conserves no
+    invariant; `integrate(…, save_at=…)` does, at the cost of one step for each time.
 
     Args:
-        system: that of the trajectory.
-        trajectory: of one body (vmap over others), saved so often that it turns by less than half a turn in between.
-        times: any times (m,) from the first of `trajectory.t` to the last, in any order.
+        system: the system of the trajectory.
+        trajectory: a trajectory of one body (use jax.vmap for several), with less than half a rotation between saved
+            states.
+        times: any times (m,) from the first to the last of `trajectory.t`, in any order.
 
     Returns:
         The states, every leaf with a leading axis (m,). Traced times outside the trajectory give NaN.
 
     Raises:
-        ValueError: concrete times outside the trajectory; one entry only; several members; saved states too far apart.
+        ValueError: concrete times outside the trajectory; a single entry; several members; too few saved states for
+            interpolation.
     """
     if not isinstance(system, System):
         raise ValueError(f"system must be that of the trajectory, got a {type(system).__name__}")
     if len(axes(trajectory)) > 1:
         raise ValueError(
-            f"the trajectory is of {np.shape(trajectory.info.residual)[1]} members, and interpolate takes one: "
+            f"the trajectory is of {np.shape(trajectory.info.residual)[1]} members, and interpolate accepts one: "
             "Trajectory(run.t, *jax.tree.map(lambda x: x[:, k], (run.state, run.info))), and the system of member k"
         )
     system.check(jax.tree.map(lambda x: x[0], trajectory.state))
@@ -57,19 +59,19 @@ def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> Sta
         first, last = min(float(t[0]), float(t[-1])), max(float(t[0]), float(t[-1]))
         if wanted.size and not first <= float(wanted.min()) <= float(wanted.max()) <= last:
             raise ValueError(f"times must lie in the trajectory, from {first} to {last}, got {wanted}")
-    found, gaps = _interpolated(system, trajectory._replace(t=t), wanted)
+    found, gaps = _states_and_gaps(system, trajectory._replace(t=t), wanted)
     if concrete(gaps) and wanted.size and not float(jnp.max(gaps)) < 1:
         k = int(np.argmax(gaps))
         raise ValueError(
-            f"the saved states about t = {float(wanted[k]):.6g} are too far apart to interpolate: their rates do not "
-            "lead from one to the next; save more often"
+            f"the saved states about t = {float(wanted[k]):.6g} are too far apart to interpolate: their derivatives do "
+            "not predict the next state; save more often"
         )
     return found
 
 
 @compiled
-def _interpolated(system: System, trajectory: Trajectory, times: Array) -> tuple[State, Array]:
-    """The states, and by how much the trapezoidal rule of the rates misses the next saved one: 1 and more is lost."""
+def _states_and_gaps(system: System, trajectory: Trajectory, times: Array) -> tuple[State, Array]:
+    """The states, and the relative error of the trapezoidal rule from one saved state to the next; ≥ 1 is too large."""
     t, space = trajectory.t, system.phase_space
     sign = jnp.where(t[-1] < t[0], -1, 1)
     left = jnp.clip(jnp.searchsorted(sign * t, sign * times, side="right") - 1, 0, len(t) - 2)
@@ -78,10 +80,10 @@ def _interpolated(system: System, trajectory: Trajectory, times: Array) -> tuple
     def interpolate_at(k: Array, time: Array, inside: Array) -> tuple[State, Array]:
         a, b = (jax.tree.map(lambda x: x[n], trajectory.state) for n in (k, k + 1))  # noqa: B023
         h = t[k + 1] - t[k]
-        rest, unravel = ravel_pytree(_rest(a))
+        rest, unravel = ravel_pytree(_work_and_extra(a))
 
         def coordinates(z: State) -> Array:
-            return jnp.concatenate([space.displacement(a, z), ravel_pytree(_rest(z))[0] - rest])
+            return jnp.concatenate([space.displacement(a, z), ravel_pytree(_work_and_extra(z))[0] - rest])
 
         (_, v0, w0), (end, v1, w1) = (_jet(system, coordinates, z) for z in (a, b))
         d = _quintic((time - t[k]) / h, end, h * v0, h * v1, h * h * w0, h * h * w1)
@@ -95,7 +97,7 @@ def _interpolated(system: System, trajectory: Trajectory, times: Array) -> tuple
     return jax.vmap(interpolate_at)(left, times, inside)
 
 
-def _rest(state: State) -> dict[str, Any]:
+def _work_and_extra(state: State) -> dict[str, Any]:
     return {"work": state.work, "extra": state.extra}
 
 

@@ -1,4 +1,4 @@
-"""Trajectories: the states of a run that are saved on the way."""
+"""Trajectories: the states that a run saves."""
 
 from __future__ import annotations
 
@@ -48,15 +48,15 @@ def integrate(
     save_at: ArrayLike | None = None,
     adjoint: Adjoint | None = None,
 ) -> Trajectory:
-    """Take `num_steps` steps of size `dt`, or steps from one of the `times` to the next, and keep states on the way.
+    """The trajectory of `num_steps` steps of size `dt`, or of steps from one of the `times` to the next.
 
-    A `lax.scan`: vmap it over states, differentiate it forward or reverse, jit what calls it. Called by itself on a
-    CPU, it is compiled once for all steps of one structure and each `save_every`, whatever the numbers in them, for up
-    to 4096 saved states of one body, again for up to 16384, and so on.
+    It is a `lax.scan`, which can be jitted, vmapped over states, and differentiated in forward and reverse mode. A call
+    outside of jit on a CPU is compiled once per structure of the step and per `save_every`, whatever the numbers in the
+    step, for up to 4096 saved states of one body; again for up to 16384, and so on.
 
-    The state at an output time between two steps is that of a shorter step from the last one before: it has every
-    invariant of the step, and an error of one order above the scheme's beside that of the trajectory. The trajectory
-    does not continue from it.
+    The state at an output time between two steps comes from a shorter step from the last node before. So it has every
+    invariant of the step, and its error is that of the trajectory plus one of higher order, that of a single step. The
+    trajectory does not continue from it.
 
     Args:
         step: a scheme's step.
@@ -65,26 +65,26 @@ def integrate(
         num_steps: a multiple of `save_every`.
         save_every: steps between saved states.
         times: in place of dt and num_steps, the times (N+1,) between which steps lead, increasing or decreasing; the
-            first is that of the state. Steps that do not depend on the state keep the symplectic form.
+            first is that of the state. If the times do not depend on the state, a symplectic step remains symplectic.
         save_at: in place of save_every, output times (m,) in the order of the run, inside it; they may repeat.
         adjoint: how the derivative in reverse mode is computed. None differentiates the loop, which stores what every
-            step needs. `li.adjoints.ReversibleAdjoint()` stores the saved states only, of a symmetric step;
-            `li.adjoints.RecursiveCheckpointAdjoint()` stores some 3 N^(1/3) states more, of any step. Both are for
-            save_every; give a large one.
+            step needs. `li.adjoints.ReversibleAdjoint()` stores the saved states only, and requires a symmetric step;
+            `li.adjoints.RecursiveCheckpointAdjoint()` stores about 3 N^(1/3) states more, and accepts any step. Both
+            require save_every; give a large one.
 
     Returns:
-        A `Trajectory`, the initial state first, then those after every `save_every` steps or at the times `save_at`.
-        Its times, and the state's where it has one, are t₀ + nΔt, where t₀ is the initial state's time, else 0; or as
-        given; or those of the states, if the step has its `own_time`.
+        A `Trajectory`: the initial state, then the states after every `save_every` steps or at the times `save_at`. Its
+        times, and those of the states if they have a time, are t₀ + nΔt, where t₀ is the time of the initial state or
+        0; or the given `times` or `save_at`; or those of the states, if the step has its `own_time`.
 
     Raises:
-        ValueError: a bad count, times that are not finite, not in order or outside the run, a concrete state that is
-            not one of the system, a concrete dt past the scheme's limit at the first step, a trajectory larger than
-            this machine's memory, save_at with an adjoint, or a step that the adjoint cannot differentiate.
+        ValueError: a count is not allowed; times are not finite, not in order or outside the run; a concrete state is
+            not one of the system; a concrete dt exceeds the scheme's limit at the first step; the trajectory is larger
+            than this machine's memory; save_at is given with an adjoint; or the adjoint cannot differentiate the step.
             Later failures, and all failures inside jit, show in `info.converged`.
 
     Warns:
-        RuntimeWarning: a state's time is so large that the floating-point numbers there are more than dt/10⁶ apart.
+        RuntimeWarning: a state's time is so large that its floating-point spacing exceeds dt/10⁶.
     """
     step, state, dtype = promoted(checked_step(step), state)
     clock, num_steps = clock_of(step, state, dtype, dt, num_steps, times)
@@ -92,7 +92,7 @@ def integrate(
         checked_adjoint(adjoint).check(step, clock)
         if save_at is not None:
             raise ValueError(
-                f"save_at cannot be given with adjoint={adjoint}: give save_every, or take "
+                f"save_at cannot be given with adjoint={adjoint}: give save_every, or use "
                 "li.observe(step, state, dt, times), which has the same derivatives at any times"
             )
     first = dt if dt is not None else clock.size(0) if num_steps else _checks.as_array(0.0, dtype)
@@ -107,7 +107,7 @@ def integrate(
         _check_size(state, num_saves + 1)
         if adjoint is not None:
             later = adjoint.run(step, state, clock, num_saves, save_every)
-            return joined(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
+            return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
         if trial is None or len(trial.t) != num_saves + 1:
             rows = rows_for(state, num_saves)
             trial = of_any_length(step, state, clock, num_saves, rows, save_every) if rows else None
@@ -138,7 +138,7 @@ def _check_first(step: Step, state: State, size: ArrayLike, given: bool) -> None
 
 
 def _trial(step: Step, state: State, clock: Clock, num_steps: int) -> Trajectory | None:
-    """The run itself, if it is short, else its first step, by the same program; None if that cannot be."""
+    """The run itself if it is short, otherwise its first step by the same program; None if that is impossible."""
     rows = rows_for(state, num_steps)
     if not (rows and num_steps) or step.approximate or not _stands_alone(step, state, clock):
         return None
@@ -171,15 +171,17 @@ def of_any_length(
     """
     if not _stands_alone(step, state, clock):
         return None
-    found = _padded(step, state, clock, num_saves, most, save_every)
+    found = _padded_trajectory(step, state, clock, num_saves, most, save_every)
     if not _checks.concrete(found):  # a function of the step closes over a tracer
         return None
     return jax.tree.map(lambda x: np.asarray(x)[: num_saves + 1], found)
 
 
 @partial(compiled, static_argnums=(4, 5))
-def _padded(step: Step, state: State, clock: Clock, num_saves: ArrayLike, most: int, save_every: int) -> Trajectory:
-    """`trajectory` of any number of saves up to `most`; entries that follow have no meaning."""
+def _padded_trajectory(
+    step: Step, state: State, clock: Clock, num_saves: ArrayLike, most: int, save_every: int
+) -> Trajectory:
+    """`trajectory` for any number of saves up to `most`; the entries after them are undefined."""
     interval = _interval(prepared(step, state, clock), clock, save_every)
     rows = jax.tree.map(lambda x: jnp.broadcast_to(x, (most, *x.shape)), (state, StepInfo.fresh(state.p)))
 
@@ -189,14 +191,14 @@ def _padded(step: Step, state: State, clock: Clock, num_saves: ArrayLike, most: 
         return moved, jax.tree.map(lambda to, x: lax.dynamic_update_index_in_dim(to, x, k, 0), rows, saved)
 
     _, later = lax.fori_loop(0, num_saves, padded_interval, ((state, jnp.zeros((), int)), rows))
-    return joined(state, later, clock.time(save_every * jnp.arange(most + 1)))
+    return join_start(state, later, clock.time(save_every * jnp.arange(most + 1)))
 
 
 @partial(compiled, static_argnums=(3, 4))
 def trajectory(step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Trajectory:
     interval = _interval(prepared(step, state, clock), clock, save_every)
     _, later = scan(interval, (state, jnp.zeros((), int)), num_saves)
-    return joined(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
+    return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
 
 
 def _interval(step: Step, clock: Clock, save_every: int) -> Callable[[Any, None], tuple[Any, Any]]:
@@ -240,10 +242,10 @@ def _at_output_times(
         buffer = lax.scan(step_to_output, ((state, fresh), zero, zero, buffer), outputs)[0][-1]
     later, info = buffer
     info = info._replace(converged=info.converged & inside & (own == nodes))  # else a traced time is out of order
-    return joined(state, (at_time(later, save_at), info), jnp.concatenate([clock.time(0)[None], save_at]))
+    return join_start(state, (at_time(later, save_at), info), jnp.concatenate([clock.time(0)[None], save_at]))
 
 
-def joined(state: State, later: tuple[State, StepInfo], t: Array | None) -> Trajectory:
+def join_start(state: State, later: tuple[State, StepInfo], t: Array | None) -> Trajectory:
     """The trajectory of an initial state, the states and reports after it, and the times of all; None: the states'."""
     first = (state, StepInfo.fresh(state.p))
     states, info = jax.tree.map(lambda start, rest: jnp.concatenate([start[None], rest]), first, later)
@@ -261,5 +263,5 @@ def saves(num_steps: int, save_every: int) -> int:
     """The number of saved states after the initial one; ValueError if `save_every` does not divide `num_steps`."""
     if num_steps % save_every:
         near = _checks.nearest_multiples(num_steps, save_every)
-        raise ValueError(f"num_steps = {num_steps} is not a multiple of save_every = {save_every}; take {near} steps")
+        raise ValueError(f"num_steps = {num_steps} is not a multiple of save_every = {save_every}; use {near} steps")
     return num_steps // save_every

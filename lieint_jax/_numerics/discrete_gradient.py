@@ -17,8 +17,8 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 def discrete_gradient(function: Callable[..., Array], a: Array, b: Array, apart: Array | float, *more: Array) -> Array:
     """D with D·(b − a) = V(b) − V(a) and D(a, b) = D(b, a), of vectors of any length, for V = function(·, *more).
 
-    The mean of the gradient by four Gauss nodes. Where |b − a|² > apart, a multiple of b − a corrects it: below, the
-    quadrature is exact to round-off and the correction would be rounding alone.
+    This is the mean of the gradient over four Gauss nodes. Where |b − a|² exceeds the threshold, a multiple of b − a is
+    added; below, the quadrature is exact to round-off and this correction would consist of rounding errors only.
     """
     step = b - a
     at = (a + b) / 2 + jnp.asarray(_NODES, a.dtype)[:, None] * (step / 2)

@@ -1,6 +1,6 @@
-"""Elliptic functions and Carlson's integrals, in the dtype of their arguments: what `lieint_jax.elliptic` rests on.
+"""Elliptic functions and Carlson's integrals, in the dtype of their arguments: the basis of `lieint_jax.elliptic`.
 
-All but R_J run a fixed number of iterations; R_J as many as it needs, its derivatives two more.
+All but R_J run a fixed number of iterations. R_J runs as many as it needs, and its derivatives two more.
 
 m = k² is the parameter; the argument is always its complement m1 = 1 − m, so that nothing cancels near m = 1.
 """
@@ -68,7 +68,7 @@ def _descending(u: Array, m1: Array) -> tuple[Array, Array, Array]:
 
         x_{n−1} = x_n √((x_n² + b_n²s²) / (x_n² + a_n²s²)),    cs u = x₀/s
 
-    No difference is taken, so nothing cancels.
+    There is no subtraction, so nothing cancels.
     """
     means = [(jnp.ones_like(m1), jnp.sqrt(m1))]
     for _ in range(_LANDEN):
@@ -104,7 +104,7 @@ def _ascending(u: Array, m1: Array) -> tuple[Array, Array, Array]:
 
 def _smooth_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     """`carlson_rj` by two more duplications than its value needs, for its derivatives."""
-    return _rj_value(_duplicated(root_x, root_y, root_z, p, more=2))
+    return _rj_value(_duplicate(root_x, root_y, root_z, p, more=2))
 
 
 @functools.partial(forward_mode, smooth=_smooth_rj)
@@ -118,11 +118,11 @@ def carlson_rj(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
     It duplicates until the arguments are so close that the series has that error: 13 times at most, three or four times
     for arguments of one size.
     """
-    return _rj_value(_duplicated(root_x, root_y, root_z, p))
+    return _rj_value(_duplicate(root_x, root_y, root_z, p))
 
 
 def _smooth_rj_of_any(root_x: Array, root_y: Array, root_z: Array, p: Array) -> Array:
-    return _rj_value(_duplicated(root_x, root_y, root_z, p, more=2, ordered=False))
+    return _rj_value(_duplicate(root_x, root_y, root_z, p, more=2, ordered=False))
 
 
 @functools.partial(forward_mode, smooth=_smooth_rj_of_any)
@@ -131,7 +131,7 @@ def carlson_rj_of_any(root_x: Array, root_y: Array, root_z: Array, p: Array) -> 
 
     A p that is much larger than x, y and z needs log₄ of that ratio duplications.
     """
-    return _rj_value(_duplicated(root_x, root_y, root_z, p, ordered=False))
+    return _rj_value(_duplicate(root_x, root_y, root_z, p, ordered=False))
 
 
 @forward_mode
@@ -149,7 +149,7 @@ def carlson_rc(root_x: Array, root_y: Array) -> Array:
     return where(jnp.abs(d) < _CLOSE * x, series, far)
 
 
-def _duplicated(
+def _duplicate(
     root_x: Array, root_y: Array, root_z: Array, p: Array, more: int = 0, ordered: bool = True
 ) -> _Duplicated:
     """The arguments of R_J, duplicated until they are close; `ordered` if p ≥ x, y, z."""
@@ -162,15 +162,15 @@ class _Duplicated(NamedTuple):
 
     Attributes:
         x, y, z, p: the arguments.
-        mean: theirs, with the weights 1, 1, 1, 2.
+        mean: their mean, with the weights 1, 1, 1, 2.
         roots: of x, y, z; one of the first may be negative.
         scale: 4⁻ⁿ.
         total: of the terms that the duplications have split off.
         apart: the distances of the first x, y, z from the first mean.
         delta: (p − x)(p − y)(p − z) of the first.
-        far: whether the series would have too large an error, of the eighth power of the relative distances. It is kept
-            because a batched `while_loop` asks twice whether a member goes on, whether to loop and whether to accept
-            the turn: computed anew, with other rounding, the two may differ, and then the loop never ends.
+        far: whether the error of the series, the eighth power of the relative distances, would be too large. It is
+            stored because a batched `while_loop` evaluates its condition twice, to continue and to accept a member's
+            result: if it were computed twice with different rounding, the loop might never end.
     """
 
     x: Array
@@ -194,7 +194,7 @@ class _Duplicated(NamedTuple):
         return cls(x, y, z, p, mean, roots, one, jnp.zeros_like(mean), apart, delta, one > 0)
 
     def next(self, more: int, ordered: bool) -> _Duplicated:
-        """After one more, which is the last but for `more` if the series is good enough then."""
+        """The arguments after one more duplication; `more` duplications follow once the series is good enough."""
         a, b, c = self.roots
         r = jnp.sqrt(self.p)
         d = (r + a) * (r + b) * (r + c)

@@ -22,8 +22,8 @@ def horner(coefficients: Sequence[float], x: Array) -> Array:
 def _entire(series: Sequence[float], closed: Callable[[Array], Array], radius: float) -> Callable[[Array], Array]:
     """A function of x ≥ 0 that is smooth at 0: its Taylor series for x < radius, its closed form beyond.
 
-    Far from its own side each branch gets a harmless argument, so that no derivative meets 0/0. Near the radius both
-    get x: XLA may work x out twice, rounded differently, and a branch must be right on both sides of the threshold.
+    Far outside its range each branch gets a harmless argument, so that no derivative is 0/0. Near the radius both get
+    x: XLA may compute x twice with different rounding, so each branch must be right on both sides of the threshold.
     """
 
     def function(x: Array) -> Array:

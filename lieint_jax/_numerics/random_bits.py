@@ -1,11 +1,12 @@
 """Random numbers that depend on a key and a count alone, as programs of single numbers.
 
 The j-th 64 bits of step n are those of `jax.random.fold_in(jax.random.fold_in(key, n), j)`: Threefry-2x32 of 20 rounds
-(Salmon et al. 2011), which JAX has as one operation of its own. Written out, it is a part of the program of numbers
-that ensembles compile, and a state can carry its key as real numbers below 2¹⁶, which float32 represents exactly.
+(Salmon et al. 2011), for which JAX has one operation. Here it is written out, so that ensembles can compile it as a
+part of a program of single numbers. A state carries its key as real numbers below 2¹⁶, which float32 represents
+exactly.
 
-JAX's own draws count too: an entry of an array depends on the key and on its place in the array alone. So
-`normal_rows` and `split_rows` compute those of some members without those of the others.
+In JAX's own random arrays an entry depends only on the key and its place in the array. So `normal_rows` and
+`split_rows` compute the entries of some members without those of the others.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Selection between two values.
 
 `jnp.where` is a jitted function, which is traced again by every transformation: gradients of long functions with many
-of them take a tenth longer to trace and to compile.
+of them need a tenth longer to trace and to compile.
 """
 
 from __future__ import annotations

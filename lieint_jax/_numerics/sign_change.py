@@ -58,7 +58,7 @@ def sign_change(f: Callable[[Array], Array], before: Array, after: Array) -> Sig
     secant = after / jnp.where(changes, after - before, 1)
     zero = jnp.zeros_like(before)
     start = _Bracket(zero + 1, zero, after, before, secant, jnp.zeros((), int))
-    s = lax.while_loop(lambda s: changes & _is_open(s), lambda s: _narrowed(f, s), start)
+    s = lax.while_loop(lambda s: changes & _is_open(s), lambda s: _narrow(f, s), start)
     u = jnp.where(jnp.abs(s.fa) < jnp.abs(s.fb), s.a, s.b)
     return SignChange(u, jnp.where(s.a < s.b, jnp.stack([s.fa, s.fb]), jnp.stack([s.fb, s.fa])))
 
@@ -66,8 +66,8 @@ def sign_change(f: Callable[[Array], Array], before: Array, after: Array) -> Sig
 def is_root(ends: Array, around: Array, after: Array) -> Array:
     """Whether a function goes through 0 where it changes its sign.
 
-    A bracket shrinks onto a pole or a jump as well. At a root the function falls with the bracket: at its `ends` it is
-    at most half as large as `around` them, some distance below and above. So the root is right to that distance.
+    A bracket shrinks to a pole or a jump as well. At a root the function decreases with the bracket: at its `ends` it
+    is at most half as large as at the points `around` it, at some distance. So the root is right to that distance.
 
     Args:
         ends: of `SignChange`.
@@ -83,9 +83,9 @@ def _is_open(s: _Bracket) -> Array:
     return jnp.abs(s.b - s.a) > jnp.finfo(s.a.dtype).eps
 
 
-def _narrowed(f: Callable[[Array], Array], s: _Bracket) -> _Bracket:
+def _narrow(f: Callable[[Array], Array], s: _Bracket) -> _Bracket:
     """The bracket after one evaluation."""
-    x = s.a + _limited(s) * (s.b - s.a)
+    x = s.a + _safe_fraction(s) * (s.b - s.a)
     fx = f(x)
     same = jnp.sign(fx) == jnp.sign(s.fa)
     c, fc = jnp.where(same, s.a, s.b), jnp.where(same, s.fa, s.fb)  # the point that the bracket loses
@@ -97,7 +97,7 @@ def _narrowed(f: Callable[[Array], Array], s: _Bracket) -> _Bracket:
     return _Bracket(x, b, fx, fb, jnp.where(safe, t, 0.5), s.n + 1)
 
 
-def _limited(s: _Bracket) -> Array:
+def _safe_fraction(s: _Bracket) -> Array:
     """t, moved to where bisection can still finish within the most evaluations."""
     info = jnp.finfo(s.t.dtype)
     least = info.eps / 2 / jnp.abs(s.b - s.a)

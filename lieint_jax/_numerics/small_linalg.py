@@ -199,7 +199,7 @@ def factored(K: Matrix) -> Factored:
     """Elimination without pivoting: for K with a positive definite symmetric part, or near such a matrix.
 
     The matrices of schemes are a metric less a nearly skew matrix, so that no pivot vanishes or is small. Unrolled
-    matrices are cut into 2×2 blocks, so that up to six unknowns take two divisions: XLA stops fusing at a division.
+    matrices are cut into 2×2 blocks, so that up to six unknowns need two divisions: XLA stops fusing at a division.
     """
     if _is_array(K):
         inverted = jnp.linalg.inv(K)

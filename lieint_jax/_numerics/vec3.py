@@ -197,9 +197,10 @@ def inverse_trace(S: Symmetric) -> Array:
 
 
 def well_conditioned(S: Symmetric) -> Array:
-    """Whether v·S⁻¹v keeps ten digits in float64, four in float32; diagonal matrices always do.
+    """Whether v·S⁻¹v is right to ten digits in float64, to four in float32; for diagonal matrices it always is.
 
-    The smallest eigenvalue of a full matrix is known up to ε times the largest, so their ratio may be 3.5e4, or 1.4e3.
+    The smallest eigenvalue of a full matrix has an error of ε times the largest, so their ratio may be at most 3.5e4 in
+    float64 and 1.4e3 in float32.
     """
     if len(S) == 3:
         return jnp.ones((), bool)

@@ -15,7 +15,7 @@ Derivative = Literal["reversible", "checkpoint"]
 
 
 def check_derivative(derivative: str) -> None:
-    """Raise ValueError for another derivative."""
+    """Raise ValueError for an unknown derivative."""
     if derivative not in get_args(Derivative):
         raise ValueError(f"derivative must be one of {', '.join(get_args(Derivative))}, got {derivative!r}")
 

@@ -1,4 +1,4 @@
-"""Runs whose reverse-mode derivative keeps the states at nested checkpoints and recomputes the steps between them."""
+"""Runs whose reverse-mode derivative stores states at nested checkpoints and recomputes the steps between them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def checkpointed(
     One loop is compiled for all intervals, a little longer than the longest.
     """
     advance_once = partial(advance, prepared(step, state, clock), clock)
-    repeat = partial(_nested, most=max(counts, default=0), levels=levels)
+    repeat = partial(_nested_steps, most=max(counts, default=0), levels=levels)
 
     def interval(carry: tuple[State, Array], count: Array) -> tuple[tuple[State, Array], tuple[State, StepInfo]]:
         state, done = carry
@@ -38,8 +38,8 @@ def checkpointed(
     return lax.scan(jax.checkpoint(interval), start, jnp.asarray(counts, jnp.int32))[1]
 
 
-def _nested(body: Body, first: Array, count: Array, carry: Any, most: int, levels: int) -> Any:
-    """`count` steps of at most so many, in nested blocks; the results of surplus steps are dropped."""
+def _nested_steps(body: Body, first: Array, count: Array, carry: Any, most: int, levels: int) -> Any:
+    """`count` steps, of at most `most`, in nested blocks; the results of surplus steps are discarded."""
 
     def step_once(numbered: tuple[Array, Any], _: None) -> tuple[tuple[Array, Any], None]:
         n, carry = numbered

@@ -1,4 +1,4 @@
-"""A loop that goes through single numbers, where that is possible.
+"""A loop compiled as a program of single numbers, where that is possible.
 
 The transpose of v[i] is a `pad`, and the pull-back of a step is full of them; XLA does not fuse pads, and works on all
 components even where only one is not zero. In a program of numbers indexing, stacking and padding cost nothing, and
@@ -22,39 +22,41 @@ _LONGEST = 10_000  # the most operations of a program of numbers that XLA compil
 
 
 def repeat(count: Any, function: Callable[[Any, Any], Any], carry: Any, over: tuple[float, ...]) -> Any:
-    """Apply carry ← function(carry, x) for each x in `over`, and all that `count` times. Not to be differentiated."""
+    """Apply carry ← function(carry, x) for each x in `over`, `count` times. It is not differentiable."""
     dtype = jnp.result_type(*jax.tree.leaves(carry))
-    once, closed = _opened(function, carry, jnp.ones((), dtype))
+    once, closed = _explicit_arrays(function, carry, jnp.ones((), dtype))
 
-    def repeated(count: Any, carry: Any, closed: Any) -> Any:
-        return _repeated(count, partial(once, closed), carry, over, dtype)
+    def repeat_with_arrays(count: Any, carry: Any, closed: Any) -> Any:
+        return _repeat_program(count, partial(once, closed), carry, over, dtype)
 
     arguments = (count, carry, closed)
     try:
-        by_numbers = Flattened(repeated, ("shared",) * 3, arguments)
+        by_numbers = Flattened(repeat_with_arrays, ("shared",) * 3, arguments)
     except UnsupportedError:
-        return repeated(*arguments)
-    return by_numbers(*arguments) if by_numbers.length <= _LONGEST else repeated(*arguments)
+        return repeat_with_arrays(*arguments)
+    return by_numbers(*arguments) if by_numbers.length <= _LONGEST else repeat_with_arrays(*arguments)
 
 
-def _opened(function: Callable[..., Any], *example: Any) -> tuple[Callable[..., Any], list[Array]]:
+def _explicit_arrays(function: Callable[..., Any], *example: Any) -> tuple[Callable[..., Any], list[Array]]:
     """`function` with the traced arrays that it closes over, of any type, as its first argument; and these arrays.
 
-    `jax.closure_convert` opens a function to real numbers only.
+    `jax.closure_convert` makes only arrays of real numbers arguments.
     """
     closed, out = jax.make_jaxpr(function, return_shape=True)(*example)
     traced = [isinstance(x, jax.core.Tracer) for x in closed.consts]
 
-    def opened(arrays: list[Array], *arguments: Any) -> Any:
+    def call_with_arrays(arrays: list[Array], *arguments: Any) -> Any:
         following = iter(arrays)
         consts = [next(following) if hoisted else x for x, hoisted in zip(closed.consts, traced, strict=True)]
         results = jax.core.eval_jaxpr(closed.jaxpr, consts, *jax.tree.leaves(arguments))
         return jax.tree.unflatten(jax.tree.structure(out), results)
 
-    return opened, [x for x, hoisted in zip(closed.consts, traced, strict=True) if hoisted]
+    return call_with_arrays, [x for x, hoisted in zip(closed.consts, traced, strict=True) if hoisted]
 
 
-def _repeated(count: Any, function: Callable[[Any, Any], Any], carry: Any, over: tuple[float, ...], dtype: Any) -> Any:
+def _repeat_program(
+    count: Any, function: Callable[[Any, Any], Any], carry: Any, over: tuple[float, ...], dtype: Any
+) -> Any:
     if len(over) == 1:
         return lax.fori_loop(0, count, lambda _, c: function(c, np.asarray(over[0], dtype)), carry)
 

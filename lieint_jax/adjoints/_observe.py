@@ -33,25 +33,25 @@ def observe(
 ) -> tuple[State, StepInfo]:
     """The states of `integrate(…, save_at=times)` at any observation times, with the derivatives of `reversible`.
 
-    The steps of size dt are one trajectory; each observation adds one shorter step from the last state before it, from
-    which the trajectory does not continue. There are derivatives with respect to the times, too.
+    The steps of size dt form one trajectory. Each observation adds one shorter step from the last state before it, from
+    which the trajectory does not continue. Derivatives with respect to the times exist as well.
 
     Args:
-        step: a symmetric step, as a scheme makes it; with `derivative="checkpoint"`, any step.
+        step: a symmetric step; with `derivative="checkpoint"`, any step.
         state: the initial state.
-        dt: step size, of the sign that leads to the times.
+        dt: step size, with the sign that leads to the times.
         times: shape (m,), in any order, on the clock of `state.t`; since the start if the state has no time.
         derivative: as in `reversible`; for "checkpoint", times, dt and the time of the state must be concrete.
         tolerance: as in `reversible`.
 
     Returns:
         The states, with a leading axis (m,), and for each the report of all steps since the previous observation.
-        Traced times cannot raise: those on the wrong side of the start, and all of them if dt = 0, have
+        Traced times cannot raise an error: those on the wrong side of the start, and all of them if dt = 0, have
         `converged=False`.
 
     Raises:
-        ValueError: times not finite, or on the side of the start that dt does not lead to; dt = 0; the rest as
-            `reversible`.
+        ValueError: times are not finite, or on the side of the start to which dt does not lead; dt = 0; and the errors
+            of `reversible`.
     """
     step, state, h = checked(step, state, dt, derivative)
     refuse_times(step, "times")
@@ -78,37 +78,38 @@ def observe(
     if derivative == "checkpoint":
         if not known:
             raise ValueError(
-                'derivative="checkpoint" needs concrete times, dt and state.t: the number of steps is compiled in'
+                'derivative="checkpoint" needs concrete times, dt and state.t, which determine the number of compiled '
+                'steps: pass constants, or derivative="reversible"'
             )
         later = checkpointed(
             step, state, uniform_clock(step, state, h), tuple(np.diff(whole[order], prepend=0).tolist())
         )
     else:
         later = undoable(step, state, h, xp.diff(whole[order], prepend=0), tolerance)
-    return _states_at(step, later, xp.argsort(order), _rest(t - t0, h, whole), reached)
+    return _states_at(step, later, xp.argsort(order), _remaining_step(t - t0, h, whole), reached)
 
 
 @jax.custom_jvp
-def _rest(t: Array, h: Array, whole: Array) -> Array:
-    """t − h·whole, 0 where only rounding is left of it.
+def _remaining_step(t: Array, h: Array, whole: Array) -> Array:
+    """t − h·whole, set to 0 where it is a rounding error.
 
-    XLA works it out more than once, with and without a fused multiply-add, and a step of 0 and one of 1e-17 would meet.
+    XLA computes it several times, with and without a fused multiply-add, which would give steps of both 0 and 1e-17.
     """
     rest = t - h * whole
     return jnp.where(jnp.abs(rest) <= 4 * jnp.finfo(t.dtype).eps * jnp.abs(t), 0, rest)
 
 
-@_rest.defjvp
+@_remaining_step.defjvp
 def _(primals: tuple[Array, Array, Array], tangents: tuple[Array, Array, Any]) -> tuple[Array, Array]:
     t, h, whole = primals
-    return _rest(t, h, whole), tangents[0] - whole * tangents[1]
+    return _remaining_step(t, h, whole), tangents[0] - whole * tangents[1]
 
 
 @compiled
 def _states_at(
     step: Step, later: tuple[State, StepInfo], back: Array, rest: Array, reached: Array
 ) -> tuple[State, StepInfo]:
-    """The states a step of `rest` after those of `later` in the order `back`, by the step as given, not prepared."""
+    """The states one step of `rest` after those of `later`, in the order `back`, by the unprepared step."""
     found, info = jax.tree.map(lambda leaf: leaf[back], later)
     seen, last = jax.vmap(step)(found, rest)
     info = info.merge(last)

@@ -20,11 +20,11 @@ class ReversibleAdjoint(Adjoint):
 
     The backward pass rebuilds states by steps of −dt from one saved state to the one before, so save_every should be
     large. The derivative is that of the discrete flow, in 4 to 9 times the time of a run for any number of parameters.
-    For symmetric steps of one size.
+    It requires a symmetric step and steps of one size.
 
     Attributes:
-        tolerance: the distance of a rebuilt state from the saved one, in q and in p over max|p|, above which the
-            gradient draws a warning; by default √eps. See `round_trip_error`.
+        tolerance: the distance of a rebuilt state from the saved one, in q and in p over max|p|, above which a warning
+            is issued; by default √eps. See `round_trip_error`.
 
     Source: Zhuang et al. 2021, ICLR (for a leapfrog); for symmetric methods: this package.
     """
@@ -50,11 +50,12 @@ class ReversibleAdjoint(Adjoint):
 class RecursiveCheckpointAdjoint(Adjoint):
     """Gradients of long runs of any step, in little memory: `integrate(…, adjoint=RecursiveCheckpointAdjoint())`.
 
-    The backward pass computes the steps between nested checkpoints again. For any step, also between given `times`.
+    The backward pass computes the steps between nested checkpoints again. It works for any step, also with given
+    `times`.
 
     Attributes:
-        levels: L, of nested checkpoints: about L N^(1/L) of N states between two saved ones are stored, and the steps
-            are computed about L times more. 1 stores all of them.
+        levels: L, the number of levels of nested checkpoints: about L N^(1/L) of N states between two saved ones are
+            stored, and each step is computed about L more times. L = 1 stores all states.
 
     Raises:
         ValueError: levels is not a positive int.

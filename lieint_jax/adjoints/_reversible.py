@@ -26,10 +26,10 @@ def reversible(
     derivative: Derivative = "reversible",
     tolerance: float | None = None,
 ) -> Trajectory:
-    """Integrate like `integrate`, with a reverse-mode derivative that stores the saved states and nothing else.
+    """A run as by `integrate`, whose gradients need no more memory than the saved states.
 
     It is `integrate(…, adjoint=ReversibleAdjoint(tolerance))`, or `adjoint=RecursiveCheckpointAdjoint()`, with another
-    default of save_every.
+    default for save_every.
 
     Gradients flow to the leaves of `step`, the initial state, dt, and the arrays that the step's functions close over.
     Hessian-vector products, forward over reverse, need no more memory: `jax.jvp(jax.grad(loss), …)`. For forward mode
@@ -40,17 +40,17 @@ def reversible(
         state: the initial state of one body; vmap for many.
         dt: step size, either sign.
         num_steps: a multiple of `save_every`.
-        save_every: steps between saved states; None keeps the first and the last only.
-        derivative: "reversible" rebuilds states by steps of −dt. "checkpoint" keeps about 3 N^(1/3) states and costs
-            about three more runs forward.
-        tolerance: the distance of a rebuilt state from the saved one, in q and in p over max|p|, above which the
-            gradient draws a warning; by default √eps. See `round_trip_error`.
+        save_every: steps between saved states; None saves the first and the last only.
+        derivative: "reversible" rebuilds states by steps of −dt. "checkpoint" stores about 3 N^(1/3) states and costs
+            about three more forward runs.
+        tolerance: the distance of a rebuilt state from the saved one, in q and in p over max|p|, above which a warning
+            is issued; by default √eps. See `round_trip_error`.
 
     Returns:
         A `Trajectory`, equal to that of `integrate` up to round-off.
 
     Raises:
-        ValueError: a step that is not symmetric, or as `integrate`.
+        ValueError: the step is not symmetric; and the errors of `integrate`.
 
     Warns:
         RuntimeWarning: when the gradient is computed and reversal has lost more digits than `tolerance` allows.
@@ -66,10 +66,10 @@ def reversible(
 def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) -> Array:
     """The distance between the initial state and its image after `num_steps` steps of dt and as many of −dt.
 
-    In q, and in p over max|p|: the error of the states that `reversible` rebuilds. It is a few round-offs per step on a
-    regular motion, and grows like the distance of neighboring trajectories on others: over a time t on a chaotic
-    motion of Lyapunov exponent λ, like e^(λt). The gradient's relative error is about this error times the second
-    derivative of the flow.
+    It is the error of the states that `reversible` rebuilds, in q, and in p over max|p|. On a regular motion it is a
+    few round-offs per step; on others it grows like the distance of neighboring trajectories, over a time t on a
+    chaotic motion of Lyapunov exponent λ like e^(λt). The gradient's relative error is about this error times the
+    second derivative of the flow.
     """
     step, state, h = checked(step, state, dt, "reversible")
     return _there_and_back(step, state, h, _checks.count("num_steps", num_steps, 0))

@@ -2,8 +2,8 @@
 
     Φ_{n+1} = L_n Φ_n,    S_{n+1} = L_n S_n + ∂(step)/∂p,    P(t) = Φ P₀ Φᵀ + S P_p Sᵀ
 
-L_n is the derivative of step n, by `Step.tangent`. What a step carries along in `State.extra`, such as the momenta of
-wheels, may depend on q and p: its tangent vectors are then carried along with those of q and p.
+L_n is the derivative of step n, by `Step.tangent`. Entries of `State.extra`, such as the momenta of wheels, may depend
+on q and p: their tangent vectors are then propagated together with those of q and p.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._integrate import at_time, intervals, joined, uniform_clock
+from lieint_jax._integrate import at_time, intervals, join_start, uniform_clock
 from lieint_jax._xla import compiled, rematerialized
 from lieint_jax.types import (
     PhaseSpace,
@@ -39,10 +39,10 @@ from lieint_jax.types.shapes import PyTree
 
 
 class Ellipse(NamedTuple):
-    """The set of points within some standard deviations, in the directions of some coordinates.
+    """The set of points within a number of standard deviations, in k coordinates of the phase space.
 
     Attributes:
-        semi_axes: lengths, the largest first, (…, k) for k coordinates.
+        semi_axes: lengths, the largest first, (…, k).
         axes: their directions, unit vectors as columns, (…, k, k).
     """
 
@@ -54,15 +54,17 @@ class Ellipse(NamedTuple):
 class Transition:
     """The derivatives of the states of a run. Made by `transition`.
 
-    With `save_every`, all arrays have a leading axis of entries, the start first. Rows are the coordinates of tangent
-    vectors at the state of the entry, columns those at the start: on T*SO(3) (δθ, δπ) in the axes of space, δq = δθ q.
+    With `save_every`, all arrays have a leading axis of saved entries, of which the first is the initial state. Rows
+    are the coordinates of tangent vectors at the state of the entry, columns those at the start: on T*SO(3) (δθ, δπ) in
+    the axes of space, δq = δθ q.
 
     Attributes:
         t: the time.
         state: the state.
         info: the report of the steps since the entry before.
-        matrix: Φ = ∂x(t)/∂x(0), (2d, 2d). Of a symplectic step, Φᵀω(x(t))Φ = ω(x(0)).
-        by_parameters: ∂x(t)/∂p, a tree like the parameters, each leaf (2d, *shape of the parameter); None without.
+        matrix: Φ = ∂x(t)/∂x(0), (2d, 2d). For a symplectic step, Φᵀω(x(t))Φ = ω(x(0)).
+        by_parameters: ∂x(t)/∂p, a tree like the parameters, each leaf (2d, *shape of the parameter); None if there are
+            none.
     """
 
     t: Array
@@ -80,13 +82,13 @@ class Transition:
                 uncorrelated with the initial state.
 
         Raises:
-            ValueError: a matrix of another shape or not symmetric, or P_p without parameters.
+            ValueError: a matrix has another shape or is not symmetric, or P_p is given without parameters.
         """
-        P = _carried(self.matrix, _covariance("initial", initial, self.matrix.shape[-1]))
+        P = _propagate_covariance(self.matrix, _covariance("initial", initial, self.matrix.shape[-1]))
         if parameter_covariance is None:
             return P
         S = self._sensitivity
-        return P + _carried(S, _covariance("parameter_covariance", parameter_covariance, S.shape[-1]))
+        return P + _propagate_covariance(S, _covariance("parameter_covariance", parameter_covariance, S.shape[-1]))
 
     def ellipse(
         self,
@@ -96,10 +98,10 @@ class Transition:
         *,
         parameter_covariance: ArrayLike | None = None,
     ) -> Ellipse:
-        """The ellipse, or ellipsoid, of some coordinates of `covariance`, to draw.
+        """The error ellipse, or ellipsoid, of some coordinates of `covariance`.
 
-        In two dimensions it holds the part 1 − exp(−σ²/2) of a Gaussian: 39 % for 1 standard deviation, 86 % for 2,
-        99 % for 3.
+        In two dimensions it contains the fraction 1 − exp(−σ²/2) of a Gaussian: 39 % for 1 standard deviation, 86 % for
+        2, 99 % for 3.
 
         Args:
             initial, parameter_covariance: as in `covariance`.
@@ -107,7 +109,7 @@ class Transition:
             sigmas: the number of standard deviations.
 
         Raises:
-            ValueError: as `covariance`, or coordinates out of range.
+            ValueError: coordinates are out of range; and the errors of `covariance`.
         """
         dim = self.matrix.shape[-1]
         chosen = [int(i) for i in coordinates]
@@ -127,7 +129,7 @@ class Transition:
         return jnp.concatenate([jnp.reshape(x, (*rows, -1)) for x in leaves], axis=-1)
 
 
-def _carried(A: Array, P: Array) -> Array:
+def _propagate_covariance(A: Array, P: Array) -> Array:
     return A @ P @ jnp.swapaxes(A, -1, -2)
 
 
@@ -150,23 +152,23 @@ def transition(
     parameters: PyTree = None,
     save_every: int | None = None,
 ) -> Transition:
-    """The state transition matrix Φ(t) of a run, its sensitivity to parameters, and from both linear covariance.
+    """The state transition matrix Φ(t) of a run and its sensitivities to parameters, for linear covariance.
 
-    Exact derivatives of the discrete flow: those of the states that `integrate` returns, for any system, driven or not,
-    and any step, symplectic or not. A loop of fixed length: vmap it over states, or `li.ensemble.over_members`.
+    They are exact derivatives of the discrete flow, that is, of the states that `integrate` returns, for any system and
+    any step. For many states use jax.vmap, or `li.ensemble.over_members`.
 
-    Parameters have one of two forms. **Names** of numbers that the step holds: `parameters="inertia"`, or several,
-    `["inertia", "potential.weight"]`. A name stands for all arrays of the step whose path ends with it, which must be
-    equal: those of the system and of its drift vary together. The initial state is held fixed. **Numbers**, any tree of
-    arrays: then `step`, or `state`, or both, are functions of them,
+    Parameters have one of two forms. They are **names** of numbers of the step, `parameters="inertia"`, or several,
+    `["inertia", "potential.weight"]`. A name selects all arrays of the step whose path ends with it. These must be
+    equal, such as those of the system and of its drift, and vary together; the initial state is held fixed. Or they are
+    **numbers**, any tree of arrays: then `step`, or `state`, or both, are functions of them,
 
         def step(p):
             return li.schemes.splitting(li.systems.heavy_top(p["inertia"], p["weight"]))
 
         li.transition(step, state, 0.05, 1000, parameters={"inertia": J, "weight": E})
 
-    If the state is such a function too, ∂x(t)/∂p contains what the parameters do to x(0): of a body given by its
-    angular velocity, the momentum changes with the inertia.
+    If the state is such a function too, ∂x(t)/∂p includes the effect of the parameters on x(0): if the angular velocity
+    is given, the initial momentum depends on the inertia.
 
     Args:
         step: a step, or a function of the parameters.
@@ -180,8 +182,8 @@ def transition(
         A `Transition`.
 
     Raises:
-        ValueError: a bad count, a name that no number of the step has or that is ambiguous, parameters without a
-            function of them, a step with its own time, a first step that fails.
+        ValueError: a bad count, a name that is unknown or ambiguous, parameters without a function of them, a step that
+            advances the time itself, or a first step that does not converge.
 
     Source: Montenbruck & Gill 2000, Satellite Orbits, 7.2 (the equations of the continuous flow); that Φ of a
     symplectic scheme is symplectic: Hairer, Lubich & Wanner, Geometric Numerical Integration, VI.2.
@@ -190,7 +192,7 @@ def transition(
     made, start = run(values)
     made, start, dtype = promoted(checked_step(made), start)
     if made.own_time:
-        raise ValueError(f"Φ is of a given time, and {made.name} finds its times itself: use its base step")
+        raise ValueError(f"Φ needs steps of given times, and {made.name} chooses its own: use its base step")
     made.check(start, dt)
     interval, num_saves = intervals(num_steps, save_every)
     h, values = jnp.asarray(_checks.step_size(dt), dtype), jax.tree.map(lambda x: x.astype(dtype), values)
@@ -205,7 +207,7 @@ class _Run:
 
     Attributes:
         step, state: as given, or functions of the parameters.
-        named: by the names of parameters, the leaves of the step that they stand for.
+        named: by the names of parameters, the leaves of the step that they select.
     """
 
     step: Any
@@ -311,7 +313,7 @@ def _entries(run: _Run, values: PyTree, dt: Array, num_saves: int, save_every: i
         T = jnp.concatenate([T, tangents.slope(lambda p: make_run(p)[1], p)], axis=1)
     _, (later, Ts) = lax.scan(interval, (start, T, jnp.zeros((), int)), None, length=num_saves)
     rows = jnp.concatenate([T[None], Ts])[:, :dim]
-    trajectory = joined(start, later, clock.time(save_every * jnp.arange(num_saves + 1)))
+    trajectory = join_start(start, later, clock.time(save_every * jnp.arange(num_saves + 1)))
     by_parameters = jax.vmap(jax.vmap(unravel))(rows[:, :, dim:]) if p.size else None
     return Transition(trajectory.t, trajectory.state, trajectory.info, rows[:, :, :dim], by_parameters)
 

@@ -34,12 +34,12 @@ from lieint_jax.types import State, Step, StepInfo, System, pytree, static
 
 @partial(compiled, static_argnums=4)
 def undoable(step: Step, state: State, dt: Array, counts: Any, tolerance: float | None) -> tuple[State, StepInfo]:
-    """`_marched`, differentiated by undoing its steps, with respect to arrays that the step closes over, too."""
+    """`_states_and_reports`, differentiated by undoing steps, also with respect to arrays that the step closes over."""
     tolerance = math.sqrt(jnp.finfo(state.p.dtype).eps) if tolerance is None else float(tolerance)
     return _march(_substeps(step.prepare(state, dt), state, dt), state, dt, counts, tolerance)
 
 
-def _marched(step: Any, state: State, dt: Array, counts: Any, tolerance: float) -> tuple[State, StepInfo]:
+def _states_and_reports(step: Any, state: State, dt: Array, counts: Any, tolerance: float) -> tuple[State, StepInfo]:
     """The states after counts[0], counts[0] + counts[1], … steps, and the reports of the steps between them."""
     advance_once = partial(advance, step, uniform_clock(step, state, dt))
 
@@ -52,11 +52,11 @@ def _marched(step: Any, state: State, dt: Array, counts: Any, tolerance: float) 
     return lax.scan(interval, (state, jnp.zeros((), counts.dtype)), counts)[1]
 
 
-_march: Any = jax.custom_vjp(_marched, nondiff_argnums=(4,))
+_march: Any = jax.custom_vjp(_states_and_reports, nondiff_argnums=(4,))
 
 
 def _march_forward(step: Any, state: State, dt: Array, counts: Any, tolerance: float) -> Any:
-    later, info = _marched(step, state, dt, counts, tolerance)
+    later, info = _states_and_reports(step, state, dt, counts, tolerance)
     return (later, info), (step, state, dt, counts, later)
 
 
@@ -73,13 +73,13 @@ def _undone(
     """The cotangents of the step's smooth leaves, of the state at the start and of dt, by undoing the steps."""
     smooth = _smooth(step)
 
-    def go(leaves: Any, z: State, dt: Array) -> State:
-        return _stage(_filled(step, leaves))(z, dt)[0]
+    def stage_of_leaves(leaves: Any, z: State, dt: Array) -> State:
+        return _stage(_with_real_leaves(step, leaves))(z, dt)[0]
 
     def undo(carry: Any, gamma: Any) -> Any:
         z, lam, (leaves, h) = carry
-        z = go(smooth, z, -gamma * dt)
-        more, lam, slope = jax.vjp(go, smooth, z, gamma * dt)[1](lam)
+        z = stage_of_leaves(smooth, z, -gamma * dt)
+        more, lam, slope = jax.vjp(stage_of_leaves, smooth, z, gamma * dt)[1](lam)
         return z, lam, (jax.tree.map(jnp.add, leaves, more), h + gamma * slope)
 
     def interval(carry: Any, saved: tuple[State, State, State, Array]) -> tuple[Any, Array]:
@@ -116,7 +116,7 @@ def _smooth(tree: Any) -> Any:
     return jax.tree.map(lambda x: jnp.asarray(x) if jnp.issubdtype(jnp.result_type(x), jnp.floating) else None, tree)
 
 
-def _filled(tree: Any, smooth: Any) -> Any:
+def _with_real_leaves(tree: Any, smooth: Any) -> Any:
     """`tree` with its real leaves replaced by those of `smooth`."""
     return jax.tree.map(lambda x, new: x if new is None else new, tree, smooth)
 
@@ -137,7 +137,7 @@ def _zero_with_warning(error: Array, tolerance: float) -> Array:
             warnings.warn(
                 f"reversal lost digits: a rebuilt state is {np.max(error):.2g} from the saved one (tolerance "
                 f"{tolerance:.2g}; {bad.sum()} of {bad.size}): the gradient has a relative error of about that size. "
-                'Save more often (save_every), take a shorter run, or derivative="checkpoint"',
+                'Save more often (save_every), use a shorter run, or derivative="checkpoint"',
                 RuntimeWarning,
                 stacklevel=2,
             )

@@ -1,12 +1,12 @@
-"""Measurements of what a scheme conserves, by autodiff and by running it, never by a formula of the scheme.
+"""Measurements of what a scheme conserves, by autodiff and by runs, never by a formula of the scheme.
 
 | | |
 |---|---|
-| `certify` | all of it from one state, with verdicts: energy, momentum, form, order, reversibility |
+| `certify` | all conservation properties from one state, with verdicts: energy, momentum, form, order, reversibility |
 | `energy_error`, `momentum_error`, `constraint_error` | along a trajectory |
-| `linearization`, `symplectic_defect`, `poisson_error` | Lₙ of a step by `jacfwd`, and the symplectic form by it |
-| `order`, `local_error`, `reversibility` | accuracy by runs with several step sizes, in one step, and the way back |
-| `flow` | the motion by collocation of order 16, to compare with |
+| `linearization`, `symplectic_defect`, `poisson_error` | Lₙ of a step by `jacfwd`, and whether it is symplectic |
+| `order`, `local_error`, `reversibility` | accuracy of runs, and of one step; time symmetry |
+| `flow` | the motion by collocation of order 16, as a reference |
 | `lyapunov`, `megno`, `section`, `delay` | chaos: exponents, MEGNO, Poincaré sections, delay plots |
 | `modified_energy` | the first terms of the Hamiltonian that a symplectic splitting conserves |
 | `equilibrium`, `normal_modes` | relative equilibria, frequencies of small oscillations, stability with its margin |

@@ -28,7 +28,7 @@ _SPAN = 8  # the number of steps of size dt over which the order is measured
 
 
 class Certificate(NamedTuple):
-    """Conservation properties of a step, measured from one state; `print` it.
+    """Conservation properties of a step, measured from one state; `print` shows them with verdicts.
 
     Attributes:
         scheme: name of the step.
@@ -36,21 +36,22 @@ class Certificate(NamedTuple):
         precision: "float64" or "float32".
         dt: step size.
         num_steps: length of the run that gives energy, momentum, constraint, residual and converged.
-        energy: max|H_n − H₀| / |H₀|; of H less work where the state counts work.
+        energy: max|H_n − H₀| / |H₀|; for H less work if the state counts work.
         momentum: max|Φ_n − Φ₀| / max|Φ₀| over the components of the momentum map; nan if there is none.
         constraint: largest defect of the configuration, such as ||q|² − 1|.
         symplectic_defect: max|Lᵀω(z₁)L − ω(z₀)| of the first step, momenta measured in max|π|.
-        symplectic_order: r of a defect O(Δtʳ) per step, from dt and dt/2; inf if the defect is round-off. Below
-            order + 1 it is that of the motion, which dissipates or has torques without a potential, or of steps that
+        symplectic_order: r of a defect O(Δtʳ) per step, from dt and dt/2; inf if the defect is round-off. If r is below
+            order + 1, the motion itself is not symplectic (dissipation, or torques without a potential), or the steps
             vary with the state.
         order: measured order of accuracy; inf if exact to round-off.
         reversibility: max|z − step(step(z, dt), −dt)|, momenta measured in max|π|.
         residual: largest residual of the run.
         converged: whether every step converged.
         work: whether the state counts work.
-        clock: what rounding of the time does to the energy less work, relative: √n·ulp(t)·max|power| / |H₀|.
+        clock: the relative error of energy less work that rounding of the time causes, √n·ulp(t)·max|power| / |H₀|.
         own_time: whether the steps vary with the state.
-        cancellation: the sum of the absolute terms of the momentum map over max|Φ₀|; its rounding is as much larger.
+        cancellation: the sum of the absolute terms of the momentum map over max|Φ₀|, the factor by which its rounding
+            error is larger.
     """
 
     scheme: str
@@ -93,20 +94,20 @@ class Certificate(NamedTuple):
         return "\n".join([head, *lines])
 
     def _form(self) -> str:
-        """The verdict on the form. A step of order r errs as dt^(r+1): a larger defect is that of the motion itself."""
+        """The verdict on the form. A step of order r has a defect O(dt^(r+1)); a larger one is that of the motion."""
         if math.isinf(self.symplectic_order):
             return "exact to round-off a step"
         law = f"as dt^{self.symplectic_order:.2f} a step"
         if self.symplectic_order < self.order + 0.5 and not self.own_time:
-            return f"not kept by the motion itself: it changes {law}"
+            return f"not conserved by the motion itself: it changes {law}"
         return f"broken {law}"
 
 
 def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate | ThermalCertificate:
     """Measure what `step` conserves from `state`: energy, momentum, form, order, reversibility.
 
-    Of a step with noise (`schemes.langevin`): whether its heat is exact, how the energy less heat changes, and whether
-    the canonical measure has a bias.
+    For a step with noise (`schemes.langevin`) it measures whether the heat is exact, the change of energy less heat,
+    and whether the canonical measure has a bias.
 
     Args:
         step: a scheme's step.
@@ -114,8 +115,11 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate 
         dt: step size.
         num_steps: length of the run along which the invariants are measured.
 
+    Returns:
+        A `Certificate`, or a `ThermalCertificate` for a step with noise; `print` shows the verdicts.
+
     Raises:
-        ValueError: as `integrate`.
+        ValueError: as in `integrate`.
     """
     if isinstance(step, Step) and step.deterministic is not None:
         return certify_thermostat(step, state, dt, num_steps)
@@ -153,10 +157,10 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate 
 
 
 class MeasuredInvariants(NamedTuple):
-    """What a run shows of its invariants: largest errors, and the sizes that they are relative to.
+    """The largest errors of invariants in a run, and the sizes to which they are relative.
 
     Attributes:
-        energy, size: max|H_n − H₀| and |H₀|; of H less work where the state counts work, its size that of H.
+        energy, size: max|H_n − H₀|, for H less work if the state counts work, and |H₀|.
         momentum, total, terms: max|Φ_n − Φ₀|, max|Φ₀|, and the largest sum of absolute terms of a component of Φ₀;
             nan, 0 and 0 where there is no momentum map.
         constraint: the largest defect of the configuration.
@@ -196,7 +200,7 @@ def _terms(system: System, state: State) -> Array:
 
 
 def _on_arrays(step: Step) -> Step:
-    """The step with the arithmetic of its group on whole arrays, if it has both: the same equations, compiled sooner.
+    """The step with the arithmetic of its group on whole arrays, if it has both, which compiles faster.
 
     The derivative of a step on SO(4) written out in scalars has 28 000 operations.
     """
@@ -213,14 +217,14 @@ def _fields(step: object) -> set[str]:
 
 @partial(compiled, once=True)
 def _form_defect(step: Step, state: State, dt: Array) -> Scalar:
-    """The symplectic defect with δq and δp in units of the state, such as max|π|: it does not depend on ours."""
+    """The symplectic defect with δq and δp in units of the state, such as max|π|, so that it is dimensionless."""
     of_q, of_p = units(step.system.phase_space, state)
     unit = jnp.sqrt(jnp.concatenate([of_q / of_p, of_p / of_q]))
     return jnp.max(jnp.abs(unit[:, None] * defect_matrix(step, state, dt) * unit))
 
 
 def _clock_error(states: State, dt: float) -> float:
-    """√n·ulp(t)·max|power| of a run that saved every step, the power being that of the work counted; else 0."""
+    """√n·ulp(t)·max|power| of a run that saved every step, with the power of the work; 0 if no work is tracked."""
     if states.work is None or states.t is None or len(states.work) < 2:
         return 0.0
     power = np.abs(np.diff(np.asarray(states.work))).max() / abs(dt)

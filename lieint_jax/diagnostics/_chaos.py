@@ -1,11 +1,11 @@
-"""Chaos: Lyapunov exponents and MEGNO, from the tangent vectors that a step carries along, and Poincaré sections.
+"""Chaos: Lyapunov exponents and MEGNO, from the tangent flow of a step, and Poincaré sections.
 
     spectrum   W ← L_n … L_1 W, now and then W = QR, W ← Q, growth ← growth + ln R_ii;   λ_i = growth_i / t
     MEGNO      Y_n = (2/n) Σ_k k ln(|δ_k| / |δ_{k−1}|),   its mean (1/n) Σ_k Y_k
 
 L is the derivative of the step itself (`Step.tangent`), so these are the exponents of the discrete flow. The momentum
-coordinates of a tangent vector are measured in the largest component of the initial momentum: exponents do not depend
-on this in the limit, but converge in any units.
+coordinates of a tangent vector are in units of the largest component of the initial momentum: the limits of the
+exponents do not depend on this, and they converge for any units of the state.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ class Lyapunov(NamedTuple):
     """Finite-time Lyapunov exponents.
 
     Attributes:
-        exponents: over the whole run, (k,), in 1/time; for dt < 0 those of the flow backwards.
+        exponents: the exponents of the whole run, (k,), in 1/time; for dt < 0 those of the backward flow.
         errors: their standard errors, (k,), from the spread of batches of growing length, see `standard_error`; nan for
-            a single batch. On average they are 0.7 to 1.2 times the scatter of many starts if the memory of the motion
-            is at most a tenth of the run. Where a chaotic motion sticks to islands for longer, they are too small;
-            then use the scatter of many starts. They do not contain the bias of a finite time, about ln(t)/t, which
-            is the whole error on a regular motion.
+            a single batch. On average they are 0.7 to 1.2 times the scatter of many initial states if correlations
+            decay within a tenth of the run. Where a chaotic motion sticks to islands for longer, they are too small;
+            then use the scatter of many initial states. They do not contain the bias of a finite time, about ln(t)/t,
+            which is the whole error on a regular motion.
         growth: ln of the growth of each tangent vector in each batch, (batches, k); its sum over the batches is
             exponents × |time|.
         info: the largest residual of the steps, and whether all converged.
@@ -57,8 +57,8 @@ class Megno(NamedTuple):
 
     Attributes:
         value: Y at the end, a scalar, which oscillates.
-        mean: the mean of Y over the run: tends to 2 on a quasi-periodic motion, to 0 to 2 on a periodic one, and grows
-            like λt/2 on a chaotic one.
+        mean: the mean of Y over the run: it tends to 2 on a quasi-periodic motion, to a value from 0 to 2 on a periodic
+            one, and grows like λt/2 on a chaotic one.
         info: the largest residual of the steps, and whether all converged.
     """
 
@@ -81,8 +81,9 @@ def lyapunov(
 ) -> Lyapunov:
     """The Lyapunov exponents of a run, the largest first in the limit, by QR decompositions of its tangent flow.
 
-    In constant memory. Of a symplectic step the exponents come in pairs ±λ in the limit, and their sum is round-off at
-    any time. Use jax.vmap over states, or `li.ensemble.over_members` to use all cores. A failed step shows in `info`.
+    The memory is constant. The exponents of a symplectic step come in pairs ±λ in the limit, and their sum is round-off
+    at any time. Use jax.vmap for many states, or `li.ensemble.over_members` to use all cores. A failed step shows in
+    `info`.
 
     Args:
         step: a step; its `tangent` in closed form makes this fast.
@@ -91,13 +92,17 @@ def lyapunov(
         num_steps: a multiple of `every`.
         exponents: how many of the largest, 1 to 2d; by default 2d, the spectrum.
         every: steps between two QR decompositions. Errors of rounding grow with the vectors in between.
-        vectors: initial tangent vectors (2d, k) in the phase space's coordinates, in place of `exponents`: such as
-            those of an invariant subspace. By default some of no special direction.
-        batches: the number of parts of the run whose growth is returned, of equal length to one QR decomposition. The
-            standard errors use windows from one part to a quarter of the run.
+        vectors: initial tangent vectors (2d, k) in the phase space's coordinates, in place of `exponents`, such as
+            those of an invariant subspace. By default fixed vectors of generic directions.
+        batches: the number of parts of the run whose growth is returned, of equal length up to one QR decomposition.
+            The standard errors use windows from one part to a quarter of the run.
+
+    Returns:
+        A `Lyapunov`.
 
     Raises:
-        ValueError: a bad count, vectors of another shape, a step with its own time, a first step that fails.
+        ValueError: a bad count, vectors of another shape, a step that advances the time itself, or a first step that
+            does not converge.
 
     Source: Benettin, Galgani, Giorgilli & Strelcyn 1980, Meccanica 15; for the errors, see `standard_error`.
     """
@@ -128,7 +133,7 @@ def lyapunov(
 def _in_time(step: Step) -> Step:
     """The step, if its dt is one of time."""
     if step.own_time:
-        raise ValueError(f"exponents count time, and the dt of {step.name} is of a fictitious one: take its base step")
+        raise ValueError(f"the dt of {step.name} is a step of a fictitious time, not of time: pass its base step")
     return step
 
 
@@ -144,7 +149,7 @@ def _lyapunov(
         state, last, T = advance_frame(state, n, T)
         return (state, T, info.merge(last), n + 1), None
 
-    def orthonormalized(carry: PyTree, _: None) -> tuple[PyTree, None]:
+    def orthonormal_interval(carry: PyTree, _: None) -> tuple[PyTree, None]:
         (state, frame, info, n), growth = carry
         batch = n // every * batches // rounds
         (state, T, info, n), _ = lax.scan(interval, (state, unit * frame, info, n), None, length=every)
@@ -154,7 +159,7 @@ def _lyapunov(
 
     begin = (state, orthonormal(frame / unit)[0], StepInfo.fresh(state.p), zero)
     growth = jnp.zeros((batches, frame.shape[1]), frame.dtype)
-    ((_, _, info, _), growth), _ = lax.scan(orthonormalized, (begin, growth), None, length=rounds)
+    ((_, _, info, _), growth), _ = lax.scan(orthonormal_interval, (begin, growth), None, length=rounds)
     between = jnp.abs(dt) * every
     lengths = between * np.bincount(np.arange(rounds) * batches // rounds, minlength=batches)
     errors = standard_error(growth / lengths[:, None])
@@ -166,12 +171,15 @@ def standard_error(series: Array) -> Array:
 
     With V_w the variance of the mean from all windows of w neighbors, w = 1, 2, 4, …, up to a quarter of the series,
     it is the square root of the largest of V_1 and 2V_w − V_{w/2}. Where values are correlated, V_w grows with w to a
-    plateau that it approaches like 1/w; the difference removes this bias. The largest of several estimates is on
-    average 1.2 times the error of uncorrelated values. It is 0.85 of the error where correlations decay over a tenth of
-    the series, and 0.6 of it over a fifth.
+    plateau that it approaches like 1/w; the difference removes this bias. As the largest of several estimates, it is on
+    average 1.2 times the error of uncorrelated values. It is 0.85 times the error where correlations decay over a tenth
+    of the series, and 0.6 times where they decay over a fifth.
 
     Args:
-        series: values at equal distances, the first axis; nan for a single value.
+        series: values at equal intervals along the first axis.
+
+    Returns:
+        The standard error, of the shape of one value; nan for a single value.
 
     Source: Flyvbjerg & Petersen 1989, J. Chem. Phys. 91 (blocks of growing length); Meketon & Schmeiser 1984, Winter
         Simulation Conf. (overlapping batches); Vats & Flegal 2022, Biometrika 109 (the difference).
@@ -202,16 +210,20 @@ def orthonormal(W: TangentVectors) -> tuple[Array, Array]:
 
 @old_calls()
 def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, *, vector: ArrayLike | None = None) -> Megno:
-    """MEGNO of a run, which tells a chaotic motion from a regular one sooner than the exponent does.
+    """MEGNO of a run, which distinguishes chaotic from regular motion in a shorter run than Lyapunov exponents do.
 
-    In constant memory. Take jax.vmap over states, `li.ensemble.over_members` to use all cores.
+    The memory is constant. Use jax.vmap for many states, or `li.ensemble.over_members` to use all cores.
 
     Args:
         step, state, dt, num_steps: as in `integrate`.
-        vector: the initial tangent vector (2d,) in the phase space's coordinates; by default of no special direction.
+        vector: the initial tangent vector (2d,) in the phase space's coordinates; by default of a generic direction.
+
+    Returns:
+        A `Megno`.
 
     Raises:
-        ValueError: a bad count, a vector of another shape, a step with its own time, a first step that fails.
+        ValueError: a bad count, a vector of another shape, a step that advances the time itself, or a first step that
+            does not converge.
 
     Source: Cincotta & Simó 2000, Astron. Astrophys. Suppl. 147; Cincotta, Giordano & Simó 2003, Physica D 182.
     """
@@ -244,7 +256,7 @@ def _megno(step: Step, state: State, dt: Array, vector: PhaseVector, num_steps: 
 
 
 def _generic(dim: int) -> np.ndarray:
-    """Orthonormal columns (dim, dim) of no special direction, the same in every run."""
+    """Orthonormal columns (dim, dim) of generic directions, the same in every run."""
     return np.linalg.qr(np.random.default_rng(0).normal(size=(dim, dim)))[0]
 
 
@@ -261,25 +273,25 @@ def section(
 ) -> Event:
     """A Poincaré section of an ensemble: the first `count` states of each member at which `condition` changes its sign.
 
-    Every point is that of a shorter step from the last whole one, so it has the invariants of the step.
+    Every point comes from a shorter step from the last node before, so it has the invariants of the step.
 
     Args:
         step, dt: as in `integrate`.
         states: initial states, every leaf with a leading member axis; the time may be shared.
         condition: a smooth function of the state of one member with a scalar value, 0 on the surface.
-        max_steps: the most steps to look through, > 0.
-        count: points of each member.
+        max_steps: the largest number of steps to search, > 0.
+        count: the number of points per member.
         direction: 1 for crossings from − to +, −1 for those from + to −, 0 for both.
 
     Returns:
         An `Event` whose leaves have leading axes (members, count). Where `found` is False, the member did not cross so
-        often within `max_steps`, or a step failed: leave these points out.
+        often within `max_steps`, or a step failed: ignore these points.
 
     Raises:
         ValueError: as in `event`.
     """
     if not isinstance(states, State) or jnp.ndim(states.p) < 2:
-        raise ValueError("states must be a State whose leaves have a leading member axis; for one body take event")
+        raise ValueError("states must be a State whose leaves have a leading member axis; for one body use event")
     shared = states.t is not None and jnp.ndim(states.t) == 0
     axes: PyTree = jax.tree.map(lambda _: 0, states)
     axes = axes._replace(t=None) if shared else axes

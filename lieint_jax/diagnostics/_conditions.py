@@ -1,17 +1,17 @@
 """The paper's conditions of conservation as residuals of a step: (3.5), (4.5)–(4.22), (5.25)–(5.31), Results 13, 14.
 
-A step is known by its end z_{n+1} and its linearization L alone; no formula of the scheme is used. Momenta Π and
+Only the end z_{n+1} of a step and its linearization L are used, no formula of the scheme. Momenta Π and
 rotations τ = q_n⁻¹q_{n+1} are those of the two states, Ω_{n+½} = m⁻¹½(Π_n + Π_{n+1}), 𝓕 = (π_{n+1} − π_n)/Δt. With
 
     Θ = Δt m⁻¹ Π_{n+α},    Π_{n+α} = (1−α)Π_n + αΠ_{n+1}
 
-(α = ½ but for a step that states its `velocity_weight`), δΘ follows from L, and so do the matrices of
+(α = ½ except for a step that defines its `velocity_weight`), δΘ follows from L, and so do the matrices of
 
     Ad⁻¹_{q_{n+1}}(δq_{n+1} − δq_n) = H δΘ,    (δπ_{n+1} − δπ_n)/Δt = F_n δq_n + G_n δΘ    (6.24), (5.50)
 
-from the columns of δπ_n and δq_n. H of the former is found from δπ_n; that it serves δq_n too is the condition "5.43":
-the step is of the paper's class. Without a potential every step is that commutes with left translations, the exact
-flow too: there is a τ(Θ) for each.
+from the columns of δπ_n and δq_n. H is computed from δπ_n; that it is valid for δq_n as well is the condition "5.43",
+that the step is of the paper's class. Without a potential every step that commutes with left translations is of this
+class, including the exact flow: there is a τ(Θ) for each.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ EQUATIONS = {
     "2.18": ("momentum", "π_{n+1} = π_n"),
     "2.22": ("group", "T Tᵀ = 1"),
     "2.27": ("energy", "⟨Π_{n+1} − Π_n, Ω_{n+½}⟩ = 0"),
-    "4.3": ("momentum", "the momentum of the symmetry is kept (Result 6)"),
-    "5.44": ("momentum", "the momentum of the symmetry is kept"),
+    "4.3": ("momentum", "the momentum of the symmetry is conserved (Result 6)"),
+    "5.44": ("momentum", "the momentum of the symmetry is conserved"),
     "6.7": ("momentum", "rot[𝓕 F_{n+1−β}ᵀ] = 0"),
     "5.25": ("energy", "⟨mΩ, (2(1 + Ad_τ)⁻¹ − 1)Ω⟩ = 0, Ω = Ω_{n+½}"),
     "5.26": ("(energy)", "Ad_τ Ω_{n+½} = Ω_{n+½}: sufficient for (5.25)"),
@@ -73,7 +73,7 @@ _SLACK = 64  # residuals up to so many times their rounding error are zero
 
 @pytree
 class Conditions:
-    """Residuals of the paper's conditions for one step, by equation number; `print` it.
+    """Residuals of the paper's conditions for one step, by equation number; `print` shows them as a table.
 
     Attributes:
         residuals: equation ↦ residual, a scalar: the largest entry over the unit of the equation (see `conditions`).
@@ -93,9 +93,10 @@ class Conditions:
         return self.residuals[equation] <= _SLACK * self.rounding[equation]
 
     def keeps(self, structure: str) -> Array:
-        """Whether the conditions of "momentum", "energy", "form", "group" or "class" hold to round-off, all of them.
+        """Whether all conditions of "momentum", "energy", "form", "group" or "class" hold to round-off.
 
-        Those of the form decide it for steps of the class; those in parentheses in the printed table do not count.
+        Conditions of the form are decisive for steps of the class only. Conditions in parentheses in the printed table
+        are ignored.
         """
         found = [self.holds(equation) for equation in self.residuals if EQUATIONS[equation][0] == structure]
         if not found:
@@ -124,29 +125,32 @@ def conditions(step: Step, state: State, dt: Any) -> Conditions:
     | metric and potential on a group | (5.44) | (6.22), (5.49) | Result 14, 1 to 3 |
     | pseudo-rigid body | (6.7) | (6.10) | Result 14, 1″ to 3″ |
 
-    All are in their corrected form (`lieint_jax/corrections.md`). A residual is zero to round-off where the step keeps
-    the structure. Those of the form decide it together, and only for a step of the class ("5.43", "6.5"), which
-    `splitting` is not. Three do not decide: (5.26) is sufficient only; (4.5) and (5.49) are those of energy only where
-    (5.26) holds; (4.13) follows from (3.5) for scaled Cayley maps.
+    All are in their corrected form (`lieint_jax/corrections.md`). A residual is zero to round-off if the step conserves
+    the structure. The conditions of the form are necessary and sufficient together, and only for a step of the class
+    ("5.43", "6.5"), which `splitting` is not. Three conditions are not decisive: (5.26) is only sufficient; (4.5) and
+    (5.49) are conditions of energy only where (5.26) holds; (4.13) follows from (3.5) for scaled Cayley maps.
 
-    Units: momenta, (3.5), (5.31), (4.13) and 14.1 over the largest component of π, 14.1 times (4/Δt²) m…m, which makes
-    it (5.31) for α = ½; energies over the kinetic energy and the change of V; 14.2, 14.3, (4.21), (4.22) and their like
-    over their largest terms; (5.26) over the largest component of Ω.
+    Units: momenta, (3.5), (5.31), (4.13) and 14.1 are divided by the largest component of π (14.1 is also multiplied by
+    (4/Δt²) m…m, which makes it (5.31) for α = ½); energies by the kinetic energy and the change of V; 14.2, 14.3,
+    (4.21), (4.22) and similar ones by their largest terms; (5.26) by the largest component of Ω.
 
     Args:
-        step: a step of the paper's kind: from z_n alone.
-        state: the state z_n, with a motion.
+        step: a one-step scheme, as in the paper: z_{n+1} depends on z_n only.
+        state: the state z_n, not at rest.
         dt: Δt.
 
+    Returns:
+        A `Conditions`.
+
     Raises:
-        ValueError: a system for which the paper states no such condition, a step with its own time, and as
-            `Step.check`.
+        ValueError: a system for which the paper states no such condition, a step that advances the time itself, and the
+            errors of `Step.check`.
 
     Source: Lewis & Simo 1994, Results 3 to 16.
     """
     if step.own_time:
         raise ValueError(
-            f"conditions are those of a step of given Δt, and {step.name} finds its own: give its base step"
+            f"conditions are those of a step of given Δt, and {step.name} chooses its own: give its base step"
         )
     step.check(state, dt)
     system = step.system
@@ -160,7 +164,7 @@ def conditions(step: Step, state: State, dt: Any) -> Conditions:
     else:
         raise ValueError(
             "conditions are those of the paper for left-invariant systems on groups and for pseudo-rigid bodies, got "
-            f"{type(system).__name__}; take symplectic_defect, energy_error and momentum_error"
+            f"{type(system).__name__}; use symplectic_defect, energy_error and momentum_error"
         )
     eps = jnp.finfo(state.p.dtype).eps
     return Conditions({k: x for k, (x, _) in found.items()}, {k: eps * y for k, (_, y) in found.items()}, step.name)

@@ -36,9 +36,9 @@ class Equilibrium(NamedTuple):
 
     Attributes:
         state: the state.
-        rates: ξ, (k,), the rate of the motion along each symmetry, in the order of `system.momentum`: of a free body
-            its angular velocity in space, of a top the rate about its axis, of several bodies velocity and angular
-            velocity of all. (0,) for a system without known symmetries.
+        rates: ξ, (k,), the rate of the motion along each symmetry, in the order of `system.momentum`: for a free body
+            its angular velocity in space, for a top the rate about its axis, for several bodies their common velocity
+            and angular velocity. (0,) for a system without known symmetries.
         frame: ω, (3,), the angular velocity of the axes in space in which the field is constant; 0 if it is at rest.
         residual: |dK|, relative to the second derivatives of K, in the units of the state.
     """
@@ -50,13 +50,13 @@ class Equilibrium(NamedTuple):
 
 
 class Derivatives(NamedTuple):
-    """What K is made of at a state: gradients and Hessians in the coordinates of the phase space.
+    """Gradients and Hessians of the terms of K at a state, in the coordinates of the phase space.
 
     Attributes:
-        energy, energy2: of H − ω·π, (2d,) and (2d, 2d).
-        momentum, momentum2: of Φ, (k, 2d) and (k, 2d, 2d).
+        energy, energy2: those of H − ω·π, (2d,) and (2d, 2d).
+        momentum, momentum2: those of Φ, (k, 2d) and (k, 2d, 2d).
         omega: the symplectic form, (2d, 2d).
-        unit: sizes of the coordinates, (2d,).
+        unit: the units of the coordinates, (2d,).
     """
 
     energy: np.ndarray
@@ -122,19 +122,19 @@ def equilibrium(
     free: Sequence[int] | None = None,
     frame: ArrayLike | None = None,
 ) -> Equilibrium:
-    """A relative equilibrium near a guess: a steady spin, a satellite at rest in its orbit, a synchronous binary.
+    """A relative equilibrium near a guess: a steady spin, a satellite at rest in its orbit frame, a synchronous binary.
 
-    By Newton's method for dK = 0, in the state and the rates ξ together. Relative equilibria come in families, such as
-    spins of any rate: of all those that Newton's equation allows, each correction is the shortest in the units of the
-    state. So the result is near the guess, and a guess that is an equilibrium stays. `free` selects which coordinates
-    may change.
+    It is computed by Newton's method for dK = 0, in the state and the rates ξ together. Relative equilibria come in
+    families, such as spins of any rate: of all corrections that Newton's equation allows, the shortest in the units of
+    the state is used. So the result is near the guess, and a guess that is an equilibrium does not change. `free`
+    selects the coordinates that may change.
 
     Args:
         system: a Hamiltonian system, with its known symmetries in `momentum`. It may be driven by an axis that rotates
             uniformly, as in `systems.gravity_gradient` on a circular orbit.
-        guess: a state. Of a driven system its time, which is not varied, determines the axis.
+        guess: a state. In a driven system its time, which is not varied, determines the axis.
         free: the coordinates of the phase space that may change, numbers from 0 to 2d − 1; by default all. On T*SO(3)
-            they are δθ and δπ in space; of N bodies, 6 for each body's δx and δθ, then 6 for each one's δp and δπ.
+            they are δθ and δπ in space; for N bodies, 6 for each body's δx and δθ, then 6 for each one's δp and δπ.
         frame: the angular velocity in space, (3,), of the axes in which a driven body's field is constant; by default
             that of the system's `axis`, or 0.
 
@@ -142,8 +142,8 @@ def equilibrium(
         An `Equilibrium`; `normal_modes` gives its modes and its stability.
 
     Raises:
-        ValueError: no equilibrium near the guess, a system that is not Hamiltonian or whose field is not constant in
-            rotating axes, coordinates out of range.
+        ValueError: no equilibrium is found near the guess, the system is not Hamiltonian or its field is not constant
+            in rotating axes, or coordinates are out of range.
 
     Example:
         >>> import lieint_jax as li
@@ -170,7 +170,7 @@ def equilibrium(
 
 
 def _newton(system: System, state: State, frame: Array, free: np.ndarray) -> State:
-    """The state at which dK vanishes to round-off; ValueError if corrections end before."""
+    """The state at which dK vanishes to round-off; ValueError if Newton's method does not reach it."""
     found = derivatives(system, state, frame)
     rates = found.rates()
     residual, eps = found.residual(rates), float(np.finfo(state.p.dtype).eps)
@@ -182,7 +182,7 @@ def _newton(system: System, state: State, frame: Array, free: np.ndarray) -> Sta
         for _ in range(_HALVINGS):
             delta = np.zeros(found.unit.size)
             delta[free] = correction
-            moved = _perturbed(system, state, jnp.asarray(delta * found.unit, state.p.dtype))
+            moved = _perturb(system, state, jnp.asarray(delta * found.unit, state.p.dtype))
             after = derivatives(system, moved, frame)
             less = after.residual(after.rates())
             if less < residual:
@@ -195,14 +195,14 @@ def _newton(system: System, state: State, frame: Array, free: np.ndarray) -> Sta
             break
     if not residual <= 1e4 * eps:
         raise ValueError(
-            f"no relative equilibrium was found near this state: |dK| fell to {residual:.2g} of the second derivatives "
-            "of K and no further. Begin nearer to it, or free more coordinates"
+            f"no relative equilibrium was found near this state: |dK| decreased to {residual:.2g} of the second "
+            "derivatives of K and no further. Give a closer guess, or free more coordinates"
         )
     return state
 
 
 @partial(compiled, once=True)
-def _perturbed(system: System, state: State, delta: Array) -> State:
+def _perturb(system: System, state: State, delta: Array) -> State:
     return system.phase_space.perturb(state, delta)
 
 
@@ -212,7 +212,7 @@ def _is_attitude(system: System) -> bool:
 
 
 def frame_of(system: System, state: State, given: ArrayLike | None) -> Array:
-    """ω; ValueError unless in axes that rotate with it the motion is that of a Hamiltonian without time."""
+    """ω; ValueError unless the motion in axes that rotate with ω has a time-independent Hamiltonian."""
     dtype = state.p.dtype
     if given is not None:
         omega = _checks.real_array("frame", given, (3,)).astype(dtype)
@@ -226,14 +226,14 @@ def frame_of(system: System, state: State, given: ArrayLike | None) -> Array:
     tolerance = float(np.finfo(dtype).eps) ** 0.5
     if not varying <= tolerance:
         raise ValueError(
-            f"in axes that rotate with {np.asarray(omega)} the energy changes with time, by {varying:.2g} of its "
+            f"in axes that rotate with {np.asarray(omega)} the energy depends on time, by {varying:.2g} of its "
             "gradient: a relative equilibrium needs a field at rest or one that rotates uniformly, such as that along "
             "a circular orbit. Give its angular velocity as frame=…"
         )
     if not mismatch <= tolerance:
         raise ValueError(
             f"the motion of a {type(system).__name__} is not that of its energy and phase space alone: they differ by "
-            f"{mismatch:.2g} of the motion. It dissipates, or is driven by something that the energy leaves out"
+            f"{mismatch:.2g} of the motion. It dissipates, or is driven by a force that the energy does not contain"
         )
     return omega
 
@@ -249,9 +249,9 @@ def _axis_rate(system: Any, state: State) -> Array:
 
 @partial(compiled, once=True)
 def _defects(system: System, state: State, omega: Array) -> tuple[Array, Array]:
-    """How H changes with time in the rotating axes, and how ẋ differs from the Hamiltonian field; both relative.
+    """The change of H with time in the rotating axes, and the difference of ẋ from the Hamiltonian field, relative.
 
-    The first over a revolution, at states off the given one, where neither vanishes by symmetry.
+    They are measured over a revolution, at states near the given one, where neither vanishes by symmetry.
     """
     space = system.phase_space
     unit = jnp.concatenate(units(space, state))

@@ -11,25 +11,30 @@ from lieint_jax.types.shapes import Scalar
 
 
 def local_error(step: Step, state: State, dt: ArrayLike) -> Scalar:
-    """The error of q in one step: e with q₁ = q(t + Δt) exp(e), estimated, in the algebra, (d,); on SO(3) in radians.
+    """An estimate of the error of q in one step: e in the algebra, (d,), with q₁ = q(t + Δt) exp(e); radians on SO(3).
 
     With the body velocities Ω and their rates at both ends of the step, e = log(q₀⁻¹q₁) − φ₄ where
 
         φ₄ = ½Δt(Ω₀ + Ω₁) + (Δt²/12)(Ω̇₀ − Ω̇₁) + (Δt²/12)[Ω₀, Ω₁]
 
     is the displacement to O(Δt⁵) (Magnus). The estimate is right to O(Δt⁴) for steps of order 2; for higher orders it
-    is the error of φ₄. For a step with its own time, Δt is that by which `state.t` advances. vmap it over states.
+    is the error of φ₄. For a step that advances the time itself, Δt is the change of `state.t`. Use jax.vmap for many
+    states.
 
-    It helps to choose dt. No loop here adapts the step to it: such a loop loses the form and time symmetry, and gains
-    little. Around `top_energy_momentum`, which keeps energy and γ·π at any steps, a PI controller has 0.68 to 1.35
-    times the error of as many equal steps on three heavy tops, and 53 to 57 % of the lanes of a vmapped loop are idle.
-    Where a motion has rapid phases, `reversible_control` gains nearly as much as the loop (`benchmarks/RESULTS.md`).
+    The estimate helps to choose dt. The package has no loop that adapts dt to it: such a loop loses the symplectic form
+    and time symmetry, and gains little. With `top_energy_momentum`, which conserves energy and γ·π at any step size, a
+    PI controller has 0.68 to 1.35 times the error of as many equal steps on three heavy tops, and 53 to 57 % of the
+    lanes of a vmapped loop are idle. For motions with rapid phases, `reversible_control` gains nearly as much
+    (`benchmarks/RESULTS.md`).
 
     Args:
-        step, state, dt: as of a call of the step.
+        step, state, dt: as in a call of the step.
+
+    Returns:
+        e, (d,).
 
     Raises:
-        ValueError: a system that is not on a group, and as `Step.check`.
+        ValueError: a system that is not on a group, and the errors of `Step.check`.
     """
     group: Group | None = getattr(step.system.phase_space, "group", None)
     if group is None:

@@ -1,4 +1,4 @@
-"""Runs of any length by one compiled program: what is measured of a step is measured with few compilations."""
+"""Runs of any length by one compiled program, so that measurements of a step need few compilations."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lieint_jax.types import State, Step, StepError, Trajectory, checked_step, p
 def run(step: Step, state: State, dt: Array, count: int, most: int) -> Trajectory:
     """The trajectory of `count` steps, each saved, as host arrays if they are concrete.
 
-    That of `integrate`, by the same program, for all counts up to `most`.
+    It is the trajectory of `integrate`, by one program for all counts up to `most`.
     """
     clock, _ = clock_of(step, state, dt.dtype, dt, count, None)
     most = max(count, most)
@@ -24,7 +24,7 @@ def run(step: Step, state: State, dt: Array, count: int, most: int) -> Trajector
 
 
 def checked(step: Step, state: State, dt: ArrayLike, most: int) -> tuple[Step, State, Array]:
-    """The three in one dtype; raises what `Step.check` raises if they are concrete, by the program of `run`."""
+    """Step, state and dt in one dtype, checked as by `Step.check` if they are concrete, by the program of `run`."""
     step, state, dtype = promoted(checked_step(step), state)
     h = _checks.as_array(_checks.step_size(dt), dtype)
     if not concrete(step, state, h):

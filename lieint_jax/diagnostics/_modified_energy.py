@@ -1,4 +1,4 @@
-"""The Hamiltonian that a splitting conserves better than the energy: its first terms, by derivatives along the parts.
+"""The modified Hamiltonian that a splitting conserves: its first terms, by derivatives along the parts.
 
 A step X/2, Y, X/2 of the exact flows of two parts of H = X + Y is, up to terms that are exponentially small, the exact
 flow of H + Δt²H₂ + Δt⁴H₄ + …, with Poisson brackets
@@ -49,25 +49,26 @@ _H4 = {"XXX": 7 / 5760, "YXX": 1 / 360, "XYX": 1 / 480, "YYX": 1 / 120, "XYY": -
 
 
 def modified_energy(step: Step, state: State, dt: ArrayLike, order: int = 4) -> Array:
-    """The energy that a symplectic splitting conserves to a higher order in Δt than H: H − W + Δt²H₂, and Δt⁴H₄.
+    """The modified energy of a symplectic splitting, H − W + Δt²H₂ + Δt⁴H₄: conserved to a higher order in Δt than H.
 
-    Along a run of `splitting` the energy oscillates by O(Δt²). This varies by O(Δtᵒʳᵈᵉʳ) only, so it measures what the
-    step really does: whether a drift of the energy is one, or an oscillation that was sampled badly; and how large the
-    next terms are, which says whether Δt is small. Vmap it over the states of a run.
+    Along a run of `splitting` the energy oscillates by O(Δt²), but the modified energy varies by O(Δtᵒʳᵈᵉʳ) only. It
+    distinguishes a drift of the energy from an oscillation that is sampled too rarely, and the size of its terms shows
+    whether Δt is small. Use jax.vmap for the states of a run.
 
     Args:
-        step: of `splitting`: kicks and drifts in any order, of tops, satellites, gyrostats, several bodies, groups. The
-            drift must be exact to `order`, such as `exact(system.free)`, or the symplectic `so3_midpoint`, whose own
-            error is that of an additional T₂ in H₂: then order 4 only.
+        step: a step of `splitting`, for tops, satellites, gyrostats, several bodies or groups. The drift must be exact
+            to `order`, such as `exact(system.free)`; or it is the symplectic `so3_midpoint`, whose error adds a term T₂
+            to H₂, with order 4.
         state: a state of its system.
         dt: step size.
-        order: 4 adds H₂, 6 adds H₄ too, with third derivatives of the force: on a Kepler orbit it compiles for minutes.
+        order: 4 includes H₂; 6 also H₄, with third derivatives of the force, which on a Kepler orbit compiles for
+            minutes.
 
     Returns:
         The modified energy, a scalar.
 
     Raises:
-        ValueError: another step, another order, or a drift that is not exact to this order.
+        ValueError: the step is not a splitting, the order is none of these, or the drift is not exact to this order.
 
     Source: Hairer, Lubich & Wanner, Geometric Numerical Integration, IX.3 and III.4.2; T₂: this package.
     """
@@ -75,9 +76,9 @@ def modified_energy(step: Step, state: State, dt: ArrayLike, order: int = 4) -> 
         raise ValueError(f"order must be 4 (H₂) or 6 (H₂ and H₄), got {order!r}")
     step, state, dtype = promoted(checked_step(step), state)
     if not isinstance(step, Splitting | GyrostatSplitting):
-        raise ValueError(f"the modified energy is known of schemes.splitting(…), got {step.name}")
+        raise ValueError(f"the modified energy is known for schemes.splitting(…), got {step.name}")
     _check_drift(step.drift, order)
-    return _modified(step, state, jnp.asarray(_checks.step_size(dt), dtype), order)
+    return _modified_energy(step, state, jnp.asarray(_checks.step_size(dt), dtype), order)
 
 
 def _check_drift(drift: Step, order: int) -> None:
@@ -93,7 +94,7 @@ def _check_drift(drift: Step, order: int) -> None:
 
 
 @partial(compiled, static_argnums=3)
-def _modified(step: Splitting | GyrostatSplitting, state: State, dt: Array, order: int) -> Array:
+def _modified_energy(step: Splitting | GyrostatSplitting, state: State, dt: Array, order: int) -> Array:
     parts = _parts(step)
     z = state._replace(work=None, extra=None)  # on which the parts of H do not depend
     terms = dt**2 * _brackets(parts, _H2)(z)
@@ -115,7 +116,7 @@ class _Parts(NamedTuple):
 
 
 def _parts(step: Splitting | GyrostatSplitting) -> _Parts:
-    """Kicks and drifts; of a gyrostat, rotations by the rotor and the motion of the free body."""
+    """Kicks and drifts; for a gyrostat, rotations by the rotor and the motion of the free body."""
     if isinstance(step, GyrostatSplitting):
         return _rotor_parts(step.system)
     system: Any = step.system
@@ -129,7 +130,7 @@ def _parts(step: Splitting | GyrostatSplitting) -> _Parts:
         return system.force(z.q, clock(z)) if driven else system.force(z.q)
 
     def kick(z: State) -> State:
-        return z._replace(q=jnp.zeros_like(z.q), p=force(z), t=_still(z))
+        return z._replace(q=jnp.zeros_like(z.q), p=force(z), t=_zero_time(z))
 
     def rate(z: State) -> Array:
         """{V, T} = L_T V: the rate of V in free motion, −force·velocity, and ∂V/∂t."""
@@ -148,10 +149,10 @@ def _rotor_parts(system: AbstractGyrostat) -> _Parts:
 
     def drift(z: State) -> State:
         moving = system.free.vector_field(z)
-        return z._replace(q=moving.q, p=moving.p, t=_still(z))
+        return z._replace(q=moving.q, p=moving.p, t=_zero_time(z))
 
     def rotate(z: State) -> State:
-        return z._replace(q=so3.tangent(z.q, -jnp.stack(velocity)), p=jnp.zeros_like(z.p), t=_still(z))
+        return z._replace(q=so3.tangent(z.q, -jnp.stack(velocity)), p=jnp.zeros_like(z.p), t=_zero_time(z))
 
     def rate(z: State) -> Array:
         Pi = so3.Ad_star(z.q, z.p)
@@ -161,7 +162,7 @@ def _rotor_parts(system: AbstractGyrostat) -> _Parts:
     return _Parts({"X": rotate, "Y": drift}, rate)
 
 
-def _still(z: State) -> Array | None:
+def _zero_time(z: State) -> Array | None:
     return None if z.t is None else jnp.zeros_like(z.t)
 
 

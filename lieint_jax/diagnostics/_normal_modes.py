@@ -2,10 +2,10 @@
 
     δẋ = Aδx,    A = −ω⁻¹ d²K      in axes that move with the equilibrium, K as in `_equilibrium`
 
-Of a symmetric system A has eigenvalues that do not bear on stability: 0 for a shift along the motion and for a change
-of the conserved momentum, ±i|ξ| for a tilt of all. They belong to the group, and are computed from it. The others are
-those of the symplectic slice, the perturbations that leave the momentum, modulo the motions along symmetries that leave
-it too.
+For a system with symmetries A has eigenvalues that do not affect stability: 0 for a shift along the motion and for a
+change of the conserved momentum, ±i|ξ| for a common tilt. They belong to the group, and are computed from it. The
+others are those of the symplectic slice: the perturbations that conserve the momentum, modulo the motions along
+symmetries that conserve it too.
 """
 
 from __future__ import annotations
@@ -27,22 +27,23 @@ _RANK = 1e-7  # of the dimension of a space: singular values below this part of 
 class NormalModes(NamedTuple):
     """The linearized flow about a relative equilibrium. Made by `normal_modes`.
 
-    The first m entries are the modes proper, by ascending frequency; the other d − m are motions of the whole along
-    symmetries, with the frequencies 0 and those of the rotating axes, which have no part in the stability.
+    The first m entries are the oscillation modes, by ascending frequency; the other d − m are motions along symmetries,
+    with the frequencies 0 and those of the rotating axes, which do not affect stability.
 
     Attributes:
         frequencies: (d,), rad per unit of time, ≥ 0: the imaginary parts, in axes that move with the equilibrium.
-        growth: (d,), rates of growth ≥ 0, 1 per unit of time: the real parts; 0 for a mode that is stable. The
-            eigenvalues are ±growth ± i frequency.
-        signs: (m,), the sign of the energy K of each mode (Krein's signature); 0 for one that grows or has the
+        growth: (d,), rates of growth ≥ 0, per unit of time: the real parts; 0 for a stable mode. The eigenvalues are
+            ±growth ± i frequency.
+        signs: (m,), the sign of the energy K of each mode (Krein's signature); 0 for a mode that grows or has the
             frequency 0.
         vectors: (2d, m), complex, the modes in the coordinates of the phase space.
         stable: whether no eigenvalue has a real part (spectral stability).
-        definite: whether K has an extremum on the slice, in all directions in which it is not flat: stable for
-            perturbations of finite size too, which dissipation does not change where it is a minimum.
-        margin: of a stable equilibrium, how near the frequencies are to a collision by which stability can be lost: the
-            least frequency, or the least distance of two frequencies of opposite sign, rad per unit of time. Of an
-            unstable one −max(growth). Frequencies 0, of symmetries that the system does not declare, do not count.
+        definite: whether K has an extremum on the slice, in all directions in which it is not constant: then the
+            equilibrium is nonlinearly stable, and remains stable under dissipation if it is a minimum.
+        margin: for a stable equilibrium, the distance of the frequencies from a collision at which stability can be
+            lost: the least frequency, or the least difference of two frequencies of opposite sign, in rad per unit of
+            time. For an unstable one, −max(growth). Frequencies 0, due to symmetries that the system does not declare,
+            are ignored.
     """
 
     frequencies: Array
@@ -64,18 +65,18 @@ def normal_modes(system: System, state: State | Equilibrium, *, frame: ArrayLike
     """The frequencies of small oscillations about a relative equilibrium, and whether it is stable, with a margin.
 
     Eigenvalues are paired exactly, ±λ. Real and imaginary parts below 1e-7 of the largest eigenvalue (in float32 3e-3)
-    are set to 0: those of a double eigenvalue 0, of a symmetry that the system does not declare, are of that size.
+    are set to 0, the size of the errors of a double eigenvalue 0 due to a symmetry that the system does not declare.
 
     Args:
         system: as in `equilibrium`.
-        state: a relative equilibrium to 1e-6, such as `equilibrium` finds.
+        state: a relative equilibrium to 1e-6, such as the result of `equilibrium`.
         frame: as in `equilibrium`.
 
     Returns:
         A `NormalModes`.
 
     Raises:
-        ValueError: a state that is no relative equilibrium; as `equilibrium`.
+        ValueError: the state is not a relative equilibrium; and the errors of `equilibrium`.
 
     Example: the wobble of a spin about the axis of greatest moment.
 
@@ -98,14 +99,14 @@ def normal_modes(system: System, state: State | Equilibrium, *, frame: ArrayLike
     residual, eps = found.residual(rates), float(np.finfo(at.p.dtype).eps)
     if not residual <= max(1e-6, 1e3 * eps):
         raise ValueError(
-            f"this state is no relative equilibrium: |dK| is {residual:.2g} of the second derivatives of K. "
+            f"this state is not a relative equilibrium: |dK| is {residual:.2g} of the second derivatives of K. "
             "li.equilibrium(system, state) finds one near it"
         )
     return _modes(found, rates, 8 * eps**0.5)
 
 
 def _modes(found: Derivatives, rates: np.ndarray, small: float) -> NormalModes:
-    """All of it in units of the state, in which no coordinate is large."""
+    """The modes, computed in units of the state, in which no coordinate is large."""
     S, unit = found.hessian(rates), found.unit
     omega, along = unit[:, None] * found.omega * unit, found.momentum * unit
     A = -np.linalg.solve(omega, S)
@@ -152,7 +153,7 @@ def _slice(omega: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def _pairs(A: np.ndarray, small: float) -> tuple[np.ndarray, np.ndarray]:
     """One eigenvalue of each pair ±λ of a Hamiltonian matrix, by ascending frequency, and their vectors as columns."""
     values, vectors = np.linalg.eig(A)
-    values = _rounded(values, small * np.abs(values).max(initial=0))
+    values = _round_to_zero(values, small * np.abs(values).max(initial=0))
     rest, chosen, paired = list(range(len(values))), [], []
     while rest:
         first = max(rest, key=lambda i: (np.imag(values[i]), np.real(values[i])))
@@ -165,7 +166,7 @@ def _pairs(A: np.ndarray, small: float) -> tuple[np.ndarray, np.ndarray]:
     return np.array([paired[i] for i in order], complex), vectors[:, [chosen[i] for i in order]].astype(complex)
 
 
-def _rounded(values: np.ndarray, least: float) -> np.ndarray:
+def _round_to_zero(values: np.ndarray, least: float) -> np.ndarray:
     """Eigenvalues without real and imaginary parts below `least`."""
     real, imaginary = (np.where(np.abs(x) <= least, 0, x) for x in (np.real(values), np.imag(values)))
     return real + 1j * imaginary
@@ -174,8 +175,8 @@ def _rounded(values: np.ndarray, least: float) -> np.ndarray:
 def _group_rates(A: np.ndarray, orbit: np.ndarray, omega: np.ndarray, along: np.ndarray, small: float) -> np.ndarray:
     """One eigenvalue of each pair that belongs to the symmetries.
 
-    On the motions along symmetries A has the eigenvalues of ad ξ: in pairs where the form does not vanish on them, and
-    else one of each pair, whose partner belongs to the change of the momentum.
+    On the motions along symmetries A has the eigenvalues of ad ξ: pairs where the form does not vanish on them,
+    otherwise one of each pair, whose partner belongs to the change of the momentum.
     """
     if not orbit.shape[1]:
         return np.zeros(0, complex)
@@ -185,13 +186,13 @@ def _group_rates(A: np.ndarray, orbit: np.ndarray, omega: np.ndarray, along: np.
     quotient = moved.T @ A @ moved  # modulo the isotropy, which A maps to itself
     values = np.linalg.eigvals(isotropy.T @ A @ isotropy)
     scale = max(np.abs(np.linalg.eigvals(orbit.T @ A @ orbit)).max(initial=0), 1e-300)
-    values = _rounded(values, small * scale)
+    values = _round_to_zero(values, small * scale)
     found = np.concatenate([_pairs(quotient, small)[0], values])
     return found[np.argsort(np.abs(np.imag(found)), kind="stable")]
 
 
 def _signs(pairs: np.ndarray, vectors: np.ndarray, energy: np.ndarray) -> np.ndarray:
-    """The sign of the energy of each oscillation; for frequencies that are equal, that of the vectors as found."""
+    """The sign of the energy of each oscillation; for equal frequencies, that of the computed vectors."""
     values = np.einsum("im,ij,jm->m", vectors.conj(), energy, vectors)
     oscillating = (np.real(pairs) == 0) & (np.imag(pairs) > 0)
     return np.where(oscillating, np.sign(np.real(values)), 0).astype(int)

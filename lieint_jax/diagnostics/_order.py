@@ -22,11 +22,18 @@ _STAGES, _ITERATIONS = 8, 24
 
 
 def flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
-    """The state after time t, by Gauss–Legendre collocation of order 16 for `system.vector_field` as it stands.
+    """A reference solution: the state after time t, by Gauss–Legendre collocation of order 16 of `system.vector_field`.
 
-    A reference that shares nothing with the schemes: ambient coordinates, stages by fixed-point iteration. Its error is
-    a few round-offs for |t Ω| / num_steps ≤ 1/2. Source: Hairer, Lubich & Wanner, Geometric Numerical Integration,
-    II.1.3.
+    It shares no code with the schemes: it uses ambient coordinates, and fixed-point iteration for the stages. Its error
+    is a few round-offs for |t Ω| / num_steps ≤ 1/2.
+
+    Args:
+        system: the system.
+        state: the initial state.
+        t: the time, of either sign.
+        num_steps: the number of steps.
+
+    Source: Hairer, Lubich & Wanner, Geometric Numerical Integration, II.1.3.
     """
     return _flow(system, state, t, num_steps)
 
@@ -48,8 +55,8 @@ def _flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
 def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
     """The order of accuracy, fitted to the errors at time T = num_steps·dt of runs with different step sizes.
 
-    The sizes are dt, dt/2, dt/4; if fewer than two of these have errors above round-off, also 2dt, 4dt, … up to T. A
-    run whose step has its own time is compared with the flow at the time at which the run ends.
+    The sizes are dt, dt/2, dt/4; if fewer than two of these have errors above round-off, also 2dt, 4dt, … up to T. If
+    the step advances the time itself, a run is compared with the flow at the time at which the run ends.
 
     Args:
         step: a scheme's step.
@@ -59,7 +66,7 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
 
     Returns:
         The slope of log error against log step size, over the converged runs with errors above the floor of round-off;
-        inf if there are fewer than two such runs: the scheme is exact as far as can be measured.
+        inf if there are fewer than two such runs, that is, if no error is measurable.
     """
     most = 4 * num_steps
     step, state, _ = _measure.checked(step, state, dt, most)
@@ -67,7 +74,7 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
 
 
 def fitted_order(step: Step, state: State, dt: float, num_steps: int, most: int) -> float:
-    """`order` of what is checked, by the program of runs of up to `most` steps."""
+    """`order` of checked arguments, by the program of runs of up to `most` steps."""
     dtype, T = state.p.dtype, num_steps * dt
     floor = 100 * np.sqrt(num_steps) * float(jnp.finfo(dtype).eps)
     seen: dict[float, float] = {}
@@ -105,7 +112,7 @@ def _distance(step: Step, a: State, b: State) -> Scalar:
 def distance(a: State, b: State, space: PhaseSpace | None = None) -> Scalar:
     """The largest difference of two states, in q, and in p over the largest component of p: dimensionless.
 
-    In the units of the phase space, if it is given and has its own.
+    If a phase space with its own units is given, differences are in these units.
     """
     if space is not None and getattr(space, "units", None):
         return jnp.max(jnp.abs(space.displacement(b, a) / jnp.concatenate(units(space, b))))
@@ -133,7 +140,7 @@ def reversibility(step: Step, state: State, dt: ArrayLike) -> Scalar:
 
 
 def shown_reversibility(step: Step, state: State, dt: Array, most: int) -> Scalar:
-    """`reversibility` of what is checked, by the program of runs of up to `most` steps."""
+    """`reversibility` of checked arguments, by the program of runs of up to `most` steps."""
     back = as_array(-np.asarray(dt)) if concrete(dt) else -dt
     there = _measure.last(_measure.run(step, state, dt, 1, most))
     return _distance(step, _measure.last(_measure.run(step, there, back, 1, most)), state)

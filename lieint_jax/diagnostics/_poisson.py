@@ -37,7 +37,7 @@ _OTHERS = (
 def poisson_error(
     step: Step, state: State, dt: ArrayLike, num_steps: int, *, method: _Method | None = None
 ) -> TimeSeries:
-    """The Poisson error of a run: zero for ever if and only if its steps are symplectic.
+    """The Poisson error along a run, which is zero if and only if all its steps are symplectic.
 
     The linearized steps transport the Poisson matrix, P_{n+1} = L_n P_n L_nᵀ (5.34) from P₀ = ω⁻¹(z₀). For
     left-invariant systems on T*G without potential, P_n stays of the form [[σ_n, −1], [1, α]] (5.35), and the error is
@@ -49,11 +49,14 @@ def poisson_error(
         dt: step size.
         num_steps: the number of steps.
         method: "recursion" sums (5.36) from the block C_n of the linearized step (5.29), and stays at round-off for a
-            symplectic scheme; "product" multiplies by (5.34) and takes the block σ_n. For systems without potential
-            both give the same, and "recursion" is the default; the others have "product" only.
+            symplectic scheme; "product" multiplies by (5.34) and returns the block σ_n. For left-invariant systems
+            without potential both give the same, and "recursion" is the default; all others require "product".
+
+    Returns:
+        The error, of one of the shapes above.
 
     Raises:
-        ValueError: a bad count, another method, or "recursion" for a system with a potential, with a right-invariant
+        ValueError: a bad count, an unknown method, or "recursion" for a system with a potential, with a right-invariant
             metric, or not on a T*G.
     """
     num_steps = _checks.count("num_steps", num_steps, 0)
@@ -65,7 +68,7 @@ def poisson_error(
         if method == "recursion":
             raise ValueError(
                 f"the recursion (5.36) is for left-invariant systems on T*G without potential, got "
-                f"{type(step.system).__name__}; take method='product'"
+                f"{type(step.system).__name__}; use method='product'"
             )
         return _all_errors(step, state, dt, num_steps)
     if method == "product":

@@ -14,16 +14,16 @@ def energy_error(system: System, trajectory: Trajectory, system_axis: Axis = "au
     """H(z_n) − W_n − H(z₀) + W₀ in units of energy; W is `state.work`, 0 if it is not counted.
 
     Args:
-        system: that of the trajectory.
-        trajectory: of one body, or of a batch with the axes (time, member) of `ensemble.run`.
-        system_axis: of a batch, None if all members have one system, 0 if each has its own, on the leading axis of the
-            leaves (`step_axis=0` of `ensemble.run`); "auto" finds it by the shapes where they tell.
+        system: the system of the trajectory.
+        trajectory: a trajectory of one body, or of a batch with the axes (time, member) of `ensemble.run`.
+        system_axis: for a batch, None if all members have one system, 0 if there is one per member, on the leading axis
+            of the leaves (`step_axis=0` of `ensemble.run`); "auto" infers it from the shapes.
 
     Returns:
         Shape (n+1,), or (n+1, members).
 
     Raises:
-        ValueError: shapes that contradict `system_axis`, or do not tell; axes (member, time).
+        ValueError: the shapes contradict `system_axis`, or are ambiguous; the axes are (member, time).
     """
     kept = map_over_run(energy_less_work, system, trajectory, system_axis)
     return kept - kept[0]
@@ -44,7 +44,7 @@ def constraint_error(system: System, trajectory: Trajectory, system_axis: Axis =
 
 
 def delay(series: TimeSeries, lag: int) -> DelayPlot:
-    """The delay plot of a series: points (x_n, x_{n+lag}, x_{n+2lag}), shape (len − 2·lag, 3)."""
+    """The points of the delay plot of a series, (x_n, x_{n+lag}, x_{n+2lag}), shape (len − 2·lag, 3)."""
     lag = _checks.count("lag", lag, 1)
     if series.ndim != 1 or len(series) <= 2 * lag:
         raise ValueError(f"a delay plot of lag {lag} needs a series of more than {2 * lag} numbers, got {series.shape}")

@@ -17,9 +17,13 @@ _Aux = TypeVar("_Aux")
 
 
 def linearization(step: Step, state: State, dt: ArrayLike) -> PhaseMatrix:
-    """L_n of δz_{n+1} = L_n δz_n, shape (2d, 2d), by jacfwd of the step.
+    """The linearization L_n of a step, δz_{n+1} = L_n δz_n, by jacfwd.
 
-    Rows and columns are the phase space's own coordinates: (δθ, δπ) on T*G, with δq = δθ q.
+    Args:
+        step, state, dt: as in a call of the step.
+
+    Returns:
+        L_n, (2d, 2d). Rows and columns are the phase space's own coordinates: (δθ, δπ) on T*G, with δq = δθ q.
     """
     step.check(state, dt)
     return pushed(step.system.phase_space, lambda z: step(z, dt), state)[2]
@@ -52,7 +56,11 @@ def pushed(
 def symplectic_defect(step: Step, state: State, dt: ArrayLike) -> Scalar:
     """max|Lᵀω(z₁)L − ω(z₀)|: zero if and only if the step is symplectic at this state (3.1).
 
-    In the units of the state: the (δθ, δθ) block is a momentum, the (δθ, δπ) blocks are numbers.
+    Args:
+        step, state, dt: as in a call of the step.
+
+    Returns:
+        A scalar in the units of the state: the (δθ, δθ) block is a momentum, the (δθ, δπ) blocks are numbers.
     """
     return jnp.max(jnp.abs(defect_matrix(step, state, dt)))
 

@@ -1,4 +1,4 @@
-"""What can be certified of a step with noise: its heat, its splitting, and the drift of the energy less heat."""
+"""Certificates of steps with noise: the heat, the splitting without noise, and the drift of energy less heat."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ _BLOCKS = 20  # of a run, for the standard error of a mean
 
 
 class ThermalCertificate(NamedTuple):
-    """What is certain of a thermostat, measured from one state; `print` it. Energies are in units of kT.
+    """Measured properties of a thermostat, from one state; `print` shows them. Energies are in units of kT.
 
     Attributes:
         scheme, system, precision: the names of the step and of the system, "float64" or "float32".
         dt: step size.
         num_steps: length of the run.
-        heat: max|H − Q − its start| of a run of the same bodies without their potential, relative to the kinetic
-            energy: the heat is exact where this is round-off.
+        heat: max|Δ(H − Q)| over a run of the same bodies without their potential, relative to the kinetic energy: the
+            heat is exact if this is round-off.
         step_energy: the largest |Δ(H − Q)| in a step.
         step_order: r of |ΔH| = O(Δtʳ) of the step without noise, from dt and dt/2; inf if it conserves energy.
         slope, slope_error: the mean of d(H − Q)/dt in the run, and its standard error by blocks.
-        symplectic_defect: that of the step without noise, momenta in max|π|, which bounds that of the volume.
-        reversibility: of the same.
-        unbiased: whether the step samples the canonical measure without a bias: it is Metropolised, and the two before
-            are round-off; or there is no potential.
-        rejected: the share of steps that were rejected; 0 of a step that rejects none.
+        symplectic_defect: the defect of the step without noise, momenta in max|π|, which bounds that of the volume.
+        reversibility: that of the step without noise.
+        unbiased: whether the step samples the canonical measure without a bias: it is Metropolized, and
+            symplectic_defect and reversibility are round-off; or there is no potential.
+        rejected: the fraction of steps that were rejected; 0 for a step that rejects none.
         converged: whether every step converged.
     """
 
@@ -82,14 +82,14 @@ def _power(order: float) -> str:
 
 
 def certify_thermostat(step: Any, state: State, dt: float, num_steps: int) -> ThermalCertificate:
-    """Measure what is certain of a step with noise, from one state; see `ThermalCertificate`."""
+    """Measure the properties of a step with noise, from one state; see `ThermalCertificate`."""
     num_steps = _checks.count("num_steps", num_steps, 0)
     most = max(num_steps, 2 * _BLOCKS)
     step, state, h = _measure.checked(step, state, dt, most)
     run, free = (_measure.run(x, state, h, num_steps, most) for x in (step, step.free))
     kT, quiet = float(step.temperature), step.deterministic
     less, alone = (_energies_less_heat(x.system, path) for x, path in ((step, run), (step.free, free)))
-    kinetic = float(np.abs(alone).max()) + float(np.abs(_carried(free, "heat")).max())
+    kinetic = float(np.abs(alone).max()) + float(np.abs(_extra_series(free, "heat")).max())
     sizes = [float(_largest_change(quiet, run.state, x)) for x in (h, h / 2)]
     eps = float(jnp.finfo(h.dtype).eps)
     exact = sizes[0] <= 64 * eps * (abs(float(less[0])) + kT) or sizes[1] == 0
@@ -97,7 +97,7 @@ def certify_thermostat(step: Any, state: State, dt: float, num_steps: int) -> Th
     form, back = float(_form_defect(quiet, state, h)), float(shown_reversibility(quiet, state, h, 1))
     floor = 32 * eps * step.system.phase_space.dim
     accepted = not step.metropolis or (form <= floor and back <= floor)
-    rejected = _carried(run, "rejections") if step.metropolis else np.zeros(1)
+    rejected = _extra_series(run, "rejections") if step.metropolis else np.zeros(1)
     return ThermalCertificate(
         scheme=step.name,
         system=type(step.system).__name__,
@@ -118,10 +118,10 @@ def certify_thermostat(step: Any, state: State, dt: float, num_steps: int) -> Th
 
 
 def _energies_less_heat(system: Any, run: Trajectory) -> np.ndarray:
-    return np.asarray(_energies(system, run.state)) - _carried(run, "heat")
+    return np.asarray(_energies(system, run.state)) - _extra_series(run, "heat")
 
 
-def _carried(run: Trajectory, name: str) -> np.ndarray:
+def _extra_series(run: Trajectory, name: str) -> np.ndarray:
     return np.asarray((run.state.extra or {})[name])
 
 

@@ -274,7 +274,7 @@ def first_entry(job: Job) -> dict[str, np.ndarray]:
 def reduce_rows(rows: Saved, job: Job) -> dict[str, np.ndarray]:
     """Reduce rows (saves, members) to series (saves,), whose bits depend neither on devices nor on parts.
 
-    Of a part, "sums" (saves, blocks) are those from which the mean of the whole run follows.
+    For a part, "sums" (saves, blocks) are the sums from which the mean of the whole run is computed.
     """
     info, change = rows
     assert isinstance(change, Range)

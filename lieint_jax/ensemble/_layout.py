@@ -266,11 +266,11 @@ def _all_gather_rows(mesh: Mesh, mine: np.ndarray) -> np.ndarray:
         return mine[index[0].start - first : index[0].stop - first]
 
     array = jax.make_array_from_callback((mesh.size, *mine.shape[1:]), spread, part)
-    return np.asarray(_replicated(mesh)(array).addressable_data(0))
+    return np.asarray(_replicator(mesh)(array).addressable_data(0))
 
 
 @cache
-def _replicated(mesh: Mesh) -> Callable[[Array], Array]:
+def _replicator(mesh: Mesh) -> Callable[[Array], Array]:
     return jax.jit(lambda x: x, out_shardings=NamedSharding(mesh, PartitionSpec()))
 
 

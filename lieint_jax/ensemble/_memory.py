@@ -35,9 +35,8 @@ def peak_memory(
     """The bytes that `ensemble.run` will need at most, beyond those of the process and of the states before it.
 
     It is an estimate for machine code on a CPU, whose numbers of copies were fitted to the peaks of free bodies that
-    `benchmarks/scale.py` measures; other systems may need more. With `store` it
-    does not grow with the number of entries, but for 16 bytes of each; with `reduce`, neither. The memory of a part
-    grows with the number of its own members only, if `states` is a function.
+    `benchmarks/scale.py` measures; other systems may need more. With `store` it grows by only 16 bytes per entry, with
+    `reduce` by 56. The memory of a part grows with the number of its own members only, if `states` is a function.
 
     Args:
         states: the initial states of all members, or their shapes; or the function of member numbers.

@@ -242,7 +242,7 @@ def _check_times(t: np.ndarray) -> None:
 def check_store(path: Address) -> Table:
     """Check every file of the store at `path`, and return the store's attributes.
 
-    Of a store in parts only the description of the run is checked: `_part_reading.load` checks its parts one by one.
+    For a store in parts only the description of the run is checked: `_part_reading.load` checks its parts one by one.
 
     Raises:
         UnreadableError: not a store of lieint, or its description does not fit its arrays.

@@ -48,7 +48,7 @@ def part_of_task(count: int | None = None, environment: Mapping[str, str] = os.e
         environment: the variables.
 
     Raises:
-        ValueError: no such array, or its number of tasks is not known.
+        ValueError: there is no such array, or its number of tasks is unknown.
     """
     for scheduler in SCHEDULERS:
         index = _number(environment, scheduler.task)

@@ -56,7 +56,7 @@ class PublishedArray:
         return np.asarray(self[...], dtype)
 
     def __getitem__(self, index: Any) -> np.ndarray:
-        index = _expanded(index if isinstance(index, tuple) else (index,), self.ndim)
+        index = _expand_index(index if isinstance(index, tuple) else (index,), self.ndim)
         times, members = index[0], index[1]
         if np.ndim(times) > 0 and np.ndim(members) > 0:  # points, not a rectangle
             return self[...][index]
@@ -65,11 +65,11 @@ class PublishedArray:
         t, m = np.arange(self.shape[0])[times], np.arange(self.shape[1])[members]
         rows, columns = np.atleast_1d(t), np.atleast_1d(m) + self._members.start
         if not (rows.size and columns.size):
-            return np.empty((len(rows), len(columns), *self.shape[2:]), self.dtype)[_squeezed(t, m)]
+            return np.empty((len(rows), len(columns), *self.shape[2:]), self.dtype)[_squeeze(t, m)]
         block = np.asarray(self._array.oindex[_as_slice(rows), _as_slice(columns)])
         published = self._published(rows, columns).reshape(*block.shape[:2], *[1] * (self.ndim - 2))
         block = np.where(published, block, np.asarray(self._fill, self.dtype))
-        return block[_squeezed(t, m)][(*[slice(None)] * (np.ndim(t) + np.ndim(m)), *index[2:])]
+        return block[_squeeze(t, m)][(*[slice(None)] * (np.ndim(t) + np.ndim(m)), *index[2:])]
 
     @property
     def _fill(self) -> Any:
@@ -81,7 +81,7 @@ class PublishedArray:
         return rows[:, None] < entries[np.searchsorted(starts, columns, side="right") - 1]
 
 
-def _expanded(index: tuple[Any, ...], ndim: int) -> tuple[Any, ...]:
+def _expand_index(index: tuple[Any, ...], ndim: int) -> tuple[Any, ...]:
     """An index with as many items as there are axes."""
     where = [k for k, x in enumerate(index) if x is Ellipsis]
     k = where[0] if where else len(index)
@@ -89,7 +89,7 @@ def _expanded(index: tuple[Any, ...], ndim: int) -> tuple[Any, ...]:
     return (*index[:k], *[slice(None)] * (ndim - len(index) + bool(where)), *after)
 
 
-def _squeezed(t: np.ndarray, m: np.ndarray) -> tuple[Any, ...]:
+def _squeeze(t: np.ndarray, m: np.ndarray) -> tuple[Any, ...]:
     return tuple(0 if np.ndim(x) == 0 else slice(None) for x in (t, m))
 
 

@@ -100,7 +100,7 @@ class PartWriter(BackgroundWriter):
         except UnusablePartError as error:
             raise ValueError(
                 f"part {k} of {self.path} is damaged and cannot be resumed: {error}. Remove {root.state_file(k)}, and "
-                "the part starts anew"
+                "the part starts again"
             ) from None
         self._state = found or PartState(START, {}, initial)
         if found is not None:
@@ -112,7 +112,7 @@ class PartWriter(BackgroundWriter):
         if lost:
             raise ValueError(
                 f"part {self._k} of {self.path} is damaged: {lost}. Restore the file from a copy, or remove "
-                f"{self._root.state_file(self._k)}, and the part starts anew"
+                f"{self._root.state_file(self._k)}, and the part starts again"
             )
 
     def _refuse_other_states(self, state: PartState) -> None:

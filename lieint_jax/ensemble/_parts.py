@@ -1,4 +1,4 @@
-"""A store in parts: independent processes integrate ranges of its members, and know nothing of each other.
+"""A store in parts: independent processes integrate ranges of its members, without communication.
 
 A store NAME.zarr in parts has the arrays of any store, with their full shapes from the beginning; entries that do not
 exist yet are NaN. The root metadata describe the run, and nobody writes them after the first part has created them.

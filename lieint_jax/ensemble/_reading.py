@@ -27,7 +27,7 @@ def open_run(path: str | Path, own: Mapping[str, object] | None = None) -> tuple
 
     Returns:
         The result of `ensemble.run` so far: a `Trajectory` of arrays on disk, which are read when they are indexed, or
-        a `Summary`; and the system with the numbers in the store. With `step_axis=0` they have the member axis. Of a
+        a `Summary`; and the system with the numbers in the store. With `step_axis=0` they have the member axis. In a
         store in parts, members of a missing or damaged part, and entries that a part has not reached, are NaN.
 
     Raises:
@@ -36,7 +36,7 @@ def open_run(path: str | Path, own: Mapping[str, object] | None = None) -> tuple
 
     Warns:
         RuntimeWarning: parts that are missing, damaged or incomplete, by number. Objects in a bucket are not read for
-            this, a damaged one raises an error when it is read; `lieint info` looks at each.
+            this: a damaged one raises an error when it is read, and `lieint info` checks each.
 
     Example: the energies of all members at the end.
 

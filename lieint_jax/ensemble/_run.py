@@ -103,7 +103,7 @@ def run(
         save_at: in place of save_every, output times (m,) as in `integrate`; since the start, if the members start at
             different times. The run ends at the last of them.
         part: (k, n) integrates part k = 0 … n − 1 of the members only, as one of n processes that need not run at the
-            same time or know of each other. Each writes its own part of `store`; it continues this part, if the store
+            same time or communicate. Each writes its own part of `store`; it continues this part, if the store
             has it, and starts it otherwise. "auto" is the number of this task in an array of tasks: see
             `part_of_task`. All parts have the bits of one process.
         members: the number of members, where `states` is a function.

@@ -394,7 +394,7 @@ class StoreOutput:
 
     def interrupt_message(self, done: int, num_steps: int) -> str:
         """The message for a user who interrupted the run."""
-        return f"stopped after {done} of {num_steps} steps, all of them in {self._writer.path}; resume to go on"
+        return f"stopped after {done} of {num_steps} steps, all of them in {self._writer.path}; resume to continue"
 
     def result(self, carry: list[Carry]) -> None:
         """Wait until everything is written."""

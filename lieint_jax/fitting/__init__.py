@@ -1,9 +1,9 @@
-"""Fits of parameters through simulations, within bounds, from one start or many, robust where wanted.
+"""Fits of parameters through simulations, within bounds, from one start or many, optionally robust to outliers.
 
 `fit(residuals, guess, bounds=…)` returns the estimate, its covariance, and whether it is a minimum within the bounds.
-Bounds: `positive`, `interval(low, high)`, `spd`, `inertia`, `principal_inertia` and `inertia_ratios`; `free` is none.
-`student_t` makes residuals of errors with outliers, `member_by_member` speeds up a long computation of few numbers.
-All of it is in `li.studies` too.
+Bounds are `positive`, `interval(low, high)`, `spd`, `inertia`, `principal_inertia`, `inertia_ratios`, and `free`, which
+is no bound. `student_t` converts errors with outliers to residuals, `member_by_member` speeds up a long computation of
+few numbers. All of them are in `li.studies` too.
 """
 
 from lieint_jax.fitting._bounds import Bound, free, inertia, inertia_ratios, interval, positive, principal_inertia, spd

@@ -1,8 +1,8 @@
 """Bounds: domains of parameters, as boxes in suitable coordinates.
 
 A search moves in these coordinates y and stays inside the box: least squares by steps that respect its sides, other
-methods by a smooth map of all real x onto it. Boxes are linear in the parameters, so that they do not distort a trust
-region, but those of tensors, which are quadratic.
+methods by a smooth map of all real x onto it. The coordinates are linear in the parameters, so that they do not distort
+a trust region; only those of tensors are quadratic.
 
 Give `fit` one `Bound` for all parameters, or a tree of them that is a prefix of the tree of parameters.
 """
@@ -72,7 +72,7 @@ def _itself(p: Array) -> Array:
 
 
 def interval(low: float, high: float) -> Bound:
-    """low < parameter < high, each component; either end may be infinite."""
+    """The bound low < parameter < high for each component; either end may be infinite."""
     if not low < high:
         raise ValueError(f"an interval needs low < high, got {low} and {high}")
     return _bound(f"interval({low:g}, {high:g})", Chart(_itself, _itself, Box(low, high)))
@@ -139,7 +139,7 @@ def coordinates(bounds: PyTree, params: PyTree) -> PyTree:
 
     def of_part(bound: Bound, part: PyTree) -> PyTree:
         if not isinstance(bound, Bound):
-            raise ValueError(f"bounds must be made of Bound's such as li.fitting.positive, got {bound!r}")
+            raise ValueError(f"bounds must be a tree of Bound objects, such as li.fitting.positive, got {bound!r}")
         y = jax.tree.map(lambda p: bound.coordinates.coordinates(jnp.asarray(p, jnp.result_type(p, float))), part)
         if concrete(y) and not is_inside(bound, y):
             raise ValueError(f"the first guess {part} is not inside its bound, {bound.name}")
@@ -149,7 +149,7 @@ def coordinates(bounds: PyTree, params: PyTree) -> PyTree:
         structure = jax.tree.structure(bounds)
         parts = structure.flatten_up_to(params)
     except (ValueError, TypeError) as error:
-        raise ValueError(f"bounds do not match the parameters as far as they go: {error}") from None
+        raise ValueError(f"bounds must be a prefix of the parameter tree: {error}") from None
     return structure.unflatten(
         [of_part(bound, part) for bound, part in zip(jax.tree.leaves(bounds), parts, strict=True)]
     )

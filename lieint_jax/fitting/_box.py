@@ -52,7 +52,7 @@ class Box(NamedTuple):
         return self._select(from_low - from_high, from_low, -from_high, y)
 
     def projected(self, y: Array, gradient: Array) -> Array:
-        """A gradient at y, shortened where descent along it soon meets a side: it vanishes at a minimum in the box."""
+        """The projected gradient at y, reduced where descent soon meets a side: it vanishes at a minimum in the box."""
         low, high = self._sides(y)
         room = jnp.where(gradient > 0, y - low, high - y)
         return gradient * jnp.minimum(1, room / jnp.maximum(jnp.abs(y), 1))
@@ -75,6 +75,6 @@ class Box(NamedTuple):
         return jnp.where(below | above, jnp.clip(x, -most.astype(x.dtype), most.astype(x.dtype)), 0)
 
     def _select(self, between: Array, above_low: Array, below_high: Array, unbounded: Array) -> Array:
-        """For each coordinate the one of four values that suits its sides."""
+        """For each coordinate one of four values, depending on which of its sides are finite."""
         below, above = np.isfinite(self.low), np.isfinite(self.high)
         return jnp.where(below, jnp.where(above, between, above_low), jnp.where(above, below_high, unbounded))

@@ -1,7 +1,7 @@
 """Descent along gradients: any transformation of optax, and its L-BFGS with a line search.
 
-They move in all real x, which `Box.inside` maps into the box of coordinates. Whether they have arrived is judged by the
-gradient with respect to the coordinates, since that with respect to x vanishes at every side of the box.
+They move in all real x, which `Box.inside` maps into the box of coordinates. The stopping test uses the gradient with
+respect to the coordinates, since that with respect to x vanishes at every side of the box.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class _Memory(NamedTuple):
         gradient: with respect to x, at the current point.
         largest: the largest `_slope` so far.
         state: optax's own state.
-        unit: `descent`: the fraction of a step that is taken; `lbfgs`: the unit of the loss.
-        quiet: the number of iterations in a row without a notable fall of the loss.
+        unit: for `descent` the fraction of a step that is used; for `lbfgs` the unit of the loss.
+        quiet: the number of consecutive iterations without a significant decrease of the loss.
     """
 
     gradient: Array
@@ -77,10 +77,10 @@ def _start(
     return first
 
 
-def _judged(box: Box, x: Array, loss: Array, memory: _Memory, ended: Array, tolerance: float) -> Array:
+def _stop_code(box: Box, x: Array, loss: Array, memory: _Memory, ended: Array, tolerance: float) -> Array:
     """RUNNING, or the code of why the search stops.
 
-    The gradient has vanished when it is small against the largest one so far. Where a search has `ended` without that,
+    The gradient has vanished when it is small compared with the largest one so far. If a search has `ended` otherwise,
     it is a success if a step as long as the coordinates, or to a side, would hardly change the loss.
     """
     small = jnp.maximum(tolerance, 8 * jnp.finfo(x.dtype).eps)
@@ -91,7 +91,7 @@ def _judged(box: Box, x: Array, loss: Array, memory: _Memory, ended: Array, tole
 
 
 def descent(scalar: Scalar, box: Box, optimizer: GradientTransformation, tolerance: float) -> Method:
-    """Any optax transformation. A failed trial is taken back, and the next steps are a quarter as long."""
+    """Descent by any optax transformation. A failed trial is rejected, and the next steps are a quarter as long."""
     import optax
 
     look = _evaluation(scalar, box)
@@ -108,29 +108,31 @@ def descent(scalar: Scalar, box: Box, optimizer: GradientTransformation, toleran
         memory = memory._replace(unit=jnp.where(ok, jnp.minimum(1, 1.1 * share), share / 4))
         x, value = where(ok, (x, value), (carry.x, carry.loss))
         ended = (memory.quiet >= _QUIET["other"]) | (bad > SHORTENINGS)
-        return Carry(x, value, memory, _judged(box, x, value, memory, ended, tolerance), bad, carry.failures + ~ok)
+        return Carry(x, value, memory, _stop_code(box, x, value, memory, ended, tolerance), bad, carry.failures + ~ok)
 
     return Method(_start(look, box, optimizer), advance)
 
 
-def _walled(look: Callable[[Array], tuple[Array, Array, Array]], unit: Array, wall: Array) -> Callable[[Array], Array]:
+def _loss_with_wall(
+    look: Callable[[Array], tuple[Array, Array, Array]], unit: Array, wall: Array
+) -> Callable[[Array], Array]:
     """x ↦ loss/unit, or `wall` where the trial fails; value and derivative by one call of `look`."""
 
     @jax.custom_jvp
-    def walled(x: Array) -> Array:
+    def loss_or_wall(x: Array) -> Array:
         value, _, ok = look(x)
         return jnp.where(ok, value / unit, wall)
 
-    @walled.defjvp
+    @loss_or_wall.defjvp
     def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
         value, slope, ok = look(primals[0])
         return jnp.where(ok, value / unit, wall), jnp.vdot(jnp.where(ok, slope / unit, 0), tangents[0])
 
-    return walled
+    return loss_or_wall
 
 
 def lbfgs(scalar: Scalar, box: Box, tolerance: float) -> Method:
-    """optax's L-BFGS with its zoom line search, which sees a high constant loss, a wall, where a trial fails.
+    """optax's L-BFGS with its zoom line search, for which the loss of a failed trial is a high constant, a wall.
 
     The loss is measured in units of the largest component of the first gradient, since the line search has absolute
     tolerances.
@@ -150,8 +152,8 @@ def lbfgs(scalar: Scalar, box: Box, tolerance: float) -> Method:
         gradient, largest, state, unit, quiet = carry.memory
         now = carry.loss / unit
         wall = now + 1e3 * (1 + jnp.abs(now))
-        scaled, walled = gradient / unit, _walled(look, unit, wall)
-        update, after = optimizer.update(scaled, state, carry.x, value=now, grad=scaled, value_fn=walled)
+        scaled, loss_or_wall = gradient / unit, _loss_with_wall(look, unit, wall)
+        update, after = optimizer.update(scaled, state, carry.x, value=now, grad=scaled, value_fn=loss_or_wall)
         x: PyTree = optax.apply_updates(carry.x, update)
         value, slope = (unit * optax.tree.get(after, name) for name in ("value", "grad"))  # at x, by the line search
         ok = value < unit * wall
@@ -163,6 +165,6 @@ def lbfgs(scalar: Scalar, box: Box, tolerance: float) -> Method:
         memory = where(better, _Memory(slope, largest, after, unit, quiet), again)
         x, value = where(better, (x, value), (carry.x, carry.loss))
         ended = (quiet >= _QUIET["lbfgs"]) | (bad >= _SEARCHES)
-        return Carry(x, value, memory, _judged(box, x, value, memory, ended, tolerance), bad, carry.failures + ~ok)
+        return Carry(x, value, memory, _stop_code(box, x, value, memory, ended, tolerance), bad, carry.failures + ~ok)
 
     return Method(first, advance)

@@ -1,7 +1,7 @@
 """Fits: an optimizer around a loss that is a simulation, and may fail.
 
 A trial has failed if its loss or gradient is not finite or its `converged` is False. Failed trials are counted; the
-step that led to one is taken back and shortened, and the optimizer's state is not updated by it.
+step that led to one is rejected and shortened, without an update of the optimizer's state.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._descent import descent, lbfgs
 from lieint_jax.fitting._least_squares import jacobian, least_squares, spread
 from lieint_jax.fitting._outcome import End, Fit, outcome, parameter_names
-from lieint_jax.fitting._search import NOWHERE, RUNNING, TARGET, Carry, Method, residuals_of, valued, where
+from lieint_jax.fitting._search import NOWHERE, RUNNING, TARGET, Carry, Method, residuals_of, value_and_flag, where
 from lieint_jax.types.shapes import PyTree
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def fit(
     mesh: Mesh | None = None,
     progress: bool = True,
 ) -> Fit:
-    """Minimize a loss over parameters.
+    """Fit parameters: minimize a loss, or the sum of squares of residuals, within bounds.
 
     Args:
         loss: parameters ↦ a scalar; for "levenberg_marquardt" and "gauss_newton" ↦ residuals, an array of any shape
@@ -62,32 +62,32 @@ def fit(
             `optax.GradientTransformation`.
         bounds: a `Bound`, or a tree of them that is a prefix of the tree of parameters. No trial leaves them.
         iterations: the largest number of iterations.
-        tolerance: stop when the step of Gauss–Newton within the bounds would lower the loss by less than this part of
-            it, or is shorter than this part of the parameters. Other methods stop when the gradient is below this part
-            of its largest value so far; or when the relative fall of the loss is below this three times in a row
-            ("lbfgs") or ten times (others), which is a success where the gradient times the parameters, or their
-            distance from a bound, is below 1e-5 of the loss.
+        tolerance: a relative tolerance. Least squares stops when the Gauss–Newton step within the bounds would lower
+            the loss by less than this fraction, or is shorter than this fraction of the parameters. Other methods stop
+            when the gradient is below this fraction of its largest value so far; or when the relative decrease of the
+            loss is below it three times in a row ("lbfgs") or ten times (others), which is a success if the gradient
+            times the parameters, or times their distance from a bound, is below 1e-5 of the loss.
         target: stop when the loss is at most this.
         standardized: whether residuals are in units of their standard deviation, so that twice the loss should be χ²
-            distributed. If it is larger than chance explains in one of a million fits, the fit is no success.
-        starts: whether many starts are fitted at once, vmapped and split over the devices.
+            distributed. If it exceeds the quantile of 1 − 1e-6, the fit is not a success.
+        starts: whether many starts are fitted together, vmapped and split over the devices.
         data: a second argument of the loss: loss(params, data). With `starts`, every leaf has a leading axis of starts.
-        mesh: devices for many starts, as in `ensemble.run`; None takes all.
+        mesh: devices for many starts, as in `ensemble.run`; None uses all.
         progress: show a progress bar on stderr, if that is a terminal.
 
     Returns:
-        A `Fit`. Failed trials do not enter it; if the first guess itself fails, `params` is that guess. A fit without
-        success has a `message` with what to try.
+        A `Fit`. Failed trials do not contribute to it; if the first guess itself fails, `params` is that guess. A fit
+        without success has a `message` with remedies.
 
     Raises:
-        ValueError: an unknown optimizer, no parameters, a guess outside its bounds or on one, no residuals, a loss
-            that is no scalar where one is needed.
+        ValueError: the optimizer is unknown, there are no parameters or no residuals, the guess is not inside its
+            bounds, or the loss is not a scalar where the optimizer needs one.
     """
     iterations = _checks.count("iterations", iterations, 0)
     y, unravel, box = _vector(bounds, params, data, starts)
     problem = _Problem(loss, bounds, unravel, box, optimizer, tolerance, target)
     if standardized and not problem.has_residuals:
-        raise ValueError(f"standardized=True needs residuals: take one of the optimizers {', '.join(LEAST_SQUARES)}")
+        raise ValueError(f"standardized=True needs residuals: use one of the optimizers {', '.join(LEAST_SQUARES)}")
     compiled = partial(over_members, mesh=mesh) if starts else jax.jit
     advance = compiled(problem.advance)
     search = compiled(problem.begin)(y, data)
@@ -123,7 +123,7 @@ def _check_starts(params: PyTree, data: PyTree) -> None:
     counts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves((params, data))}
     if len(counts) != 1 or () in counts:
         raise ValueError(
-            "with starts=True every leaf of params and data carries a leading axis of as many starts, got shapes "
+            "with starts=True every leaf of params and data must have the same leading axis of starts, got shapes "
             f"{[np.shape(leaf) for leaf in jax.tree.leaves((params, data))]}"
         )
 
@@ -182,7 +182,7 @@ class _Problem:
         return _Search(Carry(x, value, memory, jnp.where(ok, none, NOWHERE), none, none), x, value, none)
 
     def advance(self, old: _Search, data: PyTree) -> _Search:
-        """The search after one more iteration; a search that has stopped stays as it is."""
+        """The search after one more iteration; a search that has stopped does not change."""
         after = self.method(data).advance(old.carry)
         if self.target is not None:
             reached = (after.code == RUNNING) & (after.loss <= self.target)
@@ -202,7 +202,7 @@ class _Problem:
 def _iterate(
     advance: Callable[[_Search], _Search], search: _Search, iterations: int, progress: bool
 ) -> tuple[_Search, np.ndarray]:
-    """Iterate until all searches have stopped; also the losses after each iteration, the first guess first."""
+    """Iterate until all searches have stopped; returns also the losses, of the first guess and of each iteration."""
     from tqdm import tqdm  # where it is used: the package imports in a moment
 
     history = [np.asarray(search.carry.loss)]
@@ -218,7 +218,15 @@ def _iterate(
 
 
 def covariance(residuals: Callable[..., PyTree], params: PyTree) -> Array:
-    """(JᵀJ)⁻¹ of residuals in units of their standard deviation, (p, p) in the order of `ravel_pytree(params)`."""
+    """The covariance of parameters, (JᵀJ)⁻¹ with J the Jacobian of the residuals.
+
+    Args:
+        residuals: parameters ↦ residuals in units of their standard deviation, as in `fit`.
+        params: the parameters, a tree of arrays.
+
+    Returns:
+        (p, p), in the order of `ravel_pytree(params)`.
+    """
     x, unravel = ravel_pytree(params)
     J = jacobian(lambda x: (residuals_of(residuals, unravel(x))[0], None), x)[0]
     return spread(J, jnp.eye(x.size, dtype=x.dtype), jnp.zeros(x.shape, bool))[0]
@@ -232,7 +240,7 @@ def _method(
         return least_squares(lambda y: residuals_of(loss, y), box, optimizer == "gauss_newton", tolerance)
 
     def scalar(y: Array) -> tuple[Array, Array]:
-        value, ok = valued(loss(y))
+        value, ok = value_and_flag(loss(y))
         if jnp.shape(value):
             raise ValueError(
                 f"the loss must be a scalar for this optimizer, got shape {jnp.shape(value)}; for residuals choose "

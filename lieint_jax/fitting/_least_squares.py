@@ -46,12 +46,12 @@ def least_squares(
 ) -> Method:
     """Minimize |r(x)|²/2 inside a box.
 
-    A step δ minimizes |r + Jδ| where |Dδ| is within the radius and x + δ in the box, a little short of its sides: D
-    holds the largest norms of the columns of J so far. `undamped`, it is the step of Gauss–Newton in the box, halved
-    until the loss falls. The search has arrived when that step is negligible, or lowers the loss little, by a part of
-    itself or by what round-off makes of the first loss.
+    A step δ minimizes |r + Jδ| with |Dδ| within the radius and x + δ in the box, slightly inside its sides; D holds the
+    largest norms of the columns of J so far. If `undamped`, δ is the Gauss–Newton step in the box, halved until the
+    loss decreases. The search has converged when the Gauss–Newton step is negligible, or when the decrease of the loss
+    is negligible compared with the loss or with the round-off of the first loss.
 
-    Source: Moré 1978, Lecture Notes in Mathematics 630; here by singular values, and with sides.
+    Source: Moré 1978, Lecture Notes in Mathematics 630; here by singular values, and with a box.
     """
 
     def look(x: Array) -> tuple[Array, Array, Array]:
@@ -89,7 +89,7 @@ def least_squares(
         memory = _Memory(r, J, D, radius, ahead, jnp.linalg.norm(newton.z), jnp.where(begun, begin, loss))
         small, size = _small(tolerance, x), jnp.linalg.norm(D * x)
         still = begun & ok & (jnp.maximum(jnp.abs(fall), step.fall) <= small * loss)
-        arrived = _arrived(box, x, loss, memory, newton, still, small)
+        arrived = _stop_code(box, x, loss, memory, newton, still, small)
         arrived = jnp.where((arrived == RUNNING) & begun & ok & (length <= small * size), SETTLED, arrived)
         bad = jnp.where(better, 0, carry.bad + 1)
         minute = begun & (jnp.linalg.norm(step.z) <= jnp.finfo(x.dtype).eps * size)
@@ -114,15 +114,15 @@ def _fraction(fraction: Array, better: Array) -> Array:
 
 
 def _radius(radius: Array, better: Array, fall: Array, step: Step) -> Array:
-    """The trust radius after a step: by how much of the predicted fall of the loss came true."""
+    """The trust radius after a step, from the ratio of the actual to the predicted decrease of the loss."""
     length = jnp.linalg.norm(step.z)
     well = (fall >= 0.75 * step.fall) | (step.damping == 0)
     accepted = jnp.where(fall < 0.25 * step.fall, length / 2, jnp.where(well, 2 * length, radius))
     return jnp.where(better, accepted, length / 4)
 
 
-def _arrived(box: Box, x: Array, loss: Array, memory: _Memory, newton: Step, still: Array, small: Array) -> Array:
-    """FLAT or STILL where x is a minimum in the box, else RUNNING; `still`: the last step hardly changed the loss."""
+def _stop_code(box: Box, x: Array, loss: Array, memory: _Memory, newton: Step, still: Array, small: Array) -> Array:
+    """FLAT or STILL if x is a minimum in the box, otherwise RUNNING; `still`: the last step hardly changed the loss."""
     r, J = memory.r, memory.J
     room = jnp.where(J.T @ r > 0, x - jnp.asarray(box.low, x.dtype), jnp.asarray(box.high, x.dtype) - x)
     norm, size = jnp.linalg.norm(r), jnp.linalg.norm(J, axis=0)
@@ -146,9 +146,9 @@ def _next_steps(box: Box, undamped: bool, x: Array, r: Array, J: Array, D: Array
 
 
 def jacobian(residuals: Callable[[Array], tuple[Array, PyTree]], x: Array) -> tuple[Array, PyTree]:
-    """The Jacobian of the first result, and the second: in forward mode, which is cheaper for few parameters.
+    """The Jacobian of the first result, and the second result; in forward mode, which is faster for few parameters.
 
-    Through `li.observe` and `reversible`, which have a reverse mode of their own and no other, in reverse mode.
+    Through `li.observe` and `reversible`, which support reverse mode only, it is computed in reverse mode.
     """
     try:
         return jax.jacfwd(residuals, has_aux=True)(x)
@@ -161,8 +161,8 @@ def jacobian(residuals: Callable[[Array], tuple[Array, PyTree]], x: Array) -> tu
 def spread(J: Array, B: Array, held: Array) -> tuple[Array, Array]:
     """The covariance B (JᵀJ)⁻¹ Bᵀ, and the rank of J; J is the Jacobian by coordinates, B that of the parameters.
 
-    Coordinates that are `held`, at a side of the box, count as known. Parameters that depend on them have no variance,
-    nan; those that the residuals do not determine have an infinite one, and covariances nan.
+    Coordinates that are `held` at a side of the box are treated as known. Parameters that depend on them have the
+    variance nan; those that the residuals do not determine have an infinite variance, and covariances nan.
     """
     J = jnp.where(held, 0, J)
     size = jnp.linalg.norm(J, axis=0)

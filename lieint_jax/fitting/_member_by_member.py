@@ -13,18 +13,19 @@ from lieint_jax.types.shapes import PyTree
 
 
 def member_by_member(function: Callable[[PyTree, PyTree], Array]) -> Callable[[PyTree, PyTree], Array]:
-    """The same function of (params, data), which `vmap` turns into a loop and whose Jacobian is computed in one piece.
+    """The same function of (params, data), for which `vmap` is a loop and whose Jacobian is computed in one piece.
 
-    For a long computation of few numbers, such as the closed form of a free body's motion: XLA fuses a batch of its
-    derivatives so that each element is computed again for each of its uses, in seconds instead of milliseconds.
+    Use it for a long computation of few numbers, such as the closed form of a free body's motion: otherwise XLA fuses a
+    batch of its derivatives so that each element is computed again for each of its uses, in seconds instead of
+    milliseconds.
 
     Args:
-        function: params, data ↦ an array. Its derivative is taken with respect to the parameters, in forward mode; the
-            data count as constants.
+        function: params, data ↦ an array. It is differentiated with respect to the parameters, in forward mode; the
+            data are constants.
     """
 
     @sequential_vmap
-    def linearized(params: PyTree, data: PyTree) -> tuple[Array, Array]:
+    def value_and_jacobian(params: PyTree, data: PyTree) -> tuple[Array, Array]:
         x, unravel = ravel_pytree(params)
 
         def twice(x: Array) -> tuple[Array, Array]:
@@ -35,12 +36,12 @@ def member_by_member(function: Callable[[PyTree, PyTree], Array]) -> Callable[[P
         return value, J
 
     @jax.custom_jvp
-    def called(params: PyTree, data: PyTree) -> Array:
-        return linearized(params, data)[0]
+    def call(params: PyTree, data: PyTree) -> Array:
+        return value_and_jacobian(params, data)[0]
 
-    @called.defjvp
+    @call.defjvp
     def _(primals: tuple[PyTree, PyTree], tangents: tuple[PyTree, PyTree]) -> tuple[Array, Array]:
-        value, J = linearized(*primals)
+        value, J = value_and_jacobian(*primals)
         return value, J @ ravel_pytree(tangents[0])[0]
 
-    return called
+    return call

@@ -1,4 +1,4 @@
-"""The result of a fit: estimate, covariance, whether it is a success, and what to try if it is none."""
+"""The result of a fit: estimate, covariance, whether it is a success, and remedies if it is not."""
 
 from __future__ import annotations
 
@@ -47,17 +47,17 @@ class Fit(NamedTuple):
         params: the estimate, a tree like the first guess.
         loss: the loss at the estimate; for least squares, half the sum of squares of the residuals.
         stopped: why the search stopped, in words.
-        success: whether the estimate is a minimum within the bounds, or reached the target, and, of residuals that are
-            `standardized`, has a plausible χ².
+        success: whether the estimate is a minimum within the bounds or reached the target, and, for `standardized`
+            residuals, has a plausible χ².
         at_bound: whether a parameter is at its bound.
         iterations: the number of iterations.
         failures: the number of trials that failed (loss or gradient not finite, or not converged).
         history: the loss after each iteration, shape (iterations + 1,), the first guess first.
-        covariance: of the estimate, (p, p) in the order of `ravel_pytree(params)`: the inverse of the Gauss–Newton
-            matrix, for residuals in units of their standard deviation. A parameter at its bound has none, NaN, and
-            counts as known in that of the others. NaN without success; None if the fit is not by least squares.
-        starts: with many starts, the result of each, with a leading axis; else None.
-        message: what was wrong and what to try; empty after a success with no parameter at its bound.
+        covariance: the covariance of the estimate, (p, p) in the order of `ravel_pytree(params)`: the inverse of the
+            Gauss–Newton matrix, for residuals in units of their standard deviation. A parameter at its bound has NaN,
+            and is treated as known in that of the others. NaN without success; None if the fit is not by least squares.
+        starts: with many starts, the result of each, with a leading axis; otherwise None.
+        message: the problem and remedies; empty after a success with no parameter at its bound.
         degrees_of_freedom: the number of residuals less that of the parameters that they determine and that are at no
             bound; None if the fit is not by least squares.
     """
@@ -91,7 +91,7 @@ class Fit(NamedTuple):
 
     @property
     def outcome(self) -> str:
-        """Loss, number of iterations and why the search stopped, in a line."""
+        """Loss, number of iterations and why the search stopped, in one line."""
         edge = ", at a bound" if self.at_bound else ""
         failed = f", {self.failures} trials failed" if self.failures else ""
         return f"loss {self.loss:.6g} after {self.iterations} iterations: {self.stopped}{edge}{failed}"
@@ -172,7 +172,7 @@ def _plausible(end: End) -> np.ndarray:
 
 
 def _message(end: End, names: list[str], plausible: bool) -> str:
-    """What is wrong with a search, and what to try."""
+    """The problem of a search, and remedies."""
     code, good = int(end.code), int(end.code) in GOOD
     parts = [] if good else [f"{REASONS[code]}: {_TRY[code]}"]
     if good and not plausible:

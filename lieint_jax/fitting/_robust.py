@@ -4,8 +4,8 @@ Vectors e of d components with scale σ and ν degrees of freedom have the negat
 
     Σ [d log σ + (ν + d)/2 log(1 + |e|²/(νσ²))] + constant
 
-An outlier enters it by its logarithm only. The smaller ν, the heavier the tails; ν = 4 is the usual choice where there
-are too few data to fit it, ν → ∞ the normal distribution.
+An outlier contributes by its logarithm only. The smaller ν, the heavier the tails; ν = 4 is the usual choice if there
+are too few data to fit it, and ν → ∞ is the normal distribution.
 
 Source: Lange, Little & Taylor 1989, J. Am. Stat. Assoc. 84, 881, where the minimum is found by reweighting; here it is
 written as a sum of squares, for any method of least squares (Triggs, McLauchlan, Hartley & Fitzgibbon 2000, Lecture
@@ -24,16 +24,18 @@ _SMALL = 1e-8  # |e|²/(νσ²) below which log(1 + u)/u is 1 − u/2 to round-o
 def student_t(
     errors: Array, noise: Array | float, least: Array | float, freedom: Array | float = FREEDOM
 ) -> tuple[Array, Array]:
-    """Residuals whose half sum of squares is the negative log-likelihood, less a constant that `least` sets.
+    """Residuals for a fit robust to outliers: half their sum of squares is the negative log-likelihood of Student's t.
+
+    A constant that depends on `least` is subtracted.
 
     Args:
         errors: vectors of errors, (..., d); each vector as a whole is an outlier or not.
-        noise: their scale σ in the same unit, to be fitted or given. Bound it by `interval(least, most)`.
+        noise: their scale σ in the same unit, fitted or given. Bound it by `interval(least, most)`.
         least: a lower bound of σ, without influence on the estimate: d log(σ/least) must not be negative.
         freedom: ν.
 
     Returns:
-        Two arrays for `fit`: the errors, shortened the more the longer they are, (..., d); and the part of σ, (...).
+        Two arrays for `fit`: the errors, reduced the more the larger they are, (..., d); and the term of σ, (...).
     """
     d = errors.shape[-1]
     u = jnp.sum(errors * errors, axis=-1) / (freedom * jnp.square(noise))
@@ -46,7 +48,7 @@ def student_t(
 def student_t_weights(errors: Array, noise: Array | float, freedom: Array | float = FREEDOM) -> Array:
     """The weights (ν + d)/(ν + |e|²/σ²) of the vectors e in the equivalent weighted least squares, (...).
 
-    1 + d/ν at most, about 1 where |e|² is dσ², and small for an outlier.
+    Arguments as in `student_t`. The weights are at most 1 + d/ν, about 1 where |e|² is dσ², and small for an outlier.
     """
     return (freedom + errors.shape[-1]) / (freedom + jnp.sum(errors * errors, axis=-1) / jnp.square(noise))
 
@@ -65,5 +67,5 @@ def student_t_curvature(errors: Array, noise: Array | float, freedom: Array | fl
 
 
 def student_t_noise_error(vectors: int, d: int, freedom: float = FREEDOM) -> float:
-    """The standard error of log σ from so many vectors of d components, by the expected information 2dν/(ν + d + 2)."""
+    """The standard error of log σ from a number of vectors of d components, by the information 2dν/(ν + d + 2)."""
     return (2 * d * freedom / (freedom + d + 2) * vectors) ** -0.5

@@ -55,8 +55,8 @@ class Method(NamedTuple):
     advance: Callable[[Carry], Carry]
 
 
-def valued(outcome: PyTree) -> tuple[PyTree, Array]:
-    """A value and whether it converged, from a pair (value, flags or `StepInfo`) or a bare value, which has."""
+def value_and_flag(outcome: PyTree) -> tuple[PyTree, Array]:
+    """A value and whether it converged, from a pair (value, flags or `StepInfo`) or a value alone, which converged."""
     if isinstance(outcome, tuple) and len(outcome) == 2:
         value, flag = outcome
         flag = flag.converged if isinstance(flag, StepInfo) else flag
@@ -71,10 +71,10 @@ def _is_flag(x: object) -> bool:
 
 def residuals_of(function: Callable[[PyTree], PyTree], params: PyTree) -> tuple[Array, Array]:
     """The residuals as one vector, and whether they converged."""
-    value, ok = valued(function(params))
+    value, ok = value_and_flag(function(params))
     return ravel_pytree(value)[0], ok
 
 
 def where(good: Array, new: PyTree, old: PyTree) -> PyTree:
-    """The tree `new` where `good`, else `old`, leaf by leaf."""
+    """The tree `new` where `good`, otherwise `old`, leaf by leaf."""
     return jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)

@@ -17,7 +17,7 @@ class Step(NamedTuple):
 
     Attributes:
         z: the step, (p,).
-        fall: by how much the linearized residuals let half their sum of squares fall.
+        fall: the predicted decrease of half the sum of squares, from the linearized residuals.
         damping: λ of the trust region; 0 where it does not limit the step.
     """
 
@@ -29,18 +29,18 @@ class Step(NamedTuple):
 def bounded_step(A: Array, r: Array, radius: Array, low: Array, high: Array) -> Step:
     """The z that minimizes |r + Az| where |z| ≤ radius and low ≤ z ≤ high, with low < 0 < high.
 
-    By active sets: coordinates that meet a side are held there, one after the other, and set free where the residuals
-    pull them back inside. The objective falls with every change, so that a search cut short still yields a step.
-    Without finite sides it is the step of Levenberg and Marquardt.
+    It is an active-set method: coordinates that meet a side are held there, one after the other, and released where the
+    gradient points back inside. The objective decreases with every change, so that an unfinished search still yields a
+    step. Without finite sides it is the step of Levenberg and Marquardt.
     """
     M, c = _triangle(A, r)
 
-    def unfinished(state: _Active) -> Array:
+    def is_unfinished(state: _Active) -> Array:
         return ~state.done & (state.passes < _PASSES * M.shape[1])
 
     none = jnp.zeros(M.shape[1], jnp.int32)
     start = _Active(jnp.zeros_like(low), none, jnp.zeros_like(c[0]), none[0], jnp.zeros((), bool))
-    end = lax.while_loop(unfinished, lambda state: _change(M, c, radius, low, high, state), start)
+    end = lax.while_loop(is_unfinished, lambda state: _change(M, c, radius, low, high, state), start)
     along = M @ end.z
     return Step(end.z, -jnp.vdot(c, along) - jnp.vdot(along, along) / 2, end.damping)
 
@@ -50,7 +50,7 @@ class _Active(NamedTuple):
 
     Attributes:
         z: the step so far.
-        side: for each coordinate −1 where it is held at its lower side, 1 at the upper one, else 0.
+        side: for each coordinate −1 if it is held at its lower side, 1 at the upper one, otherwise 0.
         damping: λ of the last solve.
         passes: the number of solves.
         done: whether z is the minimizer.
@@ -69,7 +69,7 @@ def _change(M: Array, c: Array, radius: Array, low: Array, high: Array, state: _
     held = side != 0
     fixed = jnp.where(held, z, 0)
     rest = jnp.sqrt(jnp.maximum(radius**2 - jnp.vdot(fixed, fixed), (1e-8 * radius) ** 2))
-    best, damping = _damped(jnp.where(held, 0, M), c + M @ fixed, rest)
+    best, damping = _damped_step(jnp.where(held, 0, M), c + M @ fixed, rest)
     path = jnp.where(held, 0, best - z)
     end = jnp.where(path > 0, high, low)
     part = jnp.where(path == 0, jnp.inf, (end - z) / jnp.where(path == 0, 1, path))
@@ -85,7 +85,7 @@ def _change(M: Array, c: Array, radius: Array, low: Array, high: Array, state: _
     return _Active(z, side, damping, state.passes + 1, ~meets & ~inwards)
 
 
-def _damped(A: Array, r: Array, radius: Array) -> tuple[Array, Array]:
+def _damped_step(A: Array, r: Array, radius: Array) -> tuple[Array, Array]:
     """The minimizer z of |r + Az| within |z| ≤ radius, the shortest of all, and its λ in (AᵀA + λ)z = −Aᵀr."""
     U, s, Vt = svd(A)
     known = above_rounding(s, A)

@@ -1,9 +1,9 @@
-"""Lie groups: each has the functions of `types.Group`, in the same order.
+"""Lie groups. Each has the functions of `types.Group`, in the same order.
 
 `so3` is the rotation group as unit quaternions. All others are matrix groups, with coordinates in a basis of the
 algebra: `special_orthogonal(n)`, `special_unitary(n)`, `special_euclidean(n)`, `special_linear(n)`, `symplectic(n)`,
 `affine(n)`, `heisenberg(n)`, `hyperbolic_motions()`, `translations(n)`, `upper_triangular(n)`, the `product` of two,
-and your own: `matrix(basis)`, which checks that the basis closes under the bracket.
+and custom groups: `matrix(basis)`, which checks that the basis closes under the bracket.
 """
 
 from lieint_jax.groups import catalogue, so3

@@ -8,16 +8,16 @@ TOLERANCE = 1e-10
 
 
 def dual_and_structure(E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The dual basis, with tr(DᵢᵀEⱼ) = δᵢⱼ, and the structure constants; ValueError if E is no basis."""
+    """The dual basis, with tr(DᵢᵀEⱼ) = δᵢⱼ, and the structure constants; ValueError if E is not a basis."""
     d = len(E)
     flat = E.reshape(d, -1)
     size = np.linalg.norm(flat, axis=1)
     if not size.all():
-        raise ValueError(f"basis[{int(np.argmin(size))}] is zero: take it out")
+        raise ValueError(f"basis[{int(np.argmin(size))}] is zero: remove it")
     values = np.linalg.svd(flat / size[:, None], compute_uv=False)
     if d > flat.shape[1] or values[-1] < TOLERANCE * values[0]:
         guilty = next(k for k in range(d) if np.linalg.matrix_rank(flat[: k + 1] / size[: k + 1, None], 1e-10) <= k)
-        raise ValueError(f"basis[{guilty}] is a combination of the matrices before it: take it out")
+        raise ValueError(f"basis[{guilty}] is a combination of the matrices before it: remove it")
     dual = np.linalg.solve(flat @ flat.T, flat)
     brackets = np.einsum("iab,jbc->ijac", E, E)
     brackets = brackets - brackets.transpose(1, 0, 2, 3)
@@ -30,11 +30,11 @@ def dual_and_structure(E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             f"the bracket of basis[{min(i, j)}] and basis[{max(i, j)}] leaves the span of the basis (by "
             f"{outside.max():.2g} of their sizes): add it, or correct one of the two"
         )
-    return rounded(dual).reshape(E.shape), rounded(c)
+    return round_entries(dual).reshape(E.shape), round_entries(c)
 
 
 def ideals(c: np.ndarray) -> list[list[int]]:
-    """The factors of an algebra that is a direct sum along its basis: the indices of each, the abelian ones together.
+    """The factors of an algebra that is a direct sum along its basis, each by its indices; abelian factors are one.
 
     Args:
         c: the structure constants, or the matrices ad_eᵢ; shape (d, d, d).
@@ -54,7 +54,7 @@ def invariant_forms(E: np.ndarray) -> list[np.ndarray]:
     n = E.shape[1]
     one = np.eye(n)
     equations = np.concatenate([np.kron(e.T, one) + np.kron(one, e.T) for e in E])
-    return [rounded(S / np.abs(S).max()) for S in null(equations).reshape(-1, n, n)]
+    return [round_entries(S / np.abs(S).max()) for S in null(equations).reshape(-1, n, n)]
 
 
 def algebra(E: np.ndarray) -> np.ndarray:
@@ -76,14 +76,14 @@ def null(M: np.ndarray, tolerance: float = TOLERANCE) -> np.ndarray:
     return rows[int(np.sum(values > tolerance * max(1.0, values.max(initial=0)))) :]
 
 
-def rounded(x: np.ndarray, tolerance: float | None = None) -> np.ndarray:
-    """x with entries near a multiple of 1/12, by default within round-off, set to it: zeros and ones become exact."""
+def round_entries(x: np.ndarray, tolerance: float | None = None) -> np.ndarray:
+    """x with entries near a multiple of 1/12, by default within round-off, set to it, so that 0 and 1 are exact."""
     near = np.round(12 * x) / 12
     least = 1e-14 * max(1.0, np.abs(x).max()) if tolerance is None else tolerance
     return np.where(np.abs(x - near) < least, near, x)
 
 
-def frozen(x: np.ndarray) -> np.ndarray:
+def freeze(x: np.ndarray) -> np.ndarray:
     x = np.array(x, float)
     x.flags.writeable = False
     return x

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lieint_jax.groups._basis import null, rounded
+from lieint_jax.groups._basis import null, round_entries
 
 _TOLERANCE = 1e-9
 
@@ -51,4 +51,4 @@ def _echelon(rows: np.ndarray) -> np.ndarray:
         for other in range(len(rows)):
             if other != k:
                 rows[other] -= rows[other, column] * rows[k]
-    return rounded(rows, _TOLERANCE)
+    return round_entries(rows, _TOLERANCE)

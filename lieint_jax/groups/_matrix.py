@@ -46,11 +46,11 @@ class MatrixGroup:
     """
 
     def __init__(self, basis: np.ndarray, name: str, unrolled: bool | None = None) -> None:
-        self.basis, self.name = _basis.frozen(basis), name
+        self.basis, self.name = _basis.freeze(basis), name
         small = self.dim <= _UNROLLED_DIM and self.size <= _UNROLLED_SIZE
         self.unrolled = small if unrolled is None else unrolled
-        self._dual, self.structure = (_basis.frozen(x) for x in _basis.dual_and_structure(self.basis))
-        self.identity = _basis.frozen(np.eye(self.basis.shape[1]))
+        self._dual, self.structure = (_basis.freeze(x) for x in _basis.dual_and_structure(self.basis))
+        self.identity = _basis.freeze(np.eye(self.basis.shape[1]))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, MatrixGroup) and self._key == other._key
@@ -82,7 +82,7 @@ class MatrixGroup:
         return la.as_array(self._hat(self._vector(xi)), xi)
 
     def vee(self, M: SquareMatrix) -> AlgebraVector:
-        """The inverse of `hat`; of any M, the orthogonal projection to the algebra (in the Frobenius product)."""
+        """The inverse of `hat`; for any M, its orthogonal projection to the algebra (in the Frobenius product)."""
         return la.as_array(self._vee(self._matrix(M)), M)
 
     # The group
@@ -142,7 +142,7 @@ class MatrixGroup:
         return last <= 2.0**16 * jnp.maximum(1, size)
 
     def log(self, q: SquareMatrix) -> AlgebraVector:
-        """ξ with exp ξ̂ = q, near the identity: to round-off for rotations by up to 2 radians."""
+        """ξ with exp ξ̂ = q, for q near the identity: to round-off for rotations by up to 2 radians."""
 
         def improve(_: int, xi: Array) -> Array:
             rest = 2 * self.vee(_artanh(self.exp(-xi) @ q))
@@ -152,7 +152,7 @@ class MatrixGroup:
         return jax.lax.fori_loop(0, _CORRECTIONS, improve, 2 * self.vee(_artanh(q)))
 
     def cayley(self, xi: AlgebraVector) -> SquareMatrix:
-        """(1 − ½ξ̂)⁻¹(1 + ½ξ̂), which is in the group only if the algebra contains its cubes: see `cayley_lands`."""
+        """(1 − ½ξ̂)⁻¹(1 + ½ξ̂), which is in the group only if `cayley_lands`."""
         return la.as_array(la.materialized(self.cayley_both(self._vector(xi))[0]), xi)
 
     @cached_property
@@ -163,10 +163,10 @@ class MatrixGroup:
         return bool(self._outside(X @ X @ X) <= _basis.TOLERANCE * np.abs(X).max() ** 3)
 
     def defect(self, q: SquareMatrix) -> Scalar:
-        """The distance of q from the group: its largest violation of the equations that the group is known to satisfy.
+        """The distance of q from the group: the largest violation of the equations that all elements satisfy.
 
-        The equations are: q lies in the linear span of the group; it preserves the bilinear forms on vectors and on
-        covectors that the group preserves; its determinant is 1, if the basis is traceless.
+        The equations are: q lies in the linear span of the group; q preserves the bilinear forms on vectors and on
+        covectors that the group preserves; det q = 1, if the basis is traceless.
         """
         outside, forms, coforms, traceless = self._constraints
         found = [jnp.tensordot(jnp.asarray(outside, q.dtype), q - self.identity, 2)]
@@ -182,7 +182,7 @@ class MatrixGroup:
         return la.as_array(self._vee(la.matmul(la.matmul(q_, X), self._inverse(q_))), jnp.asarray(q))
 
     def Ad_star(self, q: SquareMatrix, mu: DualVector) -> DualVector:
-        """Ad*_q μ, the transpose of Ad: takes spatial momentum π to body momentum Π."""
+        """Ad*_q μ, the transpose of Ad: maps spatial momentum π to body momentum Π."""
         q_ = self._element(q)
         return la.as_array(self.coadjoint(q_, self._inverse(q_), self._vector(mu)), jnp.asarray(mu))
 
@@ -204,16 +204,17 @@ class MatrixGroup:
         return la.linear(self._ad_star, mu)
 
     def casimirs(self, mu: DualVector) -> MomentumMap:
-        """Functions of μ that no Ad*_q changes, (k,): the linear ones (the center), then the quadratic ones.
+        """Functions of μ that every Ad*_q leaves invariant, (k,): the linear ones (the center), then the quadratic
+        ones.
 
-        They are all those of degree up to two, without products of linear ones: Π·P and |P|² on SE(3), |Π|² on SO(3),
-        the Pfaffian and |Π|² on SO(4). SL(3), Sp(4) and others have more, of higher degree; Aff(1) has none.
+        They are all such functions of degree up to two, without products of linear ones: Π·P and |P|² on SE(3), |Π|² on
+        SO(3), the Pfaffian and |Π|² on SO(4). SL(3), Sp(4) and others have more, of higher degree; Aff(1) has none.
         """
         central, forms = (jnp.asarray(x, mu.dtype) for x in self._casimirs)
         return jnp.concatenate([central @ mu, forms @ mu @ mu])
 
     def rounding(self, q: SquareMatrix, mu: DualVector) -> DualVector:
-        """The sum of the sizes of the terms of `Ad_star(q, mu)`, (d,): times eps, it bounds the rounding error."""
+        """The sums of |terms| of `Ad_star(q, mu)`, (d,); times eps they bound its rounding error."""
         a, b, c = (_absolute(x) for x in (self._element(q), self._inverse(self._element(q)), self._vector(mu)))
         return la.as_array(self.coadjoint(a, b, c, np.abs), jnp.asarray(mu))
 
@@ -340,11 +341,11 @@ class MatrixGroup:
 
     @cached_property
     def _ad(self) -> np.ndarray:
-        return _basis.frozen(self.structure.transpose(2, 1, 0))
+        return _basis.freeze(self.structure.transpose(2, 1, 0))
 
     @cached_property
     def _ad_star(self) -> np.ndarray:
-        return _basis.frozen(self.structure.transpose(1, 0, 2))
+        return _basis.freeze(self.structure.transpose(1, 0, 2))
 
     @cached_property
     def _free(self) -> np.ndarray:
@@ -363,7 +364,7 @@ class MatrixGroup:
             S = S / np.abs(S).max()
             error = np.abs(self.basis.transpose(0, 2, 1) @ S + S @ self.basis).max()
             if error < _basis.TOLERANCE and np.linalg.cond(S) < 1e3:
-                return _basis.rounded(S), _basis.rounded(np.linalg.inv(S))
+                return _basis.round_entries(S), _basis.round_entries(np.linalg.inv(S))
         return None
 
     @cached_property
@@ -423,13 +424,14 @@ def matrix(basis: ArrayLike, name: str = "matrix group", unrolled: bool | None =
 
     Args:
         basis: d matrices, shape (d, n, n), linearly independent, their brackets in their span. Complex matrices are
-            taken in their real form [[Re, −Im], [Im, Re]] of twice the size.
+            replaced by their real form [[Re, −Im], [Im, Re]] of twice the size.
         name: for reports.
         unrolled: whether arithmetic is unrolled into scalars, several times faster over a batch and slower to compile.
-            By default for dimensions up to 6 and sizes up to 5.
+            By default it is for dimensions up to 6 and sizes up to 5.
 
     Raises:
-        ValueError: a wrong shape, NaN or inf, dependent matrices, or a bracket that leaves the span (says which).
+        ValueError: a wrong shape, NaN or inf, dependent matrices, or a bracket that leaves the span; the message names
+            the matrices.
 
     Example:
         >>> group = matrix([[[1.0, 0.0], [0.0, 0.0]], [[0.0, 1.0], [0.0, 0.0]]])  # x ↦ ax + b

@@ -22,7 +22,7 @@ def special_orthogonal(n: int) -> MatrixGroup:
 def special_euclidean(n: int) -> MatrixGroup:
     """Motions of ℝⁿ as (n+1, n+1) matrices [[R, x], [0, 1]]: the basis of SO(n), then translations."""
     n = _checks.count("n", n, 2)
-    rotations = [_framed(E, n + 1) for E in _rotations(n)]
+    rotations = [_frame(E, n + 1) for E in _rotations(n)]
     return matrix([*rotations, *(_unit(n + 1, i, n) for i in range(n))], f"SE({n})")
 
 
@@ -97,10 +97,10 @@ def product(g: MatrixGroup, h: MatrixGroup) -> MatrixGroup:
     """The direct product of two matrix groups, as blocks of one matrix: the basis of `g`, then that of `h`."""
     for group in (g, h):
         if not isinstance(group, MatrixGroup):
-            raise ValueError(f"product takes two matrix groups, got {group!r}")
+            raise ValueError(f"product needs two matrix groups, got {group!r}")
     n = g.size + h.size
-    first = [_framed(E, n) for E in g.basis]
-    return matrix([*first, *(_framed(E, n, g.size) for E in h.basis)], f"{g.name} x {h.name}")
+    first = [_frame(E, n) for E in g.basis]
+    return matrix([*first, *(_frame(E, n, g.size) for E in h.basis)], f"{g.name} x {h.name}")
 
 
 def examples() -> dict[str, MatrixGroup]:
@@ -143,7 +143,7 @@ def _symmetric(n: int, i: int, j: int, k: int, m: int) -> np.ndarray:
     return E if (i, j) == (k, m) else E + _unit(n, k, m)
 
 
-def _framed(E: np.ndarray, n: int, at: int = 0) -> np.ndarray:
+def _frame(E: np.ndarray, n: int, at: int = 0) -> np.ndarray:
     """E as a diagonal block of an n×n matrix."""
     M = np.zeros((n, n))
     M[at : at + len(E), at : at + len(E)] = E

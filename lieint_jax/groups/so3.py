@@ -1,8 +1,8 @@
 """The rotation group SO(3) as unit quaternions (Section 2.1).
 
 An attitude Λ is a unit quaternion q = (w, x, y, z), shape (4,), scalar first; q and −q are the same rotation. Algebra
-and dual are ℝ³, bracket and pairing are × and ·. Everything is smooth where the group is, the derivative of `log` at 0
-and near π included, and works in float32 and float64.
+and dual are ℝ³, bracket and pairing are × and ·. All functions have accurate derivatives wherever they are smooth,
+including that of `log` at 0 and near π, in float32 and float64.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def Ad(q: Quaternion, xi: vec3.Vector) -> Vector3:
 
 
 def Ad_star(q: Quaternion, mu: vec3.Vector) -> Vector3:
-    """Λᵀμ, the transpose of Ad: takes spatial momentum π to body momentum Π."""
+    """Λᵀμ, the transpose of Ad: maps spatial momentum π to body momentum Π."""
     return jnp.stack(_rotate(-q[0], q[1:], mu))
 
 
@@ -93,7 +93,7 @@ def ad_star(xi: Vector3, mu: Vector3) -> Vector3:
 
 
 def casimirs(mu: Vector3) -> MomentumMap:
-    """|μ|², (1,), which no Ad*_q changes."""
+    """|μ|², (1,), which every Ad*_q leaves invariant."""
     return jnp.stack([dot(mu, mu)])
 
 
@@ -105,7 +105,7 @@ def hat(xi: Vector3) -> Matrix3:
 
 
 def vee(M: Matrix3) -> Vector3:
-    """The inverse of `hat`. Of any M it takes the skew part: the paper's rot[M]."""
+    """The inverse of `hat`; for any M, that of its skew part: the paper's rot[M]."""
     return jnp.stack([M[2, 1] - M[1, 2], M[0, 2] - M[2, 0], M[1, 0] - M[0, 1]]) / 2
 
 
@@ -132,8 +132,9 @@ def spatial_tangent(q: Quaternion, theta: Vector3) -> Quaternion:
 def cayley_increment(q: Quaternion, h: Vector3 | tuple[Array, ...]) -> Quaternion:
     """q cay(2h), as q + q(c − 1, ch) with c = 1/√(1+|h|²).
 
-    The product q·dq has rounding errors of size |q| in each step, the increment errors of the size of the step. The
-    increment also corrects |q|, so |q| = 1 to round-off for ever. Energy then drifts by 1e-13 in 10⁶ steps, not 1e-12.
+    The product q·dq has rounding errors proportional to |q| in each step; those of the increment are proportional to
+    the step. The increment also corrects |q|, so |q| = 1 to round-off in runs of any length. Energy then drifts by
+    1e-13 in 10⁶ steps, not by 1e-12.
     """
     return jnp.stack([x + dx for x, dx in zip(vec3.components(q), cayley_difference(q, h), strict=True)])
 
@@ -167,7 +168,7 @@ def matrix_of(w: Scalar, x: Scalar, y: Scalar, z: Scalar) -> vec3.Matrix:
 
 
 def from_matrix(R: Matrix3) -> Quaternion:
-    """The unit quaternion of a rotation matrix, its largest component positive."""
+    """The unit quaternion, (4,), of a rotation matrix, (3, 3), with its largest component positive."""
     a, b, c = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]  # 4wx, 4wy, 4wz
     d, e, f = R[2, 1] + R[1, 2], R[0, 2] + R[2, 0], R[1, 0] + R[0, 1]  # 4yz, 4xz, 4xy
     squares = jnp.stack(  # 4w², 4x², 4y², 4z²; the largest is at least 1, so nothing below is near 0/0
@@ -213,11 +214,14 @@ def from_euler(angles: Array, sequence: str = "ZXZ") -> Array:
 
     Args:
         angles: in radians, (3,), in the order of the sequence.
-        sequence: three axes as in scipy: "ZXZ", capitals, rotates about the axes of the body, one after the other,
-            R_z(α) R_x(β) R_z(γ); "zxz", small letters, about those of space. Neighbors differ.
+        sequence: three axes as in scipy, of which neighbors differ. Capitals, "ZXZ", mean successive rotations about
+            the axes of the body, R_z(α) R_x(β) R_z(γ); small letters, "zxz", mean rotations about those of space.
+
+    Returns:
+        The unit quaternion, (4,).
 
     Raises:
-        ValueError: another sequence.
+        ValueError: `sequence` is none of these.
     """
     intrinsic, axes = _sequence(sequence)
     q = None
@@ -232,9 +236,9 @@ def from_euler(angles: Array, sequence: str = "ZXZ") -> Array:
 def to_euler(q: Array, sequence: str = "ZXZ") -> Array:
     """The Euler angles of an attitude in radians, (3,): the inverse of `from_euler`.
 
-    The first and the third are in (−π, π], the second in [0, π] if the first axis is the third ("ZXZ"), else in
-    [−π/2, π/2]. Where the second is at an end, only a sum or difference of the others is determined, and one of them is
-    arbitrary.
+    The first and the third angle are in (−π, π]. The second is in [0, π] if the first and the third axis are equal
+    ("ZXZ"), otherwise in [−π/2, π/2]. Where the second is at an end of its range, only the sum or the difference of the
+    others is determined, and one of them is arbitrary.
 
     Source: Bernardes & Viollet 2022, PLoS ONE 17.
     """
@@ -262,8 +266,8 @@ def _sequence(sequence: str) -> tuple[bool, list[int]]:
     one_case = isinstance(sequence, str) and sequence in (sequence.lower(), sequence.upper())
     if len(axes) != 3 or min(axes) < 0 or not one_case or axes[0] == axes[1] or axes[1] == axes[2]:
         raise ValueError(
-            'sequence must be three axes of which neighbors differ, capitals for those of the body, such as "ZXZ" or '
-            f'"ZYX", small letters for those of space, such as "xyz", got {sequence!r}'
+            'sequence must be three axes of which neighbors differ: capitals for axes of the body, such as "ZXZ" or '
+            f'"ZYX", or small letters for axes of space, such as "xyz"; got {sequence!r}'
         )
     return sequence.isupper(), axes
 
@@ -300,7 +304,7 @@ def _norm_squared(q: Quaternion) -> Array:
 
 
 def _rotate(w: Scalar, v: vec3.Vector, u: vec3.Vector) -> tuple[Array, ...]:
-    """u + 2w v×u + 2 v×(v×u): u turned by the unit quaternion (w, v); by its inverse for −w."""
+    """u + 2w v×u + 2 v×(v×u): u rotated by the unit quaternion (w, v); by its inverse for −w."""
     t = tuple(2 * x for x in cross(v, u))
     c = cross(v, t)
     return tuple(u[i] + w * t[i] + c[i] for i in range(3))

@@ -2,7 +2,7 @@
 
 A jaxpr is walked (`_walk`) into a program of single numbers with real loops (`_program`). On a CPU LLVM compiles it
 with a vector of members for each number (`_emit`, `_machine`), and threads run it over blocks of members (`_kernel`).
-What all members share in a step, such as the position on an orbit, a program of its own computes before (`_stream`).
+A separate program first computes what all members share in a step, such as the position on an orbit (`_stream`).
 For an accelerator XLA compiles it with an array of all members for each number (`_arrays`).
 """
 

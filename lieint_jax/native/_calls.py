@@ -1,4 +1,4 @@
-"""The elementary functions that a module calls, as a module of their own."""
+"""The elementary functions that a module calls, as a separate module."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Functions:
         self._known: dict[tuple[str, str, int], str] = {}
 
     def name(self, op: str, scalar: str, lanes: int, count: int) -> str:
-        """The name of a function of `count` arguments, scalars if there are no lanes, else vectors."""
+        """The name of a function of `count` arguments, which are scalars if there are no lanes, otherwise vectors."""
         key = op, scalar, lanes
         if key not in self._known:
             if op not in (*FUNCTIONS, "sincos") or scalar not in _FLOATS:

@@ -435,7 +435,7 @@ class _Writer:
         return value if a == b else self.add(f"trunc {a} {value} to {b}")
 
     def op_sin(self, x: Number, vector: bool) -> str:
-        """The sine or cosine, and if both are needed both at once."""
+        """The sine or cosine; if both are needed, one call computes both."""
         scalar, kind = self.scalar(x.dtype), self.type(x.dtype, vector)
         lanes, [angle] = self.lanes if vector else 0, x.inputs
         other = (

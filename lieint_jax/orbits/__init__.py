@@ -1,8 +1,8 @@
-"""Given motions of a center, and what a satellite meets on its way: field, air, light, and frames to point to.
+"""Prescribed orbits, and the environment along them: magnetic field, air, sunlight, and frames for pointing.
 
 | function | gives |
 |---|---|
-| `kepler`, `from_state` | the orbit by its elements; through a position and a velocity |
+| `kepler`, `from_state` | the Kepler orbit by its elements; through a position and a velocity |
 | `table` | the orbit through the entries of an ephemeris |
 | `secular_j2` | an ellipse about an oblate center, with its secular rates |
 | `lvlh` | local vertical, local horizontal along an orbit: the attitude to point to the nadir |
@@ -12,8 +12,8 @@
 | `julian_date`, `earth_rotation_angle` | days, and the rotation of the Earth |
 | `graded_times` | step times that are short where a flyby is close |
 
-An orbit is any function t ↦ (position, velocity) that JAX can trace. Units are yours; the Earth's constants are in km
-and seconds: `EARTH_GM`, `EARTH_RADIUS`, `EARTH_J2`, `EARTH_RATE`.
+An orbit is any function t ↦ (position, velocity) that JAX can trace. Any consistent units may be used; the Earth's
+constants are in km and seconds: `EARTH_GM`, `EARTH_RADIUS`, `EARTH_J2`, `EARTH_RATE`.
 """
 
 from lieint_jax.orbits._earth import (

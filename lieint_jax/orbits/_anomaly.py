@@ -59,8 +59,8 @@ def _(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Arra
 def hyperbolic_anomaly(M: Array, e: Array) -> Array:
     """E of e sinh E − E = M.
 
-    The cubic (e − 1)E + eE³/6 = M gives an upper bound of |E|, and E ↦ asinh((|M| + E)/e) takes one to a lower one. The
-    left side is convex, so from there the corrections come down to the root.
+    The cubic (e − 1)E + eE³/6 = M gives an upper bound of |E|, and E ↦ asinh((|M| + E)/e) maps an upper bound to a
+    smaller one. The left side is convex, so from there the corrections decrease to the root.
     """
     m, rest = jnp.abs(M), e - 1
     p = 2 * rest / e

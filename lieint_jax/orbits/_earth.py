@@ -42,11 +42,11 @@ def julian_date(year: int, month: int, day: int, hours: float = 0.0) -> float:
     """The Julian date of a day of the Gregorian calendar, as a number of days; its rounding is 4e-5 s.
 
     Args:
-        year, month, day: of the calendar, from year 1 on.
-        hours: since midnight, such as 12 + 30/60, in the same time scale (UTC for what rotates with the Earth).
+        year, month, day: the day in the Gregorian calendar, from year 1 on.
+        hours: hours since midnight, such as 12 + 30/60, in the same time scale (UTC for what rotates with the Earth).
 
     Raises:
-        ValueError: no such day.
+        ValueError: the day does not exist.
 
     Example:
         >>> julian_date(2000, 1, 1, 12.0)
@@ -115,14 +115,17 @@ def earth_field(
     Args:
         orbit: t ↦ (position, velocity) from the Earth's center in inertial axes, z to the pole; t in seconds.
         date: the Julian date at t = 0 (`julian_date`), in UT.
-        coefficients: (g₁¹, h₁¹, g₁⁰), (3,), in the unit that the field shall have; by default IGRF-14 at this date,
-            from 2000 to 2030, in tesla.
+        coefficients: (g₁¹, h₁¹, g₁⁰), (3,), in the unit of the returned field; by default IGRF-14 at this date, from
+            2000 to 2030, in tesla.
         radius: 6371.2 km in the orbit's unit of length.
-        rate: of the Earth's rotation, in radians per unit of time.
+        rate: the rate of the Earth's rotation, in radians per unit of time.
+
+    Returns:
+        A function t ↦ b in space, (3,).
 
     Raises:
-        ValueError: an orbit below the ground or in another unit of length than the radius, a date that IGRF-14 has no
-            dipole for.
+        ValueError: the orbit is below the ground or in another unit of length than the radius, or IGRF-14 has no dipole
+            for the date.
 
     Source: Alken et al. 2021, Earth Planets Space 73 (IGRF); IAGA Working Group V-MOD 2024, IGRF-14 coefficients.
     """
@@ -159,13 +162,13 @@ def _decimal_year(date: float) -> float:
 
 @pytree
 class Air:
-    """The air that a satellite meets: `air(t)` is its density and the velocity relative to it. Made by `atmosphere`.
+    """The air along an orbit: `air(t)` is its density and the velocity relative to it. Made by `atmosphere`.
 
     Attributes:
         orbit: t ↦ (position, velocity).
-        density: at the distance `distance` from the center.
+        density: the density at the distance `distance` from the center.
         distance: that distance.
-        scale_height: in which the density falls to 1/e.
+        scale_height: the height over which the density falls to 1/e.
         rate: the angular velocity of the air about the axis z.
     """
 
@@ -214,7 +217,8 @@ def atmosphere(
         t ↦ (density, velocity of the satellite relative to the air, (3,), in space).
 
     Raises:
-        ValueError: numbers out of range, an orbit below the ground or in another unit of length than the radius.
+        ValueError: numbers are out of range, or the orbit is below the ground or in another unit of length than the
+            radius.
 
     Source: Vallado 2013, Fundamentals of Astrodynamics, table 8-4.
     """
@@ -241,7 +245,7 @@ def positive(name: str, value: ArrayLike) -> Array:
 
 
 def above_ground(orbit: Any, radius: Array) -> None:
-    """ValueError if an orbit is no function, is below the ground where it begins, or nearest, or has another unit."""
+    """ValueError if an orbit is not a function, is below the ground at its start or periapsis, or has another unit."""
     _checks.function("orbit", lambda t: orbit(t)[0], "the time t, with (position, velocity)", (3,), jnp.zeros(()))
     if not concrete(orbit, radius):
         return
@@ -261,7 +265,7 @@ def above_ground(orbit: Any, radius: Array) -> None:
 
 
 def _lowest(orbit: Any) -> float | None:
-    """The distance of the periapsis if the orbit has elements, else that at its first time, or at t = 0."""
+    """The distance of the periapsis if the orbit has elements, otherwise the distance at its first time or at t = 0."""
     orbit = getattr(orbit, "osculating", orbit)
     if hasattr(orbit, "semi_major_axis"):
         return abs(float(orbit.semi_major_axis * (1 - orbit.eccentricity)))

@@ -34,9 +34,9 @@ class LocalFrame:
         return jnp.stack([jnp.stack(cross(across, down)), across, down], axis=1)
 
     def angular_velocity(self, t: ArrayLike) -> Array:
-        """The angular velocity of the frame in its own axes, (3,), for any orbit, perturbed ones too.
+        """The angular velocity of the frame in its own axes, (3,), for any orbit, including perturbed ones.
 
-        It is −|h|/r² about y, and −r(v̇·ĥ)/|h| about z, as the plane of a perturbed orbit rotates.
+        It is −|h|/r² about y, and −r(v̇·ĥ)/|h| about z, because the plane of a perturbed orbit rotates.
         """
         t = jnp.asarray(t)
         if hasattr(self.orbit, "acceleration"):
@@ -51,9 +51,9 @@ class LocalFrame:
 
 
 def lvlh(orbit: Any) -> LocalFrame:
-    """Local vertical, local horizontal: z down to the center, y against the orbit's normal, x = y × z, forward.
+    """The frame local vertical, local horizontal (LVLH): z to the center, y opposite to the orbit's normal, x = y × z.
 
-    A body at q = frame(t) points its z axis to the nadir. On a circular orbit x is the direction of the velocity.
+    A body at q = frame(t) points its z axis to the nadir. x points forward; on a circular orbit, along the velocity.
 
     Args:
         orbit: t ↦ (position, velocity) from the center of attraction, such as `kepler(…)`; JAX must be able to
@@ -63,7 +63,7 @@ def lvlh(orbit: Any) -> LocalFrame:
         t ↦ the attitude quaternion of the frame, (4,), with a method `angular_velocity(t)` in the axes of the frame.
 
     Raises:
-        ValueError: an orbit that is no such function.
+        ValueError: `orbit` is not such a function.
     """
     _checks.function("orbit", lambda t: orbit(t)[0], "the time t, with (position, velocity)", (3,), jnp.zeros(()))
     return LocalFrame(callable_pytree(orbit))

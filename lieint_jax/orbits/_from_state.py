@@ -1,4 +1,4 @@
-"""The Kepler orbit through a position and a velocity, by Lagrange's coefficients: no element is singular."""
+"""The Kepler orbit through a position and a velocity, by Lagrange's coefficients, which have no singularities."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class KeplerFromState:
 
     @property
     def elements(self) -> Kepler:
-        """The same orbit by its elements. The node of an orbit in the xy-plane is 0, the periapsis of a circle too."""
+        """The same orbit by its elements. The node is 0 for an orbit in the xy-plane, the periapsis 0 for a circle."""
         c, s, _ = self._anomaly_parts()
         closed, e = self._inverse_axis > 0, self.eccentricity
         E = jnp.where(closed, jnp.arctan2(s, c), jnp.arcsinh(s / e))
@@ -102,13 +102,13 @@ class KeplerFromState:
         M = self.mean_motion * (t - self.start)
         M = M - 2 * jnp.pi * lax.stop_gradient(jnp.round(M / (2 * jnp.pi)))
         c, s, _ = self._anomaly_parts()
-        return self._propagated(_elliptic_change(M, c, s), jnp.sin, jnp.cos)
+        return self._propagate(_elliptic_change(M, c, s), jnp.sin, jnp.cos)
 
     def _on_hyperbola(self, t: ArrayLike) -> tuple[Array, Array]:
         c, s, _ = self._anomaly_parts()
-        return self._propagated(_hyperbolic_change(self.mean_motion * (t - self.start), c, s), jnp.sinh, jnp.cosh)
+        return self._propagate(_hyperbolic_change(self.mean_motion * (t - self.start), c, s), jnp.sinh, jnp.cosh)
 
-    def _propagated(self, x: Array, sine: Function, cosine: Function) -> tuple[Array, Array]:
+    def _propagate(self, x: Array, sine: Function, cosine: Function) -> tuple[Array, Array]:
         """Position and velocity, with the circular or the hyperbolic functions."""
         r0 = jnp.sqrt(dot(self.position, self.position))
         a = 1 / self._anomaly_parts()[2]
@@ -123,17 +123,20 @@ class KeplerFromState:
 def from_state(mu: ArrayLike, position: Any, velocity: Any, t: ArrayLike = 0.0) -> KeplerFromState:
     """The Kepler orbit through a position and a velocity, elliptic or hyperbolic.
 
-    Circles and orbits in the xy-plane are no special cases, derivatives included. `orbit.elements` are those of
-    `kepler`. Positions are right to a few ulp of the semi-major axis, apart from the rounding of the mean anomaly.
+    Values and derivatives are regular for circles and for orbits in the xy-plane. `orbit.elements` has the elements of
+    `kepler`. Positions are right to a few ulp of the semi-major axis, plus the effect of rounding the mean anomaly.
 
     Args:
         mu: the gravitational parameter GM, > 0, in length³ / time².
-        position, velocity: at the time t, relative to the center of attraction, (3,).
+        position, velocity: position and velocity at the time t, relative to the center of attraction, (3,) each.
         t: that time.
 
+    Returns:
+        A function t ↦ (position, velocity).
+
     Raises:
-        ValueError: μ ≤ 0, a position at the center, a velocity along the position (the orbit is a line), a parabola,
-            a value that is no finite real number.
+        ValueError: μ ≤ 0; the position is the center; the velocity is parallel to the position, so that the orbit is a
+            line; the orbit is a parabola; or a value is not a finite real number.
 
     Source: Battin 1999, An Introduction to the Mathematics and Methods of Astrodynamics, 3.3 and 4.3.
 

@@ -1,4 +1,4 @@
-"""Times of steps that are short where a body is near to the center of attraction."""
+"""Times of steps that are short where a body is close to the center of attraction."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ _GRADINGS, _PARTS = 4, 16  # passes of `graded_times`, and parts of a step in it
 def graded_times(
     orbit: Callable[[Array], tuple[Array, Array]], t0: float, t1: float, n: int, *, c: float = 0.15
 ) -> np.ndarray:
-    """Step boundaries for `integrate(…, times=…)` on an orbit: n steps, shorter where the body is nearer to the center.
+    """Step boundaries for `integrate(…, times=…)` on an orbit: n steps, shorter where the body is closer to the center.
 
-    Steps are in proportion to 1/(r₀/r + c), where r₀ is the least distance between t0 and t1. Far away c bounds them,
-    near the center they are about c/(1 + c) of that bound. They depend on the orbit alone and are the same for all
-    members of an ensemble, so a symplectic step stays symplectic.
+    Steps are proportional to 1/(r₀/r + c), where r₀ is the least distance between t0 and t1. Far away c bounds them;
+    near the center they are about c/(1 + c) of this bound. The times depend on the orbit only and are the same for all
+    members of an ensemble, so a symplectic step remains symplectic.
 
     Args:
-        orbit: t ↦ (position, velocity), such as `kepler(...)` makes.
+        orbit: t ↦ (position, velocity), such as `kepler(...)`.
         t0, t1: first and last time, in either order.
         n: the number of steps.
-        c: > 0; 0.15 serves tumbling bodies in flybys (0 would leave the body's own turning to huge steps far away).
+        c: > 0; 0.15 suits tumbling bodies in flybys. With c → 0 steps far away become too long for the rotation.
 
     Returns:
         (n+1,) times from t0 to t1.
 
     Raises:
-        ValueError: t0 = t1 or not finite, n < 1, c ≤ 0.
+        ValueError: t0 = t1, a time is not finite, n < 1, or c ≤ 0.
     """
     n, t0, t1, c = _checks.count("n", n, 1), float(t0), float(t1), float(c)
     if not (math.isfinite(t0) and math.isfinite(t1) and t0 != t1):

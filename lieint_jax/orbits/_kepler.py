@@ -45,7 +45,7 @@ class Kepler:
 
     @property
     def mean_motion(self) -> Array:
-        """n = √(μ/|a|³), in radians per unit of time; the period of an ellipse is 2π/n; NaN for no orbit."""
+        """n = √(μ/|a|³), in radians per unit of time; the period of an ellipse is 2π/n; NaN if there is no orbit."""
         a, e = self.semi_major_axis, self.eccentricity
         exists = (self.mu > 0) & ((a > 0) & (e >= 0) & (e < 1) | (a < 0) & (e > 1))
         size = jnp.where(exists, jnp.abs(a), jnp.nan)
@@ -102,23 +102,26 @@ def kepler(
     periapsis: ArrayLike = 0.0,
     periapsis_time: ArrayLike = 0.0,
 ) -> Kepler:
-    """The orbit of a body about a center of attraction at the origin.
+    """A Kepler orbit about a center of attraction at the origin, elliptic or hyperbolic, by its elements.
 
-    Traced elements are not checked here. Where they belong to no orbit, positions and velocities are NaN.
+    Traced elements are not checked; where no such orbit exists, positions and velocities are NaN.
 
-    The position is right to 1e-13 of the radius for e ≤ 0.9 and to 1e-12 for e = 0.99 and 1.01, beside the rounding of
-    the mean anomaly n(t − T) itself, eps·n|t − T|. All elements can be differentiated, vmapped and traced.
+    The position is right to 1e-13 of the radius for e ≤ 0.9 and to 1e-12 for e = 0.99 and 1.01, plus the effect of
+    rounding the mean anomaly n(t − T), eps·n|t − T|. All elements can be differentiated, vmapped and traced.
 
     Args:
         mu: the gravitational parameter GM, > 0, in length³ / time².
         semi_major_axis: a, a length; a < 0 for a hyperbola.
-        eccentricity: e; 0 ≤ e < 1 for a > 0, e > 1 for a < 0. Parabolas, e = 1, have no a: take e a little off 1.
-        inclination, node, periapsis: i, Ω and ω, in radians: R_z(Ω) R_x(i) R_z(ω) takes the orbit's axes to those of
+        eccentricity: e; 0 ≤ e < 1 for a > 0, e > 1 for a < 0. Parabolas, e = 1, have no a; use an e slightly off 1.
+        inclination, node, periapsis: i, Ω and ω, in radians: R_z(Ω) R_x(i) R_z(ω) rotates the orbit's axes to those of
             space.
-        periapsis_time: T, when the body is nearest, in the unit of time of mu and on the clock of t.
+        periapsis_time: T, the time of periapsis, in the unit of time of mu and on the clock of t.
+
+    Returns:
+        A function t ↦ (position, velocity).
 
     Raises:
-        ValueError: μ ≤ 0, a = 0, e = 1, e < 0, e and a of different kinds, a value that is no finite real number.
+        ValueError: μ ≤ 0, a = 0, e = 1, e < 0, e and a contradict each other, or a value is not a finite real number.
 
     Source: Markley 1995, Celest. Mech. Dyn. Astron. 63 (the first guess for E); Halley's method.
 
@@ -146,7 +149,7 @@ def kepler(
 
 
 def _check_elements(mu: float | None, a: float | None, e: float | None) -> None:
-    """ValueError if the elements that are no tracers, which are None here, belong to no orbit."""
+    """ValueError if no orbit has these elements; None stands for a tracer."""
     if mu is not None and not mu > 0:
         raise ValueError(f"mu must be positive, got {mu}")
     if a == 0:
@@ -176,6 +179,6 @@ def _on_hyperbola(M: Array, e: Array) -> tuple[Array, ...]:
 
 
 def _in_plane(E: Array, e: Array, rest: Array, sine: Function, cosine: Function) -> tuple[Array, ...]:
-    """Both, with rest = |1 − e| and the circular or the hyperbolic functions."""
+    """Position and velocity in the plane, with rest = |1 − e| and the circular or the hyperbolic functions."""
     r, b = slope(E, e, rest, sine), jnp.sqrt(rest * (1 + e))
     return rest - 2 * sine(E / 2) ** 2, b * sine(E), -sine(E) / r, b * cosine(E) / r

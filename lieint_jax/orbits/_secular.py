@@ -1,4 +1,4 @@
-"""A Kepler orbit whose node, periapsis and mean anomaly drift by the oblateness of the center."""
+"""A Kepler orbit whose node, periapsis and mean anomaly drift because of the oblateness of the center."""
 
 from __future__ import annotations
 
@@ -87,16 +87,17 @@ def secular_j2(
 
         node −2U cos i,    periapsis U(5cos²i − 1),    mean anomaly n + U√(1−e²)(3cos²i − 1)
 
-    The periodic variations, about J₂(R/p)² of the radius (10 km for a satellite near the Earth), are left out.
+    The periodic variations, about J₂(R/p)² of the radius (10 km for a satellite near the Earth), are omitted.
 
     Args:
-        mu, semi_major_axis, eccentricity, inclination, node, periapsis, periapsis_time: as in `kepler`, of an ellipse;
-            the mean elements at the time of periapsis. The pole of the center is the axis z.
+        mu, semi_major_axis, eccentricity, inclination, node, periapsis, periapsis_time: as in `kepler`, the mean
+            elements of an ellipse at the time of periapsis. The pole of the center is the axis z.
         J2: by default that of the Earth.
         radius: the equatorial radius R in the orbit's unit of length; by default that of the Earth in km.
 
     Raises:
-        ValueError: elements of no ellipse, a radius that is not positive, a periapsis below the ground.
+        ValueError: the elements are not those of an ellipse, the radius is not positive, or the periapsis is below the
+            ground.
 
     Source: Brouwer 1959, Astron. J. 64; Vallado 2013, Fundamentals of Astrodynamics, 9.6.
     """

@@ -23,8 +23,8 @@ class SunDirection:
     """The unit vector from the Earth to the Sun: `sun(t)`, in space. Made by `sun_direction`.
 
     Attributes:
-        days: since J2000, at t = 0.
-        day: a day in the unit of time.
+        days: the days from J2000 to t = 0.
+        day: the length of a day in the unit of time.
     """
 
     days: Array
@@ -50,7 +50,7 @@ def sun_direction(date: float, day: ArrayLike = 86400.0) -> SunDirection:
         day: the length of a day in the unit of t.
 
     Raises:
-        ValueError: a date or a day that is no finite number, a day that is not positive.
+        ValueError: the date or the day is not a finite number, or the day is not positive.
 
     Source: The Astronomical Almanac, low-precision formulas for the Sun's coordinates (page C5).
     """
@@ -59,7 +59,7 @@ def sun_direction(date: float, day: ArrayLike = 86400.0) -> SunDirection:
 
 @pytree
 class Eclipse:
-    """The part of the Sun's disc that the Earth leaves visible: `light(t)` from 0 to 1. Made by `eclipse`.
+    """The visible fraction of the Sun's disc: `light(t)`, from 0 to 1. Made by `eclipse`.
 
     Attributes:
         orbit: t ↦ (position, velocity).
@@ -84,11 +84,13 @@ class Eclipse:
         if self.cylinder:
             return jnp.where((along < 0) & (off < self.radius), 0.0, 1.0).astype(r.dtype)
         size = jnp.sqrt(dot(r, r))
-        return 1 - _covered(self.angle, jnp.arcsin(jnp.minimum(self.radius / size, 1)), jnp.arctan2(off, -along))
+        return 1 - _covered_fraction(
+            self.angle, jnp.arcsin(jnp.minimum(self.radius / size, 1)), jnp.arctan2(off, -along)
+        )
 
 
-def _covered(a: Array, b: Array, c: Array) -> Array:
-    """The part of a disc of radius a that is covered by one of radius b, whose center is at the distance c."""
+def _covered_fraction(a: Array, b: Array, c: Array) -> Array:
+    """The fraction of a disc of radius a that is covered by one of radius b, whose center is at the distance c."""
     overlap = (c < a + b) & (c > jnp.abs(a - b))
     c_ = jnp.where(overlap, c, b)  # a harmless one
     x = ((c_ - b) * (c_ + b) + a * a) / (2 * c_)
@@ -109,7 +111,7 @@ def eclipse(
     *,
     angle: ArrayLike = SUN_ANGLE,
 ) -> Eclipse:
-    """The part of the sunlight that reaches a satellite, from 0 in the shadow of the Earth to 1.
+    """The fraction of the sunlight that reaches a satellite, from 0 in the Earth's shadow to 1.
 
     Args:
         orbit: t ↦ (position, velocity) from the Earth's center.
@@ -119,7 +121,8 @@ def eclipse(
         angle: the half-angle of the Sun's disc, in radians.
 
     Raises:
-        ValueError: another shadow, a Sun that is no such vector, an orbit below the ground or in another unit.
+        ValueError: `shadow` is none of these, `sun` is not such a vector or function, or the orbit is below the ground
+            or in another unit.
 
     Source: Montenbruck & Gill 2000, Satellite Orbits, 3.4.2.
     """

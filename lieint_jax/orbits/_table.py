@@ -1,4 +1,4 @@
-"""An orbit that is given by a table, such as an ephemeris."""
+"""An orbit given by a table, such as an ephemeris."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class Table:
     """An orbit through the entries of a table: `orbit(t)` is the position and the velocity. Made by `table`.
 
     Attributes:
-        times: of the entries, increasing, (n,).
-        positions, velocities: at these times, (n, 3).
+        times: the times of the entries, increasing, (n,).
+        positions, velocities: positions and velocities at these times, (n, 3).
     """
 
     times: Array
@@ -28,7 +28,7 @@ class Table:
     velocities: Array
 
     def __call__(self, t: ArrayLike) -> tuple[Array, Array]:
-        """Position (3,) and velocity (3,) at time t. Outside of the table: ValueError if t is concrete, else NaN."""
+        """Position (3,) and velocity (3,) at time t. Outside the table: ValueError if t is concrete, otherwise NaN."""
         first, last = self.times[0], self.times[-1]
         if concrete(t, self.times) and not float(first) <= float(now := np.asarray(t)) <= float(last):
             raise ValueError(f"the table has times from {float(first):g} to {float(last):g}, got t = {float(now):g}")
@@ -45,8 +45,8 @@ class Table:
 def table(times: Any, positions: Any, velocities: Any) -> Table:
     """An orbit through given positions with given velocities: a cubic between two entries, C¹ (Hermite).
 
-    Its error is h⁴/384 of the fourth derivative of the position, and the velocity is exactly the derivative of the
-    position. Inside of jit a time outside of the table gives NaN, and the step reports `converged=False`.
+    Its error is h⁴/384 times the fourth derivative of the position, and the velocity is exactly the derivative of the
+    position. Inside jit a time outside the table gives NaN, and the step reports `converged=False`.
 
     Args:
         times: of the entries, increasing, (n,), n ≥ 2.
@@ -74,14 +74,14 @@ class VectorTable:
     entries: Table
 
     def __call__(self, t: ArrayLike) -> Array:
-        """The vector at time t, (3,). Outside of the table: ValueError if t is concrete, else NaN."""
+        """The vector at time t, (3,). Outside the table: ValueError if t is concrete, otherwise NaN."""
         return self.entries(t)[0]
 
 
 def vector_table(times: Any, values: Any) -> VectorTable:
-    """A vector as a function of time from a table, such as a magnetic field that another package computed, C¹.
+    """A C¹ vector function of time from a table, such as a magnetic field that another package computed.
 
-    Between two entries it is the cubic with the slopes of parabolas through three entries.
+    Between two entries it is the cubic whose derivatives at the entries are those of parabolas through three entries.
 
     Args:
         times: of the entries, increasing, (n,), n ≥ 3.

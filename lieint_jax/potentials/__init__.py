@@ -8,8 +8,8 @@
 | `molecule`, `water` | a rigid molecule of sites, with its principal axes; TIP4P water |
 | `springs`, `uniform_field`, `outer_field` | springs between bodies; fields from outside, uniform or any |
 
-Any function of positions and rotations is a potential too; forces and torques are then by autodiff. `symmetry` says
-which momenta a potential conserves.
+Any function of positions and rotations is a potential too; autodiff then computes forces and torques. `symmetry` gives
+the momenta that a potential conserves.
 """
 
 from lieint_jax._deprecated import renamed as _renamed

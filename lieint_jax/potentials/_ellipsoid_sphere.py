@@ -44,7 +44,7 @@ class EllipsoidSphere(Potential):
         return self.value(self.invariants(x, R))
 
     def invariants(self, x: Positions, R: Rotations) -> Array:
-        """Γ, the place of the sphere in the axes of the ellipsoid, (3,)."""
+        """Γ, the position of the sphere in the axes of the ellipsoid, (3,)."""
         return jnp.sum(R[0] * (x[1] - x[0])[:, None], axis=0)
 
     def value(self, invariants: Array) -> Scalar:

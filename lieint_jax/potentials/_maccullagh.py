@@ -37,7 +37,7 @@ class MacCullagh(Potential):
         return self.value(self.invariants(x, R))
 
     def force(self, x: Positions, R: Rotations) -> PoseMomenta:
-        """The forces −∂V/∂x and the torques −∂V(exp(δ̂)R)/∂δ, (N, 6), six times as fast as the derivative of V."""
+        """The forces −∂V/∂x and the torques −∂V(exp(δ̂)R)/∂δ, (N, 6), six times as fast as autodiff of V."""
         (i, j), m, trace = self._pairs, self.masses, self._traces
         # an axis of pairs, seen from one end and then from the other
         here, there = np.concatenate([i, j]), np.concatenate([j, i])
@@ -57,7 +57,7 @@ class MacCullagh(Potential):
         return vec3.components(J) if self.inertias.ndim == 2 else vec3.entries(J)
 
     def invariants(self, x: Positions, R: Rotations) -> Array:
-        """Of each of k pairs r², Γ_i and Γ_j, (7k,)."""
+        """r², Γ_i and Γ_j of each of k pairs, (7k,)."""
         i, j = self._pairs
         d = x[j] - x[i]
         Gamma = [jnp.sum(R[n] * d[:, :, None], axis=1) for n in (i, j)]
@@ -105,13 +105,16 @@ def maccullagh(G: ArrayLike, masses: ArrayLike, inertias: ArrayLike) -> MacCulla
     """Gravity of N bodies to second order of their size over their distance (MacCullagh 1844).
 
     V = Σ_{i<j} −G m_i m_j/r − G (m_j tr J_i + m_i tr J_j)/2r³ + (3G/2r⁵) (m_j Γ_i·J_iΓ_i + m_i Γ_j·J_jΓ_j), where
-    Γ_i = Λ_iᵀ(x_j − x_i) is the line between the two in the axes of body i. Terms of both bodies' shapes together, of
-    order 4, are left out. Invariant: P and L are conserved.
+    Γ_i = Λ_iᵀ(x_j − x_i) is the vector between the two in the axes of body i. Terms that couple the shapes of both
+    bodies, of order 4, are omitted. The potential is invariant: P and L are conserved.
 
     Args:
-        G: the constant of gravity, in the units of all else.
+        G: the constant of gravity, in units consistent with the other arguments.
         masses: (N,), or N shapes of `lieint_jax.shapes`.
         inertias: about the centers of mass, (N, 3) or (N, 3, 3), or N shapes.
+
+    Raises:
+        ValueError: the shapes of the arguments disagree.
     """
     m, J = (
         _checks.real_array("masses", _checks.of_shapes("mass", masses)),

@@ -16,7 +16,7 @@ _ALIGNED = 1e-12  # of the largest moment: smaller products of inertia are round
 
 
 class Molecule(NamedTuple):
-    """A rigid molecule in nm, ps, atomic mass units, kJ/mol and elementary charges, which go together.
+    """A rigid molecule in the consistent units nm, ps, u, kJ/mol and elementary charges.
 
     Attributes:
         mass: in u.
@@ -35,7 +35,7 @@ class Molecule(NamedTuple):
     sizes: np.ndarray
 
     def potential(self, number: int) -> Potential:
-        """The potential of so many of these molecules."""
+        """The potential of `number` of these molecules."""
         at = jnp.tile(jnp.asarray(self.points), (_checks.count("number", number, 2), 1, 1))
         return sites(at, self.charges, self.wells, self.sizes)
 
@@ -60,8 +60,8 @@ def molecule(
         sizes: σ of Lennard-Jones, in nm, (n,); needed where ε > 0.
 
     Raises:
-        ValueError: shapes that disagree, negative masses or wells, a total mass of 0, masses on one line (no inertia
-            about it), wells without sizes.
+        ValueError: shapes disagree, masses or wells are negative, the total mass is 0, the masses lie on one line (no
+            inertia about it), or sizes are missing where wells are given.
     """
     m, at = np.asarray(masses, float), np.asarray(points, float)
     if m.ndim != 1 or not m.size or at.shape != (m.size, 3):
@@ -85,7 +85,7 @@ def molecule(
 
 
 def _principal(m: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The principal moments of masses, and their places in principal axes."""
+    """The principal moments of masses, and their positions in principal axes."""
     second = (m[:, None] * at).T @ at
     if np.abs(second - np.diag(np.diag(second))).max() > _ALIGNED * second.max():
         _, axes = np.linalg.eigh(np.trace(second) * np.eye(3) - second)

@@ -56,7 +56,7 @@ class MutualGravity(Potential):
         return self.value(self.invariants(x, R))
 
     def invariants(self, x: Array, R: Array) -> Array:
-        """Of each of k pairs r², Γ_i and Γ_j, and to order 4 C: (7k,) or (16k,)."""
+        """r², Γ_i and Γ_j of each of k pairs, (7k,); to order 4 also C, (16k,)."""
         i, j = self._pairs
         d = x[j] - x[i]
         Gamma = [jnp.sum(R[n] * d[:, :, None], axis=1).ravel() for n in (i, j)]
@@ -127,10 +127,10 @@ class MutualGravity(Potential):
             seen = (_times(start.C, arms[1][0]) + _times(end.C, arms[1][1])) / 2
             across = [_times(Q[i], seen), _times(Q[j], _times(jnp.swapaxes(C, 1, 2), p))]
             along = [
-                D + 52.5 * _scaled(mean[9] * square, arm) - 15 * _scaled(mean[7], other)
+                D + 52.5 * _scale_each(mean[9] * square, arm) - 15 * _scale_each(mean[7], other)
                 for D, square, arm, other in zip(along, squares[::-1], (p, q), across, strict=True)
             ]
-            along_C = 3 * _scaled(mean[5], _product(_product(Q[i], C), Q[j])) - 15 * _scaled(
+            along_C = 3 * _scale_each(mean[5], _product(_product(Q[i], C), Q[j])) - 15 * _scale_each(
                 mean[7], p[:, :, None] * q[:, None]
             )
         return _Invariants(-self.G * along_u, along[0], along[1], along_C)
@@ -138,15 +138,15 @@ class MutualGravity(Potential):
     def _along_Gamma(
         self, n: np.ndarray, other: Array, sign: int, G0: Array, G1: Array, mean: dict[int, Array]
     ) -> Array:
-        """That of the terms of one body's shape alone, by its Γ."""
+        """The discrete gradient of the terms with one body's shape only, with respect to its Γ."""
         total = G0 + G1
-        D = 1.5 * _scaled(other * mean[5], _times(self.second[n], total))
+        D = 1.5 * _scale_each(other * mean[5], _times(self.second[n], total))
         if self.order >= 3:
             T = self.third[n]
-            D += 2.5 * sign * _scaled(other * mean[7], _times(_times(T, total), total) - _times(_times(T, G0), G1))
+            D += 2.5 * sign * _scale_each(other * mean[7], _times(_times(T, total), total) - _times(_times(T, G0), G1))
         if self.order == 4:
             F = _times(self.fourth[n], total)
-            D += 4.375 * _scaled(other * mean[9], _times(_times(F, G0), G0) + _times(_times(F, G1), G1))
+            D += 4.375 * _scale_each(other * mean[9], _times(_times(F, G0), G0) + _times(_times(F, G1), G1))
         return D
 
     @property
@@ -179,19 +179,19 @@ class _Invariants(NamedTuple):
 def mutual_gravity(G: ArrayLike, shapes: Sequence[Shape | ArrayLike], order: int = 4) -> MutualGravity:
     """Gravity of N bodies of any shape, to a given order of their size over their distance, for every pair.
 
-    All terms up to the order are included, those of both shapes together too. To order 2 it is `maccullagh`. Spheres
-    and points attract as points, exactly. The sum converges where the spheres about the bodies that enclose them do not
-    meet. Invariant: P and L are conserved, by `bodies_energy_momentum` the energy too.
+    All terms up to the order are included, also those that couple both shapes. To order 2 it equals `maccullagh`.
+    Homogeneous spheres attract as points, exactly. The series converges where the enclosing spheres of the bodies do
+    not intersect. The potential is invariant: P and L are conserved; `bodies_energy_momentum` conserves the energy too.
 
     Args:
-        G: the constant of gravity, in the units of all else.
-        shapes: N bodies of `lieint_jax.shapes`, or their masses where they are spheres or points. A position of the
-            system is that of a body's center of mass, a rotation leads from the axes of its shape to space.
+        G: the constant of gravity, in units consistent with the other arguments.
+        shapes: N bodies of `lieint_jax.shapes`, or their masses where they are spheres or points. The position of a
+            body is that of its center of mass; its rotation leads from the axes of its shape to space.
         order: 2, 3 or 4.
 
     Raises:
-        ValueError: fewer than two bodies, one that is neither shape nor mass, a mass that is not positive, another
-            order.
+        ValueError: there are fewer than two bodies, one is neither a shape nor a mass, a mass is not positive, or the
+            order is not one of these.
 
     Source: Hou, Scheeres & Xin 2016, Celest. Mech. Dyn. Astron. 127, the same expansion by inertia integrals; here by
     trace-free moments.
@@ -210,7 +210,7 @@ def _moments(k: int, shape: Any) -> tuple[Array, ...]:
     if isinstance(shape, Shape):
         mass, *moments = (shape.moments(n) for n in (0, 2, 3, 4))
     else:
-        mass = _checks.real_array(f"shapes[{k}], if it is no shape, the mass of a point,", shape, ())
+        mass = _checks.real_array(f"shapes[{k}], if it is not a shape, the mass of a point,", shape, ())
         moments = [jnp.zeros((3,) * n, mass.dtype) for n in (2, 3, 4)]
     if _checks.concrete(mass) and not float(mass) > 0:
         raise ValueError(f"the mass of shapes[{k}] must be positive, got {float(mass)}")
@@ -230,6 +230,6 @@ def _dot(a: Array, b: Array) -> Array:
     return jnp.sum(a * b, axis=-1)
 
 
-def _scaled(numbers: Array, tensors: Array) -> Array:
+def _scale_each(numbers: Array, tensors: Array) -> Array:
     """Each of k tensors times its number."""
     return numbers.reshape(-1, *[1] * (tensors.ndim - 1)) * tensors

@@ -1,4 +1,4 @@
-"""Fields from outside, which act on points of the bodies: a uniform one, and any other."""
+"""External fields, which act on points of the bodies: a uniform field, and any other."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.potentials._site_groups import grouped, places
+from lieint_jax.potentials._site_groups import group_sites, places
 from lieint_jax.types import callable_pytree, pytree, static
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
@@ -38,7 +38,7 @@ class UniformField(Potential):
 
     @property
     def symmetry(self) -> Array:
-        """P across the field and L about it are conserved."""
+        """The projector (6, 6) to P perpendicular to the field and L about it, which are conserved."""
         along = jnp.outer(self.field, self.field) / jnp.sum(self.field**2)
         return jax.scipy.linalg.block_diag(jnp.eye(3) - along, along)
 
@@ -64,10 +64,10 @@ class OuterField(Potential):
     """V = Σ w_a φ(x_i + Λ_i s_a). Made by `outer_field`.
 
     Attributes:
-        phi: place (3,) ↦ φ.
-        strengths: w of each group of bodies with as many points, (bodies, points).
+        phi: position (3,) ↦ φ.
+        strengths: w of each group of bodies with equally many points, (bodies, points).
         points: s of each group, (bodies, points, 3).
-        kept: the projector (6, 6) on the part of (P, L) that is conserved.
+        kept: the projector (6, 6) to the conserved part of (P, L).
         groups: the bodies of each group.
     """
 
@@ -93,20 +93,23 @@ class OuterField(Potential):
 
 
 def uniform_field(field: ArrayLike, weights: Any, points: Any = None) -> UniformField:
-    """A field that is the same everywhere: gravity near the ground, or an electric field on charges. V = −Σ w_a g·r_a.
+    """A uniform external field, V = −Σ w_a g·r_a: gravity near the ground, or an electric field on charges.
 
-    Conserved: P across the field, L about it.
+    The components of P perpendicular to the field and the component of L along it are conserved.
 
     Args:
         field: g, force per weight, (3,), not 0.
         weights: of points of the bodies, their masses or charges: (N, n), or N arrays; (N,) if there is one point each.
         points: in the axes of the body, from its center of mass, (N, n, 3), or N arrays (n_i, 3). By default each
             body's center of mass.
+
+    Raises:
+        ValueError: the field is 0, or shapes disagree.
     """
     g = _checks.real_array("field", field, (3,))
     if _checks.concrete(g) and not bool(jnp.any(g != 0)):
         raise ValueError("field must not be 0")
-    groups, at, (w,) = grouped({"weights": weights}, points)
+    groups, at, (w,) = group_sites({"weights": weights}, points)
     order = jnp.argsort(jnp.array([i for group in groups for i in group]))
     total = jnp.concatenate([jnp.sum(x, axis=1) for x in w])[order]
     moments = jnp.concatenate([jnp.sum(x[:, :, None] * s, axis=1) for x, s in zip(w, at, strict=True)])[order]
@@ -116,19 +119,20 @@ def uniform_field(field: ArrayLike, weights: Any, points: Any = None) -> Uniform
 def outer_field(
     phi: Callable[[Array], Array], weights: Any, points: Any = None, conserved: ArrayLike | None = None
 ) -> OuterField:
-    """Any field from outside that acts on points of the bodies: V = Σ w_a φ(r_a).
+    """Any external field that acts on points of the bodies: V = Σ w_a φ(r_a).
 
-    `bodies_energy_momentum` refuses it, having no invariants: take `splitting` or `nystrom`.
+    It has no invariants, so `bodies_energy_momentum` does not accept it; use `splitting` or `nystrom`.
 
     Args:
-        phi: place (3,) ↦ the potential of a unit weight.
+        phi: position (3,) ↦ the potential of a unit weight.
         weights, points: as in `uniform_field`.
-        conserved: the combinations of (P, L) that the field leaves, as rows (k, 6): `jnp.eye(6)[3:]`, L, if φ depends
-            on the distance from the origin alone. By default none. `momentum` then shows these, and 0 for the others.
+        conserved: the combinations of (P, L) that the field conserves, as rows (k, 6): `jnp.eye(6)[3:]`, that is L, if
+            φ depends on the distance from the origin only. By default none. `momentum` returns these components, and 0
+            for the others.
     """
     if not callable(phi):
-        raise ValueError(f"phi must be a function of a place (3,), got {phi!r}")
-    groups, at, (w,) = grouped({"weights": weights}, points)
+        raise ValueError(f"phi must be a function of a position (3,), got {phi!r}")
+    groups, at, (w,) = group_sites({"weights": weights}, points)
     rows = jnp.zeros((0, 6)) if conserved is None else _checks.real_array("conserved", conserved)
     if rows.ndim != 2 or rows.shape[1] != 6:
         raise ValueError(f"conserved must be rows (k, 6) of combinations of (P, L), got shape {rows.shape}")

@@ -1,4 +1,4 @@
-"""What the potentials of several rigid bodies share: sums of them, their symmetry, forces, and quadratic invariants."""
+"""The base of the potentials of several rigid bodies: sums, symmetry, forces, and quadratic invariants."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _APART = 1e-6  # |ΔI|²/|I|² from where on the quadrature of D is corrected to
 class Potential:
     """A potential V(x, Λ) of N rigid bodies, called with positions (N, 3) and rotations, body to space, (N, 3, 3).
 
-    A subclass may have `force(x, R)`, the forces and torques in closed form, (N, 6), and `forces(x, q)`, the same of
-    few bodies with unit quaternions q, number by number, the torques in the axes of each (see `MacCullagh`).
+    A subclass may define `force(x, R)`, the forces and torques in closed form, (N, 6), and `forces(x, q)`, the same for
+    few bodies with unit quaternions q in unrolled scalars, with torques in body axes (see `MacCullagh`).
 
-    It may have `invariants(x, R)`, functions quadratic in (x, R), (k,), or a tuple of such arrays, with V as their
-    function `value`, and `discrete_gradient(I0, I1)`. By these the energy–momentum scheme keeps energy, and P and L as
-    far as they leave the invariants unchanged.
+    It may define `invariants(x, R)`, functions quadratic in (x, R), (k,), or a tuple of such arrays, with V as their
+    function `value`, and `discrete_gradient(I0, I1)`. By these the energy–momentum scheme conserves energy, and those
+    components of P and L that generate symmetries of the invariants.
     """
 
     def __call__(self, x: Positions, R: Rotations) -> Scalar:
@@ -32,12 +32,12 @@ class Potential:
 
     @property
     def count(self) -> int | None:
-        """N, or None if the potential takes any number of bodies."""
+        """N, or None if the potential accepts any number of bodies."""
         return None
 
     @property
     def symmetry(self) -> Array | None:
-        """The orthogonal projector (6, 6) on the part of (P, L) that is conserved; None if P and L are."""
+        """The orthogonal projector (6, 6) to the conserved part of (P, L); None if P and L are conserved."""
         return None
 
     def __add__(self, other: Callable[[Array, Array], Array]) -> SumPotential:
@@ -64,7 +64,7 @@ class SumPotential(Potential):
     def count(self) -> int | None:
         counts = {n for n in (count(term) for term in self.terms) if n is not None}
         if len(counts) > 1:
-            raise ValueError(f"the terms of a sum must be of as many bodies each, got {sorted(counts)}")
+            raise ValueError(f"the terms of a sum must have the same number of bodies, got {sorted(counts)}")
         return counts.pop() if counts else None
 
     @property
@@ -77,7 +77,7 @@ class SumPotential(Potential):
         return kept @ kept.T
 
     def invariants(self, x: Positions, R: Rotations) -> tuple[Any, ...]:
-        """Those of every term."""
+        """The invariants of every term."""
         return tuple(invariant_form(term).invariants(x, R) for term in self.terms)
 
     def value(self, invariants: tuple[Any, ...]) -> Scalar:
@@ -86,18 +86,18 @@ class SumPotential(Potential):
         return reduce(jnp.add, (invariant_form(term).value(own) for term, own in pairs))
 
     def discrete_gradient(self, start: tuple[Any, ...], end: tuple[Any, ...]) -> tuple[Any, ...]:
-        """That of every term."""
+        """The discrete gradient of every term."""
         pairs = zip(self.terms, start, end, strict=True)
         return tuple(invariant_form(term).discrete_gradient(I0, I1) for term, I0, I1 in pairs)
 
 
 def count(potential: Callable[[Array, Array], Array]) -> int | None:
-    """The number of bodies of a potential or a plain function, None if it takes any number."""
+    """The number of bodies of a potential or a plain function, None if it accepts any number."""
     return getattr(potential, "count", None)
 
 
 def symmetry(potential: Callable[[Array, Array], Array]) -> Array | None:
-    """The projector on what a potential or a plain function conserves of (P, L), None if all."""
+    """The projector to the part of (P, L) that a potential or a plain function conserves; None if all is conserved."""
     return getattr(potential, "symmetry", None)
 
 
@@ -108,7 +108,7 @@ def torques(R: Rotations, along_R: Rotations) -> Positions:
 
 
 class InvariantForm(NamedTuple):
-    """A potential as a function of functions that are quadratic in positions and rotations.
+    """A potential as a function of invariants that are quadratic in positions and rotations.
 
     Attributes:
         invariants: (x, R) ↦ I, (k,) or a pytree of such arrays.
@@ -122,7 +122,7 @@ class InvariantForm(NamedTuple):
 
 
 def invariant_form(potential: Callable[[Array, Array], Array]) -> InvariantForm:
-    """A potential as a function of its own invariants; else of positions and attitudes relative to the first body."""
+    """A potential as a function of its invariants, or of poses relative to the first body if it defines none."""
     own: Any = potential
     invariants, value = (
         (own.invariants, own.value) if hasattr(own, "invariants") else (relative, _of_relative(potential))

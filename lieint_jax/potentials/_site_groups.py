@@ -1,4 +1,4 @@
-"""Points of bodies, in groups of bodies with as many points each: arrays without gaps, few of them."""
+"""Points of bodies, in groups of bodies with equally many points, so that few arrays without padding hold them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Groups = tuple[tuple[int, ...], ...]
 _FEW = 4  # up to so many bodies each one is a group
 
 
-def grouped(numbers: dict[str, Any], points: Any) -> tuple[Groups, tuple[Array, ...], list[tuple[Array, ...]]]:
+def group_sites(numbers: dict[str, Any], points: Any) -> tuple[Groups, tuple[Array, ...], list[tuple[Array, ...]]]:
     """The groups of bodies; the points (bodies, n, 3) of each group; each of the numbers, (bodies, n) of each group.
 
     Args:
@@ -23,7 +23,7 @@ def grouped(numbers: dict[str, Any], points: Any) -> tuple[Groups, tuple[Array, 
         points: in the axes of the body, (N, n, 3), or N arrays (n_i, 3). None: one point each, the center of mass.
 
     Raises:
-        ValueError: shapes that disagree.
+        ValueError: shapes disagree.
     """
     rows = {name: _rows(name, given) for name, given in numbers.items()}
     first, *_ = rows.values()
@@ -32,7 +32,7 @@ def grouped(numbers: dict[str, Any], points: Any) -> tuple[Groups, tuple[Array, 
         shapes = [c.shape for c in given]
         if shapes != [s.shape[:1] for s in at] or any(s.shape[1:] != (3,) for s in at):
             raise ValueError(
-                f"{name} and points must be of as many bodies, and of as many points in each: got {name} of shapes "
+                f"{name} and points must have the same number of bodies and of points in each: got {name} of shapes "
                 f"{shapes} and points of shapes {[s.shape for s in at]}"
             )
     n = len(first)
@@ -43,7 +43,7 @@ def grouped(numbers: dict[str, Any], points: Any) -> tuple[Groups, tuple[Array, 
 
 
 def _rows(name: str, given: Any) -> list[Array]:
-    """The numbers of the points of each body; one number a body is that of its one point."""
+    """The numbers of the points of each body; a single number per body belongs to its only point."""
     if not hasattr(given, "__len__") or getattr(given, "ndim", 1) == 0 or not len(given):
         raise ValueError(f"{name} must have an entry for each body, got {given!r}")
     return [jnp.atleast_1d(_checks.real_array(name, c)) for c in given]

@@ -1,7 +1,7 @@
 """Sums over pairs of sites fixed in different bodies: point masses, charges, Lennard-Jones sites.
 
 V = Σ v(u_ab), u_ab = |x_i + Λ_i s_a − x_j − Λ_j s_b|², over sites a of body i and b of another body j. The u_ab are
-quadratic in positions and rotations and do not change when all bodies are moved and turned together.
+quadratic in positions and rotations and invariant under rigid motions of all bodies together.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.potentials._site_groups import grouped, places
+from lieint_jax.potentials._site_groups import group_sites, places
 from lieint_jax.types import pytree, static
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
 
 class _SitePairs(Potential):
-    """A potential that is a sum over pairs of sites. Subclasses say what a pair of sites adds.
+    """A potential that is a sum over pairs of sites. Subclasses define the term of a pair.
 
-    The bodies are in groups, whose bodies have as many sites each. All pairs of sites of two groups form a matrix; in
-    that of a group with itself each pair stands twice, and those within a body count nothing.
+    The bodies of a group have equally many sites. All pairs of sites of two groups form a matrix; the matrix of a group
+    with itself contains each pair twice, and pairs within a body have weight 0.
     """
 
     points: tuple[Array, ...]  # of each group (bodies, sites, 3), in the axes of the body
     groups: tuple[tuple[int, ...], ...]  # which bodies are in it
 
     def _pair(self, u: Array, g: int, h: int) -> Array:
-        """What pairs of sites of the groups g and h add to V, of squared distances u, (sites of g, sites of h)."""
+        """The terms of V of pairs of sites of the groups g and h at squared distances u, (sites of g, sites of h)."""
         raise NotImplementedError
 
     def _slope(self, u0: Array, u1: Array, g: int, h: int) -> Array:
@@ -137,19 +137,19 @@ class LennardJones(_SitePairs):
     points: tuple[Array, ...]
     groups: tuple[tuple[int, ...], ...] = static()
 
-    def _mixed(self, g: int, h: int) -> tuple[Array, Array]:
+    def _mixed_strengths(self, g: int, h: int) -> tuple[Array, Array]:
         """4ε and σ² of the pairs."""
         product = self.wells[g].reshape(-1, 1) * self.wells[h].reshape(1, -1)
         mean = jnp.where(product > 0, jnp.sqrt(jnp.where(product > 0, product, 1)), 0)
         return 4 * mean, (self.sizes[g].reshape(-1, 1) + self.sizes[h].reshape(1, -1)) ** 2 / 4
 
     def _pair(self, u: Array, g: int, h: int) -> Array:
-        depth, square = self._mixed(g, h)
+        depth, square = self._mixed_strengths(g, h)
         third = (square / u) ** 3
         return depth * (third * third - third)
 
     def _slope(self, u0: Array, u1: Array, g: int, h: int) -> Array:
-        depth, square = self._mixed(g, h)
+        depth, square = self._mixed_strengths(g, h)
         v0, v1 = square / u0, square / u1
         c = v0 * v0 + v0 * v1 + v1 * v1
         return depth * c * (1 - v0**3 - v1**3) * v0 * v1 / square
@@ -158,8 +158,8 @@ class LennardJones(_SitePairs):
 def point_masses(G: ArrayLike, masses: Any, points: Any = None, softening: ArrayLike = 0.0) -> InverseDistance:
     """Gravity of bodies that are made of point masses (mascons): V = −Σ G m_a m_b/√(r_ab² + ε²).
 
-    Invariant: P and L are conserved. `systems.rigid_bodies` is given the masses and moments of the bodies apart from
-    these; they agree if Σ m_a is the mass and Σ m_a (|s_a|² − s_a s_aᵀ) the tensor of inertia.
+    The potential is invariant: P and L are conserved. `systems.rigid_bodies` has its own masses and inertias of the
+    bodies; they are consistent if Σ m_a is the mass and Σ m_a (|s_a|² − s_a s_aᵀ) the tensor of inertia.
 
     Args:
         G: the constant of gravity.
@@ -167,6 +167,9 @@ def point_masses(G: ArrayLike, masses: Any, points: Any = None, softening: Array
         points: in the axes of the body, from its center of mass: (N, n, 3), or N arrays (n_i, 3). By default each body
             is a point.
         softening: ε ≥ 0, a length; by default none.
+
+    Raises:
+        ValueError: shapes disagree, or a mass or the softening is negative.
     """
     return _inverse_distance(-_checks.real_array("G", G, ()), "masses", masses, points, softening, True)
 
@@ -177,10 +180,14 @@ def point_charges(constant: ArrayLike, charges: Any, points: Any = None, softeni
     Invariant: P and L are conserved.
 
     Args:
-        constant: k, 1/4πε₀ in the units of all else: 138.93545764 for kJ/mol, nm and elementary charges.
+        constant: k = 1/4πε₀ in units consistent with the other arguments: 138.93545764 for kJ/mol, nm and elementary
+            charges.
         charges: (N, n), or N arrays of the charges of each body's points; (N,) if there is one point a body.
         points: as in `point_masses`.
         softening: ε ≥ 0, a length; by default none.
+
+    Raises:
+        ValueError: shapes disagree, or the softening is negative.
     """
     return _inverse_distance(_checks.real_array("constant", constant, ()), "charges", charges, points, softening, False)
 
@@ -188,15 +195,18 @@ def point_charges(constant: ArrayLike, charges: Any, points: Any = None, softeni
 def lennard_jones(wells: Any, sizes: Any, points: Any = None) -> LennardJones:
     """Lennard-Jones' potential between sites of different bodies: V = Σ 4ε ((σ/r)¹² − (σ/r)⁶).
 
-    Of two unlike sites σ is the mean and ε the geometric mean (Lorentz and Berthelot). Invariant: P and L are
-    conserved.
+    For two unlike sites σ is the arithmetic and ε the geometric mean (Lorentz and Berthelot). The potential is
+    invariant: P and L are conserved.
 
     Args:
         wells: ε ≥ 0, the depths of the wells: (N, n), or N arrays; (N,) if there is one site a body.
         sizes: σ > 0, the distances where V = 0, of the same shape.
         points: as in `point_masses`.
+
+    Raises:
+        ValueError: shapes disagree, a well is negative, or a size is not positive.
     """
-    groups, at, (epsilon, sigma) = grouped({"wells": wells, "sizes": sizes}, points)
+    groups, at, (epsilon, sigma) = group_sites({"wells": wells, "sizes": sizes}, points)
     if concrete(epsilon) and not all(bool(jnp.all(x >= 0)) for x in epsilon):
         raise ValueError(f"wells must be ≥ 0, got {[np.asarray(x) for x in epsilon]}")
     if concrete(sigma) and not all(bool(jnp.all(x > 0)) for x in sigma):
@@ -208,14 +218,14 @@ def lennard_jones(wells: Any, sizes: Any, points: Any = None) -> LennardJones:
 def sites(points: Any, charges: Any, wells: Any, sizes: Any, *, constant: ArrayLike = 138.93545764) -> Potential:
     """Molecules of charges and Lennard-Jones sites: `point_charges` and `lennard_jones` of the same points, added.
 
-    Sites without a charge, and sites with ε = 0, are left out of the sums where all bodies have none. Invariant: P and
-    L are conserved.
+    Sites that have no charge in any body, or ε = 0 in all bodies, are omitted from the respective sum. The potential is
+    invariant: P and L are conserved.
 
     Args:
         points: (N, n, 3), in the axes of the body, from its center of mass.
         charges: (n,) for molecules of one kind, or (N, n).
         wells: ε, (n,) or (N, n).
-        sizes: σ, (n,) or (N, n); of no matter where ε = 0.
+        sizes: σ, (n,) or (N, n); irrelevant where ε = 0.
         constant: 1/4πε₀; by default for kJ/mol, nm and elementary charges.
     """
     at = _checks.real_array("points", points)
@@ -230,7 +240,7 @@ def sites(points: Any, charges: Any, wells: Any, sizes: Any, *, constant: ArrayL
     if soft.any():
         terms.append(lennard_jones(epsilon[:, soft], jnp.where(epsilon > 0, sigma, 1)[:, soft], at[:, soft]))
     if not terms:
-        raise ValueError("there is no charge and no ε other than 0: nothing acts between the bodies")
+        raise ValueError("all charges and all ε are 0, so there is no force: give charges or wells that are not 0")
     return terms[0] if len(terms) == 1 else terms[0] + terms[1]
 
 
@@ -250,7 +260,7 @@ def _inverse_distance(
     length = _checks.real_array("softening", softening, ())
     if concrete(length) and not float(length) >= 0:
         raise ValueError(f"softening must be a length ≥ 0, got {float(length)}")
-    groups, at, (c,) = grouped({name: strengths}, points)
+    groups, at, (c,) = group_sites({name: strengths}, points)
     if gravity and concrete(c) and not all(bool(jnp.all(m >= 0)) for m in c):
         raise ValueError(f"masses must be ≥ 0, got {[np.asarray(m) for m in c]}")
     return InverseDistance(constant, c, at, length, groups, gravity)

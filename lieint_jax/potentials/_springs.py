@@ -63,9 +63,9 @@ def _root(u: Array) -> Array:
 
 
 def springs(bodies: Any, points: ArrayLike, stiffness: ArrayLike, lengths: ArrayLike = 0.0) -> Springs:
-    """Springs without mass, each between a point of one body and a point of another: V = Σ ½ k (r − ℓ)².
+    """Massless springs, each between a point of one body and a point of another: V = Σ ½ k (r − ℓ)².
 
-    Invariant: P and L are conserved. There is no force on a spring's ends where they meet.
+    The potential is invariant: P and L are conserved. The force of a spring is set to 0 where its ends coincide.
 
     Args:
         bodies: the two bodies of each of k springs, counted from 0, (k, 2).
@@ -74,7 +74,8 @@ def springs(bodies: Any, points: ArrayLike, stiffness: ArrayLike, lengths: Array
         lengths: ℓ ≥ 0, at which the springs are slack, (k,), or one for all.
 
     Raises:
-        ValueError: no spring, shapes that disagree, a spring from a body to itself, a negative stiffness or length.
+        ValueError: there is no spring, shapes disagree, a spring joins a body to itself, or a stiffness or length is
+            negative.
     """
     pairs = np.asarray(bodies)
     if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu" or (pairs < 0).any():

@@ -23,7 +23,9 @@ _BOND, _ANGLE = 0.09572, np.deg2rad(104.52)
 
 
 def water(model: str = "TIP4P/2005") -> Molecule:
-    """A molecule of water: oxygen, two hydrogens, and the negative charge M on the bisector. x along HH, y normal.
+    """A rigid molecule of water: oxygen, two hydrogens, and the negative charge M on the bisector.
+
+    Its axis x is parallel to the line from H to H, and y is normal to the plane of the molecule.
 
     Args:
         model: "TIP4P" or "TIP4P/2005".

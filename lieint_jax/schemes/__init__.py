@@ -1,9 +1,9 @@
-"""Schemes: each makes a `types.Step` for a system. Conserved means to round-off, for as long as one runs.
+"""Schemes: each returns a `types.Step` for a system. "Conserved" means to round-off, in runs of any length.
 
 | scheme | for | conserves | order |
 |---|---|---|---|
 | `exact`, `calibrated` | free rigid bodies | energy, momentum, form | the exact motion |
-| `preprocessed` | free rigid bodies | energy, momentum | 4, 6, 8, 10, at the price of order 2 |
+| `preprocessed` | free rigid bodies | energy, momentum | 4, 6, 8, 10, at the cost of order 2 |
 | `so3_midpoint` | free bodies, gyrostats | energy, momentum; free: the form too, with the symplectic κ | 2 |
 | `so3_explicit` | free rigid bodies | energy, momentum, form; solved once for a whole run: the fastest | 2 |
 | `torqued_midpoint` | bodies with torques or friction | energy less work | 2 |
@@ -11,21 +11,21 @@
 | `splitting` | tops, satellites, gyrostats, groups with a potential, several bodies | form, momenta | 2 |
 | `gauss` | free and elastic bodies, gyrostats, tops, satellites, several bodies | form, momenta | 2s with s stages |
 | `extrapolate` | any system | nothing beyond its accuracy: for short, accurate runs | 4 to 20 |
-| `log_hamiltonian` | tops | form, with steps that vary | 2 |
-| `reversible_control` | any step | what that conserves but for the form, with steps that vary | 2 |
+| `log_hamiltonian` | tops | form; variable step size | 2 |
+| `reversible_control` | any step | what that step conserves, except the form; variable step size | 2 |
 | `bodies_energy_momentum` | several bodies, with tides too | energy (less work), both momenta | 2 |
 | `nystrom` | tops, satellites, several bodies | form, momenta | 4, 6 |
 | `kepler_splitting` | two bodies | form, both momenta; the orbit solved exactly | 2, (8, 4), (8, 6, 4) |
-| `langevin` | free bodies, tops, several bodies in a heat bath | the canonical measure; heat counted exactly | 2 |
-| `additive` | elastic bodies | momentum, and energy or the form; of incompressible ones volume too | 2 |
+| `langevin` | free bodies, tops, several bodies in a heat bath | the canonical measure; exact account of heat | 2 |
+| `additive` | elastic bodies | momentum, and energy or the form; volume of incompressible bodies | 2 |
 | `sphere_midpoint` | the spherical pendulum | γ·π, and energy or the form | 2 |
 | `sphere_chart` | the spherical pendulum | form, γ·π; singular on the axis | 2 |
 | `group_midpoint` | geodesics of any matrix group | energy, momentum; the form where the map is symplectic | 2 |
 | `group_energy_momentum` | any matrix group with a potential | energy, momentum | 2 |
 | `so3_alpha`, `group_alpha` | the paper's families, for study | momentum; energy: see there | 2 for α = ½, else 1 |
-| `compose` | any symmetric step | what that conserves | 4 to 10 |
+| `compose` | any symmetric step | what that step conserves | 4 to 10 |
 
-A scheme refuses a system whose equations it does not integrate, and says why. `lieint check SYSTEM` measures what each
+A scheme raises ValueError for a system whose equations it does not integrate. `lieint check SYSTEM` measures what each
 conserves; `catalogue()` lists what they declare, with their names in the literature and sources.
 """
 
@@ -139,7 +139,7 @@ __all__ = [
 
 
 def catalogue() -> Catalogue[SchemeProperties]:
-    """What each scheme is for and conserves, its order and limit, its names in the literature and its source.
+    """The schemes as a table: what each integrates and conserves, its order, limit, names in the literature and source.
 
     Returns:
         A tuple of `SchemeProperties`, which prints as a table; `.markdown()` is one for a page.

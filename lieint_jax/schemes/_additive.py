@@ -14,14 +14,15 @@ with a symmetric S: then rot[PFᵀ] is conserved (Result 15). S is a function of
     incompressible    S = S̄(C_n, D) − p S̄₃(C_n, D), p from det C_{n+1} = 1; S̄₃ is S̄ of W = ½ det C, so that
                       S̄₃:D = Δdet C = 0 and the pressure p does no work
 
-A viscous body has the stress S̄(C_n, D) + νD/Δt by the rule "average": it loses ½νD:D/Δt in a step, which is booked.
+A viscous body has the stress S̄(C_n, D) + νD/Δt by the rule "average": a step dissipates ½νD:D/Δt, which is counted as
+negative work.
 
-P_{n+1} eliminated, nine equations for U are left, and one for γ where there is one; with c = βΔt²,
+Eliminating P_{n+1} leaves nine equations for U, and one for γ if the rule has a γ; with c = βΔt²,
 
     R(U) = U E + c F_{n+α} S − Δt P_n = 0.
 
 Newton's step needs six (or seven): dR = dU N + c F_{n+α} dS with the symmetric N = E + αcS, and dS depends on dU
-through dD alone. No difference of nearby things is taken: D comes of U, and ΔW is ½S̄:D.
+through dD alone. No nearby numbers are subtracted: D follows from U, and ΔW is ½S̄:D.
 """
 
 from __future__ import annotations
@@ -155,7 +156,7 @@ class Additive(Step):
             size = jnp.max(jnp.abs(_array(end)))
             converged &= jnp.abs(R[9]) <= tolerance * jnp.maximum(size * size * size, 1)
         elif rule.gammas:
-            converged &= jnp.abs(_missed(W, equation.C, D, S)) <= tolerance * stiff * _largest(D)
+            converged &= jnp.abs(_energy_defect(W, equation.C, D, S)) <= tolerance * stiff * _largest(D)
         moved = state._replace(q=_array(end), p=_array(after))
         if isinstance(W, _Viscous) and state.work is not None:
             moved = moved._replace(work=state.work - W.rate * vec3.inner(D, D) / 2)
@@ -163,7 +164,7 @@ class Additive(Step):
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
-            f"{self.name} does not converge within {self.iterations} iterations at dt = {dt}: take a smaller dt, more "
+            f"{self.name} does not converge within {self.iterations} iterations at dt = {dt}: use a smaller dt, more "
             "iterations, or the rule 'average', which has no second equation to solve"
         )
 
@@ -174,39 +175,39 @@ def additive(
     alpha: ArrayLike = 0.5,
     iterations: int = 25,
 ) -> Additive:
-    """The schemes of Section 6.2 for a pseudo-rigid body, by how they choose the stress S.
+    """The energy–momentum and symplectic schemes of Section 6.2 for a pseudo-rigid body, which differ in the stress S.
 
     | rule | energy | momentum rot[PFᵀ] | symplectic form | order |
     |---|---|---|---|---|
-    | `"average"` (ours) | exact | exact | O(Δt³) per step | 2 |
+    | `"average"` (this package) | exact | exact | O(Δt³) per step | 2 |
     | `"symplectic"` (6.17) | bounded | exact | exact, for every α | 2 for α = ½, else 1 |
     | `"energy"` (6.11), (6.13) | exact | exact | O(Δt³) per step | 2 |
     | `"energy_momentum"` (6.14), γ corrected | exact | exact | O(Δt³) per step | 2 |
-    | `"incompressible"` (ours), det F = 1 exact too | exact | exact | O(Δt³) per step | 2 |
+    | `"incompressible"` (this package), det F = 1 exact too | exact | exact | O(Δt³) per step | 2 |
 
     "Exact" is to round-off at a converged step. With α = ½ all are time-symmetric.
 
-    A viscous body has the rule "average" only: energy and what was lost (−`State.work`) are exact, and no step loses
-    less than 0.
+    A viscous body has the rule "average" only: energy less work is exact, where the work (`State.work`) is minus the
+    energy lost, and no step gains energy.
 
-    "average" takes a stress with ½S:ΔC = ΔW that needs no γ: by invariants for the shipped materials, else 8 Gauss
-    nodes of ∇W along C. The two rules of the paper ask for a γ as well, whose equation may have several roots; they are
-    slower, and can fail where the others do not.
+    "average" uses a stress with ½S:ΔC = ΔW that needs no γ: by invariants for the built-in materials, otherwise by 8
+    Gauss nodes of ∇W along C. The two energy rules of the paper solve for γ as well, whose equation may have several
+    roots; they are slower, and can fail where the others do not.
 
     "incompressible" is "average" with a pressure, a multiplier for det F_{n+1} = 1, after Gonzalez 1999. The velocities
-    V = PE⁻¹ are those of constant volume at the middle of a step; at its ends tr(VF⁻¹) is O(Δt²), of alternating sign.
+    V = PE⁻¹ satisfy the constraint in the middle of a step; at its ends tr(VF⁻¹) is O(Δt²), of alternating sign.
 
     Args:
         system: `systems.pseudo_rigid_body(...)`; `systems.incompressible_body(...)` for the rule "incompressible".
         rule: as above.
-        alpha: α in [0, 1], where the force acts; ½ but for "symplectic". There ½ is the implicit midpoint rule; 0 and 1
-            are the two explicit symplectic Euler schemes.
-        iterations: the most Newton corrections per step. They end early: after 3 to 4 at the steps of the
-            paper's Figure 3, up to a dozen at those of Figure 4.
+        alpha: α in [0, 1], where the force acts; ½ for all rules except "symplectic". There ½ is the implicit midpoint
+            rule; 0 and 1 are the two explicit symplectic Euler schemes.
+        iterations: the most Newton corrections per step. Fewer suffice as a rule: 3 to 4 at the steps of the paper's
+            Figure 3, up to a dozen at those of Figure 4.
 
-    A Newton correction that would nearly turn the watched F inside out is shortened (to as little as a sixteenth).
-    `converged` needs the residual at round-off, det F > 0 at both F_{n+α} and F_{n+1}, which W(C) is blind to, and for
-    the rules with γ, ½S:ΔC = ΔW. `residual` is relative to the terms of the equation.
+    A Newton correction that would nearly invert F (det F ≤ 0) is shortened, to as little as a sixteenth. `converged`
+    requires the residual at round-off; det F > 0 at both F_{n+α} and F_{n+1}, since W(C) does not depend on the sign of
+    det F; and for the rules with γ, ½S:ΔC = ΔW. `residual` is relative to the terms of the equation.
 
     Raises:
         ValueError: not a pseudo-rigid body, an unknown rule, α out of range or not ½ for an energy rule, a bad count.
@@ -220,7 +221,7 @@ def additive(
         raise ValueError(f"rule must be one of {', '.join(get_args(Rule))}, got {rule!r}")
     if volume != (rule == "incompressible"):
         kept = "incompressible_body with the rule 'incompressible', pseudo_rigid_body with the others"
-        raise ValueError(f"additive takes {kept}, got {type(system).__name__} with {rule!r}")
+        raise ValueError(f"additive integrates {kept}, got {type(system).__name__} with {rule!r}")
     if viscous and rule != "average":
         raise ValueError(f"a viscous body has the rule 'average', whose loss is exact, got {rule!r}")
     alpha = _checks.fraction("alpha", alpha)
@@ -244,9 +245,9 @@ PROPERTIES = SchemeProperties(
 
 
 def examples(system: System) -> dict[str, Step]:
-    """The two rules that solve no equation for γ, for pseudo-rigid bodies; the one for incompressible bodies.
+    """The two rules without an equation for γ, for pseudo-rigid bodies; the one for incompressible bodies.
 
-    The other two compile too long to be among the examples, which every test of a scheme and `lieint check` go through;
+    The other two compile too slowly for the examples, which `lieint check` and every test of schemes run;
     `diagnostics.certify(additive(body, "energy"), …)` certifies them.
     """
     if INCOMPRESSIBLE.declared(system):
@@ -305,13 +306,13 @@ _RULES: dict[str, _Rule] = {
 }
 
 
-def _missed(W: StoredEnergy, C: Symmetric, D: Symmetric, S: Symmetric) -> Array:
+def _energy_defect(W: StoredEnergy, C: Symmetric, D: Symmetric, S: Symmetric) -> Array:
     """S:D − 2ΔW."""
     return vec3.inner(vec3.add_scaled(S, W.mean_stress(C, D), -1), D)
 
 
 def _regular(D: Symmetric, C: Symmetric, stiffness: Array, off: Array) -> Array:
-    """A term below the rounding of `_missed` that holds γ at its limit where any γ serves: D = 0, or W quadratic."""
+    """A term below the rounding of `_energy_defect` that sets γ to its limit where any γ is a root, as for D = 0."""
     eps = jnp.finfo(off.dtype).eps
     return eps * stiffness * off * (vec3.inner(D, D) + eps * eps * vec3.inner(C, C))
 
@@ -359,9 +360,9 @@ class _Equation(NamedTuple):
         C: F_nᵀF_n.
         dt: Δt.
         c: βΔt².
-        a: where F is watched, at F_n + aU: what W sees must stay in GL⁺(3).
-        stiffness: by how much eps of C moves S.
-        size: of F_n.
+        a: F_n + aU, the argument of W, must stay in GL⁺(3).
+        stiffness: the change of S by a relative error of C, over that error.
+        size: the size of F_n.
     """
 
     rule: _Rule
@@ -397,12 +398,12 @@ class _Equation(NamedTuple):
         return vec3.add_scaled(vec3.plus_transpose(vec3.transposed_product(self.F, V)), vec3.gram(V), 1)
 
     def law(self, D: Symmetric, gamma: tuple[Array, ...]) -> tuple[Symmetric, tuple[Array, ...]]:
-        """S, and if the rule has a γ, what must vanish: S:D − 2ΔW; or, less a constant, det(C + D) − 1."""
+        """S, and for rules with a γ the residual of its equation: S:D − 2ΔW, or det(C + D) − 1 up to a constant."""
         rule, W, C = self.rule, self.W, self.C
         S = rule.stress(W, C, D, *gamma)
         if rule.constrained:
             return S, (vec3.inner(vec3.mean_cofactor(C, D), D),)
-        return S, tuple(_missed(W, C, D, S) + _regular(D, C, self.stiffness, g - rule.guess) for g in gamma)
+        return S, tuple(_energy_defect(W, C, D, S) + _regular(D, C, self.stiffness, g - rule.guess) for g in gamma)
 
     def residual(self, x: Array) -> Array:
         """U E + c F_{n+α} S − Δt P_n, and the equation for γ if there is one."""

@@ -2,18 +2,18 @@
 
     x_{n+1} = x_n + Δt p̄/m,   p_{n+1} = p_n + Δt f̄,   Λ_{n+1} = Λ_n cay Θ̄,   π_{n+1} = π_n + Δt τ̄
 
-with Θ̄ = Δt J⁻¹ ½(Π_n + Π_{n+1}): each body moves by the Cayley member of the paper's family. The potential is a
-function Ṽ of invariants I of the relative positions and attitudes that are quadratic in (x, Λ). With a discrete
+with Θ̄ = Δt J⁻¹ ½(Π_n + Π_{n+1}): each body moves by the scheme κ = 1 (Cayley) of the paper's family. The potential is
+a function Ṽ of invariants I of the relative positions and attitudes that are quadratic in (x, Λ). With a discrete
 gradient D of Ṽ, D·ΔI = ΔV, the forces are the derivatives of w(x, Λ) = D·I(x, Λ) at x̄ and Λ̄ = ½(Λ_n + Λ_{n+1}),
 
     f̄ = −∂w/∂x,   τ̄ = −∂w(x̄, (1 + δ̂)Λ̄)/∂δ at δ = 0
 
-As I is quadratic, their work is −ΔV; as w is invariant, their sums Σf̄ and Σ(x̄ × f̄ + τ̄) vanish. Any other κ breaks the
-balance of angular momentum: κ_i τ̄_i in place of τ̄_i keeps energy, and ΔL = Δt Σ(κ_i − 1)τ̄_i.
+As I is quadratic, their work is −ΔV; as w is invariant, their sums Σf̄ and Σ(x̄ × f̄ + τ̄) vanish. Any other κ violates
+the balance of angular momentum: κ_i τ̄_i in place of τ̄_i conserves energy, but ΔL = Δt Σ(κ_i − 1)τ̄_i.
 
-A law of dissipation f(r, v, ω_i, ω_j) is evaluated at r̄, v̄ = Δr/Δt and ω̄ = θ̄/Δt, θ̄ = Λ_nΘ̄, and adds to f̄ and τ̄. As
-(Δx, θ̄) is what forces and torques work along, the energy falls by Δt times the loss that the law has at the means, not
-negative in any step, and as its forces balance at x̄, P and L are still conserved.
+A law of dissipation f(r, v, ω_i, ω_j) is evaluated at r̄, v̄ = Δr/Δt and ω̄ = θ̄/Δt, θ̄ = Λ_nΘ̄, and adds to f̄ and τ̄.
+Forces and torques do work along (Δx, θ̄), so the energy decreases by Δt times the dissipated power at these means,
+which is never negative. The forces balance at x̄, so P and L are still conserved.
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ def _motion(bodies: AbstractRigidBodies, state: State) -> State:
 
 
 def _motion_by_invariants(bodies: AbstractRigidBodies, state: State) -> State:
-    """The same, with the forces of the potential as a function of its invariants."""
+    """The vector field with the forces of the potential as a function of its invariants."""
     form, (x, R) = invariant_form(bodies.potential), _parts(state.q)
     along_x, along_R = jax.grad(lambda *z: form.value(form.invariants(*z)), (0, 1))(x, R)
     return State(free_motion(bodies, state), jnp.concatenate([-along_x, torques(R, along_R)], axis=1))
 
 
 def _dissipative_motion(bodies: AbstractDissipativeBodies, state: State) -> State:
-    """The vector field of bodies that lose energy."""
+    """The vector field of bodies with dissipation."""
     moving, (x, p) = _motion(bodies.conservative, state), (state.q[:, :3], state.p[:, :3])
     Omega = jax.vmap(so3.body_velocity)(state.q[:, 3:], moving.q[:, 3:])
     omega = jax.vmap(so3.Ad)(state.q[:, 3:], Omega)
@@ -78,7 +78,7 @@ DISSIPATIVE_BODIES = AcceptedSystems(
 
 
 class _Ends(NamedTuple):
-    """What a step is solved for: the moves Δx of the centers, (N, 3), and y = ½Θ̄ of the turns, (N, 3)."""
+    """The unknowns of a step: the displacements Δx of the centers, (N, 3), and y = ½Θ̄ of the rotations, (N, 3)."""
 
     move: Array
     turn: Array
@@ -104,7 +104,7 @@ class BodiesEnergyMomentum(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         equation = _Equation(self.system, state, jnp.asarray(dt, state.p.dtype))
-        ends, change = _solved(equation, self.iterations)
+        ends, change = _solve(equation, self.iterations)
         force, lost = equation.force(ends), equation.dissipation(ends)[1]
         good = change <= _CONVERGED * float(jnp.finfo(change.dtype).eps)
         good &= jnp.all(jnp.isfinite(force)) & jnp.all(jax.vmap(_well_conditioned)(self.system.inertias))
@@ -115,7 +115,7 @@ class BodiesEnergyMomentum(Step):
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
             f"{self.name} does not converge at dt = {dt}: bodies turn, or pass one another, too fast for steps of this "
-            f"size, or lose their energy too fast. Take a smaller dt, or more iterations than {self.iterations}"
+            f"size, or lose their energy too fast. Use a smaller dt, or more iterations than {self.iterations}"
         )
 
 
@@ -126,23 +126,23 @@ def bodies_energy_momentum(
 
     | conserved | to |
     |---|---|
-    | energy | round-off, for potentials of `lieint_jax.potentials`; for others as far as their values are exact |
-    | with dissipation, energy and what was lost (−`State.work`), no step losing less than 0 | round-off |
+    | energy | round-off, for potentials of `lieint_jax.potentials`; for others up to the rounding of their values |
+    | with dissipation, energy less work (`State.work`), with work ≤ 0 in each step | round-off |
     | P and L, if the potential is invariant | round-off |
     | the symplectic form | no: defect O(Δt³) per step |
 
-    Second order, time-symmetric. Fast spins cost accuracy, the phase error of a body being (Δt Ω)²/12: take it for what
-    it keeps, and `splitting`, `nystrom` or `kepler_splitting` for accuracy. A step is solved by fixed-point iteration
-    on the forces, each iteration with one Newton correction of every body's turn.
+    The scheme is of second order and time-symmetric. Its relative phase error is (Δt Ω)²/12, large for fast spins: use
+    it for exact conservation, and `splitting`, `nystrom` or `kepler_splitting` for accuracy. A step is solved by
+    fixed-point iteration on the forces, each iteration with one Newton correction of every body's rotation.
 
     Args:
-        system: `systems.rigid_bodies(...)`. A plain function as its potential counts as a function of the positions and
-            attitudes relative to the first body; it must be smooth for matrices near rotations too.
-        iterations: the most iterations of a step; a near-collision that needs more says `converged=False`.
+        system: `systems.rigid_bodies(...)`. A plain function as its potential is evaluated at the positions and
+            attitudes relative to the first body; it must be smooth also for matrices near rotations.
+        iterations: the most iterations of a step; a near-collision that needs more reports `converged=False`.
 
     Raises:
-        ValueError: not bodies in a potential, a potential that changes when all bodies are moved or turned together,
-            iterations that are no positive int.
+        ValueError: the system is not of bodies in a potential, the potential is not invariant under rigid motions of
+            all bodies together, or iterations is not a positive int.
 
     Source: this package; the discrete gradient's place in it, Gonzalez 1996, J. Nonlinear Sci. 6.
     """
@@ -180,7 +180,7 @@ class _Equation(NamedTuple):
         return force
 
     def dissipation(self, ends: _Ends) -> tuple[Array, Array]:
-        """The part of f̄ and τ̄ that loses energy, (N, 6), and the loss in a unit of time."""
+        """The dissipative part of f̄ and τ̄, (N, 6), and the power dissipated."""
         if not isinstance(self.system, AbstractDissipativeBodies):
             return jnp.zeros_like(self.state.p), jnp.zeros_like(self.dt)
         rate = 1 / jnp.where(self.dt == 0, 1, self.dt)
@@ -188,11 +188,11 @@ class _Equation(NamedTuple):
         return pair_forces(self.system.dissipation, x, v, jax.vmap(so3.Ad)(self.state.q[:, 3:], 2 * rate * ends.turn))
 
     def residual(self, ends: _Ends) -> _Ends:
-        """What is zero at the end of the step."""
+        """The residual of the equations of the step."""
         return self.linearized(ends)[0]
 
     def linearized(self, ends: _Ends) -> tuple[_Ends, Array]:
-        """The residual, and the derivative of its turns by y but for that of the forces, (N, 3, 3)."""
+        """The residual, and the derivative of its rotational part by y without that of the forces, (N, 3, 3)."""
         force, (q, p) = self.force(ends), self.state[:2]
         move = self.dt / self.system.masses[:, None] * (p[:, :3] + self.dt / 2 * force[:, :3])
         F, K = jax.vmap(self._turning)(self.system.inertias, q[:, 3:], p[:, 3:], force[:, 3:], ends.turn)
@@ -220,37 +220,37 @@ class _Equation(NamedTuple):
         )
 
 
-def _solved(equation: _Equation, iterations: int) -> tuple[_Ends, Array]:
+def _solve(equation: _Equation, iterations: int) -> tuple[_Ends, Array]:
     """The ends of a step, and the last relative change of an iteration."""
     guess = equation.guess()
     eps = float(jnp.finfo(guess.move.dtype).eps)
 
     def solve(residual: Callable[[_Ends], _Ends], start: _Ends) -> tuple[_Ends, Array]:
-        def goes_on(carry: tuple[_Ends, Array, Array, Array]) -> Array:
+        def is_unfinished(carry: tuple[_Ends, Array, Array, Array]) -> Array:
             _, change, before, k = carry
             return (k < iterations) & (change > 2 * eps) & ((change > _STALLED * eps) | (change < before))
 
-        def improved(carry: tuple[_Ends, Array, Array, Array]) -> tuple[_Ends, Array, Array, Array]:
+        def improve(carry: tuple[_Ends, Array, Array, Array]) -> tuple[_Ends, Array, Array, Array]:
             ends, change, _, k = carry
             F, K = equation.linearized(ends)
-            step = _over(K, F)
+            step = _correction(K, F)
             return _Ends(ends.move - step.move, ends.turn - step.turn), _relative(step, ends), change, k + 1
 
         far = jnp.full_like(guess.move[0, 0], jnp.finfo(guess.move.dtype).max)
-        ends, change, _, _ = lax.while_loop(goes_on, improved, (start, far / 2, far, jnp.zeros((), int)))
+        ends, change, _, _ = lax.while_loop(is_unfinished, improve, (start, far / 2, far, jnp.zeros((), int)))
         return saved(ends), change
 
     def tangent_solve(linear: Callable[[_Ends], _Ends], b: _Ends) -> _Ends:
         K = lax.stop_gradient(equation.linearized(guess)[1])  # near that of the ends, which are not known here
 
         def solver(K: Array) -> Callable[[Callable[[_Ends], _Ends], _Ends], _Ends]:
-            def refined(matvec: Callable[[_Ends], _Ends], b: _Ends) -> _Ends:
+            def refine_solve(matvec: Callable[[_Ends], _Ends], b: _Ends) -> _Ends:
                 def refine(_: int, v: _Ends) -> _Ends:
-                    return jax.tree.map(jnp.add, v, _over(K, jax.tree.map(jnp.subtract, b, matvec(v))))
+                    return jax.tree.map(jnp.add, v, _correction(K, jax.tree.map(jnp.subtract, b, matvec(v))))
 
-                return lax.fori_loop(0, iterations, refine, _over(K, b))
+                return lax.fori_loop(0, iterations, refine, _correction(K, b))
 
-            return refined
+            return refine_solve
 
         return lax.custom_linear_solve(linear, b, solver(K), solver(jnp.swapaxes(K, 1, 2)))
 
@@ -258,13 +258,13 @@ def _solved(equation: _Equation, iterations: int) -> tuple[_Ends, Array]:
     return ends, lax.stop_gradient(change)
 
 
-def _over(K: Array, F: _Ends) -> _Ends:
-    """F over its derivative, that of the forces left out."""
+def _correction(K: Array, F: _Ends) -> _Ends:
+    """The Newton correction of F, with its derivative but without that of the forces."""
     return _Ends(F.move, jax.vmap(lambda K, f: jnp.stack(vec3.solve(K, f)))(K, F.turn))
 
 
 def _relative(step: _Ends, ends: _Ends) -> Array:
-    """The largest change, of the moves relative to the largest of them, of the turns in rad."""
+    """The largest change: of displacements, relative to the largest; of rotations, in rad."""
     size = jnp.max(jnp.abs(ends.move))
     moved = jnp.max(jnp.abs(step.move)) / jnp.where(size > 0, size, 1)
     return jnp.maximum(moved, jnp.max(jnp.abs(step.turn)))

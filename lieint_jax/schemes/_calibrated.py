@@ -1,12 +1,12 @@
-"""The symplectic step whose inertia is calibrated to its trajectory and step size: then it is the exact flow.
+"""The symplectic step with an inertia calibrated to trajectory and step size, so that it is the exact flow.
 
-The discrete free body runs along the exact one with its clock wrong (see `preprocessed`). With
+The discrete free body moves along the exact trajectory with an error in time only (see `preprocessed`). With
 
     1/J̃_j = s/J_j + d
 
-two constants set the clock right, altogether: one for the motion of Π along its polhode, one for the turn about π. They
-depend on the step size and on energy and |π|, so `prepare` finds them once, in closed form (`_free_body.clock`), and
-every step after costs what one of order 2 costs.
+two constants remove this error entirely: one for the motion of Π along its polhode, one for the rotation about π. They
+depend on the step size and on energy and |π|, so `prepare` computes them once, in closed form (`_free_body.clock`), and
+every later step costs as much as one of order 2.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from lieint_jax import _checks, _free_body
 from lieint_jax._numerics.vec3 import dot
 from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
-from lieint_jax.schemes._preprocessed import retimed
+from lieint_jax.schemes._preprocessed import with_modified_inertia
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
 from lieint_jax.types import AbstractFreeBody, State, Step, StepInfo, System, pytree, static
@@ -46,7 +46,7 @@ class Calibrated(Step):
 
     Attributes:
         system: a free rigid body.
-        clock: what `prepare` found; None before.
+        clock: the constants from `prepare`; None before.
         iterations: as in `so3_midpoint`.
     """
 
@@ -70,26 +70,26 @@ class Calibrated(Step):
         return dataclasses.replace(self, clock=clock)
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        """One step. If it was prepared, the state and dt must be of that trajectory; if not, it prepares itself."""
+        """One step. A prepared step requires a state of its trajectory and its dt; otherwise it prepares itself."""
         if self.clock is None:
             return self.prepare(state, dt)(state, dt)
-        after, info = retimed(self.system, self.clock.s, self.clock.d, self.iterations).substep(state, dt)
+        after, info = with_modified_inertia(self.system, self.clock.s, self.clock.d, self.iterations).substep(state, dt)
         return after, info._replace(converged=info.converged & self._fits(state, dt))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         step = self if self.clock is not None else _prepared(self, state, dt)
         assert step.clock is not None
         if not step.clock.on_branch:
-            return f"{self.name} turns by more than 90° at dt = {dt}: take a smaller dt, or `exact`, which takes any"
+            return f"{self.name} turns by more than 90° at dt = {dt}: use a smaller dt, or `exact` for any dt"
         if not step._fits(state, dt):
             return f"{self.name} was prepared for another trajectory or for dt = {step.clock.dt}: prepare it again"
-        return f"{self.name} turns by nearly 90° at dt = {dt}: take a smaller dt or up to 6 iterations"
+        return f"{self.name} turns by nearly 90° at dt = {dt}: use a smaller dt or up to 6 iterations"
 
     def _invariants(self, state: State) -> tuple[Array, Array]:
         return self.system.energy(state), dot(state.p, state.p)
 
     def _fits(self, state: State, dt: ArrayLike) -> Array:
-        """Whether the clock is that of dt and of the trajectory of `state`. Energy may have drifted by round-off."""
+        """Whether the clock is that of dt and of the trajectory of `state`, up to a drift of energy by round-off."""
         assert self.clock is not None
         energy, square = lax.stop_gradient(self._invariants(state))
         near = 2**16 * jnp.finfo(square.dtype).eps
@@ -103,7 +103,7 @@ class Calibrated(Step):
 
 @compiled
 def _prepared(step: Calibrated, state: State, dt: ArrayLike) -> Calibrated:
-    """`Calibrated.prepare`, compiled: operation by operation it takes seconds, and a message should not."""
+    """`Calibrated.prepare`, compiled: without compilation it needs seconds, too long for an error message."""
     return step.prepare(state, dt)
 
 
@@ -114,16 +114,16 @@ def calibrated(system: AbstractFreeBody, iterations: int | None = None) -> Calib
     |---|---|
     | energy, polhode | round-off |
     | spatial momentum | bit for bit |
-    | the symplectic form | round-off, whether the constants are held fixed or found anew for each state |
+    | the symplectic form | round-off, whether the constants are held fixed or computed for each state |
 
-    `integrate` and `ensemble.run` call `prepare` once, and a step then costs as much as one of `so3_midpoint`. Called
-    by hand without `prepare`, it finds its constants at every step. Prepared for one trajectory or step size and used
-    with another, it says `converged=False`. Where `exact` takes one large step, `calibrated` takes many small ones.
+    `integrate` and `ensemble.run` call `prepare` once, and a step then costs as much as one of `so3_midpoint`. A direct
+    call without `prepare` computes the constants at every step. Prepared for one trajectory or step size and used
+    with another, it reports `converged=False`. Use `exact` for one large step, `calibrated` for many small ones.
 
     Args:
         system: `systems.rigid_body(...)`.
-        iterations: Newton corrections per step. 3, the default, reach round-off where a step turns the body by up to
-            70°, 4 up to 80°, 5 to 86°, 6 to 89°; the branch ends at 90°. A step that fell short says
+        iterations: Newton corrections per step. 3, the default, reach round-off where a step rotates the body by up to
+            70°, 4 up to 80°, 5 to 86°, 6 to 89°; the branch ends at 90°. A step that does not converge reports
             `converged=False`.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Compositions of symmetric steps: order 4, 6, 8, 10, and every invariant of the base step kept.
+"""Compositions of symmetric steps: order 4, 6, 8, 10, with every invariant of the base step.
 
     Ψ_{γ_sΔt} ∘ … ∘ Ψ_{γ₁Δt},    γ a palindrome, some γ negative
 
@@ -8,7 +8,7 @@ all are translations on the same tori. Then only power sums are left,
 
     Σγ = 1,    Σγ³ = Σγ⁵ = … = Σγ^{p−1} = 0    (p/2 conditions at order p)
 
-and what is best uses one value often, and p/2 − 1 others to cancel its power sums:
+and the best composition found uses one value often, and p/2 − 1 others to cancel its power sums:
 
 | order | stages | commuting: s·\\|Σγ^{p+1}\\|^{1/p} | the same for the best general palindrome here |
 |---|---|---|---|
@@ -80,33 +80,33 @@ class Composition(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         if self.own_time or not counts_work(state):
-            return self._through(state, self._sizes(state, dt), self.step.substep)
+            return self._compose_stages(state, self._sizes(state, dt), self.step.substep)
 
         def substep_to(state: State, size_and_end: tuple[Array, Array]) -> tuple[State, StepInfo]:
-            """To the last bit, as the steps of a `RoundedClock`: else work is lost where time is rounded."""
+            """A sub-step that ends at a given time to the last bit, as in a `RoundedClock`, so that no work is lost."""
             h, end = size_and_end
             return self.step.substep(state, h + lax.stop_gradient(end - clock(state) - h))
 
         parts = np.append(np.cumsum(self.gammas)[:-1], 1)
         ends = clock(state) + jnp.asarray(parts, state.p.dtype) * dt
-        return self._through(state, (self._sizes(state, dt), ends), substep_to)
+        return self._compose_stages(state, (self._sizes(state, dt), ends), substep_to)
 
     def tangent(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
         if state.extra is not None:  # it may depend on q and p, from one sub-step to the next
             return super().tangent(state, dt, T)
 
-        def carried(pair: tuple[State, Array], h: Array) -> tuple[tuple[State, Array], StepInfo]:
+        def substep_tangent(pair: tuple[State, Array], h: Array) -> tuple[tuple[State, Array], StepInfo]:
             end, info, T = self.step.tangent(pair[0], h, pair[1])
             return (end, T), info
 
-        (end, T), info = self._through((state, T), self._sizes(state, dt), carried)
+        (end, T), info = self._compose_stages((state, T), self._sizes(state, dt), substep_tangent)
         return end, info, T
 
     def _sizes(self, state: State, dt: ArrayLike) -> Array:
         """The sizes of the sub-steps, γΔt."""
         return jnp.asarray(self.gammas, state.p.dtype) * dt
 
-    def _through(
+    def _compose_stages(
         self, start: _Carried, sub_steps: PyTree, stage: Callable[[_Carried, PyTree], tuple[_Carried, StepInfo]]
     ) -> tuple[_Carried, StepInfo]:
         """`start` through `stage` with each of the sub-steps, and the merged report."""
@@ -122,31 +122,31 @@ class Composition(Step):
     def advice(self, state: State, dt: ArrayLike) -> str:
         largest = max(self.gammas, key=abs)
         size = abs(largest)  # a step back fails where a step on does, and is easier to read
-        return f"{self.name} takes sub-steps of up to {size:.3g} dt; {self.step.advice(state, size * dt)}"
+        return f"{self.name} has sub-steps of up to {size:.3g} dt; {self.step.advice(state, size * dt)}"
 
 
 def compose(step: Step, order: int, method: str | None = None) -> Composition:
-    """A scheme of higher order out of a symmetric one of order 2, with the same invariants.
+    """A composition of higher order of a symmetric step of order 2 (Suzuki, Yoshida, Kahan–Li), with its invariants.
 
-    Energy, momentum maps and the symplectic form are kept to round-off if the base step keeps them: each sub-step does.
-    The composition is symmetric too, and costs as many base steps as it has stages.
+    Energy, momentum maps and the symplectic form are conserved to round-off if the base step conserves them, since each
+    sub-step does. The composition is symmetric too, and costs as many base steps as it has stages.
 
     Args:
         step: a symmetric step of order 2, such as `so3_midpoint(...)`.
         order: 4, 6, 8 or 10.
         method: a key of `METHODS` of that order, by default the cheapest: "commuting_4" … "commuting_10" where the base
-            step commutes with itself at other step sizes, else "suzuki", "kahan_li_6", "kahan_li_8",
+            step commutes with itself at other step sizes, otherwise "suzuki", "kahan_li_6", "kahan_li_8",
             "sofroniou_spaletta_10". Also "triple_jump", "yoshida_6", "suzuki_umeno_8".
 
     Raises:
-        ValueError: a step that is not symmetric or not of order 2, an order or method that there is none of, or a
-            commuting method for a step that does not commute.
+        ValueError: the step is not symmetric or not of order 2, the order or the method does not exist, or a commuting
+            method is given for a step that does not commute.
 
-    Source: each method's own, in `METHODS`; Hairer, Lubich & Wanner, Geometric Numerical Integration, V.3.2; the
+    Source: for each method, see `METHODS`; Hairer, Lubich & Wanner, Geometric Numerical Integration, V.3.2; the
     commuting ones: this package.
     """
     if not isinstance(step, Step) or not step.symmetric or step.order != 2:
-        raise ValueError(f"compose takes a symmetric step of order 2, got {getattr(step, 'name', step)!r}")
+        raise ValueError(f"compose needs a symmetric step of order 2, got {getattr(step, 'name', step)!r}")
     if order not in _GENERAL:
         raise ValueError(f"order must be one of {', '.join(map(str, _GENERAL))}, got {order!r}")
     if method is None:

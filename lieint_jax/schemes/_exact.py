@@ -12,7 +12,7 @@ from lieint_jax import _free_body
 from lieint_jax._numerics import vec3
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, SLENDER, lost
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, SLENDER, attitude_error_limit
 from lieint_jax.types import AbstractFreeBodies, AbstractFreeBody, State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import Inertia, Quaternion, Scalar
 
@@ -40,7 +40,7 @@ class Exact(Step):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         J = self.system.inertia
         q, report = _free_body.attitude(J, state.q, state.p, dt)
-        return state._replace(q=q), judged(J, q, *report)
+        return state._replace(q=q), exact_report(J, q, *report)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         if not vec3.well_conditioned(vec3.symmetric(self.system.inertia)):
@@ -48,14 +48,14 @@ class Exact(Step):
         return (
             f"{self.name} lost its digits at dt = {dt}: rounding the state alone moves the attitude by more, as |Δt Ω| "
             "is too large, or the body passes the intermediate axis too closely and too often; or there is a NaN or an "
-            "infinity in the state or the inertia. Take a smaller dt, or float64"
+            "infinity in the state or the inertia. Use a smaller dt, or float64"
         )
 
 
-def judged(J: Inertia, q: Quaternion, length: Scalar, condition: Scalar) -> StepInfo:
-    """The report of an exact flow to q, by what `_free_body.attitude` says of it."""
+def exact_report(J: Inertia, q: Quaternion, length: Scalar, condition: Scalar) -> StepInfo:
+    """The report of an exact flow to q, from the rounding errors that `_free_body.attitude` returns."""
     eps = float(jnp.finfo(q.dtype).eps)
-    good = (length <= 1024 * eps) & (eps * condition <= lost(q.dtype))
+    good = (length <= 1024 * eps) & (eps * condition <= attitude_error_limit(q.dtype))
     return StepInfo(length, good & vec3.well_conditioned(vec3.symmetric(J)))
 
 
@@ -72,15 +72,16 @@ def exact(system: AbstractFreeBody | AbstractFreeBodies) -> Exact | FreeFlight:
     | spatial momentum | bit for bit |
     | the symplectic form | round-off |
 
-    The attitude is good to 2e-14 at |Ω|Δt = 100, or to the change that the last bits of the state make where that is
-    more: near the separatrix. Where that change can pass 1e-6 (in float32 3e-4), so where the sum of |Π|Δt/Jᵢ is above
-    4.5e9 (2900), the step says `converged=False`. No equation is solved; `residual` is the error of |Π|², relative.
+    The attitude is right to 2e-14 at |Ω|Δt = 100, or, near the separatrix, to the change that rounding the state
+    causes, if this is more. Where that change can exceed 1e-6 (in float32 3e-4), as where the sum of |Π|Δt/Jᵢ is above
+    4.5e9 (2900), the step reports `converged=False`. No equation is solved; `residual` is the error of |Π|², relative.
     `order` is infinite.
 
     Args:
-        system: `systems.rigid_body(...)`, or `systems.rigid_bodies(...).free`. For a full tensor each step finds the
-            principal axes, which is slower, and energy drifts by half an eps per step. Derivatives: see
-            `_free_body.attitude`.
+        system: `systems.rigid_body(...)`, or `systems.rigid_bodies(...).free`. For a full tensor each step computes the
+            principal axes, which is slower, and energy drifts by eps/2 per step. For a full tensor with moments equal
+            to within √eps, derivatives with respect to the inertia omit its off-diagonal elements between the equal
+            axes.
 
     Raises:
         ValueError: not a free rigid body.

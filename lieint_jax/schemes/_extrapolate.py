@@ -1,11 +1,11 @@
-"""Extrapolated steps of the modified midpoint rule (Gragg, Bulirsch, Stoer): explicit, of any even order, any system.
+"""Extrapolation of the modified midpoint rule (Gragg, Bulirsch, Stoer): explicit, of any even order, for any system.
 
 With increments δ from the start u, an even number n of sub-steps of size h = Δt/n,
 
     δ₁ = h f(u),    δ_{m+1} = δ_{m−1} + 2h f(u + δ_m),
 
-δ_n has an error in even powers of h, which the combination Σ w_n δ_n over n = 2, 4, … cancels one by one. Gragg's last
-sub-step, which smooths, is left out: at equal cost errors are a quarter without it.
+δ_n has an error in even powers of h, which the combination Σ w_n δ_n over n = 2, 4, … cancels one by one. Gragg's
+smoothing last sub-step is omitted: at equal cost, errors are a quarter without it.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Extrapolated(Step):
         chart, numbers = _CHARTS[self.form], [2 * (j + 1) for j in range(int(self.order) // 2)]
         start, dt = chart.unknowns(self.system, state), jnp.asarray(dt, state.p.dtype)
         moments = chart.stage_times(self.system, state, dt * jnp.asarray(_fractions(numbers), dt.dtype))
-        best, second = _extrapolated(chart.rate(self.system), moments, start, dt, numbers, self.increments)
+        best, second = _extrapolation(chart.rate(self.system), moments, start, dt, numbers, self.increments)
         end = chart.advance(self.system, state, start, best)
         halves = zip(*map(chart.split_qp, (start, best, second)), strict=True)
         off = lax.stop_gradient(functools.reduce(jnp.maximum, itertools.starmap(_relative, halves)))
@@ -83,7 +83,7 @@ class Extrapolated(Step):
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
-            f"{self.name} is rough at dt = {dt}: its last two orders differ by more than {_ROUGH:g} of the state. Take "
+            f"{self.name} is rough at dt = {dt}: its last two orders differ by more than {_ROUGH:g} of the state. Use "
             "a smaller dt"
         )
 
@@ -93,7 +93,7 @@ def _fractions(numbers: list[int]) -> np.ndarray:
     return np.concatenate([[0.0], *(np.arange(1, n) / n for n in numbers)])
 
 
-def _extrapolated(
+def _extrapolation(
     rate: Callable[[_Unknowns, PyTree], _Unknowns],
     moments: PyTree,
     start: _Unknowns,
@@ -123,10 +123,10 @@ def _extrapolated(
         h, following, last, moment, w = row
         end = leapfrog(h, before, now, moment)
 
-        def closed() -> PyTree:
-            return origin, first(following), _added(sums, w, end, origin)
+        def close_substeps() -> PyTree:
+            return origin, first(following), _accumulate(sums, w, end, origin)
 
-        return lax.cond(last, closed, lambda: (now, end, sums)), None
+        return lax.cond(last, close_substeps, lambda: (now, end, sums)), None
 
     of = np.repeat(np.arange(len(numbers)), np.array(numbers) - 1)
     last = np.append(np.diff(of) > 0, True)
@@ -140,28 +140,30 @@ def _nothing(like: _Unknowns) -> tuple[_Unknowns, _Unknowns]:
     return zero, zero
 
 
-def _added(sums: tuple[_Unknowns, ...], w: Sequence[Array], end: _Unknowns, origin: _Unknowns) -> tuple[_Unknowns, ...]:
-    """Both sums, and w times this increment. (The sum of all w is not quite 1.)"""
+def _accumulate(
+    sums: tuple[_Unknowns, ...], w: Sequence[Array], end: _Unknowns, origin: _Unknowns
+) -> tuple[_Unknowns, ...]:
+    """Both sums plus w times this increment. (The sum of all w is 1 up to rounding only.)"""
     return tuple(
         jax.tree.map(lambda s, x, z, w=w: s + w * (x - z), s, end, origin) for s, w in zip(sums, w, strict=True)
     )
 
 
 def extrapolate(system: System, order: int = 12, increments: bool = True) -> Extrapolated:
-    """Explicit steps of high order for any system, by its vector field alone. No structure is kept beyond accuracy.
+    """Gragg–Bulirsch–Stoer extrapolation: explicit steps of high order for any system, by its vector field alone.
 
-    37 evaluations of the vector field a step at order 12. Nothing is conserved but to the size of the error, which
-    grows with time: for short, accurate runs, and for comparison. `residual` is the relative difference between the
-    last two orders; above 1e-3 the step says `converged=False`.
+    Invariants are conserved up to the error of the solution only, which grows with time: use it for short, accurate
+    runs, and for comparison. At order 12 a step costs 37 evaluations of the vector field. `residual` is the relative
+    difference between the last two orders; above 1e-3 the step reports `converged=False`.
 
     Args:
-        system: any.
+        system: any system.
         order: even, 4 to 20.
-        increments: False adds up the unknowns themselves in sub-steps, not their increments: some 15 % less time for a
-            top in an ensemble, and 3 to 40 times the round-off.
+        increments: False accumulates the unknowns themselves in sub-steps, not their increments. This saves about 15 %
+            of the time for a top in an ensemble, and gives 3 to 40 times the round-off.
 
     Raises:
-        ValueError: another order.
+        ValueError: the order is not one of these, or `system` is not a system.
 
     Source: Gragg, SIAM J. Numer. Anal. 2 (1965) 384; Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations
     I, II.9.
@@ -175,12 +177,12 @@ def extrapolate(system: System, order: int = 12, increments: bool = True) -> Ext
 
 
 def weights(numbers: list[int]) -> list[float]:
-    """w_n, which cancel the errors in h², h⁴, …, of sub-steps in these numbers."""
+    """w_n, which cancel the errors in h², h⁴, … for these numbers of sub-steps."""
     return [math.prod(n * n / (n * n - k * k) for k in numbers if k != n) for n in numbers]
 
 
 def _relative(start: Sequence[Array], best: Sequence[Array], second: Sequence[Array]) -> Array:
-    """The largest difference of two increments over the largest number that one leads to."""
+    """The largest difference of two increments, relative to the largest entry of the new state."""
     size = _largest([z + x for z, x in zip(start, best, strict=True)])
     return _largest([x - y for x, y in zip(best, second, strict=True)]) / jnp.where(size > 0, size, 1)
 

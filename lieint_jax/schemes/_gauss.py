@@ -1,10 +1,10 @@
-"""Gauss collocation: symplectic, of any even order, in canonical coordinates of a flat space.
+"""Gauss–Legendre collocation: symplectic, of any even order, in canonical coordinates of a flat space.
 
     Y_i = z_n + Δt Σ_j a_ij k_j,    k_i = f(Y_i),    z_{n+1} = z_n + Δt Σ b_i k_i
 
 It conserves quadratic invariants: on T*SO(3), with the quaternion q and p = 2πq as unknowns (see `charts.canonical`),
-the length |q|, q·p and the momentum π, as far as the potential leaves it. So the step is one on T*SO(3), and symplectic
-there. The equations are solved by fixed-point iteration on the k_i, all at once: a sweep.
+the length |q|, q·p and the components of π that the potential conserves. So the step maps T*SO(3) to itself, and is
+symplectic there. The equations are solved by fixed-point iteration on all k_i together: a sweep.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Gauss(Step):
     Attributes:
         system: a Hamiltonian system on T*SO(3), of several bodies, or on T*GL⁺(3).
         stages: s.
-        sweeps: their number, or None for as many as it takes.
+        sweeps: the number of sweeps, or None to sweep until convergence.
     """
 
     system: System
@@ -84,14 +84,14 @@ class Gauss(Step):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         dt = jnp.asarray(dt, state.p.dtype)
         equation = _Equation.from_state(self, state, dt)
-        k, change = _solved(equation, self.sweeps)
+        k, change = _solve(equation, self.sweeps)
         end, change = equation.end(k), lax.stop_gradient(change)
         return end, StepInfo(change, change <= _CONVERGED * float(jnp.finfo(change.dtype).eps))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         limit = "its sweeps diverge" if self.sweeps is None else f"{self.sweeps} sweeps are too few"
         return (
-            f"{self.name} does not converge at dt = {dt}: {limit}. Take a smaller dt: the fastest frequency of the "
+            f"{self.name} does not converge at dt = {dt}: {limit}. Use a smaller dt: the fastest frequency of the "
             "motion times dt should be at most 1"
         )
 
@@ -105,17 +105,18 @@ def gauss(system: System, stages: int = 8, sweeps: int | None = None) -> Gauss:
     | momentum, whole or γ·π | round-off |
     | energy | O(Δt²ˢ), bounded, no drift: below round-off at useful steps |
 
-    Time-symmetric. The step of choice where accuracy counts: 8 stages at |Δt Ω| = ½ err by less than 1e-10. A sweep
-    evaluates the vector field at all stages; some 12 to 20 are needed.
+    The scheme is time-symmetric, and the best choice where accuracy matters: with 8 stages at |Δt Ω| = ½ the error is
+    below 1e-10. A sweep evaluates the vector field at all stages; about 12 to 20 sweeps are needed.
 
     Args:
-        system: a free body, a gyrostat, a top, driven or not, several bodies, a pseudo-rigid body.
+        system: a free body, a gyrostat, a top, driven or not, several bodies, or a pseudo-rigid body.
         stages: s ≥ 1.
-        sweeps: a number of sweeps in place of as many as it takes; with too few the form and momentum are kept to their
-            residual only, which the step reports, and `converged` is false above round-off.
+        sweeps: a fixed number of sweeps; by default sweeps continue until convergence. With too few, form and momentum
+            are conserved to the residual only, which the step reports, and `converged` is False above round-off.
 
     Raises:
-        ValueError: another system, or one that moves otherwise; stages or sweeps that are no positive int.
+        ValueError: the system is none of these, or its vector field differs from their equations of motion; stages or
+            sweeps is not a positive int.
 
     Source: Hairer, Lubich & Wanner, Geometric Numerical Integration, II.1.3, VI.4; Antoñana, Makazaga & Murua 2017,
     Numer. Algorithms 76.
@@ -160,42 +161,42 @@ class _Equation(NamedTuple):
         return _Equation(self.chart, system, self.chart.rate(system), state, start, dt, self.stages)
 
     def at_stages(self, function: Callable[[Any, Any], Any], Y: Coordinates, nodes: np.ndarray) -> Any:
-        """`function(z, t)` of one stage, at all."""
+        """`function(z, t)` at all stages."""
         passed = self.dt * jnp.asarray(nodes, self.dt.dtype)
         return jax.vmap(function)(Y, self.chart.stage_times(self.system, self.state, passed))
 
-    def over(self, k: Any, weights: np.ndarray) -> Any:
-        """Δt Σ w_j k_j, of one row of weights or of each."""
+    def weighted_sum(self, k: Any, weights: np.ndarray) -> Any:
+        """Δt Σ w_j k_j, for one row of weights or for each row."""
         w = self.dt * jnp.asarray(weights, self.dt.dtype)
         return jax.tree.map(lambda x: jnp.tensordot(w, x, 1, precision="highest"), k)
 
     def stage_values(self, k: Coordinates) -> Coordinates:
         """The coordinates at the stages, z_n + Δt Σ a_ij k_j."""
-        return jax.tree.map(jnp.add, self.start, self.over(k, collocation.gauss(self.stages)[1]))
+        return jax.tree.map(jnp.add, self.start, self.weighted_sum(k, collocation.gauss(self.stages)[1]))
 
-    def swept(self, k: Coordinates) -> Coordinates:
+    def sweep(self, k: Coordinates) -> Coordinates:
         """f(z_n + Δt Σ a_ij k_j)."""
         return self.at_stages(self.rate, self.stage_values(k), collocation.gauss(self.stages)[0])
 
     def residual(self, k: Coordinates) -> Coordinates:
-        return jax.tree.map(jnp.subtract, k, self.swept(k))
+        return jax.tree.map(jnp.subtract, k, self.sweep(k))
 
     def guess(self, most: int) -> tuple[Coordinates, int]:
-        """The k_i after at most so many sweeps, at few nodes, and the number of those sweeps."""
+        """The k_i after at most `most` sweeps with few nodes, and the number of these sweeps."""
         if self.stages <= _NODES or most <= 2 * _NODES:
             return self._zeros(), 0
         few = self._replace(stages=_NODES)
-        k = lax.fori_loop(0, _NODES, lambda _, k: few.swept(k), few._zeros())
-        return jax.tree.map(lambda x: _between(x, _NODES, self.stages), k), _NODES
+        k = lax.fori_loop(0, _NODES, lambda _, k: few.sweep(k), few._zeros())
+        return jax.tree.map(lambda x: _interpolate_nodes(x, _NODES, self.stages), k), _NODES
 
     def _zeros(self) -> Coordinates:
         return jax.tree.map(lambda x: jnp.zeros((self.stages, *x.shape), x.dtype), self.start)
 
     def end(self, k: Coordinates) -> State:
-        """The state at n + 1. π moves by Δt Σ b_i τ_i, as any quadratic function of z does, without rounding p q̄."""
+        """The state at n + 1. π, a quadratic function of z, changes by Δt Σ b_i τ_i, without the rounding of p q̄."""
         c, _, b = collocation.gauss(self.stages)
         rates = self.at_stages(self.chart.quadratures(self.system, self.state), self.stage_values(k), c)
-        return self.chart.advance(self.system, self.state, self.start, Increments(*self.over((k, rates), b)))
+        return self.chart.advance(self.system, self.state, self.start, Increments(*self.weighted_sum((k, rates), b)))
 
     def change(self, a: Coordinates, b: Coordinates) -> Array:
         """The largest difference of Δt k_i, in units of q, which are 1 at least, and of the largest of p."""
@@ -210,32 +211,32 @@ class _Equation(NamedTuple):
         return jnp.abs(self.dt) * functools.reduce(jnp.maximum, changes)
 
 
-def _between(k: Array, few: int, many: int) -> Array:
+def _interpolate_nodes(k: Array, few: int, many: int) -> Array:
     """The values at many nodes of the polynomial through those at few."""
     weights = collocation.values(few, collocation.nodes(many)).astype(k.dtype)
     columns = (w.reshape(-1, *[1] * (k.ndim - 1)) * x for w, x in zip(weights.T, k, strict=True))
     return functools.reduce(jnp.add, columns)
 
 
-def _solved(equation: _Equation, sweeps: int | None) -> tuple[Coordinates, Array]:
+def _solve(equation: _Equation, sweeps: int | None) -> tuple[Coordinates, Array]:
     """The k_i, and their last change."""
     guess, taken = equation.without_derivative().guess(_MOST if sweeps is None else sweeps)
 
     def solve(_: Callable[[Coordinates], Coordinates], k: Coordinates) -> tuple[Coordinates, Array]:
         if sweeps is None:
-            k, change = _iterated(equation, k)
+            k, change = _iterate(equation, k)
             return saved(k), change
-        last = lax.fori_loop(0, max(0, sweeps - taken - 1), lambda _, k: equation.swept(k), k)
-        k = saved(equation.swept(last))
+        last = lax.fori_loop(0, max(0, sweeps - taken - 1), lambda _, k: equation.sweep(k), k)
+        k = saved(equation.sweep(last))
         return k, equation.change(k, last)
 
     def tangent_solve(linear: Callable[[Coordinates], Coordinates], b: Coordinates) -> Coordinates:
         flat, components = ravel_pytree(b)  # one array: parts of b may depend on nothing that is differentiated
 
-        def refined(matvec: Callable[[Array], Array], b: Array) -> Array:
+        def refine_solve(matvec: Callable[[Array], Array], b: Array) -> Array:
             return lax.fori_loop(0, _REFINEMENTS, lambda _, v: v + b - matvec(v), b)
 
-        x = lax.custom_linear_solve(lambda v: ravel_pytree(linear(components(v)))[0], flat, refined, refined)
+        x = lax.custom_linear_solve(lambda v: ravel_pytree(linear(components(v)))[0], flat, refine_solve, refine_solve)
         return components(x)
 
     return lax.custom_root(equation.residual, guess, solve, tangent_solve, has_aux=True)
@@ -244,23 +245,23 @@ def _solved(equation: _Equation, sweeps: int | None) -> tuple[Coordinates, Array
 _Carry = tuple[Coordinates, Array, Array, Array]  # k, its last change, the one before, the number of sweeps
 
 
-def _iterated(equation: _Equation, k: Coordinates) -> tuple[Coordinates, Array]:
-    """Sweeps until they change nothing."""
+def _iterate(equation: _Equation, k: Coordinates) -> tuple[Coordinates, Array]:
+    """The k_i after sweeps until they no longer change."""
     eps = float(jnp.finfo(equation.dt.dtype).eps)
 
-    def goes_on(carry: _Carry) -> Array:
+    def is_unfinished(carry: _Carry) -> Array:
         _, change, before, n = carry
         falls = (change > _STALLED * eps) | (change < before)
         return (n < _MOST) & (change > 4 * eps) & falls
 
-    def improved(carry: _Carry) -> _Carry:
+    def improve(carry: _Carry) -> _Carry:
         k, change, _, n = carry
-        new = equation.swept(k)
+        new = equation.sweep(k)
         return new, equation.change(new, k), change, n + 1
 
     far = jnp.full((), jnp.finfo(equation.dt.dtype).max, equation.dt.dtype)
     begin = (k, far / 2, far, jnp.zeros((), int))
-    return lax.while_loop(goes_on, improved, begin)[:2]
+    return lax.while_loop(is_unfinished, improve, begin)[:2]
 
 
 PROPERTIES = SchemeProperties(
@@ -276,7 +277,7 @@ PROPERTIES = SchemeProperties(
 
 
 def examples(system: System) -> dict[str, Step]:
-    """Order 8, for the systems that it takes but elastic bodies: sweeps do not reach round-off on stiff ones."""
+    """Order 8, for all systems except elastic bodies: for stiff ones, sweeps do not reach round-off."""
     if not isinstance(system, _KINDS) or isinstance(system, AbstractElasticBody) or canonical_chart(system) is None:
         return {}
     return {"gauss[4]": gauss(system, 4)}

@@ -1,11 +1,11 @@
-"""The algorithms of Result 14 on any group, their velocity and force taken at α (Section 5.4, Appendix B).
+"""The algorithms of Result 14 on any group, with velocity at n+α and force at n+1−α (Section 5.4, Appendix B).
 
 With Π_{n+α} = (1−α)Π_n + αΠ_{n+1}, one step is
 
     q_{n+1} = q_n τ(Θ),    π_{n+1} = π_n + Δt 𝓕(q_n, Θ),    Θ = Δt m⁻¹ Π_{n+α}          (5.43), (5.45) with its Δt
     𝓕(q_n, Θ) = −T*R dV(q_{n+1−α}),    q_{n+1−α} = q_n τ((1−α)Θ)
 
-so that Ψ_n = (1−α)Δt m⁻¹ and Ψ_{n+1} = αΔt m⁻¹ (5.51). The force stands at n+1−α where the velocity stands at n+α: on
+so that Ψ_n = (1−α)Δt m⁻¹ and Ψ_{n+1} = αΔt m⁻¹ (5.51). With the velocity at n+α the force is evaluated at n+1−α: on
 abelian groups (5.46) and the conditions 1″ to 3″ of Result 14 then hold for every α. There is one equation for Θ,
 
     F(Θ) = m Θ − (1−α)Δt Π_n − αΔt Π_{n+1} = 0,    Π_{n+1} = Ad*_τ(Θ) (Π_n + Δt Ad*_{q_n} 𝓕)
@@ -119,7 +119,7 @@ class GroupAlpha(Step):
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
-            f"{self.name} on {self.system.group} does not converge at dt = {dt}: take a smaller dt, or more iterations "
+            f"{self.name} on {self.system.group} does not converge at dt = {dt}: use a smaller dt, or more iterations "
             f"than {self.iterations}. If Ad_q is large, no digits of Π = Ad*_q π are left"
         )
 
@@ -136,7 +136,7 @@ def group_alpha(
     |---|---|---|
     | π without a potential; ⟨π, η⟩ for each left symmetry η of V (5.44) | exact | exact |
     | energy without a potential | exact (Result 10) | O(Δt²) per step |
-    | energy with a potential | O(Δt³) per step (`group_energy_momentum` keeps it) | O(Δt²) per step |
+    | energy with a potential | O(Δt³) per step (`group_energy_momentum` conserves it) | O(Δt²) per step |
     | symplectic form, abelian groups (1″ to 3″) | exact | exact |
     | symplectic form without a potential | as in `group_midpoint`: (5.31) | O(Δt²) per step |
     | symplectic form with a potential, other groups | O(Δt³) per step | O(Δt²) per step |
@@ -144,16 +144,16 @@ def group_alpha(
 
     "Exact" is to round-off at a converged step. Without a potential the step of α = ½ is that of `group_midpoint`; on
     a group of translations it is the implicit midpoint rule for every potential, and α = 0 and 1 are the two symplectic
-    Euler schemes. A step of α is undone by the step of 1 − α with −Δt where τ(−Θ) = τ(Θ)⁻¹ and there is no potential or
-    τ is the exponential map (or any map for which τ(sΘ) is a one-parameter group).
+    Euler schemes. The inverse of a step of α is the step of 1 − α with −Δt if τ(−Θ) = τ(Θ)⁻¹ and if there is no
+    potential or τ is the exponential map (or any map for which τ(sΘ) is a one-parameter group).
 
     `diagnostics.conditions` measures the three conditions of Result 14 for a step.
 
     Args:
         system: `systems.euler(group, metric)` or `systems.group_potential(...)`.
-        alpha: α in [0, 1]. It is a leaf of the step, and can be differentiated.
+        alpha: α in [0, 1], a leaf of the step with respect to which it can be differentiated.
         tau: as in `group_midpoint`.
-        iterations: how many Newton matrices a step may take, each used three times; α = 0 is explicit.
+        iterations: the most Newton matrices per step, each used three times; α = 0 is explicit.
 
     Raises:
         ValueError: neither a geodesic flow nor a metric and a potential on a group; a τ that does not fit; α out of
@@ -180,7 +180,7 @@ PROPERTIES = SchemeProperties(
 
 
 def examples(system: System) -> dict[str, Step]:
-    """The step of α = ½ by the exponential map, on small groups: it is nearly `group_midpoint`, and costs as much."""
+    """The step of α = ½ by the exponential map, on small groups; it costs as much as `group_midpoint`."""
     if not (GEODESICS.declared(system) or MECHANICAL.declared(system)) or system.group.dim > 3:
         return {}
     step = group_alpha(system)

@@ -1,11 +1,11 @@
-"""An energy-momentum scheme for any potential on any group (Section 5.4, Result 13, with a force of our own).
+"""An energy-momentum scheme for any potential on any group (Section 5.4, Result 13, with a new discrete force).
 
     q_{n+1} = q_n exp Θ,    π_{n+1} = π_n + Δt 𝓕,    Θ = Δt m⁻¹ ½(Π_n + Π_{n+1})               (5.43), (5.27)
     𝓕 = −∫₀¹ T*R dV(q_n exp(sΘ)) ds
 
 Since d/ds V(q_n exp(sΘ)) = ⟨T*R dV, Ad_{q_n} Θ⟩, it holds that Δt⟨𝓕, Ad_{q_n} Ω_{n+½}⟩ = V(q_n) − V(q_{n+1}), which is
-(5.49), whatever V and the group; and where V is symmetric, so is 𝓕. The integral is taken by five Gauss nodes. There is
-one equation for Θ,
+(5.49), for every V and every group; and 𝓕 has the symmetries of V. The integral is computed by five Gauss nodes. There
+is one equation for Θ,
 
     F(Θ) = m Θ − ½Δt Π_n − Ad*_exp(Θ) ½Δt (Π_n + Δt Ad*_{q_n} 𝓕) = 0
 
@@ -105,31 +105,33 @@ class GroupEnergyMomentum(Step):
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
-            f"{self.name} on {self.system.group} does not converge at dt = {dt}: take a smaller dt, or more iterations "
+            f"{self.name} on {self.system.group} does not converge at dt = {dt}: use a smaller dt, or more iterations "
             f"than {self.iterations} if the potential is stiff"
         )
 
 
 def group_energy_momentum(system: AbstractMechanicalSystem, iterations: int = 6) -> GroupEnergyMomentum:
-    """Energy and momentum for any potential on any group.
+    """An energy–momentum scheme for any potential on any matrix group.
 
     | conserved | to |
     |---|---|
     | energy | round-off, where five Gauss nodes integrate dV along a step to round-off: their error is O(Δt¹¹) |
     | ⟨π, η⟩ for each left symmetry η of V | round-off |
-    | the symplectic form | no: defect O(Δt³) per step (Result 8); `splitting` with a symplectic drift keeps it |
+    | the symplectic form | no: defect O(Δt³) per step (Result 8); `splitting` with a symplectic drift conserves it |
 
-    Second order, time-symmetric.
+    The scheme is of second order and time-symmetric.
 
     Args:
         system: `systems.group_potential(...)`.
-        iterations: how many Newton matrices a step may take, each used three times. A step that fell short says
+        iterations: the most Newton matrices per step, each used three times. A step that does not converge reports
             `converged=False`.
 
     Raises:
         ValueError: not a metric and a potential on a group; bad iterations.
+
+    Source: Lewis & Simo 1994, Result 13; the discrete force: this package.
     """
-    MECHANICAL.check("group_energy_momentum", system, "; without a potential take group_midpoint")
+    MECHANICAL.check("group_energy_momentum", system, "; without a potential use group_midpoint")
     tau = as_tau(exponential, system.group)
     return GroupEnergyMomentum(system, tau, _checks.count("iterations", iterations, 1))
 

@@ -14,7 +14,7 @@ where ad*(Π)ξ = ad*_ξ Π and H is the derivative of τ (5.28). F′ is (Δt/2
 A right-invariant metric is a left-invariant one for q⁻¹, whose body momentum is −π and whose spatial momentum is −Π. So
 the same equation, with −½Δt π_n for ½Δt Π_n, gives q_{n+1} = τ(Θ)⁻¹ q_n and π_{n+1} = Ad*_τ(Θ) π_n.
 
-Steps of SE(3) and its like take their Ad*_τ and τ in closed form (`groups._closed_form`).
+On SE(3) and similar groups Ad*_τ and τ are computed in closed form (`groups._closed_form`).
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class GroupMidpoint(Step):
         Omega = Pi / m if m.ndim == 1 else np.linalg.solve(m, Pi)
         turn = float(np.abs(dt) * np.linalg.norm(Omega))
         return (
-            f"{self.name} on {self.system.group} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}. Take a smaller "
+            f"{self.name} on {self.system.group} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}. Use a smaller "
             f"dt, or more iterations than {self.iterations} if |Δt Ω| < 1. If Ad_q is large, no digits of Π = Ad*_q π "
             "are left"
         )
@@ -122,26 +122,26 @@ def group_midpoint(
 ) -> GroupMidpoint:
     """The generalized midpoint rule (5.23) with (5.27), for a geodesic system on any group and any map τ.
 
-    Spatial momentum is exact, bit for bit (Result 9); energy is exact (Result 10). "Exact" is to round-off at a
-    converged step; rounding errors add up, to 1.3e-10 of the energy in 10⁵ steps of `systems.kirchhoff()`, Δt = 0.1.
-    Second order and time-symmetric if τ(−Θ) = τ(Θ)⁻¹, which is measured; else `symmetric` is False and `order` 1. The
-    symplectic form is kept if and only if (5.31) holds (Result 11), which `maps.symplectic_residual` measures;
-    otherwise its defect is O(Δt³) per step.
+    Spatial momentum is conserved bit for bit (Result 9), and energy to round-off at a converged step (Result 10);
+    rounding errors add up, to 1.3e-10 of the energy in 10⁵ steps of `systems.kirchhoff()` with Δt = 0.1. The scheme is
+    of second order and time-symmetric if τ(−Θ) = τ(Θ)⁻¹, which is measured; otherwise `symmetric` is False and `order`
+    1. The symplectic form is conserved if and only if (5.31) holds (Result 11), which `maps.symplectic_residual`
+    measures; otherwise its defect is O(Δt³) per step.
 
-    For a right-invariant metric it is the body momentum Π = Ad*_q π that is conserved, to round-off.
+    For a right-invariant metric the body momentum Π = Ad*_q π is conserved instead, to round-off.
 
-    On groups that are not compact Ad_q can grow exponentially, and Π = Ad*_q π then loses digits with any scheme: at
-    worst like ε‖Ad_q‖², and on SL(2) energy was seen to lose them like ε‖Ad_q‖. The step says `converged=False` where
-    ε‖Ad_q‖² passes some 1e-6 (float64), or q has left the group by as much.
+    On groups that are not compact, Ad_q can grow exponentially, and Π = Ad*_q π then loses digits with any scheme. The
+    worst case is ε‖Ad_q‖²; for the energy on SL(2) a growth like ε‖Ad_q‖ was observed. The step reports
+    `converged=False` where ε‖Ad_q‖² exceeds about 1e-6 (float64), or q has left the group by as much.
 
     Args:
         system: `systems.euler(group, metric)`, left- or right-invariant.
-        tau: `maps.exponential`, `maps.cayley` (where it lands in the group), `maps.arcsine`, or a map of your own
+        tau: `maps.exponential`, `maps.cayley` (where it lands in the group), `maps.arcsine`, or a custom map
             (group, Θ) ↦ τ(Θ) with Ad_τ(Θ) Θ = Θ, which is checked at three random Θ. `compose`, `splitting` and
-            `li.reversible` take symmetric ones only.
-        iterations: how many Newton matrices a step may take, each used three times. For |Δt Ω| ≤ 0.05 it takes 1, for
-            ≤ 0.2 it takes 2, for ≤ 0.5 it takes 3; the largest of a batch decides. More than the default of 8 helps
-            where |Δt Ω| > 1, or if the metric is far from round.
+            `li.reversible` accept symmetric maps only.
+        iterations: the most Newton matrices per step, each used three times. For |Δt Ω| ≤ 0.05 a step needs 1, for
+            ≤ 0.2 it needs 2, for ≤ 0.5 it needs 3; the largest number in a batch decides. More than the default of 8
+            help where |Δt Ω| > 1, or if the eigenvalues of the metric differ much.
 
     Raises:
         ValueError: not a geodesic flow; a τ that does not fit; bad iterations.
@@ -149,7 +149,7 @@ def group_midpoint(
     Source: Lewis & Simo 1994, Results 9–11.
     """
     integrand = RIGHT_GEODESICS if RIGHT_GEODESICS.declared(system) else GEODESICS
-    integrand.check("group_midpoint", system, "; with a potential take group_energy_momentum")
+    integrand.check("group_midpoint", system, "; with a potential use group_energy_momentum")
     tau = as_tau(tau, system.group)
     order = 2 if tau.symmetric else 1
     return GroupMidpoint(system, tau, _checks.count("iterations", iterations, 1), order, tau.symmetric)

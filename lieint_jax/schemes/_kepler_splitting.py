@@ -1,10 +1,10 @@
-"""Two bodies that attract each other: the Kepler problem of their centers exactly, all else by kicks.
+"""Two bodies that attract each other: the exact Kepler motion of their centers, and kicks by all other forces.
 
     H = [T − G m₁m₂/r] + V₂,   V₂ = V + G m₁m₂/r
 
-The drift is the exact flow of the bracket: the distance d = x₂ − x₁ moves on a conic, the center of mass straight on,
-and the bodies turn freely. What is left, V₂, is small where the bodies are small beside their distance, by a factor ε:
-then the errors of the methods (8, 4) and (8, 6, 4) are O(εΔt⁸ + ε²Δt⁴) and O(εΔt⁸ + ε²Δt⁶ + ε³Δt⁴).
+The drift is the exact flow of the bracket: d = x₂ − x₁ moves on a conic, the center of mass on a straight line, and the
+bodies rotate freely. The remainder V₂ is smaller by a factor ε where the bodies are small compared with their distance.
+Then the errors of the methods (8, 4) and (8, 6, 4) are O(εΔt⁸ + ε²Δt⁴) and O(εΔt⁸ + ε²Δt⁶ + ε³Δt⁴).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from lieint_jax._numerics.power_series import stumpff
 from lieint_jax._xla import scan_stages
 from lieint_jax.schemes._bodies_energy_momentum import BODIES
 from lieint_jax.schemes._exact import exact
-from lieint_jax.schemes._nystrom import Stages, mirrored
+from lieint_jax.schemes._nystrom import Stages, mirror
 from lieint_jax.schemes._shared.accepts import check_motion
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.properties import SchemeProperties
@@ -34,16 +34,12 @@ Order = int | tuple[int, ...]
 METHODS: dict[Order, Stages] = {
     2: Stages((0.5, 0.5), (1.0,)),
     (8, 4): Stages(
-        mirrored([0.07534696026989288842, 0.51791685468825678230, -0.09326381495814967072]),
-        mirrored([0.19022593937367661925, 0.84652407044352625706], -1.07350001963440575260),
+        mirror([0.07534696026989288842, 0.51791685468825678230, -0.09326381495814967072]),
+        mirror([0.19022593937367661925, 0.84652407044352625706], -1.07350001963440575260),
     ),
     (8, 6, 4): Stages(
-        mirrored(
-            [0.0711334264982231177779, 0.241153427956640098737, 0.521411761772814789212, -0.333698616227678005727]
-        ),
-        mirrored(
-            [0.183083687472197221962, 0.310782859898574869508, -0.0265646185119588006972], 0.0653961422823734184560
-        ),
+        mirror([0.0711334264982231177779, 0.241153427956640098737, 0.521411761772814789212, -0.333698616227678005727]),
+        mirror([0.183083687472197221962, 0.310782859898574869508, -0.0265646185119588006972], 0.0653961422823734184560),
     ),
 }
 
@@ -55,7 +51,7 @@ class KeplerSplitting(Step):
     Attributes:
         system: two bodies in a potential.
         G: the constant of gravity.
-        drift: a step of the bodies without the potential, of which the turns are taken.
+        drift: a step of the bodies without the potential, of which the rotations are used.
         method: a key of `METHODS`.
     """
 
@@ -77,7 +73,7 @@ class KeplerSplitting(Step):
 
         def stage(carry: tuple[State, StepInfo], of: tuple[Array, Array]) -> tuple[tuple[State, StepInfo], None]:
             (state, info), (a, b) = carry, of
-            state, last = self._drifted(state._replace(p=state.p + b * self._force(state.q)), a)
+            state, last = self._drift(state._replace(p=state.p + b * self._force(state.q)), a)
             return (state, info.merge(last)), None
 
         # A first kick of 0, so that the long program of a drift is compiled once.
@@ -91,8 +87,8 @@ class KeplerSplitting(Step):
         on_first = jnp.stack([*kepler, *[jnp.zeros_like(r2)] * 3])
         return self.system.force(q) - jnp.stack([on_first, -on_first])
 
-    def _drifted(self, state: State, dt: Array) -> tuple[State, StepInfo]:
-        """The flow of the Kepler problem and of the free turns; positions and momenta change by increments alone."""
+    def _drift(self, state: State, dt: Array) -> tuple[State, StepInfo]:
+        """The flow of the Kepler problem and of the free rotations, by increments of positions and momenta."""
         m = self.system.masses
         M = m[0] + m[1]
         turned, info = self.drift.substep(state, dt)
@@ -109,14 +105,14 @@ class KeplerSplitting(Step):
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
             f"{self.name} does not converge at dt = {dt}: a sub-step is too long a part of the orbit, or the bodies "
-            "meet. Take a smaller dt"
+            "meet. Use a smaller dt"
         )
 
 
 def kepler_splitting(
     system: AbstractRigidBodies, order: Order = (8, 6, 4), G: ArrayLike | None = None, drift: FreeFlight | None = None
 ) -> KeplerSplitting:
-    """Symplectic steps about the exact Kepler motion of two bodies, for binary asteroids and planets with their moons.
+    """Wisdom–Holman splittings about the exact Kepler motion of two bodies: binary asteroids, planets with moons.
 
     | conserved | to |
     |---|---|
@@ -126,23 +122,24 @@ def kepler_splitting(
 
     Args:
         system: `systems.rigid_bodies(...)` of two bodies; their orbit may be an ellipse or a hyperbola.
-        order: 2 (one kick a step), (8, 4) (five) or (8, 6, 4) (seven). The formal order of the latter two is 4.
+        order: 2 (one kick per step), (8, 4) (five) or (8, 6, 4) (seven). The formal order of the latter two is 4.
         G: the constant of gravity; by default that of the potential.
-        drift: how the bodies turn: `exact(system.free)`, the default, or `preprocessed(system.free, 10)`, which halves
-            the time of a step, but is as exact only where no body turns by more than |ΔtΩ| = ½.
+        drift: the step of the free rotations: `exact(system.free)`, the default, or `preprocessed(system.free, 10)`,
+            which halves the time of a step, but is as accurate only where no body rotates by more than |ΔtΩ| = ½.
 
     Raises:
-        ValueError: not two bodies, another order, no G where the potential has none, or a drift of another kind.
+        ValueError: there are not two bodies, the order is none of these, neither the arguments nor the potential have a
+            G, or the drift is none of these.
 
     Source: Wisdom & Holman 1991, Astron. J. 102; McLachlan 1995, BIT 35 (8, 4); Blanes, Casas, Farrés, Laskar, Makazaga
-    & Murua 2013, Appl. Numer. Math. 68 (8, 6, 4); increments as of Rein & Tamayo 2015, Mon. Not. R. Astron. Soc. 452.
+    & Murua 2013, Appl. Numer. Math. 68 (8, 6, 4); increments as in Rein & Tamayo 2015, Mon. Not. R. Astron. Soc. 452.
     """
     method = tuple(order) if isinstance(order, list | tuple) else order
     if method not in METHODS:
         raise ValueError(f"order must be {', '.join(map(str, METHODS))}, got {order!r}")
     BODIES.check("kepler_splitting", system)
     if system.masses.shape != (2,):
-        raise ValueError(f"kepler_splitting is for two bodies, got {system.masses.shape[0]}; take nystrom or splitting")
+        raise ValueError(f"kepler_splitting is for two bodies, got {system.masses.shape[0]}; use nystrom or splitting")
     given = getattr(system.potential, "G", None) if G is None else G
     if given is None:
         raise ValueError("the potential has no G: give kepler_splitting(system, order, G=…)")
@@ -159,7 +156,7 @@ def kepler_splitting(
 
 
 def kepler_flow(d: Vector3, v: Vector3, mu: Scalar, dt: Array) -> tuple[Array, Array, Array, Array]:
-    """Δd and Δv of the motion d̈ = −μd/|d|³ in the time Δt, the residual over Δt, and whether it was solved.
+    """Δd and Δv of the motion d̈ = −μd/|d|³ in the time Δt, the residual over Δt, and whether it converged.
 
     By universal variables: r₀G₁ + ηG₂ + μG₃ = Δt with G_k = sᵏc_k(βs²), β = 2μ/r₀ − |v|², η = d·v; on every conic.
     """
@@ -176,7 +173,7 @@ def kepler_flow(d: Vector3, v: Vector3, mu: Scalar, dt: Array) -> tuple[Array, A
         return r0 * G1 + eta * G2 + mu * G3 - dt
 
     def correction(s: Array, F: Array) -> Array:
-        """Of order 4 (Danby 1987): F and its derivatives r, dr/ds and d²r/ds² at s."""
+        """A correction of order 4 (Danby 1987), from F and its derivatives r, dr/ds and d²r/ds² at s."""
         G0, G1, G2, _ = powers(s)
         r, r1, r2 = r0 * G0 + eta * G1 + mu * G2, eta * G0 + bend * G1, bend * G0 - beta * eta * G1
         step = F / r

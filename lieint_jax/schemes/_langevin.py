@@ -1,14 +1,14 @@
-"""Langevin dynamics of rigid bodies: the canonical measure by exact flows, with the heat counted exactly.
+"""Langevin dynamics of rigid bodies: the canonical measure by exact flows, with an exact account of the heat.
 
     B: π ← π + ½Δt τ(Λ)     A: the exact free motion for ½Δt     O: Π_i ← e^{−γ_iΔt}Π_i + √(kT J_i(1 − e^{−2γ_iΔt})) ξ_i
 
-in the order B A O A B, and the same of centers and linear momenta with m in place of J. O is the exact flow of friction
-and noise, and leaves exp(−½Π·J⁻¹Π/kT) as it is; so does A, which conserves T and the volume. Without a potential the
-sampling is exact for any Δt, with one its bias is O(Δt²). The heat Q grows by the change of the kinetic energy in O, so
-that H − Q changes in A and B only, by the error of the splitting without noise.
+in the order B A O A B, and likewise for centers and linear momenta with m in place of J. O is the exact flow of
+friction and noise, and leaves exp(−½Π·J⁻¹Π/kT) invariant; so does A, which conserves T and the volume. Without a
+potential the sampling is exact for any Δt; with a potential its bias is O(Δt²). The heat Q grows by the change of the
+kinetic energy in O, so that H − Q changes in A and B only, by the error of the splitting without noise.
 
-The Metropolised scheme is O(½Δt), then B A B, accepted with the probability min(1, exp(−ΔH/kT)), else π ← −π in its
-place, then O(½Δt). As B A B conserves the volume and undoes itself after a change of sign of π, it samples the
+The Metropolized scheme is O(½Δt), then B A B, accepted with the probability min(1, exp(−ΔH/kT)) and otherwise replaced
+by π ← −π, then O(½Δt). As B A B conserves the volume and is its own inverse up to the sign of π, the scheme samples the
 canonical measure without a bias for any Δt.
 """
 
@@ -29,7 +29,7 @@ from lieint_jax.groups import so3
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._splitting import Splitting, kicked, kicked_motion
+from lieint_jax.schemes._splitting import Splitting, kick, kicked_motion
 from lieint_jax.types import (
     AbstractForcedSystem,
     AbstractFreeBodies,
@@ -79,23 +79,25 @@ class Langevin(Step):
 
     @property
     def free(self) -> Langevin:
-        """The same thermostat of the bodies without their potential."""
+        """The same thermostat for the bodies without their potential."""
         return Langevin(self.drift.system, self.drift, self.temperature, self.friction, self.metropolis)
 
     def start(self, state: State, key: Any = None, first: int = 0) -> State:
         """`state` with a key, the number of steps so far, and the heat so far: `State.extra["key", "step", "heat"]`.
 
-        A state that has a key goes on with it unless another is given. Random numbers depend on the key and the number
-        of the step alone, so a run in parts, resumed, sharded or by another number of processes has the same bits.
+        A state that has a key uses it again unless another is given. Random numbers depend only on the key and the
+        number of the step, so a run that is resumed, split into parts, sharded, or computed by another number of
+        processes has the same bits.
 
         Args:
-            state: of one body or system; or of an ensemble, with a leading member axis on all leaves but t.
-            key: of `jax.random.key(seed)`, or a seed, an integer; by default the seed 0. Members of an ensemble have
-                the keys `fold_in(key, member)`.
+            state: the state of one body or system; or the states of an ensemble, with a leading member axis on all
+                leaves except t.
+            key: a key from `jax.random.key(seed)`, or a seed, an integer; by default the seed 0. Members of an ensemble
+                have the keys `fold_in(key, member)`.
             first: the number of the first of these members, if they are a part of a larger ensemble.
 
         Raises:
-            ValueError: no key of `jax.random`.
+            ValueError: `key` is neither a key of `jax.random` nor a seed.
         """
         extra, dtype = state.extra or {}, state.p.dtype
         if key is None and _KEY in extra:
@@ -111,12 +113,12 @@ class Langevin(Step):
         return state._replace(extra={**extra, _KEY: digits, **{name: jnp.zeros(axes, dtype) for name in counts}})
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        n = self._carried(state, _COUNT)
-        key = random_bits.fold_in(random_bits.key_of(self._carried(state, _KEY)), random_bits.word(n))
+        n = self._extra_entry(state, _COUNT)
+        key = random_bits.fold_in(random_bits.key_of(self._extra_entry(state, _KEY)), random_bits.word(n))
         state, info = (self._metropolis if self.metropolis else self._baoab)(state, jnp.asarray(dt), key)
-        counted = (n >= 0) & (n + 1 > n) & (n < _MOST) & random_bits.are_digits(self._carried(state, _KEY))
+        counted = (n >= 0) & (n + 1 > n) & (n < _MOST) & random_bits.are_digits(self._extra_entry(state, _KEY))
         counted &= jnp.asarray(dt) >= 0
-        end = self._added(state, **{_COUNT: 1})
+        end = self._add_to_extra(state, **{_COUNT: 1})
         return end, info._replace(converged=info.converged & counted)
 
     def _baoab(self, state: State, dt: Array, key: random_bits.Key) -> tuple[State, StepInfo]:
@@ -137,33 +139,35 @@ class Langevin(Step):
             q=jnp.where(accepted, moved.q, start.q),
             p=jnp.where(accepted, moved.p, -start.p),
         )
-        end = self._added(end, **{_REJECTIONS: 1 - accepted.astype(dtype)})
+        end = self._add_to_extra(end, **{_REJECTIONS: 1 - accepted.astype(dtype)})
         return self._thermalize(end, 0.5 * dt, random_bits.normal(key, used, many, dtype)), info
 
     def _kick(self, state: State, dt: Array) -> State:
-        return kicked(self.system, state, dt) if isinstance(self.system, AbstractForcedSystem) else state
+        return kick(self.system, state, dt) if isinstance(self.system, AbstractForcedSystem) else state
 
     def _thermalize(self, state: State, dt: Array, noise: Array) -> State:
-        """O: friction and noise for a time, and the heat that they bring."""
+        """O: the state after friction and noise for a time, with the heat that they add."""
         bodies: Any = self.drift.system
         if state.p.ndim == 1:
-            p, gained = self._bathed(state.q, bodies.inertia, state.p, noise, self.friction, dt)
+            p, gained = self._thermalize_body(state.q, bodies.inertia, state.p, noise, self.friction, dt)
         else:
             p, gained = self._all_bathed(bodies, state, noise.reshape(-1, 6), dt)
-        return self._added(state._replace(p=p), **{_HEAT: gained})
+        return self._add_to_extra(state._replace(p=p), **{_HEAT: gained})
 
     def _all_bathed(self, bodies: Any, state: State, noise: Array, dt: Array) -> tuple[Array, Array]:
         """The momenta of several bodies after friction and noise, and the kinetic energy gained."""
         masses = bodies.masses[:, None] * jnp.ones_like(state.p[:, :3])
         rates = (self.friction[:3], self.friction[3:]) if self.friction.shape == (6,) else (self.friction,) * 2
-        over_bodies = jax.vmap(self._bathed, (0, 0, 0, 0, None, None))
+        over_bodies = jax.vmap(self._thermalize_body, (0, 0, 0, 0, None, None))
         (moved, first), (turned, second) = (
             over_bodies(state.q[:, 3:], J, state.p[:, own], noise[:, own], rate, dt)
             for J, own, rate in zip((masses, bodies.inertias), (slice(3), slice(3, 6)), rates, strict=True)
         )
         return jnp.concatenate([moved, turned], axis=1), jnp.sum(first) + jnp.sum(second)
 
-    def _bathed(self, q: Array, J: Array, p: Array, noise: Array, rate: Array, dt: Array) -> tuple[Array, Array]:
+    def _thermalize_body(
+        self, q: Array, J: Array, p: Array, noise: Array, rate: Array, dt: Array
+    ) -> tuple[Array, Array]:
         """A momentum in space after friction and noise in the axes of the body, and the kinetic energy gained.
 
         J is the inertia of the body, or its mass along each axis. The gain is ½ (Π′ − Π)·J⁻¹(Π′ + Π).
@@ -174,16 +178,16 @@ class Langevin(Step):
         mean_velocity = jnp.stack(vec3.solve_symmetric(vec3.symmetric(J), before + after)) / 2
         return so3.Ad(q, after), jnp.sum((after - before) * mean_velocity)
 
-    def _carried(self, state: State, name: str) -> Array:
+    def _extra_entry(self, state: State, name: str) -> Array:
         extra = state.extra or {}
         if name not in extra or (self.metropolis and _REJECTIONS not in extra):
             raise ValueError(
-                f"{self.name} needs a key and counts in state.extra: take step.start(state, key=jax.random.key(0))"
+                f"{self.name} needs a key and counts in state.extra: use step.start(state, key=jax.random.key(0))"
             )
         return extra[name]
 
-    def _added(self, state: State, **more: Any) -> State:
-        """The state with these increments of what it carries."""
+    def _add_to_extra(self, state: State, **more: Any) -> State:
+        """The state with these increments of entries of `extra`."""
         extra = dict(state.extra or {})
         return state._replace(extra=extra | {name: extra[name] + x for name, x in more.items()})
 
@@ -191,15 +195,15 @@ class Langevin(Step):
         """Raise ValueError if a concrete `state` or `dt` is out of range, or the state's key or counts are none."""
         for name in (_KEY, _COUNT, _HEAT, *([_REJECTIONS] if self.metropolis else [])):
             shape = (random_bits.DIGITS,) if name == _KEY else ()
-            _checks.real_array(f'state.extra["{name}"]', self._carried(state, name), shape)
-        key = self._carried(state, _KEY)
+            _checks.real_array(f'state.extra["{name}"]', self._extra_entry(state, name), shape)
+        key = self._extra_entry(state, _KEY)
         if concrete(key) and not bool(random_bits.are_digits(jnp.asarray(key))):
             raise ValueError(f'state.extra["{_KEY}"] must be a key, as step.start(state, key=…) makes it, got {key}')
         super().check(state, dt)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         if float(dt) < 0:  # pyright: ignore[reportArgumentType]
-            return f"{self.name} has no step back, got dt = {dt}: friction and noise have no inverse. Take dt > 0"
+            return f"{self.name} has no step back, got dt = {dt}: friction and noise have no inverse. Use dt > 0"
         return f"{self.name}: {self.deterministic.advice(state, dt)}"
 
 
@@ -217,42 +221,43 @@ def _root_times(J: Array, noise: Array) -> Array:
 
 
 def _checked_key(key: Any) -> Array:
-    """A key of `jax.random`, from one or from a seed; ValueError if it is none."""
+    """A key of `jax.random`, from a key or from a seed; ValueError if it is neither."""
     if isinstance(key, int | np.integer) and not isinstance(key, bool):
         return jax.random.key(int(key))
     typed = isinstance(key, Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
     words: Any = jax.random.key_data(key) if typed else key
     if not isinstance(words, Array | np.ndarray) or words.shape != (2,) or words.dtype != jnp.uint32:
         raise ValueError(
-            f"key must be one of jax.random.key(seed), of two words (threefry2x32), or a seed, got {key!r}. Members of "
-            "an ensemble have keys of their own by step.start(states, key=…)"
+            f"key must be jax.random.key(seed), of two words (threefry2x32), or a seed, got {key!r}. "
+            "step.start(states, key=…) gives each member of an ensemble its own key"
         )
     return jax.random.wrap_key_data(jnp.asarray(words), impl="threefry2x32")
 
 
 def langevin(system: Any, temperature: ArrayLike, friction: ArrayLike, metropolis: bool = False) -> Langevin:
-    """Bodies in contact with a heat bath: samples of the canonical measure, and the heat that the bath gives.
+    """Langevin dynamics (BAOAB, or Metropolized): bodies in a heat bath, with an exact account of the heat.
 
     | | |
     |---|---|
     | canonical measure | exact for free bodies; in a potential with a bias O(Δt²), none with `metropolis` |
-    | heat Q, `State.extra["heat"]` | exact: H − Q changes by the error of the splitting without noise, O(Δt³) a step |
-    | the same random numbers | in runs that are resumed, split, sharded, or go on natively |
+    | heat Q, `State.extra["heat"]` | exact: H − Q changes by the error of the noiseless splitting, O(Δt³) per step |
+    | the same random numbers | in runs that are resumed, split, sharded, or compiled to machine code |
 
-    States carry a key: `state = step.start(state, key=jax.random.key(0))`, and of ensembles with a leading member axis
-    the same call gives each member a key of its own. `diagnostics.certify` reports what can be certified.
+    States carry a key: `state = step.start(state, key=jax.random.key(0))`. For ensembles with a leading member axis the
+    same call gives each member its own key. `diagnostics.certify` reports what can be certified.
 
     Args:
         system: `systems.rigid_body`, `heavy_top`, `potential_top`; `rigid_bodies` without dissipation, or its `.free`.
         temperature: kT, in units of energy, > 0.
-        friction: γ ≥ 0, rates: a number; (3,), those about the principal axes of bodies with principal moments, which
-            also are those along these axes of the motion of the centers; (6,), of several bodies, those of the centers
-            first.
-        metropolis: whether to accept or reject each step by its change of energy; `State.extra["rejections"]` counts.
+        friction: rates γ ≥ 0. A number; or (3,), the rates about the principal axes of bodies with principal moments,
+            which for several bodies are also those of the motion of the centers along these axes; or, for several
+            bodies, (6,), the rates of the centers, then those of the rotations.
+        metropolis: whether to accept or reject each step by its change of energy; `State.extra["rejections"]` counts
+            rejected steps.
 
     Raises:
-        ValueError: another system, a temperature that is not positive, a negative friction, or several rates for a full
-            tensor of inertia.
+        ValueError: the system is none of these, the temperature is not positive, a friction is negative, or several
+            rates are given for a full tensor of inertia.
 
     Example:
         >>> import lieint_jax as li

@@ -1,8 +1,8 @@
-"""The logarithmic Hamiltonian: steps that adapt to the potential, and are symplectic.
+"""The logarithmic Hamiltonian: symplectic steps that adapt to the potential.
 
-The flow of ln(K + B) − ln(−V) with B = −E is that of H = K + V on the orbits of energy E, at another speed: time runs
-by dt/ds = 1/(K + B) = 1/(−V) in the fictitious time s. K is constant on the drift and V on the kick. So with h = Δs a
-step of order 2 is explicit:
+The flow of ln(K + B) − ln(−V) with B = −E has the orbits of H = K + V of energy E, in a fictitious time s with
+dt/ds = 1/(K + B) = 1/(−V). K is constant during the drift and V during the kick. So with h = Δs a step of order 2 is
+explicit:
 
     (q, π, t) ← the free motion for (h/2)/(K + B),    π ← π + h F(q)/(−V(q)),    the free motion for (h/2)/(K + B)
 
@@ -21,7 +21,7 @@ from lieint_jax._xla import scan_stages
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, lost
+from lieint_jax.schemes._shared.rigid_body import FREE_BODIES, attitude_error_limit
 from lieint_jax.schemes._splitting import kicked_motion
 from lieint_jax.types import (
     AbstractDrivenSystem,
@@ -46,7 +46,7 @@ class LogHamiltonian(Step):
 
     Attributes:
         system: a system with a potential.
-        energy: E, or None if the states carry it.
+        energy: E, or None if it is in `State.extra`.
         drift: the exact flow of the system without the potential.
     """
 
@@ -65,9 +65,9 @@ class LogHamiltonian(Step):
         return f"log_hamiltonian[{self.drift.name}]"
 
     def start(self, state: State) -> State:
-        """`state`, at t = 0 if it has no time, and with its energy if the step has none.
+        """`state`, at t = 0 if it has no time, and with its energy in `extra` if the step has none.
 
-        ValueError if E is not its energy.
+        Raises ValueError if E is not its energy.
         """
         step, state, dtype = promoted(self, state)
         step.system.check(state)
@@ -86,7 +86,7 @@ class LogHamiltonian(Step):
         def stage(carry: tuple[State, Array, StepInfo], kick: Array) -> tuple[tuple[State, Array, StepInfo], None]:
             """Half a drift, and the kick times 1 or 0."""
             state, off, before = carry
-            state, speed, info = self._drifted(state, 0.5 * dt)
+            state, speed, info = self._drift(state, 0.5 * dt)
             depth, known = _positive(-self._potential(state))
             off = off + jnp.log(speed) / 2 - kick * jnp.log(depth)
             info = info._replace(converged=info.converged & (known | (kick == 0)))
@@ -97,11 +97,11 @@ class LogHamiltonian(Step):
         state, off, info = scan_stages(stage, (state, zero, StepInfo.fresh(zero)), jnp.array([1.0, 0.0], zero.dtype))
         return state, info._replace(converged=info.converged & (jnp.abs(off) <= _OFF))
 
-    def _drifted(self, state: State, half: ArrayLike) -> tuple[State, Array, StepInfo]:
+    def _drift(self, state: State, half: ArrayLike) -> tuple[State, Array, StepInfo]:
         """The state after the free motion for half/(K + B), K + B, and the report."""
         speed, known = _positive(self._speed(state))
         end, info = self.drift.substep(state, half / speed)
-        kept = jnp.finfo(speed.dtype).eps * (speed + self._energy(state)) <= lost(speed.dtype) * speed
+        kept = jnp.finfo(speed.dtype).eps * (speed + self._energy(state)) <= attitude_error_limit(speed.dtype) * speed
         return end, speed, info._replace(converged=info.converged & known & kept)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
@@ -119,7 +119,7 @@ class LogHamiltonian(Step):
         if self.energy is not None:
             return self.energy
         if _KEY not in (state.extra or {}):
-            raise ValueError(f'the state needs its energy, state.extra["{_KEY}"]: take step.start(state)')
+            raise ValueError(f'the state needs its energy, state.extra["{_KEY}"]: use step.start(state)')
         return state.extra[_KEY]  # pyright: ignore[reportOptionalSubscript]
 
     def _potential(self, state: State) -> Array:
@@ -135,10 +135,10 @@ class LogHamiltonian(Step):
 
 
 def log_hamiltonian(system: AbstractForcedSystem, energy: ArrayLike | None = None) -> LogHamiltonian:
-    """The symplectic scheme whose steps are short where the potential is deep: Δt ≈ dt/(−V).
+    """The logarithmic Hamiltonian: symplectic steps that are short where the potential is deep, Δt ≈ dt/(−V).
 
-    `dt` is a step of the fictitious time s, and has the unit of energy × time; the step advances `state.t`, which must
-    be there: `step.start(state)` gives it. Where V is a potential −μ/r, Δt is in proportion to r.
+    `dt` is a step of the fictitious time s, in units of energy × time. The step advances `state.t`, which is required:
+    `step.start(state)` provides it. For V = −μ/r, Δt is proportional to r.
 
     | conserved | to |
     |---|---|
@@ -146,30 +146,31 @@ def log_hamiltonian(system: AbstractForcedSystem, energy: ArrayLike | None = Non
     | γ·π, if the potential has an axis γ | round-off |
     | energy | O(dt²), bounded, no drift |
 
-    Second order in the states as functions of `state.t`; time-symmetric; `compose` raises the order.
+    The states as functions of `state.t` are of second order; the step is time-symmetric; `compose` raises the order.
 
-    A constant may be subtracted from a potential to make it negative; it sets how much the steps vary. A state off the
-    energy by δ moves as if the potential were 1 + δ/(−V) times as strong: `start` refuses a concrete state that is off
-    by more than 1e-3 of −V, and a step off by more than 0.1 says `converged=False`. So does one where K is so much
-    larger than −V that rounding K + B moves the attitude by more than 1e-6 (in float32 3e-4) of its turning.
+    A constant may be subtracted from a potential to make it negative; it determines how much the steps vary. A state
+    whose energy differs from E by δ moves as if the potential were 1 + δ/(−V) times as strong. `start` raises an error
+    for a concrete state with δ above 1e-3 of −V, and a step with δ above 0.1 of −V reports `converged=False`. So does
+    one where K is so much larger than −V that rounding K + B changes the rotation of the step by more than 1e-6 (in
+    float32 3e-4) of itself.
 
     Args:
         system: a rigid body in a potential, `systems.heavy_top(...)` or `systems.potential_top(...)`, with V < 0
-            wherever the body goes. Its free motion must be known exactly: with a step of the free motion in its place,
-            whose error depends on K, the form is not kept.
+            wherever the body goes. The drift is its exact free motion: with an approximate drift, whose error depends
+            on K, the form would not be conserved.
         energy: E, that of the initial state; by default `start` writes that of each state to `state.extra["energy"]`.
 
     Raises:
-        ValueError: another system, or one that is driven, whose energy is not constant; an energy that is no finite
-            scalar. At the start of a run: a state with −V ≤ 0 or K − E ≤ 0, or of another energy. Inside jit such a
-            step says `converged=False`.
+        ValueError: the system is none of these, or driven, so that its energy is not constant; the energy is not a
+            finite scalar. At the start of a run: a state with −V ≤ 0 or K − E ≤ 0, or of another energy. Inside jit
+            such a step reports `converged=False`.
 
     Source: Mikkola & Tanikawa 1999, Mon. Not. R. Astron. Soc. 310; Preto & Tremaine 1999, Astron. J. 118.
     """
     if isinstance(system, AbstractDrivenSystem):
         raise ValueError(
             f"log_hamiltonian needs a constant energy, got {type(system).__name__}, whose potential depends on time; "
-            "take reversible_control of a splitting"
+            "use reversible_control of a splitting"
         )
     if not (isinstance(system, AbstractForcedSystem) and FREE_BODIES.declared(system.free)):
         raise ValueError(

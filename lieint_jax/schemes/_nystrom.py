@@ -3,10 +3,10 @@
     kick b₁, drift a₁, kick b₂, … kick b₁        (order 4, six stages)
     drift a₁, kick b₁, drift a₂, … drift a₁      (order 6, fourteen stages)
 
-With H = T + V and T quadratic in the momenta the bracket {V, {V, {V, T}}} vanishes: fewer conditions of order are left,
-and the errors are a hundredth of those of compositions with as many kicks. On T*SO(3) it vanishes as well, since
-{V, {V, T}} depends on q alone; and where V depends on time too, which the drifts advance. The drift must be exact, or
-of a higher order: a drift of order 2 would make the whole of order 2.
+With H = T + V and T quadratic in the momenta the bracket {V, {V, {V, T}}} vanishes, which leaves fewer order
+conditions: errors are a hundredth of those of compositions with as many kicks. The bracket vanishes on T*SO(3) as well,
+since {V, {V, T}} depends on q only, and where V depends on time, which the drifts advance. The drift must be exact, or
+of a higher order: a drift of order 2 would make the scheme of order 2.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from lieint_jax.schemes._shared.accepts import check_motion, hint
 from lieint_jax.schemes._shared.free_bodies import MANY_FREE_BODIES
 from lieint_jax.schemes._shared.properties import SchemeProperties
 from lieint_jax.schemes._shared.rigid_body import FREE_BODIES
-from lieint_jax.schemes._splitting import kicked, kicked_motion
+from lieint_jax.schemes._splitting import kick, kicked_motion
 from lieint_jax.types import AbstractDrivenSystem, AbstractForcedSystem, State, Step, StepInfo, System, pytree, static
 
 
 class Stages(NamedTuple):
-    """The stages of a splitting, drifts a and kicks b in turn; it begins and ends with the kind that has one more."""
+    """The stages of a splitting: alternating drifts a and kicks b; the kind with one more is first and last."""
 
     drifts: tuple[float, ...]
     kicks: tuple[float, ...]
 
 
-def mirrored(half: list[float], middle: float | None = None) -> tuple[float, ...]:
+def mirror(half: list[float], middle: float | None = None) -> tuple[float, ...]:
     """`half`, the `middle` if there is one, and `half` backwards."""
     return (*half, *([] if middle is None else [middle]), *half[::-1])
 
 
 def _method_4() -> Stages:
     a, b = [0.245298957184271, 0.604872665711080], [0.0829844064174052, 0.396309801498368, -0.0390563049223486]
-    return Stages(mirrored([*a, 0.5 - sum(a)]), mirrored(b, 1 - 2 * sum(b)))
+    return Stages(mirror([*a, 0.5 - sum(a)]), mirror(b, 1 - 2 * sum(b)))
 
 
 def _method_6() -> Stages:
@@ -50,7 +50,7 @@ def _method_6() -> Stages:
     a += [-0.130144459517415, 0.106417700369543, -0.00879424312851058]
     b = [0.09171915262446165, 0.183983170005006, -0.05653436583288827, 0.004914688774712854]
     b += [0.143761127168358, 0.328567693746804]
-    return Stages(mirrored(a, 1 - 2 * sum(a)), mirrored([*b, 0.5 - sum(b)]))
+    return Stages(mirror(a, 1 - 2 * sum(a)), mirror([*b, 0.5 - sum(b)]))
 
 
 METHODS = {4: _method_4(), 6: _method_6()}  # SRKN6b and SRKN14a
@@ -81,45 +81,45 @@ class Nystrom(Step):
 
         def stage(carry: tuple[State, StepInfo], of: tuple[Array, Array]) -> tuple[tuple[State, StepInfo], None]:
             (state, info), (a, b) = carry, of
-            state, last = self.drift.substep(kicked(self.system, state, b), a)
+            state, last = self.drift.substep(kick(self.system, state, b), a)
             return (state, info.merge(last)), None
 
         # A first kick of 0, if it is not there, so that the long program of a drift is compiled once.
         first = kicks[:-1] if kick_last else jnp.concatenate([jnp.zeros_like(kicks[:1]), kicks])
         state, info = scan_stages(stage, (state, StepInfo.fresh(state.p)), (drifts, first))
         if kick_last:
-            return kicked(self.system, state, kicks[-1]), info
+            return kick(self.system, state, kicks[-1]), info
         # The potential has not been evaluated since the last drift
         return state, info._replace(converged=info.converged & jnp.isfinite(self.system.energy(state)))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         longest = max(METHODS[int(self.order)].drifts, key=abs)
-        return f"{self.name} takes sub-steps up to {longest:.3g} dt; {self.drift.advice(state, longest * dt)}"
+        return f"{self.name} has sub-steps up to {longest:.3g} dt; {self.drift.advice(state, longest * dt)}"
 
 
 def nystrom(system: AbstractForcedSystem | AbstractDrivenSystem, order: int, drift: Step | None = None) -> Nystrom:
-    """Blanes and Moan's symmetric Runge–Kutta–Nyström splittings, for bodies in a potential.
+    """Runge–Kutta–Nyström splittings of Blanes & Moan, symmetric and of high accuracy, for bodies in a potential.
 
     | conserved | to |
     |---|---|
-    | the symplectic form | round-off; of one body as far as its drift keeps it, see below |
-    | P and L, or γ·π, as far as the potential leaves them | round-off |
-    | energy; of a driven system, energy less work | O(Δtᵒʳᵈᵉʳ), bounded, no drift |
+    | the symplectic form | round-off; for one body to the accuracy of its drift, see below |
+    | P and L, or γ·π, if the potential conserves them | round-off |
+    | energy; for a driven system, energy less work | O(Δtᵒʳᵈᵉʳ), bounded, no drift |
 
-    Seven kicks a step for order 4, fourteen for order 6. On tops order 6 takes less than half of the time of
+    A step has seven kicks for order 4, fourteen for order 6. On tops order 6 runs in less than half of the time of
     compositions at equal error (`benchmarks/work_precision.py`).
 
     Args:
         system: `systems.rigid_bodies(...)`, or a rigid body in a potential: `systems.heavy_top(...)`,
             `systems.potential_top(...)`, `systems.driven_top(...)`, `systems.gravity_gradient(...)`.
         order: 4 or 6.
-        drift: a symmetric step of `system.free` of at least this order. Of one body it is by default
-            `preprocessed(system.free, 10)`, with which order 6 keeps the form to 1e-14 at |ΔtΩ| = 0.6 and to 1e-10 at
-            1.2, order 4, whose drifts are longer, to 1e-11 at 0.5; of several bodies `exact(system.free)`, which keeps
-            it to round-off at any step and takes five times as long.
+        drift: a symmetric step of `system.free` of at least this order. The default for one body is
+            `preprocessed(system.free, 10)`: order 6 then conserves the form to 1e-14 at |ΔtΩ| = 0.6 and to 1e-10 at
+            1.2; order 4, whose drifts are longer, to 1e-11 at 0.5. The default for several bodies is
+            `exact(system.free)`, which conserves it to round-off at any step and costs five times as much.
 
     Raises:
-        ValueError: another system or order; a drift that does not suit.
+        ValueError: the system or the order is none of these, or the drift is not symmetric or of too low an order.
 
     Source: Blanes & Moan 2002, J. Comput. Appl. Math. 142, Table 3: SRKN6b and SRKN14a.
     """

@@ -1,9 +1,9 @@
-"""Orders 4 to 10 at the price of order 2, for the free body: the symplectic step of another inertia.
+"""Orders 4 to 10 at the cost of order 2, for the free body: the symplectic step of a modified inertia.
 
     1/J̃_j = s/J_j + d                                    (s and d from energy and momentum, both constant)
 
-The discrete body of inertia J runs along the exact one with its clock a little wrong. The inertia J̃ sets the clock
-right to higher order, and as s/J_j + d has the same polhodes as 1/J_j, nothing that was exact is lost: with
+The discrete body of inertia J moves along the exact trajectory with an error in time only. The inertia J̃ corrects the
+time to higher order, and as s/J_j + d has the same polhodes as 1/J_j, all that was conserved still is. With
 C = ½Δt²|Π|², H = Δt²·energy, S₁ = ΣJ, X₁ = ΣJ⁻¹ and D = det J, to order 4
 
     s = 1 + S₁C/(6D) − X₁H/3,    d = −C/(3D) + S₁H/(6D)
@@ -55,20 +55,20 @@ class Preprocessed(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         s, d, holds = self._clock(state, dt)
-        end, info = retimed(self.system, s, d, self.iterations).substep(state, dt)
+        end, info = with_modified_inertia(self.system, s, d, self.iterations).substep(state, dt)
         return end, info._replace(converged=info.converged & holds)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         s, d, holds = self._clock(state, dt)
         if not holds:
             return f"{self.name}: the series that correct its inertia do not hold at dt = {dt}: use a smaller dt"
-        base = retimed(self.system, s, d, self.iterations)
+        base = with_modified_inertia(self.system, s, d, self.iterations)
         return f"{self.name} is a step of so3_midpoint with another inertia; {base.advice(state, dt)}"
 
     def _clock(self, state: State, dt: ArrayLike) -> tuple[Array, Array, Array]:
         """s and d, the latter over the trace of J: computed for J of trace 1, so that no power overflows.
 
-        And whether the series hold.
+        The third value is whether the series are accurate.
         """
         J, r = vec3.unit_trace(self.system.inertia)
         adj = vec3.adjugate(J)
@@ -78,7 +78,7 @@ class Preprocessed(Step):
         return s, d * r, holds
 
 
-def retimed(system: AbstractFreeBody, s: Scalar, d: Scalar, iterations: int | None) -> SO3Midpoint:
+def with_modified_inertia(system: AbstractFreeBody, s: Scalar, d: Scalar, iterations: int | None) -> SO3Midpoint:
     """The symplectic step of the inertia J̃ = J(s + dJ)⁻¹."""
     J = system.inertia
     if J.ndim == 1:
@@ -97,7 +97,7 @@ def preprocessed(system: AbstractFreeBodies, order: int, iterations: int | None 
 def preprocessed(
     system: AbstractFreeBody | AbstractFreeBodies, order: int, iterations: int | None = None
 ) -> Preprocessed | FreeFlight:
-    """The symplectic step of a free rigid body with a preprocessed inertia: order 4, 6, 8 or 10, one stage.
+    """The preprocessed discrete Moser–Veselov step of a free rigid body: order 4, 6, 8 or 10 in one stage.
 
     | conserved | to |
     |---|---|
@@ -105,16 +105,17 @@ def preprocessed(
     | the reduced Lie–Poisson structure (the motion of Π) | round-off |
     | the canonical form on T*SO(3) | O(Δt^{order+1}) only: s and d depend on the state |
 
-    Symmetric; the branch ends near |Δt Ω| = 1, as that of `so3_midpoint`. Where the series for s and d do not hold, at
-    |Δt Ω| above about 1 for order 4, 1.2 for order 10, a step returns `converged=False`.
+    The step is symmetric; its branch ends near |Δt Ω| = 1, like that of `so3_midpoint`. Where the series for s and d
+    are not accurate, at |Δt Ω| above about 1 for order 4, 1.2 for order 10, a step reports `converged=False`.
 
     Args:
-        system: `systems.rigid_body(...)`, or `systems.rigid_bodies(...).free`, whose centers go straight on.
+        system: `systems.rigid_body(...)`, or `systems.rigid_bodies(...).free`, whose centers move on straight lines.
         order: 4, 6, 8 or 10.
         iterations: as in `so3_midpoint`.
 
     Raises:
-        ValueError: not a free rigid body, another order, or bad iterations.
+        ValueError: the system is not a free rigid body, the order is none of these, or iterations is not a positive
+            int.
 
     Source: McLachlan & Zanna 2005, Found. Comput. Math. 5; Hairer & Vilmart 2006, J. Phys. A 39.
     """

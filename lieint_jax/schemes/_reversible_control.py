@@ -2,7 +2,7 @@
 
     ρ½ = ρ_n + ½εG(y_n),    y_{n+1} = Φ_{ε/ρ½}(y_n),    ρ_{n+1} = ρ½ + ½εG(y_{n+1}),    G = −d ln σ/dt
 
-σ(y) is the wanted step size and ε = dt a step of the fictitious time; G is taken along the vector field of the system.
+σ(y) is the desired step size, ε = dt a step of the fictitious time, and d/dt the derivative along the vector field.
 Since ρ̇ = ρG/ρ in the time with dt = dε/ρ, ρσ is constant up to O(ε²), and 1 at the start.
 """
 
@@ -40,7 +40,7 @@ class ReversibleControl(Step):
 
     Attributes:
         step: the base step, Φ.
-        sigma: σ, the wanted step size over dt.
+        sigma: σ, the desired step size over dt.
     """
 
     step: Step
@@ -74,24 +74,24 @@ class ReversibleControl(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         if _KEY not in (state.extra or {}):
-            raise ValueError(f'the state needs its step density, state.extra["{_KEY}"]: take step.start(state)')
-        half, before = self._kicked(state, dt)
+            raise ValueError(f'the state needs its step density, state.extra["{_KEY}"]: use step.start(state)')
+        half, before = self._kick_density(state, dt)
         rho = (half.extra or {})[_KEY]
         end, info = self.step.substep(half, dt / jnp.where(rho > 0, rho, 1))
-        end, after = self._kicked(end, dt)
+        end, after = self._kick_density(end, dt)
         return end, info._replace(converged=info.converged & before & after)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
-        half, _ = self._kicked(state, dt)
+        half, _ = self._kick_density(state, dt)
         sigma, rho = float(self._sigma(state)), float((half.extra or {})[_KEY])
         if not (0 < sigma < float("inf") and 0 < rho < float("inf")):
             return (
                 f"{self.name} needs sigma > 0 and a density rho > 0: got sigma = {sigma:g}, and rho = {rho:g} half a "
                 f"step later. If sigma is positive, dt = {dt} is too large"
             )
-        return f"{self.name} takes a step of {dt / rho:.3g}; {self.step.advice(state, dt / rho)}"
+        return f"{self.name} uses a step of {dt / rho:.3g}; {self.step.advice(state, dt / rho)}"
 
-    def _kicked(self, state: State, dt: ArrayLike) -> tuple[State, Array]:
+    def _kick_density(self, state: State, dt: ArrayLike) -> tuple[State, Array]:
         """The state with ρ + ½εG(y), and whether σ and the new ρ are positive."""
         extra = dict(state.extra or {})
         sigma, slope = jax.jvp(self._sigma, (state,), (time_derivative(self.system, state),))
@@ -107,27 +107,27 @@ class ReversibleControl(Step):
 
 
 def reversible_control(step: Step, sigma: Callable[[State], ArrayLike]) -> ReversibleControl:
-    """A symmetric scheme with steps of the size that a function of the state asks for: Δt ≈ dt·σ(state).
+    """A time-symmetric scheme with a variable step size that is a function of the state: Δt ≈ dt·σ(state).
 
-    The step keeps every invariant of the base step that holds at any step size, such as the energy and γ·π of
-    `top_energy_momentum`. The symplectic form is lost: `log_hamiltonian` keeps it. Time symmetry remains, and with it
-    the energy of a splitting has no drift on regular motions; on chaotic ones that is not assured.
+    The step conserves every invariant that the base step conserves at any step size, such as the energy and γ·π of
+    `top_energy_momentum`. The symplectic form is not conserved (`log_hamiltonian` conserves it). Because of the time
+    symmetry the energy of a splitting does not drift on regular motions; on chaotic ones this is not guaranteed.
 
-    The step advances `state.t`, and carries its density ρ ≈ 1/σ in `state.extra["rho"]`: `step.start(state)` gives the
-    state both. `dt` is a step of a fictitious time with dt/ds = σ, in the unit of time over that of σ.
+    The step advances `state.t`, and carries the step density ρ ≈ 1/σ in `state.extra["rho"]`: `step.start(state)`
+    provides both. `dt` is a step of a fictitious time s with dt/ds = σ, in the unit of time over that of σ.
 
-    Second order in the states as functions of `state.t`; time-symmetric; `compose` raises the order. A step costs two
-    evaluations of σ and its derivative beside the base step.
+    The states as functions of `state.t` are of second order; the step is time-symmetric; `compose` raises the order. A
+    step costs two evaluations of σ and its derivative in addition to the base step.
 
     Args:
         step: a symmetric step, such as `top_energy_momentum(...)` or `splitting(...)`.
-        sigma: the wanted step size over dt, a smooth positive function of the state with a scalar value. It should not
-            change when the motion is reversed; parameters to be differentiated go into a `jax.tree_util.Partial`.
+        sigma: the desired step size over dt, a smooth positive function of the state with a scalar value. It should be
+            invariant under reversal of the motion; parameters to be differentiated go into a `jax.tree_util.Partial`.
 
     Raises:
-        ValueError: a step that is not symmetric or has its own time, a sigma that is no scalar function. At the start
-            of a run: a sigma that is not positive, or a state without ρ. Inside jit, a step where σ or ρ is not
-            positive says `converged=False`.
+        ValueError: the step is not symmetric or advances the time itself, or sigma is not a scalar function. At the
+            start of a run: sigma is not positive, or the state lacks ρ. Inside jit, a step where σ or ρ is not positive
+            reports `converged=False`.
 
     Source: Hairer & Söderlind 2005, SIAM J. Sci. Comput. 26.
 
@@ -142,7 +142,7 @@ def reversible_control(step: Step, sigma: Callable[[State], ArrayLike]) -> Rever
     """
     if not isinstance(step, Step) or not step.symmetric or step.own_time:
         raise ValueError(
-            "reversible_control takes a symmetric step whose dt is that of time, got "
+            "reversible_control needs a symmetric step whose dt is a step of time, got "
             f"{getattr(step, 'name', step)!r}; apply compose to its result"
         )
     if not callable(sigma):

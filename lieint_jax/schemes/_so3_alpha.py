@@ -33,7 +33,7 @@ from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._shared.accepts import AcceptedSystems
 from lieint_jax.schemes._shared.half_turn import ITERATIONS
 from lieint_jax.schemes._shared.properties import SchemeProperties
-from lieint_jax.schemes._shared.rigid_body import SLENDER, lost
+from lieint_jax.schemes._shared.rigid_body import SLENDER, attitude_error_limit
 from lieint_jax.schemes._shared.vector_form import cross_apply, dense, gyroscopic, on_branch
 from lieint_jax.types import AbstractEmbeddedBody, State, Step, StepInfo, System, pytree, static
 
@@ -86,7 +86,7 @@ class SO3Alpha(Step):
         if not vec3.well_conditioned(vec3.symmetric(self.system.inertia)):
             return f"{self.name}: {SLENDER}"
         return (
-            f"{self.name} does not converge at dt = {dt}: take a smaller dt or more than {self.iterations} iterations. "
+            f"{self.name} does not converge at dt = {dt}: use a smaller dt or more than {self.iterations} iterations. "
             "If Λ is far from SO(3), as after many steps with α ≠ 1/2, no digits of Π = Λ⁻¹π are left"
         )
 
@@ -103,23 +103,23 @@ def so3_alpha(
     |---|---|---|
     | spatial momentum ΛΠ (Result 1) | exact, bit for bit | exact, bit for bit |
     | energy ½ Π·J⁻¹Π (2.27) | exact | exact |
-    | Λ on SO(3) (Result 2) | exact | lost: TTᵀ − 1 is of size \\|2α−1\\||Θ|² per step |
-    | length of Π, a Casimir | exact | lost at the same rate, since Π = Λ⁻¹π |
+    | Λ on SO(3) (Result 2) | exact | no: TTᵀ − 1 is of size \\|2α−1\\||Θ|² per step |
+    | length of Π, a Casimir | exact | no: it changes at the same rate, since Π = Λ⁻¹π |
     | symplectic form | as in `so3_midpoint` | T*SO(3) is left |
     | order | 2 | 1 |
 
     "Exact" is to round-off at a converged step. The step of α = ½ is that of `so3_midpoint` with the same κ, its
-    attitude written as a matrix. A step of α is undone by the step of 1 − α with −Δt, so that α = ½ alone is symmetric.
+    attitude written as a matrix. The inverse of a step of α is the step of 1 − α with −Δt, so only α = ½ is symmetric.
 
-    The paper does not note that (2.26) and (2.27) hold for every α: energy does not tell the members apart. With α ≠ ½
-    Λ stretches from step to step, and for Δt > 0 the body ends up turning about the axis where Π is shortest (α < ½) or
-    longest (α > ½) for its energy, as if it had friction: these members are here to be measured, not for simulations.
-    T_α turns about Θ by arctan(α|Θ|) + arctan((1−α)|Θ|), so its polar factor is a step of `so3_midpoint` with a κ of
-    its own.
+    The paper does not note that (2.26) and (2.27) hold for every α: all schemes of the family conserve energy. With
+    α ≠ ½ Λ stretches from step to step, and for Δt > 0 the body ends up rotating about the axis where Π is shortest
+    (α < ½) or longest (α > ½) for its energy, as if it had friction: use these schemes for study, not for simulations.
+    T_α rotates about Θ by arctan(α|Θ|) + arctan((1−α)|Θ|), so its polar factor is a step of `so3_midpoint` with another
+    κ.
 
     Args:
         system: `systems.embedded_body(...)`.
-        alpha: α in [0, 1]. It is a leaf of the step, and can be differentiated.
+        alpha: α in [0, 1], a leaf of the step with respect to which it can be differentiated.
         kappa: κ as in `so3_midpoint`; by default 1, the Cayley map.
         iterations: Newton corrections per step.
 
@@ -128,7 +128,7 @@ def so3_alpha(
 
     Source: Lewis & Simo 1994, (2.14)–(2.22), Results 1 and 2; T_α and ν corrected.
     """
-    EMBEDDED.check("so3_alpha", system, "; for a body that stays on SO(3), which α = 1/2 does, take so3_midpoint")
+    EMBEDDED.check("so3_alpha", system, "; for a body that stays on SO(3), which α = 1/2 does, use so3_midpoint")
     alpha = _checks.fraction("alpha", alpha)
     middle = not concrete(alpha) or float(alpha) == 0.5
     iterations = _checks.count("iterations", iterations, 1)
@@ -192,12 +192,12 @@ def _rotated_attitude(q: Array, alpha: Array, Theta: Vector) -> Array:
 
 
 def _digits_left(state: State) -> Array:
-    """Whether Π = Λ⁻¹π is known to `lost`: rounding of Λ moves it by eps |Λ⁻¹||Λ| of itself."""
+    """Whether Π = Λ⁻¹π is accurate enough: rounding of Λ changes it by eps |Λ⁻¹||Λ|, relative."""
     q = lax.stop_gradient(state.q)
     eps = jnp.finfo(q.dtype).eps
     cofactors = jnp.stack([jnp.stack(cross(q[i], q[(i + 1) % 3])) for i in range(3)])
     condition = jnp.max(jnp.abs(cofactors)) * jnp.max(jnp.abs(q)) / jnp.abs(vec3.det(q))
-    return eps * condition <= lost(q.dtype)
+    return eps * condition <= attitude_error_limit(q.dtype)
 
 
 def _hat(v: Vector) -> vec3.Matrix:

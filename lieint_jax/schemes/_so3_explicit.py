@@ -1,13 +1,13 @@
 """The symplectic step of the free rigid body without an equation to solve at each step.
 
-In the scalar form of `so3_midpoint` all that has to be solved for is m = a·h, and it is the same at every step of a
-trajectory: the coefficients of its quartic are invariants. `prepare` solves it once; then a step is
+In the scalar form of `so3_midpoint` the only unknown is m = a·h, which is the same at every step of a trajectory, since
+the coefficients of its quartic are invariants. `prepare` solves for it once; then a step is
 
     h = (J − m − â)⁻¹ a,    a = ½Δt Π_n,    Λ_{n+1} = Λ_n cay 2h
 
-m also remembers the energy: its quartic is a·adj(J)a at the start less a·adj(J)a now, which rounding alone makes
-differ from 0. At each step up to a thirty-second of it is given back, by a turn of some 1e-18 about a × J⁻¹a; so energy
-does not drift, however many steps.
+m also determines the energy: its quartic is a·adj(J)a at the start less a·adj(J)a now, which differs from 0 by rounding
+only. Each step removes up to a thirty-second of this difference, by a rotation of about 1e-18 about a × J⁻¹a; so energy
+does not drift in runs of any length.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ class SO3Explicit(Step):
 
     Attributes:
         system: a free rigid body.
-        m: what `prepare` solved for; None before.
-        gain: of the feedback that holds the energy; None before.
+        m: the root from `prepare`; None before.
+        gain: the gain of the feedback on the energy; None before.
     """
 
     system: AbstractFreeBody
@@ -68,7 +68,7 @@ class SO3Explicit(Step):
         return dataclasses.replace(self, m=scalar_root(J, a, _ITERATIONS), gain=lax.stop_gradient(gain))
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        """One step. If it was prepared, the state and dt must be of that trajectory; if not, it prepares itself."""
+        """One step. A prepared step requires a state of its trajectory and its dt; otherwise it prepares itself."""
         J, a = scaled(self.system, state, dt)
         h = half_cayley(J, a, scalar_root(J, a, _ITERATIONS) if self.m is None else self.m, self.gain)
         residual = lax.stop_gradient(vec3.max_abs(scalar_residual(J, a, h)))
@@ -83,13 +83,13 @@ class SO3Explicit(Step):
 
 
 def so3_explicit(system: AbstractFreeBody) -> SO3Explicit:
-    """The symplectic scheme of `so3_midpoint`, solved once per trajectory instead of once per step.
+    """The discrete Moser–Veselov step of `so3_midpoint`, solved once per trajectory instead of once per step.
 
-    Equal to `so3_midpoint(system, maps.kappa_symplectic)` to round-off, with the same invariants, order, symmetry and
-    end of the branch (|Δt Ω| ≈ 1), and at least a tenth faster. `integrate` and `ensemble.run` call `prepare` once.
-    Energy then stays within 4e-15 of its first value, relative, however long the run; rounding lets that of
-    `so3_midpoint` drift, by 6e-12 in 10⁷ steps of J = (1, 2, 2.7). Called by hand without `prepare`, it solves at every
-    step. Prepared for one trajectory or step size and used with another, it says `converged=False`.
+    It equals `so3_midpoint(system, maps.kappa_symplectic)` to round-off, with the same invariants, order, symmetry and
+    end of the branch (|Δt Ω| ≈ 1), and is at least a tenth faster. `integrate` and `ensemble.run` call `prepare` once.
+    Energy then stays within a relative error of 4e-15 in runs of any length; with `so3_midpoint` it drifts because of
+    rounding, by 6e-12 in 10⁷ steps of J = (1, 2, 2.7). A direct call without `prepare` solves the equation at every
+    step. Prepared for one trajectory or step size and used with another, the step reports `converged=False`.
 
     Args:
         system: `systems.rigid_body(...)`, principal or full inertia.

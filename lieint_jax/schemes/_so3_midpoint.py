@@ -1,4 +1,4 @@
-"""The energy-momentum schemes of the free rigid body (Sections 2.2 and 3), the symplectic one among them; gyrostats.
+"""The energy-momentum schemes of the free rigid body (Sections 2.2 and 3), including the symplectic one; gyrostats.
 
 With Θ̄ = Δt J⁻¹ ½(Π_n + Π_{n+1}) and Θ = κ(|Θ̄|²) Θ̄, one step is
 
@@ -8,15 +8,15 @@ Put a = ½Δt Π_n. Then Θ̄ = 2y solves (3.4), which for a Cayley map loses it
 
     J y + κ y × J y = a,    κ = κ(4|y|²),    h = ½Θ = κ y                            (vector form)
 
-For the symplectic κ = 1 + |h|² (3.16). Multiply by (1 + ĥ)⁻¹ = (1 − ĥ + h⊗h)/(1 + |h|²); what is left is linear in h
-but for one scalar, m = a·h:
+For the symplectic κ it is 1 + |h|² (3.16). Multiplying by (1 + ĥ)⁻¹ = (1 − ĥ + h⊗h)/(1 + |h|²) leaves an equation that
+is linear in h except for one scalar, m = a·h:
 
     J h = a + a × h + m h,    so  h = (J − m − â)⁻¹ a  and  m = a·(J − m − â)⁻¹ a     (scalar form)
 
 a quartic for m, the same for every step of a trajectory.
 
-In a gyrostat Θ̄ = Δt J⁻¹(½(Π_n + Π_{n+1}) − h̄_r), where h̄_r is the rotor's momentum, or the mean of it at the ends of
-the step if a motor drives the rotor. With b = ½Δt h̄_r,
+For a gyrostat Θ̄ = Δt J⁻¹(½(Π_n + Π_{n+1}) − h̄_r), where h̄_r is the rotor's momentum, or the mean of it at the ends
+of the step if a motor drives the rotor. With b = ½Δt h̄_r,
 
     J y + b + κ y × (J y + b) = a                                                    (vector form)
 
@@ -85,7 +85,7 @@ class SO3Midpoint(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         if isinstance(self.system, AbstractDrivenGyrostat):
-            return self._driven(self.system, state, jnp.asarray(dt))
+            return self._driven_step(self.system, state, jnp.asarray(dt))
         J, a = scaled(self.system, state, dt)
         h, info = half_turn(J, a, self.kappa, self.iterations, bias(self.system, dt))
         return state._replace(q=so3.cayley_increment(state.q, h)), info
@@ -99,16 +99,16 @@ class SO3Midpoint(Step):
         h, info = half_turn(J, jnp.stack(a), self.kappa, self.iterations)
         h = materialized(h)
 
-        def carried(tangent: Array) -> Array:
+        def propagate(tangent: Array) -> Array:
             theta, p = tangent[:3], subtract(tangent[3:], cross(tangent[:3], state.p))
             da = materialized(scaled(body, state._replace(p=jnp.stack(p)), dt)[1])
             turn = materialized(so3.Ad(state.q, materialized(half_turn_derivative(J, a, h, da))))
             return jnp.stack([*add(theta, turn), *tangent[3:]])
 
-        return state._replace(q=so3.cayley_increment(state.q, h)), info, jax.vmap(carried, -1, -1)(jnp.asarray(T))
+        return state._replace(q=so3.cayley_increment(state.q, h)), info, jax.vmap(propagate, -1, -1)(jnp.asarray(T))
 
-    def _driven(self, system: AbstractDrivenGyrostat, state: State, dt: Array) -> tuple[State, StepInfo]:
-        """The step of the gyrostat whose rotor keeps the mean momentum h̄_r, the rotor's change, and the work of it."""
+    def _driven_step(self, system: AbstractDrivenGyrostat, state: State, dt: Array) -> tuple[State, StepInfo]:
+        """The step of the gyrostat with the mean rotor momentum h̄_r, with the change of h_r and the motor's work."""
         rotor, change = system.rotor(state), dt * system.torque(clock(state) + 0.5 * dt)
         mean = rotor + 0.5 * change
         end, info = dataclasses.replace(self, system=system.holding(mean))(state, dt)
@@ -130,7 +130,7 @@ class SO3Midpoint(Step):
             return f"{self.name}: {SLENDER}"
         return (
             f"{self.name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}, the turn in a step, rad; the branch of "
-            f"this κ {self.kappa.branch}. Take a smaller dt{more}"
+            f"this κ {self.kappa.branch}. Use a smaller dt{more}"
         )
 
 
@@ -139,7 +139,9 @@ def so3_midpoint(
     kappa: Kappa | Callable[[Array], Array] = kappa_symplectic,
     iterations: int | None = None,
 ) -> SO3Midpoint:
-    """The scheme (2.24), (2.28) = (3.3) for a free rigid body or a gyrostat, for any scaling κ.
+    """Energy–momentum schemes of a free body or a gyrostat; with the symplectic κ, discrete Moser–Veselov (RATTLE).
+
+    They are (2.24) with (2.28), which is (3.3), for any scaling κ.
 
     | κ | energy | spatial momentum | symplectic form |
     |---|---|---|---|
@@ -149,26 +151,26 @@ def so3_midpoint(
     | any, driven gyrostat | energy less work exact | exact, bit for bit | defect O(Δt³) per step |
 
     In a driven gyrostat each step changes the rotor's momentum by Δh_r = Δt τ(t_n + ½Δt), and the work, if it is
-    counted, by −Ω̄·Δh_r.
+    tracked, by −Ω̄·Δh_r.
 
-    Second order, time-symmetric, |q| = 1 to round-off. Momentum is a Noether invariant of rotations in space; energy is
-    ½ Π·J⁻¹Π. "Exact" is to round-off at a converged step; rounding errors add up, to 6e-12 of the energy in 10⁷ steps
-    of J = (1, 2, 2.7) with Δt = 0.1 (`so3_explicit` takes them back).
+    All are of second order and time-symmetric, with |q| = 1 to round-off. Momentum is the Noether invariant of
+    rotations in space; energy is ½ Π·J⁻¹Π. "Exact" is to round-off at a converged step; rounding errors add up, to
+    6e-12 of the energy in 10⁷ steps of J = (1, 2, 2.7) with Δt = 0.1 (`so3_explicit` corrects them).
 
     Args:
         system: `systems.rigid_body(...)`, `systems.gyrostat(...)`, `systems.driven_gyrostat(...)`.
-        kappa: κ as a callable of x = |Θ̄|² with κ(0) = 1. A κ with parameters of its own is a `jax.tree_util.Partial`.
+        kappa: κ as a callable of x = |Θ̄|² with κ(0) = 1. A κ with parameters is a `jax.tree_util.Partial`.
         iterations: Newton corrections per step; by default 3 for the scalar form (the symplectic κ of a free body), 4
             for the vector form. The scalar form reaches round-off with 2 for |Δt Ω| ≤ 0.7, with 3 for ≤ 0.95; the
-            vector form with 2 for ≤ 0.2, 3 for ≤ 0.5, 4 for ≤ 0.8. A step that fell short says `converged=False`, and
-            so does one whose iterations were not steady, as they may be for |Δt Ω| > 1.4: it could be at a root of
-            another branch.
+            vector form with 2 for ≤ 0.2, 3 for ≤ 0.5, 4 for ≤ 0.8. A step that does not converge reports
+            `converged=False`, and so does one whose iterations were not steady, as they may be for |Δt Ω| > 1.4: it
+            could be at a root of another branch.
 
-    A full tensor whose moments differ by more than 1 : 3.5e4 does not hold the smallest to enough digits; then every
-    step says `converged=False`. Principal moments have no such limit.
+    A full tensor whose moments differ by more than 1 : 3.5e4 does not represent the smallest to enough digits; then
+    every step reports `converged=False`. Principal moments have no such limit.
 
-    The scalar form loses digits on rods (J₁ ≪ J₂) at large |Δt Ω|, and says so by `converged`; there, take the slower
-    vector form, `dataclasses.replace(maps.kappa_symplectic, solve_by="vector")`.
+    The scalar form loses digits on rods (J₁ ≪ J₂) at large |Δt Ω|, and reports this in `converged`. There use the
+    slower vector form, `dataclasses.replace(maps.kappa_symplectic, solve_by="vector")`.
 
     The rotation of a step is at most 90° for the symplectic κ, which is real for |Θ̄| ≤ 1 only: on a principal axis the
     branch ends at |Δt Ω| = 1, off axis a little later (1.18 for J = (1, 2, 3)).
@@ -206,7 +208,7 @@ def examples(system: System) -> dict[str, Step]:
 
 
 def _rotor(system: AbstractFreeBody | AbstractGyrostat | AbstractDrivenGyrostat, state: State) -> Array | float:
-    """h_r, 0 in a free body."""
+    """h_r; 0 for a free body."""
     if isinstance(system, AbstractDrivenGyrostat):
         return system.rotor(state)
     return system.rotor if isinstance(system, AbstractGyrostat) else 0.0

@@ -86,7 +86,7 @@ class SphereChart(Step):
     def advice(self, state: State, dt: ArrayLike) -> str:
         theta = float(np.degrees(self.chart.coordinates(state)[0]))
         return (
-            f"{self.name} does not converge at dt = {dt}, {theta:.3g}° off the axis, where the chart is singular: take "
+            f"{self.name} does not converge at dt = {dt}, {theta:.3g}° off the axis, where the chart is singular: use "
             f"a smaller dt, or more iterations than {self.iterations}, or sphere_midpoint, which has no singularity"
         )
 
@@ -99,12 +99,13 @@ def sphere_chart(
     | conserved | to |
     |---|---|
     | symplectic form (claim 4) | round-off |
-    | momentum about the axis, if V is invariant under turns about it (claim 4) | round-off |
+    | momentum about the axis, if V is invariant under rotations about it (claim 4) | round-off |
     | energy (claim 5) | O(Δt³) per step, bounded |
     | \\|q\\| = 1 and q·π = 0 | round-off |
 
     Second order, time-symmetric. The paper's warning: the chart is singular on the axis. A step that comes within about
-    1e-5 (float64) of it says `converged=False`, and near it only small steps converge; `sphere_midpoint` knows no axis.
+    1e-5 (float64) of it reports `converged=False`, and near it only small steps converge; `sphere_midpoint` has no such
+    axis.
 
     Args:
         system: `systems.pendulum(...)`.

@@ -88,14 +88,14 @@ class SphereMidpoint(Step):
         more = f", or more iterations than {self.iterations}" if turn < 1 else ""
         return (
             f"{self.name} does not converge at dt = {dt}, where |Δt q̇| = {turn:.3g}: it may be 2.5, and the "
-            "branch of solutions ends at |Δt| of some 2/ω in a field that makes small oscillations of ω. Take a "
+            "branch of solutions ends at |Δt| of some 2/ω in a field that makes small oscillations of ω. Use a "
             f"smaller dt{more}"
         )
 
 
 @old_calls(normalised="normalized")
 def sphere_midpoint(system: AbstractSphereSystem, normalized: bool = False, iterations: int = 6) -> SphereMidpoint:
-    """The midpoint rule (1.6) for a pendulum, ∇H taken at the midpoint too.
+    """The midpoint rule (1.6) for a pendulum, with ∇H at the midpoint.
 
     | | `normalized=False` (1.6) | `normalized=True` |
     |---|---|---|
@@ -108,8 +108,8 @@ def sphere_midpoint(system: AbstractSphereSystem, normalized: bool = False, iter
 
     Args:
         system: `systems.pendulum(...)`.
-        normalized: take q_m/|q_m| for the mean direction q_m on the right-hand sides.
-        iterations: Newton corrections per step; 6 reach round-off where a step turns q by less than about a radian.
+        normalized: whether to replace the mean direction q_m by q_m/|q_m| on the right-hand sides.
+        iterations: Newton corrections per step; 6 reach round-off where a step rotates q by less than about a radian.
 
     Raises:
         ValueError: not a pendulum, a bad count.

@@ -1,12 +1,13 @@
-"""Kick, drift, kick: the symplectic scheme for a system with a potential, which Section 4's own class lacks (Result 8).
+"""Strang splitting, kick–drift–kick: a symplectic scheme for systems with a potential, unlike those of Section 4.
 
     π ← π + ½Δt F(q, t),    (q, π, t) ← a step of the same system without its potential,    π ← π + ½Δt F(q, t)
     W ← W + ½Δt ∂V/∂t                                                                       W ← W + ½Δt ∂V/∂t
 
-Each kick is the exact flow of the potential alone, and the drift, a symplectic step of the kinetic energy alone, keeps
-the form too. Both keep every momentum map that the potential leaves. Energy is that of a nearby Hamiltonian, so its
-error is bounded and does not drift. In a gyrostat turns take the place of the kicks, see `_turning`. Many bodies
-drift, are kicked, drift: a drift of them costs much less than their forces, which are then evaluated once a step.
+Each kick is the exact flow of the potential, and the drift is a symplectic step of the kinetic energy, so both conserve
+the form, and every momentum map that the potential conserves. The step is the flow of a nearby Hamiltonian, so the
+error of the energy is bounded and does not drift. For a gyrostat rotations replace the kicks, see
+`_shared.gyrostat_splitting`. Many bodies drift, are kicked, and drift: their drift costs much less than their forces,
+which are then evaluated once per step.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ _MANY = 8
 
 
 def kicked_motion(parts: tuple[AbstractForcedSystem | AbstractDrivenSystem, System], state: State) -> State:
-    """The vector field of the drift's system, and the force of the kicks."""
+    """The vector field of the drift's system plus the force of the kicks."""
     system, drifting = parts
     free = drifting.vector_field(state)
     return State(free.q, free.p + _force(system, state))
@@ -67,7 +68,7 @@ def _force(system: AbstractForcedSystem | AbstractDrivenSystem, state: State) ->
     return system.force(state.q, clock(state)) if isinstance(system, AbstractDrivenSystem) else system.force(state.q)
 
 
-def kicked(system: AbstractForcedSystem | AbstractDrivenSystem, state: State, dt: ArrayLike) -> State:
+def kick(system: AbstractForcedSystem | AbstractDrivenSystem, state: State, dt: ArrayLike) -> State:
     """The exact flow of the potential alone, at the time of the state."""
     if isinstance(system, AbstractDrivenSystem) and state.work is not None:
         state = state._replace(work=state.work + dt * system.power(state.q, clock(state)))
@@ -99,7 +100,7 @@ class Splitting(Step):
             state, info = self.drift.substep(self._kick(state, dt), dt)
             return self._kick(state, dt), info
         state, first = self.drift.substep(state, 0.5 * dt)
-        state, last = self.drift.substep(kicked(self.system, state, dt), 0.5 * dt)
+        state, last = self.drift.substep(kick(self.system, state, dt), 0.5 * dt)
         return state, first.merge(last)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
@@ -110,15 +111,15 @@ class Splitting(Step):
         space = self.system.phase_space
         if not (isinstance(space, CotangentGroup) and self.kick_first):
             return super().tangent(state, dt, T)
-        state, T = self._kicked(space.group, state, dt, T)
+        state, T = self._kick_tangent(space.group, state, dt, T)
         end, info, T = self.drift.tangent(state, dt, T)
-        end, T = self._kicked(space.group, end, dt, T)
+        end, T = self._kick_tangent(space.group, end, dt, T)
         return end, info, T
 
-    def _kicked(self, group: Group, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, Array]:
+    def _kick_tangent(self, group: Group, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, Array]:
         """The state and its tangent vectors after a kick: δπ gains ½Δt times the derivative of the force."""
 
-        def carried(tangent: Array) -> Array:
+        def kick_derivative(tangent: Array) -> Array:
             theta, pi = jnp.split(tangent, 2)
             moved = group.spatial_tangent(state.q, theta)
             slope = jax.jvp(lambda q: _force(self.system, state._replace(q=q)), (state.q,), (moved,))[1]
@@ -126,10 +127,10 @@ class Splitting(Step):
 
         end = self._kick(state, dt)
         end = end._replace(p=jnp.stack(materialized(end.p)))
-        return end, jax.vmap(carried, -1, -1)(jnp.asarray(T))
+        return end, jax.vmap(kick_derivative, -1, -1)(jnp.asarray(T))
 
     def _kick(self, state: State, dt: ArrayLike) -> State:
-        return kicked(self.system, state, 0.5 * dt)
+        return kick(self.system, state, 0.5 * dt)
 
 
 @overload
@@ -139,39 +140,39 @@ def splitting(system: AbstractForcedSystem | AbstractDrivenSystem, drift: Step |
 def splitting(
     system: AbstractForcedSystem | AbstractDrivenSystem | AbstractGyrostat, drift: Step | None = None
 ) -> Splitting | GyrostatSplitting:
-    """Kick – free step – kick for a system with any potential, turn – free step – turn for a gyrostat.
+    """Strang splitting: kick–drift–kick for a system with any potential, rotation–drift–rotation for a gyrostat.
 
     | conserved | to |
     |---|---|
     | the symplectic form | round-off, with a symplectic drift |
     | γ·π, if the potential has an axis γ | round-off |
     | π, in a gyrostat | bit for bit |
-    | energy; of a driven system, energy less work | O(Δt²), bounded, no drift |
+    | energy; for a driven system, energy less work | O(Δt²), bounded, no drift |
 
-    In a gyrostat the turns are Λ ← Λ exp(−½Δt ĉ) with c = J⁻¹h_r: the exact flow of the rotor's part of H. A fast rotor
-    costs accuracy: with J = (1, 2, 3), |Ω| = 1 and Δt = 0.05 energy errs by 4e-5 of itself at |h_r| = 0.8, by 3e-3 at
-    10. `so3_midpoint` keeps the energy of a gyrostat, and not the form.
+    For a gyrostat the rotations are Λ ← Λ exp(−½Δt ĉ) with c = J⁻¹h_r: the exact flow of the rotor's part of H. A fast
+    rotor reduces accuracy: with J = (1, 2, 3), |Ω| = 1 and Δt = 0.05 the relative error of the energy is 4e-5 at
+    |h_r| = 0.8 and 3e-3 at 10. `so3_midpoint` conserves the energy of a gyrostat, but not the form.
 
-    With eight bodies or more a step is half a free step, the kick, and the other half: what costs are the forces
-    between them, which are then evaluated once a step.
+    With eight bodies or more a step is half a drift, a kick, and half a drift, so that the forces between the bodies,
+    which dominate the cost, are evaluated once per step.
 
-    Second order, time-symmetric; `compose` raises the order.
+    The step is of second order and time-symmetric; `compose` raises the order.
 
     Args:
         system: `systems.heavy_top(...)`, `systems.potential_top(...)`, `systems.group_potential(...)`; a driven one,
-            `systems.driven_top(...)`, `systems.gravity_gradient(...)`, whose two kicks are those at t and t + Δt: then
-            the form is kept at a given t and Δt, and on the space extended by time and −work, too; or
+            `systems.driven_top(...)`, `systems.gravity_gradient(...)`, with kicks at t and t + Δt, whose steps are
+            symplectic at given t and Δt, and on the phase space extended by time and −work; or
             `systems.rigid_bodies(...)`; or `systems.gyrostat(...)`.
         drift: a symmetric step of `system.free`; by default the symplectic `so3_midpoint`; on other groups and products
-            of them `group_midpoint` with `maps.arcsine` where that is symplectic; on SE(3) with an isotropic mass the
-            same step of the attitude and the exact one of the center; of several bodies the exact one, in whose place
-            `preprocessed(system.free, 10)` takes a quarter of the time where no body turns by more than |ΔtΩ| = ½.
-            `exact(system.free)` has smaller errors where the body turns fast in a weak potential, and no limit on
-            |Δt Ω|; it is the default of a gyrostat.
+            of them `group_midpoint` with `maps.arcsine` where it is symplectic; on SE(3) with an isotropic mass
+            `so3_midpoint` for the attitude and the exact motion of the center; for several bodies the exact step, in
+            place of which `preprocessed(system.free, 10)` runs in a quarter of the time where no body rotates by more
+            than |ΔtΩ| = ½. `exact(system.free)`, the default for a gyrostat, has smaller errors where the body rotates
+            fast in a weak potential, and no limit on |Δt Ω|.
 
     Raises:
-        ValueError: a system without potential or rotor, a drift that is not symmetric, or none given where none is
-            known.
+        ValueError: the system has neither a potential nor a rotor; the drift is not symmetric; or no drift is given and
+            no symplectic one is known.
 
     Source: Strang 1968, SIAM J. Numer. Anal. 5; for rigid bodies Touma & Wisdom 1994, Astron. J. 107.
     """
@@ -206,12 +207,12 @@ def _drift(free: System) -> Step:
             return FreeMotion(free)
     raise ValueError(
         f"no symplectic drift is known for {getattr(free, 'group', type(free).__name__)} with this metric: give a "
-        "symmetric step of system.free, such as group_midpoint(system.free), which keeps the form up to O(Δt³) per step"
+        "symmetric step of system.free, such as group_midpoint(system.free), whose form has a defect O(Δt³) per step"
     )
 
 
 def _metrics(free: AbstractGeodesicFlow) -> list[Array]:
-    """The system's metric; if it is a tracer, two others at random: what is symplectic for them is so for any."""
+    """The system's metric; if it is a tracer, two random ones: a map symplectic for both is so for every metric."""
     if concrete(free.metric):
         return [free.metric]
     roots = np.random.default_rng(0).normal(size=(2, free.group.dim, free.group.dim))

@@ -1,16 +1,16 @@
-"""The energy-momentum schemes for a rigid body in an axisymmetric potential (Section 4.1), which time may move.
+"""The energy-momentum schemes for a rigid body in an axisymmetric potential (Section 4.1), which may depend on time.
 
     Λ_{n+1} = Λ_n cay Θ,    π_{n+1} = π_n + Δt γ × e                                     (4.3)
     Θ = κ(|Θ̄|²) Θ̄,         Θ̄ = Δt J⁻¹ ½(Π_n + Π_{n+1})                                (4.4)
     e = κ ½(Λ_n + Λ_{n+1}) D̄,    D̄·(Γ_{n+1} − Γ_n) = Ṽ(Γ_{n+1}) − Ṽ(Γ_n)               (4.6), corrected
 
 with Γ = Λᵀγ and D̄ any symmetric discrete gradient of Ṽ. With y = ½Θ̄, h = κy = ½Θ, a = ½ΔtΠ_n, s = ¼Δt², and (4.4)
-multiplied by 1 + ĥ, what is to be solved for y is the free body's equation with a moment w, here times 1 + |h|²:
+multiplied by 1 + ĥ, the equation for y is the free body's with a moment w, here times 1 + |h|²:
 
     (1 + |h|²)(Jy + h × Jy − a − w) + (h·w) h = 0,    w = sκ (Γ_n − h × Γ_n) × D̄
 
-A driven top feels half of its field as it is at t_n and half as it is at t_{n+1}, each frozen: half the sum of the two
-moments stands for γ × e and for w. Result 7 at each frozen time gives, exactly and for any κ,
+A step of a driven top uses half of the field frozen at t_n and half of the field frozen at t_{n+1}: the mean of the two
+moments replaces γ × e and w. Result 7 at each frozen time gives, exactly and for any κ,
 
     H_{n+1} − H_n = ½[V(Λ_n, t_{n+1}) − V(Λ_n, t_n)] + ½[V(Λ_{n+1}, t_{n+1}) − V(Λ_{n+1}, t_n)] =: ΔW
 """
@@ -125,7 +125,7 @@ class TopEnergyMomentum(Step):
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
             f"{self.name} does not converge at dt = {dt}: the branch of this κ {self.kappa.branch}, or the potential "
-            f"is too stiff. Take a smaller dt, or more than {self.iterations} iterations if |Δt Ω| < 1"
+            f"is too stiff. Use a smaller dt, or more than {self.iterations} iterations if |Δt Ω| < 1"
         )
 
 
@@ -138,21 +138,22 @@ def top_energy_momentum(
 
     | conserved | to |
     |---|---|
-    | energy; of a driven top, energy less work | round-off, for any κ and any Ṽ (Result 7) |
+    | energy; for a driven top, energy less work | round-off, for any κ and any Ṽ (Result 7) |
     | γ·π | round-off (Result 6), where γ does not move |
-    | the symplectic form | no: defect O(Δt³) per step, for any κ (Result 8); `splitting` keeps it |
+    | the symplectic form | no: defect O(Δt³) per step, for any κ (Result 8); `splitting` conserves it |
 
-    Second order, time-symmetric. D̄ is the potential's own `discrete_gradient` if it has one, else the average of the
-    gradient between Γ_n and Γ_{n+1} by 4 Gauss nodes, corrected along ΔΓ where |ΔΓ| > 0.01.
+    The scheme is of second order and time-symmetric. D̄ is the potential's own `discrete_gradient` if it has one,
+    otherwise the average of the gradient between Γ_n and Γ_{n+1} by 4 Gauss nodes, corrected along ΔΓ where
+    |ΔΓ| > 0.01.
 
     Args:
         system: `systems.heavy_top(...)` or `systems.potential_top(...)` with an axis; or a driven one with an axis,
-            `systems.driven_top(...)`, `systems.gravity_gradient(...)`. Its work is that of the potential alone, from
-            differences of V: neither ∂V/∂t nor a quadrature is needed. It is symmetric, and not symplectic either.
+            `systems.driven_top(...)`, `systems.gravity_gradient(...)`. The work of a driven potential is computed from
+            differences of V, without ∂V/∂t or a quadrature.
         kappa: κ as in `so3_midpoint`.
         iterations: Newton corrections per step; by default 3 for a linear Ṽ and κ = 1, 5 for a linear Ṽ and any other
             κ, 6 for any other Ṽ. With κ = 1, J = (1, 2, 2.5) and Δt²|E| = 0.008, 3 reach round-off for |Δt Ω| ≤ 0.3, 4
-            for ≤ 0.8. A step that fell short says `converged=False`.
+            for ≤ 0.8. A step that does not converge reports `converged=False`.
 
     Raises:
         ValueError: no potential or no axis, κ is not callable, iterations is not a positive int.
@@ -163,7 +164,7 @@ def top_energy_momentum(
     tops = DRIVEN_TOPS if DRIVEN_TOPS.declared(system) else TOPS
     if tops.declared(system) and system.axis is None:
         raise ValueError(
-            f"top_energy_momentum integrates {tops.noun}, got {type(system).__name__} without an axis; take splitting"
+            f"top_energy_momentum integrates {tops.noun}, got {type(system).__name__} without an axis; use splitting"
         )
     tops.check("top_energy_momentum", system)
     kappa = as_kappa(kappa)
@@ -173,7 +174,7 @@ def top_energy_momentum(
 
 
 class _Field(NamedTuple):
-    """The field of a top at one time: the whole of one at rest, or half of a driven one.
+    """The field of a top at one time: all of a constant field, or half of a driven one.
 
     Attributes:
         potential: Ṽ.
@@ -209,7 +210,7 @@ class _Field(NamedTuple):
 
 
 def _fields(system: AbstractTop | AbstractDrivenTop, state: State, dt: ArrayLike) -> tuple[_Field, ...]:
-    """What a step from a state feels: one field, or half of each of two times."""
+    """The fields that act in a step from a state: one field, or half of the field at each of two times."""
 
     def field(axis: Array, at: tuple[Array, ...], share: float) -> _Field:
         return _Field(system.potential, axis, vec3.components(so3.Ad_star(state.q, axis)), at, share)
@@ -260,7 +261,7 @@ class _Equation(NamedTuple):
         return add(scale(1 + dot(h, h), balance), scale(dot(h, w), h))
 
     def matrix(self, y: Vector) -> vec3.Matrix:
-        """∂/∂y over 1 + |h|², but for κ′ in the moment and O(Δt⁴): the last two terms are those of (h·w) h."""
+        """∂/∂y over 1 + |h|², without κ′ in the moment and O(Δt⁴); the last two terms are those of (h·w) h."""
         (k, h), K = self.turn(y), gyration_matrix(self.kappa, self.J, y)
         for field, s in self.fields:
             Gamma, F = field.Gamma, scale(k * k, scale(s, field.gradient(h)))  # sκ²D̄
@@ -286,7 +287,7 @@ class _Equation(NamedTuple):
     def size(self, gradients: list[Array], y: Vector) -> Array:
         """The size of the terms of the equation, by which its rounding errors are measured.
 
-        The force's is |D̄|, and |Ṽ|/|ΔΓ| where D̄ is corrected.
+        The size of the force is |D̄|, and |Ṽ|/|ΔΓ| where D̄ is corrected.
         """
         total = vec3.max_abs(self.a)
         for (field, s), D in zip(self.fields, gradients, strict=True):

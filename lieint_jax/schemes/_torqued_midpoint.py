@@ -5,14 +5,14 @@ With Θ̄ = Δt J⁻¹ ½(Π_n + Π_{n+1}) = 2y, h = ½Θ = κ(|Θ̄|²) y, a = 
     Λ_{n+1} = Λ_n cay Θ,    π_{n+1} = π_n + Δt Στ̄_k,    τ̄_k = Λ̄T̄_k,  Λ̄ = ½(Λ_n + Λ_{n+1})
     J y + κ y × J y = a + s ΣT̄_k                                                     (vector form)
 
-for mean torques T̄_k given in the body. One given in space, τ̄ = Λ_nT, has T̄ = T − h × T. Since cay Θ Θ̄ = Θ̄, for any
-torques and any κ
+for mean torques T̄_k given in the body. For a torque given in space, τ̄ = Λ_nT, T̄ = T − h × T. Since cay Θ Θ̄ = Θ̄,
+for any torques and any κ
 
     ½ Π·J⁻¹Π |_n^{n+1} = Δt Ω̄·ΣT̄_k = Δt ω̄·Στ̄_k,    Ω̄ = Θ̄/Δt,  ω̄ = Λ_nΩ̄ = Λ_{n+1}Ω̄
 
 so that with the work W_k = Δt Ω̄·T̄_k + ΔE_k of each law, E_k its energy, ½ Π·J⁻¹Π + ΣE_k − ΣW_k is constant.
 
-Internal friction turns the body by more, and no torque acts on it. With Π̄ = ½(Π_n + Π_{n+1}), Ω̄ = J⁻¹Π̄,
+Internal friction adds a rotation, but no torque. With Π̄ = ½(Π_n + Π_{n+1}), Ω̄ = J⁻¹Π̄,
 
     Θ̄ = Δt(Ω̄ + α Π̄ × Ω̄),    Π̄ + h × Π̄ = Π_n,    ½ Π·J⁻¹Π |_n^{n+1} = −κΔtα|Π̄ × Ω̄|²
 """
@@ -123,7 +123,7 @@ class TorquedMidpoint(Step):
         works = [law.work(rotation, *found) for law, found in zip(equation.laws, torques.each, strict=True)]
         if state.work is not None:
             end = end._replace(work=state.work + sum(works))
-        return end._replace(extra=_carried(state.extra, equation.laws, torques.each, works)), info
+        return end._replace(extra=_extra_after(state.extra, equation.laws, torques.each, works)), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return _advice(self, dt, "the torque is too stiff")
@@ -195,7 +195,7 @@ class DampedMidpoint(Step):
 def _advice(step: TorquedMidpoint | DampedMidpoint, dt: ArrayLike, reason: str) -> str:
     return (
         f"{step.name} does not converge at dt = {dt}: the branch of this κ {step.kappa.branch}, or {reason}. "
-        f"Take a smaller dt, or more than {step.iterations} iterations if |Δt Ω| < 1"
+        f"Use a smaller dt, or more than {step.iterations} iterations if |Δt Ω| < 1"
     )
 
 
@@ -206,28 +206,30 @@ def torqued_midpoint(
 ) -> TorquedMidpoint | DampedMidpoint:
     """The energy-momentum scheme of a rigid body with any torques, or with internal friction; for any κ.
 
-    | law of a step | to |
+    | balance of a step | to |
     |---|---|
     | ΔH = ΣW_k: the energy changes by the works of the laws, which `State.work` counts; H − W is constant | round-off |
-    | Δπ = Δt Στ̄_k; with internal friction π itself | the impulse's rounding; bit for bit |
-    | π with the momenta of wheels and dampers, where no other law acts | round-off |
-    | dissipation: drag, dampers, torquers, PD laws, friction take energy in each step with Δt > 0 | exactly |
+    | Δπ = Δt Στ̄_k; with internal friction, π is constant | the impulse's rounding; bit for bit |
+    | π plus the momenta of wheels and dampers is constant, where no other law acts | round-off |
+    | drag, dampers, torquers, PD laws and friction dissipate energy in every step with Δt > 0 | exactly |
 
-    Second order; time-symmetric, dissipation too, unless a law is not (`torques.hysteresis`, wheels with a limit of
-    momentum). `schemes.compose` raises the order; its negative sub-steps give energy back, so only whole steps of it
-    lose energy, while H − W stays constant in each. `State.extra["works"]`, if it is there, counts each law's work.
+    The scheme is of second order and time-symmetric, also with dissipation, unless a law is not symmetric
+    (`torques.hysteresis`, wheels with a limit of momentum). `schemes.compose` raises the order; its negative sub-steps
+    add energy, so energy decreases over its whole steps only, while H − W is constant in each sub-step.
+    `State.extra["works"]`, if it exists, counts the work of each law.
 
-    The torque of a function is evaluated at t + ½Δt, at the attitude half-way, (q_n + q_{n+1})/|…|, and at ω̄; a law
-    has its own mean, as that of a potential, whose balance is then exact too.
+    The torque of a function is evaluated at t + ½Δt, at the attitude half-way, (q_n + q_{n+1})/|…|, and at ω̄. A law
+    defines its own mean torque, such as that of a potential, whose balance is then exact too.
 
     Args:
         system: `systems.torqued_body(...)` or `systems.damped_body(...)`.
         kappa: κ as in `so3_midpoint`. The symplectic κ ends at |ΔtΩ| ≈ 1, the Cayley κ at 2 to 4.
-        iterations: the most Newton corrections per step, by default 5. A step that fell short says `converged=False`.
+        iterations: the most Newton corrections per step, by default 5. A step that does not converge reports
+            `converged=False`.
 
     Raises:
-        ValueError: another system, κ is not callable, iterations is not a positive int; when a run starts, a state
-            without a time, and a torque that is not finite there.
+        ValueError: the system is none of these, κ is not callable, iterations is not a positive int; at the start of a
+            run, the state has no time, or the torque is not finite.
 
     Source: the identities of Lewis & Simo 1994, Results 1 to 3, with a torque: this package.
     """
@@ -236,7 +238,7 @@ def torqued_midpoint(
     if isinstance(system, AbstractDampedBody):
         DAMPED_BODIES.check("torqued_midpoint", system)
         return DampedMidpoint(system, kappa, count)
-    TORQUED_BODIES.check("torqued_midpoint", system, "; for internal friction take systems.damped_body")
+    TORQUED_BODIES.check("torqued_midpoint", system, "; for internal friction use systems.damped_body")
     return TorquedMidpoint(system, kappa, count, symmetric=all(law.symmetric for law in system.laws))
 
 
@@ -277,7 +279,7 @@ class _Torques(NamedTuple):
     each: _Each
 
 
-def _carried(
+def _extra_after(
     extra: dict[str, Array] | None,
     laws: Sequence[Law],
     each: _Each,
@@ -331,7 +333,7 @@ class _Equation(NamedTuple):
         return scale(0.5 * self.dt, self.Pi)
 
     def rotation(self, y: Vector) -> Rotation:
-        """What the laws are given of a step."""
+        """The rotation of a step, the argument of the laws."""
         q, k = self.q, self.kappa(4 * dot(y, y))
         h = jnp.stack(scale(k, y))
         moves = self.dt != 0
@@ -342,7 +344,7 @@ class _Equation(NamedTuple):
         return Rotation(self.t, self.dt, q, half, so3.cayley_increment(q, h), h, k, Omega, so3.Ad(q, Omega))
 
     def torques(self, rotation: Rotation) -> _Torques:
-        """The mean torques of all laws. Those that read an internal state are given its mean in the step."""
+        """The mean torques of all laws. A law that reads an internal state receives its mean over the step."""
         sums = {"body": jnp.zeros(3, self.q.dtype), "space": jnp.zeros(3, self.q.dtype)}
         each, means = {}, {}
         for k, law in sorted(enumerate(self.laws), key=lambda numbered: numbered[1].reads is not None):
@@ -393,8 +395,8 @@ class _Equation(NamedTuple):
     def judge(self, y: Vector) -> tuple[Array, Array]:
         """Whether y is on the branch from Δt = 0, and the size of the terms, which measures their rounding errors.
 
-        The laws are given attitudes that are known to round-off, and velocities that are known to round-off of
-        themselves. So the size of the torque's part is its own and those of its derivatives by both.
+        Attitudes and velocities have rounding errors of their own size, so the torque contributes its own size and
+        those of its derivatives by both.
         """
         now = self.rotation(y)
 

@@ -1,4 +1,4 @@
-"""Hamiltonian systems. Each has `state(…)`, which makes a state from attitude and angular velocity.
+"""Hamiltonian systems. Each has `state(…)`, which returns a state from attitude and angular velocity.
 
 | system | |
 |---|---|
@@ -6,11 +6,11 @@
 | `gyrostat`, `driven_gyrostat` | with a wheel of constant momentum, or one that a motor drives |
 | `damped_body`, `torqued_body` | with internal friction, or with any torque (`li.torques`) |
 | `gravity_gradient` | a satellite or a moon on a given orbit (`li.orbits`) |
-| `heavy_top`, `potential_top`, `driven_top` | a body with a fixed point, in any potential, of time too |
+| `heavy_top`, `potential_top`, `driven_top` | a body with a fixed point, in any potential, which may depend on time |
 | `rigid_bodies` | any number of bodies in any potential of positions and attitudes (`li.potentials`) |
 | `pendulum` | a point on the unit sphere |
 | `pseudo_rigid_body`, `incompressible_body` | an elastic body that deforms homogeneously; its stored energies are |
-| | `mooney_rivlin`, `neo_hookean`, `saint_venant_kirchhoff`, `self_gravity`, or yours |
+| | `mooney_rivlin`, `neo_hookean`, `saint_venant_kirchhoff`, `self_gravity`, or any function |
 | `euler`, `kirchhoff`, `manakov` | geodesics of any matrix group: bodies in a fluid, in n dimensions |
 | `group_potential` | the same with a potential |
 | `embedded_body` | a free body whose attitude is a 3×3 matrix, for the paper's refutations |
@@ -126,7 +126,7 @@ __all__ = [
 
 
 def catalogue() -> Catalogue[SystemProperties]:
-    """What each system models and its exact motion conserves, its phase space, names in the literature and source.
+    """The systems as a table: what each models and conserves, its phase space, names in the literature and source.
 
     Returns:
         A tuple of `SystemProperties`, which prints as a table; `.markdown()` is one for a page.

@@ -1,4 +1,4 @@
-"""A rigid body that loses energy inside, but no angular momentum: the double bracket."""
+"""A rigid body with internal friction, which loses energy but no angular momentum: the double bracket."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class DampedBody(TimedBody, AbstractDampedBody):
         return self.kinetic_energy(state)
 
     def momentum(self, state: State) -> MomentumMap:
-        """π itself, (3,): friction inside does not change it."""
+        """π, (3,), which internal friction does not change."""
         return state.p
 
     def vector_field(self, state: State) -> State:
@@ -47,16 +47,16 @@ class DampedBody(TimedBody, AbstractDampedBody):
 
 
 def damped_body(inertia: ArrayLike, friction: ArrayLike) -> DampedBody:
-    """A free rigid body with internal friction, as of a fluid or of bending: π stays, energy falls to |π|²/2J₃.
+    """A free rigid body with internal friction, such as that of a fluid or of bending: the energy-sink model.
 
-    It ends turning about its axis of largest inertia: the energy-sink model as a differential equation.
+    π is constant and the energy decreases to |π|²/2J₃, where the body rotates about its axis of largest inertia.
 
     Args:
         inertia: principal moments (3,) or a symmetric tensor in body axes (3, 3).
         friction: α ≥ 0, an inverse angular momentum: Ω relaxes within about 1/(α|Π||ΔΩ|).
 
     Raises:
-        ValueError: bad inertia, or a friction that is negative or no number.
+        ValueError: bad inertia, or a friction that is negative or not a number.
 
     Source: the energy sink, Likins 1966, JPL TR 32-860; the double bracket, Bloch, Krishnaprasad, Marsden & Ratiu 1996,
     Commun. Math. Phys. 175.

@@ -1,4 +1,4 @@
-"""A gyrostat whose rotor a motor drives: momentum goes from the body to the rotor and back."""
+"""A gyrostat whose rotor is driven by a motor, which exchanges momentum between body and rotor."""
 
 from __future__ import annotations
 
@@ -58,11 +58,11 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
             body_momentum: Π = JΩ + h_r, shape (3,).
             spatial_momentum: π = ΛΠ, shape (3,).
             rotor: h_r in the body, shape (3,).
-            t: the time of the state, a scalar; 0 if it is left out.
-            work: what the motor has done so far, a scalar, such as 0: then steps add to it. None: it is not tracked.
+            t: the time of the state, a scalar; by default 0.
+            work: the work of the motor so far, a scalar, such as 0, to which steps add; None if it is not tracked.
 
         Raises:
-            ValueError: as in `rigid_body`; a rotor of another shape; a time or a work that is no scalar; a NaN.
+            ValueError: as in `rigid_body`; a rotor of another shape; a time or a work that is not a scalar; a NaN.
         """
         h = _checks.real_array("rotor", rotor, (3,), like=self.inertia)
         motion = {"body_momentum": body_momentum, "spatial_momentum": spatial_momentum}
@@ -79,11 +79,11 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
         return state.extra["rotor"]
 
     def torque(self, t: Time) -> Vector3:
-        """τ(t), by which the motor turns the rotor and the rotor the motor, in the body, shape (3,)."""
+        """τ(t), the torque of the motor on the rotor, in the body, shape (3,); −τ acts on the body."""
         return jnp.asarray(self.motor(t), jnp.result_type(t))
 
     def holding(self, rotor: Vector3) -> Gyrostat:
-        """The gyrostat whose rotor keeps the momentum `rotor`: this one, at one time."""
+        """The gyrostat with the constant rotor momentum `rotor`: this one, frozen at one time."""
         return Gyrostat(self.inertia, rotor)
 
     def angular_velocity(self, state: State) -> Vector3:
@@ -91,7 +91,7 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
         return self.holding(self.rotor(state)).angular_velocity(state)
 
     def energy(self, state: State) -> Scalar:
-        """½(Π − h_r)·J⁻¹(Π − h_r): less the work, it is conserved."""
+        """½(Π − h_r)·J⁻¹(Π − h_r); energy less work is conserved."""
         return self.holding(self.rotor(state)).energy(state)
 
     def momentum(self, state: State) -> MomentumMap:
@@ -99,7 +99,7 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
         return state.p
 
     def vector_field(self, state: State) -> State:
-        """(q̇, π̇) = (½ q Ω, 0), ẇork = −Ω·τ, ḣ_r = τ; whatever else is in `extra` rests."""
+        """(q̇, π̇) = (½ q Ω, 0), ẇork = −Ω·τ, ḣ_r = τ; 0 for other entries of `extra`."""
         turning, torque = self.holding(self.rotor(state)).vector_field(state), self.torque(clock(state))
         still = jax.tree.map(jnp.zeros_like, state.extra)
         work = -vec3.dot(self.angular_velocity(state), torque)
@@ -114,11 +114,11 @@ class DrivenGyrostat(OnRotations, types.AbstractDrivenGyrostat):
 
 
 def driven_gyrostat(inertia: ArrayLike, motor: Callable[[Array], ArrayLike]) -> DrivenGyrostat:
-    """A rigid body with a rotor that a motor speeds up and slows down.
+    """A rigid body with a rotor that a motor accelerates.
 
-    The motor's torque τ acts on the rotor, −τ on the body, so π is constant. With J and h_r as in `gyrostat` for a
-    rotor that turns freely on its bearings, τ is the torque about its axis times its axis. The energy of the rotor's
-    own turning is not in H; the motor's work on the whole is H − H₀ and the change of |h_r|²/2I.
+    The motor's torque τ acts on the rotor, −τ on the body, so π and H − W are conserved. With J and h_r as in
+    `gyrostat` for a rotor that spins freely on its bearings, τ is the torque about its axis times its axis. H does not
+    contain the energy of the rotor's spin: the total work of the motor is H − H₀ plus the change of |h_r|²/2I.
 
     Args:
         inertia: principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3); without the rotor's
@@ -127,7 +127,9 @@ def driven_gyrostat(inertia: ArrayLike, motor: Callable[[Array], ArrayLike]) -> 
             be differentiated or batched go into a `jax.tree_util.Partial`, or any pytree that can be called.
 
     Raises:
-        ValueError: a bad inertia; a motor that is no function of t with values (3,).
+        ValueError: a bad inertia; `motor` is not a function of t with values (3,).
+
+    Source: Hughes 1986, Spacecraft Attitude Dynamics.
 
     Example:
         >>> satellite = driven_gyrostat([1.0, 2.0, 3.0], lambda t: jnp.array([0.1, 0.0, 0.0]))
@@ -145,11 +147,11 @@ def driven_gyrostat(inertia: ArrayLike, motor: Callable[[Array], ArrayLike]) -> 
 
 @pytree
 class SpinUpMotor:
-    """A motor that brings a rotor to the momentum `momentum` in the time `duration`, gently: τ ∝ 1 − cos(2πt/duration).
+    """A motor that smoothly increases the rotor's momentum by `momentum`: τ ∝ 1 − cos(2πt/duration).
 
     Attributes:
-        momentum: what the rotor gains, (3,).
-        duration: the time that it takes, from t = 0; before and after, the motor is off.
+        momentum: the change of the rotor's momentum, (3,).
+        duration: how long the motor is on, from t = 0.
     """
 
     momentum: Array

@@ -24,7 +24,7 @@ from lieint_jax.types.shapes import Matrix3, MomentumMap, Quaternion, Scalar, Ti
 
 
 class MovedBody(TimedBody, types.AbstractDrivenTop):
-    """What all driven tops share: they differ in where their potential and their axis come from."""
+    """The methods of all driven tops, which differ in the origin of their potential and axis."""
 
     @property
     def free(self) -> RigidBody:
@@ -41,7 +41,7 @@ class MovedBody(TimedBody, types.AbstractDrivenTop):
         return unfused(self.axis(t))
 
     def Gamma(self, state: State) -> Vector3:
-        """Γ = Λᵀγ(t), the axis as the body sees it, shape (3,)."""
+        """Γ = Λᵀγ(t), the axis in the body, shape (3,)."""
         return so3.Ad_star(state.q, self.axis_at(clock(state)))
 
     def potential_energy(self, q: Quaternion, t: Time) -> Scalar:
@@ -59,7 +59,7 @@ class MovedBody(TimedBody, types.AbstractDrivenTop):
         return jnp.stack(vec3.cross(axis, so3.Ad(q, slope)))
 
     def power(self, q: Quaternion, t: Time) -> Scalar:
-        """∂V/∂t, a scalar: what the motion of the potential alone does to the energy."""
+        """∂V/∂t, a scalar: the rate of the energy due to the explicit time dependence of the potential."""
         return jax.jvp(lambda t: self.potential_energy(q, t), (t,), (jnp.ones_like(t),))[1]
 
     def energy(self, state: State) -> Scalar:
@@ -67,7 +67,7 @@ class MovedBody(TimedBody, types.AbstractDrivenTop):
         return self.kinetic_energy(state) + self.potential_energy(state.q, clock(state))
 
     def momentum(self, state: State) -> MomentumMap:
-        """γ·π, shape (1,), if the axis is a constant: rotations about it are a symmetry, whatever t. Else (0,)."""
+        """γ·π, shape (1,), if the axis is constant, so that rotations about it are a symmetry; otherwise shape (0,)."""
         moves = self.axis is None or callable(self.axis)
         return state.p[:0] if moves else vec3.dot(self.axis, state.p)[None]
 
@@ -107,16 +107,20 @@ def driven_top(
 ) -> DrivenTop:
     """A rigid body with a fixed point in a potential that is a given function of time.
 
+    Energy less work is conserved, and γ·π if the axis γ is constant.
+
     Args:
         inertia: about the fixed point: principal moments (3,) or a symmetric tensor (3, 3).
         potential: with an axis, Ṽ(Γ, t) of Γ = Λᵀγ(t), (3,), and the time; without one, V(Λ, t) of the rotation matrix
             (3, 3). A smooth JAX function with a scalar value; parameters to be differentiated or batched go into a
-            `jax.tree_util.Partial`. One that knows a discrete gradient of its own at a frozen time has a method
+            `jax.tree_util.Partial`. It may provide its discrete gradient at a frozen time as a method
             `discrete_gradient(a, b, t)` (see `potential_top`).
         axis: γ in space: a smooth function of t with values (3,), or a constant of any length but 0; None for V(Λ, t).
 
     Raises:
-        ValueError: bad inertia, an axis that is no vector or zero, a potential that is no scalar function of both.
+        ValueError: bad inertia; the axis is not a vector, or zero; the potential is not a scalar function of both.
+
+    Source: Lewis & Simo 1994, (4.2), with γ(t).
 
     Example: a heavy top whose support shakes up and down.
 
@@ -144,17 +148,17 @@ def _argument(axis: object) -> str:
 
 
 def _swing(t: Time) -> Vector3:
-    """A vertical that nods and turns."""
+    """A vertical that nutates and precesses."""
     return jnp.stack([0.3 * jnp.sin(0.7 * t), 0.2 * jnp.cos(1.1 * t), jnp.ones_like(t)])
 
 
 def _pulse(Gamma: Vector3, t: Time) -> Scalar:
-    """A field that is not linear in Γ, along an axis that rests; its strength oscillates."""
+    """A nonlinear function of Γ, along a fixed axis, with oscillating strength."""
     return (1 + 0.4 * jnp.cos(0.9 * t)) * (0.5 * Gamma[0] + 0.3 * Gamma[2] ** 2 + 0.2 * jnp.sin(Gamma[1]))
 
 
 def _wells(R: Matrix3, t: Time) -> Scalar:
-    """Two wells, in turn."""
+    """Two potential wells that alternate in time."""
     return 0.3 * jnp.cos(0.8 * t) * (R[0, 0] + R[1, 2]) + 0.2 * R[2, 0] ** 2
 
 

@@ -83,13 +83,15 @@ class EmbeddedBody(Body, types.AbstractEmbeddedBody):
 
 
 def embedded_body(inertia: ArrayLike) -> EmbeddedBody:
-    """A free rigid body whose attitude is a matrix Λ that a scheme may lead out of SO(3).
+    """A free rigid body whose attitude is a matrix Λ, which a scheme may move out of SO(3).
 
     Args:
         inertia: principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3), as in `rigid_body`.
 
     Raises:
-        ValueError: as `rigid_body`.
+        ValueError: as in `rigid_body`.
+
+    Source: Lewis & Simo 1994, Section 2.2.
 
     Example:
         >>> body = embedded_body([1.0, 2.0, 3.0])

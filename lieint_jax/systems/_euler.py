@@ -65,7 +65,7 @@ class RightEuler(OnGroup, AbstractRightGeodesicFlow):
         body_momentum: ArrayLike | None = None,
         spatial_momentum: ArrayLike | None = None,
     ) -> State:
-        """The state at a configuration, as of a left-invariant metric, but that `velocity` is the spatial one, ω.
+        """The state at a configuration, as for a left-invariant metric, except that `velocity` is the spatial one, ω.
 
         Args:
             q: a group element, shape (n, n), within 1e-6 of the group; a unit quaternion
@@ -140,18 +140,19 @@ def euler(group: Group, metric: ArrayLike, invariance: Invariance = "left") -> E
 def kirchhoff(semi_axes: tuple[float, float, float] = (3.0, 2.0, 1.0), center_of_mass: ArrayLike = (0, 0, 0)) -> Euler:
     """A neutrally buoyant ellipsoid in a perfect fluid at rest at infinity: Kirchhoff's equations on SE(3).
 
-    The metric is that of body and displaced fluid, the mass of the body being 1 (so is the displaced fluid's). With
+    The metric is that of body and fluid, with the masses of the body and of the displaced fluid equal to 1. With
     semi-axes a, b, c and A_i = abc ∫₀^∞ ds / ((i² + s)√((a²+s)(b²+s)(c²+s))), A_a + A_b + A_c = 2, the added mass
     along a is A_a/(2 − A_a), the added inertia about a is
 
         (1/5) (b² − c²)² (A_c − A_b) / (2(b² − c²) + (b² + c²)(A_b − A_c)),
 
-    and cyclically. The body is homogeneous but for a shift of its center of mass, which couples rotation and
-    translation: the block m r̂ of the metric. Basis: rotations, then translations, along the axes of the ellipsoid.
+    and cyclically. The body is homogeneous except for a shift of its center of mass, which couples rotation and
+    translation by the block m r̂ of the metric. Basis: rotations, then translations, along the axes of the ellipsoid.
 
     Args:
-        semi_axes: a, b, c, positive; any unit of length. Equal ones are allowed.
-        center_of_mass: r, from the center of the ellipsoid, in its axes; the moments of inertia about r are kept.
+        semi_axes: a, b, c, positive, in any unit of length. They may be equal.
+        center_of_mass: r, from the center of the ellipsoid, in its axes. The moments of inertia about r are those of
+            the homogeneous body about its center.
 
     Source: Lamb, Hydrodynamics, 6th ed., §§114–115, 124, 126; Kirchhoff 1869; Leonard, Automatica 33 (1997) 331
     (stability of underwater vehicles).

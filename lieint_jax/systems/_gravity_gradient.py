@@ -24,7 +24,7 @@ from lieint_jax.types.shapes import Quaternion, Time, Vector3
 
 @pytree
 class TidalAxis:
-    """γ(t) = √(3μ/r³) r̂: the line to the center of attraction, of such a length that V = ½Γ·JΓ.
+    """γ(t) = √(3μ/r³) r̂: a vector along the line to the center of attraction, scaled so that V = ½Γ·JΓ.
 
     Attributes:
         orbit: t ↦ (position (3,), velocity (3,)) about the center.
@@ -57,7 +57,7 @@ class GravityGradient(MovedBody):
 
     @property
     def potential(self) -> QuadraticPotential:
-        """Ṽ(Γ) = ½Γ·JΓ: time is in the axis alone."""
+        """Ṽ(Γ) = ½Γ·JΓ; only the axis depends on time."""
         return QuadraticPotential(self.inertia)
 
     @property
@@ -66,7 +66,7 @@ class GravityGradient(MovedBody):
         return TidalAxis(self.orbit, self.mu)
 
     def force(self, q: Quaternion, t: Time) -> Array:
-        """γ × ΛJΛᵀγ, the torque in space, shape (3,): what autodiff finds, in fewer operations."""
+        """γ × ΛJΛᵀγ, the torque in space, shape (3,), in fewer operations than by autodiff."""
         axis = self.axis_at(t)
         Gamma = so3.Ad_star(q, axis)
         return jnp.stack(vec3.cross(axis, so3.Ad(q, vec3.apply(vec3.symmetric(self.inertia), Gamma))))
@@ -77,8 +77,8 @@ def gravity_gradient(
 ) -> GravityGradient:
     """A rigid body whose center moves on a given orbit, in the field of a point mass, to second order of size/distance.
 
-    V = (3μ/2r³) r̂·ΛJΛᵀr̂, the torque in space (3μ/r³) r̂ × ΛJΛᵀr̂. The axis of least moment along r̂ is stable. The
-    orbit is given: the body's attitude does not act back on it.
+    V = (3μ/2r³) r̂·ΛJΛᵀr̂, and the torque in space is (3μ/r³) r̂ × ΛJΛᵀr̂. The attitude with the axis of least moment
+    along r̂ is stable. The orbit is prescribed: the attitude does not influence it. Energy less work is conserved.
 
     Args:
         inertia: about the center of mass: principal moments (3,) or a symmetric tensor (3, 3).
@@ -87,7 +87,9 @@ def gravity_gradient(
         mu: the gravitational parameter of the center of attraction, > 0; by default `orbit.mu`.
 
     Raises:
-        ValueError: bad inertia, an orbit that is no such function, μ missing or not positive.
+        ValueError: bad inertia; `orbit` is not such a function; μ is missing or not positive.
+
+    Source: MacCullagh 1844; Hughes 1986, Spacecraft Attitude Dynamics, 8.1.
 
     Example: a satellite in an elliptic orbit, mean motion 1.
 
@@ -101,7 +103,7 @@ def gravity_gradient(
             f"orbit must be a function t ↦ (position, velocity), such as orbits.kepler(...), got {orbit!r}"
         )
     if mu is None and not hasattr(orbit, "mu"):
-        raise ValueError("mu, the gravitational parameter, is needed with an orbit that has none of its own")
+        raise ValueError("the orbit has no attribute mu: give mu, the gravitational parameter of the center")
     mu = None if mu is None else _checks.real_array("mu", mu, (), like=inertia)
     used = orbit.mu if mu is None else mu  # pyright: ignore[reportFunctionMemberAccess]
     if concrete(used) and not float(used) > 0:

@@ -79,7 +79,7 @@ class GroupPotential(OnGroup, AbstractMechanicalSystem):
 class DrivenGroupPotential(OnGroup, AbstractDrivenSystem):
     """H = ½⟨Π, m⁻¹Π⟩ + V(q, t): (5.41) with a potential that is a given function of time. Made by `group_potential`.
 
-    Energy less work is conserved, with work = ∫∂V/∂t dt.
+    H − work is conserved, with work = ∫∂V/∂t dt.
 
     Attributes:
         metric, group, symmetry: as in `GroupPotential`.
@@ -111,11 +111,11 @@ class DrivenGroupPotential(OnGroup, AbstractDrivenSystem):
 
         Args:
             q, velocity, body_momentum, spatial_momentum: as in `GroupPotential.state`.
-            t: the time of the state, a scalar; 0 if it is left out.
-            work: 0.0 to count from here the work that is done on the system; None not to count it.
+            t: the time of the state, a scalar; by default 0.
+            work: 0.0 to track the work done on the system from here on; None not to track it.
 
         Raises:
-            ValueError: as in `GroupPotential.state`, or a time or work that is no finite scalar.
+            ValueError: as in `GroupPotential.state`; a time or work that is not a finite scalar.
         """
         start = super().state(q, velocity=velocity, body_momentum=body_momentum, spatial_momentum=spatial_momentum)
         return timed(start, t, work)
@@ -156,18 +156,22 @@ def _force(group: Group, potential: Callable[[Array], Array], q: SquareMatrix) -
 def group_potential(
     group: Group, metric: ArrayLike, potential: Callable[..., Array], symmetry: ArrayLike | None = None
 ) -> GroupPotential | DrivenGroupPotential:
-    """A system of kinetic and potential energy on a group.
+    """A system with a left-invariant kinetic energy and a potential on a matrix group.
+
+    Its motion conserves energy, or energy less work if the potential depends on time, and the momenta of its symmetry.
 
     Args:
         group: `groups.so3`, a group of the catalogue, or `groups.matrix(basis)`.
         metric: m in the basis of the group, positive definite: (d,) or (d, d).
-        potential: V(q), smooth, q as in `State`; or V(q, t), a given function of time too, whose states have a time.
-            With parameters of its own, a `jax.tree_util.Partial`. What can be called with q alone is a V(q).
-        symmetry: directions η of the algebra, shape (k, d), under whose left action V is invariant: their momenta
-            ⟨π, η⟩ are conserved. None for none. Not checked.
+        potential: V(q), smooth, with q as in `State`; or V(q, t), whose states have a time. A function with parameters
+            is a `jax.tree_util.Partial`. A function that can be called with q alone is a V(q).
+        symmetry: directions η of the algebra, shape (k, d), under whose left action V is invariant, so that their
+            momenta ⟨π, η⟩ are conserved; this is not checked. By default none.
 
     Raises:
-        ValueError: a bad metric, V not callable or not a scalar, or symmetry of a wrong shape.
+        ValueError: a bad metric; V is not callable or not a scalar; `symmetry` has a wrong shape.
+
+    Source: Lewis & Simo 1994, (5.41).
 
     Example:
         >>> from lieint_jax import groups
@@ -190,7 +194,7 @@ def group_potential(
 
 
 def _takes_time(potential: Callable[..., Array]) -> bool:
-    """Whether a function needs a time beside q."""
+    """Whether a function needs a time in addition to q."""
     try:
         inspect.signature(potential).bind(None)
     except TypeError:
@@ -201,7 +205,7 @@ def _takes_time(potential: Callable[..., Array]) -> bool:
 
 
 def bottom_heavy(weight: Scalar, q: SquareMatrix) -> Scalar:
-    """V = −weight·R₃₃: `weight` is m g times how far below the center of buoyancy the center of mass hangs."""
+    """V = −weight·R₃₃: `weight` is m g times the depth of the center of mass below the center of buoyancy."""
     return -weight * q[2, 2]
 
 
@@ -229,7 +233,7 @@ PROPERTIES = SystemProperties(
 
 
 def examples() -> dict[str, tuple[System, State, float]]:
-    """A bottom-heavy ellipsoid in a fluid, symmetric under translations and turns about the vertical; two stars."""
+    """A bottom-heavy ellipsoid in a fluid, symmetric under translations and rotations about the vertical; two stars."""
     from lieint_jax.groups import translations
 
     body = kirchhoff(center_of_mass=(0.0, 0.0, -0.2))

@@ -58,17 +58,17 @@ class Gyrostat(Rotating, types.AbstractGyrostat):
 def gyrostat(inertia: ArrayLike, rotor: ArrayLike) -> Gyrostat:
     """A rigid body with a symmetric rotor, or several, whose momentum in the body is constant.
 
-    Two machines obey these equations. Let a be the unit vector of the axis, I the rotor's moment about it, and J₀ the
-    inertia of the whole with the rotor locked.
+    Two kinds of rotor obey these equations. Let a be the unit vector of the axis, I the rotor's moment about it, and J₀
+    the inertia of the whole with the rotor locked.
 
     | rotor | inertia | rotor momentum |
     |---|---|---|
     | held at the speed s relative to the body | J₀ | I s a |
-    | turning freely on its bearings | J₀ − I a⊗a | I(s + a·Ω) a, constant |
+    | spinning freely on its bearings | J₀ − I a⊗a | I(s + a·Ω) a, constant |
 
-    A spin at Ω about the principal axis 3 with h_r along it is stable if (λ − J₁Ω)(λ − J₂Ω) > 0, where λ = J₃Ω + h_r;
-    if the body dissipates energy, only if Ω/λ < 1/J₁ and 1/J₂: λ/Ω is above both J₁ and J₂, or negative. So a rotor can
-    steady a spin about any axis.
+    A spin at Ω about the principal axis 3 with h_r along it is stable if (λ − J₁Ω)(λ − J₂Ω) > 0, where λ = J₃Ω + h_r.
+    If the body dissipates energy, it is stable only if Ω/λ < 1/J₁ and Ω/λ < 1/J₂, that is, if λ/Ω is above both J₁ and
+    J₂ or negative. So a rotor can stabilize a spin about any axis.
 
     Args:
         inertia: principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3).
@@ -102,7 +102,7 @@ PROPERTIES = SystemProperties(
 
 
 def examples() -> dict[str, tuple[Gyrostat, State, float]]:
-    """A satellite with a momentum wheel, and a rotor at an angle in a body turned from its principal axes."""
+    """A satellite with a momentum wheel, and an oblique rotor in a body whose axes are not principal axes."""
     turn = so3.to_matrix(so3.exp(jnp.array([0.3, -0.5, 0.4])))
     satellite = gyrostat([1.0, 2.0, 3.0], [0.0, 0.8, 0.0])
     turned = gyrostat(turn @ jnp.diag(jnp.array([1.0, 2.0, 2.5])) @ turn.T, [0.6, -0.3, 0.5])

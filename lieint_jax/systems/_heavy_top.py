@@ -40,7 +40,7 @@ class Linear(PotentialWithGradient):
 
 
 def heavy_top(inertia: ArrayLike, weight: ArrayLike, axis: ArrayLike = (0.0, 0.0, 1.0)) -> PotentialTop:
-    """A heavy rigid body with a fixed point: V = γ·ΛE.
+    """A heavy rigid body with a fixed point: V = γ·ΛE. Its motion conserves energy and γ·π.
 
     Args:
         inertia: about the fixed point: principal moments (3,) or a symmetric tensor (3, 3).
@@ -48,7 +48,9 @@ def heavy_top(inertia: ArrayLike, weight: ArrayLike, axis: ArrayLike = (0.0, 0.0
         axis: γ in space, shape (3,): upwards.
 
     Raises:
-        ValueError: as `potential_top`.
+        ValueError: as in `potential_top`.
+
+    Source: Lewis & Simo 1994, Section 4; Whittaker, Analytical Dynamics, §71–72.
 
     Example:
         >>> top = heavy_top([5.0, 5.0, 1.0], [0.0, 0.0, 20.0])
@@ -83,8 +85,8 @@ def lagrange_motion(top: PotentialTop, state: State) -> LagrangeMotion:
     """Nutation and precession of Lagrange's top, J₁ = J₂ and E along the third axis, from its integrals.
 
     With u the cosine of the inclination, u̇² = (a − αu)(1 − u²) − (b − cu)² = α(u − u₁)(u − u₂)(u − u₃), and the angle
-    of precession grows as (b − cu)/(1 − u²): complete elliptic integrals of the first and the third kind. Good to some
-    1e-13 but for tops that pass close to γ or −γ; nan for one that sleeps there.
+    of precession has the rate (b − cu)/(1 − u²), so both are complete elliptic integrals, of the first and the third
+    kind. The result is right to about 1e-13, except for tops that pass close to γ or −γ, and NaN for a sleeping top.
 
     Source: Whittaker, Analytical Dynamics, §71–72.
     """

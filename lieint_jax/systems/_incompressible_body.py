@@ -25,7 +25,7 @@ from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar
 class IncompressibleBody(types.AbstractIncompressibleBody):
     """H = ½⟨P, PE⁻¹⟩ + W(FᵀF), det F = 1; Ḟ = PE⁻¹, Ṗ = −2F∇W + pF⁻ᵀ. Made by `incompressible_body`.
 
-    The pressure p keeps det F = 1: p tr(C⁻¹E⁻¹) = tr(SE⁻¹) + tr((F⁻¹Ḟ)²) with S = 2∇W(C).
+    The pressure p enforces det F = 1: p tr(C⁻¹E⁻¹) = tr(SE⁻¹) + tr((F⁻¹Ḟ)²) with S = 2∇W(C).
 
     Attributes:
         inertia: E, as in `PseudoRigidBody`.
@@ -58,7 +58,7 @@ class IncompressibleBody(types.AbstractIncompressibleBody):
         Args:
             deformation: F, shape (3, 3), det F = 1 to 1e-6; by default 1. It is divided by the cube root of det F.
             momentum: P = VE, shape (3, 3).
-            velocity: V = Ḟ, shape (3, 3). The part of V or P that changes the volume is left out, orthogonally in the
+            velocity: V = Ḟ, shape (3, 3). V or P is projected to constant volume, orthogonally in the metric of the
                 kinetic energy.
             angular_velocity: ω in space, shape (3,): V = ω̂F, a rigid rotation.
 
@@ -86,7 +86,7 @@ class IncompressibleBody(types.AbstractIncompressibleBody):
         return self.compressible.momentum(state)
 
     def volume_rate(self, state: State) -> Scalar:
-        """tr(VF⁻¹), which is 0 on T*SL(3); a step leaves O(Δt²) of it, see `schemes.additive`."""
+        """tr(VF⁻¹), which is 0 on T*SL(3), and O(Δt²) after a step, see `schemes.additive`."""
         return jnp.trace(jnp.linalg.solve(state.q, self.velocity(state)))
 
     def pressure(self, state: State) -> Scalar:
@@ -113,16 +113,16 @@ def incompressible_body(
 ) -> IncompressibleBody:
     """An elastic body that deforms homogeneously at constant volume, about its center of mass: F in SL(3).
 
-    Energy and the angular momentum 2 rot[PFᵀ] are conserved. `schemes.additive(body, "incompressible")` keeps both, and
-    det F = 1, to round-off. Without elasticity, W = 0, this is the motion of an ideal fluid ellipsoid with a linear
+    Energy and the angular momentum 2 rot[PFᵀ] are conserved. `schemes.additive(body, "incompressible")` conserves both
+    and det F = 1 to round-off. Without elasticity, W = 0, this is the motion of an ideal fluid ellipsoid with a linear
     velocity and no gravity (Dirichlet's problem), a geodesic of SL(3).
 
     Args:
         inertia: E, as in `pseudo_rigid_body`.
-        stored_energy: W, as in `pseudo_rigid_body`; what it says of a change of volume is of no effect.
+        stored_energy: W, as in `pseudo_rigid_body`; its dependence on det C has no effect.
 
     Raises:
-        ValueError: as `pseudo_rigid_body`.
+        ValueError: as in `pseudo_rigid_body`.
 
     Source: Lewis & Simo 1994, Sections 1.1 and 6.1.1; Arnold 1966 for W = 0.
 

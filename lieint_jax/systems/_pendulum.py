@@ -61,15 +61,15 @@ class Pendulum(AbstractSphereSystem):
             momentum: π = m q × q̇, shape (3,), with q·π = 0.
 
         Raises:
-            ValueError: not exactly one of the two, a wrong shape, a NaN, |q| ≠ 1, or a part along q above 1e-6 of the
-                whole.
+            ValueError: not exactly one of the two, a wrong shape, a NaN, |q| ≠ 1, or a component along q above 1e-6 of
+                the vector.
         """
         name, given = _checks.one_of(velocity=velocity, momentum=momentum)
         q = _unit("direction", direction)
         vector = _checks.real_array(name, given, (3,))
         along = vec3.dot(q, vector)
         if concrete(along) and abs(float(along)) > _checks.UNIT_TOLERANCE * float(jnp.linalg.norm(vector)):
-            raise ValueError(f"{name} must be orthogonal to q: its part along q is {float(along):.3g}; subtract it")
+            raise ValueError(f"{name} must be orthogonal to q: its component on q is {float(along):.3g}; subtract it")
         vector = vector - along * q
         p = vector if name == "momentum" else self.mass * jnp.cross(q, vector)
         dtype = jnp.result_type(q, p)
@@ -108,9 +108,9 @@ def pendulum(
     """A particle on the unit sphere in a field along an axis, V(q) = −g(γ·q).
 
     Args:
-        mass: m > 0. (A pendulum of length l: put m l² here and m l times the acceleration into g.)
-        gravity: an acceleration G, for the uniform field g(s) = m G s; or any smooth g itself, an energy, as a callable
-            (with parameters of its own in a `jax.tree_util.Partial`).
+        mass: m > 0. (For a pendulum of length l, give m l² here and m l times the acceleration as g.)
+        gravity: an acceleration G, for the uniform field g(s) = m G s; or any smooth function g, an energy (a function
+            with parameters is a `jax.tree_util.Partial`).
         axis: γ, the direction of the field: downwards; a unit vector to 1e-6.
 
     Raises:

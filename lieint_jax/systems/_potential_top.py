@@ -25,8 +25,8 @@ from lieint_jax.types.shapes import Matrix3, MomentumMap, Quaternion, Scalar, Ti
 class QuadraticPotential(PotentialWithGradient):
     """Ṽ(Γ) = ½ Γ·SΓ: a field that grows linearly along γ, which is fixed in space, as in Brun's problem (S = εJ).
 
-    Gravity's gradient has this form too (S = 3n²J), but its γ points to the center of attraction and turns with the
-    orbit: this potential is that of a body held at one place, not of a satellite.
+    The gravity gradient has this form too (S = 3n²J), but its γ points to the center of attraction and rotates along
+    the orbit: this potential is that of a body at a fixed position, not of a satellite.
     """
 
     matrix: Array
@@ -65,7 +65,7 @@ class PotentialTop(Body, AbstractTop):
         return RigidBody(self.inertia)
 
     def Gamma(self, state: State) -> Vector3:
-        """Γ = Λᵀγ, the axis as the body sees it, shape (3,)."""
+        """Γ = Λᵀγ, the axis in the body, shape (3,)."""
         return so3.Ad_star(state.q, self._axis)
 
     def potential_energy(self, q: Quaternion) -> Scalar:
@@ -103,18 +103,20 @@ class PotentialTop(Body, AbstractTop):
 def potential_top(
     inertia: ArrayLike, potential: Callable[[Array], Array], axis: ArrayLike | None = (0.0, 0.0, 1.0)
 ) -> PotentialTop:
-    """A rigid body with a fixed point in a potential.
+    """A rigid body with a fixed point in a potential. Its motion conserves energy, and γ·π if there is an axis γ.
 
     Args:
         inertia: about the fixed point: principal moments (3,) or a symmetric tensor (3, 3).
-        potential: with an axis, Ṽ(Γ) of Γ = Λᵀγ (3,): all that is symmetric about γ. Without one, V(Λ) of the rotation
-            matrix (3, 3). A smooth JAX function with a scalar value; parameters to be differentiated or batched go into
-            a `jax.tree_util.Partial`. One that knows a discrete gradient of its own (D̄·(b − a) = Ṽ(b) − Ṽ(a),
-            symmetric) has a method `discrete_gradient(a, b)`, as `QuadraticPotential` does.
+        potential: with an axis, Ṽ(Γ) of Γ = Λᵀγ, (3,): any potential symmetric about γ. Without one, V(Λ) of the
+            rotation matrix (3, 3). A smooth JAX function with a scalar value; parameters to be differentiated or
+            batched go into a `jax.tree_util.Partial`. It may provide its discrete gradient D̄, symmetric and with
+            D̄·(b − a) = Ṽ(b) − Ṽ(a), as a method `discrete_gradient(a, b)`, as `QuadraticPotential` does.
         axis: γ in space, shape (3,), of any length but 0; None for a V(Λ).
 
     Raises:
-        ValueError: bad inertia, an axis that is no vector or zero, a potential that is no scalar function.
+        ValueError: bad inertia; the axis is not a vector, or zero; the potential is not a scalar function.
+
+    Source: Lewis & Simo 1994, (4.2).
 
     Example:
         >>> top = potential_top([1.0, 2.0, 3.0], lambda Gamma: Gamma[0] ** 4)
@@ -135,7 +137,7 @@ def potential_top(
 def brun() -> tuple[PotentialTop, State]:
     """Brun 1893, Öfvers. K. Vetensk. Akad.: V = (ε/2)Γ·JΓ, a body in a quadratic field.
 
-    Integrable: `clebsch_integral`.
+    The system is integrable, with the further integral `clebsch_integral`.
     """
     J = jnp.array([1.0, 2.0, 3.0])
     top = potential_top(J, QuadraticPotential(0.8 * J), [0.0, 0.6, 0.8])
@@ -165,10 +167,10 @@ def examples() -> dict[str, tuple[System, State, float]]:
     """Brun's problem, a potential that has no axis, and one with a deep well."""
     tilted = potential_top([1.0, 2.0, 2.5], _three_wells, None)
     state = tilted.state(so3.exp(jnp.array([0.3, 0.1, 0.7])), angular_velocity=[0.2, 0.5, -0.4])
-    return {"brun": (*brun(), 0.05), "three_wells": (tilted, state, 0.05), "attracted": (*_attracted(), 0.02)}
+    return {"brun": (*brun(), 0.05), "three_wells": (tilted, state, 0.05), "attracted": (*_charged_body(), 0.02)}
 
 
-def _attracted() -> tuple[PotentialTop, State]:
+def _charged_body() -> tuple[PotentialTop, State]:
     """A body with a charge on its third axis at distance 1 from the fixed point; an opposite one is in space at 1.2."""
     top = potential_top([1.0, 2.0, 2.5], _coulomb, [0.0, 0.0, 1.2])
     return top, top.state(so3.exp(jnp.array([1.6, 0.4, 0.0])), angular_velocity=[0.2, 0.3, 0.4])
@@ -179,7 +181,7 @@ def _coulomb(Gamma: Vector3) -> Scalar:
 
 
 def _three_wells(R: Matrix3) -> Scalar:
-    """A trace and a square of the rotation matrix: the misalignment of two frames, and a preference for one axis."""
+    """A trace and a square of the rotation matrix: the misalignment of two frames, and a preferred axis."""
     return 0.3 * (3 - R[0, 0] - R[1, 1] - R[2, 2]) + 0.4 * R[2, 0] ** 2
 
 

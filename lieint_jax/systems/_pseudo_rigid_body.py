@@ -31,7 +31,7 @@ _PHASE_SPACE = CotangentMatrices()
 
 
 class _Deforming:
-    """What elastic and viscous bodies share: how their states are made and read."""
+    """The methods of elastic and viscous bodies that create and evaluate states."""
 
     inertia: Array
     stored_energy: StoredEnergy
@@ -60,9 +60,9 @@ class _Deforming:
             velocity: V = Ḟ, shape (3, 3).
             angular_velocity: ω in space, shape (3,): V = ω̂F, a rigid rotation. With E = 2·1 and F = 1, as in the
                 paper's figures, P = 2ω̂ and the paper's momentum is Φ = 2ω.
-            t: the time; by default none, and 0 of a viscous body.
-            work: what has been done on the body; by default none, and 0 of a viscous body, whose losses it counts as
-                negative work.
+            t: the time; by default 0 for a viscous body, otherwise None.
+            work: the work done on the body so far; by default 0 for a viscous body, whose losses are negative work,
+                otherwise None.
 
         Raises:
             ValueError: not exactly one of the three, a wrong shape, a NaN, or det F ≤ 0.
@@ -99,7 +99,7 @@ class _Deforming:
         return jnp.stack([M[2][1] - M[1][2], M[0][2] - M[2][0], M[1][0] - M[0][1]]) / 2
 
     def angular_momentum(self, state: State) -> Vector3:
-        """∫ρ x × ẋ = 2 rot[PFᵀ], shape (3,): the physical one, twice the paper's (6.4)."""
+        """∫ρ x × ẋ = 2 rot[PFᵀ], shape (3,): the physical angular momentum, twice the paper's (6.4)."""
         return 2 * self.momentum(state)
 
     def vector_field(self, state: State) -> State:
@@ -109,7 +109,7 @@ class _Deforming:
         return State(self.velocity(state), -jnp.array(force))
 
     def check(self, state: State) -> None:
-        """Raise ValueError if a concrete `state` is not one of this system, or the system is not one, but a batch."""
+        """Raise ValueError if a concrete `state` is not one of this system, or the system is a batch of systems."""
         _checks.of_one_system("inertia", self.inertia)
         _orientation("state.q", _checks.real_array("state.q", state.q, (3, 3)))
         _checks.real_array("state.p", state.p, (3, 3))
@@ -134,7 +134,7 @@ class PseudoRigidBody(_Deforming, AbstractElasticBody):
 
 @pytree
 class ViscousBody(_Deforming, AbstractViscousBody):
-    """The same with the stress 2∇W(C) + νĊ, C = FᵀF. Made by `pseudo_rigid_body`.
+    """A `PseudoRigidBody` with the stress 2∇W(C) + νĊ, C = FᵀF. Made by `pseudo_rigid_body`.
 
     Attributes:
         inertia, stored_energy: as in `PseudoRigidBody`.
@@ -175,9 +175,9 @@ def pseudo_rigid_body(
             ball of mass m and radius r it is (m r²/5)·1. (The inertia of the rigid body is tr(E) 1 − E.)
         stored_energy: `mooney_rivlin(lam, mu)`, `neo_hookean`, `saint_venant_kirchhoff`, or any callable W(C) of
             C = FᵀF, shape (3, 3).
-        viscosity: ν ≥ 0, an energy times a time: a stress νĊ, by which deforming loses ½ν|Ċ|² in a unit of time.
-            `schemes.additive` with its rule "average" conserves the momentum of such a body, and its energy with what
-            was lost, which `State.work` counts as negative work. By default the body is elastic.
+        viscosity: ν ≥ 0, an energy times a time: a stress νĊ, which dissipates the power ½ν|Ċ|². `schemes.additive`
+            with its rule "average" conserves the momentum of such a body and H − W, where W, `State.work`, is minus the
+            energy lost. By default the body is elastic.
 
     Raises:
         ValueError: E not positive definite or not symmetric, a wrong shape, W not callable or not a scalar, ν < 0.
@@ -201,7 +201,7 @@ def pseudo_rigid_body(
 
 def _orientation(name: str, F: Matrix3) -> None:
     if concrete(F) and not np.linalg.det(np.asarray(F, float)) > 0:
-        raise ValueError(f"det {name} must be positive (no body is turned inside out), got\n{np.asarray(F)}")
+        raise ValueError(f"det {name} must be positive (a body cannot be inverted), got\n{np.asarray(F)}")
 
 
 PROPERTIES = SystemProperties(

@@ -54,7 +54,7 @@ _DIGITS = {"float64": 11, "float32": 4}  # of the least distance, below which a 
 
 
 class _Many:
-    """What free bodies and bodies that act on one another share: how their states are made and read."""
+    """The methods of free and of interacting bodies that create and evaluate states."""
 
     masses: Array
     inertias: Array
@@ -78,24 +78,24 @@ class _Many:
         """The state of N bodies.
 
         Args:
-            positions: of the centers of mass, (N, 3).
+            positions: positions of the centers of mass, (N, 3).
             attitudes: unit quaternions (w, x, y, z), (N, 4), or rotation matrices (N, 3, 3), or N scipy `Rotation`s,
                 body to space; by default the identity, (1, 0, 0, 0).
-            velocities: of the centers of mass, (N, 3); by default 0.
+            velocities: velocities of the centers of mass, (N, 3); by default 0.
             angular_velocities: Ω of each body in its own axes, radians per unit time, (N, 3); by default 0.
-            t: the time; by default none, and 0 of bodies with dissipation.
-            work: what has been done on the bodies; by default none, and 0 of bodies with dissipation, whose losses it
-                counts as negative work.
+            t: the time; by default 0 for bodies with dissipation, otherwise None.
+            work: the work done on the bodies so far; by default 0 for bodies with dissipation, whose losses are
+                negative work, otherwise None.
 
         Returns:
             q (N, 7): position and quaternion; p (N, 6): linear momentum, and spatial angular momentum about the body's
             own center of mass.
 
         Raises:
-            ValueError: a wrong shape, a NaN, an attitude that is no rotation, two bodies at one place.
+            ValueError: a wrong shape, a NaN, an attitude that is not a rotation, two bodies at the same position.
 
         Warns:
-            RuntimeWarning: the bodies are so far from the origin that their distances have few digits.
+            RuntimeWarning: the bodies are so far from the origin that rounding leaves few digits of their distances.
         """
         n = self.masses.shape[0]
         x = _checks.real_array("positions", positions, (n, 3))
@@ -119,7 +119,7 @@ class _Many:
         return turning + jnp.sum(state.p[:, :3] ** 2 / self.masses[:, None]) / 2
 
     def momentum(self, state: State) -> MomentumMap:
-        """(6,): P = Σp, and L = Σ(x × p + π) about the origin."""
+        """P = Σp and L = Σ(x × p + π) about the origin, (6,)."""
         x, p, spin = state.q[:, :3], state.p[:, :3], state.p[:, 3:]
         return jnp.concatenate([jnp.sum(p, axis=0), jnp.sum(jnp.cross(x, p) + spin, axis=0)])
 
@@ -129,7 +129,7 @@ class _Many:
         if self.masses.ndim != 1 or self.inertias.shape not in ((n, 3), (n, 3, 3)):
             raise ValueError(
                 f"masses of one system are (N,), its inertias (N, 3) or (N, 3, 3), got {self.masses.shape} and "
-                f"{self.inertias.shape}. For members with systems of their own, give ensemble.run step_axis=0"
+                f"{self.inertias.shape}. If each member has its own system, give ensemble.run step_axis=0"
             )
         _checks.real_array("state.q", state.q, (n, 7))
         _checks.real_array("state.p", state.p, (n, 6))
@@ -150,7 +150,7 @@ def _angular_velocity(J: Inertia, q: Quaternion, spin: Vector3) -> Vector3:
 
 @pytree
 class FreeBodies(_Many, AbstractFreeBodies):
-    """N rigid bodies on which nothing acts: `RigidBodies.free`.
+    """N free rigid bodies: `RigidBodies.free`.
 
     Attributes:
         masses: (N,).
@@ -199,7 +199,7 @@ class RigidBodies(_Many, AbstractRigidBodies):
         return self.potential(q[:, :3], rotations(q))
 
     def momentum(self, state: State) -> MomentumMap:
-        """(6,): P = Σp, and L = Σ(x × p + π) about the origin; of these what an outer field leaves conserved."""
+        """P = Σp and L = Σ(x × p + π) about the origin, (6,), projected to what an external field conserves of them."""
         both, kept = super().momentum(state), potentials.symmetry(self.potential)
         return both if kept is None else jnp.sum(kept * both, axis=1)
 
@@ -230,7 +230,7 @@ class RigidBodies(_Many, AbstractRigidBodies):
 
 @pytree
 class DissipativeBodies(_Many, AbstractDissipativeBodies):
-    """Bodies that act on one another through a potential and lose energy by a law. Made by `rigid_bodies`.
+    """Bodies in a mutual potential with dissipative forces between pairs. Made by `rigid_bodies`.
 
     Attributes:
         masses, inertias, potential: as in `RigidBodies`.
@@ -253,20 +253,20 @@ class DissipativeBodies(_Many, AbstractDissipativeBodies):
         return self.conservative.potential_energy(q)
 
     def momentum(self, state: State) -> Array:
-        """(6,): P and L, as in `RigidBodies`."""
+        """P and L, (6,), as in `RigidBodies`."""
         return self.conservative.momentum(state)
 
     def energy(self, state: State) -> Array:
-        """The kinetic energy and V, which fall; less `state.work` they are constant."""
+        """The kinetic energy plus V, which decreases; energy less `state.work` is conserved."""
         return self.conservative.energy(state)
 
     def dissipative_force(self, state: State) -> tuple[Array, Array]:
-        """The forces and torques of the law in space, (N, 6), and the energy lost in a unit of time."""
+        """The forces and torques of the law in space, (N, 6), and the power dissipated."""
         omega = jax.vmap(so3.Ad)(state.q[:, 3:], self.angular_velocities(state))
         return pair_forces(self.dissipation, state.q[:, :3], state.p[:, :3] / self.masses[:, None], omega)
 
     def vector_field(self, state: State) -> State:
-        """The motion without dissipation, with its forces and torques; and the rate of the work."""
+        """The motion with the forces and torques of potential and dissipation, and the rate of the work."""
         moving, (force, lost) = self.conservative.vector_field(state), self.dissipative_force(state)
         return moving._replace(p=moving.p + force, work=-lost)
 
@@ -306,20 +306,21 @@ def _attitudes(attitudes: _checks.Attitude | None, n: int, like: Array) -> Array
 
 
 def _check_places(x: np.ndarray) -> None:
-    """ValueError if two of the positions (N, 3) are one; a warning if their distances have few digits."""
+    """ValueError if two of the positions (N, 3) coincide; a warning if their distances have few digits."""
     if len(x) < 2:
         return
     nearest = np.inf
     for i in range(len(x) - 1):
         distances = np.linalg.norm(x[i + 1 :] - x[i], axis=1)
         if not distances.all():
-            raise ValueError(f"bodies {i} and {i + 1 + int(np.argmin(distances))} are at one place, {x[i]}")
+            other = i + 1 + int(np.argmin(distances))
+            raise ValueError(f"bodies {i} and {other} are at the same position, {x[i]}: move one of them")
         nearest = min(nearest, float(distances.min()))
     digits = np.log10(nearest / np.spacing(np.abs(x).max()))
     if digits < _DIGITS[str(x.dtype)]:
         warnings.warn(
-            f"two bodies are {nearest:.3g} apart and {np.abs(x).max():.3g} from the origin: their distance is held to "
-            f"{max(digits, 0):.1f} digits in {x.dtype}; count positions from the barycenter",
+            f"two bodies are {nearest:.3g} apart and {np.abs(x).max():.3g} from the origin: their distance has "
+            f"{max(digits, 0):.1f} digits in {x.dtype}; give positions relative to the barycenter",
             RuntimeWarning,
             stacklevel=4,
         )
@@ -344,28 +345,30 @@ def rigid_bodies(
     potential: Callable[[Array, Array], Array],
     dissipation: Callable[..., Any] | None = None,
 ) -> RigidBodies | DissipativeBodies:
-    """N rigid bodies in a potential V(x, Λ) of their positions and attitudes, N from 1 on.
+    """N ≥ 1 rigid bodies in a potential V(x, Λ) of their positions and attitudes.
 
-    A potential that depends on relative positions and attitudes alone conserves the linear momentum P and the angular
-    momentum L, which `momentum` gives: (P, L), with L about the origin. Of a potential with an outer field `momentum`
-    gives what is left conserved, and 0 for the rest. Positions are best barycentric: far from the origin differences of
+    A potential of relative positions and attitudes conserves the linear momentum P and the angular momentum L about
+    the origin; `momentum` returns (P, L). With an external field, `momentum` returns the components that remain
+    conserved, and 0 for the others. Give positions relative to the barycenter: far from the origin, differences of
     positions lose digits.
 
     Args:
         masses: (N,), > 0, or N shapes of `lieint_jax.shapes`.
         inertias: about the centers of mass: principal moments (N, 3), or tensors in body axes (N, 3, 3), positive
             definite; or N shapes.
-        potential: (positions (N, 3), rotations body to space (N, 3, 3)) ↦ a scalar; of `lieint_jax.potentials`, or a
-            function of your own that JAX can differentiate.
-        dissipation: a law by which pairs of bodies lose energy, such as `tides.constant_lag(…)`, or a function
-            (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j) of the position and velocity of one body relative to another and of their
-            angular velocities, all in space, with the force on the first's neighbor and the torques on both: see
-            `tides.PairLaw`. Then `schemes.bodies_energy_momentum` is the scheme, and `State.work` counts the losses.
+        potential: (positions (N, 3), rotations body to space (N, 3, 3)) ↦ a scalar, from `lieint_jax.potentials`, or
+            any function that JAX can differentiate.
+        dissipation: a dissipative law between pairs of bodies, such as `tides.constant_lag(…)`, or a function
+            (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j) of the position and velocity of the second body relative to the first and
+            of their angular velocities, all in space, to the force on the second body and the torques on both (see
+            `tides.PairLaw`). Only `schemes.bodies_energy_momentum` integrates it; `State.work` counts the losses.
 
     Raises:
-        ValueError: a mass that is not positive, an inertia that is not positive definite, shapes that disagree, a
-            potential or a law that is not callable, or of another number of bodies; a law that changes the angular
-            momentum, or adds energy.
+        ValueError: a mass is not positive, an inertia is not positive definite, or shapes disagree; the potential or
+            the law is not callable, or is for another number of bodies; the law changes the angular momentum, or adds
+            energy.
+
+    Source: Maciejewski 1995, Celest. Mech. Dyn. Astron. 63.
     """
     m = _checks.real_array("masses", _checks.of_shapes("mass", masses))
     if m.ndim != 1 or not m.size:
@@ -384,7 +387,7 @@ def rigid_bodies(
         raise ValueError(f"potential must be a function of {_ARGUMENTS}, got {potential!r}")
     n = potentials.count(potential)
     if n not in (None, m.size):
-        raise ValueError(f"the potential is one of {n} bodies, but there are {m.size} masses")
+        raise ValueError(f"the potential is for {n} bodies, but there are {m.size} masses")
     made = RigidBodies(m, J, callable_pytree(potential))
     _checks.function("potential", made.potential_energy, _ARGUMENTS, (), jax.ShapeDtypeStruct((m.size, 7), m.dtype))
     if dissipation is None:
@@ -407,16 +410,16 @@ PROPERTIES = SystemProperties(
 
 
 def _pair_law(dissipation: Callable[..., Any], n: int) -> Callable[..., Any]:
-    """The law; ValueError if it is none of n bodies."""
+    """The law; ValueError if it is not a law for n bodies."""
     if not callable(dissipation):
         raise ValueError(
             f"dissipation must be a law of pairs, such as tides.constant_lag(…), or a function {_LAW}, got "
             f"{dissipation!r}"
         )
     if n < 2:
-        raise ValueError(f"dissipation is a law of two bodies, but there is {n} mass")
+        raise ValueError(f"dissipation needs two bodies or more, but there is {n} mass")
     if isinstance(dissipation, PairLaw) and dissipation.count not in (None, n):
-        raise ValueError(f"the law of dissipation is one of {dissipation.count} bodies, but there are {n} masses")
+        raise ValueError(f"the law of dissipation is for {dissipation.count} bodies, but there are {n} masses")
     return dissipation
 
 
@@ -436,7 +439,7 @@ def _check_law(bodies: DissipativeBodies) -> None:
         )
     if gain > size:
         raise ValueError(
-            f"dissipation must lose energy, f·v + τ_i·ω_i + τ_j·ω_j ≤ 0, {_LAW}; at a test state it adds some. Check "
+            f"dissipation must not add energy, f·v + τ_i·ω_i + τ_j·ω_j ≤ 0, {_LAW}; at a test state it does. Check "
             "its sign"
         )
 
@@ -447,7 +450,7 @@ def _forces_of(bodies: DissipativeBodies, x: Array, v: Array, omega: Array) -> A
 
 @compiled
 def _violations(bodies: DissipativeBodies) -> Array:
-    """By how much the law breaks linear and angular momentum, the energy it adds, and the tolerance for all of them."""
+    """The defects of linear and angular momentum under the law, the energy it adds, and the tolerance for all."""
     numbers = jnp.arange(9 * len(bodies.masses), dtype=bodies.masses.dtype)
     x, v, omega = jnp.sin(1.7 * numbers + 0.3 * numbers**2).reshape(3, -1, 3)
     force, lost = pair_forces(bodies.dissipation, x, v, omega)
@@ -459,7 +462,7 @@ def _violations(bodies: DissipativeBodies) -> Array:
 
 
 def examples() -> dict[str, tuple[RigidBodies | DissipativeBodies, State, float]]:
-    """A binary asteroid, the same with friction between its bodies, and three with a term that is no sum of pairs."""
+    """A binary asteroid, without and with friction between its bodies; three bodies with a three-body potential."""
     masses, inertias = jnp.array([1.0, 0.5]), jnp.array([[0.10, 0.11, 0.12], [0.030, 0.034, 0.040]])
     binary = rigid_bodies(masses, inertias, potentials.maccullagh(1.0, masses, inertias))
     at = jnp.array([[-1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
@@ -477,7 +480,7 @@ def examples() -> dict[str, tuple[RigidBodies | DissipativeBodies, State, float]
 
 
 def _friction(r: Array, v: Array, omega_i: Array, omega_j: Array) -> tuple[Array, Array, Array]:
-    """Against the relative motion, and half of it against the rotation of each body relative to the other."""
+    """A force opposite to the relative motion, and torques opposite to the rotation of each body."""
     u = v - jnp.cross(omega_i + omega_j, r) / 2
     f = -0.02 * u
     tau = -jnp.cross(r, f) / 2
@@ -486,7 +489,7 @@ def _friction(r: Array, v: Array, omega_i: Array, omega_j: Array) -> tuple[Array
 
 
 def _spread(x: Array, R: Array) -> Array:
-    """The squared area of the triangle of three bodies, and what their attitudes feel of it."""
+    """The squared area of the triangle of three bodies, coupled to their attitudes."""
     a, b = x[1] - x[0], x[2] - x[0]
     c = jnp.cross(a, b)
     tilt = jnp.einsum("i,nij->nj", c, R)

@@ -38,9 +38,9 @@ class RigidBody(Body, AbstractFreeBody):
         return State(so3.tangent(state.q, self.angular_velocity(state)), jnp.zeros_like(state.p))
 
     def solution(self, state: State, t: Array | float) -> State:
-        """The exact state after time t, of any size and sign, without stepping; π bit for bit.
+        """The exact state after a time t of any size and sign, in Jacobi's elliptic functions; π is equal bit for bit.
 
-        In Jacobi's elliptic functions, see `_free_body`. For many times, `jax.vmap(body.solution, (None, 0))`.
+        For many times, use `jax.vmap(body.solution, (None, 0))`. The formulas are in `_free_body`.
         """
         return State(_attitude(self.inertia, state.q, state.p, t)[0], state.p)
 
@@ -49,15 +49,17 @@ _attitude = compiled(_free_body.attitude)
 
 
 def rigid_body(inertia: ArrayLike) -> RigidBody:
-    """A free rigid body.
+    """A free rigid body. Its motion conserves energy, the spatial momentum π, and |Π|².
 
     Args:
-        inertia: principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3). Any unit; only ratios
-            matter to the attitude.
+        inertia: principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3), in any unit: the
+            motion of the attitude depends on ratios only.
 
     Raises:
-        ValueError: not positive definite, not symmetric, a wrong shape, NaN or inf. Moments that break the triangle
-            inequality only warn.
+        ValueError: not positive definite, not symmetric, a wrong shape, NaN or inf. Moments that violate the triangle
+            inequality cause a warning only.
+
+    Source: Euler 1758; Lewis & Simo 1994, (2.12).
 
     Example:
         >>> body = rigid_body([1.0, 2.0, 3.0])
@@ -81,7 +83,7 @@ PROPERTIES = SystemProperties(
 
 
 def examples() -> dict[str, tuple[RigidBody, State, float]]:
-    """The two bodies of the paper's Figures 1 and 2, a body turned from its principal axes, and a flipping one."""
+    """The bodies of the paper's Figures 1 and 2, a body with a full inertia tensor, and one that flips."""
     turn = so3.to_matrix(so3.exp(jnp.array([0.3, -0.5, 0.4])))
     bodies: dict[str, tuple[ArrayLike, list[float]]] = {
         "asymmetric": ([1.0, 2.0, 3.0], [0.2, 0.0, 1.0]),

@@ -59,9 +59,9 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         return state._replace(extra=extra) if extra else state
 
     state.__doc__ = f"""{TimedBody.state.__doc__}
-        The internal states of the laws begin as each law says: a damper rotates with the body, wheels have the speeds
-        that they were made with. With `works=True`, `State.extra["works"]` counts the work of each law, (number of
-        laws,), in their order.
+        The internal states of the laws begin as each law defines: a damper rotates with the body, wheels have the
+        speeds that they were made with. With `works=True`, `State.extra["works"]` counts the work of each law, (number
+        of laws,), in their order.
         """
 
     def inner(self, state: State, law: Law) -> Array | None:
@@ -89,13 +89,13 @@ class TorquedBody(TimedBody, AbstractTorquedBody):
         return jnp.sum(self._rates(state)[2])
 
     def energy(self, state: State) -> Scalar:
-        """½ Π·J⁻¹Π with the energies of the laws: potentials, and those of internal states."""
+        """½ Π·J⁻¹Π plus the energies of the laws: potentials and energies of internal states."""
         t = clock(state)
         laws = [law.energy(t, state.q, self.inner(state, law)) for law in self.laws]
         return sum(laws, self.kinetic_energy(state))
 
     def momentum(self, state: State) -> MomentumMap:
-        """π with the momenta of dampers and wheels, (3,), where no law acts from outside; else (0,)."""
+        """π plus the momenta of dampers and wheels, (3,), if all laws are internal; otherwise (0,)."""
         if not all(law.internal for law in self.laws):
             return state.p[:0]
         return sum((law.momentum(state.q, self.inner(state, law)) for law in self.laws), state.p)
@@ -170,18 +170,21 @@ def _velocity(body: TorquedBody, state: State) -> Vector3:
 
 
 def torqued_body(inertia: ArrayLike, torque: Any, frame: Literal["body", "space"] | None = None) -> TorquedBody:
-    """A rigid body with torques; `schemes.torqued_midpoint` integrates it and books the work of each law exactly.
+    """A rigid body with torques. `schemes.torqued_midpoint` integrates it and accounts for the work of each law
+    exactly.
 
     Args:
-        inertia: principal moments (3,) or a symmetric tensor in body axes (3, 3); with wheels, that without their axial
-            parts (`torques.wheels`).
+        inertia: principal moments (3,) or a symmetric tensor in body axes (3, 3); with wheels, without their moments of
+            inertia about their axes (`torques.wheels`).
         torque: a law of `lieint_jax.torques`, a sum of laws, or a JAX function (t, q, ω) ↦ (3,) of time, attitude
             quaternion and angular velocity, in the axes of `frame`, as ω is. Parameters to be differentiated or batched
             go into a `jax.tree_util.Partial`, or into a custom law: see `torques.Law`.
         frame: "body" or "space", the axes of a function; a law has its own.
 
     Raises:
-        ValueError: bad inertia, a torque that is no function with a value (3,), a frame that is not the torque's own.
+        ValueError: bad inertia; the torque is not a function with a value (3,); `frame` is not that of the law.
+
+    Source: Hughes 1986, Spacecraft Attitude Dynamics.
 
     Example:
         >>> import lieint_jax as li
@@ -262,7 +265,7 @@ PROPERTIES = SystemProperties(
 
 
 def examples() -> dict[str, tuple[TorquedBody, State, float]]:
-    """Magnetic detumbling on a polar orbit, a slew by a controller, a damper inside, and a satellite with five laws."""
+    """Magnetic detumbling on a polar orbit, a controlled slew, an internal damper, and a satellite with five laws."""
     J, start, Omega = [1.0, 2.0, 2.5], so3.exp(jnp.array([0.9, -1.2, 0.5])), jnp.array([0.3, -0.4, 0.8])
     satellite = torques.total(
         [

@@ -1,4 +1,4 @@
-"""Laws of torque for `systems.torqued_body`: they add, and a step books the work of each to round-off.
+"""Laws of torque for `systems.torqued_body`: they can be added, and a step counts the work of each to round-off.
 
 | law | torque | its work W in a step of `schemes.torqued_midpoint` |
 |---|---|---|

@@ -172,7 +172,7 @@ def unloading(
 ) -> Unloading:
     """Momentum dumping by torquers: T = −k h_r less its part along the field, h_r = Σ g_j(h_j − bias_j) of the wheels.
 
-    To be added to wheels whose motors hold the attitude: the wheels give up what the torquers take from the body.
+    Add this law to wheels whose motors hold the attitude: the motors transfer the torquers' torque to the wheels.
 
     Args:
         axes: g_j of the wheels in the body, unit vectors, (m, 3).

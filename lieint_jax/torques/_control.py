@@ -48,8 +48,8 @@ class PDTrace(Law):
 def pd_trace(gain: ArrayLike, damping: ArrayLike, target: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> PDTrace:
     """Control to an attitude Λ_d by the potential U = ½k tr(1 − Λ_dᵀΛ) and damping c: τ = −½k vex(ΛΛ_dᵀ) − cω.
 
-    H = T + U falls by Δt c|ω̄|² in a step. A function of Λ alone: q and −q give the same torque, so the body takes the
-    short way. The torque k sin φ vanishes at an error of φ = 180° too, where the body is at an unstable rest.
+    H = T + U decreases by Δt c|ω̄|² in a step. The torque depends on Λ only, so q and −q give the same torque, and the
+    body rotates the short way. The torque k sin φ also vanishes at an error of φ = 180°, an unstable equilibrium.
 
     Args:
         gain: k, a torque, > 0: small errors swing with √(k/J).
@@ -94,9 +94,9 @@ class PDQuaternion(Law):
 def pd_quaternion(gain: ArrayLike, damping: ArrayLike, target: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> PDQuaternion:
     """Control to an attitude by the potential U = 2k(1 − e₀), e = q_d⁻¹q, and damping c: T = −k(e₁, e₂, e₃) − cΩ.
 
-    H = T + U falls by Δt c|Ω̄|² in a step. The torque k sin ½φ is largest at an error of φ = 180°, but q and −q, the
-    same attitude, have different torques: **it unwinds**, that is, from e₀ < 0 the body rotates by more than 180° to
-    come to e₀ = 1. Give the state a q with e₀ ≥ 0 to take the short way.
+    H = T + U decreases by Δt c|Ω̄|² in a step. The torque k sin ½φ is largest at an error of φ = 180°, but q and −q,
+    the same attitude, have different torques: **it unwinds**, that is, from e₀ < 0 the body rotates by more than 180°
+    to reach e₀ = 1. Give the state a q with e₀ ≥ 0 for the short way.
 
     Args:
         gain: k, a torque, > 0: small errors swing with √(k/2J).
@@ -131,8 +131,8 @@ class Saturated(ModifiedLaw):
 def saturated(law: Any, limit: ArrayLike) -> Saturated:
     """A law whose torque has a limit, component by component in the axes of its frame.
 
-    The energy of the law, such as the potential of a controller, is still counted; the work that is booked is that of
-    the torque which acts.
+    The energy of the law, such as the potential of a controller, is still counted; the work is that of the limited
+    torque.
 
     Args:
         law: a law without an internal state, or a function of (t, q, Ω).

@@ -1,4 +1,4 @@
-"""Laws that take energy: viscous drag, a sphere in a fluid inside the body, internal friction."""
+"""Dissipative laws: viscous drag, a sphere in a fluid inside the body, internal friction."""
 
 from __future__ import annotations
 

@@ -160,11 +160,11 @@ class Hysteresis(Law):
 def hysteresis(
     axis: ArrayLike, saturation: ArrayLike, slope: ArrayLike, coercivity: ArrayLike, *, field: Any, key: str = "rod"
 ) -> Hysteresis:
-    """A rod of soft magnetic material that takes energy from the rotation of a satellite in the Earth's field.
+    """A magnetic hysteresis rod, which damps the rotation of a satellite in the Earth's field.
 
-    A play operator of half-width ρ followed by the curve M = M_s tanh(w/a): at a reversal of the field the moment rests
-    until the field has come back by 2ρ. In a field that rests the energy never rises; over a closed loop the loss is
-    the area of the loop.
+    It is a play operator of half-width ρ followed by the curve M = M_s tanh(w/a): at a reversal of the field the moment
+    is constant until the field has changed by 2ρ. In a constant field the energy never increases; over a closed loop
+    the loss is the area of the loop.
 
     Args:
         axis: e, the direction of the rod in the body, a unit vector (3,).

@@ -18,7 +18,7 @@ from lieint_jax.types import Law, Rotation, callable_pytree, pytree
 
 
 class _Error(NamedTuple):
-    """How a body differs from its target.
+    """The difference of a body from its target.
 
     Attributes:
         scalar, vector: of the quaternion of the error with a scalar part ≥ 0: the short way.
@@ -176,7 +176,7 @@ def sliding_mode(
 
     Args:
         frame: as in `pointing`.
-        inertia: J, (3,) or (3, 3), as the controller knows it.
+        inertia: J, (3,) or (3, 3), as assumed by the controller.
         slope: λ > 0, 1 / time.
         rate: k > 0, an angular acceleration, a number or (3,).
         layer: φ > 0, an angular velocity: the boundary layer within which the law is linear, against chatter. Steps

@@ -62,7 +62,7 @@ def solar_plate(
 
         F = −f|cos ϑ| [(1 − ρ_s)s + 2(ρ_s cos ϑ ± ρ_d/3)n],    cos ϑ = n·s,
 
-    ± the sign of cos ϑ, as of a sail or a panel without a shadow. Energy changes by ΔtΩ̄·T̄ in a step.
+    where ± is the sign of cos ϑ, as for a sail or a panel without a shadow. The work in a step is ΔtΩ̄·T̄.
 
     Args:
         force: f, pressure × area, such as 4.56e-6 N/m² × A at 1 au.
@@ -212,7 +212,7 @@ def aerodynamic(
         F_j = −½ρ C_j A_j max(n_j·w_j, 0) w_j,    w_j = Λᵀv + Ω × r_j
 
     for the velocity v relative to the air. A panel is two plates with opposite normals. In air at rest, v = 0, the
-    torque takes energy in every step. Energy changes by ΔtΩ̄·T̄ in a step, which is booked.
+    torque dissipates energy in every step. The work in a step is ΔtΩ̄·T̄.
 
     Args:
         air: t ↦ (density, velocity of the body's center relative to the air in space, (3,)), such as

@@ -104,9 +104,9 @@ def wheels(
     """Wheels inside the body, free or driven by motors: the momentum of body and wheels is conserved to round-off.
 
     **The body's `inertia` is then that without the wheels' axial parts**, J = J_locked − Σ I_j g_j g_jᵀ, which
-    `body_inertia` gives; gravity gradient takes the locked one. The momentum π of the state is ΛJΩ; the
+    `body_inertia` returns; gravity gradient needs J_locked. The momentum π of the state is ΛJΩ; the
     absolute axial momenta h_j = I_j(σ_j + g_j·Ω) of the wheels are `State.extra["wheels"]`, (m,). The energy contains
-    Σ h_j²/2I_j, and the work Σ Δh_j σ̄_j of the motors is booked exactly, whatever they do.
+    Σ h_j²/2I_j, and the work Σ Δh_j σ̄_j of the motors is counted exactly for every motor law.
 
     Args:
         axes: g_j in the body, unit vectors, (m, 3).

@@ -4,8 +4,9 @@ Systems and steps are frozen dataclasses registered as JAX pytrees (`pytree`). T
 derivatives and batches over an inertia tensor go through them; fields marked `static` (functions, options) are part of
 the tree's structure, so a step that is built again hits the same jit cache.
 
-A capability is an abstract class below, such as `AbstractFreeBody`, that stands for certain equations of motion. A
-system declares it by inheritance, and a scheme accepts only the systems that declare the capability it integrates.
+A capability is an abstract class below, such as `AbstractFreeBody`, whose docstring states equations of motion. A
+system declares by inheritance that it moves by them. A scheme accepts only the systems that declare the capability
+that it integrates.
 """
 
 from __future__ import annotations

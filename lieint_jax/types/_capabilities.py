@@ -1,4 +1,4 @@
-"""Capabilities: abstract systems that stand for certain equations of motion.
+"""Capabilities: abstract systems, each with the equations of motion that its subclasses promise to have.
 
 A system declares a capability by inheritance, and a scheme accepts the systems that declare the one it integrates.
 """
@@ -21,7 +21,7 @@ from lieint_jax.types.shapes import DualVector, Inertia, Matrix3, PyTree, Scalar
 
 
 class AbstractFreeBody(System):
-    """A rigid body on T*SO(3) that no torque moves: q̇ = ½ q Ω, π̇ = 0 with JΩ = Π = Λᵀπ (2.12).
+    """A torque-free rigid body on T*SO(3): q̇ = ½ q Ω, π̇ = 0 with JΩ = Π = Λᵀπ (2.12).
 
     Attributes:
         inertia: J, principal moments (3,) or a symmetric tensor (3, 3).
@@ -48,9 +48,9 @@ class AbstractGyrostat(System):
 
 
 class AbstractDrivenGyrostat(System):
-    """A gyrostat whose rotor a motor drives, in a given way: as `AbstractGyrostat`, with ḣ_r = τ(t).
+    """A gyrostat whose rotor is driven by a motor of given torque: as `AbstractGyrostat`, with ḣ_r = τ(t).
 
-    h_r is `State.extra["rotor"]`. Energy less work is conserved, where the work is −∫Ω·τ dt.
+    h_r is `State.extra["rotor"]`. H − W is conserved, with the work W = −∫Ω·τ dt of the motor.
 
     Attributes:
         inertia: J, as in `AbstractFreeBody`.
@@ -64,11 +64,11 @@ class AbstractDrivenGyrostat(System):
 
     @abc.abstractmethod
     def torque(self, t: Time, /) -> Vector3:
-        """τ, by which the motor turns the rotor at time t, in the body, (3,)."""
+        """τ, the torque of the motor on the rotor at time t, in the body, (3,)."""
 
     @abc.abstractmethod
     def holding(self, rotor: Vector3, /) -> AbstractGyrostat:
-        """The gyrostat whose rotor keeps the momentum `rotor`."""
+        """The gyrostat whose rotor has the constant momentum `rotor`, (3,)."""
 
 
 class AbstractEmbeddedBody(System):
@@ -82,7 +82,7 @@ class AbstractEmbeddedBody(System):
 
 
 class AbstractGeodesicFlow(System):
-    """The motion on T*G by a left-invariant metric alone: q̇ = qΩ̂, π̇ = 0 with mΩ = Π = Ad*_q π (5.14).
+    """Geodesics of a left-invariant metric on T*G, without potential: q̇ = qΩ̂, π̇ = 0 with mΩ = Π = Ad*_q π (5.14).
 
     Attributes:
         group: the group G.
@@ -94,9 +94,9 @@ class AbstractGeodesicFlow(System):
 
 
 class AbstractRightGeodesicFlow(System):
-    """The motion on T*G by a right-invariant metric alone: q̇ = ω̂q, π̇ = −ad*_ω π with mω = π (end of Section 5.1.7).
+    """Geodesics of a right-invariant metric on T*G, without potential: q̇ = ω̂q, π̇ = −ad*_ω π with mω = π.
 
-    The inverse of q moves by the left-invariant metric m, with body momentum −π and spatial momentum −Π.
+    q⁻¹ moves by the left-invariant metric m, with body momentum −π and spatial momentum −Π (end of Section 5.1.7).
 
     Attributes:
         group: the group G.
@@ -117,11 +117,11 @@ class AbstractForcedSystem(System):
 
     @abc.abstractmethod
     def force(self, q: Array, /) -> Array:
-        """By how much π̇ at the configuration q differs from π̇ of the free system; of the shape of π."""
+        """π̇ at the configuration q less π̇ of the free system, an array of the shape of π."""
 
 
 class AbstractFreeBodies(System):
-    """N rigid bodies on which nothing acts: ẋ = p/m, q̇ = ½ q Ω, ṗ = 0, π̇ = 0.
+    """N free rigid bodies: ẋ = p/m, q̇ = ½ q Ω, ṗ = 0, π̇ = 0.
 
     A state is q (N, 7), position and quaternion of each, and p (N, 6), linear and spatial angular momentum.
 
@@ -152,9 +152,10 @@ class AbstractRigidBodies(AbstractForcedSystem):
 
 
 class AbstractDissipativeBodies(System):
-    """N rigid bodies in a potential that lose energy by a law of pairs: as `AbstractRigidBodies`, with its forces.
+    """N rigid bodies in a potential, with dissipative forces between pairs: as `AbstractRigidBodies`, plus these
+    forces.
 
-    Energy less work is conserved, where the work is what the law does, and so are both momenta if the potential is
+    H − W is conserved, with W the work of the dissipative forces, and so are both momenta if the potential is
     invariant.
 
     Attributes:
@@ -188,7 +189,7 @@ class AbstractTop(AbstractForcedSystem):
 
 
 class PotentialWithGradient(abc.ABC):
-    """A potential Ṽ(Γ) or Ṽ(Γ, t) that knows its gradient, for tops, where autodiff takes many more operations."""
+    """A potential Ṽ(Γ) or Ṽ(Γ, t) of tops with its gradient in closed form, which costs far less than autodiff."""
 
     @abc.abstractmethod
     def __call__(self, Gamma: Vector3, t: Time | None = None) -> Scalar: ...
@@ -207,7 +208,7 @@ def gradient(potential: Callable[..., Array], Gamma: Vector3, *t: Array) -> Arra
 def autodiff_gradient(potential: Callable[..., Array], argnums: int | tuple[int, ...] = 0) -> Callable[..., PyTree]:
     """`jax.grad(potential, argnums)`, but NaN where the potential itself is not finite.
 
-    The derivative of log x exists for x < 0, where log x does not: a step would go on where there is no motion.
+    The derivative of log x is finite for x < 0, where log x is NaN: a step would continue where there is no motion.
     """
 
     def gradient(*arguments: Array) -> PyTree:
@@ -239,7 +240,7 @@ class AbstractMechanicalSystem(AbstractForcedSystem):
 class StoredEnergy(abc.ABC):
     """W(C), an energy, of the right Cauchy–Green tensor C = FᵀF, shape (3, 3).
 
-    Symmetric tensors are tuples of six entries (xx, yy, zz, yz, xz, xy), see `_numerics.three`.
+    Symmetric tensors are tuples of six entries (xx, yy, zz, yz, xz, xy), see `_numerics.vec3`.
     """
 
     @abc.abstractmethod
@@ -267,9 +268,9 @@ class AbstractElasticBody(System):
 
 
 class AbstractViscousBody(System):
-    """A body that deforms homogeneously and is viscous: as `AbstractElasticBody`, with Ṗ = −F(2∇W(C) + νĊ), C = FᵀF.
+    """A viscous body that deforms homogeneously: as `AbstractElasticBody`, with Ṗ = −F(2∇W(C) + νĊ), C = FᵀF.
 
-    Energy less work is conserved, where the work is −∫½ν|Ċ|² dt.
+    H − W is conserved, with the work W = −∫½ν|Ċ|² dt of the viscous stress.
 
     Attributes:
         inertia, stored_energy: as in `AbstractElasticBody`.
@@ -296,9 +297,9 @@ class AbstractIncompressibleBody(System):
 
 
 class AbstractDrivenSystem(System):
-    """A kinetic energy and a potential V(q, t) that is a given function of time.
+    """A kinetic energy and a potential V(q, t) that depends on time in a given way.
 
-    Energy less work is conserved, where the work is ∫∂V/∂t dt.
+    H − W is conserved, with the work W = ∫∂V/∂t dt.
     """
 
     @property
@@ -308,7 +309,7 @@ class AbstractDrivenSystem(System):
 
     @abc.abstractmethod
     def force(self, q: Array, t: Time, /) -> Array:
-        """By how much π̇ at the configuration q and the time t differs from π̇ of the free system."""
+        """π̇ at the configuration q and the time t less π̇ of the free system, an array of the shape of π."""
 
     @abc.abstractmethod
     def power(self, q: Array, t: Time, /) -> Scalar:
@@ -338,7 +339,7 @@ class AbstractTorquedBody(System):
 
     Attributes:
         inertia: J, as in `AbstractFreeBody`.
-        torque: a law of torque, or the `Total` of several.
+        torque: a law of torque, or the `Total` of several laws.
     """
 
     inertia: Array
@@ -346,7 +347,7 @@ class AbstractTorquedBody(System):
 
     @property
     def laws(self) -> tuple[Law, ...]:
-        """The laws one by one, in the order in which their works are booked."""
+        """The laws one by one, in the order of `State.extra["works"]`."""
         return parts(self.torque)
 
 

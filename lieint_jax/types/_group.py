@@ -22,13 +22,13 @@ from lieint_jax.types.shapes import (
 
 
 class Group(Protocol):
-    """The questions that every group answers (a module such as `groups.so3`, or an object).
+    """The functions that every group has; a group is a module such as `groups.so3`, or an object.
 
     Algebra elements are coordinate vectors of shape (dim,), their duals likewise; `Ad_star(q, ·)` and `ad_star(ξ, ·)`
     are the transposes of `Ad(q, ·)` and `ad(ξ, ·)`.
 
-    `casimirs(μ)` are functions of μ that no Ad* changes, shape (k,); (0,) if none is known. A group may also be an
-    `AnalyticGroup`.
+    `casimirs(μ)` are functions of μ that every Ad* leaves invariant, shape (k,); (0,) if none is known. A group may
+    also be an `AnalyticGroup`.
     """
 
     @property
@@ -54,11 +54,12 @@ class Group(Protocol):
 
 @runtime_checkable
 class AnalyticGroup(Group, Protocol):
-    """A group that knows the derivatives and the rounding errors of its maps, see `groups.matrix.MatrixGroup`.
+    """A group with derivatives and rounding errors of its maps in closed form, such as `groups.matrix.MatrixGroup`.
 
-    Steps on it are faster than on a plain `Group`, whose maps are differentiated by autodiff, and say when Ad_q has
-    grown so large that no digits of Π = Ad*_q π are left. Vectors and matrices are those of `_numerics.unrolled`: lists
-    of scalars if `unrolled`, else arrays. A group has all of these members or counts as a plain one.
+    Steps on it are faster than on a plain `Group`, whose maps are differentiated by autodiff, and they report when Ad_q
+    has grown so large that no digits of Π = Ad*_q π are left. Vectors and matrices are those of
+    `_numerics.small_linalg`: lists of scalars if `unrolled`, otherwise arrays. A group that lacks one of these members
+    is treated as a plain one.
 
     | member | |
     |---|---|
@@ -91,11 +92,11 @@ class AnalyticGroup(Group, Protocol):
 
 
 class PhaseSpace(Protocol):
-    """A manifold with a symplectic form, in coordinates of its tangent spaces that the diagnostics work in.
+    """A manifold with a symplectic form, and the coordinates of its tangent spaces in which the diagnostics work.
 
-    `origin` is some state of it, at rest, from which `perturb` leads to others. `displacement(a, b)` is smooth
-    coordinates of b, in which a is 0, and `displaced(a, ·)` is its inverse. A space of coordinates with different units
-    has `units(state)`, the sizes (dim/2,) of those of δq and of those of δp; by default 1 and the largest of p.
+    `origin` is a state at rest, from which `perturb` leads to others. `displacement(a, b)` returns smooth coordinates
+    of b in which a is 0, and `displaced(a, ·)` is the inverse. A space whose coordinates have different units defines
+    `units(state)`, the units (dim/2,) of δq and those of δp; by default these are 1 and the largest component of p.
     """
 
     @property

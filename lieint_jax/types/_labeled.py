@@ -1,4 +1,4 @@
-"""Trajectories for other packages, as labeled arrays of xarray and rotations of scipy; states in a line, to print."""
+"""Trajectories for other packages, as labeled arrays of xarray and rotations of scipy; one-line summaries of states."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _TEXTS = {
 
 
 def described(value: PyTree) -> str:
-    """A number or a short array in full, to six digits; of a longer one, or a tracer, type and shape."""
+    """A number or a short array to six digits; the type and the shape of a longer array or a tracer."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{name}: {described(inner)}" for name, inner in value.items()) + "}"
     if not hasattr(value, "shape"):
@@ -46,13 +46,13 @@ def described(value: PyTree) -> str:
 
 
 def fields(value: PyTree) -> str:
-    """A named tuple in a line, without its fields that are None."""
+    """A named tuple in one line, without its fields that are None."""
     shown = [f"{name}={described(x)}" for name, x in zip(value._fields, value, strict=True) if x is not None]
     return f"{type(value).__name__}({', '.join(shown)})"
 
 
 def trajectory(run: Run) -> str:
-    """A trajectory in a line."""
+    """A trajectory in one line."""
     if not hasattr(run.t, "shape") or not concrete(run) or run.t.ndim != 1:
         return fields(run)
     members = "" if run.info.converged.ndim == 1 else f" of {run.info.converged.shape[1]} members"
@@ -68,7 +68,7 @@ def dataset(run: Run, system: PyTree, units: Mapping[str, str], system_axis: Axi
     leaves = {**run.state._asdict(), **extra, **run.info._asdict()}
     arrays = {name: x for name, x in leaves.items() if name != "extra" and x is not None}
     if system is not None:
-        arrays |= _measured(run, system, system_axis)
+        arrays |= _invariants(run, system, system_axis)
     labels: dict[str, PyTree] = {"time": np.asarray(run.t)}
     variables: dict[str, PyTree] = {}
     for name, x in arrays.items():
@@ -93,7 +93,7 @@ def rotations(run: Run) -> Any:
     own = q.shape[len(axes(run)) :]
     if own == (3, 3):
         raise ValueError(
-            "q holds matrices that need not be rotations: scipy's Rotation.from_matrix takes the nearest ones"
+            "q holds matrices that need not be rotations: scipy's Rotation.from_matrix returns the nearest ones"
         )
     if own != (4,) and not (len(own) == 2 and own[1] == 7):
         raise ValueError(f"attitudes are quaternions, q of shape (…, 4), or (…, N, 7) for N bodies; got {q.shape}")
@@ -104,7 +104,7 @@ def rotations(run: Run) -> Any:
 def state_axes(
     name: str, shape: tuple[int, ...], system: PyTree = None
 ) -> tuple[tuple[str, ...], dict[str, np.ndarray | list[str]]]:
-    """Names of the axes of one state's array, and their labels, of which some are those of the system."""
+    """Names of the axes of one state's array, and their labels; the system provides some of them."""
     if name == "extra_works" and len(shape) == 1:
         names = laws_of(system)
         return ("law",), {"law": names} if len(names) == shape[0] else {}
@@ -119,7 +119,7 @@ def state_axes(
     return tuple(f"{name}_component{k or ''}" for k in range(len(shape))), {}
 
 
-def _measured(run: Run, system: PyTree, system_axis: Axis) -> dict[str, Array]:
+def _invariants(run: Run, system: PyTree, system_axis: Axis) -> dict[str, Array]:
     """Energy, momentum map, and the angular velocity in the body where the system has one."""
     if not hasattr(system, "energy"):
         raise ValueError(f"system must be that of the run, such as step.system, got a {type(system).__name__}")

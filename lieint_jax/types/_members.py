@@ -1,4 +1,4 @@
-"""The member axis: whether each member of a batch has a system of its own, and functions along the runs of a batch."""
+"""The member axis: whether a batch has one system per member, and functions evaluated along the runs of a batch."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Axis = int | Literal["auto"] | None
 
 
 class Run(Protocol):
-    """A trajectory, a named tuple, by what is read of it here."""
+    """The fields of a trajectory, a named tuple, that this module reads."""
 
     @property
     def t(self) -> Array: ...
@@ -32,8 +32,8 @@ def axes(run: Run) -> tuple[str, ...]:
     if np.ndim(run.t) != 1:
         raise ValueError(
             f"t must have shape (n+1,), got {np.shape(run.t)}: a vmapped `integrate` gives the axes (member, time). "
-            "Take ensemble.run, or jax.vmap(…, out_axes=lieint_jax.Trajectory(None, 1, 1)), for (time, member); or "
-            "vmap over the runs what you call here"
+            "Use ensemble.run, or jax.vmap(…, out_axes=lieint_jax.Trajectory(None, 1, 1)), for (time, member); or "
+            "apply jax.vmap to the function that you call here"
         )
     return ("time", "member")[: 1 if run.info is None else np.ndim(run.info.residual)]
 
@@ -61,20 +61,20 @@ def map_over_run(
 
 
 def member_axis(system: PyTree, one: PyTree, members: int, given: Axis, name: str = "system_axis") -> int | None:
-    """0 if each of the members has a system of its own, on the leading axis of all leaves of `system`; else None.
+    """0 if there is one system per member, on the leading axis of all leaves of `system`; None if all share one.
 
-    Shapes alone do not always tell: of three members, an inertia (3, 3) is a tensor of all, or the principal moments of
-    each.
+    Shapes alone can be ambiguous: for three members, an inertia (3, 3) is one tensor for all, or the principal moments
+    of each.
 
     Args:
-        system: of all members, or of each.
+        system: the system of all members, or the stacked systems of each.
         one: the state of one member, or its shapes.
-        members: how many there are.
-        given: 0, None, or "auto" to find it by the shapes.
-        name: that of the argument, for messages.
+        members: the number of members.
+        given: 0, None, or "auto" to infer the result from the shapes.
+        name: the name of the argument, for messages.
 
     Raises:
-        ValueError: shapes that contradict `given`; with "auto", shapes that fit both.
+        ValueError: the shapes contradict `given`; with "auto", the shapes fit both.
     """
     if isinstance(given, bool) or given not in (0, None, "auto"):
         raise ValueError(f'{name} must be None (one system for all), 0 (one per member) or "auto", got {given!r}')
@@ -94,17 +94,17 @@ def member_axis(system: PyTree, one: PyTree, members: int, given: Axis, name: st
         return None
     shared, own = _fits(system, one), _fits(jax.tree.map(lambda x: x[0], system), one)
     if given is None and own and not shared:
-        raise ValueError(f"each member has a system of its own ({told}): give {name}=0")
+        raise ValueError(f"there is one system per member ({told}): give {name}=0")
     if given == "auto" and own and shared:
         raise ValueError(
-            f"the shapes do not tell whether all members have one system or each its own ({told}): give {name}=None "
+            f"the shapes fit one system for all members and one per member ({told}): give {name}=None "
             f"for one system, {name}=0 for one per member"
         )
     return 0 if own and not shared else None
 
 
 def _check_single(system: PyTree, states: PyTree, given: Axis) -> None:
-    """ValueError if a system of the run of one body has a member axis."""
+    """ValueError if the system of a run of one body has a member axis."""
     if given not in (None, "auto"):
         raise ValueError(f"system_axis is of batches; this run is of one body, got system_axis={given!r}")
     firsts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(system)}
@@ -114,7 +114,7 @@ def _check_single(system: PyTree, states: PyTree, given: Axis) -> None:
     if not _fits(system, one) and _fits(jax.tree.map(lambda x: x[0], system), one):
         [(members,)] = firsts
         raise ValueError(
-            f"the run is of one body, but the system has a member axis of {members}: take that of its member, "
+            f"the run is of one body, but the system has a member axis of {members}: pass the system of its member k, "
             "jax.tree.map(lambda x: x[k], system)"
         )
 
@@ -125,7 +125,7 @@ def _member_shapes(states: PyTree, leading: int) -> PyTree:
 
 
 def _fits(system: PyTree, one: PyTree) -> bool:
-    """Whether the shapes of a system are those of one, which takes this state, and whose energy is a scalar."""
+    """Whether a system has the shapes of a single one: it accepts this state, and its energy is a scalar."""
 
     def energy(system: PyTree, state: PyTree) -> Array:
         system.check(state)

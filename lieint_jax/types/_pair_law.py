@@ -1,4 +1,4 @@
-"""Dissipative laws of two bodies, and what they do to several."""
+"""Dissipative laws of two bodies, and the forces by which they act on N bodies."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Action = tuple[Array, Array, Array]  # the force on the second body, and the tor
 
 
 class PairLaw(abc.ABC):
-    """A law by which two bodies lose energy: (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j), all in space.
+    """A dissipative force between two bodies: (r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j), all in space.
 
     r and v are the position and the velocity of the second body relative to the first, f is the force on the second, −f
-    that on the first, and τ_i and τ_j are torques about the centers. A law conserves angular momentum if
-    r × f + τ_i + τ_j = 0, and loses energy if f·v + τ_i·ω_i + τ_j·ω_j ≤ 0: both are required of it. Every law
-    f = −Au, τ_i + τ_j = r × Au, with u the velocity of one surface relative to the other, and A ≥ 0, has them.
+    that on the first, and τ_i and τ_j are torques about the centers. A law must conserve angular momentum,
+    r × f + τ_i + τ_j = 0, and must not supply energy, f·v + τ_i·ω_i + τ_j·ω_j ≤ 0. Every law f = −Au,
+    τ_i + τ_j = r × Au, with A ≥ 0 and u the velocity of one surface relative to the other, satisfies both.
 
     A subclass is decorated with `li.pytree` and defines `__call__`. If bodies differ, it defines `between` too.
     """
@@ -28,7 +28,7 @@ class PairLaw(abc.ABC):
 
     @property
     def count(self) -> int | None:
-        """N, or None if the law is one of any number of bodies."""
+        """N, or None if the law holds for any number of bodies."""
         return None
 
     def between(self, i: int, j: int) -> PairLaw:
@@ -36,7 +36,7 @@ class PairLaw(abc.ABC):
         return self
 
     def loss(self, r: Array, v: Array, omega_i: Array, omega_j: Array) -> Array:
-        """The energy that is lost in a unit of time, ≥ 0; a law may have it as a sum of squares."""
+        """The power that is dissipated, ≥ 0; a law may override it by a sum of squares."""
         return -power(self(r, v, omega_i, omega_j), v, omega_i, omega_j)
 
 
@@ -47,7 +47,8 @@ def power(action: Action, v: Array, omega_i: Array, omega_j: Array) -> Array:
 
 
 def pair_forces(law: Callable[..., Any], x: Array, v: Array, omega: Array) -> tuple[Array, Array]:
-    """What a law, or a function of two bodies, does to N: forces and torques (N, 6), and the energy lost per time.
+    """The forces and torques (N, 6) of a pair law, or of a function of two bodies, on N bodies, and the power
+    dissipated.
 
     Args:
         law: see `PairLaw`.

@@ -18,10 +18,10 @@ def static(**options: Any) -> Any:
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(dataclasses.field, static))
 def pytree(cls: type[_T]) -> type[_T]:
-    """Make `cls` a frozen dataclass and a pytree whose leaves are its fields, but for the `static` ones.
+    """Make `cls` a frozen dataclass and a pytree whose leaves are all its fields except the `static` ones.
 
-    The class is part of the tree's structure. In that of `jax.tree_util.register_dataclass` (jax 0.10) it is not: two
-    classes with the same fields compare equal, and jit may then run the program that it compiled for the other one.
+    The class is part of the tree's structure. With `jax.tree_util.register_dataclass` (jax 0.10) it is not: two classes
+    with the same fields compare equal, and jit may then run the program that it compiled for the other one.
     """
     made: Any = dataclasses.dataclass(frozen=True, eq=False)(cls)
     fields = dataclasses.fields(made)
@@ -47,5 +47,5 @@ def pytree(cls: type[_T]) -> type[_T]:
 
 
 def callable_pytree(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that can be a field of a pytree: itself if it is one (it may have leaves), else without leaves."""
+    """A function as a field of a pytree: itself if it is a pytree (it may have leaves), otherwise without leaves."""
     return jax.tree_util.Partial(function) if jax.tree_util.all_leaves([function]) else function

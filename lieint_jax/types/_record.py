@@ -1,4 +1,4 @@
-"""Named tuples of which `help` and `dir` show what they are for, not what every tuple has."""
+"""Named tuples whose `help` and `dir` show their fields and methods, without those of every tuple."""
 
 from __future__ import annotations
 

@@ -24,12 +24,12 @@ class State(NamedTuple):
             GL⁺(3): F, (3, 3). S²: unit vector, (3,).
         p: momentum. SO(3): spatial angular momentum π, (3,). Matrix groups: π in the dual basis, (d,). GL⁺(3): P,
             (3, 3). S²: π = m q × q̇, (3,).
-        t: time, a scalar, of a system that is driven; else it may be None.
-        work: what moving potentials and torques have done since the start, a scalar, or None if it is not tracked. The
-            energy less the work is conserved.
-        extra: arrays by name that a system or a scheme carries along, such as the momentum of a rotor, or None.
+        t: time, a scalar. A driven system needs it; otherwise it may be None.
+        work: the work of moving potentials and torques since the start, a scalar, or None if it is not tracked. Energy
+            less work is conserved.
+        extra: further arrays of the state of a system or a scheme, by name, such as the momentum of a rotor; or None.
 
-    What is None is no leaf of the pytree. Diagnostics that perturb a state leave t, work and extra as they are.
+    A field that is None is no leaf of the pytree. Diagnostics that perturb a state leave t, work and extra unchanged.
     """
 
     q: Array
@@ -44,13 +44,13 @@ class State(NamedTuple):
 
 @record
 class StepInfo(NamedTuple):
-    """The report of a step on the equation that it solved.
+    """The report of a step: how well it solved its equation, and whether its result can be trusted.
 
     Attributes:
         residual: norm of the implicit equation's residual, in the scheme's own dimensionless form.
-        converged: the residual is round-off (within a multiple of eps·scale that each scheme states, 32 for those that
-            solve an equation at each step) and the root lies on the scheme's branch. False wherever a result is not to
-            be trusted; a NaN never comes without it.
+        converged: True if the residual is round-off (within a multiple of eps·scale that each scheme states, 32 for
+            those that solve an equation at each step) and the root lies on the scheme's branch. It is False wherever a
+            result is not to be trusted, and whenever the new state contains a NaN.
     """
 
     residual: Array
@@ -94,33 +94,33 @@ class Trajectory(NamedTuple):
         several bodies have `body`, and `pose` (x, y, z, qw, qx, qy, qz) or `momenta` (px, py, pz, pix, piy, piz).
 
         Args:
-            system: that of the run; adds energy and momentum_map, and angular_velocity (in body axes) where the system
-                has one.
-            units: by name of a variable or of the coordinate time, such as {"time": "d"}: the package knows none.
-            system_axis: of a batch, None if all members have one system, 0 if each has its own, on the leading axis of
-                the leaves (`step_axis=0` of `ensemble.run`); "auto" finds it by the shapes where they tell.
+            system: the system of the run; adds the variables energy and momentum_map, and angular_velocity (in body
+                axes) where the system has one.
+            units: units by name of a variable or of the coordinate time, such as {"time": "d"}; by default none.
+            system_axis: for a batch, None if all members have one system, 0 if there is one per member, on the leading
+                axis of the leaves (`step_axis=0` of `ensemble.run`); "auto" infers it from the shapes.
 
         Raises:
-            ValueError: units of what is not there; shapes that contradict `system_axis`, or do not tell; a run whose
-                axes are (member, time).
+            ValueError: `units` names no variable; the shapes contradict `system_axis`, or are ambiguous; the axes of
+                the run are (member, time).
             ImportError: xarray is not installed.
         """
         return _labeled.dataset(self, system, units or {}, system_axis)
 
     def periods(self, body: Any, system_axis: Axis = "auto") -> Any:
-        """The mean periods of a tumbling body along a run, precession, rotation and mode: `body.periods` of each state.
+        """The mean periods of precession and rotation of a tumbling body along a run, and its mode.
 
-        Under torques they are those of the free motion that would go on from each state.
+        They are `body.periods` of each state: under torques, those of the torque-free motion from that state.
 
         Args:
-            body: the system of the run, one with `periods`, such as `systems.rigid_body(…)`.
-            system_axis: of a batch, as in `to_xarray`.
+            body: the system of the run, with a method `periods`, such as `systems.rigid_body(…)`.
+            system_axis: for a batch, as in `to_xarray`.
 
         Returns:
             `Periods`, arrays of shape (n+1,), or (n+1, members).
 
         Raises:
-            ValueError: a system without periods; shapes that contradict `system_axis`, or do not tell.
+            ValueError: the system has no periods; the shapes contradict `system_axis`, or are ambiguous.
         """
         if not hasattr(body, "periods"):
             raise ValueError(f"the system of the run must have periods, as bodies on T*SO(3) do; got {body!r}")
@@ -129,18 +129,18 @@ class Trajectory(NamedTuple):
     def rotations(self) -> Any:
         """The attitudes, body to space, as `scipy.spatial.transform.Rotation` of shape (n+1, …).
 
-        `.as_euler("ZXZ", degrees=True)` gives Euler angles of any sequence: capitals turn about the axes of the body,
-        one after the other, small letters about those of space. Of a batch, scipy before 1.17 takes one member:
+        `.as_euler("ZXZ", degrees=True)` returns Euler angles of any sequence: capitals mean successive rotations about
+        the axes of the body, small letters about those of space. scipy before 1.17 accepts one member of a batch only:
         `jax.tree.map(lambda x: x[:, k], (run.state, run.info))`.
 
         Raises:
-            ValueError: q holds no quaternions.
+            ValueError: q does not hold quaternions.
         """
         return _labeled.rotations(self)
 
 
 def counts_work(state: State) -> bool:
-    """Whether a state counts work, in all or law by law."""
+    """Whether a state counts work, in total or law by law."""
     return state.work is not None or "works" in (state.extra or {})
 
 

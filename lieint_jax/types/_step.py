@@ -1,4 +1,4 @@
-"""The step of a scheme, and what every call of one checks."""
+"""The step of a scheme, and the checks of every call of it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _Report = tuple[Any, ...]  # the new state, the StepInfo, and what a method adds
 
 
 def _in_one_type(method: Callable[..., _T]) -> Callable[..., _T]:
-    """A method (step, state, dt, …) whose arguments arrive in one floating-point type."""
+    """A method (step, state, dt, …) whose arguments are converted to one floating-point type."""
 
     @functools.wraps(method)
     def converted(step: Step, state: State, dt: ArrayLike, *more: ArrayLike) -> _T:
@@ -36,12 +36,12 @@ def _in_one_type(method: Callable[..., _T]) -> Callable[..., _T]:
 
 
 def _on_time(method: Callable[..., _Report]) -> Callable[..., _Report]:
-    """A method (step, state, dt, …) whose new state is at t + dt and has all other parts of the state."""
+    """A method (step, state, dt, …) whose new state is at t + dt and has all parts that the old state had."""
 
     @functools.wraps(method)
     def timed(step: Step, state: State, dt: Array, *more: Array) -> _Report:
         if step.own_time and state.t is None:
-            raise ValueError(f"{step.name} advances the time, which this state lacks: take step.start(state)")
+            raise ValueError(f"{step.name} advances the time, which this state lacks: use step.start(state)")
         end, *report = method(step, state, dt, *more)
         for name in ("work", "extra"):
             if getattr(state, name) is not None and getattr(end, name) is None:
@@ -53,7 +53,7 @@ def _on_time(method: Callable[..., _Report]) -> Callable[..., _Report]:
 
 
 def _finite_or_flagged(method: Callable[..., _Report]) -> Callable[..., _Report]:
-    """A method (step, state, dt, …) that reports `converged` only of a state that is finite."""
+    """A method (step, state, dt, …) that reports `converged` only for a finite state."""
 
     @functools.wraps(method)
     def flagged(*arguments: PyTree) -> _Report:
@@ -64,20 +64,20 @@ def _finite_or_flagged(method: Callable[..., _Report]) -> Callable[..., _Report]
 
 
 class StepError(ValueError):
-    """A step does not converge from a concrete state; the message is the step's advice."""
+    """Raised where a step does not converge from a concrete state; the message is the step's advice."""
 
 
 class Step(abc.ABC):
     """One step of a scheme for a system: `step(state, dt) -> (state, info)`, a pure function and a pytree.
 
-    `__call__`, `prepare` and `tangent` of any subclass see the state, dt and the step's own numbers in one
-    floating-point type, the widest among state and step. The time of the new state, where there is one, is set here, to
-    t + dt, unless the step has its `own_time`. A scheme returns `state._replace(q=…, p=…)`, which keeps whatever else
-    the state carries.
+    `__call__`, `prepare` and `tangent` of any subclass receive the state, dt and the step's own numbers in one
+    floating-point type, the widest among state and step. The time of the new state, if any, is set to t + dt here,
+    unless the step has its `own_time`. A scheme returns `state._replace(q=…, p=…)`, so that all other fields of the
+    state are unchanged.
 
     Attributes:
         order: order of accuracy; infinite for the exact flow.
-        symmetric: whether step(·, −dt) undoes step(·, dt).
+        symmetric: whether step(·, −dt) is the inverse of step(·, dt).
     """
 
     system: Any
@@ -103,55 +103,55 @@ class Step(abc.ABC):
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]: ...
 
     def substep(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        """A call as a part of a larger step, which itself is flagged where its end is not finite: see `__call__`."""
+        """A call within a larger step, without the check that the new state is finite: the larger step has it."""
         raise NotImplementedError  # set for every subclass, from its `__call__`
 
     @property
     def velocity_weight(self) -> ArrayLike:
-        """α of the momentum at n+α whose velocity the step takes for Θ, for `diagnostics.conditions`; ½ of most."""
+        """α of the momentum at n+α from which the step computes Θ, for `diagnostics.conditions`; ½ for most schemes."""
         return 0.5
 
     @property
     def commuting(self) -> bool:
-        """Whether steps of different sizes commute: then compositions need fewer stages (`schemes.compose`)."""
+        """Whether steps of different sizes commute, so that compositions need fewer stages (`schemes.compose`)."""
         return False
 
     @property
     def prepares(self) -> bool:
-        """Whether `prepare` computes anything, which then holds for one step size."""
+        """Whether `prepare` computes anything; its result is valid for one step size."""
         return type(self).prepare is not Step.prepare
 
     @property
     def own_time(self) -> bool:
-        """Whether the step itself advances `state.t`, which must be there; then dt is a step of a fictitious time."""
+        """Whether the step itself advances `state.t`, which it then requires; dt is a step of a fictitious time."""
         return False
 
     @property
     def approximate(self) -> bool:
-        """Whether fewer iterations were asked for than convergence takes: a run reports the residual, and goes on."""
+        """Whether fewer iterations are set than convergence requires: a run reports the residual and continues."""
         return False
 
     @property
     def deterministic(self) -> Step | None:
-        """Of a step with noise, the step that is left without it and friction; None of all others."""
+        """For a step with noise, the same step without noise and friction; None for all others."""
         return None
 
     def start(self, state: State) -> State:
-        """`state` with what else the states of this step carry, as it is at the start of a run; here nothing."""
+        """`state` with the entries of `extra` that this step needs, as at the start of a run; by default none."""
         return state
 
     def prepare(self, state: State, dt: ArrayLike) -> Self:
-        """Solve once what is constant along the trajectory of `state`; here nothing."""
+        """The step with the constants of the trajectory of `state` computed in advance; by default the step itself."""
         return self
 
     @_in_one_type
     def tangent(self, state: State, dt: ArrayLike, T: ArrayLike) -> tuple[State, StepInfo, Array]:
-        """The step, and the tangent vectors that its derivative L carries along: (new state, report, LT).
+        """The step, and the images of tangent vectors under its derivative L: (new state, report, LT).
 
-        Time, work and extra are held fixed. By forward derivatives, unless the scheme has a closed form.
+        Time, work and extra are held fixed. L is a forward-mode derivative, unless the scheme has it in closed form.
 
         Args:
-            state, dt: as of a call of the step.
+            state, dt: as in a call of the step.
             T: tangent vectors at the state, columns of an array (2d, k), in the phase space's coordinates: (δθ, δπ)
                 on T*G, with δq = δθ q.
         """
@@ -166,7 +166,7 @@ class Step(abc.ABC):
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         """The message for a step that failed from `state`: what was given, what is allowed, what to do."""
-        return f"the step did not converge at dt = {dt}: take a smaller dt"
+        return f"the step did not converge at dt = {dt}: use a smaller dt"
 
     def check(self, state: State, dt: ArrayLike) -> None:
         """Raise ValueError if a concrete `state` or `dt` is out of range at this step; tracers pass."""
@@ -191,18 +191,18 @@ def _check_motion_defined(system: System, state: State) -> None:
         raise ValueError(
             f"the equations of motion of {type(system).__name__} have no finite value at this state: the time "
             f"derivative of {' and '.join(wrong)} is not finite. A potential, force or torque is singular or undefined "
-            "there, or a number is too large: begin elsewhere, or correct the function"
+            "there, or a number is too large: start from another state, or correct the function"
         )
 
 
 def checked_step(step: object) -> Step:
-    """`step`; ValueError if it is none, which says how to make one."""
+    """`step`; raises ValueError if it is not a step, with a message on how to define one."""
     if isinstance(step, Step):
         return step
     raise ValueError(
-        f"step must be a Step, such as schemes.so3_midpoint(system) makes, got {step!r}. To make one of your own: a "
-        "class that inherits li.Step, decorated with @li.pytree, with the fields system, order and symmetric "
-        "(li.static() for what is no array), a property name, and __call__(state, dt) -> (State, StepInfo)"
+        f"step must be a Step, such as schemes.so3_midpoint(system) returns, got {step!r}. A custom step is a class "
+        "that inherits li.Step, decorated with @li.pytree, with the fields system, order and symmetric (li.static() "
+        "for fields that are not arrays), a property name, and __call__(state, dt) -> (State, StepInfo)"
     )
 
 
@@ -210,12 +210,12 @@ def promoted(step: _T, state: State) -> tuple[_T, State, np.dtype]:
     """`step` and `state` with all their real numbers in one floating-point type, the widest among them, and that type.
 
     Raises:
-        ValueError: `state` is no State of real arrays, or a type is narrower than float32.
+        ValueError: `state` is not a State of real arrays, or a type is narrower than float32.
     """
     if not isinstance(state, State):
         raise ValueError(f"state must be a State(q, p), such as system.state(...) makes, got {type(state).__name__}")
     if state.work is not None and state.t is None:
-        raise ValueError("a state with work needs the time that the work began at: state._replace(t=0.0)")
+        raise ValueError("a state that counts work needs a time as well: state._replace(t=0.0)")
     if state.extra is not None and not isinstance(state.extra, dict):
         raise ValueError(f"state.extra must be a dict of arrays or None, got {type(state.extra).__name__}")
     given = {name: x for name, x in state._asdict().items() if name != "extra" and x is not None}
@@ -234,7 +234,7 @@ def promoted(step: _T, state: State) -> tuple[_T, State, np.dtype]:
 
 
 def start_time(step: Step, state: State) -> Time | None:
-    """The t₀ from which the times t₀ + nΔt of a run follow; None where there is none, or the step has its own time."""
+    """t₀ of the times t₀ + nΔt of a run; None if the state has no time, or the step advances the time itself."""
     return None if step.own_time else state.t
 
 

@@ -1,4 +1,4 @@
-"""What every Hamiltonian system offers."""
+"""The functions that every Hamiltonian system has."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lieint_jax.types.shapes import MomentumMap, Scalar
 
 
 class System(abc.ABC):
-    """A Hamiltonian system: what every scheme and every diagnostic may ask of it."""
+    """A Hamiltonian system: the functions that every scheme and every diagnostic may call."""
 
     @property
     @abc.abstractmethod
@@ -27,7 +27,7 @@ class System(abc.ABC):
 
     @abc.abstractmethod
     def momentum(self, state: State, /) -> MomentumMap:
-        """The momentum map of the symmetries that are known, (k,); (0,) if there are none."""
+        """The momentum map of the known symmetries, (k,); (0,) if there are none."""
 
     @abc.abstractmethod
     def vector_field(self, state: State, /) -> State:
@@ -39,12 +39,12 @@ class System(abc.ABC):
 
     @property
     def carried(self) -> dict[str, Array] | None:
-        """What the states of this system carry in `extra`, at rest; None if nothing."""
+        """The arrays that the states of this system have in `extra`, at rest; None if there are none."""
         return None
 
 
 def time_derivative(system: System, state: State) -> State:
-    """The time derivative of all that a state holds: t is time itself, and what the system does not move rests."""
+    """The time derivative of all fields of a state: 1 for t, and 0 for what the system does not move."""
     moving, rest = system.vector_field(state), jax.tree.map(jnp.zeros_like, state)
     moved = {name: x for name, x in moving._asdict().items() if x is not None and getattr(state, name) is not None}
     return rest._replace(**moved | ({} if state.t is None else {"t": jnp.ones_like(state.t)}))

@@ -1,4 +1,4 @@
-"""Laws of torque, and what a law is given in a step."""
+"""Laws of torque, and the rotation of one step from which a law computes its torque."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lieint_jax.types._pytree import callable_pytree, pytree, static
 
 
 class Rotation(NamedTuple):
-    """The rotation of a body in one step, as a law of torque is given it. With dt = 0 it is one instant.
+    """The rotation of a body in one step, the argument of a law of torque. With dt = 0 it is one instant.
 
     Attributes:
         start: the time t_n, ().
@@ -50,7 +50,7 @@ class Rotation(NamedTuple):
 
     @property
     def end(self) -> Array:
-        """The time t_{n+1}, rounded as the state's."""
+        """The time t_{n+1}, rounded as the time of the state."""
         return self.start + self.dt
 
     def velocity(self, frame: str) -> Array:
@@ -59,21 +59,21 @@ class Rotation(NamedTuple):
 
 
 class Law(abc.ABC):
-    """A law of torque. Laws add: `a + b`, also with plain functions of (t, q, Ω).
+    """A law of torque. Laws can be added, `a + b`, also to plain functions of (t, q, Ω).
 
     A subclass is decorated with `li.pytree` and defines `mean`. A law with an internal state, such as the momentum of a
     wheel, has a `key`, under which `State.extra` holds that state, and defines `start`; also `inner_rate` if that state
     has edges, such as a limit.
 
-    The step books the work of each law: W = Δt Ω̄·T̄ + E_{n+1} − E_n, with E its `energy`. So H − ΣW is conserved to
-    round-off, where H is the kinetic energy of the body with the energies of all laws.
+    The step accumulates the work of each law: W = Δt Ω̄·T̄ + E_{n+1} − E_n, with E its `energy`. So H − ΣW is conserved
+    to round-off, where H is the kinetic energy of the body plus the energies of all laws.
 
     Attributes:
         frame: the axes of the torque that `mean` returns, "body" or "space".
         key: the name of the internal state in `State.extra`, or None.
-        reads: the key of another law, whose internal state `mean` is given (its mean in the step), or None.
-        symmetric: whether a step of −Δt undoes one of Δt.
-        internal: whether it exchanges momentum with the internal state only, so that the total is conserved.
+        reads: the key of another law whose internal state, averaged over the step, is passed to `mean`; or None.
+        symmetric: whether a step of −Δt is the inverse of one of Δt.
+        internal: whether the law exchanges momentum with its internal state only, so that the total is conserved.
     """
 
     frame: str = "body"
@@ -96,12 +96,12 @@ class Law(abc.ABC):
         return jnp.zeros((), q.dtype)
 
     def work(self, rotation: Rotation, torque: Array, inner: Array | None, after: Array | None) -> Array:
-        """The work W of a step, (). By its definition; a law that has it in closed form returns that."""
+        """The work W of a step, (), by its definition; a law may override it by a closed form."""
         gained = self.energy(rotation.end, rotation.q_next, after) - self.energy(rotation.start, rotation.q_n, inner)
         return rotation.dt * jnp.dot(rotation.velocity(self.frame), torque) + gained
 
     def start(self, now: Rotation) -> Array | None:
-        """The internal state where a run begins, at one instant of the body; None if there is none."""
+        """The internal state at the start of a run, for the body at that instant; None if the law has none."""
         return None
 
     def inner_rate(self, now: Rotation, inner: Array) -> Array | None:
@@ -116,7 +116,7 @@ class Law(abc.ABC):
         return jnp.zeros_like(q[1:])
 
     def __call__(self, t: Array, q: Array, velocity: Array) -> Array:
-        """The torque at one instant, of a law without an internal state, (3,); velocity in the axes of `frame`."""
+        """The torque at one instant, (3,), if the law has no internal state; velocity in the axes of `frame`."""
         if (key := self.key or self.reads) is not None:
             raise ValueError(f'{type(self).__name__} depends on an internal state, State.extra["{key}"]')
         return self.mean(Rotation.at_instant(t, q, velocity, velocity), None)[0]
@@ -149,7 +149,7 @@ class Function(Law):
 
 @pytree
 class Total(Law):
-    """A sum of laws; its internal states are those of the laws, by their keys. Made by `torques.total` and by `+`."""
+    """A sum of laws, made by `torques.total` or `+`; its internal states are those of the laws, by their keys."""
 
     laws: tuple[Law, ...]
 
@@ -162,32 +162,32 @@ class Total(Law):
 
 
 def total(laws: Any) -> Total:
-    """The sum of laws of torque: the body is subject to all of them, and the work of each is booked.
+    """The sum of laws of torque: all of them act on the body, and the work of each is counted.
 
     Args:
         laws: laws of `lieint_jax.torques`, other `Law`s, or plain functions (t, q, Ω) ↦ torque in the body.
 
     Raises:
-        ValueError: two laws with one key, or something that is no law.
+        ValueError: two laws have the same key, or an argument is not a law.
     """
     flat = tuple(part for law in laws for part in parts(law))
     keys = [law.key for law in flat if law.key is not None]
     if twice := sorted({key for key in keys if keys.count(key) > 1}):
         raise ValueError(
-            f'two laws keep their internal state under the same key "{twice[0]}": give one of them another, with key=…'
+            f'two laws have the same key "{twice[0]}" for their internal states: give one of them another key=…'
         )
     return Total(flat)
 
 
 def labels(system: Any) -> list[str]:
-    """The labels of the laws of a system, with a number where several have the same; none if it has no laws."""
+    """The labels of the laws of a system, numbered where several are equal; an empty list if it has no laws."""
     names = [law.label for law in getattr(system, "laws", ())]
     counted = [names[: k + 1].count(name) for k, name in enumerate(names)]
     return [name if count == 1 else f"{name}_{count}" for name, count in zip(names, counted, strict=True)]
 
 
 def parts(law: Any) -> tuple[Law, ...]:
-    """The laws that a law adds up; a function is one."""
+    """The terms of a sum of laws; a single law or function is its only term."""
     if isinstance(law, Total):
         return law.laws
     return (as_law(law),)

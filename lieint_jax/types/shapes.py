@@ -1,10 +1,10 @@
-"""The shapes of arrays, as they stand in signatures: `Quaternion` is an array (4,), `Matrix3` an array (3, 3).
+"""The shapes of arrays in signatures: `Quaternion` is an array (4,), `Matrix3` an array (3, 3).
 
-They are those of one body and one instant. In a batch by `jax.vmap` the arrays inside have these shapes too. Equal
-letters are equal sizes: of a function of a `Poses` and a `Masses`, both have as many rows, N.
+They are the shapes for one body at one instant. Inside `jax.vmap` the arrays have these shapes too. Equal letters are
+equal sizes: the arguments `Poses` and `Masses` of one function have the same number of rows, N.
 
-A type checker sees the types of jaxtyping. The package does not import jaxtyping: at run time each name is an
-`typing.Annotated[Array, "Float", shape]`, from which the tests make the type of jaxtyping again and check every call.
+A type checker sees the types of jaxtyping. The package does not import jaxtyping: at run time each name is a
+`typing.Annotated[Array, "Float", shape]`, which the tests convert to the type of jaxtyping to check every call.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
 else:
 
     class _Shaped:
-        """As `jaxtyping.Float` or `Bool`: an array type and a shape, by square brackets."""
+        """Stands for `jaxtyping.Float` or `Bool`: an array type and a shape in square brackets."""
 
         def __class_getitem__(cls, item: tuple[type, str]) -> object:
             array, shape = item
             return Annotated[array, cls.__name__, shape]
 
     class Float(_Shaped):
-        """Of real numbers."""
+        """An array of real numbers."""
 
     class Bool(_Shaped):
-        """Of truth values."""
+        """An array of truth values."""
 
     PyTree = Any  # a tree whose leaves are arrays, such as the parameters of a fit
 

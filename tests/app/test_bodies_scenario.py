@@ -68,9 +68,9 @@ BAD = [
     (dict(scheme="gauss", order=3), "order of gauss is 16 or 2 or 4 or .*, got 3"),
     (
         dict(scheme="kepler_splitting", bodies=[body("A", 0.0), body("B", 1.0), body("C", 2.0)]),
-        "kepler_splitting is for two bodies, got 3; take nystrom",
+        "kepler_splitting is for two bodies, got 3; use nystrom",
     ),
-    (dict(scheme="kepler_splitting", potential=[SPRING]), "for bodies that attract each other; take nystrom"),
+    (dict(scheme="kepler_splitting", potential=[SPRING]), "for bodies that attract each other; use nystrom"),
 ]
 
 

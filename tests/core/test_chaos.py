@@ -245,7 +245,7 @@ BAD = [
     (dict(exponents=1, vectors=jnp.eye(6)), "not both"),
     (dict(batches=0), "batches must be an integer ≥ 1"),
     (dict(dt=3.0), "does not converge"),
-    (dict(step=schemes.reversible_control(REGULAR["free"][0], lambda _: 1.0)), "is of a fictitious one"),
+    (dict(step=schemes.reversible_control(REGULAR["free"][0], lambda _: 1.0)), "a step of a fictitious time"),
 ]
 
 

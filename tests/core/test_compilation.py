@@ -110,7 +110,7 @@ def test_the_first_example_of_the_readme_compiles_its_run_once(caplog):
     example = re.findall(r"```python\n(.*?)```", readme.read_text(encoding="utf-8"), re.S)[0]
     jax.clear_caches()
     first = programs(caplog, lambda: exec(example, {}))
-    assert first.count("_padded") == 1
+    assert first.count("_padded_trajectory") == 1
     assert not programs(caplog, lambda: exec(example, {}))
 
 
@@ -136,7 +136,7 @@ def test_a_folder_of_one_s_own(no_folder, monkeypatch, tmp_path):
     assert jax.config.jax_compilation_cache_dir.startswith(str(tmp_path))
 
 
-def test_0_turns_it_off(no_folder, monkeypatch):
+def test_lieint_cache_0_disables_the_cache(no_folder, monkeypatch):
     monkeypatch.setenv("LIEINT_CACHE", "0")
     keep_programs()
     assert jax.config.jax_compilation_cache_dir is None

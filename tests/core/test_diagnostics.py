@@ -93,7 +93,7 @@ def test_poisson_error_by_recursion_and_by_product_of_jacobians(name):
     assert worst < 4e-14 if step.kappa.name == "symplectic" else worst > 1e-3  # floor 9e-15
 
 
-def test_poisson_error_wants_a_known_method():
+def test_poisson_error_with_an_unknown_method_raises_an_error():
     step, state, dt = next(iter(GRID.values()))
     with pytest.raises(ValueError, match="recursion, product"):
         diagnostics.poisson_error(step, state, dt, 1, method="magic")

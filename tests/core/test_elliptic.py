@@ -59,7 +59,7 @@ def test_derivatives(m1):
         assert float(value) == pytest.approx(float(mpmath.re(up - down) / (2 * h)), abs=2e-15)
 
 
-def test_the_ends_are_elementary():
+def test_jacobi_functions_are_elementary_at_the_ends_of_the_parameter():
     u = jnp.linspace(-3, 3, 13)
     circle = elliptic.jacobi(u, jnp.ones_like(u))
     assert np.abs(np.array(circle) - np.array([np.sin(u), np.cos(u), np.ones(13)])).max() < 5e-16

@@ -109,7 +109,7 @@ def unusable(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("unusable")
 @pytest.mark.parametrize(("call", "sentence"), SENTENCES, ids=[sentence[:30] for _, sentence in SENTENCES])
-def test_what_is_wrong_is_said(call, sentence):
+def test_bad_arguments_raise_an_error_that_names_them(call, sentence):
     with pytest.raises(ValueError, match=sentence):
         call()
 
@@ -167,7 +167,7 @@ def test_a_step_of_ones_own_that_fails_has_a_message():
         def __call__(self, state, dt):
             return state, StepInfo(jnp.ones(()), jnp.zeros((), bool))
 
-    with pytest.raises(ValueError, match=r"the step did not converge at dt = 0.1: take a smaller dt"):
+    with pytest.raises(ValueError, match=r"the step did not converge at dt = 0.1: use a smaller dt"):
         Failing(BODY).check(STATE, 0.1)
 
 
@@ -251,7 +251,7 @@ def test_errors_of_the_system_are_one_short_line(monkeypatch, capsys):
         failing(jax.errors.JaxRuntimeError("INTERNAL: a mistake"))
 
 
-def test_who_is_waited_for_is_said(monkeypatch, capsys):
+def test_waiting_for_processes_prints_what_it_waits_for(monkeypatch, capsys):
     """Processes that do not connect, as where a stranger has the coordinator's port: after some seconds."""
     monkeypatch.setattr(cli, "_WAIT", 0.01)
 

@@ -294,7 +294,7 @@ def test_bad_bases_say_which_matrix_is_at_fault():
         groups.product(groups.so3, groups.affine(1))
 
 
-def test_bring_your_own_group():
+def test_custom_groups():
     """Complex matrices too: the unit quaternions from Pauli matrices are SU(2)."""
     x, y, z = np.array([[[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])
     own = groups.matrix([-0.5j * x, -0.5j * y, -0.5j * z])

@@ -28,7 +28,7 @@ def test_saves_every_kth_state_and_the_worst_of_the_steps_between():
         state, _ = step(state, 0.1)
 
 
-def test_a_loop_of_one_turn_is_none():
+def test_a_loop_of_one_iteration_is_unrolled():
     def loops(save_every):
         return str(jax.make_jaxpr(lambda z: li.integrate(STEP, z, 0.1, 8, save_every=save_every))(STATE)).count(
             " scan["

@@ -81,7 +81,7 @@ def test_scaled_cayley_is_the_map_it_is_scaled_to():
         )
 
 
-def test_user_kappas():
+def test_custom_kappas():
     assert maps.as_kappa(maps.kappa_cayley) is maps.kappa_cayley
     kappa = maps.as_kappa(lambda x: 1 + x)
     assert kappa(2.0) == 3

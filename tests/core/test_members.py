@@ -1,4 +1,4 @@
-"""Batches in which each member has a system of its own: measured with it, or refused where shapes do not tell."""
+"""Batches in which each member has a system of its own: measured with it, or refused where the shapes are ambiguous."""
 
 import functools
 
@@ -48,7 +48,7 @@ def test_each_member_is_measured_with_its_own_system(members, full, axis):
 def test_three_bodies_of_three_moments_look_like_one_full_tensor_and_are_asked_for():
     bodies, run, *_ = batch(3)
     for measure in (run.to_xarray, *(lambda s, f=f: f(s, run) for f in OFF.values())):
-        with pytest.raises(ValueError, match=r"shapes do not tell.*\(3, 3\).*system_axis=None.*system_axis=0"):
+        with pytest.raises(ValueError, match=r"shapes fit one system.*\(3, 3\).*system_axis=None.*system_axis=0"):
             measure(bodies)
     tensor = li.systems.rigid_body(np.diag([1.0, 2.0, 2.5]))
     shared = energy_error(tensor, run, system_axis=None)
@@ -67,7 +67,7 @@ def test_contradictions_and_what_is_not_an_axis_are_refused():
     bodies, run, *_ = batch(5)
     body, others = li.systems.rigid_body([1.0, 2.0, 2.5]), batch(9)[0]
     for system, axis, words in (
-        (bodies, None, r"each member has a system of its own.*\(5, 3\).*system_axis=0"),
+        (bodies, None, r"there is one system per member.*\(5, 3\).*system_axis=0"),
         (body, 0, r"system_axis=0 needs a system for each member.*got 5 members.*\(3,\).*system_axis=None"),
         (bodies, 1, r"system_axis must be None .*or \"auto\", got 1"),
         (others, "auto", r"shape \(3,\) or \(3, 3\), got \(9, 3\).*system_axis=0"),
@@ -99,12 +99,12 @@ def test_the_run_of_one_body_with_the_systems_of_all_is_refused():
 
 def test_interpolate_takes_one_member():
     bodies, run, *_ = batch(5)
-    with pytest.raises(ValueError, match="the trajectory is of 5 members, and interpolate takes one"):
+    with pytest.raises(ValueError, match="the trajectory is of 5 members, and interpolate accepts one"):
         li.interpolate(bodies, run, [1.0])
 
 
 @pytest.mark.parametrize("members", [3, 5])
-def test_an_ensemble_is_told_of_a_step_axis(members):
+def test_steps_with_a_member_axis_need_step_axis_0(members):
     bodies, run, *_ = batch(members)
     states = jax.tree.map(lambda x: x[0], run.state)
     steps = jax.vmap(li.schemes.so3_explicit)(bodies)
@@ -141,7 +141,7 @@ def test_what_the_message_about_vmap_advises_works():
 
 @pytest.mark.long
 @pytest.mark.parametrize("members", [2, 6])
-def test_metrics_of_members_are_told_from_a_full_one(members):
+def test_metrics_of_members_are_distinguished_from_a_full_metric(members):
     """On SO(4), d = 6: six metrics (6,) look like one full metric."""
     metrics = jnp.asarray(RNG.uniform(1.0, 2.0, (members, 6)))
     group = li.groups.special_orthogonal(4)
@@ -150,15 +150,15 @@ def test_metrics_of_members_are_told_from_a_full_one(members):
     run = Trajectory(np.zeros(1), jax.tree.map(lambda x: x[None], states), StepInfo(*np.zeros((2, 1, members))))
     expected = np.asarray(metrics) @ np.arange(6.0) ** 2 / 2
     if members == 6:
-        with pytest.raises(ValueError, match="shapes do not tell"):
+        with pytest.raises(ValueError, match="shapes fit one system"):
             run.to_xarray(systems)
     found = run.to_xarray(systems, system_axis="auto" if members == 2 else 0)
     np.testing.assert_allclose(found.energy[0], expected, rtol=1e-14)
 
 
 @pytest.mark.long
-def test_clusters_of_their_own():
-    """Three members of three bodies are told by the ranks of the leaves."""
+def test_clusters_with_one_system_per_member():
+    """Three members of three bodies are recognized by the ranks of the leaves."""
     for members, n in ((4, 2), (3, 3)):
         masses, inertias = RNG.uniform(1, 2, (members, n)), RNG.uniform(1, 1.5, (members, n, 3))
 

@@ -151,9 +151,9 @@ def test_two_bodies():
     [
         (STEPS["top, midpoint"][0], 6, "must be exact to order 6"),
         (STEPS["top"][0], 8, "order must be 4"),
-        (schemes.so3_midpoint(TOP.free), 4, "the modified energy is known of"),
+        (schemes.so3_midpoint(TOP.free), 4, "the modified energy is known for"),
     ],
 )
-def test_what_is_not_known_is_refused(step, order, message):
+def test_steps_and_orders_without_modified_energy_raise_errors(step, order, message):
     with pytest.raises(ValueError, match=message):
         diagnostics.modified_energy(step, State(START.q, START.p), 0.1, order)

@@ -104,7 +104,7 @@ def test_truth_values():
     check_against_jax(function, pairs([True, False], bool))
 
 
-def test_entries_move():
+def test_indexing_and_stacking_move_entries():
     def function(x):
         y = x[:, :2]
         return {
@@ -310,7 +310,7 @@ def test_loops_of_an_unknown_length():
     check_against_jax(function, (x, k), [np.int64(7)], rtol=1e-13)
 
 
-def test_branches():
+def test_branches_are_those_of_lax_cond():
     def function(x, k, flag, n, on):
         def sides(test):
             return lax.cond(test, lambda: (x[0] * 2, n, x > 0, 1.0, n), lambda: (x[1], 3, x < 9, n * 1.0, 4))

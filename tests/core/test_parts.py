@@ -540,7 +540,7 @@ def test_xarray_reads_it_lazily_by_its_url(proxy):
 @needs_moto
 @pytest.mark.long
 def test_requests_that_fail_are_repeated_and_nothing_is_lost_or_doubled(proxy, monkeypatch):
-    """Of requests, 30 % fail, in every way; each file that is there at the end was put as a whole."""
+    """Of requests, 30 % fail, in every way; each file that exists at the end was put as a whole."""
     monkeypatch.setattr(_storage, "_FIRST_DELAY", 0.002)
     monkeypatch.setattr(_storage, "_TIMEOUT", faults.LATE / 2)
     clean, faulty = "s3://bucket/clean/run.zarr", "s3://bucket/faulty/run.zarr"

@@ -97,7 +97,7 @@ def test_a_description_cannot_name_code_outside_the_package(name):
         make({"name": name}, {}, {})
 
 
-def test_a_constant_array_is_guarded_too(tmp_path):
+def test_a_damaged_constant_array_raises_an_error(tmp_path):
     path, _ = stored(tmp_path)
     [chunk] = (path / "system_inertia" / "c").rglob("0")
     chunk.write_bytes(chunk.read_bytes()[:-1] + b"\0")

@@ -42,7 +42,7 @@ def test_derivatives_of_any_order_are_the_same():
             assert second == pytest.approx(float(jax.jacfwd(jax.jacfwd(PLAIN))(1.3)), rel=1e-12)
 
 
-def test_a_root_is_not_sought_again():
+def test_a_saved_root_is_not_computed_again():
     def loops(way):
         return jax.jit(jax.grad(partial(run, body=lambda x: x, way=way))).lower(1.3).as_text().count("while(")
 

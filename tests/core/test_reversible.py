@@ -129,7 +129,7 @@ def test_functions_of_a_step_may_close_over_what_is_differentiated():
     assert abs(slopes[0]) > 1e-6
 
 
-def test_no_steps_have_the_derivative_of_no_steps():
+def test_a_run_of_zero_steps_has_the_derivative_of_the_identity():
     slopes = jax.grad(lambda q: li.reversible(STEP, State(q, STATE.p), 0.05, 0).state.q[-1, 1])(STATE.q)
     np.testing.assert_array_equal(slopes, [0, 1, 0, 0])
 
@@ -379,7 +379,7 @@ def test_round_trips_are_measured_and_lost_digits_draw_a_warning():
         slope(100, 0).block_until_ready()
 
 
-def test_errors_and_the_way_out():
+def test_errors_suggest_another_derivative():
     ball = GRID["pseudo_rigid_body.ball-additive[symplectic]"]
     lopsided = li.schemes.additive(ball[0].system, "symplectic", 0.3)
     with pytest.raises(ValueError, match=r"not symmetric.*checkpoint"):

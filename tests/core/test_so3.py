@@ -190,7 +190,7 @@ def test_cayley_increment_is_the_product(q, h):
     same(*_increment(q, h), 8 * EPS)
 
 
-def test_cayley_increment_mends_the_norm():
+def test_cayley_increment_corrects_the_norm():
     q = np.array([1.0, 2, -2, 4]) / 5 * (1 + 1e-9)
     assert abs(DEFECT(_increment(q, np.array([0.1, 0.2, 0.3]))[0])) < 4 * EPS
 

@@ -162,7 +162,7 @@ def test_covariance_and_ellipse():
 
 
 @pytest.mark.long
-def test_it_is_batched_and_keeps_its_type():
+def test_transition_can_be_vmapped_and_keeps_its_dtype():
     step, states = li.schemes.splitting(TOP), jax.tree.map(lambda x: jnp.stack([x, x]), SPINNING)
     states = states._replace(p=states.p * jnp.array([[1.0], [1.1]]))
     many = jax.jit(jax.vmap(lambda z: li.transition(step, z, DT, STEPS)))(states)

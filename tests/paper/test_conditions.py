@@ -34,11 +34,11 @@ CASES = {  # what makes a step, state, dt, and what is kept of energy and form
     "group_alpha": (lambda: schemes.group_alpha(FLOW, 0.3, maps.arcsine), MOVING, 0.2, False, False),
     "top": (lambda: schemes.top_energy_momentum(TOP), LEANING, 0.2, True, False),
     "top, symplectic κ": (lambda: schemes.top_energy_momentum(TOP, maps.kappa_symplectic), LEANING, 0.2, True, False),
-    "abelian, α = .3": (lambda: schemes.group_alpha(STAR, 0.3), HENON, 0.3, False, True),
+    "abelian, α = 0.3": (lambda: schemes.group_alpha(STAR, 0.3), HENON, 0.3, False, True),
     "abelian": (lambda: schemes.group_alpha(STAR), HENON, 0.3, False, True),
     "abelian, energy": (lambda: schemes.group_energy_momentum(STAR), HENON, 0.3, True, False),
     "elastic": (lambda: schemes.additive(BALL, "symplectic"), SPUN, 0.02, False, True),
-    "elastic, α = .3": (lambda: schemes.additive(BALL, "symplectic", 0.3), SPUN, 0.02, False, True),
+    "elastic, α = 0.3": (lambda: schemes.additive(BALL, "symplectic", 0.3), SPUN, 0.02, False, True),
     "elastic, energy": (lambda: schemes.additive(BALL, "average"), SPUN, 0.02, True, False),
 }
 QUICK = ("cayley",)

@@ -569,7 +569,7 @@ def attacked(name, dtype):
 @pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
 @pytest.mark.parametrize("name", ATTACKS)
-def test_what_is_wrong_is_flagged(name, dtype):
+def test_wrong_results_are_flagged(name, dtype):
     tried, converged, wrong = attacked(name, dtype)
     assert all(which.size == 0 for which in wrong.values()), wrong
     assert tried / 8 < converged < tried

@@ -300,7 +300,7 @@ def test_bad_input():
     bodies = systems.rigid_bodies(m, J, V)
     for options, message in [
         (dict(positions=x[:1]), r"positions must have shape \(2, 3\)"),
-        (dict(positions=0 * x), "bodies 0 and 1 are at one place"),
+        (dict(positions=0 * x), "bodies 0 and 1 are at the same position"),
         (dict(positions=x, attitudes=np.ones((2, 4))), "the attitude of body 0 must be a unit quaternion"),
         (dict(positions=x, attitudes=np.ones((2, 5))), "attitudes must have shape"),
         (dict(positions=x, velocities=x * np.nan), "velocities must be finite"),
@@ -320,9 +320,7 @@ def test_bad_input():
             systems.rigid_bodies(m, J, potential)
     with pytest.raises(ValueError, match="the potential must be finite at the start"):
         systems.rigid_bodies(m, J, lambda x, R: jnp.log(-x[1, 0])).state(x)
-    with pytest.warns(
-        RuntimeWarning, match=r"3 apart and 1\.5e\+08 from the origin: their distance is held to \d\.\d digits"
-    ):
+    with pytest.warns(RuntimeWarning, match=r"3 apart and 1\.5e\+08 from the origin: their distance has \d\.\d digits"):
         bodies.state(x + 1.5e8)
     with pytest.raises(ValueError, match="bodies_energy_momentum integrates bodies that act on one another"):
         schemes.bodies_energy_momentum(systems.rigid_body([1.0, 2.0, 3.0]))
@@ -467,7 +465,7 @@ def test_kepler_s_flow_on_every_conic(speed):
     np.testing.assert_allclose(slope, v + faster, rtol=0, atol=3e-14)
 
 
-def test_what_the_splittings_of_high_order_refuse():
+def test_bad_arguments_of_nystrom_and_kepler_splitting_raise_errors():
     body = systems.rigid_body([1.0, 2.0, 3.0])
     without_G = systems.rigid_bodies(BINARY.masses, BINARY.inertias, lambda x, R: 0.0 * x[0, 0])
     for make, message in [

@@ -171,7 +171,7 @@ once = jax.jit(lambda step, state, dt: step(state, dt))
 
 
 @pytest.mark.long
-def test_what_it_was_not_prepared_for_is_told():
+def test_a_step_prepared_for_another_run_does_not_converge():
     body = RigidBody(J123)
     state = with_momentum([0.3, 0.4, 0.5])
     step = prepared(calibrated(body), state, 0.5)

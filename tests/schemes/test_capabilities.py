@@ -91,15 +91,15 @@ def test_systems_with_a_potential_are_no_geodesic_flows_and_the_other_way_round(
     plane, metric = li.groups.special_euclidean(2), [2.0, 1.0, 1.0]
     flow = li.systems.euler(plane, metric)
     weight = li.systems.group_potential(plane, metric, lambda q: q[1, 2])
-    with pytest.raises(ValueError, match="GroupPotential; with a potential take group_energy_momentum"):
+    with pytest.raises(ValueError, match="GroupPotential; with a potential use group_energy_momentum"):
         schemes.group_midpoint(weight)
-    with pytest.raises(ValueError, match="Euler; without a potential take group_midpoint"):
+    with pytest.raises(ValueError, match="Euler; without a potential use group_midpoint"):
         schemes.group_energy_momentum(flow)
     with pytest.raises(ValueError, match=r"splitting integrates systems with a potential .*got Euler"):
         schemes.splitting(flow)
     with pytest.raises(ValueError, match=r"so3_midpoint integrates free rigid bodies .*got PotentialTop"):
         schemes.so3_midpoint(TOP)
-    with pytest.raises(ValueError, match="without an axis; take splitting"):
+    with pytest.raises(ValueError, match="without an axis; use splitting"):
         schemes.top_energy_momentum(li.systems.potential_top(J, lambda R: R[0, 0], None))
 
 
@@ -125,7 +125,7 @@ def with_other_moments(system):
 
 def compares_all(monkeypatch):
     """From here on the motion of the package's own systems is compared too."""
-    monkeypatch.setattr(accepts, "_tested", lambda _: False)
+    monkeypatch.setattr(accepts, "_is_tested", lambda _: False)
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,7 @@ def test_tracers_pass():
         jax.jit(lambda dt: schemes.so3_midpoint(gyrostat)(BODY.state(spatial_momentum=J), dt))(0.1)
 
 
-def test_extreme_bodies_are_taken():
+def test_extreme_bodies_are_accepted():
     """Rounding is no other motion: rods, full tensors of ratio 1e10, large and small units, float32."""
     turn = li.groups.so3.to_matrix(li.groups.so3.exp(jnp.array([0.3, 0.2, 0.5])))
     for moments in ([1e-10, 1.0, 1.0], [1e-12, 1e-12, 1.9e-12], [1e20, 2e20, 2.5e20], [1.0, 1.0, 1.0]):
@@ -276,7 +276,7 @@ class NotAPytree:
 
 
 @pytest.mark.parametrize("thing", [NotAPytree(), lambda state, dt: (state, None), "so3_midpoint", BODY])
-def test_what_is_no_step_is_told_how_to_become_one(thing):
+def test_objects_that_are_no_steps_raise_an_error_on_how_to_define_one(thing):
     state = BODY.state(angular_velocity=[0.2, 0.0, 1.0])
     for call in (
         lambda: li.integrate(thing, state, 0.1, 10),

@@ -11,7 +11,7 @@ import lieint_jax as li
 from lieint_jax import _discover, diagnostics, schemes, systems
 from lieint_jax._numerics import collocation
 from lieint_jax.diagnostics._order import distance, flow
-from lieint_jax.schemes._extrapolate import _extrapolated, _fractions, weights
+from lieint_jax.schemes._extrapolate import _extrapolation, _fractions, weights
 from lieint_jax.schemes.charts import body_axes
 from lieint_jax.schemes.charts.canonical import canonical_chart
 from lieint_jax.systems._heavy_top import asymmetric
@@ -234,7 +234,7 @@ def test_too_few_sweeps_and_too_long_steps_are_flagged():
     with pytest.warns(RuntimeWarning, match="1 of 1 members did not converge at every step"):
         li.ensemble.run(step, jax.tree.map(lambda x: x[None], STATE), 0.25, 2, progress=False)
     assert not jax.jit(STEP)(STATE, 30.0)[1].converged
-    with pytest.raises(ValueError, match=r"its sweeps diverge.* Take a smaller dt"):
+    with pytest.raises(ValueError, match=r"its sweeps diverge.* Use a smaller dt"):
         li.integrate(STEP, STATE, 30.0, 1)
 
 
@@ -255,7 +255,7 @@ def test_units_change_nothing(size):
     np.testing.assert_allclose(other.p / size, end.p, rtol=0, atol=1e-15)
 
 
-def test_what_gauss_and_extrapolate_refuse():
+def test_bad_arguments_of_gauss_and_extrapolate_raise_errors():
     for make, message in [
         (
             lambda: schemes.gauss(systems.pendulum(1.0, 1.0)),
@@ -290,7 +290,7 @@ def test_extrapolation_samples_the_time_of_each_sub_step():
 
     def end(t0, dt):
         moments = t0 + dt * jnp.asarray(_fractions(numbers))
-        return _extrapolated(lambda u, t: u * jnp.cos(t), moments, jnp.ones(()), dt, numbers, True)[0]
+        return _extrapolation(lambda u, t: u * jnp.cos(t), moments, jnp.ones(()), dt, numbers, True)[0]
 
     expected = np.expm1(np.sin(0.6) - np.sin(0.3))
     assert float(jax.jit(end)(0.3, 0.3)) == pytest.approx(expected, rel=1e-14)

@@ -153,7 +153,7 @@ def test_it_is_the_limit_of_bodies_that_resist_a_change_of_volume():
 
 
 @pytest.mark.long
-def test_what_it_keeps_by_the_certificate():
+def test_the_certificate_shows_energy_momentum_and_volume_conserved():
     found = li.diagnostics.certify(STEP, STATE, DT, 500)
     assert found.converged
     assert max(found.energy, found.momentum, found.constraint) < 2e-14  # floors 6e-15, 3e-15, 4e-16
@@ -181,7 +181,7 @@ def test_the_derivative_by_dt():
     np.testing.assert_allclose(slope, (ends[1] - ends[0]) / 2e-5, rtol=0, atol=1e-8)
 
 
-def test_what_is_refused():
+def test_bad_arguments_of_incompressible_bodies_raise_errors():
     with pytest.raises(ValueError, match=r"det deformation must be 1 to 1e-06, got 8; divide"):
         BODY.state(2 * np.eye(3), angular_velocity=[0, 0, 1.0])
     with pytest.raises(ValueError, match=r"incompressible_body with the rule 'incompressible'.* got .* with 'average'"):

@@ -161,7 +161,7 @@ def _from_exact(order, J, Omega):
     return so3.angle(end.q, li.schemes.exact(body)(start, 1.0)[0].q), info.converged
 
 
-def test_the_literature_s_number():
+def test_the_canonical_defect_is_that_of_the_literature():
     """4.2e-7 at Δt = 0.1, order 4, is the size of the canonical defect."""
     body = BODIES["principal"]
     defect = jax.jit(diagnostics.symplectic_defect)(preprocessed(body, 4), moving(body.inertia), 0.1)

@@ -85,7 +85,7 @@ def test_one_half_is_so3_midpoint(kappa):
 @pytest.mark.paper("2.2: (2.23), (2.24), Result 2", "α = ½ alone stays on SO(3)", "schemes/_so3_alpha.py")
 @pytest.mark.long
 @pytest.mark.parametrize("alpha", [0.3, 0.5, 0.0, 0.9])
-def test_what_the_family_keeps_and_what_it_loses(alpha):
+def test_the_alpha_family_conserves_energy_but_leaves_the_group(alpha):
     """Order, the group and the length of Π tell α = ½ from the others; energy and momentum do not."""
     step = li.schemes.so3_alpha(BODY, alpha)
     found = li.diagnostics.certify(step, STATE, 0.05, 40)
@@ -176,7 +176,7 @@ def test_alpha_out_of_range_is_refused(alpha):
 
 def test_other_systems_and_states_are_refused():
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
-    with pytest.raises(ValueError, match=r"systems.embedded_body.*got RigidBody.*take so3_midpoint"):
+    with pytest.raises(ValueError, match=r"systems.embedded_body.*got RigidBody.*use so3_midpoint"):
         li.schemes.so3_alpha(body)
     with pytest.raises(ValueError, match=r"shape \(3, 3\)"):
         li.integrate(li.schemes.so3_alpha(BODY), body.state(angular_velocity=[0, 0, 1.0]), 0.1, 1)

@@ -79,7 +79,7 @@ def test_an_ensemble_prepares_every_member_and_every_inertia():
     assert np.abs(np.asarray(found.state.q) - expected.state.q).max() < 1e-13
 
 
-def test_what_it_was_not_prepared_for_is_told():
+def test_a_step_prepared_for_another_run_does_not_converge():
     body = RigidBody(INERTIAS["principal"])
     state = moving(body.inertia)
     step = so3_explicit(body).prepare(state, 0.4)

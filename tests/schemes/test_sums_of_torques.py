@@ -127,7 +127,7 @@ def test_nine_laws_balance_over_ten_thousand_steps():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*LAWS, *MORE])
-def test_each_law_alone_balances(name):
+def test_energy_less_work_of_each_law_is_conserved(name):
     _, error, _ = balance((LAWS | MORE)[name], 1000)
     assert error < 1e-13  # observed: 3e-14 for the gravity gradient, 1e-15 to 1e-14 for the others
 
@@ -328,7 +328,7 @@ def test_gradients_through_a_sum_are_those_of_differences():
 
 
 REFUSED = {
-    "twice": (lambda: LAWS["kane_damper"] + torques.kane_damper(0.1, 0.1), "the same key .damper.: give one of them"),
+    "twice": (lambda: LAWS["kane_damper"] + torques.kane_damper(0.1, 0.1), "the same key .damper. .* give one of them"),
     "no law": (lambda: torques.total([3.0]), "torque must be a function of"),
     "axes": (lambda: torques.wheels([[1.0, 1.0, 0]], 0.1), "axes must be unit vectors"),
     "axes' shape": (lambda: torques.wheels([1.0, 0, 0], 0.1), r"axes must have shape \(m, 3\)"),

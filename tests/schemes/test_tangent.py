@@ -71,7 +71,7 @@ def test_every_step_carries_tangent_vectors(step, state, dt):
     check(step, jax.tree.map(jnp.asarray, state), dt)
 
 
-def test_it_is_batched_and_keeps_its_type():
+def test_tangent_can_be_vmapped_and_keeps_its_dtype():
     """One tangent vector of each member, in single precision."""
     step, state = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (schemes.so3_midpoint(BODY), STATE))
     states = jax.tree.map(lambda x: jnp.stack([x, x]), state)

@@ -230,7 +230,7 @@ def test_compositions_raise_the_order_and_keep_what_the_base_keeps():
 
 
 @pytest.mark.long
-def test_a_drift_of_ones_own():
+def test_a_custom_drift():
     """With the exact drift a fast top in a weak field has a smaller error; and no step is too long."""
     top = li.systems.heavy_top([1.0, 2.0, 3.0], [0.0, 0.0, 1e-3])
     state = start(top)
@@ -398,7 +398,7 @@ def test_bad_arguments():
         li.systems.potential_top([1.0, 2.0, 3.0], lambda R: R[0] @ jnp.ones(4), None)
     with pytest.raises(ValueError, match="weight"):
         li.systems.heavy_top([1.0, 2.0, 3.0], [1.0, 2.0])
-    with pytest.raises(ValueError, match="without an axis; take splitting"):
+    with pytest.raises(ValueError, match="without an axis; use splitting"):
         top_energy_momentum(three_wells()[0])
     with pytest.raises(ValueError, match="potential with an axis"):
         top_energy_momentum(li.systems.rigid_body([1.0, 2.0, 3.0]))  # pyright: ignore[reportArgumentType]

@@ -731,7 +731,7 @@ def test_states_that_lack_something_are_refused_in_a_sentence():
     start = moving(FULL)._replace(t=jnp.array(0.0), work=jnp.array(0.0))
     with_damper = start._replace(extra={"damper": jnp.zeros(3)})
     for step, state, message in (
-        (viscous, start._replace(t=None), r"with work needs the time .*state\._replace\(t=0.0\)"),
+        (viscous, start._replace(t=None), r"that counts work needs a time .*state\._replace\(t=0.0\)"),
         (viscous, start._replace(t=None, work=None), r"needs the time: make it with system\.state\(\.\.\., t=0.0\)"),
         (viscous, start._replace(t=jnp.array(np.nan)), r"state\.t must be finite"),
         (viscous, start._replace(work=jnp.array(np.inf)), r"state\.work must be finite"),
@@ -778,7 +778,7 @@ def test_other_schemes_refuse_a_torque_and_friction_and_name_the_scheme_that_tak
     make = functools.partial(make, order=4) if name in ("nystrom", "preprocessed") else make
     make = functools.partial(make, temperature=1.0, friction=1.0) if name == "langevin" else make
     for body in (BODIES["viscous"], BODIES["internal friction"]):
-        with pytest.raises(ValueError, match=f"{name} integrates .* got {type(body).__name__}; take torqued_midpoint$"):
+        with pytest.raises(ValueError, match=f"{name} integrates .* got {type(body).__name__}; use torqued_midpoint$"):
             make(body)
 
 

@@ -325,7 +325,7 @@ def test_the_local_error_of_an_exact_step_is_of_fifth_order_and_dt_is_that_of_ti
 # What is no such step ------------------------------------------------------------------------------------------------
 
 
-def test_what_has_no_meaning_is_refused():
+def test_given_times_raise_an_error_for_steps_with_their_own_time():
     state = CONTROLLED.start(START)
     for wrong in (dict(times=[0.0, 0.1, 0.2]), dict(dt=0.1, num_steps=2, save_at=[0.1])):
         with pytest.raises(ValueError, match=r"cannot be given to .*li\.event"):
@@ -334,7 +334,7 @@ def test_what_has_no_meaning_is_refused():
         diagnostics.conditions(CONTROLLED, state, 0.1)
     with pytest.raises(ValueError, match=r"times cannot be given"):
         li.observe(CONTROLLED, state, 0.1, [0.2])
-    with pytest.raises(ValueError, match=r"which this state lacks: take step\.start"):
+    with pytest.raises(ValueError, match=r"which this state lacks: use step\.start"):
         LOG(START, 0.1)
     with pytest.raises(ValueError, match="step density"):
         CONTROLLED(START._replace(t=0.0), 0.1)
@@ -365,7 +365,7 @@ def test_what_has_no_constant_energy_or_no_exact_drift_is_refused():
     for system, message in (
         (driven, "depends on time"),
         (systems.gyrostat(J, [0.1, 0.0, 0.0]), "rigid bodies in a potential"),
-        (systems.torqued_body(J, lambda t, q, w: -w), "take torqued_midpoint"),
+        (systems.torqued_body(J, lambda t, q, w: -w), "use torqued_midpoint"),
         (systems.rigid_body(J), "got RigidBody"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -40,12 +40,12 @@ def test_a_step_back_gives_back_what_a_step_lost():
     np.testing.assert_allclose(back.p, START.p, rtol=0, atol=5e-16)
 
 
-def test_what_is_not_possible_is_refused_with_a_sentence():
+def test_bad_arguments_of_viscous_bodies_raise_errors():
     with pytest.raises(ValueError, match="viscosity must be ≥ 0"):
         systems.pseudo_rigid_body([2.0, 2.0, 2.0], MATERIAL, -1.0)
     with pytest.raises(ValueError, match="the rule 'average'"):
         schemes.additive(BODY, "symplectic")
-    with pytest.raises(ValueError, match="take additive"):
+    with pytest.raises(ValueError, match="use additive"):
         schemes.gauss(BODY)
 
 

@@ -197,9 +197,9 @@ def test_arguments():
         li.systems.group_potential(g, [1.0, 1, 1], lambda q: q)
     with pytest.raises(ValueError, match="symmetry must have shape"):
         li.systems.group_potential(g, [1.0, 1, 1], jnp.sum, [1.0, 2.0])
-    with pytest.raises(ValueError, match="take group_midpoint"):
+    with pytest.raises(ValueError, match="use group_midpoint"):
         li.schemes.group_energy_momentum(li.systems.euler(g, [1.0, 1, 1]))
-    with pytest.raises(ValueError, match="take group_energy_momentum"):
+    with pytest.raises(ValueError, match="use group_energy_momentum"):
         li.schemes.group_midpoint(li.systems.group_potential(g, [1.0, 1, 1], jnp.sum))
     step = li.schemes.group_energy_momentum(li.systems.group_potential(g, [1.0, 1, 1], jnp.sum))
-    assert "does not converge at dt = 9.0: take a smaller dt, or more iterations than 6" in step.advice(None, 9.0)
+    assert "does not converge at dt = 9.0: use a smaller dt, or more iterations than 6" in step.advice(None, 9.0)

@@ -139,7 +139,7 @@ def test_refuted_no_kappa_is_symplectic_for_a_gyrostat(kappa):
 
 
 @pytest.mark.long
-def test_turn_exact_turn_is_symplectic():
+def test_rotation_exact_rotation_is_symplectic():
     found = np.asarray(defects(schemes.splitting(GYROSTAT), STATE, DTS, ROTORS * 3))
     assert found.max() < 8e-15  # floor 3e-15
 
@@ -284,7 +284,7 @@ def test_a_slow_wheel_turns_the_satellite_about_its_momentum():
 
 
 @pytest.mark.long
-def test_work_that_nobody_counts_is_not_counted():
+def test_work_is_None_unless_the_state_tracks_it():
     end, _ = after(schemes.so3_midpoint(DRIVEN), START._replace(work=None), 0.1, 3)
     assert end.work is None
     more = START._replace(extra=START.extra | {"note": jnp.ones(2)})
@@ -543,14 +543,14 @@ OTHERS = {
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_other_schemes_refuse_a_gyrostat_and_name_those_that_take_it(name):
-    with pytest.raises(ValueError, match=f"{name} integrates .* got Gyrostat; take so3_midpoint or splitting"):
+    with pytest.raises(ValueError, match=f"{name} integrates .* got Gyrostat; use so3_midpoint or splitting"):
         OTHERS[name](GYROSTAT)
-    with pytest.raises(ValueError, match=f"{name} integrates .* got DrivenGyrostat; take so3_midpoint$"):
+    with pytest.raises(ValueError, match=f"{name} integrates .* got DrivenGyrostat; use so3_midpoint$"):
         OTHERS[name](DRIVEN)
 
 
 def test_splitting_refuses_a_driven_gyrostat():
-    with pytest.raises(ValueError, match="got DrivenGyrostat; take so3_midpoint"):
+    with pytest.raises(ValueError, match="got DrivenGyrostat; use so3_midpoint"):
         schemes.splitting(DRIVEN)
 
 

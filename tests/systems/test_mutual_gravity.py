@@ -201,7 +201,7 @@ def test_bad_arguments():
         ([1.0, 2.0], 5, "order must be 2, 3 or 4, got 5"),
         ([1.0], 2, "two or more shapes or masses"),
         ([1.0, -2.0], 2, r"mass of shapes\[1\] must be positive"),
-        ([1.0, "stone"], 2, r"shapes\[1\], if it is no shape"),
+        ([1.0, "stone"], 2, r"shapes\[1\], if it is not a shape"),
     ):
         with pytest.raises(ValueError, match=sentence):
             potentials.mutual_gravity(1.0, shape_list, order)

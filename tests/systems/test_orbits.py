@@ -84,7 +84,7 @@ def test_derivatives_in_every_element_and_in_time(e, a):
 
 
 @pytest.mark.parametrize(("e", "a"), [(0.3, 2.0), (1.4, -2.0)])
-def test_it_falls_towards_the_center(e, a):
+def test_the_acceleration_of_an_orbit_is_that_of_gravity(e, a):
     """By autodiff: the velocity is ẋ, and ẍ = −μx/r³."""
     orbit = orbits.kepler(3.0, a, e, 0.4, node=1.0, periapsis=2.0, periapsis_time=0.5)
     (x, v), (x_dot, v_dot) = jax.jit(lambda t: jax.jvp(orbit, (t,), (1.0,)))(1.7)

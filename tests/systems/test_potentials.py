@@ -174,8 +174,8 @@ def test_an_ellipsoid_far_away_is_maccullagh_s():
     assert np.log2(differences[0] / differences[1]) == pytest.approx(5, abs=0.05)
 
 
-def test_what_an_outer_field_leaves_conserved():
-    """P across a uniform field and L about it; of two fields P across both; of a central one what it is told."""
+def test_symmetries_of_outer_fields():
+    """P across a uniform field and L about it; of two fields P across both; of a central one what is declared."""
     z, x = (potentials.uniform_field(g, np.ones(6)) for g in ([0.0, 0, -2], [1.0, 0, 0]))
     np.testing.assert_allclose(np.diag(z.symmetry), [1, 1, 0, 0, 0, 1], rtol=0, atol=1e-15)
     np.testing.assert_allclose((z + KINDS["masses"][0]).symmetry, z.symmetry)
@@ -350,10 +350,10 @@ def test_bad_input():
         (lambda: potentials.point_masses(1.0, [1.0, -1.0]), "masses must be ≥ 0"),
         (lambda: potentials.point_masses(1.0, 1.0), "masses must have an entry for each body"),
         (lambda: potentials.point_masses(1.0, [1.0, 1.0], softening=-1.0), "softening must be a length ≥ 0"),
-        (lambda: potentials.point_masses(1.0, NUMBERS, UNEVEN[:5]), "masses and points must be of as many bodies"),
+        (lambda: potentials.point_masses(1.0, NUMBERS, UNEVEN[:5]), "masses and points must have the same number"),
         (lambda: potentials.lennard_jones([1.0, 1.0], [0.0, 1.0]), "sizes must be > 0"),
         (lambda: potentials.sites(np.zeros((2, 3)), [1.0], [1.0], [1.0]), r"points must have shape \(N, n, 3\)"),
-        (lambda: potentials.sites(np.zeros((2, 1, 3)), [0.0], [0.0], [1.0]), "nothing acts between the bodies"),
+        (lambda: potentials.sites(np.zeros((2, 1, 3)), [0.0], [0.0], [1.0]), "there is no force"),
         (lambda: potentials.springs([[0, 0]], np.zeros((1, 2, 3)), 1.0), "a spring must join two bodies"),
         (lambda: potentials.springs([[0, 1]], np.zeros((1, 2, 3)), -1.0), "stiffness must be ≥ 0"),
         (lambda: potentials.springs([0, 1], np.zeros((1, 2, 3)), 1.0), "bodies must be pairs"),
@@ -363,10 +363,10 @@ def test_bad_input():
         (lambda: potentials.outer_field(jnp.sum, [1.0], conserved=[1.0]), "conserved must be rows"),
         (lambda: potentials.ellipsoid_sphere(1.0, [1.0, 1.0], [1.0, 0.0, 1.0]), "semi_axes must be positive"),
         (lambda: potentials.water("SPC"), "model must be one of 'TIP4P', 'TIP4P/2005', got 'SPC'"),
-        (lambda: (potentials.maccullagh(1.0, [1.0], [[1.0, 1, 1]]) + FIELD).count, "as many bodies each"),
+        (lambda: (potentials.maccullagh(1.0, [1.0], [[1.0, 1, 1]]) + FIELD).count, "the same number of bodies"),
         (
             lambda: systems.rigid_bodies([1.0, 1.0], np.ones((2, 3)), KINDS["masses"][0]),
-            "the potential is one of 6 bodies, but there are 2 masses",
+            "the potential is for 6 bodies, but there are 2 masses",
         ),
     ]:
         with pytest.raises(ValueError, match=message):

@@ -143,7 +143,7 @@ def test_derivatives_and_batches():
     )
 
 
-def test_what_is_refused():
+def test_bad_arguments_of_euler_raise_errors():
     system, state = made("SO(3)")
     with pytest.raises(ValueError, match=r"invariance must be 'left' or 'right', got 'both'"):
         li.systems.euler(groups.so3, [1.0, 2.0, 3.0], "both")

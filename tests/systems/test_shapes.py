@@ -189,7 +189,7 @@ def test_sums_and_moves():
     assert_same(aligned, shapes.sites(masses, (points @ R.T - (moved.center - jnp.array([1.0, 2, 3]))) @ axes), 1e-13)
 
 
-def test_files(tmp_path):
+def test_obj_files_are_read(tmp_path):
     """Polygons, negative indices, texture and normal indices, a seam of vertices that are written twice."""
     path = tmp_path / "cube.obj"
     lines = [f"v {x} {y} {z} 0.5 0.5 0.5" for x, y, z in CUBE]
@@ -211,7 +211,7 @@ def test_single_precision_stays_single_and_has_its_digits():
     assert_same(single, double, 2e-6)  # observed 4e-7
 
 
-def test_what_accepts_a_shape():
+def test_systems_and_potentials_accept_a_shape():
     at, faces = hull(7)
     shape = shapes.mesh(at, faces, mass=2.0)
     body = li.systems.rigid_body(shape)

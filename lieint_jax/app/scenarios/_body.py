@@ -69,7 +69,7 @@ class BodyScenario(Common):
         return value
 
     def spreads(self) -> dict[str, tuple[float, str]]:
-        return {"attitude": (self.spread.attitude_deg, "°"), "angular velocity": self.spread.given(self.time_unit)}
+        return {"attitude": (self.spread.attitude_deg, "°"), "angular velocity": self.spread.with_unit(self.time_unit)}
 
 
 class TopScenario(BodyScenario):

@@ -161,7 +161,7 @@ class RateSpread(Table):
         """Radians per time_unit."""
         return self.angular_velocity_rad + float(np.deg2rad(self.angular_velocity_deg))
 
-    def given(self, time_unit: str) -> tuple[float, str]:
+    def with_unit(self, time_unit: str) -> tuple[float, str]:
         """The standard deviation as the file gives it, with its unit."""
         if self.angular_velocity_deg:
             return self.angular_velocity_deg, f"°/{time_unit}"

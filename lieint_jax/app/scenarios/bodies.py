@@ -211,9 +211,9 @@ class Scenario(Common):
         check_order(self.scheme, self.order, ORDERS[self.scheme])
         if self.scheme == "kepler_splitting":
             if len(self.bodies) != 2:
-                raise ValueError(f"kepler_splitting is for two bodies, got {len(self.bodies)}; take nystrom")
+                raise ValueError(f"kepler_splitting is for two bodies, got {len(self.bodies)}; use nystrom")
             if self.attraction() is None:
-                raise ValueError("kepler_splitting is for bodies that attract each other; take nystrom")
+                raise ValueError("kepler_splitting is for bodies that attract each other; use nystrom")
         return self
 
     def names(self) -> list[str]:

@@ -61,20 +61,22 @@ def facts(scenario: Scenario, before: Outcome) -> list[Quantity]:
     date, a = scenario.orbit.date(0), scenario.orbit.elements()[1]
     far, light = float(np.sqrt(-scenario.orbit.gm_km3_s2 / a)), 1 / (1 / before.precession - 1 / before.rotation)
 
-    def known(name: str, values: np.ndarray | float, key: str = "") -> Quantity:
+    def quantity(name: str, values: np.ndarray | float, key: str = "") -> Quantity:
         given = [k for k in scenario.published if k.quantity == key]
         published = [Published(value=k.value, error=k.error, source=k.source) for k in given]
         return Quantity(name, np.atleast_1d(values), published=published)
 
     return [
-        known("distance at the perigee (km)", float(np.linalg.norm(position)), "perigee_distance_km"),
-        known("speed at the perigee (km/s)", float(np.linalg.norm(velocity)) / HOUR),
-        known("speed far away (km/s)", far),
-        known("time of the perigee (h, UTC)", date.hour + date.minute / 60 + date.second / HOUR, "perigee_time_utc_h"),
-        known("precession period P_φ (h)", before.precession, "precession_period_h"),
-        known("rotation period P_ψ (h)", before.rotation, "rotation_period_h"),
-        known("1/(1/P_φ − 1/P_ψ), strongest in light curves (h)", light, "lightcurve_period_h"),
-        known("energy over the least at this |L|", before.excitation, "energy_ratio"),
+        quantity("distance at the perigee (km)", float(np.linalg.norm(position)), "perigee_distance_km"),
+        quantity("speed at the perigee (km/s)", float(np.linalg.norm(velocity)) / HOUR),
+        quantity("speed far away (km/s)", far),
+        quantity(
+            "time of the perigee (h, UTC)", date.hour + date.minute / 60 + date.second / HOUR, "perigee_time_utc_h"
+        ),
+        quantity("precession period P_φ (h)", before.precession, "precession_period_h"),
+        quantity("rotation period P_ψ (h)", before.rotation, "rotation_period_h"),
+        quantity("1/(1/P_φ − 1/P_ψ), strongest in light curves (h)", light, "lightcurve_period_h"),
+        quantity("energy over the least at this |L|", before.excitation, "energy_ratio"),
     ]
 
 

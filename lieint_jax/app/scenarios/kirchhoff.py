@@ -64,7 +64,7 @@ class Scenario(Common):
     spread: Spread = Spread()
 
     def spreads(self) -> dict[str, tuple[float, str]]:
-        return {"angular velocity": self.spread.given(self.time_unit), "velocity": (self.spread.velocity, "")}
+        return {"angular velocity": self.spread.with_unit(self.time_unit), "velocity": (self.spread.velocity, "")}
 
 
 def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:

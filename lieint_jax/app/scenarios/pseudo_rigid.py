@@ -114,7 +114,7 @@ class Scenario(Common):
         return self
 
     def spreads(self) -> dict[str, tuple[float, str]]:
-        return {"F": (self.spread.deformation, ""), "angular velocity": self.spread.given(self.time_unit)}
+        return {"F": (self.spread.deformation, ""), "angular velocity": self.spread.with_unit(self.time_unit)}
 
 
 def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:

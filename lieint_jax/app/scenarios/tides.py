@@ -161,7 +161,7 @@ def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
     }
     lines = ["largest relative changes of all members:"]
     lines += [f"  {name:<54}{size:>10.1e}" for name, size in sizes.items()]
-    lines.append(f"  {'least loss between two saved states, over all of it':<54}{_least(found.lost):>10.1e}")
+    lines.append(f"  {'least loss between two saved states, over all of it':<54}{_least_loss(found.lost):>10.1e}")
     days = 2 * np.pi / found.spins / _HOUR
     century = float(run.t[-1]) / (100 * _YEAR)
     power = (found.lost[-1] - found.lost[0]) / float(run.t[-1]) * _TERAWATT
@@ -200,7 +200,7 @@ def _energies(step: Any, run: Trajectory) -> np.ndarray:
     return np.asarray(jax.jit(jax.vmap(jax.vmap(bodies.energy)))(jax.tree.map(jnp.asarray, states)))
 
 
-def _least(lost: np.ndarray) -> float:
+def _least_loss(lost: np.ndarray) -> float:
     return float(np.diff(lost, axis=0).min(initial=np.inf) / max(abs(lost[-1]).max(), 1e-300))
 
 

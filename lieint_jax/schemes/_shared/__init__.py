@@ -1,1 +1,1 @@
-"""What several schemes share."""
+"""Code shared by several schemes."""

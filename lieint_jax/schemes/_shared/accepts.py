@@ -1,7 +1,7 @@
 """The systems that a scheme integrates: those that declare a capability and have its equations of motion.
 
-A subclass may declare a capability by inheritance and change the motion, by a force added or a rotor inside. So the
-making of a step compares the system's own vector field with the one that the scheme integrates.
+A subclass may inherit a capability but change the motion, by an additional force or a rotor. So the factory of a step
+compares the system's own vector field with the one that the scheme integrates.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class AcceptedSystems(NamedTuple, Generic[_System]):
 
     Attributes:
         capability: the class in `types` that such a system inherits.
-        noun: what error messages call them.
+        noun: the name of these systems in error messages.
         vector_field: (system, state) ↦ the time derivative of the state, from the capability's attributes alone.
     """
 
@@ -63,7 +63,10 @@ class AcceptedSystems(NamedTuple, Generic[_System]):
         return isinstance(system, self.capability)
 
     def check(self, scheme: str, system: object, more: str = "") -> None:
-        """Raise ValueError if a system does not declare the capability, or moves otherwise; `more` ends the message."""
+        """Raise ValueError if a system does not declare the capability, or its vector field is another.
+
+        `more` is appended to the message.
+        """
         if not self.declared(system):
             raise ValueError(
                 f"{scheme} integrates {self.noun}, got {type(system).__name__}{hint(scheme, system) or more}"
@@ -72,17 +75,17 @@ class AcceptedSystems(NamedTuple, Generic[_System]):
 
 
 def hint(scheme: str, system: object) -> str:
-    """The end of a message that `scheme` refuses a system: the schemes that take it, if they are few; else nothing."""
+    """The end of a message that `scheme` does not accept a system: the schemes that do, if they are few."""
     fitting = next((names for kind, names in _ELSEWHERE.items() if isinstance(system, kind)), ())
-    return f"; take {' or '.join(fitting)}" if fitting and scheme not in fitting else ""
+    return f"; use {' or '.join(fitting)}" if fitting and scheme not in fitting else ""
 
 
 def check_motion(
     scheme: str, noun: str, vector_field: Callable[[_Data, State], State], data: _Data, system: System
 ) -> None:
-    """Raise ValueError if the vector field of a system differs from `vector_field(data, ·)`, looked at in two states.
+    """Raise ValueError if the vector field of a system differs from `vector_field(data, ·)` at two test states.
 
-    Tracers pass, and so does a vector field that is not finite there: it cannot be compared.
+    Tracers, and a vector field that is not finite at these states, are accepted: they cannot be compared.
     """
     difference = other_motion(vector_field, data, system)
     if difference:
@@ -93,12 +96,12 @@ def check_motion(
 
 
 def other_motion(vector_field: Callable[[_Data, State], State], data: _Data, system: System) -> float:
-    """By how much of itself the vector field of a system differs from `vector_field(data, ·)`; 0 if by rounding only.
+    """The relative difference of the vector field of a system from `vector_field(data, ·)`; 0 if within rounding.
 
-    0 for tracers too, and for a vector field that is not finite where they are compared. Of systems of this package
-    the tests compare it: see `_tested`.
+    It is also 0 for tracers and for a vector field that is not finite where they are compared, and for systems of this
+    package, whose vector fields the tests compare (see `_is_tested`).
     """
-    if (data is system and _tested(system)) or not concrete(data, system):
+    if (data is system and _is_tested(system)) or not concrete(data, system):
         return 0.0
     with at_once():
         found = [_difference(vector_field, data, system, phase) for phase in (0.3, 2.0)]
@@ -106,13 +109,13 @@ def other_motion(vector_field: Callable[[_Data, State], State], data: _Data, sys
     return difference if difference > tolerance else 0.0
 
 
-def _tested(part: object) -> bool:
-    """Whether a system, or a part of one, is a class of this package, and no part of it is a function or a subclass."""
+def _is_tested(part: object) -> bool:
+    """Whether a system, or a part of it, is a class of this package without functions or subclasses of users."""
     if part is None or isinstance(part, Array | np.ndarray | bool | int | float | str | MatrixGroup | ModuleType):
         return True
     fields = dataclasses.fields(part) if dataclasses.is_dataclass(part) else None
     own = type(part).__module__.startswith(f"{_PACKAGE}.")
-    return own and fields is not None and all(_tested(getattr(part, field.name)) for field in fields)
+    return own and fields is not None and all(_is_tested(getattr(part, field.name)) for field in fields)
 
 
 @partial(compiled, static_argnums=0, once=True)

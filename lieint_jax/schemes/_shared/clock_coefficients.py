@@ -1,15 +1,15 @@
-"""The constants s and d of `preprocessed`, which set the clock of the discrete free body right, as series in Δt.
+"""The constants s and d of `preprocessed`, which correct the time of the discrete free body, as series in Δt.
 
 With J of trace 1, e₂ the sum of products of two moments, e₃ = det J, C = ½Δt²|Π|² and H = Δt²·energy,
 
     s = 1 + Σ s_ab CᵃHᵇ/e₃ᵃ⁺ᵇ,    d = Σ d_ab CᵃHᵇ/e₃ᵃ⁺ᵇ
 
 where s_ab and d_ab are polynomials of e₂ and e₃. `tests/lib/clock_series.py` derives them by exact rational arithmetic:
-the discrete and the exact rotation of a step are expanded in Δt, and of three equations for each pair of constants one
-is left over as a check. To Δt⁴ they are those of the literature, in closed form they are `_free_body.clock`.
+the discrete and the exact rotation of a step are expanded in Δt; of the three equations for each pair of constants, one
+serves as a check. To Δt⁴ they are those of the literature, and their closed form is `_free_body.clock`.
 
 Source: McLachlan & Zanna 2005, Found. Comput. Math. 5; Hairer & Vilmart 2006, J. Phys. A 39, for any order. The
-coefficients here were derived anew.
+coefficients here were derived independently.
 """
 
 from __future__ import annotations
@@ -82,12 +82,12 @@ _FromOne = list[Any]  # 1.0, x, x², …
 
 
 def constants(e2: Scalar, e3: Scalar, C: Scalar, H: Scalar, terms: int) -> tuple[Array, Array, Array]:
-    """s and d over the trace of J with the terms to Δt²·ᵗᵉʳᵐˢ, 1 to 4, and whether the series hold there; see above.
+    """s and d over the trace of J with the terms to Δt²·ᵗᵉʳᵐˢ, 1 to 4, and whether the series are accurate; see above.
 
-    The series hold where their last term changes 1/J̃ by 2 % at most, and all terms together by 45 %; of a single
-    term, which says nothing of the next, the next one is looked at. Of 800,000 random steps, |ΔtΩ| from 0.05 to 5, with
-    moments up to 1 : 10⁶, no attitude was then off by more than 0.07 rad, in any order. A body at 90° a step, the end
-    of the branch, is at 63 % if it is a ball.
+    The series are accepted where their last term changes 1/J̃ by 2 % at most, and all terms together by 45 %; for a
+    single term, from which the size of the next cannot be estimated, the next term is evaluated instead. Of 800,000
+    random accepted steps, |ΔtΩ| from 0.05 to 5, with moments up to 1 : 10⁶, none had an attitude error above 0.07 rad,
+    in any order. For a ball that rotates by 90° per step, the end of the branch, all terms together are 63 %.
     """
     powers = [_powers(x, 4) for x in (C / e3, H / e3, e2, e3)]
     checked = max(terms, 2)

@@ -1,7 +1,7 @@
-"""Coefficients of compositions Ψ_{γ₁Δt} ∘ … ∘ Ψ_{γ_sΔt} of a symmetric second-order step: literature, and our own.
+"""Coefficients of compositions Ψ_{γ₁Δt} ∘ … ∘ Ψ_{γ_sΔt} of a symmetric second-order step, published and new ones.
 
-Digits are strings: forty of them, more than a float holds. The published ones were polished from the 26 in print by
-Newton's method on the order conditions (none moved by more than 5e-27), and `tests/schemes/test_compose.py` checks
+They are strings of forty digits, more than a float holds. The published ones were refined from the 26 printed digits by
+Newton's method on the order conditions (none changed by more than 5e-27), and `tests/schemes/test_compose.py` checks
 every condition again, in the free associative algebra.
 """
 
@@ -14,10 +14,10 @@ class Method(NamedTuple):
     """A composition.
 
     Attributes:
-        order: of accuracy, for a base step of order 2.
+        order: the order of accuracy, for a base step of order 2.
         values: the distinct γ, first to middle of the palindrome, or with `counts` in any order.
-        counts: how often each value is used, for steps that commute; empty for a palindrome.
-        source: who found it.
+        counts: the number of uses of each value, for steps that commute; empty for a palindrome.
+        source: the publication.
     """
 
     order: int
@@ -27,7 +27,7 @@ class Method(NamedTuple):
 
     @property
     def gammas(self) -> tuple[float, ...]:
-        """γ₁ … γ_s, a palindrome. Commuting steps are spread evenly, so that no partial sum strays far."""
+        """γ₁ … γ_s, a palindrome. With commuting steps equal values are spread evenly: partial sums stay small."""
         values = [float(value) for value in self.values]
         if not self.counts:
             return (*values, *values[-2::-1])

@@ -1,4 +1,4 @@
-"""The free motion of many rigid bodies: centers go straight on, each body turns as a free rigid body does."""
+"""The free motion of many rigid bodies: centers move on straight lines, and each body rotates freely."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ MANY_FREE_BODIES = AcceptedSystems(AbstractFreeBodies, "free rigid bodies (syste
 
 @pytree
 class FreeFlight(Step):
-    """Free rigid bodies, each turned by a step of its own: the drift of a splitting.
+    """The drift of a splitting: free rigid bodies, each rotated by a step of one body.
 
     Attributes:
         system: free rigid bodies.
-        turn: a step of one free rigid body, which takes the inertia of each.
+        turn: a step of one free rigid body, which is applied with the inertia of each.
     """
 
     system: AbstractFreeBodies
@@ -52,7 +52,7 @@ class FreeFlight(Step):
     def from_scheme(
         cls, scheme: str, system: AbstractFreeBodies, step: Callable[[AbstractFreeBody], Step]
     ) -> FreeFlight:
-        """By the step of a scheme for one body."""
+        """The drift by the step of a scheme for one body."""
         MANY_FREE_BODIES.check(scheme, system)
         return cls(system, step(system.single_body(system.inertias)))
 
@@ -91,6 +91,6 @@ class FreeFlight(Step):
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         return (
-            f"{self.name} lost its digits at dt = {dt}: a body turns too often in a step, or there is a NaN or an "
-            "infinity in the state or an inertia. Take a smaller dt"
+            f"{self.name} lost its digits at dt = {dt}: a body rotates too far in a step, or there is a NaN or an "
+            "infinity in the state or an inertia. Use a smaller dt"
         )

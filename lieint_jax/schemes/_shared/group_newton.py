@@ -2,7 +2,7 @@
 
     m Θ − ½Δt (Π_n + Π_{n+1}) = 0                                                            (5.27)
 
-Vectors are lists of scalars for small groups and arrays for large ones, see `_numerics.unrolled`.
+Vectors are lists of scalars for small groups and arrays for large ones, see `_numerics.small_linalg`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Equation(NamedTuple):
         state: where the step starts.
         half: ½Δt.
         a: ½Δt Π_n; −½Δt π_n for a right-invariant metric, whose equation is that of the inverse of q.
-        known: the part of the equation that is known beforehand, a but for `group_alpha`.
+        known: the part of the equation that is known in advance; a, except for `group_alpha`.
         carried: ½Δt Ad*_q π, which on groups that are not compact can lose its digits.
     """
 
@@ -80,8 +80,8 @@ def solved(
 ) -> tuple[la.Vector, Array, StepInfo]:
     """The root Θ by `newton.chords`, as a vector of the equation and as an array, and the report on it.
 
-    Converged if the residual, in the units of `size`, is round-off; if the root is on the branch from Δt = 0, as a
-    steady solve to a root before the fold shows; if digits are left, and τ(Θ) is exact.
+    It reports convergence if the residual, in the units of `size`, is round-off; if the solve was steady and the root
+    lies before the fold, so that it is on the branch from Δt = 0; if digits are left; and if τ(Θ) is exact.
     """
     group, tau, m, state = equation.group, equation.tau, equation.m, equation.state
 
@@ -117,7 +117,7 @@ def body_velocity_field(system: MetricSystem, state: State) -> AlgebraVector:
 
 
 def as_vector(m: la.Matrix, x: Array) -> la.Vector:
-    """x as a list of scalars if m is a list of rows, else as it is."""
+    """x as a list of scalars if m is a list of rows, otherwise unchanged."""
     return la.as_list(x) if isinstance(m, list) else x
 
 
@@ -169,7 +169,7 @@ def guess(group: Group, m: la.Matrix, a: la.Vector) -> la.Vector:
 def newton_matrix(equation: Equation, theta: la.Vector, F: la.Vector, *bends: la.Matrix) -> la.Matrix:
     """m − ½Δt ad*(Π_{n+1}) H − Σ bends at Θ, with ½Δt Π_{n+1} = mΘ − ½Δt Π_n − F.
 
-    Nothing is differentiated through it.
+    Derivatives do not pass through it.
     """
     group, tau = equation.group, equation.tau
     theta, F, known, m = lax.stop_gradient((theta, F, equation.known, equation.m))
@@ -188,7 +188,7 @@ def bend(m: la.Matrix, system: AbstractMechanicalSystem, where: Array, factor: A
 
 
 def size_unit(m: la.Matrix, a: la.Vector) -> Callable[[la.Vector], Array]:
-    """F ↦ the largest |Fᵢ|/√mᵢᵢ over √(2H)Δt: whatever the units of the basis, round-off is round-off."""
+    """F ↦ the largest |Fᵢ|/√mᵢᵢ over √(2H)Δt, which does not depend on the units of the basis."""
     a, m = lax.stop_gradient((a, m))
     scale = 2 * jnp.sqrt(jnp.maximum(la.dot(a, la.solve(m, a)), 0))
     units = [jnp.sqrt(m[i][i]) * jnp.where(scale == 0, 1, scale) for i in range(len(m))]
@@ -200,7 +200,7 @@ def size_unit(m: la.Matrix, a: la.Vector) -> Callable[[la.Vector], Array]:
 
 
 def digits_left(equation: Equation) -> Array:
-    """Whether Ad*_q π keeps six digits in float64: ε (size of the summands / of the sum)² ≤ ε^{3/8}; q likewise."""
+    """Whether Ad*_q π has six digits left in float64: ε (size of summands / of sum)² ≤ ε^{3/8}; and likewise q."""
     group, m = equation.group, equation.m
     if not isinstance(group, AnalyticGroup):
         return jnp.ones((), bool)

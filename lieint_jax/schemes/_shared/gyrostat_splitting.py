@@ -1,8 +1,8 @@
-"""Turn, drift, turn: the symplectic scheme for a gyrostat.
+"""Rotation, drift, rotation: the symplectic splitting for a gyrostat.
 
     H = ½(Π − h_r)·J⁻¹(Π − h_r) = ½ Π·J⁻¹Π − c·Π + ½ h_r·c,    c = J⁻¹h_r
 
-−c·Π generates Λ ← Λ exp(−tĉ), π ← π, a turn about an axis in the body, exactly and for every J. So one step is
+−c·Π generates Λ ← Λ exp(−tĉ), π ← π, a rotation about an axis in the body, exactly and for every J. So one step is
 
     Λ ← Λ exp(−½Δt ĉ),    (Λ, π) ← a step of the free body,    Λ ← Λ exp(−½Δt ĉ)
 """
@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 from lieint_jax._numerics import vec3
 from lieint_jax.groups import so3
 from lieint_jax.schemes._shared.accepts import check_motion
-from lieint_jax.schemes._shared.rigid_body import lost
+from lieint_jax.schemes._shared.rigid_body import attitude_error_limit
 from lieint_jax.types import AbstractGyrostat, State, Step, StepInfo, System, pytree, static
 from lieint_jax.types.shapes import TangentVectors
 
@@ -41,21 +41,21 @@ class GyrostatSplitting(Step):
 
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         state, info = self.drift.substep(self._turn(state, dt), dt)
-        return self._turn(state, dt), self._judged(info, state, dt)
+        return self._turn(state, dt), self._report(info, state, dt)
 
     def tangent(self, state: State, dt: ArrayLike, T: TangentVectors) -> tuple[State, StepInfo, Array]:
         state, info, T = self.drift.tangent(self._turn(state, dt), dt, T)  # turns about body axes leave (δθ, δπ)
-        return self._turn(state, dt), self._judged(info, state, dt), T
+        return self._turn(state, dt), self._report(info, state, dt), T
 
-    def _judged(self, info: StepInfo, state: State, dt: ArrayLike) -> StepInfo:
-        known = jnp.finfo(state.q.dtype).eps * self._angle(dt) <= lost(state.q.dtype)
+    def _report(self, info: StepInfo, state: State, dt: ArrayLike) -> StepInfo:
+        known = jnp.finfo(state.q.dtype).eps * self._angle(dt) <= attitude_error_limit(state.q.dtype)
         return info._replace(converged=info.converged & known)
 
     def advice(self, state: State, dt: ArrayLike) -> str:
         turned = self._turn(state, dt)
         if not self.drift(turned, dt)[1].converged:
             return f"{self.name}: {self.drift.advice(turned, dt)}"
-        return f"{self.name}: the rotor turns the body by {float(self._angle(dt)):.3g} rad in a step: take a smaller dt"
+        return f"{self.name}: the rotor turns the body by {float(self._angle(dt)):.3g} rad in a step: use a smaller dt"
 
     def _turn(self, state: State, dt: ArrayLike) -> State:
         turn = so3.exp(jnp.asarray(-0.5 * dt) * _velocity(self.system))
@@ -66,14 +66,14 @@ class GyrostatSplitting(Step):
 
 
 def turning(system: AbstractGyrostat, drift: Step) -> GyrostatSplitting:
-    """The step turn – drift – turn; ValueError if `drift` is of another body."""
+    """The step rotation – drift – rotation; ValueError if `drift` is a step of another body."""
     scheme = f"splitting with {drift.name} of a {type(drift.system).__name__}"
     check_motion(scheme, "that motion with rotations of the rotor", _motion, (system, drift.system), system)
     return GyrostatSplitting(system, drift)
 
 
 def _motion(parts: tuple[AbstractGyrostat, System], state: State) -> State:
-    """The vector field of the drift's system, and the turning of the rotor."""
+    """The vector field of the drift's system plus the rotation by the rotor."""
     system, drifting = parts
     free = drifting.vector_field(state)
     return State(free.q + so3.tangent(state.q, -_velocity(system)), free.p)

@@ -10,7 +10,7 @@ from lieint_jax._numerics import vec3
 from lieint_jax._numerics.vec3 import Symmetric
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa
-from lieint_jax.schemes._shared.rigid_body import lost
+from lieint_jax.schemes._shared.rigid_body import attitude_error_limit
 from lieint_jax.schemes._shared.scalar_form import solve_scalar
 from lieint_jax.schemes._shared.vector_form import solve_vector
 from lieint_jax.types import AbstractFreeBody, AbstractGyrostat, State, StepInfo
@@ -27,7 +27,7 @@ def half_turn(
         h, residual, good = solve_scalar(J, a, iterations)
     else:
         h, residual, good = solve_vector(kappa, J, a, iterations, b)
-        good &= jnp.finfo(a.dtype).eps * _size(a, b) * vec3.inverse_trace(J) <= lost(a.dtype)
+        good &= jnp.finfo(a.dtype).eps * _size(a, b) * vec3.inverse_trace(J) <= attitude_error_limit(a.dtype)
     residual = lax.stop_gradient(vec3.max_abs(residual))
     small = residual <= 32 * jnp.finfo(a.dtype).eps * _size(a, b)
     return h, StepInfo(residual, small & good & vec3.well_conditioned(J))
@@ -40,7 +40,7 @@ def scaled(system: AbstractFreeBody | AbstractGyrostat, state: State, dt: ArrayL
 
 
 def bias(system: AbstractFreeBody | AbstractGyrostat, dt: ArrayLike) -> Vector3 | None:
-    """b = ½Δt h_r over tr J, None in a free body."""
+    """b = ½Δt h_r over tr J; None for a free body."""
     return (
         (0.5 * vec3.unit_trace(system.inertia)[1] * dt) * system.rotor if isinstance(system, AbstractGyrostat) else None
     )

@@ -1,4 +1,4 @@
-"""What a scheme declares of itself: `schemes.catalogue` lists it, and the tests compare it with measurements."""
+"""The properties that a scheme declares: `schemes.catalogue` lists them, and tests compare them with measurements."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ class SchemeProperties(NamedTuple):
     """The declared properties of a scheme.
 
     Attributes:
-        name: of the function in `schemes` that makes the step.
-        systems: what it integrates.
+        name: the function in `schemes` that returns the step.
+        systems: the systems that it integrates.
         conserves: what is conserved to round-off, some of "energy", "energy less work", "momentum", "form" and
-            "volume"; a condition stands in parentheses.
+            "volume", with a condition in parentheses.
         order: the order of accuracy of the default, infinite for the exact flow.
-        symmetric: whether a step of −Δt undoes one of Δt, by default.
+        symmetric: whether by default a step of −Δt is the inverse of one of Δt.
         limit: the largest step.
         aliases: its names in the literature.
         source: a paper, or equations of Lewis & Simo 1994.

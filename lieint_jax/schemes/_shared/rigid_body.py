@@ -1,4 +1,4 @@
-"""The rigid bodies and gyrostats that the schemes on SO(3) accept, and the limits of their digits."""
+"""The rigid bodies and gyrostats that the schemes on SO(3) accept, and the limits set by rounding."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ RotatingBody = (
 
 
 def rigid_motion(body: RotatingBody, state: State) -> State:
-    """(q̇, π̇) = (½ q Ω, 0) with JΩ = Π (2.12), or Π − h_r: the motion of a body but for its torques."""
+    """(q̇, π̇) = (½ q Ω, 0) with JΩ = Π (2.12), or Π − h_r: the torque-free motion of a body."""
     own = so3.Ad_star(state.q, state.p)
     if isinstance(body, AbstractGyrostat):
         own = own - body.rotor
@@ -37,7 +37,7 @@ def rigid_motion(body: RotatingBody, state: State) -> State:
 
 
 def _driven_motion(system: AbstractDrivenGyrostat, state: State) -> State:
-    """That of the gyrostat whose rotor keeps the momentum that it has now, and ḣ_r = τ(t)."""
+    """The vector field of the gyrostat with the present rotor momentum, and ḣ_r = τ(t)."""
     turning = rigid_motion(system.holding(system.rotor(state)), state)
     return turning._replace(extra={"rotor": system.torque(clock(state))})
 
@@ -51,6 +51,6 @@ SLENDER = (
 )
 
 
-def lost(dtype: DTypeLike) -> float:
+def attitude_error_limit(dtype: DTypeLike) -> float:
     """The error of an attitude, by rounding of the state alone, above which a step is not to be trusted."""
     return max(1e-6, math.sqrt(jnp.finfo(dtype).eps))

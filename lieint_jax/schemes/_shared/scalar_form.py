@@ -37,7 +37,7 @@ def scalar_root(J: Symmetric, a: Vector3, iterations: int) -> Scalar:
         return c0 + m * (c1 + m * (c2 + m * (1 - m)))
 
     def correction(m: Array, f: Array) -> Array:
-        """Newton's step on f/√f′ (Halley): the second derivative of a quartic costs nothing."""
+        """Newton's step on f/√f′ (Halley), as the second derivative of a quartic costs little."""
         slope = c1 + m * (2 * c2 + m * (3 - 4 * m))
         bend = 2 * c2 + m * (6 - 12 * m)
         return 2 * f * slope / (2 * slope * slope - f * bend)
@@ -53,8 +53,8 @@ def half_cayley(J: Symmetric, a: Vector3, m: Scalar, gain: Scalar | None = None)
     """h = (J − m − â)⁻¹a, shape (3,), for tr J = 1.
 
     With adj(J − m − â)a = adj(J)a + (m² − m tr J + |a|²)a + m Ja − a×Ja everything is a polynomial in m. If m was
-    solved for elsewhere on a trajectory, the quartic says by how much energy is off here; with a `gain`, a turn about
-    a × J⁻¹a takes so much of it back.
+    computed elsewhere on a trajectory, the value of the quartic is the error of the energy here; a rotation about
+    a × J⁻¹a removes the fraction `gain` of it.
     """
     C = vec3.adjugate(J)
     J3, J2 = vec3.determinant(J, C), vec3.trace(C)
@@ -77,9 +77,9 @@ def scalar_residual(J: Symmetric, a: Vector3, h: Vector3) -> Vector:
 
 
 def half_turn_derivative(J: Symmetric, a: Vector, h: Vector, da: Vector) -> Vector:
-    """The turn of the body at the end of a step, in the axes of its beginning, that a change δa of a brings.
+    """The rotation of the body at the end of a step, in the axes of its beginning, caused by a change δa of a.
 
-    (J − m − â − h⊗a) δh = δa + δa × h + (δa·h)h, m = a·h, the derivative of the scalar form; and cay 2h turns by
+    (J − m − â − h⊗a) δh = δa + δa × h + (δa·h)h, m = a·h, the derivative of the scalar form; and cay 2h rotates by
     2/(1 + |h|²) (δh + h × δh).
     """
     m, A, K = dot(a, h), vec3.hat(a), dense(J)

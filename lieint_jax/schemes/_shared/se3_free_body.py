@@ -1,4 +1,4 @@
-"""The free motion of a rigid body in space, on SE(3): it turns about its center of mass, which goes straight on."""
+"""The free motion of a rigid body on SE(3): it rotates about its center of mass, which moves on a straight line."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from lieint_jax.types import AbstractGeodesicFlow, State, Step, StepInfo, pytree
 class FreeMotion(Step):
     """The symplectic step of `so3_midpoint` for the attitude, and the exact motion of the center of mass.
 
-    They do not couple in the coordinates (x, P) and (Λ, S), with the spin S = L − x × P, where the mass is isotropic.
-    Momentum is exact, bit for bit; the symplectic form to round-off; energy too, if x × P is not large beside S.
+    For an isotropic mass the two decouple in the coordinates (x, P) and (Λ, S), with the spin S = L − x × P. Momentum
+    is conserved bit for bit, the symplectic form to round-off; energy too, if x × P is not large compared with S.
 
     Attributes:
         system: a geodesic flow on SE(3) with the metric diag(J, m1).
@@ -50,7 +50,7 @@ class FreeMotion(Step):
         return state._replace(q=jnp.stack([*rows, state.q[3]])), info
 
     def advice(self, state: State, dt: ArrayLike) -> str:
-        return f"{self.name} does not converge at dt = {dt}, where |Δt Ω| must stay below 1: take a smaller dt"
+        return f"{self.name} does not converge at dt = {dt}, where |Δt Ω| must stay below 1: use a smaller dt"
 
 
 def is_free_motion(system: Any) -> bool:

@@ -1,6 +1,6 @@
 """The vector form of (3.4), J y + b + κ y × (J y + b) = a, for any scaling κ(4|y|²).
 
-Θ = 2κy is the rotation of a step, a = ½Δt Π_n, and b = ½Δt h̄_r of a rotor, 0 in a free body.
+Θ = 2κy is the rotation of a step, a = ½Δt Π_n, and b = ½Δt h̄_r for a rotor, 0 for a free body.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def gyration_matrix(kappa: Kappa, J: Symmetric, y: Vector, b: Vector | None = No
 
 
 def on_branch(kappa: Kappa, y: Vector, K: vec3.Matrix) -> Flag:
-    """Whether y = ½Θ̄ lies where κ is real, and before the branch folds, where an eigenvalue of K vanishes."""
+    """Whether κ is real at y = ½Θ̄, and y lies before the fold of the branch, where an eigenvalue of K vanishes."""
     return (4 * dot(y, y) <= kappa.limit**2) & vec3.no_negative_eigenvalue(K)
 
 

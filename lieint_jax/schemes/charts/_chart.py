@@ -1,4 +1,4 @@
-"""What a chart offers: the unknowns in which explicit steps of a system are computed, and their rate."""
+"""The interface of charts: the unknowns in which steps of a system are computed, and their rate."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _Unknowns = TypeVar("_Unknowns")
 
 
 class Chart(abc.ABC, Generic[_System, _Unknowns]):
-    """Coordinates in which an explicit step adds up increments. They are a pytree of arrays, called the unknowns."""
+    """Coordinates in which a step adds up increments. They are a pytree of arrays, called the unknowns."""
 
     @abc.abstractmethod
     def supports(self, system: System) -> bool:
@@ -33,7 +33,7 @@ class Chart(abc.ABC, Generic[_System, _Unknowns]):
         """(unknowns, moment) ↦ their time derivative, for a moment of `stage_times`."""
 
     def stage_times(self, system: _System, state: State, passed: Array) -> PyTree:
-        """What the rate needs of the times t + passed, (n, …) each; None where nothing depends on time."""
+        """The times t + passed, and what the rate needs of them, (n, …) each; None where nothing depends on time."""
         return None
 
     @abc.abstractmethod

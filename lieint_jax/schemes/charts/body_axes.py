@@ -1,7 +1,8 @@
 """The motion of one body in its own axes: q̇ = ½ q Ω, Π̇ = Π × Ω + Γ × ∇Ṽ(Γ), component by component.
 
-What is explicit and of high order takes these unknowns: half the operations of (q, π), and at equal steps a fiftieth of
-the error on tops. Of a top whose axis stays, q is the attitude in a frame where it is ±e₃: a third of the operations.
+Explicit schemes of high order use these unknowns: they need half the operations of (q, π), and at equal steps have a
+fiftieth of the error on tops. For a top with a fixed axis, q is the attitude in a frame where the axis is ±e₃, which
+needs a third of the operations.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ def turning(state: State) -> BodyAxesState:
 
 
 def advance_body(state: State, z: BodyAxesState, delta: BodyAxesState) -> State:
-    """The state of which z is `turning`, after their increments. π moves by one as well, for the last digits."""
+    """The state whose unknowns are z, after their increments. π gets its own increment, for the last digits."""
     dq = _to_unit(z.q, delta.q)
     (w, *u), (dw, *du) = z.q, dq
     across = _across(add(u, du), du, add(z.Pi, delta.Pi))
@@ -110,7 +111,7 @@ def motion(system: OneBody, state: State) -> State:
 
 
 def upright(axis: Any) -> tuple[Array, Array]:
-    """A rotation that takes γ to ±|γ| e₃, and ±|γ|."""
+    """A rotation that maps γ to ±|γ| e₃, and ±|γ|."""
     sign, size = jnp.where(axis[2] < 0, -1, 1), jnp.sqrt(dot(axis, axis))
     g = jnp.stack([size + sign * axis[2], sign * axis[1], -sign * axis[0], jnp.zeros_like(size)])
     return so3.normalize(g), sign * size
@@ -122,12 +123,12 @@ def turned_up(axis: Any, q: tuple[Array, ...]) -> tuple[Array, ...]:
 
 
 def turned_back(axis: Any, q: tuple[Array, ...]) -> tuple[Array, ...]:
-    """From that frame."""
+    """A quaternion of the frame where an axis is ±e₃, in space."""
     return vec3.components(so3.multiply(so3.inverse(upright(axis)[0]), jnp.stack(q)))
 
 
 def _in_space(system: System, delta: BodyAxesState) -> BodyAxesState:
-    """Increments of the unknowns, those of q as of the attitude."""
+    """Increments of the unknowns, with those of q converted to increments of the attitude."""
     return delta._replace(q=turned_back(system.axis, delta.q)) if isinstance(system, AbstractTop) else delta
 
 
@@ -160,13 +161,13 @@ def _by_potential(potential: Callable[..., Array], Gamma: tuple[Array, ...], *t:
 
 
 def axis_in_body(q: tuple[Array, ...], axis: vec3.Vector) -> tuple[Array, Array, Array]:
-    """|q|² Λᵀγ, the axis γ as the body sees it: Im(q̄γq)."""
+    """|q|² Λᵀγ, the axis γ in the body: Im(q̄γq)."""
     w, *v = q
     return add(scale(w * w - dot(v, v), axis), add(scale(2 * dot(v, axis), v), scale(2 * w, cross(axis, v))))
 
 
 def _axis_in_body(q: tuple[Array, ...], axis: vec3.Vector) -> tuple[Array, Array, Array]:
-    """Λᵀγ for |q| = 1, in fewer operations than `seen`."""
+    """Λᵀγ for |q| = 1, in fewer operations than `axis_in_body`."""
     w, *v = q
     u = scale(2, cross(axis, v))
     return add(axis, subtract(scale(w, u), cross(v, u)))
@@ -188,7 +189,7 @@ class BodyAxes(Chart[OneBody, BodyAxesState]):
     """One body with at most a potential that has an axis, in its own axes."""
 
     def supports(self, system: System) -> bool:
-        """Whether a system is one body with at most a potential that has an axis, and moves as that says."""
+        """Whether a system is one body with at most a potential that has an axis, with its equations of motion."""
         if isinstance(system, AbstractTop | AbstractDrivenTop) and system.axis is None:
             return False
         return isinstance(
@@ -205,18 +206,18 @@ class BodyAxes(Chart[OneBody, BodyAxesState]):
         return advance_body(state, z._replace(q=vec3.components(state.q)), _in_space(system, delta))
 
     def split_qp(self, z: BodyAxesState) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-        """The configuration and the momenta among them."""
+        """The unknowns of the configuration and those of the momenta."""
         return z.q, z.Pi
 
     def stage_times(self, system: OneBody, state: State, passed: Array) -> Moment | None:
-        """What a driven top follows, once so much time has passed since `state`: (n,) times in one call of its axis."""
+        """The times, (n,), after `state` for a driven top, and its axis at them, in one call."""
         if not isinstance(system, AbstractDrivenTop):
             return None
         t = clock(state) + passed
         return Moment(t, jax.vmap(system.axis_at)(t))
 
     def rate(self, system: OneBody) -> Callable[[BodyAxesState, PyTree], BodyAxesState]:
-        """The time derivative of the unknowns at a moment, for |q| = 1 but for the error of a step."""
+        """The time derivative of the unknowns at a moment, for |q| = 1 up to the error of a step."""
         inverse, rotor = vec3.inverse(system.inertia), system.rotor if isinstance(system, AbstractGyrostat) else None
         torque = _torque(system)
 

@@ -1,18 +1,19 @@
-"""Canonical coordinates of phase spaces, in flat space: those in which Runge–Kutta methods of Gauss are symplectic.
+"""Canonical coordinates of phase spaces in flat space, in which Gauss–Legendre methods are symplectic.
 
 T*SO(3) is the quotient of T*S³ by ±1, and T*S³ ⊂ T*ℝ⁴: a unit quaternion q and p = 2πq ∈ ℝ⁴ with q·p = 0. With
 Ω of the momentum Π = ½ Im(q̄p) in the body, and τ the torque in space at q/|q|,
 
     q̇ = ½ qΩ,    ṗ = ½ pΩ + 2τq/|q|²
 
-is the Hamiltonian system of H(q/|q|, ½ Im(p q̄)) on T*ℝ⁴. It conserves |q|² and q·p, and π = ½ Im(p q̄) as far as
-the torque does: all quadratic. A potential Ṽ(Γ) of an axis γ is better taken off the sphere as Ṽ(q̄γq), without |q|: its
-part of ṗ is then 2γq∇Ṽ. That moves q·p, which changes nothing else, and is dropped after each step.
+is the Hamiltonian system of H(q/|q|, ½ Im(p q̄)) on T*ℝ⁴. It conserves |q|² and q·p, and the components of
+π = ½ Im(p q̄) that the torque conserves: all quadratic. A potential Ṽ(Γ) of an axis γ is better extended from the
+sphere as Ṽ(q̄γq), without |q|: its part of ṗ is then 2γq∇Ṽ. This changes q·p, which influences nothing else and is
+reset after each step.
 
-T*GL⁺(3) is flat as it is.
+T*GL⁺(3) is flat already.
 
-Each of the three has a chart here, whose coordinates are components of q and as many of p. Of several bodies these are
-positions and quaternions, then linear momenta and p, each with an axis of bodies, (N,).
+Each of the three phase spaces has a chart here, whose coordinates are components of q and as many of p. For several
+bodies these are positions and quaternions, then linear momenta and p, each with an axis of bodies, (N,).
 """
 
 from __future__ import annotations
@@ -56,11 +57,11 @@ class Coordinates(NamedTuple):
 
 
 class Quadratures(NamedTuple):
-    """What is integrated along the coordinates.
+    """Quantities that are integrated along the coordinates.
 
     Attributes:
         momenta: the components of the state's own momenta, π̇ or (ṗ, π̇).
-        work: that of a driven system whose work is counted, else None.
+        work: the work of a driven system, if it is tracked; otherwise None.
     """
 
     momenta: Components
@@ -71,8 +72,8 @@ class Increments(NamedTuple):
     """The increments of a step, or rates.
 
     Attributes:
-        z: those of the coordinates.
-        quadratures: those of what is integrated along them; None in a chart without.
+        z: the increments of the coordinates.
+        quadratures: those of the quantities integrated along them; None in a chart without any.
     """
 
     z: Coordinates
@@ -110,7 +111,7 @@ class CanonicalChart(Chart):
         return z.q, z.p
 
     def quadratures(self, system: Any, state: State) -> Callable[[Coordinates, Moment], Quadratures | None]:
-        """(z, t) ↦ the rates of what a step from `state` integrates along its coordinates."""
+        """(z, t) ↦ the rates of the quantities that a step from `state` integrates along its coordinates."""
         force = self.force(system)
         counts = isinstance(system, AbstractDrivenSystem) and state.work is not None
 
@@ -152,7 +153,7 @@ def _momentum(state: State, delta: Increments) -> Array:
 
 
 class OneBody(CanonicalChart):
-    """T*SO(3): q and p = 2πq of one body; of a top whose axis stays, in a frame where that is ±e₃."""
+    """T*SO(3): q and p = 2πq of one body; for a top with a fixed axis, in a frame where it is ±e₃."""
 
     def supports(self, system: System) -> bool:
         """Whether the phase space is T*SO(3)."""
@@ -201,7 +202,7 @@ class OneBody(CanonicalChart):
         return torque
 
     def in_fixed_frame(self, system: Any, delta: Increments) -> Increments:
-        """The increments as if no axis stayed."""
+        """The increments in space, from those in the frame where a fixed axis is ±e₃."""
         if not _stands(system) or delta.quadratures is None:
             return delta
         z = Coordinates(*(turned_back(system.axis, half) for half in delta.z))
@@ -213,7 +214,7 @@ class OneBody(CanonicalChart):
         return _half_product(z.p, z.q)
 
     def _kick(self, system: Any, z: Coordinates, t: Moment) -> Components:
-        """What a potential adds to ṗ: −∂V/∂q."""
+        """The contribution of a potential to ṗ: −∂V/∂q."""
         if _stands(system):
             return _kick_upright(system.potential, upright(system.axis)[1], z.q)
         if _has_axis(system):
@@ -297,7 +298,7 @@ _CHARTS = (OneBody(), ManyBodies(), Matrices())
 
 
 def canonical_chart(system: System) -> CanonicalChart | None:
-    """The canonical chart of a system; None if there is none here."""
+    """The canonical chart of a system; None if this module has none."""
     return next((chart for chart in _CHARTS if chart.supports(system)), None)
 
 
@@ -376,7 +377,7 @@ def _torque_about(potential: Any, axis: Array, q: Components, t: Array) -> Compo
 
 
 def _seen_upright(height: Array, q: Components) -> Components:
-    """`seen` of height e₃."""
+    """`axis_in_body` of height e₃."""
     w, x, y, z = q
     return scale(height, (2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z))
 

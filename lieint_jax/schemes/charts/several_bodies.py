@@ -1,4 +1,4 @@
-"""The motion of several bodies, each turning in its own axes: ẋ = P/m, Ṗ = F, and as `_body_axes`.
+"""The motion of several bodies, with rotations in the axes of each: ẋ = P/m, Ṗ = F, and as in `body_axes`.
 
 The unknowns have an axis of bodies, (N,), and are packed into one array.
 """
@@ -38,14 +38,14 @@ def forces(system: AbstractRigidBodies, x: vec3.Vector, q: Components) -> Compon
 
 
 class Moving(NamedTuple):
-    """The unknowns: places and linear momenta; quaternions and body momenta."""
+    """The unknowns: positions and linear momenta; quaternions and body momenta."""
 
     x: vec3.Vector
     P: vec3.Vector
     turning: BodyAxesState
 
 
-def _packed(z: Moving) -> Array:
+def _pack(z: Moving) -> Array:
     return jnp.stack([*z.x, *z.P, *z.turning.q, *z.turning.Pi], axis=-1)
 
 
@@ -82,13 +82,13 @@ class SeveralBodies(Chart[AbstractRigidBodies, Array]):
     """Several bodies: positions and linear momenta in space, quaternions and momenta in the axes of each."""
 
     def supports(self, system: System) -> bool:
-        """Whether a system is of several bodies that move as this says."""
+        """Whether a system is of several bodies with these equations of motion."""
         return isinstance(system, AbstractRigidBodies) and not other_motion(motion, system, system)
 
     def unknowns(self, system: AbstractRigidBodies, state: State) -> Array:
-        """Those of all bodies in an array, (N, 13)."""
+        """The unknowns of all bodies in one array, (N, 13)."""
         turning = jax.vmap(body_axes.turning)(_turning_part(state))
-        return _packed(Moving(vec3.components(state.q[:, :3].T), vec3.components(state.p[:, :3].T), turning))
+        return _pack(Moving(vec3.components(state.q[:, :3].T), vec3.components(state.p[:, :3].T), turning))
 
     def advance(self, system: AbstractRigidBodies, state: State, z: Array, delta: Array) -> State:
         """The state whose unknowns are z, after their increments."""
@@ -103,14 +103,14 @@ class SeveralBodies(Chart[AbstractRigidBodies, Array]):
         return [*every.x, *every.turning.q], [*every.P, *every.turning.Pi]
 
     def rate(self, system: AbstractRigidBodies) -> Callable[[Array, PyTree], Array]:
-        """The time derivative of the unknowns, for quaternions of unit length but for the error of a step."""
+        """The time derivative of the unknowns, for quaternions of unit length up to the error of a step."""
         inverse, masses = inverses(system), system.masses
 
         def field(z: Array, _: PyTree) -> Array:
             x, P, turning = _parts(z)
             force = forces(system, x, turning.q)
             q_dot, Pi_dot = spinning(inverse, None, turning.q, turning.Pi)
-            return _packed(Moving(scale(1 / masses, P), force[:3], BodyAxesState(q_dot, add(Pi_dot, force[3:]), None)))
+            return _pack(Moving(scale(1 / masses, P), force[:3], BodyAxesState(q_dot, add(Pi_dot, force[3:]), None)))
 
         return field
 

@@ -1,1 +1,1 @@
-"""What several systems share."""
+"""Code shared by several systems."""

@@ -22,13 +22,15 @@ def explained(method: _F) -> _F:
             try:
                 signature.bind(*arguments, **options)
             except TypeError as wrong:
-                raise TypeError(f"{method.__name__}: {wrong}; {_accepted(method.__name__, signature)}") from None
+                raise TypeError(
+                    f"{method.__name__}: {wrong}; {_accepted_arguments(method.__name__, signature)}"
+                ) from None
             raise
 
     return cast("_F", call)
 
 
-def _accepted(name: str, signature: inspect.Signature) -> str:
+def _accepted_arguments(name: str, signature: inspect.Signature) -> str:
     parameters = list(signature.parameters.values())[1:]
     named = [x.name for x in parameters if x.kind is x.KEYWORD_ONLY]
     first = ", ".join(x.name for x in parameters if x.kind is not x.KEYWORD_ONLY)

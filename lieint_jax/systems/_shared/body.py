@@ -1,4 +1,4 @@
-"""States of a rigid body: how they are made and read. No system of its own."""
+"""Base classes that create and evaluate states of a rigid body."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Rotating(OnRotations, abc.ABC):
 
     @abc.abstractmethod
     def momentum_at(self, angular_velocity: Vector3) -> Vector3:
-        """Π where the body turns with Ω, shape (3,)."""
+        """Π of the body that rotates with Ω, shape (3,)."""
 
     @explained
     def state(
@@ -74,7 +74,7 @@ class Rotating(OnRotations, abc.ABC):
             spatial_momentum: π = ΛΠ, shape (3,).
 
         Raises:
-            ValueError: not exactly one of the three, a wrong shape, a NaN, or an attitude that is no rotation.
+            ValueError: not exactly one of the three, a wrong shape, a NaN, or an attitude that is not a rotation.
         """
         attitude = _checked_attitude(attitude)
         name, given = _checks.one_of(
@@ -85,14 +85,14 @@ class Rotating(OnRotations, abc.ABC):
         return State(q, _checks.real_array("the spatial momentum", p))
 
     def check(self, state: State) -> None:
-        """Raise ValueError if a concrete `state` is not one of this system, or the system is not one, but a batch."""
+        """Raise ValueError if a concrete `state` is not one of this system, or the system is a batch of systems."""
         _checks.of_one_system("inertia", self.inertia)
         _checks.unit_quaternion("state.q", state.q)
         _checks.real_array("state.p", state.p, (3,))
 
 
 class Body(Rotating):
-    """A body that has no momentum but that of its own turning: Π = JΩ."""
+    """A body without rotors, so that Π = JΩ."""
 
     def momentum_at(self, angular_velocity: Vector3) -> Vector3:
         """Π = JΩ, shape (3,)."""
@@ -107,20 +107,20 @@ class Body(Rotating):
         return vec3.dot(self.body_momentum(state), self.angular_velocity(state)) / 2
 
     def periods(self, state: State) -> Periods:
-        """The two mean periods of a tumbling body, by which light curves are described, and its mode, in closed form.
+        """The two mean periods of a tumbling body, as light curves show them, and its mode, in closed form.
 
-        Of a body with torques, those of the free motion that would go on from this state.
+        For a body with torques they are those of the torque-free motion from this state.
 
         Args:
             state: a state of this body.
 
         Returns:
             A `Periods`, in the unit of time of the state (that of 1/Ω):
-            `precession`, in which the long axis (that of the least moment) goes once around the angular momentum on
-            average; `rotation`, in which Ω and Π repeat in the axes of the body: one rotation about the long axis in
-            the long-axis mode, one oscillation about it in the short-axis mode; and `long_axis`, True in the former.
-            Differentiable in the inertia and the state, except on the separatrix between the modes, where the rotation
-            never ends.
+            `precession`, the mean time in which the long axis (that of the least moment) goes once around the angular
+            momentum; `rotation`, the period of Ω and Π in the axes of the body, that of one rotation about the long
+            axis in the long-axis mode, of one oscillation about it in the short-axis mode; and `long_axis`, True in the
+            former. The periods are differentiable in the inertia and the state, except on the separatrix between the
+            modes, where the rotation period is infinite.
         """
         return _free_body.periods(self.inertia, self.body_momentum(state))
 
@@ -133,10 +133,11 @@ class Body(Rotating):
         long_axis: bool,
         **options: Any,
     ) -> State:
-        """The state of a tumbling body with given mean periods, as light curves give them: the inverse of `periods`.
+        """The state of a tumbling body with given mean periods, as light curves show them: the inverse of `periods`.
 
-        The body momentum lies in the plane of the long and the short axis, with positive components along both: there
-        the long axis is nearest to the angular momentum in short-axis modes, and farthest from it in long-axis modes.
+        Of all phases of the motion it returns that in which the body momentum lies in the plane of the long and the
+        short axis, with positive components along both: in short-axis modes the long axis is then closest to the
+        angular momentum, in long-axis modes farthest from it.
 
         Args:
             attitude: as in `state`.
@@ -146,22 +147,22 @@ class Body(Rotating):
             options: further arguments of `state`, such as t.
 
         Returns:
-            The state, differentiable once in the inertia and both periods.
+            The state. It has first derivatives with respect to the inertia and both periods.
 
         Raises:
-            ValueError: no motion of this body in this mode has this ratio of the periods. A sphere has none.
+            ValueError: no motion of this body in this mode has this ratio of the periods. A sphere has no such motion.
         """
         moments, axes = _principal(self.inertia)
         period = _checks.real_array("precession", precession, ()).astype(moments.dtype)
         ratio = _checks.real_array("rotation", rotation, ()).astype(moments.dtype) / period
         _check_ratio(moments, ratio, period, long_axis)
-        unit = _free_body.excited(moments, ratio, long_axis)
+        unit = _free_body.momentum_of_ratio(moments, ratio, long_axis)
         size = _free_body.periods(moments, unit).precession / period
         return self.state(attitude, body_momentum=axes @ (size * unit), **options)
 
 
 class TimedBody(Body):
-    """A body whose state has a time, and may count work."""
+    """A body whose state has a time, and may track work."""
 
     @explained
     def state(
@@ -178,11 +179,11 @@ class TimedBody(Body):
 
         Args:
             attitude, angular_velocity, body_momentum, spatial_momentum: as in `rigid_body(...).state`.
-            t: the time of the state, a scalar; 0 if it is left out.
-            work: 0.0 to count from here the work that is done on the body; None not to count it.
+            t: the time of the state, a scalar; by default 0.
+            work: 0.0 to track the work done on the body from here on; None not to track it.
 
         Raises:
-            ValueError: not exactly one of the three, a wrong shape, a NaN, or an attitude that is no rotation.
+            ValueError: not exactly one of the three, a wrong shape, a NaN, or an attitude that is not a rotation.
         """
         start = super().state(
             attitude,

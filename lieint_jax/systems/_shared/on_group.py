@@ -1,4 +1,4 @@
-"""A state of T*G and its body momentum, for any group with a left-invariant metric. No system of its own."""
+"""The base class for states of T*G with a left-invariant metric, for any group."""
 
 from __future__ import annotations
 
@@ -71,11 +71,11 @@ class OnGroup:
         return la.dot(*(la.as_list(x) for x in (self.body_momentum(state), self.velocity(state)))) / 2
 
     def casimirs(self, state: State) -> MomentumMap:
-        """The Casimirs of body momentum that are known (`group.casimirs`), (k,): constant along every motion."""
+        """The known Casimirs of body momentum (`group.casimirs`), (k,), which are constant along every motion."""
         return self.group.casimirs(self.body_momentum(state))
 
     def check(self, state: State) -> None:
-        """Raise ValueError if a concrete `state` is not one of this system, or the system is not one, but a batch."""
+        """Raise ValueError if a concrete `state` is not one of this system, or the system is a batch of systems."""
         _checks.of_one_system("metric", self.metric, self.group.dim)
         _check_element("state.q", self.group, state.q)
         _checks.real_array("state.p", state.p, (self.group.dim,))

@@ -1,4 +1,4 @@
-"""What a system declares of itself: `systems.catalogue` lists it, and the tests compare it with the system."""
+"""The properties that a system declares: `systems.catalogue` lists them, and tests compare them with the system."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ class SystemProperties(NamedTuple):
     """The declared properties of a system.
 
     Attributes:
-        name: of the function in `systems` that makes it.
+        name: the function in `systems` that returns it.
         models: what it models.
         phase_space: the phase space, with the coordinates (q, p) of a state.
         conserves: what the exact motion conserves, some of "energy", "energy less work", "momentum", "Casimirs" and
-            "volume"; a condition stands in parentheses.
+            "volume", with a condition in parentheses.
         momentum: the momentum map that `system.momentum` returns.
-        sizes: the numbers of components that it may have; empty if any, as of a group of any dimension.
+        sizes: the possible numbers of its components; empty if there may be any number.
         aliases: its names in the literature.
         source: a paper or a book, or equations of Lewis & Simo 1994.
     """

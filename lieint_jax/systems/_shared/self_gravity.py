@@ -1,4 +1,4 @@
-"""The gravity of a homogeneous ellipsoid on itself, as the stored energy of a body that deforms homogeneously.
+"""The self-gravity of a homogeneous ellipsoid, as the stored energy of a body that deforms homogeneously.
 
 A ball of mass M and radius R that deforms by F becomes an ellipsoid with the semi-axes R√c_i, c_i the eigenvalues of
 C = FᵀF. With u = 1/v² − 1 in the classical integral,
@@ -39,16 +39,16 @@ class SelfGravity(StoredEnergy):
     strength: Array
 
     def __call__(self, C: Array) -> Array:
-        return -self.strength * jnp.sum(_weights(C) / jnp.sqrt(_determinant(_stretched(vec3.symmetric(C)))))
+        return -self.strength * jnp.sum(_weights(C) / jnp.sqrt(_determinant(_stretch(vec3.symmetric(C)))))
 
     def stress(self, C: Symmetric) -> Symmetric:
-        A = _stretched(C)
+        A = _stretch(C)
         d = _determinant(A)
         return self._sum(vec3.adjugate(A), d * jnp.sqrt(d))
 
     def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
         v2 = _squares(C[0])
-        A, change = _stretched(C), tuple(v2 * x for x in D)
+        A, change = _stretch(C), tuple(v2 * x for x in D)
         cofactor = vec3.mean_cofactor(A, change)
         start = _determinant(A)
         r0, r1 = jnp.sqrt(start), jnp.sqrt(start + vec3.inner(cofactor, change))
@@ -68,7 +68,7 @@ def _weights(like: Array) -> Array:
     return jnp.asarray(_W, like.dtype)
 
 
-def _stretched(C: Symmetric) -> Symmetric:
+def _stretch(C: Symmetric) -> Symmetric:
     """A = 1 + v²(C − 1) at all nodes."""
     v2 = _squares(C[0])
     return (*(1 + v2 * (c - 1) for c in C[:3]), *(v2 * c for c in C[3:]))
@@ -79,7 +79,7 @@ def _determinant(A: Symmetric) -> Array:
 
 
 def self_gravity(G: ArrayLike, mass: ArrayLike, radius: ArrayLike) -> SelfGravity:
-    """The gravity of a homogeneous ellipsoid on itself, which makes `incompressible_body` a liquid planet or star.
+    """The self-gravity of a homogeneous ellipsoid, with which `incompressible_body` is a liquid planet or star.
 
     In the undeformed state F = 1 the body is a ball, whose second moments of mass are E = (1/5)MR² in each direction.
     The energy is right to 1e-15 for axis ratios above 0.2, to 3e-12 at 0.14.

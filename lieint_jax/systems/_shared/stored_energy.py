@@ -1,6 +1,6 @@
 """Stored energies W(C) of homogeneous elastic bodies, C = FᵀF, and their stresses S = 2∇W(C).
 
-Each gives two stresses, as symmetric tensors by their six entries (see `small`):
+Each has two stresses, as symmetric tensors by their six entries (see `_numerics.vec3`):
 
     stress(C)          S(C) = 2∇W(C), the second Piola–Kirchhoff stress
     mean_stress(C, D)  a symmetric S̄ with ½ S̄:D = W(C + D) − W(C), S̄(C, 0) = S(C), free of cancellation for small D
@@ -53,14 +53,14 @@ class _VolumeAndTrace(StoredEnergy):
     def stress(self, C: Symmetric) -> Symmetric:
         cofactor = vec3.adjugate(C)
         I3 = vec3.determinant(C, cofactor)
-        return self._with(2 * self.slope(I3, jnp.zeros_like(I3)), cofactor)
+        return self._add_shear(2 * self.slope(I3, jnp.zeros_like(I3)), cofactor)
 
     def mean_stress(self, C: Symmetric, D: Symmetric) -> Symmetric:
         cofactor = vec3.mean_cofactor(C, D)
         slope = self.slope(vec3.determinant(C, vec3.adjugate(C)), vec3.inner(cofactor, D))
-        return self._with(2 * slope, cofactor)
+        return self._add_shear(2 * slope, cofactor)
 
-    def _with(self, pressure: Array, cofactor: Symmetric) -> Symmetric:
+    def _add_shear(self, pressure: Array, cofactor: Symmetric) -> Symmetric:
         return _plus(self.mu, tuple(pressure * c for c in cofactor))
 
 
@@ -164,15 +164,15 @@ def neo_hookean(lam: ArrayLike, mu: ArrayLike) -> NeoHookean:
 def saint_venant_kirchhoff(lam: ArrayLike, mu: ArrayLike) -> SaintVenantKirchhoff:
     """W = (λ/8)(tr C − 3)² + (μ/4)|C − 1|²; λ, μ > 0, energies.
 
-    It stays finite where the volume vanishes, so strong compression can turn a body inside out: steps watch det F.
+    It stays finite where the volume vanishes, so strong compression can invert a body; steps check det F.
     """
     return SaintVenantKirchhoff(*_moduli(lam, mu))
 
 
 def as_stored_energy(energy: StoredEnergy | Callable[[Array], Array]) -> StoredEnergy:
-    """A material of this module, or any callable W(C) of a matrix (3, 3) that gives a scalar, smooth for C > 0.
+    """A material of this module, or any callable W(C) of a matrix (3, 3) with a scalar value, smooth for C > 0.
 
-    Parameters of its own travel in a `jax.tree_util.Partial`.
+    A function with parameters is a `jax.tree_util.Partial`.
     """
     if isinstance(energy, StoredEnergy):
         return energy

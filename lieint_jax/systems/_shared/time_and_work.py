@@ -1,4 +1,4 @@
-"""States with a time and a count of work: how they are made and checked. No system of its own."""
+"""Creation and checks of states with a time and tracked work."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lieint_jax.types import State, clock
 
 
 def timed(state: State, t: ArrayLike, work: ArrayLike | None) -> State:
-    """A state at the time t, with the work done so far; ValueError if one is no finite scalar."""
+    """A state at the time t, with the work done so far; ValueError if one of them is not a finite scalar."""
     if t is None:
         raise ValueError("t must be a number, the time of the state: the system depends on it; leave it out for t = 0")
     given = {"t": t} if work is None else {"t": t, "work": work}
@@ -18,13 +18,13 @@ def timed(state: State, t: ArrayLike, work: ArrayLike | None) -> State:
 
 
 def check_timed(state: State) -> None:
-    """ValueError if a state has no time, or a concrete time or work is no finite scalar."""
+    """ValueError if a state has no time, or a concrete time or work is not a finite scalar."""
     clock(state)
     check_counts(state)
 
 
 def check_counts(state: State) -> None:
-    """ValueError if a concrete time or work, of a state that has them, is no finite scalar."""
+    """ValueError if a state's concrete time or work is not a finite scalar."""
     for name, value in (("state.t", state.t), ("state.work", state.work)):
         if value is not None:
             _checks.real_array(name, value, ())
