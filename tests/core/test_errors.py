@@ -84,7 +84,7 @@ SENTENCES = [
     (lambda: _store.check(Path("group.zarr")), "a Zarr group, but was not written by lieint"),
     (lambda: _store.check(Path("newer.zarr")), "has format 99; .*use a newer one"),
     (lambda: _store.check(Path("damaged.zarr")), "is damaged: its checksum is wrong"),
-    (lambda: info_command.plot(Path("bare.npz")), "holds neither a scenario nor the numbers of its system"),
+    (lambda: info_command.plot(Path("bare.npz")), "holds neither a scenario nor the parameters of its system"),
     (lambda: info_command.plot(Path("start.npz")), "holds the initial states only"),
 ]
 
@@ -217,7 +217,7 @@ def test_the_command_line_ends_quietly(monkeypatch, capsys):
     assert "0 is not a positive number" in capsys.readouterr().err
     monkeypatch.setattr(files.os, "access", lambda *_: False)
     with pytest.raises(ValueError, match="cannot be written to; choose another --out"):
-        files.free(Path("run.npz"))
+        files.check_writable(Path("run.npz"))
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])

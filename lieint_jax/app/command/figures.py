@@ -1,4 +1,4 @@
-"""The paper's figures, recomputed: each function writes a PNG and a PDF and returns the table that goes with it."""
+"""The paper's figures, recomputed: each function writes a PNG and a PDF and returns a table of the numbers drawn."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class Panel(NamedTuple):
     """One panel of Figures 3 to 5: a delay plot of the energy, or of the displacement ‖F − 1‖².
 
     Attributes:
-        name: as in the paper.
+        name: number of the figure and letter of the panel in the paper.
         dt: time step.
         lag: N of the delay plot.
         Phi: P₀ = π̂F₀ with π = (0, 0, Phi).
@@ -144,7 +144,7 @@ PANELS = {
 
 
 class DelayRun(NamedTuple):
-    """The series of a panel, at every step, and whether every step converged."""
+    """The series that a panel shows, at every step, and whether every step converged."""
 
     series: np.ndarray
     converged: bool
@@ -193,7 +193,7 @@ def _delay_figure(number: int, out: Path) -> str:
 
 
 def _tex(x: float) -> str:
-    """A number in two digits, with its power of ten."""
+    """A number with two digits, in TeX."""
     mantissa, _, power = f"{x:.1e}".partition("e")
     return f"{x:.2g}" if x >= 1e-2 else rf"${mantissa}\times10^{{{int(power)}}}$"
 
