@@ -36,7 +36,7 @@ STYLES: tuple[dict[str, Any], ...] = tuple(
     {"color": color, "ls": dashes, "marker": mark} for color, dashes, mark in zip(COLORS, _DASHES, MARKS, strict=True)
 )
 _MARKED = 8  # markers on each curve of `series`
-_NEAR = 1e6  # in round-offs: curves with errors below it are drawn with the line of round-off
+_NEAR = 1e6  # a curve with errors below so many round-offs is drawn with the line of round-off
 
 
 @contextmanager

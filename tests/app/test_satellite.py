@@ -289,7 +289,7 @@ def test_the_period_search_finds_the_true_combinations():
 def test_a_fit_from_near_the_truth_recovers_it():
     """Without noise to what the scheme of order 6 leaves; with noise within four standard errors."""
     curve, seen = _satellite_sky.observe(SCENE, 1)
-    first = curve.until(145.0)
+    first = curve.truncate(145.0)
     clean = np.asarray(_satellite_sky.true_magnitudes(SCENE, jnp.asarray(first.t)))
     truth = _satellite_fit.true_solution(SCENE)
     guess, begin = _symmetric_solutions.parameters(truth)

@@ -245,7 +245,7 @@ def test_errors_of_the_system_are_one_short_line(monkeypatch, capsys):
     assert failing(OSError(36, "File name too long", "a" * 3000)) == f"lieint: {'a' * 100}…: File name too long"
     assert failing(OSError(28, "No space left on device")) == "lieint: No space left on device"
     assert failing(ValueError("two\nlines")) == "lieint: two lines"
-    assert failing(MemoryError()).startswith("lieint: not enough memory: fewer members")
+    assert failing(MemoryError()).startswith("lieint: not enough memory: use fewer members")
     assert failing(jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: out of memory")) == failing(MemoryError())
     with pytest.raises(jax.errors.JaxRuntimeError, match="INTERNAL"):
         failing(jax.errors.JaxRuntimeError("INTERNAL: a mistake"))

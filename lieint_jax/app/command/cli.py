@@ -71,7 +71,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _sentence(error: Exception) -> str:
     """The message of an error in one line."""
     if isinstance(error, MemoryError):
-        return f"not enough memory: {str(error) or 'fewer members, or a larger save_every, need less'}"
+        return f"not enough memory: {str(error) or 'use fewer members or a larger save_every'}"
     if isinstance(error, OSError) and error.strerror:
         names = [str(name) for name in (error.filename, error.filename2) if name is not None]
         short = [name if len(name) <= _NAME else f"{name[:_NAME]}…" for name in names]

@@ -119,8 +119,8 @@ class Panel(NamedTuple):
     note: str = ""
 
 
-_UNSTABLE = "1500 steps; later rounding, which grows, breaks the symmetry of this motion"
-_EXCHANGED = "read with F33 = 0.9 for 0.99 and the captions of (a) and (b) exchanged"
+_UNSTABLE = "1500 steps; later, growing rounding errors break the symmetry of this motion"
+_EXCHANGED = "with F33 = 0.9 in place of 0.99, and the captions of (a) and (b) exchanged"
 PANELS = {
     3: (
         Panel("3a", 0.005, 3, 0.4, 4.0e-8),
@@ -187,7 +187,7 @@ def _delay_figure(number: int, out: Path) -> str:
         )
         verdict = "yes" if run.converged else "NO"
         lines.append(f"  {panel.name:<4} {variation:>9.3g} {panel.printed:>9.3g}   {verdict:<4} {panel.note}".rstrip())
-    fig.suptitle("The midpoint rule: values N steps from one another, less their mid-range")
+    fig.suptitle("The midpoint rule: values separated by N steps, relative to their mid-range")
     plots.save(fig, out / f"figure-{number}.png")
     return "\n".join(lines)
 

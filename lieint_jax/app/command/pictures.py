@@ -102,13 +102,13 @@ def _draw_body(stored: StoredRun) -> Figure:
     system, run = stored.system_of(0), interpolation.member(stored.run, 0)
     joined = hasattr(system, "angular_velocity")
     if joined:
-        apart, _ = interpolation.turns(system, run)
-        joined = bool(apart.max() <= interpolation.APART)
-        if joined and apart.max() > _CHORD:
-            parts = min(int(np.ceil(apart.max() / _CHORD)), max(1, POINTS // len(apart)))
+        angles, _ = interpolation.turns(system, run)
+        joined = bool(angles.max() <= interpolation.APART)
+        if joined and angles.max() > _CHORD:
+            parts = min(int(np.ceil(angles.max() / _CHORD)), max(1, POINTS // len(angles)))
             t = np.asarray(run.t)
             run = interpolation.interpolate_at(
-                system, run, np.interp(np.arange(len(apart) * parts + 1) / parts, np.arange(len(t)), t)
+                system, run, np.interp(np.arange(len(angles) * parts + 1) / parts, np.arange(len(t)), t)
             )
     axis, name = _drawn_axis(system, run)
     return _draw_direction(in_space(np.asarray(run.state.q), axis), name, joined)

@@ -58,8 +58,8 @@ class Lightcurve(NamedTuple):
     observer: np.ndarray
     noise: float
 
-    def until(self, end: float) -> Lightcurve:
-        """The exposures before the time `end`."""
+    def truncate(self, end: float) -> Lightcurve:
+        """Select the exposures before the time `end`."""
         before = self.t < end
         t, magnitude, sun, observer = (leaf[before] for leaf in self[:4])
         return Lightcurve(t, magnitude, sun, observer, self.noise)

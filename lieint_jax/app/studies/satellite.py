@@ -123,7 +123,7 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
     session = made.exposures["sessions_min"][0][1]
     curve, synthetic = observe(made, sets)
     found = search(curve.t, curve.magnitude)
-    first = curve.until(session)
+    first = curve.truncate(session)
     clock = [time.perf_counter()]
     guess, begin, candidate = _best_guesses(found.candidates, made, first, guesses, starts, progress)
     clock.append(time.perf_counter())

@@ -226,7 +226,7 @@ def _predict(
         return jax.vmap(lambda t: body.solution(state, t).q)(jnp.asarray(t))
 
     q = jax.lax.map(attitudes, jnp.asarray(np.concatenate([x, drawn])))
-    apart = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (None, 0))(q[0], q[len(x) :]))
+    angles = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (None, 0))(q[0], q[len(x) :]))
     off = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (0, None))(q[:, -3:], jnp.asarray(later.q)))
     body, state = model(unravel(estimate.x), begin)
     rate = jnp.asarray(np.deg2rad(fixes.angular_velocity_deg))
@@ -235,11 +235,11 @@ def _predict(
     Pi = np.asarray(jax.vmap(so3.Ad_star, (0, None))(every, state.p / jnp.linalg.norm(state.p)))
     return Prediction(
         t[:-3],
-        np.percentile(apart[:, :-3], (5, 50, 95), axis=0),
-        np.sqrt((apart[:, :-3] ** 2).mean(axis=0)),
+        np.percentile(angles[:, :-3], (5, 50, 95), axis=0),
+        np.sqrt((angles[:, :-3] ** 2).mean(axis=0)),
         dict(zip(("fitted", *given), off, strict=False)),
         off[len(x) :],
-        (apart[:, -3:] >= off[0]).mean(axis=0),
+        (angles[:, -3:] >= off[0]).mean(axis=0),
         np.rad2deg(jax.vmap(vec3.angle, (None, 0))(state.p, p)),
         (Pi**2 / np.asarray(body.inertia)).sum(axis=1),
     )
