@@ -214,7 +214,7 @@ def test_the_command_line_ends_quietly(monkeypatch, capsys):
         assert stopped_by(BrokenPipeError()) == 1
     with pytest.raises(SystemExit):
         cli.main(["run", "toutatis", "--devices", "0"])
-    assert "0 is not a positive number" in capsys.readouterr().err
+    assert "'0' is not a positive integer" in capsys.readouterr().err
     monkeypatch.setattr(files.os, "access", lambda *_: False)
     with pytest.raises(ValueError, match="cannot be written to; choose another --out"):
         files.check_writable(Path("run.npz"))

@@ -182,8 +182,8 @@ def _estimate(found: Any) -> list[str]:
         f"    {'expected of each':<24}{'':>41}{68:>11}%{95:>5}%{1:>9.2f}   ± {by_chance.one:.0f} %, "
         f"{by_chance.two:.0f} %, {by_chance.rms:.2f} by chance",
         *(_comparison(*row) for row in periods),
-        f"  the scheme of order 6, in steps of {STEP:g} min, changes the magnitudes of the closed form by at most "
-        f"{e.integration:.2g} of the noise",
+        f"  the scheme of order 6, in steps of {STEP:g} min, agrees with the closed form to "
+        f"{e.integration:.2g} of the noise in every magnitude",
     ]
 
 

@@ -84,7 +84,7 @@ class SatelliteFit(NamedTuple):
         night: the ends on the whole night of the fits that begin at the best ends of the first session.
         images: the ends on the whole night of the fits that begin at the images of the best end of the first session,
             one for each kind of change.
-        named: the change that maps the night's best end to the begin of each of these fits, an index of `changes`; −1
+        named: the change that maps the night's best end to the start of each of these fits, an index of `changes`; −1
             for none.
         fit: the fits to the whole night.
         estimate: the best solution, compared with the truth.
