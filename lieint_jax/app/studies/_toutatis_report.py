@@ -135,8 +135,8 @@ def _prediction(found: Any) -> list[str]:
         f"    {'members farther off':<24}" + "".join(f"{100 * share:>12.0f} %" for share in p.farther),
         f"  {verdict} of the fit's own uncertainty: the members spread by 30° rms after {first:.0f} days,",
         f"  by 90° after {second:.0f}, by {p.rms[-1]:.0f}° at the end (random attitudes: 132°).",
-        f"  The direction of the momentum differs from the fitted one by {single:.1f}° rms in single fixes of 1992,",
-        f"  by {p.pole[-2]:.1f}° and {p.pole[-1]:.1f}° in those of 2004 and 2008; 2H Jz/|π|² is {p.energy[0]:.3f} fitted,",
+        f"  The direction of the momentum differs from the fitted one by {single:.1f}° rms in single fixes of 1992, by",
+        f"  {p.pole[-2]:.1f}° and {p.pole[-1]:.1f}° in those of 2004 and 2008; 2H Jz/|π|² is {p.energy[0]:.3f} fitted,",
         f"  {early.mean():.3f} ± {early.std():.3f} for single attitudes of 1992, {late} for the later ones.",
     ]
 
