@@ -35,13 +35,13 @@ def on_page_markdown(markdown, **_):
 
 
 def _listed():
-    rows = [(f"run {name}", *listing.described(scenarios.load(name))) for name in scenarios.scenario_names()]
+    rows = [(f"run {name}", *listing.describe(scenarios.load(name))) for name in scenarios.scenario_names()]
     rows += [
         (f"study {name}", (module.__doc__ or "").splitlines()[0], "")
         for name, module in study.studies_by_name().items()
     ]
-    lines = [f"| `lieint {name}` | {what} | {size} | {listing.takes(name)} |" for name, what, size in rows]
-    return "\n".join(["| command | | members × steps | takes |", "|---|---|---|---|", *lines])
+    lines = [f"| `lieint {name}` | {what} | {size} | {listing.describe_cost(name)} |" for name, what, size in rows]
+    return "\n".join(["| command | | members × steps | first run, later runs; memory |", "|---|---|---|---|", *lines])
 
 
 def _page():

@@ -1,4 +1,4 @@
-"""Plots of arrays, all in one look. Functions that take axes draw on them and return them.
+"""Plots of arrays in the style of this package. A function with an argument `ax` draws on these axes and returns them.
 
 A function that makes a figure is decorated with `style()`, and `save` writes it as PNG and PDF:
 
@@ -35,15 +35,15 @@ _DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", "-", (0, (6, 3)), (0, (1, 2)),
 STYLES: tuple[dict[str, Any], ...] = tuple(
     {"color": color, "ls": dashes, "marker": mark} for color, dashes, mark in zip(COLORS, _DASHES, MARKS, strict=True)
 )
-_MARKED = 8  # marks on each curve of `series`
-_NEAR = 1e6  # errors below so many round-offs are shown beside the line of one
+_MARKED = 8  # markers on each curve of `series`
+_NEAR = 1e6  # a curve with errors below so many round-offs is drawn with the line of round-off
 
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Within it, or in a function decorated with it, figures have the look of this package: `lieint.mplstyle`.
+    """Give the figures made in this context, or in a function decorated with it, the style `lieint.mplstyle`.
 
-    Matplotlib's settings are what they were afterwards. Where ffmpeg is stays the user's setting.
+    Matplotlib's settings are restored on exit. Within the context, the path of ffmpeg remains the user's.
     """
     ffmpeg = {"animation.ffmpeg_path": matplotlib.rcParams["animation.ffmpeg_path"]}
     with matplotlib.style.context([_STYLE, ffmpeg], after_reset=True):
@@ -51,13 +51,13 @@ def style() -> Iterator[None]:
 
 
 def figure(columns: int = 1, rows: int = 1, size: tuple[float, float] | None = None, **axes: Any) -> tuple[Figure, Any]:
-    """A figure and its array of axes, made without pyplot, so that no window system is needed.
+    """Make a figure and its array of axes, (rows, columns), without pyplot, so that no window system is needed.
 
     Args:
-        columns: of panels.
-        rows: of panels.
-        size: of a panel, in inches; by default that of the style.
-        axes: as `Figure.subplots` takes them.
+        columns: number of columns of panels.
+        rows: number of rows of panels.
+        size: width and height of a panel in inches; by default those of the style.
+        axes: further keyword arguments of `Figure.subplots`.
     """
     width, height = size or _LOOK["figure.figsize"]
     fig = Figure(figsize=(width * columns, height * rows), layout="constrained")
@@ -65,17 +65,17 @@ def figure(columns: int = 1, rows: int = 1, size: tuple[float, float] | None = N
 
 
 def letter_panels(axes: Any, titles: Sequence[str]) -> None:
-    """Titles (a), (b), … of the panels of a figure, in the order of an array of axes."""
+    """Title the panels of an array of axes in their order: (a), (b), …, each with its text of `titles`."""
     for ax, letter, title in zip(axes.flat, "abcdefghij", titles, strict=False):
         ax.set_title(f"({letter}) {title}", loc="left")
 
 
 def save(fig: Figure, path: Path) -> list[Path]:
-    """Write a figure as PNG and as PDF; the paths of both files.
+    """Write a figure as PNG and as PDF, and return the paths of both files.
 
     Args:
         fig: the figure.
-        path: of the PNG; the PDF stands beside it.
+        path: path of the PNG; the PDF is written next to it.
     """
     with style():
         fig.savefig(path)
@@ -89,18 +89,18 @@ def files(path: Path) -> list[Path]:
 
 
 def caption(fig: Figure, text: str) -> None:
-    """A caption below a figure, in lines of its width."""
+    """Write a caption below a figure, wrapped to its width."""
     characters = int(15 * fig.get_figwidth())
     fig.supxlabel(textwrap.fill(text, characters), fontsize=matplotlib.rcParams["legend.fontsize"])
 
 
 def series(ax: Axes, t: np.ndarray, curves: Mapping[str, np.ndarray], ylabel: str, time_unit: str = "") -> Axes:
-    """At most eight curves against time; each has a color, dashes and a mark of its own. Masked values are left out."""
-    _few(curves)
+    """Plot at most eight curves against time, each in its own color, dashes and marker. Masked values are left out."""
+    _check_number(curves)
     for k, ((label, y), look) in enumerate(zip(curves.items(), STYLES, strict=False)):
         shown = ~np.ma.getmaskarray(y)
         x = np.asarray(t)[shown]
-        places = _places(ax, x, (k + 0.5) / len(curves)) if len(curves) > 1 and len(x) else []
+        places = _marker_indices(ax, x, (k + 0.5) / len(curves)) if len(curves) > 1 and len(x) else []
         ax.plot(x, np.asarray(y)[shown], label=label, markevery=places, **look)
     ax.set(xlabel=f"t ({time_unit})" if time_unit else "t", ylabel=ylabel)
     if len(curves) > 1:
@@ -108,21 +108,21 @@ def series(ax: Axes, t: np.ndarray, curves: Mapping[str, np.ndarray], ylabel: st
     return ax
 
 
-def _few(curves: Mapping[str, Any]) -> None:
+def _check_number(curves: Mapping[str, Any]) -> None:
     if len(curves) > len(STYLES):
-        raise ValueError(f"{len(curves)} curves cannot be told apart on one panel: at most {len(STYLES)}")
+        raise ValueError(f"{len(curves)} curves cannot be distinguished on one panel: at most {len(STYLES)}")
 
 
-def _places(ax: Axes, t: np.ndarray, shift: float) -> list[int]:
-    """The indices of the marks of a curve: evenly spaced on the axis, `shift` of a space from its beginning."""
+def _marker_indices(ax: Axes, t: np.ndarray, shift: float) -> list[int]:
+    """Indices of a curve's markers: evenly spaced along the axis, the first at the fraction `shift` of a spacing."""
     x = np.log10(abs(t)) if ax.get_xscale() == "log" else np.asarray(t, float)
     wanted = x[0] + (x[-1] - x[0]) * (np.arange(_MARKED) + shift) / _MARKED
     return np.unique(abs(x - wanted[:, None]).argmin(axis=1)).tolist()
 
 
 def paths(ax: Axes, curves: Mapping[str, np.ndarray], plane: tuple[int, int] = (0, 1)) -> Axes:
-    """At most eight paths of points (n, 3) by label, on the plane of two of their axes; a mark at the end of each."""
-    _few(curves)
+    """Plot at most eight paths of points (n, 3), by label, in the plane of two coordinates; a marker ends each path."""
+    _check_number(curves)
     i, j = plane
     for (label, x), look in zip(curves.items(), STYLES, strict=False):
         ax.plot(x[:, i], x[:, j], label=label, **look, markevery=[len(x) - 1])
@@ -139,35 +139,35 @@ def log_error(
     size: float = 1.0,
     of: str = "",
 ) -> Axes:
-    """Absolute errors on a logarithmic axis, and the line of round-off if a curve stays near it.
+    """Plot absolute errors on a logarithmic axis, with a line at round-off if a curve comes near it.
 
-    Such an axis has no zero: exact zeros are left out, and a curve of nothing but zeros is in the legend only, as
-    "exactly 0".
+    A logarithmic axis has no zero: exact zeros are left out, and a curve that is zero throughout appears only in the
+    legend, as "exactly 0".
 
     Args:
         ax: the axes.
         t: times (n,).
         curves: errors (n,) by label, at most eight.
-        ylabel: what the errors are of.
-        time_unit: of t.
-        size: of the numbers whose errors these are; 1 for relative errors.
-        of: the symbol of `size`, such as "|H₀|".
+        ylabel: name of the errors.
+        time_unit: unit of t.
+        size: magnitude of the quantity whose errors these are; 1 for relative errors.
+        of: symbol of `size`, such as "|H₀|".
     """
     epsilon = size * float(np.finfo(np.result_type(*curves.values(), np.float32)).eps)
     errors = {f"{label}: exactly 0" if not np.any(y) else label: abs(np.asarray(y)) for label, y in curves.items()}
     series(ax, t, {label: np.ma.masked_equal(y, 0) for label, y in errors.items()}, ylabel, time_unit)
     ax.set_yscale("log")
     if not any(np.any(y) for y in curves.values()):
-        ax.set(xlim=(t[0], t[-1]), ylim=(epsilon / 10, 10 * epsilon))  # no curve sets them
+        ax.set(xlim=(t[0], t[-1]), ylim=(epsilon / 10, 10 * epsilon))  # no curve is drawn that would set the limits
     if min(np.abs(y).max() for y in curves.values()) >= _NEAR * epsilon:
         return ax
     low, high = ax.get_ylim()
-    ax.set_ylim(min(low, epsilon / 10), max(high, 10 * epsilon))  # a decade at least, or it is all round-off
+    ax.set_ylim(min(low, epsilon / 10), max(high, 10 * epsilon))  # at least a decade on both sides of the line
     return round_off(ax, epsilon, of)
 
 
 def round_off(ax: Axes, epsilon: float = float(np.finfo(float).eps), of: str = "") -> Axes:
-    """A line at the round-off of numbers of the size `of`: `epsilon`, that of 1 in float64 by default."""
+    """Draw a line at the round-off `epsilon` of numbers of the size `of`; by default at that of 1 in float64."""
     ax.axhline(epsilon, color=GRAY, lw=1.2, zorder=1, label=f"round-off, ε{of} = {epsilon:.1e}".replace("e-", "e−"))
     ax.legend()
     return ax
@@ -181,26 +181,26 @@ def sphere_path(
     pole_label: str = "angular momentum",
     joined: bool = True,
 ) -> Any:
-    """A path of unit vectors (n, 3) on the sphere, paler on the far side, and the axis `pole` about which it rotates.
+    """Draw a path of unit vectors (n, 3) on the sphere, paler on the far side, and the axis `pole` that it circles.
 
-    The vectors are joined by a curve, or drawn as dots. The axis is a pin in the sphere.
+    The vectors are joined by a curve; without `joined` they are dots. The axis is drawn as a pin in the sphere.
 
-    The view is from the direction `eye`; by default from the mean of the path, turned by 25° in both angles. Meridians
-    and parallels, 30° apart, are drawn on the near side only.
+    The view is from the direction `eye`; by default from the mean of the path, rotated by 25° in both angles. Meridians
+    and parallels are drawn every 30°, on the near side only.
     """
     x, y, z = path.mean(axis=0) if eye is None else eye
     aside = 25 if eye is None else 0
     ax.view_init(elev=np.rad2deg(np.arctan2(z, np.hypot(x, y))) + aside, azim=np.rad2deg(np.arctan2(y, x)) + aside)
     grid = _meridians_and_parallels()
-    ax.plot(*np.where((grid @ _sight(ax) < 0)[:, None], np.nan, grid).T, color=GRAY, lw=0.4)
-    ax.plot(*_outline(_sight(ax)).T, color=GRAY, lw=0.8)
-    hidden = path @ _sight(ax) < 0
+    ax.plot(*np.where((grid @ _view_direction(ax) < 0)[:, None], np.nan, grid).T, color=GRAY, lw=0.4)
+    ax.plot(*_outline(_view_direction(ax)).T, color=GRAY, lw=0.8)
+    hidden = path @ _view_direction(ax) < 0
     for side, alpha in ((hidden, 0.25), (~hidden, 0.9)):
         look: dict[str, Any] = {"lw": 0.8} if joined else {"ls": "", "marker": "o", "ms": 1.5}
         ax.plot(*np.where(side[:, None], path, np.nan).T, color=BLUE, alpha=alpha, **look)
     if pole is not None:
         pin = np.outer([1.01, 1.25], pole)
-        alpha = 1.0 if pin[0] @ _sight(ax) >= 0 else 0.4
+        alpha = 1.0 if pin[0] @ _view_direction(ax) >= 0 else 0.4
         ax.plot(*pin.T, color=RED, lw=1.5, marker="o", ms=3.5, markevery=[0], alpha=alpha, label=pole_label)
     ax.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1))  # equal ranges, or the sphere is drawn as an ellipsoid
     ax.set_box_aspect((1, 1, 1), zoom=1.5)
@@ -209,29 +209,29 @@ def sphere_path(
 
 
 def _meridians_and_parallels() -> np.ndarray:
-    """Points (n, 3) of the circles on the unit sphere that are 30° apart; NaN ends each circle."""
+    """Points (n, 3) of the meridians and parallels of the unit sphere every 30°; NaN ends each circle."""
     around, along = np.linspace(0, 2 * np.pi, 73), np.linspace(-np.pi / 2, np.pi / 2, 37)
-    circles = [on_sphere(np.full(37, longitude), along) for longitude in np.deg2rad(range(0, 360, 30))]
-    circles += [on_sphere(around, np.full(73, latitude)) for latitude in np.deg2rad(range(-60, 90, 30))]
+    circles = [unit_vectors(np.full(37, longitude), along) for longitude in np.deg2rad(range(0, 360, 30))]
+    circles += [unit_vectors(around, np.full(73, latitude)) for latitude in np.deg2rad(range(-60, 90, 30))]
     return np.concatenate([np.vstack([circle, [[np.nan] * 3]]) for circle in circles])
 
 
-def _outline(sight: np.ndarray) -> np.ndarray:
-    """The great circle (n, 3) that is seen as the edge of the unit sphere from the direction `sight`."""
-    _, _, (_, a, b) = np.linalg.svd(sight[None])
+def _outline(direction: np.ndarray) -> np.ndarray:
+    """The great circle (n, 3) that bounds the unit sphere as seen from a direction."""
+    _, _, (_, a, b) = np.linalg.svd(direction[None])
     angle = np.linspace(0, 2 * np.pi, 145)[:, None]
     return np.cos(angle) * a + np.sin(angle) * b
 
 
-def on_sphere(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
-    """Unit vectors (n, 3) of angles (n,) in radians."""
+def unit_vectors(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
+    """Unit vectors (n, 3) with the longitudes and latitudes (n,), in radians."""
     return np.stack(
         [np.cos(longitude) * np.cos(latitude), np.sin(longitude) * np.cos(latitude), np.sin(latitude)], axis=-1
     )
 
 
 def sky(ax: Any, center: float = 0.0) -> Any:
-    """Label axes with Mollweide's projection, which is equal-area, as a map of the sphere about a longitude (°)."""
+    """Label axes in Mollweide's equal-area projection as a map of the sphere centered on a longitude (°)."""
     ticks = range(-120, 121, 60)
     ax.set_xticks(np.deg2rad(ticks), [f"{(tick + center) % 360:g}°" for tick in ticks])
     ax.set_yticks(np.deg2rad(range(-60, 61, 30)), [f"{y}°".replace("-", "−") for y in range(-60, 61, 30)])
@@ -241,61 +241,61 @@ def sky(ax: Any, center: float = 0.0) -> Any:
 
 
 def sky_path(ax: Any, path: np.ndarray, label: str, center: float = 0.0, **look: Any) -> Any:
-    """A path of unit vectors (n, 3) on the map of `sky`, broken where it leaves the map on one side."""
-    longitude, latitude = _on_map(path, center)
+    """Draw a path of unit vectors (n, 3) on the map of `sky`, interrupted where it crosses the edge of the map."""
+    longitude, latitude = _map_coordinates(path, center)
     leaves = np.flatnonzero(abs(np.diff(longitude)) > np.pi) + 1
     ax.plot(np.insert(longitude, leaves, np.nan), np.insert(latitude, leaves, np.nan), label=label, **look)
     return ax
 
 
 def sky_points(ax: Any, points: np.ndarray, label: str, center: float = 0.0, **look: Any) -> Any:
-    """Unit vectors (n, 3) as marks on the map of `sky`."""
-    ax.scatter(*_on_map(points, center), label=label, **look)
+    """Mark unit vectors (n, 3) on the map of `sky`."""
+    ax.scatter(*_map_coordinates(points, center), label=label, **look)
     return ax
 
 
-def _on_map(points: np.ndarray, center: float) -> tuple[np.ndarray, np.ndarray]:
-    """Longitudes from `center` (°), in (−π, π], and latitudes, in radians."""
+def _map_coordinates(points: np.ndarray, center: float) -> tuple[np.ndarray, np.ndarray]:
+    """Longitudes relative to `center` (°), in (−π, π], and latitudes of unit vectors (n, 3), in radians."""
     longitude = np.arctan2(points[:, 1], points[:, 0]) - np.deg2rad(center)
     return np.angle(np.exp(1j * longitude)), np.arcsin(np.clip(points[:, 2], -1, 1))
 
 
 def sphere_points(ax: Any, points: np.ndarray, label: str, **style: Any) -> Any:
-    """Unit vectors (n, 3) as dots on the sphere of `sphere_path`; those on the far side are left out."""
-    seen = points[points @ _sight(ax) >= 0]
+    """Draw unit vectors (n, 3) as dots on the sphere of `sphere_path`; those on the far side are left out."""
+    seen = points[points @ _view_direction(ax) >= 0]
     ax.scatter(*(1.01 * seen.T), label=label, depthshade=False, **style)
     return ax
 
 
 def sphere_ends(ax: Any, path: np.ndarray) -> Any:
-    """Marks at the start and the end of a path of unit vectors (n, 3) on the sphere, paler on the far side."""
+    """Mark the start and the end of a path of unit vectors (n, 3) on the sphere, paler on the far side."""
     for point, mark, label, color in ((path[0], "o", "start", GREEN), (path[-1], "s", "end", RED)):
-        alpha = 1.0 if point @ _sight(ax) >= 0 else 0.4
+        alpha = 1.0 if point @ _view_direction(ax) >= 0 else 0.4
         ax.plot(*(1.01 * point[:, None]), ls="", marker=mark, color=color, alpha=alpha, label=label)
     return ax
 
 
 def sphere_axes(ax: Any) -> Any:
-    """The names x, y, z of the axes of space at their ends on the near side of the sphere, −x for the end of −x."""
+    """Label the axes of space on the near side of the sphere: x, y, z, or −x where that end is nearer."""
     for k, name in enumerate("xyz"):
-        sign = 1 if _sight(ax)[k] >= 0 else -1
+        sign = 1 if _view_direction(ax)[k] >= 0 else -1
         ax.text(*(1.08 * sign * np.eye(3)[k]), name if sign > 0 else f"−{name}", color=INK, ha="center", va="center")
     return ax
 
 
-def _sight(ax: Any) -> np.ndarray:
+def _view_direction(ax: Any) -> np.ndarray:
     """The unit vector from the sphere toward the viewer."""
     a, e = np.deg2rad(ax.azim), np.deg2rad(ax.elev)
     return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
 
 
 def delay_plot(ax: Any, points: np.ndarray, symbol: str = "x") -> Any:
-    """The points (x_n, x_{n+N}, x_{n+2N}) of a series, shape (n, 3), less the middle of their range, as small dots.
+    """Plot the points (x_n, x_{n+N}, x_{n+2N}) of a series, (n, 3), relative to the middle of their range, as dots.
 
     Args:
         ax: axes in three dimensions.
         points: as `diagnostics.delay` returns them.
-        symbol: of x, in TeX.
+        symbol: the symbol of x, in TeX.
     """
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
     power = int(np.floor(np.log10(np.ptp(points) or 1.0)))
@@ -309,7 +309,7 @@ def delay_plot(ax: Any, points: np.ndarray, symbol: str = "x") -> Any:
 
 
 def cube(ax: Any) -> Any:
-    """Equal sides and few small ticks on axes in three dimensions."""
+    """Give axes in three dimensions equal sides and few small ticks."""
     ax.set_box_aspect((1, 1, 1), zoom=0.85)  # room for the labels
     ax.tick_params(labelsize="xx-small", pad=-2)
     ax.locator_params(nbins=4)
@@ -323,8 +323,11 @@ def loglog_lines(
     ylabel: str,
     styles: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Axes:
-    """At most eight lines with marks on logarithmic axes, such as error against cost; `styles`, by label, override."""
-    _few(curves)
+    """Plot at most eight lines with markers on logarithmic axes, such as error against cost.
+
+    `styles` overrides the look of lines by label.
+    """
+    _check_number(curves)
     for (label, (x, y)), look in zip(curves.items(), STYLES, strict=False):
         ax.loglog(x, y, **(look | {"label": label} | dict((styles or {}).get(label, {}))))
     ax.set(xlabel=xlabel, ylabel=ylabel)

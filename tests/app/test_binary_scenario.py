@@ -258,7 +258,7 @@ def test_a_thousand_systems_whose_store_broke_off_are_resumed_to_the_same_bits(m
     monkeypatch.setattr(os, "fsync", sync)
     capsys.readouterr()
     assert cli.main(["info", "part.zarr"]) == 0
-    assert re.search(r"\d+ of 24 steps; --resume goes on", capsys.readouterr().out)
+    assert re.search(r"\d+ of 24 steps; --resume continues it", capsys.readouterr().out)
     assert cli.main([*arguments, "part.zarr", "--resume"]) == 0
     whole, part = (files.load(Path(f"{which}.zarr"))[0] for which in ("whole", "part"))
     assert whole.state.q.shape == (13, 1000, 2, 7)

@@ -282,7 +282,7 @@ def test_bad_commands(capsys):
         (["run", "nofile.toml"], "there is no file nofile.toml; `lieint list` shows the scenarios"),
         (
             ["run", "toutatis", "--save-at", "no.txt"],
-            "there is no file no.txt: give a text file with one number a line",
+            "there is no file no.txt: give a text file with one number per line",
         ),
         (["info", "no.npz"], r"there is no file no\.npz; lieint run NAME --out no\.npz writes one"),
         (["plot", "no.zarr"], r"there is no file no\.zarr; lieint run NAME --out no\.zarr writes one"),
@@ -297,7 +297,7 @@ def test_bad_commands(capsys):
 
 
 def test_a_mistyped_command_says_what_to_type(capsys):
-    for arguments, message in (([], "; lieint --help says more"), (["run", "--steps", "x"], "; lieint run --help")):
+    for arguments, message in (([], "; see lieint --help"), (["run", "--steps", "x"], "; see lieint run --help")):
         with pytest.raises(SystemExit, match=r"^2$"):
             cli.main(arguments)
         assert message in capsys.readouterr().err
@@ -361,9 +361,9 @@ def test_groups_by_name():
     assert check_groups.find_group("SO(3)xAff(1)").dim == 5
     assert check_groups.find_group("so3") == check_groups.catalogue()["SO(3)"]
     assert check_groups.find_group("E8") is None
-    with pytest.raises(ValueError, match="no scheme 'rk4' on SL\\(3\\): the maps there are exponential"):
+    with pytest.raises(ValueError, match="no scheme 'rk4' on SL\\(3\\), where group_midpoint has the maps exponential"):
         check_groups.certificates(check_groups.find_group("sl3"), "rk4")
-    assert {name for name, group in check_groups.catalogue().items() if check_groups.bounded(group)} == {
+    assert {name for name, group in check_groups.catalogue().items() if check_groups.has_bounded_adjoint(group)} == {
         *("SO(3)", "SO(4)", "SU(2)", "Heis(3)", "Heis(5)", "R^3")
     }
 

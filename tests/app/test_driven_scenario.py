@@ -209,7 +209,7 @@ def test_a_store_that_broke_off_is_resumed_to_the_same_bits(monkeypatch, capsys)
     monkeypatch.setattr(os, "fsync", sync)
     capsys.readouterr()
     assert cli.main(["info", "part.zarr"]) == 0
-    assert re.search(r"\d+ of 200 steps; --resume goes on", capsys.readouterr().out)
+    assert re.search(r"\d+ of 200 steps; --resume continues it", capsys.readouterr().out)
     assert cli.main(["run", name, "--out", "part.zarr", "--resume"]) == 0
     from lieint_jax.app.command import files
 

@@ -1,4 +1,4 @@
-"""`lieint list`: every scenario and study is on it, with what it takes; long commands say so beforehand."""
+"""`lieint list`: every scenario and study is on it, with its cost; long commands print their expected time."""
 
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli, study
@@ -29,9 +29,9 @@ def test_what_was_timed_is_there_and_the_rest_is_said_not_to_be():
     assert all(0 < cost.again <= 2 * cost.first for cost in listing.costs().values())
 
 
-def test_only_long_commands_say_how_long_they_take(monkeypatch, capsys):
+def test_only_long_commands_print_their_expected_time(monkeypatch, capsys):
     costs = {"run slow": Cost(150.0, 20.0, 1.0, 1.0), "run quick": Cost(5.0, 1.0, 1.0, 1.0)}
     monkeypatch.setattr(listing, "costs", lambda: costs)
     for name in ("run slow", "run quick", "run my.toml"):
         listing.announce(name)
-    assert capsys.readouterr().out == "this takes about 2.5 min on two cores, 20 s from the second time on\n"
+    assert capsys.readouterr().out == "expected time on two cores: 2.5 min, and 20 s from the second run on\n"

@@ -60,7 +60,7 @@ def test_eight_curves_have_distinct_colors_and_marks_and_a_ninth_is_refused():
     assert len(set(plots.COLORS)) == len(set(plots.MARKS)) == len(plots.STYLES) == 8
     _, axes = plots.figure()
     t = np.linspace(0, 1, 50)
-    with pytest.raises(ValueError, match="9 curves cannot be told apart on one panel: at most 8"):
+    with pytest.raises(ValueError, match="9 curves cannot be distinguished on one panel: at most 8"):
         plots.series(axes[0, 0], t, {str(k): t for k in range(9)}, "y")
     plots.series(axes[0, 0], t, {str(k): t for k in range(8)}, "y")
     places = [tuple(line.get_markevery()) for line in axes[0, 0].get_lines()]
@@ -149,11 +149,11 @@ def test_errors_stand_beside_the_line_of_round_off(kind):
 def test_a_path_on_the_map_is_broken_where_it_leaves_the_map():
     _, axes = plots.figure(subplot_kw={"projection": "mollweide"})
     longitude = np.deg2rad([150, 170, 190, 210])
-    ax = plots.sky_path(plots.sky(axes[0, 0]), plots.on_sphere(longitude, np.zeros(4)), "equator")
+    ax = plots.sky_path(plots.sky(axes[0, 0]), plots.unit_vectors(longitude, np.zeros(4)), "equator")
     x = ax.get_lines()[0].get_xdata()
     np.testing.assert_allclose(np.rad2deg(x), [150, 170, np.nan, -170, -150])
     _, axes = plots.figure(subplot_kw={"projection": "mollweide"})
-    ax = plots.sky_path(plots.sky(axes[0, 0], 180), plots.on_sphere(longitude, np.zeros(4)), "equator", 180)
+    ax = plots.sky_path(plots.sky(axes[0, 0], 180), plots.unit_vectors(longitude, np.zeros(4)), "equator", 180)
     np.testing.assert_allclose(np.rad2deg(ax.get_lines()[0].get_xdata()), [-30, -10, 10, 30])
     assert ax.get_xticklabels()[0].get_text() == "60°"
 

@@ -49,4 +49,4 @@ def test_published_stands_alone():
     command = [sys.executable, "-m", "lieint_jax.app.command.cli", "check", "rigid_body", "--published"]
     found = subprocess.run(command, capture_output=True, text=True)
     assert found.returncode == 2
-    assert "--published has cases of its own" in found.stderr
+    assert "--published has its own cases" in found.stderr

@@ -109,8 +109,8 @@ def test_symmetric_solutions_have_the_same_light_to_round_off():
     """Under directions that are held; under moving ones mirror and exchange alter it, half turns of the body never."""
     q, sun, observer = directions(3)
     held = np.repeat(sun[:1], len(q), axis=0), np.repeat(observer[:1], len(q), axis=0)
-    assert _symmetric_solutions.differences(SCENE.facets, q, *held).max() < 2e-14  # seen: 3e-15
-    moving = _symmetric_solutions.differences(SCENE.facets, q, sun, observer)
+    assert _symmetric_solutions.light_differences(SCENE.facets, q, *held).max() < 2e-14  # seen: 3e-15
+    moving = _symmetric_solutions.light_differences(SCENE.facets, q, sun, observer)
     assert moving[0] < 2e-14
     assert moving[1:].min() > 0.1
 
@@ -165,9 +165,9 @@ def test_ends_are_told_apart():
     best = _satellite_fit.true_solution(SCENE)
     images = [every[k](best) for k in (0, 17, 50, 95)]
     found = _symmetric_solutions.Solutions(*map(np.concatenate, zip(*images, strict=True)))
-    assert _symmetric_solutions.sorted_out(found, best, every).tolist() == [0, 17, 50, 95]
+    assert _symmetric_solutions.classify(found, best, every).tolist() == [0, 17, 50, 95]
     off = found._replace(rate=-found.rate)
-    assert _symmetric_solutions.sorted_out(off, best, every)[0] == -1
+    assert _symmetric_solutions.classify(off, best, every)[0] == -1
 
 
 def test_images_are_named_from_the_night_whichever_solution_was_best_before_the_shadow():
@@ -177,7 +177,7 @@ def test_images_are_named_from_the_night_whichever_solution_was_best_before_the_
     truth = _satellite_fit.true_solution(SCENE)
     mirror = next(change for change in every if change.name == "mirror")
     names = [
-        every[k].name for k in _symmetric_solutions.sorted_out(satellite._images(mirror(truth), every), truth, every)
+        every[k].name for k in _symmetric_solutions.classify(satellite._images(mirror(truth), every), truth, every)
     ]
     own = [change.name for change in every if change.turn == 0]
     assert sorted(names) == sorted(own)
@@ -195,7 +195,7 @@ def test_periods_of_a_double_series_are_found_from_irregular_data():
     assert set(named) == {line[:2] for line in lines}
     assert np.abs(found.lines - true).max(axis=1).min() < 2e-4
     assert found.pairs.left[0] < 0.05  # 0.017: the grid's nearest frequencies are off by up to 1/8 of 1/400
-    left = _period_search.two_periods(t, y, 1e-4, np.array([[613, 771], [600, 771]]), 2).left
+    left = _period_search.fit_two_periods(t, y, 1e-4, np.array([[613, 771], [600, 771]]), 2).left
     assert left[0] < 4e-6 < 0.1 < left[1]  # 1e-6, of the ridge
 
 
@@ -204,7 +204,7 @@ def test_the_spectrum_is_that_of_least_squares_and_has_derivatives():
     t, y, f = rng.uniform(0, 50, 30), rng.normal(size=30), 0.31
     A = np.stack([np.ones(30), np.cos(2 * np.pi * f * t), np.sin(2 * np.pi * f * t)], axis=1)
     rest = y - A @ np.linalg.lstsq(A, y, rcond=None)[0]
-    value, slope = jax.jit(jax.value_and_grad(_period_search.explained, 2))(t, y, f)
+    value, slope = jax.jit(jax.value_and_grad(_period_search.explained_variance, 2))(t, y, f)
     assert float(value) == pytest.approx(1 - rest.var() / y.var(), abs=1e-13)
     more, less = _period_search.spectrum(t, y, jnp.array([f + 1e-6, f - 1e-6]))
     assert float(slope) == pytest.approx(float(more - less) / 2e-6, rel=1e-6)
@@ -256,7 +256,7 @@ def test_minima_are_minima_and_their_times_have_derivatives():
         body, state = model(params, SCENE.state.q)
         return _minima.minima(body, state, SCENE.facets, SCENE.sky, 40.0, 20)
 
-    m = _minima.minima_of(SCENE, 40.0, 20)
+    m = _minima.scene_minima(SCENE, 40.0, 20)
     t = np.linspace(0, 40, 40001)
     light = np.asarray(_satellite_sky.true_magnitudes(SCENE, jnp.asarray(t)))
     inside = light[1:-1]
@@ -289,13 +289,15 @@ def test_the_period_search_finds_the_true_combinations():
 def test_a_fit_from_near_the_truth_recovers_it():
     """Without noise to what the scheme of order 6 leaves; with noise within four standard errors."""
     curve, seen = _satellite_sky.observe(SCENE, 1)
-    first = curve.until(145.0)
+    first = curve.truncate(145.0)
     clean = np.asarray(_satellite_sky.true_magnitudes(SCENE, jnp.asarray(first.t)))
     truth = _satellite_fit.true_solution(SCENE)
     guess, begin = _symmetric_solutions.parameters(truth)
     guess = guess | {"attitude": guess["attitude"] + 5.0, "rate": guess["rate"] * 1.005}
     several = jax.tree.map(lambda x: np.repeat(x, 2, axis=0), (guess, begin))
-    fit = _satellite_fit.fitted(*several, np.stack([clean, seen[0][: len(first.t)]]), SCENE.facets, first, False)
+    fit = _satellite_fit.fit_magnitudes(
+        *several, np.stack([clean, seen[0][: len(first.t)]]), SCENE.facets, first, False
+    )
     assert fit.starts is not None
     assert fit.starts.success.all()
     rate, inertia = np.asarray(fit.starts.params["rate"]), np.asarray(fit.starts.params["inertia"])

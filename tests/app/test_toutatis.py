@@ -140,7 +140,7 @@ def test_a_flyby_against_scipy():
     body = li.systems.rigid_body(J)
     state = body.state(np.roll(begin.as_quat(), 1), angular_velocity=np.deg2rad(rate))
     orbit = _flyby.hyperbola(1.55e6, 10.76)
-    ours = _flyby.through(body, state, orbit)
+    ours = _flyby.state_after_flyby(body, state, orbit)
 
     def field(t, y):
         q, w = y[:4], y[4:]

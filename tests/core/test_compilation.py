@@ -10,7 +10,7 @@ import jax
 import pytest
 
 import lieint_jax as li
-from lieint_jax.app.command.compilation import keep_programs
+from lieint_jax.app.command.compilation import use_program_cache
 
 NAMES = (
     "jax_compilation_cache_dir",
@@ -126,19 +126,19 @@ def no_folder():
 def test_programs_are_kept_under_the_user_s_cache_directory(no_folder, monkeypatch, tmp_path):
     monkeypatch.delenv("LIEINT_CACHE", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    keep_programs()
+    use_program_cache()
     assert "lieint" in jax.config.jax_compilation_cache_dir
 
 
 def test_a_folder_of_one_s_own(no_folder, monkeypatch, tmp_path):
     monkeypatch.setenv("LIEINT_CACHE", str(tmp_path))
-    keep_programs()
+    use_program_cache()
     assert jax.config.jax_compilation_cache_dir.startswith(str(tmp_path))
 
 
 def test_lieint_cache_0_disables_the_cache(no_folder, monkeypatch):
     monkeypatch.setenv("LIEINT_CACHE", "0")
-    keep_programs()
+    use_program_cache()
     assert jax.config.jax_compilation_cache_dir is None
 
 
@@ -169,7 +169,7 @@ def test_a_folder_that_jax_was_given_stays(monkeypatch, tmp_path):
     before = jax.config.jax_compilation_cache_dir
     assert before
     monkeypatch.setenv("LIEINT_CACHE", str(tmp_path))
-    keep_programs()
+    use_program_cache()
     assert jax.config.jax_compilation_cache_dir == before
 
 

@@ -134,18 +134,18 @@ def test_the_progress_bar_goes_to_a_terminal_and_nowhere_else(capfd, monkeypatch
 
 def test_store_round_trip_and_that_nothing_is_overwritten(tmp_path):
     run = ensemble.run(STEP, states(3), 0.1, 20, save_every=10, progress=False)
-    path = files.free(tmp_path / "run.npz")
+    path = files.check_writable(tmp_path / "run.npz")
     files.save(path, run, {"seed": 4})
     again, metadata = files.load(path)
     jax.tree.map(np.testing.assert_array_equal, again, run)
     assert metadata == {"seed": 4}
     before = path.read_bytes()
     with pytest.raises(ValueError, match="exists and is not overwritten"):
-        files.free(path)
+        files.check_writable(path)
     with pytest.raises(FileExistsError):
         files.save(path, run, {})
     assert path.read_bytes() == before
     with pytest.raises(ValueError, match=r"\.npz"):
-        files.free(tmp_path / "run.txt")
+        files.check_writable(tmp_path / "run.txt")
     with pytest.raises(ValueError, match="does not exist"):
-        files.free(tmp_path / "no" / "run.npz")
+        files.check_writable(tmp_path / "no" / "run.npz")

@@ -84,7 +84,7 @@ SENTENCES = [
     (lambda: _store.check(Path("group.zarr")), "a Zarr group, but was not written by lieint"),
     (lambda: _store.check(Path("newer.zarr")), "has format 99; .*use a newer one"),
     (lambda: _store.check(Path("damaged.zarr")), "is damaged: its checksum is wrong"),
-    (lambda: info_command.plot(Path("bare.npz")), "holds neither a scenario nor the numbers of its system"),
+    (lambda: info_command.plot(Path("bare.npz")), "holds neither a scenario nor the parameters of its system"),
     (lambda: info_command.plot(Path("start.npz")), "holds the initial states only"),
 ]
 
@@ -214,10 +214,10 @@ def test_the_command_line_ends_quietly(monkeypatch, capsys):
         assert stopped_by(BrokenPipeError()) == 1
     with pytest.raises(SystemExit):
         cli.main(["run", "toutatis", "--devices", "0"])
-    assert "0 is not a positive number" in capsys.readouterr().err
+    assert "'0' is not a positive integer" in capsys.readouterr().err
     monkeypatch.setattr(files.os, "access", lambda *_: False)
     with pytest.raises(ValueError, match="cannot be written to; choose another --out"):
-        files.free(Path("run.npz"))
+        files.check_writable(Path("run.npz"))
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
@@ -245,7 +245,7 @@ def test_errors_of_the_system_are_one_short_line(monkeypatch, capsys):
     assert failing(OSError(36, "File name too long", "a" * 3000)) == f"lieint: {'a' * 100}…: File name too long"
     assert failing(OSError(28, "No space left on device")) == "lieint: No space left on device"
     assert failing(ValueError("two\nlines")) == "lieint: two lines"
-    assert failing(MemoryError()).startswith("lieint: not enough memory: fewer members")
+    assert failing(MemoryError()).startswith("lieint: not enough memory: use fewer members")
     assert failing(jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: out of memory")) == failing(MemoryError())
     with pytest.raises(jax.errors.JaxRuntimeError, match="INTERNAL"):
         failing(jax.errors.JaxRuntimeError("INTERNAL: a mistake"))

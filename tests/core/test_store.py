@@ -740,7 +740,7 @@ def test_the_command_line_writes_resumes_and_shows(tmp_path, monkeypatch, capsys
     for bad, message in (
         (["info", "no.zarr"], "there is no file no.zarr; lieint run NAME --out no.zarr writes one"),
         (["run", "book.toml", "--out", "x.npz", "--resume"], "only a run written as .zarr can be resumed"),
-        (["run", "book.toml", "--processes", "2"], "go with --distributed"),
+        (["run", "book.toml", "--processes", "2"], "require --distributed"),
         (["run", "book.toml", "--devices", "99"], "99 devices were requested"),
         (["run", "book.toml", "--distributed", "--processes", "2"], "pass all of coordinator"),
     ):

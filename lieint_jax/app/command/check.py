@@ -1,4 +1,4 @@
-"""The command `check`: certificates of the examples of systems, by every scheme that takes them."""
+"""The command `check`: certificates of the example systems, by every scheme that accepts them."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ import jax
 
 from lieint_jax import _discover, schemes, systems
 from lieint_jax.app.command import check_groups
-from lieint_jax.app.command.compilation import keep_programs
+from lieint_jax.app.command.compilation import use_program_cache
 from lieint_jax.diagnostics import certify
 from lieint_jax.ensemble import count_cores
 
-# Each program runs once, so what counts is how soon it is compiled: XLA's older emitters take a third of the time
+# Each program runs once, so its compilation dominates: with XLA's older emitters it needs a third of the time
 _QUICK: dict[str, str | bool] = {
     "xla_cpu_use_fusion_emitters": False,
     "xla_cpu_parallel_codegen_split_count": "1",
@@ -28,14 +28,14 @@ _QUICK: dict[str, str | bool] = {
 
 
 class _Task(NamedTuple):
-    """The examples of a module of systems by the steps of a module of schemes: they share the compiled programs.
+    """The examples of one module of systems by the steps of one module of schemes: they share compiled programs.
 
     Attributes:
         system, scheme: names of the modules.
-        example: the only example; all if empty.
-        wanted: what the names of the steps must contain.
-        brief: of the examples, only the first that the scheme takes.
-        num_steps: length of a run.
+        example: the name of the only example to check; all examples if empty.
+        wanted: text that the names of the steps must contain.
+        brief: check only the first example that the scheme accepts.
+        num_steps: the length of a run in steps.
     """
 
     system: str
@@ -46,17 +46,17 @@ class _Task(NamedTuple):
     num_steps: int
 
 
-class _Found(NamedTuple):
-    """The names of all the steps that take the examples of a task, and the certificates of those wanted, as text."""
+class _TaskResult(NamedTuple):
+    """The names of all steps that accept the examples of a task, and the certificates of the requested ones as text."""
 
     steps: list[str]
     text: str
 
 
 def check(system: str, scheme: str, num_steps: int | None, every: bool = False) -> None:
-    """Print the certificates of the examples of a system with every scheme that takes them, or those of a group.
+    """Print the certificates of a system's examples by every scheme that accepts them, or those of a matrix group.
 
-    Without a name, of each system the first example that the scheme takes, or with `every` all.
+    Without a name, each scheme checks the first example of every system that it accepts; with `every`, all examples.
     """
     if system == "groups":
         for line in check_groups.table():
@@ -66,7 +66,7 @@ def check(system: str, scheme: str, num_steps: int | None, every: bool = False) 
     if group is not None:
         print(check_groups.certificates(group, scheme, num_steps))
         return
-    named, example = _place(system)
+    named, example = _find_modules(system)
     brief = not (system or every)
     tasks = [
         _Task(x, y, example, scheme, brief, num_steps or 1000)
@@ -74,20 +74,24 @@ def check(system: str, scheme: str, num_steps: int | None, every: bool = False) 
         for y in _discover.modules_with_examples(schemes)
     ]
     steps, printed = [], False
-    for found in _measured(tasks):
+    for found in _run_tasks(tasks):
         steps += found.steps
         if found.text:
             print(found.text, flush=True)
             printed = True
     if not printed:
         whole, names = f"lieint check {system}".strip(), ", ".join(dict.fromkeys(steps))
-        raise ValueError(f"no scheme with {scheme!r} in its name takes this system; {whole} checks all: {names}")
+        raise ValueError(f"no scheme with {scheme!r} in its name accepts this system; {whole} checks all: {names}")
     if brief:
-        print("One example of each system. All of a system: lieint check SYSTEM. All of all: lieint check --all")
+        print("One example of each system was checked. For all examples: lieint check SYSTEM, or lieint check --all")
 
 
-def _place(system: str) -> tuple[list[str], str]:
-    """The modules that hold a system, and the example if it is one; ValueError, which says what there is."""
+def _find_modules(system: str) -> tuple[list[str], str]:
+    """The modules that hold a system, and the example that it names, if any.
+
+    Raises:
+        ValueError: no system has this name; the message lists the existing ones.
+    """
     modules = _discover.modules_with_examples(systems)
     if not system:
         return list(modules), ""
@@ -103,7 +107,7 @@ def _place(system: str) -> tuple[list[str], str]:
     near = difflib.get_close_matches(system, [*names, *check_groups.catalogue()], 1, 0.5)
     meant = f", did you mean {near[0]}?" if near else ";"
     raise ValueError(
-        f"no system {system!r}{meant} there are {'; '.join(known)}; and the groups "
+        f"no system {system!r}{meant} the systems, with their examples, are {'; '.join(known)}; the groups are "
         f"{', '.join(check_groups.catalogue())}. Type, for example, lieint check rigid_body"
     )
 
@@ -113,8 +117,8 @@ def _examples(system: str) -> dict[str, Any]:
     return _discover.modules_with_examples(systems)[system].examples()
 
 
-def _measured(tasks: list[_Task]) -> Iterator[_Found]:
-    """The certificates, in the order of the tasks; a process a core, and a progress bar on a terminal."""
+def _run_tasks(tasks: list[_Task]) -> Iterator[_TaskResult]:
+    """Run the tasks in one process per core, with a progress bar on a terminal; the results in the tasks' order."""
     from tqdm import tqdm
 
     processes = min(count_cores(), len(tasks))
@@ -122,14 +126,14 @@ def _measured(tasks: list[_Task]) -> Iterator[_Found]:
         yield from map(_certificates, tasks)
         return
     bar = tqdm(total=len(tasks), unit=" schemes", disable=None, leave=False, dynamic_ncols=True)
-    with bar, _flags(), multiprocessing.get_context("spawn").Pool(processes, _start) as pool:
+    with bar, _quick_compilation(), multiprocessing.get_context("spawn").Pool(processes, _start_worker) as pool:
         for found in pool.imap(_certificates, tasks):
             bar.clear()
             yield found
             bar.update()
 
 
-def _certificates(task: _Task) -> _Found:
+def _certificates(task: _Task) -> _TaskResult:
     scheme, uses = _discover.modules_with_examples(schemes)[task.scheme], {}
     for name, (body, state, dt) in _examples(task.system).items():
         if task.example in ("", name) and not (task.brief and uses):
@@ -141,20 +145,20 @@ def _certificates(task: _Task) -> _Found:
         for name, step, state, dt in (those if task.wanted in label else ())
     ]
     if lines:
-        jax.clear_caches()  # or memory grows with every scheme
-    return _Found(list(uses), "\n".join(lines))
+        jax.clear_caches()  # otherwise memory grows with every scheme
+    return _TaskResult(list(uses), "\n".join(lines))
 
 
-def _start() -> None:
-    """Begin a process of the pool as the command line begins; Ctrl-C is for the process that started it."""
+def _start_worker() -> None:
+    """Set up a process of the pool as the command line does; the parent process handles Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     jax.config.update("jax_enable_x64", True)
-    keep_programs()
+    use_program_cache()
 
 
 @contextmanager
-def _flags() -> Iterator[None]:
-    """Processes started in this context compile quickly, by the flags that this XLA has."""
+def _quick_compilation() -> Iterator[None]:
+    """Let processes started in this context compile quickly, by the flags in `_QUICK` that this XLA has."""
     before = os.environ.get("XLA_FLAGS")
     flags = [f"--{name}={str(value).lower()}" for name, value in _QUICK.items() if _xla_has_flag(name, value)]
     os.environ["XLA_FLAGS"] = " ".join([before or "", *flags]).strip()
@@ -167,7 +171,7 @@ def _flags() -> Iterator[None]:
 
 
 def _xla_has_flag(name: str, value: str | bool) -> bool:
-    """Whether XLA has a flag; as an option of one program, an unknown one is an error and does not end the process."""
+    """Whether XLA has a flag: as an option of one program, an unknown flag raises, and does not end the process."""
     try:
         jax.jit(lambda x: x).lower(0.0).compile(compiler_options={name: value})
     except jax.errors.JaxRuntimeError:

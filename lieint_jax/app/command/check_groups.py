@@ -3,7 +3,7 @@
 Every map conserves energy and spatial momentum on every group (Results 9 and 10); the symplectic form is conserved only
 where (5.31) holds (Result 11). The table gives, over four random metrics each, the largest relative energy error (1000
 steps of 0.1 where Ad_q is bounded; else 100 of 0.05, over max(1, ‖Ad_q‖²)), and the largest defect of the form in one
-step of |Δt Ω| = 0.05, in the basis of the group. `lieint check groups` prints it, in some minutes:
+step of |Δt Ω| = 0.05, in the basis of the group. `lieint check groups` prints the table within a few minutes:
 
 | group | energy | form, exponential | cayley | arcsine |
 |---|---|---|---|---|
@@ -54,29 +54,29 @@ _QUICK = {"xla_llvm_disable_expensive_passes": True}  # for programs that run on
 
 
 def catalogue() -> dict[str, MatrixGroup]:
-    """The groups of the catalogue, and those that `groups.matrix` gives as examples."""
+    """The groups of the catalogue and the examples of `groups.matrix`, by name."""
     return groups.catalogue.examples() | _discover.modules_with_examples(groups)["matrix"].examples()
 
 
 def find_group(name: str) -> MatrixGroup | None:
-    """The group of the catalogue with a name, in any spelling ("SE(3)", "se3", "Heis 5"); None if there is none."""
-    found = {_plain(key): group for key, group in catalogue().items()}
-    return found.get(_plain(name))
+    """The catalogue's group of this name in any spelling ("SE(3)", "se3", "Heis 5"); None if there is none."""
+    found = {_normalize_name(key): group for key, group in catalogue().items()}
+    return found.get(_normalize_name(name))
 
 
-def _plain(name: str) -> str:
+def _normalize_name(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def light(group: MatrixGroup) -> MatrixGroup:
-    """The group with arithmetic on whole arrays (not unrolled), which compiles quickly, for a few runs."""
+def with_array_arithmetic(group: MatrixGroup) -> MatrixGroup:
+    """The same group with arithmetic on whole arrays in place of unrolled loops: quick to compile, but slow to run."""
     return MatrixGroup(group.basis, group.name, unrolled=False)
 
 
-def bounded(group: MatrixGroup) -> bool:
-    """True if Ad_q stays small along every motion: on compact, abelian and nilpotent groups.
+def has_bounded_adjoint(group: MatrixGroup) -> bool:
+    """Whether Ad_q stays bounded along every motion: it does on compact, abelian and nilpotent groups.
 
-    Elsewhere Ad_q may grow, and Π = Ad*_q π loses digits like ε‖Ad_q‖².
+    Elsewhere Ad_q may grow, and the error of Π = Ad*_q π grows like ε‖Ad_q‖².
     """
     ad = np.tensordot(np.random.default_rng(0).normal(size=(8, group.dim)), group.structure.transpose(0, 2, 1), 1)
     ad /= max(np.linalg.norm(ad, 2, axis=(1, 2)).max(), 1e-300)
@@ -85,7 +85,7 @@ def bounded(group: MatrixGroup) -> bool:
     return bool(nilpotent or np.linalg.eigvalsh(killing).max() < -1e-9)
 
 
-def takes(group: MatrixGroup) -> dict[str, Map]:
+def defined_maps(group: MatrixGroup) -> dict[str, Map]:
     """The maps τ that are defined on a group, by name."""
     found = {"exponential": MAPS["exponential"]}
     if group.cayley_lands:
@@ -108,12 +108,12 @@ def example(group: MatrixGroup, seed: int = 0) -> tuple[Euler, State]:
 
 
 class Conservation(NamedTuple):
-    """Measurements on one group with one map, the worst of several random metrics.
+    """Errors of the conserved quantities on one group with one map, the largest over several random metrics.
 
     Attributes:
         energy: largest |H − H₀|/H₀: over 1000 steps of 0.1 where Ad_q is bounded; else over 100 steps of 0.05,
             divided by max(1, ‖Ad_q‖²).
-        momentum: largest change of π; 0 means bit for bit.
+        momentum: largest change of π; 0 if it is conserved bit for bit.
         form: largest symplectic defect of a step of 0.05.
         converged: whether every step of these runs converged.
     """
@@ -126,22 +126,23 @@ class Conservation(NamedTuple):
 
 def measure(group: MatrixGroup, tau: Map, metrics: int = 4) -> Conservation:
     """Measure conservation by `group_midpoint` on a group with the map τ, over `metrics` random metrics."""
-    group = light(group)
-    dt, steps = (0.1, 1000) if bounded(group) else (0.05, 100)
+    group = with_array_arithmetic(group)
+    dt, steps = (0.1, 1000) if has_bounded_adjoint(group) else (0.05, 100)
     systems, states = zip(*(example(group, seed) for seed in range(metrics)), strict=True)
     stacked = [jax.tree.map(lambda *x: jnp.stack(x), *trees) for trees in (systems, states)]
-    energy, growth, momentum, form, converged = jax.vmap(partial(_conserves, tau, dt, steps))(*stacked)
-    scale = 1.0 if bounded(group) else np.maximum(1, np.asarray(growth) ** 2)
+    energy, growth, momentum, form, converged = jax.vmap(partial(_measure_metric, tau, dt, steps))(*stacked)
+    scale = 1.0 if has_bounded_adjoint(group) else np.maximum(1, np.asarray(growth) ** 2)
     energy, momentum, form = (float(np.max(x)) for x in (energy / scale, momentum, form))
     return Conservation(energy, momentum, form, bool(np.all(converged)))
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=_QUICK)
-def _conserves(tau: Map, dt: float, steps: int, system: Euler, state: State) -> tuple[Array, ...]:
+def _measure_metric(tau: Map, dt: float, steps: int, system: Euler, state: State) -> tuple[Array, ...]:
+    """Energy error, largest ‖Ad_q‖, change of momentum, symplectic defect and convergence, with one metric."""
     step = group_midpoint(system, tau)
     run = integrate(step, state, dt, steps, save_every=steps // 10)
-    one = jnp.eye(system.group.dim)
-    Ad_q = jax.vmap(lambda q: jax.vmap(system.group.Ad, (None, 1), 1)(q, one))(run.state.q)
+    identity = jnp.eye(system.group.dim)
+    Ad_q = jax.vmap(lambda q: jax.vmap(system.group.Ad, (None, 1), 1)(q, identity))(run.state.q)
     return (
         jnp.max(jnp.abs(energy_error(system, run))) / system.energy(state),
         jnp.max(jnp.linalg.norm(Ad_q, axis=(1, 2))),
@@ -152,33 +153,40 @@ def _conserves(tau: Map, dt: float, steps: int, system: Euler, state: State) -> 
 
 
 def table(metrics: int = 4) -> Iterator[str]:
-    """The lines of the table in this module's docstring; the energy error is that of the worst map."""
+    """The lines of the table in this module's docstring; the energy error is the largest over the maps."""
     yield "| group | energy | form, exponential | cayley | arcsine |"
     yield "|---|---|---|---|---|"
     for name, group in catalogue().items():
-        found = {key: measure(group, tau, metrics) for key, tau in takes(group).items()}
-        flag = "" if all(kept.converged for kept in found.values()) else " NOT ALL CONVERGED"
-        worst = max(kept.energy for kept in found.values())
+        found = {key: measure(group, tau, metrics) for key, tau in defined_maps(group).items()}
+        flag = "" if all(result.converged for result in found.values()) else " NOT ALL CONVERGED"
+        worst = max(result.energy for result in found.values())
         forms = [f"{found[key].form:.1e}" if key in found else "—" for key in MAPS]
         yield f"| {name} | {worst:.1e}{flag} | {' | '.join(forms)} |"
 
 
 def certificates(group: MatrixGroup, scheme: str = "", num_steps: int | None = None) -> str:
-    """The certificates of a random metric on a group, one for each map, as text."""
-    system, state = example(light(group))
-    steps = num_steps or (1000 if bounded(group) else 100)
-    wanted = [tau for name, tau in takes(group).items() if scheme in f"group_midpoint[{name}]"]
+    """The certificates of a random metric on a group, one for each map, as text.
+
+    Raises:
+        ValueError: no map matches `scheme`; the message lists the maps of this group.
+    """
+    system, state = example(with_array_arithmetic(group))
+    steps = num_steps or (1000 if has_bounded_adjoint(group) else 100)
+    wanted = [tau for name, tau in defined_maps(group).items() if scheme in f"group_midpoint[{name}]"]
     if not wanted:
-        raise ValueError(f"no scheme {scheme!r} on {group.name}: the maps there are {', '.join(takes(group))}")
-    lines = [_about(group, system)]
+        names = ", ".join(defined_maps(group))
+        raise ValueError(f"no scheme {scheme!r} on {group.name}, where group_midpoint has the maps {names}")
+    lines = [_describe(group, system)]
     lines += [str(certify(group_midpoint(system, tau), state, 0.05, steps)) for tau in wanted]
     return "\n\n".join(lines)
 
 
-def _about(group: MatrixGroup, system: Any) -> str:
+def _describe(group: MatrixGroup, system: Any) -> str:
     central, quadratic = (len(x) for x in group._casimirs)
-    form = "yes" if "arcsine" in takes(group) and maps.is_symplectic(maps.arcsine, group, system.metric) else "no"
-    growth = "Ad_q stays bounded" if bounded(group) else "Ad_q may grow, and digits of Π are lost like ε‖Ad_q‖²"
+    symplectic = "arcsine" in defined_maps(group) and maps.is_symplectic(maps.arcsine, group, system.metric)
+    form, growth = "yes" if symplectic else "no", "Ad_q stays bounded"
+    if not has_bounded_adjoint(group):
+        growth = "Ad_q may grow, and digits of Π are lost like ε‖Ad_q‖²"
     return (
         f"{group}: {growth}; Casimirs known: {central} linear, {quadratic} quadratic; a symplectic map known: {form}\n"
         "A random metric, |Ω| = 1"

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from lieint_jax.app.command.compilation import keep_programs
+from lieint_jax.app.command.compilation import use_program_cache
 from lieint_jax.app.published import Case, cases
 
 
 def check() -> None:
-    """Run every case and print its comparison as soon as it is known."""
-    keep_programs()
+    """Run every case, and print each comparison as soon as it is computed."""
+    use_program_cache()
     for case in cases():
         for line in report(case):
             print(line, flush=True)
 
 
 def report(case: Case) -> Iterator[str]:
-    """The lines of a case: its source, then each quantity with the largest difference of its numbers."""
+    """The lines of a case: its source, the scheme, and the largest difference in each quantity."""
     yield case.code
     yield f"  source     {case.source}"
-    yield f"  here by    {case.scheme}"
+    yield f"  scheme     {case.scheme}"
     for found in case.compare():
         digits = f", printed to {found.digits:.0e}" if found.digits else ""
         yield f"  {found.quantity:<42} differs by {found.difference:.1e}{digits}"

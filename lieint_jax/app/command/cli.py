@@ -1,4 +1,4 @@
-"""The command `lieint`: parses its arguments and calls the package."""
+"""The command `lieint`: it parses its arguments and calls the package."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 _EPILOG = """examples:
-  lieint list                              all scenarios and studies, and how long each takes
+  lieint list                              all scenarios and studies, with their run times
   lieint run toutatis                      800 days of a tumbling asteroid, 1000 members
   lieint run my.toml --members 100         your own scenario (copy lieint_jax/app/scenarios/toutatis.toml)
-  lieint run toutatis --out runs.zarr --members 100000   to disk while it runs; with --resume it goes on
+  lieint run toutatis --out runs.zarr --members 100000   write to disk during the run; --resume continues it
   lieint info runs.zarr                    describe that store
-  lieint plot runs.zarr                    report on it and draw it
-  lieint animate runs.zarr --out turn.html a turning body, its axis and its momentum; also .gif and .mp4
+  lieint plot runs.zarr                    report on that store and draw it
+  lieint animate runs.zarr --out turn.html a rotating body, its axis and its momentum; also .gif and .mp4
   lieint study toutatis                    fit a spin state to the radar fixes of 1992, predict 2004 and 2008
   lieint check rigid_body                  what every scheme conserves of a free body, measured
-  lieint check rigid_body --scheme cayley  one of them
-  lieint check                             of one example of each system: some minutes the first time
-  lieint check "SE(3)"                     what is conserved on a matrix group, by which map
+  lieint check rigid_body --scheme cayley  the same, only for schemes with cayley in their name
+  lieint check                             one example of each system: a few minutes the first time
+  lieint check "SE(3)"                     what each map conserves on a matrix group
   lieint check --published                 numbers of other codes (NASA, Basilisk, …), recomputed
   lieint check groups                      energy and symplectic form, group by group and map by map
   lieint figure 1 2 3 --out figures        the paper's figures
 """
 
-_NAME = 100  # the most characters of a file's name in a message
+_NAME = 100  # largest number of characters of a file's name in a message
 _WAIT = 5.0  # seconds of silence while the processes of a run connect
 _PLAIN = {"·": "*", "×": "x", "÷": "/", "−": "-", "–": "-", "—": "-", "→": "->", "↦": "->"}
 _PLAIN |= {"≤": "<=", "≥": ">=", "≈": "~", "±": "+-", "°": "deg", "‖": "||", "½": "1/2"}
@@ -40,14 +40,14 @@ _PLAIN |= {"≤": "<=", "≥": ">=", "≈": "~", "±": "+-", "°": "deg", "‖":
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; return 0 on success, 2 with one line on stderr for an error that the user can correct."""
-    _print_everywhere()
+    _print_in_any_encoding()
     options = _parser().parse_args(arguments)
     import jax
 
-    from lieint_jax.app.command.compilation import keep_programs
+    from lieint_jax.app.command.compilation import use_program_cache
 
     jax.config.update("jax_enable_x64", True)
-    keep_programs()
+    use_program_cache()
     warnings.showwarning = lambda message, *_, **__: print(f"lieint: warning: {message}", file=sys.stderr)
     try:
         options.command(options)
@@ -71,7 +71,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _sentence(error: Exception) -> str:
     """The message of an error in one line."""
     if isinstance(error, MemoryError):
-        return f"not enough memory: {str(error) or 'fewer members, or a larger save_every, need less'}"
+        return f"not enough memory: {str(error) or 'use fewer members or a larger save_every'}"
     if isinstance(error, OSError) and error.strerror:
         names = [str(name) for name in (error.filename, error.filename2) if name is not None]
         short = [name if len(name) <= _NAME else f"{name[:_NAME]}…" for name in names]
@@ -79,22 +79,22 @@ def _sentence(error: Exception) -> str:
     return " ".join(str(error).split("\n"))
 
 
-def _print_everywhere() -> None:
-    """Print to terminals and files of any encoding: what one does not have is written in plain letters."""
-    codecs.register_error("lieint", _spelled)
+def _print_in_any_encoding() -> None:
+    """Let stdout and stderr write ASCII in place of the characters that their encoding lacks."""
+    codecs.register_error("lieint", _encode_error_in_ascii)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="lieint")
 
 
-def _spelled(error: UnicodeError) -> tuple[str, int]:
-    """What is printed in place of characters that cannot be encoded, and where printing goes on."""
+def _encode_error_in_ascii(error: UnicodeError) -> tuple[str, int]:
+    """The ASCII text in place of characters that cannot be encoded, and the index of the next character."""
     assert isinstance(error, UnicodeEncodeError)
-    return "".join(map(_plain, error.object[error.start : error.end])), error.end
+    return "".join(map(_spell_in_ascii, error.object[error.start : error.end])), error.end
 
 
-def _plain(character: str) -> str:
-    """A character in ASCII: "pi" of π, "..." of …, "?" of what has no like."""
+def _spell_in_ascii(character: str) -> str:
+    """The ASCII spelling of a character: "pi" for π, "..." for …, "?" if there is none."""
     name = unicodedata.name(character, "")
     if name.startswith("GREEK "):
         letter = name.split()[-1]
@@ -103,10 +103,10 @@ def _plain(character: str) -> str:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose errors end with what to type; the parsers of the commands are of its class too."""
+    """A parser whose errors end with the command that prints help; so do the parsers of its subcommands."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"lieint: {message}; {self.prog} --help says more\n")
+        self.exit(2, f"lieint: {message}; see {self.prog} --help\n")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -132,54 +132,56 @@ def _add_run(commands: Any) -> None:
         "--out",
         type=_address,
         metavar="PATH",
-        help="where to write results: NAME.npz at the end, with pictures beside it, or NAME.zarr while the run goes "
-        "on, which may be s3://BUCKET/NAME.zarr (gs://, az://)",
+        help="file of results: NAME.npz, written at the end with pictures next to it, or NAME.zarr, written during the "
+        "run, which may be s3://BUCKET/NAME.zarr (gs://, az://)",
     )
     run.add_argument("--members", type=int, metavar="N", help="ensemble size, in place of the scenario's")
     run.add_argument("--steps", type=int, metavar="N", help="number of steps, in place of the scenario's")
-    run.add_argument("--save-at", type=Path, metavar="FILE", help="save states at the times in FILE, one a line")
-    run.add_argument("--resume", action="store_true", help="go on with the run in PATH.zarr; start it if there is none")
+    run.add_argument("--save-at", type=Path, metavar="FILE", help="save states at the times in FILE, one per line")
+    run.add_argument("--resume", action="store_true", help="continue the run in PATH.zarr; start it if there is none")
     run.add_argument("--no-certificate", action="store_true", help="do not measure what the scheme conserves")
-    run.add_argument("--no-pictures", action="store_true", help="draw none; lieint plot PATH draws them later")
-    run.add_argument("--devices", type=_positive, metavar="N", help="devices to use; on a CPU, if not told, one a core")
+    run.add_argument("--no-pictures", action="store_true", help="draw no pictures; lieint plot PATH draws them later")
+    run.add_argument(
+        "--devices", type=_positive, metavar="N", help="number of devices (default: all; CPU: one per core)"
+    )
     run.add_argument(
         "--part",
         metavar="K/N",
-        help="only part K = 0 ... N-1 of the members, one of N independent processes that fill one NAME.zarr; auto: "
-        "the task of a job array (SLURM, AWS Batch, ...); auto/N where the array does not report N (Kubernetes)",
+        help="run only part K = 0 ... N-1 of the members, as one of N independent processes that fill one NAME.zarr; "
+        "auto: K and N of a job array (SLURM, AWS Batch, ...); auto/N where the array does not report N (Kubernetes)",
     )
-    run.add_argument("--distributed", action="store_true", help="one of many processes, as srun or mpirun start them")
+    run.add_argument("--distributed", action="store_true", help="run as one of the processes that srun or mpirun start")
     run.add_argument("--coordinator", metavar="HOST:PORT", help="with --distributed and no srun: the first process")
-    run.add_argument("--processes", type=_positive, metavar="N", help="… how many there are")
-    run.add_argument("--process", type=int, metavar="K", help="… which this one is, from 0")
+    run.add_argument("--processes", type=_positive, metavar="N", help="… the number of processes")
+    run.add_argument("--process", type=int, metavar="K", help="… the index of this process, from 0")
     run.set_defaults(command=_run)
 
 
 def _add_list(commands: Any) -> None:
-    shown = commands.add_parser("list", help="scenarios and studies, and how long each takes", description="A list.")
+    shown = commands.add_parser("list", help="list scenarios and studies", description="List scenarios and studies.")
     shown.set_defaults(command=_list)
 
 
 def _add_results(commands: Any) -> None:
-    info = commands.add_parser("info", help="what a file of results holds", description="Look into results.")
+    info = commands.add_parser("info", help="describe results", description="Describe a file of results.")
     info.add_argument("path", type=_address, metavar="PATH", help="NAME.npz, or NAME.zarr by its path or URL")
     info.set_defaults(command=_info)
-    plot = commands.add_parser("plot", help="report on results and draw them", description="Pictures of results.")
+    plot = commands.add_parser("plot", help="report on results and draw them", description="Report on results.")
     plot.add_argument("path", type=_address, metavar="PATH", help="NAME.npz, or NAME.zarr by its path or URL")
     plot.add_argument("--out", type=Path, metavar="DIR", help="folder of the pictures (default: that of PATH)")
-    plot.add_argument("--force", action="store_true", help="replace pictures that exist")
+    plot.add_argument("--force", action="store_true", help="replace existing pictures")
     plot.set_defaults(command=_plot)
-    animate = commands.add_parser("animate", help="turning bodies as GIF, MP4 or HTML", description="A moving picture.")
+    animate = commands.add_parser("animate", help="rotating bodies as GIF, MP4 or HTML", description="Animate a run.")
     animate.add_argument("path", type=Path, metavar="PATH")
-    animate.add_argument("--member", type=int, default=0, metavar="K", help="which member, from 0 (default 0)")
-    animate.add_argument("--out", type=Path, metavar="FILE", help="NAME.gif (default, beside PATH), .mp4 or .html")
+    animate.add_argument("--member", type=int, default=0, metavar="K", help="index of the member, from 0 (default 0)")
+    animate.add_argument("--out", type=Path, metavar="FILE", help="NAME.gif (default, next to PATH), .mp4 or .html")
     animate.add_argument("--from", type=float, dest="first", metavar="T", help="time of the first frame (default: all)")
-    animate.add_argument("--to", type=float, dest="last", metavar="T", help="time of the last frame, if it fits")
-    animate.add_argument("--seconds", type=float, default=6.0, metavar="S", help="how long it lasts (default 6)")
-    animate.add_argument("--fps", type=_positive, default=20, metavar="F", help="frames a second (default 20)")
-    animate.add_argument("--force", action="store_true", help="replace a file that exists")
+    animate.add_argument("--to", type=float, dest="last", metavar="T", help="time of the last frame (default: all)")
+    animate.add_argument("--seconds", type=float, default=6.0, metavar="S", help="duration of the film (default 6)")
+    animate.add_argument("--fps", type=_positive, default=20, metavar="F", help="frames per second (default 20)")
+    animate.add_argument("--force", action="store_true", help="replace an existing file")
     animate.set_defaults(command=_animate)
-    schema = commands.add_parser("schema", help="the keys of scenario files, as a JSON schema", description="Keys.")
+    schema = commands.add_parser("schema", help="the keys of scenario files, as a JSON schema", description="A schema.")
     schema.set_defaults(command=_schema)
 
 
@@ -192,10 +194,10 @@ def _add_check(commands: Any) -> None:
         nargs="?",
         default="",
         metavar="SYSTEM",
-        help="a system module (rigid_body for one), example, or group; default: one example of each system",
+        help="a module of systems (such as rigid_body), an example or a group; default: one example of each system",
     )
-    check.add_argument("--all", action="store_true", help="every example of every system: many minutes")
-    check.add_argument("--scheme", default="", metavar="NAME", help="only schemes whose name contains NAME")
+    check.add_argument("--all", action="store_true", help="check every example of every system: many minutes")
+    check.add_argument("--scheme", default="", metavar="NAME", help="check only schemes whose name contains NAME")
     check.add_argument(
         "--steps", type=_positive, metavar="N", help="length of a run (default 1000; 100 where Ad_q grows)"
     )
@@ -211,14 +213,14 @@ def _add_paper(commands: Any) -> None:
     figure.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
     figure.set_defaults(command=_figure)
     study = commands.add_parser("study", help="fit parameters, learn κ, measure chaos", description="Run a study.")
-    study.add_argument("name", metavar="NAME", help="one of those that lieint list shows")
+    study.add_argument("name", metavar="NAME", help="a study that lieint list shows")
     study.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder to write to (default: here)")
-    study.add_argument("--quick", action="store_true", help="a small one")
+    study.add_argument("--quick", action="store_true", help="run a small version of the study")
     study.set_defaults(command=_study)
 
 
 def _address(text: str) -> Any:
-    """The path or URL of results."""
+    """The path or URL of results, from the command line."""
     if "://" not in text:
         return Path(text)
     from lieint_jax.ensemble import archives
@@ -230,10 +232,10 @@ def _address(text: str) -> Any:
 
 
 def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value} is not a positive number")
-    return value
+    """A positive integer, from the command line."""
+    if not text.strip().isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive integer")
+    return int(text)
 
 
 def _run(options: argparse.Namespace) -> None:
@@ -242,21 +244,21 @@ def _run(options: argparse.Namespace) -> None:
     from lieint_jax.app.command import run
     from lieint_jax.ensemble import processes
 
-    apart = (options.coordinator, options.processes, options.process)
-    if not options.distributed and any(x is not None for x in apart):
-        raise ValueError("--coordinator, --processes and --process go with --distributed")
+    group = (options.coordinator, options.processes, options.process)
+    if not options.distributed and any(x is not None for x in group):
+        raise ValueError("--coordinator, --processes and --process require --distributed")
     part = None
     if options.part is not None:
         if options.distributed:
-            raise ValueError("--part is for independent processes, --distributed for those that start together")
+            raise ValueError("--part is for independent processes, --distributed for processes that start together")
         part = ensemble.part_of_text(options.part)
     if options.members is None and options.steps is None and not options.distributed:
         listing.announce(f"run {options.scenario}")
     if options.devices or not options.distributed:
         ensemble.want_devices(options.devices)
     if options.distributed:
-        with _announced(f"waiting for the processes of this run{_where(options)} to connect"):
-            processes.initialize(*apart)
+        with _report_waiting(f"waiting for the processes of this run{_describe_coordinator(options)} to connect"):
+            processes.initialize(*group)
     try:
         run.run(
             options.scenario,
@@ -274,13 +276,13 @@ def _run(options: argparse.Namespace) -> None:
         processes.leave(f"lieint: {error}")
 
 
-def _where(options: argparse.Namespace) -> str:
+def _describe_coordinator(options: argparse.Namespace) -> str:
     return f" at {options.coordinator}, {options.processes} in all," if options.coordinator else ""
 
 
 @contextlib.contextmanager
-def _announced(what: str) -> Iterator[None]:
-    """A context that reports on stderr what is being waited for, if that lasts longer than `_WAIT`."""
+def _report_waiting(what: str) -> Iterator[None]:
+    """Report on stderr what is being waited for, if this context lasts longer than `_WAIT`."""
     timer = threading.Timer(_WAIT, lambda: print(f"lieint: {what} …", file=sys.stderr, flush=True))
     timer.daemon = True
     timer.start()
@@ -299,13 +301,13 @@ def _list(_: argparse.Namespace) -> None:
 def _info(options: argparse.Namespace) -> None:
     from lieint_jax.app.command import info, study
 
-    print((study.info if study.wrote(options.path) else info.contents)(options.path))
+    print((study.info if study.is_study_file(options.path) else info.contents)(options.path))
 
 
 def _plot(options: argparse.Namespace) -> None:
     from lieint_jax.app.command import info, study
 
-    (study.plot if study.wrote(options.path) else info.plot)(options.path, options.out, options.force)
+    (study.plot if study.is_study_file(options.path) else info.plot)(options.path, options.out, options.force)
 
 
 def _animate(options: argparse.Namespace) -> None:
@@ -329,11 +331,11 @@ def _check(options: argparse.Namespace) -> None:
 
     if options.published:
         if options.system or options.scheme or options.steps or options.all:
-            raise ValueError("--published has cases of its own: type lieint check --published alone")
+            raise ValueError("--published has its own cases: type lieint check --published without other arguments")
         check_published.check()
         return
     if options.all and options.system:
-        raise ValueError(f"--all is every system: type lieint check --all, or lieint check {options.system}")
+        raise ValueError(f"--all checks every system: type lieint check --all, or lieint check {options.system}")
     if not options.scheme and options.steps is None and not options.all:
         listing.announce(f"check {options.system}".strip())
     check.check(options.system, options.scheme, options.steps, options.all)
@@ -347,7 +349,7 @@ def _figure(options: argparse.Namespace) -> None:
     unknown = [n for n in options.numbers if n not in FIGURES]
     if unknown:
         every = " ".join(map(str, FIGURES))
-        raise ValueError(f"figure {unknown[0]} is not one of those recomputed; lieint figure {every} makes them all")
+        raise ValueError(f"figure {unknown[0]} is not one of those recomputed; lieint figure {every} draws them all")
     options.out.mkdir(parents=True, exist_ok=True)
     for n in options.numbers:
         listing.announce(f"figure {n}")

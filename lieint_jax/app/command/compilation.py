@@ -1,4 +1,4 @@
-"""The second `lieint run` of a kind starts without compiling."""
+"""The cache of compiled programs, by which a command starts without compilation from its second run on."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import jax
 from lieint_jax._cache import cache_programs
 
 
-def keep_programs() -> None:
-    """Keep compiled programs in a folder under the user's cache directory, unless the user has said otherwise.
+def use_program_cache() -> None:
+    """Cache compiled programs in a folder under the user's cache directory, unless the environment selects another.
 
-    LIEINT_CACHE=0 in the environment turns it off, LIEINT_CACHE=FOLDER keeps them there; a folder that JAX was given
-    (JAX_COMPILATION_CACHE_DIR) stays. A folder that cannot be made is done without.
+    LIEINT_CACHE=0 switches the cache off, LIEINT_CACHE=FOLDER selects its folder; a folder that was given to JAX
+    (JAX_COMPILATION_CACHE_DIR) has priority. Where the folder cannot be created, programs are not cached.
     """
     folder = os.environ.get("LIEINT_CACHE", "")
     if folder == "0" or jax.config.jax_compilation_cache_dir:  # pyright: ignore[reportAttributeAccessIssue]

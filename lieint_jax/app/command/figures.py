@@ -1,4 +1,4 @@
-"""The paper's figures, recomputed: each function writes a PNG and a PDF and returns the table that goes with it."""
+"""The paper's figures, recomputed: each function writes a PNG and a PDF and returns a table of the numbers drawn."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class Panel(NamedTuple):
     """One panel of Figures 3 to 5: a delay plot of the energy, or of the displacement ‖F − 1‖².
 
     Attributes:
-        name: as in the paper.
+        name: number of the figure and letter of the panel in the paper.
         dt: time step.
         lag: N of the delay plot.
         Phi: P₀ = π̂F₀ with π = (0, 0, Phi).
@@ -119,8 +119,8 @@ class Panel(NamedTuple):
     note: str = ""
 
 
-_UNSTABLE = "1500 steps; later rounding, which grows, breaks the symmetry of this motion"
-_EXCHANGED = "read with F33 = 0.9 for 0.99 and the captions of (a) and (b) exchanged"
+_UNSTABLE = "1500 steps; later, growing rounding errors break the symmetry of this motion"
+_EXCHANGED = "with F33 = 0.9 in place of 0.99, and the captions of (a) and (b) exchanged"
 PANELS = {
     3: (
         Panel("3a", 0.005, 3, 0.4, 4.0e-8),
@@ -144,7 +144,7 @@ PANELS = {
 
 
 class DelayRun(NamedTuple):
-    """The series of a panel, at every step, and whether every step converged."""
+    """The series that a panel shows, at every step, and whether every step converged."""
 
     series: np.ndarray
     converged: bool
@@ -187,13 +187,13 @@ def _delay_figure(number: int, out: Path) -> str:
         )
         verdict = "yes" if run.converged else "NO"
         lines.append(f"  {panel.name:<4} {variation:>9.3g} {panel.printed:>9.3g}   {verdict:<4} {panel.note}".rstrip())
-    fig.suptitle("The midpoint rule: values N steps from one another, less their mid-range")
+    fig.suptitle("The midpoint rule: values separated by N steps, relative to their mid-range")
     plots.save(fig, out / f"figure-{number}.png")
     return "\n".join(lines)
 
 
 def _tex(x: float) -> str:
-    """A number in two digits, with its power of ten."""
+    """A number with two digits, in TeX."""
     mantissa, _, power = f"{x:.1e}".partition("e")
     return f"{x:.2g}" if x >= 1e-2 else rf"${mantissa}\times10^{{{int(power)}}}$"
 

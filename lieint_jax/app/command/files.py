@@ -16,10 +16,14 @@ from lieint_jax.ensemble.archives import Address, Url
 from lieint_jax.types import Trajectory
 
 
-def free(path: Address, kinds: Iterable[str] = (), resume: bool = False) -> Address:
-    """`path`, checked: it ends in .npz or .zarr, neither it nor its pictures exist, and its folder is writable.
+def check_writable(path: Address, kinds: Iterable[str] = (), resume: bool = False) -> Address:
+    """Check that results can be written to `path`, and return it.
 
-    With `resume`, a .zarr may exist. What is at a URL, the run itself finds out.
+    The path must end in .npz or .zarr, neither it nor its pictures may exist, and its folder must be writable. With
+    `resume`, a .zarr may exist. A URL is not checked here: the run itself does that.
+
+    Raises:
+        ValueError: results cannot be written there; the message has the reason and the remedy.
     """
     if isinstance(path, Url):
         return path
@@ -30,7 +34,7 @@ def free(path: Address, kinds: Iterable[str] = (), resume: bool = False) -> Addr
     found = [] if resume else [path]
     for file in (*found, *(pictures(path, kinds) if path.suffix == ".npz" else [])):
         if file.is_symlink() and not file.exists():
-            raise ValueError(f"{file} is a link to nothing; move it away or choose another --out")
+            raise ValueError(f"{file} is a broken link; move it away or choose another --out")
         if file.exists():
             more = "; resume continues it" if file.suffix == ".zarr" else ""
             raise ValueError(f"{file} exists and is not overwritten; move it away or choose another --out{more}")
@@ -42,19 +46,19 @@ def free(path: Address, kinds: Iterable[str] = (), resume: bool = False) -> Addr
 
 
 def picture(path: Path, kind: str) -> Path:
-    """The path of a picture beside results at `path`, such as NAME-path.png for the kind "path"."""
+    """The path of a picture next to results at `path`, such as NAME-path.png for the kind "path"."""
     return path.with_name(f"{path.stem}-{kind}.png")
 
 
 def pictures(path: Path, kinds: Iterable[str]) -> list[Path]:
-    """The files of the pictures beside results at `path`: each is written as PNG and as PDF."""
+    """The files of the pictures next to results at `path`: each is written as PNG and as PDF."""
     return [file for kind in kinds for file in plots.files(picture(path, kind))]
 
 
-def in_folder(path: Address, folder: Path | None) -> Path:
-    """`path`, moved to `folder` if there is one, which must exist: what the pictures of results are named after.
+def path_in_folder(path: Address, folder: Path | None) -> Path:
+    """The path after which pictures of results at `path` are named: in `folder` if one is given, which must exist.
 
-    Those of a URL are in this folder.
+    Without a folder, the pictures of results at a URL are written to the current folder.
     """
     if isinstance(path, Url):
         path = Path(path.name)
@@ -63,17 +67,18 @@ def in_folder(path: Address, folder: Path | None) -> Path:
     return folder / path.name if folder else path
 
 
-def free_pictures(found: Iterable[Path], force: bool) -> None:
-    """ValueError if one of these files exists, unless it may be replaced."""
+def check_replaceable(found: Iterable[Path], force: bool) -> None:
+    """Raise ValueError if one of these files exists, unless `force` allows its replacement."""
     for file in found:
         if file.exists() and not force:
-            raise ValueError(f"{file} exists and is not overwritten; --force replaces it, --out takes another folder")
+            raise ValueError(f"{file} exists and is not overwritten; --force replaces it, --out chooses another folder")
 
 
 def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:
     """Write a trajectory as .npz: arrays t, q, p, residual, converged, and `metadata` as JSON text.
 
-    Where states have them: work, extra.NAME, and state.t, (entries, members), or (entries, 1) if members share it.
+    Further arrays are written if the states have these leaves: work, extra.NAME, and state.t, (entries, members), or
+    (entries, 1) if all members have the same times.
     """
     arrays = archives.leaves_by_name(trajectory.state)
     if "t" in arrays:
@@ -91,12 +96,13 @@ def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:
 
 
 def load(path: Address, thorough: bool | None = None) -> tuple[Any, dict[str, Any]]:
-    """A run and its metadata: the run that `save` wrote, or the complete part of a store.
+    """Read a run and its metadata: the run that `save` wrote, or the complete part of a store.
 
     For the form of a store's results, and `thorough`, see `ensemble.archives.load_store`.
 
     Raises:
-        ValueError: a damaged store, and then which file, and what can still be read; or no file of results.
+        ValueError: the store is damaged (the message names the file and what can still be read), or `path` holds no
+            results.
     """
     if path.suffix == ".zarr":
         return archives.load_store(path, thorough)
@@ -105,14 +111,14 @@ def load(path: Address, thorough: bool | None = None) -> tuple[Any, dict[str, An
     return archives.read_trajectory(found), found.metadata
 
 
-def numbers(path: Path) -> list[float]:
-    """The numbers of a text file, one a line; # begins a comment."""
+def read_numbers(path: Path) -> list[float]:
+    """Read the numbers of a text file, one per line; # begins a comment."""
     if not path.is_file():
-        raise ValueError(f"there is no file {path}: give a text file with one number a line")
+        raise ValueError(f"there is no file {path}: give a text file with one number per line")
     try:
         return np.loadtxt(path, ndmin=1).ravel().tolist()
     except ValueError as error:
-        raise ValueError(f"{path} must hold one number a line: {error}") from error
+        raise ValueError(f"{path} must hold one number per line: {error}") from error
 
 
 def size(path: Address) -> int:
@@ -124,14 +130,14 @@ def size(path: Address) -> int:
 
 
 def megabytes(path: Address) -> str:
-    """The size of results, to print."""
+    """The size of results in megabytes, as text."""
     return f"{size(path) / 1e6:.3g} MB"
 
 
-def unused(path: Path, beside: Callable[[Path], Iterable[Path]]) -> Path:
-    """`path`, or the first of path-2, path-3, … such that neither it nor the files `beside` it exist."""
+def unused_path(path: Path, companions: Callable[[Path], Iterable[Path]]) -> Path:
+    """`path`, or the first of path-2, path-3, … for which neither the file nor its `companions` exist."""
     candidate, k = path, 1
-    while any(file.exists() for file in (candidate, *beside(candidate))):
+    while any(file.exists() for file in (candidate, *companions(candidate))):
         k += 1
         candidate = path.with_stem(f"{path.stem}-{k}")
     return candidate

@@ -1,4 +1,4 @@
-"""The commands `info` and `plot` for the results of a run: what they hold, in words and in pictures."""
+"""The commands `info` and `plot`: they describe and draw the results of a run."""
 
 from __future__ import annotations
 
@@ -18,25 +18,24 @@ from lieint_jax.app.scenarios._runs import POINTS
 from lieint_jax.ensemble.archives import Address, UnreadableError, check_system, system_from_store
 from lieint_jax.types import Step, Trajectory, energy_less_work
 
-_SHOWN = 2**28  # the most bytes of a store that are read to draw it
-_NAMED = 50  # incomplete parts in a description
-_TIMES, _BLOCK = 17, 8192  # saved times at which energies are measured, and members at once
+_SHOWN = 2**28  # largest number of bytes that are read from a store to draw it
+_TIMES, _BLOCK = 17, 8192  # number of saved times at which energies are computed, and of members at once
 
 
 def plot(path: Address, out: Path | None = None, force: bool = False) -> None:
     """Report on a file of results and draw it: the pictures of its scenario, or those of a run of any system.
 
-    A scenario's own are of states that are saved every so many steps, so a run with `save_at` has the others.
+    The pictures of a scenario require states at evenly spaced steps; a run with `save_at` is drawn as any other run.
 
     Args:
-        path: the file.
+        path: the file of results.
         out: the folder of the pictures; by default that of the file.
-        force: replace pictures that exist.
+        force: replace existing pictures.
     """
     run, metadata = files.load(path)
     if len(_times(run)) < 2:
         raise ValueError(f"{path} holds the initial states only: there is nothing to draw yet")
-    plain = files.in_folder(path, out)
+    plain = files.path_in_folder(path, out)
     scenario = _scenario(path, metadata)
     if scenario and scenario.save_at is None and isinstance(run, Trajectory):
         drawn = _plot_scenario(scenario, run, path, plain, force)
@@ -47,7 +46,7 @@ def plot(path: Address, out: Path | None = None, force: bool = False) -> None:
 
 def _plot_scenario(scenario: Common, run: Trajectory, path: Address, plain: Path, force: bool) -> list[Path]:
     kind, members = scenarios.kind(scenario), scenario.members
-    files.free_pictures(files.pictures(plain, kind.PICTURES), force)
+    files.check_replaceable(files.pictures(plain, kind.PICTURES), force)
     shown = slice(_count_drawn(run))
     run = Trajectory(run.t, *jax.tree.map(lambda x: x[:, shown], (run.state, run.info)))
     changes = {"steps": (len(run.t) - 1) * scenario.save_every, "members": run.state.p.shape[1]}
@@ -63,17 +62,17 @@ def _plot_scenario(scenario: Common, run: Trajectory, path: Address, plain: Path
 
 
 def _plot_any(stored: StoredRun, text: str, plain: Path, force: bool) -> list[Path]:
-    kinds = pictures.drawings_of(stored)
-    files.free_pictures(files.pictures(plain, kinds), force)
+    kinds = pictures.drawing_functions(stored)
+    files.check_replaceable(files.pictures(plain, kinds), force)
     print(text)
     if isinstance(stored.run, Trajectory):
         times = np.unique(np.linspace(0, len(stored.run.t) - 1, min(len(stored.run.t), POINTS)).astype(int))
-        stored = stored.part(times, slice(_count_drawn(stored.run)))
+        stored = stored.select(times, slice(_count_drawn(stored.run)))
     return draw(plain, kinds, stored)
 
 
 def draw(path: Path, kinds: Mapping[str, Callable[..., Any]], *arguments: Any) -> list[Path]:
-    """Write the pictures that the functions `kinds` draw, named after `path`, as PNG and PDF; the paths."""
+    """Write the pictures that the functions `kinds` draw as PNG and PDF, named after `path`, and return their paths."""
     drawn = []
     for suffix, picture in kinds.items():
         drawn += plots.save(picture(*arguments), files.picture(path, suffix))
@@ -81,7 +80,7 @@ def draw(path: Path, kinds: Mapping[str, Callable[..., Any]], *arguments: Any) -
 
 
 def _count_drawn(run: Trajectory) -> int:
-    """The number of the first members that are drawn."""
+    """How many members are drawn: as many, from the first on, as `_SHOWN` allows."""
     return max(1, min(_SHOWN // sum(x[:, 0].nbytes for x in jax.tree.leaves(run.state)), run.state.p.shape[1]))
 
 
@@ -90,26 +89,30 @@ def _times(run: Any) -> Any:
 
 
 def _scenario(path: Address, metadata: dict[str, Any]) -> Any:
-    """The scenario of results, or None if they have none of `lieint run`."""
+    """The scenario of results; None if `lieint run` did not write them."""
     table = _table(metadata)
     return scenarios.from_results(table, str(path)) if "system" in table else None
 
 
 def _table(metadata: dict[str, Any]) -> dict[str, Any]:
-    """The keys of the scenario of results; none if they have none, or one that is of other software."""
+    """The keys of the scenario of results; empty if there is no scenario, or other software wrote it."""
     table = metadata.get("scenario")
     return table if isinstance(table, dict) else {}
 
 
 def _title(path: Address, metadata: dict[str, Any]) -> str:
-    """The title that a run was given; else, in place of its scheme, the system and the file."""
+    """The title of a run: the given one, or else the system and the name of the file."""
     if metadata["title"] != metadata["scheme"]:
         return str(metadata["title"])
     return f"{re.sub(r'(?<=[a-z])(?=[A-Z])', ' ', metadata['system']).capitalize()}, {path.name}"
 
 
 def stored_run(path: Address, run: Any, metadata: dict[str, Any]) -> StoredRun:
-    """A run with its system, which a store has, or else its scenario; ValueError if the system is not known."""
+    """A run with its system, which is read from the store or built by its scenario.
+
+    Raises:
+        ValueError: the results hold neither.
+    """
     scenario = None if "description" in metadata else _scenario(path, metadata)
     if scenario:
         system = scenarios.build_first(scenario, run.state.p.shape[1]).system
@@ -121,20 +124,20 @@ def stored_run(path: Address, run: Any, metadata: dict[str, Any]) -> StoredRun:
             metadata["run"]["step_axis"] == 0,
         )
     else:
-        raise ValueError(f"{path} holds neither a scenario nor the numbers of its system")
+        raise ValueError(f"{path} holds neither a scenario nor the parameters of its system")
     if isinstance(run, Trajectory):
         check_system(path, system, run, own_system)
     return StoredRun(title, _time_unit(metadata), system, run, own_system)
 
 
 def _time_unit(metadata: dict[str, Any]) -> str:
-    """The unit of a run's times; empty if it has none."""
+    """The unit of a run's times; empty if there is none."""
     unit = str(metadata.get("time_unit") or _table(metadata).get("time_unit", ""))
     return "" if unit == "1" else unit
 
 
 def contents(path: Address, run: Any = None, metadata: Any = None) -> str:
-    """A description of a file of results, in lines."""
+    """A description of a file of results, as text."""
     if run is None:
         run, metadata = files.load(path, thorough=True)
     lines = [str(metadata.get("title") or _table(metadata).get("title", path)), *_origin(run, metadata)]
@@ -157,7 +160,7 @@ def contents(path: Address, run: Any = None, metadata: Any = None) -> str:
 
 
 def _origin(run: Any, metadata: dict[str, Any]) -> list[str]:
-    """What was run, how far it has come, and by which versions."""
+    """Lines with the scheme, the system and the size of a run, its progress, and the versions of the software."""
     progress = metadata.get("progress")
     if not progress:
         return [
@@ -166,7 +169,7 @@ def _origin(run: Any, metadata: dict[str, Any]) -> list[str]:
     planned, dt = metadata["num_steps"], metadata["dt"]
     sizes = "between given times" if dt is None else f"of {dt:.6g} {_time_unit(metadata)}".rstrip()
     entries = metadata.get("num_entries") or planned // metadata["save_every"] + 1
-    more = "; --resume goes on" if "parts" not in metadata else ""
+    more = "; --resume continues it" if "parts" not in metadata else ""
     state = "complete" if progress["complete"] else f"{progress['steps']} of {planned} steps{more}"
     versions = ", ".join(f"{name} {version}" for name, version in metadata["run"]["versions"].items())
     written = metadata["run"]
@@ -180,7 +183,7 @@ def _origin(run: Any, metadata: dict[str, Any]) -> list[str]:
 
 
 def _parts(metadata: dict[str, Any]) -> list[str]:
-    """A line for each part of a store that is missing, damaged or incomplete."""
+    """The number of complete parts of a store, and a line for each part that is missing, damaged or incomplete."""
     if "parts" not in metadata:
         return []
     missing = metadata["missing"]
@@ -191,7 +194,7 @@ def _parts(metadata: dict[str, Any]) -> list[str]:
 
 
 def _changes(series: dict[str, np.ndarray], quantity: str) -> list[str]:
-    """The range of the change of a reduced quantity."""
+    """Two lines: the change of a reduced quantity since the start, and the convergence of the steps."""
     least, greatest, mean = series["least"].min(), series["greatest"].max(), series["mean"].mean()
     return [
         f"  change of {quantity} since the start: least {least:.3g}, greatest {greatest:.3g}, mean {mean:.3g}",
@@ -200,27 +203,27 @@ def _changes(series: dict[str, np.ndarray], quantity: str) -> list[str]:
 
 
 def _conservation(stored: StoredRun) -> list[str]:
-    """Two lines: the largest change of energy (less work, if counted) at `_TIMES` saves, and the members converged."""
+    """Two lines: the largest change of energy (less work, if counted) at `_TIMES` saves, and the converged members."""
     run = stored.run
     count = run.state.p.shape[1]
     times = np.unique(np.linspace(0, len(run.t) - 1, _TIMES).astype(int))
     worst = size = failed = 0.0
     for first in range(0, count, _BLOCK):
         part = slice(first, first + _BLOCK)
-        H = stored.part(times, part).series(energy_less_work)
+        H = stored.select(times, part).series(energy_less_work)
         worst, size = max(worst, float(abs(H - H[0]).max())), max(size, float(abs(H[0]).max()))
         failed += int((~np.asarray(run.info.converged[:, part])).any(axis=0).sum())
     what = "energy" if run.state.work is None else "energy less work"
     relative = f" ({worst / size:.2g} of the largest energy)" if size else ""
-    looked = f"at {len(times)} of {len(run.t)} saved times"
+    sample = f"at {len(times)} of {len(run.t)} saved times"
     return [
-        f"  largest change of {what}, all members, {looked}: {worst:.2g} in the run's units{relative}",
+        f"  largest change of {what}, all members, {sample}: {worst:.2g} in the run's units{relative}",
         f"  {int(count - failed)} of {count} members converged at every step",
     ]
 
 
 def headline(scenario: Common, step: Step) -> str:
-    """The lines that a report of a scenario begins with."""
+    """The first lines of a scenario's report: its title, its size and its scheme."""
     lines = [scenario.title, f"  {scenario.members} member(s), {scenario.pace()}, {step.name}"]
     if scenario.members > 1 and scenario.assumption():
         lines.append(f"  {scenario.assumption()}")

@@ -1,4 +1,4 @@
-"""States between saved ones, for pictures: how far bodies turn from one to the next, and the path between."""
+"""Interpolation between saved states, for pictures, and the angles by which bodies rotate between saved states."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from lieint_jax._integrate import interpolate
 from lieint_jax.systems._heavy_top import Linear
 from lieint_jax.types import Trajectory
 
-APART = 2.6  # rad, the most between saved states: those found between them are off by 0.3° (tumbling bodies)
+APART = 2.6  # rad, largest rotation between saved states; interpolation then has an error of 0.3° (tumbling bodies)
 
 
 def member(run: Trajectory, k: int) -> Trajectory:
-    """The trajectory of one member, in memory."""
+    """The trajectory of one member, read into memory."""
     return Trajectory(jnp.asarray(run.t), *jax.tree.map(lambda x: np.asarray(x[:, k]), (run.state, run.info)))
 
 
 def turns(system: Any, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """About how far the fastest body and the axis of a top turn between saved states, (saves − 1,), in radians."""
+    """Estimated angles of rotation between saved states, of the fastest body and of a top's axis, (saves − 1,), rad."""
     rates = system.angular_velocities if hasattr(system, "angular_velocities") else system.angular_velocity
     Omega = np.asarray(jax.jit(jax.vmap(rates))(jax.tree.map(jnp.asarray, run.state)))
     Omega, axis = Omega.reshape(len(Omega), -1, 3), pointed(system)
@@ -35,12 +35,12 @@ def turns(system: Any, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 
 def interpolate_at(system: Any, run: Trajectory, times: np.ndarray) -> Trajectory:
-    """The trajectory at times inside it, by interpolation, where saved states are no more than `APART` apart."""
+    """The trajectory at times inside it, by interpolation; saved states may be separated by up to `APART`."""
     return Trajectory(jnp.asarray(times), interpolate(system, run, times), run.info)
 
 
 def pointed(system: Any) -> np.ndarray | None:
-    """The axis (3,) of a heavy top, from its fixed point to its center of mass in the body; None of other systems."""
+    """The axis (3,) of a heavy top in the body, from the fixed point to the center of mass; None for other systems."""
     potential = getattr(system, "potential", None)
     weight = np.asarray(potential.weight) if isinstance(potential, Linear) else np.zeros(3)
     return weight / np.linalg.norm(weight) if weight.any() else None

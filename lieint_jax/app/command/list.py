@@ -1,4 +1,4 @@
-"""The command `list`: the shipped scenarios and studies, each in a line, and how long every command takes."""
+"""The command `list`: the shipped scenarios and studies, with the measured time and memory of each."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Any, NamedTuple
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import study
 
-_LONG = 10.0  # seconds from which a command says beforehand how long it will take
+_LONG = 10.0  # seconds: commands that need longer print their expected time before they start
 
 
 class Cost(NamedTuple):
-    """What a command took at its default size, as `benchmarks/commands.py` measured it on two cores.
+    """The cost of a command at its default size, as measured by `benchmarks/commands.py` on two cores.
 
     Attributes:
-        first: seconds the first time, most of them compiling.
-        again: seconds with the programs of the first time kept.
-        memory: gigabytes.
-        disk: megabytes of its results and pictures.
+        first: seconds of the first run, most of them for compilation.
+        again: seconds of later runs, whose programs are cached.
+        memory: gigabytes of memory.
+        disk: megabytes of results and pictures.
     """
 
     first: float
@@ -37,39 +37,39 @@ def costs() -> dict[str, Cost]:
 
 
 def announce(name: str) -> None:
-    """Say how long a command of default size will take, if that is long and known."""
+    """Print the expected time of a command of default size, if it is long and has been measured."""
     cost = costs().get(name)
     if cost and cost.first > _LONG:
-        first, again = _time(cost.first), _time(cost.again)
-        print(f"this takes about {first} on two cores, {again} from the second time on", flush=True)
+        first, again = _duration(cost.first), _duration(cost.again)
+        print(f"expected time on two cores: {first}, and {again} from the second run on", flush=True)
 
 
 def text() -> str:
-    """The list, to print."""
+    """The list, as text."""
     lines = ["scenarios: lieint run NAME, or your own file"]
     for name in scenarios.scenario_names():
-        what, size = described(scenarios.load(name))
-        lines += _entry(name, what, f"{size}; {takes(f'run {name}')}")
+        about, size = describe(scenarios.load(name))
+        lines += _entry(name, about, f"{size}; {describe_cost(f'run {name}')}")
     lines.append("\nstudies: lieint study NAME")
     for name, module in study.studies_by_name().items():
-        lines += _entry(name, (module.__doc__ or "").splitlines()[0], takes(f"study {name}"))
-    return "\n".join([*lines, "\nscenarios: members × steps; time on two cores, the first time and again; memory"])
+        lines += _entry(name, (module.__doc__ or "").splitlines()[0], describe_cost(f"study {name}"))
+    return "\n".join([*lines, "\nscenarios: members × steps; time on two cores of the first and later runs; memory"])
 
 
-def described(scenario: Any) -> tuple[str, str]:
-    """What a scenario is about, and its size."""
+def describe(scenario: Any) -> tuple[str, str]:
+    """The subject of a scenario, and its size, as text."""
     return f"{scenario.title}: {scenario.about}", f"{scenario.members} × {scenario.steps}"
 
 
-def takes(name: str) -> str:
-    """The time and the memory of a command of default size."""
+def describe_cost(name: str) -> str:
+    """The time and the memory that a command of default size needs, as text."""
     cost = costs().get(name)
-    return f"{_time(cost.first)}, {_time(cost.again)}; {cost.memory:.1f} GB" if cost else "not measured"
+    return f"{_duration(cost.first)}, {_duration(cost.again)}; {cost.memory:.1f} GB" if cost else "not measured"
 
 
-def _entry(name: str, what: str, size: str) -> list[str]:
-    return [f"  {name:<20}{what}", f"  {'':<20}{size}"]
+def _entry(name: str, about: str, size: str) -> list[str]:
+    return [f"  {name:<20}{about}", f"  {'':<20}{size}"]
 
 
-def _time(seconds: float) -> str:
+def _duration(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.1f} min"

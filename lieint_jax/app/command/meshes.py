@@ -1,4 +1,4 @@
-"""Bodies to look at: the boxes and tops that have a given inertia."""
+"""Surfaces of bodies for animations: boxes and tops that have a given inertia."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from lieint_jax.app import plots
 
-_THIN = 0.03  # the least extent of a flat or thin body, over its largest
-_AROUND = 24  # corners of a cone's rim
+_THIN = 0.03  # smallest extent of a flat or thin body, relative to its largest
+_AROUND = 24  # number of corners of a cone's rim
 Face = tuple[int, ...]
 
 
@@ -27,7 +27,7 @@ class Solid(NamedTuple):
     colors: tuple[str, ...]
 
     def grown(self, factor: float) -> Solid:
-        """The same shape, larger."""
+        """The same shape, scaled by a factor."""
         return self._replace(corners=factor * self.corners)
 
     def size(self) -> float:
@@ -36,15 +36,15 @@ class Solid(NamedTuple):
 
 
 def second_moments(inertia: np.ndarray) -> np.ndarray:
-    """∫ x xᵀ dm, (3, 3), of the body with the inertia J = tr(E)·1 − E, which is principal moments (3,) or (3, 3)."""
+    """The second moments E = ∫ x xᵀ dm, (3, 3), of a body with the inertia tr(E)·1 − E, (3, 3) or principal (3,)."""
     J = np.diag(inertia) if np.ndim(inertia) == 1 else np.asarray(inertia)
     return np.trace(J) / 2 * np.eye(3) - J
 
 
 def box(inertia: np.ndarray, mass: float | None = None) -> Solid:
-    """The homogeneous box of an inertia about its center, in its principal axes, each pair of faces in a color.
+    """The homogeneous box of an inertia about its center, in its principal axes; opposite faces have one color.
 
-    A box of half-sides a has the second moments m a²/3. Without a mass, its farthest corner is at 1.
+    A box of half-sides a has the second moments m a²/3. Without a mass, its corners are at the distance 1.
     """
     squares, axes = np.linalg.eigh(second_moments(inertia))
     half = np.sqrt(np.maximum(3 * squares, 0))
@@ -56,7 +56,7 @@ def box(inertia: np.ndarray, mass: float | None = None) -> Solid:
 
 
 def top(inertia: np.ndarray, axis: np.ndarray) -> Solid:
-    """The homogeneous cone on its point at the origin, about an axis, of an inertia about the point; its rim is at 1.
+    """The homogeneous cone with its tip at the origin, about an axis, of an inertia about the tip; its rim is at 1.
 
     A cone of height h with the half-axes a, b of its rim has the second moments 3mh²/5 along, 3ma²/20, 3mb²/20 across.
     """
@@ -65,11 +65,11 @@ def top(inertia: np.ndarray, axis: np.ndarray) -> Solid:
     E = second_moments(inertia)
     height = np.sqrt(max(5 / 3 * along @ E @ along, 0))
     across = np.stack([e1, e2])
-    squares, turn = np.linalg.eigh(across @ E @ across.T)
+    squares, rotation = np.linalg.eigh(across @ E @ across.T)
     half = np.sqrt(np.maximum(20 / 3 * squares, 0))
-    height, half = max(height, half.max() / 3), np.maximum(half, height / 3)  # to be seen as a cone
+    height, half = max(height, half.max() / 3), np.maximum(half, height / 3)  # so that it looks like a cone
     angle = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
-    rim = np.stack([np.cos(angle), np.sin(angle)], axis=1) * half @ (turn.T @ across) + height * along
+    rim = np.stack([np.cos(angle), np.sin(angle)], axis=1) * half @ (rotation.T @ across) + height * along
     corners = np.concatenate([np.zeros((1, 3)), rim, height * along[None]])
     pairs = [(k, k % _AROUND + 1) for k in range(1, _AROUND + 1)]
     faces = [(0, i, j) for i, j in pairs] + [(_AROUND + 1, i, j) for i, j in pairs]

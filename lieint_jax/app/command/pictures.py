@@ -1,4 +1,4 @@
-"""Pictures of a run of any system, from its states alone; scenarios have pictures of their own."""
+"""Pictures of a run of any system, from its states alone; scenarios have their own pictures."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from lieint_jax.groups import so3
 from lieint_jax.types import State, Trajectory, energy_less_work
 from lieint_jax.types._members import map_over_run
 
-_CHORD = np.deg2rad(3)  # the most that a body turns from one point of its path to the next, if there are enough points
+_CHORD = np.deg2rad(3)  # largest rotation from one point of a drawn path to the next, where `POINTS` allows it
 
 
 class StoredRun(NamedTuple):
     """A run with its system.
 
     Attributes:
-        title: for pictures.
+        title: the title of its pictures.
         time_unit: the unit of its times.
-        system: whose leaves have the member axis first if `own_system`.
+        system: the system; its leaves have the member axis first if `own_system`.
         run: a `Trajectory`, whose arrays may be on disk, or the arrays of a run with `reduce` by name.
         own_system: whether each member has a system of its own.
     """
@@ -40,8 +40,8 @@ class StoredRun(NamedTuple):
     run: Any
     own_system: bool
 
-    def part(self, times: np.ndarray, members: slice) -> StoredRun:
-        """These saved times of these members, in memory."""
+    def select(self, times: np.ndarray, members: slice) -> StoredRun:
+        """The saved states of these members at these times (indices), read into memory."""
         state, info = jax.tree.map(lambda x: np.stack([x[k, members] for k in times]), (self.run.state, self.run.info))
         system = jax.tree.map(lambda x: x[members], self.system) if self.own_system else self.system
         return self._replace(system=system, run=Trajectory(self.run.t[times], state, info))
@@ -56,7 +56,7 @@ class StoredRun(NamedTuple):
         return np.asarray(jax.jit(measure)(self.system, self.run))
 
 
-def drawings_of(stored: StoredRun) -> dict[str, Callable[[StoredRun], Figure]]:
+def drawing_functions(stored: StoredRun) -> dict[str, Callable[[StoredRun], Figure]]:
     """The functions that draw a run, by the suffix of their file names."""
     if not isinstance(stored.run, Trajectory):
         return {"change": draw_change}
@@ -69,10 +69,10 @@ def draw_invariants(stored: StoredRun) -> Figure:
     H = stored.series(energy_less_work)
     Phi = stored.series(lambda system, z: system.momentum(z))
     what = "energy error" if stored.run.state.work is None else "error of energy less work"
-    errors = {f"{what}, relative": abs(H - H[0]) / _size(abs(H[0]))}
+    errors = {f"{what}, relative": abs(H - H[0]) / _nonzero(abs(H[0]))}
     if Phi.shape[-1]:
         norm = np.linalg.norm(Phi[0], axis=-1)
-        errors["momentum error, relative"] = np.linalg.norm(Phi - Phi[0], axis=-1) / _size(norm)
+        errors["momentum error, relative"] = np.linalg.norm(Phi - Phi[0], axis=-1) / _nonzero(norm)
     fig, axes = plots.figure(len(errors))
     for ax, (label, error) in zip(axes[0], errors.items(), strict=True):
         curves = {"worst member": error.max(axis=1), "median": np.median(error, axis=1)}
@@ -98,24 +98,24 @@ def draw_motion(stored: StoredRun) -> Figure:
 
 
 def _draw_body(stored: StoredRun) -> Figure:
-    """The axis about which the first member's body spins; a curve if states between the saved ones can be found."""
+    """Draw the axis about which the first member's body spins, as a curve if saved states can be interpolated."""
     system, run = stored.system_of(0), interpolation.member(stored.run, 0)
     joined = hasattr(system, "angular_velocity")
     if joined:
-        apart, _ = interpolation.turns(system, run)
-        joined = bool(apart.max() <= interpolation.APART)
-        if joined and apart.max() > _CHORD:
-            parts = min(int(np.ceil(apart.max() / _CHORD)), max(1, POINTS // len(apart)))
+        angles, _ = interpolation.turns(system, run)
+        joined = bool(angles.max() <= interpolation.APART)
+        if joined and angles.max() > _CHORD:
+            parts = min(int(np.ceil(angles.max() / _CHORD)), max(1, POINTS // len(angles)))
             t = np.asarray(run.t)
             run = interpolation.interpolate_at(
-                system, run, np.interp(np.arange(len(apart) * parts + 1) / parts, np.arange(len(t)), t)
+                system, run, np.interp(np.arange(len(angles) * parts + 1) / parts, np.arange(len(t)), t)
             )
     axis, name = _drawn_axis(system, run)
     return _draw_direction(in_space(np.asarray(run.state.q), axis), name, joined)
 
 
 def _drawn_axis(system: Any, run: Trajectory) -> tuple[np.ndarray, str]:
-    """The axis of the body to draw, with its name: a top's, else the principal axis that the initial spin is about."""
+    """The body axis to draw, with its name: that of a top, or else the principal axis of the initial spin."""
     axis = interpolation.pointed(system)
     if axis is not None:
         return axis, "the top's axis"
@@ -126,7 +126,7 @@ def _drawn_axis(system: Any, run: Trajectory) -> tuple[np.ndarray, str]:
     k = int(abs(axis).argmax())
     if abs(axis[k]) > 1 - 1e-12:
         return axis, f"body axis {'−' if axis[k] < 0 else ''}{'xyz'[k]}"
-    return axis, "the principal axis that the spin is about"
+    return axis, "the principal axis of the initial spin"
 
 
 @plots.style()
@@ -136,14 +136,14 @@ def _draw_direction(path: np.ndarray, name: str, joined: bool = True) -> Figure:
     plots.sphere_ends(ax, path)
     plots.sphere_axes(ax)
     ax.legend(loc="upper left")
-    apart = "" if joined else "; dots: states are saved too far apart to be joined"
-    ax.set_title(f"{name} of the first member, in space; a line every 30°{apart}", wrap=True)
+    note = "" if joined else "; dots: saved states are too far apart for a curve"
+    ax.set_title(f"{name} of the first member, in space; a line every 30°{note}", wrap=True)
     return fig
 
 
 @plots.style()
 def _draw_centers(x: np.ndarray) -> Figure:
-    """The paths (times, bodies, 3) of the centers of the first bodies, in two projections."""
+    """Plot the paths (times, bodies, 3) of the centers of the first bodies, in two projections."""
     fig, axes = plots.figure(2)
     curves = {f"body {k + 1}": x[:, k] for k in range(min(x.shape[1], len(plots.STYLES)))}
     for ax, plane in zip(axes[0], ((0, 1), (0, 2)), strict=True):
@@ -156,7 +156,7 @@ def _draw_centers(x: np.ndarray) -> Figure:
 
 @plots.style()
 def _draw_components(stored: StoredRun, q: np.ndarray) -> Figure:
-    """Every component of q against time, a panel for each row of a matrix."""
+    """Plot every component of q against time, in one panel per row of a matrix."""
     rows = q.reshape(len(q), -1, q.shape[-1])
     fig, axes = plots.figure(rows.shape[1])
     for i, ax in enumerate(axes[0]):
@@ -176,5 +176,5 @@ def draw_change(stored: StoredRun) -> Figure:
     return fig
 
 
-def _size(x: np.ndarray) -> np.ndarray:
+def _nonzero(x: np.ndarray) -> np.ndarray:
     return np.where(x > 0, x, 1)

@@ -1,4 +1,4 @@
-"""Trees of named tuples, such as the result of a study, as one .npz: arrays by their path, the rest as JSON text."""
+"""One .npz for a tree of named tuples, such as the result of a study: arrays by their path, the rest as JSON text."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ def save(path: Path, tree: Any, metadata: dict[str, Any]) -> None:
     An array is named by its path in the tree, such as `estimate.covariance`. An existing file is not replaced.
 
     Raises:
-        TypeError: the tree holds something else.
-        ValueError: two arrays would have one name, or one that of the metadata.
-        FileExistsError: there is such a file.
+        TypeError: the tree has a leaf of another type.
+        ValueError: two arrays would have the same name, or one that of the metadata.
+        FileExistsError: the file exists.
     """
     arrays: dict[str, np.ndarray] = {}
-    written = metadata | {"tree": _encoded(tree, "", arrays)}
+    written = metadata | {"tree": _encode(tree, "", arrays)}
     with path.open("xb") as file:
         np.savez(file, allow_pickle=False, **arrays, metadata=np.array(json.dumps(written)))
 
 
 def metadata(path: Path) -> dict[str, Any] | None:
-    """The metadata of a tree that `save` wrote; None for any other file or folder."""
+    """The metadata of a file that `save` wrote; None for any other file or folder."""
     try:
         found = archives.open_archive(path).metadata
     except (ValueError, OSError):
@@ -48,20 +48,20 @@ def metadata(path: Path) -> dict[str, Any] | None:
 
 
 def load(path: Path) -> Any:
-    """The tree that `save` wrote.
+    """Read the tree that `save` wrote.
 
     Raises:
-        ValueError: no such file, damaged, or of a form that this version of the package does not have.
+        ValueError: there is no such file, it is damaged, or another version of the package wrote it.
     """
     found = archives.open_archive(path)
     arrays = found.read(*found.headers)
     with archives.wrap_errors(path, "holds no tree that this version of lieint_jax can read"):
-        return _decoded(found.metadata["tree"], arrays)
+        return _decode(found.metadata["tree"], arrays)
 
 
-def _encoded(value: Any, at: str, arrays: dict[str, np.ndarray]) -> Any:
-    def below(name: Any, inner: Any) -> Any:
-        return _encoded(inner, f"{at}.{name}" if at else str(name), arrays)
+def _encode(value: Any, at: str, arrays: dict[str, np.ndarray]) -> Any:
+    def encode_child(name: Any, inner: Any) -> Any:
+        return _encode(inner, f"{at}.{name}" if at else str(name), arrays)
 
     if value is None or isinstance(value, bool | int | float | str):
         return value
@@ -75,32 +75,32 @@ def _encoded(value: Any, at: str, arrays: dict[str, np.ndarray]) -> Any:
     if isinstance(value, Common):
         return {"scenario": value.model_dump()}
     if isinstance(value, dict):
-        return {"dict": [[key, below(key, inner)] for key, inner in value.items()]}
+        return {"dict": [[key, encode_child(key, inner)] for key, inner in value.items()]}
     if hasattr(value, "_fields"):
         kind = f"{type(value).__module__}:{type(value).__qualname__}"
-        return {"type": kind, "fields": {name: below(name, getattr(value, name)) for name in value._fields}}
+        return {"type": kind, "fields": {name: encode_child(name, getattr(value, name)) for name in value._fields}}
     if isinstance(value, tuple | list):
-        return {type(value).__name__: [below(k, inner) for k, inner in enumerate(value)]}
-    raise TypeError(f"{at} is of type {type(value).__name__}, which is not written")
+        return {type(value).__name__: [encode_child(k, inner) for k, inner in enumerate(value)]}
+    raise TypeError(f"{at} is of type {type(value).__name__}, which cannot be written")
 
 
-def _decoded(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+def _decode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
     if not isinstance(value, dict):
         return value
     if "type" in value:
-        return _type(value["type"])(**{name: _decoded(inner, arrays) for name, inner in value["fields"].items()})
+        return _find_class(value["type"])(**{name: _decode(inner, arrays) for name, inner in value["fields"].items()})
     [(kind, inner)] = value.items()
     if kind == "array":
         return arrays[inner]
     if kind == "scenario":
         return scenarios.from_results(inner, "the scenario")
     if kind == "dict":
-        return {key: _decoded(part, arrays) for key, part in inner}
-    return {"tuple": tuple, "list": list}[kind](_decoded(part, arrays) for part in inner)
+        return {key: _decode(part, arrays) for key, part in inner}
+    return {"tuple": tuple, "list": list}[kind](_decode(part, arrays) for part in inner)
 
 
-def _type(name: str) -> Any:
-    """The named tuple called MODULE:NAME, of this package only: a file must not choose what else is imported."""
+def _find_class(name: str) -> Any:
+    """The class MODULE:NAME of named tuples, of this package only: a file must not choose what else is imported."""
     for old, new in _RENAMED.items():
         name = name.replace(old, new)
     module, _, kind = name.partition(":")

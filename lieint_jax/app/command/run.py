@@ -1,4 +1,4 @@
-"""The command `run`: it integrates a scenario, reports and writes results."""
+"""The command `run`: it integrates a scenario, prints a report and writes the results."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from lieint_jax.app.scenarios._runs import nominal
 from lieint_jax.diagnostics import certify
 from lieint_jax.ensemble.archives import Address, Url
 
-_NOTED = 10**8  # bytes of memory from which on they are printed
-_WATCHED = 10_000  # the most steps of a certificate
-_LARGE = 10**7  # entries of members, from which on a run's size is looked at before its members are made
+_NOTED = 10**8  # bytes; the command prints the memory that it needs, if it is more
+_WATCHED = 10_000  # largest number of steps of a certificate
+_LARGE = 10**7  # members × entries, above which the size of a run is checked before its members are built
 
 
 def run(
@@ -39,24 +39,24 @@ def run(
 
     Args:
         name: a shipped scenario or a file.
-        out: where results are written, NAME.npz or NAME.zarr, the latter also by a URL; by default after the scenario.
-        members, steps, save_at: in place of the scenario's.
-        devices: how many to use.
+        out: the file of results, NAME.npz or NAME.zarr, the latter also a URL; by default named after the scenario.
+        members, steps, save_at: values that replace those of the scenario.
+        devices: the number of devices to use.
         resume: continue the run in a NAME.zarr.
-        certificate: measure what the scheme conserves along the nominal member; of an .npz.
-        pictures: draw the run; of an .npz.
+        certificate: measure what the scheme conserves along the nominal member, if an .npz is written.
+        pictures: draw the run, if an .npz is written.
         part: (k, n), one of n independent processes that write one NAME.zarr.
     """
     if part is not None:
-        resume = True  # a part goes on by itself
-    scenario = scenarios.load(name, members=members, steps=steps, save_at=save_at and files.numbers(save_at))
+        resume = True  # a part always continues what it finds
+    scenario = scenarios.load(name, members=members, steps=steps, save_at=save_at and files.read_numbers(save_at))
     kind = scenarios.kind(scenario)
     drawings = kind.PICTURES if pictures else {}
     certificate = certificate and getattr(kind, "CERTIFIED", True)
     if out is None:
         file = Path(Path(name).stem).with_suffix(".zarr" if resume else ".npz")
-        out = file if resume else files.unused(file, lambda path: files.pictures(path, drawings))
-    out = files.free(out, drawings, resume)
+        out = file if resume else files.unused_path(file, lambda path: files.pictures(path, drawings))
+    out = files.check_writable(out, drawings, resume)
     makes_own = scenarios.step_axis(scenario) is None  # a part makes the states of its own members only
     _check_size(scenario, out, part[1] if part is not None and makes_own else 1)
     leader = jax.process_index() == 0
@@ -76,10 +76,10 @@ def run(
         )
         if needed > _NOTED:
             print(f"  about {_checks.spoken_size(needed)} of memory", flush=True)
-    kept = {"save_every": scenario.save_every} if scenario.save_at is None else {"save_at": scenario.save_at}
-    kept["step_axis"] = scenarios.step_axis(scenario)
-    kept["members"] = scenario.members if makes_own else None
-    integrate = partial(ensemble.run, step, states, **scenario.clock(), mesh=mesh, resume=resume, part=part, **kept)
+    options = {"save_every": scenario.save_every} if scenario.save_at is None else {"save_at": scenario.save_at}
+    options["step_axis"] = scenarios.step_axis(scenario)
+    options["members"] = scenario.members if makes_own else None
+    integrate = partial(ensemble.run, step, states, **scenario.clock(), mesh=mesh, resume=resume, part=part, **options)
     if out.suffix == ".zarr":
         description = {"title": scenario.title, "seed": scenario.seed, "scenario": scenario.model_dump()}
         try:
@@ -88,10 +88,10 @@ def run(
             again = "the same command" if part else "the same command with --resume"
             raise KeyboardInterrupt(f"{stop}: {again}" if stop.args else "") from None
         if part is not None and part[1] > 1:
-            print(f"part {part[0]} of {part[1]} is complete in {out}; lieint info {out} names the parts that are not")
+            print(f"part {part[0]} of {part[1]} is complete in {out}; lieint info {out} lists the missing parts")
         elif leader:
             print(info.contents(out))
-            print(f"\nwritten: {out} ({files.megabytes(out)}); lieint plot {out} reports and draws")
+            print(f"\nwritten: {out} ({files.megabytes(out)}); lieint plot {out} reports on it and draws it")
         return
     run = integrate()
     if not leader:
@@ -106,18 +106,18 @@ def run(
     drawn = info.draw(out, drawings, scenario, step, run)
     print(scenarios.report(scenario, step, run))
     if certificate:
-        first = step if kept["step_axis"] is None else jax.tree.map(lambda leaf: leaf[0], step)
+        first = step if options["step_axis"] is None else jax.tree.map(lambda leaf: leaf[0], step)
         watched = min(scenario.steps, _WATCHED)
         print(f"\nCertificate of the nominal member, first {watched} of {scenario.steps} steps:")
         print(certify(first, nominal(run), scenario.dt, watched))
-    well = int(np.asarray(run.info.converged).all(axis=0).sum())
-    print(f"  {well} of {scenario.members} members converged at every step")
+    converged = int(np.asarray(run.info.converged).all(axis=0).sum())
+    print(f"  {converged} of {scenario.members} members converged at every step")
     written = [f"{out} (t, q, p, residual, converged, metadata; {files.megabytes(out)})", *map(str, drawn)]
     print(f"\nwritten: {', '.join(written)}")
 
 
 def _report_outputs(out: Path, pictures: bool) -> None:
-    """Report on a run with output times, whose scenario's own report and pictures need evenly spaced ones."""
+    """Report on a run with given output times; the report and pictures of its scenario require evenly spaced ones."""
     if pictures:
         info.plot(out)
     else:
@@ -125,12 +125,12 @@ def _report_outputs(out: Path, pictures: bool) -> None:
 
 
 def _entries(scenario: Common) -> int:
-    """The number of saved entries, that of the start included."""
+    """The number of saved entries, including the initial one."""
     return (scenario.steps // scenario.save_every if scenario.save_at is None else len(scenario.save_at)) + 1
 
 
 def _check_size(scenario: Common, out: Address, parts: int) -> None:
-    """ValueError if a large run has more bytes than this machine's memory, before its members are made.
+    """Raise ValueError, before the members are built, if a large run exceeds the memory of this machine.
 
     Args:
         scenario: the run.

@@ -1,4 +1,4 @@
-"""The command `study`: it runs a study, reports, and writes its results and its picture; `plot` draws them again."""
+"""The command `study`: it runs a study, prints its report, and writes results and picture; `plot` redraws them."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ def studies_by_name() -> dict[str, ModuleType]:
 
 
 def run(name: str, out: Path, quick: bool) -> None:
-    """Run a study; write study-NAME.npz, .png and .pdf to the folder `out`, numbered if there are some already."""
-    study = _study(name)
+    """Run a study and write study-NAME.npz, .png and .pdf to the folder `out`, with a number if they exist already."""
+    study = _find_study(name)
     out.mkdir(parents=True, exist_ok=True)
-    path = files.unused(out / f"study-{name}.npz", _pictures)
+    path = files.unused_path(out / f"study-{name}.npz", _pictures)
     result = study.run(quick=quick)
     result_file.save(path, result, {"study": name, "quick": quick, "lieint_jax": __version__, "jax": jax.__version__})
     print(study.text(result))
@@ -33,30 +33,30 @@ def run(name: str, out: Path, quick: bool) -> None:
     print(f"\nwritten: {path} ({again}), {', '.join(map(str, drawn))}")
 
 
-def _study(name: str) -> ModuleType:
+def _find_study(name: str) -> ModuleType:
     if name not in studies_by_name():
         raise ValueError(f"study {name!r} is not one of {', '.join(studies_by_name())}; lieint list describes them")
     return studies_by_name()[name]
 
 
-def wrote(path: Path) -> bool:
+def is_study_file(path: Path) -> bool:
     """Whether a file holds the results of a study."""
     return path.suffix == ".npz" and result_file.metadata(path) is not None
 
 
 def info(path: Path) -> str:
-    """What a file of a study's results holds, in lines."""
+    """A description of a file of a study's results, as text."""
     metadata = _metadata(path)
-    title = (_study(metadata["study"]).__doc__ or "").splitlines()[0]
+    title = (_find_study(metadata["study"]).__doc__ or "").splitlines()[0]
     small = ", a small one (--quick)" if metadata["quick"] else ""
     return f"{title}\n  study {metadata['study']}{small}; lieint_jax {metadata['lieint_jax']}, jax {metadata['jax']}"
 
 
 def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
-    """Report on the results of a study and draw them again; for `out` and `force` see `results.plot`."""
+    """Report on the results of a study and draw them again; for `out` and `force` see `info.plot`."""
     name = _metadata(path)["study"]
-    study, plain = _study(name), files.in_folder(path, out)
-    files.free_pictures(_pictures(plain), force)
+    study, plain = _find_study(name), files.path_in_folder(path, out)
+    files.check_replaceable(_pictures(plain), force)
     result = result_file.load(path)
     with archives.wrap_errors(path, f"holds no result of the study {name}"):
         text, figure = study.text(result), study.draw(result)
@@ -67,11 +67,11 @@ def plot(path: Path, out: Path | None = None, force: bool = False) -> None:
 
 def _metadata(path: Path) -> dict[str, Any]:
     """The metadata of a file of a study's results."""
-    studies_by_name = result_file.metadata(path) or {}
-    missing = {"study", "quick", "lieint_jax", "jax"} - set(studies_by_name)
+    metadata = result_file.metadata(path) or {}
+    missing = {"study", "quick", "lieint_jax", "jax"} - set(metadata)
     if missing:
-        raise ValueError(f"{path} is no file of a study that lieint wrote, or is damaged: it has no {min(missing)}")
-    return studies_by_name
+        raise ValueError(f"{path} is not a study written by lieint, or is damaged: its metadata lack {min(missing)!r}")
+    return metadata
 
 
 def _pictures(path: Path) -> list[Path]:

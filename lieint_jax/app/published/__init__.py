@@ -1,6 +1,6 @@
 """Published numbers of other codes, recomputed: each case names its source, its inputs and what limits the agreement.
 
-`cases()` makes them, `Case.compare()` runs one; the command `lieint check --published` prints the table.
+`cases()` lists the cases, `Case.compare()` runs one; the command `lieint check --published` prints all comparisons.
 """
 
 from lieint_jax.app.published._case import Case, Comparison
@@ -19,7 +19,7 @@ __all__ = ["Case", "Comparison", "cases"]
 
 
 def cases() -> tuple[Case, ...]:
-    """Every case, in the order of the table."""
+    """All cases, in the order in which `lieint check --published` prints them."""
     return (
         jeod_gravity_gradient(),
         jeod_pitching(),

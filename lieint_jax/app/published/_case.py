@@ -1,4 +1,4 @@
-"""A published case: what another code computed, and the same by this package."""
+"""A published case: the numbers of another code, and the same quantities computed by this package."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 
 
 class Comparison(NamedTuple):
-    """One quantity of a case.
+    """One quantity of a case: the published numbers and ours.
 
     Attributes:
-        quantity: its name, time and unit.
+        quantity: the name of the quantity, with its time and unit.
         theirs, ours: the published numbers and those of this package.
         digits: half a unit of the last printed digit, 0 if they are printed in full.
     """
@@ -26,7 +26,7 @@ class Comparison(NamedTuple):
 
     @property
     def difference(self) -> float:
-        """The largest absolute difference."""
+        """The largest absolute difference between the published numbers and ours."""
         return float(np.abs(self.theirs - self.ours).max())
 
 
@@ -37,11 +37,11 @@ class Case:
     Attributes:
         code: the code and the name of the case there.
         source: repository, file and commit, or paper.
-        scheme: what computes it here.
+        scheme: the scheme, with its step size, that computes the numbers here.
         published: quantity ↦ the numbers as published.
         digits: quantity ↦ half a unit of their last digit, where they are rounded.
-        limit: what limits the agreement.
-        compute: () ↦ quantity ↦ our numbers.
+        limit: the error that limits the agreement.
+        compute: function of no argument that returns quantity ↦ our numbers.
     """
 
     code: str
@@ -53,7 +53,7 @@ class Case:
     digits: Mapping[str, float]
 
     def compare(self) -> list[Comparison]:
-        """Every published quantity next to ours."""
+        """Compute all quantities, and compare each with the published numbers."""
         ours = self.compute()
         return [
             Comparison(name, np.asarray(value, float), np.asarray(ours[name], float), self.digits.get(name, 0.0))

@@ -11,7 +11,7 @@ from lieint_jax.app.published._free_bodies import modified_rodrigues
 
 
 def basilisk_constant_torque() -> Case:
-    """Ten minutes of torque: a misfit, which Basilisk's step explains (`tests/app/test_published_misfits.py`)."""
+    """A constant torque for 10 min; Basilisk's step explains the difference (`tests/app/test_published_misfits.py`)."""
 
     def compute() -> dict[str, np.ndarray]:
         law = torques.thruster([-1.0, 1.0, -1.0], 0.0, 600.0)  # N m

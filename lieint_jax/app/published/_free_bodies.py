@@ -1,4 +1,4 @@
-"""Free rigid bodies of NASA, Basilisk and kynema."""
+"""Free rigid bodies, as computed by NASA, Basilisk and kynema."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def basilisk_momentum_frame() -> Case:
 
 
 def kynema_precession() -> Case:
-    """kynema's precessing body: a misfit, which its first step explains (`tests/app/test_published_misfits.py`)."""
+    """kynema's precessing body; its first step explains the difference (`tests/app/test_published_misfits.py`)."""
 
     def compute() -> dict[str, np.ndarray]:
         body = systems.rigid_body([1.0, 1.0, 0.5])
@@ -104,6 +104,6 @@ def kynema_precession() -> Case:
 
 
 def modified_rodrigues(q: jax.Array) -> np.ndarray:
-    """v/(1 + w) of the unit quaternion (w, v) from body to space, w ≥ 0."""
+    """The modified Rodrigues parameters v/(1 + w) of the unit quaternion (w, v) from body to space, with w ≥ 0."""
     w, *v = np.asarray(q) if q[0] >= 0 else -np.asarray(q)
     return np.array(v) / (1 + w)

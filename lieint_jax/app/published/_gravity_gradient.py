@@ -1,4 +1,4 @@
-"""NASA's satellite under gravity's gradient on an ellipse, for eight hours, without and with an initial pitch rate."""
+"""NASA's satellite under the gravity gradient on an ellipse, for 8 h, without and with an initial pitch rate."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ def jeod_gravity_gradient() -> Case:
         code="NASA JEOD, gravity gradient on an ellipse, 8 h (NESC check case 10C)",
         source=f"nasa/jeod, {_HEAD}/RUN_10C/log_state_ASCII.csv @6550cf4",
         scheme="extrapolate(satellite, 14), Δt = 60 s; orbits.from_state",
-        published=_flat(_AT_REST),
-        limit="JEOD's own orbit, which is 1e-5 m off Kepler's after 8 h, and its steps of the attitude",
+        published=_flatten(_AT_REST),
+        limit="JEOD's orbit, which differs from Kepler's by 1e-5 m after 8 h, and its steps of the attitude",
         compute=lambda: _compute(-0.001122059109806593),
         digits={},
     )
@@ -74,19 +74,19 @@ def jeod_pitching() -> Case:
         code="NASA JEOD, the same with an initial pitch rate, 8 h (NESC check case 10D)",
         source=f"nasa/jeod, {_HEAD}/RUN_10D/log_state_ASCII.csv @6550cf4",
         scheme="extrapolate(satellite, 14), Δt = 60 s; orbits.from_state",
-        published=_flat(_PITCHING),
+        published=_flatten(_PITCHING),
         limit="JEOD's own steps",
         compute=lambda: _compute(-0.00094752618460716),
         digits={},
     )
 
 
-def _flat(published: dict) -> dict:
+def _flatten(published: dict) -> dict:
     return {f"{name}, at {t} s": x for t, values in published.items() for name, x in values.items()}
 
 
 def _compute(pitch_rate: float) -> dict[str, np.ndarray]:
-    """Positions, attitudes and rates at the two times."""
+    """The positions, attitudes and rates at both times, by this package."""
     orbit = orbits.from_state(
         398600441500000.0, [-4315967.74, 960356.2, 5167269.53], [129.091037, -7491.513855, 1452.515654]
     )

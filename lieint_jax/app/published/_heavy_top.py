@@ -14,7 +14,7 @@ _MASS, _GRAVITY = 15.0, 9.81
 
 
 def multibody_heavy_top() -> Case:
-    """A fast top of Brüls, Cardona & Arnold, as a test of kynema: its reference has an error of 1e-6."""
+    """The fast top of Brüls, Cardona & Arnold, as in a test of kynema, whose reference has an error of 1e-6."""
 
     def compute() -> dict[str, np.ndarray]:
         arm = np.array([0.0, 1.0, 0.0])  # to the center of mass, m

@@ -14,12 +14,12 @@ _AXIAL = 100 / (6000 * 2 * np.pi / 60)  # kg m², of each wheel: 100 N m s at 60
 
 
 def _motors(t: jnp.ndarray, q: jnp.ndarray, Omega: jnp.ndarray, h: jnp.ndarray) -> jnp.ndarray:
-    """0.2, 0.1 and −0.5 N m until 0.5 s."""
+    """The motors' torques: 0.2, 0.1 and −0.5 N m until 0.5 s, then 0."""
     return jnp.where(t < 0.5, jnp.array([0.2, 0.1, -0.5]), 0.0)
 
 
 def basilisk_wheels() -> Case:
-    """Three balanced wheels; the third motor is cut at the wheel's largest torque of 0.2 N m."""
+    """A spacecraft with three balanced wheels; the third motor is limited to the largest torque of 0.2 N m."""
 
     def compute() -> dict[str, np.ndarray]:
         axes, moments = jnp.eye(3), jnp.full(3, _AXIAL)

@@ -1,4 +1,4 @@
 """The studies that `lieint study NAME` runs: `toutatis`, `satellite`, `gyro`, `kappa`, `material`, `sensitivity`.
 
-Each is a module with `run`, which returns its result, `text`, which reports on it, and `draw`, which draws it.
+Each study is a module with three functions: `run` returns its result, `text` its report, and `draw` its picture.
 """

@@ -4,10 +4,10 @@ A facet of area A and normal n in body axes, with s and o the directions to Sun 
 
     A/π · r(n·s) r(n·o) [diffuse + specular · r(n·h)^exponent],    h = (s + o)/|s + o|,    r(x) = (x + √(x² + ε²))/2
 
-The lobe is Blinn's (1977, Proc. SIGGRAPH, 192). Sun and observer may be exchanged: the light is the same. In place of
-max(0, x), whose derivative jumps where a facet turns its edge, there is the ramp r with ε the angular radius of the
-Sun, which smears that edge about as much; so the light has all derivatives. A facet turned away keeps ε²/4|x| of its
-cosine, some 1e-5. Facets do not shade each other: **self-shadowing is left out**.
+The lobe is Blinn's (1977, Proc. SIGGRAPH, 192). Sun and observer may be exchanged: the light is the same. The ramp r
+replaces max(0, x), whose derivative jumps where a facet is seen edge-on. Its width ε is the angular radius of the Sun,
+which smears that edge about as much, so the light has all derivatives. A facet that faces away still counts with a
+cosine of ε²/4|x|, about 1e-5. Facets do not shade each other: **self-shadowing is left out**.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ _KEYS = ("area_m2", "diffuse", "specular", "exponent")
 
 @pytree
 class Facets:
-    """A table of facets; thin panels are two, back to back.
+    """A table of facets; a thin panel is two facets, back to back.
 
     Attributes:
         normal: outward unit normals in body axes, (facets, 3).
         area: m², (facets,).
         diffuse: Lambert's albedo, (facets,).
-        specular: the height of the lobe beside it, (facets,).
-        exponent: of the lobe's cosine, (facets,).
+        specular: the height of the lobe, on the scale of `diffuse`, (facets,).
+        exponent: the exponent of the lobe's cosine, (facets,).
     """
 
     normal: Array
@@ -49,8 +49,8 @@ def facets(rows: list[dict[str, Any]]) -> Facets:
     """A table of facets from rows with the keys normal, area_m2, diffuse, specular, exponent, and perhaps name.
 
     Raises:
-        ValueError: no rows, a key that is missing, unknown or no number, a normal of length 0, a negative number, an
-            exponent below 1.
+        ValueError: there are no rows, a key is missing or unknown, a value is no number, a normal has length 0, a
+            number is negative, or an exponent is below 1.
     """
     if not rows:
         raise ValueError("a body of facets needs at least one facet")
@@ -77,10 +77,10 @@ def _check(row: dict[str, Any], which: str) -> None:
 
 
 def brightness(body: Facets, q: Array, sun: Array, observer: Array) -> Array:
-    """The light that a body sends to the observer, over that of a white Lambert facet of π m² lit and seen face on.
+    """The light of a body toward the observer, relative to a white Lambert facet of π m² lit and seen face-on.
 
     Args:
-        body: its facets.
+        body: the facets of the body.
         q: attitude, a unit quaternion, (4,).
         sun, observer: unit vectors in space from the body, (3,); not opposite to each other.
     """
@@ -93,7 +93,7 @@ def brightness(body: Facets, q: Array, sun: Array, observer: Array) -> Array:
 
 
 def _ramp(x: Array) -> Array:
-    """Smoothly max(0, x); positive everywhere, without cancellation for x < 0."""
+    """A smooth max(0, x), positive everywhere, without cancellation for x < 0."""
     root = jnp.sqrt(x * x + SUN_RADIUS**2)
     return jnp.where(x > 0, (x + root) / 2, SUN_RADIUS**2 / (2 * (root - jnp.minimum(x, 0))))
 
@@ -103,36 +103,36 @@ def _cosine(normal: Array, v: Array) -> Array:
 
 
 def magnitude(body: Facets, q: Array, sun: Array, observer: Array) -> Array:
-    """−2.5 log₁₀ of `brightness`; finite for a closed body at a phase angle below 90°, some face being lit and seen."""
+    """−2.5 log₁₀ of `brightness`; finite for a closed body at a phase angle below 90°: some facet is lit and seen."""
     return -2.5 * jnp.log10(brightness(body, q, sun, observer))
 
 
 def axis_rotations() -> np.ndarray:
-    """The 24 rotations that take the body axes to themselves, as matrices with one ±1 in each row, (24, 3, 3).
+    """The 24 rotations that permute the body axes up to sign, as matrices with one ±1 in each row, (24, 3, 3).
 
-    First the four about the axes by 0 or 180°, then those that exchange axes.
+    The first four are those about the axes by 0 or 180°; the others exchange axes.
     """
-    found = []
+    rotations = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
             matrix = np.diag(signs)[list(order)]
             if np.linalg.det(matrix) > 0:
-                found.append(matrix)
-    return np.stack(found)
+                rotations.append(matrix)
+    return np.stack(rotations)
 
 
 def is_symmetry(body: Facets, rotation: np.ndarray) -> bool:
-    """Whether a rotation or reflection of the body, (3, 3), takes its facets to facets of the same light."""
+    """Whether a rotation or reflection of the body, (3, 3), maps its facets to facets that send the same light."""
     normal, area = np.asarray(body.normal), np.asarray(body.area)
-    rest = np.stack([body.diffuse, body.specular, body.exponent], axis=1)
+    surfaces = np.stack([body.diffuse, body.specular, body.exponent], axis=1)
     for n in np.concatenate([normal, normal @ rotation.T]):
-        for surface in rest:
-            here = area[_same(normal, n) & _same(rest, surface)].sum()
-            there = area[_same(normal @ rotation.T, n) & _same(rest, surface)].sum()
+        for surface in surfaces:
+            here = area[_equal_rows(normal, n) & _equal_rows(surfaces, surface)].sum()
+            there = area[_equal_rows(normal @ rotation.T, n) & _equal_rows(surfaces, surface)].sum()
             if abs(here - there) > 1e-12 * area.sum():
                 return False
     return True
 
 
-def _same(rows: np.ndarray, row: np.ndarray) -> np.ndarray:
+def _equal_rows(rows: np.ndarray, row: np.ndarray) -> np.ndarray:
     return np.abs(rows - row).max(axis=1) < 1e-9

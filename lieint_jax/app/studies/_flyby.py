@@ -1,7 +1,7 @@
-"""What the Earth's torque does to a tumbling body in one flyby, as an order of magnitude.
+"""The change of a tumbling body's spin by the Earth's torque in one flyby, as an order of magnitude.
 
-The body passes on the hyperbola of a given least distance and speed at infinity. Neither its phase nor how the plane of
-the passage lies to its angular momentum is used: the members of an ensemble take all of them.
+The body passes on the hyperbola of a given least distance and speed at infinity. The phase of its rotation and the
+orientation of its angular momentum relative to the orbit are unknown: the members of an ensemble have random ones.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from lieint_jax.types import State
 MU = orbits.EARTH_GM * 86400.0**2  # km³/d²
 AU = 149597870.7  # km
 _EARTH_SPEED = 29.7847  # km/s, of a circular orbit of 1 au
-_HALF, _STEPS = 12.0, 800  # days before and after the least distance; steps over both
+_HALF, _STEPS = 12.0, 800  # days before and after the least distance; number of steps over both
 
 
 class Flyby(NamedTuple):
-    """The changes that a flyby makes, over an ensemble of phases and directions.
+    """The changes of spin in a flyby, over an ensemble of phases and directions.
 
     Attributes:
         distance: the least distance, km.
-        speed: at infinity, km/s.
-        momentum: |Δπ|/|π|, (members,).
-        pole: the angle by which the angular momentum turns, °, (members,).
-        rates: change of the mean rates of precession and rotation, 360°/period, in °/d, (members, 2).
+        speed: the speed at infinity, km/s.
+        momentum: relative change |Δπ|/|π| of the angular momentum, (members,).
+        pole: the angle between the angular momenta before and after, °, (members,).
+        rates: the changes of the mean rates of precession and rotation, 360°/period, in °/d, (members, 2).
     """
 
     distance: float
@@ -62,30 +62,31 @@ def hyperbola(distance: float, speed: float) -> orbits.Kepler:
 
 
 def passage(body: RigidBody, state: State, distance: float, speed: float, members: int, seed: int = 2004) -> Flyby:
-    """The flyby of a free body, whose `state` gives its energy and momentum; the ensemble takes phase and direction.
+    """Integrate an ensemble of flybys of a free body whose energy and momentum are those of `state`.
 
-    A member is the state after a random time, turned by a random rotation, 12 days before the least distance. After 24
-    days it is compared with itself: torque-free nothing would have changed.
+    A member begins, 12 days before the least distance, with the state after a random time, rotated at random. Its
+    momentum and mean periods are compared with those 24 days later: in torque-free motion they are equal.
     """
     rng = np.random.default_rng(seed)
     times = jnp.asarray(rng.uniform(0, 1000, members))
-    turns = rng.normal(size=(members, 4))
-    turns = jnp.asarray(turns / np.linalg.norm(turns, axis=1, keepdims=True))
+    rotations = rng.normal(size=(members, 4))
+    rotations = jnp.asarray(rotations / np.linalg.norm(rotations, axis=1, keepdims=True))
     orbit = hyperbola(distance, speed)
 
-    def end(t: Array, turn: Array) -> tuple[Array, Array, Array]:
-        before = State(so3.multiply(turn, body.solution(state, t).q), so3.Ad(turn, state.p))
-        after = through(body, before, orbit)
+    def member_changes(t: Array, rotation: Array) -> tuple[Array, Array, Array]:
+        before = State(so3.multiply(rotation, body.solution(state, t).q), so3.Ad(rotation, state.p))
+        after = state_after_flyby(body, before, orbit)
         change = 360 / mean_periods(body, after) - 360 / mean_periods(body, before)
         size = jnp.linalg.norm(after.p - before.p) / jnp.linalg.norm(before.p)
         return size, jnp.rad2deg(vec3.angle(before.p, after.p)), change
 
-    results = jax.jit(partial(jax.lax.map, lambda x: end(*x), batch_size=min(members, 64)))((times, turns))
+    mapped = partial(jax.lax.map, lambda x: member_changes(*x), batch_size=min(members, 64))
+    results = jax.jit(mapped)((times, rotations))
     return Flyby(distance, speed, *(np.asarray(x) for x in results))
 
 
-def through(body: RigidBody, before: State, orbit: orbits.Kepler) -> State:
-    """The state 12 days after the least distance, from that 12 days before it."""
+def state_after_flyby(body: RigidBody, before: State, orbit: orbits.Kepler) -> State:
+    """The state 12 days after the least distance, from the state 12 days before it."""
     step = schemes.splitting(systems.gravity_gradient(body.inertia, orbit))
     begin = State(before.q, before.p, jnp.asarray(-_HALF), jnp.zeros(()))
     run = integrate(step, begin, 2 * _HALF / _STEPS, _STEPS, save_every=_STEPS)

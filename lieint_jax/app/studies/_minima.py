@@ -18,18 +18,18 @@ from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBody
 from lieint_jax.types import State
 
-_STEP = 0.1  # min: shorter than the light takes to turn, so that no two changes of sign are in one step
-_BESIDE = 0.02  # min, on either side of a minimum: where it must be brighter
+_STEP = 0.1  # min: short enough for at most one minimum or maximum of the light in a step
+_OFFSET = 0.02  # min, before and after a minimum, where the light must be brighter
 
 
 class Minima(NamedTuple):
-    """The minima of the light in a session.
+    """The minima of the light in an observing session.
 
     Attributes:
         t: their times (min), (minima,).
-        magnitude: there, (minima,).
-        slope: the time derivative of the magnitude there: 0 but for rounding (1/min), (minima,).
-        rise: by how many magnitudes the light is brighter a moment before and after, the less of the two, (minima,).
+        magnitude: the magnitudes at these times, (minima,).
+        slope: the time derivatives of the magnitude at these times: 0 but for rounding (1/min), (minima,).
+        rise: the smaller of the differences in magnitude to 0.02 min before and after, (minima,).
     """
 
     t: np.ndarray
@@ -63,19 +63,19 @@ def minima(body: RigidBody, state: State, facets: Facets, sky: dict[str, float],
     )
 
 
-def minima_of(scene: Scene, until: float, count: int) -> Minima:
-    """The first `count` minima of the light of a scene, with what shows that they are minima.
+def scene_minima(scene: Scene, until: float, count: int) -> Minima:
+    """The first `count` minima of the light of a scene, with the slopes and magnitudes that verify them.
 
-    Their times and the slopes there are those of the scheme, the magnitudes those of the closed form.
+    The times and slopes are computed by the scheme, the magnitudes by the closed form.
     """
 
     @jax.jit
-    def look(body: RigidBody, state: State) -> tuple[Event, Array]:
+    def find_minima(body: RigidBody, state: State) -> tuple[Event, Array]:
         found = minima(body, state, scene.facets, scene.sky, until, count)
         return found, jax.vmap(lambda state: slope(body, scene.facets, scene.sky, state))(found.state)
 
-    found, slopes = look(scene.body, scene.state)
+    found, slopes = find_minima(scene.body, scene.state)
     t, slopes = (np.asarray(x)[np.asarray(found.found)] for x in (found.t, slopes))
-    beside = np.concatenate([t - _BESIDE, t, t + _BESIDE])
-    before, there, after = np.asarray(closed_form(scene, beside)[1]).reshape(3, -1)
+    times = np.concatenate([t - _OFFSET, t, t + _OFFSET])
+    before, there, after = np.asarray(closed_form(scene, times)[1]).reshape(3, -1)
     return Minima(t, there, slopes, there - np.maximum(before, after))

@@ -1,8 +1,8 @@
 """Periods of unevenly sampled data: the least-squares spectrum, and the Fourier series in two frequencies.
 
-A torque-free tumbler has two frequencies, of precession and of rotation; its light has all j f₁ + k f₂, and nothing in
-it says which of the many pairs that generate the same combinations are the two. Source: Pravec et al. 2005, Icarus 173,
-108; the spectrum: Lomb 1976, Astrophys. Space Sci. 39, 447, with a floating mean.
+A torque-free tumbler has two frequencies, those of precession and of rotation. Its light has all combinations
+j f₁ + k f₂, and does not determine which of the many pairs that generate the same combinations these two are. Source:
+Pravec et al. 2005, Icarus 173, 108; the spectrum: Lomb 1976, Astrophys. Space Sci. 39, 447, with a floating mean.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-BAND = (0.01, 0.16)  # 1/min, in which the two frequencies and their like are looked for
-SPECTRUM = (0.005, 0.35)  # 1/min, of the spectrum
-ORDER, APART = 2, 0.004  # of the series in two frequencies; pairs nearer than this, in 1/min, are one peak
-HARMONICS = 6  # the greatest numbers by which a sine is named
-_FINE, _COARSE = 6, 4  # steps of the spectrum and of the pairs in one over the duration
-_SHOWN, _NUMBERS = 10, 2  # peaks and pairs that are kept; the greatest numbers in another basis
-_RIDGE = 1e-6  # relative, on the diagonal: some combinations of two frequencies may coincide
+BAND = (0.01, 0.16)  # 1/min, the range of the pairs of frequencies that are searched
+SPECTRUM = (0.005, 0.35)  # 1/min, the range of the spectrum
+ORDER, APART = 2, 0.004  # of the series in two frequencies; distance in 1/min below which pairs are one peak
+HARMONICS = 6  # largest |j| and |k| of the combinations by which a sine is identified
+_FINE, _COARSE = 6, 4  # grid points per resolution (1/duration), of the spectrum and of the pairs
+_SHOWN, _NUMBERS = 10, 2  # number of peaks and pairs in the result; largest coefficients of another basis
+_RIDGE = 1e-6  # relative, added to the diagonal: some combinations of two frequencies may coincide
 _AT_ONCE = 2000  # pairs of frequencies whose series are fitted together
 
 
-def explained(t: Array, y: Array, frequency: Array) -> Array:
-    """The share of the variance of y, (n,), at times t, (n,), that a mean and a sine explain; with derivatives."""
+def explained_variance(t: Array, y: Array, frequency: Array) -> Array:
+    """The share of the variance of y, (n,), at times t, (n,), that a mean and a sine explain; differentiable."""
     phase = 2 * jnp.pi * frequency * t
     c, s, y = (x - jnp.mean(x) for x in (jnp.cos(phase), jnp.sin(phase), y))
     cc, ss, cs, yc, ys = (jnp.vdot(a, b) for a, b in ((c, c), (s, s), (c, s), (y, c), (y, s)))
     return (yc * yc * ss - 2 * yc * ys * cs + ys * ys * cc) / ((cc * ss - cs * cs) * jnp.vdot(y, y))
 
 
-spectrum = jax.jit(jax.vmap(explained, (None, None, 0)))  # of many frequencies, (k,)
+spectrum = jax.jit(jax.vmap(explained_variance, (None, None, 0)))  # at many frequencies, (k,)
 
 
 def combinations(order: int) -> np.ndarray:
@@ -42,35 +42,35 @@ def combinations(order: int) -> np.ndarray:
 
 
 class TwoPeriods(NamedTuple):
-    """Fourier series in two frequencies, fitted to data.
+    """Fourier series in pairs of frequencies, fitted to data.
 
     Attributes:
         pairs: the pairs of frequencies f₁ < f₂, (pairs, 2).
-        left: the share of the variance that the series leaves, (pairs,).
+        left: the share of the variance that each series does not explain, (pairs,).
     """
 
     pairs: np.ndarray
     left: np.ndarray
 
-    def best(self, count: int, apart: float) -> TwoPeriods:
-        """The best pairs, none within the distance `apart` of a better one in both frequencies."""
-        kept: list[int] = []
+    def select_best(self, count: int, separation: float) -> TwoPeriods:
+        """The best pairs, of which none is within `separation` of a better one in both frequencies."""
+        chosen: list[int] = []
         for k in np.argsort(self.left):
-            if all(np.abs(self.pairs[k] - self.pairs[other]).max() > apart for other in kept):
-                kept.append(int(k))
-            if len(kept) == count:
+            if all(np.abs(self.pairs[k] - self.pairs[other]).max() > separation for other in chosen):
+                chosen.append(int(k))
+            if len(chosen) == count:
                 break
-        return TwoPeriods(self.pairs[kept], self.left[kept])
+        return TwoPeriods(self.pairs[chosen], self.left[chosen])
 
 
-def two_periods(t: np.ndarray, y: np.ndarray, step: float, numbers: np.ndarray, order: int) -> TwoPeriods:
+def fit_two_periods(t: np.ndarray, y: np.ndarray, step: float, numbers: np.ndarray, order: int) -> TwoPeriods:
     """Fit Fourier series of `order` in pairs of frequencies, Σ c_jk exp 2πi(j f₁ + k f₂)t with |j|, |k| ≤ order.
 
     Args:
         t, y: times and data, (n,).
-        step: the frequencies are whole multiples of it, so that all their combinations are, and a table serves all.
-        numbers: of which multiples, (pairs, 2).
-        order: of the series.
+        step: the spacing of the frequencies: all combinations are multiples of it, so one table of waves is enough.
+        numbers: the pairs of frequencies as multiples of `step`, (pairs, 2).
+        order: the order of the series.
     """
     jk = combinations(order)
     reach = int(2 * order * np.abs(numbers).sum(axis=1).max())
@@ -78,27 +78,27 @@ def two_periods(t: np.ndarray, y: np.ndarray, step: float, numbers: np.ndarray, 
     powers = np.cumprod(np.broadcast_to(wave, (reach, len(t))), axis=0)
     y = y - y.mean()
     window, data = (np.concatenate([[w.sum()], powers @ w]) for w in (np.ones(len(t)), y))
-    between = jk[None, :, :] - jk[:, None, :]  # of e*_a e_b
+    between = jk[None, :, :] - jk[:, None, :]  # the combination in the product of e*_a and e_b
 
     def coefficient(table: np.ndarray, k: np.ndarray) -> np.ndarray:
         return np.where(k < 0, table[np.abs(k)].conj(), table[np.abs(k)])
 
-    def left(pair: np.ndarray) -> np.ndarray:
+    def unexplained_share(pair: np.ndarray) -> np.ndarray:
         gram = coefficient(window, np.einsum("abc,pc->pab", between, pair))
         gram = gram + _RIDGE * len(t) * np.eye(len(jk))
         b = coefficient(data, -pair @ jk.T)
         return 1 - np.einsum("pa,pa->p", b.conj(), np.linalg.solve(gram, b[..., None])[..., 0]).real / (y @ y)
 
     parts = np.array_split(numbers, -(-len(numbers) // _AT_ONCE))
-    return TwoPeriods(step * numbers, np.concatenate([left(part) for part in parts]))
+    return TwoPeriods(step * numbers, np.concatenate([unexplained_share(part) for part in parts]))
 
 
 class Peak(NamedTuple):
-    """A sine in the data, found after those before it had been taken out.
+    """A sine in the data, found after the removal of stronger ones.
 
     Attributes:
         frequency: its frequency.
-        share: what it adds to the explained share of the variance.
+        share: the increase of the explained_variance share of the variance by this sine.
     """
 
     frequency: float
@@ -106,7 +106,7 @@ class Peak(NamedTuple):
 
 
 def peaks(t: np.ndarray, y: np.ndarray, frequencies: np.ndarray, count: int) -> list[Peak]:
-    """The strongest sines one after the other: each is fitted with all before it, and taken out (prewhitening)."""
+    """The strongest sines, one after the other: each is fitted with all before it and subtracted (prewhitening)."""
     found: list[Peak] = []
     rest, left = y, 1.0
     for _ in range(count):
@@ -121,9 +121,9 @@ def peaks(t: np.ndarray, y: np.ndarray, frequencies: np.ndarray, count: int) -> 
 
 
 def find_combination(frequency: float, pair: np.ndarray, order: int, width: float) -> tuple[int, int, float]:
-    """The (j, k) with |j|, |k| ≤ order whose j f₁ + k f₂ is a frequency, and the difference.
+    """Identify a frequency with a combination j f₁ + k f₂, |j|, |k| ≤ order: j, k and the difference.
 
-    Of those nearer than the width, the simplest; if there is none, the nearest.
+    The combination is the simplest of those within `width` of the frequency, or the nearest one if there is none.
     """
     jk = combinations(order)
     off, size = np.abs(jk @ pair - frequency), np.abs(jk).sum(axis=1)
@@ -132,16 +132,16 @@ def find_combination(frequency: float, pair: np.ndarray, order: int, width: floa
 
 
 def coincidence(frequencies: np.ndarray, band: tuple[float, float], width: float) -> float:
-    """The share of a band that is within the width of one of these frequencies: how often chance names a sine."""
+    """The share of a band within `width` of one of these frequencies: the probability of a match by chance."""
     low, high = ((np.sort(frequencies) + side).clip(*band) for side in (-width, width))
-    covered = np.append(band[0], high[:-1])  # up to here by those before
+    covered = np.append(band[0], high[:-1])  # the upper end of the part covered by lower frequencies
     return float((high - np.maximum(low, covered)).sum() / (band[1] - band[0]))
 
 
 def bases(pair: np.ndarray, most: int, band: tuple[float, float]) -> np.ndarray:
     """All pairs of frequencies inside the band that generate the same combinations as a pair, (bases, 2).
 
-    They are |a f₁ + b f₂|, |c f₁ + d f₂| with |ad − bc| = 1, and numbers of at most `most`.
+    They are |a f₁ + b f₂| and |c f₁ + d f₂| with |ad − bc| = 1 and coefficients of at most `most`.
     """
     found = []
     for a, b, c, d in itertools.product(range(-most, most + 1), repeat=4):
@@ -155,11 +155,11 @@ class Search(NamedTuple):
     """The search for the periods of a light curve.
 
     Attributes:
-        frequencies: of the spectrum, 1/min, (k,).
-        power: the share of the variance that each explains alone, (k,).
+        frequencies: the frequencies of the spectrum, 1/min, (k,).
+        power: the share of the variance that each frequency explains alone, (k,).
         peaks: the strongest sines, one after the other.
         pairs: the best pairs of frequencies, best first.
-        lines: pairs of frequencies that give the combinations of the best pair, (c, 2).
+        lines: pairs of frequencies that generate the same combinations as the best pair, (c, 2).
     """
 
     frequencies: np.ndarray
@@ -170,9 +170,9 @@ class Search(NamedTuple):
 
     @property
     def candidates(self) -> np.ndarray:
-        """(Precession, rotation) in 1/min, (c, 2).
+        """Candidates for the frequencies of (precession, rotation), 1/min, (c, 2).
 
-        A body whose facets are the same after half a turn about each axis shows its rotation twice as fast.
+        If half a turn about each axis maps the facets onto equal ones, the light shows the rotation twice as fast.
         """
         return self.lines / np.array([1.0, 2.0])
 
@@ -184,7 +184,7 @@ def search(t: np.ndarray, y: np.ndarray) -> Search:
     step = 1 / (_COARSE * duration)
     numbers = np.arange(int(BAND[0] / step) + 1, int(BAND[1] / step))
     f, g = np.meshgrid(numbers, numbers, indexing="ij")
-    apart = g - f > APART / step
-    best = two_periods(t, y, step, np.stack([f[apart], g[apart]], axis=1), ORDER).best(_SHOWN, APART)
-    power = np.asarray(spectrum(t, y, frequencies))
+    separate = g - f > APART / step
+    fits = fit_two_periods(t, y, step, np.stack([f[separate], g[separate]], axis=1), ORDER)
+    best, power = fits.select_best(_SHOWN, APART), np.asarray(spectrum(t, y, frequencies))
     return Search(frequencies, power, peaks(t, y, frequencies, _SHOWN), best, bases(best.pairs[0], _NUMBERS, BAND))

@@ -1,4 +1,4 @@
-"""Pulls, (estimate − truth)/reported standard error, of many synthetic data sets: how often errors hold the truth."""
+"""Pulls, (estimate − truth)/reported standard error, over synthetic data sets: a test of reported uncertainties."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ELLIPSOID = 15.507  # the 95 % point of χ² with 8 degrees of freedom
 
 
 class Shares(NamedTuple):
-    """How pulls scatter: percentages within one and two standard errors (68.3 and 95.4 expected), root mean square."""
+    """The scatter of pulls: percentages within one and two standard errors (68.3 and 95.4 expected), and the rms."""
 
     one: np.ndarray
     two: np.ndarray
@@ -21,26 +21,26 @@ class Shares(NamedTuple):
 
 
 def shares(pulls: np.ndarray, axis: int | None = 0) -> Shares:
-    """The shares of pulls (sets, parameters), of each parameter or with `axis` None of all."""
+    """The shares of pulls (sets, parameters), for each parameter, or with `axis=None` for all together."""
     size = np.abs(pulls)
     one, two = (100 * (size <= limit).mean(axis=axis) for limit in (1, 2))
     return Shares(one, two, np.sqrt((pulls**2).mean(axis=axis)))
 
 
-def chance(sets: int) -> Shares:
-    """The standard errors of the shares of one parameter by chance."""
+def chance_errors(sets: int) -> Shares:
+    """The standard errors of the shares of one parameter, for a number of synthetic sets."""
     one, two = (100 * np.sqrt(p * (1 - p) / sets) for p in (0.683, 0.954))
     return Shares(one, two, 1 / np.sqrt(2 * sets))
 
 
 def squared_distances(errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
-    """The squared distances of errors (n, parameters) from 0 by covariances (n, parameters, parameters), (n,)."""
+    """The squared Mahalanobis distances eᵀC⁻¹e, (n,), of errors (n, parameters) with covariances (n, …, …)."""
     errors = np.asarray(errors)
     return np.einsum("ti,ti->t", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
 
 
 def draw_pulls(ax: Axes, pulls: np.ndarray, own: np.ndarray | None = None) -> None:
-    """Plot the distribution of pulls (sets, parameters) and the normal one; `own` are those of a solution."""
+    """Plot the distribution of pulls (sets, parameters) and the normal one, and mark the pulls `own` of a solution."""
     sets, parameters = pulls.shape
     edges = np.linspace(-4, 4, 33).tolist()
     clipped = np.clip(pulls.ravel(), -3.99, 3.99)

@@ -15,19 +15,19 @@ from lieint_jax.app.studies._tumbling import model, rotation_between
 from lieint_jax.fitting._member_by_member import member_by_member
 from lieint_jax.groups import so3
 
-FITTED, MIDDLE = 17, 8  # the number of fixes of 1992, and the one in their middle, where the parameters are
+FITTED, MIDDLE = 17, 8  # number of fixes of 1992; index of the middle one, the epoch of the parameters
 STATES = {"Zhao et al. 2015": "toutatis", "Takahashi et al. 2013": "toutatis_takahashi"}  # published, as scenarios
 _EPOCH = np.datetime64("1992-11-09T17:49:47")
 
 
 class RadarEpochs(NamedTuple):
-    """All published radar fixes of Toutatis, 17 of 1992, one of 2004 and one of 2008.
+    """All published radar fixes of Toutatis: 17 of 1992, one of 2004 and one of 2008.
 
     Attributes:
         t: days since 1992-11-09 17:49:47 UTC, the epoch of the published states, (19,).
         q: attitudes as unit quaternions, (19, 4).
-        euler_313_deg: the same as published, (19, 3).
-        angular_velocity_deg: body rates in ° a day, (19, 3).
+        euler_313_deg: the same as Euler 3-1-3 angles, as published (°), (19, 3).
+        angular_velocity_deg: body rates (°/d), (19, 3).
     """
 
     t: np.ndarray
@@ -37,7 +37,7 @@ class RadarEpochs(NamedTuple):
 
 
 def radar_epochs() -> RadarEpochs:
-    """The radar fixes. Source: Takahashi, Busch & Scheeres 2013, AJ 146:95. No errors are published."""
+    """The radar fixes. Source: Takahashi, Busch & Scheeres 2013, AJ 146:95, where no errors are given."""
     rows = _rows()
     days = [np.datetime64(row[0]) - _EPOCH for row in rows]
     numbers = np.array([row[1:] for row in rows], float)
@@ -49,7 +49,7 @@ class LaterFixes(NamedTuple):
     """Attitudes long after 1992: by radar in 2004 and 2008, and by the camera of Chang'e-2 in 2012.
 
     Attributes:
-        date: UTC, (3,).
+        date: dates, UTC, (3,).
         t: days since 1992-11-09 17:49:47 UTC, (3,).
         q: attitudes, (3, 4).
     """
@@ -62,8 +62,8 @@ class LaterFixes(NamedTuple):
 def later_fixes() -> LaterFixes:
     """The two later radar fixes and that of Chang'e-2: −20.1°, 27.6°, 42.2°, each ± 1° (Zhao et al. 2015).
 
-    Its angles are taken in the convention of the radar fixes. The inverse rotation is excluded: with the momentum's
-    direction it would give 2H/|π|² 1.5 times as large as the published states have it.
+    The angles of Chang'e-2 are read in the convention of the radar fixes. The inverse rotation is excluded: with the
+    direction of the momentum, 2H/|π|² would be 1.5 times as large as in the published states.
     """
     fixes = radar_epochs()
     t = (np.datetime64("2012-12-13T08:30") - _EPOCH) / np.timedelta64(1, "D")
@@ -84,7 +84,7 @@ def _rows() -> list[list[str]]:
 
 @jax.jit
 def path(params: dict[str, Array], data: dict[str, Array]) -> Array:
-    """Attitudes and body rates in °/d, (n, 7), at the times data["t"] (n,), with data["begin"] as in `model`."""
+    """Attitudes and body rates (°/d), (n, 7), at data["t"], (n,); data["begin"] as in `model`."""
     body, state = model(params, data["begin"])
 
     def spin_at(t: Array) -> Array:
@@ -98,8 +98,10 @@ path_of_fits = member_by_member(path)
 
 
 def errors(found: Array, data: dict[str, Array]) -> Array:
-    """Attitudes and rates (n, 7) less the observed ones: rotation vectors in space (°), body rates (°/d), (2, n, 3).
+    """Calculated less observed: rotation vectors in space (°) and body rates (°/d), (2, n, 3).
 
-    data["q"], (n, 4), and data["rate"], (n, 3), are observed.
+    Args:
+        found: calculated attitudes and body rates, (n, 7).
+        data: observed attitudes data["q"], (n, 4), and body rates data["rate"], (n, 3).
     """
     return jnp.stack([jax.vmap(rotation_between)(found[:, :4], data["q"]), found[:, 4:] - data["rate"]])

@@ -1,8 +1,9 @@
 """The spin state and inertia of a satellite from its light curve: the model, many starts, and errors.
 
-Eight parameters are fitted: attitude (3), body rate (3), two ratios of inertia. The zero point of the magnitudes is the
-mean of the errors: it is taken out of them, which is least squares for it too. The motion is that of the scheme of
-order 6, whose derivatives in so many starts cost a tenth of the closed form's; its error is measured beside that.
+Eight parameters are fitted: attitude (3), body rate (3), two ratios of inertia. The zero point of the magnitudes is
+eliminated: its least-squares value is the mean of the errors, which is subtracted. The motion is computed by the scheme
+of order 6, whose derivatives in so many starts cost a tenth of the closed form's; its error is measured by comparison
+with the closed form.
 """
 
 from __future__ import annotations
@@ -34,8 +35,9 @@ from lieint_jax.types import State
 BOUNDS = {"attitude": free, "inertia": inertia_ratios, "rate": free}
 STEP = 0.75  # min
 _ITERATIONS, _TOLERANCE, _FINE = 50, 1e-6, 4000
-_AT_ONCE = 10_000  # guesses that are tried together
-_POOL, _NEAR, _SCATTER = 50_000, 500, 0.8  # random bodies, those kept for a candidate, scatter of log second moments
+_AT_ONCE = 10_000  # guesses that are evaluated together
+_POOL, _NEAR = 50_000, 500  # number of random bodies, and of those used for a candidate
+_SCATTER = 0.8  # standard deviation of the logarithms of second moments
 
 
 def magnitudes(params: dict[str, Array], begin: ArrayLike, facets: Facets, curve: Lightcurve) -> tuple[Array, Array]:
@@ -58,10 +60,10 @@ _light = jax.custom_jvp(_magnitude)
 
 @partial(_light.defjvp, symbolic_zeros=True)
 def _light_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
-    """By the gradient in the attitude: a fit's derivatives in eight directions then cost little more than the light."""
-    (q, scene), (turn, *changes) = primals, jax.tree.leaves(tangents, is_leaf=_is_zero)
+    """The derivative, by the gradient in the attitude: eight directions then cost little more than the light itself."""
+    (q, scene), (dq, *changes) = primals, jax.tree.leaves(tangents, is_leaf=_is_zero)
     light, gradient = jax.value_and_grad(_magnitude)(q, scene)
-    along = jnp.zeros(()) if _is_zero(turn) else jnp.vdot(gradient, turn)
+    along = jnp.zeros(()) if _is_zero(dq) else jnp.vdot(gradient, dq)
     if all(map(_is_zero, changes)):
         return light, along
     full = [jnp.zeros(x.shape, x.dtype) if _is_zero(x) else x for x in changes]
@@ -73,18 +75,18 @@ def _is_zero(tangent: Any) -> bool:
     return isinstance(tangent, SymbolicZero)
 
 
-def fitted(
-    guesses: dict[str, Any], begin: Any, seen: Any, facets: Facets, curve: Lightcurve, progress: bool = True
+def fit_magnitudes(
+    guesses: dict[str, Any], begin: Any, observed: Any, facets: Facets, curve: Lightcurve, progress: bool = True
 ) -> Fit:
-    """All fits at once to magnitudes seen, (fits, n), at the exposures of the curve.
+    """Run many fits at once, to the observed magnitudes, (fits, n), at the exposures of the curve.
 
-    Each leaf of guesses, and `begin`, has a leading axis.
+    Each leaf of `guesses`, and `begin`, has a leading axis (fits).
     """
 
     def residuals(params: dict[str, Array], data: tuple[Array, Array]) -> tuple[Array, Array]:
-        begin, seen = data
+        begin, observed = data
         light, converged = magnitudes(params, begin, facets, curve)
-        error = (light - seen) / curve.noise
+        error = (light - observed) / curve.noise
         return error - jnp.mean(error), converged
 
     return fit(
@@ -92,7 +94,7 @@ def fitted(
         guesses,
         bounds=BOUNDS,
         starts=True,
-        data=(begin, seen),
+        data=(begin, observed),
         iterations=_ITERATIONS,
         tolerance=_TOLERANCE,
         progress=progress,
@@ -102,19 +104,19 @@ def fitted(
 def random_guesses(
     frequencies: np.ndarray, count: int, key: Array
 ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-    """Guesses whose mean precession and rotation frequencies are near given ones, else at random.
+    """Random guesses whose mean precession and rotation frequencies are near given candidates.
 
-    The inertia is that of random second moments, the body momentum's direction and the attitude are uniform. Of a pool
-    of such bodies, those whose ratio of the two frequencies is nearest to a candidate's serve it, and turn as fast as
-    it says. Each candidate has as many guesses.
+    The inertia is that of random second moments; the directions of the body momentum and the attitudes are uniform.
+    From a pool of such bodies, each candidate uses those with the nearest ratio of the two frequencies, and scales
+    their rates to its frequencies. All candidates have the same number of guesses.
 
     Args:
         frequencies: candidates for (precession, rotation) in 1/min, (candidates, 2).
         count: the number of guesses.
-        key: of the random numbers.
+        key: the key of the random numbers.
 
     Returns:
-        Guesses as `fitted` wants them, their attitudes `begin`, (count, 4), and the candidate of each, (count,).
+        The guesses and their attitudes `begin`, (count, 4), for `fit_magnitudes`; the candidate of each, (count,).
     """
     keys = jax.random.split(key, 4)
     J, Pi, of_pool = (np.asarray(x) for x in _pool(keys[:2]))
@@ -130,7 +132,7 @@ def random_guesses(
 
 @jax.jit
 def _pool(keys: Array) -> tuple[Array, Array, Array]:
-    """Random bodies: moments over the third, body momenta, mean frequencies of precession and rotation."""
+    """Random bodies: moments over the third, body momenta, and mean frequencies of precession and rotation."""
     J = jax.vmap(principal_inertia.inside)(_SCATTER * jax.random.normal(keys[0], (_POOL, 3)))
     J = J / J[:, 2:]
     Pi = jax.random.normal(keys[1], (_POOL, 3))
@@ -145,36 +147,36 @@ def _pool(keys: Array) -> tuple[Array, Array, Array]:
 def losses(
     guesses: dict[str, np.ndarray], begin: np.ndarray, facets: Facets, curve: Lightcurve, progress: bool = True
 ) -> np.ndarray:
-    """Half the sum of squares of each guess's errors in units of the noise, (guesses,)."""
-    from tqdm import tqdm  # where it is used: the package imports in a moment
+    """Half the sum of squares of the errors of each guess, in units of the noise, (guesses,)."""
+    from tqdm import tqdm  # imported here, so that the package imports quickly
 
     def loss(params: dict[str, Array], begin: Array) -> Array:
         light, _ = magnitudes(params, begin, facets, curve)
         return len(curve.t) * jnp.var(light - curve.magnitude) / (2 * curve.noise**2)
 
-    of_piece, pieces = over_members(loss), np.array_split(np.arange(len(begin)), -(-len(begin) // _AT_ONCE))
+    piece_losses, pieces = over_members(loss), np.array_split(np.arange(len(begin)), -(-len(begin) // _AT_ONCE))
     found = []
     with tqdm(total=len(begin), unit=" guesses", disable=None if progress else True, leave=False) as bar:
         for piece in pieces:
-            some = {name: leaf[piece] for name, leaf in guesses.items()}
-            found.append(np.asarray(of_piece(some, begin[piece])))
+            part = {name: leaf[piece] for name, leaf in guesses.items()}
+            found.append(np.asarray(piece_losses(part, begin[piece])))
             bar.update(len(piece))
     return np.concatenate(found)
 
 
 class Estimate(NamedTuple):
-    """The best solution beside the truth, in the order attitude (°, as turns in space), inertia ratios, rate (°/min).
+    """The best solution and the truth: attitude (rotation vector in space, °), inertia ratios, rate (°/min).
 
     Attributes:
         value: the estimate, (8,).
         truth: the truth, or its image under a symmetry of the facets, whichever is nearest, (8,).
         sigma: standard errors of the estimate, (8,).
-        turned: that symmetry, a turn of the body axes, (3, 3).
+        turned: that symmetry, a rotation of the body axes, (3, 3).
         periods: mean precession and rotation period of the estimate (min), (2,).
         periods_sigma: their standard errors, (2,).
         errors: (estimate − truth)/σ of the synthetic sets, (sets, 8).
         light: the magnitudes of the fit, with the zero point of the light curve, (n,).
-        fine_t, fine_light: the same at many times by the closed form, (m,).
+        fine_t, fine_light: many times, and the same magnitudes at these by the closed form, (m,).
         integration: the largest difference between the fit's magnitudes and those of the closed form, over the noise.
     """
 
@@ -200,28 +202,28 @@ def true_solution(made: Scene) -> Solutions:
 def estimate(
     made: Scene, curve: Lightcurve, night: Fit, begin: np.ndarray, chosen: int, several: int, every: list[Change]
 ) -> Estimate:
-    """The fit `chosen` beside the truth; the fits from the number `several` on are of synthetic sets."""
+    """Compare the fit number `chosen` with the truth; the fits from number `several` on are those of synthetic sets."""
     starts = night.starts
     assert starts is not None
     assert starts.covariance is not None
     params = jax.tree.map(np.asarray, starts.params)  # off the devices over which the fits were split
     x = np.concatenate([params[name] for name in BOUNDS], axis=1)
     sigma = np.sqrt(np.diagonal(starts.covariance, axis1=1, axis2=2))
-    truth, best = true_solution(made), solutions(params, begin).take(chosen)
-    turn = min((c for c in every if c.name == SPACE[0]), key=lambda c: float(distance(c(truth), best)[0]))
-    one = {name: leaf[chosen] for name, leaf in params.items()}
-    body, state, light, periods, D = _motion(one, begin[chosen], made, curve)
+    truth, best = true_solution(made), solutions(params, begin).select(chosen)
+    symmetry = min((c for c in every if c.name == SPACE[0]), key=lambda c: float(distance(c(truth), best)[0]))
+    best_params = {name: leaf[chosen] for name, leaf in params.items()}
+    body, state, light, periods, D = _evaluate_solution(best_params, begin[chosen], made, curve)
     fine = np.linspace(0, curve.t[-1], _FINE)
     exact = np.asarray(true_magnitudes(made._replace(body=body, state=state), np.append(curve.t, fine)))
     zero = np.mean(curve.magnitude - light)
     return Estimate(
         x[chosen],
-        _vector(turn(truth), begin[chosen]),
+        _parameter_vector(symmetry(truth), begin[chosen]),
         sigma[chosen],
-        turn.g,
+        symmetry.g,
         periods,
         np.sqrt(np.diagonal(D @ starts.covariance[chosen] @ D.T)),
-        (x[several:] - _vector(truth, truth.q[0])) / sigma[several:],
+        (x[several:] - _parameter_vector(truth, truth.q[0])) / sigma[several:],
         light + zero,
         fine,
         exact[len(curve.t) :] + zero,
@@ -229,13 +231,13 @@ def estimate(
     )
 
 
-def _motion(
+def _evaluate_solution(
     params: dict[str, Array], begin: np.ndarray, made: Scene, curve: Lightcurve
 ) -> tuple[RigidBody, State, np.ndarray, np.ndarray, np.ndarray]:
-    """A solution's body and state; magnitudes, (n,); mean periods, (2,), and their derivative by x, (2, 8)."""
+    """Body, state, magnitudes (n,) and mean periods (2,) of a solution, and the periods' derivative by x, (2, 8)."""
 
     @jax.jit
-    def look(params: dict[str, Array]) -> tuple[RigidBody, State, Array, Array, list[Array]]:
+    def evaluate(params: dict[str, Array]) -> tuple[RigidBody, State, Array, Array, list[Array]]:
         def periods(params: dict[str, Array]) -> tuple[Array, Array]:
             found = mean_periods(*model(params, jnp.asarray(begin)))
             return found, found
@@ -244,11 +246,11 @@ def _motion(
         light, _ = magnitudes(params, begin, made.facets, curve)
         return *model(params, jnp.asarray(begin)), light, found, [D[name] for name in BOUNDS]
 
-    body, state, light, found, D = look(params)
+    body, state, light, found, D = evaluate(params)
     return body, state, np.asarray(light), np.asarray(found), np.concatenate(D, axis=1)
 
 
-def _vector(one: Solutions, begin: np.ndarray) -> np.ndarray:
-    """A solution as the parameters of the fit, (8,)."""
-    turn = rotation_between(jnp.asarray(one.q[0]), jnp.asarray(begin))
-    return np.concatenate([turn, one.inertia[0, :2] / one.inertia[0, 2], one.rate[0]])
+def _parameter_vector(solution: Solutions, begin: np.ndarray) -> np.ndarray:
+    """The parameters of the fit, (8,), of a single solution."""
+    rotation = rotation_between(jnp.asarray(solution.q[0]), jnp.asarray(begin))
+    return np.concatenate([rotation, solution.inertia[0, :2] / solution.inertia[0, 2], solution.rate[0]])

@@ -17,7 +17,7 @@ _TITLES = (
     "light before the shadow",
     "spectrum of all the light",
     "pairs of frequencies",
-    "where the starts ended, first session",
+    "ends of the starts, first session",
     "the night, from all images of the best end",
     "estimate less truth",
 )
@@ -25,17 +25,17 @@ _TITLES = (
 
 @plots.style()
 def draw(found: Any) -> Figure:
-    """Plot the light with its minima; both searches for periods; the ends of all starts; the images; errors."""
+    """Plot the light and its minima, both searches for periods, the ends of all starts, the images, and the errors."""
     fig, axes = plots.figure(3, 2)
-    parts = (_light, _spectrum, _pairs, _first, _night, _errors)
-    for ax, part in zip(axes.flat, parts, strict=True):
-        part(ax, found)
+    panels = (_draw_light, _draw_spectrum, _draw_pairs, _draw_first_session, _draw_night, _draw_errors)
+    for ax, draw_panel in zip(axes.flat, panels, strict=True):
+        draw_panel(ax, found)
     plots.letter_panels(axes, _TITLES)
     fig.suptitle(f"{found.title}, simulated", fontsize="medium")
     return fig
 
 
-def _light(ax: Axes, found: Any) -> None:
+def _draw_light(ax: Axes, found: Any) -> None:
     session = found.session
     fine, seen = found.estimate.fine_t <= session, found.curve.t <= session
     ax.plot(found.estimate.fine_t[fine], found.estimate.fine_light[fine], color=plots.BLUE, lw=0.8, label="fit")
@@ -48,7 +48,7 @@ def _light(ax: Axes, found: Any) -> None:
     ax.legend(frameon=False, fontsize="x-small", ncols=3, loc="upper left")
 
 
-def _spectrum(ax: Axes, found: Any) -> None:
+def _draw_spectrum(ax: Axes, found: Any) -> None:
     f, power = found.search.frequencies, found.search.power
     ax.plot(f, 100 * power, color=plots.BLUE, lw=0.8)
     true = 1 / found.periods
@@ -64,7 +64,7 @@ def _spectrum(ax: Axes, found: Any) -> None:
     ax.text(0.97, 0.95, note, transform=ax.transAxes, ha="right", va="top", fontsize="x-small")
 
 
-def _pairs(ax: Axes, found: Any) -> None:
+def _draw_pairs(ax: Axes, found: Any) -> None:
     pairs, left = found.search.pairs.pairs, 100 * found.search.pairs.left
     true = 1 / found.periods
     y = np.arange(len(pairs))[::-1]
@@ -79,18 +79,18 @@ def _pairs(ax: Axes, found: Any) -> None:
     ax.set_ylabel("frequencies (1/min)")
 
 
-def _kind(name: str) -> tuple[str, str]:
-    """The change in space of a change's name, and the new names of the axes."""
+def _split_name(name: str) -> tuple[str, str]:
+    """The two parts of a change's name: the change in space, and the new names of the axes."""
     space, _, axes = name.partition(", axes ")
     return space, axes or "xyz"
 
 
-def _first(ax: Axes, found: Any) -> None:
+def _draw_first_session(ax: Axes, found: Any) -> None:
     order = np.argsort(found.first.loss)
     chi = 2 * found.first.loss[order] / (found.curve.t <= found.session).sum()
     change, rank = found.first.change[order], np.arange(1, len(order) + 1)
     ax.loglog(rank, chi, ".", color=plots.GRAY, ms=3, label=f"elsewhere ({(change < 0).sum()})")
-    kinds = [_kind(found.changes[k].name) if k >= 0 else None for k in change]
+    kinds = [_split_name(found.changes[k].name) if k >= 0 else None for k in change]
     for space, color in _COLORS.items():
         for own, mark in ((True, "o"), (False, "x")):
             which = np.array([kind is not None and kind[0] == space and (kind[1] == "xyz") == own for kind in kinds])
@@ -101,25 +101,25 @@ def _first(ax: Axes, found: Any) -> None:
     ax.legend(frameon=False, fontsize="x-small", loc="upper left")
 
 
-def _night(ax: Axes, found: Any) -> None:
+def _draw_night(ax: Axes, found: Any) -> None:
     excess = 2 * (found.images.loss - found.night.loss.min())
-    columns = sorted({_kind(change.name)[1] for change in found.changes})
+    columns = sorted({_split_name(change.name)[1] for change in found.changes})
     for begin, value, end in zip(found.named, excess, found.images.change, strict=True):
-        if begin < 0:  # the first session's best end is no image of the night's
+        if begin < 0:  # the best end of the first session is no image of that of the night
             continue
-        space, axes = _kind(found.changes[begin].name)
-        own = end >= 0 and _kind(found.changes[end].name) == (space, axes)
+        space, axes = _split_name(found.changes[begin].name)
+        own = end >= 0 and _split_name(found.changes[end].name) == (space, axes)
         x = columns.index(axes) + 0.15 * (list(_COLORS).index(space) - 1.5)
         fill = _COLORS[space] if own else "none"
         ax.plot(x, max(value, 0.5), "o", color=_COLORS[space], mfc=fill, ms=5)
     for space, color in _COLORS.items():
         ax.plot([], [], "o", color=color, ms=5, label=space)
-    ax.plot([], [], "o", color=plots.GRAY, mfc="none", ms=5, label="went elsewhere")
+    ax.plot([], [], "o", color=plots.GRAY, mfc="none", ms=5, label="ended elsewhere")
     ax.set(yscale="log", xlabel="names of the axes", ylabel="χ² above the best (0 drawn at 0.5)", ylim=(0.3, 3e7))
     ax.set_xticks(range(len(columns)), columns)
     ax.legend(frameon=False, fontsize="x-small", ncols=2, loc="upper left")
 
 
-def _errors(ax: Axes, found: Any) -> None:
+def _draw_errors(ax: Axes, found: Any) -> None:
     e = found.estimate
     draw_pulls(ax, e.errors, (e.value - e.truth) / e.sigma)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lieint_jax.app.studies._period_search import HARMONICS, SPECTRUM, coincidence, combinations, find_combination
-from lieint_jax.app.studies._pulls import chance, shares
+from lieint_jax.app.studies._pulls import chance_errors, shares
 from lieint_jax.app.studies._satellite_fit import STEP
 from lieint_jax.app.studies._symmetric_solutions import SPACE
 
@@ -20,7 +20,7 @@ NAMES = (
 
 
 def text(found: Any) -> str:
-    """The study's report, to print."""
+    """The report of the study, as text."""
     parts = (_head, _minima, _periods, _ends, _symmetries, _estimate, _published)
     return "\n".join(line for part in parts for line in part(found))
 
@@ -31,7 +31,7 @@ def _head(found: Any) -> list[str]:
     first = (c.t < found.session).sum()
     return [
         f"{found.title}: all of it simulated",
-        f"  {found.facets} facets (a box, two two-sided panels), diffuse and with a lobe; they do not shade each other",
+        f"  {found.facets} facets (a box, two two-sided panels), diffuse with a lobe; they do not shade each other",
         f"  {len(c.t)} exposures in {c.t[-1]:.0f} min, {first} before the Earth's shadow and {len(c.t) - first} after "
         f"it; noise {c.noise} mag; phase angle {phase[0]:.0f}° to {phase.min():.0f}° to {phase[-1]:.0f}°",
         f"  mean periods, true: precession {found.periods[0]:.4f} min, rotation {found.periods[1]:.4f} min",
@@ -51,19 +51,19 @@ def _minima(found: Any) -> list[str]:
 def _periods(found: Any) -> list[str]:
     s, true, width = found.search, 1 / found.periods, _width(found)
     jk = combinations(HARMONICS)
-    chance = [100 * coincidence(some @ true, SPECTRUM, width) for some in (jk, jk[jk[:, 1] % 2 == 0])]
+    by_chance = [100 * coincidence(part @ true, SPECTRUM, width) for part in (jk, jk[jk[:, 1] % 2 == 0])]
     lines = [
-        "\n  sines in the light, the strongest first, each the simplest j f_precession + k f_rotation with |j|, |k| ≤ "
+        "\n  sines in the light, the strongest first, each with the simplest j f_precession + k f_rotation, |j|, |k| ≤ "
         f"{HARMONICS}",
-        f"  within {width:.4f} per min (by chance {chance[0]:.0f} % of all frequencies are as near to one, "
-        f"{chance[1]:.0f} % to one with even k)",
+        f"  within {width:.4f} per min (by chance {by_chance[0]:.0f} % of all frequencies are as near to one, "
+        f"{by_chance[1]:.0f} % to one with even k)",
         f"    {'1/min':>9}{'period (min)':>14}{'variance':>10}{'j':>5}{'k':>4}{'off (1/min)':>13}",
     ]
     for p in s.peaks:
         j, k, off = find_combination(p.frequency, true, HARMONICS, width)
         lines.append(f"    {p.frequency:>9.5f}{1 / p.frequency:>14.2f}{100 * p.share:>9.1f}%{j:>5}{k:>4}{off:>13.5f}")
     lines.append(
-        "  pairs of frequencies of a double Fourier series of order 2, the best first, and what each is in truth"
+        "  pairs of frequencies of a double Fourier series of order 2, the best first, with their true combinations"
     )
     for pair, left in list(zip(s.pairs.pairs, s.pairs.left, strict=True))[:6]:
         names = [(f, *find_combination(f, true, HARMONICS, width)) for f in pair]
@@ -80,9 +80,9 @@ def _candidates(candidates: np.ndarray, true: np.ndarray, width: float) -> list[
         return [*lines, f"  none of them is the true one: the nearest is off by {off.min():.5f} per min"]
     return [
         *lines,
-        f"  1/{1 / ours[0]:.2f} and 1/{1 / ours[1]:.2f} per min, one of them, is the true one but for "
+        f"  1/{1 / ours[0]:.2f} and 1/{1 / ours[1]:.2f} per min, one of them, is the true one up to "
         f"{ours[0] - true[0]:+.5f} and {ours[1] - true[1]:+.5f} per min",
-        f"  (directions turn by 15°/h, {15 / 360 / 60:.5f} per min, so what is seen is not the motion in space)",
+        f"  (directions rotate by 15°/h, {15 / 360 / 60:.5f} per min, so the light does not show the motion in space)",
     ]
 
 
@@ -100,28 +100,28 @@ def _ends(found: Any) -> list[str]:
     return [
         *_times(found, len(rows)),
         *_table(found, rows),
-        f"  {same:.1f} % of the starts found the true motion or one of the same light, {some:.1f} % a named one; "
-        f"{100 * first.success.mean():.0f} % stopped for a good reason",
-        f"  {lost} of the {len(rows)} named solutions are no minima on the whole night: the fit leaves them",
+        f"  {same:.1f} % of the starts end at the true motion or one of equal light, {some:.1f} % at a named one; "
+        f"{100 * first.success.mean():.0f} % of the fits succeeded",
+        f"  {lost} of the {len(rows)} named solutions are not minima on the whole night: the fits leave them",
     ]
 
 
 def _times(found: Any, images: int) -> list[str]:
     a, b, c = found.seconds
     return [
-        f"\n  {found.guesses} random bodies of these periods tried on the first session: {a:.0f} s on "
+        f"\n  {found.guesses} random bodies of these periods compared with the first session: {a:.0f} s on "
         f"{found.devices} devices, compilation included",
-        f"  {len(found.first.loss)} starts from the best of them fitted to it: {b:.0f} s",
-        f"  {len(found.night.loss)} of the ends, {images} images of the best one and {len(found.estimate.errors)} "
-        f"synthetic sets fitted to the whole night: {c:.0f} s",
+        f"  {len(found.first.loss)} fits to it from the best of them: {b:.0f} s",
+        f"  fits to the whole night from {len(found.night.loss)} of the ends and {images} images of the best one, "
+        f"and to {len(found.estimate.errors)} synthetic sets: {c:.0f} s",
     ]
 
 
 def _table(found: Any, rows: list[Any]) -> list[str]:
     n, night = (found.curve.t < found.session).sum(), len(found.curve.t)
-    turns = ("no turn", *(f"180° {axis}" for axis in "xyz"))
+    turns = ("identity", *(f"180° {axis}" for axis in "xyz"))
     lines = [
-        "  where the starts ended, by the half turn of the body that leaves its light; χ² of "
+        "  ends of the starts, by the half turn of the body, which does not change its light; χ² of "
         f"{n} exposures, then of {night}:",
         f"    {'':<32}{'all':>5}" + "".join(f"{t:>9}" for t in turns) + f"{'χ² first':>11}{'χ² night':>11}",
     ]
@@ -139,8 +139,8 @@ def _rows(found: Any) -> list[tuple[str, np.ndarray, float, bool, float]]:
 
 
 def _row(found: Any, name: str) -> tuple[str, np.ndarray, float, bool, float]:
-    """A named solution: its name, the starts that ended there by turn, their least loss, whether it is a minimum on the
-    night, and the loss there."""
+    """A named solution: its name, how many starts end there, by half turn, and their least loss; whether it is a
+    minimum on the night, and the loss of that minimum."""
     alike = [i for i, change in enumerate(found.changes) if change.name == name]
     counts = np.array([(found.first.change == i).sum() for i in alike])
     before, after = (
@@ -151,10 +151,10 @@ def _row(found: Any, name: str) -> tuple[str, np.ndarray, float, bool, float]:
 
 def _symmetries(found: Any) -> list[str]:
     lines = [
-        "\n  by how much changes in space alter the true motion's light, with any half turn of the body (mag, rms)",
+        "\n  effect of changes in space on the true motion's light, the largest over half turns of the body (mag, rms)",
         f"    {'directions to Sun and observer':<40}{'none':>10}{'mirror':>10}{'exchange':>10}{'both':>10}",
     ]
-    labels = ("held as in the middle of the session", "as they moved before the shadow", "as they moved in the night")
+    labels = ("fixed, as in the middle of the session", "moving, before the shadow", "moving, the whole night")
     for label, row in zip(labels, found.light_changes, strict=True):
         lines.append(f"    {label:<40}" + "".join(f"{x:>10.2g}" for x in row))
     return lines
@@ -162,12 +162,12 @@ def _symmetries(found: Any) -> list[str]:
 
 def _estimate(found: Any) -> list[str]:
     e = found.estimate
-    each, every, by_chance = shares(e.errors), shares(e.errors, None), chance(len(e.errors))
+    each, every, by_chance = shares(e.errors), shares(e.errors, None), chance_errors(len(e.errors))
     truth = "itself" if np.allclose(e.turned, np.eye(3)) else "after a half turn of the body"
     lines = [
         f"\n  the best solution, χ² {2 * found.night.loss.min():.1f} for {len(found.curve.t) - 9} degrees of freedom, "
-        f"beside the truth {truth},",
-        f"  and how far the fits of {len(e.errors)} synthetic sets are from theirs",
+        f"and the truth {truth},",
+        f"  and the errors of the fits of {len(e.errors)} synthetic sets",
         f"    {'':<24}{'fitted':>11}{'± 1σ':>10}{'truth':>11}{'off':>9}{'within 1σ':>12}{'2σ':>6}{'rms/σ':>9}",
     ]
     for k, name in enumerate(NAMES):
@@ -182,8 +182,8 @@ def _estimate(found: Any) -> list[str]:
         f"    {'expected of each':<24}{'':>41}{68:>11}%{95:>5}%{1:>9.2f}   ± {by_chance.one:.0f} %, "
         f"{by_chance.two:.0f} %, {by_chance.rms:.2f} by chance",
         *(_comparison(*row) for row in periods),
-        f"  the scheme of order 6, in steps of {STEP:g} min, puts no magnitude farther from the closed form's than "
-        f"{e.integration:.2g} of its noise",
+        f"  the scheme of order 6, in steps of {STEP:g} min, agrees with the closed form to "
+        f"{e.integration:.2g} of the noise in every magnitude",
     ]
 
 
@@ -198,17 +198,17 @@ def _published(found: Any) -> list[str]:
     even = sum(k % 2 == 0 for k in good)
     rows = {row[0]: row for row in _rows(found)}
     best, mirror = rows[SPACE[0]], rows[SPACE[1]]
-    before = f"{2 * (mirror[2] - best[2]):.1f} higher" if np.isfinite(mirror[2] - best[2]) else "not met"
+    before = f"{2 * (mirror[2] - best[2]):.1f} higher" if np.isfinite(mirror[2] - best[2]) else "not found"
     after = f"{2 * (mirror[4] - best[4]):.1f} higher" if mirror[3] else "no minimum"
     return [
-        "\n  published, and here:",
+        "\n  published statements and this fit:",
         "    'At least two different observation geometries … are needed for a unique full solution' of a precessing",
         "      body (Kaasalainen 2001, A&A 376:302). Here the mirror solution's χ² is "
         f"{before} before the shadow, {after} in the night.",
         "    A tumbler's light has the harmonics of two frequencies and their linear combinations (Pravec et al. 2005,",
         f"      Icarus 173:108). Here {len(good)} of the {len(names)} strongest sines are within the resolution of "
         f"one; {even} of these have even k, as the",
-        "      symmetry of the facets asks.",
+        "      symmetry of the facets requires.",
         "    Retired geostationary satellites tumble 'well below … one degree per second' (Binz, Davis, Kelm & Moore,",
         "      Optical survey of the tumble rates of retired GEO satellites, AMOS). Here it is "
         f"{found.rate:.2f}°/s, by choice.",

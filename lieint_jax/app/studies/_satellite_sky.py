@@ -1,4 +1,4 @@
-"""The scene of the study of a satellite: its facets and motion, Sun and observer as it sees them, and its exposures."""
+"""The scene of the study of a satellite: its facets, its motion, the directions to Sun and observer, the exposures."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from lieint_jax.systems import RigidBody, rigid_body
 from lieint_jax.types import State
 
 _DAY = 1440.0  # minutes
-_PIECE = 256  # times at once in the closed form: pieces of one size need one compiled program
+_PIECE = 256  # number of times per call of the closed form: pieces of equal size share one compiled program
 
 
 class Scene(NamedTuple):
-    """What `satellite.toml` holds.
+    """The contents of `satellite.toml`.
 
     Attributes:
-        title: of the scene.
-        facets: of the satellite.
-        body: its inertia, over the third moment.
-        state: its true state at t = 0; rates in rad/min.
+        title: the title of the scene.
+        facets: the facets of the satellite.
+        body: the satellite as a rigid body, with moments over the third one.
+        state: the true state at t = 0; rates in rad/min.
         sky: the directions to Sun and observer, as in the file.
-        exposures: their times and noise, as in the file.
+        exposures: the times and the noise of the exposures, as in the file.
     """
 
     title: str
@@ -46,7 +46,7 @@ class Lightcurve(NamedTuple):
 
     Attributes:
         t: minutes since the first planned exposure, increasing, (n,).
-        magnitude: with noise, and an unknown zero point, (n,).
+        magnitude: magnitudes with noise and an unknown zero point, (n,).
         sun: unit vectors to the Sun, (n, 3).
         observer: unit vectors to the observer, (n, 3).
         noise: the standard deviation of each magnitude.
@@ -58,15 +58,15 @@ class Lightcurve(NamedTuple):
     observer: np.ndarray
     noise: float
 
-    def until(self, end: float) -> Lightcurve:
-        """The exposures before the time `end`."""
-        kept = self.t < end
-        t, seen, sun, observer = (leaf[kept] for leaf in self[:4])
-        return Lightcurve(t, seen, sun, observer, self.noise)
+    def truncate(self, end: float) -> Lightcurve:
+        """Select the exposures before the time `end`."""
+        before = self.t < end
+        t, magnitude, sun, observer = (leaf[before] for leaf in self[:4])
+        return Lightcurve(t, magnitude, sun, observer, self.noise)
 
 
 def scene() -> Scene:
-    """The scene that the package ships."""
+    """Load the scene that the package ships."""
     text = resources.files(__package__ or "").joinpath("satellite.toml").read_text(encoding="utf-8")
     table = tomllib.loads(text)
     inertia = np.array(table["body"]["inertia_kg_m2"])
@@ -78,24 +78,24 @@ def scene() -> Scene:
 
 
 def directions(sky: dict[str, float], t: Array) -> tuple[Array, Array]:
-    """Unit vectors from the satellite to Sun and observer at time t (min), (3,) each: each keeps its declination."""
+    """Unit vectors from the satellite to Sun and observer at time t (min), (3,) each, of constant declination."""
 
-    def toward(name: str) -> Array:
+    def direction_to(name: str) -> Array:
         right_ascension = jnp.deg2rad(sky[f"{name}_right_ascension_deg"] + sky[f"{name}_rate_deg_day"] * t / _DAY)
         return direction(right_ascension, jnp.deg2rad(sky[f"{name}_declination_deg"] + 0 * t))
 
-    return toward("sun"), toward("observer")
+    return direction_to("sun"), direction_to("observer")
 
 
 def exposure_times(plan: dict[str, Any]) -> np.ndarray:
-    """Irregular times (min), increasing: each of a cadence moved at random, with runs of them lost to clouds."""
+    """Irregular, increasing times of exposures (min): a cadence with random shifts, and gaps by clouds."""
     key = jax.random.key(plan["seed"])
     t = np.concatenate([np.arange(begin, end, plan["cadence_min"]) for begin, end in plan["sessions_min"]])
-    moved, clouds = (np.asarray(jax.random.uniform(k, (len(t),))) for k in jax.random.split(key))
-    t = t + plan["jitter_min"] * (2 * moved - 1)
-    thickness = np.convolve(clouds, np.ones(7) / 7, "same")  # so that losses come in runs
-    kept = thickness <= np.quantile(thickness, 1 - plan["lost_share"])
-    return np.sort(t[kept]) - t[kept].min()
+    shifts, clouds = (np.asarray(jax.random.uniform(k, (len(t),))) for k in jax.random.split(key))
+    t = t + plan["jitter_min"] * (2 * shifts - 1)
+    thickness = np.convolve(clouds, np.ones(7) / 7, "same")  # smooth, so that exposures are lost in runs
+    clear = thickness <= np.quantile(thickness, 1 - plan["lost_share"])
+    return np.sort(t[clear]) - t[clear].min()
 
 
 def true_magnitudes(scene: Scene, t: ArrayLike) -> Array:
@@ -122,10 +122,10 @@ def _closed_form(facets: Facets, sky: dict[str, float], body: RigidBody, state: 
 
 
 def observe(scene: Scene, sets: int = 1) -> tuple[Lightcurve, np.ndarray]:
-    """The light curve, and the magnitudes of the same exposures with noise of their own in several sets, (sets, n)."""
+    """The light curve, and the magnitudes of the same exposures in several sets with independent noise, (sets, n)."""
     t = exposure_times(scene.exposures)
     sun, observer = (np.asarray(v) for v in jax.jit(directions)(scene.sky, t))
     key, noise = jax.random.key(scene.exposures["seed"] + 1), scene.exposures["noise_mag"]
     clean = np.asarray(true_magnitudes(scene, t))
-    seen = clean + noise * np.asarray(jax.random.normal(key, (1 + sets, len(t))))
-    return Lightcurve(t, seen[0], sun, observer, noise), seen[1:]
+    observed = clean + noise * np.asarray(jax.random.normal(key, (1 + sets, len(t))))
+    return Lightcurve(t, observed[0], sun, observer, noise), observed[1:]

@@ -1,4 +1,4 @@
-"""The robust fit of a torque-free spin state to radar fixes, with noise levels and covariance, for one or many sets."""
+"""The robust fit of a torque-free spin state to one or many sets of radar fixes, with noise levels and covariance."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 
 from lieint_jax.app.studies._pulls import squared_distances
 from lieint_jax.app.studies._radar import errors, path, path_of_fits
-from lieint_jax.app.studies._tumbling import direction, mean_periods, model, rotated
+from lieint_jax.app.studies._tumbling import direction, mean_periods, model, rotate
 from lieint_jax.fitting._bounds import free, inertia_ratios, interval
 from lieint_jax.fitting._fit import fit
 from lieint_jax.fitting._outcome import Fit
@@ -24,14 +24,14 @@ BOUNDS = {"attitude": free, "inertia": inertia_ratios, "noise": interval(LEAST, 
 
 
 class Estimate(NamedTuple):
-    """A spin state with its uncertainty. For many, every field has a leading axis.
+    """A spin state with its uncertainty; for several, every field has a leading axis.
 
     Attributes:
         x: the parameters attitude (°), inertia (ratios), rate (°/d) as a vector, (8,).
-        covariance: of x, (8, 8).
-        noise: the noise levels of attitudes (°) and rates (°/d), for as many degrees of freedom as are left, (2,).
-        derived: see `derived`, (12,).
-        derived_covariance: of `derived`, to first order, (12, 12).
+        covariance: the covariance of x, (8, 8).
+        noise: the noise levels of attitudes (°) and rates (°/d), corrected for the fitted parameters, (2,).
+        derived: the quantities of `derived_quantities`, (12,).
+        derived_covariance: the covariance of `derived`, to first order, (12, 12).
     """
 
     x: Array
@@ -42,32 +42,32 @@ class Estimate(NamedTuple):
 
 
 def residuals(params: dict[str, Array], data: dict[str, Any]) -> Any:
-    """For least squares: the errors as Student's t has them, with data["freedom"] degrees of freedom, and the noise."""
-    spin, noise = split(params)
+    """The residuals of least squares for errors by Student's t with data["freedom"] degrees of freedom, and noise."""
+    spin, noise = split_noise(params)
     e = errors(path_of_fits(spin, data), data)
     return [student_t(e[k], noise[k], LEAST, data["freedom"]) for k in range(2)]
 
 
-def split(params: dict[str, Array]) -> tuple[dict[str, Array], Array]:
-    """The parameters of the motion, and the noise levels."""
+def split_noise(params: dict[str, Array]) -> tuple[dict[str, Array], Array]:
+    """Separate the parameters of the motion from the noise levels."""
     return {name: leaf for name, leaf in params.items() if name != "noise"}, params["noise"]
 
 
-def fitted(guesses: dict[str, Array], data: dict[str, Any], progress: bool = True) -> Fit:
-    """All fits at once; each leaf of guesses and data has a leading axis."""
+def fit_spins(guesses: dict[str, Array], data: dict[str, Any], progress: bool = True) -> Fit:
+    """Run many fits at once; each leaf of `guesses` and `data` has a leading axis."""
     return fit(residuals, guesses, bounds=BOUNDS, starts=True, data=data, tolerance=1e-9, progress=progress)
 
 
-def repeated(tree: Any, times: int) -> Any:
-    """The tree with a leading axis, as many times."""
+def repeat(tree: Any, times: int) -> Any:
+    """Repeat every leaf of a tree along a new leading axis of length `times`."""
     return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (times, *jnp.shape(leaf))), tree)
 
 
-def derived(params: dict[str, Array], begin: Array, at_epoch: Array) -> Array:
-    """Quantities beside which there are published ones, (12,).
+def derived_quantities(params: dict[str, Array], begin: Array, at_epoch: Array) -> Array:
+    """The quantities that are compared with published values, (12,).
 
     Mean periods of precession and rotation (d); longitude and latitude of the angular momentum (°); the two ratios of
-    inertia; and of attitude and body rate at the published epoch (7,) Euler 3-1-3 angles (°) and the rate (°/d).
+    inertia; Euler 3-1-3 angles (°) and body rate (°/d) at the published epoch, from `at_epoch`, attitude and rate (7,).
     """
     body, state = model(params, begin)
     euler = jnp.rad2deg(so3.to_euler_313(at_epoch[:4])) % 360
@@ -76,7 +76,7 @@ def derived(params: dict[str, Array], begin: Array, at_epoch: Array) -> Array:
 
 def estimates(params: dict[str, Array], data: dict[str, Any]) -> Estimate:
     """The estimates of many fits, with their covariances; each leaf has a leading axis."""
-    several = jax.tree.map(np.asarray, (params, data))  # slices of NumPy arrays take no dispatch
+    several = jax.tree.map(np.asarray, (params, data))  # slices of NumPy arrays need no dispatch by JAX
     count = len(several[0]["noise"])
     each = [estimate(*jax.tree.map(lambda leaf: leaf[k], several)) for k in range(count)]  # noqa: B023
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
@@ -86,23 +86,23 @@ def estimates(params: dict[str, Array], data: dict[str, Any]) -> Estimate:
 def estimate(params: dict[str, Array], data: dict[str, Any]) -> Estimate:
     """The estimate of one fit, with its covariance: the inverse of the observed information.
 
-    The information is that of the linearized motion: the second derivatives of the errors are left out. At the fixes of
-    1992 they change the standard errors by up to 2 %.
+    The information is that of the linearized motion: the second derivatives of the errors are left out. For the fixes
+    of 1992 they change the standard errors by up to 2 %.
 
-    σ of the fit is that of maximum likelihood, too small, since the errors have been fitted: σₖ² is enlarged by the
-    number of all components of kind k, attitudes or rates, over those that are left, less the trace of kind k's part
-    of the projection.
+    The maximum-likelihood σ of the fit is too small, since the parameters are fitted to the same errors. So σₖ² is
+    multiplied by n/(n − m): n is the number of components of kind k, attitudes or rates, and m, the number of
+    parameters that they determine, is the trace of the projection onto kind k.
     """
-    spin, noise = split(params)
+    spin, noise = split_noise(params)
     x, unravel = ravel_pytree(spin)
     times = {"begin": data["begin"], "t": jnp.append(data["t"], data["epoch"])}
 
-    def twice(x: Array) -> Any:
+    def errors_and_derived(x: Array) -> Any:
         found = path_of_fits(unravel(x), times)
-        values = errors(found[:-1], data), derived(unravel(x), data["begin"], found[-1])
+        values = errors(found[:-1], data), derived_quantities(unravel(x), data["begin"], found[-1])
         return values, values
 
-    (J, D), (e, of_x) = jax.jacfwd(twice, has_aux=True)(x)
+    (J, D), (e, of_x) = jax.jacfwd(errors_and_derived, has_aux=True)(x)
 
     def information(noise: Array) -> Array:
         curvature = jnp.stack([student_t_curvature(e[k], noise[k], data["freedom"]) for k in range(2)])
@@ -117,11 +117,12 @@ def estimate(params: dict[str, Array], data: dict[str, Any]) -> Estimate:
 
 
 class Coverage(NamedTuple):
-    """How often the reported uncertainty holds the truth, over synthetic data sets.
+    """How often the reported uncertainty includes the truth, over synthetic data sets.
 
     Attributes:
         pulls: (estimate − truth)/reported σ of the 8 parameters, the 2 logarithms of noise, the 12 derived, (sets, 22).
-        distance: the squared distance of the estimate from the truth by its covariance, (sets,): χ² of 8.
+        distance: the squared distance of the estimate from the truth by its covariance, (sets,), expected to be
+            χ² of 8 degrees of freedom.
         success: whether each fit succeeded.
     """
 
@@ -131,49 +132,49 @@ class Coverage(NamedTuple):
 
     @property
     def scatter(self) -> np.ndarray:
-        """Root mean square of the pulls of the parameters, and of the noise levels, (2,); 1 if all were right."""
+        """Root mean square of the pulls of the parameters, and of the noise levels, (2,); 1 for correct errors."""
         return np.sqrt([(self.pulls[:, :8] ** 2).mean(), (self.pulls[:, 8:10] ** 2).mean()])
 
-    def part(self, sets: slice) -> Coverage:
-        """That of some of the sets."""
+    def select(self, sets: slice) -> Coverage:
+        """The coverage over a part of the sets."""
         return Coverage(*(leaf[sets] for leaf in self))
 
-    def rescaled(self, factors: np.ndarray) -> Coverage:
-        """What it would be with errors of the parameters and of the noise levels larger by these factors."""
+    def rescale(self, factors: np.ndarray) -> Coverage:
+        """The coverage with reported errors enlarged by two factors, for parameters and for noise levels."""
         each = np.where(np.isin(np.arange(self.pulls.shape[1]), (8, 9)), factors[1], factors[0])
         return Coverage(self.pulls / each, self.distance / factors[0] ** 2, self.success)
 
 
-def enlarged(estimate: Estimate, factor: float) -> Estimate:
-    """The estimate with errors larger by this factor."""
+def enlarge_errors(estimate: Estimate, factor: float) -> Estimate:
+    """Multiply the standard errors of an estimate by a factor."""
     of_x, of_derived = (factor**2 * C for C in (estimate.covariance, estimate.derived_covariance))
     return estimate._replace(covariance=of_x, derived_covariance=of_derived)
 
 
-def synthetic(truth: Estimate, unravel: Any, data: dict[str, Any], sets: int, seed: int) -> dict[str, Any]:
-    """Data sets of the fitted model: its fixes, with errors from Student's t of the fitted noise levels."""
+def synthetic_data(truth: Estimate, unravel: Any, data: dict[str, Any], sets: int, seed: int) -> dict[str, Any]:
+    """Synthetic data sets: the fixes of the fitted model, with errors by Student's t of the fitted noise levels."""
     rng = np.random.default_rng(seed)
     found = path(unravel(truth.x), data)
     shape = (2, sets, len(found), 3)
     drawn = rng.normal(size=shape) / np.sqrt(rng.chisquare(FREEDOM, (*shape[:3], 1)) / FREEDOM)
-    turns, change = jnp.asarray(drawn) * truth.noise[:, None, None, None]
+    rotations, changes = jnp.asarray(drawn) * truth.noise[:, None, None, None]
 
-    seen = jax.vmap(jax.vmap(rotated), (0, None))(turns, found[:, :4])
-    return repeated(data, sets) | {"q": seen, "rate": found[:, 4:] + change}
+    seen = jax.vmap(jax.vmap(rotate), (0, None))(rotations, found[:, :4])
+    return repeat(data, sets) | {"q": seen, "rate": found[:, 4:] + changes}
 
 
 def coverage(
     truth: Estimate, unravel: Any, data: dict[str, Any], sets: int, seed: int = 1992, progress: bool = True
 ) -> Coverage:
-    """Fit synthetic data sets of the fitted model, and compare their estimates with it."""
-    many = synthetic(truth, unravel, data, sets, seed)
+    """Fit synthetic data sets of the fitted model, and compare their estimates with the model's parameters."""
+    many = synthetic_data(truth, unravel, data, sets, seed)
     begin = unravel(truth.x) | {"noise": truth.noise}
-    found = fitted(repeated(begin, sets), many, progress)
+    found = fit_spins(repeat(begin, sets), many, progress)
     assert found.starts is not None
     each = estimates(found.starts.params, many)
     error = each.x - truth.x
     level = jnp.log(each.noise / truth.noise) / student_t_noise_error(len(data["t"]), 3)
-    of_derived = (each.derived - truth.derived + 180) % 360 - 180  # angles; periods are far below 180
+    of_derived = (each.derived - truth.derived + 180) % 360 - 180  # angles wrap; periods are far below 180
     sigma, of_sigma = (jnp.sqrt(jnp.diagonal(C, axis1=1, axis2=2)) for C in (each.covariance, each.derived_covariance))
     pulls = jnp.concatenate([error / sigma, level, of_derived / of_sigma], axis=1)
     distance = squared_distances(np.asarray(error), np.asarray(each.covariance))

@@ -28,14 +28,14 @@ _TITLES = (
 
 @plots.style()
 def draw(found: Any) -> Figure:
-    """Plot residuals by epoch, the prediction, momentum and periods with published ones, and the coverage of errors."""
+    """Plot the residuals, the prediction, momentum and periods with published values, and the test of the errors."""
     fig, axes = plots.figure(3, 2)
     for kind, (ax, unit) in enumerate(zip(axes[0, :2], ("attitude error (°)", "body rate error (°/d)"), strict=True)):
-        _residuals(ax, found, kind, unit)
-    _prediction(axes[0, 2], found)
-    _pair(axes[1, 0], found, (0, 1), "precession of the long axis (d)", "rotation about the long axis (d)")
+        _draw_residuals(ax, found, kind, unit)
+    _draw_prediction(axes[0, 2], found)
+    _draw_pair(axes[1, 0], found, (0, 1), "precession of the long axis (d)", "rotation about the long axis (d)")
     axes[1, 0].plot(*HUDSON_OSTRO, "D", color=plots.GRAY, mec=plots.INK, ms=6, label="Hudson & Ostro 1995")
-    _pair(axes[1, 1], found, (2, 3), "ecliptic longitude (°)", "ecliptic latitude (°)")
+    _draw_pair(axes[1, 1], found, (2, 3), "ecliptic longitude (°)", "ecliptic latitude (°)")
     for ax in axes[1, :2]:
         ax.legend(loc="best")
     draw_pulls(axes[1, 2], found.coverage.pulls[:, :8])
@@ -44,16 +44,16 @@ def draw(found: Any) -> Figure:
     return fig
 
 
-def _residuals(ax: Axes, found: Any, kind: int, label: str) -> None:
-    """The size of each residual by date, outliers ringed, and the fitted noise level."""
+def _draw_residuals(ax: Axes, found: Any, kind: int, label: str) -> None:
+    """Plot the size of each residual by date, with outliers ringed, and the fitted noise level."""
     day = radar_epochs().t[:FITTED] - _DECEMBER
     for name, (mark, color) in _MARKS.items():
         size = np.linalg.norm(found.residuals[name][kind], axis=-1)
         fill = color if name == "fitted" else "none"
         ax.plot(day, size, mark, color=color, ms=5, mfc=fill, label=name)
     size = np.linalg.norm(found.residuals["fitted"][kind], axis=-1)
-    far = found.outlier[kind]
-    ax.plot(day[far], size[far], "o", ms=13, mfc="none", mec=plots.INK, mew=1.0, label="outlier of the fit")
+    outlier = found.outlier[kind]
+    ax.plot(day[outlier], size[outlier], "o", ms=13, mfc="none", mec=plots.INK, mew=1.0, label="outlier of the fit")
     level = np.sqrt(3) * float(found.estimate.noise[kind])
     ax.axhline(level, color=plots.INK, lw=0.8, ls="--", label="√3 × fitted noise")
     top = max(np.linalg.norm(e[kind], axis=-1).max() for e in found.residuals.values())
@@ -61,8 +61,8 @@ def _residuals(ax: Axes, found: Any, kind: int, label: str) -> None:
     ax.legend(ncols=2, loc="upper center")
 
 
-def _prediction(ax: Axes, found: Any) -> None:
-    """The spread of the members against time, and the angles from the fixes of 2004 and 2008."""
+def _draw_prediction(ax: Axes, found: Any) -> None:
+    """Plot the spread of the members against time, and the angles of predictions from the later fixes."""
     p = found.prediction
     label = "members from estimate, 5–95 %"
     ax.fill_between(p.t, p.spread[0], p.spread[2], color=plots.GRAY, alpha=0.5, lw=0, label=label)
@@ -88,8 +88,8 @@ def _prediction(ax: Axes, found: Any) -> None:
     ax.legend(loc="upper left")
 
 
-def _pair(ax: Axes, found: Any, which: tuple[int, int], xlabel: str, ylabel: str) -> None:
-    """Two derived quantities with their 1σ and 2σ ellipses, beside published states and values."""
+def _draw_pair(ax: Axes, found: Any, which: tuple[int, int], xlabel: str, ylabel: str) -> None:
+    """Plot two derived quantities with their 1σ and 2σ ellipses, and the published states and values."""
     which_axes = list(which)
     center = np.asarray(found.estimate.derived)[which_axes]
     matrix = np.asarray(found.estimate.derived_covariance)[np.ix_(which_axes, which_axes)]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lieint_jax.app.studies import _flyby
-from lieint_jax.app.studies._pulls import ELLIPSOID, chance, shares
+from lieint_jax.app.studies._pulls import ELLIPSOID, chance_errors, shares
 from lieint_jax.app.studies._radar import FITTED, STATES, dates, later_fixes
 from lieint_jax.fitting._robust import FREEDOM, student_t_noise_error
 
@@ -31,25 +31,25 @@ _TO_2008 = 1516.0  # days from that flyby, 2004-09-29, to the fix of 2008-11-23
 
 
 def text(found: Any) -> str:
-    """The study's report, to print."""
+    """The report of the study, as text."""
     parts = (_head, _residual_table, _comparison, _prediction, _torque, _coverage)
     return "\n".join(line for part in parts for line in part(found))
 
 
 def _head(found: Any) -> list[str]:
     noise, error = np.asarray(found.estimate.noise), student_t_noise_error(FITTED, 3) * found.factors[1]
-    plain = np.asarray(found.normal.noise)
+    normal = np.asarray(found.normal.noise)
     sigma = np.sqrt(np.diagonal(found.estimate.derived_covariance))
     values = zip(np.asarray(found.normal.derived), np.asarray(found.estimate.derived), sigma, strict=True)
     moved = max(abs(_difference(a, b, k)) / s for k, (a, b, s) in enumerate(values))
     random = len(found.fit.starts.loss) - 3
     return [
         f"{found.scenario.title}: spin state, inertia ratios and noise from the {FITTED} radar fixes of 1992",
-        f"  fixes: {found.scenario.source('takahashi')}, without errors: all attitudes have one weight, all rates one",
+        f"  fixes: {found.scenario.source('takahashi')}, without errors: attitudes have one weight, and so have rates",
         f"  {found.fit.outcome}; {100 * found.same:.0f} % of {random} random starts end there",
         f"  noise, fitted: attitudes {noise[0]:.2f} ± {noise[0] * error:.2f}°, rates {noise[1]:.2f} ± "
         f"{noise[1] * error:.2f} °/d (scales of Student's t, {FREEDOM:g} degrees of freedom)",
-        f"  with normal errors instead: {plain[0]:.2f}°, {plain[1]:.2f} °/d, and what is below moves by up to "
+        f"  with normal errors instead: {normal[0]:.2f}°, {normal[1]:.2f} °/d, and the values below change by up to "
         f"{moved:.1f} σ",
     ]
 
@@ -75,7 +75,7 @@ def _residual_table(found: Any) -> list[str]:
     return [
         *lines,
         row,
-        "  * an outlier: normal errors of the fitted noise would have one so large in 1 of 100 such tables",
+        "  * an outlier: with normal errors of the fitted noise, 1 of 100 such tables has a residual as large",
     ]
 
 
@@ -89,16 +89,16 @@ def _comparison(found: Any) -> list[str]:
             other = float(found.published[state][k])
             row += f"{other:>10.3f}{_difference(other, value[k], k) / sigma[k]:>+5.1f} σ "
         lines.append(row.rstrip())
-    apart, worst = found.apart.values(), found.coverage.distance
+    distances, synthetic = found.apart.values(), found.coverage.distance
     beyond = " and ".join(
-        f"{d:.0f} ({(worst > d).sum()} of {len(worst)} synthetic sets are farther off)" for d in apart
+        f"{d:.0f} ({(synthetic > d).sum()} of {len(synthetic)} synthetic sets are farther off)" for d in distances
     )
     lines += [
-        "  (angles and rates of 1992-11-09 17:49:47 UTC; right, what the published states imply, with the inertia of",
+        "  (angles and rates at 1992-11-09 17:49:47 UTC; right, values of the published states, with the inertia of",
         f"  {found.scenario.source('takahashi')}, and their difference from ours)",
-        "  all eight parameters at once, at the middle fix: squared distances by the covariance, 8 expected, of Zhao",
+        "  all eight parameters together, at the middle fix: squared distances by the covariance, 8 expected, of Zhao",
         f"  and Takahashi: {beyond}",
-        "\n  published as such:",
+        "\n  published values:",
     ]
     for k, p in enumerate(found.scenario.published.values()):
         lines.append(_published_comparison(k, value[k], sigma[k], p.value, p.error, found.scenario.source(p.source)))
@@ -108,21 +108,19 @@ def _comparison(found: Any) -> list[str]:
 
 
 def _published_comparison(k: int, ours: float, sigma: float, value: float, error: float, source: str) -> str:
-    """A published value, its difference from ours in units of both errors, and its source."""
+    """A line with a published value, its difference from ours in units of the combined error, and its source."""
     given = f"{value:g}" + (f" ± {error:g}" if error else "")
     return f"    {NAMES[k]:<26}{given:<16}{_difference(value, ours, k) / np.hypot(sigma, error):>+5.1f} σ   {source}"
 
 
 def _difference(a: float, b: float, k: int) -> float:
-    """a − b; of angles in degrees, the shortest way round."""
+    """a − b; for angles in degrees, wrapped to ±180°."""
     return (a - b + 180) % 360 - 180 if "°)" in NAMES[k] else a - b
 
 
 def _prediction(found: Any) -> list[str]:
     p = found.prediction
-    lines = [
-        "\n  torque-free to later fixes, by radar and, in 2012, by Chang'e-2: angle of the prediction from the fix (°)"
-    ]
+    lines = ["\n  torque-free prediction of later fixes, by radar and, in 2012, by Chang'e-2: angle from the fix (°)"]
     lines += [f"  {'':<26}" + "".join(f"{date:>14}" for date in later_fixes().date)]
     lines += [f"    {name:<24}" + "".join(f"{angle:>14.1f}" for angle in off) for name, off in p.off.items()]
     ranges = (f"{a:.0f} to {b:.0f}" for a, b in np.percentile(p.members_off, (5, 95), axis=0).T)
@@ -136,10 +134,10 @@ def _prediction(found: Any) -> list[str]:
         f"    {'members, 5 to 95 %':<24}" + "".join(f"{x:>14}" for x in ranges),
         f"    {'members farther off':<24}" + "".join(f"{100 * share:>12.0f} %" for share in p.farther),
         f"  {verdict} of the fit's own uncertainty: the members spread by 30° rms after {first:.0f} days,",
-        f"  by 90° after {second:.0f}, by {p.rms[-1]:.0f}° in the end (random attitudes: 132°).",
-        f"  Without the phase: by single fixes of 1992 the momentum is {single:.1f}° rms from the fitted one, by those",
-        f"  of 2004 and 2008 {p.pole[-2]:.1f}° and {p.pole[-1]:.1f}°; 2H Jz/|π|² is {p.energy[0]:.3f} fitted,",
-        f"  {early.mean():.3f} ± {early.std():.3f} by single attitudes of 1992, {late} by the later ones.",
+        f"  by 90° after {second:.0f}, by {p.rms[-1]:.0f}° at the end (random attitudes: 132°).",
+        f"  The direction of the momentum differs from the fitted one by {single:.1f}° rms in single fixes of 1992, by",
+        f"  {p.pole[-2]:.1f}° and {p.pole[-1]:.1f}° in those of 2004 and 2008; 2H Jz/|π|² is {p.energy[0]:.3f} fitted,",
+        f"  {early.mean():.3f} ± {early.std():.3f} for single attitudes of 1992, {late} for the later ones.",
     ]
 
 
@@ -155,15 +153,15 @@ def _torque(found: Any) -> list[str]:
     usual, worst = _TO_2008 * rms[0], _TO_2008 * most
     change = 100 * np.sqrt((f.momentum**2).mean())
     return [
-        "\n  the Earth's torque in the flyby of 2004-09-29, an order of magnitude, for any phase and direction:",
+        "\n  the Earth's torque in the flyby of 2004-09-29, in order of magnitude, over all phases and directions:",
         f"    a hyperbola of least distance {f.distance / _flyby.AU:.5f} au, {f.speed:.2f} km/s at infinity",
         "    (elements quoted from JPL's Small-Body Database, not checked there; the Earth on a circle)",
-        f"    momentum: changes by {change:.2f} % rms, turns by {f.pole.max():.2f}° at most",
+        f"    momentum: changes by {change:.2f} % rms, rotates by {f.pole.max():.2f}° at most",
         f"    precession rate: {rms[0]:.3f} °/d rms, {most:.2f} at most; rotation rate: {rms[1]:.4f} rms",
         f"    published: {_CHANGE} °/d at most   (Busch et al. 2012, AGU Fall Meeting, P31A-1873)",
         f"  By the fix of 2008 this change of rate adds up to {usual:.0f}° rms, {worst:.0f}° at most, even from",
         "  a state known exactly.",
-        f"  The fit of 1992 knows the two rates to ± {own[0]:.2f} and ± {own[1]:.2f} °/d.",
+        f"  The fit of 1992 determines the two rates to ± {own[0]:.2f} and ± {own[1]:.2f} °/d.",
     ]
 
 
@@ -172,11 +170,11 @@ def _coverage(found: Any) -> list[str]:
     one, two, rms = shares(c.pulls)
     labels = (*(f"attitude {a}" for a in "xyz"), "Jx/Jz", "Jy/Jz", *(f"rate {a}" for a in "xyz"))
     labels = (*labels, "log noise, attitudes", "log noise, rates", *NAMES[:4])
-    sets, margin = len(c.pulls), chance(len(c.pulls))
+    sets, margin = len(c.pulls), chance_errors(len(c.pulls))
     lines = [
         f"\n  errors: those of the observed information, enlarged by {found.factors[0]:.3f} (noise levels: "
         f"{found.factors[1]:.3f}), which is",
-        f"  the scatter over them in {sets} synthetic sets of the fitted model; how they do in {sets} others "
+        f"  the ratio of scatter to error in {sets} synthetic sets of the fitted model; a test by {sets} other sets "
         f"({int(c.success.sum())} fits succeeded):",
         f"  {'':<26}{'within 1σ':>10}{'within 2σ':>10}{'rms/σ':>11}",
     ]

@@ -1,4 +1,4 @@
-"""A free tumbling body, as studies fit it: its parameters, mean periods, and the direction of its momentum."""
+"""A free tumbling body for fits: its parameters, its mean periods, and the direction of its angular momentum."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from lieint_jax.types import State
 
 
 def model(params: dict[str, Array], attitude: Array) -> tuple[RigidBody, State]:
-    """The body and its state.
+    """The body and its state, from the parameters of a fit.
 
     Args:
-        params: `attitude`, a rotation vector in space (°) that rotates the given one; `inertia`, moments about body x
-            and y over that about z, (2,); `rate`, body rate (° per unit of time).
-        attitude: the attitude to begin with, a unit quaternion.
+        params: `attitude`, a rotation vector in space (°) by which the given one is rotated; `inertia`, moments about
+            body x and y over that about z, (2,); `rate`, body rate (° per unit of time).
+        attitude: the reference attitude, a unit quaternion, (4,).
     """
     body = RigidBody(jnp.append(params["inertia"], 1.0))
-    return body, body.state(rotated(params["attitude"], attitude), angular_velocity=jnp.deg2rad(params["rate"]))
+    return body, body.state(rotate(params["attitude"], attitude), angular_velocity=jnp.deg2rad(params["rate"]))
 
 
-def rotated(turn: Array, q: Array) -> Array:
-    """The attitude q rotated in space by a rotation vector in degrees."""
-    return so3.multiply(so3.exp(jnp.deg2rad(turn)), q)
+def rotate(vector: Array, q: Array) -> Array:
+    """Rotate the attitude q, (4,), in space by a rotation vector in degrees, (3,)."""
+    return so3.multiply(so3.exp(jnp.deg2rad(vector)), q)
 
 
 def rotation_between(q: Array, origin: Array) -> Array:
@@ -35,9 +35,10 @@ def rotation_between(q: Array, origin: Array) -> Array:
 def mean_periods(body: RigidBody, state: State) -> Array:
     """Mean precession and rotation period, (2,), in units of time, with derivatives.
 
-    The rotation is that of Π about an axis in the body, of least or of greatest moment, and the precession that of this
-    axis about Π. `RigidBody.periods` has the precession of the long axis in both modes; the short axis goes faster, by
-    one turn in each rotation. `scenarios.rigid_body.mean_periods` measures them on a trajectory.
+    The angular momentum circles an axis of the body, that of least or of greatest moment, in the period of rotation;
+    this axis circles the angular momentum in the period of precession. `RigidBody.periods` returns the precession of
+    the long axis in both modes; the short axis precesses one turn more in each rotation.
+    `scenarios.rigid_body.mean_periods` measures both periods on a trajectory.
     """
     precession, rotation, long_axis = body.periods(state)
     return jnp.stack([jnp.where(long_axis, precession, 1 / (1 / precession + 1 / rotation)), rotation])

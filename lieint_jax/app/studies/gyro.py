@@ -1,9 +1,9 @@
 """Inertia ratios and biases of a tumbling body, estimated from a noisy rate gyro in a hundred trials.
 
-The gyro measures body rates alone, Ω(t) + bias + noise. They depend on ratios of the inertia only, so there are eight
-unknowns: two ratios, three initial rates, three biases. The data are synthetic, from the exact motion in elliptic
-functions; the model is the scheme of order 6. If the covariance that a fit reports is right, each parameter lies within
-2σ of the truth in 95 of 100 trials, and the truth in the joint 95 % ellipsoid in 95.
+The gyro measures only body rates, Ω(t) + bias + noise. They depend on the inertia only by its ratios, so there are
+eight unknowns: two ratios, three initial rates, three biases. The data are synthetic, from the exact motion in elliptic
+functions; the model is the scheme of order 6. If the reported covariance is correct, each parameter lies within 2σ of
+the truth in 95 of 100 trials, and the truth lies in the joint 95 % ellipsoid in 95.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ TRUTH = {
     "inertia": jnp.array([0.6, 0.8]),  # ratios to the third moment
     "rate": jnp.array([0.5, 0.3, 0.4]),  # rad/s
 }
-NOISE = 0.002  # rad/s, of each reading
+NOISE = 0.002  # rad/s, standard deviation of each reading
 _EVERY, _READINGS = 0.5, 80  # seconds between readings, and their number
 _NAMES = ("bias x", "bias y", "bias z", "Jx/Jz", "Jy/Jz", "Ωx(0)", "Ωy(0)", "Ωz(0)")
 
@@ -41,14 +41,14 @@ class GyroTrials(NamedTuple):
     """The results of the study.
 
     Attributes:
-        fit: the fit of all trials; `fit.starts` holds each.
+        fit: the fit of all trials; `fit.starts` holds the single fits.
         estimates: estimated parameters, (trials, 8), in the order of `_NAMES`.
         truth: true parameters, (8,).
         sigmas: reported standard errors, (trials, 8).
         covariance: the mean of the reported covariances, (8, 8).
         within: the share of trials with each parameter within 2σ of the truth, (8,).
         inside: the share of trials with the truth in the joint 95 % ellipsoid.
-        readings: times, readings, and fitted rates with bias, of the first trial.
+        readings: the times, the readings, and the fitted rates with bias of the first trial.
     """
 
     fit: Fit
@@ -62,16 +62,16 @@ class GyroTrials(NamedTuple):
 
 
 def rates(params: dict[str, Array]) -> tuple[Array, Array]:
-    """The readings of a gyro without noise, (readings, 3), by the scheme, and whether all steps converged."""
+    """The readings of a noise-free gyro, (readings, 3), by the scheme, and whether all steps converged."""
     body = _body(params)
     start = body.state(angular_velocity=params["rate"])
     path = integrate(schemes.preprocessed(body, 6), start, _EVERY, _READINGS)
-    seen = jax.vmap(body.angular_velocity)(path.state)[1:]
-    return seen + params["bias"], jnp.all(path.info.converged)
+    rate = jax.vmap(body.angular_velocity)(path.state)[1:]
+    return rate + params["bias"], jnp.all(path.info.converged)
 
 
 def exact_rates(params: dict[str, Array]) -> Array:
-    """The readings of a gyro without noise, (readings, 3), by the closed form of the motion."""
+    """The readings of a noise-free gyro, (readings, 3), by the closed form of the motion."""
     body = _body(params)
     start = body.state(angular_velocity=params["rate"])
     t = _EVERY * jnp.arange(1, _READINGS + 1)
@@ -80,13 +80,13 @@ def exact_rates(params: dict[str, Array]) -> Array:
 
 
 def residuals(params: dict[str, Array], data: Array) -> tuple[Array, Array]:
-    """Readings of the model less the data, in units of the noise, and whether all steps converged."""
-    seen, converged = rates(params)
-    return (seen - data) / NOISE, converged
+    """The difference of model and data in units of the noise, (readings, 3), and whether all steps converged."""
+    model, converged = rates(params)
+    return (model - data) / NOISE, converged
 
 
 def run(quick: bool = False, trials: int = 100, seed: int = 4, progress: bool = True) -> GyroTrials:
-    """Fit all trials at once, each from a guess that is off by about a tenth; `quick` runs 12 trials."""
+    """Fit all trials at once, each from a guess with errors of about a tenth; `quick` runs 12 trials."""
     trials = 12 if quick else trials
     noise = np.random.default_rng(seed).normal(size=(trials, _READINGS, 3))
     data = exact_rates(TRUTH) + NOISE * jnp.asarray(noise)
@@ -121,7 +121,7 @@ def _body(params: dict[str, Array]) -> RigidBody:
 
 
 def text(found: GyroTrials) -> str:
-    """The study's report, to print."""
+    """The report of the study, as text."""
     trials = len(found.estimates)
     starts = found.fit.starts
     assert starts is not None
@@ -140,7 +140,7 @@ def text(found: GyroTrials) -> str:
 
 @plots.style()
 def draw(found: GyroTrials) -> Figure:
-    """Plot the readings of one trial, and all estimates of the ratios with the ellipse that 95 % should lie in."""
+    """Plot the readings of one trial, and all estimates of the ratios with the ellipse of 95 % probability."""
     fig, axes = plots.figure(2)
     t, data, fitted = found.readings
     left, right = axes[0]
@@ -165,7 +165,7 @@ def draw(found: GyroTrials) -> Figure:
 
 
 def _ellipse(found: GyroTrials) -> tuple[np.ndarray, int]:
-    """The 95 % ellipse (n, 2) of both ratios about the truth, and how many estimates lie in it."""
+    """The 95 % ellipse (n, 2) of both ratios about the truth, and the number of estimates inside."""
     chol = np.linalg.cholesky(found.covariance[3:5, 3:5])
     angle = np.linspace(0, 2 * np.pi, 145)
     radius = np.sqrt(-2 * np.log(0.05))  # of χ² with two degrees of freedom

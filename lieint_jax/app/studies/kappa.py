@@ -1,9 +1,9 @@
-"""The most nearly symplectic κ of an energy-momentum family, learnt as the paper proposes (Section 2).
+"""The most nearly symplectic κ of an energy-momentum family, learned as the paper proposes (Section 2).
 
-For a heavy top the schemes of `top_energy_momentum` keep energy and γ·π for every κ, and the symplectic form for none
-(Result 8). So κ(x) = 1 + c₁x + c₂x² is learnt: it minimizes the sum of squares of the entries of the defect
-Lᵀω(z₁)L − ω(z₀) over an ensemble of states. Inertia and weight are of size 1, so the entries can be added up. Then the
-learnt κ is tested on unseen states, at other step sizes, and over long runs.
+For a heavy top the schemes of `top_energy_momentum` conserve energy and γ·π for every κ, and the symplectic form for
+none (Result 8). So κ(x) = 1 + c₁x + c₂x² is learned: it minimizes the sum of squares of the entries of the defect
+Lᵀω(z₁)L − ω(z₀) over an ensemble of states. Inertia and weight are of size 1, so all entries are of one scale. Then the
+learned κ is tested on unseen states, at other step sizes, and over long runs.
 """
 
 from __future__ import annotations
@@ -46,18 +46,18 @@ def polynomial(c: Array, x: Array) -> Array:
 
 
 def family(weights: Array, x: Array) -> Array:
-    """κ(x) = 1 + w₁(κ_exp − 1) + w₂(κ_symplectic − 1) + w₃x + w₄x² + …: one program for given and learnt κ's."""
+    """κ(x) = 1 + w₁(κ_exp − 1) + w₂(κ_symplectic − 1) + w₃x + w₄x² + …: one program for given and learned κ's."""
     exponential, symplectic = (k(x) - 1 for k in (maps.kappa_exponential, maps.kappa_symplectic))
     return polynomial(weights[2:], x) + weights[0] * exponential + weights[1] * symplectic
 
 
-def member(weights: Array) -> maps.Kappa:
+def family_member(weights: Array) -> maps.Kappa:
     """The κ of `family` with these weights, for |Θ̄| < 1."""
     return maps.Kappa(jax.tree_util.Partial(family, weights), name="family", limit=1.0)
 
 
-def _learnt(c: Array) -> Array:
-    """The weights of `family` that give 1 + c₁x + c₂x² + …"""
+def _learned_weights(c: Array) -> Array:
+    """The weights of `family` for κ(x) = 1 + c₁x + c₂x² + …"""
     return jnp.concatenate([jnp.zeros(2), c, jnp.zeros(_TERMS - c.shape[0])])
 
 
@@ -68,7 +68,7 @@ class KappaErrors(NamedTuple):
         learnt: root mean square defect of a step on the training states, at step size DT.
         unseen: the same on unseen states.
         sizes: the same on the training states, by step size.
-        poisson: geometric mean over the long runs of the Poisson error at their end.
+        poisson: geometric mean over the long runs of their final Poisson errors.
         energy: largest energy error of the long runs.
         converged: the number of long runs that converged.
     """
@@ -85,11 +85,11 @@ class LearntKappas(NamedTuple):
     """The results of the study.
 
     Attributes:
-        coefficients: those learnt, by the form of κ.
-        fit: the fit of both forms at once.
+        coefficients: the learned coefficients, by the form of κ.
+        fit: the common fit of both forms.
         rows: the errors of each κ, by its name.
         steps: the number of steps of the long runs.
-        series: times, and Poisson errors by the name of κ (geometric mean of the runs).
+        series: the times, and the Poisson errors by the name of κ (geometric mean over the runs).
     """
 
     coefficients: dict[str, np.ndarray]
@@ -100,7 +100,7 @@ class LearntKappas(NamedTuple):
 
 
 def top() -> Any:
-    """An asymmetric heavy top, not integrable."""
+    """An asymmetric heavy top, whose motion is not integrable."""
     return systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
 
 
@@ -114,25 +114,25 @@ def states(count: int, seed: int, size: float = FAST) -> State:
 
 
 def run(quick: bool = False, progress: bool = True) -> LearntKappas:
-    """Learn on 200 states, test on 500 others; `quick` takes a tenth of each."""
+    """Learn on 200 states, and test on 500 others; `quick` uses a tenth of each."""
     few = 10 if quick else 1
-    seen, unseen, long = states(200 // few, 1), states(500 // few, 2, FASTER), states(16 // (4 if quick else 1), 3)
+    training, unseen, long = states(200 // few, 1), states(500 // few, 2, FASTER), states(16 // (4 if quick else 1), 3)
     steps = 200  # 20 time units: on longer runs of a chaotic motion the Poisson error measures the chaos instead
 
     def residuals(c: Array, used: Array) -> tuple[Array, Array]:
-        matrices, converged = defects(jax.tree_util.Partial(polynomial, used * c), seen, DT)
+        matrices, converged = defects(jax.tree_util.Partial(polynomial, used * c), training, DT)
         return matrices / DT**3, converged
 
     used = np.array([[k < terms for k in range(_TERMS)] for terms in FORMS.values()], float)
     both = fit(residuals, 0 * used, starts=True, data=used, tolerance=1e-6, progress=progress)
     assert both.starts is not None
     coefficients = {name: np.asarray(c[:n]) for (name, n), c in zip(FORMS.items(), both.starts.params, strict=True)}
-    everyone = _GIVEN | {name: _learnt(jnp.asarray(c)) for name, c in coefficients.items()}
+    kappas = _GIVEN | {name: _learned_weights(jnp.asarray(c)) for name, c in coefficients.items()}
     rows, series = {}, {}
-    for name, weights in everyone.items():
+    for name, weights in kappas.items():
         kappa = jnp.asarray(weights)
-        sizes = {h: _rms(kappa, seen, h) for h in (DT / 2, DT, 2 * DT)}
-        growth, energy, converged = _long(kappa, long, steps)
+        sizes = {h: _rms(kappa, training, h) for h in (DT / 2, DT, 2 * DT)}
+        growth, energy, converged = _long_run_errors(kappa, long, steps)
         series[name] = growth
         rows[name] = KappaErrors(sizes[DT], _rms(kappa, unseen, DT), sizes, float(growth[-1]), energy, converged)
     t = DT * np.linspace(0, steps, len(next(iter(series.values()))))
@@ -153,44 +153,44 @@ def defects(kappa: Callable[[Array], Array], states: State, dt: ArrayLike) -> tu
 
 
 @jax.jit
-def _square(weights: Array, states: State, dt: Array) -> Array:
-    matrices, converged = defects(member(weights), states, dt)
+def _mean_square(weights: Array, states: State, dt: Array) -> Array:
+    matrices, converged = defects(family_member(weights), states, dt)
     return jnp.where(converged, jnp.mean(jnp.sum(matrices**2, axis=(1, 2))), jnp.nan)
 
 
 def _rms(weights: Array, states: State, dt: float) -> float:
-    return float(jnp.sqrt(_square(weights, states, jnp.asarray(dt))))
+    return float(jnp.sqrt(_mean_square(weights, states, jnp.asarray(dt))))
 
 
-def _long(weights: Array, states: State, steps: int) -> tuple[np.ndarray, float, int]:
-    """max|P_n − ω⁻¹| at 50 times, geometric mean over the runs; the worst energy error; how many runs converged."""
-    errors, energy, converged = _run(weights, states, steps)
+def _long_run_errors(weights: Array, states: State, steps: int) -> tuple[np.ndarray, float, int]:
+    """max|P_n − ω⁻¹| at 50 times, geometric mean over the runs; the largest energy error; how many runs converged."""
+    errors, energy, converged = _integrate_long_runs(weights, states, steps)
     growth = np.exp(np.log(np.asarray(errors)[:, steps // 50 :: steps // 50]).mean(axis=0))
     return np.concatenate([[0.0], growth]), float(jnp.max(energy)), int(jnp.sum(converged))
 
 
-def _run_one(weights: Array, state: State, steps: int) -> tuple[Array, Array, Array]:
-    step = schemes.top_energy_momentum(top(), member(weights))
+def _integrate_long_run(weights: Array, state: State, steps: int) -> tuple[Array, Array, Array]:
+    step = schemes.top_energy_momentum(top(), family_member(weights))
     path = integrate(step, state, DT, steps, save_every=steps // 50)
     whole = diagnostics.poisson_error(step, state, DT, steps)
     energy = jnp.max(jnp.abs(diagnostics.energy_error(step.system, path)))
     return jnp.max(jnp.abs(whole), axis=(1, 2)), energy, jnp.all(path.info.converged)
 
 
-_run: Any = jax.jit(jax.vmap(_run_one, (None, 0, None)), static_argnums=2)
+_integrate_long_runs: Any = jax.jit(jax.vmap(_integrate_long_run, (None, 0, None)), static_argnums=2)
 
 
 def text(found: LearntKappas) -> str:
-    """The study's report, to print."""
+    """The report of the study, as text."""
 
     def number(x: float) -> str:
         return f"{x:>11.3e}" if np.isfinite(x) else f"{'fails':>11}"
 
     lines = [
-        f"κ learnt for a heavy top, J = (1, 2, 2.5), E = (0.5, 0.4, 1), Δt = {DT}",
+        f"κ learned for a heavy top, J = (1, 2, 2.5), E = (0.5, 0.4, 1), Δt = {DT}",
         "rms over states of |Lᵀω(z₁)L − ω(z₀)| after a step; Poisson error and energy at the end of long runs",
         *(f"  {name}: c = ({', '.join(f'{x:.5f}' for x in c)})" for name, c in found.coefficients.items()),
-        f"\n  {'κ':<18}{'learnt on':>11}{'unseen':>11}{'Δt/2':>11}{'2Δt':>11}{'Poisson error':>15}{'energy':>10}",
+        f"\n  {'κ':<18}{'learned on':>11}{'unseen':>11}{'Δt/2':>11}{'2Δt':>11}{'Poisson error':>15}{'energy':>10}",
     ]
     for name, row in found.rows.items():
         halves, doubles = row.sizes[DT / 2], row.sizes[2 * DT]
@@ -198,10 +198,10 @@ def text(found: LearntKappas) -> str:
             f"  {name:<18}{''.join(map(number, (row.learnt, row.unseen, halves, doubles)))}    {number(row.poisson)}"
             f"{row.energy:>10.1e}"
         )
-    compared = [("the states learnt on", "learnt"), ("unseen, faster states", "unseen"), ("long runs", "poisson")]
-    for what, column in compared:
-        learnt, given = (np.nanmin([getattr(found.rows[k], column) for k in names]) for names in (FORMS, _GIVEN))
-        lines.append(f"  {what + ':':<24}the best learnt κ has {learnt / given:.2f} of the best given κ's error")
+    compared = [("the training states", "learnt"), ("unseen, faster states", "unseen"), ("long runs", "poisson")]
+    for data, column in compared:
+        learned, given = (np.nanmin([getattr(found.rows[k], column) for k in names]) for names in (FORMS, _GIVEN))
+        lines.append(f"  {data + ':':<24}the best learned κ has {learned / given:.2f} of the best given κ's error")
     return "\n".join(
         [*lines, f"  ({found.steps} steps.) No κ removes the defect (Result 8); of a given κ it is O(Δt³) as Δt → 0"]
     )
@@ -212,9 +212,9 @@ def draw(found: LearntKappas) -> Figure:
     """Plot every κ on its training range (shaded) and test range, and the Poisson error along the long runs."""
     fig, axes = plots.figure(2)
     x = np.linspace(0, (FASTER * DT) ** 2, 200)
-    everyone = _GIVEN | {name: _learnt(jnp.asarray(c)) for name, c in found.coefficients.items()}
-    at = jax.vmap(family, (None, 0))
-    curves = {name: np.asarray(at(jnp.asarray(w), jnp.asarray(x))) for name, w in everyone.items()}
+    kappas = _GIVEN | {name: _learned_weights(jnp.asarray(c)) for name, c in found.coefficients.items()}
+    values = jax.vmap(family, (None, 0))
+    curves = {name: np.asarray(values(jnp.asarray(w), jnp.asarray(x))) for name, w in kappas.items()}
     plots.series(axes[0, 0], x, curves, "κ").set_xlabel("|ΔtΩ|², nearly |Θ̄|²")
     axes[0, 0].axvspan(0, (FAST * DT) ** 2, color=plots.GRAY, alpha=0.3, lw=0)
     t, series = found.series

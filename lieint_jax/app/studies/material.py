@@ -1,9 +1,9 @@
 """The material constants λ and μ of an elastic body, estimated from its vibration.
 
-A pseudo-rigid ball, stretched and released, turns and vibrates. Its strain C = FᵀF is observed with noise, and the
-constants of its material are fitted. The data come from the equations of motion by collocation of order 16; the model
-is the energy-momentum scheme of order 2. The fit takes forward derivatives; at the estimate, the gradient in reverse
-mode, by undoing steps, must vanish.
+A pseudo-rigid ball, stretched and released, rotates and vibrates. Its strain C = FᵀF is observed with noise, and the
+constants of its material are fitted. The data are computed from the equations of motion by collocation of order 16; the
+model is the energy-momentum scheme of order 2. The fit uses forward derivatives; as a check, the gradient in reverse
+mode, by undoing steps, must vanish at the estimate.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from lieint_jax.systems import PseudoRigidBody
 from lieint_jax.types import State
 
 TRUTH = {"lam": jnp.array(20.0), "mu": jnp.array(6.0)}
-NOISE = 0.005  # standard deviation, of each component of C
+NOISE = 0.005  # standard deviation of each component of C
 DT, _EVERY, _SEEN = 0.02, 5, 40
 
 
@@ -38,7 +38,7 @@ class MaterialFit(NamedTuple):
     Attributes:
         fit: the least-squares fit, with a covariance.
         gradient_ratio: |gradient of the loss| at the estimate over that at the guess, in reverse mode by `reversible`.
-        times: times of the observations, (n,).
+        times: the times of the observations, (n,).
         data: observed C, (n, 6): xx, yy, zz, yz, xz, xy.
         fitted: fitted C, (n, 6).
     """
@@ -51,33 +51,33 @@ class MaterialFit(NamedTuple):
 
 
 def start(params: dict[str, Array]) -> tuple[PseudoRigidBody, State]:
-    """The ball with these constants, and its initial state: stretched by a fifth and turning."""
+    """The ball with the constants `params`, and its initial state: stretched by a fifth and rotating."""
     body = PseudoRigidBody(jnp.full(3, 2.0), systems.mooney_rivlin(params["lam"], params["mu"]))
     F = jnp.array([[1.2, 0.05, 0.0], [0.0, 0.95, 0.1], [0.0, 0.0, 0.9]])
     return body, body.state(F, angular_velocity=jnp.array([0.3, 0.2, 1.0]))
 
 
 def strains(params: dict[str, Array], saves: int, derivative: str) -> tuple[Array, Array]:
-    """C at every `_EVERY`-th step, (saves, 6), and whether all steps converged."""
+    """C at every `_EVERY`-th step, (saves, 6), and whether all steps converged; `derivative`: forward or reverse."""
     body, state = start(params)
-    follow = integrate if derivative == "forward" else reversible
-    path = follow(schemes.additive(body), state, DT, saves * _EVERY, save_every=_EVERY)
-    return _six(jax.vmap(body.strain)(path.state))[1:], jnp.all(path.info.converged)
+    integrator = integrate if derivative == "forward" else reversible
+    path = integrator(schemes.additive(body), state, DT, saves * _EVERY, save_every=_EVERY)
+    return _components(jax.vmap(body.strain)(path.state))[1:], jnp.all(path.info.converged)
 
 
 def exact_strains(times: np.ndarray) -> Array:
     """C at `times`, (n, 6), by collocation of order 16."""
     body, state = start(TRUTH)
-    move = jax.jit(lambda state, t: diagnostics.flow(body, state, t, 4))
-    seen, now = [], 0.0
+    advance = jax.jit(lambda state, t: diagnostics.flow(body, state, t, 4))
+    observed, now = [], 0.0
     for t in times:
-        state, now = move(state, t - now), t
-        seen.append(body.strain(state))
-    return _six(jnp.stack(seen))
+        state, now = advance(state, t - now), t
+        observed.append(body.strain(state))
+    return _components(jnp.stack(observed))
 
 
 def run(quick: bool = False, progress: bool = True) -> MaterialFit:
-    """Fit from a guess that is off by a quarter; `quick` observes for half the time."""
+    """Fit from a guess with errors of a quarter; `quick` observes for half the time."""
     rng = np.random.default_rng(6)
     saves = _SEEN // (2 if quick else 1)
     times = DT * _EVERY * np.arange(1, saves + 1)
@@ -86,12 +86,12 @@ def run(quick: bool = False, progress: bool = True) -> MaterialFit:
     guess = {"lam": jnp.array(25.0), "mu": jnp.array(4.5)}
 
     def residuals(params: dict[str, Array]) -> tuple[Array, Array]:
-        seen, converged = strains(params, saves, "forward")
-        return (seen - data) / NOISE, converged
+        model, converged = strains(params, saves, "forward")
+        return (model - data) / NOISE, converged
 
     def half_square(params: dict[str, Array]) -> tuple[Array, Array]:
-        seen, converged = strains(params, saves, "reverse")
-        return jnp.sum(((seen - data) / NOISE) ** 2) / 2, converged
+        model, converged = strains(params, saves, "reverse")
+        return jnp.sum(((model - data) / NOISE) ** 2) / 2, converged
 
     found = fit(residuals, guess, bounds=positive, iterations=30, standardized=True, progress=progress)
     reverse = jax.jit(jax.grad(lambda p: half_square(p)[0]))
@@ -100,13 +100,14 @@ def run(quick: bool = False, progress: bool = True) -> MaterialFit:
     return MaterialFit(found, last / first, times, np.asarray(data), np.asarray(fitted))
 
 
-def _six(C: Array) -> Array:
+def _components(C: Array) -> Array:
+    """The components xx, yy, zz, yz, xz, xy of symmetric matrices (…, 3, 3), (…, 6)."""
     i, j = (0, 1, 2, 1, 0, 0), (0, 1, 2, 2, 2, 1)
     return C[..., i, j]
 
 
 def text(found: MaterialFit) -> str:
-    """The study's report, to print."""
+    """The report of the study, as text."""
     errors = found.fit.standard_errors
     lines = [
         f"λ and μ of an elastic ball from {len(found.times)} observations of its strain, noise {NOISE} a component",
@@ -128,6 +129,6 @@ def draw(found: MaterialFit) -> Figure:
     plots.series(axes[0, 0], found.times, dict(zip(("Cxx", "Cyy", "Czz"), found.fitted.T, strict=False)), "strain C")
     axes[0, 0].plot(found.times, found.data[:, 0], ".", ms=4, color=plots.PURPLE, label="observed")
     axes[0, 0].plot(found.times, found.data[:, 1:3], ".", ms=4, color=plots.PURPLE)
-    axes[0, 0].set_title("strain observed, and by the fitted constants")
+    axes[0, 0].set_title("observed strain, and that of the fitted constants")
     axes[0, 0].legend()
     return fig

@@ -5,10 +5,10 @@ from the ground before and after it crosses the Earth's shadow (`satellite.toml`
 
 * finds the minima of its light as events of the motion;
 * searches the light curve for two periods, and lists the pairs that would give the same combinations;
-* evaluates many random bodies of these periods on the first session, and fits the best of them to it;
-* goes on with the best ends on the whole night, beside the images of the best one under every change of space or of
-  body axes that may leave the light as it is, and beside synthetic data sets, fitted from the truth;
-* names and counts the ends.
+* compares many random bodies of these periods with the first session, and fits the best of them to it;
+* fits the whole night from the best results, from the images of the best one under every change of space or of body
+  axes that may leave the light unchanged, and, for synthetic data sets, from the truth;
+* identifies and counts the solutions at which the fits end.
 """
 
 from __future__ import annotations
@@ -20,9 +20,16 @@ import jax
 import numpy as np
 
 from lieint_jax.app.studies._facets import Facets, brightness, facets, magnitude
-from lieint_jax.app.studies._minima import Minima, minima_of
+from lieint_jax.app.studies._minima import Minima, scene_minima
 from lieint_jax.app.studies._period_search import Search, search
-from lieint_jax.app.studies._satellite_fit import Estimate, estimate, fitted, losses, random_guesses, true_solution
+from lieint_jax.app.studies._satellite_fit import (
+    Estimate,
+    estimate,
+    fit_magnitudes,
+    losses,
+    random_guesses,
+    true_solution,
+)
 from lieint_jax.app.studies._satellite_picture import draw
 from lieint_jax.app.studies._satellite_report import text
 from lieint_jax.app.studies._satellite_sky import Lightcurve, Scene, closed_form, observe, scene
@@ -30,26 +37,27 @@ from lieint_jax.app.studies._symmetric_solutions import (
     Change,
     Solutions,
     changes,
-    differences,
+    classify,
+    light_differences,
     parameters,
     solutions,
-    sorted_out,
 )
 from lieint_jax.app.studies._tumbling import mean_periods
 from lieint_jax.fitting._outcome import Fit
 
 __all__ = ["Facets", "SatelliteFit", "brightness", "draw", "facets", "magnitude", "run", "scene", "text"]
 
-_MOST_MINIMA = 60  # more than there are in the first session
+_MOST_MINIMA = 60  # more than the first session has
 
 
 class Ends(NamedTuple):
-    """Where fits have ended.
+    """The solutions at which fits have ended.
 
     Attributes:
         loss: half the sum of squares of the errors in units of the noise, (n,).
-        change: which change of the night's best one each is, an index of `SatelliteFit.changes`; −1 for none, (n,).
-        success: whether each stopped for a good reason, (n,).
+        change: the change that maps the night's best solution to each, an index of `SatelliteFit.changes`; −1 for
+            none, (n,).
+        success: whether each fit succeeded, (n,).
     """
 
     loss: np.ndarray
@@ -61,28 +69,29 @@ class SatelliteFit(NamedTuple):
     """The results of the study.
 
     Attributes:
-        title: of the scene.
+        title: the title of the scene.
         facets: the number of facets of the satellite.
-        rate: its true angular velocity at the start (°/s).
+        rate: the true angular velocity at the start (°/s).
         curve: the light curve.
         session: the end of the first session (min).
         periods: true mean precession and rotation period (min), (2,).
-        minima: of the true light in the first session.
+        minima: the minima of the true light in the first session.
         search: the search for periods.
-        guesses: the number of random bodies that were tried on the first session.
-        changes: every change of a solution that may leave the light as it is.
+        guesses: the number of random bodies that were compared with the first session.
+        changes: every change of a solution that may leave the light unchanged.
         first: the ends of all starts on the first session.
-        candidate: which candidate pair of periods each start had, (starts,).
-        night: the ends of the best of them on the whole night.
-        images: the ends on the whole night from the images of the best end of the first session, one for each kind of
-            change; `named` says which.
-        named: which change of the night's best end each image is where it starts, an index of `changes`; −1 for none.
-        fit: of the whole night.
-        estimate: the best solution beside the truth.
-        light_changes: by how much the changes in space alter the light of the truth (mag, rms), (3, 4): under the
+        candidate: the index of the candidate pair of periods of each start, (starts,).
+        night: the ends on the whole night of the fits that begin at the best ends of the first session.
+        images: the ends on the whole night of the fits that begin at the images of the best end of the first session,
+            one for each kind of change.
+        named: the change that maps the night's best end to the start of each of these fits, an index of `changes`; −1
+            for none.
+        fit: the fits to the whole night.
+        estimate: the best solution, compared with the truth.
+        light_changes: the effect of the changes in space on the light of the truth (mag, rms), (3, 4): under the
             directions of the middle of the first session, those of the session, and those of the night.
         seconds: the time of the guesses, of the fits to the first session, and of those to the night, (3,).
-        devices: over which they were split.
+        devices: the number of devices over which the fits were split.
     """
 
     title: str
@@ -108,28 +117,28 @@ class SatelliteFit(NamedTuple):
 
 
 def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
-    """The whole study; `quick` takes a fifth of the starts and synthetic sets."""
-    guesses, starts, kept, sets = (20_000, 200, 40, 20) if quick else (100_000, 1000, 100, 100)
+    """Run the whole study; `quick` uses a fifth of the starts and synthetic sets."""
+    guesses, starts, continued, sets = (20_000, 200, 40, 20) if quick else (100_000, 1000, 100, 100)
     made = scene()
     session = made.exposures["sessions_min"][0][1]
-    curve, seen = observe(made, sets)
+    curve, synthetic = observe(made, sets)
     found = search(curve.t, curve.magnitude)
-    first = curve.until(session)
+    first = curve.truncate(session)
     clock = [time.perf_counter()]
-    guess, begin, candidate = _chosen(found.candidates, made, first, guesses, starts, progress)
+    guess, begin, candidate = _best_guesses(found.candidates, made, first, guesses, starts, progress)
     clock.append(time.perf_counter())
-    one = fitted(guess, begin, _repeated(first, starts), made.facets, first, progress)
+    fits = fit_magnitudes(guess, begin, _repeat_magnitudes(first, starts), made.facets, first, progress)
     clock.append(time.perf_counter())
-    assert one.starts is not None
+    assert fits.starts is not None
     every = changes(made.facets, first.sun, first.observer)
-    ends, order = solutions(one.starts.params, begin), np.argsort(one.starts.loss)
-    images = _images(ends.take(order[0]), every)
-    night, begin = _whole_night(_joined(ends.take(order[:kept]), images), made, curve, seen, progress)
+    ends, order = solutions(fits.starts.params, begin), np.argsort(fits.starts.loss)
+    images = _images(ends.select(order[0]), every)
+    night, begin = _whole_night(_join(ends.select(order[:continued]), images), made, curve, synthetic, progress)
     clock.append(time.perf_counter())
     assert night.starts is not None
-    after, several = solutions(night.starts.params, begin), kept + len(images.q)
+    after, several = solutions(night.starts.params, begin), continued + len(images.q)
     chosen = int(np.argmin(night.starts.loss[:several]))
-    best = after.take(chosen)
+    best = after.select(chosen)
     of_night = _ends(night, after, best, every)
     return SatelliteFit(
         title=made.title,
@@ -138,15 +147,15 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
         curve=curve,
         session=session,
         periods=np.asarray(jax.jit(mean_periods)(made.body, made.state)),
-        minima=minima_of(made, session, _MOST_MINIMA),
+        minima=scene_minima(made, session, _MOST_MINIMA),
         search=found,
         guesses=guesses,
         changes=every,
-        first=_ends(one, ends, best, every),
+        first=_ends(fits, ends, best, every),
         candidate=candidate,
-        night=Ends(*(leaf[:kept] for leaf in of_night)),
-        images=Ends(*(leaf[kept:several] for leaf in of_night)),
-        named=sorted_out(images, best, every),
+        night=Ends(*(leaf[:continued] for leaf in of_night)),
+        images=Ends(*(leaf[continued:several] for leaf in of_night)),
+        named=classify(images, best, every),
         fit=night,
         estimate=estimate(made, curve, night, begin, chosen, several, every),
         light_changes=_light_changes(made, first, curve),
@@ -156,11 +165,11 @@ def run(quick: bool = False, progress: bool = True) -> SatelliteFit:
 
 
 def _images(best: Solutions, every: list[Change]) -> Solutions:
-    """A solution's image of each kind, the solution itself among them."""
-    return _joined(*(change(best) for change in every if change.turn == 0))
+    """The images of a solution under the changes of every kind, including the solution itself."""
+    return _join(*(change(best) for change in every if change.turn == 0))
 
 
-def _joined(*parts: Solutions) -> Solutions:
+def _join(*parts: Solutions) -> Solutions:
     return Solutions(*map(np.concatenate, zip(*parts, strict=True)))
 
 
@@ -168,32 +177,32 @@ def _light_changes(made: Scene, first: Lightcurve, night: Lightcurve) -> np.ndar
     middle = len(first.t) // 2
     held = first._replace(sun=first.sun[[middle] * len(first.t)], observer=first.observer[[middle] * len(first.t)])
     q = np.asarray(closed_form(made, night.t)[0])
-    return np.stack([differences(made.facets, q[: len(c.t)], c.sun, c.observer) for c in (held, first, night)])
+    return np.stack([light_differences(made.facets, q[: len(c.t)], c.sun, c.observer) for c in (held, first, night)])
 
 
-def _chosen(
+def _best_guesses(
     candidates: np.ndarray, made: Scene, curve: Lightcurve, guesses: int, starts: int, progress: bool
 ) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
-    """The best of random guesses, their attitudes, and the candidate of each."""
+    """The best of the random guesses, their attitudes, and the candidate of each."""
     guess, begin, candidate = random_guesses(candidates, guesses, jax.random.key(made.exposures["seed"]))
     order = np.argsort(losses(guess, begin, made.facets, curve, progress))[:starts]
     return jax.tree.map(lambda leaf: leaf[order], guess), begin[order], candidate[order]
 
 
-def _repeated(curve: Lightcurve, times: int) -> np.ndarray:
+def _repeat_magnitudes(curve: Lightcurve, times: int) -> np.ndarray:
     return np.tile(curve.magnitude, (times, 1))
 
 
 def _whole_night(
-    several: Solutions, made: Scene, curve: Lightcurve, seen: np.ndarray, progress: bool
+    several: Solutions, made: Scene, curve: Lightcurve, synthetic: np.ndarray, progress: bool
 ) -> tuple[Fit, np.ndarray]:
-    """Fits of the light curve from several solutions, and of other noise from the truth: one compiled program."""
-    truth = jax.tree.map(lambda leaf: np.repeat(leaf, len(seen), axis=0), true_solution(made))
-    guess, begin = parameters(_joined(several, truth))
-    data = np.concatenate([_repeated(curve, len(several.q)), seen])
-    return fitted(guess, begin, data, made.facets, curve, progress), begin
+    """Fit the light curve from several solutions, and synthetic sets from the truth, in one compiled program."""
+    truth = jax.tree.map(lambda leaf: np.repeat(leaf, len(synthetic), axis=0), true_solution(made))
+    guess, begin = parameters(_join(several, truth))
+    data = np.concatenate([_repeat_magnitudes(curve, len(several.q)), synthetic])
+    return fit_magnitudes(guess, begin, data, made.facets, curve, progress), begin
 
 
 def _ends(fit: Fit, ends: Solutions, best: Solutions, every: list[Change]) -> Ends:
     assert fit.starts is not None
-    return Ends(fit.starts.loss, sorted_out(ends, best, every), fit.starts.success)
+    return Ends(fit.starts.loss, classify(ends, best, every), fit.starts.success)

@@ -2,12 +2,12 @@
 
 The tangent flow maps a frame, W ← L_n W with L_n the derivative of the step in (δθ, δπ), and a QR decomposition after
 each step makes it orthonormal again; the logarithms of R's diagonal add up to the exponents times t. Their sum is zero
-to round-off for a symplectic step, and in the limit they come in pairs ±λ. On a chaotic motion one pair is not zero in
-the limit; the others tend to zero like log(t)/t, one pair for the flow's direction and energy, one for rotation about
-the vertical and its momentum.
+to round-off for a symplectic step, and in the limit they come in pairs ±λ. On a chaotic motion one pair does not vanish
+in the limit; the others tend to zero like log(t)/t: one belongs to the flow's direction and energy, one to the rotation
+about the vertical and its momentum.
 
-Two independent values: the variational equations of the vector field, by another integrator (`reference`), and two
-neighboring trajectories that separate and are rescaled (`shadow`).
+Two independent methods check the exponents: the variational equations of the vector field, by another integrator
+(`reference`), and two neighboring trajectories that separate and are rescaled (`shadow`).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class LyapunovSpectrum(NamedTuple):
         t: times, (n,).
         exponents: finite-time exponents at these times, (n, 6), 1/time unit.
         total: sum of the exponents at the end.
-        pairs: largest |λ_i + λ_{7−i}| at the end, of exponents in descending order.
+        pairs: largest |λ_i + λ_{7−i}| at the end, with the exponents in descending order.
         short: exponents at the end of a short run by `exponents`, (6,).
         independent: exponents at the same time by `reference`, (6,).
         apart: the largest exponent over the whole run by `shadow`.
@@ -57,20 +57,20 @@ class LyapunovSpectrum(NamedTuple):
 
 
 def exponents(step: Step, state: State, dt: float, num_steps: int, save_every: int = 1) -> tuple[Array, Array]:
-    """Finite-time Lyapunov exponents at times on the way, by `diagnostics.lyapunov` with a QR decomposition each step.
+    """Finite-time Lyapunov exponents at even intervals, by `diagnostics.lyapunov` with a QR decomposition each step.
 
     Args:
-        step: a step, which is linearized itself.
+        step: the step, whose own linearization is used.
         state: the initial state.
         dt: step size.
         num_steps: a multiple of `save_every`.
-        save_every: steps between saved values.
+        save_every: number of steps between saved values.
 
     Returns:
         Times (n,), and exponents (n, 2d) in units of 1/time, in the order of the frame, descending in the limit.
 
     Raises:
-        ValueError: `num_steps` is no multiple of `save_every`; the first step fails.
+        ValueError: `num_steps` is no multiple of `save_every`, or the first step fails.
     """
     num_saves, dim = saves(num_steps, save_every), step.system.phase_space.dim
     found = diagnostics.lyapunov(step, state, dt, num_steps, vectors=np.eye(dim), batches=num_saves)
@@ -79,7 +79,7 @@ def exponents(step: Step, state: State, dt: float, num_steps: int, save_every: i
 
 
 def reference(system: System, state: State, t: float, pieces: int) -> Array:
-    """The exponents at time t, (2d,), by the vector field alone: collocation of order 16 under autodiff."""
+    """The exponents at time t, (2d,), from the vector field alone, by autodiff through collocation of order 16."""
     space = system.phase_space
     unit = jnp.concatenate(units(space, state))[:, None]
 
@@ -94,7 +94,7 @@ def reference(system: System, state: State, t: float, pieces: int) -> Array:
 
 
 def shadow(step: Step, state: State, dt: float, num_steps: int, every: int = 20, distance: float = 1e-8) -> Array:
-    """The largest exponent by two neighboring trajectories, rescaled to `distance` after every `every` steps.
+    """The largest exponent from two neighboring trajectories, rescaled to `distance` after every `every` steps.
 
     Source: Benettin, Galgani & Strelcyn 1976, Phys. Rev. A 14.
     """
@@ -119,7 +119,7 @@ def shadow(step: Step, state: State, dt: float, num_steps: int, every: int = 20,
 
 
 def run(quick: bool = False, progress: bool = True) -> LyapunovSpectrum:
-    """Measure the asymmetric top of `systems.heavy_top` with the splitting; `quick` takes a fifth of the time."""
+    """Compute the exponents of an asymmetric heavy top by Strang splitting; `quick` runs for a fifth of the time."""
     from tqdm import tqdm  # where it is used: the package imports in a moment
 
     top, state = asymmetric()
@@ -127,15 +127,15 @@ def run(quick: bool = False, progress: bool = True) -> LyapunovSpectrum:
     step = schemes.splitting(top)
     fine, short = 0.005, 20.0
     precise = schemes.compose(step, 6)
-    of_step = jax.jit(exponents, static_argnums=(2, 3, 4))
+    compute = jax.jit(exponents, static_argnums=(2, 3, 4))
     parts = (
-        lambda: of_step(step, state, dt, steps, steps // 200),
-        lambda: of_step(precise, state, 10 * fine, round(short / fine / 10), 1)[1][-1],
+        lambda: compute(step, state, dt, steps, steps // 200),
+        lambda: compute(precise, state, 10 * fine, round(short / fine / 10), 1)[1][-1],
         lambda: jax.jit(reference, static_argnums=(2, 3))(top, state, short, 100),
         lambda: jax.jit(shadow, static_argnums=(2, 3))(step, state, dt, steps),
     )
     bar = tqdm(parts, unit="part", disable=None if progress else True, leave=False)
-    (t, values), close, independent, near = (jax.block_until_ready(part()) for part in bar)
+    (t, values), short_values, independent, neighbors = (jax.block_until_ready(part()) for part in bar)
     last = np.sort(np.asarray(values[-1]))[::-1]
     growth = (values[:, 0] * t)[len(t) // 2 - 1 :: len(t) // (2 * _BLOCKS)]
     rates = np.asarray(jnp.diff(growth) / jnp.diff(t[len(t) // 2 - 1 :: len(t) // (2 * _BLOCKS)]))
@@ -144,26 +144,26 @@ def run(quick: bool = False, progress: bool = True) -> LyapunovSpectrum:
         np.asarray(values),
         float(last.sum()),
         float(np.abs(last + last[::-1]).max()),
-        np.asarray(close),
+        np.asarray(short_values),
         np.asarray(independent),
-        float(near),
+        float(neighbors),
         (float(rates.mean()), float(rates.std(ddof=1) / np.sqrt(_BLOCKS))),
     )
 
 
 def text(found: LyapunovSpectrum) -> str:
-    """The study's report, to print."""
+    """The report of the study, as text."""
 
-    def listed(values: np.ndarray) -> str:
+    def row(values: np.ndarray) -> str:
         return "(" + ", ".join(f"{x:9.5f}" for x in values) + ")"
 
     return "\n".join(
         [
             "Lyapunov exponents of a chaotic heavy top, J = (1, 2, 2.5), E = (0.5, 0.4, 1)",
-            f"  to t = 20, order 6:            {listed(found.short)}",
-            f"  the same by the vector field:  {listed(found.independent)}",
+            f"  to t = 20, order 6:            {row(found.short)}",
+            f"  the same by the vector field:  {row(found.independent)}",
             f"  largest difference             {np.abs(found.short - found.independent).max():.1e}",
-            f"  to t = {found.t[-1]:g}, splitting:      {listed(found.exponents[-1])}",
+            f"  to t = {found.t[-1]:g}, splitting:      {row(found.exponents[-1])}",
             f"  their sum                      {found.total:.1e}; pairs ±λ to {found.pairs:.1e}",
             f"  largest by two neighbors      {found.apart:.5f}",
             "  largest, over the second half  {:.4f} ± {:.4f}, a standard error".format(*found.limit),

@@ -1,11 +1,11 @@
 """The spin state of 4179 Toutatis from its radar fixes of 1992, and what torque-free motion predicts for later fixes.
 
 Eight parameters (attitude, body rate, two ratios of inertia) and two noise levels are fitted to the 17 attitudes and
-body rates of 1992. No errors are published with them, so each attitude has the same weight and each rate too, by the
-two noise levels. Some fixes are far off any solution: the errors are taken for Student's t with 4 degrees of freedom,
-whose tails let the fit find its outliers by itself. The motion between fixes is the closed form of the free body.
+body rates of 1992. No errors are published with them, so all attitudes have the same weight, and so have all rates, by
+the two noise levels. Some fixes are far from any solution: the errors are modeled by Student's t with 4 degrees of
+freedom, whose tails make the fit robust against outliers. The motion between fixes is the closed form of the free body.
 
-The covariance is put to the test by synthetic data sets of the fitted model; the prediction is that of an ensemble.
+The covariance is tested on synthetic data sets of the fitted model; the prediction is that of an ensemble.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from lieint_jax.app.studies._spin_fit import (
     Coverage,
     Estimate,
     coverage,
-    derived,
-    enlarged,
+    derived_quantities,
+    enlarge_errors,
     estimates,
-    fitted,
-    repeated,
+    fit_spins,
+    repeat,
 )
 from lieint_jax.app.studies._toutatis_picture import draw
 from lieint_jax.app.studies._toutatis_report import text
@@ -54,7 +54,7 @@ from lieint_jax.systems import RigidBody
 __all__ = ["RadarEpochs", "SpinFit", "draw", "model", "radar_epochs", "run", "text"]
 
 _NORMAL = 1e8  # degrees of freedom of Student's t for a normal distribution
-_FAR = 18.8  # |e|²/σ² that one of 34 normal vectors of three components exceeds with a probability of 0.01
+_FAR = 18.8  # |e|²/σ²: any of 34 normal vectors of three components exceeds it with a probability of 0.01
 
 # Least distance: Busch et al. 2012, AGU Fall Meeting, P31A-1873. Elements of the orbit about the Sun at JD 2454797.5 as
 # encyclopaedias quote them from JPL's Small-Body Database: enough for an order of magnitude, not checked there.
@@ -67,14 +67,14 @@ class Prediction(NamedTuple):
 
     Attributes:
         t: days from the middle fix, (times,).
-        spread: 5, 50 and 95 % of the members' angles from the estimate (°), (3, times).
-        rms: their root mean square (°), (times,).
-        off: angles (°) of the estimate and the published states from the later fixes, by name, (3,) each.
-        members_off: those of the members, (members, 3).
+        spread: the 5, 50 and 95 % quantiles of the members' angles from the estimate (°), (3, times).
+        rms: the root mean square of these angles (°), (times,).
+        off: the angles (°) of the estimate and the published states from the later fixes, by name, (3,) each.
+        members_off: the angles (°) of the members from the later fixes, (members, 3).
         farther: the share of the members that are farther from the estimate than the later fix is, (3,): small where
             the fix is outside the spread.
-        pole: angle (°) of the momentum that a single radar fix gives from the fitted one, (19,).
-        energy: 2H Jz/|π|², the estimate's, and that of each attitude with the fitted direction of π, (1 + 20,).
+        pole: the angle (°) between the momentum of each single radar fix and the fitted one, (19,).
+        energy: 2H Jz/|π|² of the estimate, and of each attitude with the fitted direction of π, (1 + 20,).
     """
 
     t: np.ndarray
@@ -91,20 +91,20 @@ class SpinFit(NamedTuple):
     """The results of the study.
 
     Attributes:
-        fit: from the two published states, one of them once more with normal errors, and random starts.
-        same: the share of the random starts that end in the same minimum.
+        fit: the fits from the two published states, from one of them with normal errors, and from random starts.
+        same: the share of the random starts that end in the minimum of the first fit.
         estimate: the spin state with its uncertainty.
-        normal: the estimate with normal errors, that is by least squares without robustness.
-        residuals: calculated less observed attitudes (°) and rates (°/d) by name of the state, (2, 17, 3) each.
-        weights: of attitudes and rates in the fit, (2, 17).
+        normal: the estimate for normal errors, by least squares that are not robust.
+        residuals: calculated less observed attitudes (°) and rates (°/d), by name of the state, (2, 17, 3) each.
+        weights: the weights of attitudes and rates in the fit, (2, 17).
         outlier: whether each is an outlier, (2, 17).
         published: the derived quantities of the published states, by name, (12,) each.
-        apart: squared distance of each published state from the estimate by its covariance: χ² of 8.
-        prediction: for 2004, 2008 and 2012.
-        flyby: the Earth's torque on 2004-09-29.
-        factors: by which the errors of the parameters, and those of the noise levels, have been enlarged: the scatter
-            over the reported error in the first half of the synthetic sets.
-        coverage: how often the errors thus enlarged hold the truth in the second half.
+        apart: the squared distance of each published state from the estimate by its covariance; χ² of 8 expected.
+        prediction: the prediction for 2004, 2008 and 2012.
+        flyby: the effect of the Earth's torque on 2004-09-29.
+        factors: the factors by which the errors of the parameters, and of the noise levels, are enlarged: the ratio of
+            scatter to reported error in the first half of the synthetic sets.
+        coverage: how often the enlarged errors include the truth in the second half.
         scenario: the scenario that holds the published values.
     """
 
@@ -125,26 +125,26 @@ class SpinFit(NamedTuple):
 
     @property
     def periods(self) -> np.ndarray:
-        """Mean precession and rotation period in days, and their standard errors, (2, 2)."""
+        """The mean precession and rotation periods in days, with their standard errors, (2, 2)."""
         sigma = np.sqrt(np.diagonal(self.estimate.derived_covariance))
         return np.stack([np.asarray(self.estimate.derived)[:2], sigma[:2]], axis=1)
 
 
 def run(quick: bool = False, progress: bool = True) -> SpinFit:
-    """Fit, compare, predict, and test the uncertainty; `quick` takes a fifth of the synthetic sets and members."""
+    """Fit, compare, predict, and test the uncertainty; `quick` uses a fifth of the synthetic sets and members."""
     sets, members = (20, 200) if quick else (100, 1000)
     data = radar_data()
     given = {name: published_params(scenario, data["begin"], -data["epoch"]) for name, scenario in STATES.items()}
-    found, many = _from_many_starts(list(given.values()), data, 2 * sets, progress)
+    found, many = _fit_from_many_starts(list(given.values()), data, 2 * sets, progress)
     starts = found.starts
     assert starts is not None
     three = jax.tree.map(lambda leaf: leaf[:3], (starts.params, many))
     states = estimates(*three)
     estimate, normal = (jax.tree.map(lambda leaf, k=k: leaf[k], states) for k in (0, 2))
     unravel = ravel_pytree(next(iter(given.values())))[1]
-    tried = coverage(estimate, unravel, data, 2 * sets, progress=progress)
-    factors = np.maximum(tried.part(slice(None, sets)).scatter, 1)  # errors are not made smaller
-    estimate = enlarged(estimate, factors[0])
+    test = coverage(estimate, unravel, data, 2 * sets, progress=progress)
+    factors = np.maximum(test.select(slice(None, sets)).scatter, 1)  # errors are never reduced
+    estimate = enlarge_errors(estimate, factors[0])
     paths = {"fitted": path(unravel(estimate.x), data)} | {name: path(p, data) for name, p in given.items()}
     residuals = {name: np.asarray(errors(along, data)) for name, along in paths.items()}
     e, noise = residuals["fitted"], np.asarray(estimate.noise)[:, None]
@@ -158,18 +158,18 @@ def run(quick: bool = False, progress: bool = True) -> SpinFit:
         residuals,
         np.asarray(student_t_weights(jnp.asarray(e), jnp.asarray(noise))),
         (e**2).sum(axis=-1) > _FAR * noise**2,
-        {name: _derived(p, data) for name, p in given.items()},
+        {name: _derived_at_epoch(p, data) for name, p in given.items()},
         {name: float(squared_distances(d[None], np.asarray(estimate.covariance))[0]) for name, d in difference.items()},
         _predict(estimate, unravel, given, data["begin"], members),
         _flyby.passage(body, state, _FLYBY_DISTANCE, _flyby.speed_at_infinity(**_ELEMENTS), members),
         factors,
-        tried.part(slice(sets, None)).rescaled(factors),
+        test.select(slice(sets, None)).rescale(factors),
         scenarios.load("toutatis"),
     )
 
 
 def radar_data() -> dict[str, Array]:
-    """The fixes of 1992 for the fit: their times in days from the middle one, and the epoch of the published states."""
+    """The fixes of 1992 for the fit, with times in days from the middle one, and the epoch of the published states."""
     fixes = radar_epochs()
     middle = fixes.t[MIDDLE]
     return {
@@ -191,30 +191,30 @@ def published_params(name: str, begin: Array, t: Array) -> dict[str, Array]:
     return {"attitude": rotation_between(later.q, begin), "inertia": body.inertia[:2], "rate": jnp.rad2deg(rate)}
 
 
-def _from_many_starts(
+def _fit_from_many_starts(
     given: list[dict[str, Array]], data: dict[str, Array], starts: int, progress: bool
 ) -> tuple[Fit, dict[str, Array]]:
-    """The fit from both published states, with normal errors from the first, and from random states about the second.
+    """Fit from both published states, from the first with normal errors, and from random states about the second.
 
-    There are as many starts as synthetic sets, so that one compiled program fits both.
+    The number of starts is that of synthetic sets, so that one compiled program fits both.
     """
     rng = np.random.default_rng(17)
     scatter = {"attitude": 10.0, "inertia": 0.15, "rate": 5.0}
-    moved = {name: p + scatter[name] * rng.normal(size=(starts - 3, p.size)) for name, p in given[1].items()}
-    chosen = jax.tree.map(lambda a, b, more: jnp.concatenate([jnp.stack([a, b, a]), more]), given[0], given[1], moved)
-    many = repeated(data, starts) | {"freedom": jnp.full(starts, FREEDOM).at[2].set(_NORMAL)}
-    return fitted(chosen | {"noise": jnp.full((starts, 2), 8.0)}, many, progress), many
+    random = {name: p + scatter[name] * rng.normal(size=(starts - 3, p.size)) for name, p in given[1].items()}
+    chosen = jax.tree.map(lambda a, b, more: jnp.concatenate([jnp.stack([a, b, a]), more]), given[0], given[1], random)
+    many = repeat(data, starts) | {"freedom": jnp.full(starts, FREEDOM).at[2].set(_NORMAL)}
+    return fit_spins(chosen | {"noise": jnp.full((starts, 2), 8.0)}, many, progress), many
 
 
-def _derived(params: dict[str, Array], data: dict[str, Array]) -> np.ndarray:
+def _derived_at_epoch(params: dict[str, Array], data: dict[str, Array]) -> np.ndarray:
     at_epoch = path(params, {"begin": data["begin"], "t": data["epoch"][None]})[0]
-    return np.asarray(derived(params, data["begin"], at_epoch))
+    return np.asarray(derived_quantities(params, data["begin"], at_epoch))
 
 
 def _predict(
     estimate: Estimate, unravel: Any, given: dict[str, dict[str, Array]], begin: Array, members: int
 ) -> Prediction:
-    """The motion of the estimate, of both published states and of members drawn by the covariance."""
+    """Predict the motion of the estimate, of both published states, and of members drawn from the covariance."""
     fixes, later = radar_epochs(), later_fixes()
     t = np.append(np.geomspace(1, 8000, 60), later.t - fixes.t[MIDDLE])
     drawn = np.random.default_rng(2004).multivariate_normal(estimate.x, estimate.covariance, members)
@@ -226,7 +226,7 @@ def _predict(
         return jax.vmap(lambda t: body.solution(state, t).q)(jnp.asarray(t))
 
     q = jax.lax.map(attitudes, jnp.asarray(np.concatenate([x, drawn])))
-    apart = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (None, 0))(q[0], q[len(x) :]))
+    angles = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (None, 0))(q[0], q[len(x) :]))
     off = np.rad2deg(jax.vmap(jax.vmap(so3.angle), (0, None))(q[:, -3:], jnp.asarray(later.q)))
     body, state = model(unravel(estimate.x), begin)
     rate = jnp.asarray(np.deg2rad(fixes.angular_velocity_deg))
@@ -235,11 +235,11 @@ def _predict(
     Pi = np.asarray(jax.vmap(so3.Ad_star, (0, None))(every, state.p / jnp.linalg.norm(state.p)))
     return Prediction(
         t[:-3],
-        np.percentile(apart[:, :-3], (5, 50, 95), axis=0),
-        np.sqrt((apart[:, :-3] ** 2).mean(axis=0)),
+        np.percentile(angles[:, :-3], (5, 50, 95), axis=0),
+        np.sqrt((angles[:, :-3] ** 2).mean(axis=0)),
         dict(zip(("fitted", *given), off, strict=False)),
         off[len(x) :],
-        (apart[:, -3:] >= off[0]).mean(axis=0),
+        (angles[:, -3:] >= off[0]).mean(axis=0),
         np.rad2deg(jax.vmap(vec3.angle, (None, 0))(state.p, p)),
         (Pi**2 / np.asarray(body.inertia)).sum(axis=1),
     )
