@@ -92,7 +92,8 @@ def run(
     if not leader:
         return
     assert not isinstance(out, Url)  # whose suffix is .zarr
-    files.save(out, run, {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__})
+    description = {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__}
+    files.save(out, run, description, scenarios.members_numbers(scenario))
     if scenario.save_at is not None:
         _report_outputs(out, pictures)
         return

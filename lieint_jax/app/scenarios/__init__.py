@@ -32,6 +32,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, get_args
 
+import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from lieint_jax import _discover
@@ -73,6 +74,11 @@ def step_axis(scenario: Common) -> int | None:
 def _own_systems(scenario: Common) -> bool:
     """Whether members have systems of their own only because of the spread of the scenario's numbers."""
     return bool(scenario.own_numbers()) and not hasattr(kind(scenario), "STEP_AXIS")
+
+
+def members_numbers(scenario: Common) -> dict[str, np.ndarray]:
+    """The numbers of which every member has a value of its own, (members, …), by their paths."""
+    return {".".join(path): values for path, values in _spread.drawn(scenario).items()}
 
 
 def build_first(scenario: Common, members: int) -> Step:

@@ -75,7 +75,8 @@ class Common(Table):
 
     fixed: ClassVar[dict[str, str]] = {
         "dt": "all members have the same steps",
-        "save_at*": "all members are saved at the same times",
+        "save_at": "all members are saved at the same times",
+        "published.*": "it is what was published",
     }
     """Patterns of the paths of numbers that have no spread, with the reasons."""
     no_spread: ClassVar[str] = ""

@@ -108,10 +108,10 @@ def stretched(inertia: Array, factors: Array) -> Array:
 
 
 def _by_axis(function: Callable[[Array, Array], Array], tensor: np.ndarray, deviation: np.ndarray) -> np.ndarray:
-    """A function of a tensor and factors, for many deviations of their logarithms; principal values stay such."""
+    """A function of a tensor and many factors, by deviations of their logarithms; principal values stay such."""
     given = np.diag(tensor) if tensor.ndim == 1 else tensor
-    found = np.asarray(jax.vmap(function, (None, 0))(jnp.asarray(given), jnp.exp(jnp.asarray(deviation))))
-    return np.diagonal(found, axis1=1, axis2=2).copy() if tensor.ndim == 1 else found.copy()
+    found = np.asarray(function(given, np.exp(deviation)))
+    return np.diagonal(found, axis1=1, axis2=2) if tensor.ndim == 1 else found
 
 
 def _unit(value: np.ndarray, deviation: np.ndarray) -> np.ndarray:
@@ -124,10 +124,10 @@ def _same_side(of: float, value: np.ndarray, x: np.ndarray) -> np.ndarray:
     return (np.sign(x - of) == np.sign(value - of)).all(axis=components)
 
 
-_MOMENTS = "of the logarithms of the second moments of mass along the body axes"
+_MOMENTS = "of the second moments of mass along the body axes"  # of their logarithms: see the page on covariance
 PLAIN = Law(np.add, _any)
-INERTIA = Law(partial(_by_axis, stretched), _definite, _MOMENTS, by_axis=True)
-SECOND_MOMENTS = Law(partial(_by_axis, _scaled), _definite, _MOMENTS, by_axis=True)
+INERTIA = Law(partial(_by_axis, jax.jit(jax.vmap(stretched, (None, 0)))), _definite, _MOMENTS, by_axis=True)
+SECOND_MOMENTS = Law(partial(_by_axis, jax.jit(jax.vmap(_scaled, (None, 0)))), _definite, _MOMENTS, by_axis=True)
 DIRECTION = Law(_unit, _any, "of each component, before the length is made 1 again")
 NOT_INSIDE_OUT = Law(np.add, lambda _, x: np.linalg.det(x) > 0)
 
@@ -303,29 +303,29 @@ def drawn(scenario: Any) -> dict[Path, np.ndarray]:
 
 
 def _members(scenario: Any, path: Path, spread: Given) -> np.ndarray:
-    number, stream = spread.number, jax.random.fold_in(jax.random.key(scenario.seed), _STREAM)
-    key = jax.random.fold_in(stream, zlib.crc32(_join(path).encode()))
-    left = np.arange(scenario.members)
-    found = np.repeat(number.value[None], scenario.members, axis=0)
+    number, key = spread.number, jax.random.key(scenario.seed)
+    name = np.uint32(zlib.crc32(_join(path).encode()))
+    found, left = np.repeat(number.value[None], scenario.members, axis=0), np.arange(scenario.members) > 0
     for attempt in range(_TRIES):
-        noise = np.asarray(_normal(jax.random.fold_in(key, attempt), jnp.asarray(left), number.shape()), float)
-        noise[left == 0] = 0
+        noise = np.asarray(_normal(key, name, attempt, scenario.members, number.shape()), float)
         x = number.law.value(number.value, spread.sigma * noise)
-        x[left == 0] = number.value
-        good = number.allows(x) | (left == 0)
-        found[left[good]] = x[good]
-        left = left[~good]
-        if not left.size:
+        good = left & number.allows(x)
+        found[good] = x[good]
+        left &= ~good
+        if not left.any():
             return found
     raise ValueError(
-        f"spread.{_join(path)}: {left.size} of {scenario.members} members found no value that the scenario allows "
+        f"spread.{_join(path)}: {left.sum()} of {scenario.members} members found no value that the scenario allows "
         f"within {_TRIES} draws about {number.value.tolist()}: give a smaller one"
     )
 
 
-def _normal(key: Array, members: Array, shape: tuple[int, ...]) -> Array:
-    """Standard normal deviates of members, (members, …)."""
-    return jax.vmap(lambda k: jax.random.normal(jax.random.fold_in(key, k), shape))(members)
+@partial(jax.jit, static_argnames=("members", "shape"))
+def _normal(key: Array, name: np.uint32, attempt: int, members: int, shape: tuple[int, ...]) -> Array:
+    """Standard normal deviates of members, (members, …), by the key of a seed and the name of what is drawn."""
+    for number in (_STREAM, name, attempt):
+        key = jax.random.fold_in(key, number)
+    return jax.vmap(lambda k: jax.random.normal(jax.random.fold_in(key, k), shape))(jnp.arange(members))
 
 
 def with_numbers(table: T, values: Mapping[Path, Any]) -> T:

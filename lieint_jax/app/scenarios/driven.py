@@ -85,7 +85,10 @@ class Scenario(TopScenario):
     orbit: Orbit
     state: InitialState  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    fixed: ClassVar[dict[str, str]] = TopScenario.fixed | {"state.t": "all members share their time"}
+    fixed: ClassVar[dict[str, str]] = TopScenario.fixed | {
+        "steps_per_orbit": "all members have the same steps",
+        "state.t": "all members share their time",
+    }
 
     @model_validator(mode="after")
     def _one_step_size(self) -> Self:
