@@ -80,7 +80,7 @@ def save(
     Where states have them: work, extra.NAME, and state.t, (entries, members), or (entries, 1) if members share it. The
     members' own numbers are written as member.NAME, (members, …).
     """
-    own = {f"member.{name.translate(_NO_PATH)}": values for name, values in (members or {}).items()}
+    own: dict[str, Any] = {f"member.{name.translate(_NO_PATH)}": values for name, values in (members or {}).items()}
     arrays = archives.leaves_by_name(trajectory.state)
     if "t" in arrays:
         t = np.asarray(arrays.pop("t"))

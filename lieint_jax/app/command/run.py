@@ -93,7 +93,8 @@ def run(
         return
     assert not isinstance(out, Url)  # whose suffix is .zarr
     description = {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__}
-    files.save(out, run, description, scenarios.members_numbers(scenario))
+    own = scenarios.members_numbers(scenario)
+    files.save(out, run, description, own)
     if scenario.save_at is not None:
         _report_outputs(out, pictures)
         return
@@ -108,7 +109,8 @@ def run(
         print(certify(first, nominal(run), scenario.dt, watched))
     well = int(np.asarray(run.info.converged).all(axis=0).sum())
     print(f"  {well} of {scenario.members} members converged at every step")
-    written = [f"{out} (t, q, p, residual, converged, metadata; {files.megabytes(out)})", *map(str, drawn)]
+    arrays = ", ".join(["t, q, p, residual, converged, metadata", *(f"member.{name}" for name in own)])
+    written = [f"{out} ({arrays}; {files.megabytes(out)})", *map(str, drawn)]
     print(f"\nwritten: {', '.join(written)}")
 
 

@@ -143,7 +143,7 @@ class Common(Table):
 
 
 class NumberSpread(Table):
-    """Standard deviations of numbers of the scenario by their paths, such as `orbit.eccentricity`: see `_spread`."""
+    """Standard deviations of numbers of the scenario, by their paths."""
 
     model_config = ConfigDict(extra="allow")
 

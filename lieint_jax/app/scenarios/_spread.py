@@ -107,7 +107,7 @@ def stretched(inertia: Array, factors: Array) -> Array:
     return jnp.trace(P) * jnp.eye(3) - P
 
 
-def _by_axis(function: Callable[[Array, Array], Array], tensor: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+def _by_axis(function: Callable[..., Any], tensor: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     """A function of a tensor and many factors, by deviations of their logarithms; principal values stay such."""
     given = np.diag(tensor) if tensor.ndim == 1 else tensor
     found = np.asarray(function(given, np.exp(deviation)))
@@ -212,7 +212,7 @@ def given(scenario: BaseModel, fixed: Mapping[str, str]) -> dict[Path, Given]:
     Raises:
         ValueError: no such number, or no standard deviation.
     """
-    table = getattr(scenario, _SPREAD, None)
+    table: Any = getattr(scenario, _SPREAD, None)
     entries = dict(_entries(getattr(table, "model_extra", None) or {}))
     if not entries:
         return {}
