@@ -19,7 +19,8 @@ that `lieint schema` prints; an editor that knows JSON schemas can use it to com
 
 Keys in **bold** must be given. A value such as `[…] × 3` is a list of three numbers. Units stand in the names of the
 keys where they are fixed (`_deg`, `_km`, …); all other numbers must agree with one another, see
-[Units](../howto/units.md).
+[Units](../howto/units.md). The table `[spread]` has, besides its own keys, those of all numbers of the scenario: see
+[Clones with numbers of their own](../howto/covariance.md#in-a-scenario-file).
 """
 
 

@@ -6,7 +6,8 @@ import pytest
 
 from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios import satellite
-from lieint_jax.app.scenarios._satellite_laws import Within, stretch_inertia
+from lieint_jax.app.scenarios._satellite_laws import Within
+from lieint_jax.app.scenarios._spread import stretch_inertia
 from lieint_jax.groups import so3
 from tests.lib.scenario_runs import run
 

@@ -226,7 +226,7 @@ def rhs(body, template):
 @pytest.mark.slow
 @pytest.mark.parametrize("order", [2, 4, 6])
 def test_orders_against_another_package_with_saturation_in_force(order):
-    """One limit of torque acts during the whole time and no other ever does: switches have no order; plates stay lit."""
+    """One limit of torque acts all the time, no other ever does, and plates stay lit: switches have no order."""
     motor = torques.wheel_motor(AXES, torques.pointing(FRAME, 0.8, 1.2, INERTIA), gyroscopic=True)
     free = torques.wheels(AXES, MOMENTS, motor, max_torque=[0.05, 9, 9, 9], speeds=[1.0, 2.0, -1.0, 3])
     chosen = [LAWS["gravity_gradient"], torques.unloading(AXES, 0.1, FIELD, 9.0), free]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,8 @@ from lieint_jax.app import plots
 from lieint_jax.ensemble import archives
 from lieint_jax.ensemble.archives import Address, Url
 from lieint_jax.types import Trajectory
+
+_NO_PATH = str.maketrans("/\\", "__")  # of the characters that the name of an array cannot have
 
 
 def check_writable(path: Address, kinds: Iterable[str] = (), resume: bool = False) -> Address:
@@ -74,12 +76,15 @@ def check_replaceable(found: Iterable[Path], force: bool) -> None:
             raise ValueError(f"{file} exists and is not overwritten; --force replaces it, --out chooses another folder")
 
 
-def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:
+def save(
+    path: Path, trajectory: Trajectory, metadata: dict[str, Any], members: Mapping[str, np.ndarray] | None = None
+) -> None:
     """Write a trajectory as .npz: arrays t, q, p, residual, converged, and `metadata` as JSON text.
 
     Further arrays are written if the states have these leaves: work, extra.NAME, and state.t, (entries, members), or
-    (entries, 1) if all members have the same times.
+    (entries, 1) if all members have the same times. The members' own numbers are written as member.NAME, (members, …).
     """
+    own: dict[str, Any] = {f"member.{name.translate(_NO_PATH)}": values for name, values in (members or {}).items()}
     arrays = archives.leaves_by_name(trajectory.state)
     if "t" in arrays:
         t = np.asarray(arrays.pop("t"))
@@ -89,6 +94,7 @@ def save(path: Path, trajectory: Trajectory, metadata: dict[str, Any]) -> None:
             file,
             t=trajectory.t,
             **arrays,
+            **own,
             residual=trajectory.info.residual,
             converged=trajectory.info.converged,
             metadata=np.array(json.dumps(metadata)),

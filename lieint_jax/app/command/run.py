@@ -97,7 +97,9 @@ def run(
     if not leader:
         return
     assert not isinstance(out, Url)  # whose suffix is .zarr
-    files.save(out, run, {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__})
+    description = {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__}
+    own = scenarios.members_numbers(scenario)
+    files.save(out, run, description, own)
     if scenario.save_at is not None:
         _report_outputs(out, pictures)
         return
@@ -112,7 +114,8 @@ def run(
         print(certify(first, nominal(run), scenario.dt, watched))
     converged = int(np.asarray(run.info.converged).all(axis=0).sum())
     print(f"  {converged} of {scenario.members} members converged at every step")
-    written = [f"{out} (t, q, p, residual, converged, metadata; {files.megabytes(out)})", *map(str, drawn)]
+    arrays = ", ".join(["t, q, p, residual, converged, metadata", *(f"member.{name}" for name in own)])
+    written = [f"{out} ({arrays}; {files.megabytes(out)})", *map(str, drawn)]
     print(f"\nwritten: {', '.join(written)}")
 
 

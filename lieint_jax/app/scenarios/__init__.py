@@ -12,10 +12,13 @@ observations to compare with the results. `scenario_names` lists the shipped one
 | `quantities(scenario, system, run)` | what is measured, as a list of `_report.Quantity` |
 | `remarks(scenario, step, run)` | further lines of the report |
 | `PICTURES` | functions (scenario, step, run) ↦ figure, by the suffix of their file names; see `_pictures.picture` |
-| `STEP_AXIS` | 0 where every member has a system of its own: leaves of the step have the member axis; no `numbers` |
+| `STEP_AXIS` | 0 where every member always has a system of its own: the leaves of the step have the member axis, |
+| | and `build` has no `numbers`; None where all share one, also where `[spread]` names numbers |
 | `CERTIFIED` | False where `lieint run` prints no certificate: control and friction leave it nothing but the energy |
 
 Only the first two and `PICTURES` are required. A kind whose report is no such table has `report(scenario, step, run)`.
+Where `[spread]` names numbers of the scenario (`_spread`), the step has the member axis too: `conserved` and
+`quantities` are then called for each member alone, and `remarks` and pictures find the nominal one by `of_member`.
 """
 
 from __future__ import annotations
@@ -34,8 +37,9 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from lieint_jax import _discover
-from lieint_jax.app.scenarios import _report
+from lieint_jax.app.scenarios import _report, _spread
 from lieint_jax.app.scenarios._common import Common
+from lieint_jax.app.scenarios._runs import only
 from lieint_jax.types import State, Step, Trajectory
 
 _OLD_KEYS = {"angular_velocity": "angular_velocity_rad"}  # of results of version 0.1
@@ -76,7 +80,17 @@ def shapes_of_states(scenario: Common) -> State:
 
 def step_axis(scenario: Common) -> int | None:
     """0 if the leaves of the step of `build` have the member axis, as `ensemble.run` has it; else None."""
-    return getattr(kind(scenario), "STEP_AXIS", None)
+    return 0 if _own_systems(scenario) else getattr(kind(scenario), "STEP_AXIS", None)
+
+
+def _own_systems(scenario: Common) -> bool:
+    """Whether members have systems of their own only because of the spread of the scenario's numbers."""
+    return bool(scenario.own_numbers()) and not hasattr(kind(scenario), "STEP_AXIS")
+
+
+def members_numbers(scenario: Common) -> dict[str, np.ndarray]:
+    """The numbers of which every member has a value of its own, (members, …), by their paths."""
+    return {".".join(path): values for path, values in _spread.drawn(scenario).items()}
 
 
 def build_first(scenario: Common, members: int) -> Step:
@@ -89,9 +103,19 @@ def report(scenario: Common, step: Any, run: Trajectory) -> str:
     module = kind(scenario)
     if hasattr(module, "report"):
         return module.report(scenario, step, run)
-    system = step.system
-    conserved, quantities = (_declared(module, name, scenario, system, run) for name in ("conserved", "quantities"))
+    conserved = _measured(module, "conserved", scenario, step.system, run)
+    quantities = _measured(module, "quantities", scenario, step.system, run)
     return _report.text(scenario, conserved, quantities, _declared(module, "remarks", scenario, step, run))
+
+
+def _measured(module: ModuleType, name: str, scenario: Common, system: Any, run: Trajectory) -> list[Any]:
+    """What a kind declares of a run under a name: of one system, or of the members' systems one by one."""
+    if not _own_systems(scenario):
+        return _declared(module, name, scenario, system, run)
+    each = enumerate(_spread.each_member(scenario))
+    return _report.joined(
+        [_declared(module, name, its, _spread.of_member(scenario, system, m), only(run, m)) for m, its in each]
+    )
 
 
 def _declared(module: ModuleType, name: str, *given: Any) -> list[Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import jax
 import jax.numpy as jnp
@@ -15,12 +15,13 @@ from lieint_jax.app.scenarios._common import (
     Common,
     GivenRate,
     NonNegative,
+    NumberSpread,
     Quadruple,
     RateSpread,
     Triple,
     at_order,
-    deviates,
 )
+from lieint_jax.app.scenarios._spread import INERTIA
 from lieint_jax.groups import so3
 from lieint_jax.types import State, Step
 
@@ -47,8 +48,8 @@ class InitialState(GivenRate):
         return jnp.asarray(self.quaternion)
 
 
-class Spread(RateSpread):
-    """Standard deviations of the members about the nominal state."""
+class Spread(RateSpread, NumberSpread):
+    """Standard deviations of the members about the nominal state, and of numbers of the scenario by their paths."""
 
     attitude_deg: NonNegative = 0.0
     """Of a turn about each axis of space, in degrees."""
@@ -57,10 +58,15 @@ class Spread(RateSpread):
 class BodyScenario(Common):
     """The keys of every scenario of a rigid body."""
 
-    inertia: list[Any]
+    inertia: Annotated[list[Any], INERTIA]
     """Principal moments (3) or a tensor in body axes (3 × 3)."""
     state: InitialState
     spread: Spread = Spread()
+
+    fixed: ClassVar[dict[str, str]] = Common.fixed | {
+        "state.quaternion": "a unit quaternion has three degrees of freedom: give attitude_deg",
+        "observation.*": "it is what was observed",
+    }
 
     @field_validator("inertia")
     @classmethod
@@ -97,23 +103,16 @@ def top_schemes(scenario: TopScenario, top: Any) -> dict[str, Step]:
     return {name: at_order(step, scenario.order) for name, step in two.items()}
 
 
-def ensemble(scenario: BodyScenario, body: Any, numbers: np.ndarray | None = None) -> State:
-    """The states of the members of these numbers; None means all, the nominal one first."""
+def start(scenario: BodyScenario, body: Any, noise: Array) -> State:
+    """A member's initial state, by its deviates (2, 3)."""
     q, Omega = scenario.state.attitude(), jnp.asarray(scenario.state.rate())
-    return about(scenario, body, q, Omega, numbers)
+    return about(scenario, body, noise, q, Omega)
 
 
-def about(
-    scenario: BodyScenario, body: Any, q: Array, Omega: Array, numbers: np.ndarray | None = None, **options: Any
-) -> State:
-    """The members' states about an attitude and a body angular velocity; `options` go to `body.state`."""
-    kick, jolt = deviates(scenario, numbers)
-    kick, jolt = jnp.deg2rad(scenario.spread.attitude_deg) * kick, scenario.spread.rate() * jolt
-
-    def member(kick: Array, jolt: Array) -> State:
-        return body.state(so3.multiply(so3.exp(kick), q), angular_velocity=Omega + jolt, **options)
-
-    return jax.vmap(member)(kick, jolt)
+def about(scenario: BodyScenario, body: Any, noise: Array, q: Array, Omega: Array, **options: Any) -> State:
+    """A member's state about an attitude and a body angular velocity; `options` go to `body.state`."""
+    kick, jolt = jnp.deg2rad(scenario.spread.attitude_deg) * noise[0], scenario.spread.rate() * noise[1]
+    return body.state(so3.multiply(so3.exp(kick), q), angular_velocity=Omega + jolt, **options)
 
 
 def in_space(q: Any, axis: Any) -> np.ndarray:

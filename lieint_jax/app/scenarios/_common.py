@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from lieint_jax import _checks, schemes
 from lieint_jax._numerics import random_bits
+from lieint_jax.app.scenarios import _spread
 from lieint_jax.types import Step
 
 HOUR, DAY = 3600.0, 86400.0  # seconds
@@ -73,6 +74,22 @@ class Common(Table):
     sources: dict[str, str] = {}
     """Full references, by the short names that `source` keys give."""
 
+    fixed: ClassVar[dict[str, str]] = {
+        "dt": "all members have the same steps",
+        "save_at": "all members are saved at the same times",
+        "published.*": "it is what was published",
+    }
+    """Patterns of the paths of numbers that have no spread, with the reasons."""
+    no_spread: ClassVar[str] = ""
+    """Why a kind of system has no table spread, where it has none."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _a_spread_of_this_kind(cls, keys: Any) -> Any:
+        if isinstance(keys, dict) and "spread" in keys and "spread" not in cls.model_fields:
+            raise ValueError(f"spread: {cls.no_spread}")
+        return keys
+
     @model_validator(mode="after")
     def _steps_and_saves(self) -> Self:
         if self.dt == 0:
@@ -89,6 +106,15 @@ class Common(Table):
                 raise ValueError(f"source {key!r} is not one of the keys of [sources]: {', '.join(self.sources)}")
         return self
 
+    @model_validator(mode="after")
+    def _spread_of_numbers(self) -> Self:
+        self.own_numbers()
+        return self
+
+    def own_numbers(self) -> dict[_spread.Path, _spread.Given]:
+        """The numbers, by their paths, of which every member has a value of its own, with their spreads."""
+        return _spread.given(self, self.fixed)
+
     def spreads(self) -> dict[str, tuple[float, str]]:
         """The standard deviations of the initial states with their units, by what they are of, as a kind declares."""
         return {}
@@ -99,8 +125,9 @@ class Common(Table):
         given = [
             f"{name} {x:.3g}{'' if unit[:1] == '°' else ' '}{unit}".rstrip() for name, (x, unit) in spreads.items() if x
         ]
+        given += [spread.words for spread in self.own_numbers().values()]
         line = f"spread about the nominal state, an assumption (1 sigma, each component): {', '.join(given) or 'none'}"
-        return line if spreads else ""
+        return line if spreads or given else ""
 
     def clock(self) -> dict[str, Any]:
         """When the steps are: those arguments of `ensemble.run`."""
@@ -116,6 +143,22 @@ class Common(Table):
         return self.sources.get(key, key)
 
 
+class NumberSpread(Table):
+    """Standard deviations of numbers of the scenario, by their paths."""
+
+    model_config = ConfigDict(extra="allow")
+
+
+def array(values: Any) -> Any:
+    """Numbers of a scenario as an array: numpy's, or JAX's where they are traced."""
+    return np.asarray(values) if _checks.concrete(values) else jnp.asarray(values)
+
+
+def radians(degrees: Any) -> Any:
+    """Angles of a scenario in radians, as such an array."""
+    return (np if _checks.concrete(degrees) else jnp).deg2rad(array(degrees))
+
+
 class Rate(Table):
     """An angular velocity, by one of two keys; its frame is said where it is used."""
 
@@ -124,13 +167,14 @@ class Rate(Table):
     angular_velocity_deg: Triple | None = None
     """In degrees per time_unit."""
 
-    def rate(self) -> list[float] | None:
+    def rate(self) -> Any:
         """Radians per time_unit; None if neither key is given, ValueError if both are."""
         if self.angular_velocity_deg is None:
             return self.angular_velocity_rad
         if self.angular_velocity_rad is not None:
             raise ValueError("give angular_velocity_rad or angular_velocity_deg, not both")
-        return np.deg2rad(self.angular_velocity_deg).tolist()
+        found = radians(self.angular_velocity_deg)
+        return found.tolist() if isinstance(found, np.ndarray) else found
 
 
 class GivenRate(Rate):
@@ -182,10 +226,10 @@ def numbers_of(scenario: Common, numbers: np.ndarray | None) -> np.ndarray:
 
 
 def deviates(scenario: Common, numbers: np.ndarray | None = None) -> Array:
-    """Standard normal deviates for two vectors of each member, (2, m, 3); those of the nominal member are 0."""
+    """Standard normal deviates for two vectors of each member, (m, 2, 3); those of the nominal member are 0."""
     numbers, key = numbers_of(scenario, numbers), jax.random.key(scenario.seed)
-    drawn = random_bits.normal_rows(key, (2, scenario.members, 3), numbers, axis=1)
-    return jnp.where((numbers == 0)[:, None], 0.0, drawn)
+    normal = random_bits.normal_rows(key, (2, scenario.members, 3), numbers, axis=1)
+    return jnp.swapaxes(jnp.where((numbers == 0)[:, None], 0.0, normal), 0, 1)
 
 
 def check_order(scheme: str, order: Any, allowed: Sequence[Any]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime, timedelta
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import jax.numpy as jnp
 import numpy as np
@@ -243,6 +243,8 @@ class Scenario(Common):
     expected: list[Expected] = []
     notes: list[Text] = []
     """Paragraphs at the end of the report: what was assumed, what was checked, what is not in the model."""
+
+    no_spread: ClassVar[str] = "the members have the errors that the keys of spin give; they share the orbit"
 
     @model_validator(mode="after")
     def _variants_have_such_a_mode(self) -> Self:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +11,8 @@ from jax import Array
 from pydantic import model_validator
 
 from lieint_jax import _checks, schemes
-from lieint_jax.app.scenarios._common import Above, GivenRate, NonNegative, RateSpread, Triple, at_order
+from lieint_jax.app.scenarios._common import Above, GivenRate, NonNegative, RateSpread, Triple, array, at_order
+from lieint_jax.app.scenarios._spread import INERTIA, on_the_side_of
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBodies
 from lieint_jax.types import Step
@@ -42,9 +43,9 @@ class ExtendedBody(GivenRate):
 
     mass_kg: Above | None = None
     """In kg."""
-    moments_kg_m2: Triple | None = None
+    moments_kg_m2: Annotated[Triple, INERTIA] | None = None
     """Principal moments about the center of mass, in kg m²."""
-    semi_axes_m: Triple | None = None
+    semi_axes_m: Annotated[Triple, on_the_side_of(0)] | None = None
     """Semi-axes of an ellipsoid along the principal axes, in m."""
     density_kg_m3: Above | None = None
     """Of the ellipsoid, in kg/m³."""
@@ -67,19 +68,19 @@ class ExtendedBody(GivenRate):
         """The unit quaternion (4,), body to space."""
         return so3.from_euler_313(jnp.deg2rad(jnp.asarray(self.euler_313_deg)))
 
-    def mass(self) -> float:
+    def mass(self) -> Any:
         """In kg."""
         if self.mass_kg is not None:
             return self.mass_kg
         assert self.semi_axes_m is not None
         assert self.density_kg_m3 is not None
-        return self.density_kg_m3 * 4 / 3 * np.pi * float(np.prod(self.semi_axes_m))
+        return self.density_kg_m3 * 4 / 3 * np.pi * array(self.semi_axes_m).prod()
 
-    def squares(self) -> np.ndarray:
+    def squares(self) -> Any:
         """The squared semi-axes, over 5, of the homogeneous ellipsoid with the body's moments per mass."""
         if self.semi_axes_m is not None:
-            return np.square(self.semi_axes_m) / 5
-        J = np.asarray(self.moments_kg_m2) / self.mass()
+            return array(self.semi_axes_m) ** 2 / 5
+        J = array(self.moments_kg_m2) / self.mass()
         return J.sum() / 2 - J
 
     def spreads(self, name: str) -> dict[str, tuple[float, str]]:

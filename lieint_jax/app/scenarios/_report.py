@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -46,6 +46,13 @@ class Conserved:
     initial: Any = None
     norm: Callable[[np.ndarray], np.ndarray] = largest_component
 
+    def joined(self, members: Sequence[Conserved]) -> Conserved:
+        """The quantity of all members, from those of each; in words as this one."""
+        shape = self.values.shape
+        values = np.concatenate([x.values for x in members], axis=1)
+        size = np.concatenate([np.broadcast_to(x.size, shape[:2]) for x in members], axis=1)
+        return replace(self, values=values, size=size)
+
     def change(self) -> np.ndarray:
         """The relative change, (times, members)."""
         return self.norm(self.values - (self.values[0] if self.initial is None else self.initial)) / self.size
@@ -71,6 +78,10 @@ class Quantity:
     published: Published | Sequence[Published] | None = None
     angle: bool = False
 
+    def joined(self, members: Sequence[Quantity]) -> Quantity:
+        """The quantity of all members, from those of each; closed form and published values are those of this one."""
+        return replace(self, values=np.concatenate([x.values for x in members]))
+
     @property
     def nominal(self) -> float:
         """Its value for the nominal member."""
@@ -88,6 +99,13 @@ class Quantity:
         if self.published is None:
             return []
         return [self.published] if isinstance(self.published, Published) else list(self.published)
+
+
+def joined(members: Sequence[Sequence[Any]]) -> list[Any]:
+    """The conserved or measured quantities of many members, from those of each: those that all of them have."""
+    by_name = [{x.name: x for x in found} for found in members]
+    common = [name for name in by_name[0] if all(name in found for found in by_name)]
+    return [by_name[0][name].joined([found[name] for found in by_name]) for name in common]
 
 
 def text(

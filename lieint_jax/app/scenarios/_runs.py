@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import wraps
+from functools import lru_cache, wraps
 from typing import Any, TypeVar
 
 import jax
@@ -32,14 +32,29 @@ def nominal(run: Trajectory, time: int = 0) -> State:
     return member(run, 0, time)
 
 
+def only(run: Trajectory, m: int) -> Trajectory:
+    """One member of a run, as that of an ensemble of one."""
+    state, info = jax.tree.map(lambda x: x[:, m : m + 1] if np.ndim(x) > 1 else x, (run.state, run.info))
+    return Trajectory(run.t, state, info)
+
+
 def nominal_of(tree: Any) -> Any:
     """Member 0 of a step or a system whose leaves have the member axis."""
     return jax.tree.map(lambda leaf: leaf[0], tree)
 
 
-def series(function: Callable[[State], Any], run: Trajectory) -> np.ndarray:
-    """The values of a function of the state, at all saved times of all members: (times, members, …)."""
-    return np.asarray(jax.jit(jax.vmap(jax.vmap(function)))(jax.tree.map(jnp.asarray, run.state)))
+def series(function: Callable[..., Any], run: Trajectory, *given: Any) -> np.ndarray:
+    """The values of a function of what is given and the state, at all saved times of all members: (times, members, …).
+
+    A function that is no closure is compiled once, for all that it is given.
+    """
+    return np.asarray(_along_run(function, len(given))(*given, jax.tree.map(jnp.asarray, run.state)))
+
+
+@lru_cache(maxsize=64)
+def _along_run(function: Callable[..., Any], count: int) -> Callable[..., Any]:
+    axes = (*[None] * count, 0)
+    return jax.jit(jax.vmap(jax.vmap(function, axes), axes))
 
 
 def over_members(function: Callable[[Any, State], Any], system: Any, run: Trajectory) -> Any:

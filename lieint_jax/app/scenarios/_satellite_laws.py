@@ -14,6 +14,7 @@ from pydantic import Field, field_validator, model_validator
 
 from lieint_jax import _checks, orbits, torques
 from lieint_jax.app.scenarios._common import Above, NonNegative, Table, Triple
+from lieint_jax.app.scenarios._spread import DIRECTION
 from lieint_jax.types import Law, Rotation, pytree, static
 
 _KM = 1e3  # m
@@ -63,7 +64,7 @@ class Drag(Table):
 class Rods(Table):
     """Rods of soft magnetic material, one along each axis."""
 
-    axes: Annotated[list[Triple], Field(min_length=1)]
+    axes: Annotated[list[Triple], Field(min_length=1), DIRECTION]
     """Unit vectors in the body."""
     saturation: Above
     """The greatest moment of a rod, in A m²."""
@@ -262,14 +263,3 @@ def _wheels_with_motors(wheels: Wheels, pointing: Pointing | None, around: Surro
         motor = MotorsWithin(torques.wheel_motor(axes, control, gyroscopic=True), *_edges(pointing))
     limits = {"max_torque": wheels.max_torque, "max_momentum": wheels.max_momentum}
     return torques.wheels(axes, wheels.inertia_kg_m2, motor, **limits)
-
-
-def stretch_inertia(inertia: Array, factors: Array) -> Array:
-    """The inertia of a body whose second moments of mass along the body axes are larger by factors, (3, 3).
-
-    With P = ½ tr(J) 1 − J: any factors > 0 give an inertia that a body can have.
-    """
-    size = jnp.sqrt(factors)
-    P = jnp.trace(inertia) / 2 * jnp.eye(3) - inertia
-    P = size[:, None] * P * size
-    return jnp.trace(P) * jnp.eye(3) - P

@@ -20,7 +20,17 @@ from lieint_jax import potentials, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _binary_motion
 from lieint_jax.app.scenarios._binary_motion import Motion, energies, motion, rate
-from lieint_jax.app.scenarios._common import DAY, HOUR, Above, Common, NonNegative, Published, Table, check_order
+from lieint_jax.app.scenarios._common import (
+    DAY,
+    HOUR,
+    Above,
+    Common,
+    NonNegative,
+    NumberSpread,
+    Published,
+    Table,
+    check_order,
+)
 from lieint_jax.app.scenarios._multibody import (
     ORDERS,
     ExtendedBody,
@@ -31,6 +41,7 @@ from lieint_jax.app.scenarios._pictures import changes_by_scheme, picture
 from lieint_jax.app.scenarios._report import Conserved, Quantity, citation, length
 from lieint_jax.app.scenarios._runs import as_ensemble, deviation, follow, nominal, nominal_of, over_members
 from lieint_jax.app.scenarios._spectrum import line, spectrum
+from lieint_jax.app.scenarios._spread import drawn, with_numbers
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBodies
 from lieint_jax.types import State, Step, Trajectory
@@ -63,8 +74,8 @@ class Orbit(Table):
     """Added to the speed, as by an impact, in mm/s."""
 
 
-class Spread(Table):
-    """Standard deviations of the members' relative motion about the nominal one."""
+class Spread(NumberSpread):
+    """Standard deviations of the members' relative motion about the nominal one, and of numbers by their paths."""
 
     velocity_mm_s: NonNegative = 0.0
     """Each component of the relative velocity, in mm/s."""
@@ -113,11 +124,12 @@ def build(scenario: Scenario) -> tuple[Step, State]:
 
     A member is the same in ensembles of every size.
     """
-    return jax.jit(jax.vmap(partial(_member, scenario)))(jnp.arange(scenario.members))
+    return jax.jit(jax.vmap(partial(_member, scenario)))(jnp.arange(scenario.members), drawn(scenario))
 
 
-def _member(scenario: Scenario, k: Array) -> tuple[Step, State]:
-    """The step and the state of the k-th member; the first has no deviations."""
+def _member(scenario: Scenario, k: Array, own: Any) -> tuple[Step, State]:
+    """The step and the state of the k-th member, with its own numbers; the first has no deviations."""
+    scenario = with_numbers(scenario, own)
     noise = jax.random.normal(jax.random.fold_in(jax.random.key(scenario.seed), k), (1 + 2 * 4, 3))
     noise = jnp.where(k == 0, 0.0, noise)
     pair = scenario.primary, scenario.secondary

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import operator
 from functools import partial, reduce
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -28,11 +28,13 @@ from lieint_jax.app.scenarios._common import (
     Above,
     Common,
     NonNegative,
+    NumberSpread,
     Published,
     Quadruple,
     Table,
     Text,
     Triple,
+    array,
     check_order,
 )
 from lieint_jax.app.scenarios._multibody import (
@@ -46,6 +48,7 @@ from lieint_jax.app.scenarios._pictures import draw_changes, picture
 from lieint_jax.app.scenarios._report import Conserved, Quantity, length
 from lieint_jax.app.scenarios._runs import for_last_run, nominal_of, over_members
 from lieint_jax.app.scenarios._spectrum import line
+from lieint_jax.app.scenarios._spread import drawn, with_numbers
 from lieint_jax.potentials import Potential, Springs
 from lieint_jax.systems import RigidBodies
 from lieint_jax.types import State, Step, Trajectory
@@ -173,6 +176,12 @@ class Scenario(Common):
     """The bodies, one table each."""
     potential: Annotated[list[Term], Field(min_length=1)]
     """What acts on them, one table for each potential of the sum."""
+    spread: NumberSpread = NumberSpread()
+    """Standard deviations of numbers by their paths, such as `potential.1.G` or `bodies.NAME.position_m`."""
+
+    fixed: ClassVar[dict[str, str]] = Common.fixed | {
+        "bodies.*.quaternion": "a unit quaternion has three degrees of freedom: give attitude_deg in [bodies.spread]"
+    }
 
     @field_validator("bodies", "potential", mode="before")
     @classmethod
@@ -233,11 +242,12 @@ def build(scenario: Scenario) -> tuple[Step, State]:
 
     A member is the same in ensembles of every size.
     """
-    return jax.jit(jax.vmap(partial(_member, scenario)))(jnp.arange(scenario.members))
+    return jax.jit(jax.vmap(partial(_member, scenario)))(jnp.arange(scenario.members), drawn(scenario))
 
 
-def _member(scenario: Scenario, k: Array) -> tuple[Step, State]:
-    """The step and the state of the k-th member; the first has no deviations."""
+def _member(scenario: Scenario, k: Array, own: Any) -> tuple[Step, State]:
+    """The step and the state of the k-th member, with its own numbers; the first has no deviations."""
+    scenario = with_numbers(scenario, own)
     given = scenario.bodies
     noise = jax.random.normal(jax.random.fold_in(jax.random.key(scenario.seed), k), (len(given), 6, 3))
     noise = jnp.where(k == 0, 0.0, noise)
@@ -262,11 +272,15 @@ def _potential(scenario: Scenario, m: Array, J: Array) -> Potential:
     terms: list[Potential] = []
     for term in scenario.potential:
         if term.kind == "point_masses":
-            terms.append(potentials.point_masses(term.gravity(), m, softening=term.softening_m or 0.0))
+            terms.append(
+                potentials.point_masses(
+                    term.gravity(), m, softening=0.0 if term.softening_m is None else term.softening_m
+                )
+            )
         elif term.kind == "maccullagh":
             terms.append(potentials.maccullagh(term.gravity(), m, J))
         elif term.kind == "uniform_field":
-            terms.append(potentials.uniform_field(np.array(term.field_m_s2), m))
+            terms.append(potentials.uniform_field(array(term.field_m_s2), m))
     springs = [term for term in scenario.potential if term.kind == "spring"]
     return reduce(operator.add, terms + ([_springs(scenario.names(), springs)] if springs else []))
 
@@ -274,9 +288,9 @@ def _potential(scenario: Scenario, m: Array, J: Array) -> Potential:
 def _springs(names: list[str], springs: list[Term]) -> Springs:
     return potentials.springs(
         [[names.index(name) for name in term.between or []] for term in springs],
-        np.array([term.points_m for term in springs]),
-        np.array([term.stiffness_n_m for term in springs], float),
-        np.array([term.length_m or 0.0 for term in springs]),
+        array([term.points_m for term in springs]),
+        array([term.stiffness_n_m for term in springs]),
+        array([0.0 if term.length_m is None else term.length_m for term in springs]),
     )
 
 

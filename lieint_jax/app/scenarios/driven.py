@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import jax
 import jax.numpy as jnp
@@ -13,12 +13,13 @@ from pydantic import Field, model_validator
 from lieint_jax import orbits, systems
 from lieint_jax._numerics import vec3
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios import _body
+from lieint_jax.app.scenarios import _body, _spread
 from lieint_jax.app.scenarios._body import TopScenario, about, in_space, inertia_matrix, top_schemes
-from lieint_jax.app.scenarios._common import Above, Table
+from lieint_jax.app.scenarios._common import Above, Table, deviates, radians
 from lieint_jax.app.scenarios._pictures import changes_by_scheme, draw_on_sphere, picture
 from lieint_jax.app.scenarios._report import Conserved, Quantity
-from lieint_jax.app.scenarios._runs import follow, nominal, series
+from lieint_jax.app.scenarios._runs import follow, nominal, only, series
+from lieint_jax.app.scenarios._spread import of_member, on_the_side_of
 from lieint_jax.groups import so3
 from lieint_jax.orbits import Kepler
 from lieint_jax.systems import GravityGradient
@@ -33,9 +34,9 @@ class Orbit(Table):
 
     mu: Above
     """The gravitational parameter GM, in length³ per time_unit²."""
-    semi_major_axis: float
+    semi_major_axis: Annotated[float, on_the_side_of(0)]
     """A length, in the unit of mu; negative for a hyperbola."""
-    eccentricity: Annotated[float, Field(ge=0)]
+    eccentricity: Annotated[float, Field(ge=0), on_the_side_of(1)]
     """Below 1 for an ellipse, above 1 for a hyperbola."""
     inclination_deg: float = 0.0
     """In degrees, as the two angles below: R_z(node) R_x(inclination) R_z(periapsis) takes the orbit to space."""
@@ -52,7 +53,7 @@ class Orbit(Table):
         return self
 
     def motion(self) -> Kepler:
-        inclination, node, periapsis = np.deg2rad([self.inclination_deg, self.node_deg, self.periapsis_deg])
+        inclination, node, periapsis = radians([self.inclination_deg, self.node_deg, self.periapsis_deg])
         return orbits.kepler(
             self.mu,
             self.semi_major_axis,
@@ -84,6 +85,11 @@ class Scenario(TopScenario):
     orbit: Orbit
     state: InitialState  # pyright: ignore[reportIncompatibleVariableOverride]
 
+    fixed: ClassVar[dict[str, str]] = TopScenario.fixed | {
+        "steps_per_orbit": "all members have the same steps",
+        "state.t": "all members share their time",
+    }
+
     @model_validator(mode="after")
     def _one_step_size(self) -> Self:
         if (self.dt is None) == (self.steps_per_orbit is None):
@@ -99,14 +105,22 @@ class Scenario(TopScenario):
 
 def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states, which share their time."""
-    body, given = systems.gravity_gradient(scenario.inertia, scenario.orbit.motion()), scenario.state
+    return _spread.build(scenario, deviates(scenario, numbers), _step, _start)
+
+
+def _step(scenario: Scenario) -> Step:
+    body = systems.gravity_gradient(scenario.inertia, scenario.orbit.motion())
+    return top_schemes(scenario, body)[scenario.scheme]
+
+
+def _start(scenario: Scenario, body: GravityGradient, noise: Array) -> State:
+    given = scenario.state
     q, Omega = given.attitude(), jnp.asarray(given.rate())
     if given.relative_to == "orbit":
         R, rate = orbit_axes(body.orbit, jnp.asarray(given.t))
         q = so3.multiply(so3.from_matrix(R), q)
         Omega = Omega + so3.Ad_star(q, rate)
-    states = about(scenario, body, q, Omega, numbers, t=given.t, work=0.0)
-    return top_schemes(scenario, body)[scenario.scheme], states._replace(t=jnp.asarray(given.t, states.p.dtype))
+    return about(scenario, body, noise, q, Omega, t=given.t, work=0.0)
 
 
 def orbit_axes(orbit: Any, t: Array) -> tuple[Array, Array]:
@@ -119,7 +133,7 @@ def orbit_axes(orbit: Any, t: Array) -> tuple[Array, Array]:
 
 def conserved(scenario: Scenario, body: GravityGradient, run: Trajectory) -> list[Conserved]:
     """H, H − W, and on a circle Jacobi's integral, relative to the largest |H| of each member."""
-    H, less_work = (series(f, run) for f in (body.energy, lambda z: energy_less_work(body, z)))
+    H, less_work = (series(f, run, body) for f in (GravityGradient.energy, energy_less_work))
     size = abs(H).max(axis=0)
     found = [Conserved(_ENERGY, H, size), Conserved(_LESS_WORK, less_work, size)]
     if scenario.orbit.eccentricity == 0:
@@ -140,13 +154,21 @@ def quantities(scenario: Scenario, body: GravityGradient, run: Trajectory) -> li
 
 def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
     """What the changes are relative to, and how many members librate."""
-    lines, captured = ["  changes are relative to the largest |energy| of each member"], librating(step.system, run)
+    lines, captured = ["  changes are relative to the largest |energy| of each member"], _captured(scenario, step, run)
     if captured is not None:
         lines.append(
             f"  {int(captured.sum())} of {len(captured)} members librate: their axis of least inertia stays on its "
             "side of the horizon"
         )
     return lines
+
+
+def _captured(scenario: Scenario, step: Any, run: Trajectory) -> np.ndarray | None:
+    """Whether each member librates, about the axis of its own body."""
+    if not scenario.own_numbers():
+        return librating(step.system, run)
+    each = [librating(of_member(scenario, step.system, m), only(run, m)) for m in range(scenario.members)]
+    return np.concatenate([x for x in each if x is not None]) if all(x is not None for x in each) else None
 
 
 def librating(body: GravityGradient, run: Trajectory) -> np.ndarray | None:
@@ -160,11 +182,21 @@ def librating(body: GravityGradient, run: Trajectory) -> np.ndarray | None:
 
 def _cosines(body: GravityGradient, run: Trajectory) -> dict[str, tuple[str, np.ndarray]]:
     """By axis of the body: the name of one of the orbit, and the cosine of the angle between them, (times, members)."""
-    R = np.asarray(jax.jit(jax.vmap(lambda t: orbit_axes(body.orbit, t)[0]))(jnp.asarray(run.t)))
+    R = np.asarray(_matrices(body.orbit, jnp.asarray(run.t)))
     return {
-        which: (name, np.einsum("tmi,ti->tm", series(lambda z, e=e: so3.Ad(z.q, e), run), R[:, :, k]))
+        which: (name, np.einsum("tmi,ti->tm", series(_axis_in_space, run, e), R[:, :, k]))
         for which, (e, name, k) in _principal(body).items()
     }
+
+
+@jax.jit
+def _matrices(orbit: Any, t: Array) -> Array:
+    """The matrices of `orbit_axes` at many times."""
+    return jax.vmap(lambda t: orbit_axes(orbit, t)[0])(t)
+
+
+def _axis_in_space(axis: Any, state: State) -> Array:
+    return so3.Ad(state.q, axis)
 
 
 def _principal(body: GravityGradient) -> dict[str, tuple[np.ndarray, str, int]]:
@@ -178,6 +210,7 @@ def _principal(body: GravityGradient) -> dict[str, tuple[np.ndarray, str, int]]:
 @picture(2, spatial=(0,))
 def draw_pointing(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot an axis of inertia in the orbit's axes, as a path on the sphere, and its angle from where it is stable."""
+    step = of_member(scenario, step)
     body = step.system
     found = _principal(body) or {"some": (np.eye(3)[0], "vertical", 0)}
     which, (axis, stable, k) = next(iter(found.items()))
@@ -197,7 +230,7 @@ def draw_pointing(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> 
 @picture(size=(6.4, 4.2))
 def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the error of energy less work of the nominal member by both schemes, and how much the energy changes."""
-    both = top_schemes(scenario, step.system)
+    both = top_schemes(scenario, of_member(scenario, step.system))
     t, found = changes_by_scheme(conserved, scenario, both.values(), nominal(run))
     curves = {f"H − W, {name}": errors[_LESS_WORK] for name, errors in zip(both, found.values(), strict=True)}
     curves["H"] = [*found.values()][-1][_ENERGY]

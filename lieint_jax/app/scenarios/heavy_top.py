@@ -12,12 +12,14 @@ from pydantic import field_validator, model_validator
 from lieint_jax import diagnostics, schemes, systems
 from lieint_jax._numerics import vec3
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._body import TopScenario, ensemble, in_space, inertia_matrix, top_schemes
-from lieint_jax.app.scenarios._common import Triple, check_order
+from lieint_jax.app.scenarios import _spread
+from lieint_jax.app.scenarios._body import TopScenario, in_space, inertia_matrix, start, top_schemes
+from lieint_jax.app.scenarios._common import Triple, check_order, deviates
 from lieint_jax.app.scenarios._pictures import draw_on_sphere, picture
 from lieint_jax.app.scenarios._report import Conserved, Quantity
 from lieint_jax.app.scenarios._runge_kutta import RungeKutta, cost
 from lieint_jax.app.scenarios._runs import LONGEST, POINTS, follow, nominal, series
+from lieint_jax.app.scenarios._spread import of_member
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.systems import PotentialTop, kovalevskaya_integral, lagrange_motion
@@ -59,8 +61,12 @@ class Scenario(TopScenario):
 
 def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states."""
+    return _spread.build(scenario, deviates(scenario, numbers), _step, start)
+
+
+def _step(scenario: Scenario) -> Step:
     top = systems.heavy_top(scenario.inertia, scenario.weight, scenario.axis)
-    return _schemes(scenario, top)[scenario.scheme], ensemble(scenario, top, numbers)
+    return _schemes(scenario, top)[scenario.scheme]
 
 
 def _schemes(scenario: Scenario, top: PotentialTop) -> dict[str, Step]:
@@ -80,19 +86,27 @@ def is_lagrange(top: PotentialTop) -> bool:
 def conserved(scenario: Scenario, top: PotentialTop, run: Trajectory) -> list[Conserved]:
     """The integrals: energy relative to the initial ½Π·J⁻¹Π + |E||γ|, momenta relative to |π|."""
     size = np.linalg.norm(_weight(top)) * np.linalg.norm(np.asarray(top.axis))
-    kinetic = series(top.kinetic_energy, run)[0]
+    kinetic = series(PotentialTop.kinetic_energy, run, top)[0]
     momentum = np.linalg.norm(np.asarray(run.state.p[0]), axis=-1) * np.linalg.norm(np.asarray(top.axis))
     found = [
-        Conserved("energy, relative", series(top.energy, run), kinetic + size),
-        Conserved("γ·π, relative to |π|", series(lambda z: top.momentum(z)[0], run), momentum),
+        Conserved("energy, relative", series(PotentialTop.energy, run, top), kinetic + size),
+        Conserved("γ·π, relative to |π|", series(_vertical_momentum, run, top), momentum),
     ]
     J, E = inertia_matrix(top), _weight(top)
     if is_lagrange(top):
-        found.append(Conserved("Π₃, relative to |π|", series(lambda z: top.body_momentum(z)[2], run), momentum))
+        found.append(Conserved("Π₃, relative to |π|", series(_third_momentum, run, top), momentum))
     if np.allclose(J, np.diag([2.0, 2.0, 1.0]) * J[2, 2], rtol=1e-12, atol=0) and not E[1:].any():
-        K = series(lambda z: kovalevskaya_integral(top, z), run)
+        K = series(kovalevskaya_integral, run, top)
         found.append(Conserved("Kovalevskaya's integral, relative", K, np.maximum(abs(K[0]), (size / J[2, 2]) ** 2)))
     return found
+
+
+def _vertical_momentum(top: PotentialTop, state: State) -> Any:
+    return top.momentum(state)[0]
+
+
+def _third_momentum(top: PotentialTop, state: State) -> Any:
+    return top.body_momentum(state)[2]
 
 
 def _weight(top: PotentialTop) -> np.ndarray:
@@ -122,11 +136,12 @@ def quantities(scenario: Any, top: PotentialTop, run: Trajectory) -> list[Quanti
 
 def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
     """How to read the table."""
-    if is_lagrange(step.system):
+    top = of_member(scenario, step.system)
+    if is_lagrange(top):
         lines = [CLOSED_FORM]
     else:
         lines = ["  (a closed form is known for J₁ = J₂ and the weight along the third axis: Lagrange's top)"]
-    if any(np.isnan(x.nominal) for x in quantities(scenario, step.system, run)):
+    if any(np.isnan(x.nominal) for x in quantities(scenario, top, run)):
         lines.append(f"  — not measured: fewer than two nutations, or states saved fewer than {_SAMPLES} times in one")
     return lines
 
@@ -220,6 +235,7 @@ def _axis_motion(top: PotentialTop, states: State, axis: Any) -> tuple[Any, Any,
 @picture(2, spatial=(0,))
 def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the axis to the center of mass on the sphere, for one turn about γ or the whole run, and its inclination."""
+    step = of_member(scenario, step)
     top, unit = step.system, scenario.time_unit
     rate = motion(top, run)[1]
     steps = scenario.steps
@@ -238,14 +254,14 @@ def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None
 @picture(size=(6.4, 4.2))
 def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the largest energy error so far of each scheme, and of Runge–Kutta at the cost of the slower scheme."""
-    top, start, dt = step.system, nominal(run), scenario.dt
+    top, z, dt = of_member(scenario, step.system), nominal(run), scenario.dt
     found, peer = _schemes(scenario, top), RungeKutta(top)
-    ratio = cost(peer, start, dt) / max(cost(scheme, start, dt) for scheme in found.values())
+    ratio = cost(peer, z, dt) / max(cost(scheme, z, dt) for scheme in found.values())
     end = dt * min(_LONG * scenario.steps, LONGEST)
     t, curves = np.linspace(0, end, POINTS + 1)[1:], {}
     for scheme, h in [*((s, dt) for s in found.values()), (peer, dt * ratio)]:
-        long = follow(scheme, start, h, round(end / h), round(end / h))
-        error = np.abs(np.asarray(diagnostics.energy_error(top, long))) / abs(float(top.energy(start)))
+        long = follow(scheme, z, h, round(end / h), round(end / h))
+        error = np.abs(np.asarray(diagnostics.energy_error(top, long))) / abs(float(top.energy(z)))
         curves[f"{scheme.name.replace('[so3_midpoint[symplectic]]', '')}, Δt = {h:.2g}"] = np.interp(
             abs(t), np.abs(long.t), np.maximum.accumulate(error)
         )

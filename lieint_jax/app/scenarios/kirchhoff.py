@@ -12,11 +12,13 @@ from pydantic import Field
 from lieint_jax import maps, schemes
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
+from lieint_jax.app.scenarios import _spread
 from lieint_jax.app.scenarios._common import (
     Above,
     Common,
     GivenRate,
     NonNegative,
+    NumberSpread,
     RateSpread,
     Triple,
     at_order,
@@ -26,6 +28,7 @@ from lieint_jax.app.scenarios._pictures import changes_by_scheme, picture
 from lieint_jax.app.scenarios._report import Conserved, Quantity
 from lieint_jax.app.scenarios._runge_kutta import RungeKutta
 from lieint_jax.app.scenarios._runs import follow, member, nominal, series
+from lieint_jax.app.scenarios._spread import of_member
 from lieint_jax.systems import Euler, kirchhoff
 from lieint_jax.types import State, Step, Trajectory
 
@@ -41,8 +44,8 @@ class InitialState(GivenRate):
     """In body axes, in the unit of semi_axes per time_unit."""
 
 
-class Spread(RateSpread):
-    """Standard deviations of the members about the nominal state."""
+class Spread(RateSpread, NumberSpread):
+    """Standard deviations of the members about the nominal state, and of numbers of the scenario by their paths."""
 
     velocity: NonNegative = 0.0
     """Of each component, in the unit of semi_axes per time_unit."""
@@ -69,20 +72,27 @@ class Scenario(Common):
 
 def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states, the nominal one first."""
+    numbers, key = numbers_of(scenario, numbers), jax.random.key(scenario.seed)
+    noise = random_bits.normal_rows(key, (scenario.members, 6), numbers)
+    noise = jnp.where((numbers == 0)[:, None], 0.0, noise)
+    return _spread.build(scenario, noise, _step, _start, traced=False)
+
+
+def _step(scenario: Scenario) -> Step:
     a, b, c = scenario.semi_axes
     body = kirchhoff((a, b, c), scenario.center_of_mass)
-    step = at_order(schemes.group_midpoint(body, getattr(maps, scenario.map)), scenario.order)
-    numbers, key = numbers_of(scenario, numbers), jax.random.key(scenario.seed)
-    jolt = random_bits.normal_rows(key, (scenario.members, 6), numbers)
-    jolt = jnp.where((numbers == 0)[:, None], 0.0, jolt)
+    return at_order(schemes.group_midpoint(body, getattr(maps, scenario.map)), scenario.order)
+
+
+def _start(scenario: Scenario, body: Euler, noise: Any) -> State:
     unit = jnp.repeat(jnp.array([scenario.spread.rate(), scenario.spread.velocity]), 3)
-    velocities = jnp.array([*(scenario.state.rate() or []), *scenario.state.velocity]) + unit * jolt
-    return step, jax.vmap(lambda v: body.state(velocity=v))(velocities)
+    velocity = jnp.array([*(scenario.state.rate() or []), *scenario.state.velocity]) + unit * noise
+    return body.state(velocity=velocity)
 
 
 def conserved(scenario: Scenario, body: Euler, run: Trajectory) -> list[Conserved]:
     """Energy, the momentum in space and the Casimirs."""
-    H, (Pi_P, P_P) = series(body.energy, run), np.moveaxis(series(body.casimirs, run), -1, 0)
+    H, (Pi_P, P_P) = series(Euler.energy, run, body), np.moveaxis(series(Euler.casimirs, run, body), -1, 0)
     p = np.asarray(run.state.p)
     angular, linear = (np.linalg.norm(x[0], axis=-1) for x in (p[..., :3], p[..., 3:]))
     return [
@@ -107,11 +117,12 @@ def quantities(scenario: Scenario, body: Euler, run: Trajectory) -> list[Quantit
 
 def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
     """Whether the spin is stable, and what the fluid adds to mass and inertia."""
-    need = spin_needed(step.system)
+    body = of_member(scenario, step.system)
+    need = spin_needed(body)
     if need is None:
         lines = ["  (the spin it needs is known in closed form for a body of revolution about the third axis)"]
     else:
-        Pi = np.asarray(step.system.body_momentum(nominal(run)))
+        Pi = np.asarray(body.body_momentum(nominal(run)))
         have = abs(Pi[2] / Pi[5]) if Pi[5] else np.inf
         verdict = "stable" if have > need else "not stable"
         lines = [f"  |Π₃/P₃| = {have:.4f}, needed to go along the third axis: {need:.4f} [Lamb §128]: {verdict}"]
@@ -148,8 +159,11 @@ def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None
     """Plot the path of the center of the nominal and the last member, and the last one's third axis on the sphere."""
     left, right = axes
     last, name_of_last = member(run, -1), f"member {scenario.members - 1}" if scenario.members > 1 else "nominal member"
-    members = {"nominal member": nominal(run), name_of_last: last}
-    paths = {name: np.asarray(follow(step, z, scenario.dt, scenario.steps).state.q) for name, z in members.items()}
+    members = {"nominal member": (0, nominal(run)), name_of_last: (-1, last)}
+    paths = {
+        name: np.asarray(follow(of_member(scenario, step, m), z, scenario.dt, scenario.steps).state.q)
+        for name, (m, z) in members.items()
+    }
     for (name, q), color in zip(paths.items(), (plots.INK, plots.BLUE), strict=False):
         left.plot(*q[:, :3, 3].T, color=color, lw=0.8, label=name)
     left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.03), ncols=2)
@@ -170,6 +184,7 @@ def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None
 def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot energy errors of the last member by this scheme and by Runge–Kutta, and the tilts of all members' axes."""
     left, right = axes
+    step = of_member(scenario, step, -1)
     t, found = changes_by_scheme(conserved, scenario, (step, RungeKutta(step.system)), member(run, -1))
     curves = {scheme: errors["energy"] for scheme, errors in found.items()}
     plots.log_error(left, t, curves, "energy error, relative", scenario.time_unit)

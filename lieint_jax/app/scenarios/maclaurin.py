@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +38,8 @@ class Scenario(Common):
     scheme: Literal["additive"] = "additive"
     order: Literal[2, 4, 6] = 2
     """Of accuracy; above 2 by composition."""
+
+    no_spread: ClassVar[str] = "the members are spheroids of eccentricities at equal distances"
 
     @model_validator(mode="after")
     def _members_differ(self) -> Scenario:

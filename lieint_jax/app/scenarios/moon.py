@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -132,6 +132,10 @@ class Scenario(Common):
     """Observed states."""
     notes: list[Text] = []
     """Paragraphs of the report below the observed states: what was assumed."""
+
+    no_spread: ClassVar[str] = (
+        "the members are a grid of planar starts; members about observed states are spread by the table around"
+    )
 
     @field_validator("inertia")
     @classmethod

@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from pydantic import AliasChoices, Field, field_validator, model_validator
 
 from lieint_jax import _checks, schemes, systems
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios import heavy_top
-from lieint_jax.app.scenarios._common import Above, Common, NonNegative, Table, Triple, at_order, deviates
+from lieint_jax.app.scenarios import _spread, heavy_top
+from lieint_jax.app.scenarios._common import (
+    Above,
+    Common,
+    NonNegative,
+    NumberSpread,
+    Table,
+    Triple,
+    at_order,
+    deviates,
+)
 from lieint_jax.app.scenarios._pictures import changes_by_scheme, draw_on_sphere, picture
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity
 from lieint_jax.app.scenarios._runs import follow, nominal, series
+from lieint_jax.app.scenarios._spread import DIRECTION, of_member, on_the_side_of
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.systems import Pendulum, PotentialTop
@@ -28,7 +37,7 @@ _FINE = 4  # steps of the drawn path in one of the scenario: so it reaches its b
 class InitialState(Table):
     """The nominal state: a unit vector, and a velocity, whose component along the vector is removed."""
 
-    direction: Triple
+    direction: Annotated[Triple, DIRECTION]
     """A unit vector in space, from the pivot to the bob."""
     velocity: Triple
     """Of the direction, per time_unit: for a pendulum of length 1 the bob's velocity."""
@@ -39,8 +48,8 @@ class InitialState(Table):
         return _unit_vector(value)
 
 
-class Spread(Table):
-    """Standard deviations, per component, of the members about the nominal state."""
+class Spread(NumberSpread):
+    """Standard deviations, per component, of the members about the nominal state; and of numbers by their paths."""
 
     direction_deg: NonNegative = 0.0
     """In degrees."""
@@ -54,9 +63,9 @@ class Scenario(Common):
     system: Literal["pendulum"]  # pyright: ignore[reportIncompatibleVariableOverride]
     mass: Above
     """In a unit of mass."""
-    gravity: float
+    gravity: Annotated[float, on_the_side_of(0)]
     """The acceleration of gravity over the pendulum's length, per time_unit squared."""
-    axis: Triple = [0.0, 0.0, -1.0]
+    axis: Annotated[Triple, DIRECTION] = [0.0, 0.0, -1.0]
     """The direction of gravity in space, a unit vector: downwards."""
     scheme: Literal["sphere_midpoint"] = "sphere_midpoint"
     normalized: bool = Field(default=False, validation_alias=AliasChoices("normalized", "normalised"))
@@ -89,21 +98,24 @@ def _unit_vector(value: list[float]) -> list[float]:
 
 def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states, the nominal one first."""
+    return _spread.build(scenario, deviates(scenario, numbers), _step, _start)
+
+
+def _step(scenario: Scenario) -> Step:
     bob = systems.pendulum(scenario.mass, scenario.gravity, scenario.axis)
-    kick, jolt = deviates(scenario, numbers)
-    kick, jolt = jnp.deg2rad(scenario.spread.direction_deg) * kick, scenario.spread.velocity * jolt
+    return at_order(schemes.sphere_midpoint(bob, scenario.normalized), scenario.order)
 
-    def member(kick: Any, jolt: Any) -> State:
-        q = so3.Ad(so3.exp(kick), jnp.asarray(scenario.state.direction))
-        V = jnp.asarray(scenario.state.velocity) + jolt
-        return bob.state(q, velocity=V - q * (q @ V) / (q @ q))
 
-    return at_order(schemes.sphere_midpoint(bob, scenario.normalized), scenario.order), jax.vmap(member)(kick, jolt)
+def _start(scenario: Scenario, bob: Pendulum, noise: Any) -> State:
+    kick, jolt = jnp.deg2rad(scenario.spread.direction_deg) * noise[0], scenario.spread.velocity * noise[1]
+    q = so3.Ad(so3.exp(kick), jnp.asarray(scenario.state.direction))
+    V = jnp.asarray(scenario.state.velocity) + jolt
+    return bob.state(q, velocity=V - q * (q @ V) / (q @ q))
 
 
 def conserved(scenario: Scenario, bob: Pendulum, run: Trajectory) -> list[Conserved]:
     """Energy relative to ½|π|²/m + |mG|, γ·π relative to √(2m(H + |mG|)); |q|² − 1 and q·π, which are 0."""
-    H, gamma_pi, defect = (series(f, run) for f in (bob.energy, lambda z: bob.momentum(z)[0], bob.phase_space.defect))
+    H, gamma_pi, defect = (series(f, run, bob) for f in (Pendulum.energy, _vertical_momentum, _defect))
     depth = abs(float(bob.potential(bob.axis)))
     kinetic = H[0] + depth  # its largest value, at the lowest point
     return [
@@ -113,16 +125,24 @@ def conserved(scenario: Scenario, bob: Pendulum, run: Trajectory) -> list[Conser
     ]
 
 
+def _vertical_momentum(bob: Pendulum, state: State) -> Any:
+    return bob.momentum(state)[0]
+
+
+def _defect(bob: Pendulum, state: State) -> Any:
+    return bob.phase_space.defect(state)
+
+
 def as_top(bob: Pendulum, run: Trajectory) -> tuple[PotentialTop, Trajectory]:
     """The pendulum in a uniform field as Lagrange's top without spin: Λe₃ = q, Π₃ = q·π = 0; the top's axis is −γ."""
     depth = -bob.potential(bob.axis)
     top = systems.heavy_top(jnp.full(3, bob.mass), jnp.array([0.0, 0.0, 1.0]) * depth, -bob.axis)
-
-    def attitude(state: State) -> Any:
-        return so3.from_matrix(jnp.stack([*frame(state.q), state.q], axis=1))
-
-    q: Any = series(attitude, run)
+    q: Any = series(_attitude, run)
     return top, run._replace(state=State(q, run.state.p))
+
+
+def _attitude(state: State) -> Any:
+    return so3.from_matrix(jnp.stack([*frame(state.q), state.q], axis=1))
 
 
 def quantities(scenario: Scenario, bob: Pendulum, run: Trajectory) -> list[Quantity]:
@@ -153,6 +173,7 @@ def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
 @picture(2, spatial=(0,))
 def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot a dozen swings of the bob on the sphere, seen from below and aside, and its angle from γ against time."""
+    step = of_member(scenario, step)
     bob, unit = step.system, scenario.time_unit
     period, _, *bounds = quantities(scenario, bob, run)
     steps = scenario.steps
@@ -170,7 +191,8 @@ def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None
 @picture(2)
 def draw_energy(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot energy and constraint errors of the nominal member by both forms of the midpoint rule."""
-    both = [schemes.sphere_midpoint(step.system, normalized) for normalized in (False, True)]
+    bob = of_member(scenario, step.system)
+    both = [schemes.sphere_midpoint(bob, normalized) for normalized in (False, True)]
     t, found = changes_by_scheme(conserved, scenario, both, nominal(run))
     for ax, name in ((axes[0], "energy, relative"), (axes[1], "constraints |q| = 1, q·π = 0")):
         plots.log_error(ax, t, {scheme: errors[name] for scheme, errors in found.items()}, name, scenario.time_unit)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -13,10 +13,12 @@ from pydantic import Field, field_validator, model_validator
 from lieint_jax import _checks, diagnostics, schemes, systems
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
+from lieint_jax.app.scenarios import _spread
 from lieint_jax.app.scenarios._common import (
     Above,
     Common,
     NonNegative,
+    NumberSpread,
     Positive,
     Published,
     Rate,
@@ -28,6 +30,7 @@ from lieint_jax.app.scenarios._common import (
 from lieint_jax.app.scenarios._pictures import picture
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, citation
 from lieint_jax.app.scenarios._runs import follow, for_last_run, nominal, series
+from lieint_jax.app.scenarios._spread import NOT_INSIDE_OUT, SECOND_MOMENTS, of_member
 from lieint_jax.systems import PseudoRigidBody
 from lieint_jax.types import State, Step, Trajectory
 
@@ -50,7 +53,7 @@ class Material(Table):
 class InitialState(Rate):
     """The nominal state: F, and one of angular velocity in space, velocity and momentum."""
 
-    deformation: Matrix = np.eye(3).tolist()
+    deformation: Annotated[Matrix, NOT_INSIDE_OUT] = np.eye(3).tolist()
     """F, 3 × 3, without unit; by default undeformed, axes along those of space."""
     velocity: Matrix | None = None
     """The time derivative of F, per time_unit."""
@@ -75,8 +78,9 @@ class InitialState(Rate):
         return {key: value for key, value in given.items() if value is not None}
 
 
-class Spread(RateSpread):
-    """Standard deviations of the members about the nominal state; the angular velocity is added to it."""
+class Spread(RateSpread, NumberSpread):
+    """Standard deviations of the members about the nominal state; the angular velocity is added to it. And of numbers
+    of the scenario by their paths."""
 
     deformation: NonNegative = 0.0
     """Of each entry of F, without unit."""
@@ -86,7 +90,7 @@ class Scenario(Common):
     """The keys of a scenario of this kind."""
 
     system: Literal["pseudo_rigid"]  # pyright: ignore[reportIncompatibleVariableOverride]
-    inertia: list[Any]
+    inertia: Annotated[list[Any], SECOND_MOMENTS]
     """E, the second moments of mass, principal (3) or a tensor in body axes (3 × 3)."""
     material: Material
     scheme: Literal["additive"] = "additive"
@@ -98,6 +102,8 @@ class Scenario(Common):
     state: InitialState
     spread: Spread = Spread()
     published: dict[Literal["midpoint_energy_variation"], Published] = {}
+
+    fixed: ClassVar[dict[str, str]] = Common.fixed | {"alpha": "it is a number of the scheme"}
 
     @field_validator("inertia")
     @classmethod
@@ -119,33 +125,44 @@ class Scenario(Common):
 
 def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states, the nominal one first."""
-    material = getattr(systems, scenario.material.law)(scenario.material.lam, scenario.material.mu)
-    body = systems.pseudo_rigid_body(np.asarray(scenario.inertia), material)
-    start = body.state(np.asarray(scenario.state.deformation), **scenario.state.motion())
     for_F, for_spin = jax.random.split(jax.random.key(scenario.seed))
     numbers, members = numbers_of(scenario, numbers), scenario.members
     first = jnp.asarray(numbers == 0)
     dF = scenario.spread.deformation * random_bits.normal_rows(for_F, (members, 3, 3), numbers)
     spin = scenario.spread.rate() * random_bits.normal_rows(for_spin, (members, 3), numbers)
     dF, spin = jnp.where(first[:, None, None], 0.0, dF), jnp.where(first[:, None], 0.0, spin)
-    V = body.velocity(start)
-
-    def member(dF: Any, spin: Any) -> State:
-        F = start.q + dF
-        turned = body.state(F, angular_velocity=spin)
-        return turned._replace(p=turned.p + body.state(F, velocity=V @ jnp.linalg.inv(start.q) @ F).p)
-
-    states = jax.vmap(member)(dF, spin)
+    step, states = _spread.build(scenario, (dF, spin), _step, _start)
+    start = _nominal(scenario, of_member(scenario, step.system))
 
     def exact(x: Array, x0: Array) -> Array:  # the nominal state, since F⁻¹F rounds
         return jnp.where(first.reshape(-1, *[1] * x0.ndim), x0, x)
 
-    return schemes.additive(body, scenario.rule, scenario.alpha), jax.tree.map(exact, states, start)
+    return step, jax.tree.map(exact, states, start)
+
+
+def _step(scenario: Scenario) -> Step:
+    material = getattr(systems, scenario.material.law)(scenario.material.lam, scenario.material.mu)
+    body = systems.pseudo_rigid_body(jnp.asarray(scenario.inertia), material)
+    return schemes.additive(body, scenario.rule, scenario.alpha)
+
+
+def _nominal(scenario: Scenario, body: Any) -> State:
+    """The state that the keys of a scenario give."""
+    motion = {name: jnp.asarray(x) for name, x in scenario.state.motion().items()}
+    return body.state(jnp.asarray(scenario.state.deformation), **motion)
+
+
+def _start(scenario: Scenario, body: Any, noise: Any) -> State:
+    dF, spin = noise
+    start = _nominal(scenario, body)
+    F, V = start.q + dF, body.velocity(start)
+    turned = body.state(F, angular_velocity=spin)
+    return turned._replace(p=turned.p + body.state(F, velocity=V @ jnp.linalg.inv(start.q) @ F).p)
 
 
 def conserved(scenario: Scenario, body: PseudoRigidBody, run: Trajectory) -> list[Conserved]:
     """Energy and momentum, relative to the member's initial |H| and |Φ|."""
-    H, Phi = series(body.energy, run), series(body.momentum, run)
+    H, Phi = series(PseudoRigidBody.energy, run, body), series(PseudoRigidBody.momentum, run, body)
     size = np.maximum(np.linalg.norm(Phi[0], axis=-1), _TINY)
     promised = "bounded, not conserved" if scenario.rule == "symplectic" else ROUND_OFF
     return [
@@ -182,6 +199,7 @@ MIDPOINT = "implicit midpoint rule"
 @for_last_run
 def energies(scenario: Scenario, step: Any, run: Trajectory) -> Energies:
     """Integrate by both rules from the nominal state, at most `_LONGEST` steps, all saved."""
+    step = of_member(scenario, step)
     body, start, energy = step.system, nominal(run), {}
     steps = min(scenario.steps, _LONGEST)
     own = long = follow(step, start, scenario.dt, steps)

@@ -13,19 +13,21 @@ from pydantic import model_validator
 from lieint_jax import diagnostics, maps, schemes, systems
 from lieint_jax._integrate import integrate
 from lieint_jax.app import plots
+from lieint_jax.app.scenarios import _spread
 from lieint_jax.app.scenarios._body import (
     BodyScenario,
     InitialState,
     about_least,
-    ensemble,
     in_space,
     inertia_matrix,
     longitude_latitude,
+    start,
 )
-from lieint_jax.app.scenarios._common import Published, Text, at_order, check_order
+from lieint_jax.app.scenarios._common import Published, Text, at_order, check_order, deviates
 from lieint_jax.app.scenarios._pictures import picture
 from lieint_jax.app.scenarios._report import Quantity
 from lieint_jax.app.scenarios._runs import follow, nominal, thinned
+from lieint_jax.app.scenarios._spread import of_member
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.systems import RigidBody
@@ -96,11 +98,11 @@ class Scenario(BodyScenario):
 
 def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of initial states."""
+    return _spread.build(scenario, deviates(scenario, numbers), _step, start)
+
+
+def _step(scenario: Scenario) -> Step:
     body = systems.rigid_body(scenario.inertia)
-    return _step(scenario, body), ensemble(scenario, body, numbers)
-
-
-def _step(scenario: Scenario, body: RigidBody) -> Step:
     match scenario.scheme:
         case "exact":
             return schemes.exact(body)
@@ -139,8 +141,9 @@ def quantities(scenario: Scenario, body: RigidBody, run: Trajectory) -> list[Qua
 
 def remarks(scenario: Scenario, step: Any, run: Trajectory) -> list[str]:
     """Why a period is missing, and predictions next to observations."""
-    lines = [_sighting(scenario, seen) for seen in sightings(scenario, step.system, run)]
-    if any(np.isnan(x.nominal) for x in quantities(scenario, step.system, run)):
+    body = of_member(scenario, step.system)
+    lines = [_sighting(scenario, seen) for seen in sightings(scenario, body, run)]
+    if any(np.isnan(x.nominal) for x in quantities(scenario, body, run)):
         missing = "  — no period: the body spins about an axis, or states are saved too far apart (lower save_every)"
         return [missing, *lines]
     return lines
@@ -158,10 +161,9 @@ def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarr
     """
     moments, axes = np.linalg.eigh(inertia_matrix(body))  # ascending; columns are axes in the body
     axes[:, 2] *= np.linalg.det(axes)  # right-handed
-    matrix = jax.jit(jax.vmap(so3.to_matrix))
     precession, rotation = [], []
     for m in range(run.state.p.shape[1]):
-        R, pi = np.asarray(matrix(run.state.q[:, m])), np.asarray(run.state.p[0, m])
+        R, pi = np.asarray(_matrices(run.state.q[:, m])), np.asarray(run.state.p[0, m])
         Pi = R.transpose(0, 2, 1) @ pi @ axes
         square = (Pi[0] ** 2).sum()
         long = about_least(moments, Pi[0])
@@ -175,6 +177,9 @@ def mean_periods(body: RigidBody, run: Trajectory) -> tuple[np.ndarray, np.ndarr
             turn = abs(angle[-1] - angle[0])
             periods.append(np.nan if too_coarse or turn == 0 else 2 * np.pi * abs(run.t[-1] - run.t[0]) / turn)
     return np.array(precession), np.array(rotation)
+
+
+_matrices = jax.jit(jax.vmap(so3.to_matrix))
 
 
 def save_index(scenario: Scenario, seen: Observation) -> int:
@@ -248,6 +253,7 @@ def draw_path(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None
 
     Next to the map of the sky is one of the members' surroundings.
     """
+    step = of_member(scenario, step)
     place, close = axes
     wide = place.figure.add_subplot(place.get_subplotspec(), projection="mollweide")
     place.remove()
@@ -313,6 +319,7 @@ def _observation_in_words(scenario: Scenario, seen: Observation, nominal_axis: n
 @picture(3)
 def draw_invariants(axes: Any, scenario: Scenario, step: Any, run: Trajectory) -> None:
     """Plot the energy and Poisson errors of the nominal member against time."""
+    step = of_member(scenario, step)
     n, every = thinned(scenario.steps)
 
     @jax.jit

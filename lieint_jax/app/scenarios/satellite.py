@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import itertools
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -30,9 +30,9 @@ from lieint_jax.app.scenarios._satellite_laws import (
     Unloading,
     Wheels,
     laws,
-    stretch_inertia,
     surroundings,
 )
+from lieint_jax.app.scenarios._spread import drawn, stretch_inertia, with_numbers
 from lieint_jax.groups import so3
 from lieint_jax.systems import TorquedBody
 from lieint_jax.types import State, Step, Trajectory, labels
@@ -80,6 +80,12 @@ class Scenario(_body.BodyScenario):
     scheme: Literal["torqued_midpoint"] = "torqued_midpoint"
     state: InitialState  # pyright: ignore[reportIncompatibleVariableOverride]
     spread: Spread = Spread()  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    fixed: ClassVar[dict[str, str]] = _body.BodyScenario.fixed | {
+        **dict.fromkeys(("orbit.*", "drag.*density*", "drag.*height*"), "all members share the orbit, field and air"),
+        "*.window": "all members share the phases",
+        "wheels.tilt_deg": "momenta of wheels are measured along axes that all members share",
+    }
 
     @field_validator("date")
     @classmethod
@@ -149,17 +155,28 @@ def build(scenario: Scenario) -> tuple[Step, State]:
     )
     dipoles = jnp.asarray(scenario.residual_dipole) + spread.residual_dipole * own[1]
     q, Omega = _initial(scenario, around)
-    kick, jolt = deviates(scenario)
+    kick, jolt = jnp.swapaxes(deviates(scenario), 0, 1)
     kick, jolt = jnp.deg2rad(spread.attitude_deg) * kick, spread.rate() * jolt
 
-    def member(locked: Any, dipole: Any, kick: Any, jolt: Any) -> tuple[Step, State]:
-        law = torques.total(laws(scenario, around, locked, dipole))
-        body = systems.torqued_body(_driven_inertia(scenario, locked), law)
-        state = body.state(so3.multiply(so3.exp(kick), q), angular_velocity=Omega + jolt, works=True)
+    def member(own: Any, locked: Any, dipole: Any, kick: Any, jolt: Any) -> tuple[Step, State]:
+        its = with_numbers(scenario, own)
+        law = torques.total(laws(its, around, locked, dipole))
+        body = systems.torqued_body(_driven_inertia(its, locked), law)
+        attitude, rate = _initial(its, around) if own else (q, Omega)
+        state = body.state(so3.multiply(so3.exp(kick), attitude), angular_velocity=rate + jolt, works=True)
         return schemes.torqued_midpoint(body), state
 
-    step, states = jax.jit(jax.vmap(member))(locked, dipoles, kick, jolt)
+    step, states = jax.jit(jax.vmap(member))(drawn(scenario), locked, dipoles, kick, jolt)
+    _check_wheels(scenario, step)
     return step, states._replace(t=jnp.zeros((), states.p.dtype))
+
+
+def _check_wheels(scenario: Scenario, step: Any) -> None:
+    """ValueError if members have wheels whose axial inertia is larger than that of the satellite with them."""
+    if scenario.wheels is not None and scenario.own_numbers():
+        heavy = int((np.linalg.eigvalsh(np.asarray(step.system.inertia)).min(axis=-1) <= 0).sum())
+        if heavy:
+            raise ValueError(f"spread: {heavy} members have wheels heavier than the satellite: give smaller spreads")
 
 
 def _initial(scenario: Scenario, around: Surroundings) -> tuple[Any, Any]:

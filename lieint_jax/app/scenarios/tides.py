@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,9 @@ from pydantic import Field
 
 from lieint_jax import potentials, schemes, systems, tides
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._common import Above, Common, NonNegative, Published, Table
+from lieint_jax.app.scenarios._common import Above, Common, NonNegative, NumberSpread, Published, Table
+from lieint_jax.app.scenarios._runs import over_members, series
+from lieint_jax.app.scenarios._spread import drawn, value_of, with_numbers
 from lieint_jax.types import State, Step, Trajectory
 
 Pair = Annotated[list[Above], Field(min_length=2, max_length=2)]
@@ -58,35 +60,48 @@ class Scenario(Common):
     """Between the centers at the start, in km, on a circle."""
     rotation_periods_h: Pair
     """Sidereal, in hours, in the sense of the orbit."""
+    spread: NumberSpread = NumberSpread()
+    """Standard deviations of numbers by their paths, such as `love_numbers`."""
     published: Measured | None = None
 
+    fixed: ClassVar[dict[str, str]] = Common.fixed | {"lag_spread": "it is a standard deviation itself"}
+
     def assumption(self) -> str:
-        return "members: both lags times one random factor" if self.lag_spread else ""
+        lags = "members: both lags times one random factor" if self.lag_spread else ""
+        return "; ".join(filter(None, (lags, super().assumption())))
 
 
 def build(scenario: Scenario) -> tuple[Step, State]:
     """The steps of the members, each with lags of its own, and their states."""
+    random = np.random.default_rng(scenario.seed).normal(size=scenario.members)
+    factors = jnp.asarray(np.exp(scenario.lag_spread * random * (np.arange(scenario.members) > 0)))
+    own = drawn(scenario)
+    step = jax.vmap(lambda factor, own: _step(with_numbers(scenario, own), factor))(factors, own)
+    if own:
+        return step, jax.vmap(lambda own: _start(with_numbers(scenario, own)))(own)
+    return step, jax.tree.map(lambda x: jnp.repeat(x[None], scenario.members, axis=0), _start(scenario))
+
+
+def _step(scenario: Scenario, factor: Array) -> Step:
     masses, radii = (jnp.asarray(x) for x in (scenario.masses_kg, scenario.radii_km))
     J = jnp.repeat((jnp.asarray(scenario.moment_factors) * masses * radii**2)[:, None], 3, axis=1)
-    random = np.random.default_rng(scenario.seed).normal(size=scenario.members)
-    factors = np.exp(scenario.lag_spread * random * (np.arange(scenario.members) > 0))
+    lags = factor * jnp.asarray(scenario.lags_s) / _DAY
+    law = tides.constant_lag(_G, masses, radii, jnp.asarray(scenario.love_numbers), lags)
+    gravity = potentials.point_masses(_G, masses)
+    return schemes.bodies_energy_momentum(systems.rigid_bodies(masses, J, gravity, law))
 
-    def step_of(factor: Array) -> Step:
-        lags = factor * jnp.asarray(scenario.lags_s) / _DAY
-        law = tides.constant_lag(_G, masses, radii, jnp.asarray(scenario.love_numbers), lags)
-        gravity = potentials.point_masses(_G, masses)
-        return schemes.bodies_energy_momentum(systems.rigid_bodies(masses, J, gravity, law))
 
-    step = jax.vmap(step_of)(jnp.asarray(factors))
+def _start(scenario: Scenario) -> State:
+    """Both bodies on a circle about their barycenter."""
+    masses = jnp.asarray(scenario.masses_kg)
     speed = jnp.sqrt(_G * masses.sum() / scenario.distance_km)
     shares = jnp.stack([-masses[1], masses[0]])[:, None] / masses.sum()
-    spins = 2 * np.pi / (np.asarray(scenario.rotation_periods_h) * _HOUR)
-    state = step_of(jnp.asarray(1.0)).system.state(
-        shares * jnp.array([scenario.distance_km, 0.0, 0.0]),
+    spins = 2 * np.pi / (jnp.asarray(scenario.rotation_periods_h) * _HOUR)
+    return _step(scenario, jnp.asarray(1.0)).system.state(
+        shares * jnp.array([1.0, 0.0, 0.0]) * scenario.distance_km,
         velocities=shares * jnp.array([0.0, 1.0, 0.0]) * speed,
-        angular_velocities=np.outer(spins, [0.0, 0.0, 1.0]),
+        angular_velocities=spins[:, None] * jnp.array([0.0, 0.0, 1.0]),
     )
-    return step, jax.tree.map(lambda x: jnp.repeat(x[None], scenario.members, axis=0), state)
 
 
 class Course(NamedTuple):
@@ -108,7 +123,7 @@ class Course(NamedTuple):
 def course(scenario: Scenario, run: Trajectory) -> Course:
     """The course of all members."""
     q, p = np.asarray(run.state.q), np.asarray(run.state.p)
-    factors, m, R = (np.asarray(x) for x in (scenario.moment_factors, scenario.masses_kg, scenario.radii_km))
+    factors, m, R = (value_of(scenario, name) for name in ("moment_factors", "masses_kg", "radii_km"))
     orbital = np.cross(q[..., :3], p[..., :3])[..., 2].sum(axis=-1)
     distance = np.linalg.norm(q[..., 1, :3] - q[..., 0, :3], axis=-1)
     return Course(distance, p[..., 5] / (factors * m * R**2), orbital, -np.asarray(run.state.work))
@@ -120,9 +135,9 @@ def recession(scenario: Scenario, run: Trajectory) -> np.ndarray:
     It is as exact as rounding leaves the spins, which change little in a step: to 1e-3 for the Moon.
     """
     found = course(scenario, run)
-    spin = found.spins * np.asarray(scenario.moment_factors) * np.asarray(scenario.masses_kg)
-    gained = -((spin[-1] - spin[0]) * np.asarray(scenario.radii_km) ** 2).sum(axis=-1)
-    return 2 * scenario.distance_km * gained / found.orbital[0] / (float(run.t[-1]) / _YEAR)
+    spin = found.spins * value_of(scenario, "moment_factors") * value_of(scenario, "masses_kg")
+    gained = -((spin[-1] - spin[0]) * value_of(scenario, "radii_km") ** 2).sum(axis=-1)
+    return 2 * value_of(scenario, "distance_km") * gained / found.orbital[0] / (float(run.t[-1]) / _YEAR)
 
 
 def double_synchronous(scenario: Scenario, L: float) -> tuple[float, float]:
@@ -150,10 +165,10 @@ def double_synchronous(scenario: Scenario, L: float) -> tuple[float, float]:
 def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
     """What is balanced, worst of all members; rates at which bodies part and slow down; where they end."""
     found = course(scenario, run)
-    J = np.asarray(scenario.moment_factors) * scenario.masses_kg * np.square(scenario.radii_km)
+    J = _moments(scenario)
     L = found.orbital + (J * found.spins).sum(axis=-1)
     P = np.asarray(run.state.p)[..., :3]
-    H = _energies(step, run) + found.lost
+    H = _energies(scenario, step, run) + found.lost
     sizes = {
         "energy H with what was lost": abs(H - H[0]).max() / abs(H[0]).max(),
         "linear momentum P, over that of a body": abs(P.sum(axis=2)).max() / abs(P).max(),
@@ -173,7 +188,7 @@ def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
         "and 2nd": days[-1, :, 1] * _HOUR / turn,
         "power lost (TW)": power,
     }
-    if (abs(circle / scenario.distance_km - 1) < _SLIGHT).all():  # else there is no one rate
+    if (abs(circle / value_of(scenario, "distance_km") - 1) < _SLIGHT).all():  # else there is no one rate
         rows |= {
             "distance grows (cm a year)": 1e5 * recession(scenario, run),
             "rotation of the first body slows (ms a century)": (days[-1] - days[0])[:, 0] * 3.6e6 / century,
@@ -193,11 +208,19 @@ def report(scenario: Scenario, step: Any, run: Trajectory) -> str:
     return "\n".join(lines)
 
 
-def _energies(step: Any, run: Trajectory) -> np.ndarray:
+def _energies(scenario: Scenario, step: Any, run: Trajectory) -> np.ndarray:
     """H of all members, (times, members)."""
-    bodies: Any = jax.tree.map(lambda x: x[0], step.system)  # members differ in what is no part of H
     states = run.state._replace(t=None, work=None)
-    return np.asarray(jax.jit(jax.vmap(jax.vmap(bodies.energy)))(jax.tree.map(jnp.asarray, states)))
+    if scenario.own_numbers():
+        return over_members(lambda bodies, z: bodies.energy(z), step.system, run._replace(state=states))
+    bodies: Any = jax.tree.map(lambda x: x[0], step.system)  # members differ in what is no part of H
+    return series(bodies.energy, run._replace(state=states))
+
+
+def _moments(scenario: Scenario) -> np.ndarray:
+    """The moments of inertia of both bodies, of each member if they differ."""
+    R = value_of(scenario, "radii_km")
+    return value_of(scenario, "moment_factors") * value_of(scenario, "masses_kg") * np.square(R)
 
 
 def _least_loss(lost: np.ndarray) -> float:
@@ -206,8 +229,8 @@ def _least_loss(lost: np.ndarray) -> float:
 
 def _circle(scenario: Scenario, found: Course) -> tuple[np.ndarray, np.ndarray]:
     """The distance, km, and the period, d, of a circle of the angular momentum that the orbit has at the end."""
-    m = np.asarray(scenario.masses_kg)
-    GM, mu = _G * m.sum(), m.prod() / m.sum()
+    m = value_of(scenario, "masses_kg")
+    GM, mu = _G * m.sum(axis=-1), m.prod(axis=-1) / m.sum(axis=-1)
     own = found.orbital[-1] / mu
     return own**2 / GM, 2 * np.pi * own**3 / GM**2
 
@@ -223,7 +246,7 @@ def draw_course(scenario: Scenario, step: Any, run: Trajectory) -> Figure:
     plots.series(axes[0, 1], t, rates, "rate (rad/d)", scenario.time_unit)
     J = np.asarray(scenario.moment_factors) * scenario.masses_kg * np.square(scenario.radii_km)
     L = found.orbital[:, 0] + (J * found.spins[:, 0]).sum(axis=-1)
-    H = (_energies(step, run) + found.lost)[:, 0]
+    H = (_energies(scenario, step, run) + found.lost)[:, 0]
     curves = {"L": L / L[0] - 1, "H with what was lost": H / H[0] - 1}
     plots.log_error(axes[0, 2], t, curves, "relative change", scenario.time_unit)
     fig.suptitle(scenario.title)

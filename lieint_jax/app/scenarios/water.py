@@ -13,15 +13,17 @@ from pydantic import Field, model_validator
 from lieint_jax import potentials, schemes, systems
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
-from lieint_jax.app.scenarios._common import Above, Common, Published, Table, numbers_of
+from lieint_jax.app.scenarios._common import Above, Common, NumberSpread, Published, Table, numbers_of
 from lieint_jax.app.scenarios._multibody import step_of
 from lieint_jax.app.scenarios._pictures import changes_by_scheme, picture
 from lieint_jax.app.scenarios._report import Conserved, citation
 from lieint_jax.app.scenarios._runs import nominal, series
+from lieint_jax.app.scenarios._spread import drawn, with_numbers
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBodies
 from lieint_jax.types import State, Step, Trajectory
 
+STEP_AXIS = None  # the molecules are the same in all droplets
 _BOLTZMANN = 0.00831446261815324  # kJ/(mol K)
 _SCALED_EVERY = 10  # steps, while a droplet settles
 _LONGEST = 2000  # the most steps of the picture of errors: the energy–momentum scheme takes ten forces a step
@@ -58,6 +60,8 @@ class Scenario(Common):
     order: Literal[2, 4, 6] = 2
     """Of accuracy; above 2 by composition. nystrom has 4 and 6."""
     settling: Settling
+    spread: NumberSpread = NumberSpread()
+    """Standard deviations of how a droplet is made by their paths, such as `settling.temperature_kelvin`."""
     published: Measured | None = None
 
     @model_validator(mode="after")
@@ -67,14 +71,18 @@ class Scenario(Common):
         return self
 
     def assumption(self) -> str:
-        return "members: other turns of the molecules on the grid, and other velocities, before they settle"
+        made = "members: other turns of the molecules on the grid, and other velocities, before they settle"
+        return "; ".join(filter(None, (made, super().assumption())))
 
 
 def build(scenario: Scenario, numbers: np.ndarray | None = None) -> tuple[Step, State]:
     """The step and the batch of droplets, once they have settled."""
     bodies = _bodies(scenario)
-    keys = random_bits.split_rows(jax.random.key(scenario.seed), scenario.members, numbers_of(scenario, numbers))
-    starts = jax.jit(jax.vmap(lambda key: _droplet(scenario, bodies, key)))(keys)
+    numbers = numbers_of(scenario, numbers)
+    keys = random_bits.split_rows(jax.random.key(scenario.seed), scenario.members, numbers)
+    own = {path: values[numbers] for path, values in drawn(scenario).items()}
+    member = jax.vmap(lambda key, own: _droplet(with_numbers(scenario, own), bodies, key))
+    starts = jax.jit(member)(keys, own)
     return step_of(bodies, scenario.scheme, scenario.order), starts
 
 

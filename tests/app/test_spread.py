@@ -1,0 +1,335 @@
+"""`[spread]` of the numbers of a scenario: which there are, how members are drawn, that each is a system of its own."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenario_runs import run
+
+import lieint_jax as li
+from lieint_jax.app import scenarios
+from lieint_jax.app.command import cli
+from lieint_jax.app.scenarios import _spread, driven, heavy_top, water
+from lieint_jax.ensemble import archives
+
+KINDS = {  # a scenario of each kind with a spread of numbers, and the paths of all those that it has
+    "toutatis": "inertia state.angular_velocity_deg state.euler_313_deg",
+    "heavy_top": "inertia state.angular_velocity_rad state.euler_313_deg weight axis",
+    "pendulum": "mass gravity axis state.direction state.velocity",
+    "driven": "inertia state.angular_velocity_deg state.euler_313_deg orbit.mu orbit.semi_major_axis "
+    "orbit.eccentricity orbit.inclination_deg orbit.node_deg orbit.periapsis_deg orbit.periapsis_time",
+    "kirchhoff": "semi_axes center_of_mass state.angular_velocity_rad state.velocity",
+    "pseudo_rigid": "inertia material.lam material.mu state.angular_velocity_rad state.deformation",
+    "pluto_charon": "masses_kg radii_km moment_factors love_numbers lags_s distance_km rotation_periods_h",
+    "kw4": "G orbit.separation_m orbit.speed_change_mm_s primary.angular_velocity_deg primary.semi_axes_m "
+    "primary.density_kg_m3 primary.euler_313_deg secondary.angular_velocity_deg secondary.semi_axes_m "
+    "secondary.density_kg_m3 secondary.euler_313_deg",
+    "sn263": " ".join(
+        f"bodies.{body}.{key}"
+        for body in ("Alpha", "Beta", "Gamma")
+        for key in ("angular_velocity_deg", "mass_kg", "semi_axes_m", "euler_313_deg", "position_m", "velocity_m_s")
+    ),
+    "cubesat": "state.angular_velocity_deg max_dipole drag.box_m drag.center_m drag.coefficient "
+    "rods.axes rods.saturation rods.slope rods.coercivity detumbling.gain wheels.inertia_kg_m2 wheels.max_torque "
+    "wheels.max_momentum pointing.frequency pointing.damping_ratio unloading.gain",
+    "water": "settling.spacing_nm settling.temperature_kelvin",
+}
+KINDS = {name: tuple(paths.split()) for name, paths in KINDS.items()}
+UNCERTAIN = {key: value for key, value in KINDS.items() if key != "water"}  # whose members are systems of their own
+
+
+def nested(spread):
+    """A table of dotted keys as TOML would nest it."""
+    table = {}
+    for key, value in spread.items():
+        *above, last = key.split(".")
+        inner = table
+        for part in above:
+            inner = inner.setdefault(part, {})
+        inner[last] = value
+    return table
+
+
+def load(name, spread, **changes):
+    """A shipped scenario without its own spreads and with those of some numbers."""
+    return scenarios.parse(bare(name) | {"spread": nested(spread)} | changes, name)
+
+
+LEFT_OUT = ("spread", "lag_spread", "published", "observation")
+
+
+def bare(name):
+    """The keys of a shipped scenario without any spread."""
+
+    def cleared(tree):
+        if isinstance(tree, dict):
+            return {key: cleared(x) for key, x in tree.items() if key not in LEFT_OUT}
+        return [cleared(x) for x in tree] if isinstance(tree, list) else tree
+
+    return cleared(scenarios._table(name))
+
+
+def possible(scenario):
+    """The numbers of a scenario that can be spread, as its error message lists them."""
+    with pytest.raises(ValueError, match="these can be spread") as found:
+        scenarios.parse(scenario | {"spread": {"nothing_of_this_name": 1.0}}, "it")
+    return str(found.value).partition("these can be spread: ")[2].removesuffix(" (got").split(", ")
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_every_number_of_a_scenario_can_be_spread(name):
+    found = possible(bare(name))
+    assert set(KINDS[name]) <= set(found)
+    declared = set(type(load(name, {}).spread).model_fields)
+    assert set(found) == set(KINDS[name]) | declared
+
+
+def second_moments(J):
+    return J.sum(axis=-1, keepdims=True) / 2 - J
+
+
+def test_draws_have_the_given_mean_and_deviation():
+    """4000 members: the mean is uncertain by 1/√4000 of the deviation, the deviation by 1.1 %."""
+    spread = {"inertia_percent": 2.0, "state.angular_velocity_deg": [0.1, 0.2, 0.3]}
+    own = _spread.drawn(load("toutatis", spread, members=4001))
+    J, Omega = own[("inertia",)], own[("state", "angular_velocity_deg")]
+    nominal = load("toutatis", {})
+    x = np.log(second_moments(J) / second_moments(J[0]))[1:] / 0.02
+    y = (Omega[1:] - Omega[0]) / [0.1, 0.2, 0.3]
+    np.testing.assert_array_equal(J[0], nominal.inertia)
+    np.testing.assert_array_equal(Omega[0], nominal.state.angular_velocity_deg)
+    for z in (x, y):
+        assert abs(z.mean(axis=0)).max() < 4 / np.sqrt(4000)
+        np.testing.assert_allclose(z.std(axis=0), 1, rtol=0, atol=4 / np.sqrt(8000))
+    assert abs(np.corrcoef(np.concatenate([x, y], axis=1).T) - np.eye(6)).max() < 4 / np.sqrt(4000)
+
+
+def test_a_member_is_the_same_in_ensembles_of_every_size_and_with_other_spreads():
+    many = _spread.drawn(load("toutatis", {"inertia": 0.01}, members=50))
+    few = _spread.drawn(load("toutatis", {"inertia": 0.01, "state.euler_313_deg": 1.0}, members=7))
+    np.testing.assert_array_equal(many[("inertia",)][:7], few[("inertia",)])
+    other = _spread.drawn(load("toutatis", {"inertia": 0.01}, members=7, seed=2))
+    assert (other[("inertia",)][1:] != few[("inertia",)][1:]).all()
+
+
+def test_every_draw_belongs_to_a_body_an_orbit_a_direction():
+    """However wide the spread: draws that no file could have are drawn again."""
+    own = _spread.drawn(load("driven", {"inertia": 1.0, "orbit.eccentricity": 0.5}, members=2000))
+    J, e = own[("inertia",)], own[("orbit", "eccentricity")]
+    assert (J > 0).all()
+    assert (J.max(axis=1) <= J.sum(axis=1) / 2 * (1 + 1e-12)).all()
+    assert ((e >= 0) & (e < 1)).all()
+    assert e.std() > 0.2
+    tensor = [[3.0, 0.4, 0.0], [0.4, 2.5, 0.2], [0.0, 0.2, 2.0]]
+    J = _spread.drawn(load("heavy_top", {"inertia": 0.5}, inertia=tensor, members=500))[("inertia",)]
+    moments = np.linalg.eigvalsh(J)
+    assert (moments > 0).all()
+    assert (moments[:, 2] <= moments.sum(axis=1) / 2 * (1 + 1e-12)).all()
+    axes = _spread.drawn(load("pendulum", {"axis": 0.3}, members=500))[("axis",)]
+    np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1, rtol=0, atol=1e-15)
+
+
+ERRORS = [
+    (
+        "toutatis",
+        {"inertai": 0.1},
+        r"spread\.inertai: no number .*did you mean inertia\? these can be spread: .*state\.",
+    ),
+    ("toutatis", {"dt": 0.1}, r"spread\.dt: all members have the same steps"),
+    ("toutatis", {"inertia": -0.1}, r"spread\.inertia: must be a standard deviation, 0 or above \(got -0\.1\)"),
+    ("toutatis", {"inertia": "1 %"}, r"spread\.inertia: must be a standard deviation"),
+    ("toutatis", {"inertia": [0.1, 0.2]}, r"spread\.inertia: must be one number, or 3 of them"),
+    ("toutatis", {"inertia": 0.1, "inertia_percent": 1.0}, r"give inertia or inertia_percent, not both"),
+    ("driven", {"state.t": 0.1}, r"spread\.state\.t: all members share their time"),
+    ("cubesat", {"orbit.perigee_km": 1.0}, r"spread\.orbit\.perigee_km: all members share the orbit, field and air"),
+    ("cubesat", {"inertia_percent": 1.0}, r"spread\.inertia_percent: \[spread\] has a key for it"),
+    ("maclaurin", {"bar": 0.1}, r"maclaurin: spread: the members are spheroids"),
+    ("apophis", {"hours": 0.1}, r"apophis: spread: the members have the errors"),
+    ("hyperion", {"inertia": 0.1}, r"hyperion: spread: the members are a grid"),
+]
+
+
+@pytest.mark.parametrize(("name", "spread", "message"), ERRORS, ids=[f"{n}-{next(iter(s))}" for n, s, _ in ERRORS])
+def test_what_cannot_be_spread_is_refused_with_a_sentence(name, spread, message):
+    with pytest.raises(ValueError, match=message):
+        load(name, spread)
+
+
+def test_a_spread_that_leaves_members_without_a_value_is_refused():
+    scenario = load("driven", {"orbit.eccentricity": 1e6}, members=50)
+    with pytest.raises(ValueError, match=r"spread\.orbit\.eccentricity: \d+ of 50 members found no value"):
+        _spread.drawn(scenario)
+
+
+def test_a_spread_of_zero_is_none():
+    scenario = load("toutatis", {"inertia": 0.0})
+    assert scenarios.step_axis(scenario) is None
+    assert scenarios.step_axis(load("toutatis", {"inertia": 0.1})) == 0
+
+
+def test_a_member_with_an_inertia_of_its_own_is_that_body_alone():
+    """Observed: 5e-16 after 200 steps, where it differs from the nominal body by 1e-2."""
+    scenario = load("toutatis", {"inertia_percent": 1.0}, members=3, steps=200, save_every=200)
+    J = _spread.drawn(scenario)[("inertia",)]
+    _, made = run(scenario)
+    for m in (1, 2):
+        body = li.systems.rigid_body(J[m])
+        start = body.state(scenario.state.attitude(), angular_velocity=scenario.state.rate())
+        alone = li.integrate(li.schemes.so3_midpoint(body), start, scenario.dt, 200).state
+        np.testing.assert_allclose(made.state.q[-1, m], alone.q[-1], rtol=0, atol=1e-13)
+        np.testing.assert_allclose(made.state.p[-1, m], alone.p[-1], rtol=0, atol=1e-13 * abs(alone.p).max())
+        assert abs(made.state.q[-1, m] - made.state.q[-1, 0]).max() > 1e-4
+
+
+def written_out(table, own, m):
+    """The keys of a scenario with the numbers of a member in their places."""
+    table = jax.tree.map(lambda x: x, table)
+    for path, values in own.items():
+        inner = table
+        for part in path[:-1]:
+            labels = [row.get("name", str(k)) for k, row in enumerate(inner, 1)] if isinstance(inner, list) else []
+            inner = inner[labels.index(part)] if labels else inner[part]
+        inner[path[-1]] = values[m].tolist()
+    return table
+
+
+STEPS = 12
+SHORT = {"members": 3, "steps": STEPS, "save_every": STEPS}
+
+
+def with_all_numbers(name):
+    """A scenario with a spread of all its numbers, 0.1 % or 1e-3 of those that are 0, and its third member's file."""
+    nominal, spread = _spread.numbers(load(name, {})), {}
+    for key in KINDS[name]:
+        zero = not nominal[tuple(key.split("."))].value.any()
+        spread[key if zero else f"{key}_percent"] = 1e-3 if zero else 0.1
+    scenario = load(name, spread, **SHORT)
+    table = written_out(bare(name), _spread.drawn(scenario), 2)
+    table.pop("steps_per_orbit", None)  # all members have the steps of the nominal one
+    alone = scenarios.parse(table | SHORT | {"members": 1, "dt": scenario.dt}, name)
+    return scenario, alone
+
+
+def first(scenario):
+    """The step and the state of the first member."""
+    step, states = scenarios.build(scenario)
+    step = step if scenarios.step_axis(scenario) is None else _spread.nominal_of(step)
+    return step, jax.tree.map(lambda x: x[0] if jnp.ndim(x) else x, states)
+
+
+def assert_close(tree, other):
+    """To round-off of the largest component of each leaf."""
+    for x, y in zip(jax.tree.leaves(tree), jax.tree.leaves(other), strict=True):
+        np.testing.assert_allclose(x, y, rtol=1e-11, atol=1e-12 * abs(np.asarray(y)).max(initial=0))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", UNCERTAIN)
+def test_a_member_is_the_system_of_a_file_with_its_numbers(name):
+    """All numbers of a kind at once; the first member is that of the file without a spread."""
+    scenario, alone = with_all_numbers(name)
+    step, states = scenarios.build(scenario)
+    made = {m: jax.tree.map(lambda x, m=m: x[m] if jnp.ndim(x) else x, (step, states)) for m in (0, 2)}
+    assert_close(made[2], first(alone))
+    assert_close(made[0], first(load(name, {}, **SHORT)))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", [x for x in UNCERTAIN if x != "cubesat"])  # whose steps need minutes to compile
+def test_a_member_moves_as_the_system_of_that_file(name):
+    scenario, alone = with_all_numbers(name)
+    _, made = run(scenario)
+    step, start = first(alone)
+    end = jax.tree.map(lambda x: x[-1], li.integrate(step, start, scenario.dt, STEPS, save_every=STEPS).state)
+    assert_close((made.state.q[-1, 2], made.state.p[-1, 2]), (end.q, end.p))
+    assert abs(made.state.q[-1, 2] - made.state.q[-1, 0]).max() > 1e-6 * abs(end.q).max()
+
+
+@pytest.mark.long
+def test_droplets_have_temperatures_of_their_own():
+    settling = {"temperature_kelvin": 250.0, "steps": 20}
+    scenario = load("water", {"settling.temperature_kelvin": 20.0}, members=4, molecules=3, settling=settling)
+    step, states = scenarios.build(scenario)
+    assert scenarios.step_axis(scenario) is None
+    found = jax.vmap(lambda z: water.temperature(step.system, z))(states)
+    np.testing.assert_allclose(found, _spread.drawn(scenario)[("settling", "temperature_kelvin")], rtol=1e-12)
+
+
+@pytest.mark.long
+def test_a_report_measures_every_member_in_its_own_system():
+    """What is measured of members together is what is measured of each alone, and its spread is that of the weights."""
+    scenario = load("heavy_top", {"weight": [0.0, 0.0, 1.0]}, members=4, steps=3000)
+    step, made = run(scenario)
+    conserved = scenarios._measured(heavy_top, "conserved", scenario, step.system, made)
+    rows = scenarios._measured(heavy_top, "quantities", scenario, step.system, made)
+    assert {x.name for x in conserved} == {
+        "energy, relative",
+        "γ·π, relative to |π|",
+        "Π₃, relative to |π|",
+    }
+    assert all(x.change().shape == (len(made.t), 4) and x.change().max() < 1e-6 for x in conserved)
+    weights = _spread.drawn(scenario)[("weight",)][:, 2]
+    precession = rows[1]
+    exact = []
+    for m in range(4):
+        top = li.systems.heavy_top(scenario.inertia, [0.0, 0.0, weights[m]], scenario.axis)
+        z = jax.tree.map(lambda x, m=m: jnp.asarray(x[0, m]), made.state)
+        exact.append(float(li.systems.lagrange_motion(top, z).precession_rate))
+    np.testing.assert_allclose(precession.values, exact, rtol=1e-5)
+    assert np.ptp(exact) > 1e-3 * abs(exact[0])
+    assert "closed form" in scenarios.report(scenario, step, made)
+
+
+@pytest.mark.long
+def test_clones_of_uncertain_inertia_scatter_as_the_derivatives_by_it_say():
+    """Each of 200 clones, to the square of its deviation: observed 7e-5 of the largest displacement at 1e-5."""
+    scenario = load("toutatis", {"inertia": 1e-5}, members=200, steps=400, save_every=400)
+    own = _spread.drawn(scenario)[("inertia",)]
+    _, made = run(scenario)
+
+    def body(x):
+        P = second_moments(jnp.asarray(scenario.inertia)) * jnp.exp(x)
+        return li.systems.rigid_body(P.sum() - P)
+
+    def start(x):
+        return body(x).state(scenario.state.attitude(), angular_velocity=jnp.asarray(scenario.state.rate()))
+
+    found = li.transition(lambda x: li.schemes.so3_midpoint(body(x)), start, scenario.dt, 400, parameters=jnp.zeros(3))
+    x = np.log(second_moments(own) / second_moments(own[0]))
+    space, ends = body(jnp.zeros(3)).phase_space, jax.tree.map(lambda y: jnp.asarray(y[-1]), made.state)
+    moved = np.asarray(jax.vmap(lambda z: space.displacement(found.state, z))(ends))
+    predicted = x @ np.asarray(found.by_parameters).T
+    assert abs(predicted).max() > 1e-6
+    np.testing.assert_allclose(moved, predicted, rtol=0, atol=3e-4 * abs(predicted).max())
+
+
+@pytest.mark.long
+def test_the_command_line_draws_reports_and_stores_what_members_have_of_their_own(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    text = scenarios.resources.files("lieint_jax.app.scenarios").joinpath("driven.toml").read_text(encoding="utf-8")
+    spread = "[spread]\ninertia_percent = 1.0\norbit.eccentricity = 0.001"
+    Path("my.toml").write_text(text.replace("[spread]", spread), encoding="utf-8")
+    assert cli.main(["run", "my.toml", "--members", "4", "--steps", "200", "--no-certificate"]) == 0
+    out = capsys.readouterr().out
+    assert "inertia 1 % of the second moments of mass along the body axes, orbit.eccentricity 0.001" in out
+    assert "4 of 4 members converged" in out
+    assert cli.main(["plot", "my.npz", "--force"]) == 0
+    again = capsys.readouterr().out
+    assert [line for line in again.splitlines() if "librate" in line] == [
+        line for line in out.splitlines() if "librate" in line
+    ]
+    with np.load("my.npz") as stored:
+        scenario = scenarios.from_results(archives.open_archive(Path("my.npz")).metadata["scenario"], "my")
+        for name, values in scenarios.members_numbers(scenario).items():
+            np.testing.assert_array_equal(stored[f"member.{name}"], values)
+        assert stored["member.orbit.eccentricity"].shape == (4,)
+
+
+@pytest.mark.long
+def test_every_member_librates_about_the_axis_of_its_own_body():
+    scenario = load("driven", {"inertia": 0.05}, members=3, steps=100, save_every=10)
+    step, made = run(scenario)
+    each = [driven.librating(_spread.of_member(scenario, step.system, m), scenarios.only(made, m)) for m in range(3)]
+    assert driven._captured(scenario, step, made).tolist() == [bool(x[0]) for x in each]
