@@ -15,7 +15,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
+from lieint_jax._checks import concrete
 from lieint_jax.native import Flattened, UnsupportedError
 
 _LONGEST = 10_000  # the most operations of a program of numbers that XLA compiles in bearable time
@@ -43,12 +45,12 @@ def _explicit_arrays(function: Callable[..., Any], *example: Any) -> tuple[Calla
     `jax.closure_convert` makes only arrays of real numbers arguments.
     """
     closed, out = jax.make_jaxpr(function, return_shape=True)(*example)
-    traced = [isinstance(x, jax.core.Tracer) for x in closed.consts]
+    traced = [not concrete(x) for x in closed.consts]
 
     def call_with_arrays(arrays: list[Array], *arguments: Any) -> Any:
         following = iter(arrays)
         consts = [next(following) if hoisted else x for x, hoisted in zip(closed.consts, traced, strict=True)]
-        results = jax.core.eval_jaxpr(closed.jaxpr, consts, *jax.tree.leaves(arguments))
+        results = jaxpr_as_fun(ClosedJaxpr(closed.jaxpr, consts))(*jax.tree.leaves(arguments))
         return jax.tree.unflatten(jax.tree.structure(out), results)
 
     return call_with_arrays, [x for x, hoisted in zip(closed.consts, traced, strict=True) if hoisted]

@@ -122,7 +122,7 @@ def on_polhode(J: Array, unit: Array, psi: Array) -> Array:
 def at_perigee(spin: Spin, toward: Array, long_axis: bool) -> State:
     """The state at the perigee without torque; `toward` is the direction of the body from the Earth there."""
     J = moments(spin)
-    unit = _free_body.excited(J, spin.rotation / spin.precession, long_axis)
+    unit = _free_body.momentum_of_ratio(J, spin.rotation / spin.precession, long_axis)
     size = RigidBody(J).periods(State(jnp.asarray([1.0, 0, 0, 0]), unit)).precession / spin.precession
     pole = direction(spin.longitude, spin.latitude)
     in_body = _triad(unit_of(on_polhode(J, unit, spin.psi)), jnp.asarray([1.0, 0, 0]))
