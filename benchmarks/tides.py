@@ -120,8 +120,8 @@ def ours(sun: bool, orbits: int, saves: int) -> dict[str, Any]:
 
 def reboundx(sun: bool, orbits: int, saves: int) -> dict[str, Any]:
     """The same by REBOUNDx; its error is saved at the end of the step that passes a time."""
-    import rebound
-    import reboundx
+    import rebound  # pyright: ignore[reportMissingImports]
+    import reboundx  # pyright: ignore[reportMissingImports]
 
     begin, sim = start(sun), rebound.Simulation()
     sim.G, sim.integrator, sim.dt = G, "IAS15", PERIOD / 100

@@ -128,12 +128,20 @@ def test_a_step_back_is_flagged_and_refused():
         step.check(state, -0.1)
 
 
+def test_a_key_that_is_none_is_refused():
+    step = thermostat()
+    state = step.start(BEGIN)
+    for key, message in (([1.0, 2.0, 3.0, 0.5], "must be a key"), ([np.nan] * 4, "finite"), ([1.0] * 8, "shape")):
+        with pytest.raises(ValueError, match=message):
+            step.check(state._replace(extra=state.extra | {"key": jnp.array(key)}), 0.1)
+
+
 @pytest.mark.long
 def test_a_count_of_steps_that_a_number_does_not_hold_is_flagged():
     step = thermostat()
     state = step.start(BEGIN)
     for dtype, most in ((jnp.float32, 2**24), (jnp.float64, 2**32)):
-        for count, good in ((most - 1, True), (most, False)):
+        for count, good in ((most - 1, True), (most, False), (-1, False)):
             late = state._replace(extra=state.extra | {"step": jnp.asarray(count, dtype)})
             late, own = jax.tree.map(lambda x, dtype=dtype: x.astype(dtype), (late, step))
             assert bool(jax.jit(own)(late, jnp.asarray(0.1, dtype))[1].converged) is good

@@ -195,6 +195,8 @@ def test_other_schemes_refuse_bodies_that_lose_energy():
     for make in (schemes.splitting, schemes.gauss, schemes.kepler_splitting, lambda x: schemes.nystrom(x, 6)):
         with pytest.raises(ValueError, match="use bodies_energy_momentum"):
             make(system)
+    with pytest.raises(ValueError, match=r"state.work must have shape \(\)"):
+        system.check(start(system)._replace(work=jnp.zeros(2)))
 
 
 WRONG = {

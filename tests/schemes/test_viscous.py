@@ -45,6 +45,8 @@ def test_bad_arguments_of_viscous_bodies_raise_errors():
         systems.pseudo_rigid_body([2.0, 2.0, 2.0], MATERIAL, -1.0)
     with pytest.raises(ValueError, match="the rule 'average'"):
         schemes.additive(BODY, "symplectic")
+    with pytest.raises(ValueError, match=r"state.work must have shape \(\)"):
+        li.integrate(STEP, START._replace(work=jnp.zeros(2)), 0.02, 1)
     with pytest.raises(ValueError, match="use additive"):
         schemes.gauss(BODY)
 
