@@ -112,7 +112,8 @@ def split_rows(key: Array, count: int, rows: np.ndarray) -> Array:
 
 def _is_counter(key: Array) -> bool:
     """True if the bits of an entry are Threefry of the key and of the entry's place, as by default."""
-    return str(jax.random.key_impl(key)) == "threefry2x32" and bool(jax.config.jax_threefry_partitionable)
+    counts = getattr(jax.config, "jax_threefry_partitionable", True)
+    return bool(counts) and str(jax.random.key_impl(key)) == "threefry2x32"
 
 
 @partial(jax.jit, static_argnames=("shape", "axis"))

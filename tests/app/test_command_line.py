@@ -140,7 +140,7 @@ def test_a_run_without_certificate_and_pictures(capsys):
     assert os.listdir() == ["book.toml", "book.npz"] or os.listdir() == ["book.npz", "book.toml"]
     assert cli.main(["info", "book.npz"]) == 0
     out = capsys.readouterr().out
-    assert "t = 0 … 10 time unit" in out
+    assert "t = 0 … 10 s" in out
     assert re.search(r"at 11 of 11 saved times: \S+ in the run's units \(\S+ of the largest energy\)", out)
 
 
