@@ -72,7 +72,7 @@ def test_jit_vmap_grad_of_a_whole_run():
 @pytest.mark.parametrize(
     ("num_steps", "save_every", "message"),
     [
-        (10, 3, "not a multiple of save_every = 3; take 9 or 12 steps"),
+        (10, 3, "not a multiple of save_every = 3; use 9 or 12 steps"),
         (-1, 1, "num_steps must be an integer ≥ 0, got -1"),
         (10.0, 1, "num_steps must be an integer"),
         (True, 1, "num_steps must be an integer"),
