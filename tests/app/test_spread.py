@@ -284,7 +284,7 @@ def test_a_report_measures_every_member_in_its_own_system():
 
 @pytest.mark.long
 def test_clones_of_uncertain_inertia_scatter_as_the_derivatives_by_it_say():
-    """Each of 200 clones, to the square of its deviation: observed 7e-5 of the largest displacement at 1e-5."""
+    """Each of 200 clones, to the square of its deviation: observed 1.2e-5 of the largest displacement at 1e-5."""
     scenario = load("toutatis", {"inertia": 1e-5}, members=200, steps=400, save_every=400)
     own = _spread.drawn(scenario)[("inertia",)]
     _, made = run(scenario)
@@ -302,7 +302,7 @@ def test_clones_of_uncertain_inertia_scatter_as_the_derivatives_by_it_say():
     moved = np.asarray(jax.vmap(lambda z: space.displacement(found.state, z))(ends))
     predicted = x @ np.asarray(found.by_parameters).T
     assert abs(predicted).max() > 1e-6
-    np.testing.assert_allclose(moved, predicted, rtol=0, atol=3e-4 * abs(predicted).max())
+    np.testing.assert_allclose(moved, predicted, rtol=0, atol=5e-5 * abs(predicted).max())
 
 
 @pytest.mark.long
