@@ -60,6 +60,7 @@ def test_run_pseudo_rigid_as_it_is_shipped():
     assert np.ptp(series.energy["the rule 'average'"]) < 5e-12
 
 
+@pytest.mark.long
 def test_the_members_of_pseudo_rigid():
     """The first is Figure 3c's; the others turn with its velocity and their own spin; the seed decides."""
     scenario = scenarios.load("pseudo_rigid", members=2000)

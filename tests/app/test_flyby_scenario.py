@@ -89,6 +89,7 @@ def test_the_elements_are_ecliptic():
     assert apart(incoming("equator")) > 15
 
 
+@pytest.mark.long
 def test_the_nominal_body_has_the_published_periods_and_energy():
     spin = jax.tree.map(lambda x: x[0], _flyby_study.members(changed(members=1))[0])
     near = jax.jit(motion.at_perigee, static_argnums=2)(spin, jnp.asarray([1.0, 0, 0]), False)
@@ -102,6 +103,7 @@ def test_the_nominal_body_has_the_published_periods_and_energy():
     np.testing.assert_allclose([longitude[0], latitude[0]], [250, -75], rtol=0, atol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("long_axis", [False, True])
 def test_a_spin_has_its_periods_and_phases_in_both_modes(long_axis):

@@ -158,6 +158,7 @@ def test_a_path_on_the_map_is_broken_where_it_leaves_the_map():
     assert ax.get_xticklabels()[0].get_text() == "60°"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("spin", "name"), [([2.0, 0.1, 0.05], "body axis x"), ([0.1, 0.05, -2.0], "body axis −z")])
 def test_the_motion_of_a_body_is_drawn_by_the_axis_that_it_spins_about(spin, name):
     body = li.systems.rigid_body([1.0, 2.0, 3.0])

@@ -71,6 +71,7 @@ def test_the_report_lists_phases_and_works(short):
     assert float(row[1]) == pytest.approx(1e6 * c.works[20, :, c.names.index("bdot")].mean(), abs=1e-4)
 
 
+@pytest.mark.long
 def test_the_members_have_inertias_and_dipoles_of_their_own():
     scenario = scenarios.load("cubesat", members=400, steps=20)
     step, states = scenarios.build(scenario)

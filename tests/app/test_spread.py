@@ -78,6 +78,7 @@ def possible(scenario):
     return str(found.value).partition("these can be spread: ")[2].removesuffix(" (got").split(", ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_every_number_of_a_scenario_can_be_spread(name):
     found = possible(bare(name))

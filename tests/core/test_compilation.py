@@ -173,6 +173,7 @@ def test_a_folder_that_jax_was_given_stays(monkeypatch, tmp_path):
     assert jax.config.jax_compilation_cache_dir == before
 
 
+@pytest.mark.long
 def test_derivatives_outside_of_jit_go_through_the_package_s_own_programs():
     """JAX derives no program that has options for XLA: there the package's have none."""
     step, _, dt = a_step()

@@ -99,6 +99,7 @@ def _rj(a, b, c, p):
     return mpmath.elliprj(a * a, b * b, c * c, p)
 
 
+@pytest.mark.long
 def test_slopes_are_found_forwards():
     """Through a `while_loop`, which reverse mode cannot pass, in both modes, of both orders, by one argument or two."""
 

@@ -68,6 +68,7 @@ def test_newton_finds_the_satellite_at_rest_in_its_orbit():
         li.equilibrium(eccentric, eccentric.state(angular_velocity=[0.0, 0.0, 1.0], t=0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("over", [0.999, 1.001, 1.5])
 def test_a_sleeping_top_wakes_at_its_threshold(over):
     """Π₃² = 4J₁Mgl; above it, tilts rotate in space at (Π₃ ± √(Π₃² − 4J₁Mgl))/2J₁, here in axes that spin at Ω₃."""
@@ -91,6 +92,7 @@ def test_a_sleeping_top_wakes_at_its_threshold(over):
         assert modes.margin == pytest.approx(-abs(root) / (2 * J1), rel=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wheel", [-3.0, -0.5, 0.0, 1.1])
 def test_a_wheel_steadies_a_spin_about_the_middle_axis(wheel):
     """Stable if (λ − J₁Ω)(λ − J₂Ω) > 0 with λ = J₃Ω + h; that product is the frequency squared times J₁J₂."""

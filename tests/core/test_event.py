@@ -120,6 +120,7 @@ def test_many_at_once_and_one_after_the_other():
             )
 
 
+@pytest.mark.long
 def test_a_heavy_top_falls():
     """The energy at the event is that of the steps, and its time lies between two of them."""
     found = jax.jit(lambda z: li.event(SPLITTING, z, 0.05, level, max_steps=200, count=2))(STATE)
@@ -163,6 +164,7 @@ def crossings(dtype):
     return jax.jit(jax.vmap(found))(jnp.arange(len(CONDITIONS)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("dtype", "tolerance"),
     [

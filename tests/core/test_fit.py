@@ -218,6 +218,7 @@ def test_each_start_may_have_data_of_its_own():
     np.testing.assert_allclose(found.starts.covariance, [[[1]], [[1]], [[np.nan]]])
 
 
+@pytest.mark.long
 def test_stopping_rules():
     far = li.fit(rosenbrock, jnp.array([-1.0, 1.0]), "lbfgs", iterations=3)
     assert (far.iterations, far.success, len(far.history)) == (3, False, 4)

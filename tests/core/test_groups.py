@@ -181,6 +181,7 @@ def test_entry_by_entry_and_whole_are_the_same_group():
             close(ours, theirs, 2e-15)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["SE(3)", "Heis(5)", "SO(4)"])  # with a closed form; nilpotent; with none
 def test_exp_along_a_curve_is_the_product_with_exp(name):
     g = CATALOGUE[name]

@@ -136,6 +136,7 @@ def test_the_coefficients_are_those_of_a_product_of_exponentials():
     assert np.log2(rest(0.2) / rest(0.1)) == pytest.approx(7, abs=0.1)
 
 
+@pytest.mark.long
 def test_two_bodies():
     masses, inertias = [1.0, 0.5], jnp.array([[0.10, 0.11, 0.12], [0.030, 0.034, 0.040]])
     bodies = systems.rigid_bodies(masses, inertias, li.potentials.maccullagh(1.0, masses, inertias))

@@ -68,6 +68,7 @@ def in_time():
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("step", "state", "dt"), in_time())
 def test_an_ensemble_that_shares_its_time_steps_as_by_jax(step, state, dt):
     states, count = members(state), 3

@@ -34,6 +34,7 @@ FUNCTIONS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("longest", [_numbers._LONGEST, 0], ids=["by numbers", "too long for that"])
 @pytest.mark.parametrize("over", [(0.5,), (0.5, -0.25, 0.75)], ids=["one", "three"])
 @pytest.mark.parametrize("name", FUNCTIONS)

@@ -23,6 +23,7 @@ def last(path):
     return jax.tree.map(lambda x: x[-1], path.state)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("sign", [1, -1])
 def test_an_output_is_a_shorter_step_from_the_state_to_the_left(sign):

@@ -296,6 +296,7 @@ DAMAGE = {  # what is done to part 1 of 3 in the store, with another run's; what
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_a_damaged_part_is_named_and_refused_and_the_others_are_read(place, damage, no_loop_after):
     change, sentence = DAMAGE[damage]
@@ -585,6 +586,7 @@ def test_eight_parts_killed_at_random_moments_are_one_process_on_s3(proxy):
     assert_same(ensemble.open(url, OWN)[0], whole_of("driven"))
 
 
+@pytest.mark.long
 @needs_moto
 def test_a_storage_that_stays_away_ends_the_run_with_a_sentence_without_credentials(proxy, monkeypatch, capsys):
     for name in ("_FIRST_DELAY", "_FIRST_PATIENCE", "_PATIENCE"):

@@ -263,6 +263,7 @@ def no_loop(monkeypatch):
     monkeypatch.setattr(_run, "CompiledLoop", refuse)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("no_loop")
 def test_a_function_that_has_captured_another_number_is_another_run(tmp_path):
     scaled = lambda k: lambda step, z: k * z.q[0]  # noqa: E731
@@ -355,6 +356,7 @@ MIXTURES = {  # which commit, what is done to it, what is said of it
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mixture", MIXTURES)
 def test_a_copy_that_mixes_commits_or_places_is_neither_opened_nor_resumed(tmp_path, commits, mixture, no_loop):
     which, change, sentence = MIXTURES[mixture]

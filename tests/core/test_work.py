@@ -70,6 +70,7 @@ RUNS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RUNS)
 def test_energy_less_work_has_no_drift_in_ten_thousand_steps(name, monkeypatch):
     """Observed: at most 6e-15, 1.5e-14 for five sub-steps a step; 3e-13 to 7e-13 if all steps are of size dt."""

@@ -35,6 +35,7 @@ def examples(scheme):
     return [(step, state, dt) for _, step, state, dt in steps() if type(step).__module__ == module] if kinds else []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sorted(set(MODULES) - {"compose", "reversible_control", "exact", "preprocessed"}))
 def test_the_declared_symmetry_is_that_of_the_default_step(scheme):
     found = examples(scheme)

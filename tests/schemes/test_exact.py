@@ -103,6 +103,7 @@ def test_near_the_separatrix(off):
         assert difference(solve(J, state, t).q, reference(J, state, t)) < 2e-15 * sensitivity
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "moments", [*itertools.permutations([1.0, 2.0, 3.0]), [1, 1, 2], [2, 1, 1], [1, 2, 1], [1, 1, 1]]

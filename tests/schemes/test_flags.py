@@ -170,6 +170,7 @@ def test_no_step_ends_where_the_potential_is_not_defined(scheme):
 # Inertias of which no digits are left ---------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["cayley", "symplectic", "so3_explicit", "exact"])
 def test_a_full_tensor_of_a_needle_is_flagged(scheme):
@@ -256,6 +257,7 @@ KAPPAS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("name", KAPPAS)
 def test_every_converged_root_is_that_of_the_branch_from_zero(name):

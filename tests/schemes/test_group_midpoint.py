@@ -82,6 +82,7 @@ def measured(step, state, dt):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.paper("5.2: (5.23)–(5.27), Results 9, 10", "energy and momentum on a group", "schemes/_group_midpoint.py")
 @pytest.mark.parametrize(
     ("name", "tau"),
@@ -231,6 +232,7 @@ def test_5_29_5_30_6_27_the_linearized_step(name, tau):
     assert np.abs(C - same).max() < bound
 
 
+@pytest.mark.slow
 @pytest.mark.paper(
     "5.2: (5.28)–(5.33), Result 11", "the condition of the form on a group", "diagnostics/_conditions.py"
 )

@@ -147,6 +147,7 @@ def test_drag_and_sunlight_are_those_of_single_plates():
     assert not np.any(dark(t, Q, OMEGA))
 
 
+@pytest.mark.long
 def test_air_at_rest_takes_energy_in_every_step():
     body, state = start(torques.aerodynamic(lambda t: (jnp.asarray(2.0), jnp.zeros(3)), *PLATES))
     path, H = run(torqued_midpoint(body), state, 100)

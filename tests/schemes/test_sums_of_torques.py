@@ -157,6 +157,7 @@ def rotation_of(path, n, dt):
     return a, b, torques.Rotation(a.t, dt, a.q, half, b.q, h, kappa, Omega, so3.Ad(a.q, Omega))
 
 
+@pytest.mark.long
 def test_a_rod_in_a_field_at_rest_never_gains_and_loses_the_area_of_its_loop():
     """A body that is turned slowly through two turns about an axis across the field: the second is a closed loop."""
     rod = torques.hysteresis([1.0, 0, 0], 0.5, 0.3, 0.4, field=[2.0, 0, 0])

@@ -749,6 +749,7 @@ def until(x, t, q, omega):
     return jnp.sqrt(x - t) * omega
 
 
+@pytest.mark.long
 def test_a_torque_that_becomes_nan_is_flagged_and_at_the_start_refused():
     start = moving(J)._replace(t=jnp.array(0.0))
     steps_to = {x: torqued_midpoint(torqued_body(J, of(until, jnp.array(x)))) for x in (0.35, -0.1)}

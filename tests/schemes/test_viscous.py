@@ -28,6 +28,7 @@ def test_momentum_and_the_energy_with_what_is_lost_are_conserved_and_every_step_
     assert lost.sum() > 0.5
 
 
+@pytest.mark.long
 def test_a_step_back_gives_back_what_a_step_lost():
     """Observed 1e-16 for the state, 0 for the work."""
     run = jax.jit(STEP)

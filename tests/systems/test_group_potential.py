@@ -70,6 +70,7 @@ def check(system, state, dt):
 LARGER = [pytest.param(name, marks=pytest.mark.long) for name in ("SL(2)", "SE(3)", "SL(3)", "SO(4)")]
 
 
+@pytest.mark.slow
 @pytest.mark.paper("5.4: (5.49), Result 13", "energy with a potential", "schemes/_group_energy_momentum.py")
 @pytest.mark.parametrize("name", ["Aff(1)", *LARGER])
 def test_result_13_energy_for_any_potential(name):
