@@ -104,7 +104,8 @@ def test_any_number_of_parts_is_one_process(place, count, options):
         options = {"step": step, "states": STATES._replace(t=times, work=jnp.zeros(41))}
     for k in range(count):
         run(place, (k, count), **options)
-    assert_same(ensemble.open(place)[0], run(**options))
+    own = {"killed.tilted": killed.tilted, "killed.axis": killed.axis}
+    assert_same(ensemble.open(place, own=own)[0], run(**options))
 
 
 def test_the_xla_engine_has_the_same_bits_in_parts_of_one_member(tmp_path, monkeypatch):
