@@ -412,7 +412,8 @@ class _Equation(NamedTuple):
         (here, A), (_, B) = _value_and_jacobian(by_attitude, y), _value_and_jacobian(by_velocity, y)
         K = vec3.combine(vec3.combine(gyration_matrix(self.kappa, self.J, y), A, -1), B, -1)
         force = functools.reduce(jnp.maximum, map(vec3.max_abs, A), vec3.max_abs(here))
-        force = jnp.maximum(force, vec3.max_abs(y) * functools.reduce(jnp.maximum, map(vec3.max_abs, B)))
+        speed = vec3.max_abs(y) / jnp.maximum(1, vec3.max_abs(vec3.components(now.h)))  # h may enlarge h × T at will
+        force = jnp.maximum(force, speed * functools.reduce(jnp.maximum, map(vec3.max_abs, B)))
         return on_branch(self.kappa, y, K), vec3.max_abs(self.a) + force
 
 

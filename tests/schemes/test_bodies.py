@@ -240,7 +240,7 @@ def test_certificates_do_not_depend_on_units():
 def test_gradients_in_masses_inertias_and_states(scheme):
     def separation(run, masses, inertias, p):
         bodies = systems.RigidBodies(masses, inertias, potentials.MacCullagh(jnp.asarray(1.0), masses, inertias))
-        x = run(scheme(bodies), START._replace(p=p), 0.1, 20, 20).state.q[-1, :, :3]
+        x = run(scheme(bodies), START._replace(p=p), 0.1, 20, save_every=20).state.q[-1, :, :3]
         return jnp.sum((x[1] - x[0]) ** 2)
 
     at = BINARY.masses, BINARY.inertias, START.p

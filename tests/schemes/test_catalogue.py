@@ -50,8 +50,9 @@ def test_the_declared_symmetry_is_that_of_the_default_step(scheme):
 @pytest.mark.parametrize("scheme", MEASURED)
 def test_what_is_declared_conserved_is_measured(scheme):
     """A declared invariant is constant to round-off; an energy or form that is not declared visibly is not."""
-    step, state, dt = examples(scheme)[0]
-    body = step.system
+    found = examples(scheme)
+    step, state, dt = next((x for x in found if x[0].system.momentum(x[1]).size), found[0])
+    body, dt = step.system, 4 * dt if scheme == "extrapolate" else dt  # whose error is round-off at the example's dt
     run = jax.jit(lambda z: li.integrate(step, z, dt, 100))(state)
     energy = float(abs(li.diagnostics.energy_error(body, run)).max() / abs(body.energy(state)))
     momentum = abs(li.diagnostics.momentum_error(body, run)).max()
