@@ -175,8 +175,7 @@ def constant_lag(G: ArrayLike, masses: ArrayLike, radii: ArrayLike, k2: ArrayLik
     """
     bodies = _bodies(G, masses, radii, k2)
     late = _one_each("lags", lags, bodies[1])
-    if concrete(late) and not bool(np.all(np.asarray(late) >= 0)):
-        raise ValueError(f"lags must be ≥ 0, got {np.asarray(late)}; 0 means a body without a tide")
+    _check_not_negative("lags", late)
     return LaggingTides(*bodies, late, jnp.zeros_like(late))
 
 
@@ -215,8 +214,7 @@ def constant_q(
     bodies = _bodies(G, masses, radii, k2)
     quality, slow = _one_each("Q", Q, bodies[1]), _one_each("threshold", threshold, bodies[1])
     for name, x in (("Q", quality), ("threshold", slow)):
-        if concrete(x) and not bool(np.all(np.asarray(x) > 0)):
-            raise ValueError(f"{name} must be positive, got {np.asarray(x)}; a body without a tide has k2 = 0")
+        _check_positive(name, x, "; a body without a tide has k2 = 0")
     return LaggingTides(*bodies, 1 / (2 * quality * slow), 1 / slow)
 
 
@@ -227,12 +225,22 @@ def _bodies(G: ArrayLike, masses: ArrayLike, radii: ArrayLike, k2: ArrayLike) ->
         raise ValueError(f"masses must have shape (N,), N ≥ 2, got {m.shape}")
     g, R = _checks.real_array("G", G, ()), _checks.real_array("radii", radii, (m.size,))
     for name, x in (("G", g), ("masses", m), ("radii", R)):
-        if concrete(x) and not bool(np.all(np.asarray(x) > 0)):
-            raise ValueError(f"{name} must be positive, got {np.asarray(x)}")
+        _check_positive(name, x)
     love = _one_each("k2", k2, m)
-    if concrete(love) and not bool(np.all(np.asarray(love) >= 0)):
-        raise ValueError(f"k2 must be ≥ 0, got {np.asarray(love)}; 0 means a body without a tide")
+    _check_not_negative("k2", love)
     return g, m, R, love
+
+
+def _check_positive(name: str, x: Array, advice: str = "") -> None:
+    """Raise ValueError if a concrete number is not positive."""
+    if concrete(x) and not bool(np.all(np.asarray(x) > 0)):
+        raise ValueError(f"{name} must be positive, got {np.asarray(x)}{advice}")
+
+
+def _check_not_negative(name: str, x: Array) -> None:
+    """Raise ValueError if a concrete number of a body's tide is negative."""
+    if concrete(x) and not bool(np.all(np.asarray(x) >= 0)):
+        raise ValueError(f"{name} must be ≥ 0, got {np.asarray(x)}; 0 means a body without a tide")
 
 
 def _one_each(name: str, value: ArrayLike, masses: Array) -> Array:

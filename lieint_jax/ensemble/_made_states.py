@@ -27,7 +27,7 @@ class MadeStates:
         self.function, self.members = function, members
         self._last: tuple[int, State] | None = None  # the block that was made last, and where it begins
 
-    def of(self, members: range) -> State:
+    def make(self, members: range) -> State:
         """The initial states of consecutive members, as host arrays.
 
         The function is called for whole blocks of the run, whichever of their members are needed: the last bits of

@@ -52,7 +52,7 @@ def peak_memory(
     """
     _, count = checked_part(part)
     made = made_states(states, members)
-    first: Any = states if made is None else made.of(range(1))
+    first: Any = states if made is None else made.make(range(1))
     given = len(first.p)
     state = sum(np.dtype(x.dtype).itemsize * int(np.size(x)) for x in jax.tree.leaves(first)) // given
     members = given if made is None else made.members

@@ -188,7 +188,7 @@ def _make_members(make_job: partial[Job], step: Step, made: MadeStates, members:
     own = slice(members.start, members.stop)
     if make_job.keywords["step_axis"] is not None:
         step = jax.tree.map(lambda leaf: leaf[own], step)
-    return make_job(step, made.of(members), made=members)
+    return make_job(step, made.make(members), made=members)
 
 
 def _describe_whole(make_job: partial[Job], step: Step, made: MadeStates) -> Job:

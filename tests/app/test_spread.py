@@ -332,5 +332,8 @@ def test_the_command_line_draws_reports_and_stores_what_members_have_of_their_ow
 def test_every_member_librates_about_the_axis_of_its_own_body():
     scenario = load("driven", {"inertia": 0.05}, members=3, steps=100, save_every=10)
     step, made = run(scenario)
-    each = [driven.librating(_spread.of_member(scenario, step.system, m), scenarios.only(made, m)) for m in range(3)]
+    each = [
+        driven.librating(_spread.of_member(scenario, step.system, m), scenarios.select_member(made, m))
+        for m in range(3)
+    ]
     assert driven._captured(scenario, step, made).tolist() == [bool(x[0]) for x in each]

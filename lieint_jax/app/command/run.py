@@ -13,7 +13,7 @@ from lieint_jax._version import __version__
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import files, info
 from lieint_jax.app.scenarios._common import Common
-from lieint_jax.app.scenarios._runs import nominal
+from lieint_jax.app.scenarios._runs import nominal, nominal_of
 from lieint_jax.diagnostics import certify
 from lieint_jax.ensemble.archives import Address, Url
 
@@ -108,7 +108,7 @@ def run(
     drawn = info.draw(out, drawings, scenario, step, run)
     print(scenarios.report(scenario, step, run))
     if certificate:
-        first = step if options["step_axis"] is None else jax.tree.map(lambda leaf: leaf[0], step)
+        first = step if options["step_axis"] is None else nominal_of(step)
         watched = min(scenario.steps, _WATCHED)
         print(f"\nCertificate of the nominal member, first {watched} of {scenario.steps} steps:")
         print(certify(first, nominal(run), scenario.dt, watched))

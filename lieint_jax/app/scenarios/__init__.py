@@ -39,7 +39,7 @@ from pydantic import BaseModel, ValidationError
 from lieint_jax import _discover
 from lieint_jax.app.scenarios import _report, _spread
 from lieint_jax.app.scenarios._common import Common
-from lieint_jax.app.scenarios._runs import only
+from lieint_jax.app.scenarios._runs import select_member
 from lieint_jax.types import State, Step, Trajectory
 
 _OLD_KEYS = {"angular_velocity": "angular_velocity_rad"}  # of results of version 0.1
@@ -114,7 +114,7 @@ def _measured(module: ModuleType, name: str, scenario: Common, system: Any, run:
         return _declared(module, name, scenario, system, run)
     each = enumerate(_spread.each_member(scenario))
     return _report.joined(
-        [_declared(module, name, its, _spread.of_member(scenario, system, m), only(run, m)) for m, its in each]
+        [_declared(module, name, its, _spread.of_member(scenario, system, m), select_member(run, m)) for m, its in each]
     )
 
 

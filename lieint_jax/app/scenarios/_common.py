@@ -113,7 +113,7 @@ class Common(Table):
 
     def own_numbers(self) -> dict[_spread.Path, _spread.Given]:
         """The numbers, by their paths, of which every member has a value of its own, with their spreads."""
-        return _spread.given(self, self.fixed)
+        return _spread.requested_spreads(self, self.fixed)
 
     def spreads(self) -> dict[str, tuple[float, str]]:
         """The standard deviations of the initial states with their units, by what they are of, as a kind declares."""

@@ -32,7 +32,7 @@ def nominal(run: Trajectory, time: int = 0) -> State:
     return member(run, 0, time)
 
 
-def only(run: Trajectory, m: int) -> Trajectory:
+def select_member(run: Trajectory, m: int) -> Trajectory:
     """One member of a run, as that of an ensemble of one."""
     state, info = jax.tree.map(lambda x: x[:, m : m + 1] if np.ndim(x) > 1 else x, (run.state, run.info))
     return Trajectory(run.t, state, info)

@@ -202,7 +202,7 @@ class Given(NamedTuple):
     words: str
 
 
-def given(scenario: BaseModel, fixed: Mapping[str, str]) -> dict[Path, Given]:
+def requested_spreads(scenario: BaseModel, fixed: Mapping[str, str]) -> dict[Path, Given]:
     """The spreads of numbers that a scenario gives, by the paths of the numbers; those that are 0 are left out.
 
     Args:
@@ -227,7 +227,7 @@ def given(scenario: BaseModel, fixed: Mapping[str, str]) -> dict[Path, Given]:
             raise ValueError(_refusal(path, key, reasons, declared))
         if key in found:
             raise ValueError(f"spread: give {_join(key)} or {_join(key)}{_PERCENT}, not both")
-        found[key] = _given(path, value, known[key], percent)
+        found[key] = _parse_spread(path, value, known[key], percent)
     return {path: spread for path, spread in found.items() if spread.sigma.any()}
 
 
@@ -240,7 +240,7 @@ def _entries(table: Mapping[str, Any], path: Path = ()) -> Iterator[tuple[Path, 
             yield (*path, name), value
 
 
-def _given(path: Path, value: Any, number: Number, percent: bool) -> Given:
+def _parse_spread(path: Path, value: Any, number: Number, percent: bool) -> Given:
     key = _join((_SPREAD, *path))
     sigma = _standard_deviations(key, value, number.shape())
     unit, of = (" %" if percent else ""), (f" {number.law.of}" if number.law.of else "")

@@ -18,7 +18,7 @@ from lieint_jax.app.scenarios._body import TopScenario, about, in_space, inertia
 from lieint_jax.app.scenarios._common import Above, Table, deviates, radians
 from lieint_jax.app.scenarios._pictures import changes_by_scheme, draw_on_sphere, picture
 from lieint_jax.app.scenarios._report import Conserved, Quantity
-from lieint_jax.app.scenarios._runs import follow, nominal, only, series
+from lieint_jax.app.scenarios._runs import follow, nominal, select_member, series
 from lieint_jax.app.scenarios._spread import of_member, on_the_side_of
 from lieint_jax.groups import so3
 from lieint_jax.orbits import Kepler
@@ -167,7 +167,7 @@ def _captured(scenario: Scenario, step: Any, run: Trajectory) -> np.ndarray | No
     """Whether each member librates, about the axis of its own body."""
     if not scenario.own_numbers():
         return librating(step.system, run)
-    each = [librating(of_member(scenario, step.system, m), only(run, m)) for m in range(scenario.members)]
+    each = [librating(of_member(scenario, step.system, m), select_member(run, m)) for m in range(scenario.members)]
     return np.concatenate([x for x in each if x is not None]) if all(x is not None for x in each) else None
 
 
