@@ -151,13 +151,16 @@ RUNS = {
         {"save_at": np.array([0.1, 0.33, 0.34, 1.2])},
     ),
     "the energy, and the last state": lambda: (
-        (li.schemes.splitting(TOP), states_of(TOP), 0.05, 22, 11),
-        {"reduce": "energy"},
+        (li.schemes.splitting(TOP), states_of(TOP), 0.05, 22),
+        {"save_every": 11, "reduce": "energy"},
     ),
-    "a time that members share": lambda: ((li.schemes.splitting(DRIVEN), states_of(DRIVEN, 0.7), 0.05, 22, 11), {}),
+    "a time that members share": lambda: (
+        (li.schemes.splitting(DRIVEN), states_of(DRIVEN, 0.7), 0.05, 22),
+        {"save_every": 11},
+    ),
     "times of their own": lambda: (
-        (li.schemes.splitting(DRIVEN), states_of(DRIVEN, np.linspace(0, 1, 7)), 0.05, 22, 11),
-        {"reduce": "energy"},
+        (li.schemes.splitting(DRIVEN), states_of(DRIVEN, np.linspace(0, 1, 7)), 0.05, 22),
+        {"save_every": 11, "reduce": "energy"},
     ),
     "given times": lambda: (
         (li.schemes.splitting(DRIVEN), states_of(DRIVEN, 0.7)),
@@ -168,8 +171,8 @@ RUNS = {
         {"times": np.linspace(0, 1, 400) ** 1.5, "save_every": 57},
     ),
     "steps with a time of their own": lambda: (
-        (OWN, jax.vmap(OWN.start)(states_of(DRIVEN, np.full(7, 0.7))), 0.05, 22, 11),
-        {},
+        (OWN, jax.vmap(OWN.start)(states_of(DRIVEN, np.full(7, 0.7))), 0.05, 22),
+        {"save_every": 11},
     ),
     "a step each, prepared": lambda: (
         (
@@ -177,13 +180,12 @@ RUNS = {
             states_of(BODY),
             0.05,
             21,
-            7,
         ),
-        {"step_axis": 0},
+        {"save_every": 7, "step_axis": 0},
     ),
     "an inner loop that members leave at different times": lambda: (
-        (li.schemes.exact(BODY), states_of(BODY), 0.05, 10, 5),
-        {},
+        (li.schemes.exact(BODY), states_of(BODY), 0.05, 10),
+        {"save_every": 5},
     ),
 }
 
