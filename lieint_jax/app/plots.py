@@ -17,7 +17,7 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import matplotlib
 import matplotlib.style
@@ -35,6 +35,7 @@ _DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", "-", (0, (6, 3)), (0, (1, 2)),
 STYLES: tuple[dict[str, Any], ...] = tuple(
     {"color": color, "ls": dashes, "marker": mark} for color, dashes, mark in zip(COLORS, _DASHES, MARKS, strict=True)
 )
+SpatialAxes: TypeAlias = Any  # matplotlib's Axes3D, some of whose declared types are wrong
 _MARKED = 8  # markers on each curve of `series`
 _NEAR = 1e6  # a curve with errors below so many round-offs is drawn with the line of round-off
 
@@ -50,7 +51,9 @@ def style() -> Iterator[None]:
         yield
 
 
-def figure(columns: int = 1, rows: int = 1, size: tuple[float, float] | None = None, **axes: Any) -> tuple[Figure, Any]:
+def figure(
+    columns: int = 1, rows: int = 1, size: tuple[float, float] | None = None, **axes: Any
+) -> tuple[Figure, np.ndarray]:
     """Make a figure and its array of axes, (rows, columns), without pyplot, so that no window system is needed.
 
     Args:
@@ -64,7 +67,7 @@ def figure(columns: int = 1, rows: int = 1, size: tuple[float, float] | None = N
     return fig, fig.subplots(rows, columns, squeeze=False, **axes)
 
 
-def letter_panels(axes: Any, titles: Sequence[str]) -> None:
+def letter_panels(axes: np.ndarray, titles: Sequence[str]) -> None:
     """Title the panels of an array of axes in their order: (a), (b), …, each with its text of `titles`."""
     for ax, letter, title in zip(axes.flat, "abcdefghij", titles, strict=False):
         ax.set_title(f"({letter}) {title}", loc="left")
@@ -108,7 +111,7 @@ def series(ax: Axes, t: np.ndarray, curves: Mapping[str, np.ndarray], ylabel: st
     return ax
 
 
-def _check_number(curves: Mapping[str, Any]) -> None:
+def _check_number(curves: Mapping[str, object]) -> None:
     if len(curves) > len(STYLES):
         raise ValueError(f"{len(curves)} curves cannot be distinguished on one panel: at most {len(STYLES)}")
 
@@ -174,13 +177,13 @@ def round_off(ax: Axes, epsilon: float = float(np.finfo(float).eps), of: str = "
 
 
 def sphere_path(
-    ax: Any,
+    ax: SpatialAxes,
     path: np.ndarray,
     pole: np.ndarray | None = None,
     eye: np.ndarray | None = None,
     pole_label: str = "angular momentum",
     joined: bool = True,
-) -> Any:
+) -> SpatialAxes:
     """Draw a path of unit vectors (n, 3) on the sphere, paler on the far side, and the axis `pole` that it circles.
 
     The vectors are joined by a curve; without `joined` they are dots. The axis is drawn as a pin in the sphere.
@@ -230,7 +233,7 @@ def unit_vectors(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
     )
 
 
-def sky(ax: Any, center: float = 0.0) -> Any:
+def sky(ax: Axes, center: float = 0.0) -> Any:
     """Label axes in Mollweide's equal-area projection as a map of the sphere centered on a longitude (°)."""
     ticks = range(-120, 121, 60)
     ax.set_xticks(np.deg2rad(ticks), [f"{(tick + center) % 360:g}°" for tick in ticks])
@@ -240,7 +243,7 @@ def sky(ax: Any, center: float = 0.0) -> Any:
     return ax
 
 
-def sky_path(ax: Any, path: np.ndarray, label: str, center: float = 0.0, **look: Any) -> Any:
+def sky_path(ax: Axes, path: np.ndarray, label: str, center: float = 0.0, **look: Any) -> Any:
     """Draw a path of unit vectors (n, 3) on the map of `sky`, interrupted where it crosses the edge of the map."""
     longitude, latitude = _map_coordinates(path, center)
     leaves = np.flatnonzero(abs(np.diff(longitude)) > np.pi) + 1
@@ -248,7 +251,7 @@ def sky_path(ax: Any, path: np.ndarray, label: str, center: float = 0.0, **look:
     return ax
 
 
-def sky_points(ax: Any, points: np.ndarray, label: str, center: float = 0.0, **look: Any) -> Any:
+def sky_points(ax: Axes, points: np.ndarray, label: str, center: float = 0.0, **look: Any) -> Any:
     """Mark unit vectors (n, 3) on the map of `sky`."""
     ax.scatter(*_map_coordinates(points, center), label=label, **look)
     return ax
@@ -260,14 +263,14 @@ def _map_coordinates(points: np.ndarray, center: float) -> tuple[np.ndarray, np.
     return np.angle(np.exp(1j * longitude)), np.arcsin(np.clip(points[:, 2], -1, 1))
 
 
-def sphere_points(ax: Any, points: np.ndarray, label: str, **style: Any) -> Any:
+def sphere_points(ax: SpatialAxes, points: np.ndarray, label: str, **style: Any) -> SpatialAxes:
     """Draw unit vectors (n, 3) as dots on the sphere of `sphere_path`; those on the far side are left out."""
     seen = points[points @ _view_direction(ax) >= 0]
     ax.scatter(*(1.01 * seen.T), label=label, depthshade=False, **style)
     return ax
 
 
-def sphere_ends(ax: Any, path: np.ndarray) -> Any:
+def sphere_ends(ax: SpatialAxes, path: np.ndarray) -> SpatialAxes:
     """Mark the start and the end of a path of unit vectors (n, 3) on the sphere, paler on the far side."""
     for point, mark, label, color in ((path[0], "o", "start", GREEN), (path[-1], "s", "end", RED)):
         alpha = 1.0 if point @ _view_direction(ax) >= 0 else 0.4
@@ -275,7 +278,7 @@ def sphere_ends(ax: Any, path: np.ndarray) -> Any:
     return ax
 
 
-def sphere_axes(ax: Any) -> Any:
+def sphere_axes(ax: SpatialAxes) -> SpatialAxes:
     """Label the axes of space on the near side of the sphere: x, y, z, or −x where that end is nearer."""
     for k, name in enumerate("xyz"):
         sign = 1 if _view_direction(ax)[k] >= 0 else -1
@@ -283,13 +286,13 @@ def sphere_axes(ax: Any) -> Any:
     return ax
 
 
-def _view_direction(ax: Any) -> np.ndarray:
+def _view_direction(ax: SpatialAxes) -> np.ndarray:
     """The unit vector from the sphere toward the viewer."""
     a, e = np.deg2rad(ax.azim), np.deg2rad(ax.elev)
     return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
 
 
-def delay_plot(ax: Any, points: np.ndarray, symbol: str = "x") -> Any:
+def delay_plot(ax: SpatialAxes, points: np.ndarray, symbol: str = "x") -> SpatialAxes:
     """Plot the points (x_n, x_{n+N}, x_{n+2N}) of a series, (n, 3), relative to the middle of their range, as dots.
 
     Args:
@@ -308,7 +311,7 @@ def delay_plot(ax: Any, points: np.ndarray, symbol: str = "x") -> Any:
     return cube(ax)
 
 
-def cube(ax: Any) -> Any:
+def cube(ax: SpatialAxes) -> SpatialAxes:
     """Give axes in three dimensions equal sides and few small ticks."""
     ax.set_box_aspect((1, 1, 1), zoom=0.85)  # room for the labels
     ax.tick_params(labelsize="xx-small", pad=-2)

@@ -76,7 +76,12 @@ def _is_zero(tangent: Any) -> bool:
 
 
 def fit_magnitudes(
-    guesses: dict[str, Any], begin: Any, observed: Any, facets: Facets, curve: Lightcurve, progress: bool = True
+    guesses: dict[str, np.ndarray],
+    begin: np.ndarray,
+    observed: np.ndarray,
+    facets: Facets,
+    curve: Lightcurve,
+    progress: bool = True,
 ) -> Fit:
     """Run many fits at once, to the observed magnitudes, (fits, n), at the exposures of the curve.
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -11,6 +9,7 @@ from matplotlib.figure import Figure
 from lieint_jax.app import plots
 from lieint_jax.app.studies._period_search import HARMONICS, find_combination
 from lieint_jax.app.studies._pulls import draw_pulls
+from lieint_jax.app.studies._satellite_result import SatelliteFit
 
 _COLORS = {"as it is": plots.INK, "mirror": plots.RED, "exchange": plots.GREEN, "mirror and exchange": plots.ORANGE}
 _TITLES = (
@@ -24,7 +23,7 @@ _TITLES = (
 
 
 @plots.style()
-def draw(found: Any) -> Figure:
+def draw(found: SatelliteFit) -> Figure:
     """Plot the light and its minima, both searches for periods, the ends of all starts, the images, and the errors."""
     fig, axes = plots.figure(3, 2)
     panels = (_draw_light, _draw_spectrum, _draw_pairs, _draw_first_session, _draw_night, _draw_errors)
@@ -35,7 +34,7 @@ def draw(found: Any) -> Figure:
     return fig
 
 
-def _draw_light(ax: Axes, found: Any) -> None:
+def _draw_light(ax: Axes, found: SatelliteFit) -> None:
     session = found.session
     fine, seen = found.estimate.fine_t <= session, found.curve.t <= session
     ax.plot(found.estimate.fine_t[fine], found.estimate.fine_light[fine], color=plots.BLUE, lw=0.8, label="fit")
@@ -48,7 +47,7 @@ def _draw_light(ax: Axes, found: Any) -> None:
     ax.legend(frameon=False, fontsize="x-small", ncols=3, loc="upper left")
 
 
-def _draw_spectrum(ax: Axes, found: Any) -> None:
+def _draw_spectrum(ax: Axes, found: SatelliteFit) -> None:
     f, power = found.search.frequencies, found.search.power
     ax.plot(f, 100 * power, color=plots.BLUE, lw=0.8)
     true = 1 / found.periods
@@ -64,7 +63,7 @@ def _draw_spectrum(ax: Axes, found: Any) -> None:
     ax.text(0.97, 0.95, note, transform=ax.transAxes, ha="right", va="top", fontsize="x-small")
 
 
-def _draw_pairs(ax: Axes, found: Any) -> None:
+def _draw_pairs(ax: Axes, found: SatelliteFit) -> None:
     pairs, left = found.search.pairs.pairs, 100 * found.search.pairs.left
     true = 1 / found.periods
     y = np.arange(len(pairs))[::-1]
@@ -85,7 +84,7 @@ def _split_name(name: str) -> tuple[str, str]:
     return space, axes or "xyz"
 
 
-def _draw_first_session(ax: Axes, found: Any) -> None:
+def _draw_first_session(ax: Axes, found: SatelliteFit) -> None:
     order = np.argsort(found.first.loss)
     chi = 2 * found.first.loss[order] / (found.curve.t <= found.session).sum()
     change, rank = found.first.change[order], np.arange(1, len(order) + 1)
@@ -101,7 +100,7 @@ def _draw_first_session(ax: Axes, found: Any) -> None:
     ax.legend(frameon=False, fontsize="x-small", loc="upper left")
 
 
-def _draw_night(ax: Axes, found: Any) -> None:
+def _draw_night(ax: Axes, found: SatelliteFit) -> None:
     excess = 2 * (found.images.loss - found.night.loss.min())
     columns = sorted({_split_name(change.name)[1] for change in found.changes})
     for begin, value, end in zip(found.named, excess, found.images.change, strict=True):
@@ -120,6 +119,6 @@ def _draw_night(ax: Axes, found: Any) -> None:
     ax.legend(frameon=False, fontsize="x-small", ncols=2, loc="upper left")
 
 
-def _draw_errors(ax: Axes, found: Any) -> None:
+def _draw_errors(ax: Axes, found: SatelliteFit) -> None:
     e = found.estimate
     draw_pulls(ax, e.errors, (e.value - e.truth) / e.sigma)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from lieint_jax.app.studies._period_search import HARMONICS, SPECTRUM, coincidence, combinations, find_combination
 from lieint_jax.app.studies._pulls import chance_errors, shares
 from lieint_jax.app.studies._satellite_fit import STEP
+from lieint_jax.app.studies._satellite_result import SatelliteFit
 from lieint_jax.app.studies._symmetric_solutions import SPACE
 
 NAMES = (
@@ -19,13 +18,13 @@ NAMES = (
 )
 
 
-def text(found: Any) -> str:
+def text(found: SatelliteFit) -> str:
     """The report of the study, as text."""
     parts = (_head, _minima, _periods, _ends, _symmetries, _estimate, _published)
     return "\n".join(line for part in parts for line in part(found))
 
 
-def _head(found: Any) -> list[str]:
+def _head(found: SatelliteFit) -> list[str]:
     c = found.curve
     phase = np.rad2deg(np.arccos((c.sun * c.observer).sum(axis=1)))
     first = (c.t < found.session).sum()
@@ -38,7 +37,7 @@ def _head(found: Any) -> list[str]:
     ]
 
 
-def _minima(found: Any) -> list[str]:
+def _minima(found: SatelliteFit) -> list[str]:
     m = found.minima
     return [
         f"\n  minima of the light before the shadow, as events of the motion: {len(m.t)}",
@@ -48,7 +47,7 @@ def _minima(found: Any) -> list[str]:
     ]
 
 
-def _periods(found: Any) -> list[str]:
+def _periods(found: SatelliteFit) -> list[str]:
     s, true, width = found.search, 1 / found.periods, _width(found)
     jk = combinations(HARMONICS)
     by_chance = [100 * coincidence(part @ true, SPECTRUM, width) for part in (jk, jk[jk[:, 1] % 2 == 0])]
@@ -86,12 +85,12 @@ def _candidates(candidates: np.ndarray, true: np.ndarray, width: float) -> list[
     ]
 
 
-def _width(found: Any) -> float:
+def _width(found: SatelliteFit) -> float:
     """The resolution in frequency, 1/min."""
     return float(1 / found.curve.t[-1])
 
 
-def _ends(found: Any) -> list[str]:
+def _ends(found: SatelliteFit) -> list[str]:
     rows = _rows(found)
     lost = sum(not row[3] for row in rows)
     first = found.first
@@ -106,7 +105,7 @@ def _ends(found: Any) -> list[str]:
     ]
 
 
-def _times(found: Any, images: int) -> list[str]:
+def _times(found: SatelliteFit, images: int) -> list[str]:
     a, b, c = found.seconds
     return [
         f"\n  {found.guesses} random bodies of these periods compared with the first session: {a:.0f} s on "
@@ -117,7 +116,7 @@ def _times(found: Any, images: int) -> list[str]:
     ]
 
 
-def _table(found: Any, rows: list[Any]) -> list[str]:
+def _table(found: SatelliteFit, rows: list[tuple[str, np.ndarray, float, bool, float]]) -> list[str]:
     n, night = (found.curve.t < found.session).sum(), len(found.curve.t)
     turns = ("identity", *(f"180° {axis}" for axis in "xyz"))
     lines = [
@@ -134,11 +133,11 @@ def _table(found: Any, rows: list[Any]) -> list[str]:
     return [*lines, f"    {'elsewhere':<32}{len(other):>5}" + (f"{2 * other.min():>47.1f}" if len(other) else "")]
 
 
-def _rows(found: Any) -> list[tuple[str, np.ndarray, float, bool, float]]:
+def _rows(found: SatelliteFit) -> list[tuple[str, np.ndarray, float, bool, float]]:
     return [_row(found, name) for name in dict.fromkeys(change.name for change in found.changes)]
 
 
-def _row(found: Any, name: str) -> tuple[str, np.ndarray, float, bool, float]:
+def _row(found: SatelliteFit, name: str) -> tuple[str, np.ndarray, float, bool, float]:
     """A named solution: its name, how many starts end there, by half turn, and their least loss; whether it is a
     minimum on the night, and the loss of that minimum."""
     alike = [i for i, change in enumerate(found.changes) if change.name == name]
@@ -149,7 +148,7 @@ def _row(found: Any, name: str) -> tuple[str, np.ndarray, float, bool, float]:
     return name, counts, float(before), bool(np.isfinite(after)), float(after)
 
 
-def _symmetries(found: Any) -> list[str]:
+def _symmetries(found: SatelliteFit) -> list[str]:
     lines = [
         "\n  effect of changes in space on the true motion's light, the largest over half turns of the body (mag, rms)",
         f"    {'directions to Sun and observer':<40}{'none':>10}{'mirror':>10}{'exchange':>10}{'both':>10}",
@@ -160,7 +159,7 @@ def _symmetries(found: Any) -> list[str]:
     return lines
 
 
-def _estimate(found: Any) -> list[str]:
+def _estimate(found: SatelliteFit) -> list[str]:
     e = found.estimate
     each, every, by_chance = shares(e.errors), shares(e.errors, None), chance_errors(len(e.errors))
     truth = "itself" if np.allclose(e.turned, np.eye(3)) else "after a half turn of the body"
@@ -191,7 +190,7 @@ def _comparison(name: str, value: float, sigma: float, truth: float) -> str:
     return f"    {name:<24}{value:>11.4f}{sigma:>10.4f}{truth:>11.4f}{(value - truth) / sigma:>+7.2f} σ"
 
 
-def _published(found: Any) -> list[str]:
+def _published(found: SatelliteFit) -> list[str]:
     width, true = _width(found), 1 / found.periods
     names = [find_combination(p.frequency, true, HARMONICS, width) for p in found.search.peaks]
     good = [k for _, k, off in names if abs(off) < width]

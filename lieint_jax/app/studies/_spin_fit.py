@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,9 +19,12 @@ from lieint_jax.fitting._fit import fit
 from lieint_jax.fitting._outcome import Fit
 from lieint_jax.fitting._robust import FREEDOM, student_t, student_t_curvature, student_t_noise_error
 from lieint_jax.groups import so3
+from lieint_jax.types.shapes import PyTree
 
 LEAST, MOST = 0.01, 100.0  # bounds of the noise levels, ° and °/d
 BOUNDS = {"attitude": free, "inertia": inertia_ratios, "noise": interval(LEAST, MOST), "rate": free}
+
+Unravel = Callable[[Array], dict[str, Array]]  # the parameters of a vector
 
 
 class Estimate(NamedTuple):
@@ -41,7 +45,7 @@ class Estimate(NamedTuple):
     derived_covariance: Array
 
 
-def residuals(params: dict[str, Array], data: dict[str, Any]) -> Any:
+def residuals(params: dict[str, Array], data: dict[str, Array]) -> list[tuple[Array, Array]]:
     """The residuals of least squares for errors by Student's t with data["freedom"] degrees of freedom, and noise."""
     spin, noise = split_noise(params)
     e = errors(path_of_fits(spin, data), data)
@@ -53,12 +57,12 @@ def split_noise(params: dict[str, Array]) -> tuple[dict[str, Array], Array]:
     return {name: leaf for name, leaf in params.items() if name != "noise"}, params["noise"]
 
 
-def fit_spins(guesses: dict[str, Array], data: dict[str, Any], progress: bool = True) -> Fit:
+def fit_spins(guesses: dict[str, Array], data: dict[str, Array], progress: bool = True) -> Fit:
     """Run many fits at once; each leaf of `guesses` and `data` has a leading axis."""
     return fit(residuals, guesses, bounds=BOUNDS, starts=True, data=data, tolerance=1e-9, progress=progress)
 
 
-def repeat(tree: Any, times: int) -> Any:
+def repeat(tree: PyTree, times: int) -> PyTree:
     """Repeat every leaf of a tree along a new leading axis of length `times`."""
     return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (times, *jnp.shape(leaf))), tree)
 
@@ -74,7 +78,7 @@ def derived_quantities(params: dict[str, Array], begin: Array, at_epoch: Array) 
     return jnp.concatenate([mean_periods(body, state), direction(state.p), params["inertia"], euler, at_epoch[4:]])
 
 
-def estimates(params: dict[str, Array], data: dict[str, Any]) -> Estimate:
+def estimates(params: dict[str, Array], data: dict[str, Array]) -> Estimate:
     """The estimates of many fits, with their covariances; each leaf has a leading axis."""
     several = jax.tree.map(np.asarray, (params, data))  # slices of NumPy arrays need no dispatch by JAX
     count = len(several[0]["noise"])
@@ -83,7 +87,7 @@ def estimates(params: dict[str, Array], data: dict[str, Any]) -> Estimate:
 
 
 @jax.jit
-def estimate(params: dict[str, Array], data: dict[str, Any]) -> Estimate:
+def estimate(params: dict[str, Array], data: dict[str, Array]) -> Estimate:
     """The estimate of one fit, with its covariance: the inverse of the observed information.
 
     The information is that of the linearized motion: the second derivatives of the errors are left out. For the fixes
@@ -97,7 +101,7 @@ def estimate(params: dict[str, Array], data: dict[str, Any]) -> Estimate:
     x, unravel = ravel_pytree(spin)
     times = {"begin": data["begin"], "t": jnp.append(data["t"], data["epoch"])}
 
-    def errors_and_derived(x: Array) -> Any:
+    def errors_and_derived(x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         found = path_of_fits(unravel(x), times)
         values = errors(found[:-1], data), derived_quantities(unravel(x), data["begin"], found[-1])
         return values, values
@@ -151,7 +155,7 @@ def enlarge_errors(estimate: Estimate, factor: float) -> Estimate:
     return estimate._replace(covariance=of_x, derived_covariance=of_derived)
 
 
-def synthetic_data(truth: Estimate, unravel: Any, data: dict[str, Any], sets: int, seed: int) -> dict[str, Any]:
+def synthetic_data(truth: Estimate, unravel: Unravel, data: dict[str, Array], sets: int, seed: int) -> dict[str, Array]:
     """Synthetic data sets: the fixes of the fitted model, with errors by Student's t of the fitted noise levels."""
     rng = np.random.default_rng(seed)
     found = path(unravel(truth.x), data)
@@ -164,7 +168,12 @@ def synthetic_data(truth: Estimate, unravel: Any, data: dict[str, Any], sets: in
 
 
 def coverage(
-    truth: Estimate, unravel: Any, data: dict[str, Any], sets: int, seed: int = 1992, progress: bool = True
+    truth: Estimate,
+    unravel: Unravel,
+    data: dict[str, Array],
+    sets: int,
+    seed: int = 1992,
+    progress: bool = True,
 ) -> Coverage:
     """Fit synthetic data sets of the fitted model, and compare their estimates with the model's parameters."""
     many = synthetic_data(truth, unravel, data, sets, seed)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -13,6 +11,7 @@ from lieint_jax.app import plots
 from lieint_jax.app.studies._pulls import draw_pulls
 from lieint_jax.app.studies._radar import FITTED, MIDDLE, later_fixes, radar_epochs
 from lieint_jax.app.studies._toutatis_report import HUDSON_OSTRO
+from lieint_jax.app.studies._toutatis_result import SpinFit
 
 _MARKS = {"fitted": ("o", plots.INK), "Zhao et al. 2015": ("^", plots.RED), "Takahashi et al. 2013": ("s", plots.BLUE)}
 _DECEMBER = 20.2571  # days from the published epoch, 1992-11-09 17:49:47, to 1992-11-30 00:00
@@ -27,7 +26,7 @@ _TITLES = (
 
 
 @plots.style()
-def draw(found: Any) -> Figure:
+def draw(found: SpinFit) -> Figure:
     """Plot the residuals, the prediction, momentum and periods with published values, and the test of the errors."""
     fig, axes = plots.figure(3, 2)
     for kind, (ax, unit) in enumerate(zip(axes[0, :2], ("attitude error (°)", "body rate error (°/d)"), strict=True)):
@@ -44,7 +43,7 @@ def draw(found: Any) -> Figure:
     return fig
 
 
-def _draw_residuals(ax: Axes, found: Any, kind: int, label: str) -> None:
+def _draw_residuals(ax: Axes, found: SpinFit, kind: int, label: str) -> None:
     """Plot the size of each residual by date, with outliers ringed, and the fitted noise level."""
     day = radar_epochs().t[:FITTED] - _DECEMBER
     for name, (mark, color) in _MARKS.items():
@@ -61,7 +60,7 @@ def _draw_residuals(ax: Axes, found: Any, kind: int, label: str) -> None:
     ax.legend(ncols=2, loc="upper center")
 
 
-def _draw_prediction(ax: Axes, found: Any) -> None:
+def _draw_prediction(ax: Axes, found: SpinFit) -> None:
     """Plot the spread of the members against time, and the angles of predictions from the later fixes."""
     p = found.prediction
     label = "members from estimate, 5–95 %"
@@ -88,7 +87,7 @@ def _draw_prediction(ax: Axes, found: Any) -> None:
     ax.legend(loc="upper left")
 
 
-def _draw_pair(ax: Axes, found: Any, which: tuple[int, int], xlabel: str, ylabel: str) -> None:
+def _draw_pair(ax: Axes, found: SpinFit, which: tuple[int, int], xlabel: str, ylabel: str) -> None:
     """Plot two derived quantities with their 1σ and 2σ ellipses, and the published states and values."""
     which_axes = list(which)
     center = np.asarray(found.estimate.derived)[which_axes]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from lieint_jax.app.studies import _flyby
 from lieint_jax.app.studies._pulls import ELLIPSOID, chance_errors, shares
 from lieint_jax.app.studies._radar import FITTED, STATES, dates, later_fixes
+from lieint_jax.app.studies._toutatis_result import SpinFit
 from lieint_jax.fitting._robust import FREEDOM, student_t_noise_error
 
 NAMES = (
@@ -30,14 +29,15 @@ _CHANGE = 0.08  # °/d, the largest change of the spin by the flyby of 2004: Bus
 _TO_2008 = 1516.0  # days from that flyby, 2004-09-29, to the fix of 2008-11-23
 
 
-def text(found: Any) -> str:
+def text(found: SpinFit) -> str:
     """The report of the study, as text."""
     parts = (_head, _residual_table, _comparison, _prediction, _torque, _coverage)
     return "\n".join(line for part in parts for line in part(found))
 
 
-def _head(found: Any) -> list[str]:
+def _head(found: SpinFit) -> list[str]:
     noise, error = np.asarray(found.estimate.noise), student_t_noise_error(FITTED, 3) * found.factors[1]
+    assert found.fit.starts is not None
     normal = np.asarray(found.normal.noise)
     sigma = np.sqrt(np.diagonal(found.estimate.derived_covariance))
     values = zip(np.asarray(found.normal.derived), np.asarray(found.estimate.derived), sigma, strict=True)
@@ -54,7 +54,7 @@ def _head(found: Any) -> list[str]:
     ]
 
 
-def _residual_table(found: Any) -> list[str]:
+def _residual_table(found: SpinFit) -> list[str]:
     size = {name: np.linalg.norm(e, axis=-1) for name, e in found.residuals.items()}
     lines = [
         "\n  |calculated − observed|       attitude (°)                        body rate (°/d)",
@@ -79,7 +79,7 @@ def _residual_table(found: Any) -> list[str]:
     ]
 
 
-def _comparison(found: Any) -> list[str]:
+def _comparison(found: SpinFit) -> list[str]:
     value = np.asarray(found.estimate.derived)
     sigma = np.sqrt(np.diagonal(found.estimate.derived_covariance))
     lines = [f"\n  {'':<26}{'fitted':>9}{'± 1σ':>9}{'Zhao':>12}{'Takahashi':>18}"]
@@ -101,7 +101,9 @@ def _comparison(found: Any) -> list[str]:
         "\n  published values:",
     ]
     for k, p in enumerate(found.scenario.published.values()):
-        lines.append(_published_comparison(k, value[k], sigma[k], p.value, p.error, found.scenario.source(p.source)))
+        lines.append(
+            _published_comparison(k, value[k], sigma[k], p.value, p.error or 0.0, found.scenario.source(p.source))
+        )
     for k, period in enumerate(HUDSON_OSTRO):
         lines.append(_published_comparison(k, value[k], sigma[k], period, 0.0, "Hudson & Ostro 1995, Science 270:84"))
     return lines
@@ -118,7 +120,7 @@ def _difference(a: float, b: float, k: int) -> float:
     return (a - b + 180) % 360 - 180 if "°)" in NAMES[k] else a - b
 
 
-def _prediction(found: Any) -> list[str]:
+def _prediction(found: SpinFit) -> list[str]:
     p = found.prediction
     lines = ["\n  torque-free prediction of later fixes, by radar and, in 2012, by Chang'e-2: angle from the fix (°)"]
     lines += [f"  {'':<26}" + "".join(f"{date:>14}" for date in later_fixes().date)]
@@ -141,13 +143,13 @@ def _prediction(found: Any) -> list[str]:
     ]
 
 
-def rate_errors(found: Any) -> np.ndarray:
+def rate_errors(found: SpinFit) -> np.ndarray:
     """Standard errors of the mean rates of precession and rotation, 360°/period, in °/d, (2,)."""
     value, error = found.periods.T
     return 360 * error / value**2
 
 
-def _torque(found: Any) -> list[str]:
+def _torque(found: SpinFit) -> list[str]:
     f, own = found.flyby, rate_errors(found)
     rms, most = np.sqrt((f.rates**2).mean(axis=0)), np.abs(f.rates[:, 0]).max()
     usual, worst = _TO_2008 * rms[0], _TO_2008 * most
@@ -165,7 +167,7 @@ def _torque(found: Any) -> list[str]:
     ]
 
 
-def _coverage(found: Any) -> list[str]:
+def _coverage(found: SpinFit) -> list[str]:
     c = found.coverage
     one, two, rms = shares(c.pulls)
     labels = (*(f"attitude {a}" for a in "xyz"), "Jx/Jz", "Jy/Jz", *(f"rate {a}" for a in "xyz"))
