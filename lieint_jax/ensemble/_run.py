@@ -36,6 +36,7 @@ from lieint_jax.ensemble._layout import Layout
 from lieint_jax.ensemble._loop import Carry, Reduction, Saved, energy
 from lieint_jax.ensemble._made_states import MadeStates, MakeStates, made_states
 from lieint_jax.ensemble._part_of_task import checked_part, part_of_task
+from lieint_jax.ensemble._parts import Split
 from lieint_jax.ensemble._progress import Bar, CallLength, Interrupts
 from lieint_jax.ensemble._storage import Url, address
 from lieint_jax.ensemble._store import leaves_by_name
@@ -129,12 +130,7 @@ def run(
             members that fail to converge later, with the first such step of each; a time of the states
             so large that neighboring floating-point numbers differ by more than dt/10⁶.
     """
-    if step_axis not in (None, 0):
-        raise ValueError(f"step_axis must be None (one step for all) or 0 (one per member), got {step_axis!r}")
-    if reduce is not None and reduce != "energy" and not callable(reduce):
-        raise ValueError(f'reduce must be None, "energy" or a function (step, state) ↦ scalar, got {reduce!r}')
-    if resume and store is None:
-        raise ValueError("resume continues a run in a store; pass store=PATH.zarr")
+    _check_options(step_axis, reduce, resume, store)
     k, count = part_of_task() if part == "auto" else checked_part(part)
     threads = None if mesh is None else len(mesh.local_devices)
     mesh = _layout.checked_mesh(mesh)
@@ -155,16 +151,7 @@ def run(
         save_at=save_at,
     )
     with _checks.on_host():
-        if made is None:
-            whole = make_job(step, states)  # pyright: ignore[reportArgumentType]
-        elif in_parts:
-            whole = _describe_whole(make_job, step, made)
-        else:
-            whole = _make_members(make_job, step, made, range(made.members))
-        split, job = split_into_parts(whole, count, remote), whole
-        if in_parts:
-            own = split.part(k)
-            job = whole.restricted(own) if made is None else _make_members(make_job, step, made, own)._replace(part=own)
+        whole, job, split = _make_jobs(make_job, step, states, made, (k, count) if in_parts else None, remote)
     engine = engine_of(job, mesh)
     place = _layout.Place(mesh, threads or _layout.count_cores(), engine.whole)
 
@@ -181,6 +168,38 @@ def run(
             resume = resume or part is not None
             return run_part_into_store(engine, whole, place, options, split, k, resume, integrate)
         return run_into_store(engine, place, options, resume or part is not None, integrate)
+
+
+def _check_options(step_axis: int | None, reduce: object, resume: bool, store: object) -> None:
+    if step_axis not in (None, 0):
+        raise ValueError(f"step_axis must be None (one step for all) or 0 (one per member), got {step_axis!r}")
+    if reduce is not None and reduce != "energy" and not callable(reduce):
+        raise ValueError(f'reduce must be None, "energy" or a function (step, state) ↦ scalar, got {reduce!r}')
+    if resume and store is None:
+        raise ValueError("resume continues a run in a store; pass store=PATH.zarr")
+
+
+def _make_jobs(
+    make_job: partial[Job],
+    step: Step,
+    states: State | MakeStates,
+    made: MadeStates | None,
+    part: tuple[int, int] | None,
+    remote: bool,
+) -> tuple[Job, Job, Split]:
+    """The job of all members, that of this process, and how members are split into parts."""
+    if made is None:
+        whole = make_job(step, states)
+    elif part is not None:
+        whole = _describe_whole(make_job, step, made)
+    else:
+        whole = _make_members(make_job, step, made, range(made.members))
+    split = split_into_parts(whole, 1 if part is None else part[1], remote)
+    if part is None:
+        return whole, whole, split
+    own = split.part(part[0])
+    job = whole.restricted(own) if made is None else _make_members(make_job, step, made, own)._replace(part=own)
+    return whole, job, split
 
 
 def _make_members(make_job: partial[Job], step: Step, made: MadeStates, members: range) -> Job:

@@ -128,6 +128,14 @@ def test_any_stands_for_few_types():
     assert count <= 25 * lines / 1000
 
 
+def test_a_function_is_short_enough_to_be_seen_whole():
+    """At most 120 lines, docstring included; the longest is `ensemble.run`, most of which is its docstring."""
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef):
+                assert node.end_lineno - node.lineno < 120, f"{path}: {node.name}"
+
+
 def test_dir_lists_the_public_names_only():
     assert dir(li) == sorted(li.__all__)
     assert not [name for name in dir(li) if name.startswith("_") and name != "__version__"]
